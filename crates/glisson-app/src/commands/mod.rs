@@ -1,0 +1,56 @@
+//! The verbs of the program, one file each.
+
+mod phantom;
+mod segment;
+mod mesh;
+mod check;
+mod precompute;
+mod solve;
+mod run;
+mod serve;
+mod replay;
+mod bench;
+mod validate;
+mod demo;
+
+/// Real-time soft-tissue surgery simulation, from a patient's image to an organ one can push.
+#[derive(Debug, clap::Parser)]
+#[command(name = "glisson", version, arg_required_else_help = true)]
+pub(crate) struct CommandLine {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    Phantom(phantom::Args),
+    Segment(segment::Args),
+    Mesh(mesh::Args),
+    Check(check::Args),
+    Precompute(precompute::Args),
+    Solve(solve::Args),
+    Run(run::Args),
+    Serve(serve::Args),
+    Replay(replay::Args),
+    Bench(bench::Args),
+    Validate(validate::Args),
+    Demo(demo::Args),
+}
+
+/// Does what the command line asks for.
+pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
+    match &command_line.command {
+        Command::Phantom(args) => phantom::run(args),
+        Command::Segment(args) => segment::run(args),
+        Command::Mesh(args) => mesh::run(args),
+        Command::Check(args) => check::run(args),
+        Command::Precompute(args) => precompute::run(args),
+        Command::Solve(args) => solve::run(args),
+        Command::Run(args) => run::run(args),
+        Command::Serve(args) => serve::run(args),
+        Command::Replay(args) => replay::run(args),
+        Command::Bench(args) => bench::run(args),
+        Command::Validate(args) => validate::run(args),
+        Command::Demo(args) => demo::run(args),
+    }
+}

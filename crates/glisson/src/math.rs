@@ -1,0 +1,137 @@
+//! Small vectors and matrices, boxes, and the seeded random numbers of everything synthetic.
+//!
+//! Vectors are `glam`'s; the names are re-exported here so that one `use` serves.
+
+pub use glam::{DMat3, DVec3};
+
+/// Axis-aligned box in metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    /// Smallest corner [m].
+    pub min_m: DVec3,
+    /// Largest corner [m].
+    pub max_m: DVec3,
+}
+
+impl Aabb {
+    /// The box that holds nothing: growing it by a point gives that point.
+    pub const EMPTY: Self = Self { min_m: DVec3::INFINITY, max_m: DVec3::NEG_INFINITY };
+
+    /// Smallest box that holds all `points_m`; [`Aabb::EMPTY`] for none.
+    pub fn of_points(points_m: &[DVec3]) -> Self {
+        points_m.iter().fold(Self::EMPTY, |b, &p| b.including(p))
+    }
+
+    /// This box grown to hold `point_m`.
+    pub fn including(self, point_m: DVec3) -> Self {
+        Self { min_m: self.min_m.min(point_m), max_m: self.max_m.max(point_m) }
+    }
+
+    /// This box grown by `margin_m` on every side.
+    pub fn grown(self, margin_m: f64) -> Self {
+        Self { min_m: self.min_m - DVec3::splat(margin_m), max_m: self.max_m + DVec3::splat(margin_m) }
+    }
+
+    /// Edge lengths [m].
+    pub fn size_m(self) -> DVec3 {
+        self.max_m - self.min_m
+    }
+
+    /// Centre [m].
+    pub fn center_m(self) -> DVec3 {
+        0.5 * (self.min_m + self.max_m)
+    }
+
+    /// Whether `point_m` lies inside or on the border.
+    pub fn contains(self, point_m: DVec3) -> bool {
+        point_m.cmpge(self.min_m).all() && point_m.cmple(self.max_m).all()
+    }
+}
+
+/// Outer product a b^T.
+pub fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
+}
+
+/// Signed volume [m3] of a tetrahedron: positive when (b-a, c-a, d-a) is right-handed.
+pub fn tetrahedron_volume_m3(p_m: [DVec3; 4]) -> f64 {
+    (p_m[1] - p_m[0]).cross(p_m[2] - p_m[0]).dot(p_m[3] - p_m[0]) / 6.0
+}
+
+/// Point of triangle `(a, b, c)` closest to `p`, as barycentric weights
+/// (Ericson, Real-Time Collision Detection, 2005, s. 5.1.5).
+pub fn closest_point_barycentric(p: DVec3, [a, b, c]: [DVec3; 3]) -> [f64; 3] {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return [1.0, 0.0, 0.0];
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return [0.0, 1.0, 0.0];
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        let v = d1 / (d1 - d3);
+        return [1.0 - v, v, 0.0];
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return [0.0, 0.0, 1.0];
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        let w = d2 / (d2 - d6);
+        return [1.0 - w, 0.0, w];
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+        let w = (d4 - d3) / ((d4 - d3) + (d5 - d6));
+        return [0.0, 1.0 - w, w];
+    }
+    let sum = va + vb + vc;
+    let (v, w) = (vb / sum, vc / sum);
+    [1.0 - v - w, v, w]
+}
+
+/// Seeded random numbers, the same on every machine: SplitMix64 (Steele, Lea and Flood 2014,
+/// doi 10.1145/2660193.2660195).
+#[derive(Clone, Debug)]
+pub struct SeededRandom {
+    state: u64,
+}
+
+impl SeededRandom {
+    /// A sequence that depends on `seed` alone.
+    pub fn new(seed: u64) -> Self {
+        Self { state: seed }
+    }
+
+    /// Next 64 random bits.
+    pub fn next_u64(&mut self) -> u64 {
+        self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in [0, 1).
+    pub fn uniform(&mut self) -> f64 {
+        (self.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Uniform in [low, high).
+    pub fn uniform_in(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.uniform()
+    }
+
+    /// Standard normal (Box and Muller 1958, doi 10.1214/aoms/1177706645).
+    pub fn normal(&mut self) -> f64 {
+        let u = 1.0 - self.uniform();
+        let v = self.uniform();
+        libm::sqrt(-2.0 * libm::log(u)) * libm::cos(std::f64::consts::TAU * v)
+    }
+}

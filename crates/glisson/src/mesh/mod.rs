@@ -1,0 +1,80 @@
+//! Tetrahedral meshes.
+
+pub mod edit;
+
+use crate::math::{DVec3, tetrahedron_volume_m3};
+
+macro_rules! id_type {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+        #[derive(serde::Serialize, serde::Deserialize, bytemuck::Pod, bytemuck::Zeroable)]
+        #[repr(transparent)]
+        pub struct $name(pub u32);
+
+        impl $name {
+            /// As a place in an array.
+            pub fn index(self) -> usize {
+                self.0 as usize
+            }
+
+            /// From a place in an array.
+            ///
+            /// # Panics
+            /// Above `u32::MAX`, which no mesh that fits in memory reaches.
+            pub fn from_index(index: usize) -> Self {
+                Self(u32::try_from(index).expect("meshes have fewer than 2^32 entities"))
+            }
+        }
+
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                self.0.fmt(f)
+            }
+        }
+    };
+}
+
+id_type! {
+    /// A node (vertex) of a tetrahedral mesh.
+    NodeId
+}
+id_type! {
+    /// An edge of a tetrahedral mesh.
+    EdgeId
+}
+id_type! {
+    /// A triangle (face of one or two tetrahedra) of a tetrahedral mesh.
+    TriangleId
+}
+id_type! {
+    /// A tetrahedron.
+    TetId
+}
+
+/// Tetrahedra over shared nodes: nodes 1, 2, 3 run counter-clockwise seen from outside the face opposite
+/// to node 0, so that [`tetrahedron_volume_m3`] is positive.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TetMesh {
+    /// Nodes [m], LPS.
+    pub positions_m: Vec<DVec3>,
+    /// Nodes of each tetrahedron.
+    pub tetrahedra: Vec<[NodeId; 4]>,
+}
+
+impl TetMesh {
+    /// Corners of tetrahedron `tet` [m].
+    pub fn corners_m(&self, tet: TetId) -> [DVec3; 4] {
+        self.tetrahedra[tet.index()].map(|n| self.positions_m[n.index()])
+    }
+
+    /// Volume of tetrahedron `tet` [m3].
+    pub fn tet_volume_m3(&self, tet: TetId) -> f64 {
+        tetrahedron_volume_m3(self.corners_m(tet))
+    }
+
+    /// Sum of the tetrahedra's volumes [m3].
+    pub fn volume_m3(&self) -> f64 {
+        (0..self.tetrahedra.len()).map(|t| self.tet_volume_m3(TetId::from_index(t))).sum()
+    }
+}

@@ -1,0 +1,78 @@
+//! Deformable models behind one contract: constraints in, positions and reaction forces out.
+
+use crate::math::DVec3;
+use crate::mesh::edit::TopologyChange;
+use crate::mesh::{NodeId, TetMesh};
+
+/// A node held at a displacement from its rest position.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImposedDisplacement {
+    /// Which node.
+    pub node: NodeId,
+    /// Displacement from the rest position [m].
+    pub displacement_m: DVec3,
+}
+
+/// An external force on a node.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NodalForce {
+    /// Which node.
+    pub node: NodeId,
+    /// Force that the outside exerts on the node [N].
+    pub force_n: DVec3,
+}
+
+/// What the outside does to a model during one step. Both lists ascend by node, without repetition.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Constraints {
+    /// Nodes moved by a tool.
+    pub displacements: Vec<ImposedDisplacement>,
+    /// Forces on free nodes.
+    pub forces: Vec<NodalForce>,
+}
+
+/// What of a model changes in time: everything that the state hash covers.
+#[derive(Clone, Copy, Debug)]
+pub struct ModelState<'a> {
+    /// Node positions [m].
+    pub positions_m: &'a [DVec3],
+    /// Node velocities [m/s]; empty for a quasi-static model.
+    pub velocities_m_per_s: &'a [DVec3],
+    /// Further numbers that the next step depends on (previous positions, viscous history).
+    pub history: &'a [f64],
+}
+
+/// Why a model cannot follow a change of the mesh.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TopologyRefusal {
+    /// The model's data hold for the mesh they were computed on only.
+    #[error("the {model} model cannot change its topology: {reason}")]
+    Frozen {
+        /// The model's scene name.
+        model: &'static str,
+        /// Why, and what to do.
+        reason: &'static str,
+    },
+}
+
+/// One organ's mechanics.
+pub trait DeformableModel: Send {
+    /// Takes over the constraints that hold from the next step on.
+    fn apply(&mut self, constraints: &Constraints);
+
+    /// Advances by `dt_s`; a quasi-static model goes to its equilibrium. Never fails, never allocates.
+    fn step(&mut self, dt_s: f64);
+
+    /// Positions, velocities and history after the last step.
+    fn state(&self) -> ModelState<'_>;
+
+    /// Force [N] that the constraint exerts on each node of `Constraints::displacements`, in its order,
+    /// after the last step. A tool feels the opposite.
+    fn constraint_forces_n(&self) -> &[DVec3];
+
+    /// Follows an edit of the mesh, or says why it cannot; then nothing changed.
+    ///
+    /// # Errors
+    /// [`TopologyRefusal`] when the model cannot follow.
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal>;
+}

@@ -1,0 +1,1 @@
+//! Assembly, sparse factorization and boundary conditions.

@@ -1,0 +1,29 @@
+//! Triangle surfaces of organs.
+
+use crate::math::DVec3;
+
+/// Triangles over shared vertices, counter-clockwise seen from outside.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TriMesh {
+    /// Vertices [m], LPS.
+    pub positions_m: Vec<DVec3>,
+    /// Vertex indices of each triangle.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl TriMesh {
+    /// Corners of triangle `index` [m].
+    pub fn corners_m(&self, index: usize) -> [DVec3; 3] {
+        self.triangles[index].map(|v| self.positions_m[v as usize])
+    }
+
+    /// Enclosed volume [m3] by the divergence theorem; negative when inside out.
+    pub fn volume_m3(&self) -> f64 {
+        (0..self.triangles.len())
+            .map(|t| {
+                let [a, b, c] = self.corners_m(t);
+                a.dot(b.cross(c)) / 6.0
+            })
+            .sum()
+    }
+}

@@ -1,0 +1,1 @@
+//! Lengths, pressures and other quantities with their units, read from text.

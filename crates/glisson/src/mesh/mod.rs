@@ -1,6 +1,10 @@
 //! Tetrahedral meshes.
 
 pub mod edit;
+pub mod quality;
+pub mod stuffing;
+pub mod thin;
+pub mod generate;
 
 use crate::math::{DVec3, tetrahedron_volume_m3};
 

@@ -1,5 +1,7 @@
 //! Triangle surfaces of organs.
 
+pub mod signed_distance;
+
 use crate::math::DVec3;
 
 /// Triangles over shared vertices, counter-clockwise seen from outside.

@@ -205,10 +205,7 @@ fn grown_from_deepest(given: &Crop) -> Crop {
 /// `given` with those connected additions of `filled` that have at most `limit` voxels; none when that is
 /// all of them.
 fn without_large_additions(given: &Crop, filled: &Crop, limit: usize) -> Option<Crop> {
-    let mut added = given.emptied();
-    for (cell, (&before, &after)) in added.cells.iter_mut().zip(given.cells.iter().zip(&filled.cells)) {
-        *cell = u8::from(before == 0 && after == 1);
-    }
+    let added = additions(given, filled);
     let (labels, sizes) = components(&added, 1, true);
     if sizes.iter().all(|&size| size <= limit) {
         return None;
@@ -222,11 +219,22 @@ fn without_large_additions(given: &Crop, filled: &Crop, limit: usize) -> Option<
     Some(result)
 }
 
-/// Thickens the membranes that `ball` added to `given`, where the tunnel is narrow.
+/// Thickens the membranes that `ball` added to `given`, where the tunnel is narrow. Additions that join mere
+/// edge or corner contacts stay as they are.
 fn plug_tunnels(given: &Crop, ball: &mut Crop) {
-    let mut membrane = given.emptied();
-    for (cell, (&before, &after)) in membrane.cells.iter_mut().zip(given.cells.iter().zip(&ball.cells)) {
-        *cell = u8::from(before == 0 && after == 1);
+    let added = additions(given, ball);
+    let (labels, sizes) = components(&added, 1, true);
+    // Taking a membrane out again opens its tunnels: the Euler characteristic falls.
+    let mut opened = ball.clone();
+    let mut change_of_piece = vec![0i64; sizes.len()];
+    for (index, &label) in labels.iter().enumerate() {
+        if label > 0 {
+            change_of_piece[label as usize - 1] += opened.clear_and_count_euler(index);
+        }
+    }
+    let mut membrane = added;
+    for (cell, &label) in membrane.cells.iter_mut().zip(&labels) {
+        *cell = u8::from(label > 0 && change_of_piece[label as usize - 1] < 0);
     }
     if membrane.count() == 0 {
         return;
@@ -239,4 +247,13 @@ fn plug_tunnels(given: &Crop, ball: &mut Crop) {
         .collect();
     let nearness: Vec<u32> = from_membrane.iter().map(|&d| reach.saturating_sub(d)).collect();
     propagate(ball, &candidates, &nearness, Direction::Grow);
+}
+
+/// The voxels that `after` has and `before` has not.
+fn additions(before: &Crop, after: &Crop) -> Crop {
+    let mut added = before.emptied();
+    for (cell, (&b, &a)) in added.cells.iter_mut().zip(before.cells.iter().zip(&after.cells)) {
+        *cell = u8::from(b == 0 && a == 1);
+    }
+    added
 }

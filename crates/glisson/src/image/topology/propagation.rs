@@ -158,22 +158,25 @@ impl Crop {
         }
     }
 
-    /// Corners - edges + faces - voxels of the closed solid; each block owns its corner and the three edges,
-    /// three faces and the voxel on its upper side.
+    /// Corners - edges + faces - voxels of the closed solid.
     pub(super) fn euler_characteristic(&self) -> i64 {
-        let mut contribution = [0i64; 256];
-        for (bits, value) in contribution.iter_mut().enumerate() {
-            let any = |cells: &[usize]| i64::from(cells.iter().any(|&c| bits >> c & 1 == 1));
-            *value =
-                any(&[0, 1, 2, 3, 4, 5, 6, 7]) - any(&[1, 3, 5, 7]) - any(&[2, 3, 6, 7]) - any(&[4, 5, 6, 7])
-                    + any(&[3, 7])
-                    + any(&[5, 7])
-                    + any(&[6, 7])
-                    - any(&[7]);
-        }
+        let contribution = euler_contributions();
         let mut sum = 0;
         self.for_each_block(|bits| sum += contribution[usize::from(bits)]);
         sum
+    }
+
+    /// Clears the voxel at `index`; answers how that changes the Euler characteristic.
+    pub(super) fn clear_and_count_euler(&mut self, index: usize) -> i64 {
+        let contribution = euler_contributions();
+        let s = self.strides();
+        let around = |crop: &Self| -> i64 {
+            let lows = (0..8).map(|c| index - (c & 1) * s[0] - ((c >> 1) & 1) * s[1] - (c >> 2) * s[2]);
+            lows.map(|low| contribution[usize::from(crop.block(low))]).sum()
+        };
+        let before = around(self);
+        self.cells[index] = 0;
+        around(self) - before
     }
 
     /// Whether all blocks are well-composed.
@@ -493,4 +496,17 @@ fn well_composed_blocks() -> [bool; 256] {
         }
     };
     std::array::from_fn(|bits| joined(bits as u8) && joined(!(bits as u8)))
+}
+
+/// What each pattern of a block adds to the Euler characteristic: a block owns its middle corner and the
+/// three edges, the three faces and the voxel on its upper side.
+fn euler_contributions() -> [i64; 256] {
+    std::array::from_fn(|bits| {
+        let any = |cells: u8| i64::from(bits as u8 & cells != 0);
+        any(0b1111_1111) - any(0b1010_1010) - any(0b1100_1100) - any(0b1111_0000)
+            + any(0b1000_1000)
+            + any(0b1010_0000)
+            + any(0b1100_0000)
+            - any(0b1000_0000)
+    })
 }

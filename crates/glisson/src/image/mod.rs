@@ -5,6 +5,7 @@ pub mod labels;
 pub mod filter;
 pub mod phantom;
 pub mod segment;
+pub mod topology;
 
 use crate::math::{Aabb, DMat3, DVec3};
 

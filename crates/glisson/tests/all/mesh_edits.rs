@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glisson::math::{DVec3, SeededRandom};
-use glisson::mesh::edit::{EdgeSplit, EditError, EditableMesh, MeshEdit, TopologyChange};
+use glisson::mesh::edit::{EdgeSplit, EditError, EditableMesh, MeshEdit, PieceChange, TopologyChange};
 use glisson::mesh::remap::{EntityArray, follow};
 use glisson::mesh::topology::{TET_EDGES, TET_TRIANGLES, Through, Topology, TopologyError, surface_of};
 use glisson::mesh::{EdgeId, NodeId, TetId, TetMesh, TriangleId};

@@ -5,3 +5,4 @@ mod model_meshes;
 mod patch_test;
 mod reference_cases;
 mod surfaces;
+mod mesh_edits;

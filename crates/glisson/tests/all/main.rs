@@ -1,3 +1,7 @@
 //! All integration tests in one binary: it links once.
 
 mod layering;
+mod model_meshes;
+mod patch_test;
+mod reference_cases;
+mod surfaces;

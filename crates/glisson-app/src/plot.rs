@@ -8,6 +8,7 @@ use std::path::Path;
 use anyhow::{Context, anyhow, ensure};
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// Series colours, told apart by colour-blind readers too (Okabe and Ito 2008, yellow left out).
 const COLOURS: [RGBColor; 7] = [
@@ -22,9 +23,21 @@ const COLOURS: [RGBColor; 7] = [
 const INK: RGBColor = RGBColor(34, 40, 49);
 const GRID: RGBColor = RGBColor(226, 230, 235);
 const FONT: &str = "sans-serif";
-const TITLE_PIXELS: u32 = 22;
-const LABEL_PIXELS: u32 = 17;
-const TICK_PIXELS: u32 = 15;
+/// The backend rounds to whole numbers: everything is drawn this much larger and shown smaller.
+const SCALE: i32 = 8;
+const TITLE_PIXELS: i32 = 22;
+const LABEL_PIXELS: i32 = 17;
+const TICK_PIXELS: i32 = 15;
+/// Rows above the plot: title, and names of the series.
+const TITLE_ROW_PIXELS: i32 = 38;
+const LEGEND_ROW_PIXELS: i32 = 26;
+/// Sign of a series in the legend: length, and gaps around the name.
+const KEY_PIXELS: i32 = 24;
+const KEY_GAP_PIXELS: i32 = 8;
+/// Dash and gap.
+const DASH_PIXELS: [i32; 2] = [8, 5];
+/// About how wide a letter of the viewer's sans-serif is, relative to its height: generous.
+const LETTER_WIDTH: f64 = 0.52;
 /// Empty part of an axis' range beyond the data.
 const AXIS_MARGIN: f64 = 0.04;
 
@@ -235,85 +248,116 @@ struct Frame<'a> {
 impl Frame<'_> {
     /// SVG text of the frame with `shapes` in it.
     fn draw(&self, shapes: &[Shape]) -> anyhow::Result<String> {
-        ensure!(self.size[0] >= 100 && self.size[1] >= 100, "a plot of {:?} pixels is too small", self.size);
+        ensure!(
+            self.size.iter().all(|edge| (100..=10_000).contains(edge)),
+            "a plot of {} x {} pixels: each edge must be 100 to 10000",
+            self.size[0],
+            self.size[1]
+        );
         let mut svg = String::new();
         self.draw_into(&mut svg, shapes).map_err(|e| anyhow!("drawing the plot {:?}: {e}", self.title))?;
-        Ok(svg)
+        let [width, height] = self.size;
+        let scale = SCALE.unsigned_abs();
+        let large = format!("width=\"{}\" height=\"{}\"", width * scale, height * scale);
+        Ok(svg.replacen(&large, &format!("width=\"{width}\" height=\"{height}\""), 1))
     }
 
     fn draw_into<'b>(&self, svg: &'b mut String, shapes: &[Shape]) -> Result<(), DrawError<'b>> {
-        let root = SVGBackend::with_string(svg, (self.size[0], self.size[1])).into_drawing_area();
+        let scale = SCALE.unsigned_abs();
+        let root =
+            SVGBackend::with_string(svg, (self.size[0] * scale, self.size[1] * scale)).into_drawing_area();
         root.fill(&WHITE)?;
-        let y_decimals = decimals(self.y_range);
-        let widest_tick = self
-            .y_range
-            .iter()
-            .map(|v| number(*v, y_decimals).chars().count())
-            .max()
-            .expect("a range has two ends");
-        let tick_width = u32::try_from(widest_tick).expect("ticks are short") * TICK_PIXELS * 6 / 10;
+        let named: Vec<&Shape> = shapes.iter().filter(|shape| !shape.name.is_empty()).collect();
+        let top = TITLE_ROW_PIXELS + if named.is_empty() { 0 } else { LEGEND_ROW_PIXELS };
+        let (x_decimals, y_decimals) = (decimals(self.x_range), decimals(self.y_range));
+        let widest_tick = self.y_range.iter().map(|v| text_pixels(&number(*v, y_decimals), TICK_PIXELS));
+        let left = widest_tick.max().expect("a range has two ends") + 46;
+        let middle = SCALE * (left + i32::try_from(self.size[0]).expect("checked") - 24) / 2;
+        let centred = Pos::new(HPos::Center, VPos::Center);
+        let title = font(TITLE_PIXELS).pos(centred);
+        root.draw(&Text::new(self.title, (middle, SCALE * TITLE_ROW_PIXELS / 2 + SCALE), title))?;
+        let entry_pixels = |shape: &Shape| {
+            KEY_PIXELS + KEY_GAP_PIXELS + text_pixels(shape.name, TICK_PIXELS) + 3 * KEY_GAP_PIXELS
+        };
+        let mut x = middle - SCALE * named.iter().map(|shape| entry_pixels(shape)).sum::<i32>() / 2;
+        let y = SCALE * (TITLE_ROW_PIXELS + LEGEND_ROW_PIXELS / 2 - 4);
+        for shape in named {
+            let end = x + SCALE * KEY_PIXELS;
+            let stroke = shape.stroke();
+            match shape.kind {
+                ShapeKind::Line | ShapeKind::Bar => {
+                    root.draw(&PathElement::new(vec![(x, y), (end, y)], stroke))?;
+                }
+                ShapeKind::Dashed => {
+                    let [dash, gap] = DASH_PIXELS.map(|length| SCALE * length);
+                    root.draw(&DashedPathElement::new([(x, y), (end, y)], dash, gap, stroke))?;
+                }
+                ShapeKind::Points => {
+                    root.draw(&Circle::new(((x + end) / 2, y), 3 * SCALE, shape.colour.filled()))?;
+                }
+            }
+            let label = font(TICK_PIXELS).pos(Pos::new(HPos::Left, VPos::Center));
+            root.draw(&Text::new(shape.name, (end + SCALE * KEY_GAP_PIXELS, y), label))?;
+            x += SCALE * entry_pixels(shape);
+        }
         let mut chart = ChartBuilder::on(&root)
-            .caption(self.title, (FONT, TITLE_PIXELS, &INK))
-            .margin(12)
-            .margin_right(26)
-            .x_label_area_size(50)
-            .y_label_area_size(tick_width + 38)
+            .margin_top(SCALE * top)
+            .margin_right(SCALE * 24)
+            .margin_bottom(SCALE * 10)
+            .margin_left(SCALE * 10)
+            .x_label_area_size(SCALE * 50)
+            .y_label_area_size(SCALE * (left - 10))
             .build_cartesian_2d(self.x_range[0]..self.x_range[1], self.y_range[0]..self.y_range[1])?;
-        let x_decimals = decimals(self.x_range);
         chart
             .configure_mesh()
             .x_labels(9)
             .y_labels(7)
             .max_light_lines(0)
-            .bold_line_style(GRID)
-            .axis_style(INK.mix(0.7))
+            .bold_line_style(GRID.stroke_width(scale))
+            .axis_style(INK.mix(0.7).stroke_width(scale))
+            .set_all_tick_mark_size(SCALE * 5)
             .x_desc(self.x_label)
             .y_desc(self.y_label)
             .x_label_formatter(&|v| number(*v, x_decimals))
             .y_label_formatter(&|v| number(*v, y_decimals))
-            .label_style((FONT, TICK_PIXELS, &INK))
-            .axis_desc_style((FONT, LABEL_PIXELS, &INK))
+            .label_style(font(TICK_PIXELS))
+            .axis_desc_style(font(LABEL_PIXELS))
             .draw()?;
         for shape in shapes {
-            let colour = shape.colour;
-            let stroke = ShapeStyle { color: colour.to_rgba(), filled: false, stroke_width: 2 };
             let points = shape.points.iter().copied();
-            let drawn = match shape.kind {
-                ShapeKind::Line => chart.draw_series(LineSeries::new(points, stroke))?,
-                ShapeKind::Dashed => chart.draw_series(DashedLineSeries::new(points, 8, 5, stroke))?,
-                ShapeKind::Points => chart.draw_series(points.map(|p| Circle::new(p, 3, colour.filled())))?,
+            match shape.kind {
+                ShapeKind::Line => chart.draw_series(LineSeries::new(points, shape.stroke()))?,
+                ShapeKind::Dashed => {
+                    let [dash, gap] = DASH_PIXELS.map(|length| SCALE * length);
+                    chart.draw_series(DashedLineSeries::new(points, dash, gap, shape.stroke()))?
+                }
+                ShapeKind::Points => {
+                    let filled = shape.colour.filled();
+                    chart.draw_series(points.map(|p| Circle::new(p, 3 * SCALE, filled)))?
+                }
                 ShapeKind::Bar => {
                     let corners = [shape.points[0], shape.points[1]];
-                    chart.draw_series([Rectangle::new(corners, colour.mix(0.82).filled())])?
+                    chart.draw_series([Rectangle::new(corners, shape.colour.mix(0.82).filled())])?
                 }
             };
-            if shape.name.is_empty() {
-                continue;
-            }
-            drawn.label(shape.name);
-            match shape.kind {
-                ShapeKind::Line | ShapeKind::Bar => {
-                    drawn.legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 18, y)], stroke))
-                }
-                ShapeKind::Dashed => {
-                    drawn.legend(move |(x, y)| DashedPathElement::new([(x, y), (x + 18, y)], 5, 3, stroke))
-                }
-                ShapeKind::Points => drawn.legend(move |(x, y)| Circle::new((x + 9, y), 3, colour.filled())),
-            };
-        }
-        if shapes.iter().any(|shape| !shape.name.is_empty()) {
-            chart
-                .configure_series_labels()
-                .position(SeriesLabelPosition::UpperRight)
-                .margin(10)
-                .legend_area_size(26)
-                .label_font((FONT, TICK_PIXELS, &INK))
-                .background_style(WHITE.mix(0.86))
-                .border_style(GRID)
-                .draw()?;
         }
         root.present()
     }
+}
+
+impl Shape<'_> {
+    fn stroke(&self) -> ShapeStyle {
+        self.colour.stroke_width(2 * SCALE.unsigned_abs())
+    }
+}
+
+fn font(pixels: i32) -> TextStyle<'static> {
+    (FONT, SCALE * pixels).into_font().color(&INK)
+}
+
+/// About how wide `text` is at this height of letters [pixels].
+fn text_pixels(text: &str, height: i32) -> i32 {
+    (text.chars().count() as f64 * f64::from(height) * LETTER_WIDTH).ceil() as i32
 }
 
 fn is_finite(point: &[f64; 2]) -> bool {

@@ -6,6 +6,7 @@
 //! +z superior).
 
 pub mod math;
+pub mod text;
 pub mod units;
 pub mod files;
 pub mod image;

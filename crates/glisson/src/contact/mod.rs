@@ -1,1 +1,5 @@
 //! Contact between tools and organs.
+
+pub mod buckets;
+pub mod spread;
+pub mod sphere;

@@ -1,5 +1,7 @@
 //! Deformable models behind one contract: constraints in, positions and reaction forces out.
 
+pub mod kind;
+
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
@@ -69,6 +71,10 @@ pub trait DeformableModel: Send {
     /// Force [N] that the constraint exerts on each node of `Constraints::displacements`, in its order,
     /// after the last step. A tool feels the opposite.
     fn constraint_forces_n(&self) -> &[DVec3];
+
+    /// Starts from these node positions with velocities zero: where another model left off, or the rest shape.
+    /// A quasi-static model only shows them until its next step.
+    fn take_over(&mut self, positions_m: &[DVec3]);
 
     /// Follows an edit of the mesh, or says why it cannot; then nothing changed.
     ///

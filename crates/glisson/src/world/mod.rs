@@ -1,1 +1,293 @@
-//! The simulated world.
+//! One organ, one instrument, and the step that joins them.
+//!
+//! Stages of a step, in order: contacts, constraints, model, report. Cutting and remapping come before contacts
+//! once an instrument cuts. A step never fails, allocates, locks, logs or reads a clock.
+
+pub mod organ;
+pub mod spec;
+pub mod touch;
+
+use crate::contact::sphere::{BallPath, SurfaceView};
+use crate::math::DVec3;
+use crate::mesh::TetMesh;
+use crate::model::kind::ModelKind;
+use crate::model::{Constraints, DeformableModel, ImposedDisplacement, ModelState};
+use crate::record::hash::StateHash;
+use crate::record::snapshot::{ContactReport, DisplayTopology, Snapshot};
+use crate::tool::ToolInput;
+use organ::{Organ, OrganError};
+use spec::WorldSpec;
+use touch::HeldContact;
+
+/// Everything that one step is told from outside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepInput {
+    /// Where the tool is at the end of the step.
+    pub tool: ToolInput,
+    /// Equal parts that the time step is divided into; at least 1. Decided outside, because it may depend on
+    /// time that a clock measured.
+    pub n_substeps: u32,
+}
+
+/// How a step went.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StepReport {
+    /// Steps made so far.
+    pub step: u64,
+    /// Force that the organ exerts on the tool [N].
+    pub force_on_tool_n: DVec3,
+    /// Whether the tool touches the organ.
+    pub in_contact: bool,
+    /// Whether the tool stands on tissue that is held fixed, which cannot give way.
+    pub blocked_by_fixed_tissue: bool,
+    /// Whether the input was not finite; the tool then stayed where it was.
+    pub input_rejected: bool,
+    /// Whether the step was not made because the model that takes over now has not been delivered.
+    pub waits_for_model: bool,
+    /// Nodes whose position is not finite, which only a broken model can bring about.
+    pub n_non_finite_nodes: u32,
+}
+
+/// A model that takes over at a step fixed when it was ordered.
+struct QueuedSwap {
+    at_step: u64,
+    kind: ModelKind,
+    model: Option<Box<dyn DeformableModel>>,
+}
+
+/// One organ and one instrument in time.
+pub struct World {
+    spec: WorldSpec,
+    organ: Organ,
+    model: Box<dyn DeformableModel>,
+    model_kind: ModelKind,
+    swap: Option<QueuedSwap>,
+    tool: ToolInput,
+    contact: Option<HeldContact>,
+    constraints: Constraints,
+    step: u64,
+    report: StepReport,
+}
+
+impl World {
+    /// A world at rest, the tool at its home.
+    ///
+    /// # Errors
+    /// [`OrganError`] when the mesh is not a body with a surface.
+    pub fn new(
+        spec: WorldSpec,
+        mesh: TetMesh,
+        model: Box<dyn DeformableModel>,
+        kind: ModelKind,
+    ) -> Result<Self, OrganError> {
+        let organ = Organ::new(mesh, &spec.fixed)?;
+        let tool = spec.tool.home;
+        let mut constraints = Constraints::default();
+        constraints.displacements.reserve(3);
+        Ok(Self {
+            spec,
+            organ,
+            model,
+            model_kind: kind,
+            swap: None,
+            tool,
+            contact: None,
+            constraints,
+            step: 0,
+            report: StepReport::default(),
+        })
+    }
+
+    /// What the world was made from.
+    pub fn spec(&self) -> &WorldSpec {
+        &self.spec
+    }
+
+    /// The organ's mesh, surface and supports.
+    pub fn organ(&self) -> &Organ {
+        &self.organ
+    }
+
+    /// Which model moves the organ now.
+    pub fn model_kind(&self) -> ModelKind {
+        self.model_kind
+    }
+
+    /// The model's state.
+    pub fn state(&self) -> ModelState<'_> {
+        self.model.state()
+    }
+
+    /// Hash of everything that the next step depends on but the input.
+    pub fn state_hash(&self) -> StateHash {
+        StateHash::of(&self.model.state(), self.organ.live_tetrahedra())
+    }
+
+    /// Steps made so far.
+    pub fn steps_made(&self) -> u64 {
+        self.step
+    }
+
+    /// How the last step went.
+    pub fn report(&self) -> &StepReport {
+        &self.report
+    }
+
+    /// Orders another model: it takes over before step `at_step` (index from 0, not before the next one), and
+    /// that step waits until [`World::deliver_model`] brought it. An order that was not carried out is replaced.
+    pub fn queue_model_swap(&mut self, at_step: u64, kind: ModelKind) {
+        self.swap = Some(QueuedSwap { at_step: at_step.max(self.step), kind, model: None });
+    }
+
+    /// Brings the ordered model. Answers whether one was ordered; if not, `model` is dropped.
+    pub fn deliver_model(&mut self, model: Box<dyn DeformableModel>, kind: ModelKind) -> bool {
+        match &mut self.swap {
+            Some(swap) if swap.kind == kind => {
+                swap.model = Some(model);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// The model that the next step waits for, if it has not been delivered.
+    pub fn awaited_model(&self) -> Option<ModelKind> {
+        self.swap.as_ref().filter(|s| s.at_step <= self.step && s.model.is_none()).map(|s| s.kind)
+    }
+
+    /// Everything back to rest; the count of steps and the model stay.
+    pub fn reset(&mut self) {
+        self.contact = None;
+        self.tool = self.spec.tool.home;
+        self.constraints.displacements.clear();
+        self.constraints.forces.clear();
+        self.model.apply(&self.constraints);
+        self.model.take_over(&self.organ.mesh().positions_m);
+        self.organ.follow(self.model.state().positions_m);
+        self.report = StepReport { step: self.step, ..StepReport::default() };
+    }
+
+    /// One step of the scene's time step.
+    pub fn step(&mut self, input: &StepInput) -> StepReport {
+        self.report = StepReport { step: self.step, ..StepReport::default() };
+        if !self.take_over_queued_model() {
+            self.report.waits_for_model = true;
+            return self.report;
+        }
+        let from_m = self.tool.tip_in_world_m;
+        self.report.input_rejected = !input.tool.is_finite();
+        if !self.report.input_rejected {
+            self.tool = input.tool;
+        }
+        self.find_contact(from_m);
+        self.constrain();
+        self.move_organ(input.n_substeps.max(1));
+        self.read_force();
+        self.step += 1;
+        self.report.step = self.step;
+        self.report
+    }
+
+    /// Answers whether the step can be made.
+    fn take_over_queued_model(&mut self) -> bool {
+        if self.awaited_model().is_some() {
+            return false;
+        }
+        if let Some(swap) = self.swap.take_if(|s| s.at_step <= self.step)
+            && let Some(mut model) = swap.model
+        {
+            model.take_over(self.model.state().positions_m);
+            self.model = model;
+            self.model_kind = swap.kind;
+        }
+        true
+    }
+
+    fn find_contact(&mut self, from_m: DVec3) {
+        if self.contact.is_some() {
+            return;
+        }
+        let path = BallPath { from_m, to_m: self.tool.tip_in_world_m, radius_m: self.spec.tool.tip_radius_m };
+        let Some(touch) = self.surface_view().first_touch(&path) else { return };
+        self.contact = HeldContact::begin(&touch, &self.organ, self.model.state().positions_m);
+        self.report.blocked_by_fixed_tissue = self.contact.is_none();
+    }
+
+    fn constrain(&mut self) {
+        self.constraints.displacements.clear();
+        if let Some(contact) = &self.contact {
+            contact.add_constraints(self.tool.tip_in_world_m, &mut self.constraints.displacements);
+        }
+        self.model.apply(&self.constraints);
+    }
+
+    fn move_organ(&mut self, n_substeps: u32) {
+        let dt_s = self.spec.time_step_s / f64::from(n_substeps);
+        for _ in 0..n_substeps {
+            self.model.step(dt_s);
+        }
+        let positions_m = self.model.state().positions_m;
+        self.report.n_non_finite_nodes = positions_m.iter().filter(|p| !p.is_finite()).count() as u32;
+        self.organ.follow(positions_m);
+    }
+
+    fn read_force(&mut self) {
+        let Some(contact) = &self.contact else { return };
+        let force_on_organ_n: DVec3 = self.model.constraint_forces_n().iter().sum();
+        if contact.lets_go(force_on_organ_n) {
+            self.contact = None;
+        } else {
+            self.report.in_contact = true;
+            self.report.force_on_tool_n = -force_on_organ_n;
+        }
+    }
+
+    fn surface_view(&self) -> SurfaceView<'_> {
+        self.organ.surface_view()
+    }
+
+    /// The constraints of the last step.
+    pub fn constrained_nodes(&self) -> &[ImposedDisplacement] {
+        &self.constraints.displacements
+    }
+
+    /// The organ's displayed surface.
+    pub fn display_topology(&self) -> DisplayTopology {
+        self.organ.display_topology()
+    }
+
+    /// The displayed state now.
+    pub fn snapshot(&self) -> Snapshot {
+        let mut snapshot = Snapshot {
+            step: 0,
+            time_s: 0.0,
+            topology_version: 0,
+            positions_m: Vec::new(),
+            tool: self.tool,
+            force_on_tool_n: DVec3::ZERO,
+            contact: None,
+        };
+        self.snapshot_into(&mut snapshot);
+        snapshot
+    }
+
+    /// Writes the displayed state now into `snapshot`.
+    pub fn snapshot_into(&self, snapshot: &mut Snapshot) {
+        snapshot.step = self.step;
+        snapshot.time_s = self.step as f64 * self.spec.time_step_s;
+        snapshot.topology_version = self.organ.topology_version();
+        snapshot.positions_m.clear();
+        snapshot.positions_m.extend_from_slice(self.organ.surface_positions_m());
+        snapshot.tool = self.tool;
+        snapshot.force_on_tool_n = self.report.force_on_tool_n;
+        snapshot.contact = self.contact.as_ref().map(|contact| ContactReport {
+            point_m: contact.point_m(self.model.state().positions_m),
+            normal: contact.normal(),
+            nodes: contact.nodes(),
+            weights: contact.weights(),
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests;

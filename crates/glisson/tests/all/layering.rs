@@ -15,20 +15,31 @@ fn rust_files(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Every `crate::name` that `text` mentions outside comments.
+/// Every `crate::name` that `text` mentions outside comments, also in (nested) lists.
 fn used_modules(text: &str) -> Vec<String> {
+    let code: String = text.lines().map(|l| l.split("//").next().unwrap_or("").to_string() + "\n").collect();
+    let name_at = |rest: &str| -> String {
+        rest.trim_start().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
+    };
     let mut used = Vec::new();
-    for line in text.lines().map(|l| l.split("//").next().unwrap_or("")) {
-        for (at, _) in line.match_indices("crate::") {
-            let rest = &line[at + "crate::".len()..];
-            if let Some(list) = rest.strip_prefix('{') {
-                let names = list.split([',', '}']).map(|n| n.split("::").next().unwrap_or("").trim());
-                used.extend(names.filter(|n| !n.is_empty()).map(String::from));
-            } else {
-                let name: String = rest.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
-                used.push(name);
+    for (at, _) in code.match_indices("crate::") {
+        let rest = &code[at + "crate::".len()..];
+        let Some(list) = rest.strip_prefix('{') else {
+            used.push(name_at(rest));
+            continue;
+        };
+        let mut depth = 0;
+        let mut starts = vec![0];
+        for (i, c) in list.char_indices() {
+            match c {
+                '{' => depth += 1,
+                '}' if depth == 0 => break,
+                '}' => depth -= 1,
+                ',' if depth == 0 => starts.push(i + 1),
+                _ => {}
             }
         }
+        used.extend(starts.into_iter().map(|i| name_at(&list[i..])).filter(|n| !n.is_empty()));
     }
     used
 }
@@ -72,6 +83,9 @@ fn modules_use_only_modules_above_them() {
 
 #[test]
 fn an_upward_use_is_found() {
-    assert_eq!(used_modules("use crate::{world, math::Aabb};"), ["world", "math"]);
+    assert_eq!(
+        used_modules("use crate::{\n    world::{World, Report},\n    math::Aabb,\n};"),
+        ["world", "math"]
+    );
     assert_eq!(used_modules("let x = crate::scene::load(); // crate::no"), ["scene"]);
 }

@@ -2,3 +2,8 @@
 
 mod layering;
 mod meshing;
+mod model_meshes;
+mod patch_test;
+mod reference_cases;
+mod surfaces;
+mod mesh_edits;

@@ -1,0 +1,308 @@
+//! A recorded session: the scene and every input that the world was given, so that a replay makes the same bits.
+//!
+//! A session is a text of JSON lines: a header, then one line for every event, the last one `end`. Inputs are
+//! written only when they change. Every decision that was taken outside the library (sub-steps, when another
+//! model is swapped in) stands here as an input. Check-point hashes let a replay say where it first differs.
+
+use super::hash::StateHash;
+use crate::model::kind::ModelKind;
+use crate::tool::ToolInput;
+use serde::{Deserialize, Serialize};
+use std::io::{self, Write};
+
+/// Format version written and read.
+pub const SESSION_VERSION: u32 = 1;
+const FORMAT: &str = "glisson-session";
+
+/// What a session starts from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SessionHeader {
+    /// Always `glisson-session`.
+    pub format: String,
+    /// [`SESSION_VERSION`].
+    pub version: u32,
+    /// Version of the library that recorded it.
+    pub glisson: String,
+    /// The scene file's text.
+    pub scene: String,
+    /// BLAKE3 of the mesh (positions and connectivity), hexadecimal.
+    pub mesh_hash: String,
+}
+
+impl SessionHeader {
+    /// The header of a session that starts now.
+    pub fn new(scene: String, mesh_hash: String) -> Self {
+        Self {
+            format: FORMAT.into(),
+            version: SESSION_VERSION,
+            glisson: env!("CARGO_PKG_VERSION").into(),
+            scene,
+            mesh_hash,
+        }
+    }
+}
+
+/// One thing that the world was told, or that it answered.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case", deny_unknown_fields)]
+pub enum SessionEvent {
+    /// From this step on the tool is here and the step is divided so.
+    Input {
+        /// Index of the step to be made, from 0.
+        step: u64,
+        /// Where the tool is.
+        tool: ToolInput,
+        /// Equal parts that the step is divided into.
+        n_substeps: u32,
+    },
+    /// Before this step everything went back to rest.
+    Reset {
+        /// Index of the step to be made.
+        step: u64,
+    },
+    /// Another model was ordered; it takes over before step `at_step`, which waits for it.
+    QueueModelSwap {
+        /// Index of the step to be made when it was ordered.
+        step: u64,
+        /// Before which step it takes over.
+        at_step: u64,
+        /// Which model.
+        model: ModelKind,
+    },
+    /// The state after `step` steps.
+    Checkpoint {
+        /// Steps made.
+        step: u64,
+        /// Hash of the state.
+        state_hash: StateHash,
+    },
+    /// The recording ended after `step` steps.
+    End {
+        /// Steps made.
+        step: u64,
+        /// Hash of the state.
+        state_hash: StateHash,
+    },
+}
+
+impl SessionEvent {
+    /// The step that the event belongs to.
+    pub fn step(&self) -> u64 {
+        match *self {
+            Self::Input { step, .. }
+            | Self::Reset { step }
+            | Self::QueueModelSwap { step, .. }
+            | Self::Checkpoint { step, .. }
+            | Self::End { step, .. } => step,
+        }
+    }
+}
+
+/// A whole session.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Session {
+    /// What it starts from.
+    pub header: SessionHeader,
+    /// In order of their steps.
+    pub events: Vec<SessionEvent>,
+    /// Whether the last line is missing or torn: the recording was cut off.
+    pub cut_off: bool,
+}
+
+/// Why a text is not a session.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// There is not one line.
+    #[error("the file is empty; a session starts with a header line")]
+    Empty,
+    /// A line that is not what it should be.
+    #[error("line {line}: {reason}")]
+    Line {
+        /// From 1.
+        line: usize,
+        /// What is wrong.
+        reason: String,
+    },
+    /// Another kind of file.
+    #[error("line 1: format \"{found}\", expected \"glisson-session\"")]
+    Format {
+        /// As found.
+        found: String,
+    },
+    /// A newer or older format.
+    #[error("line 1: session version {found}; this program reads version {SESSION_VERSION}")]
+    Version {
+        /// As found.
+        found: u32,
+    },
+}
+
+/// Reads a session. A torn last line is no error: the recording was cut off, what came before it is whole.
+///
+/// # Errors
+/// [`SessionError`] with the line.
+pub fn parse_session(text: &str) -> Result<Session, SessionError> {
+    let mut lines = text.lines().enumerate();
+    let (_, first) = lines.next().ok_or(SessionError::Empty)?;
+    let wrong = |line: usize, reason: String| SessionError::Line { line: line + 1, reason };
+    let header: SessionHeader = serde_json::from_str(first).map_err(|e| wrong(0, e.to_string()))?;
+    if header.format != FORMAT {
+        return Err(SessionError::Format { found: header.format });
+    }
+    if header.version != SESSION_VERSION {
+        return Err(SessionError::Version { found: header.version });
+    }
+    let mut events: Vec<SessionEvent> = Vec::new();
+    let mut cut_off = true;
+    while let Some((line, content)) = lines.next() {
+        let event: SessionEvent = match serde_json::from_str(content) {
+            Ok(event) => event,
+            Err(e) if lines.next().is_none() && e.is_eof() => break,
+            Err(e) => return Err(wrong(line, e.to_string())),
+        };
+        let (step, last) = (event.step(), events.last().map_or(0, SessionEvent::step));
+        if step < last {
+            return Err(wrong(line, format!("step {step} comes after step {last}; steps only go up")));
+        }
+        match &event {
+            SessionEvent::Input { tool, n_substeps, .. } => {
+                if !tool.is_finite() {
+                    return Err(wrong(line, "the tool's place is not finite".into()));
+                }
+                if *n_substeps == 0 {
+                    return Err(wrong(line, "n_substeps is 0; it must be at least 1".into()));
+                }
+            }
+            SessionEvent::QueueModelSwap { at_step, .. } if *at_step < step => {
+                return Err(wrong(line, format!("at_step {at_step} lies before step {step}")));
+            }
+            SessionEvent::End { .. } => {
+                if lines.next().is_some() {
+                    return Err(wrong(line + 1, "there is a line after the end".into()));
+                }
+                cut_off = false;
+            }
+            _ => {}
+        }
+        events.push(event);
+    }
+    Ok(Session { header, events, cut_off })
+}
+
+/// Writes a session line by line while it happens.
+#[derive(Debug)]
+pub struct SessionWriter<W: Write> {
+    out: W,
+    last_input: Option<(ToolInput, u32)>,
+}
+
+impl<W: Write> SessionWriter<W> {
+    /// Writes the header.
+    ///
+    /// # Errors
+    /// Whatever `out` answers.
+    pub fn new(mut out: W, header: &SessionHeader) -> io::Result<Self> {
+        serde_json::to_writer(&mut out, header)?;
+        out.write_all(b"\n")?;
+        Ok(Self { out, last_input: None })
+    }
+
+    /// Writes an event; an input equal to the one before is left out.
+    ///
+    /// # Errors
+    /// Whatever the output answers.
+    pub fn write(&mut self, event: &SessionEvent) -> io::Result<()> {
+        if let SessionEvent::Input { tool, n_substeps, .. } = event {
+            if self.last_input == Some((*tool, *n_substeps)) {
+                return Ok(());
+            }
+            self.last_input = Some((*tool, *n_substeps));
+        }
+        serde_json::to_writer(&mut self.out, event)?;
+        self.out.write_all(b"\n")
+    }
+
+    /// Gives the output back.
+    pub fn into_inner(self) -> W {
+        self.out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::DVec3;
+    use proptest::prelude::*;
+
+    fn sample() -> (Vec<SessionEvent>, String) {
+        let tool = ToolInput {
+            tip_in_world_m: DVec3::new(0.1, -1.0 / 3.0, 5e-324),
+            shaft_in_world: DVec3::new(0.0, -1.0, 0.0),
+        };
+        let hash = StateHash::try_from("0f".repeat(32)).unwrap();
+        let events = vec![
+            SessionEvent::Input { step: 0, tool, n_substeps: 1 },
+            SessionEvent::QueueModelSwap { step: 5, at_step: 50, model: ModelKind::Precomputed },
+            SessionEvent::Checkpoint { step: 10, state_hash: hash },
+            SessionEvent::Reset { step: 12 },
+            SessionEvent::End { step: 20, state_hash: hash },
+        ];
+        let header = SessionHeader::new("name = \"x\"\n".into(), "ab".into());
+        let mut writer = SessionWriter::new(Vec::new(), &header).unwrap();
+        for event in &events {
+            writer.write(event).unwrap();
+        }
+        (events, String::from_utf8(writer.into_inner()).unwrap())
+    }
+
+    #[test]
+    fn a_session_comes_back_bit_for_bit() {
+        let (events, text) = sample();
+        let session = parse_session(&text).unwrap();
+        assert_eq!(session.events, events);
+        assert!(!session.cut_off);
+    }
+
+    #[test]
+    fn an_input_equal_to_the_one_before_is_left_out() {
+        let (events, _) = sample();
+        let header = SessionHeader::new(String::new(), String::new());
+        let mut writer = SessionWriter::new(Vec::new(), &header).unwrap();
+        for _ in 0..3 {
+            writer.write(&events[0]).unwrap();
+        }
+        assert_eq!(String::from_utf8(writer.into_inner()).unwrap().lines().count(), 2);
+    }
+
+    #[test]
+    fn a_torn_recording_keeps_what_was_written() {
+        let (events, text) = sample();
+        let session = parse_session(&text[..text.len() - 30]).unwrap();
+        assert!(session.cut_off);
+        assert_eq!(session.events, events[..4]);
+    }
+
+    #[test]
+    fn mistakes_are_named_with_their_line() {
+        let (_, text) = sample();
+        let with = |from: &str, to: &str| parse_session(&text.replace(from, to)).unwrap_err().to_string();
+        assert!(with("\"step\":10", "\"step\":3").starts_with("line 4: step 3 comes after step 5"));
+        assert!(with("\"version\":1", "\"version\":7").contains("version 7"));
+        assert!(with("glisson-session", "other").contains("\"other\""));
+        assert!(with("n_substeps\":1", "n_substeps\":0").starts_with("line 2"));
+        assert!(with("reset", "explode").starts_with("line 5"));
+    }
+
+    proptest! {
+        #[test]
+        fn mutated_bytes_are_read_or_refused(at in 0usize..2000, byte in any::<u8>(), cut in 0usize..2000) {
+            let (_, text) = sample();
+            let mut bytes = text.into_bytes();
+            let n = bytes.len();
+            bytes[at % n] = byte;
+            bytes.truncate(n - cut % n);
+            let _ = parse_session(&String::from_utf8_lossy(&bytes));
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! What viewers, recorders, tests and other programs see of a world.
+
+use crate::math::DVec3;
+use crate::mesh::NodeId;
+use crate::tool::ToolInput;
+
+/// Where a tool touches an organ.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactReport {
+    /// The touched point [m].
+    pub point_m: DVec3,
+    /// Unit normal, out of the organ.
+    pub normal: DVec3,
+    /// Nodes of the touched triangle.
+    pub nodes: [NodeId; 3],
+    /// Barycentric weights of the touched point.
+    pub weights: [f64; 3],
+}
+
+/// The displayed state of a world after a step. Buffers are reused: filling one allocates only the first time.
+#[derive(Clone, Debug)]
+pub struct Snapshot {
+    /// Steps made so far.
+    pub step: u64,
+    /// Simulated time [s].
+    pub time_s: f64,
+    /// Changes whenever the displayed triangles change.
+    pub topology_version: u32,
+    /// Positions of the displayed vertices [m].
+    pub positions_m: Vec<DVec3>,
+    /// Where the tool is.
+    pub tool: ToolInput,
+    /// Force that the organ exerts on the tool [N].
+    pub force_on_tool_n: DVec3,
+    /// The contact, if there is one.
+    pub contact: Option<ContactReport>,
+}
+
+/// What a viewer needs to know once, and again after each change of topology.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DisplayTopology {
+    /// Counts up with every change.
+    pub version: u32,
+    /// Mesh node of each displayed vertex.
+    pub nodes: Vec<NodeId>,
+    /// Rest positions of the displayed vertices [m].
+    pub rest_positions_m: Vec<DVec3>,
+    /// Indices of displayed vertices, counter-clockwise from outside.
+    pub triangles: Vec<[u32; 3]>,
+}

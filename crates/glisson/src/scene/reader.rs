@@ -1,0 +1,282 @@
+//! Reading TOML tables key by key, with the line in every error.
+
+use crate::math::DVec3;
+use crate::text::{closest_name, did_you_mean};
+use crate::units::{Dimension, UnitError, parse_quantity};
+use std::ops::Range;
+use toml::Spanned;
+use toml::de::{DeString, DeTable, DeValue};
+
+/// What is wrong with a scene, and on which line.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("line {line}: {problem}")]
+pub struct SceneError {
+    /// From 1.
+    pub line: usize,
+    /// What.
+    pub problem: SceneProblem,
+}
+
+/// What can be wrong with a scene.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SceneProblem {
+    /// Not TOML.
+    #[error("{0}")]
+    Syntax(String),
+    /// A key that means nothing here.
+    #[error("unknown key \"{key}\" in {section} (allowed: {allowed}){suggestion}")]
+    UnknownKey {
+        /// As found.
+        key: String,
+        /// Where.
+        section: String,
+        /// What may stand there.
+        allowed: String,
+        /// `; did you mean ...` or nothing.
+        suggestion: String,
+    },
+    /// A key that has to be there.
+    #[error("{section} lacks \"{key}\"; write for example {example}")]
+    Missing {
+        /// Which.
+        key: &'static str,
+        /// Where.
+        section: String,
+        /// A line that would be right.
+        example: &'static str,
+    },
+    /// A value of another kind.
+    #[error("\"{key}\" is {found}; expected {expected}")]
+    WrongType {
+        /// Which.
+        key: String,
+        /// What stands there.
+        found: String,
+        /// What should.
+        expected: String,
+    },
+    /// Not a quantity of this dimension.
+    #[error("\"{key}\": {error}")]
+    Unit {
+        /// Which.
+        key: String,
+        /// Why.
+        error: UnitError,
+    },
+    /// A value out of its range, or a name that does not exist.
+    #[error("\"{key}\" is {found}; allowed: {allowed}")]
+    Value {
+        /// Which.
+        key: String,
+        /// What stands there.
+        found: String,
+        /// What may.
+        allowed: String,
+    },
+}
+
+/// A table that is being read: what nobody asked for is an error at the end.
+pub(super) struct Section<'a> {
+    text: &'a str,
+    name: String,
+    table: &'a DeTable<'a>,
+    span: Range<usize>,
+    asked: Vec<&'static str>,
+}
+
+/// A value in its place.
+pub(super) type Value<'a> = &'a Spanned<DeValue<'a>>;
+
+/// The line (from 1) of byte `at`.
+fn line_of(text: &str, at: usize) -> usize {
+    text.bytes().take(at).filter(|&b| b == b'\n').count() + 1
+}
+
+/// The document as TOML.
+pub(super) fn parse_toml(text: &str) -> Result<Spanned<DeTable<'_>>, SceneError> {
+    DeTable::parse(text).map_err(|error| SceneError {
+        line: error.span().map_or(1, |s| line_of(text, s.start)),
+        problem: SceneProblem::Syntax(error.message().to_string()),
+    })
+}
+
+impl<'a> Section<'a> {
+    pub(super) fn root(text: &'a str, document: &'a Spanned<DeTable<'a>>) -> Self {
+        let (name, table, span) = ("the scene".to_string(), document.get_ref(), 0..0);
+        Self { text, name, table, span, asked: Vec::new() }
+    }
+
+    fn error(&self, span: &Range<usize>, problem: SceneProblem) -> SceneError {
+        SceneError { line: line_of(self.text, span.start), problem }
+    }
+
+    /// An error at `value`.
+    pub(super) fn wrong_value(
+        &self,
+        value: Value<'_>,
+        key: &str,
+        found: String,
+        allowed: &str,
+    ) -> SceneError {
+        let problem = SceneProblem::Value { key: key.into(), found, allowed: allowed.into() };
+        self.error(&value.span(), problem)
+    }
+
+    fn wrong_type(&self, value: Value<'_>, key: &str, expected: &str) -> SceneError {
+        let found = format!("a {}", value.get_ref().type_str());
+        let problem = SceneProblem::WrongType { key: key.into(), found, expected: expected.into() };
+        self.error(&value.span(), problem)
+    }
+
+    /// The value of `key`, if it is there.
+    pub(super) fn get(&mut self, key: &'static str) -> Option<Value<'a>> {
+        self.asked.push(key);
+        self.table.get(key)
+    }
+
+    /// The error for a key that has to be there, or for the mistyped key that stands in its place.
+    pub(super) fn missing(&self, key: &'static str, example: &'static str) -> SceneError {
+        let mistyped = self.table.iter().find(|(found, _)| {
+            let found: &str = found.get_ref();
+            !self.asked.contains(&found) && closest_name(found, &[key]).is_some()
+        });
+        match mistyped {
+            Some((found, _)) => self.unknown(found),
+            None => {
+                self.error(&self.span, SceneProblem::Missing { key, section: self.name.clone(), example })
+            }
+        }
+    }
+
+    fn unknown(&self, key: &Spanned<DeString<'_>>) -> SceneError {
+        let problem = SceneProblem::UnknownKey {
+            key: key.get_ref().to_string(),
+            section: self.name.clone(),
+            allowed: self.asked.join(", "),
+            suggestion: did_you_mean(key.get_ref(), &self.asked),
+        };
+        self.error(&key.span(), problem)
+    }
+
+    pub(super) fn string(&mut self, key: &'static str) -> Result<Option<(String, Value<'a>)>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        match value.get_ref().as_str() {
+            Some(text) => Ok(Some((text.to_string(), value))),
+            None => Err(self.wrong_type(value, key, "a text in quotes")),
+        }
+    }
+
+    fn number_of(&self, key: &str, value: Value<'_>) -> Result<f64, SceneError> {
+        let text = match value.get_ref() {
+            DeValue::Float(f) => f.as_str().to_string(),
+            DeValue::Integer(i) => i.as_str().to_string(),
+            _ => return Err(self.wrong_type(value, key, "a number")),
+        };
+        match text.parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(number),
+            _ => Err(self.wrong_value(value, key, text, "a finite decimal number")),
+        }
+    }
+
+    pub(super) fn number(&mut self, key: &'static str) -> Result<Option<(f64, Value<'a>)>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        Ok(Some((self.number_of(key, value)?, value)))
+    }
+
+    fn quantity_of(&self, key: &str, value: Value<'_>, dimension: Dimension) -> Result<f64, SceneError> {
+        let unit_error = |error| {
+            let problem = SceneProblem::Unit { key: key.into(), error };
+            self.error(&value.span(), problem)
+        };
+        match value.get_ref() {
+            DeValue::String(text) => parse_quantity(text, dimension).map_err(unit_error),
+            DeValue::Float(f) => parse_quantity(f.as_str(), dimension).map_err(unit_error),
+            DeValue::Integer(i) => parse_quantity(i.as_str(), dimension).map_err(unit_error),
+            _ => Err(self.wrong_type(value, key, "a text with a number and its unit, such as \"5 mm\"")),
+        }
+    }
+
+    pub(super) fn quantity(
+        &mut self,
+        key: &'static str,
+        dimension: Dimension,
+    ) -> Result<Option<(f64, Value<'a>)>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        Ok(Some((self.quantity_of(key, value, dimension)?, value)))
+    }
+
+    /// A quantity above zero.
+    pub(super) fn positive(
+        &mut self,
+        key: &'static str,
+        dimension: Dimension,
+    ) -> Result<Option<f64>, SceneError> {
+        match self.quantity(key, dimension)? {
+            Some((quantity, value)) if quantity <= 0.0 => {
+                let unit = dimension.units()[0].0;
+                Err(self.wrong_value(value, key, format!("{quantity} {unit}"), "more than zero"))
+            }
+            found => Ok(found.map(|f| f.0)),
+        }
+    }
+
+    fn three(&self, key: &str, value: Value<'a>) -> Result<[Value<'a>; 3], SceneError> {
+        match value.get_ref().as_array().map(|array| &**array) {
+            Some([x, y, z]) => Ok([x, y, z]),
+            _ => Err(self.wrong_type(value, key, "a list of three")),
+        }
+    }
+
+    /// Three lengths.
+    pub(super) fn point(&mut self, key: &'static str) -> Result<Option<DVec3>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        let [x, y, z] = self.three(key, value)?;
+        Ok(Some(DVec3::new(
+            self.quantity_of(key, x, Dimension::Length)?,
+            self.quantity_of(key, y, Dimension::Length)?,
+            self.quantity_of(key, z, Dimension::Length)?,
+        )))
+    }
+
+    /// Three plain numbers, not all zero, as a unit vector.
+    pub(super) fn direction(&mut self, key: &'static str) -> Result<Option<DVec3>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        let [x, y, z] = self.three(key, value)?;
+        let direction = DVec3::new(self.number_of(key, x)?, self.number_of(key, y)?, self.number_of(key, z)?);
+        direction.try_normalize().map(Some).ok_or_else(|| {
+            self.wrong_value(value, key, direction.to_string(), "three numbers that are not all zero")
+        })
+    }
+
+    /// The table `key`.
+    pub(super) fn section(&mut self, key: &'static str) -> Result<Option<Section<'a>>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        self.section_of(format!("[{key}]"), key, value).map(Some)
+    }
+
+    fn section_of(&self, name: String, key: &str, value: Value<'a>) -> Result<Section<'a>, SceneError> {
+        match value.get_ref().as_table() {
+            Some(table) => {
+                Ok(Section { text: self.text, name, table, span: value.span(), asked: Vec::new() })
+            }
+            None => Err(self.wrong_type(value, key, "a table")),
+        }
+    }
+
+    /// The tables of `[[key]]`, none if it is not there.
+    pub(super) fn sections(&mut self, key: &'static str) -> Result<Vec<Section<'a>>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(Vec::new()) };
+        let Some(array) = value.get_ref().as_array() else {
+            return Err(self.wrong_type(value, key, "a list of tables"));
+        };
+        array.iter().map(|item| self.section_of(format!("[[{key}]]"), key, item)).collect()
+    }
+
+    /// Refuses what nobody asked for.
+    pub(super) fn finish(self) -> Result<(), SceneError> {
+        match self.table.iter().find(|(key, _)| !self.asked.contains(&key.get_ref().as_ref())) {
+            Some((key, _)) => Err(self.unknown(key)),
+            None => Ok(()),
+        }
+    }
+}

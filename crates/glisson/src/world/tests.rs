@@ -1,0 +1,169 @@
+//! The step, with a bed of independent springs in place of an elastic model.
+
+use super::*;
+use crate::mesh::edit::TopologyChange;
+use crate::mesh::{NodeId, TetId};
+use crate::model::TopologyRefusal;
+use crate::tool::Tool;
+use spec::FixedRegion;
+
+const STIFFNESS_N_PER_M: f64 = 100.0;
+
+/// Every node on its own spring: forces and positions are known exactly.
+struct SpringBed {
+    rest_m: Vec<DVec3>,
+    positions_m: Vec<DVec3>,
+    imposed: Vec<ImposedDisplacement>,
+    forces_n: Vec<DVec3>,
+}
+
+impl SpringBed {
+    fn new(mesh: &TetMesh) -> Box<Self> {
+        let rest_m = mesh.positions_m.clone();
+        Box::new(Self { positions_m: rest_m.clone(), rest_m, imposed: Vec::new(), forces_n: Vec::new() })
+    }
+}
+
+impl DeformableModel for SpringBed {
+    fn apply(&mut self, constraints: &Constraints) {
+        self.imposed.clone_from(&constraints.displacements);
+    }
+
+    fn step(&mut self, _dt_s: f64) {
+        self.positions_m.clone_from(&self.rest_m);
+        self.forces_n.clear();
+        for c in &self.imposed {
+            self.positions_m[c.node.index()] += c.displacement_m;
+            self.forces_n.push(c.displacement_m * STIFFNESS_N_PER_M);
+        }
+    }
+
+    fn state(&self) -> ModelState<'_> {
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &[], history: &[] }
+    }
+
+    fn constraint_forces_n(&self) -> &[DVec3] {
+        &self.forces_n
+    }
+
+    fn take_over(&mut self, positions_m: &[DVec3]) {
+        self.positions_m.copy_from_slice(positions_m);
+    }
+
+    fn topology_changed(&mut self, _: &TetMesh, _: &TopologyChange) -> Result<(), TopologyRefusal> {
+        Ok(())
+    }
+}
+
+/// One tetrahedron with its largest face in z = 0, outward normal +z.
+fn one_tetrahedron() -> TetMesh {
+    let positions_m = vec![
+        DVec3::new(0.0, 0.0, -0.1),
+        DVec3::new(-0.1, -0.1, 0.0),
+        DVec3::new(0.1, -0.1, 0.0),
+        DVec3::new(0.0, 0.1, 0.0),
+    ];
+    let mesh = TetMesh { positions_m, tetrahedra: vec![[0, 1, 2, 3].map(NodeId)] };
+    assert!(mesh.tet_volume_m3(TetId(0)) > 0.0);
+    mesh
+}
+
+fn tool_at(z_m: f64) -> ToolInput {
+    ToolInput { tip_in_world_m: DVec3::new(0.0, -0.03, z_m), shaft_in_world: DVec3::Z }
+}
+
+fn world(fixed: Vec<FixedRegion>) -> World {
+    let mesh = one_tetrahedron();
+    let tool = Tool {
+        name: "probe".into(),
+        tip_radius_m: 0.01,
+        shaft_radius_m: 0.002,
+        shaft_length_m: 0.3,
+        home: tool_at(0.1),
+    };
+    let model = SpringBed::new(&mesh);
+    let spec = WorldSpec { name: "test".into(), time_step_s: 1e-3, fixed, tool };
+    World::new(spec, mesh, model, ModelKind::Precomputed).unwrap()
+}
+
+fn input(z_m: f64) -> StepInput {
+    StepInput { tool: tool_at(z_m), n_substeps: 1 }
+}
+
+#[test]
+fn the_touched_point_follows_the_tool_and_the_force_pushes_back() {
+    let mut world = world(vec![]);
+    assert!(!world.step(&input(0.02)).in_contact);
+    assert!(world.step(&input(0.005)).in_contact);
+    let report = world.step(&input(-0.005));
+    let point = world.snapshot().contact.unwrap().point_m;
+    assert!((point.z + 0.015).abs() < 2e-5, "{point}");
+    assert!(point.truncate().distance(glam::DVec2::new(0.0, -0.03)) < 1e-12);
+    assert!(report.force_on_tool_n.z > 0.0 && report.force_on_tool_n.truncate().length() < 1e-12);
+}
+
+#[test]
+fn a_tool_that_withdraws_lets_go_and_the_organ_is_at_rest_again() {
+    let mut world = world(vec![]);
+    let rest = world.state_hash();
+    for z in [0.02, 0.0, 0.008, 0.02, 0.05] {
+        world.step(&input(z));
+    }
+    assert!(!world.report().in_contact);
+    assert_eq!(world.report().force_on_tool_n, DVec3::ZERO);
+    assert_eq!(world.state_hash(), rest);
+}
+
+#[test]
+fn a_tool_does_not_move_fixed_nodes() {
+    let all = FixedRegion::Furthest { direction: DVec3::Z, fraction: 0.99 };
+    let mut held = world(vec![all]);
+    held.step(&input(0.02));
+    let report = held.step(&input(-0.02));
+    assert!(report.blocked_by_fixed_tissue && !report.in_contact);
+    assert_eq!(held.state().positions_m, one_tetrahedron().positions_m);
+
+    let one = FixedRegion::Ball { center_m: DVec3::new(-0.1, -0.1, 0.0), radius_m: 1e-3 };
+    let mut partly = world(vec![one]);
+    partly.step(&input(0.02));
+    assert!(partly.step(&input(-0.005)).in_contact);
+    assert!(partly.constrained_nodes().iter().all(|c| c.node != NodeId(1)));
+    assert!((partly.snapshot().contact.unwrap().point_m.z + 0.015).abs() < 2e-5);
+}
+
+#[test]
+fn an_input_that_is_not_finite_is_refused_and_the_world_goes_on() {
+    let mut world = world(vec![]);
+    world.step(&input(0.005));
+    let report = world.step(&input(f64::NAN));
+    assert!(report.input_rejected && report.in_contact && report.n_non_finite_nodes == 0);
+    assert_eq!(report.step, 2);
+}
+
+#[test]
+fn a_step_waits_for_the_model_that_was_ordered_for_it() {
+    let mut world = world(vec![]);
+    world.queue_model_swap(2, ModelKind::TensorMass);
+    world.step(&input(0.05));
+    world.step(&input(0.05));
+    assert_eq!(world.awaited_model(), Some(ModelKind::TensorMass));
+    let report = world.step(&input(0.05));
+    assert!(report.waits_for_model && report.step == 2);
+    assert!(!world.deliver_model(SpringBed::new(&one_tetrahedron()), ModelKind::Precomputed));
+    assert!(world.deliver_model(SpringBed::new(&one_tetrahedron()), ModelKind::TensorMass));
+    assert_eq!(world.step(&input(0.05)).step, 3);
+    assert_eq!(world.model_kind(), ModelKind::TensorMass);
+}
+
+#[test]
+fn reset_brings_the_rest_shape_and_the_tool_home() {
+    let mut world = world(vec![]);
+    let rest = world.state_hash();
+    world.step(&input(0.0));
+    assert_ne!(world.state_hash(), rest);
+    world.reset();
+    assert_eq!(world.state_hash(), rest);
+    let snapshot = world.snapshot();
+    assert!(snapshot.contact.is_none() && snapshot.tool == tool_at(0.1));
+    assert_eq!(snapshot.positions_m, world.display_topology().rest_positions_m);
+}

@@ -1,6 +1,8 @@
 //! Tetrahedral meshes.
 
+pub mod topology;
 pub mod edit;
+pub mod remap;
 
 use crate::math::{DVec3, tetrahedron_volume_m3};
 

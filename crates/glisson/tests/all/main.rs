@@ -4,3 +4,4 @@ mod layering;
 mod model_meshes;
 mod patch_test;
 mod reference_cases;
+mod mesh_edits;

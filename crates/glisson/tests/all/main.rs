@@ -2,6 +2,7 @@
 
 mod layering;
 mod model_meshes;
+mod models_agree;
 mod patch_test;
 mod reference_cases;
 mod mesh_edits;

@@ -2,3 +2,4 @@
 
 mod layering;
 mod surfaces;
+mod surface_files;

@@ -8,3 +8,4 @@ mod patch_test;
 mod reference_cases;
 mod surfaces;
 mod mesh_edits;
+mod surface_files;

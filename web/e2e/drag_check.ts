@@ -90,6 +90,8 @@ export async function checkDragShowsServerState(page: Page, url: string, picture
     await page.waitForTimeout(1200);
     await page.keyboard.press("Space");
     await page.waitForFunction(() => window.glisson!.header!.paused, undefined, { timeout: REST_MS });
+    // When the processor draws, the finer picture comes a moment after the last change.
+    await page.waitForTimeout(900);
     if (picture !== undefined) await page.screenshot({ path: picture });
     return await compare(page, url, vertex, at);
   } finally {

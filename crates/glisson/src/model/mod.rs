@@ -1,6 +1,8 @@
 //! Deformable models behind one contract: constraints in, positions and reaction forces out.
 
 pub mod kind;
+pub mod precomputed;
+pub mod tensor_mass;
 
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;

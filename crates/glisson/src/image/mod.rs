@@ -1,5 +1,12 @@
 //! Volumes and label maps in the patient frame.
 
+pub mod nifti;
+pub mod labels;
+pub mod filter;
+pub mod phantom;
+pub mod segment;
+pub mod topology;
+
 use crate::math::{Aabb, DMat3, DVec3};
 
 /// Where the voxels of a volume are: voxel (i, j, k) has its centre at

@@ -1,5 +1,15 @@
 //! Triangle surfaces of organs.
 
+pub mod signed_distance;
+pub mod error;
+pub mod normals;
+pub mod intersect;
+pub mod check;
+pub mod smooth;
+pub mod decimate;
+pub mod extract;
+pub mod files;
+
 use crate::math::DVec3;
 
 /// Triangles over shared vertices, counter-clockwise seen from outside.

@@ -1,8 +1,10 @@
 //! All integration tests in one binary: it links once.
 
 mod layering;
+mod meshing;
 mod model_meshes;
 mod models_agree;
 mod patch_test;
 mod reference_cases;
+mod surfaces;
 mod mesh_edits;

@@ -1,0 +1,291 @@
+//! Whether a triangle mesh is the closed, outward oriented surface of a solid.
+
+use super::TriMesh;
+use super::error::{Place, SurfaceError};
+use super::intersect::self_intersections;
+use super::normals::area_m2;
+use crate::math::{Aabb, DVec3};
+
+/// A triangle whose smallest height is below this share of its longest edge has no area: its normal is
+/// rounding noise.
+const SMALLEST_RELATIVE_HEIGHT: f64 = 1e-9;
+
+/// Counts and measures of a closed surface.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SurfaceTopology {
+    /// Vertices that triangles use.
+    pub n_vertices: usize,
+    /// Vertices that no triangle uses.
+    pub n_unused_vertices: usize,
+    /// Edges.
+    pub n_edges: usize,
+    /// Triangles.
+    pub n_triangles: usize,
+    /// Connected pieces.
+    pub n_pieces: usize,
+    /// Vertices - edges + triangles: 2 for each ball, 2 less for each tunnel.
+    pub euler_characteristic: i64,
+    /// Enclosed volume [m3].
+    pub volume_m3: f64,
+    /// Area [m2].
+    pub area_m2: f64,
+}
+
+/// Checks that `mesh` is closed, a manifold at its edges and vertices, oriented outward (a piece inside an
+/// odd number of others bounds a cavity and faces inward), without degenerate triangles and without
+/// self-intersection.
+///
+/// # Errors
+/// [`SurfaceError`]: the first violation by index, with its place.
+pub fn check_closed(mesh: &TriMesh) -> Result<SurfaceTopology, SurfaceError> {
+    let pieces = check_manifold(mesh)?;
+    for piece in &pieces.list {
+        let inward = pieces.depth(mesh, piece) % 2 == 1;
+        if (piece.volume_m3 < 0.0) != inward {
+            return Err(SurfaceError::InsideOut {
+                triangle: piece.first_triangle,
+                volume_ml: 1e6 * piece.volume_m3,
+                place: Place(mesh.corners_m(piece.first_triangle)[0]),
+            });
+        }
+    }
+    if let Some(&triangles) = self_intersections(mesh, 1).first() {
+        let place = Place(mesh.corners_m(triangles[0] as usize)[0]);
+        return Err(SurfaceError::SelfIntersection { triangles, place });
+    }
+    Ok(pieces.topology)
+}
+
+/// Turns over the closed pieces of `mesh` that are inside out; answers how many. Neighbouring triangles must
+/// agree already.
+///
+/// # Errors
+/// As [`check_closed`], but for self-intersection.
+pub fn orient_outward(mesh: &mut TriMesh) -> Result<usize, SurfaceError> {
+    let pieces = check_manifold(mesh)?;
+    let mut turned = 0;
+    for (label, piece) in pieces.list.iter().enumerate() {
+        let inward = pieces.depth(mesh, piece) % 2 == 1;
+        if (piece.volume_m3 < 0.0) != inward {
+            turned += 1;
+            for (triangle, &l) in mesh.triangles.iter_mut().zip(&pieces.labels) {
+                if l as usize == label {
+                    triangle.swap(1, 2);
+                }
+            }
+        }
+    }
+    Ok(turned)
+}
+
+/// One connected piece.
+struct Piece {
+    first_triangle: usize,
+    volume_m3: f64,
+    bounds: Aabb,
+}
+
+struct Pieces {
+    /// Piece of each triangle.
+    labels: Vec<u32>,
+    list: Vec<Piece>,
+    topology: SurfaceTopology,
+}
+
+impl Pieces {
+    /// Number of other pieces around `piece`.
+    fn depth(&self, mesh: &TriMesh, piece: &Piece) -> usize {
+        let point = mesh.corners_m(piece.first_triangle)[0];
+        let around = |&(label, other): &(usize, &Piece)| {
+            other.first_triangle != piece.first_triangle
+                && other.bounds.contains(point)
+                && self.winding_number(mesh, label, point).abs() > 0.5
+        };
+        self.list.iter().enumerate().filter(around).count()
+    }
+
+    /// How often piece `label` goes around `point`: its solid angle over 4 pi (A. van Oosterom and
+    /// J. Strackee, "The solid angle of a plane triangle", 1983, doi 10.1109/TBME.1983.325207).
+    fn winding_number(&self, mesh: &TriMesh, label: usize, point: DVec3) -> f64 {
+        let mut angle = 0.0;
+        for (t, _) in self.labels.iter().enumerate().filter(|&(_, &l)| l as usize == label) {
+            let [a, b, c] = mesh.corners_m(t).map(|p| p - point);
+            let (la, lb, lc) = (a.length(), b.length(), c.length());
+            let below = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
+            angle += 2.0 * libm::atan2(a.dot(b.cross(c)), below);
+        }
+        angle / (4.0 * std::f64::consts::PI)
+    }
+}
+
+/// One side of a triangle, its vertices ascending.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Side {
+    low: u32,
+    high: u32,
+    triangle: u32,
+    /// The triangle runs from `low` to `high`.
+    ascending: bool,
+}
+
+fn check_manifold(mesh: &TriMesh) -> Result<Pieces, SurfaceError> {
+    check_triangles(mesh)?;
+    let n_triangles = mesh.triangles.len();
+    let mut sides = Vec::with_capacity(3 * n_triangles);
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        for c in 0..3 {
+            let (from, to) = (triangle[c], triangle[(c + 1) % 3]);
+            let triangle = u32::try_from(t).expect("meshes have fewer than 2^32 triangles");
+            sides.push(Side { low: from.min(to), high: from.max(to), triangle, ascending: from < to });
+        }
+    }
+    sides.sort_unstable();
+    let edges = || sides.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high));
+    let mut corner_sets = DisjointSets::new(3 * n_triangles);
+    let mut triangle_sets = DisjointSets::new(n_triangles);
+    let corner = |triangle: u32, vertex: u32| {
+        let place = mesh.triangles[triangle as usize].iter().position(|&v| v == vertex);
+        3 * triangle as usize + place.expect("a side's vertices are its triangle's")
+    };
+    for edge in edges() {
+        let first = edge[0];
+        let vertices = [first.low, first.high];
+        let place = Place(0.5 * vertices.map(|v| mesh.positions_m[v as usize]).into_iter().sum::<DVec3>());
+        match *edge {
+            [a] => {
+                let n_open = edges().filter(|e| e.len() == 1).count();
+                return Err(SurfaceError::OpenEdge {
+                    vertices,
+                    triangle: a.triangle as usize,
+                    place,
+                    n_open,
+                });
+            }
+            [a, b] if a.ascending != b.ascending => {
+                triangle_sets.join(a.triangle as usize, b.triangle as usize);
+                for vertex in vertices {
+                    corner_sets.join(corner(a.triangle, vertex), corner(b.triangle, vertex));
+                }
+            }
+            [a, b] => {
+                let triangles = [a.triangle as usize, b.triangle as usize];
+                return Err(SurfaceError::InconsistentOrientation { vertices, triangles, place });
+            }
+            [a, b, ..] => {
+                let triangles = [a.triangle as usize, b.triangle as usize];
+                let n_triangles = edge.len();
+                return Err(SurfaceError::NonManifoldEdge { vertices, triangles, n_triangles, place });
+            }
+            [] => unreachable!("chunk_by gives no empty chunk"),
+        }
+    }
+    let n_used = check_fans(mesh, &mut corner_sets)?;
+    let n_edges = edges().count();
+    let mut labels = vec![u32::MAX; n_triangles];
+    let mut list: Vec<Piece> = Vec::new();
+    for t in 0..n_triangles {
+        let root = triangle_sets.root(t);
+        // Roots are the smallest member, so a root is labelled before its members.
+        if root == t {
+            labels[t] = u32::try_from(list.len()).expect("fewer pieces than triangles");
+            list.push(Piece { first_triangle: t, volume_m3: 0.0, bounds: Aabb::EMPTY });
+        }
+        labels[t] = labels[root];
+        let piece = &mut list[labels[t] as usize];
+        let origin = mesh.corners_m(piece.first_triangle)[0];
+        let corners = mesh.corners_m(t);
+        let [a, b, c] = corners.map(|p| p - origin);
+        piece.volume_m3 += a.dot(b.cross(c)) / 6.0;
+        piece.bounds = corners.iter().fold(piece.bounds, |bounds, &p| bounds.including(p));
+    }
+    let topology = SurfaceTopology {
+        n_vertices: n_used,
+        n_unused_vertices: mesh.positions_m.len() - n_used,
+        n_edges,
+        n_triangles,
+        n_pieces: list.len(),
+        euler_characteristic: n_used as i64 - n_edges as i64 + n_triangles as i64,
+        volume_m3: list.iter().map(|p| p.volume_m3).sum(),
+        area_m2: area_m2(mesh),
+    };
+    Ok(Pieces { labels, list, topology })
+}
+
+fn check_triangles(mesh: &TriMesh) -> Result<(), SurfaceError> {
+    if mesh.triangles.is_empty() {
+        return Err(SurfaceError::Empty);
+    }
+    let n_vertices = mesh.positions_m.len();
+    if let Some(vertex) = mesh.positions_m.iter().position(|p| !p.is_finite()) {
+        return Err(SurfaceError::NotFinite { vertex, found_m: mesh.positions_m[vertex] });
+    }
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        if let Some(&vertex) = triangle.iter().find(|&&v| v as usize >= n_vertices) {
+            return Err(SurfaceError::NoSuchVertex { triangle: t, vertex, n_vertices });
+        }
+        let [a, b, c] = mesh.corners_m(t);
+        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+        let doubled_area = (b - a).cross(c - a).length();
+        let relative_height = doubled_area / (longest * longest);
+        // Overflow and 0 / 0 give NaN.
+        if relative_height.is_nan() || relative_height <= SMALLEST_RELATIVE_HEIGHT {
+            return Err(SurfaceError::Degenerate { triangle: t, vertices: *triangle, place: Place(a) });
+        }
+    }
+    Ok(())
+}
+
+/// Checks that the corners at each vertex are one set; answers the number of used vertices.
+fn check_fans(mesh: &TriMesh, corner_sets: &mut DisjointSets) -> Result<usize, SurfaceError> {
+    let mut first_corner = vec![usize::MAX; mesh.positions_m.len()];
+    let mut pinched: Option<(usize, usize)> = None;
+    for corner in 0..3 * mesh.triangles.len() {
+        let vertex = mesh.triangles[corner / 3][corner % 3] as usize;
+        let root = corner_sets.root(corner);
+        if first_corner[vertex] == usize::MAX {
+            first_corner[vertex] = root;
+        } else if first_corner[vertex] != root && pinched.is_none_or(|(v, _)| vertex < v) {
+            pinched = Some((vertex, corner));
+        }
+    }
+    let Some((vertex, other)) = pinched else {
+        return Ok(first_corner.iter().filter(|&&c| c != usize::MAX).count());
+    };
+    let is_here = |&corner: &usize| mesh.triangles[corner / 3][corner % 3] as usize == vertex;
+    let mut roots: Vec<usize> =
+        (0..3 * mesh.triangles.len()).filter(is_here).map(|c| corner_sets.root(c)).collect();
+    roots.sort_unstable();
+    roots.dedup();
+    Err(SurfaceError::PinchedVertex {
+        vertex,
+        n_fans: roots.len(),
+        triangles: [first_corner[vertex] / 3, other / 3],
+        place: Place(mesh.positions_m[vertex]),
+    })
+}
+
+/// Disjoint sets whose root is their smallest member.
+struct DisjointSets {
+    parent: Vec<u32>,
+}
+
+impl DisjointSets {
+    fn new(n: usize) -> Self {
+        Self { parent: (0..u32::try_from(n).expect("fewer than 2^32 corners")).collect() }
+    }
+
+    fn root(&mut self, member: usize) -> usize {
+        let mut at = member;
+        while self.parent[at] as usize != at {
+            self.parent[at] = self.parent[self.parent[at] as usize];
+            at = self.parent[at] as usize;
+        }
+        at
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.root(a), self.root(b));
+        let (low, high) = (a.min(b), a.max(b));
+        self.parent[high] = low as u32;
+    }
+}

@@ -1,0 +1,91 @@
+/** The WebSocket to the server: decodes what arrives, reconnects when it is lost. */
+import {
+  decodeBinary,
+  decodeText,
+  encodeClientMessage,
+  ProtocolError,
+  type ClientMessage,
+  type Hello,
+  type Snapshot,
+  type Topology,
+} from "./protocol";
+
+export type ConnectionState = "connecting" | "open" | "lost";
+
+export interface ConnectionEvents {
+  state(state: ConnectionState, attempt: number): void;
+  hello(hello: Hello): void;
+  topology(topology: Topology): void;
+  snapshot(snapshot: Snapshot, bytes: number): void;
+  /** An error message of the server, or a message that could not be understood. */
+  error(message: string): void;
+}
+
+const FIRST_DELAY_MS = 400;
+const LONGEST_DELAY_MS = 4000;
+
+/** Wait before the `attempt`-th new try (1-based): doubled each time, at most four seconds. */
+export function reconnectDelay_ms(attempt: number): number {
+  return Math.min(LONGEST_DELAY_MS, FIRST_DELAY_MS * Math.pow(2, Math.max(0, Math.min(attempt, 20) - 1)));
+}
+
+/** `ws(s)://<same host and folder>/ws` of a page. */
+export function socketAddress(pageAddress: string): string {
+  const address = new URL("ws", pageAddress);
+  address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+  address.search = "";
+  address.hash = "";
+  return address.href;
+}
+
+export class Connection {
+  private socket: WebSocket | null = null;
+  private attempt = 0;
+
+  constructor(
+    private readonly address: string,
+    private readonly events: ConnectionEvents,
+  ) {}
+
+  open(): void {
+    this.events.state(this.attempt === 0 ? "connecting" : "lost", this.attempt);
+    const socket = new WebSocket(this.address);
+    socket.binaryType = "arraybuffer";
+    this.socket = socket;
+    socket.onopen = () => {
+      this.attempt = 0;
+      this.events.state("open", 0);
+    };
+    socket.onmessage = (event: MessageEvent<unknown>) => this.receive(event.data);
+    socket.onclose = () => {
+      this.socket = null;
+      this.attempt += 1;
+      this.events.state("lost", this.attempt);
+      setTimeout(() => this.open(), reconnectDelay_ms(this.attempt));
+    };
+  }
+
+  /** True if the message went out; a lost connection drops it (the next state comes from the server anyway). */
+  send(message: ClientMessage): boolean {
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(encodeClientMessage(message));
+    return true;
+  }
+
+  private receive(data: unknown): void {
+    try {
+      if (typeof data === "string") {
+        const message = decodeText(data);
+        if (message.type === "hello") this.events.hello(message);
+        else this.events.error(`Server: ${message.message}`);
+      } else if (data instanceof ArrayBuffer) {
+        const message = decodeBinary(data);
+        if (message.kind === "topology") this.events.topology(message);
+        else this.events.snapshot(message, data.byteLength);
+      }
+    } catch (error) {
+      if (!(error instanceof ProtocolError)) throw error;
+      this.events.error(`Message not understood: ${error.message}`);
+    }
+  }
+}

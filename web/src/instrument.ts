@@ -1,0 +1,138 @@
+/** The instrument (a metal probe with depth marks), the contact point and the force arrow. */
+import {
+  ConeGeometry,
+  CylinderGeometry,
+  Group,
+  LatheGeometry,
+  Mesh,
+  Quaternion,
+  SphereGeometry,
+  Vector2,
+  Vector3,
+  type BufferGeometry,
+} from "three";
+import { solidMaterial } from "./materials";
+import type { SnapshotHeader, ToolInfo, Vec3 } from "./protocol";
+
+const Z = new Vector3(0, 0, 1);
+/** Distance of the marks on the shaft [m]. */
+export const MARK_SPACING_M = 0.01;
+/** Forces below this show no arrow [N]: it would be shorter than its head. */
+const SMALLEST_ARROW_M = 0.002;
+
+function directed(vector: Vec3): Vector3 {
+  const v = new Vector3(...vector);
+  return v.lengthSq() > 0 ? v.normalize() : Z.clone();
+}
+
+/** A surface of revolution about z from (radius, z) pairs. */
+function revolved(profile: ReadonlyArray<readonly [number, number]>): BufferGeometry {
+  const geometry = new LatheGeometry(
+    profile.map(([radius, z]) => new Vector2(Math.max(radius, 0), z)),
+    40,
+  );
+  // The lathe turns about y; the shaft runs along z.
+  return geometry.rotateX(Math.PI / 2);
+}
+
+export class Instrument {
+  readonly group = new Group();
+  private readonly probe = new Group();
+  private readonly arrow = new Group();
+  private readonly arrowShaft: Mesh;
+  private readonly arrowHead: Mesh;
+  private readonly contactMark: Mesh;
+  private readonly tipRadius_m: number;
+  private showsForces = true;
+  private showsContacts = true;
+  /** Length of the arrow for a newton [m/N]. */
+  arrowScale_m_per_n = 0.02;
+
+  constructor(tool: ToolInfo) {
+    const tip = tool.tip_radius_m;
+    const shaft = Math.min(tool.shaft_radius_m, tip > 0 ? Math.max(tip * 0.98, 1e-4) : tool.shaft_radius_m);
+    const length = Math.max(tool.shaft_length_m, 4 * tip);
+    this.tipRadius_m = tip;
+
+    const steel = solidMaterial({ colour: 0xc9ced4, metal: 1, softness: 0.14, bandSpacing_m: MARK_SPACING_M });
+    const polished = solidMaterial({ colour: 0xe4e8ec, metal: 1, softness: 0.06 });
+    const grip = solidMaterial({ colour: 0x20262c, metal: 0, softness: 0.3 });
+    // The neck leaves the sphere where its radius has come down to the shaft's.
+    const neck = Math.sqrt(Math.max(tip * tip - shaft * shaft, 0));
+    this.probe.add(new Mesh(new SphereGeometry(tip, 40, 28), polished));
+    this.probe.add(new Mesh(new CylinderGeometry(shaft, shaft, length - neck, 40, 1, true)
+      .rotateX(Math.PI / 2)
+      .translate(0, 0, neck + (length - neck) / 2), steel));
+    const handle = 1.9 * shaft;
+    const gripLength = Math.min(0.09, 0.4 * length);
+    this.probe.add(new Mesh(revolved([
+      [shaft, length - gripLength],
+      [handle, length - gripLength + 0.006],
+      [handle, length - 0.004],
+      [handle * 0.7, length],
+      [0, length],
+    ]), grip));
+
+    const amber = solidMaterial({ colour: 0xffa028, metal: 0, softness: 0.4, glow: 0.55 });
+    this.arrowShaft = new Mesh(new CylinderGeometry(1, 1, 1, 20).rotateX(Math.PI / 2).translate(0, 0, 0.5), amber);
+    this.arrowHead = new Mesh(new ConeGeometry(1, 1, 28).rotateX(Math.PI / 2).translate(0, 0, 0.5), amber);
+    this.arrow.add(this.arrowShaft, this.arrowHead);
+    const blue = solidMaterial({ colour: 0x58d0ff, metal: 0, softness: 0.4, glow: 0.9 });
+    this.contactMark = new Mesh(new SphereGeometry(1, 20, 14), blue);
+    this.group.add(this.probe, this.arrow, this.contactMark);
+    for (const part of [this.arrow, this.contactMark]) part.visible = false;
+    this.pose(tool.home_tip_m, tool.home_shaft);
+  }
+
+  /** Direction of the shaft as shown, tip to handle. */
+  shaft(): Vector3 {
+    return Z.clone().applyQuaternion(this.probe.quaternion);
+  }
+
+  tip(): Vector3 {
+    return this.probe.position.clone();
+  }
+
+  private pose(tip_m: Vec3, shaft: Vec3): void {
+    this.probe.position.set(...tip_m);
+    this.probe.quaternion.setFromUnitVectors(Z, directed(shaft));
+  }
+
+  show(header: SnapshotHeader): void {
+    this.pose(header.tip_m, header.shaft);
+    const force = new Vector3(...header.forceOnTool_n);
+    const length = force.length() * this.arrowScale_m_per_n;
+    this.arrow.visible = this.showsForces && length > SMALLEST_ARROW_M;
+    if (this.arrow.visible) {
+      const head = Math.min(0.4 * length, 0.012);
+      const radius = Math.min(0.0016, 0.08 * length);
+      this.arrowShaft.scale.set(radius, radius, length - 0.9 * head);
+      this.arrowHead.scale.set(2.6 * radius, 2.6 * radius, head);
+      this.arrowHead.position.z = length - head;
+      // Beside the shaft rather than inside it: it starts at the contact point, which the tip covers.
+      this.arrow.position.set(...(header.contact ? header.contactPoint_m : header.tip_m));
+      this.arrow.quaternion.copy(new Quaternion().setFromUnitVectors(Z, force.normalize()));
+    }
+    this.contactMark.visible = this.showsContacts && header.contact;
+    if (this.contactMark.visible) {
+      this.contactMark.position.set(...header.contactPoint_m);
+      this.contactMark.scale.setScalar(Math.max(0.45 * this.tipRadius_m, 0.0015));
+    }
+  }
+
+  setForces(shown: boolean): void {
+    this.showsForces = shown;
+  }
+
+  setContacts(shown: boolean): void {
+    this.showsContacts = shown;
+  }
+
+  dispose(): void {
+    this.group.traverse((part) => {
+      if (!(part instanceof Mesh)) return;
+      part.geometry.dispose();
+      part.material.dispose();
+    });
+  }
+}

@@ -1,0 +1,123 @@
+/** Which key does what: one table for the keyboard, the buttons and the help page. */
+
+export type Action =
+  | "pause"
+  | "single_step"
+  | "reset_view"
+  | "reset_simulation"
+  | "wireframe"
+  | "contacts"
+  | "forces"
+  | "fixed_nodes"
+  | "screenshot"
+  | "profiler"
+  | "help"
+  | "leave"
+  | "tool_place"
+  | "tool_left"
+  | "tool_right"
+  | "tool_up"
+  | "tool_down"
+  | "tool_deeper"
+  | "tool_back";
+
+export interface Chord {
+  /** `KeyboardEvent.key`, letters in lower case. */
+  readonly key: string;
+  readonly shift: boolean;
+}
+
+export interface Binding {
+  readonly action: Action;
+  readonly chords: readonly Chord[];
+  /** What the help page calls the keys. */
+  readonly keys: string;
+  readonly does: string;
+  readonly group: "Simulation" | "View" | "Instrument" | "Program";
+  /** Held down, the key repeats. */
+  readonly repeats: boolean;
+}
+
+const plain = (...keys: string[]): Chord[] => keys.map((key) => ({ key, shift: false }));
+/** With and without Shift (five times the way with it). */
+const both = (key: string): Chord[] => [
+  { key, shift: false },
+  { key, shift: true },
+];
+
+function bind(
+  group: Binding["group"],
+  action: Action,
+  keys: string,
+  does: string,
+  chords: readonly Chord[],
+  repeats = false,
+): Binding {
+  return { group, action, keys, does, chords, repeats };
+}
+
+export const BINDINGS: readonly Binding[] = [
+  bind("Simulation", "pause", "Space", "pause or go on", plain(" ")),
+  bind("Simulation", "single_step", "→ or .", "one step (while paused)", plain("arrowright", "."), true),
+  bind("Simulation", "reset_simulation", "Shift R", "organ back to rest, instrument home", [{ key: "r", shift: true }]),
+  bind("View", "reset_view", "R or Backspace", "whole organ from the front", plain("r", "backspace")),
+  bind("View", "wireframe", "W", "surface, surface with edges, edges", plain("w")),
+  bind("View", "contacts", "C", "contact point", plain("c")),
+  bind("View", "forces", "F", "force arrow", plain("f")),
+  bind("View", "fixed_nodes", "T", "fixed nodes", plain("t")),
+  bind("Instrument", "tool_place", "G", "touch the organ at the middle of the view", plain("g")),
+  bind("Instrument", "tool_left", "J", "left by 1 mm (Shift: 5 mm)", both("j"), true),
+  bind("Instrument", "tool_right", "L", "right by 1 mm", both("l"), true),
+  bind("Instrument", "tool_up", "I", "up by 1 mm", both("i"), true),
+  bind("Instrument", "tool_down", "K", "down by 1 mm", both("k"), true),
+  bind("Instrument", "tool_deeper", "U", "into the screen by 1 mm", both("u"), true),
+  bind("Instrument", "tool_back", "O", "out of the screen by 1 mm", both("o"), true),
+  bind("Program", "screenshot", "S", "save the picture as PNG", plain("s")),
+  bind("Program", "profiler", "P", "times of a frame and of the simulation", plain("p")),
+  bind("Program", "help", "H or F1", "this page", plain("h", "f1", "?")),
+  bind("Program", "leave", "Esc or Q", "close a page, or take the instrument off the organ", plain("escape", "q")),
+];
+
+export interface KeyPress {
+  readonly key: string;
+  readonly shiftKey: boolean;
+  readonly ctrlKey: boolean;
+  readonly altKey: boolean;
+  readonly metaKey: boolean;
+  readonly repeat: boolean;
+}
+
+/** The action of a key press, or null: keys with Ctrl, Alt or Meta belong to the browser. */
+export function actionOf(press: KeyPress): Action | null {
+  if (press.ctrlKey || press.altKey || press.metaKey) return null;
+  const key = press.key.toLowerCase();
+  // Shift is part of typing "?", not of the chord.
+  const shift = press.shiftKey && key !== "?";
+  const binding = BINDINGS.find((b) => b.chords.some((c) => c.key === key && c.shift === shift));
+  if (binding === undefined || (press.repeat && !binding.repeats)) return null;
+  return binding.action;
+}
+
+/** One press of a movement key moves the instrument by this much [m]. */
+export const TOOL_STEP_M = 0.001;
+export const TOOL_STEP_WITH_SHIFT_M = 0.005;
+
+/** Direction of a movement key on the screen (right, up, into), or null for other actions. */
+export function toolDirection(action: Action): readonly [number, number, number] | null {
+  switch (action) {
+    case "tool_left":
+      return [-1, 0, 0];
+    case "tool_right":
+      return [1, 0, 0];
+    case "tool_up":
+      return [0, 1, 0];
+    case "tool_down":
+      return [0, -1, 0];
+    case "tool_deeper":
+      return [0, 0, 1];
+    case "tool_back":
+      return [0, 0, -1];
+    default:
+      return null;
+  }
+}

@@ -1,0 +1,18 @@
+/** Starts the viewer on the page, or says on the page why it cannot. */
+import "./style.css";
+import { viewerHook } from "./hook";
+import { findPage } from "./page";
+import { Viewer } from "./viewer";
+
+try {
+  const viewer = new Viewer(findPage());
+  Object.defineProperty(window, "glisson", { value: viewerHook(() => viewer.parts()) });
+} catch (error) {
+  console.error(error);
+  const reason = error instanceof Error ? error.message : String(error);
+  const banner = document.getElementById("banner");
+  if (banner !== null) {
+    banner.hidden = false;
+    banner.textContent = `The viewer cannot start: ${reason} (it needs a browser with WebGL 2; a GPU is not needed).`;
+  }
+}

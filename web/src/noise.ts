@@ -1,0 +1,83 @@
+/** Generated, seeded noise for the organ's look: nothing is downloaded, and every run shows the same organ. */
+import { DataTexture, LinearMipmapNearestFilter, RepeatWrapping, RGBAFormat, UnsignedByteType } from "three";
+
+/** A hash of three lattice coordinates to [0, 1) (integer finaliser of Murmur3, A. Appleby, public domain). */
+export function latticeValue(x: number, y: number, z: number): number {
+  let h = Math.imul(x, 0x9e3779b1) ^ Math.imul(y, 0x85ebca6b) ^ Math.imul(z, 0xc2b2ae35);
+  h = Math.imul(h ^ (h >>> 16), 0x85ebca6b);
+  h = Math.imul(h ^ (h >>> 13), 0xc2b2ae35);
+  return ((h ^ (h >>> 16)) >>> 0) / 4294967296;
+}
+
+const fade = (t: number): number => t * t * t * (t * (6 * t - 15) + 10);
+const mix = (a: number, b: number, t: number): number => a + (b - a) * t;
+
+/** Smooth value noise in [0, 1) with lattice distance 1. */
+export function valueNoise(x: number, y: number, z: number): number {
+  const ix = Math.floor(x);
+  const iy = Math.floor(y);
+  const iz = Math.floor(z);
+  const fx = fade(x - ix);
+  const fy = fade(y - iy);
+  const fz = fade(z - iz);
+  const row = (dy: number, dz: number): number =>
+    mix(latticeValue(ix, iy + dy, iz + dz), latticeValue(ix + 1, iy + dy, iz + dz), fx);
+  return mix(mix(row(0, 0), row(1, 0), fy), mix(row(0, 1), row(1, 1), fy), fz);
+}
+
+/** Sum of `octaves` of value noise, each half as high and twice as fine; in [0, 1). */
+export function fractalNoise(x: number, y: number, z: number, octaves: number): number {
+  let sum = 0;
+  let weight = 0.5;
+  let scale = 1;
+  let total = 0;
+  for (let i = 0; i < octaves; i++) {
+    sum += weight * valueNoise(x * scale, y * scale, z * scale);
+    total += weight;
+    weight *= 0.5;
+    scale *= 2;
+  }
+  return sum / total;
+}
+
+/** Tileable value noise of period `period` lattice cells in x and y. */
+function tileableNoise(x: number, y: number, period: number, seed: number): number {
+  const ix = Math.floor(x);
+  const iy = Math.floor(y);
+  const fx = fade(x - ix);
+  const fy = fade(y - iy);
+  const at = (dx: number, dy: number): number => latticeValue((ix + dx) % period, (iy + dy) % period, seed);
+  return mix(mix(at(0, 0), at(1, 0), fx), mix(at(0, 1), at(1, 1), fx), fy);
+}
+
+/** A square, tileable texture: red and green = slope of a bumpy height, blue = fine mottling, alpha = coarse patches. */
+export function tissueTexture(size = 256): DataTexture {
+  const height = new Float32Array(size * size);
+  const octave = (x: number, y: number, cells: number, seed: number): number =>
+    tileableNoise((x * cells) / size, (y * cells) / size, cells, seed);
+  for (let y = 0; y < size; y++) {
+    for (let x = 0; x < size; x++) {
+      height[y * size + x] = 0.55 * octave(x, y, 9, 1) + 0.3 * octave(x, y, 23, 2) + 0.15 * octave(x, y, 61, 3);
+    }
+  }
+  const at = (x: number, y: number): number => height[((y + size) % size) * size + ((x + size) % size)];
+  const bytes = new Uint8Array(4 * size * size);
+  const slope = (value: number): number => Math.round(Math.min(255, Math.max(0, 127.5 + 127.5 * 9 * value)));
+  for (let y = 0; y < size; y++) {
+    for (let x = 0; x < size; x++) {
+      const i = 4 * (y * size + x);
+      bytes[i] = slope(at(x + 1, y) - at(x - 1, y));
+      bytes[i + 1] = slope(at(x, y + 1) - at(x, y - 1));
+      bytes[i + 2] = Math.round(255 * (0.5 * octave(x, y, 31, 4) + 0.5 * octave(x, y, 64, 5)));
+      bytes[i + 3] = Math.round(255 * (0.7 * octave(x, y, 4, 6) + 0.3 * octave(x, y, 11, 7)));
+    }
+  }
+  const texture = new DataTexture(bytes, size, size, RGBAFormat, UnsignedByteType);
+  texture.wrapS = RepeatWrapping;
+  texture.wrapT = RepeatWrapping;
+  // The nearest mip level only: half the cost when the processor draws.
+  texture.minFilter = LinearMipmapNearestFilter;
+  texture.generateMipmaps = true;
+  texture.needsUpdate = true;
+  return texture;
+}

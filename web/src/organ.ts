@@ -1,0 +1,131 @@
+/** One organ on the screen: its surface, its edges, its fixed nodes; positions come from snapshots. */
+import {
+  BufferAttribute,
+  BufferGeometry,
+  Color,
+  DynamicDrawUsage,
+  Group,
+  LineBasicMaterial,
+  LineSegments,
+  Mesh,
+  Points,
+  PointsMaterial,
+  type ShaderMaterial,
+} from "three";
+import { uniqueEdges, vertexNormalsInto } from "./geometry";
+import { fractalNoise } from "./noise";
+import { ProtocolError, type Snapshot, type Topology } from "./protocol";
+
+export type SurfaceStyle = "surface" | "surface_with_edges" | "edges";
+export const SURFACE_STYLES: readonly SurfaceStyle[] = ["surface", "surface_with_edges", "edges"];
+
+/** Size of the coarse colour patches [m]. */
+const PATCH_SIZE_M = 0.035;
+
+/** Noise in [0, 1] at each rest position: the coarse part of the organ's colour. */
+function toneOf(rest_m: Float32Array): Float32Array {
+  const tone = new Float32Array(rest_m.length / 3);
+  for (let i = 0; i < tone.length; i++) {
+    const [x, y, z] = [0, 1, 2].map((k) => rest_m[3 * i + k] / PATCH_SIZE_M) as [number, number, number];
+    tone[i] = fractalNoise(x, y, z, 4);
+  }
+  return tone;
+}
+
+export class Organ {
+  readonly group = new Group();
+  /** xyz of each vertex [m]: the very array that the GPU buffer is filled from. */
+  readonly positions_m: Float32Array;
+  private readonly normals: Float32Array;
+  private readonly position: BufferAttribute;
+  private readonly normal: BufferAttribute;
+  private readonly surface: Mesh;
+  private readonly edges: LineSegments;
+  private readonly fixed: Points;
+  private readonly geometries: BufferGeometry[];
+
+  constructor(
+    readonly topology: Topology,
+    fixedNodes: ReadonlySet<number>,
+    material: ShaderMaterial,
+  ) {
+    const { rest_m, triangles, nodeIds } = topology;
+    this.positions_m = rest_m.slice();
+    this.normals = new Float32Array(rest_m.length);
+    vertexNormalsInto(rest_m, triangles, this.normals);
+    this.position = new BufferAttribute(this.positions_m, 3).setUsage(DynamicDrawUsage);
+    this.normal = new BufferAttribute(this.normals, 3).setUsage(DynamicDrawUsage);
+
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", this.position);
+    geometry.setAttribute("normal", this.normal);
+    geometry.setAttribute("restPosition", new BufferAttribute(rest_m.slice(), 3));
+    geometry.setAttribute("restNormal", new BufferAttribute(this.normals.slice(), 3));
+    geometry.setAttribute("tone", new BufferAttribute(toneOf(rest_m), 1));
+    geometry.setIndex(new BufferAttribute(triangles, 1));
+    this.surface = new Mesh(geometry, material);
+
+    const edgeGeometry = new BufferGeometry();
+    edgeGeometry.setAttribute("position", this.position);
+    edgeGeometry.setIndex(new BufferAttribute(uniqueEdges(triangles, nodeIds.length), 1));
+    const edgeMaterial = new LineBasicMaterial({ color: new Color(0xffc9b0), transparent: true, opacity: 0.3 });
+    this.edges = new LineSegments(edgeGeometry, edgeMaterial);
+
+    const fixedGeometry = new BufferGeometry();
+    fixedGeometry.setAttribute("position", this.position);
+    const shown = Array.from(nodeIds.keys()).filter((vertex) => fixedNodes.has(nodeIds[vertex]));
+    fixedGeometry.setIndex(shown);
+    const fixedMaterial = new PointsMaterial({ color: 0x5ab4ff, size: 6, sizeAttenuation: false });
+    this.fixed = new Points(fixedGeometry, fixedMaterial);
+    this.fixed.visible = false;
+
+    this.geometries = [geometry, edgeGeometry, fixedGeometry];
+    for (const part of [this.surface, this.edges, this.fixed]) {
+      // Deforms every frame: a box for culling would cost more than it saves.
+      part.frustumCulled = false;
+      this.group.add(part);
+    }
+    this.setStyle("surface");
+  }
+
+  get nVertices(): number {
+    return this.topology.nodeIds.length;
+  }
+
+  get nFixedShown(): number {
+    return this.fixed.geometry.index?.count ?? 0;
+  }
+
+  /** Shows a snapshot; false if it is what is shown already. @throws ProtocolError if it has another number of vertices than the topology. */
+  show(snapshot: Snapshot): boolean {
+    if (snapshot.positions_m.length !== this.positions_m.length) {
+      throw new ProtocolError(
+        `snapshot of step ${snapshot.header.step} has ${snapshot.positions_m.length / 3} vertices, ` +
+          `its topology ${this.nVertices}`,
+      );
+    }
+    const { positions_m } = snapshot;
+    if (this.positions_m.every((x, i) => x === positions_m[i])) return false;
+    this.positions_m.set(snapshot.positions_m);
+    vertexNormalsInto(this.positions_m, this.topology.triangles, this.normals);
+    this.position.needsUpdate = true;
+    this.normal.needsUpdate = true;
+    return true;
+  }
+
+  setStyle(style: SurfaceStyle): void {
+    this.surface.visible = style !== "edges";
+    this.edges.visible = style !== "surface";
+    (this.edges.material as LineBasicMaterial).opacity = style === "edges" ? 0.55 : 0.3;
+  }
+
+  showFixed(shown: boolean): void {
+    this.fixed.visible = shown && this.nFixedShown > 0;
+  }
+
+  dispose(): void {
+    for (const geometry of this.geometries) geometry.dispose();
+    (this.edges.material as LineBasicMaterial).dispose();
+    (this.fixed.material as PointsMaterial).dispose();
+  }
+}

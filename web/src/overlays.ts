@@ -1,0 +1,170 @@
+/** What lies over the picture: help page, messages, connection banner, buttons; and saving a file. */
+import type { ConnectionState } from "./connection";
+import { BINDINGS, type Action } from "./keys";
+import type { Page } from "./page";
+
+function element(name: string, className: string, text = ""): HTMLElement {
+  const node = document.createElement(name);
+  node.className = className;
+  node.textContent = text;
+  return node;
+}
+
+const MOUSE: ReadonlyArray<readonly [string, string]> = [
+  ["Left drag on the organ", "push: presses 5 mm in, then follows the pointer"],
+  ["Wheel while pushing", "deeper and shallower, 1 mm a notch"],
+  ["Left drag beside the organ", "turn the view (Alt + left or right button: anywhere)"],
+  ["Shift + left, or middle", "move the view"],
+  ["Wheel", "zoom"],
+];
+
+export class Help {
+  private readonly root: HTMLElement;
+
+  constructor(parent: HTMLElement) {
+    this.root = element("div", "overlay help");
+    this.root.setAttribute("role", "dialog");
+    this.root.setAttribute("aria-label", "Help");
+    this.root.hidden = true;
+    const page = element("div", "help-page");
+    page.append(element("h1", "", "Mouse and keys"));
+    const columns = element("div", "help-columns");
+    columns.append(this.group("Mouse", MOUSE));
+    for (const group of ["Simulation", "View", "Instrument", "Program"] as const) {
+      columns.append(this.group(group, BINDINGS.filter((b) => b.group === group).map((b) => [b.keys, b.does])));
+    }
+    page.append(columns, element("p", "help-foot", "Esc closes this page. Research software: not for use on patients."));
+    this.root.append(page);
+    this.root.addEventListener("click", (event) => {
+      if (event.target === this.root) this.open = false;
+    });
+    parent.append(this.root);
+  }
+
+  private group(title: string, lines: ReadonlyArray<readonly [string, string]>): HTMLElement {
+    const group = element("div", "help-group");
+    group.append(element("h2", "", title));
+    for (const [keys, does] of lines) {
+      const line = element("div", "help-line");
+      line.append(element("kbd", "", keys), element("span", "", does));
+      group.append(line);
+    }
+    return group;
+  }
+
+  get open(): boolean {
+    return !this.root.hidden;
+  }
+
+  set open(open: boolean) {
+    this.root.hidden = !open;
+  }
+}
+
+/** Messages in the page; each is also written to the console. The same message again only counts up. */
+export class Messages {
+  private readonly shown = new Map<string, { node: HTMLElement; count: number }>();
+
+  constructor(private readonly root: HTMLElement) {}
+
+  error(text: string): void {
+    const known = this.shown.get(text);
+    if (known !== undefined) {
+      known.count += 1;
+      known.node.dataset.count = `× ${known.count}`;
+      return;
+    }
+    console.error(text);
+    const node = element("div", "message");
+    node.setAttribute("role", "alert");
+    node.append(element("span", "", text));
+    const close = element("button", "", "×");
+    close.setAttribute("aria-label", "Close this message");
+    close.addEventListener("click", () => {
+      node.remove();
+      this.shown.delete(text);
+    });
+    node.append(close);
+    this.root.append(node);
+    this.shown.set(text, { node, count: 1 });
+    // The oldest goes when there are too many.
+    if (this.shown.size > 4) {
+      const [oldest, { node: gone }] = this.shown.entries().next().value!;
+      gone.remove();
+      this.shown.delete(oldest);
+    }
+  }
+
+  texts(): string[] {
+    return [...this.shown.keys()];
+  }
+}
+
+/** The connection's state: a lamp in the panel, and a banner when it is lost. */
+export function showConnection(page: Pick<Page, "link" | "banner">, state: ConnectionState, attempt: number): void {
+  page.link.textContent = { connecting: "connecting…", open: "connected", lost: "disconnected" }[state];
+  page.link.dataset.state = state;
+  page.banner.hidden = state !== "lost";
+  page.banner.textContent = `Connection to the simulator lost. Trying again (${attempt})…`;
+}
+
+interface ButtonSpec {
+  readonly action: Action;
+  readonly label: string;
+  readonly key: string;
+}
+
+const button = (action: Action, label: string, key: string): ButtonSpec => ({ action, label, key });
+const BUTTONS: ReadonlyArray<readonly ButtonSpec[]> = [
+  [button("pause", "Pause", "␣"), button("single_step", "Step", "→"), button("reset_simulation", "Reset", "⇧R")],
+  [
+    button("reset_view", "View", "R"),
+    button("wireframe", "Edges", "W"),
+    button("fixed_nodes", "Fixed", "T"),
+    button("contacts", "Contact", "C"),
+    button("forces", "Force", "F"),
+  ],
+  [button("screenshot", "Picture", "S"), button("profiler", "Times", "P"), button("help", "Help", "H")],
+];
+
+export class Toolbar {
+  private readonly buttons = new Map<Action, HTMLElement>();
+
+  constructor(root: HTMLElement, run: (action: Action) => void) {
+    for (const group of BUTTONS) {
+      const box = element("div", "button-group");
+      for (const { action, label, key } of group) {
+        const node = element("button", "");
+        node.append(element("span", "button-label", label), element("kbd", "", key));
+        node.dataset.action = action;
+        node.title = BINDINGS.find((b) => b.action === action)?.does ?? label;
+        node.addEventListener("click", (event) => {
+          run(action);
+          // After a mouse click the space bar should pause again, not press this button.
+          if (event.detail > 0) node.blur();
+        });
+        this.buttons.set(action, node);
+        box.append(node);
+      }
+      root.append(box);
+    }
+  }
+
+  /** Shows a switch as on or off. */
+  set(action: Action, on: boolean, label?: string): void {
+    const node = this.buttons.get(action);
+    if (node === undefined) return;
+    if (node.getAttribute("aria-pressed") !== String(on)) node.setAttribute("aria-pressed", String(on));
+    const text = node.querySelector(".button-label");
+    if (label !== undefined && text !== null && text.textContent !== label) text.textContent = label;
+  }
+}
+
+/** Offers `content` as a file to save. */
+export function download(content: Blob, name: string): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(content);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}

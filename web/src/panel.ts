@@ -1,0 +1,178 @@
+/** The panel of numbers: what each shows is a pure function of the hello message and the newest snapshot. */
+import type { Hello, SnapshotHeader, Vec3 } from "./protocol";
+
+export type PanelKey =
+  | "scene"
+  | "force"
+  | "force_components"
+  | "force_peak"
+  | "contact"
+  | "contact_point"
+  | "tip"
+  | "state"
+  | "rate"
+  | "real_time_factor"
+  | "step"
+  | "time"
+  | "model"
+  | "material"
+  | "mesh"
+  | "arrow_scale";
+
+export type PanelValues = Record<PanelKey, string>;
+
+const NONE = "–";
+/** A real minus is as wide as a digit. */
+const minus = (text: string): string => text.replace("-", "−");
+
+/** A force [N] to at least three figures: 1.234, 0.0512, 0.00123. */
+export function forceText(force_n: number): string {
+  const size = Math.abs(force_n);
+  if (size >= 100) return force_n.toFixed(1);
+  if (size >= 10) return force_n.toFixed(2);
+  if (size >= 0.1 || size < 1e-6) return force_n.toFixed(3);
+  const decimals = Math.min(9, 2 - Math.floor(Math.log10(size)));
+  return force_n.toFixed(decimals);
+}
+
+export function lengthOf(v: Vec3): number {
+  return Math.hypot(v[0], v[1], v[2]);
+}
+
+/** A point in millimetres, one decimal: `12.3  -4.0  105.2`. */
+export function pointText_mm(point_m: Vec3): string {
+  return minus3(point_m.map((x) => (1000 * x).toFixed(1)));
+}
+
+function minus3(parts: string[]): string {
+  return parts.map((p) => minus(p === "-0.0" || p === "-0.00" ? p.slice(1) : p)).join("   ");
+}
+
+const grouped = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
+
+export function panelValues(
+  hello: Hello | null,
+  header: SnapshotHeader | null,
+  peak_n: number,
+  arrowScale_m_per_n: number,
+): PanelValues {
+  const scene = hello?.scene;
+  const force = header === null ? null : lengthOf(header.forceOnTool_n);
+  return {
+    scene: scene?.name ?? NONE,
+    force: force === null ? NONE : `${forceText(force)} N`,
+    force_components: header === null ? NONE : minus3(header.forceOnTool_n.map((x) => x.toFixed(2))),
+    force_peak: header === null ? NONE : `${forceText(peak_n)} N`,
+    contact: header === null ? NONE : header.contact ? "yes" : "no",
+    contact_point: header?.contact ? pointText_mm(header.contactPoint_m) : NONE,
+    tip: header === null ? NONE : pointText_mm(header.tip_m),
+    state: header === null ? "waiting" : header.paused ? "paused" : "running",
+    rate: header === null ? NONE : `${grouped.format(header.rate_steps_per_s)} steps/s`,
+    real_time_factor: header === null ? NONE : `${header.realTimeFactor.toFixed(2)} ×`,
+    step: header === null ? NONE : grouped.format(header.step),
+    time: header === null ? NONE : `${header.time_s.toFixed(3)} s`,
+    model: scene?.model ?? NONE,
+    material: scene?.material ?? NONE,
+    mesh: scene === undefined ? NONE : `${grouped.format(scene.n_nodes)} / ${grouped.format(scene.n_tetrahedra)}`,
+    arrow_scale: `${Number((1000 * arrowScale_m_per_n).toPrecision(3))} mm / N`,
+  };
+}
+
+interface Row {
+  readonly key: PanelKey;
+  readonly label: string;
+  readonly title: string;
+}
+
+const row = (key: PanelKey, label: string, title: string): Row => ({ key, label, title });
+
+const INSTRUMENT_ROWS: readonly Row[] = [
+  row("contact", "Contact", "Whether the tip touches the organ"),
+  row("contact_point", "at (mm)", "Contact point in the patient frame: left, posterior, superior"),
+  row("tip", "Tip (mm)", "Centre of the tip in the patient frame: left, posterior, superior"),
+];
+const SIMULATION_ROWS: readonly Row[] = [
+  row("state", "State", "Running or paused"),
+  row("rate", "Rate", "Steps that the simulation computes in a second, measured"),
+  row("real_time_factor", "Real time", "Simulated seconds in a second: 1 is real time"),
+  row("step", "Step", "Steps since the start"),
+  row("time", "Time", "Simulated time since the start"),
+];
+const MODEL_ROWS: readonly Row[] = [
+  row("model", "Model", "How the deformation is computed"),
+  row("material", "Material", "Law and parameters of the tissue"),
+  row("mesh", "Nodes / tets", "Size of the whole mesh; the surface alone is displayed"),
+];
+
+function element<K extends keyof HTMLElementTagNameMap>(name: K, className: string, text = ""): HTMLElementTagNameMap[K] {
+  const node = document.createElement(name);
+  node.className = className;
+  node.textContent = text;
+  return node;
+}
+
+export class Panel {
+  readonly plot: HTMLCanvasElement;
+  private readonly cells = new Map<PanelKey, HTMLElement>();
+  private shown: PanelValues | null = null;
+
+  constructor(private readonly root: HTMLElement) {
+    const force = element("section", "force");
+    force.append(element("h2", "", "Force on the instrument"));
+    force.append(this.cell("force", "force-number"));
+    const parts = element("div", "force-parts");
+    parts.title = "Components along left, posterior and superior";
+    parts.append(element("span", "label", "L  P  S"), this.cell("force_components", "value"));
+    const peak = element("div", "force-parts");
+    peak.append(element("span", "label", "Largest"), this.cell("force_peak", "value"));
+    const arrow = element("div", "force-parts");
+    arrow.title = "Length of the orange arrow for one newton";
+    arrow.append(element("span", "label", "Arrow"), this.cell("arrow_scale", "value"));
+    this.plot = element("canvas", "plot");
+    this.plot.setAttribute("aria-label", "Force over the last ten simulated seconds");
+    const legend = element("div", "plot-legend", "force (N) over simulated time");
+    force.append(parts, peak, arrow, this.plot, legend);
+    root.append(
+      this.cell("scene", "scene-name"),
+      force,
+      this.section("Instrument", INSTRUMENT_ROWS),
+      this.section("Simulation", SIMULATION_ROWS),
+      this.section("Model", MODEL_ROWS),
+    );
+  }
+
+  private cell(key: PanelKey, className: string): HTMLElement {
+    const cell = element("div", className, NONE);
+    cell.dataset.value = key;
+    this.cells.set(key, cell);
+    return cell;
+  }
+
+  private section(title: string, rows: readonly Row[]): HTMLElement {
+    const section = element("section", "");
+    section.append(element("h2", "", title));
+    for (const { key, label, title: tip } of rows) {
+      const line = element("div", "row");
+      line.title = tip;
+      line.append(element("span", "label", label), this.cell(key, "value"));
+      section.append(line);
+    }
+    return section;
+  }
+
+  show(values: PanelValues, header: SnapshotHeader | null): void {
+    for (const [key, cell] of this.cells) {
+      if (this.shown?.[key] !== values[key]) cell.textContent = values[key];
+    }
+    this.shown = values;
+    this.root.classList.toggle("in-contact", header?.contact ?? false);
+    this.root.classList.toggle("is-paused", header?.paused ?? false);
+    this.root.classList.toggle("is-slow", header !== null && !header.paused && header.realTimeFactor < 0.95);
+  }
+
+  /** What the page shows now, read back from the page. */
+  values(): PanelValues {
+    const entries = Array.from(this.cells, ([key, cell]) => [key, cell.textContent ?? ""] as const);
+    return Object.fromEntries(entries) as PanelValues;
+  }
+}

@@ -1,0 +1,154 @@
+/** Force over simulated time: a bounded history, its scaling (pure), and its drawing on a canvas. */
+
+/** The plot shows this much simulated time [s]. */
+export const PLOT_SPAN_S = 10;
+const MAX_SAMPLES = 2048;
+
+export interface Sample {
+  readonly time_s: number;
+  readonly force_n: number;
+}
+
+/** Samples of the last {@link PLOT_SPAN_S}; time that runs backwards (a reset) begins anew. */
+export class ForceHistory {
+  private samples: Sample[] = [];
+  private largest_n = 0;
+
+  add(sample: Sample): void {
+    const last = this.samples.at(-1);
+    if (last !== undefined && sample.time_s < last.time_s) this.clear();
+    if (last !== undefined && sample.time_s === last.time_s) this.samples.pop();
+    this.samples.push(sample);
+    this.largest_n = Math.max(this.largest_n, sample.force_n);
+    const oldest = sample.time_s - PLOT_SPAN_S;
+    let drop = Math.max(0, this.samples.length - MAX_SAMPLES);
+    // One sample before the window stays, so that the line reaches the plot's edge.
+    while (drop + 1 < this.samples.length && this.samples[drop + 1].time_s < oldest) drop++;
+    if (drop > 0) this.samples.splice(0, drop);
+  }
+
+  clear(): void {
+    this.samples = [];
+    this.largest_n = 0;
+  }
+
+  all(): readonly Sample[] {
+    return this.samples;
+  }
+
+  /** Largest force since the start or the last reset, also when it has left the plot [N]. */
+  get peak_n(): number {
+    return this.largest_n;
+  }
+}
+
+/** The smallest of 1, 2, 5 times a power of ten that is at least `value`; 0.01 for values below it. */
+export function niceCeiling(value: number): number {
+  const floor = 0.01;
+  if (!(value > floor)) return floor;
+  const power = Math.pow(10, Math.floor(Math.log10(value)));
+  for (const factor of [1, 2, 5, 10]) {
+    // Relative slack for what rounding adds to a product such as 2 * 0.1.
+    if (factor * power * (1 + 1e-12) >= value) return factor * power;
+  }
+  return 10 * power;
+}
+
+export interface PlotArea {
+  readonly left: number;
+  readonly top: number;
+  readonly width: number;
+  readonly height: number;
+}
+
+export interface PlotScale {
+  readonly start_s: number;
+  readonly top_n: number;
+  x(time_s: number): number;
+  y(force_n: number): number;
+}
+
+/** Time window [newest - span, newest] (from 0 at the beginning) and force window [0, nice ceiling of the largest]. */
+export function plotScale(samples: readonly Sample[], area: PlotArea): PlotScale {
+  const newest = samples.at(-1)?.time_s ?? 0;
+  const start_s = Math.max(0, newest - PLOT_SPAN_S);
+  const top_n = niceCeiling(samples.reduce((max, s) => Math.max(max, s.force_n), 0));
+  const clamp = (t: number): number => Math.min(1, Math.max(0, t));
+  return {
+    start_s,
+    top_n,
+    x: (time_s) => area.left + area.width * clamp((time_s - start_s) / PLOT_SPAN_S),
+    y: (force_n) => area.top + area.height * (1 - clamp(force_n / top_n)),
+  };
+}
+
+/**
+ * Length of the force arrow for a newton [m/N]: 1, 2 or 5 times a power of ten, such that the largest force so far is at
+ * most 6 cm long; at most 10 cm for a newton.
+ */
+export function arrowScale_m_per_n(largest_n: number): number {
+  const longest_m = 0.06;
+  const wanted = longest_m / Math.max(largest_n, 0.6);
+  const power = Math.pow(10, Math.floor(Math.log10(wanted)));
+  const factor = [5, 2, 1].find((f) => f * power <= wanted * (1 + 1e-12)) ?? 1;
+  return factor * power;
+}
+
+export function drawPlot(canvas: HTMLCanvasElement, history: ForceHistory): void {
+  const context = canvas.getContext("2d");
+  if (context === null) return;
+  const ratio = Math.max(1, window.devicePixelRatio);
+  const width = canvas.clientWidth;
+  const height = canvas.clientHeight;
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  const area = { left: 34, top: 8, width: width - 42, height: height - 26 };
+  const samples = history.all();
+  const scale = plotScale(samples, area);
+  context.font = "10px system-ui, sans-serif";
+  context.fillStyle = "#7f8c98";
+  context.strokeStyle = "rgba(255,255,255,0.08)";
+  context.lineWidth = 1;
+  context.textAlign = "right";
+  context.textBaseline = "middle";
+  for (const part of [0, 0.5, 1]) {
+    const y = Math.round(scale.y(part * scale.top_n)) + 0.5;
+    context.beginPath();
+    context.moveTo(area.left, y);
+    context.lineTo(area.left + area.width, y);
+    context.stroke();
+    context.fillText(String(Number((part * scale.top_n).toPrecision(3))), area.left - 5, y);
+  }
+  context.textBaseline = "top";
+  context.textAlign = "left";
+  context.fillText(`${scale.start_s.toFixed(1)} s`, area.left, area.top + area.height + 5);
+  context.textAlign = "right";
+  context.fillText(`${(scale.start_s + PLOT_SPAN_S).toFixed(1)} s`, area.left + area.width, area.top + area.height + 5);
+  if (samples.length === 0) return;
+  const newest = samples[samples.length - 1];
+  context.beginPath();
+  samples.forEach((s, i) => {
+    if (i === 0) context.moveTo(scale.x(s.time_s), scale.y(s.force_n));
+    else context.lineTo(scale.x(s.time_s), scale.y(s.force_n));
+  });
+  context.strokeStyle = "#ffb45e";
+  context.lineWidth = 1.5;
+  context.lineJoin = "round";
+  context.stroke();
+  context.lineTo(scale.x(newest.time_s), area.top + area.height);
+  context.lineTo(scale.x(samples[0].time_s), area.top + area.height);
+  context.closePath();
+  const fill = context.createLinearGradient(0, area.top, 0, area.top + area.height);
+  fill.addColorStop(0, "rgba(255,180,94,0.32)");
+  fill.addColorStop(1, "rgba(255,180,94,0.02)");
+  context.fillStyle = fill;
+  context.fill();
+  context.beginPath();
+  context.arc(scale.x(newest.time_s), scale.y(newest.force_n), 2.5, 0, 2 * Math.PI);
+  context.fillStyle = "#ffd9a8";
+  context.fill();
+}

@@ -1,0 +1,242 @@
+/** The three-dimensional picture: renderer, camera, organs, instrument. It draws only when asked to. */
+import {
+  ACESFilmicToneMapping,
+  PerspectiveCamera,
+  Raycaster,
+  Scene,
+  Vector2,
+  Vector3,
+  WebGLRenderer,
+  type ShaderMaterial,
+} from "three";
+import type { Ray } from "./drag";
+import { pickTriangle, type Pick } from "./geometry";
+import { Instrument } from "./instrument";
+import { organMaterial } from "./materials";
+import { tissueTexture } from "./noise";
+import { cameraPosition, FIELD_OF_VIEW_DEG, orbitThatShows, viewAxes, type Orbit } from "./orbit";
+import { Organ, type SurfaceStyle } from "./organ";
+import { REST_RATIO } from "./resolution";
+import type { Hello, Snapshot, SnapshotHeader, Topology } from "./protocol";
+
+export interface OrganPick extends Pick {
+  readonly organ: number;
+}
+
+/** Sharper than this costs more than it shows. */
+const LARGEST_PIXEL_RATIO = 2;
+/** Behind the organ in a saved picture: the page's background. */
+export const BACKGROUND = { centre: "#1d2832", edge: "#080b0f" };
+
+/** True if WebGL is drawn by the processor (SwiftShader, llvmpipe, the basic Windows adapter). */
+function drawsInSoftware(): boolean {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (gl === null) throw new Error("the browser gives no WebGL 2");
+  const info = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = String(gl.getParameter(info === null ? gl.RENDERER : info.UNMASKED_RENDERER_WEBGL));
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
+}
+
+export class Scene3d {
+  readonly renderer: WebGLRenderer;
+  readonly camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 0.005, 10);
+  readonly software: boolean;
+  readonly organs = new Map<number, Organ>();
+  instrument: Instrument | null = null;
+  orbit: Orbit;
+  private readonly scene = new Scene();
+  private readonly material: ShaderMaterial;
+  private hello: Hello | null = null;
+  private style: SurfaceStyle = "surface";
+  private fixedShown = false;
+  private covered_px = 0;
+
+  /** @throws Error if the browser gives no WebGL 2. */
+  constructor(readonly canvas: HTMLCanvasElement) {
+    this.software = drawsInSoftware();
+    // In software, multisampling doubles the cost of each frame; there the picture is drawn finer once it rests.
+    this.renderer = new WebGLRenderer({
+      canvas,
+      antialias: !this.software,
+      alpha: true,
+      powerPreference: "high-performance",
+    });
+    this.renderer.toneMapping = ACESFilmicToneMapping;
+    this.renderer.toneMappingExposure = 1.08;
+    this.renderer.setClearColor(0x000000, 0);
+    this.material = organMaterial(tissueTexture());
+    this.camera.up.set(0, 0, 1);
+    this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
+    this.resize();
+  }
+
+  get width(): number {
+    return Math.max(1, this.canvas.clientWidth);
+  }
+
+  get height(): number {
+    return Math.max(1, this.canvas.clientHeight);
+  }
+
+  resize(): void {
+    this.renderer.setPixelRatio(this.software ? 1 : Math.min(window.devicePixelRatio, LARGEST_PIXEL_RATIO));
+    this.renderer.setSize(this.width, this.height, false);
+    this.camera.aspect = this.width / this.height;
+    this.placeCamera();
+  }
+
+  /** The panel covers `covered_px` at the left: the organ is centred in what is free. */
+  setCovered(covered_px: number): void {
+    this.covered_px = Math.min(covered_px, 0.6 * this.width);
+  }
+
+  /** Middle of the free part of the canvas [CSS pixels]. */
+  middle(): [number, number] {
+    return [(this.width + this.covered_px) / 2, this.height / 2];
+  }
+
+  setOrbit(orbit: Orbit): void {
+    this.orbit = orbit;
+    this.placeCamera();
+  }
+
+  resetView(): void {
+    const bounds = this.hello?.bounds;
+    if (bounds === undefined) return;
+    const aspect = (this.width - this.covered_px) / this.height;
+    this.setOrbit(orbitThatShows(new Vector3(...bounds.min_m), new Vector3(...bounds.max_m), aspect));
+  }
+
+  private placeCamera(): void {
+    this.camera.position.copy(cameraPosition(this.orbit));
+    this.camera.lookAt(this.orbit.target_m);
+    this.camera.near = Math.max(0.004, 0.02 * this.orbit.distance_m);
+    this.camera.far = this.orbit.distance_m + 3;
+    // Calls updateProjectionMatrix.
+    this.camera.setViewOffset(this.width, this.height, -this.covered_px / 2, 0, this.width, this.height);
+    this.camera.updateMatrixWorld();
+  }
+
+  /** A new scene: everything of the old one goes; the view is kept if the organ's box is the same. */
+  begin(hello: Hello): void {
+    const same = JSON.stringify(this.hello?.bounds) === JSON.stringify(hello.bounds);
+    this.hello = hello;
+    for (const organ of this.organs.values()) {
+      this.scene.remove(organ.group);
+      organ.dispose();
+    }
+    this.organs.clear();
+    if (this.instrument !== null) {
+      this.scene.remove(this.instrument.group);
+      this.instrument.dispose();
+    }
+    this.instrument = new Instrument(hello.tool);
+    this.scene.add(this.instrument.group);
+    this.material.uniforms.toolRadius.value = Math.max(hello.tool.shaft_radius_m, hello.tool.tip_radius_m);
+    this.material.uniforms.toolLength.value = hello.tool.shaft_length_m;
+    if (!same) this.resetView();
+    this.shadeByTool();
+  }
+
+  setTopology(topology: Topology): void {
+    const old = this.organs.get(topology.organ);
+    if (old !== undefined) {
+      this.scene.remove(old.group);
+      old.dispose();
+    }
+    const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), this.material);
+    organ.setStyle(this.style);
+    organ.showFixed(this.fixedShown);
+    this.organs.set(topology.organ, organ);
+    this.scene.add(organ.group);
+  }
+
+  /** Takes over a snapshot: whether it changed the organ, or belongs to another topology. @throws ProtocolError */
+  show(snapshot: Snapshot): "changed" | "same" | "other_topology" {
+    const organ = this.organs.get(snapshot.header.organ);
+    if (organ === undefined || organ.topology.version !== snapshot.header.version) return "other_topology";
+    return organ.show(snapshot) ? "changed" : "same";
+  }
+
+  showTool(header: SnapshotHeader): void {
+    this.instrument?.show(header);
+    this.shadeByTool();
+  }
+
+  private shadeByTool(): void {
+    if (this.instrument === null) return;
+    (this.material.uniforms.toolTip.value as Vector3).copy(this.instrument.tip());
+    (this.material.uniforms.toolShaft.value as Vector3).copy(this.instrument.shaft());
+  }
+
+  setStyle(style: SurfaceStyle): void {
+    this.style = style;
+    for (const organ of this.organs.values()) organ.setStyle(style);
+  }
+
+  showFixed(shown: boolean): void {
+    this.fixedShown = shown;
+    for (const organ of this.organs.values()) organ.showFixed(shown);
+  }
+
+  /** The ray into the scene through a point of the canvas [CSS pixels from its upper left corner]. */
+  ray(x: number, y: number): Ray {
+    const caster = new Raycaster();
+    caster.setFromCamera(new Vector2((2 * x) / this.width - 1, 1 - (2 * y) / this.height), this.camera);
+    return { origin: caster.ray.origin.clone(), direction: caster.ray.direction.clone() };
+  }
+
+  /** The organ's first front triangle under a point of the canvas. */
+  pick(x: number, y: number): OrganPick | null {
+    const { origin, direction } = this.ray(x, y);
+    let best: OrganPick | null = null;
+    for (const [organ, { positions_m, topology }] of this.organs) {
+      const pick = pickTriangle(origin, direction, positions_m, topology.triangles);
+      if (pick !== null && (best === null || pick.distance_m < best.distance_m)) best = { ...pick, organ };
+    }
+    return best;
+  }
+
+  /** Where a point of the scene is on the canvas [CSS pixels from its upper left corner]. */
+  project(point_m: Vector3): [number, number] {
+    const p = point_m.clone().project(this.camera);
+    return [((p.x + 1) / 2) * this.width, ((1 - p.y) / 2) * this.height];
+  }
+
+  axes(): ReturnType<typeof viewAxes> {
+    return viewAxes(this.orbit);
+  }
+
+  /** Draws; when the processor draws, with `softwareRatio` pixels to a CSS pixel. */
+  render(softwareRatio: number): void {
+    if (this.software && this.renderer.getPixelRatio() !== softwareRatio) {
+      this.renderer.setPixelRatio(softwareRatio);
+      this.renderer.setSize(this.width, this.height, false);
+    }
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  /** The picture as PNG: background, scene, and `overlay` in its lower right corner. */
+  async picture(overlay: HTMLCanvasElement): Promise<Blob> {
+    this.render(REST_RATIO);
+    const copy = document.createElement("canvas");
+    copy.width = this.canvas.width;
+    copy.height = this.canvas.height;
+    const context = copy.getContext("2d");
+    if (context === null) throw new Error("the browser gives no canvas to draw the picture on");
+    const { width, height } = copy;
+    const back = context.createRadialGradient(width / 2, 0.45 * height, 0, width / 2, 0.45 * height, 0.75 * width);
+    back.addColorStop(0, BACKGROUND.centre);
+    back.addColorStop(1, BACKGROUND.edge);
+    context.fillStyle = back;
+    context.fillRect(0, 0, width, height);
+    context.drawImage(this.canvas, 0, 0);
+    const scale = width / this.width;
+    const [w, h] = [overlay.clientWidth * scale, overlay.clientHeight * scale];
+    context.drawImage(overlay, width - w, height - h, w, h);
+    return new Promise((resolve, reject) =>
+      copy.toBlob((blob) => (blob === null ? reject(new Error("the picture could not be written")) : resolve(blob)), "image/png"),
+    );
+  }
+}

@@ -1,0 +1,398 @@
+/** The viewer: joins connection, picture, panel, pointer and keys. One frame does all its work, and only on demand. */
+import { Vector3 } from "three";
+import { Connection, socketAddress, type ConnectionState } from "./connection";
+import { Controls } from "./controls";
+import type { PushStart, ToolPose } from "./drag";
+import type { ViewerParts } from "./hook";
+import { actionOf, toolDirection, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
+import { panned, turned, zoomed, type Orbit } from "./orbit";
+import { drawOrientation } from "./orientation";
+import { SURFACE_STYLES } from "./organ";
+import { download, Help, Messages, showConnection, Toolbar } from "./overlays";
+import type { Page } from "./page";
+import { lengthOf, Panel, panelValues } from "./panel";
+import { arrowScale_m_per_n, drawPlot, ForceHistory } from "./plot";
+import { Profile, profilerText } from "./profiler";
+import { ProtocolError, type Hello, type Snapshot, type SnapshotHeader, type Topology, type Vec3 } from "./protocol";
+import { Resolution, REST_AFTER_MS, REST_RATIO } from "./resolution";
+import { Scene3d } from "./scene3d";
+import { ToolDriver } from "./tool_driver";
+
+const vec3 = (v: Vector3): Vec3 => [v.x, v.y, v.z];
+
+export class Viewer {
+  private readonly scene: Scene3d;
+  private readonly panel: Panel;
+  private readonly messages: Messages;
+  private readonly help: Help;
+  private readonly toolbar: Toolbar;
+  private readonly controls: Controls;
+  private readonly connection: Connection;
+  private readonly tool = new ToolDriver();
+  private readonly history = new ForceHistory();
+  private readonly profile = new Profile();
+
+  private hello: Hello | null = null;
+  private waiting = new Map<number, Snapshot>();
+  private header: SnapshotHeader | null = null;
+  private pickedVertex: number | null = null;
+  private state: ConnectionState = "connecting";
+  /** The camera or the page's size changed. */
+  private viewChanged = true;
+  /** The three-dimensional picture is not what should be shown. */
+  private sceneChanged = true;
+  private readonly resolution = new Resolution();
+  private restTimer: ReturnType<typeof setTimeout> | undefined;
+  private frameAsked = false;
+  private lastFrame_ms: number | null = null;
+  private readonly shown = { style: 0, contacts: true, forces: true, fixedNodes: false, profiler: false };
+  private readonly counters = {
+    topologyFrames: 0,
+    snapshotFrames: 0,
+    ignoredSnapshots: 0,
+    drawnFrames: 0,
+    sentToolMessages: 0,
+    connections: 0,
+    screenshots: 0,
+  };
+
+  constructor(private readonly page: Page) {
+    this.messages = new Messages(page.messages);
+    this.scene = new Scene3d(page.scene);
+    this.panel = new Panel(page.panel);
+    this.help = new Help(document.body);
+    this.toolbar = new Toolbar(page.toolbar, (action) => this.run(action, false));
+    this.controls = new Controls(page.scene, {
+      isOnOrgan: (x, y) => this.scene.pick(x, y) !== null,
+      pushBegin: (x, y) => this.beginPush(x, y),
+      pushMove: (x, y) => {
+        this.tool.follow(this.scene.ray(x, y));
+        this.invalidate();
+      },
+      pushEnd: () => {
+        this.tool.retract();
+        this.invalidate();
+      },
+      turn: (dx, dy) => this.setOrbit(turned(this.scene.orbit, dx, dy, this.scene.height)),
+      move: (dx, dy) => this.setOrbit(panned(this.scene.orbit, dx, dy, this.scene.height)),
+      wheel: (notches) => {
+        if (this.tool.wheel(notches)) this.invalidate();
+        else this.setOrbit(zoomed(this.scene.orbit, notches));
+      },
+    });
+    window.addEventListener("keydown", (event) => this.key(event));
+    window.addEventListener("error", (event) => this.messages.error(`Error in the page: ${event.message}`));
+    window.addEventListener("unhandledrejection", (event) => this.messages.error(`Error in the page: ${event.reason}`));
+    new ResizeObserver(() => this.resize()).observe(page.scene);
+    this.resize();
+    page.scene.addEventListener("webglcontextlost", () => this.messages.error("The graphics were lost; reload the page."));
+
+    this.connection = new Connection(socketAddress(window.location.href), {
+      state: (state, attempt) => this.connectionState(state, attempt),
+      hello: (hello) => this.begin(hello),
+      topology: (topology) => this.setTopology(topology),
+      snapshot: (snapshot, bytes) => this.receive(snapshot, bytes),
+      error: (message) => this.messages.error(message),
+    });
+    this.connection.open();
+    this.refreshSwitches();
+    // The panel's rates and the profiler stay fresh although nothing moves.
+    setInterval(() => this.shown.profiler && this.showProfiler(), 250);
+  }
+
+  // ---- what arrives ----
+
+  private connectionState(state: ConnectionState, attempt: number): void {
+    this.state = state;
+    showConnection(this.page, state, attempt);
+    if (state === "open") this.counters.connections += 1;
+    if (state === "lost") {
+      this.controls.cancel();
+      this.tool.forget();
+    }
+  }
+
+  private begin(hello: Hello): void {
+    this.hello = hello;
+    this.waiting.clear();
+    this.header = null;
+    this.history.clear();
+    this.scene.begin(hello);
+    document.title = `${hello.scene.name} – Glisson`;
+    this.redraw();
+  }
+
+  private setTopology(topology: Topology): void {
+    this.counters.topologyFrames += 1;
+    this.scene.setTopology(topology);
+    this.redraw();
+  }
+
+  private receive(snapshot: Snapshot, bytes: number): void {
+    this.counters.snapshotFrames += 1;
+    this.profile.arrival({ at_ms: performance.now(), bytes });
+    const { header } = snapshot;
+    if (header.organ === 0) {
+      this.history.add({ time_s: header.time_s, force_n: lengthOf(header.forceOnTool_n) });
+    }
+    this.waiting.set(header.organ, snapshot);
+    this.invalidate();
+  }
+
+  // ---- what the hand does ----
+
+  private setOrbit(orbit: Orbit): void {
+    this.scene.setOrbit(orbit);
+    this.redraw();
+  }
+
+  /** The view changed: everything is drawn anew. */
+  private redraw(): void {
+    this.viewChanged = true;
+    this.sceneChanged = true;
+    this.invalidate();
+  }
+
+  private resize(): void {
+    const panel = this.page.panel.getBoundingClientRect();
+    // On a narrow page the panel lies over the organ instead of beside it.
+    this.scene.setCovered(window.innerWidth > 860 ? panel.right : 0);
+    this.scene.resize();
+    this.redraw();
+  }
+
+  private beginPush(x: number, y: number): void {
+    const start = this.pushStart(x, y);
+    if (start === null) return;
+    this.tool.beginPush(start, this.scene.ray(x, y));
+    this.invalidate();
+  }
+
+  /** What a push at a place of the canvas needs to know; null beside the organ. */
+  private pushStart(x: number, y: number): PushStart | null {
+    const pick = this.scene.pick(x, y);
+    if (pick === null || this.hello === null) return null;
+    this.pickedVertex = pick.vertex;
+    this.page.hint.classList.add("gone");
+    const { tip_radius_m: tipRadius_m } = this.hello.tool;
+    return { hit_m: pick.point_m, normal: pick.normal, tipRadius_m, view: this.scene.axes() };
+  }
+
+  private key(event: KeyboardEvent): void {
+    const onButton = event.target instanceof HTMLButtonElement && (event.key === " " || event.key === "Enter");
+    const action = onButton ? null : actionOf(event);
+    if (action === null) return;
+    event.preventDefault();
+    this.run(action, event.shiftKey);
+  }
+
+  private run(action: Action, shift: boolean): void {
+    const direction = toolDirection(action);
+    if (direction !== null) {
+      this.nudge(direction, shift ? TOOL_STEP_WITH_SHIFT_M : TOOL_STEP_M);
+      return;
+    }
+    switch (action) {
+      case "pause":
+        this.connection.send({ type: "pause", paused: !(this.header?.paused ?? false) });
+        break;
+      case "single_step":
+        if (this.header?.paused === false) this.connection.send({ type: "pause", paused: true });
+        else this.connection.send({ type: "single_step" });
+        break;
+      case "reset_simulation":
+        this.controls.cancel();
+        this.tool.forget();
+        this.connection.send({ type: "reset" });
+        break;
+      case "reset_view":
+        this.scene.resetView();
+        break;
+      case "wireframe":
+        this.shown.style = (this.shown.style + 1) % SURFACE_STYLES.length;
+        this.scene.setStyle(SURFACE_STYLES[this.shown.style]);
+        break;
+      case "contacts":
+        this.shown.contacts = !this.shown.contacts;
+        break;
+      case "forces":
+        this.shown.forces = !this.shown.forces;
+        break;
+      case "fixed_nodes":
+        this.shown.fixedNodes = !this.shown.fixedNodes;
+        this.scene.showFixed(this.shown.fixedNodes);
+        break;
+      case "profiler":
+        this.shown.profiler = !this.shown.profiler;
+        this.showProfiler();
+        break;
+      case "help":
+        this.help.open = !this.help.open;
+        break;
+      case "screenshot":
+        void this.screenshot();
+        break;
+      case "leave":
+        this.leave();
+        break;
+      case "tool_place":
+        this.placeTool();
+        break;
+    }
+    this.refreshSwitches();
+    this.redraw();
+  }
+
+  /** Closes what is open, else takes the instrument off the organ. */
+  private leave(): void {
+    if (this.help.open) this.help.open = false;
+    else if (this.tool.pushing) this.controls.cancel();
+    else if (this.tool.active) this.tool.retract();
+    else if (this.shown.profiler) this.run("profiler", false);
+  }
+
+  private shownPose(): ToolPose | null {
+    const instrument = this.scene.instrument;
+    return instrument === null ? null : { tip_m: instrument.tip(), shaft: instrument.shaft() };
+  }
+
+  private nudge(direction: readonly [number, number, number], step_m: number): void {
+    const current = this.shownPose();
+    if (current === null) return;
+    const { right, up, forward } = this.scene.axes();
+    const [x, y, z] = direction;
+    const offset = new Vector3().addScaledVector(right, x).addScaledVector(up, y).addScaledVector(forward, z);
+    this.tool.nudge(offset.multiplyScalar(step_m), current);
+    this.invalidate();
+  }
+
+  private placeTool(): void {
+    if (this.tool.pushing) return;
+    const start = this.pushStart(...this.scene.middle());
+    if (start !== null) this.tool.place(start);
+    else this.messages.error("Nothing of the organ is at the middle of the view: reset the view (R) and try again.");
+  }
+
+  private async screenshot(): Promise<void> {
+    try {
+      const picture = await this.scene.picture(this.page.orientation);
+      download(picture, `glisson-step-${String(this.header?.step ?? 0).padStart(6, "0")}.png`);
+      this.counters.screenshots += 1;
+    } catch (error) {
+      this.messages.error(`The picture was not saved: ${error instanceof Error ? error.message : String(error)}`);
+    }
+  }
+
+  private refreshSwitches(): void {
+    const { shown, toolbar } = this;
+    const paused = this.header?.paused ?? false;
+    toolbar.set("pause", paused, paused ? "Go on" : "Pause");
+    toolbar.set("wireframe", shown.style !== 0);
+    toolbar.set("contacts", shown.contacts);
+    toolbar.set("forces", shown.forces);
+    toolbar.set("fixed_nodes", shown.fixedNodes);
+    toolbar.set("profiler", shown.profiler);
+    toolbar.set("help", this.help.open);
+  }
+
+  // ---- the frame ----
+
+  private invalidate(): void {
+    if (this.frameAsked) return;
+    this.frameAsked = true;
+    requestAnimationFrame((now_ms) => this.frame(now_ms));
+  }
+
+  private frame(now_ms: number): void {
+    this.frameAsked = false;
+    const begun_ms = performance.now();
+    const dt_s = Math.min(0.1, Math.max(0, (now_ms - (this.lastFrame_ms ?? now_ms)) / 1000));
+    this.lastFrame_ms = now_ms;
+
+    const pose = this.tool.advance(dt_s);
+    if (pose !== null && this.connection.send({ type: "tool", tip_m: vec3(pose.tip_m), shaft: vec3(pose.shaft) })) {
+      this.counters.sentToolMessages += 1;
+    }
+    this.showWaiting();
+    if (this.sceneChanged && this.scene.instrument !== null) {
+      this.scene.instrument.arrowScale_m_per_n = arrowScale_m_per_n(this.history.peak_n);
+      this.scene.instrument.setForces(this.shown.forces);
+      this.scene.instrument.setContacts(this.shown.contacts);
+      if (this.header !== null) this.scene.showTool(this.header);
+    }
+    const drawing_ms = performance.now();
+    if (this.sceneChanged) this.scene.render(this.resolution.moving(now_ms));
+    const drawn_ms = performance.now();
+    if (this.sceneChanged) {
+      this.sceneChanged = false;
+      this.counters.drawnFrames += 1;
+      this.profile.frame({ at_ms: now_ms, work_ms: drawn_ms - begun_ms, draw_ms: drawn_ms - drawing_ms });
+      this.drawFinerAtRest();
+    }
+    this.panel.show(
+      panelValues(this.hello, this.header, this.history.peak_n, arrowScale_m_per_n(this.history.peak_n)),
+      this.header,
+    );
+    drawPlot(this.panel.plot, this.history);
+    if (this.viewChanged) drawOrientation(this.page.orientation, this.scene.orbit, this.scene.height);
+    this.viewChanged = false;
+    this.refreshSwitches();
+    if (this.tool.settled) {
+      // The next motion starts with a stride of one frame, not of the pause before it.
+      if (this.waiting.size === 0 && !this.tool.pushing) this.lastFrame_ms = null;
+    } else {
+      this.invalidate();
+    }
+  }
+
+  private showWaiting(): void {
+    for (const snapshot of this.waiting.values()) {
+      try {
+        const shown = this.scene.show(snapshot);
+        if (shown === "other_topology") this.counters.ignoredSnapshots += 1;
+        else if (snapshot.header.organ === 0) this.showHeader(snapshot.header);
+        if (shown === "changed") this.sceneChanged = true;
+      } catch (error) {
+        if (!(error instanceof ProtocolError)) throw error;
+        this.messages.error(`Message not understood: ${error.message}`);
+      }
+    }
+    this.waiting.clear();
+  }
+
+  private showHeader(header: SnapshotHeader): void {
+    const drawn = (h: SnapshotHeader | null): string =>
+      h === null ? "" : [h.tip_m, h.shaft, h.forceOnTool_n, h.contactPoint_m, h.contact].join();
+    if (drawn(header) !== drawn(this.header)) this.sceneChanged = true;
+    this.header = header;
+  }
+
+  /** When the processor draws: a finer picture once nothing has changed for a while. */
+  private drawFinerAtRest(): void {
+    if (!this.scene.software) return;
+    clearTimeout(this.restTimer);
+    this.restTimer = setTimeout(() => {
+      if (!this.sceneChanged) this.scene.render(REST_RATIO);
+    }, REST_AFTER_MS);
+  }
+
+  private showProfiler(): void {
+    this.page.profiler.hidden = !this.shown.profiler;
+    if (!this.shown.profiler) return;
+    const { render } = this.scene.renderer.info;
+    this.page.profiler.textContent = profilerText({
+      ...this.profile.summary(performance.now()),
+      rate_steps_per_s: this.header?.rate_steps_per_s ?? 0,
+      timeStep_s: this.hello?.scene.time_step_s ?? 0,
+      triangles: render.triangles,
+      drawCalls: render.calls,
+      software: this.scene.software,
+    });
+  }
+
+  /** The parts that `hook.ts` reads. */
+  parts(): ViewerParts {
+    const { scene, panel, messages, help, tool, profile, hello, header, pickedVertex, state, shown, counters } = this;
+    return { scene, panel, messages, help, tool, profile, hello, header, pickedVertex, state, shown, counters };
+  }
+}

@@ -1,0 +1,22 @@
+import { defineConfig } from "vite";
+
+/** Address of a running `glisson serve` that `npm run dev` passes `/ws` and `/api` on to. */
+const server = process.env.GLISSON_URL ?? "http://127.0.0.1:8080";
+
+export default defineConfig({
+  base: "./",
+  build: {
+    outDir: "dist",
+    emptyOutDir: true,
+    target: "es2022",
+    chunkSizeWarningLimit: 900,
+    // The notices that the bundled packages ask for.
+    license: { fileName: "licenses.md" },
+  },
+  server: {
+    proxy: {
+      "/ws": { target: server.replace(/^http/, "ws"), ws: true },
+      "/api": { target: server },
+    },
+  },
+});

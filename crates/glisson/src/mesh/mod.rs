@@ -3,6 +3,8 @@
 pub mod topology;
 pub mod edit;
 pub mod remap;
+pub mod faults;
+pub mod files;
 
 use crate::math::{DVec3, tetrahedron_volume_m3};
 

@@ -2,3 +2,4 @@
 
 mod layering;
 mod mesh_edits;
+mod mesh_files;

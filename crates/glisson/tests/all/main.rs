@@ -9,3 +9,4 @@ mod reference_cases;
 mod surfaces;
 mod mesh_edits;
 mod surface_files;
+mod mesh_files;

@@ -4,10 +4,12 @@
 #![allow(clippy::print_stdout, reason = "a command-line program answers on standard output")]
 
 mod commands;
-#[allow(dead_code, unused_imports, reason = "what no command draws yet is still tested")]
+mod demo;
 mod picture;
-#[allow(dead_code, reason = "what no command draws yet is still tested")]
 mod plot;
+mod runtime;
+mod server;
+mod validate;
 
 use clap::Parser;
 

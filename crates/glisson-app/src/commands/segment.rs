@@ -76,6 +76,14 @@ fn report(args: &Args, ct: &Volume<f32>, found: &Segmentation, truth: Option<&[b
         found.band_hu[0], found.band_hu[1], found.level_hu, found.noise_hu
     );
     println!("volume {:.0} ml", mask_volume_m3(&ct.grid, &found.mask) * 1e6);
+    println!(
+        "repair {} tunnels filled, {} cut, {} cavities filled, {} voxels added, {} removed",
+        found.repair.tunnels_filled,
+        found.repair.tunnels_cut,
+        found.repair.cavities_filled,
+        found.repair.voxels_added,
+        found.repair.voxels_removed
+    );
     if let Err(cut_off) = check_clear_of_border(&ct.grid, &found.mask) {
         println!("note   {cut_off}");
     }

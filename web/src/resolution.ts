@@ -9,7 +9,7 @@ const LEVELS = [1, 0.75, 0.55] as const;
 export const REST_RATIO = 2;
 /** So long nothing may change before the sharp picture is drawn [ms]. */
 export const REST_AFTER_MS = 400;
-const LATE_MS = 50;
+const LATE_MS = 40;
 const EARLY_MS = 22;
 /** Frames that are looked at before the level changes. */
 const WINDOW = 12;

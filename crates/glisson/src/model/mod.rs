@@ -78,6 +78,11 @@ pub trait DeformableModel: Send {
     /// A quasi-static model only shows them until its next step.
     fn take_over(&mut self, positions_m: &[DVec3]);
 
+    /// Why the model could not follow an edit of the mesh, if it could not.
+    fn topology_refusal(&self) -> Option<TopologyRefusal> {
+        None
+    }
+
     /// Follows an edit of the mesh, or says why it cannot; then nothing changed.
     ///
     /// # Errors

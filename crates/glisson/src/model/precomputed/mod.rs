@@ -26,6 +26,7 @@ use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
+use crate::model::kind::ModelKind;
 use crate::solve::SolveError;
 
 /// Why there is no pre-computed model.
@@ -370,15 +371,22 @@ impl DeformableModel for Precomputed {
     }
 
     fn take_over(&mut self, positions_m: &[DVec3]) {
-        self.positions_m.copy_from_slice(positions_m);
+        // Nodes that a response does not move stay at rest, whatever they were in another model.
+        for node in &self.compliance.rows {
+            self.positions_m[node.index()] = positions_m[node.index()];
+        }
         self.constraint_forces_n.fill(DVec3::ZERO);
     }
 
-    fn topology_changed(&mut self, _: &TetMesh, _: &TopologyChange) -> Result<(), TopologyRefusal> {
-        Err(TopologyRefusal::Frozen {
-            model: "precomputed",
+    fn topology_refusal(&self) -> Option<TopologyRefusal> {
+        Some(TopologyRefusal::Frozen {
+            model: ModelKind::Precomputed.name(),
             reason: "its compliance holds for the uncut mesh; switch to tensor_mass before cutting, or pre-compute \
                      the new mesh",
         })
+    }
+
+    fn topology_changed(&mut self, _: &TetMesh, _: &TopologyChange) -> Result<(), TopologyRefusal> {
+        self.topology_refusal().map_or(Ok(()), Err)
     }
 }

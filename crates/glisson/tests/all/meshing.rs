@@ -2,6 +2,7 @@
 
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::TetMesh;
+use glisson::mesh::faults::find_faults;
 use glisson::mesh::generate::{
     COUNT_TOLERANCE, MeshParams, MeshingError, VOLUME_TOLERANCE, WantedSize, generate,
 };
@@ -106,9 +107,7 @@ fn assert_is_sound(mesh: &TetMesh, volume_m3: f64, euler: i64, pieces: usize) {
     let (surface, overshared) = surface_triangles(mesh);
     assert!(overshared.is_empty());
     assert!(SurfaceShape::of(mesh.positions_m.len(), &surface).is_closed_manifold());
-    let mut used = vec![false; mesh.positions_m.len()];
-    mesh.tetrahedra.iter().flatten().for_each(|n| used[n.index()] = true);
-    assert!(!used.contains(&false), "loose nodes");
+    assert_eq!(find_faults(mesh).lines(), Vec::<String>::new());
     assert!(quality.min_dihedral_deg >= MIN_DIHEDRAL_DEG - 1e-9, "{}", quality.min_dihedral_deg);
     assert!(quality.max_dihedral_deg <= 164.8, "{}", quality.max_dihedral_deg);
     assert!(quality.min_tetrahedron_volume_m3 > 0.0);

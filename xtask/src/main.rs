@@ -1,2 +1,100 @@
-//! `cargo xtask demo` and `cargo xtask test`.
-fn main() {}
+//! The newcomer's two commands, `cargo xtask demo` and `cargo xtask test`, and what they need.
+//!
+//! Both do all the set-up: npm packages, and through the system's package manager, when run as root, Chromium and
+//! pip; otherwise they say exactly what to install.
+#![allow(clippy::print_stdout, reason = "a command-line program tells what it does on standard output")]
+
+mod ct;
+mod setup;
+mod test;
+
+use anyhow::Context;
+use clap::{Parser, Subcommand};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+#[derive(Parser)]
+#[command(name = "cargo xtask", about = "The two commands a newcomer needs, and the longer ones")]
+struct CommandLine {
+    #[command(subcommand)]
+    task: Task,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// Build everything, make the synthetic patient and push its liver in the browser
+    Demo {
+        /// Arguments of `glisson demo`, such as --headless --out DIR
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
+    /// Format, lint, and run every test: library, program, page, browser and real CT
+    Test {
+        /// Fail instead of skipping when the real CT cannot be fetched
+        #[arg(long)]
+        require_ct: bool,
+    },
+    /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
+    FetchCt,
+}
+
+/// The workspace's root folder.
+fn root() -> PathBuf {
+    let own = Path::new(env!("CARGO_MANIFEST_DIR"));
+    own.parent().expect("xtask lies in the workspace").to_path_buf()
+}
+
+/// Runs a program in the workspace's root and fails when it does.
+fn run(program: &str, arguments: &[&str]) -> anyhow::Result<()> {
+    run_in(&root(), program, arguments)
+}
+
+fn run_in(folder: &Path, program: &str, arguments: &[&str]) -> anyhow::Result<()> {
+    println!("$ {program} {}", arguments.join(" "));
+    let status = Command::new(program)
+        .args(arguments)
+        .current_dir(folder)
+        .status()
+        .with_context(|| format!("cannot start {program}; is it installed?"))?;
+    anyhow::ensure!(status.success(), "`{program} {}` failed ({status})", arguments.join(" "));
+    Ok(())
+}
+
+/// The folder that cargo builds into.
+fn target() -> PathBuf {
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
+}
+
+/// The release program.
+fn program() -> PathBuf {
+    target().join("release").join(format!("glisson{}", std::env::consts::EXE_SUFFIX))
+}
+
+/// Builds the viewer, then the release program that holds it.
+fn build_all() -> anyhow::Result<()> {
+    setup::web_packages()?;
+    run_in(&root().join("web"), "npm", &["run", "build"])?;
+    build_program()
+}
+
+fn build_program() -> anyhow::Result<()> {
+    run("cargo", &["build", "--release", "--locked", "--package", "glisson-app"])
+}
+
+fn main() -> anyhow::Result<()> {
+    match CommandLine::parse().task {
+        Task::Demo { arguments } => {
+            build_all()?;
+            let program = program();
+            let mut all = vec!["demo"];
+            all.extend(arguments.iter().map(String::as_str));
+            run(&program.to_string_lossy(), &all)
+        }
+        Task::Test { require_ct } => test::all(require_ct),
+        Task::FetchCt => {
+            let folder = ct::fetch()?;
+            println!("real CT in {}", folder.display());
+            Ok(())
+        }
+    }
+}

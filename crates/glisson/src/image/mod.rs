@@ -1,5 +1,10 @@
 //! Volumes and label maps in the patient frame.
 
+pub mod nifti;
+pub mod labels;
+pub mod filter;
+pub mod phantom;
+pub mod segment;
 pub mod topology;
 
 use crate::math::{Aabb, DMat3, DVec3};

@@ -1,6 +1,12 @@
 //! Tetrahedral meshes.
 
+pub mod topology;
 pub mod edit;
+pub mod quality;
+pub mod stuffing;
+pub mod thin;
+pub mod generate;
+pub mod remap;
 
 use crate::math::{DVec3, tetrahedron_volume_m3};
 

@@ -1,5 +1,6 @@
 //! Triangle surfaces of organs.
 
+pub mod signed_distance;
 pub mod error;
 pub mod normals;
 pub mod intersect;

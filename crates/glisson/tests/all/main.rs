@@ -1,7 +1,9 @@
 //! All integration tests in one binary: it links once.
 
 mod layering;
+mod meshing;
 mod model_meshes;
 mod patch_test;
 mod reference_cases;
 mod surfaces;
+mod mesh_edits;

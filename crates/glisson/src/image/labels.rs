@@ -1,0 +1,222 @@
+//! Choosing organs in a label map, and comparing masks.
+//!
+//! An organ is asked for by name or number. Organs that image annotation splits into parts (a liver with
+//! its vessels and tumour) are taken whole unless one asks otherwise: a surface around the liver must not
+//! follow every vein inside it.
+
+use std::collections::BTreeSet;
+
+use super::{LabelMap, VoxelGrid};
+use crate::math::DVec3;
+
+/// Labels that lie inside another organ: (organ, names of its parts).
+/// Names that start with the organ's name and `_` count as parts too, e.g. `liver_vessel`.
+const PARTS: [(&str, &[&str]); 1] = [("liver", &["portal_vein", "hepatic_vein"])];
+
+/// Why an organ could not be taken from a label map.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum LabelError {
+    /// No label has this name.
+    #[error(
+        "the label map has no label named `{wanted}`{}; available: {available}",
+        .suggestion.as_ref().map_or(String::new(), |s| format!(", did you mean `{s}`?"))
+    )]
+    UnknownName {
+        /// What was asked for.
+        wanted: String,
+        /// The closest name, if one is close.
+        suggestion: Option<String>,
+        /// Labels of the map, as text.
+        available: String,
+    },
+    /// The label exists by name, or was given by number, but no voxel has it.
+    #[error("label {label} is empty: none of the {n_voxels} voxels has it; available: {available}")]
+    Empty {
+        /// The label, with its name.
+        label: String,
+        /// Voxels of the map.
+        n_voxels: usize,
+        /// Labels of the map, as text.
+        available: String,
+    },
+    /// The organ is cut by the border of the image.
+    #[error(
+        "the label touches the border of the volume: {n_voxels} of its voxels lie on {side}, 0 allowed; the organ is cut off there, use an image that holds all of it (or pad it, if a flat cut is acceptable)"
+    )]
+    LabelTouchesBorder {
+        /// The side, e.g. `i = 0 (right)`.
+        side: String,
+        /// Voxels of the label on that side.
+        n_voxels: usize,
+    },
+}
+
+/// Whether an organ is taken with the labels that lie inside it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Parts {
+    /// The whole organ, with its vessels and tumours.
+    #[default]
+    Included,
+    /// Only the voxels that carry the organ's own label.
+    Excluded,
+}
+
+/// The labels that together are the wanted organ.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LabelSelection {
+    /// Labels, ascending.
+    pub labels: Vec<u16>,
+}
+
+/// Names are compared in lower case, with `_` for spaces and hyphens.
+fn normalized(name: &str) -> String {
+    name.trim().to_lowercase().replace([' ', '-'], "_")
+}
+
+impl LabelMap {
+    /// Labels that at least one voxel has, ascending, without 0.
+    pub fn present(&self) -> Vec<u16> {
+        let mut seen = vec![false; 1 << 16];
+        for &label in &self.labels {
+            seen[usize::from(label)] = true;
+        }
+        (1..=u16::MAX).filter(|&label| seen[usize::from(label)]).collect()
+    }
+
+    /// Name of `label`, if it has one.
+    pub fn name_of(&self, label: u16) -> Option<&str> {
+        self.names.iter().find(|(l, _)| *l == label).map(|(_, name)| name.as_str())
+    }
+
+    /// `number` or `number (name)`.
+    fn described(&self, label: u16) -> String {
+        self.name_of(label).map_or(label.to_string(), |name| format!("{label} ({name})"))
+    }
+
+    fn available(&self) -> String {
+        let present = self.present();
+        match present.is_empty() {
+            true => "none, every voxel is 0".into(),
+            false => present.iter().map(|&l| self.described(l)).collect::<Vec<_>>().join(", "),
+        }
+    }
+
+    /// Label of a name or number, which at least one voxel has.
+    ///
+    /// # Errors
+    /// An unknown name, with the closest one; a label that no voxel has.
+    pub fn resolve(&self, name_or_number: &str) -> Result<u16, LabelError> {
+        let wanted = normalized(name_or_number);
+        let by_name = self.names.iter().find(|(_, name)| normalized(name) == wanted);
+        let label = match (by_name, wanted.parse::<u16>()) {
+            (Some((label, _)), _) => *label,
+            (None, Ok(label)) => label,
+            (None, Err(_)) => {
+                let scored =
+                    self.names.iter().map(|(_, n)| (strsim::jaro_winkler(&wanted, &normalized(n)), n));
+                let best = scored.fold(None, |best: Option<(f64, &String)>, next| match best {
+                    Some(b) if b.0 >= next.0 => Some(b),
+                    _ => Some(next),
+                });
+                return Err(LabelError::UnknownName {
+                    wanted: name_or_number.into(),
+                    suggestion: best.filter(|(score, _)| *score > 0.7).map(|(_, name)| name.clone()),
+                    available: self.available(),
+                });
+            }
+        };
+        if label == 0 || !self.labels.contains(&label) {
+            return Err(LabelError::Empty {
+                label: self.described(label),
+                n_voxels: self.labels.len(),
+                available: self.available(),
+            });
+        }
+        Ok(label)
+    }
+
+    /// The organ of a name or number, with or without the labels inside it.
+    ///
+    /// # Errors
+    /// As [`LabelMap::resolve`].
+    pub fn select(&self, name_or_number: &str, parts: Parts) -> Result<LabelSelection, LabelError> {
+        let label = self.resolve(name_or_number)?;
+        let mut labels = BTreeSet::from([label]);
+        if let (Parts::Included, Some(organ)) = (parts, self.name_of(label).map(normalized)) {
+            let listed = PARTS.iter().find(|(o, _)| *o == organ).map_or(&[][..], |(_, names)| names);
+            let prefix = format!("{organ}_");
+            let is_part = |name: &str| listed.contains(&name) || name.starts_with(&prefix);
+            labels.extend(self.names.iter().filter(|(_, name)| is_part(&normalized(name))).map(|(l, _)| *l));
+        }
+        Ok(LabelSelection { labels: labels.into_iter().collect() })
+    }
+
+    /// For each voxel whether it belongs to `selection`.
+    pub fn mask(&self, selection: &LabelSelection) -> Vec<bool> {
+        self.labels.iter().map(|label| selection.labels.binary_search(label).is_ok()).collect()
+    }
+
+    /// Volume of the voxels of `selection` [m3].
+    pub fn volume_m3(&self, selection: &LabelSelection) -> f64 {
+        mask_volume_m3(&self.grid, &self.mask(selection))
+    }
+}
+
+/// Volume of the voxels of a mask [m3].
+pub fn mask_volume_m3(grid: &VoxelGrid, mask: &[bool]) -> f64 {
+    mask.iter().filter(|&&inside| inside).count() as f64 * grid.voxel_volume_m3()
+}
+
+/// Overlap 2 |A and B| / (|A| + |B|) of two masks; 1 for two empty ones
+/// (Dice 1945, doi 10.2307/1932409).
+///
+/// # Panics
+/// Masks of different length.
+pub fn dice(a: &[bool], b: &[bool]) -> f64 {
+    assert_eq!(a.len(), b.len(), "masks of the same grid");
+    let n_both = a.iter().zip(b).filter(|&(&x, &y)| x && y).count();
+    let n_sum = a.iter().filter(|&&x| x).count() + b.iter().filter(|&&y| y).count();
+    if n_sum == 0 { 1.0 } else { 2.0 * n_both as f64 / n_sum as f64 }
+}
+
+/// Refuses a mask that reaches the border of its volume: the organ is cut off there.
+///
+/// # Errors
+/// [`LabelError::LabelTouchesBorder`] for the side with the most voxels.
+pub fn check_clear_of_border(grid: &VoxelGrid, mask: &[bool]) -> Result<(), LabelError> {
+    let mut n_on_side = [0usize; 6];
+    for (index, _) in mask.iter().enumerate().filter(|&(_, &inside)| inside) {
+        let voxel = grid.voxel(index);
+        for axis in 0..3 {
+            n_on_side[2 * axis] += usize::from(voxel[axis] == 0);
+            n_on_side[2 * axis + 1] += usize::from(voxel[axis] + 1 == grid.dims[axis]);
+        }
+    }
+    let mut worst = 0;
+    for side in 1..6 {
+        if n_on_side[side] > n_on_side[worst] {
+            worst = side;
+        }
+    }
+    if n_on_side[worst] == 0 {
+        return Ok(());
+    }
+    Err(LabelError::LabelTouchesBorder { side: side_name(grid, worst), n_voxels: n_on_side[worst] })
+}
+
+/// `k = 0 (inferior)`: a side of the volume and where it is in the patient. Side 2 a is the low end of
+/// axis a, side 2 a + 1 the high end.
+fn side_name(grid: &VoxelGrid, side: usize) -> String {
+    let (axis, high) = (side / 2, side % 2 == 1);
+    let outward: DVec3 = grid.axes.col(axis) * if high { 1.0 } else { -1.0 };
+    let size = outward.abs();
+    let (along, ends) = if size.x >= size.y && size.x >= size.z {
+        (outward.x, ["right", "left"])
+    } else if size.y >= size.z {
+        (outward.y, ["anterior", "posterior"])
+    } else {
+        (outward.z, ["inferior", "superior"])
+    };
+    let place = if high { grid.dims[axis].saturating_sub(1) } else { 0 };
+    format!("{} = {place} ({})", ["i", "j", "k"][axis], ends[usize::from(along > 0.0)])
+}

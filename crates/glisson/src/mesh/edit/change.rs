@@ -1,0 +1,232 @@
+//! What an edit did, in buffers that are used again.
+
+use crate::mesh::remap::MeshEntity;
+use crate::mesh::topology::Topology;
+use crate::mesh::{EdgeId, NodeId, TetId, TriangleId};
+
+/// New entities of one kind, each with its parents.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Additions<I> {
+    ids: Vec<I>,
+    ends: Vec<usize>,
+    parents: Vec<(I, f64)>,
+}
+
+impl<I> Default for Additions<I> {
+    fn default() -> Self {
+        Self { ids: Vec::new(), ends: Vec::new(), parents: Vec::new() }
+    }
+}
+
+impl<I: MeshEntity> Additions<I> {
+    /// Adds an entity. `parents`: older entities of the same kind with weights, of sum 1 where the data are
+    /// interpolated; none for an entity that starts from cleared data.
+    pub fn push(&mut self, id: I, parents: &[(I, f64)]) {
+        self.ids.push(id);
+        self.parents.extend_from_slice(parents);
+        self.ends.push(self.parents.len());
+    }
+
+    /// Each new entity with its parents, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = (I, &[(I, f64)])> + '_ {
+        self.ids.iter().enumerate().map(|(at, &id)| {
+            let start = if at == 0 { 0 } else { self.ends[at - 1] };
+            (id, &self.parents[start..self.ends[at]])
+        })
+    }
+
+    /// The new entities, ascending.
+    pub fn ids(&self) -> &[I] {
+        &self.ids
+    }
+
+    fn clear(&mut self) {
+        self.ids.clear();
+        self.ends.clear();
+        self.parents.clear();
+    }
+}
+
+/// What happened to the entities of one kind. Order of events: `added`, then `removed`, then `new_ids`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EntityChange<I> {
+    /// Number of entities before, dead ones included.
+    pub n_before: usize,
+    /// Number of entities afterwards, dead ones included.
+    pub n_after: usize,
+    /// Entities that are dead now, ascending: tetrahedra taken out, and what was left without a
+    /// tetrahedron. Their records in the topology can still be read.
+    pub removed: Vec<I>,
+    /// Entities that came in; their ids continue the numbering from `n_before`.
+    pub added: Additions<I>,
+    /// After a compaction: the new id of each old one, `None` for what is dropped. Else empty.
+    pub new_ids: Vec<Option<I>>,
+}
+
+impl<I> Default for EntityChange<I> {
+    fn default() -> Self {
+        Self {
+            n_before: 0,
+            n_after: 0,
+            removed: Vec::new(),
+            added: Additions::default(),
+            new_ids: Vec::new(),
+        }
+    }
+}
+
+impl<I: MeshEntity> EntityChange<I> {
+    fn clear(&mut self) {
+        self.removed.clear();
+        self.added.clear();
+        self.new_ids.clear();
+    }
+
+    fn start_with(&mut self, n: usize) {
+        self.n_before = n;
+        self.n_after = n;
+    }
+}
+
+/// What an edit may have done to the number of pieces. Exact counts: [`Topology::pieces_into`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PieceChange {
+    /// Pieces that vanished because their last tetrahedron was removed, those that the edit itself had split
+    /// off included.
+    pub n_gone: usize,
+    /// Whether a piece may have come apart. False is certain; true asks for a count.
+    pub may_have_split: bool,
+}
+
+impl PieceChange {
+    /// Whether the number of pieces is surely what it was, but for those that are gone.
+    pub fn is_settled(self) -> bool {
+        !self.may_have_split
+    }
+
+    /// One tetrahedron was removed; what it touched forms `n_groups` groups that hang together near it.
+    pub(crate) fn count_removal(&mut self, n_groups: usize) {
+        self.n_gone += usize::from(n_groups == 0);
+        self.may_have_split |= n_groups > 1;
+    }
+}
+
+/// [`PieceChange`] for both notions of a piece ([`crate::mesh::topology::Through`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PieceChanges {
+    /// Pieces held together by faces.
+    pub through_faces: PieceChange,
+    /// Pieces held together by nodes.
+    pub through_nodes: PieceChange,
+}
+
+/// What an edit did. All lists ascend; nothing that came and went within the edit is on a surface list.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TopologyChange {
+    /// The nodes.
+    pub nodes: EntityChange<NodeId>,
+    /// The edges.
+    pub edges: EntityChange<EdgeId>,
+    /// The triangles.
+    pub triangles: EntityChange<TriangleId>,
+    /// The tetrahedra.
+    pub tets: EntityChange<TetId>,
+    /// Nodes whose rest position changed.
+    pub moved_nodes: Vec<NodeId>,
+    /// Triangles that are on the surface now and were not.
+    pub surface_triangles_added: Vec<TriangleId>,
+    /// Triangles that were on the surface and are not.
+    pub surface_triangles_removed: Vec<TriangleId>,
+    /// Nodes that are on the surface now and were not.
+    pub surface_nodes_added: Vec<NodeId>,
+    /// Nodes that were on the surface and are not.
+    pub surface_nodes_removed: Vec<NodeId>,
+    /// What happened to the pieces.
+    pub pieces: PieceChanges,
+}
+
+impl TopologyChange {
+    /// An empty change with room for the removal of `n_tets` tetrahedra at once.
+    pub fn with_room_for_removals(n_tets: usize) -> Self {
+        let mut change = Self::default();
+        change.tets.removed.reserve(n_tets);
+        change.triangles.removed.reserve(4 * n_tets);
+        change.edges.removed.reserve(6 * n_tets);
+        change.nodes.removed.reserve(4 * n_tets);
+        change.surface_triangles_added.reserve(4 * n_tets);
+        change.surface_triangles_removed.reserve(4 * n_tets);
+        // A node can come to the surface and leave it with each of the tetrahedra.
+        change.surface_nodes_added.reserve(4 * n_tets);
+        change.surface_nodes_removed.reserve(4 * n_tets);
+        change
+    }
+
+    /// Whether ids changed their meaning: every stored id must go through `new_ids`.
+    pub fn is_renumbering(&self) -> bool {
+        !(self.nodes.new_ids.is_empty()
+            && self.edges.new_ids.is_empty()
+            && self.triangles.new_ids.is_empty()
+            && self.tets.new_ids.is_empty())
+    }
+
+    /// Forgets everything but the buffers.
+    pub fn clear(&mut self) {
+        self.nodes.clear();
+        self.edges.clear();
+        self.triangles.clear();
+        self.tets.clear();
+        self.moved_nodes.clear();
+        self.surface_triangles_added.clear();
+        self.surface_triangles_removed.clear();
+        self.surface_nodes_added.clear();
+        self.surface_nodes_removed.clear();
+        self.pieces = PieceChanges::default();
+    }
+
+    pub(super) fn set_counts_before(&mut self, topology: &Topology) {
+        self.nodes.start_with(topology.n_nodes());
+        self.edges.start_with(topology.n_edges());
+        self.triangles.start_with(topology.n_triangles());
+        self.tets.start_with(topology.n_tets());
+    }
+
+    pub(super) fn set_counts_after(&mut self, topology: &Topology) {
+        self.nodes.n_after = topology.n_nodes();
+        self.edges.n_after = topology.n_edges();
+        self.triangles.n_after = topology.n_triangles();
+        self.tets.n_after = topology.n_tets();
+    }
+
+    /// Sorts the lists and strikes what came and went.
+    pub(super) fn close(&mut self) {
+        self.nodes.removed.sort_unstable();
+        self.edges.removed.sort_unstable();
+        self.triangles.removed.sort_unstable();
+        self.tets.removed.sort_unstable();
+        strike_common(&mut self.surface_triangles_added, &mut self.surface_triangles_removed);
+        strike_common(&mut self.surface_nodes_added, &mut self.surface_nodes_removed);
+    }
+}
+
+/// Sorts both lists and takes what stands in both out of both, as often as it does.
+fn strike_common<I: Copy + Ord>(a: &mut Vec<I>, b: &mut Vec<I>) {
+    a.sort_unstable();
+    b.sort_unstable();
+    let (mut i, mut j, mut kept_a, mut kept_b) = (0, 0, 0, 0);
+    while i < a.len() || j < b.len() {
+        if i < a.len() && j < b.len() && a[i] == b[j] {
+            i += 1;
+            j += 1;
+        } else if j == b.len() || (i < a.len() && a[i] < b[j]) {
+            a[kept_a] = a[i];
+            kept_a += 1;
+            i += 1;
+        } else {
+            b[kept_b] = b[j];
+            kept_b += 1;
+            j += 1;
+        }
+    }
+    a.truncate(kept_a);
+    b.truncate(kept_b);
+}

@@ -1,0 +1,151 @@
+//! `cargo xtask test`: every check, in the order of how soon it can fail.
+
+use crate::{build_program, ct, program, root, run, run_in, setup};
+use anyhow::{Context, bail};
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Instant;
+
+/// How long a server may take to say where it is [s]: set-up pre-computes a liver.
+const SERVER_START_S: u64 = 120;
+
+struct Stages {
+    done: Vec<(&'static str, f64)>,
+}
+
+impl Stages {
+    fn run(&mut self, name: &'static str, stage: impl FnOnce() -> anyhow::Result<()>) -> anyhow::Result<()> {
+        println!("\n== {name}");
+        let start = Instant::now();
+        stage().with_context(|| format!("stage \"{name}\" failed"))?;
+        self.done.push((name, start.elapsed().as_secs_f64()));
+        Ok(())
+    }
+}
+
+/// Runs every check; fails at the first that does not hold.
+pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
+    let mut stages = Stages { done: Vec::new() };
+    let mut skipped = Vec::new();
+    stages.run("format", || run("cargo", &["fmt", "--all", "--check"]))?;
+    stages.run("real CT", || match ct::fetch() {
+        Ok(_) => Ok(()),
+        Err(error) if require_ct => Err(error.context("--require-ct was given")),
+        Err(error) => {
+            println!("SKIPPED the tests on the real CT: {error:#}");
+            skipped.push("real CT");
+            Ok(())
+        }
+    })?;
+    stages.run("viewer: types, lint, unit tests, build", viewer)?;
+    stages.run("lint", || {
+        run("cargo", &["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"])
+    })?;
+    stages.run("unit and integration tests", || tests(&["--workspace"]))?;
+    stages.run("documentation's examples", || run("cargo", &["test", "--doc", "--workspace", "--locked"]))?;
+    stages.run("release build", build_program)?;
+    stages.run("full-size tests", || {
+        tests(&[
+            "--release",
+            "--package",
+            "glisson-app",
+            "--features",
+            "full-size-tests",
+            "--test",
+            "full_size",
+        ])
+    })?;
+    stages.run("demo without a window", || {
+        run(&program().to_string_lossy(), &["demo", "--headless", "--out", "out/test/demo"])
+    })?;
+    stages.run("browser test", || browser(&root().join("out/test/demo/scene.toml")))?;
+    println!("\nAll stages hold:");
+    for (name, seconds) in &stages.done {
+        println!("  {seconds:7.1} s  {name}{}", if skipped.contains(name) { "  SKIPPED" } else { "" });
+    }
+    let total_s: f64 = stages.done.iter().map(|s| s.1).sum();
+    println!("  {total_s:7.1} s  in all");
+    Ok(())
+}
+
+fn viewer() -> anyhow::Result<()> {
+    setup::web_packages()?;
+    for script in ["check", "test", "build"] {
+        run_in(&root().join("web"), "npm", &["run", script])?;
+    }
+    Ok(())
+}
+
+/// Through nextest where it is installed, else through cargo's own runner.
+fn tests(arguments: &[&str]) -> anyhow::Result<()> {
+    let nextest =
+        Command::new("cargo").args(["nextest", "--version"]).output().is_ok_and(|o| o.status.success());
+    let mut all = if nextest { vec!["nextest", "run"] } else { vec!["test"] };
+    all.push("--locked");
+    all.extend(arguments);
+    if !nextest && !arguments.contains(&"--test") {
+        all.push("--all-targets");
+    }
+    run("cargo", &all)
+}
+
+/// A running `glisson serve`; stopped when dropped.
+struct Server {
+    process: Child,
+    address: String,
+}
+
+impl Server {
+    fn start(scene: &Path) -> anyhow::Result<Self> {
+        let mut process = Command::new(program())
+            .args(["serve", "--port", "0", "--no-open"])
+            .arg(scene)
+            .current_dir(root())
+            .stdout(Stdio::piped())
+            .spawn()
+            .context("cannot start glisson serve")?;
+        let out = process.stdout.take().expect("its output is piped");
+        let (tell, told) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(out).lines().map_while(Result::ok) {
+                println!("  serve: {line}");
+                if let Some(at) = line.find("http://") {
+                    let address = line[at..].split_whitespace().next().unwrap_or("").to_string();
+                    // Nobody listens any more once the address was taken or waiting for it ended.
+                    let _ = tell.send(address);
+                }
+            }
+        });
+        let address = told.recv_timeout(std::time::Duration::from_secs(SERVER_START_S));
+        let mut server = Self { process, address: String::new() };
+        match address {
+            Ok(address) => server.address = address,
+            Err(_) => bail!("glisson serve did not tell its address within {SERVER_START_S} s"),
+        }
+        Ok(server)
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+fn browser(scene: &Path) -> anyhow::Result<()> {
+    let chromium = setup::chromium()?;
+    let server = Server::start(scene)?;
+    println!("$ npm run test:browser (GLISSON_URL={})", server.address);
+    let status = Command::new("npm")
+        .args(["run", "test:browser"])
+        .current_dir(root().join("web"))
+        .env("GLISSON_URL", &server.address)
+        .env("GLISSON_CHROMIUM", chromium)
+        .status()
+        .context("cannot start npm")?;
+    anyhow::ensure!(status.success(), "the browser test failed ({status})");
+    Ok(())
+}

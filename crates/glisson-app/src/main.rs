@@ -4,6 +4,7 @@
 #![allow(clippy::print_stdout, reason = "a command-line program answers on standard output")]
 
 mod commands;
+mod bench;
 #[allow(dead_code, unused_imports, reason = "what no command draws yet is still tested")]
 mod picture;
 #[allow(dead_code, reason = "what no command draws yet is still tested")]

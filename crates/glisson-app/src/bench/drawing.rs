@@ -24,8 +24,10 @@ fn picture(settings: Settings) -> anyhow::Result<Prepared> {
         triangles: surface.triangles,
         look: Look::Liver,
     };
-    let camera =
-        Camera { up: DVec3::Z, ..Camera::framing(bounds_of(std::slice::from_ref(&organ)), SIZE, View::default()) };
+    let camera = Camera {
+        up: DVec3::Z,
+        ..Camera::framing(bounds_of(std::slice::from_ref(&organ)), SIZE, View::default())
+    };
     let scene = PictureScene {
         surfaces: vec![organ],
         instruments: Vec::new(),

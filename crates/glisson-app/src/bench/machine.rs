@@ -14,7 +14,7 @@ use super::timing::thread_cpu_ns;
 
 /// Independent chains of multiply-adds, and accumulators of the reading loop.
 const N_FMA_CHAINS: usize = 12;
-const N_SUMS: usize = 8;
+const N_SUMS: usize = 16;
 /// Multiply-adds of one chain in one timed run: about 20 microseconds.
 const FMA_ROUNDS: usize = 16_384;
 /// Cache sizes where the system does not tell.
@@ -112,9 +112,9 @@ impl Machine {
         let largest = wanted[3].min(budget.max_array_bytes);
         let n_values = (largest + CACHE_LINE_BYTES) / size_of::<f64>();
         let mut values: Vec<f64> = Vec::new();
-        values.try_reserve_exact(n_values).with_context(|| {
-            format!("no {} MB of memory for the array that measures DRAM", largest >> 20)
-        })?;
+        values
+            .try_reserve_exact(n_values)
+            .with_context(|| format!("no {} MB of memory for the array that measures DRAM", largest >> 20))?;
         values.resize(n_values, 1.0);
         // Loads that straddle cache lines would halve the rate of the first level.
         let start = values.as_ptr().align_offset(CACHE_LINE_BYTES).min(CACHE_LINE_BYTES / size_of::<f64>());
@@ -122,9 +122,7 @@ impl Machine {
             let array = &values[start..start + bytes.min(largest) / size_of::<f64>()];
             let repeats = (READ_RUN_BYTES / size_of_val(array).max(1)).max(1);
             let ns = best_ns(budget.seconds, &mut || {
-                for _ in 0..repeats {
-                    black_box(dispatch!(level, simd => sum(simd, black_box(array))));
-                }
+                black_box(dispatch!(level, simd => sum(simd, black_box(array), repeats)));
             });
             (repeats * size_of_val(array)) as f64 / ns
         };
@@ -238,14 +236,16 @@ fn fma_f32<S: Simd>(simd: S, rounds: usize) -> f32 {
     chains.iter().map(|chain| chain.as_slice()[0]).sum()
 }
 
-/// Sum of an array; a rest shorter than a round of the loop is left out.
+/// Sum of an array, read `repeats` times; a rest shorter than a round of the loop is left out.
 #[inline(always)]
-fn sum<S: Simd>(simd: S, values: &[f64]) -> f64 {
+fn sum<S: Simd>(simd: S, values: &[f64], repeats: usize) -> f64 {
     let lanes = S::f64s::LEN;
     let mut sums = [S::f64s::splat(simd, 0.0); N_SUMS];
-    for round in values.chunks_exact(N_SUMS * lanes) {
-        for (sum, part) in sums.iter_mut().zip(round.chunks_exact(lanes)) {
-            *sum = *sum + S::f64s::from_slice(simd, part);
+    for _ in 0..repeats {
+        for round in black_box(values).chunks_exact(N_SUMS * lanes) {
+            for (sum, part) in sums.iter_mut().zip(round.chunks_exact(lanes)) {
+                *sum += S::f64s::from_slice(simd, part);
+            }
         }
     }
     sums.iter().flat_map(|sum| sum.as_slice()).sum()
@@ -307,8 +307,8 @@ mod tests {
     #[test]
     fn the_reading_loop_reads_everything() {
         let values: Vec<f64> = (0..4096).map(f64::from).collect();
-        let total = dispatch!(Level::new(), simd => sum(simd, &values));
-        assert_eq!(total, 4095.0 * 4096.0 / 2.0);
+        let total = dispatch!(Level::new(), simd => sum(simd, &values, 3));
+        assert_eq!(total, 3.0 * 4095.0 * 4096.0 / 2.0);
     }
 
     #[test]

@@ -6,6 +6,7 @@
 mod machine;
 mod timing;
 mod body;
+mod meshing;
 mod contact;
 mod drawing;
 
@@ -70,7 +71,7 @@ pub(crate) struct Case {
 
 /// Every case, in the order in which they run.
 pub(crate) fn cases() -> Vec<Case> {
-    [contact::CASES, drawing::CASES].concat()
+    [meshing::CASES, contact::CASES, drawing::CASES].concat()
 }
 
 /// What to measure.
@@ -154,10 +155,7 @@ pub(crate) fn chosen(name: Option<&str>) -> anyhow::Result<Vec<Case>> {
 ///
 /// # Errors
 /// For an unknown name or a bad setting, or when a case cannot be set up.
-pub(crate) fn measure(
-    request: &Request,
-    tell: &dyn Fn(&str, usize, usize, usize),
-) -> anyhow::Result<Report> {
+pub(crate) fn measure(request: &Request, tell: &dyn Fn(&str, usize, usize, usize)) -> anyhow::Result<Report> {
     let cases = chosen(request.name.as_deref())?;
     ensure!(
         request.seconds > 0.0 && request.seconds.is_finite(),

@@ -5,7 +5,14 @@ const server = process.env.GLISSON_URL ?? "http://127.0.0.1:8080";
 
 export default defineConfig({
   base: "./",
-  build: { outDir: "dist", emptyOutDir: true, target: "es2022", chunkSizeWarningLimit: 900 },
+  build: {
+    outDir: "dist",
+    emptyOutDir: true,
+    target: "es2022",
+    chunkSizeWarningLimit: 900,
+    // The notices that the bundled packages ask for.
+    license: { fileName: "licenses.md" },
+  },
   server: {
     proxy: {
       "/ws": { target: server.replace(/^http/, "ws"), ws: true },

@@ -3,8 +3,14 @@
  * be changed through it. Lengths in metres, pixels are CSS pixels of the page.
  */
 import type { ConnectionState } from "./connection";
-import type { PanelValues } from "./panel";
+import { Vector3 } from "three";
+import type { Help, Messages } from "./overlays";
+import { SURFACE_STYLES } from "./organ";
+import type { Panel, PanelValues } from "./panel";
+import type { Profile } from "./profiler";
 import type { Hello, SnapshotHeader } from "./protocol";
+import type { Scene3d } from "./scene3d";
+import type { ToolDriver } from "./tool_driver";
 
 export interface ViewerHook {
   readonly hello: Hello | null;
@@ -64,4 +70,88 @@ declare global {
   interface Window {
     readonly glisson?: ViewerHook;
   }
+}
+
+/** What of the viewer the hook reads. */
+export interface ViewerParts {
+  readonly scene: Scene3d;
+  readonly panel: Panel;
+  readonly messages: Messages;
+  readonly help: Help;
+  readonly tool: ToolDriver;
+  readonly profile: Profile;
+  readonly hello: Hello | null;
+  readonly header: SnapshotHeader | null;
+  readonly pickedVertex: number | null;
+  readonly state: ConnectionState;
+  readonly shown: Omit<ViewerHook["view"], "style" | "help" | "azimuth_rad" | "elevation_rad" | "distance_m" | "target_m"> & {
+    readonly style: number;
+  };
+  readonly counters: ViewerHook["counters"];
+}
+
+const triple = (v: Vector3): readonly [number, number, number] => [v.x, v.y, v.z];
+
+/** The hook of a viewer whose parts `parts` gives, read anew at every access. */
+export function viewerHook(parts: () => ViewerParts): ViewerHook {
+  const organ = () => parts().scene.organs.get(0) ?? null;
+  const box = () => parts().scene.canvas.getBoundingClientRect();
+  return Object.freeze({
+    get hello() {
+      return structuredClone(parts().hello);
+    },
+    get header() {
+      return structuredClone(parts().header);
+    },
+    get positions() {
+      return organ()?.positions_m.slice() ?? null;
+    },
+    get restPositions() {
+      return organ()?.topology.rest_m.slice() ?? null;
+    },
+    get nodeIds() {
+      return organ()?.topology.nodeIds.slice() ?? null;
+    },
+    get triangles() {
+      return organ()?.topology.triangles.slice() ?? null;
+    },
+    get pickedVertex() {
+      return parts().pickedVertex;
+    },
+    get tool() {
+      const { active, pushing, settled, pose } = parts().tool;
+      return { active, pushing, settled, sentTip: pose === null ? null : triple(pose.tip_m) };
+    },
+    get panel() {
+      return parts().panel.values();
+    },
+    get view() {
+      const { shown, help, scene } = parts();
+      const { azimuth_rad, elevation_rad, distance_m, target_m } = scene.orbit;
+      const camera = { azimuth_rad, elevation_rad, distance_m, target_m: triple(target_m) };
+      return { ...shown, ...camera, style: SURFACE_STYLES[shown.style], help: help.open };
+    },
+    get connection() {
+      return parts().state;
+    },
+    get messages() {
+      return parts().messages.texts();
+    },
+    get counters() {
+      return { ...parts().counters };
+    },
+    get frameWork_ms() {
+      return parts().profile.summary(performance.now()).work_ms;
+    },
+    project(vertex: number): [number, number] | null {
+      const positions = organ()?.positions_m;
+      if (positions === undefined || !(vertex >= 0 && 3 * vertex + 2 < positions.length)) return null;
+      const [x, y] = parts().scene.project(new Vector3().fromArray(positions, 3 * vertex));
+      return [x + box().left, y + box().top];
+    },
+    vertexAt(x: number, y: number): number | null {
+      const pick = parts().scene.pick(x - box().left, y - box().top);
+      return pick === null || pick.organ !== 0 ? null : pick.vertex;
+    },
+  });
 }

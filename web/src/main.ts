@@ -1,28 +1,12 @@
 /** Starts the viewer on the page, or says on the page why it cannot. */
-import "./hook";
 import "./style.css";
-import { Viewer, type Page } from "./viewer";
-
-function part<T extends HTMLElement>(id: string): T {
-  const node = document.getElementById(id);
-  if (node === null) throw new Error(`index.html has no element "${id}"`);
-  return node as T;
-}
+import { viewerHook } from "./hook";
+import { findPage } from "./page";
+import { Viewer } from "./viewer";
 
 try {
-  const page: Page = {
-    scene: part("scene"),
-    orientation: part("orientation"),
-    panel: part("panel"),
-    link: part("link"),
-    banner: part("banner"),
-    messages: part("messages"),
-    profiler: part("profiler"),
-    toolbar: part("toolbar"),
-    hint: part("hint"),
-  };
-  const viewer = new Viewer(page);
-  Object.defineProperty(window, "glisson", { value: viewer.hook(), writable: false, configurable: false });
+  const viewer = new Viewer(findPage());
+  Object.defineProperty(window, "glisson", { value: viewerHook(() => viewer.parts()) });
 } catch (error) {
   console.error(error);
   const reason = error instanceof Error ? error.message : String(error);

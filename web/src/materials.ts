@@ -9,35 +9,50 @@
  */
 import { Color, ShaderMaterial, Vector3, type Texture } from "three";
 
+type Triple = readonly [number, number, number];
+const glsl = (v: Vector3): string => `vec3(${v.toArray().map((x) => x.toFixed(5)).join(", ")})`;
+
+/** A call of `softBox` for a box seen in direction `centre` (view space: +x right, +y up, +z to the viewer). */
+function softBox(centre: Triple, halfSize: readonly [number, number]): string {
+  const c = new Vector3(...centre).normalize();
+  const right = new Vector3(0, 1, 0).cross(c).normalize();
+  const up = c.clone().cross(right);
+  return `softBox(d, ${glsl(c)}, ${glsl(right)}, ${glsl(up)}, vec2(${halfSize.map((x) => x.toFixed(3)).join(", ")}), w)`;
+}
+
+const KEY: Triple = [-0.404, 0.687, 0.604];
+const FILL: Triple = [0.857, 0.214, 0.469];
+const BACK: Triple = [0.12, 0.6, -0.79];
+
 const STUDIO = /* glsl */ `
-// A rectangular soft box seen in direction d (view space: +x right, +y up, +z to the viewer), edge softness w.
-float softBox(vec3 d, vec3 centre, vec2 halfSize, float w) {
+// A rectangular soft box seen in direction d, edge softness w.
+float softBox(vec3 d, vec3 centre, vec3 right, vec3 up, vec2 halfSize, float w) {
   float facing = dot(d, centre);
-  vec3 right = normalize(cross(vec3(0.0, 1.0, 0.0), centre));
-  vec3 up = cross(centre, right);
   vec2 p = abs(vec2(dot(d, right), dot(d, up))) / max(facing, 0.05) - halfSize;
-  vec2 inside = 1.0 - smoothstep(vec2(-w), vec2(w), p);
-  return inside.x * inside.y * smoothstep(0.0, 0.2, facing);
+  vec2 inside = clamp(0.5 - 0.5 * p / w, 0.0, 1.0);
+  inside = inside * inside * (3.0 - 2.0 * inside);
+  return inside.x * inside.y * clamp(5.0 * facing, 0.0, 1.0);
 }
 vec3 studioReflection(vec3 d, float w) {
-  vec3 light = mix(vec3(0.030, 0.028, 0.030), vec3(0.16, 0.19, 0.23), smoothstep(-0.7, 0.9, d.y));
-  light += vec3(4.6, 4.4, 4.1) * softBox(d, vec3(-0.404, 0.687, 0.604), vec2(0.34, 0.20), w);
-  light += vec3(1.5, 1.7, 2.1) * softBox(d, vec3(0.857, 0.214, 0.469), vec2(0.12, 0.62), w);
-  light += vec3(1.3, 1.2, 1.2) * softBox(d, vec3(0.120, 0.600, -0.791), vec2(0.8, 0.18), w);
+  vec3 light = mix(vec3(0.030, 0.028, 0.030), vec3(0.16, 0.19, 0.23), clamp(0.45 + 0.6 * d.y, 0.0, 1.0));
+  light += vec3(4.6, 4.4, 4.1) * ${softBox(KEY, [0.34, 0.2])};
+  light += vec3(1.5, 1.7, 2.1) * ${softBox(FILL, [0.12, 0.62])};
+  light += vec3(0.5, 0.5, 0.55) * ${softBox(BACK, [0.8, 0.18])};
   return light;
 }
 vec3 studioDiffuse(vec3 n, vec3 wrap) {
-  vec3 sky = mix(vec3(0.10, 0.085, 0.085), vec3(0.34, 0.37, 0.42), 0.5 + 0.5 * n.y);
+  vec3 sky = mix(vec3(0.10, 0.085, 0.085), vec3(0.30, 0.33, 0.38), 0.5 + 0.5 * n.y);
   float key = dot(n, vec3(-0.404, 0.687, 0.604));
   float fill = dot(n, vec3(0.857, 0.214, 0.469));
   vec3 keyLight = max((vec3(key) + wrap) / (1.0 + wrap), 0.0);
   vec3 fillLight = max((vec3(fill) + wrap) / (1.0 + wrap), 0.0);
   return sky + vec3(1.75, 1.70, 1.60) * keyLight + vec3(0.26, 0.31, 0.40) * fillLight;
 }
-float schlick(float f0, float cosine) {
+// f90: at grazing angles, 1 for a smooth surface and less for a rough one.
+float schlick(float f0, float f90, float cosine) {
   float m = 1.0 - cosine;
   float m2 = m * m;
-  return f0 + (1.0 - f0) * m2 * m2 * m;
+  return f0 + (f90 - f0) * m2 * m2 * m;
 }
 `;
 
@@ -102,22 +117,23 @@ void main() {
   vec3 v = normalize(cameraPosition - vWorld);
   v = (viewMatrix * vec4(v, 0.0)).xyz;
   float facing = clamp(dot(broad, v), 0.0, 1.0);
+  float rim = 1.0 - facing;
 
   float patches = clamp(0.62 * vTone + 0.38 * detail.a, 0.0, 1.0);
-  vec3 albedo = mix(vec3(0.115, 0.021, 0.017), vec3(0.285, 0.066, 0.044), smoothstep(0.22, 0.80, patches));
+  vec3 albedo = mix(vec3(0.054, 0.0125, 0.0105), vec3(0.128, 0.0315, 0.0225), smoothstep(0.12, 0.88, patches));
   albedo *= 0.80 + 0.40 * detail.b;
   float open = shade(vWorld, smoothNormal);
 
   vec3 light = studioDiffuse(broad, vec3(0.42, 0.20, 0.17));
   vec3 colour = albedo * light * open;
   // Light that comes back through the thin rim of the tissue.
-  colour += vec3(0.17, 0.022, 0.016) * pow(1.0 - facing, 2.5) * open;
+  colour += vec3(0.040, 0.005, 0.0035) * rim * rim * open;
 
   vec3 film = studioReflection(reflect(-v, n), 0.10);
   vec3 capsule = studioReflection(reflect(-v, broad), 0.42);
-  colour += film * schlick(0.030, clamp(dot(n, v), 0.0, 1.0)) * mix(0.75, 1.15, detail.a) * open;
-  colour += capsule * schlick(0.022, facing) * vec3(0.85, 0.88, 0.95) * 0.55 * open;
-  colour += vec3(0.34, 0.37, 0.43) * pow(1.0 - facing, 4.0) * 0.28 * open;
+  colour += film * schlick(0.030, 0.6, clamp(dot(n, v), 0.0, 1.0)) * mix(0.75, 1.15, detail.a) * open;
+  colour += capsule * schlick(0.022, 0.35, facing) * vec3(0.85, 0.88, 0.95) * 0.45 * open;
+  colour += vec3(0.34, 0.37, 0.43) * rim * rim * rim * rim * 0.16 * clamp(0.35 + 0.65 * broad.y, 0.0, 1.0) * open;
 
   gl_FragColor = vec4(colour, 1.0);
   #include <tonemapping_fragment>
@@ -156,15 +172,18 @@ void main() {
   float soft = softness;
   if (bandSpacing > 0.0 && vLocal.z > 0.5 * bandSpacing) {
     // Depth marks on the shaft, one each bandSpacing.
-    float along = abs(fract(vLocal.z / bandSpacing + 0.5) - 0.5) * bandSpacing;
-    float mark = 1.0 - smoothstep(0.00045, 0.00075, along);
+    float place = vLocal.z / bandSpacing;
+    float along = abs(fract(place + 0.5) - 0.5) * bandSpacing;
+    // Each fifth mark is broader.
+    float broader = step(abs(fract(place / 5.0 + 0.5) - 0.5) * 5.0, 0.5);
+    float mark = 1.0 - smoothstep(0.0, 0.0002, along - 0.00025 - 0.0007 * broader);
     tint *= 1.0 - 0.82 * mark;
     soft += 0.25 * mark;
   }
   vec3 mirror = studioReflection(reflect(-v, n), soft);
   vec3 diffuse = tint * studioDiffuse(n, vec3(0.1));
-  vec3 polished = mirror * mix(tint, vec3(1.0), schlick(0.0, facing)) + 0.16 * diffuse;
-  vec3 matte = diffuse + mirror * schlick(0.04, facing);
+  vec3 polished = mirror * mix(tint, vec3(1.0), schlick(0.0, 0.5, facing)) + 0.16 * diffuse;
+  vec3 matte = diffuse + mirror * schlick(0.04, 1.0, facing);
   gl_FragColor = vec4(mix(matte, polished, metal) + glow * tint, 1.0);
   #include <tonemapping_fragment>
   #include <colorspace_fragment>

@@ -96,18 +96,21 @@ export class Organ {
     return this.fixed.geometry.index?.count ?? 0;
   }
 
-  /** Shows a snapshot. @throws ProtocolError if it has another number of vertices than the topology. */
-  show(snapshot: Snapshot): void {
+  /** Shows a snapshot; false if it is what is shown already. @throws ProtocolError if it has another number of vertices than the topology. */
+  show(snapshot: Snapshot): boolean {
     if (snapshot.positions_m.length !== this.positions_m.length) {
       throw new ProtocolError(
         `snapshot of step ${snapshot.header.step} has ${snapshot.positions_m.length / 3} vertices, ` +
           `its topology ${this.nVertices}`,
       );
     }
+    const { positions_m } = snapshot;
+    if (this.positions_m.every((x, i) => x === positions_m[i])) return false;
     this.positions_m.set(snapshot.positions_m);
     vertexNormalsInto(this.positions_m, this.topology.triangles, this.normals);
     this.position.needsUpdate = true;
     this.normal.needsUpdate = true;
+    return true;
   }
 
   setStyle(style: SurfaceStyle): void {

@@ -1,6 +1,7 @@
-/** What lies over the picture: help page, profiler, messages, connection banner, buttons. */
+/** What lies over the picture: help page, messages, connection banner, buttons; and saving a file. */
 import type { ConnectionState } from "./connection";
 import { BINDINGS, type Action } from "./keys";
+import type { Page } from "./page";
 
 function element(name: string, className: string, text = ""): HTMLElement {
   const node = document.createElement(name);
@@ -99,10 +100,12 @@ export class Messages {
   }
 }
 
-export function connectionText(state: ConnectionState, attempt: number): string {
-  if (state === "open") return "connected";
-  if (state === "connecting") return "connecting…";
-  return `Connection to the simulator lost. Trying again (${attempt})…`;
+/** The connection's state: a lamp in the panel, and a banner when it is lost. */
+export function showConnection(page: Pick<Page, "link" | "banner">, state: ConnectionState, attempt: number): void {
+  page.link.textContent = { connecting: "connecting…", open: "connected", lost: "disconnected" }[state];
+  page.link.dataset.state = state;
+  page.banner.hidden = state !== "lost";
+  page.banner.textContent = `Connection to the simulator lost. Trying again (${attempt})…`;
 }
 
 interface ButtonSpec {
@@ -113,7 +116,7 @@ interface ButtonSpec {
 
 const button = (action: Action, label: string, key: string): ButtonSpec => ({ action, label, key });
 const BUTTONS: ReadonlyArray<readonly ButtonSpec[]> = [
-  [button("pause", "Pause", "␣"), button("single_step", "Step", "→"), button("reset_simulation", "Reset organ", "⇧R")],
+  [button("pause", "Pause", "␣"), button("single_step", "Step", "→"), button("reset_simulation", "Reset", "⇧R")],
   [
     button("reset_view", "View", "R"),
     button("wireframe", "Edges", "W"),
@@ -155,4 +158,13 @@ export class Toolbar {
     const text = node.querySelector(".button-label");
     if (label !== undefined && text !== null && text.textContent !== label) text.textContent = label;
   }
+}
+
+/** Offers `content` as a file to save. */
+export function download(content: Blob, name: string): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(content);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }

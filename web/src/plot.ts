@@ -12,12 +12,14 @@ export interface Sample {
 /** Samples of the last {@link PLOT_SPAN_S}; time that runs backwards (a reset) begins anew. */
 export class ForceHistory {
   private samples: Sample[] = [];
+  private largest_n = 0;
 
   add(sample: Sample): void {
     const last = this.samples.at(-1);
-    if (last !== undefined && sample.time_s < last.time_s) this.samples = [];
+    if (last !== undefined && sample.time_s < last.time_s) this.clear();
     if (last !== undefined && sample.time_s === last.time_s) this.samples.pop();
     this.samples.push(sample);
+    this.largest_n = Math.max(this.largest_n, sample.force_n);
     const oldest = sample.time_s - PLOT_SPAN_S;
     let drop = Math.max(0, this.samples.length - MAX_SAMPLES);
     // One sample before the window stays, so that the line reaches the plot's edge.
@@ -27,20 +29,22 @@ export class ForceHistory {
 
   clear(): void {
     this.samples = [];
+    this.largest_n = 0;
   }
 
   all(): readonly Sample[] {
     return this.samples;
   }
 
-  largest_n(): number {
-    return this.samples.reduce((max, s) => Math.max(max, s.force_n), 0);
+  /** Largest force since the start or the last reset, also when it has left the plot [N]. */
+  get peak_n(): number {
+    return this.largest_n;
   }
 }
 
-/** The smallest of 1, 2, 5 times a power of ten that is at least `value`; 0.001 for values below it. */
+/** The smallest of 1, 2, 5 times a power of ten that is at least `value`; 0.01 for values below it. */
 export function niceCeiling(value: number): number {
-  const floor = 0.001;
+  const floor = 0.01;
   if (!(value > floor)) return floor;
   const power = Math.pow(10, Math.floor(Math.log10(value)));
   for (const factor of [1, 2, 5, 10]) {
@@ -78,10 +82,13 @@ export function plotScale(samples: readonly Sample[], area: PlotArea): PlotScale
   };
 }
 
-/** Length of the force arrow for a newton [m/N]: 1, 2 or 5 times a power of ten, the largest force at most 6 cm long. */
+/**
+ * Length of the force arrow for a newton [m/N]: 1, 2 or 5 times a power of ten, such that the largest force so far is at
+ * most 6 cm long; at most 10 cm for a newton.
+ */
 export function arrowScale_m_per_n(largest_n: number): number {
   const longest_m = 0.06;
-  const wanted = longest_m / Math.max(largest_n, 0.05);
+  const wanted = longest_m / Math.max(largest_n, 0.6);
   const power = Math.pow(10, Math.floor(Math.log10(wanted)));
   const factor = [5, 2, 1].find((f) => f * power <= wanted * (1 + 1e-12)) ?? 1;
   return factor * power;

@@ -16,7 +16,8 @@ import { organMaterial } from "./materials";
 import { tissueTexture } from "./noise";
 import { cameraPosition, FIELD_OF_VIEW_DEG, orbitThatShows, viewAxes, type Orbit } from "./orbit";
 import { Organ, type SurfaceStyle } from "./organ";
-import type { Hello, Snapshot, Topology } from "./protocol";
+import { REST_RATIO } from "./resolution";
+import type { Hello, Snapshot, SnapshotHeader, Topology } from "./protocol";
 
 export interface OrganPick extends Pick {
   readonly organ: number;
@@ -28,10 +29,12 @@ const LARGEST_PIXEL_RATIO = 2;
 export const BACKGROUND = { centre: "#1d2832", edge: "#080b0f" };
 
 /** True if WebGL is drawn by the processor (SwiftShader, llvmpipe, the basic Windows adapter). */
-function drawsInSoftware(renderer: WebGLRenderer): boolean {
-  const gl = renderer.getContext();
+function drawsInSoftware(): boolean {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (gl === null) throw new Error("the browser gives no WebGL 2");
   const info = gl.getExtension("WEBGL_debug_renderer_info");
   const name = String(gl.getParameter(info === null ? gl.RENDERER : info.UNMASKED_RENDERER_WEBGL));
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
   return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }
 
@@ -47,11 +50,18 @@ export class Scene3d {
   private hello: Hello | null = null;
   private style: SurfaceStyle = "surface";
   private fixedShown = false;
+  private covered_px = 0;
 
   /** @throws Error if the browser gives no WebGL 2. */
   constructor(readonly canvas: HTMLCanvasElement) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "high-performance" });
-    this.software = drawsInSoftware(this.renderer);
+    this.software = drawsInSoftware();
+    // In software, multisampling doubles the cost of each frame; there the picture is drawn finer once it rests.
+    this.renderer = new WebGLRenderer({
+      canvas,
+      antialias: !this.software,
+      alpha: true,
+      powerPreference: "high-performance",
+    });
     this.renderer.toneMapping = ACESFilmicToneMapping;
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
@@ -70,11 +80,20 @@ export class Scene3d {
   }
 
   resize(): void {
-    const ratio = this.software ? 1 : Math.min(window.devicePixelRatio, LARGEST_PIXEL_RATIO);
-    this.renderer.setPixelRatio(ratio);
+    this.renderer.setPixelRatio(this.software ? 1 : Math.min(window.devicePixelRatio, LARGEST_PIXEL_RATIO));
     this.renderer.setSize(this.width, this.height, false);
     this.camera.aspect = this.width / this.height;
     this.placeCamera();
+  }
+
+  /** The panel covers `covered_px` at the left: the organ is centred in what is free. */
+  setCovered(covered_px: number): void {
+    this.covered_px = Math.min(covered_px, 0.6 * this.width);
+  }
+
+  /** Middle of the free part of the canvas [CSS pixels]. */
+  middle(): [number, number] {
+    return [(this.width + this.covered_px) / 2, this.height / 2];
   }
 
   setOrbit(orbit: Orbit): void {
@@ -85,7 +104,8 @@ export class Scene3d {
   resetView(): void {
     const bounds = this.hello?.bounds;
     if (bounds === undefined) return;
-    this.setOrbit(orbitThatShows(new Vector3(...bounds.min_m), new Vector3(...bounds.max_m), this.camera.aspect));
+    const aspect = (this.width - this.covered_px) / this.height;
+    this.setOrbit(orbitThatShows(new Vector3(...bounds.min_m), new Vector3(...bounds.max_m), aspect));
   }
 
   private placeCamera(): void {
@@ -93,7 +113,8 @@ export class Scene3d {
     this.camera.lookAt(this.orbit.target_m);
     this.camera.near = Math.max(0.004, 0.02 * this.orbit.distance_m);
     this.camera.far = this.orbit.distance_m + 3;
-    this.camera.updateProjectionMatrix();
+    // Calls updateProjectionMatrix.
+    this.camera.setViewOffset(this.width, this.height, -this.covered_px / 2, 0, this.width, this.height);
     this.camera.updateMatrixWorld();
   }
 
@@ -131,14 +152,16 @@ export class Scene3d {
     this.scene.add(organ.group);
   }
 
-  /** Shows a snapshot; false if it belongs to another topology than the one shown. @throws ProtocolError */
-  show(snapshot: Snapshot): boolean {
+  /** Takes over a snapshot: whether it changed the organ, or belongs to another topology. @throws ProtocolError */
+  show(snapshot: Snapshot): "changed" | "same" | "other_topology" {
     const organ = this.organs.get(snapshot.header.organ);
-    if (organ === undefined || organ.topology.version !== snapshot.header.version) return false;
-    organ.show(snapshot);
-    this.instrument?.show(snapshot.header);
+    if (organ === undefined || organ.topology.version !== snapshot.header.version) return "other_topology";
+    return organ.show(snapshot) ? "changed" : "same";
+  }
+
+  showTool(header: SnapshotHeader): void {
+    this.instrument?.show(header);
     this.shadeByTool();
-    return true;
   }
 
   private shadeByTool(): void {
@@ -185,13 +208,18 @@ export class Scene3d {
     return viewAxes(this.orbit);
   }
 
-  render(): void {
+  /** Draws; when the processor draws, with `softwareRatio` pixels to a CSS pixel. */
+  render(softwareRatio: number): void {
+    if (this.software && this.renderer.getPixelRatio() !== softwareRatio) {
+      this.renderer.setPixelRatio(softwareRatio);
+      this.renderer.setSize(this.width, this.height, false);
+    }
     this.renderer.render(this.scene, this.camera);
   }
 
   /** The picture as PNG: background, scene, and `overlay` in its lower right corner. */
   async picture(overlay: HTMLCanvasElement): Promise<Blob> {
-    this.render();
+    this.render(REST_RATIO);
     const copy = document.createElement("canvas");
     copy.width = this.canvas.width;
     copy.height = this.canvas.height;
@@ -204,7 +232,9 @@ export class Scene3d {
     context.fillStyle = back;
     context.fillRect(0, 0, width, height);
     context.drawImage(this.canvas, 0, 0);
-    context.drawImage(overlay, width - overlay.width, height - overlay.height);
+    const scale = width / this.width;
+    const [w, h] = [overlay.clientWidth * scale, overlay.clientHeight * scale];
+    context.drawImage(overlay, width - w, height - h, w, h);
     return new Promise((resolve, reject) =>
       copy.toBlob((blob) => (blob === null ? reject(new Error("the picture could not be written")) : resolve(blob)), "image/png"),
     );

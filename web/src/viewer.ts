@@ -2,32 +2,21 @@
 import { Vector3 } from "three";
 import { Connection, socketAddress, type ConnectionState } from "./connection";
 import { Controls } from "./controls";
-import type { ToolPose } from "./drag";
-import type { ViewerHook } from "./hook";
+import type { PushStart, ToolPose } from "./drag";
+import type { ViewerParts } from "./hook";
 import { actionOf, toolDirection, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
-import { panned, turned, zoomed } from "./orbit";
+import { panned, turned, zoomed, type Orbit } from "./orbit";
 import { drawOrientation } from "./orientation";
 import { SURFACE_STYLES } from "./organ";
-import { connectionText, Help, Messages, Toolbar } from "./overlays";
+import { download, Help, Messages, showConnection, Toolbar } from "./overlays";
+import type { Page } from "./page";
 import { lengthOf, Panel, panelValues } from "./panel";
 import { arrowScale_m_per_n, drawPlot, ForceHistory } from "./plot";
 import { Profile, profilerText } from "./profiler";
 import { ProtocolError, type Hello, type Snapshot, type SnapshotHeader, type Topology, type Vec3 } from "./protocol";
+import { Resolution, REST_AFTER_MS, REST_RATIO } from "./resolution";
 import { Scene3d } from "./scene3d";
 import { ToolDriver } from "./tool_driver";
-
-/** The page's fixed parts (index.html). */
-export interface Page {
-  readonly scene: HTMLCanvasElement;
-  readonly orientation: HTMLCanvasElement;
-  readonly panel: HTMLElement;
-  readonly link: HTMLElement;
-  readonly banner: HTMLElement;
-  readonly messages: HTMLElement;
-  readonly profiler: HTMLElement;
-  readonly toolbar: HTMLElement;
-  readonly hint: HTMLElement;
-}
 
 const vec3 = (v: Vector3): Vec3 => [v.x, v.y, v.z];
 
@@ -46,10 +35,14 @@ export class Viewer {
   private hello: Hello | null = null;
   private waiting = new Map<number, Snapshot>();
   private header: SnapshotHeader | null = null;
-  private peak_n = 0;
   private pickedVertex: number | null = null;
   private state: ConnectionState = "connecting";
+  /** The camera or the page's size changed. */
   private viewChanged = true;
+  /** The three-dimensional picture is not what should be shown. */
+  private sceneChanged = true;
+  private readonly resolution = new Resolution();
+  private restTimer: ReturnType<typeof setTimeout> | undefined;
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
   private readonly shown = { style: 0, contacts: true, forces: true, fixedNodes: false, profiler: false };
@@ -90,11 +83,8 @@ export class Viewer {
     window.addEventListener("keydown", (event) => this.key(event));
     window.addEventListener("error", (event) => this.messages.error(`Error in the page: ${event.message}`));
     window.addEventListener("unhandledrejection", (event) => this.messages.error(`Error in the page: ${event.reason}`));
-    new ResizeObserver(() => {
-      this.scene.resize();
-      this.viewChanged = true;
-      this.invalidate();
-    }).observe(page.scene);
+    new ResizeObserver(() => this.resize()).observe(page.scene);
+    this.resize();
     page.scene.addEventListener("webglcontextlost", () => this.messages.error("The graphics were lost; reload the page."));
 
     this.connection = new Connection(socketAddress(window.location.href), {
@@ -114,10 +104,7 @@ export class Viewer {
 
   private connectionState(state: ConnectionState, attempt: number): void {
     this.state = state;
-    this.page.link.textContent = state === "open" ? "connected" : state === "lost" ? "disconnected" : "connecting…";
-    this.page.link.dataset.state = state;
-    this.page.banner.hidden = state === "open" || state === "connecting";
-    this.page.banner.textContent = connectionText(state, attempt);
+    showConnection(this.page, state, attempt);
     if (state === "open") this.counters.connections += 1;
     if (state === "lost") {
       this.controls.cancel();
@@ -130,17 +117,15 @@ export class Viewer {
     this.waiting.clear();
     this.header = null;
     this.history.clear();
-    this.peak_n = 0;
     this.scene.begin(hello);
     document.title = `${hello.scene.name} – Glisson`;
-    this.viewChanged = true;
-    this.invalidate();
+    this.redraw();
   }
 
   private setTopology(topology: Topology): void {
     this.counters.topologyFrames += 1;
     this.scene.setTopology(topology);
-    this.invalidate();
+    this.redraw();
   }
 
   private receive(snapshot: Snapshot, bytes: number): void {
@@ -148,38 +133,49 @@ export class Viewer {
     this.profile.arrival({ at_ms: performance.now(), bytes });
     const { header } = snapshot;
     if (header.organ === 0) {
-      const force_n = lengthOf(header.forceOnTool_n);
-      if (header.step < (this.history.all().length === 0 ? 0 : this.lastStep)) this.peak_n = 0;
-      this.lastStep = header.step;
-      this.history.add({ time_s: header.time_s, force_n });
-      this.peak_n = Math.max(this.peak_n, force_n);
+      this.history.add({ time_s: header.time_s, force_n: lengthOf(header.forceOnTool_n) });
     }
     this.waiting.set(header.organ, snapshot);
     this.invalidate();
   }
-  private lastStep = 0;
 
   // ---- what the hand does ----
 
-  private setOrbit(orbit: typeof this.scene.orbit): void {
+  private setOrbit(orbit: Orbit): void {
     this.scene.setOrbit(orbit);
+    this.redraw();
+  }
+
+  /** The view changed: everything is drawn anew. */
+  private redraw(): void {
     this.viewChanged = true;
+    this.sceneChanged = true;
     this.invalidate();
   }
 
+  private resize(): void {
+    const panel = this.page.panel.getBoundingClientRect();
+    // On a narrow page the panel lies over the organ instead of beside it.
+    this.scene.setCovered(window.innerWidth > 860 ? panel.right : 0);
+    this.scene.resize();
+    this.redraw();
+  }
+
   private beginPush(x: number, y: number): void {
-    const pick = this.scene.pick(x, y);
-    if (pick === null || this.hello === null) return;
-    this.pickedVertex = pick.vertex;
-    const start = {
-      hit_m: pick.point_m,
-      normal: pick.normal,
-      tipRadius_m: this.hello.tool.tip_radius_m,
-      view: this.scene.axes(),
-    };
+    const start = this.pushStart(x, y);
+    if (start === null) return;
     this.tool.beginPush(start, this.scene.ray(x, y));
-    this.page.hint.classList.add("gone");
     this.invalidate();
+  }
+
+  /** What a push at a place of the canvas needs to know; null beside the organ. */
+  private pushStart(x: number, y: number): PushStart | null {
+    const pick = this.scene.pick(x, y);
+    if (pick === null || this.hello === null) return null;
+    this.pickedVertex = pick.vertex;
+    this.page.hint.classList.add("gone");
+    const { tip_radius_m: tipRadius_m } = this.hello.tool;
+    return { hit_m: pick.point_m, normal: pick.normal, tipRadius_m, view: this.scene.axes() };
   }
 
   private key(event: KeyboardEvent): void {
@@ -211,7 +207,6 @@ export class Viewer {
         break;
       case "reset_view":
         this.scene.resetView();
-        this.viewChanged = true;
         break;
       case "wireframe":
         this.shown.style = (this.shown.style + 1) % SURFACE_STYLES.length;
@@ -245,7 +240,7 @@ export class Viewer {
         break;
     }
     this.refreshSwitches();
-    this.invalidate();
+    this.redraw();
   }
 
   /** Closes what is open, else takes the instrument off the organ. */
@@ -265,36 +260,23 @@ export class Viewer {
     const current = this.shownPose();
     if (current === null) return;
     const { right, up, forward } = this.scene.axes();
-    const offset = new Vector3()
-      .addScaledVector(right, direction[0] * step_m)
-      .addScaledVector(up, direction[1] * step_m)
-      .addScaledVector(forward, direction[2] * step_m);
-    this.tool.nudge(offset, current);
+    const [x, y, z] = direction;
+    const offset = new Vector3().addScaledVector(right, x).addScaledVector(up, y).addScaledVector(forward, z);
+    this.tool.nudge(offset.multiplyScalar(step_m), current);
     this.invalidate();
   }
 
   private placeTool(): void {
-    const pick = this.scene.pick(this.scene.width / 2, this.scene.height / 2);
-    if (this.hello === null || this.tool.pushing) return;
-    if (pick === null) {
-      this.messages.error("Nothing of the organ is at the middle of the view: reset the view (R) and try again.");
-      return;
-    }
-    this.pickedVertex = pick.vertex;
-    const view = this.scene.axes();
-    const start = { hit_m: pick.point_m, normal: pick.normal, tipRadius_m: this.hello.tool.tip_radius_m, view };
-    this.tool.place(start);
-    this.page.hint.classList.add("gone");
+    if (this.tool.pushing) return;
+    const start = this.pushStart(...this.scene.middle());
+    if (start !== null) this.tool.place(start);
+    else this.messages.error("Nothing of the organ is at the middle of the view: reset the view (R) and try again.");
   }
 
   private async screenshot(): Promise<void> {
     try {
-      const blob = await this.scene.picture(this.page.orientation);
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(blob);
-      link.download = `glisson-step-${String(this.header?.step ?? 0).padStart(6, "0")}.png`;
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+      const picture = await this.scene.picture(this.page.orientation);
+      download(picture, `glisson-step-${String(this.header?.step ?? 0).padStart(6, "0")}.png`);
       this.counters.screenshots += 1;
     } catch (error) {
       this.messages.error(`The picture was not saved: ${error instanceof Error ? error.message : String(error)}`);
@@ -332,25 +314,29 @@ export class Viewer {
       this.counters.sentToolMessages += 1;
     }
     this.showWaiting();
-    if (this.scene.instrument !== null) {
-      this.scene.instrument.arrowScale_m_per_n = arrowScale_m_per_n(this.peak_n);
+    if (this.sceneChanged && this.scene.instrument !== null) {
+      this.scene.instrument.arrowScale_m_per_n = arrowScale_m_per_n(this.history.peak_n);
       this.scene.instrument.setForces(this.shown.forces);
       this.scene.instrument.setContacts(this.shown.contacts);
-      if (this.header !== null) this.scene.instrument.show(this.header);
+      if (this.header !== null) this.scene.showTool(this.header);
     }
     const drawing_ms = performance.now();
-    this.scene.render();
+    if (this.sceneChanged) this.scene.render(this.resolution.moving(now_ms));
     const drawn_ms = performance.now();
+    if (this.sceneChanged) {
+      this.sceneChanged = false;
+      this.counters.drawnFrames += 1;
+      this.profile.frame({ at_ms: now_ms, work_ms: drawn_ms - begun_ms, draw_ms: drawn_ms - drawing_ms });
+      this.drawFinerAtRest();
+    }
     this.panel.show(
-      panelValues(this.hello, this.header, this.peak_n, arrowScale_m_per_n(this.peak_n)),
+      panelValues(this.hello, this.header, this.history.peak_n, arrowScale_m_per_n(this.history.peak_n)),
       this.header,
     );
     drawPlot(this.panel.plot, this.history);
     if (this.viewChanged) drawOrientation(this.page.orientation, this.scene.orbit, this.scene.height);
     this.viewChanged = false;
     this.refreshSwitches();
-    this.counters.drawnFrames += 1;
-    this.profile.frame({ at_ms: now_ms, work_ms: performance.now() - begun_ms, draw_ms: drawn_ms - drawing_ms });
     if (this.tool.settled) {
       // The next motion starts with a stride of one frame, not of the pause before it.
       if (this.waiting.size === 0 && !this.tool.pushing) this.lastFrame_ms = null;
@@ -362,14 +348,32 @@ export class Viewer {
   private showWaiting(): void {
     for (const snapshot of this.waiting.values()) {
       try {
-        if (!this.scene.show(snapshot)) this.counters.ignoredSnapshots += 1;
-        else if (snapshot.header.organ === 0) this.header = snapshot.header;
+        const shown = this.scene.show(snapshot);
+        if (shown === "other_topology") this.counters.ignoredSnapshots += 1;
+        else if (snapshot.header.organ === 0) this.showHeader(snapshot.header);
+        if (shown === "changed") this.sceneChanged = true;
       } catch (error) {
         if (!(error instanceof ProtocolError)) throw error;
         this.messages.error(`Message not understood: ${error.message}`);
       }
     }
     this.waiting.clear();
+  }
+
+  private showHeader(header: SnapshotHeader): void {
+    const drawn = (h: SnapshotHeader | null): string =>
+      h === null ? "" : [h.tip_m, h.shaft, h.forceOnTool_n, h.contactPoint_m, h.contact].join();
+    if (drawn(header) !== drawn(this.header)) this.sceneChanged = true;
+    this.header = header;
+  }
+
+  /** When the processor draws: a finer picture once nothing has changed for a while. */
+  private drawFinerAtRest(): void {
+    if (!this.scene.software) return;
+    clearTimeout(this.restTimer);
+    this.restTimer = setTimeout(() => {
+      if (!this.sceneChanged) this.scene.render(REST_RATIO);
+    }, REST_AFTER_MS);
   }
 
   private showProfiler(): void {
@@ -386,49 +390,9 @@ export class Viewer {
     });
   }
 
-  // ---- what tests read ----
-
-  hook(): ViewerHook {
-    const viewer = this;
-    const organ = () => viewer.scene.organs.get(0) ?? null;
-    const box = () => viewer.page.scene.getBoundingClientRect();
-    const copyOf = <T>(value: T): T => structuredClone(value);
-    return Object.freeze({
-      get hello() { return copyOf(viewer.hello); },
-      get header() { return copyOf(viewer.header); },
-      get positions() { return organ()?.positions_m.slice() ?? null; },
-      get restPositions() { return organ()?.topology.rest_m.slice() ?? null; },
-      get nodeIds() { return organ()?.topology.nodeIds.slice() ?? null; },
-      get triangles() { return organ()?.topology.triangles.slice() ?? null; },
-      get pickedVertex() { return viewer.pickedVertex; },
-      get tool() {
-        const { active, pushing, settled, pose } = viewer.tool;
-        return { active, pushing, settled, sentTip: pose === null ? null : vec3(pose.tip_m) };
-      },
-      get panel() { return viewer.panel.values(); },
-      get view() {
-        const { style, contacts, forces, fixedNodes, profiler } = viewer.shown;
-        const { azimuth_rad, elevation_rad, distance_m, target_m } = viewer.scene.orbit;
-        return {
-          style: SURFACE_STYLES[style], contacts, forces, fixedNodes, profiler, help: viewer.help.open,
-          azimuth_rad, elevation_rad, distance_m, target_m: vec3(target_m),
-        };
-      },
-      get connection() { return viewer.state; },
-      get messages() { return viewer.messages.texts(); },
-      get counters() { return { ...viewer.counters }; },
-      get frameWork_ms() { return viewer.profile.summary(performance.now()).work_ms; },
-      project(vertex: number): [number, number] | null {
-        const positions = organ()?.positions_m;
-        if (positions === undefined || !(vertex >= 0 && 3 * vertex + 2 < positions.length)) return null;
-        const [x, y] = viewer.scene.project(new Vector3().fromArray(positions, 3 * vertex));
-        return [x + box().left, y + box().top];
-      },
-      vertexAt(x: number, y: number): number | null {
-        const pick = viewer.scene.pick(x - box().left, y - box().top);
-        return pick === null || pick.organ !== 0 ? null : pick.vertex;
-      },
-    });
+  /** The parts that `hook.ts` reads. */
+  parts(): ViewerParts {
+    const { scene, panel, messages, help, tool, profile, hello, header, pickedVertex, state, shown, counters } = this;
+    return { scene, panel, messages, help, tool, profile, hello, header, pickedVertex, state, shown, counters };
   }
 }
-

@@ -1,6 +1,8 @@
 //! Deformable models behind one contract: constraints in, positions and reaction forces out.
 
 pub mod kind;
+pub mod precomputed;
+pub mod tensor_mass;
 
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
@@ -75,6 +77,11 @@ pub trait DeformableModel: Send {
     /// Starts from these node positions with velocities zero: where another model left off, or the rest shape.
     /// A quasi-static model only shows them until its next step.
     fn take_over(&mut self, positions_m: &[DVec3]);
+
+    /// Why the model could not follow an edit of the mesh, if it could not.
+    fn topology_refusal(&self) -> Option<TopologyRefusal> {
+        None
+    }
 
     /// Follows an edit of the mesh, or says why it cannot; then nothing changed.
     ///

@@ -10,8 +10,9 @@ pub mod touch;
 use crate::contact::sphere::{BallPath, SurfaceView};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
+use crate::mesh::edit::{EditError, MeshEdit, TopologyChange};
 use crate::model::kind::ModelKind;
-use crate::model::{Constraints, DeformableModel, ImposedDisplacement, ModelState};
+use crate::model::{Constraints, DeformableModel, ImposedDisplacement, ModelState, TopologyRefusal};
 use crate::record::hash::StateHash;
 use crate::record::snapshot::{ContactReport, DisplayTopology, Snapshot};
 use crate::tool::ToolInput;
@@ -46,6 +47,17 @@ pub struct StepReport {
     pub waits_for_model: bool,
     /// Nodes whose position is not finite, which only a broken model can bring about.
     pub n_non_finite_nodes: u32,
+}
+
+/// Why an edit of the organ was refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EditRefusal {
+    /// The model cannot follow.
+    #[error(transparent)]
+    Model(#[from] TopologyRefusal),
+    /// The mesh cannot be edited so.
+    #[error(transparent)]
+    Mesh(#[from] EditError),
 }
 
 /// A model that takes over at a step fixed when it was ordered.
@@ -165,6 +177,20 @@ impl World {
         self.model.take_over(&self.organ.mesh().positions_m);
         self.organ.follow(self.model.state().positions_m);
         self.report = StepReport { step: self.step, ..StepReport::default() };
+    }
+
+    /// Edits the organ's mesh: the model, the supports and the surface follow. A contact is let go.
+    ///
+    /// # Errors
+    /// [`EditRefusal`] when the model or the mesh cannot; nothing changed then.
+    pub fn edit(&mut self, edit: &MeshEdit) -> Result<TopologyChange, EditRefusal> {
+        if let Some(refusal) = self.model.topology_refusal() {
+            return Err(refusal.into());
+        }
+        let change = self.organ.edit(edit, self.model.state().positions_m)?;
+        self.model.topology_changed(self.organ.mesh(), &change)?;
+        self.contact = None;
+        Ok(change)
     }
 
     /// One step of the scene's time step.

@@ -4,12 +4,18 @@ use super::spec::{FixedRegion, nodes_in};
 use crate::contact::buckets::BucketGrid;
 use crate::contact::sphere::SurfaceView;
 use crate::math::DVec3;
+use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, TopologyChange};
+use crate::mesh::remap::EntityArray;
+use crate::mesh::topology::{TopologyError, surface_of};
 use crate::mesh::{NodeId, TetMesh};
 use crate::record::snapshot::DisplayTopology;
 
 /// Why a mesh is not an organ.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum OrganError {
+    /// The mesh is no mesh.
+    #[error(transparent)]
+    Topology(#[from] TopologyError),
     /// No tetrahedra.
     #[error("the mesh has no tetrahedra")]
     Empty,
@@ -18,28 +24,13 @@ pub enum OrganError {
 /// Mesh, supports and moving surface of one organ.
 #[derive(Clone, Debug)]
 pub struct Organ {
-    mesh: TetMesh,
-    live: Vec<bool>,
-    fixed: Vec<bool>,
+    body: EditableMesh,
+    fixed: EntityArray<NodeId, bool>,
     surface_nodes: Vec<NodeId>,
     surface_triangles: Vec<[u32; 3]>,
     surface_positions_m: Vec<DVec3>,
     buckets: BucketGrid,
     topology_version: u32,
-}
-
-/// Boundary triangles by node ids, sorted: faces that one tetrahedron alone has.
-fn boundary(mesh: &TetMesh) -> Vec<[NodeId; 3]> {
-    let mut faces: Vec<([NodeId; 3], [NodeId; 3])> = Vec::new();
-    for &[a, b, c, d] in &mesh.tetrahedra {
-        for face in [[b, c, d], [a, d, c], [a, b, d], [a, c, b]] {
-            let mut key = face;
-            key.sort_unstable();
-            faces.push((key, face));
-        }
-    }
-    faces.sort_unstable();
-    faces.chunk_by(|a, b| a.0 == b.0).filter(|run| run.len() == 1).map(|run| run[0].1).collect()
 }
 
 impl Organ {
@@ -55,45 +46,60 @@ impl Organ {
         for node in nodes_in(regions, &mesh.positions_m) {
             fixed[node.index()] = true;
         }
-        let triangles = boundary(&mesh);
-        let mut surface_nodes: Vec<NodeId> = triangles.iter().flatten().copied().collect();
-        surface_nodes.sort_unstable();
-        surface_nodes.dedup();
-        let vertex = |n: NodeId| surface_nodes.binary_search(&n).expect("a boundary node") as u32;
-        let surface_triangles: Vec<[u32; 3]> = triangles.iter().map(|t| t.map(vertex)).collect();
-        let surface_positions_m: Vec<DVec3> =
-            surface_nodes.iter().map(|n| mesh.positions_m[n.index()]).collect();
-        let buckets = BucketGrid::new(&surface_positions_m, &surface_triangles);
+        let body = EditableMesh::new(mesh)?;
+        let (surface, surface_nodes) = surface_of(body.topology(), body.mesh());
+        let buckets = BucketGrid::new(&surface.positions_m, &surface.triangles);
         Ok(Self {
-            live: vec![true; mesh.tetrahedra.len()],
-            mesh,
-            fixed,
+            body,
+            fixed: EntityArray::new(fixed),
             surface_nodes,
-            surface_triangles,
-            surface_positions_m,
+            surface_triangles: surface.triangles,
+            surface_positions_m: surface.positions_m,
             buckets,
             topology_version: 1,
         })
     }
 
+    /// Edits the mesh; the supports and the surface follow, the model has to.
+    ///
+    /// # Errors
+    /// [`EditError`] when the edit cannot be done; nothing changed then.
+    pub fn edit(&mut self, edit: &MeshEdit, positions_m: &[DVec3]) -> Result<TopologyChange, EditError> {
+        let change = self.body.apply(edit)?;
+        self.fixed.follow(&change);
+        let (surface, surface_nodes) = surface_of(self.body.topology(), self.body.mesh());
+        self.surface_positions_m = surface_nodes.iter().map(|n| positions_m[n.index()]).collect();
+        self.surface_nodes = surface_nodes;
+        self.surface_triangles = surface.triangles;
+        self.buckets = BucketGrid::new(&self.surface_positions_m, &self.surface_triangles);
+        self.topology_version += 1;
+        Ok(change)
+    }
+
     /// The mesh at rest.
     pub fn mesh(&self) -> &TetMesh {
-        &self.mesh
+        self.body.mesh()
     }
 
     /// Which tetrahedra are still there.
     pub fn live_tetrahedra(&self) -> &[bool] {
-        &self.live
+        self.body.topology().live_tet_flags()
+    }
+
+    /// Mesh and adjacency.
+    pub fn body(&self) -> &EditableMesh {
+        &self.body
     }
 
     /// Whether `node` is held at rest.
     pub fn is_fixed(&self, node: NodeId) -> bool {
-        self.fixed[node.index()]
+        self.fixed.as_slice()[node.index()]
     }
 
     /// The held nodes, ascending.
     pub fn fixed_nodes(&self) -> Vec<NodeId> {
-        (0..self.fixed.len()).filter(|&i| self.fixed[i]).map(NodeId::from_index).collect()
+        let fixed = self.fixed.as_slice();
+        (0..fixed.len()).filter(|&i| fixed[i]).map(NodeId::from_index).collect()
     }
 
     /// Nodes of a surface triangle.
@@ -133,7 +139,7 @@ impl Organ {
         DisplayTopology {
             version: self.topology_version,
             nodes: self.surface_nodes.clone(),
-            rest_positions_m: self.surface_nodes.iter().map(|n| self.mesh.positions_m[n.index()]).collect(),
+            rest_positions_m: self.surface_nodes.iter().map(|n| self.mesh().positions_m[n.index()]).collect(),
             triangles: self.surface_triangles.clone(),
         }
     }

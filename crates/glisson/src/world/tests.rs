@@ -1,9 +1,7 @@
 //! The step, with a bed of independent springs in place of an elastic model.
 
 use super::*;
-use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetId};
-use crate::model::TopologyRefusal;
 use crate::tool::Tool;
 use spec::FixedRegion;
 
@@ -166,4 +164,17 @@ fn reset_brings_the_rest_shape_and_the_tool_home() {
     let snapshot = world.snapshot();
     assert!(snapshot.contact.is_none() && snapshot.tool == tool_at(0.1));
     assert_eq!(snapshot.positions_m, world.display_topology().rest_positions_m);
+}
+
+#[test]
+fn a_removed_tetrahedron_leaves_the_surface_and_the_hash_knows() {
+    let mut world = world(vec![]);
+    let whole = world.state_hash();
+    let change = world.edit(&MeshEdit::Remove { tets: vec![TetId(0)] }).unwrap();
+    assert_eq!(change.tets.removed, [TetId(0)]);
+    assert!(world.display_topology().triangles.is_empty());
+    assert_eq!(world.display_topology().version, 2);
+    assert_ne!(world.state_hash(), whole);
+    assert!(!world.step(&input(0.0)).in_contact);
+    assert!(matches!(world.edit(&MeshEdit::Remove { tets: vec![TetId(0)] }), Err(EditRefusal::Mesh(_))));
 }

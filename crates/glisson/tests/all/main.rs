@@ -3,6 +3,7 @@
 mod layering;
 mod meshing;
 mod model_meshes;
+mod models_agree;
 mod patch_test;
 mod reference_cases;
 mod surfaces;

@@ -1,0 +1,34 @@
+/** The fixed parts of index.html. */
+
+export interface Page {
+  readonly scene: HTMLCanvasElement;
+  readonly orientation: HTMLCanvasElement;
+  readonly panel: HTMLElement;
+  readonly link: HTMLElement;
+  readonly banner: HTMLElement;
+  readonly messages: HTMLElement;
+  readonly profiler: HTMLElement;
+  readonly toolbar: HTMLElement;
+  readonly hint: HTMLElement;
+}
+
+function part<T extends HTMLElement>(id: string): T {
+  const node = document.getElementById(id);
+  if (node === null) throw new Error(`index.html has no element "${id}"`);
+  return node as T;
+}
+
+/** @throws Error naming a part that the page does not have. */
+export function findPage(): Page {
+  return {
+    scene: part("scene"),
+    orientation: part("orientation"),
+    panel: part("panel"),
+    link: part("link"),
+    banner: part("banner"),
+    messages: part("messages"),
+    profiler: part("profiler"),
+    toolbar: part("toolbar"),
+    hint: part("hint"),
+  };
+}

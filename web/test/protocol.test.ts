@@ -1,0 +1,210 @@
+import { describe, expect, it } from "vitest";
+import {
+  decodeBinary,
+  decodeText,
+  encodeClientMessage,
+  encodeSnapshot,
+  encodeTopology,
+  ProtocolError,
+  type Hello,
+  type Snapshot,
+  type Topology,
+} from "../src/protocol";
+
+const TOPOLOGY: Topology = {
+  kind: "topology",
+  version: 3,
+  organ: 1,
+  nodeIds: Uint32Array.of(10, 20, 30, 41),
+  rest_m: Float32Array.of(0, 0, 0, 0.5, 0, 0, 0, 0.25, 0, 0, 0, 0.125),
+  triangles: Uint32Array.of(0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2),
+};
+
+const SNAPSHOT: Snapshot = {
+  kind: "snapshot",
+  header: {
+    version: 3,
+    organ: 1,
+    step: 2 ** 40 + 7,
+    time_s: 12.5,
+    rate_steps_per_s: 497.25,
+    realTimeFactor: 0.9945,
+    tip_m: [0.01, -0.02, 0.03],
+    shaft: [0, -0.6, 0.8],
+    forceOnTool_n: [0.5, -1.25, 2],
+    contactPoint_m: [0.011, -0.021, 0.031],
+    contact: true,
+    paused: true,
+    grasps: false,
+  },
+  positions_m: Float32Array.of(0, 0, 0, 0.5, 0, 0, 0, 0.25, 0.5, 0, 0, 0.125),
+};
+
+const HELLO: Hello = {
+  type: "hello",
+  protocol: 1,
+  scene: {
+    name: "liver",
+    model: "pre-computed",
+    material: "linear",
+    time_step_s: 0.002,
+    gravity_m_per_s2: [0, 0, -9.81],
+    n_nodes: 1452,
+    n_tetrahedra: 6300,
+  },
+  bounds: { min_m: [-0.1, -0.1, -0.1], max_m: [0.1, 0.1, 0.1] },
+  tool: {
+    name: "probe",
+    tip_radius_m: 0.005,
+    shaft_radius_m: 0.0025,
+    shaft_length_m: 0.3,
+    home_tip_m: [0, -0.2, 0],
+    home_shaft: [0, -1, 0],
+  },
+  fixed_nodes: [1, 2, 3],
+};
+
+/** Small seeded generator (xorshift32, Marsaglia 2003, doi 10.18637/jss.v008.i14). */
+function random(seed: number): () => number {
+  let x = seed;
+  return () => {
+    x ^= x << 13;
+    x ^= x >>> 17;
+    x ^= x << 5;
+    return (x >>> 0) / 4294967296;
+  };
+}
+
+describe("binary frames", () => {
+  it("topology: what was encoded comes back", () => {
+    expect(decodeBinary(encodeTopology(TOPOLOGY))).toEqual(TOPOLOGY);
+  });
+
+  it("snapshot: what was encoded comes back", () => {
+    expect(decodeBinary(encodeSnapshot(SNAPSHOT))).toEqual(SNAPSHOT);
+  });
+
+  it("snapshot: fields stand at the documented offsets", () => {
+    const view = new DataView(encodeSnapshot(SNAPSHOT));
+    expect(String.fromCharCode(...new Uint8Array(view.buffer, 0, 4))).toBe("GLSN");
+    expect(view.getUint32(4, true)).toBe(2);
+    expect(view.getBigUint64(16, true)).toBe(BigInt(2 ** 40 + 7));
+    expect(view.getFloat64(24, true)).toBe(12.5);
+    expect(view.getFloat64(48, true)).toBe(0.01);
+    expect(view.getFloat64(72 + 8, true)).toBe(-0.6);
+    expect(view.getFloat64(96 + 16, true)).toBe(2);
+    expect(view.getFloat64(120, true)).toBe(0.011);
+    expect(view.getUint32(144, true)).toBe(1 + 2);
+    expect(view.getUint32(148, true)).toBe(4);
+    expect(view.getFloat32(152 + 4 * 3, true)).toBe(0.5);
+    expect(view.byteLength).toBe(152 + 48);
+  });
+
+  it.each([
+    ["a huge vertex count", (v: DataView) => v.setUint32(16, 0xffffffff, true), /needs .* bytes, found/],
+    ["a huge triangle count", (v: DataView) => v.setUint32(20, 0xffffffff, true), /needs .* bytes, found/],
+    ["an index out of range", (v: DataView) => v.setUint32(24 + 64, 4, true), /triangle 0 uses vertex 4 of 4/],
+    ["a position that is no number", (v: DataView) => v.setFloat32(24 + 16 + 12, NaN, true), /vertex 1 is not finite/],
+    ["another magic", (v: DataView) => v.setUint32(0, 1, true), /GLSN/],
+    ["another kind", (v: DataView) => v.setUint32(4, 3, true), /unknown kind 3/],
+  ])("topology with %s is refused", (_name, spoil, message) => {
+    const buffer = encodeTopology(TOPOLOGY);
+    spoil(new DataView(buffer));
+    expect(() => decodeBinary(buffer)).toThrow(message);
+  });
+
+  it.each([
+    ["a huge vertex count", (v: DataView) => v.setUint32(148, 0xffffffff, true), /needs .* bytes, found/],
+    ["an infinite force", (v: DataView) => v.setFloat64(104, Infinity, true), /force on the tool \(byte 104\)/],
+    ["a step beyond 2^53", (v: DataView) => v.setBigUint64(16, 2n ** 60n, true), /above 2\^53/],
+    ["a position that is no number", (v: DataView) => v.setFloat32(152 + 44, NaN, true), /vertex 3 is not finite/],
+  ])("snapshot with %s is refused", (_name, spoil, message) => {
+    const buffer = encodeSnapshot(SNAPSHOT);
+    spoil(new DataView(buffer));
+    expect(() => decodeBinary(buffer)).toThrow(message);
+  });
+
+  it("any mutation and any truncation gives a message or a ProtocolError, nothing else", () => {
+    const next = random(2463534242);
+    let refused = 0;
+    for (let round = 0; round < 20_000; round++) {
+      const whole = new Uint8Array(round % 2 === 0 ? encodeTopology(TOPOLOGY) : encodeSnapshot(SNAPSHOT));
+      const bytes = next() < 0.5 ? whole : whole.slice(0, Math.floor(next() * (whole.length + 1)));
+      for (let k = Math.floor(next() * 6); k >= 0 && bytes.length > 0; k--) {
+        bytes[Math.floor(next() * bytes.length)] = Math.floor(next() * 256);
+      }
+      try {
+        const decoded = decodeBinary(bytes.buffer);
+        if (decoded.kind === "topology") {
+          expect(decoded.triangles.every((v) => v < decoded.nodeIds.length)).toBe(true);
+        } else {
+          expect(decoded.positions_m.every((x) => Number.isFinite(x))).toBe(true);
+        }
+      } catch (error) {
+        if (!(error instanceof ProtocolError)) throw error;
+        refused += 1;
+      }
+    }
+    expect(refused).toBeGreaterThan(5_000);
+  });
+});
+
+describe("text messages", () => {
+  it("hello and error come through", () => {
+    expect(decodeText(JSON.stringify(HELLO))).toEqual(HELLO);
+    expect(decodeText('{"type":"error","message":"no"}')).toEqual({ type: "error", message: "no" });
+  });
+
+  it("fields that the viewer does not know are ignored", () => {
+    expect(decodeText(JSON.stringify({ ...HELLO, later: 1 }))).toEqual(HELLO);
+  });
+
+  it("another protocol version is refused, with both numbers", () => {
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 1/);
+  });
+
+  it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(
+    "%j is refused",
+    (text) => {
+      expect(() => decodeText(text)).toThrow(ProtocolError);
+    },
+  );
+
+  it("a hello with any one field spoiled is refused or read, nothing else", () => {
+    const spoilers: unknown[] = [null, undefined, "x", -1, [], {}, [1, 2], [1, 2, "3"], 1e400, true];
+    const places = (value: unknown, path: string[] = []): string[][] =>
+      typeof value === "object" && value !== null
+        ? Object.entries(value).flatMap(([key, inner]) => [[...path, key], ...places(inner, [...path, key])])
+        : [];
+    let refused = 0;
+    for (const path of places(HELLO)) {
+      for (const spoiler of spoilers) {
+        const copy = structuredClone(HELLO) as unknown as Record<string, unknown>;
+        let at = copy;
+        for (const key of path.slice(0, -1)) at = at[key] as Record<string, unknown>;
+        at[path.at(-1)!] = spoiler;
+        try {
+          decodeText(JSON.stringify(copy));
+        } catch (error) {
+          if (!(error instanceof ProtocolError)) throw error;
+          refused += 1;
+        }
+      }
+    }
+    expect(refused).toBeGreaterThan(250);
+  });
+
+  it("random cuts of a hello give a ProtocolError", () => {
+    const text = JSON.stringify(HELLO);
+    for (let cut = 0; cut < text.length; cut++) expect(() => decodeText(text.slice(0, cut))).toThrow(ProtocolError);
+  });
+
+  it("messages to the server are those of the protocol", () => {
+    expect(encodeClientMessage({ type: "tool", tip_m: [1, 2, 3], shaft: [0, 0, 1] })).toBe(
+      '{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1]}',
+    );
+    expect(encodeClientMessage({ type: "pause", paused: true })).toBe('{"type":"pause","paused":true}');
+    expect(encodeClientMessage({ type: "single_step" })).toBe('{"type":"single_step"}');
+    expect(encodeClientMessage({ type: "reset" })).toBe('{"type":"reset"}');
+  });
+});

@@ -95,6 +95,18 @@ fn matrix(columns: &[Padded; 3]) -> DMat3 {
     DMat3::from_cols(unpadded(&columns[0]), unpadded(&columns[1]), unpadded(&columns[2]))
 }
 
+/// Where the edges of each lower node begin; edges ascend.
+fn edge_starts(edges: &MeshEdges, n_nodes: usize) -> Vec<u32> {
+    let mut starts = vec![0; n_nodes + 1];
+    for edge in &edges.nodes {
+        starts[edge[0].index() + 1] += 1;
+    }
+    for n in 0..n_nodes {
+        starts[n + 1] += starts[n];
+    }
+    starts
+}
+
 /// A node that a tool holds.
 #[derive(Clone, Copy, Debug)]
 struct Held {
@@ -121,6 +133,8 @@ pub struct TensorMass {
     tet_nodes: Vec<[NodeId; 4]>,
     tet_is_live: Vec<bool>,
     edges: MeshEdges,
+    /// First edge of each node that is the edge's lower node, and the end.
+    edge_start: Vec<u32>,
     vertex_tensor: Vec<[Padded; 3]>,
     edge_tensor: Vec<[Padded; 3]>,
     vertex_tets: Vec<u32>,
@@ -216,6 +230,7 @@ impl TensorMass {
             tet_is_live: vec![true; mesh.tetrahedra.len()],
             vertex_tensor: tensors.vertex.into_iter().map(padded_columns).collect(),
             edge_tensor: tensors.edge.into_iter().map(padded_columns).collect(),
+            edge_start: edge_starts(&edges, n_nodes),
             edges,
             vertex_tets,
             edge_tets,
@@ -341,27 +356,35 @@ impl TensorMass {
     }
 
     /// The force that balances deformation, gravity and outer forces on every node: K u - m g - F.
+    ///
+    /// Edges in their order, each once: the lower node's force is summed in registers over its edges, the
+    /// higher node's in memory.
     fn balance_forces(&mut self) {
         let n = self.n_nodes();
         let u = &self.motion[..n];
         let force = &mut self.force_n[..n];
         let g = padded(self.gravity_m_per_s2);
-        for p in 0..n {
-            let (b, x, m) = (&self.vertex_tensor[p], &u[p], self.mass_kg[p]);
-            for i in 0..4 {
-                force[p][i] = b[0][i] * x[0] + b[1][i] * x[1] + b[2][i] * x[2] - m * g[i];
-            }
+        for (force, m) in force.iter_mut().zip(&self.mass_kg) {
+            *force = g.map(|g| -m * g);
         }
-        for (&[p, j], b) in self.edges.nodes.iter().zip(&self.edge_tensor) {
-            let (p, j) = (p.index(), j.index());
-            let (up, uj) = (&u[p], &u[j]);
-            let fp = &mut force[p];
-            for i in 0..4 {
-                fp[i] += b[0][i] * uj[0] + b[1][i] * uj[1] + b[2][i] * uj[2];
+        for p in 0..n {
+            let (b, up) = (&self.vertex_tensor[p], &u[p]);
+            let mut sum: Padded =
+                std::array::from_fn(|i| b[0][i] * up[0] + b[1][i] * up[1] + b[2][i] * up[2]);
+            let of_p = self.edge_start[p] as usize..self.edge_start[p + 1] as usize;
+            for (&[_, j], b) in self.edges.nodes[of_p.clone()].iter().zip(&self.edge_tensor[of_p]) {
+                let j = j.index();
+                let uj = &u[j];
+                for i in 0..4 {
+                    sum[i] += b[0][i] * uj[0] + b[1][i] * uj[1] + b[2][i] * uj[2];
+                }
+                let fj = &mut force[j];
+                for i in 0..3 {
+                    fj[i] += b[i][0] * up[0] + b[i][1] * up[1] + b[i][2] * up[2];
+                }
             }
-            let fj = &mut force[j];
-            for i in 0..3 {
-                fj[i] += b[i][0] * up[0] + b[i][1] * up[1] + b[i][2] * up[2];
+            for i in 0..4 {
+                force[p][i] += sum[i];
             }
         }
         for &(p, outer_n) in &self.outer_forces {

@@ -1,6 +1,6 @@
 //! Cutting by removal: the tetrahedron's tensors and masses are subtracted where they were added.
 
-use super::{TensorMass, TopologyRefusal, padded_columns};
+use super::{TensorMass, TopologyRefusal, edge_starts, padded_columns};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetId};
 use crate::solve::{LOCAL_EDGES, P1Gradients};
@@ -68,6 +68,7 @@ impl TensorMass {
         for nodes in &mut self.edges.nodes {
             *nodes = nodes.map(new_node);
         }
+        self.edge_start = edge_starts(&self.edges, self.rest_m.len());
         let live_tets = std::mem::take(&mut self.tet_is_live);
         keep(&mut self.tet_nodes, &live_tets);
         keep(&mut self.edges.of_tet, &live_tets);

@@ -7,10 +7,13 @@ mod machine;
 mod timing;
 mod body;
 mod meshing;
+mod models;
 mod contact;
 mod drawing;
 
-pub(crate) use machine::{Machine, MachineBudget, isa_name};
+pub(crate) use machine::{Machine, MachineBudget};
+
+use machine::isa_name;
 
 use anyhow::{Context, bail, ensure};
 use timing::{Clock, time_of};
@@ -71,7 +74,7 @@ pub(crate) struct Case {
 
 /// Every case, in the order in which they run.
 pub(crate) fn cases() -> Vec<Case> {
-    [meshing::CASES, contact::CASES, drawing::CASES].concat()
+    [meshing::CASES, models::CASES, contact::CASES, drawing::CASES].concat()
 }
 
 /// What to measure.

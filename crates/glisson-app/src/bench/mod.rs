@@ -227,7 +227,8 @@ impl Report {
         if let Some(note) = &m.note {
             text += &format!("note: {note}\n");
         }
-        let head = ["case", "size", "threads", "isa", "precision", "median", "p99", "per", "limit", "note"];
+        let head =
+            ["case", "size", "threads", "isa", "precision", "median", "p99", "clock", "per", "limit", "note"];
         let mut rows = vec![head.map(str::to_owned)];
         rows.extend(self.results.iter().map(|r| {
             [
@@ -238,6 +239,10 @@ impl Report {
                 r.precision.to_owned(),
                 readable(r.median_ns),
                 readable(r.p99_ns),
+                match r.clock {
+                    Clock::ThreadCpu => "cpu".to_owned(),
+                    Clock::Wall => "wall".to_owned(),
+                },
                 r.per.to_owned(),
                 r.share_of_limit.map_or(String::new(), |share| format!("{:.0} %", 100.0 * share)),
                 r.note.clone(),
@@ -247,7 +252,7 @@ impl Report {
         let widths: Vec<usize> = (0..head.len()).map(width).collect();
         for row in &rows {
             let cells = row.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| {
-                let number = [1, 2, 5, 6, 8].contains(&column);
+                let number = [1, 2, 5, 6, 9].contains(&column);
                 if number { format!("{cell:>width$}") } else { format!("{cell:<width$}") }
             });
             text += cells.collect::<Vec<_>>().join("  ").trim_end();
@@ -291,7 +296,7 @@ mod tests {
 
     #[test]
     fn every_case_gives_a_result_of_the_promised_shape() {
-        let report = measure(&tiny(None, 300), &|_, _, _, _| {}).unwrap();
+        let report = measure(&tiny(None, 1_000), &|_, _, _, _| {}).unwrap();
         let json = serde_json::to_value(&report).unwrap();
         assert_eq!(json["bench"], "all");
         for field in ["fma_gflops_f64", "fma_gflops_f32"] {

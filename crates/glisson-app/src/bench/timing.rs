@@ -98,7 +98,7 @@ pub(crate) fn time_of(run: &mut dyn FnMut(), clock: Clock, seconds: f64) -> Time
 }
 
 /// Smallest of the ascending `samples` that a share `q` of them does not exceed.
-fn quantile(samples: &[f64], q: f64) -> f64 {
+pub(crate) fn quantile(samples: &[f64], q: f64) -> f64 {
     let place = (q * samples.len() as f64).ceil() as usize;
     samples[place.clamp(1, samples.len()) - 1]
 }

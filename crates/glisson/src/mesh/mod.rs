@@ -7,6 +7,8 @@ pub mod stuffing;
 pub mod thin;
 pub mod generate;
 pub mod remap;
+pub mod faults;
+pub mod files;
 
 use crate::math::{DVec3, tetrahedron_volume_m3};
 

@@ -36,7 +36,7 @@ pub struct ThinFeature {
 }
 
 /// Regions where the body or a gap is thinner than `2 radius_m`, the largest first, without those smaller
-/// than a ball of a quarter of the radius.
+/// than a ball of half the radius.
 pub fn thin_features(field: &SignedDistance, radius_m: f64) -> Vec<ThinFeature> {
     let mut found = thin_of_kind(field, radius_m, ThinKind::Body);
     found.extend(thin_of_kind(field, radius_m, ThinKind::Gap));
@@ -66,7 +66,7 @@ fn thin_of_kind(field: &SignedDistance, radius_m: f64, kind: ThinKind) -> Vec<Th
     let mut thin: Vec<bool> = (0..n_nodes)
         .map(|n| depth_m(n) > 0.0 && squared[n] > reach * reach && !(kind == ThinKind::Gap && in_margin(n)))
         .collect();
-    let least_volume_m3 = 4.0 / 3.0 * std::f64::consts::PI * (0.25 * radius_m).powi(3);
+    let least_volume_m3 = 4.0 / 3.0 * std::f64::consts::PI * (0.5 * radius_m).powi(3);
     let mut features = Vec::new();
     let mut stack = Vec::new();
     for seed in 0..n_nodes {

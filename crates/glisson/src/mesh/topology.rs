@@ -11,7 +11,7 @@
 //! Numbering inside tetrahedron (n0, n1, n2, n3): edges 01, 02, 03, 12, 13, 23 (edge `5 - k` is opposite to
 //! edge `k`), triangle `i` and neighbour `i` opposite to node `i`.
 
-mod build;
+pub(crate) mod build;
 mod pieces;
 mod removal;
 mod rows;

@@ -39,6 +39,11 @@ pub struct SurfaceTopology {
 /// [`SurfaceError`]: the first violation by index, with its place.
 pub fn check_closed(mesh: &TriMesh) -> Result<SurfaceTopology, SurfaceError> {
     let pieces = check_manifold(mesh)?;
+    // First, because what is inside what has no meaning for pieces that cross.
+    if let Some(&triangles) = self_intersections(mesh, 1).first() {
+        let place = Place(mesh.corners_m(triangles[0] as usize)[0]);
+        return Err(SurfaceError::SelfIntersection { triangles, place });
+    }
     for piece in &pieces.list {
         let inward = pieces.depth(mesh, piece) % 2 == 1;
         if (piece.volume_m3 < 0.0) != inward {
@@ -48,10 +53,6 @@ pub fn check_closed(mesh: &TriMesh) -> Result<SurfaceTopology, SurfaceError> {
                 place: Place(mesh.corners_m(piece.first_triangle)[0]),
             });
         }
-    }
-    if let Some(&triangles) = self_intersections(mesh, 1).first() {
-        let place = Place(mesh.corners_m(triangles[0] as usize)[0]);
-        return Err(SurfaceError::SelfIntersection { triangles, place });
     }
     Ok(pieces.topology)
 }

@@ -8,3 +8,5 @@ mod patch_test;
 mod reference_cases;
 mod surfaces;
 mod mesh_edits;
+mod surface_files;
+mod mesh_files;

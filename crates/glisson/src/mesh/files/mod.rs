@@ -1,0 +1,282 @@
+//! Tetrahedral mesh files.
+//!
+//! | format | extension | read | written |
+//! |---|---|---|---|
+//! | VTK legacy | `.vtk` | ASCII and binary, 2.0 to 5.1 | ASCII 3.0 |
+//! | VTK XML | `.vtu` | ASCII, base64, appended raw or base64, zlib | positions ASCII, the rest base64 + zlib |
+//! | Gmsh | `.msh` | 2.x and 4.1, ASCII and binary | ASCII 2.2 (and 4.1) |
+//! | TetGen | `.node` + `.ele` | numbered from 0 or 1 | |
+//! | plain list | `.tet`, `.txt` | [the list](self::MeshBytes::PlainList) | |
+//!
+//! No format says its length unit: [`ImportPolicy::unit`] does, millimetres unless told otherwise, and
+//! millimetres are written. Axes are LPS unless a title or comment says `SPACE=RAS`; `SPACE=LPS` is written.
+//! Written positions are decimals of the metres with the point moved, and text is read in the same way, so
+//! that writing and reading gives the same bits. Binary files of others in millimetres are divided by 1000
+//! after reading, which rounds once (relative 1.2e-16).
+//!
+//! Counts in a header are checked against the bytes that are there before anything is allocated.
+
+mod base64;
+mod cells;
+mod gmsh;
+mod plain_list;
+mod tetgen;
+mod text;
+mod vtk_legacy;
+mod vtu;
+mod vtu_write;
+
+pub use text::{FormatError, Place};
+pub use vtu_write::{FieldPlace, FieldValues, VtuField};
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use self::cells::{Frame, RawMesh};
+use self::text::{ByteOrder, NumberType};
+use crate::files::write_atomically;
+use crate::math::DVec3;
+use crate::mesh::TetMesh;
+use crate::mesh::faults::{ImportPolicy, ImportReport, LengthUnit, MeshError};
+
+/// Why a mesh file was not read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum MeshFileError {
+    /// The name does not tell the format.
+    #[error("{}: found the extension `{found}`, expected one of {allowed}", path.display())]
+    UnknownExtension {
+        /// The file.
+        path: PathBuf,
+        /// Its extension.
+        found: String,
+        /// Those that can be read, or written.
+        allowed: &'static str,
+    },
+    /// The file system refused.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What it answered.
+        source: io::Error,
+    },
+    /// The content is not what the format says.
+    #[error("{source_name}, {error}")]
+    Format {
+        /// The file.
+        source_name: String,
+        /// What is wrong, and where.
+        error: FormatError,
+    },
+    /// The content is a mesh that cannot be used.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// A field to write does not fit the mesh.
+    #[error("field `{name}` has {found} values, the mesh needs {expected}")]
+    FieldLength {
+        /// The field.
+        name: String,
+        /// Its number of values.
+        found: usize,
+        /// Number of nodes or tetrahedra.
+        expected: usize,
+    },
+}
+
+/// The bytes of a mesh file, and what they are.
+#[derive(Clone, Copy, Debug)]
+pub enum MeshBytes<'a> {
+    /// VTK legacy.
+    VtkLegacy(&'a [u8]),
+    /// VTK XML unstructured grid.
+    Vtu(&'a [u8]),
+    /// Gmsh.
+    Gmsh(&'a [u8]),
+    /// TetGen's pair of files.
+    TetGen {
+        /// Content of the `.node` file.
+        node: &'a [u8],
+        /// Content of the `.ele` file.
+        ele: &'a [u8],
+    },
+    /// Words separated by blanks: the number of vertices and of tetrahedra, then x y z of each vertex, then
+    /// the four vertices of each tetrahedron. `#` starts a comment. Vertices are numbered from 0, or from 1
+    /// if a tetrahedron names a vertex of the number of vertices itself.
+    PlainList(&'a [u8]),
+}
+
+/// A mesh from bytes; `source_name` names them in errors.
+///
+/// # Errors
+/// [`MeshFileError`] as for [`read_mesh_with`].
+pub fn mesh_from_bytes(
+    bytes: MeshBytes<'_>,
+    policy: &ImportPolicy,
+    source_name: &str,
+) -> Result<(TetMesh, ImportReport), MeshFileError> {
+    let raw = match bytes {
+        MeshBytes::VtkLegacy(bytes) => vtk_legacy::read(bytes, policy.unit),
+        MeshBytes::Vtu(bytes) => vtu::read(bytes, policy.unit),
+        MeshBytes::Gmsh(bytes) => gmsh::read(bytes, policy.unit),
+        MeshBytes::TetGen { node, ele } => tetgen::read(node, ele, policy.unit),
+        MeshBytes::PlainList(bytes) => plain_list::read(bytes, policy.unit),
+    };
+    let mut raw =
+        raw.map_err(|error| MeshFileError::Format { source_name: source_name.to_owned(), error })?;
+    if raw.frame == Frame::Ras {
+        // A half turn about z: the winding stays.
+        for p in &mut raw.positions_m {
+            *p = DVec3::new(-p.x, -p.y, p.z);
+        }
+    }
+    let RawMesh { positions_m, tetrahedra, skipped, .. } = raw;
+    let mut mesh = TetMesh { positions_m, tetrahedra };
+    let mut report = ImportReport::import(&mut mesh, policy, source_name)?;
+    report.skipped_cells = skipped.into_iter().collect();
+    Ok((mesh, report))
+}
+
+/// The mesh in a file in millimetres, and what was found and done; the format is told by the extension.
+///
+/// # Errors
+/// [`MeshFileError`] as for [`read_mesh_with`]; faults of the mesh are reported, not refused.
+pub fn read_mesh(path: &Path) -> Result<(TetMesh, ImportReport), MeshFileError> {
+    read_mesh_with(path, &ImportPolicy::default())
+}
+
+/// [`read_mesh`] with a length unit and a way to treat faults.
+///
+/// # Errors
+/// [`MeshFileError`]: an unknown extension, a file that cannot be opened, content that is not what the
+/// format says, volume cells other than 4-node tetrahedra, no tetrahedron at all, and any fault of the mesh
+/// if the policy refuses faults.
+pub fn read_mesh_with(path: &Path, policy: &ImportPolicy) -> Result<(TetMesh, ImportReport), MeshFileError> {
+    let load =
+        |path: &Path| fs::read(path).map_err(|source| MeshFileError::Io { path: path.to_owned(), source });
+    let extension = lower_extension(path);
+    let second;
+    let first;
+    let mut source_name = path.display().to_string();
+    let bytes = match extension.as_str() {
+        "vtk" | "vtu" | "msh" | "tet" | "txt" => {
+            first = load(path)?;
+            match extension.as_str() {
+                "vtk" => MeshBytes::VtkLegacy(&first),
+                "vtu" => MeshBytes::Vtu(&first),
+                "msh" => MeshBytes::Gmsh(&first),
+                _ => MeshBytes::PlainList(&first),
+            }
+        }
+        "node" | "ele" => {
+            first = load(&path.with_extension("node"))?;
+            second = load(&path.with_extension("ele"))?;
+            source_name = path.with_extension("{node,ele}").display().to_string();
+            MeshBytes::TetGen { node: &first, ele: &second }
+        }
+        _ => {
+            let allowed = ".vtk, .vtu, .msh, .node, .ele, .tet, .txt";
+            return Err(MeshFileError::UnknownExtension { path: path.to_owned(), found: extension, allowed });
+        }
+    };
+    mesh_from_bytes(bytes, policy, &source_name)
+}
+
+fn lower_extension(path: &Path) -> String {
+    path.extension().map_or_else(String::new, |e| e.to_string_lossy().to_ascii_lowercase())
+}
+
+/// Gmsh's file versions that can be written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GmshVersion {
+    /// 2.2: what most programs read.
+    V2_2,
+    /// 4.1: Gmsh's own since 2019.
+    V4_1,
+}
+
+/// Writes `mesh` in millimetres; the extension tells the format: `.vtk`, `.vtu`, or `.msh` (Gmsh 2.2).
+/// The mesh must be compact: every tetrahedron is written.
+///
+/// # Errors
+/// [`MeshFileError`]: another extension, or the file cannot be written; then the old one is untouched.
+pub fn write_mesh(path: &Path, mesh: &TetMesh) -> Result<(), MeshFileError> {
+    let extension = lower_extension(path);
+    match extension.as_str() {
+        "vtk" => written(path, write_atomically(path, |out| vtk_legacy::write(mesh, out))),
+        "vtu" => write_vtu_with(path, mesh, &[]),
+        "msh" => write_gmsh(path, mesh, GmshVersion::V2_2),
+        _ => {
+            let allowed = ".vtk, .vtu, .msh";
+            Err(MeshFileError::UnknownExtension { path: path.to_owned(), found: extension, allowed })
+        }
+    }
+}
+
+/// Writes `mesh` as a VTK XML file with values on its nodes and tetrahedra.
+///
+/// # Errors
+/// [`MeshFileError`] if a field does not have one value a node or tetrahedron, or the file cannot be
+/// written; then the old one is untouched.
+pub fn write_vtu_with(path: &Path, mesh: &TetMesh, fields: &[VtuField<'_>]) -> Result<(), MeshFileError> {
+    vtu_write::check_fields(mesh, fields)?;
+    written(path, write_atomically(path, |out| vtu_write::write(mesh, fields, out)))
+}
+
+/// Writes `mesh` as an ASCII Gmsh file.
+///
+/// # Errors
+/// [`MeshFileError`] if the file cannot be written; then the old one is untouched.
+pub fn write_gmsh(path: &Path, mesh: &TetMesh, version: GmshVersion) -> Result<(), MeshFileError> {
+    written(path, write_atomically(path, |out| gmsh::write(mesh, version, out)))
+}
+
+fn written(path: &Path, result: io::Result<()>) -> Result<(), MeshFileError> {
+    result.map_err(|source| MeshFileError::Io { path: path.to_owned(), source })
+}
+
+/// Positions [m] from binary coordinates, three a point.
+fn positions_from_bytes(
+    data: &[u8],
+    kind: NumberType,
+    order: ByteOrder,
+    unit: LengthUnit,
+) -> Result<Vec<DVec3>, FormatError> {
+    let size = kind.n_bytes();
+    let mut positions_m = Vec::with_capacity(data.len() / (3 * size));
+    for (p, point) in data.chunks_exact(3 * size).enumerate() {
+        let [x, y, z] =
+            [0, 1, 2].map(|i| kind.float(&point[i * size..(i + 1) * size], order) / unit.per_metre());
+        let position_m = DVec3::new(x, y, z);
+        if !position_m.is_finite() {
+            return Err(FormatError::named(
+                format!("point {p}"),
+                format!("({x}, {y}, {z})"),
+                "finite coordinates",
+            ));
+        }
+        positions_m.push(position_m);
+    }
+    Ok(positions_m)
+}
+
+/// Integers from binary data.
+fn integers_from_bytes(
+    data: &[u8],
+    kind: NumberType,
+    order: ByteOrder,
+    what: &str,
+) -> Result<Vec<i64>, FormatError> {
+    data.chunks_exact(kind.n_bytes())
+        .enumerate()
+        .map(|(i, bytes)| {
+            kind.integer(bytes, order).ok_or_else(|| {
+                FormatError::named(
+                    format!("entry {i} of {what}"),
+                    format!("{kind:?} data"),
+                    "integers below 2^63",
+                )
+            })
+        })
+        .collect()
+}

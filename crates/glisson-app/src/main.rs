@@ -14,7 +14,20 @@ mod validate;
 
 use clap::Parser;
 
+/// Ends quietly when whoever reads our output stops reading (`glisson check ... | head`): printing then panics.
+fn leave_closed_pipes_quietly() {
+    let tell = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let message = panic.payload().downcast_ref::<String>().map_or("", String::as_str);
+        if message.contains("failed printing to stdout") && message.contains("Broken pipe") {
+            std::process::exit(0);
+        }
+        tell(panic);
+    }));
+}
+
 fn main() -> std::process::ExitCode {
+    leave_closed_pipes_quietly();
     let command_line = commands::CommandLine::parse();
     match commands::run(&command_line) {
         Ok(()) => std::process::ExitCode::SUCCESS,

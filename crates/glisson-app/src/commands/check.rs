@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use glisson::files::write_atomically;
+use glisson::math::Aabb;
 use glisson::mesh::TetMesh;
 use glisson::mesh::faults::ImportReport;
 use glisson::mesh::files::read_mesh;
@@ -64,6 +65,8 @@ struct MeshAnswer {
     kind: &'static str,
     #[serde(flatten)]
     quality: MeshQuality,
+    bounds_min_m: [f64; 3],
+    bounds_max_m: [f64; 3],
     faults: Vec<String>,
 }
 
@@ -86,7 +89,14 @@ fn check_mesh(args: &Args, mesh: &TetMesh, import: &ImportReport) -> anyhow::Res
     ensure!(is_countable, "{}: {}", args.file.display(), faults.join("; "));
     let quality = MeshQuality::of(mesh);
     if args.json {
-        let answer = MeshAnswer { kind: "tetrahedra", quality, faults: faults.clone() };
+        let bounds = Aabb::of_points(&mesh.positions_m);
+        let answer = MeshAnswer {
+            kind: "tetrahedra",
+            quality,
+            bounds_min_m: bounds.min_m.to_array(),
+            bounds_max_m: bounds.max_m.to_array(),
+            faults: faults.clone(),
+        };
         println!("{}", serde_json::to_string_pretty(&answer)?);
     } else {
         print_quality(&quality);

@@ -8,7 +8,7 @@ use crate::runtime::replay::{self, read_session};
 use crate::runtime::{OpenScene, Simulation};
 use anyhow::{Context, ensure};
 use glisson::files::write_atomically;
-use glisson::math::{Aabb, DVec3};
+use glisson::math::DVec3;
 use glisson::record::hash::StateHash;
 use glisson::scene::tool_on_path;
 use glisson::tool::Tool;
@@ -18,8 +18,26 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
+/// From the front [degrees].
+const FRONT: f64 = 0.0;
+/// How far above the horizontal the eye is [degrees].
+const ELEVATION_DEG: f64 = 20.0;
+
+/// A picture of a push, from the side: from the front the force points into the eye.
+struct Shot {
+    file: &'static str,
+    title: &'static str,
+    /// From the front towards the patient's right.
+    azimuth_deg: f64,
+}
+
+/// One for each push, in the order of the scene's path.
+const SHOTS: [Shot; 2] = [
+    Shot { file: "2_push_right_lobe.png", title: "Right lobe", azimuth_deg: 50.0 },
+    Shot { file: "3_push_left_lobe.png", title: "Left lobe", azimuth_deg: -50.0 },
+];
 /// Length of a force arrow [m/N].
-const ARROW_M_PER_N: f64 = 0.03;
+const ARROW_M_PER_N: f64 = 0.06;
 
 /// State of one step.
 #[derive(Clone, Copy, Debug)]
@@ -34,6 +52,8 @@ pub(crate) struct Sample {
 pub(crate) struct Palpation {
     pub(crate) samples: Vec<Sample>,
     pub(crate) pictures: Vec<PathBuf>,
+    /// Times [s] and forces [N] of the pictures of a push.
+    pub(crate) pictured: Vec<[f64; 2]>,
     pub(crate) model: &'static str,
     pub(crate) material: String,
     pub(crate) steps: u64,
@@ -57,21 +77,17 @@ pub(crate) fn palpate(files: &Files) -> anyhow::Result<Palpation> {
     let mut simulation = Simulation::open(source, Some(&files.session))?;
     let time_step_s = simulation.world().spec().time_step_s;
     let home = simulation.world().spec().tool.home;
-    let camera = camera_of(simulation.world());
-    let mut pictures =
-        vec![picture(&files.folder.join("1_rest.png"), simulation.world(), camera, "At rest")?];
+    let mut pictures = vec![picture(&files.folder.join("1_rest.png"), simulation.world(), FRONT, "At rest")?];
     let steps = (end_s / time_step_s).round() as u64;
     let mut samples = Vec::with_capacity(steps as usize);
     // Every push is pictured at the end of its hold: the third of its four points of the path.
-    let moments: Vec<(u64, &str, &str)> = path
+    let moments: Vec<(u64, &Shot)> = path
         .chunks(4)
-        .zip([("2_push_right_lobe.png", "Right lobe"), ("3_push_left_lobe.png", "Left lobe")])
-        .filter_map(|(push, (file, name))| {
-            Some(((push.get(2)?.time_s / time_step_s).round() as u64, file, name))
-        })
+        .zip(&SHOTS)
+        .filter_map(|(push, shot)| Some(((push.get(2)?.time_s / time_step_s).round() as u64, shot)))
         .collect();
     let start = Instant::now();
-    let mut drawing_s = 0.0;
+    let (mut drawing_s, mut pictured) = (0.0, Vec::new());
     for step in 1..=steps {
         let tool = tool_on_path(home, &path, step as f64 * time_step_s);
         let report = simulation.advance(&StepInput { tool, n_substeps: 1, placed: false })?;
@@ -80,10 +96,12 @@ pub(crate) fn palpate(files: &Files) -> anyhow::Result<Palpation> {
             force_n: report.force_on_tool_n,
             indentation_m: indentation_m(simulation.world()),
         });
-        if let Some((_, file, name)) = moments.iter().find(|m| m.0 == step) {
+        if let Some((_, shot)) = moments.iter().find(|m| m.0 == step) {
+            let (world, name) = (simulation.world(), shot.title);
             ensure!(report.in_contact, "the probe does not touch the liver when it should push ({name})");
             let before = Instant::now();
-            pictures.push(picture(&files.folder.join(file), simulation.world(), camera, name)?);
+            pictures.push(picture(&files.folder.join(shot.file), world, shot.azimuth_deg, name)?);
+            pictured.push([step as f64 * time_step_s, report.force_on_tool_n.length()]);
             drawing_s += before.elapsed().as_secs_f64();
         }
     }
@@ -101,6 +119,7 @@ pub(crate) fn palpate(files: &Files) -> anyhow::Result<Palpation> {
     Ok(Palpation {
         samples,
         pictures,
+        pictured,
         model,
         material,
         steps,
@@ -129,9 +148,9 @@ fn write_csv(files: &Files, samples: &[Sample]) -> anyhow::Result<()> {
     .with_context(|| format!("{}: cannot write", files.force_csv.display()))
 }
 
-fn camera_of(world: &World) -> Camera {
-    let bounds = Aabb::of_points(world.organ().surface_positions_m()).grown(0.03);
-    Camera::framing(bounds, PICTURE_SIZE, View::default())
+fn camera(world: &World, azimuth_deg: f64) -> Camera {
+    let view = View { azimuth_rad: azimuth_deg.to_radians(), elevation_rad: ELEVATION_DEG.to_radians() };
+    Camera::framing_points(world.organ().surface_positions_m(), PICTURE_SIZE, view)
 }
 
 fn instrument(tool: &Tool, world: &World) -> Instrument {
@@ -144,7 +163,7 @@ fn instrument(tool: &Tool, world: &World) -> Instrument {
     }
 }
 
-fn picture(path: &std::path::Path, world: &World, camera: Camera, title: &str) -> anyhow::Result<PathBuf> {
+fn picture(path: &std::path::Path, world: &World, azimuth_deg: f64, title: &str) -> anyhow::Result<PathBuf> {
     let topology = world.display_topology();
     let snapshot = world.snapshot();
     let force_n = snapshot.force_on_tool_n;
@@ -171,7 +190,7 @@ fn picture(path: &std::path::Path, world: &World, camera: Camera, title: &str) -
         instruments: vec![instrument(&world.spec().tool, world)],
         arrows: arrows.into_iter().collect(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],
-        camera,
+        camera: camera(world, azimuth_deg),
         size: PICTURE_SIZE,
     };
     Picture::render(&scene)?.write_png(path)?;

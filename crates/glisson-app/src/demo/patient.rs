@@ -1,9 +1,7 @@
 //! A picture of the synthetic patient's organs, from the true label map.
 
 use super::scenery::Files;
-use crate::picture::{
-    Camera, Caption, CaptionPlace, Look, Picture, PictureScene, ShadedSurface, View, bounds_of,
-};
+use crate::picture::{Camera, Caption, CaptionPlace, Look, Picture, PictureScene, ShadedSurface, View};
 use glisson::image::LabelMap;
 use glisson::image::labels::Parts;
 use glisson::surface::extract::{SurfaceParams, surface_of_mask};
@@ -39,7 +37,8 @@ pub(crate) fn draw(files: &Files, labels: &LabelMap) -> anyhow::Result<()> {
             look: Look::of_structure(organ),
         });
     }
-    let camera = Camera::framing(bounds_of(&surfaces), PICTURE_SIZE, View::default());
+    let points_m: Vec<_> = surfaces.iter().flat_map(|s| s.positions_m.iter().copied()).collect();
+    let camera = Camera::framing_points(&points_m, PICTURE_SIZE, View::default());
     let text = format!("The synthetic patient: {}", ORGANS.join(", ").replace('_', " "));
     let scene = PictureScene {
         surfaces,

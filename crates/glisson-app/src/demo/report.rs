@@ -53,6 +53,7 @@ fn images(files: &Files) -> anyhow::Result<ImageFigures> {
             plane,
             through_m: sum / n,
             window_centre_width: LIVER_WINDOW_HU,
+            shown_labels: Vec::new(),
             height: SLICE_HEIGHT,
             caption: caption.into(),
         };
@@ -73,6 +74,7 @@ fn force_plot(palpation: &Palpation) -> LinePlot {
         points: palpation.samples.iter().map(|s| [s.time_s, value(s)]).collect(),
         style: SeriesStyle::Line,
     };
+    let end_s = palpation.samples.last().map_or(0.0, |s| s.time_s);
     LinePlot {
         title: "Force on the probe during the palpation".into(),
         x_label: "time [s]".into(),
@@ -82,6 +84,16 @@ fn force_plot(palpation: &Palpation) -> LinePlot {
             series("y (posterior)", &|s| s.force_n.y),
             series("z (superior)", &|s| s.force_n.z),
             series("magnitude", &|s| s.force_n.length()),
+            Series {
+                name: "greatest".into(),
+                points: vec![[0.0, palpation.greatest_force_n()], [end_s, palpation.greatest_force_n()]],
+                style: SeriesStyle::Dashed,
+            },
+            Series {
+                name: "pictures".into(),
+                points: palpation.pictured.clone(),
+                style: SeriesStyle::Points,
+            },
         ],
         size: [900, 500],
     }

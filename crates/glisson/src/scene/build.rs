@@ -4,7 +4,8 @@ use super::spec::{MaterialSource, Scene};
 use crate::material::tissues::{Tissue, TissueError};
 use crate::material::{LinearElastic, MaterialError};
 use crate::math::DVec3;
-use crate::mesh::files::{MeshFileError, read_mesh};
+use crate::mesh::faults::{FaultAction, ImportPolicy};
+use crate::mesh::files::{MeshFileError, read_mesh_with};
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::DeformableModel;
 use crate::model::kind::ModelKind;
@@ -80,7 +81,8 @@ pub struct OrganBody {
 /// [`BuildError`]: an unreadable mesh, an unknown tissue, nothing that holds the organ.
 pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError> {
     let file = folder.join(&scene.organ.mesh);
-    let (mesh, _) = read_mesh(&file)?;
+    let policy = ImportPolicy { faults: FaultAction::Refuse, ..ImportPolicy::default() };
+    let (mesh, _) = read_mesh_with(&file, &policy)?;
     let (material, name) = match &scene.organ.material {
         MaterialSource::Tissue(name) => {
             let tissue = Tissue::by_name(name)?;

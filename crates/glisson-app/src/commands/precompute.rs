@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Once;
 use std::time::{Duration, Instant};
 
+use crate::runtime::OpenScene;
 use anyhow::{Context, bail};
 use glisson::material::LinearElastic;
 use glisson::material::tissues::Tissue;
@@ -11,21 +12,23 @@ use glisson::math::{Aabb, DVec3};
 use glisson::mesh::faults::{FaultAction, ImportPolicy};
 use glisson::mesh::files::read_mesh_with;
 use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
+use glisson::scene::{OrganBody, read_organ};
 use glisson::world::spec::{FixedRegion, nodes_in};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Compute and save the compliance of a mesh for the pre-computed model.
 ///
-/// Held nodes come from boxes, balls and shares along a direction, added up; each option may be given several
+/// A scene says mesh, material and support itself. For a mesh, held nodes come from boxes, balls and shares along a direction, added up; each option may be given several
 /// times. The file holds for exactly this mesh, material and support: another one is refused when it is loaded.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  glisson precompute liver.vtu --tissue liver --fix-furthest 0,1,0,0.08 -o liver.compliance
-  glisson precompute liver.vtu --young-kpa 5 --poisson 0.45 --fix-box-mm=-20,60,-30,20,90,30 -o liver.compliance")]
-#[command(group = clap::ArgGroup::new("elasticity").args(["tissue", "young_kpa"]).required(true))]
+  glisson precompute scene.toml -o liver.precomputed
+  glisson precompute liver.vtu --tissue liver --fix-furthest 0,1,0,0.08 -o liver.precomputed
+  glisson precompute liver.vtu --young-kpa 5 --poisson 0.45 --fix-box-mm=-20,60,-30,20,90,30 -o liver.precomputed")]
+#[command(group = clap::ArgGroup::new("elasticity").args(["tissue", "young_kpa"]))]
 pub(crate) struct Args {
-    /// Tetrahedral mesh (.vtu, .vtk, .msh, .node/.ele, plain list), in mm.
-    mesh: PathBuf,
+    /// Scene (.toml), or tetrahedral mesh in mm (.vtu, .vtk, .msh, .node/.ele, plain list)
+    input: PathBuf,
     /// Tissue from the table: liver, gall_bladder, kidney, brain, vessel, glisson_capsule.
     #[arg(long)]
     tissue: Option<String>,
@@ -113,11 +116,12 @@ fn fixed_regions(args: &Args) -> anyhow::Result<Vec<FixedRegion>> {
 /// Work shorter than this shows no progress bar.
 const QUIET: Duration = Duration::from_secs(1);
 
-pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+/// Mesh, material and support that the options say.
+fn body_of_mesh(args: &Args) -> anyhow::Result<OrganBody> {
     let material = material(args)?;
     let regions = fixed_regions(args)?;
     let policy = ImportPolicy { faults: FaultAction::Refuse, ..ImportPolicy::default() };
-    let (mesh, _) = read_mesh_with(&args.mesh, &policy)?;
+    let (mesh, _) = read_mesh_with(&args.input, &policy)?;
     let fixed_nodes = nodes_in(&regions, &mesh.positions_m);
     if fixed_nodes.is_empty() {
         let bounds = Aabb::of_points(&mesh.positions_m);
@@ -125,9 +129,31 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         bail!(
             "no node of {} is held: the organ would float. Give --fix-box-mm, --fix-ball-mm or --fix-furthest; \
              the mesh reaches from {min_mm:.1} to {max_mm:.1} mm",
-            args.mesh.display()
+            args.input.display()
         );
     }
+    Ok(OrganBody { mesh, material, material_text: String::new(), fixed_nodes })
+}
+
+/// Mesh, material and support that a scene says.
+fn body_of_scene(args: &Args) -> anyhow::Result<OrganBody> {
+    let given = args.tissue.is_some()
+        || args.young_kpa.is_some()
+        || !(args.fix_box_mm.is_empty() && args.fix_ball_mm.is_empty() && args.fix_furthest.is_empty());
+    if given {
+        bail!(
+            "{} is a scene: it says the material and what is held; leave those options out",
+            args.input.display()
+        );
+    }
+    let source = OpenScene::read(&args.input)?;
+    Ok(read_organ(&source.scene, &source.folder)?)
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let is_scene = args.input.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
+    let body = if is_scene { body_of_scene(args)? } else { body_of_mesh(args)? };
+    let OrganBody { mesh, material, fixed_nodes, .. } = body;
 
     let start = Instant::now();
     let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
@@ -155,7 +181,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         .with_context(|| format!("starting {} threads", args.threads))?;
     let model = pool
         .install(|| Precomputed::build(&params))
-        .with_context(|| format!("pre-computing {}", args.mesh.display()))?;
+        .with_context(|| format!("pre-computing {}", args.input.display()))?;
     bar.finish_and_clear();
     let computed = start.elapsed();
     let n_bytes = model.save(&args.out)?;

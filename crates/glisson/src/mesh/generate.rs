@@ -104,7 +104,7 @@ pub struct MeshReport {
 
 /// Why a surface cannot be meshed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum MeshError {
+pub enum MeshingError {
     /// The distance field failed.
     #[error(transparent)]
     Distance(#[from] SignedDistanceError),
@@ -159,9 +159,9 @@ pub enum MeshError {
 /// Fills `surface` (closed, outward oriented) with tetrahedra.
 ///
 /// # Errors
-/// [`MeshError`]: the surface is not closed, the parameters make no sense, or no attempt gave a mesh with the
+/// [`MeshingError`]: the surface is not closed, the parameters make no sense, or no attempt gave a mesh with the
 /// surface's number of pieces and Euler number.
-pub fn generate(surface: &TriMesh, params: &MeshParams) -> Result<(TetMesh, MeshReport), MeshError> {
+pub fn generate(surface: &TriMesh, params: &MeshParams) -> Result<(TetMesh, MeshReport), MeshingError> {
     let plan = MeshPlan::new(surface, params)?;
     let field = plan.distance_field(surface)?;
     plan.fill(&field)
@@ -181,12 +181,15 @@ impl MeshPlan {
     /// Checks the surface and the parameters.
     ///
     /// # Errors
-    /// [`MeshError`] other than `Refused`.
-    pub fn new(surface: &TriMesh, params: &MeshParams) -> Result<Self, MeshError> {
+    /// [`MeshingError`] other than `Refused`.
+    pub fn new(surface: &TriMesh, params: &MeshParams) -> Result<Self, MeshingError> {
         let surface_volume_m3 = check_surface(surface)?;
         let volume_m3 = params.volume_m3.unwrap_or(surface_volume_m3);
-        let bad =
-            |what, found, allowed: &str| MeshError::BadParameter { what, found, allowed: allowed.to_owned() };
+        let bad = |what, found, allowed: &str| MeshingError::BadParameter {
+            what,
+            found,
+            allowed: allowed.to_owned(),
+        };
         if !(volume_m3 / surface_volume_m3 > 0.5 && volume_m3 / surface_volume_m3 < 2.0) {
             let allowed = format!("half to twice the surface's {surface_volume_m3} m3");
             return Err(bad("the wanted volume [m3]", volume_m3, &allowed));
@@ -222,18 +225,23 @@ impl MeshPlan {
     /// Signed distance of the surface, fine enough for the cells to come.
     ///
     /// # Errors
-    /// [`MeshError::Distance`].
-    pub fn distance_field(&self, surface: &TriMesh) -> Result<SignedDistance, MeshError> {
-        // Four samples a cell; at least sixty over the surface, so that its shape is met by coarse cells, too.
-        let spacing_m = (self.first_cell_m / 4.0).min(self.bounds_m.size_m().max_element() / 60.0);
-        Ok(SignedDistance::of_surface(surface, spacing_m, 2.5 * self.first_cell_m)?)
+    /// [`MeshingError::Distance`].
+    pub fn distance_field(&self, surface: &TriMesh) -> Result<SignedDistance, MeshingError> {
+        // Four samples a cell, or down to two and a half where they would be too many; at least sixty over the
+        // surface, so that its shape is met by coarse cells, too.
+        const MANY_NODES: f64 = 1.5e6;
+        let margin_m = 2.5 * self.first_cell_m;
+        let many_m = (self.bounds_m.grown(margin_m).size_m().element_product() / MANY_NODES).cbrt();
+        let of_cell_m = many_m.clamp(self.first_cell_m / 4.0, self.first_cell_m / 2.5);
+        let spacing_m = of_cell_m.min(self.bounds_m.size_m().max_element() / 60.0);
+        Ok(SignedDistance::of_surface(surface, spacing_m, margin_m)?)
     }
 
     /// Fills the level set.
     ///
     /// # Errors
-    /// [`MeshError::Refused`].
-    pub fn fill(&self, field: &SignedDistance) -> Result<(TetMesh, MeshReport), MeshError> {
+    /// [`MeshingError::Refused`].
+    pub fn fill(&self, field: &SignedDistance) -> Result<(TetMesh, MeshReport), MeshingError> {
         let mut reasons = Vec::new();
         let mut n_fillings = 0;
         for (offset, factor) in ATTEMPTS {
@@ -263,12 +271,12 @@ impl MeshPlan {
             }
         }
         let WantedTopology { bodies, cavities, surface_euler_characteristic: euler } = self.topology;
-        Err(MeshError::Refused { bodies, cavities, euler, reasons })
+        Err(MeshingError::Refused { bodies, cavities, euler, reasons })
     }
 }
 
 /// Checks that the surface is closed and gives its volume [m3].
-fn check_surface(surface: &TriMesh) -> Result<f64, MeshError> {
+fn check_surface(surface: &TriMesh) -> Result<f64, MeshingError> {
     if surface.triangles.is_empty() {
         return Err(SignedDistanceError::Empty.into());
     }
@@ -281,14 +289,14 @@ fn check_surface(surface: &TriMesh) -> Result<f64, MeshError> {
     let shape = SurfaceShape::of(n_vertices, &surface.triangles);
     if let Some(&first) = shape.open_edges.first() {
         let position_mm = 1e3 * surface.positions_m[first[0] as usize];
-        return Err(MeshError::NotClosed { n_edges: shape.open_edges.len(), first, position_mm });
+        return Err(MeshingError::NotClosed { n_edges: shape.open_edges.len(), first, position_mm });
     }
     if let Some(vertex) = surface.positions_m.iter().position(|p| !p.is_finite()) {
         let position_m = surface.positions_m[vertex];
         return Err(SignedDistanceError::NotFinite { vertex, position_m }.into());
     }
     let volume_m3 = surface.volume_m3();
-    if volume_m3 > 0.0 { Ok(volume_m3) } else { Err(MeshError::NoVolume { volume_ml: 1e6 * volume_m3 }) }
+    if volume_m3 > 0.0 { Ok(volume_m3) } else { Err(MeshingError::NoVolume { volume_ml: 1e6 * volume_m3 }) }
 }
 
 /// Bodies, cavities and Euler characteristic of a closed surface.

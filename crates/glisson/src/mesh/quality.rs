@@ -1,4 +1,4 @@
-//! How good a tetrahedral mesh is, and what is wrong with it.
+//! How good a tetrahedral mesh is.
 //!
 //! - Dihedral angle at an edge: the inner angle between the two faces that meet there; 70.53 degrees in the
 //!   regular tetrahedron.
@@ -15,10 +15,6 @@ pub const DIHEDRAL_BIN_DEG: f64 = 5.0;
 
 /// Number of bins of the radius ratios' histogram over 0 to 1.
 pub const RADIUS_RATIO_BINS: usize = 20;
-
-/// A tetrahedron is flat when its volume is below this part of its longest edge cubed: far below any that a
-/// simulation can use, far above rounding.
-const FLAT_RATIO: f64 = 1e-9;
 
 /// The faces of a tetrahedron with positive volume, each counter-clockwise seen from outside; face i is
 /// opposite to corner i.
@@ -220,6 +216,19 @@ pub fn radius_ratio(corners_m: [DVec3; 4]) -> f64 {
     3.0 * inner_m / outer_m
 }
 
+/// The six dihedral angles [degrees] of each tetrahedron in turn; a face without area gives 0 and 180.
+pub fn dihedral_angles_deg(mesh: &TetMesh) -> Vec<f64> {
+    (0..mesh.tetrahedra.len())
+        .flat_map(|t| dihedral_cosines(mesh.corners_m(TetId::from_index(t))))
+        .map(|cosine| libm::acos(cosine).to_degrees())
+        .collect()
+}
+
+/// The radius ratio of each tetrahedron.
+pub fn radius_ratios(mesh: &TetMesh) -> Vec<f64> {
+    (0..mesh.tetrahedra.len()).map(|t| radius_ratio(mesh.corners_m(TetId::from_index(t)))).collect()
+}
+
 /// What the numbers of a mesh look like; lengths in metres, angles in degrees.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct MeshQuality {
@@ -276,18 +285,17 @@ impl MeshQuality {
         let mut dihedral_histogram = vec![0; n_bins];
         let mut radius_ratio_histogram = vec![0; RADIUS_RATIO_BINS];
         let mut edges: Vec<[u32; 2]> = Vec::with_capacity(6 * mesh.tetrahedra.len());
-        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-            let corners_m = mesh.corners_m(TetId::from_index(t));
-            for cosine in dihedral_cosines(corners_m) {
-                let angle_deg = libm::acos(cosine).to_degrees();
-                dihedral.add(angle_deg);
-                dihedral_histogram[((angle_deg / DIHEDRAL_BIN_DEG) as usize).min(n_bins - 1)] += 1;
-            }
-            let this_ratio = radius_ratio(corners_m);
+        for angle_deg in dihedral_angles_deg(mesh) {
+            dihedral.add(angle_deg);
+            dihedral_histogram[((angle_deg / DIHEDRAL_BIN_DEG) as usize).min(n_bins - 1)] += 1;
+        }
+        for this_ratio in radius_ratios(mesh) {
             ratio.add(this_ratio);
             let bin = (this_ratio * RADIUS_RATIO_BINS as f64) as usize;
             radius_ratio_histogram[bin.min(RADIUS_RATIO_BINS - 1)] += 1;
-            volume.add(tetrahedron_volume_m3(corners_m));
+        }
+        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
+            volume.add(mesh.tet_volume_m3(TetId::from_index(t)));
             for i in 0..4 {
                 for j in i + 1..4 {
                     edges.push([nodes[i].0.min(nodes[j].0), nodes[i].0.max(nodes[j].0)]);
@@ -359,108 +367,6 @@ impl Range {
     }
 }
 
-/// Everything about a mesh that a simulation cannot live with, by index.
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
-pub struct MeshFaults {
-    /// Nodes with a coordinate that is no finite number.
-    pub not_finite_nodes: Vec<u32>,
-    /// Pairs of nodes at the same place: the later node and the first one there.
-    pub duplicate_nodes: Vec<[u32; 2]>,
-    /// Nodes that no tetrahedron uses.
-    pub loose_nodes: Vec<u32>,
-    /// Tetrahedra that name a node that does not exist, or one twice.
-    pub broken_tetrahedra: Vec<u32>,
-    /// Tetrahedra of negative volume.
-    pub inverted_tetrahedra: Vec<u32>,
-    /// Tetrahedra without volume.
-    pub flat_tetrahedra: Vec<u32>,
-    /// Faces (their nodes) that more than two tetrahedra share.
-    pub overshared_faces: Vec<[u32; 3]>,
-    /// Edges (their nodes) of the surface with more than two surface triangles.
-    pub pinched_edges: Vec<[u32; 2]>,
-    /// Nodes at which the surface touches itself.
-    pub pinched_nodes: Vec<u32>,
-}
-
-impl MeshFaults {
-    /// Finds all faults of `mesh`. Where tetrahedra are broken, the surface is not looked at.
-    pub fn of(mesh: &TetMesh) -> Self {
-        let n_nodes = mesh.positions_m.len();
-        let not_finite = (0..n_nodes).filter(|&n| !mesh.positions_m[n].is_finite());
-        let mut faults = Self { not_finite_nodes: not_finite.map(|n| n as u32).collect(), ..Self::default() };
-        let mut order: Vec<u32> = (0..n_nodes as u32).collect();
-        // Adding 0.0 makes -0.0 equal to 0.0.
-        let bits = |n: u32| (mesh.positions_m[n as usize] + DVec3::ZERO).to_array().map(f64::to_bits);
-        order.sort_unstable_by_key(|&n| (bits(n), n));
-        for same in order.chunk_by(|&a, &b| bits(a) == bits(b)) {
-            faults.duplicate_nodes.extend(same[1..].iter().map(|&n| [n, same[0]]));
-        }
-        faults.duplicate_nodes.sort_unstable();
-        let mut used = vec![false; n_nodes];
-        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-            for node in nodes.iter().filter(|n| n.index() < n_nodes) {
-                used[node.index()] = true;
-            }
-            let mut sorted = nodes.map(|n| n.0);
-            sorted.sort_unstable();
-            if sorted[3] as usize >= n_nodes || sorted.windows(2).any(|w| w[0] == w[1]) {
-                faults.broken_tetrahedra.push(t as u32);
-                continue;
-            }
-            let corners_m = mesh.corners_m(TetId::from_index(t));
-            let longest_m = (0..4)
-                .flat_map(|i| (i + 1..4).map(move |j| (i, j)))
-                .map(|(i, j)| corners_m[i].distance(corners_m[j]))
-                .fold(0.0, f64::max);
-            let volume_m3 = tetrahedron_volume_m3(corners_m);
-            if volume_m3.abs() <= FLAT_RATIO * longest_m * longest_m * longest_m {
-                faults.flat_tetrahedra.push(t as u32);
-            } else if volume_m3 < 0.0 {
-                faults.inverted_tetrahedra.push(t as u32);
-            }
-        }
-        faults.loose_nodes = (0..n_nodes).filter(|&n| !used[n]).map(|n| n as u32).collect();
-        if faults.broken_tetrahedra.is_empty() {
-            let (surface, overshared) = surface_triangles(mesh);
-            let shape = SurfaceShape::of(n_nodes, &surface);
-            faults.overshared_faces = overshared;
-            faults.pinched_edges = shape.pinched_edges;
-            faults.pinched_edges.extend(shape.open_edges);
-            faults.pinched_nodes = shape.pinched_vertices;
-        }
-        faults
-    }
-
-    /// Whether nothing was found.
-    pub fn is_empty(&self) -> bool {
-        *self == Self::default()
-    }
-
-    /// One line for each kind of fault found, with the first indices.
-    pub fn lines(&self) -> Vec<String> {
-        fn line<T: std::fmt::Debug>(lines: &mut Vec<String>, what: &str, found: &[T]) {
-            const N_SHOWN: usize = 10;
-            if found.is_empty() {
-                return;
-            }
-            let shown: Vec<String> = found.iter().take(N_SHOWN).map(|f| format!("{f:?}")).collect();
-            let more = if found.len() > N_SHOWN { ", ..." } else { "" };
-            lines.push(format!("{} {what}: {}{more}", found.len(), shown.join(", ")));
-        }
-        let mut lines = Vec::new();
-        line(&mut lines, "nodes with coordinates that are no finite numbers", &self.not_finite_nodes);
-        line(&mut lines, "duplicate nodes [node, first at its place]", &self.duplicate_nodes);
-        line(&mut lines, "nodes that no tetrahedron uses", &self.loose_nodes);
-        line(&mut lines, "tetrahedra with missing or repeated nodes", &self.broken_tetrahedra);
-        line(&mut lines, "inverted tetrahedra", &self.inverted_tetrahedra);
-        line(&mut lines, "tetrahedra without volume", &self.flat_tetrahedra);
-        line(&mut lines, "faces shared by more than two tetrahedra [nodes]", &self.overshared_faces);
-        line(&mut lines, "surface edges that are not between two triangles [nodes]", &self.pinched_edges);
-        line(&mut lines, "nodes at which the surface touches itself", &self.pinched_nodes);
-        lines
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -487,7 +393,6 @@ mod tests {
         assert_eq!((quality.surface_euler_characteristic, quality.surface_pieces), (2, 1));
         assert_eq!(quality.dihedral_histogram[14], 6);
         assert_eq!(quality.radius_ratio_histogram.iter().sum::<usize>(), 1);
-        assert!(MeshFaults::of(&mesh).is_empty());
     }
 
     #[test]
@@ -501,33 +406,16 @@ mod tests {
     }
 
     #[test]
-    fn every_fault_is_named_by_index() {
-        let mut mesh = regular();
-        mesh.positions_m.push(mesh.positions_m[1]);
-        mesh.positions_m.push(DVec3::new(f64::NAN, 0.0, 0.0));
-        mesh.tetrahedra.push([NodeId(0), NodeId(1), NodeId(2), NodeId(3)]);
-        mesh.tetrahedra.push([NodeId(0), NodeId(1), NodeId(2), NodeId(4)]);
-        let faults = MeshFaults::of(&mesh);
-        assert_eq!(faults.not_finite_nodes, [5]);
-        assert_eq!(faults.duplicate_nodes, [[4, 1]]);
-        assert_eq!(faults.loose_nodes, [5]);
-        assert_eq!(faults.inverted_tetrahedra, [1]);
-        assert_eq!(faults.flat_tetrahedra, [2]);
-        assert_eq!(faults.overshared_faces, [[0, 1, 2]]);
-        mesh.tetrahedra.push([NodeId(0), NodeId(1), NodeId(1), NodeId(9)]);
-        assert_eq!(MeshFaults::of(&mesh).broken_tetrahedra, [3]);
-        assert!(faults.lines().iter().any(|l| l.contains("inverted tetrahedra: 1")));
-    }
-
-    #[test]
     fn two_tetrahedra_at_a_node_or_an_edge_are_pinched() {
         let mut mesh = regular();
         let far = |p: DVec3| 2.0 * mesh.positions_m[0] - p;
         let mirrored: Vec<DVec3> = mesh.positions_m[1..].iter().map(|&p| far(p)).collect();
         mesh.positions_m.extend(mirrored);
         mesh.tetrahedra.push([NodeId(0), NodeId(4), NodeId(5), NodeId(6)]);
-        assert_eq!(MeshFaults::of(&mesh).pinched_nodes, [0]);
+        let shape = |mesh: &TetMesh| SurfaceShape::of(mesh.positions_m.len(), &surface_triangles(mesh).0);
+        assert_eq!(shape(&mesh).pinched_vertices, [0]);
         mesh.tetrahedra[1] = [NodeId(0), NodeId(1), NodeId(4), NodeId(5)];
-        assert_eq!(MeshFaults::of(&mesh).pinched_edges, [[0, 1]]);
+        assert_eq!(shape(&mesh).pinched_edges, [[0, 1]]);
+        assert!(!shape(&mesh).is_closed_manifold());
     }
 }

@@ -2,10 +2,11 @@
 
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::TetMesh;
+use glisson::mesh::faults::find_faults;
 use glisson::mesh::generate::{
-    COUNT_TOLERANCE, MeshError, MeshParams, VOLUME_TOLERANCE, WantedSize, generate,
+    COUNT_TOLERANCE, MeshParams, MeshingError, VOLUME_TOLERANCE, WantedSize, generate,
 };
-use glisson::mesh::quality::{MeshFaults, MeshQuality};
+use glisson::mesh::quality::{MeshQuality, SurfaceShape, surface_triangles};
 use glisson::mesh::stuffing::{Lattice, MIN_DIHEDRAL_DEG, Stuffing, WantedTopology};
 use glisson::mesh::thin::{ThinKind, thin_features};
 use glisson::surface::TriMesh;
@@ -77,7 +78,7 @@ fn blob(seed: u64, roughness: f64) -> TriMesh {
     let scale = DVec3::new(random.uniform_in(0.5, 1.0), random.uniform_in(0.5, 1.0), 1.0);
     let turn = glisson::math::DMat3::from_rotation_z(random.uniform_in(0.0, 6.3))
         * glisson::math::DMat3::from_rotation_x(random.uniform_in(0.0, 6.3));
-    moved(sphere(4), |p| {
+    moved(sphere(3), |p| {
         let swell: f64 = waves.iter().map(|(d, k, phase)| (k * d.dot(p) + phase).sin()).sum();
         0.05 * (turn * (scale * p * (1.0 + roughness * swell / 8.0).max(0.2)))
     })
@@ -103,7 +104,10 @@ fn with_count(n: usize) -> MeshParams {
 /// Everything that a generated mesh promises.
 fn assert_is_sound(mesh: &TetMesh, volume_m3: f64, euler: i64, pieces: usize) {
     let quality = MeshQuality::of(mesh);
-    assert_eq!(MeshFaults::of(mesh).lines(), Vec::<String>::new());
+    let (surface, overshared) = surface_triangles(mesh);
+    assert!(overshared.is_empty());
+    assert!(SurfaceShape::of(mesh.positions_m.len(), &surface).is_closed_manifold());
+    assert_eq!(find_faults(mesh).lines(), Vec::<String>::new());
     assert!(quality.min_dihedral_deg >= MIN_DIHEDRAL_DEG - 1e-9, "{}", quality.min_dihedral_deg);
     assert!(quality.max_dihedral_deg <= 164.8, "{}", quality.max_dihedral_deg);
     assert!(quality.min_tetrahedron_volume_m3 > 0.0);
@@ -160,7 +164,7 @@ fn overlapping_pieces_are_united_by_their_winding() {
 
 #[test]
 fn a_ball_is_filled_at_every_size() {
-    let surface = moved(sphere(5), |p| 0.05 * p);
+    let surface = moved(sphere(4), |p| 0.05 * p);
     for n in [500, 2_000, 6_300, 20_000] {
         let (mesh, report) = generate(&surface, &with_count(n)).unwrap();
         assert_is_sound(&mesh, surface.volume_m3(), 2, 1);
@@ -190,14 +194,14 @@ fn a_torus_stays_a_torus() {
 
 #[test]
 fn a_ring_too_thin_for_the_cells_is_repaired_or_refused_but_never_torn() {
-    for n in [200, 400, 800, 1_600] {
+    for n in [200, 1_000] {
         let surface = torus(0.05, 0.006);
         match generate(&surface, &with_count(n)) {
             Ok((mesh, report)) => {
                 assert_is_sound(&mesh, surface.volume_m3(), 0, 1);
                 assert!(report.thin_features.iter().any(|f| f.kind == ThinKind::Body));
             }
-            Err(MeshError::Refused { euler, reasons, .. }) => {
+            Err(MeshingError::Refused { euler, reasons, .. }) => {
                 assert_eq!((euler, reasons.len()), (0, 10));
             }
             Err(other) => panic!("{other}"),
@@ -254,7 +258,7 @@ fn the_same_surface_gives_the_same_bits() {
 #[test]
 fn sheets_and_fissures_are_found_where_they_are() {
     // A slab of 4 mm and a ball of 40 mm: the slab is thin for 5 mm cells, the ball is not.
-    let mut surface = moved(sphere(5), |p| DVec3::new(0.05, 0.05, 0.002) * p.signum() * p.abs().powf(0.3));
+    let mut surface = moved(sphere(4), |p| DVec3::new(0.05, 0.05, 0.002) * p.signum() * p.abs().powf(0.3));
     let n = surface.positions_m.len() as u32;
     let ball = moved(sphere(4), |p| 0.02 * p + DVec3::new(0.0, 0.0, 0.1));
     surface.positions_m.extend(ball.positions_m);
@@ -294,13 +298,13 @@ fn bad_surfaces_and_sizes_are_refused_with_the_reason() {
     let mut open = ball.clone();
     open.triangles.pop();
     match refusal(&open, with_count(2_000)) {
-        MeshError::NotClosed { n_edges: 3, .. } => {}
+        MeshingError::NotClosed { n_edges: 3, .. } => {}
         other => panic!("{other}"),
     }
     let mut inverted = ball.clone();
     inverted.triangles.iter_mut().for_each(|t| t.swap(0, 1));
     assert!(
-        matches!(refusal(&inverted, with_count(2_000)), MeshError::NoVolume { volume_ml } if volume_ml < 0.0)
+        matches!(refusal(&inverted, with_count(2_000)), MeshingError::NoVolume { volume_ml } if volume_ml < 0.0)
     );
     let mut broken = ball.clone();
     broken.triangles[7][1] = 999;
@@ -316,7 +320,7 @@ fn bad_surfaces_and_sizes_are_refused_with_the_reason() {
         WantedSize::EdgeM(1.0),
     ] {
         let error = refusal(&ball, MeshParams { size, volume_m3: None });
-        assert!(matches!(error, MeshError::BadParameter { .. }), "{error}");
+        assert!(matches!(error, MeshingError::BadParameter { .. }), "{error}");
     }
     let error = refusal(&ball, MeshParams { volume_m3: Some(1.0), ..with_count(2_000) });
     assert!(error.to_string().contains("wanted volume"), "{error}");
@@ -325,7 +329,7 @@ fn bad_surfaces_and_sizes_are_refused_with_the_reason() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 12, ..ProptestConfig::default() })]
 
     #[test]
     fn any_smooth_blob_is_filled_soundly(seed in 0u64..1_000_000, roughness in 0.0..2.5f64, n in 1_000usize..6_000) {

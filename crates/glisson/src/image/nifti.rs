@@ -137,7 +137,7 @@ fn read_bytes(file: &Path) -> Result<(Header, Vec<u8>), ImageError> {
     let stored = std::fs::read(file).map_err(io_error)?;
     if !stored.starts_with(&[0x1f, 0x8b]) {
         let header = parse_header(file, &stored)?;
-        let expected = expected_bytes(file, &header, stored.len() as u64)?;
+        let expected = header.n_file_bytes();
         return match stored.len() as u64 == expected {
             true => Ok((header, stored)),
             false => Err(size_mismatch(file, &header, expected, stored.len() as u64)),
@@ -156,25 +156,35 @@ fn read_bytes(file: &Path) -> Result<(Header, Vec<u8>), ImageError> {
     let result = (&mut decoder).take(N_HEADER_BYTES as u64).read_to_end(&mut bytes);
     result.map_err(damaged(bytes.len(), None))?;
     let header = parse_header(file, &bytes)?;
-    let expected = expected_bytes(file, &header, (stored.len() as u64).saturating_mul(MAX_DEFLATE_RATIO))?;
-    // `take` and a growing vector: memory follows the bytes that really come out.
-    let result = (&mut decoder).take(expected - bytes.len() as u64).read_to_end(&mut bytes);
-    result.map_err(damaged(bytes.len(), Some(expected)))?;
-    // To the end of the stream, for its checksum and for bytes that should not be there.
-    let surplus = io::copy(&mut decoder, &mut io::sink()).map_err(damaged(bytes.len(), Some(expected)))?;
-    let found = bytes.len() as u64 + surplus;
-    match found == expected {
+    let expected = header.n_file_bytes();
+    let possible = expected <= (stored.len() as u64).saturating_mul(MAX_DEFLATE_RATIO);
+    if possible {
+        // `take` and a growing vector: memory follows the bytes that really come out.
+        let result = (&mut decoder).take(expected - bytes.len() as u64).read_to_end(&mut bytes);
+        result.map_err(damaged(bytes.len(), Some(expected)))?;
+    }
+    // To the end of the stream, keeping nothing: for its checksum, and to count what is too much.
+    let mut surplus = CountingSink(0);
+    let result = io::copy(&mut decoder, &mut surplus);
+    let found = bytes.len() as u64 + surplus.0;
+    result.map_err(damaged(found as usize, Some(expected)))?;
+    match possible && found == expected {
         true => Ok((header, bytes)),
         false => Err(size_mismatch(file, &header, expected, found)),
     }
 }
 
-/// Bytes the header promises; an error when that is more than `n_possible`.
-fn expected_bytes(file: &Path, header: &Header, n_possible: u64) -> Result<u64, ImageError> {
-    let expected = header.n_data_bytes().and_then(|n| n.checked_add(header.data_start as u64));
-    match expected {
-        Some(n) if n <= n_possible => Ok(n),
-        _ => Err(size_mismatch(file, header, expected.unwrap_or(u64::MAX), n_possible)),
+/// Counts the bytes written to it.
+struct CountingSink(u64);
+
+impl io::Write for CountingSink {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0 += bytes.len() as u64;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
 

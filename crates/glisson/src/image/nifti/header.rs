@@ -56,10 +56,10 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// Bytes of all voxels; `None` when that overflows.
-    pub(super) fn n_data_bytes(&self) -> Option<u64> {
-        let n = self.grid.dims.iter().try_fold(1u64, |n, &d| n.checked_mul(d as u64))?;
-        n.checked_mul(self.voxel_type.n_bytes() as u64)
+    /// Bytes of the whole file. Three dimensions of 15 bits and 8 bytes a voxel cannot overflow.
+    pub(super) fn n_file_bytes(&self) -> u64 {
+        let n_voxels: u64 = self.grid.dims.iter().map(|&n| n as u64).product();
+        self.data_start as u64 + n_voxels * self.voxel_type.n_bytes() as u64
     }
 }
 

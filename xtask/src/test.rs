@@ -143,7 +143,7 @@ fn browser(scene: &Path) -> anyhow::Result<()> {
         .args(["run", "test:browser"])
         .current_dir(root().join("web"))
         .env("GLISSON_URL", &server.address)
-        .env("GLISSON_CHROMIUM", chromium)
+        .env("CHROMIUM", chromium)
         .status()
         .context("cannot start npm")?;
     anyhow::ensure!(status.success(), "the browser test failed ({status})");

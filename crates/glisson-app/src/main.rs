@@ -3,15 +3,31 @@
 //! Exit codes: 0 done, 1 the work failed (bad input, a check that does not hold), 2 the command line is wrong.
 #![allow(clippy::print_stdout, reason = "a command-line program answers on standard output")]
 
+mod bench;
 mod commands;
-#[allow(dead_code, unused_imports, reason = "what no command draws yet is still tested")]
+mod demo;
 mod picture;
-#[allow(dead_code, reason = "what no command draws yet is still tested")]
 mod plot;
+mod runtime;
+mod server;
+mod validate;
 
 use clap::Parser;
 
+/// Ends quietly when whoever reads our output stops reading (`glisson check ... | head`): printing then panics.
+fn leave_closed_pipes_quietly() {
+    let tell = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let message = panic.payload().downcast_ref::<String>().map_or("", String::as_str);
+        if message.contains("failed printing to stdout") && message.contains("Broken pipe") {
+            std::process::exit(0);
+        }
+        tell(panic);
+    }));
+}
+
 fn main() -> std::process::ExitCode {
+    leave_closed_pipes_quietly();
     let command_line = commands::CommandLine::parse();
     match commands::run(&command_line) {
         Ok(()) => std::process::ExitCode::SUCCESS,

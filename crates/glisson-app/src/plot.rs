@@ -205,14 +205,6 @@ impl Histogram {
         });
         frame.draw(&bars.chain(marks).collect::<Vec<_>>())
     }
-
-    /// Writes the plot as an SVG file.
-    ///
-    /// # Errors
-    /// See [`Histogram::to_svg`]; or when the file cannot be written.
-    pub(crate) fn write_svg(&self, path: &Path) -> anyhow::Result<()> {
-        write_text(path, &self.to_svg()?)
-    }
 }
 
 /// Something to draw between the axes.
@@ -509,6 +501,6 @@ mod tests {
         let folder =
             std::path::PathBuf::from(std::env::var_os("GLISSON_PICTURES").expect("set it to a folder"));
         force_plot().write_svg(&folder.join("force.svg")).unwrap();
-        angles().write_svg(&folder.join("angles.svg")).unwrap();
+        std::fs::write(folder.join("angles.svg"), angles().to_svg().unwrap()).unwrap();
     }
 }

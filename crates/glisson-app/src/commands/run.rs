@@ -1,11 +1,96 @@
 //! `glisson run`.
 
-use anyhow::bail;
+use crate::runtime::{OpenScene, Simulation};
+use anyhow::{Context, bail};
+use glisson::files::write_atomically;
+use glisson::scene::tool_on_path;
+use glisson::world::StepInput;
+use serde_json::json;
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::Instant;
 
 /// Run a scene without a window and record the session.
+///
+/// The tool follows the path of the scene; without one it stays at home.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {}
+#[command(after_help = "Examples:\n  glisson run out/demo/scene.toml --record session.jsonl\n  \
+    glisson run scene.toml --steps 10000 --csv force.csv --json")]
+pub(crate) struct Args {
+    /// Scene file (TOML)
+    scene: PathBuf,
+    /// Steps to make; to the end of the tool's path if not given
+    #[arg(long)]
+    steps: Option<u64>,
+    /// Record the session to this file
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Write time, tool tip and force of every step as CSV
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+}
 
-pub(crate) fn run(_args: &Args) -> anyhow::Result<()> {
-    bail!("not built yet")
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let source = OpenScene::read(&args.scene)?;
+    let time_step_s = source.scene.world.time_step_s;
+    let path = source.scene.path.clone();
+    let steps = match (args.steps, path.last()) {
+        (Some(steps), _) => steps,
+        (None, Some(last)) => (last.time_s / time_step_s).ceil() as u64,
+        (None, None) => bail!("the scene has no [[tool.path]] to follow; say how long with --steps"),
+    };
+    let mut simulation = Simulation::open(source, args.record.as_deref())?;
+    let home = simulation.world().spec().tool.home;
+    let mut rows = String::from("time_s,tip_x_m,tip_y_m,tip_z_m,force_x_n,force_y_n,force_z_n,contact\n");
+    let mut greatest_force_n = 0.0_f64;
+    let mut contact_steps = 0_u64;
+    let start = Instant::now();
+    for step in 1..=steps {
+        let time_s = step as f64 * time_step_s;
+        let tool = tool_on_path(home, &path, time_s);
+        let report = simulation.advance(&StepInput { tool, n_substeps: 1, placed: false })?;
+        let force = report.force_on_tool_n;
+        greatest_force_n = greatest_force_n.max(force.length());
+        contact_steps += u64::from(report.in_contact);
+        if args.csv.is_some() {
+            let tip = tool.tip_in_world_m;
+            rows += &format!(
+                "{time_s},{},{},{},{},{},{},{}\n",
+                tip.x,
+                tip.y,
+                tip.z,
+                force.x,
+                force.y,
+                force.z,
+                u8::from(report.in_contact)
+            );
+        }
+    }
+    let elapsed_s = start.elapsed().as_secs_f64();
+    if let Some(csv) = &args.csv {
+        write_atomically(csv, |out| out.write_all(rows.as_bytes()))
+            .with_context(|| format!("{}: cannot write", csv.display()))?;
+    }
+    let model = simulation.world().model_kind().name();
+    let state_hash = simulation.finish()?;
+    let simulated_s = steps as f64 * time_step_s;
+    if args.json {
+        println!(
+            "{}",
+            json!({
+                "steps": steps, "model": model, "simulated_s": simulated_s, "elapsed_s": elapsed_s,
+                "real_time_factor": simulated_s / elapsed_s, "greatest_force_n": greatest_force_n,
+                "contact_steps": contact_steps, "state_hash": state_hash.to_string(),
+            })
+        );
+    } else {
+        println!("steps            {steps} ({simulated_s:.3} s simulated in {elapsed_s:.3} s, {model})");
+        println!("real-time factor {:.1}", simulated_s / elapsed_s);
+        println!("greatest force   {greatest_force_n:.3} N; contact in {contact_steps} steps");
+        println!("state hash       {state_hash}");
+    }
+    Ok(())
 }

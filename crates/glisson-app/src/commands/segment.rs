@@ -8,6 +8,7 @@ use glisson::image::nifti::{read_label_map, read_volume, write_label_map};
 use glisson::image::segment::{SegmentParams, Segmentation, bare_band, segment};
 use glisson::image::{LabelMap, Volume, VoxelGrid};
 use glisson::math::DVec3;
+use serde_json::json;
 
 /// Find the liver in a CT volume.
 ///
@@ -44,6 +45,9 @@ pub(crate) struct Args {
     /// Compare without the vessels and tumours inside the true organ
     #[arg(long, requires = "truth")]
     without_parts: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -62,11 +66,35 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             .with_context(|| format!("cannot make folder {}", folder.display()))?;
     }
     write_label_map(&args.output, &map)?;
-    report(args, &ct, &found, truth.as_deref());
+    let overlap = truth.map(|truth| Overlap {
+        dice: dice(&found.mask, &truth),
+        bare_band_dice: dice(&bare_band(&ct, found.band_hu), &truth),
+    });
+    if args.json {
+        println!(
+            "{}",
+            json!({
+                "seed_m": found.seed_m.to_array(),
+                "band_hu": found.band_hu,
+                "volume_m3": mask_volume_m3(&ct.grid, &found.mask),
+                "dice": overlap.as_ref().map(|o| o.dice),
+                "bare_band_dice": overlap.as_ref().map(|o| o.bare_band_dice),
+            })
+        );
+    } else {
+        report(args, &ct, &found, overlap.as_ref());
+    }
     Ok(())
 }
 
-fn report(args: &Args, ct: &Volume<f32>, found: &Segmentation, truth: Option<&[bool]>) {
+/// Agreement with a true label map.
+struct Overlap {
+    dice: f64,
+    /// Of the plain method to compare with.
+    bare_band_dice: f64,
+}
+
+fn report(args: &Args, ct: &Volume<f32>, found: &Segmentation, overlap: Option<&Overlap>) {
     let seed_mm = found.seed_m * 1e3;
     let origin = if args.seed_mm.is_some() || args.seed_voxel.is_some() { "given" } else { "automatic" };
     println!("labels {}", args.output.display());
@@ -76,13 +104,20 @@ fn report(args: &Args, ct: &Volume<f32>, found: &Segmentation, truth: Option<&[b
         found.band_hu[0], found.band_hu[1], found.level_hu, found.noise_hu
     );
     println!("volume {:.0} ml", mask_volume_m3(&ct.grid, &found.mask) * 1e6);
+    println!(
+        "repair {} tunnels filled, {} cut, {} cavities filled, {} voxels added, {} removed",
+        found.repair.tunnels_filled,
+        found.repair.tunnels_cut,
+        found.repair.cavities_filled,
+        found.repair.voxels_added,
+        found.repair.voxels_removed
+    );
     if let Err(cut_off) = check_clear_of_border(&ct.grid, &found.mask) {
         println!("note   {cut_off}");
     }
-    if let Some(truth) = truth {
-        println!("Dice   {:.4}", dice(&found.mask, truth));
-        let bare = bare_band(ct, found.band_hu);
-        println!("Dice   {:.4} of the bare band + largest piece", dice(&bare, truth));
+    if let Some(overlap) = overlap {
+        println!("Dice   {:.4}", overlap.dice);
+        println!("Dice   {:.4} of the bare band + largest piece", overlap.bare_band_dice);
     }
 }
 

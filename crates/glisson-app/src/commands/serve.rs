@@ -1,11 +1,64 @@
 //! `glisson serve`.
 
-use anyhow::bail;
+use crate::runtime::{OpenScene, Simulation};
+use crate::server;
+use std::net::TcpListener;
+use std::path::PathBuf;
 
 /// Serve the viewer and simulate a scene in real time.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {}
+#[command(after_help = "Examples:\n  glisson serve out/demo/scene.toml\n  \
+    glisson serve scene.toml --port 0 --record session.jsonl\n\nStop with Ctrl-C; a recording is then completed.")]
+pub(crate) struct Args {
+    /// Scene file (TOML)
+    scene: PathBuf,
+    #[command(flatten)]
+    address: Address,
+    /// Record the session to this file
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+}
 
-pub(crate) fn run(_args: &Args) -> anyhow::Result<()> {
-    bail!("not built yet")
+/// Where the viewer is served.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Address {
+    /// Address to listen on; anything but this machine's own lets others steer the simulation
+    #[arg(long, default_value = "127.0.0.1")]
+    host: String,
+    /// Port to listen on; 0 takes any free one
+    #[arg(long, default_value_t = 8077)]
+    port: u16,
+    /// Do not open a browser
+    #[arg(long)]
+    no_open: bool,
+}
+
+impl Address {
+    /// Takes the port now.
+    pub(crate) fn bind(&self) -> anyhow::Result<TcpListener> {
+        server::bind(&self.host, self.port)
+    }
+
+    /// Tells the address, opens a browser where there is a display, and serves until Ctrl-C.
+    pub(crate) fn serve(&self, simulation: Simulation, listener: TcpListener) -> anyhow::Result<()> {
+        let page = server::page_address(listener.local_addr()?);
+        println!("Glisson is at {page}  (Ctrl-C stops it)");
+        if !self.no_open && std::env::var_os("DISPLAY").is_some() {
+            // Without a browser to open, the printed address is enough.
+            let _ = std::process::Command::new("xdg-open")
+                .arg(&page)
+                .stdout(std::process::Stdio::null())
+                .stderr(std::process::Stdio::null())
+                .spawn();
+        }
+        let state_hash = server::serve(simulation, listener)?;
+        println!("stopped; state hash {state_hash}");
+        Ok(())
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let listener = args.address.bind()?;
+    let simulation = Simulation::open(OpenScene::read(&args.scene)?, args.record.as_deref())?;
+    args.address.serve(simulation, listener)
 }

@@ -49,9 +49,21 @@ pub(crate) struct Camera {
 }
 
 impl Camera {
-    /// Camera that sees the whole of `bounds_m` from `view` in a picture of `size` pixels, as large as fits.
+    /// Camera that sees the whole of `bounds_m` from `view` in a picture of `size` pixels.
     pub(crate) fn framing(bounds_m: Aabb, size: [usize; 2], view: View) -> Self {
-        let target_m = bounds_m.center_m();
+        let (center_m, half_m) = (bounds_m.center_m(), 0.5 * bounds_m.size_m());
+        let corners_m = [0, 1, 2, 3, 4, 5, 6, 7].map(|corner: u32| {
+            let sign = |bit: u32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
+            center_m + half_m * DVec3::new(sign(0), sign(1), sign(2))
+        });
+        Self::framing_points(&corners_m, size, view)
+    }
+
+    /// Camera that sees all `points_m` from `view` in a picture of `size` pixels, as large as fits. The middle
+    /// of the points' box is in the middle of the picture.
+    pub(crate) fn framing_points(points_m: &[DVec3], size: [usize; 2], view: View) -> Self {
+        let bounds_m = Aabb::of_points(points_m);
+        let target_m = if points_m.is_empty() { DVec3::ZERO } else { bounds_m.center_m() };
         let towards_eye = view.towards_eye();
         let mut camera = Self {
             eye_m: target_m + towards_eye,
@@ -62,11 +74,10 @@ impl Camera {
         let [right, up, forward] = camera.axes();
         let tan_vertical = HALF_FIELD_OF_VIEW_RAD.tan() * (1.0 - 2.0 * FRAME_MARGIN);
         let tan_horizontal = tan_vertical * size[0] as f64 / size[1] as f64;
-        let half = 0.5 * bounds_m.size_m();
-        let distance_m = (0..8)
-            .map(|corner| {
-                let sign = |bit: u32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
-                let offset = half * DVec3::new(sign(0), sign(1), sign(2));
+        let distance_m = points_m
+            .iter()
+            .map(|&point_m| {
+                let offset = point_m - target_m;
                 let across =
                     (offset.dot(right).abs() / tan_horizontal).max(offset.dot(up).abs() / tan_vertical);
                 across - offset.dot(forward)

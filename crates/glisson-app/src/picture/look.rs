@@ -51,13 +51,16 @@ pub(crate) enum Look {
 impl Look {
     /// Look of a structure of this name (`liver`, `portal_vein`, `left kidney`, ...); grey-pink when unknown.
     pub(crate) fn of_structure(name: &str) -> Self {
-        const LOOKS: [(&str, Look); 15] = [
+        const LOOKS: [(&str, Look); 18] = [
             ("tumour", Look::Tumour),
             ("tumor", Look::Tumour),
             ("gall", Look::GallBladder),
             ("vein", Look::Vein),
             ("vessel", Look::Vein),
+            ("cava", Look::Vein),
+            ("portal", Look::Vein),
             ("arter", Look::Artery),
+            ("aorta", Look::Artery),
             ("liver", Look::Liver),
             ("kidney", Look::Kidney),
             ("spleen", Look::Spleen),

@@ -25,7 +25,7 @@ mod text;
 pub(crate) use camera::{Camera, View};
 pub(crate) use geometry::{Arrow, Instrument, ShadedSurface, bounds_of};
 pub(crate) use look::Look;
-pub(crate) use slice::{SlicePlane, SliceSpec, label_colour, slice_picture};
+pub(crate) use slice::{SlicePlane, SliceSpec, slice_picture};
 pub(crate) use text::{Caption, CaptionPlace};
 
 use std::path::Path;
@@ -111,6 +111,7 @@ impl Picture {
         .with_context(|| format!("writing the picture {}", path.display()))
     }
 
+    #[cfg(test)]
     /// Colour of the pixel at column `x`, row `y`.
     pub(crate) fn pixel(&self, x: usize, y: usize) -> [u8; 3] {
         let at = 3 * (x + y * self.size[0]);

@@ -48,6 +48,8 @@ pub(crate) struct SliceSpec {
     pub(crate) through_m: DVec3,
     /// Value shown as middle grey, and range of values from black to white (for CT in HU: 60 and 400).
     pub(crate) window_centre_width: [f64; 2],
+    /// Labels to show in colour; all when empty.
+    pub(crate) shown_labels: Vec<u16>,
     /// Height of the picture [pixels]; the width follows.
     pub(crate) height: usize,
     /// Text in the lower left corner; empty for none.
@@ -96,7 +98,11 @@ pub(crate) fn slice_picture<T: Copy + Into<f64> + Sync>(
         middle + (x - 0.5 * size[0] as f64) * pixel_m * right + (y - 0.5 * size[1] as f64) * pixel_m * down
     };
     let [window_centre, window_width] = spec.window_centre_width;
-    let label_at = |x: f64, y: f64| labels.map_or(0, |map| label_at(map, position(x, y)));
+    let shown = &spec.shown_labels;
+    let label_at = |x: f64, y: f64| {
+        let label = labels.map_or(0, |map| label_at(map, position(x, y)));
+        if shown.is_empty() || shown.contains(&label) { label } else { 0 }
+    };
     let mut picture = Picture::filled(size, OUTSIDE);
     for row in 0..size[1] {
         for column in 0..size[0] {
@@ -206,6 +212,7 @@ mod tests {
             plane: SlicePlane::Axial,
             through_m: grid.bounds_m().center_m(),
             window_centre_width: [19.5, 39.0],
+            shown_labels: Vec::new(),
             height: 400,
             caption: String::new(),
         };
@@ -217,6 +224,8 @@ mod tests {
         let with_labels = slice_picture(&volume, Some(&map), &spec).unwrap();
         assert_ne!(with_labels.pixel(150, 50), plain.pixel(150, 50));
         assert_eq!(with_labels.pixel(150, 250), plain.pixel(150, 250));
+        let only_other = SliceSpec { shown_labels: vec![7], ..spec };
+        assert_eq!(slice_picture(&volume, Some(&map), &only_other).unwrap(), plain);
     }
 
     #[test]
@@ -240,6 +249,7 @@ mod tests {
             plane: SlicePlane::Coronal,
             through_m: DVec3::ZERO,
             window_centre_width: [0.0, 1.0],
+            shown_labels: Vec::new(),
             height: 10,
             caption: String::new(),
         };

@@ -74,7 +74,8 @@ fn sphere(center_m: DVec3, radius_m: f64, look: Look) -> ShadedSurface {
 }
 
 fn scene(surfaces: Vec<ShadedSurface>, size: [usize; 2]) -> PictureScene {
-    let camera = Camera::framing(bounds_of(&surfaces), size, View::default());
+    let points_m: Vec<DVec3> = surfaces.iter().flat_map(|s| s.positions_m.iter().copied()).collect();
+    let camera = Camera::framing_points(&points_m, size, View::default());
     PictureScene { surfaces, instruments: Vec::new(), arrows: Vec::new(), captions: Vec::new(), camera, size }
 }
 
@@ -284,4 +285,128 @@ fn pictures_to_look_at() {
         .enumerate()
         .map(|(i, &look)| sphere(DVec3::new(0.09 * (i % 4) as f64, 0.0, 0.09 * (i / 4) as f64), 0.04, look));
     Picture::render(&scene(balls.collect(), size)).unwrap().write_png(&folder.join("looks.png")).unwrap();
+}
+
+/// The same for the synthetic patient: slices, the organs together, and the liver pushed by the pre-computed
+/// model.
+#[test]
+#[ignore = "writes pictures for a human to judge"]
+fn pictures_of_the_patient_to_look_at() {
+    use glisson::image::labels::Parts;
+    use glisson::image::phantom::{PhantomParams, generate as phantom};
+    use glisson::mesh::NodeId;
+    use glisson::mesh::generate::{MeshParams, WantedSize, generate};
+    use glisson::mesh::topology::{Topology, surface_of};
+    use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
+    use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
+    use glisson::surface::extract::{SurfaceParams, surface_of_mask};
+
+    let folder = std::path::PathBuf::from(std::env::var_os("GLISSON_PICTURES").expect("set it to a folder"));
+    std::fs::create_dir_all(&folder).unwrap();
+    let patient = phantom(&PhantomParams::default());
+    let surface_of_organ = |name: &str, target_triangles: Option<usize>| {
+        let mask = patient.labels.mask(&patient.labels.select(name, Parts::Included).unwrap());
+        let params = SurfaceParams { target_triangles, ..SurfaceParams::default() };
+        surface_of_mask(&patient.labels.grid, &mask, &params).map(|(surface, _)| surface)
+    };
+    let shaded = |surface: glisson::surface::TriMesh, look: Look| ShadedSurface {
+        rest_positions_m: surface.positions_m.clone(),
+        positions_m: surface.positions_m,
+        triangles: surface.triangles,
+        look,
+    };
+    let liver = surface_of_organ("liver", None).unwrap();
+    let centre = Aabb::of_points(&liver.positions_m).center_m();
+    let slice = |plane: SlicePlane| {
+        let spec = SliceSpec {
+            plane,
+            through_m: centre,
+            window_centre_width: [60.0, 400.0],
+            shown_labels: (1..=9).collect(),
+            height: 560,
+            caption: format!("{plane:?}"),
+        };
+        slice_picture(&patient.ct, Some(&patient.labels), &spec).unwrap()
+    };
+    let slices = slice(SlicePlane::Axial).beside(&slice(SlicePlane::Coronal), 8, [255; 3]);
+    slices.write_png(&folder.join("slices.png")).unwrap();
+
+    let names = ["gall_bladder", "spleen", "kidney_right", "kidney_left", "stomach"];
+    let mut organs = vec![shaded(liver.clone(), Look::Liver)];
+    for name in names {
+        match surface_of_organ(name, None) {
+            Ok(surface) => organs.push(shaded(surface, Look::of_structure(name))),
+            Err(error) => eprintln!("{name}: {error}"),
+        }
+    }
+    Picture::render(&scene(organs, [1280, 800])).unwrap().write_png(&folder.join("organs.png")).unwrap();
+
+    let params = MeshParams { size: WantedSize::Tetrahedra(6_300), volume_m3: None };
+    let (mesh, _) = generate(&liver, &params).unwrap();
+    let (surface, nodes) = surface_of(&Topology::build(&mesh).unwrap(), &mesh);
+    let back = mesh.positions_m.iter().map(|p| p.y).fold(f64::NEG_INFINITY, f64::max);
+    let fixed_nodes: Vec<NodeId> = (0..mesh.positions_m.len())
+        .filter(|&n| mesh.positions_m[n].y > back - 0.03)
+        .map(NodeId::from_index)
+        .collect();
+    let material = glisson::material::LinearElastic::from_young_poisson(5e3, 0.45, 1e3).unwrap();
+    let mut model = Precomputed::build(&PrecomputedParams {
+        mesh: &mesh,
+        material: &material,
+        fixed_nodes: &fixed_nodes,
+        stored: StoredNodes::Surface,
+        progress: None,
+    })
+    .unwrap();
+    let (low, high) = (Aabb::of_points(&mesh.positions_m).min_m, Aabb::of_points(&mesh.positions_m).max_m);
+    let place = DVec3::new(low.x + 0.35 * (high.x - low.x), low.y, low.z + 0.55 * (high.z - low.z));
+    let mut touched = surface
+        .triangles
+        .iter()
+        .map(|t| t.map(|v| nodes[v as usize]))
+        .min_by(|a, b| {
+            let distance = |t: &[NodeId; 3]| {
+                (t.iter().map(|n| mesh.positions_m[n.index()]).sum::<DVec3>() / 3.0).distance(place)
+            };
+            distance(a).total_cmp(&distance(b))
+        })
+        .unwrap();
+    touched.sort_unstable();
+    let push_m = DVec3::new(0.0, 0.025, -0.004);
+    let displacements =
+        touched.iter().map(|&node| ImposedDisplacement { node, displacement_m: push_m }).collect();
+    model.apply(&Constraints { displacements, forces: Vec::new() });
+    model.step(0.01);
+    let now = model.state().positions_m;
+    let force_n: DVec3 = -model.constraint_forces_n().iter().sum::<DVec3>();
+    let touched_m = touched.iter().map(|n| now[n.index()]).sum::<DVec3>() / 3.0;
+    let liver = ShadedSurface {
+        positions_m: nodes.iter().map(|n| now[n.index()]).collect(),
+        rest_positions_m: surface.positions_m,
+        triangles: surface.triangles,
+        look: Look::Liver,
+    };
+    let shaft = DVec3::new(-0.35, -0.75, 0.55).normalize();
+    let tip_m = touched_m - push_m.normalize() * 0.006;
+    let mut pushed = scene(vec![liver], [1280, 800]);
+    pushed.instruments.push(Instrument {
+        tip_m,
+        handle_m: tip_m + 0.3 * shaft,
+        tip_radius_m: 0.006,
+        shaft_radius_m: 0.0035,
+    });
+    pushed.arrows.push(Arrow {
+        from_m: tip_m,
+        to_m: tip_m + 0.03 * force_n,
+        radius_m: 0.002,
+        colour: [250, 200, 60],
+    });
+    pushed.captions.push(Caption {
+        text: format!("contact force {:.2} N\ntime 1.250 s", force_n.length()),
+        place: CaptionPlace::BottomLeft,
+    });
+    let start = std::time::Instant::now();
+    let picture = Picture::render(&pushed).unwrap();
+    eprintln!("{} triangles, {:?}", pushed.surfaces[0].triangles.len(), start.elapsed());
+    picture.write_png(&folder.join("patient-pushed.png")).unwrap();
 }

@@ -14,14 +14,8 @@ const PLATE_ALPHA: u8 = 120;
 /// Where a caption stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CaptionPlace {
-    /// Upper left corner.
-    TopLeft,
-    /// Upper right corner.
-    TopRight,
     /// Lower left corner.
     BottomLeft,
-    /// Lower right corner.
-    BottomRight,
     /// Middle of the left edge.
     Left,
     /// Middle of the right edge.
@@ -54,10 +48,7 @@ pub(super) fn draw_caption(picture: &mut Picture, caption: &Caption) {
     let free = [0, 1].map(|axis| picture.size[axis].saturating_sub(plate[axis]));
     let (near, far) = (free.map(|f| MARGIN.min(f)), free.map(|f| f.saturating_sub(MARGIN)));
     let [x, y] = match caption.place {
-        CaptionPlace::TopLeft => near,
-        CaptionPlace::TopRight => [far[0], near[1]],
         CaptionPlace::BottomLeft => [near[0], far[1]],
-        CaptionPlace::BottomRight => far,
         CaptionPlace::Left => [near[0], free[1] / 2],
         CaptionPlace::Right => [far[0], free[1] / 2],
         CaptionPlace::Top => [free[0] / 2, near[1]],

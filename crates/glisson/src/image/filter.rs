@@ -41,6 +41,30 @@ pub fn gaussian(grid: &VoxelGrid, values: &[f32], sigma_m: f64) -> Vec<f32> {
     smoothed
 }
 
+/// What [`gaussian`] does to white noise of standard deviation 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NoiseGain {
+    /// Standard deviation in the smoothed volume.
+    pub smoothed: f64,
+    /// Standard deviation of raw minus smoothed volume.
+    pub residual: f64,
+}
+
+/// How much of white noise [`gaussian`] leaves: with the kernel w the variances are sum w^2 and
+/// 1 - 2 w_0 + sum w^2.
+pub fn gaussian_noise_gain(grid: &VoxelGrid, sigma_m: f64) -> NoiseGain {
+    let (mut center, mut sum2) = (1.0, 1.0);
+    for axis in 0..3 {
+        let kernel: Vec<f64> =
+            gaussian_kernel(sigma_m / grid.spacing_m[axis]).into_iter().map(f64::from).collect();
+        center *= kernel[0];
+        sum2 *= kernel[0] * kernel[0] + 2.0 * kernel[1..].iter().map(|w| w * w).sum::<f64>();
+    }
+    // Where nothing is smoothed there is no residual; any scale serves then.
+    let residual = (1.0 - 2.0 * center + sum2).max(0.0).sqrt();
+    NoiseGain { smoothed: sum2.sqrt(), residual: if residual > 1e-6 { residual } else { 1.0 } }
+}
+
 /// Weights of a Gaussian at offsets 0, 1, 2, ... voxels; the two-sided sum is 1.
 fn gaussian_kernel(sigma_voxels: f64) -> Vec<f32> {
     if sigma_voxels <= 0.0 {

@@ -3,22 +3,25 @@
 //!
 //! 1. The image is smoothed by a Gaussian: white noise falls below the contrast to the neighbours, and at
 //!    a flat border between two tissues the level halfway between them stays where it was.
-//! 2. The organ's level is the median of the smoothed image around the seed, its noise the median absolute
-//!    deviation of the raw image there. The band is level +- 1.25 noise: wide against what the smoothing
+//! 2. The organ's level is the median of the smoothed image around the seed, its noise comes from the median
+//!    absolute difference of raw and smoothed image there. The band is level +- 1.25 noise: wide against what the smoothing
 //!    leaves of the noise, narrow against the contrast between neighbouring soft tissues.
 //! 3. The band is eroded by a ball: organs that only a thin bridge or the partial-volume rim of another
-//!    organ connects fall apart. The piece at the seed is grown back, within the band.
+//!    organ connects fall apart. Level, noise and band are measured again in the piece at the seed, twice,
+//!    so that a vessel beside the seed does not matter; then the piece is grown back, within the band.
 //! 4. Closing fills vessels and lesions that reach the surface, as far as they are soft tissue; cavities are
 //!    filled.
 //! 5. Against fat the band ends too deep inside, for it leaves out the whole slope of the border. What is
 //!    nearer to the organ's level than to fat is added, up to a small depth, unless another thick piece
 //!    of soft tissue is closer.
-//! 6. A small opening and closing smooth the surface; cavities are filled; the largest piece stays.
+//! 6. A small opening and closing smooth the surface; cavities are filled; the largest piece stays; tunnels
+//!    and contacts by an edge only are repaired, so that the organ is one ball.
 //!
 //! The steps are standard (Gonzalez and Woods, Digital Image Processing, 4th ed. 2018, chapters 9 and 10);
 //! the statistics are taken from the image, the lengths below hold for abdominal organs.
 
 use super::filter::{self, Connectivity};
+use super::topology::{TopologyError, TopologyRepair, repair_to_ball};
 use super::{Volume, VoxelGrid};
 use crate::math::DVec3;
 
@@ -28,7 +31,9 @@ const SOFT_TISSUE_HU: [f32; 2] = [-30.0, 300.0];
 const FAT_HU: [f32; 2] = [-150.0, -50.0];
 /// CT numbers a contrast-enhanced parenchyma can have, for the automatic seed [HU].
 const PARENCHYMA_HU: [f32; 2] = [40.0, 200.0];
-/// Share of the normal distribution's deviation that the median absolute deviation is.
+/// How often level and noise are measured again in the piece that the last ones found.
+const N_REFINEMENTS: usize = 2;
+/// A normal distribution's standard deviation over its median absolute deviation.
 const MAD_TO_DEVIATION: f64 = 1.4826;
 
 /// How a segmentation is made. Lengths in metres.
@@ -84,6 +89,8 @@ pub struct Segmentation {
     pub noise_hu: f64,
     /// The band: smallest and largest CT number [HU].
     pub band_hu: [f64; 2],
+    /// What the last step changed to make the organ one ball.
+    pub repair: TopologyRepair,
 }
 
 /// Why no organ was found.
@@ -131,6 +138,9 @@ pub enum SegmentError {
         /// Band [HU].
         high_hu: f64,
     },
+    /// Tunnels could not be repaired.
+    #[error(transparent)]
+    Topology(#[from] TopologyError),
 }
 
 fn to_mm(point_m: DVec3) -> [f64; 3] {
@@ -148,20 +158,25 @@ pub fn segment(ct: &Volume<f32>, params: &SegmentParams) -> Result<Segmentation,
         Some(seed_m) => seed_m,
         None => guess_seed(grid, &smooth)?,
     };
-    let (level_hu, noise_hu) = local_statistics(ct, &smooth, seed_m, params)?;
-    let half_width = (params.band_width * noise_hu).clamp(params.band_limits_hu[0], params.band_limits_hu[1]);
-    let band_hu = [level_hu - half_width, level_hu + half_width];
-    let nothing_found =
-        || SegmentError::NothingFound { seed_mm: to_mm(seed_m), low_hu: band_hu[0], high_hu: band_hu[1] };
-
-    let band = in_band(&smooth, band_hu);
-    let cut = filter::erode(grid, &band, params.cut_radius_m);
-    let core = piece_near(grid, &cut, seed_m, params.statistics_radius_m).ok_or_else(nothing_found)?;
+    let mut statistics = statistics_at_seed(ct, &smooth, seed_m, params)?;
+    let mut band = Vec::new();
+    let mut core = Vec::new();
+    for round in 0..=N_REFINEMENTS {
+        let band_hu = statistics.band_hu(params);
+        let nothing_found =
+            || SegmentError::NothingFound { seed_mm: to_mm(seed_m), low_hu: band_hu[0], high_hu: band_hu[1] };
+        band = in_band(&smooth, band_hu);
+        let cut = filter::erode(grid, &band, params.cut_radius_m);
+        core = piece_near(grid, &cut, seed_m, params.statistics_radius_m).ok_or_else(nothing_found)?;
+        if round < N_REFINEMENTS {
+            statistics = Statistics::of(ct, &smooth, (0..core.len()).filter(|&i| core[i]), params);
+        }
+    }
     let mut region = filter::dilate(grid, &core, params.cut_radius_m);
     retain(&mut region, |index| band[index]);
 
     let fat_hu = fat_level(&smooth);
-    let border_hu = 0.5 * (level_hu as f32 + fat_hu);
+    let border_hu = 0.5 * (statistics.level_hu as f32 + fat_hu);
     let not_fat: Vec<bool> = smooth.iter().map(|&v| v > border_hu && v < SOFT_TISSUE_HU[1]).collect();
     let closed = filter::close(grid, &region, params.close_radius_m);
     for (index, inside) in region.iter_mut().enumerate() {
@@ -174,11 +189,9 @@ pub fn segment(ct: &Volume<f32>, params: &SegmentParams) -> Result<Segmentation,
     let mut smoothed = filter::close(grid, &opened, params.smooth_radius_m);
     retain(&mut smoothed, |index| not_fat[index] || region[index]);
     let mut mask = filter::largest_piece(grid, &smoothed, Connectivity::Faces);
-    filter::fill_cavities(grid, &mut mask);
-    if !mask.contains(&true) {
-        return Err(nothing_found());
-    }
-    Ok(Segmentation { mask, seed_m, level_hu, noise_hu, band_hu })
+    let repair = repair_to_ball(grid, &mut mask)?;
+    let Statistics { level_hu, noise_hu } = statistics;
+    Ok(Segmentation { mask, seed_m, level_hu, noise_hu, band_hu: statistics.band_hu(params), repair })
 }
 
 /// The plain method to compare with: raw CT numbers in the band, of these the largest connected piece.
@@ -235,13 +248,45 @@ fn median(values: &mut [f32]) -> f64 {
     f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
 
-/// Level of the smoothed image and noise of the raw image around the seed [HU].
-fn local_statistics(
+/// What the image is like in a region [HU].
+#[derive(Clone, Copy, Debug)]
+struct Statistics {
+    /// Median of the smoothed image.
+    level_hu: f64,
+    /// Standard deviation of the noise of the raw image.
+    noise_hu: f64,
+}
+
+impl Statistics {
+    /// Of the voxels `indices`, of which there must be one.
+    fn of(
+        ct: &Volume<f32>,
+        smooth: &[f32],
+        indices: impl Iterator<Item = usize>,
+        params: &SegmentParams,
+    ) -> Self {
+        let (mut level, mut residual): (Vec<f32>, Vec<f32>) =
+            indices.map(|index| (smooth[index], (ct.values[index] - smooth[index]).abs())).unzip();
+        // What the smoothing keeps of the noise is missing in the residual.
+        let gain = filter::gaussian_noise_gain(&ct.grid, params.denoise_m);
+        let noise_hu = MAD_TO_DEVIATION * median(&mut residual) / gain.residual;
+        Self { level_hu: median(&mut level), noise_hu }
+    }
+
+    fn band_hu(self, params: &SegmentParams) -> [f64; 2] {
+        let [least, most] = params.band_limits_hu;
+        let half_width = (params.band_width * self.noise_hu).clamp(least, most);
+        [self.level_hu - half_width, self.level_hu + half_width]
+    }
+}
+
+/// Statistics around the seed, which must be in soft tissue.
+fn statistics_at_seed(
     ct: &Volume<f32>,
     smooth: &[f32],
     seed_m: DVec3,
     params: &SegmentParams,
-) -> Result<(f64, f64), SegmentError> {
+) -> Result<Statistics, SegmentError> {
     let grid = &ct.grid;
     let voxel = grid.voxel_at(seed_m);
     let inside = (0..3).all(|a| voxel[a] >= -0.5 && voxel[a] < grid.dims[a] as f64 - 0.5);
@@ -253,20 +298,16 @@ fn local_statistics(
             max_mm: to_mm(bounds.max_m),
         });
     }
-    let (mut raw, mut level) = (Vec::new(), Vec::new());
+    let mut around = Vec::new();
     // At least the seed's own voxel, however coarse the image.
     let radius_m = params.statistics_radius_m.max(0.5 * grid.spacing_m.length() * (1.0 + 1e-9));
-    for_each_in_ball(grid, seed_m, radius_m, |index| {
-        raw.push(ct.values[index]);
-        level.push(smooth[index]);
-    });
-    let level_hu = median(&mut level);
+    for_each_in_ball(grid, seed_m, radius_m, |index| around.push(index));
+    let statistics = Statistics::of(ct, smooth, around.into_iter(), params);
+    let level_hu = statistics.level_hu;
     if !(f64::from(SOFT_TISSUE_HU[0])..=f64::from(SOFT_TISSUE_HU[1])).contains(&level_hu) {
         return Err(SegmentError::SeedNotSoftTissue { seed_mm: to_mm(seed_m), found_hu: level_hu });
     }
-    let middle = median(&mut raw) as f32;
-    raw.iter_mut().for_each(|v| *v = (*v - middle).abs());
-    Ok((level_hu, MAD_TO_DEVIATION * median(&mut raw)))
+    Ok(statistics)
 }
 
 /// The most frequent level in a range, in bins of `bin_hu`; `None` when no value lies in it.

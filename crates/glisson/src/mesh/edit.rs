@@ -160,7 +160,8 @@ pub enum EditError {
 /// A mesh and its adjacency, kept together: the only way to change connectivity.
 ///
 /// Dead tetrahedra stay in `mesh().tetrahedra` until [`EditableMesh::compact`]; go through
-/// `topology().live_tets()`.
+/// `topology().live_tets()`. Removing the dead tetrahedra of a snapshot from the mesh it was made from gives
+/// back the same topology, whatever the order in which they went.
 #[derive(Clone, Debug)]
 pub struct EditableMesh {
     mesh: TetMesh,

@@ -395,6 +395,15 @@ impl ImportReport {
         }
     }
 
+    /// What there is to say, a line for each: nothing if the file was a faultless mesh of tetrahedra alone.
+    pub fn lines(&self) -> Vec<String> {
+        let skipped = self.skipped_cells.iter().map(|(kind, n)| format!("{n} cell(s) passed over: {kind}"));
+        let dropped = (self.n_loose_nodes_dropped > 0)
+            .then(|| format!("{} node(s) of no tetrahedron dropped", self.n_loose_nodes_dropped));
+        let fixed = listed(&self.winding_fixed, "tetrahedra were inside out", "fixed");
+        skipped.chain(dropped).chain(fixed).chain(self.faults.lines()).collect()
+    }
+
     /// The report itself if nothing is wrong.
     ///
     /// # Errors

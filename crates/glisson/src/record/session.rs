@@ -47,7 +47,7 @@ impl SessionHeader {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case", deny_unknown_fields)]
 pub enum SessionEvent {
-    /// From this step on the tool is here and the step is divided so.
+    /// From this step on the tool is here and the steps are divided so.
     Input {
         /// Index of the step to be made, from 0.
         step: u64,
@@ -55,6 +55,9 @@ pub enum SessionEvent {
         tool: ToolInput,
         /// Equal parts that the step is divided into.
         n_substeps: u32,
+        /// Whether the tool was put there without touching anything between.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        placed: bool,
     },
     /// Before this step everything went back to rest.
     Reset {
@@ -194,7 +197,7 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
 #[derive(Debug)]
 pub struct SessionWriter<W: Write> {
     out: W,
-    last_input: Option<(ToolInput, u32)>,
+    last_input: Option<(ToolInput, u32, bool)>,
 }
 
 impl<W: Write> SessionWriter<W> {
@@ -213,11 +216,12 @@ impl<W: Write> SessionWriter<W> {
     /// # Errors
     /// Whatever the output answers.
     pub fn write(&mut self, event: &SessionEvent) -> io::Result<()> {
-        if let SessionEvent::Input { tool, n_substeps, .. } = event {
-            if self.last_input == Some((*tool, *n_substeps)) {
+        if let SessionEvent::Input { tool, n_substeps, placed, .. } = event {
+            let input = (*tool, *n_substeps, *placed);
+            if self.last_input == Some(input) {
                 return Ok(());
             }
-            self.last_input = Some((*tool, *n_substeps));
+            self.last_input = Some(input);
         }
         serde_json::to_writer(&mut self.out, event)?;
         self.out.write_all(b"\n")
@@ -242,7 +246,7 @@ mod tests {
         };
         let hash = StateHash::try_from("0f".repeat(32)).unwrap();
         let events = vec![
-            SessionEvent::Input { step: 0, tool, n_substeps: 1 },
+            SessionEvent::Input { step: 0, tool, n_substeps: 1, placed: false },
             SessionEvent::QueueModelSwap { step: 5, at_step: 50, model: ModelKind::Precomputed },
             SessionEvent::Checkpoint { step: 10, state_hash: hash },
             SessionEvent::Reset { step: 12 },

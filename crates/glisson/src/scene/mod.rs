@@ -3,8 +3,10 @@
 //! A scene is a TOML file in which every quantity names its unit. Unknown keys and units are refused with the
 //! line, what was found, what is allowed, and what was probably meant.
 
+mod build;
 mod reader;
 mod spec;
 
+pub use build::{BuildError, OrganBody, build_model, build_world, mesh_hash, read_organ};
 pub use reader::{SceneError, SceneProblem};
 pub use spec::{MaterialSource, OrganSource, PathPoint, Scene, tool_on_path};

@@ -30,8 +30,9 @@ use crate::math::DVec3;
 pub struct SurfaceParams {
     /// Number of triangles wanted; met within one. None: as many as the voxels give.
     pub target_triangles: Option<usize>,
-    /// Waves shorter than this are smoothed away [m]; 0: none. None: six times the largest spacing, which
-    /// flattens steps of slices up to a slope of one in six, within 6 and 20 mm.
+    /// Waves shorter than this are smoothed away as far as the voxels leave it open [m]; 0: none. None:
+    /// twelve times the largest spacing, within 12 and 20 mm, which flattens the steps where slices cut the
+    /// surface at a slope of one in ten.
     pub smoothing_wavelength_m: Option<f64>,
     /// Close a label that touches the end of the image by a flat cap instead of refusing it.
     pub cap_at_border: bool,
@@ -75,18 +76,23 @@ pub struct SurfaceReport {
     pub max_smoothing_m: f64,
     /// Vertices moved back because smoothing had made sheets cross.
     pub n_untangled_vertices: usize,
+    /// Share of the smoothing that was kept: 1, or less for a body too small for the wavelength.
+    pub smoothing_share: f64,
 }
 
 /// Largest deviation of axes^T axes from one.
 const LARGEST_SKEW: f64 = 1e-4;
 /// Default wavelength in largest spacings, and its range [m].
-const WAVELENGTH_SPACINGS: f64 = 6.0;
-const WAVELENGTH_RANGE_M: [f64; 2] = [6e-3, 20e-3];
-/// How far the filter may take a vertex from where the net has it, in spacings along each image axis. Half
-/// a spacing is where the steps' middle line lies.
+const WAVELENGTH_SPACINGS: f64 = 12.0;
+const WAVELENGTH_RANGE_M: [f64; 2] = [12e-3, 20e-3];
+/// How far the filter may take a vertex from where the net has it, along each image axis, in geometric means
+/// of that axis' spacing and the largest. Half a spacing is where the middle line of the steps lies; on
+/// slopes the steps of thick slices are as deep across as along.
 const LARGEST_MOVE_SPACINGS: f64 = 0.6;
-/// The second pass's wavelength as a share of the first's.
-const SECOND_PASS: f64 = 0.4;
+/// The second pass's wavelength in largest spacings: it has no bound and must not move thin parts.
+const SECOND_PASS_SPACINGS: f64 = 2.4;
+/// Shares of the smoothing tried until the volume can be restored.
+const SMOOTHING_SHARES: [f64; 4] = [1.0, 0.5, 0.25, 0.125];
 /// Rounds of moving vertices back; by the last, whole neighbourhoods are in their cells.
 const MOST_UNTANGLING_ROUNDS: usize = 12;
 
@@ -130,6 +136,7 @@ pub fn surface_of_mask(
         mean_smoothing_m: smoothed.mean_move_m,
         max_smoothing_m: smoothed.max_move_m,
         n_untangled_vertices: smoothed.n_untangled,
+        smoothing_share: smoothed.smoothing_share,
     };
     Ok((surface, report))
 }
@@ -243,6 +250,33 @@ struct Smoothed {
     mean_move_m: f64,
     max_move_m: f64,
     n_untangled: usize,
+    smoothing_share: f64,
+}
+
+/// Restores the volume by an offset within [`LARGEST_MOVE_SPACINGS`]. A body that is all edges, smaller than
+/// the filter's wavelength, loses too much for that: then half of the smoothing is taken back, and again.
+/// Answers the share of the smoothing that is left.
+fn keep_volume(
+    mesh: &mut TriMesh,
+    given_m: &[DVec3],
+    volume_m3: f64,
+    grid: &VoxelGrid,
+) -> Result<f64, SurfaceError> {
+    let smooth_m = mesh.positions_m.clone();
+    let most_m = LARGEST_MOVE_SPACINGS * grid.spacing_m.max_element();
+    for share in SMOOTHING_SHARES {
+        for (position, (&given, &smooth)) in mesh.positions_m.iter_mut().zip(given_m.iter().zip(&smooth_m)) {
+            *position = given.lerp(smooth, share);
+        }
+        let mut moved = mesh.clone();
+        if offset_to_volume(&mut moved, volume_m3).is_ok_and(|offset_m| offset_m.abs() <= most_m) {
+            *mesh = moved;
+            return Ok(share);
+        }
+    }
+    mesh.positions_m.copy_from_slice(given_m);
+    restore_volume(mesh, volume_m3)?;
+    Ok(0.0)
 }
 
 fn smooth(
@@ -260,20 +294,22 @@ fn smooth(
         .unwrap_or(default_m.clamp(WAVELENGTH_RANGE_M[0], WAVELENGTH_RANGE_M[1]));
     let graph = EdgeGraph::of_mesh(&mesh_m);
     if wavelength_m > 0.0 {
-        let most = LARGEST_MOVE_SPACINGS * grid.spacing_m;
+        let largest_m = grid.spacing_m.max_element();
+        let most = LARGEST_MOVE_SPACINGS * (grid.spacing_m * largest_m).map(f64::sqrt);
         let wide = graph.low_pass(&given, wavelength_m);
         let bounded: Vec<DVec3> =
             wide.iter().zip(&given).map(|(&w, &g)| g + (w - g).clamp(-most, most)).collect();
-        mesh_m.positions_m = graph.low_pass(&bounded, SECOND_PASS * wavelength_m);
+        let second_m = wavelength_m.min(SECOND_PASS_SPACINGS * largest_m);
+        mesh_m.positions_m = graph.low_pass(&bounded, second_m);
     }
-    offset_to_volume(&mut mesh_m, volume_m3)?;
+    let smoothing_share = keep_volume(&mut mesh_m, &given, volume_m3, grid)?;
     let n_untangled = untangle(&mut mesh_m, &cells, &graph)?;
     if n_untangled > 0 {
         restore_volume(&mut mesh_m, volume_m3)?;
     }
     let moves = mesh_m.positions_m.iter().zip(&given).map(|(&p, &g)| (p - g).length());
     let (sum, max_move_m) = moves.fold((0.0, 0.0f64), |(sum, most), d| (sum + d, most.max(d)));
-    Ok(Smoothed { mean_move_m: sum / given.len() as f64, max_move_m, n_untangled, mesh_m })
+    Ok(Smoothed { mean_move_m: sum / given.len() as f64, max_move_m, n_untangled, smoothing_share, mesh_m })
 }
 
 /// Moves vertices of crossing triangles and their surroundings towards `safe_m` until none cross; answers how

@@ -15,7 +15,7 @@ use super::normals::{NormalWeight, area_m2, vertex_normals};
 use crate::math::DVec3;
 
 /// Root mean square residual at which the solution is taken [m]; the error is no larger.
-const SOLVER_TOLERANCE_M: f64 = 2e-6;
+const SOLVER_TOLERANCE_M: f64 = 5e-6;
 /// Far above the few hundred that the longest sensible wavelengths take.
 const MOST_ITERATIONS: usize = 2000;
 /// Volume is met to this share by [`offset_to_volume`].

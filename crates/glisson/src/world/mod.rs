@@ -28,6 +28,8 @@ pub struct StepInput {
     /// Equal parts that the time step is divided into; at least 1. Decided outside, because it may depend on
     /// time that a clock measured.
     pub n_substeps: u32,
+    /// The tool was put there without touching anything between: a contact is let go, the way is not searched.
+    pub placed: bool,
 }
 
 /// How a step went.
@@ -200,10 +202,14 @@ impl World {
             self.report.waits_for_model = true;
             return self.report;
         }
-        let from_m = self.tool.tip_in_world_m;
+        let mut from_m = self.tool.tip_in_world_m;
         self.report.input_rejected = !input.tool.is_finite();
         if !self.report.input_rejected {
             self.tool = input.tool;
+        }
+        if input.placed {
+            self.contact = None;
+            from_m = self.tool.tip_in_world_m;
         }
         self.find_contact(from_m);
         self.constrain();

@@ -85,7 +85,7 @@ fn world(fixed: Vec<FixedRegion>) -> World {
 }
 
 fn input(z_m: f64) -> StepInput {
-    StepInput { tool: tool_at(z_m), n_substeps: 1 }
+    StepInput { tool: tool_at(z_m), n_substeps: 1, placed: false }
 }
 
 #[test]
@@ -177,4 +177,15 @@ fn a_removed_tetrahedron_leaves_the_surface_and_the_hash_knows() {
     assert_ne!(world.state_hash(), whole);
     assert!(!world.step(&input(0.0)).in_contact);
     assert!(matches!(world.edit(&MeshEdit::Remove { tets: vec![TetId(0)] }), Err(EditRefusal::Mesh(_))));
+}
+
+#[test]
+fn a_tool_that_is_placed_elsewhere_touches_nothing_on_the_way() {
+    let mut world = world(vec![]);
+    world.step(&input(0.0));
+    assert!(world.report().in_contact);
+    let placed = StepInput { placed: true, ..input(-0.5) };
+    assert!(!world.step(&placed).in_contact);
+    assert!(!world.step(&StepInput { placed: true, ..input(0.1) }).in_contact);
+    assert!(world.step(&input(0.0)).in_contact);
 }

@@ -1,5 +1,6 @@
 //! All integration tests in one binary: it links once.
 
+mod images;
 mod layering;
 mod meshing;
 mod model_meshes;

@@ -642,6 +642,12 @@ fn winding_is_fixed_and_said() {
     let (mesh, report) =
         mesh_from_bytes(MeshBytes::VtkLegacy(text.as_bytes()), &ImportPolicy::default(), "x").unwrap();
     assert_eq!(report.winding_fixed, [TetId(1)]);
+    let lines = [
+        "1 cell(s) passed over: triangle",
+        "1 cell(s) passed over: vertex",
+        "1 tetrahedra were inside out: 1 (fixed)",
+    ];
+    assert_eq!(report.lines(), lines);
     assert!(report.faults.is_empty());
     assert!(mesh.tet_volume_m3(TetId(1)) > 0.0);
     Topology::build(&mesh).unwrap();

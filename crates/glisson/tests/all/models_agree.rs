@@ -483,7 +483,7 @@ fn the_stable_step_is_below_the_true_limit_and_near_it() {
     }
     let true_limit_s = 2.0 / omega_squared.sqrt();
     assert!(h_s <= true_limit_s, "{h_s} {true_limit_s}");
-    assert!(h_s >= 0.4 * true_limit_s, "{h_s} {true_limit_s}");
+    assert!(h_s >= 0.9 * true_limit_s, "{h_s} {true_limit_s}");
 }
 
 #[test]
@@ -586,7 +586,7 @@ fn removal_equals_a_model_of_the_remaining_mesh() {
     for n in (0..mesh.positions_m.len()).map(NodeId::from_index) {
         assert!((model.mass_kg(n) - fresh.mass_kg(n)).abs() <= 1e-12 * model.mass_kg(NodeId(0)).max(1e-3));
     }
-    assert!(fresh.stable_step_s() >= model.stable_step_s());
+    assert!(fresh.stable_step_s() >= model.stable_step_s(), "the bound after cuts holds");
 
     // Compacted, the numbering is that of a compact mesh, and the motion went along.
     let before = model.state().positions_m.to_vec();

@@ -182,9 +182,8 @@ impl Topology {
             check_group(mesh, group)?;
             let triangle = TriangleId::from_index(triangle_nodes.len());
             let nodes = group[0].0.map(NodeId);
-            let places: Vec<(usize, usize)> =
-                group.iter().map(|g| ((g.1 / 4) as usize, (g.1 % 4) as usize)).collect();
-            let (tet, _) = places[0];
+            let place = |g: &FaceRecord| ((g.1 / 4) as usize, (g.1 % 4) as usize);
+            let (tet, _) = place(&group[0]);
             let local = nodes.map(|n| {
                 mesh.tetrahedra[tet].iter().position(|&m| m == n).expect("the face is of the tetrahedron")
             });
@@ -192,14 +191,15 @@ impl Topology {
             triangle_edges
                 .push([(1, 2), (0, 2), (0, 1)].map(|(a, b)| tet_edges[tet][local_edge(local[a], local[b])]));
             let mut tets = [OptionalTetId::NONE; 2];
-            for (slot, &(tet, face)) in places.iter().enumerate() {
+            for (slot, (tet, face)) in group.iter().map(place).enumerate() {
                 tet_triangles[tet][face] = triangle;
                 tets[slot] = TetId::from_index(tet).into();
             }
             triangle_tets.push(tets);
-            if let [(t0, f0), (t1, f1)] = places[..] {
-                tet_neighbours[t0][f0] = TetId::from_index(t1).into();
-                tet_neighbours[t1][f1] = TetId::from_index(t0).into();
+            if let [first, second] = group {
+                let ((t0, f0), (t1, f1)) = (place(first), place(second));
+                tet_neighbours[t0][f0] = tets[1];
+                tet_neighbours[t1][f1] = tets[0];
             }
         }
 

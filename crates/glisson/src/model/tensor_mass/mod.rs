@@ -18,7 +18,7 @@
 mod removal;
 mod stable;
 
-pub use stable::StableStep;
+pub use stable::{MOST_NODES_PROVEN, StableStep};
 
 use super::{Constraints, DeformableModel, ModelState, TopologyRefusal};
 use crate::material::LinearElastic;
@@ -72,7 +72,7 @@ pub struct TensorMassParams<'a> {
     pub damping_per_s: f64,
     /// Gravity [m/s2]; zero where the rest shape already carries it.
     pub gravity_m_per_s2: DVec3,
-    /// Largest internal step [s]; at most [`TensorMass::stable_step`].
+    /// Largest internal step [s]; at most `step_s` of [`TensorMass::stable_step`].
     pub time_step_s: f64,
 }
 
@@ -126,6 +126,7 @@ pub struct TensorMass {
     gravity_m_per_s2: DVec3,
     time_step_s: f64,
     stable: StableStep,
+    is_cut: bool,
     rest_m: Vec<DVec3>,
     is_fixed: Vec<bool>,
 
@@ -165,7 +166,7 @@ pub struct TensorMassSnapshot {
 }
 
 impl TensorMass {
-    /// The largest step [s] for a mesh of a material, and the tetrahedron that limits it.
+    /// The largest steps for a mesh of a material, and the tetrahedron that limits them.
     ///
     /// # Errors
     /// [`SolveError`] for an unusable mesh.
@@ -224,6 +225,7 @@ impl TensorMass {
             gravity_m_per_s2,
             time_step_s,
             stable,
+            is_cut: false,
             rest_m: mesh.positions_m.clone(),
             is_fixed,
             tet_nodes: mesh.tetrahedra.clone(),
@@ -270,12 +272,20 @@ impl TensorMass {
         self.motion[last][0] = h_s;
     }
 
-    /// Largest step [s] for which central differences are proven stable on this mesh; removals never lower it.
+    /// Largest step [s] for which central differences are proven stable now: after the first removal the one
+    /// that holds after any further ones.
     pub fn stable_step_s(&self) -> f64 {
-        self.stable.step_s
+        if self.is_cut { self.stable.after_cuts_s } else { self.stable.step_s }
     }
 
-    /// Largest internal step [s]: a longer [`DeformableModel::step`] is divided into equal parts.
+    /// Into how many equal parts a step of `dt_s` is divided now.
+    pub fn parts_of_step(&self, dt_s: f64) -> u64 {
+        let longest_s = self.time_step_s.min(self.stable_step_s());
+        // A hair below the whole number: dt = k times the step gives k parts in spite of rounding.
+        (dt_s / longest_s - 1e-9).ceil().clamp(1.0, MOST_PARTS) as u64
+    }
+
+    /// Largest internal step [s] asked for; a longer [`DeformableModel::step`] is divided into equal parts.
     pub fn time_step_s(&self) -> f64 {
         self.time_step_s
     }
@@ -479,16 +489,18 @@ impl DeformableModel for TensorMass {
         self.constraint_forces_n.resize(constraints.displacements.len(), DVec3::ZERO);
     }
 
-    /// Advances by `dt_s` in the fewest equal parts that are not longer than [`TensorMass::time_step_s`].
+    /// Advances by `dt_s` in the fewest equal parts that are not longer than [`TensorMass::time_step_s`] and
+    /// [`TensorMass::stable_step_s`].
     /// Held nodes move evenly to where they are held; the constraint force is the one that balances them at
     /// the last part: elastic force and weight, without the held node's own inertia.
     fn step(&mut self, dt_s: f64) {
         if !(dt_s.is_finite() && dt_s > 0.0) {
             return;
         }
-        // A hair below the whole number: dt = k times the step gives k parts in spite of rounding.
-        let parts = (dt_s / self.time_step_s - 1e-9).ceil().clamp(1.0, MOST_PARTS);
-        let h_s = dt_s.min(self.time_step_s * MOST_PARTS) / parts;
+        let n_parts = self.parts_of_step(dt_s);
+        let parts = n_parts as f64;
+        // Only a step of more than the most parts is cut off.
+        let h_s = (dt_s / parts).min(self.time_step_s);
         if h_s != self.last_step_s() {
             self.change_step(h_s);
         }
@@ -496,7 +508,6 @@ impl DeformableModel for TensorMass {
         for held in &mut self.held {
             held.start_m = unpadded(&self.motion[held.node as usize]);
         }
-        let n_parts = parts as u64;
         for part in 1..=n_parts {
             let share = part as f64 / parts;
             for held in &mut self.held {

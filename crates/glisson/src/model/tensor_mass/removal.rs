@@ -89,6 +89,7 @@ impl TensorMass {
     pub(super) fn remove_tet(&mut self, tet: TetId) {
         let t = tet.index();
         self.tet_is_live[t] = false;
+        self.is_cut = true;
         let nodes = self.tet_nodes[t];
         // The rest positions are those of the build, so these are the numbers that were added then.
         let gradients = P1Gradients::new(nodes.map(|n| self.rest_m[n.index()]));

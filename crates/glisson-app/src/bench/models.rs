@@ -1,0 +1,158 @@
+//! Cases of the deformable models: the pre-computed one and the linear tensor-mass.
+
+use std::hint::black_box;
+
+use anyhow::Context;
+use fearless_simd::Level;
+use glam::DVec3;
+use glisson::mesh::NodeId;
+use glisson::mesh::topology::Topology;
+use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
+use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
+use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
+use glisson::solve::MeshEdges;
+
+use super::body::StandardBody;
+use super::{Case, Prepared, Settings, Work, isa_name};
+
+pub(super) const CASES: &[Case] = &[
+    Case {
+        name: "precompute",
+        about: "the compliance of all loadable surface nodes: assembly, sparse Cholesky, unit forces",
+        per: "build",
+        sizes: &[2_000, 6_300, 20_000],
+        parallel: true,
+        prepare: precompute,
+    },
+    Case {
+        name: "precomputed_response",
+        about: "the pre-computed model follows displacements imposed on the three nodes of a touched triangle",
+        per: "step",
+        sizes: &[2_000, 6_300, 20_000],
+        parallel: false,
+        prepare: precomputed_response,
+    },
+    Case {
+        name: "tensor_mass_linear_force",
+        about: "one explicit step of the linear tensor-mass: internal forces and central differences",
+        per: "step",
+        sizes: &[2_000, 6_300, 20_000, 100_000],
+        parallel: false,
+        prepare: tensor_mass_linear_force,
+    },
+];
+
+fn precomputed_params(body: &StandardBody) -> PrecomputedParams<'_> {
+    PrecomputedParams {
+        mesh: &body.mesh,
+        material: &body.material,
+        fixed_nodes: &body.fixed_nodes,
+        stored: StoredNodes::Surface,
+        progress: None,
+    }
+}
+
+fn precompute(settings: Settings) -> anyhow::Result<Prepared> {
+    let body = StandardBody::shared(settings.size)?;
+    Ok(Prepared {
+        size: body.mesh.tetrahedra.len(),
+        // The sparse solver chooses its kernels when the program runs, as the benchmarks do.
+        isa: isa_name(Level::new()),
+        precision: "f64",
+        work: None,
+        note: format!("{} nodes, {} of them held", body.mesh.positions_m.len(), body.fixed_nodes.len()),
+        run: Box::new(move || {
+            let built = Precomputed::build(&precomputed_params(&body));
+            black_box(built.expect("the standard body is held and has no bad element"));
+        }),
+    })
+}
+
+fn precomputed_response(settings: Settings) -> anyhow::Result<Prepared> {
+    let body = StandardBody::shared(settings.size)?;
+    let mut model = Precomputed::build(&precomputed_params(&body))?;
+    // The three nodes of the topmost triangle, far from the support, are pushed in by a centimetre, in turn a
+    // little more and less.
+    let mut touched = topmost_triangle(&body)?;
+    touched.sort_unstable();
+    let pushed = |depth_m: f64| Constraints {
+        displacements: touched
+            .iter()
+            .map(|&node| ImposedDisplacement { node, displacement_m: DVec3::new(0.0, 0.0, -depth_m) })
+            .collect(),
+        forces: Vec::new(),
+    };
+    let constraints = [pushed(0.010), pushed(0.011)];
+    let n_rows = model.stored_nodes().len();
+    let n_nodes = body.mesh.positions_m.len();
+    let mut turn = 0;
+    Ok(Prepared {
+        size: body.mesh.tetrahedra.len(),
+        isa: "portable",
+        precision: "f64",
+        // Nine columns of three displacements a row are read and added up; positions are written.
+        work: Some(Work {
+            flops: (2 * 9 * 3 * n_rows) as f64,
+            bytes: (8 * (27 * n_rows + 3 * n_nodes)) as f64,
+            working_set_bytes: (8 * (27 * n_rows + 6 * n_nodes)) as f64,
+        }),
+        note: format!("{n_rows} surface nodes follow"),
+        run: Box::new(move || {
+            turn ^= 1;
+            model.apply(black_box(&constraints[turn]));
+            model.step(0.01);
+            black_box(model.constraint_forces_n());
+        }),
+    })
+}
+
+/// Nodes of the highest surface triangle.
+fn topmost_triangle(body: &StandardBody) -> anyhow::Result<[NodeId; 3]> {
+    let topology = Topology::build(&body.mesh)?;
+    let height = |nodes: &[NodeId; 3]| nodes.iter().map(|n| body.mesh.positions_m[n.index()].z).sum::<f64>();
+    topology
+        .surface_triangles()
+        .map(|triangle| topology.outward_nodes(triangle))
+        .max_by(|a, b| height(a).total_cmp(&height(b)))
+        .context("the body has no surface")
+}
+
+fn tensor_mass_linear_force(settings: Settings) -> anyhow::Result<Prepared> {
+    let body = StandardBody::shared(settings.size)?;
+    let stable = TensorMass::stable_step(&body.mesh, &body.material)?;
+    let step_s = 0.9 * stable.step_s;
+    let mut model = TensorMass::build(&TensorMassParams {
+        mesh: &body.mesh,
+        material: &body.material,
+        fixed_nodes: &body.fixed_nodes,
+        // Without damping it moves for ever: no number becomes subnormal, which would be slow.
+        damping_per_s: 0.0,
+        gravity_m_per_s2: DVec3::ZERO,
+        time_step_s: step_s,
+    })?;
+    let bent_m: Vec<DVec3> = body
+        .mesh
+        .positions_m
+        .iter()
+        .map(|&p| p + DVec3::new(0.0, 0.2 * (p.x / 0.15) * (p.z / 0.06 + 1.0) * 0.01, 0.02 * p.x))
+        .collect();
+    model.take_over(&bent_m);
+    let (n_edges, n_nodes) = (MeshEdges::of_mesh(&body.mesh)?.nodes.len(), body.mesh.positions_m.len());
+    Ok(Prepared {
+        size: body.mesh.tetrahedra.len(),
+        isa: "portable",
+        precision: "f64",
+        // Two 3x3 products an edge and one a node, then 12 operations a component for the step. Each tensor
+        // is nine numbers; displacements of two times, forces, positions and velocities are three a node.
+        work: Some(Work {
+            flops: (36 * n_edges + (18 + 36) * n_nodes) as f64,
+            bytes: ((72 + 8) * n_edges + (72 + 6 * 24) * n_nodes) as f64,
+            working_set_bytes: ((72 + 8) * n_edges + (72 + 6 * 24) * n_nodes) as f64,
+        }),
+        note: format!("{n_edges} edges, stable step {:.2} ms", 1e3 * stable.step_s),
+        run: Box::new(move || {
+            model.step(step_s);
+            black_box(model.state().positions_m);
+        }),
+    })
+}

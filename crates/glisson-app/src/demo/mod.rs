@@ -1,0 +1,6 @@
+//! The parts of `glisson demo`: the scene it writes, the scripted operation, the report.
+
+pub(crate) mod operation;
+pub(crate) mod patient;
+pub(crate) mod report;
+pub(crate) mod scenery;

@@ -1,0 +1,210 @@
+//! The simulation loop of `glisson serve`: keeps pace with the clock, takes commands, publishes what is displayed.
+
+use super::Simulation;
+use crate::server::frames::Pace;
+use glisson::model::kind::ModelKind;
+use glisson::record::hash::StateHash;
+use glisson::record::snapshot::Snapshot;
+use glisson::tool::ToolInput;
+use glisson::world::StepInput;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+use tokio::sync::watch;
+
+/// What a viewer asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Command {
+    /// The instrument should be here.
+    Tool(ToolInput),
+    Pause(bool),
+    SingleStep,
+    Reset,
+    /// Another model should take over.
+    Model(ModelKind),
+    /// The program ends.
+    Stop,
+}
+
+/// The latest displayed state.
+#[derive(Clone, Debug)]
+pub(crate) struct Published {
+    pub(crate) snapshot: Snapshot,
+    pub(crate) pace: Pace,
+    pub(crate) state_hash: StateHash,
+    pub(crate) model: ModelKind,
+}
+
+impl Published {
+    pub(crate) fn of(simulation: &Simulation, pace: Pace) -> Self {
+        let world = simulation.world();
+        let (snapshot, state_hash) = (world.snapshot(), world.state_hash());
+        Self { snapshot, pace, state_hash, model: world.model_kind() }
+    }
+}
+
+/// Time between two published states: a little under a display's frame.
+const FRAME: Duration = Duration::from_millis(16);
+/// A simulation that fell further behind than this drops the lag instead of running after it.
+const MAX_LAG: Duration = Duration::from_millis(100);
+/// Steps from an order to the moment another model takes over: half a second at 1 ms.
+const SWAP_DELAY_STEPS: u64 = 500;
+
+/// How the pointer's jumps become a hand's motion: the tip follows its target with this time constant [s] ...
+const FOLLOW_TIME_S: f64 = 0.02;
+/// ... and no faster than this [m/s].
+const MAX_TIP_SPEED_M_PER_S: f64 = 1.0;
+
+/// A target further away than this was not reached by moving the hand: the tool is put there [m].
+/// Viewers move a tool that stays in the hand by at most 10 mm a message (`docs/protocol.md`); several messages can
+/// wait while the tip follows.
+const JUMP_M: f64 = 0.03;
+
+/// Where the tool is one time step after `now` on its way to `target`.
+fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
+    let share = 1.0 - (-dt_s / FOLLOW_TIME_S).exp();
+    let motion = (target.tip_in_world_m - now.tip_in_world_m) * share;
+    let shaft = now.shaft_in_world.lerp(target.shaft_in_world, share);
+    ToolInput {
+        tip_in_world_m: now.tip_in_world_m + motion.clamp_length_max(MAX_TIP_SPEED_M_PER_S * dt_s),
+        shaft_in_world: shaft.normalize_or(target.shaft_in_world),
+    }
+}
+
+/// Measures pace over about half a second.
+struct PaceMeter {
+    since: Instant,
+    steps: u64,
+    pace: Pace,
+}
+
+impl PaceMeter {
+    fn count(&mut self, steps: u64, dt_s: f64) {
+        self.steps += steps;
+        let elapsed_s = self.since.elapsed().as_secs_f64();
+        if elapsed_s >= 0.5 {
+            self.pace.rate_hz = self.steps as f64 / elapsed_s;
+            self.pace.real_time_factor = self.pace.rate_hz * dt_s;
+            self.restart();
+        }
+    }
+
+    fn restart(&mut self) {
+        self.since = Instant::now();
+        self.steps = 0;
+    }
+}
+
+struct Live {
+    simulation: Simulation,
+    tool: ToolInput,
+    target: ToolInput,
+    paused: bool,
+    dt_s: f64,
+}
+
+impl Live {
+    fn advance(&mut self) -> anyhow::Result<()> {
+        let placed = self.tool.tip_in_world_m.distance(self.target.tip_in_world_m) > JUMP_M;
+        self.tool = if placed { self.target } else { approach(self.tool, self.target, self.dt_s) };
+        self.simulation.advance(&StepInput { tool: self.tool, n_substeps: 1, placed })?;
+        Ok(())
+    }
+
+    /// Answers whether the display has to be refreshed at once.
+    fn obey(&mut self, command: Command) -> anyhow::Result<bool> {
+        match command {
+            Command::Tool(target) => self.target = target,
+            Command::Pause(paused) => {
+                self.paused = paused;
+                return Ok(true);
+            }
+            Command::SingleStep => {
+                self.paused = true;
+                self.advance()?;
+                return Ok(true);
+            }
+            Command::Reset => {
+                self.simulation.reset()?;
+                self.tool = self.simulation.world().spec().tool.home;
+                self.target = self.tool;
+                return Ok(true);
+            }
+            Command::Model(kind) => {
+                let at_step = self.simulation.world().steps_made() + SWAP_DELAY_STEPS;
+                self.simulation.order_model(kind, at_step)?;
+            }
+            Command::Stop => {}
+        }
+        Ok(false)
+    }
+}
+
+/// Runs until [`Command::Stop`] or until all senders are gone, then ends the recording.
+///
+/// # Errors
+/// What stopped the simulation; the recording up to there is kept.
+pub(crate) fn run(
+    simulation: Simulation,
+    commands: &Receiver<Command>,
+    published: &watch::Sender<Arc<Published>>,
+) -> anyhow::Result<StateHash> {
+    let dt_s = simulation.world().spec().time_step_s;
+    let home = simulation.world().spec().tool.home;
+    let mut live = Live { simulation, tool: home, target: home, paused: false, dt_s };
+    let mut meter = PaceMeter { since: Instant::now(), steps: 0, pace: Pace::default() };
+    let mut next_frame = Instant::now();
+    let mut simulated_until = Instant::now();
+    let step = Duration::from_secs_f64(dt_s);
+    loop {
+        let now = Instant::now();
+        let wait =
+            if live.paused { FRAME } else { simulated_until.min(next_frame).saturating_duration_since(now) };
+        let mut refresh = false;
+        match commands.recv_timeout(wait) {
+            Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => return live.simulation.finish(),
+            Ok(command) => refresh = live.obey(command)?,
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+        let now = Instant::now();
+        if live.paused {
+            simulated_until = now;
+            meter.restart();
+        } else {
+            if now.saturating_duration_since(simulated_until) > MAX_LAG {
+                simulated_until = now;
+            }
+            let mut steps = 0;
+            while simulated_until <= Instant::now() && Instant::now() < next_frame.max(now + step) {
+                live.advance()?;
+                simulated_until += step;
+                steps += 1;
+            }
+            meter.count(steps, dt_s);
+        }
+        if refresh || (!live.paused && Instant::now() >= next_frame) {
+            next_frame = Instant::now() + FRAME;
+            let pace = Pace { paused: live.paused, ..meter.pace };
+            published.send_replace(Arc::new(Published::of(&live.simulation, pace)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glisson::math::DVec3;
+
+    #[test]
+    fn the_tip_reaches_its_target_and_never_exceeds_its_speed() {
+        let at = |x: f64| ToolInput { tip_in_world_m: DVec3::new(x, 0.0, 0.0), shaft_in_world: DVec3::Y };
+        let (mut tool, target) = (at(0.0), at(0.1));
+        for _ in 0..1000 {
+            let next = approach(tool, target, 1e-3);
+            let moved = next.tip_in_world_m.distance(tool.tip_in_world_m);
+            assert!(moved <= MAX_TIP_SPEED_M_PER_S * 1e-3 * (1.0 + 1e-12));
+            tool = next;
+        }
+        assert!(tool.tip_in_world_m.distance(target.tip_in_world_m) < 1e-9);
+    }
+}

@@ -1,0 +1,138 @@
+//! A world with a clock, a session being recorded, and models that are made in the background.
+
+pub(crate) mod live;
+pub(crate) mod recorder;
+pub(crate) mod replay;
+
+use anyhow::{Context, anyhow, bail};
+use glisson::mesh::TetMesh;
+use glisson::model::DeformableModel;
+use glisson::model::kind::ModelKind;
+use glisson::record::hash::StateHash;
+use glisson::record::session::SessionEvent;
+use glisson::scene::{OrganBody, Scene, build_model, build_world, mesh_hash};
+use glisson::world::{StepInput, StepReport, World};
+use recorder::Recorder;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+/// Steps between two check-point hashes of a session.
+const CHECKPOINT_STEPS: u64 = 500;
+
+type BuiltModel = anyhow::Result<(Box<dyn DeformableModel>, ModelKind)>;
+
+/// A scene and the folder that its files are relative to.
+pub(crate) struct OpenScene {
+    pub(crate) scene: Scene,
+    pub(crate) folder: PathBuf,
+}
+
+impl OpenScene {
+    /// Reads a scene file.
+    pub(crate) fn read(path: &Path) -> anyhow::Result<Self> {
+        let text = std::fs::read_to_string(path)
+            .with_context(|| format!("{}: cannot read the scene", path.display()))?;
+        let scene = Scene::parse(&text).map_err(|e| anyhow!("{}: {e}", path.display()))?;
+        let folder = path.parent().map_or_else(|| PathBuf::from("."), Path::to_path_buf);
+        Ok(Self { scene, folder })
+    }
+}
+
+/// A running world: every input goes through here, so that the session holds all of them.
+pub(crate) struct Simulation {
+    world: World,
+    body: Arc<OrganBody>,
+    source: Arc<OpenScene>,
+    recorder: Option<Recorder>,
+    builder: Option<JoinHandle<BuiltModel>>,
+}
+
+impl Simulation {
+    /// Sets a world up from a scene; with `record`, writes the session there.
+    pub(crate) fn open(source: OpenScene, record: Option<&Path>) -> anyhow::Result<Self> {
+        let (world, body) = build_world(&source.scene, &source.folder)?;
+        let recorder = record
+            .map(|path| Recorder::create(path, &source.scene.text, mesh_hash(&body.mesh)))
+            .transpose()?;
+        Ok(Self { world, body: Arc::new(body), source: Arc::new(source), recorder, builder: None })
+    }
+
+    pub(crate) fn world(&self) -> &World {
+        &self.world
+    }
+
+    pub(crate) fn mesh(&self) -> &TetMesh {
+        &self.body.mesh
+    }
+
+    pub(crate) fn body(&self) -> &OrganBody {
+        &self.body
+    }
+
+    fn record(&mut self, event: &SessionEvent) -> anyhow::Result<()> {
+        self.recorder.as_mut().map_or(Ok(()), |r| r.write(event))
+    }
+
+    /// One step; first waits for a model that takes over at it.
+    pub(crate) fn advance(&mut self, input: &StepInput) -> anyhow::Result<StepReport> {
+        if let Some(kind) = self.world.awaited_model() {
+            let builder = self.builder.take().with_context(|| format!("nobody makes the {kind} model"))?;
+            let (model, kind) =
+                builder.join().map_err(|_| anyhow!("the {kind} model's maker panicked"))??;
+            if !self.world.deliver_model(model, kind) {
+                bail!("the {kind} model was made, but another one was ordered");
+            }
+        }
+        if !input.tool.is_finite() {
+            bail!("the tool's place is not finite: {:?}", input.tool);
+        }
+        let step = self.world.steps_made();
+        let StepInput { tool, n_substeps, placed } = *input;
+        self.record(&SessionEvent::Input { step, tool, n_substeps, placed })?;
+        let report = self.world.step(input);
+        if report.n_non_finite_nodes > 0 {
+            bail!(
+                "step {}: {} nodes have no finite position; the session up to here is kept",
+                report.step,
+                report.n_non_finite_nodes
+            );
+        }
+        if report.step.is_multiple_of(CHECKPOINT_STEPS) && self.recorder.is_some() {
+            let state_hash = self.world.state_hash();
+            self.record(&SessionEvent::Checkpoint { step: report.step, state_hash })?;
+        }
+        Ok(report)
+    }
+
+    /// Everything back to rest.
+    pub(crate) fn reset(&mut self) -> anyhow::Result<()> {
+        self.record(&SessionEvent::Reset { step: self.world.steps_made() })?;
+        self.world.reset();
+        Ok(())
+    }
+
+    /// Starts making another model; it takes over before step `at_step`, whenever it is ready.
+    pub(crate) fn order_model(&mut self, kind: ModelKind, at_step: u64) -> anyhow::Result<()> {
+        let step = self.world.steps_made();
+        let at_step = at_step.max(step);
+        self.record(&SessionEvent::QueueModelSwap { step, at_step, model: kind })?;
+        self.world.queue_model_swap(at_step, kind);
+        let (body, source) = (Arc::clone(&self.body), Arc::clone(&self.source));
+        self.builder = Some(std::thread::spawn(move || {
+            let model = build_model(&source.scene, &source.folder, &body, kind)?;
+            Ok((model, kind))
+        }));
+        Ok(())
+    }
+
+    /// Ends the recording, if there is one.
+    pub(crate) fn finish(mut self) -> anyhow::Result<StateHash> {
+        let state_hash = self.world.state_hash();
+        self.record(&SessionEvent::End { step: self.world.steps_made(), state_hash })?;
+        if let Some(recorder) = self.recorder {
+            recorder.finish()?;
+        }
+        Ok(state_hash)
+    }
+}

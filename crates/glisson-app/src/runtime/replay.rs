@@ -1,0 +1,80 @@
+//! Replays a session and says whether it made the same bits.
+
+use super::{OpenScene, Simulation};
+use anyhow::{Context, anyhow, bail};
+use glisson::record::hash::StateHash;
+use glisson::record::session::{Session, SessionEvent, parse_session};
+use glisson::scene::{Scene, mesh_hash};
+use glisson::world::StepInput;
+use std::path::Path;
+
+/// What a replay found.
+pub(crate) struct ReplayReport {
+    /// Steps made.
+    pub(crate) steps: u64,
+    /// Hash of the state at the end.
+    pub(crate) state_hash: StateHash,
+    /// Hash that the recording ended with; none when it was cut off before.
+    pub(crate) recorded_hash: Option<StateHash>,
+    /// First check-point whose hash differs.
+    pub(crate) first_difference: Option<u64>,
+    /// Check-points compared.
+    pub(crate) checkpoints: u64,
+}
+
+/// Reads a session file.
+pub(crate) fn read_session(path: &Path) -> anyhow::Result<Session> {
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("{}: cannot read the session", path.display()))?;
+    parse_session(&text).map_err(|e| anyhow!("{}: {e}", path.display()))
+}
+
+/// Replays `session` with the scene's files in `folder`; `after_step` sees the simulation after every step.
+pub(crate) fn replay(
+    session: &Session,
+    folder: &Path,
+    mut after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
+) -> anyhow::Result<ReplayReport> {
+    let scene =
+        Scene::parse(&session.header.scene).map_err(|e| anyhow!("the scene in the session's header: {e}"))?;
+    let mut simulation = Simulation::open(OpenScene { scene, folder: folder.to_path_buf() }, None)?;
+    let found = mesh_hash(simulation.mesh());
+    if found != session.header.mesh_hash {
+        bail!(
+            "the mesh is not the one of the recording: BLAKE3 {found}, recorded {}; give the right folder with --folder",
+            session.header.mesh_hash
+        );
+    }
+    let home = simulation.world().spec().tool.home;
+    let mut input = StepInput { tool: home, n_substeps: 1, placed: false };
+    let mut report = ReplayReport {
+        steps: 0,
+        state_hash: simulation.world().state_hash(),
+        recorded_hash: None,
+        first_difference: None,
+        checkpoints: 0,
+    };
+    for event in &session.events {
+        while simulation.world().steps_made() < event.step() {
+            simulation.advance(&input)?;
+            after_step(&simulation)?;
+        }
+        match *event {
+            SessionEvent::Input { tool, n_substeps, placed, .. } => {
+                input = StepInput { tool, n_substeps, placed }
+            }
+            SessionEvent::Reset { .. } => simulation.reset()?,
+            SessionEvent::QueueModelSwap { at_step, model, .. } => simulation.order_model(model, at_step)?,
+            SessionEvent::Checkpoint { step, state_hash } => {
+                report.checkpoints += 1;
+                if simulation.world().state_hash() != state_hash {
+                    report.first_difference.get_or_insert(step);
+                }
+            }
+            SessionEvent::End { state_hash, .. } => report.recorded_hash = Some(state_hash),
+        }
+    }
+    report.steps = simulation.world().steps_made();
+    report.state_hash = simulation.world().state_hash();
+    Ok(report)
+}

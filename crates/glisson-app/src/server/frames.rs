@@ -1,0 +1,121 @@
+//! The binary frames of the viewer's protocol (`docs/protocol.md`), little endian.
+
+use glisson::math::DVec3;
+use glisson::record::snapshot::{DisplayTopology, Snapshot};
+
+const MAGIC: u32 = u32::from_le_bytes(*b"GLSN");
+const KIND_TOPOLOGY: u32 = 1;
+const KIND_SNAPSHOT: u32 = 2;
+const FLAG_CONTACT: u32 = 1;
+const FLAG_PAUSED: u32 = 2;
+
+/// How the simulation keeps up with the clock; measured outside the library.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Pace {
+    /// Steps a second of wall time.
+    pub(crate) rate_hz: f64,
+    /// Simulated time over wall time.
+    pub(crate) real_time_factor: f64,
+    /// Whether the simulation stands still because somebody asked for it.
+    pub(crate) paused: bool,
+}
+
+struct FrameWriter(Vec<u8>);
+
+impl FrameWriter {
+    fn new(kind: u32, topology_version: u32) -> Self {
+        let mut frame = Self(Vec::new());
+        // One organ so far: number 0.
+        frame.u32s(&[MAGIC, kind, topology_version, 0]);
+        frame
+    }
+
+    fn u32s(&mut self, numbers: &[u32]) {
+        self.0.extend(numbers.iter().flat_map(|x| x.to_le_bytes()));
+    }
+
+    fn f64s(&mut self, numbers: &[f64]) {
+        self.0.extend(numbers.iter().flat_map(|x| x.to_le_bytes()));
+    }
+
+    /// In single precision: a display needs no more.
+    fn positions(&mut self, positions_m: &[DVec3]) {
+        self.0.extend(positions_m.iter().flat_map(|p| p.as_vec3().to_array()).flat_map(f32::to_le_bytes));
+    }
+}
+
+/// A TOPOLOGY frame.
+pub(crate) fn topology_frame(topology: &DisplayTopology) -> Vec<u8> {
+    let mut frame = FrameWriter::new(KIND_TOPOLOGY, topology.version);
+    frame.u32s(&[topology.nodes.len() as u32, topology.triangles.len() as u32]);
+    topology.nodes.iter().for_each(|n| frame.u32s(&[n.0]));
+    frame.positions(&topology.rest_positions_m);
+    frame.u32s(topology.triangles.as_flattened());
+    frame.0
+}
+
+/// A SNAPSHOT frame.
+pub(crate) fn snapshot_frame(snapshot: &Snapshot, pace: &Pace) -> Vec<u8> {
+    let mut frame = FrameWriter::new(KIND_SNAPSHOT, snapshot.topology_version);
+    frame.0.extend_from_slice(&snapshot.step.to_le_bytes());
+    frame.f64s(&[snapshot.time_s, pace.rate_hz, pace.real_time_factor]);
+    frame.f64s(&snapshot.tool.tip_in_world_m.to_array());
+    frame.f64s(&snapshot.tool.shaft_in_world.to_array());
+    frame.f64s(&snapshot.force_on_tool_n.to_array());
+    frame.f64s(&snapshot.contact.map_or(DVec3::ZERO, |c| c.point_m).to_array());
+    let contact = if snapshot.contact.is_some() { FLAG_CONTACT } else { 0 };
+    let paused = if pace.paused { FLAG_PAUSED } else { 0 };
+    frame.u32s(&[contact | paused, snapshot.positions_m.len() as u32]);
+    frame.positions(&snapshot.positions_m);
+    frame.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glisson::mesh::NodeId;
+    use glisson::record::snapshot::ContactReport;
+    use glisson::tool::ToolInput;
+
+    #[test]
+    fn frames_have_the_documented_layout() {
+        let topology = DisplayTopology {
+            version: 3,
+            nodes: vec![NodeId(7), NodeId(9), NodeId(11)],
+            rest_positions_m: vec![DVec3::X, DVec3::Y, DVec3::Z],
+            triangles: vec![[0, 1, 2]],
+        };
+        let frame = topology_frame(&topology);
+        assert_eq!(&frame[..4], b"GLSN");
+        let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        assert_eq!([4, 8, 12, 16, 20, 24, 28, 32].map(word), [1, 3, 0, 3, 1, 7, 9, 11]);
+        assert_eq!(frame.len(), 24 + 3 * 4 + 9 * 4 + 3 * 4);
+
+        let contact = ContactReport {
+            point_m: DVec3::new(7.0, 8.0, 9.0),
+            normal: DVec3::Z,
+            nodes: [NodeId(0); 3],
+            weights: [1.0, 0.0, 0.0],
+        };
+        let tool = ToolInput { tip_in_world_m: DVec3::X, shaft_in_world: DVec3::Y };
+        let snapshot = Snapshot {
+            step: 5,
+            time_s: 0.25,
+            topology_version: 3,
+            positions_m: vec![DVec3::ONE; 3],
+            tool,
+            force_on_tool_n: DVec3::new(1.0, 2.0, 3.0),
+            contact: Some(contact),
+        };
+        let pace = Pace { rate_hz: 1000.0, real_time_factor: 1.0, paused: true };
+        let frame = snapshot_frame(&snapshot, &pace);
+        let double = |at: usize| f64::from_le_bytes(frame[at..at + 8].try_into().unwrap());
+        assert_eq!(frame[16], 5);
+        assert_eq!(
+            [24, 32, 40, 48, 80, 96, 112, 136].map(double),
+            [0.25, 1000.0, 1.0, 1.0, 1.0, 1.0, 3.0, 9.0]
+        );
+        assert_eq!(u32::from_le_bytes(frame[144..148].try_into().unwrap()), 3);
+        assert_eq!(frame.len(), 152 + 9 * 4);
+    }
+}

@@ -1,0 +1,129 @@
+//! The JSON messages of the viewer's protocol.
+
+use crate::runtime::Simulation;
+use crate::runtime::live::{Command, Published};
+use glisson::math::{Aabb, DVec3};
+use glisson::model::kind::ModelKind;
+use glisson::record::snapshot::DisplayTopology;
+use glisson::tool::ToolInput;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+const PROTOCOL: u32 = 1;
+
+/// The first message on a connection.
+pub(super) fn hello(simulation: &Simulation) -> Value {
+    let world = simulation.world();
+    let (spec, organ) = (world.spec(), world.organ());
+    let bounds = Aabb::of_points(&organ.mesh().positions_m);
+    let tool = &spec.tool;
+    json!({
+        "type": "hello",
+        "protocol": PROTOCOL,
+        "scene": {
+            "name": spec.name,
+            "model": world.model_kind().name(),
+            "material": simulation.body().material_text,
+            "time_step_s": spec.time_step_s,
+            "gravity_m_per_s2": [0.0, 0.0, 0.0],
+            "n_nodes": organ.mesh().positions_m.len(),
+            "n_tetrahedra": organ.mesh().tetrahedra.len(),
+        },
+        "bounds": { "min_m": bounds.min_m.to_array(), "max_m": bounds.max_m.to_array() },
+        "tool": {
+            "name": tool.name,
+            "tip_radius_m": tool.tip_radius_m,
+            "shaft_radius_m": tool.shaft_radius_m,
+            "shaft_length_m": tool.shaft_length_m,
+            "home_tip_m": tool.home.tip_in_world_m.to_array(),
+            "home_shaft": tool.home.shaft_in_world.to_array(),
+        },
+        "fixed_nodes": organ.fixed_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
+    })
+}
+
+/// The latest displayed state in full precision.
+pub(super) fn snapshot(published: &Published, topology: &DisplayTopology) -> Value {
+    let snapshot = &published.snapshot;
+    let list = |points: &[DVec3]| points.iter().map(|p| p.to_array()).collect::<Vec<_>>();
+    json!({
+        "step": snapshot.step,
+        "time_s": snapshot.time_s,
+        "paused": published.pace.paused,
+        "model": published.model.name(),
+        "tip_m": snapshot.tool.tip_in_world_m.to_array(),
+        "force_on_tool_n": snapshot.force_on_tool_n.to_array(),
+        "contact": snapshot.contact.map(|c| json!({
+            "point_m": c.point_m.to_array(),
+            "node_ids": c.nodes.map(|n| n.0),
+            "weights": c.weights,
+        })),
+        "node_ids": topology.nodes.iter().map(|n| n.0).collect::<Vec<_>>(),
+        "rest_positions_m": list(&topology.rest_positions_m),
+        "positions_m": list(&snapshot.positions_m),
+        "state_hash": published.state_hash.to_string(),
+    })
+}
+
+/// Something for the page to show.
+pub(super) fn error(message: &str) -> Value {
+    json!({ "type": "error", "message": message })
+}
+
+#[derive(Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
+enum ViewerMessage {
+    Tool { tip_m: [f64; 3], shaft: [f64; 3] },
+    Pause { paused: bool },
+    SingleStep {},
+    Reset {},
+    Model { name: String },
+}
+
+/// What a viewer asks for, or why it cannot be understood.
+pub(super) fn command(text: &str) -> Result<Command, String> {
+    let message: ViewerMessage =
+        serde_json::from_str(text).map_err(|e| format!("message not understood: {e}"))?;
+    Ok(match message {
+        ViewerMessage::Tool { tip_m, shaft } => {
+            let shaft_in_world = DVec3::from_array(shaft)
+                .try_normalize()
+                .ok_or_else(|| "\"shaft\" has no direction".to_string())?;
+            Command::Tool(ToolInput { tip_in_world_m: DVec3::from_array(tip_m), shaft_in_world })
+        }
+        ViewerMessage::Pause { paused } => Command::Pause(paused),
+        ViewerMessage::SingleStep {} => Command::SingleStep,
+        ViewerMessage::Reset {} => Command::Reset,
+        ViewerMessage::Model { name } => {
+            let names = ModelKind::ALL.map(ModelKind::name).join(", ");
+            let kind = ModelKind::by_name(&name)
+                .ok_or_else(|| format!("no model \"{name}\"; there are: {names}"))?;
+            Command::Model(kind)
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_are_read_and_mistakes_answered() {
+        assert_eq!(command(r#"{"type":"pause","paused":true}"#), Ok(Command::Pause(true)));
+        assert_eq!(command(r#"{"type":"single_step"}"#), Ok(Command::SingleStep));
+        let tool = command(r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,2]}"#).unwrap();
+        let expected = ToolInput { tip_in_world_m: DVec3::new(1.0, 2.0, 3.0), shaft_in_world: DVec3::Z };
+        assert_eq!(tool, Command::Tool(expected));
+        for bad in [
+            "",
+            "{}",
+            r#"{"type":"fly"}"#,
+            r#"{"type":"tool","tip_m":[1,2],"shaft":[0,0,1]}"#,
+            r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,0]}"#,
+            r#"{"type":"tool","tip_m":[1,2,1e999],"shaft":[0,0,1]}"#,
+            r#"{"type":"model","name":"jelly"}"#,
+        ] {
+            assert!(command(bad).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! The experiments of `glisson validate`: each claim with its source, what is expected, and what was obtained now.
+
+mod elasticity;
+mod image;
+mod interaction;
+
+use serde::Serialize;
+
+/// One claim, reproduced.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Experiment {
+    /// What is claimed.
+    pub(crate) name: String,
+    /// Where the expected value comes from.
+    pub(crate) source: String,
+    /// The value that should come out, in words with its unit.
+    pub(crate) expected: String,
+    /// The value that came out.
+    pub(crate) obtained: f64,
+    /// How far it may be off, in words.
+    pub(crate) tolerance: String,
+    /// Whether it holds.
+    pub(crate) pass: bool,
+}
+
+impl Experiment {
+    /// A value that may not exceed `limit`.
+    fn at_most(name: &str, source: &str, obtained: f64, limit: f64) -> Self {
+        Self {
+            name: name.into(),
+            source: source.into(),
+            expected: "0".into(),
+            obtained,
+            tolerance: format!("{limit:e}"),
+            pass: obtained <= limit,
+        }
+    }
+
+    /// A value that has to lie in a range.
+    fn within(name: &str, source: &str, obtained: f64, [low, high]: [f64; 2]) -> Self {
+        Self {
+            name: name.into(),
+            source: source.into(),
+            expected: format!("{low} to {high}"),
+            obtained,
+            tolerance: "in the range".into(),
+            pass: (low..=high).contains(&obtained),
+        }
+    }
+}
+
+/// A group of experiments that share their set-up.
+pub(crate) struct Group {
+    pub(crate) name: &'static str,
+    pub(crate) run: fn() -> anyhow::Result<Vec<Experiment>>,
+}
+
+/// All groups, quick ones first.
+pub(crate) const GROUPS: [Group; 3] = [
+    Group { name: "elasticity", run: elasticity::experiments },
+    Group { name: "interaction", run: interaction::experiments },
+    Group { name: "image", run: image::experiments },
+];

@@ -1,0 +1,152 @@
+//! The whole path at full size, through the release program's own commands: synthetic patient and real CT.
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Runs `glisson` and answers what it printed; fails the test when it fails.
+fn glisson(arguments: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_glisson")).args(arguments).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    assert!(
+        output.status.success(),
+        "glisson {}\n{}{}",
+        arguments.join(" "),
+        text(&output.stdout),
+        text(&output.stderr)
+    );
+    text(&output.stdout)
+}
+
+fn quality(mesh: &Path) -> Value {
+    serde_json::from_str(&glisson(&["check", mesh.to_str().unwrap(), "--json"])).unwrap()
+}
+
+/// Counts, volume, angles and topology of a mesh against what was asked for.
+fn check_mesh(mesh: &Path, tetrahedra: f64, volume_ml: f64, volume_tolerance: f64) {
+    let quality = quality(mesh);
+    let number = |key: &str| quality[key].as_f64().unwrap();
+    assert!((number("tetrahedra") / tetrahedra - 1.0).abs() <= 0.05, "{quality}");
+    assert!((number("volume_m3") * 1e6 / volume_ml - 1.0).abs() <= volume_tolerance, "{quality}");
+    assert!(number("min_dihedral_deg") >= 10.0 && number("max_dihedral_deg") <= 165.0, "{quality}");
+    assert_eq!(number("surface_euler_characteristic"), 2.0, "{quality}");
+}
+
+#[test]
+fn the_claims_hold() {
+    let printed = glisson(&["validate", "--json"]);
+    let report: Value = serde_json::from_str(&printed).unwrap();
+    let experiments = report["experiments"].as_array().unwrap();
+    assert!(experiments.len() >= 15, "{printed}");
+    assert!(experiments.iter().all(|e| e["pass"] == true), "{printed}");
+}
+
+#[test]
+fn other_patients_are_segmented_and_meshed_too() {
+    for seed in ["2", "3"] {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+        glisson(&["phantom", "--seed", seed, "--out", folder.path().to_str().unwrap()]);
+        let printed = glisson(&[
+            "segment",
+            &at("ct.nii.gz"),
+            "--truth",
+            &at("labels.nii.gz"),
+            "-o",
+            &at("liver.nii.gz"),
+            "--json",
+        ]);
+        let report: Value = serde_json::from_str(&printed).unwrap();
+        assert!(report["dice"].as_f64().unwrap() >= 0.95, "seed {seed}: {printed}");
+        assert!(report["bare_band_dice"].as_f64().unwrap() < 0.93, "seed {seed}: {printed}");
+        let mesh = folder.path().join("liver.vtu");
+        glisson(&[
+            "mesh",
+            &at("liver.nii.gz"),
+            "--label",
+            "liver",
+            "--tetrahedra",
+            "6300",
+            "-o",
+            mesh.to_str().unwrap(),
+        ]);
+        let volume_ml = report["volume_m3"].as_f64().unwrap() * 1e6;
+        check_mesh(&mesh, 6300.0, volume_ml, 0.01);
+    }
+}
+
+/// The real CT's folder, or `None` with the reason printed: `cargo xtask test` fetches it, or fails if told to.
+fn real_ct() -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/ct");
+    if folder.join("mask.nii.gz").exists() {
+        return Some(folder);
+    }
+    println!("SKIPPED: no real CT in data/ct; `cargo xtask fetch-ct` fetches it");
+    None
+}
+
+#[test]
+fn a_real_liver_keeps_its_volume_and_has_no_holes() {
+    let Some(ct) = real_ct() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for tetrahedra in ["6300", "50000"] {
+        let mesh = folder.path().join(format!("liver_{tetrahedra}.vtu"));
+        let mask = ct.join("mask.nii.gz");
+        glisson(&[
+            "mesh",
+            mask.to_str().unwrap(),
+            "--label",
+            "5",
+            "--tetrahedra",
+            tetrahedra,
+            "-o",
+            mesh.to_str().unwrap(),
+        ]);
+        check_mesh(&mesh, tetrahedra.parse().unwrap(), 1023.0, 0.02);
+    }
+}
+
+#[test]
+fn a_real_liver_can_be_pushed() {
+    let Some(ct) = real_ct() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    let mask = ct.join("mask.nii.gz");
+    glisson(&[
+        "mesh",
+        mask.to_str().unwrap(),
+        "--label",
+        "5",
+        "--tetrahedra",
+        "6300",
+        "-o",
+        &at("liver.vtu"),
+    ]);
+    let (min_mm, max_mm) = bounds_mm(&quality(Path::new(&at("liver.vtu"))));
+    // From the front, through the middle of the box, to its centre.
+    let middle = |axis: usize| 0.5 * (min_mm[axis] + max_mm[axis]);
+    let tip = |y_mm: f64| format!("[\"{} mm\", \"{y_mm} mm\", \"{} mm\"]", middle(0), middle(2));
+    let scene = format!(
+        "glisson_scene = 1\n[organ]\nmesh = \"liver.vtu\"\ntissue = \"liver\"\nmodel = \"precomputed\"\n\
+         [[organ.fixed]]\nfurthest = {{ direction = [0, 1, 0], fraction = 0.1 }}\n\
+         [tool]\ntip_radius = \"6 mm\"\nhome_tip = {}\nhome_shaft = [0, -1, 0]\n\
+         [[tool.path]]\ntime = \"1 s\"\ntip = {}\n",
+        tip(min_mm[1] - 20.0),
+        tip(middle(1)),
+    );
+    std::fs::write(at("scene.toml"), scene).unwrap();
+    let printed = glisson(&["run", &at("scene.toml"), "--record", &at("session.jsonl"), "--json"]);
+    let report: Value = serde_json::from_str(&printed).unwrap();
+    assert!(report["contact_steps"].as_u64().unwrap() > 50, "{printed}");
+    assert!(report["greatest_force_n"].as_f64().unwrap() > 0.1, "{printed}");
+    let replayed = glisson(&["replay", &at("session.jsonl")]);
+    assert!(replayed.contains("same bits") && replayed.contains(report["state_hash"].as_str().unwrap()));
+}
+
+fn bounds_mm(quality: &Value) -> ([f64; 3], [f64; 3]) {
+    let corner = |key: &str| {
+        let list = quality[key].as_array().unwrap_or_else(|| panic!("no {key} in {quality}"));
+        [0, 1, 2].map(|i| list[i].as_f64().unwrap() * 1e3)
+    };
+    (corner("bounds_min_m"), corner("bounds_max_m"))
+}

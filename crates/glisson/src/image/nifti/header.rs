@@ -1,0 +1,282 @@
+//! The 348 bytes at the beginning of a NIfTI-1 file.
+
+use std::path::Path;
+
+use super::ImageError;
+use crate::image::VoxelGrid;
+use crate::math::{DMat3, DVec3};
+
+/// Bytes of a NIfTI-1 header.
+pub(super) const N_HEADER_BYTES: usize = 348;
+/// First byte after the header and the four bytes that say whether extensions follow.
+pub(super) const N_BYTES_BEFORE_EXTENSIONS: usize = 352;
+/// Largest cosine between two voxel axes that still counts as a right angle: 0.15 mm over 300 mm.
+const MAX_SHEAR: f64 = 5e-4;
+/// Largest relative difference of the voxel sizes in sform and pixdim.
+const MAX_SPACING_DIFFERENCE: f64 = 0.01;
+
+/// Number type of the voxels in a file, with its NIfTI code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum VoxelType {
+    U8 = 2,
+    I16 = 4,
+    I32 = 8,
+    F32 = 16,
+    F64 = 64,
+    I8 = 256,
+    U16 = 512,
+    U32 = 768,
+}
+
+impl VoxelType {
+    const ALL: [Self; 8] =
+        [Self::U8, Self::I16, Self::I32, Self::F32, Self::F64, Self::I8, Self::U16, Self::U32];
+
+    pub(super) fn n_bytes(self) -> usize {
+        match self {
+            Self::U8 | Self::I8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::F32 | Self::U32 => 4,
+            Self::F64 => 8,
+        }
+    }
+}
+
+/// What the header says, checked.
+#[derive(Debug)]
+pub(super) struct Header {
+    pub(super) big_endian: bool,
+    pub(super) grid: VoxelGrid,
+    pub(super) voxel_type: VoxelType,
+    /// First byte of the voxels.
+    pub(super) data_start: usize,
+    /// Value = stored number * slope + intercept.
+    pub(super) slope: f64,
+    pub(super) intercept: f64,
+}
+
+impl Header {
+    /// Bytes of all voxels; `None` when that overflows.
+    pub(super) fn n_data_bytes(&self) -> Option<u64> {
+        let n = self.grid.dims.iter().try_fold(1u64, |n, &d| n.checked_mul(d as u64))?;
+        n.checked_mul(self.voxel_type.n_bytes() as u64)
+    }
+}
+
+/// The header's bytes with their byte order.
+struct RawHeader<'a> {
+    file: &'a Path,
+    bytes: &'a [u8],
+    big_endian: bool,
+}
+
+impl RawHeader<'_> {
+    fn array<const N: usize>(&self, byte: usize) -> [u8; N] {
+        let mut a: [u8; N] = self.bytes[byte..byte + N].try_into().expect("the slice has N bytes");
+        if self.big_endian {
+            a.reverse();
+        }
+        a
+    }
+
+    fn i16(&self, byte: usize) -> i16 {
+        i16::from_le_bytes(self.array(byte))
+    }
+
+    fn f32(&self, byte: usize) -> f64 {
+        f64::from(f32::from_le_bytes(self.array(byte)))
+    }
+
+    fn vector(&self, byte: usize) -> DVec3 {
+        DVec3::new(self.f32(byte), self.f32(byte + 4), self.f32(byte + 8))
+    }
+
+    fn wrong(
+        &self,
+        field: &'static str,
+        byte: usize,
+        found: impl std::fmt::Display,
+        allowed: impl Into<String>,
+    ) -> ImageError {
+        ImageError::Header {
+            file: self.file.to_path_buf(),
+            field,
+            byte,
+            found: found.to_string(),
+            allowed: allowed.into(),
+        }
+    }
+
+    fn dims(&self) -> Result<[usize; 3], ImageError> {
+        let n_dims = self.i16(40);
+        if !(3..=7).contains(&n_dims) {
+            return Err(self.wrong("dim[0]", 40, n_dims, "3 to 7 (a volume has three dimensions)"));
+        }
+        let mut dims = [0; 3];
+        for axis in 0..n_dims as usize {
+            let byte = 42 + 2 * axis;
+            let found = self.i16(byte);
+            if axis < 3 {
+                if found < 1 {
+                    return Err(self.wrong(["dim[1]", "dim[2]", "dim[3]"][axis], byte, found, "1 to 32767"));
+                }
+                dims[axis] = found as usize;
+            } else if found > 1 {
+                let names = ["dim[4]", "dim[5]", "dim[6]", "dim[7]"];
+                return Err(self.wrong(names[axis - 3], byte, found, "1: one volume a file; split a series"));
+            }
+        }
+        Ok(dims)
+    }
+
+    fn voxel_type(&self) -> Result<VoxelType, ImageError> {
+        let code = self.i16(70);
+        let voxel_type = VoxelType::ALL.into_iter().find(|t| *t as i16 == code).ok_or_else(|| {
+            let allowed =
+                "2 uint8, 4 int16, 8 int32, 16 float32, 64 float64, 256 int8, 512 uint16, 768 uint32";
+            self.wrong("datatype", 70, code, allowed)
+        })?;
+        let n_bits = 8 * voxel_type.n_bytes();
+        if self.i16(72) as usize != n_bits {
+            return Err(self.wrong("bitpix", 72, self.i16(72), format!("{n_bits} for datatype {code}")));
+        }
+        Ok(voxel_type)
+    }
+
+    fn metres_a_unit(&self) -> Result<f64, ImageError> {
+        match self.bytes[123] & 7 {
+            1 => Ok(1.0),
+            // Unknown is read as the millimetres that nearly every program means.
+            0 | 2 => Ok(1e-3),
+            3 => Ok(1e-6),
+            code => Err(self.wrong("xyzt_units", 123, code, "length unit 1 m, 2 mm, 3 micrometre or 0")),
+        }
+    }
+
+    /// Voxel sizes in the file's unit.
+    fn pixdim(&self) -> Result<DVec3, ImageError> {
+        for axis in 0..3 {
+            let byte = 80 + 4 * axis;
+            let found = self.f32(byte);
+            if !(found.is_finite() && found > 0.0) {
+                let name = ["pixdim[1]", "pixdim[2]", "pixdim[3]"][axis];
+                return Err(self.wrong(name, byte, found, "a finite voxel size above 0"));
+            }
+        }
+        Ok(self.vector(80))
+    }
+
+    /// Columns of the voxel-to-RAS matrix and its offset, in the file's unit.
+    fn affine(&self, spacing: DVec3) -> Result<(DMat3, DVec3), ImageError> {
+        if self.i16(254) > 0 {
+            let rows = DMat3::from_cols(self.vector(280), self.vector(296), self.vector(312));
+            let offset = DVec3::new(self.f32(292), self.f32(308), self.f32(324));
+            if !(rows.is_finite() && offset.is_finite()) {
+                return Err(self.wrong("srow_x, srow_y, srow_z", 280, "not finite", "finite numbers"));
+            }
+            return Ok((rows.transpose(), offset));
+        }
+        if self.i16(252) > 0 {
+            let (q, offset) = (self.vector(256), self.vector(268));
+            if !(q.is_finite() && offset.is_finite()) {
+                return Err(self.wrong("quatern_b to qoffset_z", 256, "not finite", "finite numbers"));
+            }
+            let squared = q.length_squared();
+            if squared > 1.0 + 1e-4 {
+                return Err(self.wrong("quatern_b, c, d", 256, q, "a length of at most 1"));
+            }
+            let w = (1.0 - squared).max(0.0).sqrt();
+            let rotation = DMat3::from_quat(glam::DQuat::from_xyzw(q.x, q.y, q.z, w).normalize());
+            let handedness = if self.f32(76) < 0.0 { -1.0 } else { 1.0 };
+            let scale = DMat3::from_diagonal(spacing * DVec3::new(1.0, 1.0, handedness));
+            return Ok((rotation * scale, offset));
+        }
+        Err(ImageError::NoOrientation { file: self.file.to_path_buf() })
+    }
+
+    fn grid(&self, dims: [usize; 3]) -> Result<VoxelGrid, ImageError> {
+        let (unit_m, pixdim) = (self.metres_a_unit()?, self.pixdim()?);
+        let (matrix, offset) = self.affine(pixdim)?;
+        let columns = [matrix.x_axis, matrix.y_axis, matrix.z_axis];
+        let mut axes = [DVec3::ZERO; 3];
+        for axis in 0..3 {
+            let length = columns[axis].length();
+            if (length / pixdim[axis] - 1.0).abs() > MAX_SPACING_DIFFERENCE {
+                let allowed = format!("{length} +- 1 % as in the sform; correct one of the two");
+                let name = ["pixdim[1]", "pixdim[2]", "pixdim[3]"][axis];
+                return Err(self.wrong(name, 80 + 4 * axis, pixdim[axis], allowed));
+            }
+            axes[axis] = columns[axis] / length;
+        }
+        for [a, b] in [[0, 1], [0, 2], [1, 2]] {
+            let cosine = axes[a].dot(axes[b]);
+            if cosine.abs() > MAX_SHEAR {
+                let angle_deg = libm::acos(cosine.clamp(-1.0, 1.0)).to_degrees();
+                return Err(ImageError::Sheared { file: self.file.to_path_buf(), axes: [a, b], angle_deg });
+            }
+        }
+        // What is left of the shear is rounding: make the axes exactly orthonormal.
+        let x = axes[0];
+        let y = (axes[1] - x * x.dot(axes[1])).normalize();
+        let z = x.cross(y);
+        let z = if z.dot(axes[2]) < 0.0 { -z } else { z };
+        let lps_from_ras = DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
+        Ok(VoxelGrid {
+            dims,
+            spacing_m: pixdim * unit_m,
+            origin_m: lps_from_ras * offset * unit_m,
+            axes: lps_from_ras * DMat3::from_cols(x, y, z),
+        })
+    }
+}
+
+/// The header at the beginning of `bytes`, every field checked.
+pub(super) fn parse_header(file: &Path, bytes: &[u8]) -> Result<Header, ImageError> {
+    let mut raw = RawHeader { file, bytes, big_endian: false };
+    if bytes.len() < N_HEADER_BYTES {
+        let allowed = format!("at least {N_HEADER_BYTES} bytes: not a NIfTI-1 file");
+        return Err(raw.wrong("(whole header)", 0, format!("{} bytes long", bytes.len()), allowed));
+    }
+    let size = i32::from_le_bytes(raw.array(0));
+    match (size, size.swap_bytes()) {
+        (348, _) => {}
+        (_, 348) => raw.big_endian = true,
+        (540, _) | (_, 540) => {
+            return Err(raw.wrong("sizeof_hdr", 0, "540 (NIfTI-2)", "348: convert the file to NIfTI-1"));
+        }
+        _ => return Err(raw.wrong("sizeof_hdr", 0, size, "348: this is not a NIfTI-1 file")),
+    }
+    match &bytes[344..348] {
+        b"n+1\0" => {}
+        b"ni1\0" => {
+            return Err(raw.wrong("magic", 344, "ni1 (.hdr and .img pair)", "n+1: convert to one .nii file"));
+        }
+        found => {
+            return Err(raw.wrong("magic", 344, found.escape_ascii(), "n+1: this is not a NIfTI-1 file"));
+        }
+    }
+    let dims = raw.dims()?;
+    let voxel_type = raw.voxel_type()?;
+    let data_start = raw.f32(108);
+    let n_before = N_BYTES_BEFORE_EXTENSIONS as f64;
+    if !(data_start >= n_before && data_start < f64::from(1 << 24) && data_start.fract() == 0.0) {
+        return Err(raw.wrong("vox_offset", 108, data_start, "a whole number from 352 to 16777215"));
+    }
+    let (mut slope, mut intercept) = (raw.f32(112), raw.f32(116));
+    // The standard: slope 0 is no scaling. Some programs write NaN for the same.
+    if slope == 0.0 || slope.is_nan() {
+        (slope, intercept) = (1.0, 0.0);
+    }
+    if !(slope.is_finite() && intercept.is_finite()) {
+        let found = format!("{slope}, {intercept}");
+        return Err(raw.wrong("scl_slope, scl_inter", 112, found, "finite numbers"));
+    }
+    Ok(Header {
+        big_endian: raw.big_endian,
+        grid: raw.grid(dims)?,
+        voxel_type,
+        data_start: data_start as usize,
+        slope,
+        intercept,
+    })
+}

@@ -34,6 +34,12 @@ enum Task {
         #[arg(long)]
         require_ct: bool,
     },
+    /// The long run: a million steps of random palpation with each model, replayed; writes docs/soak.md
+    Soak {
+        /// Steps with each model
+        #[arg(long, default_value_t = 1_000_000)]
+        steps: u64,
+    },
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
 }
@@ -91,6 +97,7 @@ fn main() -> anyhow::Result<()> {
             run(&program.to_string_lossy(), &all)
         }
         Task::Test { require_ct } => test::all(require_ct),
+        Task::Soak { steps } => test::soak(steps),
         Task::FetchCt => {
             let folder = ct::fetch()?;
             println!("real CT in {}", folder.display());

@@ -90,6 +90,23 @@ fn tests(arguments: &[&str]) -> anyhow::Result<()> {
     run("cargo", &all)
 }
 
+/// The long run; its report is committed.
+pub(crate) fn soak(steps: u64) -> anyhow::Result<()> {
+    let report = root().join("docs/soak.md");
+    println!("$ cargo test --release --features full-size-tests --test full_size soak ({steps} steps)");
+    let status = Command::new("cargo")
+        .args(["test", "--release", "--locked", "--package", "glisson-app"])
+        .args(["--features", "full-size-tests", "--test", "full_size", "soak"])
+        .current_dir(root())
+        .env("GLISSON_SOAK_STEPS", steps.to_string())
+        .env("GLISSON_SOAK_REPORT", &report)
+        .status()
+        .context("cannot start cargo")?;
+    anyhow::ensure!(status.success(), "the soak failed ({status})");
+    println!("written to {}", report.display());
+    Ok(())
+}
+
 /// A running `glisson serve`; stopped when dropped.
 struct Server {
     process: Child,

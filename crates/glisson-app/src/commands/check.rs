@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail, ensure};
 use glisson::files::write_atomically;
 use glisson::math::Aabb;
-use glisson::mesh::TetMesh;
-use glisson::mesh::faults::ImportReport;
+use glisson::mesh::faults::{ImportReport, SharedTriangle};
 use glisson::mesh::files::read_mesh;
 use glisson::mesh::quality::{
     DIHEDRAL_BIN_DEG, MeshQuality, RADIUS_RATIO_BINS, SurfaceShape, dihedral_angles_deg, radius_ratios,
     surface_triangles,
 };
+use glisson::mesh::{TetId, TetMesh};
 use glisson::surface::TriMesh;
 use glisson::surface::check::{SurfaceTopology, check_closed};
 use glisson::surface::files::read_surface;
@@ -67,7 +67,51 @@ struct MeshAnswer {
     quality: MeshQuality,
     bounds_min_m: [f64; 3],
     bounds_max_m: [f64; 3],
-    faults: Vec<String>,
+    faults: FaultIndices,
+}
+
+/// Everything wrong, by index from 0 in the order of the file.
+#[derive(serde::Serialize)]
+struct FaultIndices {
+    /// Node, and the first one at its place.
+    duplicate_nodes: Vec<[u32; 2]>,
+    loose_nodes: Vec<u32>,
+    tetrahedra_with_repeated_nodes: Vec<u32>,
+    /// Tetrahedron, and the first one with its nodes.
+    repeated_tetrahedra: Vec<[u32; 2]>,
+    inverted_tetrahedra: Vec<u32>,
+    flat_tetrahedra: Vec<u32>,
+    crowded_triangles: Vec<[u32; 3]>,
+    folded_triangles: Vec<[u32; 3]>,
+    surface_edges_not_between_two_triangles: Vec<[u32; 2]>,
+    nodes_where_the_surface_touches_itself: Vec<u32>,
+}
+
+impl FaultIndices {
+    fn new(import: &ImportReport, shape: &SurfaceShape) -> Self {
+        let faults = &import.faults;
+        let tets = |list: &[TetId]| list.iter().map(|t| t.0).collect::<Vec<_>>();
+        let triangles = |list: &[SharedTriangle]| list.iter().map(|s| s.nodes.map(|n| n.0)).collect();
+        let mut inverted_tetrahedra = tets(&import.winding_fixed);
+        inverted_tetrahedra.extend(tets(&faults.inverted));
+        inverted_tetrahedra.sort_unstable();
+        Self {
+            duplicate_nodes: faults.duplicate_nodes.iter().map(|(node, first)| [node.0, first.0]).collect(),
+            loose_nodes: faults.loose_nodes.iter().map(|n| n.0).collect(),
+            tetrahedra_with_repeated_nodes: tets(&faults.repeated_nodes),
+            repeated_tetrahedra: faults.repeated_tets.iter().map(|(t, first)| [t.0, first.0]).collect(),
+            inverted_tetrahedra,
+            flat_tetrahedra: tets(&faults.flat),
+            crowded_triangles: triangles(&faults.crowded_triangles),
+            folded_triangles: triangles(&faults.folded_triangles),
+            surface_edges_not_between_two_triangles: edges_not_between_two(shape),
+            nodes_where_the_surface_touches_itself: shape.pinched_vertices.clone(),
+        }
+    }
+}
+
+fn edges_not_between_two(shape: &SurfaceShape) -> Vec<[u32; 2]> {
+    shape.pinched_edges.iter().chain(&shape.open_edges).copied().collect()
 }
 
 /// What `--json` prints of a surface.
@@ -84,9 +128,9 @@ struct SurfaceAnswer {
 }
 
 fn check_mesh(args: &Args, mesh: &TetMesh, import: &ImportReport) -> anyhow::Result<()> {
-    let faults = mesh_faults(mesh, import);
-    let is_countable = import.faults.out_of_range.is_empty() && import.faults.non_finite_nodes.is_empty();
-    ensure!(is_countable, "{}: {}", args.file.display(), faults.join("; "));
+    let (triangles, _) = surface_triangles(mesh);
+    let shape = SurfaceShape::of(mesh.positions_m.len(), &triangles);
+    let faults = mesh_faults(import, &shape);
     let quality = MeshQuality::of(mesh);
     if args.json {
         let bounds = Aabb::of_points(&mesh.positions_m);
@@ -95,7 +139,7 @@ fn check_mesh(args: &Args, mesh: &TetMesh, import: &ImportReport) -> anyhow::Res
             quality,
             bounds_min_m: bounds.min_m.to_array(),
             bounds_max_m: bounds.max_m.to_array(),
-            faults: faults.clone(),
+            faults: FaultIndices::new(import, &shape),
         };
         println!("{}", serde_json::to_string_pretty(&answer)?);
     } else {
@@ -111,13 +155,11 @@ fn check_mesh(args: &Args, mesh: &TetMesh, import: &ImportReport) -> anyhow::Res
 }
 
 /// Faults of the mesh's parts and of its surface, a line for each kind.
-fn mesh_faults(mesh: &TetMesh, import: &ImportReport) -> Vec<String> {
+fn mesh_faults(import: &ImportReport, shape: &SurfaceShape) -> Vec<String> {
     let mut faults = import.faults.lines();
     faults.extend(listed(&import.winding_fixed, "tetrahedra inside out in the file (volume below 0)"));
-    let (triangles, _) = surface_triangles(mesh);
-    let shape = SurfaceShape::of(mesh.positions_m.len(), &triangles);
     let edges: Vec<String> =
-        shape.pinched_edges.iter().chain(&shape.open_edges).map(|[a, b]| format!("({a}, {b})")).collect();
+        edges_not_between_two(shape).iter().map(|[a, b]| format!("({a}, {b})")).collect();
     faults.extend(listed(&edges, "surface edges that are not between two triangles"));
     faults.extend(listed(&shape.pinched_vertices, "nodes at which the surface touches itself"));
     faults

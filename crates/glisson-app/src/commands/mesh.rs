@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use glisson::image::LabelMap;
 use glisson::image::labels::{Parts, mask_volume_m3};
 use glisson::image::nifti::read_label_map;
 use glisson::mesh::files::write_mesh;
-use glisson::mesh::generate::{MeshParams, MeshPlan, MeshReport, WantedSize};
+use glisson::mesh::generate::{MAX_TETRAHEDRA, MIN_TETRAHEDRA, MeshParams, MeshPlan, MeshReport, WantedSize};
 use glisson::mesh::thin::ThinKind;
 use glisson::surface::TriMesh;
 use glisson::surface::check::check_closed;
@@ -66,6 +66,7 @@ struct Source {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    check_arguments(args)?;
     let begun = Instant::now();
     let progress = indicatif::ProgressBar::new_spinner();
     progress.enable_steady_tick(Duration::from_millis(200));
@@ -113,6 +114,35 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     stages.progress.finish_and_clear();
     print_report(&source, &report);
     println!("time         {:.2} s in all", begun.elapsed().as_secs_f64());
+    Ok(())
+}
+
+/// Refuses what would fail only after the work.
+fn check_arguments(args: &Args) -> anyhow::Result<()> {
+    let has_extension = |path: &Path, allowed: &[&str]| {
+        let found = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let listed = allowed.join(", .");
+        let known = allowed.contains(&found.as_str());
+        ensure!(known, "{}: found the extension `{found}`, allowed: .{listed}", path.display());
+        Ok(())
+    };
+    has_extension(&args.output, &["vtu", "vtk", "msh"])?;
+    if let Some(path) = &args.surface_out {
+        has_extension(path, &["stl", "obj", "ply", "vtk"])?;
+    }
+    if let Some(n) = args.tetrahedra {
+        let allowed = MIN_TETRAHEDRA..=MAX_TETRAHEDRA;
+        ensure!(
+            allowed.contains(&n),
+            "--tetrahedra {n} is outside the allowed {MIN_TETRAHEDRA} to {MAX_TETRAHEDRA}"
+        );
+    }
+    if let Some(size_mm) = args.element_size_mm {
+        ensure!(
+            size_mm > 0.0 && size_mm.is_finite(),
+            "--element-size-mm {size_mm}: a size above 0 is needed"
+        );
+    }
     Ok(())
 }
 

@@ -136,3 +136,6 @@ impl Simulation {
         Ok(state_hash)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -113,7 +113,7 @@ pub const TISSUES: [Tissue; 6] = [
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TissueError {
     /// No tissue of that name.
-    #[error("there is no tissue `{found}`{}; known: {known}", did_you_mean.map_or(String::new(), |n| format!(", did you mean `{n}`?")))]
+    #[error("there is no tissue `{found}`{} Known: {known}", did_you_mean.map_or(".".to_owned(), |n| format!(", did you mean `{n}`?")))]
     Unknown {
         /// The name asked for.
         found: String,

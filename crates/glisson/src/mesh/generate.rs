@@ -135,7 +135,7 @@ pub enum MeshingError {
         /// Which parameter.
         what: &'static str,
         /// Its value.
-        found: f64,
+        found: String,
         /// What is allowed.
         allowed: String,
     },
@@ -185,14 +185,13 @@ impl MeshPlan {
     pub fn new(surface: &TriMesh, params: &MeshParams) -> Result<Self, MeshingError> {
         let surface_volume_m3 = check_surface(surface)?;
         let volume_m3 = params.volume_m3.unwrap_or(surface_volume_m3);
-        let bad = |what, found, allowed: &str| MeshingError::BadParameter {
-            what,
-            found,
-            allowed: allowed.to_owned(),
-        };
-        if !(volume_m3 / surface_volume_m3 > 0.5 && volume_m3 / surface_volume_m3 < 2.0) {
-            let allowed = format!("half to twice the surface's {surface_volume_m3} m3");
-            return Err(bad("the wanted volume [m3]", volume_m3, &allowed));
+        let ratio = volume_m3 / surface_volume_m3;
+        if !(ratio > 0.5 && ratio < 2.0) {
+            return Err(MeshingError::BadParameter {
+                what: "the wanted volume",
+                found: format!("{} ml", 1e6 * volume_m3),
+                allowed: format!("half to twice the surface's {:.3} ml", 1e6 * surface_volume_m3),
+            });
         }
         let area_m2: f64 = (0..surface.triangles.len())
             .map(|t| {
@@ -204,17 +203,27 @@ impl MeshPlan {
         let first_cell_m = match params.size {
             WantedSize::Tetrahedra(n) => {
                 if !(MIN_TETRAHEDRA..=MAX_TETRAHEDRA).contains(&n) {
-                    let allowed = format!("{MIN_TETRAHEDRA} to {MAX_TETRAHEDRA}");
-                    return Err(bad("the wanted number of tetrahedra", n as f64, &allowed));
+                    return Err(MeshingError::BadParameter {
+                        what: "the wanted number of tetrahedra",
+                        found: n.to_string(),
+                        allowed: format!("{MIN_TETRAHEDRA} to {MAX_TETRAHEDRA}"),
+                    });
                 }
                 cell_for_count(n as f64, volume_m3, area_m2)
             }
             WantedSize::EdgeM(edge_m) => {
                 let longest_m = bounds_m.size_m().max_element();
-                let smallest_m = (volume_m3 / TETRAHEDRON_OVER_CELL / MAX_TETRAHEDRA as f64).cbrt();
+                let smallest_m = libm::cbrt(volume_m3 / TETRAHEDRON_OVER_CELL / MAX_TETRAHEDRA as f64);
                 if !(edge_m >= smallest_m && edge_m <= longest_m) {
-                    let allowed = format!("{smallest_m:.3e} to {longest_m:.3e} m for this surface");
-                    return Err(bad("the element size [m]", edge_m, &allowed));
+                    return Err(MeshingError::BadParameter {
+                        what: "the element size",
+                        found: format!("{} mm", 1e3 * edge_m),
+                        allowed: format!(
+                            "{:.3} to {:.0} mm for this surface",
+                            1e3 * smallest_m,
+                            1e3 * longest_m
+                        ),
+                    });
                 }
                 edge_m / MEAN_EDGE_OVER_CELL
             }
@@ -227,13 +236,14 @@ impl MeshPlan {
     /// # Errors
     /// [`MeshingError::Distance`].
     pub fn distance_field(&self, surface: &TriMesh) -> Result<SignedDistance, MeshingError> {
-        // Four samples a cell, or down to two and a half where they would be too many; at least sixty over the
-        // surface, so that its shape is met by coarse cells, too.
+        // Four samples a cell, or down to two and a half where they would be too many; at least fifty over the
+        // surface, so that its shape is met by coarse cells, too. Beyond the margin the samples go on as the
+        // distance to the grid; within it the gaps between the surface's parts are measured.
         const MANY_NODES: f64 = 1.5e6;
-        let margin_m = 2.5 * self.first_cell_m;
-        let many_m = (self.bounds_m.grown(margin_m).size_m().element_product() / MANY_NODES).cbrt();
+        let margin_m = 1.3 * self.first_cell_m;
+        let many_m = libm::cbrt(self.bounds_m.grown(margin_m).size_m().element_product() / MANY_NODES);
         let of_cell_m = many_m.clamp(self.first_cell_m / 4.0, self.first_cell_m / 2.5);
-        let spacing_m = of_cell_m.min(self.bounds_m.size_m().max_element() / 60.0);
+        let spacing_m = of_cell_m.min(self.bounds_m.size_m().max_element() / 50.0);
         Ok(SignedDistance::of_surface(surface, spacing_m, margin_m)?)
     }
 
@@ -322,11 +332,12 @@ fn topology_of(surface: &TriMesh) -> WantedTopology {
 fn cell_for_count(n: f64, volume_m3: f64, area_m2: f64) -> f64 {
     const SURFACE_COEFFICIENT: f64 = 10.0;
     let count = |cell_m: f64| {
-        volume_m3 / TETRAHEDRON_OVER_CELL / cell_m.powi(3) + SURFACE_COEFFICIENT * area_m2 / (cell_m * cell_m)
+        volume_m3 / TETRAHEDRON_OVER_CELL / (cell_m * cell_m * cell_m)
+            + SURFACE_COEFFICIENT * area_m2 / (cell_m * cell_m)
     };
-    let mut cell_m = (volume_m3 / TETRAHEDRON_OVER_CELL / n).cbrt();
+    let mut cell_m = libm::cbrt(volume_m3 / TETRAHEDRON_OVER_CELL / n);
     for _ in 0..20 {
-        cell_m *= (count(cell_m) / n).powf(0.4);
+        cell_m *= libm::pow(count(cell_m) / n, 0.4);
     }
     cell_m
 }
@@ -379,7 +390,7 @@ impl Attempt<'_> {
             if off < COUNT_GOAL {
                 break;
             }
-            cell_m *= ratio.powf(1.0 / 2.8);
+            cell_m *= libm::pow(ratio, 1.0 / 2.8);
         }
         let (_, cell_m) = best.expect("at least one iteration");
         let found = self.filled(cell_m, level_m, VOLUME_GOAL, n_fillings)?;

@@ -7,7 +7,7 @@
 //!   r_out = |a^2 (b x c) + b^2 (c x a) + c^2 (a x b)| / (12 V) for the edges a, b, c from one corner.
 
 use super::{TetId, TetMesh};
-use crate::math::{DVec3, tetrahedron_volume_m3};
+use crate::math::{Aabb, DVec3, tetrahedron_volume_m3};
 use std::collections::BTreeSet;
 
 /// Width of a bin of the dihedral angles' histogram [degrees].
@@ -264,6 +264,10 @@ pub struct MeshQuality {
     pub surface_euler_characteristic: i64,
     /// Number of connected surfaces: bodies and cavities.
     pub surface_pieces: usize,
+    /// Smallest corner of the box around the nodes [m].
+    pub bounds_min_m: [f64; 3],
+    /// Largest corner of the box around the nodes [m].
+    pub bounds_max_m: [f64; 3],
     /// Dihedral angles in bins of [`DIHEDRAL_BIN_DEG`] from 0 to 180; the sum is six a tetrahedron.
     pub dihedral_histogram: Vec<usize>,
     /// Radius ratios in [`RADIUS_RATIO_BINS`] bins from 0 to 1; the sum is one a tetrahedron.
@@ -308,6 +312,10 @@ impl MeshQuality {
         for [a, b] in edges {
             edge.add(mesh.positions_m[a as usize].distance(mesh.positions_m[b as usize]));
         }
+        let bounds_m = match mesh.positions_m[..] {
+            [] => Aabb { min_m: DVec3::ZERO, max_m: DVec3::ZERO },
+            _ => Aabb::of_points(&mesh.positions_m),
+        };
         let area = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|v| mesh.positions_m[v as usize]);
             0.5 * (b - a).cross(c - a).length()
@@ -329,6 +337,8 @@ impl MeshQuality {
             surface_area_m2: surface.iter().map(area).sum(),
             surface_euler_characteristic: shape.euler_characteristic,
             surface_pieces: shape.pieces,
+            bounds_min_m: bounds_m.min_m.to_array(),
+            bounds_max_m: bounds_m.max_m.to_array(),
             dihedral_histogram,
             radius_ratio_histogram,
         }

@@ -66,7 +66,7 @@ fn thin_of_kind(field: &SignedDistance, radius_m: f64, kind: ThinKind) -> Vec<Th
     let mut thin: Vec<bool> = (0..n_nodes)
         .map(|n| depth_m(n) > 0.0 && squared[n] > reach * reach && !(kind == ThinKind::Gap && in_margin(n)))
         .collect();
-    let least_volume_m3 = 4.0 / 3.0 * std::f64::consts::PI * (0.5 * radius_m).powi(3);
+    let least_volume_m3 = 4.0 / 3.0 * std::f64::consts::PI * (0.125 * radius_m * radius_m * radius_m);
     let mut features = Vec::new();
     let mut stack = Vec::new();
     for seed in 0..n_nodes {
@@ -97,7 +97,7 @@ fn thin_of_kind(field: &SignedDistance, radius_m: f64, kind: ThinKind) -> Vec<Th
             visit(k > 0, node.wrapping_sub(nx * ny));
             visit(k + 1 < nz, node + nx * ny);
         }
-        let volume_m3 = count as f64 * spacing_m.powi(3);
+        let volume_m3 = count as f64 * (spacing_m * spacing_m * spacing_m);
         if volume_m3 >= least_volume_m3 {
             let (row, i) = (deepest / nx, deepest % nx);
             let position_m: DVec3 = field.node_position_m([i, row % ny, row / ny]);

@@ -16,12 +16,12 @@ use crate::mesh::{NodeId, TetMesh};
 #[derive(Debug, thiserror::Error)]
 pub enum CaseError {
     /// A file cannot be read or written.
-    #[error("{}: {source}", file.display())]
+    #[error("{}: {cause}", file.display())]
     Io {
         /// Which file.
         file: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// Bytes that are not text.
     #[error("{}: byte {byte} is not UTF-8 text", file.display())]
@@ -86,12 +86,12 @@ pub enum CaseError {
         second: f64,
     },
     /// `load.json` is not what it should be.
-    #[error("{}: {source}; expected {{\"E\": Pa, \"nu\": number, \"rho\": kg/m3, \"gravity\": [x, y, z] m/s2}}", file.display())]
+    #[error("{}: {cause}; expected {{\"E\": Pa, \"nu\": number, \"rho\": kg/m3, \"gravity\": [x, y, z] m/s2}}", file.display())]
     Json {
         /// Which file.
         file: PathBuf,
         /// What is wrong, with line and column.
-        source: serde_json::Error,
+        cause: serde_json::Error,
     },
     /// The gravity is not finite.
     #[error("{}: gravity is not finite", file.display())]
@@ -100,12 +100,12 @@ pub enum CaseError {
         file: PathBuf,
     },
     /// The material is impossible.
-    #[error("{}: {source}", file.display())]
+    #[error("{}: {cause}", file.display())]
     Material {
         /// Which file.
         file: PathBuf,
         /// Why.
-        source: MaterialError,
+        cause: MaterialError,
     },
 }
 
@@ -153,7 +153,7 @@ pub struct CaseBytes {
 pub fn read_case(folder: &Path) -> Result<StaticCase, CaseError> {
     let read = |name: &str| {
         let file = folder.join(name);
-        std::fs::read(&file).map_err(|source| CaseError::Io { file, source })
+        std::fs::read(&file).map_err(|cause| CaseError::Io { file, cause })
     };
     let bytes = CaseBytes {
         nodes: read("nodes.csv")?,
@@ -204,10 +204,10 @@ pub fn parse_case(folder: &Path, bytes: &CaseBytes) -> Result<StaticCase, CaseEr
     }
 
     let file = folder.join("load.json");
-    let load: Load = serde_json::from_slice(&bytes.load)
-        .map_err(|source| CaseError::Json { file: file.clone(), source })?;
+    let load: Load =
+        serde_json::from_slice(&bytes.load).map_err(|cause| CaseError::Json { file: file.clone(), cause })?;
     let material = LinearElastic::from_young_poisson(load.young_modulus_pa, load.nu, load.density_kg_per_m3)
-        .map_err(|source| CaseError::Material { file: file.clone(), source })?;
+        .map_err(|cause| CaseError::Material { file: file.clone(), cause })?;
     let gravity_m_per_s2 = DVec3::from_array(load.gravity_m_per_s2);
     if !gravity_m_per_s2.is_finite() {
         return Err(CaseError::Gravity { file });
@@ -244,7 +244,7 @@ pub fn write_vectors(file: &Path, comment: &str, vectors: &[DVec3]) -> Result<()
         }
         Ok(())
     })
-    .map_err(|source| CaseError::Io { file: file.to_owned(), source })
+    .map_err(|cause| CaseError::Io { file: file.to_owned(), cause })
 }
 
 /// Line numbers and fields of the lines that are no comment.

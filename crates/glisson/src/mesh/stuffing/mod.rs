@@ -11,7 +11,7 @@
 //! The paper proves dihedral angles between 10.7 and 164.8 degrees for these thresholds. Here the bound is
 //! measured too, and three things are added, all by making lattice nodes *stiff*: a stiff node is never
 //! warped, its cut points are kept at least `alpha` away from it. With all nodes stiff the angles lie between
-//! 12.7 and 151.6 degrees and the surface is a manifold, so that the loop that stiffens nodes always ends:
+//! 12.7 and 155.0 degrees and the surface is a manifold, so that the loop that stiffens nodes always ends:
 //! - where the surface is pinched (a node or an edge at which more than one fan of triangles meets), the
 //!   warped nodes concerned become stiff;
 //! - where a tetrahedron breaks the bound, its farthest warped node becomes stiff;

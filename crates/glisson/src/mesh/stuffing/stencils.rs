@@ -167,3 +167,104 @@ fn split_prism(bottom: [Key; 3], top: [Key; 3], diagonals: [bool; 3], pieces: &m
     }
     pieces.tetrahedra.extend(split);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::lattice::{OWNED_DIRECTIONS, stepped};
+    use super::super::{ALPHA_LONG, ALPHA_SHORT};
+    use super::*;
+    use crate::math::{DVec3, SeededRandom, tetrahedron_volume_m3};
+    use crate::mesh::quality::dihedral_cosine_range;
+
+    const CUT: usize = 1 << 20;
+
+    /// Fills one tetrahedron of random cut points, extreme ones often; gives the corners of the pieces and of
+    /// the surface triangles.
+    fn random_filling(
+        random: &mut SeededRandom,
+        signs: [Sign; 4],
+    ) -> (Vec<[DVec3; 4]>, Vec<[DVec3; 3]>, [DVec3; 4]) {
+        let lattice = Lattice { dims: [5; 3], cell_m: 1.0, origin_m: DVec3::ZERO };
+        let steps = lattice.neighbour_steps();
+        let even = lattice.node([2, 2, 2], false);
+        let axis = (random.next_u64() % 3) as usize;
+        let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
+        let ring = [0, 1 << b, 1 << b | 1 << c, 1 << c]
+            .map(|bits: usize| stepped(even, steps[0][6 + (bits | 1 << axis)]));
+        let corner = (random.next_u64() % 4) as usize;
+        let next = stepped(even, steps[0][OWNED_DIRECTIONS[axis]]);
+        let nodes = [even, next, ring[corner], ring[(corner + 1) % 4]];
+        let corners = nodes.map(|n| lattice.position_m(n));
+        let mut cuts = [[DVec3::ZERO; 4]; 4];
+        for i in 0..4 {
+            for j in i + 1..4 {
+                let alpha = if is_long(i, j) { ALPHA_LONG } else { ALPHA_SHORT };
+                let part = match random.next_u64() % 3 {
+                    0 => alpha,
+                    1 => 1.0 - alpha,
+                    _ => random.uniform_in(alpha, 1.0 - alpha),
+                };
+                cuts[i][j] = corners[i] + part * (corners[j] - corners[i]);
+                cuts[j][i] = cuts[i][j];
+            }
+        }
+        let at = |node: usize| nodes.iter().position(|&n| n == node).unwrap();
+        let cut = |from: usize, to: usize| (CUT + 4 * at(from) + at(to)) as Key;
+        let mut pieces = Pieces::default();
+        Stencil { lattice: &lattice, nodes, signs, cut, node_key: |n| n as Key }.fill_into(&mut pieces);
+        let place = |key: Key| match (key as usize).checked_sub(CUT) {
+            Some(cut) => cuts[cut / 4][cut % 4],
+            None => lattice.position_m(key as usize),
+        };
+        let tetrahedra = pieces.tetrahedra.iter().map(|t| t.map(place)).collect();
+        (tetrahedra, pieces.triangles.iter().map(|t| t.map(place)).collect(), corners)
+    }
+
+    fn random_signs(random: &mut SeededRandom, kinds: &[Sign]) -> [Sign; 4] {
+        std::array::from_fn(|_| kinds[(random.next_u64() % kinds.len() as u64) as usize])
+    }
+
+    #[test]
+    fn without_warping_angles_lie_between_12_7_and_155_degrees() {
+        let mut random = SeededRandom::new(8);
+        let (mut least, mut most) = (180f64, 0f64);
+        for _ in 0..200_000 {
+            let signs = random_signs(&mut random, &[Sign::Inside, Sign::Outside]);
+            for tetrahedron in random_filling(&mut random, signs).0 {
+                let [min, max] = dihedral_cosine_range(tetrahedron);
+                (least, most) = (least.min(max.acos().to_degrees()), most.max(min.acos().to_degrees()));
+            }
+        }
+        assert!(least > 12.7 && most < 155.0, "{least} {most}");
+        assert!(least < 12.8 && most > 154.9, "the extremes are met: {least} {most}");
+    }
+
+    #[test]
+    fn pieces_are_positive_and_closed_by_the_surface_triangles() {
+        let mut random = SeededRandom::new(9);
+        for _ in 0..20_000 {
+            let signs = random_signs(&mut random, &[Sign::Inside, Sign::OnSurface, Sign::Outside]);
+            let (tetrahedra, triangles, corners) = random_filling(&mut random, signs);
+            assert!(tetrahedra.iter().all(|&t| tetrahedron_volume_m3(t) > 1e-4));
+            let n_outside = signs.iter().filter(|s| **s == Sign::Outside).count();
+            let n_inside = signs.iter().filter(|s| **s == Sign::Inside).count();
+            assert_eq!(triangles.is_empty(), n_inside == 0 || n_outside == 0);
+            // Seen from an outside corner all surface triangles show their fronts.
+            for c in (0..4).filter(|&c| signs[c] == Sign::Outside) {
+                for [p, q, r] in &triangles {
+                    assert!((*q - *p).cross(*r - *p).dot(corners[c] - *p) > 0.0);
+                }
+            }
+            // What one outside corner cuts off and the rest make up the whole.
+            if n_outside == 1 && n_inside == 3 {
+                let [p, q, r] = triangles[0];
+                let cut_off_m3 = {
+                    let c = (0..4).find(|&c| signs[c] == Sign::Outside).unwrap();
+                    tetrahedron_volume_m3([p, q, r, corners[c]])
+                };
+                let kept_m3: f64 = tetrahedra.iter().map(|&t| tetrahedron_volume_m3(t)).sum();
+                assert!((kept_m3 + cut_off_m3 - 1.0 / 12.0).abs() < 1e-14);
+            }
+        }
+    }
+}

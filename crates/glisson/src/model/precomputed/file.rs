@@ -81,7 +81,7 @@ impl Precomputed {
     /// # Errors
     /// [`PrecomputedError::Io`]; an old file of that name then remains untouched.
     pub fn save(&self, path: &Path) -> Result<u64, PrecomputedError> {
-        let io_error = |source| PrecomputedError::Io { file: path.to_owned(), source };
+        let io_error = |cause| PrecomputedError::Io { file: path.to_owned(), cause };
         write_atomically(path, |w| write(&self.compliance, self.rest_m.len(), w)).map_err(io_error)?;
         Ok(std::fs::metadata(path).map_err(io_error)?.len())
     }
@@ -92,7 +92,7 @@ impl Precomputed {
     /// [`PrecomputedError`] naming the file, what was found and what was expected.
     pub fn load(path: &Path, expected: &PrecomputedExpectation<'_>) -> Result<Self, PrecomputedError> {
         let bytes =
-            std::fs::read(path).map_err(|source| PrecomputedError::Io { file: path.to_owned(), source })?;
+            std::fs::read(path).map_err(|cause| PrecomputedError::Io { file: path.to_owned(), cause })?;
         Self::from_bytes(path, &bytes, expected)
     }
 

@@ -54,12 +54,12 @@ pub enum PrecomputedError {
         bytes: u128,
     },
     /// A file cannot be read or written.
-    #[error("{}: {source}", file.display())]
+    #[error("{}: {cause}", file.display())]
     Io {
         /// Which file.
         file: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// Another kind of file.
     #[error("{}: not a pre-computed compliance (it starts with {found:02x?}, expected \"GLISCOMP\")", file.display())]

@@ -1,0 +1,82 @@
+//! The runtime on a small body: what is recorded replays to the same bits, also across a change of model.
+
+use super::replay::replay;
+use super::*;
+use glisson::math::DVec3;
+use glisson::record::session::parse_session;
+use glisson::tool::ToolInput;
+
+const MESH: &str = "5 2\n0 0 0\n60 0 0\n0 60 0\n0 0 60\n60 60 60\n0 1 2 3\n1 4 2 3\n";
+const SCENE: &str = "glisson_scene = 1\n[organ]\nmesh = \"body.tet\"\nyoung_modulus = \"5 kPa\"\n\
+    poisson_ratio = 0.45\ndensity = \"1000 kg/m3\"\nmodel = \"tensor_mass\"\ndamping = \"30 1/s\"\n\
+    [[organ.fixed]]\nfurthest = { direction = [-1, -1, -1], fraction = 0.2 }\n\
+    [tool]\ntip_radius = \"5 mm\"\nhome_tip = [\"40 mm\", \"40 mm\", \"90 mm\"]\nhome_shaft = [0, 0, 1]\n";
+
+fn scene_folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("body.tet"), MESH).unwrap();
+    std::fs::write(folder.path().join("scene.toml"), SCENE).unwrap();
+    folder
+}
+
+fn input(step: u64) -> StepInput {
+    let depth_m = 0.05 * (step as f64 * 0.01).sin().abs();
+    let tip_in_world_m = DVec3::new(0.04, 0.04, 0.09 - depth_m);
+    let tool = ToolInput { tip_in_world_m, shaft_in_world: DVec3::Z };
+    StepInput { tool, n_substeps: 1 + (step / 100 % 2) as u32, placed: step == 250 }
+}
+
+/// 600 steps with a reset and a swap to the pre-computed model at step 300; answers the last hash.
+fn record(folder: &Path) -> StateHash {
+    let source = OpenScene::read(&folder.join("scene.toml")).unwrap();
+    let mut simulation = Simulation::open(source, Some(&folder.join("session.jsonl"))).unwrap();
+    let mut touched = false;
+    for step in 0..600 {
+        if step == 120 {
+            simulation.reset().unwrap();
+        }
+        if step == 200 {
+            simulation.order_model(ModelKind::Precomputed, 300).unwrap();
+        }
+        touched |= simulation.advance(&input(step)).unwrap().in_contact;
+        let expected = if step < 300 { ModelKind::TensorMass } else { ModelKind::Precomputed };
+        assert_eq!(simulation.world().model_kind(), expected, "step {step}");
+    }
+    assert!(touched);
+    simulation.finish().unwrap()
+}
+
+#[test]
+fn a_session_with_reset_substeps_and_a_change_of_model_replays_to_the_same_bits() {
+    let folder = scene_folder();
+    let hash = record(folder.path());
+    let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+    let session = parse_session(&text).unwrap();
+    assert!(!session.cut_off);
+    let report = replay(&session, folder.path(), |_| Ok(())).unwrap();
+    assert_eq!((report.steps, report.state_hash, report.recorded_hash), (600, hash, Some(hash)));
+    assert_eq!((report.checkpoints, report.first_difference), (1, None));
+}
+
+#[test]
+fn a_recording_that_was_cut_off_replays_as_far_as_it_goes() {
+    let folder = scene_folder();
+    let hash = record(folder.path());
+    let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+    let without_end = &text[..text.trim_end().rfind('\n').unwrap() + 20];
+    let session = parse_session(without_end).unwrap();
+    assert!(session.cut_off);
+    let report = replay(&session, folder.path(), |_| Ok(())).unwrap();
+    assert_eq!(report.recorded_hash, None);
+    assert!(report.steps < 600 && report.state_hash != hash && report.first_difference.is_none());
+}
+
+#[test]
+fn another_mesh_under_the_same_name_is_refused() {
+    let folder = scene_folder();
+    record(folder.path());
+    std::fs::write(folder.path().join("body.tet"), MESH.replace("0 0 60", "0 0 61")).unwrap();
+    let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+    let error = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).err().unwrap().to_string();
+    assert!(error.contains("not the one of the recording") && error.contains("--folder"), "{error}");
+}

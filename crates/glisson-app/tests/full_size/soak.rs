@@ -1,0 +1,97 @@
+//! A long random palpation of the synthetic patient's liver: no step fails, nothing drifts, and the replay makes
+//! the same bits. `cargo xtask test` runs a bounded share; `cargo xtask soak` sets GLISSON_SOAK_STEPS and
+//! GLISSON_SOAK_REPORT.
+
+use super::glisson;
+use glisson::math::{DVec3, SeededRandom};
+use serde_json::Value;
+use std::fmt::Write as _;
+use std::path::Path;
+
+const DEFAULT_STEPS: u64 = 20_000;
+/// One push takes so long [s].
+const PUSH_S: f64 = 0.4;
+
+fn bounds_mm(mesh: &Path) -> (DVec3, DVec3) {
+    let quality: Value =
+        serde_json::from_str(&glisson(&["check", mesh.to_str().unwrap(), "--json"])).unwrap();
+    let corner = |key: &str| {
+        let list = quality[key].as_array().unwrap();
+        DVec3::from_array([0, 1, 2].map(|i| list[i].as_f64().unwrap() * 1e3))
+    };
+    (corner("bounds_min_m"), corner("bounds_max_m"))
+}
+
+/// The demo's scene under another model, its path replaced by random pushes from random directions.
+fn random_scene(folder: &Path, model: &str, seconds: f64) -> String {
+    let text = std::fs::read_to_string(folder.join("scene.toml")).unwrap();
+    let head = text
+        .split("\n[[tool.path]]")
+        .next()
+        .unwrap()
+        .replace("model = \"precomputed\"", &format!("model = \"{model}\""));
+    let (min_mm, max_mm) = bounds_mm(&folder.join("liver.vtu"));
+    let (center, half) = (0.5 * (min_mm + max_mm), 0.5 * (max_mm - min_mm));
+    let mut random = SeededRandom::new(7);
+    let mut scene = head;
+    let mut time_s = 0.0;
+    let mut point = |time_s: &mut f64, lasts_s: f64, at: DVec3| {
+        *time_s += lasts_s;
+        write!(
+            scene,
+            "\n[[tool.path]]\ntime = \"{} s\"\ntip = [\"{} mm\", \"{} mm\", \"{} mm\"]\n",
+            *time_s, at.x, at.y, at.z
+        )
+        .unwrap();
+    };
+    while time_s < seconds {
+        let direction = DVec3::new(random.normal(), -random.normal().abs(), random.normal()).normalize();
+        let outside = center + direction * 1.6 * half.max_element();
+        let inside = center + direction * half * random.uniform_in(0.5, 1.0);
+        point(&mut time_s, 0.25 * PUSH_S, outside);
+        point(&mut time_s, 0.35 * PUSH_S, inside);
+        point(&mut time_s, 0.4 * PUSH_S, outside);
+    }
+    scene
+}
+
+#[test]
+fn a_long_random_palpation_stays_finite_and_replays() {
+    let steps: u64 = std::env::var("GLISSON_SOAK_STEPS").map_or(DEFAULT_STEPS, |s| s.parse().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    glisson(&["demo", "--headless", "--out", folder.path().to_str().unwrap()]);
+    let mut report = String::from(
+        "# Soak\nA random palpation of the synthetic patient's liver (6,300 tetrahedra), then its replay.\n\
+         Made by `cargo xtask soak`.\n\n| model | steps | steps in contact | greatest force [N] | x real time | state hash, also of the replay |\n|---|---|---|---|---|---|\n",
+    );
+    for model in ["precomputed", "tensor_mass"] {
+        std::fs::write(at("soak.toml"), random_scene(folder.path(), model, steps as f64 * 1e-3)).unwrap();
+        let printed = glisson(&[
+            "run",
+            &at("soak.toml"),
+            "--steps",
+            &steps.to_string(),
+            "--record",
+            &at("soak.jsonl"),
+            "--json",
+        ]);
+        let run: Value = serde_json::from_str(&printed).unwrap();
+        let number = |key: &str| run[key].as_f64().unwrap();
+        assert!(number("contact_steps") > 0.02 * steps as f64, "{model}: {printed}");
+        assert!(number("greatest_force_n") < 1e3, "{model}: {printed}");
+        let hash = run["state_hash"].as_str().unwrap();
+        assert!(glisson(&["replay", &at("soak.jsonl")]).contains(hash), "{model}");
+        writeln!(
+            report,
+            "| {model} | {steps} | {} | {:.2} | {:.1} | `{hash}` |",
+            number("contact_steps"),
+            number("greatest_force_n"),
+            number("real_time_factor")
+        )
+        .unwrap();
+    }
+    if let Some(file) = std::env::var_os("GLISSON_SOAK_REPORT") {
+        std::fs::write(file, report).unwrap();
+    }
+}

@@ -26,6 +26,8 @@ type BuiltModel = anyhow::Result<(Box<dyn DeformableModel>, ModelKind)>;
 pub(crate) struct OpenScene {
     pub(crate) scene: Scene,
     pub(crate) folder: PathBuf,
+    /// Where the text comes from, for messages.
+    pub(crate) origin: String,
 }
 
 impl OpenScene {
@@ -35,7 +37,7 @@ impl OpenScene {
             .with_context(|| format!("{}: cannot read the scene", path.display()))?;
         let scene = Scene::parse(&text).map_err(|e| anyhow!("{}: {e}", path.display()))?;
         let folder = path.parent().map_or_else(|| PathBuf::from("."), Path::to_path_buf);
-        Ok(Self { scene, folder })
+        Ok(Self { scene, folder, origin: path.display().to_string() })
     }
 }
 
@@ -51,7 +53,8 @@ pub(crate) struct Simulation {
 impl Simulation {
     /// Sets a world up from a scene; with `record`, writes the session there.
     pub(crate) fn open(source: OpenScene, record: Option<&Path>) -> anyhow::Result<Self> {
-        let (world, body) = build_world(&source.scene, &source.folder)?;
+        let (world, body) =
+            build_world(&source.scene, &source.folder).with_context(|| source.origin.clone())?;
         let recorder = record
             .map(|path| Recorder::create(path, &source.scene.text, mesh_hash(&body.mesh)))
             .transpose()?;

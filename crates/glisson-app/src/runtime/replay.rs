@@ -37,7 +37,9 @@ pub(crate) fn replay(
 ) -> anyhow::Result<ReplayReport> {
     let scene =
         Scene::parse(&session.header.scene).map_err(|e| anyhow!("the scene in the session's header: {e}"))?;
-    let mut simulation = Simulation::open(OpenScene { scene, folder: folder.to_path_buf() }, None)?;
+    let origin = "the session's scene".to_string();
+    let source = OpenScene { scene, folder: folder.to_path_buf(), origin };
+    let mut simulation = Simulation::open(source, None)?;
     let found = mesh_hash(simulation.mesh());
     if found != session.header.mesh_hash {
         bail!(

@@ -128,7 +128,11 @@ fn scenes_with_mistakes_are_refused_with_line_and_remedy() {
     // 60 mm of 5 kPa carry a wave in some 10 ms: a step of 1 s is far above the stable one.
     let explicit = SCENE.replace("precomputed", "tensor_mass") + "[simulation]\ntime_step = \"1 s\"\n";
     std::fs::write(folder.path().join("bad.toml"), explicit).unwrap();
-    refuses(folder.path(), &["run", "bad.toml"], &["1", "s", "stable"]);
+    refuses(
+        folder.path(),
+        &["run", "bad.toml"],
+        &["bad.toml", "[simulation]", "1000 ms", "at most", "stable"],
+    );
     refuses(folder.path(), &["run", "gone.toml"], &["gone.toml"]);
 }
 

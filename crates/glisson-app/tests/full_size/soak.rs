@@ -9,6 +9,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 const DEFAULT_STEPS: u64 = 20_000;
+/// The time step of the demo's scene [s].
+const TIME_STEP_S: f64 = 5e-4;
 /// One push takes so long [s].
 const PUSH_S: f64 = 0.4;
 
@@ -66,7 +68,8 @@ fn a_long_random_palpation_stays_finite_and_replays() {
          Made by `cargo xtask soak`.\n\n| model | steps | steps in contact | greatest force [N] | x real time | state hash, also of the replay |\n|---|---|---|---|---|---|\n",
     );
     for model in ["precomputed", "tensor_mass"] {
-        std::fs::write(at("soak.toml"), random_scene(folder.path(), model, steps as f64 * 1e-3)).unwrap();
+        std::fs::write(at("soak.toml"), random_scene(folder.path(), model, steps as f64 * TIME_STEP_S))
+            .unwrap();
         let printed = glisson(&[
             "run",
             &at("soak.toml"),

@@ -45,8 +45,7 @@ pub const TISSUES: [Tissue; 6] = [
         young_modulus_pa: 4100.0,
         young_modulus_range_pa: [2300.0, 5900.0],
         source: "Fung et al. 2013, doi 10.1371/journal.pone.0085067",
-        test_condition: "transient elastography (50 Hz shear wave, E = 3 G) in vivo, 530 healthy adults: mean \
-                         4.1 kPa, standard deviation 0.89, reference range 2.3 to 5.9",
+        test_condition: "transient elastography (E = 3 G) in vivo, 530 healthy adults: mean 4.1 kPa, standard deviation 0.89, reference range 2.3 to 5.9",
         poisson_ratio: MODELLING_POISSON_RATIO,
         density_kg_per_m3: Some(1060.0),
         density_source: Some(MECH_MATER_2012),
@@ -57,8 +56,8 @@ pub const TISSUES: [Tissue; 6] = [
         young_modulus_range_pa: [230_400.0, 279_600.0],
         source: "Karimi, Shojaei and Tehrani 2017, doi 10.1080/03091902.2017.1366561, as shear modulus 85 +- 8.2 \
                  kPa in table 1 of doi 10.1088/1361-6560/ab5010",
-        test_condition: "wall of the human gall bladder ex vivo, quasi-static uniaxial tension across its axis; \
-                         E = 3 G, range one standard deviation. The bile inside is not part of it",
+        test_condition: "wall of the gall bladder, as the second source quotes it; E = 3 G, range one standard \
+                         deviation. The bile inside is not part of it",
         poisson_ratio: MODELLING_POISSON_RATIO,
         density_kg_per_m3: Some(1060.0),
         density_source: Some(PHYS_MED_BIOL_2019),

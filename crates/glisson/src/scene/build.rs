@@ -57,8 +57,8 @@ pub enum BuildError {
     /// The pre-computed model.
     #[error(transparent)]
     Precomputed(#[from] PrecomputedError),
-    /// The tensor-mass model.
-    #[error(transparent)]
+    /// The tensor-mass model; its numbers are those of the scene.
+    #[error("[simulation] or [organ]: {0}")]
     TensorMass(#[from] TensorMassError),
 }
 

@@ -35,9 +35,11 @@ pub enum TensorMassError {
     Solve(#[from] SolveError),
     /// A step above the stable one.
     #[error(
-        "time step {found_s:e} s is above the stable one: central differences allow at most {allowed_s:e} s here, \
-         because of tetrahedron {tet} (smallest ratio of size to wave speed). Take a smaller step, a coarser mesh \
-         or a softer material"
+        "time step {} ms is above the stable one: central differences allow at most {:.4} ms here, because of \
+         tetrahedron {tet} (smallest ratio of size to wave speed). Take a smaller step, a coarser mesh or a softer \
+         material",
+        1e3 * found_s,
+        1e3 * allowed_s
     )]
     UnstableStep {
         /// What was asked for [s].

@@ -493,14 +493,4 @@ mod tests {
         assert_eq!(number(-1e-17, 2), "0.00");
         assert_eq!(number(2e-7, decimals([0.0, 1e-6])), "2.0e-7");
     }
-
-    /// Writes plots to look at into `$GLISSON_PICTURES`.
-    #[test]
-    #[ignore = "writes plots for a human to judge"]
-    fn plots_to_look_at() {
-        let folder =
-            std::path::PathBuf::from(std::env::var_os("GLISSON_PICTURES").expect("set it to a folder"));
-        force_plot().write_svg(&folder.join("force.svg")).unwrap();
-        std::fs::write(folder.join("angles.svg"), angles().to_svg().unwrap()).unwrap();
-    }
 }

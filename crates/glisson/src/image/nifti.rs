@@ -34,7 +34,7 @@ const NAMES_KEY: &str = "label_names";
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     /// The file system refused.
-    #[error("{}: {source}", .file.display())]
+    #[error("{}: cannot be read or written", .file.display())]
     Io {
         /// The image file.
         file: PathBuf,
@@ -43,7 +43,7 @@ pub enum ImageError {
     },
     /// The gzip stream ends early or is damaged.
     #[error(
-        "{}: damaged or truncated gzip stream: {source} after {n_bytes} decompressed bytes{}; copy the file again",
+        "{}: damaged or truncated gzip stream after {n_bytes} decompressed bytes{}; copy the file again",
         .file.display(), .n_expected.map_or(String::new(), |n| format!(" of {n}"))
     )]
     Gzip {

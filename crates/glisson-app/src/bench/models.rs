@@ -56,7 +56,8 @@ fn precompute(settings: Settings) -> anyhow::Result<Prepared> {
     let body = StandardBody::shared(settings.size)?;
     Ok(Prepared {
         size: body.mesh.tetrahedra.len(),
-        // The sparse solver chooses its kernels when the program runs, as the benchmarks do.
+        // The sparse solver chooses its kernels when the program runs: AVX-512 in matrix products where there
+        // is any (faer's private-gemm-x86), at most AVX2 elsewhere (its pulp is built without x86-v4).
         isa: isa_name(Level::new()),
         precision: "f64",
         work: None,

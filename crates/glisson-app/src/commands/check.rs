@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use glisson::files::write_atomically;
-use glisson::math::Aabb;
 use glisson::mesh::faults::{ImportReport, SharedTriangle};
 use glisson::mesh::files::read_mesh;
 use glisson::mesh::quality::{
@@ -65,8 +64,6 @@ struct MeshAnswer {
     kind: &'static str,
     #[serde(flatten)]
     quality: MeshQuality,
-    bounds_min_m: [f64; 3],
-    bounds_max_m: [f64; 3],
     faults: FaultIndices,
 }
 
@@ -133,14 +130,7 @@ fn check_mesh(args: &Args, mesh: &TetMesh, import: &ImportReport) -> anyhow::Res
     let faults = mesh_faults(import, &shape);
     let quality = MeshQuality::of(mesh);
     if args.json {
-        let bounds = Aabb::of_points(&mesh.positions_m);
-        let answer = MeshAnswer {
-            kind: "tetrahedra",
-            quality,
-            bounds_min_m: bounds.min_m.to_array(),
-            bounds_max_m: bounds.max_m.to_array(),
-            faults: FaultIndices::new(import, &shape),
-        };
+        let answer = MeshAnswer { kind: "tetrahedra", quality, faults: FaultIndices::new(import, &shape) };
         println!("{}", serde_json::to_string_pretty(&answer)?);
     } else {
         print_quality(&quality);

@@ -8,6 +8,7 @@ use std::collections::BTreeSet;
 
 use super::{LabelMap, VoxelGrid};
 use crate::math::DVec3;
+use crate::text::closest_name;
 
 /// Labels that lie inside another organ: (organ, names of its parts).
 /// Names that start with the organ's name and `_` count as parts too, e.g. `liver_vessel`.
@@ -112,15 +113,10 @@ impl LabelMap {
             (Some((label, _)), _) => *label,
             (None, Ok(label)) => label,
             (None, Err(_)) => {
-                let scored =
-                    self.names.iter().map(|(_, n)| (strsim::jaro_winkler(&wanted, &normalized(n)), n));
-                let best = scored.fold(None, |best: Option<(f64, &String)>, next| match best {
-                    Some(b) if b.0 >= next.0 => Some(b),
-                    _ => Some(next),
-                });
+                let names: Vec<&str> = self.names.iter().map(|(_, name)| name.as_str()).collect();
                 return Err(LabelError::UnknownName {
                     wanted: name_or_number.into(),
-                    suggestion: best.filter(|(score, _)| *score > 0.7).map(|(_, name)| name.clone()),
+                    suggestion: closest_name(name_or_number, &names).map(String::from),
                     available: self.available(),
                 });
             }

@@ -7,6 +7,7 @@
 //! are those of the one source named, not of the literature.
 
 use super::{LinearElastic, MaterialError};
+use crate::text::closest_name;
 
 /// Poisson's ratio that every tissue of the table carries: a modelling choice (seed `003` s. 2.4), not a
 /// measurement.
@@ -132,9 +133,6 @@ pub enum TissueError {
     Material(#[from] MaterialError),
 }
 
-/// Above this Jaro-Winkler similarity a name counts as a typing error of another.
-const NEAR: f64 = 0.75;
-
 impl Tissue {
     /// The tissue of that name; capitals, spaces and hyphens do not matter.
     ///
@@ -145,17 +143,11 @@ impl Tissue {
         if let Some(tissue) = TISSUES.iter().find(|t| t.name == wanted) {
             return Ok(tissue);
         }
-        let mut nearest = (NEAR, None);
-        for tissue in &TISSUES {
-            let similarity = strsim::jaro_winkler(&wanted, tissue.name);
-            if similarity > nearest.0 {
-                nearest = (similarity, Some(tissue.name));
-            }
-        }
+        let names = TISSUES.map(|t| t.name);
         Err(TissueError::Unknown {
             found: name.to_owned(),
-            did_you_mean: nearest.1,
-            known: TISSUES.map(|t| t.name).join(", "),
+            did_you_mean: closest_name(&wanted, &names),
+            known: names.join(", "),
         })
     }
 

@@ -8,6 +8,7 @@ mod models_agree;
 mod patch_test;
 mod reference_cases;
 mod surfaces;
+mod world_steps;
 mod mesh_edits;
 mod surface_files;
 mod mesh_files;

@@ -166,6 +166,7 @@ export class FakeSimulator {
         home_tip_m: vec3(HOME_TIP_M),
         home_shaft: vec3(HOME_SHAFT),
       },
+      models: ["closed-form dimple (test)"],
       fixed_nodes: fixedNodes,
     };
   }

@@ -65,6 +65,13 @@ export class Connection {
     };
   }
 
+  /** Asks for the model after the one that moves the organ now; nothing to do where there is only one. */
+  askForNextModel(hello: Hello | null): void {
+    if (hello === null || hello.models.length < 2) return;
+    const next = (hello.models.indexOf(hello.scene.model) + 1) % hello.models.length;
+    this.send({ type: "model", name: hello.models[next] });
+  }
+
   /** True if the message went out; a lost connection drops it (the next state comes from the server anyway). */
   send(message: ClientMessage): boolean {
     if (this.socket?.readyState !== WebSocket.OPEN) return false;

@@ -5,6 +5,7 @@ export type Action =
   | "single_step"
   | "reset_view"
   | "reset_simulation"
+  | "next_model"
   | "wireframe"
   | "contacts"
   | "forces"
@@ -60,6 +61,7 @@ export const BINDINGS: readonly Binding[] = [
   bind("Simulation", "pause", "Space", "pause or go on", plain(" ")),
   bind("Simulation", "single_step", "→ or .", "one step (while paused)", plain("arrowright", "."), true),
   bind("Simulation", "reset_simulation", "Shift R", "organ back to rest, instrument home", [{ key: "r", shift: true }]),
+  bind("Simulation", "next_model", "M", "another model takes over within a second", plain("m")),
   bind("View", "reset_view", "R or Backspace", "whole organ from the front", plain("r", "backspace")),
   bind("View", "wireframe", "W", "surface, surface with edges, edges", plain("w")),
   bind("View", "contacts", "C", "contact point", plain("c")),

@@ -116,7 +116,7 @@ interface ButtonSpec {
 
 const button = (action: Action, label: string, key: string): ButtonSpec => ({ action, label, key });
 const BUTTONS: ReadonlyArray<readonly ButtonSpec[]> = [
-  [button("pause", "Pause", "␣"), button("single_step", "Step", "→"), button("reset_simulation", "Reset", "⇧R")],
+  [button("pause", "Pause", "␣"), button("single_step", "Step", "→"), button("reset_simulation", "Reset", "⇧R"), button("next_model", "Model", "M")],
   [
     button("reset_view", "View", "R"),
     button("wireframe", "Edges", "W"),

@@ -47,6 +47,8 @@ export interface Hello {
   readonly type: "hello";
   readonly protocol: number;
   readonly scene: SceneInfo;
+  /** Names of the models that the `model` message may ask for. */
+  readonly models: readonly string[];
   readonly bounds: { readonly min_m: Vec3; readonly max_m: Vec3 };
   readonly tool: ToolInfo;
   readonly fixed_nodes: readonly number[];
@@ -96,7 +98,8 @@ export type ClientMessage =
   | { readonly type: "tool"; readonly tip_m: Vec3; readonly shaft: Vec3 }
   | { readonly type: "pause"; readonly paused: boolean }
   | { readonly type: "single_step" }
-  | { readonly type: "reset" };
+  | { readonly type: "reset" }
+  | { readonly type: "model"; readonly name: string };
 
 export function encodeClientMessage(message: ClientMessage): string {
   return JSON.stringify(message);
@@ -144,6 +147,14 @@ function nodeIdsAt(fields: Fields, name: string, place: string): number[] {
   return value as number[];
 }
 
+function stringsAt(fields: Fields, name: string, place: string): string[] {
+  const value = fields[name];
+  if (!Array.isArray(value) || !value.every((x) => typeof x === "string")) {
+    fail(`${place}.${name} must be an array of texts`);
+  }
+  return value as string[];
+}
+
 /** Decodes a text message of the server. */
 export function decodeText(text: string): Hello | ServerError {
   let parsed: unknown;
@@ -184,6 +195,7 @@ export function decodeText(text: string): Hello | ServerError {
       home_tip_m: vec3At(tool, "home_tip_m", "tool"),
       home_shaft: vec3At(tool, "home_shaft", "tool"),
     },
+    models: stringsAt(fields, "models", "hello"),
     fixed_nodes: nodeIdsAt(fields, "fixed_nodes", "hello"),
   };
 }

@@ -131,11 +131,9 @@ export class Viewer {
   private receive(snapshot: Snapshot, bytes: number): void {
     this.counters.snapshotFrames += 1;
     this.profile.arrival({ at_ms: performance.now(), bytes });
-    const { header } = snapshot;
-    if (header.organ === 0) {
-      this.history.add({ time_s: header.time_s, force_n: lengthOf(header.forceOnTool_n) });
-    }
-    this.waiting.set(header.organ, snapshot);
+    const { organ, time_s, forceOnTool_n } = snapshot.header;
+    if (organ === 0) this.history.add({ time_s, force_n: lengthOf(forceOnTool_n) });
+    this.waiting.set(organ, snapshot);
     this.invalidate();
   }
 
@@ -197,13 +195,15 @@ export class Viewer {
         this.connection.send({ type: "pause", paused: !(this.header?.paused ?? false) });
         break;
       case "single_step":
-        if (this.header?.paused === false) this.connection.send({ type: "pause", paused: true });
-        else this.connection.send({ type: "single_step" });
+        this.connection.send(this.header?.paused === false ? { type: "pause", paused: true } : { type: "single_step" });
         break;
       case "reset_simulation":
         this.controls.cancel();
         this.tool.forget();
         this.connection.send({ type: "reset" });
+        break;
+      case "next_model":
+        this.connection.askForNextModel(this.hello);
         break;
       case "reset_view":
         this.scene.resetView();

@@ -16,6 +16,7 @@ describe("keys", () => {
     ["c", "contacts"],
     ["f", "forces"],
     ["t", "fixed_nodes"],
+    ["m", "next_model"],
     ["s", "screenshot"],
     ["p", "profiler"],
     ["h", "help"],

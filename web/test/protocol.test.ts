@@ -61,6 +61,7 @@ const HELLO: Hello = {
     home_tip_m: [0, -0.2, 0],
     home_shaft: [0, -1, 0],
   },
+  models: ["precomputed", "tensor_mass"],
   fixed_nodes: [1, 2, 3],
 };
 

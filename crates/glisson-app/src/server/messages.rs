@@ -38,8 +38,16 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             "home_tip_m": tool.home.tip_in_world_m.to_array(),
             "home_shaft": tool.home.shaft_in_world.to_array(),
         },
+        "models": ModelKind::ALL.map(ModelKind::name),
         "fixed_nodes": organ.fixed_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
     })
+}
+
+/// `hello` after another model took over.
+pub(super) fn hello_with_model(hello: &Value, model: ModelKind) -> Value {
+    let mut changed = hello.clone();
+    changed["scene"]["model"] = model.name().into();
+    changed
 }
 
 /// The latest displayed state in full precision.

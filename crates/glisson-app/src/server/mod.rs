@@ -98,11 +98,15 @@ async fn stop_signal() {
 fn router(shared: Arc<Shared>) -> Router {
     Router::new()
         .route("/ws", get(open_socket))
-        .route("/api/scene", get(|State(s): State<Arc<Shared>>| async move { axum::Json(s.hello.clone()) }))
+        .route("/api/scene", get(scene))
         .route("/api/snapshot", get(latest_snapshot))
         .route("/", get(|| async { viewer_file("index.html") }))
         .route("/{*path}", get(|UrlPath(path): UrlPath<String>| async move { viewer_file(&path) }))
         .with_state(shared)
+}
+
+async fn scene(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
+    axum::Json(messages::hello_with_model(&shared.hello, shared.published.borrow().model))
 }
 
 async fn latest_snapshot(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
@@ -154,7 +158,8 @@ async fn open_socket(
 
 async fn talk(mut socket: WebSocket, shared: &Shared) -> Result<(), axum::Error> {
     let mut published = shared.published.clone();
-    socket.send(Message::Text(shared.hello.to_string().into())).await?;
+    let mut model = published.borrow().model;
+    socket.send(Message::Text(messages::hello_with_model(&shared.hello, model).to_string().into())).await?;
     socket.send(Message::Binary(topology_frame(&shared.topology).into())).await?;
     published.mark_changed();
     loop {
@@ -165,6 +170,11 @@ async fn talk(mut socket: WebSocket, shared: &Shared) -> Result<(), axum::Error>
                     return socket.send(Message::Text(error.to_string().into())).await;
                 }
                 let latest = Arc::clone(&published.borrow_and_update());
+                if latest.model != model {
+                    model = latest.model;
+                    let hello = messages::hello_with_model(&shared.hello, model);
+                    socket.send(Message::Text(hello.to_string().into())).await?;
+                }
                 socket.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace).into())).await?;
             }
             message = socket.recv() => match message {

@@ -2,6 +2,7 @@
 
 use crate::{root, run, run_in};
 use anyhow::{Context, bail};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 /// Whether `program --version` works.
@@ -49,7 +50,12 @@ pub(crate) fn web_packages() -> anyhow::Result<()> {
     std::fs::write(&stamp, locked).with_context(|| format!("{}: cannot write", stamp.display()))
 }
 
-/// The system's Chromium.
-pub(crate) fn chromium() -> anyhow::Result<String> {
-    require(&["chromium", "chromium-browser", "google-chrome"], "chromium", "the browser test")
+/// Where the system's Chromium lies.
+pub(crate) fn chromium() -> anyhow::Result<PathBuf> {
+    let name = require(&["chromium", "chromium-browser", "google-chrome"], "chromium", "the browser test")?;
+    let folders = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&folders)
+        .map(|folder| folder.join(&name))
+        .find(|file| file.is_file())
+        .with_context(|| format!("{name} starts, but is in no folder of PATH"))
 }

@@ -59,7 +59,7 @@ fn input(step: u64) -> StepInput {
     let x_m = SIZE_M * (0.5 + 0.3 * libm::sin(0.37 * t));
     let z_m = SIZE_M + 8e-3 + 8e-3 * libm::cos(t);
     let tool = ToolInput { tip_in_world_m: DVec3::new(x_m, 0.45 * SIZE_M, z_m), shaft_in_world: DVec3::Z };
-    StepInput { tool, n_substeps: 1 + u32::from(step % 7 == 0), placed: step % 400 == 0 }
+    StepInput { tool, n_substeps: 1 + u32::from(step.is_multiple_of(7)), placed: step.is_multiple_of(400) }
 }
 
 fn run(kind: ModelKind, steps: u64) -> (StateHash, u64) {

@@ -13,6 +13,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use frames::{Pace, snapshot_frame, topology_frame};
+use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::snapshot::DisplayTopology;
 use std::net::{SocketAddr, TcpListener};
@@ -156,11 +157,17 @@ async fn open_socket(
     })
 }
 
+/// What a viewer needs before the first snapshot, and again when another model took over.
+async fn greet(socket: &mut WebSocket, shared: &Shared, model: ModelKind) -> Result<(), axum::Error> {
+    let hello = messages::hello_with_model(&shared.hello, model);
+    socket.send(Message::Text(hello.to_string().into())).await?;
+    socket.send(Message::Binary(topology_frame(&shared.topology).into())).await
+}
+
 async fn talk(mut socket: WebSocket, shared: &Shared) -> Result<(), axum::Error> {
     let mut published = shared.published.clone();
     let mut model = published.borrow().model;
-    socket.send(Message::Text(messages::hello_with_model(&shared.hello, model).to_string().into())).await?;
-    socket.send(Message::Binary(topology_frame(&shared.topology).into())).await?;
+    greet(&mut socket, shared, model).await?;
     published.mark_changed();
     loop {
         tokio::select! {
@@ -172,8 +179,7 @@ async fn talk(mut socket: WebSocket, shared: &Shared) -> Result<(), axum::Error>
                 let latest = Arc::clone(&published.borrow_and_update());
                 if latest.model != model {
                     model = latest.model;
-                    let hello = messages::hello_with_model(&shared.hello, model);
-                    socket.send(Message::Text(hello.to_string().into())).await?;
+                    greet(&mut socket, shared, model).await?;
                 }
                 socket.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace).into())).await?;
             }

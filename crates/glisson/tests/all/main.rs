@@ -1,6 +1,7 @@
 //! All integration tests in one binary: it links once.
 
 mod images;
+mod laws;
 mod layering;
 mod meshing;
 mod model_meshes;

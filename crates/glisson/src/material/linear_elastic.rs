@@ -47,6 +47,18 @@ pub enum MaterialError {
         /// Bound, excluded [Pa].
         least_pa: f64,
     },
+    /// A law's own parameter is out of its range.
+    #[error("{law}: {name} is {found}; allowed: {allowed}")]
+    Parameter {
+        /// The law's name in scenes.
+        law: &'static str,
+        /// The parameter's name.
+        name: &'static str,
+        /// What was given [SI].
+        found: f64,
+        /// Its range.
+        allowed: &'static str,
+    },
     /// Density is not a positive finite number.
     #[error("density is {found_kg_per_m3} kg/m3; allowed: a finite number above 0 kg/m3")]
     Density {
@@ -140,6 +152,11 @@ impl LinearElastic {
         self.mu_pa
     }
 
+    /// Bulk modulus lambda + 2/3 mu [Pa].
+    pub fn bulk_modulus_pa(&self) -> f64 {
+        self.lambda_pa + 2.0 / 3.0 * self.mu_pa
+    }
+
     /// Density [kg/m3].
     pub fn density_kg_per_m3(&self) -> f64 {
         self.density_kg_per_m3
@@ -178,6 +195,16 @@ pub(super) fn check_lame(lambda_pa: f64, mu_pa: f64) -> Result<(), MaterialError
         return Err(MaterialError::Lambda { found_pa: lambda_pa, least_pa });
     }
     Ok(())
+}
+
+/// Refuses a bulk modulus that is not positive.
+pub(super) fn check_bulk(law: &'static str, bulk_pa: f64) -> Result<(), MaterialError> {
+    if bulk_pa.is_finite() && bulk_pa > 0.0 {
+        Ok(())
+    } else {
+        let allowed = "a finite number above 0 Pa";
+        Err(MaterialError::Parameter { law, name: "the bulk modulus K", found: bulk_pa, allowed })
+    }
 }
 
 fn check_density(density_kg_per_m3: f64) -> Result<(), MaterialError> {

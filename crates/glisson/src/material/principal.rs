@@ -27,6 +27,16 @@ pub struct PrincipalDerivatives {
     pub antisymmetric: [f64; 3],
 }
 
+impl PrincipalDerivatives {
+    /// Outside the valid range.
+    pub(super) const INVALID: Self = Self {
+        first: [f64::NAN; 3],
+        second: [[f64::NAN; 3]; 3],
+        symmetric: [f64::NAN; 3],
+        antisymmetric: [f64::NAN; 3],
+    };
+}
+
 /// P = U diag(W_i) V^T of a law given by its principal derivatives.
 pub(super) fn first_piola_pa(f: &DMat3, law: impl Fn([f64; 3]) -> PrincipalDerivatives) -> DMat3 {
     let SignedSingularValues { u, stretches, v } = signed_singular_values(f);

@@ -44,6 +44,29 @@ pub trait Material: Sync {
     }
 }
 
+/// A borrowed law is a law: `&[&dyn Material]` serves where laws are mixed.
+impl<M: Material + ?Sized> Material for &M {
+    fn energy_density_j_per_m3(&self, f: &DMat3) -> f64 {
+        (**self).energy_density_j_per_m3(f)
+    }
+
+    fn first_piola_pa(&self, f: &DMat3) -> DMat3 {
+        (**self).first_piola_pa(f)
+    }
+
+    fn first_piola_differential_pa(&self, f: &DMat3, df: &DMat3) -> DMat3 {
+        (**self).first_piola_differential_pa(f, df)
+    }
+
+    fn tangent_pa(&self, f: &DMat3) -> Tangent {
+        (**self).tangent_pa(f)
+    }
+
+    fn projected_tangent_pa(&self, f: &DMat3) -> Tangent {
+        (**self).projected_tangent_pa(f)
+    }
+}
+
 /// The nearest symmetric matrix without negative eigenvalue; of a matrix that is not finite, that matrix.
 pub fn projected(tangent: &Tangent) -> Tangent {
     if !tangent.iter().flatten().all(|x| x.is_finite()) {

@@ -6,6 +6,7 @@ mod layering;
 mod meshing;
 mod model_meshes;
 mod models_agree;
+mod nonlinear_reference;
 mod patch_test;
 mod reference_cases;
 mod surfaces;

@@ -6,6 +6,10 @@
 //! Valid for displacements below about a tenth of the body's size (seed `003`, introduction): a rotated body
 //! swells.
 
+use super::law::contraction;
+use super::{Material, Tangent};
+use crate::math::{DMat3, DVec3};
+
 /// Why numbers are no material.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MaterialError {
@@ -42,6 +46,18 @@ pub enum MaterialError {
         found_pa: f64,
         /// Bound, excluded [Pa].
         least_pa: f64,
+    },
+    /// A law's own parameter is out of its range.
+    #[error("{law}: {name} is {found}; allowed: {allowed}")]
+    Parameter {
+        /// The law's name in scenes.
+        law: &'static str,
+        /// The parameter's name.
+        name: &'static str,
+        /// What was given [SI].
+        found: f64,
+        /// Its range.
+        allowed: &'static str,
     },
     /// Density is not a positive finite number.
     #[error("density is {found_kg_per_m3} kg/m3; allowed: a finite number above 0 kg/m3")]
@@ -104,13 +120,7 @@ impl LinearElastic {
     /// # Errors
     /// [`MaterialError`] unless mu > 0, lambda > -2/3 mu (both finite) and the density is positive.
     pub fn from_lame(lambda_pa: f64, mu_pa: f64, density_kg_per_m3: f64) -> Result<Self, MaterialError> {
-        if !(mu_pa.is_finite() && mu_pa > 0.0) {
-            return Err(MaterialError::ShearModulus { found_pa: mu_pa });
-        }
-        let least_pa = -2.0 / 3.0 * mu_pa;
-        if !(lambda_pa.is_finite() && lambda_pa > least_pa) {
-            return Err(MaterialError::Lambda { found_pa: lambda_pa, least_pa });
-        }
+        check_lame(lambda_pa, mu_pa)?;
         check_density(density_kg_per_m3)?;
         let sum_pa = lambda_pa + mu_pa;
         Ok(Self {
@@ -142,9 +152,58 @@ impl LinearElastic {
         self.mu_pa
     }
 
+    /// Bulk modulus lambda + 2/3 mu [Pa].
+    pub fn bulk_modulus_pa(&self) -> f64 {
+        self.lambda_pa + 2.0 / 3.0 * self.mu_pa
+    }
+
     /// Density [kg/m3].
     pub fn density_kg_per_m3(&self) -> f64 {
         self.density_kg_per_m3
+    }
+}
+
+/// W as a function of F, with e = (F + F^T)/2 - Id: not rotation invariant.
+impl Material for LinearElastic {
+    fn energy_density_j_per_m3(&self, f: &DMat3) -> f64 {
+        let change = *f - DMat3::IDENTITY;
+        0.5 * contraction(&self.first_piola_differential_pa(f, &change), &change)
+    }
+
+    fn first_piola_pa(&self, f: &DMat3) -> DMat3 {
+        self.first_piola_differential_pa(f, &(*f - DMat3::IDENTITY))
+    }
+
+    fn first_piola_differential_pa(&self, _f: &DMat3, df: &DMat3) -> DMat3 {
+        let trace = df.x_axis.x + df.y_axis.y + df.z_axis.z;
+        DMat3::from_diagonal(DVec3::splat(self.lambda_pa * trace)) + (*df + df.transpose()) * self.mu_pa
+    }
+
+    /// The tangent itself: its eigenvalues are 2 mu, 3 lambda + 2 mu and 0.
+    fn projected_tangent_pa(&self, f: &DMat3) -> Tangent {
+        self.tangent_pa(f)
+    }
+}
+
+/// Refuses Lame's coefficients for which the energy of small strains is not positive.
+pub(super) fn check_lame(lambda_pa: f64, mu_pa: f64) -> Result<(), MaterialError> {
+    if !(mu_pa.is_finite() && mu_pa > 0.0) {
+        return Err(MaterialError::ShearModulus { found_pa: mu_pa });
+    }
+    let least_pa = -2.0 / 3.0 * mu_pa;
+    if !(lambda_pa.is_finite() && lambda_pa > least_pa) {
+        return Err(MaterialError::Lambda { found_pa: lambda_pa, least_pa });
+    }
+    Ok(())
+}
+
+/// Refuses a bulk modulus that is not positive.
+pub(super) fn check_bulk(law: &'static str, bulk_pa: f64) -> Result<(), MaterialError> {
+    if bulk_pa.is_finite() && bulk_pa > 0.0 {
+        Ok(())
+    } else {
+        let allowed = "a finite number above 0 Pa";
+        Err(MaterialError::Parameter { law, name: "the bulk modulus K", found: bulk_pa, allowed })
     }
 }
 

@@ -1,18 +1,24 @@
-//! Linear finite elements: shape gradients, stiffness on vertices and edges, boundary conditions, sparse
+//! Finite elements: shape gradients, stiffness on vertices and edges, boundary conditions, sparse
 //! Cholesky, static solutions, and the files of a static case.
 //!
 //! The way of a solution: [`MeshEdges`] and [`StiffnessTensors`] (K as 3x3 blocks on vertices and edges, the
 //! form that the tensor-mass model keeps), [`BoundaryConditions`], [`FreeSystem`] (the free rows of K in a
-//! fixed sparse pattern with a slot for every block), [`Factorization`], [`solve_static`].
+//! fixed sparse pattern with a slot for every block), [`Factorization`], [`solve_static`];
+//! for any law [`ElasticBody`] and [`solve_nonlinear`].
 
 mod p1;
 mod tensors;
 mod boundary;
 mod system;
 mod static_problem;
+mod nonlinear;
 pub mod case;
 
 pub use boundary::BoundaryConditions;
+pub use nonlinear::{
+    ElasticBody, NonlinearError, NonlinearProblem, NonlinearSettings, NonlinearSolution, StepFailure,
+    TangentKind, solve_nonlinear,
+};
 pub use p1::{LOCAL_EDGES, P1Gradients, TetStiffness};
 pub use static_problem::{StaticProblem, StaticSolution, add_gravity_forces, solve_static};
 pub use system::{FactorScratch, Factorization, FreeSystem};

@@ -1,6 +1,7 @@
 //! All integration tests in one binary: it links once.
 
 mod images;
+mod kernel;
 mod layering;
 mod meshing;
 mod model_meshes;

@@ -11,6 +11,7 @@ mod plot;
 mod runtime;
 mod server;
 mod validate;
+mod workers;
 
 use clap::Parser;
 

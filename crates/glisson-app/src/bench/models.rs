@@ -33,12 +33,12 @@ pub(super) const CASES: &[Case] = &[
         prepare: precomputed_response,
     },
     Case {
-        name: "tensor_mass_linear_force",
+        name: "tensor_mass_step",
         about: "one explicit step of the linear tensor-mass: internal forces and central differences",
         per: "step",
         sizes: &[2_000, 6_300, 20_000, 100_000],
         parallel: false,
-        prepare: tensor_mass_linear_force,
+        prepare: tensor_mass_step,
     },
 ];
 
@@ -118,7 +118,7 @@ fn topmost_triangle(body: &StandardBody) -> anyhow::Result<[NodeId; 3]> {
         .context("the body has no surface")
 }
 
-fn tensor_mass_linear_force(settings: Settings) -> anyhow::Result<Prepared> {
+fn tensor_mass_step(settings: Settings) -> anyhow::Result<Prepared> {
     let body = StandardBody::shared(settings.size)?;
     let stable = TensorMass::stable_step(&body.mesh, &body.material)?;
     let step_s = 0.9 * stable.step_s;

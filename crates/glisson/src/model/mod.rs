@@ -1,6 +1,7 @@
 //! Deformable models behind one contract: constraints in, positions and reaction forces out.
 
 pub mod kind;
+pub mod kernel;
 pub mod precomputed;
 pub mod tensor_mass;
 

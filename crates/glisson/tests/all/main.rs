@@ -2,6 +2,7 @@
 
 mod images;
 mod laws;
+mod kernel;
 mod layering;
 mod meshing;
 mod model_meshes;

@@ -1,0 +1,213 @@
+//! A part of the mesh with its memory, and the two phases of a force computation.
+//!
+//! First each part collects the displacements of the nodes that it touches and adds up its tetrahedra's forces
+//! in rows of its own. Then each part sums, for the nodes that it owns, its own rows and those of the later parts
+//! that borrow the node, in their order. Neither depends on who computes which part when.
+//!
+//! The locks are there to share memory between threads without `unsafe`. Nobody ever waits for one: in a phase,
+//! what one part writes no other reads.
+
+use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+
+use super::KernelLaw;
+use super::paths::KernelPath;
+use super::rows::{Block, Row, Rows};
+use crate::mesh::NodeId;
+
+/// A panic elsewhere leaves numbers behind, no broken memory.
+fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
+    lock.read().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
+    lock.write().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Rows that two parts share.
+#[derive(Clone, Debug)]
+pub(super) struct Exchange {
+    /// The other part.
+    pub(super) part: usize,
+    /// Row here and row there.
+    pub(super) rows: Vec<[u16; 2]>,
+}
+
+/// What moves on the nodes that a part owns.
+#[derive(Clone, Debug)]
+pub(super) struct PartNodes {
+    pub(super) displacement_m: Vec<Row>,
+    /// u(t) - u(t - h).
+    pub(super) increment_m: Vec<Row>,
+    /// Force that balances the deformation, of the last computation.
+    pub(super) force_n: Vec<Row>,
+    /// Force from outside.
+    pub(super) outer_n: Vec<Row>,
+    pub(super) mass_kg: Vec<f64>,
+    /// Zero for nodes that the step does not move.
+    pub(super) inverse_mass_per_kg: Vec<f64>,
+    pub(super) is_held: Vec<bool>,
+    /// Tetrahedra that a node has left.
+    pub(super) n_tets: Vec<u32>,
+}
+
+impl PartNodes {
+    pub(super) fn at_rest(n_own: usize) -> Self {
+        Self {
+            displacement_m: vec![[0.0; 4]; n_own],
+            increment_m: vec![[0.0; 4]; n_own],
+            force_n: vec![[0.0; 4]; n_own],
+            outer_n: vec![[0.0; 4]; n_own],
+            mass_kg: vec![0.0; n_own],
+            inverse_mass_per_kg: vec![0.0; n_own],
+            is_held: vec![false; n_own],
+            n_tets: vec![0; n_own],
+        }
+    }
+
+    /// After a change of mass or support.
+    pub(super) fn update_inverse_mass(&mut self, n: usize) {
+        let moves = self.n_tets[n] > 0 && !self.is_held[n];
+        self.inverse_mass_per_kg[n] = if moves { 1.0 / self.mass_kg[n] } else { 0.0 };
+        if !moves {
+            self.increment_m[n] = [0.0; 4];
+        }
+    }
+}
+
+/// Factors of a step of central differences: the new increment is `keep` times the last one plus `push` times
+/// force over mass.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct StepFactors {
+    pub(super) keep: f64,
+    pub(super) push_s2: f64,
+}
+
+/// One part.
+#[derive(Debug)]
+pub(super) struct Part {
+    pub(super) own: Vec<NodeId>,
+    /// Rows borrowed from earlier parts, ascending.
+    pub(super) borrowed: Vec<Exchange>,
+    /// Own rows that later parts borrow, ascending.
+    pub(super) lent: Vec<Exchange>,
+    /// Own and borrowed rows together.
+    pub(super) n_rows: usize,
+    blocks: RwLock<Vec<Block>>,
+    nodes: RwLock<PartNodes>,
+    collected: Mutex<Box<Rows>>,
+    forces: RwLock<Box<Rows>>,
+}
+
+impl Part {
+    pub(super) fn new(own: Vec<NodeId>, n_rows: usize, blocks: Vec<Block>, nodes: PartNodes) -> Self {
+        Self {
+            own,
+            borrowed: Vec::new(),
+            lent: Vec::new(),
+            n_rows,
+            blocks: RwLock::new(blocks),
+            nodes: RwLock::new(nodes),
+            collected: Mutex::new(Rows::zero()),
+            forces: RwLock::new(Rows::zero()),
+        }
+    }
+
+    pub(super) fn nodes(&self) -> RwLockReadGuard<'_, PartNodes> {
+        read(&self.nodes)
+    }
+
+    pub(super) fn nodes_mut(&self) -> RwLockWriteGuard<'_, PartNodes> {
+        write(&self.nodes)
+    }
+
+    pub(super) fn blocks(&self) -> RwLockReadGuard<'_, Vec<Block>> {
+        read(&self.blocks)
+    }
+
+    pub(super) fn blocks_mut(&self) -> RwLockWriteGuard<'_, Vec<Block>> {
+        write(&self.blocks)
+    }
+
+    fn collected(&self) -> MutexGuard<'_, Box<Rows>> {
+        self.collected.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// All parts: what the tasks of several threads work on.
+#[derive(Debug)]
+pub(super) struct Parts {
+    pub(super) law: KernelLaw,
+    pub(super) path: RwLock<KernelPath>,
+    pub(super) all: Vec<Part>,
+    pub(super) step: RwLock<StepFactors>,
+}
+
+impl Parts {
+    pub(super) fn set_path(&self, path: KernelPath) {
+        *write(&self.path) = path;
+    }
+
+    pub(super) fn path(&self) -> KernelPath {
+        *read(&self.path)
+    }
+
+    pub(super) fn set_step(&self, factors: StepFactors) {
+        *write(&self.step) = factors;
+    }
+
+    /// First phase.
+    pub(super) fn add_element_forces(&self, p: usize) {
+        let part = &self.all[p];
+        let mut collected = part.collected();
+        let rows = collected.all_mut();
+        rows[..part.own.len()].copy_from_slice(&part.nodes().displacement_m);
+        for exchange in &part.borrowed {
+            let owner = self.all[exchange.part].nodes();
+            for &[here, there] in &exchange.rows {
+                rows[usize::from(here)] = owner.displacement_m[usize::from(there)];
+            }
+        }
+        let mut forces = write(&part.forces);
+        forces.all_mut()[..part.n_rows].fill([0.0; 4]);
+        self.path().add_forces(self.law, &part.blocks(), &collected, &mut forces);
+    }
+
+    /// Second phase: forces on the own nodes.
+    pub(super) fn sum_forces(&self, p: usize) {
+        self.sum_forces_into(p, &mut self.all[p].nodes_mut().force_n);
+    }
+
+    fn sum_forces_into(&self, p: usize, sums: &mut [Row]) {
+        let part = &self.all[p];
+        sums.copy_from_slice(&read(&part.forces).all()[..part.own.len()]);
+        for exchange in &part.lent {
+            let forces = read(&self.all[exchange.part].forces);
+            let forces = forces.all();
+            for &[here, there] in &exchange.rows {
+                let (sum, force) = (&mut sums[usize::from(here)], &forces[usize::from(there)]);
+                for i in 0..4 {
+                    sum[i] += force[i];
+                }
+            }
+        }
+    }
+
+    /// Second phase of a step: forces on the own nodes, and their motion.
+    pub(super) fn sum_and_advance(&self, p: usize) {
+        let StepFactors { keep, push_s2 } = *read(&self.step);
+        let mut nodes = self.all[p].nodes_mut();
+        let PartNodes { displacement_m, increment_m, force_n, outer_n, inverse_mass_per_kg, .. } =
+            &mut *nodes;
+        self.sum_forces_into(p, force_n);
+        let moving = displacement_m.iter_mut().zip(increment_m);
+        let pushed = force_n.iter().zip(outer_n).zip(inverse_mass_per_kg);
+        // Not fused: this loop is compiled for every processor.
+        for ((u, increment), ((balance, outer), inverse_mass)) in moving.zip(pushed) {
+            let push = push_s2 * *inverse_mass;
+            for i in 0..4 {
+                increment[i] = keep * increment[i] + push * (outer[i] - balance[i]);
+                u[i] += increment[i];
+            }
+        }
+    }
+}

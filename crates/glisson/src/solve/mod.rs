@@ -11,6 +11,7 @@ mod boundary;
 mod system;
 mod static_problem;
 pub mod case;
+pub mod integrators;
 
 pub use boundary::BoundaryConditions;
 pub use p1::{LOCAL_EDGES, P1Gradients, TetStiffness};

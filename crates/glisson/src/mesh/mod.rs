@@ -8,6 +8,7 @@ pub mod thin;
 pub mod generate;
 pub mod remap;
 pub mod faults;
+pub mod box_mesh;
 pub mod files;
 
 use crate::math::{DVec3, tetrahedron_volume_m3};

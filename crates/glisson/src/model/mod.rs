@@ -1,9 +1,14 @@
 //! Deformable models behind one contract: constraints in, positions and reaction forces out.
 
+mod explicit_body;
+pub mod extended_mass_spring;
 pub mod kind;
 pub mod kernel;
+pub mod mass_spring;
 pub mod precomputed;
 pub mod tensor_mass;
+
+pub use explicit_body::{Dynamics, ExplicitBodyError, Inertia};
 
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;

@@ -13,6 +13,7 @@ mod system;
 mod static_problem;
 mod nonlinear;
 pub mod case;
+pub mod integrators;
 
 pub use boundary::BoundaryConditions;
 pub use nonlinear::{

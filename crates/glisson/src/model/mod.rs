@@ -1,6 +1,7 @@
 //! Deformable models behind one contract: constraints in, positions and reaction forces out.
 
 pub mod kind;
+pub(crate) mod explicit;
 pub mod precomputed;
 pub mod tensor_mass;
 

@@ -4,6 +4,7 @@ pub mod kind;
 pub(crate) mod explicit;
 pub mod precomputed;
 pub mod tensor_mass;
+pub mod nonlinear_tensor_mass;
 
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;

@@ -5,8 +5,10 @@ pub mod extended_mass_spring;
 pub mod kind;
 pub mod kernel;
 pub mod mass_spring;
+pub(crate) mod explicit;
 pub mod precomputed;
 pub mod tensor_mass;
+pub mod nonlinear_tensor_mass;
 
 pub use explicit_body::{Dynamics, ExplicitBodyError, Inertia};
 

@@ -1,7 +1,7 @@
 //! The stiffness of a mesh as 3x3 tensors on vertices and edges (seed `003`, eq. 1.11 and 1.12):
 //! f_p = B^pp u_p + sum over edges (p, j) of B^pj u_j.
 
-use super::{LOCAL_EDGES, P1Gradients, SolveError};
+use super::{LOCAL_EDGES, P1Gradients, SolveError, TetStiffness};
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::{NodeId, TetId, TetMesh};
@@ -68,13 +68,25 @@ impl StiffnessTensors {
     /// # Errors
     /// [`SolveError::Volume`] for a flat or inverted tetrahedron.
     pub fn assemble(mesh: &TetMesh, edges: &MeshEdges, material: &LinearElastic) -> Result<Self, SolveError> {
+        Self::assemble_with(mesh, edges, |_, g| g.stiffness(material.lambda_pa(), material.mu_pa()))
+    }
+
+    /// Accumulates what `stiffness_of` says of each tetrahedron, in their order.
+    ///
+    /// # Errors
+    /// [`SolveError::Volume`] for a flat or inverted tetrahedron.
+    pub fn assemble_with(
+        mesh: &TetMesh,
+        edges: &MeshEdges,
+        stiffness_of: impl Fn(TetId, &P1Gradients) -> TetStiffness,
+    ) -> Result<Self, SolveError> {
         let mut tensors = Self {
             vertex: vec![DMat3::ZERO; mesh.positions_m.len()],
             edge: vec![DMat3::ZERO; edges.nodes.len()],
         };
         for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-            let stiffness = P1Gradients::of_tet(mesh, TetId::from_index(t))?
-                .stiffness(material.lambda_pa(), material.mu_pa());
+            let tet = TetId::from_index(t);
+            let stiffness = stiffness_of(tet, &P1Gradients::of_tet(mesh, tet)?);
             for j in 0..4 {
                 tensors.vertex[nodes[j].index()] += stiffness.vertex[j];
             }

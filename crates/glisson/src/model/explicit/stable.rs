@@ -14,14 +14,17 @@
 //! be above the spectrum by the Cholesky factorization of theta M - K, which exists only then. Meshes of more
 //! than [`MOST_NODES_PROVEN`] nodes take the first bound, because the factorization would take long.
 //! Held nodes are left out of account: holding a node never raises a frequency.
-
-#[cfg(doc)]
-use crate::solve::TetStiffness;
+//!
+//! A law that stiffens as it is stretched tells by how much ([`StiffTet::stiffening`]); the bound after cuts then
+//! holds for every shape allowed for, and the uncut one is the proven one at rest with the largest stiffening of
+//! all tetrahedra: an estimate.
 
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3, SeededRandom};
 use crate::mesh::{TetId, TetMesh};
-use crate::solve::{BoundaryConditions, FreeSystem, MeshEdges, P1Gradients, SolveError, StiffnessTensors};
+use crate::solve::{
+    BoundaryConditions, FreeSystem, MeshEdges, P1Gradients, SolveError, StiffnessTensors, TetStiffness,
+};
 
 /// Kept below the bound, where a mode at omega h = 2 would grow by rounding.
 const MARGIN: f64 = 0.999;
@@ -52,31 +55,56 @@ impl StableStep {
     ///
     /// # Errors
     /// [`SolveError`] for an empty mesh or a flat or inverted tetrahedron.
-    pub(super) fn of(mesh: &TetMesh, material: &LinearElastic) -> Result<Self, SolveError> {
+    pub(in crate::model) fn of(mesh: &TetMesh, material: &LinearElastic) -> Result<Self, SolveError> {
+        Self::of_stiffness(mesh, material.density_kg_per_m3(), |_, gradients| StiffTet {
+            at_rest: gradients.stiffness(material.lambda_pa(), material.mu_pa()),
+            stiffening: 1.0,
+        })
+    }
+
+    /// Bounds for a mesh whose tetrahedra are told one by one.
+    ///
+    /// # Errors
+    /// [`SolveError`] for an empty mesh or a flat or inverted tetrahedron.
+    pub(in crate::model) fn of_stiffness(
+        mesh: &TetMesh,
+        density_kg_per_m3: f64,
+        stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
+    ) -> Result<Self, SolveError> {
         let edges = MeshEdges::of_mesh(mesh)?;
-        let tensors = StiffnessTensors::assemble(mesh, &edges, material)?;
+        let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, g| stiffness_of(tet, g).at_rest)?;
         let mut mass_kg = vec![0.0; mesh.positions_m.len()];
-        let (mut after_cuts, mut tet) = (0.0, TetId(0));
+        let (mut after_cuts, mut tet, mut stiffening) = (0.0, TetId(0), 1.0_f64);
         for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-            let gradients = P1Gradients::of_tet(mesh, TetId::from_index(t))?;
-            let corner_kg = material.density_kg_per_m3() * gradients.volume_m3 / 4.0;
+            let this = TetId::from_index(t);
+            let gradients = P1Gradients::of_tet(mesh, this)?;
+            let corner_kg = density_kg_per_m3 * gradients.volume_m3 / 4.0;
             for node in nodes {
                 mass_kg[node.index()] += corner_kg;
             }
-            let stiffness = gradients.stiffness(material.lambda_pa(), material.mu_pa());
-            let of_tet = stiffness.squared_frequency_bound_per_s2([corner_kg; 4]);
+            let stiff = stiffness_of(this, &gradients);
+            let of_tet = stiff.stiffening * stiff.at_rest.squared_frequency_bound_per_s2([corner_kg; 4]);
+            stiffening = stiffening.max(stiff.stiffening);
             if of_tet > after_cuts {
-                (after_cuts, tet) = (of_tet, TetId::from_index(t));
+                (after_cuts, tet) = (of_tet, this);
             }
         }
         let uncut = if mesh.positions_m.len() <= MOST_NODES_PROVEN {
-            proven_squared_frequency(&edges, &tensors, &mass_kg, after_cuts)
+            (stiffening * proven_squared_frequency(&edges, &tensors, &mass_kg, after_cuts)).min(after_cuts)
         } else {
             after_cuts
         };
         let step_s = |squared_frequency: f64| MARGIN * 2.0 / squared_frequency.sqrt();
         Ok(Self { step_s: step_s(uncut), after_cuts_s: step_s(after_cuts), tet })
     }
+}
+
+/// A tetrahedron's share in the stable step.
+pub(in crate::model) struct StiffTet {
+    /// Its tensors in the rest shape.
+    pub at_rest: TetStiffness,
+    /// Bound of its highest squared frequency in any shape allowed for, over the one at rest; from 1.
+    pub stiffening: f64,
 }
 
 /// A proven upper bound of the largest eigenvalue of M^-1 K [1/s2], at most `known`, which is one.

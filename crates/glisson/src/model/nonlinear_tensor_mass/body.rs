@@ -1,0 +1,232 @@
+//! The mechanics of a body: all stiffness numbers, how they are accumulated, evaluated and taken out again.
+
+use super::adaptive::{Adaptivity, Bound, NonlinearPart, edge_bounds, tet_bound, triangle_bounds};
+use super::forces::{Entities, Everywhere, NonlinearStiffness};
+use super::incompressibility::VolumePenalty;
+use super::law::{TetLaw, TetShape, linear_stiffness};
+use super::numbers::{
+    EdgeStiffness, LOCAL_TRIANGLES, MeshTriangles, Summed, TetScalars, TriangleStiffness, VertexStiffness,
+    ascending,
+};
+use crate::math::DVec3;
+use crate::mesh::{NodeId, TetId, TetMesh};
+use crate::model::explicit::{Padded, keep, renumbered};
+use crate::model::tensor_mass::VertexEdgeTensors;
+use crate::solve::{LOCAL_EDGES, P1Gradients, SolveError};
+
+/// What resists; changed by removals only.
+#[derive(Clone, Debug)]
+pub(super) struct Body {
+    volume_penalty_pa: f64,
+    rest_m: Vec<DVec3>,
+    node_is_live: Vec<bool>,
+    pub(super) tet_nodes: Vec<[NodeId; 4]>,
+    pub(super) tet_is_live: Vec<bool>,
+    pub(super) laws: Vec<TetLaw>,
+    /// Shape vectors and volumes at rest.
+    pub(super) gradients: Vec<P1Gradients>,
+    pub(super) linear: VertexEdgeTensors,
+    pub(super) nonlinear: NonlinearStiffness,
+    /// Bounds of the non-linear force at each node.
+    pub(super) bounds: Vec<Bound>,
+}
+
+impl Body {
+    /// Sums the numbers of all tetrahedra, in their order.
+    ///
+    /// # Errors
+    /// [`SolveError`] for an unusable mesh.
+    pub(super) fn accumulate(
+        mesh: &TetMesh,
+        laws: Vec<TetLaw>,
+        volume_penalty_pa: f64,
+    ) -> Result<Self, SolveError> {
+        let linear = VertexEdgeTensors::accumulate(mesh, |tet, g| linear_stiffness(&laws[tet.index()], g))?;
+        let (n_nodes, n_tets) = (mesh.positions_m.len(), mesh.tetrahedra.len());
+        let triangles = MeshTriangles::of_mesh(mesh);
+        let mut body = Self {
+            volume_penalty_pa,
+            rest_m: mesh.positions_m.clone(),
+            node_is_live: vec![false; n_nodes],
+            tet_nodes: mesh.tetrahedra.clone(),
+            tet_is_live: vec![true; n_tets],
+            laws,
+            gradients: (0..n_tets)
+                .map(|t| P1Gradients::of_tet(mesh, TetId::from_index(t)))
+                .collect::<Result<_, _>>()?,
+            nonlinear: NonlinearStiffness {
+                vertex: vec![VertexStiffness::default(); n_nodes],
+                edge: vec![EdgeStiffness::default(); linear.mesh_edges().nodes.len()],
+                triangle: vec![TriangleStiffness::default(); triangles.nodes.len()],
+                tet: vec![TetScalars::default(); n_tets],
+                triangles,
+            },
+            linear,
+            bounds: Vec::new(),
+        };
+        for t in 0..n_tets {
+            let shape = TetShape::new(body.laws[t], &body.gradients[t]);
+            let nodes = body.tet_nodes[t];
+            for (corner, node) in nodes.into_iter().enumerate() {
+                body.node_is_live[node.index()] = true;
+                body.nonlinear.vertex[node.index()].add(&shape.of_vertex(corner), 1.0);
+            }
+            for (local, edge) in LOCAL_EDGES.into_iter().zip(body.linear.mesh_edges().of_tet[t]) {
+                body.nonlinear.edge[edge as usize].add(&shape.of_edge(ascending(local, &nodes)), 1.0);
+            }
+            for (local, triangle) in LOCAL_TRIANGLES.into_iter().zip(body.nonlinear.triangles.of_tet[t]) {
+                let numbers = shape.of_triangle(ascending(local, &nodes));
+                body.nonlinear.triangle[triangle as usize].add(&numbers, 1.0);
+            }
+            body.nonlinear.tet[t] = shape.of_tet();
+        }
+        body.bounds = body.summed_bounds();
+        Ok(body)
+    }
+
+    fn summed_bounds(&self) -> Vec<Bound> {
+        let mut bounds = vec![Bound::default(); self.rest_m.len()];
+        let mut add = |n: NodeId, share: Bound| bounds[n.index()].add(share, 1.0);
+        let (entities, nonlinear) = (self.entities(), &self.nonlinear);
+        for (nodes, edge) in entities.edge_nodes.iter().zip(&nonlinear.edge) {
+            nodes.iter().zip(edge_bounds(edge)).for_each(|(&n, share)| add(n, share));
+        }
+        for (nodes, triangle) in nonlinear.triangles.nodes.iter().zip(&nonlinear.triangle) {
+            nodes.iter().zip(triangle_bounds(triangle)).for_each(|(&n, share)| add(n, share));
+        }
+        for (nodes, tet) in entities.tet_nodes.iter().zip(&nonlinear.tet) {
+            nodes.iter().for_each(|&n| add(n, tet_bound(tet)));
+        }
+        bounds
+    }
+
+    pub(super) fn entities(&self) -> Entities<'_> {
+        Entities { edge_nodes: &self.linear.mesh_edges().nodes, tet_nodes: &self.tet_nodes }
+    }
+
+    fn penalty(&self) -> Option<VolumePenalty<'_>> {
+        (self.volume_penalty_pa > 0.0).then_some(VolumePenalty {
+            gamma_pa: self.volume_penalty_pa,
+            rest_m: &self.rest_m,
+            gradients: &self.gradients,
+            tet_is_live: &self.tet_is_live,
+        })
+    }
+
+    /// Adds the forces that balance the displacements: the linear ones, then the non-linear part where it is
+    /// wanted, then the penalty, which is never left out.
+    pub(super) fn add_forces(&self, adaptivity: &mut Adaptivity, u: &[Padded], force: &mut [Padded]) {
+        let entities = self.entities();
+        self.linear.add_forces(u, force);
+        let live_edges = entities.edge_nodes.iter().enumerate().filter(|(e, _)| self.linear.is_live_edge(*e));
+        adaptivity.select(
+            u,
+            &self.node_is_live,
+            &self.bounds,
+            live_edges.map(|(_, nodes)| nodes.map(NodeId::index)),
+        );
+        if adaptivity.part == NonlinearPart::Everywhere {
+            self.nonlinear.add_forces(&entities, &Everywhere, u, force);
+        } else if adaptivity.report.n_nonlinear > 0 {
+            self.nonlinear.add_forces(&entities, &adaptivity.is_nonlinear.as_slice(), u, force);
+        }
+        if let Some(penalty) = self.penalty() {
+            penalty.add_forces(&entities, u, force);
+        }
+    }
+
+    /// Elastic energy [J] of the full model, the penalty's included.
+    pub(super) fn energy_j(&self, u: &[Padded]) -> f64 {
+        let entities = self.entities();
+        self.linear.energy_j(u, u)
+            + self.nonlinear.energy_j(&entities, u)
+            + self.penalty().map_or(0.0, |penalty| penalty.energy_j(&entities, u))
+    }
+
+    /// Takes one live tetrahedron out; `stays`: whether each of its nodes still has a tetrahedron. What is left
+    /// without one becomes exactly zero. Allocates nothing.
+    pub(super) fn remove_tet(&mut self, t: usize, stays: [bool; 4]) {
+        self.tet_is_live[t] = false;
+        let nodes = self.tet_nodes[t];
+        // The numbers that were added in the beginning, to the last bit: same gradients, same law.
+        let (law, gradients) = (self.laws[t], &self.gradients[t]);
+        let shape = TetShape::new(law, gradients);
+        self.linear.subtract_tet(t, nodes, &linear_stiffness(&law, gradients), stays);
+        let (nonlinear, bounds) = (&mut self.nonlinear, &mut self.bounds);
+        for (corner, node) in nodes.into_iter().enumerate() {
+            self.node_is_live[node.index()] = stays[corner];
+            subtract(&mut nonlinear.vertex[node.index()], &shape.of_vertex(corner), stays[corner]);
+        }
+        for (local, edge) in LOCAL_EDGES.into_iter().zip(self.linear.mesh_edges().of_tet[t]) {
+            let (local, edge) = (ascending(local, &nodes), edge as usize);
+            let numbers = &mut nonlinear.edge[edge];
+            let before = edge_bounds(numbers);
+            subtract(numbers, &shape.of_edge(local), self.linear.is_live_edge(edge));
+            let after = edge_bounds(numbers);
+            exchange(bounds, local.map(|i| nodes[i]), before, after);
+        }
+        for (local, triangle) in LOCAL_TRIANGLES.into_iter().zip(nonlinear.triangles.of_tet[t]) {
+            let (local, triangle) = (ascending(local, &nodes), triangle as usize);
+            nonlinear.triangles.tets[triangle] -= 1;
+            let numbers = &mut nonlinear.triangle[triangle];
+            let before = triangle_bounds(numbers);
+            subtract(numbers, &shape.of_triangle(local), nonlinear.triangles.tets[triangle] > 0);
+            let after = triangle_bounds(numbers);
+            exchange(bounds, local.map(|i| nodes[i]), before, after);
+        }
+        exchange(bounds, nodes, [tet_bound(&nonlinear.tet[t]); 4], [Bound::default(); 4]);
+        nonlinear.tet[t] = TetScalars::default();
+        for (node, stays) in nodes.into_iter().zip(stays) {
+            if !stays {
+                bounds[node.index()] = Bound::default();
+            }
+        }
+    }
+
+    /// Drops what is dead; the order of the rest stays.
+    pub(super) fn compact(&mut self, new_ids: &[Option<NodeId>]) {
+        let stays: Vec<bool> = new_ids.iter().map(Option::is_some).collect();
+        let new_node = |n: NodeId| new_ids[n.index()].expect("what is live has live nodes");
+        let live_tets = std::mem::take(&mut self.tet_is_live);
+        keep(&mut self.rest_m, &stays);
+        keep(&mut self.node_is_live, &stays);
+        keep(&mut self.bounds, &stays);
+        keep(&mut self.nonlinear.vertex, &stays);
+        keep(&mut self.nonlinear.edge, &self.linear.live_edges());
+        self.linear.compact(new_ids, &live_tets);
+
+        let triangles = &mut self.nonlinear.triangles;
+        let live_triangles: Vec<bool> = triangles.tets.iter().map(|&n| n > 0).collect();
+        let new_triangle = renumbered(&live_triangles);
+        keep(&mut triangles.nodes, &live_triangles);
+        keep(&mut triangles.tets, &live_triangles);
+        keep(&mut self.nonlinear.triangle, &live_triangles);
+        keep(&mut triangles.of_tet, &live_tets);
+        triangles.nodes.iter_mut().flatten().for_each(|n| *n = new_node(*n));
+        triangles.of_tet.iter_mut().flatten().for_each(|t| *t = new_triangle[*t as usize]);
+
+        keep(&mut self.nonlinear.tet, &live_tets);
+        keep(&mut self.laws, &live_tets);
+        keep(&mut self.gradients, &live_tets);
+        keep(&mut self.tet_nodes, &live_tets);
+        self.tet_nodes.iter_mut().flatten().for_each(|n| *n = new_node(*n));
+        self.tet_is_live = vec![true; self.tet_nodes.len()];
+    }
+}
+
+/// Takes `what` out of `from`; nothing is left of an entity without a tetrahedron.
+fn subtract<T: Summed>(from: &mut T, what: &T, stays: bool) {
+    if stays {
+        from.add(what, -1.0);
+    } else {
+        *from = T::default();
+    }
+}
+
+/// Replaces the shares of an entity in the bounds of its nodes.
+fn exchange<const N: usize>(bounds: &mut [Bound], nodes: [NodeId; N], before: [Bound; N], after: [Bound; N]) {
+    for (i, node) in nodes.into_iter().enumerate() {
+        bounds[node.index()].add(before[i], -1.0);
+        bounds[node.index()].add(after[i], 1.0);
+    }
+}

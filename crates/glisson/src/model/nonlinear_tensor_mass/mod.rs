@@ -1,0 +1,350 @@
+//! The non-linear tensor-mass model (seeds `002` and `004`, Picinbono, Delingette and Ayache 2000): St
+//! Venant-Kirchhoff elasticity, exact for large displacements, with transverse isotropy and a penalty of volume
+//! changes.
+//!
+//! Energy density W = lambda/2 (tr E)^2 + mu tr(E^2) + kappa (a . E a)^2 of the Green-St Venant strain
+//! E = (grad u + grad u^T + grad u^T grad u)/2 ([`TetLaw`]): a polynomial of order four in the nodes'
+//! displacements, whose coefficients are accumulated on vertices, edges, triangles and tetrahedra (`law`,
+//! `numbers`). The force is summed by a traversal of these (`forces`). This is the reference for faster models of
+//! the same physics: clear before fast. [`DirectBody`] computes the same from the definition.
+//!
+//! Valid for rotations and displacements of any size and moderate strains: under compression below about
+//! 1/sqrt(3) of its length St Venant-Kirchhoff tissue softens and can turn inside out; the penalty holds against
+//! that.
+//!
+//! Explicit dynamics as in [`super::tensor_mass`]. Removing a tetrahedron subtracts its numbers (280, seed `002`,
+//! appendix A) and masses; what is left without a tetrahedron becomes exactly zero.
+
+mod adaptive;
+mod body;
+mod direct;
+mod forces;
+mod incompressibility;
+mod law;
+mod numbers;
+mod tearing;
+
+pub use adaptive::{AdaptiveReport, NonlinearPart};
+pub use direct::DirectBody;
+pub use law::{Fibre, TetLaw};
+pub use numbers::{EdgeStiffness, TetScalars, TriangleStiffness, VertexStiffness};
+
+use self::adaptive::Adaptivity;
+use self::body::Body;
+use self::law::linear_stiffness;
+use super::explicit::{
+    ExplicitError, ExplicitMotion, ExplicitParams, ExplicitSnapshot, Padded, StableStep, StiffTet, follows,
+    padded, unpadded,
+};
+use super::{Constraints, DeformableModel, ModelState, TopologyRefusal};
+use crate::material::LinearElastic;
+use crate::math::{DMat3, DVec3};
+use crate::mesh::edit::TopologyChange;
+use crate::mesh::{NodeId, TetId, TetMesh};
+use crate::solve::SolveError;
+
+/// Why there is no non-linear tensor-mass model.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NonlinearTensorMassError {
+    /// The mesh, the time step, damping or gravity.
+    #[error(transparent)]
+    Explicit(#[from] ExplicitError),
+    /// A fibre's direction or moduli.
+    #[error("the fibre of tetrahedron {tet}: {what} is {found}; allowed: {allowed}")]
+    Fibre {
+        /// Which tetrahedron.
+        tet: TetId,
+        /// Which quantity, with its unit.
+        what: &'static str,
+        /// What was given.
+        found: f64,
+        /// What may be given.
+        allowed: &'static str,
+    },
+    /// Fibres are given for another number of tetrahedra.
+    #[error("there are {n_fibres} fibres for {n_tets} tetrahedra; allowed: none, or one for each")]
+    FibreCount {
+        /// How many were given.
+        n_fibres: usize,
+        /// How many tetrahedra there are.
+        n_tets: usize,
+    },
+}
+
+impl From<SolveError> for NonlinearTensorMassError {
+    fn from(error: SolveError) -> Self {
+        Self::Explicit(error.into())
+    }
+}
+
+/// What resists in a body: the elastic part of [`NonlinearTensorMassParams`].
+#[derive(Clone, Copy, Debug)]
+pub struct NonlinearElasticity<'a> {
+    /// lambda, mu and density.
+    pub material: &'a LinearElastic,
+    /// None, or one a tetrahedron: stiffness along a direction.
+    pub fibres: &'a [Fibre],
+    /// gamma of the volume penalty [Pa]; from 0, which is none.
+    pub volume_penalty_pa: f64,
+    /// The stable step holds while all principal stretches stay within [1/s, s] for this s, from 1: St
+    /// Venant-Kirchhoff tissue stiffens as it is stretched.
+    pub largest_stretch: f64,
+}
+
+/// What a non-linear tensor-mass model is made from.
+#[derive(Clone, Copy, Debug)]
+pub struct NonlinearTensorMassParams<'a> {
+    /// The body at rest.
+    pub mesh: &'a TetMesh,
+    /// What resists.
+    pub elasticity: NonlinearElasticity<'a>,
+    /// Nodes that never move.
+    pub fixed_nodes: &'a [NodeId],
+    /// Damping over mass, d [1/s]: a free motion decays as exp(-d t/2).
+    pub damping_per_s: f64,
+    /// Gravity [m/s2]; zero where the rest shape already carries it.
+    pub gravity_m_per_s2: DVec3,
+    /// Largest internal step [s]; at most `step_s` of [`NonlinearTensorMass::stable_step`].
+    pub time_step_s: f64,
+}
+
+/// One organ moved by explicit dynamics with St Venant-Kirchhoff forces.
+#[derive(Clone, Debug)]
+pub struct NonlinearTensorMass {
+    motion: ExplicitMotion,
+    body: Body,
+    adaptivity: Adaptivity,
+}
+
+impl NonlinearElasticity<'_> {
+    /// The law of each of `n_tets` tetrahedra.
+    ///
+    /// # Errors
+    /// [`NonlinearTensorMassError`] for impossible fibres, penalty or stretch.
+    pub fn laws(&self, n_tets: usize) -> Result<Vec<TetLaw>, NonlinearTensorMassError> {
+        let parameter = |what, found, allowed| Err(ExplicitError::Parameter { what, found, allowed }.into());
+        if !(self.volume_penalty_pa.is_finite() && self.volume_penalty_pa >= 0.0) {
+            return parameter("volume penalty [Pa]", self.volume_penalty_pa, "a finite number from 0");
+        }
+        if !(self.largest_stretch.is_finite() && self.largest_stretch >= 1.0) {
+            return parameter("largest stretch", self.largest_stretch, "a finite number from 1");
+        }
+        if self.fibres.is_empty() {
+            return Ok(vec![TetLaw::isotropic(self.material); n_tets]);
+        }
+        if self.fibres.len() != n_tets {
+            return Err(NonlinearTensorMassError::FibreCount { n_fibres: self.fibres.len(), n_tets });
+        }
+        let with_fibre = |(t, fibre)| TetLaw::with_fibre(self.material, fibre, TetId::from_index(t));
+        self.fibres.iter().enumerate().map(with_fibre).collect()
+    }
+}
+
+impl NonlinearTensorMass {
+    /// The largest steps for a body, and the tetrahedron that limits them. The one after cuts is a bound for every
+    /// shape within the largest stretch; the uncut one an estimate, exact at rest.
+    ///
+    /// # Errors
+    /// [`NonlinearTensorMassError`] for an unusable mesh or impossible elasticity.
+    pub fn stable_step(
+        mesh: &TetMesh,
+        elasticity: &NonlinearElasticity<'_>,
+    ) -> Result<StableStep, NonlinearTensorMassError> {
+        let laws = elasticity.laws(mesh.tetrahedra.len())?;
+        let stable =
+            StableStep::of_stiffness(mesh, elasticity.material.density_kg_per_m3(), |tet, gradients| {
+                let law = &laws[tet.index()];
+                StiffTet {
+                    at_rest: linear_stiffness(law, gradients),
+                    stiffening: law.stiffening(elasticity.largest_stretch, elasticity.volume_penalty_pa),
+                }
+            });
+        Ok(stable?)
+    }
+
+    /// Accumulates masses and stiffness numbers. The mesh must be compact: every tetrahedron of it counts as live.
+    ///
+    /// # Errors
+    /// [`NonlinearTensorMassError`]: an unusable mesh, a step above the stable one, impossible parameters.
+    pub fn build(params: &NonlinearTensorMassParams<'_>) -> Result<Self, NonlinearTensorMassError> {
+        let NonlinearTensorMassParams { mesh, elasticity, .. } = *params;
+        let motion_params = ExplicitParams {
+            mesh,
+            density_kg_per_m3: elasticity.material.density_kg_per_m3(),
+            fixed_nodes: params.fixed_nodes,
+            damping_per_s: params.damping_per_s,
+            gravity_m_per_s2: params.gravity_m_per_s2,
+            time_step_s: params.time_step_s,
+        };
+        motion_params.check()?;
+        let laws = elasticity.laws(mesh.tetrahedra.len())?;
+        let body = Body::accumulate(mesh, laws, elasticity.volume_penalty_pa)?;
+        let motion = ExplicitMotion::new(&motion_params, Self::stable_step(mesh, &elasticity)?)?;
+        Ok(Self { motion, body, adaptivity: Adaptivity::new(mesh.positions_m.len()) })
+    }
+
+    /// Where the non-linear part is computed from now on.
+    pub fn set_nonlinear_part(&mut self, part: NonlinearPart) {
+        self.adaptivity.part = part;
+    }
+
+    /// What the last force evaluation left out: in the last part of the last step.
+    pub fn adaptive_report(&self) -> AdaptiveReport {
+        self.adaptivity.report
+    }
+
+    /// Nodes that got their non-linear force in the last evaluation.
+    pub fn is_nonlinear(&self, node: NodeId) -> bool {
+        self.adaptivity.part == NonlinearPart::Everywhere || self.adaptivity.is_nonlinear[node.index()]
+    }
+
+    /// Overwrites `force_n` with the forces [N] that balance displacements [m], both one a node, by the
+    /// non-linear part that is set. For checks: allocates, which a step does not.
+    pub fn elastic_forces_into(&mut self, displacement_m: &[DVec3], force_n: &mut [DVec3]) {
+        let u: Vec<Padded> = displacement_m.iter().copied().map(padded).collect();
+        let mut force = vec![[0.0; 4]; u.len()];
+        self.body.add_forces(&mut self.adaptivity, &u, &mut force);
+        force_n.iter_mut().zip(&force).for_each(|(out, f)| *out = unpadded(f));
+    }
+
+    /// Elastic energy [J] at displacements [m], one a node, of the full model, the penalty's included. Allocates.
+    pub fn elastic_energy_at_j(&self, displacement_m: &[DVec3]) -> f64 {
+        let u: Vec<Padded> = displacement_m.iter().copied().map(padded).collect();
+        self.body.energy_j(&u)
+    }
+
+    /// Elastic energy now [J], of the full model, the penalty's included.
+    pub fn elastic_energy_j(&self) -> f64 {
+        self.body.energy_j(self.motion.displacements())
+    }
+
+    /// Kinetic energy of the last half step plus the mean of the elastic energies before and after it [J]. The
+    /// scheme keeps it near its start without damping, outer forces and gravity.
+    pub fn energy_j(&self) -> f64 {
+        let before_j = self.body.energy_j(self.motion.previous_displacements());
+        self.motion.kinetic_energy_j() + 0.5 * (before_j + self.elastic_energy_j())
+    }
+
+    /// Largest step [s] that is stable now: after the first removal the one that holds after any further ones.
+    pub fn stable_step_s(&self) -> f64 {
+        self.motion.stable_step_s()
+    }
+
+    /// Into how many equal parts a step of `dt_s` is divided now.
+    pub fn parts_of_step(&self, dt_s: f64) -> u64 {
+        self.motion.parts_of_step(dt_s)
+    }
+
+    /// Largest internal step [s] asked for; a longer [`DeformableModel::step`] is divided into equal parts.
+    pub fn time_step_s(&self) -> f64 {
+        self.motion.time_step_s()
+    }
+
+    /// Mass [kg] of a node.
+    pub fn mass_kg(&self, node: NodeId) -> f64 {
+        self.motion.mass_kg(node)
+    }
+
+    /// Tensor B^pp [N/m] and the non-linear numbers of a node.
+    pub fn vertex_stiffness(&self, node: NodeId) -> (DMat3, VertexStiffness) {
+        (self.body.linear.vertex(node), self.body.nonlinear.vertex[node.index()])
+    }
+
+    /// Edges (lower node first, ascending) with tensor B^pj [N/m] and non-linear numbers; edges left without a
+    /// tetrahedron are among them, all zero, until the mesh is compacted.
+    pub fn edge_stiffness(&self) -> impl Iterator<Item = ([NodeId; 2], DMat3, EdgeStiffness)> + '_ {
+        self.body
+            .linear
+            .edges()
+            .zip(&self.body.nonlinear.edge)
+            .map(|((nodes, b), numbers)| (nodes, b, *numbers))
+    }
+
+    /// Triangles (nodes ascending) with their numbers; dead ones as with [`NonlinearTensorMass::edge_stiffness`].
+    pub fn triangle_stiffness(&self) -> impl Iterator<Item = ([NodeId; 3], TriangleStiffness)> + '_ {
+        let nonlinear = &self.body.nonlinear;
+        nonlinear.triangles.nodes.iter().copied().zip(nonlinear.triangle.iter().copied())
+    }
+
+    /// Numbers of a tetrahedron; zero for one that was removed.
+    pub fn tet_scalars(&self, tet: TetId) -> TetScalars {
+        self.body.nonlinear.tet[tet.index()]
+    }
+
+    /// The law of a tetrahedron.
+    pub fn law(&self, tet: TetId) -> &TetLaw {
+        &self.body.laws[tet.index()]
+    }
+
+    /// Constraints of the last [`DeformableModel::apply`] that were left out: on nodes that do not exist, are
+    /// fixed or have no tetrahedron, and values that are not finite.
+    pub fn ignored_constraints(&self) -> usize {
+        self.motion.ignored_constraints()
+    }
+
+    /// Back to the rest shape at standstill, without constraints. Removed tetrahedra stay removed.
+    pub fn reset(&mut self) {
+        self.motion.reset();
+    }
+
+    /// The moving state, to come back to with [`NonlinearTensorMass::restore`].
+    pub fn snapshot(&self) -> ExplicitSnapshot {
+        self.motion.snapshot()
+    }
+
+    /// Comes back to a state of the same mesh and removals; constraints stay as they are.
+    ///
+    /// # Panics
+    /// When the snapshot has another number of nodes.
+    pub fn restore(&mut self, snapshot: &ExplicitSnapshot) {
+        self.motion.restore(snapshot);
+    }
+}
+
+impl DeformableModel for NonlinearTensorMass {
+    fn apply(&mut self, constraints: &Constraints) {
+        self.motion.apply(constraints);
+    }
+
+    /// Advances by `dt_s` in the fewest equal parts that are not longer than
+    /// [`NonlinearTensorMass::time_step_s`] and [`NonlinearTensorMass::stable_step_s`].
+    /// Held nodes move evenly to where they are held; the constraint force is the one that balances them at
+    /// the last part: elastic force and weight, without the held node's own inertia.
+    fn step(&mut self, dt_s: f64) {
+        let (body, adaptivity) = (&self.body, &mut self.adaptivity);
+        self.motion.step(dt_s, |u, force| body.add_forces(adaptivity, u, force));
+    }
+
+    fn state(&self) -> ModelState<'_> {
+        self.motion.state()
+    }
+
+    fn constraint_forces_n(&self) -> &[DVec3] {
+        self.motion.constraint_forces_n()
+    }
+
+    fn take_over(&mut self, positions_m: &[DVec3]) {
+        self.motion.take_over(positions_m);
+    }
+
+    /// Follows removals, which allocate nothing, and compactions, which do.
+    fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        follows("nonlinear_tensor_mass", change)?;
+        assert_eq!(change.tets.n_before, self.body.tet_nodes.len(), "the model missed a change of the mesh");
+        assert_eq!(change.nodes.n_before, self.motion.n_nodes(), "the model missed a change of the mesh");
+        for tet in &change.tets.removed {
+            let t = tet.index();
+            if self.body.tet_is_live[t] {
+                let nodes = self.body.tet_nodes[t];
+                self.motion.remove_tet(nodes, self.body.gradients[t].volume_m3);
+                self.body.remove_tet(t, nodes.map(|n| self.motion.has_tets(n)));
+            }
+        }
+        if !change.nodes.new_ids.is_empty() || !change.tets.new_ids.is_empty() {
+            self.motion.compact(&change.nodes.new_ids);
+            self.body.compact(&change.nodes.new_ids);
+            self.adaptivity.resize(self.motion.n_nodes());
+        }
+        Ok(())
+    }
+}

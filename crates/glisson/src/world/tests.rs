@@ -189,3 +189,17 @@ fn a_tool_that_is_placed_elsewhere_touches_nothing_on_the_way() {
     assert!(!world.step(&StepInput { placed: true, ..input(0.1) }).in_contact);
     assert!(world.step(&input(0.0)).in_contact);
 }
+
+#[test]
+fn a_deep_tool_that_drags_sideways_keeps_its_contact() {
+    let mut world = world(vec![]);
+    world.step(&input(0.02));
+    world.step(&input(0.0));
+    for i in 1..20 {
+        let mut sideways = input(0.0);
+        sideways.tool.tip_in_world_m.x += 1e-3 * f64::from(i);
+        assert!(world.step(&sideways).in_contact);
+    }
+    let point = world.snapshot().contact.unwrap().point_m;
+    assert!((point.x - 0.019).abs() < 1e-12, "{point}");
+}

@@ -1,4 +1,4 @@
-//! A contact that is held: from the first touch until the tool would pull.
+//! A contact that is held: from the first touch until the tool has come back out and would pull.
 //!
 //! The tissue sticks to the tip while the contact lasts: the touched point follows the tool exactly
 //! (Cotin, Delingette and Ayache 1998, RR-3511, s. 5; the device measures position, so the model is driven by
@@ -58,9 +58,12 @@ impl HeldContact {
         constraints[first..].sort_unstable_by_key(|c| c.node);
     }
 
-    /// Whether the tool would have to pull to keep the contact.
-    pub fn lets_go(&self, force_on_organ_n: DVec3) -> bool {
-        force_on_organ_n.dot(self.normal) > RELEASE_PULL_N
+    /// Whether the contact ends: the tip is at least as far out as where it touched, and would have to pull.
+    /// Deeper in it holds even if a sideways motion makes the normal force a pull, because tissue that sticks
+    /// and then jumps back would be felt as a blow.
+    pub fn lets_go(&self, tip_m: DVec3, force_on_organ_n: DVec3) -> bool {
+        let is_out = (tip_m - self.neutral_tip_m).dot(self.normal) >= 0.0;
+        is_out && force_on_organ_n.dot(self.normal) > RELEASE_PULL_N
     }
 
     /// The touched point [m].

@@ -33,13 +33,16 @@ pub(crate) struct Published {
     pub(crate) pace: Pace,
     pub(crate) state_hash: StateHash,
     pub(crate) model: ModelKind,
+    /// Why ordered models could not take over, in order.
+    pub(crate) refusals: Vec<String>,
 }
 
 impl Published {
     pub(crate) fn of(simulation: &Simulation, pace: Pace) -> Self {
         let world = simulation.world();
         let (snapshot, state_hash) = (world.snapshot(), world.state_hash());
-        Self { snapshot, pace, state_hash, model: world.model_kind() }
+        let refusals = simulation.refusals().to_vec();
+        Self { snapshot, pace, state_hash, model: world.model_kind(), refusals }
     }
 }
 

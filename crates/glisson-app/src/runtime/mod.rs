@@ -48,6 +48,7 @@ pub(crate) struct Simulation {
     source: Arc<OpenScene>,
     recorder: Option<Recorder>,
     builder: Option<JoinHandle<BuiltModel>>,
+    refusals: Vec<String>,
 }
 
 impl Simulation {
@@ -58,7 +59,14 @@ impl Simulation {
         let recorder = record
             .map(|path| Recorder::create(path, &source.scene.text, mesh_hash(&body.mesh)))
             .transpose()?;
-        Ok(Self { world, body: Arc::new(body), source: Arc::new(source), recorder, builder: None })
+        Ok(Self {
+            world,
+            body: Arc::new(body),
+            source: Arc::new(source),
+            recorder,
+            builder: None,
+            refusals: Vec::new(),
+        })
     }
 
     pub(crate) fn world(&self) -> &World {
@@ -80,12 +88,7 @@ impl Simulation {
     /// One step; first waits for a model that takes over at it.
     pub(crate) fn advance(&mut self, input: &StepInput) -> anyhow::Result<StepReport> {
         if let Some(kind) = self.world.awaited_model() {
-            let builder = self.builder.take().with_context(|| format!("nobody makes the {kind} model"))?;
-            let (model, kind) =
-                builder.join().map_err(|_| anyhow!("the {kind} model's maker panicked"))??;
-            if !self.world.deliver_model(model, kind) {
-                bail!("the {kind} model was made, but another one was ordered");
-            }
+            self.take_delivery(kind)?;
         }
         if !input.tool.is_finite() {
             bail!("the tool's place is not finite: {:?}", input.tool);
@@ -106,6 +109,29 @@ impl Simulation {
             self.record(&SessionEvent::Checkpoint { step: report.step, state_hash })?;
         }
         Ok(report)
+    }
+
+    /// Waits for the model that takes over now. One that cannot be made (its time step is too long, say) is no
+    /// reason to stop: the present one goes on, as it does in a replay, and the reason is told.
+    fn take_delivery(&mut self, kind: ModelKind) -> anyhow::Result<()> {
+        let builder = self.builder.take().with_context(|| format!("nobody makes the {kind} model"))?;
+        match builder.join().map_err(|_| anyhow!("the {kind} model's maker panicked"))? {
+            Ok((model, made)) => {
+                if !self.world.deliver_model(model, made) {
+                    bail!("the {made} model was made, but the {kind} model was ordered");
+                }
+            }
+            Err(error) => {
+                self.world.cancel_model_swap();
+                self.refusals.push(format!("the {kind} model cannot take over: {error:#}"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Why ordered models could not take over, in order.
+    pub(crate) fn refusals(&self) -> &[String] {
+        &self.refusals
     }
 
     /// Everything back to rest.

@@ -80,3 +80,22 @@ fn another_mesh_under_the_same_name_is_refused() {
     let error = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).err().unwrap().to_string();
     assert!(error.contains("not the one of the recording") && error.contains("--folder"), "{error}");
 }
+
+#[test]
+fn a_model_that_cannot_be_made_is_told_and_the_present_one_goes_on_also_in_the_replay() {
+    let folder = scene_folder();
+    let scene = SCENE.replace("\"tensor_mass\"", "\"precomputed\"");
+    std::fs::write(folder.path().join("scene.toml"), scene + "[simulation]\ntime_step = \"1 s\"\n").unwrap();
+    let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+    simulation.order_model(ModelKind::TensorMass, 5).unwrap();
+    for step in 0..20 {
+        simulation.advance(&input(step)).unwrap();
+    }
+    assert_eq!(simulation.world().model_kind(), ModelKind::Precomputed);
+    assert!(simulation.refusals()[0].contains("stable"), "{:?}", simulation.refusals());
+    let hash = simulation.finish().unwrap();
+    let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+    let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
+    assert_eq!(report.state_hash, hash);
+}

@@ -164,6 +164,11 @@ impl World {
         }
     }
 
+    /// Takes an order back: the model could not be made, and the present one goes on.
+    pub fn cancel_model_swap(&mut self) {
+        self.swap = None;
+    }
+
     /// The model that the next step waits for, if it has not been delivered.
     pub fn awaited_model(&self) -> Option<ModelKind> {
         self.swap.as_ref().filter(|s| s.at_step <= self.step && s.model.is_none()).map(|s| s.kind)

@@ -3,7 +3,7 @@
 //! Lanes of a block are independent until the forces are added up; that happens lane after lane, in each lane
 //! corner after corner, on every path. So two lanes may even share a node.
 
-use fearless_simd::{Level, Simd, f64x4, f64x8, prelude::*};
+use fearless_simd::{Level, Simd, f64x4, f64x8, prelude::*, u8x32};
 
 use super::KernelLaw;
 use super::element::{ElementLaw, Linear, StVenantKirchhoff, corner_forces};
@@ -67,41 +67,41 @@ impl KernelPath {
         }
     }
 
-    /// Adds the forces of `blocks` at `displacement` to `force`.
-    pub(super) fn add_forces(self, law: KernelLaw, blocks: &[Block], displacement: &Rows, force: &mut Rows) {
+    /// Adds the forces of `blocks` at the displacements in `rows` to the forces there.
+    pub(super) fn add_forces(self, law: KernelLaw, blocks: &[Block], rows: &mut Rows) {
         match law {
-            KernelLaw::Linear => self.add_forces_of::<Linear>(blocks, displacement, force),
+            KernelLaw::Linear => self.add_forces_of::<Linear>(blocks, rows),
             KernelLaw::StVenantKirchhoff => {
-                self.add_forces_of::<StVenantKirchhoff>(blocks, displacement, force);
+                self.add_forces_of::<StVenantKirchhoff>(blocks, rows);
             }
         }
     }
 
-    fn add_forces_of<L: ElementLaw>(self, blocks: &[Block], displacement: &Rows, force: &mut Rows) {
+    fn add_forces_of<L: ElementLaw>(self, blocks: &[Block], rows: &mut Rows) {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
             Path::Avx512(simd) => simd.vectorize(
                 #[inline(always)]
-                || add_by_eight::<_, L>(simd, blocks, displacement, force),
+                || add_by_eight::<_, L>(simd, blocks, rows),
             ),
             #[cfg(target_arch = "x86_64")]
             Path::Avx2(simd) => simd.vectorize(
                 #[inline(always)]
-                || add_by_four::<L>(simd, blocks, displacement, force),
+                || add_by_four::<L>(simd, blocks, rows),
             ),
             #[cfg(target_arch = "x86_64")]
             Path::Scalar(simd) => simd.vectorize(
                 #[inline(always)]
-                || add_one_by_one::<L>(blocks, displacement, force),
+                || add_one_by_one::<L>(blocks, rows),
             ),
-            Path::Portable => add_one_by_one::<L>(blocks, displacement, force),
+            Path::Portable => add_one_by_one::<L>(blocks, rows),
         }
     }
 }
 
 /// Eight lanes in one vector.
 #[inline(always)]
-fn add_by_eight<S: Simd, L: ElementLaw>(simd: S, blocks: &[Block], displacement: &Rows, force: &mut Rows) {
+fn add_by_eight<S: Simd, L: ElementLaw>(simd: S, blocks: &[Block], rows: &mut Rows) {
     let zero = f64x8::splat(simd, 0.0);
     for block in blocks {
         let at = &block.offsets;
@@ -109,9 +109,9 @@ fn add_by_eight<S: Simd, L: ElementLaw>(simd: S, blocks: &[Block], displacement:
         let mut edges = [[zero; 4]; 3];
         for p in 0..4 {
             let (a, b) = (&at[2 * p], &at[2 * p + 1]);
-            let first = row(simd, displacement, a[0]).combine(row(simd, displacement, b[0]));
+            let first = row(simd, rows, a[0]).combine(row(simd, rows, b[0]));
             for k in 0..3 {
-                let corner = row(simd, displacement, a[k + 1]).combine(row(simd, displacement, b[k + 1]));
+                let corner = row(simd, rows, a[k + 1]).combine(row(simd, rows, b[k + 1]));
                 edges[k][p] = corner - first;
             }
         }
@@ -125,20 +125,20 @@ fn add_by_eight<S: Simd, L: ElementLaw>(simd: S, blocks: &[Block], displacement:
         ];
         let material = [load(&block.material[0]), load(&block.material[1])];
         let f = corner_forces::<L, _>(&d, &alpha, material);
-        let rows = [pairs_of_rows(&f[0], zero), pairs_of_rows(&f[1], zero), pairs_of_rows(&f[2], zero)];
+        let pairs = [pairs_of_rows(&f[0], zero), pairs_of_rows(&f[1], zero), pairs_of_rows(&f[2], zero)];
         for p in 0..4 {
-            let (f1, f2, f3) = (rows[0][p], rows[1][p], rows[2][p]);
+            let (f1, f2, f3) = (pairs[0][p], pairs[1][p], pairs[2][p]);
             let sum = f1 + f2 + f3;
             let (sum, f1, f2, f3) = (sum.split(), f1.split(), f2.split(), f3.split());
-            add_lane(simd, force, &at[2 * p], [sum.0, f1.0, f2.0, f3.0]);
-            add_lane(simd, force, &at[2 * p + 1], [sum.1, f1.1, f2.1, f3.1]);
+            add_lane(simd, rows, &at[2 * p], [sum.0, f1.0, f2.0, f3.0]);
+            add_lane(simd, rows, &at[2 * p + 1], [sum.1, f1.1, f2.1, f3.1]);
         }
     }
 }
 
 #[inline(always)]
 fn row<S: Simd>(simd: S, rows: &Rows, offset: u16) -> f64x4<S> {
-    f64x4::from_slice(simd, rows.at(offset))
+    u8x32::from_slice(simd, rows.displacement(offset)).bitcast()
 }
 
 /// x, y and z of eight lanes from four pairs of rows.
@@ -161,24 +161,21 @@ fn pairs_of_rows<S: Simd>(xyz: &[f64x8<S>; 3], zero: f64x8<S>) -> [f64x8<S>; 4] 
 
 /// Adds a tetrahedron's forces: the first is the sum that its first corner balances.
 #[inline(always)]
-fn add_lane<S: Simd>(simd: S, force: &mut Rows, at: &[u16; 4], [sum, f1, f2, f3]: [f64x4<S>; 4]) {
-    let first = force.at_mut(at[0]);
-    (f64x4::from_slice(simd, first) - sum).store_slice(first);
+fn add_lane<S: Simd>(simd: S, rows: &mut Rows, at: &[u16; 4], [sum, f1, f2, f3]: [f64x4<S>; 4]) {
+    let bytes = rows.force_mut(at[0]);
+    let first: f64x4<S> = u8x32::from_slice(simd, bytes).bitcast();
+    (first - sum).bitcast::<u8x32<S>>().store_slice(bytes);
     for (offset, f) in [(at[1], f1), (at[2], f2), (at[3], f3)] {
-        let row = force.at_mut(offset);
-        (f64x4::from_slice(simd, row) + f).store_slice(row);
+        let bytes = rows.force_mut(offset);
+        let row: f64x4<S> = u8x32::from_slice(simd, bytes).bitcast();
+        (row + f).bitcast::<u8x32<S>>().store_slice(bytes);
     }
 }
 
 /// Eight lanes in two vectors, one after the other.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn add_by_four<L: ElementLaw>(
-    simd: fearless_simd::Avx2,
-    blocks: &[Block],
-    displacement: &Rows,
-    force: &mut Rows,
-) {
+fn add_by_four<L: ElementLaw>(simd: fearless_simd::Avx2, blocks: &[Block], rows: &mut Rows) {
     let zero = f64x4::splat(simd, 0.0);
     for block in blocks {
         for half in [0, 4] {
@@ -186,9 +183,9 @@ fn add_by_four<L: ElementLaw>(
             let mut edges = [[zero; 4]; 3];
             for lane in 0..4 {
                 let at = &at[half + lane];
-                let first = row(simd, displacement, at[0]);
+                let first = row(simd, rows, at[0]);
                 for k in 0..3 {
-                    edges[k][lane] = row(simd, displacement, at[k + 1]) - first;
+                    edges[k][lane] = row(simd, rows, at[k + 1]) - first;
                 }
             }
             let [x0, y0, z0, _] = transposed(simd, edges[0]);
@@ -209,7 +206,7 @@ fn add_by_four<L: ElementLaw>(
             let f3 = transposed(simd, [f[2][0], f[2][1], f[2][2], zero]);
             for lane in 0..4 {
                 let sum = f1[lane] + f2[lane] + f3[lane];
-                add_lane(simd, force, &at[half + lane], [sum, f1[lane], f2[lane], f3[lane]]);
+                add_lane(simd, rows, &at[half + lane], [sum, f1[lane], f2[lane], f3[lane]]);
             }
         }
     }
@@ -249,13 +246,13 @@ fn transposed(
 
 /// One lane after the other, without vectors.
 #[inline(always)]
-fn add_one_by_one<L: ElementLaw>(blocks: &[Block], displacement: &Rows, force: &mut Rows) {
+fn add_one_by_one<L: ElementLaw>(blocks: &[Block], rows: &mut Rows) {
     for block in blocks {
         for lane in 0..N_LANES {
             let at = &block.offsets[lane];
-            let first = displacement.at(at[0]);
+            let first = numbers(rows.displacement(at[0]));
             let edge = |k: usize| {
-                let corner = displacement.at(at[k + 1]);
+                let corner = numbers(rows.displacement(at[k + 1]));
                 [corner[0] - first[0], corner[1] - first[1], corner[2] - first[2]]
             };
             let d = [edge(0), edge(1), edge(2)];
@@ -264,16 +261,22 @@ fn add_one_by_one<L: ElementLaw>(blocks: &[Block], displacement: &Rows, force: &
             let alpha = [gradient(0), gradient(1), gradient(2)];
             let material = [block.material[0][lane], block.material[1][lane]];
             let [f1, f2, f3] = corner_forces::<L, f64>(&d, &alpha, material);
-            let first = force.at_mut(at[0]);
-            for i in 0..3 {
-                first[i] = first[i].minus(f1[i].plus(f2[i]).plus(f3[i]));
-            }
-            for (offset, f) in [(at[1], f1), (at[2], f2), (at[3], f3)] {
-                let row = force.at_mut(offset);
+            let sum = |i: usize| f1[i].plus(f2[i]).plus(f3[i]);
+            let balance = [-sum(0), -sum(1), -sum(2)];
+            for (offset, f) in [(at[0], balance), (at[1], f1), (at[2], f2), (at[3], f3)] {
+                let bytes = rows.force_mut(offset);
+                let row = numbers(bytes);
                 for i in 0..3 {
-                    row[i] = row[i].plus(f[i]);
+                    bytes[8 * i..8 * (i + 1)].copy_from_slice(&(row[i] + f[i]).to_ne_bytes());
                 }
             }
         }
     }
+}
+
+/// x, y and z of a row.
+#[inline(always)]
+fn numbers(bytes: &[u8; 32]) -> [f64; 3] {
+    let number = |i: usize| f64::from_ne_bytes(bytes[8 * i..8 * (i + 1)].try_into().expect("eight bytes"));
+    [number(0), number(1), number(2)]
 }

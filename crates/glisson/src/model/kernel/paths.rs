@@ -3,10 +3,11 @@
 //! Lanes of a block are independent until the forces are added up; that happens lane after lane, in each lane
 //! corner after corner, on every path. So two lanes may even share a node.
 
-use fearless_simd::{Level, Simd, f64x4, f64x8, prelude::*, u8x32};
+#[cfg(target_arch = "x86_64")]
+use fearless_simd::{Avx2, Avx512, Level, Simd, f64x4, f64x8, prelude::*, u8x32};
 
 use super::KernelLaw;
-use super::element::{ElementLaw, Linear, StVenantKirchhoff, corner_forces};
+use super::element::{ElementLaw, Linear, StVenantKirchhoff, corner_forces, displacement_gradient};
 use super::lanes::Lanes;
 use super::rows::{Block, N_LANES, Rows};
 
@@ -17,11 +18,11 @@ pub struct KernelPath(Path);
 #[derive(Clone, Copy, Debug)]
 enum Path {
     #[cfg(target_arch = "x86_64")]
-    Avx512(fearless_simd::Avx512),
+    Avx512(Avx512),
     #[cfg(target_arch = "x86_64")]
-    Avx2(fearless_simd::Avx2),
+    Avx2(Avx2),
     #[cfg(target_arch = "x86_64")]
-    Scalar(fearless_simd::Avx2),
+    Scalar(Avx2),
     Portable,
 }
 
@@ -82,7 +83,7 @@ impl KernelPath {
             #[cfg(target_arch = "x86_64")]
             Path::Avx512(simd) => simd.vectorize(
                 #[inline(always)]
-                || add_by_eight::<_, L>(simd, blocks, rows),
+                || add_by_eight::<L>(simd, blocks, rows),
             ),
             #[cfg(target_arch = "x86_64")]
             Path::Avx2(simd) => simd.vectorize(
@@ -100,22 +101,16 @@ impl KernelPath {
 }
 
 /// Eight lanes in one vector.
+#[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn add_by_eight<S: Simd, L: ElementLaw>(simd: S, blocks: &[Block], rows: &mut Rows) {
-    let zero = f64x8::splat(simd, 0.0);
-    for block in blocks {
-        let at = &block.offsets;
-        // Lanes 2 p and 2 p + 1: their rows side by side.
-        let mut edges = [[zero; 4]; 3];
-        for p in 0..4 {
-            let (a, b) = (&at[2 * p], &at[2 * p + 1]);
-            let first = row(simd, rows, a[0]).combine(row(simd, rows, b[0]));
-            for k in 0..3 {
-                let corner = row(simd, rows, a[k + 1]).combine(row(simd, rows, b[k + 1]));
-                edges[k][p] = corner - first;
-            }
-        }
-        let d = [columns(&edges[0]), columns(&edges[1]), columns(&edges[2])];
+fn add_by_eight<L: ElementLaw>(simd: Avx512, blocks: &[Block], rows: &mut Rows) {
+    let Some(first) = blocks.first() else { return };
+    // A block's displacements are loaded while the forces of the one before are on their way, and those are added
+    // after the next one's gradients: no stage waits for the one just before it.
+    let mut d = gather(simd, first, rows);
+    let mut waiting = [[f64x8::splat(simd, 0.0); 3]; 3];
+    let mut their_offsets = &first.offsets;
+    for (i, block) in blocks.iter().enumerate() {
         let alpha = &block.alpha_per_m;
         let load = |numbers: &[f64; N_LANES]| f64x8::from_slice(simd, numbers);
         let alpha = [
@@ -123,43 +118,124 @@ fn add_by_eight<S: Simd, L: ElementLaw>(simd: S, blocks: &[Block], rows: &mut Ro
             [load(&alpha[1][0]), load(&alpha[1][1]), load(&alpha[1][2])],
             [load(&alpha[2][0]), load(&alpha[2][1]), load(&alpha[2][2])],
         ];
+        let g = displacement_gradient(&d, &alpha);
+        scatter(simd, rows, their_offsets, waiting);
         let material = [load(&block.material[0]), load(&block.material[1])];
-        let f = corner_forces::<L, _>(&d, &alpha, material);
-        let pairs = [pairs_of_rows(&f[0], zero), pairs_of_rows(&f[1], zero), pairs_of_rows(&f[2], zero)];
-        for p in 0..4 {
-            let (f1, f2, f3) = (pairs[0][p], pairs[1][p], pairs[2][p]);
-            let sum = f1 + f2 + f3;
-            let (sum, f1, f2, f3) = (sum.split(), f1.split(), f2.split(), f3.split());
-            add_lane(simd, rows, &at[2 * p], [sum.0, f1.0, f2.0, f3.0]);
-            add_lane(simd, rows, &at[2 * p + 1], [sum.1, f1.1, f2.1, f3.1]);
-        }
+        waiting = corner_forces(&L::scaled_stress(&g, material), &alpha);
+        their_offsets = &block.offsets;
+        d = gather(simd, blocks.get(i + 1).unwrap_or(first), rows);
+    }
+    scatter(simd, rows, their_offsets, waiting);
+}
+
+/// Adds the forces of eight lanes, lane after lane.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn scatter(simd: Avx512, rows: &mut Rows, at: &[[u16; 4]; N_LANES], f: [[f64x8<Avx512>; 3]; 3]) {
+    let pairs = [pairs_of_rows(simd, f[0]), pairs_of_rows(simd, f[1]), pairs_of_rows(simd, f[2])];
+    for p in [0, 2] {
+        let (f1, f2, f3) = (pairs[0][p], pairs[1][p], pairs[2][p]);
+        let even = [(f1 + f2 + f3).split(), f1.split(), f2.split(), f3.split()];
+        let (f1, f2, f3) = (pairs[0][p + 1], pairs[1][p + 1], pairs[2][p + 1]);
+        let odd = [(f1 + f2 + f3).split(), f1.split(), f2.split(), f3.split()];
+        add_lane(simd, rows, &at[2 * p], [even[0].0, even[1].0, even[2].0, even[3].0]);
+        add_lane(simd, rows, &at[2 * p + 1], [odd[0].0, odd[1].0, odd[2].0, odd[3].0]);
+        add_lane(simd, rows, &at[2 * p + 2], [even[0].1, even[1].1, even[2].1, even[3].1]);
+        add_lane(simd, rows, &at[2 * p + 3], [odd[0].1, odd[1].1, odd[2].1, odd[3].1]);
     }
 }
 
+/// d_1, d_2 and d_3 of eight lanes, each x, y, z.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn gather(simd: Avx512, block: &Block, rows: &Rows) -> [[f64x8<Avx512>; 3]; 3] {
+    let at = &block.offsets;
+    let mut edges = [[f64x8::splat(simd, 0.0); 4]; 3];
+    for (p, (a, b)) in PAIRS.into_iter().enumerate() {
+        let (a, b) = (&at[a], &at[b]);
+        let first = row(simd, rows, a[0]).combine(row(simd, rows, b[0]));
+        for k in 0..3 {
+            let corner = row(simd, rows, a[k + 1]).combine(row(simd, rows, b[k + 1]));
+            edges[k][p] = corner - first;
+        }
+    }
+    [columns(simd, edges[0]), columns(simd, edges[1]), columns(simd, edges[2])]
+}
+
+/// Lanes whose rows share a vector of eight while they are transposed.
+#[cfg(target_arch = "x86_64")]
+const PAIRS: [(usize, usize); 4] = [(0, 2), (1, 3), (4, 6), (5, 7)];
+
+#[cfg(target_arch = "x86_64")]
 #[inline(always)]
 fn row<S: Simd>(simd: S, rows: &Rows, offset: u16) -> f64x4<S> {
     u8x32::from_slice(simd, rows.displacement(offset)).bitcast()
 }
 
-/// x, y and z of eight lanes from four pairs of rows.
+/// x, y and z of eight lanes from the rows of [`PAIRS`].
+#[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn columns<S: Simd>(pairs: &[f64x8<S>; 4]) -> [f64x8<S>; 3] {
-    let [a, b, c, d] = *pairs;
-    let (xz_low, xz_high) = (a.unzip_low(b), c.unzip_low(d));
-    let (y_low, y_high) = (a.unzip_high(b), c.unzip_high(d));
-    [xz_low.unzip_low(xz_high), y_low.unzip_low(y_high), xz_low.unzip_high(xz_high)]
+fn columns(simd: Avx512, pairs: [f64x8<Avx512>; 4]) -> [f64x8<Avx512>; 3] {
+    use std::arch::x86_64::{__m512d, _mm512_shuffle_f64x2, _mm512_unpackhi_pd, _mm512_unpacklo_pd};
+    fearless_simd::kernel!(
+        #[inline(always)]
+        fn transpose(
+            _simd: Avx512,
+            a: __m512d,
+            b: __m512d,
+            c: __m512d,
+            d: __m512d,
+        ) -> (__m512d, __m512d, __m512d) {
+            let (ab_xz, ab_y) = (_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
+            let (cd_xz, cd_y) = (_mm512_unpacklo_pd(c, d), _mm512_unpackhi_pd(c, d));
+            (
+                _mm512_shuffle_f64x2::<0b10_00_10_00>(ab_xz, cd_xz),
+                _mm512_shuffle_f64x2::<0b10_00_10_00>(ab_y, cd_y),
+                _mm512_shuffle_f64x2::<0b11_01_11_01>(ab_xz, cd_xz),
+            )
+        }
+    );
+    let [a, b, c, d] = pairs;
+    let (x, y, z) = transpose(simd, a.into(), b.into(), c.into(), d.into());
+    [x.simd_into(simd), y.simd_into(simd), z.simd_into(simd)]
 }
 
-/// Four pairs of rows from x, y and z of eight lanes.
+/// The rows of [`PAIRS`] from x, y and z of eight lanes.
+#[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn pairs_of_rows<S: Simd>(xyz: &[f64x8<S>; 3], zero: f64x8<S>) -> [f64x8<S>; 4] {
-    let [x, y, z] = *xyz;
-    let (xz_low, xz_high) = (x.zip_low(z), x.zip_high(z));
-    let (y_low, y_high) = (y.zip_low(zero), y.zip_high(zero));
-    [xz_low.zip_low(y_low), xz_low.zip_high(y_low), xz_high.zip_low(y_high), xz_high.zip_high(y_high)]
+fn pairs_of_rows(simd: Avx512, xyz: [f64x8<Avx512>; 3]) -> [f64x8<Avx512>; 4] {
+    use std::arch::x86_64::{
+        __m512d, _mm512_permutex2var_pd, _mm512_setr_epi64, _mm512_setzero_pd, _mm512_unpackhi_pd,
+        _mm512_unpacklo_pd,
+    };
+    fearless_simd::kernel!(
+        #[inline(always)]
+        fn transpose(
+            _simd: Avx512,
+            x: __m512d,
+            y: __m512d,
+            z: __m512d,
+        ) -> (__m512d, __m512d, __m512d, __m512d) {
+            let zero = _mm512_setzero_pd();
+            let (xy_even, xy_odd) = (_mm512_unpacklo_pd(x, y), _mm512_unpackhi_pd(x, y));
+            let (z_even, z_odd) = (_mm512_unpacklo_pd(z, zero), _mm512_unpackhi_pd(z, zero));
+            let low = _mm512_setr_epi64(0, 1, 8, 9, 2, 3, 10, 11);
+            let high = _mm512_setr_epi64(4, 5, 12, 13, 6, 7, 14, 15);
+            (
+                _mm512_permutex2var_pd(xy_even, low, z_even),
+                _mm512_permutex2var_pd(xy_odd, low, z_odd),
+                _mm512_permutex2var_pd(xy_even, high, z_even),
+                _mm512_permutex2var_pd(xy_odd, high, z_odd),
+            )
+        }
+    );
+    let [x, y, z] = xyz;
+    let (a, b, c, d) = transpose(simd, x.into(), y.into(), z.into());
+    [a.simd_into(simd), b.simd_into(simd), c.simd_into(simd), d.simd_into(simd)]
 }
 
 /// Adds a tetrahedron's forces: the first is the sum that its first corner balances.
+#[cfg(target_arch = "x86_64")]
 #[inline(always)]
 fn add_lane<S: Simd>(simd: S, rows: &mut Rows, at: &[u16; 4], [sum, f1, f2, f3]: [f64x4<S>; 4]) {
     let bytes = rows.force_mut(at[0]);
@@ -175,7 +251,7 @@ fn add_lane<S: Simd>(simd: S, rows: &mut Rows, at: &[u16; 4], [sum, f1, f2, f3]:
 /// Eight lanes in two vectors, one after the other.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn add_by_four<L: ElementLaw>(simd: fearless_simd::Avx2, blocks: &[Block], rows: &mut Rows) {
+fn add_by_four<L: ElementLaw>(simd: Avx2, blocks: &[Block], rows: &mut Rows) {
     let zero = f64x4::splat(simd, 0.0);
     for block in blocks {
         for half in [0, 4] {
@@ -200,7 +276,7 @@ fn add_by_four<L: ElementLaw>(simd: fearless_simd::Avx2, blocks: &[Block], rows:
                 [load(&alpha[2][0]), load(&alpha[2][1]), load(&alpha[2][2])],
             ];
             let material = [load(&block.material[0]), load(&block.material[1])];
-            let f = corner_forces::<L, _>(&d, &alpha, material);
+            let f = corner_forces(&L::scaled_stress(&displacement_gradient(&d, &alpha), material), &alpha);
             let f1 = transposed(simd, [f[0][0], f[0][1], f[0][2], zero]);
             let f2 = transposed(simd, [f[1][0], f[1][1], f[1][2], zero]);
             let f3 = transposed(simd, [f[2][0], f[2][1], f[2][2], zero]);
@@ -215,10 +291,7 @@ fn add_by_four<L: ElementLaw>(simd: fearless_simd::Avx2, blocks: &[Block], rows:
 /// Rows become columns.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn transposed(
-    simd: fearless_simd::Avx2,
-    rows: [f64x4<fearless_simd::Avx2>; 4],
-) -> [f64x4<fearless_simd::Avx2>; 4] {
+fn transposed(simd: Avx2, rows: [f64x4<Avx2>; 4]) -> [f64x4<Avx2>; 4] {
     use std::arch::x86_64::{__m256d, _mm256_permute2f128_pd, _mm256_unpackhi_pd, _mm256_unpacklo_pd};
     fearless_simd::kernel!(
         #[inline(always)]
@@ -260,7 +333,8 @@ fn add_one_by_one<L: ElementLaw>(blocks: &[Block], rows: &mut Rows) {
             let gradient = |k: usize| [alpha[k][0][lane], alpha[k][1][lane], alpha[k][2][lane]];
             let alpha = [gradient(0), gradient(1), gradient(2)];
             let material = [block.material[0][lane], block.material[1][lane]];
-            let [f1, f2, f3] = corner_forces::<L, f64>(&d, &alpha, material);
+            let g = displacement_gradient(&d, &alpha);
+            let [f1, f2, f3] = corner_forces(&L::scaled_stress(&g, material), &alpha);
             let sum = |i: usize| f1[i].plus(f2[i]).plus(f3[i]);
             let balance = [-sum(0), -sum(1), -sum(2)];
             for (offset, f) in [(at[0], balance), (at[1], f1), (at[2], f2), (at[3], f3)] {

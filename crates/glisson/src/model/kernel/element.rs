@@ -64,22 +64,22 @@ impl ElementLaw for StVenantKirchhoff {
     }
 }
 
-/// f_1, f_2, f_3 from d_1, d_2, d_3, the gradients alpha_1, alpha_2, alpha_3 (each x, y, z) and the material.
+/// G from d_1, d_2, d_3 and the gradients alpha_1, alpha_2, alpha_3 (each x, y, z).
 #[inline(always)]
-pub(super) fn corner_forces<L: ElementLaw, V: Lanes>(
-    d: &[[V; 3]; 3],
-    alpha: &[[V; 3]; 3],
-    material: [V; 2],
-) -> [[V; 3]; 3] {
-    let gradient = |i: usize, j: usize| {
+pub(super) fn displacement_gradient<V: Lanes>(d: &[[V; 3]; 3], alpha: &[[V; 3]; 3]) -> Matrix<V> {
+    let entry = |i: usize, j: usize| {
         d[0][i].fused(alpha[0][j], d[1][i].fused(alpha[1][j], d[2][i].times(alpha[2][j])))
     };
-    let g = [
-        [gradient(0, 0), gradient(0, 1), gradient(0, 2)],
-        [gradient(1, 0), gradient(1, 1), gradient(1, 2)],
-        [gradient(2, 0), gradient(2, 1), gradient(2, 2)],
-    ];
-    let p = L::scaled_stress(&g, material);
+    [
+        [entry(0, 0), entry(0, 1), entry(0, 2)],
+        [entry(1, 0), entry(1, 1), entry(1, 2)],
+        [entry(2, 0), entry(2, 1), entry(2, 2)],
+    ]
+}
+
+/// f_1, f_2, f_3 from V P and the gradients alpha_1, alpha_2, alpha_3 (each x, y, z).
+#[inline(always)]
+pub(super) fn corner_forces<V: Lanes>(p: &Matrix<V>, alpha: &[[V; 3]; 3]) -> [[V; 3]; 3] {
     let force = |k: usize, i: usize| {
         p[i][0].fused(alpha[k][0], p[i][1].fused(alpha[k][1], p[i][2].times(alpha[k][2])))
     };

@@ -9,8 +9,6 @@ use fearless_simd::{Simd, f64x4, f64x8, prelude::*};
 pub(super) trait Lanes: Copy {
     /// Sum.
     fn plus(self, other: Self) -> Self;
-    /// Difference.
-    fn minus(self, other: Self) -> Self;
     /// Product.
     fn times(self, other: Self) -> Self;
     /// `self * factor + term`, rounded once.
@@ -21,10 +19,6 @@ impl Lanes for f64 {
     #[inline(always)]
     fn plus(self, other: Self) -> Self {
         self + other
-    }
-    #[inline(always)]
-    fn minus(self, other: Self) -> Self {
-        self - other
     }
     #[inline(always)]
     fn times(self, other: Self) -> Self {
@@ -42,10 +36,6 @@ macro_rules! vector_lanes {
             #[inline(always)]
             fn plus(self, other: Self) -> Self {
                 self + other
-            }
-            #[inline(always)]
-            fn minus(self, other: Self) -> Self {
-                self - other
             }
             #[inline(always)]
             fn times(self, other: Self) -> Self {

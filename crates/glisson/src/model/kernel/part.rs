@@ -7,7 +7,7 @@
 //! The locks are there to share memory between threads without `unsafe`. Nobody ever waits for one: in a phase,
 //! what one part writes no other reads.
 
-use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use super::KernelLaw;
 use super::paths::KernelPath;
@@ -94,8 +94,7 @@ pub(super) struct Part {
     pub(super) n_rows: usize,
     blocks: RwLock<Vec<Block>>,
     nodes: RwLock<PartNodes>,
-    collected: Mutex<Box<Rows>>,
-    forces: RwLock<Box<Rows>>,
+    rows: RwLock<Box<Rows>>,
 }
 
 impl Part {
@@ -107,8 +106,7 @@ impl Part {
             n_rows,
             blocks: RwLock::new(blocks),
             nodes: RwLock::new(nodes),
-            collected: Mutex::new(Rows::zero()),
-            forces: RwLock::new(Rows::zero()),
+            rows: RwLock::new(Rows::zero()),
         }
     }
 
@@ -126,10 +124,6 @@ impl Part {
 
     pub(super) fn blocks_mut(&self) -> RwLockWriteGuard<'_, Vec<Block>> {
         write(&self.blocks)
-    }
-
-    fn collected(&self) -> MutexGuard<'_, Box<Rows>> {
-        self.collected.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -158,18 +152,19 @@ impl Parts {
     /// First phase.
     pub(super) fn add_element_forces(&self, p: usize) {
         let part = &self.all[p];
-        let mut collected = part.collected();
-        let rows = collected.all_mut();
-        rows[..part.own.len()].copy_from_slice(&part.nodes().displacement_m);
+        let mut rows = write(&part.rows);
+        let (own, borrowed) = rows.nodes_mut()[..part.n_rows].split_at_mut(part.own.len());
+        for (row, displacement_m) in own.iter_mut().zip(&part.nodes().displacement_m) {
+            *row = [*displacement_m, [0.0; 4]];
+        }
         for exchange in &part.borrowed {
             let owner = self.all[exchange.part].nodes();
             for &[here, there] in &exchange.rows {
-                rows[usize::from(here)] = owner.displacement_m[usize::from(there)];
+                let row = &mut borrowed[usize::from(here) - own.len()];
+                *row = [owner.displacement_m[usize::from(there)], [0.0; 4]];
             }
         }
-        let mut forces = write(&part.forces);
-        forces.all_mut()[..part.n_rows].fill([0.0; 4]);
-        self.path().add_forces(self.law, &part.blocks(), &collected, &mut forces);
+        self.path().add_forces(self.law, &part.blocks(), &mut rows);
     }
 
     /// Second phase: forces on the own nodes.
@@ -179,12 +174,14 @@ impl Parts {
 
     fn sum_forces_into(&self, p: usize, sums: &mut [Row]) {
         let part = &self.all[p];
-        sums.copy_from_slice(&read(&part.forces).all()[..part.own.len()]);
+        for (sum, [_, force]) in sums.iter_mut().zip(read(&part.rows).nodes()) {
+            *sum = *force;
+        }
         for exchange in &part.lent {
-            let forces = read(&self.all[exchange.part].forces);
-            let forces = forces.all();
+            let rows = read(&self.all[exchange.part].rows);
+            let rows = rows.nodes();
             for &[here, there] in &exchange.rows {
-                let (sum, force) = (&mut sums[usize::from(here)], &forces[usize::from(there)]);
+                let (sum, [_, force]) = (&mut sums[usize::from(here)], &rows[usize::from(there)]);
                 for i in 0..4 {
                     sum[i] += force[i];
                 }

@@ -3,10 +3,11 @@
 //! Lanes of a block are independent until the forces are added up; that happens lane after lane, in each lane
 //! corner after corner, on every path. So two lanes may even share a node.
 
-use fearless_simd::{Level, Simd, f64x4, f64x8, prelude::*};
+#[cfg(target_arch = "x86_64")]
+use fearless_simd::{Avx2, Avx512, Level, Simd, f64x4, f64x8, prelude::*, u8x32};
 
 use super::KernelLaw;
-use super::element::{ElementLaw, Linear, StVenantKirchhoff, corner_forces};
+use super::element::{ElementLaw, Linear, StVenantKirchhoff, corner_forces, displacement_gradient};
 use super::lanes::Lanes;
 use super::rows::{Block, N_LANES, Rows};
 
@@ -17,11 +18,11 @@ pub struct KernelPath(Path);
 #[derive(Clone, Copy, Debug)]
 enum Path {
     #[cfg(target_arch = "x86_64")]
-    Avx512(fearless_simd::Avx512),
+    Avx512(Avx512),
     #[cfg(target_arch = "x86_64")]
-    Avx2(fearless_simd::Avx2),
+    Avx2(Avx2),
     #[cfg(target_arch = "x86_64")]
-    Scalar(fearless_simd::Avx2),
+    Scalar(Avx2),
     Portable,
 }
 
@@ -67,55 +68,49 @@ impl KernelPath {
         }
     }
 
-    /// Adds the forces of `blocks` at `displacement` to `force`.
-    pub(super) fn add_forces(self, law: KernelLaw, blocks: &[Block], displacement: &Rows, force: &mut Rows) {
+    /// Adds the forces of `blocks` at the displacements in `rows` to the forces there.
+    pub(super) fn add_forces(self, law: KernelLaw, blocks: &[Block], rows: &mut Rows) {
         match law {
-            KernelLaw::Linear => self.add_forces_of::<Linear>(blocks, displacement, force),
+            KernelLaw::Linear => self.add_forces_of::<Linear>(blocks, rows),
             KernelLaw::StVenantKirchhoff => {
-                self.add_forces_of::<StVenantKirchhoff>(blocks, displacement, force);
+                self.add_forces_of::<StVenantKirchhoff>(blocks, rows);
             }
         }
     }
 
-    fn add_forces_of<L: ElementLaw>(self, blocks: &[Block], displacement: &Rows, force: &mut Rows) {
+    fn add_forces_of<L: ElementLaw>(self, blocks: &[Block], rows: &mut Rows) {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
             Path::Avx512(simd) => simd.vectorize(
                 #[inline(always)]
-                || add_by_eight::<_, L>(simd, blocks, displacement, force),
+                || add_by_eight::<L>(simd, blocks, rows),
             ),
             #[cfg(target_arch = "x86_64")]
             Path::Avx2(simd) => simd.vectorize(
                 #[inline(always)]
-                || add_by_four::<L>(simd, blocks, displacement, force),
+                || add_by_four::<L>(simd, blocks, rows),
             ),
             #[cfg(target_arch = "x86_64")]
             Path::Scalar(simd) => simd.vectorize(
                 #[inline(always)]
-                || add_one_by_one::<L>(blocks, displacement, force),
+                || add_one_by_one::<L>(blocks, rows),
             ),
-            Path::Portable => add_one_by_one::<L>(blocks, displacement, force),
+            Path::Portable => add_one_by_one::<L>(blocks, rows),
         }
     }
 }
 
 /// Eight lanes in one vector.
+#[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn add_by_eight<S: Simd, L: ElementLaw>(simd: S, blocks: &[Block], displacement: &Rows, force: &mut Rows) {
-    let zero = f64x8::splat(simd, 0.0);
-    for block in blocks {
-        let at = &block.offsets;
-        // Lanes 2 p and 2 p + 1: their rows side by side.
-        let mut edges = [[zero; 4]; 3];
-        for p in 0..4 {
-            let (a, b) = (&at[2 * p], &at[2 * p + 1]);
-            let first = row(simd, displacement, a[0]).combine(row(simd, displacement, b[0]));
-            for k in 0..3 {
-                let corner = row(simd, displacement, a[k + 1]).combine(row(simd, displacement, b[k + 1]));
-                edges[k][p] = corner - first;
-            }
-        }
-        let d = [columns(&edges[0]), columns(&edges[1]), columns(&edges[2])];
+fn add_by_eight<L: ElementLaw>(simd: Avx512, blocks: &[Block], rows: &mut Rows) {
+    let Some(first) = blocks.first() else { return };
+    // A block's displacements are loaded while the forces of the one before are on their way, and those are added
+    // after the next one's gradients: no stage waits for the one just before it.
+    let mut d = gather(simd, first, rows);
+    let mut waiting = [[f64x8::splat(simd, 0.0); 3]; 3];
+    let mut their_offsets = &first.offsets;
+    for (i, block) in blocks.iter().enumerate() {
         let alpha = &block.alpha_per_m;
         let load = |numbers: &[f64; N_LANES]| f64x8::from_slice(simd, numbers);
         let alpha = [
@@ -123,62 +118,140 @@ fn add_by_eight<S: Simd, L: ElementLaw>(simd: S, blocks: &[Block], displacement:
             [load(&alpha[1][0]), load(&alpha[1][1]), load(&alpha[1][2])],
             [load(&alpha[2][0]), load(&alpha[2][1]), load(&alpha[2][2])],
         ];
+        let g = displacement_gradient(&d, &alpha);
+        scatter(simd, rows, their_offsets, waiting);
         let material = [load(&block.material[0]), load(&block.material[1])];
-        let f = corner_forces::<L, _>(&d, &alpha, material);
-        let rows = [pairs_of_rows(&f[0], zero), pairs_of_rows(&f[1], zero), pairs_of_rows(&f[2], zero)];
-        for p in 0..4 {
-            let (f1, f2, f3) = (rows[0][p], rows[1][p], rows[2][p]);
-            let sum = f1 + f2 + f3;
-            let (sum, f1, f2, f3) = (sum.split(), f1.split(), f2.split(), f3.split());
-            add_lane(simd, force, &at[2 * p], [sum.0, f1.0, f2.0, f3.0]);
-            add_lane(simd, force, &at[2 * p + 1], [sum.1, f1.1, f2.1, f3.1]);
-        }
+        waiting = corner_forces(&L::scaled_stress(&g, material), &alpha);
+        their_offsets = &block.offsets;
+        d = gather(simd, blocks.get(i + 1).unwrap_or(first), rows);
+    }
+    scatter(simd, rows, their_offsets, waiting);
+}
+
+/// Adds the forces of eight lanes, lane after lane.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn scatter(simd: Avx512, rows: &mut Rows, at: &[[u16; 4]; N_LANES], f: [[f64x8<Avx512>; 3]; 3]) {
+    let pairs = [pairs_of_rows(simd, f[0]), pairs_of_rows(simd, f[1]), pairs_of_rows(simd, f[2])];
+    for p in [0, 2] {
+        let (f1, f2, f3) = (pairs[0][p], pairs[1][p], pairs[2][p]);
+        let even = [(f1 + f2 + f3).split(), f1.split(), f2.split(), f3.split()];
+        let (f1, f2, f3) = (pairs[0][p + 1], pairs[1][p + 1], pairs[2][p + 1]);
+        let odd = [(f1 + f2 + f3).split(), f1.split(), f2.split(), f3.split()];
+        add_lane(simd, rows, &at[2 * p], [even[0].0, even[1].0, even[2].0, even[3].0]);
+        add_lane(simd, rows, &at[2 * p + 1], [odd[0].0, odd[1].0, odd[2].0, odd[3].0]);
+        add_lane(simd, rows, &at[2 * p + 2], [even[0].1, even[1].1, even[2].1, even[3].1]);
+        add_lane(simd, rows, &at[2 * p + 3], [odd[0].1, odd[1].1, odd[2].1, odd[3].1]);
     }
 }
 
+/// d_1, d_2 and d_3 of eight lanes, each x, y, z.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn gather(simd: Avx512, block: &Block, rows: &Rows) -> [[f64x8<Avx512>; 3]; 3] {
+    let at = &block.offsets;
+    let mut edges = [[f64x8::splat(simd, 0.0); 4]; 3];
+    for (p, (a, b)) in PAIRS.into_iter().enumerate() {
+        let (a, b) = (&at[a], &at[b]);
+        let first = row(simd, rows, a[0]).combine(row(simd, rows, b[0]));
+        for k in 0..3 {
+            let corner = row(simd, rows, a[k + 1]).combine(row(simd, rows, b[k + 1]));
+            edges[k][p] = corner - first;
+        }
+    }
+    [columns(simd, edges[0]), columns(simd, edges[1]), columns(simd, edges[2])]
+}
+
+/// Lanes whose rows share a vector of eight while they are transposed.
+#[cfg(target_arch = "x86_64")]
+const PAIRS: [(usize, usize); 4] = [(0, 2), (1, 3), (4, 6), (5, 7)];
+
+#[cfg(target_arch = "x86_64")]
 #[inline(always)]
 fn row<S: Simd>(simd: S, rows: &Rows, offset: u16) -> f64x4<S> {
-    f64x4::from_slice(simd, rows.at(offset))
+    u8x32::from_slice(simd, rows.displacement(offset)).bitcast()
 }
 
-/// x, y and z of eight lanes from four pairs of rows.
+/// x, y and z of eight lanes from the rows of [`PAIRS`].
+#[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn columns<S: Simd>(pairs: &[f64x8<S>; 4]) -> [f64x8<S>; 3] {
-    let [a, b, c, d] = *pairs;
-    let (xz_low, xz_high) = (a.unzip_low(b), c.unzip_low(d));
-    let (y_low, y_high) = (a.unzip_high(b), c.unzip_high(d));
-    [xz_low.unzip_low(xz_high), y_low.unzip_low(y_high), xz_low.unzip_high(xz_high)]
+fn columns(simd: Avx512, pairs: [f64x8<Avx512>; 4]) -> [f64x8<Avx512>; 3] {
+    use std::arch::x86_64::{__m512d, _mm512_shuffle_f64x2, _mm512_unpackhi_pd, _mm512_unpacklo_pd};
+    fearless_simd::kernel!(
+        #[inline(always)]
+        fn transpose(
+            _simd: Avx512,
+            a: __m512d,
+            b: __m512d,
+            c: __m512d,
+            d: __m512d,
+        ) -> (__m512d, __m512d, __m512d) {
+            let (ab_xz, ab_y) = (_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
+            let (cd_xz, cd_y) = (_mm512_unpacklo_pd(c, d), _mm512_unpackhi_pd(c, d));
+            (
+                _mm512_shuffle_f64x2::<0b10_00_10_00>(ab_xz, cd_xz),
+                _mm512_shuffle_f64x2::<0b10_00_10_00>(ab_y, cd_y),
+                _mm512_shuffle_f64x2::<0b11_01_11_01>(ab_xz, cd_xz),
+            )
+        }
+    );
+    let [a, b, c, d] = pairs;
+    let (x, y, z) = transpose(simd, a.into(), b.into(), c.into(), d.into());
+    [x.simd_into(simd), y.simd_into(simd), z.simd_into(simd)]
 }
 
-/// Four pairs of rows from x, y and z of eight lanes.
+/// The rows of [`PAIRS`] from x, y and z of eight lanes.
+#[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn pairs_of_rows<S: Simd>(xyz: &[f64x8<S>; 3], zero: f64x8<S>) -> [f64x8<S>; 4] {
-    let [x, y, z] = *xyz;
-    let (xz_low, xz_high) = (x.zip_low(z), x.zip_high(z));
-    let (y_low, y_high) = (y.zip_low(zero), y.zip_high(zero));
-    [xz_low.zip_low(y_low), xz_low.zip_high(y_low), xz_high.zip_low(y_high), xz_high.zip_high(y_high)]
+fn pairs_of_rows(simd: Avx512, xyz: [f64x8<Avx512>; 3]) -> [f64x8<Avx512>; 4] {
+    use std::arch::x86_64::{
+        __m512d, _mm512_permutex2var_pd, _mm512_setr_epi64, _mm512_setzero_pd, _mm512_unpackhi_pd,
+        _mm512_unpacklo_pd,
+    };
+    fearless_simd::kernel!(
+        #[inline(always)]
+        fn transpose(
+            _simd: Avx512,
+            x: __m512d,
+            y: __m512d,
+            z: __m512d,
+        ) -> (__m512d, __m512d, __m512d, __m512d) {
+            let zero = _mm512_setzero_pd();
+            let (xy_even, xy_odd) = (_mm512_unpacklo_pd(x, y), _mm512_unpackhi_pd(x, y));
+            let (z_even, z_odd) = (_mm512_unpacklo_pd(z, zero), _mm512_unpackhi_pd(z, zero));
+            let low = _mm512_setr_epi64(0, 1, 8, 9, 2, 3, 10, 11);
+            let high = _mm512_setr_epi64(4, 5, 12, 13, 6, 7, 14, 15);
+            (
+                _mm512_permutex2var_pd(xy_even, low, z_even),
+                _mm512_permutex2var_pd(xy_odd, low, z_odd),
+                _mm512_permutex2var_pd(xy_even, high, z_even),
+                _mm512_permutex2var_pd(xy_odd, high, z_odd),
+            )
+        }
+    );
+    let [x, y, z] = xyz;
+    let (a, b, c, d) = transpose(simd, x.into(), y.into(), z.into());
+    [a.simd_into(simd), b.simd_into(simd), c.simd_into(simd), d.simd_into(simd)]
 }
 
 /// Adds a tetrahedron's forces: the first is the sum that its first corner balances.
+#[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn add_lane<S: Simd>(simd: S, force: &mut Rows, at: &[u16; 4], [sum, f1, f2, f3]: [f64x4<S>; 4]) {
-    let first = force.at_mut(at[0]);
-    (f64x4::from_slice(simd, first) - sum).store_slice(first);
+fn add_lane<S: Simd>(simd: S, rows: &mut Rows, at: &[u16; 4], [sum, f1, f2, f3]: [f64x4<S>; 4]) {
+    let bytes = rows.force_mut(at[0]);
+    let first: f64x4<S> = u8x32::from_slice(simd, bytes).bitcast();
+    (first - sum).bitcast::<u8x32<S>>().store_slice(bytes);
     for (offset, f) in [(at[1], f1), (at[2], f2), (at[3], f3)] {
-        let row = force.at_mut(offset);
-        (f64x4::from_slice(simd, row) + f).store_slice(row);
+        let bytes = rows.force_mut(offset);
+        let row: f64x4<S> = u8x32::from_slice(simd, bytes).bitcast();
+        (row + f).bitcast::<u8x32<S>>().store_slice(bytes);
     }
 }
 
 /// Eight lanes in two vectors, one after the other.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn add_by_four<L: ElementLaw>(
-    simd: fearless_simd::Avx2,
-    blocks: &[Block],
-    displacement: &Rows,
-    force: &mut Rows,
-) {
+fn add_by_four<L: ElementLaw>(simd: Avx2, blocks: &[Block], rows: &mut Rows) {
     let zero = f64x4::splat(simd, 0.0);
     for block in blocks {
         for half in [0, 4] {
@@ -186,9 +259,9 @@ fn add_by_four<L: ElementLaw>(
             let mut edges = [[zero; 4]; 3];
             for lane in 0..4 {
                 let at = &at[half + lane];
-                let first = row(simd, displacement, at[0]);
+                let first = row(simd, rows, at[0]);
                 for k in 0..3 {
-                    edges[k][lane] = row(simd, displacement, at[k + 1]) - first;
+                    edges[k][lane] = row(simd, rows, at[k + 1]) - first;
                 }
             }
             let [x0, y0, z0, _] = transposed(simd, edges[0]);
@@ -203,13 +276,13 @@ fn add_by_four<L: ElementLaw>(
                 [load(&alpha[2][0]), load(&alpha[2][1]), load(&alpha[2][2])],
             ];
             let material = [load(&block.material[0]), load(&block.material[1])];
-            let f = corner_forces::<L, _>(&d, &alpha, material);
+            let f = corner_forces(&L::scaled_stress(&displacement_gradient(&d, &alpha), material), &alpha);
             let f1 = transposed(simd, [f[0][0], f[0][1], f[0][2], zero]);
             let f2 = transposed(simd, [f[1][0], f[1][1], f[1][2], zero]);
             let f3 = transposed(simd, [f[2][0], f[2][1], f[2][2], zero]);
             for lane in 0..4 {
                 let sum = f1[lane] + f2[lane] + f3[lane];
-                add_lane(simd, force, &at[half + lane], [sum, f1[lane], f2[lane], f3[lane]]);
+                add_lane(simd, rows, &at[half + lane], [sum, f1[lane], f2[lane], f3[lane]]);
             }
         }
     }
@@ -218,10 +291,7 @@ fn add_by_four<L: ElementLaw>(
 /// Rows become columns.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn transposed(
-    simd: fearless_simd::Avx2,
-    rows: [f64x4<fearless_simd::Avx2>; 4],
-) -> [f64x4<fearless_simd::Avx2>; 4] {
+fn transposed(simd: Avx2, rows: [f64x4<Avx2>; 4]) -> [f64x4<Avx2>; 4] {
     use std::arch::x86_64::{__m256d, _mm256_permute2f128_pd, _mm256_unpackhi_pd, _mm256_unpacklo_pd};
     fearless_simd::kernel!(
         #[inline(always)]
@@ -249,13 +319,13 @@ fn transposed(
 
 /// One lane after the other, without vectors.
 #[inline(always)]
-fn add_one_by_one<L: ElementLaw>(blocks: &[Block], displacement: &Rows, force: &mut Rows) {
+fn add_one_by_one<L: ElementLaw>(blocks: &[Block], rows: &mut Rows) {
     for block in blocks {
         for lane in 0..N_LANES {
             let at = &block.offsets[lane];
-            let first = displacement.at(at[0]);
+            let first = numbers(rows.displacement(at[0]));
             let edge = |k: usize| {
-                let corner = displacement.at(at[k + 1]);
+                let corner = numbers(rows.displacement(at[k + 1]));
                 [corner[0] - first[0], corner[1] - first[1], corner[2] - first[2]]
             };
             let d = [edge(0), edge(1), edge(2)];
@@ -263,17 +333,24 @@ fn add_one_by_one<L: ElementLaw>(blocks: &[Block], displacement: &Rows, force: &
             let gradient = |k: usize| [alpha[k][0][lane], alpha[k][1][lane], alpha[k][2][lane]];
             let alpha = [gradient(0), gradient(1), gradient(2)];
             let material = [block.material[0][lane], block.material[1][lane]];
-            let [f1, f2, f3] = corner_forces::<L, f64>(&d, &alpha, material);
-            let first = force.at_mut(at[0]);
-            for i in 0..3 {
-                first[i] = first[i].minus(f1[i].plus(f2[i]).plus(f3[i]));
-            }
-            for (offset, f) in [(at[1], f1), (at[2], f2), (at[3], f3)] {
-                let row = force.at_mut(offset);
+            let g = displacement_gradient(&d, &alpha);
+            let [f1, f2, f3] = corner_forces(&L::scaled_stress(&g, material), &alpha);
+            let sum = |i: usize| f1[i].plus(f2[i]).plus(f3[i]);
+            let balance = [-sum(0), -sum(1), -sum(2)];
+            for (offset, f) in [(at[0], balance), (at[1], f1), (at[2], f2), (at[3], f3)] {
+                let bytes = rows.force_mut(offset);
+                let row = numbers(bytes);
                 for i in 0..3 {
-                    row[i] = row[i].plus(f[i]);
+                    bytes[8 * i..8 * (i + 1)].copy_from_slice(&(row[i] + f[i]).to_ne_bytes());
                 }
             }
         }
     }
+}
+
+/// x, y and z of a row.
+#[inline(always)]
+fn numbers(bytes: &[u8; 32]) -> [f64; 3] {
+    let number = |i: usize| f64::from_ne_bytes(bytes[8 * i..8 * (i + 1)].try_into().expect("eight bytes"));
+    [number(0), number(1), number(2)]
 }

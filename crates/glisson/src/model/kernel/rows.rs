@@ -1,63 +1,67 @@
 //! The memory of a part: padded rows of its nodes, blocks of eight tetrahedra.
 
-/// Rows that a part may have: two numbers of bits fewer than an offset holds, and small enough for a cache.
+/// Rows that a part may have.
 pub(super) const MOST_ROWS: usize = 1024;
-/// Numbers in a row: x, y, z and a zero, so that one load fetches a node.
-pub(super) const ROW: usize = 4;
 /// Tetrahedra worked on side by side.
 pub(super) const N_LANES: usize = 8;
 
-const N_NUMBERS: usize = MOST_ROWS * ROW;
-/// Keeps an offset inside the rows: the compiler sees that no access can miss, and checks none.
-const OFFSET_MASK: usize = N_NUMBERS - ROW;
+const ROW_BYTES: usize = size_of::<Row>();
+/// A node's two rows: one line of a cache.
+const NODE_BYTES: usize = 2 * ROW_BYTES;
+const ROWS_BYTES: usize = MOST_ROWS * NODE_BYTES;
 
-/// One padded vector.
-pub(super) type Row = [f64; ROW];
+/// One padded vector: x, y, z and a zero, so that one load fetches it.
+pub(super) type Row = [f64; 4];
 
-/// Vectors on the nodes of a part: its own, then the borrowed ones.
+/// Displacement and force on the nodes of a part, side by side: its own nodes, then the borrowed ones.
+///
+/// As bytes, and a little longer than its rows: then no offset of 16 bits can miss, which the compiler sees, so that
+/// an access costs no check. A displacement and a force never lie a multiple of 4096 bytes apart, which would
+/// make a load wait for an unrelated store.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
-pub(super) struct Rows([f64; N_NUMBERS]);
+pub(super) struct Rows([u8; ROWS_BYTES + NODE_BYTES]);
 
 impl Rows {
     pub(super) fn zero() -> Box<Self> {
-        Box::new(Self([0.0; N_NUMBERS]))
+        Box::new(Self([0; ROWS_BYTES + NODE_BYTES]))
     }
 
-    pub(super) fn all(&self) -> &[Row] {
-        self.0.as_chunks().0
+    /// Displacement [m] and force [N] of each node.
+    pub(super) fn nodes(&self) -> &[[Row; 2]] {
+        bytemuck::cast_slice(&self.0[..ROWS_BYTES])
     }
 
-    pub(super) fn all_mut(&mut self) -> &mut [Row] {
-        self.0.as_chunks_mut().0
+    /// Displacement [m] and force [N] of each node.
+    pub(super) fn nodes_mut(&mut self) -> &mut [[Row; 2]] {
+        bytemuck::cast_slice_mut(&mut self.0[..ROWS_BYTES])
     }
 
-    /// The row at an offset of [`offset_of`].
+    /// The bytes of the displacement at an offset of [`offset_of`].
     #[inline(always)]
-    pub(super) fn at(&self, offset: u16) -> &Row {
-        let start = usize::from(offset) & OFFSET_MASK;
-        (&self.0[start..start + ROW]).try_into().expect("a row's length")
+    pub(super) fn displacement(&self, offset: u16) -> &[u8; ROW_BYTES] {
+        let start = usize::from(offset);
+        (&self.0[start..start + ROW_BYTES]).try_into().expect("a row's length")
     }
 
-    /// The row at an offset of [`offset_of`].
+    /// The bytes of the force at an offset of [`offset_of`].
     #[inline(always)]
-    pub(super) fn at_mut(&mut self, offset: u16) -> &mut Row {
-        let start = usize::from(offset) & OFFSET_MASK;
-        (&mut self.0[start..start + ROW]).try_into().expect("a row's length")
+    pub(super) fn force_mut(&mut self, offset: u16) -> &mut [u8; ROW_BYTES] {
+        let start = usize::from(offset) + ROW_BYTES;
+        (&mut self.0[start..start + ROW_BYTES]).try_into().expect("a row's length")
     }
 }
 
-/// Offset of row `index`, multiplied beforehand.
+/// Offset in bytes of node `index`.
 pub(super) fn offset_of(index: usize) -> u16 {
-    assert!(index < MOST_ROWS);
-    u16::try_from(index * ROW).expect("offsets are below 4096")
+    u16::try_from(index * NODE_BYTES).expect("a part has at most 1024 nodes")
 }
 
 /// Eight tetrahedra, one a lane, in the order in which the kernel reads them: 96 bytes a tetrahedron.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub(super) struct Block {
-    /// Offsets of the four nodes' rows, for each lane.
+    /// Offsets of the four nodes, for each lane.
     pub(super) offsets: [[u16; 4]; N_LANES],
     /// alpha_1, alpha_2, alpha_3 [1/m], each x, y, z.
     pub(super) alpha_per_m: [[[f64; N_LANES]; 3]; 3],

@@ -5,6 +5,7 @@ pub mod extended_mass_spring;
 pub mod kind;
 pub mod mass_spring;
 pub mod precomputed;
+pub mod rheology;
 pub mod tensor_mass;
 
 pub use explicit_body::{Dynamics, ExplicitBodyError, Inertia};

@@ -1,7 +1,9 @@
 //! All integration tests in one binary: it links once.
 
 mod images;
+mod integrators;
 mod layering;
+mod mass_spring;
 mod meshing;
 mod model_meshes;
 mod models_agree;

@@ -104,7 +104,7 @@ fn energy_is_kept_lost_or_gained_as_the_scheme_promises() {
     assert!(energy_after(Scheme::RungeKutta4)[1] <= 1.0 + 1e-12);
     assert!(energy_after(Scheme::RungeKutta2)[0] > 1.5, "the midpoint rule amplifies");
     assert!(energy_after(Scheme::BackwardDifferences1)[0] < 1e-6);
-    assert!(energy_after(Scheme::BackwardDifferences2)[0] < 0.1);
+    assert!(energy_after(Scheme::BackwardDifferences2)[0] < 0.5);
 }
 
 #[test]
@@ -123,7 +123,8 @@ fn the_stable_step_is_the_border_of_stability() {
                 continue;
             }
             let largest = |h_s: f64| {
-                let mut run = Run::new(scheme, DVec3::splat(omega), d);
+                // The whole range of modes: a slow one can be the first to grow when the damping is strong.
+                let mut run = Run::new(scheme, omega * DVec3::new(1.0, 0.5, 1.0 / 24.0), d);
                 (0..20_000).map(|_| run.step(h_s)).for_each(drop);
                 run.x[0].length()
             };

@@ -6,7 +6,9 @@ use glisson::math::{DMat3, DVec3, SeededRandom, outer};
 use glisson::mesh::box_mesh::cube_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit};
 use glisson::mesh::{NodeId, TetId, TetMesh};
-use glisson::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
+use glisson::model::extended_mass_spring::{
+    EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams, tuned_damping_per_s,
+};
 use glisson::model::mass_spring::{MassSpring, MassSpringParams, NodalMasses};
 use glisson::model::rheology::experiments::{
     DENSITY_KG_PER_M3, POISSON_RATIO, SIDE_M, UniaxialParams, drop_irregular_cube, force_operations,
@@ -353,19 +355,24 @@ fn at_rest_small_loads_give_the_static_solution_and_reactions() {
         (EdgeLaw::StVenantKirchhoff, Scheme::SemiImplicitEuler, Inertia::Mass),
         (EdgeLaw::NeoHooke, Scheme::BackwardDifferences2, Inertia::Unit),
     ] {
-        let dynamics = Dynamics { scheme, inertia, damping_per_s: 40.0, ..short_step(&fixed) };
+        let damping_per_s = tuned_damping_per_s(&mesh, &material, &fixed, inertia).unwrap();
+        assert!((5.0..100.0).contains(&damping_per_s), "{damping_per_s}");
+        let dynamics = Dynamics { scheme, inertia, damping_per_s, ..short_step(&fixed) };
         let stable_s = extended(&mesh, law, 0.0, dynamics).stable_step_s();
         let dynamics = Dynamics { time_step_s: 0.8 * stable_s, ..dynamics };
         let mut model = extended(&mesh, law, 0.0, dynamics);
         model.apply(&constraints);
-        model.step(2.0);
+        // The held node travels during the first step and waits during the second.
+        model.step(0.1);
+        // Critically damped: (1 + d t/2) exp(-d t/2) is left of the slowest mode.
+        model.step(30.0 / damping_per_s);
         let u: Vec<DVec3> =
             model.state().positions_m.iter().zip(&mesh.positions_m).map(|(x, p)| *x - *p).collect();
         let off = relative_difference(&u, &expected.displacement_m);
-        assert!(off < 2e-3, "{} {}: {off:e}", law.name(), scheme.name());
+        assert!(off < 1e-3, "{} {}: {off:e}", law.name(), scheme.name());
         let reaction_n = expected.reaction_n[held.index()];
         let off = (model.constraint_forces_n()[0] - reaction_n).length() / reaction_n.length();
-        assert!(off < 2e-3, "{} {}: reaction {off:e}", law.name(), scheme.name());
+        assert!(off < 1e-3, "{} {}: reaction {off:e}", law.name(), scheme.name());
         for node in &fixed {
             assert_eq!(model.state().positions_m[node.index()], mesh.positions_m[node.index()]);
         }
@@ -468,15 +475,14 @@ fn constraints_that_cannot_act_are_counted() {
 
 #[test]
 fn van_gelder_stiffness_of_one_cell_is_e_v_over_c_squared() {
-    // Cut by five, the unit cell has four corner tetrahedra of 1/6 and one of 1/3: a cell edge is in one corner
-    // tetrahedron, E V/c^2 = E/6; a diagonal in two of them and the middle one: (1/6 + 1/3)... over 2.
+    // Four corner tetrahedra of volume 1/6 and the middle one of 1/3; a cell edge is in one corner tetrahedron.
     let mesh = cube_of_five(2, 1.0);
     let model = springs(&mesh, NodalMasses::VolumeWeighted, short_step(&[]));
     for ([a, b], k) in model.springs_n_per_m() {
         let c = mesh.positions_m[a.index()].distance(mesh.positions_m[b.index()]);
-        // Four corner tetrahedra; each diagonal belongs to two of them and to the middle one.
+        // Each diagonal belongs to two of them and to the middle one.
         let expected =
-            if c < 1.1 { 5000.0 / 6.0 } else { 5000.0 * (2.0 / 6.0 + 2.0 / 6.0 - 1.0 / 6.0) / 2.0 };
+            if c < 1.1 { 5000.0 / 6.0 } else { 5000.0 * (1.0 / 6.0 + 1.0 / 6.0 + 1.0 / 3.0) / 2.0 };
         assert!((k - expected).abs() < 1e-9, "{c} {k} {expected}");
     }
     let total: f64 = model.masses_kg().iter().sum();
@@ -551,7 +557,7 @@ fn indentation_agrees_with_the_static_solver() {
     let punch = nodes.iter().filter(|(_, share)| *share > 0.0);
     let expected_n: f64 = punch.map(|(node, _)| -solution.reaction_n[node.index()].z).sum();
     assert!((force_n - expected_n).abs() < 0.05 * expected_n, "{force_n} {expected_n}");
-    assert!(modulus_pa > 20_000.0, "a shallow body seems stiffer: {modulus_pa}");
+    assert!((15_000.0..30_000.0).contains(&modulus_pa), "{modulus_pa}");
 }
 
 #[test]
@@ -559,7 +565,7 @@ fn weighted_masses_fall_more_evenly_than_equal_ones() {
     let equal = drop_irregular_cube(NodalMasses::Equal).unwrap();
     let weighted = drop_irregular_cube(NodalMasses::VolumeWeighted).unwrap();
     assert_eq!((equal.n_inverted, weighted.n_inverted), (0, 0));
-    assert!(equal.largest_tilt_rad > 2.0 * weighted.largest_tilt_rad, "{equal:?} {weighted:?}");
+    assert!(equal.largest_tilt_rad > 1.5 * weighted.largest_tilt_rad, "{equal:?} {weighted:?}");
 }
 
 #[test]
@@ -621,7 +627,7 @@ fn figures_of_the_rheology_bench() {
         })
         .unwrap();
         let start = deformed(&mesh, 0.02);
-        let mut time = |name: &str, model: &mut dyn DeformableModel| {
+        let time = |name: &str, model: &mut dyn DeformableModel| {
             model.take_over(&start);
             let n = 400_000 / (mesh.tetrahedra.len() / 10) as u32;
             let clock = std::time::Instant::now();

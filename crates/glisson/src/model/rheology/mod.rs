@@ -161,7 +161,8 @@ pub struct IndentationOutcome {
 
 impl IndentationOutcome {
     /// Young's modulus [Pa] of the half space that would resist a flat punch so: F (1 - nu^2)/(2 a d) (I. N. Sneddon
-    /// 1965, doi 10.1016/0020-7225(65)90019-4). A body that is not deep against the punch seems stiffer.
+    /// 1965, doi 10.1016/0020-7225(65)90019-4). A body that is not deep against the punch seems stiffer,
+    /// a mesh with few nodes under the punch softer.
     pub fn half_space_modulus_pa(&self, test: &IndentationTest<'_>, poisson_ratio: f64) -> f64 {
         self.force_n * (1.0 - poisson_ratio * poisson_ratio) / (2.0 * test.radius_m * test.depth_m)
     }

@@ -79,18 +79,15 @@ pub fn irregular_cube(side_m: f64, seed: u64) -> TetMesh {
 mod tests {
     use super::*;
     use crate::mesh::TetId;
-    use crate::solve::MeshEdges;
+    use crate::mesh::edit::EditableMesh;
 
     #[test]
     fn cubes_have_the_counts_of_the_seed_and_fill_their_volume() {
         for (n, nodes, springs, tets) in [(2, 8, 18, 5), (5, 125, 540, 320), (10, 1000, 5130, 3645)] {
             let mesh = cube_of_five(n, 0.05);
-            let edges = MeshEdges::of_mesh(&mesh).unwrap();
-            assert_eq!(
-                (mesh.positions_m.len(), edges.nodes.len(), mesh.tetrahedra.len()),
-                (nodes, springs, tets)
-            );
             assert!((mesh.volume_m3() - 1.25e-4).abs() < 1e-15);
+            let counts = EditableMesh::new(mesh).unwrap().topology().live_counts();
+            assert_eq!((counts.nodes, counts.edges, counts.tets), (nodes, springs, tets));
         }
         let mesh = irregular_cube(0.05, 1);
         assert_eq!((mesh.positions_m.len(), mesh.tetrahedra.len()), (150, 400));

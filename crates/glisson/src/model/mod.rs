@@ -7,6 +7,7 @@ pub mod kernel;
 pub mod mass_spring;
 pub(crate) mod explicit;
 pub mod precomputed;
+pub mod rheology;
 pub mod tensor_mass;
 pub mod nonlinear_tensor_mass;
 

@@ -3,7 +3,9 @@
 mod images;
 mod laws;
 mod kernel;
+mod integrators;
 mod layering;
+mod mass_spring;
 mod meshing;
 mod model_meshes;
 mod models_agree;

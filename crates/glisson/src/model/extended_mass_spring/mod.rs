@@ -13,8 +13,10 @@
 //! Removing a tetrahedron takes its tensions, its share of the edges' viscosity and its masses out.
 
 mod law;
+mod tuning;
 
 pub use law::EdgeLaw;
+pub use tuning::tuned_damping_per_s;
 
 use self::law::{EdgeEnergy, Lame, NeoHookeTet, StVenantKirchhoffTet, is_inverted};
 use super::explicit_body::{Dynamics, ExplicitBody, ExplicitBodyError, InternalForces, check_number, keep};

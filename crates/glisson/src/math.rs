@@ -58,6 +58,12 @@ pub fn tetrahedron_volume_m3(p_m: [DVec3; 4]) -> f64 {
     (p_m[1] - p_m[0]).cross(p_m[2] - p_m[0]).dot(p_m[3] - p_m[0]) / 6.0
 }
 
+/// Whether a tetrahedron of this volume is turned inside out or flat; a volume that is no number counts as such.
+pub fn is_inverted(volume_m3: f64) -> bool {
+    let is_positive = volume_m3 > 0.0;
+    !is_positive
+}
+
 /// Point of triangle `(a, b, c)` closest to `p`, as barycentric weights
 /// (Ericson, Real-Time Collision Detection, 2005, s. 5.1.5).
 pub fn closest_point_barycentric(p: DVec3, [a, b, c]: [DVec3; 3]) -> [f64; 3] {

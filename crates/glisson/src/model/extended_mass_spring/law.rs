@@ -217,7 +217,5 @@ impl EdgeEnergy for NeoHookeTet {
 
 /// Whether four corners stand mirrored or flat.
 pub(super) fn is_inverted(corners_m: [crate::math::DVec3; 4]) -> bool {
-    // Written so that a position that is no number counts.
-    // A volume that is no number counts as inverted.
-    tetrahedron_volume_m3(corners_m).partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater)
+    crate::math::is_inverted(tetrahedron_volume_m3(corners_m))
 }

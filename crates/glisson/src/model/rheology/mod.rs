@@ -8,7 +8,7 @@
 pub mod experiments;
 
 use super::{Constraints, DeformableModel, ImposedDisplacement};
-use crate::math::{Aabb, DVec3, tetrahedron_volume_m3};
+use crate::math::{Aabb, DVec3, is_inverted, tetrahedron_volume_m3};
 use crate::mesh::{NodeId, TetId, TetMesh};
 
 /// What a plate does to its nodes across its axis.
@@ -210,7 +210,7 @@ pub fn indent(model: &mut dyn DeformableModel, test: &IndentationTest<'_>) -> In
 pub fn n_inverted(mesh: &TetMesh, positions_m: &[DVec3]) -> usize {
     let volume_m3 = |nodes: &[NodeId; 4]| tetrahedron_volume_m3(nodes.map(|n| positions_m[n.index()]));
     // Written so that a position that is no number counts.
-    mesh.tetrahedra.iter().filter(|nodes| !(volume_m3(nodes) > 0.0)).count()
+    mesh.tetrahedra.iter().filter(|nodes| is_inverted(volume_m3(nodes))).count()
 }
 
 /// Mass of each node [kg]: a quarter of each tetrahedron's to each of its corners.

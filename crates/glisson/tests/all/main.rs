@@ -5,6 +5,7 @@ mod layering;
 mod meshing;
 mod model_meshes;
 mod models_agree;
+mod nonlinear_tensor_mass;
 mod patch_test;
 mod reference_cases;
 mod surfaces;

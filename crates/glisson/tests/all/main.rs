@@ -10,6 +10,7 @@ mod meshing;
 mod model_meshes;
 mod models_agree;
 mod nonlinear_reference;
+mod nonlinear_tensor_mass;
 mod patch_test;
 mod reference_cases;
 mod surfaces;

@@ -10,7 +10,8 @@
 //!
 //! Valid for rotations and displacements of any size and moderate strains: under compression below about
 //! 1/sqrt(3) of its length St Venant-Kirchhoff tissue softens and can turn inside out; the penalty holds against
-//! that.
+//! that. The polynomial is in displacements from the rest shape, so a rigid motion of many body sizes loses digits
+//! (forces as its cube, energies as its fourth power, over the strain).
 //!
 //! Explicit dynamics as in [`super::tensor_mass`]. Removing a tetrahedron subtracts its numbers (280, seed `002`,
 //! appendix A) and masses; what is left without a tetrahedron becomes exactly zero.
@@ -26,6 +27,7 @@ mod tearing;
 
 pub use adaptive::{AdaptiveReport, NonlinearPart};
 pub use direct::DirectBody;
+pub use forces::OperationCounts;
 pub use law::{Fibre, TetLaw};
 pub use numbers::{EdgeStiffness, TetScalars, TriangleStiffness, VertexStiffness};
 
@@ -223,6 +225,17 @@ impl NonlinearTensorMass {
     pub fn energy_j(&self) -> f64 {
         let before_j = self.body.energy_j(self.motion.previous_displacements());
         self.motion.kinetic_energy_j() + 0.5 * (before_j + self.elastic_energy_j())
+    }
+
+    /// Operations of one evaluation of the full force, removed entities included until the mesh is compacted.
+    pub fn operation_counts(&self) -> OperationCounts {
+        let nonlinear = &self.body.nonlinear;
+        OperationCounts::of_counts([
+            nonlinear.vertex.len(),
+            nonlinear.edge.len(),
+            nonlinear.triangle.len(),
+            nonlinear.tet.len(),
+        ])
     }
 
     /// Largest step [s] that is stable now: after the first removal the one that holds after any further ones.

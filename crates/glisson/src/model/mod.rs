@@ -1,5 +1,6 @@
 //! Deformable models behind one contract: constraints in, positions and reaction forces out.
 
+pub mod implicit;
 pub mod kind;
 pub mod precomputed;
 pub mod tensor_mass;

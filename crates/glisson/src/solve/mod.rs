@@ -10,9 +10,13 @@ mod tensors;
 mod boundary;
 mod system;
 mod static_problem;
+mod near_incompressible;
 pub mod case;
 
 pub use boundary::BoundaryConditions;
+pub use near_incompressible::{
+    NodeAveraging, assemble_node_averaged, node_pressures_pa, solve_static_node_averaged,
+};
 pub use p1::{LOCAL_EDGES, P1Gradients, TetStiffness};
 pub use static_problem::{StaticProblem, StaticSolution, add_gravity_forces, solve_static};
 pub use system::{FactorScratch, Factorization, FreeSystem};

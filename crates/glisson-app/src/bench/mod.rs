@@ -8,6 +8,7 @@ mod timing;
 mod body;
 mod meshing;
 mod models;
+mod implicit;
 mod kernel;
 mod contact;
 mod drawing;
@@ -75,7 +76,7 @@ pub(crate) struct Case {
 
 /// Every case, in the order in which they run.
 pub(crate) fn cases() -> Vec<Case> {
-    [meshing::CASES, models::CASES, kernel::CASES, contact::CASES, drawing::CASES].concat()
+    [meshing::CASES, models::CASES, kernel::CASES, implicit::CASES, contact::CASES, drawing::CASES].concat()
 }
 
 /// What to measure.

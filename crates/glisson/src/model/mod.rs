@@ -2,6 +2,7 @@
 
 mod explicit_body;
 pub mod extended_mass_spring;
+pub mod implicit;
 pub mod kind;
 pub mod kernel;
 pub mod mass_spring;

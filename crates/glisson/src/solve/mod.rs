@@ -12,10 +12,14 @@ mod boundary;
 mod system;
 mod static_problem;
 mod nonlinear;
+mod near_incompressible;
 pub mod case;
 pub mod integrators;
 
 pub use boundary::BoundaryConditions;
+pub use near_incompressible::{
+    NodeAveraging, assemble_node_averaged, node_pressures_pa, solve_static_node_averaged,
+};
 pub use nonlinear::{
     ElasticBody, NonlinearError, NonlinearProblem, NonlinearSettings, NonlinearSolution, StepFailure,
     TangentKind, solve_nonlinear,

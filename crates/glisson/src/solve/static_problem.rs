@@ -54,15 +54,24 @@ pub fn add_gravity_forces(
 /// # Panics
 /// When the forces are not one a node.
 pub fn solve_static(problem: &StaticProblem<'_>) -> Result<StaticSolution, SolveError> {
-    let StaticProblem { mesh, material, conditions, nodal_force_n } = *problem;
+    let edges = MeshEdges::of_mesh(problem.mesh)?;
+    let tensors = StiffnessTensors::assemble(problem.mesh, &edges, problem.material)?;
+    solve_assembled(problem, &edges, &tensors)
+}
+
+/// [`solve_static`] with stiffness tensors made elsewhere, on edges that join the same pieces.
+pub(super) fn solve_assembled(
+    problem: &StaticProblem<'_>,
+    edges: &MeshEdges,
+    tensors: &StiffnessTensors,
+) -> Result<StaticSolution, SolveError> {
+    let StaticProblem { mesh, conditions, nodal_force_n, .. } = *problem;
     assert_eq!(nodal_force_n.len(), mesh.positions_m.len(), "one force a node");
-    let edges = MeshEdges::of_mesh(mesh)?;
-    let tensors = StiffnessTensors::assemble(mesh, &edges, material)?;
-    conditions.check(mesh, &edges)?;
+    conditions.check(mesh, edges)?;
     if let Some(n) = nodal_force_n.iter().position(|f| !f.is_finite()) {
         return Err(SolveError::NonFiniteCondition { node: NodeId::from_index(n) });
     }
-    let system = FreeSystem::new(&edges, &tensors, conditions)?;
+    let system = FreeSystem::new(edges, tensors, conditions)?;
     let factor = system.factorize()?;
 
     let mut displacement_m = vec![DVec3::ZERO; mesh.positions_m.len()];
@@ -74,7 +83,7 @@ pub fn solve_static(problem: &StaticProblem<'_>) -> Result<StaticSolution, Solve
     let mut scratch = factor.scratch(1);
     // The first round solves, the second refines.
     for _ in 0..2 {
-        tensors.force_into(&edges, &displacement_m, &mut balance_n);
+        tensors.force_into(edges, &displacement_m, &mut balance_n);
         for (b, f) in balance_n.iter_mut().zip(nodal_force_n) {
             *b = *f - *b;
         }
@@ -82,7 +91,7 @@ pub fn solve_static(problem: &StaticProblem<'_>) -> Result<StaticSolution, Solve
         factor.solve_in_place(&mut free, 1, &mut scratch);
         system.add_scattered(&free, &mut displacement_m);
     }
-    tensors.force_into(&edges, &displacement_m, &mut balance_n);
+    tensors.force_into(edges, &displacement_m, &mut balance_n);
     let mut reaction_n = vec![DVec3::ZERO; mesh.positions_m.len()];
     for (node, axis, _) in conditions.iter() {
         reaction_n[node.index()][axis] = balance_n[node.index()][axis] - nodal_force_n[node.index()][axis];

@@ -257,11 +257,21 @@ pub struct Factorization {
 const SINGULAR_GROWTH: f64 = 1e13;
 
 impl Factorization {
-    /// Factors new numbers of the same system, without allocation.
+    /// Factors new numbers of the same system and checks that they are not singular.
     ///
     /// # Errors
     /// [`SolveError::Singular`] when they are not positive definite in floating point.
     pub fn refactor(&mut self, system: &FreeSystem) -> Result<(), SolveError> {
+        self.refactor_definite(system)?;
+        self.check_growth(system)
+    }
+
+    /// Factors new numbers of a system that cannot be nearly singular, because a mass stands on its diagonal:
+    /// [`Factorization::refactor`] without the check for it. No allocation.
+    ///
+    /// # Errors
+    /// [`SolveError::Singular`] when a pivot is not positive.
+    pub fn refactor_definite(&mut self, system: &FreeSystem) -> Result<(), SolveError> {
         if system.n_free == 0 {
             return Ok(());
         }
@@ -276,11 +286,14 @@ impl Factorization {
                 MemStack::new(&mut self.memory),
                 Default::default(),
             )
-            .map_err(|_| SolveError::Singular)?;
-        self.check_growth(system)
+            .map(|_| ())
+            .map_err(|_| SolveError::Singular)
     }
 
     fn check_growth(&self, system: &FreeSystem) -> Result<(), SolveError> {
+        if system.n_free == 0 {
+            return Ok(());
+        }
         let largest = (0..system.n_free)
             .map(|j| system.value[system.column_start[j + 1] as usize - 1])
             .fold(0.0, f64::max);

@@ -1,0 +1,143 @@
+//! Case of the implicit model: one step of 10 ms under a load that wanders over the body.
+
+use std::hint::black_box;
+
+use anyhow::ensure;
+use fearless_simd::Level;
+use glam::DVec3;
+use glisson::material::LinearElastic;
+use glisson::mesh::NodeId;
+use glisson::mesh::topology::Topology;
+use glisson::model::implicit::{
+    DEFAULT_TOLERANCE, ImplicitEuler, ImplicitParams, ImplicitStatus, VolumeResistance,
+};
+use glisson::model::{Constraints, DeformableModel, NodalForce};
+
+use super::body::StandardBody;
+use super::{Case, Prepared, Settings, isa_name};
+
+pub(super) const CASES: &[Case] = &[
+    Case {
+        name: "implicit_step",
+        about: "one implicit Euler step of 10 ms, ln J neo-Hooke, nu 0.45, a load of 1 N wandering over the top",
+        per: "step",
+        sizes: &[2_000, 6_300, 20_000],
+        parallel: false,
+        prepare: nu_045,
+    },
+    Case {
+        name: "implicit_step_nu_049",
+        about: "the same with Poisson's ratio 0.49",
+        per: "step",
+        sizes: &[6_300],
+        parallel: false,
+        prepare: nu_049,
+    },
+    Case {
+        name: "implicit_step_averaged",
+        about: "the same with Poisson's ratio 0.49 and node-averaged pressure",
+        per: "step",
+        sizes: &[6_300],
+        parallel: false,
+        prepare: averaged,
+    },
+];
+
+const STEP_S: f64 = 0.01;
+const LOAD_N: f64 = 1.0;
+/// The load goes round once in this time, on an ellipse of half the body's half axes.
+const ROUND_S: f64 = 4.0;
+/// Radius over which it is spread.
+const SPOT_M: f64 = 0.03;
+
+fn nu_045(settings: Settings) -> anyhow::Result<Prepared> {
+    prepare(settings, 0.45, VolumeResistance::Element)
+}
+
+fn nu_049(settings: Settings) -> anyhow::Result<Prepared> {
+    prepare(settings, 0.49, VolumeResistance::Element)
+}
+
+fn averaged(settings: Settings) -> anyhow::Result<Prepared> {
+    prepare(settings, 0.49, VolumeResistance::NodeAveraged)
+}
+
+fn prepare(settings: Settings, poisson_ratio: f64, volume: VolumeResistance) -> anyhow::Result<Prepared> {
+    let body = StandardBody::shared(settings.size)?;
+    let material = LinearElastic::from_young_poisson(
+        body.material.young_modulus_pa(),
+        poisson_ratio,
+        body.material.density_kg_per_m3(),
+    )?;
+    let mut model = ImplicitEuler::build(&ImplicitParams {
+        mesh: &body.mesh,
+        material: &material,
+        volume,
+        fixed_nodes: &body.fixed_nodes,
+        mass_damping_per_s: 0.0,
+        stiffness_damping_s: 0.0,
+        gravity_m_per_s2: DVec3::ZERO,
+        time_step_s: STEP_S,
+        tolerance: DEFAULT_TOLERANCE,
+    })?;
+    // One round of the load in advance: a step costs nothing but the step.
+    let topology = Topology::build(&body.mesh)?;
+    let top: Vec<NodeId> =
+        topology.surface_nodes().filter(|n| body.mesh.positions_m[n.index()].z > 0.0).collect();
+    let n_steps = (ROUND_S / STEP_S) as usize;
+    let loads: Vec<Constraints> = (0..n_steps)
+        .map(|step| {
+            let angle = std::f64::consts::TAU * step as f64 / n_steps as f64;
+            let centre = DVec3::new(0.075 * angle.cos(), 0.05 * angle.sin(), 0.0);
+            let weights: Vec<(NodeId, f64)> = top
+                .iter()
+                .map(|&n| {
+                    let away = (body.mesh.positions_m[n.index()] - centre).truncate().length() / SPOT_M;
+                    (n, (1.0 - away * away).max(0.0))
+                })
+                .filter(|(_, w)| *w > 0.0)
+                .collect();
+            let sum: f64 = weights.iter().map(|(_, w)| w).sum();
+            let force = |(node, w): &(NodeId, f64)| NodalForce {
+                node: *node,
+                force_n: DVec3::new(0.0, 0.0, -LOAD_N * w / sum),
+            };
+            Constraints { displacements: Vec::new(), forces: weights.iter().map(force).collect() }
+        })
+        .collect();
+    let (mut worst, mut newton, mut cg, mut factors) = (0.0_f64, 0, 0, 0);
+    for load in loads.iter().cycle().take(n_steps + 50) {
+        model.apply(load);
+        model.step(STEP_S);
+        let report = model.report();
+        ensure!(report.status == ImplicitStatus::Converged, "a step ended with {report:?}");
+        worst = worst.max(report.residual_share);
+        newton += report.newton_iterations;
+        cg += report.cg_iterations;
+        factors += report.n_factors;
+    }
+    let deepest_m = model.displacements_m().iter().map(|u| u.length()).fold(0.0, f64::max);
+    let per_step = |n: u32| f64::from(n) / (n_steps + 50) as f64;
+    let mut turn = 50;
+    Ok(Prepared {
+        size: body.mesh.tetrahedra.len(),
+        isa: isa_name(Level::new()),
+        precision: "f64",
+        work: None,
+        note: format!(
+            "{} nodes; {:.1} Newton, {:.1} CG iterations, {:.4} factors a step; residual at most {worst:.1e}; \
+             displacement {:.1} mm",
+            body.mesh.positions_m.len(),
+            per_step(newton),
+            per_step(cg),
+            per_step(factors),
+            1e3 * deepest_m
+        ),
+        run: Box::new(move || {
+            model.apply(&loads[turn]);
+            model.step(STEP_S);
+            turn = (turn + 1) % loads.len();
+            black_box(model.state().positions_m);
+        }),
+    })
+}

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use glisson::material::{
-    HolzapfelGasserOgden, HolzapfelGasserOgdenParameters, LinearElastic, MaterialSpec, MooneyRivlin, NeoHookeLog,
-    Ogden, StVenantKirchhoff, StableNeoHooke,
+    HolzapfelGasserOgden, HolzapfelGasserOgdenParameters, LinearElastic, MaterialSpec, MooneyRivlin,
+    NeoHookeLog, Ogden, StVenantKirchhoff, StableNeoHooke,
 };
 use glisson::math::DVec3;
 use glisson::solve::case::{StaticCase, read_case, write_vectors};
@@ -97,7 +97,8 @@ fn law_of(args: &Args, linear: &LinearElastic) -> anyhow::Result<MaterialSpec> {
         Law::StableNeoHooke => MaterialSpec::StableNeoHooke(StableNeoHooke::from(linear)),
         Law::MooneyRivlin => MaterialSpec::MooneyRivlin(MooneyRivlin::from_linear(linear, args.c01_share)?),
         Law::Ogden => {
-            let alpha = args.alpha.context("the law ogden needs its exponent: --alpha (brain: --alpha=-4.7)")?;
+            let alpha =
+                args.alpha.context("the law ogden needs its exponent: --alpha (brain: --alpha=-4.7)")?;
             MaterialSpec::Ogden(Ogden::from_linear(linear, alpha)?)
         }
         Law::HolzapfelGasserOgden => {

@@ -132,6 +132,24 @@ impl HolzapfelGasserOgden {
     }
 }
 
+impl HolzapfelGasserOgden {
+    /// Adds the fibres' part to the matrix's tangent.
+    fn with_fibres(&self, f: &DMat3, mut tangent: Tangent) -> Tangent {
+        for &fibre in &self.fibres {
+            let Some(family) = self.family(f, fibre) else { continue };
+            add_square(&mut tangent, family.second_pa, &family.gradient.to_cols_array());
+            for axis in 0..9 {
+                tangent[axis][axis] += 2.0 * self.dispersion * family.first_pa;
+            }
+            for row in DVec3::AXES {
+                let along = outer(row, fibre).to_cols_array();
+                add_square(&mut tangent, 2.0 * self.alignment() * family.first_pa, &along);
+            }
+        }
+        tangent
+    }
+}
+
 impl Material for HolzapfelGasserOgden {
     fn energy_density_j_per_m3(&self, f: &DMat3) -> f64 {
         let mut energy = self.matrix.energy_density_j_per_m3(f);
@@ -164,23 +182,14 @@ impl Material for HolzapfelGasserOgden {
         change
     }
 
+    fn tangent_pa(&self, f: &DMat3) -> Tangent {
+        self.with_fibres(f, self.matrix.tangent_pa(f))
+    }
+
     /// The matrix's projected tangent plus the fibres', which have no negative eigenvalue: a pulled fibre's
     /// second derivative is a square plus a positive stress times a positive form. Not the nearest such matrix
     /// to the sum, but a convex one that is exact where the matrix's tangent is convex.
     fn projected_tangent_pa(&self, f: &DMat3) -> Tangent {
-        let mut tangent = self.matrix.projected_tangent_pa(f);
-        for &fibre in &self.fibres {
-            if let Some(family) = self.family(f, fibre) {
-                add_square(&mut tangent, family.second_pa, &family.gradient.to_cols_array());
-                for axis in 0..9 {
-                    tangent[axis][axis] += 2.0 * self.dispersion * family.first_pa;
-                }
-                for row in DVec3::AXES {
-                    let along = outer(row, fibre).to_cols_array();
-                    add_square(&mut tangent, 2.0 * self.alignment() * family.first_pa, &along);
-                }
-            }
-        }
-        tangent
+        self.with_fibres(f, self.matrix.projected_tangent_pa(f))
     }
 }

@@ -108,6 +108,24 @@ impl Material for NeoHookeLog {
             - inverse_transposed * df.transpose() * inverse_transposed * self.pressure_pa(j)
     }
 
+    /// With G = F^-T and p = lambda ln J - mu:
+    /// d2W/dF_rc dF_sd = mu delta_rs delta_cd + lambda G_rc G_sd - p G_rd G_sc.
+    fn tangent_pa(&self, f: &DMat3) -> Tangent {
+        let cofactor = cofactor(f);
+        let j = cofactor.x_axis.dot(f.x_axis);
+        let g = (cofactor * (1.0 / j)).to_cols_array();
+        let p = self.pressure_pa(j);
+        let mut tangent = [[0.0; 9]; 9];
+        for row in 0..9 {
+            for column in 0..9 {
+                let ((r, c), (s, d)) = ((row % 3, row / 3), (column % 3, column / 3));
+                tangent[row][column] = self.lambda_pa * g[row] * g[column] - p * g[3 * d + r] * g[3 * c + s];
+            }
+            tangent[row][row] += self.mu_pa;
+        }
+        tangent
+    }
+
     fn projected_tangent_pa(&self, f: &DMat3) -> Tangent {
         principal::projected_tangent_pa(f, |s| self.principal(s))
     }

@@ -148,6 +148,10 @@ impl Material for Ogden {
         principal::first_piola_differential_pa(f, df, |s| self.principal(s))
     }
 
+    fn tangent_pa(&self, f: &DMat3) -> Tangent {
+        principal::tangent_pa(f, |s| self.principal(s))
+    }
+
     fn projected_tangent_pa(&self, f: &DMat3) -> Tangent {
         principal::projected_tangent_pa(f, |s| self.principal(s))
     }

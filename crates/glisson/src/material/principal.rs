@@ -67,15 +67,36 @@ pub(super) fn first_piola_differential_pa(
     u * dp * v.transpose()
 }
 
+/// The tangent of a law given by its principal derivatives, as a whole.
+pub(super) fn tangent_pa(f: &DMat3, law: impl Fn([f64; 3]) -> PrincipalDerivatives) -> Tangent {
+    let SignedSingularValues { u, stretches, v } = signed_singular_values(f);
+    let d = law(stretches);
+    let diagonal: [[f64; 9]; 3] = std::array::from_fn(|i| outer(u.col(i), v.col(i)).to_cols_array());
+    let mut tangent = off_diagonal(&u, &v, &d);
+    for i in 0..3 {
+        // Rows of this stretch: what it answers to each of the three.
+        let answer: [f64; 9] =
+            std::array::from_fn(|entry| (0..3).map(|j| d.second[i][j] * diagonal[j][entry]).sum());
+        for row in 0..9 {
+            for column in 0..9 {
+                tangent[row][column] += diagonal[i][row] * answer[column];
+            }
+        }
+    }
+    tangent
+}
+
 /// The tangent without its negative eigenvalues, of a law given by its principal derivatives.
 pub(super) fn projected_tangent_pa(f: &DMat3, law: impl Fn([f64; 3]) -> PrincipalDerivatives) -> Tangent {
     let SignedSingularValues { u, stretches, v } = signed_singular_values(f);
-    let d = law(stretches);
-    let mut tangent = [[0.0; 9]; 9];
+    let mut d = law(stretches);
     let finite = d.second.iter().flatten().chain(&d.symmetric).chain(&d.antisymmetric).all(|x| x.is_finite());
     if !finite {
         return [[f64::NAN; 9]; 9];
     }
+    d.symmetric = d.symmetric.map(|x| x.max(0.0));
+    d.antisymmetric = d.antisymmetric.map(|x| x.max(0.0));
+    let mut tangent = off_diagonal(&u, &v, &d);
     let (values, vectors) = eigen_symmetric(&d.second);
     let diagonal: [DMat3; 3] = std::array::from_fn(|i| outer(u.col(i), v.col(i)));
     for (value, weights) in values.into_iter().zip(vectors) {
@@ -84,14 +105,16 @@ pub(super) fn projected_tangent_pa(f: &DMat3, law: impl Fn([f64; 3]) -> Principa
             add_square(&mut tangent, value, &matrix.to_cols_array());
         }
     }
+    tangent
+}
+
+/// The part of the tangent that answers changes off the diagonal of U^T dF V.
+fn off_diagonal(u: &DMat3, v: &DMat3, d: &PrincipalDerivatives) -> Tangent {
+    let mut tangent = [[0.0; 9]; 9];
     for (k, [i, j]) in PAIRS.into_iter().enumerate() {
         let (ij, ji) = (outer(u.col(i), v.col(j)), outer(u.col(j), v.col(i)));
-        if d.symmetric[k] > 0.0 {
-            add_square(&mut tangent, 0.5 * d.symmetric[k], &(ij + ji).to_cols_array());
-        }
-        if d.antisymmetric[k] > 0.0 {
-            add_square(&mut tangent, 0.5 * d.antisymmetric[k], &(ij - ji).to_cols_array());
-        }
+        add_square(&mut tangent, 0.5 * d.symmetric[k], &(ij + ji).to_cols_array());
+        add_square(&mut tangent, 0.5 * d.antisymmetric[k], &(ij - ji).to_cols_array());
     }
     tangent
 }

@@ -102,6 +102,29 @@ impl Material for StVenantKirchhoff {
         *df * self.second_piola_pa(&green_strain(f)) + *f * self.second_piola_pa(&strain_change)
     }
 
+    /// d2W/dF_rc dF_sd = delta_rs S_cd + lambda F_rc F_sd + mu ((F F^T)_rs delta_cd + F_rd F_sc).
+    fn tangent_pa(&self, f: &DMat3) -> Tangent {
+        let stress = self.second_piola_pa(&green_strain(f)).to_cols_array();
+        let left = (*f * f.transpose()).to_cols_array();
+        let g = f.to_cols_array();
+        let mut tangent = [[0.0; 9]; 9];
+        for row in 0..9 {
+            for column in 0..9 {
+                let ((r, c), (s, d)) = ((row % 3, row / 3), (column % 3, column / 3));
+                let mut entry =
+                    self.lambda_pa * g[row] * g[column] + self.mu_pa * g[3 * d + r] * g[3 * c + s];
+                if r == s {
+                    entry += stress[3 * c + d];
+                }
+                if c == d {
+                    entry += self.mu_pa * left[3 * r + s];
+                }
+                tangent[row][column] = entry;
+            }
+        }
+        tangent
+    }
+
     fn projected_tangent_pa(&self, f: &DMat3) -> Tangent {
         principal::projected_tangent_pa(f, |s| self.principal(s))
     }

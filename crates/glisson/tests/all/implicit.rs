@@ -142,7 +142,7 @@ fn model_of(case: &StaticCase) -> (ImplicitEuler, Constraints) {
     let model = ImplicitEuler::build(&ImplicitParams {
         gravity_m_per_s2: case.gravity_m_per_s2,
         mass_damping_per_s: 2.0,
-        time_step_s: 0.4,
+        time_step_s: 1.0,
         ..params(&case.mesh, &case.material, &fixed)
     })
     .unwrap();
@@ -152,12 +152,12 @@ fn model_of(case: &StaticCase) -> (ImplicitEuler, Constraints) {
 /// Our own static Newton solution to a residual of 1e-9.
 #[test]
 fn damped_time_stepping_ends_in_the_static_solution() {
-    for (name, n_steps) in [("cylinder", 25), ("beam", 60)] {
+    for (name, n_steps) in [("cylinder", 10), ("beam", 16)] {
         let case = read_case(&folder(name)).unwrap();
         let (mut model, constraints) = model_of(&case);
         model.apply(&constraints);
         for _ in 0..n_steps {
-            model.step(0.4);
+            model.step(1.0);
             assert_eq!(model.report().status, ImplicitStatus::Converged, "{name}: {:?}", model.report());
         }
         let u = relative_difference(model.displacements_m(), &reference(name, "u_np_nh.csv"));

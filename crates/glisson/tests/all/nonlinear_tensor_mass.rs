@@ -448,10 +448,6 @@ fn adaptive_forces_are_as_wrong_as_reported_at_most() {
             assert!(!body.is_nonlinear(NodeId::from_index(n)) || *error_n <= 1e-12);
         }
         shares.push(report.nonlinear_share());
-        println!(
-            "tolerance {tolerance_n:e} N: share {:.3}, bound {bound_n:.3e} N, true {largest_n:.3e} N",
-            report.nonlinear_share()
-        );
     }
     assert!(shares.is_sorted_by(|a, b| a >= b) && shares[0] > shares[3], "{shares:?}");
 

@@ -13,7 +13,8 @@
 //!         + sum over tetrahedra (|D_jklp + D_kjlp| + |D_jlkp + D_ljkp| + |D_kljp + D_lkjp|) ].
 //!
 //! c_p and d_p are accumulated once and follow removals. A node whose bound is below the tolerance gets its linear
-//! force alone: its force is then wrong by at most that bound, which the report states.
+//! force alone: its force is then wrong by at most that bound, which the report states. The bound adds sizes where
+//! forces of neighbouring tetrahedra cancel: in a smoothly bent bar it is 40 to 50 times the true error.
 
 use super::numbers::{EdgeStiffness, TetScalars, TriangleStiffness};
 use crate::model::explicit::{Padded, unpadded};

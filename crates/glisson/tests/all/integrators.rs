@@ -139,7 +139,7 @@ fn the_stable_step_is_the_border_of_stability() {
                 assert!(run.step(2.2 * h_s).missed_fixed_point, "{name}");
             } else {
                 let unstable = largest(1.01 * h_s);
-                assert!(!(unstable < 1e3), "{name} d {d} h {h_s}: {unstable}");
+                assert!(unstable > 1e3 || unstable.is_nan(), "{name} d {d} h {h_s}: {unstable}");
             }
         }
     }

@@ -208,9 +208,11 @@ pub fn indent(model: &mut dyn DeformableModel, test: &IndentationTest<'_>) -> In
 
 /// How many tetrahedra of a mesh stand inverted or flat at these positions.
 pub fn n_inverted(mesh: &TetMesh, positions_m: &[DVec3]) -> usize {
-    let volume_m3 = |nodes: &[NodeId; 4]| tetrahedron_volume_m3(nodes.map(|n| positions_m[n.index()]));
-    // Written so that a position that is no number counts.
-    mesh.tetrahedra.iter().filter(|nodes| !(volume_m3(nodes) > 0.0)).count()
+    let is_inverted = |nodes: &&[NodeId; 4]| {
+        let volume_m3 = tetrahedron_volume_m3(nodes.map(|n| positions_m[n.index()]));
+        volume_m3 <= 0.0 || volume_m3.is_nan()
+    };
+    mesh.tetrahedra.iter().filter(is_inverted).count()
 }
 
 /// Mass of each node [kg]: a quarter of each tetrahedron's to each of its corners.

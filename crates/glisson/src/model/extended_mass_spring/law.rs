@@ -59,11 +59,11 @@ pub(super) trait EdgeEnergy: Copy {
     /// Elastic energy [J].
     fn energy_j(&self, growth_m2: [f64; 6]) -> f64;
 
-    /// Largest absolute number in it, for comparisons.
+    /// Its numbers, for comparison with those of a model built anew.
     fn numbers(&self) -> Vec<f64>;
 }
 
-/// g_a.g_b for each edge, and all of the Gram matrix of the gradients.
+/// g_a.g_b [1/m2] of the shape gradients.
 fn gram_per_m2(gradients: &P1Gradients) -> [[f64; 4]; 4] {
     let g = &gradients.alpha_per_m;
     std::array::from_fn(|a| std::array::from_fn(|b| g[a].dot(g[b])))

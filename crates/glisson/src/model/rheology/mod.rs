@@ -209,7 +209,6 @@ pub fn indent(model: &mut dyn DeformableModel, test: &IndentationTest<'_>) -> In
 /// How many tetrahedra of a mesh stand inverted or flat at these positions.
 pub fn n_inverted(mesh: &TetMesh, positions_m: &[DVec3]) -> usize {
     let volume_m3 = |nodes: &[NodeId; 4]| tetrahedron_volume_m3(nodes.map(|n| positions_m[n.index()]));
-    // Written so that a position that is no number counts.
     mesh.tetrahedra.iter().filter(|nodes| is_inverted(volume_m3(nodes))).count()
 }
 

@@ -70,7 +70,7 @@ impl Shared {
                     return;
                 }
                 turns += 1;
-                if turns % SPINS_PER_LOOK == 0 && start.elapsed() > SPIN {
+                if turns.is_multiple_of(SPINS_PER_LOOK) && start.elapsed() > SPIN {
                     // A round or the end that came just now has left a token: then this returns at once.
                     std::thread::park();
                 } else {
@@ -150,7 +150,7 @@ impl Workers for WorkerTeam {
         while self.shared.n_done.load(Ordering::Acquire) < n_tasks {
             turns += 1;
             // On a busy machine the thread that has the last task may wait for this core.
-            if turns % 1024 == 0 { yield_now() } else { spin_loop() }
+            if turns.is_multiple_of(1024) { yield_now() } else { spin_loop() }
         }
         assert!(!self.shared.has_panicked.swap(false, Ordering::Relaxed), "a task panicked");
     }

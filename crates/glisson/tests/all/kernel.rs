@@ -102,7 +102,7 @@ fn forces_equal_the_plain_formula_with_materials_that_differ() {
         let path = KernelPath::fastest();
         let mut kernel =
             FastKernel::new(&KernelParams { mesh: &mesh, law, materials: &materials, path }).unwrap();
-        assert!(kernel.n_parts() > 4, "parts exchange rows");
+        assert!(kernel.n_parts() >= 4, "parts exchange rows");
         let mut force_n = vec![DVec3::ZERO; u.len()];
         kernel.force_into(&Sequential, &u, &mut force_n);
         let off = relative_difference(&force_n, &plain_forces(&mesh, law, &materials, &u));

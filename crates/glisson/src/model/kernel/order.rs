@@ -11,7 +11,7 @@ const CURVE_BITS: u32 = 16;
 /// Tetrahedra in a part at most: displacements and forces of its nodes together stay in a first-level cache.
 const MOST_TETS: usize = 2048;
 /// Smaller meshes are cut into this many parts all the same, so that several threads have work ...
-const LEAST_PARTS: usize = 8;
+const LEAST_PARTS: usize = 4;
 /// ... unless parts would become smaller than this.
 const LEAST_TETS: usize = 128;
 

@@ -11,11 +11,10 @@ use glisson::model::extended_mass_spring::{
 };
 use glisson::model::mass_spring::{MassSpring, MassSpringParams, NodalMasses};
 use glisson::model::rheology::experiments::{
-    DENSITY_KG_PER_M3, POISSON_RATIO, SIDE_M, UniaxialParams, drop_irregular_cube, force_operations,
-    indentation_of_cube, mass_spring_cube, mass_spring_cubes, seed_material, uniaxial, uniaxial_force_n,
+    SIDE_M, UniaxialParams, drop_irregular_cube, force_operations, indentation_of_cube, mass_spring_cube,
+    seed_material, uniaxial,
 };
 use glisson::model::rheology::{IndentationTest, indentation_nodes};
-use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::model::{
     Constraints, DeformableModel, Dynamics, ExplicitBodyError, ImposedDisplacement, Inertia, NodalForce,
     TopologyRefusal,
@@ -23,7 +22,7 @@ use glisson::model::{
 use glisson::solve::integrators::Scheme;
 use glisson::solve::{BoundaryConditions, P1Gradients, StaticProblem, solve_static};
 
-use crate::model_meshes::{block, nodes_below, relative_difference, shaken_block};
+use crate::model_meshes::{nodes_below, relative_difference, shaken_block};
 
 fn material() -> LinearElastic {
     LinearElastic::from_young_poisson(5000.0, 0.45, 1060.0).unwrap()

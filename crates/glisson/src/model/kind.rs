@@ -11,17 +11,20 @@ pub enum ModelKind {
     Precomputed,
     /// Linear tensor-mass: explicit dynamics, can be cut.
     TensorMass,
+    /// St Venant-Kirchhoff tensor-mass: explicit dynamics, right under large rotations, can be cut.
+    StVenantKirchhoff,
 }
 
 impl ModelKind {
     /// All kinds, in the order that messages list them.
-    pub const ALL: [Self; 2] = [Self::Precomputed, Self::TensorMass];
+    pub const ALL: [Self; 3] = [Self::Precomputed, Self::TensorMass, Self::StVenantKirchhoff];
 
     /// The name in scene files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Precomputed => "precomputed",
             Self::TensorMass => "tensor_mass",
+            Self::StVenantKirchhoff => "st_venant_kirchhoff",
         }
     }
 

@@ -9,6 +9,9 @@ use crate::mesh::files::{MeshFileError, read_mesh_with};
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::DeformableModel;
 use crate::model::kind::ModelKind;
+use crate::model::nonlinear_tensor_mass::{
+    NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassError, NonlinearTensorMassParams,
+};
 use crate::model::precomputed::{
     self, Precomputed, PrecomputedError, PrecomputedExpectation, PrecomputedParams, StoredNodes,
 };
@@ -60,7 +63,14 @@ pub enum BuildError {
     /// The tensor-mass model; its numbers are those of the scene.
     #[error("[simulation] or [organ]: {0}")]
     TensorMass(#[from] TensorMassError),
+    /// The St Venant-Kirchhoff model; its numbers are those of the scene.
+    #[error("[simulation] or [organ]: {0}")]
+    StVenantKirchhoff(#[from] NonlinearTensorMassError),
 }
+
+/// St Venant-Kirchhoff tissue stiffens as it is stretched: its stable step is computed for principal stretches up
+/// to this one. A choice, not a measurement: the law itself is meant for strains well below it.
+const LARGEST_STRETCH: f64 = 1.3;
 
 /// What the models of one organ are made from.
 #[derive(Clone, Debug)]
@@ -143,6 +153,22 @@ pub fn build_model(
             gravity_m_per_s2: DVec3::ZERO,
             time_step_s: scene.world.time_step_s,
         })?),
+        (ModelKind::StVenantKirchhoff, _) => {
+            let largest_stretch = LARGEST_STRETCH;
+            Box::new(NonlinearTensorMass::build(&NonlinearTensorMassParams {
+                mesh,
+                elasticity: NonlinearElasticity {
+                    material,
+                    fibres: &[],
+                    volume_penalty_pa: 0.0,
+                    largest_stretch,
+                },
+                fixed_nodes,
+                damping_per_s: scene.organ.damping_per_s,
+                gravity_m_per_s2: DVec3::ZERO,
+                time_step_s: scene.world.time_step_s,
+            })?)
+        }
     })
 }
 

@@ -324,7 +324,7 @@ tip = ["0 mm", "-100 mm", "0 mm"]
             (
                 "tensor_mass",
                 "tensormass",
-                "line 12: \"model\" is \"tensormass\"; allowed: precomputed, tensor_mass",
+                "line 12: \"model\" is \"tensormass\"; allowed: precomputed, tensor_mass, st_venant_kirchhoff",
             ),
             ("mesh = \"liver.vtu\"\n", "", "[organ] lacks \"mesh\""),
             ("[0, -2, 0]", "[0, 0, 0]", "three numbers that are not all zero"),

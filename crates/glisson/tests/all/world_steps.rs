@@ -7,6 +7,9 @@ use glisson::math::DVec3;
 use glisson::mesh::TetMesh;
 use glisson::model::DeformableModel;
 use glisson::model::kind::ModelKind;
+use glisson::model::nonlinear_tensor_mass::{
+    NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
+};
 use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::record::hash::StateHash;
@@ -37,6 +40,19 @@ fn model(mesh: &TetMesh, fixed: &[FixedRegion], kind: ModelKind) -> Box<dyn Defo
                 time_step_s: TIME_STEP_S,
             };
             Box::new(TensorMass::build(&params).unwrap())
+        }
+        ModelKind::StVenantKirchhoff => {
+            let elasticity =
+                NonlinearElasticity { material, fibres: &[], volume_penalty_pa: 0.0, largest_stretch: 1.3 };
+            let params = NonlinearTensorMassParams {
+                mesh,
+                elasticity,
+                fixed_nodes,
+                damping_per_s: 30.0,
+                gravity_m_per_s2: DVec3::ZERO,
+                time_step_s: TIME_STEP_S,
+            };
+            Box::new(NonlinearTensorMass::build(&params).unwrap())
         }
     }
 }

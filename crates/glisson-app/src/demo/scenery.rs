@@ -103,8 +103,8 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
     let mut text = format!(
         "# Written by `glisson demo`. Every quantity names its unit; positions are in the patient frame (LPS).\n\
          glisson_scene = 1\nname = \"Palpation of a synthetic patient's liver\"\n\n\
-         # Short enough for tensor_mass too; the pre-computed model takes any step.\n\
-         [simulation]\ntime_step = \"0.5 ms\"\n\n\
+         # Short enough for tensor_mass and st_venant_kirchhoff too; the pre-computed model takes any step.\n\
+         [simulation]\ntime_step = \"0.4 ms\"\n\n\
          [organ]\nmesh = \"{}\"\ntissue = \"liver\"\nmodel = \"precomputed\"\nprecomputed = \"{}\"\n\
          damping = \"20 1/s\"\n\n\
          # Held where the diaphragm and the great vessels hold a liver: behind and above.\n\

@@ -23,6 +23,12 @@ fn refuses(folder: &Path, arguments: &[&str], expected: &[&str]) {
     let output = glisson(folder, arguments);
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     let line = arguments.join(" ");
+    for text in expected {
+        assert!(
+            text.len() < 12 || message.matches(text).count() <= 1,
+            "glisson {line} says it twice: {message}"
+        );
+    }
     assert_eq!(output.status.code(), Some(1), "glisson {line}: {message}");
     assert!(message.starts_with("error: "), "glisson {line}: {message}");
     for text in expected {
@@ -131,7 +137,7 @@ fn scenes_with_mistakes_are_refused_with_line_and_remedy() {
     refuses(
         folder.path(),
         &["run", "bad.toml"],
-        &["bad.toml", "[simulation]", "1000 ms", "at most", "stable"],
+        &["bad.toml", "[simulation]", "1000 ms", "at most", "above the stable one"],
     );
     refuses(folder.path(), &["run", "gone.toml"], &["gone.toml"]);
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 
 const DEFAULT_STEPS: u64 = 20_000;
 /// The time step of the demo's scene [s].
-const TIME_STEP_S: f64 = 5e-4;
+const TIME_STEP_S: f64 = 4e-4;
 /// One push takes so long [s].
 const PUSH_S: f64 = 0.4;
 

@@ -61,10 +61,10 @@ pub enum BuildError {
     #[error(transparent)]
     Precomputed(#[from] PrecomputedError),
     /// The tensor-mass model; its numbers are those of the scene.
-    #[error("[simulation] or [organ]: {0}")]
+    #[error("[simulation] or [organ]")]
     TensorMass(#[from] TensorMassError),
     /// The St Venant-Kirchhoff model; its numbers are those of the scene.
-    #[error("[simulation] or [organ]: {0}")]
+    #[error("[simulation] or [organ]")]
     StVenantKirchhoff(#[from] NonlinearTensorMassError),
 }
 

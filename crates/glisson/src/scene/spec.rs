@@ -128,9 +128,13 @@ fn read_material(section: &mut Section<'_>) -> Result<MaterialSource, SceneError
     let tissue = section.string("tissue")?;
     let young = section.positive("young_modulus", Dimension::Pressure)?;
     let poisson = section.number("poisson_ratio")?;
+    let lame_lambda = section.quantity("lame_lambda", Dimension::Pressure)?;
+    let lame_mu = section.positive("lame_mu", Dimension::Pressure)?;
     let density = section.positive("density", Dimension::Density)?;
+    let given =
+        [young.is_some(), poisson.is_some(), lame_lambda.is_some(), lame_mu.is_some(), density.is_some()];
     if let Some((name, at)) = tissue {
-        if young.is_some() || poisson.is_some() || density.is_some() {
+        if given.contains(&true) {
             let allowed = "a tissue alone, or young_modulus, poisson_ratio and density without a tissue";
             return Err(section.wrong_value(
                 at,
@@ -140,6 +144,33 @@ fn read_material(section: &mut Section<'_>) -> Result<MaterialSource, SceneError
             ));
         }
         return Ok(MaterialSource::Tissue(name));
+    }
+    if lame_lambda.is_none() && lame_mu.is_some() {
+        return Err(section.missing("lame_lambda", "lame_lambda = \"12.5 kPa\""));
+    }
+    if let Some((lambda_pa, at)) = lame_lambda {
+        let mu_pa = lame_mu.ok_or_else(|| section.missing("lame_mu", "lame_mu = \"2 kPa\""))?;
+        if young.is_some() || poisson.is_some() {
+            let allowed = "lame_lambda and lame_mu, or young_modulus and poisson_ratio";
+            return Err(section.wrong_value(
+                at,
+                "lame_lambda",
+                "beside young_modulus or poisson_ratio".into(),
+                allowed,
+            ));
+        }
+        // Positive energy for every strain (LinearElastic::from_lame).
+        if 3.0 * lambda_pa + 2.0 * mu_pa <= 0.0 {
+            let allowed = "more than -2/3 of lame_mu";
+            return Err(section.wrong_value(at, "lame_lambda", format!("{lambda_pa} Pa"), allowed));
+        }
+        let density_kg_per_m3 =
+            density.ok_or_else(|| section.missing("density", "density = \"1060 kg/m3\""))?;
+        return Ok(MaterialSource::Given {
+            young_modulus_pa: mu_pa * (3.0 * lambda_pa + 2.0 * mu_pa) / (lambda_pa + mu_pa),
+            poisson_ratio: lambda_pa / (2.0 * (lambda_pa + mu_pa)),
+            density_kg_per_m3,
+        });
     }
     let young_modulus_pa = young.ok_or_else(|| {
         section.missing("young_modulus", "young_modulus = \"5 kPa\" (or tissue = \"liver\")")
@@ -308,6 +339,25 @@ tip = ["0 mm", "-100 mm", "0 mm"]
         let halfway = tool_on_path(scene.world.tool.home, &scene.path, 0.5);
         assert!((halfway.tip_in_world_m.y + 0.15).abs() < 1e-15);
         assert_eq!(tool_on_path(scene.world.tool.home, &scene.path, 9.0), scene.path[0].tool);
+    }
+
+    #[test]
+    fn lame_numbers_stand_for_young_and_poisson() {
+        let young = "young_modulus = \"5 kPa\"\npoisson_ratio = 0.45\n";
+        let lame = "lame_lambda = \"12.5 kPa\"\nlame_mu = \"2 kPa\"\n";
+        let scene = Scene::parse(&SCENE.replace(young, lame)).unwrap();
+        let MaterialSource::Given { young_modulus_pa, poisson_ratio, .. } = scene.organ.material else {
+            panic!("{:?}", scene.organ.material)
+        };
+        let law = crate::material::LinearElastic::from_lame(12.5e3, 2e3, 1060.0).unwrap();
+        assert!((young_modulus_pa / law.young_modulus_pa() - 1.0).abs() < 1e-14);
+        assert!((poisson_ratio / law.poisson_ratio() - 1.0).abs() < 1e-14);
+        let both = Scene::parse(&SCENE.replace(young, &(young.to_string() + lame))).unwrap_err().to_string();
+        assert!(both.contains("lame_lambda and lame_mu, or young_modulus and poisson_ratio"), "{both}");
+        let half = Scene::parse(&SCENE.replace(young, "lame_lambda = \"1 kPa\"\n")).unwrap_err().to_string();
+        assert!(half.contains("[organ] lacks \"lame_mu\""), "{half}");
+        let mixed = Scene::parse(&SCENE.replace(young, &(young.to_string() + "lame_mu = \"2 kPa\"\n")));
+        assert!(mixed.unwrap_err().to_string().contains("[organ] lacks \"lame_lambda\""));
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! `glisson validate`.
 
-use crate::validate::{Experiment, GROUPS};
+use crate::validate::{Experiment, Figure, GROUPS, Group, Outcome};
 use anyhow::{Context, bail};
 use glisson::files::write_atomically;
 use serde_json::json;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Reproduce the claims: every experiment with expected and obtained values.
 ///
@@ -19,7 +19,7 @@ pub(crate) struct Args {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// Folder for validation.json and validation.md
+    /// Folder for validation.json, validation.md and its figures
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
@@ -43,33 +43,55 @@ fn table(experiments: &[Experiment]) -> String {
     text
 }
 
+/// The page: a section a group, with table, figures and notes.
+fn page(outcomes: &[(&Group, Outcome)]) -> String {
+    let mut text = String::from(
+        "# Validation\n\nWhat `glisson validate --out DIR` writes: every claim with its source, the value expected and the one \
+         obtained.\n",
+    );
+    for (group, outcome) in outcomes {
+        text += &format!("\n## {}\n{}\n\n{}", group.name, group.about, table(&outcome.experiments));
+        for Figure { file, caption, .. } in &outcome.figures {
+            text += &format!("\n![{caption}]({file})\n\n{caption}\n");
+        }
+        if !outcome.notes.is_empty() {
+            text += &format!("\n{}\n", outcome.notes.trim_end());
+        }
+    }
+    text
+}
+
+fn write(path: &Path, text: &str) -> anyhow::Result<()> {
+    write_atomically(path, |out| out.write_all(text.as_bytes()))
+        .with_context(|| format!("{}: cannot write", path.display()))
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let names = GROUPS.map(|g| g.name);
+    let names: Vec<&str> = GROUPS.iter().map(|g| g.name).collect();
     if let Some(group) = &args.group
         && !names.contains(&group.as_str())
     {
         let suggestion = glisson::text::did_you_mean(group, &names);
         bail!("no group \"{group}\" of experiments; there are: {}{suggestion}", names.join(", "));
     }
-    let mut experiments = Vec::new();
-    for group in GROUPS.iter().filter(|g| args.group.as_ref().is_none_or(|wanted| wanted == g.name)) {
-        if !args.json {
-            eprintln!("{} ...", group.name);
-        }
-        experiments.extend((group.run)().with_context(|| format!("experiments of group {}", group.name))?);
-    }
-    let document = serde_json::to_string_pretty(&json!({ "experiments": experiments }))? + "\n";
-    if args.json {
-        print!("{document}");
-    } else {
-        print!("{}", table(&experiments));
-    }
     if let Some(folder) = &args.out {
         std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot make", folder.display()))?;
-        for (name, text) in [("validation.json", &document), ("validation.md", &table(&experiments))] {
-            let path = folder.join(name);
-            write_atomically(&path, |out| out.write_all(text.as_bytes()))
-                .with_context(|| format!("{}: cannot write", path.display()))?;
+    }
+    let mut outcomes = Vec::new();
+    for group in GROUPS.iter().filter(|g| args.group.as_ref().is_none_or(|wanted| wanted == g.name)) {
+        eprintln!("{} ...", group.name);
+        let outcome = (group.run)().with_context(|| format!("experiments of group {}", group.name))?;
+        outcomes.push((group, outcome));
+    }
+    let experiments: Vec<&Experiment> = outcomes.iter().flat_map(|(_, o)| &o.experiments).collect();
+    let document = serde_json::to_string_pretty(&json!({ "experiments": experiments }))? + "\n";
+    let page = page(&outcomes);
+    print!("{}", if args.json { &document } else { &page });
+    if let Some(folder) = &args.out {
+        write(&folder.join("validation.json"), &document)?;
+        write(&folder.join("validation.md"), &page)?;
+        for figure in outcomes.iter().flat_map(|(_, o)| &o.figures) {
+            figure.plot.write_svg(&folder.join(figure.file))?;
         }
     }
     let failed = experiments.iter().filter(|e| !e.pass).count();

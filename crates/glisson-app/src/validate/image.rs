@@ -1,6 +1,6 @@
 //! The synthetic patient, its segmentation and its mesh, at full size.
 
-use super::Experiment;
+use super::{Experiment, Outcome};
 use glisson::image::labels::{Parts, dice, mask_volume_m3};
 use glisson::image::phantom::{PhantomParams, generate as generate_phantom};
 use glisson::image::segment::{SegmentParams, bare_band, segment};
@@ -10,7 +10,7 @@ use glisson::surface::extract::{SurfaceParams, surface_of_mask};
 const OWN: &str = "requirement: synthetic portal-phase CT, 1.5 mm voxels, noise 20 HU";
 const STUFFING: &str = "Labelle and Shewchuk 2007, doi 10.1145/1276377.1276448";
 
-pub(super) fn experiments() -> anyhow::Result<Vec<Experiment>> {
+pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let phantom = generate_phantom(&PhantomParams::default());
     let truth = phantom.labels.mask(&phantom.labels.select("liver", Parts::Included)?);
     let grid = &phantom.labels.grid;
@@ -23,7 +23,7 @@ pub(super) fn experiments() -> anyhow::Result<Vec<Experiment>> {
     let quality = report.quality;
     let volume_error = (quality.volume_m3 / volume_m3 - 1.0).abs();
     let euler = quality.surface_euler_characteristic as f64;
-    Ok(vec![
+    Ok(Outcome::from(vec![
         Experiment::within("phantom: liver volume [l]", OWN, volume_m3 * 1e3, [1.2, 1.8]),
         Experiment::within(
             "segmentation: Dice with the true liver",
@@ -57,5 +57,5 @@ pub(super) fn experiments() -> anyhow::Result<Vec<Experiment>> {
         ),
         Experiment::at_most("mesh: volume against the label map, relative", OWN, volume_error, 0.01),
         Experiment::within("mesh: Euler characteristic of the surface", OWN, euler, [2.0, 2.0]),
-    ])
+    ]))
 }

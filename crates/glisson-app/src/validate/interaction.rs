@@ -1,7 +1,7 @@
 //! The two first models against each other, contact, and the same bits twice; on the cylinder of the reference cases.
 
-use super::Experiment;
 use super::elasticity::{cylinder_case, relative_difference};
+use super::{Experiment, Outcome};
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::NodeId;
 use glisson::model::kind::ModelKind;
@@ -67,7 +67,7 @@ impl Body {
     }
 }
 
-pub(super) fn experiments() -> anyhow::Result<Vec<Experiment>> {
+pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let body = Body::new()?;
     let mut precomputed = body.precomputed()?;
     let both = body.loaded(&mut precomputed, [1.0, 1.0], 1);
@@ -101,7 +101,7 @@ pub(super) fn experiments() -> anyhow::Result<Vec<Experiment>> {
     let (following, hash) = palpate(&body)?;
     let (_, hash_again) = palpate(&body)?;
     let different = f64::from(u8::from(hash != hash_again));
-    Ok(vec![
+    Ok(Outcome::from(vec![
         Experiment::at_most(
             "pre-computed: superposition of two forces, relative",
             "linearity; Checoury 2002 fig. 2.1",
@@ -122,7 +122,7 @@ pub(super) fn experiments() -> anyhow::Result<Vec<Experiment>> {
         ),
         Experiment::at_most("contact: the touched point follows the tool [m]", RR_3511, following, 1e-12),
         Experiment::at_most("the same session twice: different state hashes", OWN, different, 0.0),
-    ])
+    ]))
 }
 
 /// Pushes the top 3 mm in with a ball; how far the touched point is from where the tool's motion puts it [m].

@@ -4,6 +4,7 @@ mod elasticity;
 mod image;
 mod interaction;
 
+use crate::plot::LinePlot;
 use serde::Serialize;
 
 /// One claim, reproduced.
@@ -49,15 +50,51 @@ impl Experiment {
     }
 }
 
+/// A picture that belongs to some experiments.
+#[derive(Clone, Debug)]
+pub(crate) struct Figure {
+    /// File name without folder, `GROUP_WHAT.svg`.
+    pub(crate) file: &'static str,
+    /// What it shows, one sentence.
+    pub(crate) caption: String,
+    /// The picture.
+    pub(crate) plot: LinePlot,
+}
+
+/// What came out of a group.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Outcome {
+    pub(crate) experiments: Vec<Experiment>,
+    pub(crate) figures: Vec<Figure>,
+    /// Markdown below the table: tables of figures that are no pass or fail, and what they say.
+    pub(crate) notes: String,
+}
+
+impl From<Vec<Experiment>> for Outcome {
+    fn from(experiments: Vec<Experiment>) -> Self {
+        Self { experiments, ..Self::default() }
+    }
+}
+
 /// A group of experiments that share their set-up.
 pub(crate) struct Group {
     pub(crate) name: &'static str,
-    pub(crate) run: fn() -> anyhow::Result<Vec<Experiment>>,
+    /// What it is about, one sentence.
+    pub(crate) about: &'static str,
+    pub(crate) run: fn() -> anyhow::Result<Outcome>,
 }
 
 /// All groups, quick ones first.
-pub(crate) const GROUPS: [Group; 3] = [
-    Group { name: "elasticity", run: elasticity::experiments },
-    Group { name: "interaction", run: interaction::experiments },
-    Group { name: "image", run: image::experiments },
+pub(crate) const GROUPS: &[Group] = &[
+    Group {
+        name: "elasticity",
+        about: "Linear and non-linear statics against finite-element solutions.",
+        run: elasticity::experiments,
+    },
+    Group {
+        name: "interaction",
+        about: "The touched organ: pre-computed and dynamic.",
+        run: interaction::experiments,
+    },
+    Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

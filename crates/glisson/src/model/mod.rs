@@ -1,6 +1,8 @@
 //! Deformable models behind one contract: constraints in, positions and reaction forces out.
 
+mod body;
 mod explicit_body;
+mod report;
 pub mod extended_mass_spring;
 pub mod implicit;
 pub mod kind;
@@ -12,7 +14,9 @@ pub mod rheology;
 pub mod tensor_mass;
 pub mod nonlinear_tensor_mass;
 
+pub use body::{Attachment, DEFAULT_MOST_PARTS, DynamicBody, FixedNode, Rayleigh, RestStress};
 pub use explicit_body::{Dynamics, ExplicitBodyError, Inertia};
+pub use report::ModelReport;
 
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
@@ -87,6 +91,21 @@ pub trait DeformableModel: Send {
     /// Starts from these node positions with velocities zero: where another model left off, or the rest shape.
     /// A quasi-static model only shows them until its next step.
     fn take_over(&mut self, positions_m: &[DVec3]);
+
+    /// Gravity from the next step on [m/s2]. A model whose rest shape is the loaded one answers to the difference
+    /// from the gravity it was made with.
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        let _ = gravity_m_per_s2;
+    }
+
+    /// How the last step went.
+    fn report(&self) -> ModelReport {
+        ModelReport::default()
+    }
+
+    /// A copy of everything that the next steps depend on: state, constraints, accumulated stiffness, warm starts,
+    /// factors.
+    fn duplicate(&self) -> Box<dyn DeformableModel>;
 
     /// Why the model could not follow an edit of the mesh, if it could not.
     fn topology_refusal(&self) -> Option<TopologyRefusal> {

@@ -5,7 +5,7 @@
 //! approximate minimum degree (Amestoy, Davis and Duff 1996, doi 10.1137/S0895479894278952) of the node
 //! graph, which is nine times smaller than that of the components and keeps a node's components together.
 
-use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
@@ -15,6 +15,7 @@ use faer::sparse::linalg::cholesky::{
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Conj, MatMut, Par, Side};
+use std::sync::Arc;
 
 use super::{BoundaryConditions, MeshEdges, SolveError, StiffnessTensors};
 use crate::math::{DMat3, DVec3, SeededRandom};
@@ -208,7 +209,8 @@ impl FreeSystem {
             .map_err(|e| failed(e.to_string()))?;
         let request = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
         let memory = MemBuffer::try_new(request).map_err(|_| failed("out of memory".to_owned()))?;
-        let mut factor = Factorization { value: vec![0.0; symbolic.len_val()], symbolic, memory };
+        let mut factor =
+            Factorization { value: vec![0.0; symbolic.len_val()], symbolic: Arc::new(symbolic), memory };
         factor.refactor(self)?;
         Ok(factor)
     }
@@ -244,11 +246,32 @@ pub struct FactorScratch {
     n_columns: usize,
 }
 
+/// Scratch of the same size; what is in it does not matter.
+fn same_size(memory: &MemBuffer) -> MemBuffer {
+    MemBuffer::new(StackReq::new_aligned::<u8>(memory.len(), CACHE_LINE_BYTES))
+}
+
+/// Aligned enough for every vector instruction.
+const CACHE_LINE_BYTES: usize = 64;
+
+impl Clone for FactorScratch {
+    fn clone(&self) -> Self {
+        Self { memory: same_size(&self.memory), n_columns: self.n_columns }
+    }
+}
+
 /// L L^T of a [`FreeSystem`]: its pattern is kept for further numbers.
 pub struct Factorization {
-    symbolic: SymbolicCholesky<u32>,
+    symbolic: Arc<SymbolicCholesky<u32>>,
     value: Vec<f64>,
     memory: MemBuffer,
+}
+
+impl Clone for Factorization {
+    fn clone(&self) -> Self {
+        let (symbolic, value) = (Arc::clone(&self.symbolic), self.value.clone());
+        Self { symbolic, value, memory: same_size(&self.memory) }
+    }
 }
 
 /// Growth of a right-hand side through K^-1, times the largest diagonal entry, from which on K counts as

@@ -8,6 +8,7 @@ use spec::FixedRegion;
 const STIFFNESS_N_PER_M: f64 = 100.0;
 
 /// Every node on its own spring: forces and positions are known exactly.
+#[derive(Clone)]
 struct SpringBed {
     rest_m: Vec<DVec3>,
     positions_m: Vec<DVec3>,
@@ -46,6 +47,10 @@ impl DeformableModel for SpringBed {
 
     fn take_over(&mut self, positions_m: &[DVec3]) {
         self.positions_m.copy_from_slice(positions_m);
+    }
+
+    fn duplicate(&self) -> Box<dyn DeformableModel> {
+        Box::new(self.clone())
     }
 
     fn topology_changed(&mut self, _: &TetMesh, _: &TopologyChange) -> Result<(), TopologyRefusal> {

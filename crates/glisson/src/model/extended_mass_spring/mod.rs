@@ -420,6 +420,10 @@ impl DeformableModel for ExtendedMassSpring {
         self.body.take_over(positions_m);
     }
 
+    fn duplicate(&self) -> Box<dyn DeformableModel> {
+        Box::new(self.clone())
+    }
+
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         check_removal_only(change, "extended_mass_spring")?;
         assert_eq!(change.tets.n_before, self.tet_nodes.len(), "the model missed a change of the mesh");

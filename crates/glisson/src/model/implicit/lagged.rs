@@ -23,6 +23,7 @@ pub(super) struct LaggedState {
 }
 
 /// A sparse factor of per_mass M + per_stiffness K at a [`LaggedState`].
+#[derive(Clone)]
 pub(super) struct Lagged {
     pub(super) state: LaggedState,
     lame_pa: [f64; 2],

@@ -99,6 +99,7 @@ struct FactorAge {
 }
 
 /// One organ moved by implicit Euler.
+#[derive(Clone)]
 pub struct ImplicitEuler {
     material: LinearElastic,
     volume: VolumeResistance,
@@ -474,6 +475,10 @@ impl DeformableModel for ImplicitEuler {
         self.velocities_m_per_s.fill(DVec3::ZERO);
         self.earlier_velocities_m_per_s.fill(DVec3::ZERO);
         self.publish();
+    }
+
+    fn duplicate(&self) -> Box<dyn DeformableModel> {
+        Box::new(self.clone())
     }
 
     fn topology_changed(&mut self, _mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {

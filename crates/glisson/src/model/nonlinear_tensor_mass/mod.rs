@@ -341,6 +341,10 @@ impl DeformableModel for NonlinearTensorMass {
     }
 
     /// Follows removals, which allocate nothing, and compactions, which do.
+    fn duplicate(&self) -> Box<dyn DeformableModel> {
+        Box::new(self.clone())
+    }
+
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         follows("nonlinear_tensor_mass", change)?;
         assert_eq!(change.tets.n_before, self.body.tet_nodes.len(), "the model missed a change of the mesh");

@@ -378,6 +378,10 @@ impl DeformableModel for Precomputed {
         self.constraint_forces_n.fill(DVec3::ZERO);
     }
 
+    fn duplicate(&self) -> Box<dyn DeformableModel> {
+        Box::new(self.clone())
+    }
+
     fn topology_refusal(&self) -> Option<TopologyRefusal> {
         Some(TopologyRefusal::Frozen {
             model: ModelKind::Precomputed.name(),

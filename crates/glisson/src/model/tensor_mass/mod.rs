@@ -210,6 +210,10 @@ impl DeformableModel for TensorMass {
     }
 
     /// Follows removals, which allocate nothing, and compactions, which do.
+    fn duplicate(&self) -> Box<dyn DeformableModel> {
+        Box::new(self.clone())
+    }
+
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         follows("tensor_mass", change)?;
         assert_eq!(change.tets.n_before, self.tet_nodes.len(), "the model missed a change of the mesh");

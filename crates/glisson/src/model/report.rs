@@ -1,0 +1,30 @@
+//! What a model tells about its last step.
+
+use crate::mesh::TetId;
+
+/// How a model's last step went. A step never fails: what it could not do as asked is here.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ModelReport {
+    /// Internal steps made; 1 for a quasi-static or implicit model.
+    pub n_parts: u32,
+    /// Tetrahedra that were inverted or whose numbers were not finite and were left out of the forces.
+    pub n_quarantined_tets: u32,
+    /// The first of them.
+    pub first_quarantined: Option<TetId>,
+    /// Nodes that were brought back to their last finite place.
+    pub n_recovered_nodes: u32,
+    /// Nodes that are heavier than their tissue, so that the step stays stable after an edit.
+    pub n_mass_scaled_nodes: u32,
+    /// Constraints that were left out: on nodes that do not exist, are fixed or have no tetrahedron, and values
+    /// that are not finite.
+    pub n_ignored_constraints: u32,
+    /// Kinetic energy [J].
+    pub kinetic_energy_j: f64,
+    /// The kinetic energy grew beyond what the outside can have put in, and the velocities were cut down.
+    pub energy_was_limited: bool,
+    /// An implicit step ended before its residual was small enough.
+    pub missed_tolerance: bool,
+    /// Allocations are allowed where the topology changes by more than a removal: how often it happened since
+    /// the model was made.
+    pub n_reanalyses: u32,
+}

@@ -10,6 +10,7 @@ mod meshing;
 mod models;
 mod implicit;
 mod kernel;
+mod reference;
 mod contact;
 mod drawing;
 
@@ -76,7 +77,16 @@ pub(crate) struct Case {
 
 /// Every case, in the order in which they run.
 pub(crate) fn cases() -> Vec<Case> {
-    [meshing::CASES, models::CASES, kernel::CASES, implicit::CASES, contact::CASES, drawing::CASES].concat()
+    [
+        meshing::CASES,
+        models::CASES,
+        kernel::CASES,
+        reference::CASES,
+        implicit::CASES,
+        contact::CASES,
+        drawing::CASES,
+    ]
+    .concat()
 }
 
 /// What to measure.

@@ -27,6 +27,14 @@ pub struct PronyTerm {
     pub time_s: f64,
 }
 
+impl PronyTerm {
+    /// g, exp(-h/tau) and (tau/h)(1 - exp(-h/tau)) of the recursion for steps of h = `step_s` > 0.
+    pub(crate) fn recursion(&self, step_s: f64) -> [f64; 3] {
+        let lost = -libm::expm1(-step_s / self.time_s);
+        [self.share, 1.0 - lost, lost * self.time_s / step_s]
+    }
+}
+
 /// A relaxation series.
 ///
 /// ```
@@ -102,14 +110,7 @@ impl PronySeries {
 
     /// The recursion for steps of `step_s` > 0.
     pub fn step(&self, step_s: f64) -> PronyStep {
-        let terms = self
-            .terms
-            .iter()
-            .map(|k| {
-                let lost = -libm::expm1(-step_s / k.time_s);
-                [k.share, 1.0 - lost, lost * k.time_s / step_s]
-            })
-            .collect();
+        let terms = self.terms.iter().map(|k| k.recursion(step_s)).collect();
         PronyStep { lasting_share: 1.0 - self.terms.iter().map(|k| k.share).sum::<f64>(), terms }
     }
 }

@@ -3,6 +3,7 @@
 mod images;
 mod laws;
 mod kernel;
+mod kernel_laws;
 mod integrators;
 mod implicit;
 mod layering;

@@ -5,35 +5,78 @@
 //! the forces that balance the deformation are f_k = V P alpha_k and f_0 = -(f_1 + f_2 + f_3)
 //! (seed `002`, eq. 5 to 9, before its expansion into tensors).
 //!
-//! The material comes as two numbers, V lambda / 2 and V mu. From displacements rather than positions: nothing
+//! The material comes as two numbers, see [`ElementLaw::numbers`]. From displacements rather than positions: nothing
 //! cancels at small strain, and a body at rest has forces that are exactly zero.
 
 use super::lanes::Lanes;
 
 /// Three by three numbers, `[row][column]`.
 pub(super) type Matrix<V> = [[V; 3]; 3];
+/// A symmetric matrix: xx, yy, zz, xy, xz, yz.
+pub(super) type Symmetric<V> = [V; 6];
+
+/// Which tetrahedra of a part are computed: the lanes of `block` from `lane` on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct At {
+    pub(super) block: usize,
+    pub(super) lane: usize,
+}
 
 /// A stress-strain law, chosen outside the loop over the elements.
 pub(super) trait ElementLaw {
-    /// V P for the displacement gradient `g` and the material (V lambda / 2, V mu).
-    fn scaled_stress<V: Lanes>(g: &Matrix<V>, material: [V; 2]) -> Matrix<V>;
+    /// Whether the stress is that of the small strain, which knows no difference between P and S.
+    const IS_SMALL_STRAIN: bool = false;
+
+    /// The two numbers [N m] that a tetrahedron of this volume, lambda and mu has.
+    fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2];
+
+    /// V P for the displacement gradient `g`.
+    fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V>;
+
+    /// V S, S = F^-1 P the second Piola-Kirchhoff stress.
+    #[inline(always)]
+    fn scaled_second_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Symmetric<V> {
+        let p = self.scaled_stress(g, numbers, at);
+        let volume = VolumeChange::of(g);
+        let one = g[0][0].constant(1.0);
+        let inverse = one.over(volume.growth.plus(one));
+        // F^-1 = (Id + H)^T / J.
+        let entry = |i: usize, j: usize| {
+            let h = &volume.cofactor_growth;
+            let sum = h[0][i].fused(p[0][j], h[1][i].fused(p[1][j], h[2][i].fused(p[2][j], p[i][j])));
+            inverse.times(sum)
+        };
+        [entry(0, 0), entry(1, 1), entry(2, 2), entry(0, 1), entry(0, 2), entry(1, 2)]
+    }
 }
 
 /// Hooke's law with the small strain: P = lambda tr(e) Id + 2 mu e, e = (G + G^T) / 2.
 pub(super) struct Linear;
 
 impl ElementLaw for Linear {
+    const IS_SMALL_STRAIN: bool = true;
+
+    /// V lambda and V mu.
+    fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2] {
+        [volume_m3 * lambda_pa, volume_m3 * mu_pa]
+    }
+
     #[inline(always)]
-    fn scaled_stress<V: Lanes>(g: &Matrix<V>, [half_lambda, mu]: [V; 2]) -> Matrix<V> {
-        let twice = [g[0][0].plus(g[0][0]), g[1][1].plus(g[1][1]), g[2][2].plus(g[2][2])];
-        let pressure = half_lambda.times(twice[0].plus(twice[1]).plus(twice[2]));
-        let xy = mu.times(g[0][1].plus(g[1][0]));
-        let xz = mu.times(g[0][2].plus(g[2][0]));
-        let yz = mu.times(g[1][2].plus(g[2][1]));
+    fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V> {
+        full(&self.scaled_second_stress(g, numbers, at))
+    }
+
+    #[inline(always)]
+    fn scaled_second_stress<V: Lanes>(&self, g: &Matrix<V>, [lambda, mu]: [V; 2], _: At) -> Symmetric<V> {
+        let pressure = lambda.times(g[0][0].plus(g[1][1]).plus(g[2][2]));
+        let twice_mu = mu.plus(mu);
         [
-            [mu.fused(twice[0], pressure), xy, xz],
-            [xy, mu.fused(twice[1], pressure), yz],
-            [xz, yz, mu.fused(twice[2], pressure)],
+            twice_mu.fused(g[0][0], pressure),
+            twice_mu.fused(g[1][1], pressure),
+            twice_mu.fused(g[2][2], pressure),
+            mu.times(g[0][1].plus(g[1][0])),
+            mu.times(g[0][2].plus(g[2][0])),
+            mu.times(g[1][2].plus(g[2][1])),
         ]
     }
 }
@@ -42,25 +85,88 @@ impl ElementLaw for Linear {
 pub(super) struct StVenantKirchhoff;
 
 impl ElementLaw for StVenantKirchhoff {
+    /// V lambda / 2 and V mu.
+    fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2] {
+        [0.5 * volume_m3 * lambda_pa, volume_m3 * mu_pa]
+    }
+
     #[inline(always)]
-    fn scaled_stress<V: Lanes>(g: &Matrix<V>, [half_lambda, mu]: [V; 2]) -> Matrix<V> {
+    fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V> {
+        carried(g, &self.scaled_second_stress(g, numbers, at))
+    }
+
+    #[inline(always)]
+    fn scaled_second_stress<V: Lanes>(
+        &self,
+        g: &Matrix<V>,
+        [half_lambda, mu]: [V; 2],
+        _: At,
+    ) -> Symmetric<V> {
         let twice_strain = |i: usize, j: usize| {
             let linear = g[i][j].plus(g[j][i]);
             g[0][i].fused(g[0][j], g[1][i].fused(g[1][j], g[2][i].fused(g[2][j], linear)))
         };
         let [xx, yy, zz] = [twice_strain(0, 0), twice_strain(1, 1), twice_strain(2, 2)];
         let pressure = half_lambda.times(xx.plus(yy).plus(zz));
-        let [xx, yy, zz] = [mu.fused(xx, pressure), mu.fused(yy, pressure), mu.fused(zz, pressure)];
-        let xy = mu.times(twice_strain(0, 1));
-        let xz = mu.times(twice_strain(0, 2));
-        let yz = mu.times(twice_strain(1, 2));
-        let s = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
-        let row = |i: usize| {
-            let column =
-                |j: usize| g[i][0].fused(s[0][j], g[i][1].fused(s[1][j], g[i][2].fused(s[2][j], s[i][j])));
-            [column(0), column(1), column(2)]
+        [
+            mu.fused(xx, pressure),
+            mu.fused(yy, pressure),
+            mu.fused(zz, pressure),
+            mu.times(twice_strain(0, 1)),
+            mu.times(twice_strain(0, 2)),
+            mu.times(twice_strain(1, 2)),
+        ]
+    }
+}
+
+/// The symmetric matrix with all nine entries.
+#[inline(always)]
+pub(super) fn full<V: Lanes>(&[xx, yy, zz, xy, xz, yz]: &Symmetric<V>) -> Matrix<V> {
+    [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+}
+
+/// F S = S + G S.
+#[inline(always)]
+pub(super) fn carried<V: Lanes>(g: &Matrix<V>, s: &Symmetric<V>) -> Matrix<V> {
+    let s = full(s);
+    let row = |i: usize| {
+        let column =
+            |j: usize| g[i][0].fused(s[0][j], g[i][1].fused(s[1][j], g[i][2].fused(s[2][j], s[i][j])));
+        [column(0), column(1), column(2)]
+    };
+    [row(0), row(1), row(2)]
+}
+
+/// How the volume changes with F = Id + G, without the cancellation of det F - 1 at small strain.
+#[derive(Clone, Copy)]
+pub(super) struct VolumeChange<V> {
+    /// J - 1 = tr G + tr cof G + det G.
+    pub(super) growth: V,
+    /// H = cof F - Id = (tr G) Id - G^T + cof G; cof F = dJ/dF.
+    pub(super) cofactor_growth: Matrix<V>,
+}
+
+impl<V: Lanes> VolumeChange<V> {
+    #[inline(always)]
+    pub(super) fn of(g: &Matrix<V>) -> Self {
+        let cofactor = |i: usize, j: usize| {
+            let (r, s) = ((i + 1) % 3, (i + 2) % 3);
+            let (c, d) = ((j + 1) % 3, (j + 2) % 3);
+            g[r][c].fused(g[s][d], g[r][d].times(g[s][c]).negative())
         };
-        [row(0), row(1), row(2)]
+        let row = |i: usize| [cofactor(i, 0), cofactor(i, 1), cofactor(i, 2)];
+        let c = [row(0), row(1), row(2)];
+        let trace = g[0][0].plus(g[1][1]).plus(g[2][2]);
+        let determinant = g[0][0].fused(c[0][0], g[0][1].fused(c[0][1], g[0][2].times(c[0][2])));
+        let growth = trace.plus(c[0][0].plus(c[1][1]).plus(c[2][2])).plus(determinant);
+        let diagonal = |i: usize| trace.minus(g[i][i]).plus(c[i][i]);
+        let off = |i: usize, j: usize| c[i][j].minus(g[j][i]);
+        let cofactor_growth = [
+            [diagonal(0), off(0, 1), off(0, 2)],
+            [off(1, 0), diagonal(1), off(1, 2)],
+            [off(2, 0), off(2, 1), diagonal(2)],
+        ];
+        Self { growth, cofactor_growth }
     }
 }
 

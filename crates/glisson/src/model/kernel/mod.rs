@@ -1,7 +1,8 @@
-//! The fast kernel: forces of linear elasticity and St Venant-Kirchhoff, tetrahedron by tetrahedron, eight at a
-//! time, and central differences on top of them.
+//! The fast kernel: elastic forces, tetrahedron by tetrahedron, eight at a time, and central differences on top of
+//! them.
 //!
-//! The physics is that of the tensor-mass models (seeds `002` to `004`); `element` has the formula. What makes it
+//! The physics is that of the tensor-mass models (seeds `002` to `004`), with further laws; `element` has the
+//! formula, `extras` what a tetrahedron may have beside its law ([`KernelExtras`]). What makes it
 //! fast: tetrahedra sorted along a Hilbert curve and cut into parts whose nodes fit a first-level cache;
 //! nodes as padded rows of four numbers, loaded and transposed; offsets multiplied beforehand; the material in
 //! two numbers a tetrahedron; and eight lanes that each walk a stretch of the part of their own, so that they
@@ -11,25 +12,33 @@
 //! operations, forces are added lane after lane, and the parts and the order of their sums depend on the mesh
 //! alone. Ids are the caller's throughout; the order inside shows nowhere.
 
+mod build;
 mod element;
+mod extras;
+mod general;
 mod lanes;
+mod neo_hooke;
 mod order;
 mod part;
 mod paths;
+mod quarantine;
 mod rows;
 mod workers;
 
 use std::sync::Arc;
 
-use self::order::{PartPlan, Place, partition};
-use self::part::{Exchange, Part, PartNodes, Parts, StepFactors};
-use self::rows::{Block, N_LANES, offset_of};
+use self::order::Place;
+use self::part::{ForceMode, Part, PartNodes, Parts, StepFactors};
+use super::nonlinear_tensor_mass::NonlinearTensorMassError;
 use crate::material::LinearElastic;
 use crate::math::DVec3;
 use crate::mesh::{NodeId, TetId, TetMesh};
-use crate::solve::{P1Gradients, SolveError};
+use crate::solve::SolveError;
 
+pub use build::KernelExtras;
+pub use general::SharedMaterial;
 pub use paths::KernelPath;
+pub use quarantine::{Quarantine, QuarantineReport};
 pub use workers::{Sequential, Task, Workers};
 
 /// The kernel's laws.
@@ -40,6 +49,13 @@ pub enum KernelLaw {
     /// St Venant-Kirchhoff: Hooke's law with the Green-Lagrange strain; large rotations, moderate strains.
     /// Softens when compressed to less than about 0.6 of its length, and does not resist inversion.
     StVenantKirchhoff,
+    /// [`crate::material::NeoHookeLog`], stiff against vanishing volume; a force that is no number once inverted.
+    NeoHookeLog,
+    /// [`crate::material::StableNeoHooke`], which pushes inverted tetrahedra back: with
+    /// [`Quarantine::NotFinite`] it may.
+    StableNeoHooke,
+    /// Any laws, [`KernelExtras::laws`], one tetrahedron at a time; of the materials only the density counts.
+    General,
 }
 
 /// Why there is no kernel.
@@ -56,6 +72,43 @@ pub enum KernelError {
         /// Tetrahedra of the mesh.
         n_tets: usize,
     },
+    /// A number of general laws that does not suit the law.
+    #[error(
+        "{found} general laws for {n_tets} tetrahedra of law {law:?}; allowed: one or one for each with General, none else"
+    )]
+    Laws {
+        /// How many were given.
+        found: usize,
+        /// The law.
+        law: KernelLaw,
+        /// Tetrahedra of the mesh.
+        n_tets: usize,
+    },
+    /// Neither none nor one for each tetrahedron.
+    #[error("{found} {what} for {n_tets} tetrahedra; allowed: none, or one for each")]
+    ExtraCount {
+        /// Of what.
+        what: &'static str,
+        /// How many were given.
+        found: usize,
+        /// Tetrahedra of the mesh.
+        n_tets: usize,
+    },
+    /// A stress in the rest shape that is no number.
+    #[error("the stress of tetrahedron {tet} in the rest shape is not finite")]
+    RestStress {
+        /// Which tetrahedron.
+        tet: TetId,
+    },
+    /// An impossible penalty of volume changes.
+    #[error("the volume penalty is {found_pa} Pa; allowed: a finite number from 0")]
+    VolumePenalty {
+        /// What was given [Pa].
+        found_pa: f64,
+    },
+    /// A fibre's direction or moduli.
+    #[error(transparent)]
+    Fibre(#[from] NonlinearTensorMassError),
 }
 
 /// What a kernel is made from.
@@ -115,6 +168,7 @@ pub struct FastKernel {
     tet_places: Vec<TetPlace>,
     /// rho V / 4 of each tetrahedron.
     mass_share_kg: Vec<f64>,
+    quarantine: Quarantine,
     last_step_s: Option<f64>,
     // The tasks of the phases, made once: a step allocates nothing.
     add_element_forces: Task,
@@ -129,75 +183,6 @@ impl std::fmt::Debug for FastKernel {
 }
 
 impl FastKernel {
-    /// Sorts the mesh in space and lays out its memory; the body is at rest, no node is held.
-    ///
-    /// # Errors
-    /// [`KernelError`]: an empty mesh, missing nodes, flat or inverted tetrahedra, a wrong number of materials.
-    pub fn new(params: &KernelParams<'_>) -> Result<Self, KernelError> {
-        let KernelParams { mesh, law, materials, path } = *params;
-        check(mesh, materials)?;
-        let n_tets = mesh.tetrahedra.len();
-        let (plans, node_places) = partition(mesh);
-        let dead = TetPlace { part: 0, block: 0, lane: 0, is_live: false };
-        let mut kernel_places = vec![dead; n_tets];
-        let mut mass_share_kg = vec![0.0; n_tets];
-        // Row of each node in the part under construction.
-        let mut row_of = vec![0_usize; mesh.positions_m.len()];
-        let mut parts = Vec::with_capacity(plans.len());
-        for (p, plan) in plans.iter().enumerate() {
-            for (row, node) in plan.own.iter().chain(&plan.borrowed).enumerate() {
-                row_of[node.index()] = row;
-            }
-            let n_blocks = plan.tets.len().div_ceil(N_LANES);
-            let mut blocks = vec![Block::EMPTY; n_blocks];
-            for (i, &tet) in plan.tets.iter().enumerate() {
-                // Each lane walks a stretch of its own.
-                let (lane, b) = (i / n_blocks, i % n_blocks);
-                let material = materials[if materials.len() == 1 { 0 } else { tet.index() }];
-                let gradients = P1Gradients::of_tet(mesh, tet)?;
-                let volume_m3 = gradients.volume_m3;
-                let block = &mut blocks[b];
-                block.offsets[lane] = mesh.tetrahedra[tet.index()].map(|n| offset_of(row_of[n.index()]));
-                for k in 0..3 {
-                    for (axis, alpha) in gradients.alpha_per_m[k + 1].to_array().into_iter().enumerate() {
-                        block.alpha_per_m[k][axis][lane] = alpha;
-                    }
-                }
-                block.material[0][lane] = 0.5 * volume_m3 * material.lambda_pa();
-                block.material[1][lane] = volume_m3 * material.mu_pa();
-                mass_share_kg[tet.index()] = 0.25 * material.density_kg_per_m3() * volume_m3;
-                let number = |i: usize| u32::try_from(i).expect("fewer than 2^32 tetrahedra");
-                kernel_places[tet.index()] =
-                    TetPlace { part: number(p), block: number(b), lane: lane as u8, is_live: true };
-            }
-            let nodes = PartNodes::at_rest(plan.own.len());
-            parts.push(Part::new(plan.own.clone(), plan.own.len() + plan.borrowed.len(), blocks, nodes));
-        }
-        connect(&mut parts, &plans, &node_places);
-        let step = StepFactors::default().into();
-        let parts = Arc::new(Parts { law, path: path.into(), all: parts, step });
-        let task = |phase: fn(&Parts, usize)| -> Task {
-            let parts = Arc::clone(&parts);
-            Arc::new(move |p| phase(&parts, p))
-        };
-        let kernel = Self {
-            add_element_forces: task(Parts::add_element_forces),
-            sum_forces: task(Parts::sum_forces),
-            sum_and_advance: task(Parts::sum_and_advance),
-            parts,
-            node_places,
-            tet_places: kernel_places,
-            mass_share_kg,
-            last_step_s: None,
-        };
-        for (nodes, &share_kg) in mesh.tetrahedra.iter().zip(&kernel.mass_share_kg) {
-            for node in nodes {
-                kernel.change_mass(*node, share_kg, 1);
-            }
-        }
-        Ok(kernel)
-    }
-
     fn place(&self, node: NodeId) -> Option<(&Part, usize)> {
         self.node_places[node.index()].map(|p| (&self.parts.all[p.part as usize], p.index as usize))
     }
@@ -245,8 +230,7 @@ impl FastKernel {
     /// Bytes that a computation of the forces reads and writes: tetrahedra, rows of the nodes.
     pub fn working_set_bytes(&self) -> usize {
         let of_part = |part: &Part| {
-            size_of_val(part.blocks().as_slice())
-                + size_of::<rows::Row>() * 2 * (part.own.len() + part.n_rows)
+            part.elements().n_bytes() + size_of::<rows::Row>() * 2 * (part.own.len() + part.n_rows)
         };
         self.parts.all.iter().map(of_part).sum()
     }
@@ -312,7 +296,10 @@ impl FastKernel {
     }
 
     /// Computes the forces at the displacements set, for [`FastKernel::forces_into`].
+    /// Nothing is in quarantine. A relaxing stress is that of a step of the last length that would end here;
+    /// its memory stays.
     pub fn compute_forces(&mut self, workers: &dyn Workers) {
+        self.parts.set_mode(ForceMode::default());
         workers.run(self.n_parts(), &self.add_element_forces);
         workers.run(self.n_parts(), &self.sum_forces);
     }
@@ -336,7 +323,14 @@ impl FastKernel {
             return;
         }
         let TetPlace { part, block, lane, .. } = *place;
-        self.parts.all[part as usize].blocks_mut()[block as usize].clear(usize::from(lane));
+        let (part, block, lane) = (&self.parts.all[part as usize], block as usize, usize::from(lane));
+        part.elements_mut().clear(block, lane);
+        let n_blocks = part.elements().blocks.len();
+        let history = &mut part.progress_mut().history;
+        let a_block = history.len() / n_blocks;
+        for numbers in &mut history[block * a_block..(block + 1) * a_block] {
+            numbers[lane] = 0.0;
+        }
         let share_kg = self.mass_share_kg[tet.index()];
         for node in mesh.tetrahedra[tet.index()] {
             self.change_mass(node, share_kg, -1);
@@ -369,6 +363,62 @@ impl FastKernel {
         }
     }
 
+    /// What steps leave out from now on.
+    pub fn set_quarantine(&mut self, quarantine: Quarantine) {
+        self.quarantine = quarantine;
+    }
+
+    /// What the last step left out.
+    pub fn quarantined(&self) -> QuarantineReport {
+        let mut all = QuarantineReport::default();
+        for part in &self.parts.all {
+            all.add(part.progress().quarantined);
+        }
+        all
+    }
+
+    /// How many numbers the memory of the relaxing stress has: six, and six for each term, a tetrahedron; none
+    /// without a series.
+    pub fn history_len(&self) -> usize {
+        let numbers_of_term = 6 * self.n_tets();
+        self.parts.n_relaxation_terms().map_or(0, |n_terms| numbers_of_term * (1 + n_terms))
+    }
+
+    /// Overwrites `history` with the memory of the relaxing stress, tetrahedron after tetrahedron: V S_e of the end
+    /// of the last step (xx, yy, zz, xy, xz, yz), then V h_k of each term [N m], of the stress S of law and
+    /// fibres ([`crate::material::PronyHistory`], with the rest volume V). It is part of the state of the body.
+    ///
+    /// # Panics
+    /// When there are not [`FastKernel::history_len`] numbers.
+    pub fn history_into(&self, history: &mut [f64]) {
+        assert_eq!(history.len(), self.history_len(), "the numbers of all tetrahedra");
+        self.for_each_history(|i, number| history[i] = *number);
+    }
+
+    /// Comes back to a memory of [`FastKernel::history_into`].
+    ///
+    /// # Panics
+    /// When there are not [`FastKernel::history_len`] numbers.
+    pub fn set_history(&mut self, history: &[f64]) {
+        assert_eq!(history.len(), self.history_len(), "the numbers of all tetrahedra");
+        self.for_each_history(|i, number| *number = history[i]);
+    }
+
+    /// `visit` sees each number with its place in [`FastKernel::history_into`].
+    fn for_each_history(&self, mut visit: impl FnMut(usize, &mut f64)) {
+        let n = self.history_len() / self.n_tets();
+        if n == 0 {
+            return;
+        }
+        for (t, place) in self.tet_places.iter().enumerate() {
+            let history = &mut self.parts.all[place.part as usize].progress_mut().history;
+            let of_block = &mut history[place.block as usize * n..(place.block as usize + 1) * n];
+            for (i, numbers) in of_block.iter_mut().enumerate() {
+                visit(n * t + i, &mut numbers[usize::from(place.lane)]);
+            }
+        }
+    }
+
     /// Brings all nodes to standstill where they are.
     pub fn stop(&mut self) {
         for part in &self.parts.all {
@@ -387,6 +437,10 @@ impl FastKernel {
         let stretch = self.last_step_s.map_or(1.0, |last_s| h / last_s);
         let keep = (1.0 / (h * h) - 0.5 * d / h) * inverse * stretch;
         self.parts.set_step(StepFactors { keep, push_s2: inverse });
+        self.parts.set_mode(ForceMode { quarantine: Some(self.quarantine), in_step: true });
+        if self.last_step_s != Some(h) {
+            self.parts.set_relaxation_step(h);
+        }
         self.last_step_s = Some(h);
         workers.run(self.n_parts(), &self.add_element_forces);
         workers.run(self.n_parts(), &self.sum_and_advance);
@@ -395,47 +449,4 @@ impl FastKernel {
 
 fn padded(v: DVec3) -> rows::Row {
     [v.x, v.y, v.z, 0.0]
-}
-
-fn check(mesh: &TetMesh, materials: &[LinearElastic]) -> Result<(), KernelError> {
-    let (n_nodes, n_tets) = (mesh.positions_m.len(), mesh.tetrahedra.len());
-    if n_tets == 0 {
-        return Err(SolveError::EmptyMesh.into());
-    }
-    if materials.len() != 1 && materials.len() != n_tets {
-        return Err(KernelError::Materials { found: materials.len(), n_tets });
-    }
-    for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-        let tet = TetId::from_index(t);
-        if let Some(&node) = nodes.iter().find(|n| n.index() >= n_nodes) {
-            return Err(SolveError::NodeOutOfRange { tet, node, n_nodes }.into());
-        }
-        if let Some(&node) = nodes.iter().find(|n| !mesh.positions_m[n.index()].is_finite()) {
-            let position_m = mesh.positions_m[node.index()].to_array();
-            return Err(SolveError::NonFinitePosition { node, position_m }.into());
-        }
-    }
-    Ok(())
-}
-
-/// Who borrows which rows from whom.
-fn connect(parts: &mut [Part], plans: &[PartPlan], node_places: &[Option<Place>]) {
-    let row = |i: usize| u16::try_from(i).expect("parts are small");
-    for (p, plan) in plans.iter().enumerate() {
-        for (i, node) in plan.borrowed.iter().enumerate() {
-            let owner = node_places[node.index()].expect("a borrowed node has an owner");
-            let here = row(plan.own.len() + i);
-            let there = row(owner.index as usize);
-            let owner = owner.part as usize;
-            add_rows(&mut parts[p].borrowed, owner, [here, there]);
-            add_rows(&mut parts[owner].lent, p, [there, here]);
-        }
-    }
-}
-
-fn add_rows(exchanges: &mut Vec<Exchange>, part: usize, rows: [u16; 2]) {
-    match exchanges.last_mut() {
-        Some(last) if last.part == part => last.rows.push(rows),
-        _ => exchanges.push(Exchange { part, rows: vec![rows] }),
-    }
 }

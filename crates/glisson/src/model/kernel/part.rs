@@ -10,8 +10,14 @@
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use super::KernelLaw;
+use super::element::{ElementLaw, Linear, StVenantKirchhoff};
+use super::extras::{Extras, Full, Guarded, Plain, Viscous};
+use super::general::{General, SharedMaterial};
+use super::neo_hooke::{NeoHookeLog, StableNeoHooke};
 use super::paths::KernelPath;
-use super::rows::{Block, Row, Rows};
+use super::quarantine::{Guard, LaneTets, NO_TET, Quarantine, QuarantineReport};
+use super::rows::{Block, LaneNumbers, N_LANES, Row, Rows};
+use crate::material::PronySeries;
 use crate::mesh::NodeId;
 
 /// A panic elsewhere leaves numbers behind, no broken memory.
@@ -82,6 +88,73 @@ pub(super) struct StepFactors {
     pub(super) push_s2: f64,
 }
 
+/// The tetrahedra of a part.
+#[derive(Clone, Debug)]
+pub(super) struct Elements {
+    pub(super) blocks: Vec<Block>,
+    pub(super) extras: Extras,
+    /// Which law of [`Parts::laws`], for each lane of each block; empty for laws of the kernel's own.
+    pub(super) law_of: Vec<[u32; N_LANES]>,
+    /// Whose lane it is.
+    pub(super) tets: Vec<LaneTets>,
+}
+
+impl Elements {
+    /// Takes a tetrahedron out of its lane.
+    pub(super) fn clear(&mut self, block: usize, lane: usize) {
+        self.blocks[block].clear(lane);
+        self.extras.clear(block, lane);
+        self.tets[block][lane] = NO_TET;
+    }
+
+    /// Bytes that a computation of the forces reads.
+    pub(super) fn n_bytes(&self) -> usize {
+        size_of_val(self.blocks.as_slice()) + self.extras.n_bytes() + size_of_val(self.law_of.as_slice())
+    }
+}
+
+/// What a step changes of a part's tetrahedra.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Progress {
+    /// The memory of the relaxing stress, see [`Viscous::history`].
+    pub(super) history: Vec<LaneNumbers>,
+    /// What the last step left out.
+    pub(super) quarantined: QuarantineReport,
+}
+
+/// The Prony series and its numbers for the present step length.
+#[derive(Clone, Debug)]
+pub(super) struct Relaxation {
+    pub(super) series: PronySeries,
+    lasting_share: f64,
+    terms: Vec<[f64; 3]>,
+}
+
+impl Relaxation {
+    /// Before the first step: stress changes without time to relax.
+    pub(super) fn new(series: PronySeries) -> Self {
+        let terms: Vec<[f64; 3]> = series.terms().iter().map(|term| [term.share, 1.0, 1.0]).collect();
+        let lasting_share = 1.0 - terms.iter().map(|[share, ..]| share).sum::<f64>();
+        Self { series, lasting_share, terms }
+    }
+
+    /// For steps of `step_s`; allocates nothing.
+    pub(super) fn set_step(&mut self, step_s: f64) {
+        for (numbers, term) in self.terms.iter_mut().zip(self.series.terms()) {
+            *numbers = term.recursion(step_s);
+        }
+    }
+}
+
+/// How forces are computed.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ForceMode {
+    /// What is left out.
+    pub(super) quarantine: Option<Quarantine>,
+    /// Whether the computation belongs to a step, which takes viscous memory further.
+    pub(super) in_step: bool,
+}
+
 /// One part.
 #[derive(Debug)]
 pub(super) struct Part {
@@ -92,19 +165,27 @@ pub(super) struct Part {
     pub(super) lent: Vec<Exchange>,
     /// Own and borrowed rows together.
     pub(super) n_rows: usize,
-    blocks: RwLock<Vec<Block>>,
+    elements: RwLock<Elements>,
+    progress: RwLock<Progress>,
     nodes: RwLock<PartNodes>,
     rows: RwLock<Box<Rows>>,
 }
 
 impl Part {
-    pub(super) fn new(own: Vec<NodeId>, n_rows: usize, blocks: Vec<Block>, nodes: PartNodes) -> Self {
+    pub(super) fn new(
+        own: Vec<NodeId>,
+        n_rows: usize,
+        elements: Elements,
+        progress: Progress,
+        nodes: PartNodes,
+    ) -> Self {
         Self {
             own,
             borrowed: Vec::new(),
             lent: Vec::new(),
             n_rows,
-            blocks: RwLock::new(blocks),
+            elements: RwLock::new(elements),
+            progress: RwLock::new(progress),
             nodes: RwLock::new(nodes),
             rows: RwLock::new(Rows::zero()),
         }
@@ -118,22 +199,39 @@ impl Part {
         write(&self.nodes)
     }
 
-    pub(super) fn blocks(&self) -> RwLockReadGuard<'_, Vec<Block>> {
-        read(&self.blocks)
+    pub(super) fn elements(&self) -> RwLockReadGuard<'_, Elements> {
+        read(&self.elements)
     }
 
-    pub(super) fn blocks_mut(&self) -> RwLockWriteGuard<'_, Vec<Block>> {
-        write(&self.blocks)
+    pub(super) fn elements_mut(&self) -> RwLockWriteGuard<'_, Elements> {
+        write(&self.elements)
+    }
+
+    pub(super) fn progress(&self) -> RwLockReadGuard<'_, Progress> {
+        read(&self.progress)
+    }
+
+    pub(super) fn progress_mut(&self) -> RwLockWriteGuard<'_, Progress> {
+        write(&self.progress)
     }
 }
 
 /// All parts: what the tasks of several threads work on.
-#[derive(Debug)]
 pub(super) struct Parts {
     pub(super) law: KernelLaw,
+    /// Of [`KernelLaw::General`].
+    pub(super) laws: Vec<SharedMaterial>,
+    pub(super) relaxation: Option<RwLock<Relaxation>>,
+    pub(super) mode: RwLock<ForceMode>,
     pub(super) path: RwLock<KernelPath>,
     pub(super) all: Vec<Part>,
     pub(super) step: RwLock<StepFactors>,
+}
+
+impl std::fmt::Debug for Parts {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Parts").field("law", &self.law).field("all", &self.all).finish_non_exhaustive()
+    }
 }
 
 impl Parts {
@@ -149,10 +247,70 @@ impl Parts {
         *write(&self.step) = factors;
     }
 
+    pub(super) fn set_mode(&self, mode: ForceMode) {
+        *write(&self.mode) = mode;
+    }
+
+    /// None without a series.
+    pub(super) fn n_relaxation_terms(&self) -> Option<usize> {
+        self.relaxation.as_ref().map(|relaxation| read(relaxation).series.terms().len())
+    }
+
+    pub(super) fn set_relaxation_step(&self, step_s: f64) {
+        if let Some(relaxation) = &self.relaxation {
+            write(relaxation).set_step(step_s);
+        }
+    }
+
     /// First phase.
     pub(super) fn add_element_forces(&self, p: usize) {
+        let rows = &mut *write(&self.all[p].rows);
+        self.path().vectorize(
+            #[inline(always)]
+            || self.collect_displacements(p, rows),
+        );
+        let elements = &*self.all[p].elements();
+        match self.law {
+            KernelLaw::Linear => self.add_forces_of(p, Linear, elements, rows),
+            KernelLaw::StVenantKirchhoff => self.add_forces_of(p, StVenantKirchhoff, elements, rows),
+            KernelLaw::NeoHookeLog => self.add_forces_of(p, NeoHookeLog, elements, rows),
+            KernelLaw::StableNeoHooke => self.add_forces_of(p, StableNeoHooke, elements, rows),
+            KernelLaw::General => {
+                let law = General { laws: &self.laws, law_of: &elements.law_of };
+                self.add_forces_of(p, law, elements, rows);
+            }
+        }
+    }
+
+    fn add_forces_of(&self, p: usize, law: impl ElementLaw, elements: &Elements, rows: &mut Rows) {
+        let ForceMode { quarantine, in_step } = *read(&self.mode);
+        let Elements { blocks, extras, tets, .. } = elements;
+        let least_ratio = quarantine.and_then(Quarantine::least_ratio);
+        let path = self.path();
+        if least_ratio.is_none() && extras.is_empty() && self.relaxation.is_none() {
+            return path.add_forces(&mut Plain(law), blocks, rows);
+        }
+        let Progress { history, quarantined } = &mut *self.all[p].progress_mut();
+        *quarantined = QuarantineReport::default();
+        let guard = least_ratio.map(|least_ratio| Guard { least_ratio, tets, found: quarantined });
+        let relaxation = self.relaxation.as_ref().map(read);
+        let viscous = relaxation.as_ref().map(|relaxation| Viscous {
+            lasting_share: relaxation.lasting_share,
+            terms: &relaxation.terms,
+            history,
+            advances: in_step,
+        });
+        match guard {
+            Some(guard) if extras.is_empty() && viscous.is_none() => {
+                path.add_forces(&mut Guarded { law, guard }, blocks, rows);
+            }
+            guard => path.add_forces(&mut Full { law, extras, viscous, guard }, blocks, rows),
+        }
+    }
+
+    #[inline(always)]
+    fn collect_displacements(&self, p: usize, rows: &mut Rows) {
         let part = &self.all[p];
-        let mut rows = write(&part.rows);
         let (own, borrowed) = rows.nodes_mut()[..part.n_rows].split_at_mut(part.own.len());
         for (row, displacement_m) in own.iter_mut().zip(&part.nodes().displacement_m) {
             *row = [*displacement_m, [0.0; 4]];
@@ -164,14 +322,17 @@ impl Parts {
                 *row = [owner.displacement_m[usize::from(there)], [0.0; 4]];
             }
         }
-        self.path().add_forces(self.law, &part.blocks(), &mut rows);
     }
 
     /// Second phase: forces on the own nodes.
     pub(super) fn sum_forces(&self, p: usize) {
-        self.sum_forces_into(p, &mut self.all[p].nodes_mut().force_n);
+        self.path().vectorize(
+            #[inline(always)]
+            || self.sum_forces_into(p, &mut self.all[p].nodes_mut().force_n),
+        );
     }
 
+    #[inline(always)]
     fn sum_forces_into(&self, p: usize, sums: &mut [Row]) {
         let part = &self.all[p];
         for (sum, [_, force]) in sums.iter_mut().zip(read(&part.rows).nodes()) {
@@ -191,6 +352,14 @@ impl Parts {
 
     /// Second phase of a step: forces on the own nodes, and their motion.
     pub(super) fn sum_and_advance(&self, p: usize) {
+        self.path().vectorize(
+            #[inline(always)]
+            || self.sum_and_advance_here(p),
+        );
+    }
+
+    #[inline(always)]
+    fn sum_and_advance_here(&self, p: usize) {
         let StepFactors { keep, push_s2 } = *read(&self.step);
         let mut nodes = self.all[p].nodes_mut();
         let PartNodes { displacement_m, increment_m, force_n, outer_n, inverse_mass_per_kg, .. } =
@@ -198,7 +367,7 @@ impl Parts {
         self.sum_forces_into(p, force_n);
         let moving = displacement_m.iter_mut().zip(increment_m);
         let pushed = force_n.iter().zip(outer_n).zip(inverse_mass_per_kg);
-        // Not fused: this loop is compiled for every processor.
+        // Not fused: the same bits on every path.
         for ((u, increment), ((balance, outer), inverse_mass)) in moving.zip(pushed) {
             let push = push_s2 * *inverse_mass;
             for i in 0..4 {

@@ -4,12 +4,12 @@
 //! corner after corner, on every path. So two lanes may even share a node.
 
 #[cfg(target_arch = "x86_64")]
-use fearless_simd::{Avx2, Avx512, Level, Simd, f64x4, f64x8, prelude::*, u8x32};
+use fearless_simd::{Avx2, Avx512, Level, Simd, f64x4, f64x8, prelude::*, u8x32, u8x64};
 
-use super::KernelLaw;
-use super::element::{ElementLaw, Linear, StVenantKirchhoff, corner_forces, displacement_gradient};
+use super::element::{At, corner_forces, displacement_gradient};
+use super::extras::Stress;
 use super::lanes::Lanes;
-use super::rows::{Block, N_LANES, Rows};
+use super::rows::{Block, LaneNumbers, N_LANES, Rows};
 
 /// How the kernel computes. The result is the same on each path.
 #[derive(Clone, Copy, Debug)]
@@ -68,34 +68,37 @@ impl KernelPath {
         }
     }
 
-    /// Adds the forces of `blocks` at the displacements in `rows` to the forces there.
-    pub(super) fn add_forces(self, law: KernelLaw, blocks: &[Block], rows: &mut Rows) {
-        match law {
-            KernelLaw::Linear => self.add_forces_of::<Linear>(blocks, rows),
-            KernelLaw::StVenantKirchhoff => {
-                self.add_forces_of::<StVenantKirchhoff>(blocks, rows);
-            }
+    /// Runs `work` compiled for this path's processor.
+    #[inline(always)]
+    pub(super) fn vectorize<R>(self, work: impl FnOnce() -> R) -> R {
+        match self.0 {
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx512(simd) => simd.vectorize(work),
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx2(simd) | Path::Scalar(simd) => simd.vectorize(work),
+            Path::Portable => work(),
         }
     }
 
-    fn add_forces_of<L: ElementLaw>(self, blocks: &[Block], rows: &mut Rows) {
+    /// Adds the forces of `blocks` at the displacements in `rows` to the forces there.
+    pub(super) fn add_forces(self, stress: &mut impl Stress, blocks: &[Block], rows: &mut Rows) {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
             Path::Avx512(simd) => simd.vectorize(
                 #[inline(always)]
-                || add_by_eight::<L>(simd, blocks, rows),
+                || add_by_eight(simd, stress, blocks, rows),
             ),
             #[cfg(target_arch = "x86_64")]
             Path::Avx2(simd) => simd.vectorize(
                 #[inline(always)]
-                || add_by_four::<L>(simd, blocks, rows),
+                || add_by_four(simd, stress, blocks, rows),
             ),
             #[cfg(target_arch = "x86_64")]
             Path::Scalar(simd) => simd.vectorize(
                 #[inline(always)]
-                || add_one_by_one::<L>(blocks, rows),
+                || add_one_by_one(stress, blocks, rows),
             ),
-            Path::Portable => add_one_by_one::<L>(blocks, rows),
+            Path::Portable => add_one_by_one(stress, blocks, rows),
         }
     }
 }
@@ -103,46 +106,123 @@ impl KernelPath {
 /// Eight lanes in one vector.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn add_by_eight<L: ElementLaw>(simd: Avx512, blocks: &[Block], rows: &mut Rows) {
+fn add_by_eight(simd: Avx512, stress: &mut impl Stress, blocks: &[Block], rows: &mut Rows) {
     let Some(first) = blocks.first() else { return };
+    let masks = Masks::opaque();
     // A block's displacements are loaded while the forces of the one before are on their way, and those are added
     // after the next one's gradients: no stage waits for the one just before it.
     let mut d = gather(simd, first, rows);
     let mut waiting = [[f64x8::splat(simd, 0.0); 3]; 3];
     let mut their_offsets = &first.offsets;
     for (i, block) in blocks.iter().enumerate() {
-        let alpha = &block.alpha_per_m;
-        let load = |numbers: &[f64; N_LANES]| f64x8::from_slice(simd, numbers);
-        let alpha = [
-            [load(&alpha[0][0]), load(&alpha[0][1]), load(&alpha[0][2])],
-            [load(&alpha[1][0]), load(&alpha[1][1]), load(&alpha[1][2])],
-            [load(&alpha[2][0]), load(&alpha[2][1]), load(&alpha[2][2])],
-        ];
-        let g = displacement_gradient(&d, &alpha);
-        scatter(simd, rows, their_offsets, waiting);
+        let load = |numbers: &LaneNumbers| f64x8::from_slice(simd, numbers);
+        let g = displacement_gradient(&d, &gradients(simd, block));
+        scatter(simd, masks, rows, their_offsets, waiting);
         let material = [load(&block.material[0]), load(&block.material[1])];
-        waiting = corner_forces(&L::scaled_stress(&g, material), &alpha);
+        let p = stress.scaled_stress(&g, material, At { block: i, lane: 0 });
+        // Loaded again: there are too few registers to keep them.
+        waiting = corner_forces(&p, &gradients(simd, block));
         their_offsets = &block.offsets;
         d = gather(simd, blocks.get(i + 1).unwrap_or(first), rows);
     }
-    scatter(simd, rows, their_offsets, waiting);
+    scatter(simd, masks, rows, their_offsets, waiting);
+}
+
+/// Which numbers an operation leaves alone. The compiler must not know them: it would write the masked
+/// operations, which cost nothing more, as whole ones and a shuffle.
+#[cfg(target_arch = "x86_64")]
+#[derive(Clone, Copy)]
+struct Masks {
+    /// The upper half.
+    upper: u8,
+    /// x, y, z of both rows.
+    xyz: u8,
+}
+
+#[cfg(target_arch = "x86_64")]
+impl Masks {
+    fn opaque() -> Self {
+        Self { upper: std::hint::black_box(0xf0), xyz: std::hint::black_box(0x77) }
+    }
 }
 
 /// Adds the forces of eight lanes, lane after lane.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn scatter(simd: Avx512, rows: &mut Rows, at: &[[u16; 4]; N_LANES], f: [[f64x8<Avx512>; 3]; 3]) {
-    let pairs = [pairs_of_rows(simd, f[0]), pairs_of_rows(simd, f[1]), pairs_of_rows(simd, f[2])];
-    for p in [0, 2] {
-        let (f1, f2, f3) = (pairs[0][p], pairs[1][p], pairs[2][p]);
-        let even = [(f1 + f2 + f3).split(), f1.split(), f2.split(), f3.split()];
-        let (f1, f2, f3) = (pairs[0][p + 1], pairs[1][p + 1], pairs[2][p + 1]);
-        let odd = [(f1 + f2 + f3).split(), f1.split(), f2.split(), f3.split()];
-        add_lane(simd, rows, &at[2 * p], [even[0].0, even[1].0, even[2].0, even[3].0]);
-        add_lane(simd, rows, &at[2 * p + 1], [odd[0].0, odd[1].0, odd[2].0, odd[3].0]);
-        add_lane(simd, rows, &at[2 * p + 2], [even[0].1, even[1].1, even[2].1, even[3].1]);
-        add_lane(simd, rows, &at[2 * p + 3], [odd[0].1, odd[1].1, odd[2].1, odd[3].1]);
+fn scatter(
+    simd: Avx512,
+    masks: Masks,
+    rows: &mut Rows,
+    at: &[[u16; 4]; N_LANES],
+    f: [[f64x8<Avx512>; 3]; 3],
+) {
+    let [a1, b1, c1, d1] = pairs_of_rows(simd, masks, f[0]);
+    let [a2, b2, c2, d2] = pairs_of_rows(simd, masks, f[1]);
+    let [a3, b3, c3, d3] = pairs_of_rows(simd, masks, f[2]);
+    let (even, odd) = ([a1 + a2 + a3, a1, a2, a3], [b1 + b2 + b3, b1, b2, b3]);
+    add_lane(simd, rows, &at[0], lower(even));
+    add_lane(simd, rows, &at[1], lower(odd));
+    add_upper_lane(simd, masks, rows, &at[2], even);
+    add_upper_lane(simd, masks, rows, &at[3], odd);
+    let (even, odd) = ([c1 + c2 + c3, c1, c2, c3], [d1 + d2 + d3, d1, d2, d3]);
+    add_lane(simd, rows, &at[4], lower(even));
+    add_lane(simd, rows, &at[5], lower(odd));
+    add_upper_lane(simd, masks, rows, &at[6], even);
+    add_upper_lane(simd, masks, rows, &at[7], odd);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn lower([a, b, c, d]: [f64x8<Avx512>; 4]) -> [f64x4<Avx512>; 4] {
+    [a.split().0, b.split().0, c.split().0, d.split().0]
+}
+
+/// Adds the forces in the upper halves, which is where they lie in a node's pair of rows: nothing moves across.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn add_upper_lane(
+    simd: Avx512,
+    Masks { upper, .. }: Masks,
+    rows: &mut Rows,
+    at: &[u16; 4],
+    [sum, f1, f2, f3]: [f64x8<Avx512>; 4],
+) {
+    use std::arch::x86_64::{__m512d, _mm512_mask_add_pd, _mm512_mask_sub_pd};
+    fearless_simd::kernel!(
+        #[inline(always)]
+        fn add(_simd: Avx512, upper: u8, node: __m512d, force: __m512d) -> __m512d {
+            _mm512_mask_add_pd(node, upper, node, force)
+        }
+    );
+    fearless_simd::kernel!(
+        #[inline(always)]
+        fn subtract(_simd: Avx512, upper: u8, node: __m512d, force: __m512d) -> __m512d {
+            _mm512_mask_sub_pd(node, upper, node, force)
+        }
+    );
+    let bytes = rows.node_mut(at[0]);
+    let first: f64x8<Avx512> = u8x64::from_slice(simd, bytes).bitcast();
+    let first: f64x8<Avx512> = subtract(simd, upper, first.into(), sum.into()).simd_into(simd);
+    first.bitcast::<u8x64<Avx512>>().store_slice(bytes);
+    for (offset, f) in [(at[1], f1), (at[2], f2), (at[3], f3)] {
+        let bytes = rows.node_mut(offset);
+        let node: f64x8<Avx512> = u8x64::from_slice(simd, bytes).bitcast();
+        let node: f64x8<Avx512> = add(simd, upper, node.into(), f.into()).simd_into(simd);
+        node.bitcast::<u8x64<Avx512>>().store_slice(bytes);
     }
+}
+
+/// alpha_1, alpha_2 and alpha_3 of eight lanes, each x, y, z.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn gradients(simd: Avx512, block: &Block) -> [[f64x8<Avx512>; 3]; 3] {
+    let [a, b, c] = &block.alpha_per_m;
+    let load = |numbers: &LaneNumbers| f64x8::from_slice(simd, numbers);
+    [
+        [load(&a[0]), load(&a[1]), load(&a[2])],
+        [load(&b[0]), load(&b[1]), load(&b[2])],
+        [load(&c[0]), load(&c[1]), load(&c[2])],
+    ]
 }
 
 /// d_1, d_2 and d_3 of eight lanes, each x, y, z.
@@ -155,8 +235,7 @@ fn gather(simd: Avx512, block: &Block, rows: &Rows) -> [[f64x8<Avx512>; 3]; 3] {
         let (a, b) = (&at[a], &at[b]);
         let first = row(simd, rows, a[0]).combine(row(simd, rows, b[0]));
         for k in 0..3 {
-            let corner = row(simd, rows, a[k + 1]).combine(row(simd, rows, b[k + 1]));
-            edges[k][p] = corner - first;
+            edges[k][p] = row(simd, rows, a[k + 1]).combine(row(simd, rows, b[k + 1])) - first;
         }
     }
     [columns(simd, edges[0]), columns(simd, edges[1]), columns(simd, edges[2])]
@@ -203,34 +282,30 @@ fn columns(simd: Avx512, pairs: [f64x8<Avx512>; 4]) -> [f64x8<Avx512>; 3] {
 /// The rows of [`PAIRS`] from x, y and z of eight lanes.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn pairs_of_rows(simd: Avx512, xyz: [f64x8<Avx512>; 3]) -> [f64x8<Avx512>; 4] {
+fn pairs_of_rows(simd: Avx512, masks: Masks, [x, y, z]: [f64x8<Avx512>; 3]) -> [f64x8<Avx512>; 4] {
     use std::arch::x86_64::{
-        __m512d, _mm512_permutex2var_pd, _mm512_setr_epi64, _mm512_setzero_pd, _mm512_unpackhi_pd,
-        _mm512_unpacklo_pd,
+        __m512d, _mm512_maskz_permutex2var_pd, _mm512_setr_epi64, _mm512_unpackhi_pd, _mm512_unpacklo_pd,
     };
     fearless_simd::kernel!(
         #[inline(always)]
         fn transpose(
             _simd: Avx512,
+            xyz: u8,
             x: __m512d,
             y: __m512d,
             z: __m512d,
         ) -> (__m512d, __m512d, __m512d, __m512d) {
-            let zero = _mm512_setzero_pd();
-            let (xy_even, xy_odd) = (_mm512_unpacklo_pd(x, y), _mm512_unpackhi_pd(x, y));
-            let (z_even, z_odd) = (_mm512_unpacklo_pd(z, zero), _mm512_unpackhi_pd(z, zero));
-            let low = _mm512_setr_epi64(0, 1, 8, 9, 2, 3, 10, 11);
-            let high = _mm512_setr_epi64(4, 5, 12, 13, 6, 7, 14, 15);
+            // x and y of two lanes, then z of the first from `z`, a zero, and the same for the second.
+            let (even, odd) = (_mm512_unpacklo_pd(x, y), _mm512_unpackhi_pd(x, y));
             (
-                _mm512_permutex2var_pd(xy_even, low, z_even),
-                _mm512_permutex2var_pd(xy_odd, low, z_odd),
-                _mm512_permutex2var_pd(xy_even, high, z_even),
-                _mm512_permutex2var_pd(xy_odd, high, z_odd),
+                _mm512_maskz_permutex2var_pd(xyz, even, _mm512_setr_epi64(0, 1, 8, 0, 2, 3, 10, 0), z),
+                _mm512_maskz_permutex2var_pd(xyz, odd, _mm512_setr_epi64(0, 1, 9, 0, 2, 3, 11, 0), z),
+                _mm512_maskz_permutex2var_pd(xyz, even, _mm512_setr_epi64(4, 5, 12, 0, 6, 7, 14, 0), z),
+                _mm512_maskz_permutex2var_pd(xyz, odd, _mm512_setr_epi64(4, 5, 13, 0, 6, 7, 15, 0), z),
             )
         }
     );
-    let [x, y, z] = xyz;
-    let (a, b, c, d) = transpose(simd, x.into(), y.into(), z.into());
+    let (a, b, c, d) = transpose(simd, masks.xyz, x.into(), y.into(), z.into());
     [a.simd_into(simd), b.simd_into(simd), c.simd_into(simd), d.simd_into(simd)]
 }
 
@@ -251,9 +326,9 @@ fn add_lane<S: Simd>(simd: S, rows: &mut Rows, at: &[u16; 4], [sum, f1, f2, f3]:
 /// Eight lanes in two vectors, one after the other.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn add_by_four<L: ElementLaw>(simd: Avx2, blocks: &[Block], rows: &mut Rows) {
+fn add_by_four(simd: Avx2, stress: &mut impl Stress, blocks: &[Block], rows: &mut Rows) {
     let zero = f64x4::splat(simd, 0.0);
-    for block in blocks {
+    for (i, block) in blocks.iter().enumerate() {
         for half in [0, 4] {
             let at = &block.offsets;
             let mut edges = [[zero; 4]; 3];
@@ -269,14 +344,15 @@ fn add_by_four<L: ElementLaw>(simd: Avx2, blocks: &[Block], rows: &mut Rows) {
             let [x2, y2, z2, _] = transposed(simd, edges[2]);
             let d = [[x0, y0, z0], [x1, y1, z1], [x2, y2, z2]];
             let alpha = &block.alpha_per_m;
-            let load = |numbers: &[f64; N_LANES]| f64x4::from_slice(simd, &numbers[half..half + 4]);
+            let load = |numbers: &LaneNumbers| f64x4::from_slice(simd, &numbers[half..half + 4]);
             let alpha = [
                 [load(&alpha[0][0]), load(&alpha[0][1]), load(&alpha[0][2])],
                 [load(&alpha[1][0]), load(&alpha[1][1]), load(&alpha[1][2])],
                 [load(&alpha[2][0]), load(&alpha[2][1]), load(&alpha[2][2])],
             ];
             let material = [load(&block.material[0]), load(&block.material[1])];
-            let f = corner_forces(&L::scaled_stress(&displacement_gradient(&d, &alpha), material), &alpha);
+            let g = displacement_gradient(&d, &alpha);
+            let f = corner_forces(&stress.scaled_stress(&g, material, At { block: i, lane: half }), &alpha);
             let f1 = transposed(simd, [f[0][0], f[0][1], f[0][2], zero]);
             let f2 = transposed(simd, [f[1][0], f[1][1], f[1][2], zero]);
             let f3 = transposed(simd, [f[2][0], f[2][1], f[2][2], zero]);
@@ -319,8 +395,8 @@ fn transposed(simd: Avx2, rows: [f64x4<Avx2>; 4]) -> [f64x4<Avx2>; 4] {
 
 /// One lane after the other, without vectors.
 #[inline(always)]
-fn add_one_by_one<L: ElementLaw>(blocks: &[Block], rows: &mut Rows) {
-    for block in blocks {
+fn add_one_by_one(stress: &mut impl Stress, blocks: &[Block], rows: &mut Rows) {
+    for (i, block) in blocks.iter().enumerate() {
         for lane in 0..N_LANES {
             let at = &block.offsets[lane];
             let first = numbers(rows.displacement(at[0]));
@@ -334,7 +410,8 @@ fn add_one_by_one<L: ElementLaw>(blocks: &[Block], rows: &mut Rows) {
             let alpha = [gradient(0), gradient(1), gradient(2)];
             let material = [block.material[0][lane], block.material[1][lane]];
             let g = displacement_gradient(&d, &alpha);
-            let [f1, f2, f3] = corner_forces(&L::scaled_stress(&g, material), &alpha);
+            let p = stress.scaled_stress(&g, material, At { block: i, lane });
+            let [f1, f2, f3] = corner_forces(&p, &alpha);
             let sum = |i: usize| f1[i].plus(f2[i]).plus(f3[i]);
             let balance = [-sum(0), -sum(1), -sum(2)];
             for (offset, f) in [(at[0], balance), (at[1], f1), (at[2], f2), (at[3], f3)] {

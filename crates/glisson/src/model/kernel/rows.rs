@@ -4,6 +4,8 @@
 pub(super) const MOST_ROWS: usize = 1024;
 /// Tetrahedra worked on side by side.
 pub(super) const N_LANES: usize = 8;
+/// A number of each of eight tetrahedra.
+pub(super) type LaneNumbers = [f64; N_LANES];
 
 const ROW_BYTES: usize = size_of::<Row>();
 /// A node's two rows: one line of a cache.
@@ -44,6 +46,14 @@ impl Rows {
         (&self.0[start..start + ROW_BYTES]).try_into().expect("a row's length")
     }
 
+    /// The bytes of both rows at an offset of [`offset_of`]: displacement, then force.
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    pub(super) fn node_mut(&mut self, offset: u16) -> &mut [u8; NODE_BYTES] {
+        let start = usize::from(offset);
+        (&mut self.0[start..start + NODE_BYTES]).try_into().expect("a node's length")
+    }
+
     /// The bytes of the force at an offset of [`offset_of`].
     #[inline(always)]
     pub(super) fn force_mut(&mut self, offset: u16) -> &mut [u8; ROW_BYTES] {
@@ -64,9 +74,9 @@ pub(super) struct Block {
     /// Offsets of the four nodes, for each lane.
     pub(super) offsets: [[u16; 4]; N_LANES],
     /// alpha_1, alpha_2, alpha_3 [1/m], each x, y, z.
-    pub(super) alpha_per_m: [[[f64; N_LANES]; 3]; 3],
-    /// V lambda / 2 and V mu [N m].
-    pub(super) material: [[f64; N_LANES]; 2],
+    pub(super) alpha_per_m: [[LaneNumbers; 3]; 3],
+    /// Two numbers of the law [N m], see [`super::element::ElementLaw::numbers`].
+    pub(super) material: [LaneNumbers; 2],
 }
 
 impl Block {

@@ -1,0 +1,113 @@
+//! Leaving out what is inverted or no number, so that one bad tetrahedron does not spoil a step.
+
+use super::element::{At, Matrix};
+use super::lanes::Lanes;
+use super::rows::N_LANES;
+use crate::mesh::TetId;
+
+/// Which tetrahedra a step leaves out: they add exact zeros, are counted, and come back by themselves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Quarantine {
+    /// None: a force that is no number spreads.
+    Off,
+    /// Those whose deformation or stress is not finite. For laws that push an inverted tetrahedron back,
+    /// as the stable neo-Hookean one.
+    NotFinite,
+    /// Those, and the inverted ones: det F <= 0.
+    #[default]
+    Inverted,
+}
+
+impl Quarantine {
+    /// What det F is to exceed.
+    pub(super) fn least_ratio(self) -> Option<f64> {
+        match self {
+            Self::Off => None,
+            Self::NotFinite => Some(f64::NEG_INFINITY),
+            Self::Inverted => Some(0.0),
+        }
+    }
+}
+
+/// What the last step left out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct QuarantineReport {
+    /// How many tetrahedra.
+    pub n_tets: u32,
+    /// The one with the lowest id.
+    pub first: Option<TetId>,
+}
+
+impl QuarantineReport {
+    pub(super) fn add(&mut self, other: Self) {
+        self.n_tets += other.n_tets;
+        self.first = self.first.into_iter().chain(other.first).min();
+    }
+}
+
+/// Whose lane it is; [`NO_TET`] where there is none.
+pub(super) type LaneTets = [TetId; N_LANES];
+pub(super) const NO_TET: TetId = TetId(u32::MAX);
+
+/// The watch over a part's tetrahedra.
+pub(super) struct Guard<'a> {
+    pub(super) least_ratio: f64,
+    /// Tetrahedra of each block.
+    pub(super) tets: &'a [LaneTets],
+    pub(super) found: &'a mut QuarantineReport,
+}
+
+impl Guard<'_> {
+    /// All lanes are sound.
+    pub(super) fn all<V: Lanes>() -> u32 {
+        (1 << V::COUNT) - 1
+    }
+
+    /// A bit for each lane whose tetrahedron counts; the others are noted.
+    #[inline(always)]
+    pub(super) fn sound_bits<V: Lanes>(&mut self, g: &Matrix<V>, p: &Matrix<V>, at: At) -> u32 {
+        let zero = g[0][0].constant(0.0);
+        let one = g[0][0].constant(1.0);
+        let f = |i: usize, j: usize| if i == j { g[i][j].plus(one) } else { g[i][j] };
+        let cofactor = |j: usize, k: usize| f(1, j).fused(f(2, k), f(1, k).times(f(2, j)).negative());
+        // Zero, or no number where an entry is not finite.
+        let row = |i: usize| p[i][0].fused(zero, p[i][1].fused(zero, p[i][2].times(zero)));
+        let nothing = row(0).plus(row(1)).plus(row(2));
+        let volume_ratio = f(0, 0)
+            .fused(cofactor(1, 2), f(0, 1).fused(cofactor(2, 0), f(0, 2).fused(cofactor(0, 1), nothing)));
+        let sound = volume_ratio.above_bits(zero.constant(self.least_ratio));
+        if sound != Self::all::<V>() {
+            self.note(at, Self::all::<V>() & !sound);
+        }
+        sound
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn note(&mut self, at: At, unsound: u32) {
+        let lanes = self.tets[at.block].iter().skip(at.lane).enumerate();
+        for (_, &tet) in lanes.filter(|(lane, tet)| unsound >> lane & 1 != 0 && **tet != NO_TET) {
+            self.found.add(QuarantineReport { n_tets: 1, first: Some(tet) });
+        }
+    }
+
+    /// `p`, and zeros in the lanes that are not sound.
+    #[inline(always)]
+    pub(super) fn zeroed<V: Lanes>(p: &Matrix<V>, sound: u32) -> Matrix<V> {
+        let zero = p[0][0].constant(0.0);
+        let row = |i: usize| {
+            [
+                Self::chosen(sound, p[i][0], zero),
+                Self::chosen(sound, p[i][1], zero),
+                Self::chosen(sound, p[i][2], zero),
+            ]
+        };
+        [row(0), row(1), row(2)]
+    }
+
+    /// `then` in the lanes of `bits`, `otherwise` elsewhere.
+    #[inline(always)]
+    pub(super) fn chosen<V: Lanes>(bits: u32, then: V, otherwise: V) -> V {
+        if bits == Self::all::<V>() { then } else { then.chosen(bits, otherwise) }
+    }
+}

@@ -13,6 +13,7 @@
 
 mod element;
 mod lanes;
+mod motion;
 mod order;
 mod part;
 mod paths;
@@ -21,14 +22,16 @@ mod workers;
 
 use std::sync::Arc;
 
+use self::motion::StepFactors;
 use self::order::{PartPlan, Place, partition};
-use self::part::{Exchange, Part, PartNodes, Parts, StepFactors};
+use self::part::{Exchange, Part, PartNodes, Parts};
 use self::rows::{Block, N_LANES, offset_of};
 use crate::material::LinearElastic;
 use crate::math::DVec3;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::solve::{P1Gradients, SolveError};
 
+pub use motion::{NodeMotion, StepSums};
 pub use paths::KernelPath;
 pub use workers::{Sequential, Task, Workers};
 
@@ -116,7 +119,9 @@ pub struct FastKernel {
     /// rho V / 4 of each tetrahedron.
     mass_share_kg: Vec<f64>,
     last_step_s: Option<f64>,
+    stiffness_damping_s: f64,
     // The tasks of the phases, made once: a step allocates nothing.
+    lead: Task,
     add_element_forces: Task,
     sum_forces: Task,
     sum_and_advance: Task,
@@ -175,20 +180,11 @@ impl FastKernel {
         }
         connect(&mut parts, &plans, &node_places);
         let step = StepFactors::default().into();
-        let parts = Arc::new(Parts { law, path: path.into(), all: parts, step });
-        let task = |phase: fn(&Parts, usize)| -> Task {
-            let parts = Arc::clone(&parts);
-            Arc::new(move |p| phase(&parts, p))
-        };
         let kernel = Self {
-            add_element_forces: task(Parts::add_element_forces),
-            sum_forces: task(Parts::sum_forces),
-            sum_and_advance: task(Parts::sum_and_advance),
-            parts,
             node_places,
             tet_places: kernel_places,
             mass_share_kg,
-            last_step_s: None,
+            ..Self::of_parts(Parts { law, path: path.into(), all: parts, step })
         };
         for (nodes, &share_kg) in mesh.tetrahedra.iter().zip(&kernel.mass_share_kg) {
             for node in nodes {
@@ -196,6 +192,22 @@ impl FastKernel {
             }
         }
         Ok(kernel)
+    }
+
+    fn of_parts(parts: Parts) -> Self {
+        let parts = Arc::new(parts);
+        Self {
+            lead: task(&parts, Parts::lead),
+            add_element_forces: task(&parts, Parts::add_element_forces),
+            sum_forces: task(&parts, Parts::sum_forces),
+            sum_and_advance: task(&parts, Parts::sum_and_advance),
+            parts,
+            node_places: Vec::new(),
+            tet_places: Vec::new(),
+            mass_share_kg: Vec::new(),
+            last_step_s: None,
+            stiffness_damping_s: 0.0,
+        }
     }
 
     fn place(&self, node: NodeId) -> Option<(&Part, usize)> {
@@ -313,6 +325,7 @@ impl FastKernel {
 
     /// Computes the forces at the displacements set, for [`FastKernel::forces_into`].
     pub fn compute_forces(&mut self, workers: &dyn Workers) {
+        self.parts.set_step(StepFactors::default());
         workers.run(self.n_parts(), &self.add_element_forces);
         workers.run(self.n_parts(), &self.sum_forces);
     }
@@ -355,11 +368,7 @@ impl FastKernel {
 
     /// Holds a node, at standstill, or lets it go: a step leaves a held node where it is.
     pub fn hold(&mut self, node: NodeId, is_held: bool) {
-        if let Some((part, n)) = self.place(node) {
-            let mut nodes = part.nodes_mut();
-            nodes.is_held[n] = is_held;
-            nodes.update_inverse_mass(n);
-        }
+        self.hold_axes(node, [is_held; 3]);
     }
 
     /// Sets the force [N] from outside on a node, gravity included.
@@ -382,15 +391,20 @@ impl FastKernel {
     ///
     /// A step that is too long diverges: the caller keeps to the stable one.
     pub fn step(&mut self, workers: &dyn Workers, step: ExplicitStep) {
-        let ExplicitStep { step_s: h, damping_per_s: d } = step;
-        let inverse = 1.0 / (1.0 / (h * h) + 0.5 * d / h);
-        let stretch = self.last_step_s.map_or(1.0, |last_s| h / last_s);
-        let keep = (1.0 / (h * h) - 0.5 * d / h) * inverse * stretch;
-        self.parts.set_step(StepFactors { keep, push_s2: inverse });
-        self.last_step_s = Some(h);
+        let last_s = self.last_step_s.replace(step.step_s).unwrap_or(step.step_s);
+        let factors = StepFactors::new(step, last_s, self.stiffness_damping_s);
+        self.parts.set_step(factors);
+        if factors.leads() {
+            workers.run(self.n_parts(), &self.lead);
+        }
         workers.run(self.n_parts(), &self.add_element_forces);
         workers.run(self.n_parts(), &self.sum_and_advance);
     }
+}
+
+fn task(parts: &Arc<Parts>, phase: fn(&Parts, usize)) -> Task {
+    let parts = Arc::clone(parts);
+    Arc::new(move |p| phase(&parts, p))
 }
 
 fn padded(v: DVec3) -> rows::Row {

@@ -10,12 +10,13 @@
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use super::KernelLaw;
+use super::motion::{StepFactors, StepSums};
 use super::paths::KernelPath;
 use super::rows::{Block, Row, Rows};
 use crate::mesh::NodeId;
 
 /// A panic elsewhere leaves numbers behind, no broken memory.
-fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
+pub(super) fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
     lock.read().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -43,11 +44,17 @@ pub(super) struct PartNodes {
     /// Force from outside.
     pub(super) outer_n: Vec<Row>,
     pub(super) mass_kg: Vec<f64>,
-    /// Zero for nodes that the step does not move.
-    pub(super) inverse_mass_per_kg: Vec<f64>,
-    pub(super) is_held: Vec<bool>,
+    /// Inertia without weight.
+    pub(super) added_mass_kg: Vec<f64>,
+    /// Zero for axes that the step does not move.
+    pub(super) inverse_mass_per_kg: Vec<Row>,
+    pub(super) is_held: Vec<[bool; 3]>,
     /// Tetrahedra that a node has left.
     pub(super) n_tets: Vec<u32>,
+    /// Displacements ahead by the stiffness damping; empty without.
+    pub(super) led_m: Vec<Row>,
+    /// Of the last step.
+    pub(super) sums: StepSums,
 }
 
 impl PartNodes {
@@ -58,28 +65,14 @@ impl PartNodes {
             force_n: vec![[0.0; 4]; n_own],
             outer_n: vec![[0.0; 4]; n_own],
             mass_kg: vec![0.0; n_own],
-            inverse_mass_per_kg: vec![0.0; n_own],
-            is_held: vec![false; n_own],
+            added_mass_kg: vec![0.0; n_own],
+            inverse_mass_per_kg: vec![[0.0; 4]; n_own],
+            is_held: vec![[false; 3]; n_own],
             n_tets: vec![0; n_own],
+            led_m: Vec::new(),
+            sums: StepSums::default(),
         }
     }
-
-    /// After a change of mass or support.
-    pub(super) fn update_inverse_mass(&mut self, n: usize) {
-        let moves = self.n_tets[n] > 0 && !self.is_held[n];
-        self.inverse_mass_per_kg[n] = if moves { 1.0 / self.mass_kg[n] } else { 0.0 };
-        if !moves {
-            self.increment_m[n] = [0.0; 4];
-        }
-    }
-}
-
-/// Factors of a step of central differences: the new increment is `keep` times the last one plus `push` times
-/// force over mass.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct StepFactors {
-    pub(super) keep: f64,
-    pub(super) push_s2: f64,
 }
 
 /// One part.
@@ -92,9 +85,9 @@ pub(super) struct Part {
     pub(super) lent: Vec<Exchange>,
     /// Own and borrowed rows together.
     pub(super) n_rows: usize,
-    blocks: RwLock<Vec<Block>>,
-    nodes: RwLock<PartNodes>,
-    rows: RwLock<Box<Rows>>,
+    pub(super) blocks: RwLock<Vec<Block>>,
+    pub(super) nodes: RwLock<PartNodes>,
+    pub(super) rows: RwLock<Box<Rows>>,
 }
 
 impl Part {
@@ -152,16 +145,18 @@ impl Parts {
     /// First phase.
     pub(super) fn add_element_forces(&self, p: usize) {
         let part = &self.all[p];
+        let leads = read(&self.step).leads();
         let mut rows = write(&part.rows);
         let (own, borrowed) = rows.nodes_mut()[..part.n_rows].split_at_mut(part.own.len());
-        for (row, displacement_m) in own.iter_mut().zip(&part.nodes().displacement_m) {
+        for (row, displacement_m) in own.iter_mut().zip(part.nodes().strained_m(leads)) {
             *row = [*displacement_m, [0.0; 4]];
         }
         for exchange in &part.borrowed {
             let owner = self.all[exchange.part].nodes();
+            let displacement_m = owner.strained_m(leads);
             for &[here, there] in &exchange.rows {
                 let row = &mut borrowed[usize::from(here) - own.len()];
-                *row = [owner.displacement_m[usize::from(there)], [0.0; 4]];
+                *row = [displacement_m[usize::from(there)], [0.0; 4]];
             }
         }
         self.path().add_forces(self.law, &part.blocks(), &mut rows);
@@ -191,20 +186,9 @@ impl Parts {
 
     /// Second phase of a step: forces on the own nodes, and their motion.
     pub(super) fn sum_and_advance(&self, p: usize) {
-        let StepFactors { keep, push_s2 } = *read(&self.step);
+        let factors = *read(&self.step);
         let mut nodes = self.all[p].nodes_mut();
-        let PartNodes { displacement_m, increment_m, force_n, outer_n, inverse_mass_per_kg, .. } =
-            &mut *nodes;
-        self.sum_forces_into(p, force_n);
-        let moving = displacement_m.iter_mut().zip(increment_m);
-        let pushed = force_n.iter().zip(outer_n).zip(inverse_mass_per_kg);
-        // Not fused: this loop is compiled for every processor.
-        for ((u, increment), ((balance, outer), inverse_mass)) in moving.zip(pushed) {
-            let push = push_s2 * *inverse_mass;
-            for i in 0..4 {
-                increment[i] = keep * increment[i] + push * (outer[i] - balance[i]);
-                u[i] += increment[i];
-            }
-        }
+        self.sum_forces_into(p, &mut nodes.force_n);
+        nodes.advance(&factors);
     }
 }

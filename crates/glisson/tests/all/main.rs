@@ -3,6 +3,7 @@
 mod images;
 mod laws;
 mod kernel;
+mod explicit_kernel;
 mod integrators;
 mod implicit;
 mod layering;

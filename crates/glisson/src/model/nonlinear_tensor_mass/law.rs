@@ -107,7 +107,7 @@ impl TetLaw {
     /// (or -kappa from compressed soft fibres), times the scalar Laplacian L, whose largest eigenvalue is at most
     /// that of K over min(lambda + 2 mu, its like along the fibre). The penalty gamma V |theta|^3 with
     /// |theta| <= t = s^3 - 1 adds 18 gamma t s^4 + 6 gamma t^2 s of L.
-    pub(super) fn stiffening(&self, largest_stretch: f64, gamma_pa: f64) -> f64 {
+    pub(in crate::model) fn stiffening(&self, largest_stretch: f64, gamma_pa: f64) -> f64 {
         let s = largest_stretch;
         let square = s * s;
         let theta = square * s - 1.0;

@@ -14,7 +14,7 @@ use glisson::model::{
 use glisson::record::hash::StateHash;
 use glisson::solve::SolveError;
 
-use super::{LAWS, SIZE_M, body, body_of, build, material, organ, touched};
+use super::{LAWS, SIZE_M, body, body_of, build, material, organ, time_step_s, touched};
 use crate::model_meshes::block;
 
 #[test]
@@ -94,6 +94,30 @@ fn a_run_that_blows_up_stays_finite_and_says_so() {
     assert!(limited > 0);
     let far_m = model.state().positions_m.iter().map(|p| p.length()).fold(0.0, f64::max);
     assert!(far_m < 1e4, "{far_m}");
+}
+
+/// What decays for ever passes through subnormal numbers, which are slow.
+#[test]
+fn a_damped_body_comes_to_a_standstill() {
+    let mesh = block([2, 2, 1], SIZE_M);
+    let fixed: Vec<FixedNode> = (0..9).map(|n| FixedNode::all_axes(NodeId(n))).collect();
+    let damping = Rayleigh { mass_per_s: 100.0, stiffness_s: 0.0 };
+    let body =
+        DynamicBody { damping, gravity_m_per_s2: DVec3::ZERO, ..body_of(&mesh, &fixed, time_step_s(&mesh)) };
+    for law in LAWS {
+        let mut model = build(body, law);
+        let moved: Vec<DVec3> = mesh.positions_m.iter().map(|&p| p + DVec3::new(1e-3, 0.0, 2e-3)).collect();
+        model.take_over(&moved);
+        for _ in 0..20_000 {
+            model.step(body.time_step_s);
+            let none_is_subnormal = model.state().history.iter().all(|x| *x == 0.0 || x.abs() >= 1e-90);
+            assert!(none_is_subnormal);
+        }
+        let far_m =
+            model.state().positions_m.iter().zip(&mesh.positions_m).map(|(p, rest)| p.distance(*rest));
+        assert!(far_m.fold(0.0, f64::max) < 1e-80);
+        assert!(model.state().velocities_m_per_s.iter().all(|v| *v == DVec3::ZERO));
+    }
 }
 
 #[test]

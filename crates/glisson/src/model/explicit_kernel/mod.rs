@@ -1,4 +1,4 @@
-//! Explicit dynamics on the fast kernel: the physics of the tensor-mass models, several times as fast.
+//! Explicit dynamics on the fast kernel: the physics of the tensor-mass models, on all cores that are lent.
 //!
 //! Central differences as in [`super::tensor_mass`], with the elastic forces of [`super::kernel`]; supports along
 //! single axes, ligaments, Rayleigh damping. A step gives the same bits for any number of threads.

@@ -98,6 +98,7 @@ impl PartNodes {
     }
 
     /// Moves the nodes by the forces that were summed.
+    #[inline(always)]
     pub(super) fn advance(&mut self, factors: &StepFactors) {
         let StepFactors { keep, push_s2, stretch, per_square_s2, .. } = *factors;
         let n_own = self.displacement_m.len();

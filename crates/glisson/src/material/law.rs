@@ -82,6 +82,35 @@ pub fn projected(tangent: &Tangent) -> Tangent {
     result
 }
 
+/// Principal stretches at which [`largest_tangent_eigenvalue_pa`] looks, from the smallest to the largest.
+const STRETCHES_SEEN: i32 = 5;
+
+/// The largest eigenvalue of d2W/dF2 [Pa] for principal stretches within [1/s, s]: of a grid of stretches, along the
+/// axes and along three other frames, so that fibres are met. An estimate from below that is exact for laws whose
+/// stiffest state lies at the ends of the range.
+pub fn largest_tangent_eigenvalue_pa(law: &dyn Material, largest_stretch: f64) -> f64 {
+    let stretch = |i: i32| largest_stretch.powf(2.0 * f64::from(i) / f64::from(STRETCHES_SEEN - 1) - 1.0);
+    let frames = [
+        DMat3::IDENTITY,
+        DMat3::from_rotation_x(std::f64::consts::FRAC_PI_4),
+        DMat3::from_rotation_y(std::f64::consts::FRAC_PI_4),
+        DMat3::from_rotation_z(std::f64::consts::FRAC_PI_4),
+    ];
+    let mut largest_pa = 0.0_f64;
+    for frame in frames {
+        for (i, j, k) in (0..STRETCHES_SEEN.pow(3)).map(|n| {
+            let n_seen = STRETCHES_SEEN;
+            (n % n_seen, n / n_seen % n_seen, n / (n_seen * n_seen))
+        }) {
+            let stretches = crate::math::DVec3::new(stretch(i), stretch(j), stretch(k));
+            let f = frame * DMat3::from_diagonal(stretches) * frame.transpose();
+            let (values, _) = eigen_symmetric(&law.tangent_pa(&f));
+            largest_pa = values.into_iter().filter(|value| value.is_finite()).fold(largest_pa, f64::max);
+        }
+    }
+    largest_pa
+}
+
 /// Adds value v v^T.
 pub(super) fn add_square(tangent: &mut Tangent, value: f64, vector: &[f64; 9]) {
     for i in 0..9 {

@@ -19,7 +19,7 @@ mod spec;
 pub mod tissues;
 
 pub use holzapfel_gasser_ogden::{HolzapfelGasserOgden, HolzapfelGasserOgdenParameters};
-pub use law::{Material, Tangent, projected};
+pub use law::{Material, Tangent, largest_tangent_eigenvalue_pa, projected};
 pub use linear_elastic::{LinearElastic, MaterialError};
 pub use mooney_rivlin::MooneyRivlin;
 pub use neo_hooke_log::NeoHookeLog;

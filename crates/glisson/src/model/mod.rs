@@ -9,6 +9,7 @@ pub mod kind;
 pub mod kernel;
 pub mod mass_spring;
 pub(crate) mod explicit;
+pub mod explicit_kernel;
 pub mod precomputed;
 pub mod rheology;
 pub mod tensor_mass;

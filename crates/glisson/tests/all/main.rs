@@ -4,6 +4,7 @@ mod images;
 mod laws;
 mod kernel;
 mod kernel_laws;
+mod explicit_kernel;
 mod integrators;
 mod implicit;
 mod layering;

@@ -1,16 +1,15 @@
 //! Laying out a body's memory.
 
-use std::sync::Arc;
-
 use super::element::{ElementLaw, Linear, StVenantKirchhoff};
 use super::extras::{ExtraKinds, Extras};
 use super::general::{General, SharedMaterial};
+use super::motion::StepFactors;
 use super::neo_hooke::{NeoHookeLog, StableNeoHooke};
 use super::order::{PartPlan, Place, partition};
-use super::part::{Elements, Exchange, ForceMode, Part, PartNodes, Parts, Progress, Relaxation, StepFactors};
-use super::quarantine::{NO_TET, Quarantine};
+use super::part::{Elements, Exchange, ForceMode, Part, PartNodes, Parts, Progress, Relaxation};
+use super::quarantine::NO_TET;
 use super::rows::{Block, N_LANES, offset_of};
-use super::{FastKernel, KernelError, KernelLaw, KernelParams, Task, TetPlace};
+use super::{FastKernel, KernelError, KernelLaw, KernelParams, TetPlace};
 use crate::material::{LinearElastic, PronySeries};
 use crate::mesh::TetId;
 use crate::model::RestStress;
@@ -215,7 +214,7 @@ impl FastKernel {
             parts.push(Part::new(plan.own.clone(), n_rows, elements, progress, nodes));
         }
         connect(&mut parts, &plans, &node_places);
-        let parts = Arc::new(Parts {
+        let parts = Parts {
             law,
             laws: extras.laws.to_vec(),
             relaxation: extras.relaxation.map(|series| Relaxation::new(series.clone()).into()),
@@ -223,22 +222,8 @@ impl FastKernel {
             path: path.into(),
             all: parts,
             step: StepFactors::default().into(),
-        });
-        let task = |phase: fn(&Parts, usize)| -> Task {
-            let parts = Arc::clone(&parts);
-            Arc::new(move |p| phase(&parts, p))
         };
-        let kernel = Self {
-            add_element_forces: task(Parts::add_element_forces),
-            sum_forces: task(Parts::sum_forces),
-            sum_and_advance: task(Parts::sum_and_advance),
-            parts,
-            node_places,
-            tet_places,
-            mass_share_kg,
-            quarantine: Quarantine::default(),
-            last_step_s: None,
-        };
+        let kernel = Self { node_places, tet_places, mass_share_kg, ..Self::of_parts(parts) };
         for (nodes, &share_kg) in mesh.tetrahedra.iter().zip(&kernel.mass_share_kg) {
             for node in nodes {
                 kernel.change_mass(*node, share_kg, 1);

@@ -17,6 +17,7 @@ mod element;
 mod extras;
 mod general;
 mod lanes;
+mod motion;
 mod neo_hooke;
 mod order;
 mod part;
@@ -27,8 +28,9 @@ mod workers;
 
 use std::sync::Arc;
 
+use self::motion::StepFactors;
 use self::order::Place;
-use self::part::{ForceMode, Part, PartNodes, Parts, StepFactors};
+use self::part::{ForceMode, Part, PartNodes, Parts};
 use super::nonlinear_tensor_mass::NonlinearTensorMassError;
 use crate::material::LinearElastic;
 use crate::math::DVec3;
@@ -37,6 +39,7 @@ use crate::solve::SolveError;
 
 pub use build::KernelExtras;
 pub use general::SharedMaterial;
+pub use motion::{NodeMotion, StepSums};
 pub use paths::KernelPath;
 pub use quarantine::{Quarantine, QuarantineReport};
 pub use workers::{Sequential, Task, Workers};
@@ -170,7 +173,9 @@ pub struct FastKernel {
     mass_share_kg: Vec<f64>,
     quarantine: Quarantine,
     last_step_s: Option<f64>,
+    stiffness_damping_s: f64,
     // The tasks of the phases, made once: a step allocates nothing.
+    lead: Task,
     add_element_forces: Task,
     sum_forces: Task,
     sum_and_advance: Task,
@@ -183,6 +188,23 @@ impl std::fmt::Debug for FastKernel {
 }
 
 impl FastKernel {
+    fn of_parts(parts: Parts) -> Self {
+        let parts = Arc::new(parts);
+        Self {
+            lead: task(&parts, Parts::lead),
+            add_element_forces: task(&parts, Parts::add_element_forces),
+            sum_forces: task(&parts, Parts::sum_forces),
+            sum_and_advance: task(&parts, Parts::sum_and_advance),
+            parts,
+            node_places: Vec::new(),
+            tet_places: Vec::new(),
+            mass_share_kg: Vec::new(),
+            quarantine: Quarantine::default(),
+            last_step_s: None,
+            stiffness_damping_s: 0.0,
+        }
+    }
+
     fn place(&self, node: NodeId) -> Option<(&Part, usize)> {
         self.node_places[node.index()].map(|p| (&self.parts.all[p.part as usize], p.index as usize))
     }
@@ -300,6 +322,7 @@ impl FastKernel {
     /// its memory stays.
     pub fn compute_forces(&mut self, workers: &dyn Workers) {
         self.parts.set_mode(ForceMode::default());
+        self.parts.set_step(StepFactors::default());
         workers.run(self.n_parts(), &self.add_element_forces);
         workers.run(self.n_parts(), &self.sum_forces);
     }
@@ -349,11 +372,7 @@ impl FastKernel {
 
     /// Holds a node, at standstill, or lets it go: a step leaves a held node where it is.
     pub fn hold(&mut self, node: NodeId, is_held: bool) {
-        if let Some((part, n)) = self.place(node) {
-            let mut nodes = part.nodes_mut();
-            nodes.is_held[n] = is_held;
-            nodes.update_inverse_mass(n);
-        }
+        self.hold_axes(node, [is_held; 3]);
     }
 
     /// Sets the force [N] from outside on a node, gravity included.
@@ -432,19 +451,22 @@ impl FastKernel {
     ///
     /// A step that is too long diverges: the caller keeps to the stable one.
     pub fn step(&mut self, workers: &dyn Workers, step: ExplicitStep) {
-        let ExplicitStep { step_s: h, damping_per_s: d } = step;
-        let inverse = 1.0 / (1.0 / (h * h) + 0.5 * d / h);
-        let stretch = self.last_step_s.map_or(1.0, |last_s| h / last_s);
-        let keep = (1.0 / (h * h) - 0.5 * d / h) * inverse * stretch;
-        self.parts.set_step(StepFactors { keep, push_s2: inverse });
+        let last_s = self.last_step_s.replace(step.step_s).unwrap_or(step.step_s);
+        self.parts.set_relaxation_step(step.step_s);
+        let factors = StepFactors::new(step, last_s, self.stiffness_damping_s);
+        self.parts.set_step(factors);
         self.parts.set_mode(ForceMode { quarantine: Some(self.quarantine), in_step: true });
-        if self.last_step_s != Some(h) {
-            self.parts.set_relaxation_step(h);
+        if factors.leads() {
+            workers.run(self.n_parts(), &self.lead);
         }
-        self.last_step_s = Some(h);
         workers.run(self.n_parts(), &self.add_element_forces);
         workers.run(self.n_parts(), &self.sum_and_advance);
     }
+}
+
+fn task(parts: &Arc<Parts>, phase: fn(&Parts, usize)) -> Task {
+    let parts = Arc::clone(parts);
+    Arc::new(move |p| phase(&parts, p))
 }
 
 fn padded(v: DVec3) -> rows::Row {

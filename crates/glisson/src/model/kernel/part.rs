@@ -13,6 +13,7 @@ use super::KernelLaw;
 use super::element::{ElementLaw, Linear, StVenantKirchhoff};
 use super::extras::{Extras, Full, Guarded, Plain, Viscous};
 use super::general::{General, SharedMaterial};
+use super::motion::{StepFactors, StepSums};
 use super::neo_hooke::{NeoHookeLog, StableNeoHooke};
 use super::paths::KernelPath;
 use super::quarantine::{Guard, LaneTets, NO_TET, Quarantine, QuarantineReport};
@@ -21,7 +22,7 @@ use crate::material::PronySeries;
 use crate::mesh::NodeId;
 
 /// A panic elsewhere leaves numbers behind, no broken memory.
-fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
+pub(super) fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
     lock.read().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -49,11 +50,17 @@ pub(super) struct PartNodes {
     /// Force from outside.
     pub(super) outer_n: Vec<Row>,
     pub(super) mass_kg: Vec<f64>,
-    /// Zero for nodes that the step does not move.
-    pub(super) inverse_mass_per_kg: Vec<f64>,
-    pub(super) is_held: Vec<bool>,
+    /// Inertia without weight.
+    pub(super) added_mass_kg: Vec<f64>,
+    /// Zero for axes that the step does not move.
+    pub(super) inverse_mass_per_kg: Vec<Row>,
+    pub(super) is_held: Vec<[bool; 3]>,
     /// Tetrahedra that a node has left.
     pub(super) n_tets: Vec<u32>,
+    /// Displacements ahead by the stiffness damping; empty without.
+    pub(super) led_m: Vec<Row>,
+    /// Of the last step.
+    pub(super) sums: StepSums,
 }
 
 impl PartNodes {
@@ -64,28 +71,14 @@ impl PartNodes {
             force_n: vec![[0.0; 4]; n_own],
             outer_n: vec![[0.0; 4]; n_own],
             mass_kg: vec![0.0; n_own],
-            inverse_mass_per_kg: vec![0.0; n_own],
-            is_held: vec![false; n_own],
+            added_mass_kg: vec![0.0; n_own],
+            inverse_mass_per_kg: vec![[0.0; 4]; n_own],
+            is_held: vec![[false; 3]; n_own],
             n_tets: vec![0; n_own],
+            led_m: Vec::new(),
+            sums: StepSums::default(),
         }
     }
-
-    /// After a change of mass or support.
-    pub(super) fn update_inverse_mass(&mut self, n: usize) {
-        let moves = self.n_tets[n] > 0 && !self.is_held[n];
-        self.inverse_mass_per_kg[n] = if moves { 1.0 / self.mass_kg[n] } else { 0.0 };
-        if !moves {
-            self.increment_m[n] = [0.0; 4];
-        }
-    }
-}
-
-/// Factors of a step of central differences: the new increment is `keep` times the last one plus `push` times
-/// force over mass.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct StepFactors {
-    pub(super) keep: f64,
-    pub(super) push_s2: f64,
 }
 
 /// The tetrahedra of a part.
@@ -128,6 +121,8 @@ pub(super) struct Relaxation {
     pub(super) series: PronySeries,
     lasting_share: f64,
     terms: Vec<[f64; 3]>,
+    /// Step that the terms are for [s]; 0 before the first.
+    step_s: f64,
 }
 
 impl Relaxation {
@@ -135,11 +130,14 @@ impl Relaxation {
     pub(super) fn new(series: PronySeries) -> Self {
         let terms: Vec<[f64; 3]> = series.terms().iter().map(|term| [term.share, 1.0, 1.0]).collect();
         let lasting_share = 1.0 - terms.iter().map(|[share, ..]| share).sum::<f64>();
-        Self { series, lasting_share, terms }
+        Self { series, lasting_share, terms, step_s: 0.0 }
     }
 
     /// For steps of `step_s`; allocates nothing.
     pub(super) fn set_step(&mut self, step_s: f64) {
+        if std::mem::replace(&mut self.step_s, step_s) == step_s {
+            return;
+        }
         for (numbers, term) in self.terms.iter_mut().zip(self.series.terms()) {
             *numbers = term.recursion(step_s);
         }
@@ -165,10 +163,10 @@ pub(super) struct Part {
     pub(super) lent: Vec<Exchange>,
     /// Own and borrowed rows together.
     pub(super) n_rows: usize,
-    elements: RwLock<Elements>,
-    progress: RwLock<Progress>,
-    nodes: RwLock<PartNodes>,
-    rows: RwLock<Box<Rows>>,
+    pub(super) elements: RwLock<Elements>,
+    pub(super) progress: RwLock<Progress>,
+    pub(super) nodes: RwLock<PartNodes>,
+    pub(super) rows: RwLock<Box<Rows>>,
 }
 
 impl Part {
@@ -311,15 +309,17 @@ impl Parts {
     #[inline(always)]
     fn collect_displacements(&self, p: usize, rows: &mut Rows) {
         let part = &self.all[p];
+        let leads = read(&self.step).leads();
         let (own, borrowed) = rows.nodes_mut()[..part.n_rows].split_at_mut(part.own.len());
-        for (row, displacement_m) in own.iter_mut().zip(&part.nodes().displacement_m) {
+        for (row, displacement_m) in own.iter_mut().zip(part.nodes().strained_m(leads)) {
             *row = [*displacement_m, [0.0; 4]];
         }
         for exchange in &part.borrowed {
             let owner = self.all[exchange.part].nodes();
+            let displacement_m = owner.strained_m(leads);
             for &[here, there] in &exchange.rows {
                 let row = &mut borrowed[usize::from(here) - own.len()];
-                *row = [owner.displacement_m[usize::from(there)], [0.0; 4]];
+                *row = [displacement_m[usize::from(there)], [0.0; 4]];
             }
         }
     }
@@ -354,26 +354,12 @@ impl Parts {
     pub(super) fn sum_and_advance(&self, p: usize) {
         self.path().vectorize(
             #[inline(always)]
-            || self.sum_and_advance_here(p),
+            || {
+                let factors = *read(&self.step);
+                let mut nodes = self.all[p].nodes_mut();
+                self.sum_forces_into(p, &mut nodes.force_n);
+                nodes.advance(&factors);
+            },
         );
-    }
-
-    #[inline(always)]
-    fn sum_and_advance_here(&self, p: usize) {
-        let StepFactors { keep, push_s2 } = *read(&self.step);
-        let mut nodes = self.all[p].nodes_mut();
-        let PartNodes { displacement_m, increment_m, force_n, outer_n, inverse_mass_per_kg, .. } =
-            &mut *nodes;
-        self.sum_forces_into(p, force_n);
-        let moving = displacement_m.iter_mut().zip(increment_m);
-        let pushed = force_n.iter().zip(outer_n).zip(inverse_mass_per_kg);
-        // Not fused: the same bits on every path.
-        for ((u, increment), ((balance, outer), inverse_mass)) in moving.zip(pushed) {
-            let push = push_s2 * *inverse_mass;
-            for i in 0..4 {
-                increment[i] = keep * increment[i] + push * (outer[i] - balance[i]);
-                u[i] += increment[i];
-            }
-        }
     }
 }

@@ -107,7 +107,7 @@ impl TetLaw {
     /// (or -kappa from compressed soft fibres), times the scalar Laplacian L, whose largest eigenvalue is at most
     /// that of K over min(lambda + 2 mu, its like along the fibre). The penalty gamma V |theta|^3 with
     /// |theta| <= t = s^3 - 1 adds 18 gamma t s^4 + 6 gamma t^2 s of L.
-    pub(super) fn stiffening(&self, largest_stretch: f64, gamma_pa: f64) -> f64 {
+    pub(in crate::model) fn stiffening(&self, largest_stretch: f64, gamma_pa: f64) -> f64 {
         let s = largest_stretch;
         let square = s * s;
         let theta = square * s - 1.0;
@@ -164,7 +164,7 @@ impl TetShape {
 }
 
 /// The tensors B of a tetrahedron [N/m].
-pub(super) fn linear_stiffness(law: &TetLaw, gradients: &P1Gradients) -> TetStiffness {
+pub(in crate::model) fn linear_stiffness(law: &TetLaw, gradients: &P1Gradients) -> TetStiffness {
     let mut stiffness = gradients.stiffness(law.lambda_pa, law.mu_pa);
     if law.kappa_pa != 0.0 {
         let a = law.direction;

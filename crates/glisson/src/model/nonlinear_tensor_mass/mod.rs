@@ -33,7 +33,7 @@ pub use numbers::{EdgeStiffness, TetScalars, TriangleStiffness, VertexStiffness}
 
 use self::adaptive::Adaptivity;
 use self::body::Body;
-use self::law::linear_stiffness;
+pub(super) use self::law::linear_stiffness;
 use super::explicit::{
     ExplicitError, ExplicitMotion, ExplicitParams, ExplicitSnapshot, Padded, StableStep, StiffTet, follows,
     padded, unpadded,

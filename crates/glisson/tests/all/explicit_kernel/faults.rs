@@ -1,0 +1,170 @@
+//! Numbers that make no sense, motions that blow up, bodies that cannot be.
+
+use glisson::math::{DVec3, SeededRandom};
+use glisson::mesh::NodeId;
+use glisson::mesh::edit::{EditableMesh, MeshEdit};
+use glisson::model::explicit_kernel::{
+    ExplicitError, ExplicitKernel, ExplicitKernelError, ExplicitKernelParams,
+};
+use glisson::model::kernel::{KernelError, KernelLaw};
+use glisson::model::{
+    Attachment, Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, NodalForce,
+    Rayleigh, TopologyRefusal,
+};
+use glisson::record::hash::StateHash;
+use glisson::solve::SolveError;
+
+use super::{LAWS, SIZE_M, body, body_of, build, material, organ, time_step_s, touched};
+use crate::model_meshes::block;
+
+#[test]
+fn what_is_not_finite_or_has_nothing_to_act_on_is_left_out_and_counted() {
+    let (mesh, fixed) = organ();
+    let body = body(&mesh, &fixed);
+    let n_nodes = mesh.positions_m.len();
+    let free = touched(&mesh)[0];
+    let displacement = |node, displacement_m| ImposedDisplacement { node, displacement_m };
+    let force = |node, force_n| NodalForce { node, force_n };
+    let bad = Constraints {
+        displacements: vec![
+            displacement(fixed[0].node, DVec3::ZERO),
+            displacement(free, DVec3::new(0.0, f64::NAN, 0.0)),
+            displacement(NodeId::from_index(n_nodes), DVec3::ZERO),
+        ],
+        forces: vec![
+            force(fixed[0].node, DVec3::ONE),
+            force(free, DVec3::new(f64::INFINITY, 0.0, 0.0)),
+            force(NodeId::from_index(n_nodes), DVec3::ONE),
+        ],
+    };
+    for law in LAWS {
+        let (mut model, mut untouched) = (build(body, law), build(body, law));
+        for _ in 0..50 {
+            model.apply(&bad);
+            model.set_gravity(DVec3::NAN);
+            model.step(body.time_step_s);
+            model.step(f64::NAN);
+            untouched.step(body.time_step_s);
+        }
+        assert_eq!(model.report().n_ignored_constraints, 6);
+        assert_eq!(StateHash::of(&model.state(), &[]), StateHash::of(&untouched.state(), &[]));
+        assert_eq!(model.constraint_forces_n(), [DVec3::ZERO; 3]);
+        let mut nowhere = mesh.positions_m.clone();
+        nowhere[free.index()] = DVec3::NAN;
+        model.take_over(&nowhere);
+        assert!(model.state().positions_m.iter().all(|p| p.is_finite()));
+    }
+}
+
+#[test]
+fn a_node_thrown_beyond_all_numbers_leaves_the_others_finite() {
+    let (mesh, fixed) = organ();
+    let body = body(&mesh, &fixed);
+    let mut model = build(body, KernelLaw::StVenantKirchhoff);
+    let node = touched(&mesh)[0];
+    let far = ImposedDisplacement { node, displacement_m: DVec3::splat(1e150) };
+    model.apply(&Constraints { displacements: vec![far], forces: Vec::new() });
+    model.step(body.time_step_s);
+    let report = model.report();
+    assert!(report.n_recovered_nodes + report.n_quarantined_tets > 0, "{report:?}");
+    model.apply(&Constraints::default());
+    for _ in 0..100 {
+        model.step(body.time_step_s);
+        assert!(model.state().positions_m.iter().all(|p| p.is_finite()));
+        assert!(model.state().velocities_m_per_s.iter().all(|v| v.is_finite()));
+    }
+}
+
+#[test]
+fn a_run_that_blows_up_stays_finite_and_says_so() {
+    let (mesh, fixed) = organ();
+    let body = body(&mesh, &fixed);
+    let mut model = build(body, KernelLaw::StVenantKirchhoff);
+    // Six times as long and shaken: far from what the step is stable for.
+    let mut random = SeededRandom::new(9);
+    let blown: Vec<DVec3> = mesh.positions_m.iter().map(|&p| p * (6.0 + random.uniform())).collect();
+    model.take_over(&blown);
+    let mut limited = 0;
+    for _ in 0..3000 {
+        model.step(body.time_step_s);
+        let report = model.report();
+        limited += u32::from(report.energy_was_limited);
+        assert!(report.kinetic_energy_j.is_finite());
+    }
+    assert!(limited > 0);
+    let far_m = model.state().positions_m.iter().map(|p| p.length()).fold(0.0, f64::max);
+    assert!(far_m < 1e4, "{far_m}");
+}
+
+/// What decays for ever passes through subnormal numbers, which are slow.
+#[test]
+fn a_damped_body_comes_to_a_standstill() {
+    let mesh = block([2, 2, 1], SIZE_M);
+    let fixed: Vec<FixedNode> = (0..9).map(|n| FixedNode::all_axes(NodeId(n))).collect();
+    let damping = Rayleigh { mass_per_s: 100.0, stiffness_s: 0.0 };
+    let body =
+        DynamicBody { damping, gravity_m_per_s2: DVec3::ZERO, ..body_of(&mesh, &fixed, time_step_s(&mesh)) };
+    for law in LAWS {
+        let mut model = build(body, law);
+        let moved: Vec<DVec3> = mesh.positions_m.iter().map(|&p| p + DVec3::new(1e-3, 0.0, 2e-3)).collect();
+        model.take_over(&moved);
+        for _ in 0..20_000 {
+            model.step(body.time_step_s);
+            let none_is_subnormal = model.state().history.iter().all(|x| *x == 0.0 || x.abs() >= 1e-90);
+            assert!(none_is_subnormal);
+        }
+        let far_m =
+            model.state().positions_m.iter().zip(&mesh.positions_m).map(|(p, rest)| p.distance(*rest));
+        assert!(far_m.fold(0.0, f64::max) < 1e-80);
+        assert!(model.state().velocities_m_per_s.iter().all(|v| *v == DVec3::ZERO));
+    }
+}
+
+#[test]
+fn impossible_input_is_refused_by_name() {
+    let mesh = block([2, 1, 1], SIZE_M);
+    let materials = [material()];
+    let whole = body_of(&mesh, &[], 1e-4);
+    let refusal = |body: DynamicBody<'_>| {
+        let params = ExplicitKernelParams::new(body, KernelLaw::Linear, &materials);
+        ExplicitKernel::build(&params).map(|_| ()).unwrap_err()
+    };
+    let text = |body| refusal(body).to_string();
+    assert!(matches!(
+        refusal(DynamicBody { time_step_s: 1.0, ..whole }),
+        ExplicitKernelError::Explicit(ExplicitError::UnstableStep { found_s: 1.0, .. })
+    ));
+    let stress = [[f64::NAN; 6]; 12];
+    assert!(text(DynamicBody { rest_stress_pa: &stress, ..whole }).contains("rest shape is not finite"));
+    let beside = ExplicitKernelParams {
+        volume_penalty_pa: 1.0,
+        ..ExplicitKernelParams::new(whole, KernelLaw::NeoHookeLog, &materials)
+    };
+    let refused = ExplicitKernel::build(&beside).map(|_| ()).unwrap_err();
+    let (what, law) = ("penalties of volume changes", KernelLaw::NeoHookeLog);
+    assert_eq!(refused, ExplicitKernelError::NotBeside { what, law });
+    assert!(text(DynamicBody { most_parts: 0, ..whole }).contains("most parts"));
+    assert!(text(DynamicBody { density_kg_per_m3: 0.0, ..whole }).contains("ensity"));
+    let damping = Rayleigh { mass_per_s: 0.0, stiffness_s: -1.0 };
+    assert!(text(DynamicBody { damping, ..whole }).contains("stiffness [s] is -1"));
+    let fixed = [FixedNode::all_axes(NodeId(99))];
+    let out_of_range = SolveError::ConditionOutOfRange { node: NodeId(99), n_nodes: 12 };
+    assert_eq!(refusal(DynamicBody { fixed: &fixed, ..whole }), out_of_range.into());
+    let ligament =
+        Attachment { node: NodeId(0), anchor_m: DVec3::NAN, slack_length_m: 0.0, stiffness_n_per_m: 1.0 };
+    let ligaments = [ligament];
+    assert!(text(DynamicBody { attachments: &ligaments, ..whole }).contains("anchor"));
+    // A stiff ligament on a light node shortens the step.
+    let ligaments = [Attachment { anchor_m: DVec3::ZERO, stiffness_n_per_m: 1e9, ..ligament }];
+    assert!(text(DynamicBody { attachments: &ligaments, ..whole }).contains("above the stable one"));
+    let two = [material(), material()];
+    let params = ExplicitKernelParams::new(whole, KernelLaw::Linear, &two);
+    let found = ExplicitKernel::build(&params).map(|_| ()).unwrap_err();
+    assert_eq!(found, KernelError::Materials { found: 2, n_tets: 12 }.into());
+    let mut editable = EditableMesh::new(mesh.clone()).unwrap();
+    let edit = MeshEdit::MoveVertex { node: NodeId(0), position_m: DVec3::splat(-1e-3) };
+    let change = editable.apply(&edit).unwrap();
+    let mut model = build(whole, KernelLaw::Linear);
+    let refused = model.topology_changed(editable.mesh(), &change).unwrap_err();
+    assert!(matches!(refused, TopologyRefusal::Frozen { model: "explicit_kernel", .. }));
+}

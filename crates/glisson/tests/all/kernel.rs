@@ -195,6 +195,9 @@ fn bits(vectors: &[DVec3]) -> Vec<[u64; 3]> {
     vectors.iter().map(|v| v.to_array().map(f64::to_bits)).collect()
 }
 
+/// Displacements, increments, forces; viscous memory; what the first step left out.
+type Outcome = ([Vec<[u64; 3]>; 3], Vec<u64>, QuarantineReport);
+
 /// Of the comparison of all paths; the portable one is slow.
 const N_STEPS: u32 = 12;
 
@@ -212,7 +215,7 @@ fn every_path_and_number_of_threads_gives_the_same_bits() {
     for law in ALL_LAWS {
         let plain = KernelExtras { laws: beside.laws_for(law), ..KernelExtras::default() };
         for extras in [plain, beside.for_law(law)] {
-            let mut reference: Option<([Vec<[u64; 3]>; 3], Vec<u64>, QuarantineReport)> = None;
+            let mut reference: Option<Outcome> = None;
             for path in KernelPath::available() {
                 for n_threads in [1, 2, 4] {
                     let mut kernel = kernel_with(&mesh, law, &extras);

@@ -11,7 +11,7 @@ use glisson::model::{Constraints, DeformableModel, NodalForce};
 use glisson::record::hash::StateHash;
 use glisson::solve::case::StaticCase;
 use glisson::tool::{Tool, ToolInput};
-use glisson::world::spec::{FixedRegion, WorldSpec};
+use glisson::world::spec::{Region, Support, WorldSpec};
 use glisson::world::{StepInput, World};
 
 const RR_3511: &str = "Cotin, Delingette and Ayache 1998, RR-3511";
@@ -137,8 +137,9 @@ fn palpate(body: &Body) -> anyhow::Result<(f64, StateHash)> {
         home: at(HEIGHT_M + 2.0 * tip_radius_m),
     };
     let (min_m, max_m) = (DVec3::new(-1.0, -1.0, -1e-9), DVec3::new(1.0, 1.0, 1e-9));
-    let base = FixedRegion::Box(Aabb { min_m, max_m });
-    let spec = WorldSpec { name: "cylinder".into(), time_step_s: 1e-3, fixed: vec![base], tool };
+    let base = Region::Box(Aabb { min_m, max_m });
+    let mut spec = WorldSpec::new("cylinder", 1e-3, tool);
+    spec.supports = vec![Support::all_axes(base)];
     let model = Box::new(body.precomputed()?);
     let mut world = World::new(spec, body.case.mesh.clone(), model, ModelKind::Precomputed)?;
     let mut step = |z_m: f64| {

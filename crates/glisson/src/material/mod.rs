@@ -25,6 +25,6 @@ pub use mooney_rivlin::MooneyRivlin;
 pub use neo_hooke_log::NeoHookeLog;
 pub use ogden::{Ogden, OgdenTerm};
 pub use prony::{PronyHistory, PronySeries, PronyStep, PronyTerm};
-pub use spec::MaterialSpec;
+pub use spec::{LawChoice, MaterialSpec};
 pub use st_venant_kirchhoff::StVenantKirchhoff;
 pub use stable_neo_hooke::StableNeoHooke;

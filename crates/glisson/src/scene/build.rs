@@ -108,6 +108,8 @@ pub struct OrganBody {
     pub rest_stress_pa: Vec<RestStress>,
     /// Gravity of the start [m/s2].
     pub gravity_m_per_s2: DVec3,
+    /// Whether the rest shape is the one under this gravity; then `rest_stress_pa` balances it.
+    pub is_imaged_under_gravity: bool,
     /// Damping.
     pub damping: Rayleigh,
     /// The world's time step [s].
@@ -133,6 +135,7 @@ impl OrganBody {
             attachments: Vec::new(),
             rest_stress_pa: Vec::new(),
             gravity_m_per_s2: DVec3::ZERO,
+            is_imaged_under_gravity: true,
             damping: Rayleigh::default(),
             time_step_s,
             most_parts: DEFAULT_MOST_PARTS,
@@ -215,6 +218,7 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
     body.fixed = fixed;
     body.attachments = attachments;
     body.gravity_m_per_s2 = *gravity_m_per_s2;
+    body.is_imaged_under_gravity = scene.organ.is_imaged_under_gravity;
     body.damping = scene.organ.damping;
     body.most_parts = scene.most_parts;
     body.precomputed = scene.organ.precomputed.as_ref().map(|file| folder.join(file));

@@ -103,11 +103,17 @@ fn dynamics<'a>(body: &OrganBody, fixed_nodes: &'a [NodeId]) -> Dynamics<'a> {
 fn precomputed(body: &OrganBody) -> Result<Precomputed, BuildError> {
     let (mesh, material, fixed_nodes) =
         (&body.mesh, &body.material, &body.nodes_fixed_wholly(ModelKind::Precomputed)?);
-    Ok(match &body.precomputed {
+    let mut model = match &body.precomputed {
         Some(file) => Precomputed::load(file, &PrecomputedExpectation { mesh, material, fixed_nodes })?,
         None => {
             let stored = StoredNodes::Surface;
             Precomputed::build(&PrecomputedParams { mesh, material, fixed_nodes, stored, progress: None })?
         }
-    })
+    };
+    if body.is_imaged_under_gravity {
+        model.carry_at_rest(body.gravity_m_per_s2);
+    } else {
+        model.set_gravity(body.gravity_m_per_s2);
+    }
+    Ok(model)
 }

@@ -14,6 +14,7 @@ mod nonlinear_reference;
 mod nonlinear_tensor_mass;
 mod near_incompressible;
 mod patch_test;
+mod precomputed_weight;
 mod reference_cases;
 mod surfaces;
 mod world_steps;

@@ -6,7 +6,7 @@ mod interaction;
 mod model_rheology;
 mod rheology;
 mod tissue;
-mod unit_benchmarks;
+mod unit;
 
 use crate::plot::LinePlot;
 use serde::Serialize;
@@ -115,7 +115,7 @@ pub(crate) const GROUPS: &[Group] = &[
     Group {
         name: "unit",
         about: "Elements and laws one by one: patch, rigid motions, derivatives, uniaxial stress, recovery, fibres.",
-        run: unit_benchmarks::experiments,
+        run: unit::experiments,
     },
     Group {
         name: "tissue",

@@ -1,6 +1,6 @@
 //! Viscoelastic tissue: relaxation of a Prony series, and brain in unconfined compression at three rates.
 
-use super::unit_benchmarks::{pressed_bar_pa, within_share};
+use super::unit::{pressed_bar_pa, within_share};
 use super::{Experiment, Figure, Outcome};
 use crate::plot::{LinePlot, Series, SeriesStyle};
 use glam::{DMat3, DVec3};

@@ -14,6 +14,7 @@ mod contact;
 mod drawing;
 
 pub(crate) use machine::{Machine, MachineBudget};
+pub(crate) use timing::thread_cpu_ns;
 
 use machine::isa_name;
 

@@ -3,6 +3,10 @@
 mod elasticity;
 mod image;
 mod interaction;
+mod model_rheology;
+mod rheology;
+mod tissue;
+mod unit;
 
 use crate::plot::LinePlot;
 use serde::Serialize;
@@ -34,6 +38,18 @@ impl Experiment {
             obtained,
             tolerance: format!("{limit:e}"),
             pass: obtained <= limit,
+        }
+    }
+
+    /// A value near `expected`; `tolerance` is a share of it.
+    fn near(name: &str, source: &str, obtained: f64, expected: f64, tolerance: f64) -> Self {
+        Self {
+            name: name.into(),
+            source: source.into(),
+            expected: format!("{}", (expected * 1e6).round() / 1e6),
+            obtained,
+            tolerance: format!("{} %", (tolerance * 1e8).round() / 1e6),
+            pass: (obtained - expected).abs() <= tolerance * expected.abs(),
         }
     }
 
@@ -95,6 +111,26 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "interaction",
         about: "The touched organ: pre-computed and dynamic.",
         run: interaction::experiments,
+    },
+    Group {
+        name: "unit",
+        about: "Elements and laws one by one: patch, rigid motions, derivatives, uniaxial stress, recovery, fibres.",
+        run: unit::experiments,
+    },
+    Group {
+        name: "tissue",
+        about: "Viscoelastic tissue: relaxation, and brain under unconfined compression.",
+        run: tissue::experiments,
+    },
+    Group {
+        name: "rheology",
+        about: "Springs: the cubes of seed 000 dropped, pressed and pulled, and what a step costs.",
+        run: rheology::experiments,
+    },
+    Group {
+        name: "model_rheology",
+        about: "Every dynamic model on the virtual rheology bench: plates and a punch.",
+        run: model_rheology::experiments,
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

@@ -14,7 +14,8 @@ pub mod rheology;
 pub mod tensor_mass;
 pub mod nonlinear_tensor_mass;
 
-pub use body::{Attachment, DEFAULT_MOST_PARTS, DynamicBody, FixedNode, Rayleigh, RestStress};
+pub use crate::solve::{Attachment, FixedNode, RestStress};
+pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};
 pub use explicit_body::{Dynamics, ExplicitBodyError, Inertia};
 pub use report::ModelReport;
 

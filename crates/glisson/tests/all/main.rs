@@ -6,6 +6,7 @@ mod kernel;
 mod integrators;
 mod implicit;
 mod layering;
+mod loads;
 mod mass_spring;
 mod meshing;
 mod model_meshes;

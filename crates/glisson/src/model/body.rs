@@ -13,6 +13,13 @@ pub struct Rayleigh {
     pub stiffness_s: f64,
 }
 
+impl Rayleigh {
+    /// Damping of the mass alone.
+    pub fn of_mass(mass_per_s: f64) -> Self {
+        Self { mass_per_s, stiffness_s: 0.0 }
+    }
+}
+
 /// What every dynamic model takes beside its law.
 #[derive(Clone, Copy, Debug)]
 pub struct DynamicBody<'a> {

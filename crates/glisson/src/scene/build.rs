@@ -7,7 +7,6 @@ use crate::math::DVec3;
 use crate::mesh::faults::{FaultAction, ImportPolicy};
 use crate::mesh::files::{MeshFileError, read_mesh_with};
 use crate::mesh::{NodeId, TetMesh};
-use crate::model::DeformableModel;
 use crate::model::kind::ModelKind;
 use crate::model::nonlinear_tensor_mass::{
     NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassError, NonlinearTensorMassParams,
@@ -16,6 +15,7 @@ use crate::model::precomputed::{
     self, Precomputed, PrecomputedError, PrecomputedExpectation, PrecomputedParams, StoredNodes,
 };
 use crate::model::tensor_mass::{TensorMass, TensorMassError, TensorMassParams};
+use crate::model::{DeformableModel, DynamicBody, FixedNode, Rayleigh};
 use crate::world::World;
 use crate::world::organ::OrganError;
 use crate::world::spec::nodes_in;
@@ -135,6 +135,13 @@ pub fn build_model(
     kind: ModelKind,
 ) -> Result<Box<dyn DeformableModel>, BuildError> {
     let OrganBody { mesh, material, fixed_nodes, .. } = body;
+    let fixed: Vec<FixedNode> = fixed_nodes.iter().map(|&node| FixedNode::all_axes(node)).collect();
+    let dynamic = DynamicBody {
+        fixed: &fixed,
+        damping: Rayleigh { mass_per_s: scene.organ.damping_per_s, stiffness_s: 0.0 },
+        time_step_s: scene.world.time_step_s,
+        ..DynamicBody::new(mesh, material.density_kg_per_m3())
+    };
     Ok(match (kind, &scene.organ.precomputed) {
         (ModelKind::Precomputed, Some(file)) => {
             let expected = PrecomputedExpectation { mesh, material, fixed_nodes };
@@ -145,28 +152,19 @@ pub fn build_model(
             let params = PrecomputedParams { mesh, material, fixed_nodes, stored, progress: None };
             Box::new(Precomputed::build(&params)?)
         }
-        (ModelKind::TensorMass, _) => Box::new(TensorMass::build(&TensorMassParams {
-            mesh,
-            material,
-            fixed_nodes,
-            damping_per_s: scene.organ.damping_per_s,
-            gravity_m_per_s2: DVec3::ZERO,
-            time_step_s: scene.world.time_step_s,
-        })?),
+        (ModelKind::TensorMass, _) => {
+            Box::new(TensorMass::build(&TensorMassParams { body: dynamic, material })?)
+        }
         (ModelKind::StVenantKirchhoff, _) => {
             let largest_stretch = LARGEST_STRETCH;
             Box::new(NonlinearTensorMass::build(&NonlinearTensorMassParams {
-                mesh,
+                body: dynamic,
                 elasticity: NonlinearElasticity {
                     material,
                     fibres: &[],
                     volume_penalty_pa: 0.0,
                     largest_stretch,
                 },
-                fixed_nodes,
-                damping_per_s: scene.organ.damping_per_s,
-                gravity_m_per_s2: DVec3::ZERO,
-                time_step_s: scene.world.time_step_s,
             })?)
         }
     })

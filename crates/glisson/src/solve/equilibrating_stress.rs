@@ -9,8 +9,8 @@
 //! for every law. S0 is one of many such stresses (a body can hold itself in tension); an image does not tell which.
 
 use super::{
-    Attachment, BoundaryConditions, FixedNode, FreeSystem, MeshEdges, P1Gradients, RestStress, SolveError,
-    StiffnessTensors, add_gravity_forces, stress_tensor_pa,
+    Attachment, BoundaryConditions, FixedNode, FreeSystem, LOCAL_EDGES, MeshEdges, P1Gradients, RestStress,
+    SolveError, StiffnessTensors, add_gravity_forces, stress_tensor_pa,
 };
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3, outer};
@@ -95,6 +95,14 @@ impl P1Gradients {
     pub fn stress_forces_n(&self, stress_pa: RestStress) -> [DVec3; 4] {
         let stress = stress_tensor_pa(stress_pa);
         self.alpha_per_m.map(|alpha| stress * alpha * self.volume_m3)
+    }
+
+    /// V alpha_j . S0 alpha_k [N/m] of the corners and of [`LOCAL_EDGES`]: with F S0 for the first Piola-Kirchhoff
+    /// stress, the forces of a stress at rest change by these numbers times the displacements.
+    pub fn stress_stiffness_n_per_m(&self, stress_pa: RestStress) -> ([f64; 4], [f64; 6]) {
+        let alpha = self.alpha_per_m;
+        let force = self.stress_forces_n(stress_pa);
+        (std::array::from_fn(|j| alpha[j].dot(force[j])), LOCAL_EDGES.map(|[j, k]| alpha[j].dot(force[k])))
     }
 }
 

@@ -7,6 +7,7 @@ mod integrators;
 mod implicit;
 mod layering;
 mod loads;
+mod loads_faults;
 mod mass_spring;
 mod meshing;
 mod model_meshes;

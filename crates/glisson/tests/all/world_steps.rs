@@ -1,17 +1,17 @@
 //! The world's contract with real models: a step allocates nothing, and the same inputs make the same bits at any
 //! number of threads.
 
-use crate::model_meshes::block;
+use crate::model_meshes::{block, held};
 use glisson::material::LinearElastic;
 use glisson::math::DVec3;
 use glisson::mesh::TetMesh;
-use glisson::model::DeformableModel;
 use glisson::model::kind::ModelKind;
 use glisson::model::nonlinear_tensor_mass::{
     NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
 };
 use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
+use glisson::model::{DeformableModel, DynamicBody, Rayleigh};
 use glisson::record::hash::StateHash;
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::{FixedRegion, WorldSpec, nodes_in};
@@ -32,12 +32,13 @@ fn model(mesh: &TetMesh, fixed: &[FixedRegion], kind: ModelKind) -> Box<dyn Defo
         }
         ModelKind::TensorMass => {
             let params = TensorMassParams {
-                mesh,
+                body: DynamicBody {
+                    fixed: &held(fixed_nodes),
+                    damping: Rayleigh::of_mass(30.0),
+                    time_step_s: TIME_STEP_S,
+                    ..DynamicBody::new(mesh, material.density_kg_per_m3())
+                },
                 material,
-                fixed_nodes,
-                damping_per_s: 30.0,
-                gravity_m_per_s2: DVec3::ZERO,
-                time_step_s: TIME_STEP_S,
             };
             Box::new(TensorMass::build(&params).unwrap())
         }
@@ -45,12 +46,13 @@ fn model(mesh: &TetMesh, fixed: &[FixedRegion], kind: ModelKind) -> Box<dyn Defo
             let elasticity =
                 NonlinearElasticity { material, fibres: &[], volume_penalty_pa: 0.0, largest_stretch: 1.3 };
             let params = NonlinearTensorMassParams {
-                mesh,
+                body: DynamicBody {
+                    fixed: &held(fixed_nodes),
+                    damping: Rayleigh::of_mass(30.0),
+                    time_step_s: TIME_STEP_S,
+                    ..DynamicBody::new(mesh, material.density_kg_per_m3())
+                },
                 elasticity,
-                fixed_nodes,
-                damping_per_s: 30.0,
-                gravity_m_per_s2: DVec3::ZERO,
-                time_step_s: TIME_STEP_S,
             };
             Box::new(NonlinearTensorMass::build(&params).unwrap())
         }

@@ -3,7 +3,7 @@
 
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::edit::{EditableMesh, MeshEdit};
-use glisson::mesh::{NodeId, TetId};
+use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::extended_mass_spring::EdgeLaw;
 use glisson::model::nonlinear_tensor_mass::{NonlinearElasticity, NonlinearTensorMass};
 use glisson::model::tensor_mass::{TensorMass, TensorMassError, TensorMassParams};
@@ -47,6 +47,51 @@ fn a_node_thrown_through_its_neighbours_comes_back() {
         let off_m = largest(&displacements(&*model, &mesh));
         assert_eq!(model.report().n_quarantined_tets, 0, "{kind:?}: {off_m}");
         assert!(off_m < 1e-3, "{kind:?}: {off_m}");
+    }
+}
+
+/// Turned inside out, a tetrahedron exerts nothing, whatever its law and its stress at rest; pushed back through its base it
+/// is one again.
+#[test]
+fn an_inverted_tetrahedron_exerts_no_force_until_it_is_upright() {
+    let mesh = TetMesh {
+        positions_m: vec![
+            DVec3::ZERO,
+            DVec3::new(0.02, 0.0, 0.0),
+            DVec3::new(0.0, 0.02, 0.0),
+            DVec3::new(0.005, 0.005, 0.02),
+        ],
+        tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+    };
+    let fixed = held(&[0, 1, 2].map(NodeId));
+    let stress = [[100.0, -50.0, 200.0, 30.0, -20.0, 10.0]];
+    let loaded = DynamicBody {
+        fixed: &fixed,
+        rest_stress_pa: &stress,
+        gravity_m_per_s2: GRAVITY_M_PER_S2,
+        damping: Rayleigh::of_mass(50.0),
+        ..body(&mesh)
+    };
+    for kind in [Kind::Nonlinear, Kind::Extended] {
+        let mut model = build(kind, loaded);
+        let mut inverted = mesh.positions_m.clone();
+        inverted[3].z = -0.014;
+        model.take_over(&inverted);
+        model.step(STEP_S);
+        let report = model.report();
+        assert_eq!((report.n_quarantined_tets, report.first_quarantined), (1, Some(TetId(0))), "{kind:?}");
+        // Weight alone, with the drag of the first step.
+        let fallen_m = (model.state().positions_m[3] - inverted[3]) / (STEP_S * STEP_S);
+        assert!((fallen_m - GRAVITY_M_PER_S2).length() < 0.01 * 9.81, "{kind:?}: {fallen_m}");
+        let lifted = NodalForce { node: NodeId(3), force_n: DVec3::Z * 0.05 };
+        model.apply(&Constraints { displacements: Vec::new(), forces: vec![lifted] });
+        let mut n_steps = 0;
+        while model.report().n_quarantined_tets > 0 {
+            model.step(STEP_S);
+            n_steps += 1;
+            assert!(n_steps < 10_000, "{kind:?}");
+        }
+        assert!(model.state().positions_m[3].z > -1e-3);
     }
 }
 

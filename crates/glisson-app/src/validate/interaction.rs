@@ -7,7 +7,7 @@ use glisson::mesh::NodeId;
 use glisson::model::kind::ModelKind;
 use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
-use glisson::model::{Constraints, DeformableModel, NodalForce};
+use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, NodalForce, Rayleigh};
 use glisson::record::hash::StateHash;
 use glisson::solve::case::StaticCase;
 use glisson::tool::{Tool, ToolInput};
@@ -75,13 +75,15 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let second = body.loaded(&mut precomputed, [0.0, 1.0], 1);
     let sum: Vec<DVec3> = first.iter().zip(&second).map(|(a, b)| *a + *b).collect();
 
+    let fixed: Vec<FixedNode> = body.fixed.iter().map(|&node| FixedNode::all_axes(node)).collect();
     let mut tensor_mass = TensorMass::build(&TensorMassParams {
-        mesh: &body.case.mesh,
+        body: DynamicBody {
+            fixed: &fixed,
+            damping: Rayleigh::of_mass(60.0),
+            time_step_s: TIME_STEP_S,
+            ..DynamicBody::new(&body.case.mesh, body.case.material.density_kg_per_m3())
+        },
         material: &body.case.material,
-        fixed_nodes: &body.fixed,
-        damping_per_s: 60.0,
-        gravity_m_per_s2: DVec3::ZERO,
-        time_step_s: TIME_STEP_S,
     })?;
     let at_rest = body.loaded(&mut tensor_mass, [1.0, 1.0], 20_000);
 

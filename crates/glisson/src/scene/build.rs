@@ -13,10 +13,10 @@ use crate::model::implicit::ImplicitError;
 use crate::model::kind::ModelKind;
 use crate::model::nonlinear_tensor_mass::{Fibre, NonlinearTensorMassError};
 use crate::model::precomputed::{self, PrecomputedError};
-use crate::model::tensor_mass::TensorMassError;
 use crate::model::{
-    Attachment, DEFAULT_MOST_PARTS, DynamicBody, ExplicitBodyError, FixedNode, Rayleigh, RestStress,
+    Attachment, DEFAULT_MOST_PARTS, DynamicBody, ExplicitError, FixedNode, Rayleigh, RestStress,
 };
+use crate::solve::{SolveError, equilibrating_stress};
 use crate::world::World;
 use crate::world::organ::OrganError;
 use crate::world::spec::{WorldSpec, attachments, fixed_nodes};
@@ -61,18 +61,18 @@ pub enum BuildError {
     /// The pre-computed model.
     #[error(transparent)]
     Precomputed(#[from] PrecomputedError),
-    /// The tensor-mass model; its numbers are those of the scene.
+    /// A model with explicit dynamics; its numbers are those of the scene.
     #[error("[simulation] or [organ]")]
-    TensorMass(#[from] TensorMassError),
+    Explicit(#[from] ExplicitError),
+    /// The stress that balances gravity in the rest shape.
+    #[error("the stress that balances gravity: {0}; with imaged_under_gravity = false the organ sags instead")]
+    RestStress(SolveError),
     /// The non-linear tensor-mass model; its numbers are those of the scene.
     #[error("[simulation] or [organ]")]
     NonlinearTensorMass(#[from] NonlinearTensorMassError),
     /// The implicit model; its numbers are those of the scene.
     #[error("[simulation] or [organ]")]
     Implicit(#[from] ImplicitError),
-    /// The spring models; their numbers are those of the scene.
-    #[error("[simulation] or [organ]")]
-    Springs(#[from] ExplicitBodyError),
     /// Something that the scene asks for and the model does not know.
     #[error("the {model} model has no {what}; choose another model or leave them out of the scene")]
     Unsupported {
@@ -158,7 +158,7 @@ impl OrganBody {
     }
 
     /// What every dynamic model takes.
-    fn dynamic(&self) -> DynamicBody<'_> {
+    pub(super) fn dynamic(&self) -> DynamicBody<'_> {
         DynamicBody {
             mesh: &self.mesh,
             density_kg_per_m3: self.material.density_kg_per_m3(),
@@ -219,6 +219,12 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
     body.attachments = attachments;
     body.gravity_m_per_s2 = *gravity_m_per_s2;
     body.is_imaged_under_gravity = scene.organ.is_imaged_under_gravity;
+    if body.is_imaged_under_gravity && body.gravity_m_per_s2 != DVec3::ZERO {
+        let (fixed, attachments) = (&body.fixed, &body.attachments);
+        body.rest_stress_pa =
+            equilibrating_stress(&body.mesh, &body.material, fixed, attachments, body.gravity_m_per_s2)
+                .map_err(BuildError::RestStress)?;
+    }
     body.damping = scene.organ.damping;
     body.most_parts = scene.most_parts;
     body.precomputed = scene.organ.precomputed.as_ref().map(|file| folder.join(file));

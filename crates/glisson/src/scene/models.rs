@@ -31,14 +31,7 @@ const FREQUENCY_RESERVE: f64 = LARGEST_STRETCH;
 pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn DeformableModel>, BuildError> {
     Ok(match kind {
         ModelKind::Precomputed => Box::new(precomputed(body)?),
-        ModelKind::TensorMass => Box::new(TensorMass::build(&TensorMassParams {
-            mesh: &body.mesh,
-            material: &body.material,
-            fixed_nodes: &body.nodes_fixed_wholly(kind)?,
-            damping_per_s: body.damping.mass_per_s,
-            gravity_m_per_s2: body.gravity_m_per_s2,
-            time_step_s: body.time_step_s,
-        })?),
+        ModelKind::TensorMass => Box::new(TensorMass::build(&TensorMassParams { body: body.dynamic(), material: &body.material })?),
         ModelKind::NonlinearTensorMass => {
             let fibres: Vec<_> =
                 body.fibre.iter().cycle().take(body.mesh.tetrahedra.len()).copied().collect();

@@ -6,6 +6,8 @@ mod kernel;
 mod integrators;
 mod implicit;
 mod layering;
+mod loads;
+mod loads_faults;
 mod mass_spring;
 mod meshing;
 mod model_meshes;

@@ -531,8 +531,8 @@ fn collapsed_and_random_shapes_recover() {
     for (name, start) in &shapes {
         for fixed in [&[][..], &clamp] {
             for spec in [&specs[2], &specs[4], &specs[3]] {
-                // A free body at random can settle in a tangle of upright tetrahedra, which is an equilibrium.
-                if name.starts_with("scattered") && fixed.is_empty() && spec.name() != "stable_neo_hooke" {
+                // One of these starts ends in a tangle of upright tetrahedra, which is an equilibrium of that law.
+                if name.starts_with("scattered") && fixed.is_empty() && spec.name() == "mooney_rivlin" {
                     continue;
                 }
                 let law = ImplicitLaw::from(spec);

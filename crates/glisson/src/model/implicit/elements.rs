@@ -9,7 +9,7 @@
 //! a node with one, follow for one step the stable neo-Hookean law of the same stiffness at rest. It is finite
 //! and restoring for every F; the neighbours take part so that none of them bars the way back. While a body
 //! recovers, the same goes for tetrahedra that are still far from their shape at rest, and where they are many, for
-//! the whole body: the law's own barrier would keep a tangle.
+//! the whole body until none is left: the law's own barrier would keep a tangle.
 
 use std::borrow::Cow;
 
@@ -27,9 +27,9 @@ use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
 
 /// A recovering tetrahedron follows its own law again above this volume ratio ...
-const RETURN_RATIO: f64 = 0.5;
+const RETURN_RATIO: f64 = 0.6;
 /// ... and below this |F|^2, which is 3 at rest. A tangle whose tetrahedra are all upright is stretched more.
-const RETURN_SQUARES: f64 = 6.0;
+const RETURN_SQUARES: f64 = 4.5;
 /// One in so many tetrahedra in trouble is a tangle, not an accident.
 const TANGLE: usize = 20;
 /// Inside out: a law with an energy there has no barrier.
@@ -51,6 +51,17 @@ impl Evaluation {
     pub(super) fn is_usable(&self) -> bool {
         self.is_upright && self.energy_j.is_finite()
     }
+}
+
+/// Which tetrahedra follow the stand-in law.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Recovery {
+    /// None of them.
+    None = 0,
+    /// Those in trouble and their neighbours.
+    Around = 1,
+    /// All.
+    Whole = 2,
 }
 
 #[derive(Clone)]
@@ -288,10 +299,10 @@ impl Elements {
         }
     }
 
-    /// Finds the tetrahedra in which the law has no energy or, if the body `recovers` already, that are far
-    /// from rest. These and their neighbours follow the stand-in law from now on, until this is called again: how many
+    /// Finds the tetrahedra in which the law has no energy or, when the body recovers already, that are far from
+    /// rest. These and their neighbours follow the stand-in law from now on, until this is called again: how many
     /// do, and the first in trouble.
-    pub(super) fn quarantine(&mut self, displacement_m: &[DVec3], recovers: bool) -> (u32, Option<TetId>) {
+    pub(super) fn quarantine(&mut self, displacement_m: &[DVec3], before: Recovery) -> (u32, Option<TetId>) {
         self.strays.clear();
         for group in &mut self.shape.groups {
             group.left_out = 0;
@@ -312,10 +323,10 @@ impl Elements {
                 first_invalid = first_invalid.or(Some(self.tets[t]));
             }
         }
-        if n_bad == 0 || (first_invalid.is_none() && !recovers) {
+        if n_bad == 0 || (first_invalid.is_none() && before == Recovery::None) {
             return (0, None);
         }
-        self.meets_bad.fill(n_bad * TANGLE > self.tets.len());
+        self.meets_bad.fill(before == Recovery::Whole || n_bad * TANGLE > self.tets.len());
         for t in 0..self.tets.len() {
             if self.is_bad[t] {
                 for node in self.tetrahedron(t).0 {
@@ -334,9 +345,15 @@ impl Elements {
         (self.strays.len() as u32, first_invalid.or(first_bad))
     }
 
-    /// Whether any tetrahedron follows the stand-in law.
-    pub(super) fn has_strays(&self) -> bool {
-        !self.strays.is_empty()
+    /// Which tetrahedra follow the stand-in law.
+    pub(super) fn recovery(&self) -> Recovery {
+        if self.strays.is_empty() {
+            Recovery::None
+        } else if self.strays.len() == self.tets.len() {
+            Recovery::Whole
+        } else {
+            Recovery::Around
+        }
     }
 
     /// Overwrites one flag a live tetrahedron: whether it follows the stand-in law.
@@ -563,8 +580,8 @@ mod tests {
             let allows_inversion = matches!(&law, ImplicitLaw::General(laws)
                 if laws[0].energy_density_j_per_m3(&DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0))).is_finite());
             let mut elements = elements(&mesh, &law, volume, &rest);
-            assert_eq!(elements.quarantine(&[DVec3::ZERO; 8], false), (0, None));
-            let (n, first) = elements.quarantine(&u, false);
+            assert_eq!(elements.quarantine(&[DVec3::ZERO; 8], Recovery::None), (0, None));
+            let (n, first) = elements.quarantine(&u, Recovery::None);
             assert_eq!(n > 0, !allows_inversion, "{law:?}");
             assert_eq!(first.is_some(), !allows_inversion);
             check_derivatives(&mut elements, &u, &d, &format!("{law:?} {volume:?}"));

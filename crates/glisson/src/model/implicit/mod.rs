@@ -41,7 +41,7 @@ pub use law::{ImplicitLaw, SharedLaw};
 pub use newton::{ImplicitReport, ImplicitStatus};
 pub use params::{DEFAULT_TOLERANCE, ImplicitError, ImplicitParams};
 
-use self::elements::{Elements, ElementsParams};
+use self::elements::{Elements, ElementsParams, Recovery};
 use self::lagged::{Lagged, LaggedParams, LaggedState, NodeTerms};
 use self::ligaments::Ligaments;
 use self::newton::Scratch;
@@ -155,7 +155,7 @@ pub struct ImplicitSnapshot {
     velocities_m_per_s: Vec<DVec3>,
     earlier_velocities_m_per_s: Vec<DVec3>,
     viscous: Vec<PronyHistory>,
-    recovers: bool,
+    recovery: Recovery,
     age: FactorAge,
     lagged: Option<LaggedState>,
 }
@@ -377,7 +377,7 @@ impl ImplicitEuler {
             velocities_m_per_s: self.velocities_m_per_s.clone(),
             earlier_velocities_m_per_s: self.earlier_velocities_m_per_s.clone(),
             viscous: self.relaxation.as_ref().map_or(Vec::new(), |r| r.histories.clone()),
-            recovers: self.elements.has_strays(),
+            recovery: self.elements.recovery(),
             age: self.age,
             lagged: self.lagged.as_ref().map(|lagged| lagged.state.clone()),
         }
@@ -397,7 +397,7 @@ impl ImplicitEuler {
         }
         self.age = snapshot.age;
         self.is_suspect = true;
-        self.elements.quarantine(&self.displacement_m, snapshot.recovers);
+        self.elements.quarantine(&self.displacement_m, snapshot.recovery);
         if let (Some(lagged), Some(state)) = (&mut self.lagged, &snapshot.lagged)
             && lagged.state != *state
         {
@@ -431,8 +431,8 @@ impl ImplicitEuler {
             history.extend(relaxation.numbers());
         }
         let FactorAge { n_steps, first_iterations, excess_iterations } = self.age;
-        let recovers = u32::from(self.elements.has_strays());
-        history.extend([n_steps, first_iterations, excess_iterations, recovers].map(f64::from));
+        let recovery = self.elements.recovery() as u32;
+        history.extend([n_steps, first_iterations, excess_iterations, recovery].map(f64::from));
     }
 
     fn takes_load(&self, node: NodeId) -> bool {

@@ -1,5 +1,6 @@
 //! One step: Newton's method, conjugate gradients, line search.
 
+use super::elements::Recovery;
 use super::lagged::NodeTerms;
 use super::{FactorAge, ImplicitEuler};
 use crate::math::DVec3;
@@ -187,10 +188,9 @@ impl ImplicitEuler {
 
     /// Looks for tetrahedra in which the law has no energy, where there can be any: steps bring none.
     fn quarantine(&mut self) {
-        if self.is_suspect || self.elements.has_strays() {
+        if self.is_suspect || self.elements.recovery() != Recovery::None {
             self.is_suspect = false;
-            let recovers = self.elements.has_strays();
-            let (n, first) = self.elements.quarantine(&self.displacement_m, recovers);
+            let (n, first) = self.elements.quarantine(&self.displacement_m, self.elements.recovery());
             self.step_report.n_quarantined_tets = n;
             self.step_report.first_quarantined = first;
         }
@@ -208,7 +208,7 @@ impl ImplicitEuler {
         let found = self.elements.evaluate(&self.scratch.start_m, &mut self.scratch.start_force_n);
         if !found.is_usable() {
             Start::Unusable
-        } else if found.has_inverted || self.elements.has_strays() {
+        } else if found.has_inverted || self.elements.recovery() != Recovery::None {
             Start::Inverted
         } else {
             Start::Upright

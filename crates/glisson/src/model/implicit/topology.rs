@@ -30,7 +30,7 @@ impl ImplicitEuler {
         if change.is_renumbering() {
             self.compact(change);
         }
-        let recovers = self.elements.has_strays();
+        let before = self.elements.recovery();
         self.elements = Elements::new(&ElementsParams {
             mesh: &self.mesh,
             live: &self.tet_is_live,
@@ -42,7 +42,7 @@ impl ImplicitEuler {
         })
         .expect("the tetrahedra were usable when the model was built");
         self.is_suspect = true;
-        self.elements.quarantine(&self.displacement_m, recovers);
+        self.elements.quarantine(&self.displacement_m, before);
         self.n_reanalyses += 1;
         let refusal = self.analyse().is_err();
         // A held or loaded node that lost its last tetrahedron has nothing to pull on.

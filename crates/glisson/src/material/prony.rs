@@ -102,15 +102,19 @@ impl PronySeries {
 
     /// The recursion for steps of `step_s` > 0.
     pub fn step(&self, step_s: f64) -> PronyStep {
-        let terms = self
-            .terms
-            .iter()
-            .map(|k| {
-                let lost = -libm::expm1(-step_s / k.time_s);
-                [k.share, 1.0 - lost, lost * k.time_s / step_s]
-            })
-            .collect();
-        PronyStep { lasting_share: 1.0 - self.terms.iter().map(|k| k.share).sum::<f64>(), terms }
+        let mut step = PronyStep { lasting_share: 1.0, terms: Vec::with_capacity(self.terms.len()) };
+        self.step_into(step_s, &mut step);
+        step
+    }
+
+    /// Overwrites the recursion of this series with the one for steps of `step_s` > 0; no allocation.
+    pub fn step_into(&self, step_s: f64, step: &mut PronyStep) {
+        step.lasting_share = 1.0 - self.terms.iter().map(|k| k.share).sum::<f64>();
+        step.terms.clear();
+        step.terms.extend(self.terms.iter().map(|k| {
+            let lost = -libm::expm1(-step_s / k.time_s);
+            [k.share, 1.0 - lost, lost * k.time_s / step_s]
+        }));
     }
 }
 

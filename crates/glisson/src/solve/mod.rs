@@ -28,6 +28,7 @@ pub use nonlinear::{
     ElasticBody, NonlinearError, NonlinearProblem, NonlinearSettings, NonlinearSolution, StepFailure,
     TangentKind, solve_nonlinear,
 };
+pub(crate) use nonlinear::{contracted_columns, contracted_rows};
 pub use p1::{LOCAL_EDGES, P1Gradients, TetStiffness};
 pub use static_problem::{StaticProblem, StaticSolution, add_gravity_forces, solve_static};
 pub use supports::{Attachment, FixedNode, RestStress, stress_tensor_pa};

@@ -195,14 +195,14 @@ impl<'a, M: Material> ElasticBody<'a, M> {
 }
 
 /// Row r: sum over c of a_c T[3 c + r].
-fn contracted_rows(tangent: &Tangent, a: DVec3) -> [[f64; 9]; 3] {
+pub(crate) fn contracted_rows(tangent: &Tangent, a: DVec3) -> [[f64; 9]; 3] {
     std::array::from_fn(|r| {
         std::array::from_fn(|k| a.x * tangent[r][k] + a.y * tangent[3 + r][k] + a.z * tangent[6 + r][k])
     })
 }
 
 /// Entry (r, s): sum over d of rows[r][3 d + s] a_d.
-fn contracted_columns(rows: &[[f64; 9]; 3], a: DVec3) -> DMat3 {
+pub(crate) fn contracted_columns(rows: &[[f64; 9]; 3], a: DVec3) -> DMat3 {
     let entry = |r: usize, s: usize| rows[r][s] * a.x + rows[r][3 + s] * a.y + rows[r][6 + s] * a.z;
     let column = |s: usize| DVec3::new(entry(0, s), entry(1, s), entry(2, s));
     DMat3::from_cols(column(0), column(1), column(2))

@@ -5,6 +5,7 @@ mod laws;
 mod kernel;
 mod integrators;
 mod implicit;
+mod implicit_loads;
 mod layering;
 mod loads;
 mod loads_faults;

@@ -13,6 +13,7 @@ mod system;
 mod static_problem;
 mod nonlinear;
 mod near_incompressible;
+mod smoothed;
 pub mod case;
 pub mod integrators;
 
@@ -25,6 +26,9 @@ pub use nonlinear::{
     TangentKind, solve_nonlinear,
 };
 pub use p1::{LOCAL_EDGES, P1Gradients, TetStiffness};
+pub use smoothed::{
+    SmoothedBody, Smoothing, node_deformation_gradients, solve_nonlinear_smoothed, solve_static_smoothed,
+};
 pub use static_problem::{StaticProblem, StaticSolution, add_gravity_forces, solve_static};
 pub use system::{FactorScratch, Factorization, FreeSystem};
 pub use tensors::{MeshEdges, StiffnessTensors, boundary_nodes};

@@ -1,5 +1,6 @@
 //! The experiments of `glisson validate`: each claim with its source, what is expected, and what was obtained now.
 
+mod benchmarks;
 mod elasticity;
 mod image;
 mod interaction;
@@ -95,6 +96,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "interaction",
         about: "The touched organ: pre-computed and dynamic.",
         run: interaction::experiments,
+    },
+    Group {
+        name: "benchmarks",
+        about: "Structural benchmarks of the field, on plain and smoothed tetrahedra.",
+        run: benchmarks::experiments,
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

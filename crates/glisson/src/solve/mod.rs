@@ -4,7 +4,8 @@
 //! The way of a solution: [`MeshEdges`] and [`StiffnessTensors`] (K as 3x3 blocks on vertices and edges, the
 //! form that the tensor-mass model keeps), [`BoundaryConditions`], [`FreeSystem`] (the free rows of K in a
 //! fixed sparse pattern with a slot for every block), [`Factorization`], [`solve_static`];
-//! for any law [`ElasticBody`] and [`solve_nonlinear`].
+//! for any law [`ElasticBody`] and [`solve_nonlinear`]; without locking [`SmoothedBody`] and
+//! [`solve_nonlinear_smoothed`].
 
 mod p1;
 mod tensors;

@@ -1,5 +1,6 @@
 //! The experiments of `glisson validate`: each claim with its source, what is expected, and what was obtained now.
 
+mod benchmarks;
 mod elasticity;
 mod image;
 mod interaction;
@@ -131,6 +132,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "model_rheology",
         about: "Every dynamic model on the virtual rheology bench: plates and a punch.",
         run: model_rheology::experiments,
+    },
+    Group {
+        name: "benchmarks",
+        about: "Structural benchmarks of the field, on plain and smoothed tetrahedra.",
+        run: benchmarks::experiments,
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

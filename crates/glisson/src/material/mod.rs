@@ -20,6 +20,7 @@ pub mod tissues;
 
 pub use holzapfel_gasser_ogden::{HolzapfelGasserOgden, HolzapfelGasserOgdenParameters};
 pub use law::{Material, Tangent, projected};
+pub(crate) use law::{cofactor, cofactor_differential};
 pub use linear_elastic::{LinearElastic, MaterialError};
 pub use mooney_rivlin::MooneyRivlin;
 pub use neo_hooke_log::NeoHookeLog;

@@ -4,8 +4,8 @@
 //! The way of a solution: [`MeshEdges`] and [`StiffnessTensors`] (K as 3x3 blocks on vertices and edges, the
 //! form that the tensor-mass model keeps), [`BoundaryConditions`], [`FreeSystem`] (the free rows of K in a
 //! fixed sparse pattern with a slot for every block), [`Factorization`], [`solve_static`];
-//! for any law [`ElasticBody`] and [`solve_nonlinear`]. [`equilibrating_stress`] is what a body imaged under load has
-//! in it.
+//! for any law [`ElasticBody`] and [`solve_nonlinear`]; without locking [`SmoothedBody`] and
+//! [`solve_nonlinear_smoothed`]. [`equilibrating_stress`] is what a body imaged under load has in it.
 
 mod p1;
 mod tensors;
@@ -16,6 +16,7 @@ mod supports;
 mod equilibrating_stress;
 mod nonlinear;
 mod near_incompressible;
+mod smoothed;
 pub mod case;
 pub mod integrators;
 
@@ -30,6 +31,9 @@ pub use nonlinear::{
 };
 pub(crate) use nonlinear::{contracted_columns, contracted_rows};
 pub use p1::{LOCAL_EDGES, P1Gradients, TetStiffness};
+pub use smoothed::{
+    SmoothedBody, Smoothing, node_deformation_gradients, solve_nonlinear_smoothed, solve_static_smoothed,
+};
 pub use static_problem::{StaticProblem, StaticSolution, add_gravity_forces, solve_static};
 pub use supports::{Attachment, FixedNode, RestStress, stress_tensor_pa};
 pub use system::{FactorScratch, Factorization, FreeSystem};

@@ -16,6 +16,7 @@ mod models_agree;
 mod nonlinear_reference;
 mod nonlinear_tensor_mass;
 mod near_incompressible;
+mod smoothed;
 mod patch_test;
 mod precomputed_weight;
 mod reference_cases;

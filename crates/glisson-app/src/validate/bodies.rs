@@ -137,9 +137,14 @@ pub(super) fn local_volume_change(mesh: &TetMesh, displacement_m: &[DVec3]) -> f
     changed_m3 / mesh.volume_m3()
 }
 
+/// Largest of some values from 0; one that is no number stays, which `f64::max` would lose.
+pub(super) fn most(values: impl IntoIterator<Item = f64>) -> f64 {
+    values.into_iter().fold(0.0, |most, x| if x > most || x.is_nan() { x } else { most })
+}
+
 /// Largest length of a vector.
 pub(super) fn largest(vectors: &[DVec3]) -> f64 {
-    vectors.iter().map(|v| v.length()).fold(0.0, f64::max)
+    most(vectors.iter().map(|v| v.length()))
 }
 
 /// The non-linear tensor-mass law as static solutions want it: St Venant-Kirchhoff with a fibre, and the penalty
@@ -302,7 +307,7 @@ pub(super) fn relax(
             model.step(step_s);
         }
         let now_m = model.state().positions_m;
-        let moved_m = now_m.iter().zip(&before_m).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+        let moved_m = most(now_m.iter().zip(&before_m).map(|(a, b)| a.distance(*b)));
         if moved_m <= tolerance_m {
             return Ok(look * LOOK_STEPS);
         }
@@ -399,6 +404,12 @@ mod tests {
             let size = expected.to_cols_array().into_iter().fold(0.0_f64, |m, x| m.max(x.abs()));
             assert!(off <= 1e-7 * size, "{off:e} of {size:e}");
         }
+    }
+
+    #[test]
+    fn what_is_no_number_is_not_lost() {
+        assert_eq!(most([1.0, 3.0, 2.0]), 3.0);
+        assert!(most([1.0, f64::NAN, 2.0]).is_nan());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Removal equals rebuild on an organ of full size, and tearing (seeds `002` s. 3.2 and appendix A, `003` s. 3.5).
 
 use super::bodies::{
-    LAMBDA_PA, MU_PA, constraints, displacements, isotropic, largest, linear_model, liver, material,
+    LAMBDA_PA, MU_PA, constraints, displacements, isotropic, largest, linear_model, liver, material, most,
     nodes_where, nonlinear_equilibrium, nonlinear_model, relax,
 };
 use super::{Experiment, Figure, Outcome};
@@ -55,8 +55,8 @@ impl Difference {
             Some(expected) => {
                 let [off, size] = &mut self.kinds[kind];
                 for (a, b) in found.iter().zip(expected) {
-                    *off = off.max((a - b).abs());
-                    *size = size.max(b.abs());
+                    *off = most([*off, (a - b).abs()]);
+                    *size = most([*size, b.abs()]);
                 }
             }
             None => self.n_not_zero += usize::from(found.iter().any(|x| *x != 0.0)),
@@ -64,7 +64,7 @@ impl Difference {
     }
 
     fn relative(&self) -> f64 {
-        self.kinds.iter().filter(|[_, size]| *size > 0.0).map(|[off, size]| off / size).fold(0.0, f64::max)
+        most(self.kinds.iter().filter(|[_, size]| *size != 0.0).map(|[off, size]| off / size))
     }
 }
 
@@ -172,8 +172,8 @@ fn removal(outcome: &mut Outcome, material: &LinearElastic) -> anyhow::Result<St
     fresh.elastic_forces_into(&u_m, &mut expected_n);
     let off_n: Vec<DVec3> = found_n.iter().zip(&expected_n).map(|(a, b)| *a - *b).collect();
     let mass = |n: usize| (nonlinear.mass_kg(NodeId::from_index(n)), fresh.mass_kg(NodeId::from_index(n)));
-    let mass_off = (0..n_nodes).map(mass).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    let mass_most = (0..n_nodes).map(mass).map(|(_, b)| b).fold(0.0, f64::max);
+    let mass_off = most((0..n_nodes).map(mass).map(|(a, b)| (a - b).abs()));
+    let mass_most = most((0..n_nodes).map(mass).map(|(_, b)| b));
     let n_not_zero = (of_linear.n_not_zero + of_nonlinear.n_not_zero) as f64;
     outcome.experiments.extend([
         Experiment::at_most(
@@ -286,7 +286,7 @@ fn tearing(outcome: &mut Outcome, material: &LinearElastic) -> anyhow::Result<St
             parted_m = parted_m.min(pull_m);
         }
         let force_n: f64 = model.constraint_forces_n().iter().map(|f| f.x).sum();
-        most_n = most_n.max(force_n);
+        most_n = most([most_n, force_n]);
         curve.push([1e3 * pull_m, 1e3 * force_n]);
     }
     // Without the drag of the moving end.

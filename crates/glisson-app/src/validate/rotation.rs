@@ -5,8 +5,8 @@
 //! moment, sin theta k x X: its volume has grown by sin^2 theta. Both are exact, whatever the mesh.
 
 use super::bodies::{
-    LAMBDA_PA, MU_PA, displacements, isotropic, largest, linear_model, material, nonlinear_model, relax,
-    volume_change,
+    LAMBDA_PA, MU_PA, displacements, isotropic, largest, linear_model, material, most, nonlinear_model,
+    relax, volume_change,
 };
 use super::{Experiment, Figure, Outcome};
 use crate::plot::{LinePlot, Series, SeriesStyle};
@@ -47,30 +47,31 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         linear.take_over(&turned_m);
         let strain = angle.cos() - 1.0;
         let expected_j = 2.0 * (LAMBDA_PA + MU_PA) * strain * strain * mesh.volume_m3();
-        energy_error = energy_error.max((linear.energy_j() / expected_j - 1.0).abs());
+        energy_error = most([energy_error, (linear.energy_j() / expected_j - 1.0).abs()]);
         let mut force_n = vec![DVec3::ZERO; turned_m.len()];
         nonlinear.set_nonlinear_part(NonlinearPart::AboveDisplacement { threshold_m: f64::INFINITY });
         nonlinear.elastic_forces_into(&turned_u_m, &mut force_n);
         let linear_n = largest(&force_n);
         nonlinear.set_nonlinear_part(NonlinearPart::Everywhere);
         nonlinear.elastic_forces_into(&turned_u_m, &mut force_n);
-        force_share = force_share.max(largest(&force_n) / linear_n);
+        force_share = most([force_share, largest(&force_n) / linear_n]);
 
         // Let go.
         let step_s = linear.time_step_s();
         relax(&mut linear, step_s, AT_REST_M, MOST_STEPS)?;
         let linear_growth = volume_change(&mesh, &displacements(&mesh, &linear));
         let expected_growth = angle.sin().powi(2);
-        swelling_error = swelling_error.max((linear_growth - expected_growth).abs());
+        swelling_error = most([swelling_error, (linear_growth - expected_growth).abs()]);
         nonlinear.take_over(&turned_m);
         let step_s = nonlinear.time_step_s();
         for _ in 0..2_000 {
             nonlinear.step(step_s);
         }
         let now_m = nonlinear.state().positions_m;
-        drift = now_m.iter().zip(&turned_m).map(|(a, b)| a.distance(*b)).fold(drift, f64::max);
+        let moved_m = now_m.iter().zip(&turned_m).map(|(a, b)| a.distance(*b));
+        drift = most(moved_m.chain([drift]));
         let nonlinear_growth = volume_change(&mesh, &displacements(&mesh, &nonlinear));
-        growth = growth.max(nonlinear_growth.abs());
+        growth = most([growth, nonlinear_growth.abs()]);
         swelling.push([angle_deg, 100.0 * linear_growth]);
         steady.push([angle_deg, 100.0 * nonlinear_growth]);
         rows += &format!(

@@ -5,7 +5,7 @@
 //! it, at any stretch, because the lateral strains are those of the isotropic tube.
 
 use super::bodies::{
-    LAMBDA_PA, MU_PA, TissuePoints, cylinder, displaced, isotropic, material, nodes_where,
+    LAMBDA_PA, MU_PA, TissuePoints, cylinder, displaced, isotropic, material, most, nodes_where,
     nonlinear_equilibrium, spread_over,
 };
 use super::{Experiment, Figure, Outcome};
@@ -81,7 +81,7 @@ fn shape(mesh: &TetMesh, displacement_m: &[DVec3]) -> Shape {
         points(vec![DVec3::new(-inside_m, 0.0, HEIGHT_M / 3.0), DVec3::new(inside_m, 0.0, HEIGHT_M / 3.0)]);
     let length_m: f64 = axis_m.windows(2).map(|w| w[0].distance(w[1])).sum();
     Shape {
-        sideways_m: axis_m.iter().map(|p| p.x.abs()).fold(0.0, f64::max),
+        sideways_m: most(axis_m.iter().map(|p| p.x.abs())),
         axis_strain: length_m / HEIGHT_M - 1.0,
         squeeze: 1.0 - across[0].distance(across[1]) / (2.0 * inside_m),
         outline_m,

@@ -201,18 +201,18 @@ fn outline_figure(case: &Case, rows: &[Row]) -> Figure {
         points: line(&vec![DVec3::ZERO; case.unit_m.len()]),
         style: SeriesStyle::Line,
     }];
-    for (which, name, style) in [(0, "linear", SeriesStyle::Dashed), (1, "non-linear", SeriesStyle::Line)] {
-        for (row, (factor, _)) in rows.iter().zip(CYLINDER_ROWS) {
-            let points = line(&row.fields_m[which]);
-            series.push(Series { name: format!("{name}, {factor} F"), points, style });
-        }
+    let names = [(0, "linear at F, 2 F, 3 F", SeriesStyle::Dashed), (1, "non-linear", SeriesStyle::Line)];
+    for (which, name, style) in names {
+        // One series with breaks between the loads.
+        let points = rows.iter().flat_map(|row| [line(&row.fields_m[which]), vec![[f64::NAN; 2]]].concat());
+        series.push(Series { name: name.into(), points: points.collect(), style });
     }
     let plot = LinePlot {
         title: "The bent cylinder from the side".into(),
         x_label: "x [mm]".into(),
         y_label: "z [mm]".into(),
         series,
-        size: [860, 620],
+        size: [660, 740],
     };
     let caption =
         "Outline of the bent cylinder under three loads: the linear one grows along the straight paths of \

@@ -10,7 +10,7 @@ use super::bodies::{
     constraints, displaced, displacements, isotropic, largest, linear_model, material, most,
     nonlinear_equilibrium, nonlinear_model, slow_frequency_per_s, volume_change,
 };
-use super::volume::{CYLINDER_ROWS, Case, LIVER_ROW, bent_cylinder, liver_case};
+use super::volume::{CYLINDER_ROWS, Case, LIVER_ROW, RADIUS_M, bent_cylinder, liver_case};
 use super::{Experiment, Figure, Outcome};
 use crate::bench::timing::{Clock, time_of};
 use crate::plot::{LinePlot, Series, SeriesStyle};
@@ -330,7 +330,7 @@ fn error_figure(cylinder: &Study, liver: &Study) -> Figure {
 }
 
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
-    let cylinder = Pulled::new(bent_cylinder(ERROR_TETS)?, CYLINDER_ROWS[0].1[0])?;
+    let cylinder = Pulled::new(bent_cylinder(RADIUS_M, ERROR_TETS)?, CYLINDER_ROWS[0].1[0])?;
     let liver = Pulled::new(liver_case(ERROR_TETS)?, LIVER_ROW[0])?;
     let (of_cylinder, of_liver) = (Study::new(&cylinder)?, Study::new(&liver)?);
     let light = liver.adapted(above(LIGHT_THRESHOLD * largest(&liver.full_m)), LIGHT_DAMPING)?;

@@ -4,7 +4,7 @@
 //! entry in a `CASES` list of the file it belongs to. `docs/bench.md` says how to read the result.
 
 mod machine;
-mod timing;
+pub(crate) mod timing;
 mod body;
 mod meshing;
 mod models;

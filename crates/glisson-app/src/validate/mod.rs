@@ -1,13 +1,20 @@
 //! The experiments of `glisson validate`: each claim with its source, what is expected, and what was obtained now.
 
+mod adaptive;
 mod benchmarks;
+mod bodies;
+mod cutting;
 mod elasticity;
 mod image;
 mod interaction;
 mod model_rheology;
+mod prestress;
 mod rheology;
+mod rotation;
 mod tissue;
+mod tubes;
 mod unit;
+mod volume;
 
 use crate::plot::LinePlot;
 use serde::Serialize;
@@ -137,6 +144,32 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "benchmarks",
         about: "Structural benchmarks of the field, on plain and smoothed tetrahedra.",
         run: benchmarks::experiments,
+    },
+    Group {
+        name: "rotation",
+        about: "A cube that is turned as a whole, by linear and non-linear tensor-mass.",
+        run: rotation::experiments,
+    },
+    Group {
+        name: "tubes",
+        about: "Three tubes under the same load: isotropic, with fibres along the axis, with stiffer ones.",
+        run: tubes::experiments,
+    },
+    Group {
+        name: "prestress",
+        about: "Stretched bodies that relax after tetrahedra are removed.",
+        run: prestress::experiments,
+    },
+    Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
+    Group {
+        name: "volume",
+        about: "Changes of volume of a bent cylinder and a pulled liver: linear, non-linear, with penalty.",
+        run: volume::experiments,
+    },
+    Group {
+        name: "adaptive",
+        about: "Non-linear forces only where they matter: error against rate, and the cost of non-linear to linear.",
+        run: adaptive::experiments,
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

@@ -1,19 +1,18 @@
 //! From an organ's description to the models that move it.
 
 use super::build::{BuildError, OrganBody};
-use crate::material::LawChoice;
-use crate::mesh::NodeId;
-use crate::model::DeformableModel;
-use crate::model::Dynamics;
+use crate::material::{LawChoice, PronySeries};
+use crate::model::{DeformableModel, Integration};
 use crate::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
-use crate::model::implicit::{DEFAULT_TOLERANCE, ImplicitEuler, ImplicitParams, VolumeResistance};
+use crate::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use crate::model::kind::ModelKind;
 use crate::model::mass_spring::{MassSpring, MassSpringParams, NodalMasses};
 use crate::model::nonlinear_tensor_mass::{
-    NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
+    Fibre, NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
 };
 use crate::model::precomputed::{Precomputed, PrecomputedExpectation, PrecomputedParams, StoredNodes};
 use crate::model::tensor_mass::{TensorMass, TensorMassParams};
+use std::iter::repeat_n;
 
 /// St Venant-Kirchhoff tissue stiffens as it is stretched: its stable step is computed for principal stretches up
 /// to this one. A choice, not a measurement: the law itself is meant for strains well below it.
@@ -29,67 +28,81 @@ const FREQUENCY_RESERVE: f64 = LARGEST_STRETCH;
 /// [`BuildError`] of the model: a file that belongs to another organ, a time step above the stable one, something
 /// that the model cannot do.
 pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn DeformableModel>, BuildError> {
+    let material = &body.material;
+    let law = body.law.as_ref().filter(|law| kind.laws().contains(&law.name()));
+    let integration = Integration { frequency_reserve: FREQUENCY_RESERVE, ..Integration::default() };
+    body.refuse_what_it_lacks(kind)?;
     Ok(match kind {
         ModelKind::Precomputed => Box::new(precomputed(body)?),
-        ModelKind::TensorMass => Box::new(TensorMass::build(&TensorMassParams { body: body.dynamic(), material: &body.material })?),
-        ModelKind::NonlinearTensorMass => {
-            let fibres: Vec<_> =
-                body.fibre.iter().cycle().take(body.mesh.tetrahedra.len()).copied().collect();
-            Box::new(NonlinearTensorMass::build(&NonlinearTensorMassParams {
-                mesh: &body.mesh,
-                elasticity: NonlinearElasticity {
-                    material: &body.material,
-                    fibres: &fibres,
-                    volume_penalty_pa: body.volume_penalty_pa,
-                    largest_stretch: LARGEST_STRETCH,
-                },
-                fixed_nodes: &body.nodes_fixed_wholly(kind)?,
-                damping_per_s: body.damping.mass_per_s,
-                gravity_m_per_s2: body.gravity_m_per_s2,
-                time_step_s: body.time_step_s,
-            })?)
+        ModelKind::TensorMass => {
+            Box::new(TensorMass::build(&TensorMassParams { body: body.dynamic(), material })?)
         }
-        ModelKind::Implicit => Box::new(ImplicitEuler::build(&ImplicitParams {
-            mesh: &body.mesh,
-            material: &body.material,
-            volume: VolumeResistance::Element,
-            fixed_nodes: &body.nodes_fixed_wholly(kind)?,
-            mass_damping_per_s: body.damping.mass_per_s,
-            stiffness_damping_s: body.damping.stiffness_s,
-            gravity_m_per_s2: body.gravity_m_per_s2,
-            time_step_s: body.time_step_s,
-            tolerance: DEFAULT_TOLERANCE,
-        })?),
+        ModelKind::NonlinearTensorMass => {
+            let elasticity = NonlinearElasticity {
+                material,
+                fibres: &body.fibres(),
+                volume_penalty_pa: body.volume_penalty_pa,
+                largest_stretch: LARGEST_STRETCH,
+            };
+            let params = NonlinearTensorMassParams { body: body.dynamic(), elasticity };
+            Box::new(NonlinearTensorMass::build(&params)?)
+        }
+        ModelKind::Implicit => {
+            let law = match law {
+                None | Some(LawChoice::NeoHookeLog) => ImplicitLaw::neo_hooke(material),
+                Some(law) => ImplicitLaw::from(&law.with_moduli_of(material)?),
+            };
+            let relaxation = body.relaxation()?;
+            let params =
+                ImplicitParams { relaxation: relaxation.as_ref(), ..ImplicitParams::new(body.dynamic(), &law) };
+            Box::new(ImplicitEuler::build(&params)?)
+        }
         ModelKind::MassSpring => Box::new(MassSpring::build(&MassSpringParams {
-            mesh: &body.mesh,
-            young_modulus_pa: body.material.young_modulus_pa(),
-            density_kg_per_m3: body.material.density_kg_per_m3(),
+            body: body.dynamic(),
+            young_modulus_pa: material.young_modulus_pa(),
             masses: NodalMasses::VolumeWeighted,
             link_damping_n_s_per_m: 0.0,
             node_damping_n_s_per_m: 0.0,
-            dynamics: dynamics(body, &body.nodes_fixed_wholly(kind)?),
+            integration,
         })?),
         ModelKind::ExtendedMassSpring => Box::new(ExtendedMassSpring::build(&ExtendedMassSpringParams {
-            mesh: &body.mesh,
-            law: match body.law {
+            body: body.dynamic(),
+            law: match law {
                 Some(LawChoice::NeoHookeLog) => EdgeLaw::NeoHooke,
                 _ => EdgeLaw::StVenantKirchhoff,
             },
-            material: &body.material,
+            material,
             viscosity_kg_per_m3_s: 0.0,
-            dynamics: dynamics(body, &body.nodes_fixed_wholly(kind)?),
+            integration,
         })?),
     })
 }
 
-fn dynamics<'a>(body: &OrganBody, fixed_nodes: &'a [NodeId]) -> Dynamics<'a> {
-    Dynamics {
-        fixed_nodes,
-        damping_per_s: body.damping.mass_per_s,
-        gravity_m_per_s2: body.gravity_m_per_s2,
-        time_step_s: body.time_step_s,
-        frequency_reserve: FREQUENCY_RESERVE,
-        ..Dynamics::default()
+impl OrganBody {
+    /// The fibre of every tetrahedron, or none.
+    fn fibres(&self) -> Vec<Fibre> {
+        self.fibre.iter().flat_map(|&fibre| repeat_n(fibre, self.mesh.tetrahedra.len())).collect()
+    }
+
+    fn relaxation(&self) -> Result<Option<PronySeries>, BuildError> {
+        if self.relaxation.is_empty() {
+            return Ok(None);
+        }
+        Ok(Some(PronySeries::new(&self.relaxation)?))
+    }
+
+    fn refuse_what_it_lacks(&self, model: ModelKind) -> Result<(), BuildError> {
+        let knows_fibres = matches!(model, ModelKind::NonlinearTensorMass);
+        let knows_relaxation = matches!(model, ModelKind::Implicit);
+        let asked = [
+            (self.fibre.is_some() && !knows_fibres, "fibres"),
+            (self.volume_penalty_pa != 0.0 && !knows_fibres, "penalties of volume changes"),
+            (!self.relaxation.is_empty() && !knows_relaxation, "relaxation terms"),
+        ];
+        match asked.into_iter().find(|(lacks, _)| *lacks) {
+            Some((_, what)) => Err(BuildError::Unsupported { model, what }),
+            None => Ok(()),
+        }
     }
 }
 

@@ -15,7 +15,9 @@ use glisson::model::nonlinear_tensor_mass::{
     NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams, TetLaw,
 };
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
-use glisson::model::{Constraints, DeformableModel, ImposedDisplacement, NodalForce};
+use glisson::model::{
+    Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, NodalForce, Rayleigh,
+};
 use glisson::solve::{
     BoundaryConditions, NonlinearProblem, NonlinearSettings, NonlinearSolution, StaticProblem,
     solve_nonlinear, solve_static,
@@ -240,15 +242,24 @@ pub(super) fn linear_model(
     damping_per_s: f64,
 ) -> anyhow::Result<TensorMass> {
     let time_step_s = STEP_SHARE * TensorMass::stable_step(mesh, material)?.step_s;
-    let gravity_m_per_s2 = DVec3::ZERO;
-    Ok(TensorMass::build(&TensorMassParams {
-        mesh,
-        material,
-        fixed_nodes,
-        damping_per_s,
-        gravity_m_per_s2,
-        time_step_s,
-    })?)
+    let fixed = &all_axes(fixed_nodes);
+    let body = dynamic_body(mesh, material, fixed, damping_per_s, time_step_s);
+    Ok(TensorMass::build(&TensorMassParams { body, material })?)
+}
+
+fn all_axes(nodes: &[NodeId]) -> Vec<FixedNode> {
+    nodes.iter().copied().map(FixedNode::all_axes).collect()
+}
+
+fn dynamic_body<'a>(
+    mesh: &'a TetMesh,
+    material: &LinearElastic,
+    fixed: &'a [FixedNode],
+    damping_per_s: f64,
+    time_step_s: f64,
+) -> DynamicBody<'a> {
+    let damping = Rayleigh::of_mass(damping_per_s);
+    DynamicBody { fixed, damping, time_step_s, ..DynamicBody::new(mesh, material.density_kg_per_m3()) }
 }
 
 /// The non-linear tensor-mass model of a mesh.
@@ -259,15 +270,9 @@ pub(super) fn nonlinear_model(
     damping_per_s: f64,
 ) -> anyhow::Result<NonlinearTensorMass> {
     let time_step_s = STEP_SHARE * NonlinearTensorMass::stable_step(mesh, &elasticity)?.step_s;
-    let gravity_m_per_s2 = DVec3::ZERO;
-    Ok(NonlinearTensorMass::build(&NonlinearTensorMassParams {
-        mesh,
-        elasticity,
-        fixed_nodes,
-        damping_per_s,
-        gravity_m_per_s2,
-        time_step_s,
-    })?)
+    let fixed = &all_axes(fixed_nodes);
+    let body = dynamic_body(mesh, elasticity.material, fixed, damping_per_s, time_step_s);
+    Ok(NonlinearTensorMass::build(&NonlinearTensorMassParams { body, elasticity })?)
 }
 
 /// Constraints of these forces [N], one a node of the mesh, and displacements of held nodes (ascending).

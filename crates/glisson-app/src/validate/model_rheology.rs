@@ -8,7 +8,7 @@ use glisson::material::{LinearElastic, Material, NeoHookeLog, StVenantKirchhoff}
 use glisson::mesh::TetMesh;
 use glisson::mesh::box_mesh::cube_of_five;
 use glisson::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
-use glisson::model::implicit::{ImplicitEuler, ImplicitParams, VolumeResistance};
+use glisson::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use glisson::model::mass_spring::{MassSpring, MassSpringParams, NodalMasses};
 use glisson::model::nonlinear_tensor_mass::{
     NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
@@ -21,7 +21,7 @@ use glisson::model::rheology::{
     press_between_plates,
 };
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
-use glisson::model::{DeformableModel, Dynamics};
+use glisson::model::{DeformableModel, DynamicBody, Integration, Rayleigh};
 use glisson::solve::{BoundaryConditions, StaticProblem, solve_static};
 
 /// Damping over mass of all models on the bench [1/s].
@@ -109,83 +109,65 @@ impl BenchModel {
         damping_per_s: f64,
     ) -> anyhow::Result<(Box<dyn DeformableModel>, f64)> {
         let material = &seed_material()?;
-        let dynamics = |time_step_s| Dynamics { damping_per_s, time_step_s, ..Dynamics::default() };
         let step_s = STEP_SHARE * TensorMass::stable_step(mesh, material)?.step_s;
+        let body = DynamicBody {
+            damping: Rayleigh::of_mass(damping_per_s),
+            time_step_s: step_s,
+            ..DynamicBody::new(mesh, material.density_kg_per_m3())
+        };
         let model: Box<dyn DeformableModel> = match self {
-            Self::TensorMass => Box::new(TensorMass::build(&TensorMassParams {
-                mesh,
-                material,
-                fixed_nodes: &[],
-                damping_per_s,
-                gravity_m_per_s2: DVec3::ZERO,
-                time_step_s: step_s,
-            })?),
-            Self::NonlinearTensorMass => Box::new(NonlinearTensorMass::build(&NonlinearTensorMassParams {
-                mesh,
-                elasticity: NonlinearElasticity {
+            Self::TensorMass => Box::new(TensorMass::build(&TensorMassParams { body, material })?),
+            Self::NonlinearTensorMass => {
+                let elasticity = NonlinearElasticity {
                     material,
                     fibres: &[],
                     volume_penalty_pa: 0.0,
                     largest_stretch: 1.0,
-                },
-                fixed_nodes: &[],
-                damping_per_s,
-                gravity_m_per_s2: DVec3::ZERO,
-                time_step_s: step_s,
-            })?),
-            Self::ExtendedMassSpring => {
-                return extended(EdgeLaw::StVenantKirchhoff, mesh, dynamics(step_s));
+                };
+                Box::new(NonlinearTensorMass::build(&NonlinearTensorMassParams { body, elasticity })?)
             }
-            Self::ExtendedMassSpringNeoHooke => return extended(EdgeLaw::NeoHooke, mesh, dynamics(step_s)),
-            Self::MassSpring => return mass_spring(mesh, dynamics(step_s)),
-            Self::Implicit => Box::new(ImplicitEuler::build(&ImplicitParams {
-                mesh,
-                material,
-                volume: VolumeResistance::Element,
-                fixed_nodes: &[],
-                mass_damping_per_s: damping_per_s,
-                stiffness_damping_s: 0.0,
-                gravity_m_per_s2: DVec3::ZERO,
-                time_step_s: step_s,
-                tolerance: IMPLICIT_TOLERANCE,
-            })?),
+            Self::ExtendedMassSpring => return extended(EdgeLaw::StVenantKirchhoff, body),
+            Self::ExtendedMassSpringNeoHooke => return extended(EdgeLaw::NeoHooke, body),
+            Self::MassSpring => return mass_spring(body),
+            Self::Implicit => {
+                let law = &ImplicitLaw::neo_hooke(material);
+                let params =
+                    ImplicitParams { tolerance: IMPLICIT_TOLERANCE, ..ImplicitParams::new(body, law) };
+                Box::new(ImplicitEuler::build(&params)?)
+            }
         };
         Ok((model, step_s))
     }
 }
 
-/// The extended mass-spring model in a step of at most `dynamics.time_step_s` and a share of its own stable one.
-fn extended(
-    law: EdgeLaw,
-    mesh: &TetMesh,
-    dynamics: Dynamics<'_>,
-) -> anyhow::Result<(Box<dyn DeformableModel>, f64)> {
+/// The extended mass-spring model in a step of at most `body.time_step_s` and a share of its own stable one.
+fn extended(law: EdgeLaw, body: DynamicBody<'_>) -> anyhow::Result<(Box<dyn DeformableModel>, f64)> {
     let material = &seed_material()?;
     let build = |time_step_s| {
-        let dynamics = Dynamics { time_step_s, ..dynamics };
-        let params = ExtendedMassSpringParams { mesh, law, material, viscosity_kg_per_m3_s: 0.0, dynamics };
+        let (body, integration) = (DynamicBody { time_step_s, ..body }, Integration::default());
+        let params =
+            ExtendedMassSpringParams { body, law, material, viscosity_kg_per_m3_s: 0.0, integration };
         ExtendedMassSpring::build(&params)
     };
-    let stable_s = build(0.01 * dynamics.time_step_s)?.stable_step_s();
-    let step_s = dynamics.time_step_s.min(STEP_SHARE * stable_s);
+    let stable_s = build(0.01 * body.time_step_s)?.stable_step_s();
+    let step_s = body.time_step_s.min(STEP_SHARE * stable_s);
     Ok((Box::new(build(step_s)?), step_s))
 }
 
-/// The mass-spring model in a step of at most `dynamics.time_step_s` and a share of its own stable one.
-fn mass_spring(mesh: &TetMesh, dynamics: Dynamics<'_>) -> anyhow::Result<(Box<dyn DeformableModel>, f64)> {
+/// The mass-spring model in a step of at most `body.time_step_s` and a share of its own stable one.
+fn mass_spring(body: DynamicBody<'_>) -> anyhow::Result<(Box<dyn DeformableModel>, f64)> {
     let build = |time_step_s| {
         MassSpring::build(&MassSpringParams {
-            mesh,
+            body: DynamicBody { time_step_s, ..body },
             young_modulus_pa: YOUNG_MODULUS_PA,
-            density_kg_per_m3: DENSITY_KG_PER_M3,
             masses: NodalMasses::VolumeWeighted,
             link_damping_n_s_per_m: 0.001,
             node_damping_n_s_per_m: 0.0,
-            dynamics: Dynamics { time_step_s, ..dynamics },
+            integration: Integration::default(),
         })
     };
-    let stable_s = build(0.01 * dynamics.time_step_s)?.stable_step_s();
-    let step_s = dynamics.time_step_s.min(STEP_SHARE * stable_s);
+    let stable_s = build(0.01 * body.time_step_s)?.stable_step_s();
+    let step_s = body.time_step_s.min(STEP_SHARE * stable_s);
     Ok((Box::new(build(step_s)?), step_s))
 }
 

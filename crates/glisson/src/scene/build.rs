@@ -65,7 +65,9 @@ pub enum BuildError {
     #[error("[simulation] or [organ]")]
     Explicit(#[from] ExplicitError),
     /// The stress that balances gravity in the rest shape.
-    #[error("the stress that balances gravity: {0}; with imaged_under_gravity = false the organ sags instead")]
+    #[error(
+        "the stress that balances gravity: {0}; with imaged_under_gravity = false the organ sags instead"
+    )]
     RestStress(SolveError),
     /// The non-linear tensor-mass model; its numbers are those of the scene.
     #[error("[simulation] or [organ]")]

@@ -2,7 +2,6 @@
 
 use super::build::{BuildError, OrganBody};
 use crate::material::{LawChoice, PronySeries};
-use crate::model::{DeformableModel, Integration};
 use crate::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
 use crate::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use crate::model::kind::ModelKind;
@@ -12,6 +11,7 @@ use crate::model::nonlinear_tensor_mass::{
 };
 use crate::model::precomputed::{Precomputed, PrecomputedExpectation, PrecomputedParams, StoredNodes};
 use crate::model::tensor_mass::{TensorMass, TensorMassParams};
+use crate::model::{DeformableModel, Integration};
 use std::iter::repeat_n;
 
 /// St Venant-Kirchhoff tissue stiffens as it is stretched: its stable step is computed for principal stretches up
@@ -53,8 +53,10 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
                 Some(law) => ImplicitLaw::from(&law.with_moduli_of(material)?),
             };
             let relaxation = body.relaxation()?;
-            let params =
-                ImplicitParams { relaxation: relaxation.as_ref(), ..ImplicitParams::new(body.dynamic(), &law) };
+            let params = ImplicitParams {
+                relaxation: relaxation.as_ref(),
+                ..ImplicitParams::new(body.dynamic(), &law)
+            };
             Box::new(ImplicitEuler::build(&params)?)
         }
         ModelKind::MassSpring => Box::new(MassSpring::build(&MassSpringParams {

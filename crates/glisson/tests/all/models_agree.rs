@@ -175,7 +175,10 @@ fn constraints_that_cannot_act_are_counted_and_harm_nothing() {
     bad.forces.push(NodalForce { node: fixed[0], force_n: DVec3::X });
     model.apply(&bad);
     model.step(0.01);
-    assert_eq!((model.response_report().ignored_displacements, model.response_report().ignored_forces), (3, 1));
+    assert_eq!(
+        (model.response_report().ignored_displacements, model.response_report().ignored_forces),
+        (3, 1)
+    );
     assert_eq!(model.state().positions_m, expected);
     assert_eq!(model.constraint_forces_n().len(), 5);
     assert_eq!(model.constraint_forces_n()[2..], [DVec3::ZERO; 3]);

@@ -6,6 +6,8 @@ export type Action =
   | "reset_view"
   | "reset_simulation"
   | "next_model"
+  | "tilt_left"
+  | "tilt_right"
   | "wireframe"
   | "contacts"
   | "forces"
@@ -62,6 +64,8 @@ export const BINDINGS: readonly Binding[] = [
   bind("Simulation", "single_step", "→ or .", "one step (while paused)", plain("arrowright", "."), true),
   bind("Simulation", "reset_simulation", "Shift R", "organ back to rest, instrument home", [{ key: "r", shift: true }]),
   bind("Simulation", "next_model", "M", "another model takes over within a second", plain("m")),
+  bind("Simulation", "tilt_left", "Shift ←", "table 15° to the patient's left (scenes with gravity)", [{ key: "arrowleft", shift: true }], true),
+  bind("Simulation", "tilt_right", "Shift →", "table 15° to the patient's right", [{ key: "arrowright", shift: true }], true),
   bind("View", "reset_view", "R or Backspace", "whole organ from the front", plain("r", "backspace")),
   bind("View", "wireframe", "W", "surface, surface with edges, edges", plain("w")),
   bind("View", "contacts", "C", "contact point", plain("c")),

@@ -1,5 +1,7 @@
 /** Times of the viewer's own work and of what arrives: a moving window, and the text that shows it. */
 
+import type { Hello, SnapshotHeader } from "./protocol";
+
 const WINDOW_MS = 2000;
 
 interface Frame {
@@ -77,4 +79,22 @@ export function profilerText(facts: ProfilerFacts): string {
     `simulation    ${step_ms.toFixed(3)} ms a step, time step ${(1000 * facts.timeStep_s).toFixed(3)} ms`,
     `drawn by      ${facts.software ? "processor (no GPU found)" : "GPU"}`,
   ].join("\n");
+}
+
+/** The profiler's text from what the viewer has at hand. */
+export function profilerReport(
+  summary: ProfileSummary,
+  drawn: { readonly triangles: number; readonly calls: number },
+  software: boolean,
+  header: SnapshotHeader | null,
+  hello: Hello | null,
+): string {
+  return profilerText({
+    ...summary,
+    rate_steps_per_s: header?.rate_steps_per_s ?? 0,
+    timeStep_s: hello?.scene.time_step_s ?? 0,
+    triangles: drawn.triangles,
+    drawCalls: drawn.calls,
+    software,
+  });
 }

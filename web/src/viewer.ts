@@ -12,10 +12,11 @@ import { download, Help, Messages, showConnection, Toolbar } from "./overlays";
 import type { Page } from "./page";
 import { lengthOf, Panel, panelValues } from "./panel";
 import { arrowScale_m_per_n, drawPlot, ForceHistory } from "./plot";
-import { Profile, profilerText } from "./profiler";
+import { Profile, profilerReport } from "./profiler";
 import { ProtocolError, type Hello, type Snapshot, type SnapshotHeader, type Topology, type Vec3 } from "./protocol";
 import { Resolution, REST_AFTER_MS, REST_RATIO } from "./resolution";
 import { Scene3d } from "./scene3d";
+import { Table } from "./table";
 import { ToolDriver } from "./tool_driver";
 
 const vec3 = (v: Vector3): Vec3 => [v.x, v.y, v.z];
@@ -29,6 +30,7 @@ export class Viewer {
   private readonly controls: Controls;
   private readonly connection: Connection;
   private readonly tool = new ToolDriver();
+  private readonly table = new Table();
   private readonly history = new ForceHistory();
   private readonly profile = new Profile();
 
@@ -109,6 +111,7 @@ export class Viewer {
     if (state === "lost") {
       this.controls.cancel();
       this.tool.forget();
+      this.table.level();
     }
   }
 
@@ -200,10 +203,15 @@ export class Viewer {
       case "reset_simulation":
         this.controls.cancel();
         this.tool.forget();
+        this.table.level();
         this.connection.send({ type: "reset" });
         break;
       case "next_model":
         this.connection.askForNextModel(this.hello);
+        break;
+      case "tilt_left":
+      case "tilt_right":
+        this.table.press(action === "tilt_left" ? 1 : -1, this.hello, this.connection, this.messages);
         break;
       case "reset_view":
         this.scene.resetView();
@@ -213,10 +221,8 @@ export class Viewer {
         this.scene.setStyle(SURFACE_STYLES[this.shown.style]);
         break;
       case "contacts":
-        this.shown.contacts = !this.shown.contacts;
-        break;
       case "forces":
-        this.shown.forces = !this.shown.forces;
+        this.shown[action] = !this.shown[action];
         break;
       case "fixed_nodes":
         this.shown.fixedNodes = !this.shown.fixedNodes;
@@ -379,15 +385,9 @@ export class Viewer {
   private showProfiler(): void {
     this.page.profiler.hidden = !this.shown.profiler;
     if (!this.shown.profiler) return;
-    const { render } = this.scene.renderer.info;
-    this.page.profiler.textContent = profilerText({
-      ...this.profile.summary(performance.now()),
-      rate_steps_per_s: this.header?.rate_steps_per_s ?? 0,
-      timeStep_s: this.hello?.scene.time_step_s ?? 0,
-      triangles: render.triangles,
-      drawCalls: render.calls,
-      software: this.scene.software,
-    });
+    const { renderer, software } = this.scene;
+    const summary = this.profile.summary(performance.now());
+    this.page.profiler.textContent = profilerReport(summary, renderer.info.render, software, this.header, this.hello);
   }
 
   /** The parts that `hook.ts` reads. */

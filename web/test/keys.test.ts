@@ -28,6 +28,7 @@ describe("keys", () => {
 
   it("Shift changes R, and lengthens the instrument's steps", () => {
     expect(press("R", { shiftKey: true })).toBe("reset_simulation");
+    expect(press("ArrowRight", { shiftKey: true })).toBe("tilt_right");
     expect(press("J", { shiftKey: true })).toBe("tool_left");
     expect(press("W", { shiftKey: true })).toBeNull();
     expect(press("?", { shiftKey: true })).toBe("help");

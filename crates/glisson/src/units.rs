@@ -25,6 +25,8 @@ pub enum Dimension {
     Angle,
     /// Reciprocal seconds inside.
     Rate,
+    /// Newtons per metre inside.
+    Stiffness,
 }
 
 impl Dimension {
@@ -40,6 +42,7 @@ impl Dimension {
             Self::Acceleration => &[("m/s2", 1.0), ("mm/s2", 1e-3)],
             Self::Angle => &[("rad", 1.0), ("deg", std::f64::consts::PI / 180.0)],
             Self::Rate => &[("1/s", 1.0), ("1/ms", 1e3)],
+            Self::Stiffness => &[("N/m", 1.0), ("N/mm", 1e3)],
         }
     }
 
@@ -55,6 +58,7 @@ impl Dimension {
             Self::Acceleration => "acceleration",
             Self::Angle => "angle",
             Self::Rate => "rate",
+            Self::Stiffness => "stiffness",
         }
     }
 }

@@ -5,13 +5,13 @@ use std::hint::black_box;
 use anyhow::ensure;
 use fearless_simd::Level;
 use glam::DVec3;
-use glisson::material::LinearElastic;
+use glisson::material::{LinearElastic, PronySeries, PronyTerm, StableNeoHooke};
 use glisson::mesh::NodeId;
 use glisson::mesh::topology::Topology;
 use glisson::model::implicit::{
-    DEFAULT_TOLERANCE, ImplicitEuler, ImplicitParams, ImplicitStatus, VolumeResistance,
+    ImplicitEuler, ImplicitLaw, ImplicitParams, ImplicitStatus, VolumeResistance,
 };
-use glisson::model::{Constraints, DeformableModel, NodalForce};
+use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, NodalForce};
 
 use super::body::StandardBody;
 use super::{Case, Prepared, Settings, isa_name};
@@ -41,6 +41,22 @@ pub(super) const CASES: &[Case] = &[
         parallel: false,
         prepare: averaged,
     },
+    Case {
+        name: "implicit_step_general",
+        about: "as implicit_step with the stable neo-Hookean law through the general path",
+        per: "step",
+        sizes: &[6_300],
+        parallel: false,
+        prepare: general,
+    },
+    Case {
+        name: "implicit_step_viscous",
+        about: "as implicit_step with one relaxing term",
+        per: "step",
+        sizes: &[6_300],
+        parallel: false,
+        prepare: viscous,
+    },
 ];
 
 const STEP_S: f64 = 0.01;
@@ -51,35 +67,53 @@ const ROUND_S: f64 = 4.0;
 const SPOT_M: f64 = 0.03;
 
 fn nu_045(settings: Settings) -> anyhow::Result<Prepared> {
-    prepare(settings, 0.45, VolumeResistance::Element)
+    let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.45)?);
+    prepare(settings, &law, VolumeResistance::Element, None)
 }
 
 fn nu_049(settings: Settings) -> anyhow::Result<Prepared> {
-    prepare(settings, 0.49, VolumeResistance::Element)
+    let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.49)?);
+    prepare(settings, &law, VolumeResistance::Element, None)
 }
 
 fn averaged(settings: Settings) -> anyhow::Result<Prepared> {
-    prepare(settings, 0.49, VolumeResistance::NodeAveraged)
+    let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.49)?);
+    prepare(settings, &law, VolumeResistance::NodeAveraged, None)
 }
 
-fn prepare(settings: Settings, poisson_ratio: f64, volume: VolumeResistance) -> anyhow::Result<Prepared> {
+fn general(settings: Settings) -> anyhow::Result<Prepared> {
+    let law = ImplicitLaw::shared(StableNeoHooke::from(&with_poisson_ratio(settings, 0.45)?));
+    prepare(settings, &law, VolumeResistance::Element, None)
+}
+
+fn viscous(settings: Settings) -> anyhow::Result<Prepared> {
+    let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.45)?);
+    // Any term costs the same: not those of a tissue.
+    let series = PronySeries::new(&[PronyTerm { share: 0.5, time_s: 1.0 }])?;
+    prepare(settings, &law, VolumeResistance::Element, Some(&series))
+}
+
+fn with_poisson_ratio(settings: Settings, poisson_ratio: f64) -> anyhow::Result<LinearElastic> {
     let body = StandardBody::shared(settings.size)?;
-    let material = LinearElastic::from_young_poisson(
-        body.material.young_modulus_pa(),
-        poisson_ratio,
-        body.material.density_kg_per_m3(),
-    )?;
-    let mut model = ImplicitEuler::build(&ImplicitParams {
-        mesh: &body.mesh,
-        material: &material,
-        volume,
-        fixed_nodes: &body.fixed_nodes,
-        mass_damping_per_s: 0.0,
-        stiffness_damping_s: 0.0,
-        gravity_m_per_s2: DVec3::ZERO,
+    let (young_pa, density) = (body.material.young_modulus_pa(), body.material.density_kg_per_m3());
+    Ok(LinearElastic::from_young_poisson(young_pa, poisson_ratio, density)?)
+}
+
+fn prepare(
+    settings: Settings,
+    law: &ImplicitLaw,
+    volume: VolumeResistance,
+    relaxation: Option<&PronySeries>,
+) -> anyhow::Result<Prepared> {
+    let body = StandardBody::shared(settings.size)?;
+    let fixed: Vec<FixedNode> = body.fixed_nodes.iter().map(|&n| FixedNode::all_axes(n)).collect();
+    let dynamic = DynamicBody {
+        fixed: &fixed,
         time_step_s: STEP_S,
-        tolerance: DEFAULT_TOLERANCE,
-    })?;
+        ..DynamicBody::new(&body.mesh, body.material.density_kg_per_m3())
+    };
+    let mut model =
+        ImplicitEuler::build(&ImplicitParams { volume, relaxation, ..ImplicitParams::new(dynamic, law) })?;
     // One round of the load in advance: a step costs nothing but the step.
     let topology = Topology::build(&body.mesh)?;
     let top: Vec<NodeId> =
@@ -109,7 +143,7 @@ fn prepare(settings: Settings, poisson_ratio: f64, volume: VolumeResistance) -> 
     for load in loads.iter().cycle().take(n_steps + 50) {
         model.apply(load);
         model.step(STEP_S);
-        let report = model.report();
+        let report = model.step_report();
         ensure!(report.status == ImplicitStatus::Converged, "a step ended with {report:?}");
         worst = worst.max(report.residual_share);
         newton += report.newton_iterations;

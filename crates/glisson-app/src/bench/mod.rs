@@ -4,7 +4,7 @@
 //! entry in a `CASES` list of the file it belongs to. `docs/bench.md` says how to read the result.
 
 mod machine;
-mod timing;
+pub(crate) mod timing;
 mod body;
 mod meshing;
 mod models;
@@ -15,6 +15,7 @@ mod contact;
 mod drawing;
 
 pub(crate) use machine::{Machine, MachineBudget};
+pub(crate) use timing::thread_cpu_ns;
 
 use machine::isa_name;
 

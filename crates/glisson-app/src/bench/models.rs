@@ -9,7 +9,7 @@ use glisson::mesh::NodeId;
 use glisson::mesh::topology::Topology;
 use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
-use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
+use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement};
 use glisson::solve::MeshEdges;
 
 use super::body::StandardBody;
@@ -122,14 +122,15 @@ fn tensor_mass_step(settings: Settings) -> anyhow::Result<Prepared> {
     let body = StandardBody::shared(settings.size)?;
     let stable = TensorMass::stable_step(&body.mesh, &body.material)?;
     let step_s = 0.9 * stable.step_s;
+    let fixed: Vec<FixedNode> = body.fixed_nodes.iter().map(|&node| FixedNode::all_axes(node)).collect();
+    // Without damping it moves for ever: no number becomes subnormal, which would be slow.
     let mut model = TensorMass::build(&TensorMassParams {
-        mesh: &body.mesh,
+        body: DynamicBody {
+            fixed: &fixed,
+            time_step_s: step_s,
+            ..DynamicBody::new(&body.mesh, body.material.density_kg_per_m3())
+        },
         material: &body.material,
-        fixed_nodes: &body.fixed_nodes,
-        // Without damping it moves for ever: no number becomes subnormal, which would be slow.
-        damping_per_s: 0.0,
-        gravity_m_per_s2: DVec3::ZERO,
-        time_step_s: step_s,
     })?;
     let bent_m: Vec<DVec3> = body
         .mesh

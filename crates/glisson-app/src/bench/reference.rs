@@ -7,10 +7,11 @@ use glam::DVec3;
 use glisson::math::SeededRandom;
 use glisson::mesh::TetId;
 use glisson::mesh::edit::{EditableMesh, TopologyChange};
-use glisson::model::{DeformableModel, Dynamics};
+use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
+use glisson::model::{DeformableModel, DynamicBody, FixedNode, Integration};
 
 use glisson::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
-use glisson::model::kernel::{FastKernel, KernelLaw, KernelParams, KernelPath};
+use glisson::model::kernel::KernelLaw;
 use glisson::model::mass_spring::{MassSpring, MassSpringParams, NodalMasses};
 use glisson::model::nonlinear_tensor_mass::{
     NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
@@ -71,12 +72,8 @@ fn nonlinear_tensor_mass_force(settings: Settings) -> anyhow::Result<Prepared> {
         largest_stretch: 1.0,
     };
     let mut model = NonlinearTensorMass::build(&NonlinearTensorMassParams {
-        mesh: &body.mesh,
+        body: dynamic_body(&body, &[]),
         elasticity,
-        fixed_nodes: &[],
-        damping_per_s: 0.0,
-        gravity_m_per_s2: DVec3::ZERO,
-        time_step_s: STEP_S,
     })?;
     let bent_m = bent_m(&body);
     let mut force_n = vec![DVec3::ZERO; bent_m.len()];
@@ -105,20 +102,24 @@ fn step_of<M: DeformableModel + Send + 'static>(body: &StandardBody, mut model: 
     )
 }
 
-fn dynamics(body: &StandardBody) -> Dynamics<'_> {
-    Dynamics { fixed_nodes: &body.fixed_nodes, time_step_s: STEP_S, ..Dynamics::default() }
+fn dynamic_body<'a>(body: &'a StandardBody, fixed: &'a [FixedNode]) -> DynamicBody<'a> {
+    let density_kg_per_m3 = body.material.density_kg_per_m3();
+    DynamicBody { fixed, time_step_s: STEP_S, ..DynamicBody::new(&body.mesh, density_kg_per_m3) }
+}
+
+fn held(body: &StandardBody) -> Vec<FixedNode> {
+    body.fixed_nodes.iter().copied().map(FixedNode::all_axes).collect()
 }
 
 fn mass_spring_step(settings: Settings) -> anyhow::Result<Prepared> {
     let body = StandardBody::shared(settings.size)?;
     let model = MassSpring::build(&MassSpringParams {
-        mesh: &body.mesh,
+        body: dynamic_body(&body, &held(&body)),
         young_modulus_pa: body.material.young_modulus_pa(),
-        density_kg_per_m3: body.material.density_kg_per_m3(),
         masses: NodalMasses::VolumeWeighted,
         link_damping_n_s_per_m: 0.0,
         node_damping_n_s_per_m: 0.0,
-        dynamics: dynamics(&body),
+        integration: Integration::default(),
     })?;
     Ok(step_of(&body, model))
 }
@@ -126,11 +127,11 @@ fn mass_spring_step(settings: Settings) -> anyhow::Result<Prepared> {
 fn extended_mass_spring_step(settings: Settings) -> anyhow::Result<Prepared> {
     let body = StandardBody::shared(settings.size)?;
     let model = ExtendedMassSpring::build(&ExtendedMassSpringParams {
-        mesh: &body.mesh,
+        body: dynamic_body(&body, &held(&body)),
         law: EdgeLaw::StVenantKirchhoff,
         material: &body.material,
         viscosity_kg_per_m3_s: 0.0,
-        dynamics: dynamics(&body),
+        integration: Integration::default(),
     })?;
     Ok(step_of(&body, model))
 }
@@ -147,27 +148,27 @@ fn remove_tetrahedron(settings: Settings) -> anyhow::Result<Prepared> {
         order.swap(i, (random.next_u64() % (i as u64 + 1)) as usize);
     }
     order.truncate(n_tets.div_ceil(2));
-    let whole_kernel = move || {
-        let (law, path) = (KernelLaw::StVenantKirchhoff, KernelPath::fastest());
-        FastKernel::new(&KernelParams { mesh: &body.mesh, law, materials: &[body.material], path })
-            .expect("the standard body is sound")
-    };
-    let (mut mesh, mut kernel) = (whole_mesh.clone(), whole_kernel());
-    let (mut change, mut next) = (TopologyChange::default(), 0);
+    let params = ExplicitKernelParams::new(
+        dynamic_body(&body, &[]),
+        KernelLaw::StVenantKirchhoff,
+        std::slice::from_ref(&body.material),
+    );
+    let whole = ExplicitKernel::build(&params)?;
+    let (mut mesh, mut model) = (whole_mesh.clone(), whole.clone());
+    let mut change = TopologyChange::with_room_for_removals(n_tets);
+    let mut next = 0;
     Ok(prepared(
         n_tets,
-        "St Venant-Kirchhoff, mesh and kernel".to_owned(),
+        "St Venant-Kirchhoff, mesh and explicit model".to_owned(),
         Box::new(move || {
             if next == order.len() {
-                (mesh, kernel, next) = (whole_mesh.clone(), whole_kernel(), 0);
+                (mesh, model, next) = (whole_mesh.clone(), whole.clone(), 0);
             }
             let tet = order[next];
             next += 1;
             mesh.remove_into(&[tet], &mut change).expect("each is removed once");
-            for &tet in &change.tets.removed {
-                kernel.remove_tet(mesh.mesh(), tet);
-            }
-            black_box((&change, &kernel));
+            model.topology_changed(mesh.mesh(), &change).expect("the model follows removals");
+            black_box((&change, &model));
         }),
     ))
 }

@@ -11,9 +11,10 @@ use glisson::material::tissues::Tissue;
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::faults::{FaultAction, ImportPolicy};
 use glisson::mesh::files::read_mesh_with;
+use glisson::model::kind::ModelKind;
 use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
 use glisson::scene::{OrganBody, read_organ};
-use glisson::world::spec::{FixedRegion, nodes_in};
+use glisson::world::spec::{Region, Support, fixed_nodes};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Compute and save the compliance of a mesh for the pre-computed model.
@@ -89,7 +90,7 @@ fn material(args: &Args) -> anyhow::Result<LinearElastic> {
     }
 }
 
-fn fixed_regions(args: &Args) -> anyhow::Result<Vec<FixedRegion>> {
+fn fixed_regions(args: &Args) -> anyhow::Result<Vec<Region>> {
     const M_PER_MM: f64 = 1e-3;
     let mut regions = Vec::new();
     for b in &args.fix_box_mm {
@@ -97,18 +98,18 @@ fn fixed_regions(args: &Args) -> anyhow::Result<Vec<FixedRegion>> {
         if min_m.cmpgt(max_m).any() {
             bail!("--fix-box-mm {b:?}: the first corner must be the smallest in x, y and z");
         }
-        regions.push(FixedRegion::Box(Aabb { min_m, max_m }));
+        regions.push(Region::Box(Aabb { min_m, max_m }));
     }
     for b in &args.fix_ball_mm {
         let center_m = DVec3::from_slice(&b[..3]) * M_PER_MM;
-        regions.push(FixedRegion::Ball { center_m, radius_m: b[3] * M_PER_MM });
+        regions.push(Region::Ball { center_m, radius_m: b[3] * M_PER_MM });
     }
     for f in &args.fix_furthest {
         let (direction, fraction) = (DVec3::from_slice(&f[..3]), f[3]);
         if direction == DVec3::ZERO || !(fraction > 0.0 && fraction < 1.0) {
             bail!("--fix-furthest {f:?}: needs a direction that is not zero and a share between 0 and 1");
         }
-        regions.push(FixedRegion::Furthest { direction, fraction });
+        regions.push(Region::Furthest { direction, fraction });
     }
     Ok(regions)
 }
@@ -122,8 +123,9 @@ fn body_of_mesh(args: &Args) -> anyhow::Result<OrganBody> {
     let regions = fixed_regions(args)?;
     let policy = ImportPolicy { faults: FaultAction::Refuse, ..ImportPolicy::default() };
     let (mesh, _) = read_mesh_with(&args.input, &policy)?;
-    let fixed_nodes = nodes_in(&regions, &mesh.positions_m);
-    if fixed_nodes.is_empty() {
+    let supports: Vec<Support> = regions.into_iter().map(Support::all_axes).collect();
+    let fixed = fixed_nodes(&supports, &mesh.positions_m);
+    if fixed.is_empty() {
         let bounds = Aabb::of_points(&mesh.positions_m);
         let (min_mm, max_mm) = (1e3 * bounds.min_m, 1e3 * bounds.max_m);
         bail!(
@@ -132,7 +134,10 @@ fn body_of_mesh(args: &Args) -> anyhow::Result<OrganBody> {
             args.input.display()
         );
     }
-    Ok(OrganBody { mesh, material, material_text: String::new(), fixed_nodes })
+    // A pre-computed organ goes through states at rest only: no step.
+    let mut body = OrganBody::new(mesh, material, 0.0);
+    body.fixed = fixed;
+    Ok(body)
 }
 
 /// Mesh, material and support that a scene says.
@@ -153,7 +158,8 @@ fn body_of_scene(args: &Args) -> anyhow::Result<OrganBody> {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let is_scene = args.input.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
     let body = if is_scene { body_of_scene(args)? } else { body_of_mesh(args)? };
-    let OrganBody { mesh, material, fixed_nodes, .. } = body;
+    let fixed_nodes = body.nodes_fixed_wholly(ModelKind::Precomputed)?;
+    let OrganBody { mesh, material, .. } = body;
 
     let start = Instant::now();
     let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());

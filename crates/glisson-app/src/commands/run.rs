@@ -74,6 +74,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         write_atomically(csv, |out| out.write_all(rows.as_bytes()))
             .with_context(|| format!("{}: cannot write", csv.display()))?;
     }
+    for notice in simulation.notices() {
+        eprintln!("{notice}");
+    }
     let model = simulation.world().model_kind().name();
     let state_hash = simulation.finish()?;
     let simulated_s = steps as f64 * time_step_s;

@@ -3,10 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use glisson::material::{
-    HolzapfelGasserOgden, HolzapfelGasserOgdenParameters, LinearElastic, MaterialSpec, MooneyRivlin,
-    NeoHookeLog, Ogden, StVenantKirchhoff, StableNeoHooke,
-};
+use glisson::material::{LawChoice, LinearElastic, MaterialSpec};
 use glisson::math::DVec3;
 use glisson::solve::case::{StaticCase, read_case, write_vectors};
 use glisson::solve::{
@@ -90,32 +87,31 @@ fn parse_direction(text: &str) -> Result<DVec3, String> {
 }
 
 fn law_of(args: &Args, linear: &LinearElastic) -> anyhow::Result<MaterialSpec> {
-    Ok(match args.law {
-        Law::Linear => MaterialSpec::Linear(*linear),
-        Law::StVenantKirchhoff => MaterialSpec::StVenantKirchhoff(StVenantKirchhoff::from(linear)),
-        Law::NeoHookeLog => MaterialSpec::NeoHookeLog(NeoHookeLog::from(linear)),
-        Law::StableNeoHooke => MaterialSpec::StableNeoHooke(StableNeoHooke::from(linear)),
-        Law::MooneyRivlin => MaterialSpec::MooneyRivlin(MooneyRivlin::from_linear(linear, args.c01_share)?),
-        Law::Ogden => {
-            let alpha =
-                args.alpha.context("the law ogden needs its exponent: --alpha (brain: --alpha=-4.7)")?;
-            MaterialSpec::Ogden(Ogden::from_linear(linear, alpha)?)
-        }
+    let choice = match args.law {
+        Law::Linear => LawChoice::Linear,
+        Law::StVenantKirchhoff => LawChoice::StVenantKirchhoff,
+        Law::NeoHookeLog => LawChoice::NeoHookeLog,
+        Law::StableNeoHooke => LawChoice::StableNeoHooke,
+        Law::MooneyRivlin => LawChoice::MooneyRivlin { second_share: args.c01_share },
+        Law::Ogden => LawChoice::Ogden {
+            exponent: args
+                .alpha
+                .context("the law ogden needs its exponent: --alpha (brain: --alpha=-4.7)")?,
+        },
         Law::HolzapfelGasserOgden => {
             if args.fibre.is_empty() {
                 bail!("the law holzapfel_gasser_ogden needs a fibre direction: --fibre x,y,z");
             }
             let k1_kpa = args.k1.context("the law holzapfel_gasser_ogden needs --k1 (kPa)")?;
-            MaterialSpec::HolzapfelGasserOgden(HolzapfelGasserOgden::new(&HolzapfelGasserOgdenParameters {
-                matrix_shear_pa: linear.mu_pa(),
+            LawChoice::HolzapfelGasserOgden {
                 fibre_stiffness_pa: 1e3 * k1_kpa,
                 fibre_exponent: args.k2.context("the law holzapfel_gasser_ogden needs --k2")?,
                 dispersion: args.kappa,
                 fibre_directions: args.fibre.clone(),
-                bulk_pa: linear.bulk_modulus_pa(),
-            })?)
+            }
         }
-    })
+    };
+    Ok(choice.with_moduli_of(linear)?)
 }
 
 /// A solution of either solver, and what the non-linear one has to say about itself.

@@ -46,8 +46,9 @@ fn table(experiments: &[Experiment]) -> String {
 /// The page: a section a group, with table, figures and notes.
 fn page(outcomes: &[(&Group, Outcome)]) -> String {
     let mut text = String::from(
-        "# Validation\n\nWhat `glisson validate --out DIR` writes: every claim with its source, the value expected and the one \
-         obtained.\n",
+        "# Validation\n\nEvery claim with its source, the value expected and the one obtained. Made by \
+         `cargo run --release -p glisson-app -- validate --out docs/validation` (any folder will do); \
+         `validation.json` has the same table for programs.\n",
     );
     for (group, outcome) in outcomes {
         text += &format!("\n## {}\n{}\n\n{}", group.name, group.about, table(&outcome.experiments));

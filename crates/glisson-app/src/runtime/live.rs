@@ -2,6 +2,7 @@
 
 use super::Simulation;
 use crate::server::frames::Pace;
+use glisson::math::DVec3;
 use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::snapshot::Snapshot;
@@ -22,6 +23,8 @@ pub(crate) enum Command {
     Reset,
     /// Another model should take over.
     Model(ModelKind),
+    /// The table is tilted: gravity from now on [m/s2].
+    Gravity(DVec3),
     /// The program ends.
     Stop,
 }
@@ -33,16 +36,16 @@ pub(crate) struct Published {
     pub(crate) pace: Pace,
     pub(crate) state_hash: StateHash,
     pub(crate) model: ModelKind,
-    /// Why ordered models could not take over, in order.
-    pub(crate) refusals: Vec<String>,
+    /// What the user should know, in order.
+    pub(crate) notices: Vec<String>,
 }
 
 impl Published {
     pub(crate) fn of(simulation: &Simulation, pace: Pace) -> Self {
         let world = simulation.world();
         let (snapshot, state_hash) = (world.snapshot(), world.state_hash());
-        let refusals = simulation.refusals().to_vec();
-        Self { snapshot, pace, state_hash, model: world.model_kind(), refusals }
+        let notices = simulation.notices().to_vec();
+        Self { snapshot, pace, state_hash, model: world.model_kind(), notices }
     }
 }
 
@@ -137,6 +140,7 @@ impl Live {
                 let at_step = self.simulation.world().steps_made() + SWAP_DELAY_STEPS;
                 self.simulation.order_model(kind, at_step)?;
             }
+            Command::Gravity(gravity_m_per_s2) => self.simulation.set_gravity(gravity_m_per_s2)?,
             Command::Stop => {}
         }
         Ok(false)
@@ -196,7 +200,6 @@ pub(crate) fn run(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glisson::math::DVec3;
 
     #[test]
     fn the_tip_reaches_its_target_and_never_exceeds_its_speed() {

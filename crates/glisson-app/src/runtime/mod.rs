@@ -1,17 +1,21 @@
 //! A world with a clock, a session being recorded, and models that are made in the background.
 
+mod incidents;
 pub(crate) mod live;
 pub(crate) mod recorder;
 pub(crate) mod replay;
 
 use anyhow::{Context, anyhow, bail};
-use glisson::mesh::TetMesh;
+use glisson::math::DVec3;
+use glisson::mesh::edit::MeshEdit;
+use glisson::mesh::{TetId, TetMesh};
 use glisson::model::DeformableModel;
 use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::session::SessionEvent;
 use glisson::scene::{OrganBody, Scene, build_model, build_world, mesh_hash};
 use glisson::world::{StepInput, StepReport, World};
+use incidents::Incidents;
 use recorder::Recorder;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -45,10 +49,10 @@ impl OpenScene {
 pub(crate) struct Simulation {
     world: World,
     body: Arc<OrganBody>,
-    source: Arc<OpenScene>,
     recorder: Option<Recorder>,
     builder: Option<JoinHandle<BuiltModel>>,
-    refusals: Vec<String>,
+    incidents: Incidents,
+    notices: Vec<String>,
 }
 
 impl Simulation {
@@ -62,10 +66,10 @@ impl Simulation {
         Ok(Self {
             world,
             body: Arc::new(body),
-            source: Arc::new(source),
             recorder,
             builder: None,
-            refusals: Vec::new(),
+            incidents: Incidents::default(),
+            notices: Vec::new(),
         })
     }
 
@@ -104,6 +108,7 @@ impl Simulation {
                 report.n_non_finite_nodes
             );
         }
+        self.notices.extend(self.incidents.of_step(&report));
         if report.step.is_multiple_of(CHECKPOINT_STEPS) && self.recorder.is_some() {
             let state_hash = self.world.state_hash();
             self.record(&SessionEvent::Checkpoint { step: report.step, state_hash })?;
@@ -116,22 +121,24 @@ impl Simulation {
     fn take_delivery(&mut self, kind: ModelKind) -> anyhow::Result<()> {
         let builder = self.builder.take().with_context(|| format!("nobody makes the {kind} model"))?;
         match builder.join().map_err(|_| anyhow!("the {kind} model's maker panicked"))? {
-            Ok((model, made)) => {
-                if !self.world.deliver_model(model, made) {
-                    bail!("the {made} model was made, but the {kind} model was ordered");
-                }
-            }
-            Err(error) => {
-                self.world.cancel_model_swap();
-                self.refusals.push(format!("the {kind} model cannot take over: {error:#}"));
-            }
+            Ok((model, made)) => match self.world.deliver_model(model, made) {
+                Ok(true) => {}
+                Ok(false) => bail!("the {made} model was made, but the {kind} model was ordered"),
+                Err(refusal) => self.refuse_model(kind, &refusal.into()),
+            },
+            Err(error) => self.refuse_model(kind, &error),
         }
         Ok(())
     }
 
-    /// Why ordered models could not take over, in order.
-    pub(crate) fn refusals(&self) -> &[String] {
-        &self.refusals
+    fn refuse_model(&mut self, kind: ModelKind, error: &anyhow::Error) {
+        self.world.cancel_model_swap();
+        self.notices.push(format!("the {kind} model cannot take over: {error:#}"));
+    }
+
+    /// What the user should know: why ordered models could not take over, what went wrong in steps. In order.
+    pub(crate) fn notices(&self) -> &[String] {
+        &self.notices
     }
 
     /// Everything back to rest.
@@ -141,15 +148,32 @@ impl Simulation {
         Ok(())
     }
 
+    /// Gravity from now on.
+    pub(crate) fn set_gravity(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
+        self.record(&SessionEvent::Gravity { step: self.world.steps_made(), gravity_m_per_s2 })?;
+        self.world.set_gravity(gravity_m_per_s2);
+        Ok(())
+    }
+
+    /// Takes tetrahedra out of the organ. A model that cannot follow is no reason to stop: nothing changes, and the
+    /// reason is told.
+    pub(crate) fn remove_tetrahedra(&mut self, tets: Vec<TetId>) -> anyhow::Result<()> {
+        self.record(&SessionEvent::Remove { step: self.world.steps_made(), tets: tets.clone() })?;
+        if let Err(refusal) = self.world.edit(&MeshEdit::Remove { tets }) {
+            self.notices.push(format!("nothing was cut: {refusal}"));
+        }
+        Ok(())
+    }
+
     /// Starts making another model; it takes over before step `at_step`, whenever it is ready.
     pub(crate) fn order_model(&mut self, kind: ModelKind, at_step: u64) -> anyhow::Result<()> {
         let step = self.world.steps_made();
         let at_step = at_step.max(step);
         self.record(&SessionEvent::QueueModelSwap { step, at_step, model: kind })?;
         self.world.queue_model_swap(at_step, kind);
-        let (body, source) = (Arc::clone(&self.body), Arc::clone(&self.source));
+        let body = Arc::clone(&self.body);
         self.builder = Some(std::thread::spawn(move || {
-            let model = build_model(&source.scene, &source.folder, &body, kind)?;
+            let model = build_model(&body, kind)?;
             Ok((model, kind))
         }));
         Ok(())

@@ -66,6 +66,8 @@ pub(crate) fn replay(
                 input = StepInput { tool, n_substeps, placed }
             }
             SessionEvent::Reset { .. } => simulation.reset()?,
+            SessionEvent::Gravity { gravity_m_per_s2, .. } => simulation.set_gravity(gravity_m_per_s2)?,
+            SessionEvent::Remove { ref tets, .. } => simulation.remove_tetrahedra(tets.clone())?,
             SessionEvent::QueueModelSwap { at_step, model, .. } => simulation.order_model(model, at_step)?,
             SessionEvent::Checkpoint { step, state_hash } => {
                 report.checkpoints += 1;

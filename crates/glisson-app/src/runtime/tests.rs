@@ -93,7 +93,7 @@ fn a_model_that_cannot_be_made_is_told_and_the_present_one_goes_on_also_in_the_r
         simulation.advance(&input(step)).unwrap();
     }
     assert_eq!(simulation.world().model_kind(), ModelKind::Precomputed);
-    assert!(simulation.refusals()[0].contains("stable"), "{:?}", simulation.refusals());
+    assert!(simulation.notices()[0].contains("stable"), "{:?}", simulation.notices());
     let hash = simulation.finish().unwrap();
     let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
     let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();

@@ -25,7 +25,7 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             "model": world.model_kind().name(),
             "material": simulation.body().material_text,
             "time_step_s": spec.time_step_s,
-            "gravity_m_per_s2": [0.0, 0.0, 0.0],
+            "gravity_m_per_s2": world.gravity_m_per_s2().to_array(),
             "n_nodes": organ.mesh().positions_m.len(),
             "n_tetrahedra": organ.mesh().tetrahedra.len(),
         },
@@ -86,7 +86,11 @@ enum ViewerMessage {
     SingleStep {},
     Reset {},
     Model { name: String },
+    Gravity { m_per_s2: [f64; 3] },
 }
+
+/// Ten times that of the Earth: more is a mistyped number.
+const STRONGEST_GRAVITY_M_PER_S2: f64 = 100.0;
 
 /// What a viewer asks for, or why it cannot be understood.
 pub(super) fn command(text: &str) -> Result<Command, String> {
@@ -108,6 +112,15 @@ pub(super) fn command(text: &str) -> Result<Command, String> {
                 .ok_or_else(|| format!("no model \"{name}\"; there are: {names}"))?;
             Command::Model(kind)
         }
+        ViewerMessage::Gravity { m_per_s2 } => {
+            let gravity_m_per_s2 = DVec3::from_array(m_per_s2);
+            if gravity_m_per_s2.length() > STRONGEST_GRAVITY_M_PER_S2 {
+                return Err(format!(
+                    "gravity of {m_per_s2:?} m/s2; allowed: up to {STRONGEST_GRAVITY_M_PER_S2}"
+                ));
+            }
+            Command::Gravity(gravity_m_per_s2)
+        }
     })
 }
 
@@ -122,6 +135,8 @@ mod tests {
         let tool = command(r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,2]}"#).unwrap();
         let expected = ToolInput { tip_in_world_m: DVec3::new(1.0, 2.0, 3.0), shaft_in_world: DVec3::Z };
         assert_eq!(tool, Command::Tool(expected));
+        let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
+        assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));
         for bad in [
             "",
             "{}",
@@ -130,6 +145,7 @@ mod tests {
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,0]}"#,
             r#"{"type":"tool","tip_m":[1,2,1e999],"shaft":[0,0,1]}"#,
             r#"{"type":"model","name":"jelly"}"#,
+            r#"{"type":"gravity","m_per_s2":[0,981,0]}"#,
         ] {
             assert!(command(bad).is_err(), "{bad}");
         }

@@ -166,7 +166,7 @@ async fn greet(socket: &mut WebSocket, shared: &Shared, model: ModelKind) -> Res
 
 async fn talk(mut socket: WebSocket, shared: &Shared) -> Result<(), axum::Error> {
     let mut published = shared.published.clone();
-    let (mut model, mut n_told) = (published.borrow().model, published.borrow().refusals.len());
+    let (mut model, mut n_told) = (published.borrow().model, published.borrow().notices.len());
     greet(&mut socket, shared, model).await?;
     published.mark_changed();
     loop {
@@ -177,10 +177,10 @@ async fn talk(mut socket: WebSocket, shared: &Shared) -> Result<(), axum::Error>
                     return socket.send(Message::Text(error.to_string().into())).await;
                 }
                 let latest = Arc::clone(&published.borrow_and_update());
-                for refusal in &latest.refusals[n_told..] {
-                    socket.send(Message::Text(messages::error(refusal).to_string().into())).await?;
+                for notice in &latest.notices[n_told..] {
+                    socket.send(Message::Text(messages::error(notice).to_string().into())).await?;
                 }
-                n_told = latest.refusals.len();
+                n_told = latest.notices.len();
                 if latest.model != model {
                     model = latest.model;
                     greet(&mut socket, shared, model).await?;

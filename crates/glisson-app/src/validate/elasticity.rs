@@ -1,5 +1,6 @@
 //! Linear, St Venant-Kirchhoff and ln J neo-Hooke elasticity against finite-element solutions.
 
+use super::bodies::most;
 use super::{Experiment, Outcome};
 use anyhow::Context;
 use glisson::material::{MaterialSpec, NeoHookeLog, StVenantKirchhoff};
@@ -79,9 +80,8 @@ pub(super) fn cylinder_case() -> anyhow::Result<StaticCase> {
 
 /// Largest distance over the largest expected length.
 pub(super) fn relative_difference(found: &[DVec3], expected: &[DVec3]) -> f64 {
-    let scale = expected.iter().map(|v| v.length()).fold(0.0, f64::max);
-    let worst = found.iter().zip(expected).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
-    worst / scale
+    let scale = most(expected.iter().map(|v| v.length()));
+    most(found.iter().zip(expected).map(|(a, b)| a.distance(*b))) / scale
 }
 
 pub(super) fn experiments() -> anyhow::Result<Outcome> {

@@ -7,11 +7,11 @@ use glisson::mesh::NodeId;
 use glisson::model::kind::ModelKind;
 use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
-use glisson::model::{Constraints, DeformableModel, NodalForce};
+use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, NodalForce, Rayleigh};
 use glisson::record::hash::StateHash;
 use glisson::solve::case::StaticCase;
 use glisson::tool::{Tool, ToolInput};
-use glisson::world::spec::{FixedRegion, WorldSpec};
+use glisson::world::spec::{Region, Support, WorldSpec};
 use glisson::world::{StepInput, World};
 
 const RR_3511: &str = "Cotin, Delingette and Ayache 1998, RR-3511";
@@ -75,13 +75,15 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let second = body.loaded(&mut precomputed, [0.0, 1.0], 1);
     let sum: Vec<DVec3> = first.iter().zip(&second).map(|(a, b)| *a + *b).collect();
 
+    let fixed: Vec<FixedNode> = body.fixed.iter().map(|&node| FixedNode::all_axes(node)).collect();
     let mut tensor_mass = TensorMass::build(&TensorMassParams {
-        mesh: &body.case.mesh,
+        body: DynamicBody {
+            fixed: &fixed,
+            damping: Rayleigh::of_mass(60.0),
+            time_step_s: TIME_STEP_S,
+            ..DynamicBody::new(&body.case.mesh, body.case.material.density_kg_per_m3())
+        },
         material: &body.case.material,
-        fixed_nodes: &body.fixed,
-        damping_per_s: 60.0,
-        gravity_m_per_s2: DVec3::ZERO,
-        time_step_s: TIME_STEP_S,
     })?;
     let at_rest = body.loaded(&mut tensor_mass, [1.0, 1.0], 20_000);
 
@@ -137,8 +139,9 @@ fn palpate(body: &Body) -> anyhow::Result<(f64, StateHash)> {
         home: at(HEIGHT_M + 2.0 * tip_radius_m),
     };
     let (min_m, max_m) = (DVec3::new(-1.0, -1.0, -1e-9), DVec3::new(1.0, 1.0, 1e-9));
-    let base = FixedRegion::Box(Aabb { min_m, max_m });
-    let spec = WorldSpec { name: "cylinder".into(), time_step_s: 1e-3, fixed: vec![base], tool };
+    let base = Region::Box(Aabb { min_m, max_m });
+    let mut spec = WorldSpec::new("cylinder", 1e-3, tool);
+    spec.supports = vec![Support::all_axes(base)];
     let model = Box::new(body.precomputed()?);
     let mut world = World::new(spec, body.case.mesh.clone(), model, ModelKind::Precomputed)?;
     let mut step = |z_m: f64| {

@@ -1,8 +1,20 @@
 //! The experiments of `glisson validate`: each claim with its source, what is expected, and what was obtained now.
 
+mod adaptive;
+mod benchmarks;
+mod bodies;
+mod cutting;
 mod elasticity;
 mod image;
 mod interaction;
+mod model_rheology;
+mod prestress;
+mod rheology;
+mod rotation;
+mod tissue;
+mod tubes;
+mod unit;
+mod volume;
 
 use crate::plot::LinePlot;
 use serde::Serialize;
@@ -34,6 +46,18 @@ impl Experiment {
             obtained,
             tolerance: format!("{limit:e}"),
             pass: obtained <= limit,
+        }
+    }
+
+    /// A value near `expected`; `tolerance` is a share of it.
+    fn near(name: &str, source: &str, obtained: f64, expected: f64, tolerance: f64) -> Self {
+        Self {
+            name: name.into(),
+            source: source.into(),
+            expected: format!("{}", (expected * 1e6).round() / 1e6),
+            obtained,
+            tolerance: format!("{} %", (tolerance * 1e8).round() / 1e6),
+            pass: (obtained - expected).abs() <= tolerance * expected.abs(),
         }
     }
 
@@ -95,6 +119,57 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "interaction",
         about: "The touched organ: pre-computed and dynamic.",
         run: interaction::experiments,
+    },
+    Group {
+        name: "unit",
+        about: "Elements and laws one by one: patch, rigid motions, derivatives, uniaxial stress, recovery, fibres.",
+        run: unit::experiments,
+    },
+    Group {
+        name: "tissue",
+        about: "Viscoelastic tissue: relaxation, and brain under unconfined compression.",
+        run: tissue::experiments,
+    },
+    Group {
+        name: "rheology",
+        about: "Springs: the cubes of seed 000 dropped, pressed and pulled, and what a step costs.",
+        run: rheology::experiments,
+    },
+    Group {
+        name: "model_rheology",
+        about: "Every dynamic model on the virtual rheology bench: plates and a punch.",
+        run: model_rheology::experiments,
+    },
+    Group {
+        name: "benchmarks",
+        about: "Structural benchmarks of the field, on plain and smoothed tetrahedra.",
+        run: benchmarks::experiments,
+    },
+    Group {
+        name: "rotation",
+        about: "A cube that is turned as a whole, by linear and non-linear tensor-mass.",
+        run: rotation::experiments,
+    },
+    Group {
+        name: "tubes",
+        about: "Three tubes under the same load: isotropic, with fibres along the axis, with stiffer ones.",
+        run: tubes::experiments,
+    },
+    Group {
+        name: "prestress",
+        about: "Stretched bodies that relax after tetrahedra are removed.",
+        run: prestress::experiments,
+    },
+    Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
+    Group {
+        name: "volume",
+        about: "Changes of volume of a bent cylinder and a pulled liver: linear, non-linear, with penalty.",
+        run: volume::experiments,
+    },
+    Group {
+        name: "adaptive",
+        about: "Non-linear forces only where they matter: error against rate, and the cost of non-linear to linear.",
+        run: adaptive::experiments,
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

@@ -127,12 +127,12 @@ pub(super) fn contraction(a: &DMat3, b: &DMat3) -> f64 {
 }
 
 /// dJ/dF: the cofactor matrix J F^-T, defined for any F.
-pub(super) fn cofactor(f: &DMat3) -> DMat3 {
+pub(crate) fn cofactor(f: &DMat3) -> DMat3 {
     DMat3::from_cols(f.y_axis.cross(f.z_axis), f.z_axis.cross(f.x_axis), f.x_axis.cross(f.y_axis))
 }
 
 /// Change of the cofactor matrix: linear in both arguments.
-pub(super) fn cofactor_differential(f: &DMat3, df: &DMat3) -> DMat3 {
+pub(crate) fn cofactor_differential(f: &DMat3, df: &DMat3) -> DMat3 {
     DMat3::from_cols(
         df.y_axis.cross(f.z_axis) + f.y_axis.cross(df.z_axis),
         df.z_axis.cross(f.x_axis) + f.z_axis.cross(df.x_axis),

@@ -20,11 +20,12 @@ pub mod tissues;
 
 pub use holzapfel_gasser_ogden::{HolzapfelGasserOgden, HolzapfelGasserOgdenParameters};
 pub use law::{Material, Tangent, largest_tangent_eigenvalue_pa, projected};
+pub(crate) use law::{cofactor, cofactor_differential};
 pub use linear_elastic::{LinearElastic, MaterialError};
 pub use mooney_rivlin::MooneyRivlin;
 pub use neo_hooke_log::NeoHookeLog;
 pub use ogden::{Ogden, OgdenTerm};
 pub use prony::{PronyHistory, PronySeries, PronyStep, PronyTerm};
-pub use spec::MaterialSpec;
+pub use spec::{LawChoice, MaterialSpec};
 pub use st_venant_kirchhoff::StVenantKirchhoff;
 pub use stable_neo_hooke::StableNeoHooke;

@@ -2,9 +2,9 @@
 //!
 //! W = sum_p 2 mu_p/alpha_p^2 (t_1^alpha_p + t_2^alpha_p + t_3^alpha_p - 3) + K/2 (J - 1)^2 with the isochoric
 //! stretches t_i = J^(-1/3) s_i (Ogden 1972, doi 10.1098/rspa.1972.0026, in the normalization of Miller and
-//! Chinzei 2002, doi 10.1016/S0021-9290(01)00201-X; the volumetric term is K/2 (J - 1)^2). mu_p, K [Pa].
+//! Chinzei 2002, doi 10.1016/S0021-9290(01)00234-2; the volumetric term is K/2 (J - 1)^2). mu_p, K [Pa].
 //! Small strain: mu = sum mu_p, bulk modulus K. Valid for J > 0 (an inverted element has infinite energy);
-//! brain: mu = 842 Pa, alpha = -4.7 for stretches from 0.7 to 1.3.
+//! brain: mu = 842 Pa, alpha = -4.7 for stretches from 0.74 to 1.22 (natural strain -0.3 to 0.2, Miller and Chinzei).
 
 use super::eigen::signed_singular_values;
 use super::linear_elastic::check_bulk;

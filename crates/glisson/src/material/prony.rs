@@ -2,10 +2,10 @@
 //!
 //! P(t) = P_e(t) - sum_k g_k integral_0^t (1 - exp(-(t - s)/tau_k)) dP_e(s)/ds ds, where P_e is the law's
 //! stress of F(t) (convolution on the elastic stress, Miller and Chinzei 2002,
-//! doi 10.1016/S0021-9290(01)00201-X). Equally P = (1 - sum g_k) P_e + sum g_k h_k with the histories
+//! doi 10.1016/S0021-9290(01)00234-2). Equally P = (1 - sum g_k) P_e + sum g_k h_k with the histories
 //! dh_k/dt = dP_e/dt - h_k/tau_k. Relaxation after a step: G(t)/G(0) = 1 - sum g_k (1 - exp(-t/tau_k)).
 //!
-//! The recursion over a step dt (as Kaliske and Rothert 1997, doi 10.1007/s004660050171)
+//! The recursion over a step dt (as Kaliske and Rothert, Computational Mechanics 19:228-239, 1997)
 //!
 //! h_k(t + dt) = e h_k(t) + (tau_k/dt)(1 - e) (P_e(t + dt) - P_e(t)), e = exp(-dt/tau_k),
 //!
@@ -110,8 +110,16 @@ impl PronySeries {
 
     /// The recursion for steps of `step_s` > 0.
     pub fn step(&self, step_s: f64) -> PronyStep {
-        let terms = self.terms.iter().map(|k| k.recursion(step_s)).collect();
-        PronyStep { lasting_share: 1.0 - self.terms.iter().map(|k| k.share).sum::<f64>(), terms }
+        let mut step = PronyStep { lasting_share: 1.0, terms: Vec::with_capacity(self.terms.len()) };
+        self.step_into(step_s, &mut step);
+        step
+    }
+
+    /// Overwrites the recursion of this series with the one for steps of `step_s` > 0; no allocation.
+    pub fn step_into(&self, step_s: f64, step: &mut PronyStep) {
+        step.lasting_share = 1.0 - self.terms.iter().map(|k| k.share).sum::<f64>();
+        step.terms.clear();
+        step.terms.extend(self.terms.iter().map(|k| k.recursion(step_s)));
     }
 }
 

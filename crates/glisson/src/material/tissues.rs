@@ -46,7 +46,7 @@ pub const TISSUES: [Tissue; 6] = [
         young_modulus_pa: 4100.0,
         young_modulus_range_pa: [2300.0, 5900.0],
         source: "Fung et al. 2013, doi 10.1371/journal.pone.0085067",
-        test_condition: "transient elastography (E = 3 G) in vivo, 530 healthy adults: mean 4.1 kPa, standard deviation 0.89, reference range 2.3 to 5.9",
+        test_condition: "transient elastography (E = 3 G) in vivo, 530 healthy Chinese adults: mean 4.1 kPa, standard deviation 0.89, reference range 2.3 to 5.9",
         poisson_ratio: MODELLING_POISSON_RATIO,
         density_kg_per_m3: Some(1060.0),
         density_source: Some(MECH_MATER_2012),

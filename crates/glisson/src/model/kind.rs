@@ -11,26 +11,75 @@ pub enum ModelKind {
     Precomputed,
     /// Linear tensor-mass: explicit dynamics, can be cut.
     TensorMass,
-    /// St Venant-Kirchhoff tensor-mass: explicit dynamics, right under large rotations, can be cut.
-    StVenantKirchhoff,
+    /// St Venant-Kirchhoff tensor-mass as in the papers, the reference implementation: explicit dynamics, right
+    /// under large rotations, can be cut.
+    NonlinearTensorMass,
+    /// The fast kernel with any law, total Lagrangian explicit dynamics: can be cut, on several threads.
+    Explicit,
+    /// Implicit Euler with any law: large steps, can be cut.
+    Implicit,
+    /// Masses and springs on the edges: explicit dynamics, can be cut, no law of elasticity behind it.
+    MassSpring,
+    /// Forces from squared edge lengths, with viscosity: explicit dynamics, can be cut.
+    ExtendedMassSpring,
 }
 
 impl ModelKind {
     /// All kinds, in the order that messages list them.
-    pub const ALL: [Self; 3] = [Self::Precomputed, Self::TensorMass, Self::StVenantKirchhoff];
+    pub const ALL: [Self; 7] = [
+        Self::Precomputed,
+        Self::TensorMass,
+        Self::NonlinearTensorMass,
+        Self::Explicit,
+        Self::Implicit,
+        Self::MassSpring,
+        Self::ExtendedMassSpring,
+    ];
 
     /// The name in scene files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Precomputed => "precomputed",
             Self::TensorMass => "tensor_mass",
-            Self::StVenantKirchhoff => "st_venant_kirchhoff",
+            Self::NonlinearTensorMass => "nonlinear_tensor_mass",
+            Self::Explicit => "explicit",
+            Self::Implicit => "implicit",
+            Self::MassSpring => "mass_spring",
+            Self::ExtendedMassSpring => "extended_mass_spring",
         }
     }
 
     /// The kind with this scene name.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// Names of the laws that the model can follow; the first is its own. None for springs without a law.
+    pub fn laws(self) -> &'static [&'static str] {
+        match self {
+            Self::Precomputed | Self::TensorMass => &["linear"],
+            Self::NonlinearTensorMass => &["st_venant_kirchhoff"],
+            Self::Explicit => &[
+                "st_venant_kirchhoff",
+                "linear",
+                "neo_hooke_log",
+                "stable_neo_hooke",
+                "mooney_rivlin",
+                "ogden",
+                "holzapfel_gasser_ogden",
+            ],
+            Self::Implicit => &[
+                "neo_hooke_log",
+                "stable_neo_hooke",
+                "st_venant_kirchhoff",
+                "linear",
+                "mooney_rivlin",
+                "ogden",
+                "holzapfel_gasser_ogden",
+            ],
+            Self::MassSpring => &[],
+            Self::ExtendedMassSpring => &["st_venant_kirchhoff", "neo_hooke_log"],
+        }
     }
 }
 

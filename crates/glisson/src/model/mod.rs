@@ -1,7 +1,6 @@
 //! Deformable models behind one contract: constraints in, positions and reaction forces out.
 
 mod body;
-mod explicit_body;
 mod report;
 pub mod extended_mass_spring;
 pub mod implicit;
@@ -15,8 +14,9 @@ pub mod rheology;
 pub mod tensor_mass;
 pub mod nonlinear_tensor_mass;
 
-pub use body::{Attachment, DEFAULT_MOST_PARTS, DynamicBody, FixedNode, Rayleigh, RestStress};
-pub use explicit_body::{Dynamics, ExplicitBodyError, Inertia};
+pub use crate::solve::{Attachment, FixedNode, RestStress};
+pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};
+pub use explicit::{ExplicitError, Inertia, Integration};
 pub use report::ModelReport;
 
 use crate::math::DVec3;

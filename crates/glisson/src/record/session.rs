@@ -5,6 +5,8 @@
 //! model is swapped in) stands here as an input. Check-point hashes let a replay say where it first differs.
 
 use super::hash::StateHash;
+use crate::math::DVec3;
+use crate::mesh::TetId;
 use crate::model::kind::ModelKind;
 use crate::tool::ToolInput;
 use serde::{Deserialize, Serialize};
@@ -64,6 +66,20 @@ pub enum SessionEvent {
         /// Index of the step to be made.
         step: u64,
     },
+    /// From this step on gravity is this one.
+    Gravity {
+        /// Index of the step to be made.
+        step: u64,
+        /// Gravity [m/s2].
+        gravity_m_per_s2: DVec3,
+    },
+    /// Before this step these tetrahedra were taken out.
+    Remove {
+        /// Index of the step to be made.
+        step: u64,
+        /// Which ones.
+        tets: Vec<TetId>,
+    },
     /// Another model was ordered; it takes over before step `at_step`, which waits for it.
     QueueModelSwap {
         /// Index of the step to be made when it was ordered.
@@ -95,6 +111,8 @@ impl SessionEvent {
         match *self {
             Self::Input { step, .. }
             | Self::Reset { step }
+            | Self::Gravity { step, .. }
+            | Self::Remove { step, .. }
             | Self::QueueModelSwap { step, .. }
             | Self::Checkpoint { step, .. }
             | Self::End { step, .. } => step,
@@ -176,6 +194,9 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
                 if *n_substeps == 0 {
                     return Err(wrong(line, "n_substeps is 0; it must be at least 1".into()));
                 }
+            }
+            SessionEvent::Gravity { gravity_m_per_s2, .. } if !gravity_m_per_s2.is_finite() => {
+                return Err(wrong(line, "gravity is not finite".into()));
             }
             SessionEvent::QueueModelSwap { at_step, .. } if *at_step < step => {
                 return Err(wrong(line, format!("at_step {at_step} lies before step {step}")));

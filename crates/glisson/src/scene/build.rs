@@ -1,25 +1,29 @@
 //! From a scene to a world at rest: reads the mesh, finds the material, makes the model.
 
-use super::spec::{MaterialSource, Scene};
+use super::models::build_model;
+use super::organ::MaterialSource;
+use super::spec::Scene;
 use crate::material::tissues::{Tissue, TissueError};
-use crate::material::{LinearElastic, MaterialError};
+use crate::material::{LawChoice, LinearElastic, MaterialError, PronyTerm};
 use crate::math::DVec3;
 use crate::mesh::faults::{FaultAction, ImportPolicy};
 use crate::mesh::files::{MeshFileError, read_mesh_with};
 use crate::mesh::{NodeId, TetMesh};
-use crate::model::DeformableModel;
+use crate::model::explicit_kernel::{ExplicitKernelError, SharedWorkers};
+use crate::model::implicit::ImplicitError;
+use crate::model::kernel::Sequential;
 use crate::model::kind::ModelKind;
-use crate::model::nonlinear_tensor_mass::{
-    NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassError, NonlinearTensorMassParams,
+use crate::model::nonlinear_tensor_mass::{Fibre, NonlinearTensorMassError};
+use crate::model::precomputed::{self, PrecomputedError};
+use crate::model::{
+    Attachment, DEFAULT_MOST_PARTS, DynamicBody, ExplicitError, FixedNode, Rayleigh, RestStress,
 };
-use crate::model::precomputed::{
-    self, Precomputed, PrecomputedError, PrecomputedExpectation, PrecomputedParams, StoredNodes,
-};
-use crate::model::tensor_mass::{TensorMass, TensorMassError, TensorMassParams};
+use crate::solve::{SolveError, equilibrating_stress};
 use crate::world::World;
 use crate::world::organ::OrganError;
-use crate::world::spec::nodes_in;
+use crate::world::spec::{WorldSpec, attachments, fixed_nodes};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Why a scene gives no world.
 #[derive(Debug, thiserror::Error)]
@@ -60,29 +64,133 @@ pub enum BuildError {
     /// The pre-computed model.
     #[error(transparent)]
     Precomputed(#[from] PrecomputedError),
-    /// The tensor-mass model; its numbers are those of the scene.
+    /// A model with explicit dynamics; its numbers are those of the scene.
     #[error("[simulation] or [organ]")]
-    TensorMass(#[from] TensorMassError),
-    /// The St Venant-Kirchhoff model; its numbers are those of the scene.
+    Explicit(#[from] ExplicitError),
+    /// The explicit model; its numbers are those of the scene.
     #[error("[simulation] or [organ]")]
-    StVenantKirchhoff(#[from] NonlinearTensorMassError),
+    ExplicitKernel(#[from] ExplicitKernelError),
+    /// The stress that balances gravity in the rest shape.
+    #[error(
+        "the stress that balances gravity: {0}; with imaged_under_gravity = false the organ sags instead"
+    )]
+    RestStress(SolveError),
+    /// The non-linear tensor-mass model; its numbers are those of the scene.
+    #[error("[simulation] or [organ]")]
+    NonlinearTensorMass(#[from] NonlinearTensorMassError),
+    /// The implicit model; its numbers are those of the scene.
+    #[error("[simulation] or [organ]")]
+    Implicit(#[from] ImplicitError),
+    /// Something that the scene asks for and the model does not know.
+    #[error("the {model} model has no {what}; choose another model or leave them out of the scene")]
+    Unsupported {
+        /// Which model.
+        model: ModelKind,
+        /// What, in the plural.
+        what: &'static str,
+    },
 }
 
-/// St Venant-Kirchhoff tissue stiffens as it is stretched: its stable step is computed for principal stretches up
-/// to this one. A choice, not a measurement: the law itself is meant for strains well below it.
-const LARGEST_STRETCH: f64 = 1.3;
-
 /// What the models of one organ are made from.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct OrganBody {
     /// The body at rest.
     pub mesh: TetMesh,
-    /// Its material.
+    /// Its elasticity at small strain, and its density.
     pub material: LinearElastic,
     /// The material in words.
     pub material_text: String,
-    /// Nodes that never move, ascending.
-    pub fixed_nodes: Vec<NodeId>,
+    /// The law of the models that have a choice; each its own when absent.
+    pub law: Option<LawChoice>,
+    /// Viscoelastic relaxation.
+    pub relaxation: Vec<PronyTerm>,
+    /// Stiffness along a direction.
+    pub fibre: Option<Fibre>,
+    /// Penalty on changes of volume [Pa].
+    pub volume_penalty_pa: f64,
+    /// Nodes held at rest along some axes, ascending.
+    pub fixed: Vec<FixedNode>,
+    /// Ligaments.
+    pub attachments: Vec<Attachment>,
+    /// Stress of the rest shape, one a tetrahedron or none.
+    pub rest_stress_pa: Vec<RestStress>,
+    /// Gravity of the start [m/s2].
+    pub gravity_m_per_s2: DVec3,
+    /// Whether the rest shape is the one under this gravity; then `rest_stress_pa` balances it.
+    pub is_imaged_under_gravity: bool,
+    /// Damping.
+    pub damping: Rayleigh,
+    /// The world's time step [s].
+    pub time_step_s: f64,
+    /// Into how many internal steps it may be divided after an edit.
+    pub most_parts: u32,
+    /// A saved pre-computation.
+    pub precomputed: Option<PathBuf>,
+    /// Who computes for models that can use several threads.
+    pub workers: SharedWorkers,
+}
+
+impl OrganBody {
+    /// A body without supports, loads and damping.
+    pub fn new(mesh: TetMesh, material: LinearElastic, time_step_s: f64) -> Self {
+        Self {
+            material_text: material_text("", &material),
+            mesh,
+            material,
+            law: None,
+            relaxation: Vec::new(),
+            fibre: None,
+            volume_penalty_pa: 0.0,
+            fixed: Vec::new(),
+            attachments: Vec::new(),
+            rest_stress_pa: Vec::new(),
+            gravity_m_per_s2: DVec3::ZERO,
+            is_imaged_under_gravity: true,
+            damping: Rayleigh::default(),
+            time_step_s,
+            most_parts: DEFAULT_MOST_PARTS,
+            precomputed: None,
+            workers: Arc::new(Sequential),
+        }
+    }
+
+    /// The held nodes, for a model that knows no supports along single axes and no ligaments.
+    ///
+    /// # Errors
+    /// [`BuildError::Unsupported`] when there are such.
+    pub fn nodes_fixed_wholly(&self, model: ModelKind) -> Result<Vec<NodeId>, BuildError> {
+        if !self.attachments.is_empty() {
+            return Err(BuildError::Unsupported { model, what: "ligaments" });
+        }
+        if self.fixed.iter().any(|held| held.axes != [true; 3]) {
+            return Err(BuildError::Unsupported { model, what: "supports along single axes" });
+        }
+        Ok(self.fixed.iter().map(|held| held.node).collect())
+    }
+
+    /// What every dynamic model takes.
+    pub(super) fn dynamic(&self) -> DynamicBody<'_> {
+        DynamicBody {
+            mesh: &self.mesh,
+            density_kg_per_m3: self.material.density_kg_per_m3(),
+            fixed: &self.fixed,
+            attachments: &self.attachments,
+            rest_stress_pa: &self.rest_stress_pa,
+            gravity_m_per_s2: self.gravity_m_per_s2,
+            damping: self.damping,
+            time_step_s: self.time_step_s,
+            most_parts: self.most_parts,
+        }
+    }
+}
+
+fn material_text(name: &str, material: &LinearElastic) -> String {
+    format!(
+        "{name}(E {} kPa, nu {}, {} kg/m3)",
+        material.young_modulus_pa() / 1e3,
+        material.poisson_ratio(),
+        material.density_kg_per_m3()
+    )
 }
 
 /// Reads an organ's mesh and material; the mesh's path is relative to `folder`.
@@ -104,72 +212,39 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
             (material, String::new())
         }
     };
-    let material_text = format!(
-        "{name}(E {} kPa, nu {}, {} kg/m3)",
-        material.young_modulus_pa() / 1e3,
-        material.poisson_ratio(),
-        material.density_kg_per_m3()
-    );
-    let fixed_nodes = nodes_in(&scene.world.fixed, &mesh.positions_m);
-    if fixed_nodes.is_empty() {
+    let WorldSpec { supports, ligaments, gravity_m_per_s2, time_step_s, .. } = &scene.world;
+    let fixed = fixed_nodes(supports, &mesh.positions_m);
+    let attachments = attachments(ligaments, &mesh.positions_m);
+    if fixed.is_empty() && attachments.is_empty() {
         let bounds = crate::math::Aabb::of_points(&mesh.positions_m);
         let (min_mm, max_mm) = (bounds.min_m * 1e3, bounds.max_m * 1e3);
-        return Err(BuildError::NothingFixed { file, n_regions: scene.world.fixed.len(), min_mm, max_mm });
+        return Err(BuildError::NothingFixed { file, n_regions: supports.len(), min_mm, max_mm });
     }
-    Ok(OrganBody { mesh, material, material_text, fixed_nodes })
+    let mut body = OrganBody::new(mesh, material, *time_step_s);
+    body.material_text = material_text(&name, &material);
+    body.law.clone_from(&scene.organ.law);
+    body.relaxation.clone_from(&scene.organ.relaxation);
+    body.fibre = scene.organ.fibre;
+    body.volume_penalty_pa = scene.organ.volume_penalty_pa;
+    body.fixed = fixed;
+    body.attachments = attachments;
+    body.gravity_m_per_s2 = *gravity_m_per_s2;
+    body.is_imaged_under_gravity = scene.organ.is_imaged_under_gravity;
+    if body.is_imaged_under_gravity && body.gravity_m_per_s2 != DVec3::ZERO {
+        let (fixed, attachments) = (&body.fixed, &body.attachments);
+        body.rest_stress_pa =
+            equilibrating_stress(&body.mesh, &body.material, fixed, attachments, body.gravity_m_per_s2)
+                .map_err(BuildError::RestStress)?;
+    }
+    body.damping = scene.organ.damping;
+    body.most_parts = scene.most_parts;
+    body.precomputed = scene.organ.precomputed.as_ref().map(|file| folder.join(file));
+    Ok(body)
 }
 
 /// BLAKE3 of a mesh (positions and connectivity), hexadecimal: what a session names its mesh by.
 pub fn mesh_hash(mesh: &TetMesh) -> String {
     precomputed::mesh_hash(mesh).iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-/// Makes a model of an organ at rest; a saved pre-computation is loaded if the scene names one.
-///
-/// # Errors
-/// [`BuildError`] of the model: a file that belongs to another organ, a time step above the stable one.
-pub fn build_model(
-    scene: &Scene,
-    folder: &Path,
-    body: &OrganBody,
-    kind: ModelKind,
-) -> Result<Box<dyn DeformableModel>, BuildError> {
-    let OrganBody { mesh, material, fixed_nodes, .. } = body;
-    Ok(match (kind, &scene.organ.precomputed) {
-        (ModelKind::Precomputed, Some(file)) => {
-            let expected = PrecomputedExpectation { mesh, material, fixed_nodes };
-            Box::new(Precomputed::load(&folder.join(file), &expected)?)
-        }
-        (ModelKind::Precomputed, None) => {
-            let stored = StoredNodes::Surface;
-            let params = PrecomputedParams { mesh, material, fixed_nodes, stored, progress: None };
-            Box::new(Precomputed::build(&params)?)
-        }
-        (ModelKind::TensorMass, _) => Box::new(TensorMass::build(&TensorMassParams {
-            mesh,
-            material,
-            fixed_nodes,
-            damping_per_s: scene.organ.damping_per_s,
-            gravity_m_per_s2: DVec3::ZERO,
-            time_step_s: scene.world.time_step_s,
-        })?),
-        (ModelKind::StVenantKirchhoff, _) => {
-            let largest_stretch = LARGEST_STRETCH;
-            Box::new(NonlinearTensorMass::build(&NonlinearTensorMassParams {
-                mesh,
-                elasticity: NonlinearElasticity {
-                    material,
-                    fibres: &[],
-                    volume_penalty_pa: 0.0,
-                    largest_stretch,
-                },
-                fixed_nodes,
-                damping_per_s: scene.organ.damping_per_s,
-                gravity_m_per_s2: DVec3::ZERO,
-                time_step_s: scene.world.time_step_s,
-            })?)
-        }
-    })
 }
 
 /// A world at rest, and what its models are made from; files are relative to `folder`.
@@ -179,7 +254,7 @@ pub fn build_model(
 pub fn build_world(scene: &Scene, folder: &Path) -> Result<(World, OrganBody), BuildError> {
     let body = read_organ(scene, folder)?;
     let kind = scene.organ.model;
-    let model = build_model(scene, folder, &body, kind)?;
+    let model = build_model(&body, kind)?;
     let world = World::new(scene.world.clone(), body.mesh.clone(), model, kind)
         .map_err(|error| BuildError::Organ { file: folder.join(&scene.organ.mesh), error })?;
     Ok((world, body))

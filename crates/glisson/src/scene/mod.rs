@@ -4,9 +4,15 @@
 //! line, what was found, what is allowed, and what was probably meant.
 
 mod build;
+mod instrument;
+mod models;
+mod organ;
 mod reader;
 mod spec;
 
-pub use build::{BuildError, OrganBody, build_model, build_world, mesh_hash, read_organ};
+pub use build::{BuildError, OrganBody, build_world, mesh_hash, read_organ};
+pub use instrument::{PathPoint, tool_on_path};
+pub use models::build_model;
+pub use organ::{MaterialSource, OrganSource};
 pub use reader::{SceneError, SceneProblem};
-pub use spec::{MaterialSource, OrganSource, PathPoint, Scene, tool_on_path};
+pub use spec::Scene;

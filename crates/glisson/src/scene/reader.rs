@@ -229,15 +229,58 @@ impl<'a> Section<'a> {
 
     /// Three lengths.
     pub(super) fn point(&mut self, key: &'static str) -> Result<Option<DVec3>, SceneError> {
+        self.vector(key, Dimension::Length)
+    }
+
+    /// Three quantities of one dimension.
+    pub(super) fn vector(
+        &mut self,
+        key: &'static str,
+        dimension: Dimension,
+    ) -> Result<Option<DVec3>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(None) };
         let [x, y, z] = self.three(key, value)?;
         Ok(Some(DVec3::new(
-            self.quantity_of(key, x, Dimension::Length)?,
-            self.quantity_of(key, y, Dimension::Length)?,
-            self.quantity_of(key, z, Dimension::Length)?,
+            self.quantity_of(key, x, dimension)?,
+            self.quantity_of(key, y, dimension)?,
+            self.quantity_of(key, z, dimension)?,
         )))
     }
 
+    /// A truth value.
+    pub(super) fn flag(&mut self, key: &'static str) -> Result<Option<bool>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        match value.get_ref() {
+            DeValue::Boolean(flag) => Ok(Some(*flag)),
+            _ => Err(self.wrong_type(value, key, "true or false")),
+        }
+    }
+
+    /// Names out of a closed list.
+    pub(super) fn names(
+        &mut self,
+        key: &'static str,
+        allowed: &[&'static str],
+    ) -> Result<Option<Vec<&'static str>>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        let Some(array) = value.get_ref().as_array() else {
+            return Err(self.wrong_type(value, key, "a list of names"));
+        };
+        let name = |item: Value<'a>| {
+            let found = item.get_ref().as_str().unwrap_or_default();
+            allowed
+                .iter()
+                .copied()
+                .find(|name| *name == found)
+                .ok_or_else(|| self.wrong_value(item, key, format!("\"{found}\""), &allowed.join(", ")))
+        };
+        array.iter().map(name).collect::<Result<_, _>>().map(Some)
+    }
+
+    /// Whether `key` holds a table.
+    pub(super) fn is_table(&self, key: &str) -> bool {
+        self.table.get(key).is_some_and(|value| value.get_ref().is_table())
+    }
     /// Three plain numbers, not all zero, as a unit vector.
     pub(super) fn direction(&mut self, key: &'static str) -> Result<Option<DVec3>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(None) };

@@ -1,52 +1,12 @@
 //! What a scene file says.
 
+use super::instrument::{PathPoint, read_tool};
+use super::organ::{OrganSource, read_organ};
 use super::reader::{SceneError, Section, parse_toml};
-use crate::math::{Aabb, DVec3};
-use crate::model::kind::ModelKind;
-use crate::tool::{Tool, ToolInput};
+use crate::math::DVec3;
+use crate::model::DEFAULT_MOST_PARTS;
 use crate::units::Dimension;
-use crate::world::spec::{FixedRegion, WorldSpec};
-use std::path::PathBuf;
-
-/// Where an organ's elasticity comes from.
-#[derive(Clone, Debug, PartialEq)]
-pub enum MaterialSource {
-    /// A row of the table of tissues.
-    Tissue(String),
-    /// Numbers of the scene.
-    Given {
-        /// Young's modulus [Pa].
-        young_modulus_pa: f64,
-        /// Poisson's ratio.
-        poisson_ratio: f64,
-        /// Density [kg/m3].
-        density_kg_per_m3: f64,
-    },
-}
-
-/// Where an organ comes from and what moves it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct OrganSource {
-    /// Tetrahedral mesh, relative to the scene's folder.
-    pub mesh: PathBuf,
-    /// Elasticity and density.
-    pub material: MaterialSource,
-    /// Which model moves it.
-    pub model: ModelKind,
-    /// A saved pre-computation, relative to the scene's folder; made anew at set-up when absent.
-    pub precomputed: Option<PathBuf>,
-    /// Damping in proportion to mass [1/s]; dynamic models only.
-    pub damping_per_s: f64,
-}
-
-/// One point of a scripted tool motion; between points the tip moves in straight lines.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PathPoint {
-    /// When the tool is there [s].
-    pub time_s: f64,
-    /// Where it is.
-    pub tool: ToolInput,
-}
+use crate::world::spec::WorldSpec;
 
 /// A scene as its file says.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,6 +15,8 @@ pub struct Scene {
     pub world: WorldSpec,
     /// The organ.
     pub organ: OrganSource,
+    /// Into how many internal steps a step may be divided after an edit.
+    pub most_parts: u32,
     /// Scripted motion of the tool, ascending in time; empty when somebody holds it.
     pub path: Vec<PathPoint>,
     /// The file's text, for the session.
@@ -85,217 +47,66 @@ impl Scene {
         let tool = root.section("tool")?.ok_or_else(|| root.missing("tool", "[tool]"))?;
         root.finish()?;
 
-        let time_step_s = read_simulation(simulation)?;
-        let (organ, fixed) = read_organ(organ)?;
+        let simulation = read_simulation(simulation)?;
+        let (organ, surroundings) = read_organ(organ)?;
         let (tool, path) = read_tool(tool)?;
-        let world = WorldSpec { name, time_step_s, fixed, tool };
-        Ok(Self { world, organ, path, text: text.to_string() })
+        let world = WorldSpec {
+            name,
+            time_step_s: simulation.time_step_s,
+            gravity_m_per_s2: simulation.gravity_m_per_s2,
+            supports: surroundings.supports,
+            ligaments: surroundings.ligaments,
+            loads: surroundings.loads,
+            fields: surroundings.fields,
+            tool,
+        };
+        Ok(Self { world, organ, most_parts: simulation.most_parts, path, text: text.to_string() })
     }
 }
 
-/// One step a millisecond, the rate of force feedback.
-const DEFAULT_TIME_STEP_S: f64 = 1e-3;
-
-fn read_simulation(section: Option<Section<'_>>) -> Result<f64, SceneError> {
-    let Some(mut section) = section else { return Ok(DEFAULT_TIME_STEP_S) };
-    let time_step_s = section.positive("time_step", Dimension::Time)?;
-    section.finish()?;
-    Ok(time_step_s.unwrap_or(DEFAULT_TIME_STEP_S))
+struct Simulation {
+    time_step_s: f64,
+    gravity_m_per_s2: DVec3,
+    most_parts: u32,
 }
 
-fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Vec<FixedRegion>), SceneError> {
-    let mesh = section.string("mesh")?.ok_or_else(|| section.missing("mesh", "mesh = \"liver.vtu\""))?;
-    let material = read_material(&mut section)?;
-    let names = ModelKind::ALL.map(ModelKind::name).join(", ");
-    let (model_name, at) =
-        section.string("model")?.ok_or_else(|| section.missing("model", "model = \"precomputed\""))?;
-    let model = ModelKind::by_name(&model_name)
-        .ok_or_else(|| section.wrong_value(at, "model", format!("\"{model_name}\""), &names))?;
-    let precomputed = section.string("precomputed")?.map(|p| PathBuf::from(p.0));
-    let damping = section.quantity("damping", Dimension::Rate)?;
-    if let Some((damping_per_s, at)) = damping
-        && damping_per_s < 0.0
-    {
-        return Err(section.wrong_value(at, "damping", format!("{damping_per_s} 1/s"), "zero or more"));
+impl Default for Simulation {
+    /// One step a millisecond, the rate of force feedback; weightless.
+    fn default() -> Self {
+        Self { time_step_s: 1e-3, gravity_m_per_s2: DVec3::ZERO, most_parts: DEFAULT_MOST_PARTS }
     }
-    let fixed = section.sections("fixed")?.into_iter().map(read_fixed).collect::<Result<Vec<_>, _>>()?;
-    section.finish()?;
-    let damping_per_s = damping.map_or(0.0, |d| d.0);
-    Ok((OrganSource { mesh: mesh.0.into(), material, model, precomputed, damping_per_s }, fixed))
 }
 
-fn read_material(section: &mut Section<'_>) -> Result<MaterialSource, SceneError> {
-    let tissue = section.string("tissue")?;
-    let young = section.positive("young_modulus", Dimension::Pressure)?;
-    let poisson = section.number("poisson_ratio")?;
-    let lame_lambda = section.quantity("lame_lambda", Dimension::Pressure)?;
-    let lame_mu = section.positive("lame_mu", Dimension::Pressure)?;
-    let density = section.positive("density", Dimension::Density)?;
-    let given =
-        [young.is_some(), poisson.is_some(), lame_lambda.is_some(), lame_mu.is_some(), density.is_some()];
-    if let Some((name, at)) = tissue {
-        if given.contains(&true) {
-            let allowed = "a tissue alone, or young_modulus, poisson_ratio and density without a tissue";
-            return Err(section.wrong_value(
-                at,
-                "tissue",
-                format!("\"{name}\" beside its own numbers"),
-                allowed,
-            ));
-        }
-        return Ok(MaterialSource::Tissue(name));
-    }
-    if lame_lambda.is_none() && lame_mu.is_some() {
-        return Err(section.missing("lame_lambda", "lame_lambda = \"12.5 kPa\""));
-    }
-    if let Some((lambda_pa, at)) = lame_lambda {
-        let mu_pa = lame_mu.ok_or_else(|| section.missing("lame_mu", "lame_mu = \"2 kPa\""))?;
-        if young.is_some() || poisson.is_some() {
-            let allowed = "lame_lambda and lame_mu, or young_modulus and poisson_ratio";
-            return Err(section.wrong_value(
-                at,
-                "lame_lambda",
-                "beside young_modulus or poisson_ratio".into(),
-                allowed,
-            ));
-        }
-        // Positive energy for every strain (LinearElastic::from_lame).
-        if 3.0 * lambda_pa + 2.0 * mu_pa <= 0.0 {
-            let allowed = "more than -2/3 of lame_mu";
-            return Err(section.wrong_value(at, "lame_lambda", format!("{lambda_pa} Pa"), allowed));
-        }
-        let density_kg_per_m3 =
-            density.ok_or_else(|| section.missing("density", "density = \"1060 kg/m3\""))?;
-        return Ok(MaterialSource::Given {
-            young_modulus_pa: mu_pa * (3.0 * lambda_pa + 2.0 * mu_pa) / (lambda_pa + mu_pa),
-            poisson_ratio: lambda_pa / (2.0 * (lambda_pa + mu_pa)),
-            density_kg_per_m3,
-        });
-    }
-    let young_modulus_pa = young.ok_or_else(|| {
-        section.missing("young_modulus", "young_modulus = \"5 kPa\" (or tissue = \"liver\")")
-    })?;
-    let (poisson_ratio, at) =
-        poisson.ok_or_else(|| section.missing("poisson_ratio", "poisson_ratio = 0.45"))?;
-    if !(poisson_ratio > -1.0 && poisson_ratio < 0.5) {
-        let allowed = "more than -1 and less than 0.5 (a tissue that keeps its volume: 0.45 to 0.49)";
-        return Err(section.wrong_value(at, "poisson_ratio", poisson_ratio.to_string(), allowed));
-    }
-    let density_kg_per_m3 = density.ok_or_else(|| section.missing("density", "density = \"1060 kg/m3\""))?;
-    Ok(MaterialSource::Given { young_modulus_pa, poisson_ratio, density_kg_per_m3 })
-}
+/// A step that would be divided further is made by a wrong scene.
+const MOST_PARTS_ALLOWED: f64 = 1000.0;
 
-fn read_fixed(mut section: Section<'_>) -> Result<FixedRegion, SceneError> {
-    let bounds = section.section("box")?;
-    let ball = section.section("ball")?;
-    let furthest = section.section("furthest")?;
-    let region = match (bounds, ball, furthest) {
-        (Some(mut bounds), None, None) => {
-            let min_m = required_point(&mut bounds, "min", "min = [\"-5 mm\", \"-5 mm\", \"0 mm\"]")?;
-            let max_m = required_point(&mut bounds, "max", "max = [\"5 mm\", \"5 mm\", \"9 mm\"]")?;
-            bounds.finish()?;
-            FixedRegion::Box(Aabb { min_m, max_m })
+fn read_simulation(section: Option<Section<'_>>) -> Result<Simulation, SceneError> {
+    let mut simulation = Simulation::default();
+    let Some(mut section) = section else { return Ok(simulation) };
+    if let Some(time_step_s) = section.positive("time_step", Dimension::Time)? {
+        simulation.time_step_s = time_step_s;
+    }
+    if let Some(gravity_m_per_s2) = section.vector("gravity", Dimension::Acceleration)? {
+        simulation.gravity_m_per_s2 = gravity_m_per_s2;
+    }
+    if let Some((parts, at)) = section.number("most_parts")? {
+        if parts.fract() != 0.0 || !(1.0..=MOST_PARTS_ALLOWED).contains(&parts) {
+            let allowed = "a whole number from 1 to 1000";
+            return Err(section.wrong_value(at, "most_parts", parts.to_string(), allowed));
         }
-        (None, Some(mut ball), None) => {
-            let center_m = required_point(&mut ball, "center", "center = [\"0 mm\", \"0 mm\", \"9 mm\"]")?;
-            let radius_m = ball
-                .positive("radius", Dimension::Length)?
-                .ok_or_else(|| ball.missing("radius", "radius = \"20 mm\""))?;
-            ball.finish()?;
-            FixedRegion::Ball { center_m, radius_m }
-        }
-        (None, None, Some(mut furthest)) => {
-            let direction = furthest
-                .direction("direction")?
-                .ok_or_else(|| furthest.missing("direction", "direction = [0, 0, -1]"))?;
-            let (fraction, at) = furthest
-                .number("fraction")?
-                .ok_or_else(|| furthest.missing("fraction", "fraction = 0.05"))?;
-            if !(fraction > 0.0 && fraction < 1.0) {
-                return Err(furthest.wrong_value(at, "fraction", fraction.to_string(), "between 0 and 1"));
-            }
-            furthest.finish()?;
-            FixedRegion::Furthest { direction, fraction }
-        }
-        _ => {
-            let example = "exactly one of box = { min, max }, ball = { center, radius }, furthest = { direction, fraction }";
-            return Err(section.missing("box, ball or furthest", example));
-        }
-    };
-    section.finish()?;
-    Ok(region)
-}
-
-fn required_point(
-    section: &mut Section<'_>,
-    key: &'static str,
-    example: &'static str,
-) -> Result<DVec3, SceneError> {
-    section.point(key)?.ok_or_else(|| section.missing(key, example))
-}
-
-/// A 5 mm laparoscopic instrument, the common small size of trocars.
-const DEFAULT_SHAFT_RADIUS_M: f64 = 2.5e-3;
-const DEFAULT_SHAFT_LENGTH_M: f64 = 0.3;
-
-fn read_tool(mut section: Section<'_>) -> Result<(Tool, Vec<PathPoint>), SceneError> {
-    let name = section.string("name")?.map_or_else(|| "probe".to_string(), |n| n.0);
-    let tip_radius_m = section
-        .positive("tip_radius", Dimension::Length)?
-        .ok_or_else(|| section.missing("tip_radius", "tip_radius = \"5 mm\""))?;
-    let shaft_radius_m =
-        section.positive("shaft_radius", Dimension::Length)?.unwrap_or(DEFAULT_SHAFT_RADIUS_M);
-    let shaft_length_m =
-        section.positive("shaft_length", Dimension::Length)?.unwrap_or(DEFAULT_SHAFT_LENGTH_M);
-    let tip_in_world_m =
-        required_point(&mut section, "home_tip", "home_tip = [\"0 mm\", \"-150 mm\", \"0 mm\"]")?;
-    let shaft_in_world = section
-        .direction("home_shaft")?
-        .ok_or_else(|| section.missing("home_shaft", "home_shaft = [0, -1, 0.3]"))?;
-    let home = ToolInput { tip_in_world_m, shaft_in_world };
-    let mut path: Vec<PathPoint> = Vec::new();
-    for mut point in section.sections("path")? {
-        let (time_s, at) = point
-            .quantity("time", Dimension::Time)?
-            .ok_or_else(|| point.missing("time", "time = \"0.5 s\""))?;
-        if time_s < path.last().map_or(0.0, |p| p.time_s) {
-            return Err(point.wrong_value(
-                at,
-                "time",
-                format!("{time_s} s"),
-                "times that only go up, from 0",
-            ));
-        }
-        let tip_in_world_m = required_point(&mut point, "tip", "tip = [\"0 mm\", \"-90 mm\", \"0 mm\"]")?;
-        let before = path.last().map_or(home, |p| p.tool);
-        let shaft_in_world = point.direction("shaft")?.unwrap_or(before.shaft_in_world);
-        point.finish()?;
-        path.push(PathPoint { time_s, tool: ToolInput { tip_in_world_m, shaft_in_world } });
+        simulation.most_parts = parts as u32;
     }
     section.finish()?;
-    Ok((Tool { name, tip_radius_m, shaft_radius_m, shaft_length_m, home }, path))
-}
-
-/// Where a scripted tool is at `time_s`: at home before the first point, at the last point after it.
-pub fn tool_on_path(home: ToolInput, path: &[PathPoint], time_s: f64) -> ToolInput {
-    let mut before = PathPoint { time_s: 0.0, tool: home };
-    for point in path {
-        if time_s < point.time_s {
-            let t = (time_s - before.time_s) / (point.time_s - before.time_s);
-            let (a, b) = (before.tool, point.tool);
-            return ToolInput {
-                tip_in_world_m: a.tip_in_world_m.lerp(b.tip_in_world_m, t),
-                shaft_in_world: a.shaft_in_world.lerp(b.shaft_in_world, t).normalize_or(b.shaft_in_world),
-            };
-        }
-        before = *point;
-    }
-    before.tool
+    Ok(simulation)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::instrument::tool_on_path;
+    use super::super::organ::MaterialSource;
     use super::*;
+    use crate::material::LawChoice;
+    use crate::world::spec::LoadTime;
     use proptest::prelude::*;
 
     pub(super) const SCENE: &str = r#"glisson_scene = 1
@@ -332,8 +143,8 @@ tip = ["0 mm", "-100 mm", "0 mm"]
     fn a_scene_is_read_into_si() {
         let scene = Scene::parse(SCENE).unwrap();
         assert_eq!(scene.world.time_step_s, 1e-3);
-        assert_eq!(scene.organ.damping_per_s, 20.0);
-        assert_eq!(scene.world.fixed.len(), 2);
+        assert_eq!(scene.organ.damping.mass_per_s, 20.0);
+        assert_eq!(scene.world.supports.len(), 2);
         assert_eq!(scene.world.tool.tip_radius_m, 6.0 * 1e-3);
         assert_eq!(scene.world.tool.home.shaft_in_world, DVec3::new(0.0, -1.0, 0.0));
         let halfway = tool_on_path(scene.world.tool.home, &scene.path, 0.5);
@@ -361,6 +172,82 @@ tip = ["0 mm", "-100 mm", "0 mm"]
     }
 
     #[test]
+    fn laws_loads_and_supports_are_read() {
+        let more = r#"model = "implicit"
+law = { name = "ogden", exponent = -4.7 }
+stiffness_damping = "0.1 ms"
+imaged_under_gravity = false
+fibre = { direction = [0, 0, 2], lambda_along = "20 kPa", mu_along = "8 kPa" }
+
+[[organ.relaxation]]
+share = 0.4
+time = "0.5 s"
+
+[[organ.ligament]]
+ball = { center = ["0 mm", "0 mm", "9 mm"], radius = "20 mm" }
+direction = [0, 0, 1]
+length = "15 mm"
+stiffness = "0.2 N/mm"
+
+[[organ.load]]
+furthest = { direction = [1, 0, 0], fraction = 0.1 }
+force = ["0 N", "0.5 N", "0 N"]
+from = "1 s"
+
+[[organ.field]]
+acceleration = ["0 m/s2", "0 m/s2", "2 m/s2"]
+at = "0.5 s"
+
+[[organ.fixed]]
+axes = ["x", "z"]
+"#;
+        let text = SCENE
+            .replace("model = \"tensor_mass\"\ndamping = \"20 1/s\"\n\n[[organ.fixed]]\n", more)
+            .replace(
+                "time_step = \"1 ms\"",
+                "time_step = \"1 ms\"\ngravity = [0, \"9.81 m/s2\", 0]\nmost_parts = 8",
+            );
+        let scene = Scene::parse(&text).unwrap();
+        assert_eq!(scene.organ.law, Some(LawChoice::Ogden { exponent: -4.7 }));
+        assert_eq!(scene.organ.damping.stiffness_s, 1e-4);
+        assert_eq!(scene.organ.relaxation[0].time_s, 0.5);
+        assert_eq!(scene.organ.fibre.unwrap().direction, DVec3::Z);
+        assert!(!scene.organ.is_imaged_under_gravity);
+        assert_eq!((scene.most_parts, scene.world.gravity_m_per_s2.y), (8, 9.81));
+        assert_eq!(scene.world.supports[0].axes, [true, false, true]);
+        assert_eq!(scene.world.ligaments[0].stiffness_n_per_m, 200.0);
+        assert_eq!(scene.world.loads[0].time, LoadTime::During { from_s: 1.0, to_s: f64::INFINITY });
+        assert_eq!(scene.world.fields[0].time, LoadTime::Once(0.5));
+
+        let message = |from: &str, to: &str| {
+            assert!(text.contains(from), "{from}");
+            Scene::parse(&text.replacen(from, to, 1)).unwrap_err().to_string()
+        };
+        for (from, to, expected) in [
+            (
+                "\"implicit\"",
+                "\"tensor_mass\"",
+                "\"law\" is \"ogden\"; allowed: linear (the laws of the model",
+            ),
+            ("exponent = -4.7", "exponant = -4.7", "did you mean \"exponent\"?"),
+            (
+                "name = \"ogden\", exponent",
+                "name = \"ogdan\", exponent",
+                "\"law\" is \"ogdan\"; allowed: linear, st_",
+            ),
+            ("at = \"0.5 s\"", "at = \"0.5 s\"\nto = \"1 s\"", "at alone (one step), or from and to"),
+            ("from = \"1 s\"", "from = \"1 s\"\nto = \"1 s\"", "later than from"),
+            ("[\"x\", \"z\"]", "[\"x\", \"w\"]", "\"axes\" is \"w\"; allowed: x, y, z"),
+            ("share = 0.4", "share = 1.4", "all shares together below 1"),
+            ("most_parts = 8", "most_parts = 0.5", "a whole number from 1 to 1000"),
+            ("\"0.2 N/mm\"", "\"0.2 N\"", "is not a unit of stiffness"),
+        ] {
+            let found = message(from, to);
+            assert!(found.contains(expected), "{to}: {found}");
+        }
+    }
+
+    #[test]
     fn mistakes_are_named_with_line_and_remedy() {
         let message = |from: &str, to: &str| {
             assert!(SCENE.contains(from), "{from}");
@@ -374,7 +261,7 @@ tip = ["0 mm", "-100 mm", "0 mm"]
             (
                 "tensor_mass",
                 "tensormass",
-                "line 12: \"model\" is \"tensormass\"; allowed: precomputed, tensor_mass, st_venant_kirchhoff",
+                "line 12: \"model\" is \"tensormass\"; allowed: precomputed, tensor_mass, nonlinear_tensor_mass",
             ),
             ("mesh = \"liver.vtu\"\n", "", "[organ] lacks \"mesh\""),
             ("[0, -2, 0]", "[0, 0, 0]", "three numbers that are not all zero"),

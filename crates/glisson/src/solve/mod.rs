@@ -4,19 +4,24 @@
 //! The way of a solution: [`MeshEdges`] and [`StiffnessTensors`] (K as 3x3 blocks on vertices and edges, the
 //! form that the tensor-mass model keeps), [`BoundaryConditions`], [`FreeSystem`] (the free rows of K in a
 //! fixed sparse pattern with a slot for every block), [`Factorization`], [`solve_static`];
-//! for any law [`ElasticBody`] and [`solve_nonlinear`].
+//! for any law [`ElasticBody`] and [`solve_nonlinear`]; without locking [`SmoothedBody`] and
+//! [`solve_nonlinear_smoothed`]. [`equilibrating_stress`] is what a body imaged under load has in it.
 
 mod p1;
 mod tensors;
 mod boundary;
 mod system;
 mod static_problem;
+mod supports;
+mod equilibrating_stress;
 mod nonlinear;
 mod near_incompressible;
+mod smoothed;
 pub mod case;
 pub mod integrators;
 
 pub use boundary::BoundaryConditions;
+pub use equilibrating_stress::{equilibrating_stress, stress_forces_into};
 pub use near_incompressible::{
     NodeAveraging, assemble_node_averaged, node_pressures_pa, solve_static_node_averaged,
 };
@@ -24,8 +29,13 @@ pub use nonlinear::{
     ElasticBody, NonlinearError, NonlinearProblem, NonlinearSettings, NonlinearSolution, StepFailure,
     TangentKind, solve_nonlinear,
 };
+pub(crate) use nonlinear::{contracted_columns, contracted_rows};
 pub use p1::{LOCAL_EDGES, P1Gradients, TetStiffness};
+pub use smoothed::{
+    SmoothedBody, Smoothing, node_deformation_gradients, solve_nonlinear_smoothed, solve_static_smoothed,
+};
 pub use static_problem::{StaticProblem, StaticSolution, add_gravity_forces, solve_static};
+pub use supports::{Attachment, FixedNode, RestStress, stress_tensor_pa};
 pub use system::{FactorScratch, Factorization, FreeSystem};
 pub use tensors::{MeshEdges, StiffnessTensors, boundary_nodes};
 

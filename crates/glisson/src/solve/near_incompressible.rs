@@ -16,6 +16,7 @@
 //! all come within 2 %. The pressure p_a = -lambda theta_a still oscillates a little from node to node. An
 //! affine displacement has the same strain everywhere: the patch test is passed. The stiffness couples all
 //! nodes around a common node, about six times as many as share an edge: for static cases of some 10,000 nodes.
+//! [`super::solve_static_smoothed`] is closer to a beam on coarse meshes and has a finite-strain form.
 
 use super::static_problem::solve_assembled;
 use super::{

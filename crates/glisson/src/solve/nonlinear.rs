@@ -96,8 +96,38 @@ pub struct ElasticBody<'a, M> {
 pub enum TangentKind {
     /// The true one.
     Exact,
-    /// Without the negative eigenvalues of each tetrahedron's law.
+    /// Without the negative eigenvalues of the law in each tetrahedron or smoothing domain.
     Projected,
+}
+
+/// Energy, forces and stiffness as functions of the displacements: what Newton's method needs of a body.
+pub(super) trait StaticBody {
+    /// The pairs of nodes that the stiffness couples.
+    fn edges(&self) -> &MeshEdges;
+
+    /// Elastic energy [J].
+    fn energy_j(&self, displacement_m: &[DVec3]) -> f64;
+
+    /// Overwrites `force_n` with dW/du.
+    fn force_into(&self, displacement_m: &[DVec3], force_n: &mut [DVec3]);
+
+    /// Overwrites `tensors` with d2W/du2.
+    fn stiffness_into(&self, displacement_m: &[DVec3], kind: TangentKind, tensors: &mut StiffnessTensors);
+
+    /// First tetrahedron whose volume is not positive.
+    fn first_inverted(&self, displacement_m: &[DVec3]) -> Option<TetId>;
+}
+
+/// Checks the number of laws, and that each has a finite stiffness at rest.
+pub(super) fn check_laws<M: Material>(laws: &[M], n_tets: usize) -> Result<(), NonlinearError> {
+    if laws.len() != 1 && laws.len() != n_tets {
+        return Err(NonlinearError::LawCount { found: laws.len(), n_tets });
+    }
+    let is_finite = |law: &M| law.tangent_pa(&DMat3::IDENTITY).iter().flatten().all(|x| x.is_finite());
+    match laws.iter().position(|law| !is_finite(law)) {
+        Some(t) => Err(NonlinearError::NotFinite { tet: TetId::from_index(t) }),
+        None => Ok(()),
+    }
 }
 
 impl<'a, M: Material> ElasticBody<'a, M> {
@@ -194,15 +224,37 @@ impl<'a, M: Material> ElasticBody<'a, M> {
     }
 }
 
+impl<M: Material> StaticBody for ElasticBody<'_, M> {
+    fn edges(&self) -> &MeshEdges {
+        self.edges
+    }
+
+    fn energy_j(&self, displacement_m: &[DVec3]) -> f64 {
+        self.energy_j(displacement_m)
+    }
+
+    fn force_into(&self, displacement_m: &[DVec3], force_n: &mut [DVec3]) {
+        self.force_into(displacement_m, force_n);
+    }
+
+    fn stiffness_into(&self, displacement_m: &[DVec3], kind: TangentKind, tensors: &mut StiffnessTensors) {
+        self.stiffness_into(displacement_m, kind, tensors);
+    }
+
+    fn first_inverted(&self, displacement_m: &[DVec3]) -> Option<TetId> {
+        self.first_inverted(displacement_m)
+    }
+}
+
 /// Row r: sum over c of a_c T[3 c + r].
-fn contracted_rows(tangent: &Tangent, a: DVec3) -> [[f64; 9]; 3] {
+pub(crate) fn contracted_rows(tangent: &Tangent, a: DVec3) -> [[f64; 9]; 3] {
     std::array::from_fn(|r| {
         std::array::from_fn(|k| a.x * tangent[r][k] + a.y * tangent[3 + r][k] + a.z * tangent[6 + r][k])
     })
 }
 
 /// Entry (r, s): sum over d of rows[r][3 d + s] a_d.
-fn contracted_columns(rows: &[[f64; 9]; 3], a: DVec3) -> DMat3 {
+pub(crate) fn contracted_columns(rows: &[[f64; 9]; 3], a: DVec3) -> DMat3 {
     let entry = |r: usize, s: usize| rows[r][s] * a.x + rows[r][3 + s] * a.y + rows[r][6 + s] * a.z;
     let column = |s: usize| DVec3::new(entry(0, s), entry(1, s), entry(2, s));
     DMat3::from_cols(column(0), column(1), column(2))
@@ -284,12 +336,19 @@ const ROUNDING: f64 = 4.0 * f64::EPSILON;
 pub fn solve_nonlinear<M: Material>(
     problem: &NonlinearProblem<'_, M>,
 ) -> Result<NonlinearSolution, NonlinearError> {
-    let NonlinearProblem { mesh, laws, conditions, nodal_force_n, settings } = *problem;
-    let n_nodes = mesh.positions_m.len();
-    assert_eq!(nodal_force_n.len(), n_nodes, "one force a node");
-    let edges = MeshEdges::of_mesh(mesh)?;
-    let body = ElasticBody::new(mesh, &edges, laws)?;
-    conditions.check(mesh, &edges)?;
+    let edges = MeshEdges::of_mesh(problem.mesh)?;
+    check_laws(problem.laws, problem.mesh.tetrahedra.len())?;
+    solve_body(ElasticBody::new(problem.mesh, &edges, problem.laws)?, problem)
+}
+
+/// [`solve_nonlinear`] with energy, forces and stiffness of `body`.
+pub(super) fn solve_body<M, B: StaticBody>(
+    body: B,
+    problem: &NonlinearProblem<'_, M>,
+) -> Result<NonlinearSolution, NonlinearError> {
+    let NonlinearProblem { mesh, conditions, nodal_force_n, settings, .. } = *problem;
+    assert_eq!(nodal_force_n.len(), mesh.positions_m.len(), "one force a node");
+    conditions.check(mesh, body.edges())?;
     if let Some(n) = nodal_force_n.iter().position(|f| !f.is_finite()) {
         return Err(SolveError::NonFiniteCondition { node: NodeId::from_index(n) }.into());
     }
@@ -332,8 +391,8 @@ pub fn solve_nonlinear<M: Material>(
 }
 
 /// A load step's state and scratch.
-struct Newton<'a, M> {
-    body: ElasticBody<'a, M>,
+struct Newton<'a, B> {
+    body: B,
     conditions: &'a BoundaryConditions,
     nodal_force_n: &'a [DVec3],
     settings: NonlinearSettings,
@@ -352,22 +411,16 @@ struct Newton<'a, M> {
     n_iterations: usize,
 }
 
-impl<'a, M: Material> Newton<'a, M> {
-    fn new(body: ElasticBody<'a, M>, problem: &NonlinearProblem<'a, M>) -> Result<Self, NonlinearError> {
+impl<'a, B: StaticBody> Newton<'a, B> {
+    fn new<M>(body: B, problem: &NonlinearProblem<'a, M>) -> Result<Self, NonlinearError> {
         let n_nodes = problem.mesh.positions_m.len();
         let zero = vec![DVec3::ZERO; n_nodes];
         let mut tensors = StiffnessTensors {
             vertex: vec![DMat3::ZERO; n_nodes],
-            edge: vec![DMat3::ZERO; body.edges.nodes.len()],
+            edge: vec![DMat3::ZERO; body.edges().nodes.len()],
         };
         body.stiffness_into(&zero, TangentKind::Exact, &mut tensors);
-        for t in 0..body.gradients.len() {
-            let stiffness = body.law(t).tangent_pa(&DMat3::IDENTITY);
-            if !stiffness.iter().flatten().all(|x| x.is_finite()) {
-                return Err(NonlinearError::NotFinite { tet: TetId::from_index(t) });
-            }
-        }
-        let system = FreeSystem::new(body.edges, &tensors, problem.conditions)?;
+        let system = FreeSystem::new(body.edges(), &tensors, problem.conditions)?;
         let factor = system.factorize()?;
         Ok(Self {
             body,
@@ -425,7 +478,7 @@ impl<'a, M: Material> Newton<'a, M> {
         for (node, axis, value) in self.conditions.iter() {
             self.change_m[node.index()][axis] = (next - load) * value;
         }
-        self.tensors.force_into(self.body.edges, &self.change_m, &mut self.balance_n);
+        self.tensors.force_into(self.body.edges(), &self.change_m, &mut self.balance_n);
         self.body.force_into(&self.displacement_m, &mut self.force_n);
         for n in 0..self.balance_n.len() {
             self.balance_n[n] = self.nodal_force_n[n] * next - self.force_n[n] - self.balance_n[n];

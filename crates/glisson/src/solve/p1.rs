@@ -86,6 +86,13 @@ pub struct TetStiffness {
 }
 
 impl TetStiffness {
+    /// Adds multiples of the identity [N/m] to the tensors of the corners and edges.
+    pub fn add_multiples(&mut self, (vertex, edge): ([f64; 4], [f64; 6])) {
+        let scaled = |s: f64| DMat3::from_diagonal(DVec3::splat(s));
+        self.vertex.iter_mut().zip(vertex).for_each(|(b, s)| *b += scaled(s));
+        self.edge.iter_mut().zip(edge).for_each(|(b, s)| *b += scaled(s));
+    }
+
     /// Upper bound of the highest squared circular frequency [1/s2] of the tetrahedron with a mass at each
     /// corner: of the largest eigenvalue of M^-1 K, at most 2.8 % above it.
     ///

@@ -1,21 +1,27 @@
 //! One organ, one instrument, and the step that joins them.
 //!
-//! Stages of a step, in order: contacts, constraints, model, report. Cutting and remapping come before contacts
+//! Stages of a step, in order: contacts, constraints and loads, model, report. Cutting and remapping come before contacts
 //! once an instrument cuts. A step never fails, allocates, locks, logs or reads a clock.
 
+mod loads;
 pub mod organ;
+pub mod saved;
 pub mod spec;
 pub mod touch;
 
 use crate::contact::sphere::{BallPath, SurfaceView};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
-use crate::mesh::edit::{EditError, MeshEdit, TopologyChange};
+use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, TopologyChange};
+use crate::mesh::topology::TopologyError;
 use crate::model::kind::ModelKind;
-use crate::model::{Constraints, DeformableModel, ImposedDisplacement, ModelState, TopologyRefusal};
+use crate::model::{
+    Constraints, DeformableModel, ImposedDisplacement, ModelReport, ModelState, TopologyRefusal,
+};
 use crate::record::hash::StateHash;
 use crate::record::snapshot::{ContactReport, DisplayTopology, Snapshot};
 use crate::tool::ToolInput;
+use loads::Loads;
 use organ::{Organ, OrganError};
 use spec::WorldSpec;
 use touch::HeldContact;
@@ -49,6 +55,8 @@ pub struct StepReport {
     pub waits_for_model: bool,
     /// Nodes whose position is not finite, which only a broken model can bring about.
     pub n_non_finite_nodes: u32,
+    /// What the model says about the step; of several sub-steps the last one, with the internal steps of all.
+    pub model: ModelReport,
 }
 
 /// Why an edit of the organ was refused.
@@ -60,6 +68,9 @@ pub enum EditRefusal {
     /// The mesh cannot be edited so.
     #[error(transparent)]
     Mesh(#[from] EditError),
+    /// The mesh is no mesh.
+    #[error(transparent)]
+    Topology(#[from] TopologyError),
 }
 
 /// A model that takes over at a step fixed when it was ordered.
@@ -79,6 +90,10 @@ pub struct World {
     tool: ToolInput,
     contact: Option<HeldContact>,
     constraints: Constraints,
+    loads: Loads,
+    gravity_m_per_s2: DVec3,
+    /// Gravity and force fields of the last step.
+    pull_m_per_s2: DVec3,
     step: u64,
     report: StepReport,
 }
@@ -94,10 +109,13 @@ impl World {
         model: Box<dyn DeformableModel>,
         kind: ModelKind,
     ) -> Result<Self, OrganError> {
-        let organ = Organ::new(mesh, &spec.fixed)?;
+        let loads = Loads::new(&spec, &mesh.positions_m);
+        let organ = Organ::new(mesh, &spec.supports)?;
         let tool = spec.tool.home;
         let mut constraints = Constraints::default();
         constraints.displacements.reserve(3);
+        constraints.forces.reserve(organ.mesh().positions_m.len());
+        let gravity_m_per_s2 = spec.gravity_m_per_s2;
         Ok(Self {
             spec,
             organ,
@@ -107,6 +125,9 @@ impl World {
             tool,
             contact: None,
             constraints,
+            loads,
+            gravity_m_per_s2,
+            pull_m_per_s2: gravity_m_per_s2,
             step: 0,
             report: StepReport::default(),
         })
@@ -153,15 +174,32 @@ impl World {
         self.swap = Some(QueuedSwap { at_step: at_step.max(self.step), kind, model: None });
     }
 
-    /// Brings the ordered model. Answers whether one was ordered; if not, `model` is dropped.
-    pub fn deliver_model(&mut self, model: Box<dyn DeformableModel>, kind: ModelKind) -> bool {
-        match &mut self.swap {
-            Some(swap) if swap.kind == kind => {
-                swap.model = Some(model);
-                true
-            }
-            _ => false,
+    /// Brings the ordered model, made from the organ as it was at the start: it follows the removals so far.
+    /// Answers whether it was ordered; if not, `model` is dropped.
+    ///
+    /// # Errors
+    /// [`EditRefusal`] when the model cannot follow them; it is still awaited then.
+    pub fn deliver_model(
+        &mut self,
+        mut model: Box<dyn DeformableModel>,
+        kind: ModelKind,
+    ) -> Result<bool, EditRefusal> {
+        if self.swap.as_ref().is_none_or(|swap| swap.kind != kind) {
+            return Ok(false);
         }
+        let tets = self.organ.removed_tetrahedra();
+        if !tets.is_empty() {
+            if let Some(refusal) = model.topology_refusal() {
+                return Err(refusal.into());
+            }
+            let mut whole = EditableMesh::new(self.organ.mesh().clone())?;
+            let change = whole.apply(&MeshEdit::Remove { tets })?;
+            model.topology_changed(whole.mesh(), &change)?;
+        }
+        if let Some(swap) = &mut self.swap {
+            swap.model = Some(model);
+        }
+        Ok(true)
     }
 
     /// Takes an order back: the model could not be made, and the present one goes on.
@@ -183,7 +221,23 @@ impl World {
         self.model.apply(&self.constraints);
         self.model.take_over(&self.organ.mesh().positions_m);
         self.organ.follow(self.model.state().positions_m);
+        self.gravity_m_per_s2 = self.spec.gravity_m_per_s2;
+        self.pull_m_per_s2 = self.gravity_m_per_s2;
+        self.model.set_gravity(self.pull_m_per_s2);
+        self.loads.restart(self.step);
         self.report = StepReport { step: self.step, ..StepReport::default() };
+    }
+
+    /// Gravity from the next step on [m/s2]: the table is tilted.
+    pub fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        if gravity_m_per_s2.is_finite() {
+            self.gravity_m_per_s2 = gravity_m_per_s2;
+        }
+    }
+
+    /// Gravity now [m/s2], without the scene's force fields.
+    pub fn gravity_m_per_s2(&self) -> DVec3 {
+        self.gravity_m_per_s2
     }
 
     /// Edits the organ's mesh: the model, the supports and the surface follow. A contact is let go.
@@ -196,6 +250,10 @@ impl World {
         }
         let change = self.organ.edit(edit, self.model.state().positions_m)?;
         self.model.topology_changed(self.organ.mesh(), &change)?;
+        if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
+            waiting.topology_changed(self.organ.mesh(), &change)?;
+        }
+        self.loads.follow(&change);
         self.contact = None;
         Ok(change)
     }
@@ -234,6 +292,7 @@ impl World {
             && let Some(mut model) = swap.model
         {
             model.take_over(self.model.state().positions_m);
+            model.set_gravity(self.pull_m_per_s2);
             self.model = model;
             self.model_kind = swap.kind;
         }
@@ -255,14 +314,25 @@ impl World {
         if let Some(contact) = &self.contact {
             contact.add_constraints(self.tool.tip_in_world_m, &mut self.constraints.displacements);
         }
+        self.constraints.forces.clear();
+        self.constraints.forces.extend_from_slice(self.loads.forces_in_step(self.step));
         self.model.apply(&self.constraints);
+        let fields_m_per_s2 = self.loads.acceleration_in_step_m_per_s2(self.step);
+        let pull_m_per_s2 = self.gravity_m_per_s2 + fields_m_per_s2;
+        if pull_m_per_s2 != self.pull_m_per_s2 {
+            self.pull_m_per_s2 = pull_m_per_s2;
+            self.model.set_gravity(pull_m_per_s2);
+        }
     }
 
     fn move_organ(&mut self, n_substeps: u32) {
         let dt_s = self.spec.time_step_s / f64::from(n_substeps);
+        let mut n_parts = 0;
         for _ in 0..n_substeps {
             self.model.step(dt_s);
+            n_parts += self.model.report().n_parts;
         }
+        self.report.model = ModelReport { n_parts, ..self.model.report() };
         let positions_m = self.model.state().positions_m;
         self.report.n_non_finite_nodes = positions_m.iter().filter(|p| !p.is_finite()).count() as u32;
         self.organ.follow(positions_m);

@@ -1,13 +1,13 @@
 //! The organ as the world sees it: mesh, supports, and the surface that is displayed and touched.
 
-use super::spec::{FixedRegion, nodes_in};
+use super::spec::{Support, fixed_nodes};
 use crate::contact::buckets::BucketGrid;
 use crate::contact::sphere::SurfaceView;
 use crate::math::DVec3;
 use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, TopologyChange};
 use crate::mesh::remap::EntityArray;
 use crate::mesh::topology::{TopologyError, surface_of};
-use crate::mesh::{NodeId, TetMesh};
+use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::record::snapshot::DisplayTopology;
 
 /// Why a mesh is not an organ.
@@ -25,6 +25,7 @@ pub enum OrganError {
 #[derive(Clone, Debug)]
 pub struct Organ {
     body: EditableMesh,
+    /// Held along every axis.
     fixed: EntityArray<NodeId, bool>,
     surface_nodes: Vec<NodeId>,
     surface_triangles: Vec<[u32; 3]>,
@@ -38,13 +39,13 @@ impl Organ {
     ///
     /// # Errors
     /// [`OrganError`] when the mesh is not a body.
-    pub fn new(mesh: TetMesh, regions: &[FixedRegion]) -> Result<Self, OrganError> {
+    pub fn new(mesh: TetMesh, supports: &[Support]) -> Result<Self, OrganError> {
         if mesh.tetrahedra.is_empty() {
             return Err(OrganError::Empty);
         }
         let mut fixed = vec![false; mesh.positions_m.len()];
-        for node in nodes_in(regions, &mesh.positions_m) {
-            fixed[node.index()] = true;
+        for held in fixed_nodes(supports, &mesh.positions_m) {
+            fixed[held.node.index()] = held.axes == [true; 3];
         }
         let body = EditableMesh::new(mesh)?;
         let (surface, surface_nodes) = surface_of(body.topology(), body.mesh());
@@ -86,17 +87,23 @@ impl Organ {
         self.body.topology().live_tet_flags()
     }
 
+    /// The tetrahedra that were removed, ascending; node and tetrahedron numbers are still those of the start.
+    pub fn removed_tetrahedra(&self) -> Vec<TetId> {
+        let live = self.live_tetrahedra();
+        (0..live.len()).filter(|&t| !live[t]).map(TetId::from_index).collect()
+    }
+
     /// Mesh and adjacency.
     pub fn body(&self) -> &EditableMesh {
         &self.body
     }
 
-    /// Whether `node` is held at rest.
+    /// Whether `node` is held at rest along every axis.
     pub fn is_fixed(&self, node: NodeId) -> bool {
         self.fixed.as_slice()[node.index()]
     }
 
-    /// The held nodes, ascending.
+    /// The nodes held along every axis, ascending.
     pub fn fixed_nodes(&self) -> Vec<NodeId> {
         let fixed = self.fixed.as_slice();
         (0..fixed.len()).filter(|&i| fixed[i]).map(NodeId::from_index).collect()

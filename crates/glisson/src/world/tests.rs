@@ -3,7 +3,7 @@
 use super::*;
 use crate::mesh::{NodeId, TetId};
 use crate::tool::Tool;
-use spec::FixedRegion;
+use spec::{Region, Support};
 
 const STIFFNESS_N_PER_M: f64 = 100.0;
 
@@ -75,7 +75,7 @@ fn tool_at(z_m: f64) -> ToolInput {
     ToolInput { tip_in_world_m: DVec3::new(0.0, -0.03, z_m), shaft_in_world: DVec3::Z }
 }
 
-fn world(fixed: Vec<FixedRegion>) -> World {
+fn world(fixed: Vec<Region>) -> World {
     let mesh = one_tetrahedron();
     let tool = Tool {
         name: "probe".into(),
@@ -85,7 +85,8 @@ fn world(fixed: Vec<FixedRegion>) -> World {
         home: tool_at(0.1),
     };
     let model = SpringBed::new(&mesh);
-    let spec = WorldSpec { name: "test".into(), time_step_s: 1e-3, fixed, tool };
+    let mut spec = WorldSpec::new("test", 1e-3, tool);
+    spec.supports = fixed.into_iter().map(Support::all_axes).collect();
     World::new(spec, mesh, model, ModelKind::Precomputed).unwrap()
 }
 
@@ -119,14 +120,14 @@ fn a_tool_that_withdraws_lets_go_and_the_organ_is_at_rest_again() {
 
 #[test]
 fn a_tool_does_not_move_fixed_nodes() {
-    let all = FixedRegion::Furthest { direction: DVec3::Z, fraction: 0.99 };
+    let all = Region::Furthest { direction: DVec3::Z, fraction: 0.99 };
     let mut held = world(vec![all]);
     held.step(&input(0.02));
     let report = held.step(&input(-0.02));
     assert!(report.blocked_by_fixed_tissue && !report.in_contact);
     assert_eq!(held.state().positions_m, one_tetrahedron().positions_m);
 
-    let one = FixedRegion::Ball { center_m: DVec3::new(-0.1, -0.1, 0.0), radius_m: 1e-3 };
+    let one = Region::Ball { center_m: DVec3::new(-0.1, -0.1, 0.0), radius_m: 1e-3 };
     let mut partly = world(vec![one]);
     partly.step(&input(0.02));
     assert!(partly.step(&input(-0.005)).in_contact);
@@ -152,8 +153,9 @@ fn a_step_waits_for_the_model_that_was_ordered_for_it() {
     assert_eq!(world.awaited_model(), Some(ModelKind::TensorMass));
     let report = world.step(&input(0.05));
     assert!(report.waits_for_model && report.step == 2);
-    assert!(!world.deliver_model(SpringBed::new(&one_tetrahedron()), ModelKind::Precomputed));
-    assert!(world.deliver_model(SpringBed::new(&one_tetrahedron()), ModelKind::TensorMass));
+    let spring_bed = || SpringBed::new(&one_tetrahedron());
+    assert_eq!(world.deliver_model(spring_bed(), ModelKind::Precomputed), Ok(false));
+    assert_eq!(world.deliver_model(spring_bed(), ModelKind::TensorMass), Ok(true));
     assert_eq!(world.step(&input(0.05)).step, 3);
     assert_eq!(world.model_kind(), ModelKind::TensorMass);
 }

@@ -7,16 +7,16 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use glisson::material::LinearElastic;
 use glisson::math::{DMat3, DVec3, SeededRandom};
 use glisson::mesh::{NodeId, TetId, TetMesh};
-use glisson::model::DeformableModel;
 use glisson::model::kernel::{
     ExplicitStep, FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath,
     QuarantineReport, Sequential, Task, Workers,
 };
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
+use glisson::model::{DeformableModel, DynamicBody, Rayleigh};
 use glisson::solve::{MeshEdges, SolveError, StiffnessTensors};
 
 use crate::kernel_laws::{AllExtras, kernel_with};
-use crate::model_meshes::{block, nodes_below, relative_difference, shaken_block};
+use crate::model_meshes::{block, held, nodes_below, relative_difference, shaken_block};
 
 const LAWS: [KernelLaw; 2] = [KernelLaw::Linear, KernelLaw::StVenantKirchhoff];
 const ALL_LAWS: [KernelLaw; 5] = [
@@ -296,12 +296,14 @@ fn steps_follow_the_tensor_mass_model() {
     let damping_per_s = 3.0;
     let gravity_m_per_s2 = DVec3::new(0.0, 1.0, -9.81);
     let mut model = TensorMass::build(&TensorMassParams {
-        mesh: &mesh,
+        body: DynamicBody {
+            fixed: &held(fixed_nodes),
+            damping: Rayleigh::of_mass(damping_per_s),
+            gravity_m_per_s2,
+            time_step_s: step_s,
+            ..DynamicBody::new(&mesh, material.density_kg_per_m3())
+        },
         material: &material,
-        fixed_nodes,
-        damping_per_s,
-        gravity_m_per_s2,
-        time_step_s: step_s,
     })
     .unwrap();
     let mut kernel = kernel(&mesh, KernelLaw::Linear);

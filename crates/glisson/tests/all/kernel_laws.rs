@@ -9,7 +9,6 @@ use glisson::material::{
 };
 use glisson::math::{DMat3, DVec3, SeededRandom, outer};
 use glisson::mesh::{NodeId, TetId, TetMesh};
-use glisson::model::RestStress;
 use glisson::model::kernel::{
     ExplicitStep, FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, Quarantine,
     QuarantineReport, Sequential, SharedMaterial,
@@ -17,6 +16,7 @@ use glisson::model::kernel::{
 use glisson::model::nonlinear_tensor_mass::{
     DirectBody, Fibre, NonlinearElasticity, NonlinearPart, NonlinearTensorMass, NonlinearTensorMassParams,
 };
+use glisson::model::{DynamicBody, RestStress};
 use glisson::solve::{ElasticBody, MeshEdges, P1Gradients};
 
 use crate::model_meshes::{block, relative_difference, shaken_block};
@@ -185,12 +185,8 @@ fn fibres_and_penalty_agree_with_the_tensor_mass_reference_also_after_removals()
     };
     let extras = KernelExtras { fibres: &fibres, volume_penalty_pa: 3e4, ..KernelExtras::default() };
     let mut reference = NonlinearTensorMass::build(&NonlinearTensorMassParams {
-        mesh: &mesh,
+        body: DynamicBody { time_step_s: 1e-5, ..DynamicBody::new(&mesh, material().density_kg_per_m3()) },
         elasticity,
-        fixed_nodes: &[],
-        damping_per_s: 0.0,
-        gravity_m_per_s2: DVec3::ZERO,
-        time_step_s: 1e-5,
     })
     .unwrap();
     let laws = elasticity.laws(n_tets).unwrap();

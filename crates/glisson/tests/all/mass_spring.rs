@@ -16,13 +16,13 @@ use glisson::model::rheology::experiments::{
 };
 use glisson::model::rheology::{IndentationTest, indentation_nodes};
 use glisson::model::{
-    Constraints, DeformableModel, Dynamics, ExplicitBodyError, ImposedDisplacement, Inertia, NodalForce,
-    TopologyRefusal,
+    Constraints, DeformableModel, DynamicBody, ExplicitError, FixedNode, ImposedDisplacement, Inertia,
+    Integration, NodalForce, Rayleigh, TopologyRefusal,
 };
 use glisson::solve::integrators::Scheme;
 use glisson::solve::{BoundaryConditions, P1Gradients, StaticProblem, solve_static};
 
-use crate::model_meshes::{nodes_below, relative_difference, shaken_block};
+use crate::model_meshes::{held, nodes_below, relative_difference, shaken_block};
 
 fn material() -> LinearElastic {
     LinearElastic::from_young_poisson(5000.0, 0.45, 1060.0).unwrap()
@@ -34,28 +34,67 @@ fn organ() -> (TetMesh, Vec<NodeId>) {
     (mesh, fixed)
 }
 
-fn extended(mesh: &TetMesh, law: EdgeLaw, viscosity: f64, dynamics: Dynamics<'_>) -> ExtendedMassSpring {
-    let material = material();
-    let viscosity_kg_per_m3_s = viscosity;
-    let params = ExtendedMassSpringParams { mesh, law, material: &material, viscosity_kg_per_m3_s, dynamics };
-    ExtendedMassSpring::build(&params).unwrap()
+/// How a body of these tests moves.
+#[derive(Clone, Debug)]
+struct Dynamics {
+    fixed: Vec<FixedNode>,
+    integration: Integration,
+    damping_per_s: f64,
+    time_step_s: f64,
 }
 
-fn springs(mesh: &TetMesh, masses: NodalMasses, dynamics: Dynamics<'_>) -> MassSpring {
+impl Dynamics {
+    fn body<'a>(&'a self, mesh: &'a TetMesh) -> DynamicBody<'a> {
+        DynamicBody {
+            fixed: &self.fixed,
+            damping: Rayleigh::of_mass(self.damping_per_s),
+            time_step_s: self.time_step_s,
+            ..DynamicBody::new(mesh, material().density_kg_per_m3())
+        }
+    }
+}
+
+fn extended_params<'a>(
+    mesh: &'a TetMesh,
+    law: EdgeLaw,
+    material: &'a LinearElastic,
+    dynamics: &'a Dynamics,
+) -> ExtendedMassSpringParams<'a> {
+    ExtendedMassSpringParams {
+        body: dynamics.body(mesh),
+        law,
+        material,
+        viscosity_kg_per_m3_s: 0.0,
+        integration: dynamics.integration,
+    }
+}
+
+fn extended(mesh: &TetMesh, law: EdgeLaw, viscosity: f64, dynamics: &Dynamics) -> ExtendedMassSpring {
+    let material = material();
+    let params = extended_params(mesh, law, &material, dynamics);
+    ExtendedMassSpring::build(&ExtendedMassSpringParams { viscosity_kg_per_m3_s: viscosity, ..params })
+        .unwrap()
+}
+
+fn springs(mesh: &TetMesh, masses: NodalMasses, dynamics: &Dynamics) -> MassSpring {
     MassSpring::build(&MassSpringParams {
-        mesh,
+        body: dynamics.body(mesh),
         young_modulus_pa: 5000.0,
-        density_kg_per_m3: 1060.0,
         masses,
         link_damping_n_s_per_m: 0.002,
         node_damping_n_s_per_m: 0.0,
-        dynamics,
+        integration: dynamics.integration,
     })
     .unwrap()
 }
 
-fn short_step(fixed_nodes: &[NodeId]) -> Dynamics<'_> {
-    Dynamics { fixed_nodes, time_step_s: 1e-4, ..Dynamics::default() }
+fn short_step(fixed_nodes: &[NodeId]) -> Dynamics {
+    let fixed = held(fixed_nodes);
+    Dynamics { fixed, integration: Integration::default(), damping_per_s: 0.0, time_step_s: 1e-4 }
+}
+
+fn with_scheme(scheme: Scheme) -> Integration {
+    Integration { scheme, ..Integration::default() }
 }
 
 fn random_vector(random: &mut SeededRandom) -> DVec3 {
@@ -117,7 +156,7 @@ fn forces(model: &mut ExtendedMassSpring, positions_m: &[DVec3]) -> Vec<DVec3> {
 fn edge_lengths_give_the_forces_and_energy_of_the_law() {
     let (mesh, _) = organ();
     for law in EdgeLaw::ALL {
-        let mut model = extended(&mesh, law, 0.0, short_step(&[]));
+        let mut model = extended(&mesh, law, 0.0, &short_step(&[]));
         for size in [0.1, 1.0] {
             let x = deformed(&mesh, size);
             let (expected_n, expected_j) = direct_forces(&mesh, law, &x);
@@ -138,7 +177,7 @@ fn edge_lengths_give_the_forces_and_energy_of_the_law() {
 fn forces_are_the_slope_of_the_energy() {
     let mesh = shaken_block([1, 1, 1], DVec3::splat(0.05), 0.1, 3);
     for law in EdgeLaw::ALL {
-        let mut model = extended(&mesh, law, 0.0, short_step(&[]));
+        let mut model = extended(&mesh, law, 0.0, &short_step(&[]));
         let x = deformed(&mesh, 1.0);
         let force_n = forces(&mut model, &x);
         let largest_n = force_n.iter().map(|f| f.length()).fold(0.0, f64::max);
@@ -181,13 +220,13 @@ fn rotations_rotate_the_forces_and_all_24_node_orders_give_them() {
     };
     let one_deformed = deformed(&one, 3.0);
     for law in EdgeLaw::ALL {
-        let mut model = extended(&mesh, law, 0.0, short_step(&[]));
+        let mut model = extended(&mesh, law, 0.0, &short_step(&[]));
         let turned: Vec<DVec3> = x.iter().map(|x| rotation * *x + DVec3::splat(0.3)).collect();
         let expected: Vec<DVec3> = forces(&mut model, &x).iter().map(|f| rotation * *f).collect();
         let off = relative_difference(&forces(&mut model, &turned), &expected);
         assert!(off < 1e-10, "{}: {off:e}", law.name());
 
-        let expected = forces(&mut extended(&one, law, 0.0, short_step(&[])), &one_deformed);
+        let expected = forces(&mut extended(&one, law, 0.0, &short_step(&[])), &one_deformed);
         let mut n_orders = 0;
         for code in 0..256usize {
             let order = [code & 3, (code >> 2) & 3, (code >> 4) & 3, code >> 6];
@@ -204,7 +243,7 @@ fn rotations_rotate_the_forces_and_all_24_node_orders_give_them() {
             if mesh.tet_volume_m3(TetId(0)) < 0.0 {
                 mesh.tetrahedra[0].swap(2, 3);
             }
-            let found = forces(&mut extended(&mesh, law, 0.0, short_step(&[])), &place(&one_deformed));
+            let found = forces(&mut extended(&mesh, law, 0.0, &short_step(&[])), &place(&one_deformed));
             let off = relative_difference(&found, &place(&expected));
             assert!(off < 1e-12, "{} {order:?}: {off:e}", law.name());
         }
@@ -216,7 +255,7 @@ fn rotations_rotate_the_forces_and_all_24_node_orders_give_them() {
 fn viscosity_slows_towards_the_centroid_and_keeps_momentum() {
     let (mesh, _) = organ();
     let c = 3000.0;
-    let mut model = extended(&mesh, EdgeLaw::StVenantKirchhoff, c, short_step(&[]));
+    let mut model = extended(&mesh, EdgeLaw::StVenantKirchhoff, c, &short_step(&[]));
     let mut random = SeededRandom::new(2);
     let v: Vec<DVec3> = mesh.positions_m.iter().map(|_| random_vector(&mut random)).collect();
     let mut expected = vec![DVec3::ZERO; v.len()];
@@ -241,14 +280,14 @@ fn a_free_body_keeps_its_momentum_under_every_scheme() {
     let mut random = SeededRandom::new(4);
     let v: Vec<DVec3> = mesh.positions_m.iter().map(|_| random_vector(&mut random) * 0.1).collect();
     for scheme in Scheme::ALL {
-        let dynamics = Dynamics { scheme, damping_per_s: 0.0, ..short_step(&[]) };
+        let dynamics = Dynamics { integration: with_scheme(scheme), ..short_step(&[]) };
         // Runge-Kutta 2 asks for damping.
         let d = if scheme == Scheme::RungeKutta2 { 5.0 } else { 0.0 };
         let dynamics = Dynamics { damping_per_s: d, ..dynamics };
-        let mut a = extended(&mesh, EdgeLaw::NeoHooke, 1000.0, dynamics);
+        let mut a = extended(&mesh, EdgeLaw::NeoHooke, 1000.0, &dynamics);
         a.set_velocities(&v);
         let masses_a = a.masses_kg().to_vec();
-        let mut b = springs(&mesh, NodalMasses::VolumeWeighted, dynamics);
+        let mut b = springs(&mesh, NodalMasses::VolumeWeighted, &dynamics);
         b.set_velocities(&v);
         let masses_b = b.masses_kg().to_vec();
         let models: [(&mut dyn DeformableModel, Vec<f64>); 2] = [(&mut a, masses_a), (&mut b, masses_b)];
@@ -275,18 +314,16 @@ fn steps_above_the_stable_one_are_refused_and_energy_stays_below() {
     let (mesh, fixed) = organ();
     let material = material();
     for scheme in [Scheme::CentralDifferences, Scheme::SemiImplicitEuler, Scheme::RungeKutta4] {
-        let dynamics = Dynamics { scheme, ..short_step(&fixed) };
-        let stable_s = extended(&mesh, EdgeLaw::StVenantKirchhoff, 0.0, dynamics).stable_step_s();
-        let params = |time_step_s: f64| ExtendedMassSpringParams {
-            mesh: &mesh,
-            law: EdgeLaw::StVenantKirchhoff,
-            material: &material,
-            viscosity_kg_per_m3_s: 0.0,
-            dynamics: Dynamics { time_step_s, ..dynamics },
+        let dynamics = Dynamics { integration: with_scheme(scheme), ..short_step(&fixed) };
+        let stable_s = extended(&mesh, EdgeLaw::StVenantKirchhoff, 0.0, &dynamics).stable_step_s();
+        let build = |time_step_s: f64| {
+            let dynamics = Dynamics { time_step_s, ..dynamics.clone() };
+            let law = EdgeLaw::StVenantKirchhoff;
+            ExtendedMassSpring::build(&extended_params(&mesh, law, &material, &dynamics))
         };
-        let refusal = ExtendedMassSpring::build(&params(1.001 * stable_s)).unwrap_err();
-        assert!(matches!(refusal, ExplicitBodyError::UnstableStep { .. }), "{refusal}");
-        let mut model = ExtendedMassSpring::build(&params(stable_s)).unwrap();
+        let refusal = build(1.001 * stable_s).unwrap_err();
+        assert!(matches!(refusal, ExplicitError::UnstableScheme { .. }), "{refusal}");
+        let mut model = build(stable_s).unwrap();
         let mut random = SeededRandom::new(1);
         let shaken = mesh.positions_m.iter().map(|p| *p + random_vector(&mut random) * 1e-5);
         model.take_over(&shaken.collect::<Vec<_>>());
@@ -297,22 +334,19 @@ fn steps_above_the_stable_one_are_refused_and_energy_stays_below() {
         assert!(model.energy_j() < 200.0 * start_j, "{}: {} {start_j}", scheme.name(), model.energy_j());
     }
     // Without damping, Runge-Kutta 2 has no stable step.
-    let dynamics = Dynamics { scheme: Scheme::RungeKutta2, ..short_step(&fixed) };
-    let viscosity_kg_per_m3_s = 0.0;
-    let law = EdgeLaw::NeoHooke;
-    let params =
-        ExtendedMassSpringParams { mesh: &mesh, law, material: &material, viscosity_kg_per_m3_s, dynamics };
+    let dynamics = Dynamics { integration: with_scheme(Scheme::RungeKutta2), ..short_step(&fixed) };
+    let params = extended_params(&mesh, EdgeLaw::NeoHooke, &material, &dynamics);
     assert!(matches!(
         ExtendedMassSpring::build(&params),
-        Err(ExplicitBodyError::UnstableStep { allowed_s: 0.0, .. })
+        Err(ExplicitError::UnstableScheme { allowed_s: 0.0, .. })
     ));
     let negative = ExtendedMassSpringParams { viscosity_kg_per_m3_s: -1.0, ..params };
-    assert!(matches!(ExtendedMassSpring::build(&negative), Err(ExplicitBodyError::Parameter { .. })));
+    assert!(matches!(ExtendedMassSpring::build(&negative), Err(ExplicitError::Parameter { .. })));
     // The mass-spring model's bound is on the safe side too.
-    let mut model = springs(&mesh, NodalMasses::VolumeWeighted, short_step(&fixed));
+    let mut model = springs(&mesh, NodalMasses::VolumeWeighted, &short_step(&fixed));
     let stable_s = model.stable_step_s();
-    model =
-        springs(&mesh, NodalMasses::VolumeWeighted, Dynamics { time_step_s: stable_s, ..short_step(&fixed) });
+    let dynamics = Dynamics { time_step_s: stable_s, ..short_step(&fixed) };
+    model = springs(&mesh, NodalMasses::VolumeWeighted, &dynamics);
     model.take_over(&deformed(&mesh, 0.3));
     let start_j = model.energy_j();
     for _ in 0..3000 {
@@ -356,10 +390,14 @@ fn at_rest_small_loads_give_the_static_solution_and_reactions() {
     ] {
         let damping_per_s = tuned_damping_per_s(&mesh, &material, &fixed, inertia).unwrap();
         assert!((5.0..100.0).contains(&damping_per_s), "{damping_per_s}");
-        let dynamics = Dynamics { scheme, inertia, damping_per_s, ..short_step(&fixed) };
-        let stable_s = extended(&mesh, law, 0.0, dynamics).stable_step_s();
+        let dynamics = Dynamics {
+            integration: Integration { inertia, ..with_scheme(scheme) },
+            damping_per_s,
+            ..short_step(&fixed)
+        };
+        let stable_s = extended(&mesh, law, 0.0, &dynamics).stable_step_s();
         let dynamics = Dynamics { time_step_s: 0.8 * stable_s, ..dynamics };
-        let mut model = extended(&mesh, law, 0.0, dynamics);
+        let mut model = extended(&mesh, law, 0.0, &dynamics);
         model.apply(&constraints);
         // The held node travels during the first step and waits during the second.
         model.step(0.1);
@@ -387,16 +425,16 @@ fn close(found: &[f64], expected: &[f64]) -> bool {
 fn after_removals_the_models_equal_ones_built_from_what_remains() {
     let (mesh, fixed) = organ();
     let scheme = Scheme::BackwardDifferences2;
-    let dynamics = Dynamics { scheme, damping_per_s: 1.0, ..short_step(&fixed) };
+    let dynamics = Dynamics { integration: with_scheme(scheme), damping_per_s: 1.0, ..short_step(&fixed) };
     let mut editable = EditableMesh::new(mesh.clone()).unwrap();
     let mut random = SeededRandom::new(6);
     let mut order: Vec<u32> = (0..mesh.tetrahedra.len() as u32).collect();
     order.sort_by_cached_key(|_| random.next_u64());
     let mut models: Vec<ExtendedMassSpring> =
-        EdgeLaw::ALL.into_iter().map(|law| extended(&mesh, law, 500.0, dynamics)).collect();
+        EdgeLaw::ALL.into_iter().map(|law| extended(&mesh, law, 500.0, &dynamics)).collect();
     let mut both: Vec<MassSpring> = [NodalMasses::VolumeWeighted, NodalMasses::Equal]
         .into_iter()
-        .map(|masses| springs(&mesh, masses, dynamics))
+        .map(|masses| springs(&mesh, masses, &dynamics))
         .collect();
     // Nearly everything goes, so that nodes and edges die.
     for chunk in order[..order.len() - 40].chunks(20) {
@@ -419,10 +457,10 @@ fn after_removals_the_models_equal_ones_built_from_what_remains() {
     let change = editable.compact();
     let rest = editable.mesh().clone();
     let fixed: Vec<NodeId> = fixed.iter().filter_map(|n| change.nodes.new_ids[n.index()]).collect();
-    let dynamics = Dynamics { fixed_nodes: &fixed, ..dynamics };
+    let dynamics = Dynamics { fixed: held(&fixed), ..dynamics };
     for (model, before) in models.iter_mut().zip(before) {
         model.topology_changed(&rest, &change).unwrap();
-        let mut anew = extended(&rest, model.law(), 500.0, dynamics);
+        let mut anew = extended(&rest, model.law(), 500.0, &dynamics);
         for (found, expected) in model.mechanics().iter().zip(&anew.mechanics()) {
             assert!(close(found, expected), "{}", model.law().name());
         }
@@ -438,7 +476,7 @@ fn after_removals_the_models_equal_ones_built_from_what_remains() {
     }
     for (model, masses) in both.iter_mut().zip([NodalMasses::VolumeWeighted, NodalMasses::Equal]) {
         model.topology_changed(&rest, &change).unwrap();
-        let anew = springs(&rest, masses, dynamics);
+        let anew = springs(&rest, masses, &dynamics);
         assert!(close(model.masses_kg(), anew.masses_kg()), "{masses:?}");
         let (found, expected): (Vec<_>, Vec<_>) =
             (model.springs_n_per_m().collect(), anew.springs_n_per_m().collect());
@@ -459,7 +497,7 @@ fn after_removals_the_models_equal_ones_built_from_what_remains() {
 #[test]
 fn constraints_that_cannot_act_are_counted() {
     let (mesh, fixed) = organ();
-    let mut model = springs(&mesh, NodalMasses::VolumeWeighted, short_step(&fixed));
+    let mut model = springs(&mesh, NodalMasses::VolumeWeighted, &short_step(&fixed));
     let u = DVec3::X * 1e-3;
     let imposed = |node| ImposedDisplacement { node, displacement_m: u };
     model.apply(&Constraints {
@@ -476,7 +514,7 @@ fn constraints_that_cannot_act_are_counted() {
 fn van_gelder_stiffness_of_one_cell_is_e_v_over_c_squared() {
     // Four corner tetrahedra of volume 1/6 and the middle one of 1/3; a cell edge is in one corner tetrahedron.
     let mesh = cube_of_five(2, 1.0);
-    let model = springs(&mesh, NodalMasses::VolumeWeighted, short_step(&[]));
+    let model = springs(&mesh, NodalMasses::VolumeWeighted, &short_step(&[]));
     for ([a, b], k) in model.springs_n_per_m() {
         let c = mesh.positions_m[a.index()].distance(mesh.positions_m[b.index()]);
         // Each diagonal belongs to two of them and to the middle one.

@@ -2,6 +2,7 @@
 
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::{NodeId, TetMesh};
+use glisson::model::FixedNode;
 
 /// The six tetrahedra of a cube cut along its diagonal (Kuhn): paths from corner 0 to corner 7 of the corner
 /// numbers x + 2 y + 4 z; odd paths have two corners swapped, so that all are positive.
@@ -91,6 +92,11 @@ pub(crate) fn nodes_below(mesh: &TetMesh, axis: usize, limit_m: f64) -> Vec<Node
         .filter(|&n| mesh.positions_m[n][axis] < limit_m)
         .map(NodeId::from_index)
         .collect()
+}
+
+/// Nodes that do not move at all.
+pub(crate) fn held(nodes: &[NodeId]) -> Vec<FixedNode> {
+    nodes.iter().map(|&node| FixedNode::all_axes(node)).collect()
 }
 
 /// Largest component of the difference over the largest component of `expected`.

@@ -11,11 +11,13 @@ use glisson::model::precomputed::{
     Precomputed, PrecomputedError, PrecomputedExpectation, PrecomputedParams, StoredNodes,
 };
 use glisson::model::tensor_mass::{TensorMass, TensorMassError, TensorMassParams};
-use glisson::model::{Constraints, DeformableModel, ImposedDisplacement, NodalForce, TopologyRefusal};
+use glisson::model::{
+    Constraints, DeformableModel, DynamicBody, ImposedDisplacement, NodalForce, Rayleigh, TopologyRefusal,
+};
 use glisson::solve::{BoundaryConditions, SolveError, StaticProblem, solve_static};
 use proptest::prelude::*;
 
-use crate::model_meshes::{block, nodes_below, relative_difference, shaken_block};
+use crate::model_meshes::{block, held, nodes_below, relative_difference, shaken_block};
 
 fn material() -> LinearElastic {
     LinearElastic::from_young_poisson(5000.0, 0.45, 1060.0).unwrap()
@@ -91,7 +93,7 @@ fn precomputed_response_equals_the_static_solution() {
         assert_eq!(constraints.displacements.len(), n_displacements);
         model.apply(&constraints);
         model.step(0.01);
-        assert_eq!(model.report(), Default::default());
+        assert_eq!(model.response_report(), Default::default());
         let (u_m, forces_n) = solved(&mesh, &fixed, &constraints);
         let off = relative_difference(&displacements(&model, &mesh), &u_m);
         assert!(off < 1e-10, "{n_forces} forces, {n_displacements} displacements: {off:e}");
@@ -173,7 +175,10 @@ fn constraints_that_cannot_act_are_counted_and_harm_nothing() {
     bad.forces.push(NodalForce { node: fixed[0], force_n: DVec3::X });
     model.apply(&bad);
     model.step(0.01);
-    assert_eq!((model.report().ignored_displacements, model.report().ignored_forces), (3, 1));
+    assert_eq!(
+        (model.response_report().ignored_displacements, model.response_report().ignored_forces),
+        (3, 1)
+    );
     assert_eq!(model.state().positions_m, expected);
     assert_eq!(model.constraint_forces_n().len(), 5);
     assert_eq!(model.constraint_forces_n()[2..], [DVec3::ZERO; 3]);
@@ -262,7 +267,7 @@ fn files_of_other_things_are_refused_with_what_was_found_and_expected() {
         message(load(&bytes, &mesh, &material, &fixed))
     };
     assert!(changed(0, b'X').contains("not a pre-computed compliance"));
-    assert!(changed(8, 7).contains("format version 7, this program reads version 1"));
+    assert!(changed(8, 7).contains("format version 7, this program reads version 2"));
     assert!(changed(bytes.len() - 40, 0x55).contains("checksum"));
     assert!(changed(bytes.len() - 1, bytes[bytes.len() - 1] ^ 1).contains("checksum"));
     assert!(changed(90, 0xff).contains("its header asks for"));
@@ -312,12 +317,13 @@ fn tensor_mass(mesh: &TetMesh, fixed_nodes: &[NodeId], damping_per_s: f64) -> Te
     let material = material();
     let stable = TensorMass::stable_step(mesh, &material).unwrap();
     TensorMass::build(&TensorMassParams {
-        mesh,
+        body: DynamicBody {
+            fixed: &held(fixed_nodes),
+            damping: Rayleigh::of_mass(damping_per_s),
+            time_step_s: stable.step_s,
+            ..DynamicBody::new(mesh, material.density_kg_per_m3())
+        },
         material: &material,
-        fixed_nodes,
-        damping_per_s,
-        gravity_m_per_s2: DVec3::ZERO,
-        time_step_s: stable.step_s,
     })
     .unwrap()
 }
@@ -361,12 +367,14 @@ fn weight_hangs_in_the_supports_as_the_static_solver_says() {
     let material = material();
     let gravity_m_per_s2 = DVec3::new(0.0, 0.0, -0.4);
     let mut model = TensorMass::build(&TensorMassParams {
-        mesh: &mesh,
+        body: DynamicBody {
+            fixed: &held(&fixed),
+            damping: Rayleigh::of_mass(40.0),
+            gravity_m_per_s2,
+            time_step_s: 1e-3,
+            ..DynamicBody::new(&mesh, material.density_kg_per_m3())
+        },
         material: &material,
-        fixed_nodes: &fixed,
-        damping_per_s: 40.0,
-        gravity_m_per_s2,
-        time_step_s: 1e-3,
     })
     .unwrap();
     run_to_rest(&mut model, 1e-3);
@@ -391,12 +399,13 @@ fn a_free_body_falls_and_does_not_deform() {
     let material = material();
     let (g, h_s) = (9.81, 1e-3);
     let mut model = TensorMass::build(&TensorMassParams {
-        mesh: &mesh,
+        body: DynamicBody {
+            damping: Rayleigh::of_mass(0.0),
+            gravity_m_per_s2: DVec3::new(0.0, -g, 0.0),
+            time_step_s: h_s,
+            ..DynamicBody::new(&mesh, material.density_kg_per_m3())
+        },
         material: &material,
-        fixed_nodes: &[],
-        damping_per_s: 0.0,
-        gravity_m_per_s2: DVec3::new(0.0, -g, 0.0),
-        time_step_s: h_s,
     })
     .unwrap();
     for k in 1..=100 {
@@ -431,12 +440,13 @@ fn energy_stays_at_the_stable_step_and_a_longer_one_is_refused() {
 
     let material = material();
     let params = TensorMassParams {
-        mesh: &mesh,
+        body: DynamicBody {
+            fixed: &held(&fixed),
+            damping: Rayleigh::of_mass(0.0),
+            time_step_s: 1.0001 * h_s,
+            ..DynamicBody::new(&mesh, material.density_kg_per_m3())
+        },
         material: &material,
-        fixed_nodes: &fixed,
-        damping_per_s: 0.0,
-        gravity_m_per_s2: DVec3::ZERO,
-        time_step_s: 1.0001 * h_s,
     };
     let refusal = TensorMass::build(&params).unwrap_err();
     assert!(
@@ -444,7 +454,10 @@ fn energy_stays_at_the_stable_step_and_a_longer_one_is_refused() {
         "{refusal}"
     );
     assert!(matches!(
-        TensorMass::build(&TensorMassParams { damping_per_s: -1.0, time_step_s: h_s, ..params }),
+        TensorMass::build(&TensorMassParams {
+            body: DynamicBody { damping: Rayleigh::of_mass(-1.0), time_step_s: h_s, ..params.body },
+            ..params
+        }),
         Err(TensorMassError::Parameter { .. })
     ));
 }

@@ -27,7 +27,7 @@ use crate::solve::{
 };
 
 /// Kept below the bound, where a mode at omega h = 2 would grow by rounding.
-const MARGIN: f64 = 0.999;
+pub(super) const MARGIN: f64 = 0.999;
 
 /// Largest mesh whose step is proven by factorization: under half a second.
 pub const MOST_NODES_PROVEN: usize = 10_000;
@@ -71,10 +71,32 @@ impl StableStep {
         density_kg_per_m3: f64,
         stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
     ) -> Result<Self, SolveError> {
+        Stability::of_stiffness(mesh, density_kg_per_m3, stiffness_of).map(|stability| stability.step)
+    }
+}
+
+/// The stable steps, and what each tetrahedron has to do with them.
+pub(in crate::model) struct Stability {
+    pub(in crate::model) step: StableStep,
+    /// Bound of each tetrahedron's squared frequency by itself, for every shape allowed for [1/s2].
+    pub(in crate::model) tet_squared_frequency_per_s2: Vec<f64>,
+}
+
+impl Stability {
+    /// Bounds for a mesh whose tetrahedra are told one by one.
+    ///
+    /// # Errors
+    /// [`SolveError`] for an empty mesh or a flat or inverted tetrahedron.
+    pub(in crate::model) fn of_stiffness(
+        mesh: &TetMesh,
+        density_kg_per_m3: f64,
+        stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
+    ) -> Result<Self, SolveError> {
         let edges = MeshEdges::of_mesh(mesh)?;
         let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, g| stiffness_of(tet, g).at_rest)?;
         let mut mass_kg = vec![0.0; mesh.positions_m.len()];
         let (mut after_cuts, mut tet, mut stiffening) = (0.0, TetId(0), 1.0_f64);
+        let mut tet_squared_frequency_per_s2 = Vec::with_capacity(mesh.tetrahedra.len());
         for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
             let this = TetId::from_index(t);
             let gradients = P1Gradients::of_tet(mesh, this)?;
@@ -85,6 +107,7 @@ impl StableStep {
             let stiff = stiffness_of(this, &gradients);
             let of_tet = stiff.stiffening * stiff.at_rest.squared_frequency_bound_per_s2([corner_kg; 4]);
             stiffening = stiffening.max(stiff.stiffening);
+            tet_squared_frequency_per_s2.push(of_tet);
             if of_tet > after_cuts {
                 (after_cuts, tet) = (of_tet, this);
             }
@@ -95,7 +118,8 @@ impl StableStep {
             after_cuts
         };
         let step_s = |squared_frequency: f64| MARGIN * 2.0 / squared_frequency.sqrt();
-        Ok(Self { step_s: step_s(uncut), after_cuts_s: step_s(after_cuts), tet })
+        let step = StableStep { step_s: step_s(uncut), after_cuts_s: step_s(after_cuts), tet };
+        Ok(Self { step, tet_squared_frequency_per_s2 })
     }
 }
 

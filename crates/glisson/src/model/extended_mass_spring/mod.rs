@@ -10,6 +10,11 @@
 //! f_i = -c V0 (v_i - v_G) = c V0/4 sum_j (v_j - v_i), which is again a sum over edges. It keeps momentum; a rigid
 //! rotation is slowed too.
 //!
+//! A stress at rest F S0 is a constant tension per length of the edges, added first. An inverted tetrahedron is left out
+//! of the forces until it is upright again: squared lengths do not tell it from its mirror image, in which it would
+//! stay. With logarithms the forces grow without bound as a tetrahedron becomes flat, beyond what the step of the rest
+//! shape is stable for: such a body may not come back from a shape with many inverted tetrahedra.
+//!
 //! Removing a tetrahedron takes its tensions, its share of the edges' viscosity and its masses out.
 
 mod law;
@@ -19,9 +24,11 @@ pub use law::EdgeLaw;
 pub use tuning::tuned_damping_per_s;
 
 use self::law::{EdgeEnergy, Lame, NeoHookeTet, StVenantKirchhoffTet, is_inverted};
-use super::explicit_body::{Dynamics, ExplicitBody, ExplicitBodyError, InternalForces, check_number, keep};
-use super::tensor_mass::TensorMass;
-use super::{Constraints, DeformableModel, ModelState, TopologyRefusal};
+use super::explicit::{
+    Cuttable, ExplicitBody, ExplicitError, Integration, InternalForces, LiveEdges, LiveTets, Quarantine,
+    RestTensions, Stability, StiffTet, check_body, check_number, follow, keep,
+};
+use super::{Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, TopologyRefusal};
 use crate::material::LinearElastic;
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
@@ -31,16 +38,16 @@ use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients};
 /// What an extended mass-spring model is made from.
 #[derive(Clone, Copy, Debug)]
 pub struct ExtendedMassSpringParams<'a> {
-    /// The body at rest.
-    pub mesh: &'a TetMesh,
+    /// The body, its supports, loads and damping over inertia.
+    pub body: DynamicBody<'a>,
     /// The law.
     pub law: EdgeLaw,
-    /// Its Lame coefficients, and the density that makes the masses.
+    /// Its Lame coefficients; the density is the body's.
     pub material: &'a LinearElastic,
     /// Viscosity c [kg/(m3 s)] (1e-3 g/(mm3 s) is 1000): relative motion decays at the rate 4 c/rho.
     pub viscosity_kg_per_m3_s: f64,
-    /// Supports, time integration, damping, gravity.
-    pub dynamics: Dynamics<'a>,
+    /// Time integration.
+    pub integration: Integration,
 }
 
 /// The tetrahedra, by law: chosen outside the loop over them.
@@ -53,12 +60,16 @@ enum Elements {
 /// The links of the body.
 #[derive(Clone, Debug)]
 struct Links {
-    edges: MeshEdges,
-    edge_tets: Vec<u32>,
+    edges: LiveEdges,
+    tets: LiveTets,
     rest_m2: Vec<f64>,
+    rest_tensions: RestTensions,
     /// Sum of c V0/4 [N s/m].
     viscosity_n_s_per_m: Vec<f64>,
     elements: Elements,
+    /// Tetrahedra that exert no force in the part of the step under way, and how many they are.
+    is_left_out: Vec<bool>,
+    n_left_out: u32,
     // Scratch, an entry an edge.
     growth_m2: Vec<f64>,
     tension_n_per_m: Vec<f64>,
@@ -66,7 +77,9 @@ struct Links {
 
 impl Links {
     fn measure(&mut self, positions_m: &[DVec3]) {
-        for ((growth, &[a, b]), rest) in self.growth_m2.iter_mut().zip(&self.edges.nodes).zip(&self.rest_m2) {
+        for ((growth, &[a, b]), rest) in
+            self.growth_m2.iter_mut().zip(&self.edges.edges.nodes).zip(&self.rest_m2)
+        {
             *growth = (positions_m[b.index()] - positions_m[a.index()]).length_squared() - rest;
         }
     }
@@ -77,37 +90,56 @@ impl Links {
             elements.iter().zip(of_tet).map(of).sum()
         }
         self.measure(positions_m);
-        match &self.elements {
-            Elements::StVenantKirchhoff(elements) => sum(elements, &self.edges.of_tet, &self.growth_m2),
-            Elements::NeoHooke(elements) => sum(elements, &self.edges.of_tet, &self.growth_m2),
-        }
+        let edges = &self.edges.edges;
+        let of_rest_j = self.rest_tensions.energy_j(&edges.nodes, positions_m, |e| self.rest_m2[e]);
+        let elastic_j = match &self.elements {
+            Elements::StVenantKirchhoff(elements) => sum(elements, &edges.of_tet, &self.growth_m2),
+            Elements::NeoHooke(elements) => sum(elements, &edges.of_tet, &self.growth_m2),
+        };
+        elastic_j + of_rest_j
     }
-}
 
-fn add_tensions<E: EdgeEnergy>(
-    elements: &[E],
-    of_tet: &[[u32; 6]],
-    growth_m2: &[f64],
-    tension_n_per_m: &mut [f64],
-) {
-    for (element, edges) in elements.iter().zip(of_tet) {
-        let tension = element.tension_n_per_m(edges.map(|e| growth_m2[e as usize]));
-        for (s, &e) in tension.iter().zip(edges) {
-            tension_n_per_m[e as usize] += s;
+    /// Overwrites the tension of every edge, without the tetrahedra that are left out.
+    fn update_tensions(&mut self) {
+        fn sum<E: EdgeEnergy>(elements: &[E], links: &LiveEdges, growth: &[f64], tension: &mut [f64]) {
+            for (element, edges) in elements.iter().zip(&links.edges.of_tet) {
+                add(element.tension_n_per_m(edges.map(|e| growth[e as usize])), edges, tension);
+            }
         }
+        fn sum_of<E: EdgeEnergy>(elements: &[E], links: &Links, tension: &mut [f64]) {
+            for (t, (element, edges)) in elements.iter().zip(&links.edges.edges.of_tet).enumerate() {
+                if links.is_left_out[t] {
+                    let of_rest = links.rest_tensions.of_tet(t).map(|s| -s);
+                    add(of_rest, edges, tension);
+                } else {
+                    let growth = edges.map(|e| links.growth_m2[e as usize]);
+                    add(element.tension_n_per_m(growth), edges, tension);
+                }
+            }
+        }
+        fn add(tensions: [f64; 6], edges: &[u32; 6], tension: &mut [f64]) {
+            for (s, &e) in tensions.iter().zip(edges) {
+                tension[e as usize] += s;
+            }
+        }
+        let mut tension = std::mem::take(&mut self.tension_n_per_m);
+        self.rest_tensions.write_into(&mut tension);
+        let (links, growth) = (&self.edges, &self.growth_m2);
+        match (&self.elements, self.n_left_out) {
+            (Elements::StVenantKirchhoff(elements), 0) => sum(elements, links, growth, &mut tension),
+            (Elements::NeoHooke(elements), 0) => sum(elements, links, growth, &mut tension),
+            (Elements::StVenantKirchhoff(elements), _) => sum_of(elements, self, &mut tension),
+            (Elements::NeoHooke(elements), _) => sum_of(elements, self, &mut tension),
+        }
+        self.tension_n_per_m = tension;
     }
 }
 
 impl InternalForces for Links {
     fn add_forces(&mut self, positions_m: &[DVec3], velocities_m_per_s: &[DVec3], force_n: &mut [DVec3]) {
         self.measure(positions_m);
-        self.tension_n_per_m.fill(0.0);
-        let (of_tet, growth, tension) = (&self.edges.of_tet, &self.growth_m2, &mut self.tension_n_per_m);
-        match &self.elements {
-            Elements::StVenantKirchhoff(elements) => add_tensions(elements, of_tet, growth, tension),
-            Elements::NeoHooke(elements) => add_tensions(elements, of_tet, growth, tension),
-        }
-        for (e, &[a, b]) in self.edges.nodes.iter().enumerate() {
+        self.update_tensions();
+        for (e, &[a, b]) in self.edges.edges.nodes.iter().enumerate() {
             let (a, b) = (a.index(), b.index());
             let pull_n = self.tension_n_per_m[e] * (positions_m[b] - positions_m[a])
                 + self.viscosity_n_s_per_m[e] * (velocities_m_per_s[b] - velocities_m_per_s[a]);
@@ -115,19 +147,31 @@ impl InternalForces for Links {
             force_n[b] -= pull_n;
         }
     }
+
+    fn quarantine(&mut self, positions_m: &[DVec3]) -> Quarantine {
+        if self.n_left_out > 0 {
+            self.is_left_out.fill(false);
+        }
+        let mut quarantine = Quarantine::default();
+        for (t, nodes) in self.tets.iter() {
+            if is_inverted(nodes.map(|n| positions_m[n.index()])) {
+                self.is_left_out[t] = true;
+                quarantine.add(t);
+            }
+        }
+        self.n_left_out = quarantine.n_tets;
+        quarantine
+    }
 }
 
 /// One organ of tetrahedra that pull along their edges.
 #[derive(Clone, Debug)]
 pub struct ExtendedMassSpring {
     law: EdgeLaw,
-    material: LinearElastic,
     viscosity_kg_per_m3_s: f64,
+    density_kg_per_m3: f64,
     body: ExplicitBody,
     links: Links,
-    tet_nodes: Vec<[NodeId; 4]>,
-    tet_is_live: Vec<bool>,
-    vertex_tets: Vec<u32>,
     /// Highest frequency at rest after any removals [rad/s].
     frequency_after_cuts_rad_per_s: f64,
 }
@@ -141,31 +185,31 @@ impl ExtendedMassSpring {
     /// Prepares every tetrahedron. The mesh must be compact: every tetrahedron of it counts as live.
     ///
     /// # Errors
-    /// [`ExplicitBodyError`]: an unusable mesh, a step above the stable one, an impossible parameter.
-    pub fn build(params: &ExtendedMassSpringParams<'_>) -> Result<Self, ExplicitBodyError> {
-        let ExtendedMassSpringParams { mesh, law, material, viscosity_kg_per_m3_s, dynamics } = *params;
+    /// [`ExplicitError`]: an unusable mesh, a step above the stable one, an impossible parameter.
+    pub fn build(params: &ExtendedMassSpringParams<'_>) -> Result<Self, ExplicitError> {
+        let ExtendedMassSpringParams { body, law, material, viscosity_kg_per_m3_s, integration } = *params;
         check_number("viscosity [kg/(m3 s)]", viscosity_kg_per_m3_s, 0.0)?;
+        check_body(&body)?;
+        let mesh = body.mesh;
         let edges = MeshEdges::of_mesh(mesh)?;
         // At rest both laws have the stiffness of linear elasticity.
-        let stable = TensorMass::stable_step(mesh, material)?;
-        let (n_nodes, n_edges) = (mesh.positions_m.len(), edges.nodes.len());
-        let mut mass_kg = vec![0.0; n_nodes];
-        let mut vertex_tets = vec![0; n_nodes];
-        let mut edge_tets = vec![0; n_edges];
+        let stability = Stability::of_stiffness(mesh, body.density_kg_per_m3, |tet, gradients| {
+            let mut at_rest = gradients.stiffness(material.lambda_pa(), material.mu_pa());
+            if let Some(&stress_pa) = body.rest_stress_pa.get(tet.index()) {
+                at_rest.add_multiples(gradients.stress_stiffness_n_per_m(stress_pa));
+            }
+            StiffTet { at_rest, stiffening: 1.0 }
+        })?;
+        let step = stability.step;
+        let n_edges = edges.nodes.len();
         let mut viscosity_n_s_per_m = vec![0.0; n_edges];
         let mut gradients = Vec::with_capacity(mesh.tetrahedra.len());
-        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-            let of_tet = P1Gradients::of_tet(mesh, TetId::from_index(t))?;
-            let share_kg = material.density_kg_per_m3() * of_tet.volume_m3 / 4.0;
-            for node in nodes {
-                mass_kg[node.index()] += share_kg;
-                vertex_tets[node.index()] += 1;
+        for (t, of_tet) in edges.of_tet.iter().enumerate() {
+            let of_rest = P1Gradients::of_tet(mesh, TetId::from_index(t))?;
+            for edge in of_tet {
+                viscosity_n_s_per_m[*edge as usize] += viscosity_kg_per_m3_s * of_rest.volume_m3 / 4.0;
             }
-            for edge in edges.of_tet[t] {
-                edge_tets[edge as usize] += 1;
-                viscosity_n_s_per_m[edge as usize] += viscosity_kg_per_m3_s * of_tet.volume_m3 / 4.0;
-            }
-            gradients.push(of_tet);
+            gradients.push(of_rest);
         }
         let lame = Lame { lambda_pa: material.lambda_pa(), mu_pa: material.mu_pa() };
         let rests = mesh.tetrahedra.iter().map(|&nodes| rest_squares_m2(&mesh.positions_m, nodes));
@@ -183,33 +227,34 @@ impl ExtendedMassSpring {
             .iter()
             .map(|&[a, b]| (mesh.positions_m[b.index()] - mesh.positions_m[a.index()]).length_squared())
             .collect();
+        let strained_j = 0.5 * (material.lambda_pa() + 2.0 * material.mu_pa()) * mesh.volume_m3();
         let mut model = Self {
             law,
-            material: *material,
             viscosity_kg_per_m3_s,
-            body: ExplicitBody::new(&mesh.positions_m, mass_kg, &dynamics)?,
+            density_kg_per_m3: body.density_kg_per_m3,
+            body: ExplicitBody::new(&body, &integration, Some(stability), strained_j)?,
             links: Links {
-                edges,
-                edge_tets,
+                rest_tensions: RestTensions::new(&edges, gradients.into_iter(), body.rest_stress_pa),
+                edges: LiveEdges::new(edges),
+                tets: LiveTets::of_mesh(mesh),
                 rest_m2,
                 viscosity_n_s_per_m,
                 elements,
+                is_left_out: vec![false; mesh.tetrahedra.len()],
+                n_left_out: 0,
                 growth_m2: vec![0.0; n_edges],
                 tension_n_per_m: vec![0.0; n_edges],
             },
-            tet_nodes: mesh.tetrahedra.clone(),
-            tet_is_live: vec![true; mesh.tetrahedra.len()],
-            vertex_tets,
-            frequency_after_cuts_rad_per_s: 2.0 / stable.after_cuts_s,
+            frequency_after_cuts_rad_per_s: 2.0 / step.after_cuts_s,
         };
-        model.body.set_bounds(2.0 / stable.step_s, model.viscous_rate_per_s());
+        model.body.set_bounds(2.0 / step.step_s, model.viscous_rate_per_s());
         model.body.check_step()?;
         Ok(model)
     }
 
     /// Relative motion within a tetrahedron decays at c V0/(rho V0/4); the whole is at most that.
     fn viscous_rate_per_s(&self) -> f64 {
-        4.0 * self.viscosity_kg_per_m3_s / self.material.density_kg_per_m3()
+        4.0 * self.viscosity_kg_per_m3_s / self.density_kg_per_m3
     }
 
     /// The law.
@@ -234,7 +279,7 @@ impl ExtendedMassSpring {
 
     /// Mass [kg] of each node; zero without a tetrahedron.
     pub fn masses_kg(&self) -> &[f64] {
-        &self.body.mass_kg
+        self.body.masses_kg()
     }
 
     /// Constraints of the last [`DeformableModel::apply`] that were left out.
@@ -252,7 +297,13 @@ impl ExtendedMassSpring {
         self.body.set_velocities(velocities_m_per_s);
     }
 
-    /// Overwrites `force_n` with what the links exert on each node at these positions and velocities.
+    /// Holds a node where it is from now on: pre-stress, with nodes moved before.
+    pub fn fix_in_place(&mut self, node: NodeId) {
+        self.body.fix_in_place(node);
+    }
+
+    /// Overwrites `force_n` with what the links exert on each node at these positions and velocities, without
+    /// quarantine.
     pub fn internal_forces_into(
         &mut self,
         positions_m: &[DVec3],
@@ -260,6 +311,8 @@ impl ExtendedMassSpring {
         force_n: &mut [DVec3],
     ) {
         force_n.fill(DVec3::ZERO);
+        self.links.n_left_out = 0;
+        self.links.is_left_out.fill(false);
         self.links.add_forces(positions_m, velocities_m_per_s, force_n);
     }
 
@@ -270,132 +323,100 @@ impl ExtendedMassSpring {
 
     /// Elastic and kinetic energy now [J], without gravity.
     pub fn energy_j(&mut self) -> f64 {
-        self.links.energy_j(&self.body.positions_m) + self.body.kinetic_energy_j()
+        self.links.energy_j(self.body.positions_m()) + self.body.kinetic_energy_j()
     }
 
     /// How many live tetrahedra stand inverted or flat.
     pub fn n_inverted(&self) -> usize {
-        let corners_m = |nodes: [NodeId; 4]| nodes.map(|n| self.body.positions_m[n.index()]);
-        let live = self.tet_nodes.iter().zip(&self.tet_is_live).filter(|(_, live)| **live);
-        live.filter(|(nodes, _)| is_inverted(corners_m(**nodes))).count()
+        let corners_m = |nodes: &[NodeId; 4]| nodes.map(|n| self.body.positions_m()[n.index()]);
+        self.links.tets.iter().filter(|(_, nodes)| is_inverted(corners_m(nodes))).count()
     }
 
     /// All numbers that a removal changes: masses, then each edge with its viscosity, then each live tetrahedron's.
     /// For comparison with a model built anew; dead edges and tetrahedra are left out, dead nodes are zeros.
     pub fn mechanics(&self) -> [Vec<f64>; 3] {
-        let live_edges = self.links.edge_tets.iter().map(|&n| n > 0);
+        let live_edges = self.links.edges.is_live();
         let viscosity = self.links.viscosity_n_s_per_m.iter().zip(live_edges);
-        let live_tets = (0..self.tet_nodes.len()).filter(|&t| self.tet_is_live[t]);
+        let live_tets = self.links.tets.iter().map(|(t, _)| t);
         let elements: Vec<f64> = match &self.links.elements {
             Elements::StVenantKirchhoff(elements) => live_tets.flat_map(|t| elements[t].numbers()).collect(),
             Elements::NeoHooke(elements) => live_tets.flat_map(|t| elements[t].numbers()).collect(),
         };
-        [self.body.mass_kg.clone(), viscosity.filter(|(_, live)| *live).map(|(c, _)| *c).collect(), elements]
+        [
+            self.body.masses_kg().to_vec(),
+            viscosity.filter(|(_, live)| *live).map(|(c, _)| *c).collect(),
+            elements,
+        ]
+    }
+}
+
+impl Cuttable for ExtendedMassSpring {
+    const NAME: &'static str = "extended_mass_spring";
+
+    fn tets(&self) -> &LiveTets {
+        &self.links.tets
     }
 
-    fn remove_tet(&mut self, tet: TetId) {
-        let t = tet.index();
-        self.tet_is_live[t] = false;
-        let nodes = self.tet_nodes[t];
-        match &mut self.links.elements {
+    fn tets_mut(&mut self) -> &mut LiveTets {
+        &mut self.links.tets
+    }
+
+    fn n_nodes(&self) -> usize {
+        self.body.n_nodes()
+    }
+
+    fn remove_tet(&mut self, t: usize) {
+        let links = &mut self.links;
+        let nodes = links.tets.nodes[t];
+        match &mut links.elements {
             Elements::StVenantKirchhoff(elements) => elements[t] = EdgeEnergy::nothing(),
             Elements::NeoHooke(elements) => elements[t] = EdgeEnergy::nothing(),
         }
         // The rest positions are those of the build, so these are the numbers that were added then.
-        let volume_m3 = P1Gradients::new(nodes.map(|n| self.body.rest_m[n.index()])).volume_m3;
-        for node in nodes {
-            let n = node.index();
-            self.vertex_tets[n] -= 1;
-            if self.vertex_tets[n] == 0 {
-                self.body.mass_kg[n] = 0.0;
-            } else {
-                self.body.mass_kg[n] -= self.material.density_kg_per_m3() * volume_m3 / 4.0;
-            }
-        }
-        for edge in self.links.edges.of_tet[t] {
+        let volume_m3 = P1Gradients::new(nodes.map(|n| self.body.rest_m(n))).volume_m3;
+        self.body.remove_tet(nodes, volume_m3);
+        links.n_left_out -= u32::from(std::mem::take(&mut links.is_left_out[t]));
+        for (local, edge) in links.edges.edges.of_tet[t].into_iter().enumerate() {
             let e = edge as usize;
-            self.links.edge_tets[e] -= 1;
-            if self.links.edge_tets[e] == 0 {
-                self.links.viscosity_n_s_per_m[e] = 0.0;
+            let stays = links.edges.take_tet(e);
+            links.rest_tensions.remove(t, local, e, stays);
+            if stays {
+                links.viscosity_n_s_per_m[e] -= self.viscosity_kg_per_m3_s * volume_m3 / 4.0;
             } else {
-                self.links.viscosity_n_s_per_m[e] -= self.viscosity_kg_per_m3_s * volume_m3 / 4.0;
+                links.viscosity_n_s_per_m[e] = 0.0;
             }
         }
     }
 
-    fn compact(&mut self, change: &TopologyChange) {
-        let live_edges: Vec<bool> = self.links.edge_tets.iter().map(|&n| n > 0).collect();
-        compact_edges(&mut self.links.edges, &live_edges, &self.tet_is_live, change);
+    fn after_removals(&mut self) {
+        let (frequency_rad_per_s, viscosity_per_s) =
+            (self.frequency_after_cuts_rad_per_s, self.viscous_rate_per_s());
+        let tets = &self.links.tets;
+        self.body.set_bounds_after_removals(
+            frequency_rad_per_s,
+            viscosity_per_s,
+            |nodes, allowed_rad_per_s| {
+                nodes.scale_tets(allowed_rad_per_s, &tets.nodes, &tets.is_live);
+            },
+        );
+    }
+
+    fn compact(&mut self, new_ids: &[Option<NodeId>]) {
         let links = &mut self.links;
-        keep(&mut links.edge_tets, &live_edges);
+        let live_tets = &links.tets.is_live;
+        let live_edges = links.edges.compact(new_ids, live_tets);
         keep(&mut links.rest_m2, &live_edges);
         keep(&mut links.viscosity_n_s_per_m, &live_edges);
         keep(&mut links.growth_m2, &live_edges);
         keep(&mut links.tension_n_per_m, &live_edges);
+        links.rest_tensions.compact(&live_edges, live_tets);
+        keep(&mut links.is_left_out, live_tets);
         match &mut links.elements {
-            Elements::StVenantKirchhoff(elements) => keep(elements, &self.tet_is_live),
-            Elements::NeoHooke(elements) => keep(elements, &self.tet_is_live),
+            Elements::StVenantKirchhoff(elements) => keep(elements, live_tets),
+            Elements::NeoHooke(elements) => keep(elements, live_tets),
         }
-        compact_tets(&mut self.tet_nodes, &mut self.tet_is_live, change);
-        let stays: Vec<bool> = change.nodes.new_ids.iter().map(Option::is_some).collect();
-        keep(&mut self.vertex_tets, &stays);
-        self.body.compact(change);
+        self.body.compact(new_ids, live_tets);
     }
-}
-
-/// Whether a change is one that models of removable tetrahedra follow.
-///
-/// # Errors
-/// [`TopologyRefusal::Frozen`] for new or moved nodes and new tetrahedra.
-pub(super) fn check_removal_only(
-    change: &TopologyChange,
-    model: &'static str,
-) -> Result<(), TopologyRefusal> {
-    let nothing_new = change.tets.added.ids().is_empty() && change.nodes.added.ids().is_empty();
-    if nothing_new && change.moved_nodes.is_empty() {
-        return Ok(());
-    }
-    let reason =
-        "it follows removals of tetrahedra and compactions; build it anew on a mesh with new or moved nodes";
-    Err(TopologyRefusal::Frozen { model, reason })
-}
-
-/// Drops edges and tetrahedra that are not live, and renumbers; the order of the others stays.
-pub(super) fn compact_edges(
-    edges: &mut MeshEdges,
-    live_edges: &[bool],
-    live_tets: &[bool],
-    change: &TopologyChange,
-) {
-    let mut n_edges = 0u32;
-    let new_edge: Vec<u32> = live_edges
-        .iter()
-        .map(|&live| {
-            n_edges += u32::from(live);
-            n_edges.wrapping_sub(1)
-        })
-        .collect();
-    keep(&mut edges.nodes, live_edges);
-    for node in edges.nodes.iter_mut().flatten() {
-        *node = change.nodes.new_ids[node.index()].expect("what is live has live nodes");
-    }
-    keep(&mut edges.of_tet, live_tets);
-    for edge in edges.of_tet.iter_mut().flatten() {
-        *edge = new_edge[*edge as usize];
-    }
-}
-
-/// Drops dead tetrahedra and renumbers the nodes of the others.
-pub(super) fn compact_tets(
-    tet_nodes: &mut Vec<[NodeId; 4]>,
-    tet_is_live: &mut Vec<bool>,
-    change: &TopologyChange,
-) {
-    keep(tet_nodes, tet_is_live);
-    for node in tet_nodes.iter_mut().flatten() {
-        *node = change.nodes.new_ids[node.index()].expect("what is live has live nodes");
-    }
-    *tet_is_live = vec![true; tet_nodes.len()];
 }
 
 impl DeformableModel for ExtendedMassSpring {
@@ -420,28 +441,19 @@ impl DeformableModel for ExtendedMassSpring {
         self.body.take_over(positions_m);
     }
 
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        self.body.set_gravity(gravity_m_per_s2);
+    }
+
+    fn report(&self) -> ModelReport {
+        self.body.report()
+    }
+
     fn duplicate(&self) -> Box<dyn DeformableModel> {
         Box::new(self.clone())
     }
 
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        check_removal_only(change, "extended_mass_spring")?;
-        assert_eq!(change.tets.n_before, self.tet_nodes.len(), "the model missed a change of the mesh");
-        assert_eq!(change.nodes.n_before, self.body.rest_m.len(), "the model missed a change of the mesh");
-        let mut is_cut = false;
-        for &tet in &change.tets.removed {
-            if self.tet_is_live[tet.index()] {
-                self.remove_tet(tet);
-                is_cut = true;
-            }
-        }
-        if is_cut {
-            self.body.masses_changed();
-            self.body.set_bounds(self.frequency_after_cuts_rad_per_s, self.viscous_rate_per_s());
-        }
-        if change.is_renumbering() {
-            self.compact(change);
-        }
-        Ok(())
+        follow(self, change)
     }
 }

@@ -3,7 +3,7 @@
 use crate::material::LinearElastic;
 use crate::math::DVec3;
 use crate::mesh::{NodeId, TetMesh};
-use crate::model::explicit_body::Inertia;
+use crate::model::explicit::Inertia;
 use crate::model::rheology::lumped_masses_kg;
 use crate::solve::{BoundaryConditions, FreeSystem, MeshEdges, SolveError, StiffnessTensors};
 
@@ -11,7 +11,7 @@ use crate::solve::{BoundaryConditions, FreeSystem, MeshEdges, SolveError, Stiffn
 /// digits.
 const ITERATIONS: usize = 40;
 
-/// Damping over inertia [1/s] for [`crate::model::Dynamics::damping_per_s`] that is critical for the slowest mode at
+/// Damping over inertia [1/s] for [`crate::model::Rayleigh::mass_per_s`] that is critical for the slowest mode at
 /// rest, twice its circular frequency: no other damping brings that mode to rest sooner, and every other mode
 /// oscillates with the same decay.
 ///

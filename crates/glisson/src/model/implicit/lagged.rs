@@ -1,7 +1,7 @@
 //! The projected tangent at some past state, factored: the preconditioner.
 
 use super::elements::Elements;
-use super::projected::projected_stiffness;
+use super::ligaments::Ligaments;
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::{NodeId, TetMesh};
 use crate::solve::{
@@ -16,17 +16,20 @@ pub(super) struct LaggedState {
     pub(super) displacement_m: Vec<DVec3>,
     /// Nodes that were held by a tool then: they are cut off from their neighbours.
     pub(super) held: Vec<bool>,
+    /// Live tetrahedra that followed the stand-in law then.
+    pub(super) strays: Vec<bool>,
     /// Factor of the mass: 1/h^2 + alpha/h.
     pub(super) per_mass: f64,
     /// Factor of the stiffness: 1 + beta/h.
     pub(super) per_stiffness: f64,
+    /// Share of the elastic stiffness that viscosity leaves to a step.
+    pub(super) viscous_share: f64,
 }
 
 /// A sparse factor of per_mass M + per_stiffness K at a [`LaggedState`].
 #[derive(Clone)]
 pub(super) struct Lagged {
     pub(super) state: LaggedState,
-    lame_pa: [f64; 2],
     edges: MeshEdges,
     /// Edge of each of the six local edges, tetrahedron after tetrahedron as in [`Elements::tetrahedra`].
     tensors: StiffnessTensors,
@@ -40,12 +43,19 @@ pub(super) struct Lagged {
 pub(super) struct LaggedParams<'a> {
     /// The live tetrahedra with all nodes.
     pub(super) mesh: &'a TetMesh,
-    /// Nodes that never move: fixed ones and those without a tetrahedron.
-    pub(super) immobile: &'a [bool],
+    /// One for each axis along which a node can move, zero elsewhere.
+    pub(super) free_axes: &'a [DVec3],
+    pub(super) nodes: NodeTerms<'a>,
+}
+
+/// What stands on the nodes themselves.
+#[derive(Clone, Copy)]
+pub(super) struct NodeTerms<'a> {
+    /// Places at rest [m].
+    pub(super) rest_m: &'a [DVec3],
     /// Mass of each node [kg].
     pub(super) mass_kg: &'a [f64],
-    /// lambda and mu [Pa] of the preconditioner.
-    pub(super) lame_pa: [f64; 2],
+    pub(super) ligaments: &'a Ligaments,
 }
 
 impl Lagged {
@@ -60,23 +70,25 @@ impl Lagged {
             vertex: vec![DMat3::ZERO; params.mesh.positions_m.len()],
             edge: vec![DMat3::ZERO; edges.nodes.len()],
         };
-        assemble(&mut tensors, &edges, elements, params.lame_pa, &state);
-        add_mass(&mut tensors, params.mass_kg, state.per_mass);
+        assemble(&mut tensors, &edges, elements, &state);
+        params.nodes.add_to(&mut tensors, &state);
         let mut conditions = BoundaryConditions::new();
-        for n in (0..params.immobile.len()).filter(|&n| params.immobile[n]) {
-            conditions.fix_node(NodeId::from_index(n));
+        for (n, free) in params.free_axes.iter().enumerate() {
+            for axis in (0..3).filter(|&axis| free[axis] == 0.0) {
+                conditions.impose(NodeId::from_index(n), axis, 0.0);
+            }
         }
         let system = FreeSystem::new(&edges, &tensors, &conditions)?;
         let factor = system.factorize()?;
         let scratch = factor.scratch(1);
         let free = vec![0.0; system.n_free()];
-        Ok(Self { state, lame_pa: params.lame_pa, edges, tensors, system, factor, scratch, free })
+        Ok(Self { state, edges, tensors, system, factor, scratch, free })
     }
 
     /// Makes the factor anew at `self.state`, without allocation. False when the numbers are not usable.
-    pub(super) fn refresh(&mut self, elements: &Elements, mass_kg: &[f64]) -> bool {
-        assemble(&mut self.tensors, &self.edges, elements, self.lame_pa, &self.state);
-        add_mass(&mut self.tensors, mass_kg, self.state.per_mass);
+    pub(super) fn refresh(&mut self, elements: &Elements, nodes: NodeTerms<'_>) -> bool {
+        assemble(&mut self.tensors, &self.edges, elements, &self.state);
+        nodes.add_to(&mut self.tensors, &self.state);
         self.system.refill(&self.tensors);
         self.factor.refactor_definite(&self.system).is_ok()
     }
@@ -90,22 +102,17 @@ impl Lagged {
     }
 }
 
-fn assemble(
-    tensors: &mut StiffnessTensors,
-    edges: &MeshEdges,
-    elements: &Elements,
-    lame_pa: [f64; 2],
-    state: &LaggedState,
-) {
+fn assemble(tensors: &mut StiffnessTensors, edges: &MeshEdges, elements: &Elements, state: &LaggedState) {
+    let factors = [state.per_stiffness * state.viscous_share, state.per_stiffness];
     tensors.vertex.fill(DMat3::ZERO);
     tensors.edge.fill(DMat3::ZERO);
-    for (t, (nodes, alpha, volume_m3)) in elements.tetrahedra().enumerate() {
+    for (t, (nodes, alpha, _)) in elements.tetrahedra().enumerate() {
         let u = nodes.map(|n| state.displacement_m[n.index()]);
         let mut f = DMat3::IDENTITY;
         for k in 0..3 {
             f += outer(u[k + 1] - u[0], alpha[k]);
         }
-        let stiffness = projected_stiffness(f, alpha, state.per_stiffness * volume_m3, lame_pa);
+        let stiffness = elements.projected_stiffness(t, f, state.strays[t], factors);
         for j in 0..4 {
             if !state.held[nodes[j].index()] {
                 tensors.vertex[nodes[j].index()] += stiffness.vertex[j];
@@ -125,8 +132,11 @@ fn assemble(
     }
 }
 
-fn add_mass(tensors: &mut StiffnessTensors, mass_kg: &[f64], per_mass: f64) {
-    for (tensor, m) in tensors.vertex.iter_mut().zip(mass_kg) {
-        *tensor += DMat3::from_diagonal(DVec3::splat(per_mass * m));
+impl NodeTerms<'_> {
+    fn add_to(&self, tensors: &mut StiffnessTensors, state: &LaggedState) {
+        for (tensor, m) in tensors.vertex.iter_mut().zip(self.mass_kg) {
+            *tensor += DMat3::from_diagonal(DVec3::splat(state.per_mass * m));
+        }
+        self.ligaments.add_to_vertices(self.rest_m, &state.displacement_m, &mut tensors.vertex);
     }
 }

@@ -1,83 +1,75 @@
-//! Implicit Euler for a ln J neo-Hooke body: large steps, stable at any stiffness.
+//! Implicit Euler for a body of any law: large steps, stable at any stiffness.
 //!
 //! With u the displacements, x = u(t) + h v(t), f(u) the forces that balance the deformation, C = alpha M and
 //! Rayleigh's second term beta K v written as beta (f(u) - f(u(t)))/h (equal to it to first order, and zero for
 //! a body that only turns), one step solves
 //!
-//! r(u) = M (u - x)/h^2 + alpha M (u - u(t))/h + f(u) + beta (f(u) - f(u(t)))/h - F = 0,   v = (u - u(t))/h,
+//! r(u) = M (u - x)/h^2 + alpha M (u - u(t))/h + f(u) + beta (f(u) - f(u(t)))/h - F - L(u) = 0,
+//! v = (u - u(t))/h,
 //!
-//! which is the minimum of an incremental potential (Martin et al. 2011, doi 10.1145/2010324.1964967). Newton's
+//! with gravity and outer forces F and the pull L of the ligaments, which is the minimum of an incremental
+//! potential (Martin et al. 2011, doi 10.1145/2010324.1964967). f holds the law's stress, the stress at rest
+//! ([`super::RestStress`]) and what viscosity remembers. Newton's
 //! method with conjugate gradients on the exact tangent, element by element; the preconditioner is the factor
-//! of the tangent at an earlier state, its negative eigenvalues removed ([`projected`]). It is made anew when
+//! of the tangent at an earlier state, its negative eigenvalues removed. It is made anew when
 //! the iterations since then have cost about as much as a factor, never by a clock. Where the exact tangent has
 //! a negative direction, the projected one is factored at once and gives the direction. A direction is
-//! shortened until no tetrahedron is inverted and the potential has fallen: ln J needs J > 0.
+//! shortened until the law allows every tetrahedron (ln J needs J > 0) and the potential has fallen.
 //!
-//! A step ends when |r| <= tolerance (|F| + |M a| + |forces of the held nodes|); what else can happen is in
-//! [`ImplicitReport`].
+//! In a step that starts with a tetrahedron inside out, beta does not count: the forces there are no measure of
+//! motion.
+//!
+//! A step ends when |r| <= tolerance (|F| + |M a| + |forces of the held nodes|), F without what the stress at rest
+//! balances; what else can happen is in [`ImplicitReport`]. A shape in which the law has no energy, which only
+//! [`DeformableModel::take_over`] can bring, is recovered by the stable neo-Hookean law (quarantine).
 
 mod elements;
+mod general;
 mod lagged;
+mod lanes;
+mod law;
+mod ligaments;
+mod neo_hooke;
 mod newton;
+mod params;
 mod projected;
+mod relaxation;
+mod reserved;
 mod topology;
 
-pub use elements::VolumeResistance;
+pub use law::{ImplicitLaw, SharedLaw};
 pub use newton::{ImplicitReport, ImplicitStatus};
+pub use params::{DEFAULT_TOLERANCE, ImplicitError, ImplicitParams};
 
-use self::elements::Elements;
-use self::lagged::{Lagged, LaggedParams, LaggedState};
+use self::elements::{Elements, ElementsParams, Recovery};
+use self::lagged::{Lagged, LaggedParams, LaggedState, NodeTerms};
+use self::ligaments::Ligaments;
 use self::newton::Scratch;
-use super::{Constraints, DeformableModel, ModelState, TopologyRefusal};
-use crate::material::LinearElastic;
+use self::relaxation::Relaxation;
+use self::reserved::Reserved;
+use super::{
+    Attachment, Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, Rayleigh, RestStress,
+    TopologyRefusal,
+};
+use crate::material::{PronyHistory, StableNeoHooke};
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
-use crate::mesh::{NodeId, TetId, TetMesh};
+use crate::mesh::{NodeId, TetMesh};
 use crate::solve::SolveError;
 
-/// Why there is no implicit model.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum ImplicitError {
-    /// The mesh is unusable.
-    #[error(transparent)]
-    Solve(#[from] SolveError),
-    /// A parameter that is negative or no number.
-    #[error("{what} is {found}; allowed: {allowed}")]
-    Parameter {
-        /// Which one, with its unit.
-        what: &'static str,
-        /// What was given.
-        found: f64,
-        /// What may be given.
-        allowed: &'static str,
-    },
+/// Where the volume change is resisted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum VolumeResistance {
+    /// In each tetrahedron: stiff, locks when nearly incompressible.
+    #[default]
+    Element,
+    /// In the volume of all tetrahedra around each node: does not lock when nearly incompressible. The ln J
+    /// neo-Hookean law only.
+    NodeAveraged,
+    /// As [`Self::NodeAveraged`], and four fifths of the shear are averaged too: does not lock in bending either.
+    /// The ln J neo-Hookean law only, without relaxation.
+    NodeAveragedStrain,
 }
-
-/// What an implicit model is made from.
-#[derive(Clone, Copy, Debug)]
-pub struct ImplicitParams<'a> {
-    /// The body at rest.
-    pub mesh: &'a TetMesh,
-    /// lambda, mu and density of the ln J neo-Hooke law.
-    pub material: &'a LinearElastic,
-    /// Where the volume change is resisted.
-    pub volume: VolumeResistance,
-    /// Nodes that never move.
-    pub fixed_nodes: &'a [NodeId],
-    /// Rayleigh's alpha [1/s]: damping over mass.
-    pub mass_damping_per_s: f64,
-    /// Rayleigh's beta [s]: damping over stiffness.
-    pub stiffness_damping_s: f64,
-    /// Gravity [m/s2]; zero where the rest shape already carries it.
-    pub gravity_m_per_s2: DVec3,
-    /// Usual step [s]: the first factor is made for it.
-    pub time_step_s: f64,
-    /// Residual over applied, inertial and holding forces at which a step ends; [`DEFAULT_TOLERANCE`].
-    pub tolerance: f64,
-}
-
-/// A tenth of a per cent of the forces: below what linear tetrahedra of organ size can promise.
-pub const DEFAULT_TOLERANCE: f64 = 1e-3;
 
 /// A node that a tool holds.
 #[derive(Clone, Copy, Debug)]
@@ -101,10 +93,12 @@ struct FactorAge {
 /// One organ moved by implicit Euler.
 #[derive(Clone)]
 pub struct ImplicitEuler {
-    material: LinearElastic,
+    law: ImplicitLaw,
+    /// One, or one a tetrahedron.
+    stand_ins: Vec<StableNeoHooke>,
     volume: VolumeResistance,
-    mass_damping_per_s: f64,
-    stiffness_damping_s: f64,
+    density_kg_per_m3: f64,
+    damping: Rayleigh,
     gravity_m_per_s2: DVec3,
     tolerance: f64,
     time_step_s: f64,
@@ -114,10 +108,15 @@ pub struct ImplicitEuler {
     // The body; changed by edits only.
     mesh: TetMesh,
     tet_is_live: Vec<bool>,
-    is_fixed: Vec<bool>,
+    rest_stress_pa: Vec<RestStress>,
+    /// One along the axes that no support holds, zero along the others.
+    free_axes: Vec<DVec3>,
     mass_kg: Vec<f64>,
-    /// Nodes that are neither fixed nor without a tetrahedron.
+    /// Nodes with a tetrahedron and a free axis.
     moves: Vec<bool>,
+    ligaments: Ligaments,
+    /// Forces [N] that the stress at rest balances, without the ligaments' pull at rest.
+    rest_load_n: Vec<DVec3>,
     elements: Elements,
     /// None without a tetrahedron.
     lagged: Option<Lagged>,
@@ -127,18 +126,26 @@ pub struct ImplicitEuler {
     velocities_m_per_s: Vec<DVec3>,
     /// Velocities before the last step: they make the next first guess.
     earlier_velocities_m_per_s: Vec<DVec3>,
+    relaxation: Option<Relaxation>,
     age: FactorAge,
     positions_m: Vec<DVec3>,
-    history: Vec<f64>,
+    history: Reserved<f64>,
 
     // Constraints and scratch.
     outer_n: Vec<DVec3>,
-    held: Vec<Held>,
+    held: Reserved<Held>,
     is_held: Vec<bool>,
-    constraint_forces_n: Vec<DVec3>,
+    /// [`Self::free_axes`], zero for nodes that a tool holds and for those without a tetrahedron.
+    mask: Vec<DVec3>,
+    constraint_forces_n: Reserved<DVec3>,
     ignored_constraints: usize,
+    /// Whether the shape may hold tetrahedra in which the law has no energy.
+    is_suspect: bool,
+    n_recovered_nodes: u32,
+    n_reanalyses: u32,
     scratch: Scratch,
-    report: ImplicitReport,
+    step_report: ImplicitReport,
+    report: ModelReport,
 }
 
 /// A copy of the moving state, for [`ImplicitEuler::restore`]. It holds for the same mesh and removals.
@@ -147,6 +154,8 @@ pub struct ImplicitSnapshot {
     displacement_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
     earlier_velocities_m_per_s: Vec<DVec3>,
+    viscous: Vec<PronyHistory>,
+    recovery: Recovery,
     age: FactorAge,
     lagged: Option<LaggedState>,
 }
@@ -155,77 +164,64 @@ impl ImplicitEuler {
     /// Masses, sparse pattern and first factor. Every tetrahedron of the mesh counts as live.
     ///
     /// # Errors
-    /// [`ImplicitError`]: an unusable mesh, impossible damping, gravity, step or tolerance.
+    /// [`ImplicitError`]: an unusable mesh, impossible supports, loads, damping, step or tolerance, a law without
+    /// stiffness at rest, a combination of law, volume resistance and relaxation that there is not.
     pub fn build(params: &ImplicitParams<'_>) -> Result<Self, ImplicitError> {
-        let parameter = |what, found, allowed| Err(ImplicitError::Parameter { what, found, allowed });
-        for (what, found) in [
-            ("mass damping [1/s]", params.mass_damping_per_s),
-            ("stiffness damping [s]", params.stiffness_damping_s),
-        ] {
-            if !(found.is_finite() && found >= 0.0) {
-                return parameter(what, found, "a finite number from 0");
-            }
-        }
-        if !params.gravity_m_per_s2.is_finite() {
-            return parameter("gravity [m/s2]", params.gravity_m_per_s2.length(), "finite numbers");
-        }
-        if !(params.time_step_s.is_finite() && params.time_step_s > 0.0) {
-            return parameter("time step [s]", params.time_step_s, "a finite number above 0");
-        }
-        if !(params.tolerance >= LEAST_TOLERANCE && params.tolerance <= 0.1) {
-            return parameter("tolerance", params.tolerance, "1e-12 to 0.1");
-        }
-        let n_nodes = params.mesh.positions_m.len();
-        if params.mesh.tetrahedra.is_empty() {
-            return Err(SolveError::EmptyMesh.into());
-        }
-        if let Some((t, node)) = params
-            .mesh
-            .tetrahedra
-            .iter()
-            .enumerate()
-            .find_map(|(t, nodes)| nodes.iter().find(|n| n.index() >= n_nodes).map(|&n| (t, n)))
-        {
-            return Err(SolveError::NodeOutOfRange { tet: TetId::from_index(t), node, n_nodes }.into());
-        }
-        if let Some(&node) = params.fixed_nodes.iter().find(|n| n.index() >= n_nodes) {
-            return Err(SolveError::ConditionOutOfRange { node, n_nodes }.into());
-        }
-        let mut is_fixed = vec![false; n_nodes];
-        for node in params.fixed_nodes {
-            is_fixed[node.index()] = true;
-        }
-        let tet_is_live = vec![true; params.mesh.tetrahedra.len()];
-        let lame_pa = [params.material.lambda_pa(), params.material.mu_pa()];
-        let mut model = Self {
-            material: *params.material,
+        params.check()?;
+        let DynamicBody { mesh, .. } = params.body;
+        let n_nodes = mesh.positions_m.len();
+        let n_tets = mesh.tetrahedra.len();
+        let tet_is_live = vec![true; n_tets];
+        let stand_ins = params.law.stand_ins(n_tets)?;
+        let elements = Elements::new(&ElementsParams {
+            mesh,
+            live: &tet_is_live,
+            law: params.law,
+            stand_ins: &stand_ins,
             volume: params.volume,
-            mass_damping_per_s: params.mass_damping_per_s,
-            stiffness_damping_s: params.stiffness_damping_s,
-            gravity_m_per_s2: params.gravity_m_per_s2,
+            rest_stress_pa: params.body.rest_stress_pa,
+            is_viscous: params.relaxation.is_some(),
+        })?;
+        let zero = vec![DVec3::ZERO; n_nodes];
+        let mut model = Self {
+            law: params.law.clone(),
+            stand_ins,
+            volume: params.volume,
+            density_kg_per_m3: params.body.density_kg_per_m3,
+            damping: params.body.damping,
+            gravity_m_per_s2: params.body.gravity_m_per_s2,
             tolerance: params.tolerance,
-            time_step_s: params.time_step_s,
+            time_step_s: params.body.time_step_s,
             least_force_n: 0.0,
-            elements: Elements::new(params.mesh, &tet_is_live, lame_pa, params.volume)?,
-            mesh: params.mesh.clone(),
+            elements,
+            mesh: mesh.clone(),
             tet_is_live,
-            is_fixed,
+            rest_stress_pa: params.body.rest_stress_pa.to_vec(),
+            free_axes: params.free_axes()?,
             mass_kg: Vec::new(),
             moves: Vec::new(),
+            ligaments: Ligaments::new(params.body.attachments.to_vec()),
+            rest_load_n: zero.clone(),
             lagged: None,
-            displacement_m: vec![DVec3::ZERO; n_nodes],
-            velocities_m_per_s: vec![DVec3::ZERO; n_nodes],
-            earlier_velocities_m_per_s: vec![DVec3::ZERO; n_nodes],
+            displacement_m: zero.clone(),
+            velocities_m_per_s: zero.clone(),
+            earlier_velocities_m_per_s: zero.clone(),
+            relaxation: params.relaxation.map(|s| Relaxation::new(s, params.body.time_step_s, n_tets)),
             age: FactorAge::default(),
-            positions_m: params.mesh.positions_m.clone(),
-            history: Vec::new(),
-            outer_n: vec![DVec3::ZERO; n_nodes],
-            held: Vec::with_capacity(n_nodes),
+            positions_m: mesh.positions_m.clone(),
+            history: Reserved::with_capacity(0),
+            outer_n: zero.clone(),
+            held: Reserved::with_capacity(n_nodes),
             is_held: vec![false; n_nodes],
-            constraint_forces_n: Vec::with_capacity(n_nodes),
+            mask: zero,
+            constraint_forces_n: Reserved::with_capacity(n_nodes),
             ignored_constraints: 0,
+            is_suspect: false,
+            n_recovered_nodes: 0,
+            n_reanalyses: 0,
             scratch: Scratch::new(n_nodes),
-            report: ImplicitReport::default(),
+            step_report: ImplicitReport::default(),
+            report: ModelReport::default(),
         };
         model.analyse()?;
         model.publish();
@@ -234,53 +230,78 @@ impl ImplicitEuler {
 
     /// Masses, pattern and factor of the live tetrahedra at the present state.
     fn analyse(&mut self) -> Result<(), SolveError> {
-        let density = self.material.density_kg_per_m3();
+        let density = self.density_kg_per_m3;
         self.mass_kg = self.elements.node_volume_m3().iter().map(|v| density * v).collect();
-        self.moves = self.mass_kg.iter().zip(&self.is_fixed).map(|(m, fixed)| *m > 0.0 && !fixed).collect();
-        let volume_m3: f64 = self.elements.node_volume_m3().iter().sum();
-        let modulus_pa = self.material.lambda_pa() + 2.0 * self.material.mu_pa();
-        self.least_force_n = ROUNDING * modulus_pa * libm::cbrt(volume_m3 * volume_m3);
+        self.moves = self
+            .mass_kg
+            .iter()
+            .zip(&self.free_axes)
+            .map(|(m, free)| *m > 0.0 && *free != DVec3::ZERO)
+            .collect();
+        self.update_mask();
+        self.balance_rest();
         self.age = FactorAge::default();
         let state = self.lagged_state(self.time_step_s);
         let live = TetMesh {
             positions_m: self.mesh.positions_m.clone(),
-            tetrahedra: (0..self.tet_is_live.len())
-                .filter(|&t| self.tet_is_live[t])
-                .map(|t| self.mesh.tetrahedra[t])
-                .collect(),
+            tetrahedra: self.elements.tets().iter().map(|t| self.mesh.tetrahedra[t.index()]).collect(),
         };
         self.lagged = None;
         if live.tetrahedra.is_empty() {
             return Ok(());
         }
-        let immobile: Vec<bool> = self.moves.iter().map(|moves| !moves).collect();
+        let can_move = |n: usize| if self.moves[n] { self.free_axes[n] } else { DVec3::ZERO };
+        let free_axes: Vec<DVec3> = (0..self.n_nodes()).map(can_move).collect();
         let params = LaggedParams {
             mesh: &live,
-            immobile: &immobile,
-            mass_kg: &self.mass_kg,
-            lame_pa: self.preconditioner_lame_pa(),
+            free_axes: &free_axes,
+            nodes: NodeTerms {
+                rest_m: &self.mesh.positions_m,
+                mass_kg: &self.mass_kg,
+                ligaments: &self.ligaments,
+            },
         };
         self.lagged = Some(Lagged::new(&params, &self.elements, state)?);
         Ok(())
     }
 
-    /// Node-averaged pressure is softer than the tetrahedra's own, which make the preconditioner: a smaller
-    /// lambda comes closer.
-    fn preconditioner_lame_pa(&self) -> [f64; 2] {
-        let (lambda_pa, mu_pa) = (self.material.lambda_pa(), self.material.mu_pa());
-        match self.volume {
-            VolumeResistance::Element => [lambda_pa, mu_pa],
-            VolumeResistance::NodeAveraged => [lambda_pa.min(SOFTENED_LAMBDA_OVER_MU * mu_pa), mu_pa],
+    /// What the stress at rest carries, and what counts as rounding.
+    fn balance_rest(&mut self) {
+        let volume_m3: f64 = self.elements.node_volume_m3().iter().sum();
+        self.least_force_n = ROUNDING * self.law.modulus_pa() * libm::cbrt(volume_m3 * volume_m3);
+        self.rest_load_n = vec![DVec3::ZERO; self.n_nodes()];
+        if self.rest_stress_pa.is_empty() && self.ligaments.is_empty() {
+            return;
         }
+        let at_rest = vec![DVec3::ZERO; self.n_nodes()];
+        // New elements: viscosity has nothing to add yet.
+        self.elements.evaluate(&at_rest, &mut self.rest_load_n);
+        self.ligaments.pull_into(&self.mesh.positions_m, &at_rest, &mut self.scratch.ligament_n);
+        for (load_n, pull_n) in self.rest_load_n.iter_mut().zip(&self.scratch.ligament_n) {
+            *load_n -= *pull_n;
+        }
+        self.least_force_n +=
+            REST_ROUNDING * self.rest_load_n.iter().map(|f| f.length_squared()).sum::<f64>().sqrt();
     }
 
     /// What a factor made now for steps of `h_s` would depend on.
-    fn lagged_state(&self, h_s: f64) -> LaggedState {
+    fn lagged_state(&mut self, h_s: f64) -> LaggedState {
+        let mut strays = vec![false; self.elements.tets().len()];
+        self.elements.strays_into(&mut strays);
         LaggedState {
             displacement_m: self.displacement_m.clone(),
             held: self.is_held.clone(),
-            per_mass: 1.0 / (h_s * h_s) + self.mass_damping_per_s / h_s,
-            per_stiffness: 1.0 + self.stiffness_damping_s / h_s,
+            strays,
+            per_mass: 1.0 / (h_s * h_s) + self.damping.mass_per_s / h_s,
+            per_stiffness: 1.0 + self.damping.stiffness_s / h_s,
+            viscous_share: self.relaxation.as_mut().map_or(1.0, |r| r.stiffness_share(h_s)),
+        }
+    }
+
+    fn update_mask(&mut self) {
+        for n in 0..self.mask.len() {
+            let is_free = self.moves[n] && !self.is_held[n];
+            self.mask[n] = if is_free { self.free_axes[n] } else { DVec3::ZERO };
         }
     }
 
@@ -288,14 +309,14 @@ impl ImplicitEuler {
         self.displacement_m.len()
     }
 
-    /// How the last step ended.
-    pub fn report(&self) -> &ImplicitReport {
-        &self.report
+    /// How Newton's method went in the last step.
+    pub fn step_report(&self) -> &ImplicitReport {
+        &self.step_report
     }
 
-    /// lambda, mu and density of the law.
-    pub fn material(&self) -> &LinearElastic {
-        &self.material
+    /// The law.
+    pub fn law(&self) -> &ImplicitLaw {
+        &self.law
     }
 
     /// Mass [kg] of a node.
@@ -314,14 +335,14 @@ impl ImplicitEuler {
         &self.scratch.residual_n
     }
 
-    /// Kinetic and elastic energy [J].
+    fn kinetic_energy_j(&self) -> f64 {
+        self.mass_kg.iter().zip(&self.velocities_m_per_s).map(|(m, v)| 0.5 * m * v.length_squared()).sum()
+    }
+
+    /// Kinetic energy and that of the tissue's deformation [J], the stress at rest included. With relaxation the
+    /// latter is that of the last step's potential.
     pub fn energy_j(&mut self) -> f64 {
-        let kinetic_j: f64 = self
-            .mass_kg
-            .iter()
-            .zip(&self.velocities_m_per_s)
-            .map(|(m, v)| 0.5 * m * v.length_squared())
-            .sum();
+        let kinetic_j = self.kinetic_energy_j();
         let mut force_n = std::mem::take(&mut self.scratch.product_n);
         let elastic_j = self.elements.evaluate(&self.displacement_m, &mut force_n).energy_j;
         self.scratch.product_n = force_n;
@@ -342,7 +363,8 @@ impl ImplicitEuler {
         assert_eq!(velocities_m_per_s.len(), self.n_nodes(), "one velocity a node");
         for n in 0..self.n_nodes() {
             let v = velocities_m_per_s[n];
-            self.velocities_m_per_s[n] = if self.moves[n] && v.is_finite() { v } else { DVec3::ZERO };
+            self.velocities_m_per_s[n] =
+                if self.moves[n] && v.is_finite() { v * self.free_axes[n] } else { DVec3::ZERO };
         }
         self.earlier_velocities_m_per_s.copy_from_slice(&self.velocities_m_per_s);
         self.publish();
@@ -354,6 +376,8 @@ impl ImplicitEuler {
             displacement_m: self.displacement_m.clone(),
             velocities_m_per_s: self.velocities_m_per_s.clone(),
             earlier_velocities_m_per_s: self.earlier_velocities_m_per_s.clone(),
+            viscous: self.relaxation.as_ref().map_or(Vec::new(), |r| r.histories.clone()),
+            recovery: self.elements.recovery(),
             age: self.age,
             lagged: self.lagged.as_ref().map(|lagged| lagged.state.clone()),
         }
@@ -368,12 +392,22 @@ impl ImplicitEuler {
         self.displacement_m.copy_from_slice(&snapshot.displacement_m);
         self.velocities_m_per_s.copy_from_slice(&snapshot.velocities_m_per_s);
         self.earlier_velocities_m_per_s.copy_from_slice(&snapshot.earlier_velocities_m_per_s);
+        if let Some(relaxation) = &mut self.relaxation {
+            relaxation.histories.clone_from_slice(&snapshot.viscous);
+        }
         self.age = snapshot.age;
+        self.is_suspect = true;
+        self.elements.quarantine(&self.displacement_m, snapshot.recovery);
         if let (Some(lagged), Some(state)) = (&mut self.lagged, &snapshot.lagged)
             && lagged.state != *state
         {
             lagged.state = state.clone();
-            lagged.refresh(&self.elements, &self.mass_kg);
+            let nodes = NodeTerms {
+                rest_m: &self.mesh.positions_m,
+                mass_kg: &self.mass_kg,
+                ligaments: &self.ligaments,
+            };
+            lagged.refresh(&self.elements, nodes);
         }
         self.publish();
     }
@@ -389,10 +423,16 @@ impl ImplicitEuler {
         if let Some(lagged) = &self.lagged {
             history.extend(lagged.state.displacement_m.iter().flat_map(|u| u.to_array()));
             history.extend(lagged.state.held.iter().map(|&held| f64::from(u8::from(held))));
-            history.extend([lagged.state.per_mass, lagged.state.per_stiffness]);
+            history.extend(lagged.state.strays.iter().map(|&stray| f64::from(u8::from(stray))));
+            let LaggedState { per_mass, per_stiffness, viscous_share, .. } = lagged.state;
+            history.extend([per_mass, per_stiffness, viscous_share]);
+        }
+        if let Some(relaxation) = &self.relaxation {
+            history.extend(relaxation.numbers());
         }
         let FactorAge { n_steps, first_iterations, excess_iterations } = self.age;
-        history.extend([n_steps, first_iterations, excess_iterations].map(f64::from));
+        let recovery = self.elements.recovery() as u32;
+        history.extend([n_steps, first_iterations, excess_iterations, recovery].map(f64::from));
     }
 
     fn takes_load(&self, node: NodeId) -> bool {
@@ -409,10 +449,8 @@ impl ImplicitEuler {
 
 /// A residual below this share of modulus times area is rounding.
 const ROUNDING: f64 = 1e-14;
-/// Newton's iteration cannot promise less than this in double precision.
-const LEAST_TOLERANCE: f64 = 1e-12;
-/// lambda over mu of nu = 0.4.
-const SOFTENED_LAMBDA_OVER_MU: f64 = 4.0;
+/// Share of the load at rest below which a residual is the rounding of its many terms.
+const REST_ROUNDING: f64 = 1e-11;
 
 impl DeformableModel for ImplicitEuler {
     fn apply(&mut self, constraints: &Constraints) {
@@ -430,20 +468,21 @@ impl DeformableModel for ImplicitEuler {
             let usable = self.takes_load(imposed.node)
                 && imposed.displacement_m.is_finite()
                 && !self.is_held[n]
-                && place < self.constraint_forces_n.capacity();
+                && place < self.n_nodes();
             if usable {
                 self.is_held[n] = true;
                 self.held.push(Held {
                     place: place as u32,
                     node: imposed.node.0,
-                    target_m: imposed.displacement_m,
+                    target_m: imposed.displacement_m * self.free_axes[n],
                 });
             } else {
                 self.ignored_constraints += 1;
             }
         }
-        let n_forces = constraints.displacements.len().min(self.constraint_forces_n.capacity());
+        let n_forces = constraints.displacements.len().min(self.n_nodes());
         self.constraint_forces_n.resize(n_forces, DVec3::ZERO);
+        self.update_mask();
     }
 
     fn step(&mut self, dt_s: f64) {
@@ -452,6 +491,17 @@ impl DeformableModel for ImplicitEuler {
         }
         self.advance(dt_s);
         self.publish();
+        self.report = ModelReport {
+            n_parts: 1,
+            n_quarantined_tets: self.step_report.n_quarantined_tets,
+            first_quarantined: self.step_report.first_quarantined,
+            n_recovered_nodes: std::mem::take(&mut self.n_recovered_nodes),
+            n_ignored_constraints: u32::try_from(self.ignored_constraints).unwrap_or(u32::MAX),
+            kinetic_energy_j: self.kinetic_energy_j(),
+            missed_tolerance: self.step_report.status != ImplicitStatus::Converged,
+            n_reanalyses: self.n_reanalyses,
+            ..ModelReport::default()
+        };
     }
 
     fn state(&self) -> ModelState<'_> {
@@ -469,12 +519,32 @@ impl DeformableModel for ImplicitEuler {
     fn take_over(&mut self, positions_m: &[DVec3]) {
         assert_eq!(positions_m.len(), self.n_nodes(), "one position a node");
         for n in 0..self.n_nodes() {
-            self.displacement_m[n] =
-                if self.moves[n] { positions_m[n] - self.mesh.positions_m[n] } else { DVec3::ZERO };
+            let u = positions_m[n] - self.mesh.positions_m[n];
+            if !self.moves[n] {
+                self.displacement_m[n] = DVec3::ZERO;
+            } else if u.is_finite() {
+                self.displacement_m[n] = u * self.free_axes[n];
+            } else {
+                self.n_recovered_nodes += 1;
+            }
         }
+        if let Some(relaxation) = &mut self.relaxation {
+            relaxation.forget();
+        }
+        self.is_suspect = true;
         self.velocities_m_per_s.fill(DVec3::ZERO);
         self.earlier_velocities_m_per_s.fill(DVec3::ZERO);
         self.publish();
+    }
+
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        if gravity_m_per_s2.is_finite() {
+            self.gravity_m_per_s2 = gravity_m_per_s2;
+        }
+    }
+
+    fn report(&self) -> ModelReport {
+        self.report
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

@@ -1,7 +1,10 @@
 //! One step: Newton's method, conjugate gradients, line search.
 
+use super::elements::Recovery;
+use super::lagged::NodeTerms;
 use super::{FactorAge, ImplicitEuler};
 use crate::math::DVec3;
+use crate::mesh::TetId;
 
 /// How a step ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -11,11 +14,11 @@ pub enum ImplicitStatus {
     Converged,
     /// The residual stayed above the tolerance, or rounding hid any further progress.
     NotConverged,
-    /// Held nodes could not go all the way without turning a tetrahedron inside out.
+    /// Held nodes could not go all the way without bringing a tetrahedron to where its law has no energy.
     HeldNodesStopped,
-    /// The shape at the start has an inverted tetrahedron (only [`super::DeformableModel::take_over`] can bring
-    /// one in): the body does not move until it is given another.
-    StartInverted,
+    /// The shape at the start has no finite energy under any law (its numbers are too large): the body does not
+    /// move until it is given another.
+    Unusable,
 }
 
 /// What a step did.
@@ -33,6 +36,11 @@ pub struct ImplicitReport {
     pub n_factors: u32,
     /// Share of their way that the held nodes went.
     pub held_share: f64,
+    /// Tetrahedra on which the stable neo-Hookean law pulled: those in which the law had no energy at the start,
+    /// and their neighbours.
+    pub n_quarantined_tets: u32,
+    /// The first in which it had none.
+    pub first_quarantined: Option<TetId>,
 }
 
 /// Buffers of a step.
@@ -40,6 +48,7 @@ pub struct ImplicitReport {
 pub(super) struct Scratch {
     pub(super) residual_n: Vec<DVec3>,
     pub(super) product_n: Vec<DVec3>,
+    pub(super) ligament_n: Vec<DVec3>,
     start_m: Vec<DVec3>,
     ballistic_m: Vec<DVec3>,
     start_force_n: Vec<DVec3>,
@@ -57,6 +66,7 @@ impl Scratch {
         Self {
             residual_n: zero(),
             product_n: zero(),
+            ligament_n: zero(),
             start_m: zero(),
             ballistic_m: zero(),
             start_force_n: zero(),
@@ -92,6 +102,16 @@ struct Balance {
     potential_j: f64,
 }
 
+/// What a step starts from.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Start {
+    Upright,
+    /// With a tetrahedron inside out.
+    Inverted,
+    /// No energy.
+    Unusable,
+}
+
 enum Direction {
     Found,
     /// The exact tangent has a negative direction here, or the factor is too old.
@@ -115,65 +135,92 @@ const MASS_RATIO: f64 = 3.0;
 impl ImplicitEuler {
     /// One step of `h_s`.
     pub(super) fn advance(&mut self, h_s: f64) {
-        let factors = StepFactors {
+        let mut factors = StepFactors {
             inertia: 1.0 / (h_s * h_s),
-            mass_damping: self.mass_damping_per_s / h_s,
-            stiffness_damping: self.stiffness_damping_s / h_s,
+            mass_damping: self.damping.mass_per_s / h_s,
+            stiffness_damping: self.damping.stiffness_s / h_s,
         };
-        self.report = ImplicitReport { held_share: 1.0, ..ImplicitReport::default() };
+        self.step_report = ImplicitReport { held_share: 1.0, ..ImplicitReport::default() };
         if self.lagged.is_none() {
             return;
         }
         self.scratch.start_m.copy_from_slice(&self.displacement_m);
-        if !self.start(h_s) {
-            self.report.status = ImplicitStatus::StartInverted;
-            self.displacement_m.copy_from_slice(&self.scratch.start_m);
+        self.quarantine();
+        if let Some(relaxation) = &mut self.relaxation {
+            relaxation.begin(h_s, &mut self.elements);
+        }
+        let start = self.start(h_s);
+        if start == Start::Inverted {
+            factors.stiffness_damping = 0.0;
+        }
+        if start == Start::Unusable {
+            self.step_report.status = ImplicitStatus::Unusable;
             self.velocities_m_per_s.fill(DVec3::ZERO);
             self.earlier_velocities_m_per_s.fill(DVec3::ZERO);
             return;
         }
-        self.refresh_if_due(factors);
+        if self.step_report.n_quarantined_tets > 0 {
+            self.refresh_here(factors);
+        } else {
+            self.refresh_if_due(factors);
+        }
         let energy_j = self.first_guess(h_s);
         self.minimise(factors, energy_j);
+        if let Some(relaxation) = &mut self.relaxation {
+            relaxation.end(&self.elements, &self.displacement_m);
+        }
 
         std::mem::swap(&mut self.velocities_m_per_s, &mut self.earlier_velocities_m_per_s);
         for n in 0..self.n_nodes() {
             self.velocities_m_per_s[n] = (self.displacement_m[n] - self.scratch.start_m[n]) / h_s;
         }
         let damping = factors.stiffness_damping;
-        for held in &self.held {
+        for held in self.held.iter() {
             let n = held.node as usize;
             let elastic_n =
                 self.scratch.force_n[n] * (1.0 + damping) - self.scratch.start_force_n[n] * damping;
+            let outer_n = self.gravity_m_per_s2 * self.mass_kg[n] + self.outer_n[n];
             self.constraint_forces_n[held.place as usize] =
-                elastic_n - self.gravity_m_per_s2 * self.mass_kg[n] - self.outer_n[n];
+                (elastic_n - outer_n - self.scratch.ligament_n[n]) * self.free_axes[n];
         }
         self.note_age();
     }
 
-    /// Where inertia alone leads, and the forces before the step where damping needs them. False when the
-    /// body is inverted.
-    fn start(&mut self, h_s: f64) -> bool {
+    /// Looks for tetrahedra in which the law has no energy, where there can be any: steps bring none.
+    fn quarantine(&mut self) {
+        if self.is_suspect || self.elements.recovery() != Recovery::None {
+            self.is_suspect = false;
+            let (n, first) = self.elements.quarantine(&self.displacement_m, self.elements.recovery());
+            self.step_report.n_quarantined_tets = n;
+            self.step_report.first_quarantined = first;
+        }
+    }
+
+    /// Where inertia alone leads, and the forces before the step where damping needs them.
+    fn start(&mut self, h_s: f64) -> Start {
         for n in 0..self.n_nodes() {
             let start_m = self.scratch.start_m[n];
-            let flies = self.moves[n] && !self.is_held[n];
-            self.scratch.ballistic_m[n] =
-                if flies { start_m + self.velocities_m_per_s[n] * h_s } else { start_m };
+            self.scratch.ballistic_m[n] = start_m + self.velocities_m_per_s[n] * h_s * self.mask[n];
         }
-        if self.stiffness_damping_s == 0.0 {
-            return true;
+        if self.damping.stiffness_s == 0.0 {
+            return Start::Upright;
         }
-        self.elements.evaluate(&self.scratch.start_m, &mut self.scratch.start_force_n).is_usable()
+        let found = self.elements.evaluate(&self.scratch.start_m, &mut self.scratch.start_force_n);
+        if !found.is_usable() {
+            Start::Unusable
+        } else if found.has_inverted || self.elements.recovery() != Recovery::None {
+            Start::Inverted
+        } else {
+            Start::Upright
+        }
     }
 
     /// Sets displacements and forces to the first usable of: motion with the last acceleration, inertial
     /// motion, no motion. Returns the elastic energy.
     fn first_guess(&mut self, h_s: f64) -> f64 {
         for n in 0..self.n_nodes() {
-            let flies = self.moves[n] && !self.is_held[n];
             let change = self.velocities_m_per_s[n] - self.earlier_velocities_m_per_s[n];
-            let gain_m = if flies { change * h_s } else { DVec3::ZERO };
-            self.displacement_m[n] = self.scratch.ballistic_m[n] + gain_m;
+            self.displacement_m[n] = self.scratch.ballistic_m[n] + change * h_s * self.mask[n];
         }
         let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
         if found.is_usable() {
@@ -192,24 +239,24 @@ impl ImplicitEuler {
     fn minimise(&mut self, factors: StepFactors, energy_j: f64) {
         let mut balance = self.balance(factors, energy_j);
         if !balance.potential_j.is_finite() {
-            self.report.status = ImplicitStatus::StartInverted;
+            self.step_report.status = ImplicitStatus::Unusable;
             self.displacement_m.copy_from_slice(&self.scratch.start_m);
             return;
         }
         loop {
             let pending = self.held.iter().any(|h| self.displacement_m[h.node as usize] != h.target_m);
             let limit_n = self.tolerance * balance.scale_n + self.least_force_n;
-            self.report.residual_share =
+            self.step_report.residual_share =
                 if balance.scale_n > self.least_force_n { balance.residual_n / balance.scale_n } else { 0.0 };
             if !pending && balance.residual_n <= limit_n {
-                self.report.status = ImplicitStatus::Converged;
+                self.step_report.status = ImplicitStatus::Converged;
                 return;
             }
-            if self.report.newton_iterations == MOST_NEWTON_ITERATIONS {
+            if self.step_report.newton_iterations == MOST_NEWTON_ITERATIONS {
                 self.stop(pending);
                 return;
             }
-            self.report.newton_iterations += 1;
+            self.step_report.newton_iterations += 1;
             self.prepare_right_side(factors, pending);
             let stop_n = FINAL_SHARE * limit_n;
             if matches!(self.iterate(factors, stop_n), Direction::NeedsFactor) {
@@ -236,23 +283,28 @@ impl ImplicitEuler {
     }
 
     fn stop(&mut self, pending: bool) {
-        self.report.status =
+        self.step_report.status =
             if pending { ImplicitStatus::HeldNodesStopped } else { ImplicitStatus::NotConverged };
         let (mut gone_m, mut way_m) = (0.0, 0.0);
-        for held in &self.held {
+        for held in self.held.iter() {
             let start_m = self.scratch.start_m[held.node as usize];
             gone_m += start_m.distance(self.displacement_m[held.node as usize]);
             way_m += start_m.distance(held.target_m);
         }
-        self.report.held_share = if way_m > 0.0 { gone_m / way_m } else { 1.0 };
+        self.step_report.held_share = if way_m > 0.0 { gone_m / way_m } else { 1.0 };
     }
 
     /// Residual at every node and its norms, from the forces of the last evaluation.
     fn balance(&mut self, factors: StepFactors, energy_j: f64) -> Balance {
         let StepFactors { inertia, mass_damping, stiffness_damping } = factors;
         let s = &mut self.scratch;
+        let ligaments_j = if self.ligaments.is_empty() {
+            0.0
+        } else {
+            self.ligaments.pull_into(&self.mesh.positions_m, &self.displacement_m, &mut s.ligament_n)
+        };
         let (mut residual, mut applied, mut inertial, mut holding) = (0.0, 0.0, 0.0, 0.0);
-        let mut potential_j = (1.0 + stiffness_damping) * energy_j;
+        let mut potential_j = (1.0 + stiffness_damping) * energy_j + ligaments_j;
         for n in 0..self.displacement_m.len() {
             let u = self.displacement_m[n];
             let m = self.mass_kg[n];
@@ -265,13 +317,13 @@ impl ImplicitEuler {
                 elastic_n = elastic_n * (1.0 + stiffness_damping) - s.start_force_n[n] * stiffness_damping;
                 potential_j -= stiffness_damping * s.start_force_n[n].dot(way_m);
             }
-            let r = inertia_n + damping_n + elastic_n - outer_n;
+            let r = inertia_n + damping_n + elastic_n - outer_n - s.ligament_n[n];
             s.residual_n[n] = r;
             if self.is_held[n] {
-                holding += r.length_squared();
+                holding += (r * self.free_axes[n]).length_squared();
             } else if self.moves[n] {
-                residual += r.length_squared();
-                applied += outer_n.length_squared();
+                residual += (r * self.mask[n]).length_squared();
+                applied += ((outer_n - self.rest_load_n[n]) * self.mask[n]).length_squared();
                 inertial += inertia_n.length_squared();
                 potential_j += 0.5 * (inertia_n.dot(off_m) + damping_n.dot(way_m)) - outer_n.dot(way_m);
             }
@@ -288,7 +340,7 @@ impl ImplicitEuler {
     fn prepare_right_side(&mut self, factors: StepFactors, pending: bool) {
         let s = &mut self.scratch;
         s.direction_m.fill(DVec3::ZERO);
-        for held in &self.held {
+        for held in self.held.iter() {
             let n = held.node as usize;
             s.direction_m[n] = held.target_m - self.displacement_m[n];
         }
@@ -297,12 +349,8 @@ impl ImplicitEuler {
         }
         let stiffness = if pending { 1.0 + factors.stiffness_damping } else { 0.0 };
         for n in 0..s.right_n.len() {
-            s.right_n[n] = if self.moves[n] && !self.is_held[n] {
-                let held_n = if pending { s.product_n[n] * stiffness } else { DVec3::ZERO };
-                -s.residual_n[n] - held_n
-            } else {
-                DVec3::ZERO
-            };
+            let held_n = if pending { s.product_n[n] * stiffness } else { DVec3::ZERO };
+            s.right_n[n] = (-s.residual_n[n] - held_n) * self.mask[n];
         }
     }
 
@@ -322,10 +370,8 @@ impl ImplicitEuler {
                 return Direction::Found;
             }
             lagged.solve_into(&s.right_n, &mut s.scaled_m);
-            for n in 0..self.is_held.len() {
-                if self.is_held[n] {
-                    s.scaled_m[n] = DVec3::ZERO;
-                }
+            for (z, mask) in s.scaled_m.iter_mut().zip(&self.mask) {
+                *z *= *mask;
             }
             let new_product = dot(&s.right_n, &s.scaled_m);
             let beta = if k == 0 { 0.0 } else { new_product / product };
@@ -334,26 +380,23 @@ impl ImplicitEuler {
                 *p = if k == 0 { *z } else { *z + *p * beta };
             }
             self.elements.tangent_product(&s.search_m, &mut s.product_n);
+            for n in 0..s.product_n.len() {
+                s.product_n[n] =
+                    s.product_n[n] * per_stiffness + s.search_m[n] * (self.mass_kg[n] * per_mass);
+            }
+            self.ligaments.add_product(&s.search_m, &mut s.product_n);
             let mut curvature = 0.0;
             for n in 0..s.product_n.len() {
-                let free = self.moves[n] && !self.is_held[n];
-                s.product_n[n] = if free {
-                    s.product_n[n] * per_stiffness + s.search_m[n] * (self.mass_kg[n] * per_mass)
-                } else {
-                    DVec3::ZERO
-                };
+                s.product_n[n] *= self.mask[n];
                 curvature += s.product_n[n].dot(s.search_m[n]);
             }
-            self.report.cg_iterations += 1;
+            self.step_report.cg_iterations += 1;
             if !(curvature > 0.0 && product > 0.0) {
                 return if k == 0 { Direction::NeedsFactor } else { Direction::Found };
             }
             let length = product / curvature;
             let mut square = 0.0;
             for n in 0..s.right_n.len() {
-                if self.is_held[n] {
-                    continue;
-                }
                 s.direction_m[n] += s.search_m[n] * length;
                 s.right_n[n] -= s.product_n[n] * length;
                 square += s.right_n[n].length_squared();
@@ -372,12 +415,12 @@ impl ImplicitEuler {
         lagged.solve_into(&s.right_n, &mut s.scaled_m);
         for n in 0..self.is_held.len() {
             if !self.is_held[n] {
-                s.direction_m[n] = s.scaled_m[n];
+                s.direction_m[n] = s.scaled_m[n] * self.mask[n];
             }
         }
     }
 
-    /// Goes along the direction as far as no tetrahedron inverts and the potential falls, or the residual. While
+    /// Goes along the direction as far as the law allows all tetrahedra and the potential falls, or the residual. While
     /// held nodes are on their way only the first counts. None when no length serves: nothing changed but the
     /// forces.
     fn search_line(&mut self, factors: StepFactors, from: Balance, pending: bool) -> Option<Balance> {
@@ -389,7 +432,7 @@ impl ImplicitEuler {
                 self.displacement_m[n] = self.scratch.before_m[n] + self.scratch.direction_m[n] * length;
             }
             if length == 1.0 {
-                for held in &self.held {
+                for held in self.held.iter() {
                     self.displacement_m[held.node as usize] = held.target_m;
                 }
             }
@@ -424,15 +467,19 @@ impl ImplicitEuler {
         let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
         lagged.state.displacement_m.copy_from_slice(&self.displacement_m);
         lagged.state.held.copy_from_slice(&self.is_held);
+        self.elements.strays_into(&mut lagged.state.strays);
         lagged.state.per_mass = factors.inertia + factors.mass_damping;
         lagged.state.per_stiffness = 1.0 + factors.stiffness_damping;
-        lagged.refresh(&self.elements, &self.mass_kg);
+        lagged.state.viscous_share = self.elements.factor();
+        let nodes =
+            NodeTerms { rest_m: &self.mesh.positions_m, mass_kg: &self.mass_kg, ligaments: &self.ligaments };
+        lagged.refresh(&self.elements, nodes);
         self.age = FactorAge::default();
-        self.report.n_factors += 1;
+        self.step_report.n_factors += 1;
     }
 
     fn note_age(&mut self) {
-        let iterations = self.report.cg_iterations;
+        let iterations = self.step_report.cg_iterations;
         if self.age.n_steps == 0 {
             self.age.first_iterations = iterations;
         } else {

@@ -66,6 +66,13 @@ pub(super) fn projected_stiffness(
     }
 }
 
+/// The nearest symmetric matrix without negative eigenvalue.
+pub(super) fn without_negative_eigenvalues(matrix: DMat3) -> DMat3 {
+    let (values, vectors) = symmetric_eigen(matrix);
+    let clamped = DMat3::from_diagonal(DVec3::from_array(values.map(|x| x.max(0.0))));
+    vectors * clamped * vectors.transpose()
+}
+
 /// Eigenvalues and eigenvectors (columns, right-handed) of a symmetric matrix by cyclic Jacobi rotations.
 fn symmetric_eigen(matrix: DMat3) -> ([f64; 3], DMat3) {
     let mut a = matrix.to_cols_array_2d();

@@ -3,16 +3,16 @@
 use super::adaptive::{Adaptivity, Bound, NonlinearPart, edge_bounds, tet_bound, triangle_bounds};
 use super::forces::{Entities, Everywhere, NonlinearStiffness};
 use super::incompressibility::VolumePenalty;
-use super::law::{TetLaw, TetShape, linear_stiffness};
+use super::law::{TetLaw, TetShape, stressed_stiffness};
 use super::numbers::{
     EdgeStiffness, LOCAL_TRIANGLES, MeshTriangles, Summed, TetScalars, TriangleStiffness, VertexStiffness,
     ascending,
 };
-use crate::math::DVec3;
+use crate::math::{DMat3, DVec3, is_inverted, outer, tetrahedron_volume_m3};
 use crate::mesh::{NodeId, TetId, TetMesh};
-use crate::model::explicit::{Padded, keep, renumbered};
+use crate::model::explicit::{LiveTets, Padded, Quarantine, keep, renumbered, unpadded};
 use crate::model::tensor_mass::VertexEdgeTensors;
-use crate::solve::{LOCAL_EDGES, P1Gradients, SolveError};
+use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, SolveError, stress_tensor_pa};
 
 /// What resists; changed by removals only.
 #[derive(Clone, Debug)]
@@ -20,9 +20,10 @@ pub(super) struct Body {
     volume_penalty_pa: f64,
     rest_m: Vec<DVec3>,
     node_is_live: Vec<bool>,
-    pub(super) tet_nodes: Vec<[NodeId; 4]>,
-    pub(super) tet_is_live: Vec<bool>,
+    pub(super) tets: LiveTets,
     pub(super) laws: Vec<TetLaw>,
+    /// One a tetrahedron, or none.
+    pub(super) rest_stress_pa: Vec<RestStress>,
     /// Shape vectors and volumes at rest.
     pub(super) gradients: Vec<P1Gradients>,
     pub(super) linear: VertexEdgeTensors,
@@ -40,17 +41,20 @@ impl Body {
         mesh: &TetMesh,
         laws: Vec<TetLaw>,
         volume_penalty_pa: f64,
+        rest_stress_pa: &[RestStress],
     ) -> Result<Self, SolveError> {
-        let linear = VertexEdgeTensors::accumulate(mesh, |tet, g| linear_stiffness(&laws[tet.index()], g))?;
+        let linear = VertexEdgeTensors::accumulate(mesh, |tet, g| {
+            stressed_stiffness(&laws[tet.index()], g, rest_stress_pa.get(tet.index()))
+        })?;
         let (n_nodes, n_tets) = (mesh.positions_m.len(), mesh.tetrahedra.len());
         let triangles = MeshTriangles::of_mesh(mesh);
         let mut body = Self {
             volume_penalty_pa,
             rest_m: mesh.positions_m.clone(),
             node_is_live: vec![false; n_nodes],
-            tet_nodes: mesh.tetrahedra.clone(),
-            tet_is_live: vec![true; n_tets],
+            tets: LiveTets::of_mesh(mesh),
             laws,
+            rest_stress_pa: rest_stress_pa.to_vec(),
             gradients: (0..n_tets)
                 .map(|t| P1Gradients::of_tet(mesh, TetId::from_index(t)))
                 .collect::<Result<_, _>>()?,
@@ -66,7 +70,7 @@ impl Body {
         };
         for t in 0..n_tets {
             let shape = TetShape::new(body.laws[t], &body.gradients[t]);
-            let nodes = body.tet_nodes[t];
+            let nodes = body.tets.nodes[t];
             for (corner, node) in nodes.into_iter().enumerate() {
                 body.node_is_live[node.index()] = true;
                 body.nonlinear.vertex[node.index()].add(&shape.of_vertex(corner), 1.0);
@@ -101,7 +105,7 @@ impl Body {
     }
 
     pub(super) fn entities(&self) -> Entities<'_> {
-        Entities { edge_nodes: &self.linear.mesh_edges().nodes, tet_nodes: &self.tet_nodes }
+        Entities { edge_nodes: &self.linear.mesh_edges().nodes, tet_nodes: &self.tets.nodes }
     }
 
     fn penalty(&self) -> Option<VolumePenalty<'_>> {
@@ -109,7 +113,7 @@ impl Body {
             gamma_pa: self.volume_penalty_pa,
             rest_m: &self.rest_m,
             gradients: &self.gradients,
-            tet_is_live: &self.tet_is_live,
+            tet_is_live: &self.tets.is_live,
         })
     }
 
@@ -135,7 +139,54 @@ impl Body {
         }
     }
 
-    /// Elastic energy [J] of the full model, the penalty's included.
+    /// Takes out of `force` what inverted tetrahedra put in, the constant force of their stress at rest included, but
+    /// for the penalty, which turns them back: St Venant-Kirchhoff tissue rests in its mirror image too.
+    pub(super) fn leave_out_inverted(
+        &self,
+        adaptivity: &Adaptivity,
+        u: &[Padded],
+        force: &mut [Padded],
+    ) -> Quarantine {
+        let mut quarantine = Quarantine::default();
+        for (t, nodes) in self.tets.iter() {
+            let corners_m = nodes.map(|n| self.rest_m[n.index()] + unpadded(&u[n.index()]));
+            if !is_inverted(tetrahedron_volume_m3(corners_m)) {
+                continue;
+            }
+            quarantine.add(t);
+            let gradients = &self.gradients[t];
+            let gradient = nodes
+                .iter()
+                .zip(gradients.alpha_per_m)
+                .fold(DMat3::IDENTITY, |f, (n, alpha)| f + outer(unpadded(&u[n.index()]), alpha));
+            let symmetric = |m: DMat3| (m + m.transpose()) * 0.5;
+            let strain = (gradient.transpose() * gradient - DMat3::IDENTITY) * 0.5;
+            let at_rest = self.rest_stress_pa.get(t).map_or(DMat3::ZERO, |s| gradient * stress_tensor_pa(*s));
+            let full = gradient * self.laws[t].stress_pa(strain) + at_rest;
+            let linear = self.laws[t].stress_pa(symmetric(gradient - DMat3::IDENTITY)) + at_rest;
+            for (node, alpha) in nodes.iter().zip(gradients.alpha_per_m) {
+                let is_full =
+                    adaptivity.part == NonlinearPart::Everywhere || adaptivity.is_nonlinear[node.index()];
+                let f = (if is_full { full } else { linear }) * alpha * gradients.volume_m3;
+                let at = &mut force[node.index()];
+                at[0] -= f.x;
+                at[1] -= f.y;
+                at[2] -= f.z;
+            }
+        }
+        quarantine
+    }
+
+    /// Elastic energy of the body with every tetrahedron strained by 1 [J].
+    pub(super) fn full_strain_energy_j(&self) -> f64 {
+        let density = |law: &TetLaw| {
+            0.5 * law.lambda_pa.abs() + law.mu_pa + law.kappa_pa.max(0.0) + self.volume_penalty_pa
+        };
+        self.laws.iter().zip(&self.gradients).map(|(law, g)| density(law) * g.volume_m3).sum()
+    }
+
+    /// Elastic energy [J] of the full model, the penalty's included, without what constant forces of the stress at
+    /// rest add.
     pub(super) fn energy_j(&self, u: &[Padded]) -> f64 {
         let entities = self.entities();
         self.linear.energy_j(u, u)
@@ -146,12 +197,12 @@ impl Body {
     /// Takes one live tetrahedron out; `stays`: whether each of its nodes still has a tetrahedron. What is left
     /// without one becomes exactly zero. Allocates nothing.
     pub(super) fn remove_tet(&mut self, t: usize, stays: [bool; 4]) {
-        self.tet_is_live[t] = false;
-        let nodes = self.tet_nodes[t];
+        let nodes = self.tets.nodes[t];
         // The numbers that were added in the beginning, to the last bit: same gradients, same law.
         let (law, gradients) = (self.laws[t], &self.gradients[t]);
         let shape = TetShape::new(law, gradients);
-        self.linear.subtract_tet(t, nodes, &linear_stiffness(&law, gradients), stays);
+        let stiffness = stressed_stiffness(&law, gradients, self.rest_stress_pa.get(t));
+        self.linear.subtract_tet(t, nodes, &stiffness, stays);
         let (nonlinear, bounds) = (&mut self.nonlinear, &mut self.bounds);
         for (corner, node) in nodes.into_iter().enumerate() {
             self.node_is_live[node.index()] = stays[corner];
@@ -187,13 +238,13 @@ impl Body {
     pub(super) fn compact(&mut self, new_ids: &[Option<NodeId>]) {
         let stays: Vec<bool> = new_ids.iter().map(Option::is_some).collect();
         let new_node = |n: NodeId| new_ids[n.index()].expect("what is live has live nodes");
-        let live_tets = std::mem::take(&mut self.tet_is_live);
+        let live_tets = &self.tets.is_live;
         keep(&mut self.rest_m, &stays);
         keep(&mut self.node_is_live, &stays);
         keep(&mut self.bounds, &stays);
         keep(&mut self.nonlinear.vertex, &stays);
         keep(&mut self.nonlinear.edge, &self.linear.live_edges());
-        self.linear.compact(new_ids, &live_tets);
+        self.linear.compact(new_ids, live_tets);
 
         let triangles = &mut self.nonlinear.triangles;
         let live_triangles: Vec<bool> = triangles.tets.iter().map(|&n| n > 0).collect();
@@ -201,16 +252,16 @@ impl Body {
         keep(&mut triangles.nodes, &live_triangles);
         keep(&mut triangles.tets, &live_triangles);
         keep(&mut self.nonlinear.triangle, &live_triangles);
-        keep(&mut triangles.of_tet, &live_tets);
+        keep(&mut triangles.of_tet, live_tets);
         triangles.nodes.iter_mut().flatten().for_each(|n| *n = new_node(*n));
         triangles.of_tet.iter_mut().flatten().for_each(|t| *t = new_triangle[*t as usize]);
 
-        keep(&mut self.nonlinear.tet, &live_tets);
-        keep(&mut self.laws, &live_tets);
-        keep(&mut self.gradients, &live_tets);
-        keep(&mut self.tet_nodes, &live_tets);
-        self.tet_nodes.iter_mut().flatten().for_each(|n| *n = new_node(*n));
-        self.tet_is_live = vec![true; self.tet_nodes.len()];
+        keep(&mut self.nonlinear.tet, live_tets);
+        keep(&mut self.laws, live_tets);
+        keep(&mut self.gradients, live_tets);
+        if !self.rest_stress_pa.is_empty() {
+            keep(&mut self.rest_stress_pa, live_tets);
+        }
     }
 }
 

@@ -21,7 +21,7 @@ use super::NonlinearTensorMassError;
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::TetId;
-use crate::solve::{LOCAL_EDGES, P1Gradients, TetStiffness};
+use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, TetStiffness};
 
 /// How far the length of a fibre's direction may be from 1.
 const UNIT_LENGTH_TOLERANCE: f64 = 1e-6;
@@ -161,6 +161,20 @@ impl TetShape {
         let fibre = 0.25 * self.law.kappa_pa * ((s[j] * s[k]) * (s[l] * s[m]));
         (volumetric + shear + fibre) * self.volume_m3
     }
+}
+
+/// The tensors B of a tetrahedron [N/m] with a stress at rest S0: S = S_elastic + S0 adds (alpha_j . S0 alpha_k) V Id
+/// (and constant forces, which are kept elsewhere).
+pub(super) fn stressed_stiffness(
+    law: &TetLaw,
+    gradients: &P1Gradients,
+    rest_stress_pa: Option<&RestStress>,
+) -> TetStiffness {
+    let mut stiffness = linear_stiffness(law, gradients);
+    if let Some(&stress_pa) = rest_stress_pa {
+        stiffness.add_multiples(gradients.stress_stiffness_n_per_m(stress_pa));
+    }
+    stiffness
 }
 
 /// The tensors B of a tetrahedron [N/m].

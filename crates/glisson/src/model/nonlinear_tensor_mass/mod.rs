@@ -10,8 +10,12 @@
 //!
 //! Valid for rotations and displacements of any size and moderate strains: under compression below about
 //! 1/sqrt(3) of its length St Venant-Kirchhoff tissue softens and can turn inside out; the penalty holds against
-//! that. The polynomial is in displacements from the rest shape, so a rigid motion of many body sizes loses digits
+//! that. An inverted tetrahedron is left out of the forces, but for the penalty, until it is upright again.
+//! The polynomial is in displacements from the rest shape, so a rigid motion of many body sizes loses digits
 //! (forces as its cube, energies as its fourth power, over the strain).
+//!
+//! A stress at rest S0 makes P = F (S + S0): its constant part is a force V S0 alpha_j on corner j, its linear part
+//! adds V (alpha_j . S0 alpha_k) Id to B_jk.
 //!
 //! Explicit dynamics as in [`super::tensor_mass`]. Removing a tetrahedron subtracts its numbers (280, seed `002`,
 //! appendix A) and masses; what is left without a tetrahedron becomes exactly zero.
@@ -34,11 +38,14 @@ pub use numbers::{EdgeStiffness, TetScalars, TriangleStiffness, VertexStiffness}
 use self::adaptive::Adaptivity;
 use self::body::Body;
 pub(super) use self::law::linear_stiffness;
+use self::law::stressed_stiffness;
 use super::explicit::{
-    ExplicitError, ExplicitMotion, ExplicitParams, ExplicitSnapshot, Padded, StableStep, StiffTet, follows,
-    padded, unpadded,
+    Cuttable, ExplicitError, ExplicitMotion, ExplicitSnapshot, LiveTets, Padded, Stability, StableStep,
+    StiffTet, check_body, follow, padded, unpadded,
 };
-use super::{Constraints, DeformableModel, ModelState, TopologyRefusal};
+use super::{
+    Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, RestStress, TopologyRefusal,
+};
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::edit::TopologyChange;
@@ -96,18 +103,11 @@ pub struct NonlinearElasticity<'a> {
 /// What a non-linear tensor-mass model is made from.
 #[derive(Clone, Copy, Debug)]
 pub struct NonlinearTensorMassParams<'a> {
-    /// The body at rest.
-    pub mesh: &'a TetMesh,
-    /// What resists.
+    /// The body, its supports and loads. The step is at most `step_s` of [`NonlinearTensorMass::stable_step`], less with
+    /// ligaments, tension at rest and damping of the stiffness.
+    pub body: DynamicBody<'a>,
+    /// What resists; the density is the body's.
     pub elasticity: NonlinearElasticity<'a>,
-    /// Nodes that never move.
-    pub fixed_nodes: &'a [NodeId],
-    /// Damping over mass, d [1/s]: a free motion decays as exp(-d t/2).
-    pub damping_per_s: f64,
-    /// Gravity [m/s2]; zero where the rest shape already carries it.
-    pub gravity_m_per_s2: DVec3,
-    /// Largest internal step [s]; at most `step_s` of [`NonlinearTensorMass::stable_step`].
-    pub time_step_s: f64,
 }
 
 /// One organ moved by explicit dynamics with St Venant-Kirchhoff forces.
@@ -142,6 +142,23 @@ impl NonlinearElasticity<'_> {
     }
 }
 
+/// The stable steps of a body with a stress at rest.
+fn stability(
+    mesh: &TetMesh,
+    density_kg_per_m3: f64,
+    elasticity: &NonlinearElasticity<'_>,
+    laws: &[TetLaw],
+    rest_stress_pa: &[RestStress],
+) -> Result<Stability, SolveError> {
+    Stability::of_stiffness(mesh, density_kg_per_m3, |tet, gradients| {
+        let law = &laws[tet.index()];
+        StiffTet {
+            at_rest: stressed_stiffness(law, gradients, rest_stress_pa.get(tet.index())),
+            stiffening: law.stiffening(elasticity.largest_stretch, elasticity.volume_penalty_pa),
+        }
+    })
+}
+
 impl NonlinearTensorMass {
     /// The largest steps for a body, and the tetrahedron that limits them. The one after cuts is a bound for every
     /// shape within the largest stretch; the uncut one an estimate, exact at rest.
@@ -153,15 +170,8 @@ impl NonlinearTensorMass {
         elasticity: &NonlinearElasticity<'_>,
     ) -> Result<StableStep, NonlinearTensorMassError> {
         let laws = elasticity.laws(mesh.tetrahedra.len())?;
-        let stable =
-            StableStep::of_stiffness(mesh, elasticity.material.density_kg_per_m3(), |tet, gradients| {
-                let law = &laws[tet.index()];
-                StiffTet {
-                    at_rest: linear_stiffness(law, gradients),
-                    stiffening: law.stiffening(elasticity.largest_stretch, elasticity.volume_penalty_pa),
-                }
-            });
-        Ok(stable?)
+        let density_kg_per_m3 = elasticity.material.density_kg_per_m3();
+        Ok(stability(mesh, density_kg_per_m3, elasticity, &laws, &[])?.step)
     }
 
     /// Accumulates masses and stiffness numbers. The mesh must be compact: every tetrahedron of it counts as live.
@@ -169,19 +179,17 @@ impl NonlinearTensorMass {
     /// # Errors
     /// [`NonlinearTensorMassError`]: an unusable mesh, a step above the stable one, impossible parameters.
     pub fn build(params: &NonlinearTensorMassParams<'_>) -> Result<Self, NonlinearTensorMassError> {
-        let NonlinearTensorMassParams { mesh, elasticity, .. } = *params;
-        let motion_params = ExplicitParams {
-            mesh,
-            density_kg_per_m3: elasticity.material.density_kg_per_m3(),
-            fixed_nodes: params.fixed_nodes,
-            damping_per_s: params.damping_per_s,
-            gravity_m_per_s2: params.gravity_m_per_s2,
-            time_step_s: params.time_step_s,
-        };
-        motion_params.check()?;
+        let NonlinearTensorMassParams { body: frame, elasticity } = *params;
+        check_body(&frame)?;
+        let (mesh, rest_stress_pa) = (frame.mesh, frame.rest_stress_pa);
         let laws = elasticity.laws(mesh.tetrahedra.len())?;
-        let body = Body::accumulate(mesh, laws, elasticity.volume_penalty_pa)?;
-        let motion = ExplicitMotion::new(&motion_params, Self::stable_step(mesh, &elasticity)?)?;
+        let stability = stability(mesh, frame.density_kg_per_m3, &elasticity, &laws, rest_stress_pa)?;
+        let body = Body::accumulate(mesh, laws, elasticity.volume_penalty_pa, rest_stress_pa)?;
+        let mut motion = ExplicitMotion::new(&frame, stability, body.full_strain_energy_j())?;
+        for (t, stress_pa) in rest_stress_pa.iter().enumerate() {
+            let force_n = body.gradients[t].stress_forces_n(*stress_pa);
+            motion.add_rest_forces(mesh.tetrahedra[t], force_n, 1.0);
+        }
         Ok(Self { motion, body, adaptivity: Adaptivity::new(mesh.positions_m.len()) })
     }
 
@@ -201,29 +209,37 @@ impl NonlinearTensorMass {
     }
 
     /// Overwrites `force_n` with the forces [N] that balance displacements [m], both one a node, by the
-    /// non-linear part that is set. For checks: allocates, which a step does not.
+    /// non-linear part that is set, with the stress at rest and without quarantine. For checks: allocates, which a step does not.
     pub fn elastic_forces_into(&mut self, displacement_m: &[DVec3], force_n: &mut [DVec3]) {
         let u: Vec<Padded> = displacement_m.iter().copied().map(padded).collect();
         let mut force = vec![[0.0; 4]; u.len()];
         self.body.add_forces(&mut self.adaptivity, &u, &mut force);
-        force_n.iter_mut().zip(&force).for_each(|(out, f)| *out = unpadded(f));
+        for (n, (out, f)) in force_n.iter_mut().zip(&force).enumerate() {
+            *out = unpadded(f) + self.motion.rest_force_n(n);
+        }
     }
 
     /// Elastic energy [J] at displacements [m], one a node, of the full model, the penalty's included. Allocates.
     pub fn elastic_energy_at_j(&self, displacement_m: &[DVec3]) -> f64 {
         let u: Vec<Padded> = displacement_m.iter().copied().map(padded).collect();
-        self.body.energy_j(&u)
+        self.energy_of_j(&u)
+    }
+
+    /// With the constant forces of the stress at rest, whose energy is zero at rest.
+    fn energy_of_j(&self, u: &[Padded]) -> f64 {
+        let of_rest = |(n, u): (usize, &Padded)| self.motion.rest_force_n(n).dot(unpadded(u));
+        self.body.energy_j(u) + u.iter().enumerate().map(of_rest).sum::<f64>()
     }
 
     /// Elastic energy now [J], of the full model, the penalty's included.
     pub fn elastic_energy_j(&self) -> f64 {
-        self.body.energy_j(self.motion.displacements())
+        self.energy_of_j(self.motion.displacements())
     }
 
     /// Kinetic energy of the last half step plus the mean of the elastic energies before and after it [J]. The
     /// scheme keeps it near its start without damping, outer forces and gravity.
     pub fn energy_j(&self) -> f64 {
-        let before_j = self.body.energy_j(self.motion.previous_displacements());
+        let before_j = self.energy_of_j(self.motion.previous_displacements());
         self.motion.kinetic_energy_j() + 0.5 * (before_j + self.elastic_energy_j())
     }
 
@@ -295,7 +311,13 @@ impl NonlinearTensorMass {
         self.motion.ignored_constraints()
     }
 
-    /// Back to the rest shape at standstill, without constraints. Removed tetrahedra stay removed.
+    /// Holds a node where it is from now on: pre-stress, with nodes moved before (seed `003`, s. 3.2).
+    pub fn fix_in_place(&mut self, node: NodeId) {
+        self.motion.fix_in_place(node);
+    }
+
+    /// Back to the rest shape at standstill, without constraints. Removed tetrahedra stay removed, nodes that do not
+    /// move stay where they are.
     pub fn reset(&mut self) {
         self.motion.reset();
     }
@@ -314,6 +336,41 @@ impl NonlinearTensorMass {
     }
 }
 
+impl Cuttable for NonlinearTensorMass {
+    const NAME: &'static str = "nonlinear_tensor_mass";
+
+    fn tets(&self) -> &LiveTets {
+        &self.body.tets
+    }
+
+    fn tets_mut(&mut self) -> &mut LiveTets {
+        &mut self.body.tets
+    }
+
+    fn n_nodes(&self) -> usize {
+        self.motion.n_nodes()
+    }
+
+    fn remove_tet(&mut self, t: usize) {
+        let (nodes, gradients) = (self.body.tets.nodes[t], self.body.gradients[t]);
+        self.motion.remove_tet(nodes, gradients.volume_m3);
+        if let Some(&stress_pa) = self.body.rest_stress_pa.get(t) {
+            self.motion.add_rest_forces(nodes, gradients.stress_forces_n(stress_pa), -1.0);
+        }
+        self.body.remove_tet(t, nodes.map(|n| self.motion.has_tets(n)));
+    }
+
+    fn after_removals(&mut self) {
+        self.motion.after_removals(&self.body.tets.nodes, &self.body.tets.is_live);
+    }
+
+    fn compact(&mut self, new_ids: &[Option<NodeId>]) {
+        self.motion.compact(new_ids, &self.body.tets.is_live);
+        self.body.compact(new_ids);
+        self.adaptivity.resize(self.motion.n_nodes());
+    }
+}
+
 impl DeformableModel for NonlinearTensorMass {
     fn apply(&mut self, constraints: &Constraints) {
         self.motion.apply(constraints);
@@ -325,7 +382,10 @@ impl DeformableModel for NonlinearTensorMass {
     /// the last part: elastic force and weight, without the held node's own inertia.
     fn step(&mut self, dt_s: f64) {
         let (body, adaptivity) = (&self.body, &mut self.adaptivity);
-        self.motion.step(dt_s, |u, force| body.add_forces(adaptivity, u, force));
+        self.motion.step(dt_s, |u, force| {
+            body.add_forces(adaptivity, u, force);
+            body.leave_out_inverted(adaptivity, u, force)
+        });
     }
 
     fn state(&self) -> ModelState<'_> {
@@ -340,28 +400,20 @@ impl DeformableModel for NonlinearTensorMass {
         self.motion.take_over(positions_m);
     }
 
-    /// Follows removals, which allocate nothing, and compactions, which do.
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        self.motion.set_gravity(gravity_m_per_s2);
+    }
+
+    fn report(&self) -> ModelReport {
+        self.motion.report()
+    }
+
     fn duplicate(&self) -> Box<dyn DeformableModel> {
         Box::new(self.clone())
     }
 
+    /// Follows removals, which allocate nothing, and compactions, which do.
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        follows("nonlinear_tensor_mass", change)?;
-        assert_eq!(change.tets.n_before, self.body.tet_nodes.len(), "the model missed a change of the mesh");
-        assert_eq!(change.nodes.n_before, self.motion.n_nodes(), "the model missed a change of the mesh");
-        for tet in &change.tets.removed {
-            let t = tet.index();
-            if self.body.tet_is_live[t] {
-                let nodes = self.body.tet_nodes[t];
-                self.motion.remove_tet(nodes, self.body.gradients[t].volume_m3);
-                self.body.remove_tet(t, nodes.map(|n| self.motion.has_tets(n)));
-            }
-        }
-        if !change.nodes.new_ids.is_empty() || !change.tets.new_ids.is_empty() {
-            self.motion.compact(&change.nodes.new_ids);
-            self.body.compact(&change.nodes.new_ids);
-            self.adaptivity.resize(self.motion.n_nodes());
-        }
-        Ok(())
+        follow(self, change)
     }
 }

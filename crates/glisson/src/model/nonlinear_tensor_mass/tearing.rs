@@ -17,10 +17,7 @@ impl NonlinearTensorMass {
         torn.clear();
         let body = &self.body;
         let u = self.motion.displacements();
-        for (t, nodes) in body.tet_nodes.iter().enumerate() {
-            if !body.tet_is_live[t] {
-                continue;
-            }
+        for (t, nodes) in body.tets.iter() {
             let gradient = nodes
                 .iter()
                 .zip(body.gradients[t].alpha_per_m)

@@ -5,8 +5,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::{Compliance, Precomputed, PrecomputedError, PrecomputedParams, StoredNodes, mesh_hash};
+use crate::math::DVec3;
 use crate::mesh::NodeId;
-use crate::solve::{BoundaryConditions, FreeSystem, MeshEdges, StiffnessTensors, boundary_nodes};
+use crate::solve::{
+    BoundaryConditions, Factorization, FreeSystem, MeshEdges, StiffnessTensors, add_gravity_forces,
+    boundary_nodes,
+};
 
 /// Loaded nodes in one block: 48 right-hand sides, a multiple of the dense kernels' widths. The partition
 /// into blocks does not depend on the number of threads, so neither do the bits.
@@ -89,6 +93,7 @@ impl Precomputed {
                 }
             },
         );
+        let weight_response_s2 = weight_response(&system, &factor, params, &rows);
         let compliance = Compliance {
             material: *material,
             fixed_nodes,
@@ -96,7 +101,37 @@ impl Precomputed {
             n_loadable,
             mesh_hash: mesh_hash(mesh),
             column_m_per_n,
+            weight_response_s2,
         };
         Ok(Self::new(compliance, mesh))
     }
+}
+
+/// Displacements of `rows` for the body's weight under gravity of 1 m/s2 along each axis.
+fn weight_response(
+    system: &FreeSystem,
+    factor: &Factorization,
+    params: &PrecomputedParams<'_>,
+    rows: &[NodeId],
+) -> Vec<f64> {
+    let (n_free, s) = (system.n_free(), rows.len());
+    let mut right = vec![0.0; 3 * n_free];
+    let mut response = vec![0.0; 9 * s];
+    let mut displacement = vec![DVec3::ZERO; params.mesh.positions_m.len()];
+    for (axis, right) in right.chunks_exact_mut(n_free).enumerate() {
+        let mut weight = vec![DVec3::ZERO; displacement.len()];
+        add_gravity_forces(params.mesh, params.material, DVec3::AXES[axis], &mut weight);
+        system.gather_into(&weight, right);
+    }
+    factor.solve_in_place(&mut right, 3, &mut factor.scratch(3));
+    for (solution, target) in right.chunks_exact(n_free).zip(response.chunks_exact_mut(3 * s)) {
+        displacement.fill(DVec3::ZERO);
+        system.add_scattered(solution, &mut displacement);
+        for (row, node) in rows.iter().enumerate() {
+            for (axis, u) in displacement[node.index()].to_array().into_iter().enumerate() {
+                target[axis * s + row] = u;
+            }
+        }
+    }
+    response
 }

@@ -9,6 +9,7 @@
 //! | 8, 8, 8, 8 | numbers (u64): nodes of the mesh, fixed nodes, stored nodes, loadable nodes |
 //! | 4 each | fixed nodes, then stored nodes (u32) |
 //! | 8 each | columns: loadable node, force axis, displacement axis, stored node (f64) [m/N] |
+//! | 8 each | response to weight: gravity axis, displacement axis, stored node (f64) [m per m/s2] |
 //! | 32 | BLAKE3 of everything before |
 
 use std::io::{self, Write};
@@ -20,7 +21,7 @@ use crate::material::LinearElastic;
 use crate::mesh::{NodeId, TetMesh};
 
 const MAGIC: &[u8; 8] = b"GLISCOMP";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const HEADER_BYTES: usize = 8 + 8 + 32 + 3 * 8 + 4 * 8;
 const CHECKSUM_BYTES: usize = 32;
 
@@ -132,7 +133,9 @@ impl Precomputed {
         if n_nodes != expected.mesh.positions_m.len() as u64 {
             return Err(PrecomputedError::Contents { file: path.to_owned(), what: "number of nodes" });
         }
-        // The density does not enter a static answer, so that it may differ.
+        // The density may differ: all that it enters is the response to weight, in proportion.
+        let heavier = expected.material.density_kg_per_m3() / compliance.material.density_kg_per_m3();
+        compliance.weight_response_s2.iter_mut().for_each(|u| *u *= heavier);
         compliance.material = *expected.material;
         Ok(Self::new(compliance, expected.mesh))
     }
@@ -163,11 +166,13 @@ fn write(compliance: &Compliance, n_nodes: usize, to: &mut impl Write) -> io::Re
     for node in compliance.fixed_nodes.iter().chain(&compliance.rows) {
         w.write_all(&node.0.to_le_bytes())?;
     }
-    if cfg!(target_endian = "little") {
-        w.write_all(bytemuck::cast_slice(&compliance.column_m_per_n))?;
-    } else {
-        for number in &compliance.column_m_per_n {
-            w.write_all(&number.to_le_bytes())?;
+    for numbers in [&compliance.column_m_per_n, &compliance.weight_response_s2] {
+        if cfg!(target_endian = "little") {
+            w.write_all(bytemuck::cast_slice(numbers))?;
+        } else {
+            for number in numbers {
+                w.write_all(&number.to_le_bytes())?;
+            }
         }
     }
     let checksum = *w.hasher.finalize().as_bytes();
@@ -194,6 +199,11 @@ impl<'a> Cursor<'a> {
 
     fn f64(&mut self) -> f64 {
         f64::from_le_bytes(self.array())
+    }
+
+    fn numbers(&mut self, n: usize) -> Vec<f64> {
+        let number = |b: &[u8]| f64::from_le_bytes(b.try_into().expect("chunks of eight"));
+        self.take(8 * n).chunks_exact(8).map(number).collect()
     }
 
     fn nodes(&mut self, n: usize) -> Vec<NodeId> {
@@ -229,7 +239,7 @@ fn parse(path: &Path, bytes: &[u8]) -> Result<(Compliance, u64), PrecomputedErro
     // Counts are below 2^64, so their products fit in 128 bits when each is checked against the length first.
     let wide = u128::from;
     let expected = wide(n_rows)
-        .checked_mul(wide(n_loadable))
+        .checked_mul(wide(n_loadable) + 1)
         .and_then(|n| n.checked_mul(72))
         .and_then(|n| n.checked_add(4 * (wide(n_fixed) + wide(n_rows))))
         .and_then(|n| n.checked_add(least as u128))
@@ -261,14 +271,12 @@ fn parse(path: &Path, bytes: &[u8]) -> Result<(Compliance, u64), PrecomputedErro
     }
     let material = LinearElastic::from_young_poisson(young_modulus_pa, poisson_ratio, density_kg_per_m3)
         .map_err(|_| contents_error("material"))?;
-    let column_m_per_n: Vec<f64> = cursor
-        .take(72 * n_rows * n_loadable)
-        .chunks_exact(8)
-        .map(|b| f64::from_le_bytes(b.try_into().expect("chunks of eight")))
-        .collect();
-    if !column_m_per_n.iter().all(|x| x.is_finite()) {
+    let column_m_per_n = cursor.numbers(9 * n_rows * n_loadable);
+    let weight_response_s2 = cursor.numbers(9 * n_rows);
+    if !column_m_per_n.iter().chain(&weight_response_s2).all(|x| x.is_finite()) {
         return Err(contents_error("a compliance that is not finite"));
     }
-    let compliance = Compliance { material, fixed_nodes, rows, n_loadable, mesh_hash, column_m_per_n };
+    let compliance =
+        Compliance { material, fixed_nodes, rows, n_loadable, mesh_hash, column_m_per_n, weight_response_s2 };
     Ok((compliance, n_nodes))
 }

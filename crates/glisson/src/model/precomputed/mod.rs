@@ -21,7 +21,7 @@ pub use file::{PrecomputedExpectation, mesh_hash};
 use std::path::PathBuf;
 
 use self::dense::SmallCholesky;
-use super::{Constraints, DeformableModel, ModelState, TopologyRefusal};
+use super::{Constraints, DeformableModel, ModelReport, ModelState, TopologyRefusal};
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::edit::TopologyChange;
@@ -171,6 +171,8 @@ struct Compliance {
     mesh_hash: [u8; 32],
     /// Loadable node, force axis, displacement axis, row.
     column_m_per_n: Vec<f64>,
+    /// Displacement for the weight under unit gravity: gravity axis, displacement axis, row [m per m/s2].
+    weight_response_s2: Vec<f64>,
 }
 
 impl Compliance {
@@ -204,6 +206,10 @@ pub struct Precomputed {
     system: SmallCholesky,
     constraint_forces_n: Vec<DVec3>,
     report: ResponseReport,
+    /// Gravity that the rest shape carries [m/s2].
+    rest_gravity_m_per_s2: DVec3,
+    /// Gravity beyond it [m/s2].
+    pull_m_per_s2: DVec3,
 }
 
 impl Precomputed {
@@ -225,8 +231,16 @@ impl Precomputed {
             system: SmallCholesky::with_room_for(3 * Self::MAX_IMPOSED),
             constraint_forces_n: Vec::with_capacity(compliance.n_loadable.max(Self::MAX_IMPOSED)),
             report: ResponseReport::default(),
+            rest_gravity_m_per_s2: DVec3::ZERO,
+            pull_m_per_s2: DVec3::ZERO,
             compliance,
         }
+    }
+
+    /// The rest shape is the one under this gravity [m/s2]; without a call it is the weightless one.
+    pub fn carry_at_rest(&mut self, gravity_m_per_s2: DVec3) {
+        self.rest_gravity_m_per_s2 = gravity_m_per_s2;
+        self.pull_m_per_s2 = DVec3::ZERO;
     }
 
     /// Nodes that forces and displacements can act on, ascending.
@@ -267,7 +281,7 @@ impl Precomputed {
     }
 
     /// What the constraints of the last [`DeformableModel::apply`] lost.
-    pub fn report(&self) -> ResponseReport {
+    pub fn response_report(&self) -> ResponseReport {
         self.report
     }
 
@@ -304,13 +318,13 @@ impl Precomputed {
     }
 }
 
-/// Adds the columns of one loaded node times the force on it.
-fn add_response(columns_m_per_n: &[f64], force_n: DVec3, displacement_m: &mut [f64]) {
+/// Adds three columns times their factors: those of a loaded node and the force on it, or of weight and gravity.
+fn add_response(columns: &[f64], factors: DVec3, displacement_m: &mut [f64]) {
     let n = displacement_m.len();
-    let (x, rest) = columns_m_per_n.split_at(n);
+    let (x, rest) = columns.split_at(n);
     let (y, z) = rest.split_at(n);
     for (((u, x), y), z) in displacement_m.iter_mut().zip(x).zip(y).zip(z) {
-        *u += x * force_n.x + y * force_n.y + z * force_n.z;
+        *u += x * factors.x + y * factors.y + z * factors.z;
     }
 }
 
@@ -342,6 +356,9 @@ impl DeformableModel for Precomputed {
 
     fn step(&mut self, _dt_s: f64) {
         self.displacement_m.fill(0.0);
+        if self.pull_m_per_s2 != DVec3::ZERO {
+            add_response(&self.compliance.weight_response_s2, self.pull_m_per_s2, &mut self.displacement_m);
+        }
         for &(m, force_n) in &self.forces {
             add_response(self.compliance.columns(m as usize), force_n, &mut self.displacement_m);
         }
@@ -378,8 +395,24 @@ impl DeformableModel for Precomputed {
         self.constraint_forces_n.fill(DVec3::ZERO);
     }
 
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        self.pull_m_per_s2 = gravity_m_per_s2 - self.rest_gravity_m_per_s2;
+    }
+
+    fn report(&self) -> ModelReport {
+        let ResponseReport { ignored_forces, ignored_displacements } = self.report;
+        let n_ignored_constraints = (ignored_forces + ignored_displacements) as u32;
+        ModelReport { n_parts: 1, n_ignored_constraints, ..ModelReport::default() }
+    }
+
     fn duplicate(&self) -> Box<dyn DeformableModel> {
-        Box::new(self.clone())
+        let mut copy = self.clone();
+        // A clone has no room beyond what it holds.
+        copy.forces.reserve(self.forces.capacity());
+        copy.imposed.reserve(Self::MAX_IMPOSED);
+        copy.constraint_forces_n.reserve(self.constraint_forces_n.capacity());
+        copy.system = SmallCholesky::with_room_for(3 * Self::MAX_IMPOSED);
+        Box::new(copy)
     }
 
     fn topology_refusal(&self) -> Option<TopologyRefusal> {

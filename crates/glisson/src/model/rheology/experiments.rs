@@ -13,7 +13,9 @@ use crate::mesh::{NodeId, TetMesh};
 use crate::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
 use crate::model::mass_spring::{MassSpring, MassSpringParams, NodalMasses};
 use crate::model::tensor_mass::TensorMass;
-use crate::model::{Constraints, DeformableModel, Dynamics, ExplicitBodyError, NodalForce};
+use crate::model::{
+    Constraints, DeformableModel, DynamicBody, ExplicitError, Integration, NodalForce, Rayleigh,
+};
 
 /// Side of the seed's cubes [m].
 pub const SIDE_M: f64 = 0.05;
@@ -35,7 +37,7 @@ pub const VISCOSITY_KG_PER_M3_S: f64 = 1000.0;
 pub enum ExperimentError {
     /// No such body.
     #[error(transparent)]
-    Body(#[from] ExplicitBodyError),
+    Body(#[from] ExplicitError),
     /// No such material.
     #[error(transparent)]
     Material(#[from] crate::material::MaterialError),
@@ -117,11 +119,11 @@ pub fn uniaxial(params: &UniaxialParams) -> Result<UniaxialOutcome, ExperimentEr
     let material = seed_material()?;
     let step_s = (STEP_SHARE * TensorMass::stable_step(&mesh, &material)?.step_s).min(1e-3);
     let mut model = ExtendedMassSpring::build(&ExtendedMassSpringParams {
-        mesh: &mesh,
+        body: DynamicBody { time_step_s: step_s, ..DynamicBody::new(&mesh, material.density_kg_per_m3()) },
         law: EdgeLaw::StVenantKirchhoff,
         material: &material,
         viscosity_kg_per_m3_s: params.viscosity_kg_per_m3_s,
-        dynamics: Dynamics { time_step_s: step_s, ..Dynamics::default() },
+        integration: Integration::default(),
     })?;
     let n = params.n_readings;
     let stretches: Vec<f64> =
@@ -189,13 +191,16 @@ pub fn mass_spring_cube(
         let damping_per_s = 30.0;
         let build = |time_step_s: f64| {
             MassSpring::build(&MassSpringParams {
-                mesh,
+                body: DynamicBody {
+                    damping: Rayleigh { mass_per_s: damping_per_s, stiffness_s: 0.0 },
+                    time_step_s,
+                    ..DynamicBody::new(mesh, DENSITY_KG_PER_M3)
+                },
                 young_modulus_pa: YOUNG_MODULUS_PA,
-                density_kg_per_m3: DENSITY_KG_PER_M3,
                 masses: NodalMasses::VolumeWeighted,
                 link_damping_n_s_per_m: 0.001,
                 node_damping_n_s_per_m: 0.0,
-                dynamics: Dynamics { damping_per_s, time_step_s, ..Dynamics::default() },
+                integration: Integration::default(),
             })
         };
         // The thesis' step is 0.1 ms: sure to be stable for these meshes, and its model tells the longest.
@@ -250,17 +255,16 @@ pub fn drop_irregular_cube(masses: NodalMasses) -> Result<Drop, ExperimentError>
     let mesh = irregular_cube(SIDE_M, 1);
     let step_s = 1e-4;
     let mut model = MassSpring::build(&MassSpringParams {
-        mesh: &mesh,
+        body: DynamicBody {
+            time_step_s: step_s,
+            gravity_m_per_s2: DVec3::new(0.0, 0.0, -9.8),
+            ..DynamicBody::new(&mesh, DENSITY_KG_PER_M3)
+        },
         young_modulus_pa: YOUNG_MODULUS_PA,
-        density_kg_per_m3: DENSITY_KG_PER_M3,
         masses,
         link_damping_n_s_per_m: 0.005,
         node_damping_n_s_per_m: 0.0,
-        dynamics: Dynamics {
-            time_step_s: step_s,
-            gravity_m_per_s2: DVec3::new(0.0, 0.0, -9.8),
-            ..Dynamics::default()
-        },
+        integration: Integration::default(),
     })?;
     let height_m = 0.002;
     let raised_m: Vec<DVec3> = mesh.positions_m.iter().map(|p| *p + DVec3::Z * height_m).collect();
@@ -334,11 +338,15 @@ pub fn indentation_of_cube() -> Result<[f64; 2], ExperimentError> {
     let material = seed_material()?;
     let step_s = 1e-3_f64.min(STEP_SHARE * TensorMass::stable_step(&mesh, &material)?.step_s);
     let mut model = ExtendedMassSpring::build(&ExtendedMassSpringParams {
-        mesh: &mesh,
+        body: DynamicBody {
+            damping: Rayleigh { mass_per_s: 30.0, stiffness_s: 0.0 },
+            time_step_s: step_s,
+            ..DynamicBody::new(&mesh, material.density_kg_per_m3())
+        },
         law: EdgeLaw::StVenantKirchhoff,
         material: &material,
         viscosity_kg_per_m3_s: 0.0,
-        dynamics: Dynamics { damping_per_s: 30.0, time_step_s: step_s, ..Dynamics::default() },
+        integration: Integration::default(),
     })?;
     let (radius_m, depth_m) = (0.014, 0.001);
     let test = IndentationTest { mesh: &mesh, axis: 2, radius_m, depth_m, press_s: 0.3, hold_s: 1.0, step_s };

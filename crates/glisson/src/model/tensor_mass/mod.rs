@@ -1,10 +1,13 @@
 //! The linear tensor-mass model (seed `003` ch. 3): explicit dynamics on vertices and edges.
 //!
-//! M u'' + C u' + K u = F (`model/explicit`). K lives as tensors on vertices and edges, accumulated from the
+//! M u'' + C u' + K u = F (`model/explicit`), C = d M + b K. K lives as tensors on vertices and edges, accumulated from the
 //! tetrahedra; the force that balances the deformation is f_p = B^pp u_p + sum over edges B^pj u_j.
 //!
 //! Removing a tetrahedron subtracts its tensors and masses; what is left without a tetrahedron becomes
 //! exactly zero.
+//!
+//! A stress at rest S0 pulls on corner j of its tetrahedron with V S0 alpha_j, whatever the shape. A linear force
+//! brings a tetrahedron back from every shape, also an inverted one: nothing is put in quarantine.
 
 mod tensors;
 
@@ -14,8 +17,12 @@ pub use super::explicit::{
 
 pub(super) use tensors::VertexEdgeTensors;
 
-use super::explicit::{ExplicitMotion, ExplicitParams, follows, keep};
-use super::{Constraints, DeformableModel, ModelState, TopologyRefusal};
+use super::explicit::{
+    Cuttable, ExplicitMotion, LiveTets, Quarantine, Stability, StiffTet, check_body, follow, keep, unpadded,
+};
+use super::{
+    Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, RestStress, TopologyRefusal,
+};
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::edit::TopologyChange;
@@ -25,18 +32,11 @@ use crate::solve::{P1Gradients, SolveError};
 /// What a tensor-mass model is made from.
 #[derive(Clone, Copy, Debug)]
 pub struct TensorMassParams<'a> {
-    /// The body at rest.
-    pub mesh: &'a TetMesh,
-    /// Its material; the density makes the masses.
+    /// The body, its supports and loads. The step is at most `step_s` of [`TensorMass::stable_step`], less with
+    /// ligaments and damping of the stiffness.
+    pub body: DynamicBody<'a>,
+    /// Lame's numbers; the density is the body's.
     pub material: &'a LinearElastic,
-    /// Nodes that never move.
-    pub fixed_nodes: &'a [NodeId],
-    /// Damping over mass, d [1/s]: a free motion decays as exp(-d t/2).
-    pub damping_per_s: f64,
-    /// Gravity [m/s2]; zero where the rest shape already carries it.
-    pub gravity_m_per_s2: DVec3,
-    /// Largest internal step [s]; at most `step_s` of [`TensorMass::stable_step`].
-    pub time_step_s: f64,
 }
 
 /// One organ moved by explicit dynamics.
@@ -46,9 +46,10 @@ pub struct TensorMass {
     motion: ExplicitMotion,
 
     // Mechanics, changed by removals only.
-    tet_nodes: Vec<[NodeId; 4]>,
-    tet_is_live: Vec<bool>,
+    tets: LiveTets,
     tensors: VertexEdgeTensors,
+    /// One a tetrahedron, or none.
+    rest_stress_pa: Vec<RestStress>,
 }
 
 impl TensorMass {
@@ -65,27 +66,27 @@ impl TensorMass {
     /// # Errors
     /// [`TensorMassError`]: an unusable mesh, a step above the stable one, impossible damping or gravity.
     pub fn build(params: &TensorMassParams<'_>) -> Result<Self, TensorMassError> {
-        let TensorMassParams { mesh, material, fixed_nodes, damping_per_s, gravity_m_per_s2, time_step_s } =
-            *params;
-        let density_kg_per_m3 = material.density_kg_per_m3();
-        let motion_params = ExplicitParams {
-            mesh,
-            density_kg_per_m3,
-            fixed_nodes,
-            damping_per_s,
-            gravity_m_per_s2,
-            time_step_s,
-        };
-        motion_params.check()?;
+        let TensorMassParams { body, material } = *params;
+        check_body(&body)?;
+        let mesh = body.mesh;
         let (lambda_pa, mu_pa) = (material.lambda_pa(), material.mu_pa());
         let tensors = VertexEdgeTensors::accumulate(mesh, |_, g| g.stiffness(lambda_pa, mu_pa))?;
-        let motion = ExplicitMotion::new(&motion_params, StableStep::of(mesh, material)?)?;
+        let stability = Stability::of_stiffness(mesh, body.density_kg_per_m3, |_, g| StiffTet {
+            at_rest: g.stiffness(lambda_pa, mu_pa),
+            stiffening: 1.0,
+        })?;
+        let strained_j = 0.5 * (lambda_pa + 2.0 * mu_pa) * mesh.volume_m3();
+        let mut motion = ExplicitMotion::new(&body, stability, strained_j)?;
+        for (t, stress_pa) in body.rest_stress_pa.iter().enumerate() {
+            let gradients = P1Gradients::new(mesh.corners_m(TetId::from_index(t)));
+            motion.add_rest_forces(mesh.tetrahedra[t], gradients.stress_forces_n(*stress_pa), 1.0);
+        }
         Ok(Self {
             material: *material,
             motion,
-            tet_nodes: mesh.tetrahedra.clone(),
-            tet_is_live: vec![true; mesh.tetrahedra.len()],
+            tets: LiveTets::of_mesh(mesh),
             tensors,
+            rest_stress_pa: body.rest_stress_pa.to_vec(),
         })
     }
 
@@ -132,7 +133,18 @@ impl TensorMass {
         self.motion.ignored_constraints()
     }
 
-    /// Back to the rest shape at standstill, without constraints. Removed tetrahedra stay removed.
+    /// Constant force [N] that balances the stress at rest at a node.
+    pub fn rest_force_n(&self, node: NodeId) -> DVec3 {
+        self.motion.rest_force_n(node.index())
+    }
+
+    /// Holds a node where it is from now on: pre-stress, with nodes moved before (seed `003`, s. 3.2).
+    pub fn fix_in_place(&mut self, node: NodeId) {
+        self.motion.fix_in_place(node);
+    }
+
+    /// Back to the rest shape at standstill, without constraints. Removed tetrahedra stay removed, nodes that do not
+    /// move stay where they are.
     pub fn reset(&mut self) {
         self.motion.reset();
     }
@@ -150,36 +162,58 @@ impl TensorMass {
         self.motion.restore(snapshot);
     }
 
-    /// Kinetic energy of the last half step plus elastic energy 1/2 u(t-h)^T K u(t) [J]: the scheme keeps it
+    /// Kinetic energy of the last half step plus elastic energy 1/2 u(t-h)^T K u(t) and that of the
+    /// stress at rest [J]: the scheme keeps it
     /// constant to rounding without damping, outer forces and gravity.
     pub fn energy_j(&self) -> f64 {
         let (now, previous) = (self.motion.displacements(), self.motion.previous_displacements());
-        self.motion.kinetic_energy_j() + self.tensors.energy_j(previous, now)
+        let of_rest = |(n, (u, v)): (usize, (&[f64; 4], &[f64; 4]))| {
+            0.5 * self.motion.rest_force_n(n).dot(unpadded(u) + unpadded(v))
+        };
+        let rest_j: f64 = now.iter().zip(previous).enumerate().map(of_rest).sum();
+        self.motion.kinetic_energy_j() + self.tensors.energy_j(previous, now) + rest_j
+    }
+}
+
+impl Cuttable for TensorMass {
+    const NAME: &'static str = "tensor_mass";
+
+    fn tets(&self) -> &LiveTets {
+        &self.tets
     }
 
-    /// Takes one live tetrahedron out. What is left without a tetrahedron becomes exactly zero; a node left
-    /// alone stays where it is.
-    fn remove_tet(&mut self, tet: TetId) {
-        let t = tet.index();
-        self.tet_is_live[t] = false;
-        let nodes = self.tet_nodes[t];
+    fn tets_mut(&mut self) -> &mut LiveTets {
+        &mut self.tets
+    }
+
+    fn n_nodes(&self) -> usize {
+        self.motion.n_nodes()
+    }
+
+    /// What is left without a tetrahedron becomes exactly zero; a node left alone stays where it is.
+    fn remove_tet(&mut self, t: usize) {
+        let nodes = self.tets.nodes[t];
         // The rest positions are those of the build, so these are the numbers that were added then.
         let gradients = P1Gradients::new(nodes.map(|n| self.motion.rest_m(n)));
         let stiffness = gradients.stiffness(self.material.lambda_pa(), self.material.mu_pa());
         self.motion.remove_tet(nodes, gradients.volume_m3);
+        if let Some(&stress_pa) = self.rest_stress_pa.get(t) {
+            self.motion.add_rest_forces(nodes, gradients.stress_forces_n(stress_pa), -1.0);
+        }
         self.tensors.subtract_tet(t, nodes, &stiffness, nodes.map(|n| self.motion.has_tets(n)));
     }
 
-    /// Drops dead entities; the order of the others stays. Constraints are dropped with their node numbers.
+    fn after_removals(&mut self) {
+        self.motion.after_removals(&self.tets.nodes, &self.tets.is_live);
+    }
+
     fn compact(&mut self, new_ids: &[Option<NodeId>]) {
-        self.motion.compact(new_ids);
-        let live_tets = std::mem::take(&mut self.tet_is_live);
-        self.tensors.compact(new_ids, &live_tets);
-        keep(&mut self.tet_nodes, &live_tets);
-        for node in self.tet_nodes.iter_mut().flatten() {
-            *node = new_ids[node.index()].expect("what is live has live nodes");
+        let live_tets = &self.tets.is_live;
+        self.motion.compact(new_ids, live_tets);
+        self.tensors.compact(new_ids, live_tets);
+        if !self.rest_stress_pa.is_empty() {
+            keep(&mut self.rest_stress_pa, live_tets);
         }
-        self.tet_is_live = vec![true; self.tet_nodes.len()];
     }
 }
 
@@ -194,7 +228,10 @@ impl DeformableModel for TensorMass {
     /// the last part: elastic force and weight, without the held node's own inertia.
     fn step(&mut self, dt_s: f64) {
         let tensors = &self.tensors;
-        self.motion.step(dt_s, |u, force| tensors.add_forces(u, force));
+        self.motion.step(dt_s, |u, force| {
+            tensors.add_forces(u, force);
+            Quarantine::default()
+        });
     }
 
     fn state(&self) -> ModelState<'_> {
@@ -209,23 +246,20 @@ impl DeformableModel for TensorMass {
         self.motion.take_over(positions_m);
     }
 
-    /// Follows removals, which allocate nothing, and compactions, which do.
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        self.motion.set_gravity(gravity_m_per_s2);
+    }
+
+    fn report(&self) -> ModelReport {
+        self.motion.report()
+    }
+
     fn duplicate(&self) -> Box<dyn DeformableModel> {
         Box::new(self.clone())
     }
 
+    /// Follows removals, which allocate nothing, and compactions, which do.
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        follows("tensor_mass", change)?;
-        assert_eq!(change.tets.n_before, self.tet_nodes.len(), "the model missed a change of the mesh");
-        assert_eq!(change.nodes.n_before, self.motion.n_nodes(), "the model missed a change of the mesh");
-        for &tet in &change.tets.removed {
-            if self.tet_is_live[tet.index()] {
-                self.remove_tet(tet);
-            }
-        }
-        if !change.nodes.new_ids.is_empty() || !change.tets.new_ids.is_empty() {
-            self.compact(&change.nodes.new_ids);
-        }
-        Ok(())
+        follow(self, change)
     }
 }

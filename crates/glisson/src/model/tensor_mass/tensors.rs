@@ -2,15 +2,13 @@
 
 use crate::math::DMat3;
 use crate::mesh::{NodeId, TetId, TetMesh};
-use crate::model::explicit::{Padded, keep, padded, renumbered, unpadded};
+use crate::model::explicit::{LiveEdges, Padded, keep, padded, unpadded};
 use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients, SolveError, StiffnessTensors, TetStiffness};
 
 /// K as B^pp on vertices and B^pj on edges (lower node p), in the layout of the force loop.
 #[derive(Clone, Debug)]
 pub(in crate::model) struct VertexEdgeTensors {
-    edges: MeshEdges,
-    /// Live tetrahedra at each edge.
-    edge_tets: Vec<u32>,
+    edges: LiveEdges,
     /// First edge of each node that is the edge's lower node, and the end.
     edge_start: Vec<u32>,
     vertex: Vec<[Padded; 3]>,
@@ -28,32 +26,27 @@ impl VertexEdgeTensors {
     ) -> Result<Self, SolveError> {
         let edges = MeshEdges::of_mesh(mesh)?;
         let tensors = StiffnessTensors::assemble_with(mesh, &edges, stiffness_of)?;
-        let mut edge_tets = vec![0; edges.nodes.len()];
-        for &edge in edges.of_tet.iter().flatten() {
-            edge_tets[edge as usize] += 1;
-        }
         Ok(Self {
             edge_start: edge_starts(&edges, mesh.positions_m.len()),
             vertex: tensors.vertex.into_iter().map(padded_columns).collect(),
             edge: tensors.edge.into_iter().map(padded_columns).collect(),
-            edges,
-            edge_tets,
+            edges: LiveEdges::new(edges),
         })
     }
 
     /// The edges, dead ones included, and those of each tetrahedron.
     pub(in crate::model) fn mesh_edges(&self) -> &MeshEdges {
-        &self.edges
+        &self.edges.edges
     }
 
     /// Whether an edge has a tetrahedron, for each edge.
     pub(in crate::model) fn live_edges(&self) -> Vec<bool> {
-        self.edge_tets.iter().map(|&n| n > 0).collect()
+        self.edges.is_live()
     }
 
     /// Whether `edge` has a tetrahedron.
     pub(in crate::model) fn is_live_edge(&self, edge: usize) -> bool {
-        self.edge_tets[edge] > 0
+        self.edges.tets[edge] > 0
     }
 
     /// Edges of which `node` is the lower one.
@@ -66,7 +59,7 @@ impl VertexEdgeTensors {
     }
 
     pub(in crate::model) fn edges(&self) -> impl Iterator<Item = ([NodeId; 2], DMat3)> + '_ {
-        self.edges.nodes.iter().copied().zip(self.edge.iter().map(matrix))
+        self.edges.edges.nodes.iter().copied().zip(self.edge.iter().map(matrix))
     }
 
     /// Adds K u.
@@ -79,7 +72,7 @@ impl VertexEdgeTensors {
             let mut sum: Padded =
                 std::array::from_fn(|i| b[0][i] * up[0] + b[1][i] * up[1] + b[2][i] * up[2]);
             let of_p = self.edges_up_from(p);
-            for (&[_, j], b) in self.edges.nodes[of_p.clone()].iter().zip(&self.edge[of_p]) {
+            for (&[_, j], b) in self.edges.edges.nodes[of_p.clone()].iter().zip(&self.edge[of_p]) {
                 let j = j.index();
                 let uj = &u[j];
                 for i in 0..4 {
@@ -129,14 +122,13 @@ impl VertexEdgeTensors {
             }
         }
         for (e, [j, k]) in LOCAL_EDGES.into_iter().enumerate() {
-            let edge = self.edges.of_tet[t][e] as usize;
-            self.edge_tets[edge] -= 1;
-            if self.edge_tets[edge] == 0 {
-                self.edge[edge] = [[0.0; 4]; 3];
-            } else {
+            let edge = self.edges.edges.of_tet[t][e] as usize;
+            if self.edges.take_tet(edge) {
                 let b = stiffness.edge[e];
                 let along = if nodes[j] < nodes[k] { b } else { b.transpose() };
                 subtract(&mut self.edge[edge], padded_columns(along));
+            } else {
+                self.edge[edge] = [[0.0; 4]; 3];
             }
         }
     }
@@ -144,21 +136,10 @@ impl VertexEdgeTensors {
     /// Drops nodes without a new id, tetrahedra that do not live and edges without a tetrahedron.
     pub(in crate::model) fn compact(&mut self, new_ids: &[Option<NodeId>], live_tets: &[bool]) {
         let stays: Vec<bool> = new_ids.iter().map(Option::is_some).collect();
-        let new_node = |n: NodeId| new_ids[n.index()].expect("what is live has live nodes");
         keep(&mut self.vertex, &stays);
-        let live_edges = self.live_edges();
-        let new_edge = renumbered(&live_edges);
-        keep(&mut self.edges.nodes, &live_edges);
+        let live_edges = self.edges.compact(new_ids, live_tets);
         keep(&mut self.edge, &live_edges);
-        keep(&mut self.edge_tets, &live_edges);
-        for nodes in &mut self.edges.nodes {
-            *nodes = nodes.map(new_node);
-        }
-        keep(&mut self.edges.of_tet, live_tets);
-        for edge in self.edges.of_tet.iter_mut().flatten() {
-            *edge = new_edge[*edge as usize];
-        }
-        self.edge_start = edge_starts(&self.edges, self.vertex.len());
+        self.edge_start = edge_starts(&self.edges.edges, self.vertex.len());
     }
 }
 

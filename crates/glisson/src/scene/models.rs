@@ -1,0 +1,157 @@
+//! From an organ's description to the models that move it.
+
+use super::build::{BuildError, OrganBody};
+use crate::material::{LawChoice, PronySeries};
+use crate::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
+use crate::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
+use crate::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
+use crate::model::kernel::{KernelLaw, SharedMaterial};
+use crate::model::kind::ModelKind;
+use crate::model::mass_spring::{MassSpring, MassSpringParams, NodalMasses};
+use crate::model::nonlinear_tensor_mass::{
+    Fibre, NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
+};
+use crate::model::precomputed::{Precomputed, PrecomputedExpectation, PrecomputedParams, StoredNodes};
+use crate::model::tensor_mass::{TensorMass, TensorMassParams};
+use crate::model::{DeformableModel, Integration};
+use std::iter::repeat_n;
+use std::sync::Arc;
+
+/// St Venant-Kirchhoff tissue stiffens as it is stretched: its stable step is computed for principal stretches up
+/// to this one. A choice, not a measurement: the law itself is meant for strains well below it.
+const LARGEST_STRETCH: f64 = 1.3;
+
+/// How many times its value at rest the highest frequency of springs may become under deformation: the same
+/// stretch, with the stiffness of a squared length in proportion to it.
+const FREQUENCY_RESERVE: f64 = LARGEST_STRETCH;
+
+/// Makes a model of an organ at rest; a saved pre-computation is loaded if the organ names one.
+///
+/// # Errors
+/// [`BuildError`] of the model: a file that belongs to another organ, a time step above the stable one, something
+/// that the model cannot do.
+pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn DeformableModel>, BuildError> {
+    let material = &body.material;
+    let law = body.law.as_ref().filter(|law| kind.laws().contains(&law.name()));
+    let integration = Integration { frequency_reserve: FREQUENCY_RESERVE, ..Integration::default() };
+    body.refuse_what_it_lacks(kind)?;
+    Ok(match kind {
+        ModelKind::Precomputed => Box::new(precomputed(body)?),
+        ModelKind::TensorMass => {
+            Box::new(TensorMass::build(&TensorMassParams { body: body.dynamic(), material })?)
+        }
+        ModelKind::NonlinearTensorMass => {
+            let elasticity = NonlinearElasticity {
+                material,
+                fibres: &body.fibres(),
+                volume_penalty_pa: body.volume_penalty_pa,
+                largest_stretch: LARGEST_STRETCH,
+            };
+            let params = NonlinearTensorMassParams { body: body.dynamic(), elasticity };
+            Box::new(NonlinearTensorMass::build(&params)?)
+        }
+        ModelKind::Explicit => Box::new(explicit(body, law)?),
+        ModelKind::Implicit => {
+            let law = match law {
+                None | Some(LawChoice::NeoHookeLog) => ImplicitLaw::neo_hooke(material),
+                Some(law) => ImplicitLaw::from(&law.with_moduli_of(material)?),
+            };
+            let relaxation = body.relaxation()?;
+            let params = ImplicitParams {
+                relaxation: relaxation.as_ref(),
+                ..ImplicitParams::new(body.dynamic(), &law)
+            };
+            Box::new(ImplicitEuler::build(&params)?)
+        }
+        ModelKind::MassSpring => Box::new(MassSpring::build(&MassSpringParams {
+            body: body.dynamic(),
+            young_modulus_pa: material.young_modulus_pa(),
+            masses: NodalMasses::VolumeWeighted,
+            link_damping_n_s_per_m: 0.0,
+            node_damping_n_s_per_m: 0.0,
+            integration,
+        })?),
+        ModelKind::ExtendedMassSpring => Box::new(ExtendedMassSpring::build(&ExtendedMassSpringParams {
+            body: body.dynamic(),
+            law: match law {
+                Some(LawChoice::NeoHookeLog) => EdgeLaw::NeoHooke,
+                _ => EdgeLaw::StVenantKirchhoff,
+            },
+            material,
+            viscosity_kg_per_m3_s: 0.0,
+            integration,
+        })?),
+    })
+}
+
+impl OrganBody {
+    /// The fibre of every tetrahedron, or none.
+    fn fibres(&self) -> Vec<Fibre> {
+        self.fibre.iter().flat_map(|&fibre| repeat_n(fibre, self.mesh.tetrahedra.len())).collect()
+    }
+
+    fn relaxation(&self) -> Result<Option<PronySeries>, BuildError> {
+        if self.relaxation.is_empty() {
+            return Ok(None);
+        }
+        Ok(Some(PronySeries::new(&self.relaxation)?))
+    }
+
+    fn refuse_what_it_lacks(&self, model: ModelKind) -> Result<(), BuildError> {
+        let knows_fibres = matches!(model, ModelKind::NonlinearTensorMass | ModelKind::Explicit);
+        let knows_relaxation = matches!(model, ModelKind::Implicit | ModelKind::Explicit);
+        let asked = [
+            (self.fibre.is_some() && !knows_fibres, "fibres"),
+            (self.volume_penalty_pa != 0.0 && !knows_fibres, "penalties of volume changes"),
+            (!self.relaxation.is_empty() && !knows_relaxation, "relaxation terms"),
+        ];
+        match asked.into_iter().find(|(lacks, _)| *lacks) {
+            Some((_, what)) => Err(BuildError::Unsupported { model, what }),
+            None => Ok(()),
+        }
+    }
+}
+
+fn explicit(body: &OrganBody, law: Option<&LawChoice>) -> Result<ExplicitKernel, BuildError> {
+    let material = &body.material;
+    let mut laws: Vec<SharedMaterial> = Vec::new();
+    let law = match law {
+        None | Some(LawChoice::StVenantKirchhoff) => KernelLaw::StVenantKirchhoff,
+        Some(LawChoice::Linear) => KernelLaw::Linear,
+        Some(LawChoice::NeoHookeLog) => KernelLaw::NeoHookeLog,
+        Some(LawChoice::StableNeoHooke) => KernelLaw::StableNeoHooke,
+        Some(law) => {
+            laws.push(law.with_moduli_of(material)?.into_shared());
+            KernelLaw::General
+        }
+    };
+    let relaxation = body.relaxation()?;
+    let params = ExplicitKernelParams {
+        fibres: &body.fibres(),
+        volume_penalty_pa: body.volume_penalty_pa,
+        laws: &laws,
+        relaxation: relaxation.as_ref(),
+        largest_stretch: LARGEST_STRETCH,
+        workers: Arc::clone(&body.workers),
+        ..ExplicitKernelParams::new(body.dynamic(), law, std::slice::from_ref(material))
+    };
+    Ok(ExplicitKernel::build(&params)?)
+}
+
+fn precomputed(body: &OrganBody) -> Result<Precomputed, BuildError> {
+    let (mesh, material, fixed_nodes) =
+        (&body.mesh, &body.material, &body.nodes_fixed_wholly(ModelKind::Precomputed)?);
+    let mut model = match &body.precomputed {
+        Some(file) => Precomputed::load(file, &PrecomputedExpectation { mesh, material, fixed_nodes })?,
+        None => {
+            let stored = StoredNodes::Surface;
+            Precomputed::build(&PrecomputedParams { mesh, material, fixed_nodes, stored, progress: None })?
+        }
+    };
+    if body.is_imaged_under_gravity {
+        model.carry_at_rest(body.gravity_m_per_s2);
+    } else {
+        model.set_gravity(body.gravity_m_per_s2);
+    }
+    Ok(model)
+}

@@ -1,0 +1,400 @@
+//! `[organ]`: mesh, material, law, model, supports and loads.
+
+use super::reader::{SceneError, Section};
+use crate::material::{LawChoice, MaterialSpec, PronyTerm};
+use crate::math::{Aabb, DVec3};
+use crate::model::Rayleigh;
+use crate::model::kind::ModelKind;
+use crate::model::nonlinear_tensor_mass::Fibre;
+use crate::units::Dimension;
+use crate::world::spec::{ForceField, Ligament, Load, LoadTime, Region, Support};
+use std::path::PathBuf;
+
+/// Where an organ's elasticity comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MaterialSource {
+    /// A row of the table of tissues.
+    Tissue(String),
+    /// Numbers of the scene.
+    Given {
+        /// Young's modulus [Pa].
+        young_modulus_pa: f64,
+        /// Poisson's ratio.
+        poisson_ratio: f64,
+        /// Density [kg/m3].
+        density_kg_per_m3: f64,
+    },
+}
+
+/// Where an organ comes from and what moves it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OrganSource {
+    /// Tetrahedral mesh, relative to the scene's folder.
+    pub mesh: PathBuf,
+    /// Elasticity and density.
+    pub material: MaterialSource,
+    /// Which law the models that have a choice follow; each its own when absent.
+    pub law: Option<LawChoice>,
+    /// Viscoelastic relaxation of the stress, for models that know it.
+    pub relaxation: Vec<PronyTerm>,
+    /// Stiffness along a direction, for models that know it.
+    pub fibre: Option<Fibre>,
+    /// Penalty on changes of volume [Pa], for models that know it; 0 is none.
+    pub volume_penalty_pa: f64,
+    /// Which model moves it.
+    pub model: ModelKind,
+    /// A saved pre-computation, relative to the scene's folder; made anew at set-up when absent.
+    pub precomputed: Option<PathBuf>,
+    /// Damping; dynamic models only.
+    pub damping: Rayleigh,
+    /// Whether the imaged shape is the one under the scene's gravity.
+    pub is_imaged_under_gravity: bool,
+}
+
+/// What `[organ]` says about the world.
+pub(super) struct OrganSurroundings {
+    pub(super) supports: Vec<Support>,
+    pub(super) ligaments: Vec<Ligament>,
+    pub(super) loads: Vec<Load>,
+    pub(super) fields: Vec<ForceField>,
+}
+
+pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, OrganSurroundings), SceneError> {
+    let mesh = section.string("mesh")?.ok_or_else(|| section.missing("mesh", "mesh = \"liver.vtu\""))?;
+    let material = read_material(&mut section)?;
+    let names = ModelKind::ALL.map(ModelKind::name).join(", ");
+    let (model_name, at) =
+        section.string("model")?.ok_or_else(|| section.missing("model", "model = \"precomputed\""))?;
+    let model = ModelKind::by_name(&model_name)
+        .ok_or_else(|| section.wrong_value(at, "model", format!("\"{model_name}\""), &names))?;
+    let law = read_law(&mut section, model)?;
+    let relaxation = read_relaxation(&mut section)?;
+    let fibre = section.section("fibre")?.map(read_fibre).transpose()?;
+    let volume_penalty_pa = not_negative(&mut section, "volume_penalty", Dimension::Pressure)?;
+    let precomputed = section.string("precomputed")?.map(|p| PathBuf::from(p.0));
+    let damping = Rayleigh {
+        mass_per_s: not_negative(&mut section, "damping", Dimension::Rate)?,
+        stiffness_s: not_negative(&mut section, "stiffness_damping", Dimension::Time)?,
+    };
+    let is_imaged_under_gravity = section.flag("imaged_under_gravity")?.unwrap_or(true);
+    let supports = section.sections("fixed")?.into_iter().map(read_support).collect::<Result<_, _>>()?;
+    let ligaments = section.sections("ligament")?.into_iter().map(read_ligament).collect::<Result<_, _>>()?;
+    let loads = section.sections("load")?.into_iter().map(read_load).collect::<Result<_, _>>()?;
+    let fields = section.sections("field")?.into_iter().map(read_field).collect::<Result<_, _>>()?;
+    section.finish()?;
+    let organ = OrganSource {
+        mesh: mesh.0.into(),
+        material,
+        law,
+        relaxation,
+        fibre,
+        volume_penalty_pa,
+        model,
+        precomputed,
+        damping,
+        is_imaged_under_gravity,
+    };
+    Ok((organ, OrganSurroundings { supports, ligaments, loads, fields }))
+}
+
+/// A quantity from zero; zero when it is not there.
+fn not_negative(
+    section: &mut Section<'_>,
+    key: &'static str,
+    dimension: Dimension,
+) -> Result<f64, SceneError> {
+    match section.quantity(key, dimension)? {
+        Some((quantity, at)) if quantity < 0.0 => {
+            let unit = dimension.units()[0].0;
+            Err(section.wrong_value(at, key, format!("{quantity} {unit}"), "zero or more"))
+        }
+        found => Ok(found.map_or(0.0, |f| f.0)),
+    }
+}
+
+/// `law = "neo_hooke_log"`, or a table with the law's own numbers.
+fn read_law(section: &mut Section<'_>, model: ModelKind) -> Result<Option<LawChoice>, SceneError> {
+    let (law, at) = if section.is_table("law") {
+        let at = section.get("law");
+        let Some(mut table) = section.section("law")? else { return Ok(None) };
+        let (name, at_name) =
+            table.string("name")?.ok_or_else(|| table.missing("name", "name = \"ogden\""))?;
+        let law = law_by_name(&mut table, &name, at_name)?;
+        table.finish()?;
+        (law, at)
+    } else {
+        let Some((name, at)) = section.string("law")? else { return Ok(None) };
+        (law_by_name(section, &name, at)?, Some(at))
+    };
+    let allowed = model.laws();
+    match at {
+        Some(at) if !allowed.contains(&law.name()) => {
+            let allowed = format!("{} (the laws of the model \"{model}\")", allowed.join(", "));
+            Err(section.wrong_value(at, "law", format!("\"{}\"", law.name()), &allowed))
+        }
+        _ => Ok(Some(law)),
+    }
+}
+
+fn law_by_name(
+    section: &mut Section<'_>,
+    name: &str,
+    at: super::reader::Value<'_>,
+) -> Result<LawChoice, SceneError> {
+    Ok(match name {
+        "linear" => LawChoice::Linear,
+        "st_venant_kirchhoff" => LawChoice::StVenantKirchhoff,
+        "neo_hooke_log" => LawChoice::NeoHookeLog,
+        "stable_neo_hooke" => LawChoice::StableNeoHooke,
+        "mooney_rivlin" => LawChoice::MooneyRivlin {
+            second_share: required_number(
+                section,
+                "c01_share",
+                "law = { name = \"mooney_rivlin\", c01_share = 0.4 }",
+            )?,
+        },
+        "ogden" => LawChoice::Ogden {
+            exponent: required_number(section, "exponent", "law = { name = \"ogden\", exponent = -4.7 }")?,
+        },
+        "holzapfel_gasser_ogden" => {
+            let example =
+                "law = { name = \"holzapfel_gasser_ogden\", k1 = \"20 kPa\", k2 = 5, fibre = [1, 0, 0] }";
+            LawChoice::HolzapfelGasserOgden {
+                fibre_stiffness_pa: section
+                    .positive("k1", Dimension::Pressure)?
+                    .ok_or_else(|| section.missing("k1", example))?,
+                fibre_exponent: required_number(section, "k2", example)?,
+                dispersion: section.number("kappa")?.map_or(0.0, |k| k.0),
+                fibre_directions: vec![
+                    section.direction("fibre")?.ok_or_else(|| section.missing("fibre", example))?,
+                ],
+            }
+        }
+        _ => {
+            let allowed = MaterialSpec::NAMES.join(", ");
+            return Err(section.wrong_value(at, "law", format!("\"{name}\""), &allowed));
+        }
+    })
+}
+
+fn required_number(
+    section: &mut Section<'_>,
+    key: &'static str,
+    example: &'static str,
+) -> Result<f64, SceneError> {
+    section.number(key)?.map(|n| n.0).ok_or_else(|| section.missing(key, example))
+}
+
+fn read_relaxation(section: &mut Section<'_>) -> Result<Vec<PronyTerm>, SceneError> {
+    let mut terms = Vec::new();
+    let mut sum = 0.0;
+    for mut term in section.sections("relaxation")? {
+        let (share, at) = term.number("share")?.ok_or_else(|| term.missing("share", "share = 0.4"))?;
+        sum += share;
+        if share <= 0.0 || sum >= 1.0 {
+            let allowed = "more than zero, all shares together below 1";
+            return Err(term.wrong_value(at, "share", share.to_string(), allowed));
+        }
+        let time_s = term
+            .positive("time", Dimension::Time)?
+            .ok_or_else(|| term.missing("time", "time = \"0.5 s\""))?;
+        term.finish()?;
+        terms.push(PronyTerm { share, time_s });
+    }
+    Ok(terms)
+}
+
+fn read_fibre(mut section: Section<'_>) -> Result<Fibre, SceneError> {
+    let example = "fibre = { direction = [1, 0, 0], lambda_along = \"20 kPa\", mu_along = \"8 kPa\" }";
+    let direction = section.direction("direction")?.ok_or_else(|| section.missing("direction", example))?;
+    let lambda_along = section.quantity("lambda_along", Dimension::Pressure)?;
+    let (lambda_along_pa, _) = lambda_along.ok_or_else(|| section.missing("lambda_along", example))?;
+    let mu_along_pa = section
+        .positive("mu_along", Dimension::Pressure)?
+        .ok_or_else(|| section.missing("mu_along", example))?;
+    section.finish()?;
+    Ok(Fibre { lambda_along_pa, mu_along_pa, direction })
+}
+
+fn read_support(mut section: Section<'_>) -> Result<Support, SceneError> {
+    let region = read_region(&mut section)?;
+    let names = section.names("axes", &["x", "y", "z"])?;
+    section.finish()?;
+    let axes = names.map_or([true; 3], |names| ["x", "y", "z"].map(|axis| names.contains(&axis)));
+    Ok(Support { region, axes })
+}
+
+fn read_ligament(mut section: Section<'_>) -> Result<Ligament, SceneError> {
+    let region = read_region(&mut section)?;
+    let direction = section
+        .direction("direction")?
+        .ok_or_else(|| section.missing("direction", "direction = [0, 0, 1]"))?;
+    let length_m = section
+        .positive("length", Dimension::Length)?
+        .ok_or_else(|| section.missing("length", "length = \"20 mm\""))?;
+    let stiffness_n_per_m = section
+        .positive("stiffness", Dimension::Stiffness)?
+        .ok_or_else(|| section.missing("stiffness", "stiffness = \"200 N/m\""))?;
+    section.finish()?;
+    Ok(Ligament { region, direction, length_m, stiffness_n_per_m })
+}
+
+fn read_load(mut section: Section<'_>) -> Result<Load, SceneError> {
+    let region = read_region(&mut section)?;
+    let force_n = section
+        .vector("force", Dimension::Force)?
+        .ok_or_else(|| section.missing("force", "force = [\"0 N\", \"0.5 N\", \"0 N\"]"))?;
+    let time = read_load_time(&mut section)?;
+    section.finish()?;
+    Ok(Load { region, force_n, time })
+}
+
+fn read_field(mut section: Section<'_>) -> Result<ForceField, SceneError> {
+    let example = "acceleration = [\"0 m/s2\", \"0 m/s2\", \"2 m/s2\"]";
+    let acceleration_m_per_s2 = section
+        .vector("acceleration", Dimension::Acceleration)?
+        .ok_or_else(|| section.missing("acceleration", example))?;
+    let time = read_load_time(&mut section)?;
+    section.finish()?;
+    Ok(ForceField { acceleration_m_per_s2, time })
+}
+
+/// `at` for one step, `from` and `to` for a while, none of them for always.
+fn read_load_time(section: &mut Section<'_>) -> Result<LoadTime, SceneError> {
+    let at = section.quantity("at", Dimension::Time)?;
+    let from = section.quantity("from", Dimension::Time)?;
+    let to = section.quantity("to", Dimension::Time)?;
+    for (key, (time_s, place)) in
+        [("at", at), ("from", from), ("to", to)].into_iter().filter_map(|(k, v)| v.map(|v| (k, v)))
+    {
+        if time_s < 0.0 {
+            return Err(section.wrong_value(place, key, format!("{time_s} s"), "zero or more"));
+        }
+    }
+    match (at, from, to) {
+        (None, None, None) => Ok(LoadTime::Always),
+        (Some((at_s, _)), None, None) => Ok(LoadTime::Once(at_s)),
+        (Some((at_s, place)), ..) => {
+            let allowed = "at alone (one step), or from and to";
+            Err(section.wrong_value(place, "at", format!("{at_s} s beside from or to"), allowed))
+        }
+        (None, from, to) => {
+            let from_s = from.map_or(0.0, |f| f.0);
+            let to_s = to.map_or(f64::INFINITY, |t| t.0);
+            match to {
+                Some((_, place)) if to_s <= from_s => {
+                    Err(section.wrong_value(place, "to", format!("{to_s} s"), "later than from"))
+                }
+                _ => Ok(LoadTime::During { from_s, to_s }),
+            }
+        }
+    }
+}
+
+fn read_material(section: &mut Section<'_>) -> Result<MaterialSource, SceneError> {
+    let tissue = section.string("tissue")?;
+    let young = section.positive("young_modulus", Dimension::Pressure)?;
+    let poisson = section.number("poisson_ratio")?;
+    let lame_lambda = section.quantity("lame_lambda", Dimension::Pressure)?;
+    let lame_mu = section.positive("lame_mu", Dimension::Pressure)?;
+    let density = section.positive("density", Dimension::Density)?;
+    let given =
+        [young.is_some(), poisson.is_some(), lame_lambda.is_some(), lame_mu.is_some(), density.is_some()];
+    if let Some((name, at)) = tissue {
+        if given.contains(&true) {
+            let allowed = "a tissue alone, or young_modulus, poisson_ratio and density without a tissue";
+            return Err(section.wrong_value(
+                at,
+                "tissue",
+                format!("\"{name}\" beside its own numbers"),
+                allowed,
+            ));
+        }
+        return Ok(MaterialSource::Tissue(name));
+    }
+    if lame_lambda.is_none() && lame_mu.is_some() {
+        return Err(section.missing("lame_lambda", "lame_lambda = \"12.5 kPa\""));
+    }
+    if let Some((lambda_pa, at)) = lame_lambda {
+        let mu_pa = lame_mu.ok_or_else(|| section.missing("lame_mu", "lame_mu = \"2 kPa\""))?;
+        if young.is_some() || poisson.is_some() {
+            let allowed = "lame_lambda and lame_mu, or young_modulus and poisson_ratio";
+            return Err(section.wrong_value(
+                at,
+                "lame_lambda",
+                "beside young_modulus or poisson_ratio".into(),
+                allowed,
+            ));
+        }
+        // Positive energy for every strain (LinearElastic::from_lame).
+        if 3.0 * lambda_pa + 2.0 * mu_pa <= 0.0 {
+            let allowed = "more than -2/3 of lame_mu";
+            return Err(section.wrong_value(at, "lame_lambda", format!("{lambda_pa} Pa"), allowed));
+        }
+        let density_kg_per_m3 =
+            density.ok_or_else(|| section.missing("density", "density = \"1060 kg/m3\""))?;
+        return Ok(MaterialSource::Given {
+            young_modulus_pa: mu_pa * (3.0 * lambda_pa + 2.0 * mu_pa) / (lambda_pa + mu_pa),
+            poisson_ratio: lambda_pa / (2.0 * (lambda_pa + mu_pa)),
+            density_kg_per_m3,
+        });
+    }
+    let young_modulus_pa = young.ok_or_else(|| {
+        section.missing("young_modulus", "young_modulus = \"5 kPa\" (or tissue = \"liver\")")
+    })?;
+    let (poisson_ratio, at) =
+        poisson.ok_or_else(|| section.missing("poisson_ratio", "poisson_ratio = 0.45"))?;
+    if !(poisson_ratio > -1.0 && poisson_ratio < 0.5) {
+        let allowed = "more than -1 and less than 0.5 (a tissue that keeps its volume: 0.45 to 0.49)";
+        return Err(section.wrong_value(at, "poisson_ratio", poisson_ratio.to_string(), allowed));
+    }
+    let density_kg_per_m3 = density.ok_or_else(|| section.missing("density", "density = \"1060 kg/m3\""))?;
+    Ok(MaterialSource::Given { young_modulus_pa, poisson_ratio, density_kg_per_m3 })
+}
+
+fn read_region(section: &mut Section<'_>) -> Result<Region, SceneError> {
+    let bounds = section.section("box")?;
+    let ball = section.section("ball")?;
+    let furthest = section.section("furthest")?;
+    match (bounds, ball, furthest) {
+        (Some(mut bounds), None, None) => {
+            let min_m = required_point(&mut bounds, "min", "min = [\"-5 mm\", \"-5 mm\", \"0 mm\"]")?;
+            let max_m = required_point(&mut bounds, "max", "max = [\"5 mm\", \"5 mm\", \"9 mm\"]")?;
+            bounds.finish()?;
+            Ok(Region::Box(Aabb { min_m, max_m }))
+        }
+        (None, Some(mut ball), None) => {
+            let center_m = required_point(&mut ball, "center", "center = [\"0 mm\", \"0 mm\", \"9 mm\"]")?;
+            let radius_m = ball
+                .positive("radius", Dimension::Length)?
+                .ok_or_else(|| ball.missing("radius", "radius = \"20 mm\""))?;
+            ball.finish()?;
+            Ok(Region::Ball { center_m, radius_m })
+        }
+        (None, None, Some(mut furthest)) => {
+            let direction = furthest
+                .direction("direction")?
+                .ok_or_else(|| furthest.missing("direction", "direction = [0, 0, -1]"))?;
+            let (fraction, at) = furthest
+                .number("fraction")?
+                .ok_or_else(|| furthest.missing("fraction", "fraction = 0.05"))?;
+            if !(fraction > 0.0 && fraction < 1.0) {
+                return Err(furthest.wrong_value(at, "fraction", fraction.to_string(), "between 0 and 1"));
+            }
+            furthest.finish()?;
+            Ok(Region::Furthest { direction, fraction })
+        }
+        _ => {
+            let example = "exactly one of box = { min, max }, ball = { center, radius }, furthest = { direction, fraction }";
+            Err(section.missing("box, ball or furthest", example))
+        }
+    }
+}
+
+pub(super) fn required_point(
+    section: &mut Section<'_>,
+    key: &'static str,
+    example: &'static str,
+) -> Result<DVec3, SceneError> {
+    section.point(key)?.ok_or_else(|| section.missing(key, example))
+}

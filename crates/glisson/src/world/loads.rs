@@ -1,0 +1,110 @@
+//! The loads of a scene in time: which nodal forces and which gravity a step has.
+
+use super::spec::{ForceField, Load, LoadTime, WorldSpec, nodes_in};
+use crate::math::DVec3;
+use crate::mesh::NodeId;
+use crate::mesh::edit::TopologyChange;
+use crate::mesh::remap::EntityArray;
+use crate::model::NodalForce;
+
+/// The nodes of a load and the force on each.
+#[derive(Clone, Debug)]
+struct NodeLoad {
+    is_loaded: EntityArray<NodeId, bool>,
+    force_n: DVec3,
+    time: LoadTime,
+    acts: bool,
+}
+
+/// All loads of a world. What they amount to is found anew only in a step in which one begins or ends.
+#[derive(Clone, Debug)]
+pub(super) struct Loads {
+    nodes: Vec<NodeLoad>,
+    fields: Vec<ForceField>,
+    time_step_s: f64,
+    /// Step from which times count.
+    start: u64,
+    forces: Vec<NodalForce>,
+    is_stale: bool,
+}
+
+impl Loads {
+    pub(super) fn new(spec: &WorldSpec, rest_m: &[DVec3]) -> Self {
+        let of_nodes = |load: &Load| {
+            let nodes = nodes_in(&[load.region], rest_m);
+            let mut is_loaded = vec![false; rest_m.len()];
+            for node in &nodes {
+                is_loaded[node.index()] = true;
+            }
+            let force_n = load.force_n / nodes.len().max(1) as f64;
+            NodeLoad { is_loaded: EntityArray::new(is_loaded), force_n, time: load.time, acts: false }
+        };
+        let nodes: Vec<NodeLoad> = spec.loads.iter().map(of_nodes).collect();
+        let n_most = if nodes.is_empty() { 0 } else { rest_m.len() };
+        Self {
+            nodes,
+            fields: spec.fields.clone(),
+            time_step_s: spec.time_step_s,
+            start: 0,
+            forces: Vec::with_capacity(n_most),
+            is_stale: true,
+        }
+    }
+
+    /// A copy with room for all forces, which a clone would not have.
+    pub(super) fn duplicate(&self) -> Self {
+        let mut copy = self.clone();
+        copy.forces.reserve(self.n_nodes());
+        copy
+    }
+
+    fn n_nodes(&self) -> usize {
+        self.nodes.first().map_or(0, |load| load.is_loaded.as_slice().len())
+    }
+
+    /// Times count from `step` on.
+    pub(super) fn restart(&mut self, step: u64) {
+        self.start = step;
+    }
+
+    /// After an edit of the mesh.
+    pub(super) fn follow(&mut self, change: &TopologyChange) {
+        for load in &mut self.nodes {
+            load.is_loaded.follow(change);
+        }
+        self.forces.clear();
+        self.forces.reserve(self.n_nodes());
+        self.is_stale = true;
+    }
+
+    /// The nodal forces of a step, ascending by node. Allocates nothing.
+    pub(super) fn forces_in_step(&mut self, step: u64) -> &[NodalForce] {
+        let step = step - self.start;
+        for load in &mut self.nodes {
+            let acts = load.time.acts_in_step(step, self.time_step_s);
+            self.is_stale |= acts != load.acts;
+            load.acts = acts;
+        }
+        if std::mem::take(&mut self.is_stale) {
+            self.gather();
+        }
+        &self.forces
+    }
+
+    fn gather(&mut self) {
+        self.forces.clear();
+        for n in 0..self.n_nodes() {
+            let on_node = self.nodes.iter().filter(|load| load.acts && load.is_loaded.as_slice()[n]);
+            let (n_loads, force_n) = on_node.fold((0, DVec3::ZERO), |(i, f), load| (i + 1, f + load.force_n));
+            if n_loads > 0 {
+                self.forces.push(NodalForce { node: NodeId::from_index(n), force_n });
+            }
+        }
+    }
+
+    /// What the force fields of a step add to gravity [m/s2].
+    pub(super) fn acceleration_in_step_m_per_s2(&self, step: u64) -> DVec3 {
+        let acting = self.fields.iter().filter(|f| f.time.acts_in_step(step - self.start, self.time_step_s));
+        acting.map(|f| f.acceleration_m_per_s2).sum()
+    }
+}

@@ -1,0 +1,46 @@
+//! Coming back to an earlier moment.
+
+use super::{QueuedSwap, World};
+
+/// A world as it was: mesh with its removals, the model with accumulated stiffness, warm starts and factors, the
+/// contact under way, loads, orders. Steps from it have the same bits as those that followed it.
+pub struct SavedWorld(World);
+
+impl World {
+    /// A copy of everything that the next steps depend on. Allocates.
+    pub fn save(&self) -> SavedWorld {
+        SavedWorld(self.duplicate())
+    }
+
+    /// Comes back to a saved moment; `saved` serves again. Allocates.
+    pub fn restore(&mut self, saved: &SavedWorld) {
+        *self = saved.0.duplicate();
+    }
+
+    fn duplicate(&self) -> Self {
+        let swap = self.swap.as_ref().map(|swap| QueuedSwap {
+            at_step: swap.at_step,
+            kind: swap.kind,
+            model: swap.model.as_ref().map(|model| model.duplicate()),
+        });
+        // A clone has no room beyond what it holds.
+        let mut constraints = self.constraints.clone();
+        constraints.displacements.reserve(3);
+        constraints.forces.reserve(self.organ.mesh().positions_m.len());
+        Self {
+            spec: self.spec.clone(),
+            organ: self.organ.clone(),
+            model: self.model.duplicate(),
+            model_kind: self.model_kind,
+            swap,
+            tool: self.tool,
+            contact: self.contact.clone(),
+            constraints,
+            loads: self.loads.duplicate(),
+            gravity_m_per_s2: self.gravity_m_per_s2,
+            pull_m_per_s2: self.pull_m_per_s2,
+            step: self.step,
+            report: self.report,
+        }
+    }
+}

@@ -25,6 +25,9 @@ pub(crate) struct Args {
     /// Record the session to this file
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Threads of the explicit model; the results do not depend on it
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
+    threads: u8,
     /// Write time, tool tip and force of every step as CSV
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -34,7 +37,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let source = OpenScene::read(&args.scene)?;
+    let source = OpenScene { n_threads: usize::from(args.threads), ..OpenScene::read(&args.scene)? };
     let time_step_s = source.scene.world.time_step_s;
     let path = source.scene.path.clone();
     let steps = match (args.steps, path.last()) {

@@ -17,6 +17,9 @@ pub(crate) struct Args {
     /// Record the session to this file
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Threads of the explicit model; the results do not depend on it
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
+    threads: u8,
 }
 
 /// Where the viewer is served.
@@ -59,6 +62,7 @@ impl Address {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let listener = args.address.bind()?;
-    let simulation = Simulation::open(OpenScene::read(&args.scene)?, args.record.as_deref())?;
+    let source = OpenScene { n_threads: usize::from(args.threads), ..OpenScene::read(&args.scene)? };
+    let simulation = Simulation::open(source, args.record.as_deref())?;
     args.address.serve(simulation, listener)
 }

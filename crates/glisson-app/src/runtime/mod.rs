@@ -5,11 +5,14 @@ pub(crate) mod live;
 pub(crate) mod recorder;
 pub(crate) mod replay;
 
+use crate::workers::WorkerTeam;
 use anyhow::{Context, anyhow, bail};
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
 use glisson::model::DeformableModel;
+use glisson::model::explicit_kernel::SharedWorkers;
+use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::session::SessionEvent;
@@ -32,6 +35,8 @@ pub(crate) struct OpenScene {
     pub(crate) folder: PathBuf,
     /// Where the text comes from, for messages.
     pub(crate) origin: String,
+    /// Threads of models that can use several; the bits do not depend on it.
+    pub(crate) n_threads: usize,
 }
 
 impl OpenScene {
@@ -41,7 +46,7 @@ impl OpenScene {
             .with_context(|| format!("{}: cannot read the scene", path.display()))?;
         let scene = Scene::parse(&text).map_err(|e| anyhow!("{}: {e}", path.display()))?;
         let folder = path.parent().map_or_else(|| PathBuf::from("."), Path::to_path_buf);
-        Ok(Self { scene, folder, origin: path.display().to_string() })
+        Ok(Self { scene, folder, origin: path.display().to_string(), n_threads: 1 })
     }
 }
 
@@ -58,8 +63,12 @@ pub(crate) struct Simulation {
 impl Simulation {
     /// Sets a world up from a scene; with `record`, writes the session there.
     pub(crate) fn open(source: OpenScene, record: Option<&Path>) -> anyhow::Result<Self> {
+        let workers: SharedWorkers = match source.n_threads {
+            0 | 1 => Arc::new(Sequential),
+            n => Arc::new(WorkerTeam::new(n).context("starting the worker threads")?),
+        };
         let (world, body) =
-            build_world(&source.scene, &source.folder).with_context(|| source.origin.clone())?;
+            build_world(&source.scene, &source.folder, workers).with_context(|| source.origin.clone())?;
         let recorder = record
             .map(|path| Recorder::create(path, &source.scene.text, mesh_hash(&body.mesh)))
             .transpose()?;

@@ -38,7 +38,7 @@ pub(crate) fn replay(
     let scene =
         Scene::parse(&session.header.scene).map_err(|e| anyhow!("the scene in the session's header: {e}"))?;
     let origin = "the session's scene".to_string();
-    let source = OpenScene { scene, folder: folder.to_path_buf(), origin };
+    let source = OpenScene { scene, folder: folder.to_path_buf(), origin, n_threads: 1 };
     let mut simulation = Simulation::open(source, None)?;
     let found = mesh_hash(simulation.mesh());
     if found != session.header.mesh_hash {

@@ -7,7 +7,8 @@ use crate::mesh::TetId;
 pub struct ModelReport {
     /// Internal steps made; 1 for a quasi-static or implicit model.
     pub n_parts: u32,
-    /// Tetrahedra that were inverted or whose numbers were not finite and were left out of the forces.
+    /// Tetrahedra that were inverted or whose numbers were not finite. Where the law gives no number they were left
+    /// out of the forces or followed a substitute that does.
     pub n_quarantined_tets: u32,
     /// The first of them.
     pub first_quarantined: Option<TetId>,

@@ -247,12 +247,17 @@ pub fn mesh_hash(mesh: &TetMesh) -> String {
     precomputed::mesh_hash(mesh).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// A world at rest, and what its models are made from; files are relative to `folder`.
+/// A world at rest, and what its models are made from; files are relative to `folder`, models that can use several
+/// threads get `workers`.
 ///
 /// # Errors
 /// [`BuildError`] of [`read_organ`] and [`build_model`], and a mesh that is no body.
-pub fn build_world(scene: &Scene, folder: &Path) -> Result<(World, OrganBody), BuildError> {
-    let body = read_organ(scene, folder)?;
+pub fn build_world(
+    scene: &Scene,
+    folder: &Path,
+    workers: SharedWorkers,
+) -> Result<(World, OrganBody), BuildError> {
+    let body = OrganBody { workers, ..read_organ(scene, folder)? };
     let kind = scene.organ.model;
     let model = build_model(&body, kind)?;
     let world = World::new(scene.world.clone(), body.mesh.clone(), model, kind)

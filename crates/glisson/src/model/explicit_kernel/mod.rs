@@ -13,8 +13,9 @@
 //!   ([`ModelReport::energy_was_limited`]). W_max = sum V (9/2 lambda + 3 mu) e^2 with e = (s^2 - 1)/2 is St
 //!   Venant-Kirchhoff's largest for principal stretches within [1/s, s].
 //!
-//! - Tetrahedra: one that is inverted or whose stress is not finite is left out
-//!   ([`ModelReport::n_quarantined_tets`]), but for the stable neo-Hookean law, which pushes it back.
+//! - Tetrahedra: inverted ones and those whose stress is not finite are counted
+//!   ([`ModelReport::n_quarantined_tets`]). They are left out where the law gives no number; laws that are finite in
+//!   every shape go on in them: leaving them out would make energy from nothing.
 //!
 //! Removing a tetrahedron takes constant time; what is left without a tetrahedron stays where it is.
 
@@ -48,11 +49,11 @@ const LEAST_ENERGY_STRETCH: f64 = 1.1;
 /// A step longer than this many parts is cut to it: the caller asked for minutes in one step.
 const MOST_PARTS: f64 = 1e6;
 
-/// A law that pushes what is inverted back may go on doing so.
+/// A law that is finite in every shape goes on in inverted tetrahedra.
 fn quarantine_of(law: KernelLaw) -> Quarantine {
     match law {
-        KernelLaw::StableNeoHooke => Quarantine::NotFinite,
-        _ => Quarantine::Inverted,
+        KernelLaw::Linear | KernelLaw::StVenantKirchhoff | KernelLaw::StableNeoHooke => Quarantine::NotFinite,
+        KernelLaw::NeoHookeLog | KernelLaw::General => Quarantine::Inverted,
     }
 }
 

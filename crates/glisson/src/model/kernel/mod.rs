@@ -425,10 +425,10 @@ impl FastKernel {
 
     /// `visit` sees each number with its place in [`FastKernel::history_into`].
     fn for_each_history(&self, mut visit: impl FnMut(usize, &mut f64)) {
-        let n = self.history_len() / self.n_tets();
-        if n == 0 {
+        if self.history_len() == 0 {
             return;
         }
+        let n = self.history_len() / self.n_tets();
         for (t, place) in self.tet_places.iter().enumerate() {
             let history = &mut self.parts.all[place.part as usize].progress_mut().history;
             let of_block = &mut history[place.block as usize * n..(place.block as usize + 1) * n];

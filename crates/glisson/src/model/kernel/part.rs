@@ -283,14 +283,18 @@ impl Parts {
     fn add_forces_of(&self, p: usize, law: impl ElementLaw, elements: &Elements, rows: &mut Rows) {
         let ForceMode { quarantine, in_step } = *read(&self.mode);
         let Elements { blocks, extras, tets, .. } = elements;
-        let least_ratio = quarantine.and_then(Quarantine::least_ratio);
+        let watch = quarantine.filter(|quarantine| *quarantine != Quarantine::Off);
         let path = self.path();
-        if least_ratio.is_none() && extras.is_empty() && self.relaxation.is_none() {
+        if watch.is_none() && extras.is_empty() && self.relaxation.is_none() {
             return path.add_forces(&mut Plain(law), blocks, rows);
         }
         let Progress { history, quarantined } = &mut *self.all[p].progress_mut();
         *quarantined = QuarantineReport::default();
-        let guard = least_ratio.map(|least_ratio| Guard { least_ratio, tets, found: quarantined });
+        let guard = watch.map(|watch| Guard {
+            leaves_out_inverted: watch == Quarantine::Inverted,
+            tets,
+            found: quarantined,
+        });
         let relaxation = self.relaxation.as_ref().map(read);
         let viscous = relaxation.as_ref().map(|relaxation| Viscous {
             lasting_share: relaxation.lasting_share,

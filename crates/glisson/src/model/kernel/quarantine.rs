@@ -5,31 +5,21 @@ use super::lanes::Lanes;
 use super::rows::N_LANES;
 use crate::mesh::TetId;
 
-/// Which tetrahedra a step leaves out: they add exact zeros, are counted, and come back by themselves.
+/// Which tetrahedra a step leaves out: they add exact zeros and come back by themselves. Inverted ones (det F <= 0)
+/// are counted either way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Quarantine {
-    /// None: a force that is no number spreads.
+    /// None: a force that is no number spreads. Nothing is counted.
     Off,
-    /// Those whose deformation or stress is not finite. For laws that push an inverted tetrahedron back,
-    /// as the stable neo-Hookean one.
+    /// Those whose deformation or stress is not finite. For laws that are finite in every shape: what they store in an
+    /// inverted tetrahedron they give back, while leaving it out would make energy from nothing.
     NotFinite,
-    /// Those, and the inverted ones: det F <= 0.
+    /// Those, and the inverted ones: for laws that are no numbers there.
     #[default]
     Inverted,
 }
 
-impl Quarantine {
-    /// What det F is to exceed.
-    pub(super) fn least_ratio(self) -> Option<f64> {
-        match self {
-            Self::Off => None,
-            Self::NotFinite => Some(f64::NEG_INFINITY),
-            Self::Inverted => Some(0.0),
-        }
-    }
-}
-
-/// What the last step left out.
+/// What the last step found inverted or not finite.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct QuarantineReport {
     /// How many tetrahedra.
@@ -51,7 +41,8 @@ pub(super) const NO_TET: TetId = TetId(u32::MAX);
 
 /// The watch over a part's tetrahedra.
 pub(super) struct Guard<'a> {
-    pub(super) least_ratio: f64,
+    /// Whether inverted tetrahedra are left out, or only those that are no numbers.
+    pub(super) leaves_out_inverted: bool,
     /// Tetrahedra of each block.
     pub(super) tets: &'a [LaneTets],
     pub(super) found: &'a mut QuarantineReport,
@@ -75,11 +66,16 @@ impl Guard<'_> {
         let nothing = row(0).plus(row(1)).plus(row(2));
         let volume_ratio = f(0, 0)
             .fused(cofactor(1, 2), f(0, 1).fused(cofactor(2, 0), f(0, 2).fused(cofactor(0, 1), nothing)));
-        let sound = volume_ratio.above_bits(zero.constant(self.least_ratio));
-        if sound != Self::all::<V>() {
-            self.note(at, Self::all::<V>() & !sound);
+        let upright = volume_ratio.above_bits(zero);
+        if upright == Self::all::<V>() {
+            return upright;
         }
-        sound
+        self.note(at, Self::all::<V>() & !upright);
+        if self.leaves_out_inverted {
+            upright
+        } else {
+            volume_ratio.above_bits(zero.constant(f64::NEG_INFINITY))
+        }
     }
 
     #[cold]

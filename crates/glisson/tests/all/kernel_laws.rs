@@ -371,16 +371,17 @@ fn inverted_tetrahedra_and_no_numbers_are_left_out_counted_and_come_back() {
     kernel.step(&Sequential, STEP);
     assert_eq!(kernel.quarantined().n_tets as usize, unsound.len());
     let mut without = kernel_with(&mesh, KernelLaw::StableNeoHooke, &plain);
+    without.set_quarantine(Quarantine::NotFinite);
     let has_no_number = |t: usize| mesh.tetrahedra[t].contains(&NodeId(222));
     (0..mesh.tetrahedra.len())
         .filter(|&t| has_no_number(t))
         .for_each(|t| without.remove_tet(&mesh, TetId::from_index(t)));
     without.set_displacements(&bad);
-    without.compute_forces(&Sequential);
+    without.step(&Sequential, STEP);
     let (mut found, mut expected) = (vec![DVec3::ZERO; n_nodes], vec![DVec3::ZERO; n_nodes]);
     kernel.forces_into(&mut found);
     without.forces_into(&mut expected);
-    assert_eq!(found, expected);
+    assert!(found == expected);
 }
 
 /// The series of brain tissue in Miller and Chinzei 2002.

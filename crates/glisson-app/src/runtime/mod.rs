@@ -62,6 +62,7 @@ pub(crate) struct Simulation {
 
 impl Simulation {
     /// Sets a world up from a scene; with `record`, writes the session there.
+    #[expect(clippy::needless_pass_by_value, reason = "a scene is opened once")]
     pub(crate) fn open(source: OpenScene, record: Option<&Path>) -> anyhow::Result<Self> {
         let workers: SharedWorkers = match source.n_threads {
             0 | 1 => Arc::new(Sequential),

@@ -77,6 +77,7 @@ fn other_patients_are_segmented_and_meshed_too() {
     }
 }
 
+#[expect(clippy::print_stdout, reason = "a skipped test says so")]
 /// The real CT's folder, or `None` with the reason printed: `cargo xtask test` fetches it, or fails if told to.
 fn real_ct() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/ct");

@@ -70,7 +70,7 @@ fn a_long_random_palpation_stays_finite_and_replays() {
         "# Soak\nA random palpation of the synthetic patient's liver (6,300 tetrahedra), then its replay.\n\
          Made by `cargo xtask soak`.\n\n| model | steps | steps in contact | greatest force [N] | x real time | state hash, also of the replay |\n|---|---|---|---|---|---|\n",
     );
-    for model in ["precomputed", "tensor_mass"] {
+    for model in ["precomputed", "tensor_mass", "explicit"] {
         std::fs::write(at("soak.toml"), random_scene(folder.path(), model, steps as f64 * TIME_STEP_S))
             .unwrap();
         let printed = glisson(&[

@@ -1,13 +1,12 @@
-//! The soak of the explicit model on the fast kernel, which scenes do not offer: through the library.
+//! The soak of the explicit model on the fast kernel: through the library, so that its reports are counted, a copy
+//! takes over and the drift is measured.
 
 use glisson::math::{DVec3, is_inverted, tetrahedron_volume_m3};
 use glisson::mesh::TetMesh;
 use glisson::mesh::edit::TopologyChange;
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::KernelLaw;
-use glisson::model::{
-    Constraints, DeformableModel, DynamicBody, FixedNode, ModelReport, ModelState, Rayleigh, TopologyRefusal,
-};
+use glisson::model::{Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, TopologyRefusal};
 use glisson::record::hash::StateHash;
 use glisson::scene::{Scene, read_organ, tool_on_path};
 use glisson::world::{StepInput, World};
@@ -93,10 +92,9 @@ struct Run {
 fn run(scene_file: &Path, law: KernelLaw, steps: u64, steps_to_copy: Option<u64>) -> Run {
     let scene = Scene::parse(&std::fs::read_to_string(scene_file).unwrap()).unwrap();
     let organ = read_organ(&scene, scene_file.parent().unwrap()).unwrap();
-    let fixed: Vec<FixedNode> = organ.fixed_nodes.iter().map(|&node| FixedNode::all_axes(node)).collect();
     let body = DynamicBody {
-        fixed: &fixed,
-        damping: Rayleigh { mass_per_s: scene.organ.damping_per_s, stiffness_s: 0.0 },
+        fixed: &organ.fixed,
+        damping: organ.damping,
         ..DynamicBody::new(&organ.mesh, organ.material.density_kg_per_m3())
     };
     let materials = &[organ.material];

@@ -2,6 +2,7 @@
 
 mod body;
 mod report;
+pub(crate) mod roomy;
 pub mod extended_mass_spring;
 pub mod implicit;
 pub mod kind;

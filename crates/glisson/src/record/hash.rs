@@ -10,9 +10,9 @@ use std::fmt;
 pub struct StateHash([u8; 32]);
 
 impl StateHash {
-    /// BLAKE3 of the little-endian bits of positions, velocities, history variables and live flags, each list
-    /// preceded by its length.
-    pub fn of(state: &ModelState<'_>, live: &[bool]) -> Self {
+    /// BLAKE3 of the little-endian bits of positions, velocities, history variables, the numbers of what surrounds
+    /// the body, and live flags, each list preceded by its length.
+    pub fn of(state: &ModelState<'_>, live: &[bool], surroundings: &[f64]) -> Self {
         let mut hasher = blake3::Hasher::new();
         for vectors in [state.positions_m, state.velocities_m_per_s] {
             hasher.update(&(vectors.len() as u64).to_le_bytes());
@@ -22,9 +22,11 @@ impl StateHash {
                 }
             }
         }
-        hasher.update(&(state.history.len() as u64).to_le_bytes());
-        for x in state.history {
-            hasher.update(&x.to_le_bytes());
+        for numbers in [state.history, surroundings] {
+            hasher.update(&(numbers.len() as u64).to_le_bytes());
+            for x in numbers {
+                hasher.update(&x.to_le_bytes());
+            }
         }
         hasher.update(&(live.len() as u64).to_le_bytes());
         for &flag in live {
@@ -78,11 +80,16 @@ mod tests {
         let positions = [DVec3::new(1.0, 2.0, 3.0)];
         let velocities = [DVec3::ZERO];
         let state = ModelState { positions_m: &positions, velocities_m_per_s: &velocities, history: &[0.5] };
-        let hash = StateHash::of(&state, &[true]);
+        let hash = StateHash::of(&state, &[true], &[]);
         let negative_zero = [DVec3::new(0.0, -0.0, 0.0)];
-        assert_ne!(hash, StateHash::of(&ModelState { velocities_m_per_s: &negative_zero, ..state }, &[true]));
-        assert_ne!(hash, StateHash::of(&ModelState { history: &[0.5, 0.0], ..state }, &[true]));
-        assert_ne!(hash, StateHash::of(&state, &[false]));
+        assert_ne!(
+            hash,
+            StateHash::of(&ModelState { velocities_m_per_s: &negative_zero, ..state }, &[true], &[])
+        );
+        assert_ne!(hash, StateHash::of(&state, &[true], &[0.0]));
+        assert_ne!(hash, StateHash::of(&ModelState { history: &[0.5, 0.0], ..state }, &[true], &[]));
+        assert_ne!(hash, StateHash::of(&state, &[true], &[0.0]));
+        assert_ne!(hash, StateHash::of(&state, &[false], &[]));
         assert_eq!(StateHash::try_from(hash.to_string()), Ok(hash));
         assert!(StateHash::try_from("zz".repeat(32)).is_err());
     }

@@ -21,7 +21,7 @@ use crate::model::{
 use crate::solve::{SolveError, equilibrating_stress};
 use crate::world::World;
 use crate::world::organ::OrganError;
-use crate::world::spec::{WorldSpec, attachments, fixed_nodes};
+use crate::world::spec::{Region, WorldSpec, attachments, fixed_nodes, nodes_in};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -56,6 +56,21 @@ pub enum BuildError {
         file: PathBuf,
         /// Regions in the scene.
         n_regions: usize,
+        /// Smallest corner of the mesh [mm].
+        min_mm: DVec3,
+        /// Largest corner of the mesh [mm].
+        max_mm: DVec3,
+    },
+    /// A part of the scene that no node of the mesh belongs to.
+    #[error(
+        "no node of {} lies in the region of {what}: it would do nothing (the mesh spans {min_mm} to {max_mm} mm)",
+        file.display()
+    )]
+    EmptyRegion {
+        /// The mesh file.
+        file: PathBuf,
+        /// Which table, with its number from 1.
+        what: String,
         /// Smallest corner of the mesh [mm].
         min_mm: DVec3,
         /// Largest corner of the mesh [mm].
@@ -215,9 +230,21 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
     let WorldSpec { supports, ligaments, gravity_m_per_s2, time_step_s, .. } = &scene.world;
     let fixed = fixed_nodes(supports, &mesh.positions_m);
     let attachments = attachments(ligaments, &mesh.positions_m);
+    let bounds = crate::math::Aabb::of_points(&mesh.positions_m);
+    let (min_mm, max_mm) = (bounds.min_m * 1e3, bounds.max_m * 1e3);
+    let named = |what: &'static str, regions: Vec<Region>| {
+        regions.into_iter().enumerate().map(move |(i, region)| (what, i + 1, region))
+    };
+    let regions = named("[[organ.fixed]]", supports.iter().map(|s| s.region).collect())
+        .chain(named("[[organ.ligament]]", ligaments.iter().map(|l| l.region).collect()))
+        .chain(named("[[organ.load]]", scene.world.loads.iter().map(|l| l.region).collect()));
+    for (what, number, region) in regions {
+        if nodes_in(&[region], &mesh.positions_m).is_empty() {
+            let what = format!("{what} number {number}");
+            return Err(BuildError::EmptyRegion { file, what, min_mm, max_mm });
+        }
+    }
     if fixed.is_empty() && attachments.is_empty() {
-        let bounds = crate::math::Aabb::of_points(&mesh.positions_m);
-        let (min_mm, max_mm) = (bounds.min_m * 1e3, bounds.max_m * 1e3);
         return Err(BuildError::NothingFixed { file, n_regions: supports.len(), min_mm, max_mm });
     }
     let mut body = OrganBody::new(mesh, material, *time_step_s);

@@ -129,7 +129,11 @@ fn read_law(section: &mut Section<'_>, model: ModelKind) -> Result<Option<LawCho
     let allowed = model.laws();
     match at {
         Some(at) if !allowed.contains(&law.name()) => {
-            let allowed = format!("{} (the laws of the model \"{model}\")", allowed.join(", "));
+            let allowed = if allowed.is_empty() {
+                format!("none: the model \"{model}\" follows no law; leave the key out")
+            } else {
+                format!("{} (the laws of the model \"{model}\")", allowed.join(", "))
+            };
             Err(section.wrong_value(at, "law", format!("\"{}\"", law.name()), &allowed))
         }
         _ => Ok(Some(law)),

@@ -266,6 +266,9 @@ impl<'a> Section<'a> {
         let Some(array) = value.get_ref().as_array() else {
             return Err(self.wrong_type(value, key, "a list of names"));
         };
+        if array.is_empty() {
+            return Err(self.wrong_value(value, key, "an empty list".into(), &allowed.join(", ")));
+        }
         let name = |item: Value<'a>| {
             let found = item.get_ref().as_str().unwrap_or_default();
             allowed

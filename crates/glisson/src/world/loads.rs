@@ -1,11 +1,13 @@
 //! The loads of a scene in time: which nodal forces and which gravity a step has.
 
+use super::organ::Organ;
 use super::spec::{ForceField, Load, LoadTime, WorldSpec, nodes_in};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::remap::EntityArray;
 use crate::model::NodalForce;
+use crate::model::roomy::Roomy;
 
 /// The nodes of a load and the force on each.
 #[derive(Clone, Debug)]
@@ -24,14 +26,21 @@ pub(super) struct Loads {
     time_step_s: f64,
     /// Step from which times count.
     start: u64,
-    forces: Vec<NodalForce>,
+    forces: Roomy<NodalForce>,
     is_stale: bool,
 }
 
 impl Loads {
-    pub(super) fn new(spec: &WorldSpec, rest_m: &[DVec3]) -> Self {
+    /// Loads act on the nodes of the surface that are not held along every axis.
+    pub(super) fn new(spec: &WorldSpec, organ: &Organ) -> Self {
+        let rest_m = &organ.mesh().positions_m;
+        let mut can_be_loaded = vec![false; rest_m.len()];
+        for &node in organ.surface_nodes() {
+            can_be_loaded[node.index()] = !organ.is_fixed(node);
+        }
         let of_nodes = |load: &Load| {
-            let nodes = nodes_in(&[load.region], rest_m);
+            let mut nodes = nodes_in(&[load.region], rest_m);
+            nodes.retain(|node| can_be_loaded[node.index()]);
             let mut is_loaded = vec![false; rest_m.len()];
             for node in &nodes {
                 is_loaded[node.index()] = true;
@@ -46,20 +55,19 @@ impl Loads {
             fields: spec.fields.clone(),
             time_step_s: spec.time_step_s,
             start: 0,
-            forces: Vec::with_capacity(n_most),
+            forces: Roomy::with_room(n_most),
             is_stale: true,
         }
     }
 
-    /// A copy with room for all forces, which a clone would not have.
-    pub(super) fn duplicate(&self) -> Self {
-        let mut copy = self.clone();
-        copy.forces.reserve(self.n_nodes());
-        copy
-    }
-
     fn n_nodes(&self) -> usize {
         self.nodes.first().map_or(0, |load| load.is_loaded.as_slice().len())
+    }
+
+    /// What the loads of the next steps depend on: how long they have run, if there are any in time.
+    pub(super) fn clock(&self, step: u64) -> Option<f64> {
+        let is_timed = !(self.nodes.is_empty() && self.fields.is_empty());
+        is_timed.then(|| (step - self.start) as f64)
     }
 
     /// Times count from `step` on.
@@ -71,9 +79,14 @@ impl Loads {
     pub(super) fn follow(&mut self, change: &TopologyChange) {
         for load in &mut self.nodes {
             load.is_loaded.follow(change);
+            // What is left without a tetrahedron has nothing to push.
+            for node in change.nodes.removed.iter().filter(|_| !change.is_renumbering()) {
+                load.is_loaded.as_mut_slice()[node.index()] = false;
+            }
         }
+        let n_nodes = self.n_nodes();
         self.forces.clear();
-        self.forces.reserve(self.n_nodes());
+        self.forces.reserve(n_nodes);
         self.is_stale = true;
     }
 

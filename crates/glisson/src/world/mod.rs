@@ -109,8 +109,8 @@ impl World {
         model: Box<dyn DeformableModel>,
         kind: ModelKind,
     ) -> Result<Self, OrganError> {
-        let loads = Loads::new(&spec, &mesh.positions_m);
         let organ = Organ::new(mesh, &spec.supports)?;
+        let loads = Loads::new(&spec, &organ);
         let tool = spec.tool.home;
         let mut constraints = Constraints::default();
         constraints.displacements.reserve(3);
@@ -153,9 +153,14 @@ impl World {
         self.model.state()
     }
 
-    /// Hash of everything that the next step depends on but the input.
+    /// Hash of everything that the next step depends on but the input: the model's state, live tetrahedra, the held
+    /// contact, gravity, the loads' clock. A model that was ordered counts from its first step on.
     pub fn state_hash(&self) -> StateHash {
-        StateHash::of(&self.model.state(), self.organ.live_tetrahedra())
+        let gravity = self.gravity_m_per_s2.to_array();
+        let contact = self.contact.iter().flat_map(HeldContact::numbers);
+        let surroundings: Vec<f64> =
+            gravity.into_iter().chain(self.loads.clock(self.step)).chain(contact).collect();
+        StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
     }
 
     /// Steps made so far.
@@ -246,6 +251,10 @@ impl World {
     /// [`EditRefusal`] when the model or the mesh cannot; nothing changed then.
     pub fn edit(&mut self, edit: &MeshEdit) -> Result<TopologyChange, EditRefusal> {
         if let Some(refusal) = self.model.topology_refusal() {
+            return Err(refusal.into());
+        }
+        let waiting = self.swap.as_ref().and_then(|swap| swap.model.as_ref());
+        if let Some(refusal) = waiting.and_then(|model| model.topology_refusal()) {
             return Err(refusal.into());
         }
         let change = self.organ.edit(edit, self.model.state().positions_m)?;

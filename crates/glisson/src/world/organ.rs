@@ -109,6 +109,11 @@ impl Organ {
         (0..fixed.len()).filter(|&i| fixed[i]).map(NodeId::from_index).collect()
     }
 
+    /// The nodes of the surface, ascending.
+    pub fn surface_nodes(&self) -> &[NodeId] {
+        &self.surface_nodes
+    }
+
     /// Nodes of a surface triangle.
     pub fn surface_triangle(&self, triangle: usize) -> [NodeId; 3] {
         self.surface_triangles[triangle].map(|v| self.surface_nodes[v as usize])

@@ -36,7 +36,7 @@ impl World {
             tool: self.tool,
             contact: self.contact.clone(),
             constraints,
-            loads: self.loads.duplicate(),
+            loads: self.loads.clone(),
             gravity_m_per_s2: self.gravity_m_per_s2,
             pull_m_per_s2: self.pull_m_per_s2,
             step: self.step,

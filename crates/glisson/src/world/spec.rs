@@ -104,7 +104,7 @@ pub enum LoadTime {
         /// End [s].
         to_s: f64,
     },
-    /// In the one step that ends first after this moment [s] ("instantaneous" in the seed).
+    /// In one step: the first that begins at this moment [s] or after it ("instantaneous" in the seed).
     Once(f64),
 }
 
@@ -122,12 +122,12 @@ impl LoadTime {
     }
 }
 
-/// A force on the nodes of a region.
+/// A force on the surface of a region.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Load {
     /// Where.
     pub region: Region,
-    /// The whole force [N], shared evenly by the nodes.
+    /// The whole force [N], shared evenly by the nodes of the surface that are not held along every axis.
     pub force_n: DVec3,
     /// When.
     pub time: LoadTime,

@@ -45,6 +45,17 @@ impl HeldContact {
         })
     }
 
+    /// Everything that its next steps depend on.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
+        let vectors = self.displacements_at_touch_m.into_iter().chain([self.neutral_tip_m, self.normal]);
+        let nodes = self.nodes.map(|node| f64::from(node.0));
+        nodes
+            .into_iter()
+            .chain(self.weights)
+            .chain(self.motion_weights)
+            .chain(vectors.flat_map(|v| v.to_array()))
+    }
+
     /// Appends what the tool at `tip_m` imposes, ascending by node. Fixed nodes are left to their support.
     pub fn add_constraints(&self, tip_m: DVec3, constraints: &mut Vec<ImposedDisplacement>) {
         let motion_m = tip_m - self.neutral_tip_m;

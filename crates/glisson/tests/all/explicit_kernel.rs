@@ -370,7 +370,7 @@ fn a_snapshot_brings_the_motion_back() {
             model.apply(&inputs);
             model.step(body.time_step_s);
         }
-        StateHash::of(&model.state(), &[])
+        StateHash::of(&model.state(), &[], &[])
     };
     advance(&mut model);
     let snapshot = model.snapshot();

@@ -2,12 +2,12 @@
 //! number of threads, and a saved moment comes back whole.
 
 use crate::model_meshes::block;
-use glisson::material::LinearElastic;
+use glisson::material::{LinearElastic, PronyTerm};
 use glisson::math::DVec3;
 use glisson::mesh::TetId;
 use glisson::mesh::edit::MeshEdit;
-use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
+use glisson::model::{DeformableModel, Rayleigh};
 use glisson::record::hash::StateHash;
 use glisson::scene::{OrganBody, build_model};
 use glisson::tool::{Tool, ToolInput};
@@ -151,4 +151,56 @@ fn a_model_that_takes_over_has_the_cuts_of_the_one_before() {
     world.queue_model_swap(200, ModelKind::Precomputed);
     let frozen = build_model(&body, ModelKind::Precomputed).unwrap();
     assert!(world.deliver_model(frozen, ModelKind::Precomputed).is_err());
+}
+
+#[test]
+fn a_world_saved_before_a_touch_feels_it_after() {
+    for kind in ModelKind::ALL {
+        let mut first = world(kind);
+        first.step(&input(1));
+        let saved = first.save();
+        let mut again = world(kind);
+        again.restore(&saved);
+        let steps = affordable(kind, 500);
+        let count = allocation_counter::measure(|| {
+            for step in 2..steps {
+                // Quasi-static models show a touch at once, so that both have to be asked in every step.
+                let ignored = again.step(&input(step)).model.n_ignored_constraints;
+                assert_eq!(ignored, 0, "{kind} at {step}");
+            }
+        });
+        assert_eq!(count.count_total, 0, "{kind}");
+        let touching = (2..steps).filter(|&step| first.step(&input(step)).in_contact).count();
+        assert!(kind == ModelKind::Implicit || touching > 50, "{kind}: {touching} steps in contact");
+        assert_eq!(again.state_hash(), first.state_hash(), "{kind}");
+    }
+}
+
+#[test]
+fn reset_forgets_what_relaxing_stress_remembers() {
+    for kind in [ModelKind::Explicit, ModelKind::Implicit] {
+        let mesh = block([3, 3, 3], DVec3::splat(SIZE_M));
+        let material = LinearElastic::from_young_poisson(5e3, 0.45, 1000.0).unwrap();
+        let mut body = OrganBody::new(mesh, material, TIME_STEP_S);
+        let table = Region::Furthest { direction: -DVec3::Z, fraction: 0.25 };
+        body.fixed = fixed_nodes(&[Support::all_axes(table)], &body.mesh.positions_m);
+        body.relaxation = vec![PronyTerm { share: 0.5, time_s: 0.01 }];
+        body.gravity_m_per_s2 = DVec3::new(3.0, 0.0, 0.0);
+        let mut model = build_model(&body, kind).unwrap();
+        for _ in 0..100 {
+            model.step(TIME_STEP_S);
+        }
+        let sag_m = |model: &dyn DeformableModel| {
+            let moved = model.state().positions_m.iter().zip(&body.mesh.positions_m);
+            moved.map(|(p, rest)| p.distance(*rest)).fold(0.0, f64::max)
+        };
+        let largest_m = sag_m(model.as_ref());
+        assert!(largest_m > 1e-4, "{kind}: {largest_m}");
+        model.set_gravity(DVec3::ZERO);
+        model.take_over(&body.mesh.positions_m);
+        for _ in 0..100 {
+            model.step(TIME_STEP_S);
+        }
+        assert!(sag_m(model.as_ref()) < 1e-9 * largest_m, "{kind}: {}", sag_m(model.as_ref()));
+    }
 }

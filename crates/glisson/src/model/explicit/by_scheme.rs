@@ -303,7 +303,7 @@ impl ExplicitBody {
         for (n, moves) in self.moves.iter_mut().enumerate() {
             *moves = self.frame.takes_load(n);
         }
-        for held in &self.frame.held {
+        for held in self.frame.held.iter() {
             self.moves[held.node as usize] = false;
         }
     }
@@ -325,13 +325,13 @@ impl ExplicitBody {
     /// Advances by `dt_s` in the fewest equal parts that are not longer than the time step and the stable step.
     pub(in crate::model) fn step(&mut self, dt_s: f64, forces: &mut impl InternalForces) {
         let Some((n_parts, h_s)) = self.frame.begin_step(dt_s) else { return };
-        for held in &mut self.frame.held {
+        for held in self.frame.held.iter_mut() {
             held.start_m = self.positions_m[held.node as usize] - self.frame.rest_m[held.node as usize];
         }
         let mut last_kinetic_j = self.free_kinetic_j();
         for part in 1..=n_parts {
             self.before_m.copy_from_slice(&self.positions_m);
-            for held in &self.frame.held {
+            for held in self.frame.held.iter() {
                 let n = held.node as usize;
                 let at_m = self.frame.rest_m[n] + held.at_m(part, n_parts);
                 self.velocities_m_per_s[n] = (at_m - self.positions_m[n]) / h_s;

@@ -266,7 +266,7 @@ impl ExplicitMotion {
                 let (now, previous) = (&self.motion[p], &self.motion[n + p]);
                 *ahead = std::array::from_fn(|i| now[i] + share * (now[i] - previous[i]));
             }
-            for held in &self.frame.held {
+            for held in self.frame.held.iter() {
                 let p = held.node as usize;
                 let (now, before) = (unpadded(&self.motion[p]), held.before_m);
                 self.ahead_m[p] = padded(now + share * (now - before));
@@ -282,7 +282,7 @@ impl ExplicitMotion {
                 f[i] -= f_n[i];
             }
         };
-        for &(p, outer_n) in &self.frame.outer_forces {
+        for &(p, outer_n) in self.frame.outer_forces.iter() {
             take(p as usize, outer_n);
         }
         for ligament in &self.frame.attachments {
@@ -416,11 +416,11 @@ impl ExplicitMotion {
         if h_s != self.last_step_s() {
             self.change_step(h_s);
         }
-        for held in &mut self.frame.held {
+        for held in self.frame.held.iter_mut() {
             held.start_m = unpadded(&self.motion[held.node as usize]);
         }
         for part in 1..=n_parts {
-            for held in &mut self.frame.held {
+            for held in self.frame.held.iter_mut() {
                 let at = &mut self.motion[held.node as usize];
                 held.before_m = unpadded(at);
                 *at = padded(held.at_m(part, n_parts));

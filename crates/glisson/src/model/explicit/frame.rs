@@ -16,6 +16,7 @@ use super::stable::Stability;
 use super::{ExplicitError, keep};
 use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::{NodeId, TetId};
+use crate::model::roomy::Roomy;
 use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, Rayleigh};
 use crate::solve::SolveError;
 
@@ -104,9 +105,9 @@ pub(in crate::model) struct Frame {
     /// What a node is heavier than its tissue, so that the step stays stable.
     extra_kg: Vec<f64>,
 
-    pub(super) outer_forces: Vec<(u32, DVec3)>,
-    pub(super) held: Vec<Held>,
-    pub(super) constraint_forces_n: Vec<DVec3>,
+    pub(super) outer_forces: Roomy<(u32, DVec3)>,
+    pub(super) held: Roomy<Held>,
+    pub(super) constraint_forces_n: Roomy<DVec3>,
     report: ModelReport,
 }
 
@@ -193,9 +194,9 @@ impl Frame {
             node_tets,
             mass_kg,
             extra_kg: vec![0.0; n_nodes],
-            outer_forces: Vec::with_capacity(n_nodes),
-            held: Vec::with_capacity(n_nodes),
-            constraint_forces_n: Vec::with_capacity(n_nodes),
+            outer_forces: Roomy::with_room(n_nodes),
+            held: Roomy::with_room(n_nodes),
+            constraint_forces_n: Roomy::with_room(n_nodes),
             report: ModelReport::default(),
         })
     }
@@ -282,9 +283,7 @@ impl Frame {
         for force in &constraints.forces {
             let n = force.node.index();
             let usable = n < self.n_nodes() && self.takes_load(n) && force.force_n.is_finite();
-            if usable && self.outer_forces.len() < self.outer_forces.capacity() {
-                self.outer_forces.push((force.node.0, force.force_n));
-            } else {
+            if !(usable && self.outer_forces.try_push((force.node.0, force.force_n))) {
                 ignored += 1;
             }
         }
@@ -292,13 +291,14 @@ impl Frame {
         for (place, imposed) in constraints.displacements.iter().enumerate() {
             let n = imposed.node.index();
             let usable = n < self.n_nodes() && self.takes_load(n) && imposed.displacement_m.is_finite();
-            if usable && self.held.len() < self.held.capacity() {
+            let mut is_held = false;
+            if usable {
                 let node = imposed.node.0;
                 let supported = self
                     .sliding
                     .binary_search_by_key(&node, |s| s.node)
                     .map_or([false; 3], |at| self.sliding[at].supported);
-                self.held.push(Held {
+                is_held = self.held.try_push(Held {
                     place: place as u32,
                     node,
                     supported,
@@ -306,9 +306,8 @@ impl Frame {
                     target_m: imposed.displacement_m,
                     before_m: DVec3::ZERO,
                 });
-            } else {
-                ignored += 1;
             }
+            ignored += u32::from(!is_held);
         }
         self.report.n_ignored_constraints = ignored;
         // Room was made for every node; more is a list with repetitions.

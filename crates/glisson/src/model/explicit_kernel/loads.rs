@@ -1,10 +1,10 @@
 //! What acts on the nodes from outside: weight, ligaments, forces of the step.
 
-use super::room::Roomy;
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::model::Attachment;
 use crate::model::kernel::FastKernel;
+use crate::model::roomy::Roomy;
 
 /// Loads of one body, kept up in its kernel's outer forces.
 #[derive(Clone, Debug)]

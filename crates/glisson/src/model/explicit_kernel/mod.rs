@@ -21,17 +21,17 @@
 
 mod loads;
 mod params;
-mod room;
 mod stability;
 mod topology;
 
 use std::sync::Arc;
 
 use self::loads::Loads;
-use self::room::Roomy;
 use self::stability::Stability;
 use super::explicit::follows;
 use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine, Workers};
+use super::kind::ModelKind;
+use super::roomy::Roomy;
 use super::{Constraints, DeformableModel, ModelReport, ModelState, Rayleigh, TopologyRefusal};
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
@@ -164,7 +164,7 @@ impl ExplicitKernel {
     ///
     /// # Errors
     /// [`ExplicitKernelError`]: an unusable mesh, a wrong number of materials, a step above the stable one,
-    /// impossible numbers, a support or ligament on a node that does not exist, a rest stress.
+    /// impossible numbers, a support or ligament on a node that does not exist, a wrong number of rest stresses.
     pub fn build(params: &ExplicitKernelParams<'_>) -> Result<Self, ExplicitKernelError> {
         let (mut kernel, substance, stability) = Self::parts(params)?;
         let body = &params.body;
@@ -441,7 +441,7 @@ impl DeformableModel for ExplicitKernel {
         &self.constraint_forces_n
     }
 
-    /// A position that is not finite leaves its node where it is.
+    /// A position that is not finite leaves its node where it is. What relaxing stress remembers is forgotten.
     fn take_over(&mut self, positions_m: &[DVec3]) {
         let n_nodes = self.rest.positions_m.len();
         assert_eq!(positions_m.len(), n_nodes, "one position a node");
@@ -460,6 +460,7 @@ impl DeformableModel for ExplicitKernel {
             }
         }
         self.kernel.stop();
+        self.kernel.forget_history();
         for held in self.held.iter_mut() {
             held.moved_m = DVec3::ZERO;
         }
@@ -492,7 +493,7 @@ impl DeformableModel for ExplicitKernel {
 
     /// Follows removals, which allocate nothing, and compactions, which do.
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        follows("explicit_kernel", change)?;
+        follows(ModelKind::Explicit.name(), change)?;
         assert_eq!(change.tets.n_before, self.rest.tetrahedra.len(), "the model missed a change of the mesh");
         assert_eq!(
             change.nodes.n_before,

@@ -29,7 +29,7 @@ pub enum ExplicitKernelError {
     #[error(transparent)]
     Material(#[from] MaterialError),
     /// Something beside a law that it does not go with.
-    #[error("{what} go with the laws Linear and StVenantKirchhoff, not with {law:?}")]
+    #[error("{what} go with the laws linear and st_venant_kirchhoff only")]
     NotBeside {
         /// What, in the plural.
         what: &'static str,

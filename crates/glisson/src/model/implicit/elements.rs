@@ -19,11 +19,11 @@ use super::general::{General, stiffness_of};
 use super::lanes::{Group, LANES, SYMMETRIC, Shape, SymmetricLanes};
 use super::law::ImplicitLaw;
 use super::neo_hooke::NeoHooke;
-use super::reserved::Reserved;
 use super::{RestStress, VolumeResistance};
 use crate::material::{Material, StableNeoHooke};
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::{NodeId, TetId, TetMesh};
+use crate::model::roomy::Roomy;
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
 
 /// A recovering tetrahedron follows its own law again above this volume ratio ...
@@ -95,7 +95,7 @@ pub(super) struct Elements {
     /// Its part without negative eigenvalues, for the preconditioner.
     tensile_rest_pa: Vec<DMat3>,
     node_volume_m3: Vec<f64>,
-    strays: Reserved<Stray>,
+    strays: Roomy<Stray>,
     // Scratch of the quarantine.
     is_bad: Vec<bool>,
     meets_bad: Vec<bool>,
@@ -197,7 +197,7 @@ impl Elements {
             rest_pa,
             tensile_rest_pa,
             node_volume_m3,
-            strays: Reserved::with_capacity(tets.len()),
+            strays: Roomy::with_room(tets.len()),
             is_bad: vec![false; tets.len()],
             meets_bad: vec![false; n_nodes],
             tets,

@@ -34,7 +34,6 @@ mod newton;
 mod params;
 mod projected;
 mod relaxation;
-mod reserved;
 mod topology;
 
 pub use law::{ImplicitLaw, SharedLaw};
@@ -46,7 +45,7 @@ use self::lagged::{Lagged, LaggedParams, LaggedState, NodeTerms};
 use self::ligaments::Ligaments;
 use self::newton::Scratch;
 use self::relaxation::Relaxation;
-use self::reserved::Reserved;
+use super::roomy::Roomy;
 use super::{
     Attachment, Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, Rayleigh, RestStress,
     TopologyRefusal,
@@ -129,15 +128,15 @@ pub struct ImplicitEuler {
     relaxation: Option<Relaxation>,
     age: FactorAge,
     positions_m: Vec<DVec3>,
-    history: Reserved<f64>,
+    history: Roomy<f64>,
 
     // Constraints and scratch.
     outer_n: Vec<DVec3>,
-    held: Reserved<Held>,
+    held: Roomy<Held>,
     is_held: Vec<bool>,
     /// [`Self::free_axes`], zero for nodes that a tool holds and for those without a tetrahedron.
     mask: Vec<DVec3>,
-    constraint_forces_n: Reserved<DVec3>,
+    constraint_forces_n: Roomy<DVec3>,
     ignored_constraints: usize,
     /// Whether the shape may hold tetrahedra in which the law has no energy.
     is_suspect: bool,
@@ -209,12 +208,12 @@ impl ImplicitEuler {
             relaxation: params.relaxation.map(|s| Relaxation::new(s, params.body.time_step_s, n_tets)),
             age: FactorAge::default(),
             positions_m: mesh.positions_m.clone(),
-            history: Reserved::with_capacity(0),
+            history: Roomy::with_room(0),
             outer_n: zero.clone(),
-            held: Reserved::with_capacity(n_nodes),
+            held: Roomy::with_room(n_nodes),
             is_held: vec![false; n_nodes],
             mask: zero,
-            constraint_forces_n: Reserved::with_capacity(n_nodes),
+            constraint_forces_n: Roomy::with_room(n_nodes),
             ignored_constraints: 0,
             is_suspect: false,
             n_recovered_nodes: 0,

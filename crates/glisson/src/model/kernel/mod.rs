@@ -423,6 +423,13 @@ impl FastKernel {
         self.for_each_history(|i, number| *number = history[i]);
     }
 
+    /// The stress relaxes from here on as if the body had always been at rest.
+    pub fn forget_history(&mut self) {
+        for part in &self.parts.all {
+            part.progress_mut().history.as_flattened_mut().fill(0.0);
+        }
+    }
+
     /// `visit` sees each number with its place in [`FastKernel::history_into`].
     fn for_each_history(&self, mut visit: impl FnMut(usize, &mut f64)) {
         if self.history_len() == 0 {

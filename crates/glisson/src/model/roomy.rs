@@ -4,16 +4,16 @@ use std::ops::{Deref, DerefMut};
 
 /// A vector whose copies have its capacity.
 #[derive(Debug)]
-pub(super) struct Roomy<T>(Vec<T>);
+pub(crate) struct Roomy<T>(Vec<T>);
 
 impl<T> Roomy<T> {
     /// Empty, with room for `n`.
-    pub(super) fn with_room(n: usize) -> Self {
+    pub(crate) fn with_room(n: usize) -> Self {
         Self(Vec::with_capacity(n))
     }
 
     /// Adds a value if there is room; answers whether there was.
-    pub(super) fn try_push(&mut self, value: T) -> bool {
+    pub(crate) fn try_push(&mut self, value: T) -> bool {
         let has_room = self.0.len() < self.0.capacity();
         if has_room {
             self.0.push(value);

@@ -21,10 +21,7 @@ impl Incidents {
         let mut notices = Vec::new();
         if now.n_quarantined_tets > 0 && last.n_quarantined_tets == 0 {
             let first = now.first_quarantined.map_or(String::new(), |tet| format!(" (the first: {tet})"));
-            notices.push(format!(
-                "{} tetrahedra are inverted or not finite and are left out until they are upright again{first}",
-                now.n_quarantined_tets
-            ));
+            notices.push(format!("{} tetrahedra are inverted or not finite{first}", now.n_quarantined_tets));
         }
         if now.n_recovered_nodes > 0 && last.n_recovered_nodes == 0 {
             let n = now.n_recovered_nodes;

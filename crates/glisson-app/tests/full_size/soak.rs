@@ -27,14 +27,31 @@ fn bounds_mm(mesh: &Path) -> (DVec3, DVec3) {
     (corner("bounds_min_m"), corner("bounds_max_m"))
 }
 
+/// One kind of palpation.
+struct Palpation {
+    /// What the scene says of the model.
+    model: &'static str,
+    /// What the report calls it.
+    name: &'static str,
+    /// How far pushes go towards the middle: 0 to the surface, 1 to the middle.
+    deepest: f64,
+}
+
+/// Linear elasticity bears any push. St Venant-Kirchhoff tissue gets those that leave its stretches within the 1.3 that
+/// its step is made for.
+const PALPATIONS: [Palpation; 4] = [
+    Palpation { model: "model = \"precomputed\"", name: "precomputed", deepest: 0.5 },
+    Palpation { model: "model = \"tensor_mass\"", name: "tensor_mass", deepest: 0.5 },
+    Palpation { model: "model = \"explicit\"\nlaw = \"linear\"", name: "explicit, linear", deepest: 0.5 },
+    Palpation { model: "model = \"explicit\"", name: "explicit, st_venant_kirchhoff", deepest: GENTLE },
+];
+const GENTLE: f64 = 0.15;
+
 /// The demo's scene under another model, its path replaced by random pushes from random directions.
-fn random_scene(folder: &Path, model: &str, seconds: f64) -> String {
+fn random_scene(folder: &Path, palpation: &Palpation, seconds: f64) -> String {
     let text = std::fs::read_to_string(folder.join("scene.toml")).unwrap();
-    let head = text
-        .split("\n[[tool.path]]")
-        .next()
-        .unwrap()
-        .replace("model = \"precomputed\"", &format!("model = \"{model}\""));
+    let head =
+        text.split("\n[[tool.path]]").next().unwrap().replace("model = \"precomputed\"", palpation.model);
     let (min_mm, max_mm) = bounds_mm(&folder.join("liver.vtu"));
     let (center, half) = (0.5 * (min_mm + max_mm), 0.5 * (max_mm - min_mm));
     let mut random = SeededRandom::new(7);
@@ -52,7 +69,7 @@ fn random_scene(folder: &Path, model: &str, seconds: f64) -> String {
     while time_s < seconds {
         let direction = DVec3::new(random.normal(), -random.normal().abs(), random.normal()).normalize();
         let outside = center + direction * 1.6 * half.max_element();
-        let inside = center + direction * half * random.uniform_in(0.5, 1.0);
+        let inside = center + direction * half * random.uniform_in(1.0 - palpation.deepest, 1.0);
         point(&mut time_s, 0.25 * PUSH_S, outside);
         point(&mut time_s, 0.35 * PUSH_S, inside);
         point(&mut time_s, 0.4 * PUSH_S, outside);
@@ -67,11 +84,14 @@ fn a_long_random_palpation_stays_finite_and_replays() {
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
     glisson(&["demo", "--headless", "--out", folder.path().to_str().unwrap()]);
     let mut report = String::from(
-        "# Soak\nA random palpation of the synthetic patient's liver (6,300 tetrahedra), then its replay.\n\
+        "# Soak\nA random palpation of the synthetic patient's liver (6,300 tetrahedra), then its replay: pushes up to half way to \
+         the middle, of St Venant-Kirchhoff tissue up to 15 %, which leaves its stretches within those that its step is \
+         made for.\n\
          Made by `cargo xtask soak`.\n\n| model | steps | steps in contact | greatest force [N] | x real time | state hash, also of the replay |\n|---|---|---|---|---|---|\n",
     );
-    for model in ["precomputed", "tensor_mass", "explicit"] {
-        std::fs::write(at("soak.toml"), random_scene(folder.path(), model, steps as f64 * TIME_STEP_S))
+    for palpation in &PALPATIONS {
+        let model = palpation.name;
+        std::fs::write(at("soak.toml"), random_scene(folder.path(), palpation, steps as f64 * TIME_STEP_S))
             .unwrap();
         let printed = glisson(&[
             "run",
@@ -103,9 +123,11 @@ fn a_long_random_palpation_stays_finite_and_replays() {
                may rest so.\n\n\
                | law | steps | steps in contact | greatest force [N] | drift [mm] | tetrahedra inside out at rest | energy limited [steps] | state hash, of both runs |\n\
                |---|---|---|---|---|---|---|---|\n";
-    std::fs::write(at("soak.toml"), random_scene(folder.path(), "tensor_mass", steps as f64 * TIME_STEP_S))
-        .unwrap();
-    for law in [KernelLaw::Linear, KernelLaw::StVenantKirchhoff] {
+    for (law, palpation) in
+        [(KernelLaw::Linear, &PALPATIONS[1]), (KernelLaw::StVenantKirchhoff, &PALPATIONS[3])]
+    {
+        std::fs::write(at("soak.toml"), random_scene(folder.path(), palpation, steps as f64 * TIME_STEP_S))
+            .unwrap();
         report += &kernel::row(&folder.path().join("soak.toml"), law, steps);
     }
     if let Some(file) = std::env::var_os("GLISSON_SOAK_REPORT") {

@@ -350,7 +350,9 @@ impl World {
     fn read_force(&mut self) {
         let Some(contact) = &self.contact else { return };
         let force_on_organ_n: DVec3 = self.model.constraint_forces_n().iter().sum();
-        if contact.lets_go(self.tool.tip_in_world_m, force_on_organ_n) {
+        // A force that is no number, which only a broken model can bring about, is none.
+        let is_broken = !force_on_organ_n.is_finite();
+        if is_broken || contact.lets_go(self.tool.tip_in_world_m, force_on_organ_n) {
             self.contact = None;
         } else {
             self.report.in_contact = true;

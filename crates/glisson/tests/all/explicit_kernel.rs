@@ -123,7 +123,8 @@ fn removals(mesh: &TetMesh, n: usize, seed: u64) -> Vec<TetId> {
 #[test]
 fn trajectories_equal_those_of_the_tensor_mass_models() {
     let (mesh, fixed) = organ();
-    let body = body(&mesh, &fixed);
+    // As many parts as the step has anyway: where tissue is strained only one of the models would divide it further.
+    let body = DynamicBody { most_parts: 2, ..body(&mesh, &fixed) };
     let dt_s = 1.4 * body.time_step_s;
     for law in LAWS {
         let mut model = build(body, law);

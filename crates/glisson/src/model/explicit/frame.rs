@@ -63,6 +63,12 @@ pub(super) struct Sliding {
     pub(super) supported: [bool; 3],
 }
 
+/// Steps that stay divided after tetrahedra were inverted or the energy was limited: some vibrations of a tetrahedron.
+const CAREFUL_STEPS: u32 = 50;
+
+/// Of the energy of a strain of 1, what a body whose energy is limited may keep moving with.
+const LEAST_SHARE_OF_ENERGY: f64 = 0.01;
+
 /// Tetrahedra that were left out of one evaluation of the forces.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::model) struct Quarantine {
@@ -85,6 +91,8 @@ pub(in crate::model) struct Frame {
     pub(super) damping: Rayleigh,
     pub(super) time_step_s: f64,
     most_parts: u32,
+    /// Steps that are still divided as far as allowed, because tetrahedra were inverted or the energy was limited.
+    careful_steps: u32,
     pub(super) is_cut: bool,
     /// The largest stable step now [s].
     pub(super) stable_step_s: f64,
@@ -183,6 +191,7 @@ impl Frame {
             damping: body.damping,
             time_step_s: body.time_step_s,
             most_parts: body.most_parts,
+            careful_steps: 0,
             is_cut: false,
             stable_step_s: f64::INFINITY,
             tet_squared_frequency_per_s2: Vec::new(),
@@ -232,7 +241,12 @@ impl Frame {
         if !(dt_s.is_finite() && dt_s > 0.0) {
             return None;
         }
-        let n_parts = self.parts_of_step(dt_s);
+        let is_strained = self.report.n_quarantined_tets > 0 || self.report.energy_was_limited;
+        self.careful_steps = if is_strained { CAREFUL_STEPS } else { self.careful_steps.saturating_sub(1) };
+        let mut n_parts = self.parts_of_step(dt_s);
+        if self.careful_steps > 0 {
+            n_parts = n_parts.max(u64::from(self.most_parts));
+        }
         self.report.n_parts = n_parts as u32;
         self.report.n_quarantined_tets = 0;
         self.report.first_quarantined = None;
@@ -425,7 +439,8 @@ impl Frame {
             return None;
         }
         self.report.energy_was_limited = true;
-        Some(before_j.min(self.full_strain_energy_j))
+        // Some of what the body may hold: it has to come to rest, not to stop where it is.
+        Some(before_j.clamp(LEAST_SHARE_OF_ENERGY * self.full_strain_energy_j, self.full_strain_energy_j))
     }
 
     /// Whether a growth needs no further look: the elastic energy alone can explain it.

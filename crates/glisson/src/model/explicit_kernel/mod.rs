@@ -17,6 +17,9 @@
 //!   ([`ModelReport::n_quarantined_tets`]). They are left out where the law gives no number; laws that are finite in
 //!   every shape go on in them: leaving them out would make energy from nothing.
 //!
+//! Where a tetrahedron is near to inversion or torn apart, or the energy was limited, the next steps are divided into
+//! as many internal ones as the body allows: its law is stiffer there than the step is made for.
+//!
 //! Removing a tetrahedron takes constant time; what is left without a tetrahedron stays where it is.
 
 mod loads;
@@ -46,6 +49,9 @@ pub type SharedWorkers = Arc<dyn Workers + Send + Sync>;
 
 /// The kinetic energy is not held against less than the elastic energy at this stretch.
 const LEAST_ENERGY_STRETCH: f64 = 1.1;
+/// Steps that stay divided after the tissue was strained beyond what the step is made for: some vibrations of a
+/// tetrahedron.
+const CAREFUL_STEPS: u32 = 50;
 /// A step longer than this many parts is cut to it: the caller asked for minutes in one step.
 const MOST_PARTS: f64 = 1e6;
 
@@ -117,13 +123,16 @@ pub struct ExplicitKernel {
     stability: Stability,
     is_cut: bool,
     most_elastic_j: f64,
+    most_parts: u32,
+    /// Steps that are still divided as far as allowed, because the tissue was strained beyond what the step is for.
+    careful_steps: u32,
 
     loads: Loads,
     held: Roomy<Held>,
     constraint_forces_n: Roomy<DVec3>,
     report: ModelReport,
 
-    // State: displacements, last increments, the length of the last step in the first number of an entry, and the memory
+    // State: displacements, last increments, an entry of the last step's length and the careful steps, and the memory
     // of relaxing stress.
     history: Vec<[f64; 3]>,
     positions_m: Vec<DVec3>,
@@ -201,6 +210,8 @@ impl ExplicitKernel {
             stability,
             is_cut: false,
             most_elastic_j,
+            most_parts: body.most_parts,
+            careful_steps: 0,
             loads: Loads::new(body.gravity_m_per_s2, body.attachments, &mesh.positions_m),
             held: Roomy::with_room(n_nodes),
             constraint_forces_n: Roomy::with_room(n_nodes),
@@ -277,6 +288,7 @@ impl ExplicitKernel {
             held.moved_m = self.kernel.increment_m(held.node);
         }
         self.kernel.set_last_step_s(known(self.history[2 * n_nodes][0]));
+        self.careful_steps = self.history[2 * n_nodes][1] as u32;
         self.kernel.set_history(self.history[2 * n_nodes + 1..].as_flattened());
     }
 
@@ -326,7 +338,7 @@ impl ExplicitKernel {
         let step_s = self.kernel.last_step_s();
         let per_step = 1.0 / step_s.unwrap_or(self.time_step_s);
         let mut kinetic_j = 0.0;
-        let Self { history, positions_m, velocities_m_per_s, rest, kernel, .. } = self;
+        let Self { history, positions_m, velocities_m_per_s, rest, kernel, careful_steps, .. } = self;
         kernel.for_each_node(|node, motion| {
             let n = node.index();
             history[n] = motion.displacement_m.to_array();
@@ -335,7 +347,7 @@ impl ExplicitKernel {
             velocities_m_per_s[n] = motion.increment_m * per_step;
             kinetic_j += 0.5 * motion.inertia_kg * velocities_m_per_s[n].length_squared();
         });
-        history[2 * n_nodes][0] = step_s.unwrap_or(0.0);
+        history[2 * n_nodes] = [step_s.unwrap_or(0.0), f64::from(*careful_steps), 0.0];
         kernel.history_into(history[2 * n_nodes + 1..].as_flattened_mut());
         for held in self.held.iter() {
             let n = held.node.index();
@@ -399,7 +411,11 @@ impl DeformableModel for ExplicitKernel {
         if !(dt_s.is_finite() && dt_s > 0.0) {
             return;
         }
-        let n_parts = self.parts_of_step(dt_s);
+        let mut n_parts = self.parts_of_step(dt_s);
+        if self.careful_steps > 0 {
+            n_parts = n_parts.max(u64::from(self.most_parts));
+        }
+        let mut is_strained = false;
         let parts = n_parts as f64;
         // Only a step of more than the most parts is cut off.
         let step_s = (dt_s / parts).min(self.time_step_s);
@@ -415,7 +431,13 @@ impl DeformableModel for ExplicitKernel {
             self.loads.refresh_attachments(&mut self.kernel);
             self.kernel.step(self.workers.as_ref(), step);
             self.watch_energy();
+            is_strained |= self.kernel.is_strained();
         }
+        self.careful_steps = if is_strained || self.report.energy_was_limited {
+            CAREFUL_STEPS
+        } else {
+            self.careful_steps.saturating_sub(1)
+        };
         for held in self.held.iter() {
             let supports = self.supports[held.node.index()];
             let mut force_n = self.kernel.force_n(held.node) - self.kernel.outer_force_n(held.node);

@@ -396,6 +396,12 @@ impl FastKernel {
         all
     }
 
+    /// Whether a tetrahedron of the last step was near to inversion or torn apart (det F below 0.5 or above 1.8), or no
+    /// number; not told with [`Quarantine::Off`].
+    pub fn is_strained(&self) -> bool {
+        self.parts.all.iter().any(|part| part.progress().is_strained)
+    }
+
     /// How many numbers the memory of the relaxing stress has: six, and six for each term, a tetrahedron; none
     /// without a series.
     pub fn history_len(&self) -> usize {

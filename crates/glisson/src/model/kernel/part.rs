@@ -113,6 +113,8 @@ pub(super) struct Progress {
     pub(super) history: Vec<LaneNumbers>,
     /// What the last step left out.
     pub(super) quarantined: QuarantineReport,
+    /// Whether a tetrahedron of the last step was near to inversion or torn apart.
+    pub(super) is_strained: bool,
 }
 
 /// The Prony series and its numbers for the present step length.
@@ -288,12 +290,14 @@ impl Parts {
         if watch.is_none() && extras.is_empty() && self.relaxation.is_none() {
             return path.add_forces(&mut Plain(law), blocks, rows);
         }
-        let Progress { history, quarantined } = &mut *self.all[p].progress_mut();
+        let Progress { history, quarantined, is_strained } = &mut *self.all[p].progress_mut();
         *quarantined = QuarantineReport::default();
+        *is_strained = false;
         let guard = watch.map(|watch| Guard {
             leaves_out_inverted: watch == Quarantine::Inverted,
             tets,
             found: quarantined,
+            is_strained,
         });
         let relaxation = self.relaxation.as_ref().map(read);
         let viscous = relaxation.as_ref().map(|relaxation| Viscous {

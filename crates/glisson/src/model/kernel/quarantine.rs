@@ -46,7 +46,13 @@ pub(super) struct Guard<'a> {
     /// Tetrahedra of each block.
     pub(super) tets: &'a [LaneTets],
     pub(super) found: &'a mut QuarantineReport,
+    /// Becomes true where a volume ratio leaves [`CALM_RATIOS`].
+    pub(super) is_strained: &'a mut bool,
 }
+
+/// Volume ratios det F within which tissue is not near to inversion and not torn apart. A choice: that of the stretch 1.3
+/// along one axis and its inverse along two others lies well inside.
+const CALM_RATIOS: [f64; 2] = [0.5, 1.8];
 
 impl Guard<'_> {
     /// All lanes are sound.
@@ -66,6 +72,12 @@ impl Guard<'_> {
         let nothing = row(0).plus(row(1)).plus(row(2));
         let volume_ratio = f(0, 0)
             .fused(cofactor(1, 2), f(0, 1).fused(cofactor(2, 0), f(0, 2).fused(cofactor(0, 1), nothing)));
+        let calm = volume_ratio.above_bits(zero.constant(CALM_RATIOS[0]))
+            & !volume_ratio.above_bits(zero.constant(CALM_RATIOS[1]));
+        if calm == Self::all::<V>() {
+            return calm;
+        }
+        *self.is_strained = true;
         let upright = volume_ratio.above_bits(zero);
         if upright == Self::all::<V>() {
             return upright;

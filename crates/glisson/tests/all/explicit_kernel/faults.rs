@@ -168,3 +168,49 @@ fn impossible_input_is_refused_by_name() {
     let refused = model.topology_changed(editable.mesh(), &change).unwrap_err();
     assert!(matches!(refused, TopologyRefusal::Frozen { model: "explicit", .. }));
 }
+
+/// A corner pulled as far as the body is long: the law is far stiffer there than the step is made for.
+#[test]
+fn a_step_is_divided_while_tissue_is_strained_beyond_what_it_is_made_for() {
+    let mesh = block([4, 3, 3], SIZE_M);
+    let fixed: Vec<FixedNode> = (0..mesh.positions_m.len())
+        .filter(|&n| mesh.positions_m[n].x < 1e-9)
+        .map(|n| FixedNode::all_axes(NodeId::from_index(n)))
+        .collect();
+    let law = KernelLaw::StVenantKirchhoff;
+    let one = ExplicitKernelParams::new(body_of(&mesh, &fixed, 1e-4), law, &[]);
+    let materials = [material()];
+    let stable_s =
+        ExplicitKernel::stable_step(&ExplicitKernelParams { materials: &materials, ..one.clone() })
+            .unwrap()
+            .step_s;
+    let corner = NodeId::from_index(mesh.positions_m.len() - 1);
+    let greatest_force_n = |most_parts: u32| {
+        let damping = Rayleigh { mass_per_s: 200.0, stiffness_s: 0.0 };
+        let body = DynamicBody { most_parts, damping, ..body_of(&mesh, &fixed, 0.99 * stable_s) };
+        let mut model =
+            ExplicitKernel::build(&ExplicitKernelParams { body, materials: &materials, ..one.clone() })
+                .unwrap();
+        let (mut greatest_n, mut n_parts) = (0.0_f64, 0);
+        for step in 0..2000 {
+            let pull_m = DVec3::X * (0.5 * SIZE_M.x * (1.0 - libm::cos(f64::from(step) * 0.01)));
+            let displacements = vec![ImposedDisplacement { node: corner, displacement_m: pull_m }];
+            model.apply(&Constraints { displacements, forces: Vec::new() });
+            model.step(0.99 * stable_s);
+            greatest_n = greatest_n.max(model.constraint_forces_n()[0].length());
+            n_parts = n_parts.max(model.report().n_parts);
+        }
+        model.apply(&Constraints::default());
+        for _ in 0..2000 {
+            model.step(0.99 * stable_s);
+        }
+        assert_eq!(model.report().n_parts, 1, "at rest again");
+        (greatest_n, n_parts)
+    };
+    let (divided_n, n_parts) = greatest_force_n(8);
+    assert_eq!(n_parts, 8);
+    let (undivided_n, n_parts) = greatest_force_n(1);
+    assert_eq!(n_parts, 1);
+    // Slowly enough pulled, both are right.
+    assert!((divided_n / undivided_n - 1.0).abs() < 1e-3, "{divided_n} {undivided_n}");
+}

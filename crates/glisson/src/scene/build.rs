@@ -63,7 +63,7 @@ pub enum BuildError {
     },
     /// A part of the scene that no node of the mesh belongs to.
     #[error(
-        "no node of {} lies in the region of {what}: it would do nothing (the mesh spans {min_mm} to {max_mm} mm)",
+        "no node of {} lies in the region of {what}: it would do nothing (the mesh spans {min_mm:.1} to {max_mm:.1} mm)",
         file.display()
     )]
     EmptyRegion {
@@ -96,6 +96,16 @@ pub enum BuildError {
     /// The implicit model; its numbers are those of the scene.
     #[error("[simulation] or [organ]")]
     Implicit(#[from] ImplicitError),
+    /// The shape under gravity is one from which the tissue buckles.
+    #[error(
+        "the tissue is too soft, or held in too few places, to carry its weight in the shape of the mesh: with the {model} \
+         model it would buckle from it. Hold more of it ([[organ.fixed]]), take a stiffer tissue or less gravity, a model \
+         of small displacements (precomputed, tensor_mass), or imaged_under_gravity = false and let it sag"
+    )]
+    Buckles {
+        /// Which model.
+        model: ModelKind,
+    },
     /// Something that the scene asks for and the model does not know.
     #[error("the {model} model has no {what}; choose another model or leave them out of the scene")]
     Unsupported {

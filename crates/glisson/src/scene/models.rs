@@ -14,6 +14,7 @@ use crate::model::nonlinear_tensor_mass::{
 use crate::model::precomputed::{Precomputed, PrecomputedExpectation, PrecomputedParams, StoredNodes};
 use crate::model::tensor_mass::{TensorMass, TensorMassParams};
 use crate::model::{DeformableModel, Integration};
+use crate::solve::is_stable_under;
 use std::iter::repeat_n;
 use std::sync::Arc;
 
@@ -35,6 +36,7 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
     let law = body.law.as_ref().filter(|law| kind.laws().contains(&law.name()));
     let integration = Integration { frequency_reserve: FREQUENCY_RESERVE, ..Integration::default() };
     body.refuse_what_it_lacks(kind)?;
+    body.refuse_to_buckle(kind)?;
     Ok(match kind {
         ModelKind::Precomputed => Box::new(precomputed(body)?),
         ModelKind::TensorMass => {
@@ -95,6 +97,20 @@ impl OrganBody {
             return Ok(None);
         }
         Ok(Some(PronySeries::new(&self.relaxation)?))
+    }
+
+    /// Linear models carry any stress at rest; for the others it may be more than the tissue's own stiffness bears.
+    fn refuse_to_buckle(&self, model: ModelKind) -> Result<(), BuildError> {
+        let is_linear = matches!(model, ModelKind::Precomputed | ModelKind::TensorMass)
+            || (model != ModelKind::MassSpring && self.law == Some(LawChoice::Linear));
+        if is_linear || self.rest_stress_pa.is_empty() {
+            return Ok(());
+        }
+        match is_stable_under(&self.mesh, &self.material, &self.fixed, &self.rest_stress_pa) {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(BuildError::Buckles { model }),
+            Err(error) => Err(BuildError::RestStress(error)),
+        }
     }
 
     fn refuse_what_it_lacks(&self, model: ModelKind) -> Result<(), BuildError> {

@@ -36,12 +36,7 @@ pub fn equilibrating_stress(
 ) -> Result<Vec<RestStress>, SolveError> {
     let edges = MeshEdges::of_mesh(mesh)?;
     let tensors = StiffnessTensors::assemble(mesh, &edges, material)?;
-    let mut conditions = BoundaryConditions::new();
-    for support in fixed {
-        for axis in (0..3).filter(|&axis| support.axes[axis]) {
-            conditions.impose(support.node, axis, 0.0);
-        }
-    }
+    let conditions = conditions_of(fixed);
     conditions.check(mesh, &edges)?;
     let n_nodes = mesh.positions_m.len();
     let mut load_n = vec![DVec3::ZERO; n_nodes];
@@ -73,6 +68,44 @@ pub fn equilibrating_stress(
         add_stress(mesh, material, &displacement_m, &mut stress_pa);
     }
     Ok(stress_pa)
+}
+
+fn conditions_of(fixed: &[FixedNode]) -> BoundaryConditions {
+    let mut conditions = BoundaryConditions::new();
+    for support in fixed {
+        for axis in (0..3).filter(|&axis| support.axes[axis]) {
+            conditions.impose(support.node, axis, 0.0);
+        }
+    }
+    conditions
+}
+
+/// Whether a body with this stress in its rest shape comes back to it when it is disturbed a little, by a law that is
+/// right under rotations: K plus the stiffness of the stress, V (alpha_j . S0 alpha_k) Id, is positive definite. Where
+/// tissue is too soft for its weight, stress of compression makes it buckle. Ligaments are not counted: they can only
+/// help.
+///
+/// # Errors
+/// [`SolveError`]: an unusable mesh, supports at nodes that do not exist, floating pieces, too little memory.
+pub fn is_stable_under(
+    mesh: &TetMesh,
+    material: &LinearElastic,
+    fixed: &[FixedNode],
+    stress_pa: &[RestStress],
+) -> Result<bool, SolveError> {
+    let edges = MeshEdges::of_mesh(mesh)?;
+    let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, gradients| {
+        let mut stiffness = gradients.stiffness(material.lambda_pa(), material.mu_pa());
+        stiffness.add_multiples(gradients.stress_stiffness_n_per_m(stress_pa[tet.index()]));
+        stiffness
+    })?;
+    let conditions = conditions_of(fixed);
+    conditions.check(mesh, &edges)?;
+    match FreeSystem::new(&edges, &tensors, &conditions)?.factorize() {
+        Ok(_) => Ok(true),
+        Err(SolveError::Singular) => Ok(false),
+        Err(error) => Err(error),
+    }
 }
 
 /// Overwrites `force_n` with V S0 alpha_j summed on the nodes: the forces [N] that balance stresses in the rest shape.

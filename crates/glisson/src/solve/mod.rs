@@ -21,7 +21,7 @@ pub mod case;
 pub mod integrators;
 
 pub use boundary::BoundaryConditions;
-pub use equilibrating_stress::{equilibrating_stress, stress_forces_into};
+pub use equilibrating_stress::{equilibrating_stress, is_stable_under, stress_forces_into};
 pub use near_incompressible::{
     NodeAveraging, assemble_node_averaged, node_pressures_pa, solve_static_node_averaged,
 };

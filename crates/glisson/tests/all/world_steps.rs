@@ -4,12 +4,13 @@
 use crate::model_meshes::block;
 use glisson::material::{LinearElastic, PronyTerm};
 use glisson::math::DVec3;
-use glisson::mesh::TetId;
 use glisson::mesh::edit::MeshEdit;
+use glisson::mesh::{NodeId, TetId};
 use glisson::model::kind::ModelKind;
-use glisson::model::{DeformableModel, Rayleigh};
+use glisson::model::{Constraints, DeformableModel, NodalForce, Rayleigh};
 use glisson::record::hash::StateHash;
 use glisson::scene::{OrganBody, build_model};
+use glisson::solve::equilibrating_stress;
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::{Load, LoadTime, Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{StepInput, World};
@@ -202,5 +203,38 @@ fn reset_forgets_what_relaxing_stress_remembers() {
             model.step(TIME_STEP_S);
         }
         assert!(sag_m(model.as_ref()) < 1e-9 * largest_m, "{kind}: {}", sag_m(model.as_ref()));
+    }
+}
+
+#[test]
+fn tissue_too_soft_for_its_weight_is_refused_by_models_that_would_buckle() {
+    for (young_pa, is_stiff) in [(20e3, true), (600.0, false)] {
+        let mesh = block([6, 2, 2], DVec3::new(SIZE_M, 0.3 * SIZE_M, 0.3 * SIZE_M));
+        let material = LinearElastic::from_young_poisson(young_pa, 0.4, 1000.0).unwrap();
+        let mut body = OrganBody::new(mesh, material, 1e-4);
+        let wall = Region::Furthest { direction: -DVec3::X, fraction: 0.1 };
+        body.fixed = fixed_nodes(&[Support::all_axes(wall)], &body.mesh.positions_m);
+        body.gravity_m_per_s2 = DVec3::new(-9.81, 0.0, 0.0);
+        let gravity = body.gravity_m_per_s2;
+        body.rest_stress_pa =
+            equilibrating_stress(&body.mesh, &body.material, &body.fixed, &[], gravity).unwrap();
+        assert!(build_model(&body, ModelKind::TensorMass).is_ok());
+        for kind in [ModelKind::NonlinearTensorMass, ModelKind::Explicit, ModelKind::Implicit] {
+            match build_model(&body, kind) {
+                Ok(mut model) => {
+                    assert!(is_stiff, "{kind}");
+                    // A little push from its side does not grow.
+                    let node = NodeId::from_index(body.mesh.positions_m.len() - 1);
+                    let force_n = DVec3::new(0.0, 1e-6, 1e-6);
+                    let forces = vec![NodalForce { node, force_n }];
+                    model.apply(&Constraints { displacements: Vec::new(), forces });
+                    (0..3000).for_each(|_| model.step(1e-4));
+                    let moved = model.state().positions_m.iter().zip(&body.mesh.positions_m);
+                    let furthest_m = moved.map(|(p, rest)| p.distance(*rest)).fold(0.0, f64::max);
+                    assert!(furthest_m < 1e-4, "{kind}: {furthest_m}");
+                }
+                Err(error) => assert!(!is_stiff && error.to_string().contains("buckle"), "{kind}: {error}"),
+            }
+        }
     }
 }

@@ -96,14 +96,10 @@ pub trait DeformableModel: Send {
 
     /// Gravity from the next step on [m/s2]. A model whose rest shape is the loaded one answers to the difference
     /// from the gravity it was made with.
-    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
-        let _ = gravity_m_per_s2;
-    }
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3);
 
     /// How the last step went.
-    fn report(&self) -> ModelReport {
-        ModelReport::default()
-    }
+    fn report(&self) -> ModelReport;
 
     /// A copy of everything that the next steps depend on: state, constraints, accumulated stiffness, warm starts,
     /// factors.

@@ -36,7 +36,9 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
     let law = body.law.as_ref().filter(|law| kind.laws().contains(&law.name()));
     let integration = Integration { frequency_reserve: FREQUENCY_RESERVE, ..Integration::default() };
     body.refuse_what_it_lacks(kind)?;
-    body.refuse_to_buckle(kind)?;
+    if law.map(LawChoice::name).or(kind.laws().first().copied()) != Some("linear") {
+        body.refuse_to_buckle(kind)?;
+    }
     Ok(match kind {
         ModelKind::Precomputed => Box::new(precomputed(body)?),
         ModelKind::TensorMass => {
@@ -99,11 +101,9 @@ impl OrganBody {
         Ok(Some(PronySeries::new(&self.relaxation)?))
     }
 
-    /// Linear models carry any stress at rest; for the others it may be more than the tissue's own stiffness bears.
+    /// A linear body carries any stress at rest; for the others it may be more than the tissue's own stiffness bears.
     fn refuse_to_buckle(&self, model: ModelKind) -> Result<(), BuildError> {
-        let is_linear = matches!(model, ModelKind::Precomputed | ModelKind::TensorMass)
-            || (model != ModelKind::MassSpring && self.law == Some(LawChoice::Linear));
-        if is_linear || self.rest_stress_pa.is_empty() {
+        if self.rest_stress_pa.is_empty() {
             return Ok(());
         }
         match is_stable_under(&self.mesh, &self.material, &self.fixed, &self.rest_stress_pa) {

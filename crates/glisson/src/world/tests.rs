@@ -49,6 +49,12 @@ impl DeformableModel for SpringBed {
         self.positions_m.copy_from_slice(positions_m);
     }
 
+    fn set_gravity(&mut self, _: DVec3) {}
+
+    fn report(&self) -> ModelReport {
+        ModelReport::default()
+    }
+
     fn duplicate(&self) -> Box<dyn DeformableModel> {
         Box::new(self.clone())
     }

@@ -2,7 +2,7 @@
 //! number of threads, and a saved moment comes back whole.
 
 use crate::model_meshes::block;
-use glisson::material::{LinearElastic, PronyTerm};
+use glisson::material::{LawChoice, LinearElastic, PronyTerm};
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{NodeId, TetId};
@@ -219,6 +219,10 @@ fn tissue_too_soft_for_its_weight_is_refused_by_models_that_would_buckle() {
         body.rest_stress_pa =
             equilibrating_stress(&body.mesh, &body.material, &body.fixed, &[], gravity).unwrap();
         assert!(build_model(&body, ModelKind::TensorMass).is_ok());
+        let linear = OrganBody { law: Some(LawChoice::Linear), ..body.clone() };
+        assert!(build_model(&linear, ModelKind::Explicit).is_ok());
+        // It has a law of its own.
+        assert_eq!(build_model(&linear, ModelKind::NonlinearTensorMass).is_ok(), is_stiff);
         for kind in [ModelKind::NonlinearTensorMass, ModelKind::Explicit, ModelKind::Implicit] {
             match build_model(&body, kind) {
                 Ok(mut model) => {

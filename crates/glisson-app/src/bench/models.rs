@@ -7,7 +7,7 @@ use fearless_simd::Level;
 use glam::DVec3;
 use glisson::mesh::NodeId;
 use glisson::mesh::topology::Topology;
-use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
+use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement};
 use glisson::solve::MeshEdges;
@@ -48,6 +48,7 @@ fn precomputed_params(body: &StandardBody) -> PrecomputedParams<'_> {
         material: &body.material,
         fixed_nodes: &body.fixed_nodes,
         stored: StoredNodes::Surface,
+        precision: Precision::F64,
         progress: None,
     }
 }

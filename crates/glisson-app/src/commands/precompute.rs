@@ -12,7 +12,7 @@ use glisson::math::{Aabb, DVec3};
 use glisson::mesh::faults::{FaultAction, ImportPolicy};
 use glisson::mesh::files::read_mesh_with;
 use glisson::model::kind::ModelKind;
-use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
+use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::scene::{OrganBody, read_organ};
 use glisson::world::spec::{Region, Support, fixed_nodes};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -179,6 +179,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         material: &material,
         fixed_nodes: &fixed_nodes,
         stored,
+        precision: Precision::F64,
         progress: Some(&progress),
     };
     let pool = rayon::ThreadPoolBuilder::new()

@@ -5,7 +5,7 @@ use super::{Experiment, Outcome};
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::NodeId;
 use glisson::model::kind::ModelKind;
-use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
+use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, NodalForce, Rayleigh};
 use glisson::record::hash::StateHash;
@@ -42,6 +42,7 @@ impl Body {
             material: &self.case.material,
             fixed_nodes: &self.fixed,
             stored: StoredNodes::All,
+            precision: Precision::F64,
             progress: None,
         })?)
     }

@@ -7,6 +7,7 @@ pub mod stuffing;
 pub mod thin;
 pub mod generate;
 pub mod remap;
+pub mod zones;
 pub mod faults;
 pub mod box_mesh;
 pub mod files;

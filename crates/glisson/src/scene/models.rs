@@ -11,7 +11,9 @@ use crate::model::mass_spring::{MassSpring, MassSpringParams, NodalMasses};
 use crate::model::nonlinear_tensor_mass::{
     Fibre, NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
 };
-use crate::model::precomputed::{Precomputed, PrecomputedExpectation, PrecomputedParams, StoredNodes};
+use crate::model::precomputed::{
+    Precision, Precomputed, PrecomputedExpectation, PrecomputedParams, StoredNodes,
+};
 use crate::model::tensor_mass::{TensorMass, TensorMassParams};
 use crate::model::{DeformableModel, Integration};
 use crate::solve::is_stable_under;
@@ -160,8 +162,15 @@ fn precomputed(body: &OrganBody) -> Result<Precomputed, BuildError> {
     let mut model = match &body.precomputed {
         Some(file) => Precomputed::load(file, &PrecomputedExpectation { mesh, material, fixed_nodes })?,
         None => {
-            let stored = StoredNodes::Surface;
-            Precomputed::build(&PrecomputedParams { mesh, material, fixed_nodes, stored, progress: None })?
+            let (stored, precision) = (StoredNodes::Surface, Precision::F64);
+            Precomputed::build(&PrecomputedParams {
+                mesh,
+                material,
+                fixed_nodes,
+                stored,
+                precision,
+                progress: None,
+            })?
         }
     };
     if body.is_imaged_under_gravity {

@@ -8,7 +8,7 @@ use glisson::math::{DMat3, DVec3, SeededRandom};
 use glisson::mesh::edit::{EditableMesh, MeshEdit};
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::precomputed::{
-    Precomputed, PrecomputedError, PrecomputedExpectation, PrecomputedParams, StoredNodes,
+    Precision, Precomputed, PrecomputedError, PrecomputedExpectation, PrecomputedParams, StoredNodes,
 };
 use glisson::model::tensor_mass::{TensorMass, TensorMassError, TensorMassParams};
 use glisson::model::{
@@ -33,7 +33,14 @@ fn organ() -> (TetMesh, Vec<NodeId>) {
 
 fn precomputed(mesh: &TetMesh, fixed_nodes: &[NodeId], stored: StoredNodes) -> Precomputed {
     let material = material();
-    let params = PrecomputedParams { mesh, material: &material, fixed_nodes, stored, progress: None };
+    let params = PrecomputedParams {
+        mesh,
+        material: &material,
+        fixed_nodes,
+        stored,
+        precision: Precision::F64,
+        progress: None,
+    };
     Precomputed::build(&params).unwrap()
 }
 
@@ -206,6 +213,7 @@ fn what_cannot_be_precomputed_is_refused() {
             material: &material,
             fixed_nodes,
             stored,
+            precision: Precision::F64,
             progress: None,
         })
         .unwrap_err()
@@ -267,7 +275,7 @@ fn files_of_other_things_are_refused_with_what_was_found_and_expected() {
         message(load(&bytes, &mesh, &material, &fixed))
     };
     assert!(changed(0, b'X').contains("not a pre-computed compliance"));
-    assert!(changed(8, 7).contains("format version 7, this program reads version 2"));
+    assert!(changed(8, 7).contains("format version 7, this program reads version 3"));
     assert!(changed(bytes.len() - 40, 0x55).contains("checksum"));
     assert!(changed(bytes.len() - 1, bytes[bytes.len() - 1] ^ 1).contains("checksum"));
     assert!(changed(90, 0xff).contains("its header asks for"));

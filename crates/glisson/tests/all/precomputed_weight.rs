@@ -4,7 +4,9 @@ use crate::model_meshes::block;
 use glisson::material::LinearElastic;
 use glisson::math::DVec3;
 use glisson::mesh::NodeId;
-use glisson::model::precomputed::{Precomputed, PrecomputedExpectation, PrecomputedParams, StoredNodes};
+use glisson::model::precomputed::{
+    Precision, Precomputed, PrecomputedExpectation, PrecomputedParams, StoredNodes,
+};
 use glisson::model::{Constraints, DeformableModel};
 use glisson::solve::{BoundaryConditions, StaticProblem, add_gravity_forces, solve_static};
 use std::path::Path;
@@ -23,6 +25,7 @@ fn a_tilted_table_deforms_the_rest_shape_by_the_difference_of_the_weights() {
         material: &material,
         fixed_nodes: &fixed_nodes,
         stored,
+        precision: Precision::F64,
         progress: None,
     })
     .unwrap();

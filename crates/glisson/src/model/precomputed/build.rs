@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
+use super::table::{Numbers, Table, write_column};
 use super::{Compliance, Precomputed, PrecomputedError, PrecomputedParams, StoredNodes, mesh_hash};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
@@ -56,43 +57,23 @@ impl Precomputed {
             .map(|&n| [0, 1, 2].map(|a| system.row_of(n, a).expect("stored nodes are free")))
             .collect();
 
-        let s = rows.len();
-        let bytes = 72 * n_loadable as u128 * s as u128;
-        let mut column_m_per_n = Vec::new();
-        usize::try_from(bytes)
-            .ok()
-            .filter(|b| column_m_per_n.try_reserve_exact(b / 8).is_ok())
-            .ok_or(PrecomputedError::Memory { n_loadable, n_rows: s, bytes })?;
-        column_m_per_n.resize(9 * n_loadable * s, 0.0);
+        let n_rows = rows.len();
+        let bytes = Table::bytes(params.precision, n_rows, n_loadable);
+        let mut table = Table::zeros(params.precision, n_rows, n_loadable)
+            .ok_or(PrecomputedError::Memory { n_loadable, n_rows, bytes })?;
 
         let done = AtomicUsize::new(0);
-        let columns_in_block = 3 * NODES_IN_BLOCK;
-        column_m_per_n.par_chunks_mut(9 * NODES_IN_BLOCK * s).enumerate().for_each_init(
-            || (factor.scratch(columns_in_block), vec![0.0; n_free * columns_in_block]),
-            |(scratch, right), (block, target)| {
-                let first = block * NODES_IN_BLOCK;
-                let n_nodes = target.len() / (9 * s);
-                let n_columns = 3 * n_nodes;
-                let right = &mut right[..n_free * n_columns];
-                right.fill(0.0);
-                for column in 0..n_columns {
-                    right[column * n_free + row_of[first + column / 3][column % 3]] = 1.0;
-                }
-                factor.solve_in_place(right, n_columns, scratch);
-                for (column, target) in target.chunks_exact_mut(3 * s).enumerate() {
-                    let solution = &right[column * n_free..(column + 1) * n_free];
-                    for (row, free) in row_of.iter().enumerate() {
-                        for axis in 0..3 {
-                            target[axis * s + row] = solution[free[axis]];
-                        }
-                    }
-                }
-                let finished = done.fetch_add(n_nodes, Ordering::Relaxed) + n_nodes;
-                if let Some(progress) = progress {
-                    progress(finished, n_loadable);
-                }
-            },
-        );
+        let tell = |n_nodes: usize| {
+            let finished = done.fetch_add(n_nodes, Ordering::Relaxed) + n_nodes;
+            if let Some(progress) = progress {
+                progress(finished, n_loadable);
+            }
+        };
+        let unit_forces = UnitForces { factor: &factor, row_of: &row_of, n_free };
+        match &mut table.numbers {
+            Numbers::F64(numbers) => unit_forces.solve_into(numbers, |u| u, tell),
+            Numbers::F32(numbers) => unit_forces.solve_into(numbers, |u| u as f32, tell),
+        }
         let weight_response_s2 = weight_response(&system, &factor, params, &rows);
         let compliance = Compliance {
             material: *material,
@@ -100,10 +81,52 @@ impl Precomputed {
             rows,
             n_loadable,
             mesh_hash: mesh_hash(mesh),
-            column_m_per_n,
+            table,
             weight_response_s2,
         };
         Ok(Self::new(compliance, mesh))
+    }
+}
+
+/// Unit forces along each axis on the loadable nodes, which are the first of the rows.
+struct UnitForces<'a> {
+    factor: &'a Factorization,
+    /// Unknowns of each row.
+    row_of: &'a [[usize; 3]],
+    n_free: usize,
+}
+
+impl UnitForces<'_> {
+    /// Fills a table's numbers, in blocks of right-hand sides.
+    fn solve_into<T: Send>(
+        &self,
+        numbers: &mut [T],
+        narrow: impl Fn(f64) -> T + Sync,
+        tell: impl Fn(usize) + Sync,
+    ) {
+        let n_free = self.n_free;
+        let stride = Table::stride(self.row_of.len());
+        let columns_in_block = 3 * NODES_IN_BLOCK;
+        numbers.par_chunks_mut(stride * NODES_IN_BLOCK).enumerate().for_each_init(
+            || (self.factor.scratch(columns_in_block), vec![0.0; n_free * columns_in_block]),
+            |(scratch, right), (block, target)| {
+                let first = block * NODES_IN_BLOCK;
+                let n_nodes = target.len() / stride;
+                let n_columns = 3 * n_nodes;
+                let right = &mut right[..n_free * n_columns];
+                right.fill(0.0);
+                for column in 0..n_columns {
+                    right[column * n_free + self.row_of[first + column / 3][column % 3]] = 1.0;
+                }
+                self.factor.solve_in_place(right, n_columns, scratch);
+                for (column, solution) in right.chunks_exact(n_free).enumerate() {
+                    let target = &mut target[stride * (column / 3)..stride * (column / 3 + 1)];
+                    let of_row = self.row_of.iter().map(|free| free.map(|i| solution[i]));
+                    write_column(target, column % 3, of_row, &narrow);
+                }
+                tell(n_nodes);
+            },
+        );
     }
 }
 
@@ -114,9 +137,9 @@ fn weight_response(
     params: &PrecomputedParams<'_>,
     rows: &[NodeId],
 ) -> Vec<f64> {
-    let (n_free, s) = (system.n_free(), rows.len());
+    let n_free = system.n_free();
     let mut right = vec![0.0; 3 * n_free];
-    let mut response = vec![0.0; 9 * s];
+    let mut response = vec![0.0; Table::stride(rows.len())];
     let mut displacement = vec![DVec3::ZERO; params.mesh.positions_m.len()];
     for (axis, right) in right.chunks_exact_mut(n_free).enumerate() {
         let mut weight = vec![DVec3::ZERO; displacement.len()];
@@ -124,14 +147,11 @@ fn weight_response(
         system.gather_into(&weight, right);
     }
     factor.solve_in_place(&mut right, 3, &mut factor.scratch(3));
-    for (solution, target) in right.chunks_exact(n_free).zip(response.chunks_exact_mut(3 * s)) {
+    for (axis, solution) in right.chunks_exact(n_free).enumerate() {
         displacement.fill(DVec3::ZERO);
         system.add_scattered(solution, &mut displacement);
-        for (row, node) in rows.iter().enumerate() {
-            for (axis, u) in displacement[node.index()].to_array().into_iter().enumerate() {
-                target[axis * s + row] = u;
-            }
-        }
+        let of_row = rows.iter().map(|node| displacement[node.index()].to_array());
+        write_column(&mut response, axis, of_row, |u| u);
     }
     response
 }

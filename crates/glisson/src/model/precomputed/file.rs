@@ -3,25 +3,26 @@
 //! | bytes | what |
 //! |---|---|
 //! | 8 | `GLISCOMP` |
-//! | 4, 4 | format version, reserved (0) |
+//! | 4, 4 | format version, bytes of a compliance (8 or 4) |
 //! | 32 | [`mesh_hash`] |
 //! | 8, 8, 8 | Young's modulus [Pa], Poisson's ratio, density [kg/m3] (f64) |
 //! | 8, 8, 8, 8 | numbers (u64): nodes of the mesh, fixed nodes, stored nodes, loadable nodes |
 //! | 4 each | fixed nodes, then stored nodes (u32) |
-//! | 8 each | columns: loadable node, force axis, displacement axis, stored node (f64) [m/N] |
-//! | 8 each | response to weight: gravity axis, displacement axis, stored node (f64) [m per m/s2] |
+//! | 8 or 4 each | compliances [m/N] (f64 or f32): loadable node, block of eight stored nodes, force axis, displacement axis, stored node |
+//! | 8 each | response to weight [m per m/s2] (f64): block, gravity axis, displacement axis, stored node |
 //! | 32 | BLAKE3 of everything before |
 
 use std::io::{self, Write};
 use std::path::Path;
 
+use super::table::{BLOCK_NUMBERS, LANES, Numbers, Precision, Table};
 use super::{Compliance, Precomputed, PrecomputedError};
 use crate::files::write_atomically;
 use crate::material::LinearElastic;
 use crate::mesh::{NodeId, TetMesh};
 
 const MAGIC: &[u8; 8] = b"GLISCOMP";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 const HEADER_BYTES: usize = 8 + 8 + 32 + 3 * 8 + 4 * 8;
 const CHECKSUM_BYTES: usize = 32;
 
@@ -154,7 +155,7 @@ fn write(compliance: &Compliance, n_nodes: usize, to: &mut impl Write) -> io::Re
     let mut w = Hashing { inner: to, hasher: blake3::Hasher::new() };
     w.write_all(MAGIC)?;
     w.write_all(&VERSION.to_le_bytes())?;
-    w.write_all(&0u32.to_le_bytes())?;
+    w.write_all(&(compliance.table.precision().bytes() as u32).to_le_bytes())?;
     w.write_all(&compliance.mesh_hash)?;
     let material = &compliance.material;
     for number in [material.young_modulus_pa(), material.poisson_ratio(), material.density_kg_per_m3()] {
@@ -166,17 +167,24 @@ fn write(compliance: &Compliance, n_nodes: usize, to: &mut impl Write) -> io::Re
     for node in compliance.fixed_nodes.iter().chain(&compliance.rows) {
         w.write_all(&node.0.to_le_bytes())?;
     }
-    for numbers in [&compliance.column_m_per_n, &compliance.weight_response_s2] {
-        if cfg!(target_endian = "little") {
-            w.write_all(bytemuck::cast_slice(numbers))?;
-        } else {
-            for number in numbers {
-                w.write_all(&number.to_le_bytes())?;
-            }
-        }
+    match &compliance.table.numbers {
+        Numbers::F64(numbers) => write_numbers(&mut w, numbers, |x| x.to_le_bytes())?,
+        Numbers::F32(numbers) => write_numbers(&mut w, numbers, |x| x.to_le_bytes())?,
     }
+    write_numbers(&mut w, &compliance.weight_response_s2, |x| x.to_le_bytes())?;
     let checksum = *w.hasher.finalize().as_bytes();
     w.inner.write_all(&checksum)
+}
+
+fn write_numbers<T: Copy + bytemuck::NoUninit, const N: usize>(
+    w: &mut impl Write,
+    numbers: &[T],
+    bytes: impl Fn(T) -> [u8; N],
+) -> io::Result<()> {
+    if cfg!(target_endian = "little") {
+        return w.write_all(bytemuck::cast_slice(numbers));
+    }
+    numbers.iter().try_for_each(|&number| w.write_all(&bytes(number)))
 }
 
 /// Bytes taken from the front; their number was checked before.
@@ -206,6 +214,11 @@ impl<'a> Cursor<'a> {
         self.take(8 * n).chunks_exact(8).map(number).collect()
     }
 
+    fn short_numbers(&mut self, n: usize) -> Vec<f32> {
+        let number = |b: &[u8]| f32::from_le_bytes(b.try_into().expect("chunks of four"));
+        self.take(4 * n).chunks_exact(4).map(number).collect()
+    }
+
     fn nodes(&mut self, n: usize) -> Vec<NodeId> {
         let bytes = self.take(4 * n);
         bytes
@@ -232,18 +245,16 @@ fn parse(path: &Path, bytes: &[u8]) -> Result<(Compliance, u64), PrecomputedErro
     if version != VERSION {
         return Err(PrecomputedError::Version { file: file(), found: version, expected: VERSION });
     }
-    let _reserved: [u8; 4] = cursor.array();
+    let number_bytes = u32::from_le_bytes(cursor.array());
     let mesh_hash = cursor.array();
     let [young_modulus_pa, poisson_ratio, density_kg_per_m3] = std::array::from_fn(|_| cursor.f64());
     let [n_nodes, n_fixed, n_rows, n_loadable] = std::array::from_fn(|_| cursor.u64());
-    // Counts are below 2^64, so their products fit in 128 bits when each is checked against the length first.
-    let wide = u128::from;
-    let expected = wide(n_rows)
-        .checked_mul(wide(n_loadable) + 1)
-        .and_then(|n| n.checked_mul(72))
-        .and_then(|n| n.checked_add(4 * (wide(n_fixed) + wide(n_rows))))
-        .and_then(|n| n.checked_add(least as u128))
-        .unwrap_or(u128::MAX);
+    let precision =
+        [Precision::F64, Precision::F32]
+            .into_iter()
+            .find(|p| p.bytes() as u32 == number_bytes)
+            .ok_or(PrecomputedError::Contents { file: file(), what: "number of bytes of a compliance" })?;
+    let expected = file_bytes(precision, [n_fixed, n_rows, n_loadable]).unwrap_or(u128::MAX);
     if expected != bytes.len() as u128 {
         return Err(length_error(expected));
     }
@@ -271,12 +282,26 @@ fn parse(path: &Path, bytes: &[u8]) -> Result<(Compliance, u64), PrecomputedErro
     }
     let material = LinearElastic::from_young_poisson(young_modulus_pa, poisson_ratio, density_kg_per_m3)
         .map_err(|_| contents_error("material"))?;
-    let column_m_per_n = cursor.numbers(9 * n_rows * n_loadable);
-    let weight_response_s2 = cursor.numbers(9 * n_rows);
-    if !column_m_per_n.iter().chain(&weight_response_s2).all(|x| x.is_finite()) {
+    let stride = Table::stride(n_rows);
+    let numbers = match precision {
+        Precision::F64 => Numbers::F64(cursor.numbers(stride * n_loadable)),
+        Precision::F32 => Numbers::F32(cursor.short_numbers(stride * n_loadable)),
+    };
+    let weight_response_s2 = cursor.numbers(stride);
+    let table = Table::of_numbers(n_rows, numbers);
+    if !(table.is_finite() && weight_response_s2.iter().all(|x| x.is_finite())) {
         return Err(contents_error("a compliance that is not finite"));
     }
     let compliance =
-        Compliance { material, fixed_nodes, rows, n_loadable, mesh_hash, column_m_per_n, weight_response_s2 };
+        Compliance { material, fixed_nodes, rows, n_loadable, mesh_hash, table, weight_response_s2 };
     Ok((compliance, n_nodes))
+}
+
+/// Length of a file with these numbers of fixed, stored and loadable nodes, unless it overflows.
+fn file_bytes(precision: Precision, [n_fixed, n_rows, n_loadable]: [u64; 3]) -> Option<u128> {
+    let wide = u128::from;
+    let stride = wide(n_rows.div_ceil(LANES as u64)).checked_mul(BLOCK_NUMBERS as u128)?;
+    let table = stride.checked_mul(wide(n_loadable))?.checked_mul(precision.bytes() as u128)?;
+    let nodes = 4 * (wide(n_fixed) + wide(n_rows));
+    table.checked_add(8 * stride + nodes + (HEADER_BYTES + CHECKSUM_BYTES) as u128)
 }

@@ -9,18 +9,20 @@
 //! (eq. 2.12, where the report forgets the second term); then u_l += sum_j T^lj r_j (eq. 2.13). r is the
 //! force that the tool exerts; the tool feels -r.
 //!
-//! Layout: for each loaded node three columns (force along x, y, z), each all x, then all y, then all z
-//! displacements of the stored nodes: a response reads whole columns in order.
+//! The tensors lie in `table` in the order in which a response reads them.
 
 mod build;
 mod dense;
 mod file;
+mod table;
 
 pub use file::{PrecomputedExpectation, mesh_hash};
+pub use table::Precision;
 
 use std::path::PathBuf;
 
 use self::dense::SmallCholesky;
+use self::table::{Table, add_blocks, n_displacements, place_of_displacement};
 use super::{Constraints, DeformableModel, ModelReport, ModelState, TopologyRefusal};
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
@@ -142,6 +144,8 @@ pub struct PrecomputedParams<'a> {
     pub fixed_nodes: &'a [NodeId],
     /// Which displacements to keep.
     pub stored: StoredNodes,
+    /// How to keep them.
+    pub precision: Precision,
     /// Called with the number of loadable nodes done and their total, from any thread, in any order.
     pub progress: Option<&'a (dyn Fn(usize, usize) + Sync)>,
 }
@@ -169,25 +173,10 @@ struct Compliance {
     rows: Vec<NodeId>,
     n_loadable: usize,
     mesh_hash: [u8; 32],
-    /// Loadable node, force axis, displacement axis, row.
-    column_m_per_n: Vec<f64>,
-    /// Displacement for the weight under unit gravity: gravity axis, displacement axis, row [m per m/s2].
+    /// T^lm [m/N].
+    table: Table,
+    /// Displacement for the weight under unit gravity along each axis [m per m/s2], in the layout of a loaded node.
     weight_response_s2: Vec<f64>,
-}
-
-impl Compliance {
-    /// The three columns of a loaded node.
-    fn columns(&self, loaded: usize) -> &[f64] {
-        let n = 9 * self.rows.len();
-        &self.column_m_per_n[n * loaded..n * (loaded + 1)]
-    }
-
-    fn tensor(&self, row: usize, loaded: usize) -> DMat3 {
-        let (s, columns) = (self.rows.len(), self.columns(loaded));
-        let entry = |d: usize, a: usize| columns[(3 * d + a) * s + row];
-        let column = |d: usize| DVec3::new(entry(d, 0), entry(d, 1), entry(d, 2));
-        DMat3::from_cols(column(0), column(1), column(2))
-    }
 }
 
 /// One organ moved by its pre-computed compliance.
@@ -197,7 +186,7 @@ pub struct Precomputed {
     rest_m: Vec<DVec3>,
     row_of: Vec<u32>,
     positions_m: Vec<DVec3>,
-    /// Displacements of the rows: all x, all y, all z [m].
+    /// Displacements of the rows [m], in blocks.
     displacement_m: Vec<f64>,
     /// Loadable node and force [N].
     forces: Vec<(u32, DVec3)>,
@@ -225,7 +214,7 @@ impl Precomputed {
             rest_m: mesh.positions_m.clone(),
             row_of,
             positions_m: mesh.positions_m.clone(),
-            displacement_m: vec![0.0; 3 * compliance.rows.len()],
+            displacement_m: vec![0.0; n_displacements(compliance.rows.len())],
             forces: Vec::with_capacity(compliance.n_loadable),
             imposed: Vec::with_capacity(Self::MAX_IMPOSED),
             system: SmallCholesky::with_room_for(3 * Self::MAX_IMPOSED),
@@ -277,7 +266,7 @@ impl Precomputed {
     pub fn compliance_m_per_n(&self, of: NodeId, by: NodeId) -> Option<DMat3> {
         let row = *self.row_of.get(of.index())?;
         let loaded = self.loadable_index(by)?;
-        (row != NONE).then(|| self.compliance.tensor(row as usize, loaded as usize))
+        (row != NONE).then(|| self.compliance.table.tensor(row as usize, loaded as usize))
     }
 
     /// What the constraints of the last [`DeformableModel::apply`] lost.
@@ -295,36 +284,29 @@ impl Precomputed {
         self.report = ResponseReport::default();
     }
 
+    /// Displacement of a row [m].
+    fn displacement_of_row_m(&self, row: usize) -> DVec3 {
+        DVec3::from_array([0, 1, 2].map(|axis| self.displacement_m[place_of_displacement(row, axis)]))
+    }
+
     /// Forces that hold the imposed displacements against the response to the forces.
     fn solve_imposed(&mut self) {
-        let s = self.compliance.rows.len();
         let n = self.imposed.len();
         self.system.start(3 * n);
-        for (j, &(_, loaded, target_m)) in self.imposed.iter().enumerate() {
-            let columns = self.compliance.columns(loaded as usize);
-            for d in 0..3 {
-                let column = &columns[3 * d * s..3 * (d + 1) * s];
-                let lower = self.system.column_mut(3 * j + d);
-                for (i, &(_, row, _)) in self.imposed.iter().enumerate().skip(j) {
-                    for a in 0..3 {
-                        lower[3 * i + a] = column[a * s + row as usize];
-                    }
+        for j in 0..n {
+            let (_, loaded, target_m) = self.imposed[j];
+            for i in j..n {
+                let (_, row, _) = self.imposed[i];
+                let tensor = self.compliance.table.tensor(row as usize, loaded as usize);
+                for d in 0..3 {
+                    let column = self.system.column_mut(3 * j + d);
+                    column[3 * i..3 * i + 3].copy_from_slice(&tensor.col(d).to_array());
                 }
-                let free_m = self.displacement_m[d * s + loaded as usize];
-                self.system.right_mut()[3 * j + d] = target_m[d] - free_m;
             }
+            let missing_m = target_m - self.displacement_of_row_m(loaded as usize);
+            self.system.right_mut()[3 * j..3 * j + 3].copy_from_slice(&missing_m.to_array());
         }
         self.system.solve();
-    }
-}
-
-/// Adds three columns times their factors: those of a loaded node and the force on it, or of weight and gravity.
-fn add_response(columns: &[f64], factors: DVec3, displacement_m: &mut [f64]) {
-    let n = displacement_m.len();
-    let (x, rest) = columns.split_at(n);
-    let (y, z) = rest.split_at(n);
-    for (((u, x), y), z) in displacement_m.iter_mut().zip(x).zip(y).zip(z) {
-        *u += x * factors.x + y * factors.y + z * factors.z;
     }
 }
 
@@ -357,25 +339,22 @@ impl DeformableModel for Precomputed {
     fn step(&mut self, _dt_s: f64) {
         self.displacement_m.fill(0.0);
         if self.pull_m_per_s2 != DVec3::ZERO {
-            add_response(&self.compliance.weight_response_s2, self.pull_m_per_s2, &mut self.displacement_m);
+            add_blocks(&self.compliance.weight_response_s2, self.pull_m_per_s2, &mut self.displacement_m);
         }
         for &(m, force_n) in &self.forces {
-            add_response(self.compliance.columns(m as usize), force_n, &mut self.displacement_m);
+            self.compliance.table.add_response(m as usize, force_n, &mut self.displacement_m);
         }
         if !self.imposed.is_empty() {
             self.solve_imposed();
             for (j, &(place, m, _)) in self.imposed.iter().enumerate() {
                 let r = DVec3::from_slice(&self.system.right_mut()[3 * j..3 * j + 3]);
-                add_response(self.compliance.columns(m as usize), r, &mut self.displacement_m);
+                self.compliance.table.add_response(m as usize, r, &mut self.displacement_m);
                 self.constraint_forces_n[place as usize] = r;
             }
         }
-        let s = self.compliance.rows.len();
-        let (x, rest) = self.displacement_m.split_at(s);
-        let (y, z) = rest.split_at(s);
-        for (row, node) in self.compliance.rows.iter().enumerate() {
-            let u_m = DVec3::new(x[row], y[row], z[row]);
-            self.positions_m[node.index()] = self.rest_m[node.index()] + u_m;
+        for row in 0..self.compliance.rows.len() {
+            let node = self.compliance.rows[row].index();
+            self.positions_m[node] = self.rest_m[node] + self.displacement_of_row_m(row);
         }
     }
 

@@ -11,6 +11,7 @@ mod p1;
 mod tensors;
 mod boundary;
 mod system;
+mod columns;
 mod static_problem;
 mod supports;
 mod equilibrating_stress;
@@ -21,6 +22,7 @@ pub mod case;
 pub mod integrators;
 
 pub use boundary::BoundaryConditions;
+pub use columns::solve_columns_into;
 pub use equilibrating_stress::{equilibrating_stress, is_stable_under, stress_forces_into};
 pub use near_incompressible::{
     NodeAveraging, assemble_node_averaged, node_pressures_pa, solve_static_node_averaged,

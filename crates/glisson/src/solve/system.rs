@@ -334,6 +334,11 @@ impl Factorization {
         self.value.len()
     }
 
+    /// Number of unknowns.
+    pub fn n_rows(&self) -> usize {
+        self.symbolic.nrows()
+    }
+
     /// Scratch for solving up to `n_columns` right-hand sides at once.
     pub fn scratch(&self, n_columns: usize) -> FactorScratch {
         let request = self.symbolic.solve_in_place_scratch::<f64>(n_columns, Par::Seq);

@@ -2,20 +2,14 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use rayon::prelude::*;
-
 use super::table::{Numbers, Table, write_column};
 use super::{Compliance, Precomputed, PrecomputedError, PrecomputedParams, StoredNodes, mesh_hash};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::solve::{
     BoundaryConditions, Factorization, FreeSystem, MeshEdges, StiffnessTensors, add_gravity_forces,
-    boundary_nodes,
+    boundary_nodes, solve_columns_into,
 };
-
-/// Loaded nodes in one block: 48 right-hand sides, a multiple of the dense kernels' widths. The partition
-/// into blocks does not depend on the number of threads, so neither do the bits.
-const NODES_IN_BLOCK: usize = 16;
 
 impl Precomputed {
     /// Computes the compliance of a mesh. Runs on the threads of the rayon pool it is called in; the bits do
@@ -51,8 +45,7 @@ impl Precomputed {
 
         let system = FreeSystem::new(&edges, &tensors, &conditions)?;
         let factor = system.factorize()?;
-        let n_free = system.n_free();
-        let row_of: Vec<[usize; 3]> = rows
+        let unknowns: Vec<[usize; 3]> = rows
             .iter()
             .map(|&n| [0, 1, 2].map(|a| system.row_of(n, a).expect("stored nodes are free")))
             .collect();
@@ -63,16 +56,15 @@ impl Precomputed {
             .ok_or(PrecomputedError::Memory { n_loadable, n_rows, bytes })?;
 
         let done = AtomicUsize::new(0);
-        let tell = |n_nodes: usize| {
-            let finished = done.fetch_add(n_nodes, Ordering::Relaxed) + n_nodes;
+        let tell = || {
+            let finished = done.fetch_add(1, Ordering::Relaxed) + 1;
             if let Some(progress) = progress {
                 progress(finished, n_loadable);
             }
         };
-        let unit_forces = UnitForces { factor: &factor, row_of: &row_of, n_free };
         match &mut table.numbers {
-            Numbers::F64(numbers) => unit_forces.solve_into(numbers, |u| u, tell),
-            Numbers::F32(numbers) => unit_forces.solve_into(numbers, |u| u as f32, tell),
+            Numbers::F64(numbers) => solve_unit_forces(&factor, &unknowns, numbers, |u| u, tell),
+            Numbers::F32(numbers) => solve_unit_forces(&factor, &unknowns, numbers, |u| u as f32, tell),
         }
         let weight_response_s2 = weight_response(&system, &factor, params, &rows);
         let compliance = Compliance {
@@ -88,46 +80,30 @@ impl Precomputed {
     }
 }
 
-/// Unit forces along each axis on the loadable nodes, which are the first of the rows.
-struct UnitForces<'a> {
-    factor: &'a Factorization,
-    /// Unknowns of each row.
-    row_of: &'a [[usize; 3]],
-    n_free: usize,
-}
-
-impl UnitForces<'_> {
-    /// Fills a table's numbers, in blocks of right-hand sides.
-    fn solve_into<T: Send>(
-        &self,
-        numbers: &mut [T],
-        narrow: impl Fn(f64) -> T + Sync,
-        tell: impl Fn(usize) + Sync,
-    ) {
-        let n_free = self.n_free;
-        let stride = Table::stride(self.row_of.len());
-        let columns_in_block = 3 * NODES_IN_BLOCK;
-        numbers.par_chunks_mut(stride * NODES_IN_BLOCK).enumerate().for_each_init(
-            || (self.factor.scratch(columns_in_block), vec![0.0; n_free * columns_in_block]),
-            |(scratch, right), (block, target)| {
-                let first = block * NODES_IN_BLOCK;
-                let n_nodes = target.len() / stride;
-                let n_columns = 3 * n_nodes;
-                let right = &mut right[..n_free * n_columns];
-                right.fill(0.0);
-                for column in 0..n_columns {
-                    right[column * n_free + self.row_of[first + column / 3][column % 3]] = 1.0;
-                }
-                self.factor.solve_in_place(right, n_columns, scratch);
-                for (column, solution) in right.chunks_exact(n_free).enumerate() {
-                    let target = &mut target[stride * (column / 3)..stride * (column / 3 + 1)];
-                    let of_row = self.row_of.iter().map(|free| free.map(|i| solution[i]));
-                    write_column(target, column % 3, of_row, &narrow);
-                }
-                tell(n_nodes);
-            },
-        );
-    }
+/// Fills a table's numbers: unit forces along each axis on the loadable nodes, which are the first of the rows.
+/// `unknowns` are those of each row, `tell` hears of every node that is done.
+fn solve_unit_forces<T: Send>(
+    factor: &Factorization,
+    unknowns: &[[usize; 3]],
+    numbers: &mut [T],
+    narrow: impl Fn(f64) -> T + Sync,
+    tell: impl Fn() + Sync,
+) {
+    let n_free = factor.n_rows();
+    solve_columns_into(
+        factor,
+        3,
+        numbers,
+        Table::stride(unknowns.len()),
+        |column, right| right[unknowns[column / 3][column % 3]] = 1.0,
+        |_, solutions, target| {
+            for (axis, solution) in solutions.chunks_exact(n_free).enumerate() {
+                let of_row = unknowns.iter().map(|free| free.map(|i| solution[i]));
+                write_column(target, axis, of_row, &narrow);
+            }
+            tell();
+        },
+    );
 }
 
 /// Displacements of `rows` for the body's weight under gravity of 1 m/s2 along each axis.

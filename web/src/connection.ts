@@ -38,6 +38,18 @@ export function socketAddress(pageAddress: string): string {
   return address.href;
 }
 
+/** What a key of the simulation says to the server; a step begins with a pause. */
+export function messageOf(action: "pause" | "single_step" | "cut", paused: boolean | undefined): ClientMessage {
+  switch (action) {
+    case "pause":
+      return { type: "pause", paused: !(paused ?? false) };
+    case "single_step":
+      return paused === false ? { type: "pause", paused: true } : { type: "single_step" };
+    case "cut":
+      return { type: "cut" };
+  }
+}
+
 export class Connection {
   private socket: WebSocket | null = null;
   private attempt = 0;

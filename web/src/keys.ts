@@ -22,7 +22,8 @@ export type Action =
   | "tool_up"
   | "tool_down"
   | "tool_deeper"
-  | "tool_back";
+  | "tool_back"
+  | "cut";
 
 export interface Chord {
   /** `KeyboardEvent.key`, letters in lower case. */
@@ -78,6 +79,7 @@ export const BINDINGS: readonly Binding[] = [
   bind("Instrument", "tool_down", "K", "down by 1 mm", both("k"), true),
   bind("Instrument", "tool_deeper", "U", "into the screen by 1 mm", both("u"), true),
   bind("Instrument", "tool_back", "O", "out of the screen by 1 mm", both("o"), true),
+  bind("Instrument", "cut", "X", "cut away what the tip touches", plain("x"), true),
   bind("Program", "screenshot", "S", "save the picture as PNG", plain("s")),
   bind("Program", "profiler", "P", "times of a frame and of the simulation", plain("p")),
   bind("Program", "help", "H or F1", "this page", plain("h", "f1", "?")),

@@ -60,17 +60,20 @@ const ORGAN_VERTEX = /* glsl */ `
 attribute vec3 restPosition;
 attribute vec3 restNormal;
 attribute float tone;
+attribute float inside;
 varying vec3 vWorld;
 varying vec3 vNormal;
 varying vec3 vRest;
 varying vec3 vRestNormal;
 varying float vTone;
+varying float vInside;
 void main() {
   vWorld = position;
   vNormal = normal;
   vRest = restPosition;
   vRestNormal = restNormal;
   vTone = tone;
+  vInside = inside;
   gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0);
 }
 `;
@@ -86,6 +89,7 @@ varying vec3 vNormal;
 varying vec3 vRest;
 varying vec3 vRestNormal;
 varying float vTone;
+varying float vInside;
 ${STUDIO}
 // Light that the instrument's shaft takes away (a capsule from the tip along the shaft).
 float shade(vec3 p, vec3 n) {
@@ -122,6 +126,9 @@ void main() {
   float patches = clamp(0.62 * vTone + 0.38 * detail.a, 0.0, 1.0);
   vec3 albedo = mix(vec3(0.054, 0.0125, 0.0105), vec3(0.128, 0.0315, 0.0225), smoothstep(0.12, 0.88, patches));
   albedo *= 0.80 + 0.40 * detail.b;
+  // Where it was cut there is no capsule: lighter, grainier, bloody.
+  float raw = smoothstep(0.05, 0.6, vInside);
+  albedo = mix(albedo, vec3(0.23, 0.030, 0.022) * (0.55 + 0.9 * detail.a), raw);
   float open = shade(vWorld, smoothNormal);
 
   vec3 light = studioDiffuse(broad, vec3(0.42, 0.20, 0.17));
@@ -132,7 +139,7 @@ void main() {
   vec3 film = studioReflection(reflect(-v, n), 0.10);
   vec3 capsule = studioReflection(reflect(-v, broad), 0.42);
   colour += film * schlick(0.030, 0.6, clamp(dot(n, v), 0.0, 1.0)) * mix(0.75, 1.15, detail.a) * open;
-  colour += capsule * schlick(0.022, 0.35, facing) * vec3(0.85, 0.88, 0.95) * 0.45 * open;
+  colour += (1.0 - 0.8 * raw) * capsule * schlick(0.022, 0.35, facing) * vec3(0.85, 0.88, 0.95) * 0.45 * open;
   colour += vec3(0.34, 0.37, 0.43) * rim * rim * rim * rim * 0.16 * clamp(0.35 + 0.65 * broad.y, 0.0, 1.0) * open;
 
   gl_FragColor = vec4(colour, 1.0);

@@ -47,6 +47,8 @@ export class Organ {
   constructor(
     readonly topology: Topology,
     fixedNodes: ReadonlySet<number>,
+    /** Nodes of the uncut surface: what else is displayed lies in a cut. */
+    capsule: ReadonlySet<number>,
     material: ShaderMaterial,
   ) {
     const { rest_m, triangles, nodeIds } = topology;
@@ -62,6 +64,8 @@ export class Organ {
     geometry.setAttribute("restPosition", new BufferAttribute(rest_m.slice(), 3));
     geometry.setAttribute("restNormal", new BufferAttribute(this.normals.slice(), 3));
     geometry.setAttribute("tone", new BufferAttribute(toneOf(rest_m), 1));
+    const inside = Float32Array.from(nodeIds, (node) => (capsule.has(node) ? 0 : 1));
+    geometry.setAttribute("inside", new BufferAttribute(inside, 1));
     geometry.setIndex(new BufferAttribute(triangles, 1));
     this.surface = new Mesh(geometry, material);
 

@@ -124,6 +124,7 @@ const BUTTONS: ReadonlyArray<readonly ButtonSpec[]> = [
     button("contacts", "Contact", "C"),
     button("forces", "Force", "F"),
   ],
+  [button("cut", "Cut", "X")],
   [button("screenshot", "Picture", "S"), button("profiler", "Times", "P"), button("help", "Help", "H")],
 ];
 

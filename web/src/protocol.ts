@@ -99,6 +99,7 @@ export type ClientMessage =
   | { readonly type: "pause"; readonly paused: boolean }
   | { readonly type: "single_step" }
   | { readonly type: "reset" }
+  | { readonly type: "cut" }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }
   | { readonly type: "model"; readonly name: string };
 

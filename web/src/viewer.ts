@@ -1,6 +1,6 @@
 /** The viewer: joins connection, picture, panel, pointer and keys. One frame does all its work, and only on demand. */
 import { Vector3 } from "three";
-import { Connection, socketAddress, type ConnectionState } from "./connection";
+import { Connection, messageOf, socketAddress, type ConnectionState } from "./connection";
 import { Controls } from "./controls";
 import type { PushStart, ToolPose } from "./drag";
 import type { ViewerParts } from "./hook";
@@ -195,10 +195,9 @@ export class Viewer {
     }
     switch (action) {
       case "pause":
-        this.connection.send({ type: "pause", paused: !(this.header?.paused ?? false) });
-        break;
       case "single_step":
-        this.connection.send(this.header?.paused === false ? { type: "pause", paused: true } : { type: "single_step" });
+      case "cut":
+        this.connection.send(messageOf(action, this.header?.paused));
         break;
       case "reset_simulation":
         this.controls.cancel();

@@ -24,6 +24,7 @@ describe("keys", () => {
     ["q", "leave"],
     ["Escape", "leave"],
     ["u", "tool_deeper"],
+    ["x", "cut"],
   ])("%j does %s", (key, action) => expect(press(key)).toBe(action));
 
   it("Shift changes R, and lengthens the instrument's steps", () => {
@@ -45,6 +46,7 @@ describe("keys", () => {
     expect(press("w", { repeat: true })).toBeNull();
     expect(press(".", { repeat: true })).toBe("single_step");
     expect(press("u", { repeat: true })).toBe("tool_deeper");
+    expect(press("x", { repeat: true })).toBe("cut");
   });
 
   it("no chord is bound twice", () => {

@@ -5,7 +5,7 @@ use crate::server::frames::Pace;
 use glisson::math::DVec3;
 use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
-use glisson::record::snapshot::Snapshot;
+use glisson::record::snapshot::{DisplayTopology, Snapshot};
 use glisson::tool::ToolInput;
 use glisson::world::StepInput;
 use std::sync::Arc;
@@ -25,6 +25,8 @@ pub(crate) enum Command {
     Model(ModelKind),
     /// The table is tilted: gravity from now on [m/s2].
     Gravity(DVec3),
+    /// What the tip touches is cut away.
+    Cut,
     /// The program ends.
     Stop,
 }
@@ -33,6 +35,8 @@ pub(crate) enum Command {
 #[derive(Clone, Debug)]
 pub(crate) struct Published {
     pub(crate) snapshot: Snapshot,
+    /// The triangles that the snapshot's vertices belong to.
+    pub(crate) topology: Arc<DisplayTopology>,
     pub(crate) pace: Pace,
     pub(crate) state_hash: StateHash,
     pub(crate) model: ModelKind,
@@ -41,11 +45,15 @@ pub(crate) struct Published {
 }
 
 impl Published {
-    pub(crate) fn of(simulation: &Simulation, pace: Pace) -> Self {
+    /// `known` is kept as long as it holds.
+    pub(crate) fn of(simulation: &Simulation, known: Option<&Arc<DisplayTopology>>, pace: Pace) -> Self {
         let world = simulation.world();
         let (snapshot, state_hash) = (world.snapshot(), world.state_hash());
+        let topology = known
+            .filter(|topology| topology.version == snapshot.topology_version)
+            .map_or_else(|| Arc::new(world.display_topology()), Arc::clone);
         let notices = simulation.notices().to_vec();
-        Self { snapshot, pace, state_hash, model: world.model_kind(), notices }
+        Self { snapshot, topology, pace, state_hash, model: world.model_kind(), notices }
     }
 }
 
@@ -140,6 +148,10 @@ impl Live {
                 let at_step = self.simulation.world().steps_made() + SWAP_DELAY_STEPS;
                 self.simulation.order_model(kind, at_step)?;
             }
+            Command::Cut => {
+                self.simulation.cut_at_tip()?;
+                return Ok(true);
+            }
             Command::Gravity(gravity_m_per_s2) => self.simulation.set_gravity(gravity_m_per_s2)?,
             Command::Stop => {}
         }
@@ -192,7 +204,8 @@ pub(crate) fn run(
         if refresh || (!live.paused && Instant::now() >= next_frame) {
             next_frame = Instant::now() + FRAME;
             let pace = Pace { paused: live.paused, ..meter.pace };
-            published.send_replace(Arc::new(Published::of(&live.simulation, pace)));
+            let topology = Arc::clone(&published.borrow().topology);
+            published.send_replace(Arc::new(Published::of(&live.simulation, Some(&topology), pace)));
         }
     }
 }

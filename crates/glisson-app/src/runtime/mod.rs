@@ -175,6 +175,16 @@ impl Simulation {
         Ok(())
     }
 
+    /// Takes out what the instrument's tip touches.
+    pub(crate) fn cut_at_tip(&mut self) -> anyhow::Result<()> {
+        let tets = self.world.touched_tetrahedra();
+        if tets.is_empty() {
+            self.notices.push("nothing was cut: the instrument's tip does not touch the organ".to_owned());
+            return Ok(());
+        }
+        self.remove_tetrahedra(tets)
+    }
+
     /// Starts making another model; it takes over before step `at_step`, whenever it is ready.
     pub(crate) fn order_model(&mut self, kind: ModelKind, at_step: u64) -> anyhow::Result<()> {
         let step = self.world.steps_made();

@@ -4,7 +4,6 @@ use crate::runtime::Simulation;
 use crate::runtime::live::{Command, Published};
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::ModelKind;
-use glisson::record::snapshot::DisplayTopology;
 use glisson::tool::ToolInput;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -51,8 +50,8 @@ pub(super) fn hello_with_model(hello: &Value, model: ModelKind) -> Value {
 }
 
 /// The latest displayed state in full precision.
-pub(super) fn snapshot(published: &Published, topology: &DisplayTopology) -> Value {
-    let snapshot = &published.snapshot;
+pub(super) fn snapshot(published: &Published) -> Value {
+    let Published { snapshot, topology, .. } = published;
     let list = |points: &[DVec3]| points.iter().map(|p| p.to_array()).collect::<Vec<_>>();
     json!({
         "step": snapshot.step,
@@ -87,6 +86,7 @@ enum ViewerMessage {
     Reset {},
     Model { name: String },
     Gravity { m_per_s2: [f64; 3] },
+    Cut {},
 }
 
 /// Ten times that of the Earth: more is a mistyped number.
@@ -112,6 +112,7 @@ pub(super) fn command(text: &str) -> Result<Command, String> {
                 .ok_or_else(|| format!("no model \"{name}\"; there are: {names}"))?;
             Command::Model(kind)
         }
+        ViewerMessage::Cut {} => Command::Cut,
         ViewerMessage::Gravity { m_per_s2 } => {
             let gravity_m_per_s2 = DVec3::from_array(m_per_s2);
             if gravity_m_per_s2.length() > STRONGEST_GRAVITY_M_PER_S2 {
@@ -135,6 +136,7 @@ mod tests {
         let tool = command(r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,2]}"#).unwrap();
         let expected = ToolInput { tip_in_world_m: DVec3::new(1.0, 2.0, 3.0), shaft_in_world: DVec3::Z };
         assert_eq!(tool, Command::Tool(expected));
+        assert_eq!(command(r#"{"type":"cut"}"#), Ok(Command::Cut));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));
         for bad in [

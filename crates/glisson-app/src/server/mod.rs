@@ -13,9 +13,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use frames::{Pace, snapshot_frame, topology_frame};
-use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
-use glisson::record::snapshot::DisplayTopology;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
@@ -32,7 +30,6 @@ into this program. Run <code>cargo xtask demo</code>, which builds it.";
 
 struct Shared {
     hello: serde_json::Value,
-    topology: DisplayTopology,
     published: watch::Receiver<Arc<Published>>,
     commands: Sender<Command>,
 }
@@ -51,14 +48,11 @@ pub(crate) fn bind(host: &str, port: u16) -> anyhow::Result<TcpListener> {
 
 /// Serves until Ctrl-C (or SIGTERM); answers the hash of the last state.
 pub(crate) fn serve(simulation: Simulation, listener: TcpListener) -> anyhow::Result<StateHash> {
-    let (published_in, published) = watch::channel(Arc::new(Published::of(&simulation, Pace::default())));
+    let (published_in, published) =
+        watch::channel(Arc::new(Published::of(&simulation, None, Pace::default())));
     let (commands, commands_out) = std::sync::mpsc::channel();
-    let shared = Arc::new(Shared {
-        hello: messages::hello(&simulation),
-        topology: simulation.world().display_topology(),
-        published,
-        commands: commands.clone(),
-    });
+    let shared =
+        Arc::new(Shared { hello: messages::hello(&simulation), published, commands: commands.clone() });
     let simulation_thread = std::thread::Builder::new()
         .name("simulation".into())
         .spawn(move || live::run(simulation, &commands_out, &published_in))?;
@@ -112,7 +106,7 @@ async fn scene(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
 
 async fn latest_snapshot(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
     let published = Arc::clone(&shared.published.borrow());
-    axum::Json(messages::snapshot(&published, &shared.topology))
+    axum::Json(messages::snapshot(&published))
 }
 
 fn viewer_file(path: &str) -> Response {
@@ -158,16 +152,17 @@ async fn open_socket(
 }
 
 /// What a viewer needs before the first snapshot, and again when another model took over.
-async fn greet(socket: &mut WebSocket, shared: &Shared, model: ModelKind) -> Result<(), axum::Error> {
-    let hello = messages::hello_with_model(&shared.hello, model);
+async fn greet(socket: &mut WebSocket, shared: &Shared, published: &Published) -> Result<(), axum::Error> {
+    let hello = messages::hello_with_model(&shared.hello, published.model);
     socket.send(Message::Text(hello.to_string().into())).await?;
-    socket.send(Message::Binary(topology_frame(&shared.topology).into())).await
+    socket.send(Message::Binary(topology_frame(&published.topology).into())).await
 }
 
 async fn talk(mut socket: WebSocket, shared: &Shared) -> Result<(), axum::Error> {
     let mut published = shared.published.clone();
-    let (mut model, mut n_told) = (published.borrow().model, published.borrow().notices.len());
-    greet(&mut socket, shared, model).await?;
+    let first = Arc::clone(&published.borrow());
+    let (mut model, mut n_told, mut version) = (first.model, first.notices.len(), first.topology.version);
+    greet(&mut socket, shared, &first).await?;
     published.mark_changed();
     loop {
         tokio::select! {
@@ -183,8 +178,11 @@ async fn talk(mut socket: WebSocket, shared: &Shared) -> Result<(), axum::Error>
                 n_told = latest.notices.len();
                 if latest.model != model {
                     model = latest.model;
-                    greet(&mut socket, shared, model).await?;
+                    greet(&mut socket, shared, &latest).await?;
+                } else if latest.topology.version != version {
+                    socket.send(Message::Binary(topology_frame(&latest.topology).into())).await?;
                 }
+                version = latest.topology.version;
                 socket.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace).into())).await?;
             }
             message = socket.recv() => match message {

@@ -3,6 +3,7 @@
 //! Stages of a step, in order: contacts, constraints and loads, model, report. Cutting and remapping come before contacts
 //! once an instrument cuts. A step never fails, allocates, locks, logs or reads a clock.
 
+mod cut;
 mod loads;
 pub mod organ;
 pub mod saved;

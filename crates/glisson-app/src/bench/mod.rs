@@ -8,6 +8,7 @@ pub(crate) mod timing;
 mod body;
 mod meshing;
 mod models;
+mod precomputed;
 mod implicit;
 mod kernel;
 mod reference;
@@ -81,6 +82,7 @@ pub(crate) fn cases() -> Vec<Case> {
     [
         meshing::CASES,
         models::CASES,
+        precomputed::CASES,
         kernel::CASES,
         reference::CASES,
         implicit::CASES,
@@ -89,6 +91,9 @@ pub(crate) fn cases() -> Vec<Case> {
     ]
     .concat()
 }
+
+/// Names for several cases at once.
+const GROUPS: &[(&str, &[&str])] = &[("precomputed_response", precomputed::RESPONSES)];
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -161,7 +166,11 @@ pub(crate) fn chosen(name: Option<&str>) -> anyhow::Result<Vec<Case>> {
     if let Some(case) = all.iter().find(|case| case.name == name) {
         return Ok(vec![*case]);
     }
-    let names: Vec<&str> = all.iter().map(|case| case.name).collect();
+    if let Some((_, of_group)) = GROUPS.iter().find(|(group, _)| *group == name) {
+        return Ok(all.into_iter().filter(|case| of_group.contains(&case.name)).collect());
+    }
+    let groups = GROUPS.iter().map(|(group, _)| *group);
+    let names: Vec<&str> = all.iter().map(|case| case.name).chain(groups).collect();
     let hint = glisson::text::did_you_mean(name, &names);
     bail!("there is no benchmark {name:?}{hint}\nknown: {}", names.join(", "))
 }

@@ -2,14 +2,11 @@
 
 use std::hint::black_box;
 
-use anyhow::Context;
 use fearless_simd::Level;
 use glam::DVec3;
-use glisson::mesh::NodeId;
-use glisson::mesh::topology::Topology;
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
-use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement};
+use glisson::model::{DeformableModel, DynamicBody, FixedNode};
 use glisson::solve::MeshEdges;
 
 use super::body::StandardBody;
@@ -23,14 +20,6 @@ pub(super) const CASES: &[Case] = &[
         sizes: &[2_000, 6_300, 20_000],
         parallel: true,
         prepare: precompute,
-    },
-    Case {
-        name: "precomputed_response",
-        about: "the pre-computed model follows displacements imposed on the three nodes of a touched triangle",
-        per: "step",
-        sizes: &[2_000, 6_300, 20_000],
-        parallel: false,
-        prepare: precomputed_response,
     },
     Case {
         name: "tensor_mass_step",
@@ -68,55 +57,6 @@ fn precompute(settings: Settings) -> anyhow::Result<Prepared> {
             black_box(built.expect("the standard body is held and has no bad element"));
         }),
     })
-}
-
-fn precomputed_response(settings: Settings) -> anyhow::Result<Prepared> {
-    let body = StandardBody::shared(settings.size)?;
-    let mut model = Precomputed::build(&precomputed_params(&body))?;
-    // The three nodes of the topmost triangle, far from the support, are pushed in by a centimetre, in turn a
-    // little more and less.
-    let mut touched = topmost_triangle(&body)?;
-    touched.sort_unstable();
-    let pushed = |depth_m: f64| Constraints {
-        displacements: touched
-            .iter()
-            .map(|&node| ImposedDisplacement { node, displacement_m: DVec3::new(0.0, 0.0, -depth_m) })
-            .collect(),
-        forces: Vec::new(),
-    };
-    let constraints = [pushed(0.010), pushed(0.011)];
-    let n_rows = model.stored_nodes().len();
-    let n_nodes = body.mesh.positions_m.len();
-    let mut turn = 0;
-    Ok(Prepared {
-        size: body.mesh.tetrahedra.len(),
-        isa: "portable",
-        precision: "f64",
-        // Nine columns of three displacements a row are read and added up; positions are written.
-        work: Some(Work {
-            flops: (2 * 9 * 3 * n_rows) as f64,
-            bytes: (8 * (27 * n_rows + 3 * n_nodes)) as f64,
-            working_set_bytes: (8 * (27 * n_rows + 6 * n_nodes)) as f64,
-        }),
-        note: format!("{n_rows} surface nodes follow"),
-        run: Box::new(move || {
-            turn ^= 1;
-            model.apply(black_box(&constraints[turn]));
-            model.step(0.01);
-            black_box(model.constraint_forces_n());
-        }),
-    })
-}
-
-/// Nodes of the highest surface triangle.
-fn topmost_triangle(body: &StandardBody) -> anyhow::Result<[NodeId; 3]> {
-    let topology = Topology::build(&body.mesh)?;
-    let height = |nodes: &[NodeId; 3]| nodes.iter().map(|n| body.mesh.positions_m[n.index()].z).sum::<f64>();
-    topology
-        .surface_triangles()
-        .map(|triangle| topology.outward_nodes(triangle))
-        .max_by(|a, b| height(a).total_cmp(&height(b)))
-        .context("the body has no surface")
 }
 
 fn tensor_mass_step(settings: Settings) -> anyhow::Result<Prepared> {

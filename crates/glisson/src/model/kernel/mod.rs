@@ -13,6 +13,7 @@
 //! alone. Ids are the caller's throughout; the order inside shows nowhere.
 
 mod build;
+mod eights;
 mod element;
 mod extras;
 mod general;
@@ -38,6 +39,7 @@ use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::solve::SolveError;
 
 pub use build::KernelExtras;
+pub(in crate::model) use eights::{Eight, EightWork};
 pub use general::SharedMaterial;
 pub use motion::{NodeMotion, StepSums};
 pub use paths::KernelPath;

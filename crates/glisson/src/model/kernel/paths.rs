@@ -6,6 +6,7 @@
 #[cfg(target_arch = "x86_64")]
 use fearless_simd::{Avx2, Avx512, Level, Simd, f64x4, f64x8, prelude::*, u8x32, u8x64};
 
+use super::eights::EightWork;
 use super::element::{At, corner_forces, displacement_gradient};
 use super::extras::Stress;
 use super::lanes::Lanes;
@@ -77,6 +78,29 @@ impl KernelPath {
             #[cfg(target_arch = "x86_64")]
             Path::Avx2(simd) | Path::Scalar(simd) => simd.vectorize(work),
             Path::Portable => work(),
+        }
+    }
+
+    /// Does work that is written for any path, on eight numbers at a time.
+    #[inline]
+    pub(in crate::model) fn run_by_eight<W: EightWork>(self, work: W) -> W::Output {
+        match self.0 {
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx512(simd) => simd.vectorize(
+                #[inline(always)]
+                || work.run(f64x8::splat(simd, 0.0)),
+            ),
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx2(simd) => simd.vectorize(
+                #[inline(always)]
+                || work.run(f64x8::splat(simd, 0.0)),
+            ),
+            #[cfg(target_arch = "x86_64")]
+            Path::Scalar(simd) => simd.vectorize(
+                #[inline(always)]
+                || work.run([0.0; 8]),
+            ),
+            Path::Portable => work.run([0.0; 8]),
         }
     }
 

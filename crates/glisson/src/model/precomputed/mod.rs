@@ -12,17 +12,26 @@
 //! The tensors lie in `table` in the order in which a response reads them.
 
 mod build;
-mod dense;
+mod contact_system;
 mod file;
+mod interaction;
+mod point;
+mod response;
 mod table;
 
+pub use contact_system::ContactReport;
 pub use file::{PrecomputedExpectation, mesh_hash};
+pub use point::PointConstraint;
 pub use table::Precision;
 
 use std::path::PathBuf;
 
-use self::dense::SmallCholesky;
-use self::table::{Table, add_blocks, n_displacements, place_of_displacement};
+use self::contact_system::{ContactPoint, ContactSystem, MOST_POINTS};
+use self::interaction::Target;
+use self::response::Load;
+use self::table::{Table, n_displacements};
+use super::kernel::KernelPath;
+use super::roomy::Roomy;
 use super::{Constraints, DeformableModel, ModelReport, ModelState, TopologyRefusal};
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
@@ -188,12 +197,16 @@ pub struct Precomputed {
     positions_m: Vec<DVec3>,
     /// Displacements of the rows [m], in blocks.
     displacement_m: Vec<f64>,
-    /// Loadable node and force [N].
-    forces: Vec<(u32, DVec3)>,
-    /// Place among the constraints, loadable node, displacement [m].
-    imposed: Vec<(u32, u32, DVec3)>,
-    system: SmallCholesky,
-    constraint_forces_n: Vec<DVec3>,
+    path: KernelPath,
+    /// Outer forces.
+    forces: Roomy<Load>,
+    /// Held points and where they are to be.
+    wanted: Roomy<ContactPoint>,
+    targets: Roomy<Target>,
+    contacts: ContactSystem,
+    /// Forces of the held points on their nodes.
+    reactions: Roomy<Load>,
+    constraint_forces_n: Roomy<DVec3>,
     report: ResponseReport,
     /// Gravity that the rest shape carries [m/s2].
     rest_gravity_m_per_s2: DVec3,
@@ -203,7 +216,7 @@ pub struct Precomputed {
 
 impl Precomputed {
     /// Most nodes whose displacement can be imposed at once.
-    pub const MAX_IMPOSED: usize = 64;
+    pub const MAX_IMPOSED: usize = MOST_POINTS;
 
     fn new(compliance: Compliance, mesh: &TetMesh) -> Self {
         let mut row_of = vec![NONE; mesh.positions_m.len()];
@@ -215,10 +228,13 @@ impl Precomputed {
             row_of,
             positions_m: mesh.positions_m.clone(),
             displacement_m: vec![0.0; n_displacements(compliance.rows.len())],
-            forces: Vec::with_capacity(compliance.n_loadable),
-            imposed: Vec::with_capacity(Self::MAX_IMPOSED),
-            system: SmallCholesky::with_room_for(3 * Self::MAX_IMPOSED),
-            constraint_forces_n: Vec::with_capacity(compliance.n_loadable.max(Self::MAX_IMPOSED)),
+            path: KernelPath::fastest(),
+            forces: Roomy::with_room(compliance.n_loadable),
+            wanted: Roomy::with_room(Self::MAX_IMPOSED),
+            targets: Roomy::with_room(Self::MAX_IMPOSED),
+            contacts: ContactSystem::new(),
+            reactions: Roomy::with_room(Self::MOST_REACTIONS),
+            constraint_forces_n: Roomy::with_room(compliance.n_loadable.max(Self::MAX_IMPOSED)),
             report: ResponseReport::default(),
             rest_gravity_m_per_s2: DVec3::ZERO,
             pull_m_per_s2: DVec3::ZERO,
@@ -277,85 +293,23 @@ impl Precomputed {
     /// Back to the rest shape, without constraints.
     pub fn reset(&mut self) {
         self.forces.clear();
-        self.imposed.clear();
+        self.wanted.clear();
+        self.targets.clear();
+        self.reactions.clear();
         self.constraint_forces_n.clear();
         self.displacement_m.fill(0.0);
         self.positions_m.copy_from_slice(&self.rest_m);
         self.report = ResponseReport::default();
     }
-
-    /// Displacement of a row [m].
-    fn displacement_of_row_m(&self, row: usize) -> DVec3 {
-        DVec3::from_array([0, 1, 2].map(|axis| self.displacement_m[place_of_displacement(row, axis)]))
-    }
-
-    /// Forces that hold the imposed displacements against the response to the forces.
-    fn solve_imposed(&mut self) {
-        let n = self.imposed.len();
-        self.system.start(3 * n);
-        for j in 0..n {
-            let (_, loaded, target_m) = self.imposed[j];
-            for i in j..n {
-                let (_, row, _) = self.imposed[i];
-                let tensor = self.compliance.table.tensor(row as usize, loaded as usize);
-                for d in 0..3 {
-                    let column = self.system.column_mut(3 * j + d);
-                    column[3 * i..3 * i + 3].copy_from_slice(&tensor.col(d).to_array());
-                }
-            }
-            let missing_m = target_m - self.displacement_of_row_m(loaded as usize);
-            self.system.right_mut()[3 * j..3 * j + 3].copy_from_slice(&missing_m.to_array());
-        }
-        self.system.solve();
-    }
 }
 
 impl DeformableModel for Precomputed {
     fn apply(&mut self, constraints: &Constraints) {
-        self.report = ResponseReport::default();
-        self.forces.clear();
-        for force in &constraints.forces {
-            match self.loadable_index(force.node) {
-                Some(m) if force.force_n.is_finite() && self.forces.len() < self.forces.capacity() => {
-                    self.forces.push((m, force.force_n));
-                }
-                _ => self.report.ignored_forces += 1,
-            }
-        }
-        self.imposed.clear();
-        for (place, imposed) in constraints.displacements.iter().enumerate() {
-            match self.loadable_index(imposed.node) {
-                Some(m) if imposed.displacement_m.is_finite() && self.imposed.len() < Self::MAX_IMPOSED => {
-                    self.imposed.push((place as u32, m, imposed.displacement_m));
-                }
-                _ => self.report.ignored_displacements += 1,
-            }
-        }
-        // Room was made for as many as there are loadable nodes; more is a list with repetitions.
-        self.constraint_forces_n.clear();
-        self.constraint_forces_n.resize(constraints.displacements.len(), DVec3::ZERO);
+        self.take_constraints(constraints);
     }
 
     fn step(&mut self, _dt_s: f64) {
-        self.displacement_m.fill(0.0);
-        if self.pull_m_per_s2 != DVec3::ZERO {
-            add_blocks(&self.compliance.weight_response_s2, self.pull_m_per_s2, &mut self.displacement_m);
-        }
-        for &(m, force_n) in &self.forces {
-            self.compliance.table.add_response(m as usize, force_n, &mut self.displacement_m);
-        }
-        if !self.imposed.is_empty() {
-            self.solve_imposed();
-            for (j, &(place, m, _)) in self.imposed.iter().enumerate() {
-                let r = DVec3::from_slice(&self.system.right_mut()[3 * j..3 * j + 3]);
-                self.compliance.table.add_response(m as usize, r, &mut self.displacement_m);
-                self.constraint_forces_n[place as usize] = r;
-            }
-        }
-        for row in 0..self.compliance.rows.len() {
-            let node = self.compliance.rows[row].index();
-            self.positions_m[node] = self.rest_m[node] + self.displacement_of_row_m(row);
-        }
+        self.respond();
     }
 
     fn state(&self) -> ModelState<'_> {
@@ -385,13 +339,7 @@ impl DeformableModel for Precomputed {
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {
-        let mut copy = self.clone();
-        // A clone has no room beyond what it holds.
-        copy.forces.reserve(self.forces.capacity());
-        copy.imposed.reserve(Self::MAX_IMPOSED);
-        copy.constraint_forces_n.reserve(self.constraint_forces_n.capacity());
-        copy.system = SmallCholesky::with_room_for(3 * Self::MAX_IMPOSED);
-        Box::new(copy)
+        Box::new(self.clone())
     }
 
     fn topology_refusal(&self) -> Option<TopologyRefusal> {

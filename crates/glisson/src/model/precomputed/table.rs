@@ -123,30 +123,12 @@ impl Table {
         let column = |d: usize| DVec3::new(entry(d, 0), entry(d, 1), entry(d, 2));
         DMat3::from_cols(column(0), column(1), column(2))
     }
-
-    /// Adds the response to a force [N] on a loaded node to the displacements [m] of the rows.
-    pub(super) fn add_response(&self, loaded: usize, force_n: DVec3, displacement_m: &mut [f64]) {
-        let stride = Self::stride(self.n_rows);
-        let range = stride * loaded..stride * (loaded + 1);
-        match &self.numbers {
-            Numbers::F64(numbers) => add_blocks(&numbers[range], force_n, displacement_m),
-            Numbers::F32(numbers) => add_blocks(&numbers[range], force_n, displacement_m),
-        }
-    }
 }
 
-/// Adds three columns in blocks times their factors to displacements in blocks.
-pub(super) fn add_blocks<T: Copy + Into<f64>>(columns: &[T], factors: DVec3, displacement_m: &mut [f64]) {
-    let f = factors.to_array();
-    let blocks = columns.as_chunks::<BLOCK_NUMBERS>().0;
-    let displacements = displacement_m.as_chunks_mut::<{ 3 * LANES }>().0;
-    for (block, u) in blocks.iter().zip(displacements) {
-        for (d, f) in f.into_iter().enumerate() {
-            for i in 0..3 * LANES {
-                u[i] += block[3 * LANES * d + i].into() * f;
-            }
-        }
-    }
+/// The three columns of one load at a row, as the columns of a matrix.
+pub(super) fn tensor_of_columns(columns: &[f64], row: usize) -> DMat3 {
+    let column = |d: usize| DVec3::from_array([0, 1, 2].map(|a| columns[place(row, d, a)]));
+    DMat3::from_cols(column(0), column(1), column(2))
 }
 
 /// Writes one column of unknowns in blocks: the response to the unit force along `force_axis`.

@@ -1,0 +1,235 @@
+//! What acts on the model between set-up and display: constraints in, forces and displacements out.
+
+use super::contact_system::{ContactPoint, ContactReport, MOST_POINTS};
+use super::response::{place_rows, respond_into, set_to_columns};
+use super::table::place_of_displacement;
+use super::{Load, PointConstraint, Precomputed, ResponseReport};
+use crate::math::DVec3;
+use crate::mesh::NodeId;
+use crate::model::kernel::KernelPath;
+use crate::model::{Constraints, NodalForce};
+
+/// Where a held point is to be, and which constraint it comes from.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Target {
+    place: u32,
+    displacement_m: DVec3,
+}
+
+impl Precomputed {
+    /// Takes over held points and forces from the next step on, in place of all constraints before. At most
+    /// [`Precomputed::MAX_IMPOSED`] points count; what cannot is told by [`Precomputed::response_report`]: points
+    /// of nodes that cannot be pushed, numbers that are not finite, forces beyond a number of the loadable nodes.
+    ///
+    /// Put new points at the end and keep the order of the others: then the small system is not factored anew.
+    pub fn impose_points(&mut self, points: &[PointConstraint], forces: &[NodalForce]) {
+        self.take_forces(forces);
+        self.wanted.clear();
+        self.targets.clear();
+        for (place, point) in points.iter().enumerate() {
+            match self.contact_point(point) {
+                Some(contact) if self.wanted.try_push(contact) => {
+                    self.targets.try_push(Target { place: place as u32, displacement_m: point.displacement_m });
+                }
+                _ => self.report.ignored_displacements += 1,
+            }
+        }
+        self.start_constraint_forces(points.len());
+    }
+
+    pub(super) fn take_constraints(&mut self, constraints: &Constraints) {
+        self.take_forces(&constraints.forces);
+        self.wanted.clear();
+        self.targets.clear();
+        for (place, imposed) in constraints.displacements.iter().enumerate() {
+            let loaded = self.loadable_index(imposed.node).filter(|_| imposed.displacement_m.is_finite());
+            match loaded {
+                Some(m) if self.wanted.try_push(ContactPoint::node(m)) => {
+                    let displacement_m = imposed.displacement_m;
+                    self.targets.try_push(Target { place: place as u32, displacement_m });
+                }
+                _ => self.report.ignored_displacements += 1,
+            }
+        }
+        self.start_constraint_forces(constraints.displacements.len());
+    }
+
+    fn take_forces(&mut self, forces: &[NodalForce]) {
+        self.report = ResponseReport::default();
+        self.forces.clear();
+        for force in forces {
+            match self.loadable_index(force.node) {
+                Some(m) if force.force_n.is_finite() && self.forces.try_push((m, force.force_n)) => {}
+                _ => self.report.ignored_forces += 1,
+            }
+        }
+    }
+
+    /// One entry a constraint. Room was made for as many as there are loadable nodes: the entries of a longer list,
+    /// which holds repetitions, have none at its end.
+    fn start_constraint_forces(&mut self, n: usize) {
+        self.constraint_forces_n.clear();
+        let n = n.min(self.constraint_forces_n.capacity());
+        self.constraint_forces_n.resize(n, DVec3::ZERO);
+    }
+
+    /// The point as the small system has it, if something of it can move.
+    fn contact_point(&self, point: &PointConstraint) -> Option<ContactPoint> {
+        let mut contact = ContactPoint { n_nodes: 0, n_directions: 0, ..ContactPoint::node(0) };
+        contact.weights = [0.0; 3];
+        contact.directions = [DVec3::ZERO; 3];
+        if !point.displacement_m.is_finite() {
+            return None;
+        }
+        for (&node, &weight) in point.nodes.iter().zip(&point.weights) {
+            if !weight.is_finite() {
+                return None;
+            }
+            if weight == 0.0 || self.fixed_nodes().binary_search(&node).is_ok() {
+                continue;
+            }
+            contact.loaded[contact.n_nodes] = self.loadable_index(node)?;
+            contact.weights[contact.n_nodes] = weight;
+            contact.n_nodes += 1;
+        }
+        for direction in point.directions {
+            if !direction.is_finite() {
+                return None;
+            }
+            if direction != DVec3::ZERO {
+                contact.directions[contact.n_directions] = direction;
+                contact.n_directions += 1;
+            }
+        }
+        (contact.n_nodes > 0 && contact.n_directions > 0).then_some(contact)
+    }
+
+    /// What the outer forces and the weight beyond that at rest do, for all rows.
+    fn respond_to_forces(&mut self) {
+        let has_pull = self.pull_m_per_s2 != DVec3::ZERO;
+        if has_pull {
+            let columns = &self.compliance.weight_response_s2;
+            set_to_columns(self.path, columns, self.pull_m_per_s2, &mut self.displacement_m);
+        }
+        respond_into(self.path, &self.compliance.table, &self.forces, !has_pull, &mut self.displacement_m);
+    }
+
+    /// The same for one loadable node.
+    fn response_to_forces_m(&self, loaded: usize) -> DVec3 {
+        let weight = &self.compliance.weight_response_s2;
+        let mut u_m = DVec3::ZERO;
+        if self.pull_m_per_s2 != DVec3::ZERO {
+            u_m += super::table::tensor_of_columns(weight, loaded) * self.pull_m_per_s2;
+        }
+        for &(m, force_n) in self.forces.iter() {
+            u_m += self.compliance.table.tensor(loaded, m as usize) * force_n;
+        }
+        u_m
+    }
+
+    /// Reactions that hold the points, with `response_m` of the forces at a loadable node.
+    fn solve_points(&mut self, response_m: impl Fn(&Self, usize) -> DVec3) {
+        self.contacts.update(self.path, &self.compliance.table, &self.wanted);
+        let mut row = 0;
+        for i in 0..self.wanted.len() {
+            let (point, target) = (self.wanted[i], self.targets[i]);
+            let mut missing_m = target.displacement_m;
+            for (loaded, weight) in point.nodes() {
+                missing_m -= response_m(self, loaded as usize) * weight;
+            }
+            for direction in &point.directions[..point.n_directions] {
+                self.contacts.right_mut()[row] = direction.dot(missing_m);
+                row += 1;
+            }
+        }
+        self.contacts.solve(self.path, &self.compliance.table);
+        let mut row = 0;
+        for (point, target) in self.wanted.iter().zip(self.targets.iter()) {
+            let reactions = &self.contacts.solution()[row..row + point.n_directions];
+            let force_n = point.directions.iter().zip(reactions).map(|(d, x)| *d * *x).sum();
+            row += point.n_directions;
+            if let Some(of_constraint) = self.constraint_forces_n.get_mut(target.place as usize) {
+                *of_constraint = force_n;
+            }
+        }
+    }
+
+    /// Reactions as forces on nodes, one a node.
+    fn spread_reactions(&mut self) {
+        self.reactions.clear();
+        for (point, target) in self.wanted.iter().zip(self.targets.iter()) {
+            let force_n =
+                self.constraint_forces_n.get(target.place as usize).copied().unwrap_or(DVec3::ZERO);
+            for (loaded, weight) in point.nodes() {
+                match self.reactions.iter_mut().find(|(m, _)| *m == loaded) {
+                    Some((_, sum_n)) => *sum_n += force_n * weight,
+                    None => {
+                        self.reactions.try_push((loaded, force_n * weight));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Forces first, then what holds the points against their response, then the positions.
+    pub(super) fn respond(&mut self) {
+        self.respond_to_forces();
+        if !self.wanted.is_empty() {
+            self.solve_points(|model, loaded| model.displacement_of_row_m(loaded));
+            self.spread_reactions();
+            let table = &self.compliance.table;
+            respond_into(self.path, table, &self.reactions, false, &mut self.displacement_m);
+        }
+        place_rows(&self.compliance.rows, &self.rest_m, &self.displacement_m, &mut self.positions_m);
+    }
+
+    /// The forces that hold the constraints of the last `apply` or [`Precomputed::impose_points`], without moving
+    /// anything: what a haptic loop asks for between two steps. In their order; the same as a step gives to rounding.
+    pub fn update_reactions(&mut self) -> &[DVec3] {
+        if !self.wanted.is_empty() {
+            self.solve_points(Self::response_to_forces_m);
+        }
+        &self.constraint_forces_n
+    }
+
+    /// How the small system of the held points did at its last solution.
+    pub fn contact_report(&self) -> ContactReport {
+        if self.wanted.is_empty() { ContactReport::default() } else { self.contacts.report() }
+    }
+
+    /// To be called when the compliance has changed: kept factors are dropped.
+    pub(super) fn compliance_changed(&mut self) {
+        self.contacts.forget();
+    }
+
+    /// Computes on this path from now on, with the same bits.
+    pub fn set_path(&mut self, path: KernelPath) {
+        self.path = path;
+    }
+
+    /// Displacement of a row [m].
+    pub(super) fn displacement_of_row_m(&self, row: usize) -> DVec3 {
+        DVec3::from_array([0, 1, 2].map(|axis| self.displacement_m[place_of_displacement(row, axis)]))
+    }
+
+    /// Displacement [m] of a point of weighted nodes after the last step; none for nodes that are not stored.
+    pub fn point_displacement_m(&self, nodes: [NodeId; 3], weights: [f64; 3]) -> Option<DVec3> {
+        let mut u_m = DVec3::ZERO;
+        for (node, weight) in nodes.into_iter().zip(weights).filter(|(_, w)| *w != 0.0) {
+            if self.fixed_nodes().binary_search(&node).is_err() {
+                let row = *self.row_of.get(node.index()).filter(|row| **row != super::NONE)?;
+                u_m += self.displacement_of_row_m(row as usize) * weight;
+            }
+        }
+        Some(u_m)
+    }
+
+    /// Loads of the last step, for a local model.
+    pub(super) fn load_on_n(&self, loaded: u32) -> DVec3 {
+        let of = |list: &[Load]| list.iter().filter(|(m, _)| *m == loaded).map(|(_, f)| *f).sum::<DVec3>();
+        of(&self.forces) + of(&self.reactions)
+    }
+
+    /// Most rows that a point has nodes for.
+    pub(super) const MOST_REACTIONS: usize = 3 * MOST_POINTS;
+}

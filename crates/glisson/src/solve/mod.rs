@@ -4,6 +4,7 @@
 //! The way of a solution: [`MeshEdges`] and [`StiffnessTensors`] (K as 3x3 blocks on vertices and edges, the
 //! form that the tensor-mass model keeps), [`BoundaryConditions`], [`FreeSystem`] (the free rows of K in a
 //! fixed sparse pattern with a slot for every block), [`Factorization`], [`solve_static`];
+//! with constraints on any components [`solve_lagrange`]; as the papers did it, [`IncompleteCholesky`];
 //! for any law [`ElasticBody`] and [`solve_nonlinear`]; without locking [`SmoothedBody`] and
 //! [`solve_nonlinear_smoothed`]. [`equilibrating_stress`] is what a body imaged under load has in it.
 
@@ -13,6 +14,9 @@ mod boundary;
 mod system;
 mod columns;
 mod static_problem;
+mod dense;
+mod lagrange;
+mod conjugate_gradient;
 mod supports;
 mod equilibrating_stress;
 mod nonlinear;
@@ -23,7 +27,12 @@ pub mod integrators;
 
 pub use boundary::BoundaryConditions;
 pub use columns::solve_columns_into;
+pub use conjugate_gradient::{CgReport, CgScratch, IncompleteCholesky};
+pub(crate) use dense::solve_dense_in_place;
 pub use equilibrating_stress::{equilibrating_stress, is_stable_under, stress_forces_into};
+pub use lagrange::{
+    LagrangeError, LagrangeSolution, LinearConstraint, solve_lagrange, solve_lagrange_densely,
+};
 pub use near_incompressible::{
     NodeAveraging, assemble_node_averaged, node_pressures_pa, solve_static_node_averaged,
 };

@@ -181,6 +181,11 @@ impl FreeSystem {
         }
     }
 
+    /// Where the columns of the upper triangle start, rows (ascending, the diagonal last) and values [N/m].
+    pub(super) fn upper_columns(&self) -> (&[u32], &[u32], &[f64]) {
+        (&self.column_start, &self.row, &self.value)
+    }
+
     fn pattern(&self) -> SymbolicSparseColMatRef<'_, u32> {
         SymbolicSparseColMatRef::new_checked(self.n_free, self.n_free, &self.column_start, None, &self.row)
     }

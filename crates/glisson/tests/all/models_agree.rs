@@ -275,7 +275,7 @@ fn files_of_other_things_are_refused_with_what_was_found_and_expected() {
         message(load(&bytes, &mesh, &material, &fixed))
     };
     assert!(changed(0, b'X').contains("not a pre-computed compliance"));
-    assert!(changed(8, 7).contains("format version 7, this program reads version 3"));
+    assert!(changed(8, 7).contains("format version 7, this program reads version 4"));
     assert!(changed(bytes.len() - 40, 0x55).contains("checksum"));
     assert!(changed(bytes.len() - 1, bytes[bytes.len() - 1] ^ 1).contains("checksum"));
     assert!(changed(90, 0xff).contains("its header asks for"));

@@ -11,20 +11,26 @@
 //!
 //! The tensors lie in `table` in the order in which a response reads them.
 
-mod build;
-mod contact_system;
-mod file;
-mod interaction;
-mod point;
-mod response;
+mod error;
 mod table;
+mod build;
+mod file;
+mod stream;
+mod unit_displacements;
+mod check;
+mod point;
+mod contact_system;
+mod response;
+mod interaction;
 
+pub use check::{ComplianceCheck, check_compliance};
 pub use contact_system::ContactReport;
+pub use error::PrecomputedError;
 pub use file::{PrecomputedExpectation, mesh_hash};
 pub use point::PointConstraint;
+pub use stream::{StreamOptions, StreamSummary, partial_path, precompute_to_file};
 pub use table::Precision;
-
-use std::path::PathBuf;
+pub use unit_displacements::{UnitDisplacement, UnitDisplacements};
 
 use self::contact_system::{ContactPoint, ContactSystem, MOST_POINTS};
 use self::interaction::Target;
@@ -38,99 +44,6 @@ use crate::math::{DMat3, DVec3};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::kind::ModelKind;
-use crate::solve::SolveError;
-
-/// Why there is no pre-computed model.
-#[derive(Debug, thiserror::Error)]
-pub enum PrecomputedError {
-    /// The mesh with its fixed nodes has no solution.
-    #[error(transparent)]
-    Solve(#[from] SolveError),
-    /// Every node of the surface is fixed.
-    #[error("all {n_surface} nodes of the surface are fixed: nothing is left to push")]
-    NothingLoadable {
-        /// Number of nodes on the surface.
-        n_surface: usize,
-    },
-    /// The compliance does not fit in memory.
-    #[error(
-        "the compliance of {n_loadable} loadable times {n_rows} stored nodes needs {bytes} bytes of memory"
-    )]
-    Memory {
-        /// Number of nodes that can be loaded.
-        n_loadable: usize,
-        /// Number of nodes whose displacement is stored.
-        n_rows: usize,
-        /// What that takes.
-        bytes: u128,
-    },
-    /// A file cannot be read or written.
-    #[error("{}: {cause}", file.display())]
-    Io {
-        /// Which file.
-        file: PathBuf,
-        /// What the system says.
-        cause: std::io::Error,
-    },
-    /// Another kind of file.
-    #[error("{}: not a pre-computed compliance (it starts with {found:02x?}, expected \"GLISCOMP\")", file.display())]
-    Kind {
-        /// Which file.
-        file: PathBuf,
-        /// Its first bytes.
-        found: Vec<u8>,
-    },
-    /// Another version of the format.
-    #[error("{}: format version {found}, this program reads version {expected}: pre-compute again", file.display())]
-    Version {
-        /// Which file.
-        file: PathBuf,
-        /// Its version.
-        found: u32,
-        /// The version that is read.
-        expected: u32,
-    },
-    /// The file's length is not what its header says.
-    #[error("{}: {found} bytes, but its header asks for {expected}: cut off or damaged; pre-compute again", file.display())]
-    Length {
-        /// Which file.
-        file: PathBuf,
-        /// Bytes in the file.
-        found: u64,
-        /// Bytes that the header asks for.
-        expected: u128,
-    },
-    /// The contents are not those that were written.
-    #[error("{}: checksum {found}, the file says {expected}: damaged; pre-compute again", file.display())]
-    Checksum {
-        /// Which file.
-        file: PathBuf,
-        /// BLAKE3 of the contents.
-        found: String,
-        /// BLAKE3 at the end of the file.
-        expected: String,
-    },
-    /// The file belongs to another mesh, material or support.
-    #[error("{}: made for {what} {found}, but the scene has {expected}: pre-compute again", file.display())]
-    Mismatch {
-        /// Which file.
-        file: PathBuf,
-        /// What differs.
-        what: &'static str,
-        /// What the file was made for.
-        found: String,
-        /// What is wanted.
-        expected: String,
-    },
-    /// A number in the file is impossible although the checksum holds.
-    #[error("{}: {what}: not written by this program", file.display())]
-    Contents {
-        /// Which file.
-        file: PathBuf,
-        /// Which number.
-        what: &'static str,
-    },
-}
 
 /// Which nodes get their displacement in a response.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

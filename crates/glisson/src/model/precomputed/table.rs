@@ -91,18 +91,6 @@ impl Table {
         Some(Self { n_rows, numbers })
     }
 
-    /// A table of numbers in its layout.
-    pub(super) fn of_numbers(n_rows: usize, numbers: Numbers) -> Self {
-        Self { n_rows, numbers }
-    }
-
-    pub(super) fn is_finite(&self) -> bool {
-        match &self.numbers {
-            Numbers::F64(numbers) => numbers.iter().all(|x| x.is_finite()),
-            Numbers::F32(numbers) => numbers.iter().all(|x| x.is_finite()),
-        }
-    }
-
     pub(super) fn precision(&self) -> Precision {
         match self.numbers {
             Numbers::F64(_) => Precision::F64,

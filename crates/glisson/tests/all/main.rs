@@ -20,6 +20,7 @@ mod nonlinear_tensor_mass;
 mod near_incompressible;
 mod smoothed;
 mod patch_test;
+mod precomputed_response;
 mod precomputed_weight;
 mod reference_cases;
 mod surfaces;

@@ -200,8 +200,8 @@ impl ContactSystem {
             }
         }
         let mut row = 0;
-        for (point, was) in wanted[..n_kept].iter().zip(&mut was) {
-            *was = (0, row);
+        for (i, (point, was)) in wanted[..n_kept].iter().zip(&mut was).enumerate() {
+            *was = (i, row);
             row += point.n_directions;
         }
         if moves {
@@ -217,7 +217,8 @@ impl ContactSystem {
             let mut column = 0;
             for (j, b) in wanted[..=i].iter().enumerate() {
                 let (was_a, was_b) = (was[i], was[j]);
-                if was_a.0 != usize::MAX && was_b.0 != usize::MAX {
+                // Not of two points that changed their order: the two halves of the table differ by rounding.
+                if was_a.0 != usize::MAX && (i == j || was_b.0 < was_a.0) {
                     for s in 0..b.n_directions {
                         for r in 0..a.n_directions {
                             let (new, old) = ((first + r, column + s), (was_a.1 + r, was_b.1 + s));

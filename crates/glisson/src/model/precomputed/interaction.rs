@@ -7,7 +7,7 @@ use super::{Load, PointConstraint, Precomputed, ResponseReport};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::model::kernel::KernelPath;
-use crate::model::{Constraints, NodalForce};
+use crate::model::{Constraints, LocalModel, NodalForce};
 
 /// Where a held point is to be, and which constraint it comes from.
 #[derive(Clone, Copy, Debug)]
@@ -71,6 +71,7 @@ impl Precomputed {
         self.constraint_forces_n.clear();
         let n = n.min(self.constraint_forces_n.capacity());
         self.constraint_forces_n.resize(n, DVec3::ZERO);
+        self.reactions.clear();
     }
 
     /// The point as the small system has it, if something of it can move.
@@ -224,8 +225,24 @@ impl Precomputed {
         Some(u_m)
     }
 
-    /// Loads of the last step, for a local model.
-    pub(super) fn load_on_n(&self, loaded: u32) -> DVec3 {
+    /// The patch's part of the compliance: exact, and the same for any period. What other tools hold yields as if they
+    /// were not there.
+    pub(super) fn fill_local_model(&self, patch: &[NodeId], period_s: f64, out: &mut LocalModel) {
+        out.start(patch, period_s, &self.positions_m);
+        for j in 0..out.nodes.len() {
+            let Some(by) = self.loadable_index(out.nodes[j]) else { continue };
+            out.force_n[j] = self.load_on_n(by);
+            for i in 0..out.nodes.len() {
+                if let Some(of) = self.loadable_index(out.nodes[i]) {
+                    out.set_tensor(i, j, self.compliance.table.tensor(of as usize, by as usize));
+                }
+            }
+        }
+        out.symmetrize();
+    }
+
+    /// Loads of the last step.
+    fn load_on_n(&self, loaded: u32) -> DVec3 {
         let of = |list: &[Load]| list.iter().filter(|(m, _)| *m == loaded).map(|(_, f)| *f).sum::<DVec3>();
         of(&self.forces) + of(&self.reactions)
     }

@@ -10,6 +10,7 @@ mod implicit;
 mod implicit_loads;
 mod layering;
 mod loads;
+mod local_model;
 mod loads_faults;
 mod mass_spring;
 mod meshing;

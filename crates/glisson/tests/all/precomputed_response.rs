@@ -465,3 +465,25 @@ fn the_compliance_is_symmetric() {
     }
     assert!(worst < 1e-12 * largest, "{:e}", worst / largest);
 }
+
+#[test]
+fn steps_with_changing_contacts_allocate_nothing_in_the_model_and_its_copies() {
+    let body = Body::new();
+    let mut random = SeededRandom::new(11);
+    let model = body.model(Precision::F64);
+    let loadable = model.loadable_nodes().to_vec();
+    let points: Vec<PointConstraint> = (0..20).map(|_| any_point(&mut random, &loadable)).collect();
+    let forces: Vec<NodalForce> =
+        loadable.iter().map(|&node| NodalForce { node, force_n: vector(&mut random, 0.01) }).collect();
+    for mut model in [model.clone(), model] {
+        let count = allocation_counter::measure(|| {
+            for n in [1, 20, 3, 7, 0, 12] {
+                model.impose_points(&points[..n], &forces[..2 * n]);
+                model.step(1e-3);
+                model.impose_points(&points[n / 2..], &forces);
+                model.update_reactions();
+            }
+        });
+        assert_eq!(count.count_total, 0);
+    }
+}

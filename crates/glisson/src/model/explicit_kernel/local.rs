@@ -16,7 +16,7 @@ impl LocalBody for ExplicitKernel {
         self.kernel.is_live(TetId::from_index(element))
     }
 
-    /// Without volume penalty, whose stiffness is zero at rest, and with the stiffness that relaxation leaves in the end.
+    /// Without volume penalty, whose stiffness is zero at rest; instantaneous where stress relaxes.
     fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
         let nodes = self.rest.tetrahedra[element].map(NodeId::index);
         let gradients = P1Gradients::new(nodes.map(|n| self.rest.positions_m[n]));

@@ -17,9 +17,9 @@
 //! Columns are solved eight at a time by conjugate gradients with a diagonal preconditioner, in a fixed order: same bits
 //! on every path and at any number of threads. Ligaments do not count.
 
+use super::Rayleigh;
 use super::kernel::{Eight, EightWork, KernelPath};
 use super::nonlinear_tensor_mass::{TetLaw, linear_stiffness};
-use super::Rayleigh;
 use crate::material::Material;
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::NodeId;
@@ -28,7 +28,7 @@ use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, TetStiffness, stress_te
 /// Rings at least and at most, and what may come back from beyond them as a share of the compliance: chosen.
 const LEAST_RINGS: u32 = 2;
 const MOST_RINGS: u32 = 12;
-const ECHO: f64 = 2e-3;
+const ECHO: f64 = 2e-2;
 /// Nodes of a region, of which whole rings are left out beyond it.
 const MOST_REGION: usize = 2048;
 /// Conjugate gradients end when each column's residual has fallen by this, or after so many iterations.
@@ -480,7 +480,8 @@ impl LocalWork {
             let e = self.elements[e] as usize;
             let stiffness = body.stiffness(e, h_s);
             let nodes = elements.nodes(e);
-            let is_usable = stiffness[..nodes.len()].iter().all(|row| row[..nodes.len()].iter().all(|b| b.is_finite()));
+            let is_usable =
+                stiffness[..nodes.len()].iter().all(|row| row[..nodes.len()].iter().all(|b| b.is_finite()));
             if !is_usable {
                 continue;
             }

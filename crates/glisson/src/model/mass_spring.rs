@@ -18,7 +18,8 @@ use super::explicit::{
 };
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements};
 use super::{
-    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh, TopologyRefusal,
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
+    TopologyRefusal,
 };
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::edit::TopologyChange;

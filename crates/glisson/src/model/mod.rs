@@ -17,9 +17,9 @@ pub mod tensor_mass;
 pub mod nonlinear_tensor_mass;
 
 pub use crate::solve::{Attachment, FixedNode, RestStress};
-pub use local_model::{LocalModel, LocalWork};
 pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};
 pub use explicit::{ExplicitError, Inertia, Integration};
+pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
 
 use crate::math::DVec3;

@@ -270,7 +270,8 @@ fn a_point_that_slides_bears_no_force_along_its_plane() {
     let corners = [loadable[10], loadable[11], loadable[17]];
     let weights = [0.25, 0.25, 0.5];
     let slides = PointConstraint::on_triangle(corners, weights, DVec3::new(1e-3, 0.0, -2e-3)).along(normal);
-    let mixed = PointConstraint::node(loadable[30], DVec3::new(0.0, 5e-4, 9.0)).along_axes([true, true, false]);
+    let mixed =
+        PointConstraint::node(loadable[30], DVec3::new(0.0, 5e-4, 9.0)).along_axes([true, true, false]);
     model.impose_points(&[slides, mixed], &[]);
     model.step(1e-3);
     let forces_n = model.constraint_forces_n();

@@ -37,7 +37,8 @@ use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine, Workers};
 use super::kind::ModelKind;
 use super::roomy::Roomy;
 use super::{
-    Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh, TopologyRefusal, local_model,
+    Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh, TopologyRefusal,
+    local_model,
 };
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;

@@ -221,18 +221,15 @@ impl Substance {
         let (lambda_pa, mu_pa) = (material.lambda_pa(), material.mu_pa());
         let isotropic = TetLaw::isotropic(material);
         let fibre = self.fibres.get(tet);
-        let with_fibre = |f: &Fibre| TetLaw::with_fibre(material, f, TetId::from_index(tet)).unwrap_or(isotropic);
+        let with_fibre =
+            |f: &Fibre| TetLaw::with_fibre(material, f, TetId::from_index(tet)).unwrap_or(isotropic);
         match law {
             // The small-strain law has no stiffness from its stress at rest.
-            KernelLaw::Linear if fibre.is_none() => {
-                use_law(&TangentLaw::Linear { lambda_pa, mu_pa }, None)
-            }
+            KernelLaw::Linear if fibre.is_none() => use_law(&TangentLaw::Linear { lambda_pa, mu_pa }, None),
             KernelLaw::Linear | KernelLaw::StVenantKirchhoff => {
                 use_law(&TangentLaw::Kirchhoff(fibre.map_or(isotropic, with_fibre)), rest_stress_pa)
             }
-            KernelLaw::NeoHookeLog => {
-                use_law(&TangentLaw::Any(&NeoHookeLog::from(material)), rest_stress_pa)
-            }
+            KernelLaw::NeoHookeLog => use_law(&TangentLaw::Any(&NeoHookeLog::from(material)), rest_stress_pa),
             KernelLaw::StableNeoHooke => {
                 use_law(&TangentLaw::Any(&StableNeoHooke::from(material)), rest_stress_pa)
             }

@@ -31,8 +31,8 @@ use super::explicit::{
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
 use super::nonlinear_tensor_mass::TetLaw;
 use super::{
-    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh, RestStress,
-    TopologyRefusal,
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
+    RestStress, TopologyRefusal,
 };
 use crate::material::{LinearElastic, NeoHookeLog};
 use crate::math::{DMat3, DVec3};

@@ -102,7 +102,11 @@ impl LocalBody for Relaxing<'_> {
     }
 
     fn free_axes(&self, n: usize) -> [bool; 3] {
-        if self.body.moves[n] { self.body.free_axes[n].to_array().map(|free| free != 0.0) } else { [false; 3] }
+        if self.body.moves[n] {
+            self.body.free_axes[n].to_array().map(|free| free != 0.0)
+        } else {
+            [false; 3]
+        }
     }
 
     fn is_held(&self, n: usize) -> bool {

@@ -48,8 +48,8 @@ use self::newton::Scratch;
 use self::relaxation::Relaxation;
 use super::roomy::Roomy;
 use super::{
-    Attachment, Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
-    RestStress, TopologyRefusal,
+    Attachment, Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
+    Rayleigh, RestStress, TopologyRefusal,
 };
 use crate::material::{PronyHistory, StableNeoHooke};
 use crate::math::DVec3;

@@ -29,7 +29,8 @@ impl Precomputed {
         for (place, point) in points.iter().enumerate() {
             match self.contact_point(point) {
                 Some(contact) if self.wanted.try_push(contact) => {
-                    self.targets.try_push(Target { place: place as u32, displacement_m: point.displacement_m });
+                    self.targets
+                        .try_push(Target { place: place as u32, displacement_m: point.displacement_m });
                 }
                 _ => self.report.ignored_displacements += 1,
             }
@@ -159,8 +160,7 @@ impl Precomputed {
     fn spread_reactions(&mut self) {
         self.reactions.clear();
         for (point, target) in self.wanted.iter().zip(self.targets.iter()) {
-            let force_n =
-                self.constraint_forces_n.get(target.place as usize).copied().unwrap_or(DVec3::ZERO);
+            let force_n = self.constraint_forces_n.get(target.place as usize).copied().unwrap_or(DVec3::ZERO);
             for (loaded, weight) in point.nodes() {
                 match self.reactions.iter_mut().find(|(m, _)| *m == loaded) {
                     Some((_, sum_n)) => *sum_n += force_n * weight,

@@ -22,8 +22,8 @@ use super::explicit::{
 };
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
 use super::{
-    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh, RestStress,
-    TopologyRefusal,
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
+    RestStress, TopologyRefusal,
 };
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};

@@ -9,7 +9,11 @@ use glisson::math::SeededRandom;
 use glisson::mesh::NodeId;
 use glisson::model::kernel::KernelPath;
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
-use glisson::model::{Constraints, DeformableModel, ImposedDisplacement, NodalForce};
+use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
+use glisson::model::{
+    Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, LocalModel, LocalWork,
+    NodalForce,
+};
 
 use super::body::StandardBody;
 use super::{Case, Prepared, Settings, Work};
@@ -42,7 +46,11 @@ macro_rules! case {
 }
 
 pub(super) const CASES: &[Case] = &[
-    case!("force_1", "pre-computed: the surface under a force on one node", |s| response(s, 0, Precision::F64)),
+    case!("force_1", "pre-computed: the surface under a force on one node", |s| response(
+        s,
+        0,
+        Precision::F64
+    )),
     case!("displacements_1", "pre-computed: the surface with one node held at a displacement", |s| {
         response(s, 1, Precision::F64)
     }),
@@ -71,8 +79,16 @@ pub(super) const CASES: &[Case] = &[
     case!("haptic_force", "pre-computed: reaction forces alone of 20 other nodes in every call", |s| {
         haptic_force(s, 20)
     }),
-    case!("haptic_force_update", "pre-computed: reaction forces of 20 nodes, one of them another in every call", |s| {
-        haptic_force(s, 1)
+    case!(
+        "haptic_force_update",
+        "pre-computed: reaction forces of 20 nodes, one of them another in every call",
+        |s| { haptic_force(s, 1) }
+    ),
+    case!("local_model_3", "tensor-mass: the compliance of 3 touched nodes over a millisecond", |s| {
+        local_model(s, 3)
+    }),
+    case!("local_model_20", "tensor-mass: the compliance of 20 touched nodes over a millisecond", |s| {
+        local_model(s, 20)
     }),
 ];
 
@@ -83,6 +99,8 @@ const N_SETS: usize = 1_000;
 /// Largest displacement that is imposed [m], and force [N].
 const DEPTH_M: f64 = 0.005;
 const FORCE_N: f64 = 0.1;
+/// Period of a haptic loop [s].
+const PERIOD_S: f64 = 1e-3;
 
 fn built(size: usize, precision: Precision) -> anyhow::Result<(Precomputed, usize)> {
     type Made = Mutex<BTreeMap<(usize, usize), Arc<(Precomputed, usize)>>>;
@@ -194,6 +212,42 @@ fn haptic_force(settings: Settings, n_new: usize) -> anyhow::Result<Prepared> {
             turn = (turn + 1) % N_SETS;
             model.apply(black_box(&sets[turn]));
             black_box(model.update_reactions());
+        }),
+    })
+}
+
+/// The compliance of the `n` nodes nearest to the highest one, for a haptic loop, of a body at rest.
+fn local_model(settings: Settings, n: usize) -> anyhow::Result<Prepared> {
+    let body = StandardBody::shared(settings.size)?;
+    let fixed: Vec<FixedNode> = body.fixed_nodes.iter().map(|&node| FixedNode::all_axes(node)).collect();
+    let stable = TensorMass::stable_step(&body.mesh, &body.material)?;
+    let mut model = TensorMass::build(&TensorMassParams {
+        body: DynamicBody {
+            fixed: &fixed,
+            time_step_s: 0.9 * stable.step_s,
+            ..DynamicBody::new(&body.mesh, body.material.density_kg_per_m3())
+        },
+        material: &body.material,
+    })?;
+    let at = |node: &NodeId| body.mesh.positions_m[node.index()];
+    let mut nodes: Vec<NodeId> = (0..body.mesh.positions_m.len()).map(NodeId::from_index).collect();
+    nodes.sort_by(|a, b| at(b).z.total_cmp(&at(a).z));
+    let top_m = at(&nodes[0]);
+    nodes.sort_by(|a, b| at(a).distance(top_m).total_cmp(&at(b).distance(top_m)));
+    nodes.truncate(n);
+    let mut work = LocalWork::with_room_for(body.mesh.positions_m.len());
+    let mut out = LocalModel::new();
+    model.local_model_into(&nodes, PERIOD_S, &mut work, &mut out);
+    let note = format!("{n} nodes, {} rings", out.n_rings.unwrap_or(0));
+    Ok(Prepared {
+        size: body.mesh.tetrahedra.len(),
+        isa: KernelPath::fastest().name(),
+        precision: "f64",
+        work: None,
+        note,
+        run: Box::new(move || {
+            model.local_model_into(black_box(&nodes), PERIOD_S, &mut work, &mut out);
+            black_box(&out);
         }),
     })
 }

@@ -16,8 +16,12 @@ use super::explicit::{
     Cuttable, ExplicitBody, ExplicitError, Integration, InternalForces, LiveEdges, LiveTets, RestTensions,
     check_body, check_number, follow, keep,
 };
-use super::{Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, TopologyRefusal};
-use crate::math::DVec3;
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements};
+use super::{
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
+    TopologyRefusal,
+};
+use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::solve::{MeshEdges, P1Gradients};
@@ -325,6 +329,56 @@ impl Cuttable for MassSpring {
     }
 }
 
+impl LocalBody for MassSpring {
+    fn elements(&self) -> LocalElements<'_> {
+        LocalElements::Edges(&self.springs.edges.edges.nodes)
+    }
+
+    fn is_live(&self, element: usize) -> bool {
+        self.springs.edges.tets[element] > 0
+    }
+
+    /// Along the link k l0/l and across it the tension per length, with its damper.
+    fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness {
+        let springs = &self.springs;
+        let [a, b] = springs.edges.edges.nodes[element].map(|n| self.body.positions_m()[n.index()]);
+        let (along_m, k) = (b - a, springs.stiffness_n_per_m[element]);
+        let length_m = along_m.length();
+        if length_m == 0.0 {
+            return [[DMat3::ZERO; 4]; 4];
+        }
+        let direction = along_m / length_m;
+        let slack = springs.rest_m[element] / length_m;
+        let across = k * (1.0 - slack) + springs.rest_tensions.on_edge(element);
+        let along = k * slack + springs.link_damping_n_s_per_m / period_s;
+        let tensor = DMat3::from_diagonal(DVec3::splat(across)) + outer(direction, direction) * along;
+        local_model::of_edge(tensor)
+    }
+
+    fn inertia_kg(&self, n: usize) -> f64 {
+        self.body.inertia_kg(n)
+    }
+
+    fn free_axes(&self, n: usize) -> [bool; 3] {
+        self.body.frame().free_axes(n)
+    }
+
+    fn is_held(&self, n: usize) -> bool {
+        self.body.frame().is_held(n)
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        self.body.frame().load_on_n(n)
+    }
+
+    fn damping(&self) -> Rayleigh {
+        // The ground's dampers are as good as a damping of the mass where masses are alike; elsewhere near to it.
+        let Rayleigh { mass_per_s, stiffness_s } = self.body.frame().damping;
+        let ground_per_s = self.springs.node_damping_n_s_per_m * self.body.n_nodes() as f64 / self.total_kg;
+        Rayleigh { mass_per_s: mass_per_s + ground_per_s, stiffness_s }
+    }
+}
+
 impl DeformableModel for MassSpring {
     fn apply(&mut self, constraints: &Constraints) {
         self.body.apply(constraints);
@@ -353,6 +407,17 @@ impl DeformableModel for MassSpring {
 
     fn report(&self) -> ModelReport {
         self.body.report()
+    }
+
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        out.start(patch, period_s, self.state().positions_m);
+        local_model::compute(self, work, out);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

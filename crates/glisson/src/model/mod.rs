@@ -10,6 +10,7 @@ pub mod kernel;
 pub mod mass_spring;
 pub(crate) mod explicit;
 pub mod explicit_kernel;
+pub mod local_model;
 pub mod precomputed;
 pub mod rheology;
 pub mod tensor_mass;
@@ -18,6 +19,7 @@ pub mod nonlinear_tensor_mass;
 pub use crate::solve::{Attachment, FixedNode, RestStress};
 pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};
 pub use explicit::{ExplicitError, Inertia, Integration};
+pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
 
 use crate::math::DVec3;
@@ -104,6 +106,19 @@ pub trait DeformableModel: Send {
     /// A copy of everything that the next steps depend on: state, constraints, accumulated stiffness, warm starts,
     /// factors.
     fn duplicate(&self) -> Box<dyn DeformableModel>;
+
+    /// What the nodes of a touched patch do in the next `period_s`, for a haptic loop: see [`local_model`]. Overwrites
+    /// `out`; never fails, and allocates nothing that [`LocalWork::with_room_for`] had room for. A model without an own
+    /// answer gives a patch that does not yield.
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        _work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        out.start(patch, period_s, self.state().positions_m);
+    }
 
     /// Why the model could not follow an edit of the mesh, if it could not.
     fn topology_refusal(&self) -> Option<TopologyRefusal> {

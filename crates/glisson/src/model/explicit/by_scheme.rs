@@ -234,6 +234,15 @@ impl ExplicitBody {
         self.frame.time_step_s
     }
 
+    /// What the scheme accelerates at a node, zero without a tetrahedron.
+    pub(in crate::model) fn inertia_kg(&self, n: usize) -> f64 {
+        self.inertia_kg[n]
+    }
+
+    pub(in crate::model) fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
     pub(in crate::model) fn n_nodes(&self) -> usize {
         self.frame.n_nodes()
     }

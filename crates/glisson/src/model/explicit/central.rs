@@ -126,6 +126,10 @@ impl ExplicitMotion {
         self.inverse_inertia_per_kg[n] = if self.frame.takes_load(n) { 1.0 / inertia_kg } else { 0.0 };
     }
 
+    pub(in crate::model) fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
     pub(in crate::model) fn n_nodes(&self) -> usize {
         self.frame.n_nodes()
     }

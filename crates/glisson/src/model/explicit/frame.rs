@@ -88,7 +88,7 @@ impl Quarantine {
 pub(in crate::model) struct Frame {
     density_kg_per_m3: f64,
     pub(super) gravity_m_per_s2: DVec3,
-    pub(super) damping: Rayleigh,
+    pub(in crate::model) damping: Rayleigh,
     pub(super) time_step_s: f64,
     most_parts: u32,
     /// Steps that are still divided as far as allowed, because tetrahedra were inverted or the energy was limited.
@@ -220,13 +220,33 @@ impl Frame {
     }
 
     /// Mass with what was added for the sake of the step.
-    pub(super) fn inertia_kg(&self, n: usize) -> f64 {
+    pub(in crate::model) fn inertia_kg(&self, n: usize) -> f64 {
         self.mass_kg[n] + self.extra_kg[n]
     }
 
     /// Not fixed, and with a tetrahedron.
     pub(super) fn takes_load(&self, n: usize) -> bool {
         self.node_tets[n] > 0 && !self.is_fixed[n]
+    }
+
+    /// Axes along which a node moves freely but for a tool's hold.
+    pub(in crate::model) fn free_axes(&self, n: usize) -> [bool; 3] {
+        if !self.takes_load(n) {
+            return [false; 3];
+        }
+        let place = self.sliding.binary_search_by_key(&(n as u32), |s| s.node);
+        place.map_or([true; 3], |at| self.sliding[at].supported.map(|is_supported| !is_supported))
+    }
+
+    pub(in crate::model) fn is_held(&self, n: usize) -> bool {
+        self.held.iter().any(|held| held.node as usize == n)
+    }
+
+    /// Forces [N] of constraints and from outside on a node, without weight.
+    pub(in crate::model) fn load_on_n(&self, n: usize) -> DVec3 {
+        let outer = self.outer_forces.iter().filter(|(node, _)| *node as usize == n).map(|(_, f)| *f);
+        let held = self.held.iter().filter(|held| held.node as usize == n);
+        outer.sum::<DVec3>() + held.map(|held| self.constraint_forces_n[held.place as usize]).sum::<DVec3>()
     }
 
     /// Into how many equal parts a step of `dt_s` is divided now.

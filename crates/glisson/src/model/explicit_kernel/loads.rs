@@ -80,6 +80,11 @@ impl Loads {
         has_room
     }
 
+    /// Force of the constraints on a node [N].
+    pub(super) fn on_n(&self, n: usize) -> DVec3 {
+        self.nodal_n[n]
+    }
+
     /// For the nodes that stay, under their new ids; without nodal forces.
     pub(super) fn renumbered(&self, new_ids: &[Option<NodeId>], rest_m: &[DVec3]) -> Self {
         let moved = |a: &Attachment| new_ids[a.node.index()].map(|node| Attachment { node, ..*a });

@@ -23,6 +23,7 @@
 //! Removing a tetrahedron takes constant time; what is left without a tetrahedron stays where it is.
 
 mod loads;
+mod local;
 mod params;
 mod stability;
 mod topology;
@@ -35,7 +36,10 @@ use super::explicit::follows;
 use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine, Workers};
 use super::kind::ModelKind;
 use super::roomy::Roomy;
-use super::{Constraints, DeformableModel, ModelReport, ModelState, Rayleigh, TopologyRefusal};
+use super::{
+    Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh, TopologyRefusal,
+    local_model,
+};
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetId, TetMesh};
@@ -506,6 +510,17 @@ impl DeformableModel for ExplicitKernel {
             first_quarantined: quarantined.first,
             ..self.report
         }
+    }
+
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        out.start(patch, period_s, self.state().positions_m);
+        local_model::compute(self, work, out);
     }
 
     /// Shares the workers, nothing else.

@@ -3,14 +3,15 @@
 use std::sync::Arc;
 
 use super::{ExplicitError, SharedWorkers};
-use crate::material::{LinearElastic, MaterialError, PronySeries};
+use crate::material::{LinearElastic, MaterialError, NeoHookeLog, PronySeries, StableNeoHooke};
 use crate::mesh::TetId;
 use crate::mesh::TetMesh;
 use crate::model::explicit::keep;
 use crate::model::kernel::{
     FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, Sequential, SharedMaterial,
 };
-use crate::model::nonlinear_tensor_mass::Fibre;
+use crate::model::local_model::TangentLaw;
+use crate::model::nonlinear_tensor_mass::{Fibre, TetLaw};
 use crate::model::{DynamicBody, RestStress};
 use crate::solve::SolveError;
 
@@ -206,6 +207,34 @@ impl Substance {
             relaxation: self.relaxation.as_ref(),
         };
         FastKernel::with_extras(&KernelParams { mesh, law, materials: &self.materials, path }, &extras)
+    }
+
+    /// Hands out the law of a tetrahedron and its stress at rest.
+    pub(super) fn with_law<R>(
+        &self,
+        tet: usize,
+        law: KernelLaw,
+        use_law: impl FnOnce(&TangentLaw<'_>, Option<&RestStress>) -> R,
+    ) -> R {
+        let material = &self.materials[tet];
+        let rest_stress_pa = self.rest_stress_pa.get(tet);
+        let (lambda_pa, mu_pa) = (material.lambda_pa(), material.mu_pa());
+        let isotropic = TetLaw::isotropic(material);
+        let fibre = self.fibres.get(tet);
+        let with_fibre =
+            |f: &Fibre| TetLaw::with_fibre(material, f, TetId::from_index(tet)).unwrap_or(isotropic);
+        match law {
+            // The small-strain law has no stiffness from its stress at rest.
+            KernelLaw::Linear if fibre.is_none() => use_law(&TangentLaw::Linear { lambda_pa, mu_pa }, None),
+            KernelLaw::Linear | KernelLaw::StVenantKirchhoff => {
+                use_law(&TangentLaw::Kirchhoff(fibre.map_or(isotropic, with_fibre)), rest_stress_pa)
+            }
+            KernelLaw::NeoHookeLog => use_law(&TangentLaw::Any(&NeoHookeLog::from(material)), rest_stress_pa),
+            KernelLaw::StableNeoHooke => {
+                use_law(&TangentLaw::Any(&StableNeoHooke::from(material)), rest_stress_pa)
+            }
+            KernelLaw::General => use_law(&TangentLaw::Any(&*self.laws[tet]), rest_stress_pa),
+        }
     }
 
     /// Drops the tetrahedra that do not stay.

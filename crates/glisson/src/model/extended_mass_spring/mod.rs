@@ -28,9 +28,14 @@ use super::explicit::{
     Cuttable, ExplicitBody, ExplicitError, Integration, InternalForces, LiveEdges, LiveTets, Quarantine,
     RestTensions, Stability, StiffTet, check_body, check_number, follow, keep,
 };
-use super::{Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, TopologyRefusal};
-use crate::material::LinearElastic;
-use crate::math::DVec3;
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
+use super::nonlinear_tensor_mass::TetLaw;
+use super::{
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
+    RestStress, TopologyRefusal,
+};
+use crate::material::{LinearElastic, NeoHookeLog};
+use crate::math::{DMat3, DVec3};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients};
@@ -168,6 +173,9 @@ impl InternalForces for Links {
 #[derive(Clone, Debug)]
 pub struct ExtendedMassSpring {
     law: EdgeLaw,
+    material: LinearElastic,
+    /// One a tetrahedron, or none.
+    rest_stress_pa: Vec<RestStress>,
     viscosity_kg_per_m3_s: f64,
     density_kg_per_m3: f64,
     body: ExplicitBody,
@@ -230,6 +238,8 @@ impl ExtendedMassSpring {
         let strained_j = 0.5 * (material.lambda_pa() + 2.0 * material.mu_pa()) * mesh.volume_m3();
         let mut model = Self {
             law,
+            material: *material,
+            rest_stress_pa: body.rest_stress_pa.to_vec(),
             viscosity_kg_per_m3_s,
             density_kg_per_m3: body.density_kg_per_m3,
             body: ExplicitBody::new(&body, &integration, Some(stability), strained_j)?,
@@ -411,11 +421,68 @@ impl Cuttable for ExtendedMassSpring {
         keep(&mut links.tension_n_per_m, &live_edges);
         links.rest_tensions.compact(&live_edges, live_tets);
         keep(&mut links.is_left_out, live_tets);
+        if !self.rest_stress_pa.is_empty() {
+            keep(&mut self.rest_stress_pa, live_tets);
+        }
         match &mut links.elements {
             Elements::StVenantKirchhoff(elements) => keep(elements, live_tets),
             Elements::NeoHooke(elements) => keep(elements, live_tets),
         }
         self.body.compact(new_ids, live_tets);
+    }
+}
+
+impl LocalBody for ExtendedMassSpring {
+    fn elements(&self) -> LocalElements<'_> {
+        LocalElements::Tets(&self.links.tets.nodes)
+    }
+
+    fn is_live(&self, element: usize) -> bool {
+        self.links.tets.is_live[element]
+    }
+
+    /// The tangent of the law with the same energy, and the viscosity of its edges.
+    fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness {
+        let nodes = self.links.tets.nodes[element];
+        let rest_m = nodes.map(|n| self.body.rest_m(n));
+        let gradients = P1Gradients::new(rest_m);
+        let at_m = nodes.map(|n| self.body.positions_m()[n.index()]);
+        let u_m = std::array::from_fn(|k| at_m[k] - rest_m[k]);
+        let neo_hooke = NeoHookeLog::from(&self.material);
+        let law = match self.law {
+            EdgeLaw::StVenantKirchhoff => TangentLaw::Kirchhoff(TetLaw::isotropic(&self.material)),
+            EdgeLaw::NeoHooke => TangentLaw::Any(&neo_hooke),
+        };
+        let rest_stress_pa = self.rest_stress_pa.get(element);
+        let mut stiffness = local_model::tet_tangent(&gradients, u_m, &law, rest_stress_pa);
+        let viscosity = self.viscosity_kg_per_m3_s * gradients.volume_m3 / 4.0 / period_s;
+        for (j, row) in stiffness.iter_mut().enumerate() {
+            for (k, block) in row.iter_mut().enumerate() {
+                let share = if j == k { 3.0 } else { -1.0 };
+                *block += DMat3::from_diagonal(DVec3::splat(share * viscosity));
+            }
+        }
+        stiffness
+    }
+
+    fn inertia_kg(&self, n: usize) -> f64 {
+        self.body.inertia_kg(n)
+    }
+
+    fn free_axes(&self, n: usize) -> [bool; 3] {
+        self.body.frame().free_axes(n)
+    }
+
+    fn is_held(&self, n: usize) -> bool {
+        self.body.frame().is_held(n)
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        self.body.frame().load_on_n(n)
+    }
+
+    fn damping(&self) -> Rayleigh {
+        self.body.frame().damping
     }
 }
 
@@ -447,6 +514,17 @@ impl DeformableModel for ExtendedMassSpring {
 
     fn report(&self) -> ModelReport {
         self.body.report()
+    }
+
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        out.start(patch, period_s, self.state().positions_m);
+        local_model::compute(self, work, out);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

@@ -29,6 +29,7 @@ mod lagged;
 mod lanes;
 mod law;
 mod ligaments;
+mod local;
 mod neo_hooke;
 mod newton;
 mod params;
@@ -47,8 +48,8 @@ use self::newton::Scratch;
 use self::relaxation::Relaxation;
 use super::roomy::Roomy;
 use super::{
-    Attachment, Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, Rayleigh, RestStress,
-    TopologyRefusal,
+    Attachment, Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
+    Rayleigh, RestStress, TopologyRefusal,
 };
 use crate::material::{PronyHistory, StableNeoHooke};
 use crate::math::DVec3;
@@ -544,6 +545,16 @@ impl DeformableModel for ImplicitEuler {
 
     fn report(&self) -> ModelReport {
         self.report
+    }
+
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        self.fill_local_model(patch, period_s, work, out);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

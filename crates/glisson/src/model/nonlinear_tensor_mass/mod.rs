@@ -43,8 +43,10 @@ use super::explicit::{
     Cuttable, ExplicitError, ExplicitMotion, ExplicitSnapshot, LiveTets, Padded, Stability, StableStep,
     StiffTet, check_body, follow, padded, unpadded,
 };
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
 use super::{
-    Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, RestStress, TopologyRefusal,
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
+    RestStress, TopologyRefusal,
 };
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
@@ -371,6 +373,44 @@ impl Cuttable for NonlinearTensorMass {
     }
 }
 
+impl LocalBody for NonlinearTensorMass {
+    fn elements(&self) -> LocalElements<'_> {
+        LocalElements::Tets(&self.body.tets.nodes)
+    }
+
+    fn is_live(&self, element: usize) -> bool {
+        self.body.tets.is_live[element]
+    }
+
+    /// Without the volume penalty, whose stiffness is zero at rest.
+    fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
+        let body = &self.body;
+        let u_m = body.tets.nodes[element].map(|n| unpadded(&self.motion.displacements()[n.index()]));
+        let law = TangentLaw::Kirchhoff(body.laws[element]);
+        local_model::tet_tangent(&body.gradients[element], u_m, &law, body.rest_stress_pa.get(element))
+    }
+
+    fn inertia_kg(&self, n: usize) -> f64 {
+        self.motion.frame().inertia_kg(n)
+    }
+
+    fn free_axes(&self, n: usize) -> [bool; 3] {
+        self.motion.frame().free_axes(n)
+    }
+
+    fn is_held(&self, n: usize) -> bool {
+        self.motion.frame().is_held(n)
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        self.motion.frame().load_on_n(n)
+    }
+
+    fn damping(&self) -> Rayleigh {
+        self.motion.frame().damping
+    }
+}
+
 impl DeformableModel for NonlinearTensorMass {
     fn apply(&mut self, constraints: &Constraints) {
         self.motion.apply(constraints);
@@ -406,6 +446,17 @@ impl DeformableModel for NonlinearTensorMass {
 
     fn report(&self) -> ModelReport {
         self.motion.report()
+    }
+
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        out.start(patch, period_s, self.state().positions_m);
+        local_model::compute(self, work, out);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

@@ -7,7 +7,7 @@ use super::{Load, PointConstraint, Precomputed, ResponseReport};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::model::kernel::KernelPath;
-use crate::model::{Constraints, NodalForce};
+use crate::model::{Constraints, LocalModel, NodalForce};
 
 /// Where a held point is to be, and which constraint it comes from.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,8 @@ impl Precomputed {
         for (place, point) in points.iter().enumerate() {
             match self.contact_point(point) {
                 Some(contact) if self.wanted.try_push(contact) => {
-                    self.targets.try_push(Target { place: place as u32, displacement_m: point.displacement_m });
+                    self.targets
+                        .try_push(Target { place: place as u32, displacement_m: point.displacement_m });
                 }
                 _ => self.report.ignored_displacements += 1,
             }
@@ -71,6 +72,7 @@ impl Precomputed {
         self.constraint_forces_n.clear();
         let n = n.min(self.constraint_forces_n.capacity());
         self.constraint_forces_n.resize(n, DVec3::ZERO);
+        self.reactions.clear();
     }
 
     /// The point as the small system has it, if something of it can move.
@@ -158,8 +160,7 @@ impl Precomputed {
     fn spread_reactions(&mut self) {
         self.reactions.clear();
         for (point, target) in self.wanted.iter().zip(self.targets.iter()) {
-            let force_n =
-                self.constraint_forces_n.get(target.place as usize).copied().unwrap_or(DVec3::ZERO);
+            let force_n = self.constraint_forces_n.get(target.place as usize).copied().unwrap_or(DVec3::ZERO);
             for (loaded, weight) in point.nodes() {
                 match self.reactions.iter_mut().find(|(m, _)| *m == loaded) {
                     Some((_, sum_n)) => *sum_n += force_n * weight,
@@ -224,8 +225,24 @@ impl Precomputed {
         Some(u_m)
     }
 
-    /// Loads of the last step, for a local model.
-    pub(super) fn load_on_n(&self, loaded: u32) -> DVec3 {
+    /// The patch's part of the compliance: exact, and the same for any period. What other tools hold yields as if they
+    /// were not there.
+    pub(super) fn fill_local_model(&self, patch: &[NodeId], period_s: f64, out: &mut LocalModel) {
+        out.start(patch, period_s, &self.positions_m);
+        for j in 0..out.nodes.len() {
+            let Some(by) = self.loadable_index(out.nodes[j]) else { continue };
+            out.force_n[j] = self.load_on_n(by);
+            for i in 0..out.nodes.len() {
+                if let Some(of) = self.loadable_index(out.nodes[i]) {
+                    out.set_tensor(i, j, self.compliance.table.tensor(of as usize, by as usize));
+                }
+            }
+        }
+        out.symmetrize();
+    }
+
+    /// Loads of the last step.
+    fn load_on_n(&self, loaded: u32) -> DVec3 {
         let of = |list: &[Load]| list.iter().filter(|(m, _)| *m == loaded).map(|(_, f)| *f).sum::<DVec3>();
         of(&self.forces) + of(&self.reactions)
     }

@@ -38,7 +38,7 @@ use self::response::Load;
 use self::table::{Table, n_displacements};
 use super::kernel::KernelPath;
 use super::roomy::Roomy;
-use super::{Constraints, DeformableModel, ModelReport, ModelState, TopologyRefusal};
+use super::{Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, TopologyRefusal};
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::edit::TopologyChange;
@@ -210,6 +210,7 @@ impl Precomputed {
         self.targets.clear();
         self.reactions.clear();
         self.constraint_forces_n.clear();
+        self.compliance_changed();
         self.displacement_m.fill(0.0);
         self.positions_m.copy_from_slice(&self.rest_m);
         self.report = ResponseReport::default();
@@ -249,6 +250,16 @@ impl DeformableModel for Precomputed {
         let ResponseReport { ignored_forces, ignored_displacements } = self.report;
         let n_ignored_constraints = (ignored_forces + ignored_displacements) as u32;
         ModelReport { n_parts: 1, n_ignored_constraints, ..ModelReport::default() }
+    }
+
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        _work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        self.fill_local_model(patch, period_s, out);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

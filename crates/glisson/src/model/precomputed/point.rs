@@ -33,8 +33,7 @@ impl PointConstraint {
 
     /// The same point held along these axes alone.
     pub fn along_axes(self, axes: [bool; 3]) -> Self {
-        let directions =
-            [0, 1, 2].map(|axis| if axes[axis] { DVec3::AXES[axis] } else { DVec3::ZERO });
+        let directions = [0, 1, 2].map(|axis| if axes[axis] { DVec3::AXES[axis] } else { DVec3::ZERO });
         Self { directions, ..self }
     }
 

@@ -51,12 +51,7 @@ pub(super) fn respond_into(
 }
 
 /// Overwrites displacements [m] in blocks with three columns in blocks times their factors.
-pub(super) fn set_to_columns(
-    path: KernelPath,
-    columns: &[f64],
-    factors: DVec3,
-    displacement_m: &mut [f64],
-) {
+pub(super) fn set_to_columns(path: KernelPath, columns: &[f64], factors: DVec3, displacement_m: &mut [f64]) {
     let loads = [(0, factors)];
     path.run_by_eight(Respond { numbers: columns, loads: &loads, from_zero: true, displacement_m });
 }
@@ -122,7 +117,12 @@ fn add_group<V: Eight, T: Kept, const G: usize>(
 }
 
 /// Overwrites the positions [m] of the rows' nodes.
-pub(super) fn place_rows(rows: &[NodeId], rest_m: &[DVec3], displacement_m: &[f64], positions_m: &mut [DVec3]) {
+pub(super) fn place_rows(
+    rows: &[NodeId],
+    rest_m: &[DVec3],
+    displacement_m: &[f64],
+    positions_m: &mut [DVec3],
+) {
     let blocks = displacement_m.as_chunks::<BLOCK_ROWS_NUMBERS>().0;
     for (nodes, u) in rows.chunks(LANES).zip(blocks) {
         for (lane, node) in nodes.iter().enumerate() {

@@ -20,8 +20,10 @@ pub(super) use tensors::VertexEdgeTensors;
 use super::explicit::{
     Cuttable, ExplicitMotion, LiveTets, Quarantine, Stability, StiffTet, check_body, follow, keep, unpadded,
 };
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
 use super::{
-    Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, RestStress, TopologyRefusal,
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
+    RestStress, TopologyRefusal,
 };
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
@@ -217,6 +219,42 @@ impl Cuttable for TensorMass {
     }
 }
 
+impl LocalBody for TensorMass {
+    fn elements(&self) -> LocalElements<'_> {
+        LocalElements::Tets(&self.tets.nodes)
+    }
+
+    fn is_live(&self, element: usize) -> bool {
+        self.tets.is_live[element]
+    }
+
+    fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
+        let gradients = P1Gradients::new(self.tets.nodes[element].map(|n| self.motion.rest_m(n)));
+        let law = TangentLaw::Linear { lambda_pa: self.material.lambda_pa(), mu_pa: self.material.mu_pa() };
+        local_model::tet_tangent(&gradients, [DVec3::ZERO; 4], &law, None)
+    }
+
+    fn inertia_kg(&self, n: usize) -> f64 {
+        self.motion.frame().inertia_kg(n)
+    }
+
+    fn free_axes(&self, n: usize) -> [bool; 3] {
+        self.motion.frame().free_axes(n)
+    }
+
+    fn is_held(&self, n: usize) -> bool {
+        self.motion.frame().is_held(n)
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        self.motion.frame().load_on_n(n)
+    }
+
+    fn damping(&self) -> Rayleigh {
+        self.motion.frame().damping
+    }
+}
+
 impl DeformableModel for TensorMass {
     fn apply(&mut self, constraints: &Constraints) {
         self.motion.apply(constraints);
@@ -252,6 +290,17 @@ impl DeformableModel for TensorMass {
 
     fn report(&self) -> ModelReport {
         self.motion.report()
+    }
+
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        out.start(patch, period_s, self.state().positions_m);
+        local_model::compute(self, work, out);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

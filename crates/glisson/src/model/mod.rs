@@ -11,6 +11,7 @@ pub mod mass_spring;
 pub(crate) mod explicit;
 pub mod explicit_kernel;
 pub mod precomputed;
+pub mod quasi_nonlinear;
 pub mod rheology;
 pub mod tensor_mass;
 pub mod nonlinear_tensor_mass;

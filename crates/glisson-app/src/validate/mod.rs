@@ -9,6 +9,7 @@ mod image;
 mod interaction;
 mod model_rheology;
 mod prestress;
+mod quasi_nonlinear;
 mod rheology;
 mod rotation;
 mod tissue;
@@ -129,6 +130,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "tissue",
         about: "Viscoelastic tissue: relaxation, and brain under unconfined compression.",
         run: tissue::experiments,
+    },
+    Group {
+        name: "quasi_nonlinear",
+        about: "The pre-computed model with magnitudes from measured curves: a compressed cylinder of brain.",
+        run: quasi_nonlinear::experiments,
     },
     Group {
         name: "rheology",

@@ -85,7 +85,8 @@ fn parse(text: &str) -> Result<MeasuredCurve, String> {
     MeasuredCurve::parse(Path::new("brain.csv"), text.as_bytes()).map_err(|e| e.to_string())
 }
 
-const CURVE: &str = "# brain\naxial_displacement_mm, force_mn, radial_displacement_m\n0,0,0\n1.5,250,0.4e-3\n";
+const CURVE: &str =
+    "# brain\naxial_displacement_mm, force_mn, radial_displacement_m\n0,0,0\n1.5,250,0.4e-3\n";
 
 #[test]
 fn a_curve_is_read_in_si_and_its_faults_are_named() {
@@ -103,7 +104,10 @@ fn a_curve_is_read_in_si_and_its_faults_are_named() {
         ("axial_displacement_m\n", "no column of force or radial displacement"),
         ("axial_displacement_m,force_n,force_mn\n", "brain.csv:1: column 3 gives the force a second time"),
         ("axial_displacement_m,force_n\n0,0\n1,2,3\n", "brain.csv:3: 3 fields, but line 1 names 2 columns"),
-        ("axial_displacement_m,force_n\n0,0\n1,2N\n", "brain.csv:3: column 2 (force_n): `2N` is not a finite number"),
+        (
+            "axial_displacement_m,force_n\n0,0\n1,2N\n",
+            "brain.csv:3: column 2 (force_n): `2N` is not a finite number",
+        ),
         ("axial_displacement_m,force_n\ninf,0\n", "column 1 (axial_displacement_m): `inf`"),
         ("axial_displacement_m,force_n\n1,\n", "column 2 (force_n): `` is not"),
     ] {
@@ -112,7 +116,9 @@ fn a_curve_is_read_in_si_and_its_faults_are_named() {
     }
     let error = MeasuredCurve::parse(Path::new("c.csv"), b"axial\xff").unwrap_err();
     assert_eq!(error.to_string(), "c.csv: byte 5 is not UTF-8 text");
-    assert!(MeasuredCurve::read(Path::new("no_such.csv")).unwrap_err().to_string().starts_with("no_such.csv: "));
+    assert!(
+        MeasuredCurve::read(Path::new("no_such.csv")).unwrap_err().to_string().starts_with("no_such.csv: ")
+    );
 }
 
 proptest! {
@@ -237,7 +243,8 @@ fn a_plate_follows_the_curve_as_a_whole() {
 #[test]
 fn jaws_are_told_apart_and_so_are_push_and_pull() {
     let Organ { mesh, linear, top } = organ();
-    let mut c: Vec<[f64; 2]> = (-40..=40).map(|i| 0.05 * f64::from(i)).map(|x| [x, x + 0.2 * x * x]).collect();
+    let mut c: Vec<[f64; 2]> =
+        (-40..=40).map(|i| 0.05 * f64::from(i)).map(|x| [x, x + 0.2 * x * x]).collect();
     c.retain(|p| p[0] != 0.0);
     let (x, y): (Vec<f64>, Vec<f64>) = c.into_iter().map(|[x, y]| (x, y)).unzip();
     let q = fit_curve(&x, &y, 4).unwrap().polynomial;

@@ -203,7 +203,13 @@ fn parse_names(file: &Path, line: usize, names: &str) -> Result<Vec<Column>, Cur
         let column = place + 1;
         let Some(&known) = COLUMNS.iter().find(|c| c.0 == name) else {
             let hint = did_you_mean(&shortened(name), &COLUMNS.map(|c| c.0));
-            return Err(CurveError::Name { file: file.to_owned(), line, column, found: shortened(name), hint });
+            return Err(CurveError::Name {
+                file: file.to_owned(),
+                line,
+                column,
+                found: shortened(name),
+                hint,
+            });
         };
         if columns.iter().any(|c| c.1 == known.1) {
             let (file, quantity) = (file.to_owned(), known.1.name());

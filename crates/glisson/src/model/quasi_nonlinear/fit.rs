@@ -123,7 +123,8 @@ pub fn fit_curve(x: &[f64], y: &[f64], degree: usize) -> Result<Fit, FitError> {
         }
     }
     let mut right: Vec<f64> = y.iter().map(|y| mirror * y / largest_y).collect();
-    let mut coefficient = least_squares(&mut columns, &mut right, degree).ok_or(FitError::Undetermined { degree })?;
+    let mut coefficient =
+        least_squares(&mut columns, &mut right, degree).ok_or(FitError::Undetermined { degree })?;
     coefficient.iter_mut().for_each(|c| *c *= largest_y / largest_x);
     let polynomial = CurvePolynomial::new(coefficient, degree, range, is_odd);
     Ok(quality(polynomial, x, y))

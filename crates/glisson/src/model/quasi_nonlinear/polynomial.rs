@@ -23,7 +23,12 @@ pub struct CurvePolynomial {
 }
 
 impl CurvePolynomial {
-    pub(super) fn new(coefficient: [f64; GREATEST_DEGREE], degree: usize, range: [f64; 2], is_odd: bool) -> Self {
+    pub(super) fn new(
+        coefficient: [f64; GREATEST_DEGREE],
+        degree: usize,
+        range: [f64; 2],
+        is_odd: bool,
+    ) -> Self {
         debug_assert!(range[0] <= 0.0 && range[1] > 0.0 && degree <= GREATEST_DEGREE);
         Self { coefficient, degree, range, is_odd }
     }

@@ -11,6 +11,7 @@ mod models;
 mod implicit;
 mod kernel;
 mod reference;
+mod reduced;
 mod contact;
 mod drawing;
 
@@ -84,6 +85,7 @@ pub(crate) fn cases() -> Vec<Case> {
         kernel::CASES,
         reference::CASES,
         implicit::CASES,
+        reduced::CASES,
         contact::CASES,
         drawing::CASES,
     ]

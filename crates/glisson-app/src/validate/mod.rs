@@ -10,6 +10,7 @@ mod interaction;
 mod model_rheology;
 mod prestress;
 mod quasi_nonlinear;
+mod reduced;
 mod rheology;
 mod rotation;
 mod tissue;
@@ -176,6 +177,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "adaptive",
         about: "Non-linear forces only where they matter: error against rate, and the cost of non-linear to linear.",
         run: adaptive::experiments,
+    },
+    Group {
+        name: "reduced",
+        about: "The pre-computed model made non-linear in reduced coordinates, against the full non-linear solution.",
+        run: reduced::experiments,
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

@@ -23,6 +23,7 @@ mod patch_test;
 mod precomputed_weight;
 mod quasi_nonlinear;
 mod reference_cases;
+mod reduced;
 mod surfaces;
 mod world_steps;
 mod mesh_edits;

@@ -190,7 +190,7 @@ fn poked_liver() -> anyhow::Result<Case> {
         mesh,
         fixed,
         load: Load::Moved(spot, DVec3::new(0.0, 0.5, 1.0).normalize()),
-        linear_m: [0.005, 0.015, 0.03],
+        linear_m: [0.004, 0.008, 0.016],
         least_gain: 1.5,
     })
 }

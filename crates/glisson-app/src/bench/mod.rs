@@ -12,6 +12,7 @@ mod precomputed;
 mod implicit;
 mod kernel;
 mod reference;
+mod reduced;
 mod contact;
 mod drawing;
 
@@ -86,6 +87,7 @@ pub(crate) fn cases() -> Vec<Case> {
         kernel::CASES,
         reference::CASES,
         implicit::CASES,
+        reduced::CASES,
         contact::CASES,
         drawing::CASES,
     ]

@@ -6,6 +6,7 @@ mod mesh;
 mod check;
 mod precompute;
 mod solve;
+mod fit;
 mod run;
 mod serve;
 mod replay;
@@ -29,6 +30,7 @@ enum Command {
     Check(check::Args),
     Precompute(precompute::Args),
     Solve(solve::Args),
+    Fit(fit::Args),
     Run(run::Args),
     Serve(serve::Args),
     Replay(replay::Args),
@@ -46,6 +48,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Check(args) => check::run(args),
         Command::Precompute(args) => precompute::run(args),
         Command::Solve(args) => solve::run(args),
+        Command::Fit(args) => fit::run(args),
         Command::Run(args) => run::run(args),
         Command::Serve(args) => serve::run(args),
         Command::Replay(args) => replay::run(args),

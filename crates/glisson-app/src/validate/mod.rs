@@ -9,6 +9,8 @@ mod image;
 mod interaction;
 mod model_rheology;
 mod prestress;
+mod quasi_nonlinear;
+mod reduced;
 mod rheology;
 mod rotation;
 mod tissue;
@@ -131,6 +133,11 @@ pub(crate) const GROUPS: &[Group] = &[
         run: tissue::experiments,
     },
     Group {
+        name: "quasi_nonlinear",
+        about: "The pre-computed model with magnitudes from measured curves: a compressed cylinder of brain.",
+        run: quasi_nonlinear::experiments,
+    },
+    Group {
         name: "rheology",
         about: "Springs: the cubes of seed 000 dropped, pressed and pulled, and what a step costs.",
         run: rheology::experiments,
@@ -170,6 +177,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "adaptive",
         about: "Non-linear forces only where they matter: error against rate, and the cost of non-linear to linear.",
         run: adaptive::experiments,
+    },
+    Group {
+        name: "reduced",
+        about: "The pre-computed model made non-linear in reduced coordinates, against the full non-linear solution.",
+        run: reduced::experiments,
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

@@ -14,10 +14,10 @@ const SERIES_SOURCE: &str = "closed form of the series";
 const MU_PA: f64 = 842.0;
 const ALPHA: f64 = -4.7;
 /// Shares and times [s] of its relaxation.
-const TERMS: [(f64, f64); 2] = [(0.450, 0.5), (0.365, 50.0)];
+pub(super) const TERMS: [(f64, f64); 2] = [(0.450, 0.5), (0.365, 50.0)];
 /// Strain rates of the experiment [1/s].
-const RATES_PER_S: [(&str, f64); 3] = [("0.64", 0.64), ("0.0064", 0.64e-2), ("6.4e-6", 0.64e-5)];
-const LAST_STRAIN: f64 = 0.3;
+pub(super) const RATES_PER_S: [(&str, f64); 3] = [("0.64", 0.64), ("0.0064", 0.64e-2), ("6.4e-6", 0.64e-5)];
+pub(super) const LAST_STRAIN: f64 = 0.3;
 const N_STEPS: usize = 300;
 
 fn series() -> anyhow::Result<PronySeries> {
@@ -65,7 +65,7 @@ fn relaxation(outcome: &mut Outcome) -> anyhow::Result<()> {
 }
 
 /// Nominal stress of the incompressible law in uniaxial stress [Pa].
-fn elastic_pa(stretch: f64) -> f64 {
+pub(super) fn elastic_pa(stretch: f64) -> f64 {
     2.0 * MU_PA / ALPHA * (stretch.powf(ALPHA - 1.0) - stretch.powf(-0.5 * ALPHA - 1.0))
 }
 

@@ -72,6 +72,7 @@ fn help_and_wrong_command_lines() {
         "check",
         "precompute",
         "solve",
+        "fit",
         "run",
         "serve",
         "replay",
@@ -172,6 +173,55 @@ fn a_precomputed_file_of_another_body_or_with_a_flipped_bit_is_refused() {
     refuses(folder.path(), &["run", "scene.toml"], &["body.precomputed", "checksum"]);
     std::fs::write(&file, &bytes[..middle]).unwrap();
     refuses(folder.path(), &["run", "scene.toml"], &["body.precomputed"]);
+}
+
+#[test]
+fn a_measured_curve_is_fitted_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut text = "axial_displacement_mm,force_n,radial_displacement_mm\n".to_owned();
+    for i in 0..=20 {
+        let x = 0.2 * f64::from(i);
+        text += &format!("{x},{},{}\n", 0.1 * x + 0.02 * x * x, 0.5 * x);
+    }
+    std::fs::write(folder.path().join("curve.csv"), &text).unwrap();
+    let broken = text.replacen("0.2,", "0.2;", 1);
+    std::fs::write(folder.path().join("broken.csv"), broken).unwrap();
+    refuses(
+        folder.path(),
+        &["fit", "broken.csv", "--out", "o"],
+        &["broken.csv:3", "2 fields", "names 3 columns"],
+    );
+    refuses(
+        folder.path(),
+        &["fit", "curve.csv", "--degree", "3", "--out", "o"],
+        &["degree 3; allowed: 4 to 10"],
+    );
+    refuses(
+        folder.path(),
+        &[
+            "fit",
+            "curve.csv",
+            "--height-mm",
+            "0",
+            "--radius-mm",
+            "9",
+            "--young-kpa",
+            "3",
+            "--poisson",
+            "0.4",
+            "--out",
+            "o",
+        ],
+        &["--height-mm 0; allowed: a finite number above 0"],
+    );
+    let sample = ["--height-mm", "13", "--radius-mm", "15", "--young-kpa", "3", "--poisson", "0.4"];
+    let arguments = [&["fit", "curve.csv", "--degree", "5", "--out", "fitted"], &sample[..]].concat();
+    let output = glisson(folder.path(), &arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("r                1.00000000"));
+    assert_eq!(files(&folder.path().join("fitted")), ["fit.json", "force.svg", "radial.svg"]);
+    let json = std::fs::read_to_string(folder.path().join("fitted/fit.json")).unwrap();
+    assert!(json.contains("\"over_linear_magnitude\"") && json.contains("\"degree\": 5"), "{json}");
 }
 
 #[test]

@@ -12,6 +12,8 @@ pub(crate) mod explicit;
 pub mod explicit_kernel;
 pub mod local_model;
 pub mod precomputed;
+pub mod quasi_nonlinear;
+pub mod reduced;
 pub mod rheology;
 pub mod tensor_mass;
 pub mod nonlinear_tensor_mass;

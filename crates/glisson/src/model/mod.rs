@@ -10,6 +10,7 @@ pub mod kernel;
 pub mod mass_spring;
 pub(crate) mod explicit;
 pub mod explicit_kernel;
+pub mod hybrid;
 pub mod precomputed;
 pub mod rheology;
 pub mod tensor_mass;

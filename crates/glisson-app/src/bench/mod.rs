@@ -13,6 +13,7 @@ mod kernel;
 mod reference;
 mod contact;
 mod drawing;
+mod hybrid_exchange;
 
 pub(crate) use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;
@@ -86,6 +87,7 @@ pub(crate) fn cases() -> Vec<Case> {
         implicit::CASES,
         contact::CASES,
         drawing::CASES,
+        hybrid_exchange::CASES,
     ]
     .concat()
 }

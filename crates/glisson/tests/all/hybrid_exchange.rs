@@ -102,7 +102,8 @@ fn off(found: &[DVec3], expected: &[DVec3]) -> f64 {
 }
 
 fn off_on_surface(case: &Case, found: &[DVec3], expected: &[DVec3]) -> f64 {
-    let of = |u: &[DVec3]| -> Vec<DVec3> { boundary_nodes(&case.mesh).iter().map(|n| u[n.index()]).collect() };
+    let of =
+        |u: &[DVec3]| -> Vec<DVec3> { boundary_nodes(&case.mesh).iter().map(|n| u[n.index()]).collect() };
     off(&of(found), &of(expected))
 }
 
@@ -119,7 +120,8 @@ fn mixed_constraints(case: &Case, zones: &Zones) -> Constraints {
     let on_frontier: Vec<NodeId> =
         free_surface.iter().copied().filter(|n| zones.zones_of_node(*n).len() > 1).collect();
     let end = [case.node_near(DVec3::new(0.2, 0.0, 0.0)), case.node_near(DVec3::new(0.2, 0.1, 0.1))];
-    let displacement = |node, z: f64| ImposedDisplacement { node, displacement_m: DVec3::new(1e-3, -5e-4, z) };
+    let displacement =
+        |node, z: f64| ImposedDisplacement { node, displacement_m: DVec3::new(1e-3, -5e-4, z) };
     let force = |node, y: f64| NodalForce { node, force_n: DVec3::new(0.01, y, -0.02) };
     let mut constraints = Constraints {
         displacements: vec![displacement(end[0], 2e-3), displacement(end[1], 1e-3)],
@@ -225,11 +227,8 @@ fn passing_on_less_in_a_sweep_leaves_the_equilibrium_where_it_is() {
     let zones = case.slabs(&[0.03, 0.07]);
     let constraints = mixed_constraints(&case, &zones);
     let (expected_m, _) = case.direct(&constraints, GRAVITY);
-    let amounts = [
-        ExchangeAmount::All,
-        ExchangeAmount::InTurn { n_sets: 3 },
-        ExchangeAmount::Largest { share: 0.5 },
-    ];
+    let amounts =
+        [ExchangeAmount::All, ExchangeAmount::InTurn { n_sets: 3 }, ExchangeAmount::Largest { share: 0.5 }];
     let mut products = Vec::new();
     for amount in amounts {
         for method in [Method::AllNodes, Method::Surface] {
@@ -254,7 +253,8 @@ fn counted_storage_and_products_are_those_of_the_formulas() {
     for method in [Method::Surface, Method::AllNodes] {
         let mut model = case.model(&zones, |p| p.method = method);
         // Something to relax from: without outer force, as in the formulas.
-        let lifted_m: Vec<DVec3> = case.mesh.positions_m.iter().map(|p| *p + DVec3::Z * (0.1 * p.x)).collect();
+        let lifted_m: Vec<DVec3> =
+            case.mesh.positions_m.iter().map(|p| *p + DVec3::Z * (0.1 * p.x)).collect();
         model.take_over(&lifted_m);
         model.apply(&constraints);
         sweep(&mut model, 1);
@@ -305,7 +305,8 @@ fn formulas_give_the_reports_table_from_its_zone_sizes() {
         assert!((2.6..3.0).contains(&edges), "row {i}: {edges} edges a frontier node");
     }
     // Tensor-mass: nodes times mean neighbours.
-    for (nodes, neighbours, products) in [(192.0, 8.6, 1651.0), (469.0, 11.5, 5393.0), (4919.0, 12.66, 62274.0)]
+    for (nodes, neighbours, products) in
+        [(192.0, 8.6, 1651.0), (469.0, 11.5, 5393.0), (4919.0, 12.66, 62274.0)]
     {
         assert!((nodes * neighbours - products) / products < 1e-3_f64);
     }
@@ -324,20 +325,19 @@ fn tensor_mass_beside_precomputed_comes_to_rest_in_the_direct_solution() {
     let laws = [0, 0, 1, 1, 0].map(|l| [ZoneLaw::Precomputed, ZoneLaw::TensorMass][l]);
     let constraints = mixed_constraints(&case, &zones);
     let (expected_m, expected_n) = case.direct(&constraints, GRAVITY);
-    for overlap in [Overlap::Nodes(2), Overlap::Nodes(3), Overlap::Nodes(4)] {
-        for method in [Method::AllNodes, Method::Surface] {
-            let mut model = case.model_of(&zones, &laws, |p| {
-                (p.overlap, p.method, p.damping_per_s, p.sweeps_per_step) = (overlap, method, 60.0, 2);
-            });
-            assert!(model.n_moving_nodes() > 20);
-            model.set_gravity(GRAVITY);
-            model.apply(&constraints);
-            rest(&mut model, 1200);
-            let error = off_on_surface(&case, model.displacements_m(), &expected_m);
-            assert!(error < 1e-8, "{overlap:?} {method:?}: {error:e}");
-            let error = off(model.constraint_forces_n(), &expected_n);
-            assert!(error < 1e-6, "{overlap:?} {method:?}: forces {error:e}");
-        }
+    let wide = [2, 3, 4].map(|n| (Overlap::Nodes(n), Method::AllNodes));
+    for (overlap, method) in wide.into_iter().chain([(Overlap::Nodes(2), Method::Surface)]) {
+        let mut model = case.model_of(&zones, &laws, |p| {
+            (p.overlap, p.method, p.damping_per_s, p.sweeps_per_step) = (overlap, method, 60.0, 2);
+        });
+        assert!(model.n_moving_nodes() > 20);
+        model.set_gravity(GRAVITY);
+        model.apply(&constraints);
+        rest(&mut model, 1200);
+        let error = off_on_surface(&case, model.displacements_m(), &expected_m);
+        assert!(error < 1e-8, "{overlap:?} {method:?}: {error:e}");
+        let error = off(model.constraint_forces_n(), &expected_n);
+        assert!(error < 1e-6, "{overlap:?} {method:?}: forces {error:e}");
     }
 }
 
@@ -350,16 +350,21 @@ fn a_frontier_of_one_node_converges_with_relaxation() {
     let constraints = Constraints { forces, displacements: Vec::new() };
     let (expected_m, _) = case.direct(&constraints, DVec3::ZERO);
     let laws = [ZoneLaw::Precomputed, ZoneLaw::TensorMass];
-    for relaxation in [0.05, 0.1, 0.2, 0.4, 1.0] {
+    let run = |relaxation: f64, dt_s: f64, n_steps: usize| {
         let mut model = case.model_of(&zones, &laws, |p| {
             p.overlap = Overlap::OneNode { relaxation };
             p.damping_per_s = 40.0;
         });
         model.apply(&constraints);
-        rest(&mut model, 2000);
-        let error = off(model.displacements_m(), &expected_m);
-        eprintln!("relaxation {relaxation}: {error:e}");
-    }
+        (0..n_steps).for_each(|_| model.step(dt_s));
+        off(model.displacements_m(), &expected_m)
+    };
+    // When tensor-mass comes to rest between two exchanges, both sides are about equally stiff, and half is best.
+    let at_rest = run(0.5, 0.5, 40);
+    assert!(at_rest < 1e-6, "{at_rest:e}");
+    // Tensor-mass that has no time to follow answers with its held stiffness, many times the neighbour's.
+    let hurried = run(0.5, 2e-3, 400);
+    assert!(!(hurried < 1.0), "{hurried:e}");
 }
 
 #[test]
@@ -387,8 +392,13 @@ fn tensor_mass_zones_alone_are_the_tensor_mass_model() {
         model.step(step_s);
         reference.step(step_s);
     }
-    let displacements: Vec<DVec3> =
-        reference.state().positions_m.iter().zip(&case.mesh.positions_m).map(|(x, rest)| *x - *rest).collect();
+    let displacements: Vec<DVec3> = reference
+        .state()
+        .positions_m
+        .iter()
+        .zip(&case.mesh.positions_m)
+        .map(|(x, rest)| *x - *rest)
+        .collect();
     let error = off(model.displacements_m(), &displacements);
     assert!(error < 1e-9, "{error:e}");
 }
@@ -404,7 +414,7 @@ fn a_zone_turns_dynamic_where_it_is_and_as_fast_as_it_moves() {
     };
     for method in [Method::AllNodes, Method::Surface] {
         let mut model =
-            case.model(&zones, |p| (p.method, p.sweeps_per_step, p.damping_per_s) = (method, 300, 60.0));
+            case.model(&zones, |p| (p.method, p.sweeps_per_step, p.damping_per_s) = (method, 2000, 60.0));
         model.apply(&load(0.010));
         model.step(STEP_S);
         model.apply(&load(0.012));
@@ -444,7 +454,8 @@ fn a_cut_at_a_frontier_corrects_the_neighbour_and_equals_the_remaining_mesh() {
     let zones = case.slabs(&[0.04, 0.08]);
     let constraints = mixed_constraints(&case, &zones);
     for method in [Method::AllNodes, Method::Surface] {
-        let mut model = case.model(&zones, |p| (p.method, p.damping_per_s, p.sweeps_per_step) = (method, 60.0, 2));
+        let mut model =
+            case.model(&zones, |p| (p.method, p.damping_per_s, p.sweeps_per_step) = (method, 60.0, 2));
         model.apply(&constraints);
         let mut removed = Vec::new();
         let tets = tets_touching(&case, &zones, 1, 2, 2);
@@ -537,14 +548,19 @@ fn what_cannot_be_built_is_named() {
         change(&mut params);
         HybridExchange::build(&params).unwrap_err().to_string()
     };
-    let floating = HybridExchange::build(&ExchangeParams::new(&case.mesh, &case.material, &[], &zones, &laws));
-    assert!(matches!(floating.unwrap_err(), ExchangeError::Solve(SolveError::Floating { rigid_modes: 6, .. })));
+    let floating =
+        HybridExchange::build(&ExchangeParams::new(&case.mesh, &case.material, &[], &zones, &laws));
+    assert!(matches!(
+        floating.unwrap_err(),
+        ExchangeError::Solve(SolveError::Floating { rigid_modes: 6, .. })
+    ));
     assert!(build(&case.fixed, &laws[..1], |_| ()).contains("1 laws are given for 2 zones"));
     let unheld = build(&case.fixed, &laws, |p| p.overlap = Overlap::OneNode { relaxation: 0.5 });
     assert!(unheld.contains("zone 1 is held by tensor-mass zones alone"), "{unheld}");
     for change in [
         (|p| p.sweeps_per_step = 0) as fn(&mut ExchangeParams<'_>),
         |p| p.overlap = Overlap::Nodes(1),
+        |p| (p.overlap, p.method) = (Overlap::Nodes(3), Method::Surface),
         |p| p.overlap = Overlap::OneNode { relaxation: 1.5 },
         |p| p.amount = ExchangeAmount::InTurn { n_sets: 0 },
         |p| p.amount = ExchangeAmount::Largest { share: f64::NAN },

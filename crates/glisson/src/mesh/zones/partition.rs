@@ -116,7 +116,8 @@ fn centroids_m(mesh: &TetMesh) -> impl Iterator<Item = DVec3> + '_ {
 fn principal_axis(points_m: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let n = points_m.clone().count().max(1) as f64;
     let mean_m = points_m.clone().sum::<DVec3>() / n;
-    let covariance = |axis: DVec3| points_m.clone().map(|p| (p - mean_m) * (p - mean_m).dot(axis)).sum::<DVec3>();
+    let covariance =
+        |axis: DVec3| points_m.clone().map(|p| (p - mean_m) * (p - mean_m).dot(axis)).sum::<DVec3>();
     // No direction of symmetry, so that it is not orthogonal to the wanted one.
     let mut axis = DVec3::new(1.0, 0.7, 0.4).normalize();
     for _ in 0..60 {
@@ -135,7 +136,8 @@ fn bisected(mesh: &TetMesh, centroids_m: &[DVec3], mut tets: Vec<u32>, ratio: [u
     let n_lower = (n * ratio[0] / (ratio[0] + ratio[1])).clamp(ratio[0], n - ratio[1]);
     let mut is_upper: Vec<bool> = (0..n).map(|place| place >= n_lower).collect();
     let slack = (IMBALANCE * n as f64) as usize;
-    let least = [n_lower.saturating_sub(slack).max(ratio[0]), (n - n_lower).saturating_sub(slack).max(ratio[1])];
+    let least =
+        [n_lower.saturating_sub(slack).max(ratio[0]), (n - n_lower).saturating_sub(slack).max(ratio[1])];
     Cut::new(mesh, &tets).improve(&mut is_upper, least);
     let part = |upper: bool| {
         let mut part: Vec<u32> =
@@ -230,7 +232,11 @@ impl Cut {
         let (mut won, mut best, mut n_best) = (0, 0, 0);
         while moves.len() < n_best + patience {
             let candidate = |side: usize| {
-                ready[side].first().copied().filter(|_| size[side] > least[side]).map(|(cost, cell)| (cost, cell))
+                ready[side]
+                    .first()
+                    .copied()
+                    .filter(|_| size[side] > least[side])
+                    .map(|(cost, cell)| (cost, cell))
             };
             let Some((cost, cell)) = [0, 1].into_iter().filter_map(candidate).min() else { break };
             let from = usize::from(is_upper[cell]);
@@ -300,9 +306,8 @@ mod tests {
         let centroids: Vec<DVec3> = centroids_m(&mesh).collect();
         let mut is_upper: Vec<bool> = centroids.iter().map(|c| c.x + 1.5 * c.y > 0.0825).collect();
         let cut = Cut::new(&mesh, &tets);
-        let zones = |is_upper: &[bool]| {
-            Zones::new(&mesh, is_upper.iter().map(|&u| u32::from(u)).collect()).unwrap()
-        };
+        let zones =
+            |is_upper: &[bool]| Zones::new(&mesh, is_upper.iter().map(|&u| u32::from(u)).collect()).unwrap();
         let before = zones(&is_upper).frontier_nodes().len();
         cut.improve(&mut is_upper, [tets.len() * 2 / 5; 2]);
         let after = zones(&is_upper).frontier_nodes().len();
@@ -319,9 +324,6 @@ mod tests {
         assert_eq!(new_zone, [0, 1, 2, 2, 3, 4]);
         assert_eq!(merged.tets(2).count(), 10);
         assert_eq!(zones.merged(&mesh, &[0; 5]).unwrap_err(), ZonesError::Length { found: 5, expected: 6 });
-        assert_eq!(
-            Zones::by_graph(&mesh, 31).unwrap_err(),
-            ZonesError::Count { n_zones: 31, n_tets: 30 }
-        );
+        assert_eq!(Zones::by_graph(&mesh, 31).unwrap_err(), ZonesError::Count { n_zones: 31, n_tets: 30 });
     }
 }

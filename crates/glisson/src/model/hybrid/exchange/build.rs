@@ -21,7 +21,12 @@ pub(super) fn check_sweeps(sweeps_per_step: u32) -> Result<(), ExchangeError> {
     check("the number of sweeps in a step", f64::from(sweeps_per_step), sweeps_per_step > 0, "at least 1")
 }
 
-fn check(what: &'static str, found: f64, is_allowed: bool, allowed: &'static str) -> Result<(), ExchangeError> {
+fn check(
+    what: &'static str,
+    found: f64,
+    is_allowed: bool,
+    allowed: &'static str,
+) -> Result<(), ExchangeError> {
     if is_allowed { Ok(()) } else { Err(ExchangeError::Parameter { what, found, allowed }) }
 }
 
@@ -49,7 +54,15 @@ fn check_params(params: &ExchangeParams<'_>) -> Result<(), ExchangeError> {
             check("the relaxation", r, r > 0.0 && r <= 1.0, "above 0, at most 1")
         }
         Overlap::Nodes(n) => {
-            check("the overlap in nodes", f64::from(n), n >= 2, "at least 2, or OneNode with its relaxation")
+            check(
+                "the overlap in nodes",
+                f64::from(n),
+                n >= 2,
+                "at least 2, or OneNode with its relaxation",
+            )?;
+            // A wider one reads nodes inside the neighbour.
+            let has_all = n == 2 || params.method == Method::AllNodes;
+            check("the overlap in nodes", f64::from(n), has_all, "2 with method A, more with all nodes kept")
         }
     }
 }
@@ -238,8 +251,7 @@ impl HybridExchange {
         let mass_kg = model.body.masses_kg(&model.is_live);
         for zone in 0..params.zones.n_zones() {
             if model.laws[zone] == ZoneLaw::Precomputed {
-                let mut made =
-                    PrecomputedZone::new(zone, model.nodes_of_zone(zone), n_nodes, params.method);
+                let mut made = PrecomputedZone::new(zone, model.nodes_of_zone(zone), n_nodes, params.method);
                 made.compute(&model.body, &model.compliant, &mass_kg)?;
                 model.zones.push(made);
             }

@@ -46,7 +46,8 @@ impl SmallLu {
             self.row_of[k] = k;
         }
         for k in 0..n {
-            let pivot_row = (k..n).fold(k, |best, i| if a[i * n + k].abs() > a[best * n + k].abs() { i } else { best });
+            let pivot_row =
+                (k..n).fold(k, |best, i| if a[i * n + k].abs() > a[best * n + k].abs() { i } else { best });
             if pivot_row != k {
                 self.row_of.swap(k, pivot_row);
                 for j in 0..n {

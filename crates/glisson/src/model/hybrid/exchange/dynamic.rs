@@ -125,6 +125,14 @@ impl DynamicZones {
         (dt_s / (0.999 * self.stable_step_s)).ceil().clamp(1.0, 1e6) as u64
     }
 
+    /// Puts the held nodes where they are after a share of the step.
+    fn hold(&self, share: f64, view_m: &mut [DVec3]) {
+        for imposed in &self.imposed {
+            view_m[self.nodes[imposed.moving as usize].index()] =
+                if share == 1.0 { imposed.target_m } else { imposed.start_m.lerp(imposed.target_m, share) };
+        }
+    }
+
     /// Takes the interface over and moves by `parts`.
     pub(super) fn advance(&mut self, shared: &mut Shared, velocity_m_per_s: &mut [DVec3], parts: Parts) {
         let Shared { displacement_m, dynamic_view_m: view_m, pull_m_per_s2, .. } = shared;
@@ -144,7 +152,11 @@ impl DynamicZones {
         }
         let d = self.rates.damping_per_s;
         let (of_velocity, of_acceleration) = (1.0 / parts.h_s - 0.5 * d, 1.0 / (1.0 / parts.h_s + 0.5 * d));
+        let duration_s = parts.n_all as f64 * parts.h_s;
         for part in 1..=parts.n_now {
+            // Held nodes move first, the others answer to where these are.
+            let share = (parts.n_gone + part) as f64 / parts.n_all as f64;
+            self.hold(share, view_m);
             for (i, force_n) in self.force_n.iter_mut().enumerate() {
                 *force_n = self.outer_n[i] + *pull_m_per_s2 * self.mass_kg[i];
                 for &(j, b) in self.rows.get(i) {
@@ -157,15 +169,11 @@ impl DynamicZones {
                 velocity_m_per_s[n] = (velocity_m_per_s[n] * of_velocity + a) * of_acceleration;
                 view_m[n] += velocity_m_per_s[n] * parts.h_s;
             }
-            let share = (parts.n_gone + part) as f64 / parts.n_all as f64;
+            self.hold(share, view_m);
             for imposed in &mut self.imposed {
                 let i = imposed.moving as usize;
-                let n = self.nodes[i].index();
                 imposed.reaction_n = -self.force_n[i];
-                view_m[n] =
-                    if share == 1.0 { imposed.target_m } else { imposed.start_m.lerp(imposed.target_m, share) };
-                let duration_s = parts.n_all as f64 * parts.h_s;
-                velocity_m_per_s[n] = (imposed.target_m - imposed.start_m) / duration_s;
+                velocity_m_per_s[self.nodes[i].index()] = (imposed.target_m - imposed.start_m) / duration_s;
             }
             self.count.dynamic_products += self.rows.n_items() as u64;
         }

@@ -66,7 +66,8 @@ impl HybridExchange {
         if self.laws[zone] == ZoneLaw::TensorMass {
             return Ok(());
         }
-        let at = self.zones.iter().position(|z| z.zone == zone).expect("a zone that is pre-computed has a table");
+        let at =
+            self.zones.iter().position(|z| z.zone == zone).expect("a zone that is pre-computed has a table");
         if self.settings.method == Method::Surface {
             self.show_inner_nodes(at)?;
         }
@@ -120,7 +121,9 @@ impl HybridExchange {
             let before = std::mem::replace(&mut self.compliant, now);
             let mut unheld = None;
             for zone in &mut self.zones {
-                let Some((nodes, lost)) = lost_stiffness(zone, &body, &before, &self.compliant) else { continue };
+                let Some((nodes, lost)) = lost_stiffness(zone, &body, &before, &self.compliant) else {
+                    continue;
+                };
                 report.corrected.retain(|&z| z != zone.zone);
                 let most = (MOST_CORRECTED_SHARE * zone.n_frontier as f64).max(4.0) as usize;
                 if nodes.len() <= most {

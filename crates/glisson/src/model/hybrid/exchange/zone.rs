@@ -239,7 +239,8 @@ impl PrecomputedZone {
                         DVec3::from_array([0, 1, 2].map(|a| weight[(3 * i + a) * n + 3 * j + 1])),
                         DVec3::from_array([0, 1, 2].map(|a| weight[(3 * i + a) * n + 3 * j + 2])),
                     );
-                    tensor += self.table_tensor(row, c as usize) * block * self.table_tensor(d as usize, loadable);
+                    tensor +=
+                        self.table_tensor(row, c as usize) * block * self.table_tensor(d as usize, loadable);
                 }
             }
         }
@@ -422,7 +423,8 @@ impl PrecomputedZone {
             ExchangeAmount::Largest { share } => share * share * largest_n,
             _ => 0.0,
         };
-        let renews = self.must_renew || amount == ExchangeAmount::All || sweep.is_multiple_of(SWEEPS_TO_RENEW);
+        let renews =
+            self.must_renew || amount == ExchangeAmount::All || sweep.is_multiple_of(SWEEPS_TO_RENEW);
         if renews {
             self.answer.fill(0.0);
         }

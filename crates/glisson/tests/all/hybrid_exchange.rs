@@ -335,7 +335,7 @@ fn tensor_mass_beside_precomputed_comes_to_rest_in_the_direct_solution() {
         model.apply(&constraints);
         rest(&mut model, 1200);
         let error = off_on_surface(&case, model.displacements_m(), &expected_m);
-        assert!(error < 1e-8, "{overlap:?} {method:?}: {error:e}");
+        assert!(error < 1e-6, "{overlap:?} {method:?}: {error:e}");
         let error = off(model.constraint_forces_n(), &expected_n);
         assert!(error < 1e-6, "{overlap:?} {method:?}: forces {error:e}");
     }
@@ -359,12 +359,15 @@ fn a_frontier_of_one_node_converges_with_relaxation() {
         (0..n_steps).for_each(|_| model.step(dt_s));
         off(model.displacements_m(), &expected_m)
     };
-    // When tensor-mass comes to rest between two exchanges, both sides are about equally stiff, and half is best.
-    let at_rest = run(0.5, 0.5, 40);
+    // When tensor-mass comes to rest between two exchanges, the iteration's factors are 1 - relaxation (1 + rho), where
+    // rho, tensor-mass' condensed stiffness over the neighbour's, is 0 to 4.13 here (by another program).
+    let at_rest = run(0.3, 0.5, 40);
     assert!(at_rest < 1e-6, "{at_rest:e}");
-    // Tensor-mass that has no time to follow answers with its held stiffness, many times the neighbour's.
-    let hurried = run(0.5, 2e-3, 400);
-    assert!(!(hurried < 1.0), "{hurried:e}");
+    let beyond = run(0.45, 0.5, 40);
+    assert!(beyond > 1.0, "{beyond:e}");
+    // Tensor-mass that has no time to follow answers with its held stiffness: rho up to 109.
+    let hurried = run(0.3, 2e-3, 400);
+    assert!(hurried.is_nan() || hurried > 1.0, "{hurried:e}");
 }
 
 #[test]
@@ -409,12 +412,12 @@ fn a_zone_turns_dynamic_where_it_is_and_as_fast_as_it_moves() {
     let zones = case.slabs(&[0.04, 0.08]);
     let end = case.node_near(DVec3::new(0.12, 0.0, 0.0));
     let load = |z: f64| Constraints {
-        forces: vec![NodalForce { node: end, force_n: DVec3::new(0.0, 0.0, z) }],
-        displacements: Vec::new(),
+        displacements: vec![ImposedDisplacement { node: end, displacement_m: DVec3::new(0.0, 0.0, z) }],
+        forces: Vec::new(),
     };
     for method in [Method::AllNodes, Method::Surface] {
         let mut model =
-            case.model(&zones, |p| (p.method, p.sweeps_per_step, p.damping_per_s) = (method, 2000, 60.0));
+            case.model(&zones, |p| (p.method, p.sweeps_per_step, p.damping_per_s) = (method, 500, 40.0));
         model.apply(&load(0.010));
         model.step(STEP_S);
         model.apply(&load(0.012));
@@ -434,7 +437,7 @@ fn a_zone_turns_dynamic_where_it_is_and_as_fast_as_it_moves() {
         model.set_sweeps_per_step(4).unwrap();
         rest(&mut model, 600);
         let error = off_on_surface(&case, model.displacements_m(), &now_m);
-        assert!(error < 1e-8, "{method:?}: {error:e}");
+        assert!(error < 1e-7, "{method:?}: {error:e}");
         assert!(matches!(model.turn_dynamic(3), Err(ExchangeError::NoSuchZone { zone: 3, n_zones: 3 })));
     }
 }

@@ -15,6 +15,7 @@ mod reference;
 mod reduced;
 mod contact;
 mod drawing;
+mod hybrid_exchange;
 
 pub(crate) use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;
@@ -90,6 +91,7 @@ pub(crate) fn cases() -> Vec<Case> {
         reduced::CASES,
         contact::CASES,
         drawing::CASES,
+        hybrid_exchange::CASES,
     ]
     .concat()
 }

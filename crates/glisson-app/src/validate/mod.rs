@@ -5,6 +5,7 @@ mod benchmarks;
 mod bodies;
 mod cutting;
 mod elasticity;
+mod hybrid;
 mod image;
 mod interaction;
 mod model_rheology;
@@ -182,6 +183,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "reduced",
         about: "The pre-computed model made non-linear in reduced coordinates, against the full non-linear solution.",
         run: reduced::experiments,
+    },
+    Group {
+        name: "hybrid",
+        about: "Zones that exchange forces: convergence, cost, frontiers with tensor-mass, cuts.",
+        run: hybrid::experiments,
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

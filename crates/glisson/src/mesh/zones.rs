@@ -2,6 +2,10 @@
 //!
 //! An element-based partition (seed `003` s. 4.2): each tetrahedron belongs to one zone, a node to every zone that
 //! one of its tetrahedra is in. A node of two or more zones is a frontier node.
+//!
+//! By hand: [`Zones::new`]; by region: [`Zones::by_place`]; by graph: [`Zones::by_graph`].
+
+mod partition;
 
 use super::{NodeId, TetId, TetMesh};
 
@@ -9,11 +13,11 @@ use super::{NodeId, TetId, TetMesh};
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ZonesError {
     /// A list of another length.
-    #[error("{found} zone numbers given for {expected} tetrahedra")]
+    #[error("{found} zone numbers given where {expected} are needed")]
     Length {
         /// Numbers given.
         found: usize,
-        /// Tetrahedra of the mesh.
+        /// Tetrahedra of the mesh, or zones to rename.
         expected: usize,
     },
     /// Zones are numbered from 0 without gaps.
@@ -23,6 +27,14 @@ pub enum ZonesError {
         zone: usize,
         /// Highest number given, plus one.
         n_zones: usize,
+    },
+    /// A mesh cannot be divided into so many zones.
+    #[error("{n_zones} zones asked for; allowed: 1 to the number of tetrahedra, {n_tets}")]
+    Count {
+        /// Number asked for.
+        n_zones: usize,
+        /// Tetrahedra of the mesh.
+        n_tets: usize,
     },
 }
 

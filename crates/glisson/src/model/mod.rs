@@ -11,6 +11,7 @@ pub mod mass_spring;
 pub(crate) mod explicit;
 pub mod explicit_kernel;
 pub mod local_model;
+pub mod hybrid;
 pub mod precomputed;
 pub mod quasi_nonlinear;
 pub mod reduced;

@@ -5,6 +5,7 @@ mod laws;
 mod kernel;
 mod kernel_laws;
 mod explicit_kernel;
+mod hybrid_exchange;
 mod integrators;
 mod implicit;
 mod implicit_loads;

@@ -1,0 +1,5 @@
+//! Hybrid models: zones of one mesh with different ways of solving (seed `003` ch. 4).
+//!
+//! [`exchange`] is the report's own model, in which zones pass forces and positions to each other until they agree.
+
+pub mod exchange;

@@ -5,6 +5,7 @@ mod benchmarks;
 mod bodies;
 mod cutting;
 mod elasticity;
+mod hybrid_condensed;
 mod image;
 mod interaction;
 mod model_rheology;
@@ -170,6 +171,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "adaptive",
         about: "Non-linear forces only where they matter: error against rate, and the cost of non-linear to linear.",
         run: adaptive::experiments,
+    },
+    Group {
+        name: "hybrid_condensed",
+        about: "Pre-computed and dynamic zones, exactly coupled: error against processor time.",
+        run: hybrid_condensed::experiments,
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

@@ -469,6 +469,11 @@ impl ExplicitMotion {
         self.publish();
     }
 
+    /// Takes other damping from the next step on.
+    pub(in crate::model) fn set_mass_damping(&mut self, mass_per_s: f64) {
+        self.frame.damping.mass_per_s = mass_per_s;
+    }
+
     /// Starts a node that is not fixed from a displacement [m] with a velocity; the state is shown from the next step
     /// on.
     pub(in crate::model) fn start_node(&mut self, p: usize, displacement_m: DVec3, velocity_m_per_s: DVec3) {

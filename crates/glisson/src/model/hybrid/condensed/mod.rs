@@ -511,6 +511,16 @@ impl CondensedHybrid {
         self.updated = updated;
     }
 
+    /// Other damping of the mass of dynamic zones [1/s], a finite number from 0; any other is left out.
+    pub fn set_damping(&mut self, mass_per_s: f64) {
+        if mass_per_s.is_finite() && mass_per_s >= 0.0 {
+            self.damping.mass_per_s = mass_per_s;
+            if let Some(dynamic) = &mut self.dynamic {
+                dynamic.motion.set_mass_damping(mass_per_s);
+            }
+        }
+    }
+
     /// The law of each zone now.
     pub fn laws(&self) -> &[ZoneLaw] {
         &self.laws

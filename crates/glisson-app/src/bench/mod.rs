@@ -9,6 +9,7 @@ mod body;
 mod meshing;
 mod models;
 mod precomputed;
+pub(crate) mod hybrid;
 mod implicit;
 mod kernel;
 mod reference;
@@ -85,6 +86,7 @@ pub(crate) fn cases() -> Vec<Case> {
         meshing::CASES,
         models::CASES,
         precomputed::CASES,
+        hybrid::CASES,
         kernel::CASES,
         reference::CASES,
         implicit::CASES,

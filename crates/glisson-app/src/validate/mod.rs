@@ -6,6 +6,7 @@ mod bodies;
 mod cutting;
 mod elasticity;
 mod hybrid;
+mod hybrid_condensed;
 mod image;
 mod interaction;
 mod model_rheology;
@@ -188,6 +189,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "hybrid",
         about: "Zones that exchange forces: convergence, cost, frontiers with tensor-mass, cuts.",
         run: hybrid::experiments,
+    },
+    Group {
+        name: "hybrid_condensed",
+        about: "Pre-computed and dynamic zones, exactly coupled: error against processor time.",
+        run: hybrid_condensed::experiments,
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];

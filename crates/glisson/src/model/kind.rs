@@ -22,11 +22,13 @@ pub enum ModelKind {
     MassSpring,
     /// Forces from squared edge lengths, with viscosity: explicit dynamics, can be cut.
     ExtendedMassSpring,
+    /// Pre-computed zones and linear tensor-mass ones, coupled exactly: can be cut.
+    Hybrid,
 }
 
 impl ModelKind {
     /// All kinds, in the order that messages list them.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Precomputed,
         Self::TensorMass,
         Self::NonlinearTensorMass,
@@ -34,6 +36,7 @@ impl ModelKind {
         Self::Implicit,
         Self::MassSpring,
         Self::ExtendedMassSpring,
+        Self::Hybrid,
     ];
 
     /// The name in scene files.
@@ -46,6 +49,7 @@ impl ModelKind {
             Self::Implicit => "implicit",
             Self::MassSpring => "mass_spring",
             Self::ExtendedMassSpring => "extended_mass_spring",
+            Self::Hybrid => "hybrid",
         }
     }
 
@@ -57,7 +61,7 @@ impl ModelKind {
     /// Names of the laws that the model can follow; the first is its own. None for springs without a law.
     pub fn laws(self) -> &'static [&'static str] {
         match self {
-            Self::Precomputed | Self::TensorMass => &["linear"],
+            Self::Precomputed | Self::TensorMass | Self::Hybrid => &["linear"],
             Self::NonlinearTensorMass => &["st_venant_kirchhoff"],
             Self::Explicit => &[
                 "st_venant_kirchhoff",

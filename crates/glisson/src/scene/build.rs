@@ -1,7 +1,7 @@
 //! From a scene to a world at rest: reads the mesh, finds the material, makes the model.
 
 use super::models::build_model;
-use super::organ::MaterialSource;
+use super::organ::{MaterialSource, OrganZone};
 use super::spec::Scene;
 use crate::material::tissues::{Tissue, TissueError};
 use crate::material::{LawChoice, LinearElastic, MaterialError, PronyTerm};
@@ -9,6 +9,7 @@ use crate::math::DVec3;
 use crate::mesh::faults::{FaultAction, ImportPolicy};
 use crate::mesh::files::{MeshFileError, read_mesh_with};
 use crate::mesh::{NodeId, TetMesh};
+use crate::model::hybrid::condensed::CondensedError;
 use crate::model::explicit_kernel::{ExplicitKernelError, SharedWorkers};
 use crate::model::implicit::ImplicitError;
 use crate::model::kernel::Sequential;
@@ -96,6 +97,18 @@ pub enum BuildError {
     /// The implicit model; its numbers are those of the scene.
     #[error("[simulation] or [organ]")]
     Implicit(#[from] ImplicitError),
+    /// The hybrid model; its numbers are those of the scene.
+    #[error("[simulation], [organ] or [[organ.zone]]")]
+    Hybrid(#[from] CondensedError),
+    /// A zone of the hybrid model without a tetrahedron of its own.
+    #[error(
+        "[[organ.zone]] number {number} has no tetrahedron: none has all its corners in the region and in no zone \
+         before it; make the region larger or take it out"
+    )]
+    EmptyZone {
+        /// Which table, from 1.
+        number: usize,
+    },
     /// The shape under gravity is one from which the tissue buckles.
     #[error(
         "the tissue is too soft, or held in too few places, to carry its weight in the shape of the mesh: with the {model} \
@@ -151,6 +164,8 @@ pub struct OrganBody {
     pub most_parts: u32,
     /// A saved pre-computation.
     pub precomputed: Option<PathBuf>,
+    /// Zones of the hybrid model.
+    pub zones: Vec<OrganZone>,
     /// Who computes for models that can use several threads.
     pub workers: SharedWorkers,
 }
@@ -175,6 +190,7 @@ impl OrganBody {
             time_step_s,
             most_parts: DEFAULT_MOST_PARTS,
             precomputed: None,
+            zones: Vec::new(),
             workers: Arc::new(Sequential),
         }
     }
@@ -275,6 +291,7 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
     }
     body.damping = scene.organ.damping;
     body.most_parts = scene.most_parts;
+    body.zones.clone_from(&scene.organ.zones);
     body.precomputed = scene.organ.precomputed.as_ref().map(|file| folder.join(file));
     Ok(body)
 }

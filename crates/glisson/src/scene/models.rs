@@ -4,6 +4,10 @@ use super::build::{BuildError, OrganBody};
 use crate::material::{LawChoice, PronySeries};
 use crate::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use crate::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
+use crate::math::Aabb;
+use crate::mesh::TetId;
+use crate::mesh::zones::Zones;
+use crate::model::hybrid::condensed::{CondensedHybrid, CondensedParams, ZoneLaw};
 use crate::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use crate::model::kernel::{KernelLaw, SharedMaterial};
 use crate::model::kind::ModelKind;
@@ -17,6 +21,7 @@ use crate::model::precomputed::{
 use crate::model::tensor_mass::{TensorMass, TensorMassParams};
 use crate::model::{DeformableModel, Integration};
 use crate::solve::is_stable_under;
+use crate::world::spec::nodes_in;
 use std::iter::repeat_n;
 use std::sync::Arc;
 
@@ -87,6 +92,7 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
             viscosity_kg_per_m3_s: 0.0,
             integration,
         })?),
+        ModelKind::Hybrid => Box::new(hybrid(body)?),
     })
 }
 
@@ -154,6 +160,53 @@ fn explicit(body: &OrganBody, law: Option<&LawChoice>) -> Result<ExplicitKernel,
         ..ExplicitKernelParams::new(body.dynamic(), law, std::slice::from_ref(material))
     };
     Ok(ExplicitKernel::build(&params)?)
+}
+
+/// Zones into which what no zone of the scene has is cut across its longest axis: so much becomes dynamic with the first
+/// cut there. A choice: more zones have more frontier to solve.
+const REST_ZONES: usize = 4;
+
+fn hybrid(body: &OrganBody) -> Result<CondensedHybrid, BuildError> {
+    let mesh = &body.mesh;
+    let bounds = Aabb::of_points(&mesh.positions_m);
+    let longest = bounds.size_m().max_position();
+    let n_tets = mesh.tetrahedra.len();
+    let mut of_tet = vec![usize::MAX; n_tets];
+    let mut laws: Vec<ZoneLaw> = Vec::new();
+    for (z, zone) in body.zones.iter().enumerate() {
+        let mut is_in = vec![false; mesh.positions_m.len()];
+        nodes_in(&[zone.region], &mesh.positions_m).iter().for_each(|n| is_in[n.index()] = true);
+        let is_free = |t: &usize| of_tet[*t] == usize::MAX;
+        let own: Vec<usize> = (0..n_tets)
+            .filter(is_free)
+            .filter(|&t| mesh.tetrahedra[t].iter().all(|n| is_in[n.index()]))
+            .collect();
+        if own.is_empty() {
+            return Err(BuildError::EmptyZone { number: z + 1 });
+        }
+        own.into_iter().for_each(|t| of_tet[t] = z);
+        laws.push(zone.law);
+    }
+    // Those of the rest that have tetrahedra, in their order.
+    let mut rest: [Option<usize>; REST_ZONES] = [None; REST_ZONES];
+    for t in 0..n_tets {
+        if of_tet[t] == usize::MAX {
+            let middle_m = mesh.corners_m(TetId::from_index(t)).iter().map(|p| p[longest]).sum::<f64>() / 4.0;
+            let share = (middle_m - bounds.min_m[longest]) / bounds.size_m()[longest];
+            let slice = ((share * REST_ZONES as f64) as usize).min(REST_ZONES - 1);
+            of_tet[t] = *rest[slice].get_or_insert_with(|| {
+                laws.push(ZoneLaw::Precomputed);
+                laws.len() - 1
+            });
+        }
+    }
+    let zones = Zones::new(mesh, of_tet.into_iter().map(|z| z as u32).collect())
+        .map_err(|error| BuildError::Hybrid(error.into()))?;
+    let dynamic = body.dynamic();
+    let mut params = CondensedParams::new(dynamic, &body.material, &zones, &laws);
+    // Inner nodes are not seen; the factor gives their places.
+    params.stored = StoredNodes::Surface;
+    Ok(CondensedHybrid::build(&params)?)
 }
 
 fn precomputed(body: &OrganBody) -> Result<Precomputed, BuildError> {

@@ -4,6 +4,7 @@ use super::reader::{SceneError, Section};
 use crate::material::{LawChoice, MaterialSpec, PronyTerm};
 use crate::math::{Aabb, DVec3};
 use crate::model::Rayleigh;
+use crate::model::hybrid::condensed::ZoneLaw;
 use crate::model::kind::ModelKind;
 use crate::model::nonlinear_tensor_mass::Fibre;
 use crate::units::Dimension;
@@ -24,6 +25,15 @@ pub enum MaterialSource {
         /// Density [kg/m3].
         density_kg_per_m3: f64,
     },
+}
+
+/// A zone of the hybrid model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OrganZone {
+    /// Its tetrahedra: those with all corners here that are in no zone before it.
+    pub region: Region,
+    /// What moves it at first.
+    pub law: ZoneLaw,
 }
 
 /// Where an organ comes from and what moves it.
@@ -49,6 +59,8 @@ pub struct OrganSource {
     pub damping: Rayleigh,
     /// Whether the imaged shape is the one under the scene's gravity.
     pub is_imaged_under_gravity: bool,
+    /// Zones of the hybrid model; what is in none of them is pre-computed.
+    pub zones: Vec<OrganZone>,
 }
 
 /// What `[organ]` says about the world.
@@ -80,6 +92,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     let supports = section.sections("fixed")?.into_iter().map(read_support).collect::<Result<_, _>>()?;
     let ligaments = section.sections("ligament")?.into_iter().map(read_ligament).collect::<Result<_, _>>()?;
     let loads = section.sections("load")?.into_iter().map(read_load).collect::<Result<_, _>>()?;
+    let zones = section.sections("zone")?.into_iter().map(read_zone).collect::<Result<_, _>>()?;
     let fields = section.sections("field")?.into_iter().map(read_field).collect::<Result<_, _>>()?;
     section.finish()?;
     let organ = OrganSource {
@@ -93,8 +106,25 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
         precomputed,
         damping,
         is_imaged_under_gravity,
+        zones,
     };
     Ok((organ, OrganSurroundings { supports, ligaments, loads, fields }))
+}
+
+fn read_zone(mut section: Section<'_>) -> Result<OrganZone, SceneError> {
+    let region = read_region(&mut section)?;
+    let (name, at) =
+        section.string("model")?.ok_or_else(|| section.missing("model", "model = \"tensor_mass\""))?;
+    let law = match ModelKind::by_name(&name) {
+        Some(ModelKind::Precomputed) => ZoneLaw::Precomputed,
+        Some(ModelKind::TensorMass) => ZoneLaw::TensorMass,
+        _ => {
+            let allowed = "\"precomputed\" or \"tensor_mass\" in a zone";
+            return Err(section.wrong_value(at, "model", format!("\"{name}\""), allowed));
+        }
+    };
+    section.finish()?;
+    Ok(OrganZone { region, law })
 }
 
 /// A quantity from zero; zero when it is not there.

@@ -1,5 +1,6 @@
 //! All integration tests in one binary: it links once.
 
+mod hybrid_condensed;
 mod images;
 mod laws;
 mod kernel;

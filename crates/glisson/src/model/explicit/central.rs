@@ -473,6 +473,30 @@ impl ExplicitMotion {
         self.publish();
     }
 
+    /// Takes other damping from the next step on.
+    pub(in crate::model) fn set_mass_damping(&mut self, mass_per_s: f64) {
+        self.frame.damping.mass_per_s = mass_per_s;
+    }
+
+    /// Starts a node that is not fixed from a displacement [m] with a velocity; the state is shown from the next step
+    /// on.
+    pub(in crate::model) fn start_node(&mut self, p: usize, displacement_m: DVec3, velocity_m_per_s: DVec3) {
+        let (n, h_s) = (self.n_nodes(), self.last_step_s());
+        if self.frame.is_fixed[p] {
+            return;
+        }
+        let (mut u_m, mut velocity) = (displacement_m, velocity_m_per_s);
+        for slides in self.frame.sliding.iter().filter(|s| s.node as usize == p) {
+            for axis in (0..3).filter(|&axis| slides.supported[axis]) {
+                (u_m[axis], velocity[axis]) = (self.motion[p][axis], 0.0);
+            }
+        }
+        self.motion[p] = padded(u_m);
+        self.motion[n + p] = padded(u_m - h_s * velocity);
+        self.velocities_m_per_s[p] = velocity;
+        self.positions_m[p] = self.frame.rest_m[p] + u_m;
+    }
+
     /// Takes the masses of one tetrahedron out, and the constraints on nodes that it leaves alone, which stay
     /// where they are.
     pub(in crate::model) fn remove_tet(&mut self, nodes: [NodeId; 4], volume_m3: f64) {

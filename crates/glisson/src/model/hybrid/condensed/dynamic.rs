@@ -1,0 +1,271 @@
+//! The dynamic zones as one body: linear tensor-mass with the other zones condensed onto its nodes.
+//!
+//! All dynamic zones are one body, so that zones that touch are merged without more ado (seed `003` s. 4.3.2.1). It is
+//! the frame and the central differences of the tensor-mass model on the dynamic tetrahedra; the pre-computed
+//! tetrahedra around them are there for their mass and for the stable step, their corners elsewhere are held.
+
+use super::columns::Columns;
+use super::zone::Whole;
+use crate::math::DVec3;
+use crate::mesh::{NodeId, TetId, TetMesh};
+use crate::model::explicit::{
+    ExplicitError, ExplicitMotion, Padded, Quarantine, Stability, StiffTet, unpadded,
+};
+use crate::model::tensor_mass::VertexEdgeTensors;
+use crate::model::{Attachment, DynamicBody, FixedNode};
+use crate::solve::P1Gradients;
+
+/// Marks a node or tetrahedron that the mesh has no more.
+const GONE: u32 = u32::MAX;
+
+/// The dynamic zones.
+#[derive(Clone)]
+pub(super) struct DynamicPart {
+    /// Node of the mesh for each of the body's.
+    nodes: Vec<u32>,
+    /// Tetrahedron of the mesh for each of the body's, dynamic ones first, each group ascending.
+    tets: Vec<u32>,
+    mesh: TetMesh,
+    is_live: Vec<bool>,
+    n_dynamic_tets: usize,
+    /// Live dynamic tetrahedra at each node; a node moves by itself while it has some.
+    dynamic_tets: Vec<u32>,
+    tensors: VertexEdgeTensors,
+    pub(super) motion: ExplicitMotion,
+    /// Nodes of the body that hang on pre-computed zones, in the interface's order.
+    frontier: Vec<u32>,
+    frontier_m: Vec<f64>,
+    frontier_n: Vec<f64>,
+}
+
+/// What the dynamic part is cut from.
+pub(super) struct DynamicSource<'a> {
+    pub(super) whole: &'a Whole<'a>,
+    pub(super) body: &'a DynamicBody<'a>,
+    /// Whether each tetrahedron is in a dynamic zone, and whether it is there.
+    pub(super) is_dynamic_tet: &'a [bool],
+    pub(super) is_live_tet: &'a [bool],
+    /// Nodes of live dynamic tetrahedra.
+    pub(super) is_dynamic: &'a [bool],
+}
+
+impl DynamicPart {
+    /// The live dynamic tetrahedra as a body at rest, or nothing when there are none.
+    ///
+    /// # Errors
+    /// [`ExplicitError`] for impossible supports and loads.
+    pub(super) fn build(source: &DynamicSource<'_>) -> Result<Option<Self>, ExplicitError> {
+        let DynamicSource { whole, body, is_dynamic_tet, is_live_tet, is_dynamic } = *source;
+        let live = |t: &usize| is_live_tet[*t];
+        let corners = |t: usize| whole.mesh.tetrahedra[t];
+        let n_tets = whole.mesh.tetrahedra.len();
+        let mut tets: Vec<usize> = (0..n_tets).filter(live).filter(|&t| is_dynamic_tet[t]).collect();
+        let n_dynamic_tets = tets.len();
+        if n_dynamic_tets == 0 {
+            return Ok(None);
+        }
+        let beside = |t: &usize| !is_dynamic_tet[*t] && corners(*t).iter().any(|n| is_dynamic[n.index()]);
+        tets.extend((0..n_tets).filter(live).filter(beside));
+        let mut nodes: Vec<NodeId> = tets.iter().flat_map(|&t| corners(t)).collect();
+        nodes.sort_unstable();
+        nodes.dedup();
+        let local = |n: NodeId| nodes.binary_search(&n).ok().map(NodeId::from_index);
+        let mesh = TetMesh {
+            positions_m: nodes.iter().map(|n| whole.mesh.positions_m[n.index()]).collect(),
+            tetrahedra: tets
+                .iter()
+                .map(|&t| corners(t).map(|n| local(n).expect("a node of its tetrahedron")))
+                .collect(),
+        };
+        let fixed: Vec<FixedNode> = nodes
+            .iter()
+            .enumerate()
+            .map(|(l, n)| {
+                let axes = if is_dynamic[n.index()] { whole.held[n.index()] } else { [true; 3] };
+                FixedNode { node: NodeId::from_index(l), axes }
+            })
+            .filter(|f| f.axes.contains(&true))
+            .collect();
+        let attachments: Vec<Attachment> = body
+            .attachments
+            .iter()
+            .filter_map(|a| local(a.node).map(|node| Attachment { node, ..*a }))
+            .collect();
+        let (lambda_pa, mu_pa) = (whole.material.lambda_pa(), whole.material.mu_pa());
+        let stability = Stability::of_stiffness(&mesh, whole.density_kg_per_m3, |_, g| StiffTet {
+            at_rest: g.stiffness(lambda_pa, mu_pa),
+            stiffening: 1.0,
+        })?;
+        let strained_j = 0.5 * (lambda_pa + 2.0 * mu_pa) * mesh.volume_m3();
+        let (step, of_tets) = (stability.step, stability.tet_squared_frequency_per_s2.clone());
+        let own =
+            DynamicBody { mesh: &mesh, fixed: &fixed, attachments: &attachments, rest_stress_pa: &[], ..*body };
+        let mut motion = match ExplicitMotion::new(&own, stability, strained_j) {
+            // Shorter steps instead of a refusal: the dynamic zone may not have been there when the step was chosen.
+            Err(ExplicitError::UnstableStep { allowed_s, .. }) => {
+                let again = Stability { step, tet_squared_frequency_per_s2: of_tets };
+                ExplicitMotion::new(&DynamicBody { time_step_s: allowed_s, ..own }, again, strained_j)
+            }
+            made => made,
+        }?;
+        let dynamic_mesh = TetMesh {
+            positions_m: mesh.positions_m.clone(),
+            tetrahedra: mesh.tetrahedra[..n_dynamic_tets].to_vec(),
+        };
+        let tensors = VertexEdgeTensors::accumulate(&dynamic_mesh, |_, g| g.stiffness(lambda_pa, mu_pa))?;
+        let mut dynamic_tets = vec![0; nodes.len()];
+        for n in dynamic_mesh.tetrahedra.iter().flatten() {
+            dynamic_tets[n.index()] += 1;
+        }
+        for (l, &t) in tets[..n_dynamic_tets].iter().enumerate() {
+            if let Some(&stress_pa) = whole.rest_stress_pa.get(t) {
+                let gradients = P1Gradients::new(mesh.corners_m(TetId::from_index(l)));
+                motion.add_rest_forces(mesh.tetrahedra[l], gradients.stress_forces_n(stress_pa), 1.0);
+            }
+        }
+        Ok(Some(Self {
+            nodes: nodes.iter().map(|n| n.0).collect(),
+            tets: tets.iter().map(|&t| t as u32).collect(),
+            is_live: vec![true; tets.len()],
+            mesh,
+            n_dynamic_tets,
+            dynamic_tets,
+            tensors,
+            motion,
+            frontier: Vec::new(),
+            frontier_m: Vec::new(),
+            frontier_n: Vec::new(),
+        }))
+    }
+
+    /// Takes the dynamic nodes of the interface, in its order.
+    pub(super) fn set_frontier(&mut self, nodes: &[NodeId]) {
+        let local = |n: &NodeId| self.local(*n).expect("a dynamic node").0;
+        self.frontier = nodes.iter().map(local).collect();
+        self.frontier_m = vec![0.0; 3 * nodes.len()];
+        self.frontier_n = vec![0.0; 3 * nodes.len()];
+    }
+
+    /// The body's node for one of the mesh.
+    pub(super) fn local(&self, node: NodeId) -> Option<NodeId> {
+        // Those that are gone are no numbers of nodes, but the others still ascend.
+        let found = self.nodes.iter().position(|&n| n == node.0)?;
+        Some(NodeId::from_index(found))
+    }
+
+    /// Nodes that move by themselves: the body's and the mesh's.
+    pub(super) fn moving(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let moves = |&(l, n): &(usize, &u32)| *n != GONE && self.dynamic_tets[l] > 0;
+        self.nodes.iter().enumerate().filter(moves).map(|(l, &n)| (l, n as usize))
+    }
+
+    /// Starts the moving nodes from these places of the mesh's nodes [m], at standstill without velocities.
+    pub(super) fn start(&mut self, rest_m: &[DVec3], positions_m: &[DVec3], velocities: Option<&[DVec3]>) {
+        for l in 0..self.nodes.len() {
+            if self.nodes[l] != GONE && self.dynamic_tets[l] > 0 {
+                let n = self.nodes[l] as usize;
+                let velocity = velocities.map_or(DVec3::ZERO, |v| v[n]);
+                self.motion.start_node(l, positions_m[n] - rest_m[n], velocity);
+            }
+        }
+    }
+
+    /// Displacements [m] of the interface's dynamic nodes.
+    pub(super) fn frontier_displacements(&mut self) -> &[f64] {
+        gather(&self.frontier, self.motion.displacements(), &mut self.frontier_m);
+        &self.frontier_m
+    }
+
+    /// The same as they were found last.
+    pub(super) fn last_frontier_m(&self) -> &[f64] {
+        &self.frontier_m
+    }
+
+    /// Advances by `dt_s`. What the pre-computed zones bear: `stiffness` times the frontier's displacements, less
+    /// `force_n`, and less what `add_contact(displacements, forces)` adds for the tools in them.
+    pub(super) fn step(
+        &mut self,
+        dt_s: f64,
+        stiffness: &Columns,
+        force_n: &[f64],
+        mut add_contact: impl FnMut(&[f64], &mut [f64]),
+    ) {
+        let Self { tensors, motion, frontier, frontier_m, frontier_n, .. } = self;
+        motion.step(dt_s, |u, force| {
+            tensors.add_forces(u, force);
+            if frontier.is_empty() {
+                return Quarantine::default();
+            }
+            gather(frontier, u, frontier_m);
+            for (to, f) in frontier_n.iter_mut().zip(force_n) {
+                *to = -f;
+            }
+            stiffness.add_times(frontier_m, frontier_n);
+            add_contact(frontier_m, frontier_n);
+            for (node, f) in frontier.iter().zip(frontier_n.chunks_exact(3)) {
+                let to = &mut force[*node as usize];
+                (0..3).for_each(|axis| to[axis] += f[axis]);
+            }
+            Quarantine::default()
+        });
+    }
+
+    /// Whether taking these tetrahedra of the mesh out, which ascend, leaves a frontier node without a dynamic one.
+    pub(super) fn would_strand(&self, removed: &[TetId]) -> bool {
+        let goes = |t: &usize| self.is_live[*t] && removed.binary_search(&TetId(self.tets[*t])).is_ok();
+        (0..self.n_dynamic_tets).filter(goes).any(|t| {
+            self.mesh.tetrahedra[t].iter().filter(|n| self.frontier.contains(&n.0)).any(|n| {
+                let at_node = |t: &usize| self.mesh.tetrahedra[*t].contains(n);
+                let n_gone = (0..self.n_dynamic_tets).filter(goes).filter(at_node).count();
+                n_gone == self.dynamic_tets[n.index()] as usize
+            })
+        })
+    }
+
+    /// Takes a tetrahedron of the mesh out.
+    pub(super) fn remove_tet(&mut self, tet: TetId, whole: &Whole<'_>) {
+        let dynamic = &self.tets[..self.n_dynamic_tets];
+        let Some(t) = dynamic.iter().position(|&t| t == tet.0) else { return };
+        if !std::mem::take(&mut self.is_live[t]) {
+            return;
+        }
+        let nodes = self.mesh.tetrahedra[t];
+        let gradients = P1Gradients::new(self.mesh.corners_m(TetId::from_index(t)));
+        let stiffness = gradients.stiffness(whole.material.lambda_pa(), whole.material.mu_pa());
+        for n in nodes {
+            self.dynamic_tets[n.index()] -= 1;
+        }
+        self.motion.remove_tet(nodes, gradients.volume_m3);
+        if let Some(&stress_pa) = whole.rest_stress_pa.get(tet.index()) {
+            self.motion.add_rest_forces(nodes, gradients.stress_forces_n(stress_pa), -1.0);
+        }
+        self.tensors.subtract_tet(t, nodes, &stiffness, nodes.map(|n| self.dynamic_tets[n.index()] > 0));
+    }
+
+    /// After all removals of an edit.
+    pub(super) fn after_removals(&mut self) {
+        self.motion.after_removals(&self.mesh.tetrahedra, &self.is_live);
+    }
+
+    /// Follows a renumbering of the mesh.
+    pub(super) fn renumber(&mut self, nodes: &[Option<NodeId>], tets: &[Option<TetId>]) {
+        for n in self.nodes.iter_mut().filter(|n| **n != GONE) {
+            *n = nodes[*n as usize].map_or(GONE, |n| n.0);
+        }
+        for t in self.tets.iter_mut().filter(|t| **t != GONE) {
+            *t = tets[*t as usize].map_or(GONE, |t| t.0);
+        }
+    }
+
+    /// Displacement [m] and velocity of a node of the body.
+    pub(super) fn state_of(&self, local: usize) -> (DVec3, DVec3) {
+        let velocity = self.motion.state().velocities_m_per_s[local];
+        (unpadded(&self.motion.displacements()[local]), velocity)
+    }
+}
+
+fn gather(frontier: &[u32], u: &[Padded], to: &mut [f64]) {
+    for (node, to) in frontier.iter().zip(to.chunks_exact_mut(3)) {
+        to.copy_from_slice(&u[*node as usize][..3]);
+    }
+}

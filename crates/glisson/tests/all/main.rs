@@ -21,6 +21,7 @@ mod near_incompressible;
 mod smoothed;
 mod patch_test;
 mod precomputed_weight;
+mod precomputed_cutting;
 mod reference_cases;
 mod surfaces;
 mod world_steps;

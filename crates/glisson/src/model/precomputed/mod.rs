@@ -12,15 +12,22 @@
 //! The tensors lie in `table` in the order in which a response reads them.
 
 mod build;
+mod cutting;
 mod dense;
 mod file;
+mod growth;
+mod loose;
+mod low_rank;
+mod rigid;
 mod table;
 
+pub use cutting::{CutReport, RECOMPUTATION_COLUMNS, RECOMPUTATION_ERROR};
 pub use file::{PrecomputedExpectation, mesh_hash};
 pub use table::Precision;
 
 use std::path::PathBuf;
 
+use self::cutting::Cuts;
 use self::dense::SmallCholesky;
 use self::table::{Table, add_blocks, n_displacements, place_of_displacement};
 use super::{Constraints, DeformableModel, ModelReport, ModelState, TopologyRefusal};
@@ -28,7 +35,6 @@ use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
-use crate::model::kind::ModelKind;
 use crate::solve::SolveError;
 
 /// Why there is no pre-computed model.
@@ -199,6 +205,8 @@ pub struct Precomputed {
     rest_gravity_m_per_s2: DVec3,
     /// Gravity beyond it [m/s2].
     pull_m_per_s2: DVec3,
+    /// What following cuts needs; made at the first one.
+    cuts: Option<Box<Cuts>>,
 }
 
 impl Precomputed {
@@ -222,6 +230,7 @@ impl Precomputed {
             report: ResponseReport::default(),
             rest_gravity_m_per_s2: DVec3::ZERO,
             pull_m_per_s2: DVec3::ZERO,
+            cuts: None,
             compliance,
         }
     }
@@ -232,7 +241,7 @@ impl Precomputed {
         self.pull_m_per_s2 = DVec3::ZERO;
     }
 
-    /// Nodes that forces and displacements can act on, ascending.
+    /// Nodes that forces and displacements can act on: ascending, until a cut changes them.
     pub fn loadable_nodes(&self) -> &[NodeId] {
         &self.compliance.rows[..self.compliance.n_loadable]
     }
@@ -313,12 +322,14 @@ impl Precomputed {
 impl DeformableModel for Precomputed {
     fn apply(&mut self, constraints: &Constraints) {
         self.report = ResponseReport::default();
+        self.release_pieces();
         self.forces.clear();
         for force in &constraints.forces {
             match self.loadable_index(force.node) {
                 Some(m) if force.force_n.is_finite() && self.forces.len() < self.forces.capacity() => {
                     self.forces.push((m, force.force_n));
                 }
+                None if self.push_piece(force) => {}
                 _ => self.report.ignored_forces += 1,
             }
         }
@@ -328,6 +339,7 @@ impl DeformableModel for Precomputed {
                 Some(m) if imposed.displacement_m.is_finite() && self.imposed.len() < Self::MAX_IMPOSED => {
                     self.imposed.push((place as u32, m, imposed.displacement_m));
                 }
+                None if self.move_piece(place, imposed) => {}
                 _ => self.report.ignored_displacements += 1,
             }
         }
@@ -336,13 +348,18 @@ impl DeformableModel for Precomputed {
         self.constraint_forces_n.resize(constraints.displacements.len(), DVec3::ZERO);
     }
 
-    fn step(&mut self, _dt_s: f64) {
+    fn step(&mut self, dt_s: f64) {
         self.displacement_m.fill(0.0);
         if self.pull_m_per_s2 != DVec3::ZERO {
             add_blocks(&self.compliance.weight_response_s2, self.pull_m_per_s2, &mut self.displacement_m);
         }
         for &(m, force_n) in &self.forces {
             self.compliance.table.add_response(m as usize, force_n, &mut self.displacement_m);
+        }
+        if let Some(cuts) = &self.cuts {
+            for (m, force_n) in cuts.pulls() {
+                self.compliance.table.add_response(m, force_n, &mut self.displacement_m);
+            }
         }
         if !self.imposed.is_empty() {
             self.solve_imposed();
@@ -356,10 +373,16 @@ impl DeformableModel for Precomputed {
             let node = self.compliance.rows[row].index();
             self.positions_m[node] = self.rest_m[node] + self.displacement_of_row_m(row);
         }
+        if let Some(cuts) = &mut self.cuts {
+            let felt_n = &mut self.constraint_forces_n;
+            cuts.step_pieces(dt_s, &self.rest_m, &mut self.positions_m, |place, force_n| {
+                felt_n[place] = force_n;
+            });
+        }
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &[], history: &[] }
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &[], history: self.piece_numbers() }
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {
@@ -372,16 +395,24 @@ impl DeformableModel for Precomputed {
             self.positions_m[node.index()] = positions_m[node.index()];
         }
         self.constraint_forces_n.fill(DVec3::ZERO);
+        if let Some(cuts) = &mut self.cuts {
+            cuts.take_over(positions_m, &mut self.positions_m);
+        }
     }
 
     fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
         self.pull_m_per_s2 = gravity_m_per_s2 - self.rest_gravity_m_per_s2;
+        for piece in self.cuts.iter_mut().flat_map(|cuts| &mut cuts.pieces) {
+            piece.set_gravity(gravity_m_per_s2);
+        }
     }
 
     fn report(&self) -> ModelReport {
         let ResponseReport { ignored_forces, ignored_displacements } = self.report;
         let n_ignored_constraints = (ignored_forces + ignored_displacements) as u32;
-        ModelReport { n_parts: 1, n_ignored_constraints, ..ModelReport::default() }
+        let mut report = ModelReport { n_parts: 1, n_ignored_constraints, ..ModelReport::default() };
+        self.add_cuts_to(&mut report);
+        report
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {
@@ -394,15 +425,8 @@ impl DeformableModel for Precomputed {
         Box::new(copy)
     }
 
-    fn topology_refusal(&self) -> Option<TopologyRefusal> {
-        Some(TopologyRefusal::Frozen {
-            model: ModelKind::Precomputed.name(),
-            reason: "its compliance holds for the uncut mesh; switch to tensor_mass before cutting, or pre-compute \
-                     the new mesh",
-        })
-    }
-
-    fn topology_changed(&mut self, _: &TetMesh, _: &TopologyChange) -> Result<(), TopologyRefusal> {
-        self.topology_refusal().map_or(Ok(()), Err)
+    /// Follows removals; allocates.
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        self.follow(mesh, change)
     }
 }

@@ -8,6 +8,7 @@ pub(crate) mod timing;
 mod body;
 mod meshing;
 mod models;
+mod precomputed_cutting;
 mod implicit;
 mod kernel;
 mod reference;
@@ -81,6 +82,7 @@ pub(crate) fn cases() -> Vec<Case> {
     [
         meshing::CASES,
         models::CASES,
+        precomputed_cutting::CASES,
         kernel::CASES,
         reference::CASES,
         implicit::CASES,

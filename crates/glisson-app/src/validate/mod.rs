@@ -8,6 +8,7 @@ mod elasticity;
 mod image;
 mod interaction;
 mod model_rheology;
+mod precomputed_cutting;
 mod prestress;
 mod rheology;
 mod rotation;
@@ -159,6 +160,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "prestress",
         about: "Stretched bodies that relax after tetrahedra are removed.",
         run: prestress::experiments,
+    },
+    Group {
+        name: "precomputed_cutting",
+        about: "Cutting the pre-computed liver: errors against fresh pre-computations, time of a removal, hinges.",
+        run: precomputed_cutting::experiments,
     },
     Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
     Group {

@@ -17,7 +17,7 @@ use super::loose::{LooseParams, LoosePiece, Owners};
 use super::low_rank::{Change, History, NodeColumns, NodeWeight, RemovedTet, Working, WorkingNode};
 use super::rigid::{Clusters, loose_tets, span};
 use super::table::{Table, n_displacements, place};
-use super::{NONE, Precision, Precomputed, Compliance};
+use super::{Compliance, NONE, Precision, Precomputed};
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, TopologyChange};
 use crate::mesh::{NodeId, TetId, TetMesh};
@@ -423,6 +423,11 @@ impl Precomputed {
         self.cuts.as_ref().map_or(CutReport { least_pivot: 1.0, ..CutReport::default() }, |c| c.report())
     }
 
+    /// Whether tetrahedra were taken out since the pre-computation, or before it.
+    pub(super) fn is_cut(&self) -> bool {
+        self.cuts.as_ref().is_some_and(|cuts| cuts.body.topology().has_dead())
+    }
+
     /// Nodes that loose pieces move.
     pub fn loose_nodes(&self) -> Vec<NodeId> {
         let Some(cuts) = &self.cuts else { return Vec::new() };
@@ -632,7 +637,7 @@ impl Precomputed {
             })
             .collect();
         for tets in removed.chunks(MOST_TETS_IN_CHANGE) {
-            let (change, least_pivot) = working.remove(tets);
+            let Some((change, least_pivot)) = working.remove(tets) else { continue };
             cuts.report.least_pivot = cuts.report.least_pivot.min(least_pivot);
             changes.push(change);
         }
@@ -655,7 +660,8 @@ impl Precomputed {
                 self.compliance.table.add_column_to(loaded as usize, axis, -mass_kg, response);
             }
         }
-        let at = |&(n, m): &(NodeId, f64)| (cuts.history.place(n).expect("loadable nodes are known") as u32, m);
+        let at =
+            |&(n, m): &(NodeId, f64)| (cuts.history.place(n).expect("loadable nodes are known") as u32, m);
         let masses = masses.iter().map(at).collect();
         cuts.history.push_lighter(masses);
         cuts.report.n_columns = cuts.history.n_columns();
@@ -701,7 +707,8 @@ impl Precomputed {
         compliance.n_loadable += 1;
         for row in 0..compliance.rows.len() {
             let of = cuts.history.place(compliance.rows[row]).expect("rows are known");
-            let column = |d: usize| DVec3::from_slice(columns[d].get(3 * of..3 * of + 3).unwrap_or(&[0.0; 3]));
+            let column =
+                |d: usize| DVec3::from_slice(columns[d].get(3 * of..3 * of + 3).unwrap_or(&[0.0; 3]));
             let tensor = crate::math::DMat3::from_cols(column(0), column(1), column(2));
             compliance.table.set_tensor(row, m, &tensor);
             if row < m {
@@ -772,8 +779,7 @@ impl Precomputed {
         let of_node = |&node: &NodeId| {
             let loaded = self.row_of[node.index()] as usize;
             let (columns, weight) = from_factor.next().unwrap_or_else(|| {
-                let mut columns: NodeColumns =
-                    std::array::from_fn(|_| vec![0.0; cuts.history.n_unknowns()]);
+                let mut columns: NodeColumns = std::array::from_fn(|_| vec![0.0; cuts.history.n_unknowns()]);
                 for (row, n) in self.compliance.rows.iter().enumerate() {
                     let at = cuts.history.place(*n).expect("rows are known");
                     let tensor = self.compliance.table.tensor(row, loaded);
@@ -786,7 +792,12 @@ impl Precomputed {
                     std::array::from_fn(|d| std::array::from_fn(|axis| response[place(loaded, axis, d)]));
                 (columns, weight)
             });
-            WorkingNode { node, place: cuts.history.place(node).expect("loadable nodes are known"), columns, weight }
+            WorkingNode {
+                node,
+                place: cuts.history.place(node).expect("loadable nodes are known"),
+                columns,
+                weight,
+            }
         };
         Working { nodes: nodes.iter().map(of_node).collect() }
     }
@@ -871,7 +882,7 @@ impl Precomputed {
             .fold(f64::MIN_POSITIVE, f64::max);
         let report = &mut cuts.report;
         report.error = report.error.max(difference / largest);
-        report.wants_recomputation = report.error > RECOMPUTATION_ERROR
-            || report.n_columns > RECOMPUTATION_COLUMNS;
+        report.wants_recomputation =
+            report.error > RECOMPUTATION_ERROR || report.n_columns > RECOMPUTATION_COLUMNS;
     }
 }

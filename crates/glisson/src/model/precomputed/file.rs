@@ -81,8 +81,11 @@ impl Precomputed {
     /// Writes the compliance; answers the number of bytes.
     ///
     /// # Errors
-    /// [`PrecomputedError::Io`]; an old file of that name then remains untouched.
+    /// [`PrecomputedError::Io`], [`PrecomputedError::Cut`]; an old file of that name then remains untouched.
     pub fn save(&self, path: &Path) -> Result<u64, PrecomputedError> {
+        if self.is_cut() {
+            return Err(PrecomputedError::Cut { file: path.to_owned() });
+        }
         let io_error = |cause| PrecomputedError::Io { file: path.to_owned(), cause };
         write_atomically(path, |w| write(&self.compliance, self.rest_m.len(), w)).map_err(io_error)?;
         Ok(std::fs::metadata(path).map_err(io_error)?.len())

@@ -50,7 +50,7 @@ pub(super) struct Hinge {
 }
 
 /// One piece, or several that came loose in the same edit.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) struct LoosePiece {
     /// Ascending; local numbers are the places in it.
     pub(super) nodes: Vec<NodeId>,
@@ -62,6 +62,31 @@ pub(super) struct LoosePiece {
     movers: Vec<(u32, Mover, DVec3)>,
     constraints: Constraints,
     scratch_m: Vec<DVec3>,
+}
+
+impl Clone for LoosePiece {
+    /// With the same room, so that a copy allocates as little in a step.
+    fn clone(&self) -> Self {
+        let mut movers = Vec::with_capacity(self.movers.capacity());
+        movers.extend_from_slice(&self.movers);
+        let mut constraints = room_for(self.nodes.len());
+        constraints.displacements.extend_from_slice(&self.constraints.displacements);
+        constraints.forces.extend_from_slice(&self.constraints.forces);
+        Self {
+            nodes: self.nodes.clone(),
+            tets: self.tets.clone(),
+            body: self.body.clone(),
+            kernel: self.kernel.clone(),
+            hinges: self.hinges.clone(),
+            movers,
+            constraints,
+            scratch_m: self.scratch_m.clone(),
+        }
+    }
+}
+
+fn room_for(n_nodes: usize) -> Constraints {
+    Constraints { displacements: Vec::with_capacity(n_nodes), forces: Vec::with_capacity(n_nodes) }
 }
 
 /// What a piece is made from.
@@ -110,16 +135,13 @@ impl LoosePiece {
         kernel.take_over(&shape(params, &nodes, &own));
         let n = nodes.len();
         let body = EditableMesh::new(own).map_err(|_| crate::solve::SolveError::EmptyMesh)?;
-        let mut constraints = Constraints::default();
-        constraints.displacements.reserve(n);
-        constraints.forces.reserve(n);
         Ok(Self {
             tets: params.tets.to_vec(),
             body,
             kernel,
             hinges: Vec::new(),
             movers: Vec::with_capacity(n),
-            constraints,
+            constraints: room_for(n),
             scratch_m: vec![DVec3::ZERO; n],
             nodes,
         })
@@ -157,11 +179,12 @@ impl LoosePiece {
         for (local, &node) in self.nodes.iter().enumerate() {
             let local = local as u32;
             if is_driven(node) && self.moves(local) {
-                let pull_n =
-                    old.iter().find(|h| h.node == node).map_or(DVec3::ZERO, |hinge| hinge.pull_n);
+                let pull_n = old.iter().find(|h| h.node == node).map_or(DVec3::ZERO, |hinge| hinge.pull_n);
                 self.hinges.push(Hinge { node, local, pull_n });
             }
         }
+        let hinges = &self.hinges;
+        self.movers.retain(|(local, _, _)| hinges.iter().all(|h| h.local != *local));
     }
 
     /// Forgets what acts from outside.

@@ -189,6 +189,9 @@ impl Working {
     }
 
     /// Holds these touched nodes for good; their rows become exactly zero, and they are touched no more.
+    ///
+    /// # Panics
+    /// When one of them is not touched.
     pub(super) fn hold(&mut self, nodes: &[NodeId]) -> Change {
         let places: Vec<usize> =
             nodes.iter().map(|&n| self.find(n).expect("what is held is touched")).collect();
@@ -214,12 +217,15 @@ impl Working {
     }
 
     /// Takes tetrahedra out; answers the least pivot of the capacitance (1 for a removal that is not felt, 0 for a
-    /// mechanism). Corners that are not touched do not move.
-    pub(super) fn remove(&mut self, tets: &[RemovedTet]) -> (Change, f64) {
+    /// mechanism). Corners that are not touched do not move; where none is, nothing changes.
+    pub(super) fn remove(&mut self, tets: &[RemovedTet]) -> Option<(Change, f64)> {
         let mut touched: Vec<usize> =
             tets.iter().flat_map(|t| t.nodes).filter_map(|node| self.find(node)).collect();
         touched.sort_unstable();
         touched.dedup();
+        if touched.is_empty() {
+            return None;
+        }
         let unknowns: Vec<(usize, usize)> =
             touched.iter().flat_map(|&at| [0, 1, 2].map(|axis| (at, axis))).collect();
         let rank = 6 * tets.len();
@@ -259,7 +265,7 @@ impl Working {
                 }
             }
         }
-        self.change(1.0, &unknowns, &u, rank, &mut s)
+        Some(self.change(1.0, &unknowns, &u, rank, &mut s))
     }
 
     fn compliance_between(&self, unknowns: &[(usize, usize)]) -> Vec<f64> {
@@ -379,9 +385,7 @@ impl RemovedTet {
             }
         }
         let row = |r: usize| -> f64 { self.u[r].iter().zip(strain).map(|(u, e)| u * e).sum() };
-        std::array::from_fn(|corner| {
-            DVec3::new(row(3 * corner), row(3 * corner + 1), row(3 * corner + 2))
-        })
+        std::array::from_fn(|corner| DVec3::new(row(3 * corner), row(3 * corner + 1), row(3 * corner + 2)))
     }
 }
 
@@ -413,8 +417,7 @@ mod tests {
     #[test]
     fn u_times_its_transpose_is_the_stiffness() {
         let mut random = SeededRandom::new(3);
-        let mut point =
-            |s: f64| DVec3::new(random.normal(), random.normal(), random.normal()) * s;
+        let mut point = |s: f64| DVec3::new(random.normal(), random.normal(), random.normal()) * s;
         let corners_m = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].map(|p| (p + point(0.1)) * 0.01);
         let (lambda_pa, mu_pa) = (15e3, 1.7e3);
         let tet = RemovedTet::new([0, 1, 2, 3].map(NodeId), corners_m, lambda_pa, mu_pa);

@@ -9,6 +9,8 @@
 //! (eq. 2.12, where the report forgets the second term); then u_l += sum_j T^lj r_j (eq. 2.13). r is the
 //! force that the tool exerts; the tool feels -r.
 //!
+//! Cuts: `cutting` follows removals of tetrahedra by changes of low rank.
+//!
 //! The tensors lie in `table` in the order in which a response reads them.
 
 mod build;
@@ -118,6 +120,12 @@ pub enum PrecomputedError {
         found: String,
         /// What is wanted.
         expected: String,
+    },
+    /// A compliance that followed cuts is of no mesh that a file could name.
+    #[error("{}: not written: the compliance followed cuts; pre-compute the cut mesh and save that", file.display())]
+    Cut {
+        /// Which file.
+        file: PathBuf,
     },
     /// A number in the file is impossible although the checksum holds.
     #[error("{}: {what}: not written by this program", file.display())]
@@ -291,6 +299,10 @@ impl Precomputed {
         self.displacement_m.fill(0.0);
         self.positions_m.copy_from_slice(&self.rest_m);
         self.report = ResponseReport::default();
+        self.release_pieces();
+        if let Some(cuts) = &mut self.cuts {
+            cuts.take_over(&self.rest_m, &mut self.positions_m);
+        }
     }
 
     /// Displacement of a row [m].
@@ -376,7 +388,9 @@ impl DeformableModel for Precomputed {
         if let Some(cuts) = &mut self.cuts {
             let felt_n = &mut self.constraint_forces_n;
             cuts.step_pieces(dt_s, &self.rest_m, &mut self.positions_m, |place, force_n| {
-                felt_n[place] = force_n;
+                if let Some(felt_n) = felt_n.get_mut(place) {
+                    *felt_n = force_n;
+                }
             });
         }
     }

@@ -213,3 +213,53 @@ impl Elimination {
         (0..n_groups).map(|g| (6 * g..6 * g + 6).all(|i| is_zero[i])).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::TetMesh;
+
+    /// Two tetrahedra that share node 0 in the origin; two nodes of each are fixed. The second one's fixed edge runs
+    /// along `edge`.
+    fn n_loose(edge: DVec3) -> usize {
+        let mut positions_m = vec![DVec3::ZERO];
+        positions_m.extend([DVec3::new(-1.0, -1.0, -1.0), DVec3::new(-1.0, 1.0, -1.0)]);
+        positions_m.push(DVec3::new(-1.0, 0.0, 1.0));
+        let middle = DVec3::new(1.0, 0.0, -1.0);
+        positions_m.extend([middle - edge, middle + edge, DVec3::new(1.0, 0.3, 1.0)]);
+        let mut mesh = TetMesh {
+            positions_m,
+            tetrahedra: vec![[0, 1, 2, 3], [0, 4, 5, 6]].into_iter().map(|t| t.map(NodeId)).collect(),
+        };
+        for t in 0..2 {
+            if mesh.tet_volume_m3(TetId(t)) < 0.0 {
+                mesh.tetrahedra[t as usize].swap(1, 2);
+            }
+        }
+        let topology = Topology::build(&mesh).unwrap();
+        let is_fixed = [false, true, true, false, true, true, false];
+        loose_tets(&topology, &mesh.positions_m, &[true; 2], &is_fixed).len()
+    }
+
+    #[test]
+    fn clusters_that_hold_each_other_are_held() {
+        // Each alone turns about its fixed edge. Their common node can go one way only if both edges let it.
+        assert_eq!(n_loose(DVec3::new(0.3, 1.0, 0.2)), 0);
+        // Both turn about parallel edges through the plane of the common node: it could go up or down only.
+        let mut positions_m = vec![DVec3::ZERO];
+        positions_m.extend([-1.0, 1.0].map(|y| DVec3::new(-1.0, y, 0.0)));
+        positions_m.push(DVec3::new(-0.5, 0.0, 1.0));
+        positions_m.extend([1.0, -1.0].map(|y| DVec3::new(1.0, y, 0.0)));
+        positions_m.push(DVec3::new(0.5, 0.0, 1.0));
+        let mut mesh =
+            TetMesh { positions_m, tetrahedra: vec![[0, 1, 2, 3].map(NodeId), [0, 4, 5, 6].map(NodeId)] };
+        for t in 0..2 {
+            if mesh.tet_volume_m3(TetId(t)) < 0.0 {
+                mesh.tetrahedra[t as usize].swap(1, 2);
+            }
+        }
+        let topology = Topology::build(&mesh).unwrap();
+        let is_fixed = [false, true, true, false, true, true, false];
+        assert_eq!(loose_tets(&topology, &mesh.positions_m, &[true; 2], &is_fixed).len(), 2);
+    }
+}

@@ -290,7 +290,7 @@ fn a_piece_held_by_an_edge_then_a_vertex_then_nothing_is_recognised_and_falls() 
     }
     // It swings about the edge: that moves with the held part, the rest goes down by more than a cell.
     let fell_m = start_m.z - centre_m(&cut, &loose).z;
-    assert!((2e-3..0.03).contains(&fell_m), "{fell_m}");
+    assert!((2e-3..0.06).contains(&fell_m), "{fell_m}");
     assert!(cut.model.report().kinetic_energy_j > 0.0 && !cut.model.state().history.is_empty());
 
     // One tetrahedron less: held by a vertex.
@@ -313,7 +313,7 @@ fn a_piece_held_by_an_edge_then_a_vertex_then_nothing_is_recognised_and_falls() 
     }
     // The held part feels the pull.
     let pull_m = hinge_m.distance(rest_m[hinge.index()]);
-    assert!((1e-6..5e-3).contains(&pull_m), "{pull_m}");
+    assert!((1e-6..0.05).contains(&pull_m), "{pull_m}");
 
     // Nothing holds it any more: it falls freely, slowed by the damping of 1/s alone.
     cut.remove(&[tet_of_layer(0)]);

@@ -13,7 +13,7 @@
 use std::sync::Arc;
 
 use super::growth::{LowRankChange, RANK, add_low_rank_to, swap_rows_of};
-use super::loose::{LooseParams, LoosePiece, Owners};
+use super::loose::{LooseParams, LoosePiece, MOST_PULL_SHARE, Owners};
 use super::low_rank::{Change, History, NodeColumns, NodeWeight, RemovedTet, Working, WorkingNode};
 use super::rigid::{Clusters, loose_tets, span};
 use super::table::{Table, n_displacements, place};
@@ -31,6 +31,9 @@ use crate::solve::{
 /// Tetrahedra that are removed as one change at most: the dense work in a change grows with the square of their
 /// number, the passes over the table with their number alone.
 const MOST_TETS_IN_CHANGE: usize = 16;
+
+/// Iterations for the largest stiffness of the pieces over that of the held body at the hinges.
+const POWER_ITERATIONS: usize = 30;
 
 /// Nodes that are solved for at once.
 const NODES_IN_BLOCK: usize = 16;
@@ -92,8 +95,7 @@ pub(super) struct Cuts {
     owners: Owners,
     /// Pulls of the hinges on the held body: piece, hinge, loadable node.
     hinge_rows: Vec<(u32, u32, u32)>,
-    /// Pulls on other pieces: piece, hinge, owner, its local node.
-    hinge_pieces: Vec<(u32, u32, u32, u32)>,
+    pull_share: f64,
     numbers: Vec<f64>,
     report: CutReport,
 }
@@ -161,7 +163,7 @@ impl Cuts {
             pieces: Vec::new(),
             owners: Owners::none(n_nodes),
             hinge_rows: Vec::new(),
-            hinge_pieces: Vec::new(),
+            pull_share: MOST_PULL_SHARE,
             numbers: Vec::new(),
             report: CutReport { least_pivot: 1.0, ..CutReport::default() },
         })
@@ -273,19 +275,11 @@ impl Cuts {
         mut feel: impl FnMut(usize, DVec3),
     ) {
         for p in (0..self.pieces.len()).rev() {
-            let (front, back) = self.pieces.split_at_mut(p);
-            let (piece, later) = back.split_first_mut().expect("a piece of the list");
-            let pulls = self.hinge_pieces.iter().filter(|pull| pull.2 as usize == p).filter_map(
-                |&(from, hinge, _, local)| {
-                    let from = from as usize;
-                    let other = if from < p { front.get(from) } else { later.get(from - p - 1) };
-                    other.map(|other| (local, other.hinges[hinge as usize].pull_n))
-                },
-            );
+            let piece = &mut self.pieces[p];
             piece.step(
                 dt_s,
                 |node| positions_m[node.index()] - rest_m[node.index()],
-                pulls,
+                self.pull_share,
                 |place, force_n| feel(place as usize, force_n),
             );
             let now_m = piece.positions_m();
@@ -319,15 +313,10 @@ impl Cuts {
             self.pieces[p].set_hinges(is_driven);
         }
         self.hinge_rows.clear();
-        self.hinge_pieces.clear();
         for (p, piece) in self.pieces.iter().enumerate() {
             for (h, hinge) in piece.hinges.iter().enumerate() {
                 if let Some(m) = loadable(hinge.node) {
                     self.hinge_rows.push((p as u32, h as u32, m));
-                } else if let Some(owner) = self.owners.of(hinge.node)
-                    && let Some(local) = self.pieces[owner].local(hinge.node)
-                {
-                    self.hinge_pieces.push((p as u32, h as u32, owner as u32, local));
                 }
             }
         }
@@ -481,7 +470,7 @@ impl Precomputed {
         model.grow(model.compliance.rows.len(), model.compliance.n_loadable);
         model.change_cuts(|model, cuts| {
             model.let_loose(cuts, &loose);
-            cuts.join_pieces(|node| model.loadable_index(node));
+            model.join_pieces(cuts);
         });
         Ok(model)
     }
@@ -564,7 +553,7 @@ impl Precomputed {
         }
         cuts.report.n_edits += 1;
         self.probe(cuts);
-        cuts.join_pieces(|node| self.loadable_index(node));
+        self.join_pieces(cuts);
 
         let find = |node| self.loadable_index(node);
         let forces: Vec<(u32, DVec3)> = forces.iter().filter_map(|&(n, f)| Some((find(n)?, f))).collect();
@@ -575,6 +564,45 @@ impl Precomputed {
         self.imposed.clear();
         self.imposed.extend(imposed);
         self.make_room_for_constraints();
+    }
+
+    /// Makes hinges between the pieces and what is held, and says how fast the held body feels their pull.
+    fn join_pieces(&self, cuts: &mut Cuts) {
+        cuts.join_pieces(|node| self.loadable_index(node));
+        if cuts.hinge_rows.is_empty() {
+            return;
+        }
+        // Power iteration on K C over the hinges, K of the pieces and C of the held body: how much stiffer they are.
+        let n = cuts.hinge_rows.len();
+        let mut x: Vec<DVec3> = (0..n).map(|i| DVec3::new(1.0, 0.7, 0.4 + i as f64 / n as f64)).collect();
+        let mut ratio = 0.0;
+        for _ in 0..POWER_ITERATIONS {
+            let norm = x.iter().map(|x| x.length_squared()).sum::<f64>().sqrt();
+            if norm <= 0.0 {
+                break;
+            }
+            x.iter_mut().for_each(|x| *x /= norm);
+            let u_m: Vec<DVec3> = cuts
+                .hinge_rows
+                .iter()
+                .map(|&(_, _, l)| {
+                    let by = cuts.hinge_rows.iter().zip(&x);
+                    by.map(|(&(_, _, m), x)| self.compliance.table.tensor(l as usize, m as usize) * *x).sum()
+                })
+                .collect();
+            x.fill(DVec3::ZERO);
+            for (p, piece) in cuts.pieces.iter().enumerate() {
+                let mut of_piece = vec![DVec3::ZERO; piece.hinges.len()];
+                let mut force_n = of_piece.clone();
+                let own = || cuts.hinge_rows.iter().enumerate().filter(|(_, row)| row.0 as usize == p);
+                own().for_each(|(i, row)| of_piece[row.1 as usize] = u_m[i]);
+                piece.add_hinge_forces(&self.compliance.material, &of_piece, &mut force_n);
+                own().for_each(|(i, row)| x[i] = force_n[row.1 as usize]);
+            }
+            ratio = x.iter().map(|x| x.length_squared()).sum::<f64>().sqrt();
+        }
+        // Half of what is stable at rest: a stretched piece is stiffer.
+        cuts.pull_share = MOST_PULL_SHARE.min(1.0 / (1.0 + ratio));
     }
 
     fn make_room_for_constraints(&mut self) {

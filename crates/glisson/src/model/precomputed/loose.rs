@@ -2,9 +2,10 @@
 //!
 //! The piece is a body of its own on the explicit kernel, of stable Neo-Hookean tissue with the same moduli at small
 //! strain, because it turns far. Its hinges (nodes that the held body or another piece moves, too) are driven; the
-//! force that this takes is handed to the owner of the hinge with a delay (`PULL_SHARE`).
+//! force that this takes is handed to the held body with a delay ([`MOST_PULL_SHARE`]). Another piece does not feel it.
 
 use super::NONE;
+use super::low_rank::RemovedTet;
 use crate::material::LinearElastic;
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, TopologyChange};
@@ -17,13 +18,16 @@ use crate::model::{
 };
 use crate::solve::{BoundaryConditions, StaticProblem, solve_static};
 
-/// Share of a new pull that the owner of a hinge feels in each step: a choice. The owner answers at once and has no
-/// mass, so that the whole pull of a piece k times stiffer than its owner at the hinge would swing up for k > 1; with
-/// a share s it does not for k < 2/s - 1.
-const PULL_SHARE: f64 = 1.0 / 32.0;
+/// Largest share of a new pull that the held body feels in each step: a choice. The held body answers at once and has
+/// no mass, so that the whole pull of a piece k times stiffer than it at the hinge would swing up for k > 1; with a
+/// share s it does not for s < 2/(1 + k). Where k is large, the share is smaller.
+pub(super) const MOST_PULL_SHARE: f64 = 1.0 / 32.0;
 
 /// Damping of a loose piece over its mass [1/s]: a choice, a swing fades within seconds.
 const DAMPING_PER_S: f64 = 1.0;
+
+/// Damping over stiffness as a share of the stable step: a choice, motions too fast to be seen fade within a few steps.
+const STIFFNESS_DAMPING_SHARE: f64 = 0.5;
 
 /// Share of the largest stable step that a piece makes.
 const STEP_SHARE: f64 = 0.9;
@@ -130,6 +134,8 @@ impl LoosePiece {
         };
         let materials = std::slice::from_ref(material);
         let mut kernel_params = ExplicitKernelParams::new(body, KernelLaw::StableNeoHooke, materials);
+        let undamped_s = ExplicitKernel::stable_step(&kernel_params)?.step_s;
+        kernel_params.body.damping.stiffness_s = STIFFNESS_DAMPING_SHARE * undamped_s;
         kernel_params.body.time_step_s = STEP_SHARE * ExplicitKernel::stable_step(&kernel_params)?.step_s;
         let mut kernel = ExplicitKernel::build(&kernel_params)?;
         kernel.take_over(&shape(params, &nodes, &own));
@@ -213,13 +219,13 @@ impl LoosePiece {
         moves
     }
 
-    /// One step: `displacement_m` tells where the hinges are [m from rest], `pulls` are forces that other pieces exert
-    /// (added for this step only), `feel` hears the force of a tool (place, force [N]).
+    /// One step: `displacement_m` tells where the hinges are [m from rest], `pull_share` is the share of a new pull
+    /// that the held body feels, `feel` hears the force of a tool (place, force [N]).
     pub(super) fn step(
         &mut self,
         dt_s: f64,
         displacement_m: impl Fn(NodeId) -> DVec3,
-        pulls: impl Iterator<Item = (u32, DVec3)>,
+        pull_share: f64,
         mut feel: impl FnMut(u32, DVec3),
     ) {
         self.movers.retain(|(_, mover, _)| matches!(mover, Mover::Tool(_)));
@@ -233,14 +239,7 @@ impl LoosePiece {
         let imposed =
             |&(local, _, displacement_m)| ImposedDisplacement { node: NodeId(local), displacement_m };
         self.constraints.displacements.extend(self.movers.iter().map(imposed));
-        let n_forces = self.constraints.forces.len();
-        for (local, force_n) in pulls {
-            if self.constraints.forces.len() < self.constraints.forces.capacity() {
-                self.constraints.forces.push(NodalForce { node: NodeId(local), force_n });
-            }
-        }
         self.kernel.apply(&self.constraints);
-        self.constraints.forces.truncate(n_forces);
         self.kernel.step(dt_s);
         for (&(_, mover, _), &force_n) in self.movers.iter().zip(self.kernel.constraint_forces_n()) {
             let force_n = if force_n.is_finite() { force_n } else { DVec3::ZERO };
@@ -248,7 +247,30 @@ impl LoosePiece {
                 Mover::Tool(place) => feel(place, force_n),
                 Mover::Owner(h) => {
                     let pull_n = &mut self.hinges[h as usize].pull_n;
-                    *pull_n += (-force_n - *pull_n) * PULL_SHARE;
+                    *pull_n += (-force_n - *pull_n) * pull_share;
+                }
+            }
+        }
+    }
+
+    /// Adds K x over the hinges to `force_n`, for displacements x of the hinges and K of the uncut rest shape: the
+    /// stiffness with which the piece answers to its hinges at once.
+    pub(super) fn add_hinge_forces(&self, material: &LinearElastic, x_m: &[DVec3], force_n: &mut [DVec3]) {
+        let of = |local: u32| self.hinges.iter().position(|h| h.local == local);
+        let topology = self.body.topology();
+        let mut tets: Vec<TetId> =
+            self.hinges.iter().flat_map(|h| topology.node_tets(NodeId(h.local))).copied().collect();
+        tets.sort_unstable();
+        tets.dedup();
+        for t in tets {
+            let nodes = topology.tet_nodes(t);
+            let tet =
+                RemovedTet::new(nodes, self.body.mesh().corners_m(t), material.lambda_pa(), material.mu_pa());
+            let hinges = nodes.map(|n| of(n.0));
+            let forces_n = tet.forces_n(hinges.map(|h| h.map_or(DVec3::ZERO, |h| x_m[h])));
+            for (hinge, f) in hinges.into_iter().zip(forces_n) {
+                if let Some(hinge) = hinge {
+                    force_n[hinge] += f;
                 }
             }
         }

@@ -151,7 +151,8 @@ impl ZonedBody {
 
     /// The standard body with a slit in its top, 5 % of the tetrahedra around it dynamic, the rest pre-computed.
     fn around_cut(body: &StandardBody) -> anyhow::Result<Self> {
-        let top_m = body.mesh.positions_m.iter().fold(DVec3::NEG_INFINITY, |t, p| if p.z > t.z { *p } else { t });
+        let top_m =
+            body.mesh.positions_m.iter().fold(DVec3::NEG_INFINITY, |t, p| if p.z > t.z { *p } else { t });
         let nearest = |mesh: &TetMesh| {
             let far: Vec<f64> = centres_m(mesh).iter().map(|c| c.distance(top_m)).collect();
             let mut order: Vec<usize> = (0..far.len()).collect();
@@ -185,12 +186,7 @@ impl ZonedBody {
         Self::new(mesh, &body, of_tet, vec![ZoneLaw::Precomputed, ZoneLaw::TensorMass])
     }
 
-    fn new(
-        mesh: TetMesh,
-        body: &StandardBody,
-        of_tet: Vec<u32>,
-        laws: Vec<ZoneLaw>,
-    ) -> anyhow::Result<Self> {
+    fn new(mesh: TetMesh, body: &StandardBody, of_tet: Vec<u32>, laws: Vec<ZoneLaw>) -> anyhow::Result<Self> {
         let fixed = body.fixed_nodes.iter().map(|&node| FixedNode::all_axes(node)).collect();
         let zones = Zones::new(&mesh, of_tet)?;
         Ok(Self { zones, mesh, material: body.material, fixed, laws })
@@ -247,7 +243,12 @@ fn shared(setup: &Setup, size: usize) -> anyhow::Result<Arc<Made>> {
     let model = CondensedHybrid::build(&CondensedParams {
         stored: setup.stored,
         precision: setup.precision,
-        ..CondensedParams::new(zoned.dynamic_body(20.0, REFRESH_S), &zoned.material, &zoned.zones, &zoned.laws)
+        ..CondensedParams::new(
+            zoned.dynamic_body(20.0, REFRESH_S),
+            &zoned.material,
+            &zoned.zones,
+            &zoned.laws,
+        )
     })?;
     // One at a time: the tables of one are hundreds of megabytes.
     made.clear();

@@ -10,6 +10,7 @@ mod meshing;
 mod models;
 mod precomputed;
 pub(crate) mod hybrid;
+mod precomputed_cutting;
 mod implicit;
 mod kernel;
 mod reference;
@@ -87,6 +88,7 @@ pub(crate) fn cases() -> Vec<Case> {
         models::CASES,
         precomputed::CASES,
         hybrid::CASES,
+        precomputed_cutting::CASES,
         kernel::CASES,
         reference::CASES,
         implicit::CASES,

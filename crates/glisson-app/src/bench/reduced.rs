@@ -5,7 +5,7 @@ use std::hint::black_box;
 use anyhow::ensure;
 use glam::DVec3;
 use glisson::mesh::NodeId;
-use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
+use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::quasi_nonlinear::{Correction, QuasiNonlinear, fit_curve};
 use glisson::model::reduced::{Reduced, ReducedParams};
 use glisson::model::{Constraints, DeformableModel, FixedNode, ImposedDisplacement, NodalForce};
@@ -117,6 +117,7 @@ fn corrected(settings: Settings) -> anyhow::Result<Prepared> {
         material: &body.material,
         fixed_nodes: &body.fixed_nodes,
         stored: StoredNodes::Surface,
+        precision: Precision::F64,
         progress: None,
     })?;
     let loads: Vec<Constraints> =

@@ -40,6 +40,7 @@ pub(crate) fn replay(
     let origin = "the session's scene".to_string();
     let source = OpenScene { scene, folder: folder.to_path_buf(), origin, n_threads: 1 };
     let mut simulation = Simulation::open(source, None)?;
+    simulation.leave_orders_to_the_session();
     let found = mesh_hash(simulation.mesh());
     if found != session.header.mesh_hash {
         bail!(

@@ -143,3 +143,36 @@ fn a_tilted_table_a_cut_and_a_change_of_model_replay_to_the_same_bits() {
     let report = replay(&parse_session(&level).unwrap(), folder.path(), |_| Ok(())).unwrap();
     assert_ne!(report.state_hash, hash);
 }
+
+#[test]
+fn cuts_of_the_precomputed_model_and_its_fresh_precomputation_replay_to_the_same_bits() {
+    let folder = scene_folder();
+    let scene = SCENE.replace("\"tensor_mass\"", "\"precomputed\"");
+    std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+    let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+    let mut touched_after = false;
+    // Down to what is left without the outer tetrahedron.
+    let input = |step| {
+        let mut input = input(step);
+        input.tool.tip_in_world_m += DVec3::new(-0.02, -0.02, -0.03);
+        input
+    };
+    for step in 0..300 {
+        match step {
+            60 => simulation.remove_tetrahedra(vec![TetId(1)]).unwrap(),
+            80 => simulation.order_model(ModelKind::Precomputed, 150).unwrap(),
+            200 => simulation.remove_tetrahedra(vec![TetId(0)]).unwrap(),
+            _ => {}
+        }
+        let report = simulation.advance(&input(step)).unwrap();
+        touched_after |= step > 60 && report.in_contact;
+        assert_eq!(report.model.n_reanalyses, u32::from((60..150).contains(&step) || step >= 200), "{step}");
+    }
+    assert!(simulation.notices().is_empty(), "{:?}", simulation.notices());
+    let hash = simulation.finish().unwrap();
+    let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+    let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
+    assert_eq!((report.state_hash, report.first_difference), (hash, None));
+    assert!(touched_after);
+}

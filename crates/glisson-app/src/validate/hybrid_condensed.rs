@@ -263,9 +263,10 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         factors[0],
         factors[1],
     );
-    let caption = "Largest error of all nodes against the direct solution, over processor time: the pre-computed \
+    let caption =
+        "Largest error of all nodes against the direct solution, over processor time: the pre-computed \
                    zones are there at once, the dynamic zone moves little mass."
-        .into();
+            .into();
     let figures = vec![Figure { file: "hybrid_condensed_error.svg", caption, plot }];
     Ok(Outcome { experiments, figures, notes })
 }

@@ -10,6 +10,7 @@ mod hybrid_condensed;
 mod image;
 mod interaction;
 mod model_rheology;
+mod precomputed_cutting;
 mod prestress;
 mod quasi_nonlinear;
 mod reduced;
@@ -168,6 +169,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "prestress",
         about: "Stretched bodies that relax after tetrahedra are removed.",
         run: prestress::experiments,
+    },
+    Group {
+        name: "precomputed_cutting",
+        about: "Cutting the pre-computed liver: errors against fresh pre-computations, time of a removal, hinges.",
+        run: precomputed_cutting::experiments,
     },
     Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
     Group {

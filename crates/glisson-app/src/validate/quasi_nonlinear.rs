@@ -11,7 +11,7 @@ use anyhow::ensure;
 use glisson::material::LinearElastic;
 use glisson::math::{DVec3, tetrahedron_volume_m3};
 use glisson::mesh::{NodeId, TetMesh};
-use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
+use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::quasi_nonlinear::{Correction, Fit, LinearSample, QuasiNonlinear, fit_curve};
 use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
 
@@ -223,6 +223,7 @@ fn compressed(
         material: &material,
         fixed_nodes: &fixed_nodes,
         stored: StoredNodes::Surface,
+        precision: Precision::F64,
         progress: None,
     })?;
     // What the mesh itself answers: its ends are held, so it is stiffer than a cylinder between smooth plates.

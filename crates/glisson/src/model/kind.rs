@@ -7,7 +7,7 @@ use std::fmt;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ModelKind {
-    /// Linear elasticity through a pre-computed compliance: quasi-static, cannot be cut.
+    /// Linear elasticity through a pre-computed compliance: quasi-static, follows cuts.
     Precomputed,
     /// Linear tensor-mass: explicit dynamics, can be cut.
     TensorMass,

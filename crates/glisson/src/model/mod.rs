@@ -18,7 +18,6 @@ pub mod reduced;
 pub mod rheology;
 pub mod tensor_mass;
 pub mod nonlinear_tensor_mass;
-pub mod hybrid;
 
 pub use crate::solve::{Attachment, FixedNode, RestStress};
 pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};

@@ -26,6 +26,10 @@ pub struct ModelReport {
     /// An implicit step ended before its residual was small enough.
     pub missed_tolerance: bool,
     /// Allocations are allowed where the topology changes by more than a removal: how often it happened since
-    /// the model was made.
+    /// the model was made. The pre-computed model allocates at every cut.
     pub n_reanalyses: u32,
+    /// Estimated error of a pre-computed compliance after cuts, relative to its largest entry.
+    pub compliance_error: f64,
+    /// A fresh pre-computation of the cut organ should take over: errors or the history of cuts grew too large.
+    pub wants_recomputation: bool,
 }

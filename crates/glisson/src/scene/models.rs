@@ -2,11 +2,11 @@
 
 use super::build::{BuildError, OrganBody};
 use crate::material::{LawChoice, PronySeries};
-use crate::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
-use crate::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
 use crate::math::Aabb;
 use crate::mesh::TetId;
 use crate::mesh::zones::Zones;
+use crate::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
+use crate::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
 use crate::model::hybrid::condensed::{CondensedHybrid, CondensedParams, ZoneLaw};
 use crate::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use crate::model::kernel::{KernelLaw, SharedMaterial};
@@ -16,7 +16,7 @@ use crate::model::nonlinear_tensor_mass::{
     Fibre, NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
 };
 use crate::model::precomputed::{
-    Precision, Precomputed, PrecomputedExpectation, PrecomputedParams, StoredNodes,
+    Precision, Precomputed, PrecomputedError, PrecomputedExpectation, PrecomputedParams, StoredNodes,
 };
 use crate::model::tensor_mass::{TensorMass, TensorMassParams};
 use crate::model::{DeformableModel, Integration};
@@ -94,6 +94,31 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
         })?),
         ModelKind::Hybrid => Box::new(hybrid(body)?),
     })
+}
+
+/// Makes a model of an organ from which tetrahedra are already gone: the pre-computed one of what is left, every other
+/// one of the whole, which then has to follow the removals ([`crate::world::World::deliver_model`] sees to that).
+///
+/// # Errors
+/// As [`build_model`].
+pub fn build_model_as_cut(
+    body: &OrganBody,
+    kind: ModelKind,
+    live: &[bool],
+) -> Result<Box<dyn DeformableModel>, BuildError> {
+    if kind != ModelKind::Precomputed || live.iter().all(|live| *live) {
+        return build_model(body, kind);
+    }
+    body.refuse_what_it_lacks(kind)?;
+    let params = PrecomputedParams {
+        mesh: &body.mesh,
+        material: &body.material,
+        fixed_nodes: &body.nodes_fixed_wholly(kind)?,
+        stored: StoredNodes::Surface,
+        precision: Precision::F64,
+        progress: None,
+    };
+    Ok(Box::new(under_gravity(Precomputed::build_cut(&params, live)?, body)))
 }
 
 impl OrganBody {
@@ -226,10 +251,16 @@ fn precomputed(body: &OrganBody) -> Result<Precomputed, BuildError> {
             })?
         }
     };
+    // At the first cut it would hold up the simulation.
+    model.prepare_cutting(mesh).map_err(PrecomputedError::Solve)?;
+    Ok(under_gravity(model, body))
+}
+
+fn under_gravity(mut model: Precomputed, body: &OrganBody) -> Precomputed {
     if body.is_imaged_under_gravity {
         model.carry_at_rest(body.gravity_m_per_s2);
     } else {
         model.set_gravity(body.gravity_m_per_s2);
     }
-    Ok(model)
+    model
 }

@@ -27,6 +27,7 @@ mod precomputed;
 mod precomputed_response;
 mod precomputed_weight;
 mod quasi_nonlinear;
+mod precomputed_cutting;
 mod reference_cases;
 mod reduced;
 mod surfaces;

@@ -197,7 +197,8 @@ fn constraints_that_cannot_act_are_counted_and_harm_nothing() {
     assert!(relative_difference(model.state().positions_m, &expected) < 1e-9);
 
     let mut edited = EditableMesh::new(mesh.clone()).unwrap();
-    let change = edited.apply(&MeshEdit::Remove { tets: vec![TetId(0)] }).unwrap();
+    let (node, position_m) = (NodeId(0), mesh.positions_m[0] + DVec3::splat(1e-6));
+    let change = edited.apply(&MeshEdit::MoveVertex { node, position_m }).unwrap();
     let refusal = model.topology_changed(edited.mesh(), &change).unwrap_err();
     assert!(matches!(refusal, TopologyRefusal::Frozen { model: "precomputed", .. }));
 }

@@ -4,7 +4,7 @@ use crate::model_meshes::block;
 use glisson::material::LinearElastic;
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::{NodeId, TetMesh};
-use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
+use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::quasi_nonlinear::{
     Correction, CurvePolynomial, FitError, LinearSample, MeasuredCurve, QuasiNonlinear, fit_curve,
 };
@@ -173,6 +173,7 @@ fn organ() -> Organ {
         material: &material,
         fixed_nodes: &fixed_nodes,
         stored,
+        precision: Precision::F64,
         progress: None,
     };
     let linear = Precomputed::build(&params).unwrap();

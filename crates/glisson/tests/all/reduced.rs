@@ -6,7 +6,7 @@ use glisson::material::{LinearElastic, StVenantKirchhoff};
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::{NodeId, TetMesh};
-use glisson::model::precomputed::{Precomputed, PrecomputedParams, StoredNodes};
+use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::reduced::{Reduced, ReducedError, ReducedParams};
 use glisson::model::{Constraints, DeformableModel, FixedNode, ImposedDisplacement, NodalForce};
 use glisson::solve::{
@@ -129,7 +129,15 @@ fn reduced(organ: &Organ, n_modes: usize, n_reduced: usize, stored: StoredNodes)
 fn precomputed(organ: &Organ) -> Precomputed {
     let stored = StoredNodes::All;
     let (mesh, material, fixed_nodes, progress) = (&organ.mesh, &material(), &organ.fixed[..], None);
-    Precomputed::build(&PrecomputedParams { mesh, material, fixed_nodes, stored, progress }).unwrap()
+    Precomputed::build(&PrecomputedParams {
+        mesh,
+        material,
+        fixed_nodes,
+        stored,
+        precision: Precision::F64,
+        progress,
+    })
+    .unwrap()
 }
 
 /// Random loads on random nodes, ascending.

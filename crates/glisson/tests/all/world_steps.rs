@@ -9,7 +9,7 @@ use glisson::mesh::{NodeId, TetId};
 use glisson::model::kind::ModelKind;
 use glisson::model::{Constraints, DeformableModel, NodalForce, Rayleigh};
 use glisson::record::hash::StateHash;
-use glisson::scene::{OrganBody, build_model};
+use glisson::scene::{OrganBody, build_model, build_model_as_cut};
 use glisson::solve::equilibrating_stress;
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::{Load, LoadTime, Region, Support, WorldSpec, fixed_nodes};
@@ -17,11 +17,6 @@ use glisson::world::{StepInput, World};
 
 const TIME_STEP_S: f64 = 3e-4;
 const SIZE_M: f64 = 0.1;
-
-/// Those of all kinds that follow a removal.
-fn cuttable() -> impl Iterator<Item = ModelKind> {
-    ModelKind::ALL.into_iter().filter(|kind| *kind != ModelKind::Precomputed)
-}
 
 /// A block on a table, a ball above it; a load comes and goes.
 fn world(kind: ModelKind) -> World {
@@ -109,7 +104,7 @@ fn cut_along(world: &mut World, from: u64, to: u64) -> u64 {
 
 #[test]
 fn a_saved_moment_comes_back_in_mid_contact_with_its_cuts() {
-    for kind in cuttable() {
+    for kind in ModelKind::ALL {
         let mut first = world(kind);
         let touching = cut_along(&mut first, 1, 410);
         assert!(touching > 50, "{kind}: {touching} steps in contact");
@@ -150,8 +145,21 @@ fn a_model_that_takes_over_has_the_cuts_of_the_one_before() {
     cut_along(&mut world, 100, 200);
     assert_eq!(world.model_kind(), ModelKind::NonlinearTensorMass);
     world.queue_model_swap(200, ModelKind::Precomputed);
-    let frozen = build_model(&body, ModelKind::Precomputed).unwrap();
-    assert!(world.deliver_model(frozen, ModelKind::Precomputed).is_err());
+    let live = world.organ().live_tetrahedra().to_vec();
+    cut_along(&mut world, 200, 200);
+    let of_the_whole = build_model(&body, ModelKind::Precomputed).unwrap();
+    assert_eq!(world.deliver_model(of_the_whole, ModelKind::Precomputed), Ok(true));
+    let mut again = self::world(ModelKind::TensorMass);
+    again.restore(&world.save());
+    let of_the_rest = build_model_as_cut(&body, ModelKind::Precomputed, &live).unwrap();
+    assert_eq!(again.deliver_model(of_the_rest, ModelKind::Precomputed), Ok(true));
+    for world in [&mut world, &mut again] {
+        cut_along(world, 200, 300);
+        assert_eq!(world.model_kind(), ModelKind::Precomputed);
+    }
+    let positions_m = world.state().positions_m.iter().zip(again.state().positions_m);
+    let difference_m = positions_m.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+    assert!(difference_m < 1e-9, "{difference_m:e}");
 }
 
 #[test]

@@ -86,6 +86,12 @@ pub enum PrecomputedError {
         /// What is wanted.
         expected: String,
     },
+    /// A compliance that followed cuts is of no mesh that a file could name.
+    #[error("{}: not written: the compliance followed cuts; pre-compute the cut mesh and save that", file.display())]
+    Cut {
+        /// Which file.
+        file: PathBuf,
+    },
     /// A number in the file is impossible although the checksum holds.
     #[error("{}: {what}: not written by this program", file.display())]
     Contents {

@@ -371,8 +371,11 @@ impl Precomputed {
     /// Writes the compliance; answers the number of bytes. Same bytes as [`super::precompute_to_file`].
     ///
     /// # Errors
-    /// [`PrecomputedError::Io`]; an old file of that name then remains untouched.
+    /// [`PrecomputedError::Io`], [`PrecomputedError::Cut`]; an old file of that name then remains untouched.
     pub fn save(&self, path: &Path) -> Result<u64, PrecomputedError> {
+        if self.is_cut() {
+            return Err(PrecomputedError::Cut { file: path.to_owned() });
+        }
         let io_error = |cause| PrecomputedError::Io { file: path.to_owned(), cause };
         let Compliance { material, fixed_nodes, rows, n_loadable, mesh_hash, table, weight_response_s2 } =
             &self.compliance;

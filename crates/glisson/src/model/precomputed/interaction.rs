@@ -7,6 +7,7 @@ use super::{Load, PointConstraint, Precomputed, ResponseReport};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::model::kernel::KernelPath;
+use crate::model::roomy::Roomy;
 use crate::model::{Constraints, LocalModel, NodalForce};
 
 /// Where a held point is to be, and which constraint it comes from.
@@ -23,6 +24,7 @@ impl Precomputed {
     ///
     /// Put new points at the end and keep the order of the others: then the small system is not factored anew.
     pub fn impose_points(&mut self, points: &[PointConstraint], forces: &[NodalForce]) {
+        self.release_pieces();
         self.take_forces(forces);
         self.wanted.clear();
         self.targets.clear();
@@ -39,6 +41,7 @@ impl Precomputed {
     }
 
     pub(super) fn take_constraints(&mut self, constraints: &Constraints) {
+        self.release_pieces();
         self.take_forces(&constraints.forces);
         self.wanted.clear();
         self.targets.clear();
@@ -49,6 +52,7 @@ impl Precomputed {
                     let displacement_m = imposed.displacement_m;
                     self.targets.try_push(Target { place: place as u32, displacement_m });
                 }
+                _ if loaded.is_none() && self.move_piece(place, imposed) => {}
                 _ => self.report.ignored_displacements += 1,
             }
         }
@@ -61,6 +65,7 @@ impl Precomputed {
         for force in forces {
             match self.loadable_index(force.node) {
                 Some(m) if force.force_n.is_finite() && self.forces.try_push((m, force.force_n)) => {}
+                None if self.push_piece(force) => {}
                 _ => self.report.ignored_forces += 1,
             }
         }
@@ -113,7 +118,11 @@ impl Precomputed {
             let columns = &self.compliance.weight_response_s2;
             set_to_columns(self.path, columns, self.pull_m_per_s2, &mut self.displacement_m);
         }
-        respond_into(self.path, &self.compliance.table, &self.forces, !has_pull, &mut self.displacement_m);
+        let table = &self.compliance.table;
+        respond_into(self.path, table, &self.forces, !has_pull, &mut self.displacement_m);
+        for pull in self.cuts.iter().flat_map(|cuts| cuts.pulls()) {
+            respond_into(self.path, table, &[pull], false, &mut self.displacement_m);
+        }
     }
 
     /// The same for one loadable node.
@@ -123,7 +132,8 @@ impl Precomputed {
         if self.pull_m_per_s2 != DVec3::ZERO {
             u_m += super::table::tensor_of_columns(weight, loaded) * self.pull_m_per_s2;
         }
-        for &(m, force_n) in self.forces.iter() {
+        let pulls = self.cuts.iter().flat_map(|cuts| cuts.pulls());
+        for (m, force_n) in self.forces.iter().copied().chain(pulls) {
             u_m += self.compliance.table.tensor(loaded, m as usize) * force_n;
         }
         u_m
@@ -201,6 +211,37 @@ impl Precomputed {
     /// To be called when the compliance has changed: kept factors are dropped.
     pub(super) fn compliance_changed(&mut self) {
         self.contacts.forget();
+    }
+
+    /// Loads and held points by the places of `old_rows`; now by their present ones. What has no place any more is
+    /// dropped.
+    pub(super) fn follow_rows(&mut self, old_rows: &[NodeId]) {
+        let find = |row_of: &[u32], n_loadable: usize, m: u32| {
+            let row = row_of[old_rows[m as usize].index()];
+            ((row as usize) < n_loadable).then_some(row)
+        };
+        let (row_of, n_loadable) = (&self.row_of, self.compliance.n_loadable);
+        let mut forces = Roomy::with_room(n_loadable);
+        forces.extend(
+            self.forces.iter().filter_map(|&(m, f)| Some((find(row_of, n_loadable, m)?, f))).take(n_loadable),
+        );
+        self.forces = forces;
+        let (mut wanted, mut targets) =
+            (Roomy::with_room(Self::MAX_IMPOSED), Roomy::with_room(Self::MAX_IMPOSED));
+        for (point, target) in self.wanted.iter().zip(self.targets.iter()) {
+            let mut point = *point;
+            let own = &mut point.loaded[..point.n_nodes];
+            if own.iter_mut().all(|m| find(row_of, n_loadable, *m).map(|row| *m = row).is_some()) {
+                wanted.push(point);
+                targets.push(*target);
+            }
+        }
+        (self.wanted, self.targets) = (wanted, targets);
+        self.reactions.clear();
+        let n_nodes = self.rest_m.len();
+        let n_more = n_nodes.saturating_sub(self.constraint_forces_n.len());
+        self.constraint_forces_n.reserve(n_more);
+        self.compliance_changed();
     }
 
     /// Computes on this path from now on, with the same bits.

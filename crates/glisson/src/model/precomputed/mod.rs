@@ -9,6 +9,8 @@
 //! (eq. 2.12, where the report forgets the second term); then u_l += sum_j T^lj r_j (eq. 2.13). r is the
 //! force that the tool exerts; the tool feels -r.
 //!
+//! Cuts: `cutting` follows removals of tetrahedra by changes of low rank.
+//!
 //! The tensors lie in `table` in the order in which a response reads them.
 
 mod error;
@@ -22,9 +24,15 @@ mod point;
 mod contact_system;
 mod response;
 mod interaction;
+mod rigid;
+mod low_rank;
+mod growth;
+mod loose;
+mod cutting;
 
 pub use check::{ComplianceCheck, check_compliance};
 pub use contact_system::ContactReport;
+pub use cutting::{CutReport, RECOMPUTATION_COLUMNS, RECOMPUTATION_ERROR};
 pub use error::PrecomputedError;
 pub use file::{PrecomputedExpectation, mesh_hash};
 pub use point::PointConstraint;
@@ -33,6 +41,7 @@ pub use table::Precision;
 pub use unit_displacements::{UnitDisplacement, UnitDisplacements};
 
 use self::contact_system::{ContactPoint, ContactSystem, MOST_POINTS};
+use self::cutting::Cuts;
 use self::interaction::Target;
 use self::response::Load;
 use self::table::{Table, n_displacements};
@@ -43,7 +52,6 @@ use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
-use crate::model::kind::ModelKind;
 
 /// Which nodes get their displacement in a response.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -125,6 +133,8 @@ pub struct Precomputed {
     rest_gravity_m_per_s2: DVec3,
     /// Gravity beyond it [m/s2].
     pull_m_per_s2: DVec3,
+    /// What following cuts needs; made at the first one.
+    cuts: Option<Box<Cuts>>,
 }
 
 impl Precomputed {
@@ -151,6 +161,7 @@ impl Precomputed {
             report: ResponseReport::default(),
             rest_gravity_m_per_s2: DVec3::ZERO,
             pull_m_per_s2: DVec3::ZERO,
+            cuts: None,
             compliance,
         }
     }
@@ -161,7 +172,7 @@ impl Precomputed {
         self.pull_m_per_s2 = DVec3::ZERO;
     }
 
-    /// Nodes that forces and displacements can act on, ascending.
+    /// Nodes that forces and displacements can act on: ascending, until a cut changes them.
     pub fn loadable_nodes(&self) -> &[NodeId] {
         &self.compliance.rows[..self.compliance.n_loadable]
     }
@@ -214,6 +225,10 @@ impl Precomputed {
         self.displacement_m.fill(0.0);
         self.positions_m.copy_from_slice(&self.rest_m);
         self.report = ResponseReport::default();
+        self.release_pieces();
+        if let Some(cuts) = &mut self.cuts {
+            cuts.take_over(&self.rest_m, &mut self.positions_m);
+        }
     }
 }
 
@@ -222,12 +237,13 @@ impl DeformableModel for Precomputed {
         self.take_constraints(constraints);
     }
 
-    fn step(&mut self, _dt_s: f64) {
+    fn step(&mut self, dt_s: f64) {
         self.respond();
+        self.step_pieces(dt_s);
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &[], history: &[] }
+        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &[], history: self.piece_numbers() }
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {
@@ -240,16 +256,24 @@ impl DeformableModel for Precomputed {
             self.positions_m[node.index()] = positions_m[node.index()];
         }
         self.constraint_forces_n.fill(DVec3::ZERO);
+        if let Some(cuts) = &mut self.cuts {
+            cuts.take_over(positions_m, &mut self.positions_m);
+        }
     }
 
     fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
         self.pull_m_per_s2 = gravity_m_per_s2 - self.rest_gravity_m_per_s2;
+        for piece in self.cuts.iter_mut().flat_map(|cuts| &mut cuts.pieces) {
+            piece.set_gravity(gravity_m_per_s2);
+        }
     }
 
     fn report(&self) -> ModelReport {
         let ResponseReport { ignored_forces, ignored_displacements } = self.report;
         let n_ignored_constraints = (ignored_forces + ignored_displacements) as u32;
-        ModelReport { n_parts: 1, n_ignored_constraints, ..ModelReport::default() }
+        let mut report = ModelReport { n_parts: 1, n_ignored_constraints, ..ModelReport::default() };
+        self.add_cuts_to(&mut report);
+        report
     }
 
     fn local_model_into(
@@ -266,15 +290,8 @@ impl DeformableModel for Precomputed {
         Box::new(self.clone())
     }
 
-    fn topology_refusal(&self) -> Option<TopologyRefusal> {
-        Some(TopologyRefusal::Frozen {
-            model: ModelKind::Precomputed.name(),
-            reason: "its compliance holds for the uncut mesh; switch to tensor_mass before cutting, or pre-compute \
-                     the new mesh",
-        })
-    }
-
-    fn topology_changed(&mut self, _: &TetMesh, _: &TopologyChange) -> Result<(), TopologyRefusal> {
-        self.topology_refusal().map_or(Ok(()), Err)
+    /// Follows removals; allocates.
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        self.follow(mesh, change)
     }
 }

@@ -45,12 +45,12 @@ pub(super) enum Numbers {
 /// Tensors T^lm [m/N] of all stored nodes l and loaded nodes m.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Table {
-    n_rows: usize,
+    pub(super) n_rows: usize,
     pub(super) numbers: Numbers,
 }
 
 /// Place of a component of a row in one loaded node's numbers.
-fn place(row: usize, force_axis: usize, axis: usize) -> usize {
+pub(super) fn place(row: usize, force_axis: usize, axis: usize) -> usize {
     row / LANES * BLOCK_NUMBERS + (3 * force_axis + axis) * LANES + row % LANES
 }
 

@@ -83,7 +83,7 @@ impl HeldBody<'_> {
     pub(super) fn basis(&self, n_modes: usize, loads: &[Vec<DVec3>], n_reduced: usize) -> Modes {
         let n = self.system.n_free();
         let mass = self.free_masses();
-        let vibrations = self.ritz(&mass, self.vibrations(&mass, n_modes));
+        let vibrations = self.ritz(&mass, &self.vibrations(&mass, n_modes));
         let lowest = vibrations.squared_frequency_per_s2[0];
         let (mut linear, mut generators) = (vibrations.vectors.clone(), vibrations.vectors);
         for (column, squared) in generators.chunks_exact_mut(n).zip(&vibrations.squared_frequency_per_s2) {
@@ -98,12 +98,12 @@ impl HeldBody<'_> {
                 generators.extend(answer.iter().map(|x| scale * x));
             }
         }
-        let mut all = orthonormal(linear, n, &mass, 0);
+        let mut all = orthonormal(&linear, n, &mass, 0);
         all.truncate(n * n_reduced);
         let n_linear = all.len() / n;
         let derivatives = self.derivatives(&generators);
         all.extend(principal(&all, derivatives, n, &mass, n_reduced - n_linear));
-        self.ritz(&mass, orthonormal(all, n, &mass, n_linear))
+        self.ritz(&mass, &orthonormal(&all, n, &mass, n_linear))
     }
 
     /// Lowest vibrations, mass-orthonormal columns.
@@ -116,7 +116,7 @@ impl HeldBody<'_> {
         for _ in 0..MOST_ITERATIONS {
             x.chunks_exact_mut(n).for_each(|c| c.iter_mut().zip(mass).for_each(|(x, m)| *x *= m));
             self.solve(&mut x);
-            let modes = self.ritz(mass, orthonormal(x, n, mass, 0));
+            let modes = self.ritz(mass, &orthonormal(&x, n, mass, 0));
             x = modes.vectors;
             let now = &modes.squared_frequency_per_s2[..n_modes.min(modes.squared_frequency_per_s2.len())];
             let has_settled =
@@ -131,7 +131,7 @@ impl HeldBody<'_> {
     }
 
     /// Rotates mass-orthonormal columns so that they diagonalize K, lowest frequency first.
-    fn ritz(&self, mass: &[f64], columns: Vec<f64>) -> Modes {
+    fn ritz(&self, mass: &[f64], columns: &[f64]) -> Modes {
         let n = mass.len();
         let r = columns.len() / n;
         let mut projected = vec![0.0; r * r];
@@ -195,7 +195,7 @@ impl HeldBody<'_> {
 }
 
 /// Mass-orthonormal columns with the same span; the first `n_kept` are so already. Gram and Schmidt, twice.
-fn orthonormal(columns: Vec<f64>, n: usize, mass: &[f64], n_kept: usize) -> Vec<f64> {
+fn orthonormal(columns: &[f64], n: usize, mass: &[f64], n_kept: usize) -> Vec<f64> {
     let mut done = columns[..n * n_kept].to_vec();
     let mut weighted = vec![0.0; n];
     for column in columns[n * n_kept..].chunks_exact(n) {
@@ -323,7 +323,7 @@ pub(super) mod tests {
         with_body(|body| {
             let n = body.system.n_free();
             let load = random_field(body, 3);
-            let modes = body.basis(4, &[load.clone()], 14);
+            let modes = body.basis(4, std::slice::from_ref(&load), 14);
             assert_eq!(modes.squared_frequency_per_s2.len(), 14);
             let mass = body.free_masses();
             for (i, a) in modes.vectors.chunks_exact(n).enumerate() {

@@ -4,8 +4,9 @@
 //! the nodes. The derivative of mode i along mode j is how the linear answer turns when the body is already deformed:
 //! K psi_ij = -f_2(phi_i, phi_j), with f_2 the symmetric bilinear form of the quadratic part of the forces (Idelsohn and
 //! Cardona 1985, Computer Methods in Applied Mechanics and Engineering 49; Barbic and James 2005,
-//! doi 10.1145/1073204.1073300, s. 3.2). They are scaled by lambda_1^2/(lambda_i lambda_j), and their principal
-//! directions in the mass metric are kept. All modes are then mass-orthonormal and diagonalize K.
+//! doi 10.1145/1073204.1073300, s. 3.2). Vibration i enters them scaled by lambda_1/lambda_i (there too), the answer to
+//! a load with the elastic energy of the first vibration (a choice), and their principal directions in the mass metric
+//! are kept. All modes are then mass-orthonormal and diagonalize K.
 
 use super::dense::{dot, eigen_symmetric};
 use crate::material::LinearElastic;
@@ -82,14 +83,27 @@ impl HeldBody<'_> {
     pub(super) fn basis(&self, n_modes: usize, loads: &[Vec<DVec3>], n_reduced: usize) -> Modes {
         let n = self.system.n_free();
         let mass = self.free_masses();
-        let mut vectors = self.vibrations(&mass, n_modes);
-        loads.iter().for_each(|load| vectors.extend(self.answer_to(load)));
-        let linear = self.ritz(&mass, orthonormal(vectors, n, &mass, 0));
-        let n_linear = linear.squared_frequency_per_s2.len().min(n_reduced);
-        let derivatives = self.derivatives(&linear, n_linear);
-        let mut all = linear.vectors[..n * n_linear].to_vec();
+        let vibrations = self.ritz(&mass, &self.vibrations(&mass, n_modes));
+        let lowest = vibrations.squared_frequency_per_s2[0];
+        let (mut linear, mut generators) = (vibrations.vectors.clone(), vibrations.vectors);
+        for (column, squared) in generators.chunks_exact_mut(n).zip(&vibrations.squared_frequency_per_s2) {
+            column.iter_mut().for_each(|x| *x *= lowest / squared);
+        }
+        for load in loads {
+            let answer = self.answer_to(load);
+            let energy = dot(&answer, &self.stiffness_times(&answer));
+            if energy > 0.0 && energy.is_finite() {
+                linear.extend(&answer);
+                let scale = (lowest / energy).sqrt();
+                generators.extend(answer.iter().map(|x| scale * x));
+            }
+        }
+        let mut all = orthonormal(&linear, n, &mass, 0);
+        all.truncate(n * n_reduced);
+        let n_linear = all.len() / n;
+        let derivatives = self.derivatives(&generators);
         all.extend(principal(&all, derivatives, n, &mass, n_reduced - n_linear));
-        self.ritz(&mass, orthonormal(all, n, &mass, n_linear))
+        self.ritz(&mass, &orthonormal(&all, n, &mass, n_linear))
     }
 
     /// Lowest vibrations, mass-orthonormal columns.
@@ -102,7 +116,7 @@ impl HeldBody<'_> {
         for _ in 0..MOST_ITERATIONS {
             x.chunks_exact_mut(n).for_each(|c| c.iter_mut().zip(mass).for_each(|(x, m)| *x *= m));
             self.solve(&mut x);
-            let modes = self.ritz(mass, orthonormal(x, n, mass, 0));
+            let modes = self.ritz(mass, &orthonormal(&x, n, mass, 0));
             x = modes.vectors;
             let now = &modes.squared_frequency_per_s2[..n_modes.min(modes.squared_frequency_per_s2.len())];
             let has_settled =
@@ -117,7 +131,7 @@ impl HeldBody<'_> {
     }
 
     /// Rotates mass-orthonormal columns so that they diagonalize K, lowest frequency first.
-    fn ritz(&self, mass: &[f64], columns: Vec<f64>) -> Modes {
+    fn ritz(&self, mass: &[f64], columns: &[f64]) -> Modes {
         let n = mass.len();
         let r = columns.len() / n;
         let mut projected = vec![0.0; r * r];
@@ -138,19 +152,16 @@ impl HeldBody<'_> {
         Modes { vectors, squared_frequency_per_s2 }
     }
 
-    /// Scaled derivatives psi_ij of the first `n_linear` modes, i <= j.
-    fn derivatives(&self, linear: &Modes, n_linear: usize) -> Vec<f64> {
+    /// Derivatives psi_ij of columns that are scaled already, i <= j.
+    fn derivatives(&self, generators: &[f64]) -> Vec<f64> {
         let n = self.system.n_free();
-        let mode = |i: usize| self.of_nodes(&linear.vectors[n * i..n * (i + 1)]);
-        let modes: Vec<Vec<DVec3>> = (0..n_linear).map(mode).collect();
-        let lowest = linear.squared_frequency_per_s2[0];
+        let fields: Vec<Vec<DVec3>> = generators.chunks_exact(n).map(|g| self.of_nodes(g)).collect();
         let mut columns = Vec::new();
         let mut force = vec![DVec3::ZERO; self.mesh.positions_m.len()];
-        for i in 0..n_linear {
-            for j in i..n_linear {
-                self.quadratic_force_into([&modes[i], &modes[j]], &mut force);
-                let share = [i, j].map(|k| lowest / linear.squared_frequency_per_s2[k]);
-                force.iter_mut().for_each(|f| *f *= -share[0] * share[1]);
+        for (i, u) in fields.iter().enumerate() {
+            for v in &fields[i..] {
+                self.quadratic_force_into([u, v], &mut force);
+                force.iter_mut().for_each(|f| *f = -*f);
                 let start = columns.len();
                 columns.resize(start + n, 0.0);
                 self.system.gather_into(&force, &mut columns[start..]);
@@ -184,7 +195,7 @@ impl HeldBody<'_> {
 }
 
 /// Mass-orthonormal columns with the same span; the first `n_kept` are so already. Gram and Schmidt, twice.
-fn orthonormal(columns: Vec<f64>, n: usize, mass: &[f64], n_kept: usize) -> Vec<f64> {
+fn orthonormal(columns: &[f64], n: usize, mass: &[f64], n_kept: usize) -> Vec<f64> {
     let mut done = columns[..n * n_kept].to_vec();
     let mut weighted = vec![0.0; n];
     for column in columns[n * n_kept..].chunks_exact(n) {
@@ -312,7 +323,7 @@ pub(super) mod tests {
         with_body(|body| {
             let n = body.system.n_free();
             let load = random_field(body, 3);
-            let modes = body.basis(4, &[load.clone()], 14);
+            let modes = body.basis(4, std::slice::from_ref(&load), 14);
             assert_eq!(modes.squared_frequency_per_s2.len(), 14);
             let mass = body.free_masses();
             for (i, a) in modes.vectors.chunks_exact(n).enumerate() {

@@ -9,8 +9,10 @@
 //! follow bending and rotation. With r = all free components it is the full non-linear solution.
 //!
 //! Imposed displacements are met exactly, without penalty: the forces that hold them are unknowns beside q (`newton`).
-//! C_r does not turn with the tissue, so a dent in a part that has rotated far points the wrong way: keep local loads
-//! small where the body turns by more than about 30 degrees, or put their answers into the basis (`loads`).
+//! What the modes do not hold stays linear. C_r neither stiffens nor turns with the tissue: a deep dent, or one in a part
+//! that has turned far, is no better than in the linear model (measured: `glisson validate reduced`). Put the answers
+//! to forces at the places that matter into the basis (`loads`). As St Venant and Kirchhoff's law it can turn tetrahedra
+//! inside out under strong compression, and does not notice.
 //!
 //! Quasi-static: each step goes to equilibrium, starting from the last one. Where several equilibria exist (buckling), it
 //! stays with the one that Newton's method finds from there. A rest shape under gravity is carried as in the linear

@@ -8,6 +8,7 @@ mod elasticity;
 mod image;
 mod interaction;
 mod model_rheology;
+mod precompute;
 mod prestress;
 mod rheology;
 mod rotation;
@@ -119,6 +120,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "interaction",
         about: "The touched organ: pre-computed and dynamic.",
         run: interaction::experiments,
+    },
+    Group {
+        name: "precompute",
+        about: "The pre-computation against direct solutions, Lagrange multipliers and the papers' conjugate gradients.",
+        run: precompute::experiments,
     },
     Group {
         name: "unit",

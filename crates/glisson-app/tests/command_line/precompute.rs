@@ -70,7 +70,7 @@ fn caught_at_work(folder: &Path, out: &str, at_least_bytes: u64) -> Option<(Chil
 fn a_killed_precomputation_goes_on_where_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
-    block(path, 11);
+    block(path, 8);
     let whole = glisson(path, &arguments("whole", &[]));
     assert!(whole.status.success(), "{}", String::from_utf8_lossy(&whole.stderr));
     let whole = bytes(&path.join("whole"));
@@ -100,7 +100,7 @@ fn a_killed_precomputation_goes_on_where_it_was() {
 fn ctrl_c_tells_how_to_go_on() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
-    block(path, 11);
+    block(path, 8);
     let (child, partial) = caught_at_work(path, "out", 1_000_000).expect("too fast to be interrupted");
     let interrupt = Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().unwrap();
     assert!(interrupt.success());
@@ -123,11 +123,11 @@ fn ctrl_c_tells_how_to_go_on() {
 fn a_full_disk_keeps_what_is_done() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
-    block(path, 5);
+    block(path, 6);
     std::fs::write(path.join("out"), "an older file").unwrap();
     let line = arguments("out", &[]).iter().map(|a| format!("'{a}'")).collect::<Vec<_>>().join(" ");
     // In units of 512 bytes; too large a file is then an error rather than a signal.
-    let script = format!("trap '' XFSZ; ulimit -f 3000; exec '{}' {line}", env!("CARGO_BIN_EXE_glisson"));
+    let script = format!("trap '' XFSZ; ulimit -f 1500; exec '{}' {line}", env!("CARGO_BIN_EXE_glisson"));
     let output = Command::new("sh").args(["-c", &script]).current_dir(path).output().unwrap();
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(1), "{message}");

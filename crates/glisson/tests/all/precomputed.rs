@@ -483,3 +483,24 @@ fn conjugate_gradients_come_to_the_factors_solution() {
         preconditioner.solve_into(&vec![0.0; found.len()], &mut found, 1e-12, 3, &mut scratch, |_| false);
     assert!(none.converged && found.iter().all(|x| *x == 0.0));
 }
+
+#[test]
+fn a_large_body_is_dissected_and_solved_all_the_same() {
+    let mesh = glisson::mesh::box_mesh::cube_of_five(15, 0.1);
+    assert!(mesh.positions_m.len() > 3000);
+    let edges = MeshEdges::of_mesh(&mesh).unwrap();
+    let tensors = StiffnessTensors::assemble(&mesh, &edges, &material()).unwrap();
+    let conditions = BoundaryConditions::fixed(&nodes_below(&mesh, 2, 1e-6));
+    let by_degree = FreeSystem::new(&edges, &tensors, &conditions).unwrap().factorize().unwrap();
+    let dissected = FreeSystem::for_many_solutions(&mesh.positions_m, &edges, &tensors, &conditions).unwrap();
+    let dissected = dissected.factorize().unwrap();
+    let (few, many) = (dissected.n_entries(), by_degree.n_entries());
+    assert!(10 * few < 9 * many, "{few} {many}");
+    let solved = [by_degree, dissected].map(|factor| {
+        let mut random = SeededRandom::new(6);
+        let mut x: Vec<f64> = (0..factor.n_rows()).map(|_| random.normal()).collect();
+        factor.solve_in_place(&mut x, 1, &mut factor.scratch(1));
+        x.chunks_exact(3).map(DVec3::from_slice).collect::<Vec<_>>()
+    });
+    assert!(relative_difference(&solved[1], &solved[0]) < 1e-10);
+}

@@ -141,7 +141,6 @@ pub enum PrecomputedError {
     )]
     BadPartial {
         /// Why.
-        #[source]
         cause: Box<PrecomputedError>,
     },
     /// Two programs write one file.

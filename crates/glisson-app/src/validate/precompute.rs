@@ -166,7 +166,7 @@ struct Gradients {
 fn gradients(body: &Body, model: &Precomputed) -> anyhow::Result<Gradients> {
     let system = body.system()?;
     let start_ns = thread_cpu_ns();
-    let preconditioner = IncompleteCholesky::new(&system);
+    let preconditioner = IncompleteCholesky::new(&system)?;
     let factor_seconds = 1e-9 * (thread_cpu_ns() - start_ns) as f64;
     let mut scratch = preconditioner.scratch();
     let [mut right, mut solution] = [(); 2].map(|()| vec![0.0; system.n_free()]);

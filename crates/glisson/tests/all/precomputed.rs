@@ -460,7 +460,7 @@ fn conjugate_gradients_come_to_the_factors_solution() {
     let mut expected = right.clone();
     factor.solve_in_place(&mut expected, 1, &mut factor.scratch(1));
 
-    let preconditioner = IncompleteCholesky::new(&system);
+    let preconditioner = IncompleteCholesky::new(&system).unwrap();
     let mut scratch = preconditioner.scratch();
     let mut found = vec![0.0; system.n_free()];
     let report = preconditioner.solve_into(&right, &mut found, 1e-12, 1000, &mut scratch, |_| false);

@@ -9,6 +9,7 @@ mod demo;
 mod picture;
 mod plot;
 mod runtime;
+mod scratch;
 mod server;
 mod validate;
 mod workers;

@@ -11,6 +11,7 @@ mod image;
 mod interaction;
 mod model_rheology;
 mod precomputed_cutting;
+mod precompute;
 mod prestress;
 mod quasi_nonlinear;
 mod reduced;
@@ -124,6 +125,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "interaction",
         about: "The touched organ: pre-computed and dynamic.",
         run: interaction::experiments,
+    },
+    Group {
+        name: "precompute",
+        about: "The pre-computation against direct solutions, Lagrange multipliers and the papers' conjugate gradients.",
+        run: precompute::experiments,
     },
     Group {
         name: "unit",

@@ -1,6 +1,8 @@
 //! The program as a careless user meets it: bad input gets exit code 1, a message that names file, place, found and
 //! allowed value, and leaves no half-written file; a wrong command line gets exit code 2.
 
+mod precompute;
+
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -168,6 +170,14 @@ fn a_precomputed_file_of_another_body_or_with_a_flipped_bit_is_refused() {
     let file = folder.path().join("body.precomputed");
     let mut bytes = std::fs::read(&file).unwrap();
     let middle = bytes.len() / 2;
+    bytes[8] = 3;
+    std::fs::write(&file, &bytes).unwrap();
+    refuses(
+        folder.path(),
+        &["run", "scene.toml"],
+        &["body.precomputed", "format version 3", "pre-compute again"],
+    );
+    bytes[8] = 4;
     bytes[middle] ^= 1;
     std::fs::write(&file, &bytes).unwrap();
     refuses(folder.path(), &["run", "scene.toml"], &["body.precomputed", "checksum"]);

@@ -146,6 +146,25 @@ fn a_real_liver_can_be_pushed() {
     assert!(replayed.contains("same bits") && replayed.contains(report["state_hash"].as_str().unwrap()));
 }
 
+#[test]
+fn a_real_livers_compliance_is_that_of_direct_solutions() {
+    let Some(ct) = real_ct() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    let (mask, mesh) = (ct.join("mask.nii.gz"), at("liver.vtu"));
+    glisson(&["mesh", mask.to_str().unwrap(), "--label", "5", "--tetrahedra", "6300", "-o", &mesh]);
+    for (precision, difference, asymmetry) in [("f64", 1e-10, 1e-12), ("f32", 1e-5, 1e-6)] {
+        let out = at(precision);
+        let held = ["--tissue", "liver", "--fix-furthest", "0,1,0,0.1"];
+        let rest = ["-o", &out, "--precision", precision, "--check", "50", "--json"];
+        let printed = glisson(&[&["precompute", &mesh], &held[..], &rest[..]].concat());
+        let report: Value = serde_json::from_str(&printed).unwrap();
+        let number = |key: &str| report["check"][key].as_f64().unwrap();
+        assert!(number("nodes") >= 50.0, "{printed}");
+        assert!(number("difference") <= difference && number("asymmetry") <= asymmetry, "{printed}");
+    }
+}
+
 fn bounds_mm(quality: &Value) -> ([f64; 3], [f64; 3]) {
     let corner = |key: &str| {
         let list = quality[key].as_array().unwrap_or_else(|| panic!("no {key} in {quality}"));

@@ -5,10 +5,12 @@
 //! 10.1090/S0025-5718-1977-0438681-4). It need not exist for elasticity; then a share of the diagonal is added until
 //! it does (Manteuffel 1980, doi 10.1090/S0025-5718-1980-0559197-0).
 
-use super::FreeSystem;
+use super::{FreeSystem, SolveError};
 
 /// First share of the diagonal that is added when the factor does not exist; doubled as often as needed.
 const FIRST_SHIFT: f64 = 1e-3;
+/// From here on the diagonal of any stiffness outweighs its rows: there are some hundred entries in one.
+const MOST_SHIFT: f64 = 1e3;
 /// A pivot below this share of its diagonal entry counts as none: its inverse would spoil the preconditioner.
 const LEAST_PIVOT: f64 = 1e-6;
 
@@ -42,13 +44,18 @@ pub struct CgReport {
 
 impl<'a> IncompleteCholesky<'a> {
     /// Factors the free part of K incompletely.
-    pub fn new(system: &'a FreeSystem) -> Self {
+    ///
+    /// # Errors
+    /// [`SolveError::Singular`] when no shift helps: a diagonal entry is not positive.
+    pub fn new(system: &'a FreeSystem) -> Result<Self, SolveError> {
         let mut shift = 0.0;
         loop {
             if let Some(value) = factor(system, shift) {
-                return Self { system, value, shift };
+                return Ok(Self { system, value, shift });
             }
-            // A shift of some ten makes any matrix with a positive diagonal dominated by it.
+            if shift > MOST_SHIFT {
+                return Err(SolveError::Singular);
+            }
             shift = if shift == 0.0 { FIRST_SHIFT } else { 2.0 * shift };
         }
     }
@@ -175,8 +182,7 @@ fn factor(system: &FreeSystem, shift: f64) -> Option<Vec<f64>> {
             l[e] = sum / l[b_last];
             pivot -= l[e] * l[e];
         }
-        // Not a number is no pivot either.
-        if !(pivot > LEAST_PIVOT * k[last]) {
+        if pivot.is_nan() || pivot <= LEAST_PIVOT * k[last] {
             return None;
         }
         l[last] = pivot.sqrt();

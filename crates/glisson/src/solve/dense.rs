@@ -22,8 +22,7 @@ pub(crate) fn solve_dense_in_place(
     for k in 0..n {
         let column = &matrix[n * k..n * (k + 1)];
         let pivot = (k..n).max_by(|&i, &j| column[i].abs().total_cmp(&column[j].abs())).unwrap_or(k);
-        // A pivot that is no number is refused too.
-        if !(column[pivot].abs() > least_pivot * largest) {
+        if column[pivot].is_nan() || column[pivot].abs() <= least_pivot * largest {
             return Err(k);
         }
         for column in matrix.chunks_exact_mut(n).chain(right.chunks_exact_mut(n)) {

@@ -243,8 +243,8 @@ pub fn solve_lagrange(
 fn first_dependent(m: usize, schur: &[f64]) -> Option<usize> {
     let mut a = schur.to_vec();
     for k in 0..m {
-        // Not a number is dependent too.
-        if !(a[m * k + k] > LEAST_PIVOT * schur[m * k + k]) {
+        let pivot = a[m * k + k];
+        if pivot.is_nan() || pivot <= LEAST_PIVOT * schur[m * k + k] {
             return Some(k);
         }
         for j in k + 1..m {

@@ -11,6 +11,7 @@
 mod p1;
 mod tensors;
 mod boundary;
+mod ordering;
 mod system;
 mod columns;
 mod static_problem;

@@ -3,7 +3,7 @@
 //! The pattern is made once: every tensor entry has its slot, so new stiffness numbers are written without a
 //! search and without allocation. Factor: faer's supernodal L L^T on one thread; the fill-reducing order is
 //! approximate minimum degree (Amestoy, Davis and Duff 1996, doi 10.1137/S0895479894278952) of the node
-//! graph, which is nine times smaller than that of the components and keeps a node's components together.
+//! graph, or nested dissection where it pays (`ordering`). The node graph is nine times smaller than that of the components and keeps a node's components together.
 
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
@@ -17,12 +17,17 @@ use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Conj, MatMut, Par, Side};
 use std::sync::Arc;
 
+use super::ordering::nested_dissection;
 use super::{BoundaryConditions, MeshEdges, SolveError, StiffnessTensors};
 use crate::math::{DMat3, DVec3, SeededRandom};
 use crate::mesh::NodeId;
 
 /// Marks a prescribed component and a slot that does not exist.
 const NONE: u32 = u32::MAX;
+
+/// Bodies of at least so many nodes are ordered by nested dissection: below it a factor hardly gains, and does not
+/// make up for the time of the ordering.
+const DISSECTED_NODES: usize = 3_000;
 
 /// The free part of K: upper triangle by columns, components in node order.
 #[derive(Clone, Debug)]
@@ -50,6 +55,39 @@ impl FreeSystem {
         tensors: &StiffnessTensors,
         conditions: &BoundaryConditions,
     ) -> Result<Self, SolveError> {
+        let order = minimum_degree(tensors.vertex.len(), edges).map_err(|reason| {
+            SolveError::Factorization { n_rows: 3 * tensors.vertex.len(), reason: reason.to_string() }
+        })?;
+        Ok(Self::ordered(edges, tensors, conditions, order))
+    }
+
+    /// [`FreeSystem::new`] for a body whose system is solved often: large ones are ordered by nested dissection, which
+    /// takes longer and makes factor and solutions faster. `positions_m` are those of the nodes.
+    ///
+    /// # Errors
+    /// [`SolveError::Factorization`] when the ordering fails.
+    ///
+    /// # Panics
+    /// When there is not one position a node.
+    pub fn for_many_solutions(
+        positions_m: &[DVec3],
+        edges: &MeshEdges,
+        tensors: &StiffnessTensors,
+        conditions: &BoundaryConditions,
+    ) -> Result<Self, SolveError> {
+        assert_eq!(positions_m.len(), tensors.vertex.len(), "one position a node");
+        if positions_m.len() < DISSECTED_NODES {
+            return Self::new(edges, tensors, conditions);
+        }
+        Ok(Self::ordered(edges, tensors, conditions, nested_dissection(positions_m, edges)))
+    }
+
+    fn ordered(
+        edges: &MeshEdges,
+        tensors: &StiffnessTensors,
+        conditions: &BoundaryConditions,
+        node_order: Vec<u32>,
+    ) -> Self {
         let n_nodes = tensors.vertex.len();
         let mut free_of = vec![[0; 3]; n_nodes];
         for (node, axis, _) in conditions.iter() {
@@ -68,15 +106,11 @@ impl FreeSystem {
             value: Vec::new(),
             vertex_slots: vec![[NONE; 6]; n_nodes],
             edge_slots: vec![[NONE; 9]; edges.nodes.len()],
-            node_order: Vec::new(),
+            node_order,
         };
         system.make_pattern(edges);
         system.refill(tensors);
-        system.node_order = node_order(n_nodes, edges).map_err(|reason| SolveError::Factorization {
-            n_rows: system.n_free,
-            reason: reason.to_string(),
-        })?;
-        Ok(system)
+        system
     }
 
     /// Columns of the higher node hold the lower node's rows; edges ascend, so rows ascend in each column.
@@ -221,8 +255,8 @@ impl FreeSystem {
     }
 }
 
-/// Nodes in elimination order.
-fn node_order(n_nodes: usize, edges: &MeshEdges) -> Result<Vec<u32>, faer::sparse::FaerError> {
+/// Nodes in elimination order, by approximate minimum degree.
+pub(super) fn minimum_degree(n_nodes: usize, edges: &MeshEdges) -> Result<Vec<u32>, faer::sparse::FaerError> {
     let mut start = vec![0u32; n_nodes + 1];
     for edge in &edges.nodes {
         start[edge[1].index() + 1] += 1;

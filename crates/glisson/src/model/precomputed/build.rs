@@ -60,7 +60,7 @@ impl Plan {
                 .filter(|n| !is_fixed(n) && surface.binary_search(n).is_err());
             rows.extend(inner);
         }
-        let system = FreeSystem::new(&edges, &tensors, &conditions)?;
+        let system = FreeSystem::for_many_solutions(&mesh.positions_m, &edges, &tensors, &conditions)?;
         Ok(Self { system, fixed_nodes, rows, n_loadable })
     }
 

@@ -147,7 +147,6 @@ pub enum PrecomputedError {
     )]
     BadPartial {
         /// Why.
-        #[source]
         cause: Box<PrecomputedError>,
     },
     /// Two programs write one file.

@@ -246,7 +246,11 @@ impl<'a> Growing<'a> {
             let n_next = stride * nodes_left.min(NODES_IN_BLOCK * blocks_in_lot);
             let (written, ()) = rayon::join(
                 || write_blocks(&mut self.file, &key, self.n_blocks, numbers_in_block, &ready[..n_ready]),
-                || solver.fill(params, first_node, &mut next[..n_next], T::narrow),
+                || {
+                    if n_next > 0 {
+                        solver.fill(params, first_node, &mut next[..n_next], T::narrow);
+                    }
+                },
             );
             written.map_err(|cause| self.unfinished(cause))?;
             self.n_blocks += n_ready.div_ceil(numbers_in_block);

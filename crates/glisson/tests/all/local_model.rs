@@ -3,7 +3,7 @@
 use crate::model_meshes::{block, held, nodes_below, shaken_block};
 use glisson::material::LinearElastic;
 use glisson::math::{DMat3, DVec3, SeededRandom};
-use glisson::mesh::{NodeId, TetMesh};
+use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
 use glisson::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
@@ -132,13 +132,17 @@ impl Body {
 
     /// The patch's part of (M/h^2 + D/h + K)^-1 of the whole body.
     fn exact(&self, patch: &[NodeId], damping: Rayleigh, period_s: f64) -> Vec<f64> {
-        let model = self.tensor_mass(Rayleigh::default(), 0.9 * self.stable_step_s());
+        let mut mass_kg = vec![0.0; self.mesh.positions_m.len()];
+        for (t, nodes) in self.mesh.tetrahedra.iter().enumerate() {
+            let share_kg = DENSITY_KG_PER_M3 * self.mesh.tet_volume_m3(TetId::from_index(t)) / 4.0;
+            nodes.iter().for_each(|n| mass_kg[n.index()] += share_kg);
+        }
         let edges = MeshEdges::of_mesh(&self.mesh).unwrap();
         let mut tensors = StiffnessTensors::assemble(&self.mesh, &edges, &self.material).unwrap();
         let per_stiffness = 1.0 + damping.stiffness_s / period_s;
         tensors.vertex.iter_mut().chain(&mut tensors.edge).for_each(|b| *b *= per_stiffness);
         for (n, b) in tensors.vertex.iter_mut().enumerate() {
-            let kg = model.mass_kg(NodeId::from_index(n));
+            let kg = mass_kg[n];
             *b += DMat3::from_diagonal(DVec3::splat(kg * (1.0 / period_s + damping.mass_per_s) / period_s));
         }
         let conditions = BoundaryConditions::fixed(&self.fixed_nodes);

@@ -306,14 +306,16 @@ fn points_that_repeat_others_exert_nothing_and_are_told() {
         model.step(1e-3);
         let report = model.contact_report();
         assert_eq!((report.n_rows, report.n_repeated), (6, 3));
-        assert_eq!(model.constraint_forces_n(), [alone_n, DVec3::ZERO]);
+        assert!(model.constraint_forces_n()[0].distance(alone_n) < 1e-13 * alone_n.length());
+        assert_eq!(model.constraint_forces_n()[1], DVec3::ZERO);
         assert!(report.largest_miss_m < 1e-15);
 
         // Contradicting: the first wins, and the miss is the contradiction.
         let other = PointConstraint { displacement_m: 2.0 * push_m, ..node };
         model.impose_points(&[node, other], &[]);
         model.step(1e-3);
-        assert_eq!(model.constraint_forces_n(), [alone_n, DVec3::ZERO]);
+        assert!(model.constraint_forces_n()[0].distance(alone_n) < 1e-13 * alone_n.length());
+        assert_eq!(model.constraint_forces_n()[1], DVec3::ZERO);
         assert!((model.contact_report().largest_miss_m - push_m.abs().max_element()).abs() < 1e-15);
 
         // Four points of one triangle that follow one affine map: the fourth follows by itself.

@@ -18,6 +18,7 @@
 //! A table in `f32` is symmetric only to its rounding. The factor is that of its symmetric part; refinement with the table's
 //! own numbers then makes the points meet their targets as closely as with `f64`.
 
+use super::pairs::Pairs;
 use super::table::{Numbers, Table};
 use crate::math::{DMat3, DVec3};
 use crate::model::kernel::{Eight, EightWork, KernelPath};
@@ -152,7 +153,7 @@ impl ContactSystem {
     }
 
     /// Takes other points: reads the compliances that are new, and factors from the first point that differs.
-    pub(super) fn update(&mut self, path: KernelPath, table: &Table, wanted: &[ContactPoint]) {
+    pub(super) fn update(&mut self, path: KernelPath, table: &Table, pairs: &Pairs, wanted: &[ContactPoint]) {
         let is_same = |(a, b): &(&ContactPoint, &ContactPoint)| a == b;
         let n_kept = self.points.iter().zip(wanted).take_while(is_same).count();
         let rows_of = |points: &[ContactPoint]| points.iter().map(|p| p.n_directions).sum::<usize>();
@@ -162,7 +163,7 @@ impl ContactSystem {
             return;
         }
         let is_symmetric = matches!(table.numbers, Numbers::F64(_));
-        self.read_rows(table, wanted, n_kept, kept_rows, is_symmetric);
+        self.read_rows((table, pairs), wanted, n_kept, kept_rows, is_symmetric);
         self.points.clear();
         for point in wanted {
             self.points.try_push(*point);
@@ -181,7 +182,7 @@ impl ContactSystem {
     /// Compliances of the points from `n_kept` on with all others.
     fn read_rows(
         &mut self,
-        table: &Table,
+        tensors: (&Table, &Pairs),
         wanted: &[ContactPoint],
         n_kept: usize,
         kept_rows: usize,
@@ -229,8 +230,8 @@ impl ContactSystem {
                         }
                     }
                 } else {
-                    let block = compliance(table, a, b);
-                    let back = if is_symmetric { block.transpose() } else { compliance(table, b, a) };
+                    let block = compliance(tensors, a, b);
+                    let back = if is_symmetric { block.transpose() } else { compliance(tensors, b, a) };
                     for s in 0..b.n_directions {
                         for r in 0..a.n_directions {
                             actual[entry(column + s, first + r)] = back.col(r)[s];
@@ -304,14 +305,14 @@ fn entry(row: usize, column: usize) -> usize {
 }
 
 /// Displacements of `a` along its directions (rows) for unit reactions at `b` along its own (columns).
-fn compliance(table: &Table, a: &ContactPoint, b: &ContactPoint) -> DMat3 {
+fn compliance((table, pairs): (&Table, &Pairs), a: &ContactPoint, b: &ContactPoint) -> DMat3 {
     let mut between = DMat3::ZERO;
     if a.is_whole_node() && b.is_whole_node() {
-        return table.tensor(a.loaded[0] as usize, b.loaded[0] as usize);
+        return pairs.tensor(table, a.loaded[0], b.loaded[0]);
     }
     for (of, w) in a.nodes() {
         for (by, v) in b.nodes() {
-            between += table.tensor(of as usize, by as usize) * (w * v);
+            between += pairs.tensor(table, of, by) * (w * v);
         }
     }
     let mut block = DMat3::ZERO;

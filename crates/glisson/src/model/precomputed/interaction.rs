@@ -1,6 +1,7 @@
 //! What acts on the model between set-up and display: constraints in, forces and displacements out.
 
 use super::contact_system::{ContactPoint, ContactReport, MOST_POINTS};
+use super::pairs::Pairs;
 use super::response::{place_rows, respond_into, set_to_columns};
 use super::table::place_of_displacement;
 use super::{Load, PointConstraint, Precomputed, ResponseReport};
@@ -141,7 +142,7 @@ impl Precomputed {
 
     /// Reactions that hold the points, with `response_m` of the forces at a loadable node.
     fn solve_points(&mut self, response_m: impl Fn(&Self, usize) -> DVec3) {
-        self.contacts.update(self.path, &self.compliance.table, &self.wanted);
+        self.contacts.update(self.path, &self.compliance.table, &self.pairs, &self.wanted);
         let mut row = 0;
         for i in 0..self.wanted.len() {
             let (point, target) = (self.wanted[i], self.targets[i]);
@@ -208,8 +209,10 @@ impl Precomputed {
         if self.wanted.is_empty() { ContactReport::default() } else { self.contacts.report() }
     }
 
-    /// To be called when the compliance has changed: kept factors are dropped.
+    /// To be called when the compliance has changed: kept factors are dropped, and contacts are read from the table.
+    #[allow(dead_code, reason = "for edits of the compliance, such as cuts")]
     pub(super) fn compliance_changed(&mut self) {
+        self.pairs = Pairs::None;
         self.contacts.forget();
     }
 

@@ -21,6 +21,7 @@ mod stream;
 mod unit_displacements;
 mod check;
 mod point;
+mod pairs;
 mod contact_system;
 mod response;
 mod interaction;
@@ -43,6 +44,7 @@ pub use unit_displacements::{UnitDisplacement, UnitDisplacements};
 use self::contact_system::{ContactPoint, ContactSystem, MOST_POINTS};
 use self::cutting::Cuts;
 use self::interaction::Target;
+use self::pairs::Pairs;
 use self::response::Load;
 use self::table::{Table, n_displacements};
 use super::kernel::KernelPath;
@@ -125,6 +127,7 @@ pub struct Precomputed {
     wanted: Roomy<ContactPoint>,
     targets: Roomy<Target>,
     contacts: ContactSystem,
+    pairs: Pairs,
     /// Forces of the held points on their nodes.
     reactions: Roomy<Load>,
     constraint_forces_n: Roomy<DVec3>,
@@ -156,6 +159,7 @@ impl Precomputed {
             wanted: Roomy::with_room(Self::MAX_IMPOSED),
             targets: Roomy::with_room(Self::MAX_IMPOSED),
             contacts: ContactSystem::new(),
+            pairs: Pairs::of_table(&compliance.table, compliance.n_loadable),
             reactions: Roomy::with_room(Self::MOST_REACTIONS),
             constraint_forces_n: Roomy::with_room(compliance.n_loadable.max(Self::MAX_IMPOSED)),
             report: ResponseReport::default(),
@@ -221,7 +225,7 @@ impl Precomputed {
         self.targets.clear();
         self.reactions.clear();
         self.constraint_forces_n.clear();
-        self.compliance_changed();
+        self.contacts.forget();
         self.displacement_m.fill(0.0);
         self.positions_m.copy_from_slice(&self.rest_m);
         self.report = ResponseReport::default();

@@ -194,6 +194,7 @@ fn convergence(outcome: &mut Outcome) -> anyhow::Result<String> {
             after(1_000)
         );
     };
+    let mut spreads = Vec::new();
     for load in [Load::Force, Load::Displacement] {
         let case = Case::bar(load)?;
         let run = |cells: &[usize]| -> anyhow::Result<Vec<f64>> {
@@ -225,20 +226,22 @@ fn convergence(outcome: &mut Outcome) -> anyhow::Result<String> {
                 disorder(&after(&by_number, 100)),
                 0.0,
             ),
-            Experiment::at_most(
-                &format!("bar, {name}: a smaller loaded zone is slower (error after 20 sweeps ascends)"),
-                SEED,
-                disorder(&after(&by_size, 20).into_iter().rev().collect::<Vec<f64>>()),
-                0.0,
-            ),
         ]);
         match load {
-            Load::Force => outcome.experiments.push(Experiment::at_most(
-                "bar, force: error after 10 sweeps where the loaded zone is almost the whole bar",
-                SEED,
-                by_size[2][9],
-                1e-2,
-            )),
+            Load::Force => outcome.experiments.extend([
+                Experiment::at_most(
+                    "bar, force: a smaller loaded zone is slower (error after 20 sweeps ascends)",
+                    SEED,
+                    disorder(&after(&by_size, 20).into_iter().rev().collect::<Vec<f64>>()),
+                    0.0,
+                ),
+                Experiment::at_most(
+                    "bar, force: error after 20 sweeps where the loaded zone is almost the whole bar",
+                    SEED,
+                    by_size[2][19],
+                    1e-2,
+                ),
+            ]),
             Load::Displacement => outcome.experiments.push(Experiment::at_most(
                 "bar, displacement: error after 100 sweeps, the largest of three sizes of the loaded zone",
                 SEED,
@@ -246,6 +249,9 @@ fn convergence(outcome: &mut Outcome) -> anyhow::Result<String> {
                 1e-3,
             )),
         }
+        let sweeps: Vec<usize> =
+            by_size.iter().map(|e| e.iter().take_while(|e| **e > 1e-2).count()).collect();
+        spreads.push((sweeps.iter().max().unwrap_or(&0) - sweeps.iter().min().unwrap_or(&0)) as f64);
         let curves = |lists: &[&[usize]], errors: &[Vec<f64>]| -> Vec<Series> {
             lists.iter().zip(errors).map(|(cells, e)| log_curve(format!("{cells:?}"), e)).collect()
         };
@@ -270,6 +276,12 @@ fn convergence(outcome: &mut Outcome) -> anyhow::Result<String> {
             ),
         ]);
     }
+    outcome.experiments.push(Experiment::at_most(
+        "bar: what the loaded zone's size changes in the number of sweeps until 0.01 edges, displacement over force",
+        SEED,
+        spreads[1] / spreads[0],
+        0.2,
+    ));
     Ok(notes)
 }
 
@@ -314,19 +326,22 @@ fn variants(outcome: &mut Outcome) -> anyhow::Result<String> {
         ("changes from 0.2 of the largest", ExchangeAmount::Largest { share: 0.2 }),
         ("changes from 0.6 of the largest", ExchangeAmount::Largest { share: 0.6 }),
     ];
+    let moved = Case::bar(Load::Displacement)?;
     let mut farthest = 0.0_f64;
     for (name, amount) in amounts {
         let mut model = case.precomputed(&five, |p| p.amount = amount)?;
         let (mut sweeps, mut products, mut reached) = (0_u32, 0, None);
-        for _ in 0..4_000 {
+        while reached.is_none() && sweeps < 4_000 {
             model.step(STEP_S);
             sweeps += 1;
             products += model.count().products();
-            if reached.is_none() && case.error(model.displacements_m()) < 1e-3 {
+            if case.error(model.displacements_m()) < 1e-3 {
                 reached = Some((sweeps, products));
             }
         }
-        farthest = farthest.max(case.error(model.displacements_m()));
+        let mut model = moved.precomputed(&five, |p| (p.amount, p.sweeps_per_step) = (amount, 2_000))?;
+        model.step(STEP_S);
+        farthest = farthest.max(moved.error(model.displacements_m()));
         let (reached_sweeps, reached_products) = reached.unwrap_or_default();
         notes += &format!(
             "| {name} | {} | {reached_sweeps} | {reached_products} |\n",
@@ -334,7 +349,7 @@ fn variants(outcome: &mut Outcome) -> anyhow::Result<String> {
         );
     }
     outcome.experiments.push(Experiment::at_most(
-        "bar, five zones: equilibrium whatever is passed on in a sweep, largest mean error over edge",
+        "bar, five zones, displacement: equilibrium whatever is passed on in a sweep, largest mean error over edge",
         "Checoury 2002 (seed 003), conclusion",
         farthest,
         1e-9,
@@ -415,21 +430,23 @@ fn dynamic_zones(outcome: &mut Outcome) -> anyhow::Result<String> {
     let mut notes = String::from(
         "Three zones, the middle one tensor-mass, displacement: time that passes until the mean error stays below 1e-3 of the \
          edge, by overlap and by time between two exchanges.\n\n| overlap | between exchanges [ms] | time [s] | error \
-         after 6 s |\n|---|---|---|---|\n",
+         after 6 s or 40 exchanges |\n|---|---|---|---|\n",
     );
     let overlaps = [
         ("two nodes", Overlap::Nodes(2), 1e-3, 30.0),
         ("two nodes", Overlap::Nodes(2), 1e-2, 30.0),
-        ("three nodes", Overlap::Nodes(3), 1e-3, 30.0),
-        ("four nodes", Overlap::Nodes(4), 1e-3, 30.0),
+        ("three nodes", Overlap::Nodes(3), 0.3, 30.0),
+        ("four nodes", Overlap::Nodes(4), 0.3, 30.0),
     ];
+    let hurried =
+        [("three nodes", Overlap::Nodes(3), 1e-3, 30.0), ("four nodes", Overlap::Nodes(4), 1e-3, 30.0)];
     let mut run =
         |zones: &Zones, laws: &[ZoneLaw], (name, overlap, dt_s, damping_per_s): (&str, Overlap, f64, f64)| {
             let mut model =
                 case.model(zones, laws, |p| (p.overlap, p.damping_per_s) = (overlap, damping_per_s))?;
             let (mut reached_s, mut time_s) = (f64::INFINITY, 0.0);
             let mut error = f64::INFINITY;
-            while time_s < 6.0 && !(error > 1e6 && error.is_finite()) {
+            while time_s < f64::max(6.0, 40.0 * dt_s) && !(error > 1e6 && error.is_finite()) {
                 model.step(dt_s);
                 time_s += dt_s;
                 error = case.error(model.displacements_m());
@@ -443,6 +460,9 @@ fn dynamic_zones(outcome: &mut Outcome) -> anyhow::Result<String> {
     for row in overlaps {
         farthest = farthest.max(run(&zones, &laws, row)?);
     }
+    for row in hurried {
+        run(&zones, &laws, row)?;
+    }
     let held = case.zones(&[7, 8])?;
     let held_laws = [ZoneLaw::TensorMass, ZoneLaw::Precomputed];
     let mut of_one = [f64::NAN; 3];
@@ -453,7 +473,8 @@ fn dynamic_zones(outcome: &mut Outcome) -> anyhow::Result<String> {
     }
     outcome.experiments.extend([
         Experiment::at_most(
-            "bar, tensor-mass between pre-computed zones, overlap of 2 to 4 nodes: mean error at rest over edge",
+            "bar, tensor-mass between pre-computed zones, overlap of 2 nodes, and of 3 and 4 with tensor-mass at rest \
+             between exchanges: mean error over edge",
             OWN,
             farthest,
             1e-6,
@@ -466,10 +487,12 @@ fn dynamic_zones(outcome: &mut Outcome) -> anyhow::Result<String> {
             1e-3,
         ),
     ]);
-    notes += "\nThe overlap of one node converges where tensor-mass comes to rest between two exchanges; hurried, it \
-              answers with its stiffness under a held interior, many times that of the bending neighbour, and needs a \
-              relaxation of that ratio. The wider overlaps have the frontier's whole stiffness in the pre-computed \
-              zone and need none.\n\n";
+    notes += "\nAn overlap of two nodes is stable however often zones exchange: eliminating the pre-computed nodes can \
+              only soften what tensor-mass feels. Wider ones hold nodes twice, the motion of one copy does not come \
+              back to it, and that makes energy unless tensor-mass comes to rest between two exchanges. One node \
+              converges with a relaxation below 2 / (1 + rho), rho the largest ratio of tensor-mass' stiffness at the \
+              frontier to the neighbour's: about 4 for a bar like this when tensor-mass comes to rest between two \
+              exchanges, above 100 when its interior has no time to follow. Two nodes is what scenes should take.\n\n";
     notes += &cut(outcome)?;
     Ok(notes)
 }

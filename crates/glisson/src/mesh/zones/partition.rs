@@ -113,11 +113,10 @@ fn centroids_m(mesh: &TetMesh) -> impl Iterator<Item = DVec3> + '_ {
 
 /// Direction in which points spread most: power iteration on their covariance, which converges where the spread
 /// has one largest direction and gives one of several equal ones elsewhere.
-fn principal_axis(points_m: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
-    let n = points_m.clone().count().max(1) as f64;
-    let mean_m = points_m.clone().sum::<DVec3>() / n;
+fn principal_axis(points_m: &[DVec3]) -> DVec3 {
+    let mean_m = points_m.iter().sum::<DVec3>() / points_m.len().max(1) as f64;
     let covariance =
-        |axis: DVec3| points_m.clone().map(|p| (p - mean_m) * (p - mean_m).dot(axis)).sum::<DVec3>();
+        |axis: DVec3| points_m.iter().map(|&p| (p - mean_m) * (p - mean_m).dot(axis)).sum::<DVec3>();
     // No direction of symmetry, so that it is not orthogonal to the wanted one.
     let mut axis = DVec3::new(1.0, 0.7, 0.4).normalize();
     for _ in 0..60 {
@@ -128,7 +127,8 @@ fn principal_axis(points_m: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
 
 /// Two parts of `tets` with sizes in the given ratio.
 fn bisected(mesh: &TetMesh, centroids_m: &[DVec3], mut tets: Vec<u32>, ratio: [usize; 2]) -> [Vec<u32>; 2] {
-    let axis = principal_axis(tets.iter().map(|&t| centroids_m[t as usize]));
+    let points_m: Vec<DVec3> = tets.iter().map(|&t| centroids_m[t as usize]).collect();
+    let axis = principal_axis(&points_m);
     let along = |t: u32| centroids_m[t as usize].dot(axis);
     tets.sort_unstable_by(|&a, &b| along(a).total_cmp(&along(b)).then(a.cmp(&b)));
     // Every part must still give each of its zones a tetrahedron.
@@ -231,13 +231,7 @@ impl Cut {
         let mut moves = Vec::new();
         let (mut won, mut best, mut n_best) = (0, 0, 0);
         while moves.len() < n_best + patience {
-            let candidate = |side: usize| {
-                ready[side]
-                    .first()
-                    .copied()
-                    .filter(|_| size[side] > least[side])
-                    .map(|(cost, cell)| (cost, cell))
-            };
+            let candidate = |side: usize| ready[side].first().copied().filter(|_| size[side] > least[side]);
             let Some((cost, cell)) = [0, 1].into_iter().filter_map(candidate).min() else { break };
             let from = usize::from(is_upper[cell]);
             ready[from].remove(&(cost, cell));

@@ -18,9 +18,12 @@
 //!
 //! Frontier between tensor-mass and pre-computed ([`Overlap`]). With an overlap of two nodes the pre-computed zone has
 //! the frontier nodes and sees the first tensor-mass nodes behind them, and these see the frontier: Schwarz's
-//! alternation. More nodes: tensor-mass moves copies of nodes further into the neighbour. With one node the frontier
-//! alone is common: tensor-mass has displacements imposed there and returns forces, to which the pre-computed zone,
-//! made of its own tetrahedra, answers with displacements (Cotin's loop, fig. 4.13); that iteration needs relaxation.
+//! alternation. Eliminating the pre-computed nodes can only soften what the others feel, so the stable step stays.
+//! More nodes: tensor-mass moves copies of nodes further into the neighbour; that converges where it comes to rest
+//! between two exchanges and can make energy where it does not. With one node the frontier alone is common:
+//! tensor-mass has displacements imposed there and returns forces, to which the pre-computed zone, made of its own
+//! tetrahedra, answers with displacements (Cotin's loop, fig. 4.13). That needs a relaxation below 2 / (1 + rho), rho
+//! the largest ratio of tensor-mass' stiffness at the frontier to the neighbour's.
 //!
 //! Left out: the variant of P.-L. Lions (1990, third international symposium on domain decomposition methods), which
 //! exchanges normal derivatives plus lambda times values between zones without overlap. The stress of linear
@@ -158,7 +161,8 @@ pub enum Overlap {
         /// Share of the frontier's change that tensor-mass follows in one sweep, above 0 to 1.
         relaxation: f64,
     },
-    /// A band so many nodes wide, at least 2: displacements both ways.
+    /// A band so many nodes wide, at least 2: displacements both ways. Above 2 with all nodes kept only, and for
+    /// steps in which tensor-mass comes to rest.
     Nodes(u32),
 }
 

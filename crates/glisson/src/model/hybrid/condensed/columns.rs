@@ -260,6 +260,82 @@ fn add_narrow_columns<S: Simd>(_: S, c: [&[f32]; SWEEP], f: [f64; SWEEP], sums: 
     }
 }
 
+/// Rows and columns of a tile.
+const TILE: usize = 8;
+
+/// A symmetric matrix by its lower triangle: half the memory to read, so that a frontier of some hundred nodes stays in
+/// the second-level cache from step to step. Tiles of eight by eight, down each block of columns.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct SymmetricTiles {
+    n: usize,
+    tiles: Vec<[[f64; TILE]; TILE]>,
+}
+
+impl SymmetricTiles {
+    /// The tiles of a symmetric matrix in f64.
+    pub(super) fn of(matrix: &Columns) -> Self {
+        let n = matrix.n_rows();
+        let n_blocks = n.div_ceil(TILE);
+        let entry = |i: usize, j: usize| if i < n && j < n { matrix.entry(i, j) } else { 0.0 };
+        let mut tiles = Vec::with_capacity(n_blocks * (n_blocks + 1) / 2);
+        for j in 0..n_blocks {
+            for i in j..n_blocks {
+                let column = |k: usize| std::array::from_fn(|l| entry(TILE * i + l, TILE * j + k));
+                tiles.push(std::array::from_fn(column));
+            }
+        }
+        Self { n, tiles }
+    }
+
+    /// Numbers that a vector takes: whole blocks.
+    pub(super) fn padded_len(&self) -> usize {
+        TILE * self.n.div_ceil(TILE)
+    }
+
+    /// Adds the matrix times `x` to `sums`, both of whole blocks.
+    pub(super) fn add_times(&self, x: &[f64], sums: &mut [f64]) {
+        assert_eq!((x.len(), sums.len()), (self.padded_len(), self.padded_len()), "whole blocks");
+        let (x, sums) = (x.as_chunks().0, sums.as_chunks_mut().0);
+        let level = Level::new();
+        dispatch!(level, simd => add_tiles(simd, &self.tiles, x, sums));
+    }
+}
+
+#[inline(always)]
+fn add_tiles<S: Simd>(_: S, tiles: &[[[f64; TILE]; TILE]], x: &[[f64; TILE]], sums: &mut [[f64; TILE]]) {
+    let mut rest = tiles;
+    for j in 0..x.len() {
+        let (panel, later) = rest.split_at(x.len() - j);
+        rest = later;
+        let of_columns = x[j];
+        // A tile of the diagonal is whole; the others stand for their mirror image too.
+        let mut mirrored = [[0.0; TILE]; TILE];
+        for (i, tile) in (j..).zip(panel) {
+            let (of_rows, sum) = (x[i], &mut sums[i]);
+            let mut total = [0.0; TILE];
+            for k in 0..TILE {
+                for l in 0..TILE {
+                    total[l] += tile[k][l] * of_columns[k];
+                }
+            }
+            for l in 0..TILE {
+                sum[l] += total[l];
+            }
+            if i > j {
+                for k in 0..TILE {
+                    for l in 0..TILE {
+                        mirrored[k][l] += tile[k][l] * of_rows[l];
+                    }
+                }
+            }
+        }
+        for k in 0..TILE {
+            let m = &mirrored[k];
+            sums[j][k] += ((m[0] + m[4]) + (m[1] + m[5])) + ((m[2] + m[6]) + (m[3] + m[7]));
+        }
+    }
+}
+
 /// Dot product in eight partial sums.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (a_blocks, a_rest) = a.as_chunks::<8>();
@@ -307,6 +383,30 @@ mod tests {
                 - matrix.column(0).iter().map(|x| x * x).sum::<f64>())
             .abs()
                 < 1e-12);
+        }
+    }
+
+    #[test]
+    fn tiles_of_a_symmetric_matrix_give_its_product() {
+        for n in [3, 8, 27] {
+            let half = random(n, n, 7);
+            let mut symmetric = half.clone();
+            symmetric.add_product(&half.transpose_of_rows(0..n), &half);
+            for j in 0..n {
+                for i in 0..j {
+                    let x = symmetric.entry(i, j);
+                    symmetric.column_mut(i)[j] = x;
+                }
+            }
+            let tiles = SymmetricTiles::of(&symmetric);
+            let mut x = vec![0.0; tiles.padded_len()];
+            x[..n].copy_from_slice(random(n, 1, 8).numbers());
+            let (mut sums, mut expected) = (vec![2.0; x.len()], vec![2.0; n]);
+            tiles.add_times(&x, &mut sums);
+            symmetric.add_times(&x[..n], &mut expected);
+            for (a, b) in sums.iter().zip(&expected) {
+                assert!((a - b).abs() < 1e-11, "{a} {b}");
+            }
         }
     }
 

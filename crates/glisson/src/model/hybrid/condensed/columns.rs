@@ -1,14 +1,14 @@
 //! Dense matrices by columns, and the products that a step makes with them.
 //!
 //! A step reads a matrix once from memory, which is what it costs: eight columns are added in one sweep, so that the
-//! sums are read and written an eighth as often. Every sum has one order, whatever the processor, so the bits are the
-//! same on all of them.
+//! sums are read and written an eighth as often. Every sum has one order, so the bits are the same at any number of
+//! threads; a processor without fused multiply-add rounds the tiles' products once more.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 use rayon::prelude::*;
 
 use crate::model::precomputed::Precision;
@@ -302,35 +302,39 @@ impl SymmetricTiles {
 }
 
 #[inline(always)]
-fn add_tiles<S: Simd>(_: S, tiles: &[[[f64; TILE]; TILE]], x: &[[f64; TILE]], sums: &mut [[f64; TILE]]) {
+fn add_tiles<S: Simd>(
+    simd: S,
+    tiles: &[[[f64; TILE]; TILE]],
+    x: &[[f64; TILE]],
+    sums: &mut [[f64; TILE]],
+) {
     let mut rest = tiles;
     for j in 0..x.len() {
         let (panel, later) = rest.split_at(x.len() - j);
         rest = later;
-        let of_columns = x[j];
-        // A tile of the diagonal is whole; the others stand for their mirror image too.
-        let mut mirrored = [[0.0; TILE]; TILE];
-        for (i, tile) in (j..).zip(panel) {
-            let (of_rows, sum) = (x[i], &mut sums[i]);
-            let mut total = [0.0; TILE];
-            for k in 0..TILE {
-                for l in 0..TILE {
-                    total[l] += tile[k][l] * of_columns[k];
-                }
+        let factors: [f64x8<S>; TILE] = std::array::from_fn(|k| f64x8::splat(simd, x[j][k]));
+        // The tile on the diagonal is whole; the others stand for their mirror image too.
+        let mut sum = f64x8::from_slice(simd, &sums[j]);
+        for k in 0..TILE {
+            sum = f64x8::from_slice(simd, &panel[0][k]).mul_add(factors[k], sum);
+        }
+        sum.store_slice(&mut sums[j]);
+        let mut mirrored = [f64x8::splat(simd, 0.0); TILE];
+        for (i, tile) in (j + 1..).zip(&panel[1..]) {
+            let of_rows = f64x8::from_slice(simd, &x[i]);
+            let (mut even, mut odd) = (f64x8::from_slice(simd, &sums[i]), f64x8::splat(simd, 0.0));
+            for k in (0..TILE).step_by(2) {
+                let (a, b) = (f64x8::from_slice(simd, &tile[k]), f64x8::from_slice(simd, &tile[k + 1]));
+                even = a.mul_add(factors[k], even);
+                odd = b.mul_add(factors[k + 1], odd);
+                mirrored[k] = a.mul_add(of_rows, mirrored[k]);
+                mirrored[k + 1] = b.mul_add(of_rows, mirrored[k + 1]);
             }
-            for l in 0..TILE {
-                sum[l] += total[l];
-            }
-            if i > j {
-                for k in 0..TILE {
-                    for l in 0..TILE {
-                        mirrored[k][l] += tile[k][l] * of_rows[l];
-                    }
-                }
-            }
+            (even + odd).store_slice(&mut sums[i]);
         }
         for k in 0..TILE {
-            let m = &mirrored[k];
+            let mut m = [0.0; TILE];
+            mirrored[k].store_slice(&mut m);
             sums[j][k] += ((m[0] + m[4]) + (m[1] + m[5])) + ((m[2] + m[6]) + (m[3] + m[7]));
         }
     }

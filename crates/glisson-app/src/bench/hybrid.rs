@@ -127,7 +127,7 @@ const TWO_ZONES: Setup = Setup {
 };
 
 const AROUND_CUT: Setup = Setup {
-    zones: ZonedBody::around_cut,
+    zones: |body| ZonedBody::around_cut(body, DVec3::Z),
     touched: Touched::Dynamic,
     stored: StoredNodes::Surface,
     precision: Precision::F64,
@@ -149,10 +149,12 @@ impl ZonedBody {
         Self::new(body.mesh.clone(), body, of_tet, vec![ZoneLaw::Precomputed; 2])
     }
 
-    /// The standard body with a slit in its top, 5 % of the tetrahedra around it dynamic, the rest pre-computed.
-    fn around_cut(body: &StandardBody) -> anyhow::Result<Self> {
-        let top_m =
-            body.mesh.positions_m.iter().fold(DVec3::NEG_INFINITY, |t, p| if p.z > t.z { *p } else { t });
+    /// The standard body with a slit where it reaches furthest along `outward`, 5 % of the tetrahedra around it dynamic,
+    /// the rest pre-computed.
+    fn around_cut(body: &StandardBody, outward: DVec3) -> anyhow::Result<Self> {
+        let further = |a: DVec3, b: &DVec3| if b.dot(outward) > a.dot(outward) { *b } else { a };
+        let top_m = body.mesh.positions_m.iter().fold(DVec3::ZERO, further);
+        let across = if outward.x == 0.0 { DVec3::X } else { DVec3::Z };
         let nearest = |mesh: &TetMesh| {
             let far: Vec<f64> = centres_m(mesh).iter().map(|c| c.distance(top_m)).collect();
             let mut order: Vec<usize> = (0..far.len()).collect();
@@ -167,11 +169,11 @@ impl ZonedBody {
         let is_cut = |t: &TetId| {
             let corners_m = body.mesh.corners_m(*t).map(|p| p - top_m);
             let centre_m = corners_m.iter().sum::<DVec3>() / 4.0;
-            let sides = corners_m.map(|p| p.x > 1e-9);
+            let sides = corners_m.map(|p| p.dot(across) > 1e-9);
             sides.contains(&true)
                 && sides.contains(&false)
                 && centre_m.y.abs() < length_m
-                && centre_m.z > -depth_m
+                && centre_m.dot(outward) > -depth_m
         };
         let tets: Vec<TetId> =
             (0..body.mesh.tetrahedra.len()).map(TetId::from_index).filter(is_cut).collect();
@@ -186,16 +188,23 @@ impl ZonedBody {
         Self::new(mesh, &body, of_tet, vec![ZoneLaw::Precomputed, ZoneLaw::TensorMass])
     }
 
-    fn new(mesh: TetMesh, body: &StandardBody, of_tet: Vec<u32>, laws: Vec<ZoneLaw>) -> anyhow::Result<Self> {
+    fn new(
+        mesh: TetMesh,
+        body: &StandardBody,
+        of_tet: Vec<u32>,
+        laws: Vec<ZoneLaw>,
+    ) -> anyhow::Result<Self> {
         let fixed = body.fixed_nodes.iter().map(|&node| FixedNode::all_axes(node)).collect();
         let zones = Zones::new(&mesh, of_tet)?;
         Ok(Self { zones, mesh, material: body.material, fixed, laws })
     }
 
-    /// Both bodies in about `n_tets` tetrahedra: two pre-computed zones, and a dynamic one around a cut.
-    pub(crate) fn both(n_tets: usize) -> anyhow::Result<[Self; 2]> {
+    /// Bodies in about `n_tets` tetrahedra: two pre-computed zones, a dynamic one around a cut in the top, and one
+    /// around a cut in the tip.
+    pub(crate) fn all(n_tets: usize) -> anyhow::Result<[Self; 3]> {
         let body = StandardBody::shared(n_tets)?;
-        Ok([Self::two_precomputed(&body)?, Self::around_cut(&body)?])
+        let [top, tip] = [DVec3::Z, DVec3::X].map(|outward| Self::around_cut(&body, outward));
+        Ok([Self::two_precomputed(&body)?, top?, tip?])
     }
 
     pub(crate) fn dynamic_body(&self, mass_per_s: f64, time_step_s: f64) -> DynamicBody<'_> {
@@ -243,12 +252,7 @@ fn shared(setup: &Setup, size: usize) -> anyhow::Result<Arc<Made>> {
     let model = CondensedHybrid::build(&CondensedParams {
         stored: setup.stored,
         precision: setup.precision,
-        ..CondensedParams::new(
-            zoned.dynamic_body(20.0, REFRESH_S),
-            &zoned.material,
-            &zoned.zones,
-            &zoned.laws,
-        )
+        ..CondensedParams::new(zoned.dynamic_body(20.0, REFRESH_S), &zoned.material, &zoned.zones, &zoned.laws)
     })?;
     // One at a time: the tables of one are hundreds of megabytes.
     made.clear();

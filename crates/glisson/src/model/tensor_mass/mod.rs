@@ -145,6 +145,13 @@ impl TensorMass {
         self.motion.fix_in_place(node);
     }
 
+    /// Other damping of the mass from the next step on [1/s]; what is not a finite number from 0 is left out.
+    pub fn set_mass_damping(&mut self, mass_per_s: f64) {
+        if mass_per_s.is_finite() && mass_per_s >= 0.0 {
+            self.motion.set_mass_damping(mass_per_s);
+        }
+    }
+
     /// Back to the rest shape at standstill, without constraints. Removed tetrahedra stay removed, nodes that do not
     /// move stay where they are.
     pub fn reset(&mut self) {

@@ -4,7 +4,7 @@
 //! the frame and the central differences of the tensor-mass model on the dynamic tetrahedra; the pre-computed
 //! tetrahedra around them are there for their mass and for the stable step, their corners elsewhere are held.
 
-use super::columns::Columns;
+use super::columns::SymmetricTiles;
 use super::zone::Whole;
 use crate::math::DVec3;
 use crate::mesh::{NodeId, TetId, TetMesh};
@@ -34,6 +34,7 @@ pub(super) struct DynamicPart {
     pub(super) motion: ExplicitMotion,
     /// Nodes of the body that hang on pre-computed zones, in the interface's order.
     frontier: Vec<u32>,
+    /// Their displacements, and forces on them, padded to whole tiles.
     frontier_m: Vec<f64>,
     frontier_n: Vec<f64>,
 }
@@ -144,11 +145,11 @@ impl DynamicPart {
     }
 
     /// Takes the dynamic nodes of the interface, in its order.
-    pub(super) fn set_frontier(&mut self, nodes: &[NodeId]) {
+    pub(super) fn set_frontier(&mut self, nodes: &[NodeId], padded_len: usize) {
         let local = |n: &NodeId| self.local(*n).expect("a dynamic node").0;
         self.frontier = nodes.iter().map(local).collect();
-        self.frontier_m = vec![0.0; 3 * nodes.len()];
-        self.frontier_n = vec![0.0; 3 * nodes.len()];
+        self.frontier_m = vec![0.0; padded_len];
+        self.frontier_n = vec![0.0; padded_len];
     }
 
     /// The body's node for one of the mesh.
@@ -178,12 +179,12 @@ impl DynamicPart {
     /// Displacements [m] of the interface's dynamic nodes.
     pub(super) fn frontier_displacements(&mut self) -> &[f64] {
         gather(&self.frontier, self.motion.displacements(), &mut self.frontier_m);
-        &self.frontier_m
+        self.last_frontier_m()
     }
 
     /// The same as they were found last.
     pub(super) fn last_frontier_m(&self) -> &[f64] {
-        &self.frontier_m
+        &self.frontier_m[..3 * self.frontier.len()]
     }
 
     /// Advances by `dt_s`. What the pre-computed zones bear: `stiffness` times the frontier's displacements, less
@@ -191,7 +192,7 @@ impl DynamicPart {
     pub(super) fn step(
         &mut self,
         dt_s: f64,
-        stiffness: &Columns,
+        stiffness: &SymmetricTiles,
         force_n: &[f64],
         mut add_contact: impl FnMut(&[f64], &mut [f64]),
     ) {
@@ -206,7 +207,8 @@ impl DynamicPart {
                 *to = -f;
             }
             stiffness.add_times(frontier_m, frontier_n);
-            add_contact(frontier_m, frontier_n);
+            let n = 3 * frontier.len();
+            add_contact(&frontier_m[..n], &mut frontier_n[..n]);
             for (node, f) in frontier.iter().zip(frontier_n.chunks_exact(3)) {
                 let to = &mut force[*node as usize];
                 (0..3).for_each(|axis| to[axis] += f[axis]);

@@ -18,7 +18,7 @@ use crate::mesh::NodeId;
 use crate::model::precomputed::Precision;
 use crate::solve::SolveError;
 
-use super::columns::{Columns, dot};
+use super::columns::{Columns, SymmetricTiles, dot};
 use super::zone::{N_CONSTANT, PrecomputedZone};
 
 /// The frontier of the zones of one body.
@@ -34,8 +34,9 @@ pub(super) struct Interface {
     pub(super) of_condensed: Columns,
     /// Columns of each zone's loadable components: S_pp^-1 B_p^T above B_d^T + Q^T B_p^T.
     pub(super) of_loadable: Vec<Columns>,
-    /// S' [N/m].
+    /// S' [N/m], and the same in the form of the steps.
     pub(super) stiffness_on_dynamic: Columns,
+    pub(super) stiffness_tiles: SymmetricTiles,
     /// What each constant load does, like a loadable component.
     pub(super) constant: Columns,
     /// S_pp^-1 B_p^T on each zone's own frontier, as it is in the zones' compliance.
@@ -127,6 +128,7 @@ impl Interface {
             places,
             of_condensed,
             of_loadable: Vec::new(),
+            stiffness_tiles: SymmetricTiles::of(&on_dynamic),
             stiffness_on_dynamic: on_dynamic,
             constant: Columns::zeros(n_all, N_CONSTANT),
             in_compliance: Vec::new(),

@@ -124,7 +124,7 @@ pub struct CondensedParams<'a> {
     pub laws: &'a [ZoneLaw],
     /// Where tools can hold pre-computed tissue.
     pub loadable: Loadable<'a>,
-    /// Which nodes have rows in the tables; the others are computed with the factor when they are asked for.
+    /// Which nodes have rows in the tables, beside the loadable ones; the others are computed with the factor when they are asked for.
     pub stored: StoredNodes,
     /// How the tables are kept. The frontier's own stiffness is always `f64`.
     pub precision: Precision,
@@ -291,14 +291,13 @@ impl CondensedHybrid {
             axes.iter_mut().zip(fixed.axes).for_each(|(held, also)| *held |= also);
         }
         let mut is_loadable = vec![matches!(params.loadable, Loadable::All); n_nodes];
-        let surface;
+        let surface = boundary_nodes(mesh);
+        let mut is_surface = vec![false; n_nodes];
+        surface.iter().for_each(|n| is_surface[n.index()] = true);
         let some = match params.loadable {
             Loadable::All => &[][..],
             Loadable::Nodes(nodes) => nodes,
-            Loadable::Surface => {
-                surface = boundary_nodes(mesh);
-                &surface[..]
-            }
+            Loadable::Surface => &surface[..],
         };
         if let Some(&node) = some.iter().find(|n| n.index() >= n_nodes) {
             return Err(SolveError::ConditionOutOfRange { node, n_nodes }.into());
@@ -314,6 +313,7 @@ impl CondensedHybrid {
             rest_stress_pa: body.rest_stress_pa,
             held: &held_axes,
             is_loadable: &is_loadable,
+            is_surface: &is_surface,
             is_frontier: &is_frontier,
             stored,
             precision,
@@ -427,7 +427,8 @@ impl CondensedHybrid {
             is_dynamic: &self.is_dynamic,
         })?;
         if let Some(dynamic) = &mut dynamic {
-            dynamic.set_frontier(&self.interface.nodes[self.interface.n_condensed..]);
+            let nodes = &self.interface.nodes[self.interface.n_condensed..];
+            dynamic.set_frontier(nodes, self.interface.stiffness_tiles.padded_len());
         }
         self.dynamic = dynamic;
 
@@ -474,6 +475,7 @@ impl CondensedHybrid {
             rest_stress_pa: &self.rest_stress_pa,
             held: &self.held_axes,
             is_loadable: &[],
+            is_surface: &[],
             is_frontier: &[],
             stored: self.stored,
             precision: self.precision,
@@ -507,7 +509,7 @@ impl CondensedHybrid {
     }
 
     /// Other damping of the mass of dynamic zones [1/s], a finite number from 0; any other is left out.
-    pub fn set_damping(&mut self, mass_per_s: f64) {
+    pub fn set_mass_damping(&mut self, mass_per_s: f64) {
         if mass_per_s.is_finite() && mass_per_s >= 0.0 {
             self.damping.mass_per_s = mass_per_s;
             if let Some(dynamic) = &mut self.dynamic {

@@ -127,7 +127,7 @@ impl CondensedHybrid {
         let Self { dynamic, interface, held, system, reduced, .. } = self;
         let Some(dynamic) = dynamic else { return };
         let n_p = 3 * interface.n_condensed;
-        dynamic.step(dt_s, &interface.stiffness_on_dynamic, &reduced[n_p..], |u_m, force_n| {
+        dynamic.step(dt_s, &interface.stiffness_tiles, &reduced[n_p..], |u_m, force_n| {
             solve_tools(interface, system, held, u_m);
             for (i, held) in held.iter().enumerate() {
                 let (columns, first) = columns_of(interface, held.place);
@@ -190,7 +190,7 @@ impl CondensedHybrid {
         let zone = &self.zones[z];
         let n_rows = match self.updated {
             Updated::All => zone.n_stored,
-            Updated::Surface => zone.n_loadable,
+            Updated::Surface => zone.n_shown,
             Updated::LoadedZones if self.work[z].is_loaded => zone.n_stored,
             Updated::LoadedZones => return,
         };

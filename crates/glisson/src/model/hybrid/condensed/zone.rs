@@ -34,6 +34,7 @@ pub(super) struct Whole<'a> {
     /// Axes along which each node is held.
     pub(super) held: &'a [[bool; 3]],
     pub(super) is_loadable: &'a [bool],
+    pub(super) is_surface: &'a [bool],
     /// Nodes that belong to several zones.
     pub(super) is_frontier: &'a [bool],
     pub(super) stored: StoredNodes,
@@ -52,9 +53,12 @@ struct Bond {
 /// A zone that follows its frontier and its loads at once.
 #[derive(Clone)]
 pub(super) struct PrecomputedZone {
-    /// Nodes of this zone alone that move: the loadable ones ascending, then the others ascending.
+    /// Nodes of this zone alone that move: the loadable ones, then the others of the surface, then the inner ones;
+    /// each group ascends.
     pub(super) nodes: Vec<NodeId>,
     pub(super) n_loadable: usize,
+    /// Loadable ones and the others of the surface.
+    pub(super) n_shown: usize,
     /// Nodes whose rows are in the tables: the first ones.
     pub(super) n_stored: usize,
     /// Ascending.
@@ -118,9 +122,13 @@ impl PrecomputedZone {
         let (mut nodes, inner): (Vec<NodeId>, Vec<NodeId>) =
             ids.iter().filter(|n| is_own(n)).partition(|n| whole.is_loadable[n.index()]);
         let n_loadable = nodes.len();
+        let (shown, inner): (Vec<NodeId>, Vec<NodeId>) =
+            inner.into_iter().partition(|n| whole.is_surface[n.index()]);
+        nodes.extend(shown);
+        let n_shown = nodes.len();
         nodes.extend(inner);
         let n_stored = match whole.stored {
-            StoredNodes::Surface => n_loadable,
+            StoredNodes::Surface => n_shown,
             StoredNodes::All => nodes.len(),
         };
         let frontier: Vec<NodeId> =
@@ -169,6 +177,7 @@ impl PrecomputedZone {
         let n_free = factor.n_rows();
         let mut zone = Self {
             n_loadable,
+            n_shown,
             n_stored,
             frontier_stiffness: Columns::zeros(0, 0),
             extension: Columns::zeros(0, 0),

@@ -247,6 +247,10 @@ impl Precomputed {
     pub fn carry_at_rest(&mut self, gravity_m_per_s2: DVec3) {
         self.rest_gravity_m_per_s2 = gravity_m_per_s2;
         self.pull_m_per_s2 = DVec3::ZERO;
+        for piece in self.cuts.iter_mut().flat_map(|cuts| &mut cuts.pieces) {
+            piece.set_gravity(gravity_m_per_s2);
+        }
+        self.carry_weight();
     }
 
     /// Nodes that forces and displacements can act on: ascending, until a cut changes them.
@@ -362,8 +366,17 @@ impl DeformableModel for Precomputed {
 
     fn step(&mut self, dt_s: f64) {
         self.displacement_m.fill(0.0);
-        if self.pull_m_per_s2 != DVec3::ZERO {
-            add_blocks(&self.compliance.weight_response_s2, self.pull_m_per_s2, &mut self.displacement_m);
+        let carried_m = self.cuts.as_ref().and_then(|cuts| cuts.carried_m());
+        // What is left of a cut body carries its weight, less what the rest shape has of it.
+        let weight_m_per_s2 = match carried_m {
+            Some(_) => self.pull_m_per_s2 + self.rest_gravity_m_per_s2,
+            None => self.pull_m_per_s2,
+        };
+        if weight_m_per_s2 != DVec3::ZERO {
+            add_blocks(&self.compliance.weight_response_s2, weight_m_per_s2, &mut self.displacement_m);
+        }
+        for (u, carried) in self.displacement_m.iter_mut().zip(carried_m.unwrap_or_default()) {
+            *u -= carried;
         }
         for &(m, force_n) in &self.forces {
             self.compliance.table.add_response(m as usize, force_n, &mut self.displacement_m);

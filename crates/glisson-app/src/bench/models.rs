@@ -5,7 +5,7 @@ use std::hint::black_box;
 use fearless_simd::Level;
 use glam::DVec3;
 use glisson::model::precomputed::{
-    Precision, Precomputed, PrecomputedParams, StoredNodes, StreamOptions, precompute_to_file,
+    Precision, PrecomputedParams, StoredNodes, StreamOptions, precompute_to_file,
 };
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::model::{DeformableModel, DynamicBody, FixedNode};

@@ -245,6 +245,46 @@ fn forces_displacements_and_weight_after_cuts_act_as_in_the_static_solver() {
     }
 }
 
+#[test]
+fn an_organ_imaged_under_its_weight_opens_where_it_is_cut() {
+    let mesh = shaken_block([5, 4, 4], DVec3::new(0.1, 0.08, 0.08), 0.15, 33);
+    let mut cut = Cut::new(mesh, StoredNodes::Surface, Precision::F64);
+    let (imaged, tilted) = (DVec3::new(9.0, 0.0, -3.0), DVec3::new(7.0, 2.0, -6.0));
+    cut.model.carry_at_rest(imaged);
+    let under = |cut: &Cut, gravity: DVec3| {
+        let (mesh, held) = cut.rest(|_| true);
+        let mut force_n = vec![DVec3::ZERO; mesh.positions_m.len()];
+        add_gravity_forces(&mesh, &material(), gravity, &mut force_n);
+        let conditions = BoundaryConditions::fixed(&held);
+        let (material, nodal_force_n) = (material(), &force_n[..]);
+        let problem =
+            StaticProblem { mesh: &mesh, material: &material, conditions: &conditions, nodal_force_n };
+        solve_static(&problem).unwrap().displacement_m
+    };
+    // The rest shape has the displacements of the whole body; without a cut nothing moves, to the last bit.
+    let whole_m = under(&cut, imaged);
+    cut.model.prepare_cutting(cut.body.mesh()).unwrap();
+    cut.model.step(1e-3);
+    assert_eq!(cut.model.state().positions_m, cut.body.mesh().positions_m);
+    let mut random = SeededRandom::new(4);
+    for _ in 0..20 {
+        let tet = cut.next(&mut random);
+        cut.remove(&[tet]);
+    }
+    for gravity in [imaged, tilted] {
+        cut.model.set_gravity(gravity);
+        cut.model.step(1e-3);
+        let now_m = under(&cut, gravity);
+        let largest_m = now_m.iter().map(|u| u.length()).fold(0.0, f64::max);
+        for &node in cut.model.stored_nodes() {
+            let n = node.index();
+            let found_m = cut.model.state().positions_m[n] - cut.body.mesh().positions_m[n];
+            let off_m = found_m.distance(now_m[n] - whole_m[n]);
+            assert!(off_m < 1e-10 * largest_m, "{node}: {off_m:e} of {largest_m}");
+        }
+    }
+}
+
 /// A tower of cubes held below; the third layer of cells is what can be cut.
 fn tower() -> Cut {
     Cut::new(block([2, 2, 4], DVec3::new(0.02, 0.02, 0.04)), StoredNodes::Surface, Precision::F64)

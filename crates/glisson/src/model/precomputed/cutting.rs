@@ -17,7 +17,7 @@ use super::loose::{LooseParams, LoosePiece, MOST_PULL_SHARE, Owners};
 use super::low_rank::{Change, History, NodeColumns, NodeWeight, RemovedTet, Working, WorkingNode};
 use super::response::Load;
 use super::rigid::{Clusters, loose_tets, span};
-use super::table::{Table, n_displacements, place};
+use super::table::{Table, n_displacements, place, place_of_displacement};
 use super::{Compliance, NONE, Precision, Precomputed};
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, TopologyChange};
@@ -77,7 +77,7 @@ struct Origin {
     system: FreeSystem,
     factor: Factorization,
     /// Response of each node to unit gravity along each axis: `[gravity axis][node]` [m per m/s2].
-    weight_s2: [Vec<DVec3>; 3],
+    weight_s2: Arc<[Vec<DVec3>; 3]>,
 }
 
 /// Everything that following a cut needs.
@@ -98,6 +98,11 @@ pub(super) struct Cuts {
     hinge_rows: Vec<(u32, u32, u32)>,
     pull_share: f64,
     numbers: Vec<f64>,
+    /// Response of each node of the whole body to unit gravity along each axis [m per m/s2].
+    whole_weight_s2: Arc<[Vec<DVec3>; 3]>,
+    /// What the whole body's own weight does to the rows [m], in blocks: it is in the rest shape already, where that
+    /// is the loaded one. Empty while nothing is cut.
+    carried_m: Vec<f64>,
     report: CutReport,
 }
 
@@ -125,12 +130,12 @@ impl Origin {
         }
         factor.solve_in_place(&mut right, 3, &mut factor.scratch(3));
         let mut solutions = right.chunks_exact(n_free.max(1));
-        let weight_s2 = std::array::from_fn(|_| {
+        let weight_s2: [Vec<DVec3>; 3] = std::array::from_fn(|_| {
             let mut of_node = vec![DVec3::ZERO; is_held.len()];
             system.add_scattered(solutions.next().expect("three columns"), &mut of_node);
             of_node
         });
-        Ok(Self { system, factor, weight_s2 })
+        Ok(Self { system, factor, weight_s2: Arc::new(weight_s2) })
     }
 }
 
@@ -153,8 +158,15 @@ impl Cuts {
             (0..n_nodes).map(|n| !body.topology().is_live_node(NodeId::from_index(n))).collect();
         let is_held: Vec<bool> = is_fixed.iter().zip(&is_out).map(|(a, b)| *a || *b).collect();
         let origin = Arc::new(Origin::new(&bearing, compliance, &is_held)?);
+        let whole_weight_s2 = if dead.is_empty() {
+            Arc::clone(&origin.weight_s2)
+        } else {
+            Origin::new(mesh, compliance, &is_fixed)?.weight_s2
+        };
         Ok(Self {
             origin,
+            whole_weight_s2,
+            carried_m: Vec::new(),
             body,
             bears,
             is_fixed,
@@ -305,6 +317,16 @@ impl Cuts {
     /// Makes hinges, and the lists that steps use, after an edit.
     fn join_pieces(&mut self, loadable: impl Fn(NodeId) -> Option<u32>) {
         let borne = self.borne();
+        for (p, piece) in self.pieces.iter().enumerate().rev() {
+            for (local, &node) in piece.nodes.iter().enumerate() {
+                let owner = self.owners.of(node).map(|owner| &self.pieces[owner]);
+                let has_owner = owner.is_some_and(|own| own.local(node).is_some_and(|l| own.moves(l)));
+                // A hinge that its owner lost is the piece's own from now on.
+                if !borne[node.index()] && !has_owner && piece.moves(local as u32) {
+                    self.owners.set(node, p);
+                }
+            }
+        }
         for p in 0..self.pieces.len() {
             // A piece moves what nothing held and no later piece moves.
             let (fixed, owners) = (&self.is_fixed, &self.owners);
@@ -325,6 +347,11 @@ impl Cuts {
         self.numbers.clear();
         self.numbers.resize(n, 0.0);
         self.write_numbers();
+    }
+
+    /// What the whole body's own weight does to the rows [m], in blocks; `None` while nothing is cut.
+    pub(super) fn carried_m(&self) -> Option<&[f64]> {
+        (!self.carried_m.is_empty()).then_some(&self.carried_m)
     }
 
     pub(super) fn numbers(&self) -> &[f64] {
@@ -504,6 +531,9 @@ impl Precomputed {
             reason: "its stiffness matrix cannot be factored in the memory that there is",
         })?;
         self.change_cuts(|model, cuts| model.remove(cuts, &change.tets.removed));
+        // Rows to spare are not shown.
+        self.displacement_m.resize(n_displacements(self.compliance.rows.len()), 0.0);
+        self.carry_weight();
         Ok(())
     }
 
@@ -789,7 +819,24 @@ impl Precomputed {
         compliance.table = compliance.table.with_room(with_spare(n_rows), with_spare(n_loaded));
         let room = compliance.table.room();
         compliance.weight_response_s2.resize(Table::stride(room), 0.0);
-        self.displacement_m.resize(n_displacements(room), 0.0);
+    }
+
+    /// After an edit, or when another gravity is carried at rest.
+    pub(super) fn carry_weight(&mut self) {
+        let n = n_displacements(self.compliance.rows.len());
+        let g = self.rest_gravity_m_per_s2;
+        let Some(cuts) = &mut self.cuts else { return };
+        cuts.carried_m.clear();
+        if g == DVec3::ZERO || !cuts.body.topology().has_dead() {
+            return;
+        }
+        cuts.carried_m.resize(n, 0.0);
+        for (row, node) in self.compliance.rows.iter().enumerate() {
+            for axis in 0..3 {
+                let along = |d: usize| cuts.whole_weight_s2[d][node.index()][axis] * g[d];
+                cuts.carried_m[place_of_displacement(row, axis)] = along(0) + along(1) + along(2);
+            }
+        }
     }
 
     /// Columns and responses to weight of nodes that are loadable.

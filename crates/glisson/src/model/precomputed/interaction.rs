@@ -112,26 +112,46 @@ impl Precomputed {
         (contact.n_nodes > 0 && contact.n_directions > 0).then_some(contact)
     }
 
+    /// Acceleration that the body answers to, and what the rest shape has of the answer: what is left of a cut body
+    /// carries its whole weight, an uncut one what goes beyond its rest.
+    fn weight(&self) -> (DVec3, &[f64]) {
+        match self.cuts.as_ref().and_then(|cuts| cuts.carried_m()) {
+            Some(carried_m) => (self.pull_m_per_s2 + self.rest_gravity_m_per_s2, carried_m),
+            None => (self.pull_m_per_s2, &[]),
+        }
+    }
+
     /// What the outer forces and the weight beyond that at rest do, for all rows.
     fn respond_to_forces(&mut self) {
-        let has_pull = self.pull_m_per_s2 != DVec3::ZERO;
-        if has_pull {
+        // Taken out for the time being, so that the rest can be read.
+        let mut displacement_m = std::mem::take(&mut self.displacement_m);
+        let (weight_m_per_s2, carried_m) = self.weight();
+        let has_weight = weight_m_per_s2 != DVec3::ZERO || !carried_m.is_empty();
+        if has_weight {
             let columns = &self.compliance.weight_response_s2;
-            set_to_columns(self.path, columns, self.pull_m_per_s2, &mut self.displacement_m);
+            set_to_columns(self.path, columns, weight_m_per_s2, &mut displacement_m);
+            for (u, carried) in displacement_m.iter_mut().zip(carried_m) {
+                *u -= carried;
+            }
         }
         let table = &self.compliance.table;
-        respond_into(self.path, table, &self.forces, !has_pull, &mut self.displacement_m);
+        respond_into(self.path, table, &self.forces, !has_weight, &mut displacement_m);
         for pull in self.cuts.iter().flat_map(|cuts| cuts.pulls()) {
-            respond_into(self.path, table, &[pull], false, &mut self.displacement_m);
+            respond_into(self.path, table, &[pull], false, &mut displacement_m);
         }
+        self.displacement_m = displacement_m;
     }
 
     /// The same for one loadable node.
     fn response_to_forces_m(&self, loaded: usize) -> DVec3 {
         let weight = &self.compliance.weight_response_s2;
+        let (weight_m_per_s2, carried_m) = self.weight();
         let mut u_m = DVec3::ZERO;
-        if self.pull_m_per_s2 != DVec3::ZERO {
-            u_m += super::table::tensor_of_columns(weight, loaded) * self.pull_m_per_s2;
+        if weight_m_per_s2 != DVec3::ZERO {
+            u_m += super::table::tensor_of_columns(weight, loaded) * weight_m_per_s2;
+        }
+        if !carried_m.is_empty() {
+            u_m -= DVec3::from_array([0, 1, 2].map(|axis| carried_m[place_of_displacement(loaded, axis)]));
         }
         let pulls = self.cuts.iter().flat_map(|cuts| cuts.pulls());
         for (m, force_n) in self.forces.iter().copied().chain(pulls) {

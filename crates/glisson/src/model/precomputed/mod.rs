@@ -174,6 +174,10 @@ impl Precomputed {
     pub fn carry_at_rest(&mut self, gravity_m_per_s2: DVec3) {
         self.rest_gravity_m_per_s2 = gravity_m_per_s2;
         self.pull_m_per_s2 = DVec3::ZERO;
+        for piece in self.cuts.iter_mut().flat_map(|cuts| &mut cuts.pieces) {
+            piece.set_gravity(gravity_m_per_s2);
+        }
+        self.carry_weight();
     }
 
     /// Nodes that forces and displacements can act on: ascending, until a cut changes them.

@@ -13,9 +13,10 @@ use super::KernelLaw;
 use super::element::{ElementLaw, Linear, StVenantKirchhoff};
 use super::extras::{Extras, Full, Guarded, Plain, Viscous};
 use super::general::{General, SharedMaterial};
-use super::motion::{StepFactors, StepSums};
+use super::lanes::Lanes;
+use super::motion::{GROUP_ROWS, StepFactors, StepSums};
 use super::neo_hooke::{NeoHookeLog, StableNeoHooke};
-use super::paths::KernelPath;
+use super::paths::{KernelPath, LaneWork};
 use super::quarantine::{Guard, LaneTets, NO_TET, Quarantine, QuarantineReport};
 use super::rows::{Block, LaneNumbers, N_LANES, Row, Rows};
 use crate::material::PronySeries;
@@ -39,7 +40,7 @@ pub(super) struct Exchange {
     pub(super) rows: Vec<[u16; 2]>,
 }
 
-/// What moves on the nodes that a part owns.
+/// What moves on the nodes that a part owns. Rows are padded to whole groups ([`GROUP_ROWS`]).
 #[derive(Clone, Debug)]
 pub(super) struct PartNodes {
     pub(super) displacement_m: Vec<Row>,
@@ -54,6 +55,8 @@ pub(super) struct PartNodes {
     pub(super) added_mass_kg: Vec<f64>,
     /// Zero for axes that the step does not move.
     pub(super) inverse_mass_per_kg: Vec<Row>,
+    /// Mass and added mass; zero for axes that the step does not move.
+    pub(super) moving_inertia_kg: Vec<Row>,
     pub(super) is_held: Vec<[bool; 3]>,
     /// Tetrahedra that a node has left.
     pub(super) n_tets: Vec<u32>,
@@ -65,14 +68,16 @@ pub(super) struct PartNodes {
 
 impl PartNodes {
     pub(super) fn at_rest(n_own: usize) -> Self {
+        let rows = || vec![[0.0; 4]; n_own.next_multiple_of(GROUP_ROWS)];
         Self {
-            displacement_m: vec![[0.0; 4]; n_own],
-            increment_m: vec![[0.0; 4]; n_own],
-            force_n: vec![[0.0; 4]; n_own],
-            outer_n: vec![[0.0; 4]; n_own],
+            displacement_m: rows(),
+            increment_m: rows(),
+            force_n: rows(),
+            outer_n: rows(),
             mass_kg: vec![0.0; n_own],
             added_mass_kg: vec![0.0; n_own],
-            inverse_mass_per_kg: vec![[0.0; 4]; n_own],
+            inverse_mass_per_kg: rows(),
+            moving_inertia_kg: rows(),
             is_held: vec![[false; 3]; n_own],
             n_tets: vec![0; n_own],
             led_m: Vec::new(),
@@ -343,31 +348,38 @@ impl Parts {
     #[inline(always)]
     fn sum_forces_into(&self, p: usize, sums: &mut [Row]) {
         let part = &self.all[p];
-        for (sum, [_, force]) in sums.iter_mut().zip(read(&part.rows).nodes()) {
+        for (sum, [_, force]) in sums[..part.own.len()].iter_mut().zip(read(&part.rows).nodes()) {
             *sum = *force;
         }
         for exchange in &part.lent {
             let rows = read(&self.all[exchange.part].rows);
             let rows = rows.nodes();
             for &[here, there] in &exchange.rows {
-                let (sum, [_, force]) = (&mut sums[usize::from(here)], &rows[usize::from(there)]);
-                for i in 0..4 {
-                    sum[i] += force[i];
-                }
+                let (sum, [_, force]) = (&mut sums[usize::from(here)], rows[usize::from(there)]);
+                *sum = std::array::from_fn(|i| sum[i] + force[i]);
             }
         }
     }
 
     /// Second phase of a step: forces on the own nodes, and their motion.
     pub(super) fn sum_and_advance(&self, p: usize) {
-        self.path().vectorize(
-            #[inline(always)]
-            || {
-                let factors = *read(&self.step);
-                let mut nodes = self.all[p].nodes_mut();
-                self.sum_forces_into(p, &mut nodes.force_n);
-                nodes.advance(&factors);
-            },
-        );
+        self.path().run(SumAndAdvance { parts: self, p });
+    }
+}
+
+/// [`Parts::sum_and_advance`] of a part.
+struct SumAndAdvance<'a> {
+    parts: &'a Parts,
+    p: usize,
+}
+
+impl LaneWork for SumAndAdvance<'_> {
+    #[inline(always)]
+    fn run<V: Lanes>(self, any: V) {
+        let Self { parts, p } = self;
+        let factors = *read(&parts.step);
+        let mut nodes = parts.all[p].nodes_mut();
+        parts.sum_forces_into(p, &mut nodes.force_n);
+        nodes.advance(&factors, any);
     }
 }

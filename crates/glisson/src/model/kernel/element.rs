@@ -33,6 +33,12 @@ pub(super) trait ElementLaw {
     /// V P for the displacement gradient `g`.
     fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V>;
 
+    /// `start` where `g` and `p` = V P are finite, no number elsewhere.
+    #[inline(always)]
+    fn start_if_finite<V: Lanes>(start: V, _: &Matrix<V>, p: &Matrix<V>) -> V {
+        start_if_all_finite(start, p)
+    }
+
     /// V S, S = F^-1 P the second Piola-Kirchhoff stress.
     #[inline(always)]
     fn scaled_second_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Symmetric<V> {
@@ -95,6 +101,14 @@ impl ElementLaw for StVenantKirchhoff {
         carried(g, &self.scaled_second_stress(g, numbers, at))
     }
 
+    /// 2 tr E = |F|^2 - 3 bounds every entry of G, and P is a cubic polynomial in these: where the square of the trace
+    /// is finite, entries are below 1e77 and P is finite. The stress has computed the trace anyway.
+    #[inline(always)]
+    fn start_if_finite<V: Lanes>(start: V, g: &Matrix<V>, _: &Matrix<V>) -> V {
+        let trace = twice_strain(g, 0, 0).plus(twice_strain(g, 1, 1)).plus(twice_strain(g, 2, 2));
+        trace.times(trace).fused(trace.constant(0.0), start)
+    }
+
     #[inline(always)]
     fn scaled_second_stress<V: Lanes>(
         &self,
@@ -102,10 +116,7 @@ impl ElementLaw for StVenantKirchhoff {
         [half_lambda, mu]: [V; 2],
         _: At,
     ) -> Symmetric<V> {
-        let twice_strain = |i: usize, j: usize| {
-            let linear = g[i][j].plus(g[j][i]);
-            g[0][i].fused(g[0][j], g[1][i].fused(g[1][j], g[2][i].fused(g[2][j], linear)))
-        };
+        let twice_strain = |i: usize, j: usize| twice_strain(g, i, j);
         let [xx, yy, zz] = [twice_strain(0, 0), twice_strain(1, 1), twice_strain(2, 2)];
         let pressure = half_lambda.times(xx.plus(yy).plus(zz));
         [
@@ -117,6 +128,21 @@ impl ElementLaw for StVenantKirchhoff {
             mu.times(twice_strain(1, 2)),
         ]
     }
+}
+
+/// An entry of 2 E = G + G^T + G^T G.
+#[inline(always)]
+fn twice_strain<V: Lanes>(g: &Matrix<V>, i: usize, j: usize) -> V {
+    let linear = g[i][j].plus(g[j][i]);
+    g[0][i].fused(g[0][j], g[1][i].fused(g[1][j], g[2][i].fused(g[2][j], linear)))
+}
+
+/// `start` where every entry is finite, no number elsewhere.
+#[inline(always)]
+pub(super) fn start_if_all_finite<V: Lanes>(start: V, p: &Matrix<V>) -> V {
+    let zero = start.constant(0.0);
+    let row = |i: usize| p[i][0].fused(zero, p[i][1].fused(zero, p[i][2].times(zero)));
+    row(0).plus(row(1)).plus(row(2)).plus(start)
 }
 
 /// The symmetric matrix with all nine entries.

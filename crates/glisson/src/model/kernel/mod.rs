@@ -12,6 +12,7 @@
 //! operations, forces are added lane after lane, and the parts and the order of their sums depend on the mesh
 //! alone. Ids are the caller's throughout; the order inside shows nowhere.
 
+mod advance;
 mod build;
 mod element;
 mod extras;
@@ -37,9 +38,10 @@ use crate::math::DVec3;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::solve::SolveError;
 
+pub use advance::StepSums;
 pub use build::KernelExtras;
 pub use general::SharedMaterial;
-pub use motion::{NodeMotion, StepSums};
+pub use motion::NodeMotion;
 pub use paths::KernelPath;
 pub use quarantine::{Quarantine, QuarantineReport};
 pub use workers::{Sequential, Task, Workers};

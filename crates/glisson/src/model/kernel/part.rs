@@ -10,11 +10,12 @@
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use super::KernelLaw;
+use super::advance::{GROUP_ROWS, StepSums};
 use super::element::{ElementLaw, Linear, StVenantKirchhoff};
 use super::extras::{Extras, Full, Guarded, Plain, Viscous};
 use super::general::{General, SharedMaterial};
 use super::lanes::Lanes;
-use super::motion::{GROUP_ROWS, StepFactors, StepSums};
+use super::motion::StepFactors;
 use super::neo_hooke::{NeoHookeLog, StableNeoHooke};
 use super::paths::{KernelPath, LaneWork};
 use super::quarantine::{Guard, LaneTets, NO_TET, Quarantine, QuarantineReport};
@@ -327,11 +328,11 @@ impl Parts {
         for (row, displacement_m) in own.iter_mut().zip(part.nodes().strained_m(leads)) {
             *row = [*displacement_m, [0.0; 4]];
         }
+        let mut borrowed = borrowed.iter_mut();
         for exchange in &part.borrowed {
             let owner = self.all[exchange.part].nodes();
             let displacement_m = owner.strained_m(leads);
-            for &[here, there] in &exchange.rows {
-                let row = &mut borrowed[usize::from(here) - own.len()];
+            for (&[_, there], row) in exchange.rows.iter().zip(&mut borrowed) {
                 *row = [displacement_m[usize::from(there)], [0.0; 4]];
             }
         }

@@ -46,13 +46,15 @@ pub(super) struct Guard<'a> {
     /// Tetrahedra of each block.
     pub(super) tets: &'a [LaneTets],
     pub(super) found: &'a mut QuarantineReport,
-    /// Becomes true where a volume ratio leaves [`CALM_RATIOS`].
+    /// Becomes true where a volume ratio is not calm, see [`CALM_CENTRE`].
     pub(super) is_strained: &'a mut bool,
 }
 
-/// Volume ratios det F within which tissue is not near to inversion and not torn apart. A choice: that of the stretch 1.3
-/// along one axis and its inverse along two others lies well inside.
-const CALM_RATIOS: [f64; 2] = [0.5, 1.8];
+/// Volume ratios det F within this of 1.15 (0.5 to 1.8) are calm: tissue is not near to inversion and not torn apart. A
+/// choice: that of the stretch 1.3 along one axis and its inverse along two others lies well inside.
+const CALM_REACH: f64 = 0.65;
+/// The middle of the calm ratios.
+const CALM_CENTRE: f64 = 1.15;
 
 impl Guard<'_> {
     /// All lanes are sound.
@@ -60,23 +62,30 @@ impl Guard<'_> {
         (1 << V::COUNT) - 1
     }
 
-    /// A bit for each lane whose tetrahedron counts; the others are noted.
+    /// What [`Guard::sound_bits`] wants for tetrahedra that are finite; others give it no number.
+    pub(super) fn start<V: Lanes>(any: V) -> V {
+        any.constant(-CALM_CENTRE)
+    }
+
+    /// A bit for each lane whose tetrahedron counts; the others are noted. One comparison where all is calm.
     #[inline(always)]
-    pub(super) fn sound_bits<V: Lanes>(&mut self, g: &Matrix<V>, p: &Matrix<V>, at: At) -> u32 {
+    pub(super) fn sound_bits<V: Lanes>(&mut self, g: &Matrix<V>, start_if_finite: V, at: At) -> u32 {
         let zero = g[0][0].constant(0.0);
         let one = g[0][0].constant(1.0);
         let f = |i: usize, j: usize| if i == j { g[i][j].plus(one) } else { g[i][j] };
         let cofactor = |j: usize, k: usize| f(1, j).fused(f(2, k), f(1, k).times(f(2, j)).negative());
-        // Zero, or no number where an entry is not finite.
-        let row = |i: usize| p[i][0].fused(zero, p[i][1].fused(zero, p[i][2].times(zero)));
-        let nothing = row(0).plus(row(1)).plus(row(2));
-        let volume_ratio = f(0, 0)
-            .fused(cofactor(1, 2), f(0, 1).fused(cofactor(2, 0), f(0, 2).fused(cofactor(0, 1), nothing)));
-        let calm = volume_ratio.above_bits(zero.constant(CALM_RATIOS[0]))
-            & !volume_ratio.above_bits(zero.constant(CALM_RATIOS[1]));
+        let cofactors = [cofactor(1, 2), cofactor(2, 0), cofactor(0, 1)];
+        // det F and `more`.
+        let ratio_and = |more: V| {
+            f(0, 0).fused(cofactors[0], f(0, 1).fused(cofactors[1], f(0, 2).fused(cofactors[2], more)))
+        };
+        let from_centre = ratio_and(start_if_finite);
+        let calm = zero.constant(CALM_REACH).above_bits(from_centre.magnitude());
         if calm == Self::all::<V>() {
             return calm;
         }
+        // Without the rounding of the centre: zero, or no number.
+        let volume_ratio = ratio_and(start_if_finite.minus(Self::start(zero)));
         *self.is_strained = true;
         let upright = volume_ratio.above_bits(zero);
         if upright == Self::all::<V>() {

@@ -229,6 +229,7 @@ fn add_upper_lane(
             _mm512_mask_sub_pd(node, upper, node, force)
         }
     );
+    let at = four(at);
     let bytes = rows.node_mut(at[0]);
     let first: f64x8<Avx512> = u8x64::from_slice(simd, bytes).bitcast();
     let first: f64x8<Avx512> = subtract(simd, upper, first.into(), sum.into()).simd_into(simd);
@@ -261,7 +262,7 @@ fn gather(simd: Avx512, block: &Block, rows: &Rows) -> [[f64x8<Avx512>; 3]; 3] {
     let at = &block.offsets;
     let mut edges = [[f64x8::splat(simd, 0.0); 4]; 3];
     for (p, (a, b)) in PAIRS.into_iter().enumerate() {
-        let (a, b) = (&at[a], &at[b]);
+        let (a, b) = (four(&at[a]), four(&at[b]));
         let first = row(simd, rows, a[0]).combine(row(simd, rows, b[0]));
         for k in 0..3 {
             edges[k][p] = row(simd, rows, a[k + 1]).combine(row(simd, rows, b[k + 1])) - first;
@@ -273,6 +274,14 @@ fn gather(simd: Avx512, block: &Block, rows: &Rows) -> [[f64x8<Avx512>; 3]; 3] {
 /// Lanes whose rows share a vector of eight while they are transposed.
 #[cfg(target_arch = "x86_64")]
 const PAIRS: [(usize, usize); 4] = [(0, 2), (1, 3), (4, 6), (5, 7)];
+
+/// Offsets of four corners by one load: loads are what these loops have most of.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn four(at: &[u16; 4]) -> [u16; 4] {
+    let all: u64 = bytemuck::cast(*at);
+    [all as u16, (all >> 16) as u16, (all >> 32) as u16, (all >> 48) as u16]
+}
 
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
@@ -342,6 +351,7 @@ fn pairs_of_rows(simd: Avx512, masks: Masks, [x, y, z]: [f64x8<Avx512>; 3]) -> [
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 fn add_lane<S: Simd>(simd: S, rows: &mut Rows, at: &[u16; 4], [sum, f1, f2, f3]: [f64x4<S>; 4]) {
+    let at = four(at);
     let bytes = rows.force_mut(at[0]);
     let first: f64x4<S> = u8x32::from_slice(simd, bytes).bitcast();
     (first - sum).bitcast::<u8x32<S>>().store_slice(bytes);
@@ -362,7 +372,7 @@ fn add_by_four(simd: Avx2, stress: &mut impl Stress, blocks: &[Block], rows: &mu
             let at = &block.offsets;
             let mut edges = [[zero; 4]; 3];
             for lane in 0..4 {
-                let at = &at[half + lane];
+                let at = four(&at[half + lane]);
                 let first = row(simd, rows, at[0]);
                 for k in 0..3 {
                     edges[k][lane] = row(simd, rows, at[k + 1]) - first;

@@ -9,6 +9,7 @@ mod image;
 mod interaction;
 mod model_rheology;
 mod prestress;
+mod resection;
 mod rheology;
 mod rotation;
 mod tissue;

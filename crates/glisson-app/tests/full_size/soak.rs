@@ -66,9 +66,16 @@ fn random_scene(folder: &Path, palpation: &Palpation, seconds: f64) -> String {
         )
         .unwrap();
     };
+    let mut last = -DVec3::Y;
     while time_s < seconds {
         let direction = DVec3::new(random.normal(), -random.normal().abs(), random.normal()).normalize();
-        let outside = center + direction * 1.6 * half.max_element();
+        let away = |direction: DVec3| center + direction * 1.6 * half.max_element();
+        // Around the organ: straight from one side to the other, the tool would sweep through it.
+        if last.dot(direction) < 0.0 {
+            point(&mut time_s, 0.25 * PUSH_S, away(-DVec3::Y));
+        }
+        last = direction;
+        let outside = away(direction);
         let inside = center + direction * half * random.uniform_in(1.0 - palpation.deepest, 1.0);
         point(&mut time_s, 0.25 * PUSH_S, outside);
         point(&mut time_s, 0.35 * PUSH_S, inside);

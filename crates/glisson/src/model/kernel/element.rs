@@ -33,10 +33,17 @@ pub(super) trait ElementLaw {
     /// V P for the displacement gradient `g`.
     fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V>;
 
-    /// `start` where `g` and `p` = V P are finite, no number elsewhere.
+    /// Whether P is finite wherever [`ElementLaw::squared_strain`] is; else P is looked at.
+    const IS_FINITE_WITH_STRAIN: bool = false;
+
+    /// |2 E|^2, a size of the strain that the stiffness grows with: no principal stretch s has |s^2 - 1| above its root.
     #[inline(always)]
-    fn start_if_finite<V: Lanes>(start: V, _: &Matrix<V>, p: &Matrix<V>) -> V {
-        start_if_all_finite(start, p)
+    fn squared_strain<V: Lanes>(g: &Matrix<V>) -> V {
+        let entry = |i: usize, j: usize| twice_strain(g, i, j);
+        let (xx, yy, zz) = (entry(0, 0), entry(1, 1), entry(2, 2));
+        let (xy, xz, yz) = (entry(0, 1), entry(0, 2), entry(1, 2));
+        let shear = xy.fused(xy, xz.fused(xz, yz.times(yz)));
+        xx.fused(xx, yy.fused(yy, zz.fused(zz, shear.plus(shear))))
     }
 
     /// V S, S = F^-1 P the second Piola-Kirchhoff stress.
@@ -61,6 +68,12 @@ pub(super) struct Linear;
 
 impl ElementLaw for Linear {
     const IS_SMALL_STRAIN: bool = true;
+
+    /// None: its stiffness is the same everywhere.
+    #[inline(always)]
+    fn squared_strain<V: Lanes>(g: &Matrix<V>) -> V {
+        g[0][0].constant(0.0)
+    }
 
     /// V lambda and V mu.
     fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2] {
@@ -91,6 +104,9 @@ impl ElementLaw for Linear {
 pub(super) struct StVenantKirchhoff;
 
 impl ElementLaw for StVenantKirchhoff {
+    /// F is bounded by E, and P = F S is a polynomial in it: where |2 E|^2 is finite, entries are below 1e77.
+    const IS_FINITE_WITH_STRAIN: bool = true;
+
     /// V lambda / 2 and V mu.
     fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2] {
         [0.5 * volume_m3 * lambda_pa, volume_m3 * mu_pa]
@@ -99,14 +115,6 @@ impl ElementLaw for StVenantKirchhoff {
     #[inline(always)]
     fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V> {
         carried(g, &self.scaled_second_stress(g, numbers, at))
-    }
-
-    /// 2 tr E = |F|^2 - 3 bounds every entry of G, and P is a cubic polynomial in these: where the square of the trace
-    /// is finite, entries are below 1e77 and P is finite. The stress has computed the trace anyway.
-    #[inline(always)]
-    fn start_if_finite<V: Lanes>(start: V, g: &Matrix<V>, _: &Matrix<V>) -> V {
-        let trace = twice_strain(g, 0, 0).plus(twice_strain(g, 1, 1)).plus(twice_strain(g, 2, 2));
-        trace.times(trace).fused(trace.constant(0.0), start)
     }
 
     #[inline(always)]
@@ -135,14 +143,6 @@ impl ElementLaw for StVenantKirchhoff {
 fn twice_strain<V: Lanes>(g: &Matrix<V>, i: usize, j: usize) -> V {
     let linear = g[i][j].plus(g[j][i]);
     g[0][i].fused(g[0][j], g[1][i].fused(g[1][j], g[2][i].fused(g[2][j], linear)))
-}
-
-/// `start` where every entry is finite, no number elsewhere.
-#[inline(always)]
-pub(super) fn start_if_all_finite<V: Lanes>(start: V, p: &Matrix<V>) -> V {
-    let zero = start.constant(0.0);
-    let row = |i: usize| p[i][0].fused(zero, p[i][1].fused(zero, p[i][2].times(zero)));
-    row(0).plus(row(1)).plus(row(2)).plus(start)
 }
 
 /// The symmetric matrix with all nine entries.

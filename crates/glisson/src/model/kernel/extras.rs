@@ -11,7 +11,7 @@
 //! With a Prony series the stress S of law and fibre relaxes ([`crate::material::PronySeries`]); stress at rest and
 //! penalty do not. [`super::KernelLaw::Linear`] takes the small strain throughout, without F, except in theta.
 
-use super::element::{At, ElementLaw, Matrix, Symmetric, VolumeChange, carried, full, start_if_all_finite};
+use super::element::{At, ElementLaw, Matrix, Symmetric, VolumeChange, carried, full};
 use super::lanes::Lanes;
 use super::quarantine::Guard;
 use super::rows::{LaneNumbers, N_LANES};
@@ -42,8 +42,7 @@ impl<L: ElementLaw> Stress for Guarded<'_, L> {
     #[inline(always)]
     fn scaled_stress<V: Lanes>(&mut self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V> {
         let p = self.law.scaled_stress(g, numbers, at);
-        let start = L::start_if_finite(Guard::start(g[0][0]), g, &p);
-        let sound = self.guard.sound_bits(g, start, at);
+        let sound = self.guard.sound_bits::<L, V>(g, &p, true, at);
         if sound == Guard::all::<V>() { p } else { Guard::zeroed(&p, sound) }
     }
 }
@@ -252,9 +251,8 @@ impl<L: ElementLaw> Stress for Full<'_, L> {
                 }
             }
         }
-        let sound = self.guard.as_mut().map_or(Guard::all::<V>(), |guard| {
-            guard.sound_bits(g, start_if_all_finite(Guard::start(zero), &p), at)
-        });
+        let sound =
+            self.guard.as_mut().map_or(Guard::all::<V>(), |guard| guard.sound_bits::<L, V>(g, &p, false, at));
         if let Some(viscous) = &mut self.viscous
             && viscous.advances
         {

@@ -136,6 +136,7 @@ impl Clone for FastKernel {
             tet_places: self.tet_places.clone(),
             mass_share_kg: self.mass_share_kg.clone(),
             quarantine: self.quarantine,
+            calm_stretch: self.calm_stretch,
             last_step_s: self.last_step_s,
             stiffness_damping_s: self.stiffness_damping_s,
         }

@@ -159,6 +159,8 @@ pub(super) struct ForceMode {
     pub(super) quarantine: Option<Quarantine>,
     /// Whether the computation belongs to a step, which takes viscous memory further.
     pub(super) in_step: bool,
+    /// See [`Guard::calm_squared_strain`].
+    pub(super) calm_squared_strain: f64,
 }
 
 /// One part.
@@ -289,7 +291,7 @@ impl Parts {
     }
 
     fn add_forces_of(&self, p: usize, law: impl ElementLaw, elements: &Elements, rows: &mut Rows) {
-        let ForceMode { quarantine, in_step } = *read(&self.mode);
+        let ForceMode { quarantine, in_step, calm_squared_strain } = *read(&self.mode);
         let Elements { blocks, extras, tets, .. } = elements;
         let watch = quarantine.filter(|quarantine| *quarantine != Quarantine::Off);
         let path = self.path();
@@ -304,6 +306,7 @@ impl Parts {
             tets,
             found: quarantined,
             is_strained,
+            calm_squared_strain,
         });
         let relaxation = self.relaxation.as_ref().map(read);
         let viscous = relaxation.as_ref().map(|relaxation| Viscous {

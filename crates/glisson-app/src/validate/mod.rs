@@ -15,6 +15,7 @@ mod precompute;
 mod prestress;
 mod quasi_nonlinear;
 mod reduced;
+mod resection;
 mod rheology;
 mod rotation;
 mod tissue;

@@ -154,7 +154,14 @@ pub(super) fn bent_cylinder(radius_m: f64, n_tets: usize) -> anyhow::Result<Case
 /// The liver held around the centre of its back, its right lobe pulled forwards.
 pub(super) fn liver_case(n_tets: usize) -> anyhow::Result<Case> {
     let mesh = liver(n_tets)?;
-    let topology = Topology::build(&mesh)?;
+    let (fixed, pulled) = back_and_tip(&mesh)?;
+    let unit_n = spread_over(&mesh, &pulled, -DVec3::Y)?;
+    Case::new(mesh, fixed, unit_n)
+}
+
+/// A liver's nodes around the centre of its back, and around the tip of its right lobe.
+pub(super) fn back_and_tip(mesh: &TetMesh) -> anyhow::Result<(Vec<NodeId>, Vec<NodeId>)> {
+    let topology = Topology::build(mesh)?;
     let centre_m = Aabb::of_points(&mesh.positions_m).center_m();
     // Patient's frame: +x is left, +y the back.
     let place_m = |n: NodeId| mesh.positions_m[n.index()];
@@ -164,11 +171,9 @@ pub(super) fn liver_case(n_tets: usize) -> anyhow::Result<Case> {
     let tip = topology.surface_nodes().min_by(|a, b| place_m(*a).x.total_cmp(&place_m(*b).x));
     let around = |node: Option<NodeId>| {
         let centre_m = node.map_or(DVec3::INFINITY, place_m);
-        nodes_where(&mesh, |p| p.distance(centre_m) < REGION_M)
+        nodes_where(mesh, |p| p.distance(centre_m) < REGION_M)
     };
-    let (fixed, pulled) = (around(back), around(tip));
-    let unit_n = spread_over(&mesh, &pulled, -DVec3::Y)?;
-    Case::new(mesh, fixed, unit_n)
+    Ok((around(back), around(tip)))
 }
 
 /// How far the explicit model at rest is from the static solution, over its largest displacement; and its steps.

@@ -8,8 +8,8 @@ use glisson::material::LinearElastic;
 use glisson::math::{DMat3, DVec3, SeededRandom};
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::kernel::{
-    ExplicitStep, FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath,
-    QuarantineReport, Sequential, Task, Workers,
+    ExplicitStep, FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, Quarantine,
+    QuarantineReport, Sequential, StepSums, Task, Workers,
 };
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::model::{DeformableModel, DynamicBody, Rayleigh};
@@ -195,8 +195,13 @@ fn bits(vectors: &[DVec3]) -> Vec<[u64; 3]> {
     vectors.iter().map(|v| v.to_array().map(f64::to_bits)).collect()
 }
 
-/// Displacements, increments, forces; viscous memory; what the first step left out.
+/// Displacements, increments, forces; viscous memory and energies; what the first step left out.
 type Outcome = ([Vec<[u64; 3]>; 3], Vec<u64>, QuarantineReport);
+
+/// The energies of a step.
+fn energies_j(sums: StepSums) -> [f64; 3] {
+    [sums.kinetic_before_j, sums.kinetic_after_j, sums.outer_work_j]
+}
 
 /// Of the comparison of all paths; the portable one is slow.
 const N_STEPS: u32 = 12;
@@ -226,9 +231,12 @@ fn every_path_and_number_of_threads_gives_the_same_bits() {
                     }
                     let workers: &dyn Workers =
                         if n_threads == 1 { &Sequential } else { &Scattered(n_threads) };
+                    kernel.set_outer_force(NodeId(50), DVec3::new(0.1, 0.2, -0.3));
                     let mut quarantined = QuarantineReport::default();
+                    let mut energies = Vec::new();
                     for i in 0..N_STEPS {
                         kernel.step(workers, step);
+                        energies.extend(energies_j(kernel.step_sums()));
                         if i == 0 {
                             quarantined = kernel.quarantined();
                         }
@@ -240,6 +248,7 @@ fn every_path_and_number_of_threads_gives_the_same_bits() {
                     kernel.forces_into(&mut state[2]);
                     let mut history = vec![0.0; kernel.history_len()];
                     kernel.history_into(&mut history);
+                    history.extend(energies);
                     assert!(state[0].iter().all(|u| u.is_finite()));
                     assert!(fixed.iter().all(|n| state[0][n.index()] == u[n.index()]), "held nodes stay");
                     assert!(quarantined.n_tets > 0, "some are inverted");
@@ -324,6 +333,97 @@ fn steps_follow_the_tensor_mass_model() {
     kernel.stop();
     kernel.increments_into(&mut found);
     assert!(found.iter().all(|i| *i == DVec3::ZERO));
+}
+
+/// Seed `003`, eq. 3.3, node by node, with the energies that the sums are documented to have.
+#[test]
+fn a_step_moves_every_node_as_the_formula_says_and_sums_its_energies() {
+    // An odd number of nodes; two parts.
+    let mesh = shaken_block([4, 4, 2], SIZE_M, 0.1, 21);
+    let n_nodes = mesh.positions_m.len();
+    assert_eq!(n_nodes % 2, 1);
+    let (u, v_m) = (random_field(n_nodes, 2e-4, 22), random_field(n_nodes, 1e-6, 23));
+    let outer_n = random_field(n_nodes, 0.2, 24);
+    let (last_s, h, d) = (2e-5, 1e-5, 50.0);
+    // All nodes somewhere, then one nowhere.
+    for nowhere in [None, Some(31)] {
+        let mut kernel = kernel(&mesh, KernelLaw::StVenantKirchhoff);
+        kernel.set_displacements(&u);
+        let held = |n: usize| [n.is_multiple_of(5), n.is_multiple_of(7), n.is_multiple_of(5)];
+        for n in 0..n_nodes {
+            let node = NodeId::from_index(n);
+            kernel.hold_axes(node, held(n));
+            kernel.set_added_mass(node, 1e-4 * (n % 3) as f64);
+            kernel.set_increment(node, v_m[n]);
+            kernel.set_outer_force(node, if Some(n) == nowhere { DVec3::INFINITY } else { outer_n[n] });
+        }
+        kernel.set_last_step_s(Some(last_s));
+        kernel.step(&Sequential, ExplicitStep { step_s: h, damping_per_s: d });
+        let [mut before_j, mut after_j, mut work_j] = [0.0; 3];
+        for n in 0..n_nodes {
+            let node = NodeId::from_index(n);
+            let free = DVec3::from_array(held(n).map(|held| f64::from(u8::from(!held))));
+            let old_m = v_m[n] * free;
+            let inertia_kg = kernel.inertia_kg(node);
+            before_j += 0.5 * inertia_kg * (old_m / last_s).length_squared();
+            // The last increment in proportion to the step.
+            let past_m = old_m * (h / last_s);
+            let push = (outer_n[n] - kernel.force_n(node)) / inertia_kg;
+            let moved_m =
+                free * (past_m * (1.0 / (h * h) - 0.5 * d / h) + push) / (1.0 / (h * h) + 0.5 * d / h);
+            if Some(n) == nowhere {
+                assert_eq!(kernel.displacement_m(node), u[n], "it stays");
+                assert_eq!(kernel.increment_m(node), DVec3::ZERO);
+                continue;
+            }
+            after_j += 0.5 * inertia_kg * (moved_m / h).length_squared();
+            work_j += 0.5 * outer_n[n].dot(moved_m + past_m);
+            let off_m = kernel.increment_m(node).distance(moved_m);
+            assert!(off_m <= 1e-12 * moved_m.length(), "node {n}: {off_m}");
+            assert!(kernel.displacement_m(node).distance(u[n] + moved_m) < 1e-18, "{n}");
+        }
+        let sums = kernel.step_sums();
+        assert_eq!(sums.n_recovered, u32::from(nowhere.is_some()));
+        let is_near = |found: f64, expected: f64| (found - expected).abs() < 1e-12 * expected.abs();
+        assert!(is_near(sums.kinetic_before_j, before_j), "{sums:?} {before_j}");
+        assert!(is_near(sums.kinetic_after_j, after_j), "{sums:?} {after_j}");
+        // The work of an infinite force is no number.
+        assert!(nowhere.is_some() || is_near(sums.outer_work_j, work_j), "{sums:?} {work_j}");
+    }
+}
+
+/// Calm are det F from 0.5 to 1.8 and, where strain makes a law stiffer, |F^T F - Id| up to 1.3^2 - 1.
+#[test]
+fn tissue_is_strained_when_its_volume_or_strain_leaves_the_calm_ones() {
+    let mesh = block([2, 2, 2], SIZE_M);
+    let n_tets = mesh.tetrahedra.len();
+    let by_volume =
+        [(1.0, false, 0), (0.501, false, 0), (0.499, true, 0), (1.799, false, 0), (1.801, true, 0)];
+    let by_strain = [(1.0, false, 0), (0.56, false, 0), (0.55, true, 0), (1.299, false, 0), (1.301, true, 0)];
+    for law in [KernelLaw::Linear, KernelLaw::StVenantKirchhoff, KernelLaw::StableNeoHooke] {
+        let mut kernel = kernel(&mesh, law);
+        kernel.set_quarantine(Quarantine::NotFinite);
+        let not_finite = if law == KernelLaw::StVenantKirchhoff { n_tets } else { 0 };
+        let stretches = if law == KernelLaw::Linear { by_volume } else { by_strain };
+        for (stretch, is_strained, n_left_out) in
+            stretches.into_iter().chain([(-1.0, true, n_tets), (1e90, true, not_finite)])
+        {
+            // Turned by a quarter: large gradients alone are no strain.
+            let moved = |p: &DVec3| DVec3::new(-p.y, stretch * p.x, p.z) - *p;
+            let u: Vec<DVec3> = mesh.positions_m.iter().map(moved).collect();
+            kernel.set_displacements(&u);
+            kernel.stop();
+            kernel.step(&Sequential, ExplicitStep { step_s: 1e-6, damping_per_s: 0.0 });
+            let found = (kernel.is_strained(), kernel.quarantined().n_tets as usize);
+            assert_eq!(found, (is_strained, n_left_out), "{law:?} {stretch}");
+        }
+    }
+    let mut kernel = kernel(&mesh, KernelLaw::StVenantKirchhoff);
+    kernel.set_calm_stretch(1.5);
+    let u: Vec<DVec3> = mesh.positions_m.iter().map(|p| DVec3::X * (0.4 * p.x)).collect();
+    kernel.set_displacements(&u);
+    kernel.step(&Sequential, ExplicitStep { step_s: 1e-6, damping_per_s: 0.0 });
+    assert!(!kernel.is_strained());
 }
 
 #[test]

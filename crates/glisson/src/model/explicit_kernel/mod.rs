@@ -17,8 +17,9 @@
 //!   ([`ModelReport::n_quarantined_tets`]). They are left out where the law gives no number; laws that are finite in
 //!   every shape go on in them: leaving them out would make energy from nothing.
 //!
-//! Where a tetrahedron is near to inversion or torn apart, or the energy was limited, the next steps are divided into
-//! as many internal ones as the body allows: its law is stiffer there than the step is made for.
+//! Where a tetrahedron is near to inversion, torn apart or stretched beyond what the step is made for, or the energy was
+//! limited, the next steps are divided into as many internal ones as the body allows: its law is stiffer there. A
+//! linear law is as stiff at any strain.
 //!
 //! Removing a tetrahedron takes constant time; what is left without a tetrahedron stays where it is.
 
@@ -126,6 +127,8 @@ pub struct ExplicitKernel {
     time_step_s: f64,
     stability: Stability,
     is_cut: bool,
+    /// Whether strain makes it stiffer.
+    stiffens: bool,
     most_elastic_j: f64,
     most_parts: u32,
     /// Steps that are still divided as far as allowed, because the tissue was strained beyond what the step is for.
@@ -170,6 +173,7 @@ impl ExplicitKernel {
         let substance = Substance::of(params)?;
         let mut kernel = substance.kernel(params.body.mesh, params.law, params.path)?;
         kernel.set_quarantine(quarantine_of(params.law));
+        kernel.set_calm_stretch(params.largest_stretch.max(LEAST_ENERGY_STRETCH));
         Ok((kernel, substance, Stability::of(params)?))
     }
 
@@ -213,6 +217,7 @@ impl ExplicitKernel {
             time_step_s,
             stability,
             is_cut: false,
+            stiffens: params.law != KernelLaw::Linear || params.volume_penalty_pa > 0.0,
             most_elastic_j,
             most_parts: body.most_parts,
             careful_steps: 0,
@@ -435,7 +440,7 @@ impl DeformableModel for ExplicitKernel {
             self.loads.refresh_attachments(&mut self.kernel);
             self.kernel.step(self.workers.as_ref(), step);
             self.watch_energy();
-            is_strained |= self.kernel.is_strained();
+            is_strained |= self.stiffens && self.kernel.is_strained();
         }
         self.careful_steps = if is_strained || self.report.energy_was_limited {
             CAREFUL_STEPS

@@ -55,6 +55,7 @@ impl ExplicitKernel {
             self.substance.kernel(&self.rest, law, path).expect("a part of a sound mesh is sound")
         };
         kernel.set_quarantine(quarantine_of(law));
+        kernel.set_calm_stretch(self.kernel.calm_stretch());
         kernel.set_history(&memory);
         kernel.set_stiffness_damping(self.damping.stiffness_s);
         kernel.set_last_step_s(self.kernel.last_step_s());

@@ -33,6 +33,19 @@ pub(super) trait ElementLaw {
     /// V P for the displacement gradient `g`.
     fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V>;
 
+    /// Whether P is finite wherever [`ElementLaw::squared_strain`] is; else P is looked at.
+    const IS_FINITE_WITH_STRAIN: bool = false;
+
+    /// |2 E|^2, a size of the strain that the stiffness grows with: no principal stretch s has |s^2 - 1| above its root.
+    #[inline(always)]
+    fn squared_strain<V: Lanes>(g: &Matrix<V>) -> V {
+        let entry = |i: usize, j: usize| twice_strain(g, i, j);
+        let (xx, yy, zz) = (entry(0, 0), entry(1, 1), entry(2, 2));
+        let (xy, xz, yz) = (entry(0, 1), entry(0, 2), entry(1, 2));
+        let shear = xy.fused(xy, xz.fused(xz, yz.times(yz)));
+        xx.fused(xx, yy.fused(yy, zz.fused(zz, shear.plus(shear))))
+    }
+
     /// V S, S = F^-1 P the second Piola-Kirchhoff stress.
     #[inline(always)]
     fn scaled_second_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Symmetric<V> {
@@ -55,6 +68,12 @@ pub(super) struct Linear;
 
 impl ElementLaw for Linear {
     const IS_SMALL_STRAIN: bool = true;
+
+    /// None: its stiffness is the same everywhere.
+    #[inline(always)]
+    fn squared_strain<V: Lanes>(g: &Matrix<V>) -> V {
+        g[0][0].constant(0.0)
+    }
 
     /// V lambda and V mu.
     fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2] {
@@ -85,6 +104,9 @@ impl ElementLaw for Linear {
 pub(super) struct StVenantKirchhoff;
 
 impl ElementLaw for StVenantKirchhoff {
+    /// F is bounded by E, and P = F S is a polynomial in it: where |2 E|^2 is finite, entries are below 1e77.
+    const IS_FINITE_WITH_STRAIN: bool = true;
+
     /// V lambda / 2 and V mu.
     fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2] {
         [0.5 * volume_m3 * lambda_pa, volume_m3 * mu_pa]
@@ -102,10 +124,7 @@ impl ElementLaw for StVenantKirchhoff {
         [half_lambda, mu]: [V; 2],
         _: At,
     ) -> Symmetric<V> {
-        let twice_strain = |i: usize, j: usize| {
-            let linear = g[i][j].plus(g[j][i]);
-            g[0][i].fused(g[0][j], g[1][i].fused(g[1][j], g[2][i].fused(g[2][j], linear)))
-        };
+        let twice_strain = |i: usize, j: usize| twice_strain(g, i, j);
         let [xx, yy, zz] = [twice_strain(0, 0), twice_strain(1, 1), twice_strain(2, 2)];
         let pressure = half_lambda.times(xx.plus(yy).plus(zz));
         [
@@ -117,6 +136,13 @@ impl ElementLaw for StVenantKirchhoff {
             mu.times(twice_strain(1, 2)),
         ]
     }
+}
+
+/// An entry of 2 E = G + G^T + G^T G.
+#[inline(always)]
+fn twice_strain<V: Lanes>(g: &Matrix<V>, i: usize, j: usize) -> V {
+    let linear = g[i][j].plus(g[j][i]);
+    g[0][i].fused(g[0][j], g[1][i].fused(g[1][j], g[2][i].fused(g[2][j], linear)))
 }
 
 /// The symmetric matrix with all nine entries.

@@ -42,7 +42,7 @@ impl<L: ElementLaw> Stress for Guarded<'_, L> {
     #[inline(always)]
     fn scaled_stress<V: Lanes>(&mut self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V> {
         let p = self.law.scaled_stress(g, numbers, at);
-        let sound = self.guard.sound_bits(g, &p, at);
+        let sound = self.guard.sound_bits::<L, V>(g, &p, true, at);
         if sound == Guard::all::<V>() { p } else { Guard::zeroed(&p, sound) }
     }
 }
@@ -251,7 +251,8 @@ impl<L: ElementLaw> Stress for Full<'_, L> {
                 }
             }
         }
-        let sound = self.guard.as_mut().map_or(Guard::all::<V>(), |guard| guard.sound_bits(g, &p, at));
+        let sound =
+            self.guard.as_mut().map_or(Guard::all::<V>(), |guard| guard.sound_bits::<L, V>(g, &p, false, at));
         if let Some(viscous) = &mut self.viscous
             && viscous.advances
         {

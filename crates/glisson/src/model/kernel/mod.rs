@@ -12,6 +12,7 @@
 //! operations, forces are added lane after lane, and the parts and the order of their sums depend on the mesh
 //! alone. Ids are the caller's throughout; the order inside shows nowhere.
 
+mod advance;
 mod build;
 mod eights;
 mod element;
@@ -38,10 +39,11 @@ use crate::math::DVec3;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::solve::SolveError;
 
+pub use advance::StepSums;
 pub use build::KernelExtras;
 pub(in crate::model) use eights::{Eight, EightWork};
 pub use general::SharedMaterial;
-pub use motion::{NodeMotion, StepSums};
+pub use motion::NodeMotion;
 pub use paths::KernelPath;
 pub use quarantine::{Quarantine, QuarantineReport};
 pub use workers::{Sequential, Task, Workers};
@@ -129,6 +131,9 @@ pub struct KernelParams<'a> {
     pub path: KernelPath,
 }
 
+/// The stretch up to which tissue is calm, unless set. A choice: the largest that soft organs bear for long.
+const CALM_STRETCH: f64 = 1.3;
+
 /// A step of central differences.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExplicitStep {
@@ -174,6 +179,7 @@ pub struct FastKernel {
     /// rho V / 4 of each tetrahedron.
     mass_share_kg: Vec<f64>,
     quarantine: Quarantine,
+    calm_stretch: f64,
     last_step_s: Option<f64>,
     stiffness_damping_s: f64,
     // The tasks of the phases, made once: a step allocates nothing.
@@ -202,6 +208,7 @@ impl FastKernel {
             tet_places: Vec::new(),
             mass_share_kg: Vec::new(),
             quarantine: Quarantine::default(),
+            calm_stretch: CALM_STRETCH,
             last_step_s: None,
             stiffness_damping_s: 0.0,
         }
@@ -389,6 +396,17 @@ impl FastKernel {
         self.quarantine = quarantine;
     }
 
+    /// Tells of strain from now on where |2 E| = |F^T F - Id| exceeds that of one principal stretch s, s^2 - 1; no
+    /// stretch is larger where it is told of none. 1.3 at first.
+    pub fn set_calm_stretch(&mut self, stretch: f64) {
+        self.calm_stretch = stretch;
+    }
+
+    /// The stretch beyond which it tells of strain.
+    pub fn calm_stretch(&self) -> f64 {
+        self.calm_stretch
+    }
+
     /// What the last step left out.
     pub fn quarantined(&self) -> QuarantineReport {
         let mut all = QuarantineReport::default();
@@ -398,8 +416,9 @@ impl FastKernel {
         all
     }
 
-    /// Whether a tetrahedron of the last step was near to inversion or torn apart (det F below 0.5 or above 1.8), or no
-    /// number; not told with [`Quarantine::Off`].
+    /// Whether a tetrahedron of the last step was strained beyond what a step is made for: near to inversion or torn apart
+    /// (det F below 0.5 or above 1.8), stretched beyond the stretch of [`FastKernel::set_calm_stretch`], or no number.
+    /// Not told with [`Quarantine::Off`]; [`KernelLaw::Linear`], as stiff at any stretch, tells of volumes only.
     pub fn is_strained(&self) -> bool {
         self.parts.all.iter().any(|part| part.progress().is_strained)
     }
@@ -470,13 +489,23 @@ impl FastKernel {
         self.parts.set_relaxation_step(step.step_s);
         let factors = StepFactors::new(step, last_s, self.stiffness_damping_s);
         self.parts.set_step(factors);
-        self.parts.set_mode(ForceMode { quarantine: Some(self.quarantine), in_step: true });
+        self.parts.set_mode(ForceMode {
+            quarantine: Some(self.quarantine),
+            in_step: true,
+            calm_squared_strain: squared_strain_of(self.calm_stretch),
+        });
         if factors.leads() {
             workers.run(self.n_parts(), &self.lead);
         }
         workers.run(self.n_parts(), &self.add_element_forces);
         workers.run(self.n_parts(), &self.sum_and_advance);
     }
+}
+
+/// |2 E|^2 of one principal stretch.
+fn squared_strain_of(stretch: f64) -> f64 {
+    let twice_strain = stretch * stretch - 1.0;
+    twice_strain * twice_strain
 }
 
 fn task(parts: &Arc<Parts>, phase: fn(&Parts, usize)) -> Task {

@@ -1,32 +1,25 @@
-//! How nodes move: supports along single axes, masses, the step of central differences with its energies, and what
-//! goes in and out of it. A kernel's copy is here too, for it is made of what moves.
+//! How nodes move: supports along single axes, masses, the factors of a step, and what goes in and out of it. A
+//! kernel's copy is here too, for it is made of what moves.
 
 use std::sync::{Arc, RwLock};
 
+use super::advance::StepSums;
 use super::part::{Exchange, ForceMode, Part, PartNodes, Parts, read};
 use super::rows::{Row, Rows};
 use super::{ExplicitStep, FastKernel, KernelLaw, KernelPath, padded, task};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 
-/// Displacements and increments below this many metres are none. A damped body would else come to rest through
-/// subnormal numbers, its strains' cubes first, and processors compute slowly with these.
-const LEAST_M: f64 = 1e-90;
-
-fn flushed(x_m: f64) -> f64 {
-    if x_m.abs() < LEAST_M { 0.0 } else { x_m }
-}
-
 /// Factors of a step of central differences: the new increment is `keep` times the last one plus `push_s2` times
 /// force over mass.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct StepFactors {
-    keep: f64,
-    push_s2: f64,
+    pub(super) keep: f64,
+    pub(super) push_s2: f64,
     /// Length of the step over that of the last one.
-    stretch: f64,
+    pub(super) stretch: f64,
     /// 1/h^2 of the last step and of this one [1/s2].
-    per_square_s2: [f64; 2],
+    pub(super) per_square_s2: [f64; 2],
     /// Elastic forces are those at u plus so much of the last increment; none for the plain ones.
     lead: Option<f64>,
 }
@@ -51,19 +44,6 @@ impl StepFactors {
     }
 }
 
-/// What a step did to the nodes that move.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct StepSums {
-    /// Kinetic energy of the half step before [J].
-    pub kinetic_before_j: f64,
-    /// Kinetic energy of the half step after [J].
-    pub kinetic_after_j: f64,
-    /// Work of the outer forces along half of both increments [J].
-    pub outer_work_j: f64,
-    /// Nodes that stayed where they were, at standstill, because their new place was not finite.
-    pub n_recovered: u32,
-}
-
 /// What moves of a node, and its inertia.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodeMotion {
@@ -82,6 +62,7 @@ impl PartNodes {
         for axis in 0..3 {
             let moves = self.n_tets[n] > 0 && !self.is_held[n][axis];
             self.inverse_mass_per_kg[n][axis] = if moves { 1.0 / inertia_kg } else { 0.0 };
+            self.moving_inertia_kg[n][axis] = if moves { inertia_kg } else { 0.0 };
             if !moves {
                 self.increment_m[n][axis] = 0.0;
             }
@@ -95,51 +76,6 @@ impl PartNodes {
     /// Displacements at which the elastic forces are taken.
     pub(super) fn strained_m(&self, leads: bool) -> &[Row] {
         if leads { &self.led_m } else { &self.displacement_m }
-    }
-
-    /// Moves the nodes by the forces that were summed.
-    #[inline(always)]
-    pub(super) fn advance(&mut self, factors: &StepFactors) {
-        let StepFactors { keep, push_s2, stretch, per_square_s2, .. } = *factors;
-        let n_own = self.displacement_m.len();
-        let (u, increment_m) = (&mut self.displacement_m[..n_own], &mut self.increment_m[..n_own]);
-        let (balance_n, outer_n) = (&self.force_n[..n_own], &self.outer_n[..n_own]);
-        let inverse_mass_per_kg = &self.inverse_mass_per_kg[..n_own];
-        let (mass_kg, added_mass_kg) = (&self.mass_kg[..n_own], &self.added_mass_kg[..n_own]);
-        let (mut before, mut after, mut work) = ([0.0; 4], [0.0; 4], [0.0; 4]);
-        let mut n_recovered = 0;
-        // Not fused: this loop is compiled for every processor.
-        for n in 0..n_own {
-            let (mut old, mut new, mut place) = ([0.0; 4], [0.0; 4], u[n]);
-            for i in 0..4 {
-                let inverse_mass = inverse_mass_per_kg[n][i];
-                let moved =
-                    keep * increment_m[n][i] + push_s2 * inverse_mass * (outer_n[n][i] - balance_n[n][i]);
-                let moves = inverse_mass > 0.0;
-                old[i] = if moves { increment_m[n][i] } else { 0.0 };
-                new[i] = if moves { flushed(moved) } else { 0.0 };
-                place[i] = flushed(place[i] + new[i]);
-            }
-            if !(place[0] + place[1] + place[2]).is_finite() {
-                (new, place) = ([0.0; 4], u[n]);
-                n_recovered += 1;
-            }
-            u[n] = place;
-            increment_m[n] = new;
-            let inertia_kg = mass_kg[n] + added_mass_kg[n];
-            for i in 0..4 {
-                before[i] += inertia_kg * (old[i] * old[i]);
-                after[i] += inertia_kg * (new[i] * new[i]);
-                work[i] += outer_n[n][i] * (new[i] + stretch * old[i]);
-            }
-        }
-        let sum = |x: [f64; 4]| x[0] + x[1] + x[2];
-        self.sums = StepSums {
-            kinetic_before_j: 0.5 * per_square_s2[0] * sum(before),
-            kinetic_after_j: 0.5 * per_square_s2[1] * sum(after),
-            outer_work_j: 0.5 * sum(work),
-            n_recovered,
-        };
     }
 }
 
@@ -200,6 +136,7 @@ impl Clone for FastKernel {
             tet_places: self.tet_places.clone(),
             mass_share_kg: self.mass_share_kg.clone(),
             quarantine: self.quarantine,
+            calm_stretch: self.calm_stretch,
             last_step_s: self.last_step_s,
             stiffness_damping_s: self.stiffness_damping_s,
         }

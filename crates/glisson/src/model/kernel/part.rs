@@ -10,12 +10,14 @@
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use super::KernelLaw;
+use super::advance::{GROUP_ROWS, StepSums};
 use super::element::{ElementLaw, Linear, StVenantKirchhoff};
 use super::extras::{Extras, Full, Guarded, Plain, Viscous};
 use super::general::{General, SharedMaterial};
-use super::motion::{StepFactors, StepSums};
+use super::lanes::Lanes;
+use super::motion::StepFactors;
 use super::neo_hooke::{NeoHookeLog, StableNeoHooke};
-use super::paths::KernelPath;
+use super::paths::{KernelPath, LaneWork};
 use super::quarantine::{Guard, LaneTets, NO_TET, Quarantine, QuarantineReport};
 use super::rows::{Block, LaneNumbers, N_LANES, Row, Rows};
 use crate::material::PronySeries;
@@ -39,7 +41,7 @@ pub(super) struct Exchange {
     pub(super) rows: Vec<[u16; 2]>,
 }
 
-/// What moves on the nodes that a part owns.
+/// What moves on the nodes that a part owns. Rows are padded to whole groups ([`GROUP_ROWS`]).
 #[derive(Clone, Debug)]
 pub(super) struct PartNodes {
     pub(super) displacement_m: Vec<Row>,
@@ -54,6 +56,8 @@ pub(super) struct PartNodes {
     pub(super) added_mass_kg: Vec<f64>,
     /// Zero for axes that the step does not move.
     pub(super) inverse_mass_per_kg: Vec<Row>,
+    /// Mass and added mass; zero for axes that the step does not move.
+    pub(super) moving_inertia_kg: Vec<Row>,
     pub(super) is_held: Vec<[bool; 3]>,
     /// Tetrahedra that a node has left.
     pub(super) n_tets: Vec<u32>,
@@ -65,14 +69,16 @@ pub(super) struct PartNodes {
 
 impl PartNodes {
     pub(super) fn at_rest(n_own: usize) -> Self {
+        let rows = || vec![[0.0; 4]; n_own.next_multiple_of(GROUP_ROWS)];
         Self {
-            displacement_m: vec![[0.0; 4]; n_own],
-            increment_m: vec![[0.0; 4]; n_own],
-            force_n: vec![[0.0; 4]; n_own],
-            outer_n: vec![[0.0; 4]; n_own],
+            displacement_m: rows(),
+            increment_m: rows(),
+            force_n: rows(),
+            outer_n: rows(),
             mass_kg: vec![0.0; n_own],
             added_mass_kg: vec![0.0; n_own],
-            inverse_mass_per_kg: vec![[0.0; 4]; n_own],
+            inverse_mass_per_kg: rows(),
+            moving_inertia_kg: rows(),
             is_held: vec![[false; 3]; n_own],
             n_tets: vec![0; n_own],
             led_m: Vec::new(),
@@ -153,6 +159,8 @@ pub(super) struct ForceMode {
     pub(super) quarantine: Option<Quarantine>,
     /// Whether the computation belongs to a step, which takes viscous memory further.
     pub(super) in_step: bool,
+    /// See [`Guard::calm_squared_strain`].
+    pub(super) calm_squared_strain: f64,
 }
 
 /// One part.
@@ -283,7 +291,7 @@ impl Parts {
     }
 
     fn add_forces_of(&self, p: usize, law: impl ElementLaw, elements: &Elements, rows: &mut Rows) {
-        let ForceMode { quarantine, in_step } = *read(&self.mode);
+        let ForceMode { quarantine, in_step, calm_squared_strain } = *read(&self.mode);
         let Elements { blocks, extras, tets, .. } = elements;
         let watch = quarantine.filter(|quarantine| *quarantine != Quarantine::Off);
         let path = self.path();
@@ -298,6 +306,7 @@ impl Parts {
             tets,
             found: quarantined,
             is_strained,
+            calm_squared_strain,
         });
         let relaxation = self.relaxation.as_ref().map(read);
         let viscous = relaxation.as_ref().map(|relaxation| Viscous {
@@ -322,11 +331,11 @@ impl Parts {
         for (row, displacement_m) in own.iter_mut().zip(part.nodes().strained_m(leads)) {
             *row = [*displacement_m, [0.0; 4]];
         }
+        let mut borrowed = borrowed.iter_mut();
         for exchange in &part.borrowed {
             let owner = self.all[exchange.part].nodes();
             let displacement_m = owner.strained_m(leads);
-            for &[here, there] in &exchange.rows {
-                let row = &mut borrowed[usize::from(here) - own.len()];
+            for (&[_, there], row) in exchange.rows.iter().zip(&mut borrowed) {
                 *row = [displacement_m[usize::from(there)], [0.0; 4]];
             }
         }
@@ -343,31 +352,38 @@ impl Parts {
     #[inline(always)]
     fn sum_forces_into(&self, p: usize, sums: &mut [Row]) {
         let part = &self.all[p];
-        for (sum, [_, force]) in sums.iter_mut().zip(read(&part.rows).nodes()) {
+        for (sum, [_, force]) in sums[..part.own.len()].iter_mut().zip(read(&part.rows).nodes()) {
             *sum = *force;
         }
         for exchange in &part.lent {
             let rows = read(&self.all[exchange.part].rows);
             let rows = rows.nodes();
             for &[here, there] in &exchange.rows {
-                let (sum, [_, force]) = (&mut sums[usize::from(here)], &rows[usize::from(there)]);
-                for i in 0..4 {
-                    sum[i] += force[i];
-                }
+                let (sum, [_, force]) = (&mut sums[usize::from(here)], rows[usize::from(there)]);
+                *sum = std::array::from_fn(|i| sum[i] + force[i]);
             }
         }
     }
 
     /// Second phase of a step: forces on the own nodes, and their motion.
     pub(super) fn sum_and_advance(&self, p: usize) {
-        self.path().vectorize(
-            #[inline(always)]
-            || {
-                let factors = *read(&self.step);
-                let mut nodes = self.all[p].nodes_mut();
-                self.sum_forces_into(p, &mut nodes.force_n);
-                nodes.advance(&factors);
-            },
-        );
+        self.path().run(SumAndAdvance { parts: self, p });
+    }
+}
+
+/// [`Parts::sum_and_advance`] of a part.
+struct SumAndAdvance<'a> {
+    parts: &'a Parts,
+    p: usize,
+}
+
+impl LaneWork for SumAndAdvance<'_> {
+    #[inline(always)]
+    fn run<V: Lanes>(self, any: V) {
+        let Self { parts, p } = self;
+        let factors = *read(&parts.step);
+        let mut nodes = parts.all[p].nodes_mut();
+        parts.sum_forces_into(p, &mut nodes.force_n);
+        nodes.advance(&factors, any);
     }
 }

@@ -12,6 +12,12 @@ use super::extras::Stress;
 use super::lanes::Lanes;
 use super::rows::{Block, LaneNumbers, N_LANES, Rows};
 
+/// Work on rows of numbers, written once for any number of lanes.
+pub(super) trait LaneWork {
+    /// Does it; `any` only names the lanes. Must be inlined.
+    fn run<V: Lanes>(self, any: V);
+}
+
 /// How the kernel computes. The result is the same on each path.
 #[derive(Clone, Copy, Debug)]
 pub struct KernelPath(Path);
@@ -30,8 +36,8 @@ enum Path {
 impl KernelPath {
     /// The paths that this processor has, the fastest first; the last one runs everywhere.
     ///
-    /// `scalar` computes one tetrahedron at a time, compiled for the same processor as `avx2`: what vectors are
-    /// worth is the ratio to it. `portable` is compiled for every processor; where that does not
+    /// `scalar` computes one tetrahedron at a time with scalar instructions, compiled for the same processor as
+    /// `avx2`: what vectors are worth is the ratio to it. `portable` is compiled for every processor; where that does not
     /// promise a fused multiply-add in hardware, it is slow.
     pub fn available() -> Vec<Self> {
         let mut paths = Vec::new();
@@ -66,6 +72,29 @@ impl KernelPath {
             #[cfg(target_arch = "x86_64")]
             Path::Scalar(_) => "scalar",
             Path::Portable => "portable",
+        }
+    }
+
+    /// Does `work` in this path's lanes, compiled for its processor.
+    #[inline(always)]
+    pub(super) fn run(self, work: impl LaneWork) {
+        match self.0 {
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx512(simd) => simd.vectorize(
+                #[inline(always)]
+                || work.run(f64x8::splat(simd, 0.0)),
+            ),
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx2(simd) => simd.vectorize(
+                #[inline(always)]
+                || work.run(f64x4::splat(simd, 0.0)),
+            ),
+            #[cfg(target_arch = "x86_64")]
+            Path::Scalar(simd) => simd.vectorize(
+                #[inline(always)]
+                || work.run(0.0_f64),
+            ),
+            Path::Portable => work.run(0.0_f64),
         }
     }
 
@@ -224,6 +253,7 @@ fn add_upper_lane(
             _mm512_mask_sub_pd(node, upper, node, force)
         }
     );
+    let at = four(at);
     let bytes = rows.node_mut(at[0]);
     let first: f64x8<Avx512> = u8x64::from_slice(simd, bytes).bitcast();
     let first: f64x8<Avx512> = subtract(simd, upper, first.into(), sum.into()).simd_into(simd);
@@ -256,7 +286,7 @@ fn gather(simd: Avx512, block: &Block, rows: &Rows) -> [[f64x8<Avx512>; 3]; 3] {
     let at = &block.offsets;
     let mut edges = [[f64x8::splat(simd, 0.0); 4]; 3];
     for (p, (a, b)) in PAIRS.into_iter().enumerate() {
-        let (a, b) = (&at[a], &at[b]);
+        let (a, b) = (four(&at[a]), four(&at[b]));
         let first = row(simd, rows, a[0]).combine(row(simd, rows, b[0]));
         for k in 0..3 {
             edges[k][p] = row(simd, rows, a[k + 1]).combine(row(simd, rows, b[k + 1])) - first;
@@ -268,6 +298,14 @@ fn gather(simd: Avx512, block: &Block, rows: &Rows) -> [[f64x8<Avx512>; 3]; 3] {
 /// Lanes whose rows share a vector of eight while they are transposed.
 #[cfg(target_arch = "x86_64")]
 const PAIRS: [(usize, usize); 4] = [(0, 2), (1, 3), (4, 6), (5, 7)];
+
+/// Offsets of four corners by one load: loads are what these loops have most of.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn four(at: &[u16; 4]) -> [u16; 4] {
+    let all: u64 = bytemuck::cast(*at);
+    [all as u16, (all >> 16) as u16, (all >> 32) as u16, (all >> 48) as u16]
+}
 
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
@@ -337,6 +375,7 @@ fn pairs_of_rows(simd: Avx512, masks: Masks, [x, y, z]: [f64x8<Avx512>; 3]) -> [
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 fn add_lane<S: Simd>(simd: S, rows: &mut Rows, at: &[u16; 4], [sum, f1, f2, f3]: [f64x4<S>; 4]) {
+    let at = four(at);
     let bytes = rows.force_mut(at[0]);
     let first: f64x4<S> = u8x32::from_slice(simd, bytes).bitcast();
     (first - sum).bitcast::<u8x32<S>>().store_slice(bytes);
@@ -357,7 +396,7 @@ fn add_by_four(simd: Avx2, stress: &mut impl Stress, blocks: &[Block], rows: &mu
             let at = &block.offsets;
             let mut edges = [[zero; 4]; 3];
             for lane in 0..4 {
-                let at = &at[half + lane];
+                let at = four(&at[half + lane]);
                 let first = row(simd, rows, at[0]);
                 for k in 0..3 {
                     edges[k][lane] = row(simd, rows, at[k + 1]) - first;
@@ -417,7 +456,8 @@ fn transposed(simd: Avx2, rows: [f64x4<Avx2>; 4]) -> [f64x4<Avx2>; 4] {
     [a.simd_into(simd), b.simd_into(simd), c.simd_into(simd), d.simd_into(simd)]
 }
 
-/// One lane after the other, without vectors.
+/// One lane after the other, without vectors: on `scalar`, where it serves to compare, its instructions are scalar ones,
+/// as many as its formula has operations.
 #[inline(always)]
 fn add_one_by_one(stress: &mut impl Stress, blocks: &[Block], rows: &mut Rows) {
     for (i, block) in blocks.iter().enumerate() {
@@ -437,12 +477,14 @@ fn add_one_by_one(stress: &mut impl Stress, blocks: &[Block], rows: &mut Rows) {
             let p = stress.scaled_stress(&g, material, At { block: i, lane });
             let [f1, f2, f3] = corner_forces(&p, &alpha);
             let sum = |i: usize| f1[i].plus(f2[i]).plus(f3[i]);
-            let balance = [-sum(0), -sum(1), -sum(2)];
-            for (offset, f) in [(at[0], balance), (at[1], f1), (at[2], f2), (at[3], f3)] {
-                let bytes = rows.force_mut(offset);
-                let row = numbers(bytes);
-                for i in 0..3 {
-                    bytes[8 * i..8 * (i + 1)].copy_from_slice(&(row[i] + f[i]).to_ne_bytes());
+            let corners = [[-sum(0), -sum(1), -sum(2)], f1, f2, f3];
+            // Axis after axis. Corner after corner, the compiler would pack x and y of a row into a vector of two; for all
+            // that it knows, corners share rows, and it keeps this order.
+            for i in 0..3 {
+                for (offset, f) in at.iter().zip(&corners) {
+                    let number = &mut rows.force_mut(*offset)[8 * i..8 * (i + 1)];
+                    let sum = f64::from_ne_bytes((&*number).try_into().expect("eight bytes")) + f[i];
+                    number.copy_from_slice(&sum.to_ne_bytes());
                 }
             }
         }

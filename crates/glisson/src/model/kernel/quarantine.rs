@@ -1,6 +1,6 @@
 //! Leaving out what is inverted or no number, so that one bad tetrahedron does not spoil a step.
 
-use super::element::{At, Matrix};
+use super::element::{At, ElementLaw, Matrix};
 use super::lanes::Lanes;
 use super::rows::N_LANES;
 use crate::mesh::TetId;
@@ -46,13 +46,17 @@ pub(super) struct Guard<'a> {
     /// Tetrahedra of each block.
     pub(super) tets: &'a [LaneTets],
     pub(super) found: &'a mut QuarantineReport,
-    /// Becomes true where a volume ratio leaves [`CALM_RATIOS`].
+    /// Becomes true where a tetrahedron is strained, see [`CALM_CENTRE`] and [`Guard::calm_squared_strain`].
     pub(super) is_strained: &'a mut bool,
+    /// |2 E|^2 below which tissue is calm.
+    pub(super) calm_squared_strain: f64,
 }
 
-/// Volume ratios det F within which tissue is not near to inversion and not torn apart. A choice: that of the stretch 1.3
-/// along one axis and its inverse along two others lies well inside.
-const CALM_RATIOS: [f64; 2] = [0.5, 1.8];
+/// Volume ratios det F within this of 1.15 (0.5 to 1.8) are calm: tissue is not near to inversion and not torn apart. A
+/// choice: that of the stretch 1.3 along one axis and its inverse along two others lies well inside.
+const CALM_REACH: f64 = 0.65;
+/// The middle of the calm ratios.
+const CALM_CENTRE: f64 = 1.15;
 
 impl Guard<'_> {
     /// All lanes are sound.
@@ -60,23 +64,38 @@ impl Guard<'_> {
         (1 << V::COUNT) - 1
     }
 
-    /// A bit for each lane whose tetrahedron counts; the others are noted.
+    /// A bit for each lane whose tetrahedron counts; the others are noted. `p` is V P of law `L`, or with what is beside
+    /// it (`is_law_alone` is false). Two comparisons where all is calm.
     #[inline(always)]
-    pub(super) fn sound_bits<V: Lanes>(&mut self, g: &Matrix<V>, p: &Matrix<V>, at: At) -> u32 {
+    pub(super) fn sound_bits<L: ElementLaw, V: Lanes>(
+        &mut self,
+        g: &Matrix<V>,
+        p: &Matrix<V>,
+        is_law_alone: bool,
+        at: At,
+    ) -> u32 {
         let zero = g[0][0].constant(0.0);
         let one = g[0][0].constant(1.0);
         let f = |i: usize, j: usize| if i == j { g[i][j].plus(one) } else { g[i][j] };
         let cofactor = |j: usize, k: usize| f(1, j).fused(f(2, k), f(1, k).times(f(2, j)).negative());
-        // Zero, or no number where an entry is not finite.
+        let cofactors = [cofactor(1, 2), cofactor(2, 0), cofactor(0, 1)];
+        // det F and `more`.
+        let ratio_and = |more: V| {
+            f(0, 0).fused(cofactors[0], f(0, 1).fused(cofactors[1], f(0, 2).fused(cofactors[2], more)))
+        };
+        let squared_strain = L::squared_strain(g);
+        let strain_tells = L::IS_FINITE_WITH_STRAIN && is_law_alone;
+        // Zero, or no number where the stress is not finite.
         let row = |i: usize| p[i][0].fused(zero, p[i][1].fused(zero, p[i][2].times(zero)));
-        let nothing = row(0).plus(row(1)).plus(row(2));
-        let volume_ratio = f(0, 0)
-            .fused(cofactor(1, 2), f(0, 1).fused(cofactor(2, 0), f(0, 2).fused(cofactor(0, 1), nothing)));
-        let calm = volume_ratio.above_bits(zero.constant(CALM_RATIOS[0]))
-            & !volume_ratio.above_bits(zero.constant(CALM_RATIOS[1]));
+        let nothing = if strain_tells { zero } else { row(0).plus(row(1)).plus(row(2)) };
+        let from_centre = ratio_and(nothing.plus(zero.constant(-CALM_CENTRE)));
+        let calm = zero.constant(CALM_REACH).above_bits(from_centre.magnitude())
+            & zero.constant(self.calm_squared_strain).above_bits(squared_strain);
         if calm == Self::all::<V>() {
             return calm;
         }
+        let nothing = if strain_tells { squared_strain.times(zero) } else { nothing };
+        let volume_ratio = ratio_and(nothing);
         *self.is_strained = true;
         let upright = volume_ratio.above_bits(zero);
         if upright == Self::all::<V>() {

@@ -169,6 +169,29 @@ fn impossible_input_is_refused_by_name() {
     assert!(matches!(refused, TopologyRefusal::Frozen { model: "explicit", .. }));
 }
 
+/// At constant volume, beyond the stretch that the step is made for. A linear law is as stiff as at rest.
+#[test]
+fn a_step_is_divided_while_tissue_is_long_and_thin() {
+    let mesh = block([2, 2, 1], SIZE_M);
+    for (law, stretch, divided) in [
+        (KernelLaw::StVenantKirchhoff, 1.2, 1),
+        (KernelLaw::StVenantKirchhoff, 1.5, 8),
+        (KernelLaw::Linear, 1.5, 1),
+        (KernelLaw::Linear, 3.0, 1),
+    ] {
+        let body = DynamicBody { most_parts: 8, ..body_of(&mesh, &[], time_step_s(&mesh)) };
+        let mut model = build(body, law);
+        let thin = 1.0 / libm::sqrt(stretch);
+        let places_m: Vec<DVec3> =
+            mesh.positions_m.iter().map(|&p| p * DVec3::new(stretch, thin, thin)).collect();
+        model.take_over(&places_m);
+        for expected in [1, divided] {
+            model.step(body.time_step_s);
+            assert_eq!(model.report().n_parts, expected, "{law:?} {stretch}");
+        }
+    }
+}
+
 /// A corner pulled as far as the body is long: the law is far stiffer there than the step is made for.
 #[test]
 fn a_step_is_divided_while_tissue_is_strained_beyond_what_it_is_made_for() {

@@ -181,7 +181,8 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     // No change of volume: r^2 h stays.
     let radial_m: Vec<f64> = strains.iter().map(|e| RADIUS_M * (1.0 / (1.0 - e).sqrt() - 1.0)).collect();
 
-    outcome.notes += "### Fits\n\n| degree | r, force | largest residual [% of the largest force] | r, radius | largest residual [% of the \
+    outcome.notes += "### Fits\n\nThe article's measurements are not in the repository: the curves are those of the published model of the same tissue at the same rate \
+                      (T1), without noise, and the radius follows from incompressibility.\n\n| degree | r, force | largest residual [% of the largest force] | r, radius | largest residual [% of the \
                       largest growth] |\n|---|---|---|---|---|\n";
     let mut fits = Vec::new();
     for degree in 4..=10 {
@@ -256,7 +257,7 @@ fn compressed(
         ("radius at the worst node of the circle", radial_off + spread),
     ] {
         outcome.experiments.push(Experiment::at_most(
-            &format!("cylinder compressed by 1 to 30 %: {what}, share off the measured curve"),
+            &format!("cylinder compressed by 1 to 30 %: {what}, share off the curve"),
             SEED,
             off,
             0.02,
@@ -266,7 +267,7 @@ fn compressed(
         "\n### The cylinder\n\nA cylinder of {:.0} mm height and {:.0} mm radius in {} tetrahedra, pre-computed with E = {YOUNG_MODULUS_PA} Pa and \
          nu = {POISSON_RATIO}, its base held, its top moved down with {} nodes at once; magnitudes by polynomials of degree {DEGREE} in the linear \
          answer of the mesh itself ({:.2} N/m, {:.4} m/m).\n\n\
-         | compression [%] | force: measured [N] | linear | corrected | radius: measured [mm] | linear | corrected |\n|---|---|---|---|---|---|---|\n",
+         | compression [%] | force: curve [N] | linear | corrected | radius: curve [mm] | linear | corrected |\n|---|---|---|---|---|---|---|\n",
         1e3 * HEIGHT_M,
         1e3 * RADIUS_M,
         bench.mesh.tetrahedra.len(),
@@ -313,14 +314,14 @@ fn compressed(
         outcome.figures.push(Figure {
             file,
             caption: format!(
-                "{title}: measured curve, linear pre-computed model, and its quasi non-linear correction."
+                "{title}: curve of T1, linear pre-computed model, and its quasi non-linear correction."
             ),
             plot: LinePlot {
                 title: title.into(),
                 x_label: "axial displacement [mm]".into(),
                 y_label: y_label.into(),
                 series: vec![
-                    series("measured", some, SeriesStyle::Points),
+                    series("curve of T1", some, SeriesStyle::Points),
                     series("linear", plain, SeriesStyle::Dashed),
                     series("corrected", corrected, SeriesStyle::Line),
                 ],

@@ -194,7 +194,7 @@ impl Reduced {
             forces: Roomy::with_room(constants.n_loadable),
             imposed: Roomy::with_room(Self::MAX_IMPOSED),
             n_ignored: 0,
-            constraint_forces_n: Roomy::with_room(constants.n_loadable.max(Self::MAX_IMPOSED)),
+            constraint_forces_n: Roomy::with_room(constants.rest_m.len()),
             remainder_m: vec![0.0; 3 * constants.rows.len()],
             modes_m: vec![0.0; 3 * constants.rest_m.len()],
             positions_m: constants.rest_m.clone(),

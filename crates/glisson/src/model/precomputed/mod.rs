@@ -14,9 +14,11 @@
 //! The tensors lie in `table` in the order in which a response reads them.
 
 mod build;
+mod cuts;
 mod cutting;
 mod dense;
 mod file;
+mod following;
 mod growth;
 mod loose;
 mod low_rank;
@@ -29,7 +31,7 @@ pub use table::Precision;
 
 use std::path::PathBuf;
 
-use self::cutting::Cuts;
+use self::cuts::Cuts;
 use self::dense::SmallCholesky;
 use self::table::{Table, add_blocks, n_displacements, place_of_displacement};
 use super::{Constraints, DeformableModel, ModelReport, ModelState, TopologyRefusal};

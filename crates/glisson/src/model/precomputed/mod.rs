@@ -28,7 +28,9 @@ mod interaction;
 mod rigid;
 mod low_rank;
 mod growth;
+mod following;
 mod loose;
+mod cuts;
 mod cutting;
 
 pub use check::{ComplianceCheck, check_compliance};
@@ -42,7 +44,7 @@ pub use table::Precision;
 pub use unit_displacements::{UnitDisplacement, UnitDisplacements};
 
 use self::contact_system::{ContactPoint, ContactSystem, MOST_POINTS};
-use self::cutting::Cuts;
+use self::cuts::Cuts;
 use self::interaction::Target;
 use self::pairs::Pairs;
 use self::response::Load;

@@ -210,7 +210,6 @@ fn rings_around_the_patch_are_within_a_hundredth_of_the_whole_body() {
                 let patch = body.patch(n);
                 let found = local(&mut model, &patch, period_s);
                 let error = difference(&found.compliance_m_per_n, &body.exact(&patch, damping, period_s));
-                println!("{n} nodes, {:.3} ms: {:?} rings, {error:e}", 1e3 * period_s, found.n_rings);
                 assert!(error < 0.01, "{n} nodes, {period_s} s, {:?} rings: {error}", found.n_rings);
                 assert!(!found.is_inertial);
                 assert!(is_positive_definite(found.compliance_m_per_n.clone()));
@@ -287,7 +286,6 @@ fn over_a_long_period_it_is_the_change_of_the_loaded_equilibrium() {
                 largest = largest.max(expected.length());
             }
         }
-        println!("{name}: {:e}, strained by {strain_m} m", worst / largest);
         assert!(worst < 2e-3 * largest, "{name}: {}", worst / largest);
     }
 }

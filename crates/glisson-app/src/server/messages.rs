@@ -37,7 +37,11 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             "home_tip_m": tool.home.tip_in_world_m.to_array(),
             "home_shaft": tool.home.shaft_in_world.to_array(),
         },
-        "models": ModelKind::ALL.map(ModelKind::name),
+        "models": ModelKind::ALL
+            .into_iter()
+            .filter(|kind| *kind != ModelKind::QuasiNonlinear || simulation.body().measured.is_some())
+            .map(ModelKind::name)
+            .collect::<Vec<_>>(),
         "fixed_nodes": organ.fixed_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
     })
 }

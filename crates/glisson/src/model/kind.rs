@@ -9,6 +9,10 @@ use std::fmt;
 pub enum ModelKind {
     /// Linear elasticity through a pre-computed compliance: quasi-static, follows cuts.
     Precomputed,
+    /// The pre-computed model with forces and displacements that follow measured curves; cannot be cut.
+    QuasiNonlinear,
+    /// St Venant-Kirchhoff in reduced coordinates: quasi-static, right under bending and turning, cannot be cut.
+    Reduced,
     /// Linear tensor-mass: explicit dynamics, can be cut.
     TensorMass,
     /// St Venant-Kirchhoff tensor-mass as in the papers, the reference implementation: explicit dynamics, right
@@ -28,7 +32,7 @@ pub enum ModelKind {
 
 impl ModelKind {
     /// All kinds, in the order that messages list them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::Precomputed,
         Self::TensorMass,
         Self::NonlinearTensorMass,
@@ -37,6 +41,8 @@ impl ModelKind {
         Self::MassSpring,
         Self::ExtendedMassSpring,
         Self::Hybrid,
+        Self::Reduced,
+        Self::QuasiNonlinear,
     ];
 
     /// The name in scene files.
@@ -50,6 +56,8 @@ impl ModelKind {
             Self::MassSpring => "mass_spring",
             Self::ExtendedMassSpring => "extended_mass_spring",
             Self::Hybrid => "hybrid",
+            Self::Reduced => "reduced",
+            Self::QuasiNonlinear => "quasi_nonlinear",
         }
     }
 
@@ -61,8 +69,8 @@ impl ModelKind {
     /// Names of the laws that the model can follow; the first is its own. None for springs without a law.
     pub fn laws(self) -> &'static [&'static str] {
         match self {
-            Self::Precomputed | Self::TensorMass | Self::Hybrid => &["linear"],
-            Self::NonlinearTensorMass => &["st_venant_kirchhoff"],
+            Self::Precomputed | Self::QuasiNonlinear | Self::TensorMass | Self::Hybrid => &["linear"],
+            Self::NonlinearTensorMass | Self::Reduced => &["st_venant_kirchhoff"],
             Self::Explicit => &[
                 "st_venant_kirchhoff",
                 "linear",

@@ -1,13 +1,14 @@
 //! From a scene to a world at rest: reads the mesh, finds the material, makes the model.
 
 use super::models::build_model;
-use super::organ::{MaterialSource, OrganZone};
+use super::organ::{MaterialSource, MeasuredSample, OrganZone};
 use super::spec::Scene;
 use crate::material::tissues::{Tissue, TissueError};
 use crate::material::{LawChoice, LinearElastic, MaterialError, PronyTerm};
 use crate::math::DVec3;
 use crate::mesh::faults::{FaultAction, ImportPolicy};
 use crate::mesh::files::{MeshFileError, read_mesh_with};
+use crate::mesh::topology::TopologyError;
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::explicit_kernel::{ExplicitKernelError, SharedWorkers};
 use crate::model::hybrid::condensed::CondensedError;
@@ -16,6 +17,8 @@ use crate::model::kernel::Sequential;
 use crate::model::kind::ModelKind;
 use crate::model::nonlinear_tensor_mass::{Fibre, NonlinearTensorMassError};
 use crate::model::precomputed::{self, PrecomputedError};
+use crate::model::quasi_nonlinear::{CurveError, FitError};
+use crate::model::reduced::ReducedError;
 use crate::model::{
     Attachment, DEFAULT_MOST_PARTS, DynamicBody, ExplicitError, FixedNode, Rayleigh, RestStress,
 };
@@ -100,6 +103,31 @@ pub enum BuildError {
     /// The hybrid model; its numbers are those of the scene.
     #[error("[simulation], [organ] or [[organ.zone]]")]
     Hybrid(#[from] CondensedError),
+    /// The reduced model.
+    #[error(transparent)]
+    Reduced(#[from] ReducedError),
+    /// A measured curve that cannot be read.
+    #[error(transparent)]
+    Curve(#[from] CurveError),
+    /// A measured curve that no polynomial of the degree follows.
+    #[error("{}: fitting the {quantity}: {error}", file.display())]
+    Fit {
+        /// The curves.
+        file: PathBuf,
+        /// Which of them.
+        quantity: &'static str,
+        /// Why not.
+        error: FitError,
+    },
+    /// The quasi non-linear model without curves.
+    #[error(
+        "the quasi_nonlinear model follows measured curves, but the scene has none: add [organ.measured] with curve = \"FILE.csv\", \
+         height and radius of the cylinder (docs/scene.md)"
+    )]
+    NoCurves,
+    /// The organ's surface.
+    #[error(transparent)]
+    Topology(#[from] TopologyError),
     /// A zone of the hybrid model without a tetrahedron of its own.
     #[error(
         "[[organ.zone]] number {number} has no tetrahedron: none has all its corners in the region and in no zone \
@@ -166,6 +194,8 @@ pub struct OrganBody {
     pub precomputed: Option<PathBuf>,
     /// Zones of the hybrid model.
     pub zones: Vec<OrganZone>,
+    /// What the quasi non-linear model follows, with its file's full path.
+    pub measured: Option<MeasuredSample>,
     /// Who computes for models that can use several threads.
     pub workers: SharedWorkers,
 }
@@ -191,6 +221,7 @@ impl OrganBody {
             most_parts: DEFAULT_MOST_PARTS,
             precomputed: None,
             zones: Vec::new(),
+            measured: None,
             workers: Arc::new(Sequential),
         }
     }
@@ -292,6 +323,11 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
     body.damping = scene.organ.damping;
     body.most_parts = scene.most_parts;
     body.zones.clone_from(&scene.organ.zones);
+    body.measured = scene
+        .organ
+        .measured
+        .clone()
+        .map(|measured| MeasuredSample { curve: folder.join(&measured.curve), ..measured });
     body.precomputed = scene.organ.precomputed.as_ref().map(|file| folder.join(file));
     Ok(body)
 }

@@ -18,6 +18,8 @@ use crate::model::nonlinear_tensor_mass::{
 use crate::model::precomputed::{
     Precision, Precomputed, PrecomputedError, PrecomputedExpectation, PrecomputedParams, StoredNodes,
 };
+use crate::model::quasi_nonlinear::{Correction, LinearSample, MeasuredCurve, QuasiNonlinear, fit_curve};
+use crate::model::reduced::{Reduced, ReducedParams};
 use crate::model::tensor_mass::{TensorMass, TensorMassParams};
 use crate::model::{DeformableModel, Integration};
 use crate::solve::is_stable_under;
@@ -93,6 +95,8 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
             integration,
         })?),
         ModelKind::Hybrid => Box::new(hybrid(body)?),
+        ModelKind::Reduced => Box::new(reduced(body)?),
+        ModelKind::QuasiNonlinear => Box::new(quasi_nonlinear(body)?),
     })
 }
 
@@ -232,6 +236,38 @@ fn hybrid(body: &OrganBody) -> Result<CondensedHybrid, BuildError> {
     // Inner nodes are not seen; the factor gives their places.
     params.stored = StoredNodes::Surface;
     Ok(CondensedHybrid::build(&params)?)
+}
+
+fn reduced(body: &OrganBody) -> Result<Reduced, BuildError> {
+    if !body.attachments.is_empty() {
+        return Err(BuildError::Unsupported { model: ModelKind::Reduced, what: "ligaments" });
+    }
+    let mut model = Reduced::build(&ReducedParams::new(&body.mesh, &body.material, &body.fixed))?;
+    if body.is_imaged_under_gravity {
+        model.carry_at_rest(body.gravity_m_per_s2);
+    } else {
+        model.set_gravity(body.gravity_m_per_s2);
+    }
+    Ok(model)
+}
+
+fn quasi_nonlinear(body: &OrganBody) -> Result<QuasiNonlinear, BuildError> {
+    let measured = body.measured.as_ref().ok_or(BuildError::NoCurves)?;
+    let curve = MeasuredCurve::read(&measured.curve)?;
+    let fit = |y: &[f64], quantity| {
+        if y.is_empty() {
+            return Ok(None);
+        }
+        match fit_curve(&curve.axial_displacement_m, y, measured.degree) {
+            Ok(fit) => Ok(Some(fit.polynomial)),
+            Err(error) => Err(BuildError::Fit { file: measured.curve.clone(), quantity, error }),
+        }
+    };
+    let force_n = fit(&curve.force_n, "force")?;
+    let radial_m = fit(&curve.radial_displacement_m, "radial displacement")?;
+    let sample = LinearSample::cylinder(measured.height_m, measured.radius_m, &body.material);
+    let correction = Correction::of_sample(force_n.as_ref(), radial_m.as_ref(), &sample);
+    Ok(QuasiNonlinear::new(Box::new(precomputed(body)?), &body.mesh, correction)?)
 }
 
 fn precomputed(body: &OrganBody) -> Result<Precomputed, BuildError> {

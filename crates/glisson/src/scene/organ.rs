@@ -7,6 +7,7 @@ use crate::model::Rayleigh;
 use crate::model::hybrid::condensed::ZoneLaw;
 use crate::model::kind::ModelKind;
 use crate::model::nonlinear_tensor_mass::Fibre;
+use crate::model::quasi_nonlinear::{GREATEST_DEGREE, LEAST_DEGREE};
 use crate::units::Dimension;
 use crate::world::spec::{ForceField, Ligament, Load, LoadTime, Region, Support};
 use std::path::PathBuf;
@@ -36,6 +37,19 @@ pub struct OrganZone {
     pub law: ZoneLaw,
 }
 
+/// Curves measured on a compressed cylinder of the tissue.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeasuredSample {
+    /// The curves, relative to the scene's folder.
+    pub curve: PathBuf,
+    /// Height of the cylinder [m].
+    pub height_m: f64,
+    /// Its radius [m].
+    pub radius_m: f64,
+    /// Degree of the polynomials.
+    pub degree: usize,
+}
+
 /// Where an organ comes from and what moves it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OrganSource {
@@ -61,6 +75,8 @@ pub struct OrganSource {
     pub is_imaged_under_gravity: bool,
     /// Zones of the hybrid model; what is in none of them is pre-computed.
     pub zones: Vec<OrganZone>,
+    /// What the quasi non-linear model follows.
+    pub measured: Option<MeasuredSample>,
 }
 
 /// What `[organ]` says about the world.
@@ -93,6 +109,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     let ligaments = section.sections("ligament")?.into_iter().map(read_ligament).collect::<Result<_, _>>()?;
     let loads = section.sections("load")?.into_iter().map(read_load).collect::<Result<_, _>>()?;
     let zones = section.sections("zone")?.into_iter().map(read_zone).collect::<Result<_, _>>()?;
+    let measured = section.section("measured")?.map(read_measured).transpose()?;
     let fields = section.sections("field")?.into_iter().map(read_field).collect::<Result<_, _>>()?;
     section.finish()?;
     let organ = OrganSource {
@@ -107,9 +124,36 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
         damping,
         is_imaged_under_gravity,
         zones,
+        measured,
     };
     Ok((organ, OrganSurroundings { supports, ligaments, loads, fields }))
 }
+
+/// Degree of the fitted polynomials when the scene gives none, as of `glisson fit`.
+const DEFAULT_DEGREE: usize = 6;
+
+fn read_measured(mut section: Section<'_>) -> Result<MeasuredSample, SceneError> {
+    let curve = section.string("curve")?.ok_or_else(|| section.missing("curve", "curve = \"brain.csv\""))?;
+    let height_m = section
+        .positive("height", Dimension::Length)?
+        .ok_or_else(|| section.missing("height", "height = \"13 mm\""))?;
+    let radius_m = section
+        .positive("radius", Dimension::Length)?
+        .ok_or_else(|| section.missing("radius", "radius = \"15 mm\""))?;
+    let degree = match section.number("degree")? {
+        None => DEFAULT_DEGREE,
+        Some((degree, _)) if degree.fract() == 0.0 && (LEAST..=GREATEST).contains(&degree) => degree as usize,
+        Some((degree, at)) => {
+            let allowed = format!("a whole number from {LEAST} to {GREATEST}");
+            return Err(section.wrong_value(at, "degree", format!("{degree}"), &allowed));
+        }
+    };
+    section.finish()?;
+    Ok(MeasuredSample { curve: curve.0.into(), height_m, radius_m, degree })
+}
+
+const LEAST: f64 = LEAST_DEGREE as f64;
+const GREATEST: f64 = GREATEST_DEGREE as f64;
 
 fn read_zone(mut section: Section<'_>) -> Result<OrganZone, SceneError> {
     let region = read_region(&mut section)?;

@@ -33,7 +33,9 @@ pub use fit::{Fit, FitError, fit_curve};
 pub use polynomial::{CurvePolynomial, GREATEST_DEGREE, LEAST_DEGREE};
 
 use super::roomy::Roomy;
-use super::{Constraints, DeformableModel, ModelReport, ModelState, NodalForce, TopologyRefusal};
+use super::{
+    Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, NodalForce, TopologyRefusal,
+};
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::edit::TopologyChange;
@@ -287,6 +289,17 @@ impl DeformableModel for QuasiNonlinear {
 
     fn report(&self) -> ModelReport {
         self.linear.report()
+    }
+
+    /// That of the linear model: the correction is small against it near a touch.
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        self.linear.local_model_into(patch, period_s, work, out);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

@@ -298,12 +298,7 @@ impl SymmetricTiles {
 }
 
 #[inline(always)]
-fn add_tiles<S: Simd>(
-    simd: S,
-    tiles: &[[[f64; TILE]; TILE]],
-    x: &[[f64; TILE]],
-    sums: &mut [[f64; TILE]],
-) {
+fn add_tiles<S: Simd>(simd: S, tiles: &[[[f64; TILE]; TILE]], x: &[[f64; TILE]], sums: &mut [[f64; TILE]]) {
     let mut rest = tiles;
     for j in 0..x.len() {
         let (panel, later) = rest.split_at(x.len() - j);

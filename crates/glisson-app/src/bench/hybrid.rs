@@ -188,12 +188,7 @@ impl ZonedBody {
         Self::new(mesh, &body, of_tet, vec![ZoneLaw::Precomputed, ZoneLaw::TensorMass])
     }
 
-    fn new(
-        mesh: TetMesh,
-        body: &StandardBody,
-        of_tet: Vec<u32>,
-        laws: Vec<ZoneLaw>,
-    ) -> anyhow::Result<Self> {
+    fn new(mesh: TetMesh, body: &StandardBody, of_tet: Vec<u32>, laws: Vec<ZoneLaw>) -> anyhow::Result<Self> {
         let fixed = body.fixed_nodes.iter().map(|&node| FixedNode::all_axes(node)).collect();
         let zones = Zones::new(&mesh, of_tet)?;
         Ok(Self { zones, mesh, material: body.material, fixed, laws })
@@ -252,7 +247,12 @@ fn shared(setup: &Setup, size: usize) -> anyhow::Result<Arc<Made>> {
     let model = CondensedHybrid::build(&CondensedParams {
         stored: setup.stored,
         precision: setup.precision,
-        ..CondensedParams::new(zoned.dynamic_body(20.0, REFRESH_S), &zoned.material, &zoned.zones, &zoned.laws)
+        ..CondensedParams::new(
+            zoned.dynamic_body(20.0, REFRESH_S),
+            &zoned.material,
+            &zoned.zones,
+            &zoned.laws,
+        )
     })?;
     // One at a time: the tables of one are hundreds of megabytes.
     made.clear();

@@ -236,12 +236,18 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     };
     let mut series = vec![line("tensor-mass alone, uncut".into(), &alone.points, SeriesStyle::Dashed)];
     let mut rows = row("tensor-mass alone, uncut", &alone);
-    rows += &format!("| two pre-computed zones | - | {:.0} | {:.2} |\n", 1.0 / precomputed_s, 1e3 * precomputed_s);
+    rows += &format!(
+        "| two pre-computed zones | - | {:.0} | {:.2} |\n",
+        1.0 / precomputed_s,
+        1e3 * precomputed_s
+    );
     let mut words = format!("two pre-computed zones {sooner:.0}");
     for (name, run, size, alone) in &zones {
         let rest_error = run.points.iter().map(|p| p[1]).fold(f64::INFINITY, f64::min);
         experiments.push(Experiment::at_most(
-            &format!("dynamic zone around a cut in the {name} against the direct solution, every node, relative"),
+            &format!(
+                "dynamic zone around a cut in the {name} against the direct solution, every node, relative"
+            ),
             OWN,
             rest_error,
             ARRIVED,
@@ -256,11 +262,16 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         series.push(line(format!("tensor-mass alone, {name}"), &alone.points, SeriesStyle::Dashed));
         series.push(line(format!("dynamic zone, {name}"), &run.points, SeriesStyle::Line));
         rows += &row(&format!("tensor-mass alone, cut in the {name}"), alone);
-        let nodes = format!("{} nodes, {} on the frontier", size.n_dynamic_nodes, size.n_dynamic_frontier_nodes);
+        let nodes =
+            format!("{} nodes, {} on the frontier", size.n_dynamic_nodes, size.n_dynamic_frontier_nodes);
         rows += &row(&format!("dynamic zone of 5 % around it ({nodes})"), run);
         words += &format!(", dynamic zone around a cut in the {name} {sooner:.1}");
     }
-    series.push(line("two pre-computed zones".into(), &[[precomputed_s, precomputed_error]], SeriesStyle::Points));
+    series.push(line(
+        "two pre-computed zones".into(),
+        &[[precomputed_s, precomputed_error]],
+        SeriesStyle::Points,
+    ));
     let plot = LinePlot {
         title: "Error against processor time".into(),
         x_label: "processor time of all threads [ms]".into(),

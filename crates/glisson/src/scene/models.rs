@@ -2,11 +2,11 @@
 
 use super::build::{BuildError, OrganBody};
 use crate::material::{LawChoice, PronySeries};
-use crate::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
-use crate::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
 use crate::math::Aabb;
 use crate::mesh::TetId;
 use crate::mesh::zones::Zones;
+use crate::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
+use crate::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
 use crate::model::hybrid::condensed::{CondensedHybrid, CondensedParams, ZoneLaw};
 use crate::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use crate::model::kernel::{KernelLaw, SharedMaterial};

@@ -114,17 +114,11 @@ impl Bar {
         gravity_m_per_s2: DVec3,
     ) -> [f64; 2] {
         let direct = self.direct(constraints, gravity_m_per_s2);
-        let error = largest_difference(
-            &displacements_of(model, &self.mesh),
-            &direct.displacement_m,
-        );
+        let error = largest_difference(&displacements_of(model, &self.mesh), &direct.displacement_m);
         let forces: Vec<DVec3> =
             constraints.displacements.iter().map(|d| direct.reaction_n[d.node.index()]).collect();
-        let of_forces = if forces.is_empty() {
-            0.0
-        } else {
-            largest_difference(model.constraint_forces_n(), &forces)
-        };
+        let of_forces =
+            if forces.is_empty() { 0.0 } else { largest_difference(model.constraint_forces_n(), &forces) };
         [error, of_forces]
     }
 }
@@ -193,7 +187,10 @@ fn precomputed_zones_follow_loads_and_tools_as_the_direct_solution() {
                 assert_eq!(model.report().n_ignored_constraints, 0);
                 let errors = bar.errors(&model, constraints, gravity_m_per_s2);
                 // Forces that hold displacements amplify rounding by the compliance's condition.
-                assert!(errors[0] < tolerance && errors[1] < 10.0 * tolerance, "{stored:?} {loadable:?} {errors:?}");
+                assert!(
+                    errors[0] < tolerance && errors[1] < 10.0 * tolerance,
+                    "{stored:?} {loadable:?} {errors:?}"
+                );
             }
         }
     }

@@ -170,11 +170,7 @@ impl Columns {
         let n_rows = self.n_rows;
         let right_of = |task: usize, n: usize| {
             let from = right.n_rows * PRODUCT_COLUMNS * task;
-            MatRef::from_column_major_slice(
-                &right.numbers()[from..from + right.n_rows * n],
-                right.n_rows,
-                n,
-            )
+            MatRef::from_column_major_slice(&right.numbers()[from..from + right.n_rows * n], right.n_rows, n)
         };
         match &mut self.numbers {
             Numbers::F64(numbers) => {
@@ -302,12 +298,7 @@ impl SymmetricTiles {
 }
 
 #[inline(always)]
-fn add_tiles<S: Simd>(
-    simd: S,
-    tiles: &[[[f64; TILE]; TILE]],
-    x: &[[f64; TILE]],
-    sums: &mut [[f64; TILE]],
-) {
+fn add_tiles<S: Simd>(simd: S, tiles: &[[[f64; TILE]; TILE]], x: &[[f64; TILE]], sums: &mut [[f64; TILE]]) {
     let mut rest = tiles;
     for j in 0..x.len() {
         let (panel, later) = rest.split_at(x.len() - j);
@@ -369,9 +360,8 @@ mod tests {
         for (n_rows, n_columns) in [(1, 1), (13, 7), (40, 8), (33, 19), (5, 200)] {
             let matrix = random(n_rows, n_columns, 1);
             let x = random(n_columns, 1, 2);
-            let by_definition = |i: usize| -> f64 {
-                (0..n_columns).map(|j| matrix.entry(i, j) * x.entry(j, 0)).sum()
-            };
+            let by_definition =
+                |i: usize| -> f64 { (0..n_columns).map(|j| matrix.entry(i, j) * x.entry(j, 0)).sum() };
             for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 1e-5)] {
                 let kept = matrix.clone().kept_in(precision);
                 let mut sums = vec![1.0; n_rows];
@@ -383,10 +373,12 @@ mod tests {
                     assert!((product.entry(i, 0) - 1.0 - by_definition(i)).abs() < tolerance);
                 }
             }
-            assert!((dot(matrix.column(0), matrix.column(0))
-                - matrix.column(0).iter().map(|x| x * x).sum::<f64>())
-            .abs()
-                < 1e-12);
+            assert!(
+                (dot(matrix.column(0), matrix.column(0))
+                    - matrix.column(0).iter().map(|x| x * x).sum::<f64>())
+                .abs()
+                    < 1e-12
+            );
         }
     }
 

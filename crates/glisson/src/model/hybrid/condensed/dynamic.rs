@@ -99,8 +99,13 @@ impl DynamicPart {
         })?;
         let strained_j = 0.5 * (lambda_pa + 2.0 * mu_pa) * mesh.volume_m3();
         let (step, of_tets) = (stability.step, stability.tet_squared_frequency_per_s2.clone());
-        let own =
-            DynamicBody { mesh: &mesh, fixed: &fixed, attachments: &attachments, rest_stress_pa: &[], ..*body };
+        let own = DynamicBody {
+            mesh: &mesh,
+            fixed: &fixed,
+            attachments: &attachments,
+            rest_stress_pa: &[],
+            ..*body
+        };
         let mut motion = match ExplicitMotion::new(&own, stability, strained_j) {
             // Shorter steps instead of a refusal: the dynamic zone may not have been there when the step was chosen.
             Err(ExplicitError::UnstableStep { allowed_s, .. }) => {

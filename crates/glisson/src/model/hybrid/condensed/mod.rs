@@ -39,8 +39,8 @@ use crate::mesh::{NodeId, TetMesh};
 use crate::model::explicit::{ExplicitError, check_body};
 use crate::model::roomy::Roomy;
 use crate::model::{
-    Attachment, Constraints, DeformableModel, DynamicBody, ImposedDisplacement, ModelReport, ModelState, NodalForce, Rayleigh, RestStress,
-    TopologyRefusal,
+    Attachment, Constraints, DeformableModel, DynamicBody, ImposedDisplacement, ModelReport, ModelState,
+    NodalForce, Rayleigh, RestStress, TopologyRefusal,
 };
 use crate::solve::{MeshEdges, SolveError, boundary_nodes};
 
@@ -404,13 +404,8 @@ impl CondensedHybrid {
 
     /// The interface and the dynamic part for the laws as they are. `before`: how the zones' compliances are composed.
     fn bring_together(&mut self, before: Option<Composed>) -> Result<(), CondensedError> {
-        self.interface = Interface::build(
-            &mut self.zones,
-            &self.is_dynamic,
-            &self.held_axes,
-            before,
-            self.precision,
-        )?;
+        self.interface =
+            Interface::build(&mut self.zones, &self.is_dynamic, &self.held_axes, before, self.precision)?;
         let is_dynamic_tet: Vec<bool> =
             (0..self.mesh.tetrahedra.len()).map(|t| self.law_of(t) == ZoneLaw::TensorMass).collect();
         let body = DynamicBody {
@@ -595,8 +590,7 @@ impl CondensedHybrid {
                 _ if !target_m.is_finite() => false,
                 Place::Nowhere => false,
                 Place::Dynamic(local) => {
-                    let imposed =
-                        ImposedDisplacement { node: NodeId(local), displacement_m: target_m };
+                    let imposed = ImposedDisplacement { node: NodeId(local), displacement_m: target_m };
                     self.dynamic_constraints.displacements.push(imposed);
                     self.dynamic_places.try_push(at)
                 }
@@ -617,10 +611,7 @@ impl CondensedHybrid {
             let n_loads = self.loads.iter().filter(of_zone).count();
             work.is_solved = n_loads > MANY_LOADS || self.loads.iter().filter(of_zone).any(beyond);
             work.is_loaded = n_loads > 0
-                || self
-                    .held
-                    .iter()
-                    .any(|h| matches!(h.place, Place::Own { zone, .. } if zone as usize == z));
+                || self.held.iter().any(|h| matches!(h.place, Place::Own { zone, .. } if zone as usize == z));
         }
         self.constraint_forces_n.clear();
         self.constraint_forces_n.resize(self.constraints.displacements.len(), DVec3::ZERO);
@@ -689,14 +680,11 @@ impl DeformableModel for CondensedHybrid {
     }
 
     fn report(&self) -> ModelReport {
-        let of_dynamic =
-            self.dynamic.as_ref().map_or(ModelReport { n_parts: 1, ..ModelReport::default() }, |d| {
-                d.motion.report()
-            });
-        ModelReport {
-            n_ignored_constraints: of_dynamic.n_ignored_constraints + self.n_ignored,
-            ..of_dynamic
-        }
+        let of_dynamic = self
+            .dynamic
+            .as_ref()
+            .map_or(ModelReport { n_parts: 1, ..ModelReport::default() }, |d| d.motion.report());
+        ModelReport { n_ignored_constraints: of_dynamic.n_ignored_constraints + self.n_ignored, ..of_dynamic }
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

@@ -48,7 +48,8 @@ impl CondensedHybrid {
         reduced.copy_from_slice(constant);
         for (z, (zone, work)) in zones.iter_mut().zip(work).enumerate() {
             work.own_m.fill(0.0);
-            let of_zone = loads.iter().filter_map(|load| own_in(load.place, z).map(|own| (own, load.force_n)));
+            let of_zone =
+                loads.iter().filter_map(|load| own_in(load.place, z).map(|own| (own, load.force_n)));
             if work.is_solved {
                 zone.start_load();
                 of_zone.for_each(|(own, force_n)| zone.add_load(own, force_n));
@@ -197,7 +198,14 @@ impl CondensedHybrid {
         let is_moved = self.is_moved_from_outside(z);
         if is_moved {
             let dynamic_m = self.dynamic.as_ref().map_or(&[][..], |d| d.last_frontier_m());
-            gather_from_outside(&self.interface, &self.reduced, &self.constant, z, dynamic_m, &mut self.work[z]);
+            gather_from_outside(
+                &self.interface,
+                &self.reduced,
+                &self.constant,
+                z,
+                dynamic_m,
+                &mut self.work[z],
+            );
         }
         let Self { zones, work, loads, held, .. } = self;
         let (zone, work) = (&zones[z], &mut work[z]);

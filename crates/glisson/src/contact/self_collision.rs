@@ -1,0 +1,181 @@
+//! Triangles of deforming surfaces against each other: of one organ (self-collision) and of several.
+//!
+//! All surfaces share one list of vertices and one of triangles. Attached triangles (a common vertex) never count. Pairs
+//! that are reported are sorted, so that they do not depend on the structure that found them nor on its history.
+
+use super::boxes::{PairRules, RoundedBox};
+use super::broad_phase::{BroadPhase, BroadPhaseKind, Wanted};
+use super::continuous::{FirstContact, two_triangles};
+use super::triangles::{Closest, PreparedTriangle, closest_on_triangles, prepared_triangles_meet};
+use crate::math::DVec3;
+
+/// What is searched, and with how much room.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PairSearchParams {
+    /// Structure of the broad phase.
+    pub kind: BroadPhaseKind,
+    /// Whether triangles of one body count.
+    pub self_collision: bool,
+    /// Distance up to which pairs are reported by [`PairSearch::close_into`] [m].
+    pub margin_m: f64,
+    /// Pairs of overlapping boxes at one time at most, attached ones not counted: sweep and prune needs room for them.
+    pub pair_capacity: usize,
+}
+
+/// A close pair of triangles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClosePair {
+    /// The triangles, ascending.
+    pub triangles: [u32; 2],
+    /// Their closest points.
+    pub closest: Closest,
+}
+
+/// A pair of triangles that come into contact during a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MovingPair {
+    /// The triangles, ascending.
+    pub triangles: [u32; 2],
+    /// When and where; the triangle of lower index is the first body.
+    pub contact: FirstContact,
+}
+
+/// What fits into a list that does not grow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PairCount {
+    /// Pairs of triangles whose boxes overlap.
+    pub n_candidates: usize,
+    /// Pairs that found no room, in the caller's list or in the structure. Above 0 the answer is incomplete: make room
+    /// for twice as many between two steps.
+    pub n_dropped: usize,
+}
+
+/// The search. Updating and asking never allocate.
+#[derive(Clone, Debug)]
+pub struct PairSearch {
+    rules: PairRules,
+    margin_m: f64,
+    boxes: Vec<RoundedBox>,
+    prepared: Vec<PreparedTriangle>,
+    structure: BroadPhase,
+}
+
+impl PairSearch {
+    /// For `triangles` (vertices counted over all bodies) of the bodies `body_of`.
+    ///
+    /// # Panics
+    /// When the two lists differ in length.
+    pub fn new(
+        params: &PairSearchParams,
+        positions_m: &[DVec3],
+        triangles: &[[u32; 3]],
+        body_of: &[u32],
+    ) -> Self {
+        let rules = PairRules::new(triangles, body_of, params.self_collision);
+        let corners = |t: &[u32; 3]| t.map(|v| positions_m[v as usize]);
+        // Half of the margin for each of the two.
+        let box_of = |t| RoundedBox::of_triangle(corners(t), 0.5 * params.margin_m);
+        let boxes: Vec<RoundedBox> = triangles.iter().map(box_of).collect();
+        let prepared = triangles.iter().map(|t| PreparedTriangle::new(corners(t))).collect();
+        let wanted = Wanted::Pairs { capacity: params.pair_capacity };
+        let structure = BroadPhase::new(params.kind, &boxes, &rules, wanted);
+        Self { rules, margin_m: params.margin_m, boxes, prepared, structure }
+    }
+
+    /// The structure in use.
+    pub fn structure(&self) -> &BroadPhase {
+        &self.structure
+    }
+
+    /// Boxes of the last update.
+    pub fn boxes(&self) -> &[RoundedBox] {
+        &self.boxes
+    }
+
+    /// Which pairs count.
+    pub fn rules(&self) -> &PairRules {
+        &self.rules
+    }
+
+    /// Follows the surfaces; the boxes hold the margin.
+    pub fn update(&mut self, positions_m: &[DVec3]) {
+        let margin_m = 0.5 * self.margin_m;
+        for (t, bounds) in self.boxes.iter_mut().enumerate() {
+            let corners_m = self.rules.vertices(t as u32).map(|v| positions_m[v as usize]);
+            *bounds = RoundedBox::of_triangle(corners_m, margin_m);
+            self.prepared[t] = PreparedTriangle::new(corners_m);
+        }
+        self.structure.update(&self.boxes, &self.rules);
+    }
+
+    /// Follows surfaces whose vertices move on straight lines during the step; the boxes hold the whole way and the
+    /// margin. [`PairSearch::meeting_into`] and [`PairSearch::close_into`] then speak of the end of the step.
+    pub fn update_moving(&mut self, start_m: &[DVec3], end_m: &[DVec3]) {
+        let margin_m = 0.5 * self.margin_m;
+        for (t, bounds) in self.boxes.iter_mut().enumerate() {
+            let vertices = self.rules.vertices(t as u32);
+            let [start, end] = [start_m, end_m].map(|list| vertices.map(|v| list[v as usize]));
+            *bounds = RoundedBox::of_moving_triangle(start, end, margin_m);
+            self.prepared[t] = PreparedTriangle::new(end);
+        }
+        self.structure.update(&self.boxes, &self.rules);
+    }
+
+    /// Writes the pairs of triangles that meet now into `found`, sorted, as far as its capacity goes.
+    pub fn meeting_into(&self, found: &mut Vec<[u32; 2]>) -> PairCount {
+        found.clear();
+        let count = self.collect(found, |s, t| {
+            prepared_triangles_meet(&self.prepared[s as usize], &self.prepared[t as usize]).then_some([s, t])
+        });
+        found.sort_unstable();
+        count
+    }
+
+    /// Writes the pairs that are no further apart than the margin into `found`, with their closest points, sorted, as far
+    /// as its capacity goes.
+    pub fn close_into(&self, found: &mut Vec<ClosePair>) -> PairCount {
+        found.clear();
+        let count = self.collect(found, |s, t| {
+            let [first, second] = [s, t].map(|i| self.prepared[i as usize].corners_m);
+            let closest = closest_on_triangles(first, second);
+            (closest.distance_m <= self.margin_m).then_some(ClosePair { triangles: [s, t], closest })
+        });
+        found.sort_unstable_by_key(|pair| pair.triangles);
+        count
+    }
+
+    /// Writes the pairs that come closer than the margin during the step into `found`, each with its first contact,
+    /// sorted by triangles, as far as its capacity goes. After [`PairSearch::update_moving`] with the same positions.
+    pub fn first_contacts_into(
+        &self,
+        start_m: &[DVec3],
+        end_m: &[DVec3],
+        found: &mut Vec<MovingPair>,
+    ) -> PairCount {
+        found.clear();
+        let corners = |t: u32| {
+            let vertices = self.rules.vertices(t);
+            [start_m, end_m].map(|list| vertices.map(|v| list[v as usize]))
+        };
+        let count = self.collect(found, |s, t| {
+            let contact = two_triangles(corners(s), corners(t), self.margin_m, 1.0)?;
+            Some(MovingPair { triangles: [s, t], contact })
+        });
+        found.sort_unstable_by_key(|pair| pair.triangles);
+        count
+    }
+
+    fn collect<T>(&self, found: &mut Vec<T>, mut test: impl FnMut(u32, u32) -> Option<T>) -> PairCount {
+        let mut count = PairCount { n_candidates: 0, n_dropped: self.structure.n_dropped() as usize };
+        self.structure.for_each_pair(&self.boxes, &self.rules, |s, t| {
+            count.n_candidates += 1;
+            let Some(pair) = test(s, t) else { return };
+            if found.len() < found.capacity() {
+                found.push(pair);
+            } else {
+                count.n_dropped += 1;
+            }
+        });
+        count
+    }
+}

@@ -13,7 +13,9 @@
 //! 1e-8 m, which is far within the tolerance.
 
 use super::shapes::CapsuleMotion;
-use super::triangles::{Closest, at_weights, closest_on_segment_and_triangle, closest_on_triangles, closest_weights};
+use super::triangles::{
+    Closest, at_weights, closest_on_segment_and_triangle, closest_on_triangles, closest_weights,
+};
 use crate::math::DVec3;
 
 /// Distance at which bodies count as touching [m]: far above rounding, far below any tissue's geometry.

@@ -79,7 +79,7 @@ impl SurfaceSearch {
         let reach = capsule.reach(super::continuous::CONTACT_TOLERANCE_M);
         self.structure.for_each_near(&self.boxes, &reach, |t| {
             let Some(triangle) = self.triangles[t as usize] else { return };
-            let latest = best.as_ref().map_or(1.0, |(_, found)| found.time);
+            let latest = latest_of_interest(best.as_ref());
             let (start, end) = (corners(triangle, start_m), corners(triangle, end_m));
             if let Some(found) = capsule_and_triangle(capsule, start, end, latest) {
                 keep_first(&mut best, t, found);
@@ -118,7 +118,7 @@ impl SurfaceSearch {
             if !bounds.overlaps(&self.boxes[t as usize]) {
                 return;
             }
-            let latest = best.as_ref().map_or(1.0, |(_, found)| found.time);
+            let latest = latest_of_interest(best.as_ref());
             let second_m = [corners(triangle, start_m), corners(triangle, end_m)];
             if let Some(found) = two_triangles(tool_m, second_m, reach_m, latest) {
                 keep_first(&mut best, t, found);
@@ -164,6 +164,12 @@ impl SurfaceSearch {
     }
 }
 
+/// Later contacts than the one that is known do not matter. A little more is allowed, so that triangles that are touched
+/// at the same time are all looked at, in whatever order they come.
+fn latest_of_interest(best: Option<&(u32, FirstContact)>) -> f64 {
+    best.map_or(1.0, |(_, found)| (found.time + 1e-12).min(1.0))
+}
+
 fn resting(closest: &Closest, gap_m: f64) -> FirstContact {
     FirstContact {
         time: 0.0,
@@ -187,8 +193,7 @@ fn keep_first(best: &mut Option<(u32, FirstContact)>, triangle: u32, found: Firs
         None => true,
         Some((t, b)) => {
             found.time < b.time
-                || found.time == b.time
-                    && (found.gap_m < b.gap_m || found.gap_m == b.gap_m && triangle < *t)
+                || found.time == b.time && (found.gap_m < b.gap_m || found.gap_m == b.gap_m && triangle < *t)
         }
     };
     if is_first {

@@ -178,11 +178,8 @@ pub fn closest_on_segments([p, q]: [DVec3; 2], [u, v]: [DVec3; 2]) -> Closest {
     let (d, e, r) = (q - p, v - u, p - u);
     let (dd, ee, de) = (d.length_squared(), e.length_squared(), d.dot(e));
     let determinant = dd * ee - de * de;
-    let s = if determinant > 0.0 {
-        ((de * e.dot(r) - d.dot(r) * ee) / determinant).clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
+    let s =
+        if determinant > 0.0 { ((de * e.dot(r) - d.dot(r) * ee) / determinant).clamp(0.0, 1.0) } else { 0.0 };
     let t = closest_share(p + d * s, u, v);
     let second = u + e * t;
     let s = closest_share(second, p, q);

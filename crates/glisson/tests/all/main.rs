@@ -1,5 +1,6 @@
 //! All integration tests in one binary: it links once.
 
+mod detection;
 mod images;
 mod laws;
 mod kernel;

@@ -12,6 +12,8 @@ mod implicit;
 mod kernel;
 mod reference;
 mod contact;
+mod collision;
+pub(crate) mod colliding;
 mod drawing;
 
 pub(crate) use machine::{Machine, MachineBudget};
@@ -85,6 +87,7 @@ pub(crate) fn cases() -> Vec<Case> {
         reference::CASES,
         implicit::CASES,
         contact::CASES,
+        collision::CASES,
         drawing::CASES,
     ]
     .concat()

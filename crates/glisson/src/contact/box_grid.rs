@@ -97,27 +97,36 @@ impl BoxGrid {
     /// Sets the buckets' place and size, and sorts out large and broken boxes.
     fn choose_buckets(&mut self, boxes: &[RoundedBox]) {
         let (mut total, mut n_fine) = (0.0_f32, 0_u32);
-        for bounds in boxes.iter().filter(|b| !b.is_nothing()) {
-            total += bounds.size_m().max_element();
-            n_fine += 1;
-        }
-        let largest = LARGE * total / n_fine.max(1) as f32;
         let (mut widest, mut low, mut high) = (0.0_f32, Vec3::INFINITY, Vec3::NEG_INFINITY);
         self.large.clear();
-        for (b, bounds) in boxes.iter().enumerate() {
-            let width = bounds.size_m().max_element();
-            self.bucket_of[b] = NO_BUCKET;
-            if bounds.is_nothing() {
-                continue;
+        for (bounds, bucket) in boxes.iter().zip(&mut self.bucket_of) {
+            *bucket = NO_BUCKET;
+            if !bounds.is_nothing() {
+                let width = bounds.size_m().max_element();
+                (total, n_fine) = (total + width, n_fine + 1);
+                widest = widest.max(width);
+                low = low.min(bounds.center_m());
+                high = high.max(bounds.center_m());
+                *bucket = 0;
             }
-            if width > largest {
-                self.large.push(b as u32);
-                continue;
+        }
+        let largest = LARGE * total / n_fine.max(1) as f32;
+        if widest > largest {
+            (widest, low, high) = (0.0, Vec3::INFINITY, Vec3::NEG_INFINITY);
+            for (b, bounds) in boxes.iter().enumerate() {
+                let width = bounds.size_m().max_element();
+                if bounds.is_nothing() {
+                    continue;
+                }
+                if width > largest {
+                    self.large.push(b as u32);
+                    self.bucket_of[b] = NO_BUCKET;
+                    continue;
+                }
+                widest = widest.max(width);
+                low = low.min(bounds.center_m());
+                high = high.max(bounds.center_m());
             }
-            self.bucket_of[b] = 0;
-            widest = widest.max(width);
-            low = low.min(bounds.center_m());
-            high = high.max(bounds.center_m());
         }
         if low.x > high.x {
             (low, high) = (Vec3::ZERO, Vec3::ZERO);

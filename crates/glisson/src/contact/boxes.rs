@@ -30,32 +30,53 @@ impl RoundedBox {
     /// The box around the points between `low_m` and `high_m`, grown by `margin_m`; [`RoundedBox::NOTHING`]
     /// when a number is not finite.
     pub fn new(low_m: DVec3, high_m: DVec3, margin_m: f64) -> Self {
+        Self::open(low_m, high_m, margin_m).checked()
+    }
+
+    /// Like `new`, but a number that is not finite makes the box reach to infinity.
+    #[inline]
+    fn open(low_m: DVec3, high_m: DVec3, margin_m: f64) -> Self {
         let low = outwards((low_m - margin_m).as_vec3(), -1.0);
         let high = outwards((high_m + margin_m).as_vec3(), 1.0);
-        let is_fine = low.cmpge(Vec3::splat(-LARGEST_COORDINATE_M)).all()
-            && high.cmple(Vec3::splat(LARGEST_COORDINATE_M)).all()
-            && low.cmple(high).all();
+        let is_fine = low.cmple(high).all();
         if is_fine {
             Self { low_m: low.extend(f32::NEG_INFINITY), high_m: high.extend(f32::INFINITY) }
         } else {
-            Self::NOTHING
+            Self { low_m: Vec4::NEG_INFINITY, high_m: Vec4::INFINITY }
         }
     }
 
+    /// This box, or [`RoundedBox::NOTHING`] if it is too large to be one.
+    #[inline]
+    fn checked(self) -> Self {
+        let is_fine = self.low_m().cmpge(Vec3::splat(-LARGEST_COORDINATE_M)).all()
+            && self.high_m().cmple(Vec3::splat(LARGEST_COORDINATE_M)).all();
+        if is_fine { self } else { Self::NOTHING }
+    }
+
     /// The box around a triangle, grown by `margin_m`.
-    pub fn of_triangle([a, b, c]: [DVec3; 3], margin_m: f64) -> Self {
-        // `min` and `max` may drop a NaN; the sum keeps it.
-        let broken = 0.0 * (a + b + c);
-        Self::new(a.min(b).min(c) + broken, a.max(b).max(c) + broken, margin_m)
+    pub fn of_triangle(corners_m: [DVec3; 3], margin_m: f64) -> Self {
+        Self::of_moving_triangle(corners_m, corners_m, margin_m)
     }
 
     /// The box around a triangle that moves on straight lines from `start_m` to `end_m`, grown by `margin_m`.
     pub fn of_moving_triangle(start_m: [DVec3; 3], end_m: [DVec3; 3], margin_m: f64) -> Self {
-        Self::of_triangle(start_m, margin_m).joined_if_fine(&Self::of_triangle(end_m, margin_m))
+        Self::around([0, 1, 2].map(|v| Self::of_moving_vertex(start_m[v], end_m[v], margin_m)))
     }
 
-    fn joined_if_fine(&self, other: &Self) -> Self {
-        if self.is_nothing() || other.is_nothing() { Self::NOTHING } else { self.joined(other) }
+    /// The box around a vertex that moves from `start_m` to `end_m`, to be put together by [`RoundedBox::around`]: it
+    /// reaches to infinity for a vertex that is broken.
+    #[inline]
+    pub fn of_moving_vertex(start_m: DVec3, end_m: DVec3, margin_m: f64) -> Self {
+        // `min` and `max` may drop a NaN; the sum keeps it.
+        let broken = 0.0 * (start_m + end_m);
+        Self::open(start_m.min(end_m) + broken, start_m.max(end_m) + broken, margin_m)
+    }
+
+    /// The box around a triangle whose corners have these boxes; [`RoundedBox::NOTHING`] if one is broken.
+    #[inline]
+    pub fn around([a, b, c]: [Self; 3]) -> Self {
+        a.joined(&b).joined(&c).checked()
     }
 
     /// Whether the boxes have a point in common; touching counts.
@@ -101,6 +122,13 @@ impl RoundedBox {
     }
 }
 
+/// Writes the boxes of vertices that move from `start_m` to `end_m`, grown by `margin_m`.
+pub(super) fn fill_vertex_boxes(start_m: &[DVec3], end_m: &[DVec3], margin_m: f64, boxes: &mut [RoundedBox]) {
+    for (bounds, (start, end)) in boxes.iter_mut().zip(start_m.iter().zip(end_m)) {
+        *bounds = RoundedBox::of_moving_vertex(*start, *end, margin_m);
+    }
+}
+
 /// `x` moved by at least half a unit in the last place towards `direction`, more than the conversion from `f64`
 /// was off.
 fn outwards(x: Vec3, direction: f32) -> Vec3 {
@@ -129,8 +157,14 @@ impl ThickSegment {
     /// (Ericson, Real-Time Collision Detection, 2005, s. 5.3.3).
     #[inline]
     pub fn may_touch(&self, bounds: &RoundedBox) -> bool {
-        let half = 0.5 * bounds.size_m().as_dvec3();
-        let center = bounds.low_m().as_dvec3() + half;
+        self.may_touch_between(bounds.low_m(), bounds.high_m())
+    }
+
+    /// [`ThickSegment::may_touch`] for the box between two corners.
+    #[inline]
+    pub(super) fn may_touch_between(&self, low_m: Vec3, high_m: Vec3) -> bool {
+        let half = 0.5 * (high_m - low_m).as_dvec3();
+        let center = low_m.as_dvec3() + half;
         let direction = 0.5 * (self.to_m - self.from_m);
         let middle = 0.5 * (self.from_m + self.to_m) - center;
         let reach = direction.abs();
@@ -147,12 +181,17 @@ impl ThickSegment {
     }
 }
 
+/// Vertices that an `f32` counts exactly.
+const MOST_VERTICES: u32 = 1 << 24;
+
 /// Which pairs of triangles count: not of one triangle with itself, not of attached ones (a common vertex), and of
 /// one body only if wanted.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct PairRules {
-    /// Vertex indices, counted over all bodies; the fourth is no vertex.
-    vertices: Vec<[u32; 4]>,
+    /// Vertex indices, counted over all bodies.
+    vertices: Vec<[u32; 3]>,
+    /// The same as exact `f32`, which compare four at a time; the fourth is no number and equals nothing.
+    vertices_f32: Vec<Vec4>,
     body_of: Vec<u32>,
     self_collision: bool,
 }
@@ -161,11 +200,13 @@ impl PairRules {
     /// For `triangles`, whose vertices are counted over all bodies, of the bodies `body_of`.
     ///
     /// # Panics
-    /// When the two lists differ in length.
+    /// When the two lists differ in length, or an index is 2^24 or more.
     pub fn new(triangles: &[[u32; 3]], body_of: &[u32], self_collision: bool) -> Self {
         assert_eq!(triangles.len(), body_of.len(), "one body for each triangle");
-        let vertices = triangles.iter().map(|&[a, b, c]| [a, b, c, u32::MAX]).collect();
-        Self { vertices, body_of: body_of.to_vec(), self_collision }
+        assert!(triangles.iter().flatten().all(|&v| v < MOST_VERTICES), "at most 2^24 vertices");
+        let as_f32 = |t: &[u32; 3]| Vec4::new(t[0] as f32, t[1] as f32, t[2] as f32, f32::NAN);
+        let vertices_f32 = triangles.iter().map(as_f32).collect();
+        Self { vertices: triangles.to_vec(), vertices_f32, body_of: body_of.to_vec(), self_collision }
     }
 
     /// Number of triangles.
@@ -176,8 +217,7 @@ impl PairRules {
     /// Vertices of triangle `t`.
     #[inline]
     pub fn vertices(&self, t: u32) -> [u32; 3] {
-        let [a, b, c, _] = self.vertices[t as usize];
-        [a, b, c]
+        self.vertices[t as usize]
     }
 
     /// The body of triangle `t`.
@@ -188,13 +228,11 @@ impl PairRules {
     /// Whether the two triangles have a vertex in common.
     #[inline]
     pub fn attached(&self, s: u32, t: u32) -> bool {
-        let [a, b, c, _] = self.vertices[s as usize];
-        let other = self.vertices[t as usize];
-        let mut same = false;
-        for v in other {
-            same |= (v == a) | (v == b) | (v == c);
-        }
-        same
+        let (one, other) = (self.vertices_f32[s as usize], self.vertices_f32[t as usize]);
+        let same = Vec4::splat(one.x).cmpeq(other)
+            | Vec4::splat(one.y).cmpeq(other)
+            | Vec4::splat(one.z).cmpeq(other);
+        same.any()
     }
 
     /// Whether the pair counts.

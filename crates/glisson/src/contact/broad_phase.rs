@@ -86,7 +86,7 @@ impl BroadPhase {
         match self {
             Self::Buckets(grid) => grid.for_each_near(boxes, query, visit),
             Self::SweepAndPrune(sweep) => sweep.for_each_near(query, visit),
-            Self::Hierarchy(tree) => tree.for_each_near(query, visit),
+            Self::Hierarchy(tree) => tree.for_each_near(boxes, query, visit),
         }
     }
 

@@ -3,10 +3,10 @@
 //! All surfaces share one list of vertices and one of triangles. Attached triangles (a common vertex) never count. Pairs
 //! that are reported are sorted, so that they do not depend on the structure that found them nor on its history.
 
-use super::boxes::{PairRules, RoundedBox};
+use super::boxes::{PairRules, RoundedBox, fill_vertex_boxes};
 use super::broad_phase::{BroadPhase, BroadPhaseKind, Wanted};
 use super::continuous::{FirstContact, two_triangles};
-use super::triangles::{Closest, PreparedTriangle, closest_on_triangles, prepared_triangles_meet};
+use super::triangles::{Closest, closest_on_triangles, triangles_meet};
 use crate::math::DVec3;
 
 /// What is searched, and with how much room.
@@ -55,8 +55,11 @@ pub struct PairCount {
 pub struct PairSearch {
     rules: PairRules,
     margin_m: f64,
+    /// Boxes of the vertices.
+    corners: Vec<RoundedBox>,
     boxes: Vec<RoundedBox>,
-    prepared: Vec<PreparedTriangle>,
+    /// Vertices at the end of the step [m].
+    positions_m: Vec<DVec3>,
     structure: BroadPhase,
 }
 
@@ -72,14 +75,21 @@ impl PairSearch {
         body_of: &[u32],
     ) -> Self {
         let rules = PairRules::new(triangles, body_of, params.self_collision);
-        let corners = |t: &[u32; 3]| t.map(|v| positions_m[v as usize]);
+        let mut corners = vec![RoundedBox::NOTHING; positions_m.len()];
+        let mut boxes = vec![RoundedBox::NOTHING; triangles.len()];
         // Half of the margin for each of the two.
-        let box_of = |t| RoundedBox::of_triangle(corners(t), 0.5 * params.margin_m);
-        let boxes: Vec<RoundedBox> = triangles.iter().map(box_of).collect();
-        let prepared = triangles.iter().map(|t| PreparedTriangle::new(corners(t))).collect();
+        fill_vertex_boxes(positions_m, positions_m, 0.5 * params.margin_m, &mut corners);
+        fill_triangle_boxes(&rules, &corners, &mut boxes);
         let wanted = Wanted::Pairs { capacity: params.pair_capacity };
         let structure = BroadPhase::new(params.kind, &boxes, &rules, wanted);
-        Self { rules, margin_m: params.margin_m, boxes, prepared, structure }
+        Self {
+            rules,
+            margin_m: params.margin_m,
+            corners,
+            boxes,
+            positions_m: positions_m.to_vec(),
+            structure,
+        }
     }
 
     /// The structure in use.
@@ -97,36 +107,36 @@ impl PairSearch {
         &self.rules
     }
 
-    /// Follows the surfaces; the boxes hold the margin.
+    /// Follows the surfaces; the boxes hold the margin. As many vertices as at the start.
+    ///
+    /// # Panics
+    /// When there are fewer or more.
     pub fn update(&mut self, positions_m: &[DVec3]) {
-        let margin_m = 0.5 * self.margin_m;
-        for (t, bounds) in self.boxes.iter_mut().enumerate() {
-            let corners_m = self.rules.vertices(t as u32).map(|v| positions_m[v as usize]);
-            *bounds = RoundedBox::of_triangle(corners_m, margin_m);
-            self.prepared[t] = PreparedTriangle::new(corners_m);
-        }
-        self.structure.update(&self.boxes, &self.rules);
+        self.update_moving(positions_m, positions_m);
     }
 
     /// Follows surfaces whose vertices move on straight lines during the step; the boxes hold the whole way and the
     /// margin. [`PairSearch::meeting_into`] and [`PairSearch::close_into`] then speak of the end of the step.
+    ///
+    /// # Panics
+    /// When there are fewer or more vertices than at the start.
     pub fn update_moving(&mut self, start_m: &[DVec3], end_m: &[DVec3]) {
-        let margin_m = 0.5 * self.margin_m;
-        for (t, bounds) in self.boxes.iter_mut().enumerate() {
-            let vertices = self.rules.vertices(t as u32);
-            let [start, end] = [start_m, end_m].map(|list| vertices.map(|v| list[v as usize]));
-            *bounds = RoundedBox::of_moving_triangle(start, end, margin_m);
-            self.prepared[t] = PreparedTriangle::new(end);
-        }
+        assert_eq!(start_m.len(), end_m.len(), "a start and an end for each vertex");
+        self.positions_m.copy_from_slice(end_m);
+        fill_vertex_boxes(start_m, end_m, 0.5 * self.margin_m, &mut self.corners);
+        fill_triangle_boxes(&self.rules, &self.corners, &mut self.boxes);
         self.structure.update(&self.boxes, &self.rules);
+    }
+
+    fn corners_m(&self, t: u32) -> [DVec3; 3] {
+        self.rules.vertices(t).map(|v| self.positions_m[v as usize])
     }
 
     /// Writes the pairs of triangles that meet now into `found`, sorted, as far as its capacity goes.
     pub fn meeting_into(&self, found: &mut Vec<[u32; 2]>) -> PairCount {
         found.clear();
-        let count = self.collect(found, |s, t| {
-            prepared_triangles_meet(&self.prepared[s as usize], &self.prepared[t as usize]).then_some([s, t])
-        });
+        let count = self
+            .collect(found, |s, t| triangles_meet(self.corners_m(s), self.corners_m(t)).then_some([s, t]));
         found.sort_unstable();
         count
     }
@@ -136,8 +146,7 @@ impl PairSearch {
     pub fn close_into(&self, found: &mut Vec<ClosePair>) -> PairCount {
         found.clear();
         let count = self.collect(found, |s, t| {
-            let [first, second] = [s, t].map(|i| self.prepared[i as usize].corners_m);
-            let closest = closest_on_triangles(first, second);
+            let closest = closest_on_triangles(self.corners_m(s), self.corners_m(t));
             (closest.distance_m <= self.margin_m).then_some(ClosePair { triangles: [s, t], closest })
         });
         found.sort_unstable_by_key(|pair| pair.triangles);
@@ -177,5 +186,11 @@ impl PairSearch {
             }
         });
         count
+    }
+}
+
+fn fill_triangle_boxes(rules: &PairRules, corners: &[RoundedBox], boxes: &mut [RoundedBox]) {
+    for (t, bounds) in boxes.iter_mut().enumerate() {
+        *bounds = RoundedBox::around(rules.vertices(t as u32).map(|v| corners[v as usize]));
     }
 }

@@ -1,6 +1,6 @@
 //! Instruments against a deforming surface: everything near, and the first contact of a step.
 
-use super::boxes::{PairRules, RoundedBox};
+use super::boxes::{PairRules, RoundedBox, fill_vertex_boxes};
 use super::broad_phase::{BroadPhase, BroadPhaseKind, Wanted};
 use super::continuous::{FirstContact, capsule_and_triangle, two_triangles, weights_at};
 use super::shapes::{Capsule, CapsuleMotion};
@@ -23,6 +23,8 @@ pub struct ToolContact {
 pub struct SurfaceSearch {
     /// Vertices of each slot; `None` for a slot that holds no triangle.
     triangles: Vec<Option<[u32; 3]>>,
+    /// Boxes of the vertices.
+    corners: Vec<RoundedBox>,
     boxes: Vec<RoundedBox>,
     rules: PairRules,
     structure: BroadPhase,
@@ -33,10 +35,12 @@ impl SurfaceSearch {
     pub fn new(kind: BroadPhaseKind, positions_m: &[DVec3], triangles: &[[u32; 3]], n_spare: usize) -> Self {
         let mut slots: Vec<Option<[u32; 3]>> = triangles.iter().copied().map(Some).collect();
         slots.resize(triangles.len() + n_spare, None);
-        let boxes: Vec<RoundedBox> = slots.iter().map(|&t| box_of(t, positions_m, positions_m)).collect();
+        let mut corners = vec![RoundedBox::NOTHING; positions_m.len()];
+        let mut boxes = vec![RoundedBox::NOTHING; slots.len()];
+        fill_boxes(&slots, positions_m, positions_m, &mut corners, &mut boxes);
         let rules = PairRules::new(&[], &[], false);
         let structure = BroadPhase::new(kind, &boxes, &rules, Wanted::Queries);
-        Self { triangles: slots, boxes, rules, structure }
+        Self { triangles: slots, corners, boxes, rules, structure }
     }
 
     /// Puts a triangle into a slot, or takes it out; counts from the next update on.
@@ -58,11 +62,12 @@ impl SurfaceSearch {
     }
 
     /// Follows a surface whose vertices move on straight lines from `start_m` to `end_m` during the step; the same list
-    /// twice for a surface that stands still.
+    /// twice for a surface that stands still. As many vertices as at the start.
+    ///
+    /// # Panics
+    /// When there are fewer.
     pub fn update(&mut self, start_m: &[DVec3], end_m: &[DVec3]) {
-        for (bounds, &triangle) in self.boxes.iter_mut().zip(&self.triangles) {
-            *bounds = box_of(triangle, start_m, end_m);
-        }
+        fill_boxes(&self.triangles, start_m, end_m, &mut self.corners, &mut self.boxes);
         self.structure.update(&self.boxes, &self.rules);
     }
 
@@ -183,9 +188,20 @@ fn corners(triangle: [u32; 3], positions_m: &[DVec3]) -> [DVec3; 3] {
     triangle.map(|v| positions_m[v as usize])
 }
 
-fn box_of(triangle: Option<[u32; 3]>, start_m: &[DVec3], end_m: &[DVec3]) -> RoundedBox {
-    let Some(triangle) = triangle else { return RoundedBox::NOTHING };
-    RoundedBox::of_moving_triangle(corners(triangle, start_m), corners(triangle, end_m), 0.0)
+fn fill_boxes(
+    triangles: &[Option<[u32; 3]>],
+    start_m: &[DVec3],
+    end_m: &[DVec3],
+    corners: &mut [RoundedBox],
+    boxes: &mut [RoundedBox],
+) {
+    fill_vertex_boxes(start_m, end_m, 0.0, corners);
+    for (bounds, triangle) in boxes.iter_mut().zip(triangles) {
+        *bounds = match triangle {
+            Some(vertices) => RoundedBox::around(vertices.map(|v| corners[v as usize])),
+            None => RoundedBox::NOTHING,
+        };
+    }
 }
 
 fn keep_first(best: &mut Option<(u32, FirstContact)>, triangle: u32, found: FirstContact) {

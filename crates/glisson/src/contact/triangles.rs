@@ -11,41 +11,37 @@
 use crate::math::{DVec3, closest_point_barycentric};
 use crate::surface::intersect::{disjoint_triangles_meet, segment_meets_triangle, segments_meet, side, turn};
 
-/// Corners and normal (of any length) of a triangle, for many tests.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PreparedTriangle {
-    /// Corners [m].
-    pub corners_m: [DVec3; 3],
-    /// Twice the area, along the normal [m2].
-    pub normal_m2: DVec3,
-}
-
-impl PreparedTriangle {
-    /// For these corners.
-    #[inline]
-    pub fn new(corners_m: [DVec3; 3]) -> Self {
-        let [a, b, c] = corners_m;
-        Self { corners_m, normal_m2: (b - a).cross(c - a) }
-    }
-}
-
 /// Whether two triangles have a point in common; touching counts, and the answer is exact for the given
 /// coordinates. False when a coordinate is not finite.
 pub fn triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
-    prepared_triangles_meet(&PreparedTriangle::new(p), &PreparedTriangle::new(q))
-}
-
-/// [`triangles_meet`] for prepared triangles.
-#[inline]
-pub fn prepared_triangles_meet(p: &PreparedTriangle, q: &PreparedTriangle) -> bool {
-    let origin = p.corners_m[0];
-    let a = p.corners_m.map(|x| x - origin);
-    let b = q.corners_m.map(|x| x - origin);
-    let extent = [a[1], a[2], b[0], b[1], b[2]].iter().fold(DVec3::ZERO, |e, x| e.max(x.abs()));
-    if separates(p.normal_m2, &a, &b, extent) || separates(q.normal_m2, &a, &b, extent) {
+    let origin = p[0];
+    let (a, b) = (p.map(|x| x - origin), q.map(|x| x - origin));
+    let extent = a[1].abs().max(a[2].abs()).max(b[0].abs()).max(b[1].abs()).max(b[2].abs());
+    let size = extent.max_element();
+    let bound = ROUNDING_OF_DETERMINANTS * size * size * size;
+    let normal_p = a[1].cross(a[2]);
+    let q_above_p = b.map(|x| normal_p.dot(x));
+    if on_one_side(q_above_p, bound) {
         return false;
     }
-    for (normal, corners) in [(p.normal_m2, &a), (q.normal_m2, &b)] {
+    let normal_q = (b[1] - b[0]).cross(b[2] - b[0]);
+    let p_above_q = a.map(|x| normal_q.dot(x - b[0]));
+    if on_one_side(p_above_q, bound) {
+        return false;
+    }
+    let line = normal_p.cross(normal_q);
+    let lines_are_sure =
+        line.length_squared() > SURE * SURE * normal_p.length_squared() * normal_q.length_squared();
+    if lines_are_sure
+        && let Some(along_p) = piece_of_line(&a, p_above_q, line, bound)
+        && let Some(along_q) = piece_of_line(&b, q_above_p, line, bound)
+    {
+        let common = along_p[1].min(along_q[1]) - along_p[0].max(along_q[0]);
+        if common.abs() > 100.0 * SURE * line.abs().dot(extent) {
+            return common > 0.0;
+        }
+    }
+    for (normal, corners) in [(normal_p, &a), (normal_q, &b)] {
         for e in 0..3 {
             let axis = normal.cross(corners[(e + 1) % 3] - corners[e]);
             if separates(axis, &a, &b, extent) {
@@ -56,9 +52,46 @@ pub fn prepared_triangles_meet(p: &PreparedTriangle, q: &PreparedTriangle) -> bo
     meet_exactly(p, q)
 }
 
+/// Bound of the rounding of `normal . x` for coordinates up to 1, relative to their cube: products of a normal (up to 8)
+/// and a difference (up to 2), each rounded a few times, are off by less than 240 times 2^-52.
+const ROUNDING_OF_DETERMINANTS: f64 = 512.0 * f64::EPSILON;
+
+/// Share of rounding up to which a quotient or a direction counts as sure.
+const SURE: f64 = 1e-6;
+
+#[inline]
+fn on_one_side([x, y, z]: [f64; 3], bound: f64) -> bool {
+    x.min(y).min(z) > bound || x.max(y).max(z) < -bound
+}
+
+/// The piece of the line of both planes that lies in a triangle, as places along `line` (Moller 1997, "A fast
+/// triangle-triangle intersection test", J. Graphics Tools 2(2)). `above` are its corners' distances from the other plane,
+/// times any factor. `None` when rounding could be more than 1e-6 of it.
+#[inline]
+fn piece_of_line(corners: &[DVec3; 3], above: [f64; 3], line: DVec3, bound: f64) -> Option<[f64; 2]> {
+    if above.iter().any(|d| d.abs() <= bound) {
+        return None;
+    }
+    let is_above = above.map(|d| d > 0.0);
+    let lone = if is_above[1] == is_above[2] {
+        0
+    } else if is_above[0] == is_above[2] {
+        1
+    } else {
+        2
+    };
+    let place = |other: usize| {
+        let height = above[lone] - above[other];
+        let from = line.dot(corners[lone]);
+        let to = line.dot(corners[other]);
+        (height.abs() * SURE > bound).then(|| from + (to - from) * (above[lone] / height))
+    };
+    let (x, y) = (place((lone + 1) % 3)?, place((lone + 2) % 3)?);
+    Some([x.min(y), x.max(y)])
+}
+
 /// Whether `axis` certainly separates the triangles. Any axis is right, however it was rounded; a product with a
-/// difference of coordinates is off by at most 4 u |axis| . extent, u = 2^-53, the difference of two by twice that. The
-/// bound is four times as large.
+/// difference of coordinates is off by at most 4 u |axis| . extent, u = 2^-53, the difference of two by twice that.
 #[inline]
 fn separates(axis: DVec3, a: &[DVec3; 3], b: &[DVec3; 3], extent: DVec3) -> bool {
     let (a, b) = (a.map(|x| axis.dot(x)), b.map(|x| axis.dot(x)));
@@ -69,13 +102,12 @@ fn separates(axis: DVec3, a: &[DVec3; 3], b: &[DVec3; 3], extent: DVec3) -> bool
 }
 
 #[cold]
-fn meet_exactly(p: &PreparedTriangle, q: &PreparedTriangle) -> bool {
-    let finite = |t: &PreparedTriangle| t.corners_m.iter().all(|x| x.is_finite());
-    if !finite(p) || !finite(q) {
+fn meet_exactly(a: [DVec3; 3], b: [DVec3; 3]) -> bool {
+    let is_finite = |t: &[DVec3; 3]| t.iter().all(|x| x.is_finite());
+    if !is_finite(&a) || !is_finite(&b) {
         return false;
     }
-    let (a, b) = (p.corners_m, q.corners_m);
-    match (is_flat(p), is_flat(q)) {
+    match (is_flat(a), is_flat(b)) {
         (false, false) => disjoint_triangles_meet(a, b),
         (true, false) => edges(a).iter().any(|&[u, v]| segment_meets_triangle(u, v, b)),
         (false, true) => edges(b).iter().any(|&[u, v]| segment_meets_triangle(u, v, a)),
@@ -90,8 +122,7 @@ fn edges([a, b, c]: [DVec3; 3]) -> [[DVec3; 2]; 3] {
 }
 
 /// Whether the corners lie on one line exactly.
-fn is_flat(t: &PreparedTriangle) -> bool {
-    let [a, b, c] = t.corners_m;
+fn is_flat([a, b, c]: [DVec3; 3]) -> bool {
     (0..3).all(|axis| turn(axis, a, b, c) == 0)
 }
 

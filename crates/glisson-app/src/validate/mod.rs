@@ -4,6 +4,7 @@ mod adaptive;
 mod benchmarks;
 mod bodies;
 mod cutting;
+mod detection;
 mod elasticity;
 mod image;
 mod interaction;
@@ -119,6 +120,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "interaction",
         about: "The touched organ: pre-computed and dynamic.",
         run: interaction::experiments,
+    },
+    Group {
+        name: "detection",
+        about: "Contact detection: fast tools that must not pass through, pairs of triangles against brute force.",
+        run: detection::experiments,
     },
     Group {
         name: "unit",

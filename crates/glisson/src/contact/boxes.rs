@@ -225,23 +225,32 @@ impl PairRules {
         self.body_of[t as usize]
     }
 
-    /// Whether the two triangles have a vertex in common.
+    /// Vertices of triangle `t` in the form that [`PairRules::attached`] compares.
     #[inline]
-    pub fn attached(&self, s: u32, t: u32) -> bool {
-        let (one, other) = (self.vertices_f32[s as usize], self.vertices_f32[t as usize]);
+    pub(super) fn vertices_f32(&self, t: u32) -> Vec4 {
+        self.vertices_f32[t as usize]
+    }
+
+    /// Whether two triangles have a vertex in common.
+    #[inline]
+    pub(super) fn attached(one: Vec4, other: Vec4) -> bool {
         let same = Vec4::splat(one.x).cmpeq(other)
             | Vec4::splat(one.y).cmpeq(other)
             | Vec4::splat(one.z).cmpeq(other);
         same.any()
     }
 
+    /// Whether the pair may count as far as the bodies go.
+    #[inline]
+    pub(super) fn bodies_allow(&self, s: u32, t: u32) -> bool {
+        self.self_collision || self.body_of[s as usize] != self.body_of[t as usize]
+    }
+
     /// Whether the pair counts.
     #[inline]
     pub fn allows(&self, s: u32, t: u32) -> bool {
-        if !self.self_collision && self.body_of[s as usize] == self.body_of[t as usize] {
-            return false;
-        }
-        s != t && !self.attached(s, t)
+        let attached = Self::attached(self.vertices_f32(s), self.vertices_f32(t));
+        s != t && !attached && self.bodies_allow(s, t)
     }
 }
 

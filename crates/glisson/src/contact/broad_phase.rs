@@ -52,7 +52,7 @@ impl BroadPhase {
     pub fn new(kind: BroadPhaseKind, boxes: &[RoundedBox], rules: &PairRules, wanted: Wanted) -> Self {
         match (kind, wanted) {
             (BroadPhaseKind::Buckets, _) => Self::Buckets(BoxGrid::new(boxes)),
-            (BroadPhaseKind::Hierarchy, _) => Self::Hierarchy(Hierarchy::new(boxes)),
+            (BroadPhaseKind::Hierarchy, _) => Self::Hierarchy(Hierarchy::new(boxes, rules)),
             (BroadPhaseKind::SweepAndPrune, Wanted::Queries) => {
                 Self::SweepAndPrune(SweepAndPrune::for_queries(boxes))
             }
@@ -76,7 +76,7 @@ impl BroadPhase {
         match self {
             Self::Buckets(grid) => grid.update(boxes),
             Self::SweepAndPrune(sweep) => sweep.update(boxes, rules),
-            Self::Hierarchy(tree) => tree.update(boxes),
+            Self::Hierarchy(tree) => tree.update(boxes, rules),
         }
     }
 

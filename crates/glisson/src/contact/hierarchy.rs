@@ -74,6 +74,8 @@ impl FourBoxes {
 pub struct Hierarchy {
     /// The boxes from the largest to the smallest, so that four consecutive ones are children of one box.
     order: Vec<u32>,
+    /// Vertices of their triangles in this order; of no triangle where there are no rules.
+    vertices: Vec<Vec4>,
     /// Groups of four of all levels, the finest level (the boxes themselves) first.
     groups: Vec<FourBoxes>,
     /// Where each level starts in `groups`, the finest first, and the end.
@@ -83,8 +85,8 @@ pub struct Hierarchy {
 }
 
 impl Hierarchy {
-    /// A tree over `boxes`.
-    pub fn new(boxes: &[RoundedBox]) -> Self {
+    /// A tree over `boxes`, for pairs that `rules` allow; rules for no triangle serve for queries alone.
+    pub fn new(boxes: &[RoundedBox], rules: &PairRules) -> Self {
         let n = boxes.len();
         let mut levels = vec![0];
         let mut n_groups = n.div_ceil(4);
@@ -97,12 +99,13 @@ impl Hierarchy {
         }
         let mut tree = Self {
             order: (0..n as u32).collect(),
+            vertices: vec![Vec4::NAN; n],
             groups: vec![FourBoxes::NOTHING; end],
             levels,
             growth_at_building: 0.0,
             n_buildings: 0,
         };
-        tree.build(boxes);
+        tree.build(boxes, rules);
         tree
     }
 
@@ -111,12 +114,17 @@ impl Hierarchy {
         self.n_buildings
     }
 
-    fn build(&mut self, boxes: &[RoundedBox]) {
+    fn build(&mut self, boxes: &[RoundedBox], rules: &PairRules) {
         let mut block = 1;
         while 4 * block < boxes.len() {
             block *= 4;
         }
         arrange(&mut self.order, boxes, block);
+        if rules.n_triangles() == boxes.len() {
+            for (place, &b) in self.vertices.iter_mut().zip(&self.order) {
+                *place = rules.vertices_f32(b);
+            }
+        }
         self.growth_at_building = self.refit(boxes);
         self.n_buildings += 1;
     }
@@ -152,11 +160,11 @@ impl Hierarchy {
         of_tree / of_boxes.max(f32::MIN_POSITIVE)
     }
 
-    /// Follows the boxes; as many as at the start.
-    pub fn update(&mut self, boxes: &[RoundedBox]) {
+    /// Follows the boxes; as many as at the start, with the same rules.
+    pub fn update(&mut self, boxes: &[RoundedBox], rules: &PairRules) {
         let growth = self.refit(boxes);
         if growth > WORST_GROWTH * self.growth_at_building {
-            self.build(boxes);
+            self.build(boxes, rules);
         }
     }
 
@@ -167,9 +175,12 @@ impl Hierarchy {
     /// Calls `visit` once for each pair of overlapping boxes that `rules` allow, the lower index first.
     pub fn for_each_pair(&self, rules: &PairRules, mut visit: impl FnMut(u32, u32)) {
         if !self.order.is_empty() {
-            let mut found = |s: u32, t: u32| {
-                if rules.allows(s, t) {
-                    visit(s.min(t), s.max(t));
+            let mut found = |a: usize, b: usize| {
+                if !PairRules::attached(self.vertices[a], self.vertices[b]) {
+                    let (s, t) = (self.order[a], self.order[b]);
+                    if rules.bodies_allow(s, t) {
+                        visit(s.min(t), s.max(t));
+                    }
                 }
             };
             self.pairs_within(self.top(), 0, &mut found);
@@ -177,7 +188,7 @@ impl Hierarchy {
     }
 
     /// Pairs among the boxes below one group.
-    fn pairs_within(&self, level: usize, group: usize, found: &mut impl FnMut(u32, u32)) {
+    fn pairs_within(&self, level: usize, group: usize, found: &mut impl FnMut(usize, usize)) {
         let four = &self.groups[self.levels[level] + group];
         // Each pair once: bits above the diagonal.
         let mut pairs = four.overlapping_four(four) & 0b0000_1000_1100_1110;
@@ -196,16 +207,16 @@ impl Hierarchy {
 
     /// Pairs of two boxes that overlap: themselves on the finest level, else of the groups that they hold.
     #[inline(always)]
-    fn pairs_of_children(&self, level: usize, [a, b]: [usize; 2], found: &mut impl FnMut(u32, u32)) {
+    fn pairs_of_children(&self, level: usize, [a, b]: [usize; 2], found: &mut impl FnMut(usize, usize)) {
         if level == 0 {
-            found(self.order[a], self.order[b]);
+            found(a, b);
         } else {
             self.pairs_between(level - 1, [a, b], found);
         }
     }
 
     /// Pairs with one box below each of two groups.
-    fn pairs_between(&self, level: usize, [a, b]: [usize; 2], found: &mut impl FnMut(u32, u32)) {
+    fn pairs_between(&self, level: usize, [a, b]: [usize; 2], found: &mut impl FnMut(usize, usize)) {
         let start = self.levels[level];
         let (four_a, four_b) = (&self.groups[start + a], &self.groups[start + b]);
         let mut pairs = four_b.overlapping_four(four_a);

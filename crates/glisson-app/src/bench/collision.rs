@@ -95,7 +95,7 @@ fn tool(settings: Settings, kind: BroadPhaseKind) -> Prepared {
     }
 }
 
-/// Room for pairs of boxes, for each triangle; the folded ring has about 8.
+/// Room for pairs of boxes, for each triangle; the folded ring has about one.
 const PAIRS_A_TRIANGLE: usize = 64;
 
 fn pairs(surface: &Moving, kind: BroadPhaseKind) -> Prepared {

@@ -12,7 +12,7 @@
 use super::boxes::{PairRules, RoundedBox, ThickSegment};
 use glam::{Vec3, Vec4};
 
-/// How much worse than after its building a tree may become: a choice; refitting costs a tenth of building.
+/// How much worse than after its building a tree may become: a choice.
 const WORST_GROWTH: f32 = 2.0;
 
 /// Four boxes, one coordinate after the other.

@@ -174,8 +174,8 @@ impl PairSearch {
         count
     }
 
-    /// Tests every pair of overlapping boxes, some hundreds at a time: searching and testing in turns, each with its own data,
-    /// is a tenth faster than pair by pair.
+    /// Tests every pair of overlapping boxes, some hundreds at a time: searching and testing take turns, each with its own
+    /// data and code.
     fn collect<T>(&self, found: &mut Vec<T>, mut test: impl FnMut(u32, u32) -> Option<T>) -> PairCount {
         let mut count = PairCount { n_candidates: 0, n_dropped: self.structure.n_dropped() as usize };
         let mut n_dropped = 0;

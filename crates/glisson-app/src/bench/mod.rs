@@ -16,6 +16,8 @@ mod kernel;
 mod reference;
 mod reduced;
 mod contact;
+mod collision;
+pub(crate) mod colliding;
 mod drawing;
 mod hybrid_exchange;
 
@@ -94,6 +96,7 @@ pub(crate) fn cases() -> Vec<Case> {
         implicit::CASES,
         reduced::CASES,
         contact::CASES,
+        collision::CASES,
         drawing::CASES,
         hybrid_exchange::CASES,
     ]

@@ -4,6 +4,7 @@ mod adaptive;
 mod benchmarks;
 mod bodies;
 mod cutting;
+mod detection;
 mod elasticity;
 mod hybrid;
 mod hybrid_condensed;
@@ -131,6 +132,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "precompute",
         about: "The pre-computation against direct solutions, Lagrange multipliers and the papers' conjugate gradients.",
         run: precompute::experiments,
+    },
+    Group {
+        name: "detection",
+        about: "Contact detection: fast tools that must not pass through, pairs of triangles against brute force.",
+        run: detection::experiments,
     },
     Group {
         name: "unit",

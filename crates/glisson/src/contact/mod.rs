@@ -3,3 +3,13 @@
 pub mod buckets;
 pub mod spread;
 pub mod sphere;
+pub mod boxes;
+pub mod shapes;
+pub mod box_grid;
+pub mod sweep_and_prune;
+pub mod hierarchy;
+pub mod broad_phase;
+pub mod triangles;
+pub mod continuous;
+pub mod tool_contact;
+pub mod self_collision;

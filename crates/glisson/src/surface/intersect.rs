@@ -141,7 +141,8 @@ pub fn triangles_intersect(mesh: &TriMesh, s: u32, t: u32) -> bool {
     }
 }
 
-fn disjoint_triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
+/// Whether two triangles with no vertex in common meet; touching counts. Neither may be without area.
+pub(crate) fn disjoint_triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
     let p_sides = p.map(|x| side(q[0], q[1], q[2], x));
     if p_sides[0] != 0 && p_sides.iter().all(|&s| s == p_sides[0]) {
         return false;
@@ -158,7 +159,7 @@ fn disjoint_triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
 }
 
 /// Whether the closed segment (u, v) meets the closed triangle.
-fn segment_meets_triangle(u: DVec3, v: DVec3, triangle: [DVec3; 3]) -> bool {
+pub(crate) fn segment_meets_triangle(u: DVec3, v: DVec3, triangle: [DVec3; 3]) -> bool {
     let [a, b, c] = triangle;
     segment_meets(u, v, [side(a, b, c, u), side(a, b, c, v)], triangle)
 }
@@ -186,7 +187,7 @@ fn coplanar_segment_meets(u: DVec3, v: DVec3, triangle: [DVec3; 3]) -> bool {
 }
 
 /// Whether two closed segments of one plane meet, seen along `axis`.
-fn segments_meet(axis: usize, [u, v]: [DVec3; 2], [a, b]: [DVec3; 2]) -> bool {
+pub(crate) fn segments_meet(axis: usize, [u, v]: [DVec3; 2], [a, b]: [DVec3; 2]) -> bool {
     let (ua, va) = (turn(axis, a, b, u), turn(axis, a, b, v));
     let (au, bu) = (turn(axis, u, v, a), turn(axis, u, v, b));
     if [ua, va, au, bu] == [0; 4] {
@@ -203,13 +204,13 @@ fn dominant_axis([a, b, c]: [DVec3; 3]) -> usize {
 }
 
 /// Exact side of `d` of the plane through a, b, c.
-fn side(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> i8 {
+pub(crate) fn side(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> i8 {
     let at = |p: DVec3| Coord3D { x: p.x, y: p.y, z: p.z };
     sign(orient3d(at(a), at(b), at(c), at(d)))
 }
 
 /// Exact turn of a, b, c seen along `axis`.
-fn turn(axis: usize, a: DVec3, b: DVec3, c: DVec3) -> i8 {
+pub(crate) fn turn(axis: usize, a: DVec3, b: DVec3, c: DVec3) -> i8 {
     let at = |p: DVec3| Coord { x: p[(axis + 1) % 3], y: p[(axis + 2) % 3] };
     sign(orient2d(at(a), at(b), at(c)))
 }

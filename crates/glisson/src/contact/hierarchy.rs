@@ -76,6 +76,9 @@ pub struct Hierarchy {
     order: Vec<u32>,
     /// Vertices of their triangles in this order; of no triangle where there are no rules.
     vertices: Vec<Vec4>,
+    /// For each sixteen of them, pairs of their groups 4 i + j, the bits of pairs that are not attached: most
+    /// neighbours are, and this does not change while the surface deforms.
+    free: Vec<[u16; 16]>,
     /// Groups of four of all levels, the finest level (the boxes themselves) first.
     groups: Vec<FourBoxes>,
     /// Where each level starts in `groups`, the finest first, and the end.
@@ -100,6 +103,7 @@ impl Hierarchy {
         let mut tree = Self {
             order: (0..n as u32).collect(),
             vertices: vec![Vec4::NAN; n],
+            free: vec![[u16::MAX; 16]; n.div_ceil(16)],
             groups: vec![FourBoxes::NOTHING; end],
             levels,
             growth_at_building: 0.0,
@@ -123,6 +127,16 @@ impl Hierarchy {
         if rules.n_triangles() == boxes.len() {
             for (place, &b) in self.vertices.iter_mut().zip(&self.order) {
                 *place = rules.vertices_f32(b);
+            }
+            for (free, near) in self.free.iter_mut().zip(self.vertices.chunks(16)) {
+                *free = [u16::MAX; 16];
+                for (a, one) in near.iter().enumerate() {
+                    for (b, other) in near.iter().enumerate() {
+                        let is_free = !PairRules::attached(*one, *other);
+                        let bit = 4 * (a % 4) + b % 4;
+                        free[4 * (a / 4) + b / 4] &= !(u16::from(!is_free) << bit);
+                    }
+                }
             }
         }
         self.growth_at_building = self.refit(boxes);
@@ -176,7 +190,8 @@ impl Hierarchy {
     pub fn for_each_pair(&self, rules: &PairRules, mut visit: impl FnMut(u32, u32)) {
         if !self.order.is_empty() {
             let mut found = |a: usize, b: usize| {
-                if !PairRules::attached(self.vertices[a], self.vertices[b]) {
+                let is_free = a / 16 == b / 16 || !PairRules::attached(self.vertices[a], self.vertices[b]);
+                if is_free {
                     let (s, t) = (self.order[a], self.order[b]);
                     if rules.bodies_allow(s, t) {
                         visit(s.min(t), s.max(t));
@@ -192,6 +207,9 @@ impl Hierarchy {
         let four = &self.groups[self.levels[level] + group];
         // Each pair once: bits above the diagonal.
         let mut pairs = four.overlapping_four(four) & 0b0000_1000_1100_1110;
+        if level == 0 {
+            pairs &= self.free_pairs(group, group);
+        }
         while pairs != 0 {
             let pair = pairs.trailing_zeros() as usize;
             pairs &= pairs - 1;
@@ -215,11 +233,20 @@ impl Hierarchy {
         }
     }
 
+    /// Bits of the pairs of two groups of the same sixteen that are not attached.
+    #[inline]
+    fn free_pairs(&self, a: usize, b: usize) -> u32 {
+        u32::from(self.free[a / 4][4 * (a % 4) + b % 4])
+    }
+
     /// Pairs with one box below each of two groups.
     fn pairs_between(&self, level: usize, [a, b]: [usize; 2], found: &mut impl FnMut(usize, usize)) {
         let start = self.levels[level];
         let (four_a, four_b) = (&self.groups[start + a], &self.groups[start + b]);
         let mut pairs = four_b.overlapping_four(four_a);
+        if level == 0 && a / 4 == b / 4 {
+            pairs &= self.free_pairs(a, b);
+        }
         while pairs != 0 {
             let pair = pairs.trailing_zeros() as usize;
             pairs &= pairs - 1;

@@ -28,7 +28,7 @@ pub(crate) fn folded_ring(n_triangles: usize) -> Moving {
         let (u, v) = (TAU * i as f64 / along as f64, TAU * j as f64 / around as f64);
         let out_m = 0.06 + 0.02 * v.cos();
         let (x, y, z) = (out_m * u.cos(), out_m * u.sin(), 0.02 * v.sin());
-        let pressed_m = 0.045 * (-(x / 0.046).powi(2)).exp() * (y / 0.02).tanh();
+        let pressed_m = 0.045 * (-(x / 0.0453).powi(2)).exp() * (y / 0.02).tanh();
         let wave = DVec3::new(0.4, 0.3, 0.8) * (3.0 * u + v + phase).sin();
         DVec3::new(x, y - pressed_m, z) + wave * amplitude_m
     };

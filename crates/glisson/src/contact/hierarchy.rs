@@ -15,6 +15,9 @@ use glam::{Vec3, Vec4};
 /// How much worse than after its building a tree may become: a choice.
 const WORST_GROWTH: f32 = 2.0;
 
+/// Groups of four whose attached pairs are kept as bits.
+const PATCH: usize = 64;
+
 /// Four boxes, one coordinate after the other.
 #[derive(Clone, Copy, Debug)]
 struct FourBoxes {
@@ -76,6 +79,9 @@ pub struct Hierarchy {
     order: Vec<u32>,
     /// Vertices of their triangles in this order; of no triangle where there are no rules.
     vertices: Vec<Vec4>,
+    /// For each patch of them, and pairs i, j of its groups, the bits of pairs that are not attached: most
+    /// neighbours are, and this does not change while the surface deforms.
+    free: Vec<[[u16; PATCH]; PATCH]>,
     /// Groups of four of all levels, the finest level (the boxes themselves) first.
     groups: Vec<FourBoxes>,
     /// Where each level starts in `groups`, the finest first, and the end.
@@ -100,6 +106,7 @@ impl Hierarchy {
         let mut tree = Self {
             order: (0..n as u32).collect(),
             vertices: vec![Vec4::NAN; n],
+            free: vec![[[u16::MAX; PATCH]; PATCH]; n.div_ceil(4 * PATCH)],
             groups: vec![FourBoxes::NOTHING; end],
             levels,
             growth_at_building: 0.0,
@@ -123,6 +130,17 @@ impl Hierarchy {
         if rules.n_triangles() == boxes.len() {
             for (place, &b) in self.vertices.iter_mut().zip(&self.order) {
                 *place = rules.vertices_f32(b);
+            }
+            for (free, near) in self.free.iter_mut().zip(self.vertices.chunks(4 * PATCH)) {
+                *free = [[u16::MAX; PATCH]; PATCH];
+                for (a, one) in near.iter().enumerate() {
+                    for (b, other) in near[..=a].iter().enumerate() {
+                        if PairRules::attached(*one, *other) {
+                            free[a / 4][b / 4] &= !(1 << (4 * (a % 4) + b % 4));
+                            free[b / 4][a / 4] &= !(1 << (4 * (b % 4) + a % 4));
+                        }
+                    }
+                }
             }
         }
         self.growth_at_building = self.refit(boxes);
@@ -176,7 +194,9 @@ impl Hierarchy {
     pub fn for_each_pair(&self, rules: &PairRules, mut visit: impl FnMut(u32, u32)) {
         if !self.order.is_empty() {
             let mut found = |a: usize, b: usize| {
-                if !PairRules::attached(self.vertices[a], self.vertices[b]) {
+                let is_free = a / (4 * PATCH) == b / (4 * PATCH)
+                    || !PairRules::attached(self.vertices[a], self.vertices[b]);
+                if is_free {
                     let (s, t) = (self.order[a], self.order[b]);
                     if rules.bodies_allow(s, t) {
                         visit(s.min(t), s.max(t));
@@ -192,6 +212,9 @@ impl Hierarchy {
         let four = &self.groups[self.levels[level] + group];
         // Each pair once: bits above the diagonal.
         let mut pairs = four.overlapping_four(four) & 0b0000_1000_1100_1110;
+        if level == 0 {
+            pairs &= self.free_pairs(group, group);
+        }
         while pairs != 0 {
             let pair = pairs.trailing_zeros() as usize;
             pairs &= pairs - 1;
@@ -215,11 +238,20 @@ impl Hierarchy {
         }
     }
 
+    /// Bits of the pairs of two groups of the same patch that are not attached.
+    #[inline]
+    fn free_pairs(&self, a: usize, b: usize) -> u32 {
+        u32::from(self.free[a / PATCH][a % PATCH][b % PATCH])
+    }
+
     /// Pairs with one box below each of two groups.
     fn pairs_between(&self, level: usize, [a, b]: [usize; 2], found: &mut impl FnMut(usize, usize)) {
         let start = self.levels[level];
         let (four_a, four_b) = (&self.groups[start + a], &self.groups[start + b]);
         let mut pairs = four_b.overlapping_four(four_a);
+        if level == 0 && a / PATCH == b / PATCH {
+            pairs &= self.free_pairs(a, b);
+        }
         while pairs != 0 {
             let pair = pairs.trailing_zeros() as usize;
             pairs &= pairs - 1;

@@ -429,7 +429,6 @@ fn steps_allocate_nothing_and_copies_have_the_same_bits() {
     let laws = [Precomputed, Precomputed, TensorMass, Precomputed, Precomputed, Precomputed];
     let build = |n_threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
-        let laws = laws;
         pool.install(|| {
             let params = CondensedParams { stored: StoredNodes::Surface, ..bar.params(&laws) };
             CondensedHybrid::build(&params).unwrap()

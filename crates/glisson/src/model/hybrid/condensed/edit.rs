@@ -69,7 +69,7 @@ impl CondensedHybrid {
         keep(&mut composed, &is_kept);
         keep(&mut self.zones, &is_kept);
         keep(&mut self.zone_numbers, &is_kept);
-        if self.bring_together(Some(composed)).is_err() {
+        if self.bring_together(Some(&composed)).is_err() {
             // Tissue that hangs by so little that no equilibrium can be computed: everything is dynamic.
             self.laws.fill(ZoneLaw::TensorMass);
             self.zones.clear();
@@ -79,7 +79,7 @@ impl CondensedHybrid {
                 model: NAME,
                 reason: "what is left has no stable motion; switch to tensor_mass",
             };
-            self.bring_together(Some(Vec::new())).map_err(|_| refusal)?;
+            self.bring_together(Some(&Vec::new())).map_err(|_| refusal)?;
         }
         if let Some(dynamic) = &mut self.dynamic {
             let velocities = Some(&self.velocities_m_per_s[..]);

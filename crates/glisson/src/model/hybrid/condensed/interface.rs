@@ -56,7 +56,7 @@ impl Interface {
         zones: &mut [PrecomputedZone],
         is_dynamic: &[bool],
         held: &[[bool; 3]],
-        before: Option<Composed>,
+        before: Option<&Composed>,
         precision: Precision,
     ) -> Result<Self, SolveError> {
         let mut all: Vec<NodeId> = zones.iter().flat_map(|z| z.frontier.iter().copied()).collect();
@@ -134,7 +134,7 @@ impl Interface {
             in_compliance: Vec::new(),
         };
         for z in 0..zones.len() {
-            interface.bring_in(z, &mut zones[z], before.as_ref().map(|b| &b[z]), precision);
+            interface.bring_in(z, &mut zones[z], before.map(|b| &b[z]), precision);
         }
         interface.fill_constants(zones);
         Ok(interface)

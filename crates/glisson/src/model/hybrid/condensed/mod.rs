@@ -403,7 +403,7 @@ impl CondensedHybrid {
     }
 
     /// The interface and the dynamic part for the laws as they are. `before`: how the zones' compliances are composed.
-    fn bring_together(&mut self, before: Option<Composed>) -> Result<(), CondensedError> {
+    fn bring_together(&mut self, before: Option<&Composed>) -> Result<(), CondensedError> {
         self.interface =
             Interface::build(&mut self.zones, &self.is_dynamic, &self.held_axes, before, self.precision)?;
         let is_dynamic_tet: Vec<bool> =

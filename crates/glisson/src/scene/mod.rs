@@ -13,6 +13,6 @@ mod spec;
 pub use build::{BuildError, OrganBody, build_world, mesh_hash, read_organ};
 pub use instrument::{PathPoint, tool_on_path};
 pub use models::{build_model, build_model_as_cut};
-pub use organ::{MaterialSource, OrganSource};
+pub use organ::{MaterialSource, MeasuredSample, OrganSource, OrganZone};
 pub use reader::{SceneError, SceneProblem};
 pub use spec::Scene;

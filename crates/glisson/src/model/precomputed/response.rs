@@ -44,21 +44,30 @@ pub(super) fn respond_into(
     from_zero: bool,
     displacement_m: &mut [f64],
 ) {
+    // A table that grew has more blocks of rows than there are displacements.
+    let n_blocks = Table::stride(table.n_rows) / BLOCK_NUMBERS;
     match &table.numbers {
-        Numbers::F64(numbers) => path.run_by_eight(Respond { numbers, loads, from_zero, displacement_m }),
-        Numbers::F32(numbers) => path.run_by_eight(Respond { numbers, loads, from_zero, displacement_m }),
+        Numbers::F64(numbers) => {
+            path.run_by_eight(Respond { numbers, n_blocks, loads, from_zero, displacement_m })
+        }
+        Numbers::F32(numbers) => {
+            path.run_by_eight(Respond { numbers, n_blocks, loads, from_zero, displacement_m })
+        }
     }
 }
 
 /// Overwrites displacements [m] in blocks with three columns in blocks times their factors.
 pub(super) fn set_to_columns(path: KernelPath, columns: &[f64], factors: DVec3, displacement_m: &mut [f64]) {
     let loads = [(0, factors)];
-    path.run_by_eight(Respond { numbers: columns, loads: &loads, from_zero: true, displacement_m });
+    let n_blocks = columns.len() / BLOCK_NUMBERS;
+    path.run_by_eight(Respond { numbers: columns, n_blocks, loads: &loads, from_zero: true, displacement_m });
 }
 
 struct Respond<'a, T> {
     /// Of all loadable nodes, one after the other.
     numbers: &'a [T],
+    /// Of each of them.
+    n_blocks: usize,
     loads: &'a [Load],
     from_zero: bool,
     displacement_m: &'a mut [f64],
@@ -69,10 +78,9 @@ impl<T: Kept> EightWork for Respond<'_, T> {
 
     #[inline(always)]
     fn run<V: Eight>(self, zero: V) {
-        let Self { numbers, loads, mut from_zero, displacement_m } = self;
+        let Self { numbers, n_blocks: n, loads, mut from_zero, displacement_m } = self;
         let rows = displacement_m.as_chunks_mut::<BLOCK_ROWS_NUMBERS>().0;
         let blocks = numbers.as_chunks::<BLOCK_NUMBERS>().0;
-        let n = rows.len();
         let of = |load: &Load| (&blocks[n * load.0 as usize..][..n], load.1.to_array());
         let (fours, rest) = loads.as_chunks::<4>();
         for four in fours {

@@ -214,6 +214,18 @@ impl ContactSystem {
                 self.actual[column.clone()].copy_from_slice(&self.spare[column]);
             }
         }
+        let mut nodes = [0; 3 * MOST_POINTS];
+        let (mut n_nodes, mut n_old) = (0, 0);
+        for (i, point) in wanted.iter().enumerate() {
+            for (node, _) in point.nodes() {
+                nodes[n_nodes] = node;
+                n_nodes += 1;
+            }
+            if i < n_kept {
+                n_old = n_nodes;
+            }
+        }
+        tensors.1.fetch(&nodes[..n_nodes], n_old);
         let (actual, spare) = (self.actual.as_flattened_mut(), self.spare.as_flattened());
         let mut first = kept_rows;
         for (i, a) in wanted.iter().enumerate().skip(n_kept) {

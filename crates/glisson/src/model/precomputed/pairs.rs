@@ -38,6 +38,29 @@ impl Pairs {
         }
     }
 
+    /// Reads something of every pair of the nodes from the `first`-th on with those before and among them. Pairs lie far
+    /// apart: fetched one after the other by the work on them, each would wait for the memory by itself.
+    pub(super) fn fetch(&self, nodes: &[u32], first: usize) {
+        let mut sum = 0.0;
+        for (i, &a) in nodes.iter().enumerate().skip(first) {
+            for &b in &nodes[..=i] {
+                let (row, column) = (a.max(b) as usize, a.min(b) as usize);
+                match self {
+                    // A tensor can lie across two cache lines.
+                    Self::Half(tensors) => {
+                        let tensor = &tensors[row * (row + 1) / 2 + column];
+                        sum += tensor[0] + tensor[8];
+                    }
+                    Self::All(n, tensors) => {
+                        sum += f64::from(tensors[n * row + column][0] + tensors[n * column + row][0]);
+                    }
+                    Self::None => return,
+                }
+            }
+        }
+        std::hint::black_box(sum);
+    }
+
     /// Displacement of loadable node `of` for a force on `by`. In `f64` that of the half of the table below the diagonal,
     /// so that T^ij is exactly the transpose of T^ji.
     #[inline]

@@ -6,6 +6,7 @@ import { afterAll, beforeAll, describe, expect, it } from "vitest";
 import type { Browser } from "playwright-core";
 import { openPage, resultFile, startBrowser } from "./browser";
 import { checkDragShowsServerState, keepSendingRestShape } from "./drag_check";
+import { cutAtTheMiddle } from "./cut_check";
 
 const url = process.env.GLISSON_URL;
 if (url === undefined) console.warn("SKIPPED e2e/drag.e2e.ts: GLISSON_URL is not set (address of a running glisson serve)");
@@ -26,6 +27,16 @@ describe.skipIf(url === undefined)(`dragging on ${url}`, () => {
     page.on("requestfailed", (request) => problems.push(`${request.url()} failed`));
     const report = await checkDragShowsServerState(page, address, resultFile("drag.png"));
     console.log(JSON.stringify(report));
+    expect(problems).toEqual([]);
+    await page.close();
+  });
+
+  it("shows what is cut away at the tip", async () => {
+    const { page, problems } = await openPage(browser);
+    await page.goto(address);
+    const before = await cutAtTheMiddle(page, resultFile("cut.png"));
+    expect(before.answered).toEqual([]);
+    expect(before.nodes).toBeGreaterThan(0);
     expect(problems).toEqual([]);
     await page.close();
   });

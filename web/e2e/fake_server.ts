@@ -167,6 +167,7 @@ export class FakeSimulator {
         home_shaft: vec3(HOME_SHAFT),
       },
       models: ["closed-form dimple (test)"],
+      capsule_nodes: rest_m.map((_, node) => node),
       fixed_nodes: fixedNodes,
     };
   }

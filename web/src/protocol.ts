@@ -51,6 +51,8 @@ export interface Hello {
   readonly models: readonly string[];
   readonly bounds: { readonly min_m: Vec3; readonly max_m: Vec3 };
   readonly tool: ToolInfo;
+  /** Nodes of the uncut surface. */
+  readonly capsule_nodes: readonly number[];
   readonly fixed_nodes: readonly number[];
 }
 
@@ -198,6 +200,7 @@ export function decodeText(text: string): Hello | ServerError {
       home_shaft: vec3At(tool, "home_shaft", "tool"),
     },
     models: stringsAt(fields, "models", "hello"),
+    capsule_nodes: nodeIdsAt(fields, "capsule_nodes", "hello"),
     fixed_nodes: nodeIdsAt(fields, "fixed_nodes", "hello"),
   };
 }

@@ -43,8 +43,6 @@ export class Scene3d {
   readonly camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 0.005, 10);
   readonly software: boolean;
   readonly organs = new Map<number, Organ>();
-  /** Surface nodes of each organ as it was first shown. */
-  private readonly capsules = new Map<number, ReadonlySet<number>>();
   instrument: Instrument | null = null;
   orbit: Orbit;
   private readonly scene = new Scene();
@@ -137,10 +135,7 @@ export class Scene3d {
     this.scene.add(this.instrument.group);
     this.material.uniforms.toolRadius.value = Math.max(hello.tool.shaft_radius_m, hello.tool.tip_radius_m);
     this.material.uniforms.toolLength.value = hello.tool.shaft_length_m;
-    if (!same) {
-      this.capsules.clear();
-      this.resetView();
-    }
+    if (!same) this.resetView();
     this.shadeByTool();
   }
 
@@ -150,8 +145,7 @@ export class Scene3d {
       this.scene.remove(old.group);
       old.dispose();
     }
-    const capsule = this.capsules.get(topology.organ) ?? new Set(topology.nodeIds);
-    this.capsules.set(topology.organ, capsule);
+    const capsule = new Set(this.hello?.capsule_nodes ?? topology.nodeIds);
     const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), capsule, this.material);
     organ.setStyle(this.style);
     organ.showFixed(this.fixedShown);

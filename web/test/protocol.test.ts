@@ -62,6 +62,7 @@ const HELLO: Hello = {
     home_shaft: [0, -1, 0],
   },
   models: ["precomputed", "tensor_mass"],
+  capsule_nodes: [0, 1, 2, 3, 4],
   fixed_nodes: [1, 2, 3],
 };
 

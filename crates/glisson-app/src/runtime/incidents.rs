@@ -4,7 +4,7 @@ use glisson::model::ModelReport;
 use glisson::world::StepReport;
 
 /// Notices of one run beyond which no more are told: a screen full of them helps nobody.
-const MOST_NOTICES: usize = 100;
+pub(super) const MOST_NOTICES: usize = 100;
 
 /// Remembers what was told.
 #[derive(Debug, Default)]

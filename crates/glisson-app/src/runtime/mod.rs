@@ -18,7 +18,7 @@ use glisson::record::hash::StateHash;
 use glisson::record::session::SessionEvent;
 use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
 use glisson::world::{StepInput, StepReport, World};
-use incidents::Incidents;
+use incidents::{Incidents, MOST_NOTICES};
 use recorder::Recorder;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -27,9 +27,11 @@ use std::thread::JoinHandle;
 /// Steps between two check-point hashes of a session.
 const CHECKPOINT_STEPS: u64 = 500;
 
-/// Steps from the order of a fresh pre-computation to the moment it takes over: 2 s at 1 ms, longer than it takes on
-/// an organ of 6,000 tetrahedra.
-const RECOMPUTATION_STEPS: u64 = 2000;
+/// From the order of a fresh pre-computation to the moment it takes over: several times what it takes on an organ of
+/// 6,000 tetrahedra [s] ...
+const RECOMPUTATION_S: f64 = 2.0;
+/// ... which has so many surface nodes; with more of them it grows with their cube at most (0.3 s at 700, 75 s at 5,000).
+const RECOMPUTATION_NODES: f64 = 700.0;
 
 type BuiltModel = anyhow::Result<(Box<dyn DeformableModel>, ModelKind)>;
 
@@ -136,13 +138,20 @@ impl Simulation {
         self.notices.extend(self.incidents.of_step(&report));
         let is_asked = report.model.wants_recomputation && self.builder.is_none();
         if is_asked && std::mem::take(&mut self.orders_recomputations) {
-            self.order_model(self.world.model_kind(), report.step + RECOMPUTATION_STEPS)?;
+            self.order_model(self.world.model_kind(), report.step + self.recomputation_steps())?;
         }
         if report.step.is_multiple_of(CHECKPOINT_STEPS) && self.recorder.is_some() {
             let state_hash = self.world.state_hash();
             self.record(&SessionEvent::Checkpoint { step: report.step, state_hash })?;
         }
         Ok(report)
+    }
+
+    /// Steps until a fresh pre-computation is surely there, on a machine that keeps pace.
+    fn recomputation_steps(&self) -> u64 {
+        let larger = self.world.organ().surface_nodes().len() as f64 / RECOMPUTATION_NODES;
+        let delay_s = RECOMPUTATION_S * larger.powi(3).max(1.0);
+        (delay_s / self.world.spec().time_step_s).ceil() as u64
     }
 
     /// Waits for the model that takes over now. One that cannot be made (its time step is too long, say) is no
@@ -163,7 +172,14 @@ impl Simulation {
 
     fn refuse_model(&mut self, kind: ModelKind, error: &anyhow::Error) {
         self.world.cancel_model_swap();
-        self.notices.push(format!("the {kind} model cannot take over: {error:#}"));
+        self.tell(format!("the {kind} model cannot take over: {error:#}"));
+    }
+
+    /// A key that is held down asks for the same again and again: what was just said is not repeated.
+    fn tell(&mut self, notice: String) {
+        if self.notices.last() != Some(&notice) && self.notices.len() < MOST_NOTICES {
+            self.notices.push(notice);
+        }
     }
 
     /// What the user should know: why ordered models could not take over, what went wrong in steps. In order.
@@ -190,7 +206,7 @@ impl Simulation {
     pub(crate) fn remove_tetrahedra(&mut self, tets: Vec<TetId>) -> anyhow::Result<()> {
         self.record(&SessionEvent::Remove { step: self.world.steps_made(), tets: tets.clone() })?;
         if let Err(refusal) = self.world.edit(&MeshEdit::Remove { tets }) {
-            self.notices.push(format!("nothing was cut: {refusal}"));
+            self.tell(format!("nothing was cut: {refusal}"));
         }
         Ok(())
     }
@@ -199,7 +215,7 @@ impl Simulation {
     pub(crate) fn cut_at_tip(&mut self) -> anyhow::Result<()> {
         let tets = self.world.touched_tetrahedra();
         if tets.is_empty() {
-            self.notices.push("nothing was cut: the instrument's tip does not touch the organ".to_owned());
+            self.tell("nothing was cut: the instrument's tip does not touch the organ".to_owned());
             return Ok(());
         }
         self.remove_tetrahedra(tets)

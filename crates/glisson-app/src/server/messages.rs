@@ -42,6 +42,7 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             .filter(|kind| *kind != ModelKind::QuasiNonlinear || simulation.body().measured.is_some())
             .map(ModelKind::name)
             .collect::<Vec<_>>(),
+        "capsule_nodes": organ.surface_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
         "fixed_nodes": organ.fixed_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
     })
 }

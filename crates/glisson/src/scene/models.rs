@@ -49,7 +49,12 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
         body.refuse_to_buckle(kind)?;
     }
     Ok(match kind {
-        ModelKind::Precomputed => Box::new(precomputed(body)?),
+        ModelKind::Precomputed => {
+            let mut model = precomputed(body)?;
+            // At the first cut it would hold up the simulation.
+            model.prepare_cutting(&body.mesh).map_err(PrecomputedError::Solve)?;
+            Box::new(model)
+        }
         ModelKind::TensorMass => {
             Box::new(TensorMass::build(&TensorMassParams { body: body.dynamic(), material })?)
         }
@@ -273,7 +278,7 @@ fn quasi_nonlinear(body: &OrganBody) -> Result<QuasiNonlinear, BuildError> {
 fn precomputed(body: &OrganBody) -> Result<Precomputed, BuildError> {
     let (mesh, material, fixed_nodes) =
         (&body.mesh, &body.material, &body.nodes_fixed_wholly(ModelKind::Precomputed)?);
-    let mut model = match &body.precomputed {
+    let model = match &body.precomputed {
         Some(file) => Precomputed::load(file, &PrecomputedExpectation { mesh, material, fixed_nodes })?,
         None => {
             let (stored, precision) = (StoredNodes::Surface, Precision::F64);
@@ -287,8 +292,6 @@ fn precomputed(body: &OrganBody) -> Result<Precomputed, BuildError> {
             })?
         }
     };
-    // At the first cut it would hold up the simulation.
-    model.prepare_cutting(mesh).map_err(PrecomputedError::Solve)?;
     Ok(under_gravity(model, body))
 }
 

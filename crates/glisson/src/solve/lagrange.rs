@@ -189,12 +189,15 @@ pub fn solve_lagrange(
         .map(|c| c.terms.iter().filter_map(|&(n, a, w)| Some((system.row_of(n, a)?, w))).collect())
         .collect();
     let times_row = |row: &[(usize, f64)], x: &[f64]| row.iter().map(|&(i, w)| w * x[i]).sum::<f64>();
+    if n_free == 0 && m > 0 {
+        return Err(LagrangeError::Dependent { constraint: 0 });
+    }
     let mut influence = vec![0.0; n_free * m];
     solve_columns_into(
         &factor,
         1,
         &mut influence,
-        n_free,
+        n_free.max(1),
         |column, right| rows[column].iter().for_each(|&(i, w)| right[i] += w),
         |_, solution, out| out.copy_from_slice(solution),
     );

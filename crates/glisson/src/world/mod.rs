@@ -1,7 +1,7 @@
 //! One organ, one instrument, and the step that joins them.
 //!
-//! Stages of a step, in order: contacts, constraints and loads, model, report. Cutting and remapping come before contacts
-//! once an instrument cuts. A step never fails, allocates, locks, logs or reads a clock.
+//! Stages of a step, in order: contacts, constraints and loads, model, report. Cuts are made
+//! between steps ([`World::edit`]). A step never fails, allocates, locks, logs or reads a clock.
 
 mod cut;
 mod loads;
@@ -249,7 +249,8 @@ impl World {
     /// Edits the organ's mesh: the model, the supports and the surface follow. A contact is let go.
     ///
     /// # Errors
-    /// [`EditRefusal`] when the model or the mesh cannot; nothing changed then.
+    /// [`EditRefusal`] when the model or the mesh cannot; nothing changed then but that a contact is let go. (A removal that
+    /// a model cannot follow because memory is short leaves the organ cut.)
     pub fn edit(&mut self, edit: &MeshEdit) -> Result<TopologyChange, EditRefusal> {
         if let Some(refusal) = self.model.topology_refusal() {
             return Err(refusal.into());
@@ -258,10 +259,21 @@ impl World {
         if let Some(refusal) = waiting.and_then(|model| model.topology_refusal()) {
             return Err(refusal.into());
         }
+        // Every model follows removals but for want of memory; of other edits the model is asked with the edit made.
+        let before = (!matches!(edit, MeshEdit::Remove { .. })).then(|| self.organ.clone());
         let change = self.organ.edit(edit, self.model.state().positions_m)?;
-        self.model.topology_changed(self.organ.mesh(), &change)?;
-        if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
-            waiting.topology_changed(self.organ.mesh(), &change)?;
+        if let Err(refusal) = self.model.topology_changed(self.organ.mesh(), &change) {
+            if let Some(before) = before {
+                self.organ = before;
+            }
+            self.contact = None;
+            return Err(refusal.into());
+        }
+        if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut())
+            && waiting.topology_changed(self.organ.mesh(), &change).is_err()
+        {
+            // The present model has followed: it goes on.
+            self.swap = None;
         }
         self.loads.follow(&change);
         self.contact = None;

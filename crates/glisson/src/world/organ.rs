@@ -69,7 +69,10 @@ impl Organ {
         let change = self.body.apply(edit)?;
         self.fixed.follow(&change);
         let (surface, surface_nodes) = surface_of(self.body.topology(), self.body.mesh());
-        self.surface_positions_m = surface_nodes.iter().map(|n| positions_m[n.index()]).collect();
+        // A node that the edit made has no place in the model yet.
+        let at_rest = |n: &NodeId| self.body.mesh().positions_m[n.index()];
+        let now = |n: &NodeId| positions_m.get(n.index()).copied().unwrap_or_else(|| at_rest(n));
+        self.surface_positions_m = surface_nodes.iter().map(now).collect();
         self.surface_nodes = surface_nodes;
         self.surface_triangles = surface.triangles;
         self.buckets = BucketGrid::new(&self.surface_positions_m, &self.surface_triangles);

@@ -1,6 +1,6 @@
 //! A compliance compared with what it stands for.
 
-use super::{Precomputed, PrecomputedError};
+use super::{Precomputed, PrecomputedError, mesh_hash};
 use crate::math::{DMat3, DVec3};
 use crate::mesh::TetMesh;
 use crate::solve::{BoundaryConditions, FreeSystem, MeshEdges, StiffnessTensors};
@@ -30,12 +30,17 @@ fn largest_of(tensor: DMat3) -> f64 {
 /// the stiffness itself; and the whole with its transpose.
 ///
 /// # Errors
-/// [`PrecomputedError::Solve`] when `mesh` is not the mesh of the model.
+/// [`PrecomputedError::Solve`] when the mesh has no solution.
+///
+/// # Panics
+/// When the model is of another mesh, or was cut.
 pub fn check_compliance(
     model: &Precomputed,
     mesh: &TetMesh,
     n_compared: usize,
 ) -> Result<ComplianceCheck, PrecomputedError> {
+    assert!(mesh_hash(mesh) == model.compliance.mesh_hash, "the mesh of the model");
+    assert!(!model.is_cut(), "the compliance followed cuts");
     let edges = MeshEdges::of_mesh(mesh)?;
     let tensors = StiffnessTensors::assemble(mesh, &edges, model.material())?;
     let conditions = BoundaryConditions::fixed(model.fixed_nodes());

@@ -65,7 +65,12 @@ impl Origin {
         let held: Vec<NodeId> = (0..is_held.len()).filter(|&n| is_held[n]).map(NodeId::from_index).collect();
         let edges = MeshEdges::of_mesh(mesh)?;
         let tensors = StiffnessTensors::assemble(mesh, &edges, &compliance.material)?;
-        let system = FreeSystem::new(&edges, &tensors, &BoundaryConditions::fixed(&held))?;
+        let system = FreeSystem::for_many_solutions(
+            &mesh.positions_m,
+            &edges,
+            &tensors,
+            &BoundaryConditions::fixed(&held),
+        )?;
         let factor = system.factorize()?;
         let n_free = system.n_free();
         let mut right = vec![0.0; 3 * n_free];

@@ -122,7 +122,6 @@ impl Precomputed {
         if self.cuts.is_none() {
             let bears = vec![true; mesh.tetrahedra.len()];
             self.cuts = Some(Box::new(Cuts::new(mesh, bears, &self.compliance)?));
-            self.grow(self.compliance.rows.len(), self.compliance.n_loadable);
         }
         Ok(())
     }
@@ -148,15 +147,22 @@ impl Precomputed {
     /// loose ones at rest.
     ///
     /// # Errors
-    /// As [`Precomputed::build`]; [`super::PrecomputedError::NothingLoadable`] when nothing is held.
+    /// As [`Precomputed::build`]; [`SolveError::EmptyMesh`] when nothing that is held is left.
+    ///
+    /// # Panics
+    /// When `live` has not one flag a tetrahedron.
     pub fn build_cut(
         params: &super::PrecomputedParams<'_>,
         live: &[bool],
     ) -> Result<Self, super::PrecomputedError> {
         let mesh = params.mesh;
         let n_nodes = mesh.positions_m.len();
+        assert_eq!(live.len(), mesh.tetrahedra.len(), "one flag a tetrahedron");
+        if let Some(&node) = params.fixed_nodes.iter().find(|n| n.index() >= n_nodes) {
+            return Err(SolveError::ConditionOutOfRange { node, n_nodes }.into());
+        }
         let mut is_fixed = vec![false; n_nodes];
-        for node in params.fixed_nodes.iter().filter(|n| n.index() < n_nodes) {
+        for node in params.fixed_nodes {
             is_fixed[node.index()] = true;
         }
         let mut body = EditableMesh::new(mesh.clone()).map_err(|_| SolveError::EmptyMesh)?;
@@ -187,7 +193,6 @@ impl Precomputed {
         let mut cuts = Cuts::new(mesh, bears, &model.compliance)?;
         cuts.body = body;
         model.cuts = Some(Box::new(cuts));
-        model.grow(model.compliance.rows.len(), model.compliance.n_loadable);
         model.change_cuts(|model, cuts| {
             model.let_loose(cuts, &loose);
             model.join_pieces(cuts);
@@ -212,8 +217,15 @@ impl Precomputed {
             reason: "its stiffness matrix cannot be factored in the memory that there is",
         })?;
         self.change_cuts(|model, cuts| model.remove(cuts, &change.tets.removed));
-        // Rows to spare are not shown.
+        // Rows came and went; those to spare are not shown.
+        self.displacement_m.clear();
         self.displacement_m.resize(n_displacements(self.compliance.rows.len()), 0.0);
+        for (row, node) in self.compliance.rows.iter().enumerate() {
+            let u_m = self.positions_m[node.index()] - self.rest_m[node.index()];
+            for axis in 0..3 {
+                self.displacement_m[place_of_displacement(row, axis)] = u_m[axis];
+            }
+        }
         self.carry_weight();
         Ok(())
     }

@@ -192,6 +192,10 @@ impl Head {
 
         let mut bytes = Vec::new();
         from.by_ref().take(FIXED_BYTES as u64).read_to_end(&mut bytes).map_err(io_error)?;
+        if MAGIC.starts_with(&bytes) && !bytes.is_empty() {
+            // Cut off before anything was said.
+            return Err(length_error((FIXED_BYTES + CHECKSUM_BYTES) as u128));
+        }
         if !bytes.starts_with(MAGIC) {
             return Err(PrecomputedError::Kind {
                 file: file(),

@@ -230,7 +230,6 @@ impl Precomputed {
     }
 
     /// To be called when the compliance has changed: kept factors are dropped, and contacts are read from the table.
-    #[allow(dead_code, reason = "for edits of the compliance, such as cuts")]
     pub(super) fn compliance_changed(&mut self) {
         self.pairs = Pairs::None;
         self.contacts.forget();
@@ -260,7 +259,10 @@ impl Precomputed {
             }
         }
         (self.wanted, self.targets) = (wanted, targets);
-        self.reactions.clear();
+        let mut reactions = Roomy::with_room(Self::MOST_REACTIONS);
+        let kept = self.reactions.iter().filter_map(|&(m, f)| Some((find(row_of, n_loadable, m)?, f)));
+        reactions.extend(kept.take(Self::MOST_REACTIONS));
+        self.reactions = reactions;
         let n_nodes = self.rest_m.len();
         let n_more = n_nodes.saturating_sub(self.constraint_forces_n.len());
         self.constraint_forces_n.reserve(n_more);

@@ -259,28 +259,48 @@ fn add_narrow_columns<S: Simd>(_: S, c: [&[f32]; SWEEP], f: [f64; SWEEP], sums: 
 /// Rows and columns of a tile.
 const TILE: usize = 8;
 
+/// Eight columns of eight numbers.
+type Tile<T> = [[T; TILE]; TILE];
+
+/// Tiles in one of the precisions.
+#[derive(Clone, Debug, PartialEq)]
+enum Tiles {
+    F64(Vec<Tile<f64>>),
+    F32(Vec<Tile<f32>>),
+}
+
 /// A symmetric matrix by its lower triangle: half the memory to read, so that a frontier of some hundred nodes stays in
 /// the second-level cache from step to step. Tiles of eight by eight, down each block of columns.
+///
+/// The large numbers stand in the tiles on the diagonal, which are always f64. The others may be kept in f32: memory is
+/// what the product waits for. Each is then off by a share of 6e-8 at most, the same in every step, and is worked
+/// with in f64; the matrix stays symmetric, so that no energy comes from it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct SymmetricTiles {
     n: usize,
-    tiles: Vec<[[f64; TILE]; TILE]>,
+    diagonal: Vec<Tile<f64>>,
+    below: Tiles,
 }
 
 impl SymmetricTiles {
-    /// The tiles of a symmetric matrix in f64.
-    pub(super) fn of(matrix: &Columns) -> Self {
+    /// The tiles of a symmetric matrix in f64; `precision` is that of those below the diagonal.
+    pub(super) fn of(matrix: &Columns, precision: Precision) -> Self {
         let n = matrix.n_rows();
         let n_blocks = n.div_ceil(TILE);
         let entry = |i: usize, j: usize| if i < n && j < n { matrix.entry(i, j) } else { 0.0 };
-        let mut tiles = Vec::with_capacity(n_blocks * (n_blocks + 1) / 2);
-        for j in 0..n_blocks {
-            for i in j..n_blocks {
-                let column = |k: usize| std::array::from_fn(|l| entry(TILE * i + l, TILE * j + k));
-                tiles.push(std::array::from_fn(column));
+        let tile = |i: usize, j: usize| -> Tile<f64> {
+            let column = |k: usize| std::array::from_fn(|l| entry(TILE * i + l, TILE * j + k));
+            std::array::from_fn(column)
+        };
+        let below = (0..n_blocks).flat_map(|j| (j + 1..n_blocks).map(move |i| (i, j)));
+        let below = match precision {
+            Precision::F64 => Tiles::F64(below.map(|(i, j)| tile(i, j)).collect()),
+            Precision::F32 => {
+                let narrow = |(i, j)| tile(i, j).map(|column| column.map(|x| x as f32));
+                Tiles::F32(below.map(narrow).collect())
             }
-        }
-        Self { n, tiles }
+        };
+        Self { n, diagonal: (0..n_blocks).map(|j| tile(j, j)).collect(), below }
     }
 
     /// Numbers that a vector takes: whole blocks.
@@ -292,30 +312,44 @@ impl SymmetricTiles {
     pub(super) fn add_times(&self, x: &[f64], sums: &mut [f64]) {
         assert_eq!((x.len(), sums.len()), (self.padded_len(), self.padded_len()), "whole blocks");
         let (x, sums) = (x.as_chunks().0, sums.as_chunks_mut().0);
-        let level = Level::new();
-        dispatch!(level, simd => add_tiles(simd, &self.tiles, x, sums));
+        let (level, diagonal) = (Level::new(), &self.diagonal[..]);
+        match &self.below {
+            Tiles::F64(below) => dispatch!(level, simd => add_tiles(simd, diagonal, below, x, sums)),
+            Tiles::F32(below) => dispatch!(level, simd => add_tiles(simd, diagonal, below, x, sums)),
+        }
     }
 }
 
 #[inline(always)]
-fn add_tiles<S: Simd>(simd: S, tiles: &[[[f64; TILE]; TILE]], x: &[[f64; TILE]], sums: &mut [[f64; TILE]]) {
-    let mut rest = tiles;
+fn widened<S: Simd, T: Copy + Into<f64>>(simd: S, column: &[T; TILE]) -> f64x8<S> {
+    f64x8::from_slice(simd, &column.map(Into::into))
+}
+
+#[inline(always)]
+fn add_tiles<S: Simd, T: Copy + Into<f64>>(
+    simd: S,
+    diagonal: &[Tile<f64>],
+    below: &[Tile<T>],
+    x: &[[f64; TILE]],
+    sums: &mut [[f64; TILE]],
+) {
+    let mut rest = below;
     for j in 0..x.len() {
-        let (panel, later) = rest.split_at(x.len() - j);
+        let (panel, later) = rest.split_at(x.len() - j - 1);
         rest = later;
         let factors: [f64x8<S>; TILE] = std::array::from_fn(|k| f64x8::splat(simd, x[j][k]));
         // The tile on the diagonal is whole; the others stand for their mirror image too.
         let mut sum = f64x8::from_slice(simd, &sums[j]);
         for k in 0..TILE {
-            sum = f64x8::from_slice(simd, &panel[0][k]).mul_add(factors[k], sum);
+            sum = f64x8::from_slice(simd, &diagonal[j][k]).mul_add(factors[k], sum);
         }
         sum.store_slice(&mut sums[j]);
         let mut mirrored = [f64x8::splat(simd, 0.0); TILE];
-        for (i, tile) in (j + 1..).zip(&panel[1..]) {
+        for (i, tile) in (j + 1..).zip(panel) {
             let of_rows = f64x8::from_slice(simd, &x[i]);
             let (mut even, mut odd) = (f64x8::from_slice(simd, &sums[i]), f64x8::splat(simd, 0.0));
             for k in (0..TILE).step_by(2) {
-                let (a, b) = (f64x8::from_slice(simd, &tile[k]), f64x8::from_slice(simd, &tile[k + 1]));
+                let (a, b) = (widened(simd, &tile[k]), widened(simd, &tile[k + 1]));
                 even = a.mul_add(factors[k], even);
                 odd = b.mul_add(factors[k + 1], odd);
                 mirrored[k] = a.mul_add(of_rows, mirrored[k]);
@@ -394,14 +428,16 @@ mod tests {
                     symmetric.column_mut(i)[j] = x;
                 }
             }
-            let tiles = SymmetricTiles::of(&symmetric);
-            let mut x = vec![0.0; tiles.padded_len()];
-            x[..n].copy_from_slice(random(n, 1, 8).numbers());
-            let (mut sums, mut expected) = (vec![2.0; x.len()], vec![2.0; n]);
-            tiles.add_times(&x, &mut sums);
-            symmetric.add_times(&x[..n], &mut expected);
-            for (a, b) in sums.iter().zip(&expected) {
-                assert!((a - b).abs() < 1e-11, "{a} {b}");
+            for (precision, tolerance) in [(Precision::F64, 1e-11), (Precision::F32, 1e-5)] {
+                let tiles = SymmetricTiles::of(&symmetric, precision);
+                let mut x = vec![0.0; tiles.padded_len()];
+                x[..n].copy_from_slice(random(n, 1, 8).numbers());
+                let (mut sums, mut expected) = (vec![2.0; x.len()], vec![2.0; n]);
+                tiles.add_times(&x, &mut sums);
+                symmetric.add_times(&x[..n], &mut expected);
+                for (a, b) in sums.iter().zip(&expected) {
+                    assert!((a - b).abs() < tolerance, "{a} {b}");
+                }
             }
         }
     }

@@ -128,7 +128,7 @@ impl Interface {
             places,
             of_condensed,
             of_loadable: Vec::new(),
-            stiffness_tiles: SymmetricTiles::of(&on_dynamic),
+            stiffness_tiles: SymmetricTiles::of(&on_dynamic, precision),
             stiffness_on_dynamic: on_dynamic,
             constant: Columns::zeros(n_all, N_CONSTANT),
             in_compliance: Vec::new(),

@@ -126,7 +126,7 @@ pub struct CondensedParams<'a> {
     pub loadable: Loadable<'a>,
     /// Which nodes have rows in the tables, beside the loadable ones; the others are computed with the factor when they are asked for.
     pub stored: StoredNodes,
-    /// How the tables are kept. The frontier's own stiffness is always `f64`.
+    /// How the tables are kept. The frontier's own stiffness is `f64`; a step reads a copy of it in this precision.
     pub precision: Precision,
 }
 

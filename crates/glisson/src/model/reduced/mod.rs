@@ -22,6 +22,7 @@ mod basis;
 mod build;
 mod cubic;
 mod dense;
+mod local;
 mod newton;
 
 pub use newton::ReducedSolution;
@@ -31,7 +32,9 @@ use std::sync::Arc;
 use self::cubic::ReducedForces;
 use self::newton::Newton;
 use super::roomy::Roomy;
-use super::{Constraints, DeformableModel, FixedNode, ModelReport, ModelState, TopologyRefusal};
+use super::{
+    Constraints, DeformableModel, FixedNode, LocalModel, LocalWork, ModelReport, ModelState, TopologyRefusal,
+};
 use crate::material::LinearElastic;
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
@@ -392,6 +395,13 @@ impl DeformableModel for Reduced {
             missed_tolerance: !self.solution.converged,
             ..ModelReport::default()
         }
+    }
+
+    /// V A^-1 V^T + C_r with A the reduced stiffness at the present coordinates, exact for this model and the same for
+    /// any period. Where A is not positive definite, multiples of the stiffness at rest are added, as in a step. What
+    /// other tools hold yields, and nodes that cannot be loaded do not.
+    fn local_model_into(&mut self, patch: &[NodeId], period_s: f64, _: &mut LocalWork, out: &mut LocalModel) {
+        self.fill_local_model(patch, period_s, out);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

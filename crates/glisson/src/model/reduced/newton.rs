@@ -123,6 +123,24 @@ impl Newton {
         }
     }
 
+    /// L^-1 of `m` columns of r that `fill` writes, with L of the stiffness at the present q: the products of two of them
+    /// are their compliance. What a solution needs is computed anew by each one, so nothing is lost.
+    pub(super) fn half_solve(
+        &mut self,
+        forces: &ReducedForces,
+        m: usize,
+        fill: impl Fn(usize, &mut [f64]),
+    ) -> &[f64] {
+        let r = self.q.len();
+        forces.evaluate(&self.q, &mut self.state);
+        self.factor_stiffness(forces);
+        for (component, column) in self.half_solved[..r * m].chunks_exact_mut(r).enumerate() {
+            fill(component, column);
+            solve_lower(&self.factor, r, column);
+        }
+        &self.half_solved[..r * m]
+    }
+
     /// The Newton step and the forces at its end.
     fn find_step(&mut self, m: usize) {
         let r = self.q.len();

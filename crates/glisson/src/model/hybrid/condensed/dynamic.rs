@@ -159,6 +159,21 @@ impl DynamicPart {
         Some(NodeId::from_index(found))
     }
 
+    /// The dynamic tetrahedra and those around them, at rest.
+    pub(super) fn mesh(&self) -> &TetMesh {
+        &self.mesh
+    }
+
+    /// Whether a tetrahedron of the body is still there.
+    pub(super) fn is_live(&self, tet: usize) -> bool {
+        self.is_live[tet]
+    }
+
+    /// Place among the interface's dynamic nodes of one of the body's.
+    pub(super) fn frontier_place(&self, local: NodeId) -> Option<usize> {
+        self.frontier.iter().position(|&n| n == local.0)
+    }
+
     /// Nodes that move by themselves: the body's and the mesh's.
     pub(super) fn moving(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let moves = |&(l, n): &(usize, &u32)| *n != GONE && self.dynamic_tets[l] > 0;

@@ -11,7 +11,8 @@ use crate::solve::{BoundaryConditions, MeshEdges, SolveError};
 const NAME: &str = "hybrid";
 
 impl CondensedHybrid {
-    /// Follows removals and compactions.
+    /// Follows removals and compactions. Additions and moved nodes are refused before anything changes. After that
+    /// nothing that a built body can lead to is refused (see `bring_together_again`).
     pub(super) fn follow_change(&mut self, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         follows(NAME, change)?;
         assert_eq!(change.tets.n_before, self.is_live.len(), "the model missed a change of the mesh");
@@ -61,13 +62,21 @@ impl CondensedHybrid {
     }
 
     /// Anew for the laws as they are; what moves goes on from where it is.
+    ///
+    /// Where that fails, every zone becomes dynamic. That can be refused only for faults of the body that
+    /// [`CondensedHybrid::build`] refuses too (supports, ligaments, numbers, tetrahedra without volume), so not for a
+    /// part of a body that was built; if it were, the zones would be gone and the model has to be replaced.
     fn bring_together_again(&mut self) -> Result<(), TopologyRefusal> {
         self.find_dynamic_nodes();
         let is_kept: Vec<bool> =
             self.zone_numbers.iter().map(|&z| self.laws[z as usize] == ZoneLaw::Precomputed).collect();
+        // All zones, not those that turn alone: below, every zone may have to.
+        self.catch_up();
+        self.n_rebuilt += 1;
         let mut composed = self.interface.take_composed();
         keep(&mut composed, &is_kept);
         keep(&mut self.zones, &is_kept);
+        keep(&mut self.ages, &is_kept);
         keep(&mut self.zone_numbers, &is_kept);
         if self.bring_together(Some(&composed)).is_err() {
             // Tissue that hangs by so little that no equilibrium can be computed: everything is dynamic.
@@ -200,6 +209,7 @@ impl CondensedHybrid {
         }
         self.constraints.forces.clear();
         self.constraints.displacements.clear();
+        self.n_dropped = 0;
         self.note_constraints();
     }
 }

@@ -22,6 +22,7 @@ mod contact;
 mod dynamic;
 mod edit;
 mod interface;
+mod local;
 mod step;
 mod zone;
 
@@ -39,8 +40,8 @@ use crate::mesh::{NodeId, TetMesh};
 use crate::model::explicit::{ExplicitError, check_body};
 use crate::model::roomy::Roomy;
 use crate::model::{
-    Attachment, Constraints, DeformableModel, DynamicBody, ImposedDisplacement, ModelReport, ModelState,
-    NodalForce, Rayleigh, RestStress, TopologyRefusal,
+    Attachment, Constraints, DeformableModel, DynamicBody, ImposedDisplacement, LocalModel, LocalWork,
+    ModelReport, ModelState, NodalForce, Rayleigh, RestStress, TopologyRefusal,
 };
 use crate::solve::{MeshEdges, SolveError, boundary_nodes};
 
@@ -211,6 +212,34 @@ struct ZoneWork {
     is_loaded: bool,
 }
 
+/// How old the shown positions of some nodes are.
+#[derive(Clone, Copy)]
+struct Age {
+    /// Time [s] of the steps since they were written.
+    since_s: f64,
+    /// They were given, at rest or by a model before, so that they tell nothing about the velocity.
+    was_given: bool,
+}
+
+impl Age {
+    const GIVEN: Self = Self { since_s: 0.0, was_given: true };
+
+    fn is_stale(self) -> bool {
+        self.since_s > 0.0
+    }
+
+    /// One over the time that a way to the places of now has taken [1/s], 0 when that is not known; the places are
+    /// those of now afterwards.
+    fn renew(&mut self) -> f64 {
+        let per_s = if self.was_given || self.since_s <= 0.0 { 0.0 } else { 1.0 / self.since_s };
+        *self = Self { since_s: 0.0, was_given: false };
+        per_s
+    }
+}
+
+/// Ages of a zone's nodes: those of the surface, the other stored ones, those without rows.
+type Ages = [Age; 3];
+
 /// One organ of pre-computed and dynamic zones.
 #[derive(Clone)]
 pub struct CondensedHybrid {
@@ -243,6 +272,10 @@ pub struct CondensedHybrid {
     // State: that of the dynamic part, and these.
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
+    /// One a pre-computed zone.
+    ages: Vec<Ages>,
+    /// Of the frontier nodes between pre-computed zones.
+    condensed_age: Age,
 
     // Constraints.
     constraints: Constraints,
@@ -253,6 +286,10 @@ pub struct CondensedHybrid {
     dynamic_places: Roomy<u32>,
     constraint_forces_n: Roomy<DVec3>,
     n_ignored: u32,
+    /// Constraints beyond one a node, which have no room.
+    n_dropped: u32,
+    /// How often an edit made the interface anew.
+    n_rebuilt: u32,
     updated: Updated,
 
     // Scratch.
@@ -263,6 +300,8 @@ pub struct CondensedHybrid {
     reduced: Vec<f64>,
     row: Vec<f64>,
     system: ContactSystem,
+    /// Of the dynamic nodes of a patch, by the dynamic part's numbers.
+    local: LocalModel,
 }
 
 impl CondensedHybrid {
@@ -349,6 +388,8 @@ impl CondensedHybrid {
             is_dynamic,
             positions_m: mesh.positions_m.clone(),
             velocities_m_per_s: vec![DVec3::ZERO; n_nodes],
+            ages: Vec::new(),
+            condensed_age: Age::GIVEN,
             constraints: Constraints::default(),
             loads: Roomy::with_room(n_nodes),
             held: Roomy::with_room(Self::MAX_HELD),
@@ -356,14 +397,18 @@ impl CondensedHybrid {
             dynamic_places: Roomy::with_room(n_nodes),
             constraint_forces_n: Roomy::with_room(n_nodes),
             n_ignored: 0,
+            n_dropped: 0,
+            n_rebuilt: 0,
             updated: Updated::default(),
             work: Vec::new(),
             constant: Vec::new(),
             reduced: Vec::new(),
             row: Vec::new(),
             system: ContactSystem::with_room_for(3 * Self::MAX_HELD),
+            local: LocalModel::new(),
             held_axes,
         };
+        model.ages = vec![[Age::GIVEN; 3]; model.zones.len()];
         model.make_room();
         model.find_dynamic_nodes();
         if let Some(a) = model.attachments.iter().find(|a| !model.is_dynamic[a.node.index()]) {
@@ -376,8 +421,9 @@ impl CondensedHybrid {
         Ok(model)
     }
 
-    /// Room in the lists of constraints, which a copy of a list has not.
+    /// Room in the lists, which a copy of a list has not.
     fn make_room(&mut self) {
+        self.local = LocalModel::new();
         let n_nodes = self.mesh.positions_m.len();
         for constraints in [&mut self.constraints, &mut self.dynamic_constraints] {
             constraints.displacements.reserve(n_nodes - constraints.displacements.len().min(n_nodes));
@@ -562,7 +608,7 @@ impl CondensedHybrid {
     }
 
     fn note_constraints(&mut self) {
-        self.n_ignored = 0;
+        self.n_ignored = self.n_dropped;
         self.loads.clear();
         self.held.clear();
         self.dynamic_places.clear();
@@ -624,8 +670,10 @@ impl CondensedHybrid {
 impl DeformableModel for CondensedHybrid {
     fn apply(&mut self, constraints: &Constraints) {
         let n_nodes = self.mesh.positions_m.len();
-        // Room was made for every node; more is a list with repetitions.
+        // Room was made for every node; more is a list with repetitions, whose rest counts as ignored.
         let fill = |from: usize| from.min(n_nodes);
+        let beyond = |len: usize| len.saturating_sub(n_nodes) as u32;
+        self.n_dropped = beyond(constraints.forces.len()) + beyond(constraints.displacements.len());
         self.constraints.forces.clear();
         self.constraints.displacements.clear();
         let n_forces = fill(constraints.forces.len());
@@ -663,6 +711,8 @@ impl DeformableModel for CondensedHybrid {
             }
             self.velocities_m_per_s[n] = DVec3::ZERO;
         }
+        self.ages.fill([Age::GIVEN; 3]);
+        self.condensed_age = Age::GIVEN;
         if let Some(dynamic) = &mut self.dynamic {
             dynamic.start(&self.mesh.positions_m, &self.positions_m, None);
         }
@@ -684,7 +734,27 @@ impl DeformableModel for CondensedHybrid {
             .dynamic
             .as_ref()
             .map_or(ModelReport { n_parts: 1, ..ModelReport::default() }, |d| d.motion.report());
-        ModelReport { n_ignored_constraints: of_dynamic.n_ignored_constraints + self.n_ignored, ..of_dynamic }
+        ModelReport {
+            n_ignored_constraints: of_dynamic.n_ignored_constraints + self.n_ignored,
+            n_reanalyses: self.n_rebuilt,
+            ..of_dynamic
+        }
+    }
+
+    /// Pre-computed nodes answer with their exact static compliance. What they pull on is felt at the dynamic nodes of
+    /// the patch only, the other nodes between pre-computed and dynamic zones being held: over a period that is short for
+    /// those, or without dynamic zones, it is exact, else too stiff. Dynamic nodes answer over the period
+    /// ([`crate::model::local_model`]), with the pre-computed tetrahedra around them, of which the corners elsewhere
+    /// are held. What tools hold in pre-computed tissue yields. Nodes that tools cannot hold do not yield. Positions of
+    /// nodes that [`Updated`] leaves out are the shown ones.
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        self.fill_local_model(patch, period_s, work, out);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

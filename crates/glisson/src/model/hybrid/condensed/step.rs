@@ -4,11 +4,11 @@ use super::columns::{Columns, dot};
 use super::contact::ContactSystem;
 use super::interface::Interface;
 use super::zone::PrecomputedZone;
-use super::{CondensedHybrid, Held, Place, Updated, ZoneWork};
+use super::{Ages, CondensedHybrid, Held, Place, Updated, ZoneWork};
 use crate::math::{DMat3, DVec3};
 
 /// The columns of a node of a pre-computed zone or of their frontier, and the first of its three.
-fn columns_of(interface: &Interface, place: Place) -> (&Columns, usize) {
+pub(super) fn columns_of(interface: &Interface, place: Place) -> (&Columns, usize) {
     match place {
         Place::Own { zone, own } => (&interface.of_loadable[zone as usize], 3 * own as usize),
         Place::Condensed(p) => (&interface.of_condensed, 3 * p as usize),
@@ -28,7 +28,7 @@ fn weighted(first: usize, force_n: DVec3) -> [(usize, f64); 3] {
     [0, 1, 2].map(|axis| (first + axis, force_n[axis]))
 }
 
-fn node_at(numbers: &[f64], node: usize) -> DVec3 {
+pub(super) fn node_at(numbers: &[f64], node: usize) -> DVec3 {
     DVec3::from_slice(&numbers[3 * node..3 * node + 3])
 }
 
@@ -167,7 +167,6 @@ impl CondensedHybrid {
 
     /// Positions and velocities of what is asked for.
     fn show(&mut self, dt_s: f64) {
-        let per_s = 1.0 / dt_s;
         if let Some(dynamic) = &self.dynamic {
             for (local, n) in dynamic.moving() {
                 if self.place[n] != Place::Nowhere {
@@ -177,24 +176,54 @@ impl CondensedHybrid {
                 }
             }
         }
+        self.ages.iter_mut().flatten().chain([&mut self.condensed_age]).for_each(|age| age.since_s += dt_s);
+        let per_s = self.condensed_age.renew();
         for p in 0..self.interface.n_condensed {
             let n = self.interface.nodes[p].index();
             self.place_node(n, node_at(&self.reduced, p), per_s);
         }
         for z in 0..self.zones.len() {
-            self.show_zone(z, per_s);
+            match self.updated {
+                Updated::All => self.show_zone(z, 3),
+                Updated::Surface => self.show_zone(z, 1),
+                Updated::LoadedZones if self.work[z].is_loaded => self.show_zone(z, 2),
+                Updated::LoadedZones => (),
+            }
         }
     }
 
-    fn show_zone(&mut self, z: usize, per_s: f64) {
+    /// Brings the pre-computed zones some of whose nodes the last steps did not show to where the loads and tools of
+    /// now hold them, the dynamic nodes where they are. Their velocity is that of the way since they were shown.
+    pub(super) fn catch_up(&mut self) {
+        let is_stale = |ages: &Ages| ages.iter().any(|age| age.is_stale());
+        if !self.ages.iter().any(is_stale) {
+            return;
+        }
+        self.reduce_loads();
+        self.prepare_tools();
+        self.close_interface();
+        // What was shown keeps its velocity: a load that came since the last step moves it in no time.
+        for p in 0..self.interface.n_condensed {
+            let n = self.interface.nodes[p].index();
+            self.positions_m[n] = self.mesh.positions_m[n] + node_at(&self.reduced, p);
+        }
+        for z in 0..self.zones.len() {
+            if is_stale(&self.ages[z]) {
+                self.show_zone(z, 3);
+            }
+        }
+    }
+
+    /// Brings the first `n_groups` of a zone's groups of nodes up to date.
+    fn show_zone(&mut self, z: usize, n_groups: usize) {
         let zone = &self.zones[z];
-        let n_rows = match self.updated {
-            Updated::All => zone.n_stored,
-            Updated::Surface => zone.n_shown,
-            Updated::LoadedZones if self.work[z].is_loaded => zone.n_stored,
-            Updated::LoadedZones => return,
-        };
-        let n_own = zone.nodes.len();
+        let ends = [zone.n_shown, zone.n_stored, zone.nodes.len()];
+        let n_rows = ends[n_groups.min(2) - 1];
+        let was_fresh = self.ages[z].map(|age| !age.is_stale());
+        let mut per_s = [0.0; 3];
+        for (per_s, age) in per_s.iter_mut().zip(&mut self.ages[z]).take(n_groups) {
+            *per_s = age.renew();
+        }
         let is_moved = self.is_moved_from_outside(z);
         if is_moved {
             let dynamic_m = self.dynamic.as_ref().map_or(&[][..], |d| d.last_frontier_m());
@@ -227,11 +256,16 @@ impl CondensedHybrid {
             zone.extension.add_times(&work.frontier, rows_m);
         }
         for i in 0..n_rows {
+            let group = usize::from(i >= ends[0]);
             let (n, u_m) = (self.zones[z].nodes[i].index(), node_at(&self.work[z].rows_m, i));
-            self.place_node(n, u_m, per_s);
+            if was_fresh[group] {
+                self.positions_m[n] = self.mesh.positions_m[n] + u_m;
+            } else {
+                self.place_node(n, u_m, per_s[group]);
+            }
         }
-        if self.updated == Updated::All && n_rows < n_own {
-            self.show_inner(z, n_rows, per_s);
+        if n_groups == 3 && n_rows < ends[2] {
+            self.show_inner(z, n_rows, per_s[2]);
         }
     }
 
@@ -330,7 +364,7 @@ fn without_tools(zone: &PrecomputedZone, work: &ZoneWork, own: usize, outside: O
 }
 
 /// Displacement of one held node for a unit force on another, the dynamic nodes held. `row`: room for a row over p.
-fn compliance(
+pub(super) fn compliance(
     interface: &Interface,
     zones: &[PrecomputedZone],
     row: &mut [f64],

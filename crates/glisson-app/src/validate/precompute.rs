@@ -14,7 +14,7 @@ use glisson::model::precomputed::{
     Precision, Precomputed, PrecomputedExpectation, PrecomputedParams, StoredNodes, StreamOptions,
     UnitDisplacements, check_compliance, precompute_to_file,
 };
-use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
+use glisson::model::{Constraints, DeformableModel, ImposedDisplacement, NodalForce};
 use glisson::solve::{
     BoundaryConditions, FreeSystem, IncompleteCholesky, LagrangeSolution, LinearConstraint, MeshEdges,
     StaticProblem, StiffnessTensors, solve_lagrange, solve_lagrange_densely,
@@ -243,9 +243,58 @@ fn paper_row(n_tets: usize, mesh: &str, took: &str) -> anyhow::Result<String> {
     ))
 }
 
+/// Nodes that are loaded or moved, what table 2.1 of seed `003` says of it for its fastest machines.
+const RESPONSES: [(usize, bool, &str, &str); 5] = [
+    (1, true, "force on 1 node", "3,846 Hz"),
+    (1, false, "displacement of 1 node", "3,759 Hz"),
+    (5, false, "displacements of 5 nodes", "561 Hz"),
+    (10, false, "displacements of 10 nodes", "185 Hz"),
+    (20, false, "displacements of 20 nodes", "40 Hz"),
+];
+/// Timed responses of each kind.
+const N_RESPONSES: usize = 600;
+
+/// Lines of the table of response rates: other nodes in every call, all surface nodes moved.
+fn response_rows(model: &mut Precomputed) -> String {
+    let loadable = model.loadable_nodes().to_vec();
+    let mut random = SeededRandom::new(21);
+    let mut rows = String::new();
+    for (n, is_force, what, paper) in RESPONSES {
+        let mut times_ns: Vec<u64> = (0..N_RESPONSES)
+            .map(|_| {
+                let mut nodes: Vec<NodeId> = Vec::new();
+                while nodes.len() < n {
+                    let node = loadable[(random.uniform() * loadable.len() as f64) as usize];
+                    if !nodes.contains(&node) {
+                        nodes.push(node);
+                    }
+                }
+                nodes.sort_unstable();
+                let mut constraints = Constraints::default();
+                for node in nodes {
+                    let vector = DVec3::new(random.normal(), random.normal(), random.normal()) * 1e-3;
+                    if is_force {
+                        constraints.forces.push(NodalForce { node, force_n: vector });
+                    } else {
+                        constraints.displacements.push(ImposedDisplacement { node, displacement_m: vector });
+                    }
+                }
+                let start_ns = thread_cpu_ns();
+                model.apply(&constraints);
+                model.step(1e-3);
+                thread_cpu_ns() - start_ns
+            })
+            .collect();
+        times_ns.sort_unstable();
+        let median_ns = times_ns[N_RESPONSES / 2] as f64;
+        rows += &format!("| {what} | {paper} | {:.1} | {:.0} |\n", 1e-3 * median_ns, 1e9 / median_ns);
+    }
+    rows
+}
+
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let body = Body::liver(LIVER_TETS)?;
-    let model = Precomputed::build(&body.params())?;
+    let mut model = Precomputed::build(&body.params())?;
     let check = check_compliance(&model, &body.mesh, 30)?;
     let short = Precomputed::build(&PrecomputedParams { precision: Precision::F32, ..body.params() })?;
     let short_check = check_compliance(&short, &body.mesh, 30)?;
@@ -327,15 +376,20 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
             [30.0, 300.0],
         ),
     ];
+    let responses = response_rows(&mut model);
     let notes = format!(
         "The liver ({} nodes, {} tetrahedra, {} loadable surface nodes) is held at its back. Direct solutions are refined \
          with the stiffness itself. The incomplete factor has no fill; it {}. Each of the {N_LOADS} loads moves its own node by \
          {:.0} mm.\n\n\
          The papers' meshes beside ours of about as many tetrahedra; times are processor seconds of one core. The sums of \
-         conjugate gradients are three times the loadable nodes times the mean of {N_LOADS} solutions. Response rates \
-         beside table 2.1 of seed `003` and table 1 of `001` come from `glisson bench precomputed_response`.\n\n\
+         conjugate gradients are three times the loadable nodes times the mean of {N_LOADS} solutions.\n\n\
          | paper's mesh | paper | ours: nodes / tetrahedra / loadable | iterations | ms a solution | conjugate gradients [s] | \
          sparse factor, file written [s] | ratio | file [MB] |\n|---|---|---|---|---|---|---|---|---|\n{rows}\n\
+         Responses beside table 2.1 of seed `003` (the fastest of its three machines; its liver has 614 surface nodes): \
+         processor time of one core, median of {N_RESPONSES} with other nodes each, all surface nodes moved, call included; \
+         `glisson bench precomputed_response` measures the same more finely. Table 1 of seed `001` has 7 ms for one \
+         deformation of its liver, 15,000 ms without the pre-computation.\n\n\
+         | response | paper | ours [us] | ours [Hz] |\n|---|---|---|---|\n{responses}\n\
          The report's \"36 megabits\" must be megabytes: 614 x 614 tensors are 27.1 MB of f64.",
         body.mesh.positions_m.len(),
         body.mesh.tetrahedra.len(),

@@ -394,6 +394,69 @@ fn a_zone_that_is_cut_goes_on_with_its_position_and_velocity() {
 }
 
 #[test]
+fn a_cut_starts_from_where_the_tissue_is_whatever_was_shown() {
+    let bar = Bar::new(2);
+    let force = |share: f64| {
+        let force_n = share * DVec3::new(0.0, 0.01, -0.03);
+        let forces = vec![NodalForce { node: bar.node_at(1.0, 1.0, 1.0), force_n }];
+        Constraints { displacements: vec![], forces }
+    };
+    // Evenly, so that the mean velocity since nodes were shown is the last one.
+    let shares = [0.997, 0.998, 0.999, 1.0];
+    // One zone is loaded, and one is moved by it alone.
+    for (stored, zone) in [StoredNodes::All, StoredNodes::Surface].into_iter().zip([3, 1]) {
+        let laws = [Precomputed; 4];
+        let mut mesh = EditableMesh::new(bar.mesh.clone()).unwrap();
+        let cut = bar.zones.tets(zone).take(1).collect();
+        let change = mesh.apply(&MeshEdit::Remove { tets: cut }).unwrap();
+        let runs = [Updated::All, Updated::Surface, Updated::LoadedZones].map(|updated| {
+            let mut model = CondensedHybrid::build(&CondensedParams { stored, ..bar.params(&laws) }).unwrap();
+            for (i, share) in shares.into_iter().enumerate() {
+                model.apply(&force(share));
+                model.set_updated(if i < 2 { Updated::All } else { updated });
+                model.step(STEP_S);
+            }
+            let shown = displacements_of(&model, &bar.mesh);
+            model.topology_changed(mesh.mesh(), &change).unwrap();
+            assert_eq!(model.laws()[zone], TensorMass);
+            assert_eq!(model.report().n_reanalyses, 1);
+            model.set_updated(Updated::All);
+            let at_cut = displacements_of(&model, &bar.mesh);
+            run(&mut model, 20);
+            (shown, at_cut, displacements_of(&model, &bar.mesh))
+        });
+        let [(_, at_cut, after), others @ ..] = runs;
+        assert!(largest_difference(&after, &at_cut) > 1e-3);
+        for (shown, other_at_cut, other_after) in others {
+            assert!(largest_difference(&shown, &at_cut) > 1e-4, "was stale");
+            assert!(largest_difference(&other_at_cut, &at_cut) < 1e-12, "{stored:?}");
+            let error = largest_difference(&other_after, &after);
+            assert!(error < 1e-9, "{stored:?}: {error:e}");
+        }
+    }
+}
+
+#[test]
+fn positions_taken_over_give_precomputed_tissue_no_velocity() {
+    let bar = Bar::new(2);
+    let mut model = bar.build(&[Precomputed; 4]);
+    model.set_updated(Updated::Surface);
+    model.apply(&Constraints { displacements: vec![], forces: bar.forces() });
+    let fastest = |model: &CondensedHybrid| {
+        model.state().velocities_m_per_s.iter().map(|v| v.length()).fold(0.0, f64::max)
+    };
+    for _ in 0..2 {
+        model.take_over(&bar.mesh.positions_m);
+        run(&mut model, 2);
+        model.set_updated(Updated::All);
+        model.step(STEP_S);
+        assert!(largest_difference(&displacements_of(&model, &bar.mesh), &bar.mesh.positions_m) > 1e-2);
+        // Without a tool that moves, nothing does after the jump.
+        assert!(fastest(&model) < 1e-9, "{}", fastest(&model));
+    }
+}
+
+#[test]
 fn a_piece_cut_loose_falls() {
     let bar = Bar::new(5);
     let laws = vec![Precomputed; 10];
@@ -501,4 +564,11 @@ fn what_cannot_be_is_refused_and_what_cannot_be_done_is_counted() {
     assert_eq!(model.report().n_ignored_constraints, 4);
     assert_eq!(model.constraint_forces_n(), [DVec3::ZERO; 3]);
     assert!(displacements_of(&model, &bar.mesh).iter().all(|u| *u == DVec3::ZERO));
+
+    // More than one a node: what has no room is counted.
+    let n_nodes = bar.mesh.positions_m.len();
+    let forces = vec![NodalForce { node, force_n: DVec3::ZERO }; n_nodes + 7];
+    model.apply(&Constraints { displacements: vec![], forces });
+    model.step(STEP_S);
+    assert_eq!(model.report().n_ignored_constraints, 7);
 }

@@ -3,9 +3,11 @@
 use crate::model_meshes::{block, held, nodes_below, shaken_block};
 use glisson::material::LinearElastic;
 use glisson::math::{DMat3, DVec3, SeededRandom};
+use glisson::mesh::zones::Zones;
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
+use glisson::model::hybrid::condensed::{CondensedHybrid, CondensedParams, Updated, ZoneLaw};
 use glisson::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use glisson::model::kernel::{KernelLaw, KernelPath};
 use glisson::model::mass_spring::{MassSpring, MassSpringParams, NodalMasses};
@@ -13,6 +15,7 @@ use glisson::model::nonlinear_tensor_mass::{
     NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
 };
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
+use glisson::model::reduced::{Reduced, ReducedParams};
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::model::{
     Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, Integration, LocalModel,
@@ -455,5 +458,148 @@ fn a_local_model_allocates_nothing() {
             }
         });
         assert_eq!(count.count_total, 0, "{name}");
+    }
+}
+
+/// What a small change of force on a node of the patch does to the patch in `n_steps` of `dt_s`, per Newton.
+fn response(
+    model: &dyn DeformableModel,
+    (patch, forces): (&[NodeId], &[NodalForce]),
+    by: usize,
+    change_n: DVec3,
+    (dt_s, n_steps): (f64, usize),
+) -> Vec<DVec3> {
+    let [more_m, less_m] = [1.0, -1.0].map(|sign| {
+        let mut forces = forces.to_vec();
+        forces.push(NodalForce { node: patch[by], force_n: change_n * sign });
+        settled(model, &forces, dt_s, n_steps)
+    });
+    patch.iter().map(|n| (more_m[n.index()] - less_m[n.index()]) / (2.0 * change_n.length())).collect()
+}
+
+/// Largest difference of the local model's answer from the model's own, over the largest of these.
+fn response_error(
+    model: &mut dyn DeformableModel,
+    load: (&[NodeId], &[NodalForce]),
+    change_n: f64,
+    (dt_s, n_steps, period_s): (f64, usize, f64),
+) -> f64 {
+    let found = local(model, load.0, period_s);
+    assert!(is_positive_definite(found.compliance_m_per_n.clone()));
+    let m = 3 * load.0.len();
+    for (i, x) in found.compliance_m_per_n.iter().enumerate() {
+        assert_eq!(*x, found.compliance_m_per_n[m * (i % m) + i / m], "symmetric");
+    }
+    let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
+    for by in 0..load.0.len() {
+        for axis in DVec3::AXES {
+            let expected = response(model, load, by, axis * change_n, (dt_s, n_steps));
+            for (i, expected) in expected.into_iter().enumerate() {
+                worst = worst.max((found.tensor_m_per_n(i, by) * axis).distance(expected));
+                largest = largest.max(expected.length());
+            }
+        }
+    }
+    worst / largest
+}
+
+/// Two zones side by side, the one beyond x = 0.03 with this law.
+fn condensed(body: &Body, second: ZoneLaw, time_step_s: f64) -> CondensedHybrid {
+    let of_tet = |t: usize| {
+        let centre_m = body.mesh.corners_m(TetId::from_index(t)).into_iter().sum::<DVec3>() / 4.0;
+        u32::from(centre_m.x > 0.03)
+    };
+    let of_tets = (0..body.mesh.tetrahedra.len()).map(of_tet).collect();
+    let zones = Zones::new(&body.mesh, of_tets).unwrap();
+    let laws = [ZoneLaw::Precomputed, second];
+    let dynamics = body.dynamics(Rayleigh::of_mass(10.0), time_step_s);
+    CondensedHybrid::build(&CondensedParams::new(dynamics, &body.material, &zones, &laws)).unwrap()
+}
+
+#[test]
+fn a_condensed_patch_is_exact_without_dynamic_zones() {
+    let body = Body::small();
+    let mut model = condensed(&body, ZoneLaw::Precomputed, 1e-4);
+    model.set_updated(Updated::All);
+    // Nodes of both zones and of their frontier.
+    let mut patch: Vec<NodeId> =
+        body.patch(40).into_iter().filter(|&n| model.is_loadable(n)).take(7).collect();
+    patch.sort_unstable();
+    let forces = [NodalForce { node: patch[1], force_n: DVec3::new(0.02, 0.0, -0.01) }];
+    model.apply(&Constraints { displacements: vec![], forces: forces.to_vec() });
+    model.step(1e-3);
+    let error = response_error(&mut model, (&patch, &forces), 1e-3, (1e-3, 1, 1e-3));
+    assert!(error < 1e-9, "{error:e}");
+    let found = local(&mut model, &patch, 1e-3);
+    assert_eq!((found.n_rings, found.force_n[1], found.force_n[0]), (None, forces[0].force_n, DVec3::ZERO));
+    assert_eq!(found.position_m[1], model.state().positions_m[patch[1].index()]);
+    // The whole body over a long period is the same static one.
+    let exact = body.exact(&patch, Rayleigh::default(), 1e6);
+    let error = difference(&found.compliance_m_per_n, &exact);
+    assert!(error < 1e-8, "{error:e}");
+}
+
+#[test]
+fn a_condensed_patch_over_dynamic_tissue_is_what_a_small_force_does() {
+    let body = Body::small();
+    let step_s = 0.05 * body.stable_step_s();
+    let mut model = condensed(&body, ZoneLaw::TensorMass, step_s);
+    let patch: Vec<NodeId> = body.patch(60).into_iter().filter(|&n| model.is_loadable(n)).take(9).collect();
+    let is_beyond = |n: &&NodeId| body.mesh.positions_m[n.index()].x > 0.035;
+    let n_beyond = patch.iter().filter(is_beyond).count();
+    assert!(n_beyond > 1 && n_beyond < 8, "{n_beyond}");
+    // Over so short a step the frontier stands still for what acts on pre-computed nodes.
+    let error = response_error(&mut model, (&patch, &[]), 1e-4, (step_s, 1, step_s));
+    assert!(error < 0.02, "{error}");
+    // Dynamic nodes alone: what the tensor-mass body says.
+    let far: Vec<NodeId> = patch.iter().copied().filter(|n| is_beyond(&n)).collect();
+    let period_s = 0.5 * body.stable_step_s();
+    let found = local(&mut model, &far, period_s);
+    let exact = body.exact(&far, Rayleigh::of_mass(10.0), period_s);
+    let error = difference(&found.compliance_m_per_n, &exact);
+    assert!(error < 0.02, "{error}");
+}
+
+#[test]
+fn a_reduced_patch_is_the_tangent_of_its_equilibrium() {
+    let body = Body::small();
+    let params = ReducedParams::new(&body.mesh, &body.material, &body.fixed);
+    let mut model = Reduced::build(&params).unwrap();
+    let patch: Vec<NodeId> =
+        body.patch(40).into_iter().filter(|n| model.loadable_nodes().contains(n)).take(5).collect();
+    let forces: Vec<NodalForce> =
+        patch.iter().map(|&node| NodalForce { node, force_n: DVec3::new(0.05, 0.02, -0.05) }).collect();
+    let at_rest = local(&mut model, &patch, 1e-3);
+    let exact = body.exact(&patch, Rayleigh::default(), 1e6);
+    let error = difference(&at_rest.compliance_m_per_n, &exact);
+    assert!(error < 1e-8, "{error:e}");
+    model.apply(&Constraints { displacements: vec![], forces: forces.clone() });
+    (0..3).for_each(|_| model.step(1e-3));
+    let loaded = local(&mut model, &patch, 1e-3);
+    assert_eq!(loaded.force_n[2], forces[2].force_n);
+    // The load bends the body enough to tell the tangent from the stiffness at rest.
+    let change = difference(&loaded.compliance_m_per_n, &at_rest.compliance_m_per_n);
+    assert!(change > 0.02, "{change}");
+    let error = response_error(&mut model, (&patch, &forces), 1e-5, (1e-3, 3, 1e-3));
+    assert!(error < 1e-5, "{error:e}");
+}
+
+#[test]
+fn local_models_of_zones_and_modes_allocate_nothing() {
+    let body = Body::small();
+    let mut work = LocalWork::with_room_for(body.mesh.positions_m.len());
+    let mut out = LocalModel::new();
+    let reduced =
+        Reduced::build(&ReducedParams::new(&body.mesh, &body.material, &body.fixed)).unwrap().duplicate();
+    let hybrid = condensed(&body, ZoneLaw::TensorMass, 0.5 * body.stable_step_s()).duplicate();
+    for mut model in [reduced, hybrid] {
+        model.step(1e-3);
+        let patch = body.patch(12);
+        let state = model.state().positions_m.to_vec();
+        let count = allocation_counter::measure(|| model.local_model_into(&patch, 1e-3, &mut work, &mut out));
+        assert_eq!(count.count_total, 0);
+        // Asking changes nothing.
+        assert_eq!(model.state().positions_m, state);
+        assert!(out.compliance_m_per_n.iter().any(|x| *x > 0.0));
     }
 }

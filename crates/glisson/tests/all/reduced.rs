@@ -292,6 +292,7 @@ fn places_that_are_not_finite_are_not_taken_over() {
         assert_eq!(model.state().positions_m, expected_m);
         assert_eq!(model.coordinates(), coordinates);
         assert!(size > 0.0 && coordinates.iter().any(|q| q.abs() > 0.5 * size));
+        places_m[n] = rest_m[n];
     }
     model.take_over(&vec![DVec3::NAN; rest_m.len()]);
     assert_eq!(model.state().positions_m, rest_m);

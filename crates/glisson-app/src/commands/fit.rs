@@ -179,13 +179,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     for (quantity, y, slope) in measured.into_iter().filter(|(_, y, _)| !y.is_empty()) {
         let fit = fit_curve(x_m, y, args.degree)
             .with_context(|| format!("{file}: fitting the {}", quantity.name))?;
+        let over = slope.map(|slope| fit.polynomial.over(slope)).transpose().with_context(|| {
+            format!("{file}: the {} cannot be expressed by that of the linear sample", quantity.name)
+        })?;
         let picture = plot(quantity, x_m, y, &fit, slope).to_svg()?;
-        done.push((quantity, fit, slope, picture));
+        done.push((quantity, fit, over, picture));
     }
 
     std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
     let mut report = FitReport { source: file.to_string(), curves: Vec::new() };
-    for (quantity, fit, slope, picture) in done {
+    for (quantity, fit, over, picture) in done {
         let path = args.out.join(quantity.file);
         write_atomically(&path, |w| w.write_all(picture.as_bytes()))
             .with_context(|| format!("writing {}", path.display()))?;
@@ -217,7 +220,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             largest_residual: fit.largest_residual,
             n_points: fit.n_points,
             over_axial_displacement_m: Numbers::from(p),
-            over_linear_magnitude: slope.map(|s| Numbers::from(&p.over(s))),
+            over_linear_magnitude: over.as_ref().map(Numbers::from),
         });
     }
     let path = args.out.join("fit.json");

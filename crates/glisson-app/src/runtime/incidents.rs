@@ -37,7 +37,7 @@ impl Incidents {
             notices.push("the motion gained more energy than the outside gave, and was slowed down".into());
         }
         if now.missed_tolerance && !last.missed_tolerance {
-            notices.push("the implicit step ended before its residual was small enough".into());
+            notices.push("the step ended before its residual was small enough".into());
         }
         if now.n_ignored_constraints > 0 && last.n_ignored_constraints == 0 {
             let n = now.n_ignored_constraints;

@@ -149,8 +149,8 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         ),
         Experiment::at_most(
             &format!(
-                "pre-computed: 10000 changes of the contacts ({n_kept} rows kept their factor): reactions with other \
-                 bits than those of a model without a past"
+                "pre-computed: 10000 changes of the contacts ({n_kept} rows kept their factor), every 25th compared: \
+                 reactions with other bits than those of a model without a past"
             ),
             OWN,
             different_changes,
@@ -250,8 +250,8 @@ fn hold(body: &Body, mut model: Precomputed) -> anyhow::Result<Held> {
     Ok(held)
 }
 
-/// Adds, takes away and exchanges held nodes ten thousand times; how often a model without a past gives reactions with
-/// other bits, and how many rows kept their factor.
+/// Adds, takes away and exchanges held nodes ten thousand times; after how many of every 25th change a model without a
+/// past gives reactions with other bits, and how many rows kept their factor in all.
 fn change_contacts(body: &Body) -> anyhow::Result<(f64, usize)> {
     let mut model = body.precomputed()?;
     let mut anew = model.clone();

@@ -160,8 +160,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     Ok(outcome)
 }
 
-/// Two blocks that hang together by a vertex, by an edge, by a face: what counts as loose once the rest between
-/// them is gone.
+/// Two blocks that hang together by a vertex or by an edge: what counts as loose once the rest between them is gone.
 fn hinges() -> anyhow::Result<Vec<Experiment>> {
     let cells = [1, 1, 3];
     let mesh = box_of_five(cells, DVec3::new(0.01, 0.01, 0.03));
@@ -174,8 +173,8 @@ fn hinges() -> anyhow::Result<Vec<Experiment>> {
         mesh.corners_m(TetId::from_index(t)).iter().filter(|p| (p.z - z_m).abs() < 1e-6).count()
     };
     let mut experiments = Vec::new();
-    // A tetrahedron of the middle that shares a face with one block and a vertex with the other; one that shares an
-    // edge with each; one of each of the two faces.
+    // A tetrahedron of the middle that shares a face with the lower block and a vertex with the upper one; one that
+    // shares an edge with each.
     for (name, below, above, n_loose) in [("one vertex", 3, 1, n_top), ("one edge", 2, 2, n_top + 1)] {
         let Some(kept) = (0..n_tets).find(|&t| layer(t) == 1 && at(t, 0.01) == below && at(t, 0.02) == above)
         else {

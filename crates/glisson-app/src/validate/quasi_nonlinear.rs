@@ -233,7 +233,9 @@ fn compressed(
     let smooth = LinearSample::cylinder(HEIGHT_M, RADIUS_M, &material);
     let (q, p) = (&force_fit.polynomial, &radial_fit.polynomial);
     let of = |sample: &LinearSample| Correction::of_sample(Some(q), Some(p), sample);
-    let model_of = |sample| QuasiNonlinear::new(linear.duplicate(), &bench.mesh, of(sample));
+    let model_of = |sample| -> anyhow::Result<_> {
+        Ok(QuasiNonlinear::new(linear.duplicate(), &bench.mesh, of(sample)?)?)
+    };
     let (mut model, mut by_formula) = (model_of(&sample)?, model_of(&smooth)?);
 
     let [mut force_off, mut radial_off, mut spread, mut formula_off] = [0.0_f64; 4];

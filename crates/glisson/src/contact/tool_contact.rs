@@ -62,11 +62,13 @@ impl SurfaceSearch {
     }
 
     /// Follows a surface whose vertices move on straight lines from `start_m` to `end_m` during the step; the same list
-    /// twice for a surface that stands still. As many vertices as at the start.
+    /// twice for a surface that stands still. At least as many vertices as at the start; more do not count.
     ///
     /// # Panics
-    /// When there are fewer.
+    /// When either list has fewer.
     pub fn update(&mut self, start_m: &[DVec3], end_m: &[DVec3]) {
+        let (n, fewer) = (self.corners.len(), start_m.len().min(end_m.len()));
+        assert!(fewer >= n, "{fewer} positions of {n} vertices");
         fill_boxes(&self.triangles, start_m, end_m, &mut self.corners, &mut self.boxes);
         self.structure.update(&self.boxes, &self.rules);
     }

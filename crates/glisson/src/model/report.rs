@@ -23,7 +23,7 @@ pub struct ModelReport {
     pub kinetic_energy_j: f64,
     /// The kinetic energy grew beyond what the outside can have put in, and the velocities were cut down.
     pub energy_was_limited: bool,
-    /// An implicit step ended before its residual was small enough.
+    /// A step that solves equations ended before their residual was small enough.
     pub missed_tolerance: bool,
     /// Allocations are allowed where the topology changes by more than a removal: how often it happened since
     /// the model was made. The pre-computed model allocates at every cut.

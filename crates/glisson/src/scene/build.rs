@@ -17,7 +17,7 @@ use crate::model::kernel::Sequential;
 use crate::model::kind::ModelKind;
 use crate::model::nonlinear_tensor_mass::{Fibre, NonlinearTensorMassError};
 use crate::model::precomputed::{self, PrecomputedError};
-use crate::model::quasi_nonlinear::{CurveError, FitError};
+use crate::model::quasi_nonlinear::{CurveError, FitError, ScaleError};
 use crate::model::reduced::ReducedError;
 use crate::model::{
     Attachment, DEFAULT_MOST_PARTS, DynamicBody, ExplicitError, FixedNode, Rayleigh, RestStress,
@@ -118,6 +118,20 @@ pub enum BuildError {
         quantity: &'static str,
         /// Why not.
         error: FitError,
+    },
+    /// The linear organ has nothing to which a measured curve could be put in proportion.
+    #[error(
+        "the quasi_nonlinear model cannot follow {}: with poisson_ratio = {poisson_ratio}, {error}; give the organ a \
+         poisson_ratio above 0, or take the column of radial displacements out of the file",
+        file.display()
+    )]
+    NoLinearAnswer {
+        /// The measured curve.
+        file: PathBuf,
+        /// Of the organ.
+        poisson_ratio: f64,
+        /// What is wrong.
+        error: ScaleError,
     },
     /// The quasi non-linear model without curves.
     #[error(

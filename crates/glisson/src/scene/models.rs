@@ -271,7 +271,14 @@ fn quasi_nonlinear(body: &OrganBody) -> Result<QuasiNonlinear, BuildError> {
     let force_n = fit(&curve.force_n, "force")?;
     let radial_m = fit(&curve.radial_displacement_m, "radial displacement")?;
     let sample = LinearSample::cylinder(measured.height_m, measured.radius_m, &body.material);
-    let correction = Correction::of_sample(force_n.as_ref(), radial_m.as_ref(), &sample);
+    let correction =
+        Correction::of_sample(force_n.as_ref(), radial_m.as_ref(), &sample).map_err(|error| {
+            BuildError::NoLinearAnswer {
+                file: measured.curve.clone(),
+                poisson_ratio: body.material.poisson_ratio(),
+                error,
+            }
+        })?;
     Ok(QuasiNonlinear::new(Box::new(precomputed(body)?), &body.mesh, correction)?)
 }
 

@@ -598,3 +598,41 @@ fn constraints_that_no_zone_takes_are_counted() {
     assert_eq!(model.constraint_forces_n(), [DVec3::ZERO]);
     assert!(model.displacements_m().iter().all(|u| *u == DVec3::ZERO));
 }
+
+#[test]
+fn bad_places_gravity_and_tetrahedra_change_nothing() {
+    let case = Case::bar();
+    let zones = case.slabs(&[0.05]);
+    let mut model = case.model(&zones, |p| p.amount = ExchangeAmount::InTurn { n_sets: 3 });
+    let n = case.mesh.positions_m.len();
+    let node = case.node_near(DVec3::new(0.12, 0.0, 0.03));
+    let force = NodalForce { node, force_n: DVec3::Z };
+    // Beyond one a node there is no room.
+    model.apply(&Constraints { displacements: Vec::new(), forces: vec![force; n + 7] });
+    model.step(STEP_S);
+    assert_eq!(model.report().n_ignored_constraints, 7);
+    model.reset();
+    assert_eq!(model.report().n_ignored_constraints, 0);
+
+    let run = |model: &mut HybridExchange| {
+        model.apply(&Constraints { displacements: Vec::new(), forces: vec![force] });
+        (0..4).for_each(|_| model.step(STEP_S));
+        model.displacements_m().to_vec()
+    };
+    let first = run(&mut model);
+    model.reset();
+    assert_eq!(run(&mut model), first, "a reset begins with the first set");
+    let before_m = model.state().positions_m.to_vec();
+    model.take_over(&vec![DVec3::NAN; n]);
+    model.set_gravity(DVec3::new(0.0, f64::INFINITY, 0.0));
+    assert_eq!(model.state().positions_m, before_m);
+    model.step(STEP_S);
+    assert!(model.state().positions_m.iter().all(|p| p.is_finite()));
+
+    let n_tets = case.mesh.tetrahedra.len();
+    let tet = TetId::from_index(n_tets);
+    let laws = model.laws().to_vec();
+    let error = model.remove_tets(&[TetId(0), tet]).unwrap_err();
+    assert_eq!(error, ExchangeError::NoSuchTet { tet, n_tets });
+    assert_eq!(model.laws(), laws);
+}

@@ -4,11 +4,15 @@ use crate::model_meshes::block;
 use glisson::material::LinearElastic;
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::{NodeId, TetMesh};
+use glisson::model::kind::ModelKind;
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::quasi_nonlinear::{
     Correction, CurvePolynomial, FitError, LinearSample, MeasuredCurve, QuasiNonlinear, fit_curve,
 };
-use glisson::model::{Constraints, DeformableModel, ImposedDisplacement, NodalForce};
+use glisson::model::{
+    Constraints, DeformableModel, FixedNode, ImposedDisplacement, LocalModel, LocalWork, NodalForce,
+};
+use glisson::scene::{MeasuredSample, OrganBody, build_model};
 use proptest::prelude::*;
 use std::path::Path;
 
@@ -276,7 +280,7 @@ fn a_cylinders_curves_become_curves_of_its_linear_answer() {
     let material = LinearElastic::from_young_poisson(3e3, 0.45, 1000.0).unwrap();
     let sample = LinearSample::cylinder(0.013, 0.015, &material);
     let (force, radial) = (softening(), softening().enlarged(0.01));
-    let correction = Correction::of_sample(Some(&force), Some(&radial), &sample);
+    let correction = Correction::of_sample(Some(&force), Some(&radial), &sample).unwrap();
     for x_m in [1e-4, 2e-3] {
         let linear_n = std::f64::consts::PI * 0.015 * 0.015 * 3e3 * x_m / 0.013;
         let linear_m = 0.45 * 0.015 * x_m / 0.013;
@@ -307,4 +311,99 @@ fn steps_allocate_nothing_in_the_model_and_its_copies() {
     assert_eq!(run(&mut *copy), places_m);
     assert_eq!(run(&mut *copy.duplicate()), places_m);
     assert!(model.topology_refusal().is_some());
+}
+
+/// A sample that does not bulge, or gets thinner, has no linear bulging for the arguments of P.
+#[test]
+fn a_poisson_ratio_without_bulging_is_refused_where_a_curve_needs_it() {
+    let (force, radial) = (softening(), softening().enlarged(0.01));
+    let folder = tempfile::tempdir().unwrap();
+    let mut text = "axial_displacement_mm,force_n,radial_displacement_mm\n".to_owned();
+    for i in 0..=20 {
+        let x = 0.2 * f64::from(i);
+        text += &format!("{x},{},{}\n", 0.1 * x + 0.02 * x * x, 0.5 * x);
+    }
+    let curve = folder.path().join("curve.csv");
+    std::fs::write(&curve, text).unwrap();
+    for poisson_ratio in [0.0, -0.1] {
+        let material = LinearElastic::from_young_poisson(3e3, poisson_ratio, 1000.0).unwrap();
+        let sample = LinearSample::cylinder(0.013, 0.015, &material);
+        let error = Correction::of_sample(Some(&force), Some(&radial), &sample).unwrap_err();
+        assert!(error.quantity.contains("bulging") && error.found == sample.radial_m_per_m, "{error}");
+        assert!(Correction::of_sample(Some(&force), None, &sample).is_ok());
+
+        let mesh = block([2, 2, 2], DVec3::new(0.04, 0.04, 0.04));
+        let mut body = OrganBody::new(mesh, material, 1e-3);
+        let bottom = body.mesh.positions_m.iter().enumerate().filter(|(_, p)| p.z < 1e-9);
+        body.fixed = bottom.map(|(n, _)| FixedNode::all_axes(NodeId::from_index(n))).collect();
+        let (height_m, radius_m, degree) = (0.013, 0.015, 4);
+        body.measured = Some(MeasuredSample { curve: curve.clone(), height_m, radius_m, degree });
+        let error = build_model(&body, ModelKind::QuasiNonlinear).err().unwrap().to_string();
+        let expected = format!("poisson_ratio = {poisson_ratio}");
+        assert!(
+            error.contains(&expected) && error.contains("curve.csv") && error.contains("above 0"),
+            "{error}"
+        );
+    }
+}
+
+/// What the local model predicts of a deeper push is what the model then does.
+#[test]
+fn the_local_model_follows_the_curve() {
+    let Organ { mesh, linear, top } = organ();
+    let correction =
+        Correction { force: Some(softening().enlarged(0.8)), radial: Some(softening().enlarged(2e-3)) };
+    let plain = linear.clone();
+    let mut model = QuasiNonlinear::new(Box::new(linear), &mesh, correction).unwrap();
+    let (mut work, mut local, mut uncorrected) =
+        (LocalWork::with_room_for(mesh.positions_m.len()), LocalModel::new(), LocalModel::new());
+    for nodes in [&top[5..6], &top[..]] {
+        let press = |model: &mut QuasiNonlinear, depth_m: f64| -> Vec<DVec3> {
+            model.apply(&pushed(nodes, |_| DVec3::new(0.0, 0.0, -depth_m)));
+            model.step(1e-3);
+            model.constraint_forces_n().to_vec()
+        };
+        let (depth_m, more_m) = (8e-3, 1e-5);
+        let deeper_n = press(&mut model, depth_m + more_m);
+        let force_n = press(&mut model, depth_m);
+        let count =
+            allocation_counter::measure(|| model.local_model_into(nodes, 1e-3, &mut work, &mut local));
+        assert_eq!(count.count_total, 0);
+        plain.duplicate().local_model_into(nodes, 1e-3, &mut work, &mut uncorrected);
+        assert_eq!(local.nodes, nodes);
+        for (i, node) in nodes.iter().enumerate() {
+            assert_eq!(local.position_m[i], model.state().positions_m[node.index()]);
+            assert!((local.force_n[i] - force_n[i]).length() < 1e-14, "{} {}", local.force_n[i], force_n[i]);
+        }
+        let mut predicted_m = vec![DVec3::ZERO; nodes.len()];
+        let mut linear_m = vec![DVec3::ZERO; nodes.len()];
+        local.predict_into(&deeper_n, &mut predicted_m);
+        uncorrected.position_m.copy_from_slice(&local.position_m);
+        uncorrected.force_n.copy_from_slice(&local.force_n);
+        uncorrected.predict_into(&deeper_n, &mut linear_m);
+        for i in 0..nodes.len() {
+            let by_m = |after_m: &[DVec3]| local.position_m[i].z - after_m[i].z;
+            let (off, linear_off) = (by_m(&predicted_m) / more_m - 1.0, by_m(&linear_m) / more_m - 1.0);
+            // A plate that holds its nodes sideways too has large terms across, which C has with another factor.
+            let most = if nodes.len() == 1 { 0.03 } else { 0.5 * linear_off.abs() };
+            assert!(off.abs() < most, "{} nodes, {i}: {off}, linear {linear_off}", nodes.len());
+            assert!(linear_off.abs() > 0.1, "{} nodes, {i}: {linear_off}", nodes.len());
+        }
+        let n = 3 * nodes.len();
+        let c = &local.compliance_m_per_n;
+        let mut random = SeededRandom::new(9);
+        for _ in 0..20 {
+            let x: Vec<f64> = (0..n).map(|_| random.normal()).collect();
+            let energy: f64 = (0..n).map(|i| (0..n).map(|j| x[i] * c[n * i + j] * x[j]).sum::<f64>()).sum();
+            assert!(energy > 0.0);
+        }
+        assert!((0..n).all(|i| (0..i).all(|j| c[n * i + j] == c[n * j + i])));
+    }
+    // Forces act on the linear body.
+    let force = NodalForce { node: top[5], force_n: DVec3::new(0.0, 0.0, -0.02) };
+    model.apply(&Constraints { displacements: Vec::new(), forces: vec![force] });
+    model.step(1e-3);
+    model.local_model_into(&top, 1e-3, &mut work, &mut local);
+    assert_eq!(local.compliance_m_per_n, uncorrected.compliance_m_per_n);
+    assert_eq!(local.force_n[5], force.force_n);
 }

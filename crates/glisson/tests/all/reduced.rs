@@ -274,6 +274,31 @@ fn copies_go_on_with_the_same_bits_and_without_allocation() {
     assert!(model.topology_refusal().is_some());
 }
 
+/// A node without a finite place starts at rest, the others where they are.
+#[test]
+fn places_that_are_not_finite_are_not_taken_over() {
+    let organ = organ();
+    let mut model = reduced(&organ, 4, 12, StoredNodes::Surface);
+    let rest_m = &organ.mesh.positions_m;
+    let mut places_m: Vec<DVec3> = rest_m.iter().map(|p| *p + DVec3::X * (0.1 * p.z * p.z)).collect();
+    model.take_over(&places_m);
+    let size = model.coordinates().iter().map(|q| q.abs()).fold(0.0, f64::max);
+    for (n, bad) in [(3, DVec3::NAN), (20, DVec3::new(0.0, f64::INFINITY, 0.0))] {
+        places_m[n] = rest_m[n];
+        model.take_over(&places_m);
+        let (expected_m, coordinates) = (places_m.clone(), model.coordinates().to_vec());
+        places_m[n] = bad;
+        model.take_over(&places_m);
+        assert_eq!(model.state().positions_m, expected_m);
+        assert_eq!(model.coordinates(), coordinates);
+        assert!(size > 0.0 && coordinates.iter().any(|q| q.abs() > 0.5 * size));
+        places_m[n] = rest_m[n];
+    }
+    model.take_over(&vec![DVec3::NAN; rest_m.len()]);
+    assert_eq!(model.state().positions_m, rest_m);
+    assert!(model.coordinates().iter().all(|q| *q == 0.0));
+}
+
 #[test]
 fn bad_sizes_constraints_and_supports_are_told() {
     let organ = organ();

@@ -30,7 +30,7 @@ mod polynomial;
 
 pub use curve::{CurveError, MeasuredCurve};
 pub use fit::{Fit, FitError, fit_curve};
-pub use polynomial::{CurvePolynomial, GREATEST_DEGREE, LEAST_DEGREE};
+pub use polynomial::{CurvePolynomial, GREATEST_DEGREE, LEAST_DEGREE, ScaleError};
 
 use super::roomy::Roomy;
 use super::{
@@ -75,19 +75,30 @@ pub struct Correction {
 
 impl Correction {
     /// From curves fitted over the axial displacement [m] of a sample whose linear answer is known.
+    ///
+    /// # Errors
+    /// [`ScaleError`] where there is a curve and the sample's linear answer is not finite and above 0: a material with
+    /// a Poisson ratio of 0 or less has no bulging to which a measured one could be put in proportion.
     pub fn of_sample(
         force_n: Option<&CurvePolynomial>,
         radial_m: Option<&CurvePolynomial>,
         sample: &LinearSample,
-    ) -> Self {
-        Self {
-            force: force_n.map(|q| q.over(sample.force_n_per_m)),
-            radial: radial_m.map(|p| p.over(sample.radial_m_per_m)),
-        }
+    ) -> Result<Self, ScaleError> {
+        let over = |curve: Option<&CurvePolynomial>, factor, quantity| {
+            let over = curve.map(|curve| curve.over(factor)).transpose();
+            over.map_err(|ScaleError { found, .. }| ScaleError { quantity, found })
+        };
+        Ok(Self {
+            force: over(force_n, sample.force_n_per_m, "linear force of the sample [N/m]")?,
+            radial: over(radial_m, sample.radial_m_per_m, "linear bulging of the sample [m/m]")?,
+        })
     }
 
     /// For a body whose displacements are `length_ratio` times and whose forces are `force_ratio` times those of the
     /// sample at the same strain.
+    ///
+    /// # Panics
+    /// When a ratio that is used is not finite and above 0.
     #[must_use]
     pub fn enlarged(&self, length_ratio: f64, force_ratio: f64) -> Self {
         Self {
@@ -96,6 +107,10 @@ impl Correction {
         }
     }
 }
+
+/// The local model's slope of Q is at least this share of Q(f)/f: where a fit is level or falls, a tool would find no
+/// bottom. A choice.
+const LEAST_SLOPE: f64 = 0.05;
 
 /// A linear model with corrected magnitudes.
 pub struct QuasiNonlinear {
@@ -184,6 +199,34 @@ impl QuasiNonlinear {
         for (force_n, &(_, is_along)) in self.constraint_forces_n.iter_mut().zip(self.imposed.iter()) {
             *force_n += axis * (factor[usize::from(is_along)] * force_n.dot(axis));
         }
+    }
+
+    /// What multiplies the compliance along the axis for each node of a group, as its square root.
+    fn softening(&self, q: &CurvePolynomial, is_along: bool) -> f64 {
+        let (sum_n, is_outward) = self.group(is_along);
+        let linear_n = signed(sum_n.abs(), is_outward);
+        let slope = q.slope(linear_n).max(LEAST_SLOPE * q.ratio(linear_n));
+        // Where Q is level at zero there is nothing to go by.
+        if slope > 0.0 { 1.0 / slope.sqrt() } else { 1.0 }
+    }
+
+    /// C = B C B; see [`DeformableModel::local_model_into`] of this model.
+    fn soften(&self, out: &mut LocalModel) {
+        let Some(q) = self.correction.force.filter(|_| !self.imposed.is_empty()) else { return };
+        let of_group = [false, true].map(|is_along| self.softening(&q, is_along));
+        let along = outer(self.axis, self.axis);
+        let spread = |node: NodeId| {
+            let imposed = self.imposed.iter().find(|(n, _)| *n == node);
+            let factor = of_group[imposed.map_or(1, |(_, is_along)| usize::from(*is_along))];
+            DMat3::IDENTITY + along * (factor - 1.0)
+        };
+        for i in 0..out.nodes.len() {
+            for j in 0..out.nodes.len() {
+                let tensor = spread(out.nodes[i]) * out.tensor_m_per_n(i, j) * spread(out.nodes[j]);
+                out.set_tensor(i, j, tensor);
+            }
+        }
+        out.symmetrize();
     }
 
     fn correct_displacements(&mut self) {
@@ -291,7 +334,13 @@ impl DeformableModel for QuasiNonlinear {
         self.linear.report()
     }
 
-    /// That of the linear model: the correction is small against it near a touch.
+    /// At the corrected places and forces; C = B C_linear B with B = 1 + (1/sqrt(Q') - 1) d d^T, Q' the slope of Q at
+    /// the linear force on a node's group (that of the nodes which move along d for one that is not constrained).
+    ///
+    /// So along d, C is the linear one over Q', as equation 6 has it while the nodes of a group share its force as they
+    /// do now; across d it is the linear one; and it stays symmetric, which costs the factor 1/sqrt(Q') between the two
+    /// where equation 6 has 1. P changes the places alone. Without an imposed displacement Q does not act, and C is the
+    /// linear one: a tool that touches first feels the linear tissue until its nodes are constrained.
     fn local_model_into(
         &mut self,
         patch: &[NodeId],
@@ -300,6 +349,18 @@ impl DeformableModel for QuasiNonlinear {
         out: &mut LocalModel,
     ) {
         self.linear.local_model_into(patch, period_s, work, out);
+        for (node, position_m) in out.nodes.iter().zip(&mut out.position_m) {
+            *position_m = self.positions_m[node.index()];
+        }
+        let linear_n = self.linear.constraint_forces_n();
+        for ((&(node, _), corrected_n), linear_n) in
+            self.imposed.iter().zip(self.constraint_forces_n.iter()).zip(linear_n)
+        {
+            if let Some(i) = out.nodes.iter().position(|n| *n == node) {
+                out.force_n[i] += *corrected_n - *linear_n;
+            }
+        }
+        self.soften(out);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

@@ -12,6 +12,16 @@ pub const LEAST_DEGREE: usize = 4;
 /// Greatest degree of a fit (seed `001`, s. 3.4).
 pub const GREATEST_DEGREE: usize = 10;
 
+/// A number that other arguments cannot be expressed by.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("the {quantity} is {found}; it must be finite and above 0")]
+pub struct ScaleError {
+    /// Which number, with its unit.
+    pub quantity: &'static str,
+    /// What was given.
+    pub found: f64,
+}
+
 /// A measured curve as a polynomial without constant term.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CurvePolynomial {
@@ -34,7 +44,11 @@ impl CurvePolynomial {
     }
 
     /// The straight line of this slope, up to `high`: what a linear body does.
+    ///
+    /// # Panics
+    /// When `high` is not finite and above 0.
     pub fn line(slope: f64, high: f64) -> Self {
+        assert!(high.is_finite() && high > 0.0, "a line up to {high}: it must be finite and above 0");
         let mut coefficient = [0.0; GREATEST_DEGREE];
         coefficient[0] = slope;
         Self::new(coefficient, 1, [0.0, high], true)
@@ -74,11 +88,13 @@ impl CurvePolynomial {
         ratio.max(0.0)
     }
 
-    /// dp/dx inside the range.
+    /// dp/dx; beyond the range that of its end, at least 0.
     pub fn slope(&self, x: f64) -> f64 {
         let x = if self.is_odd { x.abs() } else { x };
-        let (g, slope_of_g) = self.factor(x.clamp(self.range[0], self.range[1]));
-        g + x * slope_of_g
+        let end = x.clamp(self.range[0], self.range[1]);
+        let (g, slope_of_g) = self.factor(end);
+        let slope = g + end * slope_of_g;
+        if end == x { slope } else { slope.max(0.0) }
     }
 
     /// Whether p rises at every one of 1,000 places of the range: more push, more force.
@@ -88,15 +104,32 @@ impl CurvePolynomial {
     }
 
     /// q with q(factor x) = p(x): the same values over another argument.
-    #[must_use]
-    pub fn over(&self, factor: f64) -> Self {
+    ///
+    /// # Errors
+    /// [`ScaleError`] for a factor that is not finite and above 0, or so small or large that q has no range: a range
+    /// that is empty or runs backwards holds no argument.
+    pub fn over(&self, factor: f64) -> Result<Self, ScaleError> {
         let coefficient = self.coefficient.map(|c| c / factor);
-        Self { coefficient, range: self.range.map(|x| x * factor), ..*self }
+        let range = self.range.map(|x| x * factor);
+        let is_usable = factor.is_finite()
+            && factor > 0.0
+            && range[1].is_normal()
+            && range[0].is_finite()
+            && coefficient.iter().all(|c| c.is_finite());
+        if is_usable {
+            Ok(Self { coefficient, range, ..*self })
+        } else {
+            Err(ScaleError { quantity: "factor between the arguments", found: factor })
+        }
     }
 
     /// q(x) = ratio p(x/ratio): the curve of a body that is `ratio` times as large in argument and value alike.
+    ///
+    /// # Panics
+    /// When the ratio is not finite and above 0.
     #[must_use]
     pub fn enlarged(&self, ratio: f64) -> Self {
+        assert!(ratio.is_finite() && ratio > 0.0, "a ratio of {ratio}: it must be finite and above 0");
         Self { range: self.range.map(|x| x * ratio), ..*self }
     }
 
@@ -204,12 +237,33 @@ mod tests {
     #[test]
     fn other_scales_say_the_same() {
         let p = example(true);
-        let (over, enlarged) = (p.over(0.2), p.enlarged(3.0));
+        let (over, enlarged) = (p.over(0.2).unwrap(), p.enlarged(3.0));
         for x in [0.3, 1.7, 4.0] {
             assert!((over.value(0.2 * x) - p.value(x)).abs() < 1e-12);
             assert!((enlarged.value(3.0 * x) - 3.0 * p.value(x)).abs() < 1e-12);
         }
         let line = CurvePolynomial::line(2.0, 1.0);
         assert_eq!([line.value(0.5), line.value(7.0), line.ratio(0.0)], [1.0, 14.0, 2.0]);
+    }
+
+    #[test]
+    fn a_factor_without_a_range_is_refused() {
+        let p = example(true);
+        for factor in [0.0, -0.0, -0.1, f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e-320, 1e308] {
+            let error = p.over(factor).unwrap_err();
+            assert_eq!(error.found.to_bits(), factor.to_bits());
+            assert!(error.to_string().ends_with("must be finite and above 0"), "{error}");
+        }
+    }
+
+    #[test]
+    fn slopes_are_those_of_the_values_beyond_the_range_too() {
+        for p in [example(true), example(false)] {
+            for x in [-4.0, -1.0, 0.7, 2.4, 2.6, 9.0] {
+                let h = 1e-6;
+                let expected = (p.value(x + h) - p.value(x - h)) / (2.0 * h);
+                assert!((p.slope(x) - expected).abs() < 1e-7, "{x}: {} {expected}", p.slope(x));
+            }
+        }
     }
 }

@@ -6,8 +6,10 @@
 //! Cardona 1985, Computer Methods in Applied Mechanics and Engineering 49; Barbic and James 2005,
 //! doi 10.1145/1073204.1073300, s. 3.2). Vibration i enters them scaled by lambda_1/lambda_i (there too), the answer to
 //! a load with the elastic energy of the first vibration (a choice), and their principal directions in the mass metric
-//! are kept. All modes are then mass-orthonormal and diagonalize K.
+//! are kept. All modes are then mass-orthonormal and diagonalize K. Of more than [`Reduced::MAX_DERIVATIVES`] pairs those
+//! count whose scaled energies have the largest product.
 
+use super::Reduced;
 use super::dense::{dot, eigen_symmetric};
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3, SeededRandom, outer};
@@ -86,8 +88,10 @@ impl HeldBody<'_> {
         let vibrations = self.ritz(&mass, &self.vibrations(&mass, n_modes));
         let lowest = vibrations.squared_frequency_per_s2[0];
         let (mut linear, mut generators) = (vibrations.vectors.clone(), vibrations.vectors);
+        let mut energies = Vec::new();
         for (column, squared) in generators.chunks_exact_mut(n).zip(&vibrations.squared_frequency_per_s2) {
             column.iter_mut().for_each(|x| *x *= lowest / squared);
+            energies.push(lowest * lowest / squared);
         }
         for load in loads {
             let answer = self.answer_to(load);
@@ -96,12 +100,14 @@ impl HeldBody<'_> {
                 linear.extend(&answer);
                 let scale = (lowest / energy).sqrt();
                 generators.extend(answer.iter().map(|x| scale * x));
+                energies.push(lowest);
             }
         }
         let mut all = orthonormal(&linear, n, &mass, 0);
         all.truncate(n * n_reduced);
         let n_linear = all.len() / n;
-        let derivatives = self.derivatives(&generators);
+        let pairs = strongest_pairs(&energies, Reduced::MAX_DERIVATIVES);
+        let derivatives = self.derivatives(&generators, &pairs);
         all.extend(principal(&all, derivatives, n, &mass, n_reduced - n_linear));
         self.ritz(&mass, &orthonormal(&all, n, &mass, n_linear))
     }
@@ -152,20 +158,16 @@ impl HeldBody<'_> {
         Modes { vectors, squared_frequency_per_s2 }
     }
 
-    /// Derivatives psi_ij of columns that are scaled already, i <= j.
-    fn derivatives(&self, generators: &[f64]) -> Vec<f64> {
+    /// Derivatives psi_ij of pairs of columns that are scaled already.
+    fn derivatives(&self, generators: &[f64], pairs: &[[usize; 2]]) -> Vec<f64> {
         let n = self.system.n_free();
         let fields: Vec<Vec<DVec3>> = generators.chunks_exact(n).map(|g| self.of_nodes(g)).collect();
-        let mut columns = Vec::new();
+        let mut columns = vec![0.0; n * pairs.len()];
         let mut force = vec![DVec3::ZERO; self.mesh.positions_m.len()];
-        for (i, u) in fields.iter().enumerate() {
-            for v in &fields[i..] {
-                self.quadratic_force_into([u, v], &mut force);
-                force.iter_mut().for_each(|f| *f = -*f);
-                let start = columns.len();
-                columns.resize(start + n, 0.0);
-                self.system.gather_into(&force, &mut columns[start..]);
-            }
+        for (column, &[i, j]) in columns.chunks_exact_mut(n).zip(pairs) {
+            self.quadratic_force_into([&fields[i], &fields[j]], &mut force);
+            force.iter_mut().for_each(|f| *f = -*f);
+            self.system.gather_into(&force, column);
         }
         self.solve(&mut columns);
         columns
@@ -192,6 +194,20 @@ impl HeldBody<'_> {
             }
         }
     }
+}
+
+/// Pairs i <= j, row by row; of more than `most` those with the largest product of energies, earlier ones first.
+fn strongest_pairs(energies: &[f64], most: usize) -> Vec<[usize; 2]> {
+    let n = energies.len();
+    let mut pairs: Vec<[usize; 2]> = (0..n).flat_map(|i| (i..n).map(move |j| [i, j])).collect();
+    if pairs.len() > most {
+        let strength = |&[i, j]: &[usize; 2]| energies[i] * energies[j];
+        // Stable: equal ones stay in order.
+        pairs.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
+        pairs.truncate(most);
+        pairs.sort_unstable();
+    }
+    pairs
 }
 
 /// Mass-orthonormal columns with the same span; the first `n_kept` are so already. Gram and Schmidt, twice.
@@ -316,6 +332,20 @@ pub(super) mod tests {
                 assert!((found[i] - expected).length() < 1e-8 * largest, "{} {expected}", found[i]);
             }
         });
+    }
+
+    #[test]
+    fn the_strongest_pairs_are_kept_in_order() {
+        assert_eq!(strongest_pairs(&[3.0, 1.0], 3), [[0, 0], [0, 1], [1, 1]]);
+        // Products 9, 3, 6, 1, 2, 4.
+        assert_eq!(strongest_pairs(&[3.0, 1.0, 2.0], 4), [[0, 0], [0, 1], [0, 2], [2, 2]]);
+        assert_eq!(strongest_pairs(&[1.0; 3], 2), [[0, 0], [0, 1]]);
+        let falling: Vec<f64> = (1..=Reduced::MAX_REDUCED).map(|i| 1.0 / (i * i) as f64).collect();
+        let pairs = strongest_pairs(&falling, Reduced::MAX_DERIVATIVES);
+        assert_eq!(pairs.len(), Reduced::MAX_DERIVATIVES);
+        // All 30 default ones pass: the bits of small bases do not depend on the limit.
+        assert_eq!(strongest_pairs(&falling[..30], Reduced::MAX_DERIVATIVES).len(), 465);
+        assert!(strongest_pairs(&[], 5).is_empty());
     }
 
     #[test]

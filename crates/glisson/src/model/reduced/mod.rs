@@ -94,7 +94,7 @@ pub struct ReducedParams<'a> {
     /// Lowest vibrations in the basis, at least 1.
     pub n_modes: usize,
     /// Reduced coordinates r, vibrations and loads included; at most [`Reduced::MAX_REDUCED`]. Derivatives that depend on
-    /// each other are left out.
+    /// each other are left out, and of more than [`Reduced::MAX_DERIVATIVES`] the weakest.
     pub n_reduced: usize,
     /// Forces on every node [N] whose answers belong to the basis too; only their directions matter.
     pub loads: &'a [Vec<DVec3>],
@@ -179,6 +179,9 @@ const NEGLIGIBLE_SHARE: f64 = 1e-12;
 impl Reduced {
     /// Most reduced coordinates: the coefficients grow with the fourth power (60: 13 MB, 100: 100 MB).
     pub const MAX_REDUCED: usize = 100;
+    /// Most modal derivatives among which the basis is sought, those of 30 vibrations and loads with each other: the time
+    /// for their principal directions grows with the third power of their number. A choice.
+    pub const MAX_DERIVATIVES: usize = 465;
     /// Most nodes whose displacement can be imposed at once.
     pub const MAX_IMPOSED: usize = 64;
     /// Newton iterations of a step unless [`Reduced::set_most_iterations`] says otherwise: two or three are enough from
@@ -365,21 +368,24 @@ impl DeformableModel for Reduced {
 
     fn take_over(&mut self, positions_m: &[DVec3]) {
         let constants = &self.constants;
-        // The modes are mass-orthonormal: a projection. What is not finite starts at rest.
+        // The modes are mass-orthonormal: a projection. A node that is not at a finite place starts at rest.
         for (q, mode) in
             self.newton.q.iter_mut().zip(constants.mode_m.chunks_exact(3 * constants.rest_m.len()))
         {
             *q = 0.0;
             let places = positions_m.iter().zip(&constants.rest_m).zip(&constants.mass_kg);
             for (((position, rest), mass_kg), v) in places.zip(mode.chunks_exact(3)) {
-                *q += mass_kg * (*position - *rest).dot(DVec3::from_slice(v));
+                if position.is_finite() {
+                    *q += mass_kg * (*position - *rest).dot(DVec3::from_slice(v));
+                }
             }
         }
+        // Finite places may still be too far away for a sum.
         if !self.newton.q.iter().all(|q| q.is_finite()) {
             self.newton.q.fill(0.0);
         }
-        for (position, given) in self.positions_m.iter_mut().zip(positions_m) {
-            *position = *given;
+        for ((position, given), rest) in self.positions_m.iter_mut().zip(positions_m).zip(&constants.rest_m) {
+            *position = if given.is_finite() { *given } else { *rest };
         }
         self.constraint_forces_n.fill(DVec3::ZERO);
     }

@@ -241,6 +241,7 @@ impl HybridExchange {
             rest_gravity_m_per_s2: DVec3::ZERO,
             constraints: room_for_constraints(n_nodes),
             constraint_forces_n: Vec::with_capacity(n_nodes),
+            n_without_room: 0,
             n_ignored: 0,
             n_sweeps: 0,
             n_parts: 0,

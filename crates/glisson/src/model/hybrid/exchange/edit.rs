@@ -45,8 +45,13 @@ impl HybridExchange {
     /// tensor-mass first; zones next to it are corrected.
     ///
     /// # Errors
-    /// [`ExchangeError`] when a zone next to the cut cannot be computed.
+    /// [`ExchangeError::NoSuchTet`], before anything changes; another [`ExchangeError`] when a zone next to the cut cannot
+    /// be computed.
     pub fn remove_tets(&mut self, tets: &[TetId]) -> Result<EditReport, ExchangeError> {
+        let n_tets = self.is_live.len();
+        if let Some(&tet) = tets.iter().find(|tet| tet.index() >= n_tets) {
+            return Err(ExchangeError::NoSuchTet { tet, n_tets });
+        }
         let mut report = EditReport::default();
         let live: Vec<TetId> = tets.iter().copied().filter(|tet| self.is_live[tet.index()]).collect();
         for tet in &live {

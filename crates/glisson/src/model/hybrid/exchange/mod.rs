@@ -104,6 +104,14 @@ pub enum ExchangeError {
         /// Zones there are.
         n_zones: usize,
     },
+    /// No such tetrahedron.
+    #[error("there is no tetrahedron {}; allowed: 0 to {}", tet.index(), n_tets - 1)]
+    NoSuchTet {
+        /// Which one.
+        tet: TetId,
+        /// Tetrahedra of the body at rest.
+        n_tets: usize,
+    },
 }
 
 /// How a zone is solved.
@@ -272,6 +280,8 @@ pub struct HybridExchange {
 
     constraints: Constraints,
     constraint_forces_n: Vec<DVec3>,
+    /// Constraints of the last application for which there was no room.
+    n_without_room: u32,
     n_ignored: u32,
     n_sweeps: u64,
     n_parts: u64,
@@ -386,6 +396,10 @@ impl HybridExchange {
         self.constraints.displacements.clear();
         self.constraints.forces.clear();
         self.constraint_forces_n.clear();
+        (self.n_without_room, self.n_ignored) = (0, 0);
+        // Sets in turn and renewals go by the number of sweeps.
+        (self.n_sweeps, self.n_parts, self.last_dt_s) = (0, 0, 0.0);
+        self.count = ExchangeCount::default();
         self.zones.iter_mut().for_each(PrecomputedZone::reset);
         self.dynamic.clear_constraints();
         let Shared { displacement_m, dynamic_view_m, outgoing_n, .. } = &mut self.shared;
@@ -467,7 +481,7 @@ impl HybridExchange {
 
     /// Shares the constraints out.
     fn distribute(&mut self) {
-        self.n_ignored = 0;
+        self.n_ignored = self.n_without_room;
         self.zones.iter_mut().for_each(PrecomputedZone::clear_constraints);
         self.dynamic.clear_constraints();
         for &NodalForce { node, force_n } in &self.constraints.forces {
@@ -521,12 +535,14 @@ fn publish(zone: &PrecomputedZone, shared: &mut Shared, as_owner: bool) {
 
 impl DeformableModel for HybridExchange {
     fn apply(&mut self, constraints: &Constraints) {
-        // Room was made for one a node; more is a list with repetitions.
+        // Room was made for one a node; more is a list with repetitions, of which the end is left out.
         let n = self.positions_m.len();
         self.constraints.displacements.clear();
         self.constraints.forces.clear();
         self.constraints.displacements.extend(constraints.displacements.iter().take(n));
         self.constraints.forces.extend(constraints.forces.iter().take(n));
+        let beyond = |length: usize| length.saturating_sub(n) as u32;
+        self.n_without_room = beyond(constraints.displacements.len()) + beyond(constraints.forces.len());
         self.distribute();
     }
 
@@ -547,10 +563,18 @@ impl DeformableModel for HybridExchange {
         &self.constraint_forces_n
     }
 
+    /// A node whose place is not finite stays where it is.
     fn take_over(&mut self, positions_m: &[DVec3]) {
         let rest_m = &self.body.mesh.positions_m;
+        assert_eq!(positions_m.len(), rest_m.len(), "one position a node");
         for n in 0..rest_m.len() {
-            let displacement_m = if self.body.is_fixed[n] { DVec3::ZERO } else { positions_m[n] - rest_m[n] };
+            let displacement_m = if self.body.is_fixed[n] {
+                DVec3::ZERO
+            } else if positions_m[n].is_finite() {
+                positions_m[n] - rest_m[n]
+            } else {
+                self.shared.displacement_m[n]
+            };
             self.shared.displacement_m[n] = displacement_m;
             self.positions_m[n] = rest_m[n] + displacement_m;
         }
@@ -560,9 +584,12 @@ impl DeformableModel for HybridExchange {
         self.constraint_forces_n.fill(DVec3::ZERO);
     }
 
+    /// Gravity that is not finite changes nothing.
     fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
-        self.shared.pull_m_per_s2 = gravity_m_per_s2 - self.rest_gravity_m_per_s2;
-        self.zones.iter_mut().for_each(PrecomputedZone::renew);
+        if gravity_m_per_s2.is_finite() {
+            self.shared.pull_m_per_s2 = gravity_m_per_s2 - self.rest_gravity_m_per_s2;
+            self.zones.iter_mut().for_each(PrecomputedZone::renew);
+        }
     }
 
     fn report(&self) -> ModelReport {
@@ -592,6 +619,9 @@ impl DeformableModel for HybridExchange {
         let removed: Vec<TetId> = change.tets.removed.clone();
         match self.remove_tets(&removed) {
             Ok(_) => Ok(()),
+            Err(ExchangeError::NoSuchTet { .. }) => {
+                refused("a tetrahedron that goes is none of its mesh: make it anew for another mesh")
+            }
             Err(_) => refused("a zone next to the cut cannot be pre-computed any more: make it tensor-mass"),
         }
     }

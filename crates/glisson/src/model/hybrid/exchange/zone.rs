@@ -81,6 +81,17 @@ pub(super) struct Correction {
     /// W [N/m] by rows.
     pub(super) weight: Vec<f64>,
     before_m: Vec<f64>,
+    /// W T_D^j of one loadable node j: a tensor a node of D.
+    spread: Vec<DMat3>,
+}
+
+impl Correction {
+    /// W between two nodes of D.
+    fn weight(&self, i: usize, j: usize) -> DMat3 {
+        let n = 3 * self.nodes.len();
+        let row = |a: usize| DVec3::from_slice(&self.weight[(3 * i + a) * n + 3 * j..][..3]);
+        DMat3::from_cols(row(0), row(1), row(2)).transpose()
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -227,24 +238,29 @@ impl PrecomputedZone {
         DMat3::from_cols(column(0), column(1), column(2))
     }
 
-    /// T'^ab [m/N], corrected.
-    pub(super) fn tensor(&self, row: usize, loadable: usize) -> DMat3 {
+    /// T'^ab [m/N], corrected, after [`Self::spread`] of the same loadable node.
+    fn tensor(&self, row: usize, loadable: usize) -> DMat3 {
         let mut tensor = self.table_tensor(row, loadable);
-        if let Some(Correction { nodes, weight, .. }) = &self.correction {
-            let n = 3 * nodes.len();
-            for (i, &c) in nodes.iter().enumerate() {
-                for (j, &d) in nodes.iter().enumerate() {
-                    let block = DMat3::from_cols(
-                        DVec3::from_array([0, 1, 2].map(|a| weight[(3 * i + a) * n + 3 * j])),
-                        DVec3::from_array([0, 1, 2].map(|a| weight[(3 * i + a) * n + 3 * j + 1])),
-                        DVec3::from_array([0, 1, 2].map(|a| weight[(3 * i + a) * n + 3 * j + 2])),
-                    );
-                    tensor +=
-                        self.table_tensor(row, c as usize) * block * self.table_tensor(d as usize, loadable);
-                }
+        if let Some(Correction { nodes, spread, .. }) = &self.correction {
+            for (&c, spread) in nodes.iter().zip(spread) {
+                tensor += self.table_tensor(row, c as usize) * *spread;
             }
         }
         tensor
+    }
+
+    /// W T_D^j of loadable node j: once, for all rows of its column.
+    fn spread(&mut self, loadable: usize) {
+        let Some(mut correction) = self.correction.take() else { return };
+        let mut spread = std::mem::take(&mut correction.spread);
+        for (i, spread) in spread.iter_mut().enumerate() {
+            let nodes = correction.nodes.iter().enumerate();
+            *spread = nodes.fold(DMat3::ZERO, |sum, (j, &d)| {
+                sum + correction.weight(i, j) * self.table_tensor(d as usize, loadable)
+            });
+        }
+        correction.spread = spread;
+        self.correction = Some(correction);
     }
 
     /// Makes W of what was lost; how far it is from singular.
@@ -278,7 +294,8 @@ impl PrecomputedZone {
             system.solve(&mut column);
             (0..n).for_each(|i| weight[i * n + j] = column[i]);
         }
-        self.correction = Some(Correction { nodes, lost, weight, before_m: vec![0.0; n] });
+        let spread = vec![DMat3::ZERO; nodes.len()];
+        self.correction = Some(Correction { nodes, lost, weight, before_m: vec![0.0; n], spread });
         self.must_renew = true;
         definiteness
     }
@@ -320,8 +337,10 @@ impl PrecomputedZone {
         let n = 3 * self.imposed.len();
         let mut system = std::mem::replace(&mut self.imposed_system, SmallLu::with_room_for(0));
         let entries = system.start(n);
-        for (i, a) in self.imposed.iter().enumerate() {
-            for (j, b) in self.imposed.iter().enumerate() {
+        for j in 0..self.imposed.len() {
+            let b = self.imposed[j];
+            self.spread(b.loadable as usize);
+            for (i, a) in self.imposed.iter().enumerate() {
                 let tensor = self.tensor(a.loadable as usize, b.loadable as usize);
                 for row in 0..3 {
                     for column in 0..3 {

@@ -32,7 +32,7 @@ const DAMPINGS_PER_S: [f64; 11] = [18.0, 24.0, 14.0, 10.0, 32.0, 42.0, 56.0, 75.
 const PATIENCE: f64 = 1.1;
 
 /// Steps between two looks at the error.
-const STEPS_PER_LOOK: usize = 10;
+const STEPS_PER_LOOK: usize = 30;
 
 /// Simulated time after which a run is given up [s].
 const LONGEST_S: f64 = 1.5;

@@ -48,10 +48,10 @@ pub(super) fn respond_into(
     let n_blocks = Table::stride(table.n_rows) / BLOCK_NUMBERS;
     match &table.numbers {
         Numbers::F64(numbers) => {
-            path.run_by_eight(Respond { numbers, n_blocks, loads, from_zero, displacement_m })
+            path.run_by_eight(Respond { numbers, n_blocks, loads, from_zero, displacement_m });
         }
         Numbers::F32(numbers) => {
-            path.run_by_eight(Respond { numbers, n_blocks, loads, from_zero, displacement_m })
+            path.run_by_eight(Respond { numbers, n_blocks, loads, from_zero, displacement_m });
         }
     }
 }

@@ -19,6 +19,9 @@ pub(crate) struct Args {
     /// Print JSON
     #[arg(long)]
     json: bool,
+    /// Tell, but do not fail, when processor times compare otherwise than claimed: for machines that are busy
+    #[arg(long)]
+    busy: bool,
     /// Folder for validation.json, validation.md and its figures
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -95,12 +98,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             figure.plot.write_svg(&folder.join(figure.file))?;
         }
     }
-    let failed = experiments.iter().filter(|e| !e.pass).count();
+    let counts = |e: &&&Experiment| !(e.pass || (args.busy && e.compares_times));
+    let failed = experiments.iter().filter(counts).count();
     if failed > 0 {
         bail!("{failed} of {} experiments do not hold", experiments.len());
     }
     if !args.json {
-        println!("\nall {} experiments hold", experiments.len());
+        let n_told = experiments.iter().filter(|e| !e.pass).count();
+        println!("\n{} of {} experiments hold", experiments.len() - n_told, experiments.len());
     }
     Ok(())
 }

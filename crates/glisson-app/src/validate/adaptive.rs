@@ -373,13 +373,15 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
             SEED_COST,
             full_ns / costs.linear_ns,
             [2.0, 40.0],
-        ),
+        )
+        .of_times(),
         Experiment::within(
             "threshold 2 cm over full model: processor time of a step",
             "RR-4028, s. 6: 8 Hz against 20 Hz, 0.4",
             seed_ns / full_ns,
             [0.1, 0.9],
-        ),
+        )
+        .of_times(),
     ];
     experiments.extend(of_resection);
     let [kernel_linear_ns, kernel_ns] = costs.kernel_ns;

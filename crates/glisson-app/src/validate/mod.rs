@@ -42,6 +42,8 @@ pub(crate) struct Experiment {
     pub(crate) tolerance: String,
     /// Whether it holds.
     pub(crate) pass: bool,
+    /// Whether it compares processor times, which a busy machine changes.
+    pub(crate) compares_times: bool,
 }
 
 impl Experiment {
@@ -54,6 +56,7 @@ impl Experiment {
             obtained,
             tolerance: format!("{limit:e}"),
             pass: obtained <= limit,
+            compares_times: false,
         }
     }
 
@@ -66,6 +69,7 @@ impl Experiment {
             obtained,
             tolerance: format!("{} %", (tolerance * 1e8).round() / 1e6),
             pass: (obtained - expected).abs() <= tolerance * expected.abs(),
+            compares_times: false,
         }
     }
 
@@ -78,7 +82,13 @@ impl Experiment {
             obtained,
             tolerance: "in the range".into(),
             pass: (low..=high).contains(&obtained),
+            compares_times: false,
         }
+    }
+
+    /// It compares processor times.
+    fn of_times(self) -> Self {
+        Self { compares_times: true, ..self }
     }
 }
 

@@ -208,7 +208,8 @@ pub(super) fn study() -> anyhow::Result<(Vec<Experiment>, Figure, String)> {
     let lowest = rates.iter().copied().fold(f64::INFINITY, f64::min);
     let end = looks.last().expect("there are looks");
     let experiments = vec![
-        Experiment::within("resection: lowest over highest rate", SEED_RATE, lowest / highest, [0.1, 0.9]),
+        Experiment::within("resection: lowest over highest rate", SEED_RATE, lowest / highest, [0.1, 0.9])
+            .of_times(),
         Experiment::within(
             "resection: share of the nodes beyond the cut that are non-linear at the end (report: all)",
             SEED,

@@ -61,6 +61,7 @@ impl Convergence {
             obtained: self.finest(),
             tolerance: format!("{} %", 100.0 * share),
             pass: error <= share,
+            compares_times: false,
         }
     }
 

@@ -18,12 +18,14 @@ pub mod reduced;
 pub mod rheology;
 pub mod tensor_mass;
 pub mod nonlinear_tensor_mass;
+mod undo;
 
 pub use crate::solve::{Attachment, FixedNode, RestStress};
 pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};
 pub use explicit::{ExplicitError, Inertia, Integration};
 pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
+pub use undo::ModelUndo;
 
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
@@ -133,4 +135,14 @@ pub trait DeformableModel: Send {
     /// # Errors
     /// [`TopologyRefusal`] when the model cannot follow.
     fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal>;
+
+    /// Writes what [`DeformableModel::topology_changed`] with `change` is about to overwrite, and the state, into `undo`.
+    /// Called between the edit of the mesh and `topology_changed`. A model without a shorter answer is copied whole.
+    fn save_for_undo(&self, _change: &TopologyChange, undo: &mut ModelUndo) {
+        undo.keep_whole(self.duplicate());
+    }
+
+    /// Puts back what [`DeformableModel::save_for_undo`] wrote: every number has the bits from before the edit. Edits are
+    /// undone in the opposite order. Called through [`ModelUndo::put_back`]; a model that is copied whole has nothing to do.
+    fn undo(&mut self, _undo: &ModelUndo) {}
 }

@@ -50,6 +50,8 @@ pub(super) struct Growth {
     pub(super) reshaped: Vec<TetId>,
     /// New tetrahedra that live, ascending.
     pub(super) added: Vec<TetId>,
+    /// Their volumes at rest [m3].
+    added_m3: Vec<f64>,
     placed: Vec<Placed>,
     parents: Vec<(NodeId, f64)>,
     around: Vec<Around>,
@@ -84,6 +86,7 @@ impl Growth {
             n_tets: change.tets.n_after,
             reshaped: Vec::new(),
             added: change.tets.added.ids().iter().copied().filter(|tet| !is_gone(tet)).collect(),
+            added_m3: Vec::new(),
             placed: Vec::new(),
             parents: Vec::new(),
             around: Vec::new(),
@@ -97,6 +100,7 @@ impl Growth {
                 return Err(TopologyRefusal::Unsound { model, tet, volume_m3: mesh.tet_volume_m3(tet) });
             }
         }
+        growth.added_m3 = growth.added.iter().map(|&tet| mesh.tet_volume_m3(tet)).collect();
         Ok(Some(growth))
     }
 
@@ -268,15 +272,14 @@ impl Growth {
         found
     }
 
-    /// Gives each new tetrahedron the value of the old one that it takes after most; `filler` where there is none. A
-    /// list with no or one value for all stays as it is.
-    pub(super) fn take_over<T: Clone>(&self, values: &mut Vec<T>, filler: &T) {
-        let n_before = self.n_tets - self.sources.len();
-        if values.len() != n_before || values.is_empty() {
+    /// Gives each new tetrahedron the value of the old one that it takes after most, that of the first one where there
+    /// is none. A list that is not one value a tetrahedron stays as it is.
+    pub(super) fn take_over<T: Clone>(&self, values: &mut Vec<T>) {
+        if values.len() != self.n_tets - self.sources.len() || values.is_empty() {
             return;
         }
         for source in &self.sources {
-            values.push(source.map_or_else(|| filler.clone(), |tet| values[tet.index()].clone()));
+            values.push(values[source.map_or(0, TetId::index)].clone());
         }
     }
 
@@ -284,6 +287,11 @@ impl Growth {
     pub(super) fn source(&self, tet: TetId) -> Option<TetId> {
         let n_before = self.n_tets - self.sources.len();
         tet.index().checked_sub(n_before).and_then(|at| self.sources[at])
+    }
+
+    /// Volume at rest of a new tetrahedron [m3].
+    pub(super) fn volume_m3(&self, tet: TetId) -> f64 {
+        self.added.binary_search(&tet).map_or(0.0, |at| self.added_m3[at])
     }
 
     /// Every tetrahedron to be added up anew: new ones and those of another shape, ascending.

@@ -85,6 +85,14 @@ impl Loads {
         self.nodal_n[n]
     }
 
+    /// Room for new nodes; all places at rest may be other ones.
+    pub(super) fn grow(&mut self, rest_m: &[DVec3]) {
+        self.rest_m.clear();
+        self.rest_m.extend_from_slice(rest_m);
+        self.nodal_n.resize(rest_m.len(), DVec3::ZERO);
+        self.loaded.make_room(rest_m.len());
+    }
+
     /// For the nodes that stay, under their new ids; without nodal forces.
     pub(super) fn renumbered(&self, new_ids: &[Option<NodeId>], rest_m: &[DVec3]) -> Self {
         let moved = |a: &Attachment| new_ids[a.node.index()].map(|node| Attachment { node, ..*a });

@@ -105,10 +105,10 @@ impl Body {
         self.rest_m.extend_from_slice(&mesh.positions_m[n_before..growth.n_nodes]);
         self.node_is_live.resize(growth.n_nodes, false);
         self.bounds.resize(growth.n_nodes, Bound::default());
-        let Some(&filler) = self.laws.first() else { return };
-        growth.take_over(&mut self.laws, &filler);
+        growth.take_over(&mut self.laws);
         blend_tets(&mut self.rest_stress_pa, change);
-        self.gradients.resize(growth.n_tets, self.gradients[0]);
+        let nothing = P1Gradients { alpha_per_m: [DVec3::ZERO; 4], volume_m3: 0.0 };
+        self.gradients.resize(growth.n_tets, nothing);
         for tet in growth.attached() {
             self.gradients[tet.index()] = P1Gradients::new(mesh.corners_m(tet));
         }

@@ -17,7 +17,7 @@ use super::explicit::{
     check_body, check_number, follow, keep,
 };
 use super::growth::{Growth, blend_tets};
-use super::local_model::{self, ElementStiffness, LocalBody, LocalElements};
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame};
 use super::{
     Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
     RestStress, TopologyRefusal,
@@ -407,20 +407,8 @@ impl LocalBody for MassSpring {
         local_model::of_edge(tensor)
     }
 
-    fn inertia_kg(&self, n: usize) -> f64 {
-        self.body.inertia_kg(n)
-    }
-
-    fn free_axes(&self, n: usize) -> [bool; 3] {
-        self.body.frame().free_axes(n)
-    }
-
-    fn is_held(&self, n: usize) -> bool {
-        self.body.frame().is_held(n)
-    }
-
-    fn load_on_n(&self, n: usize) -> DVec3 {
-        self.body.frame().load_on_n(n)
+    fn frame(&self) -> &dyn LocalFrame {
+        &self.body
     }
 
     fn damping(&self) -> Rayleigh {

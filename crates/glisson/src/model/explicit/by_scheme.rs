@@ -18,7 +18,8 @@ use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::growth::Growth;
-use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, ModelState};
+use crate::model::local_model::LocalFrame;
+use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, ModelState, Rayleigh};
 use crate::solve::integrators::{EquationsOfMotion, FixedPoint, Integrator, ModeBounds, Motion, Scheme};
 
 /// What resists the acceleration of a node.
@@ -635,5 +636,28 @@ impl<F: InternalForces> EquationsOfMotion for Newton<'_, F> {
             accelerations_m_per_s2[n] =
                 if inertia_kg > 0.0 { self.force_n[n] / inertia_kg } else { DVec3::ZERO };
         }
+    }
+}
+
+impl LocalFrame for ExplicitBody {
+    /// What the scheme accelerates.
+    fn inertia_kg(&self, n: usize) -> f64 {
+        self.inertia_kg[n]
+    }
+
+    fn free_axes(&self, n: usize) -> [bool; 3] {
+        self.frame.free_axes(n)
+    }
+
+    fn is_held(&self, n: usize) -> bool {
+        self.frame.is_held(n)
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        self.frame.load_on_n(n)
+    }
+
+    fn damping(&self) -> Rayleigh {
+        self.frame.damping
     }
 }

@@ -18,6 +18,7 @@ use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::growth::Growth;
+use crate::model::local_model::LocalFrame;
 use crate::model::roomy::Roomy;
 use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, Rayleigh};
 use crate::solve::SolveError;
@@ -585,5 +586,27 @@ impl Frame {
             new.is_some()
         });
         self.drop_constraints();
+    }
+}
+
+impl LocalFrame for Frame {
+    fn inertia_kg(&self, n: usize) -> f64 {
+        self.inertia_kg(n)
+    }
+
+    fn free_axes(&self, n: usize) -> [bool; 3] {
+        self.free_axes(n)
+    }
+
+    fn is_held(&self, n: usize) -> bool {
+        self.is_held(n)
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        self.load_on_n(n)
+    }
+
+    fn damping(&self) -> Rayleigh {
+        self.damping
     }
 }

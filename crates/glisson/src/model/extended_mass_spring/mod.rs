@@ -29,10 +29,10 @@ use super::explicit::{
     RestTensions, Stability, StiffTet, check_body, check_number, follow, keep,
 };
 use super::growth::{Growth, blend_tets};
-use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::nonlinear_tensor_mass::TetLaw;
 use super::{
-    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
     RestStress, TopologyRefusal,
 };
 use crate::material::{LinearElastic, NeoHookeLog};
@@ -533,24 +533,8 @@ impl LocalBody for ExtendedMassSpring {
         stiffness
     }
 
-    fn inertia_kg(&self, n: usize) -> f64 {
-        self.body.inertia_kg(n)
-    }
-
-    fn free_axes(&self, n: usize) -> [bool; 3] {
-        self.body.frame().free_axes(n)
-    }
-
-    fn is_held(&self, n: usize) -> bool {
-        self.body.frame().is_held(n)
-    }
-
-    fn load_on_n(&self, n: usize) -> DVec3 {
-        self.body.frame().load_on_n(n)
-    }
-
-    fn damping(&self) -> Rayleigh {
-        self.body.frame().damping
+    fn frame(&self) -> &dyn LocalFrame {
+        &self.body
     }
 }
 

@@ -44,9 +44,9 @@ use super::explicit::{
     StiffTet, check_body, follow, padded, unpadded,
 };
 use super::growth::Growth;
-use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::{
-    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
     RestStress, TopologyRefusal,
 };
 use crate::material::LinearElastic;
@@ -419,24 +419,8 @@ impl LocalBody for NonlinearTensorMass {
         local_model::tet_tangent(&body.gradients[element], u_m, &law, body.rest_stress_pa.get(element))
     }
 
-    fn inertia_kg(&self, n: usize) -> f64 {
-        self.motion.frame().inertia_kg(n)
-    }
-
-    fn free_axes(&self, n: usize) -> [bool; 3] {
-        self.motion.frame().free_axes(n)
-    }
-
-    fn is_held(&self, n: usize) -> bool {
-        self.motion.frame().is_held(n)
-    }
-
-    fn load_on_n(&self, n: usize) -> DVec3 {
-        self.motion.frame().load_on_n(n)
-    }
-
-    fn damping(&self) -> Rayleigh {
-        self.motion.frame().damping
+    fn frame(&self) -> &dyn LocalFrame {
+        self.motion.frame()
     }
 }
 

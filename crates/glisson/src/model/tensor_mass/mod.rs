@@ -21,9 +21,9 @@ use super::explicit::{
     Cuttable, ExplicitMotion, LiveTets, Quarantine, Stability, StiffTet, check_body, follow, keep, unpadded,
 };
 use super::growth::{Growth, blend_tets};
-use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::{
-    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
     RestStress, TopologyRefusal,
 };
 use crate::material::LinearElastic;
@@ -269,24 +269,8 @@ impl LocalBody for TensorMass {
         local_model::tet_tangent(&gradients, [DVec3::ZERO; 4], &law, None)
     }
 
-    fn inertia_kg(&self, n: usize) -> f64 {
-        self.motion.frame().inertia_kg(n)
-    }
-
-    fn free_axes(&self, n: usize) -> [bool; 3] {
-        self.motion.frame().free_axes(n)
-    }
-
-    fn is_held(&self, n: usize) -> bool {
-        self.motion.frame().is_held(n)
-    }
-
-    fn load_on_n(&self, n: usize) -> DVec3 {
-        self.motion.frame().load_on_n(n)
-    }
-
-    fn damping(&self) -> Rayleigh {
-        self.motion.frame().damping
+    fn frame(&self) -> &dyn LocalFrame {
+        self.motion.frame()
     }
 }
 

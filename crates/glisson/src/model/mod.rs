@@ -27,6 +27,7 @@ pub use explicit::{ExplicitError, Inertia, Integration};
 pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
 pub use undo::ModelUndo;
+use undo::UndoReader;
 
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;

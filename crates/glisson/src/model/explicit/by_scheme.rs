@@ -238,11 +238,6 @@ impl ExplicitBody {
         self.frame.time_step_s
     }
 
-    /// What the scheme accelerates at a node, zero without a tetrahedron.
-    pub(in crate::model) fn inertia_kg(&self, n: usize) -> f64 {
-        self.inertia_kg[n]
-    }
-
     pub(in crate::model) fn frame(&self) -> &Frame {
         &self.frame
     }
@@ -640,7 +635,7 @@ impl<F: InternalForces> EquationsOfMotion for Newton<'_, F> {
 }
 
 impl LocalFrame for ExplicitBody {
-    /// What the scheme accelerates.
+    /// What the scheme accelerates at a node, zero without a tetrahedron.
     fn inertia_kg(&self, n: usize) -> f64 {
         self.inertia_kg[n]
     }

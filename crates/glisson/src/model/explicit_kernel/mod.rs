@@ -28,6 +28,7 @@ mod local;
 mod params;
 mod stability;
 mod topology;
+mod undo;
 
 use std::sync::Arc;
 
@@ -38,7 +39,8 @@ use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine, Workers};
 use super::kind::ModelKind;
 use super::roomy::Roomy;
 use super::{
-    Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh, TopologyRefusal,
+    Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, ModelUndo, Rayleigh,
+    TopologyRefusal,
     local_model,
 };
 use crate::math::DVec3;
@@ -561,5 +563,15 @@ impl DeformableModel for ExplicitKernel {
             self.compact(change);
         }
         Ok(())
+    }
+
+    /// Short, but for edits after which the kernel may be laid out anew; those of removals allocate nothing in buffers that
+    /// were used before.
+    fn save_for_undo(&self, change: &TopologyChange, undo: &mut ModelUndo) {
+        self.save(change, undo);
+    }
+
+    fn undo(&mut self, undo: &ModelUndo) {
+        self.put_back(undo);
     }
 }

@@ -24,6 +24,7 @@ use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::explicit::{Stability as ElasticStability, StiffTet, keep};
 use crate::model::kernel::{FastKernel, KernelLaw};
 use crate::model::nonlinear_tensor_mass::{TetLaw, linear_stiffness};
+use crate::model::{ModelUndo, UndoReader};
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
 
 /// theta h^2 of the longest step: a little below 4, as far as [`StableStep`] keeps below it.
@@ -216,6 +217,55 @@ impl Stability {
             if self.scaling.n_nodes > 0 { self.shortest_s } else { self.step.after_cuts_s };
     }
 
+    /// Keeps what an edit changes beside the tetrahedra.
+    pub(super) fn save(&self, undo: &mut ModelUndo) {
+        undo.numbers.extend_from_slice(&[self.step.after_cuts_s, self.after_cuts_s]);
+        undo.places.extend_from_slice(&[self.step.tet.0, self.scaling.n_nodes]);
+    }
+
+    /// Comes back to [`Stability::save`]; how many nodes were heavier.
+    pub(super) fn put_back(&mut self, from: &mut UndoReader<'_>, n_nodes: usize, n_tets: usize) -> u32 {
+        [self.step.after_cuts_s, self.after_cuts_s] = [from.number(), from.number()];
+        self.step.tet = TetId::from_index(from.place());
+        self.tet_per_s2.truncate(n_tets);
+        self.stiffening.truncate(n_tets);
+        self.ligaments_n_per_m.truncate(n_nodes);
+        self.scaling.added_kg.truncate(n_nodes);
+        self.scaling.n_scaled.truncate(n_nodes);
+        self.scaling.tets.retain(|scaled| scaled.tet.index() < n_tets);
+        from.place() as u32
+    }
+
+    /// Keeps a tetrahedron's frequency, its inertia (less than zero: never heavier) and how many heavier tetrahedra
+    /// its nodes have.
+    pub(super) fn save_tet(&self, tet: TetId, nodes: [NodeId; 4], undo: &mut ModelUndo) {
+        let scaled = self.scaling.place(tet).map_or(-1.0, |at| self.scaling.tets[at].corner_kg);
+        undo.numbers.extend_from_slice(&[self.tet_per_s2[tet.index()], scaled]);
+        undo.places.extend(nodes.map(|n| self.scaling.n_scaled[n.index()]));
+    }
+
+    /// Comes back to [`Stability::save_tet`].
+    pub(super) fn put_tet_back(
+        &mut self,
+        tet: TetId,
+        nodes: [NodeId; 4],
+        n_scaled: [u32; 4],
+        from: &mut UndoReader<'_>,
+    ) {
+        self.tet_per_s2[tet.index()] = from.number();
+        let corner_kg = from.number();
+        match self.scaling.place(tet) {
+            Some(at) if corner_kg < 0.0 => {
+                self.scaling.tets.remove(at);
+            }
+            Some(at) => self.scaling.tets[at].corner_kg = corner_kg,
+            None => {}
+        }
+        for (node, n) in nodes.into_iter().zip(n_scaled) {
+            self.scaling.n_scaled[node.index()] = n;
+        }
+    }
+
     /// Drops what has no new id.
     pub(super) fn compact(&mut self, new_nodes: &[Option<NodeId>], new_tets: &[Option<TetId>]) {
         let stays: Vec<bool> = new_nodes.iter().map(Option::is_some).collect();
@@ -250,7 +300,7 @@ impl MassScaling {
 
     /// A tetrahedron was removed: what it added goes.
     pub(super) fn remove_tet(&mut self, mesh: &TetMesh, tet: TetId, kernel: &mut FastKernel) {
-        let Ok(at) = self.tets.binary_search_by_key(&tet, |scaled| scaled.tet) else { return };
+        let Some(at) = self.place(tet) else { return };
         let corner_kg = std::mem::replace(&mut self.tets[at].corner_kg, 0.0);
         if corner_kg == 0.0 {
             return;
@@ -269,6 +319,24 @@ impl MassScaling {
         for node in mesh.tetrahedra[scaled.tet.index()] {
             self.change(kernel, node, scaled.corner_kg, 1);
         }
+    }
+
+    fn place(&self, tet: TetId) -> Option<usize> {
+        self.tets.binary_search_by_key(&tet, |scaled| scaled.tet).ok()
+    }
+
+    /// Nothing is heavier, as before the first cut; the tetrahedra stay.
+    pub(super) fn reset(&mut self, kernel: &mut FastKernel) {
+        for (n, n_scaled) in self.n_scaled.iter_mut().enumerate().filter(|(_, n)| **n > 0) {
+            *n_scaled = 0;
+            self.added_kg[n] = 0.0;
+            kernel.set_added_mass(NodeId::from_index(n), 0.0);
+        }
+    }
+
+    /// Notes the inertia that a node has in the kernel.
+    pub(super) fn set_added_kg(&mut self, node: NodeId, added_kg: f64) {
+        self.added_kg[node.index()] = added_kg;
     }
 
     /// Inertia that a node has beyond its mass [kg].

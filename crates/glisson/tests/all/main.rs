@@ -17,6 +17,7 @@ mod local_model;
 mod loads_faults;
 mod mass_spring;
 mod meshing;
+mod model_edits;
 mod model_meshes;
 mod models_agree;
 mod nonlinear_reference;

@@ -21,7 +21,7 @@ use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::growth::Growth;
-use crate::model::{Constraints, DynamicBody, ModelReport, ModelState};
+use crate::model::{Constraints, DynamicBody, ModelReport, ModelState, ModelUndo, UndoReader};
 
 /// A copy of the moving state. It holds for the same mesh and removals.
 #[derive(Clone, Debug, PartialEq)]
@@ -506,10 +506,37 @@ impl ExplicitMotion {
     }
 
     /// Adds the masses of one tetrahedron; `stiff`: its tensors, and how much stiffer it may become.
-    pub(in crate::model) fn add_tet(&mut self, t: usize, nodes: [NodeId; 4], volume_m3: f64, stiff: &StiffTet) {
+    pub(in crate::model) fn add_tet(
+        &mut self,
+        t: usize,
+        nodes: [NodeId; 4],
+        volume_m3: f64,
+        stiff: &StiffTet,
+    ) {
         let corner_kg = 0.25 * self.frame.density_kg_per_m3() * volume_m3;
         self.frame.add_tet(t, nodes, volume_m3, stiff.squared_frequency_per_s2(corner_kg));
         nodes.into_iter().for_each(|n| self.update_inertia(n.index()));
+    }
+
+    /// Keeps the state, masses and constraints.
+    pub(in crate::model) fn save(&self, undo: &mut ModelUndo) {
+        self.frame.save(undo);
+        undo.positions_m.extend_from_slice(&self.positions_m);
+        undo.velocities_m_per_s.extend_from_slice(&self.velocities_m_per_s);
+        undo.numbers.extend_from_slice(self.motion.as_flattened());
+        undo.numbers.extend_from_slice(self.rest_forces_n.as_flattened());
+    }
+
+    /// Comes back to [`ExplicitMotion::save`] of the same nodes.
+    pub(in crate::model) fn put_back(&mut self, undo: &ModelUndo, from: &mut UndoReader<'_>) {
+        self.frame.put_back(undo, from);
+        self.positions_m.copy_from_slice(&undo.positions_m);
+        self.velocities_m_per_s.copy_from_slice(&undo.velocities_m_per_s);
+        let motion = self.motion.as_flattened_mut();
+        motion.copy_from_slice(from.numbers(motion.len()));
+        let rest_forces_n = self.rest_forces_n.as_flattened_mut();
+        rest_forces_n.copy_from_slice(from.numbers(rest_forces_n.len()));
+        (0..self.n_nodes()).for_each(|n| self.update_inertia(n));
     }
 
     /// Room for what an edit brings in; new and moved nodes are at their places afterwards.

@@ -40,8 +40,7 @@ use super::kind::ModelKind;
 use super::roomy::Roomy;
 use super::{
     Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, ModelUndo, Rayleigh,
-    TopologyRefusal,
-    local_model,
+    TopologyRefusal, local_model,
 };
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;

@@ -32,8 +32,8 @@ use super::growth::{Growth, blend_tets};
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::nonlinear_tensor_mass::TetLaw;
 use super::{
-    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
-    RestStress, TopologyRefusal,
+    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, RestStress,
+    TopologyRefusal,
 };
 use crate::material::{LinearElastic, NeoHookeLog};
 use crate::math::{DMat3, DVec3};

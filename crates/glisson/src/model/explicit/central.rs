@@ -544,14 +544,18 @@ impl ExplicitMotion {
         let (n_before, n_nodes) = (self.n_nodes(), growth.n_nodes);
         self.frame.grow(mesh, change, growth);
         let supports = |n: usize| self.frame.supports(n);
+        let way_m = |n: usize| unpadded(&self.motion[n]) - unpadded(&self.motion[n_before + n]);
+        let mut ways: Vec<(usize, DVec3)> = growth.velocities(way_m, supports);
         let now = growth.displacements_m(|n| unpadded(&self.motion[n]), supports);
-        let previous = growth.displacements_m(|n| unpadded(&self.motion[n_before + n]), supports);
         let mut motion = Vec::with_capacity(2 * n_nodes + 1);
-        for (nodes, placed) in [(0..n_before, now), (n_before..2 * n_before, previous)] {
-            let start = motion.len();
+        for nodes in [0..n_before, n_before..2 * n_before] {
             motion.extend_from_slice(&self.motion[nodes]);
-            motion.resize(start + n_nodes, [0.0; 4]);
-            placed.into_iter().for_each(|(n, u_m)| motion[start + n] = padded(u_m));
+            motion.resize(motion.len() + n_nodes - n_before, [0.0; 4]);
+        }
+        ways.extend(now.iter().filter(|(n, _)| *n < n_before).map(|(n, _)| (*n, way_m(*n))));
+        now.into_iter().for_each(|(n, u_m)| motion[n] = padded(u_m));
+        for (n, way_m) in ways {
+            motion[n_nodes + n] = padded(unpadded(&motion[n]) - way_m);
         }
         motion.push(self.motion[2 * n_before]);
         self.motion = motion;

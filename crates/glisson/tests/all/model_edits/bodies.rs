@@ -30,7 +30,7 @@ pub(super) struct Body {
     pub(super) rest_stress_pa: Vec<RestStress>,
     pub(super) materials: Vec<LinearElastic>,
     /// Of models that have one material only.
-    uniform: LinearElastic,
+    pub(super) uniform: LinearElastic,
     pub(super) fibres: Vec<Fibre>,
     pub(super) damping: Rayleigh,
     pub(super) time_step_s: f64,

@@ -30,8 +30,8 @@ pub const EVAPORATION_J_PER_KG: f64 = 2.2565e6;
 
 impl HeatedTissue {
     /// Liver: density of the table of tissues; specific heat at 25 C from Haemmerich et al. 2006 (Med. Eng. Phys. 28:194-197),
-    /// who also find a fifth of the mass lost at 90 C: tissue that has lost it counts as cut, which is a choice. Blood
-    /// that is not there yet at the tip's time scale: no cooling, a choice as well.
+    /// who also find a fifth of the mass lost at 90 C. Choices: tissue that has lost that share counts as cut, and blood
+    /// cools nothing in the short time that a tip stays at one place.
     pub const LIVER: Self = Self {
         density_kg_per_m3: 1060.0,
         specific_heat_j_per_kg_k: 3411.0,
@@ -159,7 +159,7 @@ mod tests {
         let mut parted = Vec::new();
         let room = heat.heat.capacity();
         let many = (0..room as u32 + 3).map(|t| (TetId(t), 1e-9));
-        heat.heat_up(&tissue, 1.0, many, 1e-3, &mut parted);
+        heat.heat_up(&tissue, 100.0, many, 1e-3, &mut parted);
         assert_eq!((heat.warm().len(), heat.heat.capacity()), (room, room));
         let before = heat.warm()[0].1;
         heat.cool_down(&tissue, 1.0);

@@ -3,6 +3,7 @@
 mod body;
 mod report;
 pub(crate) mod roomy;
+mod growth;
 pub mod extended_mass_spring;
 pub mod implicit;
 pub mod kind;
@@ -26,10 +27,11 @@ pub use explicit::{ExplicitError, Inertia, Integration};
 pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
 pub use undo::ModelUndo;
+use undo::UndoReader;
 
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
-use crate::mesh::{NodeId, TetMesh};
+use crate::mesh::{NodeId, TetId, TetMesh};
 
 /// A node held at a displacement from its rest position.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,6 +81,19 @@ pub enum TopologyRefusal {
         model: &'static str,
         /// Why, and what to do.
         reason: &'static str,
+    },
+    /// A new or reshaped tetrahedron is flat, inside out or not finite.
+    #[error(
+        "the {model} model cannot follow the edit: tetrahedron {tet} has {volume_m3:e} m3 at rest; it must be a finite \
+         number well above 0"
+    )]
+    Unsound {
+        /// The model's scene name.
+        model: &'static str,
+        /// The first such tetrahedron.
+        tet: TetId,
+        /// Its volume at rest [m3].
+        volume_m3: f64,
     },
 }
 

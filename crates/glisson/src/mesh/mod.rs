@@ -3,6 +3,7 @@
 pub mod topology;
 pub mod edit;
 pub mod quality;
+pub mod repair;
 pub mod stuffing;
 pub mod thin;
 pub mod generate;

@@ -4,6 +4,7 @@ pub mod topology;
 pub mod edit;
 pub mod quality;
 pub mod repair;
+pub mod refine;
 pub mod stuffing;
 pub mod thin;
 pub mod generate;

@@ -34,5 +34,8 @@ mod reduced;
 mod surfaces;
 mod world_steps;
 mod mesh_edits;
+mod mesh_quality;
+mod mesh_repair;
+mod cut_scalpel;
 mod surface_files;
 mod mesh_files;

@@ -3,6 +3,8 @@
 pub mod cautery;
 pub mod fracture;
 
+pub mod cut;
+
 use crate::math::DVec3;
 use serde::{Deserialize, Serialize};
 

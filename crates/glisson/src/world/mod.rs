@@ -14,6 +14,7 @@ pub mod saved;
 mod skin;
 pub mod spec;
 pub mod touch;
+pub mod vessels;
 
 pub use hand::ToolReport;
 pub use parts::ToolPart;

@@ -27,6 +27,7 @@ mod patch_test;
 mod precomputed;
 mod precomputed_response;
 mod precomputed_weight;
+mod proxy;
 mod quasi_nonlinear;
 mod precomputed_cutting;
 mod reference_cases;

@@ -15,3 +15,4 @@ pub mod tool_contact;
 pub mod self_collision;
 pub mod proxy_surface;
 pub mod proxy;
+pub mod response;

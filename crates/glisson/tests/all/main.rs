@@ -1,6 +1,7 @@
 //! All integration tests in one binary: it links once.
 
 mod hybrid_condensed;
+mod contact_response;
 mod detection;
 mod images;
 mod laws;

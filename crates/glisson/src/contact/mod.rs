@@ -13,3 +13,5 @@ pub mod triangles;
 pub mod continuous;
 pub mod tool_contact;
 pub mod self_collision;
+pub mod constraint;
+pub mod bodies;

@@ -16,3 +16,5 @@ pub mod self_collision;
 pub mod proxy_surface;
 pub mod proxy;
 pub mod response;
+pub mod constraint;
+pub mod bodies;

@@ -18,8 +18,8 @@ use super::explicit::{
 };
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements};
 use super::{
-    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
-    TopologyRefusal,
+    Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
+    NodalForce, Rayleigh, StepAnswer, TopologyRefusal,
 };
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::edit::TopologyChange;
@@ -418,6 +418,18 @@ impl DeformableModel for MassSpring {
     ) {
         out.start(patch, period_s, self.state().positions_m);
         local_model::compute(self, work, out);
+    }
+
+    fn step_answer(&self) -> StepAnswer {
+        StepAnswer::NodeByNode
+    }
+
+    fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
+        self.body.node_answer_m_per_n(node, dt_s)
+    }
+
+    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        self.body.correct(forces, dt_s, correction);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

@@ -1,4 +1,7 @@
-//! Instruments: what they are, where they are.
+//! Instruments: what they are, where they are, and what they take to cut.
+
+pub mod cautery;
+pub mod fracture;
 
 use crate::math::DVec3;
 use serde::{Deserialize, Serialize};

@@ -9,6 +9,7 @@ pub mod organ;
 pub mod saved;
 pub mod spec;
 pub mod touch;
+pub mod vessels;
 
 use crate::contact::sphere::{BallPath, SurfaceView};
 use crate::math::DVec3;

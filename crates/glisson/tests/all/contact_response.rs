@@ -432,7 +432,8 @@ fn masses_kg(n: usize) -> Vec<f64> {
 }
 
 fn kinds() -> [ResponseKind; 3] {
-    let penalty = PenaltyParams { damping_n_s_per_m: 0.05, friction: 0.2, ..PenaltyParams::linear(150.0, 1e-3) };
+    let penalty =
+        PenaltyParams { damping_n_s_per_m: 0.05, friction: 0.2, ..PenaltyParams::linear(150.0, 1e-3) };
     [
         ResponseKind::Penalty(penalty),
         ResponseKind::Impulse(ImpulseParams {
@@ -522,10 +523,8 @@ fn the_same_steps_give_the_same_bits_and_wrong_bodies_are_refused() {
         bodies.model(1).state().positions_m.to_vec()
     };
     assert_eq!(run(), run());
-    let other = RespondingBody {
-        mesh: cube_of_five(2, 0.04),
-        model: cube(2, DVec3::ZERO, DVec3::ZERO, false).model,
-    };
+    let other =
+        RespondingBody { mesh: cube_of_five(2, 0.04), model: cube(2, DVec3::ZERO, DVec3::ZERO, false).model };
     let refused = RespondingBodies::new(vec![other], kinds()[0], &search()).err().unwrap();
     assert!(refused.to_string().contains("8 nodes"), "{refused}");
 }

@@ -58,9 +58,8 @@ impl Layer {
             for j in 0..self.depths_m.len() - 1 {
                 let at = |v: &[f64], k: usize| [v[2 * k], v[2 * k + 2]];
                 let stiffness = self.rectangle(at(&radii_m, i), at(&depths_m, j));
-                let rows: Vec<usize> = (0..9)
-                    .flat_map(|k| [0, 1].map(|c| row(2 * i + k % 3, 2 * j + k / 3, c)))
-                    .collect();
+                let rows: Vec<usize> =
+                    (0..9).flat_map(|k| [0, 1].map(|c| row(2 * i + k % 3, 2 * j + k / 3, c))).collect();
                 for (p, &a) in rows.iter().enumerate() {
                     for (q, &b) in rows.iter().enumerate().filter(|(_, b)| **b <= a) {
                         system.add(a, b, stiffness[18 * p + q]);

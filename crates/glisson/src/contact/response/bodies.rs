@@ -125,8 +125,8 @@ impl RespondingBodies {
             if found != StepAnswer::NodeByNode {
                 return Err(ResponseSetUpError::NotExplicit { body: b, found });
             }
-            let topology = Topology::build(&mesh)
-                .map_err(|source| ResponseSetUpError::Topology { body: b, source })?;
+            let topology =
+                Topology::build(&mesh).map_err(|source| ResponseSetUpError::Topology { body: b, source })?;
             let (surface, of_surface) = surface_of(&topology, &mesh);
             let first = nodes.len() as u32;
             triangles.extend(surface.triangles.iter().map(|t| t.map(|v| v + first)));

@@ -16,9 +16,7 @@ use super::stable::Stability;
 use super::{ExplicitError, keep};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
-use crate::model::{
-    Attachment, Constraints, Correction, DynamicBody, ModelReport, ModelState, NodalForce,
-};
+use crate::model::{Attachment, Constraints, Correction, DynamicBody, ModelReport, ModelState, NodalForce};
 use crate::solve::integrators::{EquationsOfMotion, FixedPoint, Integrator, ModeBounds, Motion, Scheme};
 
 /// What resists the acceleration of a node.

@@ -34,9 +34,8 @@ impl FineRegion {
 /// edit out.
 pub fn refine(body: &EditableMesh, region: &FineRegion, most_splits: usize) -> Option<MeshEdit> {
     let topology = body.topology();
-    let coarse = topology
-        .live_tets()
-        .filter(|&t| longest_edge(body, t).0 > region.edge_m && region.contains(body, t));
+    let coarse =
+        topology.live_tets().filter(|&t| longest_edge(body, t).0 > region.edge_m && region.contains(body, t));
     let mut edges: Vec<EdgeId> = coarse.map(|t| longest_around(body, t)).collect();
     edges.sort_unstable();
     edges.dedup();
@@ -62,9 +61,12 @@ fn longest_around(body: &EditableMesh, tet: TetId) -> EdgeId {
     let mut at = longest_edge(body, tet);
     loop {
         // Lengths and ids only rise along the way, so that it ends.
-        let next = body.topology().edge_tets(at.1).iter().map(|&t| longest_edge(body, t)).fold(at, |most, e| {
-            if e > most { e } else { most }
-        });
+        let next =
+            body.topology()
+                .edge_tets(at.1)
+                .iter()
+                .map(|&t| longest_edge(body, t))
+                .fold(at, |most, e| if e > most { e } else { most });
         if next == at {
             return at.1;
         }

@@ -75,7 +75,8 @@ impl Growth {
             return Ok(None);
         }
         if change.is_renumbering() {
-            let reason = "it follows additions and compactions one after the other; compact in an edit of its own";
+            let reason =
+                "it follows additions and compactions one after the other; compact in an edit of its own";
             return Err(TopologyRefusal::Frozen { model, reason });
         }
         let n_before = change.nodes.n_before;
@@ -320,9 +321,8 @@ fn sources(change: &TopologyChange) -> Vec<Option<TetId>> {
     for (tet, parents) in change.tets.added.iter() {
         // The first among equals, as in `mesh::remap`.
         let heaviest = parents.iter().rev().max_by(|a, b| a.1.total_cmp(&b.1)).map(|(tet, _)| *tet);
-        sources[tet.index() - n_before] = heaviest.and_then(|parent| {
-            parent.index().checked_sub(n_before).map_or(Some(parent), |at| sources[at])
-        });
+        sources[tet.index() - n_before] = heaviest
+            .and_then(|parent| parent.index().checked_sub(n_before).map_or(Some(parent), |at| sources[at]));
     }
     sources
 }

@@ -385,7 +385,8 @@ fn inertial(body: &dyn LocalBody, h_s: f64, out: &mut LocalModel) {
     for i in 0..out.nodes.len() {
         let n = out.nodes[i].index();
         let stiffness = body.frame().inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s) / h_s;
-        let free = body.frame().free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
+        let free =
+            body.frame().free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
         out.set_tensor(i, i, DMat3::from_diagonal(DVec3::from_array(free)));
     }
 }
@@ -481,7 +482,8 @@ impl LocalWork {
         self.head.resize(n, 0);
         self.blocks.clear();
         for i in 0..n {
-            let of_mass = body.frame().inertia_kg(self.region[i] as usize) * (1.0 / h_s + damping.mass_per_s) / h_s;
+            let of_mass =
+                body.frame().inertia_kg(self.region[i] as usize) * (1.0 / h_s + damping.mass_per_s) / h_s;
             self.add_block(i, i, DMat3::from_diagonal(DVec3::splat(of_mass)));
         }
         let per_stiffness = 1.0 + damping.stiffness_s / h_s;
@@ -512,7 +514,11 @@ impl LocalWork {
             self.row_start.push(self.columns.len() as u32);
             let node = self.region[i] as usize;
             // What other tools hold stays there; the patch itself is let go.
-            let free = if i >= n_patch && body.frame().is_held(node) { [false; 3] } else { body.frame().free_axes(node) };
+            let free = if i >= n_patch && body.frame().is_held(node) {
+                [false; 3]
+            } else {
+                body.frame().free_axes(node)
+            };
             let mut at = self.head[i];
             while at != 0 {
                 let (next, column, block) = self.blocks[at as usize - 1];

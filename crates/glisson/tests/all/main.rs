@@ -1,6 +1,7 @@
 //! All integration tests in one binary: it links once.
 
 mod hybrid_condensed;
+mod contact_response;
 mod detection;
 mod images;
 mod laws;
@@ -27,6 +28,7 @@ mod patch_test;
 mod precomputed;
 mod precomputed_response;
 mod precomputed_weight;
+mod proxy;
 mod quasi_nonlinear;
 mod precomputed_cutting;
 mod reference_cases;

@@ -1,11 +1,11 @@
 //! How models of removable tetrahedra follow edits of the mesh.
 
 use super::keep;
+use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::TopologyRefusal;
 use crate::model::growth::{Growth, grows};
-use crate::math::DVec3;
 use crate::solve::{LOCAL_EDGES, MeshEdges};
 
 /// A model that takes tetrahedra out and adds them.

@@ -7,10 +7,10 @@ use crate::material::{LinearElastic, MaterialError, NeoHookeLog, PronySeries, St
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{TetId, TetMesh};
 use crate::model::explicit::keep;
+use crate::model::growth::{Growth, blend_tets};
 use crate::model::kernel::{
     FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, Sequential, SharedMaterial,
 };
-use crate::model::growth::{Growth, blend_tets};
 use crate::model::local_model::TangentLaw;
 use crate::model::nonlinear_tensor_mass::{Fibre, TetLaw, linear_stiffness};
 use crate::model::{DynamicBody, RestStress};

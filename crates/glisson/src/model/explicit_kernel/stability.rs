@@ -18,8 +18,8 @@
 //! stays. Since the bound is that of every tetrahedron by itself, this holds after any further cuts, too.
 
 use super::{ExplicitKernelParams, StableStep};
-use crate::mesh::edit::TopologyChange;
 use crate::material::{Material, NeoHookeLog, StableNeoHooke, largest_tangent_eigenvalue_pa};
+use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::explicit::{Stability as ElasticStability, StiffTet, keep};
 use crate::model::kernel::{FastKernel, KernelLaw};
@@ -120,7 +120,8 @@ impl Stability {
             let stiffest = mesh.tetrahedra[tet.index()].map(|n| ligaments_n_per_m[n.index()]);
             stiffest.into_iter().fold(0.0, f64::max) / corner_kg(tet)
         };
-        let with_ligaments = |tet: TetId| elastic.tet_squared_frequency_per_s2[tet.index()] + of_ligaments(tet);
+        let with_ligaments =
+            |tet: TetId| elastic.tet_squared_frequency_per_s2[tet.index()] + of_ligaments(tet);
         let tet_per_s2: Vec<f64> = tets().map(with_ligaments).collect();
         let stiffening = tets()
             .map(|tet| P1Gradients::of_tet(mesh, tet).map(|gradients| stiff(tet, &gradients).stiffening))
@@ -213,8 +214,7 @@ impl Stability {
             self.step.tet = TetId::from_index(t);
             self.step.after_cuts_s = longest_s(self.tet_per_s2[t], self.stiffness_damping_s);
         }
-        self.after_cuts_s =
-            if self.scaling.n_nodes > 0 { self.shortest_s } else { self.step.after_cuts_s };
+        self.after_cuts_s = if self.scaling.n_nodes > 0 { self.shortest_s } else { self.step.after_cuts_s };
     }
 
     /// Keeps what an edit changes beside the tetrahedra.

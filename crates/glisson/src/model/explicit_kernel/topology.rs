@@ -81,7 +81,8 @@ impl ExplicitKernel {
         let (law, path) = (self.kernel.law(), self.kernel.path());
         let mut kernel = if is_live.contains(&true) {
             let params = self.substance.kernel_params(&self.rest, law, path);
-            FastKernel::of_live(&params, &self.substance.extras(), is_live).expect("a part of a sound mesh is sound")
+            FastKernel::of_live(&params, &self.substance.extras(), is_live)
+                .expect("a part of a sound mesh is sound")
         } else {
             FastKernel::empty(law, path)
         };

@@ -156,7 +156,8 @@ impl ExplicitKernel {
             self.kernel.hold_axes(node, [true; 3]);
         }
         self.constraint_forces_n.clear();
-        self.constraint_forces_n.extend(saved.forces_n.as_chunks::<3>().0.iter().map(|f| DVec3::from_array(*f)));
+        self.constraint_forces_n
+            .extend(saved.forces_n.as_chunks::<3>().0.iter().map(|f| DVec3::from_array(*f)));
         for (i, &node) in saved.loaded.iter().enumerate() {
             self.loads.put_back(NodeId(node), vector(saved.loads_n, i));
         }

@@ -5,10 +5,10 @@ use super::ligaments::Ligaments;
 use super::newton::Scratch;
 use super::{Attachment, ImplicitEuler, ImplicitLaw, TopologyRefusal};
 use crate::math::DVec3;
-use crate::mesh::{NodeId, TetMesh};
-use crate::model::growth::{Growth, blend_tets};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::remap::follow;
+use crate::mesh::{NodeId, TetMesh};
+use crate::model::growth::{Growth, blend_tets};
 
 impl ImplicitEuler {
     /// Follows all edits; all allocate.

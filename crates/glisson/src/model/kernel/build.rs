@@ -15,8 +15,8 @@ use super::{FastKernel, KernelError, KernelLaw, KernelParams, TetPlace};
 use crate::material::{LinearElastic, PronySeries};
 use crate::mesh::TetId;
 use crate::model::RestStress;
-use crate::model::roomy::Roomy;
 use crate::model::nonlinear_tensor_mass::{Fibre, TetLaw};
+use crate::model::roomy::Roomy;
 use crate::solve::{P1Gradients, SolveError};
 
 /// What a body may have beside its law. A body without costs nothing.

@@ -253,11 +253,7 @@ impl FastKernel {
     pub(in crate::model) fn node_mass(&self, node: NodeId) -> NodeMass {
         self.place(node).map_or(NodeMass { mass_kg: 0.0, added_kg: 0.0, n_tets: 0 }, |(part, n)| {
             let nodes = part.nodes();
-            NodeMass {
-                mass_kg: nodes.mass_kg[n],
-                added_kg: nodes.added_mass_kg[n],
-                n_tets: nodes.n_tets[n],
-            }
+            NodeMass { mass_kg: nodes.mass_kg[n], added_kg: nodes.added_mass_kg[n], n_tets: nodes.n_tets[n] }
         })
     }
 

@@ -88,10 +88,7 @@ pub(super) struct PartPlan {
 /// The parts of the live tetrahedra of a mesh, and the place of each node's own row; `None` for nodes without a tetrahedron.
 ///
 /// The number of parts depends on the mesh only. Every node of every tetrahedron must exist.
-pub(super) fn partition(
-    mesh: &TetMesh,
-    is_live: &[bool],
-) -> (Vec<PartPlan>, Vec<Option<Place>>) {
+pub(super) fn partition(mesh: &TetMesh, is_live: &[bool]) -> (Vec<PartPlan>, Vec<Option<Place>>) {
     let n_nodes = mesh.positions_m.len();
     let n_tets = is_live.iter().filter(|live| **live).count();
     let target = n_tets.div_ceil(LEAST_PARTS).next_multiple_of(8).clamp(LEAST_TETS, MOST_TETS);

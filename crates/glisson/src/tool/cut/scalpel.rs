@@ -300,8 +300,7 @@ impl ScalpelCut {
                 }
             }
             (Some((triangle, last_m)), None) => {
-                let last =
-                    Crossing { triangle, along: 0.0, point_m: last_m, is_entering: true };
+                let last = Crossing { triangle, along: 0.0, point_m: last_m, is_entering: true };
                 // The blade left: what it did is what it would have done backwards.
                 if let Some(side) = side(topology, positions_m, now_m, before_m, &last) {
                     self.go_along_side(topology, positions_m, point(last_m), [last_m, side.point_m]);
@@ -341,7 +340,8 @@ impl ScalpelCut {
         [from_m, to_m]: [DVec3; 2],
     ) {
         let edge_m = mean_edge_of(topology, positions_m, self.last_entry.map(|(t, _)| t));
-        let n = (from_m.distance(to_m) / (PART_OF_EDGE * edge_m)).ceil().clamp(1.0, MOST_PARTS as f64) as usize;
+        let n =
+            (from_m.distance(to_m) / (PART_OF_EDGE * edge_m)).ceil().clamp(1.0, MOST_PARTS as f64) as usize;
         for k in 1..=n {
             let point_m = from_m.lerp(to_m, k as f64 / n as f64);
             self.events.push_back(Event::Point(PathPoint { point_m, is_on_side: true, ..like }));

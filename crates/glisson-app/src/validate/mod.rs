@@ -3,6 +3,7 @@
 mod adaptive;
 mod benchmarks;
 mod bodies;
+mod contact_physics;
 mod cutting;
 mod detection;
 mod elasticity;
@@ -147,6 +148,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "detection",
         about: "Contact detection: fast tools that must not pass through, pairs of triangles against brute force.",
         run: detection::experiments,
+    },
+    Group {
+        name: "contact_physics",
+        about: "Contact by constraints with friction: an incline, stacks at rest, a bounce.",
+        run: contact_physics::experiments,
     },
     Group {
         name: "unit",

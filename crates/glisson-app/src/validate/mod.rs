@@ -3,6 +3,7 @@
 mod adaptive;
 mod benchmarks;
 mod bodies;
+mod contact_physics;
 mod cutting;
 mod detection;
 mod elasticity;
@@ -153,6 +154,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "indentation",
         about: "A sphere and a flat punch on a bonded layer: graded tetrahedra against an axisymmetric solution.",
         run: indentation::experiments,
+    },
+    Group {
+        name: "contact_physics",
+        about: "Contact by constraints with friction: an incline, stacks at rest, a bounce.",
+        run: contact_physics::experiments,
     },
     Group {
         name: "unit",

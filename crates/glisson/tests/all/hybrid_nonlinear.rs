@@ -124,7 +124,6 @@ fn nonlinear_zones_alone_are_the_nonlinear_tensor_mass_model() {
     let bar = Bar::new(2);
     // Without displacements from one step to the next, of which the limit of the energy would take some.
     let constraints = Constraints { displacements: vec![], forces: bar.forces() };
-    let gravity_m_per_s2 = DVec3::new(1.0, 5.0, -9.0);
     let mut reference = whole(&bar);
     let mut condensed = bar.build(&[Nonlinear; 4]);
     let fixed: Vec<NodeId> = bar.fixed.iter().map(|f| f.node).collect();
@@ -134,7 +133,6 @@ fn nonlinear_zones_alone_are_the_nonlinear_tensor_mass_model() {
     let step_s = exchanged.stable_step_s().min(STEP_S) * 0.9;
     let models: [&mut dyn DeformableModel; 3] = [&mut reference, &mut condensed, &mut exchanged];
     let [reference, condensed, exchanged] = models.map(|model| {
-        model.set_gravity(gravity_m_per_s2);
         model.apply(&constraints);
         (0..600).for_each(|_| model.step(step_s));
         displacements_of(model, &bar.mesh)

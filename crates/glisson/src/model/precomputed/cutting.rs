@@ -49,8 +49,8 @@ pub struct CutReport {
     pub n_laid_bare: usize,
     /// Least pivot of all capacitance matrices so far; 1 before the first.
     pub least_pivot: f64,
-    /// Estimated error relative to the largest entry of the compliance: the largest of all probes so far, each of one
-    /// column. The worst column can be worse: on a liver it was twenty times so, at 3e-14.
+    /// Estimated error relative to the largest entry of the compliance: the largest of all probes so far. Each probe
+    /// sums some columns with random signs, so that it is seldom below the worst entry's error and mostly some times above.
     pub error: f64,
     /// Whether a fresh pre-computation should take over.
     pub wants_recomputation: bool,
@@ -284,7 +284,7 @@ impl Precomputed {
             self.drop_node(node);
         }
         cuts.report.n_edits += 1;
-        self.probe(cuts);
+        self.probe(cuts, &taken);
         self.join_pieces(cuts);
 
         self.follow_rows(&old_rows);

@@ -121,12 +121,16 @@ pub fn build_model_as_cut(
         return build_model(body, kind);
     }
     body.refuse_what_it_lacks(kind)?;
+    let (stored, precision) = match &body.precomputed {
+        Some(file) => Precomputed::kept_in(file)?,
+        None => (StoredNodes::Surface, Precision::F64),
+    };
     let params = PrecomputedParams {
         mesh: &body.mesh,
         material: &body.material,
         fixed_nodes: &body.nodes_fixed_wholly(kind)?,
-        stored: StoredNodes::Surface,
-        precision: Precision::F64,
+        stored,
+        precision,
         progress: None,
     };
     Ok(Box::new(under_gravity(Precomputed::build_cut(&params, live)?, body)))

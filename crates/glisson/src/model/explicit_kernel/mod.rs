@@ -26,6 +26,7 @@
 mod loads;
 mod local;
 mod params;
+mod piece;
 mod stability;
 mod topology;
 

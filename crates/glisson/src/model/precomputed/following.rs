@@ -1,7 +1,6 @@
 //! The table follows a removal: rows and loaded nodes come and go, changes of low rank are added, the error is probed.
 
 use super::cuts::Cuts;
-use super::cutting::{RECOMPUTATION_COLUMNS, RECOMPUTATION_ERROR};
 use super::growth::{LowRankChange, RANK, add_low_rank_to, swap_rows_of};
 use super::low_rank::{Change, NodeColumns, NodeWeight, RemovedTet, Working, WorkingNode};
 use super::table::{Table, place};
@@ -337,8 +336,8 @@ impl Precomputed {
         }
         let report = &mut cuts.report;
         report.error = report.error.max(error / largest.max(f64::MIN_POSITIVE));
-        report.wants_recomputation =
-            report.error > RECOMPUTATION_ERROR || report.n_columns > RECOMPUTATION_COLUMNS;
+        let limits = self.recomputation_limits;
+        report.wants_recomputation = report.error > limits.error || report.n_columns > limits.n_columns;
     }
 }
 

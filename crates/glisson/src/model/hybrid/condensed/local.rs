@@ -102,6 +102,7 @@ impl CondensedHybrid {
         }
         out.n_rings = local.n_rings;
         out.is_inertial = local.is_inertial;
+        out.missed_tolerance = local.missed_tolerance;
         let holds_frontier = interface.nodes.len() > interface.n_condensed;
         if holds_frontier && out.n_rings.is_none() && out.nodes.iter().any(|n| is_static(place_of(*n))) {
             out.n_rings = Some(0);

@@ -61,12 +61,12 @@ fn longest_around(body: &EditableMesh, tet: TetId) -> EdgeId {
     let mut at = longest_edge(body, tet);
     loop {
         // Lengths and ids only rise along the way, so that it ends.
-        let next =
-            body.topology()
-                .edge_tets(at.1)
-                .iter()
-                .map(|&t| longest_edge(body, t))
-                .fold(at, |most, e| if e > most { e } else { most });
+        let next = body
+            .topology()
+            .edge_tets(at.1)
+            .iter()
+            .map(|&t| longest_edge(body, t))
+            .fold(at, |most, e| if e > most { e } else { most });
         if next == at {
             return at.1;
         }

@@ -67,7 +67,7 @@ pub struct Constraints {
 pub struct ModelState<'a> {
     /// Node positions [m].
     pub positions_m: &'a [DVec3],
-    /// Node velocities [m/s]; empty for a quasi-static model.
+    /// Node velocities [m/s]; empty for a model in which nothing has inertia.
     pub velocities_m_per_s: &'a [DVec3],
     /// Further numbers that the next step depends on (previous positions, viscous history).
     pub history: &'a [f64],
@@ -117,6 +117,12 @@ pub trait DeformableModel: Send {
     /// Starts from these node positions with velocities zero: where another model left off, or the rest shape.
     /// A quasi-static model only shows them until its next step.
     fn take_over(&mut self, positions_m: &[DVec3]);
+
+    /// [`DeformableModel::take_over`] of another model's state, with its velocities where it tells them and this model has
+    /// its own answer to that: tissue in motion goes on. Others start at standstill.
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
+        self.take_over(state.positions_m);
+    }
 
     /// Gravity from the next step on [m/s2]. A model whose rest shape is the loaded one answers to the difference
     /// from the gravity it was made with.

@@ -9,6 +9,7 @@ mod kernel;
 mod kernel_laws;
 mod explicit_kernel;
 mod hybrid_exchange;
+mod hybrid_nonlinear;
 mod integrators;
 mod implicit;
 mod implicit_loads;

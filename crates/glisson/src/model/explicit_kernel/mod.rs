@@ -27,6 +27,7 @@ mod correction;
 mod loads;
 mod local;
 mod params;
+mod piece;
 mod stability;
 mod topology;
 mod undo;

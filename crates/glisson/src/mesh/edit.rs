@@ -17,6 +17,7 @@ mod moves;
 mod overlap;
 mod plan;
 mod retetrahedralise;
+mod singular;
 mod split;
 mod transaction;
 mod undo;

@@ -5,8 +5,10 @@
 //! An edit is done whole or refused whole: a refusal touches nothing.
 
 mod change;
+mod replace;
 
 pub use change::{Additions, EntityChange, PieceChange, PieceChanges, TopologyChange};
+pub use replace::{NewTet, Replacement};
 
 use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::topology::{Topology, TopologyError};

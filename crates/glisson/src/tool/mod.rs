@@ -1,5 +1,7 @@
 //! Instruments: what they are, where they are.
 
+pub mod cut;
+
 use crate::math::DVec3;
 use serde::{Deserialize, Serialize};
 

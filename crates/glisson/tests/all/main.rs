@@ -36,3 +36,4 @@ mod world_steps;
 mod mesh_edits;
 mod surface_files;
 mod mesh_files;
+mod cut_subdivision;

@@ -1,0 +1,3 @@
+//! Cutting: pure functions from a blade's motion to mesh edits.
+
+pub mod subdivision;

@@ -56,7 +56,7 @@ impl SubdivisionParams {
             min_advance_m: 0.75 * mean_edge_m,
             snap_share: 0.2,
             snap_length_m: 0.05 * mean_edge_m,
-            front_reach_m: 0.15 * mean_edge_m,
+            front_reach_m: 0.3 * mean_edge_m,
             min_dihedral_deg: 3.0,
         }
     }
@@ -324,7 +324,12 @@ impl SubdivisionCut {
         let Self { params, stroke, patch, .. } = self;
         patch.start(body.mesh);
         let snapping =
-            Snapping { share, length_m: params.snap_length_m, front_m: params.front_reach_m };
+            Snapping {
+                share,
+                length_m: params.snap_length_m,
+                front_m: params.front_reach_m,
+                max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
+            };
         for &node in &stroke.front {
             if body.mesh.topology().is_live_node(node) {
                 patch.pull_front(body, node);

@@ -2,6 +2,7 @@
 
 use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::edit::EditableMesh;
+use crate::mesh::quality::dihedral_cosine_range;
 use crate::mesh::topology::TET_EDGES;
 use crate::mesh::{NodeId, TetId};
 
@@ -96,6 +97,8 @@ pub(super) struct PatchTet {
     pub(super) is_live: bool,
     /// This is the parent itself.
     pub(super) is_old: bool,
+    /// It reaches into neighbours of the parent, too.
+    pub(super) is_mixed: bool,
 }
 
 /// Nodes and tetrahedra of the mesh by need, and what becomes of them.
@@ -113,6 +116,25 @@ pub(super) struct Patch {
     pub(super) cut: Vec<[u32; 3]>,
     /// Nodes of these faces where the blade is now.
     pub(super) front: Vec<u32>,
+}
+
+/// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
+const SAME_VOLUME: f64 = 1e-11;
+
+/// A barycentric weight nearer to zero than this is zero.
+const ON_FACE: f64 = 1e-9;
+
+struct StarState {
+    volume_m3: f64,
+    smallest_m3: f64,
+    max_cosine: f64,
+}
+
+/// Barycentric weights of a point; no numbers for a flat tetrahedron.
+pub(super) fn barycentric([a, b, c, d]: [DVec3; 4], p: DVec3) -> [f64; 4] {
+    let whole = tetrahedron_volume_m3([a, b, c, d]);
+    let parts = [[p, b, c, d], [a, p, c, d], [a, b, p, d], [a, b, c, p]];
+    parts.map(|part| tetrahedron_volume_m3(part) / whole)
 }
 
 /// The three corners, ascending.
@@ -181,6 +203,80 @@ impl Patch {
         here
     }
 
+    /// Moves a node to another place of the present shape, with the tissue at rest in the same place of its
+    /// tetrahedron. Refused (false) if a tetrahedron would turn inside out in either shape, or become worse
+    /// than `max_cosine` (of its smallest dihedral angle at rest) and than the worst so far, or if the outside
+    /// of the body would change.
+    pub(super) fn move_node(&mut self, body: Body<'_>, node: u32, to_m: DVec3, max_cosine: f64) -> bool {
+        self.pull_star(body, node);
+        let Some((blend, rest_m)) = self.locate(body, node, to_m) else { return false };
+        let from = self.nodes[node as usize];
+        let star = std::mem::take(&mut self.stars[node as usize]);
+        let before = self.star_state(&star);
+        let this = &mut self.nodes[node as usize];
+        (this.rest_m, this.present_m) = (rest_m, to_m);
+        let after = self.star_state(&star);
+        let is_good = after.smallest_m3 > 0.0
+            && after.max_cosine <= max_cosine.max(before.max_cosine)
+            && (after.volume_m3 - before.volume_m3).abs() <= SAME_VOLUME * before.volume_m3;
+        if is_good {
+            let this = &mut self.nodes[node as usize];
+            this.blend = blend;
+            if let Some(old) = this.old.take() {
+                self.node_here[old.index()] = ABSENT;
+            }
+            this.has_whole_star = true;
+            for &tet in &star {
+                self.tets[tet as usize].is_old = false;
+                self.tets[tet as usize].is_mixed = true;
+            }
+        } else {
+            self.nodes[node as usize] = from;
+        }
+        self.stars[node as usize] = star;
+        is_good
+    }
+
+    /// Where a point of the present shape near `node` is at rest.
+    fn locate(&self, body: Body<'_>, node: u32, to_m: DVec3) -> Option<(Blend, DVec3)> {
+        let mut best: Option<(f64, [NodeId; 4], [f64; 4])> = None;
+        for &tet in &self.stars[node as usize] {
+            let corners = body.mesh.topology().tet_nodes(self.tets[tet as usize].parent);
+            let weights = barycentric(corners.map(|n| body.present_m[n.index()]), to_m);
+            let least = weights.into_iter().fold(f64::INFINITY, f64::min);
+            if best.is_none_or(|b| least > b.0) {
+                best = Some((least, corners, weights));
+            }
+        }
+        let (least, corners, mut weights) = best?;
+        if least.is_nan() || least < -ON_FACE {
+            return None;
+        }
+        // A point on a face takes nothing from beyond.
+        for weight in &mut weights {
+            if weight.abs() <= ON_FACE {
+                *weight = 0.0;
+            }
+        }
+        let sum: f64 = weights.iter().sum();
+        let weights = weights.map(|w| w / sum);
+        let rest_of = |n: NodeId| body.mesh.mesh().positions_m[n.index()];
+        let rest_m = corners.iter().zip(weights).map(|(&n, w)| w * rest_of(n)).sum();
+        Some((Blend::of_corners(corners, weights), rest_m))
+    }
+
+    fn star_state(&self, star: &[u32]) -> StarState {
+        let mut state = StarState { volume_m3: 0.0, smallest_m3: f64::INFINITY, max_cosine: -1.0 };
+        for &tet in star {
+            let rest_m = self.rest_m(tet);
+            let volume_m3 = tetrahedron_volume_m3(rest_m);
+            state.volume_m3 += volume_m3;
+            state.smallest_m3 = state.smallest_m3.min(volume_m3).min(tetrahedron_volume_m3(self.present_m(tet)));
+            state.max_cosine = state.max_cosine.max(dihedral_cosine_range(rest_m)[1]);
+        }
+        state
+    }
+
     /// Brings a node of the stroke's front in.
     pub(super) fn pull_front(&mut self, body: Body<'_>, node: NodeId) {
         let here = self.pull_node(body, node);
@@ -203,7 +299,7 @@ impl Patch {
             return here;
         }
         let nodes = body.mesh.topology().tet_nodes(tet).map(|n| self.pull_node(body, n));
-        let here = self.push_tet(PatchTet { nodes, parent: tet, is_live: true, is_old: true });
+        let here = self.push_tet(PatchTet { nodes, parent: tet, is_live: true, is_old: true, is_mixed: false });
         self.tet_here[tet.index()] = here;
         self.pulled_tets.push(tet);
         here
@@ -274,13 +370,12 @@ impl Patch {
                 continue;
             }
             let swapped = |gone: u32| old.nodes.map(|n| if n == gone { middle } else { n });
-            self.tets[tet as usize].is_live = false;
             for node in old.nodes {
                 if node != a {
                     self.stars[node as usize].retain(|&t| t != tet);
                 }
             }
-            let half = |nodes| PatchTet { nodes, parent: old.parent, is_live: true, is_old: false };
+            let half = |nodes| PatchTet { nodes, is_old: false, ..old };
             // The half at `a` enters the star of `a` below.
             let here = self.tets.len() as u32;
             let nodes = swapped(b);
@@ -291,6 +386,7 @@ impl Patch {
                 }
             }
             self.push_tet(half(swapped(a)));
+            self.tets[tet as usize].is_live = false;
         }
         let mut kept = star;
         kept.retain(|&t| self.tets[t as usize].is_live);

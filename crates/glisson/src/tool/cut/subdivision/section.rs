@@ -5,7 +5,7 @@
 //! hangs on the labels of nodes alone, so that neighbours cannot disagree.
 
 use super::patch::{Body, Patch, PatchNode, UNKNOWN, sorted};
-use super::sweep::Sweep;
+use super::sweep::{Side, Sweep};
 use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::TetId;
 use crate::mesh::quality::FACES;
@@ -19,6 +19,9 @@ pub(super) struct Snapping {
     pub(super) length_m: f64,
     /// Distance of the stroke's front from the plane [m].
     pub(super) front_m: f64,
+    /// A node that snaps moves there unless a tetrahedron would become worse than this: cosine of a dihedral
+    /// angle.
+    pub(super) max_cosine: f64,
 }
 
 /// A tetrahedron whose section is inside the polygon by less than this share is left alone.
@@ -63,7 +66,7 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     let faces = work.faces_of_plane();
     let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
     let n_snapped = work.n_snapped;
-    if let Some(k) = sweep.front_line() {
+    if let Some(k) = (0..sweep.n_lines()).find(|&k| sweep.side(k) == Side::Front) {
         let is_on = |n: &u32| patch.nodes[*n as usize].line_labels[k] == 0;
         let front: Vec<u32> = inside.iter().flatten().copied().filter(is_on).collect();
         patch.front.extend(front);
@@ -179,7 +182,8 @@ impl Work<'_> {
                 (p.label * q.label < 0).then(|| ([a, b], p.distance_m / (p.distance_m - q.distance_m)))
             })
             .collect();
-        self.snap_and_split(shares, |node| &mut node.label);
+        self.snap(&shares, |node| &mut node.label, None);
+        self.split(shares, |node| &mut node.label);
     }
 
     /// Faces of the plane, each between a tetrahedron above and one below.
@@ -225,7 +229,7 @@ impl Work<'_> {
         let inside_m = sweep.inside_m(k, node.present_m);
         if node.line_labels[k] == UNKNOWN {
             node.line_labels[k] = sign(inside_m);
-            if node.is_front && inside_m.abs() <= snapping.front_m {
+            if node.is_front && (sweep.side(k) == Side::Start || inside_m.abs() <= snapping.front_m) {
                 node.line_labels[k] = 0;
             }
         }
@@ -269,15 +273,20 @@ impl Work<'_> {
         }
         shares.sort_unstable_by_key(|s| s.0);
         shares.dedup_by_key(|s| s.0);
-        self.snap_and_split(shares, |node| &mut node.line_labels[k]);
+        self.snap(&shares, |node| &mut node.line_labels[k], Some(k));
+        self.split(shares, |node| &mut node.line_labels[k]);
     }
 
-    /// Edges with where they cross: ends that are near the crossing get label 0, the edges that still cross
-    /// are divided, longest first.
-    fn snap_and_split(&mut self, mut edges: Vec<([u32; 2], f64)>, label: impl Fn(&mut PatchNode) -> &mut i8) {
-        let Snapping { share: near_share, length_m: near_m, .. } = self.snapping;
+    /// Gives the ends of edges that are near the crossing label 0, and moves them there if they can.
+    fn snap(
+        &mut self,
+        edges: &[([u32; 2], f64)],
+        label: impl Fn(&mut PatchNode) -> &mut i8,
+        line: Option<usize>,
+    ) {
+        let Snapping { share: near_share, length_m: near_m, max_cosine, .. } = self.snapping;
         let mut near: Vec<(f64, u32, u32)> = Vec::new();
-        for &([a, b], share) in &edges {
+        for &([a, b], share) in edges {
             let length_m = self.patch.length_m([a, b]);
             for (node, other, share) in [(a, b, share), (b, a, 1.0 - share)] {
                 if share <= near_share || share * length_m <= near_m {
@@ -286,14 +295,34 @@ impl Work<'_> {
             }
         }
         near.sort_unstable_by(|p, q| p.0.total_cmp(&q.0).then(p.1.cmp(&q.1)).then(p.2.cmp(&q.2)));
+        let mut snapped = Vec::new();
         for (_, node, other) in near {
             let other_label = *label(&mut self.patch.nodes[other as usize]);
             let this = label(&mut self.patch.nodes[node as usize]);
             if *this * other_label < 0 {
                 *this = 0;
-                self.n_snapped += 1;
+                snapped.push(node);
             }
         }
+        self.n_snapped += snapped.len();
+        for node in snapped {
+            let PatchNode { present_m, is_front, distance_m, line_labels, .. } = self.patch.nodes[node as usize];
+            let is_elsewhere = line_labels.iter().enumerate().any(|(k, &l)| Some(k) != line && l == 0);
+            if is_front || is_elsewhere {
+                continue;
+            }
+            let mut to_m = present_m - self.sweep.normal * distance_m;
+            if let Some(k) = line {
+                to_m = self.sweep.onto_line_m(k, to_m);
+            }
+            if self.patch.move_node(self.body, node, to_m, max_cosine) {
+                self.patch.nodes[node as usize].distance_m = 0.0;
+            }
+        }
+    }
+
+    /// Divides the edges that still cross, longest first.
+    fn split(&mut self, mut edges: Vec<([u32; 2], f64)>, label: impl Fn(&mut PatchNode) -> &mut i8) {
         edges.retain(|&([a, b], _)| {
             let a = *label(&mut self.patch.nodes[a as usize]);
             let b = *label(&mut self.patch.nodes[b as usize]);

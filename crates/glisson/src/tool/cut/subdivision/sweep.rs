@@ -12,6 +12,17 @@ const SAME_CORNER: f64 = 1e-6;
 /// Out of plane by less than this share of its size, a swept quadrilateral is cut as a flat one.
 const FLAT: f64 = 0.01;
 
+/// What a side of a polygon is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Side {
+    /// Along the blade where it was.
+    Start,
+    /// Along the blade where it is.
+    Front,
+    /// The way of one of its ends, or the middle of a sweep that is not flat.
+    Way,
+}
+
 /// A flat convex polygon that the blade swept.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sweep {
@@ -23,8 +34,7 @@ pub(super) struct Sweep {
     pub(super) normal: DVec3,
     /// Unit vectors in the plane, each at a right angle to the line from its corner to the next, inwards.
     inward: [DVec3; 4],
-    /// The line along the blade where it is now.
-    front_line: Option<usize>,
+    sides: [Side; 4],
 }
 
 fn coord(p: DVec3) -> Coord3D<f64> {
@@ -32,15 +42,14 @@ fn coord(p: DVec3) -> Coord3D<f64> {
 }
 
 impl Sweep {
-    /// From corners in order; the flag says whether the line to the next corner is the blade's new place.
-    /// `None` without area.
-    fn polygon(corners: &[(DVec3, bool)]) -> Option<Self> {
+    /// From corners in order, each with the side to the next one. `None` without area.
+    fn polygon(corners: &[(DVec3, Side)]) -> Option<Self> {
         let size_m = corners.iter().map(|c| c.0.distance(corners[0].0)).fold(0.0, f64::max);
-        let mut kept = [(DVec3::ZERO, false); 4];
+        let mut kept = [(DVec3::ZERO, Side::Way); 4];
         let mut n = 0;
-        for (i, &(p, is_front)) in corners.iter().enumerate() {
+        for (i, &(p, side)) in corners.iter().enumerate() {
             if p.distance(corners[(i + 1) % corners.len()].0) > SAME_CORNER * size_m {
-                kept[n] = (p, is_front);
+                kept[n] = (p, side);
                 n += 1;
             }
         }
@@ -70,12 +79,13 @@ impl Sweep {
             doubled_area_m2,
             normal,
             inward,
-            front_line: kept[..n].iter().position(|c| c.1),
+            sides: kept.map(|c| c.1),
         })
     }
 
     /// What the blade swept from `from_m` to `to_m` (tip, heel), in one or two polygons.
     pub(super) fn of_blade([a0, b0]: [DVec3; 2], [a1, b1]: [DVec3; 2]) -> [Option<Self>; 2] {
+        use Side::{Front, Start, Way};
         let (da, db) = (a1 - a0, b1 - b0);
         // Ends that went to opposite sides: the sweep crosses itself where the blade stood still.
         let blade = (b0 - a0).normalize_or_zero();
@@ -85,8 +95,8 @@ impl Sweep {
             let s = fa / (fa - fb);
             let pivot = 0.5 * (a0.lerp(b0, s) + a1.lerp(b1, s));
             return [
-                Self::polygon(&[(a0, false), (pivot, true), (a1, false)]),
-                Self::polygon(&[(b0, false), (b1, true), (pivot, false)]),
+                Self::polygon(&[(a0, Start), (pivot, Front), (a1, Way)]),
+                Self::polygon(&[(b0, Way), (b1, Front), (pivot, Start)]),
             ];
         }
         let corners = [a0, b0, b1, a1];
@@ -102,14 +112,14 @@ impl Sweep {
         if off_plane_m <= FLAT * size_m && (0..4).all(turns_in) {
             // Into the plane half way between the two diagonals.
             let [a0, b0, b1, a1] = corners.map(|c| c - normal * (c - center).dot(normal));
-            let whole = Self::polygon(&[(a0, false), (b0, false), (b1, true), (a1, false)]);
+            let whole = Self::polygon(&[(a0, Start), (b0, Way), (b1, Front), (a1, Way)]);
             if whole.is_some() {
                 return [whole, None];
             }
         }
         [
-            Self::polygon(&[(a0, false), (b0, false), (b1, false)]),
-            Self::polygon(&[(a0, false), (b1, true), (a1, false)]),
+            Self::polygon(&[(a0, Start), (b0, Way), (b1, Way)]),
+            Self::polygon(&[(a0, Way), (b1, Front), (a1, Way)]),
         ]
     }
 
@@ -124,13 +134,19 @@ impl Sweep {
         self.n_corners
     }
 
-    pub(super) fn front_line(&self) -> Option<usize> {
-        self.front_line
+    /// What line `k` is.
+    pub(super) fn side(&self, k: usize) -> Side {
+        self.sides[k]
     }
 
     /// Signed distance [m] from line `k`, positive on the polygon's side.
     pub(super) fn inside_m(&self, k: usize, p: DVec3) -> f64 {
         self.inward[k].dot(p - self.corners_m[k])
+    }
+
+    /// The point of line `k` next to a point of the plane.
+    pub(super) fn onto_line_m(&self, k: usize, p: DVec3) -> DVec3 {
+        p - self.inward[k] * self.inside_m(k, p)
     }
 
     /// How far along line `k` [m], and how long the line is [m].

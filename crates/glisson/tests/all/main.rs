@@ -34,6 +34,8 @@ mod reduced;
 mod surfaces;
 mod world_steps;
 mod mesh_edits;
+mod mesh_edit_sequences;
+mod mesh_edit_kinds;
 mod surface_files;
 mod mesh_files;
 mod cut_subdivision;

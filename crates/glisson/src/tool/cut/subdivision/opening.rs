@@ -131,7 +131,7 @@ pub(super) fn replacement(patch: &Patch, n_nodes: usize) -> (Replacement, Vec<Op
     for tet in patch.tets.iter().filter(|t| t.is_live && !t.is_old) {
         edit.new_tets.push(NewTet {
             corners: tet.nodes.map(|n| corner[n as usize]),
-            parents: vec![(tet.parent, 1.0)],
+            parents: if tet.is_mixed { Vec::new() } else { vec![(tet.parent, 1.0)] },
         });
     }
     (edit, ids)

@@ -96,6 +96,11 @@ impl EditableMesh {
         if planned.is_ok() {
             let opened = self.opened_by(edit, &plan);
             self.carry_out_plan(&plan, change, undo);
+            if matches!(edit, MeshEdit::Replace(_)) {
+                // It may open whole sections; a count tells.
+                change.pieces.through_faces.may_have_split = true;
+                change.pieces.through_nodes.may_have_split = true;
+            }
             if let Some(opened) = opened {
                 self.judge_pieces(&opened, change);
             }
@@ -124,6 +129,7 @@ impl EditableMesh {
             MeshEdit::Retetrahedralise { tets, new_nodes, new_tets } => {
                 self.plan_retetrahedralise(tets, new_nodes, new_tets, plan)
             }
+            MeshEdit::Replace(replacement) => self.plan_replace(replacement, plan),
         }
     }
 

@@ -144,7 +144,6 @@ impl EditableMesh {
 
     /// Takes everything new out and what is left of it in again, under ids without gaps.
     fn close_gaps(&mut self, change: &mut TopologyChange) {
-        let pieces = change.pieces;
         let before = change.lengths_before();
         let mut left = Plan::default();
         left.start(self);
@@ -173,7 +172,7 @@ impl EditableMesh {
         for at in 0..change.tets.added.ids().len() {
             let tet = change.tets.added.ids()[at];
             if self.topology.is_live_tet(tet) {
-                self.topology.detach_tet(tet, change);
+                self.topology.take_out(tet, change);
             }
         }
         self.topology.truncate(before);
@@ -194,7 +193,6 @@ impl EditableMesh {
         }
         self.scratch.waiting = waiting;
         self.forget_revived([0; 3], change);
-        change.pieces = pieces;
     }
 }
 

@@ -66,7 +66,7 @@ impl EditableMesh {
         change.clear();
         for tet in (undo.before.tets..self.topology.n_tets()).map(TetId::from_index) {
             if self.topology.is_live_tet(tet) {
-                self.topology.detach_tet(tet, &mut change);
+                self.topology.take_out(tet, &mut change);
             }
         }
         self.topology.truncate(undo.before);

@@ -185,8 +185,7 @@ impl EditableMesh {
     /// Takes out what goes and puts in what comes. Edges, triangles and nodes that are left without a tetrahedron
     /// for a moment in between keep their ids.
     fn replace_tets(&mut self, plan: &Plan, change: &mut TopologyChange, undo: &mut MeshUndo) {
-        let from =
-            [change.nodes.removed.len(), change.edges.removed.len(), change.triangles.removed.len()];
+        let from = [change.nodes.removed.len(), change.edges.removed.len(), change.triangles.removed.len()];
         for &tet in &plan.doomed {
             self.topology.take_out(tet, change);
             undo.save_removal(tet);

@@ -94,10 +94,9 @@ impl EditableMesh {
         plan.start(self);
         let planned = self.plan(edit, &mut plan);
         if planned.is_ok() {
-            let opened = self.opened_by(edit, &plan);
             self.carry_out_plan(&plan, change, undo);
-            if let Some(opened) = opened {
-                self.judge_pieces(&opened, change);
+            if opens_faces(edit) {
+                self.judge_pieces(&plan, change);
             }
         }
         self.scratch.plan = plan;
@@ -124,6 +123,7 @@ impl EditableMesh {
             MeshEdit::Retetrahedralise { tets, new_nodes, new_tets } => {
                 self.plan_retetrahedralise(tets, new_nodes, new_tets, plan)
             }
+            MeshEdit::Replace(replacement) => self.plan_replace(replacement, plan),
         }
     }
 
@@ -193,6 +193,19 @@ impl EditableMesh {
         }
         self.scratch.waiting = waiting;
         self.forget_revived([0; 3], change);
+    }
+}
+
+/// Whether an edit can part what hangs together. The others leave the faces that hold a piece together, and its
+/// nodes, as connected as they were.
+fn opens_faces(edit: &MeshEdit) -> bool {
+    match edit {
+        MeshEdit::DuplicateVertex { .. } | MeshEdit::DuplicateVertices { .. } | MeshEdit::Replace(_) => true,
+        MeshEdit::Remove { .. }
+        | MeshEdit::MoveVertex { .. }
+        | MeshEdit::Split { .. }
+        | MeshEdit::Collapse { .. }
+        | MeshEdit::Retetrahedralise { .. } => false,
     }
 }
 

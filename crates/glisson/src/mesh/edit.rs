@@ -18,7 +18,7 @@ mod moves;
 mod overlap;
 mod plan;
 mod replace;
-mod retetrahedralise;
+mod sides;
 mod singular;
 mod split;
 mod transaction;
@@ -241,9 +241,10 @@ impl EditableMesh {
         change: &mut TopologyChange,
         undo: &mut MeshUndo,
     ) -> Result<(), EditError> {
-        undo.start(self.topology.lengths());
+        undo.start(&self.topology);
         self.remove_into(tets, change)?;
         tets.iter().for_each(|&tet| undo.save_removal(tet));
+        undo.close(&self.topology);
         Ok(())
     }
 

@@ -44,7 +44,8 @@ fn unique<T: Ord>(mut items: Vec<T>) -> Vec<T> {
 
 impl EditableMesh {
     /// Marks in `change` which notion of a piece may have more of them than before `plan`, which was carried out.
-    pub(super) fn judge_pieces(&self, plan: &Plan, change: &mut TopologyChange) {
+    /// `opened`: whether faces may have been.
+    pub(super) fn judge_pieces(&self, plan: &Plan, opened: bool, change: &mut TopologyChange) {
         let topology = &self.topology;
         let old = plan.doomed.iter().map(|&tet| topology.tet_nodes(tet));
         let nodes = unique(old.chain(plan.fresh.iter().copied()).flatten().collect::<Vec<NodeId>>());
@@ -58,7 +59,7 @@ impl EditableMesh {
                 }
             }
         }
-        change.pieces.through_faces.may_have_split |= pieces.count > 1;
+        change.pieces.through_faces.may_have_split |= opened && pieces.count > 1;
         if pieces.count == 1 {
             return;
         }

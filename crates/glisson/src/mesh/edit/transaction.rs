@@ -99,8 +99,8 @@ impl EditableMesh {
             self.carry_out_plan(&plan, change, undo);
             if may_part(edit) {
                 // Copies of nodes divide no triangle: without more of them outside, none was opened.
-                let opened = matches!(edit, MeshEdit::Replace(_))
-                    || n_outer != self.topology.n_surface_triangles();
+                let opened =
+                    matches!(edit, MeshEdit::Replace(_)) || n_outer != self.topology.n_surface_triangles();
                 self.judge_pieces(&plan, opened, change);
             }
         }

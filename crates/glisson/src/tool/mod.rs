@@ -2,7 +2,7 @@
 
 pub mod cautery;
 pub mod fracture;
-
+pub mod cut;
 pub mod pose;
 pub mod trocar;
 

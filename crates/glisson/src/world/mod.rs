@@ -359,7 +359,7 @@ impl World {
         if let Some(swap) = self.swap.take_if(|s| s.at_step <= self.step)
             && let Some(mut model) = swap.model
         {
-            model.take_over(self.model.state().positions_m);
+            model.take_over_in_motion(&self.model.state());
             model.set_gravity(self.pull_m_per_s2);
             self.model = model;
             self.model_kind = swap.kind;

@@ -1,6 +1,7 @@
 /** What this page asks of the instruments: one hand for each, one of them moved by the pointer and the keys. */
 import type { ToolPose } from "./drag";
-import type { Hello } from "./protocol";
+import type { Messages } from "./overlays";
+import type { ClientMessage, Hello, SnapshotHeader, Vec3 } from "./protocol";
 import { ToolDriver } from "./tool_driver";
 
 interface Hand {
@@ -54,9 +55,19 @@ export class Hands {
     hand.unsent = true;
   }
 
-  switches(tool: number): { readonly jaw: number; readonly trigger: number } {
+  /** Takes another instrument; false if there is none of that number. */
+  choose(tool: number, messages: Messages): boolean {
+    const { length } = this.hands;
+    if (tool < length) this.chosen = tool;
+    else messages.error(`There is no instrument ${tool + 1}: this scene has ${length}.`);
+    return tool < length;
+  }
+
+  /** What the server is told about an instrument that should be at `pose`; its roll stays as it is. */
+  message(tool: number, pose: ToolPose, header: SnapshotHeader | null): ClientMessage {
     const { jaw, trigger } = this.hands[tool];
-    return { jaw, trigger };
+    const [tip_m, shaft] = [pose.tip_m, pose.shaft].map((v): Vec3 => [v.x, v.y, v.z]);
+    return { type: "tool", tool, tip_m, shaft, roll_rad: header?.tools[tool]?.roll_rad ?? 0, jaw, trigger };
   }
 
   /** One frame of `dt_s`: the poses to send. `shown` is where an instrument is that was not moved yet. */

@@ -14,13 +14,11 @@ import type { Page } from "./page";
 import { lengthOf, Panel, panelValues } from "./panel";
 import { arrowScale_m_per_n, drawPlot, ForceHistory } from "./plot";
 import { Profile, profilerReport } from "./profiler";
-import { headerOfHand, ProtocolError, type HandHeader, type Hello, type Snapshot, type SnapshotHeader, type Topology, type Vec3 } from "./protocol";
+import { headerOfHand, ProtocolError, type HandHeader, type Hello, type Snapshot, type SnapshotHeader, type Topology } from "./protocol";
 import { Resolution, REST_AFTER_MS, REST_RATIO } from "./resolution";
 import { Scene3d } from "./scene3d";
 import { Table } from "./table";
 import type { ToolDriver } from "./tool_driver";
-
-const vec3 = (v: Vector3): Vec3 => [v.x, v.y, v.z];
 
 export class Viewer {
   private readonly scene: Scene3d;
@@ -122,12 +120,8 @@ export class Viewer {
   }
 
   private choose(tool: number): void {
-    if (this.hello !== null && tool >= this.hello.tools.length) {
-      this.messages.error(`There is no instrument ${tool + 1}: this scene has ${this.hello.tools.length}.`);
-      return;
-    }
     if (tool !== this.hands.chosen) this.controls.cancel();
-    this.hands.chosen = tool;
+    if (!this.hands.choose(tool, this.messages)) return;
     this.history.clear();
     this.scene.choose(tool);
     if (this.header !== null) this.header = headerOfHand(this.header, tool);
@@ -159,8 +153,6 @@ export class Viewer {
     this.waiting.set(organ, snapshot);
     this.invalidate();
   }
-
-  // ---- what the hand does ----
 
   private setOrbit(orbit: Orbit): void {
     this.scene.setOrbit(orbit);
@@ -284,8 +276,8 @@ export class Viewer {
   }
 
   private shownPose(tool = this.hands.chosen): ToolPose | null {
-    const instrument = this.scene.instruments[tool] ?? null;
-    return instrument === null ? null : { tip_m: instrument.tip(), shaft: instrument.shaft() };
+    const instrument = this.scene.instruments[tool];
+    return instrument === undefined ? null : { tip_m: instrument.tip(), shaft: instrument.shaft() };
   }
 
   private nudge(direction: readonly [number, number, number], step_m: number): void {
@@ -314,8 +306,6 @@ export class Viewer {
     this.toolbar.show(this.header?.paused ?? false, this.help.open, this.shown);
   }
 
-  // ---- the frame ----
-
   private invalidate(): void {
     if (this.frameAsked) return;
     this.frameAsked = true;
@@ -329,10 +319,7 @@ export class Viewer {
     this.lastFrame_ms = now_ms;
 
     for (const { tool, pose } of this.hands.advance(dt_s, (tool) => this.shownPose(tool))) {
-      const roll_rad = this.header?.tools[tool]?.roll_rad ?? 0;
-      const place = { tip_m: vec3(pose.tip_m), shaft: vec3(pose.shaft) };
-      const message = { type: "tool", tool, ...place, roll_rad, ...this.hands.switches(tool) } as const;
-      if (this.connection.send(message)) this.counters.sentToolMessages += 1;
+      if (this.connection.send(this.hands.message(tool, pose, this.header))) this.counters.sentToolMessages += 1;
     }
     this.showWaiting();
     if (this.sceneChanged) {

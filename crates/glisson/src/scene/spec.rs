@@ -69,6 +69,7 @@ impl Scene {
             ligaments: surroundings.ligaments,
             loads: surroundings.loads,
             fields: surroundings.fields,
+            vessels: Vec::new(),
             tools: scripted,
         };
         let (most_parts, text) = (simulation.most_parts, text.to_string());

@@ -45,7 +45,7 @@ impl Operation {
     /// Carries edits out; each must be accepted and keep what a cut keeps.
     fn carry_out(&mut self, edits: Vec<MeshEdit>) {
         for edit in edits {
-            apply(&mut self.body, &edit);
+            self.body.apply(&edit).unwrap();
             self.edits.push(edit);
         }
         assert!((self.body.volume_m3() / self.volume_m3 - 1.0).abs() < 1e-12, "volume");
@@ -89,27 +89,6 @@ impl Operation {
     fn euler(&self) -> [i64; 2] {
         let topology = self.body.topology();
         [topology.euler_characteristic(), topology.surface_euler_characteristic()]
-    }
-}
-
-fn apply(body: &mut EditableMesh, edit: &MeshEdit) {
-    match edit {
-        MeshEdit::DuplicateVertex { node, tets_of_copy } => {
-            let mut mesh = body.mesh().clone();
-            let copy = NodeId::from_index(mesh.positions_m.len());
-            mesh.positions_m.push(mesh.positions_m[node.index()]);
-            for tet in tets_of_copy {
-                for n in &mut mesh.tetrahedra[tet.index()] {
-                    if n == node {
-                        *n = copy;
-                    }
-                }
-            }
-            *body = EditableMesh::new(mesh).unwrap();
-        }
-        edit => {
-            body.apply(edit).unwrap();
-        }
     }
 }
 

@@ -119,8 +119,8 @@ impl Motion {
 enum Event {
     /// The blade enters at a surface triangle.
     Start { at: PathPoint, triangle: TriangleId },
-    /// The path goes on.
-    Point(PathPoint),
+    /// The path goes on, at this surface triangle unless it is on a side.
+    Point { at: PathPoint, triangle: Option<TriangleId> },
     /// The blade is out.
     End,
 }
@@ -136,6 +136,8 @@ pub struct ScalpelCut {
     events: VecDeque<Event>,
     stroke: Option<Stroke>,
     last_entry: Option<(TriangleId, DVec3)>,
+    /// Where the path of the last stroke ended [m].
+    over_at_m: Option<DVec3>,
     n_nodes_expected: Option<usize>,
 }
 
@@ -239,6 +241,7 @@ impl ScalpelCut {
                     return Some(edits);
                 }
                 if stroke.is_over() {
+                    self.over_at_m = stroke.last_point_m();
                     self.stroke = None;
                 }
             }
@@ -247,11 +250,11 @@ impl ScalpelCut {
                     self.report.n_strokes += 1;
                     self.stroke = Some(Stroke::start(body.topology(), positions_m, at, triangle));
                 }
-                Event::Point(point) => {
-                    if let Some(stroke) = &mut self.stroke {
-                        stroke.follow(body.topology(), positions_m, point);
-                    }
-                }
+                Event::Point { at, triangle } => match &mut self.stroke {
+                    Some(stroke) => stroke.follow(body.topology(), positions_m, at),
+                    // The blade went through what it cut and is in the body still, or again.
+                    None => self.start_again(body.topology(), positions_m, at, triangle),
+                },
                 Event::End => {
                     if let Some(stroke) = &mut self.stroke {
                         stroke.end(positions_m);
@@ -296,7 +299,8 @@ impl ScalpelCut {
                     self.events.push_back(Event::End);
                     self.start(topology, positions_m, point(entry.point_m), entry.triangle, None);
                 } else {
-                    self.events.push_back(Event::Point(point(entry.point_m)));
+                    let at = point(entry.point_m);
+                    self.events.push_back(Event::Point { at, triangle: Some(entry.triangle) });
                 }
             }
             (Some((triangle, last_m)), None) => {
@@ -313,6 +317,22 @@ impl ScalpelCut {
         true
     }
 
+    /// Begins a stroke in the middle of a motion, well away from where the last one ended.
+    fn start_again(
+        &mut self,
+        topology: &Topology,
+        positions_m: &[DVec3],
+        at: PathPoint,
+        triangle: Option<TriangleId>,
+    ) {
+        let Some(triangle) = triangle.filter(|&t| topology.is_live_triangle(t)) else { return };
+        let edge_m = triangle_edge_m(topology, positions_m, triangle);
+        if self.over_at_m.is_none_or(|over_m| over_m.distance(at.point_m) > edge_m) {
+            self.report.n_strokes += 1;
+            self.stroke = Some(Stroke::start(topology, positions_m, at, triangle));
+        }
+    }
+
     fn start(
         &mut self,
         topology: &Topology,
@@ -326,7 +346,7 @@ impl ScalpelCut {
                 let first = PathPoint { point_m: side.point_m, is_on_side: true, ..at };
                 self.events.push_back(Event::Start { at: first, triangle: side.triangle });
                 self.go_along_side(topology, positions_m, at, [side.point_m, at.point_m]);
-                self.events.push_back(Event::Point(at));
+                self.events.push_back(Event::Point { at, triangle: Some(triangle) });
             }
             None => self.events.push_back(Event::Start { at, triangle }),
         }
@@ -344,7 +364,8 @@ impl ScalpelCut {
         let n = (from_m.distance(to_m) / (PART_OF_EDGE * edge_m)).ceil().clamp(1.0, MOST_PARTS as f64) as usize;
         for k in 1..=n {
             let point_m = from_m.lerp(to_m, k as f64 / n as f64);
-            self.events.push_back(Event::Point(PathPoint { point_m, is_on_side: true, ..like }));
+            let at = PathPoint { point_m, is_on_side: true, ..like };
+            self.events.push_back(Event::Point { at, triangle: None });
         }
     }
 }

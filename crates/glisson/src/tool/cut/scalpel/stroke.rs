@@ -104,6 +104,8 @@ pub(super) struct Stroke {
     used: Vec<NodeId>,
     stage: Stage,
     is_ending: bool,
+    /// Whether everything along the path has come apart, so that the path does not go on.
+    is_through: bool,
     n_copies_wanted: usize,
 }
 
@@ -133,6 +135,7 @@ impl Stroke {
             used: Vec::new(),
             stage: Stage::Idle,
             is_ending: false,
+            is_through: false,
             n_copies_wanted: 0,
         };
         let sample = stroke.sample(at);
@@ -142,7 +145,12 @@ impl Stroke {
 
     /// Whether nothing is left to do.
     pub(super) fn is_over(&self) -> bool {
-        self.is_ending && matches!(self.stage, Stage::Idle)
+        (self.is_ending || self.is_through) && matches!(self.stage, Stage::Idle)
+    }
+
+    /// Where the path was last [m].
+    pub(super) fn last_point_m(&self) -> Option<DVec3> {
+        self.samples.last().map(|s| s.plane.point_m)
     }
 
     /// How many nodes the edits handed out last bring in.
@@ -152,6 +160,9 @@ impl Stroke {
 
     /// The path goes on to `at`.
     pub(super) fn follow(&mut self, topology: &Topology, positions_m: &[DVec3], at: PathPoint) {
+        if !topology.is_surface_node(self.last) {
+            return;
+        }
         let sample = self.sample(at);
         let away_m = |node: NodeId| positions_m[node.index()].distance(at.point_m);
         let mut nearest: Option<(NodeId, f64)> = None;
@@ -284,9 +295,7 @@ impl Stroke {
                         self.stage = Stage::Check(nodes);
                         let groups = groups_at(body.topology(), node, &self.wall);
                         if groups.len() > 1 {
-                            for place in self.front.iter_mut().filter(|f| f.node == node) {
-                                place.kind = Kind::Apart;
-                            }
+                            self.part_front_at(node);
                             return Some(self.copy(body, node, groups, report));
                         }
                     }
@@ -433,6 +442,29 @@ impl Stroke {
         }
         self.stage = Stage::Check(check);
         edits
+    }
+
+    /// A node of the front has come apart. If it was the last one, the path goes on from the one before it, to
+    /// which the wall leads on the surface.
+    fn part_front_at(&mut self, node: NodeId) {
+        for place in self.front.iter_mut().filter(|f| f.node == node) {
+            place.kind = Kind::Apart;
+        }
+        if node != self.last {
+            return;
+        }
+        while self.front.last().is_some_and(|f| f.kind == Kind::Apart) {
+            self.front.pop();
+        }
+        self.candidate = None;
+        match self.front.last_mut() {
+            Some(end) => {
+                end.kind = Kind::Selected;
+                self.last = end.node;
+                self.used.push(end.node);
+            }
+            None => self.is_through = true,
+        }
     }
 
     /// Takes pieces of the front away that go to a node and back.

@@ -79,7 +79,22 @@ impl Operation {
         for tet in topology.live_tets() {
             assert!(radius_ratio(self.body.mesh().corners_m(tet)) > 0.0);
         }
-        assert!(topology.pinches().is_empty(), "{:?}", topology.pinches());
+        // Nothing hangs by a node alone. (A cut that touches another part of the surface makes a place where the
+        // surface is pinched, but the tissue goes on around it.)
+        for node in topology.live_nodes() {
+            let star = topology.node_tets(node);
+            let mut reached = vec![star[0]];
+            for at in 0.. {
+                let Some(&tet) = reached.get(at) else { break };
+                for (k, next) in topology.tet_neighbours(tet).into_iter().enumerate() {
+                    let is_at_node = topology.tet_nodes(tet)[k] != node;
+                    if let Some(next) = next.get().filter(|t| is_at_node && !reached.contains(t)) {
+                        reached.push(next);
+                    }
+                }
+            }
+            assert_eq!(reached.len(), star.len(), "node {node} holds parts together");
+        }
     }
 
     fn n_pieces(&self) -> usize {
@@ -101,12 +116,9 @@ fn an_incision_opens_the_surface_and_leaves_one_ball() {
     let mut operation = Operation::on(slab([8, 6, 4]));
     // From above into the middle of the top, along x, and out upwards.
     let up_m = 0.05 * DVec3::Z;
-    operation.stroke([DVec3::new(0.0213, 0.0314, 0.05), DVec3::new(0.0213, 0.0314, 0.034)], up_m, 4);
-    let mut operation = Operation::on(slab([8, 6, 4]));
     let down = DVec3::new(0.0213, 0.0314, 0.034);
     operation.hold([down + 0.016 * DVec3::Z, down + 0.066 * DVec3::Z]);
     operation.stroke([down, down + DVec3::new(0.04, 0.002, 0.0)], up_m, 40);
-    eprintln!("{:?}", operation.cut.report());
     assert_eq!(operation.n_pieces(), 1);
     assert_eq!(operation.euler(), [1, 2]);
     let report = operation.cut.report();
@@ -118,7 +130,6 @@ fn a_cut_across_a_plate_makes_two() {
     let mut operation = Operation::on(slab([8, 6, 1]));
     let from_m = DVec3::new(0.0413, -0.02, -0.01);
     operation.stroke([from_m, from_m + DVec3::new(0.003, 0.10, 0.0)], 0.05 * DVec3::Z, 60);
-    eprintln!("{:?} {:?} {}", operation.cut.report(), operation.euler(), operation.n_pieces());
     assert_eq!(operation.n_pieces(), 2);
     assert_eq!(operation.euler(), [2, 4]);
 }
@@ -128,7 +139,80 @@ fn a_deep_cut_across_a_box_makes_two() {
     let mut operation = Operation::on(slab([8, 6, 3]));
     let from_m = DVec3::new(0.0413, -0.02, -0.01);
     operation.stroke([from_m, from_m + DVec3::new(0.003, 0.10, 0.0)], 0.05 * DVec3::Z, 60);
-    eprintln!("{:?} {:?} {}", operation.cut.report(), operation.euler(), operation.n_pieces());
     assert_eq!(operation.n_pieces(), 2);
     assert_eq!(operation.euler(), [2, 4]);
+}
+
+/// A stroke through the whole body in the plane through `through_m`, or as deep as `depth_m` below its top.
+fn random_stroke(operation: &mut Operation, random: &mut SeededRandom, low_m: DVec3, high_m: DVec3) {
+    let mut within = || DVec3::new(random.uniform(), random.uniform(), random.uniform());
+    let size_m = high_m - low_m;
+    let from_m = low_m + size_m * (1.6 * within() - 0.3);
+    let to_m = low_m + size_m * (1.6 * within() - 0.3);
+    let lean = 0.5 * (within() - 0.5);
+    let up_m = (DVec3::Z + lean).normalize() * 2.0 * size_m.length();
+    operation.stroke([from_m, to_m], up_m, 30);
+}
+
+fn random_strokes(mesh: TetMesh, seed: u64, n: usize) -> Operation {
+    let (low_m, high_m) = mesh.positions_m.iter().fold((DVec3::MAX, DVec3::MIN), |(l, h), &p| (l.min(p), h.max(p)));
+    let mut operation = Operation::on(mesh);
+    let mut random = SeededRandom::new(seed);
+    for _ in 0..n {
+        random_stroke(&mut operation, &mut random, low_m, high_m);
+    }
+    eprintln!("{:?} {:?} {}", operation.cut.report(), operation.euler(), operation.n_pieces());
+    operation
+}
+
+#[test]
+fn random_strokes_keep_a_sound_mesh() {
+    for seed in 0..12 {
+        random_strokes(slab([8, 6, 3]), seed, 8);
+        random_strokes(irregular_cube(0.05, seed), 100 + seed, 8);
+    }
+}
+
+fn phantom_liver(n_tets: usize) -> TetMesh {
+    let phantom = phantom::generate(&PhantomParams { seed: 4, voxel_m: 6e-3, ..PhantomParams::default() });
+    let labels = &phantom.labels;
+    let selection = labels.select("liver", Parts::Included).unwrap();
+    let (surface, _) =
+        surface_of_mask(&labels.grid, &labels.mask(&selection), &SurfaceParams::default()).unwrap();
+    let params = MeshParams { size: WantedSize::Tetrahedra(n_tets), volume_m3: None };
+    generate(&surface, &params).unwrap().0
+}
+
+#[test]
+fn strokes_across_the_phantom_liver() {
+    let start = std::time::Instant::now();
+    let mesh = phantom_liver(3_000);
+    eprintln!("liver {} tets {:?}", mesh.tetrahedra.len(), start.elapsed());
+    for seed in 0..4 {
+        random_strokes(mesh.clone(), seed, 6);
+    }
+    eprintln!("{:?}", start.elapsed());
+}
+
+#[test]
+fn probe_through() {
+    let liver = phantom_liver(3_000);
+    for (name, mesh) in [("slab", slab([8, 6, 3])), ("cube", irregular_cube(0.05, 3)), ("liver", liver)] {
+        let (low_m, high_m) = mesh.positions_m.iter().fold((DVec3::MAX, DVec3::MIN), |(l, h), &p| (l.min(p), h.max(p)));
+        let mut n_two = 0;
+        for seed in 0..12 {
+            let mut random = SeededRandom::new(seed);
+            let turn = random.uniform() * 6.28;
+            let way = DVec3::new(turn.cos(), turn.sin(), 0.0);
+            let size = (high_m - low_m).length();
+            let mut mid = 0.5 * (low_m + high_m) + 0.1 * size * DVec3::new(random.uniform() - 0.5, random.uniform() - 0.5, 0.0);
+            mid.z = low_m.z - 0.1 * size;
+            let mut operation = Operation::on(mesh.clone());
+            operation.stroke([mid - size * way, mid + size * way], 2.0 * size * DVec3::Z, 60);
+            let r = operation.cut.report();
+            eprintln!("{name} {seed} pieces {} strokes {} sel {} moved {} short {} refused {} copies {} closed {} off {:.4} area {:.5} euler {:?}", operation.n_pieces(), r.n_strokes, r.n_selected, r.n_moved, r.n_shortened, r.n_refused, r.n_copies, r.n_closed, r.largest_offset_m, r.wall_area_m2, operation.euler());
+            n_two += usize::from(operation.n_pieces() >= 2);
+        }
+        eprintln!("{name} {n_two}");
+    }
 }

@@ -9,7 +9,8 @@
 mod criteria;
 
 pub use criteria::{
-    Criterion, Degeneracy, DegeneracyLimits, REGULAR_DIHEDRAL_RAD, REGULAR_SOLID_ANGLE_SR, TetMeasures, degeneracy,
+    Criterion, Degeneracy, DegeneracyLimits, REGULAR_DIHEDRAL_RAD, REGULAR_SOLID_ANGLE_SR, TetMeasures,
+    degeneracy,
 };
 
 use super::{TetId, TetMesh};

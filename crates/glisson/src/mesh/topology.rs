@@ -19,8 +19,8 @@ mod removal;
 mod rows;
 mod surface;
 
-pub use build::TopologyError;
 pub(in crate::mesh) use addition::{Lengths, Waiting};
+pub use build::TopologyError;
 pub use pieces::{Pieces, Through};
 pub use surface::{Pinches, surface_of};
 

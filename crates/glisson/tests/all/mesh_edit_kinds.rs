@@ -31,7 +31,10 @@ fn split_of_one_edge_makes_two_of_one() {
     // Two triangles divided, one between the halves, two untouched.
     assert_eq!((change.triangles.removed.len(), change.triangles.added.ids().len()), (2, 5));
     let volumes: Vec<f64> = [1, 2].map(|t| body.mesh().tet_volume_m3(TetId(t))).to_vec();
-    assert!((volumes[0] - 0.25 / 6.0).abs() < 1e-16 && (volumes[1] - 0.75 / 6.0).abs() < 1e-16, "{volumes:?}");
+    assert!(
+        (volumes[0] - 0.25 / 6.0).abs() < 1e-16 && (volumes[1] - 0.75 / 6.0).abs() < 1e-16,
+        "{volumes:?}"
+    );
 }
 
 #[test]
@@ -59,9 +62,7 @@ fn duplicate_of_a_node_opens_the_faces_between() {
         left.iter().copied().filter(|&t| body.topology().tet_nodes(t).contains(&node)).collect()
     };
     let middle = [1, 4, 7, 10].map(NodeId);
-    let copies = middle
-        .map(|node| glisson::mesh::edit::VertexCopy { node, tets: at(&body, node) })
-        .to_vec();
+    let copies = middle.map(|node| glisson::mesh::edit::VertexCopy { node, tets: at(&body, node) }).to_vec();
     let change = body.apply(&MeshEdit::DuplicateVertices { copies: copies.clone() }).unwrap();
     assert!(change.pieces.through_faces.may_have_split && change.pieces.through_nodes.may_have_split);
     for through in [Through::Faces, Through::Nodes] {
@@ -75,8 +76,7 @@ fn duplicate_of_a_node_opens_the_faces_between() {
     let mut body = EditableMesh::new(grid([2, 1, 1], |_| true)).unwrap();
     for (i, copy) in copies.iter().enumerate() {
         let on_left = |t: &TetId| body.mesh().corners_m(*t).iter().map(|p| p.x).sum::<f64>() < 4.0;
-        let tets_of_copy =
-            body.topology().node_tets(copy.node).iter().copied().filter(on_left).collect();
+        let tets_of_copy = body.topology().node_tets(copy.node).iter().copied().filter(on_left).collect();
         let change = body.apply(&MeshEdit::DuplicateVertex { node: copy.node, tets_of_copy }).unwrap();
         assert_eq!(change.pieces.through_nodes.may_have_split, i == 3, "copy {i}");
         assert_eq!(body.topology().pieces(Through::Nodes).count(), if i == 3 { 2 } else { 1 });

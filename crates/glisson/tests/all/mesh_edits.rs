@@ -362,7 +362,8 @@ pub(crate) fn check_change(before: &Topology, after: &Topology, change: &Topolog
         change.nodes.removed,
         (&to_set(before.live_nodes()) - &to_set(after.live_nodes())).into_iter().collect::<Vec<_>>()
     );
-    let came = |a: usize, ids: &[u32]| assert_eq!(ids, (a as u32..a as u32 + ids.len() as u32).collect::<Vec<_>>());
+    let came =
+        |a: usize, ids: &[u32]| assert_eq!(ids, (a as u32..a as u32 + ids.len() as u32).collect::<Vec<_>>());
     came(before.n_nodes(), &change.nodes.added.ids().iter().map(|i| i.0).collect::<Vec<_>>());
     came(before.n_edges(), &change.edges.added.ids().iter().map(|i| i.0).collect::<Vec<_>>());
     came(before.n_triangles(), &change.triangles.added.ids().iter().map(|i| i.0).collect::<Vec<_>>());

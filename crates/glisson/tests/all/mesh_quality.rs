@@ -2,8 +2,8 @@
 
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::quality::{
-    Criterion, Degeneracy, DegeneracyLimits, REGULAR_DIHEDRAL_RAD, REGULAR_SOLID_ANGLE_SR, TetMeasures, degeneracy,
-    radius_ratio,
+    Criterion, Degeneracy, DegeneracyLimits, REGULAR_DIHEDRAL_RAD, REGULAR_SOLID_ANGLE_SR, TetMeasures,
+    degeneracy, radius_ratio,
 };
 
 /// Regular, with edges 1.
@@ -76,7 +76,8 @@ fn the_corner_of_a_cube_has_its_known_criteria() {
         12.0 / 6f64.sqrt() * inner / 2f64.sqrt(),
         3.0 * inner / (root / 2.0),
         // At the three outer corners the dihedral angles are two of acos(1 / sqrt 3) and a right one.
-        (2.0 * (1.0 / root).acos() + std::f64::consts::FRAC_PI_2 - std::f64::consts::PI) / REGULAR_SOLID_ANGLE_SR,
+        (2.0 * (1.0 / root).acos() + std::f64::consts::FRAC_PI_2 - std::f64::consts::PI)
+            / REGULAR_SOLID_ANGLE_SR,
         (1.0 / root).acos() / REGULAR_DIHEDRAL_RAD,
     ];
     for (criterion, expected) in Criterion::ALL.into_iter().zip(expected) {

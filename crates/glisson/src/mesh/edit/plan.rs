@@ -186,8 +186,7 @@ impl EditableMesh {
     /// for a moment in between keep their ids.
     fn replace_tets(&mut self, plan: &Plan, change: &mut TopologyChange, undo: &mut MeshUndo) {
         let pieces = change.pieces;
-        let from =
-            [change.nodes.removed.len(), change.edges.removed.len(), change.triangles.removed.len()];
+        let from = [change.nodes.removed.len(), change.edges.removed.len(), change.triangles.removed.len()];
         for &tet in &plan.doomed {
             self.topology.detach_tet(tet, change);
             undo.save_removal(tet);

@@ -135,7 +135,8 @@ impl EditableMesh {
     /// Refuses new tetrahedra whose outer triangles are not those of the old ones, or whose inner triangles
     /// are triangles of others.
     fn check_outer_sides(&self, plan: &Plan, new: &[[NodeId; 4]]) -> Result<(), EditError> {
-        let old = outer_sides(plan.doomed.iter().map(|&tet| self.topology.tet_nodes(tet))).map_err(differs)?;
+        let old =
+            outer_sides(plan.doomed.iter().map(|&tet| self.topology.tet_nodes(tet))).map_err(differs)?;
         let outer = outer_sides(new.iter().copied()).map_err(differs)?;
         if let Some(&other) = old
             .iter()

@@ -107,8 +107,13 @@ pub enum Criterion {
 
 impl Criterion {
     /// Every criterion.
-    pub const ALL: [Self; 5] =
-        [Self::EdgeRatio, Self::InnerRadiusToLongestEdge, Self::RadiusRatio, Self::SolidAngle, Self::Dihedral];
+    pub const ALL: [Self; 5] = [
+        Self::EdgeRatio,
+        Self::InnerRadiusToLongestEdge,
+        Self::RadiusRatio,
+        Self::SolidAngle,
+        Self::Dihedral,
+    ];
 
     /// The criterion's value for a tetrahedron.
     pub fn of(self, measures: &TetMeasures) -> f64 {
@@ -197,9 +202,9 @@ pub fn degeneracy(corners_m: [DVec3; 4], limits: &DegeneracyLimits) -> Option<De
     }
     // Seen along the normal of the largest face, two faces look up and two down in a sliver, one and three in a cap.
     let areas_m2 = FACES.map(|f| area_vector_m2(corners_m, f));
-    let largest = areas_m2.iter().fold(DVec3::ZERO, |most, &a| {
-        if a.length_squared() > most.length_squared() { a } else { most }
-    });
+    let largest = areas_m2
+        .iter()
+        .fold(DVec3::ZERO, |most, &a| if a.length_squared() > most.length_squared() { a } else { most });
     let n_up = areas_m2.iter().filter(|a| a.dot(largest) > 0.0).count();
     Some(if n_up == 2 { Degeneracy::Sliver } else { Degeneracy::Cap })
 }

@@ -156,7 +156,9 @@ impl Cavity {
         let mut best: Option<(f64, Vec<usize>, Vec<[usize; 4]>)> = None;
         let mut offer = |ratio: f64, old: Vec<usize>, new: Vec<[usize; 4]>| {
             let before = old.iter().fold(f64::INFINITY, |least: f64, &t| least.min(self.tets[t].1));
-            if ratio > before * BETTER && ratio > 0.0 && best.as_ref().is_none_or(|(so_far, ..)| ratio > *so_far)
+            if ratio > before * BETTER
+                && ratio > 0.0
+                && best.as_ref().is_none_or(|(so_far, ..)| ratio > *so_far)
             {
                 best = Some((ratio, old, new));
             }
@@ -215,9 +217,8 @@ impl Cavity {
         }
         let ring = self.ring(&around, p, q)?;
         let n = ring.len();
-        let pair = |i: usize, j: usize, k: usize| {
-            [[ring[i], ring[j], ring[k], q], [ring[i], ring[k], ring[j], p]]
-        };
+        let pair =
+            |i: usize, j: usize, k: usize| [[ring[i], ring[j], ring[k], q], [ring[i], ring[k], ring[j], p]];
         // best[i][j]: how good the polygon from ring[i] to ring[j] can be filled, and by which third node.
         let mut best = [[(f64::INFINITY, 0); LONGEST_RING]; LONGEST_RING];
         for width in 2..n {
@@ -226,8 +227,7 @@ impl Cavity {
                 best[i][j] = (f64::NEG_INFINITY, 0);
                 for k in i + 1..j {
                     let [upper, lower] = pair(i, k, j);
-                    let ratio =
-                        best[i][k].0.min(best[k][j].0).min(self.ratio(upper)).min(self.ratio(lower));
+                    let ratio = best[i][k].0.min(best[k][j].0).min(self.ratio(upper)).min(self.ratio(lower));
                     if ratio > best[i][j].0 {
                         best[i][j] = (ratio, k);
                     }

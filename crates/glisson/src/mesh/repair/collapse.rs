@@ -36,7 +36,9 @@ pub enum CollapseRefusal {
         edge: EdgeId,
     },
     /// The edge joins two parts of the surface through the inside.
-    #[error("edge {edge} joins two parts of the surface through the inside: together they would pinch the body")]
+    #[error(
+        "edge {edge} joins two parts of the surface through the inside: together they would pinch the body"
+    )]
     WouldPinch {
         /// The edge.
         edge: EdgeId,
@@ -58,7 +60,9 @@ pub enum CollapseRefusal {
         edge: EdgeId,
     },
     /// No place of the node leaves good tetrahedra.
-    #[error("pulling edge {edge} together would leave a radius ratio of {radius_ratio:.3}; {limit:.3} is allowed")]
+    #[error(
+        "pulling edge {edge} together would leave a radius ratio of {radius_ratio:.3}; {limit:.3} is allowed"
+    )]
     Quality {
         /// The edge.
         edge: EdgeId,
@@ -81,8 +85,7 @@ pub fn short_surface_edges(body: &EditableMesh, params: &CollapseParams) -> Vec<
         .filter(|&e| topology.is_surface_edge(e))
         .filter_map(|edge| {
             let share = topology.edge_tets(edge).iter().fold(0.0, |most: f64, &t| {
-                let longest_m =
-                    topology.tet_edges(t).into_iter().map(length_m).fold(0.0, f64::max);
+                let longest_m = topology.tet_edges(t).into_iter().map(length_m).fold(0.0, f64::max);
                 most.max(length_m(edge) / longest_m)
             });
             (share < params.short_edge).then_some((share, edge))
@@ -139,7 +142,8 @@ pub fn collapse(
     for (kept, place_m) in places {
         let gone = if kept == a { b } else { a };
         let keeps_place = place_m == at_a_m || place_m == at_b_m;
-        let place_m = if keeps_place { place_m } else { with_volume(body, &stay, [a, b], place_m, before_m3) };
+        let place_m =
+            if keeps_place { place_m } else { with_volume(body, &stay, [a, b], place_m, before_m3) };
         if !is_near(body, gone, place_m, params.surface_tolerance) {
             continue;
         }
@@ -184,7 +188,11 @@ fn check_links(body: &EditableMesh, edge: EdgeId, [a, b]: [NodeId; 2]) -> Result
         .collect();
     around.sort_unstable();
     around.dedup();
-    if found == around.len() { Ok(()) } else { Err(CollapseRefusal::Linked { edge, found, allowed: around.len() }) }
+    if found == around.len() {
+        Ok(())
+    } else {
+        Err(CollapseRefusal::Linked { edge, found, allowed: around.len() })
+    }
 }
 
 /// Tetrahedra at one end only; volume [m3] and smallest radius ratio of all at either end.

@@ -123,7 +123,8 @@ fn is_sharp(topology: &Topology, positions_m: &[DVec3], edge: EdgeId, sharp_cosi
     if topology.is_pinched_edge(edge) {
         return true;
     }
-    let mut normals = topology.surface_triangles_at_edge(edge).map(|t| topology.triangle_normal(t, positions_m));
+    let mut normals =
+        topology.surface_triangles_at_edge(edge).map(|t| topology.triangle_normal(t, positions_m));
     match (normals.next(), normals.next()) {
         (Some(m), Some(n)) => m.dot(n) < sharp_cosine,
         _ => true,
@@ -178,8 +179,7 @@ fn first_spoilt(body: &EditableMesh, node: NodeId, position_m: DVec3, limit: f64
         let mut corners_m = body.mesh().corners_m(tet);
         corners_m[body.topology().local_node(tet, node)] = position_m;
         let ratio = radius_ratio(corners_m);
-        let is_fine =
-            ratio > 0.0 && (ratio >= limit || ratio >= radius_ratio(body.mesh().corners_m(tet)));
+        let is_fine = ratio > 0.0 && (ratio >= limit || ratio >= radius_ratio(body.mesh().corners_m(tet)));
         (!is_fine).then_some((tet, ratio))
     })
 }

@@ -42,6 +42,9 @@ const LEAST_SIDE: f64 = 0.5;
 /// choice.
 const STEEP: f64 = 0.15;
 
+/// Least sine where the blade goes in. A choice.
+const BRUSH: f64 = 0.02;
+
 /// Most looks at one motion; beyond it they are further apart. A choice.
 const MOST_PARTS: usize = 4096;
 
@@ -282,7 +285,7 @@ impl ScalpelCut {
         let near = self
             .last_entry
             .and_then(|(triangle, _)| first_crossing_near(topology, positions_m, blade_m, triangle));
-        let entry = near.or_else(|| first_crossing(topology, positions_m, blade_m, Way::In, 0.0));
+        let entry = near.or_else(|| first_crossing(topology, positions_m, blade_m, Way::In, BRUSH));
         let moved_m = 0.5 * (now_m[0] + now_m[1] - before_m[0] - before_m[1]);
         let point = |at: DVec3| PathPoint {
             point_m: at,
@@ -308,8 +311,7 @@ impl ScalpelCut {
                 }
             }
             (Some((triangle, last_m)), None) => {
-                let last =
-                    Crossing { triangle, along: 0.0, point_m: last_m };
+                let last = Crossing { triangle, along: 0.0, point_m: last_m };
                 // The blade left: what it did is what it would have done backwards.
                 if let Some(side) = side(topology, positions_m, now_m, before_m, &last) {
                     self.go_along_side(topology, positions_m, point(last_m), [last_m, side.point_m]);
@@ -366,7 +368,8 @@ impl ScalpelCut {
         [from_m, to_m]: [DVec3; 2],
     ) {
         let edge_m = mean_edge_of(topology, positions_m, self.last_entry.map(|(t, _)| t));
-        let n = (from_m.distance(to_m) / (PART_OF_EDGE * edge_m)).ceil().clamp(1.0, MOST_PARTS as f64) as usize;
+        let n =
+            (from_m.distance(to_m) / (PART_OF_EDGE * edge_m)).ceil().clamp(1.0, MOST_PARTS as f64) as usize;
         for k in 1..=n {
             let point_m = from_m.lerp(to_m, k as f64 / n as f64);
             let at = PathPoint { point_m, is_on_side: true, ..like };
@@ -376,7 +379,7 @@ impl ScalpelCut {
 }
 
 /// Where on the blade the cut of a side ends, if the blade came in from outside (or left) well below `entry`: where a
-/// blade through the whole body comes out again, else where the tip went in, else the tip.
+/// blade through the whole body comes out again, else where the tip went in.
 fn side(
     topology: &Topology,
     positions_m: &[DVec3],
@@ -391,10 +394,10 @@ fn side(
     }
     let along_m = (inside_m[0] - entry.point_m).normalize_or_zero();
     let below_m = entry.point_m + 1e-6 * edge_m * along_m;
-    let leaves = first_crossing(topology, positions_m, [below_m, inside_m[0]], Way::Out, STEEP);
+    // Backwards from the tip, walls of the cut that the blade brushes near the top do not count.
+    let leaves = first_crossing(topology, positions_m, [inside_m[0], below_m], Way::In, STEEP);
     let met = leaves
-        .or_else(|| first_crossing(topology, positions_m, [outside_m[0], inside_m[0]], Way::In, STEEP))
-        .unwrap_or(Crossing { point_m: inside_m[0], ..*entry });
+        .or_else(|| first_crossing(topology, positions_m, [outside_m[0], inside_m[0]], Way::In, STEEP))?;
     is_well_below(met.point_m).then_some(met)
 }
 

@@ -102,7 +102,9 @@ pub(super) fn first_crossing_near(
         }
         start = end;
         // The first ring holds the blade in nearly every step.
-        let found = first_of(seen.iter().copied(), |t| crossing(topology, positions_m, t, segment_m, Way::In, 0.0));
+        let found = first_of(seen.iter().copied(), |t| {
+            crossing(topology, positions_m, t, segment_m, Way::In, super::BRUSH)
+        });
         if found.is_some() {
             return found;
         }

@@ -89,7 +89,10 @@ struct FrontNode {
 enum Stage {
     Idle,
     /// Selected nodes or nodes of a wall that are to be moved; then the node at this place of the front is opened.
-    Move { nodes: Vec<(NodeId, DVec3)>, then_open: Option<(usize, Vec<NodeId>)> },
+    Move {
+        nodes: Vec<(NodeId, DVec3)>,
+        then_open: Option<(usize, Vec<NodeId>)>,
+    },
     /// Nodes that may have come apart.
     Check(Vec<NodeId>),
 }
@@ -189,8 +192,7 @@ impl Stroke {
         for triangle in topology.surface_triangles_at(self.last) {
             let others = topology.triangle_nodes(triangle);
             for node in others.into_iter().filter(|&n| n != self.last) {
-                longest_m =
-                    longest_m.max(positions_m[node.index()].distance(positions_m[self.last.index()]));
+                longest_m = longest_m.max(positions_m[node.index()].distance(positions_m[self.last.index()]));
                 if nearest.is_some_and(|(known, _)| known == node) || !self.may_follow(topology, node) {
                     continue;
                 }
@@ -213,9 +215,7 @@ impl Stroke {
                     return self.select(candidate.node, candidate.at);
                 }
             }
-            Some(candidate)
-                if candidate.is_reached && away_m(candidate.node) > candidate.distance_m =>
-            {
+            Some(candidate) if candidate.is_reached && away_m(candidate.node) > candidate.distance_m => {
                 return self.select(candidate.node, candidate.at);
             }
             _ => self.candidate = Some(now),
@@ -237,8 +237,8 @@ impl Stroke {
         if let Some(candidate) = self.candidate
             && let Some(last) = self.samples.last()
         {
-            let [to_candidate_m, to_last_m] = [candidate.node, self.last]
-                .map(|n| positions_m[n.index()].distance(last.plane.point_m));
+            let [to_candidate_m, to_last_m] =
+                [candidate.node, self.last].map(|n| positions_m[n.index()].distance(last.plane.point_m));
             if candidate.is_reached || to_candidate_m < to_last_m {
                 self.select(candidate.node, candidate.at);
             }
@@ -392,17 +392,15 @@ impl Stroke {
     /// Whether the blade passed a node on the ground of the cut and reached deeper.
     fn is_passed(&self, positions_m: &[DVec3], node: NodeId) -> bool {
         let point_m = positions_m[node.index()];
-        let (Some((sample, distance_m)), [.., last]) = (self.nearest_sample(point_m), &self.samples[..]) else {
+        let (Some((sample, distance_m)), [.., last]) = (self.nearest_sample(point_m), &self.samples[..])
+        else {
             return false;
         };
-        let is_ahead = !self.is_ending
-            && sample.plane.point_m == last.plane.point_m
-            && distance_m > AWAY * self.edge_m;
+        let is_ahead =
+            !self.is_ending && sample.plane.point_m == last.plane.point_m && distance_m > AWAY * self.edge_m;
         let blade_m = sample.tip_m - sample.plane.point_m;
         let depth_m = (point_m - sample.plane.point_m).dot(blade_m.normalize_or_zero());
-        !is_ahead
-            && distance_m < BESIDE * self.edge_m
-            && depth_m < blade_m.length() - DEEPER * self.edge_m
+        !is_ahead && distance_m < BESIDE * self.edge_m && depth_m < blade_m.length() - DEEPER * self.edge_m
     }
 
     fn move_node(
@@ -546,9 +544,6 @@ impl Stroke {
         self.used.extend((n_nodes..n_nodes + n_copies).map(NodeId::from_index));
         report.n_copies += n_copies;
         self.n_copies_wanted = n_copies;
-        groups
-            .into_iter()
-            .map(|tets_of_copy| MeshEdit::DuplicateVertex { node, tets_of_copy })
-            .collect()
+        groups.into_iter().map(|tets_of_copy| MeshEdit::DuplicateVertex { node, tets_of_copy }).collect()
     }
 }

@@ -16,13 +16,16 @@ mod error;
 mod moves;
 mod overlap;
 mod plan;
+mod replace;
 mod retetrahedralise;
+mod singular;
 mod split;
 mod transaction;
 mod undo;
 
 pub use change::{Additions, EntityChange, PieceChange, PieceChanges, TopologyChange};
 pub use error::EditError;
+pub use replace::{NewTet, Replacement};
 pub use undo::MeshUndo;
 
 use self::plan::Scratch;
@@ -83,6 +86,8 @@ pub enum MeshEdit {
         /// The tetrahedra that take their place.
         new_tets: Vec<[CavityNode; 4]>,
     },
+    /// Puts tetrahedra in the place of others whose descendants they are: a cut in one edit.
+    Replace(Replacement),
 }
 
 /// A new node at the place of an old one.
@@ -132,6 +137,7 @@ impl MeshEdit {
             Self::Split { .. } => "split",
             Self::Collapse { .. } => "collapse",
             Self::Retetrahedralise { .. } => "retetrahedralise",
+            Self::Replace(_) => "replace",
         }
     }
 }

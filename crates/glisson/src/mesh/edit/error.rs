@@ -161,6 +161,14 @@ pub enum EditError {
         /// Sum of its parents' weights.
         sum: f64,
     },
+    /// A new tetrahedron has parents that do not make room for it, or shares that do not add up to 1.
+    #[error("new tetrahedron {place} has parents that are not replaced, or shares of sum {sum} instead of 1")]
+    BadParents {
+        /// Its place in the edit.
+        place: usize,
+        /// Sum of the shares.
+        sum: f64,
+    },
     /// One of a list of edits was refused, and with it the list.
     #[error("edit {at} of the list, `{edit}`: {cause}")]
     InList {

@@ -7,22 +7,22 @@ use crate::mesh::topology::TET_TRIANGLES;
 use crate::mesh::{NodeId, TetId};
 
 /// How much the volume may differ, as a share of it: rounding, not a gap.
-const VOLUME_TOLERANCE: f64 = 1e-9;
+pub(super) const VOLUME_TOLERANCE: f64 = 1e-9;
 
 /// How much the sum of a new node's weights may differ from 1.
-const WEIGHT_TOLERANCE: f64 = 1e-9;
+pub(super) const WEIGHT_TOLERANCE: f64 = 1e-9;
 
 /// A triangle by ascending nodes, and whether its outward order is an odd permutation of them.
-type Side = ([NodeId; 3], bool);
+pub(super) type Side = ([NodeId; 3], bool);
 
-fn side(corners: [NodeId; 4], face: usize) -> Side {
+pub(super) fn side(corners: [NodeId; 4], face: usize) -> Side {
     let (nodes, odd) = crate::mesh::topology::build::sorted_face(corners, face);
     (nodes.map(NodeId), odd)
 }
 
 /// The triangles of `tets` that belong to one of them alone, ascending; an error with one that belongs to more
 /// than two, or to two on the same side of it.
-fn outer_sides(tets: impl Iterator<Item = [NodeId; 4]>) -> Result<Vec<Side>, Side> {
+pub(super) fn outer_sides(tets: impl Iterator<Item = [NodeId; 4]>) -> Result<Vec<Side>, Side> {
     let mut sides: Vec<Side> =
         tets.flat_map(|corners| (0..TET_TRIANGLES.len()).map(move |face| side(corners, face))).collect();
     sides.sort_unstable();
@@ -37,7 +37,7 @@ fn outer_sides(tets: impl Iterator<Item = [NodeId; 4]>) -> Result<Vec<Side>, Sid
     Ok(outer)
 }
 
-fn differs((nodes, odd): Side) -> EditError {
+pub(super) fn differs((nodes, odd): Side) -> EditError {
     let [a, b, c] = nodes;
     EditError::OuterTriangleDiffers { nodes: if odd { [a, c, b] } else { nodes } }
 }

@@ -1,5 +1,7 @@
 //! One edit or a list of edits as one change, with what it takes to take it back.
 
+use std::borrow::Borrow;
+
 use super::plan::Plan;
 use super::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::remap::MeshEntity;
@@ -38,10 +40,27 @@ impl EditableMesh {
         change: &mut TopologyChange,
         undo: &mut MeshUndo,
     ) -> Result<(), EditError> {
+        let mut edits = edits.iter();
+        self.apply_each_saving(change, undo, |_, _| edits.next())
+    }
+
+    /// [`EditableMesh::apply_all_saving`] for edits that are made one by one: `next` sees what those before have
+    /// left and how many there were, and returns `None` when there are no more.
+    ///
+    /// # Errors
+    /// As for a list.
+    pub fn apply_each_saving<E: Borrow<MeshEdit>>(
+        &mut self,
+        change: &mut TopologyChange,
+        undo: &mut MeshUndo,
+        mut next: impl FnMut(&Self, usize) -> Option<E>,
+    ) -> Result<(), EditError> {
         self.begin(change);
         undo.start(self.topology.lengths());
         self.scratch.moved = Some(Vec::new());
-        for (at, edit) in edits.iter().enumerate() {
+        let mut at = 0;
+        while let Some(edit) = next(self, at) {
+            let edit = edit.borrow();
             if let Err(cause) = self.carry_out(edit, change, undo) {
                 self.take_back(undo);
                 self.begin(change);
@@ -49,6 +68,7 @@ impl EditableMesh {
                 self.scratch.moved = None;
                 return Err(EditError::InList { at, edit: edit.name(), cause: Box::new(cause) });
             }
+            at += 1;
         }
         self.scratch.moved = None;
         self.close(change);
@@ -76,6 +96,11 @@ impl EditableMesh {
         if planned.is_ok() {
             let opened = self.opened_by(edit, &plan);
             self.carry_out_plan(&plan, change, undo);
+            if matches!(edit, MeshEdit::Replace(_)) {
+                // It may open whole sections; a count tells.
+                change.pieces.through_faces.may_have_split = true;
+                change.pieces.through_nodes.may_have_split = true;
+            }
             if let Some(opened) = opened {
                 self.judge_pieces(&opened, change);
             }
@@ -104,6 +129,7 @@ impl EditableMesh {
             MeshEdit::Retetrahedralise { tets, new_nodes, new_tets } => {
                 self.plan_retetrahedralise(tets, new_nodes, new_tets, plan)
             }
+            MeshEdit::Replace(replacement) => self.plan_replace(replacement, plan),
         }
     }
 

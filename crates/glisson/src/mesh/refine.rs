@@ -63,23 +63,11 @@ fn longest_edge(body: &EditableMesh, tet: TetId) -> (f64, EdgeId) {
 fn longest_around(body: &EditableMesh, tet: TetId) -> EdgeId {
     let mut at = longest_edge(body, tet);
     loop {
-<<<<<<< HEAD
         // Lengths only rise along the way, so that it ends.
         let tets = body.topology().edge_tets(at.1).iter();
         match tets.map(|&t| longest_edge(body, t)).find(|(length_m, _)| *length_m > at.0 * EQUAL) {
             Some(longer) => at = longer,
             None => return at.1,
-=======
-        // Lengths and ids only rise along the way, so that it ends.
-        let next = body
-            .topology()
-            .edge_tets(at.1)
-            .iter()
-            .map(|&t| longest_edge(body, t))
-            .fold(at, |most, e| if e > most { e } else { most });
-        if next == at {
-            return at.1;
->>>>>>> main
         }
     }
 }

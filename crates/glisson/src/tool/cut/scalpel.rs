@@ -311,11 +311,7 @@ impl ScalpelCut {
                 }
             }
             (Some((triangle, last_m)), None) => {
-<<<<<<< HEAD
                 let last = Crossing { triangle, along: 0.0, point_m: last_m };
-=======
-                let last = Crossing { triangle, along: 0.0, point_m: last_m, is_entering: true };
->>>>>>> main
                 // The blade left: what it did is what it would have done backwards.
                 if let Some(side) = side(topology, positions_m, now_m, before_m, &last) {
                     self.go_along_side(topology, positions_m, point(last_m), [last_m, side.point_m]);

@@ -59,7 +59,8 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     }
     let mut work = Work { patch, body, sweep, snapping, n_snapped: 0 };
     let (touched, swept_area_m2) = work.touched();
-    work.divide_across_plane(&touched);
+    let n_touched = touched.len();
+    work.divide_across_plane(touched);
     for k in 0..sweep.n_lines() {
         work.divide_across_line(k);
     }
@@ -76,7 +77,7 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     patch.cut.extend(inside);
     patch.cut.sort_unstable();
     patch.cut.dedup();
-    Section { swept_area_m2, n_touched: touched.len(), n_snapped }
+    Section { swept_area_m2, n_touched, n_snapped }
 }
 
 impl Work<'_> {
@@ -153,12 +154,50 @@ impl Work<'_> {
             let share = if self.is_on_skin(nodes) { 0.0 } else { 0.5 };
             return (inside_m2 > LEAST_SHARE_OF_SECTION * whole_m2, share * inside_m2);
         }
-        if n_above == 0 || n_below == 0 {
-            return (false, 0.0);
+        let inside_m2 =
+            if n_above == 0 || n_below == 0 { 0.0 } else { self.sweep.area_in_tet_m2(corners_m) };
+        (self.is_cut(tet), inside_m2)
+    }
+
+    /// Whether enough of the section through a tetrahedron, as the labels of its nodes have it, is inside the
+    /// polygon, seen along the normal.
+    fn is_cut(&mut self, tet: u32) -> bool {
+        let nodes = self.patch.tets[tet as usize].nodes;
+        let labels = nodes.map(|n| self.label(n));
+        if !(labels.contains(&1) && labels.contains(&-1)) {
+            return false;
         }
-        let inside_m2 = self.sweep.area_in_tet_m2(corners_m);
-        let whole_m2 = self.sweep.section_area_m2(corners_m, distance_m);
-        (inside_m2 > LEAST_SHARE_OF_SECTION * whole_m2, inside_m2)
+        let at = |i: usize| self.patch.nodes[nodes[i] as usize];
+        let mut corners_m = [DVec3::ZERO; 4];
+        let mut n = 0;
+        for i in 0..4 {
+            if labels[i] == 0 {
+                corners_m[n] = at(i).present_m;
+                n += 1;
+            }
+        }
+        // Around a quadrilateral, neighbouring edges share a node.
+        const AROUND: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
+        let mut crossed: Vec<[usize; 2]> =
+            AROUND.into_iter().filter(|&[i, j]| labels[i] * labels[j] < 0).collect();
+        if crossed.len() == 4 {
+            let first = crossed[0];
+            let opposite = crossed.iter().position(|e| !e.contains(&first[0]) && !e.contains(&first[1]));
+            crossed.swap(2, opposite.unwrap_or(2));
+        }
+        for &[i, j] in &crossed {
+            let (p, q) = (at(i), at(j));
+            corners_m[n] = p.present_m.lerp(q.present_m, p.distance_m / (p.distance_m - q.distance_m));
+            n += 1;
+        }
+        let [mut whole_m2, mut inside_m2] = [0.0; 2];
+        for k in 2..n {
+            let [whole, inside] =
+                self.sweep.triangle_areas_m2([corners_m[0], corners_m[k - 1], corners_m[k]]);
+            whole_m2 += whole;
+            inside_m2 += inside;
+        }
+        inside_m2 > LEAST_SHARE_OF_SECTION * whole_m2
     }
 
     /// Whether a face of the patch has no tetrahedron on its other side.
@@ -168,22 +207,44 @@ impl Work<'_> {
         star.iter().filter(|&&t| face.iter().all(|n| self.patch.tets[t as usize].nodes.contains(n))).count() < 2
     }
 
-    fn divide_across_plane(&mut self, touched: &[u32]) {
-        let mut edges: Vec<[u32; 2]> = touched.iter().flat_map(|&t| self.patch.tet_edges(t)).collect();
+    fn divide_across_plane(&mut self, mut touched: Vec<u32>) {
+        let mut is_touched = vec![false; self.patch.tets.len()];
+        let mut n_done = 0;
+        // Where nodes snap the section shifts, perhaps into tetrahedra that the polygon does not meet.
+        while n_done < touched.len() {
+            for &tet in &touched[n_done..] {
+                is_touched[tet as usize] = true;
+            }
+            let shares = self.crossings(&touched[n_done..]);
+            n_done = touched.len();
+            for node in self.snap(&shares, |node| &mut node.label, None) {
+                self.patch.pull_star(self.body, node);
+                is_touched.resize(self.patch.tets.len(), false);
+                for tet in self.patch.star(node).to_vec() {
+                    if !is_touched[tet as usize] && self.is_cut(tet) {
+                        is_touched[tet as usize] = true;
+                        touched.push(tet);
+                    }
+                }
+            }
+        }
+        let shares = self.crossings(&touched);
+        self.split(shares, |node| &mut node.label);
+    }
+
+    /// Edges of tetrahedra through the plane, and where they cross.
+    fn crossings(&mut self, tets: &[u32]) -> Vec<([u32; 2], f64)> {
+        let mut edges: Vec<[u32; 2]> = tets.iter().flat_map(|&t| self.patch.tet_edges(t)).collect();
         edges.sort_unstable();
         edges.dedup();
         for &node in edges.iter().flatten() {
             self.label(node);
         }
-        let shares: Vec<_> = edges
-            .iter()
-            .filter_map(|&[a, b]| {
-                let (p, q) = (&self.patch.nodes[a as usize], &self.patch.nodes[b as usize]);
-                (p.label * q.label < 0).then(|| ([a, b], p.distance_m / (p.distance_m - q.distance_m)))
-            })
-            .collect();
-        self.snap(&shares, |node| &mut node.label, None);
-        self.split(shares, |node| &mut node.label);
+        let share = |&[a, b]: &[u32; 2]| {
+            let (p, q) = (&self.patch.nodes[a as usize], &self.patch.nodes[b as usize]);
+            (p.label * q.label < 0).then(|| ([a, b], p.distance_m / (p.distance_m - q.distance_m)))
+        };
+        edges.iter().filter_map(share).collect()
     }
 
     /// Faces of the plane, each between a tetrahedron above and one below.
@@ -283,7 +344,7 @@ impl Work<'_> {
         edges: &[([u32; 2], f64)],
         label: impl Fn(&mut PatchNode) -> &mut i8,
         line: Option<usize>,
-    ) {
+    ) -> Vec<u32> {
         let Snapping { share: near_share, length_m: near_m, max_cosine, .. } = self.snapping;
         let mut near: Vec<(f64, u32, u32)> = Vec::new();
         for &([a, b], share) in edges {
@@ -305,7 +366,7 @@ impl Work<'_> {
             }
         }
         self.n_snapped += snapped.len();
-        for node in snapped {
+        for &node in &snapped {
             let PatchNode { present_m, is_front, distance_m, line_labels, .. } = self.patch.nodes[node as usize];
             let is_elsewhere = line_labels.iter().enumerate().any(|(k, &l)| Some(k) != line && l == 0);
             if is_front || is_elsewhere {
@@ -319,6 +380,7 @@ impl Work<'_> {
                 self.patch.nodes[node as usize].distance_m = 0.0;
             }
         }
+        snapped
     }
 
     /// Divides the edges that still cross, longest first.

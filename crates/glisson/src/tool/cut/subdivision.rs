@@ -165,8 +165,8 @@ pub struct SubdivisionCut {
 struct Stroke {
     /// Tip and heel where the last piece ended [m].
     blade_m: Option<[DVec3; 2]>,
-    /// The inner end of the cut, along the blade.
-    front: Vec<NodeId>,
+    /// The inner end of the cut, along the blade, and whether an end of the blade is there.
+    front: Vec<(NodeId, bool)>,
     /// First and last of the front along the blade, with where the blade's ends are between and beyond them
     /// (share) and beside them [m].
     anchor: Option<Anchor>,
@@ -246,18 +246,21 @@ impl SubdivisionCut {
     /// Follows an edit that is not its own.
     pub fn topology_changed(&mut self, change: &TopologyChange) {
         let lost = |n: NodeId| change.nodes.removed.binary_search(&n).is_ok();
-        self.stroke.front.retain(|&n| !lost(n));
+        self.stroke.front.retain(|&(n, _)| !lost(n));
         if self.stroke.anchor.is_some_and(|a| a.nodes.into_iter().any(lost)) {
             self.stroke.anchor = None;
         }
-        change.nodes.renumber_list(&mut self.stroke.front);
-        if let (Some(anchor), false) = (&mut self.stroke.anchor, change.nodes.new_ids.is_empty()) {
-            let new = anchor.nodes.map(|n| change.nodes.new_ids[n.index()]);
-            match new {
-                [Some(a), Some(b)] => anchor.nodes = [a, b],
-                _ => self.stroke.anchor = None,
-            }
+        if change.nodes.new_ids.is_empty() {
+            return;
         }
+        let renumbered = |n: NodeId| change.nodes.new_ids[n.index()];
+        let front = std::mem::take(&mut self.stroke.front);
+        self.stroke.front =
+            front.into_iter().filter_map(|(n, is_end)| Some((renumbered(n)?, is_end))).collect();
+        self.stroke.anchor = self.stroke.anchor.and_then(|anchor| {
+            let [a, b] = anchor.nodes.map(renumbered);
+            Some(Anchor { nodes: [a?, b?], ..anchor })
+        });
     }
 
     /// Checks the input; where the blade was, carried along by the tissue.
@@ -330,9 +333,9 @@ impl SubdivisionCut {
                 front_m: params.front_reach_m,
                 max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
             };
-        for &node in &stroke.front {
+        for &(node, is_end) in &stroke.front {
             if body.mesh.topology().is_live_node(node) {
-                patch.pull_front(body, node);
+                patch.pull_front(body, node, is_end);
             }
         }
         let mut report = CutReport::default();
@@ -372,12 +375,12 @@ impl SubdivisionCut {
         opening::open(patch, body);
         let (edit, ids) = opening::replacement(patch, body.mesh.topology().n_nodes());
         stroke.blade_m = Some(blade_m);
-        stroke.front = front.iter().filter_map(|&n| ids[n as usize]).collect();
+        stroke.front = front.iter().filter_map(|&(n, is_end)| Some((ids[n as usize]?, is_end))).collect();
         stroke.anchor = None;
         let along = blade_m[1] - blade_m[0];
         let place = |n: u32| (patch.nodes[n as usize].present_m - blade_m[0]).dot(along);
-        let first = front.iter().copied().min_by(|&a, &b| place(a).total_cmp(&place(b)));
-        let last = front.iter().copied().max_by(|&a, &b| place(a).total_cmp(&place(b)));
+        let first = front.iter().map(|f| f.0).min_by(|&a, &b| place(a).total_cmp(&place(b)));
+        let last = front.iter().map(|f| f.0).max_by(|&a, &b| place(a).total_cmp(&place(b)));
         if let (Some(first), Some(last)) = (first, last)
             && let (Some(a), Some(b)) = (ids[first as usize], ids[last as usize])
         {

@@ -88,6 +88,8 @@ pub(super) struct PatchNode {
     pub(super) line_labels: [i8; 4],
     /// On the front of the stroke so far.
     pub(super) is_front: bool,
+    /// Where the front meets the way of the blade's end.
+    pub(super) is_front_end: bool,
     /// All tetrahedra at the node are in the patch.
     has_whole_star: bool,
 }
@@ -117,8 +119,8 @@ pub(super) struct Patch {
     pulled_tets: Vec<TetId>,
     /// Faces to be opened, corners ascending.
     pub(super) cut: Vec<[u32; 3]>,
-    /// Nodes of these faces where the blade is now.
-    pub(super) front: Vec<u32>,
+    /// Nodes of these faces where the blade is now, and whether its end is there.
+    pub(super) front: Vec<(u32, bool)>,
 }
 
 /// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
@@ -199,6 +201,7 @@ impl Patch {
             label: UNKNOWN,
             line_labels: [UNKNOWN; 4],
             is_front: false,
+            is_front_end: false,
             has_whole_star: false,
         });
         self.node_here[node.index()] = here;
@@ -281,8 +284,9 @@ impl Patch {
     }
 
     /// Brings a node of the stroke's front in.
-    pub(super) fn pull_front(&mut self, body: Body<'_>, node: NodeId) {
+    pub(super) fn pull_front(&mut self, body: Body<'_>, node: NodeId, is_end: bool) {
         let here = self.pull_node(body, node);
+        self.nodes[here as usize].is_front_end = is_end;
         self.nodes[here as usize].is_front = true;
     }
 
@@ -364,6 +368,7 @@ impl Patch {
             label: 0,
             line_labels: [UNKNOWN; 4],
             is_front: false,
+            is_front_end: false,
             has_whole_star: true,
         });
         let star = std::mem::take(&mut self.stars[a as usize]);

@@ -68,8 +68,16 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
     let n_snapped = work.n_snapped;
     if let Some(k) = (0..sweep.n_lines()).find(|&k| sweep.side(k) == Side::Front) {
-        let is_on = |n: &u32| patch.nodes[*n as usize].line_labels[k] == 0;
-        let front: Vec<u32> = inside.iter().flatten().copied().filter(is_on).collect();
+        let labels = |n: u32| patch.nodes[n as usize].line_labels;
+        let is_end = |n: u32| {
+            (0..sweep.n_lines()).any(|k| sweep.side(k) == Side::Way && labels(n)[k] == 0)
+        };
+        let front: Vec<(u32, bool)> = inside
+            .iter()
+            .flatten()
+            .filter(|&&n| labels(n)[k] == 0)
+            .map(|&n| (n, is_end(n)))
+            .collect();
         patch.front.extend(front);
         patch.front.sort_unstable();
         patch.front.dedup();
@@ -290,7 +298,11 @@ impl Work<'_> {
         let inside_m = sweep.inside_m(k, node.present_m);
         if node.line_labels[k] == UNKNOWN {
             node.line_labels[k] = sign(inside_m);
-            if node.is_front && (sweep.side(k) == Side::Start || inside_m.abs() <= snapping.front_m) {
+            let is_there = match sweep.side(k) {
+                Side::Start => node.is_front,
+                Side::Front | Side::Way => node.is_front_end && inside_m.abs() <= snapping.front_m,
+            };
+            if is_there {
                 node.line_labels[k] = 0;
             }
         }

@@ -298,13 +298,16 @@ impl SubdivisionCut {
         self.before = self.stroke.clone();
         let sweeps = Sweep::of_blade(from_m, blade_m);
         let mut report = CutReport::default();
-        for attempt in 0..=COARSER.len() {
-            let share = if attempt == 0 { self.params.snap_share } else { COARSER[attempt - 1] };
-            if attempt > 0 && share <= self.params.snap_share {
-                continue;
-            }
-            report = self.attempt(body, &sweeps, share);
-            report.n_coarser = usize::from(attempt > 0);
+        for attempt in 0..COARSER.len() + 2 {
+            let wished = self.params.snap_share;
+            let (share, share_of_fixed) = match attempt {
+                0 => (wished, 0.5 * wished),
+                1 => (wished, wished),
+                _ if COARSER[attempt - 2] <= wished => continue,
+                _ => (COARSER[attempt - 2], COARSER[attempt - 2]),
+            };
+            report = self.attempt(body, &sweeps, share, share_of_fixed);
+            report.n_coarser = usize::from(attempt > 1);
             let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
             if report.min_dihedral_deg >= limit_deg {
                 return Ok(self.accept(body, blade_m, report));
@@ -323,12 +326,13 @@ impl SubdivisionCut {
     }
 
     /// Works the cut out in the patch, not opened yet.
-    fn attempt(&mut self, body: Body<'_>, sweeps: &[Option<Sweep>; 2], share: f64) -> CutReport {
+    fn attempt(&mut self, body: Body<'_>, sweeps: &[Option<Sweep>; 2], share: f64, share_of_fixed: f64) -> CutReport {
         let Self { params, stroke, patch, .. } = self;
         patch.start(body.mesh);
         let snapping =
             Snapping {
                 share,
+                share_of_fixed,
                 length_m: params.snap_length_m,
                 front_m: params.front_reach_m,
                 max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),

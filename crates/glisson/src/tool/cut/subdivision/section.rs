@@ -15,6 +15,8 @@ use crate::mesh::quality::FACES;
 pub(super) struct Snapping {
     /// Share of an edge [1].
     pub(super) share: f64,
+    /// The same for nodes that cannot move onto the cut.
+    pub(super) share_of_fixed: f64,
     /// Length along an edge [m].
     pub(super) length_m: f64,
     /// Distance of the stroke's front from the plane [m].
@@ -357,7 +359,7 @@ impl Work<'_> {
         label: impl Fn(&mut PatchNode) -> &mut i8,
         line: Option<usize>,
     ) -> Vec<u32> {
-        let Snapping { share: near_share, length_m: near_m, max_cosine, .. } = self.snapping;
+        let Snapping { share: near_share, length_m: near_m, .. } = self.snapping;
         let mut near: Vec<(f64, u32, u32)> = Vec::new();
         for &([a, b], share) in edges {
             let length_m = self.patch.length_m([a, b]);
@@ -369,30 +371,40 @@ impl Work<'_> {
         }
         near.sort_unstable_by(|p, q| p.0.total_cmp(&q.0).then(p.1.cmp(&q.1)).then(p.2.cmp(&q.2)));
         let mut snapped = Vec::new();
-        for (_, node, other) in near {
+        for (share, node, other) in near {
             let other_label = *label(&mut self.patch.nodes[other as usize]);
             let this = label(&mut self.patch.nodes[node as usize]);
-            if *this * other_label < 0 {
-                *this = 0;
+            let own = *this;
+            if own * other_label >= 0 {
+                continue;
+            }
+            *this = 0;
+            if !self.move_onto(node, line) && share > self.snapping.share_of_fixed {
+                *label(&mut self.patch.nodes[node as usize]) = own;
+            } else {
                 snapped.push(node);
             }
         }
         self.n_snapped += snapped.len();
-        for &node in &snapped {
-            let PatchNode { present_m, is_front, distance_m, line_labels, .. } = self.patch.nodes[node as usize];
-            let is_elsewhere = line_labels.iter().enumerate().any(|(k, &l)| Some(k) != line && l == 0);
-            if is_front || is_elsewhere {
-                continue;
-            }
-            let mut to_m = present_m - self.sweep.normal * distance_m;
-            if let Some(k) = line {
-                to_m = self.sweep.onto_line_m(k, to_m);
-            }
-            if self.patch.move_node(self.body, node, to_m, max_cosine) {
-                self.patch.nodes[node as usize].distance_m = 0.0;
-            }
-        }
         snapped
+    }
+
+    /// Moves a node onto the plane, or onto a line in it, if it can.
+    fn move_onto(&mut self, node: u32, line: Option<usize>) -> bool {
+        let PatchNode { present_m, is_front, distance_m, line_labels, .. } = self.patch.nodes[node as usize];
+        let is_elsewhere = line_labels.iter().enumerate().any(|(k, &l)| Some(k) != line && l == 0);
+        if is_front || is_elsewhere {
+            return false;
+        }
+        let mut to_m = present_m - self.sweep.normal * distance_m;
+        if let Some(k) = line {
+            to_m = self.sweep.onto_line_m(k, to_m);
+        }
+        let is_moved = self.patch.move_node(self.body, node, to_m, self.snapping.max_cosine);
+        if is_moved {
+            self.patch.nodes[node as usize].distance_m = 0.0;
+        }
+        is_moved
     }
 
     /// Divides the edges that still cross, longest first.

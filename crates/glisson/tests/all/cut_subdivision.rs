@@ -94,7 +94,7 @@ fn mean_edge_m(mesh: &TetMesh) -> f64 {
 
 #[test]
 fn strokes_open_the_area_they_sweep() {
-    let mesh = box_of_five([8, 6, 4], DVec3::new(0.08, 0.06, 0.04));
+    let k: usize = std::env::var("CELLS").map_or(1, |c| c.parse().unwrap()); let mesh = box_of_five([8*k, 6*k, 4*k], DVec3::new(0.08, 0.06, 0.04));
     let params = SubdivisionParams::for_mean_edge(mean_edge_m(&mesh));
     let mut random = SeededRandom::new(1);
     for trial in 0..20 {

@@ -165,9 +165,9 @@ impl Patch {
         self.front.clear();
     }
 
-    /// Whether the tetrahedron of the mesh is in the patch, changed or not.
-    pub(super) fn has_tet(&self, tet: TetId) -> bool {
-        self.tet_here[tet.index()] != ABSENT
+    /// Whether the tetrahedron of the mesh was in the patch, changed or not, when it had `n_before`.
+    pub(super) fn had_tet(&self, tet: TetId, n_before: u32) -> bool {
+        self.tet_here[tet.index()] < n_before
     }
 
     pub(super) fn node_here(&self, node: NodeId) -> Option<u32> {

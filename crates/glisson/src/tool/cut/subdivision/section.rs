@@ -33,6 +33,9 @@ const LEAST_SHARE_OF_SECTION: f64 = 0.02;
 /// not divided.
 const LEAST_SHARE_OF_FACE: f64 = 0.02;
 
+/// Nearer to the plane or a line than this share of [`Snapping::length_m`] is rounding.
+const SAME_PLACE: f64 = 1e-6;
+
 /// What came of one polygon.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Section {
@@ -98,6 +101,9 @@ impl Work<'_> {
         if node.label == UNKNOWN {
             node.distance_m = sweep.distance_m(node.present_m);
             node.label = sign(node.distance_m);
+            if node.distance_m.abs() <= SAME_PLACE * snapping.length_m {
+                node.label = 0;
+            }
             if node.is_front && node.distance_m.abs() <= snapping.front_m {
                 node.label = 0;
             }
@@ -115,6 +121,7 @@ impl Work<'_> {
         };
         let mut touched = Vec::new();
         let mut area_m2 = 0.0;
+        let n_before = self.patch.tets.len() as u32;
         for tet in self.patch.live_tets().collect::<Vec<u32>>() {
             let corners_m = self.patch.present_m(tet);
             if near(corners_m) {
@@ -125,15 +132,16 @@ impl Work<'_> {
                 }
             }
         }
+        let flat_m = SAME_PLACE * self.snapping.length_m;
         let topology = self.body.mesh.topology();
         let (is_live, nodes) = (topology.live_tet_flags(), &self.body.mesh.mesh().tetrahedra);
         for at in 0..nodes.len() {
             let corners_m = nodes[at].map(|n| self.body.present_m[n.index()]);
-            if !is_live[at] || !near(corners_m) || self.patch.has_tet(TetId::from_index(at)) {
+            if !is_live[at] || !near(corners_m) || self.patch.had_tet(TetId::from_index(at), n_before) {
                 continue;
             }
             let distance_m = corners_m.map(|p| self.sweep.distance_m(p));
-            if distance_m.iter().all(|&d| d > 0.0) || distance_m.iter().all(|&d| d < 0.0) {
+            if distance_m.iter().all(|&d| d > flat_m) || distance_m.iter().all(|&d| d < -flat_m) {
                 continue;
             }
             let here = self.patch.pull_tet(self.body, TetId::from_index(at));
@@ -151,7 +159,10 @@ impl Work<'_> {
         if tetrahedron_volume_m3(corners_m) <= 0.0 {
             return (false, 0.0);
         }
-        let distance_m = corners_m.map(|p| self.sweep.distance_m(p));
+        // Corners that an earlier step put into the plane are there but for rounding.
+        let flat_m = SAME_PLACE * self.snapping.length_m;
+        let distance_m =
+            corners_m.map(|p| self.sweep.distance_m(p)).map(|d| if d.abs() <= flat_m { 0.0 } else { d });
         let n_zero = distance_m.iter().filter(|&&d| d == 0.0).count();
         let (n_above, n_below) =
             (distance_m.iter().filter(|&&d| d > 0.0).count(), distance_m.iter().filter(|&&d| d < 0.0).count());
@@ -300,6 +311,9 @@ impl Work<'_> {
         let inside_m = sweep.inside_m(k, node.present_m);
         if node.line_labels[k] == UNKNOWN {
             node.line_labels[k] = sign(inside_m);
+            if inside_m.abs() <= SAME_PLACE * snapping.length_m {
+                node.line_labels[k] = 0;
+            }
             let is_there = match sweep.side(k) {
                 Side::Start => node.is_front,
                 Side::Front | Side::Way => node.is_front_end && inside_m.abs() <= snapping.front_m,

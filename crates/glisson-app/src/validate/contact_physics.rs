@@ -85,10 +85,24 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         if i % every == 0 {
             let c = center_m(&mesh, world.model(0));
             let r = world.report();
-            println!("{t:.3} x {:.6} mm z {:.6} mm K {:.3e} slip {:.1e} pen {:.1e} F {:.4} sweeps {} pressed {} res {:.1e}", (c.x - 0.05) * 1e3, (c.z - 0.05) * 1e3,
-                world.model(0).report().kinetic_energy_j, r.slip_m/dt, r.penetration_m, world.force_on_n(0), r.n_sweeps, r.n_pressed, r.residual);
+            println!(
+                "{t:.3} x {:.6} mm z {:.6} mm K {:.3e} slip {:.1e} pen {:.1e} F {:.4} sweeps {} pressed {} res {:.1e}",
+                (c.x - 0.05) * 1e3,
+                (c.z - 0.05) * 1e3,
+                world.model(0).report().kinetic_energy_j,
+                r.slip_m / dt,
+                r.penetration_m,
+                world.force_on_n(0),
+                r.n_sweeps,
+                r.n_pressed,
+                r.residual
+            );
         }
     }
-    println!("{n} steps, {:?} us a step, {} sweeps a step", started.elapsed().as_secs_f64() * 1e6 / n as f64, sweeps as f64 / n as f64);
+    println!(
+        "{n} steps, {:?} us a step, {} sweeps a step",
+        started.elapsed().as_secs_f64() * 1e6 / n as f64,
+        sweeps as f64 / n as f64
+    );
     Ok(Outcome::from(vec![Experiment::at_most("x", "x", 0.0, 1.0)]))
 }

@@ -10,6 +10,7 @@ mod elasticity;
 mod hybrid;
 mod hybrid_condensed;
 mod image;
+mod indentation;
 mod interaction;
 mod model_rheology;
 mod precomputed_cutting;
@@ -148,6 +149,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "detection",
         about: "Contact detection: fast tools that must not pass through, pairs of triangles against brute force.",
         run: detection::experiments,
+    },
+    Group {
+        name: "indentation",
+        about: "A sphere and a flat punch on a bonded layer: graded tetrahedra against an axisymmetric solution.",
+        run: indentation::experiments,
     },
     Group {
         name: "contact_physics",

@@ -28,9 +28,7 @@ use super::constraint::{Contact, ContactKey, Response, SweepReport, Sweeps, solv
 use super::shapes::RigidPose;
 use crate::math::DVec3;
 use crate::mesh::NodeId;
-use crate::model::{
-    Constraints, Correction, DeformableModel, LocalModel, LocalWork, NodalForce, StepAnswer,
-};
+use crate::model::{Constraints, Correction, DeformableModel, LocalModel, LocalWork, NodalForce, StepAnswer};
 
 /// How the last step went.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

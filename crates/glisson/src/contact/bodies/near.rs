@@ -123,7 +123,9 @@ impl Near {
         let is_outside = |way_m: DVec3| way_m.length_squared() > served_m * served_m;
         let has_left = |now: &Self| {
             let places = surfaces.start_m.iter().zip(&surfaces.moves_m).zip(&now.searched_m);
-            places.into_iter().any(|((start, m), at)| is_outside(*start - *at) || is_outside(*start + *m - *at))
+            places
+                .into_iter()
+                .any(|((start, m), at)| is_outside(*start - *at) || is_outside(*start + *m - *at))
         };
         if !self.is_searched || has_left(self) {
             self.search(surfaces);

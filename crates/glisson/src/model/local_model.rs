@@ -54,6 +54,9 @@ pub struct LocalModel {
     pub n_rings: Option<u32>,
     /// The tissue is about to buckle or torn apart here: C is that of the masses alone.
     pub is_inertial: bool,
+    /// The equations were not solved to their tolerance within the iterations that a step has: C is an estimate, too
+    /// stiff.
+    pub missed_tolerance: bool,
     /// Nodes that were asked for and are not among `nodes`: they do not exist, repeat others or are too many.
     pub n_left_out: u32,
 }
@@ -79,6 +82,7 @@ impl LocalModel {
             period_s: 0.0,
             n_rings: None,
             is_inertial: false,
+            missed_tolerance: false,
             n_left_out: 0,
         }
     }
@@ -105,6 +109,7 @@ impl LocalModel {
         self.period_s = period_s;
         self.n_rings = None;
         self.is_inertial = false;
+        self.missed_tolerance = false;
     }
 
     /// Tensor [m/N]: displacement of the patch's node `of` for a force on its node `by` (places in `nodes`).
@@ -363,11 +368,12 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
     }
     work.assemble(body, h_s);
     out.n_rings = Some(n_rings);
-    let is_solved = work.path.run_by_eight(Columns { work, out });
-    if is_solved {
-        out.symmetrize();
-    } else {
-        inertial(body, h_s, out);
+    match work.path.run_by_eight(Columns { work, out }) {
+        Solved::Never => inertial(body, h_s, out),
+        solved => {
+            out.missed_tolerance = solved == Solved::Partly;
+            out.symmetrize();
+        }
     }
     work.end();
 }
@@ -553,23 +559,37 @@ impl LocalWork {
     }
 }
 
-/// All columns of the patch; false when the matrix is not positive definite.
+/// How conjugate gradients ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Solved {
+    /// To the tolerance.
+    Wholly,
+    /// The iterations were over before.
+    Partly,
+    /// The matrix is not positive definite.
+    Never,
+}
+
+/// All columns of the patch.
 struct Columns<'a> {
     work: &'a mut LocalWork,
     out: &'a mut LocalModel,
 }
 
 impl EightWork for Columns<'_> {
-    type Output = bool;
+    type Output = Solved;
 
     #[inline(always)]
-    fn run<V: Eight>(self, zero: V) -> bool {
+    fn run<V: Eight>(self, zero: V) -> Solved {
         let Self { work, out } = self;
         let n_columns = 3 * out.nodes.len();
+        let mut solved = Solved::Wholly;
         for first in (0..n_columns).step_by(8) {
             let n_lanes = (n_columns - first).min(8);
-            if !solve_eight(zero, work, first, n_lanes) {
-                return false;
+            match solve_eight(zero, work, first, n_lanes) {
+                Solved::Wholly => {}
+                Solved::Partly => solved = Solved::Partly,
+                Solved::Never => return Solved::Never,
             }
             let solution = &work.vectors[0];
             for row in 0..n_columns {
@@ -578,13 +598,13 @@ impl EightWork for Columns<'_> {
                 }
             }
         }
-        true
+        solved
     }
 }
 
 /// Conjugate gradients for unit forces on the unknowns from `first` on, into the first of the vectors.
 #[inline(always)]
-fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> bool {
+fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> Solved {
     let LocalWork { row_start, columns, entries, inverse_diagonal, vectors, .. } = work;
     let n = inverse_diagonal.len();
     for vector in vectors.iter_mut() {
@@ -609,7 +629,7 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
     let least = rho.map(|rho| TOLERANCE * TOLERANCE * rho);
     for _ in 0..MOST_ITERATIONS {
         if (0..8).all(|lane| rho[lane] <= least[lane]) {
-            break;
+            return Solved::Wholly;
         }
         let mut curvature = zero;
         for (row, q) in q.as_chunks_mut::<3>().0.iter_mut().enumerate() {
@@ -635,7 +655,7 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
             if rho[lane] > least[lane] {
                 alpha[lane] = rho[lane] / of_lane[lane];
                 if !(of_lane[lane] > 0.0 && alpha[lane].is_finite()) {
-                    return false;
+                    return Solved::Never;
                 }
             }
         }
@@ -659,5 +679,5 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
         }
         rho = next;
     }
-    true
+    if (0..8).all(|lane| rho[lane] <= least[lane]) { Solved::Wholly } else { Solved::Partly }
 }

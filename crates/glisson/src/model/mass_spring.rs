@@ -19,8 +19,8 @@ use super::explicit::{
 use super::growth::{Growth, blend_tets};
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame};
 use super::{
-    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, Rayleigh,
-    RestStress, TopologyRefusal,
+    Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
+    NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::edit::TopologyChange;
@@ -458,6 +458,18 @@ impl DeformableModel for MassSpring {
     ) {
         out.start(patch, period_s, self.state().positions_m);
         local_model::compute(self, work, out);
+    }
+
+    fn step_answer(&self) -> StepAnswer {
+        StepAnswer::NodeByNode
+    }
+
+    fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
+        self.body.node_answer_m_per_n(node, dt_s)
+    }
+
+    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        self.body.correct(forces, dt_s, correction);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

@@ -1,6 +1,7 @@
 //! All integration tests in one binary: it links once.
 
 mod hybrid_condensed;
+mod contact_response;
 mod detection;
 mod images;
 mod laws;
@@ -8,6 +9,7 @@ mod kernel;
 mod kernel_laws;
 mod explicit_kernel;
 mod hybrid_exchange;
+mod hybrid_nonlinear;
 mod integrators;
 mod implicit;
 mod implicit_loads;
@@ -28,6 +30,7 @@ mod patch_test;
 mod precomputed;
 mod precomputed_response;
 mod precomputed_weight;
+mod proxy;
 mod quasi_nonlinear;
 mod precomputed_cutting;
 mod reference_cases;
@@ -35,7 +38,11 @@ mod reduced;
 mod surfaces;
 mod world_steps;
 mod mesh_edits;
+mod mesh_quality;
+mod mesh_repair;
+mod cut_scalpel;
 mod mesh_edit_sequences;
 mod mesh_edit_kinds;
 mod surface_files;
 mod mesh_files;
+mod cut_subdivision;

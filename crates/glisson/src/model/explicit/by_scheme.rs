@@ -19,7 +19,9 @@ use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::growth::Growth;
 use crate::model::local_model::LocalFrame;
-use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, ModelState, Rayleigh};
+use crate::model::{
+    Attachment, Constraints, Correction, DynamicBody, ModelReport, ModelState, NodalForce, Rayleigh,
+};
 use crate::solve::integrators::{EquationsOfMotion, FixedPoint, Integrator, ModeBounds, Motion, Scheme};
 
 /// What resists the acceleration of a node.
@@ -417,6 +419,30 @@ impl ExplicitBody {
             self.integrator.restart();
         }
         limited.unwrap_or(free_j)
+    }
+
+    /// Displacement of a node for a unit force along each axis in a step [m/N].
+    pub(in crate::model) fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
+        let n = node.index();
+        if n >= self.n_nodes() || !self.moves[n] || self.inertia_kg[n] <= 0.0 {
+            return DVec3::ZERO;
+        }
+        let free = self.frame.free_axes(n).map(|is_free| f64::from(u8::from(is_free)));
+        DVec3::from_array(free) * (dt_s * dt_s / self.inertia_kg[n])
+    }
+
+    /// What further forces would have done in the last step.
+    pub(in crate::model) fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        for force in forces {
+            let n = force.node.index();
+            let move_m = self.node_answer_m_per_n(force.node, dt_s) * force.force_n;
+            if move_m != DVec3::ZERO && move_m.is_finite() {
+                self.positions_m[n] += move_m;
+                if correction == Correction::Motion {
+                    self.velocities_m_per_s[n] += move_m / dt_s;
+                }
+            }
+        }
     }
 
     pub(in crate::model) fn state(&self) -> ModelState<'_> {

@@ -21,7 +21,7 @@ use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::growth::Growth;
-use crate::model::{Constraints, DynamicBody, ModelReport, ModelState, ModelUndo, UndoReader};
+use crate::model::{Constraints, Correction, DynamicBody, ModelReport, ModelState, ModelUndo, NodalForce, UndoReader};
 
 /// A copy of the moving state. It holds for the same mesh and removals.
 #[derive(Clone, Debug, PartialEq)]
@@ -440,6 +440,47 @@ impl ExplicitMotion {
             self.set_last_kinetic_j(kinetic_j);
         }
         self.publish();
+    }
+
+    /// Displacement of a node for a unit force along each axis in a step [m/N].
+    pub(in crate::model) fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
+        let n = node.index();
+        if n >= self.n_nodes() || self.frame.is_held(n) {
+            return DVec3::ZERO;
+        }
+        let free = self.frame.free_axes(n).map(|is_free| f64::from(u8::from(is_free)));
+        DVec3::from_array(free) * (dt_s * dt_s * self.inverse_inertia_per_kg[n])
+    }
+
+    /// What further forces would have done in the last step. u(t-h) follows u(t) so far that the velocity changes by
+    /// the move over the whole step, not over its last part.
+    pub(in crate::model) fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        let n_nodes = self.n_nodes();
+        let last_s = self.last_step_s();
+        let share = match correction {
+            Correction::Motion => 1.0 - last_s / dt_s,
+            Correction::Places => 1.0,
+        };
+        let mut gained_j = 0.0;
+        for force in forces {
+            let move_m = self.node_answer_m_per_n(force.node, dt_s) * force.force_n;
+            if move_m == DVec3::ZERO || !move_m.is_finite() {
+                continue;
+            }
+            let n = force.node.index();
+            let now_m = unpadded(&self.motion[n]) + move_m;
+            self.motion[n] = padded(now_m);
+            self.positions_m[n] = self.frame.rest_m[n] + now_m;
+            let previous_m = unpadded(&self.motion[n_nodes + n]) + move_m * share;
+            self.motion[n_nodes + n] = padded(previous_m);
+            if correction == Correction::Motion {
+                let velocity_m_per_s = (now_m - previous_m) / last_s;
+                let before_m_per_s = std::mem::replace(&mut self.velocities_m_per_s[n], velocity_m_per_s);
+                let gained = velocity_m_per_s.length_squared() - before_m_per_s.length_squared();
+                gained_j += 0.5 * self.inertia_kg[n] * gained;
+            }
+        }
+        self.set_last_kinetic_j((self.last_kinetic_j() + gained_j).max(0.0));
     }
 
     pub(in crate::model) fn state(&self) -> ModelState<'_> {

@@ -23,9 +23,11 @@
 //!
 //! Removing a tetrahedron takes constant time; what is left without a tetrahedron stays where it is.
 
+mod correction;
 mod loads;
 mod local;
 mod params;
+mod piece;
 mod stability;
 mod topology;
 mod undo;
@@ -39,8 +41,8 @@ use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine, Workers};
 use super::kind::ModelKind;
 use super::roomy::Roomy;
 use super::{
-    Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, ModelUndo, Rayleigh,
-    TopologyRefusal, local_model,
+    Constraints, Correction, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, ModelUndo,
+    NodalForce, Rayleigh, StepAnswer, TopologyRefusal, local_model,
 };
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
@@ -527,6 +529,18 @@ impl DeformableModel for ExplicitKernel {
     ) {
         out.start(patch, period_s, self.state().positions_m);
         local_model::compute(self, work, out);
+    }
+
+    fn step_answer(&self) -> StepAnswer {
+        StepAnswer::NodeByNode
+    }
+
+    fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
+        self.answer_of_node(node, dt_s)
+    }
+
+    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        self.correct(forces, dt_s, correction);
     }
 
     /// Shares the workers, nothing else.

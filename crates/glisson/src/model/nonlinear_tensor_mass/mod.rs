@@ -46,8 +46,8 @@ use super::explicit::{
 use super::growth::Growth;
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::{
-    Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState, RestStress,
-    TopologyRefusal,
+    Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
+    NodalForce, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
@@ -470,6 +470,18 @@ impl DeformableModel for NonlinearTensorMass {
     ) {
         out.start(patch, period_s, self.state().positions_m);
         local_model::compute(self, work, out);
+    }
+
+    fn step_answer(&self) -> StepAnswer {
+        StepAnswer::NodeByNode
+    }
+
+    fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
+        self.motion.node_answer_m_per_n(node, dt_s)
+    }
+
+    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        self.motion.correct(forces, dt_s, correction);
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

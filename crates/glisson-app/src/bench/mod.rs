@@ -4,6 +4,7 @@
 //! entry in a `CASES` list of the file it belongs to. `docs/bench.md` says how to read the result.
 
 mod machine;
+mod model_edits;
 pub(crate) mod timing;
 mod body;
 mod meshing;
@@ -93,6 +94,7 @@ pub(crate) fn cases() -> Vec<Case> {
         precomputed_cutting::CASES,
         kernel::CASES,
         reference::CASES,
+        model_edits::CASES,
         implicit::CASES,
         reduced::CASES,
         contact::CASES,

@@ -22,8 +22,9 @@ fn scene_folder() -> tempfile::TempDir {
 fn input(step: u64) -> StepInput {
     let depth_m = 0.05 * (step as f64 * 0.01).sin().abs();
     let tip_in_world_m = DVec3::new(0.04, 0.04, 0.09 - depth_m);
-    let tool = ToolInput { tip_in_world_m, shaft_in_world: DVec3::Z };
-    StepInput { tool, n_substeps: 1 + (step / 100 % 2) as u32, placed: step == 250 }
+    let input =
+        StepInput::of(&[ToolInput::at(tip_in_world_m, DVec3::Z)]).divided(1 + (step / 100 % 2) as u32);
+    if step == 250 { input.placed() } else { input }
 }
 
 /// 600 steps with a reset and a swap to the pre-computed model at step 300; answers the last hash.
@@ -38,7 +39,7 @@ fn record(folder: &Path) -> StateHash {
         if step == 200 {
             simulation.order_model(ModelKind::Precomputed, 300).unwrap();
         }
-        touched |= simulation.advance(&input(step)).unwrap().in_contact;
+        touched |= simulation.advance(&input(step)).unwrap().in_contact();
         let expected = if step < 300 { ModelKind::TensorMass } else { ModelKind::Precomputed };
         assert_eq!(simulation.world().model_kind(), expected, "step {step}");
     }
@@ -107,8 +108,7 @@ fn a_tilted_table_a_cut_and_a_change_of_model_replay_to_the_same_bits() {
     std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
     let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
     let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
-    let away = simulation.world().spec().tool.home;
-    let away = StepInput { tool: away, n_substeps: 1, placed: false };
+    let away = StepInput::of(&[simulation.world().tools()[0].home]);
     simulation.advance(&away).unwrap();
     let rest = simulation.mesh().positions_m.clone();
     let moved_m = |simulation: &Simulation| {
@@ -155,7 +155,7 @@ fn cuts_of_the_precomputed_model_and_its_fresh_precomputation_replay_to_the_same
     // Down to what is left without the outer tetrahedron.
     let input = |step| {
         let mut input = input(step);
-        input.tool.tip_in_world_m += DVec3::new(-0.02, -0.02, -0.03);
+        input.tools[0].tip_in_world_m += DVec3::new(-0.02, -0.02, -0.03);
         input
     };
     for step in 0..300 {
@@ -166,7 +166,7 @@ fn cuts_of_the_precomputed_model_and_its_fresh_precomputation_replay_to_the_same
             _ => {}
         }
         let report = simulation.advance(&input(step)).unwrap();
-        touched_after |= step > 60 && report.in_contact;
+        touched_after |= step > 60 && report.in_contact();
         assert_eq!(report.model.n_reanalyses, u32::from((60..150).contains(&step) || step >= 200), "{step}");
     }
     assert!(simulation.notices().is_empty(), "{:?}", simulation.notices());

@@ -239,6 +239,16 @@ pub(in crate::model) trait LocalBody {
     fn is_live(&self, element: usize) -> bool;
     /// K of an element at the present shape, with the dampers' part over the period.
     fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness;
+    /// Masses, supports and constraints.
+    fn frame(&self) -> &dyn LocalFrame;
+    /// Damping of masses and stiffness.
+    fn damping(&self) -> Rayleigh {
+        self.frame().damping()
+    }
+}
+
+/// What holds and moves the nodes of a body.
+pub(in crate::model) trait LocalFrame {
     fn inertia_kg(&self, n: usize) -> f64;
     /// Axes along which a node moves freely but for a tool's hold.
     fn free_axes(&self, n: usize) -> [bool; 3];
@@ -343,7 +353,7 @@ fn between(stiffness: &TetStiffness) -> ElementStiffness {
 pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out: &mut LocalModel) {
     let h_s = out.period_s;
     for (node, force_n) in out.nodes.iter().zip(&mut out.force_n) {
-        *force_n = body.load_on_n(node.index());
+        *force_n = body.frame().load_on_n(node.index());
     }
     if !(h_s.is_finite() && h_s > 0.0) || out.nodes.is_empty() {
         return;
@@ -380,8 +390,9 @@ fn inertial(body: &dyn LocalBody, h_s: f64, out: &mut LocalModel) {
     out.is_inertial = true;
     for i in 0..out.nodes.len() {
         let n = out.nodes[i].index();
-        let stiffness = body.inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s) / h_s;
-        let free = body.free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
+        let stiffness = body.frame().inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s) / h_s;
+        let free =
+            body.frame().free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
         out.set_tensor(i, i, DMat3::from_diagonal(DVec3::from_array(free)));
     }
 }
@@ -457,7 +468,7 @@ impl LocalWork {
         let mut worst = 1.0_f64;
         for i in 0..self.region.len() {
             let n = self.region[i] as usize;
-            let of_mass = body.inertia_kg(n) * (1.0 / h_s + damping.mass_per_s) / h_s;
+            let of_mass = body.frame().inertia_kg(n) * (1.0 / h_s + damping.mass_per_s) / h_s;
             // Held neighbours are not among the columns: twice the diagonal stands for a row of K, whose sum is zero.
             for a in 0..3 {
                 let inverse = self.inverse_diagonal[3 * i + a];
@@ -477,7 +488,8 @@ impl LocalWork {
         self.head.resize(n, 0);
         self.blocks.clear();
         for i in 0..n {
-            let of_mass = body.inertia_kg(self.region[i] as usize) * (1.0 / h_s + damping.mass_per_s) / h_s;
+            let of_mass =
+                body.frame().inertia_kg(self.region[i] as usize) * (1.0 / h_s + damping.mass_per_s) / h_s;
             self.add_block(i, i, DMat3::from_diagonal(DVec3::splat(of_mass)));
         }
         let per_stiffness = 1.0 + damping.stiffness_s / h_s;
@@ -508,7 +520,11 @@ impl LocalWork {
             self.row_start.push(self.columns.len() as u32);
             let node = self.region[i] as usize;
             // What other tools hold stays there; the patch itself is let go.
-            let free = if i >= n_patch && body.is_held(node) { [false; 3] } else { body.free_axes(node) };
+            let free = if i >= n_patch && body.frame().is_held(node) {
+                [false; 3]
+            } else {
+                body.frame().free_axes(node)
+            };
             let mut at = self.head[i];
             while at != 0 {
                 let (next, column, block) = self.blocks[at as usize - 1];

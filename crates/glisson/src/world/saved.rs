@@ -1,6 +1,7 @@
 //! Coming back to an earlier moment.
 
-use super::{QueuedSwap, World};
+use super::constrain::MOST_IMPOSED;
+use super::{QueuedSwap, World, grasp};
 
 /// A world as it was: mesh with its removals, the model with accumulated stiffness, warm starts and factors, the
 /// contact under way, loads, orders. Steps from it have the same bits as those that followed it.
@@ -25,17 +26,20 @@ impl World {
         });
         // A clone has no room beyond what it holds.
         let mut constraints = self.constraints.clone();
-        constraints.displacements.reserve(3);
+        constraints.displacements.reserve(MOST_IMPOSED);
         constraints.forces.reserve(self.organ.mesh().positions_m.len());
+        let mut owners = self.owners.clone();
+        owners.reserve(MOST_IMPOSED);
         Self {
             spec: self.spec.clone(),
             organ: self.organ.clone(),
             model: self.model.duplicate(),
             model_kind: self.model_kind,
             swap,
-            tool: self.tool,
-            contact: self.contact.clone(),
+            hands: self.hands.clone(),
             constraints,
+            owners,
+            between_jaws: grasp::room_for_search(),
             loads: self.loads.clone(),
             gravity_m_per_s2: self.gravity_m_per_s2,
             pull_m_per_s2: self.pull_m_per_s2,

@@ -22,12 +22,12 @@ pub struct WorldSpec {
     pub loads: Vec<Load>,
     /// Accelerations of the whole, beside gravity.
     pub fields: Vec<ForceField>,
-    /// The instrument.
-    pub tool: Tool,
+    /// The instruments: one to [`crate::tool::MAX_TOOLS`].
+    pub tools: Vec<Tool>,
 }
 
 impl WorldSpec {
-    /// A world without gravity, supports and loads.
+    /// A world with one tool, without gravity, supports and loads.
     pub fn new(name: &str, time_step_s: f64, tool: Tool) -> Self {
         Self {
             name: name.into(),
@@ -37,7 +37,7 @@ impl WorldSpec {
             ligaments: Vec::new(),
             loads: Vec::new(),
             fields: Vec::new(),
-            tool,
+            tools: vec![tool],
         }
     }
 }

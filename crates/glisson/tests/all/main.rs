@@ -1,6 +1,7 @@
 //! All integration tests in one binary: it links once.
 
 mod hybrid_condensed;
+mod contact_response;
 mod detection;
 mod images;
 mod laws;
@@ -28,6 +29,7 @@ mod patch_test;
 mod precomputed;
 mod precomputed_response;
 mod precomputed_weight;
+mod proxy;
 mod quasi_nonlinear;
 mod precomputed_cutting;
 mod reference_cases;
@@ -35,5 +37,11 @@ mod reduced;
 mod surfaces;
 mod world_steps;
 mod mesh_edits;
+mod mesh_quality;
+mod mesh_repair;
+mod cut_scalpel;
+mod mesh_edit_sequences;
+mod mesh_edit_kinds;
 mod surface_files;
 mod mesh_files;
+mod cut_subdivision;

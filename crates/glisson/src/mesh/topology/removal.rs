@@ -40,7 +40,7 @@ impl Topology {
         }
     }
 
-    fn take_from_surface(&mut self, triangle: TriangleId, on_node: &mut impl FnMut(NodeId)) {
+    pub(super) fn take_from_surface(&mut self, triangle: TriangleId, on_node: &mut impl FnMut(NodeId)) {
         self.surface_triangles.remove(triangle);
         for edge in self.triangle_edges[triangle.index()] {
             let n = &mut self.edge_n_surface[edge.index()];

@@ -105,7 +105,7 @@ impl Stability {
                 mass_kg[node.index()] += corner_kg;
             }
             let stiff = stiffness_of(this, &gradients);
-            let of_tet = stiff.stiffening * stiff.at_rest.squared_frequency_bound_per_s2([corner_kg; 4]);
+            let of_tet = stiff.squared_frequency_per_s2(corner_kg);
             stiffening = stiffening.max(stiff.stiffening);
             tet_squared_frequency_per_s2.push(of_tet);
             if of_tet > after_cuts {
@@ -129,6 +129,13 @@ pub(in crate::model) struct StiffTet {
     pub at_rest: TetStiffness,
     /// Bound of its highest squared frequency in any shape allowed for, over the one at rest; from 1.
     pub stiffening: f64,
+}
+
+impl StiffTet {
+    /// Bound of its squared frequency by itself, for every shape allowed for, with this mass at each corner [1/s2].
+    pub(in crate::model) fn squared_frequency_per_s2(&self, corner_kg: f64) -> f64 {
+        self.stiffening * self.at_rest.squared_frequency_bound_per_s2([corner_kg; 4])
+    }
 }
 
 /// A proven upper bound of the largest eigenvalue of M^-1 K [1/s2], at most `known`, which is one.

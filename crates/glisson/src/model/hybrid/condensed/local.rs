@@ -14,7 +14,7 @@ use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::NodeId;
 use crate::model::local_model::{
-    ElementStiffness, LocalBody, LocalElements, TangentLaw, compute, tet_tangent,
+    ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw, compute, tet_tangent,
 };
 use crate::model::{LocalModel, LocalWork, Rayleigh, RestStress};
 use crate::solve::P1Gradients;
@@ -48,24 +48,8 @@ impl LocalBody for DynamicTissue<'_> {
         tet_tangent(&gradients, [DVec3::ZERO; 4], &law, None)
     }
 
-    fn inertia_kg(&self, n: usize) -> f64 {
-        self.part.motion.frame().inertia_kg(n)
-    }
-
-    fn free_axes(&self, n: usize) -> [bool; 3] {
-        self.part.motion.frame().free_axes(n)
-    }
-
-    fn is_held(&self, n: usize) -> bool {
-        self.part.motion.frame().is_held(n)
-    }
-
-    fn load_on_n(&self, n: usize) -> DVec3 {
-        self.part.motion.frame().load_on_n(n)
-    }
-
-    fn damping(&self) -> Rayleigh {
-        self.part.motion.frame().damping
+    fn frame(&self) -> &dyn LocalFrame {
+        self.part.motion.frame()
     }
 }
 

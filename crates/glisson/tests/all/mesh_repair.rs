@@ -1,0 +1,1 @@
+//! Repair by collapse and by local remeshing, and local refinement.

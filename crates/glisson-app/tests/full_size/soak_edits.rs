@@ -58,7 +58,7 @@ fn cylinder() -> TetMesh {
         surface.triangles.push([bottom, at(i + 1, 0), at(i, 0)]);
         surface.triangles.push([bottom + 1, at(i, n_along), at(i + 1, n_along)]);
     }
-    let params = MeshParams { size: WantedSize::Tetrahedra(6000), ..MeshParams::default() };
+    let params = MeshParams { size: WantedSize::Tetrahedra(6000), volume_m3: None };
     generate(&surface, &params).unwrap().0
 }
 
@@ -448,7 +448,7 @@ impl<'a> Patient<'a> {
             .map(|(new, _)| FixedNode { node: glisson::mesh::NodeId::from_index(new), axes: [true; 3] })
             .collect();
         let mut fresh = model_of(&mesh, &fixed, &self.material);
-        let mut edited = self.world.model().duplicate();
+        let mut edited = self.world.copy_of_model();
         let all_m = self.world.state().positions_m.to_vec();
         let live_m: Vec<DVec3> = live.iter().map(|&n| all_m[n]).collect();
         edited.take_over(&all_m);

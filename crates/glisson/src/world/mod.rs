@@ -13,6 +13,7 @@ pub mod organ;
 mod parts;
 pub mod saved;
 mod skin;
+mod slide;
 pub mod spec;
 pub mod touch;
 pub mod vessels;

@@ -21,6 +21,15 @@ impl ToolPart {
     /// All of them, in the order in which they are asked.
     pub const ALL: [Self; 3] = [Self::Tip, Self::SecondJaw, Self::Shaft];
 
+    /// Radius with which it touches [m]; none for a mesh, which touches with its own points.
+    pub(super) fn radius_m(self, tool: &Tool) -> f64 {
+        match self {
+            Self::Tip if mesh_of(tool).is_some() => 0.0,
+            Self::Tip | Self::SecondJaw => tool.tip_radius_m,
+            Self::Shaft => tool.shaft_radius_m,
+        }
+    }
+
     /// Place in a list of all parts.
     pub fn index(self) -> usize {
         self as usize

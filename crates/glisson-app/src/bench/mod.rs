@@ -5,6 +5,7 @@
 
 mod machine;
 pub(crate) mod timing;
+mod world;
 mod body;
 mod meshing;
 mod models;
@@ -99,6 +100,7 @@ pub(crate) fn cases() -> Vec<Case> {
         collision::CASES,
         drawing::CASES,
         hybrid_exchange::CASES,
+        world::CASES,
     ]
     .concat()
 }

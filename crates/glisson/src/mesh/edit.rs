@@ -13,10 +13,12 @@ mod change;
 mod collapse;
 mod duplicate;
 mod error;
+mod judgement;
 mod moves;
 mod overlap;
 mod plan;
-mod retetrahedralise;
+mod replace;
+mod sides;
 mod singular;
 mod split;
 mod transaction;
@@ -24,6 +26,7 @@ mod undo;
 
 pub use change::{Additions, EntityChange, PieceChange, PieceChanges, TopologyChange};
 pub use error::EditError;
+pub use replace::{NewTet, Replacement};
 pub use undo::MeshUndo;
 
 use self::plan::Scratch;
@@ -84,6 +87,8 @@ pub enum MeshEdit {
         /// The tetrahedra that take their place.
         new_tets: Vec<[CavityNode; 4]>,
     },
+    /// Puts tetrahedra in the place of others whose descendants they are: a cut in one edit.
+    Replace(Replacement),
 }
 
 /// A new node at the place of an old one.
@@ -133,6 +138,7 @@ impl MeshEdit {
             Self::Split { .. } => "split",
             Self::Collapse { .. } => "collapse",
             Self::Retetrahedralise { .. } => "retetrahedralise",
+            Self::Replace(_) => "replace",
         }
     }
 }
@@ -176,6 +182,13 @@ impl EditableMesh {
         &self.topology
     }
 
+    /// Makes room for about `n_tets` more tetrahedra, so that the first edits need not move the tables.
+    pub fn reserve(&mut self, n_tets: usize) {
+        self.topology.reserve(n_tets);
+        self.mesh.tetrahedra.reserve(n_tets);
+        self.mesh.positions_m.reserve(n_tets.div_ceil(2));
+    }
+
     /// Volume [m3] of what is live.
     pub fn volume_m3(&self) -> f64 {
         self.topology.live_tets().map(|t| self.mesh.tet_volume_m3(t)).sum()
@@ -214,6 +227,24 @@ impl EditableMesh {
             self.topology.detach_tet(tet, change);
         }
         change.close();
+        Ok(())
+    }
+
+    /// [`EditableMesh::remove_into`] with what it takes to take the removal back. It allocates nothing if both
+    /// buffers have room ([`MeshUndo::with_room_for_removals`]).
+    ///
+    /// # Errors
+    /// As there; `undo` is empty then.
+    pub fn remove_saving(
+        &mut self,
+        tets: &[TetId],
+        change: &mut TopologyChange,
+        undo: &mut MeshUndo,
+    ) -> Result<(), EditError> {
+        undo.start(&self.topology);
+        self.remove_into(tets, change)?;
+        tets.iter().for_each(|&tet| undo.save_removal(tet));
+        undo.close(&self.topology);
         Ok(())
     }
 

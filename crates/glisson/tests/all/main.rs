@@ -45,3 +45,4 @@ mod mesh_edit_sequences;
 mod mesh_edit_kinds;
 mod surface_files;
 mod mesh_files;
+mod cut_subdivision;

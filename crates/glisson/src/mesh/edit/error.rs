@@ -141,8 +141,8 @@ pub enum EditError {
     },
     /// A new tetrahedron names a node that it may not have.
     #[error(
-        "new tetrahedron {place}: its corners must be four different nodes, old ones of the tetrahedra that \
-        make room or new ones from the edit's list of {n_new}"
+        "new tetrahedron {place}: its corners must be four different nodes, live \
+        old ones or new ones from the edit's list of {n_new}"
     )]
     BadCorners {
         /// Its place in the edit's list.
@@ -159,6 +159,14 @@ pub enum EditError {
         /// Its place in the edit's list.
         place: usize,
         /// Sum of its parents' weights.
+        sum: f64,
+    },
+    /// A new tetrahedron has parents that do not make room for it, or shares that do not add up to 1.
+    #[error("new tetrahedron {place} has parents that are not replaced, or shares of sum {sum} instead of 1")]
+    BadParents {
+        /// Its place in the edit.
+        place: usize,
+        /// Sum of the shares.
         sum: f64,
     },
     /// One of a list of edits was refused, and with it the list.

@@ -4,7 +4,7 @@ use crate::contact::shapes::{Capsule, CapsuleMotion, RigidPose};
 use crate::math::DVec3;
 use crate::tool::pose::ToolFrame;
 use crate::tool::trocar::trocar_pose;
-use crate::tool::{Tool, ToolInput, ToolShape};
+use crate::tool::{Tool, ToolInput, ToolKind, ToolShape};
 
 /// Which part of an instrument touches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,8 +55,11 @@ pub(super) fn capsule(tool: &Tool, part: ToolPart, pose: &ToolInput) -> Option<C
         ToolPart::Tip => Some(jaw(0).unwrap_or(Capsule::ball(pose.tip_in_world_m, tool.tip_radius_m))),
         ToolPart::SecondJaw => jaw(1),
         ToolPart::Shaft => {
-            let jaws_m = tool.kind.jaws().map_or(0.0, |jaws| jaws.length_m);
-            let first_m = jaws_m.max(SHAFT_BEGINS * tool.tip_radius_m);
+            let effector_m = match &tool.kind {
+                ToolKind::Scalpel(blade) => blade.length_m,
+                kind => kind.jaws().map_or(0.0, |jaws| jaws.length_m),
+            };
+            let first_m = effector_m.max(SHAFT_BEGINS * tool.tip_radius_m);
             (first_m < tool.shaft_length_m).then(|| Capsule {
                 from_m: behind_m(first_m),
                 to_m: behind_m(tool.shaft_length_m),

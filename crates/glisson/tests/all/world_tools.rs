@@ -9,7 +9,7 @@ use glisson::mesh::{EdgeId, TetId};
 use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
 use glisson::scene::{OrganBody, build_model};
-use glisson::tool::{CutRule, Grip, Jaws, Tool, ToolInput, ToolKind, ToolShape};
+use glisson::tool::{Blade, BladeCuts, CutRule, Grip, Jaws, Tool, ToolInput, ToolKind, ToolShape};
 use glisson::world::spec::{Load, LoadTime, Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{EditRefusal, StepInput, World};
 
@@ -197,11 +197,16 @@ fn a_tool_with_friction_sticks_inside_the_cone_and_slides_outside() {
         let held = glide_at(&mut world, &drawn, 500);
         (world, touched, held)
     };
+    // Tangential over normal force, against the contact's own normal: the tissue piles up before the tip.
+    let slope = |world: &World, force_n: DVec3| {
+        let normal = world.snapshot().tools[0].contacts[0].unwrap().normal;
+        let pressed_n = force_n.dot(normal);
+        (force_n - normal * pressed_n).length() / pressed_n
+    };
     let (world, _, force_n) = run(0.2);
-    let tangential = force_n.truncate().length();
     assert!(force_n.z > 0.01, "it still presses: {force_n}");
-    let ratio = tangential / force_n.z;
-    assert!((0.1..0.3).contains(&ratio), "it slid until friction 0.2 held: {ratio}");
+    let ratio = slope(&world, force_n);
+    assert!((0.1..0.25).contains(&ratio), "it slid until friction 0.2 held: {ratio}");
     let contact = world.snapshot().tools[0].contacts[0].unwrap();
     assert!(
         (contact.point_m.x - 0.06).abs() < 4e-3,
@@ -212,9 +217,9 @@ fn a_tool_with_friction_sticks_inside_the_cone_and_slides_outside() {
     let contact = world.snapshot().tools[0].contacts[0].unwrap();
     assert_eq!(contact.nodes, touched.nodes, "it stuck");
     assert!(force_n.truncate().length() > 0.3 * force_n.z, "{force_n}");
-    // Without friction nothing is felt along a flat surface.
-    let (_, _, force_n) = run(0.0);
-    assert!(force_n.truncate().length() < 0.1 * force_n.z, "{force_n}");
+    // Without friction nothing is felt along the surface.
+    let (world, _, force_n) = run(0.0);
+    assert!(slope(&world, force_n) < 0.05, "{force_n}");
 }
 
 /// Steps at one place; answers the last force on the tool [N].
@@ -227,7 +232,7 @@ fn glide_at(world: &mut World, pose: &ToolInput, steps: u32) -> DVec3 {
 
 #[test]
 fn a_hook_burns_away_what_it_presses_on_and_only_when_it_is_on() {
-    let rule = CutRule { least_force_n: 0.02, least_time_s: 0.01 };
+    let rule = CutRule { least_force_n: 0.02, least_time_s: 0.01, power_w: 0.0 };
     let mut world = world(vec![tool(ToolKind::Hook(rule), 0.3)]);
     let start = above(0.05, 0.05, SIZE_M + 4e-3);
     world.step(&StepInput::of(&[start]).placed());
@@ -264,10 +269,10 @@ fn scissors_part_what_they_close_on() {
 }
 
 /// Some edits of many kinds in the middle of a push; answers how many were made.
-fn edit_much(world: &mut World, pose: &ToolInput) -> usize {
-    let n_before = world.n_edits_to_undo();
+fn edit_much(world: &mut World, n_rounds: usize) -> usize {
+    let mut n_made = 0;
     let mut random = SeededRandom::new(3);
-    for round in 0..12 {
+    for round in 0..n_rounds {
         let topology = world.organ().body().topology();
         let live: Vec<TetId> = topology.live_tets().collect();
         let tet = live[(random.uniform() * live.len() as f64) as usize];
@@ -285,12 +290,12 @@ fn edit_much(world: &mut World, pose: &ToolInput) -> usize {
         };
         // A node at the border may not move; what is refused changes nothing.
         let hash = world.state_hash();
-        if world.edit(&edit).is_err() {
-            assert_eq!(world.state_hash(), hash);
+        match world.edit(&edit) {
+            Ok(_) => n_made += 1,
+            Err(_) => assert_eq!(world.state_hash(), hash),
         }
-        let _ = pose;
     }
-    world.n_edits_to_undo() - n_before
+    n_made
 }
 
 #[test]
@@ -307,8 +312,10 @@ fn edits_are_taken_back_bit_for_bit() {
             assert!(world.report().tools.iter().take(2).all(|t| t.in_contact), "{kind}");
         }
         assert_eq!(edited.state_hash(), whole.state_hash(), "{kind}");
-        let n_edits = edit_much(&mut edited, &deep);
-        assert!(n_edits >= 8 && edited.state_hash() != whole.state_hash(), "{kind}: {n_edits}");
+        // Models that have to be copied whole go back two edits.
+        let n_rounds = if kind == ModelKind::Explicit { 12 } else { 2 };
+        let n_edits = edit_much(&mut edited, n_rounds);
+        assert!(3 * n_edits >= 2 * n_rounds && edited.state_hash() != whole.state_hash(), "{kind}: {n_edits}");
         for _ in 0..n_edits {
             assert!(edited.undo_edit(), "{kind}");
         }
@@ -431,4 +438,55 @@ fn a_tool_in_a_trocar_points_to_it() {
     let pose = world.snapshot().tools[0].pose;
     let to_trocar = (trocar_m - pose.tip_in_world_m).normalize();
     assert!(pose.shaft_in_world.distance(to_trocar) < 1e-15 && pose.tip_in_world_m == wrong.tip_in_world_m);
+}
+
+#[test]
+fn a_scalpel_parts_the_block_along_its_sweep_and_every_step_can_be_taken_back() {
+    for cuts in [BladeCuts::Subdivision, BladeCuts::Displacement] {
+        let blade = Blade { length_m: 0.06, cuts };
+        let mut world = world(vec![tool(ToolKind::Scalpel(blade), 0.3)]);
+        world.set_undo_depth(1000);
+        let whole_m3 = world.organ().body().volume_m3();
+        // From outside the block through half of it, 30 mm deep.
+        let pose = |t: f64| ToolInput { trigger: 1.0, ..above(-0.01 + 0.06 * t, 0.047, SIZE_M - 0.03) };
+        world.step(&StepInput::of(&[pose(0.0)]).placed());
+        let before = world.state_hash();
+        let (mut n_edits, mut refusals) = (0, Vec::new());
+        for i in 1..=40 {
+            let report = world.step(&StepInput::of(&[pose(f64::from(i) / 40.0)]));
+            assert_eq!(report.n_non_finite_nodes, 0);
+            let cuts = world.cut_with_tools();
+            n_edits += cuts.n_edits;
+            refusals.extend(cuts.refusals);
+        }
+        world.step(&StepInput::of(&[ToolInput { trigger: 0.0, ..pose(1.0) }]));
+        n_edits += world.cut_with_tools().n_edits;
+        assert!(n_edits > 0, "{cuts:?}: {refusals:?}");
+        let off = (world.organ().body().volume_m3() / whole_m3 - 1.0).abs();
+        assert!(off < 1e-9, "{cuts:?}: {off}");
+        assert_eq!(world.n_edits_to_undo(), n_edits);
+        while world.undo_edit() {}
+        assert_eq!(world.organ().body().mesh(), &block([5, 5, 5], DVec3::splat(SIZE_M)), "{cuts:?}");
+        let _ = before;
+    }
+}
+
+#[test]
+fn a_model_that_takes_over_follows_edits_of_all_kinds() {
+    let mut world = world(vec![tool(ToolKind::Probe, 0.3)]);
+    let far = above(0.05, 0.05, 0.2);
+    let n_edits = edit_much(&mut world, 12);
+    assert!(n_edits >= 8 && !world.has_only_removals());
+    let material = LinearElastic::from_young_poisson(5e3, 0.4, 1000.0).unwrap();
+    let mut body = OrganBody::new(block([5, 5, 5], DVec3::splat(SIZE_M)), material, TIME_STEP_S);
+    body.fixed = fixed_nodes(&world.spec().supports, &body.mesh.positions_m);
+    body.damping = Rayleigh { mass_per_s: 60.0, stiffness_s: 0.0 };
+    world.queue_model_swap(10, ModelKind::TensorMass);
+    let model = build_model(&body, ModelKind::TensorMass).unwrap();
+    assert_eq!(world.deliver_model(model, ModelKind::TensorMass), Ok(true));
+    for _ in 0..50 {
+        assert_eq!(world.step(&StepInput::of(&[far])).n_non_finite_nodes, 0);
+    }
+    assert_eq!(world.model_kind(), ModelKind::TensorMass);
+    assert!(!world.undo_edit(), "edits of the model before cannot be taken back");
 }

@@ -6,6 +6,7 @@
 mod machine;
 mod model_edits;
 pub(crate) mod timing;
+mod world;
 mod body;
 mod meshing;
 mod models;
@@ -105,6 +106,7 @@ pub(crate) fn cases() -> Vec<Case> {
         drawing::CASES,
         hybrid_exchange::CASES,
         mesh_edits::CASES,
+        world::CASES,
     ]
     .concat()
 }

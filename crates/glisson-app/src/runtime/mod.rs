@@ -242,7 +242,11 @@ impl Simulation {
         self.record(&SessionEvent::QueueModelSwap { step, at_step, model: kind })?;
         self.world.queue_model_swap(at_step, kind);
         let body = Arc::clone(&self.body);
-        let live = self.world.organ().live_tetrahedra().to_vec();
+        // Of an organ with new tetrahedra the model is made whole, and follows the edits when it is delivered.
+        let mut live = self.world.organ().live_tetrahedra().to_vec();
+        if !self.world.has_only_removals() {
+            live = vec![true; self.body.mesh.tetrahedra.len()];
+        }
         self.builder = Some(std::thread::spawn(move || {
             let model = build_model_as_cut(&body, kind, &live)?;
             Ok((model, kind))

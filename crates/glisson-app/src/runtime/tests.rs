@@ -224,3 +224,37 @@ fn a_fresh_precomputation_is_ordered_where_the_cut_one_asks_for_it() {
     assert_eq!((ordered_at, fresh_at), (Some(20), Some(20 + 2_000)));
     assert!(simulation.notices().is_empty(), "{:?}", simulation.notices());
 }
+
+#[test]
+fn a_session_of_two_hands_with_cuts_and_undo_replays_to_the_same_bits() {
+    let folder = scene_folder();
+    let tools = "[[tool]]\nkind = \"hook\"\ntip_radius = \"5 mm\"\nhome_tip = [\"40 mm\", \"40 mm\", \"90 mm\"]\n\
+        home_shaft = [0, 0, 1]\ncut_force = \"1 mN\"\ncut_time = \"20 ms\"\n\
+        [[tool]]\nkind = \"grasper\"\ntip_radius = \"2 mm\"\nhome_tip = [\"60 mm\", \"60 mm\", \"60 mm\"]\n\
+        trocar = [\"100 mm\", \"100 mm\", \"200 mm\"]\nhome_jaw = 1\n";
+    let scene = SCENE[..SCENE.find("[tool]").unwrap()].to_owned() + tools;
+    std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+    let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+    let homes: Vec<ToolInput> = simulation.world().tools().iter().map(|tool| tool.home).collect();
+    let (mut n_held, mut n_cut) = (0, 0);
+    for step in 0..400_u32 {
+        let mut tools = homes.clone();
+        tools[0].tip_in_world_m.z -= 0.05 * (f64::from(step) * 0.01).sin().abs();
+        tools[0].trigger = if step > 150 { 1.0 } else { 0.0 };
+        tools[1].jaw_opening = if step > 20 { 0.0 } else { 1.0 };
+        tools[1].tip_in_world_m.z += 2e-5 * f64::from(step.min(100));
+        let report = simulation.advance(&StepInput::of(&tools)).unwrap();
+        n_held = n_held.max(report.tools[1].n_held_nodes);
+        n_cut = n_cut.max(simulation.world().n_edits_to_undo());
+        if step == 380 {
+            simulation.undo_edit().unwrap();
+        }
+    }
+    assert!(n_held > 0 && n_cut > 0, "{n_held} held, {n_cut} cut: {:?}", simulation.notices());
+    let hash = simulation.finish().unwrap();
+    let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+    assert!(text.contains("\"undo_edit\""));
+    let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
+    assert_eq!((report.state_hash, report.recorded_hash), (hash, Some(hash)));
+}

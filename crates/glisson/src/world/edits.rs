@@ -2,6 +2,7 @@
 //! vessels follow together, or nothing changes. The last edits can be taken back, last in, first out; every number has
 //! its bits from before.
 
+use super::active::ActiveTip;
 use super::hand::Hand;
 use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
@@ -11,6 +12,9 @@ use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyCha
 use crate::mesh::topology::TopologyError;
 use crate::mesh::{TetId, TetMesh};
 use crate::model::{DeformableModel, ModelUndo, TopologyRefusal};
+use crate::tool::cautery::TissueHeat;
+use crate::tool::cut::scalpel::ScalpelRefusal;
+use crate::tool::cut::subdivision::CutRefusal;
 use std::collections::VecDeque;
 
 /// Why an edit of the organ was refused. Nothing changed.
@@ -25,6 +29,12 @@ pub enum EditRefusal {
     /// The mesh is no mesh.
     #[error(transparent)]
     Topology(#[from] TopologyError),
+    /// A blade's step makes no cut that the mesh can bear.
+    #[error(transparent)]
+    Cut(#[from] CutRefusal),
+    /// A scalpel cannot be followed.
+    #[error(transparent)]
+    Scalpel(#[from] ScalpelRefusal),
 }
 
 /// Edits that can be taken back, unless told otherwise: a choice.
@@ -43,6 +53,7 @@ struct EditRecord {
     organ: OrganBefore,
     loads: LoadsBefore,
     hands: Vec<Hand>,
+    heat: Vec<TissueHeat>,
     vessels: Option<Vessels>,
     /// Steps made when the edit was.
     step: u64,
@@ -181,6 +192,8 @@ impl World {
     fn let_all_follow(&mut self, record: &mut EditRecord) {
         record.step = self.step;
         record.hands.clone_from(&self.hands);
+        record.heat.clear();
+        record.heat.extend(self.active.iter().map(ActiveTip::heat));
         record.vessels.clone_from(&self.vessels);
         let change = &record.change;
         self.organ.follow_edit(change, &mut record.organ);
@@ -190,6 +203,9 @@ impl World {
         let topology = self.organ.body().topology();
         for hand in &mut self.hands {
             hand.follow(topology);
+        }
+        for active in &mut self.active {
+            active.follow(self.organ.body(), change);
         }
         if let Some(vessels) = &mut self.vessels {
             vessels.follow(self.organ.body(), change);
@@ -218,6 +234,9 @@ impl World {
         } else {
             self.hands.iter_mut().for_each(Hand::let_go);
             self.organ.rest_at(self.model.state().positions_m);
+        }
+        for (active, heat) in self.active.iter_mut().zip(&record.heat) {
+            active.go_back_to(heat);
         }
         self.owners.clear();
         self.constraints.displacements.clear();

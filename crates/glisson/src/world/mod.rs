@@ -3,6 +3,7 @@
 //! Stages of a step, in order: hands, contacts and grasps, constraints and loads, model, forces. Cuts are made
 //! between steps ([`World::edit`], [`World::cut_with_tools`]). A step never fails, allocates, locks, logs or reads a clock.
 
+mod active;
 mod constrain;
 mod cut;
 mod edits;
@@ -13,6 +14,7 @@ pub mod organ;
 mod parts;
 pub mod saved;
 mod skin;
+mod slide;
 pub mod spec;
 pub mod touch;
 pub mod vessels;
@@ -30,6 +32,7 @@ use crate::model::{Constraints, DeformableModel, ModelReport, ModelState};
 use crate::record::hash::StateHash;
 use crate::record::snapshot::{ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
+use active::ActiveTip;
 use constrain::{MOST_IMPOSED, Owner};
 use edits::Journal;
 use hand::Hand;
@@ -113,6 +116,7 @@ pub struct World {
     model_kind: ModelKind,
     swap: Option<QueuedSwap>,
     hands: Vec<Hand>,
+    active: Vec<ActiveTip>,
     vessels: Option<Vessels>,
     journal: Journal,
     /// What models that are made later are made from.
@@ -155,6 +159,7 @@ impl World {
         };
         let loads = Loads::new(&spec, &organ);
         let hands = spec.tools.iter().map(Hand::at_home).collect();
+        let active = spec.tools.iter().map(|tool| ActiveTip::new(tool, organ.body())).collect();
         let mut constraints = Constraints::default();
         constraints.displacements.reserve(MOST_IMPOSED);
         constraints.forces.reserve(organ.mesh().positions_m.len());
@@ -166,6 +171,7 @@ impl World {
             model_kind: kind,
             swap: None,
             hands,
+            active,
             vessels,
             journal: Journal::new(),
             mesh_of_the_start,
@@ -209,7 +215,8 @@ impl World {
     /// and grasps, gravity, the loads' clock. A model that was ordered counts from its first step on.
     pub fn state_hash(&self) -> StateHash {
         let gravity = self.gravity_m_per_s2.to_array();
-        let hands = self.hands.iter().flat_map(Hand::numbers);
+        let active = self.active.iter().flat_map(ActiveTip::numbers);
+        let hands = self.hands.iter().flat_map(Hand::numbers).chain(active);
         let surroundings: Vec<f64> =
             gravity.into_iter().chain(self.loads.clock(self.step)).chain(hands).collect();
         StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
@@ -266,6 +273,7 @@ impl World {
         for (hand, tool) in self.hands.iter_mut().zip(&self.spec.tools) {
             *hand = Hand::at_home(tool);
         }
+        self.active.iter_mut().for_each(ActiveTip::lift);
         self.owners.clear();
         self.constraints.displacements.clear();
         self.constraints.forces.clear();

@@ -59,6 +59,9 @@ pub(super) fn put_back(
     *array = EntityArray::new(values);
 }
 
+/// Tetrahedra that cuts may add before tables have to be moved: a choice.
+const SPARE_TETS: usize = 1000;
+
 /// Mesh, supports and moving surface of one organ.
 #[derive(Clone, Debug)]
 pub struct Organ {
@@ -84,7 +87,9 @@ impl Organ {
         for held in fixed_nodes(supports, &mesh.positions_m) {
             fixed[held.node.index()] = held.axes == [true; 3];
         }
-        let body = EditableMesh::new(mesh)?;
+        let mut body = EditableMesh::new(mesh)?;
+        // The first cuts move no tables.
+        body.reserve(SPARE_TETS);
         let surface_nodes = body.topology().surface_nodes().collect();
         let skin = Skin::new(&body, &body.mesh().positions_m);
         Ok(Self { body, fixed: EntityArray::new(fixed), surface_nodes, skin, topology_version: 1 })

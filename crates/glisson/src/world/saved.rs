@@ -34,6 +34,7 @@ impl World {
             model_kind: self.model_kind,
             swap,
             hands: self.hands.clone(),
+            active: self.active.clone(),
             vessels: self.vessels.clone(),
             journal: self.journal.without_undo(),
             mesh_of_the_start: Arc::clone(&self.mesh_of_the_start),

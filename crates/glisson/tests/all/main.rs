@@ -38,6 +38,7 @@ mod reference_cases;
 mod reduced;
 mod surfaces;
 mod world_steps;
+mod world_tools;
 mod mesh_edits;
 mod mesh_quality;
 mod mesh_repair;

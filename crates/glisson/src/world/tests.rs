@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::mesh::{NodeId, TetId};
-use crate::model::ImposedDisplacement;
+use crate::mesh::edit::{MeshEdit, TopologyChange};
+use crate::model::{ImposedDisplacement, TopologyRefusal};
 use crate::tool::Tool;
 use spec::{Region, Support};
 

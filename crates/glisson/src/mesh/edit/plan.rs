@@ -185,10 +185,9 @@ impl EditableMesh {
     /// Takes out what goes and puts in what comes. Edges, triangles and nodes that are left without a tetrahedron
     /// for a moment in between keep their ids.
     fn replace_tets(&mut self, plan: &Plan, change: &mut TopologyChange, undo: &mut MeshUndo) {
-        let pieces = change.pieces;
         let from = [change.nodes.removed.len(), change.edges.removed.len(), change.triangles.removed.len()];
         for &tet in &plan.doomed {
-            self.topology.detach_tet(tet, change);
+            self.topology.take_out(tet, change);
             undo.save_removal(tet);
         }
         let mut waiting = std::mem::take(&mut self.scratch.waiting);
@@ -200,7 +199,6 @@ impl EditableMesh {
         }
         self.scratch.waiting = waiting;
         self.forget_revived(from, change);
-        change.pieces = pieces;
     }
 
     /// Strikes out what is live again from the lists of what was removed, from the given places on.

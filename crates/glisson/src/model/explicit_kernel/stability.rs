@@ -77,6 +77,16 @@ impl Stability {
         let stretch = params.largest_stretch;
         let tangents_pa: Vec<f64> =
             params.laws.iter().map(|law| largest_tangent_eigenvalue_pa(law.as_ref(), stretch)).collect();
+        // The search over stretches costs more than everything else about a tetrahedron: once for one material.
+        let of_one = match (params.law, params.materials) {
+            (KernelLaw::NeoHookeLog, [one]) => {
+                Some(largest_tangent_eigenvalue_pa(&NeoHookeLog::from(one), stretch))
+            }
+            (KernelLaw::StableNeoHooke, [one]) => {
+                Some(largest_tangent_eigenvalue_pa(&StableNeoHooke::from(one), stretch))
+            }
+            _ => None,
+        };
         let stiff = |tet: TetId, gradients: &P1Gradients| -> StiffTet {
             let material = params.material(tet);
             let law = match params.fibres.get(tet.index()) {
@@ -87,7 +97,9 @@ impl Stability {
             // lambda + 2 mu.
             let wave_pa = (material.lambda_pa() + 2.0 * material.mu_pa()).max(material.mu_pa());
             let of_tangent = |tangent_pa: f64| (tangent_pa / wave_pa).max(1.0);
-            let of_law = |law: &dyn Material| of_tangent(largest_tangent_eigenvalue_pa(law, stretch));
+            let of_law = |law: &dyn Material| {
+                of_tangent(of_one.unwrap_or_else(|| largest_tangent_eigenvalue_pa(law, stretch)))
+            };
             let stiffening = match params.law {
                 KernelLaw::Linear if params.volume_penalty_pa == 0.0 => 1.0,
                 KernelLaw::Linear | KernelLaw::StVenantKirchhoff => {

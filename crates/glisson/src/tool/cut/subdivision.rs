@@ -165,8 +165,8 @@ pub struct SubdivisionCut {
 struct Stroke {
     /// Tip and heel where the last piece ended [m].
     blade_m: Option<[DVec3; 2]>,
-    /// The inner end of the cut, along the blade.
-    front: Vec<NodeId>,
+    /// The inner end of the cut, along the blade, and whether an end of the blade is there.
+    front: Vec<(NodeId, bool)>,
     /// First and last of the front along the blade, with where the blade's ends are between and beyond them
     /// (share) and beside them [m].
     anchor: Option<Anchor>,
@@ -246,18 +246,21 @@ impl SubdivisionCut {
     /// Follows an edit that is not its own.
     pub fn topology_changed(&mut self, change: &TopologyChange) {
         let lost = |n: NodeId| change.nodes.removed.binary_search(&n).is_ok();
-        self.stroke.front.retain(|&n| !lost(n));
+        self.stroke.front.retain(|&(n, _)| !lost(n));
         if self.stroke.anchor.is_some_and(|a| a.nodes.into_iter().any(lost)) {
             self.stroke.anchor = None;
         }
-        change.nodes.renumber_list(&mut self.stroke.front);
-        if let (Some(anchor), false) = (&mut self.stroke.anchor, change.nodes.new_ids.is_empty()) {
-            let new = anchor.nodes.map(|n| change.nodes.new_ids[n.index()]);
-            match new {
-                [Some(a), Some(b)] => anchor.nodes = [a, b],
-                _ => self.stroke.anchor = None,
-            }
+        if change.nodes.new_ids.is_empty() {
+            return;
         }
+        let renumbered = |n: NodeId| change.nodes.new_ids[n.index()];
+        let front = std::mem::take(&mut self.stroke.front);
+        self.stroke.front =
+            front.into_iter().filter_map(|(n, is_end)| Some((renumbered(n)?, is_end))).collect();
+        self.stroke.anchor = self.stroke.anchor.and_then(|anchor| {
+            let [a, b] = anchor.nodes.map(renumbered);
+            Some(Anchor { nodes: [a?, b?], ..anchor })
+        });
     }
 
     /// Checks the input; where the blade was, carried along by the tissue.
@@ -295,13 +298,16 @@ impl SubdivisionCut {
         self.before = self.stroke.clone();
         let sweeps = Sweep::of_blade(from_m, blade_m);
         let mut report = CutReport::default();
-        for attempt in 0..=COARSER.len() {
-            let share = if attempt == 0 { self.params.snap_share } else { COARSER[attempt - 1] };
-            if attempt > 0 && share <= self.params.snap_share {
-                continue;
-            }
-            report = self.attempt(body, &sweeps, share);
-            report.n_coarser = usize::from(attempt > 0);
+        for attempt in 0..COARSER.len() + 2 {
+            let wished = self.params.snap_share;
+            let (share, share_of_fixed) = match attempt {
+                0 => (wished, 0.5 * wished),
+                1 => (wished, wished),
+                _ if COARSER[attempt - 2] <= wished => continue,
+                _ => (COARSER[attempt - 2], COARSER[attempt - 2]),
+            };
+            report = self.attempt(body, &sweeps, share, share_of_fixed);
+            report.n_coarser = usize::from(attempt > 1);
             let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
             if report.min_dihedral_deg >= limit_deg {
                 return Ok(self.accept(body, blade_m, report));
@@ -320,18 +326,20 @@ impl SubdivisionCut {
     }
 
     /// Works the cut out in the patch, not opened yet.
-    fn attempt(&mut self, body: Body<'_>, sweeps: &[Option<Sweep>; 2], share: f64) -> CutReport {
+    fn attempt(&mut self, body: Body<'_>, sweeps: &[Option<Sweep>; 2], share: f64, share_of_fixed: f64) -> CutReport {
         let Self { params, stroke, patch, .. } = self;
         patch.start(body.mesh);
-        let snapping = Snapping {
-            share,
-            length_m: params.snap_length_m,
-            front_m: params.front_reach_m,
-            max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
-        };
-        for &node in &stroke.front {
+        let snapping =
+            Snapping {
+                share,
+                share_of_fixed,
+                length_m: params.snap_length_m,
+                front_m: params.front_reach_m,
+                max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
+            };
+        for &(node, is_end) in &stroke.front {
             if body.mesh.topology().is_live_node(node) {
-                patch.pull_front(body, node);
+                patch.pull_front(body, node, is_end);
             }
         }
         let mut report = CutReport::default();
@@ -360,18 +368,23 @@ impl SubdivisionCut {
     }
 
     /// Opens the cut that is in the patch, and goes on from there.
-    fn accept(&mut self, body: Body<'_>, blade_m: [DVec3; 2], mut report: CutReport) -> Option<Replacement> {
+    fn accept(
+        &mut self,
+        body: Body<'_>,
+        blade_m: [DVec3; 2],
+        mut report: CutReport,
+    ) -> Option<Replacement> {
         let Self { stroke, patch, .. } = self;
         let front = patch.front.clone();
         opening::open(patch, body);
         let (edit, ids) = opening::replacement(patch, body.mesh.topology().n_nodes());
         stroke.blade_m = Some(blade_m);
-        stroke.front = front.iter().filter_map(|&n| ids[n as usize]).collect();
+        stroke.front = front.iter().filter_map(|&(n, is_end)| Some((ids[n as usize]?, is_end))).collect();
         stroke.anchor = None;
         let along = blade_m[1] - blade_m[0];
         let place = |n: u32| (patch.nodes[n as usize].present_m - blade_m[0]).dot(along);
-        let first = front.iter().copied().min_by(|&a, &b| place(a).total_cmp(&place(b)));
-        let last = front.iter().copied().max_by(|&a, &b| place(a).total_cmp(&place(b)));
+        let first = front.iter().map(|f| f.0).min_by(|&a, &b| place(a).total_cmp(&place(b)));
+        let last = front.iter().map(|f| f.0).max_by(|&a, &b| place(a).total_cmp(&place(b)));
         if let (Some(first), Some(last)) = (first, last)
             && let (Some(a), Some(b)) = (ids[first as usize], ids[last as usize])
         {

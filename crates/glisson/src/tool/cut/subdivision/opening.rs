@@ -14,6 +14,14 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> usize {
     for &node in &nodes {
         patch.pull_star(body, node);
     }
+    // Both sides of what opens belong to the edit, also where only one gets copies.
+    for at in 0..patch.cut.len() {
+        let [a, b, c] = patch.cut[at];
+        for tet in patch.star(a).to_vec() {
+            let this = &mut patch.tets[tet as usize];
+            this.is_old &= !(this.nodes.contains(&b) && this.nodes.contains(&c));
+        }
+    }
     let mut groups = Groups::default();
     // The faces are known by the nodes from before; copies stand for their origin.
     let mut origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();

@@ -19,22 +19,25 @@ pub(super) struct Body<'a> {
     pub(super) present_m: &'a [DVec3],
 }
 
-/// A point as a blend of up to four nodes of the mesh.
+/// Most nodes of the mesh that a point is a blend of: four, more between points that have moved.
+const MAX_PARENTS: usize = 12;
+
+/// A point as a blend of nodes of the mesh.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Blend {
     n: usize,
-    nodes: [NodeId; 4],
-    weights: [f64; 4],
+    nodes: [NodeId; MAX_PARENTS],
+    weights: [f64; MAX_PARENTS],
 }
 
 impl Blend {
     fn of(node: NodeId) -> Self {
-        Self { n: 1, nodes: [node; 4], weights: [1.0, 0.0, 0.0, 0.0] }
+        Self::of_corners([node; 4], [1.0, 0.0, 0.0, 0.0])
     }
 
     /// Of corners of one tetrahedron, those with no weight left out.
     pub(super) fn of_corners(nodes: [NodeId; 4], weights: [f64; 4]) -> Self {
-        let mut blend = Self { n: 0, nodes, weights: [0.0; 4] };
+        let mut blend = Self { n: 0, nodes: [nodes[0]; MAX_PARENTS], weights: [0.0; MAX_PARENTS] };
         for (node, weight) in nodes.into_iter().zip(weights) {
             if weight != 0.0 {
                 blend.nodes[blend.n] = node;
@@ -45,7 +48,7 @@ impl Blend {
         blend
     }
 
-    /// The point `share` of the way from `self` to `other`; `None` if they share no tetrahedron.
+    /// The point `share` of the way from `self` to `other`; `None` if that takes too many nodes.
     fn towards(&self, other: &Self, share: f64) -> Option<Self> {
         let mut mixed = *self;
         for weight in &mut mixed.weights {
@@ -54,7 +57,7 @@ impl Blend {
         for (node, weight) in other.parents() {
             if let Some(at) = mixed.nodes[..mixed.n].iter().position(|&n| n == node) {
                 mixed.weights[at] += share * weight;
-            } else if mixed.n < 4 {
+            } else if mixed.n < MAX_PARENTS {
                 mixed.nodes[mixed.n] = node;
                 mixed.weights[mixed.n] = share * weight;
                 mixed.n += 1;
@@ -85,6 +88,8 @@ pub(super) struct PatchNode {
     pub(super) line_labels: [i8; 4],
     /// On the front of the stroke so far.
     pub(super) is_front: bool,
+    /// Where the front meets the way of the blade's end.
+    pub(super) is_front_end: bool,
     /// All tetrahedra at the node are in the patch.
     has_whole_star: bool,
 }
@@ -114,8 +119,8 @@ pub(super) struct Patch {
     pulled_tets: Vec<TetId>,
     /// Faces to be opened, corners ascending.
     pub(super) cut: Vec<[u32; 3]>,
-    /// Nodes of these faces where the blade is now.
-    pub(super) front: Vec<u32>,
+    /// Nodes of these faces where the blade is now, and whether its end is there.
+    pub(super) front: Vec<(u32, bool)>,
 }
 
 /// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
@@ -160,9 +165,9 @@ impl Patch {
         self.front.clear();
     }
 
-    /// Whether the tetrahedron of the mesh is in the patch, changed or not.
-    pub(super) fn has_tet(&self, tet: TetId) -> bool {
-        self.tet_here[tet.index()] != ABSENT
+    /// Whether the tetrahedron of the mesh was in the patch, changed or not, when it had `n_before`.
+    pub(super) fn had_tet(&self, tet: TetId, n_before: u32) -> bool {
+        self.tet_here[tet.index()] < n_before
     }
 
     pub(super) fn node_here(&self, node: NodeId) -> Option<u32> {
@@ -196,6 +201,7 @@ impl Patch {
             label: UNKNOWN,
             line_labels: [UNKNOWN; 4],
             is_front: false,
+            is_front_end: false,
             has_whole_star: false,
         });
         self.node_here[node.index()] = here;
@@ -279,8 +285,9 @@ impl Patch {
     }
 
     /// Brings a node of the stroke's front in.
-    pub(super) fn pull_front(&mut self, body: Body<'_>, node: NodeId) {
+    pub(super) fn pull_front(&mut self, body: Body<'_>, node: NodeId, is_end: bool) {
         let here = self.pull_node(body, node);
+        self.nodes[here as usize].is_front_end = is_end;
         self.nodes[here as usize].is_front = true;
     }
 
@@ -350,7 +357,7 @@ impl Patch {
     }
 
     /// Puts a node on the edge from `a` to `b` and divides the tetrahedra there; `None` (and nothing done) if
-    /// the edge runs through more than one tetrahedron of the mesh.
+    /// it would be a blend of too many nodes.
     pub(super) fn split_edge(&mut self, body: Body<'_>, [a, b]: [u32; 2], share: f64) -> Option<u32> {
         self.pull_edge(body, [a, b]);
         let (from, to) = (self.nodes[a as usize], self.nodes[b as usize]);
@@ -363,6 +370,7 @@ impl Patch {
             label: 0,
             line_labels: [UNKNOWN; 4],
             is_front: false,
+            is_front_end: false,
             has_whole_star: true,
         });
         let star = std::mem::take(&mut self.stars[a as usize]);

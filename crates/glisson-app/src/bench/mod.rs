@@ -20,6 +20,7 @@ mod collision;
 pub(crate) mod colliding;
 mod drawing;
 mod hybrid_exchange;
+mod scalpel;
 
 pub(crate) use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;
@@ -99,6 +100,7 @@ pub(crate) fn cases() -> Vec<Case> {
         collision::CASES,
         drawing::CASES,
         hybrid_exchange::CASES,
+        scalpel::CASES,
     ]
     .concat()
 }

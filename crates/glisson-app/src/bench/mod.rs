@@ -15,9 +15,10 @@ mod implicit;
 mod kernel;
 mod reference;
 mod reduced;
-mod contact;
+pub(crate) mod contact;
 mod collision;
 pub(crate) mod colliding;
+pub(crate) mod response;
 mod drawing;
 mod hybrid_exchange;
 mod scalpel;
@@ -98,6 +99,7 @@ pub(crate) fn cases() -> Vec<Case> {
         reduced::CASES,
         contact::CASES,
         collision::CASES,
+        response::CASES,
         drawing::CASES,
         hybrid_exchange::CASES,
         scalpel::CASES,

@@ -4,6 +4,7 @@ mod adaptive;
 mod benchmarks;
 mod bodies;
 mod contact_physics;
+mod contact_response;
 mod cutting;
 mod detection;
 mod elasticity;
@@ -150,6 +151,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "detection",
         about: "Contact detection: fast tools that must not pass through, pairs of triangles against brute force.",
         run: detection::experiments,
+    },
+    Group {
+        name: "contact_response",
+        about: "Local responses to contact: the cubes of seed 000 by penalty, impulse and geometric alteration.",
+        run: contact_response::experiments,
     },
     Group {
         name: "indentation",

@@ -10,6 +10,7 @@ mod kernel_laws;
 mod explicit_kernel;
 mod hybrid_exchange;
 mod hybrid_nonlinear;
+mod hybrid_scene;
 mod integrators;
 mod implicit;
 mod implicit_loads;

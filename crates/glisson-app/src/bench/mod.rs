@@ -22,6 +22,7 @@ pub(crate) mod response;
 mod drawing;
 mod hybrid_exchange;
 mod scalpel;
+mod mesh_edits;
 
 pub(crate) use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;
@@ -103,6 +104,7 @@ pub(crate) fn cases() -> Vec<Case> {
         drawing::CASES,
         hybrid_exchange::CASES,
         scalpel::CASES,
+        mesh_edits::CASES,
     ]
     .concat()
 }

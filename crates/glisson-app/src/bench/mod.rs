@@ -23,6 +23,7 @@ pub(crate) mod colliding;
 pub(crate) mod response;
 mod drawing;
 mod hybrid_exchange;
+mod scalpel;
 mod mesh_edits;
 
 pub(crate) use machine::{Machine, MachineBudget};
@@ -105,6 +106,7 @@ pub(crate) fn cases() -> Vec<Case> {
         response::CASES,
         drawing::CASES,
         hybrid_exchange::CASES,
+        scalpel::CASES,
         mesh_edits::CASES,
         world::CASES,
     ]

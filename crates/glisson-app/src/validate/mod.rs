@@ -13,6 +13,7 @@ mod hybrid_condensed;
 mod image;
 mod indentation;
 mod interaction;
+mod mesh_repair;
 mod model_rheology;
 mod precomputed_cutting;
 mod precompute;
@@ -215,6 +216,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "precomputed_cutting",
         about: "Cutting the pre-computed liver: errors against fresh pre-computations, time of a removal, hinges.",
         run: precomputed_cutting::experiments,
+    },
+    Group {
+        name: "mesh_repair",
+        about: "Shape of tetrahedra, cuts by vertex displacement, and their repair by collapse and by remeshing.",
+        run: mesh_repair::experiments,
     },
     Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
     Group {

@@ -113,6 +113,21 @@ fn strokes_open_the_area_they_sweep() {
         body.check(volume, &format!("trial {trial}"));
         let euler = body.mesh.topology().surface_euler_characteristic();
         println!("   euler {euler} pieces {}", body.pieces());
+        let pinches = body.mesh.topology().pinches();
+        for n in &pinches.nodes { println!("   PINCH node {n} {:?}", body.positions_m[n.index()] * 1e3); }
+        for e in &pinches.edges { println!("   PINCH edge {:?}", body.mesh.topology().edge_nodes(*e).map(|n| body.positions_m[n.index()] * 1e3)); }
+        let mesh = body.mesh.live_mesh();
+        let (surface, _) = glisson::mesh::quality::surface_triangles(&mesh);
+        // components through edges
+        let mut comp: Vec<usize> = (0..surface.len()).collect();
+        fn root(c: &mut Vec<usize>, mut i: usize) -> usize { while c[i] != i { c[i] = c[c[i]]; i = c[i]; } i }
+        let mut by_edge: BTreeMap<[u32; 2], Vec<usize>> = BTreeMap::new();
+        for (t, f) in surface.iter().enumerate() { for k in 0..3 { let (a, b) = (f[k], f[(k + 1) % 3]); by_edge.entry([a.min(b), a.max(b)]).or_default().push(t); } }
+        for ts in by_edge.values() { for w in ts.windows(2) { let (a, b) = (root(&mut comp, w[0]), root(&mut comp, w[1])); comp[a] = b; } }
+        let mut count: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for t in 0..surface.len() { let r = root(&mut comp, t); count.entry(r).or_default().push(t); }
+        if count.len() > 1 { for (r, ts) in &count { println!("   COMPONENT {} near {:?}", ts.len(), mesh.positions_m[surface[*r][0] as usize] * 1e3); } }
+
     }
 }
 

@@ -364,7 +364,7 @@ impl Patch {
             rest_m: from.rest_m.lerp(to.rest_m, share),
             present_m: from.present_m.lerp(to.present_m, share),
             blend: from.blend.towards(&to.blend, share)?,
-            distance_m: 0.0,
+            distance_m: (1.0 - share) * from.distance_m + share * to.distance_m,
             label: 0,
             line_labels: [UNKNOWN; 4],
             is_front: false,

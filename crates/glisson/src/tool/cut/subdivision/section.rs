@@ -73,24 +73,31 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
     let n_snapped = work.n_snapped;
     if let Some(k) = (0..sweep.n_lines()).find(|&k| sweep.side(k) == Side::Front) {
-        let labels = |n: u32| patch.nodes[n as usize].line_labels;
-        let is_end = |n: u32| {
-            (0..sweep.n_lines()).any(|k| sweep.side(k) == Side::Way && labels(n)[k] == 0)
-        };
-        let front: Vec<(u32, bool)> = inside
-            .iter()
-            .flatten()
-            .filter(|&&n| labels(n)[k] == 0)
-            .map(|&n| (n, is_end(n)))
-            .collect();
-        patch.front.extend(front);
-        patch.front.sort_unstable();
-        patch.front.dedup();
+        add_front(patch, sweep, k, &inside, snapping.front_m);
     }
     patch.cut.extend(inside);
     patch.cut.sort_unstable();
     patch.cut.dedup();
     Section { swept_area_m2, n_touched, n_snapped }
+}
+
+/// Adds the nodes on the rim of `faces` that are at line `k`.
+fn add_front(patch: &mut Patch, sweep: &Sweep, k: usize, faces: &[[u32; 3]], reach_m: f64) {
+    let mut rim: Vec<[u32; 2]> = faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [a, c]]).collect();
+    rim.sort_unstable();
+    for edge in rim.chunk_by(|e, f| e == f).filter(|same| same.len() == 1).map(|same| same[0]) {
+        let nodes = edge.map(|n| patch.nodes[n as usize]);
+        if nodes.iter().any(|n| sweep.inside_m(k, n.present_m).abs() > reach_m) {
+            continue;
+        }
+        for (place, node) in edge.into_iter().zip(nodes) {
+            let is_end =
+                (0..sweep.n_lines()).any(|k| sweep.side(k) == Side::Way && node.line_labels[k] == 0);
+            patch.front.push((place, is_end));
+        }
+    }
+    patch.front.sort_unstable();
+    patch.front.dedup();
 }
 
 impl Work<'_> {

@@ -167,6 +167,8 @@ struct Stroke {
     blade_m: Option<[DVec3; 2]>,
     /// The inner end of the cut, along the blade, and whether an end of the blade is there.
     front: Vec<(NodeId, bool)>,
+    /// Faces of the cut that are closed for now: all of their nodes are on its rim.
+    closed: Vec<[NodeId; 3]>,
     /// First and last of the front along the blade, with where the blade's ends are between and beyond them
     /// (share) and beside them [m].
     anchor: Option<Anchor>,
@@ -247,6 +249,7 @@ impl SubdivisionCut {
     pub fn topology_changed(&mut self, change: &TopologyChange) {
         let lost = |n: NodeId| change.nodes.removed.binary_search(&n).is_ok();
         self.stroke.front.retain(|&(n, _)| !lost(n));
+        self.stroke.closed.retain(|face| !face.iter().any(|&n| lost(n)));
         if self.stroke.anchor.is_some_and(|a| a.nodes.into_iter().any(lost)) {
             self.stroke.anchor = None;
         }
@@ -257,6 +260,9 @@ impl SubdivisionCut {
         let front = std::mem::take(&mut self.stroke.front);
         self.stroke.front =
             front.into_iter().filter_map(|(n, is_end)| Some((renumbered(n)?, is_end))).collect();
+        let closed = std::mem::take(&mut self.stroke.closed);
+        let of_face = |[a, b, c]: [NodeId; 3]| Some([renumbered(a)?, renumbered(b)?, renumbered(c)?]);
+        self.stroke.closed = closed.into_iter().filter_map(of_face).collect();
         self.stroke.anchor = self.stroke.anchor.and_then(|anchor| {
             let [a, b] = anchor.nodes.map(renumbered);
             Some(Anchor { nodes: [a?, b?], ..anchor })
@@ -315,6 +321,7 @@ impl SubdivisionCut {
         }
         self.stroke.blade_m = Some(blade_m);
         self.stroke.front.clear();
+        self.stroke.closed.clear();
         self.stroke.anchor = None;
         self.stroke.report.add(&CutReport {
             swept_area_m2: report.swept_area_m2,
@@ -342,6 +349,9 @@ impl SubdivisionCut {
                 patch.pull_front(body, node, is_end);
             }
         }
+        for &face in &stroke.closed {
+            patch.pull_closed(body, face);
+        }
         let mut report = CutReport::default();
         for sweep in sweeps.iter().flatten() {
             let section = conform(patch, body, sweep, snapping);
@@ -349,7 +359,6 @@ impl SubdivisionCut {
             report.n_touched += section.n_touched;
             report.n_snapped += section.n_snapped;
         }
-        report.cut_area_m2 = patch.cut_area_m2();
         // The largest cosine is that of the smallest angle.
         let mut cosines = [-1.0f64; 2];
         for tet in &patch.tets {
@@ -376,10 +385,16 @@ impl SubdivisionCut {
     ) -> Option<Replacement> {
         let Self { stroke, patch, .. } = self;
         let front = patch.front.clone();
-        opening::open(patch, body);
+        let opened = opening::open(patch, body);
+        report.cut_area_m2 = opened.area_m2;
         let (edit, ids) = opening::replacement(patch, body.mesh.topology().n_nodes());
         stroke.blade_m = Some(blade_m);
         stroke.front = front.iter().filter_map(|&(n, is_end)| Some((ids[n as usize]?, is_end))).collect();
+        let of_face = |face: &[u32; 3]| -> Option<[NodeId; 3]> {
+            let [a, b, c] = face.map(|n| ids[n as usize]);
+            Some([a?, b?, c?])
+        };
+        stroke.closed = opened.closed.iter().filter_map(of_face).collect();
         stroke.anchor = None;
         let along = blade_m[1] - blade_m[0];
         let place = |n: u32| (patch.nodes[n as usize].present_m - blade_m[0]).dot(along);

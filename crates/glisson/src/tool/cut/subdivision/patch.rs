@@ -290,13 +290,28 @@ impl Patch {
         self.nodes[here as usize].is_front = true;
     }
 
-    /// Area [m2] of the faces to be opened, in the present shape.
-    pub(super) fn cut_area_m2(&self) -> f64 {
-        let area_m2 = |face: &[u32; 3]| {
-            let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
-            0.5 * (b - a).cross(c - a).length()
+    /// Brings a face in that an earlier step left closed.
+    pub(super) fn pull_closed(&mut self, body: Body<'_>, face: [NodeId; 3]) {
+        let topology = body.mesh.topology();
+        let [a, b, c] = face;
+        let has_face = |&&t: &&TetId| {
+            let nodes = topology.tet_nodes(t);
+            nodes.contains(&b) && nodes.contains(&c)
         };
-        self.cut.iter().map(area_m2).sum()
+        let tets: Vec<TetId> = topology.node_tets(a).iter().filter(has_face).copied().collect();
+        if tets.len() == 2 {
+            for tet in tets {
+                self.pull_tet(body, tet);
+            }
+            let face = face.map(|n| self.pull_node(body, n));
+            self.cut.push(sorted(face));
+        }
+    }
+
+    /// Area [m2] of a face in the present shape.
+    pub(super) fn face_area_m2(&self, face: [u32; 3]) -> f64 {
+        let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
+        0.5 * (b - a).cross(c - a).length()
     }
 
     /// The place of a tetrahedron of the mesh in the patch.

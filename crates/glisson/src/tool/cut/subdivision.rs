@@ -147,8 +147,9 @@ pub enum CutRefusal {
     },
 }
 
-/// How much more snaps with every further attempt: shares of an edge; with one half everything snaps.
-const COARSER: [f64; 3] = [0.3, 0.4, 0.5];
+/// How much more snaps with every further attempt: shares of an edge for nodes that can move onto the cut, and
+/// for those that cannot. With one half everything snaps.
+const COARSER: [[f64; 2]; 6] = [[0.2, 0.2], [0.25, 0.15], [0.25, 0.25], [0.3, 0.3], [0.4, 0.4], [0.5, 0.5]];
 
 /// A stroke of a blade.
 #[derive(Clone, Debug)]
@@ -304,16 +305,14 @@ impl SubdivisionCut {
         self.before = self.stroke.clone();
         let sweeps = Sweep::of_blade(from_m, blade_m);
         let mut report = CutReport::default();
-        for attempt in 0..COARSER.len() + 2 {
-            let wished = self.params.snap_share;
-            let (share, share_of_fixed) = match attempt {
-                0 => (wished, 0.5 * wished),
-                1 => (wished, wished),
-                _ if COARSER[attempt - 2] <= wished => continue,
-                _ => (COARSER[attempt - 2], COARSER[attempt - 2]),
-            };
+        let wished = self.params.snap_share;
+        let first = [[wished, 0.5 * wished]];
+        for (attempt, &[share, share_of_fixed]) in first.iter().chain(&COARSER).enumerate() {
+            if attempt > 0 && share < wished {
+                continue;
+            }
             report = self.attempt(body, &sweeps, share, share_of_fixed);
-            report.n_coarser = usize::from(attempt > 1);
+            report.n_coarser = usize::from(attempt > 0);
             let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
             if report.min_dihedral_deg >= limit_deg {
                 return Ok(self.accept(body, blade_m, report));

@@ -179,7 +179,9 @@ impl Work<'_> {
             let face = FACES[apex].map(|i| corners_m[i]);
             let [whole_m2, inside_m2] = self.sweep.triangle_areas_m2(face);
             let nodes = FACES[apex].map(|i| self.patch.tets[tet as usize].nodes[i]);
-            let share = if self.is_on_skin(nodes) { 0.0 } else { 0.5 };
+            // Next to the former place of the blade the cut may be open already.
+            let is_counted = !self.is_on_skin(nodes) || self.is_at_start(face);
+            let share = if is_counted { 0.5 } else { 0.0 };
             return (inside_m2 > LEAST_SHARE_OF_SECTION * whole_m2, share * inside_m2);
         }
         let inside_m2 =
@@ -226,6 +228,14 @@ impl Work<'_> {
             inside_m2 += inside;
         }
         inside_m2 > LEAST_SHARE_OF_SECTION * whole_m2
+    }
+
+    /// Whether a face reaches the place where the blade was.
+    fn is_at_start(&self, face_m: [DVec3; 3]) -> bool {
+        let start = (0..self.sweep.n_lines()).find(|&k| self.sweep.side(k) == Side::Start);
+        start.is_some_and(|k| {
+            face_m.iter().any(|&p| self.sweep.inside_m(k, p) <= self.snapping.front_m)
+        })
     }
 
     /// Whether a face of the patch has no tetrahedron on its other side.

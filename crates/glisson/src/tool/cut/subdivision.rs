@@ -22,10 +22,12 @@
 
 mod opening;
 mod patch;
+mod relaxing;
 mod section;
 mod sweep;
 
 use self::patch::{Body, Patch};
+use self::relaxing::relax;
 use self::section::{Snapping, conform};
 use self::sweep::Sweep;
 use crate::math::DVec3;
@@ -358,18 +360,19 @@ impl SubdivisionCut {
             report.n_touched += section.n_touched;
             report.n_snapped += section.n_snapped;
         }
+        let wished_cosine = libm::cos(self.params.min_dihedral_deg.to_radians());
+        let mut max_cosine = patch.max_new_cosine();
+        if max_cosine > wished_cosine
+            && let [Some(sweep), None] | [None, Some(sweep)] = sweeps
+        {
+            relax(patch, body, sweep.normal, wished_cosine);
+            max_cosine = patch.max_new_cosine();
+        }
+        let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));
+        let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);
         // The largest cosine is that of the smallest angle.
-        let mut cosines = [-1.0f64; 2];
-        for tet in &patch.tets {
-            if tet.is_live && !tet.is_old {
-                let cosine = dihedral_cosine_range(tet.nodes.map(|n| patch.nodes[n as usize].rest_m))[1];
-                cosines[0] = cosines[0].max(if cosine.is_nan() { 1.0 } else { cosine });
-            }
-        }
-        for tet in patch.changed_tets() {
-            cosines[1] = cosines[1].max(dihedral_cosine_range(body.mesh.mesh().corners_m(tet))[1]);
-        }
-        let [after_deg, before_deg] = cosines.map(|c| libm::acos(c.clamp(-1.0, 1.0)).to_degrees());
+        let [after_deg, before_deg] =
+            [max_cosine, cosine_before].map(|c| libm::acos(c.clamp(-1.0, 1.0)).to_degrees());
         report.min_dihedral_deg = after_deg;
         report.min_dihedral_before_deg = before_deg;
         report

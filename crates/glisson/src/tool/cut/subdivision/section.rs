@@ -4,7 +4,7 @@
 //! divided there. Then inside the plane: the same with the lines that bound the polygon. Every decision
 //! hangs on the labels of nodes alone, so that neighbours cannot disagree.
 
-use super::patch::{Body, Patch, PatchNode, UNKNOWN, sorted};
+use super::patch::{Accept, Body, Patch, PatchNode, UNKNOWN, sorted};
 use super::sweep::{Side, Sweep};
 use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::TetId;
@@ -431,7 +431,7 @@ impl Work<'_> {
         if let Some(k) = line {
             to_m = self.sweep.onto_line_m(k, to_m);
         }
-        let is_moved = self.patch.move_node(self.body, node, to_m, self.snapping.max_cosine);
+        let is_moved = self.patch.move_node(self.body, node, to_m, Accept::UpTo(self.snapping.max_cosine));
         if is_moved {
             self.patch.nodes[node as usize].distance_m = 0.0;
         }

@@ -153,6 +153,9 @@ pub enum CutRefusal {
 /// for those that cannot. With one half everything snaps.
 const COARSER: [[f64; 2]; 6] = [[0.2, 0.2], [0.25, 0.15], [0.25, 0.25], [0.3, 0.3], [0.4, 0.4], [0.5, 0.5]];
 
+/// Angles below this multiple of the smallest allowed one are bettered, for the sake of later strokes.
+const RESERVE: f64 = 1.5;
+
 /// A stroke of a blade.
 #[derive(Clone, Debug)]
 pub struct SubdivisionCut {
@@ -360,7 +363,7 @@ impl SubdivisionCut {
             report.n_touched += section.n_touched;
             report.n_snapped += section.n_snapped;
         }
-        let wished_cosine = libm::cos(self.params.min_dihedral_deg.to_radians());
+        let wished_cosine = libm::cos((RESERVE * self.params.min_dihedral_deg).to_radians());
         let mut max_cosine = patch.max_new_cosine();
         if max_cosine > wished_cosine
             && let [Some(sweep), None] | [None, Some(sweep)] = sweeps

@@ -121,13 +121,18 @@ impl Simulation {
         if let Some(kind) = self.world.awaited_model() {
             self.take_delivery(kind)?;
         }
-        if !input.tool.is_finite() {
-            bail!("the tool's place is not finite: {:?}", input.tool);
+        let n_tools = self.world.tools().len();
+        let tools = input.tools[..n_tools].to_vec();
+        if let Some(tool) = tools.iter().find(|tool| !tool.is_finite()) {
+            bail!("the tool's place is not finite: {tool:?}");
         }
-        let step = self.world.steps_made();
-        let StepInput { tool, n_substeps, placed } = *input;
-        self.record(&SessionEvent::Input { step, tool, n_substeps, placed })?;
+        let placed = (0..n_tools).filter(|&tool| input.placed[tool]).map(|tool| tool as u8).collect();
+        let (step, n_substeps) = (self.world.steps_made(), input.n_substeps);
+        self.record(&SessionEvent::Input { step, tools, n_substeps, placed })?;
         let report = self.world.step(input);
+        for (tool, refusal) in self.world.cut_with_tools().refusals {
+            self.tell(format!("the {} cut nothing: {refusal}", self.world.tools()[tool].name));
+        }
         if report.n_non_finite_nodes > 0 {
             bail!(
                 "step {}: {} nodes have no finite position; the session up to here is kept",
@@ -176,7 +181,7 @@ impl Simulation {
     }
 
     /// A key that is held down asks for the same again and again: what was just said is not repeated.
-    fn tell(&mut self, notice: String) {
+    pub(crate) fn tell(&mut self, notice: String) {
         if self.notices.last() != Some(&notice) && self.notices.len() < MOST_NOTICES {
             self.notices.push(notice);
         }
@@ -211,9 +216,18 @@ impl Simulation {
         Ok(())
     }
 
-    /// Takes out what the instrument's tip touches.
-    pub(crate) fn cut_at_tip(&mut self) -> anyhow::Result<()> {
-        let tets = self.world.touched_tetrahedra();
+    /// Takes the last cut back, if there is one that can be.
+    pub(crate) fn undo_edit(&mut self) -> anyhow::Result<()> {
+        self.record(&SessionEvent::UndoEdit { step: self.world.steps_made() })?;
+        if !self.world.undo_edit() {
+            self.tell("there is no cut that could be taken back".to_owned());
+        }
+        Ok(())
+    }
+
+    /// Takes out what an instrument's tip touches.
+    pub(crate) fn cut_at_tip(&mut self, tool: usize) -> anyhow::Result<()> {
+        let tets = self.world.touched_tetrahedra(tool);
         if tets.is_empty() {
             self.tell("nothing was cut: the instrument's tip does not touch the organ".to_owned());
             return Ok(());

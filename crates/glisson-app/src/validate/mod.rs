@@ -3,12 +3,15 @@
 mod adaptive;
 mod benchmarks;
 mod bodies;
+mod contact_physics;
+mod contact_response;
 mod cutting;
 mod detection;
 mod elasticity;
 mod hybrid;
 mod hybrid_condensed;
 mod image;
+mod indentation;
 mod interaction;
 mod model_rheology;
 mod precomputed_cutting;
@@ -147,6 +150,21 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "detection",
         about: "Contact detection: fast tools that must not pass through, pairs of triangles against brute force.",
         run: detection::experiments,
+    },
+    Group {
+        name: "contact_response",
+        about: "Local responses to contact: the cubes of seed 000 by penalty, impulse and geometric alteration.",
+        run: contact_response::experiments,
+    },
+    Group {
+        name: "indentation",
+        about: "A sphere and a flat punch on a bonded layer: graded tetrahedra against an axisymmetric solution.",
+        run: indentation::experiments,
+    },
+    Group {
+        name: "contact_physics",
+        about: "Contact by constraints with friction: an incline, stacks at rest, a bounce.",
+        run: contact_physics::experiments,
     },
     Group {
         name: "unit",

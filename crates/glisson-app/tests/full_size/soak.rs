@@ -115,7 +115,11 @@ fn a_long_random_palpation_stays_finite_and_replays() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     glisson(&["demo", "--headless", "--out", folder.to_str().unwrap()]);
-    let of_kernel = [(KernelLaw::Linear, &PALPATIONS[1]), (KernelLaw::StVenantKirchhoff, &PALPATIONS[3])];
+    let of_kernel = [
+        (KernelLaw::Linear, &PALPATIONS[1]),
+        (KernelLaw::StVenantKirchhoff, &PALPATIONS[3]),
+        (KernelLaw::StableNeoHooke, &PALPATIONS[3]),
+    ];
     let (rows, kernel_rows) = std::thread::scope(|scope| {
         let told = |row: String| {
             eprint!("{row}");

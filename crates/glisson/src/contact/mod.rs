@@ -13,3 +13,8 @@ pub mod triangles;
 pub mod continuous;
 pub mod tool_contact;
 pub mod self_collision;
+pub mod proxy_surface;
+pub mod proxy;
+pub mod response;
+pub mod constraint;
+pub mod bodies;

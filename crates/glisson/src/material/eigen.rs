@@ -17,7 +17,7 @@ fn rotation(a: f64, b: f64, d: f64) -> (f64, f64) {
 
 /// Eigenvalues and unit eigenvectors (`vectors[k]` belongs to `values[k]`) of a symmetric matrix, in no
 /// particular order.
-pub(super) fn eigen_symmetric<const N: usize>(matrix: &[[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
+pub(crate) fn eigen_symmetric<const N: usize>(matrix: &[[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
     let mut a = *matrix;
     let mut vectors = [[0.0; N]; N];
     for k in 0..N {

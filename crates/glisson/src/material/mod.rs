@@ -18,6 +18,7 @@ mod prony;
 mod spec;
 pub mod tissues;
 
+pub(crate) use eigen::eigen_symmetric;
 pub use holzapfel_gasser_ogden::{HolzapfelGasserOgden, HolzapfelGasserOgdenParameters};
 pub use law::{Material, Tangent, largest_tangent_eigenvalue_pa, projected};
 pub(crate) use law::{cofactor, cofactor_differential};

@@ -17,11 +17,13 @@ pub(crate) mod build;
 mod pieces;
 mod removal;
 mod rows;
+mod singular;
 mod surface;
 
-pub use build::TopologyError;
 pub(in crate::mesh) use addition::{Lengths, Waiting};
+pub use build::TopologyError;
 pub use pieces::{Pieces, Through};
+pub use singular::{SingularEntities, StarGroups};
 pub use surface::{Pinches, surface_of};
 
 use self::rows::{IdSet, Rows};

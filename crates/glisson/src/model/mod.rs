@@ -1,8 +1,10 @@
 //! Deformable models behind one contract: constraints in, positions and reaction forces out.
 
 mod body;
+mod correction;
 mod report;
 pub(crate) mod roomy;
+mod growth;
 pub mod extended_mass_spring;
 pub mod implicit;
 pub mod kind;
@@ -22,14 +24,16 @@ mod undo;
 
 pub use crate::solve::{Attachment, FixedNode, RestStress};
 pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};
+pub use correction::{Correction, StepAnswer};
 pub use explicit::{ExplicitError, Inertia, Integration};
 pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
 pub use undo::ModelUndo;
+use undo::UndoReader;
 
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
-use crate::mesh::{NodeId, TetMesh};
+use crate::mesh::{NodeId, TetId, TetMesh};
 
 /// A node held at a displacement from its rest position.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,7 +67,7 @@ pub struct Constraints {
 pub struct ModelState<'a> {
     /// Node positions [m].
     pub positions_m: &'a [DVec3],
-    /// Node velocities [m/s]; empty for a quasi-static model.
+    /// Node velocities [m/s]; empty for a model in which nothing has inertia.
     pub velocities_m_per_s: &'a [DVec3],
     /// Further numbers that the next step depends on (previous positions, viscous history).
     pub history: &'a [f64],
@@ -79,6 +83,19 @@ pub enum TopologyRefusal {
         model: &'static str,
         /// Why, and what to do.
         reason: &'static str,
+    },
+    /// A new or reshaped tetrahedron is flat, inside out or not finite.
+    #[error(
+        "the {model} model cannot follow the edit: tetrahedron {tet} has {volume_m3:e} m3 at rest; it must be a finite \
+         number well above 0"
+    )]
+    Unsound {
+        /// The model's scene name.
+        model: &'static str,
+        /// The first such tetrahedron.
+        tet: TetId,
+        /// Its volume at rest [m3].
+        volume_m3: f64,
     },
 }
 
@@ -100,6 +117,12 @@ pub trait DeformableModel: Send {
     /// Starts from these node positions with velocities zero: where another model left off, or the rest shape.
     /// A quasi-static model only shows them until its next step.
     fn take_over(&mut self, positions_m: &[DVec3]);
+
+    /// [`DeformableModel::take_over`] of another model's state, with its velocities where it tells them and this model has
+    /// its own answer to that: tissue in motion goes on. Others start at standstill.
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
+        self.take_over(state.positions_m);
+    }
 
     /// Gravity from the next step on [m/s2]. A model whose rest shape is the loaded one answers to the difference
     /// from the gravity it was made with.
@@ -124,6 +147,28 @@ pub trait DeformableModel: Send {
     ) {
         out.start(patch, period_s, self.state().positions_m);
     }
+
+    /// How the result of a step answers to further forces: see [`StepAnswer`].
+    fn step_answer(&self) -> StepAnswer {
+        let is_static = self.state().velocities_m_per_s.is_empty();
+        if is_static { StepAnswer::Static } else { StepAnswer::Unknown }
+    }
+
+    /// With [`StepAnswer::NodeByNode`]: displacement of a node for a unit force along each axis in a step of `dt_s`
+    /// [m/N]; zero along axes that are fixed or held.
+    fn node_answer_m_per_n(&self, _node: NodeId, _dt_s: f64) -> DVec3 {
+        DVec3::ZERO
+    }
+
+    /// With [`StepAnswer::Coupled`]: displacement [m] of every node for forces on some in a step of the length of the last
+    /// one. Overwrites `moves_m`, as long as there are nodes; allocates nothing.
+    fn answer_into(&mut self, _forces: &[NodalForce], moves_m: &mut [DVec3]) {
+        moves_m.fill(DVec3::ZERO);
+    }
+
+    /// Corrects the last step, of `dt_s`, by what `forces` beside those applied would have done. With
+    /// [`StepAnswer::NodeByNode`] and [`StepAnswer::Coupled`]; others do nothing. Allocates nothing.
+    fn correct_step(&mut self, _forces: &[NodalForce], _dt_s: f64, _correction: Correction) {}
 
     /// Why the model could not follow an edit of the mesh, if it could not.
     fn topology_refusal(&self) -> Option<TopologyRefusal> {

@@ -162,8 +162,9 @@ fn read_zone(mut section: Section<'_>) -> Result<OrganZone, SceneError> {
     let law = match ModelKind::by_name(&name) {
         Some(ModelKind::Precomputed) => ZoneLaw::Precomputed,
         Some(ModelKind::TensorMass) => ZoneLaw::TensorMass,
+        Some(ModelKind::NonlinearTensorMass) => ZoneLaw::NonlinearTensorMass,
         _ => {
-            let allowed = "\"precomputed\" or \"tensor_mass\" in a zone";
+            let allowed = "\"precomputed\", \"tensor_mass\" or \"nonlinear_tensor_mass\" in a zone";
             return Err(section.wrong_value(at, "model", format!("\"{name}\""), allowed));
         }
     };

@@ -72,7 +72,8 @@ fn random_edit(random: &mut SeededRandom, body: &EditableMesh) -> MeshEdit {
             let edge = pick(random, &edges);
             let ends = t.edge_nodes(edge);
             let kept = pick(random, &ends);
-            let position_m = if random.uniform() < 0.5 { place(kept) } else { 0.5 * (place(ends[0]) + place(ends[1])) };
+            let position_m =
+                if random.uniform() < 0.5 { place(kept) } else { 0.5 * (place(ends[0]) + place(ends[1])) };
             MeshEdit::Collapse { edge, kept, position_m }
         }
         7 => {
@@ -156,8 +157,7 @@ fn check_parents(before: &EditableMesh, after: &EditableMesh, change: &TopologyC
             moved.push((n, before.mesh().positions_m[n.index()]));
         }
     }
-    let named: Vec<_> =
-        change.moved_nodes.iter().copied().zip(change.moved_from_m.iter().copied()).collect();
+    let named: Vec<_> = change.moved_nodes.iter().copied().zip(change.moved_from_m.iter().copied()).collect();
     assert_eq!(named, moved);
 }
 
@@ -262,7 +262,10 @@ fn list_with_a_refused_edit_changes_nothing() {
     let before = editable.clone();
     let edits = [
         MeshEdit::Split { edges: vec![EdgeSplit { edge: EdgeId(3), fraction: 0.5 }] },
-        MeshEdit::MoveVertex { node: NodeId(27), position_m: before.mesh().positions_m[0] + DVec3::splat(0.1) },
+        MeshEdit::MoveVertex {
+            node: NodeId(27),
+            position_m: before.mesh().positions_m[0] + DVec3::splat(0.1),
+        },
         MeshEdit::Remove { tets: vec![TetId(0), TetId(0)] },
     ];
     let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());

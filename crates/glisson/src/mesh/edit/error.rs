@@ -67,7 +67,9 @@ pub enum EditError {
         edge: EdgeId,
     },
     /// A split would put its node on an end of the edge, or outside.
-    #[error("edge {edge} cannot be split at {fraction}: the fraction must lie between 0 and 1, both excluded")]
+    #[error(
+        "edge {edge} cannot be split at {fraction}: the fraction must lie between 0 and 1, both excluded"
+    )]
     BadFraction {
         /// The edge.
         edge: EdgeId,
@@ -92,7 +94,9 @@ pub enum EditError {
         node: NodeId,
     },
     /// Copies of a node would take all of its tetrahedra or none.
-    #[error("a copy of node {node} takes {n_copied} of its {n_tets} tetrahedra; some must go and some must stay")]
+    #[error(
+        "a copy of node {node} takes {n_copied} of its {n_tets} tetrahedra; some must go and some must stay"
+    )]
     NoPartOfStar {
         /// The node.
         node: NodeId,
@@ -126,7 +130,9 @@ pub enum EditError {
         nodes: [NodeId; 3],
     },
     /// The new tetrahedra fill another volume than the old ones.
-    #[error("the new tetrahedra fill {new_m3:e} m3, the old ones {old_m3:e} m3: they overlap or leave a hole")]
+    #[error(
+        "the new tetrahedra fill {new_m3:e} m3, the old ones {old_m3:e} m3: they overlap or leave a hole"
+    )]
     VolumeDiffers {
         /// Volume of the tetrahedra that were to go [m3].
         old_m3: f64,
@@ -134,8 +140,10 @@ pub enum EditError {
         new_m3: f64,
     },
     /// A new tetrahedron names a node that it may not have.
-    #[error("new tetrahedron {place}: its corners must be four different nodes, old ones of the tetrahedra that \
-        make room or new ones from the edit's list of {n_new}")]
+    #[error(
+        "new tetrahedron {place}: its corners must be four different nodes, live \
+        old ones or new ones from the edit's list of {n_new}"
+    )]
     BadCorners {
         /// Its place in the edit's list.
         place: usize,
@@ -143,8 +151,10 @@ pub enum EditError {
         n_new: usize,
     },
     /// A new node has no tetrahedron, no parents that are there, or weights that do not add up to 1.
-    #[error("new node {place}: it must be finite, a corner of a new tetrahedron, and have live parents with \
-        weights of sum 1 (found {sum})")]
+    #[error(
+        "new node {place}: it must be finite, a corner of a new tetrahedron, and have live parents with \
+        weights of sum 1 (found {sum})"
+    )]
     BadNewNode {
         /// Its place in the edit's list.
         place: usize,

@@ -48,10 +48,14 @@ fn clipped_volume_m3(corners_m: [DVec3; 4], half_spaces: &[HalfSpace]) -> f64 {
 
 /// Volume [m3] of the part of a prism with corners `low`, `high` (matching) inside all half-spaces.
 fn prism_volume_m3(low: [DVec3; 3], high: [DVec3; 3], half_spaces: &[HalfSpace]) -> f64 {
-    [[low[0], low[1], low[2], high[2]], [low[0], low[1], high[1], high[2]], [low[0], high[0], high[1], high[2]]]
-        .into_iter()
-        .map(|part| clipped_volume_m3(part, half_spaces))
-        .sum()
+    [
+        [low[0], low[1], low[2], high[2]],
+        [low[0], low[1], high[1], high[2]],
+        [low[0], high[0], high[1], high[2]],
+    ]
+    .into_iter()
+    .map(|part| clipped_volume_m3(part, half_spaces))
+    .sum()
 }
 
 #[cfg(test)]

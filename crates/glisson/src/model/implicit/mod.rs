@@ -23,6 +23,7 @@
 //! balances; what else can happen is in [`ImplicitReport`]. A shape in which the law has no energy, which only
 //! [`DeformableModel::take_over`] can bring, is recovered by the stable neo-Hookean law (quarantine).
 
+mod correction;
 mod elements;
 mod general;
 mod lagged;
@@ -48,8 +49,8 @@ use self::newton::Scratch;
 use self::relaxation::Relaxation;
 use super::roomy::Roomy;
 use super::{
-    Attachment, Constraints, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
-    Rayleigh, RestStress, TopologyRefusal,
+    Attachment, Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport,
+    ModelState, NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::material::{PronyHistory, StableNeoHooke};
 use crate::math::DVec3;
@@ -128,6 +129,8 @@ pub struct ImplicitEuler {
     earlier_velocities_m_per_s: Vec<DVec3>,
     relaxation: Option<Relaxation>,
     age: FactorAge,
+    /// Factors made so far.
+    factor_version: u64,
     positions_m: Vec<DVec3>,
     history: Roomy<f64>,
 
@@ -208,6 +211,7 @@ impl ImplicitEuler {
             earlier_velocities_m_per_s: zero.clone(),
             relaxation: params.relaxation.map(|s| Relaxation::new(s, params.body.time_step_s, n_tets)),
             age: FactorAge::default(),
+            factor_version: 0,
             positions_m: mesh.positions_m.clone(),
             history: Roomy::with_room(0),
             outer_n: zero.clone(),
@@ -240,6 +244,7 @@ impl ImplicitEuler {
             .collect();
         self.update_mask();
         self.balance_rest();
+        self.factor_version += 1;
         self.age = FactorAge::default();
         let state = self.lagged_state(self.time_step_s);
         let live = TetMesh {
@@ -408,6 +413,7 @@ impl ImplicitEuler {
                 ligaments: &self.ligaments,
             };
             lagged.refresh(&self.elements, nodes);
+            self.factor_version += 1;
         }
         self.publish();
     }
@@ -557,11 +563,23 @@ impl DeformableModel for ImplicitEuler {
         self.fill_local_model(patch, period_s, work, out);
     }
 
+    fn step_answer(&self) -> StepAnswer {
+        StepAnswer::Coupled { version: self.factor_version }
+    }
+
+    fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
+        self.answer(forces, moves_m);
+    }
+
+    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        self.correct(forces, dt_s, correction);
+    }
+
     fn duplicate(&self) -> Box<dyn DeformableModel> {
         Box::new(self.clone())
     }
 
-    fn topology_changed(&mut self, _mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        self.follow(change)
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        self.follow(mesh, change)
     }
 }

@@ -474,6 +474,7 @@ impl ImplicitEuler {
         let nodes =
             NodeTerms { rest_m: &self.mesh.positions_m, mass_kg: &self.mass_kg, ligaments: &self.ligaments };
         lagged.refresh(&self.elements, nodes);
+        self.factor_version += 1;
         self.age = FactorAge::default();
         self.step_report.n_factors += 1;
     }

@@ -153,8 +153,7 @@ pub(super) fn replacement(patch: &Patch, n_nodes: usize) -> (Replacement, Vec<Op
             let new = edit.new_nodes.len();
             corner[at] = CavityNode::New(new as u32);
             ids[at] = Some(crate::mesh::NodeId::from_index(n_nodes + new));
-            edit.new_nodes
-                .push(NewNode { position_m: node.rest_m, parents: node.blend.parents().collect() });
+            edit.new_nodes.push(NewNode { position_m: node.rest_m, parents: node.blend.parents().collect() });
         }
     }
     edit.tets = patch.changed_tets();

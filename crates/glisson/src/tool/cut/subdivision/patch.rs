@@ -292,7 +292,8 @@ impl Patch {
             let rest_m = self.rest_m(tet);
             let volume_m3 = tetrahedron_volume_m3(rest_m);
             state.volume_m3 += volume_m3;
-            state.smallest_m3 = state.smallest_m3.min(volume_m3).min(tetrahedron_volume_m3(self.present_m(tet)));
+            state.smallest_m3 =
+                state.smallest_m3.min(volume_m3).min(tetrahedron_volume_m3(self.present_m(tet)));
             state.max_cosine = state.max_cosine.max(dihedral_cosine_range(rest_m)[1]);
         }
         state
@@ -336,7 +337,8 @@ impl Patch {
             return here;
         }
         let nodes = body.mesh.topology().tet_nodes(tet).map(|n| self.pull_node(body, n));
-        let here = self.push_tet(PatchTet { nodes, parent: tet, is_live: true, is_old: true, is_mixed: false });
+        let here =
+            self.push_tet(PatchTet { nodes, parent: tet, is_live: true, is_old: true, is_mixed: false });
         self.tet_here[tet.index()] = here;
         self.pulled_tets.push(tet);
         here

@@ -2,6 +2,7 @@
 
 mod hybrid_condensed;
 mod contact_response;
+mod contact_constraint;
 mod detection;
 mod images;
 mod laws;

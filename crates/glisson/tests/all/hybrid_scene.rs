@@ -46,7 +46,7 @@ fn open(text: &str, folder: &Path) -> (World, OrganBody) {
 
 /// Pushes the tool down into the zone by `depth_m` and back, and answers the deepest place of the tissue's top.
 fn push(world: &mut World, depth_m: f64) -> f64 {
-    let mut lowest_m = f64::INFINITY;
+    let (mut lowest_m, rest) = (f64::INFINITY, bar());
     for step in 0..400 {
         let down_m = (0.018 + depth_m) * (step as f64 / 200.0).min(1.0);
         let tip_in_world_m = DVec3::new(0.09, 0.02, 0.05 - down_m);
@@ -57,7 +57,7 @@ fn push(world: &mut World, depth_m: f64) -> f64 {
             .state()
             .positions_m
             .iter()
-            .zip(&bar().positions_m)
+            .zip(&rest.positions_m)
             .filter(|(_, r)| r.z > 0.029 && r.x > 0.07);
         lowest_m = tops.map(|(p, _)| p.z).fold(lowest_m, f64::min);
     }

@@ -46,8 +46,7 @@ fn open(text: &str, folder: &Path) -> (World, OrganBody) {
 
 /// Pushes the tool down into the zone by `depth_m` and back, and answers the deepest place of the tissue's top.
 fn push(world: &mut World, depth_m: f64) -> f64 {
-    let mut lowest_m = f64::INFINITY;
-    let rest = bar();
+    let (mut lowest_m, rest) = (f64::INFINITY, bar());
     for step in 0..400 {
         let down_m = (0.018 + depth_m) * (step as f64 / 200.0).min(1.0);
         let tip_in_world_m = DVec3::new(0.09, 0.02, 0.05 - down_m);

@@ -29,11 +29,11 @@ use std::path::{Path, PathBuf};
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
 const TIP_RADIUS_M: f64 = 3e-3;
 /// Healthy tissue that is taken with the tumour [m]: a choice.
-const MARGIN_M: f64 = 8e-3;
+const MARGIN_M: f64 = 12e-3;
 /// Distance between two circles [m], below the width of what the hook burns.
 const LEVEL_M: f64 = 5e-3;
 /// How fast the hook is led [m/s].
-const SPEED_M_PER_S: f64 = 0.05;
+const SPEED_M_PER_S: f64 = 0.1;
 /// Points on a circle.
 const CORNERS: usize = 24;
 /// How far the piece is lifted in the end [m].
@@ -170,7 +170,7 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
     let mut text = format!(
         "# Written by `glisson demo --task resection`. Positions are in the patient frame (LPS).\n\
          glisson_scene = 1\nname = \"Resection of a tumour from a synthetic patient's liver\"\n\n\
-         [simulation]\ntime_step = \"0.4 ms\"\n\n\
+         [simulation]\ntime_step = \"0.1 ms\"\n\n\
          [organ]\nmesh = \"{}\"\ntissue = \"liver\"\nmodel = \"explicit\"\nlaw = \"stable_neo_hooke\"\ndamping = \"20 1/s\"\n\
          vessels = \"vessels.csv\"\n\n\
          [[organ.fixed]]\nfurthest = {{ direction = [0.0, 1.0, 0.4], fraction = 0.1 }}\n\n\

@@ -389,25 +389,25 @@ impl<'a> Patient<'a> {
         };
         self.step(at(0.02, 1.0), true);
         let mut held = 0;
-        for k in 0..30 {
-            let share = f64::from(k) / 29.0;
+        for k in 0..10 {
+            let share = f64::from(k) / 9.0;
             self.step(at(0.02 * (1.0 - share) - 3e-3 * share, 1.0), false);
         }
-        for k in 0..20 {
-            self.step(at(-3e-3, 1.0 - f64::from(k) / 19.0), false);
+        for k in 0..8 {
+            self.step(at(-3e-3, 1.0 - f64::from(k) / 7.0), false);
         }
         let pull_m = 0.03 * self.random.uniform();
-        for k in 0..60 {
-            self.step(at(-3e-3 + pull_m * f64::from(k) / 59.0, 0.0), false);
+        for k in 0..20 {
+            self.step(at(-3e-3 + pull_m * f64::from(k) / 19.0, 0.0), false);
             held = held.max(self.world.report().tools[0].n_held_nodes);
-            if k % 15 == 14 {
+            if k % 5 == 4 {
                 self.tear();
             }
         }
         self.step(at(pull_m, 1.0), false);
         self.tally.grasps += 1;
         self.tally.held += u64::from(held > 0);
-        for _ in 0..20 {
+        for _ in 0..3 {
             self.step(self.away, true);
         }
     }
@@ -453,8 +453,9 @@ impl<'a> Patient<'a> {
         let live_m: Vec<DVec3> = live.iter().map(|&n| all_m[n]).collect();
         let (mut dt_s, mut edited, mut fresh);
         dt_s = TIME_STEP_S;
+        let made = model_of(&mesh, &fixed, &self.material);
         loop {
-            fresh = model_of(&mesh, &fixed, &self.material);
+            fresh = made.duplicate();
             edited = self.world.copy_of_model();
             edited.take_over(&all_m);
             fresh.take_over(&live_m);
@@ -480,10 +481,10 @@ impl<'a> Patient<'a> {
         let mut n_tries = 0;
         while self.tally.edits() < most_edits && n_tries < 10 * most_edits {
             n_tries += 1;
-            match self.index(10) {
-                0..=2 => self.remove(),
-                3..=6 => self.blade(),
-                7..=8 => self.scalpel(),
+            match self.index(20) {
+                0..=7 => self.remove(),
+                8..=13 => self.blade(),
+                14..=18 => self.scalpel(),
                 _ => self.grasp(),
             }
         }
@@ -499,7 +500,7 @@ fn model_of(mesh: &TetMesh, fixed: &[FixedNode], material: &LinearElastic) -> Bo
     let law = KernelLaw::StableNeoHooke;
     let params = ExplicitKernelParams::new(body, law, materials);
     let step_s = ExplicitKernel::stable_step(&params).unwrap().step_s;
-    let body = DynamicBody { time_step_s: TIME_STEP_S.min(step_s), most_parts: 64, ..body };
+    let body = DynamicBody { time_step_s: TIME_STEP_S.min(step_s), most_parts: 16, ..body };
     Box::new(ExplicitKernel::build(&ExplicitKernelParams::new(body, law, materials)).unwrap())
 }
 

@@ -3,6 +3,9 @@
 use super::replay::replay;
 use super::*;
 use glisson::math::DVec3;
+use glisson::model::precomputed::{
+    Precision, Precomputed, PrecomputedParams, RecomputationLimits, StoredNodes,
+};
 use glisson::record::session::parse_session;
 use glisson::tool::ToolInput;
 
@@ -175,6 +178,51 @@ fn cuts_of_the_precomputed_model_and_its_fresh_precomputation_replay_to_the_same
     let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
     assert_eq!((report.state_hash, report.first_difference), (hash, None));
     assert!(touched_after);
+}
+
+#[test]
+fn a_fresh_precomputation_is_ordered_where_the_cut_one_asks_for_it() {
+    let folder = scene_folder();
+    let scene = SCENE.replace("\"tensor_mass\"", "\"precomputed\"");
+    std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+    let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let mut simulation = Simulation::open(source, None).unwrap();
+    // The scene's model, but with a limit that the first cut reaches.
+    let body = simulation.body();
+    let kind = ModelKind::Precomputed;
+    let mut model = Precomputed::build(&PrecomputedParams {
+        mesh: &body.mesh,
+        material: &body.material,
+        fixed_nodes: &body.nodes_fixed_wholly(kind).unwrap(),
+        stored: StoredNodes::Surface,
+        precision: Precision::F64,
+        progress: None,
+    })
+    .unwrap();
+    model.set_recomputation_limits(RecomputationLimits { n_columns: 5, ..RecomputationLimits::default() });
+    simulation.world.queue_model_swap(0, kind);
+    simulation.world.deliver_model(Box::new(model), kind).unwrap();
+    let mut ordered_at = None;
+    let mut fresh_at = None;
+    for step in 0..2_100 {
+        if step == 20 {
+            simulation.remove_tetrahedra(vec![TetId(1)]).unwrap();
+        }
+        let report = simulation.advance(&input(step)).unwrap();
+        assert_eq!(
+            report.model.wants_recomputation,
+            step >= 20 && fresh_at.is_none() && report.model.n_reanalyses > 0
+        );
+        if simulation.builder.is_some() {
+            ordered_at = ordered_at.or(Some(step));
+        } else if ordered_at.is_some() && fresh_at.is_none() {
+            fresh_at = Some(step);
+            assert_eq!((report.model.n_reanalyses, report.model.wants_recomputation), (0, false));
+        }
+    }
+    // Two seconds of the scene's time later.
+    assert_eq!((ordered_at, fresh_at), (Some(20), Some(20 + 2_000)));
+    assert!(simulation.notices().is_empty(), "{:?}", simulation.notices());
 }
 
 #[test]

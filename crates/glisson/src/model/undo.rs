@@ -91,6 +91,10 @@ impl<'a> UndoReader<'a> {
         read
     }
 
+    pub(in crate::model) fn has_places(&self) -> bool {
+        !self.places.is_empty()
+    }
+
     pub(in crate::model) fn place(&mut self) -> usize {
         self.places(1)[0] as usize
     }

@@ -201,6 +201,11 @@ impl World {
         self.model_kind
     }
 
+    /// A copy of the model as it is now.
+    pub fn copy_of_model(&self) -> Box<dyn DeformableModel> {
+        self.model.duplicate()
+    }
+
     /// The model's state.
     pub fn state(&self) -> ModelState<'_> {
         self.model.state()

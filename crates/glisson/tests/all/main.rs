@@ -2,6 +2,7 @@
 
 mod hybrid_condensed;
 mod contact_response;
+mod contact_constraint;
 mod detection;
 mod images;
 mod laws;
@@ -10,6 +11,7 @@ mod kernel_laws;
 mod explicit_kernel;
 mod hybrid_exchange;
 mod hybrid_nonlinear;
+mod hybrid_scene;
 mod integrators;
 mod implicit;
 mod implicit_loads;
@@ -19,6 +21,7 @@ mod local_model;
 mod loads_faults;
 mod mass_spring;
 mod meshing;
+mod model_edits;
 mod model_meshes;
 mod models_agree;
 mod nonlinear_reference;

@@ -45,7 +45,7 @@ fn split_of_all_edges_matches_across_the_faces() {
     let n = body.topology().n_edges();
     let edges: Vec<EdgeSplit> =
         (0..n).map(|e| EdgeSplit { edge: EdgeId::from_index((e * 5) % n), fraction: 0.4 }).collect();
-    assert!(n % 5 != 0, "each edge is named once");
+    assert!(!n.is_multiple_of(5), "each edge is named once");
     let volume = body.volume_m3();
     body.apply(&MeshEdit::Split { edges }).unwrap();
     // Six new nodes in a tetrahedron: four corners, and four around the inner octahedron's diagonal.
@@ -53,6 +53,31 @@ fn split_of_all_edges_matches_across_the_faces() {
     assert!((body.volume_m3() - volume).abs() < 1e-12);
     assert_eq!(body.topology().euler_characteristic(), 1);
     crate::mesh_edits::check_against_recount(body.topology());
+}
+
+#[test]
+fn new_node_that_is_moved_takes_its_data_from_around_its_place() {
+    let mut body = EditableMesh::new(grid([2, 2, 2], |_| true)).unwrap();
+    let before = body.clone();
+    let edge = body.topology().edge_between(NodeId(0), NodeId(13)).unwrap();
+    // Split on the diagonal, then moved off it, within one of the tetrahedra there.
+    for position_m in [DVec3::new(0.5, 0.45, 0.4), DVec3::new(0.4, 0.5, 0.45), DVec3::new(0.45, 0.4, 0.5)] {
+        let edits = [
+            MeshEdit::Split { edges: vec![EdgeSplit { edge, fraction: 0.5 }] },
+            MeshEdit::MoveVertex { node: NodeId(27), position_m },
+        ];
+        let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());
+        body.apply_all_saving(&edits, &mut change, &mut undo).unwrap();
+        assert!(change.moved_nodes.is_empty(), "a new node has no place to come from");
+        let parents = change.nodes.added.parents(0);
+        let place: DVec3 = parents.iter().map(|&(n, w)| w * before.mesh().positions_m[n.index()]).sum();
+        assert!(place.distance(position_m) < 1e-15, "{place}");
+        // The corners of the tetrahedron of the old mesh that holds the place, and no others.
+        let weight: f64 = parents.iter().map(|p| p.1).sum();
+        assert!((weight - 1.0).abs() < 1e-15 && parents.iter().all(|p| p.1 > -1e-15), "{parents:?}");
+        body.undo(&undo);
+        assert!(body == before);
+    }
 }
 
 #[test]

@@ -95,13 +95,17 @@ impl ContactSearch {
         let margin_m = *margin_m;
         let mut has_any = false;
         let corners_m = |t: u32| triangles[t as usize].map(|v| positions_m[v as usize]);
+        let (boxes, vertex_boxes) = (search.boxes(), search.vertex_boxes());
         let mut test = |from: u32, at: u32| {
             let has_vertex = tests[from as usize];
             if has_vertex == [false; 3] {
                 return;
             }
-            let corners_m = corners_m(at);
             for (vertex, _) in triangles[from as usize].into_iter().zip(has_vertex).filter(|(_, is)| *is) {
+                if !vertex_boxes[vertex as usize].overlaps(&boxes[at as usize]) {
+                    continue;
+                }
+                let corners_m = corners_m(at);
                 let point_m = positions_m[vertex as usize];
                 let weights = closest_weights(point_m, corners_m);
                 let offset_m = point_m - at_weights(corners_m, weights);
@@ -115,7 +119,7 @@ impl ContactSearch {
                 }
             }
         };
-        search.structure().for_each_pair(search.boxes(), search.rules(), |s, t| {
+        search.structure().for_each_pair(boxes, search.rules(), |s, t| {
             test(s, t);
             test(t, s);
         });

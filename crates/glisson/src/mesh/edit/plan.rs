@@ -83,6 +83,9 @@ impl Plan {
     }
 }
 
+/// Nodes with their weights.
+type Weights = Vec<(NodeId, f64)>;
+
 /// Buffers of the edits; they say nothing about the mesh.
 #[derive(Default)]
 pub(super) struct Scratch {
@@ -92,7 +95,7 @@ pub(super) struct Scratch {
     pub(super) change: TopologyChange,
     /// While a list of edits is carried out: the old nodes moved so far, each with the weights that give its new
     /// place from the places before the list.
-    pub(super) moved: Option<Vec<(NodeId, Vec<(NodeId, f64)>)>>,
+    pub(super) moved: Option<Vec<(NodeId, Weights)>>,
 }
 
 impl Clone for Scratch {
@@ -126,18 +129,14 @@ impl EditableMesh {
 
     /// `parents` in terms of nodes that were there before the edit or list of edits, with their places from then;
     /// `None` if they are that already.
-    fn parents_before(
-        &self,
-        parents: &[(NodeId, f64)],
-        change: &TopologyChange,
-    ) -> Option<Vec<(NodeId, f64)>> {
+    fn parents_before(&self, parents: &[(NodeId, f64)], change: &TopologyChange) -> Option<Weights> {
         let moved = self.scratch.moved.as_deref().unwrap_or_default();
         let n_before = change.nodes.n_before;
         let is_plain = |node: NodeId| node.index() < n_before && moved.iter().all(|m| m.0 != node);
         if parents.iter().all(|p| is_plain(p.0)) {
             return None;
         }
-        let mut found: Vec<(NodeId, f64)> = Vec::new();
+        let mut found = Weights::new();
         for &(parent, weight) in parents {
             let older = match parent.index().checked_sub(n_before) {
                 Some(at) => change.nodes.added.parents(at),

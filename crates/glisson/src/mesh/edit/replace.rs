@@ -34,6 +34,9 @@ pub struct NewTet {
     pub parents: Vec<(TetId, f64)>,
 }
 
+/// A tetrahedron that comes in, and the shares of those that make room for it.
+type CornersAndParents<'a> = ([CavityNode; 4], &'a [(TetId, f64)]);
+
 /// What [`MeshEdit::Retetrahedralise`](super::MeshEdit) and [`MeshEdit::Replace`](super::MeshEdit) have in common.
 pub(super) struct Exchange<'a> {
     /// The tetrahedra that make room.
@@ -41,7 +44,7 @@ pub(super) struct Exchange<'a> {
     /// Nodes that come in.
     pub(super) new_nodes: &'a [NewNode],
     /// Corners and parents of what comes in; without parents they are worked out.
-    pub(super) new_tets: Vec<([CavityNode; 4], &'a [(TetId, f64)])>,
+    pub(super) new_tets: Vec<CornersAndParents<'a>>,
     /// Whether all outer triangles stay; else those of the surface may be divided and inner ones may open.
     pub(super) keeps_outer_triangles: bool,
 }
@@ -98,7 +101,7 @@ impl EditableMesh {
     fn named_corners(
         &self,
         new_nodes: &[NewNode],
-        new_tets: &[([CavityNode; 4], &[(TetId, f64)])],
+        new_tets: &[CornersAndParents<'_>],
     ) -> Result<Vec<[NodeId; 4]>, EditError> {
         let mut corners_of = Vec::with_capacity(new_tets.len());
         for (place, (corners, _)) in new_tets.iter().enumerate() {

@@ -67,7 +67,7 @@ impl EditableMesh {
     pub(super) fn take_back(&mut self, undo: &MeshUndo) {
         let mut change = std::mem::take(&mut self.scratch.change);
         change.clear();
-        for tet in (undo.before.tets..self.topology.n_tets()).map(TetId::from_index) {
+        for tet in (undo.before.tets..self.topology.n_tets()).rev().map(TetId::from_index) {
             if self.topology.is_live_tet(tet) {
                 self.topology.take_out(tet, &mut change);
             }

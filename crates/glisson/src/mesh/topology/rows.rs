@@ -64,7 +64,8 @@ impl<I: MeshEntity> Rows<I> {
         let start = self.starts[row] as usize;
         let length = self.lengths[row] as usize;
         let items = &mut self.items[start..start + length];
-        let at = items.iter().position(|&i| i == item).expect("the row holds every live neighbour");
+        // What came last goes first when an edit is taken back.
+        let at = items.iter().rposition(|&i| i == item).expect("the row holds every live neighbour");
         // Rows are short: a loop is quicker than a call to move memory.
         for i in at + 1..length {
             items[i - 1] = items[i];

@@ -31,7 +31,10 @@ const NO_MOVE: f64 = 1e-6;
 const CHORD: f64 = 0.5;
 
 /// Places of the blade that are kept. The front hardly reaches further back.
-const N_SAMPLES: usize = 512;
+const N_SAMPLES: usize = 128;
+
+/// Share of an edge between places of the blade that are kept, but for the last. A choice.
+const APART: f64 = 0.1;
 
 /// One place of the path.
 #[derive(Clone, Copy, Debug)]
@@ -187,23 +190,22 @@ impl Stroke {
         }
         let sample = self.sample(at);
         let away_m = |node: NodeId| positions_m[node.index()].distance(at.point_m);
-        let mut nearest: Option<(NodeId, (bool, f64))> = None;
         let mut longest_m: f64 = 0.0;
+        let mut around: Vec<(f64, NodeId)> = Vec::new();
         for triangle in topology.surface_triangles_at(self.last) {
-            let others = topology.triangle_nodes(triangle);
-            for node in others.into_iter().filter(|&n| n != self.last) {
-                longest_m = longest_m.max(positions_m[node.index()].distance(positions_m[self.last.index()]));
-                if nearest.is_some_and(|(known, _)| known == node) || !self.may_follow(topology, node) {
-                    continue;
-                }
-                // Corners cannot move onto the path: only if there is nothing else.
-                let rank = (is_corner(body, node, params), away_m(node));
-                if nearest.is_none_or(|(_, so_far)| rank < so_far) {
-                    nearest = Some((node, rank));
+            for node in topology.triangle_nodes(triangle) {
+                if node != self.last && around.iter().all(|&(_, n)| n != node) {
+                    longest_m =
+                        longest_m.max(positions_m[node.index()].distance(positions_m[self.last.index()]));
+                    around.push((away_m(node), node));
                 }
             }
         }
-        let Some((node, (_, distance_m))) = nearest else { return };
+        around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        around.retain(|&(_, node)| self.may_follow(topology, node));
+        // Corners cannot move onto the path: only if there is nothing else.
+        let movable = around.iter().find(|(_, node)| !is_corner(body, *node, params));
+        let Some(&(distance_m, node)) = movable.or(around.first()) else { return };
         let from_last_m = away_m(self.last);
         let now = Candidate { node, distance_m, at: sample, is_reached: distance_m < from_last_m };
         match self.candidate {
@@ -277,7 +279,11 @@ impl Stroke {
         let sample = Sample { plane: Plane { point_m: at.point_m, normal }, tip_m: at.tip_m };
         // On a side the blade is where it is anyhow.
         if !at.is_on_side {
-            if self.samples.len() == N_SAMPLES {
+            if let [.., before, last] = &self.samples[..]
+                && before.plane.point_m.distance(last.plane.point_m) < APART * self.edge_m
+            {
+                self.samples.pop();
+            } else if self.samples.len() == N_SAMPLES {
                 self.samples.drain(..N_SAMPLES / 2);
             }
             self.samples.push(sample);

@@ -129,6 +129,18 @@ const SAME_VOLUME: f64 = 1e-11;
 /// A barycentric weight nearer to zero than this is zero.
 const ON_FACE: f64 = 1e-9;
 
+/// Least gain in the cosine of an angle that is worth a move.
+const LEAST_GAIN: f64 = 1e-5;
+
+/// How good the tetrahedra at a moved node have to be: largest cosine of their dihedral angles at rest.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Accept {
+    /// No larger than this, or than before.
+    UpTo(f64),
+    /// Smaller than before.
+    Better,
+}
+
 struct StarState {
     volume_m3: f64,
     smallest_m3: f64,
@@ -211,9 +223,8 @@ impl Patch {
 
     /// Moves a node to another place of the present shape, with the tissue at rest in the same place of its
     /// tetrahedron. Refused (false) if a tetrahedron would turn inside out in either shape, or become worse
-    /// than `max_cosine` (of its smallest dihedral angle at rest) and than the worst so far, or if the outside
-    /// of the body would change.
-    pub(super) fn move_node(&mut self, body: Body<'_>, node: u32, to_m: DVec3, max_cosine: f64) -> bool {
+    /// than accepted, or if the outside of the body would change.
+    pub(super) fn move_node(&mut self, body: Body<'_>, node: u32, to_m: DVec3, accept: Accept) -> bool {
         self.pull_star(body, node);
         let Some((blend, rest_m)) = self.locate(body, node, to_m) else { return false };
         let from = self.nodes[node as usize];
@@ -222,8 +233,12 @@ impl Patch {
         let this = &mut self.nodes[node as usize];
         (this.rest_m, this.present_m) = (rest_m, to_m);
         let after = self.star_state(&star);
+        let is_shaped = match accept {
+            Accept::UpTo(max_cosine) => after.max_cosine <= max_cosine.max(before.max_cosine),
+            Accept::Better => after.max_cosine < before.max_cosine - LEAST_GAIN,
+        };
         let is_good = after.smallest_m3 > 0.0
-            && after.max_cosine <= max_cosine.max(before.max_cosine)
+            && is_shaped
             && (after.volume_m3 - before.volume_m3).abs() <= SAME_VOLUME * before.volume_m3;
         if is_good {
             let this = &mut self.nodes[node as usize];
@@ -291,13 +306,28 @@ impl Patch {
         self.nodes[here as usize].is_front = true;
     }
 
-    /// Area [m2] of the faces to be opened, in the present shape.
-    pub(super) fn cut_area_m2(&self) -> f64 {
-        let area_m2 = |face: &[u32; 3]| {
-            let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
-            0.5 * (b - a).cross(c - a).length()
+    /// Brings a face in that an earlier step left closed.
+    pub(super) fn pull_closed(&mut self, body: Body<'_>, face: [NodeId; 3]) {
+        let topology = body.mesh.topology();
+        let [a, b, c] = face;
+        let has_face = |&&t: &&TetId| {
+            let nodes = topology.tet_nodes(t);
+            nodes.contains(&b) && nodes.contains(&c)
         };
-        self.cut.iter().map(area_m2).sum()
+        let tets: Vec<TetId> = topology.node_tets(a).iter().filter(has_face).copied().collect();
+        if tets.len() == 2 {
+            for tet in tets {
+                self.pull_tet(body, tet);
+            }
+            let face = face.map(|n| self.pull_node(body, n));
+            self.cut.push(sorted(face));
+        }
+    }
+
+    /// Area [m2] of a face in the present shape.
+    pub(super) fn face_area_m2(&self, face: [u32; 3]) -> f64 {
+        let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
+        0.5 * (b - a).cross(c - a).length()
     }
 
     /// The place of a tetrahedron of the mesh in the patch.
@@ -366,7 +396,7 @@ impl Patch {
             rest_m: from.rest_m.lerp(to.rest_m, share),
             present_m: from.present_m.lerp(to.present_m, share),
             blend: from.blend.towards(&to.blend, share)?,
-            distance_m: 0.0,
+            distance_m: (1.0 - share) * from.distance_m + share * to.distance_m,
             label: 0,
             line_labels: [UNKNOWN; 4],
             is_front: false,
@@ -445,6 +475,16 @@ impl Patch {
         let mut changed: Vec<TetId> = self.pulled_tets.iter().filter(is_changed).copied().collect();
         changed.sort_unstable();
         changed
+    }
+
+    /// Largest cosine of a dihedral angle at rest among what is new; -1 without any.
+    pub(super) fn max_new_cosine(&self) -> f64 {
+        let new = self.live_tets().filter(|&t| !self.tets[t as usize].is_old);
+        let cosine = |t| {
+            let cosine = dihedral_cosine_range(self.rest_m(t))[1];
+            if cosine.is_nan() { 1.0 } else { cosine }
+        };
+        new.map(cosine).fold(-1.0, f64::max)
     }
 
     pub(super) fn rest_m(&self, tet: u32) -> [DVec3; 4] {

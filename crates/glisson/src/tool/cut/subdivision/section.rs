@@ -4,7 +4,7 @@
 //! divided there. Then inside the plane: the same with the lines that bound the polygon. Every decision
 //! hangs on the labels of nodes alone, so that neighbours cannot disagree.
 
-use super::patch::{Body, Patch, PatchNode, UNKNOWN, sorted};
+use super::patch::{Accept, Body, Patch, PatchNode, UNKNOWN, sorted};
 use super::sweep::{Side, Sweep};
 use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::TetId;
@@ -73,24 +73,31 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
     let n_snapped = work.n_snapped;
     if let Some(k) = (0..sweep.n_lines()).find(|&k| sweep.side(k) == Side::Front) {
-        let labels = |n: u32| patch.nodes[n as usize].line_labels;
-        let is_end = |n: u32| {
-            (0..sweep.n_lines()).any(|k| sweep.side(k) == Side::Way && labels(n)[k] == 0)
-        };
-        let front: Vec<(u32, bool)> = inside
-            .iter()
-            .flatten()
-            .filter(|&&n| labels(n)[k] == 0)
-            .map(|&n| (n, is_end(n)))
-            .collect();
-        patch.front.extend(front);
-        patch.front.sort_unstable();
-        patch.front.dedup();
+        add_front(patch, sweep, k, &inside, snapping.front_m);
     }
     patch.cut.extend(inside);
     patch.cut.sort_unstable();
     patch.cut.dedup();
     Section { swept_area_m2, n_touched, n_snapped }
+}
+
+/// Adds the nodes on the rim of `faces` that are at line `k`.
+fn add_front(patch: &mut Patch, sweep: &Sweep, k: usize, faces: &[[u32; 3]], reach_m: f64) {
+    let mut rim: Vec<[u32; 2]> = faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [a, c]]).collect();
+    rim.sort_unstable();
+    for edge in rim.chunk_by(|e, f| e == f).filter(|same| same.len() == 1).map(|same| same[0]) {
+        let nodes = edge.map(|n| patch.nodes[n as usize]);
+        if nodes.iter().any(|n| sweep.inside_m(k, n.present_m).abs() > reach_m) {
+            continue;
+        }
+        for (place, node) in edge.into_iter().zip(nodes) {
+            let is_end =
+                (0..sweep.n_lines()).any(|k| sweep.side(k) == Side::Way && node.line_labels[k] == 0);
+            patch.front.push((place, is_end));
+        }
+    }
+    patch.front.sort_unstable();
+    patch.front.dedup();
 }
 
 impl Work<'_> {
@@ -172,7 +179,9 @@ impl Work<'_> {
             let face = FACES[apex].map(|i| corners_m[i]);
             let [whole_m2, inside_m2] = self.sweep.triangle_areas_m2(face);
             let nodes = FACES[apex].map(|i| self.patch.tets[tet as usize].nodes[i]);
-            let share = if self.is_on_skin(nodes) { 0.0 } else { 0.5 };
+            // Next to the former place of the blade the cut may be open already.
+            let is_counted = !self.is_on_skin(nodes) || self.is_at_start(face);
+            let share = if is_counted { 0.5 } else { 0.0 };
             return (inside_m2 > LEAST_SHARE_OF_SECTION * whole_m2, share * inside_m2);
         }
         let inside_m2 =
@@ -219,6 +228,14 @@ impl Work<'_> {
             inside_m2 += inside;
         }
         inside_m2 > LEAST_SHARE_OF_SECTION * whole_m2
+    }
+
+    /// Whether a face reaches the place where the blade was.
+    fn is_at_start(&self, face_m: [DVec3; 3]) -> bool {
+        let start = (0..self.sweep.n_lines()).find(|&k| self.sweep.side(k) == Side::Start);
+        start.is_some_and(|k| {
+            face_m.iter().any(|&p| self.sweep.inside_m(k, p) <= self.snapping.front_m)
+        })
     }
 
     /// Whether a face of the patch has no tetrahedron on its other side.
@@ -414,7 +431,7 @@ impl Work<'_> {
         if let Some(k) = line {
             to_m = self.sweep.onto_line_m(k, to_m);
         }
-        let is_moved = self.patch.move_node(self.body, node, to_m, self.snapping.max_cosine);
+        let is_moved = self.patch.move_node(self.body, node, to_m, Accept::UpTo(self.snapping.max_cosine));
         if is_moved {
             self.patch.nodes[node as usize].distance_m = 0.0;
         }

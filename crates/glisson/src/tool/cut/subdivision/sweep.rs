@@ -12,6 +12,9 @@ const SAME_CORNER: f64 = 1e-6;
 /// Out of plane by less than this share of its size, a swept quadrilateral is cut as a flat one.
 const FLAT: f64 = 0.01;
 
+/// Ends that move apart by less than this share of their way move alike.
+const LEAST_TURN: f64 = 1e-3;
+
 /// What a side of a polygon is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
@@ -91,7 +94,8 @@ impl Sweep {
         let blade = (b0 - a0).normalize_or_zero();
         let turn = (da - db) - blade * (da - db).dot(blade);
         let (fa, fb) = (da.dot(turn), db.dot(turn));
-        if fa > 0.0 && fb < 0.0 && fa.min(-fb) > 1e-3 * (fa - fb) {
+        let is_turned = turn.length() > LEAST_TURN * da.length().max(db.length());
+        if is_turned && fa > 0.0 && fb < 0.0 && fa.min(-fb) > LEAST_TURN * (fa - fb) {
             let s = fa / (fa - fb);
             let pivot = 0.5 * (a0.lerp(b0, s) + a1.lerp(b1, s));
             return [

@@ -37,10 +37,10 @@ impl Hand {
     pub(super) fn count_activity(&mut self, tool: &Tool, dt_s: f64) {
         let works = match &tool.kind {
             ToolKind::Hook(rule) | ToolKind::Cautery(_, rule) => {
-                let touches = self.grasp.is_some() || self.contacts[ToolPart::Tip.index()].is_some();
-                self.now.is_triggered()
-                    && touches
-                    && self.report.force_on_tool_n.length() >= rule.least_force_n
+                // What closed jaws hold is pressed by the jaws themselves.
+                let is_pressed = self.contacts[ToolPart::Tip.index()].is_some()
+                    && self.report.force_on_tool_n.length() >= rule.least_force_n;
+                self.now.is_triggered() && (self.grasp.is_some() || is_pressed)
             }
             ToolKind::Probe | ToolKind::Grasper(_) | ToolKind::Scissors(_) | ToolKind::Scalpel(_) => false,
         };

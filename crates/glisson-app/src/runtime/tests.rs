@@ -221,7 +221,7 @@ fn a_fresh_precomputation_is_ordered_where_the_cut_one_asks_for_it() {
         }
     }
     // Two seconds of the scene's time later.
-    assert_eq!((ordered_at, fresh_at), (Some(20), Some(20 + 2_000)));
+    assert_eq!((ordered_at, fresh_at), (Some(20), Some(21 + 2_000)));
     assert!(simulation.notices().is_empty(), "{:?}", simulation.notices());
 }
 

@@ -142,7 +142,7 @@ fn nonlinear_zones_alone_are_the_nonlinear_tensor_mass_model() {
         displacements_of(model, &bar.mesh)
     });
     let moved_m = reference.iter().map(|u| u.length()).fold(0.0, f64::max);
-    assert!(moved_m > 0.005, "{moved_m}");
+    assert!(moved_m > 0.003, "{moved_m}");
     let errors = [condensed, exchanged].map(|found| largest_difference(&found, &reference));
     assert!(errors.iter().all(|e| *e < 1e-8), "{errors:?}");
 }

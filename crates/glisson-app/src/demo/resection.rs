@@ -29,7 +29,7 @@ use std::path::{Path, PathBuf};
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
 const TIP_RADIUS_M: f64 = 3e-3;
 /// Healthy tissue that is taken with the tumour [m]: a choice.
-const MARGIN_M: f64 = 12e-3;
+const MARGIN_M: f64 = 18e-3;
 /// Distance between two circles [m], below the width of what the hook burns.
 const LEVEL_M: f64 = 5e-3;
 /// How fast the hook is led [m/s].
@@ -102,7 +102,7 @@ impl Plan {
         let at = |radius_m: f64, angle: f64, below_m: f64| {
             self.entry_m - self.out * below_m + (u * angle.cos() + v * angle.sin()) * radius_m
         };
-        let bottom_m = self.depth_m + self.tumour.radius_m + 0.5 * MARGIN_M;
+        let bottom_m = self.depth_m + self.tumour.radius_m + 0.8 * MARGIN_M;
         let mut way = Vec::new();
         let mut time_s = 1.0;
         let mut last_m = at(self.radius_m(), 0.0, -0.03);
@@ -129,8 +129,9 @@ impl Plan {
                 to(at(radius_m, angle, bottom_m), 1.0, &mut way, &mut last_m);
             }
         }
-        // Out the way that it came.
-        to(at(self.radius_m(), 0.0, bottom_m), 0.0, &mut way, &mut last_m);
+        // Out through the moat, burning what is in the way.
+        to(at(self.radius_m(), 0.0, bottom_m), 1.0, &mut way, &mut last_m);
+        to(at(self.radius_m(), 0.0, -0.03), 1.0, &mut way, &mut last_m);
         to(at(self.radius_m(), 0.0, -0.05), 0.0, &mut way, &mut last_m);
         way
     }

@@ -461,8 +461,8 @@ impl<'a> Patient<'a> {
             fresh.take_over(&live_m);
             edited.step(dt_s);
             fresh.step(dt_s);
-            // Undivided in both.
-            if edited.report().n_parts == 1 && fresh.report().n_parts == 1 {
+            // Divided alike in both; a step that is strained is divided however short it is.
+            if edited.report().n_parts == fresh.report().n_parts || dt_s < 1e-7 {
                 break;
             }
             dt_s *= 0.5;

@@ -23,6 +23,7 @@ pub(crate) mod response;
 mod drawing;
 mod hybrid_exchange;
 mod mesh_edits;
+mod cut_subdivision;
 
 pub(crate) use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;
@@ -105,6 +106,7 @@ pub(crate) fn cases() -> Vec<Case> {
         drawing::CASES,
         hybrid_exchange::CASES,
         mesh_edits::CASES,
+        cut_subdivision::CASES,
     ]
     .concat()
 }

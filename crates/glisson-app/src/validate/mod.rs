@@ -5,6 +5,7 @@ mod benchmarks;
 mod bodies;
 mod contact_physics;
 mod contact_response;
+mod cut_subdivision;
 mod cutting;
 mod detection;
 mod elasticity;
@@ -215,6 +216,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "precomputed_cutting",
         about: "Cutting the pre-computed liver: errors against fresh pre-computations, time of a removal, hinges.",
         run: precomputed_cutting::experiments,
+    },
+    Group {
+        name: "cut_subdivision",
+        about: "Cutting along the swept blade: areas, shapes, volumes, pieces.",
+        run: cut_subdivision::experiments,
     },
     Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
     Group {

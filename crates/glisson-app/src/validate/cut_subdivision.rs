@@ -174,7 +174,7 @@ fn crossing_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
         }
     }
     let (volume, smallest_m3) = body.volumes(volume_m3);
-    let worst_live_deg = dihedral_angles_deg(&body.mesh.live_mesh()).fold(180.0, f64::min);
+    let worst_live_deg = dihedral_angles_deg(&body.mesh.live_mesh()).into_iter().fold(180.0, f64::min);
     let n = 2 * N_CROSSING;
     outcome.experiments.extend([
         Experiment::near(

@@ -25,6 +25,7 @@ mod drawing;
 mod hybrid_exchange;
 mod scalpel;
 mod mesh_edits;
+mod cut_subdivision;
 
 pub(crate) use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;
@@ -109,6 +110,7 @@ pub(crate) fn cases() -> Vec<Case> {
         scalpel::CASES,
         mesh_edits::CASES,
         world::CASES,
+        cut_subdivision::CASES,
     ]
     .concat()
 }

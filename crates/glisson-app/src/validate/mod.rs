@@ -5,6 +5,7 @@ mod benchmarks;
 mod bodies;
 mod contact_physics;
 mod contact_response;
+mod cut_subdivision;
 mod cutting;
 mod detection;
 mod elasticity;
@@ -221,6 +222,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "mesh_repair",
         about: "Shape of tetrahedra, cuts by vertex displacement, and their repair by collapse and by remeshing.",
         run: mesh_repair::experiments,
+    },
+    Group {
+        name: "cut_subdivision",
+        about: "Cutting along the swept blade: areas, shapes, volumes, pieces.",
+        run: cut_subdivision::experiments,
     },
     Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
     Group {

@@ -1,10 +1,12 @@
 //! Cutting along a swept blade: what opens, what keeps, and how good the tetrahedra stay.
+//!
+//! The area swept is known from the strokes' geometry, pieces and volumes from the planes.
 
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, Replacement, TopologyChange};
-use glisson::mesh::remap::follow;
 use glisson::mesh::quality::{FACES, MeshQuality};
+use glisson::mesh::remap::follow;
 use glisson::mesh::topology::Through;
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::tool::cut::subdivision::{CutRefusal, CutReport, SubdivisionCut, SubdivisionParams};
@@ -34,7 +36,11 @@ impl Body {
         follow::<NodeId, DVec3>(&mut self.positions_m, &change);
     }
 
-    fn stroke(&mut self, params: &SubdivisionParams, blades: impl IntoIterator<Item = [DVec3; 2]>) -> CutReport {
+    fn stroke(
+        &mut self,
+        params: &SubdivisionParams,
+        blades: impl IntoIterator<Item = [DVec3; 2]>,
+    ) -> CutReport {
         let mut cut = SubdivisionCut::new(params.clone());
         let mut last = None;
         for blade_m in blades {
@@ -43,7 +49,9 @@ impl Body {
             }
             last = Some(blade_m);
         }
-        if let Some(edit) = cut.finish(&self.mesh, &self.positions_m, last.expect("a blade")).expect("accepted") {
+        if let Some(edit) =
+            cut.finish(&self.mesh, &self.positions_m, last.expect("a blade")).expect("accepted")
+        {
             self.apply(edit);
         }
         *cut.report()
@@ -171,22 +179,24 @@ fn crossing_strokes_keep_the_body_whole_and_valid() {
     let mesh = box_of_five([8, 8, 4], size_m);
     let params = SubdivisionParams::for_mean_edge(mean_edge_m(&mesh));
     let mut body = Body::new(mesh);
-    let mut worst_deg = 180.0f64;
+    let (mut worst_deg, mut swept_m2, mut cut_m2) = (180.0f64, 0.0, 0.0);
     for i in 0..5 {
         let y_m = 0.0093 + 0.0101 * f64::from(i);
         let along_x = stroke_along_x([-0.004, 0.064], [y_m, 0.0], [0.03, 0.014], 0.1);
-        let along_y: Vec<[DVec3; 2]> =
-            along_x.iter().map(|b| b.map(|p| DVec3::new(p.y, p.x, p.z))).collect();
+        let along_y: Vec<[DVec3; 2]> = along_x.iter().map(|b| b.map(|p| DVec3::new(p.y, p.x, p.z))).collect();
         for blades in [along_x, along_y] {
             let report = body.stroke(&params, blades);
             worst_deg = worst_deg.min(report.min_dihedral_deg);
+            swept_m2 += report.swept_area_m2;
+            cut_m2 += report.cut_area_m2;
+            assert_eq!(report.n_refused, 0);
             let what = format!("{i}: {report:?}");
-            println!("{what} share {}", report.cut_area_m2 / report.swept_area_m2);
             body.check(size_m.element_product(), &what);
             assert_eq!(body.pieces(), 1, "{what}");
         }
     }
-    println!("worst {worst_deg}");
+    assert!((cut_m2 / swept_m2 - 1.0).abs() < 0.02, "{cut_m2} of {swept_m2}");
+    assert!(worst_deg >= 3.0, "{worst_deg}");
 }
 
 #[test]
@@ -194,10 +204,10 @@ fn random_strokes_never_break_the_mesh() {
     let size_m = DVec3::new(0.05, 0.05, 0.05);
     let mesh = box_of_five([5, 5, 5], size_m);
     let params = SubdivisionParams::for_mean_edge(mean_edge_m(&mesh));
-    for seed in 0..6 {
+    for seed in 0..4 {
         let mut random = SeededRandom::new(seed);
         let mut body = Body::new(mesh.clone());
-        for stroke in 0..8 {
+        for stroke in 0..6 {
             let mut point = || {
                 DVec3::new(
                     random.uniform_in(-0.02, 0.07),
@@ -208,7 +218,6 @@ fn random_strokes_never_break_the_mesh() {
             let blades = sweep([point(), point()], [point(), point()], 12);
             let report = body.stroke(&params, blades);
             let what = format!("seed {seed} stroke {stroke}: {report:?}");
-            println!("{what} share {}", report.cut_area_m2 / report.swept_area_m2);
             body.check(size_m.element_product(), &what);
         }
     }
@@ -233,7 +242,6 @@ fn strokes_in_a_deformed_body_open_the_area_swept_there() {
         .collect();
     let report = body.stroke(&params, blades);
     let share = report.cut_area_m2 / report.swept_area_m2;
-    println!("{report:?} {share}");
     body.check(size_m.element_product(), "deformed");
     assert!((share - 1.0).abs() < 0.02, "{share}: {report:?}");
     assert!(report.min_dihedral_deg >= 3.0, "{report:?}");

@@ -337,17 +337,22 @@ impl SubdivisionCut {
     }
 
     /// Works the cut out in the patch, not opened yet.
-    fn attempt(&mut self, body: Body<'_>, sweeps: &[Option<Sweep>; 2], share: f64, share_of_fixed: f64) -> CutReport {
+    fn attempt(
+        &mut self,
+        body: Body<'_>,
+        sweeps: &[Option<Sweep>; 2],
+        share: f64,
+        share_of_fixed: f64,
+    ) -> CutReport {
         let Self { params, stroke, patch, .. } = self;
         patch.start(body.mesh);
-        let snapping =
-            Snapping {
-                share,
-                share_of_fixed,
-                length_m: params.snap_length_m,
-                front_m: params.front_reach_m,
-                max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
-            };
+        let snapping = Snapping {
+            share,
+            share_of_fixed,
+            length_m: params.snap_length_m,
+            front_m: params.front_reach_m,
+            max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
+        };
         for &(node, is_end) in &stroke.front {
             if body.mesh.topology().is_live_node(node) {
                 patch.pull_front(body, node, is_end);
@@ -382,12 +387,7 @@ impl SubdivisionCut {
     }
 
     /// Opens the cut that is in the patch, and goes on from there.
-    fn accept(
-        &mut self,
-        body: Body<'_>,
-        blade_m: [DVec3; 2],
-        mut report: CutReport,
-    ) -> Option<Replacement> {
+    fn accept(&mut self, body: Body<'_>, blade_m: [DVec3; 2], mut report: CutReport) -> Option<Replacement> {
         let Self { stroke, patch, .. } = self;
         let front = patch.front.clone();
         let opened = opening::open(patch, body);

@@ -379,13 +379,6 @@ impl Patch {
         here
     }
 
-    pub(super) fn kill_tet(&mut self, tet: u32) {
-        self.tets[tet as usize].is_live = false;
-        for node in self.tets[tet as usize].nodes {
-            self.stars[node as usize].retain(|&t| t != tet);
-        }
-    }
-
     /// Puts a node on the edge from `a` to `b` and divides the tetrahedra there; `None` (and nothing done) if
     /// it would be a blend of too many nodes.
     pub(super) fn split_edge(&mut self, body: Body<'_>, [a, b]: [u32; 2], share: f64) -> Option<u32> {
@@ -508,10 +501,5 @@ impl Patch {
     pub(super) fn tet_edges(&self, tet: u32) -> [[u32; 2]; 6] {
         let nodes = self.tets[tet as usize].nodes;
         TET_EDGES.map(|[i, j]| [nodes[i].min(nodes[j]), nodes[i].max(nodes[j])])
-    }
-
-    /// Volume [m3] at rest.
-    pub(super) fn rest_volume_m3(&self, tet: u32) -> f64 {
-        tetrahedron_volume_m3(self.rest_m(tet))
     }
 }

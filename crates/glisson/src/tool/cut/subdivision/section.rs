@@ -91,8 +91,7 @@ fn add_front(patch: &mut Patch, sweep: &Sweep, k: usize, faces: &[[u32; 3]], rea
             continue;
         }
         for (place, node) in edge.into_iter().zip(nodes) {
-            let is_end =
-                (0..sweep.n_lines()).any(|k| sweep.side(k) == Side::Way && node.line_labels[k] == 0);
+            let is_end = (0..sweep.n_lines()).any(|k| sweep.side(k) == Side::Way && node.line_labels[k] == 0);
             patch.front.push((place, is_end));
         }
     }
@@ -171,8 +170,10 @@ impl Work<'_> {
         let distance_m =
             corners_m.map(|p| self.sweep.distance_m(p)).map(|d| if d.abs() <= flat_m { 0.0 } else { d });
         let n_zero = distance_m.iter().filter(|&&d| d == 0.0).count();
-        let (n_above, n_below) =
-            (distance_m.iter().filter(|&&d| d > 0.0).count(), distance_m.iter().filter(|&&d| d < 0.0).count());
+        let (n_above, n_below) = (
+            distance_m.iter().filter(|&&d| d > 0.0).count(),
+            distance_m.iter().filter(|&&d| d < 0.0).count(),
+        );
         if n_zero == 3 {
             // The section is a face, which the tetrahedron shares with the one on the other side.
             let apex = distance_m.iter().position(|&d| d != 0.0).unwrap_or(0);
@@ -184,8 +185,7 @@ impl Work<'_> {
             let share = if is_counted { 0.5 } else { 0.0 };
             return (inside_m2 > LEAST_SHARE_OF_SECTION * whole_m2, share * inside_m2);
         }
-        let inside_m2 =
-            if n_above == 0 || n_below == 0 { 0.0 } else { self.sweep.area_in_tet_m2(corners_m) };
+        let inside_m2 = if n_above == 0 || n_below == 0 { 0.0 } else { self.sweep.area_in_tet_m2(corners_m) };
         (self.is_cut(tet), inside_m2)
     }
 
@@ -233,16 +233,15 @@ impl Work<'_> {
     /// Whether a face reaches the place where the blade was.
     fn is_at_start(&self, face_m: [DVec3; 3]) -> bool {
         let start = (0..self.sweep.n_lines()).find(|&k| self.sweep.side(k) == Side::Start);
-        start.is_some_and(|k| {
-            face_m.iter().any(|&p| self.sweep.inside_m(k, p) <= self.snapping.front_m)
-        })
+        start.is_some_and(|k| face_m.iter().any(|&p| self.sweep.inside_m(k, p) <= self.snapping.front_m))
     }
 
     /// Whether a face of the patch has no tetrahedron on its other side.
     fn is_on_skin(&mut self, face: [u32; 3]) -> bool {
         self.patch.pull_star(self.body, face[0]);
         let star = self.patch.star(face[0]);
-        star.iter().filter(|&&t| face.iter().all(|n| self.patch.tets[t as usize].nodes.contains(n))).count() < 2
+        star.iter().filter(|&&t| face.iter().all(|n| self.patch.tets[t as usize].nodes.contains(n))).count()
+            < 2
     }
 
     fn divide_across_plane(&mut self, mut touched: Vec<u32>) {
@@ -352,7 +351,8 @@ impl Work<'_> {
             }
             let corners_m = face.map(|n| self.patch.nodes[n as usize].present_m);
             let [whole_m2, inside_m2] = self.sweep.triangle_areas_m2(corners_m);
-            if inside_m2 <= LEAST_SHARE_OF_FACE * whole_m2 || inside_m2 >= (1.0 - LEAST_SHARE_OF_FACE) * whole_m2
+            if inside_m2 <= LEAST_SHARE_OF_FACE * whole_m2
+                || inside_m2 >= (1.0 - LEAST_SHARE_OF_FACE) * whole_m2
             {
                 continue;
             }

@@ -18,6 +18,7 @@ mod reduced;
 mod contact;
 mod collision;
 pub(crate) mod colliding;
+mod colliding_bodies;
 mod drawing;
 mod hybrid_exchange;
 
@@ -97,6 +98,7 @@ pub(crate) fn cases() -> Vec<Case> {
         reduced::CASES,
         contact::CASES,
         collision::CASES,
+        colliding_bodies::CASES,
         drawing::CASES,
         hybrid_exchange::CASES,
     ]

@@ -37,7 +37,8 @@ const MOVE_M: f64 = 0.001;
 /// Different paths, used in turn.
 const N_PATHS: usize = 256;
 
-fn collision(settings: Settings, moving: bool) -> anyhow::Result<Prepared> {
+/// Moving: with the sorting into buckets.
+pub(crate) fn collision(settings: Settings, moving: bool) -> anyhow::Result<Prepared> {
     let body = StandardBody::shared(settings.size)?;
     let topology = Topology::build(&body.mesh)?;
     let (surface, _) = surface_of(&topology, &body.mesh);

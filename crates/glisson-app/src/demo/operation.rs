@@ -10,7 +10,7 @@ use anyhow::{Context, ensure};
 use glisson::files::write_atomically;
 use glisson::math::DVec3;
 use glisson::record::hash::StateHash;
-use glisson::tool::Tool;
+use glisson::tool::{Tool, ToolInput};
 use glisson::world::World;
 use std::io::Write;
 use std::path::PathBuf;
@@ -151,8 +151,7 @@ fn camera(world: &World, azimuth_deg: f64) -> Camera {
     Camera::framing_points(&world.snapshot().positions_m, PICTURE_SIZE, view)
 }
 
-fn instrument(tool: &Tool, world: &World) -> Instrument {
-    let at = world.snapshot().tools[0].pose;
+fn instrument(tool: &Tool, at: &ToolInput) -> Instrument {
     Instrument {
         tip_m: at.tip_in_world_m,
         handle_m: at.tip_in_world_m + at.shaft_in_world * tool.shaft_length_m,
@@ -185,7 +184,7 @@ fn picture(path: &std::path::Path, world: &World, azimuth_deg: f64, title: &str)
             rest_positions_m: topology.rest_positions_m,
             look: Look::Liver,
         }],
-        instruments: vec![instrument(&world.tools()[0], world)],
+        instruments: world.tools().iter().zip(&snapshot.tools).map(|(tool, now)| instrument(tool, &now.pose)).collect(),
         arrows: arrows.into_iter().collect(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],
         camera: camera(world, azimuth_deg),

@@ -4,6 +4,7 @@ mod adaptive;
 mod benchmarks;
 mod bodies;
 mod contact_physics;
+mod contact_response;
 mod cutting;
 mod detection;
 mod elasticity;
@@ -12,6 +13,7 @@ mod hybrid_condensed;
 mod image;
 mod indentation;
 mod interaction;
+mod mesh_repair;
 mod model_rheology;
 mod precomputed_cutting;
 mod precompute;
@@ -151,6 +153,11 @@ pub(crate) const GROUPS: &[Group] = &[
         run: detection::experiments,
     },
     Group {
+        name: "contact_response",
+        about: "Local responses to contact: the cubes of seed 000 by penalty, impulse and geometric alteration.",
+        run: contact_response::experiments,
+    },
+    Group {
         name: "indentation",
         about: "A sphere and a flat punch on a bonded layer: graded tetrahedra against an axisymmetric solution.",
         run: indentation::experiments,
@@ -209,6 +216,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "precomputed_cutting",
         about: "Cutting the pre-computed liver: errors against fresh pre-computations, time of a removal, hinges.",
         run: precomputed_cutting::experiments,
+    },
+    Group {
+        name: "mesh_repair",
+        about: "Shape of tetrahedra, cuts by vertex displacement, and their repair by collapse and by remeshing.",
+        run: mesh_repair::experiments,
     },
     Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
     Group {

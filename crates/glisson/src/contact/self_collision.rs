@@ -102,6 +102,11 @@ impl PairSearch {
         &self.boxes
     }
 
+    /// Boxes of the vertices at the last update, each with half of the margin as those of the triangles.
+    pub fn vertex_boxes(&self) -> &[RoundedBox] {
+        &self.corners
+    }
+
     /// Which pairs count.
     pub fn rules(&self) -> &PairRules {
         &self.rules

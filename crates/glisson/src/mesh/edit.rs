@@ -13,11 +13,12 @@ mod change;
 mod collapse;
 mod duplicate;
 mod error;
+mod judgement;
 mod moves;
 mod overlap;
 mod plan;
 mod replace;
-mod retetrahedralise;
+mod sides;
 mod singular;
 mod split;
 mod transaction;
@@ -181,6 +182,13 @@ impl EditableMesh {
         &self.topology
     }
 
+    /// Makes room for about `n_tets` more tetrahedra, so that the first edits need not move the tables.
+    pub fn reserve(&mut self, n_tets: usize) {
+        self.topology.reserve(n_tets);
+        self.mesh.tetrahedra.reserve(n_tets);
+        self.mesh.positions_m.reserve(n_tets.div_ceil(2));
+    }
+
     /// Volume [m3] of what is live.
     pub fn volume_m3(&self) -> f64 {
         self.topology.live_tets().map(|t| self.mesh.tet_volume_m3(t)).sum()
@@ -219,6 +227,24 @@ impl EditableMesh {
             self.topology.detach_tet(tet, change);
         }
         change.close();
+        Ok(())
+    }
+
+    /// [`EditableMesh::remove_into`] with what it takes to take the removal back. It allocates nothing if both
+    /// buffers have room ([`MeshUndo::with_room_for_removals`]).
+    ///
+    /// # Errors
+    /// As there; `undo` is empty then.
+    pub fn remove_saving(
+        &mut self,
+        tets: &[TetId],
+        change: &mut TopologyChange,
+        undo: &mut MeshUndo,
+    ) -> Result<(), EditError> {
+        undo.start(&self.topology);
+        self.remove_into(tets, change)?;
+        tets.iter().for_each(|&tet| undo.save_removal(tet));
+        undo.close(&self.topology);
         Ok(())
     }
 

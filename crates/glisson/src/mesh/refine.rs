@@ -10,6 +10,9 @@ use crate::math::DVec3;
 use crate::mesh::edit::{EdgeSplit, EditableMesh, MeshEdit};
 use crate::mesh::{EdgeId, TetId};
 
+/// Lengths within this factor count as equal: rounding must not send the way through a whole regular mesh.
+const EQUAL: f64 = 1.0 + 1e-9;
+
 /// Where a mesh is wanted finer: a ball at rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FineRegion {
@@ -29,8 +32,7 @@ impl FineRegion {
     }
 }
 
-/// The next edit that makes the mesh finer: middles of longest edges, no two at one tetrahedron, at most
-/// `most_splits` of them. `None` when every edge of the region is short enough. Call it again after carrying the
+/// The next edit that makes the mesh finer: middles of longest edges, at most `most_splits` of them. `None` when every edge of the region is short enough. Call it again after carrying the
 /// edit out.
 pub fn refine(body: &EditableMesh, region: &FineRegion, most_splits: usize) -> Option<MeshEdit> {
     let topology = body.topology();
@@ -39,37 +41,33 @@ pub fn refine(body: &EditableMesh, region: &FineRegion, most_splits: usize) -> O
     let mut edges: Vec<EdgeId> = coarse.map(|t| longest_around(body, t)).collect();
     edges.sort_unstable();
     edges.dedup();
-    // Of the edges at a tetrahedron only the longest of all is its longest, so that two of these never share one.
     let splits: Vec<EdgeSplit> =
         edges.into_iter().take(most_splits).map(|edge| EdgeSplit { edge, fraction: 0.5 }).collect();
     (!splits.is_empty()).then_some(MeshEdit::Split { edges: splits })
 }
 
-/// The longest edge of a tetrahedron and its length [m]; of equal ones that with the highest id.
+/// The longest edge of a tetrahedron and its length [m]; of equal ones the oldest.
 fn longest_edge(body: &EditableMesh, tet: TetId) -> (f64, EdgeId) {
     let topology = body.topology();
     let positions_m = &body.mesh().positions_m;
-    topology.tet_edges(tet).into_iter().fold((0.0, EdgeId(0)), |longest, edge| {
+    topology.tet_edges(tet).into_iter().fold((0.0, EdgeId(u32::MAX)), |longest, edge| {
         let [a, b] = topology.edge_nodes(edge).map(|n| positions_m[n.index()]);
         let length_m = a.distance(b);
-        if (length_m, edge) > longest { (length_m, edge) } else { longest }
+        let is_longer = length_m > longest.0 * EQUAL || (length_m * EQUAL > longest.0 && edge < longest.1);
+        if is_longer { (length_m, edge) } else { longest }
     })
 }
 
-/// The end of the way from a tetrahedron to ever longer edges: an edge that is the longest of all its tetrahedra.
+/// The end of the way from a tetrahedron to ever longer edges: an edge than which none of its tetrahedra has a longer
+/// one.
 fn longest_around(body: &EditableMesh, tet: TetId) -> EdgeId {
     let mut at = longest_edge(body, tet);
     loop {
-        // Lengths and ids only rise along the way, so that it ends.
-        let next = body
-            .topology()
-            .edge_tets(at.1)
-            .iter()
-            .map(|&t| longest_edge(body, t))
-            .fold(at, |most, e| if e > most { e } else { most });
-        if next == at {
-            return at.1;
+        // Lengths only rise along the way, so that it ends.
+        let tets = body.topology().edge_tets(at.1).iter();
+        match tets.map(|&t| longest_edge(body, t)).find(|(length_m, _)| *length_m > at.0 * EQUAL) {
+            Some(longer) => at = longer,
+            None => return at.1,
         }
-        at = next;
     }
 }

@@ -50,6 +50,11 @@ impl ModelUndo {
         self.whole = Some(model);
     }
 
+    /// Whether it holds a copy of the whole model.
+    pub fn keeps_whole(&self) -> bool {
+        self.whole.is_some()
+    }
+
     /// Brings `model` back to the moment before the edit.
     pub fn put_back(&mut self, model: &mut Box<dyn DeformableModel>) {
         match self.whole.take() {
@@ -84,6 +89,10 @@ impl<'a> UndoReader<'a> {
         let (read, rest) = self.places.split_at(n);
         self.places = rest;
         read
+    }
+
+    pub(in crate::model) fn has_places(&self) -> bool {
+        !self.places.is_empty()
     }
 
     pub(in crate::model) fn place(&mut self) -> usize {

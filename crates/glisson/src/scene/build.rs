@@ -4,6 +4,7 @@ use super::models::build_model;
 use super::organ::{MaterialSource, MeasuredSample, OrganZone};
 use super::spec::Scene;
 use crate::contact::shapes::MeshShape;
+use crate::image::vessels::{VesselFileError, read_vessels};
 use crate::material::tissues::{Tissue, TissueError};
 use crate::material::{LawChoice, LinearElastic, MaterialError, PronyTerm};
 use crate::math::DVec3;
@@ -55,6 +56,9 @@ pub enum BuildError {
     /// The surface of an instrument's tip.
     #[error(transparent)]
     ToolShape(#[from] SurfaceFileError),
+    /// The organ's vessels.
+    #[error(transparent)]
+    Vessels(#[from] VesselFileError),
     /// The tissue's name or numbers.
     #[error(transparent)]
     Tissue(#[from] TissueError),
@@ -381,6 +385,9 @@ pub fn build_world(
         if let Some(file) = file {
             tool.shape = ToolShape::Mesh(read_tool_shape(&folder.join(file))?);
         }
+    }
+    if let Some(file) = &scene.organ.vessels {
+        spec.vessels = read_vessels(&folder.join(file))?;
     }
     let world = World::new(spec, body.mesh.clone(), model, kind)
         .map_err(|error| BuildError::Organ { file: folder.join(&scene.organ.mesh), error })?;

@@ -3,7 +3,7 @@
 use super::organ::required_point;
 use super::reader::{SceneError, Section};
 use crate::math::DVec3;
-use crate::tool::{Blade, CutRule, Grip, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind, ToolShape};
+use crate::tool::{Blade, BladeCuts, CutRule, Grip, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind, ToolShape};
 use crate::units::Dimension;
 use std::path::PathBuf;
 
@@ -33,7 +33,7 @@ const DEFAULT_SHAFT_LENGTH_M: f64 = 0.3;
 const DEFAULT_JAWS: Jaws =
     Jaws { length_m: 0.02, width_m: 5e-3, greatest_opening_rad: 1.0, closing_force_n: 5.0 };
 const DEFAULT_BLADE_M: f64 = 0.02;
-const DEFAULT_CUT: CutRule = CutRule { least_force_n: 0.05, least_time_s: 0.05 };
+const DEFAULT_CUT: CutRule = CutRule { least_force_n: 0.05, least_time_s: 0.05, power_w: 0.0 };
 
 /// Friction of tissue on an instrument whose table does not say otherwise: a choice.
 const DEFAULT_FRICTION: f64 = 0.3;
@@ -114,7 +114,16 @@ fn read_kind(section: &mut Section<'_>) -> Result<ToolKind, SceneError> {
         "scissors" => ToolKind::Scissors(read_jaws(section)?),
         "scalpel" => {
             let length_m = section.positive("blade_length", Dimension::Length)?.unwrap_or(DEFAULT_BLADE_M);
-            ToolKind::Scalpel(Blade { length_m })
+            let cuts = match section.string("blade_cuts")? {
+                None => BladeCuts::Subdivision,
+                Some((way, _)) if way == "subdivision" => BladeCuts::Subdivision,
+                Some((way, _)) if way == "displacement" => BladeCuts::Displacement,
+                Some((way, at)) => {
+                    let allowed = "subdivision, displacement";
+                    return Err(section.wrong_value(at, "blade_cuts", format!("\"{way}\""), allowed));
+                }
+            };
+            ToolKind::Scalpel(Blade { length_m, cuts })
         }
         "hook" => ToolKind::Hook(read_cut(section)?),
         "cautery" => ToolKind::Cautery(read_jaws(section)?, read_cut(section)?),
@@ -142,6 +151,7 @@ fn read_cut(section: &mut Section<'_>) -> Result<CutRule, SceneError> {
     Ok(CutRule {
         least_force_n: section.positive("cut_force", Dimension::Force)?.unwrap_or(d.least_force_n),
         least_time_s: section.positive("cut_time", Dimension::Time)?.unwrap_or(d.least_time_s),
+        power_w: section.positive("power", Dimension::Power)?.unwrap_or(d.power_w),
     })
 }
 

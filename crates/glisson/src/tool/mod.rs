@@ -71,6 +71,17 @@ pub struct Jaws {
 pub struct Blade {
     /// Length of the edge [m].
     pub length_m: f64,
+    /// How it parts tissue.
+    pub cuts: BladeCuts,
+}
+
+/// How a blade parts tissue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BladeCuts {
+    /// Along the swept blade, through the tetrahedra ([`cut::subdivision`]).
+    Subdivision,
+    /// Along the faces of tetrahedra, whose nodes are moved there ([`cut::scalpel`], seed `000`).
+    Displacement,
 }
 
 /// When an active tip takes away what it touches: seed `000`, s. 4.4.2, removes the touched tetrahedron when the force
@@ -79,8 +90,11 @@ pub struct Blade {
 pub struct CutRule {
     /// Least force on the tip [N].
     pub least_force_n: f64,
-    /// How long it has to touch with the current on [s].
+    /// How long it has to touch with the current on [s]; without effect when there is a power.
     pub least_time_s: f64,
+    /// Electrical power that heats what it touches until it comes apart [W]; 0: all goes after the time
+    /// ([`cautery`]).
+    pub power_w: f64,
 }
 
 /// What of an instrument touches tissue.

@@ -3,6 +3,7 @@
 use super::grasp::{Grasp, HOLDS_BELOW, Hold};
 use super::hand::Hand;
 use super::parts::ToolPart;
+use super::slide::SlideInput;
 use super::{StepInput, World};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
@@ -138,6 +139,7 @@ impl World {
         for place in 0..self.hands.len() {
             let mut force_on_tool_n = DVec3::ZERO;
             let mut in_contact = false;
+            let mut slip_m = 0.0;
             for part in ToolPart::ALL {
                 let force_on_organ_n = self.force_on_organ_n(place, Some(part));
                 let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
@@ -150,6 +152,12 @@ impl World {
                 } else {
                     in_contact = true;
                     force_on_tool_n -= force_on_organ_n;
+                    if !tool.grip.is_sticky {
+                        let friction = tool.grip.friction_coefficient;
+                        let radius_m = part.radius_m(tool);
+                        let slide = SlideInput { point_m, radius_m, friction, force_on_organ_n };
+                        slip_m += contact.slide(&self.organ, &slide);
+                    }
                 }
             }
             let force_of_jaws_n = -self.force_on_organ_n(place, None);
@@ -158,7 +166,7 @@ impl World {
             if let (Some(grasp), Some(jaws)) = (&mut hand.grasp, tool.kind.jaws()) {
                 if force_of_jaws_n.is_finite() {
                     let hold = Hold { force_on_tool_n: force_of_jaws_n, dt_s };
-                    hand.report.slip_m = grasp.slip(tool, jaws, &pose, &hold);
+                    slip_m += grasp.slip(tool, jaws, &pose, &hold);
                     force_on_tool_n += force_of_jaws_n;
                 }
                 hand.report.n_held_nodes = grasp.n_nodes() as u32;
@@ -168,6 +176,7 @@ impl World {
                 }
             }
             hand.report.in_contact = in_contact;
+            hand.report.slip_m = slip_m;
             hand.report.force_on_tool_n = force_on_tool_n;
             hand.count_activity(tool, dt_s);
         }

@@ -1,7 +1,8 @@
 //! What the instruments cut, by their kind.
 //!
 //! Hook and cautery take away the tetrahedra that they touch once the force has reached a threshold (seed `000`,
-//! s. 4.4.2) and the current has been on for long enough; scissors those between their jaws when these close.
+//! s. 4.4.2) and the current has been on for long enough, or has heated them enough; scissors those between their jaws
+//! when these close; a scalpel parts the mesh along its edge.
 
 use super::hand::Hand;
 use super::parts::{ToolPart, capsule};
@@ -12,7 +13,7 @@ use crate::mesh::TetId;
 use crate::mesh::edit::MeshEdit;
 use crate::mesh::topology::TET_TRIANGLES;
 use crate::tool::pose::ToolFrame;
-use crate::tool::{CutRule, Tool, ToolKind};
+use crate::tool::{Tool, ToolKind};
 
 /// A tip that stands on the surface touches it but for rounding: this share of its radius is added to it.
 const REACH: f64 = 1.01;
@@ -25,6 +26,8 @@ const MOST_TRIANGLES: usize = 256;
 pub struct ToolCuts {
     /// Tetrahedra that were taken out.
     pub n_removed: usize,
+    /// Edits by which blades parted the mesh.
+    pub n_edits: usize,
     /// Why something was not cut, with the tool's number.
     pub refusals: Vec<(usize, EditRefusal)>,
 }
@@ -34,19 +37,14 @@ impl Hand {
     pub(super) fn count_activity(&mut self, tool: &Tool, dt_s: f64) {
         let works = match &tool.kind {
             ToolKind::Hook(rule) | ToolKind::Cautery(_, rule) => {
-                let touches = self.grasp.is_some() || self.contacts[ToolPart::Tip.index()].is_some();
-                self.now.is_triggered()
-                    && touches
-                    && self.report.force_on_tool_n.length() >= rule.least_force_n
+                // What closed jaws hold is pressed by the jaws themselves.
+                let is_pressed = self.contacts[ToolPart::Tip.index()].is_some()
+                    && self.report.force_on_tool_n.length() >= rule.least_force_n;
+                self.now.is_triggered() && (self.grasp.is_some() || is_pressed)
             }
             ToolKind::Probe | ToolKind::Grasper(_) | ToolKind::Scissors(_) | ToolKind::Scalpel(_) => false,
         };
         self.active_s = if works { self.active_s + dt_s } else { 0.0 };
-    }
-
-    /// Whether the active tip has been at work for long enough.
-    fn has_burnt(&self, rule: &CutRule) -> bool {
-        self.active_s > 0.0 && self.active_s >= rule.least_time_s
     }
 }
 
@@ -58,16 +56,15 @@ impl World {
         for tool in 0..self.hands.len() {
             let hand = &self.hands[tool];
             let tets = match &self.spec.tools[tool].kind {
-                ToolKind::Hook(rule) if hand.has_burnt(rule) => self.touched_tetrahedra(tool),
-                ToolKind::Cautery(_, rule) if hand.has_burnt(rule) && hand.grasp.is_none() => {
-                    self.touched_tetrahedra(tool)
+                &(ToolKind::Hook(rule) | ToolKind::Cautery(_, rule)) => self.burnt(tool, &rule),
+                &ToolKind::Scalpel(blade) => {
+                    self.cut_with_blade(tool, &blade, &mut cuts);
+                    continue;
                 }
-                ToolKind::Cautery(_, rule) if hand.has_burnt(rule) => self.tetrahedra_between_jaws(tool),
                 ToolKind::Scissors(_) if hand.just_closed => self.tetrahedra_between_jaws(tool),
                 _ => continue,
             };
-            let hand = &mut self.hands[tool];
-            (hand.active_s, hand.just_closed) = (0.0, false);
+            self.hands[tool].just_closed = false;
             if tets.is_empty() {
                 continue;
             }

@@ -11,7 +11,7 @@ use crate::contact::shapes::MeshShape;
 use crate::contact::triangles::closest_weights;
 use crate::math::DVec3;
 use crate::mesh::topology::Topology;
-use crate::tool::{Tool, ToolInput};
+use crate::tool::{Tool, ToolInput, ToolKind};
 
 /// A mesh touches when it is this near [m]: far below what is seen, far above rounding, so that there is a direction
 /// from tissue to tool.
@@ -116,6 +116,12 @@ impl Hand {
     pub(super) fn find_contacts(&mut self, tool: &Tool, organ: &Organ, is_placed: bool) {
         for part in ToolPart::ALL {
             let holds = self.grasp.is_some() && part != ToolPart::Shaft;
+            // An edge that cuts does not push.
+            let cuts = matches!(tool.kind, ToolKind::Scalpel(_)) && self.now.is_triggered();
+            if cuts && part == ToolPart::Tip {
+                self.contacts[part.index()] = None;
+                continue;
+            }
             if self.contacts[part.index()].is_some() || holds {
                 continue;
             }

@@ -3,8 +3,10 @@
 //! Stages of a step, in order: hands, contacts and grasps, constraints and loads, model, forces. Cuts are made
 //! between steps ([`World::edit`], [`World::cut_with_tools`]). A step never fails, allocates, locks, logs or reads a clock.
 
+mod active;
 mod constrain;
 mod cut;
+mod edits;
 mod grasp;
 mod hand;
 mod loads;
@@ -12,29 +14,34 @@ pub mod organ;
 mod parts;
 pub mod saved;
 mod skin;
+mod slide;
 pub mod spec;
 pub mod touch;
 pub mod vessels;
 
+pub use cut::ToolCuts;
+pub use edits::EditRefusal;
 pub use hand::ToolReport;
 pub use parts::ToolPart;
 
 use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
-use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, TopologyChange};
-use crate::mesh::topology::TopologyError;
 use crate::model::kind::ModelKind;
-use crate::model::{Constraints, DeformableModel, ModelReport, ModelState, TopologyRefusal};
+use crate::model::{Constraints, DeformableModel, ModelReport, ModelState};
 use crate::record::hash::StateHash;
 use crate::record::snapshot::{ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
+use active::ActiveTip;
 use constrain::{MOST_IMPOSED, Owner};
+use edits::Journal;
 use hand::Hand;
 use loads::Loads;
 use organ::{Organ, OrganError};
 use spec::WorldSpec;
+use std::sync::Arc;
 use touch::HeldContact;
+use vessels::Vessels;
 
 /// Everything that one step is told from outside.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,20 +101,6 @@ impl StepReport {
     }
 }
 
-/// Why an edit of the organ was refused.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum EditRefusal {
-    /// The model cannot follow.
-    #[error(transparent)]
-    Model(#[from] TopologyRefusal),
-    /// The mesh cannot be edited so.
-    #[error(transparent)]
-    Mesh(#[from] EditError),
-    /// The mesh is no mesh.
-    #[error(transparent)]
-    Topology(#[from] TopologyError),
-}
-
 /// A model that takes over at a step fixed when it was ordered.
 struct QueuedSwap {
     at_step: u64,
@@ -123,6 +116,11 @@ pub struct World {
     model_kind: ModelKind,
     swap: Option<QueuedSwap>,
     hands: Vec<Hand>,
+    active: Vec<ActiveTip>,
+    vessels: Option<Vessels>,
+    journal: Journal,
+    /// What models that are made later are made from.
+    mesh_of_the_start: Arc<TetMesh>,
     constraints: Constraints,
     /// Whose each imposed displacement is.
     owners: Vec<Owner>,
@@ -150,9 +148,18 @@ impl World {
         if !(1..=MAX_TOOLS).contains(&spec.tools.len()) {
             return Err(OrganError::Tools { n_tools: spec.tools.len() });
         }
+        let mesh_of_the_start = Arc::new(mesh.clone());
         let organ = Organ::new(mesh, &spec.supports)?;
+        let vessels = match spec.vessels.is_empty() {
+            true => None,
+            false => Some(
+                Vessels::new(spec.vessels.clone(), organ.body())
+                    .map_err(|(number, error)| OrganError::Vessel { number, error })?,
+            ),
+        };
         let loads = Loads::new(&spec, &organ);
         let hands = spec.tools.iter().map(Hand::at_home).collect();
+        let active = spec.tools.iter().map(|tool| ActiveTip::new(tool, organ.body())).collect();
         let mut constraints = Constraints::default();
         constraints.displacements.reserve(MOST_IMPOSED);
         constraints.forces.reserve(organ.mesh().positions_m.len());
@@ -164,6 +171,10 @@ impl World {
             model_kind: kind,
             swap: None,
             hands,
+            active,
+            vessels,
+            journal: Journal::new(),
+            mesh_of_the_start,
             constraints,
             owners: Vec::with_capacity(MOST_IMPOSED),
             between_jaws: grasp::room_for_search(),
@@ -190,6 +201,11 @@ impl World {
         self.model_kind
     }
 
+    /// A copy of the model as it is now.
+    pub fn copy_of_model(&self) -> Box<dyn DeformableModel> {
+        self.model.duplicate()
+    }
+
     /// The model's state.
     pub fn state(&self) -> ModelState<'_> {
         self.model.state()
@@ -199,7 +215,8 @@ impl World {
     /// and grasps, gravity, the loads' clock. A model that was ordered counts from its first step on.
     pub fn state_hash(&self) -> StateHash {
         let gravity = self.gravity_m_per_s2.to_array();
-        let hands = self.hands.iter().flat_map(Hand::numbers);
+        let active = self.active.iter().flat_map(ActiveTip::numbers);
+        let hands = self.hands.iter().flat_map(Hand::numbers).chain(active);
         let surroundings: Vec<f64> =
             gravity.into_iter().chain(self.loads.clock(self.step)).chain(hands).collect();
         StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
@@ -221,7 +238,7 @@ impl World {
         self.swap = Some(QueuedSwap { at_step: at_step.max(self.step), kind, model: None });
     }
 
-    /// Brings the ordered model, made from the organ as it was at the start: it follows the removals so far.
+    /// Brings the ordered model, made from the organ as it was at the start: it follows the edits so far.
     /// Answers whether it was ordered; if not, `model` is dropped.
     ///
     /// # Errors
@@ -234,15 +251,7 @@ impl World {
         if self.swap.as_ref().is_none_or(|swap| swap.kind != kind) {
             return Ok(false);
         }
-        let tets = self.organ.removed_tetrahedra();
-        if !tets.is_empty() {
-            if let Some(refusal) = model.topology_refusal() {
-                return Err(refusal.into());
-            }
-            let mut whole = EditableMesh::new(self.organ.mesh().clone())?;
-            let change = whole.apply(&MeshEdit::Remove { tets })?;
-            model.topology_changed(whole.mesh(), &change)?;
-        }
+        self.bring_up_to_date(model.as_mut())?;
         if let Some(swap) = &mut self.swap {
             swap.model = Some(model);
         }
@@ -264,6 +273,7 @@ impl World {
         for (hand, tool) in self.hands.iter_mut().zip(&self.spec.tools) {
             *hand = Hand::at_home(tool);
         }
+        self.active.iter_mut().for_each(ActiveTip::lift);
         self.owners.clear();
         self.constraints.displacements.clear();
         self.constraints.forces.clear();
@@ -289,49 +299,6 @@ impl World {
         self.gravity_m_per_s2
     }
 
-    /// Edits the organ's mesh: the model, the supports and the surface follow. Contacts on triangles that are still there
-    /// and grasps of nodes that are hold on.
-    ///
-    /// # Errors
-    /// [`EditRefusal`] when the model or the mesh cannot; nothing changed then. (A removal that
-    /// a model cannot follow because memory is short leaves the organ cut.)
-    pub fn edit(&mut self, edit: &MeshEdit) -> Result<TopologyChange, EditRefusal> {
-        if let Some(refusal) = self.model.topology_refusal() {
-            return Err(refusal.into());
-        }
-        let waiting = self.swap.as_ref().and_then(|swap| swap.model.as_ref());
-        if let Some(refusal) = waiting.and_then(|model| model.topology_refusal()) {
-            return Err(refusal.into());
-        }
-        // Every model follows removals but for want of memory; of other edits the model is asked with the edit made.
-        let before = (!matches!(edit, MeshEdit::Remove { .. })).then(|| self.organ.clone());
-        let change = self.organ.edit(edit)?;
-        if let Err(refusal) = self.model.topology_changed(self.organ.mesh(), &change) {
-            if let Some(before) = before {
-                self.organ = before;
-            }
-            return Err(refusal.into());
-        }
-        if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut())
-            && waiting.topology_changed(self.organ.mesh(), &change).is_err()
-        {
-            // The present model has followed: it goes on.
-            self.swap = None;
-        }
-        self.organ.place_new_nodes(&change, self.model.state().positions_m);
-        self.loads.follow(&change);
-        let topology = self.organ.body().topology();
-        for hand in &mut self.hands {
-            hand.follow(topology);
-        }
-        Ok(change)
-    }
-
-    /// Takes the last edit back; answers whether there was one that could be.
-    pub fn undo_edit(&mut self) -> bool {
-        false
-    }
-
     /// One step of the scene's time step.
     pub fn step(&mut self, input: &StepInput) -> StepReport {
         self.report = StepReport { step: self.step, ..StepReport::default() };
@@ -343,6 +310,9 @@ impl World {
         self.constrain();
         self.move_organ(input.n_substeps.max(1));
         self.read_forces();
+        if let Some(vessels) = &mut self.vessels {
+            vessels.advance(self.spec.time_step_s);
+        }
         self.step += 1;
         self.report.step = self.step;
         for (report, hand) in self.report.tools.iter_mut().zip(&self.hands) {
@@ -363,6 +333,8 @@ impl World {
             model.set_gravity(self.pull_m_per_s2);
             self.model = model;
             self.model_kind = swap.kind;
+            // What was saved belongs to the model before.
+            self.journal.forget_undo();
         }
         true
     }
@@ -413,6 +385,21 @@ impl World {
                 n_held_nodes: hand.report.n_held_nodes,
             }
         }));
+    }
+
+    /// The vessels, if the organ has some.
+    pub fn vessels(&self) -> Option<&Vessels> {
+        self.vessels.as_ref()
+    }
+
+    /// Sets a clip on the vessel nearest to the tip of a tool, if one is within its reach; answers whether one was.
+    pub fn clip_vessel(&mut self, tool: usize) -> bool {
+        let tip_m = self.hands[tool].now.tip_in_world_m;
+        let spec = &self.spec.tools[tool];
+        let reach_m = spec.tip_radius_m + spec.kind.jaws().map_or(0.0, |jaws| jaws.length_m);
+        let positions_m = self.model.state().positions_m;
+        let Some(vessels) = &mut self.vessels else { return false };
+        vessels.clip(tip_m, reach_m, self.organ.body(), positions_m)
     }
 
     /// The instruments.

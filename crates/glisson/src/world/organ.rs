@@ -2,8 +2,9 @@
 
 use super::skin::{Skin, SurfaceChange};
 use super::spec::{Support, fixed_nodes};
+use crate::image::vessels::TubeError;
 use crate::math::DVec3;
-use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, TopologyChange};
+use crate::mesh::edit::{EditableMesh, MeshUndo, TopologyChange};
 use crate::mesh::remap::EntityArray;
 use crate::mesh::topology::{TopologyError, surface_of};
 use crate::mesh::{NodeId, TetId, TetMesh};
@@ -19,6 +20,14 @@ pub enum OrganError {
     /// No tetrahedra.
     #[error("the mesh has no tetrahedra")]
     Empty,
+    /// A vessel that makes no sense.
+    #[error("vessel {number}: {error}")]
+    Vessel {
+        /// Its number from 0.
+        number: usize,
+        /// What is wrong.
+        error: TubeError,
+    },
     /// No tool, or too many.
     #[error("{n_tools} instruments; a world has 1 to {MAX_TOOLS}")]
     Tools {
@@ -26,6 +35,32 @@ pub enum OrganError {
         n_tools: usize,
     },
 }
+
+/// What an edit overwrites of an organ beside its mesh.
+#[derive(Clone, Debug, Default)]
+pub(super) struct OrganBefore {
+    /// Whether each node that was removed was held, in the order of the change.
+    fixed: Vec<bool>,
+}
+
+/// Takes back what an edit did to an array by node: drops what came in, writes the values of what was removed back.
+pub(super) fn put_back(
+    array: &mut EntityArray<NodeId, bool>,
+    change: &TopologyChange,
+    of_removed: impl Iterator<Item = bool>,
+) {
+    let mut values = std::mem::replace(array, EntityArray::new(Vec::new())).into_vec();
+    values.truncate(change.nodes.n_before);
+    for (node, value) in change.nodes.removed.iter().zip(of_removed) {
+        if let Some(place) = values.get_mut(node.index()) {
+            *place = value;
+        }
+    }
+    *array = EntityArray::new(values);
+}
+
+/// Tetrahedra that cuts may add before tables have to be moved: a choice.
+const SPARE_TETS: usize = 1000;
 
 /// Mesh, supports and moving surface of one organ.
 #[derive(Clone, Debug)]
@@ -52,23 +87,25 @@ impl Organ {
         for held in fixed_nodes(supports, &mesh.positions_m) {
             fixed[held.node.index()] = held.axes == [true; 3];
         }
-        let body = EditableMesh::new(mesh)?;
+        let mut body = EditableMesh::new(mesh)?;
+        // The first cuts move no tables.
+        body.reserve(SPARE_TETS);
         let surface_nodes = body.topology().surface_nodes().collect();
         let skin = Skin::new(&body, &body.mesh().positions_m);
         Ok(Self { body, fixed: EntityArray::new(fixed), surface_nodes, skin, topology_version: 1 })
     }
 
-    /// Edits the mesh; the supports and the surface follow, the model has to.
-    ///
-    /// # Errors
-    /// [`EditError`] when the edit cannot be done; nothing changed then.
-    pub fn edit(&mut self, edit: &MeshEdit) -> Result<TopologyChange, EditError> {
-        let change = self.body.apply(edit)?;
-        self.follow_edit(&change);
-        Ok(change)
+    /// Mesh and adjacency, to be edited; what follows has to be told.
+    pub(super) fn body_mut(&mut self) -> &mut EditableMesh {
+        &mut self.body
     }
 
-    fn follow_edit(&mut self, change: &TopologyChange) {
+    /// The body was edited: supports and surface follow; `before` keeps what that overwrites.
+    pub(super) fn follow_edit(&mut self, change: &TopologyChange, before: &mut OrganBefore) {
+        before.fixed.clear();
+        before
+            .fixed
+            .extend(change.nodes.removed.iter().map(|n| n.index() < change.nodes.n_before && self.fixed[*n]));
         self.fixed.follow(change);
         for &node in &change.surface_nodes_removed {
             if let Ok(at) = self.surface_nodes.binary_search(&node) {
@@ -85,6 +122,28 @@ impl Organ {
             removed: &change.surface_triangles_removed,
         };
         self.skin.follow(&self.body, &surface);
+        self.topology_version += 1;
+    }
+
+    /// Takes the last edit back.
+    pub(super) fn undo_edit(&mut self, undo: &MeshUndo, change: &TopologyChange, before: &OrganBefore) {
+        self.body.undo(undo);
+        put_back(&mut self.fixed, change, before.fixed.iter().copied());
+        for &node in &change.surface_nodes_added {
+            if let Ok(at) = self.surface_nodes.binary_search(&node) {
+                self.surface_nodes.remove(at);
+            }
+        }
+        for &node in &change.surface_nodes_removed {
+            if let Err(at) = self.surface_nodes.binary_search(&node) {
+                self.surface_nodes.insert(at, node);
+            }
+        }
+        let surface = SurfaceChange {
+            added: &change.surface_triangles_added,
+            removed: &change.surface_triangles_removed,
+        };
+        self.skin.unfollow(&self.body, &surface);
         self.topology_version += 1;
     }
 

@@ -4,7 +4,7 @@ use crate::contact::shapes::{Capsule, CapsuleMotion, RigidPose};
 use crate::math::DVec3;
 use crate::tool::pose::ToolFrame;
 use crate::tool::trocar::trocar_pose;
-use crate::tool::{Tool, ToolInput, ToolShape};
+use crate::tool::{Tool, ToolInput, ToolKind, ToolShape};
 
 /// Which part of an instrument touches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +20,15 @@ pub enum ToolPart {
 impl ToolPart {
     /// All of them, in the order in which they are asked.
     pub const ALL: [Self; 3] = [Self::Tip, Self::SecondJaw, Self::Shaft];
+
+    /// Radius with which it touches [m]; none for a mesh, which touches with its own points.
+    pub(super) fn radius_m(self, tool: &Tool) -> f64 {
+        match self {
+            Self::Tip if mesh_of(tool).is_some() => 0.0,
+            Self::Tip | Self::SecondJaw => tool.tip_radius_m,
+            Self::Shaft => tool.shaft_radius_m,
+        }
+    }
 
     /// Place in a list of all parts.
     pub fn index(self) -> usize {
@@ -46,8 +55,11 @@ pub(super) fn capsule(tool: &Tool, part: ToolPart, pose: &ToolInput) -> Option<C
         ToolPart::Tip => Some(jaw(0).unwrap_or(Capsule::ball(pose.tip_in_world_m, tool.tip_radius_m))),
         ToolPart::SecondJaw => jaw(1),
         ToolPart::Shaft => {
-            let jaws_m = tool.kind.jaws().map_or(0.0, |jaws| jaws.length_m);
-            let first_m = jaws_m.max(SHAFT_BEGINS * tool.tip_radius_m);
+            let effector_m = match &tool.kind {
+                ToolKind::Scalpel(blade) => blade.length_m,
+                kind => kind.jaws().map_or(0.0, |jaws| jaws.length_m),
+            };
+            let first_m = effector_m.max(SHAFT_BEGINS * tool.tip_radius_m);
             (first_m < tool.shaft_length_m).then(|| Capsule {
                 from_m: behind_m(first_m),
                 to_m: behind_m(tool.shaft_length_m),

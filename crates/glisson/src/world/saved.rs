@@ -1,14 +1,15 @@
 //! Coming back to an earlier moment.
 
 use super::constrain::MOST_IMPOSED;
-use super::{QueuedSwap, World, grasp};
+use super::{World, grasp};
+use std::sync::Arc;
 
 /// A world as it was: mesh with its removals, the model with accumulated stiffness, warm starts and factors, the
 /// contact under way, loads, orders. Steps from it have the same bits as those that followed it.
 pub struct SavedWorld(World);
 
 impl World {
-    /// A copy of everything that the next steps depend on. Allocates.
+    /// A copy of everything that the next steps depend on; its edits cannot be taken back. Allocates.
     pub fn save(&self) -> SavedWorld {
         SavedWorld(self.duplicate())
     }
@@ -19,11 +20,7 @@ impl World {
     }
 
     fn duplicate(&self) -> Self {
-        let swap = self.swap.as_ref().map(|swap| QueuedSwap {
-            at_step: swap.at_step,
-            kind: swap.kind,
-            model: swap.model.as_ref().map(|model| model.duplicate()),
-        });
+        let swap = Self::order_of(self.swap.as_ref());
         // A clone has no room beyond what it holds.
         let mut constraints = self.constraints.clone();
         constraints.displacements.reserve(MOST_IMPOSED);
@@ -37,6 +34,10 @@ impl World {
             model_kind: self.model_kind,
             swap,
             hands: self.hands.clone(),
+            active: self.active.clone(),
+            vessels: self.vessels.clone(),
+            journal: self.journal.without_undo(),
+            mesh_of_the_start: Arc::clone(&self.mesh_of_the_start),
             constraints,
             owners,
             between_jaws: grasp::room_for_search(),

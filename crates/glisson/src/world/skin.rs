@@ -2,6 +2,8 @@
 //! triangle by triangle.
 
 use crate::contact::broad_phase::BroadPhaseKind;
+use crate::contact::proxy::ProxySurface;
+use crate::contact::proxy_surface::SurfaceAdjacency;
 use crate::contact::shapes::{Capsule, CapsuleMotion};
 use crate::contact::tool_contact::{SurfaceSearch, ToolContact};
 use crate::math::DVec3;
@@ -20,6 +22,7 @@ const NONE: u32 = u32::MAX;
 #[derive(Clone, Debug)]
 pub(super) struct Skin {
     search: SurfaceSearch,
+    adjacency: SurfaceAdjacency,
     /// Slot of each triangle of the mesh.
     slots: Vec<u32>,
     /// Triangle in each slot.
@@ -60,6 +63,7 @@ impl Skin {
         let mut skin = Self {
             // Replaced below, when the slots are filled.
             search: SurfaceSearch::new(BroadPhaseKind::Hierarchy, &[], &[], 0),
+            adjacency: SurfaceAdjacency::new(0, &[], 0),
             slots: vec![NONE; topology.n_triangles()],
             triangles: vec![NONE; n_slots],
             nodes: vec![[NodeId(0); 3]; n_slots],
@@ -78,6 +82,7 @@ impl Skin {
             skin.nodes[slot] = topology.outward_nodes(triangle);
         }
         let filled: Vec<[u32; 3]> = skin.nodes[..n].iter().map(|nodes| nodes.map(|n| n.0)).collect();
+        skin.adjacency = SurfaceAdjacency::new(skin.end_m.len(), &filled, n_spare);
         skin.search = SurfaceSearch::new(BroadPhaseKind::Hierarchy, &skin.end_m, &filled, n_spare);
         skin
     }
@@ -99,6 +104,7 @@ impl Skin {
             let slot = std::mem::replace(&mut self.slots[triangle.index()], NONE);
             self.triangles[slot as usize] = NONE;
             self.search.set_triangle(slot, None);
+            self.adjacency.set_triangle(slot, None);
             self.empty.push(slot);
         }
         for &triangle in change.added {
@@ -108,6 +114,7 @@ impl Skin {
             self.triangles[slot as usize] = triangle.0;
             self.nodes[slot as usize] = nodes;
             self.search.set_triangle(slot, Some(nodes.map(|n| n.0)));
+            self.adjacency.set_triangle(slot, Some(nodes.map(|n| n.0)));
         }
         self.is_stale = true;
     }
@@ -180,6 +187,21 @@ impl Skin {
     /// Appends what is within `margin_m` of a resting capsule, as far as there is room.
     pub(super) fn near_into(&self, capsule: &Capsule, margin_m: f64, found: &mut Vec<ToolContact>) {
         self.search.near_into(capsule, margin_m, &self.end_m, found);
+    }
+
+    /// The surface as it is now, for proxies.
+    pub(super) fn proxy_surface(&self) -> ProxySurface<'_> {
+        ProxySurface { positions_m: &self.end_m, adjacency: &self.adjacency }
+    }
+
+    /// Slot of a triangle of the surface.
+    pub(super) fn slot_of(&self, triangle: TriangleId) -> Option<u32> {
+        self.slots.get(triangle.index()).copied().filter(|&slot| slot != NONE)
+    }
+
+    /// Triangle in a filled slot, and its nodes, counter-clockwise from outside.
+    pub(super) fn place_in_slot(&self, slot: u32) -> (TriangleId, [NodeId; 3]) {
+        (TriangleId(self.triangles[slot as usize]), self.nodes[slot as usize])
     }
 
     /// Triangle and nodes of what was found.

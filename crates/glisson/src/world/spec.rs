@@ -1,5 +1,6 @@
 //! What a world is made from, in SI.
 
+use crate::image::vessels::Tube;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::NodeId;
 use crate::model::{Attachment, FixedNode};
@@ -22,6 +23,8 @@ pub struct WorldSpec {
     pub loads: Vec<Load>,
     /// Accelerations of the whole, beside gravity.
     pub fields: Vec<ForceField>,
+    /// Blood vessels inside the organ, in its rest shape.
+    pub vessels: Vec<Tube>,
     /// The instruments: one to [`crate::tool::MAX_TOOLS`].
     pub tools: Vec<Tool>,
 }
@@ -37,6 +40,7 @@ impl WorldSpec {
             ligaments: Vec::new(),
             loads: Vec::new(),
             fields: Vec::new(),
+            vessels: Vec::new(),
             tools: vec![tool],
         }
     }

@@ -1,8 +1,9 @@
 //! The step, with a bed of independent springs in place of an elastic model.
 
 use super::*;
+use crate::mesh::edit::{MeshEdit, TopologyChange};
 use crate::mesh::{NodeId, TetId};
-use crate::model::ImposedDisplacement;
+use crate::model::{ImposedDisplacement, TopologyRefusal};
 use crate::tool::Tool;
 use spec::{Region, Support};
 

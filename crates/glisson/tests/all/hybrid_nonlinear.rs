@@ -122,8 +122,11 @@ fn only_where_one_zone_deforms_much_it_is_the_whole_nonlinear_body() {
 #[test]
 fn nonlinear_zones_alone_are_the_nonlinear_tensor_mass_model() {
     let bar = Bar::new(2);
-    // Without displacements from one step to the next, of which the limit of the energy would take some.
-    let constraints = Constraints { displacements: vec![], forces: bar.forces() };
+    // Not so much that the corner under a force turns inside out, nor displacements from one step to the next: of both the
+    // models with a watch over their energy make something else.
+    let weaker = |f: NodalForce| NodalForce { force_n: 0.3 * f.force_n, ..f };
+    let constraints =
+        Constraints { displacements: vec![], forces: bar.forces().into_iter().map(weaker).collect() };
     let mut reference = whole(&bar);
     let mut condensed = bar.build(&[Nonlinear; 4]);
     let fixed: Vec<NodeId> = bar.fixed.iter().map(|f| f.node).collect();
@@ -135,10 +138,11 @@ fn nonlinear_zones_alone_are_the_nonlinear_tensor_mass_model() {
     let [reference, condensed, exchanged] = models.map(|model| {
         model.apply(&constraints);
         (0..600).for_each(|_| model.step(step_s));
+        assert_eq!(model.report().n_quarantined_tets, 0);
         displacements_of(model, &bar.mesh)
     });
     let moved_m = reference.iter().map(|u| u.length()).fold(0.0, f64::max);
-    assert!(moved_m > 0.01, "{moved_m}");
+    assert!(moved_m > 0.003, "{moved_m}");
     let errors = [condensed, exchanged].map(|found| largest_difference(&found, &reference));
     assert!(errors.iter().all(|e| *e < 1e-8), "{errors:?}");
 }

@@ -1,8 +1,10 @@
 //! Each kind of edit on a case that can be followed by hand, and what each refuses.
 
 use glisson::math::DVec3;
-use glisson::mesh::edit::{CavityNode, EdgeSplit, EditError, EditableMesh, MeshEdit, NewNode};
-use glisson::mesh::topology::Through;
+use glisson::mesh::edit::{
+    CavityNode, EdgeSplit, EditError, EditableMesh, MeshEdit, MeshUndo, NewNode, TopologyChange,
+};
+use glisson::mesh::topology::{SingularEntities, StarGroups, Through};
 use glisson::mesh::{EdgeId, NodeId, TetId, TetMesh};
 
 use crate::mesh_edits::grid;
@@ -43,7 +45,7 @@ fn split_of_all_edges_matches_across_the_faces() {
     let n = body.topology().n_edges();
     let edges: Vec<EdgeSplit> =
         (0..n).map(|e| EdgeSplit { edge: EdgeId::from_index((e * 5) % n), fraction: 0.4 }).collect();
-    assert!(n % 5 != 0, "each edge is named once");
+    assert!(!n.is_multiple_of(5), "each edge is named once");
     let volume = body.volume_m3();
     body.apply(&MeshEdit::Split { edges }).unwrap();
     // Six new nodes in a tetrahedron: four corners, and four around the inner octahedron's diagonal.
@@ -51,6 +53,31 @@ fn split_of_all_edges_matches_across_the_faces() {
     assert!((body.volume_m3() - volume).abs() < 1e-12);
     assert_eq!(body.topology().euler_characteristic(), 1);
     crate::mesh_edits::check_against_recount(body.topology());
+}
+
+#[test]
+fn new_node_that_is_moved_takes_its_data_from_around_its_place() {
+    let mut body = EditableMesh::new(grid([2, 2, 2], |_| true)).unwrap();
+    let before = body.clone();
+    let edge = body.topology().edge_between(NodeId(0), NodeId(13)).unwrap();
+    // Split on the diagonal, then moved off it, within one of the tetrahedra there.
+    for position_m in [DVec3::new(0.5, 0.45, 0.4), DVec3::new(0.4, 0.5, 0.45), DVec3::new(0.45, 0.4, 0.5)] {
+        let edits = [
+            MeshEdit::Split { edges: vec![EdgeSplit { edge, fraction: 0.5 }] },
+            MeshEdit::MoveVertex { node: NodeId(27), position_m },
+        ];
+        let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());
+        body.apply_all_saving(&edits, &mut change, &mut undo).unwrap();
+        assert!(change.moved_nodes.is_empty(), "a new node has no place to come from");
+        let parents = change.nodes.added.parents(0);
+        let place: DVec3 = parents.iter().map(|&(n, w)| w * before.mesh().positions_m[n.index()]).sum();
+        assert!(place.distance(position_m) < 1e-15, "{place}");
+        // The corners of the tetrahedron of the old mesh that holds the place, and no others.
+        let weight: f64 = parents.iter().map(|p| p.1).sum();
+        assert!((weight - 1.0).abs() < 1e-15 && parents.iter().all(|p| p.1 > -1e-15), "{parents:?}");
+        body.undo(&undo);
+        assert!(body == before);
+    }
 }
 
 #[test]
@@ -166,7 +193,9 @@ fn flip_and_back() {
     let mut turned = three.clone();
     turned[0].swap(0, 1);
     assert!(matches!(two(&[5, 6], turned), EditError::OuterTriangleDiffers { .. }));
-    assert!(matches!(two(&[5], three.clone()), EditError::BadCorners { place: 0, .. }));
+    assert!(matches!(two(&[5], three.clone()), EditError::OuterTriangleDiffers { .. }));
+    let no_such_node = vec![old([0, 1, 9, 3])];
+    assert!(matches!(two(&[5], no_such_node), EditError::BadCorners { place: 0, .. }));
     assert!(matches!(two(&[5, 5], three.clone()), EditError::RepeatedTet { .. }));
     let mut repeated = three;
     repeated[2] = old([0, 1, 1, 3]);
@@ -236,4 +265,99 @@ fn unfit_edits_are_refused_with_the_reason() {
         refused(MeshEdit::Collapse { edge, kept: far, position_m: middle }),
         EditError::NotAnEnd { edge, node: far }
     );
+}
+
+#[test]
+fn star_falls_into_groups_at_hinges_and_ball_joints() {
+    let hinge = EditableMesh::new(grid([2, 2, 1], |c| c[0] == c[1])).unwrap();
+    let mut groups = StarGroups::default();
+    hinge.topology().star_groups_into(NodeId(4), &mut groups);
+    assert_eq!(groups.count, 2);
+    let of_second = hinge.topology().node_tets(NodeId(4)).iter().map(|t| u32::from(t.0 >= 6));
+    assert!(groups.of_tet.iter().copied().eq(of_second));
+    let all: Vec<NodeId> = hinge.topology().live_nodes().collect();
+    let edge = hinge.topology().edge_between(NodeId(4), NodeId(13)).unwrap();
+    assert_eq!(
+        hinge.topology().singular_entities(&all),
+        SingularEntities { nodes: vec![NodeId(4), NodeId(13)], edges: vec![edge] }
+    );
+    let joint = EditableMesh::new(grid([2, 2, 2], |c| c == [0; 3] || c == [1; 3])).unwrap();
+    let all: Vec<NodeId> = joint.topology().live_nodes().collect();
+    assert_eq!(
+        joint.topology().singular_entities(&all),
+        SingularEntities { nodes: vec![NodeId(13)], edges: Vec::new() }
+    );
+    let whole = EditableMesh::new(grid([2, 2, 2], |_| true)).unwrap();
+    let all: Vec<NodeId> = whole.topology().live_nodes().collect();
+    assert!(whole.topology().singular_entities(&all).is_empty());
+    // A cut along the faces at x = 1 alone: the star of the middle node falls in two.
+    whole.topology().star_groups_across_into(
+        NodeId(13),
+        |tet, face| {
+            let nodes = whole.topology().triangle_nodes(whole.topology().tet_triangles(tet)[face]);
+            nodes.iter().any(|n| whole.mesh().positions_m[n.index()].x != 1.0)
+        },
+        &mut groups,
+    );
+    assert_eq!(groups.count, 2);
+}
+
+/// Parts all singular places of `cells` and checks that nothing else happened.
+fn parted(keep: impl Fn([usize; 3]) -> bool, size: [usize; 3]) -> (EditableMesh, TopologyChange) {
+    let mut body = EditableMesh::new(grid(size, keep)).unwrap();
+    let before = body.clone();
+    let all: Vec<NodeId> = body.topology().live_nodes().collect();
+    let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());
+    body.part_singular_entities_saving(&all, &mut change, &mut undo).unwrap();
+    crate::mesh_edits::check_against_recount(body.topology());
+    assert!(body.topology().pinches().is_empty(), "{:?}", body.topology().pinches());
+    assert!((body.volume_m3() - before.volume_m3()).abs() < 1e-12);
+    let mut back = body.clone();
+    back.undo(&undo);
+    assert!(back == before);
+    (body, change)
+}
+
+#[test]
+fn singular_places_are_parted() {
+    // Hinge by an edge: two nodes are copied, two pieces.
+    let (body, change) = parted(|c| c[0] == c[1], [2, 2, 1]);
+    assert_eq!(change.nodes.added.ids().len(), 2);
+    assert!(change.pieces.through_nodes.may_have_split && change.pieces.through_faces.is_settled());
+    assert_eq!(body.topology().pieces(Through::Nodes).n_tets, [6, 6]);
+    // By a node: one.
+    let (body, change) = parted(|c| c == [0; 3] || c == [1; 3], [2, 2, 2]);
+    assert_eq!(change.nodes.added.ids().len(), 1);
+    assert_eq!(body.topology().pieces(Through::Nodes).n_tets, [6, 6]);
+    // A hinge at whose ends the two sides hang together by faces: a slot between two beams is closed by a bridge
+    // above and one below. The edge gets a middle, which is copied; one piece stays.
+    let slot = |c: [usize; 3]| c[2] != 1 || c[0] == c[1];
+    let (body, change) = parted(slot, [2, 2, 3]);
+    assert_eq!(change.nodes.added.ids().len(), 2);
+    assert_eq!(body.topology().pieces(Through::Faces).count(), 1);
+    // A whole body has none: nothing happens.
+    let (_, change) = parted(|_| true, [2, 2, 2]);
+    assert!(change.nodes.added.ids().is_empty() && change.tets.removed.is_empty());
+}
+
+#[test]
+fn singular_places_after_a_removal_are_near_it() {
+    let mut body = EditableMesh::new(grid([2, 2, 1], |_| true)).unwrap();
+    // Take two opposite cells out: a hinge along the middle edge is left.
+    let at = |x: f64, y: f64| {
+        let mesh = body.mesh();
+        let inside = move |p: DVec3| (p.x - x).abs() < 0.5 && (p.y - y).abs() < 0.5;
+        body.topology()
+            .live_tets()
+            .filter(|&t| inside(mesh.corners_m(t).iter().sum::<DVec3>() * 0.25))
+            .collect::<Vec<TetId>>()
+    };
+    let tets = [at(0.5, 1.5), at(1.5, 0.5)].concat();
+    assert_eq!(tets.len(), 12);
+    let change = body.apply(&MeshEdit::Remove { tets }).unwrap();
+    let near = body.topology().nodes_near(&change);
+    let all: Vec<NodeId> = body.topology().live_nodes().collect();
+    let found = body.topology().singular_entities(&near);
+    assert_eq!(found, body.topology().singular_entities(&all));
+    assert_eq!((found.nodes.len(), found.edges.len()), (2, 1));
 }

@@ -22,8 +22,12 @@ const DENSITY_KG_PER_M3: f64 = 1000.0;
 /// C1 and C2 of the benchmarks: a sphere of 5 mm and a flat punch of 5 mm, pressed in by 1 mm.
 const INDENTER_RADIUS_M: f64 = 5e-3;
 const DEPTH_M: f64 = 1e-3;
-/// Depth of the layer and half the side of the block, in contact radii.
+/// Depth of the layer, and its radius or half the side of the block, in contact radii.
 const LAYER_RADII: f64 = 10.0;
+const WIDTH_RADII: f64 = 40.0;
+
+/// Rectangles to a contact radius.
+const FINE: f64 = 24.0;
 
 const FINITE: &str = "own axisymmetric solution of the bonded layer (validate/indentation/axisymmetric.rs)";
 const SERIES: &str = "Dimitriadis et al. 2002, Biophys. J. 82, series for a bonded layer";
@@ -70,11 +74,12 @@ impl Indenter {
         }
     }
 
-    fn on_layer_n(self, nu: f64, radii_deep: f64) -> anyhow::Result<f64> {
+    /// On a round layer, with so many rectangles to a contact radius, so many contact radii deep and wide.
+    fn on_layer_n(self, nu: f64, per_radius: f64, [deep, wide]: [f64; 2]) -> anyhow::Result<f64> {
         let a_m = self.contact_radius_m();
         let layer = Layer {
-            radii_m: self.radii(24.0, 1.25, radii_deep),
-            depths_m: graded(a_m / 24.0, 1.3, radii_deep * a_m),
+            radii_m: self.radii(per_radius, 1.25, wide),
+            depths_m: graded(a_m / per_radius, 1.3, deep * a_m),
             young_modulus_pa: YOUNG_MODULUS_PA,
             poisson_ratio: nu,
         };
@@ -118,7 +123,7 @@ impl Indenter {
         let a_m = self.contact_radius_m();
         let material = LinearElastic::from_young_poisson(YOUNG_MODULUS_PA, nu, DENSITY_KG_PER_M3)?;
         let grading = Grading {
-            radii_m: self.radii(6.0, 1.5, LAYER_RADII),
+            radii_m: self.radii(6.0, 1.5, WIDTH_RADII),
             depths_m: graded(a_m / 8.0, 1.45, LAYER_RADII * a_m),
             fine_m: a_m / 6.0,
             round_m: 1.5 * a_m,
@@ -158,7 +163,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let mut outcome = Outcome::default();
     let mut notes = format!(
         "E = {YOUNG_MODULUS_PA} Pa, indenters of 5 mm radius pressed in by 1 mm without friction, linear. The layer is {LAYER_RADII} contact \
-         radii deep and bonded to its base; the block is square, twice as wide as deep, its sides free. The tetrahedra under the indenter \
+         radii deep and bonded to its base; the block is square and eight times as wide as deep, its sides free. The tetrahedra under the indenter \
          have edges of a sixth of the contact radius.\n\n\
          | indenter | nu | half-space [mN] | bonded layer [mN] | block [mN] | tetrahedra | block of plain tetrahedra [mN] |\n|---|---|---|---|---|---|---|\n"
     );
@@ -166,7 +171,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         for nu in POISSON_RATIOS {
             let name = indenter.name();
             let half_space_n = indenter.half_space_n(nu);
-            let deep_n = indenter.on_layer_n(nu, 200.0)?;
+            let deep_n = indenter.on_layer_n(nu, FINE, [200.0, 200.0])?;
             let source = if indenter == Indenter::Sphere { HERTZ } else { SNEDDON };
             outcome.experiments.push(Experiment::near(
                 &format!("{name}, nu {nu}: axisymmetric solution on a layer 200 radii deep [mN]"),
@@ -175,7 +180,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
                 1e3 * half_space_n,
                 0.015,
             ));
-            let layer_n = indenter.on_layer_n(nu, LAYER_RADII)?;
+            let layer_n = indenter.on_layer_n(nu, FINE, [LAYER_RADII, WIDTH_RADII])?;
             if indenter == Indenter::Sphere {
                 outcome.experiments.push(Experiment::near(
                     &format!("{name}, nu {nu}: axisymmetric bonded layer over half-space"),
@@ -222,6 +227,15 @@ mod tests {
             let radii_m = indenter.radii(6.0, 1.5, 10.0);
             assert!(radii_m.windows(2).all(|p| p[1] > p[0]), "{radii_m:?}");
             assert!(radii_m.contains(&indenter.contact_radius_m()) || indenter == Indenter::Sphere);
+        }
+    }
+
+    #[test]
+    fn a_deep_layer_answers_like_a_half_space() {
+        for indenter in [Indenter::Sphere, Indenter::FlatPunch] {
+            let found_n = indenter.on_layer_n(0.45, 8.0, [80.0, 80.0]).unwrap();
+            let exact_n = indenter.half_space_n(0.45);
+            assert!((found_n - exact_n).abs() < 0.025 * exact_n, "{indenter:?}: {found_n} {exact_n}");
         }
     }
 

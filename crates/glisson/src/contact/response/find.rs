@@ -1,6 +1,7 @@
 //! Which vertices are at which triangles: from pairs of boxes to one contact for each vertex.
 //!
-//! Every vertex belongs to one triangle and is tested when that triangle's box meets another: no test is made twice. Of all
+//! Every vertex belongs to one triangle and is tested when that triangle's box meets another: no test is made twice. The
+//! vertex's own box is asked first, without a branch, and what is left waits until there are some hundreds. Of all
 //! places within the margin the nearest counts, of equal ones that in the lowest triangle, so that the
 //! answer does not depend on the order in which pairs are found. A vertex is behind a surface when it lies against the
 //! normal between those of the triangle's vertices, which are weighted by area.
@@ -46,8 +47,8 @@ pub struct ContactSearch {
     search: PairSearch,
     margin_m: f64,
     triangles: Vec<[u32; 3]>,
-    /// Of each triangle, whether each of its corners is tested with it.
-    tests: Vec<[bool; 3]>,
+    /// The vertices that are tested with each triangle, [`NONE`] at the end; mostly one or none.
+    owned: Vec<[u32; 3]>,
     /// Area vectors summed at the vertices.
     normals: Vec<DVec3>,
     nearest: Vec<Nearest>,
@@ -70,16 +71,11 @@ impl ContactSearch {
             margin_m: params.margin_m,
             pair_capacity: params.pair_capacity,
         };
-        let mut is_taken = vec![false; positions_m.len()];
-        let mut tests = Vec::with_capacity(triangles.len());
-        for triangle in triangles {
-            tests.push(triangle.map(|v| !std::mem::replace(&mut is_taken[v as usize], true)));
-        }
         Self {
             search: PairSearch::new(&pairs, positions_m, triangles, body_of),
             margin_m: params.margin_m,
             triangles: triangles.to_vec(),
-            tests,
+            owned: owned_vertices(positions_m.len(), triangles),
             normals: vec![DVec3::ZERO; positions_m.len()],
             nearest: vec![NOTHING; positions_m.len()],
         }
@@ -90,35 +86,33 @@ impl ContactSearch {
     pub fn find_into(&mut self, positions_m: &[DVec3], found: &mut Vec<NodeContact>) -> usize {
         found.clear();
         self.search.update(positions_m);
-        let Self { search, triangles, tests, normals, nearest, margin_m } = self;
+        let Self { search, triangles, owned, normals, nearest, margin_m } = self;
         nearest.fill(NOTHING);
-        let margin_m = *margin_m;
-        let mut has_any = false;
-        let corners_m = |t: u32| triangles[t as usize].map(|v| positions_m[v as usize]);
-        let mut test = |from: u32, at: u32| {
-            let has_vertex = tests[from as usize];
-            if has_vertex == [false; 3] {
-                return;
-            }
-            let corners_m = corners_m(at);
-            for (vertex, _) in triangles[from as usize].into_iter().zip(has_vertex).filter(|(_, is)| *is) {
-                let point_m = positions_m[vertex as usize];
-                let weights = closest_weights(point_m, corners_m);
-                let offset_m = point_m - at_weights(corners_m, weights);
-                let distance_m = offset_m.length();
-                let best = &mut nearest[vertex as usize];
-                let is_nearer =
-                    distance_m < best.distance_m || distance_m == best.distance_m && at < best.triangle;
-                if distance_m <= margin_m && is_nearer {
-                    *best = Nearest { triangle: at, weights, offset_m, distance_m };
-                    has_any = true;
+        let (boxes, vertex_boxes) = (search.boxes(), search.vertex_boxes());
+        let mut test = DistanceTest { positions_m, triangles, nearest, margin_m: *margin_m, has_any: false };
+        let mut waiting = [[0u32; 2]; N_WAITING];
+        let mut n_waiting = 0;
+        search.structure().for_each_pair(boxes, search.rules(), |s, t| {
+            for [from, at] in [[s, t], [t, s]] {
+                let [first, second, third] = owned[from as usize];
+                let last = vertex_boxes.len() as u32 - 1;
+                let meets = vertex_boxes[first.min(last) as usize].overlaps(&boxes[at as usize]);
+                waiting[n_waiting] = [first, at];
+                n_waiting += usize::from((first != NONE) & meets);
+                if second != NONE {
+                    waiting[n_waiting] = [second, at];
+                    waiting[n_waiting + 1] = [third, at];
+                    n_waiting += 1 + usize::from(third != NONE);
                 }
             }
-        };
-        search.structure().for_each_pair(search.boxes(), search.rules(), |s, t| {
-            test(s, t);
-            test(t, s);
+            if n_waiting + 6 > N_WAITING {
+                test.all(&waiting[..n_waiting]);
+                n_waiting = 0;
+            }
         });
+        test.all(&waiting[..n_waiting]);
+        let has_any = test.has_any;
+        let corners_m = |t: u32| triangles[t as usize].map(|v| positions_m[v as usize]);
         let mut n_dropped = search.structure().n_dropped() as usize;
         if !has_any {
             return n_dropped;
@@ -182,6 +176,54 @@ impl ContactSearch {
         }
         n_dropped
     }
+}
+
+/// Vertices and triangles that wait for their test at most.
+const N_WAITING: usize = 512;
+
+/// Keeps the nearest triangle of each vertex.
+struct DistanceTest<'a> {
+    positions_m: &'a [DVec3],
+    triangles: &'a [[u32; 3]],
+    nearest: &'a mut [Nearest],
+    margin_m: f64,
+    has_any: bool,
+}
+
+impl DistanceTest<'_> {
+    fn all(&mut self, pairs: &[[u32; 2]]) {
+        for &[vertex, triangle] in pairs {
+            let corners_m = self.triangles[triangle as usize].map(|v| self.positions_m[v as usize]);
+            let point_m = self.positions_m[vertex as usize];
+            let weights = closest_weights(point_m, corners_m);
+            let offset_m = point_m - at_weights(corners_m, weights);
+            let distance_m = offset_m.length();
+            let best = &mut self.nearest[vertex as usize];
+            let is_nearer =
+                distance_m < best.distance_m || distance_m == best.distance_m && triangle < best.triangle;
+            if distance_m <= self.margin_m && is_nearer {
+                *best = Nearest { triangle, weights, offset_m, distance_m };
+                self.has_any = true;
+            }
+        }
+    }
+}
+
+/// Gives each vertex to one of its triangles, to one with few of them.
+fn owned_vertices(n_vertices: usize, triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
+    let mut around: Vec<Vec<usize>> = vec![Vec::new(); n_vertices];
+    for (t, triangle) in triangles.iter().enumerate() {
+        triangle.iter().for_each(|v| around[*v as usize].push(t));
+    }
+    let mut owned = vec![[NONE; 3]; triangles.len()];
+    for (vertex, around) in (0..).zip(&around) {
+        let count = |t: usize| owned[t].iter().filter(|v| **v != NONE).count();
+        if let Some(&t) = around.iter().min_by_key(|t| count(**t)) {
+            let place = count(t);
+            owned[t][place] = vertex;
+        }
+    }
+    owned
 }
 
 /// A rigid surface as seen from a point.

@@ -25,7 +25,7 @@ pub struct GeometricParams {
 
 impl GeometricParams {
     /// Half of the depth in a step, friction 1.
-    pub fn sticking(rest_gap_m: f64) -> Self {
+    pub const fn sticking(rest_gap_m: f64) -> Self {
         Self { rest_gap_m, share: 0.5, friction: 1.0, n_sweeps: 1 }
     }
 }

@@ -48,7 +48,7 @@ pub struct PenaltyParams {
 
 impl PenaltyParams {
     /// An elastic linear spring without friction.
-    pub fn linear(stiffness_n_per_m: f64, rest_gap_m: f64) -> Self {
+    pub const fn linear(stiffness_n_per_m: f64, rest_gap_m: f64) -> Self {
         Self {
             law: PenaltyLaw::Linear { stiffness_n_per_m },
             rest_gap_m,

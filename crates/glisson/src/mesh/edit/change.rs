@@ -121,13 +121,13 @@ impl<I: MeshEntity> EntityChange<I> {
         if parents.iter().all(|(parent, _)| parent.index() < self.n_before) {
             self.added.push(id, parents);
         } else {
-            let parents = self.from_before(parents);
+            let parents = self.parents_before(parents);
             self.added.push(id, &parents);
         }
     }
 
     /// `parents` without new entities, ascending: their parents stand for them.
-    pub(super) fn from_before(&self, parents: &[(I, f64)]) -> Vec<(I, f64)> {
+    pub(super) fn parents_before(&self, parents: &[(I, f64)]) -> Vec<(I, f64)> {
         let mut found: Vec<(I, f64)> = Vec::new();
         for &(parent, weight) in parents {
             match parent.index().checked_sub(self.n_before) {

@@ -141,8 +141,8 @@ pub enum EditError {
     },
     /// A new tetrahedron names a node that it may not have.
     #[error(
-        "new tetrahedron {place}: its corners must be four different nodes, old ones of the tetrahedra that \
-        make room or new ones from the edit's list of {n_new}"
+        "new tetrahedron {place}: its corners must be four different nodes, live \
+        old ones or new ones from the edit's list of {n_new}"
     )]
     BadCorners {
         /// Its place in the edit's list.

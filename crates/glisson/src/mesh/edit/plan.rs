@@ -83,6 +83,9 @@ impl Plan {
     }
 }
 
+/// Nodes with their weights.
+type Weights = Vec<(NodeId, f64)>;
+
 /// Buffers of the edits; they say nothing about the mesh.
 #[derive(Default)]
 pub(super) struct Scratch {
@@ -92,7 +95,7 @@ pub(super) struct Scratch {
     pub(super) change: TopologyChange,
     /// While a list of edits is carried out: the old nodes moved so far, each with the weights that give its new
     /// place from the places before the list.
-    pub(super) moved: Option<Vec<(NodeId, Vec<(NodeId, f64)>)>>,
+    pub(super) moved: Option<Vec<(NodeId, Weights)>>,
 }
 
 impl Clone for Scratch {
@@ -126,18 +129,14 @@ impl EditableMesh {
 
     /// `parents` in terms of nodes that were there before the edit or list of edits, with their places from then;
     /// `None` if they are that already.
-    fn parents_before(
-        &self,
-        parents: &[(NodeId, f64)],
-        change: &TopologyChange,
-    ) -> Option<Vec<(NodeId, f64)>> {
+    fn parents_before(&self, parents: &[(NodeId, f64)], change: &TopologyChange) -> Option<Weights> {
         let moved = self.scratch.moved.as_deref().unwrap_or_default();
         let n_before = change.nodes.n_before;
         let is_plain = |node: NodeId| node.index() < n_before && moved.iter().all(|m| m.0 != node);
         if parents.iter().all(|p| is_plain(p.0)) {
             return None;
         }
-        let mut found: Vec<(NodeId, f64)> = Vec::new();
+        let mut found = Weights::new();
         for &(parent, weight) in parents {
             let older = match parent.index().checked_sub(n_before) {
                 Some(at) => change.nodes.added.parents(at),
@@ -185,10 +184,9 @@ impl EditableMesh {
     /// Takes out what goes and puts in what comes. Edges, triangles and nodes that are left without a tetrahedron
     /// for a moment in between keep their ids.
     fn replace_tets(&mut self, plan: &Plan, change: &mut TopologyChange, undo: &mut MeshUndo) {
-        let pieces = change.pieces;
         let from = [change.nodes.removed.len(), change.edges.removed.len(), change.triangles.removed.len()];
         for &tet in &plan.doomed {
-            self.topology.detach_tet(tet, change);
+            self.topology.take_out(tet, change);
             undo.save_removal(tet);
         }
         let mut waiting = std::mem::take(&mut self.scratch.waiting);
@@ -200,7 +198,6 @@ impl EditableMesh {
         }
         self.scratch.waiting = waiting;
         self.forget_revived(from, change);
-        change.pieces = pieces;
     }
 
     /// Strikes out what is live again from the lists of what was removed, from the given places on.

@@ -3,6 +3,7 @@
 use std::borrow::Borrow;
 
 use super::plan::Plan;
+use super::replace::Exchange;
 use super::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::remap::MeshEntity;
 use crate::mesh::{NodeId, TetId};
@@ -20,10 +21,10 @@ impl EditableMesh {
         undo: &mut MeshUndo,
     ) -> Result<(), EditError> {
         self.begin(change);
-        undo.start(self.topology.lengths());
+        undo.start(&self.topology);
         self.carry_out(edit, change, undo)?;
         self.close(change);
-        undo.close(self.topology.lengths());
+        undo.close(&self.topology);
         Ok(())
     }
 
@@ -56,7 +57,7 @@ impl EditableMesh {
         mut next: impl FnMut(&Self, usize) -> Option<E>,
     ) -> Result<(), EditError> {
         self.begin(change);
-        undo.start(self.topology.lengths());
+        undo.start(&self.topology);
         self.scratch.moved = Some(Vec::new());
         let mut at = 0;
         while let Some(edit) = next(self, at) {
@@ -64,7 +65,7 @@ impl EditableMesh {
             if let Err(cause) = self.carry_out(edit, change, undo) {
                 self.take_back(undo);
                 self.begin(change);
-                undo.start(self.topology.lengths());
+                undo.start(&self.topology);
                 self.scratch.moved = None;
                 return Err(EditError::InList { at, edit: edit.name(), cause: Box::new(cause) });
             }
@@ -72,7 +73,7 @@ impl EditableMesh {
         }
         self.scratch.moved = None;
         self.close(change);
-        undo.close(self.topology.lengths());
+        undo.close(&self.topology);
         Ok(())
     }
 
@@ -94,15 +95,13 @@ impl EditableMesh {
         plan.start(self);
         let planned = self.plan(edit, &mut plan);
         if planned.is_ok() {
-            let opened = self.opened_by(edit, &plan);
+            let n_outer = self.topology.n_surface_triangles();
             self.carry_out_plan(&plan, change, undo);
-            if matches!(edit, MeshEdit::Replace(_)) {
-                // It may open whole sections; a count tells.
-                change.pieces.through_faces.may_have_split = true;
-                change.pieces.through_nodes.may_have_split = true;
-            }
-            if let Some(opened) = opened {
-                self.judge_pieces(&opened, change);
+            if may_part(edit) {
+                // Copies of nodes divide no triangle: without more of them outside, none was opened.
+                let opened =
+                    matches!(edit, MeshEdit::Replace(_)) || n_outer != self.topology.n_surface_triangles();
+                self.judge_pieces(&plan, opened, change);
             }
         }
         self.scratch.plan = plan;
@@ -127,9 +126,10 @@ impl EditableMesh {
                 self.plan_collapse(*edge, *kept, *position_m, plan)
             }
             MeshEdit::Retetrahedralise { tets, new_nodes, new_tets } => {
-                self.plan_retetrahedralise(tets, new_nodes, new_tets, plan)
+                let new_tets = new_tets.iter().map(|&corners| (corners, [].as_slice())).collect();
+                self.plan_exchange(&Exchange { tets, new_nodes, new_tets, keeps_outer_triangles: true }, plan)
             }
-            MeshEdit::Replace(replacement) => self.plan_replace(replacement, plan),
+            MeshEdit::Replace(replacement) => self.plan_exchange(&replacement.into(), plan),
         }
     }
 
@@ -150,7 +150,6 @@ impl EditableMesh {
 
     /// Takes everything new out and what is left of it in again, under ids without gaps.
     fn close_gaps(&mut self, change: &mut TopologyChange) {
-        let pieces = change.pieces;
         let before = change.lengths_before();
         let mut left = Plan::default();
         left.start(self);
@@ -179,7 +178,7 @@ impl EditableMesh {
         for at in 0..change.tets.added.ids().len() {
             let tet = change.tets.added.ids()[at];
             if self.topology.is_live_tet(tet) {
-                self.topology.detach_tet(tet, change);
+                self.topology.take_out(tet, change);
             }
         }
         self.topology.truncate(before);
@@ -200,7 +199,19 @@ impl EditableMesh {
         }
         self.scratch.waiting = waiting;
         self.forget_revived([0; 3], change);
-        change.pieces = pieces;
+    }
+}
+
+/// Whether an edit can part what hangs together. The others leave the faces that hold a piece together, and its
+/// nodes, as connected as they were.
+fn may_part(edit: &MeshEdit) -> bool {
+    match edit {
+        MeshEdit::DuplicateVertex { .. } | MeshEdit::DuplicateVertices { .. } | MeshEdit::Replace(_) => true,
+        MeshEdit::Remove { .. }
+        | MeshEdit::MoveVertex { .. }
+        | MeshEdit::Split { .. }
+        | MeshEdit::Collapse { .. }
+        | MeshEdit::Retetrahedralise { .. } => false,
     }
 }
 

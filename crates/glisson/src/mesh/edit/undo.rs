@@ -6,7 +6,7 @@
 
 use super::EditableMesh;
 use crate::math::DVec3;
-use crate::mesh::topology::Lengths;
+use crate::mesh::topology::{EntityCounts, Lengths, Topology};
 use crate::mesh::{NodeId, TetId};
 
 /// What it takes to take an edit back. Its buffers are used again.
@@ -14,6 +14,7 @@ use crate::mesh::{NodeId, TetId};
 pub struct MeshUndo {
     before: Lengths,
     after: Lengths,
+    live_after: EntityCounts,
     removed: Vec<TetId>,
     moved: Vec<(NodeId, DVec3)>,
 }
@@ -25,9 +26,9 @@ impl MeshUndo {
     }
 
     /// Forgets everything but the buffers: taking this back does nothing.
-    pub(super) fn start(&mut self, lengths: Lengths) {
-        self.before = lengths;
-        self.after = lengths;
+    pub(super) fn start(&mut self, topology: &Topology) {
+        self.before = topology.lengths();
+        self.close(topology);
         self.removed.clear();
         self.moved.clear();
     }
@@ -45,8 +46,9 @@ impl MeshUndo {
         }
     }
 
-    pub(super) fn close(&mut self, lengths: Lengths) {
-        self.after = lengths;
+    pub(super) fn close(&mut self, topology: &Topology) {
+        self.after = topology.lengths();
+        self.live_after = topology.live_counts();
     }
 }
 
@@ -56,7 +58,8 @@ impl EditableMesh {
     /// # Panics
     /// If `undo` is not of the last edit, or the mesh was compacted since.
     pub fn undo(&mut self, undo: &MeshUndo) {
-        assert_eq!(undo.after, self.topology.lengths(), "edits are taken back last in, first out");
+        let now = (self.topology.lengths(), self.topology.live_counts());
+        assert_eq!((undo.after, undo.live_after), now, "edits are taken back last in, first out");
         self.take_back(undo);
     }
 
@@ -64,9 +67,9 @@ impl EditableMesh {
     pub(super) fn take_back(&mut self, undo: &MeshUndo) {
         let mut change = std::mem::take(&mut self.scratch.change);
         change.clear();
-        for tet in (undo.before.tets..self.topology.n_tets()).map(TetId::from_index) {
+        for tet in (undo.before.tets..self.topology.n_tets()).rev().map(TetId::from_index) {
             if self.topology.is_live_tet(tet) {
-                self.topology.detach_tet(tet, &mut change);
+                self.topology.take_out(tet, &mut change);
             }
         }
         self.topology.truncate(undo.before);
@@ -79,5 +82,42 @@ impl EditableMesh {
             self.mesh.positions_m[node.index()] = from_m;
         }
         self.scratch.change = change;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::box_mesh::box_of_five;
+    use crate::mesh::edit::TopologyChange;
+
+    #[test]
+    fn saving_a_removal_needs_no_more_room_than_was_reserved() {
+        let mut body = EditableMesh::new(box_of_five([3; 3], DVec3::ONE)).expect("a mesh");
+        let before = body.clone();
+        let mut change = TopologyChange::with_room_for_removals(1);
+        let mut journal = Vec::new();
+        for tet in before.topology().live_tets() {
+            let mut undo = MeshUndo::with_room_for_removals(1);
+            let room = undo.removed.capacity();
+            body.remove_saving(&[tet], &mut change, &mut undo).expect("it is live");
+            assert_eq!((undo.removed.capacity(), undo.moved.capacity()), (room, 0));
+            journal.push(undo);
+        }
+        for undo in journal.iter().rev() {
+            body.undo(undo);
+        }
+        assert!(body == before);
+    }
+
+    #[test]
+    #[should_panic(expected = "last in, first out")]
+    fn taking_back_out_of_order_is_a_bug() {
+        let mut body = EditableMesh::new(box_of_five([1; 3], DVec3::ONE)).expect("a mesh");
+        let (mut change, mut first, mut second) =
+            (TopologyChange::default(), MeshUndo::default(), MeshUndo::default());
+        body.remove_saving(&[TetId(0)], &mut change, &mut first).expect("it is live");
+        body.remove_saving(&[TetId(1)], &mut change, &mut second).expect("it is live");
+        body.undo(&first);
     }
 }

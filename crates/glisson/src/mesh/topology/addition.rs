@@ -57,6 +57,29 @@ impl Topology {
         }
     }
 
+    /// Makes room for about `n_tets` more tetrahedra and what comes with them when old ones are divided.
+    pub(in crate::mesh) fn reserve(&mut self, n_tets: usize) {
+        // A divided tetrahedron brings about two triangles, one edge and a fraction of a node with each part; rows
+        // that grow leave their place.
+        let (n_triangles, n_edges, n_nodes, n_moved) = (2 * n_tets, n_tets, n_tets.div_ceil(2), 12 * n_tets);
+        self.tet_nodes.reserve(n_tets);
+        self.tet_edges.reserve(n_tets);
+        self.tet_triangles.reserve(n_tets);
+        self.tet_neighbours.reserve(n_tets);
+        self.tet_live.reserve(n_tets);
+        self.triangle_nodes.reserve(n_triangles);
+        self.triangle_edges.reserve(n_triangles);
+        self.triangle_tets.reserve(n_triangles);
+        self.surface_triangles.reserve(n_triangles);
+        self.edge_nodes.reserve(n_edges);
+        self.edge_tets.reserve(n_edges, n_moved);
+        self.edge_n_surface.reserve(n_edges);
+        self.node_edges.reserve(n_nodes, n_moved);
+        self.node_tets.reserve(n_nodes, 2 * n_moved);
+        self.node_n_surface.reserve(n_nodes);
+        self.surface_nodes.reserve(n_nodes);
+    }
+
     /// The live triangle over three nodes, if there is one.
     pub fn triangle_between(&self, nodes: [NodeId; 3]) -> Option<TriangleId> {
         let nodes = ascending(nodes);

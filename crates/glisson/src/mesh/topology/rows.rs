@@ -64,8 +64,12 @@ impl<I: MeshEntity> Rows<I> {
         let start = self.starts[row] as usize;
         let length = self.lengths[row] as usize;
         let items = &mut self.items[start..start + length];
-        let at = items.iter().position(|&i| i == item).expect("the row holds every live neighbour");
-        items.copy_within(at + 1.., at);
+        // What came last goes first when an edit is taken back.
+        let at = items.iter().rposition(|&i| i == item).expect("the row holds every live neighbour");
+        // Rows are short: a loop is quicker than a call to move memory.
+        for i in at + 1..length {
+            items[i - 1] = items[i];
+        }
         self.lengths[row] -= 1;
         length - 1
     }
@@ -118,6 +122,14 @@ impl<I: MeshEntity> Rows<I> {
         self.n_unused = 0;
     }
 
+    /// Makes room for `n_rows` more rows and `n_items` more items.
+    pub(super) fn reserve(&mut self, n_rows: usize, n_items: usize) {
+        self.starts.reserve(n_rows);
+        self.lengths.reserve(n_rows);
+        self.rooms.reserve(n_rows);
+        self.items.reserve(n_items);
+    }
+
     /// Adds an empty row.
     pub(super) fn push_row(&mut self) {
         self.starts.push(to_u32(self.items.len()));
@@ -165,6 +177,11 @@ impl<I: MeshEntity> IdSet<I> {
     /// Makes it able to hold the ids below `n_ids`. Members from there on are an error of the caller.
     pub(super) fn set_room(&mut self, n_ids: usize) {
         self.words.resize(n_ids.div_ceil(64), 0);
+    }
+
+    /// Makes room for `n_ids` more ids.
+    pub(super) fn reserve(&mut self, n_ids: usize) {
+        self.words.reserve(n_ids.div_ceil(64) + 1);
     }
 
     pub(super) fn len(&self) -> usize {

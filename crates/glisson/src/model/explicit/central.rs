@@ -21,7 +21,7 @@ use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::growth::Growth;
-use crate::model::{Constraints, Correction, DynamicBody, ModelReport, ModelState, NodalForce};
+use crate::model::{Constraints, Correction, DynamicBody, ModelReport, ModelState, ModelUndo, NodalForce, UndoReader};
 
 /// A copy of the moving state. It holds for the same mesh and removals.
 #[derive(Clone, Debug, PartialEq)]
@@ -559,19 +559,44 @@ impl ExplicitMotion {
         nodes.into_iter().for_each(|n| self.update_inertia(n.index()));
     }
 
+    /// Keeps the state, masses and constraints.
+    pub(in crate::model) fn save(&self, undo: &mut ModelUndo) {
+        self.frame.save(undo);
+        undo.positions_m.extend_from_slice(&self.positions_m);
+        undo.velocities_m_per_s.extend_from_slice(&self.velocities_m_per_s);
+        undo.numbers.extend_from_slice(self.motion.as_flattened());
+        undo.numbers.extend_from_slice(self.rest_forces_n.as_flattened());
+    }
+
+    /// Comes back to [`ExplicitMotion::save`] of the same nodes.
+    pub(in crate::model) fn put_back(&mut self, undo: &ModelUndo, from: &mut UndoReader<'_>) {
+        self.frame.put_back(undo, from);
+        self.positions_m.copy_from_slice(&undo.positions_m);
+        self.velocities_m_per_s.copy_from_slice(&undo.velocities_m_per_s);
+        let motion = self.motion.as_flattened_mut();
+        motion.copy_from_slice(from.numbers(motion.len()));
+        let rest_forces_n = self.rest_forces_n.as_flattened_mut();
+        rest_forces_n.copy_from_slice(from.numbers(rest_forces_n.len()));
+        (0..self.n_nodes()).for_each(|n| self.update_inertia(n));
+    }
+
     /// Room for what an edit brings in; new and moved nodes are at their places afterwards.
     pub(in crate::model) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
         let (n_before, n_nodes) = (self.n_nodes(), growth.n_nodes);
         self.frame.grow(mesh, change, growth);
         let supports = |n: usize| self.frame.supports(n);
+        let way_m = |n: usize| unpadded(&self.motion[n]) - unpadded(&self.motion[n_before + n]);
+        let mut ways: Vec<(usize, DVec3)> = growth.velocities(way_m, supports);
         let now = growth.displacements_m(|n| unpadded(&self.motion[n]), supports);
-        let previous = growth.displacements_m(|n| unpadded(&self.motion[n_before + n]), supports);
         let mut motion = Vec::with_capacity(2 * n_nodes + 1);
-        for (nodes, placed) in [(0..n_before, now), (n_before..2 * n_before, previous)] {
-            let start = motion.len();
+        for nodes in [0..n_before, n_before..2 * n_before] {
             motion.extend_from_slice(&self.motion[nodes]);
-            motion.resize(start + n_nodes, [0.0; 4]);
-            placed.into_iter().for_each(|(n, u_m)| motion[start + n] = padded(u_m));
+            motion.resize(motion.len() + n_nodes - n_before, [0.0; 4]);
+        }
+        ways.extend(now.iter().filter(|(n, _)| *n < n_before).map(|(n, _)| (*n, way_m(*n))));
+        now.into_iter().for_each(|(n, u_m)| motion[n] = padded(u_m));
+        for (n, way_m) in ways {
+            motion[n_nodes + n] = padded(unpadded(&motion[n]) - way_m);
         }
         motion.push(self.motion[2 * n_before]);
         self.motion = motion;

@@ -20,7 +20,7 @@ use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::growth::Growth;
 use crate::model::local_model::LocalFrame;
 use crate::model::roomy::Roomy;
-use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, Rayleigh};
+use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, ModelUndo, Rayleigh, UndoReader};
 use crate::solve::SolveError;
 
 /// A step longer than this many parts is cut to it: the caller asked for minutes in one step.
@@ -460,6 +460,58 @@ impl Frame {
         self.held.make_room(n_nodes);
         self.constraint_forces_n.make_room(n_nodes);
         self.is_cut = true;
+    }
+
+    /// Keeps masses, constraints and what the next step depends on.
+    pub(super) fn save(&self, undo: &mut ModelUndo) {
+        undo.report = self.report;
+        undo.push_place(self.careful_steps as usize);
+        undo.push_place(usize::from(self.is_cut));
+        undo.numbers.extend_from_slice(&[self.stable_step_s, self.damping.mass_per_s]);
+        undo.push_vector(self.gravity_m_per_s2);
+        undo.numbers.extend_from_slice(&self.mass_kg);
+        undo.numbers.extend_from_slice(&self.extra_kg);
+        undo.places.extend_from_slice(&self.node_tets);
+        undo.push_place(self.outer_forces.len());
+        for (node, force_n) in self.outer_forces.iter() {
+            undo.places.push(*node);
+            undo.push_vector(*force_n);
+        }
+        undo.push_place(self.held.len());
+        for held in self.held.iter() {
+            let supported = held.supported.iter().enumerate().map(|(axis, held)| u32::from(*held) << axis);
+            undo.places.extend_from_slice(&[held.place, held.node, supported.sum()]);
+            [held.start_m, held.target_m, held.before_m].into_iter().for_each(|v| undo.push_vector(v));
+        }
+        undo.push_place(self.constraint_forces_n.len());
+        self.constraint_forces_n.iter().for_each(|force_n| undo.push_vector(*force_n));
+    }
+
+    /// Comes back to [`Frame::save`] of the same nodes.
+    pub(super) fn put_back(&mut self, undo: &ModelUndo, from: &mut UndoReader<'_>) {
+        let n_nodes = self.n_nodes();
+        self.report = undo.report;
+        self.careful_steps = from.place() as u32;
+        self.is_cut = from.place() == 1;
+        self.stable_step_s = from.number();
+        self.damping.mass_per_s = from.number();
+        self.gravity_m_per_s2 = from.vector();
+        self.mass_kg.copy_from_slice(from.numbers(n_nodes));
+        self.extra_kg.copy_from_slice(from.numbers(n_nodes));
+        self.node_tets.copy_from_slice(from.places(n_nodes));
+        self.drop_constraints();
+        for _ in 0..from.place() {
+            self.outer_forces.try_push((from.place() as u32, from.vector()));
+        }
+        for _ in 0..from.place() {
+            let [place, node, supported] = [0; 3].map(|_| from.place() as u32);
+            let [start_m, target_m, before_m] = [0; 3].map(|_| from.vector());
+            let supported = [0, 1, 2].map(|axis| supported >> axis & 1 == 1);
+            self.held.try_push(Held { place, node, supported, start_m, target_m, before_m });
+        }
+        for _ in 0..from.place() {
+            self.constraint_forces_n.try_push(from.vector());
+        }
     }
 
     /// Largest stiffness of ligaments over inertia at a node [1/s2]: by so much they raise a squared frequency at most,

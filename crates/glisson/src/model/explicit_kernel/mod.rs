@@ -21,7 +21,8 @@
 //! limited, the next steps are divided into as many internal ones as the body allows: its law is stiffer there. A
 //! linear law is as stiff at any strain.
 //!
-//! Removing a tetrahedron takes constant time; what is left without a tetrahedron stays where it is.
+//! Removing a tetrahedron takes constant time; what is left without a tetrahedron stays where it is. New tetrahedra come
+//! into spare lanes of the kernel, which is laid out anew when half as many have come in as there were.
 
 mod correction;
 mod loads;

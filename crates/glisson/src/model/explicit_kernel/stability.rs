@@ -135,9 +135,7 @@ impl Stability {
         let with_ligaments =
             |tet: TetId| elastic.tet_squared_frequency_per_s2[tet.index()] + of_ligaments(tet);
         let tet_per_s2: Vec<f64> = tets().map(with_ligaments).collect();
-        let stiffening = tets()
-            .map(|tet| P1Gradients::of_tet(mesh, tet).map(|gradients| stiff(tet, &gradients).stiffening))
-            .collect::<Result<_, _>>()?;
+        let stiffening = elastic.tet_stiffening;
         let elastic = elastic.step;
 
         let mut mass_kg = vec![0.0; mesh.positions_m.len()];

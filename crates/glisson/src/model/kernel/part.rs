@@ -1,8 +1,8 @@
 //! A part of the mesh with its memory, and the two phases of a force computation.
 //!
 //! First each part collects the displacements of the nodes that it touches and adds up its tetrahedra's forces
-//! in rows of its own. Then each part sums, for the nodes that it owns, its own rows and those of the later parts
-//! that borrow the node, in their order. Neither depends on who computes which part when.
+//! in rows of its own. Then each part sums, for the nodes that it owns, its own rows and those of the other parts
+//! that borrow the node, in the order in which they came to do so. Neither depends on who computes which part when.
 //!
 //! The locks are there to share memory between threads without `unsafe`. Nobody ever waits for one: in a phase,
 //! what one part writes no other reads.

@@ -305,8 +305,16 @@ impl Precomputed {
             add_taken_out(cuts, |n| of_row(x, n), &mut right_n);
             system.gather_into(&right_n, right);
         }
+        // Twice: the table came from the same factor, whose own error would not be seen otherwise.
         let factor = &cuts.origin.factor;
-        factor.solve_in_place(&mut right, N_PROBES, &mut factor.scratch(N_PROBES));
+        let mut scratch = factor.scratch(N_PROBES);
+        let mut left = right.clone();
+        factor.solve_in_place(&mut right, N_PROBES, &mut scratch);
+        for (x, left) in right.chunks_exact(n_free.max(1)).zip(left.chunks_exact_mut(n_free.max(1))) {
+            system.subtract_product(x, left);
+        }
+        factor.solve_in_place(&mut left, N_PROBES, &mut scratch);
+        right.iter_mut().zip(&left).for_each(|(x, more)| *x += more);
         let mut error = 0.0_f64;
         // A number that is not finite is an error beyond every bound.
         let mut note = |off: DVec3| {

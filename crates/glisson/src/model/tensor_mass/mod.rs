@@ -20,11 +20,11 @@ pub(super) use tensors::VertexEdgeTensors;
 use super::explicit::{
     Cuttable, ExplicitMotion, LiveTets, Quarantine, Stability, StiffTet, check_body, follow, keep, unpadded,
 };
-use super::growth::{Growth, blend_tets};
+use super::growth::{Growth, blend_tets, grows};
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::{
     Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
-    NodalForce, RestStress, StepAnswer, TopologyRefusal,
+    ModelUndo, NodalForce, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
@@ -341,5 +341,29 @@ impl DeformableModel for TensorMass {
     /// Follows all edits. Removals allocate nothing.
     fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         follow(self, mesh, change)
+    }
+
+    /// Short for removals, which allocate nothing in buffers that were used before; else the whole model.
+    fn save_for_undo(&self, change: &TopologyChange, undo: &mut ModelUndo) {
+        undo.clear();
+        if grows(change) || change.is_renumbering() {
+            undo.keep_whole(self.duplicate());
+            return;
+        }
+        self.motion.save(undo);
+        for t in change.tets.removed.iter().map(|tet| tet.index()).filter(|&t| self.tets.is_live[t]) {
+            undo.push_place(t);
+            self.tensors.save_tet(t, self.tets.nodes[t], undo);
+        }
+    }
+
+    fn undo(&mut self, undo: &ModelUndo) {
+        let mut from = undo.reader();
+        self.motion.put_back(undo, &mut from);
+        while from.has_places() {
+            let t = from.place();
+            self.tets.is_live[t] = true;
+            self.tensors.put_tet_back(t, self.tets.nodes[t], &mut from);
+        }
     }
 }

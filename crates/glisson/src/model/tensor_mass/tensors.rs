@@ -4,6 +4,7 @@ use crate::math::DMat3;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::explicit::{Insertions, LiveEdges, LiveTets, Padded, keep, padded, unpadded};
 use crate::model::growth::Growth;
+use crate::model::{ModelUndo, UndoReader};
 use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients, SolveError, StiffnessTensors, TetStiffness};
 
 /// K as B^pp on vertices and B^pj on edges (lower node p), in the layout of the force loop.
@@ -131,6 +132,25 @@ impl VertexEdgeTensors {
             } else {
                 self.edge[edge] = [[0.0; 4]; 3];
             }
+        }
+    }
+
+    /// Keeps the tensors at a tetrahedron that is about to be taken out.
+    pub(in crate::model) fn save_tet(&self, t: usize, nodes: [NodeId; 4], undo: &mut ModelUndo) {
+        let vertices = nodes.iter().map(|n| &self.vertex[n.index()]);
+        let edges = self.edges.edges.of_tet[t].iter().map(|&e| &self.edge[e as usize]);
+        vertices.chain(edges).for_each(|b| undo.numbers.extend_from_slice(b.as_flattened()));
+        undo.places.extend(self.edges.edges.of_tet[t].iter().map(|&e| self.edges.tets[e as usize]));
+    }
+
+    /// Comes back to [`VertexEdgeTensors::save_tet`].
+    pub(in crate::model) fn put_tet_back(&mut self, t: usize, nodes: [NodeId; 4], from: &mut UndoReader<'_>) {
+        for node in nodes {
+            self.vertex[node.index()].as_flattened_mut().copy_from_slice(from.numbers(12));
+        }
+        for edge in self.edges.edges.of_tet[t] {
+            self.edge[edge as usize].as_flattened_mut().copy_from_slice(from.numbers(12));
+            self.edges.tets[edge as usize] = from.place() as u32;
         }
     }
 

@@ -23,7 +23,7 @@ mod crossing;
 mod stroke;
 mod wall;
 
-use self::crossing::{Crossing, first_crossing, first_crossing_near};
+use self::crossing::{Crossing, Way, first_crossing, first_crossing_near};
 use self::stroke::{PathPoint, Stroke};
 use crate::math::DVec3;
 use crate::mesh::TriangleId;
@@ -37,6 +37,13 @@ const PART_OF_EDGE: f64 = 0.25;
 
 /// A side is cut if the blade enters or leaves this share of an edge below the surface point. A choice.
 const LEAST_SIDE: f64 = 0.5;
+
+/// Least sine of the angle between a blade and a side that it goes through: walls of the cut lie along the blade. A
+/// choice.
+const STEEP: f64 = 0.15;
+
+/// Least sine where the blade goes in. A choice.
+const BRUSH: f64 = 0.02;
 
 /// Most looks at one motion; beyond it they are further apart. A choice.
 const MOST_PARTS: usize = 4096;
@@ -119,8 +126,8 @@ impl Motion {
 enum Event {
     /// The blade enters at a surface triangle.
     Start { at: PathPoint, triangle: TriangleId },
-    /// The path goes on.
-    Point(PathPoint),
+    /// The path goes on, at this surface triangle unless it is on a side.
+    Point { at: PathPoint, triangle: Option<TriangleId> },
     /// The blade is out.
     End,
 }
@@ -136,6 +143,8 @@ pub struct ScalpelCut {
     events: VecDeque<Event>,
     stroke: Option<Stroke>,
     last_entry: Option<(TriangleId, DVec3)>,
+    /// Where the path of the last stroke ended [m].
+    over_at_m: Option<DVec3>,
     n_nodes_expected: Option<usize>,
 }
 
@@ -239,19 +248,20 @@ impl ScalpelCut {
                     return Some(edits);
                 }
                 if stroke.is_over() {
+                    self.over_at_m = Some(positions_m[stroke.last().index()]);
                     self.stroke = None;
                 }
             }
             match self.events.pop_front()? {
                 Event::Start { at, triangle } => {
                     self.report.n_strokes += 1;
-                    self.stroke = Some(Stroke::start(body.topology(), positions_m, at, triangle));
+                    self.stroke = Some(Stroke::start(body, positions_m, at, triangle, &self.params));
                 }
-                Event::Point(point) => {
-                    if let Some(stroke) = &mut self.stroke {
-                        stroke.follow(body.topology(), positions_m, point);
-                    }
-                }
+                Event::Point { at, triangle } => match &mut self.stroke {
+                    Some(stroke) => stroke.follow(body, positions_m, at, &self.params),
+                    // The blade went through what it cut and is in the body still, or again.
+                    None => self.start_again(body, positions_m, at, triangle),
+                },
                 Event::End => {
                     if let Some(stroke) = &mut self.stroke {
                         stroke.end(positions_m);
@@ -275,7 +285,7 @@ impl ScalpelCut {
         let near = self
             .last_entry
             .and_then(|(triangle, _)| first_crossing_near(topology, positions_m, blade_m, triangle));
-        let entry = near.or_else(|| first_crossing(topology, positions_m, blade_m, true));
+        let entry = near.or_else(|| first_crossing(topology, positions_m, blade_m, Way::In, BRUSH));
         let moved_m = 0.5 * (now_m[0] + now_m[1] - before_m[0] - before_m[1]);
         let point = |at: DVec3| PathPoint {
             point_m: at,
@@ -296,11 +306,12 @@ impl ScalpelCut {
                     self.events.push_back(Event::End);
                     self.start(topology, positions_m, point(entry.point_m), entry.triangle, None);
                 } else {
-                    self.events.push_back(Event::Point(point(entry.point_m)));
+                    let at = point(entry.point_m);
+                    self.events.push_back(Event::Point { at, triangle: Some(entry.triangle) });
                 }
             }
             (Some((triangle, last_m)), None) => {
-                let last = Crossing { triangle, along: 0.0, point_m: last_m, is_entering: true };
+                let last = Crossing { triangle, along: 0.0, point_m: last_m };
                 // The blade left: what it did is what it would have done backwards.
                 if let Some(side) = side(topology, positions_m, now_m, before_m, &last) {
                     self.go_along_side(topology, positions_m, point(last_m), [last_m, side.point_m]);
@@ -310,6 +321,23 @@ impl ScalpelCut {
         }
         self.last_entry = entry.map(|e| (e.triangle, e.point_m));
         true
+    }
+
+    /// Begins a stroke in the middle of a motion, well away from where the last one ended.
+    fn start_again(
+        &mut self,
+        body: &EditableMesh,
+        positions_m: &[DVec3],
+        at: PathPoint,
+        triangle: Option<TriangleId>,
+    ) {
+        let topology = body.topology();
+        let Some(triangle) = triangle.filter(|&t| topology.is_live_triangle(t)) else { return };
+        let edge_m = triangle_edge_m(topology, positions_m, triangle);
+        if self.over_at_m.is_none_or(|over_m| over_m.distance(at.point_m) > edge_m) {
+            self.report.n_strokes += 1;
+            self.stroke = Some(Stroke::start(body, positions_m, at, triangle, &self.params));
+        }
     }
 
     fn start(
@@ -325,7 +353,7 @@ impl ScalpelCut {
                 let first = PathPoint { point_m: side.point_m, is_on_side: true, ..at };
                 self.events.push_back(Event::Start { at: first, triangle: side.triangle });
                 self.go_along_side(topology, positions_m, at, [side.point_m, at.point_m]);
-                self.events.push_back(Event::Point(at));
+                self.events.push_back(Event::Point { at, triangle: Some(triangle) });
             }
             None => self.events.push_back(Event::Start { at, triangle }),
         }
@@ -344,13 +372,14 @@ impl ScalpelCut {
             (from_m.distance(to_m) / (PART_OF_EDGE * edge_m)).ceil().clamp(1.0, MOST_PARTS as f64) as usize;
         for k in 1..=n {
             let point_m = from_m.lerp(to_m, k as f64 / n as f64);
-            self.events.push_back(Event::Point(PathPoint { point_m, is_on_side: true, ..like }));
+            let at = PathPoint { point_m, is_on_side: true, ..like };
+            self.events.push_back(Event::Point { at, triangle: None });
         }
     }
 }
 
-/// Where a blade that came in from outside first met the body, if that was well below `entry`: it came through a side.
-/// A blade through the whole body met it where it comes out again, another where its tip went in.
+/// Where on the blade the cut of a side ends, if the blade came in from outside (or left) well below `entry`: where a
+/// blade through the whole body comes out again, else where the tip went in.
 fn side(
     topology: &Topology,
     positions_m: &[DVec3],
@@ -358,12 +387,18 @@ fn side(
     inside_m: [DVec3; 2],
     entry: &Crossing,
 ) -> Option<Crossing> {
-    let along_m = (inside_m[0] - entry.point_m).normalize_or_zero();
     let edge_m = triangle_edge_m(topology, positions_m, entry.triangle);
+    let is_well_below = |point_m: DVec3| point_m.distance(entry.point_m) > LEAST_SIDE * edge_m;
+    if !is_well_below(inside_m[0]) {
+        return None;
+    }
+    let along_m = (inside_m[0] - entry.point_m).normalize_or_zero();
     let below_m = entry.point_m + 1e-6 * edge_m * along_m;
-    let met = first_crossing(topology, positions_m, [below_m, inside_m[0]], false)
-        .or_else(|| first_crossing(topology, positions_m, [outside_m[0], inside_m[0]], true))?;
-    (met.point_m.distance(entry.point_m) > LEAST_SIDE * edge_m).then_some(met)
+    // Backwards from the tip, walls of the cut that the blade brushes near the top do not count.
+    let leaves = first_crossing(topology, positions_m, [inside_m[0], below_m], Way::In, STEEP);
+    let met = leaves
+        .or_else(|| first_crossing(topology, positions_m, [outside_m[0], inside_m[0]], Way::In, STEEP))?;
+    is_well_below(met.point_m).then_some(met)
 }
 
 /// Mean edge [m] of a surface triangle now.

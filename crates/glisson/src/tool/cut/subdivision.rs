@@ -22,10 +22,12 @@
 
 mod opening;
 mod patch;
+mod relaxing;
 mod section;
 mod sweep;
 
 use self::patch::{Body, Patch};
+use self::relaxing::relax;
 use self::section::{Snapping, conform};
 use self::sweep::Sweep;
 use crate::math::DVec3;
@@ -147,8 +149,12 @@ pub enum CutRefusal {
     },
 }
 
-/// How much more snaps with every further attempt: shares of an edge; with one half everything snaps.
-const COARSER: [f64; 3] = [0.3, 0.4, 0.5];
+/// How much more snaps with every further attempt: shares of an edge for nodes that can move onto the cut, and
+/// for those that cannot. With one half everything snaps.
+const COARSER: [[f64; 2]; 6] = [[0.2, 0.2], [0.25, 0.15], [0.25, 0.25], [0.3, 0.3], [0.4, 0.4], [0.5, 0.5]];
+
+/// Angles below this multiple of the smallest allowed one are bettered, for the sake of later strokes.
+const RESERVE: f64 = 1.5;
 
 /// A stroke of a blade.
 #[derive(Clone, Debug)]
@@ -165,8 +171,10 @@ pub struct SubdivisionCut {
 struct Stroke {
     /// Tip and heel where the last piece ended [m].
     blade_m: Option<[DVec3; 2]>,
-    /// The inner end of the cut, along the blade.
-    front: Vec<NodeId>,
+    /// The inner end of the cut, along the blade, and whether an end of the blade is there.
+    front: Vec<(NodeId, bool)>,
+    /// Faces of the cut that are closed for now: all of their nodes are on its rim.
+    closed: Vec<[NodeId; 3]>,
     /// First and last of the front along the blade, with where the blade's ends are between and beyond them
     /// (share) and beside them [m].
     anchor: Option<Anchor>,
@@ -246,18 +254,25 @@ impl SubdivisionCut {
     /// Follows an edit that is not its own.
     pub fn topology_changed(&mut self, change: &TopologyChange) {
         let lost = |n: NodeId| change.nodes.removed.binary_search(&n).is_ok();
-        self.stroke.front.retain(|&n| !lost(n));
+        self.stroke.front.retain(|&(n, _)| !lost(n));
+        self.stroke.closed.retain(|face| !face.iter().any(|&n| lost(n)));
         if self.stroke.anchor.is_some_and(|a| a.nodes.into_iter().any(lost)) {
             self.stroke.anchor = None;
         }
-        change.nodes.renumber_list(&mut self.stroke.front);
-        if let (Some(anchor), false) = (&mut self.stroke.anchor, change.nodes.new_ids.is_empty()) {
-            let new = anchor.nodes.map(|n| change.nodes.new_ids[n.index()]);
-            match new {
-                [Some(a), Some(b)] => anchor.nodes = [a, b],
-                _ => self.stroke.anchor = None,
-            }
+        if change.nodes.new_ids.is_empty() {
+            return;
         }
+        let renumbered = |n: NodeId| change.nodes.new_ids[n.index()];
+        let front = std::mem::take(&mut self.stroke.front);
+        self.stroke.front =
+            front.into_iter().filter_map(|(n, is_end)| Some((renumbered(n)?, is_end))).collect();
+        let closed = std::mem::take(&mut self.stroke.closed);
+        let of_face = |[a, b, c]: [NodeId; 3]| Some([renumbered(a)?, renumbered(b)?, renumbered(c)?]);
+        self.stroke.closed = closed.into_iter().filter_map(of_face).collect();
+        self.stroke.anchor = self.stroke.anchor.and_then(|anchor| {
+            let [a, b] = anchor.nodes.map(renumbered);
+            Some(Anchor { nodes: [a?, b?], ..anchor })
+        });
     }
 
     /// Checks the input; where the blade was, carried along by the tissue.
@@ -295,12 +310,13 @@ impl SubdivisionCut {
         self.before = self.stroke.clone();
         let sweeps = Sweep::of_blade(from_m, blade_m);
         let mut report = CutReport::default();
-        for attempt in 0..=COARSER.len() {
-            let share = if attempt == 0 { self.params.snap_share } else { COARSER[attempt - 1] };
-            if attempt > 0 && share <= self.params.snap_share {
+        let wished = self.params.snap_share;
+        let first = [[wished, 0.5 * wished]];
+        for (attempt, &[share, share_of_fixed]) in first.iter().chain(&COARSER).enumerate() {
+            if attempt > 0 && share < wished {
                 continue;
             }
-            report = self.attempt(body, &sweeps, share);
+            report = self.attempt(body, &sweeps, share, share_of_fixed);
             report.n_coarser = usize::from(attempt > 0);
             let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
             if report.min_dihedral_deg >= limit_deg {
@@ -309,6 +325,7 @@ impl SubdivisionCut {
         }
         self.stroke.blade_m = Some(blade_m);
         self.stroke.front.clear();
+        self.stroke.closed.clear();
         self.stroke.anchor = None;
         self.stroke.report.add(&CutReport {
             swept_area_m2: report.swept_area_m2,
@@ -320,19 +337,24 @@ impl SubdivisionCut {
     }
 
     /// Works the cut out in the patch, not opened yet.
-    fn attempt(&mut self, body: Body<'_>, sweeps: &[Option<Sweep>; 2], share: f64) -> CutReport {
+    fn attempt(&mut self, body: Body<'_>, sweeps: &[Option<Sweep>; 2], share: f64, share_of_fixed: f64) -> CutReport {
         let Self { params, stroke, patch, .. } = self;
         patch.start(body.mesh);
-        let snapping = Snapping {
-            share,
-            length_m: params.snap_length_m,
-            front_m: params.front_reach_m,
-            max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
-        };
-        for &node in &stroke.front {
+        let snapping =
+            Snapping {
+                share,
+                share_of_fixed,
+                length_m: params.snap_length_m,
+                front_m: params.front_reach_m,
+                max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
+            };
+        for &(node, is_end) in &stroke.front {
             if body.mesh.topology().is_live_node(node) {
-                patch.pull_front(body, node);
+                patch.pull_front(body, node, is_end);
             }
+        }
+        for &face in &stroke.closed {
+            patch.pull_closed(body, face);
         }
         let mut report = CutReport::default();
         for sweep in sweeps.iter().flatten() {
@@ -341,37 +363,48 @@ impl SubdivisionCut {
             report.n_touched += section.n_touched;
             report.n_snapped += section.n_snapped;
         }
-        report.cut_area_m2 = patch.cut_area_m2();
+        let wished_cosine = libm::cos((RESERVE * self.params.min_dihedral_deg).to_radians());
+        let mut max_cosine = patch.max_new_cosine();
+        if max_cosine > wished_cosine
+            && let [Some(sweep), None] | [None, Some(sweep)] = sweeps
+        {
+            relax(patch, body, sweep.normal, wished_cosine);
+            max_cosine = patch.max_new_cosine();
+        }
+        let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));
+        let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);
         // The largest cosine is that of the smallest angle.
-        let mut cosines = [-1.0f64; 2];
-        for tet in &patch.tets {
-            if tet.is_live && !tet.is_old {
-                let cosine = dihedral_cosine_range(tet.nodes.map(|n| patch.nodes[n as usize].rest_m))[1];
-                cosines[0] = cosines[0].max(if cosine.is_nan() { 1.0 } else { cosine });
-            }
-        }
-        for tet in patch.changed_tets() {
-            cosines[1] = cosines[1].max(dihedral_cosine_range(body.mesh.mesh().corners_m(tet))[1]);
-        }
-        let [after_deg, before_deg] = cosines.map(|c| libm::acos(c.clamp(-1.0, 1.0)).to_degrees());
+        let [after_deg, before_deg] =
+            [max_cosine, cosine_before].map(|c| libm::acos(c.clamp(-1.0, 1.0)).to_degrees());
         report.min_dihedral_deg = after_deg;
         report.min_dihedral_before_deg = before_deg;
         report
     }
 
     /// Opens the cut that is in the patch, and goes on from there.
-    fn accept(&mut self, body: Body<'_>, blade_m: [DVec3; 2], mut report: CutReport) -> Option<Replacement> {
+    fn accept(
+        &mut self,
+        body: Body<'_>,
+        blade_m: [DVec3; 2],
+        mut report: CutReport,
+    ) -> Option<Replacement> {
         let Self { stroke, patch, .. } = self;
         let front = patch.front.clone();
-        opening::open(patch, body);
+        let opened = opening::open(patch, body);
+        report.cut_area_m2 = opened.area_m2;
         let (edit, ids) = opening::replacement(patch, body.mesh.topology().n_nodes());
         stroke.blade_m = Some(blade_m);
-        stroke.front = front.iter().filter_map(|&n| ids[n as usize]).collect();
+        stroke.front = front.iter().filter_map(|&(n, is_end)| Some((ids[n as usize]?, is_end))).collect();
+        let of_face = |face: &[u32; 3]| -> Option<[NodeId; 3]> {
+            let [a, b, c] = face.map(|n| ids[n as usize]);
+            Some([a?, b?, c?])
+        };
+        stroke.closed = opened.closed.iter().filter_map(of_face).collect();
         stroke.anchor = None;
         let along = blade_m[1] - blade_m[0];
         let place = |n: u32| (patch.nodes[n as usize].present_m - blade_m[0]).dot(along);
-        let first = front.iter().copied().min_by(|&a, &b| place(a).total_cmp(&place(b)));
-        let last = front.iter().copied().max_by(|&a, &b| place(a).total_cmp(&place(b)));
+        let first = front.iter().map(|f| f.0).min_by(|&a, &b| place(a).total_cmp(&place(b)));
+        let last = front.iter().map(|f| f.0).max_by(|&a, &b| place(a).total_cmp(&place(b)));
         if let (Some(first), Some(last)) = (first, last)
             && let (Some(a), Some(b)) = (ids[first as usize], ids[last as usize])
         {

@@ -125,7 +125,7 @@ impl DynamicPart {
             StiffTet { at_rest, stiffening: if is_kirchhoff(t) { stiffening } else { 1.0 } }
         })?;
         let strained_j = 0.5 * (lambda_pa + 2.0 * mu_pa) * mesh.volume_m3();
-        let (step, of_tets) = (stability.step, stability.tet_squared_frequency_per_s2.clone());
+        let again = stability.clone();
         let own = DynamicBody {
             mesh: &mesh,
             fixed: &fixed,
@@ -136,7 +136,6 @@ impl DynamicPart {
         let mut motion = match ExplicitMotion::new(&own, stability, strained_j) {
             // Shorter steps instead of a refusal: the dynamic zone may not have been there when the step was chosen.
             Err(ExplicitError::UnstableStep { allowed_s, .. }) => {
-                let again = Stability { step, tet_squared_frequency_per_s2: of_tets };
                 ExplicitMotion::new(&DynamicBody { time_step_s: allowed_s, ..own }, again, strained_j)
             }
             made => made,

@@ -16,7 +16,7 @@ use crate::mesh::NodeId;
 use crate::model::local_model::{
     ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw, compute, tet_tangent,
 };
-use crate::model::{LocalModel, LocalWork, Rayleigh, RestStress};
+use crate::model::{LocalModel, LocalWork, RestStress};
 use crate::solve::P1Gradients;
 
 /// The dynamic zones and the tetrahedra around them.

@@ -629,7 +629,7 @@ impl DeformableModel for HybridExchange {
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         let refused = |reason| Err(TopologyRefusal::Frozen { model: "hybrid", reason });
         let has_new = !change.tets.added.ids().is_empty() || !change.nodes.added.ids().is_empty();
-        if has_new || change.is_renumbering() {
+        if has_new || !change.moved_nodes.is_empty() || change.is_renumbering() {
             return refused("it follows removals of tetrahedra only: make it anew for other edits");
         }
         let removed: Vec<TetId> = change.tets.removed.clone();

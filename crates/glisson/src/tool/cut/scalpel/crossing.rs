@@ -16,8 +16,15 @@ pub(super) struct Crossing {
     pub(super) along: f64,
     /// Where [m].
     pub(super) point_m: DVec3,
-    /// Whether the segment goes inwards there.
-    pub(super) is_entering: bool,
+}
+
+/// Which way a segment goes through the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Way {
+    /// Into the body.
+    In,
+    /// Out of it.
+    Out,
 }
 
 /// Where the segment crosses `triangle` (Moeller and Trumbore 1997, doi 10.1080/10867651.1997.10487468).
@@ -26,6 +33,8 @@ fn crossing(
     positions_m: &[DVec3],
     triangle: TriangleId,
     [from_m, to_m]: [DVec3; 2],
+    way: Way,
+    least_sine: f64,
 ) -> Option<Crossing> {
     let nodes = topology.triangle_nodes(triangle);
     let [a, b, c] = nodes.map(|n| positions_m[n.index()]);
@@ -46,21 +55,29 @@ fn crossing(
     if v < -WEIGHT_SLACK || u + v > 1.0 + WEIGHT_SLACK || !(0.0..=1.0).contains(&along) {
         return None;
     }
-    let is_entering = direction.dot(topology.area_vector_m2(triangle, positions_m)) < 0.0;
-    Some(Crossing { triangle, along, point_m: from_m + along * direction, is_entering })
+    let area_m2 = topology.area_vector_m2(triangle, positions_m);
+    let outward = direction.dot(area_m2);
+    let is_wanted = match way {
+        Way::In => outward < 0.0,
+        Way::Out => outward > 0.0,
+    };
+    let is_steep = outward.abs() >= least_sine * direction.length() * area_m2.length();
+    (is_wanted && is_steep).then_some(Crossing { triangle, along, point_m: from_m + along * direction })
 }
 
-/// The first place where the segment goes into (or out of, as wanted) the body.
+/// The first place where the segment goes into the body or out of it, through triangles to which it has at least an angle
+/// of this sine.
 pub(super) fn first_crossing(
     topology: &Topology,
     positions_m: &[DVec3],
     segment_m: [DVec3; 2],
-    is_entering: bool,
+    way: Way,
+    least_sine: f64,
 ) -> Option<Crossing> {
-    first_of(topology, positions_m, segment_m, is_entering, topology.surface_triangles())
+    first_of(topology.surface_triangles(), |t| crossing(topology, positions_m, t, segment_m, way, least_sine))
 }
 
-/// [`first_crossing`] among the surface triangles at the corners of `near` and at their neighbours.
+/// [`first_crossing`] inwards among the surface triangles at the corners of `near` and at their neighbours.
 pub(super) fn first_crossing_near(
     topology: &Topology,
     positions_m: &[DVec3],
@@ -85,7 +102,9 @@ pub(super) fn first_crossing_near(
         }
         start = end;
         // The first ring holds the blade in nearly every step.
-        let found = first_of(topology, positions_m, segment_m, true, seen.iter().copied());
+        let found = first_of(seen.iter().copied(), |t| {
+            crossing(topology, positions_m, t, segment_m, Way::In, super::BRUSH)
+        });
         if found.is_some() {
             return found;
         }
@@ -94,18 +113,12 @@ pub(super) fn first_crossing_near(
 }
 
 fn first_of(
-    topology: &Topology,
-    positions_m: &[DVec3],
-    segment_m: [DVec3; 2],
-    is_entering: bool,
     triangles: impl Iterator<Item = TriangleId>,
+    crossing: impl Fn(TriangleId) -> Option<Crossing>,
 ) -> Option<Crossing> {
     let mut first: Option<Crossing> = None;
-    for triangle in triangles {
-        if let Some(found) = crossing(topology, positions_m, triangle, segment_m)
-            && found.is_entering == is_entering
-            && first.is_none_or(|f| found.along < f.along)
-        {
+    for found in triangles.filter_map(crossing) {
+        if first.is_none_or(|f| found.along < f.along) {
             first = Some(found);
         }
     }

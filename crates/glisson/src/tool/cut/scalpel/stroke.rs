@@ -4,7 +4,7 @@ use super::wall::{Plane, face, groups_at, triangle_of, way_around};
 use super::{ScalpelParams, ScalpelReport, triangle_edge_m};
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, MeshEdit};
-use crate::mesh::repair::{rest_place_m, watched_move};
+use crate::mesh::repair::{Freedom, freedom, rest_place_m, watched_move};
 use crate::mesh::topology::Topology;
 use crate::mesh::{NodeId, TetId, TriangleId};
 
@@ -18,6 +18,12 @@ const DEEPER: f64 = 0.3;
 /// Share of an edge within which a node on the ground counts as passed by the blade. A choice.
 const BESIDE: f64 = 0.75;
 
+/// Share of the longest edge at the last selected node beyond which the path has left its neighbourhood. A choice.
+const FAR: f64 = 1.25;
+
+/// The same for a path that will not come back. A choice.
+const LOST: f64 = 2.5;
+
 /// Share of an edge below which a node stays where it is. A choice.
 const NO_MOVE: f64 = 1e-6;
 
@@ -25,7 +31,10 @@ const NO_MOVE: f64 = 1e-6;
 const CHORD: f64 = 0.5;
 
 /// Places of the blade that are kept. The front hardly reaches further back.
-const N_SAMPLES: usize = 512;
+const N_SAMPLES: usize = 128;
+
+/// Share of an edge between places of the blade that are kept, but for the last. A choice.
+const APART: f64 = 0.1;
 
 /// One place of the path.
 #[derive(Clone, Copy, Debug)]
@@ -107,25 +116,32 @@ pub(super) struct Stroke {
     used: Vec<NodeId>,
     stage: Stage,
     is_ending: bool,
+    /// Whether the wall came to the last node before the path did: the path has to come near first.
+    is_ahead: bool,
+    /// Whether everything along the path has come apart, so that the path does not go on.
+    is_through: bool,
     n_copies_wanted: usize,
+}
+
+/// Whether a node has to stay where it is.
+fn is_corner(body: &EditableMesh, node: NodeId, params: &ScalpelParams) -> bool {
+    freedom(body, node, params.limits.sharp_cosine) == Freedom::Fixed
 }
 
 impl Stroke {
     /// Selects the surface node nearest to the start.
     pub(super) fn start(
-        topology: &Topology,
+        body: &EditableMesh,
         positions_m: &[DVec3],
         at: PathPoint,
         triangle: TriangleId,
+        params: &ScalpelParams,
     ) -> Self {
-        let nearest = topology
-            .triangle_nodes(triangle)
-            .into_iter()
-            .min_by(|a, b| {
-                let [a, b] = [a, b].map(|n| positions_m[n.index()].distance_squared(at.point_m));
-                a.total_cmp(&b)
-            })
-            .expect("a triangle has three nodes");
+        let topology = body.topology();
+        let rank =
+            |n: NodeId| (is_corner(body, n, params), positions_m[n.index()].distance_squared(at.point_m));
+        let [a, b, c] = topology.triangle_nodes(triangle);
+        let nearest = [b, c].into_iter().fold(a, |best, n| if rank(n) < rank(best) { n } else { best });
         let mut stroke = Self {
             edge_m: triangle_edge_m(topology, positions_m, triangle),
             samples: Vec::new(),
@@ -136,6 +152,8 @@ impl Stroke {
             used: Vec::new(),
             stage: Stage::Idle,
             is_ending: false,
+            is_ahead: false,
+            is_through: false,
             n_copies_wanted: 0,
         };
         let sample = stroke.sample(at);
@@ -145,7 +163,12 @@ impl Stroke {
 
     /// Whether nothing is left to do.
     pub(super) fn is_over(&self) -> bool {
-        self.is_ending && matches!(self.stage, Stage::Idle)
+        (self.is_ending || self.is_through) && matches!(self.stage, Stage::Idle)
+    }
+
+    /// The node selected last.
+    pub(super) fn last(&self) -> NodeId {
+        self.last
     }
 
     /// How many nodes the edits handed out last bring in.
@@ -154,26 +177,39 @@ impl Stroke {
     }
 
     /// The path goes on to `at`.
-    pub(super) fn follow(&mut self, topology: &Topology, positions_m: &[DVec3], at: PathPoint) {
+    pub(super) fn follow(
+        &mut self,
+        body: &EditableMesh,
+        positions_m: &[DVec3],
+        at: PathPoint,
+        params: &ScalpelParams,
+    ) {
+        let topology = body.topology();
+        if !topology.is_surface_node(self.last) {
+            return;
+        }
         let sample = self.sample(at);
         let away_m = |node: NodeId| positions_m[node.index()].distance(at.point_m);
-        let mut nearest: Option<(NodeId, f64)> = None;
         let mut longest_m: f64 = 0.0;
+        let mut around: Vec<(f64, NodeId)> = Vec::new();
         for triangle in topology.surface_triangles_at(self.last) {
-            let others = topology.triangle_nodes(triangle);
-            for node in others.into_iter().filter(|&n| n != self.last) {
-                longest_m = longest_m.max(positions_m[node.index()].distance(positions_m[self.last.index()]));
-                let distance_m = away_m(node);
-                let is_nearer = nearest.is_none_or(|(_, so_far)| distance_m < so_far);
-                if is_nearer && self.may_follow(topology, node) {
-                    nearest = Some((node, distance_m));
+            for node in topology.triangle_nodes(triangle) {
+                if node != self.last && around.iter().all(|&(_, n)| n != node) {
+                    longest_m =
+                        longest_m.max(positions_m[node.index()].distance(positions_m[self.last.index()]));
+                    around.push((away_m(node), node));
                 }
             }
         }
-        let Some((node, distance_m)) = nearest else { return };
+        around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        around.retain(|&(_, node)| self.may_follow(topology, node));
+        // Corners cannot move onto the path: only if there is nothing else.
+        let movable = around.iter().find(|(_, node)| !is_corner(body, *node, params));
+        let Some(&(distance_m, node)) = movable.or(around.first()) else { return };
         let from_last_m = away_m(self.last);
         let now = Candidate { node, distance_m, at: sample, is_reached: distance_m < from_last_m };
         match self.candidate {
+            _ if self.is_ahead && from_last_m > longest_m => {}
             Some(candidate) if candidate.node == node => {
                 if distance_m < candidate.distance_m {
                     self.candidate = Some(now);
@@ -186,8 +222,15 @@ impl Stroke {
             }
             _ => self.candidate = Some(now),
         }
-        if from_last_m > 1.25 * longest_m {
-            self.select(node, sample);
+        if from_last_m <= longest_m {
+            self.is_ahead = false;
+        } else if !self.is_ahead && from_last_m > FAR * longest_m {
+            if distance_m < FAR * longest_m {
+                self.select(node, sample);
+            } else if from_last_m > LOST * longest_m {
+                // No edges lead along the path: it jumped over a gap.
+                self.is_ending = true;
+            }
         }
     }
 
@@ -234,10 +277,17 @@ impl Stroke {
             .or(self.samples.last().map(|s| s.plane.normal))
             .unwrap_or_else(|| at.blade.any_orthonormal_vector());
         let sample = Sample { plane: Plane { point_m: at.point_m, normal }, tip_m: at.tip_m };
-        if self.samples.len() == N_SAMPLES {
-            self.samples.drain(..N_SAMPLES / 2);
+        // On a side the blade is where it is anyhow.
+        if !at.is_on_side {
+            if let [.., before, last] = &self.samples[..]
+                && before.plane.point_m.distance(last.plane.point_m) < APART * self.edge_m
+            {
+                self.samples.pop();
+            } else if self.samples.len() == N_SAMPLES {
+                self.samples.drain(..N_SAMPLES / 2);
+            }
+            self.samples.push(sample);
         }
-        self.samples.push(sample);
         sample
     }
 
@@ -284,9 +334,7 @@ impl Stroke {
                         self.stage = Stage::Check(nodes);
                         let groups = groups_at(body.topology(), node, &self.wall);
                         if groups.len() > 1 {
-                            for place in self.front.iter_mut().filter(|f| f.node == node) {
-                                place.kind = Kind::Apart;
-                            }
+                            self.part_front_at(node);
                             return Some(self.copy(body, node, groups, report));
                         }
                     }
@@ -431,6 +479,30 @@ impl Stroke {
         }
         self.stage = Stage::Check(check);
         edits
+    }
+
+    /// A node of the front has come apart. If it was the last one, the path goes on from the one before it, to
+    /// which the wall leads on the surface.
+    fn part_front_at(&mut self, node: NodeId) {
+        for place in self.front.iter_mut().filter(|f| f.node == node) {
+            place.kind = Kind::Apart;
+        }
+        if node != self.last {
+            return;
+        }
+        while self.front.last().is_some_and(|f| f.kind == Kind::Apart) {
+            self.front.pop();
+        }
+        self.candidate = None;
+        match self.front.last_mut() {
+            Some(end) => {
+                end.kind = Kind::Selected;
+                self.last = end.node;
+                self.used.push(end.node);
+                self.is_ahead = true;
+            }
+            None => self.is_through = true,
+        }
     }
 
     /// Takes pieces of the front away that go to a node and back.

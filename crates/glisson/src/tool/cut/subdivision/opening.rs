@@ -4,15 +4,36 @@ use super::patch::{Body, Patch, sorted};
 use crate::mesh::edit::{CavityNode, NewNode, NewTet, Replacement};
 use crate::mesh::quality::FACES;
 
+/// What opened.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Opened {
+    /// Area [m2] of the faces that came apart, one side, in the present shape.
+    pub(super) area_m2: f64,
+    /// Faces that stay closed for now, because all of their nodes are on the rim of the cut.
+    pub(super) closed: Vec<[u32; 3]>,
+}
+
 /// Opens `patch.cut`. At the rim of a cut the tetrahedra still hang together around the node, which stays one.
-/// Returns the number of copies made.
-pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> usize {
+pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> Opened {
     let mut nodes: Vec<u32> = patch.cut.iter().flatten().copied().collect();
     nodes.sort_unstable();
     nodes.dedup();
-    let mut n_copies = 0;
     for &node in &nodes {
         patch.pull_star(body, node);
+    }
+    let mut sides: Vec<([u32; 3], Vec<u32>)> = Vec::with_capacity(patch.cut.len());
+    // Both sides of what opens belong to the edit, also where only one gets copies.
+    for at in 0..patch.cut.len() {
+        let [a, b, c] = patch.cut[at];
+        let has_face = |&&t: &&u32| {
+            let nodes = patch.tets[t as usize].nodes;
+            nodes.contains(&b) && nodes.contains(&c)
+        };
+        let tets: Vec<u32> = patch.star(a).iter().filter(has_face).copied().collect();
+        for &tet in &tets {
+            patch.tets[tet as usize].is_old = false;
+        }
+        sides.push((patch.cut[at], tets));
     }
     let mut groups = Groups::default();
     // The faces are known by the nodes from before; copies stand for their origin.
@@ -26,7 +47,6 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> usize {
         for copy in copies.iter_mut().skip(1) {
             *copy = patch.push_copy(node);
             origin.push(origin[node as usize]);
-            n_copies += 1;
         }
         for at in 0..groups.star.len() {
             let (tet, group) = (groups.star[at], groups.group[at] as usize);
@@ -35,7 +55,17 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> usize {
             }
         }
     }
-    n_copies
+    let mut opened = Opened::default();
+    for (face, tets) in sides {
+        let [a, b] = tets[..] else { continue };
+        let [a, b] = [a, b].map(|t| patch.tets[t as usize].nodes);
+        let mut common = a.into_iter().filter(|n| b.contains(n));
+        match [common.next(), common.next(), common.next()] {
+            [Some(a), Some(b), Some(c)] => opened.closed.push([a, b, c]),
+            _ => opened.area_m2 += patch.face_area_m2(face),
+        }
+    }
+    opened
 }
 
 /// The tetrahedra at a node, grouped.

@@ -19,22 +19,25 @@ pub(super) struct Body<'a> {
     pub(super) present_m: &'a [DVec3],
 }
 
-/// A point as a blend of up to four nodes of the mesh.
+/// Most nodes of the mesh that a point is a blend of: four, more between points that have moved.
+const MAX_PARENTS: usize = 12;
+
+/// A point as a blend of nodes of the mesh.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Blend {
     n: usize,
-    nodes: [NodeId; 4],
-    weights: [f64; 4],
+    nodes: [NodeId; MAX_PARENTS],
+    weights: [f64; MAX_PARENTS],
 }
 
 impl Blend {
     fn of(node: NodeId) -> Self {
-        Self { n: 1, nodes: [node; 4], weights: [1.0, 0.0, 0.0, 0.0] }
+        Self::of_corners([node; 4], [1.0, 0.0, 0.0, 0.0])
     }
 
     /// Of corners of one tetrahedron, those with no weight left out.
     pub(super) fn of_corners(nodes: [NodeId; 4], weights: [f64; 4]) -> Self {
-        let mut blend = Self { n: 0, nodes, weights: [0.0; 4] };
+        let mut blend = Self { n: 0, nodes: [nodes[0]; MAX_PARENTS], weights: [0.0; MAX_PARENTS] };
         for (node, weight) in nodes.into_iter().zip(weights) {
             if weight != 0.0 {
                 blend.nodes[blend.n] = node;
@@ -45,7 +48,7 @@ impl Blend {
         blend
     }
 
-    /// The point `share` of the way from `self` to `other`; `None` if they share no tetrahedron.
+    /// The point `share` of the way from `self` to `other`; `None` if that takes too many nodes.
     fn towards(&self, other: &Self, share: f64) -> Option<Self> {
         let mut mixed = *self;
         for weight in &mut mixed.weights {
@@ -54,7 +57,7 @@ impl Blend {
         for (node, weight) in other.parents() {
             if let Some(at) = mixed.nodes[..mixed.n].iter().position(|&n| n == node) {
                 mixed.weights[at] += share * weight;
-            } else if mixed.n < 4 {
+            } else if mixed.n < MAX_PARENTS {
                 mixed.nodes[mixed.n] = node;
                 mixed.weights[mixed.n] = share * weight;
                 mixed.n += 1;
@@ -85,6 +88,8 @@ pub(super) struct PatchNode {
     pub(super) line_labels: [i8; 4],
     /// On the front of the stroke so far.
     pub(super) is_front: bool,
+    /// Where the front meets the way of the blade's end.
+    pub(super) is_front_end: bool,
     /// All tetrahedra at the node are in the patch.
     has_whole_star: bool,
 }
@@ -114,8 +119,8 @@ pub(super) struct Patch {
     pulled_tets: Vec<TetId>,
     /// Faces to be opened, corners ascending.
     pub(super) cut: Vec<[u32; 3]>,
-    /// Nodes of these faces where the blade is now.
-    pub(super) front: Vec<u32>,
+    /// Nodes of these faces where the blade is now, and whether its end is there.
+    pub(super) front: Vec<(u32, bool)>,
 }
 
 /// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
@@ -123,6 +128,18 @@ const SAME_VOLUME: f64 = 1e-11;
 
 /// A barycentric weight nearer to zero than this is zero.
 const ON_FACE: f64 = 1e-9;
+
+/// Least gain in the cosine of an angle that is worth a move.
+const LEAST_GAIN: f64 = 1e-5;
+
+/// How good the tetrahedra at a moved node have to be: largest cosine of their dihedral angles at rest.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Accept {
+    /// No larger than this, or than before.
+    UpTo(f64),
+    /// Smaller than before.
+    Better,
+}
 
 struct StarState {
     volume_m3: f64,
@@ -160,9 +177,9 @@ impl Patch {
         self.front.clear();
     }
 
-    /// Whether the tetrahedron of the mesh is in the patch, changed or not.
-    pub(super) fn has_tet(&self, tet: TetId) -> bool {
-        self.tet_here[tet.index()] != ABSENT
+    /// Whether the tetrahedron of the mesh was in the patch, changed or not, when it had `n_before`.
+    pub(super) fn had_tet(&self, tet: TetId, n_before: u32) -> bool {
+        self.tet_here[tet.index()] < n_before
     }
 
     pub(super) fn node_here(&self, node: NodeId) -> Option<u32> {
@@ -196,6 +213,7 @@ impl Patch {
             label: UNKNOWN,
             line_labels: [UNKNOWN; 4],
             is_front: false,
+            is_front_end: false,
             has_whole_star: false,
         });
         self.node_here[node.index()] = here;
@@ -205,9 +223,8 @@ impl Patch {
 
     /// Moves a node to another place of the present shape, with the tissue at rest in the same place of its
     /// tetrahedron. Refused (false) if a tetrahedron would turn inside out in either shape, or become worse
-    /// than `max_cosine` (of its smallest dihedral angle at rest) and than the worst so far, or if the outside
-    /// of the body would change.
-    pub(super) fn move_node(&mut self, body: Body<'_>, node: u32, to_m: DVec3, max_cosine: f64) -> bool {
+    /// than accepted, or if the outside of the body would change.
+    pub(super) fn move_node(&mut self, body: Body<'_>, node: u32, to_m: DVec3, accept: Accept) -> bool {
         self.pull_star(body, node);
         let Some((blend, rest_m)) = self.locate(body, node, to_m) else { return false };
         let from = self.nodes[node as usize];
@@ -216,8 +233,12 @@ impl Patch {
         let this = &mut self.nodes[node as usize];
         (this.rest_m, this.present_m) = (rest_m, to_m);
         let after = self.star_state(&star);
+        let is_shaped = match accept {
+            Accept::UpTo(max_cosine) => after.max_cosine <= max_cosine.max(before.max_cosine),
+            Accept::Better => after.max_cosine < before.max_cosine - LEAST_GAIN,
+        };
         let is_good = after.smallest_m3 > 0.0
-            && after.max_cosine <= max_cosine.max(before.max_cosine)
+            && is_shaped
             && (after.volume_m3 - before.volume_m3).abs() <= SAME_VOLUME * before.volume_m3;
         if is_good {
             let this = &mut self.nodes[node as usize];
@@ -279,18 +300,34 @@ impl Patch {
     }
 
     /// Brings a node of the stroke's front in.
-    pub(super) fn pull_front(&mut self, body: Body<'_>, node: NodeId) {
+    pub(super) fn pull_front(&mut self, body: Body<'_>, node: NodeId, is_end: bool) {
         let here = self.pull_node(body, node);
+        self.nodes[here as usize].is_front_end = is_end;
         self.nodes[here as usize].is_front = true;
     }
 
-    /// Area [m2] of the faces to be opened, in the present shape.
-    pub(super) fn cut_area_m2(&self) -> f64 {
-        let area_m2 = |face: &[u32; 3]| {
-            let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
-            0.5 * (b - a).cross(c - a).length()
+    /// Brings a face in that an earlier step left closed.
+    pub(super) fn pull_closed(&mut self, body: Body<'_>, face: [NodeId; 3]) {
+        let topology = body.mesh.topology();
+        let [a, b, c] = face;
+        let has_face = |&&t: &&TetId| {
+            let nodes = topology.tet_nodes(t);
+            nodes.contains(&b) && nodes.contains(&c)
         };
-        self.cut.iter().map(area_m2).sum()
+        let tets: Vec<TetId> = topology.node_tets(a).iter().filter(has_face).copied().collect();
+        if tets.len() == 2 {
+            for tet in tets {
+                self.pull_tet(body, tet);
+            }
+            let face = face.map(|n| self.pull_node(body, n));
+            self.cut.push(sorted(face));
+        }
+    }
+
+    /// Area [m2] of a face in the present shape.
+    pub(super) fn face_area_m2(&self, face: [u32; 3]) -> f64 {
+        let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
+        0.5 * (b - a).cross(c - a).length()
     }
 
     /// The place of a tetrahedron of the mesh in the patch.
@@ -350,7 +387,7 @@ impl Patch {
     }
 
     /// Puts a node on the edge from `a` to `b` and divides the tetrahedra there; `None` (and nothing done) if
-    /// the edge runs through more than one tetrahedron of the mesh.
+    /// it would be a blend of too many nodes.
     pub(super) fn split_edge(&mut self, body: Body<'_>, [a, b]: [u32; 2], share: f64) -> Option<u32> {
         self.pull_edge(body, [a, b]);
         let (from, to) = (self.nodes[a as usize], self.nodes[b as usize]);
@@ -359,10 +396,11 @@ impl Patch {
             rest_m: from.rest_m.lerp(to.rest_m, share),
             present_m: from.present_m.lerp(to.present_m, share),
             blend: from.blend.towards(&to.blend, share)?,
-            distance_m: 0.0,
+            distance_m: (1.0 - share) * from.distance_m + share * to.distance_m,
             label: 0,
             line_labels: [UNKNOWN; 4],
             is_front: false,
+            is_front_end: false,
             has_whole_star: true,
         });
         let star = std::mem::take(&mut self.stars[a as usize]);
@@ -437,6 +475,16 @@ impl Patch {
         let mut changed: Vec<TetId> = self.pulled_tets.iter().filter(is_changed).copied().collect();
         changed.sort_unstable();
         changed
+    }
+
+    /// Largest cosine of a dihedral angle at rest among what is new; -1 without any.
+    pub(super) fn max_new_cosine(&self) -> f64 {
+        let new = self.live_tets().filter(|&t| !self.tets[t as usize].is_old);
+        let cosine = |t| {
+            let cosine = dihedral_cosine_range(self.rest_m(t))[1];
+            if cosine.is_nan() { 1.0 } else { cosine }
+        };
+        new.map(cosine).fold(-1.0, f64::max)
     }
 
     pub(super) fn rest_m(&self, tet: u32) -> [DVec3; 4] {

@@ -12,6 +12,9 @@ const SAME_CORNER: f64 = 1e-6;
 /// Out of plane by less than this share of its size, a swept quadrilateral is cut as a flat one.
 const FLAT: f64 = 0.01;
 
+/// Ends that move apart by less than this share of their way move alike.
+const LEAST_TURN: f64 = 1e-3;
+
 /// What a side of a polygon is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
@@ -91,7 +94,8 @@ impl Sweep {
         let blade = (b0 - a0).normalize_or_zero();
         let turn = (da - db) - blade * (da - db).dot(blade);
         let (fa, fb) = (da.dot(turn), db.dot(turn));
-        if fa > 0.0 && fb < 0.0 && fa.min(-fb) > 1e-3 * (fa - fb) {
+        let is_turned = turn.length() > LEAST_TURN * da.length().max(db.length());
+        if is_turned && fa > 0.0 && fb < 0.0 && fa.min(-fb) > LEAST_TURN * (fa - fb) {
             let s = fa / (fa - fb);
             let pivot = 0.5 * (a0.lerp(b0, s) + a1.lerp(b1, s));
             return [
@@ -186,42 +190,6 @@ impl Sweep {
             }
         }
         [whole, shape.area_m2(self.normal)]
-    }
-
-    /// Area [m2] of the plane's section through a tetrahedron with these signed distances.
-    pub(super) fn section_area_m2(&self, tet_m: [DVec3; 4], distance_m: [f64; 4]) -> f64 {
-        // Face by face the section's sides, each a triangle with the first point found.
-        let mut doubled = DVec3::ZERO;
-        let mut first = None;
-        let n_zero = distance_m.iter().filter(|&&d| d == 0.0).count();
-        if n_zero == 3 {
-            let at = distance_m.iter().position(|&d| d != 0.0).unwrap_or(0);
-            let [a, b, c] = crate::mesh::quality::FACES[at].map(|i| tet_m[i]);
-            return 0.5 * (b - a).cross(c - a).length();
-        }
-        for face in crate::mesh::quality::FACES {
-            let mut points = [DVec3::ZERO; 3];
-            let mut n = 0;
-            // In the order from plus to minus and back, so that the sides run one way around.
-            let mut start = 0;
-            for i in 0..3 {
-                let (p, q) = (face[i], face[(i + 1) % 3]);
-                let (dp, dq) = (distance_m[p], distance_m[q]);
-                if (dp > 0.0 && dq <= 0.0) || (dp <= 0.0 && dq > 0.0) {
-                    if dp > 0.0 {
-                        start = n;
-                    }
-                    points[n] = tet_m[p].lerp(tet_m[q], dp / (dp - dq));
-                    n += 1;
-                }
-            }
-            if n == 2 {
-                let (s, e) = (points[start], points[1 - start]);
-                let origin = *first.get_or_insert(s);
-                doubled += (s - origin).cross(e - origin);
-            }
-        }
-        0.5 * doubled.length()
     }
 }
 

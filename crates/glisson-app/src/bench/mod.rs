@@ -20,6 +20,7 @@ mod reduced;
 pub(crate) mod contact;
 mod collision;
 pub(crate) mod colliding;
+mod colliding_bodies;
 pub(crate) mod response;
 mod drawing;
 mod hybrid_exchange;
@@ -104,6 +105,7 @@ pub(crate) fn cases() -> Vec<Case> {
         reduced::CASES,
         contact::CASES,
         collision::CASES,
+        colliding_bodies::CASES,
         response::CASES,
         drawing::CASES,
         hybrid_exchange::CASES,

@@ -311,7 +311,6 @@ fn a_block_slides_above_it_with_the_acceleration_of_a_rigid_one() {
     }
 }
 
-
 #[test]
 fn stacked_blocks_bear_their_weight_without_penetration() {
     for kind in [Kind::Kernel, Kind::TensorMass, Kind::Implicit] {
@@ -410,8 +409,7 @@ fn fixed_nodes_stay_where_they_are_whatever_presses() {
             nodes_below(&mesh, 0, 0.01).into_iter().map(FixedNode::all_axes).collect();
         let (model, dt_s) = Setting { fixed: &fixed, ..Setting::new(kind, &mesh) }.build();
         let pose = RigidPose { rotation: DMat3::IDENTITY, origin_m: DVec3::new(0.02, 0.05, 0.112) };
-        let ball =
-            Obstacle { shape: ObstacleShape::Ball { radius_m: 0.011 }, pose, friction: 0.5 };
+        let ball = Obstacle { shape: ObstacleShape::Ball { radius_m: 0.011 }, pose, friction: 0.5 };
         let mut world = world(vec![touching(&mesh, model, 0.5)], vec![ball]);
         // Into the top near the held side, and over the held edge.
         let n = (0.2 / dt_s) as usize;

@@ -326,6 +326,13 @@ impl Near {
             let within_m = self.reach.margin_m + self.reach.skin_m;
             let corners_m = surfaces.corners_m(t);
             let Some(weights) = obstacle.between_corners(corners_m, within_m) else { continue };
+            // A place on an edge is told by the first of its triangles. Edge e runs from corner e to the next.
+            if let Some(apart) = weights.iter().position(|w| *w == 0.0)
+                && surfaces.edge_triangles[surfaces.triangle_edges[t as usize][(apart + 1) % 3] as usize][0]
+                    != t
+            {
+                continue;
+            }
             let point_m = at_weights(corners_m, weights);
             let Some(place) = obstacle.place_near(point_m) else { return };
             let key = ContactKey::TriangleObstacle(t, partner);

@@ -529,18 +529,8 @@ fn a_quasi_static_body_yields_to_a_ball_as_its_compliance_says() {
     let gap_m = surface.triangles.iter().map(nearest).fold(f64::INFINITY, f64::min);
     assert!(gap_m.abs() < 1e-6, "{gap_m}");
     let force_n = world.force_on_n(1);
-    assert!(force_n.z > 0.5 && force_n.truncate_len() < 0.02 * force_n.z, "{force_n}");
+    assert!(force_n.z > 0.5 && force_n.truncate().length() < 0.02 * force_n.z, "{force_n}");
     assert!(world.report().n_pressed >= 5, "{:?}", world.report());
-}
-
-trait Truncate {
-    fn truncate_len(&self) -> f64;
-}
-
-impl Truncate for DVec3 {
-    fn truncate_len(&self) -> f64 {
-        self.x.hypot(self.y)
-    }
 }
 
 #[test]

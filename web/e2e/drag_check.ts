@@ -19,9 +19,11 @@ const REST_MS = 30_000;
 export interface ServerSnapshot {
   readonly step: number;
   readonly paused: boolean;
-  readonly tip_m: number[];
-  readonly force_on_tool_n: number[];
-  readonly contact: { readonly point_m: number[]; readonly node_ids: number[]; readonly weights: number[] } | null;
+  readonly tools: ReadonlyArray<{
+    readonly tip_m: number[];
+    readonly force_on_tool_n: number[];
+    readonly contact: { readonly point_m: number[]; readonly node_ids: number[]; readonly weights: number[] } | null;
+  }>;
   readonly node_ids: number[];
   readonly rest_positions_m: number[][];
   readonly positions_m: number[][];
@@ -153,7 +155,7 @@ async function compare(page: Page, url: string, vertex: number, pointer: [number
         `server's ${(1000 * displacement_m).toFixed(3)} mm; allowed ${100 * DISPLACEMENT_TOLERANCE} %`,
     );
   }
-  const force_n = length(server.force_on_tool_n);
+  const force_n = length(server.tools[0].force_on_tool_n);
   if (!(force_n > 0)) throw new Error("the server's force on the tool is 0");
   const match = /^([0-9.]+) N$/.exec(shown.forceText);
   if (match === null) throw new Error(`the panel's force reads "${shown.forceText}"`);

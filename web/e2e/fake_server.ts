@@ -5,7 +5,7 @@ import { extname, join, normalize } from "node:path";
 import type { AddressInfo, Socket } from "node:net";
 import { Vector3 } from "three";
 import { WebSocketServer, type WebSocket } from "ws";
-import { encodeSnapshot, encodeTopology, type Hello, type Vec3 } from "../src/protocol";
+import { encodeSnapshot, encodeTopology, PROTOCOL_VERSION, type Hello, type Vec3 } from "../src/protocol";
 import { FakeOrgan, HOME_SHAFT, HOME_TIP_M, TIP_RADIUS_M } from "./fake_organ";
 
 const TIME_STEP_S = 0.002;
@@ -125,13 +125,21 @@ export class FakeSimulator {
           time_s: this.step * TIME_STEP_S,
           rate_steps_per_s: this.paused ? 0 : 1 / TIME_STEP_S,
           realTimeFactor: this.paused ? 0 : 1,
-          tip_m: vec3(organ.tip_m),
-          shaft: vec3(organ.shaft),
-          forceOnTool_n: vec3(organ.forceOnTool_n()),
-          contactPoint_m: (contact?.point_m ?? [0, 0, 0]) as unknown as Vec3,
-          contact: contact !== null,
           paused: this.paused,
-          grasps: false,
+          tools: [
+            {
+              tip_m: vec3(organ.tip_m),
+              shaft: vec3(organ.shaft),
+              roll_rad: 0,
+              jaw: 0,
+              trigger: 0,
+              forceOnTool_n: vec3(organ.forceOnTool_n()),
+              contactPoint_m: (contact?.point_m ?? [0, 0, 0]) as unknown as Vec3,
+              contact: contact !== null,
+              grasps: false,
+              heldNodes: 0,
+            },
+          ],
         },
         positions_m: Float32Array.from(organ.positions_m.flatMap((p) => p.toArray())),
       }),
@@ -147,7 +155,7 @@ export class FakeSimulator {
     ];
     return {
       type: "hello",
-      protocol: 1,
+      protocol: PROTOCOL_VERSION,
       scene: {
         name: "test ellipsoid",
         model: "closed-form dimple (test)",
@@ -158,14 +166,19 @@ export class FakeSimulator {
         n_tetrahedra: 0,
       },
       bounds: { min_m: bound(Math.min), max_m: bound(Math.max) },
-      tool: {
-        name: "probe",
-        tip_radius_m: TIP_RADIUS_M,
-        shaft_radius_m: 0.0025,
-        shaft_length_m: 0.32,
-        home_tip_m: vec3(HOME_TIP_M),
-        home_shaft: vec3(HOME_SHAFT),
-      },
+      tools: [
+        {
+          name: "probe",
+          kind: "probe",
+          tip_radius_m: TIP_RADIUS_M,
+          shaft_radius_m: 0.0025,
+          shaft_length_m: 0.32,
+          jaws: null,
+          home_tip_m: vec3(HOME_TIP_M),
+          home_shaft: vec3(HOME_SHAFT),
+          home_jaw: 0,
+        },
+      ],
       models: ["closed-form dimple (test)"],
       capsule_nodes: rest_m.map((_, node) => node),
       fixed_nodes: fixedNodes,
@@ -178,9 +191,13 @@ export class FakeSimulator {
       step: this.step,
       time_s: this.step * TIME_STEP_S,
       paused: this.paused,
-      tip_m: organ.tip_m.toArray(),
-      force_on_tool_n: organ.forceOnTool_n().toArray(),
-      contact: organ.contactReport(),
+      tools: [
+        {
+          tip_m: organ.tip_m.toArray(),
+          force_on_tool_n: organ.forceOnTool_n().toArray(),
+          contact: organ.contactReport(),
+        },
+      ],
       node_ids: organ.nodeIds,
       rest_positions_m: organ.rest_m.map((p) => p.toArray()),
       positions_m: organ.positions_m.map((p) => p.toArray()),

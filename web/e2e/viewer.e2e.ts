@@ -232,7 +232,7 @@ describe("the viewer in front of the test ellipsoid", () => {
     server.simulator.say(JSON.stringify({ type: "error", message: "the tool left the room" }));
     await page.locator(".message", { hasText: "the tool left the room" }).waitFor();
     server.simulator.sayBytes(new Uint8Array(new Uint32Array([MAGIC, 2, 1, 0, 0]).buffer));
-    await page.locator(".message", { hasText: "snapshot of 20 bytes; its header has 152" }).waitFor();
+    await page.locator(".message", { hasText: "snapshot of 20 bytes; its header has 64" }).waitFor();
     server.simulator.say("}{");
     await page.locator(".message", { hasText: "not JSON" }).waitFor();
     expect(problems.some((text) => text.includes("the tool left the room"))).toBe(true);

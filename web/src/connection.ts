@@ -39,14 +39,20 @@ export function socketAddress(pageAddress: string): string {
 }
 
 /** What a key of the simulation says to the server; a step begins with a pause. */
-export function messageOf(action: "pause" | "single_step" | "cut", paused: boolean | undefined): ClientMessage {
+export function messageOf(
+  action: "pause" | "single_step" | "cut" | "undo",
+  paused: boolean | undefined,
+  tool: number,
+): ClientMessage {
   switch (action) {
     case "pause":
       return { type: "pause", paused: !(paused ?? false) };
     case "single_step":
       return paused === false ? { type: "pause", paused: true } : { type: "single_step" };
     case "cut":
-      return { type: "cut" };
+      return { type: "cut", tool };
+    case "undo":
+      return { type: "undo" };
   }
 }
 

@@ -8,14 +8,14 @@ import type { Help, Messages } from "./overlays";
 import { SURFACE_STYLES } from "./organ";
 import type { Panel, PanelValues } from "./panel";
 import type { Profile } from "./profiler";
-import type { Hello, SnapshotHeader } from "./protocol";
+import type { Hello, HandHeader } from "./protocol";
 import type { Scene3d } from "./scene3d";
 import type { ToolDriver } from "./tool_driver";
 
 export interface ViewerHook {
   readonly hello: Hello | null;
   /** Header of the snapshot in the last drawn frame; null before the first. */
-  readonly header: SnapshotHeader | null;
+  readonly header: HandHeader | null;
   /** Displayed positions of organ 0, xyz of each vertex [m]: a copy of the array that fills the GPU buffer. */
   readonly positions: Float32Array | null;
   /** Rest positions of organ 0 from its TOPOLOGY frame [m]. */
@@ -81,7 +81,7 @@ export interface ViewerParts {
   readonly tool: ToolDriver;
   readonly profile: Profile;
   readonly hello: Hello | null;
-  readonly header: SnapshotHeader | null;
+  readonly header: HandHeader | null;
   readonly pickedVertex: number | null;
   readonly state: ConnectionState;
   readonly shown: Omit<ViewerHook["view"], "style" | "help" | "azimuth_rad" | "elevation_rad" | "distance_m" | "target_m"> & {

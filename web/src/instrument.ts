@@ -1,5 +1,6 @@
 /** The instrument (a metal probe with depth marks), the contact point and the force arrow. */
 import {
+  CapsuleGeometry,
   ConeGeometry,
   CylinderGeometry,
   Group,
@@ -12,9 +13,12 @@ import {
   type BufferGeometry,
 } from "three";
 import { solidMaterial } from "./materials";
-import type { SnapshotHeader, ToolInfo, Vec3 } from "./protocol";
+import type { JawsInfo, ToolInfo, ToolState, Vec3 } from "./protocol";
 
 const Z = new Vector3(0, 0, 1);
+const FRONT = new Vector3(0, -1, 0);
+/** Tool axes of a shaft to the front: x to the left, y to the head, z to the front. */
+const FRONT_AXES = new Quaternion().setFromUnitVectors(Z, FRONT);
 /** Distance of the marks on the shaft [m]. */
 export const MARK_SPACING_M = 0.01;
 /** Forces below this show no arrow [N]: it would be shorter than its head. */
@@ -38,6 +42,7 @@ function revolved(profile: ReadonlyArray<readonly [number, number]>): BufferGeom
 export class Instrument {
   readonly group = new Group();
   private readonly probe = new Group();
+  private readonly jaws: Group[] = [];
   private readonly arrow = new Group();
   private readonly arrowShaft: Mesh;
   private readonly arrowHead: Mesh;
@@ -48,7 +53,7 @@ export class Instrument {
   /** Length of the arrow for a newton [m/N]. */
   arrowScale_m_per_n = 0.02;
 
-  constructor(tool: ToolInfo) {
+  constructor(private readonly tool: ToolInfo) {
     const tip = tool.tip_radius_m;
     const shaft = Math.min(tool.shaft_radius_m, tip > 0 ? Math.max(tip * 0.98, 1e-4) : tool.shaft_radius_m);
     const length = Math.max(tool.shaft_length_m, 4 * tip);
@@ -58,8 +63,9 @@ export class Instrument {
     const polished = solidMaterial({ colour: 0xe4e8ec, metal: 1, softness: 0.06 });
     const grip = solidMaterial({ colour: 0x20262c, metal: 0, softness: 0.3 });
     // The neck leaves the sphere where its radius has come down to the shaft's.
-    const neck = Math.sqrt(Math.max(tip * tip - shaft * shaft, 0));
-    this.probe.add(new Mesh(new SphereGeometry(tip, 40, 28), polished));
+    const neck = tool.jaws?.length_m ?? Math.sqrt(Math.max(tip * tip - shaft * shaft, 0));
+    if (tool.jaws === null) this.probe.add(new Mesh(new SphereGeometry(tip, 40, 28), polished));
+    else this.addJaws(tool.jaws, polished);
     this.probe.add(new Mesh(new CylinderGeometry(shaft, shaft, length - neck, 40, 1, true)
       .rotateX(Math.PI / 2)
       .translate(0, 0, neck + (length - neck) / 2), steel));
@@ -81,7 +87,21 @@ export class Instrument {
     this.contactMark = new Mesh(new SphereGeometry(1, 20, 14), blue);
     this.group.add(this.probe, this.arrow, this.contactMark);
     for (const part of [this.arrow, this.contactMark]) part.visible = false;
-    this.pose(tool.home_tip_m, tool.home_shaft);
+    this.pose(tool.home_tip_m, tool.home_shaft, 0);
+    this.openJaws(tool.home_jaw);
+  }
+
+  /** Two jaws about the hinge, each a rod along -z in the frame of the hinge. */
+  private addJaws(jaws: JawsInfo, material: ReturnType<typeof solidMaterial>): void {
+    const { length_m } = jaws;
+    for (let side = 0; side < 2; side++) {
+      const jaw = new Group();
+      jaw.position.set(0, 0, length_m);
+      const rod = new CapsuleGeometry(this.tipRadius_m, length_m, 8, 16).rotateX(Math.PI / 2).translate(0, 0, -length_m / 2);
+      jaw.add(new Mesh(rod, material));
+      this.jaws.push(jaw);
+      this.probe.add(jaw);
+    }
   }
 
   /** Direction of the shaft as shown, tip to handle. */
@@ -93,13 +113,24 @@ export class Instrument {
     return this.probe.position.clone();
   }
 
-  private pose(tip_m: Vec3, shaft: Vec3): void {
+  /** Axes of the tool's frame: those of a shaft to the front (x left, y head), by the shortest turn, rolled. */
+  private pose(tip_m: Vec3, shaft: Vec3, roll_rad: number): void {
     this.probe.position.set(...tip_m);
-    this.probe.quaternion.setFromUnitVectors(Z, directed(shaft));
+    const turn = new Quaternion().setFromUnitVectors(FRONT, directed(shaft));
+    const roll = new Quaternion().setFromAxisAngle(Z, roll_rad);
+    this.probe.quaternion.copy(turn.multiply(FRONT_AXES).multiply(roll));
   }
 
-  show(header: SnapshotHeader): void {
-    this.pose(header.tip_m, header.shaft);
+  private openJaws(jaw: number): void {
+    const angle = 0.5 * (this.tool.jaws?.greatest_opening_rad ?? 0) * Math.min(Math.max(jaw, 0), 1);
+    this.jaws.forEach((part, i) => {
+      part.rotation.y = i === 0 ? -angle : angle;
+    });
+  }
+
+  show(header: ToolState): void {
+    this.pose(header.tip_m, header.shaft, header.roll_rad);
+    this.openJaws(header.jaw);
     const force = new Vector3(...header.forceOnTool_n);
     const length = force.length() * this.arrowScale_m_per_n;
     this.arrow.visible = this.showsForces && length > SMALLEST_ARROW_M;

@@ -23,7 +23,14 @@ export type Action =
   | "tool_down"
   | "tool_deeper"
   | "tool_back"
-  | "cut";
+  | "cut"
+  | "undo"
+  | "jaws"
+  | "trigger"
+  | "tool_1"
+  | "tool_2"
+  | "tool_3"
+  | "tool_4";
 
 export interface Chord {
   /** `KeyboardEvent.key`, letters in lower case. */
@@ -80,6 +87,13 @@ export const BINDINGS: readonly Binding[] = [
   bind("Instrument", "tool_deeper", "U", "into the screen by 1 mm", both("u"), true),
   bind("Instrument", "tool_back", "O", "out of the screen by 1 mm", both("o"), true),
   bind("Instrument", "cut", "X", "cut away what the tip touches", plain("x"), true),
+  bind("Instrument", "undo", "Z", "take the last cut back", plain("z"), true),
+  bind("Instrument", "jaws", "B", "close or open the jaws", plain("b")),
+  bind("Instrument", "trigger", "V", "current or blade on or off", plain("v")),
+  bind("Instrument", "tool_1", "1", "take the first instrument (of several)", plain("1")),
+  bind("Instrument", "tool_2", "2", "the second", plain("2")),
+  bind("Instrument", "tool_3", "3", "the third", plain("3")),
+  bind("Instrument", "tool_4", "4", "the fourth", plain("4")),
   bind("Program", "screenshot", "S", "save the picture as PNG", plain("s")),
   bind("Program", "profiler", "P", "times of a frame and of the simulation", plain("p")),
   bind("Program", "help", "H or F1", "this page", plain("h", "f1", "?")),
@@ -104,6 +118,12 @@ export function actionOf(press: KeyPress): Action | null {
   const binding = BINDINGS.find((b) => b.chords.some((c) => c.key === key && c.shift === shift));
   if (binding === undefined || (press.repeat && !binding.repeats)) return null;
   return binding.action;
+}
+
+/** Number of the instrument that a key takes, from 0; null for other actions. */
+export function toolNumber(action: Action): number | null {
+  const at = (["tool_1", "tool_2", "tool_3", "tool_4"] as const).findIndex((name) => name === action);
+  return at < 0 ? null : at;
 }
 
 /** One press of a movement key moves the instrument by this much [m]. */

@@ -128,6 +128,15 @@ const BUTTONS: ReadonlyArray<readonly ButtonSpec[]> = [
   [button("screenshot", "Picture", "S"), button("profiler", "Times", "P"), button("help", "Help", "H")],
 ];
 
+/** What of the picture is switched on. */
+export interface ShownParts {
+  readonly style: number;
+  readonly contacts: boolean;
+  readonly forces: boolean;
+  readonly fixedNodes: boolean;
+  readonly profiler: boolean;
+}
+
 export class Toolbar {
   private readonly buttons = new Map<Action, HTMLElement>();
 
@@ -151,8 +160,18 @@ export class Toolbar {
     }
   }
 
-  /** Shows a switch as on or off. */
-  set(action: Action, on: boolean, label?: string): void {
+  /** Shows all switches as on or off. */
+  show(paused: boolean, help: boolean, shown: ShownParts): void {
+    this.set("pause", paused, paused ? "Go on" : "Pause");
+    this.set("wireframe", shown.style !== 0);
+    this.set("contacts", shown.contacts);
+    this.set("forces", shown.forces);
+    this.set("fixed_nodes", shown.fixedNodes);
+    this.set("profiler", shown.profiler);
+    this.set("help", help);
+  }
+
+  private set(action: Action, on: boolean, label?: string): void {
     const node = this.buttons.get(action);
     if (node === undefined) return;
     if (node.getAttribute("aria-pressed") !== String(on)) node.setAttribute("aria-pressed", String(on));
@@ -161,8 +180,19 @@ export class Toolbar {
   }
 }
 
+/** Saves a picture of a step when it is drawn; true if it was. */
+export async function savePicture(picture: Promise<Blob>, step: number, messages: Messages): Promise<boolean> {
+  try {
+    download(await picture, `glisson-step-${String(step).padStart(6, "0")}.png`);
+    return true;
+  } catch (error) {
+    messages.error(`The picture was not saved: ${error instanceof Error ? error.message : String(error)}`);
+    return false;
+  }
+}
+
 /** Offers `content` as a file to save. */
-export function download(content: Blob, name: string): void {
+function download(content: Blob, name: string): void {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(content);
   link.download = name;

@@ -1,11 +1,12 @@
 /** The panel of numbers: what each shows is a pure function of the hello message and the newest snapshot. */
-import type { Hello, SnapshotHeader, Vec3 } from "./protocol";
+import type { Hello, HandHeader, Vec3 } from "./protocol";
 
 export type PanelKey =
   | "scene"
   | "force"
   | "force_components"
   | "force_peak"
+  | "instrument"
   | "contact"
   | "contact_point"
   | "tip"
@@ -50,11 +51,21 @@ function minus3(parts: string[]): string {
 
 const grouped = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
 
+/** Which instrument the hand holds and what it does: `2 of 2: grasper, holds 6 nodes`. */
+function instrumentText(hello: Hello, header: HandHeader, tool: number): string {
+  const { length } = hello.tools;
+  const name = hello.tools[tool]?.name ?? NONE;
+  const place = length > 1 ? `${tool + 1} of ${length}: ` : "";
+  const hold = header.grasps ? `, holds ${header.heldNodes} nodes` : "";
+  return `${place}${name}${hold}${header.trigger > 0.5 ? ", on" : ""}`;
+}
+
 export function panelValues(
   hello: Hello | null,
-  header: SnapshotHeader | null,
+  header: HandHeader | null,
   peak_n: number,
   arrowScale_m_per_n: number,
+  tool: number,
 ): PanelValues {
   const scene = hello?.scene;
   const force = header === null ? null : lengthOf(header.forceOnTool_n);
@@ -63,6 +74,7 @@ export function panelValues(
     force: force === null ? NONE : `${forceText(force)} N`,
     force_components: header === null ? NONE : minus3(header.forceOnTool_n.map((x) => x.toFixed(2))),
     force_peak: header === null ? NONE : `${forceText(peak_n)} N`,
+    instrument: header === null || hello === null ? NONE : instrumentText(hello, header, tool),
     contact: header === null ? NONE : header.contact ? "yes" : "no",
     contact_point: header?.contact ? pointText_mm(header.contactPoint_m) : NONE,
     tip: header === null ? NONE : pointText_mm(header.tip_m),
@@ -87,6 +99,7 @@ interface Row {
 const row = (key: PanelKey, label: string, title: string): Row => ({ key, label, title });
 
 const INSTRUMENT_ROWS: readonly Row[] = [
+  row("instrument", "In the hand", "Keys 1 to 4 choose; B closes the jaws, V switches on"),
   row("contact", "Contact", "Whether the tip touches the organ"),
   row("contact_point", "at (mm)", "Contact point in the patient frame: left, posterior, superior"),
   row("tip", "Tip (mm)", "Centre of the tip in the patient frame: left, posterior, superior"),
@@ -160,7 +173,7 @@ export class Panel {
     return section;
   }
 
-  show(values: PanelValues, header: SnapshotHeader | null): void {
+  show(values: PanelValues, header: HandHeader | null): void {
     for (const [key, cell] of this.cells) {
       if (this.shown?.[key] !== values[key]) cell.textContent = values[key];
     }

@@ -1,11 +1,13 @@
 /**
- * The wire protocol of docs/protocol.md, version 1: decoding and encoding of every message.
+ * The wire protocol of docs/protocol.md, version 2: decoding and encoding of every message.
  *
  * Decoders check every length and index against the bytes really there before anything is allocated,
  * and throw nothing but {@link ProtocolError}. Units: metres, seconds, newtons; frame: LPS.
  */
 
-export const PROTOCOL_VERSION = 1;
+import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
+
+export const PROTOCOL_VERSION = 2;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
@@ -15,14 +17,14 @@ export const FLAG_PAUSED = 2;
 export const FLAG_GRASP = 4;
 
 const TOPOLOGY_HEADER_BYTES = 24;
-const SNAPSHOT_HEADER_BYTES = 152;
+const SNAPSHOT_HEADER_BYTES = 64;
+const TOOL_BYTES = 128;
+/** Instruments of a scene at most. */
+export const MOST_TOOLS = 4;
 
-export type Vec3 = readonly [number, number, number];
+export type { Vec3 };
 
-/** A message that does not follow the protocol: what was wrong, where, and what is allowed. */
-export class ProtocolError extends Error {
-  override readonly name = "ProtocolError";
-}
+export { ProtocolError };
 
 export interface SceneInfo {
   readonly name: string;
@@ -34,13 +36,25 @@ export interface SceneInfo {
   readonly n_tetrahedra: number;
 }
 
+export interface JawsInfo {
+  readonly length_m: number;
+  readonly width_m: number;
+  readonly greatest_opening_rad: number;
+}
+
 export interface ToolInfo {
   readonly name: string;
+  /** probe, grasper, scissors, scalpel, hook or cautery. */
+  readonly kind: string;
   readonly tip_radius_m: number;
   readonly shaft_radius_m: number;
   readonly shaft_length_m: number;
+  /** Two jaws; null for a tool without. */
+  readonly jaws: JawsInfo | null;
   readonly home_tip_m: Vec3;
   readonly home_shaft: Vec3;
+  /** How far the jaws are open at home: 0 closed, 1 wide open. */
+  readonly home_jaw: number;
 }
 
 export interface Hello {
@@ -50,7 +64,7 @@ export interface Hello {
   /** Names of the models that the `model` message may ask for. */
   readonly models: readonly string[];
   readonly bounds: { readonly min_m: Vec3; readonly max_m: Vec3 };
-  readonly tool: ToolInfo;
+  readonly tools: readonly ToolInfo[];
   /** Nodes of the uncut surface. */
   readonly capsule_nodes: readonly number[];
   readonly fixed_nodes: readonly number[];
@@ -73,6 +87,20 @@ export interface Topology {
   readonly triangles: Uint32Array;
 }
 
+/** What one instrument does. */
+export interface ToolState {
+  readonly tip_m: Vec3;
+  readonly shaft: Vec3;
+  readonly roll_rad: number;
+  readonly jaw: number;
+  readonly trigger: number;
+  readonly forceOnTool_n: Vec3;
+  readonly contactPoint_m: Vec3;
+  readonly contact: boolean;
+  readonly grasps: boolean;
+  readonly heldNodes: number;
+}
+
 export interface SnapshotHeader {
   readonly version: number;
   readonly organ: number;
@@ -80,13 +108,17 @@ export interface SnapshotHeader {
   readonly time_s: number;
   readonly rate_steps_per_s: number;
   readonly realTimeFactor: number;
-  readonly tip_m: Vec3;
-  readonly shaft: Vec3;
-  readonly forceOnTool_n: Vec3;
-  readonly contactPoint_m: Vec3;
-  readonly contact: boolean;
   readonly paused: boolean;
-  readonly grasps: boolean;
+  /** In the order of the hello's tools; at least one. */
+  readonly tools: readonly ToolState[];
+}
+
+/** A header with the state of the instrument in the hand at its top. */
+export type HandHeader = SnapshotHeader & ToolState;
+
+/** The header as the hand with instrument number `tool` sees it; the first one where there is no such. */
+export function headerOfHand(header: SnapshotHeader, tool: number): HandHeader {
+  return { ...header, ...(header.tools[tool] ?? header.tools[0]) };
 }
 
 export interface Snapshot {
@@ -97,11 +129,20 @@ export interface Snapshot {
 }
 
 export type ClientMessage =
-  | { readonly type: "tool"; readonly tip_m: Vec3; readonly shaft: Vec3 }
+  | {
+      readonly type: "tool";
+      readonly tool: number;
+      readonly tip_m: Vec3;
+      readonly shaft: Vec3;
+      readonly roll_rad: number;
+      readonly jaw: number;
+      readonly trigger: number;
+    }
   | { readonly type: "pause"; readonly paused: boolean }
   | { readonly type: "single_step" }
   | { readonly type: "reset" }
-  | { readonly type: "cut" }
+  | { readonly type: "cut"; readonly tool: number }
+  | { readonly type: "undo" }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }
   | { readonly type: "model"; readonly name: string };
 
@@ -111,52 +152,31 @@ export function encodeClientMessage(message: ClientMessage): string {
 
 // ---- text ----
 
-type Fields = Readonly<Record<string, unknown>>;
-
-function fail(message: string): never {
-  throw new ProtocolError(message);
-}
-
-function fieldsOf(value: unknown, place: string): Fields {
-  if (typeof value !== "object" || value === null || Array.isArray(value)) fail(`${place} must be an object`);
-  return value as Fields;
-}
-
-function numberAt(fields: Fields, name: string, place: string, min = -Infinity): number {
-  const value = fields[name];
-  if (typeof value !== "number" || !Number.isFinite(value)) fail(`${place}.${name} must be a finite number`);
-  if (value < min) fail(`${place}.${name} is ${value}; it must be at least ${min}`);
-  return value;
-}
-
-function stringAt(fields: Fields, name: string, place: string): string {
-  const value = fields[name];
-  if (typeof value !== "string") fail(`${place}.${name} must be a string`);
-  return value;
-}
-
-function vec3At(fields: Fields, name: string, place: string): Vec3 {
-  const value = fields[name];
-  if (!Array.isArray(value) || value.length !== 3 || !value.every((x) => typeof x === "number" && Number.isFinite(x))) {
-    fail(`${place}.${name} must be three finite numbers`);
+function toolsAt(fields: Fields): ToolInfo[] {
+  const value = fields.tools;
+  if (!Array.isArray(value) || value.length < 1 || value.length > MOST_TOOLS) {
+    fail(`hello.tools must be an array of 1 to ${MOST_TOOLS} instruments`);
   }
-  return [value[0] as number, value[1] as number, value[2] as number];
-}
-
-function nodeIdsAt(fields: Fields, name: string, place: string): number[] {
-  const value = fields[name];
-  if (!Array.isArray(value) || !value.every((x) => Number.isInteger(x) && x >= 0)) {
-    fail(`${place}.${name} must be an array of node ids (whole numbers, 0 or more)`);
-  }
-  return value as number[];
-}
-
-function stringsAt(fields: Fields, name: string, place: string): string[] {
-  const value = fields[name];
-  if (!Array.isArray(value) || !value.every((x) => typeof x === "string")) {
-    fail(`${place}.${name} must be an array of texts`);
-  }
-  return value as string[];
+  return value.map((item: unknown, i) => {
+    const place = `hello.tools[${i}]`;
+    const tool = fieldsOf(item, place);
+    const jaws = tool.jaws === null ? null : fieldsOf(tool.jaws, `${place}.jaws`);
+    return {
+      name: stringAt(tool, "name", place),
+      kind: stringAt(tool, "kind", place),
+      tip_radius_m: numberAt(tool, "tip_radius_m", place, 0),
+      shaft_radius_m: numberAt(tool, "shaft_radius_m", place, 0),
+      shaft_length_m: numberAt(tool, "shaft_length_m", place, 0),
+      jaws: jaws && {
+        length_m: numberAt(jaws, "length_m", `${place}.jaws`, 0),
+        width_m: numberAt(jaws, "width_m", `${place}.jaws`, 0),
+        greatest_opening_rad: numberAt(jaws, "greatest_opening_rad", `${place}.jaws`, 0),
+      },
+      home_tip_m: vec3At(tool, "home_tip_m", place),
+      home_shaft: vec3At(tool, "home_shaft", place),
+      home_jaw: numberAt(tool, "home_jaw", place, 0),
+    };
+  });
 }
 
 /** Decodes a text message of the server. */
@@ -177,7 +197,6 @@ export function decodeText(text: string): Hello | ServerError {
   }
   const scene = fieldsOf(fields.scene, "hello.scene");
   const bounds = fieldsOf(fields.bounds, "hello.bounds");
-  const tool = fieldsOf(fields.tool, "hello.tool");
   return {
     type,
     protocol,
@@ -191,14 +210,7 @@ export function decodeText(text: string): Hello | ServerError {
       n_tetrahedra: numberAt(scene, "n_tetrahedra", "scene", 0),
     },
     bounds: { min_m: vec3At(bounds, "min_m", "bounds"), max_m: vec3At(bounds, "max_m", "bounds") },
-    tool: {
-      name: stringAt(tool, "name", "tool"),
-      tip_radius_m: numberAt(tool, "tip_radius_m", "tool", 0),
-      shaft_radius_m: numberAt(tool, "shaft_radius_m", "tool", 0),
-      shaft_length_m: numberAt(tool, "shaft_length_m", "tool", 0),
-      home_tip_m: vec3At(tool, "home_tip_m", "tool"),
-      home_shaft: vec3At(tool, "home_shaft", "tool"),
-    },
+    tools: toolsAt(fields),
     models: stringsAt(fields, "models", "hello"),
     capsule_nodes: nodeIdsAt(fields, "capsule_nodes", "hello"),
     fixed_nodes: nodeIdsAt(fields, "fixed_nodes", "hello"),
@@ -271,9 +283,12 @@ function decodeTopology(buffer: ArrayBuffer, view: DataView): Topology {
 }
 
 function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
-  if (buffer.byteLength < SNAPSHOT_HEADER_BYTES) fail(`snapshot of ${buffer.byteLength} bytes; its header has 152`);
-  const nVertices = view.getUint32(148, true);
-  checkLength(buffer.byteLength, SNAPSHOT_HEADER_BYTES + 12 * nVertices, `snapshot with ${nVertices} vertices`);
+  if (buffer.byteLength < SNAPSHOT_HEADER_BYTES) fail(`snapshot of ${buffer.byteLength} bytes; its header has 64`);
+  const nTools = view.getUint32(52, true);
+  if (nTools < 1 || nTools > MOST_TOOLS) fail(`snapshot with ${nTools} instruments; allowed: 1 to ${MOST_TOOLS}`);
+  const nVertices = view.getUint32(56, true);
+  const first = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * nTools;
+  checkLength(buffer.byteLength, first + 12 * nVertices, `snapshot with ${nVertices} vertices`);
   const step = view.getBigUint64(16, true);
   if (step > BigInt(Number.MAX_SAFE_INTEGER)) fail(`snapshot: step ${step} is above 2^53`);
   const scalar = (offset: number, what: string): number => {
@@ -286,8 +301,23 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
     scalar(offset + 8, what),
     scalar(offset + 16, what),
   ];
-  const flags = view.getUint32(144, true);
-  const positions_m = floatsAt(buffer, SNAPSHOT_HEADER_BYTES, 3 * nVertices);
+  const tool = (at: number): ToolState => {
+    const flags = view.getUint32(at + 120, true);
+    return {
+      tip_m: vector(at, "tool tip"),
+      shaft: vector(at + 24, "shaft direction"),
+      roll_rad: scalar(at + 48, "roll"),
+      jaw: scalar(at + 56, "jaw opening"),
+      trigger: scalar(at + 64, "trigger"),
+      forceOnTool_n: vector(at + 72, "force on the tool"),
+      contactPoint_m: vector(at + 96, "contact point"),
+      contact: (flags & FLAG_CONTACT) !== 0,
+      grasps: (flags & FLAG_GRASP) !== 0,
+      heldNodes: view.getUint32(at + 124, true),
+    };
+  };
+  const flags = view.getUint32(48, true);
+  const positions_m = floatsAt(buffer, first, 3 * nVertices);
   checkFinite(positions_m, "snapshot: position");
   return {
     kind: "snapshot",
@@ -298,13 +328,8 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
       time_s: scalar(24, "time"),
       rate_steps_per_s: scalar(32, "simulation rate"),
       realTimeFactor: scalar(40, "real-time factor"),
-      tip_m: vector(48, "tool tip"),
-      shaft: vector(72, "shaft direction"),
-      forceOnTool_n: vector(96, "force on the tool"),
-      contactPoint_m: vector(120, "contact point"),
-      contact: (flags & FLAG_CONTACT) !== 0,
       paused: (flags & FLAG_PAUSED) !== 0,
-      grasps: (flags & FLAG_GRASP) !== 0,
+      tools: Array.from({ length: nTools }, (_, i) => tool(SNAPSHOT_HEADER_BYTES + TOOL_BYTES * i)),
     },
     positions_m,
   };
@@ -327,24 +352,23 @@ export function encodeTopology(topology: Omit<Topology, "kind">): ArrayBuffer {
 
 export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   const { header, positions_m } = snapshot;
-  const buffer = new ArrayBuffer(SNAPSHOT_HEADER_BYTES + 4 * positions_m.length);
+  const first = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * header.tools.length;
+  const buffer = new ArrayBuffer(first + 4 * positions_m.length);
   const view = new DataView(buffer);
   [MAGIC, KIND_SNAPSHOT, header.version, header.organ].forEach((word, i) => view.setUint32(4 * i, word, true));
   view.setBigUint64(16, BigInt(header.step), true);
-  const scalars = [
-    header.time_s,
-    header.rate_steps_per_s,
-    header.realTimeFactor,
-    ...header.tip_m,
-    ...header.shaft,
-    ...header.forceOnTool_n,
-    ...header.contactPoint_m,
-  ];
+  const scalars = [header.time_s, header.rate_steps_per_s, header.realTimeFactor];
   scalars.forEach((x, i) => view.setFloat64(24 + 8 * i, x, true));
-  const flags =
-    (header.contact ? FLAG_CONTACT : 0) | (header.paused ? FLAG_PAUSED : 0) | (header.grasps ? FLAG_GRASP : 0);
-  view.setUint32(144, flags, true);
-  view.setUint32(148, positions_m.length / 3, true);
-  positions_m.forEach((x, i) => view.setFloat32(SNAPSHOT_HEADER_BYTES + 4 * i, x, true));
+  const words = [header.paused ? FLAG_PAUSED : 0, header.tools.length, positions_m.length / 3];
+  words.forEach((word, i) => view.setUint32(48 + 4 * i, word, true));
+  header.tools.forEach((tool, n) => {
+    const at = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * n;
+    const shares = [tool.roll_rad, tool.jaw, tool.trigger];
+    const numbers = [...tool.tip_m, ...tool.shaft, ...shares, ...tool.forceOnTool_n, ...tool.contactPoint_m];
+    numbers.forEach((x, i) => view.setFloat64(at + 8 * i, x, true));
+    view.setUint32(at + 120, (tool.contact ? FLAG_CONTACT : 0) | (tool.grasps ? FLAG_GRASP : 0), true);
+    view.setUint32(at + 124, tool.heldNodes, true);
+  });
+  positions_m.forEach((x, i) => view.setFloat32(first + 4 * i, x, true));
   return buffer;
 }

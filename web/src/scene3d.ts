@@ -43,7 +43,9 @@ export class Scene3d {
   readonly camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 0.005, 10);
   readonly software: boolean;
   readonly organs = new Map<number, Organ>();
-  instrument: Instrument | null = null;
+  instruments: Instrument[] = [];
+  /** Number of the instrument in the hand. */
+  chosen = 0;
   orbit: Orbit;
   private readonly scene = new Scene();
   private readonly material: ShaderMaterial;
@@ -127,14 +129,13 @@ export class Scene3d {
       organ.dispose();
     }
     this.organs.clear();
-    if (this.instrument !== null) {
-      this.scene.remove(this.instrument.group);
-      this.instrument.dispose();
+    for (const instrument of this.instruments) {
+      this.scene.remove(instrument.group);
+      instrument.dispose();
     }
-    this.instrument = new Instrument(hello.tool);
-    this.scene.add(this.instrument.group);
-    this.material.uniforms.toolRadius.value = Math.max(hello.tool.shaft_radius_m, hello.tool.tip_radius_m);
-    this.material.uniforms.toolLength.value = hello.tool.shaft_length_m;
+    this.instruments = hello.tools.map((tool) => new Instrument(tool));
+    for (const instrument of this.instruments) this.scene.add(instrument.group);
+    this.choose(0);
     if (!same) this.resetView();
     this.shadeByTool();
   }
@@ -160,8 +161,34 @@ export class Scene3d {
     return organ.show(snapshot) ? "changed" : "same";
   }
 
-  showTool(header: SnapshotHeader): void {
-    this.instrument?.show(header);
+  showTools(header: SnapshotHeader): void {
+    this.instruments.forEach((instrument, i) => {
+      const tool = header.tools[i];
+      if (tool !== undefined) instrument.show(tool);
+    });
+    this.shadeByTool();
+  }
+
+  styleTools(arrowScale_m_per_n: number, forces: boolean, contacts: boolean): void {
+    for (const instrument of this.instruments) {
+      instrument.arrowScale_m_per_n = arrowScale_m_per_n;
+      instrument.setForces(forces);
+      instrument.setContacts(contacts);
+    }
+  }
+
+  /** The instrument in the hand; null before a scene. */
+  get instrument(): Instrument | null {
+    return this.instruments[this.chosen] ?? null;
+  }
+
+  /** Takes another instrument into the hand: the organ is shaded by it. */
+  choose(tool: number): void {
+    const info = this.hello?.tools[tool];
+    if (info === undefined) return;
+    this.chosen = tool;
+    this.material.uniforms.toolRadius.value = Math.max(info.shaft_radius_m, info.tip_radius_m);
+    this.material.uniforms.toolLength.value = info.shaft_length_m;
     this.shadeByTool();
   }
 

@@ -3,23 +3,22 @@ import { Vector3 } from "three";
 import { Connection, messageOf, socketAddress, type ConnectionState } from "./connection";
 import { Controls } from "./controls";
 import type { PushStart, ToolPose } from "./drag";
+import { Hands } from "./hands";
 import type { ViewerParts } from "./hook";
-import { actionOf, toolDirection, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
+import { actionOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
 import { panned, turned, zoomed, type Orbit } from "./orbit";
 import { drawOrientation } from "./orientation";
 import { SURFACE_STYLES } from "./organ";
-import { download, Help, Messages, showConnection, Toolbar } from "./overlays";
+import { Help, Messages, savePicture, showConnection, Toolbar } from "./overlays";
 import type { Page } from "./page";
 import { lengthOf, Panel, panelValues } from "./panel";
 import { arrowScale_m_per_n, drawPlot, ForceHistory } from "./plot";
 import { Profile, profilerReport } from "./profiler";
-import { ProtocolError, type Hello, type Snapshot, type SnapshotHeader, type Topology, type Vec3 } from "./protocol";
+import { headerOfHand, ProtocolError, type HandHeader, type Hello, type Snapshot, type SnapshotHeader, type Topology } from "./protocol";
 import { Resolution, REST_AFTER_MS, REST_RATIO } from "./resolution";
 import { Scene3d } from "./scene3d";
 import { Table } from "./table";
-import { ToolDriver } from "./tool_driver";
-
-const vec3 = (v: Vector3): Vec3 => [v.x, v.y, v.z];
+import type { ToolDriver } from "./tool_driver";
 
 export class Viewer {
   private readonly scene: Scene3d;
@@ -29,14 +28,14 @@ export class Viewer {
   private readonly toolbar: Toolbar;
   private readonly controls: Controls;
   private readonly connection: Connection;
-  private readonly tool = new ToolDriver();
+  private readonly hands = new Hands();
   private readonly table = new Table();
   private readonly history = new ForceHistory();
   private readonly profile = new Profile();
 
   private hello: Hello | null = null;
   private waiting = new Map<number, Snapshot>();
-  private header: SnapshotHeader | null = null;
+  private header: HandHeader | null = null;
   private pickedVertex: number | null = null;
   private state: ConnectionState = "connecting";
   /** The camera or the page's size changed. */
@@ -110,9 +109,22 @@ export class Viewer {
     if (state === "open") this.counters.connections += 1;
     if (state === "lost") {
       this.controls.cancel();
-      this.tool.forget();
+      this.hands.forget();
       this.table.level();
     }
+  }
+
+  /** The driver of the instrument in the hand. */
+  private get tool(): ToolDriver {
+    return this.hands.driver;
+  }
+
+  private choose(tool: number): void {
+    if (tool !== this.hands.chosen) this.controls.cancel();
+    if (!this.hands.choose(tool, this.messages)) return;
+    this.history.clear();
+    this.scene.choose(tool);
+    if (this.header !== null) this.header = headerOfHand(this.header, tool);
   }
 
   private begin(hello: Hello): void {
@@ -120,7 +132,9 @@ export class Viewer {
     this.waiting.clear();
     this.header = null;
     this.history.clear();
+    this.hands.begin(hello);
     this.scene.begin(hello);
+    this.scene.choose(this.hands.chosen);
     document.title = `${hello.scene.name} – Glisson`;
     this.redraw();
   }
@@ -134,13 +148,11 @@ export class Viewer {
   private receive(snapshot: Snapshot, bytes: number): void {
     this.counters.snapshotFrames += 1;
     this.profile.arrival({ at_ms: performance.now(), bytes });
-    const { organ, time_s, forceOnTool_n } = snapshot.header;
+    const { organ, time_s, forceOnTool_n } = headerOfHand(snapshot.header, this.hands.chosen);
     if (organ === 0) this.history.add({ time_s, force_n: lengthOf(forceOnTool_n) });
     this.waiting.set(organ, snapshot);
     this.invalidate();
   }
-
-  // ---- what the hand does ----
 
   private setOrbit(orbit: Orbit): void {
     this.scene.setOrbit(orbit);
@@ -175,7 +187,7 @@ export class Viewer {
     if (pick === null || this.hello === null) return null;
     this.pickedVertex = pick.vertex;
     this.page.hint.classList.add("gone");
-    const { tip_radius_m: tipRadius_m } = this.hello.tool;
+    const { tip_radius_m: tipRadius_m } = this.hello.tools[this.hands.chosen];
     return { hit_m: pick.point_m, normal: pick.normal, tipRadius_m, view: this.scene.axes() };
   }
 
@@ -193,15 +205,22 @@ export class Viewer {
       this.nudge(direction, shift ? TOOL_STEP_WITH_SHIFT_M : TOOL_STEP_M);
       return;
     }
+    const tool = toolNumber(action);
+    if (tool !== null) this.choose(tool);
     switch (action) {
       case "pause":
       case "single_step":
       case "cut":
-        this.connection.send(messageOf(action, this.header?.paused));
+      case "undo":
+        this.connection.send(messageOf(action, this.header?.paused, this.hands.chosen));
+        break;
+      case "jaws":
+      case "trigger":
+        this.hands.press(action);
         break;
       case "reset_simulation":
         this.controls.cancel();
-        this.tool.forget();
+        this.hands.forget();
         this.table.level();
         this.connection.send({ type: "reset" });
         break;
@@ -256,9 +275,9 @@ export class Viewer {
     else if (this.shown.profiler) this.run("profiler", false);
   }
 
-  private shownPose(): ToolPose | null {
-    const instrument = this.scene.instrument;
-    return instrument === null ? null : { tip_m: instrument.tip(), shaft: instrument.shaft() };
+  private shownPose(tool = this.hands.chosen): ToolPose | null {
+    const instrument = this.scene.instruments[tool];
+    return instrument === undefined ? null : { tip_m: instrument.tip(), shaft: instrument.shaft() };
   }
 
   private nudge(direction: readonly [number, number, number], step_m: number): void {
@@ -279,28 +298,13 @@ export class Viewer {
   }
 
   private async screenshot(): Promise<void> {
-    try {
-      const picture = await this.scene.picture(this.page.orientation);
-      download(picture, `glisson-step-${String(this.header?.step ?? 0).padStart(6, "0")}.png`);
-      this.counters.screenshots += 1;
-    } catch (error) {
-      this.messages.error(`The picture was not saved: ${error instanceof Error ? error.message : String(error)}`);
-    }
+    const picture = this.scene.picture(this.page.orientation);
+    if (await savePicture(picture, this.header?.step ?? 0, this.messages)) this.counters.screenshots += 1;
   }
 
   private refreshSwitches(): void {
-    const { shown, toolbar } = this;
-    const paused = this.header?.paused ?? false;
-    toolbar.set("pause", paused, paused ? "Go on" : "Pause");
-    toolbar.set("wireframe", shown.style !== 0);
-    toolbar.set("contacts", shown.contacts);
-    toolbar.set("forces", shown.forces);
-    toolbar.set("fixed_nodes", shown.fixedNodes);
-    toolbar.set("profiler", shown.profiler);
-    toolbar.set("help", this.help.open);
+    this.toolbar.show(this.header?.paused ?? false, this.help.open, this.shown);
   }
-
-  // ---- the frame ----
 
   private invalidate(): void {
     if (this.frameAsked) return;
@@ -314,16 +318,13 @@ export class Viewer {
     const dt_s = Math.min(0.1, Math.max(0, (now_ms - (this.lastFrame_ms ?? now_ms)) / 1000));
     this.lastFrame_ms = now_ms;
 
-    const pose = this.tool.advance(dt_s);
-    if (pose !== null && this.connection.send({ type: "tool", tip_m: vec3(pose.tip_m), shaft: vec3(pose.shaft) })) {
-      this.counters.sentToolMessages += 1;
+    for (const { tool, pose } of this.hands.advance(dt_s, (tool) => this.shownPose(tool))) {
+      if (this.connection.send(this.hands.message(tool, pose, this.header))) this.counters.sentToolMessages += 1;
     }
     this.showWaiting();
-    if (this.sceneChanged && this.scene.instrument !== null) {
-      this.scene.instrument.arrowScale_m_per_n = arrowScale_m_per_n(this.history.peak_n);
-      this.scene.instrument.setForces(this.shown.forces);
-      this.scene.instrument.setContacts(this.shown.contacts);
-      if (this.header !== null) this.scene.showTool(this.header);
+    if (this.sceneChanged) {
+      this.scene.styleTools(arrowScale_m_per_n(this.history.peak_n), this.shown.forces, this.shown.contacts);
+      if (this.header !== null) this.scene.showTools(this.header);
     }
     const drawing_ms = performance.now();
     if (this.sceneChanged) this.scene.render(this.resolution.moving(now_ms));
@@ -335,14 +336,14 @@ export class Viewer {
       this.drawFinerAtRest();
     }
     this.panel.show(
-      panelValues(this.hello, this.header, this.history.peak_n, arrowScale_m_per_n(this.history.peak_n)),
+      panelValues(this.hello, this.header, this.history.peak_n, arrowScale_m_per_n(this.history.peak_n), this.hands.chosen),
       this.header,
     );
     drawPlot(this.panel.plot, this.history);
     if (this.viewChanged) drawOrientation(this.page.orientation, this.scene.orbit, this.scene.height);
     this.viewChanged = false;
     this.refreshSwitches();
-    if (this.tool.settled) {
+    if (this.hands.settled) {
       // The next motion starts with a stride of one frame, not of the pause before it.
       if (this.waiting.size === 0 && !this.tool.pushing) this.lastFrame_ms = null;
     } else {
@@ -366,10 +367,9 @@ export class Viewer {
   }
 
   private showHeader(header: SnapshotHeader): void {
-    const drawn = (h: SnapshotHeader | null): string =>
-      h === null ? "" : [h.tip_m, h.shaft, h.forceOnTool_n, h.contactPoint_m, h.contact].join();
+    const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify(h.tools));
     if (drawn(header) !== drawn(this.header)) this.sceneChanged = true;
-    this.header = header;
+    this.header = headerOfHand(header, this.hands.chosen);
   }
 
   /** When the processor draws: a finer picture once nothing has changed for a while. */

@@ -87,7 +87,7 @@ describe("panel", () => {
     expect(pointText_mm([0.0123, -0.00001, -0.004])).toBe("12.3   0.0   −4.0");
   });
   it("shows dashes before anything has arrived", () => {
-    const values = panelValues(null, null, 0, 0.1);
+    const values = panelValues(null, null, 0, 0.1, 0);
     expect(values.force).toBe("–");
     expect(values.state).toBe("waiting");
   });

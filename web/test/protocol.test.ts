@@ -29,20 +29,28 @@ const SNAPSHOT: Snapshot = {
     time_s: 12.5,
     rate_steps_per_s: 497.25,
     realTimeFactor: 0.9945,
-    tip_m: [0.01, -0.02, 0.03],
-    shaft: [0, -0.6, 0.8],
-    forceOnTool_n: [0.5, -1.25, 2],
-    contactPoint_m: [0.011, -0.021, 0.031],
-    contact: true,
     paused: true,
-    grasps: false,
+    tools: [
+      {
+        tip_m: [0.01, -0.02, 0.03],
+        shaft: [0, -0.6, 0.8],
+        roll_rad: 0.5,
+        jaw: 0.25,
+        trigger: 1,
+        forceOnTool_n: [0.5, -1.25, 2],
+        contactPoint_m: [0.011, -0.021, 0.031],
+        contact: true,
+        grasps: true,
+        heldNodes: 6,
+      },
+    ],
   },
   positions_m: Float32Array.of(0, 0, 0, 0.5, 0, 0, 0, 0.25, 0.5, 0, 0, 0.125),
 };
 
 const HELLO: Hello = {
   type: "hello",
-  protocol: 1,
+  protocol: 2,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -53,14 +61,19 @@ const HELLO: Hello = {
     n_tetrahedra: 6300,
   },
   bounds: { min_m: [-0.1, -0.1, -0.1], max_m: [0.1, 0.1, 0.1] },
-  tool: {
-    name: "probe",
-    tip_radius_m: 0.005,
-    shaft_radius_m: 0.0025,
-    shaft_length_m: 0.3,
-    home_tip_m: [0, -0.2, 0],
-    home_shaft: [0, -1, 0],
-  },
+  tools: [
+    {
+      name: "grasper",
+      kind: "grasper",
+      tip_radius_m: 0.005,
+      shaft_radius_m: 0.0025,
+      shaft_length_m: 0.3,
+      jaws: { length_m: 0.02, width_m: 0.005, greatest_opening_rad: 1 },
+      home_tip_m: [0, -0.2, 0],
+      home_shaft: [0, -1, 0],
+      home_jaw: 1,
+    },
+  ],
   models: ["precomputed", "tensor_mass"],
   capsule_nodes: [0, 1, 2, 3, 4],
   fixed_nodes: [1, 2, 3],
@@ -92,14 +105,15 @@ describe("binary frames", () => {
     expect(view.getUint32(4, true)).toBe(2);
     expect(view.getBigUint64(16, true)).toBe(BigInt(2 ** 40 + 7));
     expect(view.getFloat64(24, true)).toBe(12.5);
-    expect(view.getFloat64(48, true)).toBe(0.01);
-    expect(view.getFloat64(72 + 8, true)).toBe(-0.6);
-    expect(view.getFloat64(96 + 16, true)).toBe(2);
-    expect(view.getFloat64(120, true)).toBe(0.011);
-    expect(view.getUint32(144, true)).toBe(1 + 2);
-    expect(view.getUint32(148, true)).toBe(4);
-    expect(view.getFloat32(152 + 4 * 3, true)).toBe(0.5);
-    expect(view.byteLength).toBe(152 + 48);
+    expect([48, 52, 56].map((at) => view.getUint32(at, true))).toEqual([2, 1, 4]);
+    expect(view.getFloat64(64, true)).toBe(0.01);
+    expect(view.getFloat64(88 + 8, true)).toBe(-0.6);
+    expect([112, 120, 128].map((at) => view.getFloat64(at, true))).toEqual([0.5, 0.25, 1]);
+    expect(view.getFloat64(136 + 16, true)).toBe(2);
+    expect(view.getFloat64(160, true)).toBe(0.011);
+    expect([184, 188].map((at) => view.getUint32(at, true))).toEqual([1 + 4, 6]);
+    expect(view.getFloat32(192 + 4 * 3, true)).toBe(0.5);
+    expect(view.byteLength).toBe(192 + 48);
   });
 
   it.each([
@@ -116,10 +130,11 @@ describe("binary frames", () => {
   });
 
   it.each([
-    ["a huge vertex count", (v: DataView) => v.setUint32(148, 0xffffffff, true), /needs .* bytes, found/],
-    ["an infinite force", (v: DataView) => v.setFloat64(104, Infinity, true), /force on the tool \(byte 104\)/],
+    ["a huge vertex count", (v: DataView) => v.setUint32(56, 0xffffffff, true), /needs .* bytes, found/],
+    ["five instruments", (v: DataView) => v.setUint32(52, 5, true), /5 instruments; allowed: 1 to 4/],
+    ["an infinite force", (v: DataView) => v.setFloat64(144, Infinity, true), /force on the tool \(byte 144\)/],
     ["a step beyond 2^53", (v: DataView) => v.setBigUint64(16, 2n ** 60n, true), /above 2\^53/],
-    ["a position that is no number", (v: DataView) => v.setFloat32(152 + 44, NaN, true), /vertex 3 is not finite/],
+    ["a position that is no number", (v: DataView) => v.setFloat32(192 + 44, NaN, true), /vertex 3 is not finite/],
   ])("snapshot with %s is refused", (_name, spoil, message) => {
     const buffer = encodeSnapshot(SNAPSHOT);
     spoil(new DataView(buffer));
@@ -162,7 +177,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 1/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 1 }))).toThrow(/protocol 1, this viewer 2/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(
@@ -202,8 +217,8 @@ describe("text messages", () => {
   });
 
   it("messages to the server are those of the protocol", () => {
-    expect(encodeClientMessage({ type: "tool", tip_m: [1, 2, 3], shaft: [0, 0, 1] })).toBe(
-      '{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1]}',
+    expect(encodeClientMessage({ type: "tool", tool: 1, tip_m: [1, 2, 3], shaft: [0, 0, 1], roll_rad: 0, jaw: 0.5, trigger: 1 })).toBe(
+      '{"type":"tool","tool":1,"tip_m":[1,2,3],"shaft":[0,0,1],"roll_rad":0,"jaw":0.5,"trigger":1}',
     );
     expect(encodeClientMessage({ type: "pause", paused: true })).toBe('{"type":"pause","paused":true}');
     expect(encodeClientMessage({ type: "single_step" })).toBe('{"type":"single_step"}');

@@ -34,11 +34,15 @@ enum Task {
         #[arg(long)]
         require_ct: bool,
     },
-    /// The long run: a million steps of random palpation with each model, replayed; writes docs/soak.md
+    /// The long runs: palpation (a million steps with each model, replayed) and edits (100,000 random cuts, grasps and
+    /// tears); they write docs/soak.md and docs/soak_edits.md
     Soak {
-        /// Steps with each model
-        #[arg(long, default_value_t = 1_000_000)]
-        steps: u64,
+        /// Which one
+        #[arg(value_enum, default_value_t = test::LongRun::Palpation)]
+        what: test::LongRun,
+        /// Steps with each model, or edits altogether
+        #[arg(long)]
+        steps: Option<u64>,
     },
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
@@ -97,7 +101,7 @@ fn main() -> anyhow::Result<()> {
             run(&program.to_string_lossy(), &all)
         }
         Task::Test { require_ct } => test::all(require_ct),
-        Task::Soak { steps } => test::soak(steps),
+        Task::Soak { what, steps } => test::soak(what, steps),
         Task::FetchCt => {
             let folder = ct::fetch()?;
             println!("real CT in {}", folder.display());

@@ -90,16 +90,35 @@ fn tests(arguments: &[&str]) -> anyhow::Result<()> {
     run("cargo", &all)
 }
 
-/// The long run; its report is committed.
-pub(crate) fn soak(steps: u64) -> anyhow::Result<()> {
-    let report = root().join("docs/soak.md");
-    println!("$ cargo test --release --features full-size-tests --test full_size soak ({steps} steps)");
+/// A run that takes long; its report is committed.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub(crate) enum LongRun {
+    /// A million steps of palpation with each model.
+    Palpation,
+    /// 100,000 random edits.
+    Edits,
+}
+
+/// Makes a long run of `steps`, or of its own length.
+pub(crate) fn soak(what: LongRun, steps: Option<u64>) -> anyhow::Result<()> {
+    let (test, file, variables, own_steps) = match what {
+        LongRun::Palpation => {
+            let variables = ["GLISSON_SOAK_STEPS", "GLISSON_SOAK_REPORT"];
+            ("soak::", "docs/soak.md", variables, 1_000_000)
+        }
+        LongRun::Edits => {
+            let variables = ["GLISSON_SOAK_EDITS", "GLISSON_SOAK_EDITS_REPORT"];
+            ("soak_edits::", "docs/soak_edits.md", variables, 100_000)
+        }
+    };
+    let (report, steps) = (root().join(file), steps.unwrap_or(own_steps));
+    println!("$ cargo test --release --features full-size-tests --test full_size {test} ({steps} steps)");
     let status = Command::new("cargo")
         .args(["test", "--release", "--locked", "--package", "glisson-app"])
-        .args(["--features", "full-size-tests", "--test", "full_size", "soak"])
+        .args(["--features", "full-size-tests", "--test", "full_size", test, "--", "--nocapture"])
         .current_dir(root())
-        .env("GLISSON_SOAK_STEPS", steps.to_string())
-        .env("GLISSON_SOAK_REPORT", &report)
+        .env(variables[0], steps.to_string())
+        .env(variables[1], &report)
         .status()
         .context("cannot start cargo")?;
     anyhow::ensure!(status.success(), "the soak failed ({status})");

@@ -27,6 +27,8 @@ pub enum Dimension {
     Rate,
     /// Newtons per metre inside.
     Stiffness,
+    /// Watts inside.
+    Power,
 }
 
 impl Dimension {
@@ -43,6 +45,7 @@ impl Dimension {
             Self::Angle => &[("rad", 1.0), ("deg", std::f64::consts::PI / 180.0)],
             Self::Rate => &[("1/s", 1.0), ("1/ms", 1e3)],
             Self::Stiffness => &[("N/m", 1.0), ("N/mm", 1e3)],
+            Self::Power => &[("W", 1.0), ("mW", 1e-3)],
         }
     }
 
@@ -59,6 +62,7 @@ impl Dimension {
             Self::Angle => "angle",
             Self::Rate => "rate",
             Self::Stiffness => "stiffness",
+            Self::Power => "power",
         }
     }
 }

@@ -17,7 +17,7 @@ use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, Impos
 use glisson::solve::boundary_nodes;
 
 use super::body::StandardBody;
-use super::{Case, Prepared, Settings, isa_name};
+use super::{Case, Prepared, Settings, isa_name, thread_cpu_ns};
 
 pub(super) const CASES: &[Case] = &[
     Case {
@@ -79,6 +79,22 @@ pub(super) const CASES: &[Case] = &[
         sizes: &[SIZE],
         parallel: false,
         prepare: |settings| refresh(settings, &AROUND_CUT, Updated::All),
+    },
+    Case {
+        name: "hybrid_cut",
+        about: "a tetrahedron is cut out of a pre-computed zone of 5 %, which turns dynamic; a copy of the model included",
+        per: "cut",
+        sizes: &[SIZE],
+        parallel: false,
+        prepare: |settings| turn_dynamic(settings, ZoneLaw::TensorMass),
+    },
+    Case {
+        name: "hybrid_cut_nonlinear",
+        about: "the same with a zone that becomes St Venant-Kirchhoff tissue",
+        per: "cut",
+        sizes: &[SIZE],
+        parallel: false,
+        prepare: |settings| turn_dynamic(settings, ZoneLaw::NonlinearTensorMass),
     },
     Case {
         name: "hybrid_build",
@@ -310,6 +326,42 @@ fn refresh(settings: Settings, setup: &Setup, updated: Updated) -> anyhow::Resul
             model.apply(black_box(&constraints[turn]));
             model.step(REFRESH_S);
             black_box(model.constraint_forces_n());
+        }),
+    })
+}
+
+/// A pre-computed zone turns dynamic by a cut in it.
+fn turn_dynamic(settings: Settings, cut_law: ZoneLaw) -> anyhow::Result<Prepared> {
+    let body = StandardBody::shared(settings.size)?;
+    let mut zoned = ZonedBody::around_cut(&body, DVec3::Z)?;
+    zoned.laws.fill(ZoneLaw::Precomputed);
+    let params =
+        CondensedParams::new(zoned.dynamic_body(20.0, REFRESH_S), &zoned.material, &zoned.zones, &zoned.laws);
+    let whole = CondensedHybrid::build(&CondensedParams { cut_law, stored: StoredNodes::Surface, ..params })?;
+    let tet = zoned.zones.tets(1).next().context("the zone is empty")?;
+    let mut mesh = EditableMesh::new(zoned.mesh.clone())?;
+    let change = mesh.apply(&MeshEdit::Remove { tets: vec![tet] })?;
+    let before = thread_cpu_ns();
+    let mut model = whole.clone();
+    let copy_ms = (thread_cpu_ns() - before) as f64 * 1e-6;
+    model.topology_changed(mesh.mesh(), &change)?;
+    let (size, n_tets) = (model.size(), zoned.zones.tets(1).count());
+    Ok(Prepared {
+        size: zoned.mesh.tetrahedra.len(),
+        isa: isa_name(fearless_simd::Level::new()),
+        precision: "f64",
+        work: None,
+        note: format!(
+            "{} nodes, {n_tets} tetrahedra turn, {} nodes on the frontier, {} parts a step of 1 ms; the copy takes \
+             {copy_ms:.0} ms",
+            zoned.mesh.positions_m.len(),
+            size.n_dynamic_frontier_nodes,
+            model.parts_of_step(REFRESH_S)
+        ),
+        run: Box::new(move || {
+            let mut model = whole.clone();
+            model.topology_changed(mesh.mesh(), black_box(&change)).expect("hybrids follow removals");
+            black_box(model.size());
         }),
     })
 }

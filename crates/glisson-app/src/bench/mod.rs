@@ -4,7 +4,9 @@
 //! entry in a `CASES` list of the file it belongs to. `docs/bench.md` says how to read the result.
 
 mod machine;
+mod model_edits;
 pub(crate) mod timing;
+mod world;
 mod body;
 mod meshing;
 mod models;
@@ -18,9 +20,13 @@ mod reduced;
 pub(crate) mod contact;
 mod collision;
 pub(crate) mod colliding;
+mod colliding_bodies;
 pub(crate) mod response;
 mod drawing;
 mod hybrid_exchange;
+mod scalpel;
+mod mesh_edits;
+mod cut_subdivision;
 
 pub(crate) use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;
@@ -94,13 +100,19 @@ pub(crate) fn cases() -> Vec<Case> {
         precomputed_cutting::CASES,
         kernel::CASES,
         reference::CASES,
+        model_edits::CASES,
         implicit::CASES,
         reduced::CASES,
         contact::CASES,
         collision::CASES,
+        colliding_bodies::CASES,
         response::CASES,
         drawing::CASES,
         hybrid_exchange::CASES,
+        scalpel::CASES,
+        mesh_edits::CASES,
+        world::CASES,
+        cut_subdivision::CASES,
     ]
     .concat()
 }

@@ -1,7 +1,7 @@
 //! `glisson demo`.
 
 use super::serve::Address;
-use crate::demo::{operation, report, scenery};
+use crate::demo::{operation, report, resection, scenery};
 use crate::runtime::{OpenScene, Simulation};
 use anyhow::Context;
 use clap::Parser;
@@ -14,6 +14,7 @@ use std::time::Instant;
 /// --headless runs a scripted palpation instead and writes pictures, plots, a report and a session.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  glisson demo\n  glisson demo --headless --out out/demo\n  \
+    glisson demo --task resection --headless\n  \
     glisson demo --seed 7 --tetrahedra 20000 --port 0")]
 pub(crate) struct Args {
     /// Folder for everything that is made
@@ -25,11 +26,23 @@ pub(crate) struct Args {
     /// Which synthetic patient
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// What is done to the liver
+    #[arg(long, value_enum, default_value_t = Task::Palpation)]
+    task: Task,
     /// Tetrahedra of the liver
     #[arg(long, default_value_t = 6300)]
     tetrahedra: usize,
     #[command(flatten)]
     address: Address,
+}
+
+/// An operation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Task {
+    /// A probe pushes the liver.
+    Palpation,
+    /// Two hands take a tumour out.
+    Resection,
 }
 
 /// Runs another verb of this program, telling the command line so that the reader can repeat it.
@@ -77,6 +90,25 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         ],
     )?;
     verb(&mut stages, &["check", mesh, "--svg", text(&files.quality_plot)?])?;
+    if args.task == Task::Resection {
+        resection::write_scene(&files)?;
+        let scene = resection::scene_file(&files);
+        if let Some(listener) = listener {
+            println!("\n$ glisson serve {}", scene.display());
+            let session = files.folder.join("resection.jsonl");
+            let simulation = Simulation::open(OpenScene::read(&scene)?, Some(&session))?;
+            return args.address.serve(simulation, listener);
+        }
+        println!("\nscripted resection");
+        let resection = resection::operate(&files)?;
+        anyhow::ensure!(
+            resection.tumour_in_specimen > 0.99,
+            "the piece that was lifted holds {:.0} % of the tumour only",
+            100.0 * resection.tumour_in_specimen
+        );
+        println!("written to {}: look at resection.md and the pictures; state {}", args.out.display(), resection.state_hash);
+        return Ok(());
+    }
     scenery::write_scene(&files)?;
     verb(&mut stages, &["precompute", text(&files.scene)?, "-o", text(&files.precomputed)?])?;
     if let Some(listener) = listener {

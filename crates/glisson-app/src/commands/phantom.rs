@@ -3,14 +3,17 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
+use glisson::files::write_atomically;
 use glisson::image::labels::Parts;
 use glisson::image::nifti::{write_label_map, write_volume};
 use glisson::image::phantom::{PhantomParams, generate};
+use glisson::image::vessels::write_vessels;
 
 /// Write a synthetic patient: a portal-phase CT of an upper abdomen and its true label map.
 ///
-/// The seed chooses the patient and the noise; the same seed gives the same files. Two files are written:
-/// ct.nii.gz (Hounsfield units) and labels.nii.gz (the organ at the centre of each voxel, names included).
+/// The seed chooses the patient and the noise; the same seed gives the same files. Three files are written:
+/// ct.nii.gz (Hounsfield units), labels.nii.gz (the organ at the centre of each voxel, names included) and
+/// vessels.csv (the liver's vessels as tubes, which a scene can make bleed).
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   glisson phantom
@@ -54,11 +57,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let (ct_file, label_file) = (args.out.join("ct.nii.gz"), args.out.join("labels.nii.gz"));
     write_volume(&ct_file, &patient.ct)?;
     write_label_map(&label_file, &patient.labels)?;
+    let vessel_file = args.out.join("vessels.csv");
+    write_atomically(&vessel_file, |out| write_vessels(out, &patient.vessels))
+        .with_context(|| format!("{}: cannot write", vessel_file.display()))?;
 
     let grid = &patient.ct.grid;
     let [n_i, n_j, n_k] = grid.dims;
     println!("CT     {}  {n_i} x {n_j} x {n_k} voxels of {} mm", ct_file.display(), args.voxel_mm);
     println!("labels {}", label_file.display());
+    println!("vessels {}  {} tubes", vessel_file.display(), patient.vessels.len());
     for (_, name) in &patient.labels.names {
         // At coarse voxels thin structures can fall between the centres.
         if let Ok(organ) = patient.labels.select(name, Parts::Excluded) {

@@ -192,6 +192,11 @@ fn body_of_scene(args: &Args) -> anyhow::Result<OrganBody> {
     Ok(read_organ(&source.scene, &source.folder)?)
 }
 
+/// What the bar shows while nodes are solved for.
+const NODES: &str = "pre-computing {bar:40} {pos}/{len} nodes, {msg}";
+/// Between two showings of the time.
+const TICK: Duration = Duration::from_millis(500);
+
 /// A progress bar with the time left, from the rate since the first nodes were done.
 struct Progress {
     bar: ProgressBar,
@@ -203,12 +208,33 @@ struct Progress {
 impl Progress {
     fn new() -> anyhow::Result<Self> {
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
-        bar.set_style(ProgressStyle::with_template("pre-computing {bar:40} {pos}/{len} nodes, {msg}")?);
+        bar.set_style(ProgressStyle::with_template(NODES)?);
+        let factoring = ProgressStyle::with_template("factoring the stiffness matrix, {elapsed}")?;
+        let of_factor = bar.clone();
+        // There are no nodes to count before the factor is there: until then the time is shown.
+        std::thread::spawn(move || {
+            std::thread::sleep(QUIET);
+            let goes_on = || of_factor.length().is_none() && !of_factor.is_finished();
+            if goes_on() {
+                of_factor.set_style(factoring);
+                of_factor.set_draw_target(ProgressDrawTarget::stderr());
+            }
+            while goes_on() {
+                of_factor.tick();
+                std::thread::sleep(TICK);
+            }
+        });
         Ok(Self { bar, start: Instant::now(), solving: OnceLock::new() })
     }
 
     fn tell(&self, done: usize, total: usize) {
-        let (since, before) = *self.solving.get_or_init(|| (Instant::now(), done));
+        let (since, before) = *self.solving.get_or_init(|| {
+            self.bar.set_length(total as u64);
+            if let Ok(nodes) = ProgressStyle::with_template(NODES) {
+                self.bar.set_style(nodes);
+            }
+            (Instant::now(), done)
+        });
         self.bar.set_length(total as u64);
         // Blocks finish in any order; the bar only goes forward.
         self.bar.set_position(self.bar.position().max(done as u64));

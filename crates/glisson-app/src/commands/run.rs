@@ -3,8 +3,6 @@
 use crate::runtime::{OpenScene, Simulation};
 use anyhow::{Context, bail};
 use glisson::files::write_atomically;
-use glisson::scene::tool_on_path;
-use glisson::world::StepInput;
 use serde_json::json;
 use std::io::Write;
 use std::path::PathBuf;
@@ -39,37 +37,41 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let source = OpenScene { n_threads: usize::from(args.threads), ..OpenScene::read(&args.scene)? };
     let time_step_s = source.scene.world.time_step_s;
-    let path = source.scene.path.clone();
-    let steps = match (args.steps, path.last()) {
+    let scene = source.scene.clone();
+    let steps = match (args.steps, scene.end_of_paths_s()) {
         (Some(steps), _) => steps,
-        (None, Some(last)) => (last.time_s / time_step_s).ceil() as u64,
+        (None, Some(end_s)) => (end_s / time_step_s).ceil() as u64,
         (None, None) => bail!("the scene has no [[tool.path]] to follow; say how long with --steps"),
     };
     let mut simulation = Simulation::open(source, args.record.as_deref())?;
-    let home = simulation.world().spec().tool.home;
-    let mut rows = String::from("time_s,tip_x_m,tip_y_m,tip_z_m,force_x_n,force_y_n,force_z_n,contact\n");
+    let mut rows = String::from("time_s,tip_x_m,tip_y_m,tip_z_m,force_x_n,force_y_n,force_z_n,contact");
+    // Those of further tools follow in the same line.
+    for tool in 2..=scene.world.tools.len() {
+        let columns = ["tip_x_m", "tip_y_m", "tip_z_m", "force_x_n", "force_y_n", "force_z_n", "contact"];
+        columns.iter().for_each(|column| rows += &format!(",{column}_{tool}"));
+    }
+    rows += "\n";
     let mut greatest_force_n = 0.0_f64;
     let mut contact_steps = 0_u64;
     let start = Instant::now();
     for step in 1..=steps {
         let time_s = step as f64 * time_step_s;
-        let tool = tool_on_path(home, &path, time_s);
-        let report = simulation.advance(&StepInput { tool, n_substeps: 1, placed: false })?;
-        let force = report.force_on_tool_n;
-        greatest_force_n = greatest_force_n.max(force.length());
-        contact_steps += u64::from(report.in_contact);
+        let input = scene.input_at(time_s);
+        let report = simulation.advance(&input)?;
+        let felt = &report.tools[..scene.world.tools.len()];
+        greatest_force_n =
+            felt.iter().map(|tool| tool.force_on_tool_n.length()).fold(greatest_force_n, f64::max);
+        contact_steps += u64::from(report.in_contact());
         if args.csv.is_some() {
-            let tip = tool.tip_in_world_m;
-            rows += &format!(
-                "{time_s},{},{},{},{},{},{},{}\n",
-                tip.x,
-                tip.y,
-                tip.z,
-                force.x,
-                force.y,
-                force.z,
-                u8::from(report.in_contact)
-            );
+            rows += &time_s.to_string();
+            for (tool, felt) in input.tools.iter().zip(felt) {
+                let (tip, force) = (tool.tip_in_world_m, felt.force_on_tool_n);
+                for number in [tip.x, tip.y, tip.z, force.x, force.y, force.z] {
+                    rows += &format!(",{number}");
+                }
+                rows += &format!(",{}", u8::from(felt.in_contact));
+            }
+            rows += "\n";
         }
     }
     let elapsed_s = start.elapsed().as_secs_f64();

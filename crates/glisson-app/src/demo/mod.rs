@@ -3,4 +3,5 @@
 pub(crate) mod operation;
 pub(crate) mod patient;
 pub(crate) mod report;
+pub(crate) mod resection;
 pub(crate) mod scenery;

@@ -10,9 +10,8 @@ use anyhow::{Context, ensure};
 use glisson::files::write_atomically;
 use glisson::math::DVec3;
 use glisson::record::hash::StateHash;
-use glisson::scene::tool_on_path;
-use glisson::tool::Tool;
-use glisson::world::{StepInput, World};
+use glisson::tool::{Tool, ToolInput};
+use glisson::world::World;
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -72,11 +71,11 @@ impl Palpation {
 /// Runs the scene's path to its end.
 pub(crate) fn palpate(files: &Files) -> anyhow::Result<Palpation> {
     let source = OpenScene::read(&files.scene)?;
-    let path = source.scene.path.clone();
-    let end_s = path.last().context("the demo's scene has a path")?.time_s;
+    let scene = source.scene.clone();
+    let path = &scene.paths[0];
+    let end_s = scene.end_of_paths_s().context("the demo's scene has a path")?;
     let mut simulation = Simulation::open(source, Some(&files.session))?;
     let time_step_s = simulation.world().spec().time_step_s;
-    let home = simulation.world().spec().tool.home;
     let mut pictures = vec![picture(&files.folder.join("1_rest.png"), simulation.world(), FRONT, "At rest")?];
     let steps = (end_s / time_step_s).round() as u64;
     let mut samples = Vec::with_capacity(steps as usize);
@@ -89,19 +88,18 @@ pub(crate) fn palpate(files: &Files) -> anyhow::Result<Palpation> {
     let start = Instant::now();
     let (mut drawing_s, mut pictured) = (0.0, Vec::new());
     for step in 1..=steps {
-        let tool = tool_on_path(home, &path, step as f64 * time_step_s);
-        let report = simulation.advance(&StepInput { tool, n_substeps: 1, placed: false })?;
+        let report = simulation.advance(&scene.input_at(step as f64 * time_step_s))?;
         samples.push(Sample {
             time_s: step as f64 * time_step_s,
-            force_n: report.force_on_tool_n,
+            force_n: report.tools[0].force_on_tool_n,
             indentation_m: indentation_m(simulation.world()),
         });
         if let Some((_, shot)) = moments.iter().find(|m| m.0 == step) {
             let (world, name) = (simulation.world(), shot.title);
-            ensure!(report.in_contact, "the probe does not touch the liver when it should push ({name})");
+            ensure!(report.in_contact(), "the probe does not touch the liver when it should push ({name})");
             let before = Instant::now();
             pictures.push(picture(&files.folder.join(shot.file), world, shot.azimuth_deg, name)?);
-            pictured.push([step as f64 * time_step_s, report.force_on_tool_n.length()]);
+            pictured.push([step as f64 * time_step_s, report.tools[0].force_on_tool_n.length()]);
             drawing_s += before.elapsed().as_secs_f64();
         }
     }
@@ -130,7 +128,7 @@ pub(crate) fn palpate(files: &Files) -> anyhow::Result<Palpation> {
 }
 
 fn indentation_m(world: &World) -> f64 {
-    let Some(contact) = world.snapshot().contact else { return 0.0 };
+    let Some(contact) = world.snapshot().tools[0].contacts[0] else { return 0.0 };
     let rest_m: DVec3 =
         (0..3).map(|v| world.organ().mesh().positions_m[contact.nodes[v].index()] * contact.weights[v]).sum();
     contact.point_m.distance(rest_m)
@@ -150,11 +148,10 @@ fn write_csv(files: &Files, samples: &[Sample]) -> anyhow::Result<()> {
 
 fn camera(world: &World, azimuth_deg: f64) -> Camera {
     let view = View { azimuth_rad: azimuth_deg.to_radians(), elevation_rad: ELEVATION_DEG.to_radians() };
-    Camera::framing_points(world.organ().surface_positions_m(), PICTURE_SIZE, view)
+    Camera::framing_points(&world.snapshot().positions_m, PICTURE_SIZE, view)
 }
 
-fn instrument(tool: &Tool, world: &World) -> Instrument {
-    let at = world.snapshot().tool;
+fn instrument(tool: &Tool, at: &ToolInput) -> Instrument {
     Instrument {
         tip_m: at.tip_in_world_m,
         handle_m: at.tip_in_world_m + at.shaft_in_world * tool.shaft_length_m,
@@ -166,8 +163,8 @@ fn instrument(tool: &Tool, world: &World) -> Instrument {
 fn picture(path: &std::path::Path, world: &World, azimuth_deg: f64, title: &str) -> anyhow::Result<PathBuf> {
     let topology = world.display_topology();
     let snapshot = world.snapshot();
-    let force_n = snapshot.force_on_tool_n;
-    let arrows = snapshot.contact.map(|contact| Arrow {
+    let force_n = snapshot.tools[0].force_n;
+    let arrows = snapshot.tools[0].contacts[0].map(|contact| Arrow {
         from_m: contact.point_m,
         to_m: contact.point_m + force_n * ARROW_M_PER_N,
         radius_m: 1.5e-3,
@@ -187,7 +184,7 @@ fn picture(path: &std::path::Path, world: &World, azimuth_deg: f64, title: &str)
             rest_positions_m: topology.rest_positions_m,
             look: Look::Liver,
         }],
-        instruments: vec![instrument(&world.spec().tool, world)],
+        instruments: world.tools().iter().zip(&snapshot.tools).map(|(tool, now)| instrument(tool, &now.pose)).collect(),
         arrows: arrows.into_iter().collect(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],
         camera: camera(world, azimuth_deg),

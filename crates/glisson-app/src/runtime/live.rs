@@ -6,7 +6,7 @@ use glisson::math::DVec3;
 use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::snapshot::{DisplayTopology, Snapshot};
-use glisson::tool::ToolInput;
+use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -16,8 +16,13 @@ use tokio::sync::watch;
 /// What a viewer asks for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Command {
-    /// The instrument should be here.
-    Tool(ToolInput),
+    /// An instrument should be here.
+    Tool {
+        /// Its number.
+        tool: usize,
+        /// Where.
+        pose: ToolInput,
+    },
     Pause(bool),
     SingleStep,
     Reset,
@@ -25,8 +30,13 @@ pub(crate) enum Command {
     Model(ModelKind),
     /// The table is tilted: gravity from now on [m/s2].
     Gravity(DVec3),
-    /// What the tip touches is cut away.
-    Cut,
+    /// What the tip of an instrument touches is cut away.
+    Cut {
+        /// Its number.
+        tool: usize,
+    },
+    /// The last cut is taken back.
+    Undo,
     /// The program ends.
     Stop,
 }
@@ -79,9 +89,14 @@ fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
     let share = 1.0 - (-dt_s / FOLLOW_TIME_S).exp();
     let motion = (target.tip_in_world_m - now.tip_in_world_m) * share;
     let shaft = now.shaft_in_world.lerp(target.shaft_in_world, share);
+    let toward = |now: f64, target: f64| now + (target - now) * share;
     ToolInput {
         tip_in_world_m: now.tip_in_world_m + motion.clamp_length_max(MAX_TIP_SPEED_M_PER_S * dt_s),
         shaft_in_world: shaft.normalize_or(target.shaft_in_world),
+        roll_rad: toward(now.roll_rad, target.roll_rad),
+        jaw_opening: toward(now.jaw_opening, target.jaw_opening),
+        // A switch, not a motion.
+        trigger: target.trigger,
     }
 }
 
@@ -111,24 +126,41 @@ impl PaceMeter {
 
 struct Live {
     simulation: Simulation,
-    tool: ToolInput,
-    target: ToolInput,
+    tools: Vec<ToolInput>,
+    targets: Vec<ToolInput>,
     paused: bool,
     dt_s: f64,
 }
 
+/// Where the instruments are when nobody holds them.
+fn homes(simulation: &Simulation) -> Vec<ToolInput> {
+    simulation.world().tools().iter().map(|tool| tool.home).collect()
+}
+
 impl Live {
+    fn refuse_tool(&mut self, tool: usize) {
+        let n_tools = self.tools.len();
+        self.simulation
+            .tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
+    }
+
     fn advance(&mut self) -> anyhow::Result<()> {
-        let placed = self.tool.tip_in_world_m.distance(self.target.tip_in_world_m) > JUMP_M;
-        self.tool = if placed { self.target } else { approach(self.tool, self.target, self.dt_s) };
-        self.simulation.advance(&StepInput { tool: self.tool, n_substeps: 1, placed })?;
+        let mut placed = [false; MAX_TOOLS];
+        for ((tool, target), placed) in self.tools.iter_mut().zip(&self.targets).zip(&mut placed) {
+            *placed = tool.tip_in_world_m.distance(target.tip_in_world_m) > JUMP_M;
+            *tool = if *placed { *target } else { approach(*tool, *target, self.dt_s) };
+        }
+        self.simulation.advance(&StepInput { placed, ..StepInput::of(&self.tools) })?;
         Ok(())
     }
 
     /// Answers whether the display has to be refreshed at once.
     fn obey(&mut self, command: Command) -> anyhow::Result<bool> {
         match command {
-            Command::Tool(target) => self.target = target,
+            Command::Tool { tool, pose } => match self.targets.get_mut(tool) {
+                Some(target) => *target = pose,
+                None => self.refuse_tool(tool),
+            },
             Command::Pause(paused) => {
                 self.paused = paused;
                 return Ok(true);
@@ -140,16 +172,21 @@ impl Live {
             }
             Command::Reset => {
                 self.simulation.reset()?;
-                self.tool = self.simulation.world().spec().tool.home;
-                self.target = self.tool;
+                self.tools = homes(&self.simulation);
+                self.targets.clone_from(&self.tools);
                 return Ok(true);
             }
             Command::Model(kind) => {
                 let at_step = self.simulation.world().steps_made() + SWAP_DELAY_STEPS;
                 self.simulation.order_model(kind, at_step)?;
             }
-            Command::Cut => {
-                self.simulation.cut_at_tip()?;
+            Command::Cut { tool } if tool < self.tools.len() => {
+                self.simulation.cut_at_tip(tool)?;
+                return Ok(true);
+            }
+            Command::Cut { tool } => self.refuse_tool(tool),
+            Command::Undo => {
+                self.simulation.undo_edit()?;
                 return Ok(true);
             }
             Command::Gravity(gravity_m_per_s2) => self.simulation.set_gravity(gravity_m_per_s2)?,
@@ -169,8 +206,8 @@ pub(crate) fn run(
     published: &watch::Sender<Arc<Published>>,
 ) -> anyhow::Result<StateHash> {
     let dt_s = simulation.world().spec().time_step_s;
-    let home = simulation.world().spec().tool.home;
-    let mut live = Live { simulation, tool: home, target: home, paused: false, dt_s };
+    let tools = homes(&simulation);
+    let mut live = Live { simulation, targets: tools.clone(), tools, paused: false, dt_s };
     let mut meter = PaceMeter { since: Instant::now(), steps: 0, pace: Pace::default() };
     let mut next_frame = Instant::now();
     let mut simulated_until = Instant::now();
@@ -216,7 +253,7 @@ mod tests {
 
     #[test]
     fn the_tip_reaches_its_target_and_never_exceeds_its_speed() {
-        let at = |x: f64| ToolInput { tip_in_world_m: DVec3::new(x, 0.0, 0.0), shaft_in_world: DVec3::Y };
+        let at = |x: f64| ToolInput::at(DVec3::new(x, 0.0, 0.0), DVec3::Y);
         let (mut tool, target) = (at(0.0), at(0.1));
         for _ in 0..1000 {
             let next = approach(tool, target, 1e-3);

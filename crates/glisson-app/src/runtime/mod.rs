@@ -17,6 +17,7 @@ use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::session::SessionEvent;
 use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
+use glisson::tool::MAX_TOOLS;
 use glisson::world::{StepInput, StepReport, World};
 use incidents::{Incidents, MOST_NOTICES};
 use recorder::Recorder;
@@ -64,6 +65,8 @@ pub(crate) struct Simulation {
     builder: Option<JoinHandle<BuiltModel>>,
     incidents: Incidents,
     notices: Vec<String>,
+    /// Tools whose cut was refused in the last step.
+    refused_last: [bool; MAX_TOOLS],
     /// Whether a fresh pre-computation is ordered when the model asks for one; in a replay the session says so.
     orders_recomputations: bool,
     is_live: bool,
@@ -89,6 +92,7 @@ impl Simulation {
             builder: None,
             incidents: Incidents::default(),
             notices: Vec::new(),
+            refused_last: [false; MAX_TOOLS],
             orders_recomputations: true,
             is_live: true,
         })
@@ -121,13 +125,16 @@ impl Simulation {
         if let Some(kind) = self.world.awaited_model() {
             self.take_delivery(kind)?;
         }
-        if !input.tool.is_finite() {
-            bail!("the tool's place is not finite: {:?}", input.tool);
+        let n_tools = self.world.tools().len();
+        let tools = input.tools[..n_tools].to_vec();
+        if let Some(tool) = tools.iter().find(|tool| !tool.is_finite()) {
+            bail!("the tool's place is not finite: {tool:?}");
         }
-        let step = self.world.steps_made();
-        let StepInput { tool, n_substeps, placed } = *input;
-        self.record(&SessionEvent::Input { step, tool, n_substeps, placed })?;
+        let placed = (0..n_tools).filter(|&tool| input.placed[tool]).map(|tool| tool as u8).collect();
+        let (step, n_substeps) = (self.world.steps_made(), input.n_substeps);
+        self.record(&SessionEvent::Input { step, tools, n_substeps, placed })?;
         let report = self.world.step(input);
+        self.cut_with_tools();
         if report.n_non_finite_nodes > 0 {
             bail!(
                 "step {}: {} nodes have no finite position; the session up to here is kept",
@@ -145,6 +152,17 @@ impl Simulation {
             self.record(&SessionEvent::Checkpoint { step: report.step, state_hash })?;
         }
         Ok(report)
+    }
+
+    /// Why nothing is cut is told when it begins, not in every step in which the trigger is held.
+    fn cut_with_tools(&mut self) {
+        let mut refuses = [false; MAX_TOOLS];
+        for (tool, refusal) in self.world.cut_with_tools().refusals {
+            if !std::mem::replace(&mut refuses[tool], true) && !self.refused_last[tool] {
+                self.tell(format!("the {} cut nothing: {refusal}", self.world.tools()[tool].name));
+            }
+        }
+        self.refused_last = refuses;
     }
 
     /// Steps until a fresh pre-computation is surely there, on a machine that keeps pace.
@@ -176,7 +194,7 @@ impl Simulation {
     }
 
     /// A key that is held down asks for the same again and again: what was just said is not repeated.
-    fn tell(&mut self, notice: String) {
+    pub(crate) fn tell(&mut self, notice: String) {
         if self.notices.last() != Some(&notice) && self.notices.len() < MOST_NOTICES {
             self.notices.push(notice);
         }
@@ -211,9 +229,18 @@ impl Simulation {
         Ok(())
     }
 
-    /// Takes out what the instrument's tip touches.
-    pub(crate) fn cut_at_tip(&mut self) -> anyhow::Result<()> {
-        let tets = self.world.touched_tetrahedra();
+    /// Takes the last cut back, if there is one that can be.
+    pub(crate) fn undo_edit(&mut self) -> anyhow::Result<()> {
+        self.record(&SessionEvent::UndoEdit { step: self.world.steps_made() })?;
+        if !self.world.undo_edit() {
+            self.tell("there is no cut that could be taken back".to_owned());
+        }
+        Ok(())
+    }
+
+    /// Takes out what an instrument's tip touches.
+    pub(crate) fn cut_at_tip(&mut self, tool: usize) -> anyhow::Result<()> {
+        let tets = self.world.touched_tetrahedra(tool);
         if tets.is_empty() {
             self.tell("nothing was cut: the instrument's tip does not touch the organ".to_owned());
             return Ok(());
@@ -228,7 +255,11 @@ impl Simulation {
         self.record(&SessionEvent::QueueModelSwap { step, at_step, model: kind })?;
         self.world.queue_model_swap(at_step, kind);
         let body = Arc::clone(&self.body);
-        let live = self.world.organ().live_tetrahedra().to_vec();
+        // Of an organ with new tetrahedra the model is made whole, and follows the edits when it is delivered.
+        let mut live = self.world.organ().live_tetrahedra().to_vec();
+        if !self.world.has_only_removals() {
+            live = vec![true; self.body.mesh.tetrahedra.len()];
+        }
         self.builder = Some(std::thread::spawn(move || {
             let model = build_model_as_cut(&body, kind, &live)?;
             Ok((model, kind))

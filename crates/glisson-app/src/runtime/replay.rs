@@ -48,8 +48,8 @@ pub(crate) fn replay(
             session.header.mesh_hash
         );
     }
-    let home = simulation.world().spec().tool.home;
-    let mut input = StepInput { tool: home, n_substeps: 1, placed: false };
+    let homes: Vec<_> = simulation.world().tools().iter().map(|tool| tool.home).collect();
+    let mut input = StepInput::of(&homes);
     let mut report = ReplayReport {
         steps: 0,
         state_hash: simulation.world().state_hash(),
@@ -63,9 +63,19 @@ pub(crate) fn replay(
             after_step(&simulation)?;
         }
         match *event {
-            SessionEvent::Input { tool, n_substeps, placed, .. } => {
-                input = StepInput { tool, n_substeps, placed }
+            SessionEvent::Input { ref tools, n_substeps, ref placed, .. } => {
+                if tools.len() != homes.len() {
+                    bail!(
+                        "step {}: the session has {} instruments, its scene {}",
+                        event.step(),
+                        tools.len(),
+                        homes.len()
+                    );
+                }
+                input = StepInput::of(tools).divided(n_substeps);
+                placed.iter().for_each(|&tool| input.placed[usize::from(tool)] = true);
             }
+            SessionEvent::UndoEdit { .. } => simulation.undo_edit()?,
             SessionEvent::Reset { .. } => simulation.reset()?,
             SessionEvent::Gravity { gravity_m_per_s2, .. } => simulation.set_gravity(gravity_m_per_s2)?,
             SessionEvent::Remove { ref tets, .. } => simulation.remove_tetrahedra(tets.clone())?,

@@ -3,6 +3,9 @@
 use super::replay::replay;
 use super::*;
 use glisson::math::DVec3;
+use glisson::model::precomputed::{
+    Precision, Precomputed, PrecomputedParams, RecomputationLimits, StoredNodes,
+};
 use glisson::record::session::parse_session;
 use glisson::tool::ToolInput;
 
@@ -22,8 +25,9 @@ fn scene_folder() -> tempfile::TempDir {
 fn input(step: u64) -> StepInput {
     let depth_m = 0.05 * (step as f64 * 0.01).sin().abs();
     let tip_in_world_m = DVec3::new(0.04, 0.04, 0.09 - depth_m);
-    let tool = ToolInput { tip_in_world_m, shaft_in_world: DVec3::Z };
-    StepInput { tool, n_substeps: 1 + (step / 100 % 2) as u32, placed: step == 250 }
+    let input =
+        StepInput::of(&[ToolInput::at(tip_in_world_m, DVec3::Z)]).divided(1 + (step / 100 % 2) as u32);
+    if step == 250 { input.placed() } else { input }
 }
 
 /// 600 steps with a reset and a swap to the pre-computed model at step 300; answers the last hash.
@@ -38,7 +42,7 @@ fn record(folder: &Path) -> StateHash {
         if step == 200 {
             simulation.order_model(ModelKind::Precomputed, 300).unwrap();
         }
-        touched |= simulation.advance(&input(step)).unwrap().in_contact;
+        touched |= simulation.advance(&input(step)).unwrap().in_contact();
         let expected = if step < 300 { ModelKind::TensorMass } else { ModelKind::Precomputed };
         assert_eq!(simulation.world().model_kind(), expected, "step {step}");
     }
@@ -107,8 +111,7 @@ fn a_tilted_table_a_cut_and_a_change_of_model_replay_to_the_same_bits() {
     std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
     let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
     let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
-    let away = simulation.world().spec().tool.home;
-    let away = StepInput { tool: away, n_substeps: 1, placed: false };
+    let away = StepInput::of(&[simulation.world().tools()[0].home]);
     simulation.advance(&away).unwrap();
     let rest = simulation.mesh().positions_m.clone();
     let moved_m = |simulation: &Simulation| {
@@ -155,7 +158,7 @@ fn cuts_of_the_precomputed_model_and_its_fresh_precomputation_replay_to_the_same
     // Down to what is left without the outer tetrahedron.
     let input = |step| {
         let mut input = input(step);
-        input.tool.tip_in_world_m += DVec3::new(-0.02, -0.02, -0.03);
+        input.tools[0].tip_in_world_m += DVec3::new(-0.02, -0.02, -0.03);
         input
     };
     for step in 0..300 {
@@ -166,7 +169,7 @@ fn cuts_of_the_precomputed_model_and_its_fresh_precomputation_replay_to_the_same
             _ => {}
         }
         let report = simulation.advance(&input(step)).unwrap();
-        touched_after |= step > 60 && report.in_contact;
+        touched_after |= step > 60 && report.in_contact();
         assert_eq!(report.model.n_reanalyses, u32::from((60..150).contains(&step) || step >= 200), "{step}");
     }
     assert!(simulation.notices().is_empty(), "{:?}", simulation.notices());
@@ -175,4 +178,83 @@ fn cuts_of_the_precomputed_model_and_its_fresh_precomputation_replay_to_the_same
     let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
     assert_eq!((report.state_hash, report.first_difference), (hash, None));
     assert!(touched_after);
+}
+
+#[test]
+fn a_fresh_precomputation_is_ordered_where_the_cut_one_asks_for_it() {
+    let folder = scene_folder();
+    let scene = SCENE.replace("\"tensor_mass\"", "\"precomputed\"");
+    std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+    let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let mut simulation = Simulation::open(source, None).unwrap();
+    // The scene's model, but with a limit that the first cut reaches.
+    let body = simulation.body();
+    let kind = ModelKind::Precomputed;
+    let mut model = Precomputed::build(&PrecomputedParams {
+        mesh: &body.mesh,
+        material: &body.material,
+        fixed_nodes: &body.nodes_fixed_wholly(kind).unwrap(),
+        stored: StoredNodes::Surface,
+        precision: Precision::F64,
+        progress: None,
+    })
+    .unwrap();
+    model.set_recomputation_limits(RecomputationLimits { n_columns: 5, ..RecomputationLimits::default() });
+    simulation.world.queue_model_swap(0, kind);
+    simulation.world.deliver_model(Box::new(model), kind).unwrap();
+    let mut ordered_at = None;
+    let mut fresh_at = None;
+    for step in 0..2_100 {
+        if step == 20 {
+            simulation.remove_tetrahedra(vec![TetId(1)]).unwrap();
+        }
+        let report = simulation.advance(&input(step)).unwrap();
+        assert_eq!(
+            report.model.wants_recomputation,
+            step >= 20 && fresh_at.is_none() && report.model.n_reanalyses > 0
+        );
+        if simulation.builder.is_some() {
+            ordered_at = ordered_at.or(Some(step));
+        } else if ordered_at.is_some() && fresh_at.is_none() {
+            fresh_at = Some(step);
+            assert_eq!((report.model.n_reanalyses, report.model.wants_recomputation), (0, false));
+        }
+    }
+    // Two seconds of the scene's time later.
+    assert_eq!((ordered_at, fresh_at), (Some(20), Some(21 + 2_000)));
+    assert!(simulation.notices().is_empty(), "{:?}", simulation.notices());
+}
+
+#[test]
+fn a_session_of_two_hands_with_cuts_and_undo_replays_to_the_same_bits() {
+    let folder = scene_folder();
+    let tools = "[[tool]]\nkind = \"hook\"\ntip_radius = \"5 mm\"\nhome_tip = [\"40 mm\", \"40 mm\", \"90 mm\"]\n\
+        home_shaft = [0, 0, 1]\ncut_force = \"1 mN\"\ncut_time = \"20 ms\"\n\
+        [[tool]]\nkind = \"grasper\"\ntip_radius = \"2 mm\"\nhome_tip = [\"60 mm\", \"60 mm\", \"60 mm\"]\n\
+        trocar = [\"100 mm\", \"100 mm\", \"200 mm\"]\nhome_jaw = 1\n";
+    let scene = SCENE[..SCENE.find("[tool]").unwrap()].to_owned() + tools;
+    std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+    let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+    let homes: Vec<ToolInput> = simulation.world().tools().iter().map(|tool| tool.home).collect();
+    let (mut n_held, mut n_cut) = (0, 0);
+    for step in 0..400_u32 {
+        let mut tools = homes.clone();
+        tools[0].tip_in_world_m.z -= 0.05 * (f64::from(step) * 0.01).sin().abs();
+        tools[0].trigger = if step > 150 { 1.0 } else { 0.0 };
+        tools[1].jaw_opening = if step > 20 { 0.0 } else { 1.0 };
+        tools[1].tip_in_world_m.z += 2e-5 * f64::from(step.min(100));
+        let report = simulation.advance(&StepInput::of(&tools)).unwrap();
+        n_held = n_held.max(report.tools[1].n_held_nodes);
+        n_cut = n_cut.max(simulation.world().n_edits_to_undo());
+        if step == 380 {
+            simulation.undo_edit().unwrap();
+        }
+    }
+    assert!(n_held > 0 && n_cut > 0, "{n_held} held, {n_cut} cut: {:?}", simulation.notices());
+    let hash = simulation.finish().unwrap();
+    let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+    assert!(text.contains("\"undo_edit\""));
+    let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
+    assert_eq!((report.state_hash, report.recorded_hash), (hash, Some(hash)));
 }

@@ -8,6 +8,7 @@ const KIND_TOPOLOGY: u32 = 1;
 const KIND_SNAPSHOT: u32 = 2;
 const FLAG_CONTACT: u32 = 1;
 const FLAG_PAUSED: u32 = 2;
+const FLAG_GRASPS: u32 = 4;
 
 /// How the simulation keeps up with the clock; measured outside the library.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -59,13 +60,20 @@ pub(crate) fn snapshot_frame(snapshot: &Snapshot, pace: &Pace) -> Vec<u8> {
     let mut frame = FrameWriter::new(KIND_SNAPSHOT, snapshot.topology_version);
     frame.0.extend_from_slice(&snapshot.step.to_le_bytes());
     frame.f64s(&[snapshot.time_s, pace.rate_hz, pace.real_time_factor]);
-    frame.f64s(&snapshot.tool.tip_in_world_m.to_array());
-    frame.f64s(&snapshot.tool.shaft_in_world.to_array());
-    frame.f64s(&snapshot.force_on_tool_n.to_array());
-    frame.f64s(&snapshot.contact.map_or(DVec3::ZERO, |c| c.point_m).to_array());
-    let contact = if snapshot.contact.is_some() { FLAG_CONTACT } else { 0 };
     let paused = if pace.paused { FLAG_PAUSED } else { 0 };
-    frame.u32s(&[contact | paused, snapshot.positions_m.len() as u32]);
+    frame.u32s(&[paused, snapshot.tools.len() as u32, snapshot.positions_m.len() as u32, 0]);
+    for tool in &snapshot.tools {
+        let pose = &tool.pose;
+        frame.f64s(&pose.tip_in_world_m.to_array());
+        frame.f64s(&pose.shaft_in_world.to_array());
+        frame.f64s(&[pose.roll_rad, pose.jaw_opening, pose.trigger]);
+        frame.f64s(&tool.force_n.to_array());
+        let first = tool.contacts.iter().flatten().next();
+        frame.f64s(&first.map_or(DVec3::ZERO, |c| c.point_m).to_array());
+        let contact = if first.is_some() { FLAG_CONTACT } else { 0 };
+        let grasps = if tool.n_held_nodes > 0 { FLAG_GRASPS } else { 0 };
+        frame.u32s(&[contact | grasps, tool.n_held_nodes]);
+    }
     frame.positions(&snapshot.positions_m);
     frame.0
 }
@@ -74,7 +82,7 @@ pub(crate) fn snapshot_frame(snapshot: &Snapshot, pace: &Pace) -> Vec<u8> {
 mod tests {
     use super::*;
     use glisson::mesh::NodeId;
-    use glisson::record::snapshot::ContactReport;
+    use glisson::record::snapshot::{ContactReport, ToolSnapshot};
     use glisson::tool::ToolInput;
 
     #[test]
@@ -97,25 +105,35 @@ mod tests {
             nodes: [NodeId(0); 3],
             weights: [1.0, 0.0, 0.0],
         };
-        let tool = ToolInput { tip_in_world_m: DVec3::X, shaft_in_world: DVec3::Y };
+        let tool = ToolSnapshot {
+            pose: ToolInput {
+                roll_rad: 0.5,
+                jaw_opening: 0.25,
+                trigger: 1.0,
+                ..ToolInput::at(DVec3::X, DVec3::Y)
+            },
+            force_n: DVec3::new(1.0, 2.0, 3.0),
+            contacts: [None, Some(contact), None],
+            n_held_nodes: 6,
+        };
         let snapshot = Snapshot {
             step: 5,
             time_s: 0.25,
             topology_version: 3,
             positions_m: vec![DVec3::ONE; 3],
-            tool,
-            force_on_tool_n: DVec3::new(1.0, 2.0, 3.0),
-            contact: Some(contact),
+            tools: vec![tool, ToolSnapshot { contacts: [None; 3], n_held_nodes: 0, ..tool }],
         };
         let pace = Pace { rate_hz: 1000.0, real_time_factor: 1.0, paused: true };
         let frame = snapshot_frame(&snapshot, &pace);
         let double = |at: usize| f64::from_le_bytes(frame[at..at + 8].try_into().unwrap());
         assert_eq!(frame[16], 5);
-        assert_eq!(
-            [24, 32, 40, 48, 80, 96, 112, 136].map(double),
-            [0.25, 1000.0, 1.0, 1.0, 1.0, 1.0, 3.0, 9.0]
-        );
-        assert_eq!(u32::from_le_bytes(frame[144..148].try_into().unwrap()), 3);
-        assert_eq!(frame.len(), 152 + 9 * 4);
+        let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        assert_eq!([24, 32, 40].map(double), [0.25, 1000.0, 1.0]);
+        assert_eq!([48, 52, 56, 60].map(word), [2, 2, 3, 0]);
+        let first = [64, 96, 112, 120, 128, 136, 152, 160, 176].map(double);
+        assert_eq!(first, [1.0, 1.0, 0.5, 0.25, 1.0, 1.0, 3.0, 7.0, 9.0]);
+        assert_eq!([184, 188].map(word), [5, 6]);
+        assert_eq!([192 + 120, 192 + 124].map(word), [0, 0]);
+        assert_eq!(frame.len(), 64 + 2 * 128 + 9 * 4);
     }
 }

@@ -4,18 +4,18 @@ use crate::runtime::Simulation;
 use crate::runtime::live::{Command, Published};
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::ModelKind;
-use glisson::tool::ToolInput;
+use glisson::record::snapshot::{ContactReport, ToolSnapshot};
+use glisson::tool::{Tool, ToolInput};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 1;
+const PROTOCOL: u32 = 2;
 
 /// The first message on a connection.
 pub(super) fn hello(simulation: &Simulation) -> Value {
     let world = simulation.world();
     let (spec, organ) = (world.spec(), world.organ());
     let bounds = Aabb::of_points(&organ.mesh().positions_m);
-    let tool = &spec.tool;
     json!({
         "type": "hello",
         "protocol": PROTOCOL,
@@ -29,14 +29,7 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             "n_tetrahedra": organ.mesh().tetrahedra.len(),
         },
         "bounds": { "min_m": bounds.min_m.to_array(), "max_m": bounds.max_m.to_array() },
-        "tool": {
-            "name": tool.name,
-            "tip_radius_m": tool.tip_radius_m,
-            "shaft_radius_m": tool.shaft_radius_m,
-            "shaft_length_m": tool.shaft_length_m,
-            "home_tip_m": tool.home.tip_in_world_m.to_array(),
-            "home_shaft": tool.home.shaft_in_world.to_array(),
-        },
+        "tools": spec.tools.iter().map(described).collect::<Vec<_>>(),
         "models": ModelKind::ALL
             .into_iter()
             .filter(|kind| *kind != ModelKind::QuasiNonlinear || simulation.body().measured.is_some())
@@ -44,6 +37,28 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             .collect::<Vec<_>>(),
         "capsule_nodes": organ.surface_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
         "fixed_nodes": organ.fixed_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
+    })
+}
+
+fn described(tool: &Tool) -> Value {
+    let jaws = tool.kind.jaws().map(|jaws| {
+        json!({
+            "length_m": jaws.length_m,
+            "width_m": jaws.width_m,
+            "greatest_opening_rad": jaws.greatest_opening_rad,
+        })
+    });
+    json!({
+        "name": tool.name,
+        "kind": tool.kind.name(),
+        "tip_radius_m": tool.tip_radius_m,
+        "shaft_radius_m": tool.shaft_radius_m,
+        "shaft_length_m": tool.shaft_length_m,
+        "jaws": jaws,
+        "trocar_m": tool.trocar_m.map(|p| p.to_array()),
+        "home_tip_m": tool.home.tip_in_world_m.to_array(),
+        "home_shaft": tool.home.shaft_in_world.to_array(),
+        "home_jaw": tool.home.jaw_opening,
     })
 }
 
@@ -63,17 +78,31 @@ pub(super) fn snapshot(published: &Published) -> Value {
         "time_s": snapshot.time_s,
         "paused": published.pace.paused,
         "model": published.model.name(),
-        "tip_m": snapshot.tool.tip_in_world_m.to_array(),
-        "force_on_tool_n": snapshot.force_on_tool_n.to_array(),
-        "contact": snapshot.contact.map(|c| json!({
-            "point_m": c.point_m.to_array(),
-            "node_ids": c.nodes.map(|n| n.0),
-            "weights": c.weights,
-        })),
+        "tools": snapshot.tools.iter().map(tool_state).collect::<Vec<_>>(),
         "node_ids": topology.nodes.iter().map(|n| n.0).collect::<Vec<_>>(),
         "rest_positions_m": list(&topology.rest_positions_m),
         "positions_m": list(&snapshot.positions_m),
         "state_hash": published.state_hash.to_string(),
+    })
+}
+
+fn tool_state(tool: &ToolSnapshot) -> Value {
+    let contact = |contact: &ContactReport| {
+        json!({
+            "point_m": contact.point_m.to_array(),
+            "node_ids": contact.nodes.map(|n| n.0),
+            "weights": contact.weights,
+        })
+    };
+    json!({
+        "tip_m": tool.pose.tip_in_world_m.to_array(),
+        "shaft": tool.pose.shaft_in_world.to_array(),
+        "roll_rad": tool.pose.roll_rad,
+        "jaw": tool.pose.jaw_opening,
+        "trigger": tool.pose.trigger,
+        "force_on_tool_n": tool.force_n.to_array(),
+        "contact": tool.contacts.iter().flatten().next().map(contact),
+        "n_held_nodes": tool.n_held_nodes,
     })
 }
 
@@ -85,13 +114,34 @@ pub(super) fn error(message: &str) -> Value {
 #[derive(Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 enum ViewerMessage {
-    Tool { tip_m: [f64; 3], shaft: [f64; 3] },
-    Pause { paused: bool },
+    Tool {
+        #[serde(default)]
+        tool: usize,
+        tip_m: [f64; 3],
+        shaft: [f64; 3],
+        #[serde(default)]
+        roll_rad: f64,
+        #[serde(default)]
+        jaw: f64,
+        #[serde(default)]
+        trigger: f64,
+    },
+    Pause {
+        paused: bool,
+    },
     SingleStep {},
     Reset {},
-    Model { name: String },
-    Gravity { m_per_s2: [f64; 3] },
-    Cut {},
+    Model {
+        name: String,
+    },
+    Gravity {
+        m_per_s2: [f64; 3],
+    },
+    Cut {
+        #[serde(default)]
+        tool: usize,
+    },
+    Undo {},
 }
 
 /// Ten times that of the Earth: more is a mistyped number.
@@ -102,11 +152,16 @@ pub(super) fn command(text: &str) -> Result<Command, String> {
     let message: ViewerMessage =
         serde_json::from_str(text).map_err(|e| format!("message not understood: {e}"))?;
     Ok(match message {
-        ViewerMessage::Tool { tip_m, shaft } => {
+        ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
             let shaft_in_world = DVec3::from_array(shaft)
                 .try_normalize()
                 .ok_or_else(|| "\"shaft\" has no direction".to_string())?;
-            Command::Tool(ToolInput { tip_in_world_m: DVec3::from_array(tip_m), shaft_in_world })
+            let shares = [("jaw", jaw), ("trigger", trigger)];
+            if let Some((key, found)) = shares.into_iter().find(|(_, share)| !(0.0..=1.0).contains(share)) {
+                return Err(format!("\"{key}\" is {found}; allowed: between 0 and 1"));
+            }
+            let pose = ToolInput::at(DVec3::from_array(tip_m), shaft_in_world);
+            Command::Tool { tool, pose: ToolInput { roll_rad, jaw_opening: jaw, trigger, ..pose } }
         }
         ViewerMessage::Pause { paused } => Command::Pause(paused),
         ViewerMessage::SingleStep {} => Command::SingleStep,
@@ -117,7 +172,8 @@ pub(super) fn command(text: &str) -> Result<Command, String> {
                 .ok_or_else(|| format!("no model \"{name}\"; there are: {names}"))?;
             Command::Model(kind)
         }
-        ViewerMessage::Cut {} => Command::Cut,
+        ViewerMessage::Cut { tool } => Command::Cut { tool },
+        ViewerMessage::Undo {} => Command::Undo,
         ViewerMessage::Gravity { m_per_s2 } => {
             let gravity_m_per_s2 = DVec3::from_array(m_per_s2);
             if gravity_m_per_s2.length() > STRONGEST_GRAVITY_M_PER_S2 {
@@ -139,9 +195,14 @@ mod tests {
         assert_eq!(command(r#"{"type":"pause","paused":true}"#), Ok(Command::Pause(true)));
         assert_eq!(command(r#"{"type":"single_step"}"#), Ok(Command::SingleStep));
         let tool = command(r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,2]}"#).unwrap();
-        let expected = ToolInput { tip_in_world_m: DVec3::new(1.0, 2.0, 3.0), shaft_in_world: DVec3::Z };
-        assert_eq!(tool, Command::Tool(expected));
-        assert_eq!(command(r#"{"type":"cut"}"#), Ok(Command::Cut));
+        let pose = ToolInput::at(DVec3::new(1.0, 2.0, 3.0), DVec3::Z);
+        assert_eq!(tool, Command::Tool { tool: 0, pose });
+        let second = r#"{"type":"tool","tool":1,"tip_m":[1,2,3],"shaft":[0,0,2],"roll_rad":0.5,"jaw":1,"trigger":0.25}"#;
+        let pose = ToolInput { roll_rad: 0.5, jaw_opening: 1.0, trigger: 0.25, ..pose };
+        assert_eq!(command(second), Ok(Command::Tool { tool: 1, pose }));
+        assert_eq!(command(r#"{"type":"cut"}"#), Ok(Command::Cut { tool: 0 }));
+        assert_eq!(command(r#"{"type":"cut","tool":2}"#), Ok(Command::Cut { tool: 2 }));
+        assert_eq!(command(r#"{"type":"undo"}"#), Ok(Command::Undo));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));
         for bad in [
@@ -151,6 +212,7 @@ mod tests {
             r#"{"type":"tool","tip_m":[1,2],"shaft":[0,0,1]}"#,
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,0]}"#,
             r#"{"type":"tool","tip_m":[1,2,1e999],"shaft":[0,0,1]}"#,
+            r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1],"jaw":2}"#,
             r#"{"type":"model","name":"jelly"}"#,
             r#"{"type":"gravity","m_per_s2":[0,981,0]}"#,
         ] {

@@ -335,15 +335,9 @@ fn local_model_error(body: &Body) -> anyhow::Result<f64> {
 
 /// Pushes the top 3 mm in with a ball; how far the touched point is from where the tool's motion puts it [m].
 fn palpate(body: &Body) -> anyhow::Result<(f64, StateHash)> {
-    let at = |z_m: f64| ToolInput { tip_in_world_m: DVec3::new(2e-3, 1e-3, z_m), shaft_in_world: DVec3::Z };
+    let at = |z_m: f64| ToolInput::at(DVec3::new(2e-3, 1e-3, z_m), DVec3::Z);
     let tip_radius_m = 5e-3;
-    let tool = Tool {
-        name: "ball".into(),
-        tip_radius_m,
-        shaft_radius_m: 1e-3,
-        shaft_length_m: 0.1,
-        home: at(HEIGHT_M + 2.0 * tip_radius_m),
-    };
+    let tool = Tool::probe("ball", tip_radius_m, at(HEIGHT_M + 2.0 * tip_radius_m));
     let (min_m, max_m) = (DVec3::new(-1.0, -1.0, -1e-9), DVec3::new(1.0, 1.0, 1e-9));
     let base = Region::Box(Aabb { min_m, max_m });
     let mut spec = WorldSpec::new("cylinder", 1e-3, tool);
@@ -351,8 +345,8 @@ fn palpate(body: &Body) -> anyhow::Result<(f64, StateHash)> {
     let model = Box::new(body.precomputed()?);
     let mut world = World::new(spec, body.case.mesh.clone(), model, ModelKind::Precomputed)?;
     let mut step = |z_m: f64| {
-        world.step(&StepInput { tool: at(z_m), n_substeps: 1, placed: false });
-        world.snapshot().contact.map(|c| c.point_m)
+        world.step(&StepInput::of(&[at(z_m)]));
+        world.snapshot().tools[0].contacts[0].map(|c| c.point_m)
     };
     let touched_z_m = HEIGHT_M + tip_radius_m - 1e-4;
     let start = step(touched_z_m);

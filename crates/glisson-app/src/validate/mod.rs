@@ -3,7 +3,9 @@
 mod adaptive;
 mod benchmarks;
 mod bodies;
+mod contact_physics;
 mod contact_response;
+mod cut_subdivision;
 mod cutting;
 mod detection;
 mod elasticity;
@@ -12,6 +14,7 @@ mod hybrid_condensed;
 mod image;
 mod indentation;
 mod interaction;
+mod mesh_repair;
 mod model_rheology;
 mod precomputed_cutting;
 mod precompute;
@@ -161,6 +164,11 @@ pub(crate) const GROUPS: &[Group] = &[
         run: indentation::experiments,
     },
     Group {
+        name: "contact_physics",
+        about: "Contact by constraints with friction: an incline, stacks at rest, a bounce.",
+        run: contact_physics::experiments,
+    },
+    Group {
         name: "unit",
         about: "Elements and laws one by one: patch, rigid motions, derivatives, uniaxial stress, recovery, fibres.",
         run: unit::experiments,
@@ -209,6 +217,16 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "precomputed_cutting",
         about: "Cutting the pre-computed liver: errors against fresh pre-computations, time of a removal, hinges.",
         run: precomputed_cutting::experiments,
+    },
+    Group {
+        name: "mesh_repair",
+        about: "Shape of tetrahedra, cuts by vertex displacement, and their repair by collapse and by remeshing.",
+        run: mesh_repair::experiments,
+    },
+    Group {
+        name: "cut_subdivision",
+        about: "Cutting along the swept blade: areas, shapes, volumes, pieces.",
+        run: cut_subdivision::experiments,
     },
     Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
     Group {

@@ -1,6 +1,7 @@
 //! The whole path at full size, through the release program's own commands: synthetic patient and real CT.
 
 mod soak;
+mod soak_edits;
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};

@@ -6,6 +6,7 @@ pub mod filter;
 pub mod phantom;
 pub mod segment;
 pub mod topology;
+pub mod vessels;
 
 use crate::math::{Aabb, DMat3, DVec3};
 

@@ -2,13 +2,35 @@
 //! [`TopologyChange`] tells all who keep data by node, edge, triangle or tetrahedron how to follow
 //! ([`crate::mesh::remap`]).
 //!
-//! An edit is done whole or refused whole: a refusal touches nothing.
+//! An edit is done whole or refused whole: a refusal touches nothing. Each is first planned, as tetrahedra that
+//! go, others that come and nodes that come or move, and then carried out by one mechanism (`plan`), which
+//! also serves lists of edits (`transaction`). [`EditableMesh::undo`] takes the last edit back (`undo`).
+//!
+//! New entities continue the numbering. A tetrahedron whose corners change is removed and a new one comes in
+//! with the old one as its parent. Edges and triangles that keep their nodes through an edit keep their ids.
 
 mod change;
+mod collapse;
+mod duplicate;
+mod error;
+mod judgement;
+mod moves;
+mod overlap;
+mod plan;
+mod replace;
+mod sides;
+mod singular;
+mod split;
+mod transaction;
+mod undo;
 
 pub use change::{Additions, EntityChange, PieceChange, PieceChanges, TopologyChange};
+pub use error::EditError;
+pub use replace::{NewTet, Replacement};
+pub use undo::MeshUndo;
 
-use crate::math::{DVec3, tetrahedron_volume_m3};
+use self::plan::Scratch;
+use crate::math::DVec3;
 use crate::mesh::topology::{Topology, TopologyError};
 use crate::mesh::{EdgeId, NodeId, TetId, TetMesh};
 
@@ -27,6 +49,12 @@ pub enum MeshEdit {
         /// The tetrahedra at the node that get the new one; the others keep the old.
         tets_of_copy: Vec<TetId>,
     },
+    /// Many [`MeshEdit::DuplicateVertex`] at once, all in the numbering from before.
+    DuplicateVertices {
+        /// The copies; their new nodes are numbered in this order. A tetrahedron may be named with each of its
+        /// nodes, and a node may have several copies.
+        copies: Vec<VertexCopy>,
+    },
     /// Moves a node of the rest shape.
     MoveVertex {
         /// The node.
@@ -36,7 +64,9 @@ pub enum MeshEdit {
     },
     /// Puts new nodes on edges and divides every tetrahedron that has one of these edges.
     Split {
-        /// Where; each edge once.
+        /// Where; each edge once. A tetrahedron with several of them is cut in two at the first, the parts
+        /// with the second at that, and so on: so do its neighbours, and the faces match. The new nodes are
+        /// numbered in this order.
         edges: Vec<EdgeSplit>,
     },
     /// Pulls the two nodes of an edge together; the tetrahedra at the edge vanish.
@@ -57,6 +87,17 @@ pub enum MeshEdit {
         /// The tetrahedra that take their place.
         new_tets: Vec<[CavityNode; 4]>,
     },
+    /// Puts tetrahedra in the place of others whose descendants they are: a cut in one edit.
+    Replace(Replacement),
+}
+
+/// A new node at the place of an old one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VertexCopy {
+    /// The old node.
+    pub node: NodeId,
+    /// The tetrahedra that get the new one.
+    pub tets: Vec<TetId>,
 }
 
 /// A new node on an edge.
@@ -92,69 +133,14 @@ impl MeshEdit {
         match self {
             Self::Remove { .. } => "remove",
             Self::DuplicateVertex { .. } => "duplicate vertex",
+            Self::DuplicateVertices { .. } => "duplicate vertices",
             Self::MoveVertex { .. } => "move vertex",
             Self::Split { .. } => "split",
             Self::Collapse { .. } => "collapse",
             Self::Retetrahedralise { .. } => "retetrahedralise",
+            Self::Replace(_) => "replace",
         }
     }
-}
-
-/// Why an edit was refused. Nothing changed.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum EditError {
-    /// This kind of edit is defined but cannot be carried out yet.
-    #[error("the edit `{edit}` is not supported yet: remove tetrahedra instead")]
-    NotSupportedYet {
-        /// Name of the kind.
-        edit: &'static str,
-    },
-    /// There is no such tetrahedron.
-    #[error("there is no tetrahedron {tet}: the mesh has {n_tets}, numbered from 0")]
-    NoSuchTet {
-        /// The one named.
-        tet: TetId,
-        /// How many there are, dead ones included.
-        n_tets: usize,
-    },
-    /// The tetrahedron was removed before.
-    #[error("tetrahedron {tet} was removed before")]
-    DeadTet {
-        /// Which one.
-        tet: TetId,
-    },
-    /// The edit names a tetrahedron twice.
-    #[error("the edit names tetrahedron {tet} twice; each may be removed once")]
-    RepeatedTet {
-        /// Which one.
-        tet: TetId,
-    },
-    /// There is no such node, or it has no tetrahedron left.
-    #[error("there is no live node {node}: the mesh has {n_nodes}, numbered from 0, some of them dead")]
-    NoSuchNode {
-        /// The one named.
-        node: NodeId,
-        /// How many there are, dead ones included.
-        n_nodes: usize,
-    },
-    /// A position is not a finite number.
-    #[error("node {node} cannot go to {position_m} m: coordinates must be finite")]
-    NotFinite {
-        /// The node.
-        node: NodeId,
-        /// The position asked for [m].
-        position_m: DVec3,
-    },
-    /// The edit would turn a tetrahedron inside out.
-    #[error("moving node {node} would leave tetrahedron {tet} with {volume_m3:e} m3; it must stay above 0")]
-    WouldInvert {
-        /// The node.
-        node: NodeId,
-        /// The first tetrahedron that would be inside out.
-        tet: TetId,
-        /// Its volume after the move [m3].
-        volume_m3: f64,
-    },
 }
 
 /// A mesh and its adjacency, kept together: the only way to change connectivity.
@@ -166,6 +152,14 @@ pub enum EditError {
 pub struct EditableMesh {
     mesh: TetMesh,
     topology: Topology,
+    scratch: Scratch,
+}
+
+/// Equal when meshes and adjacencies are.
+impl PartialEq for EditableMesh {
+    fn eq(&self, other: &Self) -> bool {
+        self.mesh == other.mesh && self.topology == other.topology
+    }
 }
 
 impl EditableMesh {
@@ -175,7 +169,7 @@ impl EditableMesh {
     /// [`TopologyError`] if it is no mesh.
     pub fn new(mesh: TetMesh) -> Result<Self, TopologyError> {
         let topology = Topology::build(&mesh)?;
-        Ok(Self { mesh, topology })
+        Ok(Self { mesh, topology, scratch: Scratch::default() })
     }
 
     /// Nodes at rest and tetrahedra, dead ones included.
@@ -186,6 +180,13 @@ impl EditableMesh {
     /// The adjacency.
     pub fn topology(&self) -> &Topology {
         &self.topology
+    }
+
+    /// Makes room for about `n_tets` more tetrahedra, so that the first edits need not move the tables.
+    pub fn reserve(&mut self, n_tets: usize) {
+        self.topology.reserve(n_tets);
+        self.mesh.tetrahedra.reserve(n_tets);
+        self.mesh.positions_m.reserve(n_tets.div_ceil(2));
     }
 
     /// Volume [m3] of what is live.
@@ -209,17 +210,10 @@ impl EditableMesh {
     /// # Errors
     /// [`EditError`] if the edit cannot be done; nothing changed then, and `change` is empty.
     pub fn apply_into(&mut self, edit: &MeshEdit, change: &mut TopologyChange) -> Result<(), EditError> {
-        match edit {
-            MeshEdit::Remove { tets } => self.remove_into(tets, change),
-            MeshEdit::MoveVertex { node, position_m } => self.move_node_into(*node, *position_m, change),
-            MeshEdit::DuplicateVertex { .. }
-            | MeshEdit::Split { .. }
-            | MeshEdit::Collapse { .. }
-            | MeshEdit::Retetrahedralise { .. } => {
-                self.begin(change);
-                Err(EditError::NotSupportedYet { edit: edit.name() })
-            }
-        }
+        let mut undo = std::mem::take(&mut self.scratch.undo);
+        let done = self.apply_saving(edit, change, &mut undo);
+        self.scratch.undo = undo;
+        done
     }
 
     /// [`MeshEdit::Remove`] from a slice.
@@ -236,30 +230,21 @@ impl EditableMesh {
         Ok(())
     }
 
-    fn move_node_into(
+    /// [`EditableMesh::remove_into`] with what it takes to take the removal back. It allocates nothing if both
+    /// buffers have room ([`MeshUndo::with_room_for_removals`]).
+    ///
+    /// # Errors
+    /// As there; `undo` is empty then.
+    pub fn remove_saving(
         &mut self,
-        node: NodeId,
-        position_m: DVec3,
+        tets: &[TetId],
         change: &mut TopologyChange,
+        undo: &mut MeshUndo,
     ) -> Result<(), EditError> {
-        self.begin(change);
-        let n_nodes = self.topology.n_nodes();
-        if node.index() >= n_nodes || !self.topology.is_live_node(node) {
-            return Err(EditError::NoSuchNode { node, n_nodes });
-        }
-        if !position_m.is_finite() {
-            return Err(EditError::NotFinite { node, position_m });
-        }
-        for &tet in self.topology.node_tets(node) {
-            let mut corners_m = self.mesh.corners_m(tet);
-            corners_m[self.topology.local_node(tet, node)] = position_m;
-            let volume_m3 = tetrahedron_volume_m3(corners_m);
-            if volume_m3 <= 0.0 {
-                return Err(EditError::WouldInvert { node, tet, volume_m3 });
-            }
-        }
-        self.mesh.positions_m[node.index()] = position_m;
-        change.moved_nodes.push(node);
+        undo.start(&self.topology);
+        self.remove_into(tets, change)?;
+        tets.iter().for_each(|&tet| undo.save_removal(tet));
+        undo.close(&self.topology);
         Ok(())
     }
 

@@ -3,6 +3,8 @@
 pub mod topology;
 pub mod edit;
 pub mod quality;
+pub mod repair;
+pub mod refine;
 pub mod stuffing;
 pub mod thin;
 pub mod generate;

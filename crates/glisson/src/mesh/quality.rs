@@ -6,6 +6,13 @@
 //!   doi 10.1007/BF01955874), with r_in = 3 V / (sum of face areas) and
 //!   r_out = |a^2 (b x c) + b^2 (c x a) + c^2 (a x b)| / (12 V) for the edges a, b, c from one corner.
 
+mod criteria;
+
+pub use criteria::{
+    Criterion, Degeneracy, DegeneracyLimits, REGULAR_DIHEDRAL_RAD, REGULAR_SOLID_ANGLE_SR, TetMeasures,
+    degeneracy,
+};
+
 use super::{TetId, TetMesh};
 use crate::math::{Aabb, DVec3, tetrahedron_volume_m3};
 use std::collections::BTreeSet;

@@ -1,24 +1,29 @@
 //! Adjacency of a tetrahedral mesh: nodes, edges, triangles, tetrahedra and all their neighbours.
 //!
-//! Built once by sorting; afterwards tetrahedra can be taken out one by one. Ids never change by a removal:
-//! what is gone is dead, its record stays readable until the mesh is compacted, and the rows of its
-//! neighbours shrink in place. A removal therefore allocates nothing and touches the 4 nodes, 6 edges,
-//! 4 triangles and 4 neighbours of the tetrahedron alone. Every row ascends by id, whatever the history:
-//! sums over neighbours have the same bits in an edited mesh and in one restored from a snapshot.
+//! Built once by sorting; afterwards tetrahedra can be taken out and put in one by one. Ids never change by
+//! that: what is gone is dead, its record stays readable until the mesh is compacted, and the rows of its
+//! neighbours shrink in place; what comes in continues the numbering. A removal therefore allocates nothing
+//! and touches the 4 nodes, 6 edges, 4 triangles and 4 neighbours of the tetrahedron alone. Every row ascends
+//! by id, whatever the history: sums over neighbours have the same bits in an edited mesh and in one restored
+//! from a snapshot.
 //!
 //! Only [`crate::mesh::edit`] changes a topology.
 //!
 //! Numbering inside tetrahedron (n0, n1, n2, n3): edges 01, 02, 03, 12, 13, 23 (edge `5 - k` is opposite to
 //! edge `k`), triangle `i` and neighbour `i` opposite to node `i`.
 
+mod addition;
 pub(crate) mod build;
 mod pieces;
 mod removal;
 mod rows;
+mod singular;
 mod surface;
 
+pub(in crate::mesh) use addition::{Lengths, Waiting};
 pub use build::TopologyError;
 pub use pieces::{Pieces, Through};
+pub use singular::{SingularEntities, StarGroups};
 pub use surface::{Pinches, surface_of};
 
 use self::rows::{IdSet, Rows};
@@ -83,7 +88,7 @@ pub struct EntityCounts {
 
 /// All neighbours in a tetrahedral mesh. Arrays kept beside it have one entry for every entity, dead ones
 /// included: `n_nodes()`, `n_edges()`, `n_triangles()`, `n_tets()`.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Topology {
     tet_nodes: Vec<[NodeId; 4]>,
     tet_edges: Vec<[EdgeId; 6]>,
@@ -246,7 +251,9 @@ impl Topology {
     /// The live edge between two nodes, if there is one.
     pub fn edge_between(&self, a: NodeId, b: NodeId) -> Option<EdgeId> {
         let wanted = if a < b { [a, b] } else { [b, a] };
-        self.node_edges(a).iter().copied().find(|&e| self.edge_nodes(e) == wanted)
+        let (of_a, of_b) = (self.node_edges(a), self.node_edges(b));
+        let shorter = if of_b.len() < of_a.len() { of_b } else { of_a };
+        shorter.iter().copied().find(|&e| self.edge_nodes(e) == wanted)
     }
 
     /// The node of `edge` that is not `node`.

@@ -26,7 +26,7 @@ pub enum ModelKind {
     MassSpring,
     /// Forces from squared edge lengths, with viscosity: explicit dynamics, can be cut.
     ExtendedMassSpring,
-    /// Pre-computed zones and linear tensor-mass ones, coupled exactly: can be cut.
+    /// Pre-computed zones and tensor-mass ones, linear or of St Venant-Kirchhoff tissue, coupled exactly: can be cut.
     Hybrid,
 }
 
@@ -69,7 +69,8 @@ impl ModelKind {
     /// Names of the laws that the model can follow; the first is its own. None for springs without a law.
     pub fn laws(self) -> &'static [&'static str] {
         match self {
-            Self::Precomputed | Self::QuasiNonlinear | Self::TensorMass | Self::Hybrid => &["linear"],
+            Self::Precomputed | Self::QuasiNonlinear | Self::TensorMass => &["linear"],
+            Self::Hybrid => &["linear", "st_venant_kirchhoff"],
             Self::NonlinearTensorMass | Self::Reduced => &["st_venant_kirchhoff"],
             Self::Explicit => &[
                 "st_venant_kirchhoff",

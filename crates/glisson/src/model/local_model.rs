@@ -54,6 +54,9 @@ pub struct LocalModel {
     pub n_rings: Option<u32>,
     /// The tissue is about to buckle or torn apart here: C is that of the masses alone.
     pub is_inertial: bool,
+    /// The equations were not solved to their tolerance within the iterations that a step has: C is an estimate, too
+    /// stiff.
+    pub missed_tolerance: bool,
     /// Nodes that were asked for and are not among `nodes`: they do not exist, repeat others or are too many.
     pub n_left_out: u32,
 }
@@ -79,6 +82,7 @@ impl LocalModel {
             period_s: 0.0,
             n_rings: None,
             is_inertial: false,
+            missed_tolerance: false,
             n_left_out: 0,
         }
     }
@@ -105,6 +109,7 @@ impl LocalModel {
         self.period_s = period_s;
         self.n_rings = None;
         self.is_inertial = false;
+        self.missed_tolerance = false;
     }
 
     /// Tensor [m/N]: displacement of the patch's node `of` for a force on its node `by` (places in `nodes`).
@@ -234,6 +239,16 @@ pub(in crate::model) trait LocalBody {
     fn is_live(&self, element: usize) -> bool;
     /// K of an element at the present shape, with the dampers' part over the period.
     fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness;
+    /// Masses, supports and constraints.
+    fn frame(&self) -> &dyn LocalFrame;
+    /// Damping of masses and stiffness.
+    fn damping(&self) -> Rayleigh {
+        self.frame().damping()
+    }
+}
+
+/// What holds and moves the nodes of a body.
+pub(in crate::model) trait LocalFrame {
     fn inertia_kg(&self, n: usize) -> f64;
     /// Axes along which a node moves freely but for a tool's hold.
     fn free_axes(&self, n: usize) -> [bool; 3];
@@ -338,7 +353,7 @@ fn between(stiffness: &TetStiffness) -> ElementStiffness {
 pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out: &mut LocalModel) {
     let h_s = out.period_s;
     for (node, force_n) in out.nodes.iter().zip(&mut out.force_n) {
-        *force_n = body.load_on_n(node.index());
+        *force_n = body.frame().load_on_n(node.index());
     }
     if !(h_s.is_finite() && h_s > 0.0) || out.nodes.is_empty() {
         return;
@@ -353,11 +368,12 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
     }
     work.assemble(body, h_s);
     out.n_rings = Some(n_rings);
-    let is_solved = work.path.run_by_eight(Columns { work, out });
-    if is_solved {
-        out.symmetrize();
-    } else {
-        inertial(body, h_s, out);
+    match work.path.run_by_eight(Columns { work, out }) {
+        Solved::Never => inertial(body, h_s, out),
+        solved => {
+            out.missed_tolerance = solved == Solved::Partly;
+            out.symmetrize();
+        }
     }
     work.end();
 }
@@ -374,8 +390,9 @@ fn inertial(body: &dyn LocalBody, h_s: f64, out: &mut LocalModel) {
     out.is_inertial = true;
     for i in 0..out.nodes.len() {
         let n = out.nodes[i].index();
-        let stiffness = body.inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s) / h_s;
-        let free = body.free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
+        let stiffness = body.frame().inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s) / h_s;
+        let free =
+            body.frame().free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
         out.set_tensor(i, i, DMat3::from_diagonal(DVec3::from_array(free)));
     }
 }
@@ -451,7 +468,7 @@ impl LocalWork {
         let mut worst = 1.0_f64;
         for i in 0..self.region.len() {
             let n = self.region[i] as usize;
-            let of_mass = body.inertia_kg(n) * (1.0 / h_s + damping.mass_per_s) / h_s;
+            let of_mass = body.frame().inertia_kg(n) * (1.0 / h_s + damping.mass_per_s) / h_s;
             // Held neighbours are not among the columns: twice the diagonal stands for a row of K, whose sum is zero.
             for a in 0..3 {
                 let inverse = self.inverse_diagonal[3 * i + a];
@@ -471,7 +488,8 @@ impl LocalWork {
         self.head.resize(n, 0);
         self.blocks.clear();
         for i in 0..n {
-            let of_mass = body.inertia_kg(self.region[i] as usize) * (1.0 / h_s + damping.mass_per_s) / h_s;
+            let of_mass =
+                body.frame().inertia_kg(self.region[i] as usize) * (1.0 / h_s + damping.mass_per_s) / h_s;
             self.add_block(i, i, DMat3::from_diagonal(DVec3::splat(of_mass)));
         }
         let per_stiffness = 1.0 + damping.stiffness_s / h_s;
@@ -502,7 +520,11 @@ impl LocalWork {
             self.row_start.push(self.columns.len() as u32);
             let node = self.region[i] as usize;
             // What other tools hold stays there; the patch itself is let go.
-            let free = if i >= n_patch && body.is_held(node) { [false; 3] } else { body.free_axes(node) };
+            let free = if i >= n_patch && body.frame().is_held(node) {
+                [false; 3]
+            } else {
+                body.frame().free_axes(node)
+            };
             let mut at = self.head[i];
             while at != 0 {
                 let (next, column, block) = self.blocks[at as usize - 1];
@@ -537,23 +559,37 @@ impl LocalWork {
     }
 }
 
-/// All columns of the patch; false when the matrix is not positive definite.
+/// How conjugate gradients ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Solved {
+    /// To the tolerance.
+    Wholly,
+    /// The iterations were over before.
+    Partly,
+    /// The matrix is not positive definite.
+    Never,
+}
+
+/// All columns of the patch.
 struct Columns<'a> {
     work: &'a mut LocalWork,
     out: &'a mut LocalModel,
 }
 
 impl EightWork for Columns<'_> {
-    type Output = bool;
+    type Output = Solved;
 
     #[inline(always)]
-    fn run<V: Eight>(self, zero: V) -> bool {
+    fn run<V: Eight>(self, zero: V) -> Solved {
         let Self { work, out } = self;
         let n_columns = 3 * out.nodes.len();
+        let mut solved = Solved::Wholly;
         for first in (0..n_columns).step_by(8) {
             let n_lanes = (n_columns - first).min(8);
-            if !solve_eight(zero, work, first, n_lanes) {
-                return false;
+            match solve_eight(zero, work, first, n_lanes) {
+                Solved::Wholly => {}
+                Solved::Partly => solved = Solved::Partly,
+                Solved::Never => return Solved::Never,
             }
             let solution = &work.vectors[0];
             for row in 0..n_columns {
@@ -562,13 +598,13 @@ impl EightWork for Columns<'_> {
                 }
             }
         }
-        true
+        solved
     }
 }
 
 /// Conjugate gradients for unit forces on the unknowns from `first` on, into the first of the vectors.
 #[inline(always)]
-fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> bool {
+fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> Solved {
     let LocalWork { row_start, columns, entries, inverse_diagonal, vectors, .. } = work;
     let n = inverse_diagonal.len();
     for vector in vectors.iter_mut() {
@@ -593,7 +629,7 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
     let least = rho.map(|rho| TOLERANCE * TOLERANCE * rho);
     for _ in 0..MOST_ITERATIONS {
         if (0..8).all(|lane| rho[lane] <= least[lane]) {
-            break;
+            return Solved::Wholly;
         }
         let mut curvature = zero;
         for (row, q) in q.as_chunks_mut::<3>().0.iter_mut().enumerate() {
@@ -619,7 +655,7 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
             if rho[lane] > least[lane] {
                 alpha[lane] = rho[lane] / of_lane[lane];
                 if !(of_lane[lane] > 0.0 && alpha[lane].is_finite()) {
-                    return false;
+                    return Solved::Never;
                 }
             }
         }
@@ -643,5 +679,5 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
         }
         rho = next;
     }
-    true
+    if (0..8).all(|lane| rho[lane] <= least[lane]) { Solved::Wholly } else { Solved::Partly }
 }

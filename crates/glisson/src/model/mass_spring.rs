@@ -16,10 +16,11 @@ use super::explicit::{
     Cuttable, ExplicitBody, ExplicitError, Integration, InternalForces, LiveEdges, LiveTets, RestTensions,
     check_body, check_number, follow, keep,
 };
-use super::local_model::{self, ElementStiffness, LocalBody, LocalElements};
+use super::growth::{Growth, blend_tets};
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame};
 use super::{
     Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
-    NodalForce, Rayleigh, StepAnswer, TopologyRefusal,
+    NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::edit::TopologyChange;
@@ -97,6 +98,8 @@ pub struct MassSpring {
     body: ExplicitBody,
     springs: Springs,
     tets: LiveTets,
+    /// One a tetrahedron, or none.
+    rest_stress_pa: Vec<RestStress>,
     /// For [`NodalMasses::Equal`].
     total_kg: f64,
     /// Scratch, two entries a node: stiffness and damping at it.
@@ -153,6 +156,7 @@ impl MassSpring {
                 node_damping_n_s_per_m: params.node_damping_n_s_per_m,
             },
             tets: LiveTets::of_mesh(mesh),
+            rest_stress_pa: body.rest_stress_pa.to_vec(),
             total_kg,
             at_node: vec![[0.0; 2]; mesh.positions_m.len()],
         };
@@ -268,6 +272,12 @@ impl MassSpring {
     }
 }
 
+impl MassSpring {
+    fn gradients(&self, t: usize) -> P1Gradients {
+        P1Gradients::new(self.tets.nodes[t].map(|n| self.body.rest_m()[n.index()]))
+    }
+}
+
 impl Cuttable for MassSpring {
     const NAME: &'static str = "mass_spring";
 
@@ -279,14 +289,14 @@ impl Cuttable for MassSpring {
         &mut self.tets
     }
 
-    fn n_nodes(&self) -> usize {
-        self.body.n_nodes()
+    fn rest_m(&self) -> &[DVec3] {
+        self.body.rest_m()
     }
 
     fn remove_tet(&mut self, t: usize) {
         let nodes = self.tets.nodes[t];
-        // The rest positions are those of the build, so these are the numbers that were added then.
-        let volume_m3 = P1Gradients::new(nodes.map(|n| self.body.rest_m(n))).volume_m3;
+        // The rest positions are those from when it was added, so these are the numbers that were added then.
+        let volume_m3 = self.gradients(t).volume_m3;
         self.total_kg -= self.density_kg_per_m3 * volume_m3;
         self.body.remove_tet(nodes, volume_m3);
         let springs = &mut self.springs;
@@ -317,8 +327,50 @@ impl Cuttable for MassSpring {
         );
     }
 
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        self.body.grow(mesh, change, growth);
+        self.at_node.resize(growth.n_nodes, [0.0; 2]);
+        blend_tets(&mut self.rest_stress_pa, change);
+        let springs = &mut self.springs;
+        let insertions = springs.edges.grow(&self.tets, &growth.added);
+        insertions.spread(&mut springs.rest_m, 0.0);
+        insertions.spread(&mut springs.stiffness_n_per_m, 0.0);
+        springs.rest_tensions.grow(&insertions, growth.n_tets);
+        let has_new_place = growth.has_new_place();
+        for (rest_m, nodes) in springs.rest_m.iter_mut().zip(&springs.edges.edges.nodes) {
+            if *rest_m == 0.0 || nodes.iter().any(|n| has_new_place[n.index()]) {
+                let [a, b] = nodes.map(|n| mesh.positions_m[n.index()]);
+                *rest_m = a.distance(b);
+            }
+        }
+    }
+
+    fn add_tet(&mut self, t: usize) {
+        let (nodes, gradients) = (self.tets.nodes[t], self.gradients(t));
+        let volume_m3 = gradients.volume_m3;
+        self.total_kg += self.density_kg_per_m3 * volume_m3;
+        self.body.add_tet(t, nodes, volume_m3, None);
+        let springs = &mut self.springs;
+        springs.edges.add_tet(t);
+        for edge in springs.edges.edges.of_tet[t] {
+            let e = edge as usize;
+            let squared_m2 = springs.rest_m[e] * springs.rest_m[e];
+            springs.stiffness_n_per_m[e] += self.young_modulus_pa * volume_m3 / squared_m2;
+        }
+        if let Some(&stress_pa) = self.rest_stress_pa.get(t) {
+            springs.rest_tensions.add_tet(t, &springs.edges.edges.of_tet[t], &gradients, stress_pa);
+        }
+    }
+
+    fn after_growth(&mut self) {
+        self.after_removals();
+    }
+
     fn compact(&mut self, new_ids: &[Option<NodeId>]) {
         let live_tets = &self.tets.is_live;
+        if !self.rest_stress_pa.is_empty() {
+            keep(&mut self.rest_stress_pa, live_tets);
+        }
         let live_edges = self.springs.edges.compact(new_ids, live_tets);
         keep(&mut self.springs.rest_m, &live_edges);
         keep(&mut self.springs.stiffness_n_per_m, &live_edges);
@@ -355,20 +407,8 @@ impl LocalBody for MassSpring {
         local_model::of_edge(tensor)
     }
 
-    fn inertia_kg(&self, n: usize) -> f64 {
-        self.body.inertia_kg(n)
-    }
-
-    fn free_axes(&self, n: usize) -> [bool; 3] {
-        self.body.frame().free_axes(n)
-    }
-
-    fn is_held(&self, n: usize) -> bool {
-        self.body.frame().is_held(n)
-    }
-
-    fn load_on_n(&self, n: usize) -> DVec3 {
-        self.body.frame().load_on_n(n)
+    fn frame(&self) -> &dyn LocalFrame {
+        &self.body
     }
 
     fn damping(&self) -> Rayleigh {
@@ -436,7 +476,8 @@ impl DeformableModel for MassSpring {
         Box::new(self.clone())
     }
 
-    fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        follow(self, change)
+    /// Follows all edits. Removals allocate nothing.
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        follow(self, mesh, change)
     }
 }

@@ -4,6 +4,7 @@ mod body;
 mod correction;
 mod report;
 pub(crate) mod roomy;
+mod growth;
 pub mod extended_mass_spring;
 pub mod implicit;
 pub mod kind;
@@ -28,10 +29,11 @@ pub use explicit::{ExplicitError, Inertia, Integration};
 pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
 pub use undo::ModelUndo;
+use undo::UndoReader;
 
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
-use crate::mesh::{NodeId, TetMesh};
+use crate::mesh::{NodeId, TetId, TetMesh};
 
 /// A node held at a displacement from its rest position.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,7 +67,7 @@ pub struct Constraints {
 pub struct ModelState<'a> {
     /// Node positions [m].
     pub positions_m: &'a [DVec3],
-    /// Node velocities [m/s]; empty for a quasi-static model.
+    /// Node velocities [m/s]; empty for a model in which nothing has inertia.
     pub velocities_m_per_s: &'a [DVec3],
     /// Further numbers that the next step depends on (previous positions, viscous history).
     pub history: &'a [f64],
@@ -81,6 +83,19 @@ pub enum TopologyRefusal {
         model: &'static str,
         /// Why, and what to do.
         reason: &'static str,
+    },
+    /// A new or reshaped tetrahedron is flat, inside out or not finite.
+    #[error(
+        "the {model} model cannot follow the edit: tetrahedron {tet} has {volume_m3:e} m3 at rest; it must be a finite \
+         number well above 0"
+    )]
+    Unsound {
+        /// The model's scene name.
+        model: &'static str,
+        /// The first such tetrahedron.
+        tet: TetId,
+        /// Its volume at rest [m3].
+        volume_m3: f64,
     },
 }
 
@@ -102,6 +117,12 @@ pub trait DeformableModel: Send {
     /// Starts from these node positions with velocities zero: where another model left off, or the rest shape.
     /// A quasi-static model only shows them until its next step.
     fn take_over(&mut self, positions_m: &[DVec3]);
+
+    /// [`DeformableModel::take_over`] of another model's state, with its velocities where it tells them and this model has
+    /// its own answer to that: tissue in motion goes on. Others start at standstill.
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
+        self.take_over(state.positions_m);
+    }
 
     /// Gravity from the next step on [m/s2]. A model whose rest shape is the loaded one answers to the difference
     /// from the gravity it was made with.

@@ -8,13 +8,15 @@ pub struct ModelReport {
     /// Internal steps made; 1 for a quasi-static or implicit model.
     pub n_parts: u32,
     /// Tetrahedra that were inverted or whose numbers were not finite. Where the law gives no number they were left
-    /// out of the forces or followed a substitute that does.
+    /// out of the forces or followed a substitute that does. Those of a piece cut loose from a pre-computed organ of which
+    /// no dynamic body could be made, which stay where they are, count too.
     pub n_quarantined_tets: u32,
     /// The first of them.
     pub first_quarantined: Option<TetId>,
     /// Nodes that were brought back to their last finite place.
     pub n_recovered_nodes: u32,
-    /// Nodes that are heavier than their tissue, so that the step stays stable after an edit.
+    /// Nodes that are heavier than their tissue, so that the step stays stable after an edit, or that a loose piece makes
+    /// no shorter steps.
     pub n_mass_scaled_nodes: u32,
     /// Constraints that were left out: on nodes that do not exist, are fixed or have no tetrahedron, and values
     /// that are not finite.

@@ -12,6 +12,13 @@ impl<T> Roomy<T> {
         Self(Vec::with_capacity(n))
     }
 
+    /// Has room for `n` from now on, and for half as many again if there was none.
+    pub(crate) fn make_room(&mut self, n: usize) {
+        if n > self.0.capacity() {
+            self.0.reserve_exact(n + n / 2 - self.0.len());
+        }
+    }
+
     /// Adds a value if there is room; answers whether there was.
     pub(crate) fn try_push(&mut self, value: T) -> bool {
         let has_room = self.0.len() < self.0.capacity();

@@ -8,12 +8,12 @@ use super::hash::StateHash;
 use crate::math::DVec3;
 use crate::mesh::TetId;
 use crate::model::kind::ModelKind;
-use crate::tool::ToolInput;
+use crate::tool::{MAX_TOOLS, ToolInput};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 
-/// Format version written and read.
-pub const SESSION_VERSION: u32 = 1;
+/// Format version written and read. Version 1 had one instrument, whose contact was found otherwise.
+pub const SESSION_VERSION: u32 = 2;
 const FORMAT: &str = "glisson-session";
 
 /// What a session starts from.
@@ -49,17 +49,17 @@ impl SessionHeader {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case", deny_unknown_fields)]
 pub enum SessionEvent {
-    /// From this step on the tool is here and the steps are divided so.
+    /// From this step on the hands do this and the steps are divided so.
     Input {
         /// Index of the step to be made, from 0.
         step: u64,
-        /// Where the tool is.
-        tool: ToolInput,
+        /// What each hand does, in the scene's order.
+        tools: Vec<ToolInput>,
         /// Equal parts that the step is divided into.
         n_substeps: u32,
-        /// Whether the tool was put there without touching anything between.
-        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-        placed: bool,
+        /// Instruments that were put there without touching anything between, by their place in `tools`.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        placed: Vec<u8>,
     },
     /// Before this step everything went back to rest.
     Reset {
@@ -79,6 +79,11 @@ pub enum SessionEvent {
         step: u64,
         /// Which ones.
         tets: Vec<TetId>,
+    },
+    /// Before this step the last cut was taken back.
+    UndoEdit {
+        /// Index of the step to be made.
+        step: u64,
     },
     /// Another model was ordered; it takes over before step `at_step`, which waits for it.
     QueueModelSwap {
@@ -113,6 +118,7 @@ impl SessionEvent {
             | Self::Reset { step }
             | Self::Gravity { step, .. }
             | Self::Remove { step, .. }
+            | Self::UndoEdit { step }
             | Self::QueueModelSwap { step, .. }
             | Self::Checkpoint { step, .. }
             | Self::End { step, .. } => step,
@@ -152,10 +158,15 @@ pub enum SessionError {
         found: String,
     },
     /// A newer or older format.
-    #[error("line 1: session version {found}; this program reads version {SESSION_VERSION}")]
+    #[error(
+        "line 1: session version {found}, recorded by Glisson {glisson}; this program reads version {SESSION_VERSION}: \
+         replay it with the program that recorded it"
+    )]
     Version {
         /// As found.
         found: u32,
+        /// Version of the library that recorded it.
+        glisson: String,
     },
 }
 
@@ -172,7 +183,7 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
         return Err(SessionError::Format { found: header.format });
     }
     if header.version != SESSION_VERSION {
-        return Err(SessionError::Version { found: header.version });
+        return Err(SessionError::Version { found: header.version, glisson: header.glisson });
     }
     let mut events: Vec<SessionEvent> = Vec::new();
     let mut cut_off = true;
@@ -187,9 +198,18 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
             return Err(wrong(line, format!("step {step} comes after step {last}; steps only go up")));
         }
         match &event {
-            SessionEvent::Input { tool, n_substeps, .. } => {
-                if !tool.is_finite() {
-                    return Err(wrong(line, "the tool's place is not finite".into()));
+            SessionEvent::Input { tools, n_substeps, placed, .. } => {
+                if let Some(at) = tools.iter().position(|tool| !tool.is_finite()) {
+                    return Err(wrong(line, format!("the place of instrument {at} is not finite")));
+                }
+                if tools.is_empty() || tools.len() > MAX_TOOLS {
+                    return Err(wrong(
+                        line,
+                        format!("{} instruments; allowed: 1 to {MAX_TOOLS}", tools.len()),
+                    ));
+                }
+                if let Some(place) = placed.iter().find(|&&place| usize::from(place) >= tools.len()) {
+                    return Err(wrong(line, format!("placed names instrument {place} of {}", tools.len())));
                 }
                 if *n_substeps == 0 {
                     return Err(wrong(line, "n_substeps is 0; it must be at least 1".into()));
@@ -218,7 +238,7 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
 #[derive(Debug)]
 pub struct SessionWriter<W: Write> {
     out: W,
-    last_input: Option<(ToolInput, u32, bool)>,
+    last_input: Option<(Vec<ToolInput>, u32, Vec<u8>)>,
 }
 
 impl<W: Write> SessionWriter<W> {
@@ -237,12 +257,14 @@ impl<W: Write> SessionWriter<W> {
     /// # Errors
     /// Whatever the output answers.
     pub fn write(&mut self, event: &SessionEvent) -> io::Result<()> {
-        if let SessionEvent::Input { tool, n_substeps, placed, .. } = event {
-            let input = (*tool, *n_substeps, *placed);
-            if self.last_input == Some(input) {
+        if let SessionEvent::Input { tools, n_substeps, placed, .. } = event {
+            let is_same = self.last_input.as_ref().is_some_and(|(last, last_n, last_placed)| {
+                (last, last_n, last_placed) == (tools, n_substeps, placed)
+            });
+            if is_same {
                 return Ok(());
             }
-            self.last_input = Some(input);
+            self.last_input = Some((tools.clone(), *n_substeps, placed.clone()));
         }
         serde_json::to_writer(&mut self.out, event)?;
         self.out.write_all(b"\n")
@@ -262,15 +284,18 @@ mod tests {
 
     fn sample() -> (Vec<SessionEvent>, String) {
         let tool = ToolInput {
-            tip_in_world_m: DVec3::new(0.1, -1.0 / 3.0, 5e-324),
-            shaft_in_world: DVec3::new(0.0, -1.0, 0.0),
+            roll_rad: 0.1,
+            jaw_opening: 1.0 / 3.0,
+            ..ToolInput::at(DVec3::new(0.1, -1.0 / 3.0, 5e-324), DVec3::new(0.0, -1.0, 0.0))
         };
+        let tools = vec![tool, ToolInput::at(DVec3::ZERO, DVec3::Z)];
         let hash = StateHash::try_from("0f".repeat(32)).unwrap();
         let events = vec![
-            SessionEvent::Input { step: 0, tool, n_substeps: 1, placed: false },
+            SessionEvent::Input { step: 0, tools, n_substeps: 1, placed: vec![1] },
             SessionEvent::QueueModelSwap { step: 5, at_step: 50, model: ModelKind::Precomputed },
             SessionEvent::Checkpoint { step: 10, state_hash: hash },
             SessionEvent::Reset { step: 12 },
+            SessionEvent::UndoEdit { step: 12 },
             SessionEvent::End { step: 20, state_hash: hash },
         ];
         let header = SessionHeader::new("name = \"x\"\n".into(), "ab".into());
@@ -305,7 +330,7 @@ mod tests {
         let (events, text) = sample();
         let session = parse_session(&text[..text.len() - 30]).unwrap();
         assert!(session.cut_off);
-        assert_eq!(session.events, events[..4]);
+        assert_eq!(session.events, events[..5]);
     }
 
     #[test]
@@ -313,7 +338,10 @@ mod tests {
         let (_, text) = sample();
         let with = |from: &str, to: &str| parse_session(&text.replace(from, to)).unwrap_err().to_string();
         assert!(with("\"step\":10", "\"step\":3").starts_with("line 4: step 3 comes after step 5"));
-        assert!(with("\"version\":1", "\"version\":7").contains("version 7"));
+        assert!(with("\"version\":2", "\"version\":1").contains("version 1, recorded by Glisson"));
+        assert!(
+            with("\"placed\":[1]", "\"placed\":[2]").starts_with("line 2: placed names instrument 2 of 2")
+        );
         assert!(with("glisson-session", "other").contains("\"other\""));
         assert!(with("n_substeps\":1", "n_substeps\":0").starts_with("line 2"));
         assert!(with("reset", "explode").starts_with("line 5"));

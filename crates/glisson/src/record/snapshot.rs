@@ -17,6 +17,19 @@ pub struct ContactReport {
     pub weights: [f64; 3],
 }
 
+/// What one instrument does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToolSnapshot {
+    /// Where it is.
+    pub pose: ToolInput,
+    /// Force that the organ exerts on it [N].
+    pub force_n: DVec3,
+    /// Where its tip (or first jaw), its second jaw and its shaft touch.
+    pub contacts: [Option<ContactReport>; 3],
+    /// Nodes that its jaws hold.
+    pub n_held_nodes: u32,
+}
+
 /// The displayed state of a world after a step. Buffers are reused: filling one allocates only the first time.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
@@ -28,12 +41,8 @@ pub struct Snapshot {
     pub topology_version: u32,
     /// Positions of the displayed vertices [m].
     pub positions_m: Vec<DVec3>,
-    /// Where the tool is.
-    pub tool: ToolInput,
-    /// Force that the organ exerts on the tool [N].
-    pub force_on_tool_n: DVec3,
-    /// The contact, if there is one.
-    pub contact: Option<ContactReport>,
+    /// The instruments, in the scene's order.
+    pub tools: Vec<ToolSnapshot>,
 }
 
 /// What a viewer needs to know once, and again after each change of topology.

@@ -3,6 +3,8 @@
 use super::models::build_model;
 use super::organ::{MaterialSource, MeasuredSample, OrganZone};
 use super::spec::Scene;
+use crate::contact::shapes::MeshShape;
+use crate::image::vessels::{VesselFileError, read_vessels};
 use crate::material::tissues::{Tissue, TissueError};
 use crate::material::{LawChoice, LinearElastic, MaterialError, PronyTerm};
 use crate::math::DVec3;
@@ -23,11 +25,19 @@ use crate::model::{
     Attachment, DEFAULT_MOST_PARTS, DynamicBody, ExplicitError, FixedNode, Rayleigh, RestStress,
 };
 use crate::solve::{SolveError, equilibrating_stress};
+use crate::surface::files::{SurfaceFileError, import_closed_surface};
+use crate::tool::ToolShape;
 use crate::world::World;
 use crate::world::organ::OrganError;
 use crate::world::spec::{Region, WorldSpec, attachments, fixed_nodes, nodes_in};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// A closed surface as the shape of a tip, in the frame of the tool.
+fn read_tool_shape(file: &Path) -> Result<MeshShape, BuildError> {
+    let surface = import_closed_surface(file)?.mesh;
+    Ok(MeshShape::new(surface.positions_m, surface.triangles))
+}
 
 /// Why a scene gives no world.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +53,12 @@ pub enum BuildError {
         /// What is wrong with it.
         error: OrganError,
     },
+    /// The surface of an instrument's tip.
+    #[error(transparent)]
+    ToolShape(#[from] SurfaceFileError),
+    /// The organ's vessels.
+    #[error(transparent)]
+    Vessels(#[from] VesselFileError),
     /// The tissue's name or numbers.
     #[error(transparent)]
     Tissue(#[from] TissueError),
@@ -364,7 +380,16 @@ pub fn build_world(
     let body = OrganBody { workers, ..read_organ(scene, folder)? };
     let kind = scene.organ.model;
     let model = build_model(&body, kind)?;
-    let world = World::new(scene.world.clone(), body.mesh.clone(), model, kind)
+    let mut spec = scene.world.clone();
+    for (tool, file) in spec.tools.iter_mut().zip(&scene.tool_shapes) {
+        if let Some(file) = file {
+            tool.shape = ToolShape::Mesh(read_tool_shape(&folder.join(file))?);
+        }
+    }
+    if let Some(file) = &scene.organ.vessels {
+        spec.vessels = read_vessels(&folder.join(file))?;
+    }
+    let world = World::new(spec, body.mesh.clone(), model, kind)
         .map_err(|error| BuildError::Organ { file: folder.join(&scene.organ.mesh), error })?;
     Ok((world, body))
 }

@@ -1,11 +1,13 @@
-//! `[tool]`: the instrument and its scripted motion.
+//! `[tool]` or `[[tool]]`: the instruments and their scripted motion.
 
 use super::organ::required_point;
 use super::reader::{SceneError, Section};
-use crate::tool::{Tool, ToolInput};
+use crate::math::DVec3;
+use crate::tool::{Blade, BladeCuts, CutRule, Grip, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind, ToolShape};
 use crate::units::Dimension;
+use std::path::PathBuf;
 
-/// One point of a scripted tool motion; between points the tip moves in straight lines.
+/// One point of a scripted tool motion; between points the tip moves in straight lines, the rest in proportion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathPoint {
     /// When the tool is there [s].
@@ -14,12 +16,48 @@ pub struct PathPoint {
     pub tool: ToolInput,
 }
 
+/// An instrument as its table says.
+pub(super) struct InstrumentSource {
+    pub(super) tool: Tool,
+    pub(super) path: Vec<PathPoint>,
+    /// A surface file in place of the ball at the tip.
+    pub(super) shape: Option<PathBuf>,
+}
+
 /// A 5 mm laparoscopic instrument, the common small size of trocars.
 const DEFAULT_SHAFT_RADIUS_M: f64 = 2.5e-3;
 const DEFAULT_SHAFT_LENGTH_M: f64 = 0.3;
 
-pub(super) fn read_tool(mut section: Section<'_>) -> Result<(Tool, Vec<PathPoint>), SceneError> {
-    let name = section.string("name")?.map_or_else(|| "probe".to_string(), |n| n.0);
+/// Jaws, blade and energy of an instrument whose table does not say otherwise: choices of the size of 5 mm laparoscopic
+/// instruments.
+const DEFAULT_JAWS: Jaws =
+    Jaws { length_m: 0.02, width_m: 5e-3, greatest_opening_rad: 1.0, closing_force_n: 5.0 };
+const DEFAULT_BLADE_M: f64 = 0.02;
+const DEFAULT_CUT: CutRule = CutRule { least_force_n: 0.05, least_time_s: 0.05, power_w: 0.0 };
+
+/// Friction of tissue on an instrument whose table does not say otherwise: a choice.
+const DEFAULT_FRICTION: f64 = 0.3;
+
+/// The tables of a scene's instruments.
+pub(super) fn tool_sections<'a>(root: &mut Section<'a>) -> Result<Vec<Section<'a>>, SceneError> {
+    let sections = if root.is_table("tool") {
+        root.section("tool")?.into_iter().collect()
+    } else {
+        root.sections("tool")?
+    };
+    match sections.get(MAX_TOOLS) {
+        None if sections.is_empty() => Err(root.missing("tool", "[tool]")),
+        None => Ok(sections),
+        Some(one_too_many) => {
+            let found = format!("{} instruments", sections.len());
+            Err(one_too_many.wrong_table("tool", found, format!("1 to {MAX_TOOLS}")))
+        }
+    }
+}
+
+pub(super) fn read_tool(mut section: Section<'_>) -> Result<InstrumentSource, SceneError> {
+    let kind = read_kind(&mut section)?;
+    let name = section.string("name")?.map_or_else(|| kind.name().to_string(), |n| n.0);
     let tip_radius_m = section
         .positive("tip_radius", Dimension::Length)?
         .ok_or_else(|| section.missing("tip_radius", "tip_radius = \"5 mm\""))?;
@@ -27,12 +65,120 @@ pub(super) fn read_tool(mut section: Section<'_>) -> Result<(Tool, Vec<PathPoint
         section.positive("shaft_radius", Dimension::Length)?.unwrap_or(DEFAULT_SHAFT_RADIUS_M);
     let shaft_length_m =
         section.positive("shaft_length", Dimension::Length)?.unwrap_or(DEFAULT_SHAFT_LENGTH_M);
+    let shape = section.string("shape")?.map(|s| PathBuf::from(s.0));
+    let friction = section.number("friction")?;
+    if let Some((coefficient, at)) = friction
+        && coefficient < 0.0
+    {
+        let allowed = "a coefficient of friction, 0 or more";
+        return Err(section.wrong_value(at, "friction", coefficient.to_string(), allowed));
+    }
+    // A probe sticks unless the scene knows how it slides.
+    let sticks = friction.is_none() && kind == ToolKind::Probe;
+    let grip = Grip {
+        friction_coefficient: friction.map_or(DEFAULT_FRICTION, |(coefficient, _)| coefficient),
+        is_sticky: section.flag("sticky")?.unwrap_or(sticks),
+    };
+    let trocar_m = section.point("trocar")?;
     let tip_in_world_m =
         required_point(&mut section, "home_tip", "home_tip = [\"0 mm\", \"-150 mm\", \"0 mm\"]")?;
+    let to_trocar = trocar_m.and_then(|trocar_m| (trocar_m - tip_in_world_m).try_normalize());
     let shaft_in_world = section
         .direction("home_shaft")?
+        .or(to_trocar)
         .ok_or_else(|| section.missing("home_shaft", "home_shaft = [0, -1, 0.3]"))?;
-    let home = ToolInput { tip_in_world_m, shaft_in_world };
+    let home =
+        read_hand(&mut section, ["home_roll", "home_jaw"], ToolInput::at(tip_in_world_m, shaft_in_world))?;
+    let home = home.through(trocar_m);
+    let path = read_path(&mut section, home, trocar_m)?;
+    section.finish()?;
+    let tool = Tool {
+        name,
+        kind,
+        tip_radius_m,
+        shaft_radius_m,
+        shaft_length_m,
+        shape: ToolShape::Capsules,
+        grip,
+        trocar_m,
+        home,
+    };
+    Ok(InstrumentSource { tool, path, shape })
+}
+
+fn read_kind(section: &mut Section<'_>) -> Result<ToolKind, SceneError> {
+    let Some((name, at)) = section.string("kind")? else { return Ok(ToolKind::Probe) };
+    Ok(match name.as_str() {
+        "probe" => ToolKind::Probe,
+        "grasper" => ToolKind::Grasper(read_jaws(section)?),
+        "scissors" => ToolKind::Scissors(read_jaws(section)?),
+        "scalpel" => {
+            let length_m = section.positive("blade_length", Dimension::Length)?.unwrap_or(DEFAULT_BLADE_M);
+            let cuts = match section.string("blade_cuts")? {
+                None => BladeCuts::Subdivision,
+                Some((way, _)) if way == "subdivision" => BladeCuts::Subdivision,
+                Some((way, _)) if way == "displacement" => BladeCuts::Displacement,
+                Some((way, at)) => {
+                    let allowed = "subdivision, displacement";
+                    return Err(section.wrong_value(at, "blade_cuts", format!("\"{way}\""), allowed));
+                }
+            };
+            ToolKind::Scalpel(Blade { length_m, cuts })
+        }
+        "hook" => ToolKind::Hook(read_cut(section)?),
+        "cautery" => ToolKind::Cautery(read_jaws(section)?, read_cut(section)?),
+        _ => {
+            let allowed = ToolKind::NAMES.join(", ");
+            return Err(section.wrong_value(at, "kind", format!("\"{name}\""), &allowed));
+        }
+    })
+}
+
+fn read_jaws(section: &mut Section<'_>) -> Result<Jaws, SceneError> {
+    let d = DEFAULT_JAWS;
+    Ok(Jaws {
+        length_m: section.positive("jaw_length", Dimension::Length)?.unwrap_or(d.length_m),
+        width_m: section.positive("jaw_width", Dimension::Length)?.unwrap_or(d.width_m),
+        greatest_opening_rad: section
+            .positive("jaw_angle", Dimension::Angle)?
+            .unwrap_or(d.greatest_opening_rad),
+        closing_force_n: section.positive("closing_force", Dimension::Force)?.unwrap_or(d.closing_force_n),
+    })
+}
+
+fn read_cut(section: &mut Section<'_>) -> Result<CutRule, SceneError> {
+    let d = DEFAULT_CUT;
+    Ok(CutRule {
+        least_force_n: section.positive("cut_force", Dimension::Force)?.unwrap_or(d.least_force_n),
+        least_time_s: section.positive("cut_time", Dimension::Time)?.unwrap_or(d.least_time_s),
+        power_w: section.positive("power", Dimension::Power)?.unwrap_or(d.power_w),
+    })
+}
+
+/// Roll and jaws of a pose, as before where the table does not say.
+fn read_hand(
+    section: &mut Section<'_>,
+    [roll, jaw]: [&'static str; 2],
+    before: ToolInput,
+) -> Result<ToolInput, SceneError> {
+    let roll_rad = section.quantity(roll, Dimension::Angle)?.map_or(before.roll_rad, |(roll, _)| roll);
+    let jaw_opening = share(section, jaw)?.unwrap_or(before.jaw_opening);
+    Ok(ToolInput { roll_rad, jaw_opening, ..before })
+}
+
+fn share(section: &mut Section<'_>, key: &'static str) -> Result<Option<f64>, SceneError> {
+    let Some((share, at)) = section.number(key)? else { return Ok(None) };
+    if (0.0..=1.0).contains(&share) {
+        return Ok(Some(share));
+    }
+    Err(section.wrong_value(at, key, share.to_string(), "between 0 and 1"))
+}
+
+fn read_path(
+    section: &mut Section<'_>,
+    home: ToolInput,
+    trocar_m: Option<DVec3>,
+) -> Result<Vec<PathPoint>, SceneError> {
     let mut path: Vec<PathPoint> = Vec::new();
     for mut point in section.sections("path")? {
         let (time_s, at) = point
@@ -49,11 +195,13 @@ pub(super) fn read_tool(mut section: Section<'_>) -> Result<(Tool, Vec<PathPoint
         let tip_in_world_m = required_point(&mut point, "tip", "tip = [\"0 mm\", \"-90 mm\", \"0 mm\"]")?;
         let before = path.last().map_or(home, |p| p.tool);
         let shaft_in_world = point.direction("shaft")?.unwrap_or(before.shaft_in_world);
+        let pose = ToolInput { tip_in_world_m, shaft_in_world, ..before };
+        let pose = read_hand(&mut point, ["roll", "jaw"], pose)?;
+        let trigger = share(&mut point, "trigger")?.unwrap_or(before.trigger);
         point.finish()?;
-        path.push(PathPoint { time_s, tool: ToolInput { tip_in_world_m, shaft_in_world } });
+        path.push(PathPoint { time_s, tool: ToolInput { trigger, ..pose }.through(trocar_m) });
     }
-    section.finish()?;
-    Ok((Tool { name, tip_radius_m, shaft_radius_m, shaft_length_m, home }, path))
+    Ok(path)
 }
 
 /// Where a scripted tool is at `time_s`: at home before the first point, at the last point after it.
@@ -63,9 +211,13 @@ pub fn tool_on_path(home: ToolInput, path: &[PathPoint], time_s: f64) -> ToolInp
         if time_s < point.time_s {
             let t = (time_s - before.time_s) / (point.time_s - before.time_s);
             let (a, b) = (before.tool, point.tool);
+            let between = |a: f64, b: f64| a + (b - a) * t;
             return ToolInput {
                 tip_in_world_m: a.tip_in_world_m.lerp(b.tip_in_world_m, t),
                 shaft_in_world: a.shaft_in_world.lerp(b.shaft_in_world, t).normalize_or(b.shaft_in_world),
+                roll_rad: between(a.roll_rad, b.roll_rad),
+                jaw_opening: between(a.jaw_opening, b.jaw_opening),
+                trigger: between(a.trigger, b.trigger),
             };
         }
         before = *point;

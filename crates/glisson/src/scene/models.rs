@@ -45,7 +45,9 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
     let law = body.law.as_ref().filter(|law| kind.laws().contains(&law.name()));
     let integration = Integration { frequency_reserve: FREQUENCY_RESERVE, ..Integration::default() };
     body.refuse_what_it_lacks(kind)?;
-    if law.map(LawChoice::name).or(kind.laws().first().copied()) != Some("linear") {
+    let is_linear = law.map(LawChoice::name).or(kind.laws().first().copied()) == Some("linear");
+    let has_nonlinear_zone = body.zones.iter().any(|zone| zone.law == ZoneLaw::NonlinearTensorMass);
+    if !is_linear || kind == ModelKind::Hybrid && has_nonlinear_zone {
         body.refuse_to_buckle(kind)?;
     }
     Ok(match kind {
@@ -99,7 +101,7 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
             viscosity_kg_per_m3_s: 0.0,
             integration,
         })?),
-        ModelKind::Hybrid => Box::new(hybrid(body)?),
+        ModelKind::Hybrid => Box::new(hybrid(body, law)?),
         ModelKind::Reduced => Box::new(reduced(body)?),
         ModelKind::QuasiNonlinear => Box::new(quasi_nonlinear(body)?),
     })
@@ -119,12 +121,16 @@ pub fn build_model_as_cut(
         return build_model(body, kind);
     }
     body.refuse_what_it_lacks(kind)?;
+    let (stored, precision) = match &body.precomputed {
+        Some(file) => Precomputed::kept_in(file)?,
+        None => (StoredNodes::Surface, Precision::F64),
+    };
     let params = PrecomputedParams {
         mesh: &body.mesh,
         material: &body.material,
         fixed_nodes: &body.nodes_fixed_wholly(kind)?,
-        stored: StoredNodes::Surface,
-        precision: Precision::F64,
+        stored,
+        precision,
         progress: None,
     };
     Ok(Box::new(under_gravity(Precomputed::build_cut(&params, live)?, body)))
@@ -200,7 +206,7 @@ fn explicit(body: &OrganBody, law: Option<&LawChoice>) -> Result<ExplicitKernel,
 /// cut there. A choice: more zones have more frontier to solve.
 const REST_ZONES: usize = 4;
 
-fn hybrid(body: &OrganBody) -> Result<CondensedHybrid, BuildError> {
+fn hybrid(body: &OrganBody, law: Option<&LawChoice>) -> Result<CondensedHybrid, BuildError> {
     let mesh = &body.mesh;
     let bounds = Aabb::of_points(&mesh.positions_m);
     let longest = bounds.size_m().max_position();
@@ -240,6 +246,10 @@ fn hybrid(body: &OrganBody) -> Result<CondensedHybrid, BuildError> {
     let mut params = CondensedParams::new(dynamic, &body.material, &zones, &laws);
     // Inner nodes are not seen; the factor gives their places.
     params.stored = StoredNodes::Surface;
+    if let Some(LawChoice::StVenantKirchhoff) = law {
+        params.cut_law = ZoneLaw::NonlinearTensorMass;
+    }
+    params.largest_stretch = LARGEST_STRETCH;
     Ok(CondensedHybrid::build(&params)?)
 }
 

@@ -65,6 +65,8 @@ pub struct OrganSource {
     pub fibre: Option<Fibre>,
     /// Penalty on changes of volume [Pa], for models that know it; 0 is none.
     pub volume_penalty_pa: f64,
+    /// Blood vessels in it, relative to the scene's folder; none when absent.
+    pub vessels: Option<PathBuf>,
     /// Which model moves it.
     pub model: ModelKind,
     /// A saved pre-computation, relative to the scene's folder; made anew at set-up when absent.
@@ -98,6 +100,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     let law = read_law(&mut section, model)?;
     let relaxation = read_relaxation(&mut section)?;
     let fibre = section.section("fibre")?.map(read_fibre).transpose()?;
+    let vessels = section.string("vessels")?.map(|p| PathBuf::from(p.0));
     let volume_penalty_pa = not_negative(&mut section, "volume_penalty", Dimension::Pressure)?;
     let precomputed = section.string("precomputed")?.map(|p| PathBuf::from(p.0));
     let damping = Rayleigh {
@@ -119,6 +122,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
         relaxation,
         fibre,
         volume_penalty_pa,
+        vessels,
         model,
         precomputed,
         damping,
@@ -162,8 +166,9 @@ fn read_zone(mut section: Section<'_>) -> Result<OrganZone, SceneError> {
     let law = match ModelKind::by_name(&name) {
         Some(ModelKind::Precomputed) => ZoneLaw::Precomputed,
         Some(ModelKind::TensorMass) => ZoneLaw::TensorMass,
+        Some(ModelKind::NonlinearTensorMass) => ZoneLaw::NonlinearTensorMass,
         _ => {
-            let allowed = "\"precomputed\" or \"tensor_mass\" in a zone";
+            let allowed = "\"precomputed\", \"tensor_mass\" or \"nonlinear_tensor_mass\" in a zone";
             return Err(section.wrong_value(at, "model", format!("\"{name}\""), allowed));
         }
     };

@@ -122,6 +122,11 @@ impl<'a> Section<'a> {
         self.error(&value.span(), problem)
     }
 
+    /// An error of the whole table.
+    pub(super) fn wrong_table(&self, key: &str, found: String, allowed: String) -> SceneError {
+        self.error(&self.span, SceneProblem::Value { key: key.into(), found, allowed })
+    }
+
     fn wrong_type(&self, value: Value<'_>, key: &str, expected: &str) -> SceneError {
         let found = format!("a {}", value.get_ref().type_str());
         let problem = SceneProblem::WrongType { key: key.into(), found, expected: expected.into() };

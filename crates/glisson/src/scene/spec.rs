@@ -1,12 +1,15 @@
 //! What a scene file says.
 
-use super::instrument::{PathPoint, read_tool};
+use super::instrument::{InstrumentSource, PathPoint, read_tool, tool_on_path, tool_sections};
 use super::organ::{OrganSource, read_organ};
 use super::reader::{SceneError, Section, parse_toml};
 use crate::math::DVec3;
 use crate::model::DEFAULT_MOST_PARTS;
+use crate::tool::MAX_TOOLS;
 use crate::units::Dimension;
+use crate::world::StepInput;
 use crate::world::spec::WorldSpec;
+use std::path::PathBuf;
 
 /// A scene as its file says.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,8 +20,10 @@ pub struct Scene {
     pub organ: OrganSource,
     /// Into how many internal steps a step may be divided after an edit.
     pub most_parts: u32,
-    /// Scripted motion of the tool, ascending in time; empty when somebody holds it.
-    pub path: Vec<PathPoint>,
+    /// Scripted motion of each tool, ascending in time; empty for one that somebody holds.
+    pub paths: Vec<Vec<PathPoint>>,
+    /// Surface file of each tool's tip, relative to the scene's folder; none for a ball.
+    pub tool_shapes: Vec<Option<PathBuf>>,
     /// The file's text, for the session.
     pub text: String,
 }
@@ -44,12 +49,18 @@ impl Scene {
         let name = root.string("name")?.map_or_else(|| "unnamed scene".to_string(), |n| n.0);
         let simulation = root.section("simulation")?;
         let organ = root.section("organ")?.ok_or_else(|| root.missing("organ", "[organ]"))?;
-        let tool = root.section("tool")?.ok_or_else(|| root.missing("tool", "[tool]"))?;
+        let tools = tool_sections(&mut root)?;
         root.finish()?;
 
         let simulation = read_simulation(simulation)?;
         let (organ, surroundings) = read_organ(organ)?;
-        let (tool, path) = read_tool(tool)?;
+        let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
+        for section in tools {
+            let InstrumentSource { tool, path, shape } = read_tool(section)?;
+            scripted.push(tool);
+            paths.push(path);
+            tool_shapes.push(shape);
+        }
         let world = WorldSpec {
             name,
             time_step_s: simulation.time_step_s,
@@ -58,9 +69,25 @@ impl Scene {
             ligaments: surroundings.ligaments,
             loads: surroundings.loads,
             fields: surroundings.fields,
-            tool,
+            vessels: Vec::new(),
+            tools: scripted,
         };
-        Ok(Self { world, organ, most_parts: simulation.most_parts, path, text: text.to_string() })
+        let (most_parts, text) = (simulation.most_parts, text.to_string());
+        Ok(Self { world, organ, most_parts, paths, tool_shapes, text })
+    }
+
+    /// What the scripted tools do at `time_s`; the others stay at home.
+    pub fn input_at(&self, time_s: f64) -> StepInput {
+        let mut tools = [self.world.tools[0].home; MAX_TOOLS];
+        for (input, (tool, path)) in tools.iter_mut().zip(self.world.tools.iter().zip(&self.paths)) {
+            *input = tool_on_path(tool.home, path, time_s);
+        }
+        StepInput::of(&tools)
+    }
+
+    /// When the last scripted motion ends [s]; none without one.
+    pub fn end_of_paths_s(&self) -> Option<f64> {
+        self.paths.iter().filter_map(|path| path.last()).map(|point| point.time_s).reduce(f64::max)
     }
 }
 
@@ -102,10 +129,10 @@ fn read_simulation(section: Option<Section<'_>>) -> Result<Simulation, SceneErro
 
 #[cfg(test)]
 mod tests {
-    use super::super::instrument::tool_on_path;
     use super::super::organ::MaterialSource;
     use super::*;
     use crate::material::LawChoice;
+    use crate::tool::ToolKind;
     use crate::world::spec::LoadTime;
     use proptest::prelude::*;
 
@@ -145,11 +172,55 @@ tip = ["0 mm", "-100 mm", "0 mm"]
         assert_eq!(scene.world.time_step_s, 1e-3);
         assert_eq!(scene.organ.damping.mass_per_s, 20.0);
         assert_eq!(scene.world.supports.len(), 2);
-        assert_eq!(scene.world.tool.tip_radius_m, 6.0 * 1e-3);
-        assert_eq!(scene.world.tool.home.shaft_in_world, DVec3::new(0.0, -1.0, 0.0));
-        let halfway = tool_on_path(scene.world.tool.home, &scene.path, 0.5);
+        let tool = &scene.world.tools[0];
+        assert_eq!((tool.tip_radius_m, tool.kind, tool.grip.is_sticky), (6.0 * 1e-3, ToolKind::Probe, true));
+        assert_eq!(tool.home.shaft_in_world, DVec3::new(0.0, -1.0, 0.0));
+        let halfway = scene.input_at(0.5).tools[0];
         assert!((halfway.tip_in_world_m.y + 0.15).abs() < 1e-15);
-        assert_eq!(tool_on_path(scene.world.tool.home, &scene.path, 9.0), scene.path[0].tool);
+        assert_eq!(scene.input_at(9.0).tools[0], scene.paths[0][0].tool);
+    }
+
+    #[test]
+    fn several_instruments_are_read_each_with_its_kind_and_path() {
+        let grasper = r#"
+[[tool]]
+kind = "grasper"
+tip_radius = "1.5 mm"
+jaw_length = "15 mm"
+closing_force = "8 N"
+friction = 0.4
+trocar = ["80 mm", "-150 mm", "0 mm"]
+home_tip = ["60 mm", "-100 mm", "0 mm"]
+home_jaw = 1
+
+[[tool.path]]
+time = "0.5 s"
+tip = ["40 mm", "-90 mm", "0 mm"]
+roll = "90 deg"
+jaw = 0
+trigger = 1
+"#;
+        let two = SCENE.replace("[tool]", "[[tool]]") + grasper;
+        let scene = Scene::parse(&two).unwrap();
+        assert_eq!((scene.world.tools.len(), scene.paths[0].len(), scene.paths[1].len()), (2, 1, 1));
+        let tool = &scene.world.tools[1];
+        let ToolKind::Grasper(jaws) = tool.kind else { panic!("{:?}", tool.kind) };
+        assert_eq!((jaws.length_m, jaws.closing_force_n), (0.015, 8.0));
+        assert_eq!((tool.grip.is_sticky, tool.grip.friction_coefficient), (false, 0.4));
+        let to_trocar = (tool.trocar_m.unwrap() - tool.home.tip_in_world_m).normalize();
+        assert!(tool.home.shaft_in_world.distance(to_trocar) < 1e-15 && tool.home.jaw_opening == 1.0);
+        let half = scene.input_at(0.25).tools[1];
+        assert!((half.jaw_opening - 0.5).abs() < 1e-15 && (half.trigger - 0.5).abs() < 1e-15);
+        assert!((half.roll_rad - std::f64::consts::FRAC_PI_4).abs() < 1e-15);
+        assert_eq!(scene.end_of_paths_s(), Some(1.0));
+
+        let message = |text: &str| Scene::parse(text).unwrap_err().to_string();
+        let allowed = "\"kind\" is \"grabber\"; allowed: probe, grasper, scissors, scalpel, hook, cautery";
+        assert!(message(&two.replace("\"grasper\"", "\"grabber\"")).contains(allowed));
+        assert!(message(&two.replace("home_jaw = 1", "home_jaw = 2")).contains("between 0 and 1"));
+        assert!(message(&two.replace("\"grasper\"", "\"probe\"")).contains("unknown key"));
+        let five = two.clone() + &grasper.repeat(3);
+        assert!(message(&five).contains("5 instruments; allowed: 1 to 4"), "{}", message(&five));
     }
 
     #[test]

@@ -215,6 +215,19 @@ impl FreeSystem {
         }
     }
 
+    /// Takes K x from `from`, both of the free components: what is left of a load after a solution.
+    pub(crate) fn subtract_product(&self, x: &[f64], from: &mut [f64]) {
+        for (c, range) in self.column_start.windows(2).enumerate() {
+            for at in range[0] as usize..range[1] as usize {
+                let (r, value) = (self.row[at] as usize, self.value[at]);
+                from[r] -= value * x[c];
+                if r != c {
+                    from[c] -= value * x[r];
+                }
+            }
+        }
+    }
+
     /// Where the columns of the upper triangle start, rows (ascending, the diagonal last) and values [N/m].
     pub(super) fn upper_columns(&self) -> (&[u32], &[u32], &[f64]) {
         (&self.column_start, &self.row, &self.value)

@@ -57,9 +57,18 @@ impl HeatedTissue {
 }
 
 /// Heat that single tetrahedra have taken up; the few that a tip is at are listed, ascending.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Debug, Default, PartialEq)]
 pub struct TissueHeat {
     heat: Vec<(TetId, f64)>,
+}
+
+impl Clone for TissueHeat {
+    /// With the same room: what finds none takes up no heat, and a copy has to go on as its original does.
+    fn clone(&self) -> Self {
+        let mut heat = Vec::with_capacity(self.heat.capacity());
+        heat.extend_from_slice(&self.heat);
+        Self { heat }
+    }
 }
 
 impl TissueHeat {

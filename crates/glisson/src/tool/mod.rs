@@ -2,37 +2,218 @@
 
 pub mod cautery;
 pub mod fracture;
+pub mod cut;
+pub mod pose;
+pub mod trocar;
 
+use crate::contact::shapes::MeshShape;
 use crate::math::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// A rigid straight instrument that ends in a ball: a probe for palpation.
+/// Instruments of a world at most: two hands, a camera and an assistant.
+pub const MAX_TOOLS: usize = 4;
+
+/// A rigid straight instrument: a shaft that ends in a tip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tool {
     /// What the user calls it.
     pub name: String,
+    /// What it is made for.
+    pub kind: ToolKind,
     /// Radius of the ball at the tip [m].
     pub tip_radius_m: f64,
     /// Radius of the shaft [m].
     pub shaft_radius_m: f64,
     /// Length of the shaft [m].
     pub shaft_length_m: f64,
+    /// What of it touches tissue.
+    pub shape: ToolShape,
+    /// How tissue slides on it.
+    pub grip: Grip,
+    /// Where it goes through the abdominal wall [m]: its shaft then always points there.
+    pub trocar_m: Option<DVec3>,
     /// Where the tool is when nobody holds it.
     pub home: ToolInput,
 }
 
-/// Where a tool is in one step.
+/// What an instrument is made for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ToolKind {
+    /// Pushes.
+    Probe,
+    /// Holds tissue between its jaws.
+    Grasper(Jaws),
+    /// Cuts what its jaws close on.
+    Scissors(Jaws),
+    /// Cuts along its edge.
+    Scalpel(Blade),
+    /// Monopolar: burns away what its tip touches.
+    Hook(CutRule),
+    /// Bipolar: burns away what its closed jaws hold.
+    Cautery(Jaws, CutRule),
+}
+
+/// Two jaws that turn about a hinge behind the tip; closed they end at the tip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Jaws {
+    /// From the hinge to the ends [m].
+    pub length_m: f64,
+    /// Across, along the hinge [m].
+    pub width_m: f64,
+    /// Angle between them when wide open [rad].
+    pub greatest_opening_rad: f64,
+    /// Force with which they close on tissue [N].
+    pub closing_force_n: f64,
+}
+
+/// A straight edge from the tip backwards along the shaft.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Blade {
+    /// Length of the edge [m].
+    pub length_m: f64,
+    /// How it parts tissue.
+    pub cuts: BladeCuts,
+}
+
+/// How a blade parts tissue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BladeCuts {
+    /// Along the swept blade, through the tetrahedra ([`cut::subdivision`]).
+    Subdivision,
+    /// Along the faces of tetrahedra, whose nodes are moved there ([`cut::scalpel`], seed `000`).
+    Displacement,
+}
+
+/// When an active tip takes away what it touches: seed `000`, s. 4.4.2, removes the touched tetrahedron when the force
+/// reaches a threshold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutRule {
+    /// Least force on the tip [N].
+    pub least_force_n: f64,
+    /// How long it has to touch with the current on [s]; without effect when there is a power.
+    pub least_time_s: f64,
+    /// Electrical power that heats what it touches until it comes apart [W]; 0: all goes after the time
+    /// ([`cautery`]).
+    pub power_w: f64,
+}
+
+/// What of an instrument touches tissue.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ToolShape {
+    /// The ball at the tip, and the shaft as a capsule.
+    Capsules,
+    /// A closed triangle mesh in the frame of the tip ([`pose::ToolFrame`]), in place of the ball; the shaft as a capsule.
+    Mesh(MeshShape),
+}
+
+/// How tissue slides on an instrument.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grip {
+    /// Coulomb's coefficient of friction.
+    pub friction_coefficient: f64,
+    /// Tissue that touches it never slides.
+    pub is_sticky: bool,
+}
+
+impl ToolKind {
+    /// All names.
+    pub const NAMES: [&'static str; 6] = ["probe", "grasper", "scissors", "scalpel", "hook", "cautery"];
+
+    /// The name in scene files.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Probe => Self::NAMES[0],
+            Self::Grasper(_) => Self::NAMES[1],
+            Self::Scissors(_) => Self::NAMES[2],
+            Self::Scalpel(_) => Self::NAMES[3],
+            Self::Hook(_) => Self::NAMES[4],
+            Self::Cautery(..) => Self::NAMES[5],
+        }
+    }
+
+    /// Its jaws, if it has some.
+    pub fn jaws(&self) -> Option<&Jaws> {
+        match self {
+            Self::Grasper(jaws) | Self::Scissors(jaws) | Self::Cautery(jaws, _) => Some(jaws),
+            Self::Probe | Self::Scalpel(_) | Self::Hook(_) => None,
+        }
+    }
+
+    /// Whether its jaws hold what they close on; scissors part it instead.
+    pub fn holds(&self) -> bool {
+        matches!(self, Self::Grasper(_) | Self::Cautery(..))
+    }
+}
+
+impl Tool {
+    /// A ball on a shaft to which tissue sticks: a probe for palpation.
+    pub fn probe(name: &str, tip_radius_m: f64, home: ToolInput) -> Self {
+        Self {
+            name: name.into(),
+            kind: ToolKind::Probe,
+            tip_radius_m,
+            shaft_radius_m: tip_radius_m.min(2.5e-3),
+            shaft_length_m: 0.3,
+            shape: ToolShape::Capsules,
+            grip: Grip { friction_coefficient: 1.0, is_sticky: true },
+            trocar_m: None,
+            home,
+        }
+    }
+}
+
+/// What one hand does with a tool in one step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ToolInput {
     /// Centre of the tip [m].
     pub tip_in_world_m: DVec3,
     /// Unit vector from the tip towards the handle.
     pub shaft_in_world: DVec3,
+    /// Turn about the shaft [rad].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub roll_rad: f64,
+    /// How far the jaws are open: 0 closed, 1 wide open.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub jaw_opening: f64,
+    /// How far the trigger (pedal, button) is pressed: 0 to 1.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub trigger: f64,
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks with a reference")]
+fn is_zero(number: &f64) -> bool {
+    number.to_bits() == 0
+}
+
+/// Half-way: beyond it a trigger counts as pressed.
+const TRIGGER_PRESSED: f64 = 0.5;
+
 impl ToolInput {
+    /// A tool at rest there, its jaws closed.
+    pub fn at(tip_in_world_m: DVec3, shaft_in_world: DVec3) -> Self {
+        Self { tip_in_world_m, shaft_in_world, roll_rad: 0.0, jaw_opening: 0.0, trigger: 0.0 }
+    }
+
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
-        self.tip_in_world_m.is_finite() && self.shaft_in_world.is_finite()
+        self.tip_in_world_m.is_finite()
+            && self.shaft_in_world.is_finite()
+            && self.roll_rad.is_finite()
+            && self.jaw_opening.is_finite()
+            && self.trigger.is_finite()
+    }
+
+    /// Whether the trigger is pressed.
+    pub fn is_triggered(&self) -> bool {
+        self.trigger > TRIGGER_PRESSED
+    }
+
+    /// The pose of a tool that goes through a trocar: its shaft points there. A tip in the trocar itself keeps its shaft.
+    #[must_use]
+    pub fn through(self, trocar_m: Option<DVec3>) -> Self {
+        let Some(trocar_m) = trocar_m else { return self };
+        let shaft_in_world = (trocar_m - self.tip_in_world_m).normalize_or(self.shaft_in_world);
+        Self { shaft_in_world, ..self }
     }
 }

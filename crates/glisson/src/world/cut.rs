@@ -1,26 +1,143 @@
-//! What the instrument would cut: the tetrahedra at its tip.
+//! What the instruments cut, by their kind.
+//!
+//! Hook and cautery take away the tetrahedra that they touch once the force has reached a threshold (seed `000`,
+//! s. 4.4.2) and the current has been on for long enough, or has heated them enough; scissors those between their jaws
+//! when these close; a scalpel parts the mesh along its edge.
 
-use super::World;
+use super::hand::Hand;
+use super::parts::{ToolPart, capsule};
+use super::{EditRefusal, World};
+use crate::contact::tool_contact::ToolContact;
 use crate::math::{DVec3, closest_point_barycentric, tetrahedron_volume_m3};
 use crate::mesh::TetId;
+use crate::mesh::edit::MeshEdit;
 use crate::mesh::topology::TET_TRIANGLES;
+use crate::tool::pose::ToolFrame;
+use crate::tool::{Tool, ToolKind};
 
 /// A tip that stands on the surface touches it but for rounding: this share of its radius is added to it.
 const REACH: f64 = 1.01;
 
+/// Surface triangles that a tip can touch at once and are looked at.
+const MOST_TRIANGLES: usize = 256;
+
+/// What the tools cut after a step.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ToolCuts {
+    /// Tetrahedra that were taken out.
+    pub n_removed: usize,
+    /// Edits by which blades parted the mesh.
+    pub n_edits: usize,
+    /// Why something was not cut, with the tool's number.
+    pub refusals: Vec<(usize, EditRefusal)>,
+}
+
+impl Hand {
+    /// Counts how long the active tip has been at work; called in every step.
+    pub(super) fn count_activity(&mut self, tool: &Tool, dt_s: f64) {
+        let works = match &tool.kind {
+            ToolKind::Hook(rule) | ToolKind::Cautery(_, rule) => {
+                // What closed jaws hold is pressed by the jaws themselves.
+                let is_pressed = self.contacts[ToolPart::Tip.index()].is_some()
+                    && self.report.force_on_tool_n.length() >= rule.least_force_n;
+                self.now.is_triggered() && (self.grasp.is_some() || is_pressed)
+            }
+            ToolKind::Probe | ToolKind::Grasper(_) | ToolKind::Scissors(_) | ToolKind::Scalpel(_) => false,
+        };
+        self.active_s = if works { self.active_s + dt_s } else { 0.0 };
+    }
+}
+
 impl World {
-    /// The live tetrahedra that the tip touches, in their present shape, ascending.
-    pub fn touched_tetrahedra(&self) -> Vec<TetId> {
-        let positions_m = self.model.state().positions_m;
-        let (tip_m, reach_m) = (self.tool.tip_in_world_m, REACH * self.spec.tool.tip_radius_m);
+    /// Cuts what the tools cut in the step just made. Depends on the world alone, so that a replay that calls it after
+    /// every step makes the same bits. Allocates when something is cut.
+    pub fn cut_with_tools(&mut self) -> ToolCuts {
+        let mut cuts = ToolCuts::default();
+        for tool in 0..self.hands.len() {
+            let hand = &self.hands[tool];
+            let tets = match &self.spec.tools[tool].kind {
+                &(ToolKind::Hook(rule) | ToolKind::Cautery(_, rule)) => self.burnt(tool, &rule),
+                &ToolKind::Scalpel(blade) => {
+                    self.cut_with_blade(tool, &blade, &mut cuts);
+                    continue;
+                }
+                ToolKind::Scissors(_) if hand.just_closed => self.tetrahedra_between_jaws(tool),
+                _ => continue,
+            };
+            self.hands[tool].just_closed = false;
+            if tets.is_empty() {
+                continue;
+            }
+            let n_tets = tets.len();
+            match self.edit(&MeshEdit::Remove { tets }) {
+                Ok(_) => cuts.n_removed += n_tets,
+                Err(refusal) => cuts.refusals.push((tool, refusal)),
+            }
+        }
+        cuts
+    }
+
+    /// The live tetrahedra that the tip of a tool touches in their present shape, ascending: those under the surface that
+    /// it stands on, and those within its radius behind them.
+    pub fn touched_tetrahedra(&self, tool: usize) -> Vec<TetId> {
+        let (hand, spec) = (&self.hands[tool], &self.spec.tools[tool]);
+        let (tip_m, reach_m) = (hand.now.tip_in_world_m, REACH * spec.tip_radius_m);
+        let tip = crate::contact::shapes::Capsule::ball(tip_m, reach_m);
+        let positions_m = self.organ.positions_m();
         let topology = self.organ.body().topology();
-        topology
-            .live_tets()
-            .filter(|&tet| {
-                let corners_m = topology.tet_nodes(tet).map(|n| positions_m[n.index()]);
-                is_within(tip_m, reach_m, corners_m)
-            })
-            .collect()
+        self.grown_from_surface(&tip, |tet| {
+            is_within(tip_m, reach_m, topology.tet_nodes(tet).map(|n| positions_m[n.index()]))
+        })
+    }
+
+    /// The live tetrahedra whose middle lies between the jaws of a tool, as far as these were open, ascending; if there is
+    /// none, those that the tips of the jaws touch.
+    pub fn tetrahedra_between_jaws(&self, tool: usize) -> Vec<TetId> {
+        let (hand, spec) = (&self.hands[tool], &self.spec.tools[tool]);
+        let Some(jaws) = spec.kind.jaws() else { return Vec::new() };
+        let (frame, opening) = (ToolFrame::of(&hand.now), hand.opened_to);
+        let Some(mut around) = capsule(spec, ToolPart::Tip, &hand.now) else { return Vec::new() };
+        around.radius_m += jaws.ends_in_tool_m(opening)[0].x + 0.5 * jaws.width_m;
+        let positions_m = self.organ.positions_m();
+        let topology = self.organ.body().topology();
+        let between = self.grown_from_surface(&around, |tet| {
+            let middle_m =
+                topology.tet_nodes(tet).iter().map(|n| positions_m[n.index()]).sum::<DVec3>() / 4.0;
+            jaws.are_around(frame.to_tool_m(middle_m), opening, spec.tip_radius_m)
+        });
+        if between.is_empty() { self.touched_tetrahedra(tool) } else { between }
+    }
+
+    /// Tetrahedra that `is_in` takes, ascending: those at surface triangles near a capsule, and on from neighbour to
+    /// neighbour.
+    fn grown_from_surface(
+        &self,
+        around: &crate::contact::shapes::Capsule,
+        is_in: impl Fn(TetId) -> bool,
+    ) -> Vec<TetId> {
+        let topology = self.organ.body().topology();
+        let mut near: Vec<ToolContact> = Vec::with_capacity(MOST_TRIANGLES);
+        self.organ.skin().near_into(around, 0.0, &mut near);
+        let at_surface = near.iter().filter_map(|&contact| {
+            topology.triangle_tets(self.organ.skin().place_of(contact).triangle)[0].get()
+        });
+        let mut tets: Vec<TetId> = Vec::new();
+        for tet in at_surface {
+            if !tets.contains(&tet) && is_in(tet) {
+                tets.push(tet);
+            }
+        }
+        let mut at = 0;
+        while at < tets.len() {
+            for neighbour in topology.tet_neighbours(tets[at]).into_iter().filter_map(|n| n.get()) {
+                if !tets.contains(&neighbour) && is_in(neighbour) {
+                    tets.push(neighbour);
+                }
+            }
+            at += 1;
+        }
+        tets.sort_unstable();
+        tets
     }
 }
 

@@ -1,6 +1,6 @@
 //! The loads of a scene in time: which nodal forces and which gravity a step has.
 
-use super::organ::Organ;
+use super::organ::{Organ, put_back};
 use super::spec::{ForceField, Load, LoadTime, WorldSpec, nodes_in};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
@@ -16,6 +16,13 @@ struct NodeLoad {
     force_n: DVec3,
     time: LoadTime,
     acts: bool,
+}
+
+/// What an edit overwrites of the loads.
+#[derive(Clone, Debug, Default)]
+pub(super) struct LoadsBefore {
+    /// Whether each node that was removed was loaded, one load after the other.
+    is_loaded: Vec<bool>,
 }
 
 /// All loads of a world. What they amount to is found anew only in a step in which one begins or ends.
@@ -76,8 +83,11 @@ impl Loads {
     }
 
     /// After an edit of the mesh.
-    pub(super) fn follow(&mut self, change: &TopologyChange) {
+    pub(super) fn follow(&mut self, change: &TopologyChange, before: &mut LoadsBefore) {
+        before.is_loaded.clear();
         for load in &mut self.nodes {
+            let removed = change.nodes.removed.iter();
+            before.is_loaded.extend(removed.map(|n| n.index() < change.nodes.n_before && load.is_loaded[*n]));
             load.is_loaded.follow(change);
             // What is left without a tetrahedron has nothing to push.
             for node in change.nodes.removed.iter().filter(|_| !change.is_renumbering()) {
@@ -87,6 +97,17 @@ impl Loads {
         let n_nodes = self.n_nodes();
         self.forces.clear();
         self.forces.reserve(n_nodes);
+        self.is_stale = true;
+    }
+
+    /// Takes the last edit back.
+    pub(super) fn undo(&mut self, change: &TopologyChange, before: &LoadsBefore) {
+        let n_removed = change.nodes.removed.len();
+        for (i, load) in self.nodes.iter_mut().enumerate() {
+            let of_load = &before.is_loaded[i * n_removed..(i + 1) * n_removed];
+            put_back(&mut load.is_loaded, change, of_load.iter().copied());
+        }
+        self.forces.clear();
         self.is_stale = true;
     }
 

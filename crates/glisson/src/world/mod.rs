@@ -1,43 +1,82 @@
-//! One organ, one instrument, and the step that joins them.
+//! One organ, up to four instruments, and the step that joins them.
 //!
-//! Stages of a step, in order: contacts, constraints and loads, model, report. Cuts are made
-//! between steps ([`World::edit`]). A step never fails, allocates, locks, logs or reads a clock.
+//! Stages of a step, in order: hands, contacts and grasps, constraints and loads, model, forces. Cuts are made
+//! between steps ([`World::edit`], [`World::cut_with_tools`]). A step never fails, allocates, locks, logs or reads a clock.
 
+mod active;
+mod constrain;
 mod cut;
+mod edits;
+mod grasp;
+mod hand;
 mod loads;
 pub mod organ;
+mod parts;
 pub mod saved;
+mod skin;
+mod slide;
 pub mod spec;
 pub mod touch;
 pub mod vessels;
 
-use crate::contact::sphere::{BallPath, SurfaceView};
+pub use cut::ToolCuts;
+pub use edits::EditRefusal;
+pub use hand::ToolReport;
+pub use parts::ToolPart;
+
+use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
-use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, TopologyChange};
-use crate::mesh::topology::TopologyError;
 use crate::model::kind::ModelKind;
-use crate::model::{
-    Constraints, DeformableModel, ImposedDisplacement, ModelReport, ModelState, TopologyRefusal,
-};
+use crate::model::{Constraints, DeformableModel, ModelReport, ModelState};
 use crate::record::hash::StateHash;
-use crate::record::snapshot::{ContactReport, DisplayTopology, Snapshot};
-use crate::tool::ToolInput;
+use crate::record::snapshot::{ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
+use crate::tool::{MAX_TOOLS, Tool, ToolInput};
+use active::ActiveTip;
+use constrain::{MOST_IMPOSED, Owner};
+use edits::Journal;
+use hand::Hand;
 use loads::Loads;
 use organ::{Organ, OrganError};
 use spec::WorldSpec;
+use std::sync::Arc;
 use touch::HeldContact;
+use vessels::Vessels;
 
 /// Everything that one step is told from outside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepInput {
-    /// Where the tool is at the end of the step.
-    pub tool: ToolInput,
+    /// Where the tools are at the end of the step, in the scene's order; those beyond the last one do not count.
+    pub tools: [ToolInput; MAX_TOOLS],
     /// Equal parts that the time step is divided into; at least 1. Decided outside, because it may depend on
     /// time that a clock measured.
     pub n_substeps: u32,
-    /// The tool was put there without touching anything between: a contact is let go, the way is not searched.
-    pub placed: bool,
+    /// Tools that were put there without touching anything between: contacts are let go, the way is not searched.
+    pub placed: [bool; MAX_TOOLS],
+}
+
+impl StepInput {
+    /// Tools that moved there, in a step that is not divided; the last one stands for all that are not given.
+    ///
+    /// # Panics
+    /// With no tool, or more than [`MAX_TOOLS`].
+    pub fn of(tools: &[ToolInput]) -> Self {
+        assert!((1..=MAX_TOOLS).contains(&tools.len()), "{} tools", tools.len());
+        let tools = std::array::from_fn(|i| tools[i.min(tools.len() - 1)]);
+        Self { tools, n_substeps: 1, placed: [false; MAX_TOOLS] }
+    }
+
+    /// The same tools, put there.
+    #[must_use]
+    pub fn placed(self) -> Self {
+        Self { placed: [true; MAX_TOOLS], ..self }
+    }
+
+    /// The same in `n_substeps` parts.
+    #[must_use]
+    pub fn divided(self, n_substeps: u32) -> Self {
+        Self { n_substeps, ..self }
+    }
 }
 
 /// How a step went.
@@ -45,14 +84,8 @@ pub struct StepInput {
 pub struct StepReport {
     /// Steps made so far.
     pub step: u64,
-    /// Force that the organ exerts on the tool [N].
-    pub force_on_tool_n: DVec3,
-    /// Whether the tool touches the organ.
-    pub in_contact: bool,
-    /// Whether the tool stands on tissue that is held fixed, which cannot give way.
-    pub blocked_by_fixed_tissue: bool,
-    /// Whether the input was not finite; the tool then stayed where it was.
-    pub input_rejected: bool,
+    /// What each tool felt, in the scene's order.
+    pub tools: [ToolReport; MAX_TOOLS],
     /// Whether the step was not made because the model that takes over now has not been delivered.
     pub waits_for_model: bool,
     /// Nodes whose position is not finite, which only a broken model can bring about.
@@ -61,18 +94,11 @@ pub struct StepReport {
     pub model: ModelReport,
 }
 
-/// Why an edit of the organ was refused.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum EditRefusal {
-    /// The model cannot follow.
-    #[error(transparent)]
-    Model(#[from] TopologyRefusal),
-    /// The mesh cannot be edited so.
-    #[error(transparent)]
-    Mesh(#[from] EditError),
-    /// The mesh is no mesh.
-    #[error(transparent)]
-    Topology(#[from] TopologyError),
+impl StepReport {
+    /// Whether any tool touches the organ.
+    pub fn in_contact(&self) -> bool {
+        self.tools.iter().any(|tool| tool.in_contact)
+    }
 }
 
 /// A model that takes over at a step fixed when it was ordered.
@@ -82,16 +108,24 @@ struct QueuedSwap {
     model: Option<Box<dyn DeformableModel>>,
 }
 
-/// One organ and one instrument in time.
+/// One organ and its instruments in time.
 pub struct World {
     spec: WorldSpec,
     organ: Organ,
     model: Box<dyn DeformableModel>,
     model_kind: ModelKind,
     swap: Option<QueuedSwap>,
-    tool: ToolInput,
-    contact: Option<HeldContact>,
+    hands: Vec<Hand>,
+    active: Vec<ActiveTip>,
+    vessels: Option<Vessels>,
+    journal: Journal,
+    /// What models that are made later are made from.
+    mesh_of_the_start: Arc<TetMesh>,
     constraints: Constraints,
+    /// Whose each imposed displacement is.
+    owners: Vec<Owner>,
+    /// Scratch of the search for what is between jaws.
+    between_jaws: Vec<ToolContact>,
     loads: Loads,
     gravity_m_per_s2: DVec3,
     /// Gravity and force fields of the last step.
@@ -101,21 +135,33 @@ pub struct World {
 }
 
 impl World {
-    /// A world at rest, the tool at its home.
+    /// A world at rest, the tools at their homes.
     ///
     /// # Errors
-    /// [`OrganError`] when the mesh is not a body with a surface.
+    /// [`OrganError`] when the mesh is not a body with a surface, and when there is no tool or too many.
     pub fn new(
         spec: WorldSpec,
         mesh: TetMesh,
         model: Box<dyn DeformableModel>,
         kind: ModelKind,
     ) -> Result<Self, OrganError> {
+        if !(1..=MAX_TOOLS).contains(&spec.tools.len()) {
+            return Err(OrganError::Tools { n_tools: spec.tools.len() });
+        }
+        let mesh_of_the_start = Arc::new(mesh.clone());
         let organ = Organ::new(mesh, &spec.supports)?;
+        let vessels = match spec.vessels.is_empty() {
+            true => None,
+            false => Some(
+                Vessels::new(spec.vessels.clone(), organ.body())
+                    .map_err(|(number, error)| OrganError::Vessel { number, error })?,
+            ),
+        };
         let loads = Loads::new(&spec, &organ);
-        let tool = spec.tool.home;
+        let hands = spec.tools.iter().map(Hand::at_home).collect();
+        let active = spec.tools.iter().map(|tool| ActiveTip::new(tool, organ.body())).collect();
         let mut constraints = Constraints::default();
-        constraints.displacements.reserve(3);
+        constraints.displacements.reserve(MOST_IMPOSED);
         constraints.forces.reserve(organ.mesh().positions_m.len());
         let gravity_m_per_s2 = spec.gravity_m_per_s2;
         Ok(Self {
@@ -124,9 +170,14 @@ impl World {
             model,
             model_kind: kind,
             swap: None,
-            tool,
-            contact: None,
+            hands,
+            active,
+            vessels,
+            journal: Journal::new(),
+            mesh_of_the_start,
             constraints,
+            owners: Vec::with_capacity(MOST_IMPOSED),
+            between_jaws: grasp::room_for_search(),
             loads,
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,
@@ -150,18 +201,24 @@ impl World {
         self.model_kind
     }
 
+    /// A copy of the model as it is now.
+    pub fn copy_of_model(&self) -> Box<dyn DeformableModel> {
+        self.model.duplicate()
+    }
+
     /// The model's state.
     pub fn state(&self) -> ModelState<'_> {
         self.model.state()
     }
 
-    /// Hash of everything that the next step depends on but the input: the model's state, live tetrahedra, the held
-    /// contact, gravity, the loads' clock. A model that was ordered counts from its first step on.
+    /// Hash of everything that the next step depends on but the input: the model's state, live tetrahedra, contacts
+    /// and grasps, gravity, the loads' clock. A model that was ordered counts from its first step on.
     pub fn state_hash(&self) -> StateHash {
         let gravity = self.gravity_m_per_s2.to_array();
-        let contact = self.contact.iter().flat_map(HeldContact::numbers);
+        let active = self.active.iter().flat_map(ActiveTip::numbers);
+        let hands = self.hands.iter().flat_map(Hand::numbers).chain(active);
         let surroundings: Vec<f64> =
-            gravity.into_iter().chain(self.loads.clock(self.step)).chain(contact).collect();
+            gravity.into_iter().chain(self.loads.clock(self.step)).chain(hands).collect();
         StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
     }
 
@@ -181,7 +238,7 @@ impl World {
         self.swap = Some(QueuedSwap { at_step: at_step.max(self.step), kind, model: None });
     }
 
-    /// Brings the ordered model, made from the organ as it was at the start: it follows the removals so far.
+    /// Brings the ordered model, made from the organ as it was at the start: it follows the edits so far.
     /// Answers whether it was ordered; if not, `model` is dropped.
     ///
     /// # Errors
@@ -194,15 +251,7 @@ impl World {
         if self.swap.as_ref().is_none_or(|swap| swap.kind != kind) {
             return Ok(false);
         }
-        let tets = self.organ.removed_tetrahedra();
-        if !tets.is_empty() {
-            if let Some(refusal) = model.topology_refusal() {
-                return Err(refusal.into());
-            }
-            let mut whole = EditableMesh::new(self.organ.mesh().clone())?;
-            let change = whole.apply(&MeshEdit::Remove { tets })?;
-            model.topology_changed(whole.mesh(), &change)?;
-        }
+        self.bring_up_to_date(model.as_mut())?;
         if let Some(swap) = &mut self.swap {
             swap.model = Some(model);
         }
@@ -221,13 +270,16 @@ impl World {
 
     /// Everything back to rest; the count of steps and the model stay.
     pub fn reset(&mut self) {
-        self.contact = None;
-        self.tool = self.spec.tool.home;
+        for (hand, tool) in self.hands.iter_mut().zip(&self.spec.tools) {
+            *hand = Hand::at_home(tool);
+        }
+        self.active.iter_mut().for_each(ActiveTip::lift);
+        self.owners.clear();
         self.constraints.displacements.clear();
         self.constraints.forces.clear();
         self.model.apply(&self.constraints);
         self.model.take_over(&self.organ.mesh().positions_m);
-        self.organ.follow(self.model.state().positions_m);
+        self.organ.rest_at(self.model.state().positions_m);
         self.gravity_m_per_s2 = self.spec.gravity_m_per_s2;
         self.pull_m_per_s2 = self.gravity_m_per_s2;
         self.model.set_gravity(self.pull_m_per_s2);
@@ -247,40 +299,6 @@ impl World {
         self.gravity_m_per_s2
     }
 
-    /// Edits the organ's mesh: the model, the supports and the surface follow. A contact is let go.
-    ///
-    /// # Errors
-    /// [`EditRefusal`] when the model or the mesh cannot; nothing changed then but that a contact is let go. (A removal that
-    /// a model cannot follow because memory is short leaves the organ cut.)
-    pub fn edit(&mut self, edit: &MeshEdit) -> Result<TopologyChange, EditRefusal> {
-        if let Some(refusal) = self.model.topology_refusal() {
-            return Err(refusal.into());
-        }
-        let waiting = self.swap.as_ref().and_then(|swap| swap.model.as_ref());
-        if let Some(refusal) = waiting.and_then(|model| model.topology_refusal()) {
-            return Err(refusal.into());
-        }
-        // Every model follows removals but for want of memory; of other edits the model is asked with the edit made.
-        let before = (!matches!(edit, MeshEdit::Remove { .. })).then(|| self.organ.clone());
-        let change = self.organ.edit(edit, self.model.state().positions_m)?;
-        if let Err(refusal) = self.model.topology_changed(self.organ.mesh(), &change) {
-            if let Some(before) = before {
-                self.organ = before;
-            }
-            self.contact = None;
-            return Err(refusal.into());
-        }
-        if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut())
-            && waiting.topology_changed(self.organ.mesh(), &change).is_err()
-        {
-            // The present model has followed: it goes on.
-            self.swap = None;
-        }
-        self.loads.follow(&change);
-        self.contact = None;
-        Ok(change)
-    }
-
     /// One step of the scene's time step.
     pub fn step(&mut self, input: &StepInput) -> StepReport {
         self.report = StepReport { step: self.step, ..StepReport::default() };
@@ -288,21 +306,18 @@ impl World {
             self.report.waits_for_model = true;
             return self.report;
         }
-        let mut from_m = self.tool.tip_in_world_m;
-        self.report.input_rejected = !input.tool.is_finite();
-        if !self.report.input_rejected {
-            self.tool = input.tool;
-        }
-        if input.placed {
-            self.contact = None;
-            from_m = self.tool.tip_in_world_m;
-        }
-        self.find_contact(from_m);
+        self.move_hands(input);
         self.constrain();
         self.move_organ(input.n_substeps.max(1));
-        self.read_force();
+        self.read_forces();
+        if let Some(vessels) = &mut self.vessels {
+            vessels.advance(self.spec.time_step_s);
+        }
         self.step += 1;
         self.report.step = self.step;
+        for (report, hand) in self.report.tools.iter_mut().zip(&self.hands) {
+            *report = hand.report;
+        }
         self.report
     }
 
@@ -314,38 +329,14 @@ impl World {
         if let Some(swap) = self.swap.take_if(|s| s.at_step <= self.step)
             && let Some(mut model) = swap.model
         {
-            model.take_over(self.model.state().positions_m);
+            model.take_over_in_motion(&self.model.state());
             model.set_gravity(self.pull_m_per_s2);
             self.model = model;
             self.model_kind = swap.kind;
+            // What was saved belongs to the model before.
+            self.journal.forget_undo();
         }
         true
-    }
-
-    fn find_contact(&mut self, from_m: DVec3) {
-        if self.contact.is_some() {
-            return;
-        }
-        let path = BallPath { from_m, to_m: self.tool.tip_in_world_m, radius_m: self.spec.tool.tip_radius_m };
-        let Some(touch) = self.surface_view().first_touch(&path) else { return };
-        self.contact = HeldContact::begin(&touch, &self.organ, self.model.state().positions_m);
-        self.report.blocked_by_fixed_tissue = self.contact.is_none();
-    }
-
-    fn constrain(&mut self) {
-        self.constraints.displacements.clear();
-        if let Some(contact) = &self.contact {
-            contact.add_constraints(self.tool.tip_in_world_m, &mut self.constraints.displacements);
-        }
-        self.constraints.forces.clear();
-        self.constraints.forces.extend_from_slice(self.loads.forces_in_step(self.step));
-        self.model.apply(&self.constraints);
-        let fields_m_per_s2 = self.loads.acceleration_in_step_m_per_s2(self.step);
-        let pull_m_per_s2 = self.gravity_m_per_s2 + fields_m_per_s2;
-        if pull_m_per_s2 != self.pull_m_per_s2 {
-            self.pull_m_per_s2 = pull_m_per_s2;
-            self.model.set_gravity(pull_m_per_s2);
-        }
     }
 
     fn move_organ(&mut self, n_substeps: u32) {
@@ -361,28 +352,6 @@ impl World {
         self.organ.follow(positions_m);
     }
 
-    fn read_force(&mut self) {
-        let Some(contact) = &self.contact else { return };
-        let force_on_organ_n: DVec3 = self.model.constraint_forces_n().iter().sum();
-        // A force that is no number, which only a broken model can bring about, is none.
-        let is_broken = !force_on_organ_n.is_finite();
-        if is_broken || contact.lets_go(self.tool.tip_in_world_m, force_on_organ_n) {
-            self.contact = None;
-        } else {
-            self.report.in_contact = true;
-            self.report.force_on_tool_n = -force_on_organ_n;
-        }
-    }
-
-    fn surface_view(&self) -> SurfaceView<'_> {
-        self.organ.surface_view()
-    }
-
-    /// The constraints of the last step.
-    pub fn constrained_nodes(&self) -> &[ImposedDisplacement] {
-        &self.constraints.displacements
-    }
-
     /// The organ's displayed surface.
     pub fn display_topology(&self) -> DisplayTopology {
         self.organ.display_topology()
@@ -390,15 +359,8 @@ impl World {
 
     /// The displayed state now.
     pub fn snapshot(&self) -> Snapshot {
-        let mut snapshot = Snapshot {
-            step: 0,
-            time_s: 0.0,
-            topology_version: 0,
-            positions_m: Vec::new(),
-            tool: self.tool,
-            force_on_tool_n: DVec3::ZERO,
-            contact: None,
-        };
+        let (positions_m, tools) = (Vec::new(), Vec::new());
+        let mut snapshot = Snapshot { step: 0, time_s: 0.0, topology_version: 0, positions_m, tools };
         self.snapshot_into(&mut snapshot);
         snapshot
     }
@@ -408,16 +370,50 @@ impl World {
         snapshot.step = self.step;
         snapshot.time_s = self.step as f64 * self.spec.time_step_s;
         snapshot.topology_version = self.organ.topology_version();
+        let positions_m = self.organ.positions_m();
         snapshot.positions_m.clear();
-        snapshot.positions_m.extend_from_slice(self.organ.surface_positions_m());
-        snapshot.tool = self.tool;
-        snapshot.force_on_tool_n = self.report.force_on_tool_n;
-        snapshot.contact = self.contact.as_ref().map(|contact| ContactReport {
-            point_m: contact.point_m(self.model.state().positions_m),
-            normal: contact.normal(),
-            nodes: contact.nodes(),
-            weights: contact.weights(),
-        });
+        snapshot.positions_m.extend(self.organ.surface_nodes().iter().map(|n| positions_m[n.index()]));
+        snapshot.tools.clear();
+        snapshot.tools.extend(self.hands.iter().map(|hand| {
+            ToolSnapshot {
+                pose: hand.now,
+                force_n: hand.report.force_on_tool_n,
+                contacts: hand
+                    .contacts
+                    .each_ref()
+                    .map(|contact| contact.as_ref().map(|c| contact_report(c, positions_m))),
+                n_held_nodes: hand.report.n_held_nodes,
+            }
+        }));
+    }
+
+    /// The vessels, if the organ has some.
+    pub fn vessels(&self) -> Option<&Vessels> {
+        self.vessels.as_ref()
+    }
+
+    /// Sets a clip on the vessel nearest to the tip of a tool, if one is within its reach; answers whether one was.
+    pub fn clip_vessel(&mut self, tool: usize) -> bool {
+        let tip_m = self.hands[tool].now.tip_in_world_m;
+        let spec = &self.spec.tools[tool];
+        let reach_m = spec.tip_radius_m + spec.kind.jaws().map_or(0.0, |jaws| jaws.length_m);
+        let positions_m = self.model.state().positions_m;
+        let Some(vessels) = &mut self.vessels else { return false };
+        vessels.clip(tip_m, reach_m, self.organ.body(), positions_m)
+    }
+
+    /// The instruments.
+    pub fn tools(&self) -> &[Tool] {
+        &self.spec.tools
+    }
+}
+
+fn contact_report(contact: &HeldContact, positions_m: &[DVec3]) -> ContactReport {
+    ContactReport {
+        point_m: contact.point_m(positions_m),
+        normal: contact.normal(),
+        nodes: contact.nodes(),
+        weights: contact.weights(),
     }
 }
 

@@ -1,14 +1,15 @@
 //! The organ as the world sees it: mesh, supports, and the surface that is displayed and touched.
 
+use super::skin::{Skin, SurfaceChange};
 use super::spec::{Support, fixed_nodes};
-use crate::contact::buckets::BucketGrid;
-use crate::contact::sphere::SurfaceView;
+use crate::image::vessels::TubeError;
 use crate::math::DVec3;
-use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, TopologyChange};
+use crate::mesh::edit::{EditableMesh, MeshUndo, TopologyChange};
 use crate::mesh::remap::EntityArray;
 use crate::mesh::topology::{TopologyError, surface_of};
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::record::snapshot::DisplayTopology;
+use crate::tool::MAX_TOOLS;
 
 /// Why a mesh is not an organ.
 #[derive(Debug, thiserror::Error)]
@@ -19,7 +20,47 @@ pub enum OrganError {
     /// No tetrahedra.
     #[error("the mesh has no tetrahedra")]
     Empty,
+    /// A vessel that makes no sense.
+    #[error("vessel {number}: {error}")]
+    Vessel {
+        /// Its number from 0.
+        number: usize,
+        /// What is wrong.
+        error: TubeError,
+    },
+    /// No tool, or too many.
+    #[error("{n_tools} instruments; a world has 1 to {MAX_TOOLS}")]
+    Tools {
+        /// How many.
+        n_tools: usize,
+    },
 }
+
+/// What an edit overwrites of an organ beside its mesh.
+#[derive(Clone, Debug, Default)]
+pub(super) struct OrganBefore {
+    /// Whether each node that was removed was held, in the order of the change.
+    fixed: Vec<bool>,
+}
+
+/// Takes back what an edit did to an array by node: drops what came in, writes the values of what was removed back.
+pub(super) fn put_back(
+    array: &mut EntityArray<NodeId, bool>,
+    change: &TopologyChange,
+    of_removed: impl Iterator<Item = bool>,
+) {
+    let mut values = std::mem::replace(array, EntityArray::new(Vec::new())).into_vec();
+    values.truncate(change.nodes.n_before);
+    for (node, value) in change.nodes.removed.iter().zip(of_removed) {
+        if let Some(place) = values.get_mut(node.index()) {
+            *place = value;
+        }
+    }
+    *array = EntityArray::new(values);
+}
+
+/// Tetrahedra that cuts may add before tables have to be moved: a choice.
+const SPARE_TETS: usize = 1000;
 
 /// Mesh, supports and moving surface of one organ.
 #[derive(Clone, Debug)]
@@ -27,10 +68,9 @@ pub struct Organ {
     body: EditableMesh,
     /// Held along every axis.
     fixed: EntityArray<NodeId, bool>,
+    /// Ascending.
     surface_nodes: Vec<NodeId>,
-    surface_triangles: Vec<[u32; 3]>,
-    surface_positions_m: Vec<DVec3>,
-    buckets: BucketGrid,
+    skin: Skin,
     topology_version: u32,
 }
 
@@ -47,37 +87,73 @@ impl Organ {
         for held in fixed_nodes(supports, &mesh.positions_m) {
             fixed[held.node.index()] = held.axes == [true; 3];
         }
-        let body = EditableMesh::new(mesh)?;
-        let (surface, surface_nodes) = surface_of(body.topology(), body.mesh());
-        let buckets = BucketGrid::new(&surface.positions_m, &surface.triangles);
-        Ok(Self {
-            body,
-            fixed: EntityArray::new(fixed),
-            surface_nodes,
-            surface_triangles: surface.triangles,
-            surface_positions_m: surface.positions_m,
-            buckets,
-            topology_version: 1,
-        })
+        let mut body = EditableMesh::new(mesh)?;
+        // The first cuts move no tables.
+        body.reserve(SPARE_TETS);
+        let surface_nodes = body.topology().surface_nodes().collect();
+        let skin = Skin::new(&body, &body.mesh().positions_m);
+        Ok(Self { body, fixed: EntityArray::new(fixed), surface_nodes, skin, topology_version: 1 })
     }
 
-    /// Edits the mesh; the supports and the surface follow, the model has to.
-    ///
-    /// # Errors
-    /// [`EditError`] when the edit cannot be done; nothing changed then.
-    pub fn edit(&mut self, edit: &MeshEdit, positions_m: &[DVec3]) -> Result<TopologyChange, EditError> {
-        let change = self.body.apply(edit)?;
-        self.fixed.follow(&change);
-        let (surface, surface_nodes) = surface_of(self.body.topology(), self.body.mesh());
-        // A node that the edit made has no place in the model yet.
-        let at_rest = |n: &NodeId| self.body.mesh().positions_m[n.index()];
-        let now = |n: &NodeId| positions_m.get(n.index()).copied().unwrap_or_else(|| at_rest(n));
-        self.surface_positions_m = surface_nodes.iter().map(now).collect();
-        self.surface_nodes = surface_nodes;
-        self.surface_triangles = surface.triangles;
-        self.buckets = BucketGrid::new(&self.surface_positions_m, &self.surface_triangles);
+    /// Mesh and adjacency, to be edited; what follows has to be told.
+    pub(super) fn body_mut(&mut self) -> &mut EditableMesh {
+        &mut self.body
+    }
+
+    /// The body was edited: supports and surface follow; `before` keeps what that overwrites.
+    pub(super) fn follow_edit(&mut self, change: &TopologyChange, before: &mut OrganBefore) {
+        before.fixed.clear();
+        before
+            .fixed
+            .extend(change.nodes.removed.iter().map(|n| n.index() < change.nodes.n_before && self.fixed[*n]));
+        self.fixed.follow(change);
+        for &node in &change.surface_nodes_removed {
+            if let Ok(at) = self.surface_nodes.binary_search(&node) {
+                self.surface_nodes.remove(at);
+            }
+        }
+        for &node in &change.surface_nodes_added {
+            if let Err(at) = self.surface_nodes.binary_search(&node) {
+                self.surface_nodes.insert(at, node);
+            }
+        }
+        let surface = SurfaceChange {
+            added: &change.surface_triangles_added,
+            removed: &change.surface_triangles_removed,
+        };
+        self.skin.follow(&self.body, &surface);
         self.topology_version += 1;
-        Ok(change)
+    }
+
+    /// Takes the last edit back.
+    pub(super) fn undo_edit(&mut self, undo: &MeshUndo, change: &TopologyChange, before: &OrganBefore) {
+        self.body.undo(undo);
+        put_back(&mut self.fixed, change, before.fixed.iter().copied());
+        for &node in &change.surface_nodes_added {
+            if let Ok(at) = self.surface_nodes.binary_search(&node) {
+                self.surface_nodes.remove(at);
+            }
+        }
+        for &node in &change.surface_nodes_removed {
+            if let Err(at) = self.surface_nodes.binary_search(&node) {
+                self.surface_nodes.insert(at, node);
+            }
+        }
+        let surface = SurfaceChange {
+            added: &change.surface_triangles_added,
+            removed: &change.surface_triangles_removed,
+        };
+        self.skin.unfollow(&self.body, &surface);
+        self.topology_version += 1;
+    }
+
+    /// Puts the nodes that an edit brought in where the model has them.
+    pub(super) fn place_new_nodes(&mut self, change: &TopologyChange, positions_m: &[DVec3]) {
+        for &node in change.nodes.added.ids() {
+            if let Some(&position_m) = positions_m.get(node.index()) {
+                self.skin.place(node, position_m);
+            }
+        }
     }
 
     /// The mesh at rest.
@@ -117,45 +193,50 @@ impl Organ {
         &self.surface_nodes
     }
 
-    /// Nodes of a surface triangle.
-    pub fn surface_triangle(&self, triangle: usize) -> [NodeId; 3] {
-        self.surface_triangles[triangle].map(|v| self.surface_nodes[v as usize])
-    }
-
-    /// Positions of the surface's vertices now [m].
-    pub fn surface_positions_m(&self) -> &[DVec3] {
-        &self.surface_positions_m
-    }
-
     /// Changes whenever the surface's triangles change.
     pub fn topology_version(&self) -> u32 {
         self.topology_version
     }
 
-    /// The surface now, for contact queries.
-    pub fn surface_view(&self) -> SurfaceView<'_> {
-        SurfaceView {
-            positions_m: &self.surface_positions_m,
-            triangles: &self.surface_triangles,
-            buckets: &self.buckets,
-        }
+    /// The surface for contact queries.
+    pub(super) fn skin(&self) -> &Skin {
+        &self.skin
     }
 
-    /// Moves the surface to these node positions. Allocates nothing.
+    /// Brings the surface's search up to date after edits. Allocates nothing.
+    pub(super) fn refresh(&mut self) {
+        self.skin.refresh();
+    }
+
+    /// Positions of all nodes now [m]; the list may be longer.
+    pub(super) fn positions_m(&self) -> &[DVec3] {
+        self.skin.positions_m()
+    }
+
+    /// Outward unit normal of a triangle now; zero for one without area.
+    pub(super) fn face_normal(&self, nodes: [NodeId; 3]) -> DVec3 {
+        let [a, b, c] = nodes.map(|n| self.positions_m()[n.index()]);
+        (b - a).cross(c - a).normalize_or_zero()
+    }
+
+    /// Moves the surface to these node positions during a step. Allocates nothing.
     pub fn follow(&mut self, positions_m: &[DVec3]) {
-        for (vertex, node) in self.surface_positions_m.iter_mut().zip(&self.surface_nodes) {
-            *vertex = positions_m[node.index()];
-        }
-        self.buckets.update(&self.surface_positions_m, &self.surface_triangles);
+        self.skin.move_to(positions_m);
     }
 
-    /// The surface for a viewer.
+    /// Puts the surface at these node positions without a motion. Allocates nothing.
+    pub fn rest_at(&mut self, positions_m: &[DVec3]) {
+        self.skin.rest_at(positions_m);
+    }
+
+    /// The surface for a viewer. Made anew from the mesh: asked for when the version changed, not in steps.
     pub fn display_topology(&self) -> DisplayTopology {
+        let (surface, nodes) = surface_of(self.body.topology(), self.body.mesh());
         DisplayTopology {
             version: self.topology_version,
-            nodes: self.surface_nodes.clone(),
-            rest_positions_m: self.surface_nodes.iter().map(|n| self.mesh().positions_m[n.index()]).collect(),
-            triangles: self.surface_triangles.clone(),
+            nodes,
+            rest_positions_m: surface.positions_m,
+            triangles: surface.triangles,
         }
     }
 }

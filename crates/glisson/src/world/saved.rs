@@ -1,13 +1,15 @@
 //! Coming back to an earlier moment.
 
-use super::{QueuedSwap, World};
+use super::constrain::MOST_IMPOSED;
+use super::{World, grasp};
+use std::sync::Arc;
 
 /// A world as it was: mesh with its removals, the model with accumulated stiffness, warm starts and factors, the
 /// contact under way, loads, orders. Steps from it have the same bits as those that followed it.
 pub struct SavedWorld(World);
 
 impl World {
-    /// A copy of everything that the next steps depend on. Allocates.
+    /// A copy of everything that the next steps depend on; its edits cannot be taken back. Allocates.
     pub fn save(&self) -> SavedWorld {
         SavedWorld(self.duplicate())
     }
@@ -18,24 +20,27 @@ impl World {
     }
 
     fn duplicate(&self) -> Self {
-        let swap = self.swap.as_ref().map(|swap| QueuedSwap {
-            at_step: swap.at_step,
-            kind: swap.kind,
-            model: swap.model.as_ref().map(|model| model.duplicate()),
-        });
+        let swap = Self::order_of(self.swap.as_ref());
         // A clone has no room beyond what it holds.
         let mut constraints = self.constraints.clone();
-        constraints.displacements.reserve(3);
+        constraints.displacements.reserve(MOST_IMPOSED);
         constraints.forces.reserve(self.organ.mesh().positions_m.len());
+        let mut owners = self.owners.clone();
+        owners.reserve(MOST_IMPOSED);
         Self {
             spec: self.spec.clone(),
             organ: self.organ.clone(),
             model: self.model.duplicate(),
             model_kind: self.model_kind,
             swap,
-            tool: self.tool,
-            contact: self.contact.clone(),
+            hands: self.hands.clone(),
+            active: self.active.clone(),
+            vessels: self.vessels.clone(),
+            journal: self.journal.without_undo(),
+            mesh_of_the_start: Arc::clone(&self.mesh_of_the_start),
             constraints,
+            owners,
+            between_jaws: grasp::room_for_search(),
             loads: self.loads.clone(),
             gravity_m_per_s2: self.gravity_m_per_s2,
             pull_m_per_s2: self.pull_m_per_s2,

@@ -1,5 +1,6 @@
 //! What a world is made from, in SI.
 
+use crate::image::vessels::Tube;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::NodeId;
 use crate::model::{Attachment, FixedNode};
@@ -22,12 +23,14 @@ pub struct WorldSpec {
     pub loads: Vec<Load>,
     /// Accelerations of the whole, beside gravity.
     pub fields: Vec<ForceField>,
-    /// The instrument.
-    pub tool: Tool,
+    /// Blood vessels inside the organ, in its rest shape.
+    pub vessels: Vec<Tube>,
+    /// The instruments: one to [`crate::tool::MAX_TOOLS`].
+    pub tools: Vec<Tool>,
 }
 
 impl WorldSpec {
-    /// A world without gravity, supports and loads.
+    /// A world with one tool, without gravity, supports and loads.
     pub fn new(name: &str, time_step_s: f64, tool: Tool) -> Self {
         Self {
             name: name.into(),
@@ -37,7 +40,8 @@ impl WorldSpec {
             ligaments: Vec::new(),
             loads: Vec::new(),
             fields: Vec::new(),
-            tool,
+            vessels: Vec::new(),
+            tools: vec![tool],
         }
     }
 }

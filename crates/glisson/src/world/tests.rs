@@ -1,7 +1,9 @@
 //! The step, with a bed of independent springs in place of an elastic model.
 
 use super::*;
+use crate::mesh::edit::{MeshEdit, TopologyChange};
 use crate::mesh::{NodeId, TetId};
+use crate::model::{ImposedDisplacement, TopologyRefusal};
 use crate::tool::Tool;
 use spec::{Region, Support};
 
@@ -78,18 +80,12 @@ fn one_tetrahedron() -> TetMesh {
 }
 
 fn tool_at(z_m: f64) -> ToolInput {
-    ToolInput { tip_in_world_m: DVec3::new(0.0, -0.03, z_m), shaft_in_world: DVec3::Z }
+    ToolInput::at(DVec3::new(0.0, -0.03, z_m), DVec3::Z)
 }
 
 fn world(fixed: Vec<Region>) -> World {
     let mesh = one_tetrahedron();
-    let tool = Tool {
-        name: "probe".into(),
-        tip_radius_m: 0.01,
-        shaft_radius_m: 0.002,
-        shaft_length_m: 0.3,
-        home: tool_at(0.1),
-    };
+    let tool = Tool::probe("probe", 0.01, tool_at(0.1));
     let model = SpringBed::new(&mesh);
     let mut spec = WorldSpec::new("test", 1e-3, tool);
     spec.supports = fixed.into_iter().map(Support::all_axes).collect();
@@ -97,19 +93,22 @@ fn world(fixed: Vec<Region>) -> World {
 }
 
 fn input(z_m: f64) -> StepInput {
-    StepInput { tool: tool_at(z_m), n_substeps: 1, placed: false }
+    StepInput::of(&[tool_at(z_m)])
 }
 
 #[test]
 fn the_touched_point_follows_the_tool_and_the_force_pushes_back() {
     let mut world = world(vec![]);
-    assert!(!world.step(&input(0.02)).in_contact);
-    assert!(world.step(&input(0.005)).in_contact);
+    assert!(!world.step(&input(0.02)).in_contact());
+    assert!(world.step(&input(0.005)).in_contact());
     let report = world.step(&input(-0.005));
-    let point = world.snapshot().contact.unwrap().point_m;
+    let point = world.snapshot().tools[0].contacts[0].unwrap().point_m;
     assert!((point.z + 0.015).abs() < 2e-5, "{point}");
     assert!(point.truncate().distance(glam::DVec2::new(0.0, -0.03)) < 1e-12);
-    assert!(report.force_on_tool_n.z > 0.0 && report.force_on_tool_n.truncate().length() < 1e-12);
+    assert!(
+        report.tools[0].force_on_tool_n.z > 0.0
+            && report.tools[0].force_on_tool_n.truncate().length() < 1e-12
+    );
 }
 
 #[test]
@@ -119,8 +118,8 @@ fn a_tool_that_withdraws_lets_go_and_the_organ_is_at_rest_again() {
     for z in [0.02, 0.0, 0.008, 0.02, 0.05] {
         world.step(&input(z));
     }
-    assert!(!world.report().in_contact);
-    assert_eq!(world.report().force_on_tool_n, DVec3::ZERO);
+    assert!(!world.report().in_contact());
+    assert_eq!(world.report().tools[0].force_on_tool_n, DVec3::ZERO);
     assert_eq!(world.state_hash(), rest);
 }
 
@@ -130,15 +129,15 @@ fn a_tool_does_not_move_fixed_nodes() {
     let mut held = world(vec![all]);
     held.step(&input(0.02));
     let report = held.step(&input(-0.02));
-    assert!(report.blocked_by_fixed_tissue && !report.in_contact);
+    assert!(report.tools[0].blocked_by_fixed_tissue && !report.in_contact());
     assert_eq!(held.state().positions_m, one_tetrahedron().positions_m);
 
     let one = Region::Ball { center_m: DVec3::new(-0.1, -0.1, 0.0), radius_m: 1e-3 };
     let mut partly = world(vec![one]);
     partly.step(&input(0.02));
-    assert!(partly.step(&input(-0.005)).in_contact);
+    assert!(partly.step(&input(-0.005)).in_contact());
     assert!(partly.constrained_nodes().iter().all(|c| c.node != NodeId(1)));
-    assert!((partly.snapshot().contact.unwrap().point_m.z + 0.015).abs() < 2e-5);
+    assert!((partly.snapshot().tools[0].contacts[0].unwrap().point_m.z + 0.015).abs() < 2e-5);
 }
 
 #[test]
@@ -146,7 +145,7 @@ fn an_input_that_is_not_finite_is_refused_and_the_world_goes_on() {
     let mut world = world(vec![]);
     world.step(&input(0.005));
     let report = world.step(&input(f64::NAN));
-    assert!(report.input_rejected && report.in_contact && report.n_non_finite_nodes == 0);
+    assert!(report.tools[0].input_rejected && report.in_contact() && report.n_non_finite_nodes == 0);
     assert_eq!(report.step, 2);
 }
 
@@ -175,7 +174,7 @@ fn reset_brings_the_rest_shape_and_the_tool_home() {
     world.reset();
     assert_eq!(world.state_hash(), rest);
     let snapshot = world.snapshot();
-    assert!(snapshot.contact.is_none() && snapshot.tool == tool_at(0.1));
+    assert!(snapshot.tools[0].contacts == [None; 3] && snapshot.tools[0].pose == tool_at(0.1));
     assert_eq!(snapshot.positions_m, world.display_topology().rest_positions_m);
 }
 
@@ -188,7 +187,7 @@ fn a_removed_tetrahedron_leaves_the_surface_and_the_hash_knows() {
     assert!(world.display_topology().triangles.is_empty());
     assert_eq!(world.display_topology().version, 2);
     assert_ne!(world.state_hash(), whole);
-    assert!(!world.step(&input(0.0)).in_contact);
+    assert!(!world.step(&input(0.0)).in_contact());
     assert!(matches!(world.edit(&MeshEdit::Remove { tets: vec![TetId(0)] }), Err(EditRefusal::Mesh(_))));
 }
 
@@ -196,11 +195,10 @@ fn a_removed_tetrahedron_leaves_the_surface_and_the_hash_knows() {
 fn a_tool_that_is_placed_elsewhere_touches_nothing_on_the_way() {
     let mut world = world(vec![]);
     world.step(&input(0.0));
-    assert!(world.report().in_contact);
-    let placed = StepInput { placed: true, ..input(-0.5) };
-    assert!(!world.step(&placed).in_contact);
-    assert!(!world.step(&StepInput { placed: true, ..input(0.1) }).in_contact);
-    assert!(world.step(&input(0.0)).in_contact);
+    assert!(world.report().in_contact());
+    assert!(!world.step(&input(-0.5).placed()).in_contact());
+    assert!(!world.step(&input(0.1).placed()).in_contact());
+    assert!(world.step(&input(0.0)).in_contact());
 }
 
 #[test]
@@ -210,9 +208,9 @@ fn a_deep_tool_that_drags_sideways_keeps_its_contact() {
     world.step(&input(0.0));
     for i in 1..20 {
         let mut sideways = input(0.0);
-        sideways.tool.tip_in_world_m.x += 1e-3 * f64::from(i);
-        assert!(world.step(&sideways).in_contact);
+        sideways.tools[0].tip_in_world_m.x += 1e-3 * f64::from(i);
+        assert!(world.step(&sideways).in_contact());
     }
-    let point = world.snapshot().contact.unwrap().point_m;
+    let point = world.snapshot().tools[0].contacts[0].unwrap().point_m;
     assert!((point.x - 0.019).abs() < 1e-12, "{point}");
 }

@@ -1,80 +1,134 @@
 //! A contact that is held: from the first touch until the tool has come back out and would pull.
 //!
-//! The tissue sticks to the tip while the contact lasts: the touched point follows the tool exactly
-//! (Cotin, Delingette and Ayache 1998, RR-3511, s. 5; the device measures position, so the model is driven by
-//! displacements). Sliding with friction is not modelled here.
+//! The touched point of the tissue follows the tool exactly (Cotin, Delingette and Ayache 1998, RR-3511, s. 5; the device
+//! measures position, so the model is driven by displacements). Sticky tissue stays at the tool while the contact lasts;
+//! other tissue slides on it where the pull along the surface is more than Coulomb's friction bears ([`super::slide`]).
 
 use super::organ::Organ;
-use crate::contact::sphere::Touch;
+use super::parts::ToolPoint;
+use super::skin::SurfacePlace;
 use crate::contact::spread::motion_weights;
 use crate::math::DVec3;
-use crate::mesh::NodeId;
-use crate::model::ImposedDisplacement;
+use crate::mesh::{NodeId, TriangleId};
 
 /// Pull at which a contact lets go [N]: ten times below what a hand feels as a change
 /// of weight in the fingers, far above rounding.
 const RELEASE_PULL_N: f64 = 1e-3;
 
+/// Tissue that a tool overlaps when it begins to touch is pushed out no faster than this [m/s]: a choice, a hand's calm
+/// motion.
+const PUSH_OUT_M_PER_S: f64 = 0.2;
+
+/// Below this cosine between the way from tissue to tool and the outward normal, the tool comes from inside.
+const FROM_INSIDE: f64 = -0.2;
+
 /// One touched triangle and how its vertices follow the tool.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeldContact {
-    nodes: [NodeId; 3],
-    weights: [f64; 3],
-    motion_weights: [f64; 3],
-    /// Displacements of the three nodes at the touch [m].
-    displacements_at_touch_m: [DVec3; 3],
-    /// The tip's centre for which the imposed motion is zero [m].
-    neutral_tip_m: DVec3,
-    normal: DVec3,
+    pub(super) triangle: TriangleId,
+    pub(super) nodes: [NodeId; 3],
+    pub(super) weights: [f64; 3],
+    pub(super) motion_weights: [f64; 3],
+    /// Displacements of the three nodes at the touch, or at the last slide [m].
+    pub(super) displacements_at_touch_m: [DVec3; 3],
+    /// What of the tool touches.
+    pub(super) at: ToolPoint,
+    /// Place of the touching point of the tool for which the imposed motion is zero [m].
+    pub(super) neutral_m: DVec3,
+    /// How far the tissue had been moved when the displacements were noted: zero at the touch [m].
+    pub(super) motion_before_m: DVec3,
+    pub(super) normal: DVec3,
+    /// How far the tissue still has to be pushed out of the tool [m].
+    pub(super) overlap_m: f64,
 }
 
 impl HeldContact {
-    /// The contact that begins with `touch`, or `None` on tissue that is held fixed.
-    pub fn begin(touch: &Touch, organ: &Organ, positions_m: &[DVec3]) -> Option<Self> {
-        let nodes = organ.surface_triangle(touch.triangle);
-        let motion_weights = motion_weights(touch.weights, nodes.map(|n| organ.is_fixed(n)))?;
+    /// The contact that begins at `place` with the tool's point `at`, which is `point_m` from the touched triangle's plane
+    /// by `radius_m` when it just touches; or `None` on tissue that is held fixed, and from inside.
+    pub(super) fn begin(
+        place: &SurfacePlace,
+        at: ToolPoint,
+        (point_m, radius_m): (DVec3, f64),
+        organ: &Organ,
+    ) -> ContactBegin {
+        let positions_m = organ.positions_m();
+        let nodes = place.nodes;
+        let corners_m = nodes.map(|n| positions_m[n.index()]);
+        let face = (corners_m[1] - corners_m[0]).cross(corners_m[2] - corners_m[0]).normalize_or_zero();
+        let contact = &place.found.contact;
+        let normal = contact.normal;
+        if normal == DVec3::ZERO || normal.dot(face) < FROM_INSIDE {
+            return ContactBegin::FromInside;
+        }
+        let weights = place.found.weights;
+        let Some(motion_weights) = motion_weights(weights, nodes.map(|n| organ.is_fixed(n))) else {
+            return ContactBegin::OnFixedTissue;
+        };
+        let touched_m: DVec3 = (0..3).map(|v| corners_m[v] * weights[v]).sum();
+        let overlap_m = (-contact.gap_m).max(0.0);
         let rest_m = &organ.mesh().positions_m;
-        Some(Self {
+        let neutral_m = if overlap_m > 0.0 {
+            // As it is; the overlap is taken out bit by bit.
+            point_m
+        } else {
+            touched_m + normal * radius_m
+        };
+        ContactBegin::Touches(Self {
+            triangle: place.triangle,
             nodes,
-            weights: touch.weights,
+            weights,
             motion_weights,
             displacements_at_touch_m: nodes.map(|n| positions_m[n.index()] - rest_m[n.index()]),
-            // An overlap at the touch is pushed out along the normal.
-            neutral_tip_m: touch.center_m - touch.normal * touch.gap_m,
-            normal: touch.normal,
+            at,
+            neutral_m,
+            motion_before_m: DVec3::ZERO,
+            normal,
+            overlap_m,
         })
     }
 
     /// Everything that its next steps depend on.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
-        let vectors = self.displacements_at_touch_m.into_iter().chain([self.neutral_tip_m, self.normal]);
+        let vectors = self.displacements_at_touch_m.into_iter();
+        let vectors = vectors.chain([self.neutral_m, self.motion_before_m, self.normal]);
         let nodes = self.nodes.map(|node| f64::from(node.0));
         nodes
             .into_iter()
             .chain(self.weights)
             .chain(self.motion_weights)
             .chain(vectors.flat_map(|v| v.to_array()))
+            .chain(self.at.numbers())
+            .chain([f64::from(self.triangle.0), self.overlap_m])
     }
 
-    /// Appends what the tool at `tip_m` imposes, ascending by node. Fixed nodes are left to their support.
-    pub fn add_constraints(&self, tip_m: DVec3, constraints: &mut Vec<ImposedDisplacement>) {
-        let motion_m = tip_m - self.neutral_tip_m;
-        let first = constraints.len();
-        for v in 0..3 {
-            if self.motion_weights[v] > 0.0 {
-                let displacement_m = self.displacements_at_touch_m[v] + motion_m * self.motion_weights[v];
-                constraints.push(ImposedDisplacement { node: self.nodes[v], displacement_m });
-            }
-        }
-        constraints[first..].sort_unstable_by_key(|c| c.node);
+    /// A step of pushing the tissue out of the tool.
+    pub(super) fn push_out(&mut self, dt_s: f64) {
+        let out_m = self.overlap_m.min(PUSH_OUT_M_PER_S * dt_s);
+        self.overlap_m -= out_m;
+        self.neutral_m += self.normal * out_m;
     }
 
-    /// Whether the contact ends: the tip is at least as far out as where it touched, and would have to pull.
+    /// Displacements of the nodes that the tool at `point_m` moves; `is_taken` says which nodes something else holds.
+    /// `None` for the others.
+    pub(super) fn displacements_m(&self, point_m: DVec3, is_taken: [bool; 3]) -> [Option<DVec3>; 3] {
+        let weights = if is_taken == [false; 3] {
+            Some(self.motion_weights)
+        } else {
+            let held = [0, 1, 2].map(|v| is_taken[v] || self.motion_weights[v] == 0.0);
+            motion_weights(self.weights, held)
+        };
+        let motion_m = point_m - self.neutral_m;
+        let Some(weights) = weights else { return [None; 3] };
+        [0, 1, 2]
+            .map(|v| (weights[v] > 0.0).then(|| self.displacements_at_touch_m[v] + motion_m * weights[v]))
+    }
+
+    /// Whether the contact ends: the tool is at least as far out as where it touched, and would have to pull.
     /// Deeper in it holds even if a sideways motion makes the normal force a pull, because tissue that sticks
     /// and then jumps back would be felt as a blow.
-    pub fn lets_go(&self, tip_m: DVec3, force_on_organ_n: DVec3) -> bool {
-        let is_out = (tip_m - self.neutral_tip_m).dot(self.normal) >= 0.0;
-        is_out && force_on_organ_n.dot(self.normal) > RELEASE_PULL_N
+    pub(super) fn lets_go(&self, point_m: DVec3, force_on_organ_n: DVec3) -> bool {
+        let motion_m = self.motion_before_m + point_m - self.neutral_m;
+        motion_m.dot(self.normal) >= 0.0 && force_on_organ_n.dot(self.normal) > RELEASE_PULL_N
     }
 
     /// The touched point [m].
@@ -96,4 +150,14 @@ impl HeldContact {
     pub fn weights(&self) -> [f64; 3] {
         self.weights
     }
+}
+
+/// What became of a touch.
+pub(super) enum ContactBegin {
+    /// A contact.
+    Touches(HeldContact),
+    /// Tissue that cannot give way.
+    OnFixedTissue,
+    /// The tool comes out of the organ: nothing holds it back.
+    FromInside,
 }

@@ -6,6 +6,7 @@
 //! supply. The rate follows Murray's law, by which the flow of a vessel goes with the cube of its diameter (Murray 1926,
 //! doi 10.1073/pnas.12.3.207), scaled to the portal vein: an open end lets out what the vessel carried.
 
+use crate::image::vessels::{Tube, TubeError, check_tube};
 use crate::math::{Aabb, DVec3, tetrahedron_volume_m3};
 use crate::mesh::TetId;
 use crate::mesh::edit::{EditableMesh, TopologyChange};
@@ -20,27 +21,6 @@ pub const PORTAL_DIAMETER_M: f64 = 15.5e-3;
 pub fn bleeding_m3_per_s(diameter_m: f64) -> f64 {
     let share = diameter_m / PORTAL_DIAMETER_M;
     PORTAL_FLOW_M3_PER_S * share * share * share
-}
-
-/// One straight piece of a vessel, in the rest shape.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tube {
-    /// The tube that it branches from, earlier in the list; none for a root.
-    pub parent: Option<u32>,
-    /// Ends of its axis [m], the first towards the root.
-    pub ends_m: [DVec3; 2],
-    /// Radii there [m].
-    pub radii_m: [f64; 2],
-}
-
-impl Tube {
-    fn point_m(&self, along: f64) -> DVec3 {
-        self.ends_m[0].lerp(self.ends_m[1], along)
-    }
-
-    fn diameter_m(&self, along: f64) -> f64 {
-        2.0 * (self.radii_m[0] + along * (self.radii_m[1] - self.radii_m[0]))
-    }
 }
 
 /// A place in a tetrahedron.
@@ -63,27 +43,6 @@ pub struct OpenEnd {
     pub rate_m3_per_s: f64,
     site: Option<Site>,
     rest_m: DVec3,
-}
-
-/// What is wrong with a list of tubes.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum VesselError {
-    /// A parent that does not come earlier.
-    #[error(
-        "vessel {tube} names {parent} as the one it branches from; it must be an earlier one, numbered from 0"
-    )]
-    Parent {
-        /// Which tube.
-        tube: usize,
-        /// What it names.
-        parent: u32,
-    },
-    /// A number that is none, or a radius that is not above 0.
-    #[error("vessel {tube} has an end or a radius that is not a finite number (radii above 0)")]
-    Number {
-        /// Which tube.
-        tube: usize,
-    },
 }
 
 /// The vessels of one organ.
@@ -109,17 +68,10 @@ impl Vessels {
     /// Vessels in an organ; parts outside of it are not cut.
     ///
     /// # Errors
-    /// [`VesselError`].
-    pub fn new(tubes: Vec<Tube>, body: &EditableMesh) -> Result<Self, VesselError> {
+    /// The first tube that makes no sense, by number, and why.
+    pub fn new(tubes: Vec<Tube>, body: &EditableMesh) -> Result<Self, (usize, TubeError)> {
         for (i, tube) in tubes.iter().enumerate() {
-            if let Some(parent) = tube.parent.filter(|&p| p as usize >= i) {
-                return Err(VesselError::Parent { tube: i, parent });
-            }
-            let is_sound = tube.ends_m.iter().all(|p| p.is_finite())
-                && tube.radii_m.iter().all(|r| r.is_finite() && *r > 0.0);
-            if !is_sound {
-                return Err(VesselError::Number { tube: i });
-            }
+            check_tube(i, tube).map_err(|error| (i, error))?;
         }
         let n = tubes.len();
         let bounds = tubes.iter().map(|tube| Aabb::of_points(&tube.ends_m)).collect();
@@ -385,12 +337,9 @@ mod tests {
         let (body, vessels) = block();
         let mut tubes = vessels.tubes().to_vec();
         tubes[1].parent = Some(1);
-        assert_eq!(
-            Vessels::new(tubes.clone(), &body).unwrap_err(),
-            VesselError::Parent { tube: 1, parent: 1 }
-        );
+        assert_eq!(Vessels::new(tubes.clone(), &body).unwrap_err(), (1, TubeError::Parent { parent: 1 }));
         tubes[1].parent = None;
         tubes[2].radii_m[0] = f64::NAN;
-        assert_eq!(Vessels::new(tubes, &body).unwrap_err(), VesselError::Number { tube: 2 });
+        assert_eq!(Vessels::new(tubes, &body).unwrap_err(), (2, TubeError::Radius));
     }
 }

@@ -21,21 +21,22 @@ use glisson::solve::{
 
 use ZoneLaw::{Precomputed, TensorMass};
 
-const SIZE_M: DVec3 = DVec3::new(0.10, 0.04, 0.03);
+pub(crate) const SIZE_M: DVec3 = DVec3::new(0.10, 0.04, 0.03);
 const CELLS: [usize; 3] = [10, 4, 3];
 const DENSITY_KG_PER_M3: f64 = 1_000.0;
-const STEP_S: f64 = 2e-4;
+pub(crate) const STEP_S: f64 = 2e-4;
 
-struct Bar {
-    mesh: TetMesh,
-    material: LinearElastic,
-    fixed: Vec<FixedNode>,
-    zones: Zones,
+/// A bar of several zones.
+pub(crate) struct Bar {
+    pub(crate) mesh: TetMesh,
+    pub(crate) material: LinearElastic,
+    pub(crate) fixed: Vec<FixedNode>,
+    pub(crate) zones: Zones,
 }
 
 impl Bar {
     /// Held at x = 0, in `along` zones along x, each divided in two along y: nodes of four zones stand inside.
-    fn new(along: usize) -> Self {
+    pub(crate) fn new(along: usize) -> Self {
         let mesh = box_of_five(CELLS, SIZE_M);
         let material = LinearElastic::from_young_poisson(5_000.0, 0.45, DENSITY_KG_PER_M3).unwrap();
         let fixed = (0..mesh.positions_m.len())
@@ -46,7 +47,7 @@ impl Bar {
         Self { mesh, material, fixed, zones }
     }
 
-    fn body(&self) -> DynamicBody<'_> {
+    pub(crate) fn body(&self) -> DynamicBody<'_> {
         DynamicBody {
             fixed: &self.fixed,
             damping: Rayleigh::of_mass(30.0),
@@ -55,15 +56,15 @@ impl Bar {
         }
     }
 
-    fn params<'a>(&'a self, laws: &'a [ZoneLaw]) -> CondensedParams<'a> {
+    pub(crate) fn params<'a>(&'a self, laws: &'a [ZoneLaw]) -> CondensedParams<'a> {
         CondensedParams::new(self.body(), &self.material, &self.zones, laws)
     }
 
-    fn build(&self, laws: &[ZoneLaw]) -> CondensedHybrid {
+    pub(crate) fn build(&self, laws: &[ZoneLaw]) -> CondensedHybrid {
         CondensedHybrid::build(&self.params(laws)).unwrap()
     }
 
-    fn node_at(&self, x: f64, y: f64, z: f64) -> NodeId {
+    pub(crate) fn node_at(&self, x: f64, y: f64, z: f64) -> NodeId {
         let wanted = SIZE_M * DVec3::new(x, y, z);
         let far = |n: &usize| self.mesh.positions_m[*n].distance(wanted);
         let nearest = (0..self.mesh.positions_m.len()).min_by(|a, b| far(a).total_cmp(&far(b))).unwrap();
@@ -71,7 +72,7 @@ impl Bar {
     }
 
     /// Forces on nodes of one zone, of two and of four, and inside.
-    fn forces(&self) -> Vec<NodalForce> {
+    pub(crate) fn forces(&self) -> Vec<NodalForce> {
         let at = [
             (self.node_at(1.0, 1.0, 1.0), DVec3::new(0.0, 0.01, -0.03)),
             (self.node_at(0.5, 0.0, 1.0), DVec3::new(0.01, 0.0, -0.01)),
@@ -82,7 +83,7 @@ impl Bar {
     }
 
     /// Displacements of nodes of several zones and of the frontiers between them.
-    fn displacements(&self) -> Vec<ImposedDisplacement> {
+    pub(crate) fn displacements(&self) -> Vec<ImposedDisplacement> {
         let at = [
             (self.node_at(0.9, 1.0, 1.0), DVec3::new(0.001, 0.0, -0.002)),
             (self.node_at(0.8, 1.0, 1.0), DVec3::new(0.0, 0.0, -0.002)),
@@ -133,22 +134,22 @@ fn zone_of_tets(mesh: &TetMesh, along: usize) -> Vec<u32> {
     (0..mesh.tetrahedra.len()).map(of_tet).collect()
 }
 
-fn sorted<T>(mut list: Vec<T>, node: impl Fn(&T) -> NodeId) -> Vec<T> {
+pub(crate) fn sorted<T>(mut list: Vec<T>, node: impl Fn(&T) -> NodeId) -> Vec<T> {
     list.sort_by_key(|x| node(x));
     list
 }
 
-fn displacements_of(model: &dyn DeformableModel, mesh: &TetMesh) -> Vec<DVec3> {
+pub(crate) fn displacements_of(model: &dyn DeformableModel, mesh: &TetMesh) -> Vec<DVec3> {
     model.state().positions_m.iter().zip(&mesh.positions_m).map(|(p, r)| *p - *r).collect()
 }
 
-fn largest_difference(a: &[DVec3], b: &[DVec3]) -> f64 {
+pub(crate) fn largest_difference(a: &[DVec3], b: &[DVec3]) -> f64 {
     assert_eq!(a.len(), b.len());
     let scale = b.iter().map(|x| x.length()).fold(0.0, f64::max);
     a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max) / scale
 }
 
-fn run(model: &mut dyn DeformableModel, n_steps: usize) {
+pub(crate) fn run(model: &mut dyn DeformableModel, n_steps: usize) {
     (0..n_steps).for_each(|_| model.step(STEP_S));
 }
 

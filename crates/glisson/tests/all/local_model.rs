@@ -603,3 +603,19 @@ fn local_models_of_zones_and_modes_allocate_nothing() {
         assert!(out.compliance_m_per_n.iter().any(|x| *x > 0.0));
     }
 }
+
+#[test]
+fn a_solution_that_the_iterations_do_not_reach_is_told() {
+    let mut body = Body::small();
+    let patch = body.patch(4);
+    let told = |body: &Body| {
+        let mut model = body.tensor_mass(Rayleigh::default(), body.stable_step_s());
+        local(&mut model, &patch, 1.0)
+    };
+    assert!(!told(&body).missed_tolerance);
+    // Almost incompressible: the volume's stiffness is far above that of the shape.
+    body.material = LinearElastic::from_young_poisson(5e3, 0.4999999, DENSITY_KG_PER_M3).unwrap();
+    let found = told(&body);
+    assert!(found.missed_tolerance && !found.is_inertial);
+    assert!(found.compliance_m_per_n.iter().all(|x| x.is_finite()));
+}

@@ -635,16 +635,3 @@ fn removal_equals_a_model_of_the_remaining_mesh() {
     }
     assert!(model.state().positions_m.iter().all(|p| p.is_finite()));
 }
-
-#[test]
-fn tensor_mass_refuses_edits_it_cannot_follow() {
-    let (mesh, fixed) = organ();
-    let mut model = tensor_mass(&mesh, &fixed, 10.0);
-    let mut editable = EditableMesh::new(mesh.clone()).unwrap();
-    let position_m = mesh.positions_m[0] + DVec3::splat(1e-6);
-    let change = editable.apply(&MeshEdit::MoveVertex { node: NodeId(0), position_m }).unwrap();
-    assert!(matches!(
-        model.topology_changed(editable.mesh(), &change),
-        Err(TopologyRefusal::Frozen { model: "tensor_mass", .. })
-    ));
-}

@@ -6,8 +6,13 @@ use glisson::math::{DMat3, DVec3, SeededRandom};
 use glisson::mesh::edit::{EditableMesh, MeshEdit};
 use glisson::mesh::topology::Through;
 use glisson::mesh::{NodeId, TetId, TetMesh};
+use glisson::model::kind::ModelKind;
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
-use glisson::model::{Constraints, DeformableModel, ImposedDisplacement, NodalForce};
+use glisson::model::{
+    Constraints, DeformableModel, FixedNode, ImposedDisplacement, LocalModel, LocalWork, NodalForce,
+};
+use glisson::record::hash::StateHash;
+use glisson::scene::{OrganBody, build_model_as_cut};
 use glisson::solve::{BoundaryConditions, StaticProblem, add_gravity_forces, solve_static};
 
 fn material() -> LinearElastic {
@@ -132,7 +137,8 @@ fn one_removal_gives_the_compliance_of_the_remaining_mesh() {
         assert!(difference < limit, "{stored:?} {precision:?}: {difference:e}");
         let report = cut.model.cut_report();
         assert_eq!((report.n_edits, report.n_taken_out, report.n_loose), (1, 1, 0));
-        assert!(report.least_pivot > 1e-3 && report.error < limit, "{report:?}");
+        // The estimate sums columns.
+        assert!(report.least_pivot > 1e-3 && report.error < 10.0 * limit, "{report:?}");
     }
 }
 
@@ -460,4 +466,213 @@ fn everything_can_be_cut_away() {
         assert!(cut.model.state().positions_m.iter().all(|p| p.is_finite()));
     }
     assert!(cut.model.loadable_nodes().is_empty());
+}
+
+/// A tall block, and tetrahedra of its middle that leave a wall a third as wide: the body becomes soft.
+fn incised() -> (Cut, Vec<TetId>) {
+    let cut = Cut::new(
+        shaken_block([3, 3, 8], DVec3::new(0.03, 0.03, 0.08), 0.1, 9),
+        StoredNodes::Surface,
+        Precision::F64,
+    );
+    let mesh = cut.body.mesh();
+    let centre_m = |t: &TetId| mesh.corners_m(*t).into_iter().sum::<DVec3>() / 4.0;
+    let is_cut = |t: &TetId| {
+        let c = centre_m(t);
+        (0.02..0.06).contains(&c.z) && c.x > 0.01
+    };
+    let tets = cut.body.topology().live_tets().filter(is_cut).take(100).collect();
+    (cut, tets)
+}
+
+#[test]
+fn the_estimate_of_the_error_is_not_below_a_third_of_the_error() {
+    let mut most = 0.0_f64;
+    let mut compare = |cut: &Cut, counts: &dyn Fn(TetId) -> bool| {
+        let (difference, report) = (cut.difference_of(counts), cut.model.cut_report());
+        assert!(report.error >= difference / 3.0, "{difference:e} {report:?}");
+        most = most.max(report.error / difference);
+    };
+    let mut shaken = Cut::shaken(17);
+    let mut random = SeededRandom::new(6);
+    for n in 1..=100 {
+        let tet = shaken.next(&mut random);
+        shaken.remove(&[tet]);
+        if n % 5 == 0 {
+            compare(&shaken, &|_| true);
+        }
+    }
+    let (mut soft, tets) = incised();
+    assert!(tets.len() > 90, "{}", tets.len());
+    for (n, tet) in tets.into_iter().enumerate() {
+        soft.remove(&[tet]);
+        if n % 5 == 4 {
+            assert_eq!(soft.model.cut_report().n_loose, 0);
+            compare(&soft, &|_| true);
+        }
+    }
+    assert!(most < 1000.0, "{most}");
+}
+
+#[test]
+fn cuts_have_the_same_bits_on_any_number_of_threads() {
+    let run = |n_threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
+        pool.install(|| {
+            let mut cut = tower();
+            cut.model.set_gravity(DVec3::new(0.5, 0.0, -9.81));
+            for tets in [vec![TetId(3), TetId(40)], layer_without(&[0]), vec![TetId(8)]] {
+                cut.remove(&tets);
+                for _ in 0..20 {
+                    cut.model.step(1e-3);
+                }
+            }
+            let report = cut.model.cut_report();
+            assert!(report.n_loose > 0 && report.n_laid_bare > 0, "{report:?}");
+            let live = cut.body.topology().live_tet_flags().to_vec();
+            (StateHash::of(&cut.model.state(), &live, &[report.error]), report)
+        })
+    };
+    let [one, two, four] = [1, 2, 4].map(run);
+    assert_eq!(one, two);
+    assert_eq!(one, four);
+}
+
+#[test]
+fn a_piece_with_a_sliver_makes_no_shorter_steps_but_becomes_heavier() {
+    let mut mesh = block([2, 2, 4], DVec3::new(0.02, 0.02, 0.04));
+    // A node of the top, almost down on the layer below it.
+    let top = (0..mesh.positions_m.len())
+        .find(|&n| mesh.positions_m[n].distance(DVec3::new(0.02, 0.02, 0.04)) < 1e-9)
+        .unwrap();
+    mesh.positions_m[top].z = 0.03 + 2e-5;
+    let mut cut = Cut::new(mesh, StoredNodes::Surface, Precision::F64);
+    cut.model.set_gravity(DVec3::new(0.0, 0.0, -9.81));
+    cut.remove(&layer_without(&[]));
+    let loose = cut.model.loose_nodes();
+    let start_m = centre_m(&cut, &loose);
+    for _ in 0..100 {
+        cut.model.step(1e-3);
+        assert!(cut.model.report().n_parts <= 20, "{:?}", cut.model.report());
+    }
+    let report = cut.model.report();
+    assert!((1..9).contains(&report.n_mass_scaled_nodes), "{report:?}");
+    assert_eq!((report.n_recovered_nodes, report.energy_was_limited), (0, false));
+    let fell_m = start_m.z - centre_m(&cut, &loose).z;
+    // The added inertia, which has no weight, makes it slower.
+    assert!((0.6..1.0).contains(&(fell_m / (0.5 * 9.81 * 0.01))), "{fell_m}");
+    // Without a sliver nothing is heavier.
+    let mut sound = tower();
+    sound.remove(&layer_without(&[]));
+    sound.model.step(1e-3);
+    assert_eq!(sound.model.report().n_mass_scaled_nodes, 0);
+}
+
+#[test]
+fn a_piece_of_which_no_body_can_be_made_is_told() {
+    let mut cut = tower();
+    cut.model.set_gravity(DVec3::new(0.0, f64::NAN, 0.0));
+    cut.remove(&layer_without(&[]));
+    let report = cut.model.cut_report();
+    assert_eq!((report.n_loose, report.n_stuck), (0, 24));
+    assert_eq!(cut.model.report().n_quarantined_tets, 24);
+    assert!(cut.model.loose_nodes().is_empty());
+}
+
+#[test]
+fn a_falling_piece_goes_on_falling_when_a_fresh_precomputation_takes_over() {
+    let mut cut = tower();
+    cut.model.set_gravity(DVec3::new(0.0, 0.0, -9.81));
+    cut.remove(&layer_without(&[]));
+    for _ in 0..60 {
+        cut.model.step(1e-3);
+    }
+    let loose = cut.model.loose_nodes();
+    let speed = |model: &Precomputed| {
+        let state = model.state();
+        loose.iter().map(|n| state.velocities_m_per_s[n.index()].z).sum::<f64>() / loose.len() as f64
+    };
+    assert!((speed(&cut.model) + 9.81 * 0.06).abs() < 0.03, "{}", speed(&cut.model));
+    let live = cut.body.topology().live_tet_flags().to_vec();
+    let (mesh, material) = (cut.body.mesh().clone(), material());
+    let params = params(&mesh, &material, &cut.fixed, StoredNodes::Surface, Precision::F64);
+    let mut fresh = Precomputed::build_cut(&params, &live).unwrap();
+    fresh.take_over_in_motion(&cut.model.state());
+    fresh.set_gravity(DVec3::new(0.0, 0.0, -9.81));
+    let mut stopped = Precomputed::build_cut(&params, &live).unwrap();
+    stopped.take_over(cut.model.state().positions_m);
+    for _ in 0..60 {
+        cut.model.step(1e-3);
+        fresh.step(1e-3);
+        stopped.step(1e-3);
+    }
+    let off = |model: &Precomputed| {
+        let of = |n: &NodeId| {
+            model.state().positions_m[n.index()].distance(cut.model.state().positions_m[n.index()])
+        };
+        loose.iter().map(of).fold(0.0, f64::max)
+    };
+    assert!(off(&fresh) < 1e-6, "{:e} m", off(&fresh));
+    assert!(off(&stopped) > 0.03, "{} m", off(&stopped));
+}
+
+#[test]
+fn a_loose_piece_answers_a_haptic_loop_as_a_body_that_moves() {
+    let mut cut = tower();
+    cut.remove(&layer_without(&[0, 5]));
+    cut.model.apply(&Constraints::default());
+    cut.model.step(1e-3);
+    let loose = cut.model.loose_nodes();
+    let held = cut.model.loadable_nodes()[3];
+    let patch = [*loose.last().unwrap(), held];
+    let period_s = 1e-3;
+    let mut work = LocalWork::with_room_for(cut.body.mesh().positions_m.len());
+    let mut out = LocalModel::new();
+    cut.model.local_model_into(&patch, period_s, &mut work, &mut out);
+    let count = allocation_counter::measure(|| {
+        cut.model.local_model_into(&patch, period_s, &mut work, &mut out);
+    });
+    assert_eq!(count.count_total, 0);
+    let table = cut.model.compliance_m_per_n(held, held).unwrap();
+    assert!((out.tensor_m_per_n(1, 1) - table).to_cols_array().iter().all(|x| x.abs() < 1e-15));
+    assert_eq!(out.tensor_m_per_n(0, 1), DMat3::ZERO);
+    // What a force of short duration does to it, beside a copy without.
+    let force_n = DVec3::new(1e-3, -2e-3, 1e-3);
+    let mut pushed = cut.model.clone();
+    let forces = vec![NodalForce { node: patch[0], force_n }];
+    pushed.apply(&Constraints { displacements: vec![], forces });
+    pushed.step(period_s);
+    cut.model.step(period_s);
+    let n = patch[0].index();
+    let moved_m = pushed.state().positions_m[n] - cut.model.state().positions_m[n];
+    let told_m = out.tensor_m_per_n(0, 0) * force_n;
+    // Implicit over the period on one side, explicit parts of it on the other.
+    let share = moved_m.dot(told_m) / told_m.length_squared();
+    assert!((0.3..2.0).contains(&share) && moved_m.length() > 1e-7, "{moved_m} {told_m}");
+    assert!(out.n_rings.is_some() && !out.missed_tolerance);
+}
+
+#[test]
+fn what_a_file_keeps_is_read_from_its_head() {
+    let folder = tempfile::tempdir().unwrap();
+    for (stored, precision) in [
+        (StoredNodes::All, Precision::F32),
+        (StoredNodes::Surface, Precision::F32),
+        (StoredNodes::All, Precision::F64),
+    ] {
+        let mesh = block([3, 3, 4], DVec3::new(0.03, 0.03, 0.04));
+        let cut = Cut::new(mesh, stored, precision);
+        let file = folder.path().join("tower.compliance");
+        cut.model.save(&file).unwrap();
+        assert_eq!(Precomputed::kept_in(&file).unwrap(), (stored, precision));
+        // The scene's way to a model of the organ as it was cut.
+        let mut body = OrganBody::new(cut.body.mesh().clone(), material(), 1e-3);
+        body.fixed = cut.fixed.iter().copied().map(FixedNode::all_axes).collect();
+        body.precomputed = Some(file);
+        let mut live = vec![true; cut.body.mesh().tetrahedra.len()];
+        live[5] = false;
+        let model = build_model_as_cut(&body, ModelKind::Precomputed, &live).unwrap();
+        assert_eq!(model.report().n_reanalyses, 0);
+    }
+    assert!(Precomputed::kept_in(&folder.path().join("nothing")).is_err());
 }

@@ -22,9 +22,8 @@ const SIZE_M: f64 = 0.1;
 fn world(kind: ModelKind) -> World {
     let mesh = block([5, 5, 5], DVec3::splat(SIZE_M));
     let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
-    let home = ToolInput { tip_in_world_m: DVec3::splat(2.0 * SIZE_M), shaft_in_world: DVec3::Z };
-    let tool =
-        Tool { name: "ball".into(), tip_radius_m: 8e-3, shaft_radius_m: 1e-3, shaft_length_m: 0.2, home };
+    let home = ToolInput::at(DVec3::splat(2.0 * SIZE_M), DVec3::Z);
+    let tool = Tool::probe("ball", 8e-3, home);
     let mut spec = WorldSpec::new("block", TIME_STEP_S, tool);
     spec.supports = vec![Support::all_axes(table)];
     let corner = Region::Ball { center_m: DVec3::splat(SIZE_M), radius_m: 0.3 * SIZE_M };
@@ -48,8 +47,9 @@ fn input(step: u64) -> StepInput {
     let t = step as f64 * 5e-3;
     let x_m = SIZE_M * (0.5 + 0.3 * libm::sin(0.37 * t));
     let z_m = SIZE_M + 8e-3 + 8e-3 * libm::cos(t);
-    let tool = ToolInput { tip_in_world_m: DVec3::new(x_m, 0.45 * SIZE_M, z_m), shaft_in_world: DVec3::Z };
-    StepInput { tool, n_substeps: 1 + u32::from(step.is_multiple_of(7)), placed: step.is_multiple_of(400) }
+    let tool = ToolInput::at(DVec3::new(x_m, 0.45 * SIZE_M, z_m), DVec3::Z);
+    let input = StepInput::of(&[tool]).divided(1 + u32::from(step.is_multiple_of(7)));
+    if step.is_multiple_of(400) { input.placed() } else { input }
 }
 
 /// How many steps of a kind a test can afford.
@@ -59,7 +59,7 @@ fn affordable(kind: ModelKind, steps: u64) -> u64 {
 
 fn run(kind: ModelKind, steps: u64) -> (StateHash, u64) {
     let mut world = world(kind);
-    let touching = (0..steps).filter(|&step| world.step(&input(step)).in_contact).count() as u64;
+    let touching = (0..steps).filter(|&step| world.step(&input(step)).in_contact()).count() as u64;
     (world.state_hash(), touching)
 }
 
@@ -72,7 +72,7 @@ fn a_step_allocates_nothing() {
         let mut contacts = 0;
         let count = allocation_counter::measure(|| {
             for step in 1..1000 {
-                contacts += u32::from(world.step(&input(step)).in_contact);
+                contacts += u32::from(world.step(&input(step)).in_contact());
                 world.snapshot_into(&mut snapshot);
             }
         });
@@ -104,7 +104,7 @@ fn cut_along(world: &mut World, from: u64, to: u64) -> u64 {
             let is_frozen = matches!(world.model_kind(), ModelKind::Reduced | ModelKind::QuasiNonlinear);
             assert_eq!(refusal.is_some(), is_frozen, "{}: {refusal:?}", world.model_kind());
         }
-        touching += u64::from(world.step(&input(step)).in_contact);
+        touching += u64::from(world.step(&input(step)).in_contact());
     }
     touching
 }
@@ -186,7 +186,7 @@ fn a_world_saved_before_a_touch_feels_it_after() {
             }
         });
         assert_eq!(count.count_total, 0, "{kind}");
-        let touching = (2..steps).filter(|&step| first.step(&input(step)).in_contact).count();
+        let touching = (2..steps).filter(|&step| first.step(&input(step)).in_contact()).count();
         assert!(kind == ModelKind::Implicit || touching > 50, "{kind}: {touching} steps in contact");
         assert_eq!(again.state_hash(), first.state_hash(), "{kind}");
     }

@@ -8,8 +8,8 @@ use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::KernelLaw;
 use glisson::model::{Constraints, DeformableModel, DynamicBody, ModelReport, ModelState, TopologyRefusal};
 use glisson::record::hash::StateHash;
-use glisson::scene::{Scene, read_organ, tool_on_path};
-use glisson::world::{StepInput, World};
+use glisson::scene::{Scene, read_organ};
+use glisson::world::World;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -106,18 +106,16 @@ fn run(scene_file: &Path, law: KernelLaw, steps: u64, steps_to_copy: Option<u64>
     let model = Box::new(ExplicitKernel::build(&params).unwrap());
     let model = Box::new(Watched { model, counts: Arc::clone(&counts), steps_to_copy });
     let mut world = World::new(scene.world.clone(), organ.mesh.clone(), model, scene.organ.model).unwrap();
-    let home = scene.world.tool.home;
     let (mut contact_steps, mut greatest_force_n) = (0, 0.0_f64);
     for step in 1..=steps {
-        let tool = tool_on_path(home, &scene.path, step as f64 * scene.world.time_step_s);
-        let report = world.step(&StepInput { tool, n_substeps: 1, placed: false });
+        let report = world.step(&scene.input_at(step as f64 * scene.world.time_step_s));
         assert_eq!(report.n_non_finite_nodes, 0, "step {step}");
-        contact_steps += u64::from(report.in_contact);
-        greatest_force_n = greatest_force_n.max(report.force_on_tool_n.length());
+        contact_steps += u64::from(report.in_contact());
+        greatest_force_n = greatest_force_n.max(report.tools[0].force_on_tool_n.length());
     }
     let hash = world.state_hash();
     for _ in 0..REST_STEPS {
-        world.step(&StepInput { tool: home, n_substeps: 1, placed: true });
+        world.step(&scene.input_at(0.0).placed());
     }
     let distances_m = world.state().positions_m.iter().zip(&organ.mesh.positions_m);
     let drift_m = distances_m.map(|(p, rest)| p.distance(*rest)).fold(0.0, f64::max);

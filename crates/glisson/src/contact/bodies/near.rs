@@ -56,6 +56,8 @@ pub(super) struct Near {
     /// Positions of the last search [m].
     searched_m: Vec<DVec3>,
     is_searched: bool,
+    /// One surface that does not touch itself: there are no pairs.
+    is_alone: bool,
     n_bodies: u32,
     report: NearReport,
     /// Counts searches that changed which vertices are near.
@@ -87,6 +89,7 @@ impl Near {
             normals: vec![DVec3::ZERO; surfaces.owner.len()],
             searched_m: surfaces.start_m.clone(),
             is_searched: false,
+            is_alone: !self_collision && surfaces.triangle_owner.windows(2).all(|pair| pair[0] == pair[1]),
             n_bodies: n_bodies as u32,
             report: NearReport::default(),
             version: 0,
@@ -119,6 +122,9 @@ impl Near {
         self.report.n_searches = 0;
         self.report.n_dropped = 0;
         self.report.is_too_fast = false;
+        if self.is_alone {
+            return;
+        }
         let served_m = 0.5 * self.reach.slack_m;
         let is_outside = |way_m: DVec3| way_m.length_squared() > served_m * served_m;
         let has_left = |now: &Self| {
@@ -320,6 +326,13 @@ impl Near {
             let within_m = self.reach.margin_m + self.reach.skin_m;
             let corners_m = surfaces.corners_m(t);
             let Some(weights) = obstacle.between_corners(corners_m, within_m) else { continue };
+            // A place on an edge is told by the first of its triangles. Edge e runs from corner e to the next.
+            if let Some(apart) = weights.iter().position(|w| *w == 0.0)
+                && surfaces.edge_triangles[surfaces.triangle_edges[t as usize][(apart + 1) % 3] as usize][0]
+                    != t
+            {
+                continue;
+            }
             let point_m = at_weights(corners_m, weights);
             let Some(place) = obstacle.place_near(point_m) else { return };
             let key = ContactKey::TriangleObstacle(t, partner);

@@ -97,8 +97,8 @@ impl MovingObstacle {
         Some(NearPlace { distance_m, normal: rotation * normal })
     }
 
-    /// The place between the corners of a triangle that is nearest to a ball's centre, as weights; nothing where that is
-    /// at a corner.
+    /// The place between the corners of a triangle that is nearest to a ball's centre, as weights, zero at a corner that
+    /// has no part; nothing where that is at a corner.
     pub(super) fn between_corners(&self, corners_m: [DVec3; 3], within_m: f64) -> Option<[f64; 3]> {
         let ObstacleShape::Ball { radius_m } = self.obstacle.shape else { return None };
         let center_m = self.obstacle.pose.origin_m;
@@ -108,7 +108,8 @@ impl MovingObstacle {
         }
         let weights = closest_weights(center_m, corners_m);
         let is_near = at_weights(corners_m, weights).distance(center_m) <= radius_m + within_m;
-        (is_near && weights.iter().filter(|w| **w > CORNER).count() == 3).then_some(weights)
+        let is_between = weights.iter().all(|w| *w < 1.0 - CORNER);
+        (is_near && is_between).then(|| weights.map(|w| if w > CORNER { w } else { 0.0 }))
     }
 
     /// How far the obstacle's own point at `point_m` goes in the step [m].
@@ -123,7 +124,7 @@ impl MovingObstacle {
     }
 }
 
-/// A weight below which a place counts as on an edge: its corners have contacts of their own.
+/// A weight below which a corner has no part.
 const CORNER: f64 = 1e-6;
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 use super::shapes::{Tube, cylinder, ellipsoid, mm, smooth_difference, smooth_union};
 use super::vessels::{Branching, grow_tree};
 use super::{Coat, Tissue};
+use crate::image::vessels;
 use crate::math::{Aabb, DVec3, SeededRandom};
 
 /// How far an organ that the liver rests on reaches into it, so that they touch [m].
@@ -183,6 +184,22 @@ impl Anatomy {
         self.portal_tree = grow_tree(trunk.ends_m[1], trunk.radii_m[1], &mut portal_points, &branching);
         let root = self.hepatic_root;
         self.hepatic_tree = grow_tree(root.ends_m[1], root.radii_m[1], &mut hepatic_points, &branching);
+    }
+
+    /// Both trees with their trunks as roots. A branch begins where the one before it ends.
+    pub(super) fn vessels(&self) -> Vec<vessels::Tube> {
+        let mut all: Vec<vessels::Tube> = Vec::new();
+        for (trunk, tree) in
+            [(&self.portal_trunk, &self.portal_tree), (&self.hepatic_root, &self.hepatic_tree)]
+        {
+            let first = all.len();
+            for tube in std::iter::once(trunk).chain(tree) {
+                let before = all[first..].iter().position(|earlier| earlier.ends_m[1] == tube.ends_m[0]);
+                let parent = before.map(|place| (first + place) as u32);
+                all.push(vessels::Tube { parent, ends_m: tube.ends_m, radii_m: tube.radii_m });
+            }
+        }
+        all
     }
 
     fn place_tumour(&mut self, random: &mut SeededRandom) {

@@ -16,6 +16,7 @@ use rayon::prelude::*;
 
 use self::anatomy::{Anatomy, Organ};
 use super::filter::gaussian;
+use super::vessels::Tube;
 use super::{LabelMap, Volume, VoxelGrid};
 use crate::math::{DMat3, DVec3, SeededRandom};
 
@@ -180,6 +181,8 @@ pub struct Phantom {
     pub ct: Volume<f32>,
     /// The organ at the centre of each voxel; see [`Tissue`].
     pub labels: LabelMap,
+    /// The vessels inside the liver: portal vein and hepatic vein, from trunk to branches.
+    pub vessels: Vec<Tube>,
 }
 
 /// The synthetic patient of `params`. The same bits on every machine and at any number of threads.
@@ -211,7 +214,11 @@ pub fn generate(params: &PhantomParams) -> Phantom {
         }
     });
     let names = Tissue::ALL.map(|t| (t.label(), t.name().to_string())).to_vec();
-    Phantom { ct: Volume { grid: grid.clone(), values }, labels: LabelMap { grid, labels, names } }
+    Phantom {
+        ct: Volume { grid: grid.clone(), values },
+        labels: LabelMap { grid, labels, names },
+        vessels: anatomy.vessels(),
+    }
 }
 
 /// Cubic voxels that cover the field of view, centred on the origin.

@@ -1,7 +1,8 @@
 //! What an edit did, in buffers that are used again.
 
+use crate::math::DVec3;
 use crate::mesh::remap::MeshEntity;
-use crate::mesh::topology::Topology;
+use crate::mesh::topology::{Lengths, Topology};
 use crate::mesh::{EdgeId, NodeId, TetId, TriangleId};
 
 /// New entities of one kind, each with its parents.
@@ -40,14 +41,31 @@ impl<I: MeshEntity> Additions<I> {
         &self.ids
     }
 
-    fn clear(&mut self) {
+    /// Parents of the entity at place `at` of [`Additions::ids`].
+    pub fn parents(&self, at: usize) -> &[(I, f64)] {
+        let start = if at == 0 { 0 } else { self.ends[at - 1] };
+        &self.parents[start..self.ends[at]]
+    }
+
+    /// Replaces the parents of the entity at place `at`.
+    pub(super) fn set_parents(&mut self, at: usize, parents: &[(I, f64)]) {
+        let start = if at == 0 { 0 } else { self.ends[at - 1] };
+        let (old, new) = (self.ends[at] - start, parents.len());
+        self.parents.splice(start..self.ends[at], parents.iter().copied());
+        for end in &mut self.ends[at..] {
+            *end = *end + new - old;
+        }
+    }
+
+    pub(super) fn clear(&mut self) {
         self.ids.clear();
         self.ends.clear();
         self.parents.clear();
     }
 }
 
-/// What happened to the entities of one kind. Order of events: `added`, then `removed`, then `new_ids`.
+/// What happened to the entities of one kind. Order of events: `added`, then `removed`, then `new_ids`. What came
+/// and went within the edit is in neither list, and ids of additions have no gaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EntityChange<I> {
     /// Number of entities before, dead ones included.
@@ -57,8 +75,12 @@ pub struct EntityChange<I> {
     /// Entities that are dead now, ascending: tetrahedra taken out, and what was left without a
     /// tetrahedron. Their records in the topology can still be read.
     pub removed: Vec<I>,
-    /// Entities that came in; their ids continue the numbering from `n_before`.
+    /// Entities that came in; their ids continue the numbering from `n_before`. Parents are entities from before
+    /// the edit, with their values from then; edges and triangles have none.
     pub added: Additions<I>,
+    /// For nodes and tetrahedra after a list of edits in which some of those that came in went again: the id of
+    /// what had the id `n_before + i` while the list was carried out. Else empty: the ids stand.
+    pub provisional_ids: Vec<Option<I>>,
     /// After a compaction: the new id of each old one, `None` for what is dropped. Else empty.
     pub new_ids: Vec<Option<I>>,
 }
@@ -70,6 +92,7 @@ impl<I> Default for EntityChange<I> {
             n_after: 0,
             removed: Vec::new(),
             added: Additions::default(),
+            provisional_ids: Vec::new(),
             new_ids: Vec::new(),
         }
     }
@@ -79,7 +102,41 @@ impl<I: MeshEntity> EntityChange<I> {
     fn clear(&mut self) {
         self.removed.clear();
         self.added.clear();
+        self.provisional_ids.clear();
         self.new_ids.clear();
+    }
+
+    fn has_gaps(&self) -> bool {
+        !self.added.ids.is_empty() && self.removed.iter().any(|id| id.index() >= self.n_before)
+    }
+
+    fn forget_additions(&mut self) {
+        self.added.clear();
+        let n_before = self.n_before;
+        self.removed.retain(|id| id.index() < n_before);
+    }
+
+    /// Adds an entity whose parents may be new themselves; their parents stand for them.
+    pub(super) fn add_with_parents(&mut self, id: I, parents: &[(I, f64)]) {
+        if parents.iter().all(|(parent, _)| parent.index() < self.n_before) {
+            self.added.push(id, parents);
+        } else {
+            let parents = self.parents_before(parents);
+            self.added.push(id, &parents);
+        }
+    }
+
+    /// `parents` without new entities, ascending: their parents stand for them.
+    pub(super) fn parents_before(&self, parents: &[(I, f64)]) -> Vec<(I, f64)> {
+        let mut found: Vec<(I, f64)> = Vec::new();
+        for &(parent, weight) in parents {
+            match parent.index().checked_sub(self.n_before) {
+                None => found.push((parent, weight)),
+                Some(at) => found.extend(self.added.parents(at).iter().map(|&(p, w)| (p, w * weight))),
+            }
+        }
+        sum_repeated(&mut found);
+        found
     }
 
     fn start_with(&mut self, n: usize) {
@@ -131,8 +188,10 @@ pub struct TopologyChange {
     pub triangles: EntityChange<TriangleId>,
     /// The tetrahedra.
     pub tets: EntityChange<TetId>,
-    /// Nodes whose rest position changed.
+    /// Nodes that were there before and whose rest position changed; each tetrahedron at one has a new rest shape.
     pub moved_nodes: Vec<NodeId>,
+    /// Where each of `moved_nodes` was at rest before [m].
+    pub moved_from_m: Vec<DVec3>,
     /// Triangles that are on the surface now and were not.
     pub surface_triangles_added: Vec<TriangleId>,
     /// Triangles that were on the surface and are not.
@@ -176,6 +235,7 @@ impl TopologyChange {
         self.triangles.clear();
         self.tets.clear();
         self.moved_nodes.clear();
+        self.moved_from_m.clear();
         self.surface_triangles_added.clear();
         self.surface_triangles_removed.clear();
         self.surface_nodes_added.clear();
@@ -197,6 +257,28 @@ impl TopologyChange {
         self.tets.n_after = topology.n_tets();
     }
 
+    pub(super) fn lengths_before(&self) -> Lengths {
+        Lengths {
+            nodes: self.nodes.n_before,
+            edges: self.edges.n_before,
+            triangles: self.triangles.n_before,
+            tets: self.tets.n_before,
+        }
+    }
+
+    /// Whether something that came in went again.
+    pub(super) fn has_gaps(&self) -> bool {
+        self.nodes.has_gaps() || self.edges.has_gaps() || self.triangles.has_gaps() || self.tets.has_gaps()
+    }
+
+    /// Strikes everything that came in from all lists but those of the surface.
+    pub(super) fn forget_additions(&mut self) {
+        self.nodes.forget_additions();
+        self.edges.forget_additions();
+        self.triangles.forget_additions();
+        self.tets.forget_additions();
+    }
+
     /// Sorts the lists and strikes what came and went.
     pub(super) fn close(&mut self) {
         self.nodes.removed.sort_unstable();
@@ -206,6 +288,18 @@ impl TopologyChange {
         strike_common(&mut self.surface_triangles_added, &mut self.surface_triangles_removed);
         strike_common(&mut self.surface_nodes_added, &mut self.surface_nodes_removed);
     }
+}
+
+/// Sorts by entity and adds up the weights of each.
+pub(super) fn sum_repeated<I: MeshEntity>(weights: &mut Vec<(I, f64)>) {
+    weights.sort_by_key(|w| w.0);
+    weights.dedup_by(|next, kept| {
+        let same = next.0 == kept.0;
+        if same {
+            kept.1 += next.1;
+        }
+        same
+    });
 }
 
 /// Sorts both lists and takes what stands in both out of both, as often as it does.

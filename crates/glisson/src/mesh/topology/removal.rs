@@ -40,7 +40,7 @@ impl Topology {
         }
     }
 
-    fn take_from_surface(&mut self, triangle: TriangleId, on_node: &mut impl FnMut(NodeId)) {
+    pub(super) fn take_from_surface(&mut self, triangle: TriangleId, on_node: &mut impl FnMut(NodeId)) {
         self.surface_triangles.remove(triangle);
         for edge in self.triangle_edges[triangle.index()] {
             let n = &mut self.edge_n_surface[edge.index()];
@@ -93,7 +93,15 @@ impl Topology {
             self.edge_n_surface[between_faces.index()] == 0
         });
         change.pieces.through_faces.count_removal(by_faces);
+        let there = self.take_out(tet, change);
+        let by_nodes = n_groups(there, |i, j| self.is_live_edge(edges[super::local_edge(i, j)]));
+        change.pieces.through_nodes.count_removal(by_nodes);
+    }
 
+    /// [`Topology::detach_tet`] without judging pieces; returns which of its nodes are left.
+    pub(in crate::mesh) fn take_out(&mut self, tet: TetId, change: &mut TopologyChange) -> [bool; 4] {
+        let edges = self.tet_edges[tet.index()];
+        let neighbours = self.tet_neighbours[tet.index()];
         self.tet_live[tet.index()] = false;
         self.live.tets -= 1;
         change.tets.removed.push(tet);
@@ -116,8 +124,7 @@ impl Topology {
                 change.nodes.removed.push(node);
             }
         }
-        let by_nodes = n_groups(there, |i, j| self.is_live_edge(edges[super::local_edge(i, j)]));
-        change.pieces.through_nodes.count_removal(by_nodes);
+        there
     }
 
     fn detach_triangles(&mut self, tet: TetId, neighbours: [OptionalTetId; 4], change: &mut TopologyChange) {

@@ -12,11 +12,16 @@
 //! viscosity.
 
 use super::frame::{Frame, Quarantine, Sliding};
-use super::stable::Stability;
+use super::stable::{MARGIN, Stability, StiffTet};
 use super::{ExplicitError, keep};
 use crate::math::DVec3;
-use crate::mesh::NodeId;
-use crate::model::{Attachment, Constraints, Correction, DynamicBody, ModelReport, ModelState, NodalForce};
+use crate::mesh::edit::TopologyChange;
+use crate::mesh::{NodeId, TetMesh};
+use crate::model::growth::Growth;
+use crate::model::local_model::LocalFrame;
+use crate::model::{
+    Attachment, Constraints, Correction, DynamicBody, ModelReport, ModelState, NodalForce, Rayleigh,
+};
 use crate::solve::integrators::{EquationsOfMotion, FixedPoint, Integrator, ModeBounds, Motion, Scheme};
 
 /// What resists the acceleration of a node.
@@ -177,6 +182,7 @@ impl ExplicitBody {
         viscosity_per_s: f64,
         scale: impl FnOnce(&mut HeavierNodes<'_>, f64),
     ) {
+        self.frame.let_loose_nodes_go();
         self.frame.forget_scaling();
         self.unit_factor = 1.0;
         self.masses_changed();
@@ -234,11 +240,6 @@ impl ExplicitBody {
         self.frame.time_step_s
     }
 
-    /// What the scheme accelerates at a node, zero without a tetrahedron.
-    pub(in crate::model) fn inertia_kg(&self, n: usize) -> f64 {
-        self.inertia_kg[n]
-    }
-
     pub(in crate::model) fn frame(&self) -> &Frame {
         &self.frame
     }
@@ -247,8 +248,8 @@ impl ExplicitBody {
         self.frame.n_nodes()
     }
 
-    pub(in crate::model) fn rest_m(&self, node: NodeId) -> DVec3 {
-        self.frame.rest_m[node.index()]
+    pub(in crate::model) fn rest_m(&self) -> &[DVec3] {
+        &self.frame.rest_m
     }
 
     pub(in crate::model) fn masses_kg(&self) -> &[f64] {
@@ -503,6 +504,50 @@ impl ExplicitBody {
         self.frame.remove_tet(nodes, volume_m3);
     }
 
+    /// Adds the masses of one tetrahedron; [`ExplicitBody::masses_changed`] has to follow. `stiff`: of models whose
+    /// tetrahedra have frequencies.
+    pub(in crate::model) fn add_tet(
+        &mut self,
+        t: usize,
+        nodes: [NodeId; 4],
+        volume_m3: f64,
+        stiff: Option<&StiffTet>,
+    ) {
+        let corner_kg = 0.25 * self.frame.density_kg_per_m3() * volume_m3;
+        let of_tet = stiff.map_or(0.0, |stiff| stiff.squared_frequency_per_s2(corner_kg));
+        self.frame.add_tet(t, nodes, volume_m3, of_tet);
+    }
+
+    /// Room for what an edit brings in; new and moved nodes are at their places afterwards. A scheme of several steps
+    /// begins anew: earlier positions do not fit any more.
+    pub(in crate::model) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        let n_nodes = growth.n_nodes;
+        let displaced: Vec<DVec3> =
+            self.positions_m.iter().zip(&self.frame.rest_m).map(|(x, rest)| *x - *rest).collect();
+        self.frame.grow(mesh, change, growth);
+        let supports = |n: usize| self.frame.supports(n);
+        let places = growth.displacements_m(|n| displaced[n], supports);
+        let velocities = growth.velocities(|n| self.velocities_m_per_s[n], supports);
+        self.inertia_kg.resize(n_nodes, 0.0);
+        self.moves.resize(n_nodes, false);
+        self.node_damping_per_s.resize(n_nodes, self.frame.damping.mass_per_s);
+        self.positions_m.resize(n_nodes, DVec3::ZERO);
+        self.velocities_m_per_s.resize(n_nodes, DVec3::ZERO);
+        self.force_n.resize(n_nodes, DVec3::ZERO);
+        self.before_m.resize(n_nodes, DVec3::ZERO);
+        if self.frame.damping.stiffness_s > 0.0 {
+            self.ahead_m.resize(n_nodes, DVec3::ZERO);
+        }
+        places.into_iter().for_each(|(n, u_m)| self.positions_m[n] = self.frame.rest_m[n] + u_m);
+        velocities.into_iter().for_each(|(n, v)| self.velocities_m_per_s[n] = v);
+        self.integrator.resize(n_nodes);
+    }
+
+    /// Highest frequency of a live tetrahedron by itself [rad/s]: a bound of the whole after any cuts.
+    pub(in crate::model) fn highest_tet_rad_per_s(&self, is_live: &[bool]) -> f64 {
+        self.frame.highest_tet_per_s2(is_live).sqrt() / MARGIN
+    }
+
     /// Drops dead nodes after a compaction. Constraints are dropped with their node numbers.
     pub(in crate::model) fn compact(&mut self, new_ids: &[Option<NodeId>], live_tets: &[bool]) {
         let stays: Vec<bool> = new_ids.iter().map(Option::is_some).collect();
@@ -612,5 +657,28 @@ impl<F: InternalForces> EquationsOfMotion for Newton<'_, F> {
             accelerations_m_per_s2[n] =
                 if inertia_kg > 0.0 { self.force_n[n] / inertia_kg } else { DVec3::ZERO };
         }
+    }
+}
+
+impl LocalFrame for ExplicitBody {
+    /// What the scheme accelerates at a node, zero without a tetrahedron.
+    fn inertia_kg(&self, n: usize) -> f64 {
+        self.inertia_kg[n]
+    }
+
+    fn free_axes(&self, n: usize) -> [bool; 3] {
+        self.frame.free_axes(n)
+    }
+
+    fn is_held(&self, n: usize) -> bool {
+        self.frame.is_held(n)
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        self.frame.load_on_n(n)
+    }
+
+    fn damping(&self) -> Rayleigh {
+        self.frame.damping
     }
 }

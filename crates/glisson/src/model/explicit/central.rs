@@ -15,11 +15,13 @@
 //! h <= sqrt(b^2 + (2/omega)^2) - b.
 
 use super::frame::{Frame, Quarantine};
-use super::stable::{MARGIN, Stability, StableStep};
+use super::stable::{MARGIN, Stability, StableStep, StiffTet};
 use super::{ExplicitError, Padded, keep, padded, unpadded};
 use crate::math::DVec3;
-use crate::mesh::NodeId;
-use crate::model::{Constraints, Correction, DynamicBody, ModelReport, ModelState, NodalForce};
+use crate::mesh::edit::TopologyChange;
+use crate::mesh::{NodeId, TetMesh};
+use crate::model::growth::Growth;
+use crate::model::{Constraints, Correction, DynamicBody, ModelReport, ModelState, ModelUndo, NodalForce, UndoReader};
 
 /// A copy of the moving state. It holds for the same mesh and removals.
 #[derive(Clone, Debug, PartialEq)]
@@ -134,8 +136,8 @@ impl ExplicitMotion {
         self.frame.n_nodes()
     }
 
-    pub(in crate::model) fn rest_m(&self, node: NodeId) -> DVec3 {
-        self.frame.rest_m[node.index()]
+    pub(in crate::model) fn rest_m(&self) -> &[DVec3] {
+        &self.frame.rest_m
     }
 
     pub(in crate::model) fn mass_kg(&self, node: NodeId) -> f64 {
@@ -538,22 +540,97 @@ impl ExplicitMotion {
         self.positions_m[p] = self.frame.rest_m[p] + u_m;
     }
 
-    /// Takes the masses of one tetrahedron out, and the constraints on nodes that it leaves alone, which stay
-    /// where they are.
+    /// Takes the masses of one tetrahedron out; [`ExplicitMotion::after_removals`] has to follow.
     pub(in crate::model) fn remove_tet(&mut self, nodes: [NodeId; 4], volume_m3: f64) {
         self.frame.remove_tet(nodes, volume_m3);
-        let n_nodes = self.n_nodes();
-        for n in nodes.map(NodeId::index) {
-            if self.frame.node_tets[n] == 0 {
-                self.motion[n_nodes + n] = self.motion[n];
-            }
-            self.update_inertia(n);
+        nodes.into_iter().for_each(|n| self.update_inertia(n.index()));
+    }
+
+    /// Adds the masses of one tetrahedron; `stiff`: its tensors, and how much stiffer it may become.
+    pub(in crate::model) fn add_tet(
+        &mut self,
+        t: usize,
+        nodes: [NodeId; 4],
+        volume_m3: f64,
+        stiff: &StiffTet,
+    ) {
+        let corner_kg = 0.25 * self.frame.density_kg_per_m3() * volume_m3;
+        self.frame.add_tet(t, nodes, volume_m3, stiff.squared_frequency_per_s2(corner_kg));
+        nodes.into_iter().for_each(|n| self.update_inertia(n.index()));
+    }
+
+    /// Keeps the state, masses and constraints.
+    pub(in crate::model) fn save(&self, undo: &mut ModelUndo) {
+        self.frame.save(undo);
+        undo.positions_m.extend_from_slice(&self.positions_m);
+        undo.velocities_m_per_s.extend_from_slice(&self.velocities_m_per_s);
+        undo.numbers.extend_from_slice(self.motion.as_flattened());
+        undo.numbers.extend_from_slice(self.rest_forces_n.as_flattened());
+    }
+
+    /// Comes back to [`ExplicitMotion::save`] of the same nodes.
+    pub(in crate::model) fn put_back(&mut self, undo: &ModelUndo, from: &mut UndoReader<'_>) {
+        self.frame.put_back(undo, from);
+        self.positions_m.copy_from_slice(&undo.positions_m);
+        self.velocities_m_per_s.copy_from_slice(&undo.velocities_m_per_s);
+        let motion = self.motion.as_flattened_mut();
+        motion.copy_from_slice(from.numbers(motion.len()));
+        let rest_forces_n = self.rest_forces_n.as_flattened_mut();
+        rest_forces_n.copy_from_slice(from.numbers(rest_forces_n.len()));
+        (0..self.n_nodes()).for_each(|n| self.update_inertia(n));
+    }
+
+    /// Room for what an edit brings in; new and moved nodes are at their places afterwards.
+    pub(in crate::model) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        let (n_before, n_nodes) = (self.n_nodes(), growth.n_nodes);
+        self.frame.grow(mesh, change, growth);
+        let supports = |n: usize| self.frame.supports(n);
+        let way_m = |n: usize| unpadded(&self.motion[n]) - unpadded(&self.motion[n_before + n]);
+        let mut ways: Vec<(usize, DVec3)> = growth.velocities(way_m, supports);
+        let now = growth.displacements_m(|n| unpadded(&self.motion[n]), supports);
+        let mut motion = Vec::with_capacity(2 * n_nodes + 1);
+        for nodes in [0..n_before, n_before..2 * n_before] {
+            motion.extend_from_slice(&self.motion[nodes]);
+            motion.resize(motion.len() + n_nodes - n_before, [0.0; 4]);
+        }
+        ways.extend(now.iter().filter(|(n, _)| *n < n_before).map(|(n, _)| (*n, way_m(*n))));
+        now.into_iter().for_each(|(n, u_m)| motion[n] = padded(u_m));
+        for (n, way_m) in ways {
+            motion[n_nodes + n] = padded(unpadded(&motion[n]) - way_m);
+        }
+        motion.push(self.motion[2 * n_before]);
+        self.motion = motion;
+        if !self.rest_forces_n.is_empty() {
+            self.rest_forces_n.resize(n_nodes, [0.0; 4]);
+        }
+        self.inertia_kg.resize(n_nodes, 0.0);
+        self.inverse_inertia_per_kg.resize(n_nodes, 0.0);
+        self.positions_m.resize(n_nodes, DVec3::ZERO);
+        self.velocities_m_per_s.resize(n_nodes, DVec3::ZERO);
+        self.force_n.resize(n_nodes, [0.0; 4]);
+        if self.frame.damping.stiffness_s > 0.0 {
+            self.ahead_m.resize(n_nodes, [0.0; 4]);
         }
     }
 
+    /// After an edit that added or moved something: the step that is stable now and after any cuts.
+    pub(in crate::model) fn after_growth(&mut self, tet_nodes: &[[NodeId; 4]], is_live: &[bool]) {
+        let highest_per_s2 = self.frame.highest_tet_per_s2(is_live);
+        if highest_per_s2 > 0.0 {
+            self.stable.after_cuts_s = MARGIN * 2.0 / highest_per_s2.sqrt();
+        }
+        self.after_removals(tet_nodes, is_live);
+        self.publish();
+    }
+
     /// After removals: the step that is stable after any cuts, and heavier nodes where the most parts would not
-    /// suffice.
+    /// suffice. Nodes left alone stay where they are, without constraints.
     pub(in crate::model) fn after_removals(&mut self, tet_nodes: &[[NodeId; 4]], is_live: &[bool]) {
+        self.frame.let_loose_nodes_go();
+        let n_nodes = self.n_nodes();
+        for n in (0..n_nodes).filter(|&n| self.frame.node_tets[n] == 0) {
+            self.motion[n_nodes + n] = self.motion[n];
+        }
         let was_scaled = self.frame.report(0.0).n_mass_scaled_nodes > 0;
         if was_scaled {
             self.frame.forget_scaling();

@@ -15,9 +15,12 @@
 use super::stable::Stability;
 use super::{ExplicitError, keep};
 use crate::math::{DVec3, tetrahedron_volume_m3};
-use crate::mesh::{NodeId, TetId};
+use crate::mesh::edit::TopologyChange;
+use crate::mesh::{NodeId, TetId, TetMesh};
+use crate::model::growth::Growth;
+use crate::model::local_model::LocalFrame;
 use crate::model::roomy::Roomy;
-use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, Rayleigh};
+use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, ModelUndo, Rayleigh, UndoReader};
 use crate::solve::SolveError;
 
 /// A step longer than this many parts is cut to it: the caller asked for minutes in one step.
@@ -366,7 +369,7 @@ impl Frame {
         free
     }
 
-    /// Takes the masses of one tetrahedron out, and the constraints on nodes that it leaves alone.
+    /// Takes the masses of one tetrahedron out; [`Frame::let_loose_nodes_go`] has to follow.
     pub(super) fn remove_tet(&mut self, nodes: [NodeId; 4], volume_m3: f64) {
         self.is_cut = true;
         let share_kg = self.density_kg_per_m3 * volume_m3 / 4.0;
@@ -379,10 +382,136 @@ impl Frame {
                 self.mass_kg[n] -= share_kg;
             }
         }
-        // A held node that lost its last tetrahedron has nothing to pull on.
+    }
+
+    /// Adds the masses of one tetrahedron. `squared_frequency_per_s2`: by itself; of no meaning for models whose
+    /// tetrahedra have none.
+    pub(super) fn add_tet(
+        &mut self,
+        t: usize,
+        nodes: [NodeId; 4],
+        volume_m3: f64,
+        squared_frequency_per_s2: f64,
+    ) {
+        let share_kg = self.density_kg_per_m3 * volume_m3 / 4.0;
+        for n in nodes.map(NodeId::index) {
+            self.node_tets[n] += 1;
+            self.mass_kg[n] += share_kg;
+        }
+        if let Some(of_tet) = self.tet_squared_frequency_per_s2.get_mut(t) {
+            *of_tet = squared_frequency_per_s2;
+        }
+    }
+
+    /// Density [kg/m3].
+    pub(super) fn density_kg_per_m3(&self) -> f64 {
+        self.density_kg_per_m3
+    }
+
+    /// Highest squared frequency of a live tetrahedron by itself [1/s2]: a bound of the whole after any cuts.
+    pub(super) fn highest_tet_per_s2(&self, is_live: &[bool]) -> f64 {
+        let live = self.tet_squared_frequency_per_s2.iter().zip(is_live).filter(|(_, live)| **live);
+        live.map(|(of_tet, _)| *of_tet).fold(0.0, f64::max)
+    }
+
+    /// A held node that lost its last tetrahedron has nothing to pull on.
+    pub(super) fn let_loose_nodes_go(&mut self) {
         let node_tets = &self.node_tets;
         self.held.retain(|held| node_tets[held.node as usize] > 0);
         self.outer_forces.retain(|(node, _)| node_tets[*node as usize] > 0);
+    }
+
+    /// Axes along which a support holds a node.
+    pub(super) fn supports(&self, n: usize) -> [bool; 3] {
+        if self.is_fixed[n] {
+            return [true; 3];
+        }
+        let place = self.sliding.binary_search_by_key(&(n as u32), |s| s.node);
+        place.map_or([false; 3], |at| self.sliding[at].supported)
+    }
+
+    /// Room for what an edit brings in. A tool goes on holding a moved node at its place in space.
+    pub(super) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        let (n_before, n_nodes) = (self.n_nodes(), growth.n_nodes);
+        for held in self.held.iter_mut() {
+            let n = held.node as usize;
+            let moved_m = mesh.positions_m[n] - self.rest_m[n];
+            held.start_m -= moved_m;
+            held.target_m -= moved_m;
+        }
+        for node in change.moved_nodes.iter().filter(|node| node.index() < n_before) {
+            self.rest_m[node.index()] = mesh.positions_m[node.index()];
+        }
+        self.rest_m.extend_from_slice(&mesh.positions_m[n_before..n_nodes]);
+        self.is_fixed.resize(n_nodes, false);
+        for (n, supported) in growth.new_supports(|n| self.supports(n)) {
+            self.is_fixed[n] = supported == [true; 3];
+            if !self.is_fixed[n] && supported.contains(&true) {
+                self.sliding.push(Sliding { node: n as u32, supported });
+            }
+        }
+        self.node_tets.resize(n_nodes, 0);
+        self.mass_kg.resize(n_nodes, 0.0);
+        self.extra_kg.resize(n_nodes, 0.0);
+        if !self.tet_squared_frequency_per_s2.is_empty() {
+            self.tet_squared_frequency_per_s2.resize(growth.n_tets, 0.0);
+        }
+        self.outer_forces.make_room(n_nodes);
+        self.held.make_room(n_nodes);
+        self.constraint_forces_n.make_room(n_nodes);
+        self.is_cut = true;
+    }
+
+    /// Keeps masses, constraints and what the next step depends on.
+    pub(super) fn save(&self, undo: &mut ModelUndo) {
+        undo.report = self.report;
+        undo.push_place(self.careful_steps as usize);
+        undo.push_place(usize::from(self.is_cut));
+        undo.numbers.extend_from_slice(&[self.stable_step_s, self.damping.mass_per_s]);
+        undo.push_vector(self.gravity_m_per_s2);
+        undo.numbers.extend_from_slice(&self.mass_kg);
+        undo.numbers.extend_from_slice(&self.extra_kg);
+        undo.places.extend_from_slice(&self.node_tets);
+        undo.push_place(self.outer_forces.len());
+        for (node, force_n) in self.outer_forces.iter() {
+            undo.places.push(*node);
+            undo.push_vector(*force_n);
+        }
+        undo.push_place(self.held.len());
+        for held in self.held.iter() {
+            let supported = held.supported.iter().enumerate().map(|(axis, held)| u32::from(*held) << axis);
+            undo.places.extend_from_slice(&[held.place, held.node, supported.sum()]);
+            [held.start_m, held.target_m, held.before_m].into_iter().for_each(|v| undo.push_vector(v));
+        }
+        undo.push_place(self.constraint_forces_n.len());
+        self.constraint_forces_n.iter().for_each(|force_n| undo.push_vector(*force_n));
+    }
+
+    /// Comes back to [`Frame::save`] of the same nodes.
+    pub(super) fn put_back(&mut self, undo: &ModelUndo, from: &mut UndoReader<'_>) {
+        let n_nodes = self.n_nodes();
+        self.report = undo.report;
+        self.careful_steps = from.place() as u32;
+        self.is_cut = from.place() == 1;
+        self.stable_step_s = from.number();
+        self.damping.mass_per_s = from.number();
+        self.gravity_m_per_s2 = from.vector();
+        self.mass_kg.copy_from_slice(from.numbers(n_nodes));
+        self.extra_kg.copy_from_slice(from.numbers(n_nodes));
+        self.node_tets.copy_from_slice(from.places(n_nodes));
+        self.drop_constraints();
+        for _ in 0..from.place() {
+            self.outer_forces.try_push((from.place() as u32, from.vector()));
+        }
+        for _ in 0..from.place() {
+            let [place, node, supported] = [0; 3].map(|_| from.place() as u32);
+            let [start_m, target_m, before_m] = [0; 3].map(|_| from.vector());
+            let supported = [0, 1, 2].map(|axis| supported >> axis & 1 == 1);
+            self.held.try_push(Held { place, node, supported, start_m, target_m, before_m });
+        }
+        for _ in 0..from.place() {
+            self.constraint_forces_n.try_push(from.vector());
+        }
     }
 
     /// Largest stiffness of ligaments over inertia at a node [1/s2]: by so much they raise a squared frequency at most,
@@ -509,5 +638,27 @@ impl Frame {
             new.is_some()
         });
         self.drop_constraints();
+    }
+}
+
+impl LocalFrame for Frame {
+    fn inertia_kg(&self, n: usize) -> f64 {
+        self.inertia_kg(n)
+    }
+
+    fn free_axes(&self, n: usize) -> [bool; 3] {
+        self.free_axes(n)
+    }
+
+    fn is_held(&self, n: usize) -> bool {
+        self.is_held(n)
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        self.load_on_n(n)
+    }
+
+    fn damping(&self) -> Rayleigh {
+        self.damping
     }
 }

@@ -16,7 +16,9 @@ pub(in crate::model) use by_scheme::{ExplicitBody, InternalForces, check_number}
 pub use by_scheme::{Inertia, Integration};
 pub(in crate::model) use central::ExplicitMotion;
 pub use central::ExplicitSnapshot;
-pub(in crate::model) use cuttable::{Cuttable, LiveEdges, LiveTets, follow, follows, renumbered};
+pub(in crate::model) use cuttable::{
+    Cuttable, Insertions, LiveEdges, LiveTets, follow, follows, place_of, renumbered,
+};
 pub(in crate::model) use frame::{Quarantine, check_body};
 pub(in crate::model) use rest_tensions::RestTensions;
 pub use stable::{MOST_NODES_PROVEN, StableStep};

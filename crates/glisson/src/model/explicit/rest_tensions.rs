@@ -8,7 +8,7 @@
 //! so the stress turns with the tetrahedron and costs a step nothing: the tensions of all tetrahedra at an edge are
 //! summed once. Its energy is V/2 S0 : (C - Id) = 1/2 sum s_jk (|x_k - x_j|^2 - the same at rest).
 
-use super::keep;
+use super::{Insertions, keep};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::solve::{MeshEdges, P1Gradients, RestStress};
@@ -63,6 +63,28 @@ impl RestTensions {
     pub(in crate::model) fn remove(&mut self, t: usize, local: usize, edge: usize, stays: bool) {
         if let Some(tension) = self.on_edge.get_mut(edge) {
             *tension = if stays { *tension - self.of_tet[t][local] } else { 0.0 };
+        }
+    }
+
+    /// Room for what an edit brings in.
+    pub(in crate::model) fn grow(&mut self, new_edges: &Insertions, n_tets: usize) {
+        if !self.on_edge.is_empty() {
+            new_edges.spread(&mut self.on_edge, 0.0);
+            self.of_tet.resize(n_tets, [0.0; 6]);
+        }
+    }
+
+    /// Adds the tensions of a tetrahedron, new or taken out before.
+    pub(in crate::model) fn add_tet(
+        &mut self,
+        t: usize,
+        edges: &[u32; 6],
+        gradients: &P1Gradients,
+        stress_pa: RestStress,
+    ) {
+        self.of_tet[t] = gradients.stress_stiffness_n_per_m(stress_pa).1.map(|s| -s);
+        for (tension, &edge) in self.of_tet[t].iter().zip(edges) {
+            self.on_edge[edge as usize] += tension;
         }
     }
 

@@ -76,10 +76,13 @@ impl StableStep {
 }
 
 /// The stable steps, and what each tetrahedron has to do with them.
+#[derive(Clone)]
 pub(in crate::model) struct Stability {
     pub(in crate::model) step: StableStep,
     /// Bound of each tetrahedron's squared frequency by itself, for every shape allowed for [1/s2].
     pub(in crate::model) tet_squared_frequency_per_s2: Vec<f64>,
+    /// [`StiffTet::stiffening`] of each tetrahedron.
+    pub(in crate::model) tet_stiffening: Vec<f64>,
 }
 
 impl Stability {
@@ -93,20 +96,22 @@ impl Stability {
         stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
     ) -> Result<Self, SolveError> {
         let edges = MeshEdges::of_mesh(mesh)?;
-        let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, g| stiffness_of(tet, g).at_rest)?;
+        let of_tet =
+            |tet: TetId| P1Gradients::of_tet(mesh, tet).map(|gradients| stiffness_of(tet, &gradients));
+        let stiff = (0..mesh.tetrahedra.len()).map(TetId::from_index).map(of_tet);
+        let stiff: Vec<StiffTet> = stiff.collect::<Result<_, _>>()?;
+        let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, _| stiff[tet.index()].at_rest)?;
         let mut mass_kg = vec![0.0; mesh.positions_m.len()];
         let (mut after_cuts, mut tet, mut stiffening) = (0.0, TetId(0), 1.0_f64);
         let mut tet_squared_frequency_per_s2 = Vec::with_capacity(mesh.tetrahedra.len());
         for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
             let this = TetId::from_index(t);
-            let gradients = P1Gradients::of_tet(mesh, this)?;
-            let corner_kg = density_kg_per_m3 * gradients.volume_m3 / 4.0;
+            let corner_kg = density_kg_per_m3 * mesh.tet_volume_m3(this) / 4.0;
             for node in nodes {
                 mass_kg[node.index()] += corner_kg;
             }
-            let stiff = stiffness_of(this, &gradients);
-            let of_tet = stiff.stiffening * stiff.at_rest.squared_frequency_bound_per_s2([corner_kg; 4]);
-            stiffening = stiffening.max(stiff.stiffening);
+            let of_tet = stiff[t].squared_frequency_per_s2(corner_kg);
+            stiffening = stiffening.max(stiff[t].stiffening);
             tet_squared_frequency_per_s2.push(of_tet);
             if of_tet > after_cuts {
                 (after_cuts, tet) = (of_tet, this);
@@ -119,7 +124,8 @@ impl Stability {
         };
         let step_s = |squared_frequency: f64| MARGIN * 2.0 / squared_frequency.sqrt();
         let step = StableStep { step_s: step_s(uncut), after_cuts_s: step_s(after_cuts), tet };
-        Ok(Self { step, tet_squared_frequency_per_s2 })
+        let tet_stiffening = stiff.iter().map(|stiff| stiff.stiffening).collect();
+        Ok(Self { step, tet_squared_frequency_per_s2, tet_stiffening })
     }
 }
 
@@ -129,6 +135,13 @@ pub(in crate::model) struct StiffTet {
     pub at_rest: TetStiffness,
     /// Bound of its highest squared frequency in any shape allowed for, over the one at rest; from 1.
     pub stiffening: f64,
+}
+
+impl StiffTet {
+    /// Bound of its squared frequency by itself, for every shape allowed for, with this mass at each corner [1/s2].
+    pub(in crate::model) fn squared_frequency_per_s2(&self, corner_kg: f64) -> f64 {
+        self.stiffening * self.at_rest.squared_frequency_bound_per_s2([corner_kg; 4])
+    }
 }
 
 /// A proven upper bound of the largest eigenvalue of M^-1 K [1/s2], at most `known`, which is one.

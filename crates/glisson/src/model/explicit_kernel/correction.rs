@@ -19,6 +19,7 @@ impl ExplicitKernel {
     pub(super) fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
         let n_nodes = self.rest.positions_m.len();
         let last_s = self.kernel.last_step_s().unwrap_or(dt_s);
+        let per_step = 1.0 / self.kernel.last_step_s().unwrap_or(self.time_step_s);
         for force in forces {
             let node = force.node;
             let move_m = self.answer_of_node(node, dt_s) * force.force_n;
@@ -36,7 +37,8 @@ impl ExplicitKernel {
             let increment_m = self.kernel.increment_m(node) + move_m * (last_s / dt_s);
             self.kernel.set_increment(node, increment_m);
             self.history[n_nodes + n] = increment_m.to_array();
-            let velocity_m_per_s = increment_m / last_s;
+            // As states are shown everywhere else, so that an undone edit finds the same bits.
+            let velocity_m_per_s = increment_m * per_step;
             let before_m_per_s = std::mem::replace(&mut self.velocities_m_per_s[n], velocity_m_per_s);
             let gained = velocity_m_per_s.length_squared() - before_m_per_s.length_squared();
             self.report.kinetic_energy_j += 0.5 * self.kernel.inertia_kg(node) * gained;

@@ -80,9 +80,30 @@ impl Loads {
         has_room
     }
 
+    /// Nodes with a force of the constraints, perhaps several times.
+    pub(super) fn loaded(&self) -> &[NodeId] {
+        &self.loaded
+    }
+
+    /// Comes back to the force of the constraints on a node; the kernel is to be told.
+    pub(super) fn put_back(&mut self, node: NodeId, force_n: DVec3) {
+        if self.loaded.try_push(node) {
+            self.nodal_n[node.index()] = force_n;
+        }
+    }
+
     /// Force of the constraints on a node [N].
     pub(super) fn on_n(&self, n: usize) -> DVec3 {
         self.nodal_n[n]
+    }
+
+    /// Room for new nodes; all places at rest may be other ones.
+    pub(super) fn grow(&mut self, rest_m: &[DVec3]) {
+        self.rest_m.clear();
+        self.rest_m.extend_from_slice(rest_m);
+        self.nodal_n.resize(rest_m.len(), DVec3::ZERO);
+        debug_assert!(self.loaded.iter().all(|node| node.index() < rest_m.len()));
+        self.loaded.make_room(rest_m.len());
     }
 
     /// For the nodes that stay, under their new ids; without nodal forces.

@@ -4,7 +4,7 @@ use super::ExplicitKernel;
 use crate::math::DVec3;
 use crate::mesh::{NodeId, TetId};
 use crate::model::Rayleigh;
-use crate::model::local_model::{ElementStiffness, LocalBody, LocalElements, tet_tangent};
+use crate::model::local_model::{ElementStiffness, LocalBody, LocalElements, LocalFrame, tet_tangent};
 use crate::solve::P1Gradients;
 
 impl LocalBody for ExplicitKernel {
@@ -26,6 +26,12 @@ impl LocalBody for ExplicitKernel {
         })
     }
 
+    fn frame(&self) -> &dyn LocalFrame {
+        self
+    }
+}
+
+impl LocalFrame for ExplicitKernel {
     fn inertia_kg(&self, n: usize) -> f64 {
         self.kernel.inertia_kg(NodeId::from_index(n))
     }

@@ -21,26 +21,29 @@
 //! limited, the next steps are divided into as many internal ones as the body allows: its law is stiffer there. A
 //! linear law is as stiff at any strain.
 //!
-//! Removing a tetrahedron takes constant time; what is left without a tetrahedron stays where it is.
+//! Removing a tetrahedron takes constant time; what is left without a tetrahedron stays where it is. New tetrahedra come
+//! into spare lanes of the kernel, which is laid out anew when half as many have come in as there were.
 
 mod correction;
 mod loads;
 mod local;
 mod params;
+mod piece;
 mod stability;
 mod topology;
+mod undo;
 
 use std::sync::Arc;
 
 use self::loads::Loads;
 use self::stability::Stability;
-use super::explicit::follows;
+use super::growth::Growth;
 use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine, Workers};
 use super::kind::ModelKind;
 use super::roomy::Roomy;
 use super::{
-    Constraints, Correction, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, NodalForce,
-    Rayleigh, StepAnswer, TopologyRefusal, local_model,
+    Constraints, Correction, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, ModelUndo,
+    NodalForce, Rayleigh, StepAnswer, TopologyRefusal, local_model,
 };
 use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
@@ -546,18 +549,25 @@ impl DeformableModel for ExplicitKernel {
         Box::new(self.clone())
     }
 
-    /// Follows removals, which allocate nothing, and compactions, which do.
-    fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        follows(ModelKind::Explicit.name(), change)?;
+    /// Follows all edits; removals allocate nothing.
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         assert_eq!(change.tets.n_before, self.rest.tetrahedra.len(), "the model missed a change of the mesh");
         assert_eq!(
             change.nodes.n_before,
             self.rest.positions_m.len(),
             "the model missed a change of the mesh"
         );
-        for &tet in &change.tets.removed {
-            if self.kernel.is_live(tet) {
-                self.remove_tet(tet);
+        let tets = self.rest.tetrahedra.iter().enumerate();
+        let live = tets.filter(|(t, _)| self.kernel.is_live(TetId::from_index(*t)));
+        let name = ModelKind::Explicit.name();
+        match Growth::of(name, mesh, change, &self.rest.positions_m, live)? {
+            Some(growth) => self.grow(mesh, change, &growth),
+            None => {
+                for &tet in &change.tets.removed {
+                    if self.kernel.is_live(tet) {
+                        self.remove_tet(tet);
+                    }
+                }
             }
         }
         // A held node that lost its last tetrahedron has nothing to pull on.
@@ -567,5 +577,15 @@ impl DeformableModel for ExplicitKernel {
             self.compact(change);
         }
         Ok(())
+    }
+
+    /// Short, but for edits after which the kernel may be laid out anew; those of removals allocate nothing in buffers that
+    /// were used before.
+    fn save_for_undo(&self, change: &TopologyChange, undo: &mut ModelUndo) {
+        self.save(change, undo);
+    }
+
+    fn undo(&mut self, undo: &ModelUndo) {
+        self.put_back(undo);
     }
 }

@@ -4,16 +4,17 @@ use std::sync::Arc;
 
 use super::{ExplicitError, SharedWorkers};
 use crate::material::{LinearElastic, MaterialError, NeoHookeLog, PronySeries, StableNeoHooke};
-use crate::mesh::TetId;
-use crate::mesh::TetMesh;
+use crate::mesh::edit::TopologyChange;
+use crate::mesh::{TetId, TetMesh};
 use crate::model::explicit::keep;
+use crate::model::growth::{Growth, blend_tets};
 use crate::model::kernel::{
     FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, Sequential, SharedMaterial,
 };
 use crate::model::local_model::TangentLaw;
-use crate::model::nonlinear_tensor_mass::{Fibre, TetLaw};
+use crate::model::nonlinear_tensor_mass::{Fibre, TetLaw, linear_stiffness};
 use crate::model::{DynamicBody, RestStress};
-use crate::solve::SolveError;
+use crate::solve::{P1Gradients, SolveError, TetStiffness};
 
 /// Stretch for which the step is made, unless told otherwise: a choice, not a measurement.
 pub const DEFAULT_LARGEST_STRETCH: f64 = 1.3;
@@ -199,14 +200,51 @@ impl Substance {
         law: KernelLaw,
         path: KernelPath,
     ) -> Result<FastKernel, KernelError> {
-        let extras = KernelExtras {
+        FastKernel::with_extras(&self.kernel_params(mesh, law, path), &self.extras())
+    }
+
+    pub(super) fn kernel_params<'a>(
+        &'a self,
+        mesh: &'a TetMesh,
+        law: KernelLaw,
+        path: KernelPath,
+    ) -> KernelParams<'a> {
+        KernelParams { mesh, law, materials: &self.materials, path }
+    }
+
+    pub(super) fn extras(&self) -> KernelExtras<'_> {
+        KernelExtras {
             rest_stress_pa: &self.rest_stress_pa,
             fibres: &self.fibres,
             volume_penalty_pa: self.volume_penalty_pa,
             laws: &self.laws,
             relaxation: self.relaxation.as_ref(),
-        };
-        FastKernel::with_extras(&KernelParams { mesh, law, materials: &self.materials, path }, &extras)
+        }
+    }
+
+    /// Tensors of a tetrahedron at rest under its moduli at small strain.
+    pub(super) fn stiffness_at_rest(&self, tet: TetId, gradients: &P1Gradients) -> TetStiffness {
+        let material = &self.materials[tet.index()];
+        let with_fibre = |fibre: &Fibre| TetLaw::with_fibre(material, fibre, tet).ok();
+        let law = self.fibres.get(tet.index()).and_then(with_fibre);
+        linear_stiffness(&law.unwrap_or_else(|| TetLaw::isotropic(material)), gradients)
+    }
+
+    /// New tetrahedra take material, fibre and law of the one that they take after most, and the mean stress of their
+    /// parents.
+    pub(super) fn grow(&mut self, change: &TopologyChange, growth: &Growth) {
+        growth.take_over(&mut self.materials);
+        growth.take_over(&mut self.fibres);
+        growth.take_over(&mut self.laws);
+        blend_tets(&mut self.rest_stress_pa, change);
+    }
+
+    /// Forgets the tetrahedra beyond the first `n_tets`.
+    pub(super) fn truncate(&mut self, n_tets: usize) {
+        self.materials.truncate(n_tets);
+        self.fibres.truncate(n_tets);
+        self.laws.truncate(n_tets);
+        self.rest_stress_pa.truncate(n_tets);
     }
 
     /// Hands out the law of a tetrahedron and its stress at rest.

@@ -28,11 +28,12 @@ use super::explicit::{
     Cuttable, ExplicitBody, ExplicitError, Integration, InternalForces, LiveEdges, LiveTets, Quarantine,
     RestTensions, Stability, StiffTet, check_body, check_number, follow, keep,
 };
-use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
+use super::growth::{Growth, blend_tets};
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::nonlinear_tensor_mass::TetLaw;
 use super::{
     Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
-    NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
+    NodalForce, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::material::{LinearElastic, NeoHookeLog};
 use crate::math::{DMat3, DVec3};
@@ -189,6 +190,19 @@ fn rest_squares_m2(mesh_positions_m: &[DVec3], nodes: [NodeId; 4]) -> [f64; 6] {
     LOCAL_EDGES.map(|[a, b]| (p[b] - p[a]).length_squared())
 }
 
+/// A tetrahedron's share in the stable step.
+fn stiff_tet(
+    material: &LinearElastic,
+    gradients: &P1Gradients,
+    rest_stress_pa: Option<&RestStress>,
+) -> StiffTet {
+    let mut at_rest = gradients.stiffness(material.lambda_pa(), material.mu_pa());
+    if let Some(&stress_pa) = rest_stress_pa {
+        at_rest.add_multiples(gradients.stress_stiffness_n_per_m(stress_pa));
+    }
+    StiffTet { at_rest, stiffening: 1.0 }
+}
+
 impl ExtendedMassSpring {
     /// Prepares every tetrahedron. The mesh must be compact: every tetrahedron of it counts as live.
     ///
@@ -202,11 +216,7 @@ impl ExtendedMassSpring {
         let edges = MeshEdges::of_mesh(mesh)?;
         // At rest both laws have the stiffness of linear elasticity.
         let stability = Stability::of_stiffness(mesh, body.density_kg_per_m3, |tet, gradients| {
-            let mut at_rest = gradients.stiffness(material.lambda_pa(), material.mu_pa());
-            if let Some(&stress_pa) = body.rest_stress_pa.get(tet.index()) {
-                at_rest.add_multiples(gradients.stress_stiffness_n_per_m(stress_pa));
-            }
-            StiffTet { at_rest, stiffening: 1.0 }
+            stiff_tet(material, gradients, body.rest_stress_pa.get(tet.index()))
         })?;
         let step = stability.step;
         let n_edges = edges.nodes.len();
@@ -371,8 +381,8 @@ impl Cuttable for ExtendedMassSpring {
         &mut self.links.tets
     }
 
-    fn n_nodes(&self) -> usize {
-        self.body.n_nodes()
+    fn rest_m(&self) -> &[DVec3] {
+        self.body.rest_m()
     }
 
     fn remove_tet(&mut self, t: usize) {
@@ -382,8 +392,8 @@ impl Cuttable for ExtendedMassSpring {
             Elements::StVenantKirchhoff(elements) => elements[t] = EdgeEnergy::nothing(),
             Elements::NeoHooke(elements) => elements[t] = EdgeEnergy::nothing(),
         }
-        // The rest positions are those of the build, so these are the numbers that were added then.
-        let volume_m3 = P1Gradients::new(nodes.map(|n| self.body.rest_m(n))).volume_m3;
+        // The rest positions are those from when it was added, so these are the numbers that were added then.
+        let volume_m3 = P1Gradients::new(nodes.map(|n| self.body.rest_m()[n.index()])).volume_m3;
         self.body.remove_tet(nodes, volume_m3);
         links.n_left_out -= u32::from(std::mem::take(&mut links.is_left_out[t]));
         for (local, edge) in links.edges.edges.of_tet[t].into_iter().enumerate() {
@@ -409,6 +419,64 @@ impl Cuttable for ExtendedMassSpring {
                 nodes.scale_tets(allowed_rad_per_s, &tets.nodes, &tets.is_live);
             },
         );
+    }
+
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        self.body.grow(mesh, change, growth);
+        blend_tets(&mut self.rest_stress_pa, change);
+        let links = &mut self.links;
+        links.is_left_out.resize(growth.n_tets, false);
+        let insertions = links.edges.grow(&links.tets, &growth.added);
+        insertions.spread(&mut links.rest_m2, 0.0);
+        insertions.spread(&mut links.viscosity_n_s_per_m, 0.0);
+        insertions.spread(&mut links.growth_m2, 0.0);
+        insertions.spread(&mut links.tension_n_per_m, 0.0);
+        links.rest_tensions.grow(&insertions, growth.n_tets);
+        match &mut links.elements {
+            Elements::StVenantKirchhoff(elements) => elements.resize(growth.n_tets, EdgeEnergy::nothing()),
+            Elements::NeoHooke(elements) => elements.resize(growth.n_tets, EdgeEnergy::nothing()),
+        }
+        let has_new_place = growth.has_new_place();
+        for (rest_m2, nodes) in links.rest_m2.iter_mut().zip(&links.edges.edges.nodes) {
+            if *rest_m2 == 0.0 || nodes.iter().any(|n| has_new_place[n.index()]) {
+                let [a, b] = nodes.map(|n| mesh.positions_m[n.index()]);
+                *rest_m2 = (b - a).length_squared();
+            }
+        }
+    }
+
+    fn add_tet(&mut self, t: usize) {
+        let links = &mut self.links;
+        let nodes = links.tets.nodes[t];
+        let gradients = P1Gradients::new(nodes.map(|n| self.body.rest_m()[n.index()]));
+        let rest_m2 = rest_squares_m2(self.body.rest_m(), nodes);
+        let lame = Lame { lambda_pa: self.material.lambda_pa(), mu_pa: self.material.mu_pa() };
+        match &mut links.elements {
+            Elements::StVenantKirchhoff(elements) => {
+                elements[t] = StVenantKirchhoffTet::new(&gradients, rest_m2, lame);
+            }
+            Elements::NeoHooke(elements) => elements[t] = NeoHookeTet::new(&gradients, rest_m2, lame),
+        }
+        links.edges.add_tet(t);
+        let edges = links.edges.edges.of_tet[t];
+        for edge in edges {
+            links.viscosity_n_s_per_m[edge as usize] +=
+                self.viscosity_kg_per_m3_s * gradients.volume_m3 / 4.0;
+        }
+        let rest_stress_pa = self.rest_stress_pa.get(t);
+        if let Some(&stress_pa) = rest_stress_pa {
+            links.rest_tensions.add_tet(t, &edges, &gradients, stress_pa);
+        }
+        let stiff = stiff_tet(&self.material, &gradients, rest_stress_pa);
+        self.body.add_tet(t, nodes, gradients.volume_m3, Some(&stiff));
+    }
+
+    fn after_growth(&mut self) {
+        let highest_rad_per_s = self.body.highest_tet_rad_per_s(&self.links.tets.is_live);
+        if highest_rad_per_s > 0.0 {
+            self.frequency_after_cuts_rad_per_s = highest_rad_per_s;
+        }
+        self.after_removals();
     }
 
     fn compact(&mut self, new_ids: &[Option<NodeId>]) {
@@ -444,7 +512,7 @@ impl LocalBody for ExtendedMassSpring {
     /// The tangent of the law with the same energy, and the viscosity of its edges.
     fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness {
         let nodes = self.links.tets.nodes[element];
-        let rest_m = nodes.map(|n| self.body.rest_m(n));
+        let rest_m = nodes.map(|n| self.body.rest_m()[n.index()]);
         let gradients = P1Gradients::new(rest_m);
         let at_m = nodes.map(|n| self.body.positions_m()[n.index()]);
         let u_m = std::array::from_fn(|k| at_m[k] - rest_m[k]);
@@ -465,24 +533,8 @@ impl LocalBody for ExtendedMassSpring {
         stiffness
     }
 
-    fn inertia_kg(&self, n: usize) -> f64 {
-        self.body.inertia_kg(n)
-    }
-
-    fn free_axes(&self, n: usize) -> [bool; 3] {
-        self.body.frame().free_axes(n)
-    }
-
-    fn is_held(&self, n: usize) -> bool {
-        self.body.frame().is_held(n)
-    }
-
-    fn load_on_n(&self, n: usize) -> DVec3 {
-        self.body.frame().load_on_n(n)
-    }
-
-    fn damping(&self) -> Rayleigh {
-        self.body.frame().damping
+    fn frame(&self) -> &dyn LocalFrame {
+        &self.body
     }
 }
 
@@ -543,7 +595,8 @@ impl DeformableModel for ExtendedMassSpring {
         Box::new(self.clone())
     }
 
-    fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        follow(self, change)
+    /// Follows all edits. Removals allocate nothing.
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        follow(self, mesh, change)
     }
 }

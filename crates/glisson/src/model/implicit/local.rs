@@ -4,7 +4,7 @@ use super::{ImplicitEuler, ImplicitLaw};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::model::local_model::{
-    ElementStiffness, LocalBody, LocalElements, TangentLaw, add_rest_stress, compute, tet_tangent,
+    ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw, add_rest_stress, compute, tet_tangent,
 };
 use crate::model::{LocalModel, LocalWork, Rayleigh};
 use crate::solve::P1Gradients;
@@ -97,6 +97,12 @@ impl LocalBody for Relaxing<'_> {
         stiffness
     }
 
+    fn frame(&self) -> &dyn LocalFrame {
+        self
+    }
+}
+
+impl LocalFrame for Relaxing<'_> {
     fn inertia_kg(&self, n: usize) -> f64 {
         self.body.mass_kg[n]
     }

@@ -579,7 +579,7 @@ impl DeformableModel for ImplicitEuler {
         Box::new(self.clone())
     }
 
-    fn topology_changed(&mut self, _mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        self.follow(change)
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        self.follow(mesh, change)
     }
 }

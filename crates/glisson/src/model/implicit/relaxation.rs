@@ -10,6 +10,7 @@ use super::elements::{Elements, components};
 use crate::material::{PronyHistory, PronySeries, PronyStep};
 use crate::math::{DMat3, DVec3};
 use crate::mesh::TetId;
+use crate::mesh::edit::TopologyChange;
 
 /// A series, its recursion for the present step length, and the history of each tetrahedron of the mesh.
 #[derive(Clone, Debug)]
@@ -60,6 +61,20 @@ impl Relaxation {
         for history in &mut self.histories {
             history.elastic_pa = DMat3::ZERO;
             history.terms_pa.fill(DMat3::ZERO);
+        }
+    }
+
+    /// New tetrahedra remember the mean of what their parents do.
+    pub(super) fn grow(&mut self, change: &TopologyChange) {
+        self.histories.resize(change.tets.n_after, self.series.rest());
+        for (tet, parents) in change.tets.added.iter() {
+            let mut blend = self.series.rest();
+            for &(parent, weight) in parents {
+                let of_parent = &self.histories[parent.index()];
+                blend.elastic_pa += of_parent.elastic_pa * weight;
+                blend.terms_pa.iter_mut().zip(&of_parent.terms_pa).for_each(|(sum, h)| *sum += *h * weight);
+            }
+            self.histories[tet.index()] = blend;
         }
     }
 

@@ -1,30 +1,26 @@
-//! Cutting by removal: the element list, masses and the sparse pattern are made anew.
+//! Edits: the element list, masses and the sparse pattern are made anew.
 
 use super::elements::{Elements, ElementsParams};
 use super::ligaments::Ligaments;
 use super::newton::Scratch;
 use super::{Attachment, ImplicitEuler, ImplicitLaw, TopologyRefusal};
 use crate::math::DVec3;
-use crate::mesh::NodeId;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::remap::follow;
+use crate::mesh::{NodeId, TetMesh};
+use crate::model::growth::{Growth, blend_tets};
 
 impl ImplicitEuler {
-    /// Follows removals and compactions; both allocate.
-    pub(super) fn follow(&mut self, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        if !(change.tets.added.ids().is_empty()
-            && change.nodes.added.ids().is_empty()
-            && change.moved_nodes.is_empty())
-        {
-            return Err(TopologyRefusal::Frozen {
-                model: "implicit",
-                reason: "it follows removals of tetrahedra and compactions; build it anew on a mesh with new or moved \
-                         nodes",
-            });
-        }
+    /// Follows all edits; all allocate.
+    pub(super) fn follow(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         assert_eq!(change.tets.n_before, self.tet_is_live.len(), "the model missed a change of the mesh");
         assert_eq!(change.nodes.n_before, self.n_nodes(), "the model missed a change of the mesh");
-        for &tet in &change.tets.removed {
+        let live = self.mesh.tetrahedra.iter().enumerate().filter(|(t, _)| self.tet_is_live[*t]);
+        let growth = Growth::of("implicit", mesh, change, &self.mesh.positions_m, live)?;
+        if let Some(growth) = &growth {
+            self.grow(mesh, change, growth);
+        }
+        for tet in change.tets.removed.iter().filter(|tet| tet.index() < change.tets.n_before) {
             self.tet_is_live[tet.index()] = false;
         }
         if change.is_renumbering() {
@@ -65,6 +61,55 @@ impl ImplicitEuler {
             });
         }
         Ok(())
+    }
+
+    /// Makes room for what an edit brings in, and puts new and moved nodes in their places.
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        let (n_before, n_nodes) = (change.nodes.n_before, growth.n_nodes);
+        let axes = |free: DVec3| free.to_array().map(|free| free == 0.0);
+        let new_supports = growth.new_supports(|n| axes(self.free_axes[n]));
+        self.free_axes.resize(n_nodes, DVec3::ONE);
+        for (n, held) in new_supports {
+            self.free_axes[n] = DVec3::from_array(held.map(|held| if held { 0.0 } else { 1.0 }));
+        }
+        let supports = |n: usize| axes(self.free_axes[n]);
+        let placed = growth.displacements_m(|n| self.displacement_m[n], supports);
+        for velocities in [&mut self.velocities_m_per_s, &mut self.earlier_velocities_m_per_s] {
+            let of_new = growth.velocities(|n| velocities[n], supports);
+            velocities.resize(n_nodes, DVec3::ZERO);
+            of_new.into_iter().for_each(|(n, v)| velocities[n] = v);
+        }
+        self.displacement_m.resize(n_nodes, DVec3::ZERO);
+        placed.into_iter().for_each(|(n, u_m)| self.displacement_m[n] = u_m);
+        for held in self.held.iter_mut() {
+            // A tool goes on holding a moved node at its place in space.
+            let n = held.node as usize;
+            held.target_m -= (mesh.positions_m[n] - self.mesh.positions_m[n]) * self.free_axes[n];
+        }
+        if let Some(relaxation) = &mut self.relaxation {
+            relaxation.grow(change);
+        }
+        for node in change.moved_nodes.iter().filter(|node| node.index() < n_before) {
+            self.mesh.positions_m[node.index()] = mesh.positions_m[node.index()];
+        }
+        self.mesh.positions_m.extend_from_slice(&mesh.positions_m[n_before..n_nodes]);
+        self.mesh.tetrahedra.extend_from_slice(&mesh.tetrahedra[change.tets.n_before..growth.n_tets]);
+        self.tet_is_live.resize(growth.n_tets, false);
+        growth.added.iter().for_each(|tet| self.tet_is_live[tet.index()] = true);
+        blend_tets(&mut self.rest_stress_pa, change);
+        if let ImplicitLaw::General(laws) = &mut self.law
+            && laws.len() > 1
+        {
+            growth.take_over(laws);
+            growth.take_over(&mut self.stand_ins);
+        }
+        self.positions_m.resize(n_nodes, DVec3::ZERO);
+        self.outer_n.resize(n_nodes, DVec3::ZERO);
+        self.is_held.resize(n_nodes, false);
+        self.mask.resize(n_nodes, DVec3::ZERO);
+        self.held.make_room(n_nodes);
+        self.constraint_forces_n.make_room(n_nodes);
+        self.scratch = Scratch::new(n_nodes);
     }
 
     /// Drops dead entities; the order of the others stays. Constraints are dropped with their node numbers.

@@ -6,7 +6,9 @@ use super::general::{General, SharedMaterial};
 use super::motion::StepFactors;
 use super::neo_hooke::{NeoHookeLog, StableNeoHooke};
 use super::order::{PartPlan, Place, partition};
-use super::part::{Elements, Exchange, ForceMode, Part, PartNodes, Parts, Progress, Relaxation};
+use super::part::{
+    Elements, Exchange, ForceMode, Layout, Part, PartNodes, Parts, Progress, Relaxation, borrowed_row,
+};
 use super::quarantine::NO_TET;
 use super::rows::{Block, N_LANES, offset_of};
 use super::{FastKernel, KernelError, KernelLaw, KernelParams, TetPlace};
@@ -14,6 +16,7 @@ use crate::material::{LinearElastic, PronySeries};
 use crate::mesh::TetId;
 use crate::model::RestStress;
 use crate::model::nonlinear_tensor_mass::{Fibre, TetLaw};
+use crate::model::roomy::Roomy;
 use crate::solve::{P1Gradients, SolveError};
 
 /// What a body may have beside its law. A body without costs nothing.
@@ -102,6 +105,7 @@ impl Elements {
     fn zero(n_blocks: usize, law: KernelLaw, kinds: ExtraKinds) -> Self {
         let n_laws = if law == KernelLaw::General { n_blocks } else { 0 };
         Self {
+            spare: Roomy::with_room(N_LANES * n_blocks),
             blocks: vec![Block::EMPTY; n_blocks],
             extras: Extras::zero(n_blocks, kinds),
             law_of: vec![[0; N_LANES]; n_laws],
@@ -109,8 +113,8 @@ impl Elements {
         }
     }
 
-    /// Puts a tetrahedron of this shape into an empty lane.
-    fn put(
+    /// Puts a tetrahedron of this shape into a lane that is empty or its own.
+    pub(super) fn put(
         &mut self,
         [block, lane]: [usize; 2],
         tet: TetId,
@@ -154,7 +158,7 @@ impl Elements {
 }
 
 /// The one of all, or the one of this tetrahedron.
-fn of_tet<T>(values: &[T], t: usize) -> &T {
+pub(super) fn of_tet<T>(values: &[T], t: usize) -> &T {
     &values[if values.len() == 1 { 0 } else { t }]
 }
 
@@ -172,6 +176,18 @@ impl FastKernel {
     /// # Errors
     /// [`KernelError`] as of [`FastKernel::new`], and for wrong numbers of extras or impossible ones.
     pub fn with_extras(params: &KernelParams<'_>, extras: &KernelExtras<'_>) -> Result<Self, KernelError> {
+        Self::of_live(params, extras, &vec![true; params.mesh.tetrahedra.len()])
+    }
+
+    /// [`FastKernel::with_extras`] without the tetrahedra that do not live.
+    ///
+    /// # Errors
+    /// [`KernelError`] as of [`FastKernel::with_extras`].
+    pub(in crate::model) fn of_live(
+        params: &KernelParams<'_>,
+        extras: &KernelExtras<'_>,
+        is_live: &[bool],
+    ) -> Result<Self, KernelError> {
         check(params, extras)?;
         let KernelParams { mesh, law, materials, path } = *params;
         let n_tets = mesh.tetrahedra.len();
@@ -181,7 +197,7 @@ impl FastKernel {
             penalty: extras.volume_penalty_pa > 0.0,
         };
         let n_histories = extras.relaxation.map_or(0, |series| 1 + series.terms().len());
-        let (plans, node_places) = partition(mesh);
+        let (plans, node_places) = partition(mesh, is_live);
         let dead = TetPlace { part: 0, block: 0, lane: 0, is_live: false };
         let mut tet_places = vec![dead; n_tets];
         let mut mass_share_kg = vec![0.0; n_tets];
@@ -189,8 +205,11 @@ impl FastKernel {
         let mut row_of = vec![0_usize; mesh.positions_m.len()];
         let mut parts = Vec::with_capacity(plans.len());
         for (p, plan) in plans.iter().enumerate() {
-            for (row, node) in plan.own.iter().chain(&plan.borrowed).enumerate() {
+            for (row, node) in plan.own.iter().enumerate() {
                 row_of[node.index()] = row;
+            }
+            for (i, node) in plan.borrowed.iter().enumerate() {
+                row_of[node.index()] = borrowed_row(i);
             }
             let n_blocks = plan.tets.len().div_ceil(N_LANES);
             let mut elements = Elements::zero(n_blocks, law, kinds);
@@ -207,26 +226,31 @@ impl FastKernel {
                 tet_places[tet.index()] =
                     TetPlace { part: number(p), block: number(block), lane: lane as u8, is_live: true };
             }
+            for empty in (plan.tets.len()..N_LANES * n_blocks).rev() {
+                elements.spare.push([(empty % n_blocks) as u32, (empty / n_blocks) as u32]);
+            }
             let history = vec![[0.0; N_LANES]; 6 * n_histories * n_blocks];
             let progress = Progress { history, ..Progress::default() };
             let nodes = PartNodes::at_rest(plan.own.len());
-            let n_rows = plan.own.len() + plan.borrowed.len();
-            parts.push(Part::new(plan.own.clone(), n_rows, elements, progress, nodes));
+            let layout =
+                Layout { own: plan.own.clone(), n_borrowed: plan.borrowed.len(), ..Layout::default() };
+            parts.push(Part::new(layout, elements, progress, nodes));
         }
-        connect(&mut parts, &plans, &node_places);
+        connect(&parts, &plans, &node_places);
         let parts = Parts {
             law,
-            laws: extras.laws.to_vec(),
+            laws: extras.laws.to_vec().into(),
             relaxation: extras.relaxation.map(|series| Relaxation::new(series.clone()).into()),
             mode: ForceMode::default().into(),
             path: path.into(),
             all: parts,
             step: StepFactors::default().into(),
         };
-        let kernel = Self { node_places, tet_places, mass_share_kg, ..Self::of_parts(parts) };
-        for (nodes, &share_kg) in mesh.tetrahedra.iter().zip(&kernel.mass_share_kg) {
+        let n_laid_out = is_live.iter().filter(|live| **live).count();
+        let kernel = Self { node_places, tet_places, mass_share_kg, n_laid_out, ..Self::of_parts(parts) };
+        for (t, nodes) in mesh.tetrahedra.iter().enumerate().filter(|(t, _)| is_live[*t]) {
             for node in nodes {
-                kernel.change_mass(*node, share_kg, 1);
+                kernel.change_mass(*node, kernel.mass_share_kg[t], 1);
             }
         }
         Ok(kernel)
@@ -234,18 +258,21 @@ impl FastKernel {
 }
 
 /// Who borrows which rows from whom.
-fn connect(parts: &mut [Part], plans: &[PartPlan], node_places: &[Option<Place>]) {
-    let row = |i: usize| u16::try_from(i).expect("parts are small");
+fn connect(parts: &[Part], plans: &[PartPlan], node_places: &[Option<Place>]) {
     for (p, plan) in plans.iter().enumerate() {
         for (i, node) in plan.borrowed.iter().enumerate() {
             let owner = node_places[node.index()].expect("a borrowed node has an owner");
-            let here = row(plan.own.len() + i);
-            let there = row(owner.index as usize);
-            let owner = owner.part as usize;
-            add_rows(&mut parts[p].borrowed, owner, [here, there]);
-            add_rows(&mut parts[owner].lent, p, [there, here]);
+            share_row(parts, [p, borrowed_row(i)], [owner.part as usize, owner.index as usize]);
         }
     }
+}
+
+/// A row of one part is borrowed from that of another, given as part and row.
+pub(super) fn share_row(parts: &[Part], [p, here]: [usize; 2], [owner, there]: [usize; 2]) {
+    let row = |i: usize| u16::try_from(i).expect("parts are small");
+    let (here, there) = (row(here), row(there));
+    add_rows(&mut parts[p].layout_mut().borrowed, owner, [here, there]);
+    add_rows(&mut parts[owner].layout_mut().lent, p, [there, here]);
 }
 
 fn add_rows(exchanges: &mut Vec<Exchange>, part: usize, rows: [u16; 2]) {

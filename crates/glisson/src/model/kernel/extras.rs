@@ -99,6 +99,26 @@ impl Extras {
             + size_of_val(self.penalty.as_slice())
     }
 
+    /// A block more, empty.
+    pub(super) fn append_block(&mut self) {
+        if !self.rest_stress.is_empty() {
+            self.rest_stress.push([[0.0; N_LANES]; 6]);
+        }
+        if !self.fibres.is_empty() {
+            self.fibres.push(FibreBlock::EMPTY);
+        }
+        if !self.penalty.is_empty() {
+            self.penalty.push([0.0; N_LANES]);
+        }
+    }
+
+    /// Drops the blocks beyond the first `n_blocks`.
+    pub(super) fn truncate(&mut self, n_blocks: usize) {
+        self.rest_stress.truncate(n_blocks);
+        self.fibres.truncate(n_blocks);
+        self.penalty.truncate(n_blocks);
+    }
+
     /// Empties a lane.
     pub(super) fn clear(&mut self, block: usize, lane: usize) {
         for number in self.rest_stress.get_mut(block).into_iter().flatten() {

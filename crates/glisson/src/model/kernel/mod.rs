@@ -18,6 +18,7 @@ mod eights;
 mod element;
 mod extras;
 mod general;
+mod growth;
 mod lanes;
 mod motion;
 mod neo_hooke;
@@ -43,6 +44,7 @@ pub use advance::StepSums;
 pub use build::KernelExtras;
 pub(in crate::model) use eights::{Eight, EightWork};
 pub use general::SharedMaterial;
+pub(in crate::model) use growth::{KernelCounts, NodeMass};
 pub use motion::NodeMotion;
 pub use paths::KernelPath;
 pub use quarantine::{Quarantine, QuarantineReport};
@@ -178,6 +180,9 @@ pub struct FastKernel {
     tet_places: Vec<TetPlace>,
     /// rho V / 4 of each tetrahedron.
     mass_share_kg: Vec<f64>,
+    /// Tetrahedra that came in since the layout was made, and how many there were then.
+    n_added: usize,
+    n_laid_out: usize,
     quarantine: Quarantine,
     calm_stretch: f64,
     last_step_s: Option<f64>,
@@ -207,6 +212,8 @@ impl FastKernel {
             node_places: Vec::new(),
             tet_places: Vec::new(),
             mass_share_kg: Vec::new(),
+            n_added: 0,
+            n_laid_out: 0,
             quarantine: Quarantine::default(),
             calm_stretch: CALM_STRETCH,
             last_step_s: None,
@@ -261,7 +268,8 @@ impl FastKernel {
     /// Bytes that a computation of the forces reads and writes: tetrahedra, rows of the nodes.
     pub fn working_set_bytes(&self) -> usize {
         let of_part = |part: &Part| {
-            part.elements().n_bytes() + size_of::<rows::Row>() * 2 * (part.own.len() + part.n_rows)
+            let layout = part.layout();
+            part.elements().n_bytes() + size_of::<rows::Row>() * 2 * (layout.own.len() + layout.n_rows())
         };
         self.parts.all.iter().map(of_part).sum()
     }
@@ -274,7 +282,7 @@ impl FastKernel {
         assert_eq!(displacement_m.len(), self.n_nodes(), "one displacement a node");
         for part in &self.parts.all {
             let nodes = &mut *part.nodes_mut();
-            for (row, node) in nodes.displacement_m.iter_mut().zip(&part.own) {
+            for (row, node) in nodes.displacement_m.iter_mut().zip(&part.layout().own) {
                 *row = padded(displacement_m[node.index()]);
             }
         }
@@ -320,7 +328,7 @@ impl FastKernel {
             }
         }
         for part in &self.parts.all {
-            for (row, node) in of(&part.nodes()).iter().zip(&part.own) {
+            for (row, node) in of(&part.nodes()).iter().zip(&part.layout().own) {
                 values[node.index()] = DVec3::new(row[0], row[1], row[2]);
             }
         }
@@ -438,6 +446,7 @@ impl FastKernel {
     /// When there are not [`FastKernel::history_len`] numbers.
     pub fn history_into(&self, history: &mut [f64]) {
         assert_eq!(history.len(), self.history_len(), "the numbers of all tetrahedra");
+        history.fill(0.0);
         self.for_each_history(|i, number| history[i] = *number);
     }
 
@@ -457,13 +466,13 @@ impl FastKernel {
         }
     }
 
-    /// `visit` sees each number with its place in [`FastKernel::history_into`].
+    /// `visit` sees each number of live tetrahedra with its place in [`FastKernel::history_into`].
     fn for_each_history(&self, mut visit: impl FnMut(usize, &mut f64)) {
         if self.history_len() == 0 {
             return;
         }
         let n = self.history_len() / self.n_tets();
-        for (t, place) in self.tet_places.iter().enumerate() {
+        for (t, place) in self.tet_places.iter().enumerate().filter(|(_, place)| place.is_live) {
             let history = &mut self.parts.all[place.part as usize].progress_mut().history;
             let of_block = &mut history[place.block as usize * n..(place.block as usize + 1) * n];
             for (i, numbers) in of_block.iter_mut().enumerate() {

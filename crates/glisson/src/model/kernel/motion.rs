@@ -4,7 +4,7 @@
 use std::sync::{Arc, RwLock};
 
 use super::advance::StepSums;
-use super::part::{Exchange, ForceMode, Part, PartNodes, Parts, read};
+use super::part::{ForceMode, Part, PartNodes, Parts, read};
 use super::rows::{Row, Rows};
 use super::{ExplicitStep, FastKernel, KernelLaw, KernelPath, padded, task};
 use crate::math::DVec3;
@@ -95,10 +95,7 @@ impl Parts {
 impl Clone for Part {
     fn clone(&self) -> Self {
         Self {
-            own: self.own.clone(),
-            borrowed: self.borrowed.iter().map(Exchange::clone).collect(),
-            lent: self.lent.iter().map(Exchange::clone).collect(),
-            n_rows: self.n_rows,
+            layout: RwLock::new(self.layout().clone()),
             elements: RwLock::new(self.elements().clone()),
             progress: RwLock::new(self.progress().clone()),
             nodes: RwLock::new(self.nodes().clone()),
@@ -112,7 +109,7 @@ impl Clone for Parts {
     fn clone(&self) -> Self {
         Self {
             law: self.law,
-            laws: self.laws.clone(),
+            laws: read(&self.laws).clone().into(),
             relaxation: self.relaxation.as_ref().map(|relaxation| read(relaxation).clone().into()),
             mode: (*read(&self.mode)).into(),
             path: self.path().into(),
@@ -135,6 +132,8 @@ impl Clone for FastKernel {
             node_places: self.node_places.clone(),
             tet_places: self.tet_places.clone(),
             mass_share_kg: self.mass_share_kg.clone(),
+            n_added: self.n_added,
+            n_laid_out: self.n_laid_out,
             quarantine: self.quarantine,
             calm_stretch: self.calm_stretch,
             last_step_s: self.last_step_s,
@@ -148,7 +147,7 @@ impl FastKernel {
     pub fn empty(law: KernelLaw, path: KernelPath) -> Self {
         Self::of_parts(Parts {
             law,
-            laws: Vec::new(),
+            laws: Vec::new().into(),
             relaxation: None,
             mode: ForceMode::default().into(),
             path: path.into(),
@@ -243,7 +242,7 @@ impl FastKernel {
     pub fn for_each_node(&self, mut tell: impl FnMut(NodeId, NodeMotion)) {
         for part in &self.parts.all {
             let nodes = part.nodes();
-            for (n, &node) in part.own.iter().enumerate() {
+            for (n, &node) in part.layout().own.iter().enumerate() {
                 let motion = NodeMotion {
                     displacement_m: unpadded(&nodes.displacement_m[n]),
                     increment_m: unpadded(&nodes.increment_m[n]),

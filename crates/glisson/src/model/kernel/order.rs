@@ -51,10 +51,10 @@ fn hilbert_key(mut x: [u32; 3]) -> u64 {
     key
 }
 
-/// The tetrahedra in the order of their centroids along the curve; equal places in the order of their ids.
-fn sorted_tets(mesh: &TetMesh) -> Vec<TetId> {
+/// The live tetrahedra in the order of their centroids along the curve; equal places in the order of their ids.
+fn sorted_tets(mesh: &TetMesh, is_live: &[bool]) -> Vec<TetId> {
     let centroid = |t: TetId| mesh.corners_m(t).into_iter().sum::<DVec3>() / 4.0;
-    let all = || (0..mesh.tetrahedra.len()).map(TetId::from_index);
+    let all = || (0..mesh.tetrahedra.len()).filter(|&t| is_live[t]).map(TetId::from_index);
     let low = all().map(centroid).fold(DVec3::INFINITY, DVec3::min);
     let high = all().map(centroid).fold(DVec3::NEG_INFINITY, DVec3::max);
     let scale = f64::from((1_u32 << CURVE_BITS) - 1) / (high - low).max_element().max(f64::MIN_POSITIVE);
@@ -85,18 +85,18 @@ pub(super) struct PartPlan {
     pub(super) borrowed: Vec<NodeId>,
 }
 
-/// The parts of a mesh, and the place of each node's own row; `None` for nodes without a tetrahedron.
+/// The parts of the live tetrahedra of a mesh, and the place of each node's own row; `None` for nodes without a tetrahedron.
 ///
 /// The number of parts depends on the mesh only. Every node of every tetrahedron must exist.
-pub(super) fn partition(mesh: &TetMesh) -> (Vec<PartPlan>, Vec<Option<Place>>) {
+pub(super) fn partition(mesh: &TetMesh, is_live: &[bool]) -> (Vec<PartPlan>, Vec<Option<Place>>) {
     let n_nodes = mesh.positions_m.len();
-    let n_tets = mesh.tetrahedra.len();
+    let n_tets = is_live.iter().filter(|live| **live).count();
     let target = n_tets.div_ceil(LEAST_PARTS).next_multiple_of(8).clamp(LEAST_TETS, MOST_TETS);
     let mut places: Vec<Option<Place>> = vec![None; n_nodes];
     // The last part that touched a node, counted from 1.
     let mut touched_by = vec![0_usize; n_nodes];
     let mut parts = vec![PartPlan::default()];
-    for tet in sorted_tets(mesh) {
+    for tet in sorted_tets(mesh, is_live) {
         let nodes = mesh.tetrahedra[tet.index()];
         let part = parts.last().expect("there is always one");
         let n_new = nodes.iter().filter(|n| touched_by[n.index()] != parts.len()).count();
@@ -155,7 +155,7 @@ mod tests {
             mesh.positions_m.extend([DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].map(|e| corner + 0.5 * e));
             mesh.tetrahedra.push([0, 1, 2, 3].map(|i| NodeId(first + i)));
         }
-        let (parts, places) = partition(&mesh);
+        let (parts, places) = partition(&mesh, &[true; 900]);
         assert!(parts.iter().all(|p| p.own.len() + p.borrowed.len() <= MOST_ROWS));
         assert_eq!(parts.iter().map(|p| p.tets.len()).sum::<usize>(), 900);
         assert_eq!(parts.iter().map(|p| p.own.len()).sum::<usize>(), 3600);

@@ -1,8 +1,8 @@
 //! A part of the mesh with its memory, and the two phases of a force computation.
 //!
 //! First each part collects the displacements of the nodes that it touches and adds up its tetrahedra's forces
-//! in rows of its own. Then each part sums, for the nodes that it owns, its own rows and those of the later parts
-//! that borrow the node, in their order. Neither depends on who computes which part when.
+//! in rows of its own. Then each part sums, for the nodes that it owns, its own rows and those of the other parts
+//! that borrow the node, in the order in which they came to do so. Neither depends on who computes which part when.
 //!
 //! The locks are there to share memory between threads without `unsafe`. Nobody ever waits for one: in a phase,
 //! what one part writes no other reads.
@@ -19,16 +19,17 @@ use super::motion::StepFactors;
 use super::neo_hooke::{NeoHookeLog, StableNeoHooke};
 use super::paths::{KernelPath, LaneWork};
 use super::quarantine::{Guard, LaneTets, NO_TET, Quarantine, QuarantineReport};
-use super::rows::{Block, LaneNumbers, N_LANES, Row, Rows};
+use super::rows::{Block, LaneNumbers, MOST_ROWS, N_LANES, Row, Rows};
 use crate::material::PronySeries;
 use crate::mesh::NodeId;
+use crate::model::roomy::Roomy;
 
 /// A panic elsewhere leaves numbers behind, no broken memory.
 pub(super) fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
     lock.read().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
+pub(super) fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
     lock.write().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -96,6 +97,8 @@ pub(super) struct Elements {
     pub(super) law_of: Vec<[u32; N_LANES]>,
     /// Whose lane it is.
     pub(super) tets: Vec<LaneTets>,
+    /// Blocks and lanes without a tetrahedron; the last one is filled first. With room for all.
+    pub(super) spare: Roomy<[u32; 2]>,
 }
 
 impl Elements {
@@ -104,6 +107,8 @@ impl Elements {
         self.blocks[block].clear(lane);
         self.extras.clear(block, lane);
         self.tets[block][lane] = NO_TET;
+        let has_room = self.spare.try_push([block as u32, lane as u32]);
+        debug_assert!(has_room, "there is room for every lane");
     }
 
     /// Bytes that a computation of the forces reads.
@@ -163,16 +168,33 @@ pub(super) struct ForceMode {
     pub(super) calm_squared_strain: f64,
 }
 
+/// Whose rows a part has. Own ones are the first of all, borrowed ones the last, backwards: both can become more.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Layout {
+    pub(super) own: Vec<NodeId>,
+    /// Rows borrowed from other parts.
+    pub(super) borrowed: Vec<Exchange>,
+    /// Own rows that other parts borrow.
+    pub(super) lent: Vec<Exchange>,
+    pub(super) n_borrowed: usize,
+}
+
+impl Layout {
+    /// Own and borrowed rows together.
+    pub(super) fn n_rows(&self) -> usize {
+        self.own.len() + self.n_borrowed
+    }
+}
+
+/// The row of a part's borrowed node `i`.
+pub(super) fn borrowed_row(i: usize) -> usize {
+    MOST_ROWS - 1 - i
+}
+
 /// One part.
 #[derive(Debug)]
 pub(super) struct Part {
-    pub(super) own: Vec<NodeId>,
-    /// Rows borrowed from earlier parts, ascending.
-    pub(super) borrowed: Vec<Exchange>,
-    /// Own rows that later parts borrow, ascending.
-    pub(super) lent: Vec<Exchange>,
-    /// Own and borrowed rows together.
-    pub(super) n_rows: usize,
+    pub(super) layout: RwLock<Layout>,
     pub(super) elements: RwLock<Elements>,
     pub(super) progress: RwLock<Progress>,
     pub(super) nodes: RwLock<PartNodes>,
@@ -180,23 +202,22 @@ pub(super) struct Part {
 }
 
 impl Part {
-    pub(super) fn new(
-        own: Vec<NodeId>,
-        n_rows: usize,
-        elements: Elements,
-        progress: Progress,
-        nodes: PartNodes,
-    ) -> Self {
+    pub(super) fn new(layout: Layout, elements: Elements, progress: Progress, nodes: PartNodes) -> Self {
         Self {
-            own,
-            borrowed: Vec::new(),
-            lent: Vec::new(),
-            n_rows,
+            layout: RwLock::new(layout),
             elements: RwLock::new(elements),
             progress: RwLock::new(progress),
             nodes: RwLock::new(nodes),
             rows: RwLock::new(Rows::zero()),
         }
+    }
+
+    pub(super) fn layout(&self) -> RwLockReadGuard<'_, Layout> {
+        read(&self.layout)
+    }
+
+    pub(super) fn layout_mut(&self) -> RwLockWriteGuard<'_, Layout> {
+        write(&self.layout)
     }
 
     pub(super) fn nodes(&self) -> RwLockReadGuard<'_, PartNodes> {
@@ -228,7 +249,7 @@ impl Part {
 pub(super) struct Parts {
     pub(super) law: KernelLaw,
     /// Of [`KernelLaw::General`].
-    pub(super) laws: Vec<SharedMaterial>,
+    pub(super) laws: RwLock<Vec<SharedMaterial>>,
     pub(super) relaxation: Option<RwLock<Relaxation>>,
     pub(super) mode: RwLock<ForceMode>,
     pub(super) path: RwLock<KernelPath>,
@@ -284,7 +305,7 @@ impl Parts {
             KernelLaw::NeoHookeLog => self.add_forces_of(p, NeoHookeLog, elements, rows),
             KernelLaw::StableNeoHooke => self.add_forces_of(p, StableNeoHooke, elements, rows),
             KernelLaw::General => {
-                let law = General { laws: &self.laws, law_of: &elements.law_of };
+                let law = General { laws: &read(&self.laws), law_of: &elements.law_of };
                 self.add_forces_of(p, law, elements, rows);
             }
         }
@@ -327,16 +348,16 @@ impl Parts {
     fn collect_displacements(&self, p: usize, rows: &mut Rows) {
         let part = &self.all[p];
         let leads = read(&self.step).leads();
-        let (own, borrowed) = rows.nodes_mut()[..part.n_rows].split_at_mut(part.own.len());
-        for (row, displacement_m) in own.iter_mut().zip(part.nodes().strained_m(leads)) {
+        let layout = part.layout();
+        let rows = rows.nodes_mut();
+        for (row, displacement_m) in rows[..layout.own.len()].iter_mut().zip(part.nodes().strained_m(leads)) {
             *row = [*displacement_m, [0.0; 4]];
         }
-        let mut borrowed = borrowed.iter_mut();
-        for exchange in &part.borrowed {
+        for exchange in &layout.borrowed {
             let owner = self.all[exchange.part].nodes();
             let displacement_m = owner.strained_m(leads);
-            for (&[_, there], row) in exchange.rows.iter().zip(&mut borrowed) {
-                *row = [displacement_m[usize::from(there)], [0.0; 4]];
+            for &[here, there] in &exchange.rows {
+                rows[usize::from(here)] = [displacement_m[usize::from(there)], [0.0; 4]];
             }
         }
     }
@@ -352,10 +373,11 @@ impl Parts {
     #[inline(always)]
     fn sum_forces_into(&self, p: usize, sums: &mut [Row]) {
         let part = &self.all[p];
-        for (sum, [_, force]) in sums[..part.own.len()].iter_mut().zip(read(&part.rows).nodes()) {
+        let layout = part.layout();
+        for (sum, [_, force]) in sums[..layout.own.len()].iter_mut().zip(read(&part.rows).nodes()) {
             *sum = *force;
         }
-        for exchange in &part.lent {
+        for exchange in &layout.lent {
             let rows = read(&self.all[exchange.part].rows);
             let rows = rows.nodes();
             for &[here, there] in &exchange.rows {

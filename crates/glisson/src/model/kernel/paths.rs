@@ -18,6 +18,64 @@ pub(super) trait LaneWork {
     fn run<V: Lanes>(self, any: V);
 }
 
+/// Work on each instruction set.
+trait PathWork {
+    /// What comes back.
+    type Output;
+    #[cfg(target_arch = "x86_64")]
+    fn in_eights(self, simd: Avx512) -> Self::Output;
+    #[cfg(target_arch = "x86_64")]
+    fn in_fours(self, simd: Avx2) -> Self::Output;
+    fn one_by_one(self) -> Self::Output;
+}
+
+struct InLanes<W>(W);
+
+impl<W: LaneWork> PathWork for InLanes<W> {
+    type Output = ();
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn in_eights(self, simd: Avx512) {
+        self.0.run(f64x8::splat(simd, 0.0));
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn in_fours(self, simd: Avx2) {
+        self.0.run(f64x4::splat(simd, 0.0));
+    }
+
+    #[inline(always)]
+    fn one_by_one(self) {
+        self.0.run(0.0_f64);
+    }
+}
+
+struct ByEight<W>(W);
+
+impl<W: EightWork> PathWork for ByEight<W> {
+    type Output = W::Output;
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn in_eights(self, simd: Avx512) -> W::Output {
+        self.0.run(f64x8::splat(simd, 0.0))
+    }
+
+    /// Eight numbers in two vectors.
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn in_fours(self, simd: Avx2) -> W::Output {
+        self.0.run(f64x8::splat(simd, 0.0))
+    }
+
+    #[inline(always)]
+    fn one_by_one(self) -> W::Output {
+        self.0.run([0.0; 8])
+    }
+}
+
 /// How the kernel computes. The result is the same on each path.
 #[derive(Clone, Copy, Debug)]
 pub struct KernelPath(Path);
@@ -78,23 +136,35 @@ impl KernelPath {
     /// Does `work` in this path's lanes, compiled for its processor.
     #[inline(always)]
     pub(super) fn run(self, work: impl LaneWork) {
+        self.run_in(InLanes(work));
+    }
+
+    /// Does work that is written for any path, on eight numbers at a time.
+    #[inline]
+    pub(in crate::model) fn run_by_eight<W: EightWork>(self, work: W) -> W::Output {
+        self.run_in(ByEight(work))
+    }
+
+    /// The one place where work meets the instruction sets.
+    #[inline(always)]
+    fn run_in<W: PathWork>(self, work: W) -> W::Output {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
             Path::Avx512(simd) => simd.vectorize(
                 #[inline(always)]
-                || work.run(f64x8::splat(simd, 0.0)),
+                || work.in_eights(simd),
             ),
             #[cfg(target_arch = "x86_64")]
             Path::Avx2(simd) => simd.vectorize(
                 #[inline(always)]
-                || work.run(f64x4::splat(simd, 0.0)),
+                || work.in_fours(simd),
             ),
             #[cfg(target_arch = "x86_64")]
             Path::Scalar(simd) => simd.vectorize(
                 #[inline(always)]
-                || work.run(0.0_f64),
+                || work.one_by_one(),
             ),
-            Path::Portable => work.run(0.0_f64),
+            Path::Portable => work.one_by_one(),
         }
     }
 
@@ -110,49 +180,36 @@ impl KernelPath {
         }
     }
 
-    /// Does work that is written for any path, on eight numbers at a time.
-    #[inline]
-    pub(in crate::model) fn run_by_eight<W: EightWork>(self, work: W) -> W::Output {
-        match self.0 {
-            #[cfg(target_arch = "x86_64")]
-            Path::Avx512(simd) => simd.vectorize(
-                #[inline(always)]
-                || work.run(f64x8::splat(simd, 0.0)),
-            ),
-            #[cfg(target_arch = "x86_64")]
-            Path::Avx2(simd) => simd.vectorize(
-                #[inline(always)]
-                || work.run(f64x8::splat(simd, 0.0)),
-            ),
-            #[cfg(target_arch = "x86_64")]
-            Path::Scalar(simd) => simd.vectorize(
-                #[inline(always)]
-                || work.run([0.0; 8]),
-            ),
-            Path::Portable => work.run([0.0; 8]),
-        }
-    }
-
     /// Adds the forces of `blocks` at the displacements in `rows` to the forces there.
     pub(super) fn add_forces(self, stress: &mut impl Stress, blocks: &[Block], rows: &mut Rows) {
-        match self.0 {
-            #[cfg(target_arch = "x86_64")]
-            Path::Avx512(simd) => simd.vectorize(
-                #[inline(always)]
-                || add_by_eight(simd, stress, blocks, rows),
-            ),
-            #[cfg(target_arch = "x86_64")]
-            Path::Avx2(simd) => simd.vectorize(
-                #[inline(always)]
-                || add_by_four(simd, stress, blocks, rows),
-            ),
-            #[cfg(target_arch = "x86_64")]
-            Path::Scalar(simd) => simd.vectorize(
-                #[inline(always)]
-                || add_one_by_one(stress, blocks, rows),
-            ),
-            Path::Portable => add_one_by_one(stress, blocks, rows),
-        }
+        self.run_in(AddForces { stress, blocks, rows });
+    }
+}
+
+struct AddForces<'a, S> {
+    stress: &'a mut S,
+    blocks: &'a [Block],
+    rows: &'a mut Rows,
+}
+
+impl<S: Stress> PathWork for AddForces<'_, S> {
+    type Output = ();
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn in_eights(self, simd: Avx512) {
+        add_by_eight(simd, self.stress, self.blocks, self.rows);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn in_fours(self, simd: Avx2) {
+        add_by_four(simd, self.stress, self.blocks, self.rows);
+    }
+
+    #[inline(always)]
+    fn one_by_one(self) {
+        add_one_by_one(self.stress, self.blocks, self.rows);
     }
 }
 

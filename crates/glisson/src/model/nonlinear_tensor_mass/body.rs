@@ -9,15 +9,17 @@ use super::numbers::{
     ascending,
 };
 use crate::math::{DMat3, DVec3, is_inverted, outer, tetrahedron_volume_m3};
+use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::explicit::{LiveTets, Padded, Quarantine, keep, renumbered, unpadded};
+use crate::model::growth::{Growth, blend_tets};
 use crate::model::tensor_mass::VertexEdgeTensors;
 use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, SolveError, stress_tensor_pa};
 
-/// What resists; changed by removals only.
+/// What resists; changed by edits only.
 #[derive(Clone, Debug)]
 pub(super) struct Body {
-    volume_penalty_pa: f64,
+    pub(super) volume_penalty_pa: f64,
     rest_m: Vec<DVec3>,
     node_is_live: Vec<bool>,
     pub(super) tets: LiveTets,
@@ -69,23 +71,82 @@ impl Body {
             bounds: Vec::new(),
         };
         for t in 0..n_tets {
-            let shape = TetShape::new(body.laws[t], &body.gradients[t]);
-            let nodes = body.tets.nodes[t];
-            for (corner, node) in nodes.into_iter().enumerate() {
-                body.node_is_live[node.index()] = true;
-                body.nonlinear.vertex[node.index()].add(&shape.of_vertex(corner), 1.0);
-            }
-            for (local, edge) in LOCAL_EDGES.into_iter().zip(body.linear.mesh_edges().of_tet[t]) {
-                body.nonlinear.edge[edge as usize].add(&shape.of_edge(ascending(local, &nodes)), 1.0);
-            }
-            for (local, triangle) in LOCAL_TRIANGLES.into_iter().zip(body.nonlinear.triangles.of_tet[t]) {
-                let numbers = shape.of_triangle(ascending(local, &nodes));
-                body.nonlinear.triangle[triangle as usize].add(&numbers, 1.0);
-            }
-            body.nonlinear.tet[t] = shape.of_tet();
+            body.add_nonlinear(t);
         }
         body.bounds = body.summed_bounds();
         Ok(body)
+    }
+
+    /// Adds the non-linear numbers of a tetrahedron; the bounds stay.
+    fn add_nonlinear(&mut self, t: usize) {
+        let shape = TetShape::new(self.laws[t], &self.gradients[t]);
+        let nodes = self.tets.nodes[t];
+        for (corner, node) in nodes.into_iter().enumerate() {
+            self.node_is_live[node.index()] = true;
+            self.nonlinear.vertex[node.index()].add(&shape.of_vertex(corner), 1.0);
+        }
+        for (local, edge) in LOCAL_EDGES.into_iter().zip(self.linear.mesh_edges().of_tet[t]) {
+            self.nonlinear.edge[edge as usize].add(&shape.of_edge(ascending(local, &nodes)), 1.0);
+        }
+        for (local, triangle) in LOCAL_TRIANGLES.into_iter().zip(self.nonlinear.triangles.of_tet[t]) {
+            let numbers = shape.of_triangle(ascending(local, &nodes));
+            self.nonlinear.triangle[triangle as usize].add(&numbers, 1.0);
+        }
+        self.nonlinear.tet[t] = shape.of_tet();
+    }
+
+    /// Room for what an edit brings in; new and moved nodes are at their places afterwards, and the tetrahedra at them
+    /// have their shapes.
+    pub(super) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        let n_before = self.rest_m.len();
+        for node in change.moved_nodes.iter().filter(|node| node.index() < n_before) {
+            self.rest_m[node.index()] = mesh.positions_m[node.index()];
+        }
+        self.rest_m.extend_from_slice(&mesh.positions_m[n_before..growth.n_nodes]);
+        self.node_is_live.resize(growth.n_nodes, false);
+        self.bounds.resize(growth.n_nodes, Bound::default());
+        growth.take_over(&mut self.laws);
+        blend_tets(&mut self.rest_stress_pa, change);
+        let nothing = P1Gradients { alpha_per_m: [DVec3::ZERO; 4], volume_m3: 0.0 };
+        self.gradients.resize(growth.n_tets, nothing);
+        for tet in growth.attached() {
+            self.gradients[tet.index()] = P1Gradients::new(mesh.corners_m(tet));
+        }
+        let nonlinear = &mut self.nonlinear;
+        nonlinear.vertex.resize(growth.n_nodes, VertexStiffness::default());
+        nonlinear.tet.resize(growth.n_tets, TetScalars::default());
+        self.linear.grow(&self.tets, growth).spread(&mut nonlinear.edge, EdgeStiffness::default());
+        let insertions = nonlinear.triangles.grow(&self.tets, &growth.added);
+        insertions.spread(&mut nonlinear.triangle, TriangleStiffness::default());
+    }
+
+    /// Adds a tetrahedron that is in no sum.
+    pub(super) fn add_tet(&mut self, t: usize) {
+        let nodes = self.tets.nodes[t];
+        let stiffness = stressed_stiffness(&self.laws[t], &self.gradients[t], self.rest_stress_pa.get(t));
+        self.linear.add_tet(t, nodes, &stiffness);
+        for triangle in self.nonlinear.triangles.of_tet[t] {
+            self.nonlinear.triangles.tets[triangle as usize] += 1;
+        }
+        self.exchange_bounds(t, -1.0);
+        self.add_nonlinear(t);
+        self.exchange_bounds(t, 1.0);
+    }
+
+    /// Adds the shares of a tetrahedron's edges, its triangles and itself to the bounds of their nodes.
+    fn exchange_bounds(&mut self, t: usize, sign: f64) {
+        let nodes = self.tets.nodes[t];
+        let (nonlinear, bounds) = (&self.nonlinear, &mut self.bounds);
+        let mut add = |node: NodeId, share: Bound| bounds[node.index()].add(share, sign);
+        for (local, edge) in LOCAL_EDGES.into_iter().zip(self.linear.mesh_edges().of_tet[t]) {
+            let shares = edge_bounds(&nonlinear.edge[edge as usize]);
+            ascending(local, &nodes).into_iter().zip(shares).for_each(|(i, share)| add(nodes[i], share));
+        }
+        for (local, triangle) in LOCAL_TRIANGLES.into_iter().zip(nonlinear.triangles.of_tet[t]) {
+            let shares = triangle_bounds(&nonlinear.triangle[triangle as usize]);
+            ascending(local, &nodes).into_iter().zip(shares).for_each(|(i, share)| add(nodes[i], share));
+        }
+        nodes.into_iter().for_each(|node| add(node, tet_bound(&nonlinear.tet[t])));
     }
 
     fn summed_bounds(&self) -> Vec<Bound> {

@@ -43,10 +43,11 @@ use super::explicit::{
     Cuttable, ExplicitError, ExplicitMotion, ExplicitSnapshot, LiveTets, Padded, Stability, StableStep,
     StiffTet, check_body, follow, padded, unpadded,
 };
-use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
+use super::growth::Growth;
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::{
     Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
-    NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
+    NodalForce, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
@@ -118,6 +119,8 @@ pub struct NonlinearTensorMass {
     motion: ExplicitMotion,
     body: Body,
     adaptivity: Adaptivity,
+    /// For which the step is made.
+    largest_stretch: f64,
 }
 
 impl NonlinearElasticity<'_> {
@@ -192,7 +195,8 @@ impl NonlinearTensorMass {
             let force_n = body.gradients[t].stress_forces_n(*stress_pa);
             motion.add_rest_forces(mesh.tetrahedra[t], force_n, 1.0);
         }
-        Ok(Self { motion, body, adaptivity: Adaptivity::new(mesh.positions_m.len()) })
+        let adaptivity = Adaptivity::new(mesh.positions_m.len());
+        Ok(Self { motion, body, adaptivity, largest_stretch: elasticity.largest_stretch })
     }
 
     /// Where the non-linear part is computed from now on.
@@ -349,8 +353,8 @@ impl Cuttable for NonlinearTensorMass {
         &mut self.body.tets
     }
 
-    fn n_nodes(&self) -> usize {
-        self.motion.n_nodes()
+    fn rest_m(&self) -> &[DVec3] {
+        self.motion.rest_m()
     }
 
     fn remove_tet(&mut self, t: usize) {
@@ -364,6 +368,31 @@ impl Cuttable for NonlinearTensorMass {
 
     fn after_removals(&mut self) {
         self.motion.after_removals(&self.body.tets.nodes, &self.body.tets.is_live);
+    }
+
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        self.motion.grow(mesh, change, growth);
+        self.body.grow(mesh, change, growth);
+        self.adaptivity.resize(growth.n_nodes);
+    }
+
+    fn add_tet(&mut self, t: usize) {
+        self.body.add_tet(t);
+        let body = &self.body;
+        let (nodes, gradients, law) = (body.tets.nodes[t], body.gradients[t], &body.laws[t]);
+        let rest_stress_pa = body.rest_stress_pa.get(t);
+        let stiff = StiffTet {
+            at_rest: stressed_stiffness(law, &gradients, rest_stress_pa),
+            stiffening: law.stiffening(self.largest_stretch, body.volume_penalty_pa),
+        };
+        self.motion.add_tet(t, nodes, gradients.volume_m3, &stiff);
+        if let Some(&stress_pa) = rest_stress_pa {
+            self.motion.add_rest_forces(nodes, gradients.stress_forces_n(stress_pa), 1.0);
+        }
+    }
+
+    fn after_growth(&mut self) {
+        self.motion.after_growth(&self.body.tets.nodes, &self.body.tets.is_live);
     }
 
     fn compact(&mut self, new_ids: &[Option<NodeId>]) {
@@ -390,24 +419,8 @@ impl LocalBody for NonlinearTensorMass {
         local_model::tet_tangent(&body.gradients[element], u_m, &law, body.rest_stress_pa.get(element))
     }
 
-    fn inertia_kg(&self, n: usize) -> f64 {
-        self.motion.frame().inertia_kg(n)
-    }
-
-    fn free_axes(&self, n: usize) -> [bool; 3] {
-        self.motion.frame().free_axes(n)
-    }
-
-    fn is_held(&self, n: usize) -> bool {
-        self.motion.frame().is_held(n)
-    }
-
-    fn load_on_n(&self, n: usize) -> DVec3 {
-        self.motion.frame().load_on_n(n)
-    }
-
-    fn damping(&self) -> Rayleigh {
-        self.motion.frame().damping
+    fn frame(&self) -> &dyn LocalFrame {
+        self.motion.frame()
     }
 }
 
@@ -475,8 +488,8 @@ impl DeformableModel for NonlinearTensorMass {
         Box::new(self.clone())
     }
 
-    /// Follows removals, which allocate nothing, and compactions, which do.
-    fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        follow(self, change)
+    /// Follows all edits. Removals allocate nothing.
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        follow(self, mesh, change)
     }
 }

@@ -15,7 +15,8 @@
 
 use super::law::TetShape;
 use crate::math::DVec3;
-use crate::mesh::{NodeId, TetMesh};
+use crate::mesh::{NodeId, TetId, TetMesh};
+use crate::model::explicit::{Insertions, LiveTets, place_of};
 
 /// Local nodes of the triangle opposite to each corner.
 pub(super) const LOCAL_TRIANGLES: [[usize; 3]; 4] = [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]];
@@ -154,5 +155,22 @@ impl MeshTriangles {
             triangles.of_tet[t][corner] = u32::try_from(at).expect("fewer than 2^32 triangles");
         }
         triangles
+    }
+
+    /// Adds the triangles of tetrahedra that are not counted yet, and room for all of `tets`. Where new triangles come
+    /// into the lists by triangle.
+    pub(super) fn grow(&mut self, tets: &LiveTets, added: &[TetId]) -> Insertions {
+        let corners = |tet: &TetId| {
+            let nodes = tets.nodes[tet.index()];
+            LOCAL_TRIANGLES.map(|local| ascending(local, &nodes).map(|i| nodes[i]))
+        };
+        let insertions = Insertions::into(&mut self.nodes, added.iter().flat_map(corners).collect());
+        insertions.spread(&mut self.tets, 0);
+        insertions.renumber(self.of_tet.as_flattened_mut());
+        self.of_tet.resize(tets.nodes.len(), [0; 4]);
+        for tet in added {
+            self.of_tet[tet.index()] = corners(tet).map(|key| place_of(&self.nodes, &key));
+        }
+        insertions
     }
 }

@@ -11,6 +11,7 @@ use super::rigid::{Clusters, span};
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, TopologyChange};
 use crate::mesh::{NodeId, TetId, TetMesh};
+use crate::model::{LocalModel, LocalWork};
 use crate::solve::{
     BoundaryConditions, Factorization, FreeSystem, MeshEdges, SolveError, StiffnessTensors,
     add_gravity_forces,
@@ -45,6 +46,8 @@ pub(super) struct Cuts {
     pub(super) hinge_rows: Vec<(u32, u32, u32)>,
     pub(super) pull_share: f64,
     pub(super) numbers: Vec<f64>,
+    /// Of all nodes, zero but for those that pieces move; empty without pieces.
+    velocities_m_per_s: Vec<DVec3>,
     /// Response of each node of the whole body to unit gravity along each axis [m per m/s2].
     pub(super) whole_weight_s2: Arc<[Vec<DVec3>; 3]>,
     /// What the whole body's own weight does to the rows [m], in blocks: it is in the rest shape already, where that
@@ -130,6 +133,7 @@ impl Cuts {
             hinge_rows: Vec::new(),
             pull_share: MOST_PULL_SHARE,
             numbers: Vec::new(),
+            velocities_m_per_s: Vec::new(),
             report: CutReport { least_pivot: 1.0, ..CutReport::default() },
         })
     }
@@ -263,6 +267,15 @@ impl Cuts {
     }
 
     fn write_numbers(&mut self) {
+        let velocities = &mut self.velocities_m_per_s;
+        for (p, piece) in self.pieces.iter().enumerate() {
+            for (local, (&node, &of_node)) in piece.nodes.iter().zip(piece.velocities_m_per_s()).enumerate() {
+                if self.owners.of(node) == Some(p) {
+                    let moves = piece.moves(local as u32);
+                    velocities[node.index()] = if moves { of_node } else { DVec3::ZERO };
+                }
+            }
+        }
         let mut rest = &mut self.numbers[..];
         for piece in &self.pieces {
             let (own, others) = rest.split_at_mut(piece.n_history());
@@ -303,12 +316,60 @@ impl Cuts {
         let n = self.pieces.iter().map(LoosePiece::n_history).sum();
         self.numbers.clear();
         self.numbers.resize(n, 0.0);
+        if !self.pieces.is_empty() {
+            self.velocities_m_per_s.resize(self.is_out.len(), DVec3::ZERO);
+        }
         self.write_numbers();
     }
 
     /// What the whole body's own weight does to the rows [m], in blocks; `None` while nothing is cut.
     pub(super) fn carried_m(&self) -> Option<&[f64]> {
         (!self.carried_m.is_empty()).then_some(&self.carried_m)
+    }
+
+    /// Fills in the answers of nodes that pieces move.
+    pub(super) fn add_pieces_to(&mut self, period_s: f64, work: &mut LocalWork, out: &mut LocalModel) {
+        for (p, piece) in self.pieces.iter_mut().enumerate() {
+            // Place among the patch's nodes and number in the piece of those that it moves.
+            let mut own = [(0, NodeId(0)); LocalModel::MOST_NODES];
+            let mut n_own = 0;
+            for (at, &node) in out.nodes.iter().enumerate() {
+                if self.owners.of(node) == Some(p)
+                    && let Some(local) = piece.local(node)
+                {
+                    own[n_own] = (at, NodeId(local));
+                    n_own += 1;
+                }
+            }
+            let own = &own[..n_own];
+            if own.is_empty() {
+                continue;
+            }
+            let locals = own.iter().map(|(_, local)| *local);
+            let model = piece.local_model(locals, period_s, work);
+            for (j, &(by, _)) in own.iter().enumerate() {
+                out.force_n[by] = model.force_n[j];
+                for (i, &(of, _)) in own.iter().enumerate() {
+                    out.set_tensor(of, by, model.tensor_m_per_n(i, j));
+                }
+            }
+            let fewest = |n_rings: u32| out.n_rings.map_or(n_rings, |other| other.min(n_rings));
+            out.n_rings = model.n_rings.map(fewest).or(out.n_rings);
+            out.is_inertial |= model.is_inertial;
+            out.missed_tolerance |= model.missed_tolerance;
+        }
+    }
+
+    /// Pieces move with these velocities [m/s] of the nodes.
+    pub(super) fn start_with(&mut self, velocities_m_per_s: &[DVec3]) {
+        for piece in &mut self.pieces {
+            piece.start_with(velocities_m_per_s);
+        }
+        self.write_numbers();
+    }
+
+    pub(super) fn velocities_m_per_s(&self) -> &[DVec3] {
+        &self.velocities_m_per_s
     }
 
     pub(super) fn numbers(&self) -> &[f64] {

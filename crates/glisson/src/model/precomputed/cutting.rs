@@ -7,8 +7,7 @@
 //! tetrahedra at its hinges are taken out of the stiffness: what is left of it does not touch the held body, and
 //! three held points of each of its clusters keep the whole regular. The pieces go on by themselves (`loose`).
 //!
-//! A running estimate of the error: for one unit force after each edit, K0 x = f + sum over what was removed of
-//! U U^T u is solved with the factor of the uncut body, where u is the table's response; x = u in exact arithmetic.
+//! A running estimate of the error is made after each edit (`following`).
 
 use super::cuts::Cuts;
 use super::loose::{LooseParams, LoosePiece, MOST_PULL_SHARE};
@@ -34,6 +33,21 @@ pub const RECOMPUTATION_ERROR: f64 = 1e-6;
 /// the memory of a table of 614 nodes. A choice.
 pub const RECOMPUTATION_COLUMNS: usize = 2400;
 
+/// From when on a fresh pre-computation is asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RecomputationLimits {
+    /// Estimated error of the compliance, relative to its largest entry.
+    pub error: f64,
+    /// Columns in the history of changes.
+    pub n_columns: usize,
+}
+
+impl Default for RecomputationLimits {
+    fn default() -> Self {
+        Self { error: RECOMPUTATION_ERROR, n_columns: RECOMPUTATION_COLUMNS }
+    }
+}
+
 /// How far a compliance has come from the pre-computed one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CutReport {
@@ -43,14 +57,16 @@ pub struct CutReport {
     pub n_taken_out: usize,
     /// Tetrahedra of pieces that came loose and were handed to a dynamic body.
     pub n_loose: usize,
+    /// Tetrahedra of pieces that came loose and of which no dynamic body could be made: they stay where they are.
+    pub n_stuck: usize,
     /// Columns of low rank in the history.
     pub n_columns: usize,
     /// Nodes laid bare that got rows and columns from the factor.
     pub n_laid_bare: usize,
     /// Least pivot of all capacitance matrices so far; 1 before the first.
     pub least_pivot: f64,
-    /// Estimated error relative to the largest entry of the compliance: the largest of all probes so far, each of one
-    /// column. The worst column can be worse: on a liver it was twenty times so, at 3e-14.
+    /// Estimated error relative to the largest entry of the compliance: the largest of all probes so far. Each probe
+    /// sums some columns with random signs, so that it is seldom below the worst entry's error and mostly some times above.
     pub error: f64,
     /// Whether a fresh pre-computation should take over.
     pub wants_recomputation: bool,
@@ -94,12 +110,18 @@ impl Precomputed {
         self.cuts.as_ref().map_or(&[], |cuts| cuts.numbers())
     }
 
-    /// Adds what the cuts and the pieces tell.
+    /// Velocities of all nodes, zero but for those of pieces; empty without pieces.
+    pub(super) fn piece_velocities_m_per_s(&self) -> &[DVec3] {
+        self.cuts.as_ref().map_or(&[], |cuts| cuts.velocities_m_per_s())
+    }
+
+    /// Adds what the cuts and the pieces tell. Stuck tetrahedra count as quarantined: no force moves them.
     pub(super) fn add_cuts_to(&self, report: &mut ModelReport) {
         let Some(cuts) = &self.cuts else { return };
         report.n_reanalyses = cuts.report.n_edits as u32;
         report.compliance_error = cuts.report.error;
         report.wants_recomputation = cuts.report.wants_recomputation;
+        report.n_quarantined_tets += cuts.report.n_stuck as u32;
         for piece in &cuts.pieces {
             let own = piece.report();
             report.n_parts = report.n_parts.max(own.n_parts);
@@ -124,6 +146,11 @@ impl Precomputed {
             self.cuts = Some(Box::new(Cuts::new(mesh, bears, &self.compliance)?));
         }
         Ok(())
+    }
+
+    /// When a fresh pre-computation is asked for, after the next edit.
+    pub fn set_recomputation_limits(&mut self, limits: RecomputationLimits) {
+        self.recomputation_limits = limits;
     }
 
     /// How far the cuts have brought the compliance from the pre-computed one.
@@ -284,7 +311,7 @@ impl Precomputed {
             self.drop_node(node);
         }
         cuts.report.n_edits += 1;
-        self.probe(cuts);
+        self.probe(cuts, &taken);
         self.join_pieces(cuts);
 
         self.follow_rows(&old_rows);
@@ -343,8 +370,10 @@ impl Precomputed {
             is_placed: &|node| self.row_of[node.index()] != NONE || cuts.owners.of(node).is_some(),
             gravity_m_per_s2: self.rest_gravity_m_per_s2 + self.pull_m_per_s2,
         });
-        // A piece that no dynamic body can be made of (a flat tetrahedron) stays where it is.
-        let Ok(piece) = made else { return };
+        let Ok(piece) = made else {
+            cuts.report.n_stuck += loose.len();
+            return;
+        };
         let borne = cuts.borne();
         let p = cuts.pieces.len();
         for &node in &piece.nodes {

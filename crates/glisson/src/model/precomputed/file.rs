@@ -26,7 +26,7 @@ use std::path::Path;
 
 use super::build::NODES_IN_BLOCK;
 use super::table::{BLOCK_NUMBERS, LANES, Numbers, Precision, Table};
-use super::{Compliance, Precomputed, PrecomputedError};
+use super::{Compliance, Precomputed, PrecomputedError, StoredNodes};
 use crate::files::write_atomically;
 use crate::material::LinearElastic;
 use crate::mesh::{NodeId, TetMesh};
@@ -415,6 +415,19 @@ impl Precomputed {
         let mut file = File::open(path).map_err(io_error)?;
         let length = file.metadata().map_err(io_error)?.len();
         read(path, &mut file, length, expected)
+    }
+
+    /// What a file keeps and how, from its head alone: a re-computation keeps the same.
+    ///
+    /// # Errors
+    /// [`PrecomputedError`] when its head cannot be read.
+    pub fn kept_in(path: &Path) -> Result<(StoredNodes, Precision), PrecomputedError> {
+        let io_error = |cause| PrecomputedError::Io { file: path.to_owned(), cause };
+        let mut file = File::open(path).map_err(io_error)?;
+        let length = file.metadata().map_err(io_error)?.len();
+        let (head, _) = Head::read(path, &mut file, length, Extent::Head)?;
+        let has_inner = head.rows.len() > head.n_loadable;
+        Ok((if has_inner { StoredNodes::All } else { StoredNodes::Surface }, head.precision))
     }
 
     /// [`Precomputed::load`] from the bytes of a file; `path` only names it in errors.

@@ -1,17 +1,25 @@
 //! The table follows a removal: rows and loaded nodes come and go, changes of low rank are added, the error is probed.
 
 use super::cuts::Cuts;
-use super::cutting::{RECOMPUTATION_COLUMNS, RECOMPUTATION_ERROR};
 use super::growth::{LowRankChange, RANK, add_low_rank_to, swap_rows_of};
 use super::low_rank::{Change, NodeColumns, NodeWeight, RemovedTet, Working, WorkingNode};
 use super::table::{Table, place};
 use super::{Compliance, NONE, Precision, Precomputed};
-use crate::math::{DMat3, DVec3};
+use crate::math::{DMat3, DVec3, SeededRandom};
 use crate::mesh::{NodeId, TetId};
 
 /// Tetrahedra that are removed as one change at most: the dense work in a change grows with the square of their
 /// number, the passes over the table with their number alone.
 const MOST_TETS_IN_CHANGE: usize = 16;
+
+/// Loads of one estimate of the error: a choice. That all of four miss by more than a factor of three happens once in some
+/// hundred edits, and an estimate is the largest so far.
+const N_PROBES: usize = 4;
+
+/// Nodes of a probe that change from edit to edit, and the most corners of what an edit took out: choices, such that
+/// an estimate costs less than the edit.
+const PROBED_IN_TURN: usize = 12;
+const MOST_PROBED_CORNERS: usize = 16;
 
 /// Least share of rows and loaded nodes to spare when a table grows: 1 / 8. A choice.
 const SPARE_SHARE: usize = 8;
@@ -241,54 +249,111 @@ impl Precomputed {
         }
     }
 
-    /// Estimates the error with the response to one unit force, another one after each edit.
-    pub(super) fn probe(&self, cuts: &mut Cuts) {
+    /// Estimates the error with the responses to [`N_PROBES`] loads: forces of 1 N, their signs by chance, on the softest
+    /// node, the corners of what was `taken` and [`PROBED_IN_TURN`] others, other ones after each edit.
+    ///
+    /// With x the table's response to a load g, C the exact compliance, C0 and U those of the uncut body and of what was
+    /// taken out: y = x - C0 (g + U U^T x) is C0 K times the error, which is small where the cuts made the body soft. The
+    /// error itself is y + C U U^T y; C is read from the table here. The signs keep errors of several columns from
+    /// hiding in one another: the sum over columns j of D_ij with random signs is seldom less than a third of the
+    /// largest of them (it has their root sum of squares as its deviation), and hardly ever in each of the probes.
+    pub(super) fn probe(&self, cuts: &mut Cuts, taken: &[TetId]) {
         let compliance = &self.compliance;
-        if compliance.n_loadable == 0 {
+        let n_loadable = compliance.n_loadable;
+        if n_loadable == 0 {
             return;
         }
-        // A prime step goes round all loadable nodes.
-        let n_edits = cuts.report.n_edits;
-        let (loaded, axis) = (n_edits * 7919 % compliance.n_loadable, n_edits % 3);
-        let system = &cuts.origin.system;
-        let mut right_n = vec![DVec3::ZERO; self.rest_m.len()];
-        right_n[compliance.rows[loaded].index()] = DVec3::AXES[axis];
-        let response = |n: NodeId| {
-            let row = self.row_of[n.index()];
-            if row == NONE {
-                return DVec3::ZERO;
-            }
-            compliance.table.tensor(row as usize, loaded).col(axis)
+        let diagonal = |m: usize| {
+            let tensor = compliance.table.tensor(m, m);
+            [0, 1, 2].map(|d| tensor.col(d)[d]).into_iter().fold(f64::MIN_POSITIVE, f64::max)
         };
-        for tet in &cuts.taken_out {
-            let forces_n = tet.forces_n(tet.nodes.map(response));
-            for (node, force_n) in tet.nodes.into_iter().zip(forces_n) {
-                right_n[node.index()] += force_n;
+        let (mut softest, mut largest) = (0, 0.0);
+        for m in 0..n_loadable {
+            let yields = diagonal(m);
+            if yields > largest {
+                (softest, largest) = (m, yields);
             }
         }
-        let mut solution = vec![0.0; system.n_free()];
-        system.gather_into(&right_n, &mut solution);
+        let mut random = SeededRandom::new(cuts.report.n_edits as u64);
+        let mut probed: Vec<usize> = vec![softest];
+        let corners = taken.iter().flat_map(|&t| cuts.corners(t)).filter_map(|n| self.loadable_index(n));
+        probed.extend(corners.take(MOST_PROBED_CORNERS).map(|m| m as usize));
+        // A prime step goes round all loadable nodes.
+        let first = cuts.report.n_edits * PROBED_IN_TURN;
+        probed.extend((first..first + PROBED_IN_TURN).map(|i| i * 7919 % n_loadable));
+        probed.sort_unstable();
+        probed.dedup();
+
+        let system = &cuts.origin.system;
+        let n_free = system.n_free();
+        let mut right = vec![0.0; N_PROBES * n_free];
+        let mut responses = vec![vec![DVec3::ZERO; compliance.rows.len()]; N_PROBES];
+        let of_row = |x: &[DVec3], n: NodeId| {
+            let row = self.row_of[n.index()];
+            if row == NONE { DVec3::ZERO } else { x[row as usize] }
+        };
+        for (right, x) in right.chunks_exact_mut(n_free.max(1)).zip(&mut responses) {
+            let mut right_n = vec![DVec3::ZERO; self.rest_m.len()];
+            for &m in &probed {
+                let mut sign = || if random.next_u64() >> 63 == 0 { 1.0 } else { -1.0 };
+                let force_n = DVec3::new(sign(), sign(), sign());
+                right_n[compliance.rows[m].index()] = force_n;
+                for (row, x) in x.iter_mut().enumerate() {
+                    *x += compliance.table.tensor(row, m) * force_n;
+                }
+            }
+            add_taken_out(cuts, |n| of_row(x, n), &mut right_n);
+            system.gather_into(&right_n, right);
+        }
+        // Twice: the table came from the same factor, whose own error would not be seen otherwise.
         let factor = &cuts.origin.factor;
-        factor.solve_in_place(&mut solution, 1, &mut factor.scratch(1));
-        let mut difference = 0.0_f64;
-        for &node in &compliance.rows {
-            let table = response(node);
-            for d in 0..3 {
-                let exact = system.row_of(node, d).map_or(0.0, |row| solution[row]);
-                let off = (table[d] - exact).abs();
-                // A number that is not finite is an error beyond every bound.
-                difference = if off.is_finite() { difference.max(off) } else { f64::INFINITY };
+        let mut scratch = factor.scratch(N_PROBES);
+        let mut left = right.clone();
+        factor.solve_in_place(&mut right, N_PROBES, &mut scratch);
+        for (x, left) in right.chunks_exact(n_free.max(1)).zip(left.chunks_exact_mut(n_free.max(1))) {
+            system.subtract_product(x, left);
+        }
+        factor.solve_in_place(&mut left, N_PROBES, &mut scratch);
+        right.iter_mut().zip(&left).for_each(|(x, more)| *x += more);
+        let mut error = 0.0_f64;
+        // A number that is not finite is an error beyond every bound.
+        let mut note = |off: DVec3| {
+            let off = off.abs().max_element();
+            error = if off.is_finite() { error.max(off) } else { f64::INFINITY };
+        };
+        for (solution, x) in right.chunks_exact(n_free.max(1)).zip(&responses) {
+            let exact = |n: NodeId| {
+                DVec3::from_array([0, 1, 2].map(|d| system.row_of(n, d).map_or(0.0, |row| solution[row])))
+            };
+            let y = |n: NodeId| of_row(x, n) - exact(n);
+            compliance.rows.iter().for_each(|&n| note(y(n)));
+            let mut force_n = vec![DVec3::ZERO; self.rest_m.len()];
+            add_taken_out(cuts, y, &mut force_n);
+            let mut pulled: Vec<NodeId> = cuts.taken_out.iter().flat_map(|tet| tet.nodes).collect();
+            pulled.sort_unstable();
+            pulled.dedup();
+            pulled.retain(|n| self.row_of[n.index()] != NONE);
+            for &m in &probed {
+                // The table is symmetric, and a loaded node's columns stand together.
+                let follows = |n: &NodeId| {
+                    let row = self.row_of[n.index()] as usize;
+                    compliance.table.tensor(row, m).transpose() * force_n[n.index()]
+                };
+                note(y(compliance.rows[m]) + pulled.iter().map(follows).sum::<DVec3>());
             }
         }
-        let largest = (0..compliance.n_loadable)
-            .flat_map(|m| {
-                let tensor = compliance.table.tensor(m, m);
-                [0, 1, 2].map(|d| tensor.col(d)[d])
-            })
-            .fold(f64::MIN_POSITIVE, f64::max);
         let report = &mut cuts.report;
-        report.error = report.error.max(difference / largest);
-        report.wants_recomputation =
-            report.error > RECOMPUTATION_ERROR || report.n_columns > RECOMPUTATION_COLUMNS;
+        report.error = report.error.max(error / largest.max(f64::MIN_POSITIVE));
+        let limits = self.recomputation_limits;
+        report.wants_recomputation = report.error > limits.error || report.n_columns > limits.n_columns;
+    }
+}
+
+/// Adds U U^T x over all that was taken out, for displacements x [m]: forces [N].
+fn add_taken_out(cuts: &Cuts, x_m: impl Fn(NodeId) -> DVec3, force_n: &mut [DVec3]) {
+    for tet in &cuts.taken_out {
+        for (node, f) in tet.nodes.into_iter().zip(tet.forces_n(tet.nodes.map(&x_m))) {
+            force_n[node.index()] += f;
+        }
     }
 }

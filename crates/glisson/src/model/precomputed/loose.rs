@@ -13,8 +13,8 @@ use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::explicit_kernel::{ExplicitKernel, ExplicitKernelError, ExplicitKernelParams};
 use crate::model::kernel::KernelLaw;
 use crate::model::{
-    Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, ModelReport, NodalForce,
-    Rayleigh,
+    Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, LocalModel, LocalWork,
+    ModelReport, NodalForce, Rayleigh,
 };
 use crate::solve::{BoundaryConditions, StaticProblem, solve_static};
 
@@ -32,8 +32,12 @@ const STIFFNESS_DAMPING_SHARE: f64 = 0.5;
 /// Share of the largest stable step that a piece makes.
 const STEP_SHARE: f64 = 0.9;
 
-/// Into how many parts a step may be divided once the piece itself is cut.
-const MOST_PARTS: u32 = 64;
+/// Shortest internal step [s]: where tetrahedra of a piece would ask for shorter ones, they become heavier instead. A
+/// choice: twenty parts of a millisecond, enough for soft tissue of tetrahedra above about 0.2 mm.
+const SHORTEST_STEP_S: f64 = 5e-5;
+
+/// Into how many parts a step may be divided once the piece itself is cut, if they stay that long.
+const MOST_PARTS: f64 = 64.0;
 
 /// What moves a node of a piece in a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,6 +66,9 @@ pub(super) struct LoosePiece {
     tets: Vec<TetId>,
     body: EditableMesh,
     kernel: ExplicitKernel,
+    local: LocalModel,
+    /// Nodes that are heavier than their tissue from the start.
+    n_heavier: u32,
     pub(super) hinges: Vec<Hinge>,
     movers: Vec<(u32, Mover, DVec3)>,
     constraints: Constraints,
@@ -81,6 +88,8 @@ impl Clone for LoosePiece {
             tets: self.tets.clone(),
             body: self.body.clone(),
             kernel: self.kernel.clone(),
+            local: LocalModel::new(),
+            n_heavier: self.n_heavier,
             hinges: self.hinges.clone(),
             movers,
             constraints,
@@ -129,15 +138,27 @@ impl LoosePiece {
             fixed: &fixed,
             gravity_m_per_s2: params.gravity_m_per_s2,
             damping: Rayleigh::of_mass(DAMPING_PER_S),
-            most_parts: MOST_PARTS,
             ..DynamicBody::new(&own, material.density_kg_per_m3())
         };
         let materials = std::slice::from_ref(material);
         let mut kernel_params = ExplicitKernelParams::new(body, KernelLaw::StableNeoHooke, materials);
         let undamped_s = ExplicitKernel::stable_step(&kernel_params)?.step_s;
         kernel_params.body.damping.stiffness_s = STIFFNESS_DAMPING_SHARE * undamped_s;
-        kernel_params.body.time_step_s = STEP_SHARE * ExplicitKernel::stable_step(&kernel_params)?.step_s;
-        let mut kernel = ExplicitKernel::build(&kernel_params)?;
+        let stable = ExplicitKernel::stable_step(&kernel_params)?;
+        let step_s = STEP_SHARE * stable.step_s;
+        kernel_params.body.most_parts = (step_s / SHORTEST_STEP_S).floor().clamp(1.0, MOST_PARTS) as u32;
+        let mut n_heavier = 0;
+        let mut kernel = if step_s >= SHORTEST_STEP_S {
+            kernel_params.body.time_step_s = step_s;
+            ExplicitKernel::build(&kernel_params)?
+        } else {
+            // Made for a step that needs no scaling of its own, then slowed down.
+            kernel_params.body.time_step_s = stable.after_cuts_s;
+            let mut kernel = ExplicitKernel::build(&kernel_params)?;
+            let (density, stretch) = (material.density_kg_per_m3(), kernel_params.largest_stretch);
+            n_heavier = kernel.lengthen_step(material, density, stretch, SHORTEST_STEP_S);
+            kernel
+        };
         kernel.take_over(&shape(params, &nodes, &own));
         let n = nodes.len();
         let body = EditableMesh::new(own).map_err(|_| crate::solve::SolveError::EmptyMesh)?;
@@ -145,6 +166,8 @@ impl LoosePiece {
             tets: params.tets.to_vec(),
             body,
             kernel,
+            local: LocalModel::new(),
+            n_heavier,
             hinges: Vec::new(),
             movers: Vec::with_capacity(n),
             constraints: room_for(n),
@@ -294,8 +317,37 @@ impl LoosePiece {
         self.kernel.set_gravity(gravity_m_per_s2);
     }
 
+    /// What some of its nodes do in a period, its hinges held where no patch lets them go.
+    pub(super) fn local_model(
+        &mut self,
+        locals: impl Iterator<Item = NodeId>,
+        period_s: f64,
+        work: &mut LocalWork,
+    ) -> &LocalModel {
+        let mut patch = [NodeId(0); LocalModel::MOST_NODES];
+        let mut n = 0;
+        for (to, local) in patch.iter_mut().zip(locals) {
+            *to = local;
+            n += 1;
+        }
+        self.kernel.local_model_into(&patch[..n], period_s, work, &mut self.local);
+        &self.local
+    }
+
+    /// Moves on with these velocities [m/s] of all nodes of the whole body.
+    pub(super) fn start_with(&mut self, velocities_m_per_s: &[DVec3]) {
+        let nodes = &self.nodes;
+        self.kernel.start_with(|local| velocities_m_per_s[nodes[local.index()].index()]);
+    }
+
+    pub(super) fn velocities_m_per_s(&self) -> &[DVec3] {
+        self.kernel.state().velocities_m_per_s
+    }
+
     pub(super) fn report(&self) -> ModelReport {
-        self.kernel.report()
+        let report = self.kernel.report();
+        let n_mass_scaled_nodes = report.n_mass_scaled_nodes.max(self.n_heavier);
+        ModelReport { n_mass_scaled_nodes, ..report }
     }
 
     /// Numbers that [`LoosePiece::write_history`] writes.

@@ -35,7 +35,7 @@ mod cutting;
 
 pub use check::{ComplianceCheck, check_compliance};
 pub use contact_system::ContactReport;
-pub use cutting::{CutReport, RECOMPUTATION_COLUMNS, RECOMPUTATION_ERROR};
+pub use cutting::{CutReport, RECOMPUTATION_COLUMNS, RECOMPUTATION_ERROR, RecomputationLimits};
 pub use error::PrecomputedError;
 pub use file::{PrecomputedExpectation, mesh_hash};
 pub use point::PointConstraint;
@@ -140,6 +140,7 @@ pub struct Precomputed {
     pull_m_per_s2: DVec3,
     /// What following cuts needs; made at the first one.
     cuts: Option<Box<Cuts>>,
+    recomputation_limits: RecomputationLimits,
 }
 
 impl Precomputed {
@@ -168,6 +169,7 @@ impl Precomputed {
             rest_gravity_m_per_s2: DVec3::ZERO,
             pull_m_per_s2: DVec3::ZERO,
             cuts: None,
+            recomputation_limits: RecomputationLimits::default(),
             compliance,
         }
     }
@@ -253,7 +255,11 @@ impl DeformableModel for Precomputed {
     }
 
     fn state(&self) -> ModelState<'_> {
-        ModelState { positions_m: &self.positions_m, velocities_m_per_s: &[], history: self.piece_numbers() }
+        ModelState {
+            positions_m: &self.positions_m,
+            velocities_m_per_s: self.piece_velocities_m_per_s(),
+            history: self.piece_numbers(),
+        }
     }
 
     fn constraint_forces_n(&self) -> &[DVec3] {
@@ -268,6 +274,16 @@ impl DeformableModel for Precomputed {
         self.constraint_forces_n.fill(DVec3::ZERO);
         if let Some(cuts) = &mut self.cuts {
             cuts.take_over(positions_m, &mut self.positions_m);
+        }
+    }
+
+    /// Loose pieces go on with their velocities.
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
+        self.take_over(state.positions_m);
+        if let Some(cuts) = &mut self.cuts
+            && state.velocities_m_per_s.len() == self.rest_m.len()
+        {
+            cuts.start_with(state.velocities_m_per_s);
         }
     }
 
@@ -286,14 +302,19 @@ impl DeformableModel for Precomputed {
         report
     }
 
+    /// Nodes of the held body answer with their static compliance, those of loose pieces as the piece does in the period,
+    /// its hinges held.
     fn local_model_into(
         &mut self,
         patch: &[NodeId],
         period_s: f64,
-        _work: &mut LocalWork,
+        work: &mut LocalWork,
         out: &mut LocalModel,
     ) {
         self.fill_local_model(patch, period_s, out);
+        if let Some(cuts) = &mut self.cuts {
+            cuts.add_pieces_to(period_s, work, out);
+        }
     }
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {

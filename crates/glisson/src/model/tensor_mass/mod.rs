@@ -20,10 +20,11 @@ pub(super) use tensors::VertexEdgeTensors;
 use super::explicit::{
     Cuttable, ExplicitMotion, LiveTets, Quarantine, Stability, StiffTet, check_body, follow, keep, unpadded,
 };
-use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, TangentLaw};
+use super::growth::{Growth, blend_tets, grows};
+use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::{
     Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
-    NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
+    ModelUndo, NodalForce, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
@@ -47,7 +48,7 @@ pub struct TensorMass {
     material: LinearElastic,
     motion: ExplicitMotion,
 
-    // Mechanics, changed by removals only.
+    // Mechanics, changed by edits only.
     tets: LiveTets,
     tensors: VertexEdgeTensors,
     /// One a tetrahedron, or none.
@@ -184,6 +185,12 @@ impl TensorMass {
     }
 }
 
+impl TensorMass {
+    fn gradients(&self, t: usize) -> P1Gradients {
+        P1Gradients::new(self.tets.nodes[t].map(|n| self.motion.rest_m()[n.index()]))
+    }
+}
+
 impl Cuttable for TensorMass {
     const NAME: &'static str = "tensor_mass";
 
@@ -195,15 +202,15 @@ impl Cuttable for TensorMass {
         &mut self.tets
     }
 
-    fn n_nodes(&self) -> usize {
-        self.motion.n_nodes()
+    fn rest_m(&self) -> &[DVec3] {
+        self.motion.rest_m()
     }
 
     /// What is left without a tetrahedron becomes exactly zero; a node left alone stays where it is.
     fn remove_tet(&mut self, t: usize) {
         let nodes = self.tets.nodes[t];
-        // The rest positions are those of the build, so these are the numbers that were added then.
-        let gradients = P1Gradients::new(nodes.map(|n| self.motion.rest_m(n)));
+        // The rest positions are those from when it was added, so these are the numbers that were added then.
+        let gradients = self.gradients(t);
         let stiffness = gradients.stiffness(self.material.lambda_pa(), self.material.mu_pa());
         self.motion.remove_tet(nodes, gradients.volume_m3);
         if let Some(&stress_pa) = self.rest_stress_pa.get(t) {
@@ -214,6 +221,27 @@ impl Cuttable for TensorMass {
 
     fn after_removals(&mut self) {
         self.motion.after_removals(&self.tets.nodes, &self.tets.is_live);
+    }
+
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        self.motion.grow(mesh, change, growth);
+        self.tensors.grow(&self.tets, growth);
+        blend_tets(&mut self.rest_stress_pa, change);
+    }
+
+    fn add_tet(&mut self, t: usize) {
+        let nodes = self.tets.nodes[t];
+        let gradients = self.gradients(t);
+        let at_rest = gradients.stiffness(self.material.lambda_pa(), self.material.mu_pa());
+        self.tensors.add_tet(t, nodes, &at_rest);
+        self.motion.add_tet(t, nodes, gradients.volume_m3, &StiffTet { at_rest, stiffening: 1.0 });
+        if let Some(&stress_pa) = self.rest_stress_pa.get(t) {
+            self.motion.add_rest_forces(nodes, gradients.stress_forces_n(stress_pa), 1.0);
+        }
+    }
+
+    fn after_growth(&mut self) {
+        self.motion.after_growth(&self.tets.nodes, &self.tets.is_live);
     }
 
     fn compact(&mut self, new_ids: &[Option<NodeId>]) {
@@ -236,29 +264,13 @@ impl LocalBody for TensorMass {
     }
 
     fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
-        let gradients = P1Gradients::new(self.tets.nodes[element].map(|n| self.motion.rest_m(n)));
+        let gradients = self.gradients(element);
         let law = TangentLaw::Linear { lambda_pa: self.material.lambda_pa(), mu_pa: self.material.mu_pa() };
         local_model::tet_tangent(&gradients, [DVec3::ZERO; 4], &law, None)
     }
 
-    fn inertia_kg(&self, n: usize) -> f64 {
-        self.motion.frame().inertia_kg(n)
-    }
-
-    fn free_axes(&self, n: usize) -> [bool; 3] {
-        self.motion.frame().free_axes(n)
-    }
-
-    fn is_held(&self, n: usize) -> bool {
-        self.motion.frame().is_held(n)
-    }
-
-    fn load_on_n(&self, n: usize) -> DVec3 {
-        self.motion.frame().load_on_n(n)
-    }
-
-    fn damping(&self) -> Rayleigh {
-        self.motion.frame().damping
+    fn frame(&self) -> &dyn LocalFrame {
+        self.motion.frame()
     }
 }
 
@@ -326,8 +338,32 @@ impl DeformableModel for TensorMass {
         Box::new(self.clone())
     }
 
-    /// Follows removals, which allocate nothing, and compactions, which do.
-    fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        follow(self, change)
+    /// Follows all edits. Removals allocate nothing.
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        follow(self, mesh, change)
+    }
+
+    /// Short for removals, which allocate nothing in buffers that were used before; else the whole model.
+    fn save_for_undo(&self, change: &TopologyChange, undo: &mut ModelUndo) {
+        undo.clear();
+        if grows(change) || change.is_renumbering() {
+            undo.keep_whole(self.duplicate());
+            return;
+        }
+        self.motion.save(undo);
+        for t in change.tets.removed.iter().map(|tet| tet.index()).filter(|&t| self.tets.is_live[t]) {
+            undo.push_place(t);
+            self.tensors.save_tet(t, self.tets.nodes[t], undo);
+        }
+    }
+
+    fn undo(&mut self, undo: &ModelUndo) {
+        let mut from = undo.reader();
+        self.motion.put_back(undo, &mut from);
+        while from.has_places() {
+            let t = from.place();
+            self.tets.is_live[t] = true;
+            self.tensors.put_tet_back(t, self.tets.nodes[t], &mut from);
+        }
     }
 }

@@ -2,7 +2,9 @@
 
 use crate::math::DMat3;
 use crate::mesh::{NodeId, TetId, TetMesh};
-use crate::model::explicit::{LiveEdges, Padded, keep, padded, unpadded};
+use crate::model::explicit::{Insertions, LiveEdges, LiveTets, Padded, keep, padded, unpadded};
+use crate::model::growth::Growth;
+use crate::model::{ModelUndo, UndoReader};
 use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients, SolveError, StiffnessTensors, TetStiffness};
 
 /// K as B^pp on vertices and B^pj on edges (lower node p), in the layout of the force loop.
@@ -116,7 +118,7 @@ impl VertexEdgeTensors {
         for (corner, node) in nodes.into_iter().enumerate() {
             let tensor = &mut self.vertex[node.index()];
             if stays[corner] {
-                subtract(tensor, padded_columns(stiffness.vertex[corner]));
+                add(tensor, padded_columns(stiffness.vertex[corner]), -1.0);
             } else {
                 *tensor = [[0.0; 4]; 3];
             }
@@ -126,10 +128,52 @@ impl VertexEdgeTensors {
             if self.edges.take_tet(edge) {
                 let b = stiffness.edge[e];
                 let along = if nodes[j] < nodes[k] { b } else { b.transpose() };
-                subtract(&mut self.edge[edge], padded_columns(along));
+                add(&mut self.edge[edge], padded_columns(along), -1.0);
             } else {
                 self.edge[edge] = [[0.0; 4]; 3];
             }
+        }
+    }
+
+    /// Keeps the tensors at a tetrahedron that is about to be taken out.
+    pub(in crate::model) fn save_tet(&self, t: usize, nodes: [NodeId; 4], undo: &mut ModelUndo) {
+        let vertices = nodes.iter().map(|n| &self.vertex[n.index()]);
+        let edges = self.edges.edges.of_tet[t].iter().map(|&e| &self.edge[e as usize]);
+        vertices.chain(edges).for_each(|b| undo.numbers.extend_from_slice(b.as_flattened()));
+        undo.places.extend(self.edges.edges.of_tet[t].iter().map(|&e| self.edges.tets[e as usize]));
+    }
+
+    /// Comes back to [`VertexEdgeTensors::save_tet`].
+    pub(in crate::model) fn put_tet_back(&mut self, t: usize, nodes: [NodeId; 4], from: &mut UndoReader<'_>) {
+        for node in nodes {
+            self.vertex[node.index()].as_flattened_mut().copy_from_slice(from.numbers(12));
+        }
+        for edge in self.edges.edges.of_tet[t] {
+            self.edge[edge as usize].as_flattened_mut().copy_from_slice(from.numbers(12));
+            self.edges.tets[edge as usize] = from.place() as u32;
+        }
+    }
+
+    /// Room for the nodes, edges and tetrahedra that an edit brings in, with nothing in them. Where new edges come into
+    /// the lists by edge.
+    pub(in crate::model) fn grow(&mut self, tets: &LiveTets, growth: &Growth) -> Insertions {
+        self.vertex.resize(growth.n_nodes, [[0.0; 4]; 3]);
+        let insertions = self.edges.grow(tets, &growth.added);
+        insertions.spread(&mut self.edge, [[0.0; 4]; 3]);
+        self.edge_start = edge_starts(&self.edges.edges, growth.n_nodes);
+        insertions
+    }
+
+    /// Adds the tensors of tetrahedron `t`.
+    pub(in crate::model) fn add_tet(&mut self, t: usize, nodes: [NodeId; 4], stiffness: &TetStiffness) {
+        self.edges.add_tet(t);
+        for (corner, node) in nodes.into_iter().enumerate() {
+            add(&mut self.vertex[node.index()], padded_columns(stiffness.vertex[corner]), 1.0);
+        }
+        for (e, [j, k]) in LOCAL_EDGES.into_iter().enumerate() {
+            let b = stiffness.edge[e];
+            let along = if nodes[j] < nodes[k] { b } else { b.transpose() };
+            add(&mut self.edge[self.edges.edges.of_tet[t][e] as usize], padded_columns(along), 1.0);
         }
     }
 
@@ -163,8 +207,8 @@ fn edge_starts(edges: &MeshEdges, n_nodes: usize) -> Vec<u32> {
     starts
 }
 
-fn subtract(from: &mut [[f64; 4]; 3], what: [[f64; 4]; 3]) {
-    for (from, what) in from.as_flattened_mut().iter_mut().zip(what.as_flattened()) {
-        *from -= what;
+fn add(to: &mut [[f64; 4]; 3], what: [[f64; 4]; 3], sign: f64) {
+    for (to, what) in to.as_flattened_mut().iter_mut().zip(what.as_flattened()) {
+        *to += sign * what;
     }
 }

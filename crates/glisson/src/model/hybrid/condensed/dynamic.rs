@@ -1,9 +1,14 @@
-//! The dynamic zones as one body: linear tensor-mass with the other zones condensed onto its nodes.
+//! The dynamic zones as one body: tensor-mass with the other zones condensed onto its nodes.
+//!
+//! Linear zones have tensors on vertices and edges, St Venant-Kirchhoff ones their tetrahedra ([`KirchhoffTet`]); both
+//! are differences from the same rest shape, so that they add up at the nodes they share. What the other zones bear
+//! stays linear.
 //!
 //! All dynamic zones are one body, so that zones that touch are merged without more ado (seed `003` s. 4.3.2.1). It is
 //! the frame and the central differences of the tensor-mass model on the dynamic tetrahedra; the pre-computed
 //! tetrahedra around them are there for their mass and for the stable step, their corners elsewhere are held.
 
+use super::ZoneLaw;
 use super::columns::SymmetricTiles;
 use super::zone::Whole;
 use crate::math::DVec3;
@@ -11,8 +16,10 @@ use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::explicit::{
     ExplicitError, ExplicitMotion, Padded, Quarantine, Stability, StiffTet, unpadded,
 };
+use crate::model::hybrid::kirchhoff::KirchhoffTet;
+use crate::model::nonlinear_tensor_mass::TetLaw;
 use crate::model::tensor_mass::VertexEdgeTensors;
-use crate::model::{Attachment, DynamicBody, FixedNode};
+use crate::model::{Attachment, DynamicBody, FixedNode, ModelReport};
 use crate::solve::P1Gradients;
 
 /// Marks a node or tetrahedron that the mesh has no more.
@@ -23,14 +30,21 @@ const GONE: u32 = u32::MAX;
 pub(super) struct DynamicPart {
     /// Node of the mesh for each of the body's.
     nodes: Vec<u32>,
-    /// Tetrahedron of the mesh for each of the body's, dynamic ones first, each group ascending.
+    /// Tetrahedron of the mesh for each of the body's: linear ones, other dynamic ones, those around; each group ascends.
     tets: Vec<u32>,
     mesh: TetMesh,
     is_live: Vec<bool>,
+    n_linear_tets: usize,
     n_dynamic_tets: usize,
     /// Live dynamic tetrahedra at each node; a node moves by itself while it has some.
     dynamic_tets: Vec<u32>,
-    tensors: VertexEdgeTensors,
+    /// Live linear dynamic ones.
+    linear_tets: Vec<u32>,
+    /// Of the linear zones, if there are any.
+    tensors: Option<VertexEdgeTensors>,
+    /// The other dynamic tetrahedra, in their order, and their law.
+    kirchhoff: Vec<KirchhoffTet>,
+    law: TetLaw,
     pub(super) motion: ExplicitMotion,
     /// Nodes of the body that hang on pre-computed zones, in the interface's order.
     frontier: Vec<u32>,
@@ -43,9 +57,11 @@ pub(super) struct DynamicPart {
 pub(super) struct DynamicSource<'a> {
     pub(super) whole: &'a Whole<'a>,
     pub(super) body: &'a DynamicBody<'a>,
-    /// Whether each tetrahedron is in a dynamic zone, and whether it is there.
-    pub(super) is_dynamic_tet: &'a [bool],
+    /// The law of each tetrahedron, and whether it is there.
+    pub(super) law_of_tet: &'a [ZoneLaw],
     pub(super) is_live_tet: &'a [bool],
+    /// The stable step holds while the principal stretches of St Venant-Kirchhoff zones stay within [1/s, s] for this s.
+    pub(super) largest_stretch: f64,
     /// Nodes of live dynamic tetrahedra.
     pub(super) is_dynamic: &'a [bool],
 }
@@ -56,16 +72,20 @@ impl DynamicPart {
     /// # Errors
     /// [`ExplicitError`] for impossible supports and loads.
     pub(super) fn build(source: &DynamicSource<'_>) -> Result<Option<Self>, ExplicitError> {
-        let DynamicSource { whole, body, is_dynamic_tet, is_live_tet, is_dynamic } = *source;
+        let DynamicSource { whole, body, law_of_tet, is_live_tet, is_dynamic, .. } = *source;
         let live = |t: &usize| is_live_tet[*t];
         let corners = |t: usize| whole.mesh.tetrahedra[t];
         let n_tets = whole.mesh.tetrahedra.len();
-        let mut tets: Vec<usize> = (0..n_tets).filter(live).filter(|&t| is_dynamic_tet[t]).collect();
+        let of = |law: ZoneLaw| (0..n_tets).filter(live).filter(move |&t| law_of_tet[t] == law);
+        let mut tets: Vec<usize> = of(ZoneLaw::TensorMass).collect();
+        let n_linear_tets = tets.len();
+        tets.extend(of(ZoneLaw::NonlinearTensorMass));
         let n_dynamic_tets = tets.len();
         if n_dynamic_tets == 0 {
             return Ok(None);
         }
-        let beside = |t: &usize| !is_dynamic_tet[*t] && corners(*t).iter().any(|n| is_dynamic[n.index()]);
+        let beside =
+            |t: &usize| !law_of_tet[*t].is_dynamic() && corners(*t).iter().any(|n| is_dynamic[n.index()]);
         tets.extend((0..n_tets).filter(live).filter(beside));
         let mut nodes: Vec<NodeId> = tets.iter().flat_map(|&t| corners(t)).collect();
         nodes.sort_unstable();
@@ -93,12 +113,19 @@ impl DynamicPart {
             .filter_map(|a| local(a.node).map(|node| Attachment { node, ..*a }))
             .collect();
         let (lambda_pa, mu_pa) = (whole.material.lambda_pa(), whole.material.mu_pa());
-        let stability = Stability::of_stiffness(&mesh, whole.density_kg_per_m3, |_, g| StiffTet {
-            at_rest: g.stiffness(lambda_pa, mu_pa),
-            stiffening: 1.0,
+        let law = TetLaw::isotropic(whole.material);
+        let stiffening = law.stiffening(source.largest_stretch, 0.0);
+        let is_kirchhoff = |t: TetId| (n_linear_tets..n_dynamic_tets).contains(&t.index());
+        let stability = Stability::of_stiffness(&mesh, whole.density_kg_per_m3, |t, g| {
+            let mut at_rest = g.stiffness(lambda_pa, mu_pa);
+            let stress_pa = whole.rest_stress_pa.get(tets[t.index()]).filter(|_| is_kirchhoff(t));
+            if let Some(&stress_pa) = stress_pa {
+                at_rest.add_multiples(g.stress_stiffness_n_per_m(stress_pa));
+            }
+            StiffTet { at_rest, stiffening: if is_kirchhoff(t) { stiffening } else { 1.0 } }
         })?;
         let strained_j = 0.5 * (lambda_pa + 2.0 * mu_pa) * mesh.volume_m3();
-        let (step, of_tets) = (stability.step, stability.tet_squared_frequency_per_s2.clone());
+        let again = stability.clone();
         let own = DynamicBody {
             mesh: &mesh,
             fixed: &fixed,
@@ -109,20 +136,31 @@ impl DynamicPart {
         let mut motion = match ExplicitMotion::new(&own, stability, strained_j) {
             // Shorter steps instead of a refusal: the dynamic zone may not have been there when the step was chosen.
             Err(ExplicitError::UnstableStep { allowed_s, .. }) => {
-                let again = Stability { step, tet_squared_frequency_per_s2: of_tets };
                 ExplicitMotion::new(&DynamicBody { time_step_s: allowed_s, ..own }, again, strained_j)
             }
             made => made,
         }?;
-        let dynamic_mesh = TetMesh {
+        let linear = TetMesh {
             positions_m: mesh.positions_m.clone(),
-            tetrahedra: mesh.tetrahedra[..n_dynamic_tets].to_vec(),
+            tetrahedra: mesh.tetrahedra[..n_linear_tets].to_vec(),
         };
-        let tensors = VertexEdgeTensors::accumulate(&dynamic_mesh, |_, g| g.stiffness(lambda_pa, mu_pa))?;
-        let mut dynamic_tets = vec![0; nodes.len()];
-        for n in dynamic_mesh.tetrahedra.iter().flatten() {
-            dynamic_tets[n.index()] += 1;
-        }
+        let tensors = match n_linear_tets {
+            0 => None,
+            _ => Some(VertexEdgeTensors::accumulate(&linear, |_, g| g.stiffness(lambda_pa, mu_pa))?),
+        };
+        let kirchhoff = (n_linear_tets..n_dynamic_tets)
+            .map(|l| {
+                let corners_m = mesh.corners_m(TetId::from_index(l));
+                KirchhoffTet::new(corners_m, whole.rest_stress_pa.get(tets[l]))
+            })
+            .collect();
+        let count = |tetrahedra: &[[NodeId; 4]]| {
+            let mut n_tets = vec![0; nodes.len()];
+            tetrahedra.iter().flatten().for_each(|n| n_tets[n.index()] += 1);
+            n_tets
+        };
+        let dynamic_tets: Vec<u32> = count(&mesh.tetrahedra[..n_dynamic_tets]);
+        let linear_tets = count(&linear.tetrahedra);
         for (l, &t) in tets[..n_dynamic_tets].iter().enumerate() {
             if let Some(&stress_pa) = whole.rest_stress_pa.get(t) {
                 let gradients = P1Gradients::new(mesh.corners_m(TetId::from_index(l)));
@@ -134,9 +172,13 @@ impl DynamicPart {
             tets: tets.iter().map(|&t| t as u32).collect(),
             is_live: vec![true; tets.len()],
             mesh,
+            n_linear_tets,
             n_dynamic_tets,
             dynamic_tets,
+            linear_tets,
             tensors,
+            kirchhoff,
+            law,
             motion,
             frontier: Vec::new(),
             frontier_m: Vec::new(),
@@ -167,6 +209,28 @@ impl DynamicPart {
     /// Whether a tetrahedron of the body is still there.
     pub(super) fn is_live(&self, tet: usize) -> bool {
         self.is_live[tet]
+    }
+
+    /// The law of a tetrahedron of the body, if it is a St Venant-Kirchhoff one.
+    pub(super) fn kirchhoff_law(&self, tet: usize) -> Option<TetLaw> {
+        (self.n_linear_tets..self.n_dynamic_tets).contains(&tet).then_some(self.law)
+    }
+
+    /// The mesh's number of a tetrahedron of the body.
+    pub(super) fn tet_of_mesh(&self, tet: usize) -> usize {
+        self.tets[tet] as usize
+    }
+
+    /// Displacement [m] of a node of the body.
+    pub(super) fn displacement_m(&self, local: usize) -> DVec3 {
+        unpadded(&self.motion.displacements()[local])
+    }
+
+    /// How the last step went, with the mesh's numbers.
+    pub(super) fn report(&self) -> ModelReport {
+        let report = self.motion.report();
+        let of_mesh = |t: TetId| TetId(self.tets[t.index()]);
+        ModelReport { first_quarantined: report.first_quarantined.map(of_mesh), ..report }
     }
 
     /// Place among the interface's dynamic nodes of one of the body's.
@@ -212,10 +276,29 @@ impl DynamicPart {
         mut add_contact: impl FnMut(&[f64], &mut [f64]),
     ) {
         let Self { tensors, motion, frontier, frontier_m, frontier_n, .. } = self;
+        let n_linear_tets = self.n_linear_tets;
         motion.step(dt_s, |u, force| {
-            tensors.add_forces(u, force);
+            if let Some(tensors) = tensors {
+                tensors.add_forces(u, force);
+            }
+            let mut quarantine = Quarantine::default();
+            for (k, tet) in self.kirchhoff.iter().enumerate() {
+                let t = n_linear_tets + k;
+                if !self.is_live[t] {
+                    continue;
+                }
+                let nodes = self.mesh.tetrahedra[t].map(NodeId::index);
+                let (f, is_inverted) = tet.forces_n(&self.law, nodes.map(|n| unpadded(&u[n])));
+                if is_inverted {
+                    quarantine.add(t);
+                }
+                for (n, f) in nodes.into_iter().zip(f) {
+                    let to = &mut force[n];
+                    (0..3).for_each(|axis| to[axis] += f[axis]);
+                }
+            }
             if frontier.is_empty() {
-                return Quarantine::default();
+                return quarantine;
             }
             gather(frontier, u, frontier_m);
             for (to, f) in frontier_n.iter_mut().zip(force_n) {
@@ -228,7 +311,7 @@ impl DynamicPart {
                 let to = &mut force[*node as usize];
                 (0..3).for_each(|axis| to[axis] += f[axis]);
             }
-            Quarantine::default()
+            quarantine
         });
     }
 
@@ -253,7 +336,6 @@ impl DynamicPart {
         }
         let nodes = self.mesh.tetrahedra[t];
         let gradients = P1Gradients::new(self.mesh.corners_m(TetId::from_index(t)));
-        let stiffness = gradients.stiffness(whole.material.lambda_pa(), whole.material.mu_pa());
         for n in nodes {
             self.dynamic_tets[n.index()] -= 1;
         }
@@ -261,7 +343,13 @@ impl DynamicPart {
         if let Some(&stress_pa) = whole.rest_stress_pa.get(tet.index()) {
             self.motion.add_rest_forces(nodes, gradients.stress_forces_n(stress_pa), -1.0);
         }
-        self.tensors.subtract_tet(t, nodes, &stiffness, nodes.map(|n| self.dynamic_tets[n.index()] > 0));
+        if t < self.n_linear_tets
+            && let Some(tensors) = &mut self.tensors
+        {
+            nodes.iter().for_each(|n| self.linear_tets[n.index()] -= 1);
+            let stiffness = gradients.stiffness(whole.material.lambda_pa(), whole.material.mu_pa());
+            tensors.subtract_tet(t, nodes, &stiffness, nodes.map(|n| self.linear_tets[n.index()] > 0));
+        }
     }
 
     /// After all removals of an edit.

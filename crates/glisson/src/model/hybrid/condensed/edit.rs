@@ -24,7 +24,10 @@ impl CondensedHybrid {
             if std::mem::take(&mut self.is_live[t]) {
                 is_cut = true;
                 let law = &mut self.laws[self.zone_of_tet[t] as usize];
-                is_new |= std::mem::replace(law, ZoneLaw::TensorMass) == ZoneLaw::Precomputed;
+                if !law.is_dynamic() {
+                    *law = self.cut_law;
+                    is_new = true;
+                }
             }
         }
         let pieces = &change.pieces;
@@ -52,7 +55,7 @@ impl CondensedHybrid {
             self.find_dynamic_nodes();
             let loose = self.unsupported_zones();
             for (zone, _) in &loose {
-                self.laws[*zone as usize] = ZoneLaw::TensorMass;
+                self.laws[*zone as usize] = self.cut_law;
             }
             is_new |= !loose.is_empty();
             if loose.is_empty() {
@@ -80,7 +83,8 @@ impl CondensedHybrid {
         keep(&mut self.zone_numbers, &is_kept);
         if self.bring_together(Some(&composed)).is_err() {
             // Tissue that hangs by so little that no equilibrium can be computed: everything is dynamic.
-            self.laws.fill(ZoneLaw::TensorMass);
+            let cut_law = self.cut_law;
+            self.laws.iter_mut().filter(|law| !law.is_dynamic()).for_each(|law| *law = cut_law);
             self.zones.clear();
             self.zone_numbers.clear();
             self.find_dynamic_nodes();

@@ -14,15 +14,17 @@ use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
 use crate::mesh::NodeId;
 use crate::model::local_model::{
-    ElementStiffness, LocalBody, LocalElements, TangentLaw, compute, tet_tangent,
+    ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw, compute, tet_tangent,
 };
-use crate::model::{LocalModel, LocalWork, Rayleigh};
+use crate::model::{LocalModel, LocalWork, RestStress};
 use crate::solve::P1Gradients;
 
 /// The dynamic zones and the tetrahedra around them.
 struct DynamicTissue<'a> {
     part: &'a DynamicPart,
     material: &'a LinearElastic,
+    /// One a tetrahedron of the mesh, or none.
+    rest_stress_pa: &'a [RestStress],
 }
 
 impl LocalBody for DynamicTissue<'_> {
@@ -37,28 +39,17 @@ impl LocalBody for DynamicTissue<'_> {
     fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
         let mesh = self.part.mesh();
         let gradients = P1Gradients::new(mesh.tetrahedra[element].map(|n| mesh.positions_m[n.index()]));
+        if let Some(law) = self.part.kirchhoff_law(element) {
+            let u_m = mesh.tetrahedra[element].map(|n| self.part.displacement_m(n.index()));
+            let rest_stress_pa = self.rest_stress_pa.get(self.part.tet_of_mesh(element));
+            return tet_tangent(&gradients, u_m, &TangentLaw::Kirchhoff(law), rest_stress_pa);
+        }
         let law = TangentLaw::Linear { lambda_pa: self.material.lambda_pa(), mu_pa: self.material.mu_pa() };
         tet_tangent(&gradients, [DVec3::ZERO; 4], &law, None)
     }
 
-    fn inertia_kg(&self, n: usize) -> f64 {
-        self.part.motion.frame().inertia_kg(n)
-    }
-
-    fn free_axes(&self, n: usize) -> [bool; 3] {
-        self.part.motion.frame().free_axes(n)
-    }
-
-    fn is_held(&self, n: usize) -> bool {
-        self.part.motion.frame().is_held(n)
-    }
-
-    fn load_on_n(&self, n: usize) -> DVec3 {
-        self.part.motion.frame().load_on_n(n)
-    }
-
-    fn damping(&self) -> Rayleigh {
-        self.part.motion.frame().damping
+    fn frame(&self) -> &dyn LocalFrame {
+        self.part.motion.frame()
     }
 }
 
@@ -71,7 +62,9 @@ impl CondensedHybrid {
         out: &mut LocalModel,
     ) {
         out.start(patch, period_s, &self.positions_m);
-        let Self { interface, zones, row, local, dynamic, place, loads, held, material, .. } = self;
+        let Self {
+            interface, zones, row, local, dynamic, place, loads, held, material, rest_stress_pa, ..
+        } = self;
         let place_of = |node: NodeId| match place[node.index()] {
             // Without columns.
             Place::Own { zone, own } if own as usize >= zones[zone as usize].n_loadable => Place::Nowhere,
@@ -89,10 +82,11 @@ impl CondensedHybrid {
                 }
             }
             local.start(&locals[..n_locals], period_s, &part.mesh().positions_m);
-            compute(&DynamicTissue { part, material }, work, local);
+            compute(&DynamicTissue { part, material, rest_stress_pa }, work, local);
         }
         out.n_rings = local.n_rings;
         out.is_inertial = local.is_inertial;
+        out.missed_tolerance = local.missed_tolerance;
         let holds_frontier = interface.nodes.len() > interface.n_condensed;
         if holds_frontier && out.n_rings.is_none() && out.nodes.iter().any(|n| is_static(place_of(*n))) {
             out.n_rings = Some(0);

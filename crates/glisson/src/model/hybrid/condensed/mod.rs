@@ -1,6 +1,7 @@
 //! The hybrid model by exact condensation: pre-computed zones that follow at once, dynamic ones that can be cut.
 //!
-//! Each zone of a mesh is pre-computed (quasi-static, linear) or dynamic (linear tensor-mass). A pre-computed zone keeps
+//! Each zone of a mesh is pre-computed (quasi-static, linear) or dynamic (tensor-mass, linear or of St Venant-Kirchhoff
+//! tissue). A pre-computed zone keeps
 //! what follows from its own tetrahedra alone (`zone`), so cutting or switching one zone leaves the others' data
 //! valid. Their common frontier is solved exactly in every step (`interface`); the iterations of seed `003`
 //! (s. 4.3.2.2) are not needed. All dynamic zones move as one body (`dynamic`) that feels the rest through a dense
@@ -13,9 +14,16 @@
 //! columns are not stored, one solution with the zone's factor instead of the columns.
 //!
 //! **Cuts.** Removing a tetrahedron of a dynamic zone subtracts its tensors. Removing one of a pre-computed zone makes
-//! the zone dynamic first, from where it is, with the velocity of its last step. A pre-computed zone that nothing
+//! the zone dynamic first ([`CondensedParams::cut_law`]), from where it is, with the velocity of its last step. A pre-computed zone that nothing
 //! holds any more, or that hangs on a piece cut loose, becomes dynamic too, because only dynamic tissue has inertia:
-//! the piece falls. After any edit the model is the one that would be built from what is left, with these laws.
+//! the piece falls.
+//!
+//! **Non-linear zones** turn and stretch as St Venant-Kirchhoff tissue does, the rest stays linear: the exact interface
+//! holds the zone by the rest's small-strain stiffness. It equals a wholly non-linear body as far as the pre-computed
+//! zones turn and strain little. Where a pre-computed zone that is much deformed becomes non-linear, its forces jump from
+//! those of the one law to those of the other.
+//!
+//! After any edit the model is the one that would be built from what is left, with these laws.
 
 mod columns;
 mod contact;
@@ -53,9 +61,22 @@ pub const MANY_LOADS: usize = 64;
 pub enum ZoneLaw {
     /// Quasi-static, from tables.
     Precomputed,
-    /// Explicit dynamics; can be cut.
+    /// Linear explicit dynamics; can be cut.
     TensorMass,
+    /// Explicit dynamics of St Venant-Kirchhoff tissue, right under large rotations of the zone; can be cut.
+    NonlinearTensorMass,
 }
+
+impl ZoneLaw {
+    /// Whether such a zone moves by itself.
+    pub fn is_dynamic(self) -> bool {
+        self != Self::Precomputed
+    }
+}
+
+/// Largest principal stretch of non-linear zones that [`CondensedParams::new`] takes steps for: a choice, well beyond
+/// the strains for which St Venant-Kirchhoff's law is meant.
+const LARGEST_STRETCH: f64 = 1.3;
 
 /// Which nodes of pre-computed zones tools can hold. Forces can act on all nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -101,6 +122,12 @@ pub enum CondensedError {
         /// Zones there are.
         n_zones: usize,
     },
+    /// The law of cut zones.
+    #[error("cut_law is {found:?}; allowed: TensorMass or NonlinearTensorMass, which can be cut")]
+    CutLaw {
+        /// What was given.
+        found: ZoneLaw,
+    },
     /// A ligament where nothing is dynamic.
     #[error(
         "the ligament at node {node} lies in a pre-computed zone, which is linear and ligaments are not; make the zone \
@@ -123,6 +150,10 @@ pub struct CondensedParams<'a> {
     pub zones: &'a Zones,
     /// The law of each.
     pub laws: &'a [ZoneLaw],
+    /// What a pre-computed zone becomes when it is cut, or when nothing holds it any more.
+    pub cut_law: ZoneLaw,
+    /// The stable step holds while all principal stretches of non-linear zones stay within [1/s, s] for this s, from 1.
+    pub largest_stretch: f64,
     /// Where tools can hold pre-computed tissue.
     pub loadable: Loadable<'a>,
     /// Which nodes have rows in the tables, beside the loadable ones; the others are computed with the factor when they are asked for.
@@ -132,7 +163,7 @@ pub struct CondensedParams<'a> {
 }
 
 impl<'a> CondensedParams<'a> {
-    /// Surface nodes loadable, everything stored in `f64`.
+    /// Surface nodes loadable, everything stored in `f64`; what is cut becomes linear tensor-mass.
     pub fn new(
         body: DynamicBody<'a>,
         material: &'a LinearElastic,
@@ -140,7 +171,17 @@ impl<'a> CondensedParams<'a> {
         laws: &'a [ZoneLaw],
     ) -> Self {
         let (stored, precision) = (StoredNodes::All, Precision::F64);
-        Self { body, material, zones, laws, loadable: Loadable::Surface, stored, precision }
+        Self {
+            body,
+            material,
+            zones,
+            laws,
+            cut_law: ZoneLaw::TensorMass,
+            largest_stretch: LARGEST_STRETCH,
+            loadable: Loadable::Surface,
+            stored,
+            precision,
+        }
     }
 }
 
@@ -259,6 +300,8 @@ pub struct CondensedHybrid {
     is_live: Vec<bool>,
     zone_of_tet: Vec<u32>,
     laws: Vec<ZoneLaw>,
+    cut_law: ZoneLaw,
+    largest_stretch: f64,
 
     // Mechanics.
     zones: Vec<PrecomputedZone>,
@@ -323,6 +366,14 @@ impl CondensedHybrid {
         if laws.len() != zones.n_zones() {
             return Err(CondensedError::Laws { found: laws.len(), n_zones: zones.n_zones() });
         }
+        if !params.cut_law.is_dynamic() {
+            return Err(CondensedError::CutLaw { found: params.cut_law });
+        }
+        let largest = params.largest_stretch;
+        if !(largest.is_finite() && largest >= 1.0) {
+            let (what, allowed) = ("largest stretch", "a finite number from 1");
+            return Err(ExplicitError::Parameter { what, found: largest, allowed }.into());
+        }
         MeshEdges::of_mesh(mesh)?;
         let mut held_axes = vec![[false; 3]; n_nodes];
         for fixed in body.fixed {
@@ -380,6 +431,8 @@ impl CondensedHybrid {
             is_live: vec![true; n_tets],
             zone_of_tet: zones.of_tets().to_vec(),
             laws: laws.to_vec(),
+            cut_law: params.cut_law,
+            largest_stretch: params.largest_stretch,
             zones: tables,
             zone_numbers,
             interface,
@@ -436,7 +489,7 @@ impl CondensedHybrid {
         self.is_dynamic.clear();
         self.is_dynamic.resize(self.mesh.positions_m.len(), false);
         for (t, nodes) in self.mesh.tetrahedra.iter().enumerate() {
-            if self.is_live[t] && self.law_of(t) == ZoneLaw::TensorMass {
+            if self.is_live[t] && self.law_of(t).is_dynamic() {
                 for n in nodes.iter().filter(|n| self.held_axes[n.index()] != [true; 3]) {
                     self.is_dynamic[n.index()] = true;
                 }
@@ -452,8 +505,7 @@ impl CondensedHybrid {
     fn bring_together(&mut self, before: Option<&Composed>) -> Result<(), CondensedError> {
         self.interface =
             Interface::build(&mut self.zones, &self.is_dynamic, &self.held_axes, before, self.precision)?;
-        let is_dynamic_tet: Vec<bool> =
-            (0..self.mesh.tetrahedra.len()).map(|t| self.law_of(t) == ZoneLaw::TensorMass).collect();
+        let law_of_tet: Vec<ZoneLaw> = (0..self.mesh.tetrahedra.len()).map(|t| self.law_of(t)).collect();
         let body = DynamicBody {
             mesh: &self.mesh,
             density_kg_per_m3: self.density_kg_per_m3,
@@ -468,8 +520,9 @@ impl CondensedHybrid {
         let mut dynamic = DynamicPart::build(&DynamicSource {
             whole: &self.whole(),
             body: &body,
-            is_dynamic_tet: &is_dynamic_tet,
+            law_of_tet: &law_of_tet,
             is_live_tet: &self.is_live,
+            largest_stretch: self.largest_stretch,
             is_dynamic: &self.is_dynamic,
         })?;
         if let Some(dynamic) = &mut dynamic {
@@ -733,7 +786,7 @@ impl DeformableModel for CondensedHybrid {
         let of_dynamic = self
             .dynamic
             .as_ref()
-            .map_or(ModelReport { n_parts: 1, ..ModelReport::default() }, |d| d.motion.report());
+            .map_or(ModelReport { n_parts: 1, ..ModelReport::default() }, DynamicPart::report);
         ModelReport {
             n_ignored_constraints: of_dynamic.n_ignored_constraints + self.n_ignored,
             n_reanalyses: self.n_rebuilt,

@@ -8,6 +8,8 @@ use super::{
 };
 use crate::math::{DMat3, DVec3};
 use crate::mesh::{NodeId, TetId, TetMesh};
+use crate::model::hybrid::kirchhoff::KirchhoffTet;
+use crate::model::nonlinear_tensor_mass::TetLaw;
 use crate::model::tensor_mass::TensorMass;
 use crate::solve::{
     BoundaryConditions, FreeSystem, MeshEdges, SolveError, StiffnessTensors, TetStiffness, boundary_nodes,
@@ -34,6 +36,9 @@ fn check_params(params: &ExchangeParams<'_>) -> Result<(), ExchangeError> {
     let (found, n_zones) = (params.laws.len(), params.zones.n_zones());
     if found != n_zones {
         return Err(ExchangeError::LawCount { found, n_zones });
+    }
+    if params.cut_law == ZoneLaw::Precomputed {
+        return Err(ExchangeError::CutLaw);
     }
     let (found, n_tets) = (params.zones.of_tets().len(), params.mesh.tetrahedra.len());
     check("the number of tetrahedra of the zones", found as f64, found == n_tets, "that of the mesh")?;
@@ -66,6 +71,9 @@ fn check_params(params: &ExchangeParams<'_>) -> Result<(), ExchangeError> {
         }
     }
 }
+
+/// Non-linear zones stiffen as they are stretched: their step is for principal stretches up to this one. A choice.
+const LARGEST_STRETCH: f64 = 1.3;
 
 const NOTHING: TetStiffness = TetStiffness { vertex: [DMat3::ZERO; 4], edge: [DMat3::ZERO; 6] };
 
@@ -220,6 +228,7 @@ impl HybridExchange {
                 overlap: params.overlap,
                 sweeps_per_step: params.sweeps_per_step,
                 damping_per_s: params.damping_per_s,
+                cut_law: params.cut_law,
             },
             laws: params.laws.to_vec(),
             is_live: vec![true; mesh.tetrahedra.len()],
@@ -231,6 +240,7 @@ impl HybridExchange {
             shared: Shared {
                 displacement_m: vec![DVec3::ZERO; n_nodes],
                 dynamic_view_m: vec![DVec3::ZERO; n_nodes],
+                surplus_n: Vec::new(),
                 outgoing_n: vec![Vec::new(); params.zones.n_zones()],
                 pull_m_per_s2: DVec3::ZERO,
             },
@@ -308,6 +318,10 @@ impl HybridExchange {
             zone.incoming = incoming;
         }
         self.dynamic = self.dynamic_zones(&is_precomputed)?;
+        self.shared.surplus_n.clear();
+        if !self.dynamic.kirchhoff.is_empty() {
+            self.shared.surplus_n.resize(n_nodes, DVec3::ZERO);
+        }
         for (n, velocity_m_per_s) in self.velocity_m_per_s.iter_mut().enumerate() {
             if self.dynamic.moving_of(NodeId::from_index(n)).is_none() {
                 *velocity_m_per_s = DVec3::ZERO;
@@ -376,7 +390,7 @@ impl HybridExchange {
         for n in (0..n_nodes).filter(|&n| moves[n]) {
             body.neighbours.get(n).iter().for_each(|(j, _)| is_seen[j.index()] = true);
         }
-        for zone in (0..self.laws.len()).filter(|&z| self.laws[z] == ZoneLaw::TensorMass) {
+        for zone in (0..self.laws.len()).filter(|&z| self.laws[z] != ZoneLaw::Precomputed) {
             body.zones.nodes(zone).iter().for_each(|node| is_seen[node.index()] = true);
         }
         let of = |is: &dyn Fn(usize) -> bool| -> Vec<NodeId> {
@@ -403,10 +417,26 @@ impl HybridExchange {
             rates: Rates { damping_per_s: self.settings.damping_per_s, relaxation },
             interface,
             nodes,
+            kirchhoff: self.kirchhoff_tets(),
             ..DynamicZones::default()
         };
+        if !dynamic.kirchhoff.is_empty() {
+            let law = TetLaw::isotropic(&body.material);
+            dynamic.stable_step_s /= law.stiffening(LARGEST_STRETCH, 0.0).sqrt();
+            dynamic.law = Some(law);
+        }
         dynamic.make_room();
         Ok(dynamic)
+    }
+
+    /// Live tetrahedra of non-linear zones.
+    fn kirchhoff_tets(&self) -> Vec<(TetId, [NodeId; 4], KirchhoffTet)> {
+        let (mesh, zones) = (&self.body.mesh, &self.body.zones);
+        let is_wanted = |t: &TetId| {
+            self.is_live[t.index()] && self.laws[zones.zone_of(*t)] == ZoneLaw::NonlinearTensorMass
+        };
+        let tets = (0..mesh.tetrahedra.len()).map(TetId::from_index).filter(is_wanted);
+        tets.map(|t| (t, mesh.tetrahedra[t.index()], KirchhoffTet::new(mesh.corners_m(t), None))).collect()
     }
 
     /// Stable step [s] of the tetrahedra around nodes that move, as a body of its own: with all else held, the

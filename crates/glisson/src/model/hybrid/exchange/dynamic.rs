@@ -2,11 +2,16 @@
 //!
 //! Their nodes move by central differences (eq. 3.3) with lumped masses and damping of the mass; the nodes around
 //! them, which pre-computed zones have, stand still during a sweep.
+//!
+//! Everything is linear in the tensors; what non-linear (St Venant-Kirchhoff) tetrahedra bear less than these is added
+//! as a force, to the nodes that move here and to the frontier nodes of pre-computed zones.
 
 use super::ExchangeCount;
 use super::zone::{Lists, Shared};
 use crate::math::{DMat3, DVec3};
-use crate::mesh::NodeId;
+use crate::mesh::{NodeId, TetId};
+use crate::model::hybrid::kirchhoff::KirchhoffTet;
+use crate::model::nonlinear_tensor_mass::TetLaw;
 
 /// Most nodes of the tensor-mass zones whose displacement can be imposed at once.
 const MAX_IMPOSED: usize = 1024;
@@ -53,6 +58,12 @@ pub(super) struct DynamicZones {
     pub(super) rows: Lists<(u32, DMat3)>,
     /// Nodes of pre-computed zones that the moving ones see.
     pub(super) interface: Vec<NodeId>,
+    /// Live tetrahedra of non-linear zones, ascending, and their law.
+    pub(super) kirchhoff: Vec<(TetId, [NodeId; 4], KirchhoffTet)>,
+    pub(super) law: Option<TetLaw>,
+    /// Inverted ones at the last part.
+    pub(super) n_inverted: u32,
+    pub(super) first_inverted: Option<TetId>,
     /// Largest stable step [s].
     pub(super) stable_step_s: f64,
     pub(super) rates: Rates,
@@ -70,6 +81,7 @@ impl Clone for DynamicZones {
             mass_kg: self.mass_kg.clone(),
             rows: self.rows.clone(),
             interface: self.interface.clone(),
+            kirchhoff: self.kirchhoff.clone(),
             outer_n: self.outer_n.clone(),
             imposed: Vec::with_capacity(MAX_IMPOSED),
             force_n: self.force_n.clone(),
@@ -118,7 +130,7 @@ impl DynamicZones {
 
     /// Number of parts that a sweep of `dt_s` needs.
     pub(super) fn parts_of(&self, dt_s: f64) -> u64 {
-        if self.nodes.is_empty() {
+        if self.nodes.is_empty() && self.kirchhoff.is_empty() {
             return 0;
         }
         // The share is the margin of the explicit models' own steps.
@@ -133,9 +145,26 @@ impl DynamicZones {
         }
     }
 
+    /// Overwrites what linear elasticity bears too much at each node of a non-linear zone.
+    fn find_surplus(&mut self, view_m: &[DVec3], surplus_n: &mut [DVec3]) {
+        let Some(law) = &self.law else { return };
+        (self.n_inverted, self.first_inverted) = (0, None);
+        for (_, nodes, _) in &self.kirchhoff {
+            nodes.iter().for_each(|n| surplus_n[n.index()] = DVec3::ZERO);
+        }
+        for (t, nodes, tet) in &self.kirchhoff {
+            let (f, is_inverted) = tet.linear_surplus_n(law, nodes.map(|n| view_m[n.index()]));
+            nodes.iter().zip(f).for_each(|(n, f)| surplus_n[n.index()] += f);
+            if is_inverted {
+                self.n_inverted += 1;
+                self.first_inverted = self.first_inverted.or(Some(*t));
+            }
+        }
+    }
+
     /// Takes the interface over and moves by `parts`.
     pub(super) fn advance(&mut self, shared: &mut Shared, velocity_m_per_s: &mut [DVec3], parts: Parts) {
-        let Shared { displacement_m, dynamic_view_m: view_m, pull_m_per_s2, .. } = shared;
+        let Shared { displacement_m, dynamic_view_m: view_m, surplus_n, pull_m_per_s2, .. } = shared;
         for node in &self.interface {
             let n = node.index();
             // Exact for full relaxation, so that both views of a node are the same number.
@@ -157,11 +186,13 @@ impl DynamicZones {
             // Held nodes move first, the others answer to where these are.
             let share = (parts.n_gone + part) as f64 / parts.n_all as f64;
             self.hold(share, view_m);
+            self.find_surplus(view_m, surplus_n);
             for (i, force_n) in self.force_n.iter_mut().enumerate() {
                 *force_n = self.outer_n[i] + *pull_m_per_s2 * self.mass_kg[i];
                 for &(j, b) in self.rows.get(i) {
                     *force_n -= b * view_m[j as usize];
                 }
+                *force_n += surplus_n.get(self.nodes[i].index()).copied().unwrap_or(DVec3::ZERO);
             }
             for (i, node) in self.nodes.iter().enumerate() {
                 let n = node.index();
@@ -177,6 +208,7 @@ impl DynamicZones {
             }
             self.count.dynamic_products += self.rows.n_items() as u64;
         }
+        self.find_surplus(view_m, surplus_n);
         for (node, _) in self.nodes.iter().zip(&self.is_owner).filter(|(_, is)| **is) {
             displacement_m[node.index()] = view_m[node.index()];
         }

@@ -68,7 +68,7 @@ impl HybridExchange {
     }
 
     fn turn(&mut self, zone: usize, report: &mut EditReport) -> Result<(), ExchangeError> {
-        if self.laws[zone] == ZoneLaw::TensorMass {
+        if self.laws[zone] != ZoneLaw::Precomputed {
             return Ok(());
         }
         let at =
@@ -77,7 +77,7 @@ impl HybridExchange {
             self.show_inner_nodes(at)?;
         }
         let left = self.zones.remove(at);
-        self.laws[zone] = ZoneLaw::TensorMass;
+        self.laws[zone] = self.settings.cut_law;
         for node in &left.nodes {
             let n = node.index();
             let displacement_m = self.shared.displacement_m[n];

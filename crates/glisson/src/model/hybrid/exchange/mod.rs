@@ -25,6 +25,10 @@
 //! tetrahedra, answers with displacements (Cotin's loop, fig. 4.13). That needs a relaxation below 2 / (1 + rho), rho
 //! the largest ratio of tensor-mass' stiffness at the frontier to the neighbour's.
 //!
+//! A non-linear zone ([`ZoneLaw::NonlinearTensorMass`]) is exchanged in the same way: its neighbours keep the tensors of
+//! small strain in their matrices, and are loaded with what these bear too much, at the displacements of the sweep
+//! before. The fixed point is the equilibrium with the non-linear forces.
+//!
 //! Left out: the variant of P.-L. Lions (1990, third international symposium on domain decomposition methods), which
 //! exchanges normal derivatives plus lambda times values between zones without overlap. The stress of linear
 //! tetrahedra jumps at a frontier, so that a normal derivative at its nodes is not defined but by the nodal forces
@@ -96,6 +100,9 @@ pub enum ExchangeError {
         /// What they take.
         bytes: u128,
     },
+    /// The law of cut zones.
+    #[error("cut_law is Precomputed; allowed: TensorMass or NonlinearTensorMass, which can be cut")]
+    CutLaw,
     /// No such zone.
     #[error("there is no zone {zone}; allowed: 0 to {}", n_zones - 1)]
     NoSuchZone {
@@ -121,6 +128,8 @@ pub enum ZoneLaw {
     Precomputed,
     /// Explicit linear dynamics, which can be cut.
     TensorMass,
+    /// The same of St Venant-Kirchhoff tissue, right under large rotations of the zone.
+    NonlinearTensorMass,
 }
 
 /// What is kept of the pre-computed zones.
@@ -205,6 +214,8 @@ pub struct ExchangeParams<'a> {
     pub sweeps_per_step: u32,
     /// d of the damping C = d M of tensor-mass zones [1/s].
     pub damping_per_s: f64,
+    /// What a pre-computed zone turns into when it is cut.
+    pub cut_law: ZoneLaw,
 }
 
 impl<'a> ExchangeParams<'a> {
@@ -228,6 +239,7 @@ impl<'a> ExchangeParams<'a> {
             overlap: Overlap::default(),
             sweeps_per_step: 1,
             damping_per_s: 0.0,
+            cut_law: ZoneLaw::TensorMass,
         }
     }
 }
@@ -254,6 +266,7 @@ struct Settings {
     overlap: Overlap,
     sweeps_per_step: u32,
     damping_per_s: f64,
+    cut_law: ZoneLaw,
 }
 
 /// A body of pre-computed and tensor-mass zones.
@@ -406,6 +419,7 @@ impl HybridExchange {
         displacement_m.fill(DVec3::ZERO);
         dynamic_view_m.fill(DVec3::ZERO);
         outgoing_n.iter_mut().for_each(|forces| forces.fill(DVec3::ZERO));
+        self.shared.surplus_n.fill(DVec3::ZERO);
         self.velocity_m_per_s.fill(DVec3::ZERO);
         self.before_m.fill(DVec3::ZERO);
         self.positions_m.copy_from_slice(&self.body.mesh.positions_m);
@@ -597,6 +611,8 @@ impl DeformableModel for HybridExchange {
         ModelReport {
             n_parts: self.n_parts.max(1) as u32,
             n_ignored_constraints: self.n_ignored,
+            n_quarantined_tets: self.dynamic.n_inverted,
+            first_quarantined: self.dynamic.first_inverted,
             kinetic_energy_j: moving
                 .map(|(node, m)| 0.5 * m * self.velocity_m_per_s[node.index()].length_squared())
                 .sum(),
@@ -613,7 +629,7 @@ impl DeformableModel for HybridExchange {
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         let refused = |reason| Err(TopologyRefusal::Frozen { model: "hybrid", reason });
         let has_new = !change.tets.added.ids().is_empty() || !change.nodes.added.ids().is_empty();
-        if has_new || change.is_renumbering() {
+        if has_new || !change.moved_nodes.is_empty() || change.is_renumbering() {
             return refused("it follows removals of tetrahedra only: make it anew for other edits");
         }
         let removed: Vec<TetId> = change.tets.removed.clone();

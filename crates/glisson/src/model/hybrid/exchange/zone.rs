@@ -28,6 +28,8 @@ pub(super) struct Shared {
     pub(super) displacement_m: Vec<DVec3>,
     /// What the tensor-mass zones see and have: displacement of each node [m].
     pub(super) dynamic_view_m: Vec<DVec3>,
+    /// Force [N] by which linear elasticity exceeds non-linear tetrahedra at each node; empty when there are none.
+    pub(super) surplus_n: Vec<DVec3>,
     /// Method A: forces [N] that hold a zone's inner nodes' displacements at its frontier nodes, for each zone.
     pub(super) outgoing_n: Vec<Vec<DVec3>>,
     /// Gravity beyond the one at rest [m/s2].
@@ -413,6 +415,9 @@ impl PrecomputedZone {
         }
         for &(j, b) in self.incoming.dynamic.get(p) {
             force_n -= b * shared.dynamic_view_m[j as usize];
+        }
+        if let Some(surplus_n) = shared.surplus_n.get(self.nodes[p].index()) {
+            force_n += *surplus_n;
         }
         for &(zone, i) in self.incoming.forces.get(p) {
             force_n -= shared.outgoing_n[zone as usize][i as usize];

@@ -1,0 +1,116 @@
+//! Cases of the scalpel that cuts by vertex displacement: planning and edits of the mesh, without a model.
+
+use anyhow::Context;
+use glam::DVec3;
+use glisson::mesh::edit::{EditableMesh, TopologyChange};
+use glisson::tool::cut::scalpel::{ScalpelCut, ScalpelParams};
+
+use super::body::StandardBody;
+use super::{Case, Prepared, Settings};
+
+pub(super) const CASES: &[Case] = &[
+    Case {
+        name: "scalpel_step",
+        about: "the blade goes 0.1 mm further into the surface (0.1 m/s at 1 kHz)",
+        per: "step",
+        sizes: &[2_000, 6_300, 20_000],
+        parallel: false,
+        prepare: |settings| scalpel(settings, Some(STEP_M)),
+    },
+    Case {
+        name: "scalpel_opening",
+        about: "the blade goes on by a mean edge: nodes are selected, moved and opened",
+        per: "edge",
+        sizes: &[2_000, 6_300, 20_000],
+        parallel: false,
+        prepare: |settings| scalpel(settings, None),
+    },
+];
+
+/// Motion in a step [m].
+const STEP_M: f64 = 1e-4;
+/// Depth of the tip below the highest point [m].
+const DEPTH_M: f64 = 0.012;
+
+/// One blade that goes across the body again and again, each time elsewhere and on a whole body.
+struct Strokes {
+    whole: EditableMesh,
+    body: EditableMesh,
+    cut: ScalpelCut,
+    change: TopologyChange,
+    /// Tip at the start and at the end [m], moved sideways by each stroke.
+    ends_m: [DVec3; 2],
+    n_steps: usize,
+    n_done: usize,
+    n_strokes: usize,
+}
+
+impl Strokes {
+    fn step(&mut self) {
+        if self.n_done > self.n_steps {
+            // The median does not see the new start.
+            self.body.clone_from(&self.whole);
+            self.cut = ScalpelCut::new(ScalpelParams::default());
+            self.n_strokes += 1;
+            self.n_done = 0;
+        }
+        let sideways_m = 0.004 * (self.n_strokes % 9) as f64 - 0.016;
+        let share = self.n_done as f64 / self.n_steps as f64;
+        let tip_m = self.ends_m[0].lerp(self.ends_m[1], share) + sideways_m * DVec3::Y;
+        self.n_done += 1;
+        let blade_m = [tip_m, tip_m + 0.1 * DVec3::Z];
+        // At rest the present positions are the mesh's own.
+        while let Ok(Some(edits)) = self.cut.advance(&self.body, &self.body.mesh().positions_m, blade_m) {
+            for edit in &edits {
+                if self.body.apply_into(edit, &mut self.change).is_err() {
+                    self.n_done = self.n_steps + 1;
+                    return;
+                }
+            }
+        }
+    }
+}
+
+fn scalpel(settings: Settings, step_m: Option<f64>) -> anyhow::Result<Prepared> {
+    let standard = StandardBody::shared(settings.size)?;
+    let mut whole = EditableMesh::new(standard.mesh.clone()).context("the ellipsoid")?;
+    whole.reserve(1_000);
+    let topology = whole.topology();
+    let positions_m = &standard.mesh.positions_m;
+    let (sum_m, n_edges) =
+        topology.live_edges().filter(|&e| topology.is_surface_edge(e)).fold((0.0, 0), |(sum_m, n), edge| {
+            let [a, b] = topology.edge_nodes(edge).map(|n| positions_m[n.index()]);
+            (sum_m + a.distance(b), n + 1)
+        });
+    let edge_m = sum_m / f64::from(n_edges);
+    let top_m = positions_m.iter().fold(f64::NEG_INFINITY, |most, p| p.z.max(most));
+    let tip_m = DVec3::new(0.0, 0.0, top_m - DEPTH_M);
+    let ends_m = [tip_m - 0.1 * DVec3::X, tip_m + 0.1 * DVec3::X];
+    let n_steps = (ends_m[0].distance(ends_m[1]) / step_m.unwrap_or(edge_m)).ceil() as usize;
+    let mut strokes = Strokes {
+        body: whole.clone(),
+        whole,
+        cut: ScalpelCut::new(ScalpelParams::default()),
+        change: TopologyChange::default(),
+        ends_m,
+        n_steps,
+        n_done: 0,
+        n_strokes: 0,
+    };
+    for _ in 0..=n_steps {
+        strokes.step();
+    }
+    let note = format!(
+        "surface edges {:.1} mm; the first stroke of {n_steps} steps opens {} nodes",
+        1e3 * edge_m,
+        strokes.cut.report().n_copies
+    );
+    Ok(Prepared {
+        size: standard.mesh.tetrahedra.len(),
+        isa: "portable",
+        precision: "f64",
+        work: None,
+        note,
+        run: Box::new(move || strokes.step()),
+    })
+}

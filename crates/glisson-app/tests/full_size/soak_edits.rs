@@ -1,0 +1,573 @@
+//! Random cuts, removals, scalpel and blade strokes, grasps and tears on real bodies: nothing panics, every number stays
+//! finite, every invariant holds after each edit, and a model that went through them equals one made afresh.
+//! `cargo xtask test` runs a bounded share; `cargo xtask soak edits` sets GLISSON_SOAK_EDITS and GLISSON_SOAK_EDITS_REPORT.
+
+use super::{glisson, real_ct};
+use glisson::material::LinearElastic;
+use glisson::math::{Aabb, DVec3, SeededRandom};
+use glisson::mesh::box_mesh::box_of_five;
+use glisson::mesh::edit::{MeshEdit, TopologyChange};
+use glisson::mesh::files::read_mesh;
+use glisson::mesh::generate::{MeshParams, WantedSize, generate};
+use glisson::mesh::topology::{Topology, surface_of};
+use glisson::mesh::{TetId, TetMesh};
+use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
+use glisson::model::kernel::KernelLaw;
+use glisson::model::kind::ModelKind;
+use glisson::model::{DeformableModel, DynamicBody, FixedNode};
+use glisson::surface::TriMesh;
+use glisson::tool::cut::scalpel::{ScalpelCut, ScalpelParams};
+use glisson::tool::cut::subdivision::{SubdivisionCut, SubdivisionParams};
+use glisson::tool::fracture::FractureEnergy;
+use glisson::tool::{Grip, Jaws, Tool, ToolInput, ToolKind, ToolShape};
+use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
+use glisson::world::{StepInput, World};
+use std::fmt::Write as _;
+use std::path::Path;
+
+const DEFAULT_EDITS: u64 = 1_600;
+/// Edits of one seed at most: a body that was cut more often is crumbs.
+const EDITS_OF_SEED: u64 = 500;
+const TIME_STEP_S: f64 = 4e-4;
+/// Steps after an edit.
+const STEPS_AFTER: u64 = 3;
+/// Soft, so that pulling tears within reach of the jaws: a choice of the test, a tenth of liver's.
+const BRITTLE: FractureEnergy = FractureEnergy { energy_j_per_m2: 16.0 };
+
+/// A rod of 60 mm along z, 40 mm across.
+fn cylinder() -> TetMesh {
+    let (n_around, n_along, radius_m, height_m) = (48_u32, 12_u32, 0.02, 0.06);
+    let mut surface = TriMesh { positions_m: Vec::new(), triangles: Vec::new() };
+    for k in 0..=n_along {
+        for i in 0..n_around {
+            let (sine, cosine) = (f64::from(i) / f64::from(n_around) * std::f64::consts::TAU).sin_cos();
+            let z_m = height_m * f64::from(k) / f64::from(n_along);
+            surface.positions_m.push(DVec3::new(radius_m * cosine, radius_m * sine, z_m));
+        }
+    }
+    let at = |i: u32, k: u32| k * n_around + i % n_around;
+    for k in 0..n_along {
+        for i in 0..n_around {
+            surface.triangles.push([at(i, k), at(i + 1, k), at(i + 1, k + 1)]);
+            surface.triangles.push([at(i, k), at(i + 1, k + 1), at(i, k + 1)]);
+        }
+    }
+    let bottom = surface.positions_m.len() as u32;
+    surface.positions_m.extend([DVec3::ZERO, DVec3::Z * height_m]);
+    for i in 0..n_around {
+        surface.triangles.push([bottom, at(i + 1, 0), at(i, 0)]);
+        surface.triangles.push([bottom + 1, at(i, n_along), at(i + 1, n_along)]);
+    }
+    let params = MeshParams { size: WantedSize::Tetrahedra(6000), volume_m3: None };
+    generate(&surface, &params).unwrap().0
+}
+
+fn grasper(home: ToolInput) -> Tool {
+    Tool {
+        kind: ToolKind::Grasper(Jaws {
+            length_m: 0.02,
+            width_m: 6e-3,
+            greatest_opening_rad: 1.0,
+            closing_force_n: 20.0,
+        }),
+        shape: ToolShape::Capsules,
+        grip: Grip { friction_coefficient: 1.0, is_sticky: true },
+        ..Tool::probe("grasper", 3e-3, home)
+    }
+}
+
+/// What happened on one body.
+#[derive(Clone, Default)]
+struct Tally {
+    removals: u64,
+    blade_edits: u64,
+    scalpel_edits: u64,
+    tears: u64,
+    undone: u64,
+    grasps: u64,
+    held: u64,
+    refused: u64,
+    heavier: u64,
+    worst_dihedral_deg: f64,
+    worst_afresh: f64,
+}
+
+impl Tally {
+    fn edits(&self) -> u64 {
+        self.removals + self.blade_edits + self.scalpel_edits + self.tears + self.undone
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.removals += other.removals;
+        self.blade_edits += other.blade_edits;
+        self.scalpel_edits += other.scalpel_edits;
+        self.tears += other.tears;
+        self.undone += other.undone;
+        self.grasps += other.grasps;
+        self.held += other.held;
+        self.refused += other.refused;
+        self.heavier += other.heavier;
+        self.worst_dihedral_deg = self.worst_dihedral_deg.min(other.worst_dihedral_deg);
+        self.worst_afresh = self.worst_afresh.max(other.worst_afresh);
+    }
+}
+
+struct Patient<'a> {
+    name: &'a str,
+    seed: u64,
+    world: World,
+    material: LinearElastic,
+    mean_edge_m: f64,
+    away: ToolInput,
+    random: SeededRandom,
+    tally: Tally,
+}
+
+/// How the volume may change in an edit.
+#[derive(Clone, Copy, PartialEq)]
+enum Volume {
+    Removed(f64),
+    Kept,
+    /// Nodes of a curved surface were moved along it.
+    Nearly,
+}
+
+impl<'a> Patient<'a> {
+    fn new(name: &'a str, mesh: &TetMesh, seed: u64) -> Self {
+        let bounds = Aabb::of_points(&mesh.positions_m);
+        let support = Support::all_axes(Region::Furthest { direction: DVec3::Y, fraction: 0.15 });
+        let away = ToolInput::at(bounds.min_m - DVec3::splat(0.3), -DVec3::Y);
+        let mut spec = WorldSpec::new(name, TIME_STEP_S, grasper(away));
+        spec.supports.push(support);
+        let material = LinearElastic::from_young_poisson(4100.0, 0.45, 1060.0).unwrap();
+        let fixed = fixed_nodes(&spec.supports, &mesh.positions_m);
+        let model = model_of(mesh, &fixed, &material);
+        let mean_edge_m = {
+            let topology = Topology::build(mesh).unwrap();
+            let lengths = topology.live_edges().map(|e| {
+                let [a, b] = topology.edge_nodes(e).map(|n| mesh.positions_m[n.index()]);
+                a.distance(b)
+            });
+            lengths.sum::<f64>() / topology.live_counts().edges as f64
+        };
+        let world = World::new(spec, mesh.clone(), model, ModelKind::Explicit).unwrap();
+        let random = SeededRandom::new(seed);
+        let tally = Tally { worst_dihedral_deg: 180.0, ..Tally::default() };
+        Self { name, seed, world, material, mean_edge_m, away, random, tally }
+    }
+
+    fn label(&self) -> String {
+        format!("{}, seed {}, edit {}", self.name, self.seed, self.tally.edits())
+    }
+
+    fn step(&mut self, tool: ToolInput, placed: bool) {
+        let input = StepInput::of(&[tool]);
+        let report = self.world.step(&if placed { input.placed() } else { input });
+        assert_eq!(report.n_non_finite_nodes, 0, "{}", self.label());
+        assert!(report.tools[0].force_on_tool_n.is_finite(), "{}", self.label());
+    }
+
+    fn index(&mut self, n: usize) -> usize {
+        ((self.random.uniform() * n as f64) as usize).min(n - 1)
+    }
+
+    /// A place on the surface now, with its outward normal; none when nothing is left.
+    fn place(&mut self) -> Option<(DVec3, DVec3)> {
+        let n = self.world.organ().surface_nodes().len();
+        if n == 0 {
+            return None;
+        }
+        let at = self.index(n);
+        let organ = self.world.organ();
+        let node = organ.surface_nodes()[at];
+        let positions_m = self.world.state().positions_m;
+        let normal = organ.body().topology().node_normal(node, positions_m);
+        Some((positions_m[node.index()], normal.try_normalize()?))
+    }
+
+    fn volume_m3(&self) -> f64 {
+        self.world.organ().body().volume_m3()
+    }
+
+    /// Checks everything that an edit must not break.
+    fn check(&mut self, before_m3: f64, volume: Volume, change: &TopologyChange) {
+        let label = self.label();
+        let body = self.world.organ().body();
+        let topology = body.topology();
+        for tet in topology.live_tets() {
+            assert!(body.mesh().tet_volume_m3(tet) > 0.0, "{label}: {tet} is turned inside out");
+        }
+        let now_m3 = self.volume_m3();
+        let (expected_m3, tolerance) = match volume {
+            Volume::Removed(removed_m3) => (before_m3 - removed_m3, 1e-9),
+            Volume::Kept => (before_m3, 1e-9),
+            Volume::Nearly => (before_m3, 0.01),
+        };
+        assert!((now_m3 - expected_m3).abs() <= tolerance * before_m3, "{label}: {now_m3} for {expected_m3} m3");
+        let n_nodes = topology.n_nodes();
+        assert_eq!(self.world.state().positions_m.len(), n_nodes, "{label}");
+        assert_eq!(self.world.organ().live_tetrahedra().len(), topology.n_tets(), "{label}");
+        assert_eq!((change.nodes.n_after, change.tets.n_after), (n_nodes, topology.n_tets()), "{label}");
+        if topology.live_counts().tets == 0 {
+            return;
+        }
+        // Adjacency, surface and Euler characteristics against a recount.
+        let recount = Topology::build(&body.live_mesh()).unwrap();
+        assert_eq!(topology.live_counts(), recount.live_counts(), "{label}");
+        assert_eq!(topology.euler_characteristic(), recount.euler_characteristic(), "{label}");
+        assert_eq!(topology.surface_euler_characteristic(), recount.surface_euler_characteristic(), "{label}");
+        assert_eq!(topology.n_surface_triangles(), recount.n_surface_triangles(), "{label}");
+        let shown = self.world.display_topology();
+        let (surface, nodes) = surface_of(topology, body.mesh());
+        assert_eq!(shown.triangles.len(), surface.triangles.len(), "{label}: what is shown");
+        assert_eq!(shown.nodes.len(), nodes.len(), "{label}: what is shown");
+        for triangle in &shown.triangles {
+            assert!(triangle.iter().all(|&v| (v as usize) < shown.nodes.len()), "{label}");
+        }
+        let new_dihedral = change
+            .tets
+            .added
+            .ids()
+            .iter()
+            .filter(|t| topology.is_live_tet(**t))
+            .map(|&t| {
+                let [_, largest_cosine] = glisson::mesh::quality::dihedral_cosine_range(body.mesh().corners_m(t)).into();
+                largest_cosine.clamp(-1.0, 1.0).acos().to_degrees()
+            })
+            .fold(180.0, f64::min);
+        self.tally.worst_dihedral_deg = self.tally.worst_dihedral_deg.min(new_dihedral);
+    }
+
+    /// One edit or several as one, checked; answers whether it was done.
+    fn edit(&mut self, edits: &[MeshEdit], volume: Volume) -> bool {
+        let before_m3 = self.volume_m3();
+        let hash = self.world.state_hash();
+        let done = match edits {
+            [edit] => self.world.edit(edit),
+            edits => self.world.edit_all(edits),
+        };
+        match done {
+            Ok(change) => {
+                self.check(before_m3, volume, &change);
+                // Now and then back again, bit for bit, and once more.
+                if self.random.uniform() < 0.1 {
+                    let after = self.world.state_hash();
+                    assert!(self.world.undo_edit(), "{}: cannot be undone", self.label());
+                    assert_eq!(self.world.state_hash(), hash, "{}: undone", self.label());
+                    assert_eq!(self.volume_m3().to_bits(), before_m3.to_bits(), "{}", self.label());
+                    let again = match edits {
+                        [edit] => self.world.edit(edit),
+                        edits => self.world.edit_all(edits),
+                    };
+                    let again = again.unwrap_or_else(|e| panic!("{}: once more: {e}", self.label()));
+                    assert_eq!(again, change, "{}", self.label());
+                    assert_eq!(self.world.state_hash(), after, "{}: once more", self.label());
+                    self.tally.undone += 1;
+                }
+                for _ in 0..STEPS_AFTER {
+                    self.step(self.away, true);
+                }
+                true
+            }
+            Err(_) => {
+                assert_eq!(self.world.state_hash(), hash, "{}: refused, so unchanged", self.label());
+                self.tally.refused += 1;
+                false
+            }
+        }
+    }
+
+    /// Takes out some tetrahedra around a place.
+    fn remove(&mut self) {
+        let Some((place_m, _)) = self.place() else { return };
+        let reach_m = self.mean_edge_m * self.random.uniform_in(0.3, 1.2);
+        let body = self.world.organ().body();
+        let positions_m = self.world.state().positions_m;
+        let tets: Vec<TetId> = body
+            .topology()
+            .live_tets()
+            .filter(|&t| {
+                let corners = body.topology().tet_nodes(t).map(|n| positions_m[n.index()]);
+                (corners.into_iter().sum::<DVec3>() / 4.0).distance(place_m) < reach_m
+            })
+            .collect();
+        if tets.is_empty() {
+            return;
+        }
+        let removed_m3 = tets.iter().map(|&t| body.mesh().tet_volume_m3(t)).sum();
+        if self.edit(&[MeshEdit::Remove { tets }], Volume::Removed(removed_m3)) {
+            self.tally.removals += 1;
+        }
+    }
+
+    /// A blade's ends along a random stroke through the surface.
+    fn stroke(&mut self) -> Option<Vec<[DVec3; 2]>> {
+        let (place_m, normal) = self.place()?;
+        let along = loop {
+            let any = DVec3::new(self.random.normal(), self.random.normal(), self.random.normal());
+            if let Some(along) = (any - normal * any.dot(normal)).try_normalize() {
+                break along;
+            }
+        };
+        let depth_m = self.mean_edge_m * self.random.uniform_in(0.5, 3.0);
+        let length_m = self.mean_edge_m * self.random.uniform_in(1.0, 6.0);
+        let n = (length_m / (0.8 * self.mean_edge_m)).ceil() as u32;
+        let lean = normal + along * self.random.uniform_in(-0.5, 0.5);
+        Some(
+            (0..=n)
+                .map(|i| {
+                    let at_m = place_m + along * (length_m * (f64::from(i) / f64::from(n) - 0.5));
+                    [at_m - lean * depth_m, at_m + lean * 2.0 * self.mean_edge_m]
+                })
+                .collect(),
+        )
+    }
+
+    /// Cuts by subdivision.
+    fn blade(&mut self) {
+        let Some(stroke) = self.stroke() else { return };
+        let mut cut = SubdivisionCut::new(SubdivisionParams::for_mean_edge(self.mean_edge_m));
+        let last = stroke.len() - 1;
+        for (i, &blade_m) in stroke.iter().enumerate() {
+            let body = self.world.organ().body();
+            let positions_m = self.world.state().positions_m;
+            let step = if i == last {
+                cut.finish(body, positions_m, blade_m)
+            } else {
+                cut.advance(body, positions_m, blade_m)
+            };
+            match step {
+                Ok(Some(replacement)) => {
+                    if self.edit(&[MeshEdit::Replace(replacement)], Volume::Kept) {
+                        self.tally.blade_edits += 1;
+                    } else {
+                        cut.take_back();
+                    }
+                }
+                Ok(None) => {}
+                Err(_) => self.tally.refused += 1,
+            }
+        }
+    }
+
+    /// Cuts by vertex displacement.
+    fn scalpel(&mut self) {
+        let Some(stroke) = self.stroke() else { return };
+        let mut cut = ScalpelCut::new(ScalpelParams::default());
+        for i in 0..=stroke.len() {
+            loop {
+                let body = self.world.organ().body();
+                let positions_m = self.world.state().positions_m;
+                let step = match stroke.get(i) {
+                    Some(&blade_m) => cut.advance(body, positions_m, blade_m),
+                    None => cut.finish(body, positions_m),
+                };
+                match step {
+                    Ok(Some(edits)) if edits.is_empty() => {}
+                    Ok(Some(edits)) => {
+                        if !self.edit(&edits, Volume::Nearly) {
+                            return;
+                        }
+                        self.tally.scalpel_edits += 1;
+                    }
+                    Ok(None) => break,
+                    Err(_) => {
+                        self.tally.refused += 1;
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Grasps, pulls, tears what is stretched too far, lets go.
+    fn grasp(&mut self) {
+        let Some((place_m, normal)) = self.place() else { return };
+        let at = |out_m: f64, jaw_opening: f64| ToolInput {
+            jaw_opening,
+            ..ToolInput::at(place_m + normal * out_m, normal)
+        };
+        self.step(at(0.02, 1.0), true);
+        let mut held = 0;
+        for k in 0..10 {
+            let share = f64::from(k) / 9.0;
+            self.step(at(0.02 * (1.0 - share) - 3e-3 * share, 1.0), false);
+        }
+        for k in 0..8 {
+            self.step(at(-3e-3, 1.0 - f64::from(k) / 7.0), false);
+        }
+        let pull_m = 0.03 * self.random.uniform();
+        for k in 0..20 {
+            self.step(at(-3e-3 + pull_m * f64::from(k) / 19.0, 0.0), false);
+            held = held.max(self.world.report().tools[0].n_held_nodes);
+            if k % 5 == 4 {
+                self.tear();
+            }
+        }
+        self.step(at(pull_m, 1.0), false);
+        self.tally.grasps += 1;
+        self.tally.held += u64::from(held > 0);
+        for _ in 0..3 {
+            self.step(self.away, true);
+        }
+    }
+
+    fn tear(&mut self) {
+        let body = self.world.organ().body();
+        let positions_m = self.world.state().positions_m;
+        let topology = body.topology();
+        let torn: Vec<TetId> = topology
+            .live_tets()
+            .filter(|&t| {
+                let now_m = topology.tet_nodes(t).map(|n| positions_m[n.index()]);
+                BRITTLE.tears(&self.material, body.mesh().corners_m(t), now_m)
+            })
+            .take(8)
+            .collect();
+        if torn.is_empty() {
+            return;
+        }
+        let removed_m3 = torn.iter().map(|&t| body.mesh().tet_volume_m3(t)).sum();
+        if self.edit(&[MeshEdit::Remove { tets: torn }], Volume::Removed(removed_m3)) {
+            self.tally.tears += 1;
+        }
+    }
+
+    /// The model that went through all edits against one made afresh from the edited mesh: the first step from the same
+    /// places at rest. Answers the largest difference of velocities, in shares of the largest.
+    fn afresh(&mut self) -> f64 {
+        let body = self.world.organ().body();
+        let topology = body.topology();
+        let live: Vec<usize> = topology.live_nodes().map(|n| n.index()).collect();
+        if live.is_empty() {
+            return 0.0;
+        }
+        let mesh = body.live_mesh();
+        let fixed: Vec<FixedNode> = live
+            .iter()
+            .enumerate()
+            .filter(|&(_, &old)| self.world.organ().is_fixed(glisson::mesh::NodeId::from_index(old)))
+            .map(|(new, _)| FixedNode { node: glisson::mesh::NodeId::from_index(new), axes: [true; 3] })
+            .collect();
+        let all_m = self.world.state().positions_m.to_vec();
+        let live_m: Vec<DVec3> = live.iter().map(|&n| all_m[n]).collect();
+        let (mut dt_s, mut edited, mut fresh);
+        dt_s = TIME_STEP_S;
+        let made = model_of(&mesh, &fixed, &self.material);
+        loop {
+            fresh = made.duplicate();
+            edited = self.world.copy_of_model();
+            edited.take_over(&all_m);
+            fresh.take_over(&live_m);
+            edited.step(dt_s);
+            fresh.step(dt_s);
+            // Divided alike in both; a step that is strained is divided however short it is.
+            if edited.report().n_parts == fresh.report().n_parts || dt_s < 1e-7 {
+                break;
+            }
+            dt_s *= 0.5;
+        }
+        if edited.report().n_mass_scaled_nodes > 0 {
+            // Heavier nodes are no nodes of a fresh model.
+            self.tally.heavier += 1;
+            return 0.0;
+        }
+        let (a, b) = (edited.state().velocities_m_per_s, fresh.state().velocities_m_per_s);
+        let largest = b.iter().map(|v| v.length()).fold(1e-300, f64::max);
+        live.iter().zip(b).map(|(&old, v)| (a[old] - *v).length()).fold(0.0, f64::max) / largest
+    }
+
+    fn run(mut self, most_edits: u64) -> Tally {
+        let mut n_tries = 0;
+        while self.tally.edits() < most_edits && n_tries < 10 * most_edits {
+            n_tries += 1;
+            match self.index(20) {
+                0..=7 => self.remove(),
+                8..=13 => self.blade(),
+                14..=18 => self.scalpel(),
+                _ => self.grasp(),
+            }
+        }
+        self.tally.worst_afresh = self.afresh();
+        assert!(self.tally.worst_afresh < 1e-9, "{}: {}", self.label(), self.tally.worst_afresh);
+        self.tally
+    }
+}
+
+fn model_of(mesh: &TetMesh, fixed: &[FixedNode], material: &LinearElastic) -> Box<dyn DeformableModel> {
+    let materials = &[*material];
+    let body = DynamicBody { fixed, ..DynamicBody::new(mesh, material.density_kg_per_m3()) };
+    let law = KernelLaw::StableNeoHooke;
+    let params = ExplicitKernelParams::new(body, law, materials);
+    let step_s = ExplicitKernel::stable_step(&params).unwrap().step_s;
+    let body = DynamicBody { time_step_s: TIME_STEP_S.min(step_s), most_parts: 16, ..body };
+    Box::new(ExplicitKernel::build(&ExplicitKernelParams::new(body, law, materials)).unwrap())
+}
+
+fn bodies(folder: &Path) -> Vec<(&'static str, TetMesh)> {
+    glisson(&["demo", "--headless", "--out", folder.to_str().unwrap()]);
+    let mut bodies = vec![
+        ("phantom liver", read_mesh(&folder.join("liver.vtu")).unwrap().0),
+        ("cube", box_of_five([10, 10, 10], DVec3::splat(0.05))),
+        ("cylinder", cylinder()),
+    ];
+    if let Some(ct) = real_ct() {
+        let (mask, mesh) = (ct.join("mask.nii.gz"), folder.join("real.vtu"));
+        let path = |p: &Path| p.to_str().unwrap().to_string();
+        let tetrahedra = ["--label", "5", "--tetrahedra", "6300", "-o"];
+        let arguments: Vec<String> = [vec!["mesh".into(), path(&mask)], tetrahedra.map(String::from).to_vec(), vec![path(&mesh)]].concat();
+        glisson(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+        bodies.push(("real CT liver", read_mesh(&mesh).unwrap().0));
+    }
+    bodies
+}
+
+#[test]
+fn random_edits_break_nothing() {
+    let edits: u64 = std::env::var("GLISSON_SOAK_EDITS").map_or(DEFAULT_EDITS, |s| s.parse().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let bodies = bodies(folder.path());
+    let n_seeds = edits.div_ceil(EDITS_OF_SEED).max(bodies.len() as u64);
+    let of_seed = edits.div_ceil(n_seeds);
+    let next = std::sync::atomic::AtomicU64::new(0);
+    let tallies = std::sync::Mutex::new(vec![Tally { worst_dihedral_deg: 180.0, ..Tally::default() }; bodies.len()]);
+    std::thread::scope(|scope| {
+        for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
+            scope.spawn(|| {
+                loop {
+                    let seed = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                    if seed >= n_seeds {
+                        break;
+                    }
+                    let which = (seed % bodies.len() as u64) as usize;
+                    let (name, mesh) = &bodies[which];
+                    let tally = Patient::new(name, mesh, seed).run(of_seed);
+                    tallies.lock().unwrap()[which].add(&tally);
+                }
+            });
+        }
+    });
+    let mut report = format!(
+        "# Random edits\n{n_seeds} seeds of {of_seed} edits each on the explicit model (stable neo-Hooke): removals around a place, strokes of \
+         a blade that divides tetrahedra, strokes of a scalpel that moves vertices, grasps that pull until tissue tears. \
+         After each edit: orientation, adjacency and Euler characteristics against a recount, volume, what is shown, \
+         finite numbers in the next steps; one in ten is undone and done again, with the same bits. At the end of a seed: \
+         the model against one made afresh from the edited mesh.\nMade by `cargo xtask soak edits`.\n\n\
+         | body | tetrahedra | removals | blade | scalpel | tears | undone | grasps, that held | refused | worst dihedral of a new tetrahedron [deg] | largest difference from a fresh model | not compared: heavier nodes |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|\n"
+    );
+    for ((name, mesh), t) in bodies.iter().zip(tallies.lock().unwrap().iter()) {
+        let Tally { removals, blade_edits, scalpel_edits, tears, undone, grasps, held, refused, heavier, .. } = t;
+        assert!(*removals > 0 && *blade_edits > 0 && *scalpel_edits > 0 && *undone > 0 && *held > 0, "{name}");
+        writeln!(
+            report,
+            "| {name} | {} | {removals} | {blade_edits} | {scalpel_edits} | {tears} | {undone} | {grasps}, {held} | {refused} | {:.2} | {:.1e} | {heavier} |",
+            mesh.tetrahedra.len(), t.worst_dihedral_deg, t.worst_afresh
+        )
+        .unwrap();
+    }
+    eprint!("{report}");
+    if let Some(file) = std::env::var_os("GLISSON_SOAK_EDITS_REPORT") {
+        std::fs::write(file, report).unwrap();
+    }
+}

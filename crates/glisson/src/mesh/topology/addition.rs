@@ -1,0 +1,221 @@
+//! Putting tetrahedra in: the inverse of taking them out. Called by `mesh::edit` alone.
+
+use super::{OptionalTetId, TET_EDGES, TET_TRIANGLES, Topology, local_edge};
+use crate::mesh::edit::TopologyChange;
+use crate::mesh::{EdgeId, NodeId, TetId, TriangleId};
+
+/// Dead edges and triangles that may come back to life because the edit that left them without a tetrahedron
+/// is not over: ascending by nodes.
+#[derive(Clone, Debug, Default)]
+pub(in crate::mesh) struct Waiting {
+    edges: Vec<([NodeId; 2], EdgeId)>,
+    triangles: Vec<([NodeId; 3], TriangleId)>,
+}
+
+impl Waiting {
+    /// The given edges and triangles and no others.
+    pub(in crate::mesh) fn set(&mut self, topology: &Topology, edges: &[EdgeId], triangles: &[TriangleId]) {
+        self.edges.clear();
+        self.edges.extend(edges.iter().map(|&e| (topology.edge_nodes(e), e)));
+        self.edges.sort_unstable();
+        self.triangles.clear();
+        self.triangles.extend(triangles.iter().map(|&t| (topology.triangle_nodes(t), t)));
+        self.triangles.sort_unstable();
+    }
+
+    fn edge(&self, nodes: [NodeId; 2]) -> Option<EdgeId> {
+        self.edges.binary_search_by_key(&nodes, |e| e.0).ok().map(|at| self.edges[at].1)
+    }
+
+    fn triangle(&self, nodes: [NodeId; 3]) -> Option<TriangleId> {
+        self.triangles.binary_search_by_key(&nodes, |t| t.0).ok().map(|at| self.triangles[at].1)
+    }
+}
+
+/// How many entities of each kind there are, dead ones included.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in crate::mesh) struct Lengths {
+    pub(in crate::mesh) nodes: usize,
+    pub(in crate::mesh) edges: usize,
+    pub(in crate::mesh) triangles: usize,
+    pub(in crate::mesh) tets: usize,
+}
+
+fn ascending(mut nodes: [NodeId; 3]) -> [NodeId; 3] {
+    nodes.sort_unstable();
+    nodes
+}
+
+impl Topology {
+    /// Numbers of entities, dead ones included.
+    pub(in crate::mesh) fn lengths(&self) -> Lengths {
+        Lengths {
+            nodes: self.n_nodes(),
+            edges: self.n_edges(),
+            triangles: self.n_triangles(),
+            tets: self.n_tets(),
+        }
+    }
+
+    /// Makes room for about `n_tets` more tetrahedra and what comes with them when old ones are divided.
+    pub(in crate::mesh) fn reserve(&mut self, n_tets: usize) {
+        // A divided tetrahedron brings about two triangles, one edge and a fraction of a node with each part; rows
+        // that grow leave their place.
+        let (n_triangles, n_edges, n_nodes, n_moved) = (2 * n_tets, n_tets, n_tets.div_ceil(2), 12 * n_tets);
+        self.tet_nodes.reserve(n_tets);
+        self.tet_edges.reserve(n_tets);
+        self.tet_triangles.reserve(n_tets);
+        self.tet_neighbours.reserve(n_tets);
+        self.tet_live.reserve(n_tets);
+        self.triangle_nodes.reserve(n_triangles);
+        self.triangle_edges.reserve(n_triangles);
+        self.triangle_tets.reserve(n_triangles);
+        self.surface_triangles.reserve(n_triangles);
+        self.edge_nodes.reserve(n_edges);
+        self.edge_tets.reserve(n_edges, n_moved);
+        self.edge_n_surface.reserve(n_edges);
+        self.node_edges.reserve(n_nodes, n_moved);
+        self.node_tets.reserve(n_nodes, 2 * n_moved);
+        self.node_n_surface.reserve(n_nodes);
+        self.surface_nodes.reserve(n_nodes);
+    }
+
+    /// The live triangle over three nodes, if there is one.
+    pub fn triangle_between(&self, nodes: [NodeId; 3]) -> Option<TriangleId> {
+        let nodes = ascending(nodes);
+        let edge = self.edge_between(nodes[0], nodes[1])?;
+        self.triangle_over(edge, nodes)
+    }
+
+    /// The live triangle over `nodes`, ascending, of which `edge` holds two.
+    fn triangle_over(&self, edge: EdgeId, nodes: [NodeId; 3]) -> Option<TriangleId> {
+        let [a, b] = self.edge_nodes(edge);
+        let apex = nodes.into_iter().find(|&n| n != a && n != b).expect("three different nodes");
+        let tet = self.edge_tets(edge).iter().copied().find(|&t| self.tet_nodes(t).contains(&apex))?;
+        self.tet_triangles(tet).into_iter().find(|&t| self.triangle_nodes(t) == nodes)
+    }
+
+    /// A new node, dead until a tetrahedron has it.
+    pub(in crate::mesh) fn push_node(&mut self) -> NodeId {
+        let node = NodeId::from_index(self.n_nodes());
+        self.node_edges.push_row();
+        self.node_tets.push_row();
+        self.node_n_surface.push(0);
+        self.surface_nodes.set_room(self.n_nodes());
+        node
+    }
+
+    fn push_edge(&mut self, nodes: [NodeId; 2]) -> EdgeId {
+        let edge = EdgeId::from_index(self.n_edges());
+        self.edge_nodes.push(nodes);
+        self.edge_tets.push_row();
+        self.edge_n_surface.push(0);
+        edge
+    }
+
+    fn push_triangle(&mut self, nodes: [NodeId; 3], edges: [EdgeId; 3]) -> TriangleId {
+        let triangle = TriangleId::from_index(self.n_triangles());
+        self.triangle_nodes.push(nodes);
+        self.triangle_edges.push(edges);
+        self.triangle_tets.push([OptionalTetId::NONE; 2]);
+        self.surface_triangles.set_room(self.n_triangles());
+        triangle
+    }
+
+    /// Puts a new tetrahedron in, over nodes that are there, and adds to `change` what that did, but for the
+    /// tetrahedron itself, whose parents the caller knows. Edges and triangles are taken from the live ones,
+    /// then from those in `waiting`, and are new otherwise.
+    pub(in crate::mesh) fn add_tet(
+        &mut self,
+        nodes: [NodeId; 4],
+        waiting: &Waiting,
+        change: &mut TopologyChange,
+    ) -> TetId {
+        let edges = TET_EDGES.map(|[i, j]| {
+            let (a, b) = (nodes[i].min(nodes[j]), nodes[i].max(nodes[j]));
+            self.edge_between(a, b).or_else(|| waiting.edge([a, b])).unwrap_or_else(|| {
+                let edge = self.push_edge([a, b]);
+                change.edges.added.push(edge, &[]);
+                edge
+            })
+        });
+        let triangles = TET_TRIANGLES.map(|face| {
+            let corners = ascending(face.map(|k| nodes[k]));
+            let place = corners.map(|n| face.into_iter().find(|&k| nodes[k] == n).expect("a corner"));
+            let sides = [(1, 2), (0, 2), (0, 1)].map(|(a, b)| edges[local_edge(place[a], place[b])]);
+            self.triangle_over(sides[2], corners).or_else(|| waiting.triangle(corners)).unwrap_or_else(|| {
+                let triangle = self.push_triangle(corners, sides);
+                change.triangles.added.push(triangle, &[]);
+                triangle
+            })
+        });
+        let tet = TetId::from_index(self.n_tets());
+        self.tet_nodes.push(nodes);
+        self.tet_edges.push(edges);
+        self.tet_triangles.push(triangles);
+        self.tet_neighbours.push([OptionalTetId::NONE; 4]);
+        self.tet_live.push(false);
+        self.attach_tet(tet, change);
+        tet
+    }
+
+    /// Brings the dead tetrahedron `tet` to life with the nodes, edges and triangles of its record; inverse of
+    /// [`Topology::detach_tet`], whose lists in `change` it does not shorten.
+    pub(in crate::mesh) fn attach_tet(&mut self, tet: TetId, change: &mut TopologyChange) {
+        debug_assert!(!self.is_live_tet(tet));
+        self.tet_live[tet.index()] = true;
+        self.live.tets += 1;
+        for node in self.tet_nodes(tet) {
+            self.live.nodes += usize::from(self.node_tets.insert(node.index(), tet) == 1);
+        }
+        for edge in self.tet_edges(tet) {
+            if self.edge_tets.insert(edge.index(), tet) == 1 {
+                self.live.edges += 1;
+                for node in self.edge_nodes(edge) {
+                    self.node_edges.insert(node.index(), edge);
+                }
+            }
+        }
+        for (place, triangle) in self.tet_triangles(tet).into_iter().enumerate() {
+            let [first, second] = self.triangle_tets(triangle);
+            debug_assert!(second.is_none(), "a triangle has two sides");
+            match first.get() {
+                None => {
+                    self.live.triangles += 1;
+                    self.triangle_tets[triangle.index()] = [tet.into(), OptionalTetId::NONE];
+                    change.surface_triangles_added.push(triangle);
+                    self.add_to_surface(triangle, &mut |node| change.surface_nodes_added.push(node));
+                }
+                Some(other) => {
+                    let pair = if other < tet { [other, tet] } else { [tet, other] };
+                    self.triangle_tets[triangle.index()] = pair.map(OptionalTetId::from);
+                    self.tet_neighbours[tet.index()][place] = other.into();
+                    let there = self.local_triangle(other, triangle);
+                    self.tet_neighbours[other.index()][there] = tet.into();
+                    change.surface_triangles_removed.push(triangle);
+                    self.take_from_surface(triangle, &mut |node| change.surface_nodes_removed.push(node));
+                }
+            }
+        }
+    }
+
+    /// Drops the entities from `lengths` on, which are all dead.
+    pub(in crate::mesh) fn truncate(&mut self, lengths: Lengths) {
+        self.tet_nodes.truncate(lengths.tets);
+        self.tet_edges.truncate(lengths.tets);
+        self.tet_triangles.truncate(lengths.tets);
+        self.tet_neighbours.truncate(lengths.tets);
+        self.tet_live.truncate(lengths.tets);
+        self.triangle_nodes.truncate(lengths.triangles);
+        self.triangle_edges.truncate(lengths.triangles);
+        self.triangle_tets.truncate(lengths.triangles);
+        self.surface_triangles.set_room(lengths.triangles);
+        self.edge_nodes.truncate(lengths.edges);
+        self.edge_tets.truncate(lengths.edges);
+        self.edge_n_surface.truncate(lengths.edges);
+        self.node_edges.truncate(lengths.nodes);
+        self.node_tets.truncate(lengths.nodes);
+        self.node_n_surface.truncate(lengths.nodes);
+        self.surface_nodes.set_room(lengths.nodes);
+    }
+}

@@ -1,0 +1,422 @@
+//! Cutting by subdivision along the swept blade.
+//!
+//! A blade is a segment from its tip to its heel. From one place to the next it sweeps a quadrilateral, which
+//! is cut as one flat polygon or as two triangles, in the deformed shape: the present positions decide what
+//! is cut, and what is new has the same place within its tetrahedron in both shapes. In each step
+//!
+//! 1. every edge through the swept plane is divided where it crosses, in the tetrahedra that the polygon
+//!    meets; a crossing near an end of its edge snaps to that end;
+//! 2. within the plane the same happens at the lines that bound the polygon, so that the polygon is a union
+//!    of faces, and the area that opens is the area swept;
+//! 3. the faces open: each of their nodes gets as many copies as its tetrahedra form groups around it. At the
+//!    rim of the cut they form one, and the node stays one; the next step goes on from there.
+//!
+//! Sides of the plane come from exact predicates (Shewchuk 1997, doi 10.1007/PL00009321) and belong to nodes:
+//! whatever the blade does, neighbours agree, and earlier cuts are nothing but surface. If the shapes come out
+//! too bad, the step is tried again with more snapping; at the end every crossing snaps, and the cut runs
+//! along faces that are there.
+//!
+//! Beyond the seeds, which remove tetrahedra or move nodes (seed `000` s. 4.4.2). Related: Bielser, Maiwald and
+//! Gross 1999 (doi 10.1111/1467-8659.00325) divide by templates; Steinemann et al. 2006
+//! (doi 10.1109/VR.2006.74) snap nodes and divide edges.
+
+mod opening;
+mod patch;
+mod relaxing;
+mod section;
+mod sweep;
+
+use self::patch::{Body, Patch};
+use self::relaxing::relax;
+use self::section::{Snapping, conform};
+use self::sweep::Sweep;
+use crate::math::DVec3;
+use crate::mesh::NodeId;
+use crate::mesh::edit::{EditableMesh, Replacement, TopologyChange};
+use crate::mesh::quality::dihedral_cosine_range;
+
+/// How a stroke cuts.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SubdivisionParams {
+    /// The blade's ends move at least this far [m] before the next piece is cut.
+    pub min_advance_m: f64,
+    /// A crossing nearer than this share of its edge to an end snaps to the end [1]. A choice: an edge is
+    /// never divided more unevenly than 1 to 4.
+    pub snap_share: f64,
+    /// A crossing nearer than this [m] to an end snaps to it.
+    pub snap_length_m: f64,
+    /// The cut goes on from its front if the front is this near [m] to the blade's former place.
+    pub front_reach_m: f64,
+    /// Smallest dihedral angle [degrees] of a new tetrahedron, unless one in its place had a smaller one.
+    pub min_dihedral_deg: f64,
+}
+
+impl SubdivisionParams {
+    /// What suits a mesh with this mean edge [m].
+    pub fn for_mean_edge(mean_edge_m: f64) -> Self {
+        Self {
+            min_advance_m: 0.75 * mean_edge_m,
+            snap_share: 0.2,
+            snap_length_m: 0.05 * mean_edge_m,
+            front_reach_m: 0.3 * mean_edge_m,
+            min_dihedral_deg: 3.0,
+        }
+    }
+}
+
+/// What a step of a stroke, or a whole one, did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutReport {
+    /// Area [m2] that the blade swept inside the body, in the deformed shape.
+    pub swept_area_m2: f64,
+    /// Area [m2] of the faces that opened, one side, in the deformed shape.
+    pub cut_area_m2: f64,
+    /// Smallest dihedral angle [degrees] at rest among new tetrahedra; 180 without any.
+    pub min_dihedral_deg: f64,
+    /// Smallest dihedral angle [degrees] at rest among the tetrahedra that they replace; 180 without any.
+    pub min_dihedral_before_deg: f64,
+    /// Tetrahedra that the blade met.
+    pub n_touched: usize,
+    /// Crossings that snapped to a node.
+    pub n_snapped: usize,
+    /// Steps that needed more snapping than wished.
+    pub n_coarser: usize,
+    /// Steps that were refused.
+    pub n_refused: usize,
+    /// Steps that changed the mesh.
+    pub n_edits: usize,
+}
+
+impl Default for CutReport {
+    fn default() -> Self {
+        Self {
+            swept_area_m2: 0.0,
+            cut_area_m2: 0.0,
+            min_dihedral_deg: 180.0,
+            min_dihedral_before_deg: 180.0,
+            n_touched: 0,
+            n_snapped: 0,
+            n_coarser: 0,
+            n_refused: 0,
+            n_edits: 0,
+        }
+    }
+}
+
+impl CutReport {
+    /// Adds a further step.
+    fn add(&mut self, step: &Self) {
+        self.swept_area_m2 += step.swept_area_m2;
+        self.cut_area_m2 += step.cut_area_m2;
+        self.min_dihedral_deg = self.min_dihedral_deg.min(step.min_dihedral_deg);
+        self.min_dihedral_before_deg = self.min_dihedral_before_deg.min(step.min_dihedral_before_deg);
+        self.n_touched += step.n_touched;
+        self.n_snapped += step.n_snapped;
+        self.n_coarser += step.n_coarser;
+        self.n_refused += step.n_refused;
+        self.n_edits += step.n_edits;
+    }
+}
+
+/// Why a step of the blade cut nothing. The stroke goes on from the blade's new place.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CutRefusal {
+    /// A coordinate is not a finite number.
+    #[error("the blade cannot go from {from_m} to {to_m} m: coordinates must be finite")]
+    NotFinite {
+        /// Where its tip was [m].
+        from_m: DVec3,
+        /// Where its tip should go [m].
+        to_m: DVec3,
+    },
+    /// The positions are those of another mesh.
+    #[error("{n_positions} positions were given for {n_nodes} nodes; each node needs one")]
+    WrongNumberOfPositions {
+        /// How many were given.
+        n_positions: usize,
+        /// How many nodes there are.
+        n_nodes: usize,
+    },
+    /// However much snaps, a tetrahedron would be worse than allowed.
+    #[error(
+        "the cut would leave a dihedral angle of {found_deg} degrees; it must stay above {limit_deg} degrees"
+    )]
+    BadShape {
+        /// Smallest dihedral angle that it would leave [degrees].
+        found_deg: f64,
+        /// Smallest one allowed [degrees].
+        limit_deg: f64,
+    },
+}
+
+/// How much more snaps with every further attempt: shares of an edge for nodes that can move onto the cut, and
+/// for those that cannot. With one half everything snaps.
+const COARSER: [[f64; 2]; 6] = [[0.2, 0.2], [0.25, 0.15], [0.25, 0.25], [0.3, 0.3], [0.4, 0.4], [0.5, 0.5]];
+
+/// Angles below this multiple of the smallest allowed one are bettered, for the sake of later strokes.
+const RESERVE: f64 = 1.5;
+
+/// A stroke of a blade.
+#[derive(Clone, Debug)]
+pub struct SubdivisionCut {
+    params: SubdivisionParams,
+    stroke: Stroke,
+    /// The stroke before the last edit, should the edit not be carried out.
+    before: Stroke,
+    patch: Patch,
+}
+
+/// What a stroke remembers from step to step.
+#[derive(Clone, Debug, Default)]
+struct Stroke {
+    /// Tip and heel where the last piece ended [m].
+    blade_m: Option<[DVec3; 2]>,
+    /// The inner end of the cut, along the blade, and whether an end of the blade is there.
+    front: Vec<(NodeId, bool)>,
+    /// Faces of the cut that are closed for now: all of their nodes are on its rim.
+    closed: Vec<[NodeId; 3]>,
+    /// First and last of the front along the blade, with where the blade's ends are between and beyond them
+    /// (share) and beside them [m].
+    anchor: Option<Anchor>,
+    report: CutReport,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Anchor {
+    nodes: [NodeId; 2],
+    shares: [f64; 2],
+    beside_m: [DVec3; 2],
+}
+
+impl SubdivisionCut {
+    /// A stroke that has not begun.
+    pub fn new(params: SubdivisionParams) -> Self {
+        Self { params, stroke: Stroke::default(), before: Stroke::default(), patch: Patch::default() }
+    }
+
+    /// How it cuts.
+    pub fn params(&self) -> &SubdivisionParams {
+        &self.params
+    }
+
+    /// All steps of the stroke together.
+    pub fn report(&self) -> &CutReport {
+        &self.stroke.report
+    }
+
+    /// Takes the blade out: the next place begins a new stroke.
+    pub fn lift(&mut self) {
+        self.stroke = Stroke::default();
+        self.before = Stroke::default();
+    }
+
+    /// Brings the blade (tip, heel) to a new place: what has to be done to the mesh, if anything. The first
+    /// place of a stroke cuts nothing, nor does one that is nearer than
+    /// [`SubdivisionParams::min_advance_m`] to where the last piece ended. `positions_m`: where the nodes are now.
+    ///
+    /// The edit has to be carried out before the next call, or else [`SubdivisionCut::take_back`] called.
+    ///
+    /// # Errors
+    /// [`CutRefusal`]; the stroke goes on from the new place then.
+    pub fn advance(
+        &mut self,
+        body: &EditableMesh,
+        positions_m: &[DVec3],
+        blade_m: [DVec3; 2],
+    ) -> Result<Option<Replacement>, CutRefusal> {
+        let Some(from_m) = self.begin(body, positions_m, blade_m)? else { return Ok(None) };
+        let moved_m = from_m[0].distance(blade_m[0]).max(from_m[1].distance(blade_m[1]));
+        if moved_m < self.params.min_advance_m {
+            return Ok(None);
+        }
+        self.cut(Body { mesh: body, present_m: positions_m }, from_m, blade_m)
+    }
+
+    /// Like [`SubdivisionCut::advance`], however short the way: the end of a stroke.
+    ///
+    /// # Errors
+    /// As for [`SubdivisionCut::advance`].
+    pub fn finish(
+        &mut self,
+        body: &EditableMesh,
+        positions_m: &[DVec3],
+        blade_m: [DVec3; 2],
+    ) -> Result<Option<Replacement>, CutRefusal> {
+        let Some(from_m) = self.begin(body, positions_m, blade_m)? else { return Ok(None) };
+        self.cut(Body { mesh: body, present_m: positions_m }, from_m, blade_m)
+    }
+
+    /// The last edit was not carried out: the stroke goes on as if the blade had not moved.
+    pub fn take_back(&mut self) {
+        self.stroke = self.before.clone();
+    }
+
+    /// Follows an edit that is not its own.
+    pub fn topology_changed(&mut self, change: &TopologyChange) {
+        let lost = |n: NodeId| change.nodes.removed.binary_search(&n).is_ok();
+        self.stroke.front.retain(|&(n, _)| !lost(n));
+        self.stroke.closed.retain(|face| !face.iter().any(|&n| lost(n)));
+        if self.stroke.anchor.is_some_and(|a| a.nodes.into_iter().any(lost)) {
+            self.stroke.anchor = None;
+        }
+        if change.nodes.new_ids.is_empty() {
+            return;
+        }
+        let renumbered = |n: NodeId| change.nodes.new_ids[n.index()];
+        let front = std::mem::take(&mut self.stroke.front);
+        self.stroke.front =
+            front.into_iter().filter_map(|(n, is_end)| Some((renumbered(n)?, is_end))).collect();
+        let closed = std::mem::take(&mut self.stroke.closed);
+        let of_face = |[a, b, c]: [NodeId; 3]| Some([renumbered(a)?, renumbered(b)?, renumbered(c)?]);
+        self.stroke.closed = closed.into_iter().filter_map(of_face).collect();
+        self.stroke.anchor = self.stroke.anchor.and_then(|anchor| {
+            let [a, b] = anchor.nodes.map(renumbered);
+            Some(Anchor { nodes: [a?, b?], ..anchor })
+        });
+    }
+
+    /// Checks the input; where the blade was, carried along by the tissue.
+    fn begin(
+        &mut self,
+        body: &EditableMesh,
+        positions_m: &[DVec3],
+        blade_m: [DVec3; 2],
+    ) -> Result<Option<[DVec3; 2]>, CutRefusal> {
+        let n_nodes = body.topology().n_nodes();
+        if positions_m.len() != n_nodes {
+            return Err(CutRefusal::WrongNumberOfPositions { n_positions: positions_m.len(), n_nodes });
+        }
+        if !blade_m.iter().all(|p| p.is_finite()) {
+            let from_m = self.stroke.blade_m.map_or(DVec3::ZERO, |b| b[0]);
+            return Err(CutRefusal::NotFinite { from_m, to_m: blade_m[0] });
+        }
+        let Some(mut from_m) = self.stroke.blade_m else {
+            self.stroke.blade_m = Some(blade_m);
+            return Ok(None);
+        };
+        if let Some(Anchor { nodes, shares, beside_m }) = self.stroke.anchor {
+            let [p, q] = nodes.map(|n| positions_m[n.index()]);
+            from_m = [0, 1].map(|i| p.lerp(q, shares[i]) + beside_m[i]);
+        }
+        Ok(Some(from_m))
+    }
+
+    fn cut(
+        &mut self,
+        body: Body<'_>,
+        from_m: [DVec3; 2],
+        blade_m: [DVec3; 2],
+    ) -> Result<Option<Replacement>, CutRefusal> {
+        self.before = self.stroke.clone();
+        let sweeps = Sweep::of_blade(from_m, blade_m);
+        let mut report = CutReport::default();
+        let wished = self.params.snap_share;
+        let first = [[wished, 0.5 * wished]];
+        for (attempt, &[share, share_of_fixed]) in first.iter().chain(&COARSER).enumerate() {
+            if attempt > 0 && share < wished {
+                continue;
+            }
+            report = self.attempt(body, &sweeps, share, share_of_fixed);
+            report.n_coarser = usize::from(attempt > 0);
+            let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
+            if report.min_dihedral_deg >= limit_deg {
+                return Ok(self.accept(body, blade_m, report));
+            }
+        }
+        self.stroke.blade_m = Some(blade_m);
+        self.stroke.front.clear();
+        self.stroke.closed.clear();
+        self.stroke.anchor = None;
+        self.stroke.report.add(&CutReport {
+            swept_area_m2: report.swept_area_m2,
+            n_refused: 1,
+            ..CutReport::default()
+        });
+        let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
+        Err(CutRefusal::BadShape { found_deg: report.min_dihedral_deg, limit_deg })
+    }
+
+    /// Works the cut out in the patch, not opened yet.
+    fn attempt(
+        &mut self,
+        body: Body<'_>,
+        sweeps: &[Option<Sweep>; 2],
+        share: f64,
+        share_of_fixed: f64,
+    ) -> CutReport {
+        let Self { params, stroke, patch, .. } = self;
+        patch.start(body.mesh);
+        let snapping = Snapping {
+            share,
+            share_of_fixed,
+            length_m: params.snap_length_m,
+            front_m: params.front_reach_m,
+            max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
+        };
+        for &(node, is_end) in &stroke.front {
+            if body.mesh.topology().is_live_node(node) {
+                patch.pull_front(body, node, is_end);
+            }
+        }
+        for &face in &stroke.closed {
+            patch.pull_closed(body, face);
+        }
+        let mut report = CutReport::default();
+        for sweep in sweeps.iter().flatten() {
+            let section = conform(patch, body, sweep, snapping);
+            report.swept_area_m2 += section.swept_area_m2;
+            report.n_touched += section.n_touched;
+            report.n_snapped += section.n_snapped;
+        }
+        let wished_cosine = libm::cos((RESERVE * self.params.min_dihedral_deg).to_radians());
+        let mut max_cosine = patch.max_new_cosine();
+        if max_cosine > wished_cosine
+            && let [Some(sweep), None] | [None, Some(sweep)] = sweeps
+        {
+            relax(patch, body, sweep.normal, wished_cosine);
+            max_cosine = patch.max_new_cosine();
+        }
+        let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));
+        let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);
+        // The largest cosine is that of the smallest angle.
+        let [after_deg, before_deg] =
+            [max_cosine, cosine_before].map(|c| libm::acos(c.clamp(-1.0, 1.0)).to_degrees());
+        report.min_dihedral_deg = after_deg;
+        report.min_dihedral_before_deg = before_deg;
+        report
+    }
+
+    /// Opens the cut that is in the patch, and goes on from there.
+    fn accept(&mut self, body: Body<'_>, blade_m: [DVec3; 2], mut report: CutReport) -> Option<Replacement> {
+        let Self { stroke, patch, .. } = self;
+        let front = patch.front.clone();
+        let opened = opening::open(patch, body);
+        report.cut_area_m2 = opened.area_m2;
+        let (edit, ids) = opening::replacement(patch, body.mesh.topology().n_nodes());
+        stroke.blade_m = Some(blade_m);
+        stroke.front = front.iter().filter_map(|&(n, is_end)| Some((ids[n as usize]?, is_end))).collect();
+        let of_face = |face: &[u32; 3]| -> Option<[NodeId; 3]> {
+            let [a, b, c] = face.map(|n| ids[n as usize]);
+            Some([a?, b?, c?])
+        };
+        stroke.closed = opened.closed.iter().filter_map(of_face).collect();
+        stroke.anchor = None;
+        let along = blade_m[1] - blade_m[0];
+        let place = |n: u32| (patch.nodes[n as usize].present_m - blade_m[0]).dot(along);
+        let first = front.iter().map(|f| f.0).min_by(|&a, &b| place(a).total_cmp(&place(b)));
+        let last = front.iter().map(|f| f.0).max_by(|&a, &b| place(a).total_cmp(&place(b)));
+        if let (Some(first), Some(last)) = (first, last)
+            && let (Some(a), Some(b)) = (ids[first as usize], ids[last as usize])
+        {
+            let [p, q] = [first, last].map(|n| patch.nodes[n as usize].present_m);
+            let reach = (q - p).length_squared();
+            let shares = blade_m.map(|e| if reach > 0.0 { (e - p).dot(q - p) / reach } else { 0.0 });
+            let beside_m = [0, 1].map(|i| blade_m[i] - p.lerp(q, shares[i]));
+            stroke.anchor = Some(Anchor { nodes: [a, b], shares, beside_m });
+        }
+        let is_change = !edit.tets.is_empty();
+        report.n_edits = usize::from(is_change);
+        stroke.report.add(&report);
+        is_change.then_some(edit)
+    }
+}

@@ -1,0 +1,167 @@
+//! Opens the faces of a cut: every node gets as many copies as its tetrahedra form groups.
+
+use super::patch::{Body, Patch, sorted};
+use crate::mesh::edit::{CavityNode, NewNode, NewTet, Replacement};
+use crate::mesh::quality::FACES;
+
+/// What opened.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Opened {
+    /// Area [m2] of the faces that came apart, one side, in the present shape.
+    pub(super) area_m2: f64,
+    /// Faces that stay closed for now, because all of their nodes are on the rim of the cut.
+    pub(super) closed: Vec<[u32; 3]>,
+}
+
+/// Opens `patch.cut`. At the rim of a cut the tetrahedra still hang together around the node, which stays one.
+pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> Opened {
+    let mut nodes: Vec<u32> = patch.cut.iter().flatten().copied().collect();
+    nodes.sort_unstable();
+    nodes.dedup();
+    for &node in &nodes {
+        patch.pull_star(body, node);
+    }
+    let mut sides: Vec<([u32; 3], Vec<u32>)> = Vec::with_capacity(patch.cut.len());
+    // Both sides of what opens belong to the edit, also where only one gets copies.
+    for at in 0..patch.cut.len() {
+        let [a, b, c] = patch.cut[at];
+        let has_face = |&&t: &&u32| {
+            let nodes = patch.tets[t as usize].nodes;
+            nodes.contains(&b) && nodes.contains(&c)
+        };
+        let tets: Vec<u32> = patch.star(a).iter().filter(has_face).copied().collect();
+        for &tet in &tets {
+            patch.tets[tet as usize].is_old = false;
+        }
+        sides.push((patch.cut[at], tets));
+    }
+    let mut groups = Groups::default();
+    // The faces are known by the nodes from before; copies stand for their origin.
+    let mut origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();
+    for &node in &nodes {
+        let n_groups = groups.find(patch, node, &origin);
+        if n_groups < 2 {
+            continue;
+        }
+        let mut copies = vec![node; n_groups];
+        for copy in copies.iter_mut().skip(1) {
+            *copy = patch.push_copy(node);
+            origin.push(origin[node as usize]);
+        }
+        for at in 0..groups.star.len() {
+            let (tet, group) = (groups.star[at], groups.group[at] as usize);
+            if group > 0 {
+                patch.swap_node(tet, node, copies[group]);
+            }
+        }
+    }
+    let mut opened = Opened::default();
+    for (face, tets) in sides {
+        let [a, b] = tets[..] else { continue };
+        let [a, b] = [a, b].map(|t| patch.tets[t as usize].nodes);
+        let mut common = a.into_iter().filter(|n| b.contains(n));
+        match [common.next(), common.next(), common.next()] {
+            [Some(a), Some(b), Some(c)] => opened.closed.push([a, b, c]),
+            _ => opened.area_m2 += patch.face_area_m2(face),
+        }
+    }
+    opened
+}
+
+/// The tetrahedra at a node, grouped.
+#[derive(Default)]
+struct Groups {
+    star: Vec<u32>,
+    /// Group of each; 0 is the one that keeps the node.
+    group: Vec<u32>,
+    /// (the two other nodes of a face at the node, place in the star)
+    sides: Vec<([u32; 2], u32)>,
+}
+
+impl Groups {
+    /// Groups the star of `node` through the faces at it that are not cut; returns how many there are.
+    fn find(&mut self, patch: &Patch, node: u32, origin: &[u32]) -> usize {
+        self.star.clear();
+        self.star.extend_from_slice(patch.star(node));
+        self.star.sort_unstable();
+        self.sides.clear();
+        for (at, &tet) in self.star.iter().enumerate() {
+            let nodes = patch.tets[tet as usize].nodes;
+            for face in FACES {
+                let face = face.map(|i| nodes[i]);
+                if let Some(here) = face.iter().position(|&n| n == node) {
+                    let (a, b) = (face[(here + 1) % 3], face[(here + 2) % 3]);
+                    self.sides.push(([a.min(b), a.max(b)], at as u32));
+                }
+            }
+        }
+        self.sides.sort_unstable();
+        self.group.clear();
+        self.group.extend(0..self.star.len() as u32);
+        for pair in 0..self.sides.len().saturating_sub(1) {
+            let ((face, a), (other, b)) = (self.sides[pair], self.sides[pair + 1]);
+            if face != other {
+                continue;
+            }
+            let triple = sorted([node, face[0], face[1]].map(|n| origin[n as usize]));
+            if patch.cut.binary_search(&triple).is_err() {
+                let (a, b) = (root(&mut self.group, a), root(&mut self.group, b));
+                self.group[a.max(b) as usize] = a.min(b);
+            }
+        }
+        // The group of the first tetrahedron keeps the node; the others are numbered as they come.
+        let roots: Vec<u32> = (0..self.star.len() as u32).map(|at| root(&mut self.group, at)).collect();
+        let mut numbers = vec![u32::MAX; roots.len()];
+        let mut n_groups = 0;
+        for (at, &first) in roots.iter().enumerate() {
+            if numbers[first as usize] == u32::MAX {
+                numbers[first as usize] = n_groups;
+                n_groups += 1;
+            }
+            self.group[at] = numbers[first as usize];
+        }
+        n_groups as usize
+    }
+}
+
+fn root(parents: &mut [u32], mut of: u32) -> u32 {
+    while parents[of as usize] != of {
+        parents[of as usize] = parents[parents[of as usize] as usize];
+        of = parents[of as usize];
+    }
+    of
+}
+
+/// The patch as one edit, and the node of the edited mesh that each of its nodes is (`None`: unused).
+pub(super) fn replacement(patch: &Patch, n_nodes: usize) -> (Replacement, Vec<Option<crate::mesh::NodeId>>) {
+    let mut edit = Replacement::default();
+    let mut is_used = vec![false; patch.nodes.len()];
+    for tet in &patch.tets {
+        if tet.is_live && !tet.is_old {
+            for n in tet.nodes {
+                is_used[n as usize] = true;
+            }
+        }
+    }
+    let mut ids = Vec::with_capacity(patch.nodes.len());
+    let mut corner = vec![CavityNode::New(u32::MAX); patch.nodes.len()];
+    for (at, node) in patch.nodes.iter().enumerate() {
+        ids.push(node.old);
+        if let Some(old) = node.old {
+            corner[at] = CavityNode::Old(old);
+        } else if is_used[at] {
+            let new = edit.new_nodes.len();
+            corner[at] = CavityNode::New(new as u32);
+            ids[at] = Some(crate::mesh::NodeId::from_index(n_nodes + new));
+            edit.new_nodes.push(NewNode { position_m: node.rest_m, parents: node.blend.parents().collect() });
+        }
+    }
+    edit.tets = patch.changed_tets();
+    for tet in patch.tets.iter().filter(|t| t.is_live && !t.is_old) {
+        edit.new_tets.push(NewTet {
+            corners: tet.nodes.map(|n| corner[n as usize]),
+            parents: if tet.is_mixed { Vec::new() } else { vec![(tet.parent, 1.0)] },
+        });
+    }
+    (edit, ids)
+}

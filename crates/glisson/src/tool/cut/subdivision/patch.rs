@@ -1,0 +1,505 @@
+//! The tetrahedra that a cut changes, worked on beside the mesh until the cut is whole.
+
+use crate::math::{DVec3, tetrahedron_volume_m3};
+use crate::mesh::edit::EditableMesh;
+use crate::mesh::quality::dihedral_cosine_range;
+use crate::mesh::topology::TET_EDGES;
+use crate::mesh::{NodeId, TetId};
+
+/// A node or tetrahedron of the mesh that is not in the patch.
+const ABSENT: u32 = u32::MAX;
+
+/// The label of a node whose side has not been looked at.
+pub(super) const UNKNOWN: i8 = 2;
+
+/// The mesh and where its nodes are now.
+#[derive(Clone, Copy)]
+pub(super) struct Body<'a> {
+    pub(super) mesh: &'a EditableMesh,
+    pub(super) present_m: &'a [DVec3],
+}
+
+/// Most nodes of the mesh that a point is a blend of: four, more between points that have moved.
+const MAX_PARENTS: usize = 12;
+
+/// A point as a blend of nodes of the mesh.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Blend {
+    n: usize,
+    nodes: [NodeId; MAX_PARENTS],
+    weights: [f64; MAX_PARENTS],
+}
+
+impl Blend {
+    fn of(node: NodeId) -> Self {
+        Self::of_corners([node; 4], [1.0, 0.0, 0.0, 0.0])
+    }
+
+    /// Of corners of one tetrahedron, those with no weight left out.
+    pub(super) fn of_corners(nodes: [NodeId; 4], weights: [f64; 4]) -> Self {
+        let mut blend = Self { n: 0, nodes: [nodes[0]; MAX_PARENTS], weights: [0.0; MAX_PARENTS] };
+        for (node, weight) in nodes.into_iter().zip(weights) {
+            if weight != 0.0 {
+                blend.nodes[blend.n] = node;
+                blend.weights[blend.n] = weight;
+                blend.n += 1;
+            }
+        }
+        blend
+    }
+
+    /// The point `share` of the way from `self` to `other`; `None` if that takes too many nodes.
+    fn towards(&self, other: &Self, share: f64) -> Option<Self> {
+        let mut mixed = *self;
+        for weight in &mut mixed.weights {
+            *weight *= 1.0 - share;
+        }
+        for (node, weight) in other.parents() {
+            if let Some(at) = mixed.nodes[..mixed.n].iter().position(|&n| n == node) {
+                mixed.weights[at] += share * weight;
+            } else if mixed.n < MAX_PARENTS {
+                mixed.nodes[mixed.n] = node;
+                mixed.weights[mixed.n] = share * weight;
+                mixed.n += 1;
+            } else {
+                return None;
+            }
+        }
+        Some(mixed)
+    }
+
+    pub(super) fn parents(&self) -> impl Iterator<Item = (NodeId, f64)> + '_ {
+        self.nodes[..self.n].iter().copied().zip(self.weights)
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PatchNode {
+    /// The node of the mesh that this is, unless it is new.
+    pub(super) old: Option<NodeId>,
+    pub(super) rest_m: DVec3,
+    pub(super) present_m: DVec3,
+    pub(super) blend: Blend,
+    /// Signed distance [m] from the plane of the sweep at hand.
+    pub(super) distance_m: f64,
+    /// Its sign, or 0 for a node that counts as on the plane.
+    pub(super) label: i8,
+    /// The side of each line of the sweep, 0 for a node that counts as on it.
+    pub(super) line_labels: [i8; 4],
+    /// On the front of the stroke so far.
+    pub(super) is_front: bool,
+    /// Where the front meets the way of the blade's end.
+    pub(super) is_front_end: bool,
+    /// All tetrahedra at the node are in the patch.
+    has_whole_star: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PatchTet {
+    pub(super) nodes: [u32; 4],
+    /// The tetrahedron of the mesh in which this one lies.
+    pub(super) parent: TetId,
+    pub(super) is_live: bool,
+    /// This is the parent itself.
+    pub(super) is_old: bool,
+    /// It reaches into neighbours of the parent, too.
+    pub(super) is_mixed: bool,
+}
+
+/// Nodes and tetrahedra of the mesh by need, and what becomes of them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Patch {
+    pub(super) nodes: Vec<PatchNode>,
+    pub(super) tets: Vec<PatchTet>,
+    /// Live tetrahedra at each node; longer than `nodes`, the rest to be used again.
+    stars: Vec<Vec<u32>>,
+    node_here: Vec<u32>,
+    tet_here: Vec<u32>,
+    pulled_nodes: Vec<NodeId>,
+    pulled_tets: Vec<TetId>,
+    /// Faces to be opened, corners ascending.
+    pub(super) cut: Vec<[u32; 3]>,
+    /// Nodes of these faces where the blade is now, and whether its end is there.
+    pub(super) front: Vec<(u32, bool)>,
+}
+
+/// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
+const SAME_VOLUME: f64 = 1e-11;
+
+/// A barycentric weight nearer to zero than this is zero.
+const ON_FACE: f64 = 1e-9;
+
+/// Least gain in the cosine of an angle that is worth a move.
+const LEAST_GAIN: f64 = 1e-5;
+
+/// How good the tetrahedra at a moved node have to be: largest cosine of their dihedral angles at rest.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Accept {
+    /// No larger than this, or than before.
+    UpTo(f64),
+    /// Smaller than before.
+    Better,
+}
+
+struct StarState {
+    volume_m3: f64,
+    smallest_m3: f64,
+    max_cosine: f64,
+}
+
+/// Barycentric weights of a point; no numbers for a flat tetrahedron.
+pub(super) fn barycentric([a, b, c, d]: [DVec3; 4], p: DVec3) -> [f64; 4] {
+    let whole = tetrahedron_volume_m3([a, b, c, d]);
+    let parts = [[p, b, c, d], [a, p, c, d], [a, b, p, d], [a, b, c, p]];
+    parts.map(|part| tetrahedron_volume_m3(part) / whole)
+}
+
+/// The three corners, ascending.
+pub(super) fn sorted(mut face: [u32; 3]) -> [u32; 3] {
+    face.sort_unstable();
+    face
+}
+
+impl Patch {
+    /// Empties the patch for work on `mesh`.
+    pub(super) fn start(&mut self, mesh: &EditableMesh) {
+        for node in self.pulled_nodes.drain(..) {
+            self.node_here[node.index()] = ABSENT;
+        }
+        for tet in self.pulled_tets.drain(..) {
+            self.tet_here[tet.index()] = ABSENT;
+        }
+        self.node_here.resize(mesh.topology().n_nodes(), ABSENT);
+        self.tet_here.resize(mesh.topology().n_tets(), ABSENT);
+        self.nodes.clear();
+        self.tets.clear();
+        self.cut.clear();
+        self.front.clear();
+    }
+
+    /// Whether the tetrahedron of the mesh was in the patch, changed or not, when it had `n_before`.
+    pub(super) fn had_tet(&self, tet: TetId, n_before: u32) -> bool {
+        self.tet_here[tet.index()] < n_before
+    }
+
+    pub(super) fn node_here(&self, node: NodeId) -> Option<u32> {
+        self.node_here.get(node.index()).copied().filter(|&n| n != ABSENT)
+    }
+
+    pub(super) fn star(&self, node: u32) -> &[u32] {
+        &self.stars[node as usize]
+    }
+
+    fn push_node(&mut self, node: PatchNode) -> u32 {
+        let here = self.nodes.len() as u32;
+        self.nodes.push(node);
+        match self.stars.get_mut(here as usize) {
+            Some(star) => star.clear(),
+            None => self.stars.push(Vec::with_capacity(32)),
+        }
+        here
+    }
+
+    fn pull_node(&mut self, body: Body<'_>, node: NodeId) -> u32 {
+        if let Some(here) = self.node_here(node) {
+            return here;
+        }
+        let here = self.push_node(PatchNode {
+            old: Some(node),
+            rest_m: body.mesh.mesh().positions_m[node.index()],
+            present_m: body.present_m[node.index()],
+            blend: Blend::of(node),
+            distance_m: 0.0,
+            label: UNKNOWN,
+            line_labels: [UNKNOWN; 4],
+            is_front: false,
+            is_front_end: false,
+            has_whole_star: false,
+        });
+        self.node_here[node.index()] = here;
+        self.pulled_nodes.push(node);
+        here
+    }
+
+    /// Moves a node to another place of the present shape, with the tissue at rest in the same place of its
+    /// tetrahedron. Refused (false) if a tetrahedron would turn inside out in either shape, or become worse
+    /// than accepted, or if the outside of the body would change.
+    pub(super) fn move_node(&mut self, body: Body<'_>, node: u32, to_m: DVec3, accept: Accept) -> bool {
+        self.pull_star(body, node);
+        let Some((blend, rest_m)) = self.locate(body, node, to_m) else { return false };
+        let from = self.nodes[node as usize];
+        let star = std::mem::take(&mut self.stars[node as usize]);
+        let before = self.star_state(&star);
+        let this = &mut self.nodes[node as usize];
+        (this.rest_m, this.present_m) = (rest_m, to_m);
+        let after = self.star_state(&star);
+        let is_shaped = match accept {
+            Accept::UpTo(max_cosine) => after.max_cosine <= max_cosine.max(before.max_cosine),
+            Accept::Better => after.max_cosine < before.max_cosine - LEAST_GAIN,
+        };
+        let is_good = after.smallest_m3 > 0.0
+            && is_shaped
+            && (after.volume_m3 - before.volume_m3).abs() <= SAME_VOLUME * before.volume_m3;
+        if is_good {
+            let this = &mut self.nodes[node as usize];
+            this.blend = blend;
+            if let Some(old) = this.old.take() {
+                self.node_here[old.index()] = ABSENT;
+            }
+            this.has_whole_star = true;
+            for &tet in &star {
+                self.tets[tet as usize].is_old = false;
+                self.tets[tet as usize].is_mixed = true;
+            }
+        } else {
+            self.nodes[node as usize] = from;
+        }
+        self.stars[node as usize] = star;
+        is_good
+    }
+
+    /// Where a point of the present shape near `node` is at rest.
+    fn locate(&self, body: Body<'_>, node: u32, to_m: DVec3) -> Option<(Blend, DVec3)> {
+        let mut best: Option<(f64, [NodeId; 4], [f64; 4])> = None;
+        for &tet in &self.stars[node as usize] {
+            let corners = body.mesh.topology().tet_nodes(self.tets[tet as usize].parent);
+            let weights = barycentric(corners.map(|n| body.present_m[n.index()]), to_m);
+            let least = weights.into_iter().fold(f64::INFINITY, f64::min);
+            if best.is_none_or(|b| least > b.0) {
+                best = Some((least, corners, weights));
+            }
+        }
+        let (least, corners, mut weights) = best?;
+        if least.is_nan() || least < -ON_FACE {
+            return None;
+        }
+        // A point on a face takes nothing from beyond.
+        for weight in &mut weights {
+            if weight.abs() <= ON_FACE {
+                *weight = 0.0;
+            }
+        }
+        let sum: f64 = weights.iter().sum();
+        let weights = weights.map(|w| w / sum);
+        let rest_of = |n: NodeId| body.mesh.mesh().positions_m[n.index()];
+        let rest_m = corners.iter().zip(weights).map(|(&n, w)| w * rest_of(n)).sum();
+        Some((Blend::of_corners(corners, weights), rest_m))
+    }
+
+    fn star_state(&self, star: &[u32]) -> StarState {
+        let mut state = StarState { volume_m3: 0.0, smallest_m3: f64::INFINITY, max_cosine: -1.0 };
+        for &tet in star {
+            let rest_m = self.rest_m(tet);
+            let volume_m3 = tetrahedron_volume_m3(rest_m);
+            state.volume_m3 += volume_m3;
+            state.smallest_m3 =
+                state.smallest_m3.min(volume_m3).min(tetrahedron_volume_m3(self.present_m(tet)));
+            state.max_cosine = state.max_cosine.max(dihedral_cosine_range(rest_m)[1]);
+        }
+        state
+    }
+
+    /// Brings a node of the stroke's front in.
+    pub(super) fn pull_front(&mut self, body: Body<'_>, node: NodeId, is_end: bool) {
+        let here = self.pull_node(body, node);
+        self.nodes[here as usize].is_front_end = is_end;
+        self.nodes[here as usize].is_front = true;
+    }
+
+    /// Brings a face in that an earlier step left closed.
+    pub(super) fn pull_closed(&mut self, body: Body<'_>, face: [NodeId; 3]) {
+        let topology = body.mesh.topology();
+        let [a, b, c] = face;
+        let has_face = |&&t: &&TetId| {
+            let nodes = topology.tet_nodes(t);
+            nodes.contains(&b) && nodes.contains(&c)
+        };
+        let tets: Vec<TetId> = topology.node_tets(a).iter().filter(has_face).copied().collect();
+        if tets.len() == 2 {
+            for tet in tets {
+                self.pull_tet(body, tet);
+            }
+            let face = face.map(|n| self.pull_node(body, n));
+            self.cut.push(sorted(face));
+        }
+    }
+
+    /// Area [m2] of a face in the present shape.
+    pub(super) fn face_area_m2(&self, face: [u32; 3]) -> f64 {
+        let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
+        0.5 * (b - a).cross(c - a).length()
+    }
+
+    /// The place of a tetrahedron of the mesh in the patch.
+    pub(super) fn pull_tet(&mut self, body: Body<'_>, tet: TetId) -> u32 {
+        let here = self.tet_here[tet.index()];
+        if here != ABSENT {
+            return here;
+        }
+        let nodes = body.mesh.topology().tet_nodes(tet).map(|n| self.pull_node(body, n));
+        let here =
+            self.push_tet(PatchTet { nodes, parent: tet, is_live: true, is_old: true, is_mixed: false });
+        self.tet_here[tet.index()] = here;
+        self.pulled_tets.push(tet);
+        here
+    }
+
+    /// Brings all tetrahedra at a node in.
+    pub(super) fn pull_star(&mut self, body: Body<'_>, node: u32) {
+        let PatchNode { old, has_whole_star, .. } = self.nodes[node as usize];
+        if let (Some(old), false) = (old, has_whole_star) {
+            for &tet in body.mesh.topology().node_tets(old) {
+                self.pull_tet(body, tet);
+            }
+            self.nodes[node as usize].has_whole_star = true;
+        }
+    }
+
+    /// Brings all tetrahedra at an edge in.
+    fn pull_edge(&mut self, body: Body<'_>, [a, b]: [u32; 2]) {
+        let (a, b) = (self.nodes[a as usize], self.nodes[b as usize]);
+        if a.has_whole_star || b.has_whole_star {
+            return;
+        }
+        if let (Some(a), Some(b)) = (a.old, b.old)
+            && let Some(edge) = body.mesh.topology().edge_between(a, b)
+        {
+            for &tet in body.mesh.topology().edge_tets(edge) {
+                self.pull_tet(body, tet);
+            }
+        }
+    }
+
+    pub(super) fn push_tet(&mut self, tet: PatchTet) -> u32 {
+        let here = self.tets.len() as u32;
+        self.tets.push(tet);
+        for node in tet.nodes {
+            self.stars[node as usize].push(here);
+        }
+        here
+    }
+
+    /// Puts a node on the edge from `a` to `b` and divides the tetrahedra there; `None` (and nothing done) if
+    /// it would be a blend of too many nodes.
+    pub(super) fn split_edge(&mut self, body: Body<'_>, [a, b]: [u32; 2], share: f64) -> Option<u32> {
+        self.pull_edge(body, [a, b]);
+        let (from, to) = (self.nodes[a as usize], self.nodes[b as usize]);
+        let middle = self.push_node(PatchNode {
+            old: None,
+            rest_m: from.rest_m.lerp(to.rest_m, share),
+            present_m: from.present_m.lerp(to.present_m, share),
+            blend: from.blend.towards(&to.blend, share)?,
+            distance_m: (1.0 - share) * from.distance_m + share * to.distance_m,
+            label: 0,
+            line_labels: [UNKNOWN; 4],
+            is_front: false,
+            is_front_end: false,
+            has_whole_star: true,
+        });
+        let star = std::mem::take(&mut self.stars[a as usize]);
+        for &tet in &star {
+            let old = self.tets[tet as usize];
+            if !old.nodes.contains(&b) {
+                continue;
+            }
+            let swapped = |gone: u32| old.nodes.map(|n| if n == gone { middle } else { n });
+            for node in old.nodes {
+                if node != a {
+                    self.stars[node as usize].retain(|&t| t != tet);
+                }
+            }
+            let half = |nodes| PatchTet { nodes, is_old: false, ..old };
+            // The half at `a` enters the star of `a` below.
+            let here = self.tets.len() as u32;
+            let nodes = swapped(b);
+            self.tets.push(half(nodes));
+            for node in nodes {
+                if node != a {
+                    self.stars[node as usize].push(here);
+                }
+            }
+            self.push_tet(half(swapped(a)));
+            self.tets[tet as usize].is_live = false;
+        }
+        let mut kept = star;
+        kept.retain(|&t| self.tets[t as usize].is_live);
+        let at_a: Vec<u32> = self.stars[middle as usize]
+            .iter()
+            .copied()
+            .filter(|&t| self.tets[t as usize].nodes.contains(&a))
+            .collect();
+        kept.extend(at_a);
+        self.stars[a as usize] = kept;
+        self.divide_cut_faces([a, b], middle);
+        Some(middle)
+    }
+
+    fn divide_cut_faces(&mut self, [a, b]: [u32; 2], middle: u32) {
+        for at in 0..self.cut.len() {
+            let face = self.cut[at];
+            if face.contains(&a) && face.contains(&b) {
+                self.cut[at] = sorted(face.map(|n| if n == b { middle } else { n }));
+                self.cut.push(sorted(face.map(|n| if n == a { middle } else { n })));
+            }
+        }
+    }
+
+    /// A second node in the place of `node`.
+    pub(super) fn push_copy(&mut self, node: u32) -> u32 {
+        let copied = self.nodes[node as usize];
+        self.push_node(PatchNode { old: None, has_whole_star: true, ..copied })
+    }
+
+    /// Gives a tetrahedron `new` for its corner `old`.
+    pub(super) fn swap_node(&mut self, tet: u32, old: u32, new: u32) {
+        let this = &mut self.tets[tet as usize];
+        this.nodes = this.nodes.map(|n| if n == old { new } else { n });
+        this.is_old = false;
+        self.stars[old as usize].retain(|&t| t != tet);
+        self.stars[new as usize].push(tet);
+    }
+
+    /// Tetrahedra of the mesh that are not what they were, ascending.
+    pub(super) fn changed_tets(&self) -> Vec<TetId> {
+        let is_changed = |tet: &&TetId| {
+            let here = self.tets[self.tet_here[tet.index()] as usize];
+            !(here.is_live && here.is_old)
+        };
+        let mut changed: Vec<TetId> = self.pulled_tets.iter().filter(is_changed).copied().collect();
+        changed.sort_unstable();
+        changed
+    }
+
+    /// Largest cosine of a dihedral angle at rest among what is new; -1 without any.
+    pub(super) fn max_new_cosine(&self) -> f64 {
+        let new = self.live_tets().filter(|&t| !self.tets[t as usize].is_old);
+        let cosine = |t| {
+            let cosine = dihedral_cosine_range(self.rest_m(t))[1];
+            if cosine.is_nan() { 1.0 } else { cosine }
+        };
+        new.map(cosine).fold(-1.0, f64::max)
+    }
+
+    pub(super) fn rest_m(&self, tet: u32) -> [DVec3; 4] {
+        self.tets[tet as usize].nodes.map(|n| self.nodes[n as usize].rest_m)
+    }
+
+    pub(super) fn present_m(&self, tet: u32) -> [DVec3; 4] {
+        self.tets[tet as usize].nodes.map(|n| self.nodes[n as usize].present_m)
+    }
+
+    pub(super) fn live_tets(&self) -> impl Iterator<Item = u32> + '_ {
+        (0..self.tets.len() as u32).filter(|&t| self.tets[t as usize].is_live)
+    }
+
+    /// Length [m] of an edge in the present shape.
+    pub(super) fn length_m(&self, [a, b]: [u32; 2]) -> f64 {
+        self.nodes[a as usize].present_m.distance(self.nodes[b as usize].present_m)
+    }
+
+    /// Edges of a tetrahedron, lower node first.
+    pub(super) fn tet_edges(&self, tet: u32) -> [[u32; 2]; 6] {
+        let nodes = self.tets[tet as usize].nodes;
+        TET_EDGES.map(|[i, j]| [nodes[i].min(nodes[j]), nodes[i].max(nodes[j])])
+    }
+}

@@ -1,0 +1,70 @@
+//! Moves nodes around tetrahedra that came out too thin, one at a time, as long as the worst angle grows.
+
+use super::patch::{Accept, Body, Patch};
+use crate::math::DVec3;
+use crate::mesh::quality::dihedral_cosine_range;
+
+/// How often all bad tetrahedra are visited.
+const N_ROUNDS: usize = 4;
+
+/// Lengths of the trial moves, as shares of the shortest edge at the node.
+const STEPS: [f64; 3] = [0.4, 0.15, 0.05];
+
+/// Betters the changed tetrahedra whose smallest dihedral angle at rest has a cosine above `max_cosine`.
+/// Nodes of the cut stay in their plane (of unit normal `normal`), those on its rim stay.
+pub(super) fn relax(patch: &mut Patch, body: Body<'_>, normal: DVec3, max_cosine: f64) {
+    let mut cut_nodes: Vec<u32> = patch.cut.iter().flatten().copied().collect();
+    cut_nodes.sort_unstable();
+    cut_nodes.dedup();
+    let rim_nodes = rim_nodes(&patch.cut);
+    let (u, v) = normal.any_orthonormal_pair();
+    for _ in 0..N_ROUNDS {
+        let mut bad: Vec<(f64, u32)> = patch
+            .live_tets()
+            .filter(|&t| !patch.tets[t as usize].is_old)
+            .map(|t| (dihedral_cosine_range(patch.rest_m(t))[1], t))
+            .filter(|b| b.0 > max_cosine)
+            .collect();
+        bad.sort_unstable_by(|p, q| q.0.total_cmp(&p.0).then(p.1.cmp(&q.1)));
+        let mut is_better = false;
+        for (_, tet) in bad {
+            for node in patch.tets[tet as usize].nodes {
+                if patch.nodes[node as usize].is_front || rim_nodes.binary_search(&node).is_ok() {
+                    continue;
+                }
+                let is_on_cut = cut_nodes.binary_search(&node).is_ok();
+                let directions = [u, -u, v, -v, normal, -normal];
+                let directions = &directions[..if is_on_cut { 4 } else { 6 }];
+                is_better |= better(patch, body, node, directions);
+            }
+        }
+        if !is_better {
+            return;
+        }
+    }
+}
+
+/// Tries moves of one node, long ones first; the first that betters its worst tetrahedron stays.
+fn better(patch: &mut Patch, body: Body<'_>, node: u32, directions: &[DVec3]) -> bool {
+    let from_m = patch.nodes[node as usize].present_m;
+    let length = |&t: &u32| {
+        let others = patch.tets[t as usize].nodes.into_iter().filter(|&n| n != node);
+        others.map(|n| patch.length_m([node, n])).fold(f64::INFINITY, f64::min)
+    };
+    let shortest_m = patch.star(node).iter().map(length).fold(f64::INFINITY, f64::min);
+    STEPS.iter().any(|step| {
+        directions
+            .iter()
+            .any(|&d| patch.move_node(body, node, from_m + step * shortest_m * d, Accept::Better))
+    })
+}
+
+fn rim_nodes(faces: &[[u32; 3]]) -> Vec<u32> {
+    let mut edges: Vec<[u32; 2]> = faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [a, c]]).collect();
+    edges.sort_unstable();
+    let single = edges.chunk_by(|e, f| e == f).filter(|same| same.len() == 1);
+    let mut nodes: Vec<u32> = single.flat_map(|same| same[0]).collect();
+    nodes.sort_unstable();
+    nodes.dedup();
+    nodes
+}

@@ -1,0 +1,471 @@
+//! Makes the mesh conform to a swept polygon: afterwards no edge crosses it, so that it is a union of faces.
+//!
+//! First across the plane: a node near the plane counts as on it, every other edge through the plane is
+//! divided there. Then inside the plane: the same with the lines that bound the polygon. Every decision
+//! hangs on the labels of nodes alone, so that neighbours cannot disagree.
+
+use super::patch::{Accept, Body, Patch, PatchNode, UNKNOWN, sorted};
+use super::sweep::{Side, Sweep};
+use crate::math::{DVec3, tetrahedron_volume_m3};
+use crate::mesh::TetId;
+use crate::mesh::quality::FACES;
+
+/// How near is on it, and what is too little to be cut.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Snapping {
+    /// Share of an edge [1].
+    pub(super) share: f64,
+    /// The same for nodes that cannot move onto the cut.
+    pub(super) share_of_fixed: f64,
+    /// Length along an edge [m].
+    pub(super) length_m: f64,
+    /// Distance of the stroke's front from the plane [m].
+    pub(super) front_m: f64,
+    /// A node that snaps moves there unless a tetrahedron would become worse than this: cosine of a dihedral
+    /// angle.
+    pub(super) max_cosine: f64,
+}
+
+/// A tetrahedron whose section is inside the polygon by less than this share is left alone.
+const LEAST_SHARE_OF_SECTION: f64 = 0.02;
+
+/// A face that is inside the polygon by less than this share is left closed, one that is outside by less is
+/// not divided.
+const LEAST_SHARE_OF_FACE: f64 = 0.02;
+
+/// Nearer to the plane or a line than this share of [`Snapping::length_m`] is rounding.
+const SAME_PLACE: f64 = 1e-6;
+
+/// What came of one polygon.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Section {
+    pub(super) swept_area_m2: f64,
+    pub(super) n_touched: usize,
+    pub(super) n_snapped: usize,
+}
+
+fn sign(x: f64) -> i8 {
+    i8::from(x > 0.0) - i8::from(x < 0.0)
+}
+
+struct Work<'a> {
+    patch: &'a mut Patch,
+    body: Body<'a>,
+    sweep: &'a Sweep,
+    snapping: Snapping,
+    n_snapped: usize,
+}
+
+/// Divides the patch along the polygon and adds its faces to `patch.cut`.
+pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping: Snapping) -> Section {
+    for node in &mut patch.nodes {
+        node.label = UNKNOWN;
+        node.line_labels = [UNKNOWN; 4];
+    }
+    let mut work = Work { patch, body, sweep, snapping, n_snapped: 0 };
+    let (touched, swept_area_m2) = work.touched();
+    let n_touched = touched.len();
+    work.divide_across_plane(touched);
+    for k in 0..sweep.n_lines() {
+        work.divide_across_line(k);
+    }
+    let faces = work.faces_of_plane();
+    let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
+    let n_snapped = work.n_snapped;
+    if let Some(k) = (0..sweep.n_lines()).find(|&k| sweep.side(k) == Side::Front) {
+        add_front(patch, sweep, k, &inside, snapping.front_m);
+    }
+    patch.cut.extend(inside);
+    patch.cut.sort_unstable();
+    patch.cut.dedup();
+    Section { swept_area_m2, n_touched, n_snapped }
+}
+
+/// Adds the nodes on the rim of `faces` that are at line `k`.
+fn add_front(patch: &mut Patch, sweep: &Sweep, k: usize, faces: &[[u32; 3]], reach_m: f64) {
+    let mut rim: Vec<[u32; 2]> = faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [a, c]]).collect();
+    rim.sort_unstable();
+    for edge in rim.chunk_by(|e, f| e == f).filter(|same| same.len() == 1).map(|same| same[0]) {
+        let nodes = edge.map(|n| patch.nodes[n as usize]);
+        if nodes.iter().any(|n| sweep.inside_m(k, n.present_m).abs() > reach_m) {
+            continue;
+        }
+        for (place, node) in edge.into_iter().zip(nodes) {
+            let is_end = (0..sweep.n_lines()).any(|k| sweep.side(k) == Side::Way && node.line_labels[k] == 0);
+            patch.front.push((place, is_end));
+        }
+    }
+    patch.front.sort_unstable();
+    patch.front.dedup();
+}
+
+impl Work<'_> {
+    /// The side of a node, from exact arithmetic at first sight.
+    fn label(&mut self, node: u32) -> i8 {
+        let Self { sweep, snapping, .. } = *self;
+        let node = &mut self.patch.nodes[node as usize];
+        if node.label == UNKNOWN {
+            node.distance_m = sweep.distance_m(node.present_m);
+            node.label = sign(node.distance_m);
+            if node.distance_m.abs() <= SAME_PLACE * snapping.length_m {
+                node.label = 0;
+            }
+            if node.is_front && node.distance_m.abs() <= snapping.front_m {
+                node.label = 0;
+            }
+        }
+        node.label
+    }
+
+    /// Tetrahedra that the polygon cuts, in the patch, and the area [m2] inside the body.
+    fn touched(&mut self) -> (Vec<u32>, f64) {
+        let [low_m, high_m] = self.sweep.bounds_m();
+        let near = |corners_m: [DVec3; 4]| {
+            let low = corners_m[0].min(corners_m[1]).min(corners_m[2].min(corners_m[3]));
+            let high = corners_m[0].max(corners_m[1]).max(corners_m[2].max(corners_m[3]));
+            low.cmple(high_m).all() && high.cmpge(low_m).all()
+        };
+        let mut touched = Vec::new();
+        let mut area_m2 = 0.0;
+        let n_before = self.patch.tets.len() as u32;
+        for tet in self.patch.live_tets().collect::<Vec<u32>>() {
+            let corners_m = self.patch.present_m(tet);
+            if near(corners_m) {
+                let (is_touched, inside_m2) = self.meets(tet, corners_m);
+                area_m2 += inside_m2;
+                if is_touched {
+                    touched.push(tet);
+                }
+            }
+        }
+        let flat_m = SAME_PLACE * self.snapping.length_m;
+        let topology = self.body.mesh.topology();
+        let (is_live, nodes) = (topology.live_tet_flags(), &self.body.mesh.mesh().tetrahedra);
+        for at in 0..nodes.len() {
+            let corners_m = nodes[at].map(|n| self.body.present_m[n.index()]);
+            if !is_live[at] || !near(corners_m) || self.patch.had_tet(TetId::from_index(at), n_before) {
+                continue;
+            }
+            let distance_m = corners_m.map(|p| self.sweep.distance_m(p));
+            if distance_m.iter().all(|&d| d > flat_m) || distance_m.iter().all(|&d| d < -flat_m) {
+                continue;
+            }
+            let here = self.patch.pull_tet(self.body, TetId::from_index(at));
+            let (is_touched, inside_m2) = self.meets(here, corners_m);
+            area_m2 += inside_m2;
+            if is_touched {
+                touched.push(here);
+            }
+        }
+        (touched, area_m2)
+    }
+
+    /// Whether the polygon cuts a tetrahedron enough, and by how much [m2].
+    fn meets(&mut self, tet: u32, corners_m: [DVec3; 4]) -> (bool, f64) {
+        if tetrahedron_volume_m3(corners_m) <= 0.0 {
+            return (false, 0.0);
+        }
+        // Corners that an earlier step put into the plane are there but for rounding.
+        let flat_m = SAME_PLACE * self.snapping.length_m;
+        let distance_m =
+            corners_m.map(|p| self.sweep.distance_m(p)).map(|d| if d.abs() <= flat_m { 0.0 } else { d });
+        let n_zero = distance_m.iter().filter(|&&d| d == 0.0).count();
+        let (n_above, n_below) = (
+            distance_m.iter().filter(|&&d| d > 0.0).count(),
+            distance_m.iter().filter(|&&d| d < 0.0).count(),
+        );
+        if n_zero == 3 {
+            // The section is a face, which the tetrahedron shares with the one on the other side.
+            let apex = distance_m.iter().position(|&d| d != 0.0).unwrap_or(0);
+            let face = FACES[apex].map(|i| corners_m[i]);
+            let [whole_m2, inside_m2] = self.sweep.triangle_areas_m2(face);
+            let nodes = FACES[apex].map(|i| self.patch.tets[tet as usize].nodes[i]);
+            // Next to the former place of the blade the cut may be open already.
+            let is_counted = !self.is_on_skin(nodes) || self.is_at_start(face);
+            let share = if is_counted { 0.5 } else { 0.0 };
+            return (inside_m2 > LEAST_SHARE_OF_SECTION * whole_m2, share * inside_m2);
+        }
+        let inside_m2 = if n_above == 0 || n_below == 0 { 0.0 } else { self.sweep.area_in_tet_m2(corners_m) };
+        (self.is_cut(tet), inside_m2)
+    }
+
+    /// Whether enough of the section through a tetrahedron, as the labels of its nodes have it, is inside the
+    /// polygon, seen along the normal.
+    fn is_cut(&mut self, tet: u32) -> bool {
+        let nodes = self.patch.tets[tet as usize].nodes;
+        let labels = nodes.map(|n| self.label(n));
+        if !(labels.contains(&1) && labels.contains(&-1)) {
+            return false;
+        }
+        let at = |i: usize| self.patch.nodes[nodes[i] as usize];
+        let mut corners_m = [DVec3::ZERO; 4];
+        let mut n = 0;
+        for i in 0..4 {
+            if labels[i] == 0 {
+                corners_m[n] = at(i).present_m;
+                n += 1;
+            }
+        }
+        // Around a quadrilateral, neighbouring edges share a node.
+        const AROUND: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
+        let mut crossed: Vec<[usize; 2]> =
+            AROUND.into_iter().filter(|&[i, j]| labels[i] * labels[j] < 0).collect();
+        if crossed.len() == 4 {
+            let first = crossed[0];
+            let opposite = crossed.iter().position(|e| !e.contains(&first[0]) && !e.contains(&first[1]));
+            crossed.swap(2, opposite.unwrap_or(2));
+        }
+        for &[i, j] in &crossed {
+            let (p, q) = (at(i), at(j));
+            corners_m[n] = p.present_m.lerp(q.present_m, p.distance_m / (p.distance_m - q.distance_m));
+            n += 1;
+        }
+        let [mut whole_m2, mut inside_m2] = [0.0; 2];
+        for k in 2..n {
+            let [whole, inside] =
+                self.sweep.triangle_areas_m2([corners_m[0], corners_m[k - 1], corners_m[k]]);
+            whole_m2 += whole;
+            inside_m2 += inside;
+        }
+        inside_m2 > LEAST_SHARE_OF_SECTION * whole_m2
+    }
+
+    /// Whether a face reaches the place where the blade was.
+    fn is_at_start(&self, face_m: [DVec3; 3]) -> bool {
+        let start = (0..self.sweep.n_lines()).find(|&k| self.sweep.side(k) == Side::Start);
+        start.is_some_and(|k| face_m.iter().any(|&p| self.sweep.inside_m(k, p) <= self.snapping.front_m))
+    }
+
+    /// Whether a face of the patch has no tetrahedron on its other side.
+    fn is_on_skin(&mut self, face: [u32; 3]) -> bool {
+        self.patch.pull_star(self.body, face[0]);
+        let star = self.patch.star(face[0]);
+        star.iter().filter(|&&t| face.iter().all(|n| self.patch.tets[t as usize].nodes.contains(n))).count()
+            < 2
+    }
+
+    fn divide_across_plane(&mut self, mut touched: Vec<u32>) {
+        let mut is_touched = vec![false; self.patch.tets.len()];
+        let mut n_done = 0;
+        // Where nodes snap the section shifts, perhaps into tetrahedra that the polygon does not meet.
+        while n_done < touched.len() {
+            for &tet in &touched[n_done..] {
+                is_touched[tet as usize] = true;
+            }
+            let shares = self.crossings(&touched[n_done..]);
+            n_done = touched.len();
+            for node in self.snap(&shares, |node| &mut node.label, None) {
+                self.patch.pull_star(self.body, node);
+                is_touched.resize(self.patch.tets.len(), false);
+                for tet in self.patch.star(node).to_vec() {
+                    if !is_touched[tet as usize] && self.is_cut(tet) {
+                        is_touched[tet as usize] = true;
+                        touched.push(tet);
+                    }
+                }
+            }
+        }
+        let shares = self.crossings(&touched);
+        self.split(shares, |node| &mut node.label);
+    }
+
+    /// Edges of tetrahedra through the plane, and where they cross.
+    fn crossings(&mut self, tets: &[u32]) -> Vec<([u32; 2], f64)> {
+        let mut edges: Vec<[u32; 2]> = tets.iter().flat_map(|&t| self.patch.tet_edges(t)).collect();
+        edges.sort_unstable();
+        edges.dedup();
+        for &node in edges.iter().flatten() {
+            self.label(node);
+        }
+        let share = |&[a, b]: &[u32; 2]| {
+            let (p, q) = (&self.patch.nodes[a as usize], &self.patch.nodes[b as usize]);
+            (p.label * q.label < 0).then(|| ([a, b], p.distance_m / (p.distance_m - q.distance_m)))
+        };
+        edges.iter().filter_map(share).collect()
+    }
+
+    /// Faces of the plane, each between a tetrahedron above and one below.
+    fn faces_of_plane(&mut self) -> Vec<[u32; 3]> {
+        for node in 0..self.patch.nodes.len() as u32 {
+            if self.patch.nodes[node as usize].label == 0 {
+                self.patch.pull_star(self.body, node);
+            }
+        }
+        // (face, side of its tetrahedron)
+        let mut sides: Vec<([u32; 3], i8)> = Vec::new();
+        for tet in 0..self.patch.tets.len() {
+            let tet = self.patch.tets[tet];
+            if !tet.is_live {
+                continue;
+            }
+            let is_zero = tet.nodes.map(|n| self.patch.nodes[n as usize].label == 0);
+            let n_zero = is_zero.iter().filter(|&&z| z).count();
+            if n_zero < 3 {
+                continue;
+            }
+            let side = if n_zero == 4 {
+                let sum: f64 = tet.nodes.iter().map(|&n| self.patch.nodes[n as usize].distance_m).sum();
+                if sum >= 0.0 { 1 } else { -1 }
+            } else {
+                let apex = is_zero.iter().position(|&z| !z).unwrap_or(0);
+                self.label(tet.nodes[apex])
+            };
+            for (opposite, face) in FACES.iter().enumerate() {
+                if n_zero == 4 || !is_zero[opposite] {
+                    sides.push((sorted(face.map(|i| tet.nodes[i])), side));
+                }
+            }
+        }
+        sides.sort_unstable();
+        sides.windows(2).filter(|w| w[0].0 == w[1].0 && w[0].1 * w[1].1 < 0).map(|w| w[0].0).collect()
+    }
+
+    /// The side of a node on line `k`.
+    fn line_label(&mut self, k: usize, node: u32) -> (i8, f64) {
+        let Self { sweep, snapping, .. } = *self;
+        let node = &mut self.patch.nodes[node as usize];
+        let inside_m = sweep.inside_m(k, node.present_m);
+        if node.line_labels[k] == UNKNOWN {
+            node.line_labels[k] = sign(inside_m);
+            if inside_m.abs() <= SAME_PLACE * snapping.length_m {
+                node.line_labels[k] = 0;
+            }
+            let is_there = match sweep.side(k) {
+                Side::Start => node.is_front,
+                Side::Front | Side::Way => node.is_front_end && inside_m.abs() <= snapping.front_m,
+            };
+            if is_there {
+                node.line_labels[k] = 0;
+            }
+        }
+        (node.line_labels[k], inside_m)
+    }
+
+    fn divide_across_line(&mut self, k: usize) {
+        let mut shares = Vec::new();
+        for face in self.faces_of_plane() {
+            let inside = face.map(|n| self.line_label(k, n));
+            let labels = inside.map(|i| i.0);
+            if !(labels.contains(&1) && labels.contains(&-1)) {
+                continue;
+            }
+            let corners_m = face.map(|n| self.patch.nodes[n as usize].present_m);
+            let [whole_m2, inside_m2] = self.sweep.triangle_areas_m2(corners_m);
+            if inside_m2 <= LEAST_SHARE_OF_FACE * whole_m2
+                || inside_m2 >= (1.0 - LEAST_SHARE_OF_FACE) * whole_m2
+            {
+                continue;
+            }
+            let mut crossings = Vec::with_capacity(2);
+            let mut reach = [f64::INFINITY, f64::NEG_INFINITY];
+            let mut length_m = 0.0;
+            for (i, j) in [(0, 1), (1, 2), (0, 2)] {
+                let (along, length) = self.sweep.along_m(k, corners_m[i]);
+                length_m = length;
+                if labels[i] == 0 {
+                    reach = [reach[0].min(along), reach[1].max(along)];
+                }
+                if labels[i] * labels[j] < 0 {
+                    let share = inside[i].1 / (inside[i].1 - inside[j].1);
+                    let (along, _) = self.sweep.along_m(k, corners_m[i].lerp(corners_m[j], share));
+                    reach = [reach[0].min(along), reach[1].max(along)];
+                    crossings.push(([face[i], face[j]], share));
+                }
+            }
+            let common_m = reach[1].min(length_m) - reach[0].max(0.0);
+            if common_m > LEAST_SHARE_OF_FACE * (reach[1] - reach[0]) {
+                shares.extend(crossings);
+            }
+        }
+        shares.sort_unstable_by_key(|s| s.0);
+        shares.dedup_by_key(|s| s.0);
+        self.snap(&shares, |node| &mut node.line_labels[k], Some(k));
+        self.split(shares, |node| &mut node.line_labels[k]);
+    }
+
+    /// Gives the ends of edges that are near the crossing label 0, and moves them there if they can.
+    fn snap(
+        &mut self,
+        edges: &[([u32; 2], f64)],
+        label: impl Fn(&mut PatchNode) -> &mut i8,
+        line: Option<usize>,
+    ) -> Vec<u32> {
+        let Snapping { share: near_share, length_m: near_m, .. } = self.snapping;
+        let mut near: Vec<(f64, u32, u32)> = Vec::new();
+        for &([a, b], share) in edges {
+            let length_m = self.patch.length_m([a, b]);
+            for (node, other, share) in [(a, b, share), (b, a, 1.0 - share)] {
+                if share <= near_share || share * length_m <= near_m {
+                    near.push((share, node, other));
+                }
+            }
+        }
+        near.sort_unstable_by(|p, q| p.0.total_cmp(&q.0).then(p.1.cmp(&q.1)).then(p.2.cmp(&q.2)));
+        let mut snapped = Vec::new();
+        for (share, node, other) in near {
+            let other_label = *label(&mut self.patch.nodes[other as usize]);
+            let this = label(&mut self.patch.nodes[node as usize]);
+            let own = *this;
+            if own * other_label >= 0 {
+                continue;
+            }
+            *this = 0;
+            if !self.move_onto(node, line) && share > self.snapping.share_of_fixed {
+                *label(&mut self.patch.nodes[node as usize]) = own;
+            } else {
+                snapped.push(node);
+            }
+        }
+        self.n_snapped += snapped.len();
+        snapped
+    }
+
+    /// Moves a node onto the plane, or onto a line in it, if it can.
+    fn move_onto(&mut self, node: u32, line: Option<usize>) -> bool {
+        let PatchNode { present_m, is_front, distance_m, line_labels, .. } = self.patch.nodes[node as usize];
+        let is_elsewhere = line_labels.iter().enumerate().any(|(k, &l)| Some(k) != line && l == 0);
+        if is_front || is_elsewhere {
+            return false;
+        }
+        let mut to_m = present_m - self.sweep.normal * distance_m;
+        if let Some(k) = line {
+            to_m = self.sweep.onto_line_m(k, to_m);
+        }
+        let is_moved = self.patch.move_node(self.body, node, to_m, Accept::UpTo(self.snapping.max_cosine));
+        if is_moved {
+            self.patch.nodes[node as usize].distance_m = 0.0;
+        }
+        is_moved
+    }
+
+    /// Divides the edges that still cross, longest first.
+    fn split(&mut self, mut edges: Vec<([u32; 2], f64)>, label: impl Fn(&mut PatchNode) -> &mut i8) {
+        edges.retain(|&([a, b], _)| {
+            let a = *label(&mut self.patch.nodes[a as usize]);
+            let b = *label(&mut self.patch.nodes[b as usize]);
+            a * b < 0
+        });
+        let mut by_length: Vec<(f64, [u32; 2], f64)> =
+            edges.iter().map(|&(edge, share)| (self.patch.length_m(edge), edge, share)).collect();
+        by_length.sort_unstable_by(|p, q| q.0.total_cmp(&p.0).then(p.1.cmp(&q.1)));
+        for (_, edge, share) in by_length {
+            if let Some(middle) = self.patch.split_edge(self.body, edge, share) {
+                *label(&mut self.patch.nodes[middle as usize]) = 0;
+            }
+        }
+    }
+
+    /// Whether a face of the plane belongs to the polygon.
+    fn is_inside(&mut self, face: [u32; 3]) -> bool {
+        (0..self.sweep.n_lines()).all(|k| {
+            let sides = face.map(|n| self.line_label(k, n));
+            let (n_in, n_out) =
+                (sides.iter().filter(|s| s.0 > 0).count(), sides.iter().filter(|s| s.0 < 0).count());
+            match (n_in, n_out) {
+                (1.., 0) => true,
+                (0, 1..) => false,
+                _ => sides.iter().map(|s| s.1).sum::<f64>() > 0.0,
+            }
+        })
+    }
+}

@@ -1,0 +1,131 @@
+//! The frame of an instrument: its tip, the direction of its shaft, the plane in which its jaws open.
+
+use super::{Jaws, ToolInput};
+use crate::math::{DMat3, DVec3};
+
+/// Where the axes of a tool point: x the way its jaws open, y along their hinge, z towards the handle.
+///
+/// Without roll the frame comes from that of a shaft that points to the front (-y of the patient) by the shortest turn:
+/// it is continuous but for a shaft that points to the back of a patient who lies on it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToolFrame {
+    /// Turns tool axes into world axes.
+    pub world_from_tool: DMat3,
+    /// Centre of the tip [m].
+    pub tip_in_world_m: DVec3,
+}
+
+/// Tool axes of a shaft that points to the front: x to the left, y to the head, z to the front.
+const FRONT: DMat3 = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
+
+impl ToolFrame {
+    /// The frame of a pose.
+    pub fn of(input: &ToolInput) -> Self {
+        let (sine, cosine) = libm::sincos(input.roll_rad);
+        let roll = DMat3::from_cols(DVec3::new(cosine, sine, 0.0), DVec3::new(-sine, cosine, 0.0), DVec3::Z);
+        Self {
+            world_from_tool: shortest_turn(FRONT.z_axis, input.shaft_in_world) * FRONT * roll,
+            tip_in_world_m: input.tip_in_world_m,
+        }
+    }
+
+    /// A point of the tool in the world [m].
+    pub fn to_world_m(&self, in_tool_m: DVec3) -> DVec3 {
+        self.world_from_tool * in_tool_m + self.tip_in_world_m
+    }
+
+    /// A point of the world in the tool's frame [m].
+    pub fn to_tool_m(&self, in_world_m: DVec3) -> DVec3 {
+        self.world_from_tool.transpose() * (in_world_m - self.tip_in_world_m)
+    }
+}
+
+/// The shortest turn that brings the unit vector `from` to `to` (Rodrigues' formula without angles).
+fn shortest_turn(from: DVec3, to: DVec3) -> DMat3 {
+    let cosine = from.dot(to);
+    // Opposite vectors have no shortest turn; half a turn about any perpendicular axis serves.
+    if cosine < -1.0 + 1e-12 {
+        let axis = from.any_orthonormal_vector();
+        let outer = DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
+        return outer * 2.0 - DMat3::IDENTITY;
+    }
+    let v = from.cross(to);
+    let cross =
+        DMat3::from_cols(DVec3::new(0.0, v.z, -v.y), DVec3::new(-v.z, 0.0, v.x), DVec3::new(v.y, -v.x, 0.0));
+    DMat3::IDENTITY + cross + cross * cross * (1.0 / (1.0 + cosine))
+}
+
+impl Jaws {
+    /// Angle between the jaws [rad].
+    pub fn opening_rad(&self, jaw_opening: f64) -> f64 {
+        self.greatest_opening_rad * jaw_opening.clamp(0.0, 1.0)
+    }
+
+    /// The hinge in the tool's frame [m].
+    pub fn hinge_in_tool_m(&self) -> DVec3 {
+        DVec3::Z * self.length_m
+    }
+
+    /// Ends of the two jaws in the tool's frame [m].
+    pub fn ends_in_tool_m(&self, jaw_opening: f64) -> [DVec3; 2] {
+        let (sine, cosine) = libm::sincos(0.5 * self.opening_rad(jaw_opening));
+        [1.0, -1.0].map(|side| self.hinge_in_tool_m() + DVec3::new(side * sine, 0.0, -cosine) * self.length_m)
+    }
+
+    /// Whether a point of the tool's frame lies between jaws that are open by `jaw_opening`, or no further from there
+    /// than `margin_m`.
+    pub fn are_around(&self, in_tool_m: DVec3, jaw_opening: f64, margin_m: f64) -> bool {
+        let from_hinge_m = in_tool_m - self.hinge_in_tool_m();
+        let (sine, cosine) = libm::sincos(0.5 * self.opening_rad(jaw_opening));
+        let along_m = -from_hinge_m.z;
+        let side_m = from_hinge_m.x.abs();
+        let beyond_jaw_m = side_m * cosine - along_m * sine;
+        let within_length =
+            along_m >= -margin_m && (along_m * along_m + side_m * side_m).sqrt() <= self.length_m + margin_m;
+        within_length && from_hinge_m.y.abs() <= 0.5 * self.width_m + margin_m && beyond_jaw_m <= margin_m
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::SeededRandom;
+
+    fn is_turn(m: &DMat3) -> bool {
+        let off = *m * m.transpose() - DMat3::IDENTITY;
+        (0..3).all(|i| off.col(i).length() < 1e-12) && (m.determinant() - 1.0).abs() < 1e-12
+    }
+
+    #[test]
+    fn a_frame_is_a_turn_whose_z_is_the_shaft() {
+        let mut random = SeededRandom::new(5);
+        let mut directions = vec![DVec3::NEG_Y, DVec3::Y, DVec3::X, DVec3::NEG_Z];
+        directions.extend(
+            (0..200).map(|_| DVec3::new(random.normal(), random.normal(), random.normal()).normalize()),
+        );
+        for shaft in directions {
+            let roll_rad = random.uniform_in(-4.0, 4.0);
+            let frame = ToolFrame::of(&ToolInput { roll_rad, ..ToolInput::at(DVec3::ONE, shaft) });
+            assert!(is_turn(&frame.world_from_tool), "{shaft}");
+            assert!(frame.world_from_tool.z_axis.distance(shaft) < 1e-7, "{shaft}");
+            let p = DVec3::new(1.0, 2.0, 3.0);
+            assert!(frame.to_world_m(frame.to_tool_m(p)).distance(p) < 1e-12);
+        }
+    }
+
+    #[test]
+    fn jaws_hold_what_is_between_them() {
+        let jaws = Jaws { length_m: 0.02, width_m: 4e-3, greatest_opening_rad: 1.0, closing_force_n: 5.0 };
+        let [left, right] = jaws.ends_in_tool_m(1.0);
+        assert!((left.x + right.x).abs() < 1e-15 && left.x > 9e-3);
+        let ends = jaws.ends_in_tool_m(0.0);
+        assert!(ends.iter().all(|end| end.length() < 1e-15), "closed jaws end at the tip");
+        let mid = |opening: f64, share: f64| jaws.ends_in_tool_m(opening)[0] * share;
+        assert!(jaws.are_around(mid(1.0, 0.5), 1.0, 0.0));
+        assert!(!jaws.are_around(mid(1.0, 0.5), 0.2, 0.0));
+        assert!(!jaws.are_around(DVec3::new(0.0, 3e-3, 0.0), 1.0, 0.0));
+        assert!(!jaws.are_around(DVec3::new(0.0, 0.0, -1e-3), 1.0, 0.0), "beyond the ends");
+        assert!(!jaws.are_around(DVec3::new(0.0, 0.0, 0.021), 1.0, 0.0), "behind the hinge");
+        assert!(jaws.are_around(DVec3::new(0.0, 0.0, -1e-3), 1.0, 2e-3));
+    }
+}

@@ -1,0 +1,196 @@
+//! The stages of a step around the model: what the hands do to it, and what they feel of it.
+
+use super::grasp::{Grasp, HOLDS_BELOW, Hold};
+use super::hand::Hand;
+use super::parts::ToolPart;
+use super::slide::SlideInput;
+use super::{StepInput, World};
+use crate::math::DVec3;
+use crate::mesh::NodeId;
+use crate::model::ImposedDisplacement;
+use crate::tool::pose::ToolFrame;
+
+/// Displacements imposed at once at most: what every model takes.
+pub(super) const MOST_IMPOSED: usize = 64;
+
+/// Whose an imposed displacement is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Owner {
+    hand: u8,
+    /// A part that touches; `None` for jaws that hold.
+    part: Option<ToolPart>,
+}
+
+impl World {
+    /// Moves the tools and finds what they begin to touch and hold.
+    pub(super) fn move_hands(&mut self, input: &StepInput) {
+        self.organ.refresh();
+        for (place, (hand, tool)) in self.hands.iter_mut().zip(&self.spec.tools).enumerate() {
+            hand.move_to(tool, place, input);
+            if let Some(jaws) = tool.kind.jaws() {
+                let pose = hand.now;
+                if hand.grasp.as_ref().is_some_and(|grasp| !grasp.holds(&pose)) {
+                    hand.grasp = None;
+                }
+                hand.opened_to = if pose.jaw_opening < hand.before.jaw_opening {
+                    hand.opened_to.max(hand.before.jaw_opening)
+                } else if pose.jaw_opening > hand.before.jaw_opening {
+                    pose.jaw_opening
+                } else {
+                    hand.opened_to
+                };
+                hand.just_closed = pose.jaw_opening <= HOLDS_BELOW && hand.before.jaw_opening > HOLDS_BELOW;
+                if hand.just_closed && hand.grasp.is_none() && tool.kind.holds() {
+                    let (opening, near) = (hand.opened_to, &mut self.between_jaws);
+                    hand.grasp = Grasp::close(tool, jaws, &pose, opening, &self.organ, near);
+                    if hand.grasp.is_some() {
+                        hand.contacts[ToolPart::Tip.index()] = None;
+                        hand.contacts[ToolPart::SecondJaw.index()] = None;
+                    }
+                }
+            }
+            hand.find_contacts(tool, &self.organ, input.placed[place]);
+            for contact in hand.contacts.iter_mut().flatten() {
+                contact.push_out(self.spec.time_step_s);
+            }
+        }
+    }
+
+    /// Tells the model what the hands and the loads impose.
+    pub(super) fn constrain(&mut self) {
+        self.constraints.displacements.clear();
+        self.owners.clear();
+        self.impose_grasps();
+        for part in ToolPart::ALL {
+            self.impose_contacts(part);
+        }
+        self.sort_imposed();
+        self.constraints.forces.clear();
+        self.constraints.forces.extend_from_slice(self.loads.forces_in_step(self.step));
+        self.model.apply(&self.constraints);
+        let fields_m_per_s2 = self.loads.acceleration_in_step_m_per_s2(self.step);
+        let pull_m_per_s2 = self.gravity_m_per_s2 + fields_m_per_s2;
+        if pull_m_per_s2 != self.pull_m_per_s2 {
+            self.pull_m_per_s2 = pull_m_per_s2;
+            self.model.set_gravity(pull_m_per_s2);
+        }
+    }
+
+    /// What jaws hold, the first hand's first: a node that two hold follows the first.
+    fn impose_grasps(&mut self) {
+        let rest_m = &self.organ.mesh().positions_m;
+        for (place, hand) in self.hands.iter().enumerate() {
+            let Some(grasp) = &hand.grasp else { continue };
+            for (node, place_m) in grasp.places_m(ToolFrame::of(&hand.now)) {
+                let displacements = &mut self.constraints.displacements;
+                let is_free = displacements.iter().all(|c| c.node != node);
+                if is_free && displacements.len() < MOST_IMPOSED {
+                    let displacement_m = place_m - rest_m[node.index()];
+                    displacements.push(ImposedDisplacement { node, displacement_m });
+                    self.owners.push(Owner { hand: place as u8, part: None });
+                }
+            }
+        }
+    }
+
+    /// What one part of every tool touches, but for nodes that something else moves already.
+    fn impose_contacts(&mut self, part: ToolPart) {
+        for (place, (hand, tool)) in self.hands.iter_mut().zip(&self.spec.tools).enumerate() {
+            let Some(contact) = &hand.contacts[part.index()] else { continue };
+            let displacements = &mut self.constraints.displacements;
+            let is_taken = contact.nodes.map(|node| displacements.iter().any(|c| c.node == node));
+            let point_m = contact.at.in_world_m(tool, &hand.now);
+            for (node, displacement_m) in
+                contact.nodes.into_iter().zip(contact.displacements_m(point_m, is_taken))
+            {
+                if let Some(displacement_m) = displacement_m
+                    && displacements.len() < MOST_IMPOSED
+                {
+                    displacements.push(ImposedDisplacement { node, displacement_m });
+                    self.owners.push(Owner { hand: place as u8, part: Some(part) });
+                }
+            }
+        }
+    }
+
+    /// Ascending by node, as models ask for; few enough for sorting by insertion.
+    fn sort_imposed(&mut self) {
+        let displacements = &mut self.constraints.displacements;
+        for i in 1..displacements.len() {
+            let mut at = i;
+            while at > 0 && displacements[at - 1].node > displacements[at].node {
+                displacements.swap(at - 1, at);
+                self.owners.swap(at - 1, at);
+                at -= 1;
+            }
+        }
+    }
+
+    /// Force that a hand exerts on the organ in the last step [N]: with one part, or with what its jaws hold.
+    fn force_on_organ_n(&self, hand: usize, part: Option<ToolPart>) -> DVec3 {
+        let owner = Owner { hand: hand as u8, part };
+        let forces = self.model.constraint_forces_n().iter().zip(&self.owners);
+        forces.filter(|(_, o)| **o == owner).map(|(force_n, _)| *force_n).sum()
+    }
+
+    /// What the hands feel; contacts that would pull end, tissue that is pulled too hard slides.
+    pub(super) fn read_forces(&mut self) {
+        let dt_s = self.spec.time_step_s;
+        for place in 0..self.hands.len() {
+            let mut force_on_tool_n = DVec3::ZERO;
+            let mut in_contact = false;
+            let mut slip_m = 0.0;
+            for part in ToolPart::ALL {
+                let force_on_organ_n = self.force_on_organ_n(place, Some(part));
+                let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
+                let Some(contact) = &mut hand.contacts[part.index()] else { continue };
+                let point_m = contact.at.in_world_m(tool, &hand.now);
+                // A force that is no number, which only a broken model can bring about, is none.
+                let is_broken = !force_on_organ_n.is_finite();
+                if is_broken || contact.lets_go(point_m, force_on_organ_n) {
+                    hand.contacts[part.index()] = None;
+                } else {
+                    in_contact = true;
+                    force_on_tool_n -= force_on_organ_n;
+                    if !tool.grip.is_sticky {
+                        let friction = tool.grip.friction_coefficient;
+                        let radius_m = part.radius_m(tool);
+                        let slide = SlideInput { point_m, radius_m, friction, force_on_organ_n };
+                        slip_m += contact.slide(&self.organ, &slide);
+                    }
+                }
+            }
+            let force_of_jaws_n = -self.force_on_organ_n(place, None);
+            let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
+            let pose = hand.now;
+            if let (Some(grasp), Some(jaws)) = (&mut hand.grasp, tool.kind.jaws()) {
+                if force_of_jaws_n.is_finite() {
+                    let hold = Hold { force_on_tool_n: force_of_jaws_n, dt_s };
+                    slip_m += grasp.slip(tool, jaws, &pose, &hold);
+                    force_on_tool_n += force_of_jaws_n;
+                }
+                hand.report.n_held_nodes = grasp.n_nodes() as u32;
+                in_contact = true;
+                if grasp.n_nodes() == 0 {
+                    hand.grasp = None;
+                }
+            }
+            hand.report.in_contact = in_contact;
+            hand.report.slip_m = slip_m;
+            hand.report.force_on_tool_n = force_on_tool_n;
+            hand.count_activity(tool, dt_s);
+        }
+    }
+
+    /// The constraints of the last step.
+    pub fn constrained_nodes(&self) -> &[ImposedDisplacement] {
+        &self.constraints.displacements
+    }
+
+    /// The nodes that the jaws of a tool hold, ascending.
+    pub fn held_nodes(&self, tool: usize) -> Vec<NodeId> {
+        let grasp = self.hands.get(tool).and_then(|hand: &Hand| hand.grasp.as_ref());
+        let nodes = grasp.map(|g| g.places_m(ToolFrame::of(&self.hands[tool].now)).map(|(n, _)| n).collect());
+        nodes.unwrap_or_default()
+    }
+}

@@ -1,0 +1,303 @@
+//! Edits of the organ's mesh, as transactions: the mesh, the model, the supports, the surface, loads, contacts, grasps and
+//! vessels follow together, or nothing changes. The last edits can be taken back, last in, first out; every number has
+//! its bits from before.
+
+use super::active::ActiveTip;
+use super::hand::Hand;
+use super::loads::LoadsBefore;
+use super::organ::OrganBefore;
+use super::vessels::Vessels;
+use super::{QueuedSwap, World};
+use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
+use crate::mesh::topology::TopologyError;
+use crate::mesh::{TetId, TetMesh};
+use crate::model::{DeformableModel, ModelUndo, TopologyRefusal};
+use crate::tool::cautery::TissueHeat;
+use crate::tool::cut::scalpel::ScalpelRefusal;
+use crate::tool::cut::subdivision::CutRefusal;
+use std::collections::VecDeque;
+
+/// Why an edit of the organ was refused. Nothing changed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EditRefusal {
+    /// The model cannot follow.
+    #[error(transparent)]
+    Model(#[from] TopologyRefusal),
+    /// The mesh cannot be edited so.
+    #[error(transparent)]
+    Mesh(#[from] EditError),
+    /// The mesh is no mesh.
+    #[error(transparent)]
+    Topology(#[from] TopologyError),
+    /// A blade's step makes no cut that the mesh can bear.
+    #[error(transparent)]
+    Cut(#[from] CutRefusal),
+    /// A scalpel cannot be followed.
+    #[error(transparent)]
+    Scalpel(#[from] ScalpelRefusal),
+}
+
+/// Edits that can be taken back, unless told otherwise: a choice.
+const UNDO_DEPTH: usize = 32;
+/// Of these, edits for which the model had to be copied whole, which can take a hundred megabytes each: a choice.
+const MOST_WHOLE_COPIES: usize = 2;
+
+/// What it takes to take one edit back. Buffers are used again.
+#[derive(Default)]
+struct EditRecord {
+    change: TopologyChange,
+    mesh: MeshUndo,
+    model: ModelUndo,
+    /// Of the model that was delivered but had not taken over.
+    waiting: Option<ModelUndo>,
+    organ: OrganBefore,
+    loads: LoadsBefore,
+    hands: Vec<Hand>,
+    heat: Vec<TissueHeat>,
+    vessels: Option<Vessels>,
+    /// Steps made when the edit was.
+    step: u64,
+}
+
+/// The last edits, and those of the whole run in short.
+pub(super) struct Journal {
+    records: VecDeque<EditRecord>,
+    spare: Vec<EditRecord>,
+    depth: usize,
+    /// All edits that stand, in order: what a model that is made from the organ of the start has to follow.
+    made: Vec<Vec<MeshEdit>>,
+    /// Whether all of them were removals.
+    only_removals: bool,
+}
+
+impl Journal {
+    pub(super) fn new() -> Self {
+        Self {
+            records: VecDeque::new(),
+            spare: Vec::new(),
+            depth: UNDO_DEPTH,
+            made: Vec::new(),
+            only_removals: true,
+        }
+    }
+
+    /// The same edits, of which none can be taken back: their saved values belong to another world.
+    pub(super) fn without_undo(&self) -> Self {
+        Self { depth: self.depth, made: self.made.clone(), only_removals: self.only_removals, ..Self::new() }
+    }
+
+    /// No edit so far can be taken back any more.
+    pub(super) fn forget_undo(&mut self) {
+        self.spare.extend(self.records.drain(..));
+    }
+
+    /// Keeps to the depth, and few whole copies.
+    fn shorten(&mut self) {
+        while self.records.len() > self.depth {
+            self.spare.extend(self.records.pop_front());
+        }
+        let is_whole = |record: &EditRecord| record.model.keeps_whole();
+        if let Some(oldest) =
+            self.records.iter().rev().enumerate().filter(|(_, r)| is_whole(r)).nth(MOST_WHOLE_COPIES)
+        {
+            let n_kept = oldest.0;
+            let n_gone = self.records.len() - n_kept;
+            self.spare.extend(self.records.drain(..n_gone));
+        }
+        // A whole copy is not kept for its buffers.
+        for spare in &mut self.spare {
+            spare.model.clear();
+            spare.waiting = None;
+        }
+    }
+}
+
+impl World {
+    /// Edits the organ's mesh. Contacts on triangles that are still there and grasps of nodes that are hold on.
+    ///
+    /// # Errors
+    /// [`EditRefusal`] when the model or the mesh cannot; nothing changed then.
+    pub fn edit(&mut self, edit: &MeshEdit) -> Result<TopologyChange, EditRefusal> {
+        self.edit_in_place(std::slice::from_ref(edit)).cloned()
+    }
+
+    /// A list of edits as one ([`EditableMesh::apply_all_saving`]).
+    ///
+    /// # Errors
+    /// As [`World::edit`]; a list is made whole or not at all.
+    pub fn edit_all(&mut self, edits: &[MeshEdit]) -> Result<TopologyChange, EditRefusal> {
+        self.edit_in_place(edits).cloned()
+    }
+
+    /// [`World::edit_all`] without a copy of the change.
+    ///
+    /// # Errors
+    /// As [`World::edit`].
+    pub fn edit_in_place(&mut self, edits: &[MeshEdit]) -> Result<&TopologyChange, EditRefusal> {
+        if let Some(refusal) = self.model.topology_refusal() {
+            return Err(refusal.into());
+        }
+        let waiting = self.swap.as_ref().and_then(|swap| swap.model.as_ref());
+        if let Some(refusal) = waiting.and_then(|model| model.topology_refusal()) {
+            return Err(refusal.into());
+        }
+        let mut record = self.journal.spare.pop().unwrap_or_default();
+        if let Err(refusal) = self.edit_mesh_and_model(edits, &mut record) {
+            self.journal.spare.push(record);
+            return Err(refusal);
+        }
+        self.let_all_follow(&mut record);
+        let only_removals = edits.iter().all(|edit| matches!(edit, MeshEdit::Remove { .. }));
+        self.journal.only_removals &= only_removals;
+        self.journal.made.push(edits.to_vec());
+        self.journal.records.push_back(record);
+        self.journal.shorten();
+        let last = self.journal.records.back().or(self.journal.spare.last());
+        Ok(&last.expect("the record is in one of the two").change)
+    }
+
+    fn edit_mesh_and_model(
+        &mut self,
+        edits: &[MeshEdit],
+        record: &mut EditRecord,
+    ) -> Result<(), EditRefusal> {
+        let EditRecord { change, mesh, model, waiting, .. } = record;
+        let body = self.organ.body_mut();
+        match edits {
+            [edit] => body.apply_saving(edit, change, mesh)?,
+            _ => body.apply_all_saving(edits, change, mesh)?,
+        }
+        // A model that takes another edit back later is asked before it follows this one.
+        if self.journal.depth > 0 {
+            self.model.save_for_undo(change, model);
+        }
+        if let Err(refusal) = self.model.topology_changed(self.organ.mesh(), change) {
+            self.organ.body_mut().undo(mesh);
+            return Err(refusal.into());
+        }
+        *waiting = None;
+        if let Some(awaited) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
+            let mut saved = ModelUndo::default();
+            awaited.save_for_undo(change, &mut saved);
+            if awaited.topology_changed(self.organ.mesh(), change).is_ok() {
+                *waiting = Some(saved);
+            } else {
+                // The present model has followed: it goes on.
+                self.swap = None;
+            }
+        }
+        Ok(())
+    }
+
+    fn let_all_follow(&mut self, record: &mut EditRecord) {
+        record.step = self.step;
+        record.hands.clone_from(&self.hands);
+        record.heat.clear();
+        record.heat.extend(self.active.iter().map(ActiveTip::heat));
+        record.vessels.clone_from(&self.vessels);
+        let change = &record.change;
+        self.organ.follow_edit(change, &mut record.organ);
+        self.organ.place_new_nodes(change, self.model.state().positions_m);
+        self.loads.follow(change, &mut record.loads);
+        self.constraints.forces.reserve(self.organ.mesh().positions_m.len());
+        let topology = self.organ.body().topology();
+        for hand in &mut self.hands {
+            hand.follow(topology);
+        }
+        for active in &mut self.active {
+            active.follow(self.organ.body(), change);
+        }
+        if let Some(vessels) = &mut self.vessels {
+            vessels.follow(self.organ.body(), change);
+        }
+    }
+
+    /// Takes the last edit back: mesh, model, supports, loads and vessels are what they were just before it, bit for bit,
+    /// and so are contacts and grasps if no step was made since; else they are let go, because the organ is back where
+    /// it was and the tools are not. Answers whether there was one to take back: as many as
+    /// [`World::n_edits_to_undo`] says.
+    pub fn undo_edit(&mut self) -> bool {
+        let Some(mut record) = self.journal.records.pop_back() else { return false };
+        record.model.put_back(&mut self.model);
+        if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
+            match &mut record.waiting {
+                Some(saved) => saved.put_back(waiting),
+                // It came after the edit, which it cannot take back.
+                None => self.swap = None,
+            }
+        }
+        self.organ.undo_edit(&record.mesh, &record.change, &record.organ);
+        self.loads.undo(&record.change, &record.loads);
+        self.vessels.clone_from(&record.vessels);
+        if record.step == self.step {
+            self.hands.clone_from(&record.hands);
+        } else {
+            self.hands.iter_mut().for_each(Hand::let_go);
+            self.organ.rest_at(self.model.state().positions_m);
+        }
+        for (active, heat) in self.active.iter_mut().zip(&record.heat) {
+            active.go_back_to(heat);
+        }
+        self.owners.clear();
+        self.constraints.displacements.clear();
+        self.journal.made.pop();
+        self.journal.only_removals =
+            self.journal.made.iter().flatten().all(|edit| matches!(edit, MeshEdit::Remove { .. }));
+        self.journal.spare.push(record);
+        self.journal.shorten();
+        true
+    }
+
+    /// How many edits can be taken back.
+    pub fn n_edits_to_undo(&self) -> usize {
+        self.journal.records.len()
+    }
+
+    /// How many edits can be taken back from now on at most. An edit of a model that has to be copied for it costs its
+    /// memory; of these only the last two are kept.
+    pub fn set_undo_depth(&mut self, depth: usize) {
+        self.journal.depth = depth;
+        self.journal.shorten();
+    }
+
+    /// Lets a model that was made from the organ of the start follow all edits that stand.
+    pub(super) fn bring_up_to_date(&self, model: &mut dyn DeformableModel) -> Result<(), EditRefusal> {
+        if self.journal.made.is_empty() {
+            return Ok(());
+        }
+        if let Some(refusal) = model.topology_refusal() {
+            return Err(refusal.into());
+        }
+        let mut whole = EditableMesh::new(TetMesh::clone(&self.mesh_of_the_start))?;
+        let mut change = TopologyChange::default();
+        if self.journal.only_removals {
+            // All at once: a pre-computed model of what is left knows them already.
+            let tets: Vec<TetId> = self.organ.removed_tetrahedra();
+            whole.apply_into(&MeshEdit::Remove { tets }, &mut change)?;
+            model.topology_changed(whole.mesh(), &change)?;
+            return Ok(());
+        }
+        let mut undo = MeshUndo::default();
+        for edits in &self.journal.made {
+            match edits.as_slice() {
+                [edit] => whole.apply_saving(edit, &mut change, &mut undo)?,
+                _ => whole.apply_all_saving(edits, &mut change, &mut undo)?,
+            }
+            model.topology_changed(whole.mesh(), &change)?;
+        }
+        Ok(())
+    }
+
+    /// Whether the tetrahedra are those of the start, but for some that were taken out.
+    pub fn has_only_removals(&self) -> bool {
+        self.journal.only_removals
+    }
+
+    pub(super) fn order_of(swap: Option<&QueuedSwap>) -> Option<QueuedSwap> {
+        swap.map(|swap| QueuedSwap {
+            at_step: swap.at_step,
+            kind: swap.kind,
+            model: swap.model.as_ref().map(|model| model.duplicate()),
+        })
+    }
+}

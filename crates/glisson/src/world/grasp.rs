@@ -1,0 +1,200 @@
+//! Tissue between closed jaws.
+//!
+//! When the jaws have closed, the surface nodes between them follow the tool, position and turn. The hold is friction: a
+//! pull beyond the coefficient times the closing force makes the tissue slide along the jaws until the pull is what they
+//! hold; nodes that slide out are let go one by one. Opening the jaws lets go of all.
+
+use super::organ::Organ;
+use crate::contact::shapes::Capsule;
+use crate::contact::tool_contact::ToolContact;
+use crate::math::DVec3;
+use crate::mesh::NodeId;
+use crate::tool::pose::ToolFrame;
+use crate::tool::{Jaws, Tool, ToolInput};
+
+/// Jaws that are closed this far hold tissue: a choice.
+pub(super) const HOLDS_BELOW: f64 = 0.25;
+/// Jaws that are open this far let go; more than the above, so that a trembling hand does not drop what it holds.
+const LETS_GO_ABOVE: f64 = 0.35;
+
+/// Nodes that one pair of jaws holds at most: some models take 64 imposed nodes in all.
+pub(super) const MOST_HELD_NODES: usize = 14;
+
+/// Triangles between the jaws that are looked at.
+const MOST_TRIANGLES: usize = 64;
+
+/// Tissue slides out of the jaws no faster than this [m/s]: a choice, which keeps the step after a sudden pull smooth.
+const SLIP_M_PER_S: f64 = 0.5;
+
+/// A node that jaws hold, and where in the tool's frame [m].
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct HeldNode {
+    node: NodeId,
+    in_tool_m: DVec3,
+}
+
+/// Nodes between jaws. In a list of fixed length, because a step that grasps allocates nothing.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Grasp {
+    held: [HeldNode; MOST_HELD_NODES],
+    n_held: usize,
+    /// How open the jaws were when they began to close: what they enclose.
+    opening: f64,
+    /// Middle of what is held, where the tissue would be without pull [m].
+    free_middle_m: DVec3,
+}
+
+/// How jaws hold.
+pub(super) struct Hold {
+    /// Force of the organ on the tool [N].
+    pub(super) force_on_tool_n: DVec3,
+    /// Time step [s].
+    pub(super) dt_s: f64,
+}
+
+impl Grasp {
+    /// What jaws that just closed hold: surface nodes between them as far as they were open at `opening`. `None` when
+    /// there is nothing between them that can move.
+    pub(super) fn close(
+        tool: &Tool,
+        jaws: &Jaws,
+        pose: &ToolInput,
+        opening: f64,
+        organ: &Organ,
+        near: &mut Vec<ToolContact>,
+    ) -> Option<Self> {
+        let frame = ToolFrame::of(pose);
+        let axis = Capsule {
+            from_m: pose.tip_in_world_m,
+            to_m: frame.to_world_m(jaws.hinge_in_tool_m()),
+            radius_m: 0.0,
+        };
+        let [end, _] = jaws.ends_in_tool_m(opening);
+        let reach_m = end.x + 0.5 * jaws.width_m + tool.tip_radius_m;
+        near.clear();
+        organ.skin().near_into(&axis, reach_m, near);
+        let positions_m = organ.positions_m();
+        let is_between =
+            |place_m: DVec3| jaws.are_around(frame.to_tool_m(place_m), opening, tool.tip_radius_m);
+        let mut found: [(f64, NodeId); MOST_HELD_NODES] =
+            [(f64::INFINITY, NodeId(u32::MAX)); MOST_HELD_NODES];
+        for place in near.iter().map(|&contact| organ.skin().place_of(contact)) {
+            let corners_m = place.nodes.map(|n| positions_m[n.index()]);
+            let weights = place.found.weights;
+            let nearest_m: DVec3 = (0..3).map(|v| corners_m[v] * weights[v]).sum();
+            // Of a triangle larger than the jaws, all corners are held if any of it is between them.
+            let holds_all = is_between(nearest_m);
+            for (node, &corner_m) in place.nodes.into_iter().zip(&corners_m) {
+                if !organ.is_fixed(node) && (holds_all || is_between(corner_m)) {
+                    insert_nearest(&mut found, (corner_m.distance(pose.tip_in_world_m), node));
+                }
+            }
+        }
+        let n_held = found.iter().filter(|(distance_m, _)| distance_m.is_finite()).count();
+        if n_held == 0 {
+            return None;
+        }
+        found[..n_held].sort_unstable_by_key(|&(_, node)| node);
+        let place_m = |node: NodeId| positions_m.get(node.index()).copied().unwrap_or(DVec3::ZERO);
+        let held = found.map(|(_, node)| HeldNode { node, in_tool_m: frame.to_tool_m(place_m(node)) });
+        let middle_m = found[..n_held].iter().map(|&(_, n)| place_m(n)).sum::<DVec3>() / n_held as f64;
+        Some(Self { held, n_held, opening, free_middle_m: middle_m })
+    }
+
+    /// Number of nodes.
+    pub(super) fn n_nodes(&self) -> usize {
+        self.n_held
+    }
+
+    /// The nodes, ascending, and where each has to be [m].
+    pub(super) fn places_m(&self, frame: ToolFrame) -> impl Iterator<Item = (NodeId, DVec3)> + '_ {
+        self.held[..self.n_held].iter().map(move |held| (held.node, frame.to_world_m(held.in_tool_m)))
+    }
+
+    /// Whether the jaws still hold.
+    pub(super) fn holds(&self, pose: &ToolInput) -> bool {
+        self.n_held > 0 && pose.jaw_opening < LETS_GO_ABOVE
+    }
+
+    /// Forgets nodes that are gone.
+    pub(super) fn retain_nodes(&mut self, is_there: impl Fn(NodeId) -> bool) {
+        self.retain(|held| is_there(held.node));
+    }
+
+    fn retain(&mut self, keeps: impl Fn(&HeldNode) -> bool) {
+        let mut n_kept = 0;
+        for i in 0..self.n_held {
+            if keeps(&self.held[i]) {
+                self.held[n_kept] = self.held[i];
+                n_kept += 1;
+            }
+        }
+        self.n_held = n_kept;
+    }
+
+    /// After a step: lets the tissue slide where the pull is more than friction bears; answers how far [m].
+    pub(super) fn slip(&mut self, tool: &Tool, jaws: &Jaws, pose: &ToolInput, hold: &Hold) -> f64 {
+        let pull_n = hold.force_on_tool_n.length();
+        let limit_n = pull_limit_n(tool, jaws, pose);
+        let exceeds = pull_n > limit_n;
+        if tool.grip.is_sticky || !exceeds || self.n_held == 0 {
+            return 0.0;
+        }
+        // Elastic: the pull grows with the way. What is too much of the way is given back, along the pull.
+        let frame = ToolFrame::of(pose);
+        let middle_m = self.places_m(frame).map(|(_, p)| p).sum::<DVec3>() / self.n_held as f64;
+        let way_m = middle_m.distance(self.free_middle_m);
+        let back_m = (way_m * (1.0 - limit_n / pull_n)).min(SLIP_M_PER_S * hold.dt_s);
+        let slide_m = frame.world_from_tool.transpose() * (hold.force_on_tool_n / pull_n) * back_m;
+        for held in &mut self.held[..self.n_held] {
+            held.in_tool_m += slide_m;
+        }
+        let (opening, margin_m) = (self.opening, 2.0 * tool.tip_radius_m);
+        self.retain(|held| jaws.are_around(held.in_tool_m, opening, margin_m));
+        back_m
+    }
+
+    /// Everything that its next steps depend on.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
+        let held = self.held[..self.n_held].iter();
+        let numbers = held.flat_map(|h| [f64::from(h.node.0), h.in_tool_m.x, h.in_tool_m.y, h.in_tool_m.z]);
+        numbers.chain(self.free_middle_m.to_array()).chain([self.opening])
+    }
+}
+
+/// Pull that the jaws hold [N]: Coulomb's friction under the force with which they close, which fades to nothing where
+/// they are open enough to hold nothing.
+pub(super) fn pull_limit_n(tool: &Tool, jaws: &Jaws, pose: &ToolInput) -> f64 {
+    let closed = 1.0 - (pose.jaw_opening / LETS_GO_ABOVE).clamp(0.0, 1.0);
+    tool.grip.friction_coefficient * jaws.closing_force_n * closed
+}
+
+/// Keeps a list of the nearest, ascending, each once.
+fn insert_nearest(list: &mut [(f64, NodeId)], new: (f64, NodeId)) {
+    if list.iter().any(|&(_, node)| node == new.1) {
+        return;
+    }
+    let before = |a: &(f64, NodeId), b: &(f64, NodeId)| a.0 < b.0 || a.0 == b.0 && a.1 < b.1;
+    let Some(place) = list.iter().position(|old| before(&new, old)) else { return };
+    list[place..].rotate_right(1);
+    list[place] = new;
+}
+
+/// Room for the search of what is between jaws.
+pub(super) fn room_for_search() -> Vec<ToolContact> {
+    Vec::with_capacity(MOST_TRIANGLES)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_are_kept_once_each_in_order() {
+        let mut list = [(f64::INFINITY, NodeId(u32::MAX)); 3];
+        for (d, n) in [(3.0, 1), (1.0, 2), (3.0, 1), (2.0, 3), (2.0, 0), (9.0, 4)] {
+            insert_nearest(&mut list, (d, NodeId(n)));
+        }
+        assert_eq!(list, [(1.0, NodeId(2)), (2.0, NodeId(0)), (2.0, NodeId(3))]);
+    }
+}

@@ -1,0 +1,145 @@
+//! The parts of an instrument that touch tissue, and how they move in a step.
+
+use crate::contact::shapes::{Capsule, CapsuleMotion, RigidPose};
+use crate::math::DVec3;
+use crate::tool::pose::ToolFrame;
+use crate::tool::trocar::trocar_pose;
+use crate::tool::{Tool, ToolInput, ToolKind, ToolShape};
+
+/// Which part of an instrument touches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ToolPart {
+    /// The ball at the tip, the mesh in its place, or the first jaw.
+    Tip,
+    /// The second jaw.
+    SecondJaw,
+    /// The shaft.
+    Shaft,
+}
+
+impl ToolPart {
+    /// All of them, in the order in which they are asked.
+    pub const ALL: [Self; 3] = [Self::Tip, Self::SecondJaw, Self::Shaft];
+
+    /// Radius with which it touches [m]; none for a mesh, which touches with its own points.
+    pub(super) fn radius_m(self, tool: &Tool) -> f64 {
+        match self {
+            Self::Tip if mesh_of(tool).is_some() => 0.0,
+            Self::Tip | Self::SecondJaw => tool.tip_radius_m,
+            Self::Shaft => tool.shaft_radius_m,
+        }
+    }
+
+    /// Place in a list of all parts.
+    pub fn index(self) -> usize {
+        self as usize
+    }
+}
+
+/// The shaft begins so many radii of the tip behind its centre: what lies before belongs to the tip.
+const SHAFT_BEGINS: f64 = 2.0;
+
+/// A part as a capsule; `None` for a part that the tool does not have.
+pub(super) fn capsule(tool: &Tool, part: ToolPart, pose: &ToolInput) -> Option<Capsule> {
+    let behind_m = |distance_m: f64| pose.tip_in_world_m + pose.shaft_in_world * distance_m;
+    let jaw = |side: usize| {
+        let jaws = tool.kind.jaws()?;
+        let frame = ToolFrame::of(pose);
+        Some(Capsule {
+            from_m: frame.to_world_m(jaws.ends_in_tool_m(pose.jaw_opening)[side]),
+            to_m: frame.to_world_m(jaws.hinge_in_tool_m()),
+            radius_m: tool.tip_radius_m,
+        })
+    };
+    match part {
+        ToolPart::Tip => Some(jaw(0).unwrap_or(Capsule::ball(pose.tip_in_world_m, tool.tip_radius_m))),
+        ToolPart::SecondJaw => jaw(1),
+        ToolPart::Shaft => {
+            let effector_m = match &tool.kind {
+                ToolKind::Scalpel(blade) => blade.length_m,
+                kind => kind.jaws().map_or(0.0, |jaws| jaws.length_m),
+            };
+            let first_m = effector_m.max(SHAFT_BEGINS * tool.tip_radius_m);
+            (first_m < tool.shaft_length_m).then(|| Capsule {
+                from_m: behind_m(first_m),
+                to_m: behind_m(tool.shaft_length_m),
+                radius_m: tool.shaft_radius_m,
+            })
+        }
+    }
+}
+
+/// How a part moves from one pose to the next. Its ends move on curves where the tool turns; the motion says how far
+/// these are from straight lines.
+pub(super) fn motion(
+    tool: &Tool,
+    part: ToolPart,
+    before: &ToolInput,
+    now: &ToolInput,
+) -> Option<CapsuleMotion> {
+    let (start, end) = (capsule(tool, part, before)?, capsule(tool, part, now)?);
+    if let (ToolPart::Shaft, Some(pivot_m)) = (part, tool.trocar_m) {
+        let length_m = start.from_m.distance(start.to_m);
+        let behind_m = start.from_m.distance(before.tip_in_world_m);
+        let pose = |input: &ToolInput| {
+            let pose = trocar_pose(input, pivot_m);
+            crate::contact::shapes::TrocarPose { insertion_m: pose.insertion_m - behind_m, ..pose }
+        };
+        let (start, end) = (pose(before), pose(now));
+        return Some(CapsuleMotion::through_trocar(pivot_m, &start, &end, length_m, tool.shaft_radius_m));
+    }
+    let straight = CapsuleMotion::straight(&start, &end);
+    // About the tip, whose centre moves on a straight line; the jaws turn about their hinge as well.
+    let lever_m =
+        start.from_m.distance(before.tip_in_world_m).max(start.to_m.distance(before.tip_in_world_m));
+    let jaws_rad = tool.kind.jaws().map_or(0.0, |jaws| {
+        0.5 * (jaws.opening_rad(now.jaw_opening) - jaws.opening_rad(before.jaw_opening)).abs()
+    });
+    let bend_m =
+        if part == ToolPart::Shaft || lever_m == 0.0 { 0.0 } else { lever_m * jaws_rad * jaws_rad / 8.0 };
+    let turn_m = rigid_pose(before).path_error_m(&rigid_pose(now), lever_m);
+    Some(CapsuleMotion { path_error_m: bend_m + turn_m, ..straight })
+}
+
+/// The frame of a tool as a rigid pose.
+pub(super) fn rigid_pose(pose: &ToolInput) -> RigidPose {
+    let frame = ToolFrame::of(pose);
+    RigidPose { rotation: frame.world_from_tool, origin_m: frame.tip_in_world_m }
+}
+
+/// A point of a tool that tissue follows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum ToolPoint {
+    /// On the axis of a capsule: the share from its first end. The tool turns in place there.
+    OnAxis(ToolPart, f64),
+    /// Fixed to the tool [m, in its frame].
+    Fixed(DVec3),
+}
+
+impl ToolPoint {
+    /// Where it is [m].
+    pub(super) fn in_world_m(self, tool: &Tool, pose: &ToolInput) -> DVec3 {
+        match self {
+            Self::OnAxis(part, along) => {
+                capsule(tool, part, pose).map_or(pose.tip_in_world_m, |c| c.axis_point_m(along))
+            }
+            Self::Fixed(in_tool_m) => ToolFrame::of(pose).to_world_m(in_tool_m),
+        }
+    }
+
+    /// Everything that its next steps depend on.
+    pub(super) fn numbers(self) -> [f64; 4] {
+        match self {
+            Self::OnAxis(part, along) => [part.index() as f64, along, 0.0, 0.0],
+            Self::Fixed(p) => [-1.0, p.x, p.y, p.z],
+        }
+    }
+}
+
+/// Whether the tip is a mesh.
+pub(super) fn mesh_of(tool: &Tool) -> Option<&crate::contact::shapes::MeshShape> {
+    match &tool.shape {
+        ToolShape::Mesh(shape) => Some(shape),
+        ToolShape::Capsules => None,
+    }
+}

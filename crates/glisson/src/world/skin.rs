@@ -1,0 +1,217 @@
+//! The organ's surface as instruments meet it: where it moved in the last step, and a search over it that follows edits
+//! triangle by triangle.
+
+use crate::contact::broad_phase::BroadPhaseKind;
+use crate::contact::proxy::ProxySurface;
+use crate::contact::proxy_surface::SurfaceAdjacency;
+use crate::contact::shapes::{Capsule, CapsuleMotion};
+use crate::contact::tool_contact::{SurfaceSearch, ToolContact};
+use crate::math::DVec3;
+use crate::mesh::edit::EditableMesh;
+use crate::mesh::{NodeId, TriangleId};
+
+/// Room for edits before the search has to be made anew: this share of the surface ...
+const SPARE_SHARE: usize = 2;
+/// ... and at least so many triangles and nodes.
+const LEAST_SPARE: usize = 64;
+
+/// A slot without a triangle, a triangle without a slot.
+const NONE: u32 = u32::MAX;
+
+/// Surface triangles in slots, over the nodes of the mesh.
+#[derive(Clone, Debug)]
+pub(super) struct Skin {
+    search: SurfaceSearch,
+    adjacency: SurfaceAdjacency,
+    /// Slot of each triangle of the mesh.
+    slots: Vec<u32>,
+    /// Triangle in each slot.
+    triangles: Vec<u32>,
+    /// Its nodes, counter-clockwise from outside.
+    nodes: Vec<[NodeId; 3]>,
+    /// Empty slots; the last one is filled first, so that an undone edit leaves them as they were.
+    empty: Vec<u32>,
+    /// Positions of all nodes at the start and at the end of the last step [m], with room for more nodes.
+    start_m: Vec<DVec3>,
+    end_m: Vec<DVec3>,
+    /// Whether slots changed since the search was brought up to date.
+    is_stale: bool,
+}
+
+/// Triangles that came to a surface, or left it.
+pub(super) struct SurfaceChange<'a> {
+    pub(super) added: &'a [TriangleId],
+    pub(super) removed: &'a [TriangleId],
+}
+
+/// A place of the surface near an instrument.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SurfacePlace {
+    pub(super) triangle: TriangleId,
+    pub(super) nodes: [NodeId; 3],
+    pub(super) found: ToolContact,
+}
+
+impl Skin {
+    /// A surface that stands still.
+    pub(super) fn new(body: &EditableMesh, positions_m: &[DVec3]) -> Self {
+        let topology = body.topology();
+        let on_surface: Vec<TriangleId> = topology.surface_triangles().collect();
+        let n = on_surface.len();
+        let n_spare = LEAST_SPARE.max(n / SPARE_SHARE);
+        let n_slots = n + n_spare;
+        let mut skin = Self {
+            // Replaced below, when the slots are filled.
+            search: SurfaceSearch::new(BroadPhaseKind::Hierarchy, &[], &[], 0),
+            adjacency: SurfaceAdjacency::new(0, &[], 0),
+            slots: vec![NONE; topology.n_triangles()],
+            triangles: vec![NONE; n_slots],
+            nodes: vec![[NodeId(0); 3]; n_slots],
+            empty: (n..n_slots).rev().map(|slot| slot as u32).collect(),
+            start_m: Vec::new(),
+            end_m: Vec::new(),
+            is_stale: false,
+        };
+        let resting_m = positions_m.first().copied().unwrap_or(DVec3::ZERO);
+        skin.end_m.extend_from_slice(positions_m);
+        skin.end_m.resize(positions_m.len() + LEAST_SPARE.max(positions_m.len() / SPARE_SHARE), resting_m);
+        skin.start_m.clone_from(&skin.end_m);
+        for (slot, &triangle) in on_surface.iter().enumerate() {
+            skin.slots[triangle.index()] = slot as u32;
+            skin.triangles[slot] = triangle.0;
+            skin.nodes[slot] = topology.outward_nodes(triangle);
+        }
+        let filled: Vec<[u32; 3]> = skin.nodes[..n].iter().map(|nodes| nodes.map(|n| n.0)).collect();
+        skin.adjacency = SurfaceAdjacency::new(skin.end_m.len(), &filled, n_spare);
+        skin.search = SurfaceSearch::new(BroadPhaseKind::Hierarchy, &skin.end_m, &filled, n_spare);
+        skin
+    }
+
+    /// Follows an edit. Nodes that it brought in start at their places at rest, until [`Skin::place`] is told better.
+    /// Without room left everything is made anew.
+    pub(super) fn follow(&mut self, body: &EditableMesh, change: &SurfaceChange<'_>) {
+        let n_nodes = body.topology().n_nodes();
+        let has_room = change.added.len() <= self.empty.len() + change.removed.len();
+        if !has_room || n_nodes > self.end_m.len() {
+            let n_known = self.end_m.len().min(n_nodes);
+            let new_m = &body.mesh().positions_m[n_known..];
+            let positions_m: Vec<DVec3> = self.end_m[..n_known].iter().chain(new_m).copied().collect();
+            *self = Self::new(body, &positions_m);
+            return;
+        }
+        self.slots.resize(self.slots.len().max(body.topology().n_triangles()), NONE);
+        for &triangle in change.removed {
+            let slot = std::mem::replace(&mut self.slots[triangle.index()], NONE);
+            self.triangles[slot as usize] = NONE;
+            self.search.set_triangle(slot, None);
+            self.adjacency.set_triangle(slot, None);
+            self.empty.push(slot);
+        }
+        for &triangle in change.added {
+            let slot = self.empty.pop().expect("there is room, as was just seen");
+            let nodes = body.topology().outward_nodes(triangle);
+            self.slots[triangle.index()] = slot;
+            self.triangles[slot as usize] = triangle.0;
+            self.nodes[slot as usize] = nodes;
+            self.search.set_triangle(slot, Some(nodes.map(|n| n.0)));
+            self.adjacency.set_triangle(slot, Some(nodes.map(|n| n.0)));
+        }
+        self.is_stale = true;
+    }
+
+    /// Takes an edit back that was followed last.
+    pub(super) fn unfollow(&mut self, body: &EditableMesh, change: &SurfaceChange<'_>) {
+        // The opposite order: the slots are emptied and filled as a stack.
+        let backwards = |triangles: &[TriangleId]| triangles.iter().rev().copied().collect::<Vec<_>>();
+        let (added, removed) = (backwards(change.removed), backwards(change.added));
+        self.follow(body, &SurfaceChange { added: &added, removed: &removed });
+    }
+
+    /// Puts nodes that an edit brought in where they are now.
+    pub(super) fn place(&mut self, node: NodeId, position_m: DVec3) {
+        if let (Some(start), Some(end)) =
+            (self.start_m.get_mut(node.index()), self.end_m.get_mut(node.index()))
+        {
+            (*start, *end) = (position_m, position_m);
+            self.is_stale = true;
+        }
+    }
+
+    /// The surface went to these positions during a step. Allocates nothing.
+    pub(super) fn move_to(&mut self, positions_m: &[DVec3]) {
+        std::mem::swap(&mut self.start_m, &mut self.end_m);
+        let n = positions_m.len().min(self.end_m.len());
+        self.end_m[..n].copy_from_slice(&positions_m[..n]);
+        self.search.update(&self.start_m, &self.end_m);
+        self.is_stale = false;
+    }
+
+    /// The surface is at these positions and did not move there.
+    pub(super) fn rest_at(&mut self, positions_m: &[DVec3]) {
+        self.move_to(positions_m);
+        self.move_to(positions_m);
+    }
+
+    /// Brings the search up to date after edits. Allocates nothing.
+    pub(super) fn refresh(&mut self) {
+        if std::mem::take(&mut self.is_stale) {
+            self.search.update(&self.start_m, &self.end_m);
+        }
+    }
+
+    /// First contact with a capsule that moved while the surface did, or with the surface as it is now.
+    pub(super) fn first_contact(&self, motion: &CapsuleMotion, surface_moves: bool) -> Option<SurfacePlace> {
+        let start_m = if surface_moves { &self.start_m } else { &self.end_m };
+        let found = self.search.first_contact(motion, start_m, &self.end_m)?;
+        Some(self.place_of(found))
+    }
+
+    /// First contact of one triangle of a tool's mesh.
+    pub(super) fn first_contact_of_triangle(
+        &self,
+        tool_m: [[DVec3; 3]; 2],
+        reach_m: f64,
+        surface_moves: bool,
+    ) -> Option<SurfacePlace> {
+        let start_m = if surface_moves { &self.start_m } else { &self.end_m };
+        let found = self.search.first_contact_of_triangle(tool_m, reach_m, start_m, &self.end_m)?;
+        Some(self.place_of(found))
+    }
+
+    /// Whether a resting capsule overlaps the surface. Allocates nothing.
+    pub(super) fn overlaps(&self, capsule: &Capsule) -> bool {
+        let mut none = Vec::new();
+        self.search.near_into(capsule, 0.0, &self.end_m, &mut none) > 0
+    }
+
+    /// Appends what is within `margin_m` of a resting capsule, as far as there is room.
+    pub(super) fn near_into(&self, capsule: &Capsule, margin_m: f64, found: &mut Vec<ToolContact>) {
+        self.search.near_into(capsule, margin_m, &self.end_m, found);
+    }
+
+    /// The surface as it is now, for proxies.
+    pub(super) fn proxy_surface(&self) -> ProxySurface<'_> {
+        ProxySurface { positions_m: &self.end_m, adjacency: &self.adjacency }
+    }
+
+    /// Slot of a triangle of the surface.
+    pub(super) fn slot_of(&self, triangle: TriangleId) -> Option<u32> {
+        self.slots.get(triangle.index()).copied().filter(|&slot| slot != NONE)
+    }
+
+    /// Triangle in a filled slot, and its nodes, counter-clockwise from outside.
+    pub(super) fn place_in_slot(&self, slot: u32) -> (TriangleId, [NodeId; 3]) {
+        (TriangleId(self.triangles[slot as usize]), self.nodes[slot as usize])
+    }
+
+    /// Triangle and nodes of what was found.
+    pub(super) fn place_of(&self, found: ToolContact) -> SurfacePlace {
+        let slot = found.triangle as usize;
+        SurfacePlace { triangle: TriangleId(self.triangles[slot]), nodes: self.nodes[slot], found }
+    }
+
+    /// Positions of all nodes now [m]; there may be more than nodes.
+    pub(super) fn positions_m(&self) -> &[DVec3] {
+        &self.end_m
+    }
+}

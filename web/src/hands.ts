@@ -1,0 +1,85 @@
+/** What this page asks of the instruments: one hand for each, one of them moved by the pointer and the keys. */
+import type { ToolPose } from "./drag";
+import type { Messages } from "./overlays";
+import type { ClientMessage, Hello, SnapshotHeader, Vec3 } from "./protocol";
+import { ToolDriver } from "./tool_driver";
+
+interface Hand {
+  readonly driver: ToolDriver;
+  /** How far the jaws are open at home. */
+  readonly homeJaw: number;
+  jaw: number;
+  trigger: number;
+  /** Jaws or trigger changed since the last message. */
+  unsent: boolean;
+}
+
+const newHand = (homeJaw: number): Hand => ({
+  driver: new ToolDriver(),
+  homeJaw,
+  jaw: homeJaw,
+  trigger: 0,
+  unsent: false,
+});
+
+export class Hands {
+  private hands: Hand[] = [newHand(0)];
+  /** Number of the instrument that pointer and keys move. */
+  chosen = 0;
+
+  /** A scene; the hands stay where they are if it has as many (another model took over). */
+  begin(hello: Hello): void {
+    if (this.hands.length !== hello.tools.length) this.hands = hello.tools.map((tool) => newHand(tool.home_jaw));
+    else this.hands = this.hands.map((hand, i) => ({ ...hand, homeJaw: hello.tools[i].home_jaw }));
+    this.chosen = Math.min(this.chosen, hello.tools.length - 1);
+  }
+
+  get driver(): ToolDriver {
+    return this.hands[this.chosen].driver;
+  }
+
+  get settled(): boolean {
+    return this.hands.every(({ driver }) => driver.settled);
+  }
+
+  /** All instruments are where the server says. */
+  forget(): void {
+    this.hands = this.hands.map(({ homeJaw }) => newHand(homeJaw));
+  }
+
+  /** Closes or opens the jaws of the instrument in the hand, or switches it on or off. */
+  press(what: "jaws" | "trigger"): void {
+    const hand = this.hands[this.chosen];
+    if (what === "jaws") hand.jaw = hand.jaw > 0.5 ? 0 : 1;
+    else hand.trigger = hand.trigger > 0.5 ? 0 : 1;
+    hand.unsent = true;
+  }
+
+  /** Takes another instrument; false if there is none of that number. */
+  choose(tool: number, messages: Messages): boolean {
+    const { length } = this.hands;
+    if (tool < length) this.chosen = tool;
+    else messages.error(`There is no instrument ${tool + 1}: this scene has ${length}.`);
+    return tool < length;
+  }
+
+  /** What the server is told about an instrument that should be at `pose`; its roll stays as it is. */
+  message(tool: number, pose: ToolPose, header: SnapshotHeader | null): ClientMessage {
+    const { jaw, trigger } = this.hands[tool];
+    const [tip_m, shaft] = [pose.tip_m, pose.shaft].map((v): Vec3 => [v.x, v.y, v.z]);
+    return { type: "tool", tool, tip_m, shaft, roll_rad: header?.tools[tool]?.roll_rad ?? 0, jaw, trigger };
+  }
+
+  /** One frame of `dt_s`: the poses to send. `shown` is where an instrument is that was not moved yet. */
+  advance(dt_s: number, shown: (tool: number) => ToolPose | null): Array<{ tool: number; pose: ToolPose }> {
+    const poses: Array<{ tool: number; pose: ToolPose }> = [];
+    this.hands.forEach((hand, tool) => {
+      let pose = hand.driver.advance(dt_s);
+      if (pose === null && hand.unsent) pose = hand.driver.pose ?? shown(tool);
+      if (pose === null) return;
+      hand.unsent = false;
+      poses.push({ tool, pose });
+    });
+    return poses;
+  }
+}

@@ -234,6 +234,9 @@ impl Simulation {
         self.record(&SessionEvent::UndoEdit { step: self.world.steps_made() })?;
         if !self.world.undo_edit() {
             self.tell("there is no cut that could be taken back".to_owned());
+        } else if self.builder.is_some() && self.world.ordered_model().is_none() {
+            self.builder = None;
+            self.orders_recomputations = self.is_live;
         }
         Ok(())
     }

@@ -181,7 +181,6 @@ pub struct ToolInput {
     pub trigger: f64,
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks with a reference")]
 fn is_zero(number: &f64) -> bool {
     number.to_bits() == 0
 }

@@ -212,13 +212,15 @@ impl World {
         }
     }
 
-    /// Takes the last edit back: mesh, model, supports, loads and vessels are what they were just before it, bit for bit,
+    /// Takes the last edit back, and an order of a model that was not delivered yet: mesh, model, supports, loads and vessels are what they were just before it, bit for bit,
     /// and so are contacts and grasps if no step was made since; else they are let go, because the organ is back where
     /// it was and the tools are not. Answers whether there was one to take back: as many as
     /// [`World::n_edits_to_undo`] says.
     pub fn undo_edit(&mut self) -> bool {
         let Some(mut record) = self.journal.records.pop_back() else { return false };
         record.model.put_back(&mut self.model);
+        // A model that is still being made may be made from the organ with this cut.
+        self.swap.take_if(|swap| swap.model.is_none());
         if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
             match &mut record.waiting {
                 Some(saved) => saved.put_back(waiting),

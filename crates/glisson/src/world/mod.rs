@@ -150,13 +150,11 @@ impl World {
         }
         let mesh_of_the_start = Arc::new(mesh.clone());
         let organ = Organ::new(mesh, &spec.supports)?;
-        let vessels = match spec.vessels.is_empty() {
-            true => None,
-            false => Some(
-                Vessels::new(spec.vessels.clone(), organ.body())
-                    .map_err(|(number, error)| OrganError::Vessel { number, error })?,
-            ),
-        };
+        let mut vessels = None;
+        if !spec.vessels.is_empty() {
+            let found = Vessels::new(spec.vessels.clone(), organ.body());
+            vessels = Some(found.map_err(|(number, error)| OrganError::Vessel { number, error })?);
+        }
         let loads = Loads::new(&spec, &organ);
         let hands = spec.tools.iter().map(Hand::at_home).collect();
         let active = spec.tools.iter().map(|tool| ActiveTip::new(tool, organ.body())).collect();
@@ -261,6 +259,11 @@ impl World {
     /// Takes an order back: the model could not be made, and the present one goes on.
     pub fn cancel_model_swap(&mut self) {
         self.swap = None;
+    }
+
+    /// The model that was ordered and has not taken over.
+    pub fn ordered_model(&self) -> Option<ModelKind> {
+        self.swap.as_ref().map(|swap| swap.kind)
     }
 
     /// The model that the next step waits for, if it has not been delivered.

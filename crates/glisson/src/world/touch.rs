@@ -153,6 +153,7 @@ impl HeldContact {
 }
 
 /// What became of a touch.
+#[allow(clippy::large_enum_variant, reason = "a box would allocate in a step")]
 pub(super) enum ContactBegin {
     /// A contact.
     Touches(HeldContact),

@@ -53,10 +53,7 @@ pub(super) const CASES: &[Case] = &[
 type Build = fn(&StandardBody) -> anyhow::Result<Box<dyn DeformableModel>>;
 
 fn dynamic_body(body: &StandardBody) -> DynamicBody<'_> {
-    DynamicBody {
-        time_step_s: STEP_S,
-        ..DynamicBody::new(&body.mesh, body.material.density_kg_per_m3())
-    }
+    DynamicBody { time_step_s: STEP_S, ..DynamicBody::new(&body.mesh, body.material.density_kg_per_m3()) }
 }
 
 fn explicit(body: &StandardBody) -> anyhow::Result<Box<dyn DeformableModel>> {

@@ -7,10 +7,10 @@ use glisson::math::DVec3;
 use glisson::mesh::TetId;
 use glisson::mesh::edit::MeshEdit;
 use glisson::model::DynamicBody;
+use glisson::model::FixedNode;
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::KernelLaw;
 use glisson::model::kind::ModelKind;
-use glisson::model::FixedNode;
 use glisson::tool::{Grip, Tool, ToolInput};
 use glisson::world::spec::WorldSpec;
 use glisson::world::{StepInput, World};
@@ -52,7 +52,8 @@ const TIME_STEP_S: f64 = 1e-4;
 
 fn world_of(size: usize, n_tools: usize) -> anyhow::Result<World> {
     let body = StandardBody::shared(size)?;
-    let fixed: Vec<FixedNode> = body.fixed_nodes.iter().map(|&node| FixedNode { node, axes: [true; 3] }).collect();
+    let fixed: Vec<FixedNode> =
+        body.fixed_nodes.iter().map(|&node| FixedNode { node, axes: [true; 3] }).collect();
     let dynamic = DynamicBody {
         fixed: &fixed,
         time_step_s: TIME_STEP_S,

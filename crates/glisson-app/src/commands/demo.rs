@@ -106,7 +106,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "the piece that was lifted holds {:.0} % of the tumour only",
             100.0 * resection.tumour_in_specimen
         );
-        println!("written to {}: look at resection.md and the pictures; state {}", args.out.display(), resection.state_hash);
+        println!(
+            "written to {}: look at resection.md and the pictures; state {}",
+            args.out.display(),
+            resection.state_hash
+        );
         return Ok(());
     }
     scenery::write_scene(&files)?;

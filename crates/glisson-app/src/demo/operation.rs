@@ -184,7 +184,12 @@ fn picture(path: &std::path::Path, world: &World, azimuth_deg: f64, title: &str)
             rest_positions_m: topology.rest_positions_m,
             look: Look::Liver,
         }],
-        instruments: world.tools().iter().zip(&snapshot.tools).map(|(tool, now)| instrument(tool, &now.pose)).collect(),
+        instruments: world
+            .tools()
+            .iter()
+            .zip(&snapshot.tools)
+            .map(|(tool, now)| instrument(tool, &now.pose))
+            .collect(),
         arrows: arrows.into_iter().collect(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],
         camera: camera(world, azimuth_deg),

@@ -5,7 +5,9 @@
 //! tumour's middle, ever deeper, then inwards under it.
 
 use super::scenery::Files;
-use crate::picture::{Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, ShadedSurface, View};
+use crate::picture::{
+    Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, ShadedSurface, View,
+};
 use crate::runtime::replay::{self, read_session};
 use crate::runtime::{OpenScene, Simulation};
 use anyhow::{Context, ensure};
@@ -121,16 +123,19 @@ impl Plan {
                 to(at(self.radius_m(), angle, below_m), 1.0, &mut way, &mut last_m);
             }
         }
+        // Twice, because what is half free gives way before the hook.
         let n_rings = (self.radius_m() / LEVEL_M).ceil() as usize;
-        for ring in (0..n_rings).rev() {
-            let radius_m = self.radius_m() * ring as f64 / n_rings as f64;
-            for corner in 0..=CORNERS {
-                let angle = std::f64::consts::TAU * corner as f64 / CORNERS as f64;
-                to(at(radius_m, angle, bottom_m), 1.0, &mut way, &mut last_m);
+        for below_m in [bottom_m - LEVEL_M, bottom_m] {
+            for ring in (0..n_rings).rev() {
+                let radius_m = self.radius_m() * ring as f64 / n_rings as f64;
+                for corner in 0..=CORNERS {
+                    let angle = std::f64::consts::TAU * corner as f64 / CORNERS as f64;
+                    to(at(radius_m, angle, below_m), 1.0, &mut way, &mut last_m);
+                }
             }
+            to(at(self.radius_m(), 0.0, below_m), 1.0, &mut way, &mut last_m);
         }
         // Out through the moat, burning what is in the way.
-        to(at(self.radius_m(), 0.0, bottom_m), 1.0, &mut way, &mut last_m);
         to(at(self.radius_m(), 0.0, -0.03), 1.0, &mut way, &mut last_m);
         to(at(self.radius_m(), 0.0, -0.05), 0.0, &mut way, &mut last_m);
         way
@@ -195,7 +200,11 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
         direction(plan.out),
     )?;
     for (time_s, tip_m, trigger) in hook {
-        write!(text, "\n[[tool.path]]\ntime = \"{time_s:.4} s\"\ntip = {}\ntrigger = {trigger}\n", quoted_mm(tip_m))?;
+        write!(
+            text,
+            "\n[[tool.path]]\ntime = \"{time_s:.4} s\"\ntip = {}\ntrigger = {trigger}\n",
+            quoted_mm(tip_m)
+        )?;
     }
     let file = scene_file(files);
     write_atomically(&file, |out| out.write_all(text.as_bytes()))
@@ -305,8 +314,7 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     progress.finish_and_clear();
     let outcome = outcome(simulation.world(), plan.tumour);
     let vessels = simulation.world().vessels();
-    let (lost_ml, open_ends) =
-        vessels.map_or((0.0, 0), |v| (1e6 * v.lost_m3(), v.open_ends().len()));
+    let (lost_ml, open_ends) = vessels.map_or((0.0, 0), |v| (1e6 * v.lost_m3(), v.open_ends().len()));
     let notices = simulation.notices().to_vec();
     let state_hash = simulation.finish()?;
     let session = read_session(&session_file)?;
@@ -373,7 +381,7 @@ fn instrument(pose: &ToolInput, world: &World, tool: usize) -> Instrument {
 
 fn picture(file: &Path, world: &World, plan: &Plan, title: &str) -> anyhow::Result<()> {
     let (topology, snapshot) = (world.display_topology(), world.snapshot());
-    let azimuth_rad = plan.out.x.atan2(-plan.out.y).clamp(-1.2, 1.2) * -1.0 + 0.5;
+    let azimuth_rad = 0.5 - plan.out.x.atan2(-plan.out.y).clamp(-1.2, 1.2);
     let view = View { azimuth_rad, elevation_rad: 0.5 };
     let text = format!(
         "Resection, {title}   t = {:.1} s   {} of {} tetrahedra are left",
@@ -389,7 +397,12 @@ fn picture(file: &Path, world: &World, plan: &Plan, title: &str) -> anyhow::Resu
             rest_positions_m: topology.rest_positions_m,
             look: Look::Liver,
         }],
-        instruments: snapshot.tools.iter().enumerate().map(|(i, tool)| instrument(&tool.pose, world, i)).collect(),
+        instruments: snapshot
+            .tools
+            .iter()
+            .enumerate()
+            .map(|(i, tool)| instrument(&tool.pose, world, i))
+            .collect(),
         arrows: Vec::new(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],
         size: PICTURE_SIZE,

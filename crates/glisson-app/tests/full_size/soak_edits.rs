@@ -203,7 +203,10 @@ impl<'a> Patient<'a> {
             Volume::Kept => (before_m3, 1e-9),
             Volume::Nearly => (before_m3, 0.01),
         };
-        assert!((now_m3 - expected_m3).abs() <= tolerance * before_m3, "{label}: {now_m3} for {expected_m3} m3");
+        assert!(
+            (now_m3 - expected_m3).abs() <= tolerance * before_m3,
+            "{label}: {now_m3} for {expected_m3} m3"
+        );
         let n_nodes = topology.n_nodes();
         assert_eq!(self.world.state().positions_m.len(), n_nodes, "{label}");
         assert_eq!(self.world.organ().live_tetrahedra().len(), topology.n_tets(), "{label}");
@@ -215,7 +218,11 @@ impl<'a> Patient<'a> {
         let recount = Topology::build(&body.live_mesh()).unwrap();
         assert_eq!(topology.live_counts(), recount.live_counts(), "{label}");
         assert_eq!(topology.euler_characteristic(), recount.euler_characteristic(), "{label}");
-        assert_eq!(topology.surface_euler_characteristic(), recount.surface_euler_characteristic(), "{label}");
+        assert_eq!(
+            topology.surface_euler_characteristic(),
+            recount.surface_euler_characteristic(),
+            "{label}"
+        );
         assert_eq!(topology.n_surface_triangles(), recount.n_surface_triangles(), "{label}");
         let shown = self.world.display_topology();
         let (surface, nodes) = surface_of(topology, body.mesh());
@@ -231,7 +238,8 @@ impl<'a> Patient<'a> {
             .iter()
             .filter(|t| topology.is_live_tet(**t))
             .map(|&t| {
-                let [_, largest_cosine] = glisson::mesh::quality::dihedral_cosine_range(body.mesh().corners_m(t)).into();
+                let [_, largest_cosine] =
+                    glisson::mesh::quality::dihedral_cosine_range(body.mesh().corners_m(t));
                 largest_cosine.clamp(-1.0, 1.0).acos().to_degrees()
             })
             .fold(180.0, f64::min);
@@ -515,7 +523,9 @@ fn bodies(folder: &Path) -> Vec<(&'static str, TetMesh)> {
         let (mask, mesh) = (ct.join("mask.nii.gz"), folder.join("real.vtu"));
         let path = |p: &Path| p.to_str().unwrap().to_string();
         let tetrahedra = ["--label", "5", "--tetrahedra", "6300", "-o"];
-        let arguments: Vec<String> = [vec!["mesh".into(), path(&mask)], tetrahedra.map(String::from).to_vec(), vec![path(&mesh)]].concat();
+        let arguments: Vec<String> =
+            [vec!["mesh".into(), path(&mask)], tetrahedra.map(String::from).to_vec(), vec![path(&mesh)]]
+                .concat();
         glisson(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
         bodies.push(("real CT liver", read_mesh(&mesh).unwrap().0));
     }
@@ -530,7 +540,8 @@ fn random_edits_break_nothing() {
     let n_seeds = edits.div_ceil(EDITS_OF_SEED).max(bodies.len() as u64);
     let of_seed = edits.div_ceil(n_seeds);
     let next = std::sync::atomic::AtomicU64::new(0);
-    let tallies = std::sync::Mutex::new(vec![Tally { worst_dihedral_deg: 180.0, ..Tally::default() }; bodies.len()]);
+    let tallies =
+        std::sync::Mutex::new(vec![Tally { worst_dihedral_deg: 180.0, ..Tally::default() }; bodies.len()]);
     std::thread::scope(|scope| {
         for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
             scope.spawn(|| {
@@ -558,7 +569,9 @@ fn random_edits_break_nothing() {
     );
     let mut all = Tally::default();
     for ((name, mesh), t) in bodies.iter().zip(tallies.lock().unwrap().iter()) {
-        let Tally { removals, blade_edits, scalpel_edits, tears, undone, grasps, held, refused, heavier, .. } = t;
+        let Tally {
+            removals, blade_edits, scalpel_edits, tears, undone, grasps, held, refused, heavier, ..
+        } = t;
         all.add(t);
         writeln!(
             report,

@@ -103,7 +103,7 @@ impl TissueHeat {
             match self.heat.binary_search_by_key(&tet, |entry| entry.0) {
                 Ok(at) => self.heat[at].1 += gained_j_per_m3,
                 Err(at) if self.heat.len() < self.heat.capacity() => {
-                    self.heat.insert(at, (tet, gained_j_per_m3))
+                    self.heat.insert(at, (tet, gained_j_per_m3));
                 }
                 Err(_) => {}
             }

@@ -46,8 +46,8 @@ impl FractureEnergy {
         let gradient = edges(corners_m) * rest.inverse();
         let strain = 0.5 * (gradient.transpose() * gradient - DMat3::IDENTITY);
         let limit = self.tearing_density_j_per_m3(volume_m3);
-        // Negated, so that what is no number tears.
-        !(tensile_energy_density_j_per_m3(material, strain) < limit)
+        let density = tensile_energy_density_j_per_m3(material, strain);
+        density.is_nan() || density >= limit
     }
 }
 

@@ -3,8 +3,8 @@
 use super::edits::EditRefusal;
 use super::{ToolCuts, World};
 use crate::math::DVec3;
-use crate::mesh::edit::{EditableMesh, MeshEdit};
 use crate::mesh::TetId;
+use crate::mesh::edit::{EditableMesh, MeshEdit};
 use crate::tool::cautery::{HeatedTissue, TissueHeat};
 use crate::tool::cut::scalpel::{ScalpelCut, ScalpelParams};
 use crate::tool::cut::subdivision::{SubdivisionCut, SubdivisionParams};
@@ -43,7 +43,8 @@ impl ActiveTip {
             }
             _ => None,
         };
-        let n_warm = if matches!(tool.kind, ToolKind::Hook(_) | ToolKind::Cautery(..)) { MOST_WARM } else { 0 };
+        let n_warm =
+            if matches!(tool.kind, ToolKind::Hook(_) | ToolKind::Cautery(..)) { MOST_WARM } else { 0 };
         Self { edge, is_in_stroke: false, heat: TissueHeat::with_room_for(n_warm) }
     }
 
@@ -109,8 +110,11 @@ impl World {
     fn subdivide(&mut self, tool: usize, cut: &mut SubdivisionCut, blade_m: [DVec3; 2], cuts: &mut ToolCuts) {
         let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
         let is_on = self.hands[tool].now.is_triggered();
-        let planned =
-            if is_on { cut.advance(body, positions_m, blade_m) } else { cut.finish(body, positions_m, blade_m) };
+        let planned = if is_on {
+            cut.advance(body, positions_m, blade_m)
+        } else {
+            cut.finish(body, positions_m, blade_m)
+        };
         match planned {
             Ok(None) => {}
             Ok(Some(replacement)) => match self.edit_in_place(&[MeshEdit::Replace(replacement)]) {

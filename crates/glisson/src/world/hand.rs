@@ -127,9 +127,7 @@ impl Hand {
             }
             let Some(resting) = capsule(tool, part, &self.now) else { continue };
             // The tip is the hand's own doing; of the rest nobody sees where it goes in.
-            if is_placed && part != ToolPart::Tip {
-                self.is_buried[part.index()] = organ.skin().overlaps(&resting);
-            } else if self.is_buried[part.index()] {
+            if is_placed && part != ToolPart::Tip || self.is_buried[part.index()] {
                 self.is_buried[part.index()] = organ.skin().overlaps(&resting);
             }
             if self.is_buried[part.index()] {

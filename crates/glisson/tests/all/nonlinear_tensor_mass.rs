@@ -12,9 +12,7 @@ use glisson::model::nonlinear_tensor_mass::{
     NonlinearTensorMassParams, TetLaw,
 };
 use glisson::model::tensor_mass::{TensorMass, TensorMassError, TensorMassParams};
-use glisson::model::{
-    Constraints, DeformableModel, DynamicBody, ImposedDisplacement, Rayleigh,
-};
+use glisson::model::{Constraints, DeformableModel, DynamicBody, ImposedDisplacement, Rayleigh};
 use glisson::solve::add_gravity_forces;
 use glisson::solve::case::{parse_vectors, read_case};
 use proptest::prelude::*;

@@ -315,7 +315,10 @@ fn edits_are_taken_back_bit_for_bit() {
         // Models that have to be copied whole go back two edits.
         let n_rounds = if kind == ModelKind::Explicit { 12 } else { 2 };
         let n_edits = edit_much(&mut edited, n_rounds);
-        assert!(3 * n_edits >= 2 * n_rounds && edited.state_hash() != whole.state_hash(), "{kind}: {n_edits}");
+        assert!(
+            3 * n_edits >= 2 * n_rounds && edited.state_hash() != whole.state_hash(),
+            "{kind}: {n_edits}"
+        );
         for _ in 0..n_edits {
             assert!(edited.undo_edit(), "{kind}");
         }

@@ -221,7 +221,7 @@ impl Near {
             let first = contacts.len();
             for &[v, t] in of_vertex {
                 if let Some(found) = self.vertex_and_triangle(surfaces, v, t) {
-                    self.report.n_dropped += u32::from(!keep(contacts, first, found, surfaces));
+                    self.report.n_dropped += u32::from(!keep(contacts, first, &found, surfaces));
                 }
             }
         }
@@ -357,8 +357,8 @@ struct Found {
 
 /// Keeps a contact of a vertex beside those from place `first` on: all that are above their triangle, and where there is
 /// none, for each partner the nearest. False when there was no room.
-fn keep(contacts: &mut Vec<Contact>, first: usize, found: Found, surfaces: &Surfaces) -> bool {
-    let Found { contact, is_within } = found;
+fn keep(contacts: &mut Vec<Contact>, first: usize, found: &Found, surfaces: &Surfaces) -> bool {
+    let &Found { contact, is_within } = found;
     let partner = |c: &Contact| surfaces.owner[c.vertices[1] as usize];
     let is_beside = |c: &Contact| c.weights[1..].contains(&0.0);
     let of_partner = |c: &&mut Contact| partner(c) == partner(&contact);

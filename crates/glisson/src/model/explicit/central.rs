@@ -21,7 +21,9 @@ use crate::math::DVec3;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::growth::Growth;
-use crate::model::{Constraints, Correction, DynamicBody, ModelReport, ModelState, ModelUndo, NodalForce, UndoReader};
+use crate::model::{
+    Constraints, Correction, DynamicBody, ModelReport, ModelState, ModelUndo, NodalForce, UndoReader,
+};
 
 /// A copy of the moving state. It holds for the same mesh and removals.
 #[derive(Clone, Debug, PartialEq)]

@@ -121,7 +121,7 @@ impl Stability {
                 stiffening: stiffening + rest_pa / wave_pa,
             }
         };
-        let elastic = ElasticStability::of_stiffness(mesh, body.density_kg_per_m3, &stiff)?;
+        let elastic = ElasticStability::of_stiffness(mesh, body.density_kg_per_m3, stiff)?;
         let mut ligaments_n_per_m = vec![0.0; mesh.positions_m.len()];
         for ligament in body.attachments {
             ligaments_n_per_m[ligament.node.index()] += ligament.stiffness_n_per_m;
@@ -182,7 +182,7 @@ impl Stability {
         let (h_s, beta) = (self.shortest_s, self.stiffness_damping_s);
         let allowed = SQUARED_LIMIT / (h_s * h_s + 2.0 * beta * h_s);
         let excess = self.tet_per_s2[tet.index()] / allowed - 1.0;
-        (excess > 0.0).then(|| ScaledTet { tet, corner_kg: own_kg * excess })
+        (excess > 0.0).then_some(ScaledTet { tet, corner_kg: own_kg * excess })
     }
 
     /// Room for what an edit brings in. A new tetrahedron becomes no stiffer than the stiffest of its parents.

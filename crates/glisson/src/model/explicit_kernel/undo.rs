@@ -133,7 +133,7 @@ impl ExplicitKernel {
             self.kernel.set_increment(node, increment_m);
         }
         self.kernel.set_history(self.history[2 * n_nodes + 1..].as_flattened());
-        self.hold_and_load(constraints);
+        self.hold_and_load(&constraints);
         self.loads.refresh_all(&mut self.kernel);
     }
 
@@ -147,7 +147,7 @@ impl ExplicitKernel {
         SavedConstraints { held, held_m, forces_n, loaded, loads_n: from.numbers(3 * n_loaded) }
     }
 
-    fn hold_and_load(&mut self, saved: SavedConstraints<'_>) {
+    fn hold_and_load(&mut self, saved: &SavedConstraints<'_>) {
         let vector = |numbers: &[f64], i: usize| DVec3::from_slice(&numbers[3 * i..3 * i + 3]);
         for (h, ids) in saved.held.as_chunks::<2>().0.iter().enumerate() {
             let [start_m, target_m, moved_m] = [0, 1, 2].map(|i| vector(saved.held_m, 3 * h + i));

@@ -23,7 +23,7 @@ mod crossing;
 mod stroke;
 mod wall;
 
-use self::crossing::{Crossing, Way, first_crossing, first_crossing_near};
+use self::crossing::{Crossing, first_crossing, first_crossing_near};
 use self::stroke::{PathPoint, Stroke};
 use crate::math::DVec3;
 use crate::mesh::TriangleId;
@@ -285,7 +285,7 @@ impl ScalpelCut {
         let near = self
             .last_entry
             .and_then(|(triangle, _)| first_crossing_near(topology, positions_m, blade_m, triangle));
-        let entry = near.or_else(|| first_crossing(topology, positions_m, blade_m, Way::In, BRUSH));
+        let entry = near.or_else(|| first_crossing(topology, positions_m, blade_m, BRUSH));
         let moved_m = 0.5 * (now_m[0] + now_m[1] - before_m[0] - before_m[1]);
         let point = |at: DVec3| PathPoint {
             point_m: at,
@@ -395,9 +395,8 @@ fn side(
     let along_m = (inside_m[0] - entry.point_m).normalize_or_zero();
     let below_m = entry.point_m + 1e-6 * edge_m * along_m;
     // Backwards from the tip, walls of the cut that the blade brushes near the top do not count.
-    let leaves = first_crossing(topology, positions_m, [inside_m[0], below_m], Way::In, STEEP);
-    let met = leaves
-        .or_else(|| first_crossing(topology, positions_m, [outside_m[0], inside_m[0]], Way::In, STEEP))?;
+    let leaves = first_crossing(topology, positions_m, [inside_m[0], below_m], STEEP);
+    let met = leaves.or_else(|| first_crossing(topology, positions_m, [outside_m[0], inside_m[0]], STEEP))?;
     is_well_below(met.point_m).then_some(met)
 }
 

@@ -18,22 +18,12 @@ pub(super) struct Crossing {
     pub(super) point_m: DVec3,
 }
 
-/// Which way a segment goes through the surface.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Way {
-    /// Into the body.
-    In,
-    /// Out of it.
-    Out,
-}
-
-/// Where the segment crosses `triangle` (Moeller and Trumbore 1997, doi 10.1080/10867651.1997.10487468).
+/// Where the segment goes into the body through `triangle` (Moeller and Trumbore 1997, doi 10.1080/10867651.1997.10487468).
 fn crossing(
     topology: &Topology,
     positions_m: &[DVec3],
     triangle: TriangleId,
     [from_m, to_m]: [DVec3; 2],
-    way: Way,
     least_sine: f64,
 ) -> Option<Crossing> {
     let nodes = topology.triangle_nodes(triangle);
@@ -57,24 +47,19 @@ fn crossing(
     }
     let area_m2 = topology.area_vector_m2(triangle, positions_m);
     let outward = direction.dot(area_m2);
-    let is_wanted = match way {
-        Way::In => outward < 0.0,
-        Way::Out => outward > 0.0,
-    };
     let is_steep = outward.abs() >= least_sine * direction.length() * area_m2.length();
-    (is_wanted && is_steep).then_some(Crossing { triangle, along, point_m: from_m + along * direction })
+    (outward < 0.0 && is_steep).then_some(Crossing { triangle, along, point_m: from_m + along * direction })
 }
 
-/// The first place where the segment goes into the body or out of it, through triangles to which it has at least an angle
+/// The first place where the segment goes into the body, through triangles to which it has at least an angle
 /// of this sine.
 pub(super) fn first_crossing(
     topology: &Topology,
     positions_m: &[DVec3],
     segment_m: [DVec3; 2],
-    way: Way,
     least_sine: f64,
 ) -> Option<Crossing> {
-    first_of(topology.surface_triangles(), |t| crossing(topology, positions_m, t, segment_m, way, least_sine))
+    first_of(topology.surface_triangles(), |t| crossing(topology, positions_m, t, segment_m, least_sine))
 }
 
 /// [`first_crossing`] inwards among the surface triangles at the corners of `near` and at their neighbours.
@@ -102,9 +87,8 @@ pub(super) fn first_crossing_near(
         }
         start = end;
         // The first ring holds the blade in nearly every step.
-        let found = first_of(seen.iter().copied(), |t| {
-            crossing(topology, positions_m, t, segment_m, Way::In, super::BRUSH)
-        });
+        let found =
+            first_of(seen.iter().copied(), |t| crossing(topology, positions_m, t, segment_m, super::BRUSH));
         if found.is_some() {
             return found;
         }

@@ -227,10 +227,10 @@ mod tests {
         };
         assert!(error("parent,", "").starts_with("v.csv:1: found `from_x_m"));
         assert_eq!(
-            error("0,0.02", "7,0.02"),
+            error("\n0,0.02", "\n7,0.02"),
             "v.csv:3: the tube names 7 as the one it branches from; it must be an earlier one, numbered from 0"
         );
-        assert_eq!(error("0,0.02", "x,0.02"), "v.csv:3: `x` is no number of a tube, from 0");
+        assert_eq!(error("\n0,0.02", "\nx,0.02"), "v.csv:3: `x` is no number of a tube, from 0");
         assert_eq!(
             error(",0.002,0.001", ",0.002,-0.001"),
             "v.csv:3: the tube has a radius that is not a finite number above 0"

@@ -31,9 +31,9 @@ use std::path::{Path, PathBuf};
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
 const TIP_RADIUS_M: f64 = 3e-3;
 /// Healthy tissue that is taken with the tumour [m]: a choice.
-const MARGIN_M: f64 = 18e-3;
+const MARGIN_M: f64 = 15e-3;
 /// Distance between two circles [m], below the width of what the hook burns.
-const LEVEL_M: f64 = 5e-3;
+const LEVEL_M: f64 = 4e-3;
 /// How fast the hook is led [m/s].
 const SPEED_M_PER_S: f64 = 0.1;
 /// Points on a circle.
@@ -123,18 +123,15 @@ impl Plan {
                 to(at(self.radius_m(), angle, below_m), 1.0, &mut way, &mut last_m);
             }
         }
-        // Twice, because what is half free gives way before the hook.
         let n_rings = (self.radius_m() / LEVEL_M).ceil() as usize;
-        for below_m in [bottom_m - LEVEL_M, bottom_m] {
-            for ring in (0..n_rings).rev() {
-                let radius_m = self.radius_m() * ring as f64 / n_rings as f64;
-                for corner in 0..=CORNERS {
-                    let angle = std::f64::consts::TAU * corner as f64 / CORNERS as f64;
-                    to(at(radius_m, angle, below_m), 1.0, &mut way, &mut last_m);
-                }
+        for ring in (0..n_rings).rev() {
+            let radius_m = self.radius_m() * ring as f64 / n_rings as f64;
+            for corner in 0..=CORNERS {
+                let angle = std::f64::consts::TAU * corner as f64 / CORNERS as f64;
+                to(at(radius_m, angle, bottom_m), 1.0, &mut way, &mut last_m);
             }
-            to(at(self.radius_m(), 0.0, below_m), 1.0, &mut way, &mut last_m);
         }
+        to(at(self.radius_m(), 0.0, bottom_m), 1.0, &mut way, &mut last_m);
         // Out through the moat, burning what is in the way.
         to(at(self.radius_m(), 0.0, -0.03), 1.0, &mut way, &mut last_m);
         to(at(self.radius_m(), 0.0, -0.05), 0.0, &mut way, &mut last_m);

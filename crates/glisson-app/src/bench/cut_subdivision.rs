@@ -49,7 +49,8 @@ fn cut_subdivision_step(settings: Settings) -> anyhow::Result<Prepared> {
     for i in 0..N_DEPTHS {
         let depth_m = bounds.size_m().z * (i + 1) as f64 / (N_DEPTHS + 1) as f64;
         let blade = |step: usize| {
-            let x = bounds.min_m.x + 0.3 * bounds.size_m().x + step as f64 * params.min_advance_m;
+            // The step that is timed crosses the middle.
+            let x = bounds.center_m().x + (step as f64 - N_STEPS_BEFORE as f64 - 0.5) * params.min_advance_m;
             let skin = DVec3::new(x, bounds.center_m().y, bounds.max_m.z);
             [skin - depth_m * DVec3::Z, skin + 0.01 * DVec3::Z]
         };

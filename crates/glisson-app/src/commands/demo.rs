@@ -29,9 +29,9 @@ pub(crate) struct Args {
     /// What is done to the liver
     #[arg(long, value_enum, default_value_t = Task::Palpation)]
     task: Task,
-    /// Tetrahedra of the liver [default: 6300, or 12000 to take a tumour out]
-    #[arg(long)]
-    tetrahedra: Option<usize>,
+    /// Tetrahedra of the liver
+    #[arg(long, default_value_t = 6300)]
+    tetrahedra: usize,
     #[command(flatten)]
     address: Address,
 }
@@ -67,9 +67,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
     let files = scenery::Files::in_folder(&args.out);
-    let own = if args.task == Task::Resection { 12_000 } else { 6_300 };
-    let wanted = args.tetrahedra.unwrap_or(own);
-    let (seed, tetrahedra) = (args.seed.to_string(), wanted.to_string());
+    let (seed, tetrahedra) = (args.seed.to_string(), args.tetrahedra.to_string());
     let mut stages = Vec::new();
     let (ct, truth) = (text(&files.ct)?, text(&files.labels)?);
     let (liver_label, mesh) = (text(&files.liver_label)?, text(&files.mesh)?);

@@ -31,9 +31,9 @@ use std::path::{Path, PathBuf};
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
 const TIP_RADIUS_M: f64 = 3e-3;
 /// Healthy tissue that is taken with the tumour [m]: a choice.
-const MARGIN_M: f64 = 15e-3;
+const MARGIN_M: f64 = 12e-3;
 /// Distance between two circles [m], below the width of what the hook burns.
-const LEVEL_M: f64 = 4e-3;
+const LEVEL_M: f64 = 5e-3;
 /// How fast the hook is led [m/s].
 const SPEED_M_PER_S: f64 = 0.1;
 /// Points on a circle.
@@ -104,7 +104,7 @@ impl Plan {
         let at = |radius_m: f64, angle: f64, below_m: f64| {
             self.entry_m - self.out * below_m + (u * angle.cos() + v * angle.sin()) * radius_m
         };
-        let bottom_m = self.depth_m + self.tumour.radius_m + 0.8 * MARGIN_M;
+        let bottom_m = self.depth_m + self.tumour.radius_m + 0.5 * MARGIN_M;
         let mut way = Vec::new();
         let mut time_s = 1.0;
         let mut last_m = at(self.radius_m(), 0.0, -0.03);

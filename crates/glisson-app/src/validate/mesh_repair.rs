@@ -106,7 +106,8 @@ fn remeshed(mut body: EditableMesh) -> anyhow::Result<(EditableMesh, usize)> {
 /// Fig. 4.21 anew: the same cuts mended in both ways.
 fn repair(outcome: &mut Outcome) -> anyhow::Result<()> {
     let [mut as_cut, mut flat, mut anew] = [const { Vec::new() }; 3];
-    let (mut n_flat, mut n_anew, mut lost): (usize, usize, f64) = (0, 0, 0.0);
+    let (mut n_flat, mut n_anew) = (0, 0);
+    let (mut lost_flat, mut lost_anew) = (0.0_f64, 0.0_f64);
     for seed in 0..N_CUBES {
         let mut body = EditableMesh::new(irregular_cube(SIDE_M, seed))?;
         let mut random = SeededRandom::new(seed);
@@ -118,11 +119,11 @@ fn repair(outcome: &mut Outcome) -> anyhow::Result<()> {
         let volume_m3 = body.volume_m3();
         let (mended, n) = flattened(body.clone())?;
         n_flat += n;
-        lost = lost.max((mended.volume_m3() / volume_m3 - 1.0).abs());
+        lost_flat = lost_flat.max((mended.volume_m3() / volume_m3 - 1.0).abs());
         flat.extend(shapes(&mended));
         let (mended, n) = remeshed(body)?;
         n_anew += n;
-        lost = lost.max((mended.volume_m3() / volume_m3 - 1.0).abs());
+        lost_anew = lost_anew.max((mended.volume_m3() / volume_m3 - 1.0).abs());
         anew.extend(shapes(&mended));
     }
     let share = |which| spread(&anew, which) / spread(&flat, which);
@@ -135,7 +136,9 @@ fn repair(outcome: &mut Outcome) -> anyhow::Result<()> {
             worst(&anew) / worst(&as_cut),
             [1.0, f64::INFINITY],
         ),
-        Experiment::at_most("Change of volume by repair, relative", OWN, lost, 1e-9),
+        Experiment::at_most("Change of volume by remeshing, relative", OWN, lost_anew, 1e-9),
+        // One node's place cannot keep the volume under an uneven surface.
+        Experiment::at_most("Change of volume by collapse, relative", OWN, lost_flat, 1e-3),
     ]);
     outcome.notes.push_str(&format!(
         "Repair: {N_CUBES} irregular cubes of 400 tetrahedra are cut by vertex displacement; {n_flat} short surface edges \

@@ -17,6 +17,7 @@ pub mod solve;
 pub mod model;
 pub mod contact;
 pub mod tool;
+pub mod haptics;
 pub mod record;
 pub mod world;
 pub mod scene;

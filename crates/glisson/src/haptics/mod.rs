@@ -1,0 +1,11 @@
+//! The force law between a simulation that steps when it can and a hand that must feel it a thousand times a second.
+//!
+//! The simulation publishes a [`HapticModel`] of each instrument: what its force would be nearby, soon. The haptic loop
+//! reads the device, evaluates the latest model and writes a [`ForceCommand`]; it never waits. All of it is pure: time
+//! comes in as the period of a tick and the age of the model.
+
+pub mod device;
+pub mod tissue;
+
+pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
+pub use tissue::{HapticModel, Touch};

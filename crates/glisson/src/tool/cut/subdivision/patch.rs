@@ -117,6 +117,8 @@ pub(super) struct Patch {
     tet_here: Vec<u32>,
     pulled_nodes: Vec<NodeId>,
     pulled_tets: Vec<TetId>,
+    /// Where the nodes of the mesh are ([`Sweep::outside_into`](super::sweep::Sweep::outside_into)).
+    pub(super) outside: Vec<u8>,
     /// Faces to be opened, corners ascending.
     pub(super) cut: Vec<[u32; 3]>,
     /// Nodes of these faces where the blade is now, and whether its end is there.

@@ -141,11 +141,14 @@ impl Work<'_> {
         let flat_m = SAME_PLACE * self.snapping.length_m;
         let topology = self.body.mesh.topology();
         let (is_live, nodes) = (topology.live_tet_flags(), &self.body.mesh.mesh().tetrahedra);
+        let mut outside = std::mem::take(&mut self.patch.outside);
+        self.sweep.outside_into(self.body.present_m, flat_m, &mut outside);
         for at in 0..nodes.len() {
-            let corners_m = nodes[at].map(|n| self.body.present_m[n.index()]);
-            if !is_live[at] || !near(corners_m) || self.patch.had_tet(TetId::from_index(at), n_before) {
+            let is_apart = nodes[at].iter().fold(u8::MAX, |all, n| all & outside[n.index()]) != 0;
+            if is_apart || !is_live[at] || self.patch.had_tet(TetId::from_index(at), n_before) {
                 continue;
             }
+            let corners_m = nodes[at].map(|n| self.body.present_m[n.index()]);
             let distance_m = corners_m.map(|p| self.sweep.distance_m(p));
             if distance_m.iter().all(|&d| d > flat_m) || distance_m.iter().all(|&d| d < -flat_m) {
                 continue;
@@ -157,6 +160,7 @@ impl Work<'_> {
                 touched.push(here);
             }
         }
+        self.patch.outside = outside;
         (touched, area_m2)
     }
 

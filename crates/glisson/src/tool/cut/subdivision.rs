@@ -156,6 +156,10 @@ const COARSER: [[f64; 2]; 6] = [[0.2, 0.2], [0.25, 0.15], [0.25, 0.25], [0.3, 0.
 /// Angles below this multiple of the smallest allowed one are bettered, for the sake of later strokes.
 const RESERVE: f64 = 1.5;
 
+fn degrees_of(cosine: f64) -> f64 {
+    libm::acos(cosine.clamp(-1.0, 1.0)).to_degrees()
+}
+
 /// A stroke of a blade.
 #[derive(Clone, Debug)]
 pub struct SubdivisionCut {
@@ -229,7 +233,7 @@ impl SubdivisionCut {
         if moved_m < self.params.min_advance_m {
             return Ok(None);
         }
-        self.cut(Body { mesh: body, present_m: positions_m }, from_m, blade_m)
+        self.cut(Body { mesh: body, present_m: positions_m }, [from_m, blade_m], false)
     }
 
     /// Like [`SubdivisionCut::advance`], however short the way: the end of a stroke.
@@ -243,7 +247,7 @@ impl SubdivisionCut {
         blade_m: [DVec3; 2],
     ) -> Result<Option<Replacement>, CutRefusal> {
         let Some(from_m) = self.begin(body, positions_m, blade_m)? else { return Ok(None) };
-        self.cut(Body { mesh: body, present_m: positions_m }, from_m, blade_m)
+        self.cut(Body { mesh: body, present_m: positions_m }, [from_m, blade_m], true)
     }
 
     /// The last edit was not carried out: the stroke goes on as if the blade had not moved.
@@ -304,8 +308,8 @@ impl SubdivisionCut {
     fn cut(
         &mut self,
         body: Body<'_>,
-        from_m: [DVec3; 2],
-        blade_m: [DVec3; 2],
+        [from_m, blade_m]: [[DVec3; 2]; 2],
+        is_last: bool,
     ) -> Result<Option<Replacement>, CutRefusal> {
         self.before = self.stroke.clone();
         let sweeps = Sweep::of_blade(from_m, blade_m);
@@ -320,7 +324,7 @@ impl SubdivisionCut {
             report.n_coarser = usize::from(attempt > 0);
             let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
             if report.min_dihedral_deg >= limit_deg {
-                return Ok(self.accept(body, blade_m, report));
+                return Ok(self.accept(body, blade_m, is_last, report));
             }
         }
         self.stroke.blade_m = Some(blade_m);
@@ -379,17 +383,26 @@ impl SubdivisionCut {
         let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));
         let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);
         // The largest cosine is that of the smallest angle.
-        let [after_deg, before_deg] =
-            [max_cosine, cosine_before].map(|c| libm::acos(c.clamp(-1.0, 1.0)).to_degrees());
-        report.min_dihedral_deg = after_deg;
-        report.min_dihedral_before_deg = before_deg;
+        report.min_dihedral_deg = degrees_of(max_cosine);
+        report.min_dihedral_before_deg = degrees_of(cosine_before);
         report
     }
 
     /// Opens the cut that is in the patch, and goes on from there.
-    fn accept(&mut self, body: Body<'_>, blade_m: [DVec3; 2], mut report: CutReport) -> Option<Replacement> {
-        let Self { stroke, patch, .. } = self;
+    fn accept(
+        &mut self,
+        body: Body<'_>,
+        blade_m: [DVec3; 2],
+        is_last: bool,
+        mut report: CutReport,
+    ) -> Option<Replacement> {
+        let Self { params, stroke, patch, .. } = self;
         let front = patch.front.clone();
+        let wished_cosine = libm::cos((RESERVE * params.min_dihedral_deg).to_radians());
+        let is_front = |n: u32| front.binary_search_by_key(&n, |f| f.0).is_ok();
+        let stays = |face: [u32; 3]| !is_last && face.into_iter().any(is_front);
+        opening::divide_closed(patch, body, stays, wished_cosine);
+        report.min_dihedral_deg = degrees_of(patch.max_new_cosine());
         let opened = opening::open(patch, body);
         report.cut_area_m2 = opened.area_m2;
         let (edit, ids) = opening::replacement(patch, body.mesh.topology().n_nodes());

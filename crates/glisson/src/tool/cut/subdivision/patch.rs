@@ -2,7 +2,7 @@
 
 use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::edit::EditableMesh;
-use crate::mesh::quality::dihedral_cosine_range;
+use crate::mesh::quality::{FACES, dihedral_cosine_range};
 use crate::mesh::topology::TET_EDGES;
 use crate::mesh::{NodeId, TetId};
 
@@ -127,6 +127,9 @@ pub(super) struct Patch {
 
 /// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
 const SAME_VOLUME: f64 = 1e-11;
+
+/// Skin is flat enough to slide along if the sum of its area vectors has this share of the area.
+const FLAT_SKIN: f64 = 0.99;
 
 /// A barycentric weight nearer to zero than this is zero.
 const ON_FACE: f64 = 1e-9;
@@ -258,6 +261,25 @@ impl Patch {
         }
         self.stars[node as usize] = star;
         is_good
+    }
+
+    /// Unit normal, in the present shape, of the surface of the body at a node with its whole star in the patch;
+    /// `None` inside, and where the sides of an earlier cut meet.
+    pub(super) fn skin_normal(&self, node: u32) -> Option<DVec3> {
+        let mut faces: Vec<([u32; 3], DVec3)> = Vec::with_capacity(3 * self.stars[node as usize].len());
+        for &tet in &self.stars[node as usize] {
+            let nodes = self.tets[tet as usize].nodes;
+            for face in FACES.map(|f| f.map(|i| nodes[i])).into_iter().filter(|f| f.contains(&node)) {
+                let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
+                faces.push((sorted(face), (b - a).cross(c - a)));
+            }
+        }
+        faces.sort_unstable_by_key(|f| f.0);
+        let single = faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1);
+        let (sum, length) = single.fold((DVec3::ZERO, 0.0), |(sum, length), area| {
+            (sum + area, length + area.length())
+        });
+        (sum.length() > FLAT_SKIN * length).then(|| sum.normalize_or_zero())
     }
 
     /// Where a point of the present shape near `node` is at rest.

@@ -33,6 +33,9 @@ const LEAST_SHARE_OF_SECTION: f64 = 0.02;
 /// not divided.
 const LEAST_SHARE_OF_FACE: f64 = 0.02;
 
+/// Sine of the least angle between skin and plane, or skin and line, for a node to slide there.
+const LEAST_SINE: f64 = 0.2;
+
 /// Nearer to the plane or a line than this share of [`Snapping::length_m`] is rounding.
 const SAME_PLACE: f64 = 1e-6;
 
@@ -435,7 +438,26 @@ impl Work<'_> {
         if let Some(k) = line {
             to_m = self.sweep.onto_line_m(k, to_m);
         }
-        let is_moved = self.patch.move_node(self.body, node, to_m, Accept::UpTo(self.snapping.max_cosine));
+        let accept = Accept::UpTo(self.snapping.max_cosine);
+        let mut is_moved = self.patch.move_node(self.body, node, to_m, accept);
+        if !is_moved
+            && let Some(skin) = self.patch.skin_normal(node)
+        {
+            // On flat skin, or on the side of an earlier cut, it can slide.
+            let normal = self.sweep.normal;
+            let way = match line {
+                None => normal.reject_from_normalized(skin),
+                Some(_) => normal.cross(skin),
+            };
+            let (from_m, reach) = match line {
+                None => (distance_m, way.dot(normal)),
+                Some(k) => self.sweep.towards_line(k, present_m, way),
+            };
+            if way.length() >= LEAST_SINE && reach.abs() >= LEAST_SINE * way.length() {
+                let to_m = present_m - way * (from_m / reach);
+                is_moved = self.patch.move_node(self.body, node, to_m, accept);
+            }
+        }
         if is_moved {
             self.patch.nodes[node as usize].distance_m = 0.0;
         }

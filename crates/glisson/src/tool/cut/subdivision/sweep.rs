@@ -157,6 +157,11 @@ impl Sweep {
         p - self.inward[k] * self.inside_m(k, p)
     }
 
+    /// Signed distance [m] of a point from line `k`, and by how much that grows along a vector.
+    pub(super) fn towards_line(&self, k: usize, p: DVec3, way: DVec3) -> (f64, f64) {
+        (self.inside_m(k, p), self.inward[k].dot(way))
+    }
+
     /// How far along line `k` [m], and how long the line is [m].
     pub(super) fn along_m(&self, k: usize, p: DVec3) -> (f64, f64) {
         let next = self.corners_m[(k + 1) % self.n_corners];

@@ -24,11 +24,13 @@ mod opening;
 mod patch;
 mod relaxing;
 mod section;
+mod swapping;
 mod sweep;
 
 use self::patch::{Body, Patch};
 use self::relaxing::relax;
 use self::section::{Snapping, conform};
+use self::swapping::swap;
 use self::sweep::Sweep;
 use crate::math::DVec3;
 use crate::mesh::NodeId;
@@ -348,6 +350,8 @@ impl SubdivisionCut {
             if !is_last {
                 allowed_m2 += of_step * report.swept_area_m2;
             }
+            // What earlier steps left over is not made up for by force.
+            allowed_m2 = allowed_m2.max(self.stroke.off_m2.abs() + of_stroke * report.swept_area_m2);
             if off_m2 <= allowed_m2 {
                 break;
             }
@@ -409,7 +413,9 @@ impl SubdivisionCut {
         if max_cosine > wished_cosine
             && let [Some(sweep), None] | [None, Some(sweep)] = sweeps
         {
+            swap(patch, body, wished_cosine);
             relax(patch, body, sweep.normal, wished_cosine);
+            swap(patch, body, wished_cosine);
             max_cosine = patch.max_new_cosine();
         }
         let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));

@@ -403,6 +403,25 @@ impl Patch {
         here
     }
 
+    pub(super) fn take_out(&mut self, tet: u32) {
+        self.tets[tet as usize].is_live = false;
+        for node in self.tets[tet as usize].nodes {
+            self.stars[node as usize].retain(|&t| t != tet);
+        }
+    }
+
+    /// Changed tetrahedra whose smallest dihedral angle at rest has a cosine above `max_cosine`, worst first.
+    pub(super) fn bad_tets(&self, max_cosine: f64) -> Vec<(f64, u32)> {
+        let mut bad: Vec<(f64, u32)> = self
+            .live_tets()
+            .filter(|&t| !self.tets[t as usize].is_old)
+            .map(|t| (dihedral_cosine_range(self.rest_m(t))[1], t))
+            .filter(|b| b.0 > max_cosine)
+            .collect();
+        bad.sort_unstable_by(|p, q| q.0.total_cmp(&p.0).then(p.1.cmp(&q.1)));
+        bad
+    }
+
     /// Puts a node on the edge from `a` to `b` and divides the tetrahedra there; `None` (and nothing done) if
     /// it would be a blend of too many nodes.
     pub(super) fn split_edge(&mut self, body: Body<'_>, [a, b]: [u32; 2], share: f64) -> Option<u32> {

@@ -263,22 +263,30 @@ impl Patch {
         is_good
     }
 
+    /// Faces at a node, with its whole star in the patch, that belong to one tetrahedron: the surface of the body.
+    /// Counter-clockwise from outside.
+    pub(super) fn single_sides(&self, node: u32) -> Vec<[u32; 3]> {
+        let mut faces: Vec<([u32; 3], [u32; 3])> = Vec::with_capacity(3 * self.stars[node as usize].len());
+        for &tet in &self.stars[node as usize] {
+            let nodes = self.tets[tet as usize].nodes;
+            let at_node = FACES.map(|f| f.map(|i| nodes[i])).into_iter().filter(|f| f.contains(&node));
+            faces.extend(at_node.map(|face| (sorted(face), face)));
+        }
+        faces.sort_unstable();
+        faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1).collect()
+    }
+
     /// Unit normal, in the present shape, of the surface of the body at a node with its whole star in the patch;
     /// `None` inside, and where the sides of an earlier cut meet.
     pub(super) fn skin_normal(&self, node: u32) -> Option<DVec3> {
-        let mut faces: Vec<([u32; 3], DVec3)> = Vec::with_capacity(3 * self.stars[node as usize].len());
-        for &tet in &self.stars[node as usize] {
-            let nodes = self.tets[tet as usize].nodes;
-            for face in FACES.map(|f| f.map(|i| nodes[i])).into_iter().filter(|f| f.contains(&node)) {
-                let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
-                faces.push((sorted(face), (b - a).cross(c - a)));
-            }
+        let mut sum = DVec3::ZERO;
+        let mut length = 0.0;
+        for face in self.single_sides(node) {
+            let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
+            let area = (b - a).cross(c - a);
+            sum += area;
+            length += area.length();
         }
-        faces.sort_unstable_by_key(|f| f.0);
-        let single = faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1);
-        let (sum, length) = single.fold((DVec3::ZERO, 0.0), |(sum, length), area| {
-            (sum + area, length + area.length())
-        });
         (sum.length() > FLAT_SKIN * length).then(|| sum.normalize_or_zero())
     }
 

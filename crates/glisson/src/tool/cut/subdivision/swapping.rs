@@ -13,6 +13,9 @@ const N_ROUNDS: usize = 3;
 /// Most tetrahedra around an edge that is taken out.
 const MAX_RING: usize = 7;
 
+/// How much a collapse may change the area of the cut, as a share of it.
+const AREA_CHANGE: f64 = 1e-3;
+
 /// Least gain in the cosine of an angle that is worth an exchange.
 const LEAST_GAIN: f64 = 1e-4;
 
@@ -22,11 +25,13 @@ const SAME_VOLUME: f64 = 1e-11;
 /// Betters the changed tetrahedra whose smallest dihedral angle at rest has a cosine above `max_cosine`. Needs
 /// `patch.cut` in order.
 pub(super) fn swap(patch: &mut Patch, body: Body<'_>, max_cosine: f64) {
+    let area_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
+    let max_area_change_m2 = AREA_CHANGE * area_m2;
     for _ in 0..N_ROUNDS {
         let mut is_better = false;
         for (_, tet) in patch.bad_tets(max_cosine) {
             if patch.tets[tet as usize].is_live {
-                is_better |= swap_at(patch, body, tet);
+                is_better |= swap_at(patch, body, tet, max_area_change_m2);
             }
         }
         if !is_better {
@@ -36,9 +41,13 @@ pub(super) fn swap(patch: &mut Patch, body: Body<'_>, max_cosine: f64) {
 }
 
 /// The first exchange of an edge or face of a tetrahedron that betters what goes.
-fn swap_at(patch: &mut Patch, body: Body<'_>, tet: u32) -> bool {
+fn swap_at(patch: &mut Patch, body: Body<'_>, tet: u32, max_area_change_m2: f64) -> bool {
     let nodes = patch.tets[tet as usize].nodes;
-    patch.tet_edges(tet).into_iter().any(|edge| remove_edge(patch, body, edge))
+    let mut edges = patch.tet_edges(tet);
+    edges.sort_by(|&p, &q| patch.length_m(p).total_cmp(&patch.length_m(q)));
+    let mut ways = edges.into_iter().flat_map(|[a, b]| [[a, b], [b, a]]);
+    ways.any(|[gone, kept]| collapse(patch, body, gone, kept, max_area_change_m2))
+        || edges.into_iter().any(|edge| remove_edge(patch, body, edge))
         || FACES.into_iter().any(|face| remove_face(patch, body, tet, face.map(|i| nodes[i])))
 }
 
@@ -57,6 +66,79 @@ fn other_two(nodes: [u32; 4], [a, b]: [u32; 2]) -> [u32; 2] {
 /// Whether an edge between two nodes is in the patch; `a` has its whole star there.
 fn are_joined(patch: &Patch, a: u32, b: u32) -> bool {
     patch.star(a).iter().any(|&t| patch.tets[t as usize].nodes.contains(&b))
+}
+
+/// Pulls `gone` onto `kept`. Nodes inside may go anywhere, those on flat skin along the skin, those on the cut along
+/// the cut, and those on the rim of the cut along the rim.
+fn collapse(patch: &mut Patch, body: Body<'_>, gone: u32, kept: u32, max_area_change_m2: f64) -> bool {
+    if patch.nodes[gone as usize].is_front {
+        return false;
+    }
+    let has_both = |face: &&[u32; 3]| face.contains(&gone) && face.contains(&kept);
+    let n_cut = patch.cut.iter().filter(|f| f.contains(&gone)).count();
+    let n_common = patch.cut.iter().filter(has_both).count();
+    if n_cut > 0 && n_common == 0 {
+        return false;
+    }
+    let mut area_change_m2 = 0.0;
+    if n_cut > 0 {
+        let is_on_rim = |other: u32| {
+            patch.cut.iter().filter(|f| f.contains(&gone) && f.contains(&other)).count() == 1
+        };
+        let is_rim_node = patch.cut.iter().filter(|f| f.contains(&gone)).flatten().any(|&n| n != gone && is_on_rim(n));
+        if is_rim_node && n_common != 1 {
+            return false;
+        }
+        for face in patch.cut.iter().filter(|f| f.contains(&gone)) {
+            let after = if face.contains(&kept) {
+                0.0
+            } else {
+                patch.face_area_m2(face.map(|n| if n == gone { kept } else { n }))
+            };
+            area_change_m2 += after - patch.face_area_m2(*face);
+        }
+        if area_change_m2.abs() > max_area_change_m2 {
+            return false;
+        }
+    }
+    patch.pull_star(body, gone);
+    let sides = patch.single_sides(gone);
+    if !sides.is_empty() {
+        let is_along_skin = sides.iter().any(|s| s.contains(&kept));
+        if !is_along_skin || patch.skin_normal(gone).is_none() {
+            return false;
+        }
+    }
+    let star: Vec<u32> = patch.star(gone).to_vec();
+    let stays = |t: &&u32| !patch.tets[**t as usize].nodes.contains(&kept);
+    let new: Vec<[u32; 4]> = star
+        .iter()
+        .filter(stays)
+        .map(|&t| patch.tets[t as usize].nodes.map(|n| if n == gone { kept } else { n }))
+        .collect();
+    if new.is_empty() {
+        return false;
+    }
+    let worst = worst_cosine(patch, &new);
+    if !exchange(patch, &star, &new, worst) {
+        return false;
+    }
+    patch.cut.retain(|f| !(f.contains(&gone) && f.contains(&kept)));
+    for face in &mut patch.cut {
+        if face.contains(&gone) {
+            *face = sorted(face.map(|n| if n == gone { kept } else { n }));
+        }
+    }
+    patch.cut.sort_unstable();
+    if let Some(at) = patch.front.iter().position(|f| f.0 == gone) {
+        let (_, is_end) = patch.front.remove(at);
+        match patch.front.iter_mut().find(|f| f.0 == kept) {
+            Some(front) => front.1 |= is_end,
+            None => patch.front.push((kept, is_end)),
+        }
+        patch.front.sort_unstable();
+    }
+    true
 }
 
 fn remove_edge(patch: &mut Patch, body: Body<'_>, edge: [u32; 2]) -> bool {

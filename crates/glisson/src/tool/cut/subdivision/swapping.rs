@@ -55,8 +55,18 @@ fn swap_at(patch: &mut Patch, body: Body<'_>, tet: u32, max_area_change_m2: f64)
 fn other_two(nodes: [u32; 4], [a, b]: [u32; 2]) -> [u32; 2] {
     /// Even permutations of the corners.
     const EVEN: [[usize; 4]; 12] = [
-        [0, 1, 2, 3], [0, 2, 3, 1], [0, 3, 1, 2], [1, 0, 3, 2], [1, 2, 0, 3], [1, 3, 2, 0],
-        [2, 0, 1, 3], [2, 1, 3, 0], [2, 3, 0, 1], [3, 0, 2, 1], [3, 1, 0, 2], [3, 2, 1, 0],
+        [0, 1, 2, 3],
+        [0, 2, 3, 1],
+        [0, 3, 1, 2],
+        [1, 0, 3, 2],
+        [1, 2, 0, 3],
+        [1, 3, 2, 0],
+        [2, 0, 1, 3],
+        [2, 1, 3, 0],
+        [2, 3, 0, 1],
+        [3, 0, 2, 1],
+        [3, 1, 0, 2],
+        [3, 2, 1, 0],
     ];
     let found = EVEN.into_iter().map(|p| p.map(|i| nodes[i])).find(|p| p[0] == a && p[1] == b);
     let [_, _, p, q] = found.expect("both are corners");
@@ -82,10 +92,10 @@ fn collapse(patch: &mut Patch, body: Body<'_>, gone: u32, kept: u32, max_area_ch
     }
     let mut area_change_m2 = 0.0;
     if n_cut > 0 {
-        let is_on_rim = |other: u32| {
-            patch.cut.iter().filter(|f| f.contains(&gone) && f.contains(&other)).count() == 1
-        };
-        let is_rim_node = patch.cut.iter().filter(|f| f.contains(&gone)).flatten().any(|&n| n != gone && is_on_rim(n));
+        let is_on_rim =
+            |other: u32| patch.cut.iter().filter(|f| f.contains(&gone) && f.contains(&other)).count() == 1;
+        let is_rim_node =
+            patch.cut.iter().filter(|f| f.contains(&gone)).flatten().any(|&n| n != gone && is_on_rim(n));
         if is_rim_node && n_common != 1 {
             return false;
         }
@@ -168,9 +178,8 @@ fn remove_edge(patch: &mut Patch, body: Body<'_>, edge: [u32; 2]) -> bool {
     let mut best: Option<(f64, Vec<[u32; 4]>)> = None;
     for first in 0..if n == 3 { 1 } else { n } {
         let at = |i: usize| ring[(first + i) % n];
-        let fan: Vec<[u32; 4]> = (1..n - 1)
-            .flat_map(|i| [[at(0), at(i), at(i + 1), b], [at(0), at(i + 1), at(i), a]])
-            .collect();
+        let fan: Vec<[u32; 4]> =
+            (1..n - 1).flat_map(|i| [[at(0), at(i), at(i + 1), b], [at(0), at(i + 1), at(i), a]]).collect();
         let worst = worst_cosine(patch, &fan);
         if best.as_ref().is_none_or(|b| worst < b.0) {
             for i in 0..n {

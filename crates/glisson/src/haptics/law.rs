@@ -10,7 +10,7 @@ use super::coupling::{Coupling, CouplingGains, GainShares, TissueTangent};
 use super::device::{DeviceLimits, DeviceState, ForceCommand};
 use super::extrapolation::ForceEstimate;
 use super::handover::Handover;
-use super::limits::Gate;
+use super::limits::{Gate, saturated};
 use super::mapping::{DeviceMapping, Handle, MappedDevice, turn_rad};
 use super::passivity::{EnergyControl, EnergyTank, TankSettings};
 use super::tissue::{HapticModel, Touch};
@@ -20,6 +20,9 @@ use glam::DQuat;
 
 /// A handle that seems quicker [m/s] was put elsewhere: a choice, ten times what hands do with an instrument.
 const MOST_SPEED_M_PER_S: f64 = 10.0;
+
+/// Force of the tissue in forces of the device above which it counts no more: no hand could hold it. A choice.
+const MOST_FORCES: f64 = 10.0;
 
 /// Least stiffness [N/m] by which the energy in touched tissue is estimated: about that of an organ of 4 kPa under a flat tip
 /// of 5 mm, 2 E a/(1 - nu^2).
@@ -200,7 +203,9 @@ impl HapticLaw {
         self.gate.advance(!(is_stale || handle.is_clutched), dt_s);
 
         let tool_m = self.coupling.tool_m();
-        let tissue_force_n = self.handover.force(model, tool_m, model_age_s, dt_s);
+        let felt_n = self.handover.force(model, tool_m, model_age_s, dt_s);
+        let most_n = MOST_FORCES * self.limits.force_n / self.mapped.mapping().force_scale;
+        let tissue_force_n = saturated(felt_n, most_n);
         let tangent = self.tangent(model, tissue_force_n);
         let force_n = self.coupling.step(handle.tip_m, &tangent, dt_s);
         self.stored_j = self.mapped.energy_at_handle_j(

@@ -6,6 +6,7 @@
 
 pub mod device;
 pub mod tissue;
+pub mod trocar;
 
 pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 pub use tissue::{HapticModel, Touch};

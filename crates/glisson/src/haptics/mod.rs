@@ -15,6 +15,7 @@ pub mod passivity;
 pub mod mapping;
 pub mod law;
 pub mod simulated;
+pub mod trocar;
 
 pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 pub use coupling::{CouplingGains, GainShares};

@@ -72,16 +72,10 @@ struct Bout {
 
 /// Least energy [J] over the bound in 3000 ticks of any wanted forces, counted here.
 fn margin_of(bout: &Bout) -> f64 {
-    let limits = DeviceLimits {
-        force_rate_n_per_s: bout.rate_n_per_s,
-        resolution_m: bout.resolution_m,
-        ..LIMITS
-    };
-    let settings = TankSettings {
-        reserve_j: bout.reserve_j,
-        loop_delay_ticks: bout.delay,
-        ..TankSettings::default()
-    };
+    let limits =
+        DeviceLimits { force_rate_n_per_s: bout.rate_n_per_s, resolution_m: bout.resolution_m, ..LIMITS };
+    let settings =
+        TankSettings { reserve_j: bout.reserve_j, loop_delay_ticks: bout.delay, ..TankSettings::default() };
     let mut tank = EnergyTank::new(&settings, &limits, bout.control);
     let mut hand = Adversary::new(bout.seed, bout.greed, bout.steadiness);
     let mut random = SeededRandom::new(!bout.seed);
@@ -158,8 +152,10 @@ fn torque_pays_for_turns_like_force_for_ways() {
     let mut random = SeededRandom::new(8);
     let (mut energy_j, mut turn) = (0.0, DVec3::ZERO);
     for _ in 0..3000 {
-        let wanted =
-            ForceCommand { torque_n_m: any_vector(&mut random, 0.1) + turn * 50.0, ..ForceCommand::default() };
+        let wanted = ForceCommand {
+            torque_n_m: any_vector(&mut random, 0.1) + turn * 50.0,
+            ..ForceCommand::default()
+        };
         let (command, _) = tank.admit(&wanted, DVec3::ZERO, TICK_S);
         turn = (turn + command.torque_n_m.normalize_or_zero() * 5e-4).clamp_length_max(1e-2);
         energy_j -= command.torque_n_m.dot(turn);
@@ -207,7 +203,8 @@ fn observed_energy_is_what_the_actuator_took() {
             force_latency_ticks,
             ..SimulatedDeviceSettings::ideal()
         };
-        let path = HandPath::Swing { center_m: DVec3::ZERO, amplitude_m: DVec3::Z * -8e-3, frequency_hz: 1.5 };
+        let path =
+            HandPath::Swing { center_m: DVec3::ZERO, amplitude_m: DVec3::Z * -8e-3, frequency_hz: 1.5 };
         let mut device = SimulatedDevice::new(&settings, &HandSettings::default(), path, 2);
         let delay = position_latency_ticks + force_latency_ticks;
         let tank = TankSettings { loop_delay_ticks: delay, ..TankSettings::default() };

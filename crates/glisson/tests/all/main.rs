@@ -50,3 +50,5 @@ mod surface_files;
 mod mesh_files;
 mod cut_subdivision;
 mod active_trocar;
+mod haptic_energy;
+mod haptic_law;

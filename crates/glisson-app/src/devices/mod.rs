@@ -1,0 +1,3 @@
+//! Force-feedback devices: drivers behind [`glisson::haptics::HapticDevice`].
+
+pub(crate) mod trocar_board;

@@ -9,6 +9,7 @@ mod solve;
 mod fit;
 mod run;
 mod serve;
+mod watch;
 mod replay;
 mod bench;
 mod validate;
@@ -33,6 +34,7 @@ enum Command {
     Fit(fit::Args),
     Run(run::Args),
     Serve(serve::Args),
+    Watch(watch::Args),
     Replay(replay::Args),
     Bench(bench::Args),
     Validate(validate::Args),
@@ -51,6 +53,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Fit(args) => fit::run(args),
         Command::Run(args) => run::run(args),
         Command::Serve(args) => serve::run(args),
+        Command::Watch(args) => watch::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Validate(args) => validate::run(args),

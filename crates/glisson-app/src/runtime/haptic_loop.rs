@@ -305,11 +305,15 @@ pub(crate) struct HapticLoop {
 }
 
 impl HapticLoop {
-    /// Starts it.
+    /// Starts it; it adds what it measures to `meters`, which no other loop may fill at the same time.
     ///
     /// # Errors
     /// For a rate outside [`RATES_HZ`], or when no thread can be started.
-    pub(crate) fn start(tools: Vec<HeldTool>, settings: HapticSettings) -> anyhow::Result<Self> {
+    pub(crate) fn start(
+        tools: Vec<HeldTool>,
+        settings: HapticSettings,
+        meters: Arc<Meters>,
+    ) -> anyhow::Result<Self> {
         let HapticSettings { rate_hz, core } = settings;
         ensure!(
             RATES_HZ.contains(&rate_hz),
@@ -318,12 +322,11 @@ impl HapticLoop {
             RATES_HZ.end()
         );
         let stop = Arc::new(AtomicBool::new(false));
-        let meters = Arc::new(Meters::default());
         let (stop_seen, own_meters) = (Arc::clone(&stop), Arc::clone(&meters));
         let thread = std::thread::Builder::new()
             .name("haptics".into())
             .spawn(move || {
-                // It is set here only.
+                // An earlier loop may have set it to the same.
                 let _ = own_meters.scheduling.set(make_punctual(core));
                 run(tools, rate_hz, &own_meters, &stop_seen);
             })
@@ -512,7 +515,7 @@ mod tests {
     #[test]
     fn the_loop_keeps_its_rate_measures_itself_and_ends_with_no_force() {
         let (held, mut link, forces) = scripted(|_| None);
-        let haptics = HapticLoop::start(vec![held], HapticSettings { rate_hz: 2_000.0, core: None }).unwrap();
+        let haptics = HapticLoop::start(vec![held], HapticSettings { rate_hz: 2_000.0, core: None }, Arc::default()).unwrap();
         let push = HapticModel { touch: Touch::Grasp, force_n: DVec3::Y, ..HapticModel::default() };
         for _ in 0..40 {
             link.models.publish(PublishedModel { model: push, made_ns: now_ns() });
@@ -538,7 +541,7 @@ mod tests {
     #[test]
     fn a_rate_that_no_loop_keeps_is_refused() {
         for rate_hz in [0.0, 50.0, 5_000.0, f64::NAN] {
-            let error = HapticLoop::start(Vec::new(), HapticSettings { rate_hz, core: None }).err().unwrap();
+            let error = HapticLoop::start(Vec::new(), HapticSettings { rate_hz, core: None }, Arc::default()).err().unwrap();
             assert!(error.to_string().contains("allowed: 100 to 4000 Hz"), "{error}");
         }
     }

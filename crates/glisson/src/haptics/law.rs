@@ -213,7 +213,8 @@ impl HapticLaw {
             EnergyControl::ObserveOnly => 0.0,
         };
         let injected = self.gains.injected_damping_n_s_per_m * shortage;
-        let velocity = if device.velocity_m_per_s.is_finite() { device.velocity_m_per_s } else { DVec3::ZERO };
+        let velocity =
+            if device.velocity_m_per_s.is_finite() { device.velocity_m_per_s } else { DVec3::ZERO };
         let resisting_n = velocity * -injected;
         let share = self.gate.share();
         let wanted = ForceCommand {
@@ -272,11 +273,7 @@ impl HapticLaw {
             Touch::Contact | Touch::Grasp => model.stiffness_n_per_m,
         };
         let pushes_only = is_felt && model.touch != Touch::Grasp && model.n_parts == 0;
-        TissueTangent {
-            force_n,
-            stiffness_n_per_m,
-            pushes_along: if pushes_only { n } else { DVec3::ZERO },
-        }
+        TissueTangent { force_n, stiffness_n_per_m, pushes_along: if pushes_only { n } else { DVec3::ZERO } }
     }
 
     fn report(&self, admitted_share: f64) -> TickReport {

@@ -24,6 +24,9 @@
 //! A hand that is quicker draws at most |F| times the way beyond, until the force has gone at the device's rate. The tank is
 //! overdrawn then, and admits nothing but damping against the handle's motion until that has brought it back.
 //!
+//! So that this is hardly ever needed, and force does not come and go with the rounding of a step, the largest force falls with
+//! the tank's last half reserve, `|F| <= F_max tank/(E_0/2)`: it fades out and in with the way, by 1/e in E_0/(2 F_max).
+//!
 //! What friction and viscosity left in the tank must not feed an oscillation later: above E_0 and twice what tissue and coupling
 //! can hold, the tank drains. So what leaves in any time is at most what the tank held at its beginning, little more than what
 //! can be stored.
@@ -249,7 +252,7 @@ impl EnergyTank {
             let force_n = if resists { resisting_n } else { DVec3::ZERO };
             within_limits(&ForceCommand { force_n, ..ForceCommand::default() }, &self.limits)
         } else {
-            within_limits(wanted, &self.limits)
+            within_limits(wanted, &self.faded_limits())
         };
         let before = [self.previous.force_n, self.previous.torque_n_m];
         let toward = [
@@ -271,13 +274,27 @@ impl EnergyTank {
         (command, share)
     }
 
+    fn faded_limits(&self) -> DeviceLimits {
+        let left = match self.control {
+            EnergyControl::Tank => 1.0 - self.shortage(),
+            EnergyControl::ObserveOnly => 1.0,
+        };
+        DeviceLimits {
+            force_n: self.limits.force_n * left,
+            torque_n_m: self.limits.torque_n_m * left,
+            ..self.limits
+        }
+    }
+
     fn paid_share(&self, from: &[DVec3; 2], to: &[DVec3; 2], rates: &[f64; 2], dt_s: f64) -> f64 {
         let delay = self.settings.loop_delay_ticks;
         let changes = [0, 1].map(|i| self.ports[i].acceleration * dt_s * dt_s);
         let pending_j: f64 = (0..2).map(|i| self.ports[i].pending_cost_j(delay, changes[i])).sum();
         let is_paid = |share: f64| {
             let cost_j: f64 = (0..2)
-                .map(|i| self.ports[i].cost_j(from[i] + (to[i] - from[i]) * share, delay, rates[i], changes[i]))
+                .map(|i| {
+                    self.ports[i].cost_j(from[i] + (to[i] - from[i]) * share, delay, rates[i], changes[i])
+                })
                 .sum();
             pending_j + cost_j <= self.level_j
         };

@@ -170,9 +170,11 @@ impl HandPath {
         match *self {
             Self::Rest(place_m) => (place_m, DVec3::ZERO),
             Self::Reach { from_m, to_m, start_s, duration_s } => {
-                let u = if duration_s > 0.0 { ((time_s - start_s) / duration_s).clamp(0.0, 1.0) } else { 1.0 };
+                let u =
+                    if duration_s > 0.0 { ((time_s - start_s) / duration_s).clamp(0.0, 1.0) } else { 1.0 };
                 let share = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u);
-                let speed = if duration_s > 0.0 { 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration_s } else { 0.0 };
+                let speed =
+                    if duration_s > 0.0 { 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration_s } else { 0.0 };
                 (from_m + (to_m - from_m) * share, (to_m - from_m) * speed)
             }
             Self::Swing { center_m, amplitude_m, frequency_hz } => {

@@ -2,6 +2,7 @@
 //! stands still now and then. `docs/bench.md` says how to read the result.
 
 use super::body::StandardBody;
+use crate::devices::{self, DeviceName};
 use crate::runtime::haptic_loop::{HapticReport, HapticSettings, Meters, join};
 use crate::runtime::live::Stalls;
 use crate::runtime::{OpenScene, Simulation};
@@ -9,8 +10,6 @@ use crate::scratch::ScratchFolder;
 use crate::server::access::Access;
 use crate::server::{self, Served, Service};
 use anyhow::{Context, bail, ensure};
-use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
-use glisson::math::DVec3;
 use glisson::mesh::files::write_mesh;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -26,10 +25,6 @@ const STALL_EVERY: Duration = Duration::from_secs(1);
 const BLOCK_S: f64 = 10.0;
 /// Missed deadlines may rise by so many percentage points.
 const GREATEST_RISE_PERCENT: f64 = 0.1;
-/// The tip goes up and down so deep [m], once in so many seconds.
-const DEPTH_M: f64 = 0.010;
-const PUSH_S: f64 = 1.0;
-
 /// What to measure.
 pub(crate) struct HapticsRequest {
     /// Time of each of the two runs [s].
@@ -157,7 +152,7 @@ pub(crate) fn to_text(answer: &Value) -> String {
 const SCENE: &str = "glisson_scene = 1\nname = \"haptics\"\n[organ]\nmesh = \"body.vtu\"\ntissue = \"liver\"\n\
     model = \"explicit\"\nlaw = \"st_venant_kirchhoff\"\ndamping = \"20 1/s\"\n\
     [[organ.fixed]]\nfurthest = { direction = [0, 0, -1], fraction = 0.05 }\n\
-    [tool]\ntip_radius = \"6 mm\"\nhome_tip = [0, 0, \"68 mm\"]\nhome_shaft = [0, 0, 1]\n";
+    [tool]\ntip_radius = \"6 mm\"\nhome_tip = [0, 0, \"67 mm\"]\nhome_shaft = [0, 0, 1]\n";
 
 /// With the longest step of one millisecond and its halves that is stable; answers it [s].
 fn write_scene(path: &std::path::Path) -> anyhow::Result<f64> {
@@ -184,8 +179,8 @@ fn measure_block(
     let listener = server::bind("127.0.0.1", 0)?;
     let address = listener.local_addr()?;
     let home = simulation.world().tools()[0].home;
-    let device = PushingDevice { rate_hz: request.rate_hz, n_ticks: 0 };
-    let held = vec![join(Box::new(device), "pushing".into(), 0, home)];
+    let device = devices::open(&DeviceName::Simulated, &home, request.rate_hz)?;
+    let held = vec![join(device, 0, home)];
     let haptics = HapticSettings { rate_hz: request.rate_hz, core: None };
     let service = Service {
         held,
@@ -214,41 +209,4 @@ fn measure_block(
     run.n_frames += watched["frames"].as_u64().context("the viewer counts no frames")?;
     run.n_bytes += watched["bytes"].as_u64().context("the viewer counts no bytes")?;
     Ok(())
-}
-
-/// Goes up and down by itself.
-struct PushingDevice {
-    rate_hz: f64,
-    n_ticks: u64,
-}
-
-impl HapticDevice for PushingDevice {
-    fn limits(&self) -> DeviceLimits {
-        DeviceLimits {
-            force_n: 12.0,
-            torque_n_m: 0.0,
-            force_rate_n_per_s: 10_000.0,
-            stiffness_n_per_m: 2_000.0,
-            damping_n_s_per_m: 10.0,
-            resolution_m: 1e-5,
-            rate_hz: self.rate_hz,
-        }
-    }
-
-    fn read(&mut self) -> Result<DeviceState, DeviceFault> {
-        let omega = std::f64::consts::TAU / PUSH_S;
-        let phase = omega * self.n_ticks as f64 / self.rate_hz;
-        self.n_ticks += 1;
-        Ok(DeviceState {
-            position_m: DVec3::NEG_Z * DEPTH_M * (1.0 - phase.cos()) / 2.0,
-            velocity_m_per_s: DVec3::NEG_Z * DEPTH_M * omega * phase.sin() / 2.0,
-            orientation: glam::DQuat::IDENTITY,
-            jaw_opening: 0.0,
-            buttons: 0,
-        })
-    }
-
-    fn write(&mut self, _command: &ForceCommand) -> Result<(), DeviceFault> {
-        Ok(())
-    }
 }

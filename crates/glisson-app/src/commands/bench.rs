@@ -51,7 +51,8 @@ fn run_haptics(args: &Args) -> anyhow::Result<()> {
         Some(&[n_tets]) if n_tets > 0 => n_tets,
         Some(sizes) => bail!("--sizes {sizes:?}: the benchmark haptics takes one size above 0"),
     };
-    let program = std::env::current_exe().context("finding this program, whose verb `watch` is the viewer")?;
+    let program =
+        std::env::current_exe().context("finding this program, whose verb `watch` is the viewer")?;
     let seconds = args.seconds.unwrap_or(10.0);
     let request = HapticsRequest { seconds, rate_hz: args.rate, n_tets, program };
     let bar = progress_bar();
@@ -85,7 +86,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         for case in cases {
             println!("{:width$}  {} (per {})", case.name, case.about, case.per);
         }
-        println!("{HAPTICS:width$}  the haptic loop beside a simulation and a viewer, with stalls and without (not in all)");
+        println!(
+            "{HAPTICS:width$}  the haptic loop beside a simulation and a viewer, with stalls and without (not in all)"
+        );
         return Ok(());
     }
     if args.name.as_deref() == Some(HAPTICS) {

@@ -10,6 +10,7 @@ mod fit;
 mod run;
 mod serve;
 mod watch;
+mod devices;
 mod replay;
 mod bench;
 mod validate;
@@ -35,6 +36,7 @@ enum Command {
     Run(run::Args),
     Serve(serve::Args),
     Watch(watch::Args),
+    Devices(devices::Args),
     Replay(replay::Args),
     Bench(bench::Args),
     Validate(validate::Args),
@@ -54,6 +56,7 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Run(args) => run::run(args),
         Command::Serve(args) => serve::run(args),
         Command::Watch(args) => watch::run(args),
+        Command::Devices(args) => devices::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Validate(args) => validate::run(args),

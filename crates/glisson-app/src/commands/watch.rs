@@ -8,9 +8,11 @@ use tungstenite::{Message, client::IntoClientRequest};
 
 /// Connect to a running server as a viewer without a window, and count what arrives.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  glisson watch                                    until the server ends\n  \
+#[command(
+    after_help = "Examples:\n  glisson watch                                    until the server ends\n  \
     glisson watch ws://127.0.0.1:8077/ws --seconds 5 --json\n  \
-    glisson watch 'ws://10.0.0.7:8077/ws?token=...'   a server on another address")]
+    glisson watch 'ws://10.0.0.7:8077/ws?token=...'   a server on another address"
+)]
 pub(crate) struct Args {
     /// Address of the server's WebSocket
     #[arg(default_value = "ws://127.0.0.1:8077/ws")]
@@ -73,7 +75,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         println!("{}", json!({ "frames": frames, "bytes": bytes, "elapsed_s": elapsed_s, "timing": timing }));
     } else {
         let frames_per_s = frames as f64 / elapsed_s;
-        println!("{frames} frames in {elapsed_s:.1} s ({frames_per_s:.1} a second), {:.1} MB", bytes as f64 * 1e-6);
+        println!(
+            "{frames} frames in {elapsed_s:.1} s ({frames_per_s:.1} a second), {:.1} MB",
+            bytes as f64 * 1e-6
+        );
         println!("{timing:#}");
     }
     Ok(())

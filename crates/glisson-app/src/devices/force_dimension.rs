@@ -247,13 +247,18 @@ mod tests {
             std::thread::sleep(Duration::from_micros(200));
             match device.read() {
                 Ok(now) => state = Some(now),
-                Err(DeviceFault::Lost(reason)) if state.is_some() && reason.contains("place") => break reason,
+                Err(DeviceFault::Lost(reason)) if state.is_some() && reason.contains("place") => {
+                    break reason;
+                }
                 Err(_) => {}
             }
         };
         assert_eq!(reason, "it does not tell its place");
         let state = state.unwrap();
-        assert!(state.position_m.x > 0.0 && (state.position_m.y, state.position_m.z) == (-0.02, 0.03), "{state:?}");
+        assert!(
+            state.position_m.x > 0.0 && (state.position_m.y, state.position_m.z) == (-0.02, 0.03),
+            "{state:?}"
+        );
         assert!(state.orientation.abs_diff_eq(glam::DQuat::from_rotation_z(0.1), 1e-12), "{state:?}");
         assert_eq!((state.velocity_m_per_s.x, state.jaw_opening, state.buttons), (0.5, 0.5, 5));
         assert_eq!([0, 1, 2, 3, 4, 5, 6].map(|i| seen(i)), [1.0, -2.0, 3.0, 0.1, 0.2, 0.3, 0.5]);

@@ -8,7 +8,7 @@ use anyhow::{Context, ensure};
 use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 use glisson::math::{DMat3, DVec3};
 use libloading::Library;
-use std::ffi::{CStr, CString, c_char, c_double, c_int, c_uint, c_ulong, c_ushort, c_void};
+use std::ffi::{CStr, CString, c_char, c_double, c_int, c_uint, c_ushort, c_void};
 use std::path::Path;
 
 pub(super) const LIBRARY: VendorLibrary = VendorLibrary {
@@ -63,8 +63,6 @@ struct Functions {
 }
 
 fn functions(library: &Library) -> anyhow::Result<Functions> {
-    // The header declares the scheduling call without a result, and `HDSchedulerHandle` as unsigned long elsewhere.
-    const { assert!(size_of::<c_ulong>() >= size_of::<c_uint>()) };
     // SAFETY: the types are those of the header `hd.h`.
     unsafe {
         Ok(Functions {
@@ -207,7 +205,9 @@ impl Line for HdLine {
         // SAFETY: the call returns after the callback has run; `turn` lives until then.
         unsafe { (self.functions.schedule)(servo_turn, (&raw mut turn).cast(), DEFAULT_PRIORITY) };
         if self.functions.error().is_some() {
-            return Err(DeviceFault::Lost("its library reports an error: is it connected and switched on?".into()));
+            return Err(DeviceFault::Lost(
+                "its library reports an error: is it connected and switched on?".into(),
+            ));
         }
         let column = |i: usize| DVec3::from_slice(&turn.transform[4 * i..4 * i + 3]);
         let matrix = DMat3::from_cols(column(0), column(1), column(2));
@@ -289,7 +289,8 @@ mod tests {
         assert_eq!((limits.force_n, limits.stiffness_n_per_m), (3.3, 400.0));
         let start = Instant::now();
         let mut state = None;
-        let (mut felt, command) = (false, ForceCommand { force_n: DVec3::new(1.0, -2.0, 3.0), ..Default::default() });
+        let (mut felt, command) =
+            (false, ForceCommand { force_n: DVec3::new(1.0, -2.0, 3.0), ..Default::default() });
         loop {
             assert!(start.elapsed() < Duration::from_secs(20), "{state:?}");
             device.write(&command).unwrap();
@@ -303,7 +304,10 @@ mod tests {
         }
         let state = state.unwrap();
         assert!(felt && state.position_m.x > 0.0, "{state:?}");
-        assert!(state.position_m.abs_diff_eq(DVec3::new(state.position_m.x, 0.02, -0.03), 1e-12), "{state:?}");
+        assert!(
+            state.position_m.abs_diff_eq(DVec3::new(state.position_m.x, 0.02, -0.03), 1e-12),
+            "{state:?}"
+        );
         assert!(state.velocity_m_per_s.abs_diff_eq(DVec3::new(1.0, 0.0, -0.5), 1e-12));
         let quarter = glam::DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2);
         assert!(state.orientation.abs_diff_eq(quarter, 1e-12), "{state:?}");

@@ -69,7 +69,9 @@ fn open(path: &Path) -> anyhow::Result<Library> {
 pub(super) unsafe fn function<F: Copy>(library: &Library, name: &str) -> anyhow::Result<F> {
     // SAFETY: the caller vouches for the type.
     let symbol = unsafe { library.get::<F>(name) };
-    symbol.map(|symbol| *symbol).with_context(|| format!("the library has no function {name}; it is too old or another one"))
+    symbol
+        .map(|symbol| *symbol)
+        .with_context(|| format!("the library has no function {name}; it is too old or another one"))
 }
 
 #[cfg(test)]

@@ -57,7 +57,13 @@ pub(crate) struct Service {
 impl Service {
     /// No devices.
     pub(crate) fn to(access: Access) -> Self {
-        Self { access, held: Vec::new(), haptics: HapticSettings::default(), meters: Arc::default(), stalls: None }
+        Self {
+            access,
+            held: Vec::new(),
+            haptics: HapticSettings::default(),
+            meters: Arc::default(),
+            stalls: None,
+        }
     }
 }
 

@@ -134,8 +134,12 @@ pub(super) fn parse(text: &str, wanted: Option<&str>) -> Result<Update, String> 
     let Some(cursor) = &device.state else { return Err("the Inverse3 has no state yet".into()) };
     let position_m = DVec3::from(cursor.cursor_position);
     let velocity_m_per_s = DVec3::from(cursor.cursor_velocity);
-    if !(position_m.abs().max_element() <= FURTHEST_M && velocity_m_per_s.abs().max_element() <= FASTEST_M_PER_S) {
-        return Err(format!("cursor at {position_m} m, {velocity_m_per_s} m/s: beyond what a device reaches"));
+    if !(position_m.abs().max_element() <= FURTHEST_M
+        && velocity_m_per_s.abs().max_element() <= FASTEST_M_PER_S)
+    {
+        return Err(format!(
+            "cursor at {position_m} m, {velocity_m_per_s} m/s: beyond what a device reaches"
+        ));
     }
     let grips = [&frame.wireless_verse_grip, &frame.verse_grip, &frame.custom_verse_grip];
     let grip = grips.into_iter().flatten().find_map(|grip| grip.state.as_ref());
@@ -154,7 +158,9 @@ pub(super) fn parse(text: &str, wanted: Option<&str>) -> Result<Update, String> 
         u32::from(a) | u32::from(b) << 1 | u32::from(c) << 2
     });
     let hindrance = match device.status {
-        Status { calibrated: Some(false), .. } => Some("it is not calibrated: follow its light, then let go of it"),
+        Status { calibrated: Some(false), .. } => {
+            Some("it is not calibrated: follow its light, then let go of it")
+        }
         Status { power_supply: Some(false), .. } => Some("its power supply is off"),
         Status { .. } => None,
     };
@@ -171,7 +177,8 @@ pub(super) fn force_command(generation: Generation, device_id: &str, force_n: DV
         Generation::Values => json!({ "values": force }),
         Generation::Vector => json!({ "vector": force, "execute": true }),
     };
-    json!({ "inverse3": [{ "device_id": device_id, "commands": { "set_cursor_force": command } }] }).to_string()
+    json!({ "inverse3": [{ "device_id": device_id, "commands": { "set_cursor_force": command } }] })
+        .to_string()
 }
 
 #[cfg(test)]

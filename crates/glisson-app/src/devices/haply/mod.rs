@@ -50,7 +50,11 @@ pub(super) fn service_version(address: &str) -> anyhow::Result<String> {
     let _ = stream.take(8192).read_to_end(&mut answer);
     let answer = String::from_utf8_lossy(&answer).into_owned();
     let (head, body) = answer.split_once("\r\n\r\n").context("the service's answer is no HTTP")?;
-    anyhow::ensure!(head.contains(" 200 "), "the service answers {:?}", head.lines().next().unwrap_or_default());
+    anyhow::ensure!(
+        head.contains(" 200 "),
+        "the service answers {:?}",
+        head.lines().next().unwrap_or_default()
+    );
     Ok(body.trim().chars().take(100).collect())
 }
 
@@ -142,7 +146,9 @@ pub(super) fn examine(address: &str) -> anyhow::Result<String> {
     let until = Instant::now() + 2 * LONGEST_SILENCE;
     let mut reason = "it sends nothing".to_owned();
     while Instant::now() < until {
-        let Message::Text(text) = session.socket.read().context("the service stopped answering")? else { continue };
+        let Message::Text(text) = session.socket.read().context("the service stopped answering")? else {
+            continue;
+        };
         match parse(&text, None) {
             Ok(update) => {
                 let hindrance = update.hindrance.map_or(String::new(), |text| format!("; {text}"));

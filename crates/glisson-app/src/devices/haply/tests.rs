@@ -104,7 +104,9 @@ fn wait_for(device: &mut dyn HapticDevice, what: impl Fn(&Result<DeviceState, De
             return;
         }
         assert!(start.elapsed() < Duration::from_secs(15), "{answer:?}");
-        device.write(&ForceCommand { force_n: DVec3::new(0.5, -1.0, 0.25), ..ForceCommand::default() }).unwrap();
+        device
+            .write(&ForceCommand { force_n: DVec3::new(0.5, -1.0, 0.25), ..ForceCommand::default() })
+            .unwrap();
         std::thread::sleep(Duration::from_millis(1));
     }
 }
@@ -116,7 +118,9 @@ fn both_generations_get_their_commands_and_give_their_states() {
         let mut device = open(&service.address.to_string()).unwrap();
         wait_for(&mut *device, |a| a.as_ref().is_ok_and(|s| s.position_m.x > 1e-3 && s.position_m.y == 0.1));
         let given = std::iter::from_fn(|| {
-            device.write(&ForceCommand { force_n: DVec3::new(0.5, -1.0, 0.25), ..ForceCommand::default() }).unwrap();
+            device
+                .write(&ForceCommand { force_n: DVec3::new(0.5, -1.0, 0.25), ..ForceCommand::default() })
+                .unwrap();
             service.forces.recv_timeout(Duration::from_secs(5)).ok()
         });
         let first = given.take(5_000).find(|(_, force)| *force != DVec3::ZERO);
@@ -152,6 +156,9 @@ fn rubbish_is_dropped_and_a_device_that_is_not_calibrated_gets_no_force() {
 
     let service = MockService::start("3.5.0", |number| moving(number).replace("true", "false"));
     let mut device = open(&service.address.to_string()).unwrap();
-    wait_for(&mut *device, |a| matches!(a, Err(DeviceFault::Lost(reason)) if reason.contains("not calibrated")));
+    wait_for(
+        &mut *device,
+        |a| matches!(a, Err(DeviceFault::Lost(reason)) if reason.contains("not calibrated")),
+    );
     assert!(service.forces.try_iter().all(|(_, force)| force == DVec3::ZERO));
 }

@@ -1,6 +1,7 @@
 //! `glisson serve`.
 
-use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink};
+use crate::devices::{self, Assignment, tools_of};
+use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink, join};
 use crate::runtime::live::Lateness;
 use crate::runtime::{OpenScene, Simulation};
 use crate::server::access::Access;
@@ -11,7 +12,9 @@ use std::path::PathBuf;
 /// Serve the viewer and simulate a scene in real time.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  glisson serve out/demo/scene.toml\n  \
-    glisson serve scene.toml --port 0 --record session.jsonl\n\nStop with Ctrl-C; a recording is then completed.")]
+    glisson serve scene.toml --port 0 --record session.jsonl\n  \
+    glisson serve scene.toml --device haply --device simulated@1\n  \
+    glisson serve scene.toml --host 0.0.0.0      for other machines, with a token that is printed\n\nStop with Ctrl-C; a recording is then completed.")]
 pub(crate) struct Args {
     /// Scene file (TOML)
     scene: PathBuf,
@@ -20,6 +23,16 @@ pub(crate) struct Args {
     /// Record the session to this file
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Put an instrument into the hand at a device: NAME, or NAME@TOOL with TOOL from 0; may be given several times. `glisson
+    /// devices list` tells the names
+    #[arg(long = "device", value_name = "NAME[@TOOL]")]
+    devices: Vec<Assignment>,
+    /// Ticks a second of the haptic loop [Hz]: 100 to 4000
+    #[arg(long, value_name = "HZ", default_value_t = 1000.0)]
+    haptic_rate: f64,
+    /// Core that the haptic loop stays on; the last one that the program may use when left out
+    #[arg(long, value_name = "N")]
+    haptic_core: Option<usize>,
     /// Threads of the explicit model; the results do not depend on it
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
     threads: u8,
@@ -96,5 +109,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let listener = args.address.bind()?;
     let source = OpenScene { n_threads: usize::from(args.threads), ..OpenScene::read(&args.scene)? };
     let simulation = Simulation::open(source, args.record.as_deref())?;
-    args.address.serve(simulation, listener)
+    let instruments = simulation.world().tools();
+    let mut held = Vec::new();
+    for (assignment, tool) in args.devices.iter().zip(tools_of(&args.devices, instruments.len())?) {
+        let home = instruments[tool].home;
+        let device = devices::open(&assignment.name, &home, args.haptic_rate)?;
+        println!("instrument {tool} ({}) is in the hand of: {}", instruments[tool].name, device.name);
+        held.push(join(device, tool, home));
+    }
+    let haptics = HapticSettings { rate_hz: args.haptic_rate, core: args.haptic_core };
+    args.address.serve_with(simulation, listener, held, haptics)
 }

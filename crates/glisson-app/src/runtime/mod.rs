@@ -11,7 +11,7 @@ pub(crate) mod replay;
 
 use crate::workers::WorkerTeam;
 use anyhow::{Context, anyhow, bail};
-use glisson::haptics::{HapticModel, Touch};
+use glisson::haptics::HapticModel;
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
@@ -212,14 +212,7 @@ impl Simulation {
 
     /// What the haptic loop evaluates for an instrument until the next step.
     pub(crate) fn haptic_model(&mut self, tool: usize) -> HapticModel {
-        let felt = self.world.report().tools[tool];
-        let touch = if felt.in_contact { Touch::Contact } else { Touch::Free };
-        HapticModel {
-            step: self.world.steps_made(),
-            touch,
-            force_n: felt.force_on_tool_n,
-            ..HapticModel::default()
-        }
+        self.world.haptic_model(tool)
     }
 
     /// Everything back to rest.

@@ -48,6 +48,8 @@ pub(crate) struct Service {
     /// The haptic loop's and the simulation's ends of the instruments that devices hold.
     pub(crate) held: Vec<(HeldTool, ToolLink)>,
     pub(crate) haptics: HapticSettings,
+    /// Where the haptic loop notes its times.
+    pub(crate) meters: Arc<Meters>,
     /// For benchmarks: the simulation stands still now and then.
     pub(crate) stalls: Option<Stalls>,
 }
@@ -55,7 +57,13 @@ pub(crate) struct Service {
 impl Service {
     /// No devices.
     pub(crate) fn to(access: Access) -> Self {
-        Self { access, held: Vec::new(), haptics: HapticSettings::default(), stalls: None }
+        Self {
+            access,
+            held: Vec::new(),
+            haptics: HapticSettings::default(),
+            meters: Arc::default(),
+            stalls: None,
+        }
     }
 }
 
@@ -85,13 +93,13 @@ pub(crate) fn serve(
     service: Service,
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Served> {
-    let Service { access, held, haptics, stalls } = service;
+    let Service { access, held, haptics, meters, stalls } = service;
     let (published_in, published) =
         watch::channel(Arc::new(Published::of(&simulation, None, Pace::default())));
     let (commands, commands_out) = std::sync::mpsc::channel();
     let hello = messages::hello(&simulation);
     let (held, links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
-    let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics)?) };
+    let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
     let simulation_thread = std::thread::Builder::new()
         .name("simulation".into())
         .spawn(move || live::run(simulation, &commands_out, &published_in, links, stalls))?;

@@ -17,8 +17,8 @@ pub mod law;
 pub mod simulated;
 pub mod trocar;
 
-pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 pub use coupling::{CouplingGains, GainShares};
+pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 pub use extrapolation::ForceEstimate;
 pub use handover::Handover;
 pub use law::{HapticLaw, LawSettings, LawTick, TickReport};

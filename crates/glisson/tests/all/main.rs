@@ -40,6 +40,7 @@ mod reduced;
 mod surfaces;
 mod world_steps;
 mod world_tools;
+mod world_tear;
 mod mesh_edits;
 mod mesh_quality;
 mod mesh_repair;

@@ -1,12 +1,17 @@
 //! A world with a clock, a session being recorded, and models that are made in the background.
 
 mod incidents;
+pub(crate) mod exchange;
+pub(crate) mod histogram;
+pub(crate) mod realtime;
+pub(crate) mod haptic_loop;
 pub(crate) mod live;
 pub(crate) mod recorder;
 pub(crate) mod replay;
 
 use crate::workers::WorkerTeam;
 use anyhow::{Context, anyhow, bail};
+use glisson::haptics::{HapticModel, Touch};
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
@@ -205,6 +210,18 @@ impl Simulation {
         &self.notices
     }
 
+    /// What the haptic loop evaluates for an instrument until the next step.
+    pub(crate) fn haptic_model(&mut self, tool: usize) -> HapticModel {
+        let felt = self.world.report().tools[tool];
+        let touch = if felt.in_contact { Touch::Contact } else { Touch::Free };
+        HapticModel {
+            step: self.world.steps_made(),
+            touch,
+            force_n: felt.force_on_tool_n,
+            ..HapticModel::default()
+        }
+    }
+
     /// Everything back to rest.
     pub(crate) fn reset(&mut self) -> anyhow::Result<()> {
         self.record(&SessionEvent::Reset { step: self.world.steps_made() })?;
@@ -237,6 +254,24 @@ impl Simulation {
         } else if self.builder.is_some() && self.world.ordered_model().is_none() {
             self.builder = None;
             self.orders_recomputations = self.is_live;
+        }
+        Ok(())
+    }
+
+    /// An instrument sets a clip on the vessel nearest to its tip; where there is none, the reason is told.
+    pub(crate) fn clip_vessel(&mut self, tool: usize) -> anyhow::Result<()> {
+        let n_tools = self.world.tools().len();
+        if tool >= n_tools {
+            self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
+            return Ok(());
+        }
+        self.record(&SessionEvent::Clip { step: self.world.steps_made(), tool: tool as u8 })?;
+        if !self.world.clip_vessel(tool) {
+            let reason = match self.world.vessels() {
+                None => "the scene's organ has no vessels",
+                Some(_) => "no vessel is within reach of the instrument's tip",
+            };
+            self.tell(format!("no clip was set: {reason}"));
         }
         Ok(())
     }

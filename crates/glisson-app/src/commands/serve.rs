@@ -1,14 +1,20 @@
 //! `glisson serve`.
 
+use crate::devices::{self, Assignment, tools_of};
+use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink, join};
+use crate::runtime::live::Lateness;
 use crate::runtime::{OpenScene, Simulation};
-use crate::server;
+use crate::server::access::Access;
+use crate::server::{self, Served, Service, stop_signal};
 use std::net::TcpListener;
 use std::path::PathBuf;
 
 /// Serve the viewer and simulate a scene in real time.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  glisson serve out/demo/scene.toml\n  \
-    glisson serve scene.toml --port 0 --record session.jsonl\n\nStop with Ctrl-C; a recording is then completed.")]
+    glisson serve scene.toml --port 0 --record session.jsonl\n  \
+    glisson serve scene.toml --device haply --device simulated@1\n  \
+    glisson serve scene.toml --host 0.0.0.0      for other machines, with a token that is printed\n\nStop with Ctrl-C; a recording is then completed.")]
 pub(crate) struct Args {
     /// Scene file (TOML)
     scene: PathBuf,
@@ -17,6 +23,16 @@ pub(crate) struct Args {
     /// Record the session to this file
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Put an instrument into the hand at a device: NAME, or NAME@TOOL with TOOL from 0; may be given several times. `glisson
+    /// devices list` tells the names
+    #[arg(long = "device", value_name = "NAME[@TOOL]")]
+    devices: Vec<Assignment>,
+    /// Ticks a second of the haptic loop [Hz]: 100 to 4000
+    #[arg(long, value_name = "HZ", default_value_t = 1000.0)]
+    haptic_rate: f64,
+    /// Core that the haptic loop stays on; the last one that the program may use when left out
+    #[arg(long, value_name = "N")]
+    haptic_core: Option<usize>,
     /// Threads of the explicit model; the results do not depend on it
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
     threads: u8,
@@ -25,12 +41,16 @@ pub(crate) struct Args {
 /// Where the viewer is served.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Address {
-    /// Address to listen on; anything but this machine's own lets others steer the simulation
+    /// Address to listen on; anything but this machine's own lets those who know the token steer the simulation
     #[arg(long, default_value = "127.0.0.1")]
     host: String,
     /// Port to listen on; 0 takes any free one
     #[arg(long, default_value_t = 8077)]
     port: u16,
+    /// What others have to know to connect, at least 16 letters and digits; also read from the variable GLISSON_TOKEN,
+    /// which other users of the machine do not see. An address that is not this machine's own gets a random one
+    #[arg(long, value_name = "TEXT")]
+    token: Option<String>,
     /// Do not open a browser
     #[arg(long)]
     no_open: bool,
@@ -44,7 +64,20 @@ impl Address {
 
     /// Tells the address, opens a browser where there is a display, and serves until Ctrl-C.
     pub(crate) fn serve(&self, simulation: Simulation, listener: TcpListener) -> anyhow::Result<()> {
-        let page = server::page_address(listener.local_addr()?);
+        self.serve_with(simulation, listener, Vec::new(), HapticSettings::default())
+    }
+
+    /// The same with instruments that devices hold.
+    fn serve_with(
+        &self,
+        simulation: Simulation,
+        listener: TcpListener,
+        held: Vec<(HeldTool, ToolLink)>,
+        haptics: HapticSettings,
+    ) -> anyhow::Result<()> {
+        let address = listener.local_addr()?;
+        let access = Access::for_address(address.ip(), self.given_token())?;
+        let page = server::page_address(address) + &access.address_suffix();
         println!("Glisson is at {page}  (Ctrl-C stops it)");
         if !self.no_open && std::env::var_os("DISPLAY").is_some() {
             // Without a browser to open, the printed address is enough.
@@ -54,9 +87,21 @@ impl Address {
                 .stderr(std::process::Stdio::null())
                 .spawn();
         }
-        let state_hash = server::serve(simulation, listener)?;
-        println!("stopped; state hash {state_hash}");
+        let service = Service { held, haptics, ..Service::to(access) };
+        let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
+        if let Some(haptics) = haptics {
+            println!("{}", haptics.to_text());
+        }
+        if ended.lateness.n_given_up > 0 {
+            let Lateness { n_given_up, left_out_s } = ended.lateness;
+            println!("the simulation fell behind {n_given_up} times and left out {left_out_s:.1} s");
+        }
+        println!("stopped; state hash {}", ended.state_hash);
         Ok(())
+    }
+
+    fn given_token(&self) -> Option<String> {
+        self.token.clone().or_else(|| std::env::var("GLISSON_TOKEN").ok())
     }
 }
 
@@ -64,5 +109,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let listener = args.address.bind()?;
     let source = OpenScene { n_threads: usize::from(args.threads), ..OpenScene::read(&args.scene)? };
     let simulation = Simulation::open(source, args.record.as_deref())?;
-    args.address.serve(simulation, listener)
+    let instruments = simulation.world().tools();
+    let mut held = Vec::new();
+    for (assignment, tool) in args.devices.iter().zip(tools_of(&args.devices, instruments.len())?) {
+        let home = instruments[tool].home;
+        let device = devices::open(&assignment.name, &home, args.haptic_rate)?;
+        println!("instrument {tool} ({}) is in the hand of: {}", instruments[tool].name, device.name);
+        held.push(join(device, tool, home));
+    }
+    let haptics = HapticSettings { rate_hz: args.haptic_rate, core: args.haptic_core };
+    args.address.serve_with(simulation, listener, held, haptics)
 }

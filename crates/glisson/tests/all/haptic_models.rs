@@ -35,7 +35,7 @@ fn random_model(random: &mut SeededRandom, step: u64, tip_m: DVec3) -> HapticMod
     let (touch, n_parts) = (touches[pick(3) as usize], if pick(4) == 0 { 2 + pick(3) as u32 } else { 0 });
     let is_broken = pick(40) == 0;
     let has_friction = pick(3) > 0;
-    let mut part = |random: &mut SeededRandom, touch: Touch| TouchedPart {
+    let part = |random: &mut SeededRandom, touch: Touch| TouchedPart {
         touch,
         force_n: random_vector(random, 5.0),
         stiffness_n_per_m: random_stiffness(random, 300.0),
@@ -320,7 +320,7 @@ fn a_cut_under_the_tip_is_no_jump_and_the_lost_force_is_gone_in_the_end() {
     let mesh = world.organ().mesh();
     let tets = (0..mesh.tetrahedra.len()).map(TetId::from_index);
     let gone = tets.filter(|t| mesh.tetrahedra[t.index()].iter().any(|n| touched.contains(n))).collect();
-    world.edit(&[MeshEdit::Remove { tets: gone }]).unwrap();
+    world.edit(&MeshEdit::Remove { tets: gone }).unwrap();
     for _ in 0..60 {
         step_to(&mut world, at);
         model = world.haptic_model(0);

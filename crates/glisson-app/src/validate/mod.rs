@@ -16,6 +16,7 @@ mod indentation;
 mod interaction;
 mod mesh_repair;
 mod model_rheology;
+mod passivity;
 mod precomputed_cutting;
 mod precompute;
 mod prestress;
@@ -162,6 +163,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "indentation",
         about: "A sphere and a flat punch on a bonded layer: graded tetrahedra against an axisymmetric solution.",
         run: indentation::experiments,
+    },
+    Group {
+        name: "passivity",
+        about: "Energy of the haptic loop: a simulated device with a hand, delays, slow steps, with control and without.",
+        run: passivity::experiments,
     },
     Group {
         name: "contact_physics",

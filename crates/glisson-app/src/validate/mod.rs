@@ -19,6 +19,7 @@ mod interaction;
 mod mesh_repair;
 mod model_rheology;
 mod palpation;
+mod passivity;
 mod precomputed_cutting;
 mod precompute;
 mod prestress;
@@ -180,6 +181,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "haptic_force",
         about: "The force between two steps of a simulation at 30 Hz against the full model stepped at 1 kHz.",
         run: haptic_force::experiments,
+    },
+    Group {
+        name: "passivity",
+        about: "Energy of the haptic loop: a simulated device with a hand, delays, slow steps, with control and without.",
+        run: passivity::experiments,
     },
     Group {
         name: "contact_physics",

@@ -7,7 +7,7 @@ mod machine;
 mod model_edits;
 pub(crate) mod timing;
 mod world;
-mod body;
+pub(crate) mod body;
 mod meshing;
 mod models;
 mod precomputed;

@@ -5,6 +5,7 @@ mod force_dimension;
 mod haply;
 mod openhaptics;
 mod replayed;
+pub(crate) mod trocar_board;
 mod vendor;
 
 use anyhow::{Context, bail, ensure};

@@ -329,7 +329,8 @@ impl SimulatedDevice {
         let pulled_n = grip_n - self.handle_m_per_s * settings.damping_n_s_per_m + force_n;
         let pushed = self.handle_m_per_s + pulled_n * (dt_s / settings.mass_kg);
         let stopped = settings.friction_n * dt_s / settings.mass_kg;
-        self.handle_m_per_s = pushed.move_towards(DVec3::ZERO, stopped);
+        let speed = pushed.length();
+        self.handle_m_per_s = if speed > stopped { pushed * (1.0 - stopped / speed) } else { DVec3::ZERO };
         self.hand_m += self.hand_m_per_s * dt_s;
         self.handle_m += self.handle_m_per_s * dt_s;
     }

@@ -6,6 +6,7 @@ pub(crate) mod histogram;
 pub(crate) mod realtime;
 pub(crate) mod haptic_loop;
 pub(crate) mod live;
+mod effort;
 pub(crate) mod recorder;
 pub(crate) mod replay;
 
@@ -15,10 +16,10 @@ use glisson::haptics::HapticModel;
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
-use glisson::model::DeformableModel;
 use glisson::model::explicit_kernel::SharedWorkers;
 use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
+use glisson::model::{DeformableModel, Effort};
 use glisson::record::hash::StateHash;
 use glisson::record::session::SessionEvent;
 use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
@@ -274,6 +275,12 @@ impl Simulation {
         self.record(&SessionEvent::Gravity { step: self.world.steps_made(), gravity_m_per_s2 })?;
         self.world.set_gravity(gravity_m_per_s2);
         Ok(())
+    }
+
+    /// How thoroughly steps are computed from now on; answers whether that makes a difference to the present model.
+    pub(crate) fn set_effort(&mut self, effort: Effort) -> anyhow::Result<bool> {
+        self.record(&SessionEvent::Effort { step: self.world.steps_made(), effort })?;
+        Ok(self.world.set_effort(effort))
     }
 
     /// Takes tetrahedra out of the organ. A model that cannot follow is no reason to stop: nothing changes, and the

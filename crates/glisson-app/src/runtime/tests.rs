@@ -353,3 +353,31 @@ fn instruments_follow_a_script_until_somebody_takes_them() {
     simulation.take_from_script(0);
     assert_eq!(simulation.scripted_pose(0), None);
 }
+
+#[test]
+fn a_session_with_less_effort_and_a_change_of_model_replays_to_the_same_bits() {
+    let folder = scene_folder();
+    let scene = SCENE.replace("\"tensor_mass\"", "\"nonlinear_tensor_mass\"");
+    std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+    let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+    for step in 0..300 {
+        match step {
+            80 => assert!(simulation.set_effort(Effort::Least).unwrap()),
+            100 => simulation.order_model(ModelKind::Implicit, 150).unwrap(),
+            200 => simulation.set_effort(Effort::Full).map(|_| ()).unwrap(),
+            _ => {}
+        }
+        simulation.advance(&input(step)).unwrap();
+    }
+    assert_eq!(simulation.world().model_kind(), ModelKind::Implicit, "{:?}", simulation.notices());
+    let hash = simulation.finish().unwrap();
+    let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+    let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
+    assert_eq!((report.state_hash, report.first_difference), (hash, None));
+
+    // At full effort it is another run.
+    let full = text.lines().filter(|line| !line.contains("\"effort\"")).collect::<Vec<_>>().join("\n");
+    let report = replay(&parse_session(&full).unwrap(), folder.path(), |_| Ok(())).unwrap();
+    assert_ne!(report.state_hash, hash);
+}

@@ -9,6 +9,7 @@ mod images;
 mod laws;
 mod kernel;
 mod kernel_laws;
+mod effort;
 mod explicit_kernel;
 mod hybrid_exchange;
 mod hybrid_nonlinear;

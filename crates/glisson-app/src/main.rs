@@ -7,6 +7,7 @@ mod bench;
 mod commands;
 mod demo;
 mod picture;
+mod net;
 mod plot;
 mod runtime;
 mod scratch;

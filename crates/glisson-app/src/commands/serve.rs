@@ -1,7 +1,10 @@
 //! `glisson serve`.
 
+use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink};
+use crate::runtime::live::Lateness;
 use crate::runtime::{OpenScene, Simulation};
-use crate::server;
+use crate::server::access::Access;
+use crate::server::{self, Served, Service, stop_signal};
 use std::net::TcpListener;
 use std::path::PathBuf;
 
@@ -25,12 +28,16 @@ pub(crate) struct Args {
 /// Where the viewer is served.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Address {
-    /// Address to listen on; anything but this machine's own lets others steer the simulation
+    /// Address to listen on; anything but this machine's own lets those who know the token steer the simulation
     #[arg(long, default_value = "127.0.0.1")]
     host: String,
     /// Port to listen on; 0 takes any free one
     #[arg(long, default_value_t = 8077)]
     port: u16,
+    /// What others have to know to connect, at least 16 letters and digits; also read from the variable GLISSON_TOKEN,
+    /// which other users of the machine do not see. An address that is not this machine's own gets a random one
+    #[arg(long, value_name = "TEXT")]
+    token: Option<String>,
     /// Do not open a browser
     #[arg(long)]
     no_open: bool,
@@ -44,7 +51,20 @@ impl Address {
 
     /// Tells the address, opens a browser where there is a display, and serves until Ctrl-C.
     pub(crate) fn serve(&self, simulation: Simulation, listener: TcpListener) -> anyhow::Result<()> {
-        let page = server::page_address(listener.local_addr()?);
+        self.serve_with(simulation, listener, Vec::new(), HapticSettings::default())
+    }
+
+    /// The same with instruments that devices hold.
+    fn serve_with(
+        &self,
+        simulation: Simulation,
+        listener: TcpListener,
+        held: Vec<(HeldTool, ToolLink)>,
+        haptics: HapticSettings,
+    ) -> anyhow::Result<()> {
+        let address = listener.local_addr()?;
+        let access = Access::for_address(address.ip(), self.given_token())?;
+        let page = server::page_address(address) + &access.address_suffix();
         println!("Glisson is at {page}  (Ctrl-C stops it)");
         if !self.no_open && std::env::var_os("DISPLAY").is_some() {
             // Without a browser to open, the printed address is enough.
@@ -54,9 +74,21 @@ impl Address {
                 .stderr(std::process::Stdio::null())
                 .spawn();
         }
-        let state_hash = server::serve(simulation, listener)?;
-        println!("stopped; state hash {state_hash}");
+        let service = Service { held, haptics, ..Service::to(access) };
+        let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
+        if let Some(haptics) = haptics {
+            println!("{}", haptics.to_text());
+        }
+        if ended.lateness.n_given_up > 0 {
+            let Lateness { n_given_up, left_out_s } = ended.lateness;
+            println!("the simulation fell behind {n_given_up} times and left out {left_out_s:.1} s");
+        }
+        println!("stopped; state hash {}", ended.state_hash);
         Ok(())
+    }
+
+    fn given_token(&self) -> Option<String> {
+        self.token.clone().or_else(|| std::env::var("GLISSON_TOKEN").ok())
     }
 }
 

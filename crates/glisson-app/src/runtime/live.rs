@@ -1,6 +1,8 @@
 //! The simulation loop of `glisson serve`: keeps pace with the clock, takes commands, publishes what is displayed.
 
 use super::Simulation;
+use super::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
+use super::realtime::now_ns;
 use crate::server::frames::Pace;
 use glisson::math::DVec3;
 use glisson::model::kind::ModelKind;
@@ -52,18 +54,56 @@ pub(crate) struct Published {
     pub(crate) model: ModelKind,
     /// What the user should know, in order.
     pub(crate) notices: Vec<String>,
+    pub(crate) lateness: Lateness,
+}
+
+/// How far the simulation fell behind the clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Lateness {
+    /// Times that it gave up catching up.
+    pub(crate) n_given_up: u64,
+    /// What was then left out [s].
+    pub(crate) left_out_s: f64,
+}
+
+/// The simulation stands still for a while again and again: what the haptic loop must not feel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Stalls {
+    /// From the beginning of one to the next.
+    pub(crate) every: Duration,
+    /// How long each takes, working all the time.
+    pub(crate) length: Duration,
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Ended {
+    pub(crate) state_hash: StateHash,
+    pub(crate) steps: u64,
+    /// Stalls that were made.
+    pub(crate) n_stalls: u64,
+    pub(crate) lateness: Lateness,
 }
 
 impl Published {
     /// `known` is kept as long as it holds.
     pub(crate) fn of(simulation: &Simulation, known: Option<&Arc<DisplayTopology>>, pace: Pace) -> Self {
+        Self::when_late(simulation, known, pace, Lateness::default())
+    }
+
+    fn when_late(
+        simulation: &Simulation,
+        known: Option<&Arc<DisplayTopology>>,
+        pace: Pace,
+        lateness: Lateness,
+    ) -> Self {
         let world = simulation.world();
         let (snapshot, state_hash) = (world.snapshot(), world.state_hash());
         let topology = known
             .filter(|topology| topology.version == snapshot.topology_version)
             .map_or_else(|| Arc::new(world.display_topology()), Arc::clone);
         let notices = simulation.notices().to_vec();
-        Self { snapshot, topology, pace, state_hash, model: world.model_kind(), notices }
+        Self { snapshot, topology, pace, state_hash, model: world.model_kind(), notices, lateness }
     }
 }
 
@@ -128,6 +168,8 @@ struct Live {
     simulation: Simulation,
     tools: Vec<ToolInput>,
     targets: Vec<ToolInput>,
+    /// Instruments in the hand of a device.
+    links: Vec<ToolLink>,
     paused: bool,
     dt_s: f64,
 }
@@ -144,19 +186,61 @@ impl Live {
             .tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
     }
 
+    /// Where the devices have their instruments, and what the user should know about them.
+    fn read_devices(&mut self) {
+        for link in &mut self.links {
+            let motion = link.motions.get();
+            if motion.is_held && motion.pose.is_finite() {
+                // A hand moves as it moves: nothing is smoothed.
+                self.targets[link.tool] = motion.pose;
+                let jumps =
+                    self.tools[link.tool].tip_in_world_m.distance(motion.pose.tip_in_world_m) > JUMP_M;
+                if !jumps {
+                    self.tools[link.tool] = motion.pose;
+                }
+            }
+            match link.statuses.get_new() {
+                Some(DeviceStatus::Lost(why)) => {
+                    self.simulation.tell(format!("the device {} was lost: {why}", link.device_name));
+                }
+                Some(DeviceStatus::Failed(why)) => {
+                    self.simulation.tell(format!("the device {} failed: {why}", link.device_name));
+                }
+                Some(DeviceStatus::Works) => {
+                    self.simulation.tell(format!("the device {} works", link.device_name));
+                }
+                Some(DeviceStatus::Waiting) | None => {}
+            }
+        }
+    }
+
+    fn publish_models(&mut self) {
+        for link in &mut self.links {
+            let model = self.simulation.haptic_model(link.tool);
+            link.models.publish(PublishedModel { model, made_ns: now_ns() });
+        }
+    }
+
     fn advance(&mut self) -> anyhow::Result<()> {
+        self.read_devices();
         let mut placed = [false; MAX_TOOLS];
         for ((tool, target), placed) in self.tools.iter_mut().zip(&self.targets).zip(&mut placed) {
             *placed = tool.tip_in_world_m.distance(target.tip_in_world_m) > JUMP_M;
             *tool = if *placed { *target } else { approach(*tool, *target, self.dt_s) };
         }
         self.simulation.advance(&StepInput { placed, ..StepInput::of(&self.tools) })?;
+        self.publish_models();
         Ok(())
     }
 
     /// Answers whether the display has to be refreshed at once.
     fn obey(&mut self, command: Command) -> anyhow::Result<bool> {
         match command {
+            Command::Tool { tool, .. } if self.links.iter().any(|link| link.tool == tool) => {
+                let device = self.links.iter().find(|link| link.tool == tool).map(|l| l.device_name.clone());
+                let device = device.unwrap_or_default();
+                self.simulation.tell(format!("instrument {tool} is in the hand of the device {device}"));
+            }
             Command::Tool { tool, pose } => match self.targets.get_mut(tool) {
                 Some(target) => *target = pose,
                 None => self.refuse_tool(tool),
@@ -196,7 +280,8 @@ impl Live {
     }
 }
 
-/// Runs until [`Command::Stop`] or until all senders are gone, then ends the recording.
+/// Runs until [`Command::Stop`] or until all senders are gone, then ends the recording. The instruments of `links` are
+/// moved by devices.
 ///
 /// # Errors
 /// What stopped the simulation; the recording up to there is kept.
@@ -204,13 +289,18 @@ pub(crate) fn run(
     simulation: Simulation,
     commands: &Receiver<Command>,
     published: &watch::Sender<Arc<Published>>,
-) -> anyhow::Result<StateHash> {
+    links: Vec<ToolLink>,
+    stalls: Option<Stalls>,
+) -> anyhow::Result<Ended> {
     let dt_s = simulation.world().spec().time_step_s;
     let tools = homes(&simulation);
-    let mut live = Live { simulation, targets: tools.clone(), tools, paused: false, dt_s };
+    let mut live = Live { simulation, targets: tools.clone(), tools, links, paused: false, dt_s };
     let mut meter = PaceMeter { since: Instant::now(), steps: 0, pace: Pace::default() };
+    let mut lateness = Lateness::default();
     let mut next_frame = Instant::now();
     let mut simulated_until = Instant::now();
+    let mut next_stall = stalls.map(|stalls| Instant::now() + stalls.every);
+    let mut n_stalls = 0;
     let step = Duration::from_secs_f64(dt_s);
     loop {
         let now = Instant::now();
@@ -218,16 +308,33 @@ pub(crate) fn run(
             if live.paused { FRAME } else { simulated_until.min(next_frame).saturating_duration_since(now) };
         let mut refresh = false;
         match commands.recv_timeout(wait) {
-            Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => return live.simulation.finish(),
+            Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => {
+                let steps = live.simulation.world().steps_made();
+                let state_hash = live.simulation.finish()?;
+                return Ok(Ended { state_hash, steps, n_stalls, lateness });
+            }
             Ok(command) => refresh = live.obey(command)?,
             Err(RecvTimeoutError::Timeout) => {}
+        }
+        if let (Some(stalls), Some(begin)) = (stalls, next_stall)
+            && Instant::now() >= begin
+        {
+            let end = Instant::now() + stalls.length;
+            while Instant::now() < end {
+                std::hint::spin_loop();
+            }
+            n_stalls += 1;
+            next_stall = Some(begin + stalls.every);
         }
         let now = Instant::now();
         if live.paused {
             simulated_until = now;
             meter.restart();
         } else {
-            if now.saturating_duration_since(simulated_until) > MAX_LAG {
+            let lag = now.saturating_duration_since(simulated_until);
+            if lag > MAX_LAG {
+                lateness.n_given_up += 1;
+                lateness.left_out_s += lag.as_secs_f64();
                 simulated_until = now;
             }
             let mut steps = 0;
@@ -242,7 +349,8 @@ pub(crate) fn run(
             next_frame = Instant::now() + FRAME;
             let pace = Pace { paused: live.paused, ..meter.pace };
             let topology = Arc::clone(&published.borrow().topology);
-            published.send_replace(Arc::new(Published::of(&live.simulation, Some(&topology), pace)));
+            let latest = Published::when_late(&live.simulation, Some(&topology), pace, lateness);
+            published.send_replace(Arc::new(latest));
         }
     }
 }

@@ -1,12 +1,17 @@
 //! A world with a clock, a session being recorded, and models that are made in the background.
 
 mod incidents;
+pub(crate) mod exchange;
+pub(crate) mod histogram;
+pub(crate) mod realtime;
+pub(crate) mod haptic_loop;
 pub(crate) mod live;
 pub(crate) mod recorder;
 pub(crate) mod replay;
 
 use crate::workers::WorkerTeam;
 use anyhow::{Context, anyhow, bail};
+use glisson::haptics::{HapticModel, Touch};
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
@@ -203,6 +208,18 @@ impl Simulation {
     /// What the user should know: why ordered models could not take over, what went wrong in steps. In order.
     pub(crate) fn notices(&self) -> &[String] {
         &self.notices
+    }
+
+    /// What the haptic loop evaluates for an instrument until the next step.
+    pub(crate) fn haptic_model(&mut self, tool: usize) -> HapticModel {
+        let felt = self.world.report().tools[tool];
+        let touch = if felt.in_contact { Touch::Contact } else { Touch::Free };
+        HapticModel {
+            step: self.world.steps_made(),
+            touch,
+            force_n: felt.force_on_tool_n,
+            ..HapticModel::default()
+        }
     }
 
     /// Everything back to rest.

@@ -1,6 +1,7 @@
 //! The JSON messages of the viewer's protocol.
 
 use crate::runtime::Simulation;
+use crate::runtime::haptic_loop::HapticReport;
 use crate::runtime::live::{Command, Published};
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::ModelKind;
@@ -111,6 +112,36 @@ pub(super) fn error(message: &str) -> Value {
     json!({ "type": "error", "message": message })
 }
 
+/// Whether this viewer controls, and whether anybody does.
+pub(super) fn role(is_controller: bool, is_taken: bool) -> Value {
+    let role = if is_controller { "controller" } else { "viewer" };
+    json!({ "type": "role", "role": role, "control_is_taken": is_taken })
+}
+
+/// How the loops keep their time.
+pub(super) fn timing(published: &Published, haptics: Option<&HapticReport>) -> Value {
+    let Published { pace, lateness, .. } = published;
+    json!({
+        "type": "timing",
+        "simulation": {
+            "rate_hz": pace.rate_hz,
+            "real_time_factor": pace.real_time_factor,
+            "times_given_up": lateness.n_given_up,
+            "left_out_s": lateness.left_out_s,
+        },
+        "haptics": haptics.map(HapticReport::to_json),
+    })
+}
+
+/// What a viewer wants.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Wish {
+    /// Something of the simulation: for the one who controls.
+    Command(Command),
+    /// Somebody else may control.
+    ReleaseControl,
+}
+
 #[derive(Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 enum ViewerMessage {
@@ -142,16 +173,21 @@ enum ViewerMessage {
         tool: usize,
     },
     Undo {},
+    ReleaseControl {},
 }
+
+/// No patient and no room is so large: more is millimetres taken for metres [m].
+const FURTHEST_TIP_M: f64 = 100.0;
 
 /// Ten times that of the Earth: more is a mistyped number.
 const STRONGEST_GRAVITY_M_PER_S2: f64 = 100.0;
 
 /// What a viewer asks for, or why it cannot be understood.
-pub(super) fn command(text: &str) -> Result<Command, String> {
+pub(super) fn wish(text: &str) -> Result<Wish, String> {
     let message: ViewerMessage =
         serde_json::from_str(text).map_err(|e| format!("message not understood: {e}"))?;
-    Ok(match message {
+    Ok(Wish::Command(match message {
+        ViewerMessage::ReleaseControl {} => return Ok(Wish::ReleaseControl),
         ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
             let shaft_in_world = DVec3::from_array(shaft)
                 .try_normalize()
@@ -159,6 +195,9 @@ pub(super) fn command(text: &str) -> Result<Command, String> {
             let shares = [("jaw", jaw), ("trigger", trigger)];
             if let Some((key, found)) = shares.into_iter().find(|(_, share)| !(0.0..=1.0).contains(share)) {
                 return Err(format!("\"{key}\" is {found}; allowed: between 0 and 1"));
+            }
+            if let Some(found) = tip_m.iter().find(|place| place.abs() > FURTHEST_TIP_M) {
+                return Err(format!("\"tip_m\" has {found} m; allowed: up to {FURTHEST_TIP_M} m"));
             }
             let pose = ToolInput::at(DVec3::from_array(tip_m), shaft_in_world);
             Command::Tool { tool, pose: ToolInput { roll_rad, jaw_opening: jaw, trigger, ..pose } }
@@ -183,12 +222,64 @@ pub(super) fn command(text: &str) -> Result<Command, String> {
             }
             Command::Gravity(gravity_m_per_s2)
         }
-    })
+    }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    fn command(text: &str) -> Result<Command, String> {
+        match wish(text)? {
+            Wish::Command(command) => Ok(command),
+            other @ Wish::ReleaseControl => Err(format!("{other:?}")),
+        }
+    }
+
+    const MESSAGES: [&str; 6] = [
+        r#"{"type":"tool","tool":1,"tip_m":[1,-2.5,3e-3],"shaft":[0,0,2],"roll_rad":0.5,"jaw":1,"trigger":0.25}"#,
+        r#"{"type":"pause","paused":true}"#,
+        r#"{"type":"model","name":"explicit"}"#,
+        r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#,
+        r#"{"type":"cut","tool":3}"#,
+        r#"{"type":"release_control"}"#,
+    ];
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2_000))]
+        #[test]
+        fn mutated_messages_are_understood_or_refused_with_a_reason(
+            which in 0..MESSAGES.len(),
+            changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..4),
+            cut in any::<prop::sample::Index>(),
+            is_cut in any::<bool>(),
+        ) {
+            let mut bytes = MESSAGES[which].as_bytes().to_vec();
+            for (at, byte) in changes {
+                let at = at.index(bytes.len());
+                bytes[at] = byte;
+            }
+            if is_cut {
+                bytes.truncate(cut.index(bytes.len()));
+            }
+            match wish(&String::from_utf8_lossy(&bytes)) {
+                Ok(Wish::Command(Command::Tool { pose, .. })) => {
+                    prop_assert!(pose.is_finite() && (pose.shaft_in_world.length() - 1.0).abs() < 1e-12);
+                    prop_assert!((0.0..=1.0).contains(&pose.jaw_opening) && (0.0..=1.0).contains(&pose.trigger));
+                }
+                Ok(_) => {}
+                Err(reason) => prop_assert!(!reason.is_empty()),
+            }
+        }
+
+        #[test]
+        fn any_text_is_understood_or_refused_with_a_reason(text in ".{0,200}") {
+            if let Err(reason) = wish(&text) {
+                prop_assert!(!reason.is_empty());
+            }
+        }
+    }
 
     #[test]
     fn commands_are_read_and_mistakes_answered() {
@@ -211,6 +302,7 @@ mod tests {
             r#"{"type":"fly"}"#,
             r#"{"type":"tool","tip_m":[1,2],"shaft":[0,0,1]}"#,
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,0]}"#,
+            r#"{"type":"tool","tip_m":[1,2,300],"shaft":[0,0,1]}"#,
             r#"{"type":"tool","tip_m":[1,2,1e999],"shaft":[0,0,1]}"#,
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1],"jaw":2}"#,
             r#"{"type":"model","name":"jelly"}"#,

@@ -6,6 +6,12 @@
 
 pub mod device;
 pub mod tissue;
+pub mod extrapolation;
+pub mod handover;
+pub mod patch;
 
 pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
-pub use tissue::{HapticModel, Touch};
+pub use extrapolation::ForceEstimate;
+pub use handover::Handover;
+pub use patch::PatchStiffness;
+pub use tissue::{HapticModel, Touch, TouchedPart};

@@ -127,7 +127,7 @@ impl World {
     }
 
     /// Force that a hand exerts on the organ in the last step [N]: with one part, or with what its jaws hold.
-    fn force_on_organ_n(&self, hand: usize, part: Option<ToolPart>) -> DVec3 {
+    pub(super) fn force_on_organ_n(&self, hand: usize, part: Option<ToolPart>) -> DVec3 {
         let owner = Owner { hand: hand as u8, part };
         let forces = self.model.constraint_forces_n().iter().zip(&self.owners);
         forces.filter(|(_, o)| **o == owner).map(|(force_n, _)| *force_n).sum()

@@ -9,6 +9,7 @@ mod cut;
 mod edits;
 mod grasp;
 mod hand;
+mod haptic;
 mod loads;
 pub mod organ;
 mod parts;
@@ -36,6 +37,7 @@ use active::ActiveTip;
 use constrain::{MOST_IMPOSED, Owner};
 use edits::Journal;
 use hand::Hand;
+use haptic::HapticScratch;
 use loads::Loads;
 use organ::{Organ, OrganError};
 use spec::WorldSpec;
@@ -126,6 +128,8 @@ pub struct World {
     owners: Vec<Owner>,
     /// Scratch of the search for what is between jaws.
     between_jaws: Vec<ToolContact>,
+    /// Scratch of what the haptic loop is told; made when it is first asked for.
+    haptics: Option<Box<HapticScratch>>,
     loads: Loads,
     gravity_m_per_s2: DVec3,
     /// Gravity and force fields of the last step.
@@ -176,6 +180,7 @@ impl World {
             constraints,
             owners: Vec::with_capacity(MOST_IMPOSED),
             between_jaws: grasp::room_for_search(),
+            haptics: None,
             loads,
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,

@@ -9,16 +9,14 @@ use crate::runtime::histogram::{Histogram, Percentiles};
 use crate::runtime::realtime::now_ns;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::thread::{JoinHandle, Thread};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// Between two looks for something new to send [ns]: a quarter of a tick at 1 kHz.
-const LOOK: Duration = Duration::from_micros(250);
-/// What has not changed is sent again after this time [ns]: the other side hears that this one is there.
-const REPEAT_NS: u64 = 10_000_000;
+/// What has not changed is sent again after this time: the other side hears that this one is there.
+const REPEAT: Duration = Duration::from_millis(10);
 /// Longest wait for a message, after which the threads see whether they should end.
 const PATIENCE: Duration = Duration::from_millis(50);
-/// A link that is silent for so long counts as cut [ns]: five of the times above.
+/// A link that is silent for so long counts as cut [ns]: five times the time between repetitions.
 pub(crate) const CUT_NS: u64 = 50_000_000;
 
 /// Who talks.
@@ -33,6 +31,8 @@ pub(crate) struct Identity {
 
 /// What is new to send, or the same again.
 pub(crate) trait Outgoing: Send {
+    /// From now on `thread` is unparked when there is something new.
+    fn wakes(&self, thread: Thread);
     /// The newest state if it was not seen before.
     fn new(&mut self, now_ns: u64) -> Option<Content>;
     /// The newest state.
@@ -137,6 +137,7 @@ impl Conversation {
 impl Drop for Conversation {
     fn drop(&mut self) {
         self.shared.ends.store(true, Ordering::Relaxed);
+        self.threads.iter().for_each(|thread| thread.thread().unpark());
         for thread in self.threads.drain(..) {
             // A panic was already printed.
             let _ = thread.join();
@@ -144,19 +145,27 @@ impl Drop for Conversation {
     }
 }
 
-fn send_all(shared: &Shared, identity: &Identity, mut sender: Box<dyn SendHalf>, mut outgoing: impl Outgoing) {
+fn send_all(
+    shared: &Shared,
+    identity: &Identity,
+    mut sender: Box<dyn SendHalf>,
+    mut outgoing: impl Outgoing,
+) {
     let mut bytes = Vec::with_capacity(MOST_BYTES);
-    let (mut sequence, mut last_sent_ns) = (0, 0);
+    let (mut sequence, mut last_sent) = (0, Instant::now());
+    outgoing.wakes(std::thread::current());
     while !shared.ends.load(Ordering::Relaxed) {
-        let now = now_ns();
-        let content = match outgoing.new(now) {
+        let content = match outgoing.new(now_ns()) {
             Some(content) => content,
-            None if now.saturating_sub(last_sent_ns) >= REPEAT_NS => outgoing.latest(now),
-            None => {
-                std::thread::sleep(LOOK);
-                continue;
-            }
+            None => match REPEAT.checked_sub(last_sent.elapsed()) {
+                Some(wait) if !wait.is_zero() => {
+                    std::thread::park_timeout(wait);
+                    continue;
+                }
+                _ => outgoing.latest(now_ns()),
+            },
         };
+        last_sent = Instant::now();
         sequence += 1;
         let heard = shared.heard.lock().map_or_else(|_| Heard::default(), |heard| *heard);
         let sent_ns = now_ns();
@@ -171,7 +180,6 @@ fn send_all(shared: &Shared, identity: &Identity, mut sender: Box<dyn SendHalf>,
             heard_ago_ns: sent_ns.saturating_sub(heard.at_ns),
         };
         encode_into(&head, &content, &identity.seal, &mut bytes);
-        last_sent_ns = sent_ns;
         match sender.send(&bytes) {
             Ok(()) => {
                 shared.n_sent.fetch_add(1, Ordering::Relaxed);
@@ -185,9 +193,13 @@ fn send_all(shared: &Shared, identity: &Identity, mut sender: Box<dyn SendHalf>,
     }
 }
 
+/// Counts it; tells a reason when it is another one than before.
 fn refuse(shared: &Shared, reason: String) {
     shared.n_refused.fetch_add(1, Ordering::Relaxed);
-    if let Ok(mut refused) = shared.refused.lock() {
+    if let Ok(mut refused) = shared.refused.lock()
+        && refused.as_ref() != Some(&reason)
+    {
+        eprintln!("link: a message was refused: {reason}");
         *refused = Some(reason);
     }
 }

@@ -33,8 +33,9 @@ impl Inbox {
     pub(crate) fn takes(&mut self, head: &Head, now_ns: u64) -> bool {
         let silent_ns = now_ns.saturating_sub(self.heard_ns);
         let is_first = self.counts.n_sessions == 0;
-        let is_new_session =
-            is_first || head.session > self.session || (head.session != self.session && silent_ns > FORGET_NS);
+        let is_new_session = is_first
+            || head.session > self.session
+            || (head.session != self.session && silent_ns > FORGET_NS);
         if is_new_session {
             self.session = head.session;
             self.counts.n_sessions += 1;

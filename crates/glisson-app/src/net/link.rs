@@ -87,7 +87,9 @@ impl std::str::FromStr for LinkAddress {
 
     fn from_str(text: &str) -> Result<Self, String> {
         if let Some(address) = text.strip_prefix("udp://") {
-            let has_port = address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
+            let has_port = address
+                .rsplit_once(':')
+                .is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
             return if has_port {
                 Ok(Self::Udp(address.to_owned()))
             } else {
@@ -101,7 +103,8 @@ impl std::str::FromStr for LinkAddress {
             ZenohAddress::Scouting
         } else if rest.ends_with(".json5") || rest.ends_with(".json") || rest.ends_with(".yaml") {
             ZenohAddress::File(rest.into())
-        } else if rest.split_once('/').is_some_and(|(protocol, to)| !protocol.is_empty() && to.contains(':')) {
+        } else if rest.split_once('/').is_some_and(|(protocol, to)| !protocol.is_empty() && to.contains(':'))
+        {
             ZenohAddress::Locator(rest.to_owned())
         } else {
             return Err(format!("{text}: after zenoh: comes nothing, PROTOCOL/HOST:PORT or FILE.json5"));
@@ -145,7 +148,8 @@ impl LinkAddress {
 pub(crate) fn udp(address: SocketAddr, role: Role) -> anyhow::Result<Link> {
     let (socket, peer) = match role {
         Role::Simulation => {
-            let socket = UdpSocket::bind(address).map_err(|e| anyhow!("cannot listen on udp://{address}: {e}"))?;
+            let socket =
+                UdpSocket::bind(address).map_err(|e| anyhow!("cannot listen on udp://{address}: {e}"))?;
             (socket, Some(Arc::new(Mutex::new(None))))
         }
         Role::Haptics => {

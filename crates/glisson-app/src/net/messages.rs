@@ -5,7 +5,7 @@
 //! one message. Little endian; a head of [`HEAD_BYTES`], the content, a tag over both.
 
 use super::seal::{Seal, TAG_BYTES};
-use glisson::haptics::{HapticModel, Touch};
+use glisson::haptics::{HapticModel, Touch, TouchedPart};
 use glisson::math::{DMat3, DVec3};
 use glisson::tool::{MAX_TOOLS, ToolInput};
 
@@ -15,10 +15,14 @@ const MAGIC: [u8; 4] = *b"GLNK";
 /// Bytes of a head.
 pub(crate) const HEAD_BYTES: usize = 72;
 const MOTION_BYTES: usize = 9 * 8 + 1;
-const MODEL_BYTES: usize = 8 + 1 + 3 * 8 + 6 * 24 + 72 + 2 * 8;
+const PART_BYTES: usize = 1 + 2 * 24 + 72;
+const MODEL_BYTES: usize = 8 + 1 + 2 * 8 + 6 * 24 + 72 + 3 * 8 + 1 + HapticModel::MOST_PARTS * PART_BYTES;
 /// Bytes of the longest message.
-pub(crate) const MOST_BYTES: usize = HEAD_BYTES + MAX_TOOLS * (MODEL_BYTES + 8) + TAG_BYTES;
+pub(crate) const MOST_BYTES: usize = HEAD_BYTES + MAX_TOOLS * (8 + MODEL_BYTES) + TAG_BYTES;
+const _: () = assert!(MOTION_BYTES < MODEL_BYTES, "the longest message is one of models");
 
+/// Beyond it no number is taken: metres, newtons and seconds of an operation are far below, stiffnesses (times this) too.
+const MOST: f64 = 1e6;
 /// How far the length of a shaft may be from 1: rounding, and no more.
 const SHAFT_TOLERANCE: f64 = 1e-6;
 
@@ -91,7 +95,9 @@ pub(crate) enum MessageError {
     Length(usize),
     #[error("it does not begin like a message of Glisson")]
     Magic,
-    #[error("it is of version {0}, this program speaks version {VERSION}: use the same release on both machines")]
+    #[error(
+        "it is of version {0}, this program speaks version {VERSION}: use the same release on both machines"
+    )]
     Version(u16),
     #[error("its tag is wrong: damaged on the way, or the two machines do not have the same --link-key")]
     Tag,
@@ -182,7 +188,9 @@ fn read(reader: &mut Reader<'_>) -> Option<Result<(Head, Content), MessageError>
         heard_ago_ns: reader.u64()?,
     };
     let content = match kind {
-        KIND_HANDS => (0..n_tools).map(|_| reader.hand()).collect::<Option<Result<_, _>>>()?.map(Content::Hands),
+        KIND_HANDS => {
+            (0..n_tools).map(|_| reader.hand()).collect::<Option<Result<_, _>>>()?.map(Content::Hands)
+        }
         KIND_TISSUES => {
             (0..n_tools).map(|_| reader.tissue()).collect::<Option<Result<_, _>>>()?.map(Content::Tissues)
         }
@@ -220,7 +228,15 @@ fn put_tissue(bytes: &mut Vec<u8>, tissue: &Tissue) {
         put(bytes, &vector.to_array());
     }
     put(bytes, &model.stiffness_n_per_m.to_cols_array());
-    put(bytes, &[model.gap_m, model.friction_coefficient]);
+    put(bytes, &[model.gap_m, model.friction_coefficient, model.hold_n]);
+    let parts = &model.parts[..(model.n_parts as usize).min(HapticModel::MOST_PARTS)];
+    bytes.push(parts.len() as u8);
+    for part in parts {
+        bytes.push(touch_code(part.touch));
+        put(bytes, &part.force_n.to_array());
+        put(bytes, &part.stiffness_n_per_m.to_cols_array());
+        put(bytes, &part.normal.to_array());
+    }
 }
 
 fn touch_code(touch: Touch) -> u8 {
@@ -271,7 +287,9 @@ impl Reader<'_> {
         let [is_held] = self.take()?;
         let is_share = |x: f64| (0.0..=1.0).contains(&x);
         Some(match is_held {
-            _ if !pose.is_finite() => Err(MessageError::Number("the place of an instrument")),
+            _ if !pose.is_finite() || !is_plausible(tip_in_world_m) || roll_rad.abs() > MOST => {
+                Err(MessageError::Number("the place of an instrument"))
+            }
             _ if (shaft_in_world.length() - 1.0).abs() > SHAFT_TOLERANCE => {
                 Err(MessageError::Number("the length of a shaft's direction"))
             }
@@ -286,7 +304,7 @@ impl Reader<'_> {
     fn tissue(&mut self) -> Option<Result<Tissue, MessageError>> {
         let (age_ns, step) = (self.u64()?, self.u64()?);
         let [touch] = self.take()?;
-        let model = HapticModel {
+        let mut model = HapticModel {
             step,
             time_s: self.f64()?,
             period_s: self.f64()?,
@@ -299,14 +317,40 @@ impl Reader<'_> {
             stiffness_n_per_m: self.matrix()?,
             gap_m: self.f64()?,
             friction_coefficient: self.f64()?,
+            hold_n: self.f64()?,
             ..HapticModel::default()
         };
-        Some(touch_of(touch).and_then(|touch| checked(HapticModel { touch, ..model })).map(|model| Tissue { model, age_ns }))
+        let [n_parts] = self.take()?;
+        if usize::from(n_parts) > HapticModel::MOST_PARTS {
+            return Some(Err(MessageError::Number("the number of parts that touch")));
+        }
+        model.n_parts = u32::from(n_parts);
+        let mut codes = [touch; HapticModel::MOST_PARTS];
+        for (part, code) in model.parts.iter_mut().zip(&mut codes).take(usize::from(n_parts)) {
+            [*code] = self.take()?;
+            let (force_n, stiffness_n_per_m, normal) = (self.vector()?, self.matrix()?, self.vector()?);
+            *part = TouchedPart { touch: Touch::Free, force_n, stiffness_n_per_m, normal };
+        }
+        let model = touch_of(touch).and_then(|touch| {
+            model.touch = touch;
+            for (part, code) in model.parts.iter_mut().zip(codes).take(usize::from(n_parts)) {
+                part.touch = touch_of(code)?;
+            }
+            checked(model)
+        });
+        Some(model.map(|model| Tissue { model, age_ns }))
     }
 }
 
-/// A force that is not a number must not reach a hand.
+/// Whether every component is a number that an operation can have [m, m/s, N, s].
+fn is_plausible(vector: DVec3) -> bool {
+    vector.abs().max_element() <= MOST && !vector.is_nan()
+}
+
+/// A force that is not a number, or that would become none, must not reach a hand.
 fn checked(model: HapticModel) -> Result<HapticModel, MessageError> {
+    let is_plausible_matrix =
+        |m: DMat3| [m.x_axis, m.y_axis, m.z_axis].iter().all(|column| is_plausible(*column / MOST));
     let vectors = [
         model.tip_m,
         model.tip_velocity_m_per_s,
@@ -314,14 +358,206 @@ fn checked(model: HapticModel) -> Result<HapticModel, MessageError> {
         model.surface_m,
         model.normal,
         model.surface_velocity_m_per_s,
+        DVec3::new(model.time_s / MOST, model.period_s, model.gap_m),
     ];
-    let are_finite = vectors.iter().all(|v| v.is_finite())
-        && model.stiffness_n_per_m.is_finite()
-        && [model.time_s, model.period_s, model.gap_m].iter().all(|x| x.is_finite());
-    // What sticks has an infinite coefficient.
-    if are_finite && model.friction_coefficient >= 0.0 {
+    let parts = &model.parts[..model.n_parts as usize];
+    let are_plausible = vectors.iter().all(|v| is_plausible(*v))
+        && is_plausible_matrix(model.stiffness_n_per_m)
+        && parts.iter().all(|part| {
+            is_plausible(part.force_n)
+                && is_plausible_matrix(part.stiffness_n_per_m)
+                && is_plausible(part.normal)
+        });
+    // What sticks has an infinite coefficient, what holds without a limit an infinite force.
+    if are_plausible && model.friction_coefficient >= 0.0 && model.hold_n >= 0.0 {
         Ok(model)
     } else {
         Err(MessageError::Number("a model of the tissue"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A small generator of the tests' own (xorshift): the same bytes each time.
+    pub(super) struct Random(pub(super) u64);
+
+    impl Random {
+        pub(super) fn next(&mut self) -> u64 {
+            self.0 ^= self.0 << 13;
+            self.0 ^= self.0 >> 7;
+            self.0 ^= self.0 << 17;
+            self.0
+        }
+
+        fn number(&mut self) -> f64 {
+            (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        }
+
+        fn vector(&mut self) -> DVec3 {
+            DVec3::new(self.number(), self.number(), self.number())
+        }
+
+        fn matrix(&mut self) -> DMat3 {
+            DMat3::from_cols(self.vector(), self.vector(), self.vector())
+        }
+
+        fn hand(&mut self) -> Hand {
+            let pose = ToolInput {
+                roll_rad: self.number(),
+                jaw_opening: self.number().abs(),
+                trigger: self.number().abs(),
+                ..ToolInput::at(self.vector(), self.vector().normalize())
+            };
+            Hand { pose, is_held: self.next().is_multiple_of(2) }
+        }
+
+        fn tissue(&mut self) -> Tissue {
+            let n_parts = (self.next() % 5) as u32;
+            let mut model = HapticModel {
+                step: self.next(),
+                time_s: self.number(),
+                period_s: self.number(),
+                touch: touch_of((self.next() % 3) as u8).unwrap(),
+                tip_m: self.vector(),
+                tip_velocity_m_per_s: self.vector(),
+                force_n: self.vector(),
+                stiffness_n_per_m: self.matrix(),
+                surface_m: self.vector(),
+                normal: self.vector(),
+                gap_m: self.number(),
+                surface_velocity_m_per_s: self.vector(),
+                friction_coefficient: if n_parts == 1 { f64::INFINITY } else { self.number().abs() },
+                hold_n: if n_parts == 2 { f64::INFINITY } else { self.number().abs() },
+                n_parts,
+                ..HapticModel::default()
+            };
+            for part in &mut model.parts[..n_parts as usize] {
+                let touch = touch_of((self.next() % 3) as u8).unwrap();
+                let (force_n, stiffness_n_per_m, normal) = (self.vector(), self.matrix(), self.vector());
+                *part = TouchedPart { touch, force_n, stiffness_n_per_m, normal };
+            }
+            Tissue { model, age_ns: self.next() }
+        }
+
+        pub(super) fn message(&mut self) -> (Head, Content) {
+            let head = Head {
+                scene: self.next(),
+                session: self.next(),
+                sequence: self.next(),
+                sent_ns: self.next(),
+                heard_session: self.next(),
+                heard_sequence: self.next(),
+                heard_sent_ns: self.next(),
+                heard_ago_ns: self.next(),
+            };
+            let n_tools = 1 + self.next() % MAX_TOOLS as u64;
+            let content = if self.next().is_multiple_of(2) {
+                Content::Hands((0..n_tools).map(|_| self.hand()).collect())
+            } else {
+                Content::Tissues((0..n_tools).map(|_| self.tissue()).collect())
+            };
+            (head, content)
+        }
+    }
+
+    fn key() -> Seal {
+        Seal::Key(Box::new([7; 32]))
+    }
+
+    #[test]
+    fn a_message_comes_back_bit_by_bit() {
+        let mut random = Random(0x9E37_79B9_7F4A_7C15);
+        let mut bytes = Vec::with_capacity(MOST_BYTES);
+        let mut longest = 0;
+        for round in 0..500 {
+            let seal = if round % 2 == 0 { Seal::Check } else { key() };
+            let (head, content) = random.message();
+            encode_into(&head, &content, &seal, &mut bytes);
+            assert_eq!(decode(&bytes, &seal), Ok((head, content)), "round {round}");
+            longest = longest.max(bytes.len());
+        }
+        assert_eq!((longest, bytes.capacity()), (MOST_BYTES, MOST_BYTES));
+    }
+
+    #[test]
+    fn a_head_and_a_hand_have_the_documented_layout() {
+        let head = Head {
+            scene: 1,
+            session: 2,
+            sequence: 3,
+            sent_ns: 4,
+            heard_session: 5,
+            heard_sequence: 6,
+            heard_sent_ns: 7,
+            heard_ago_ns: 8,
+        };
+        let pose = ToolInput {
+            roll_rad: 0.5,
+            jaw_opening: 0.25,
+            trigger: 1.0,
+            ..ToolInput::at(DVec3::new(1.0, 2.0, 3.0), DVec3::Y)
+        };
+        let mut bytes = Vec::new();
+        encode_into(&head, &Content::Hands(vec![Hand { pose, is_held: true }]), &Seal::Check, &mut bytes);
+        assert_eq!(bytes.len(), 72 + 73 + 16);
+        assert_eq!(&bytes[..8], b"GLNK\x01\0\x01\x01");
+        let word = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+        assert_eq!([8, 16, 24, 32, 40, 48, 56, 64].map(word), [1, 2, 3, 4, 5, 6, 7, 8]);
+        let numbers: Vec<f64> = (0..9).map(|i| f64::from_bits(word(72 + 8 * i))).collect();
+        assert_eq!(numbers, [1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 0.5, 0.25, 1.0]);
+        assert_eq!(bytes[144], 1);
+        assert_eq!(word(145), super::super::crc64::crc64(&bytes[..145]));
+        assert_eq!(word(153), 0);
+    }
+
+    #[test]
+    fn whatever_the_bytes_are_nothing_breaks_and_no_damage_passes() {
+        let mut random = Random(1);
+        let mut bytes = Vec::new();
+        for round in 0..20_000 {
+            let seal = if round % 2 == 0 { Seal::Check } else { key() };
+            let (head, content) = random.message();
+            encode_into(&head, &content, &seal, &mut bytes);
+            let at = random.next() as usize % bytes.len();
+            match random.next() % 3 {
+                // A flipped bit, a cut end: both are seen.
+                0 => bytes[at] ^= 1 << (random.next() % 8),
+                1 => bytes.truncate(at),
+                // Anything, with a good tag: must only not break anything.
+                _ => {
+                    let sealed = bytes.len() - TAG_BYTES;
+                    let first = random.next() as usize % sealed;
+                    bytes[first..sealed].iter_mut().take(40).for_each(|byte| *byte = random.next() as u8);
+                    let tag = seal.tag(&bytes[..sealed]);
+                    bytes[sealed..].copy_from_slice(&tag);
+                    if let Ok((_, Content::Tissues(tissues))) = decode(&bytes, &seal) {
+                        for tissue in tissues {
+                            let force_n = tissue.model.force_at(DVec3::ZERO, 0.1);
+                            assert!(!force_n.is_nan(), "{tissue:?}");
+                        }
+                    }
+                    continue;
+                }
+            }
+            assert!(decode(&bytes, &seal).is_err(), "round {round}");
+        }
+    }
+
+    #[test]
+    fn another_version_another_key_and_strangers_are_told_apart() {
+        let (head, content) = Random(3).message();
+        let mut bytes = Vec::new();
+        encode_into(&head, &content, &key(), &mut bytes);
+        let other = Seal::Key(Box::new([8; 32]));
+        assert_eq!(decode(&bytes, &other), Err(MessageError::Tag));
+        assert_eq!(decode(&bytes, &Seal::Check), Err(MessageError::Tag));
+        bytes[4] = 2;
+        assert_eq!(decode(&bytes, &key()), Err(MessageError::Version(2)));
+        assert_eq!(decode(&[b'x'; 300], &key()), Err(MessageError::Magic));
+        assert_eq!(decode(b"GLNK", &key()), Err(MessageError::Length(4)));
+        let message = MessageError::Version(2).to_string();
+        assert!(message.contains("same release"), "{message}");
     }
 }

@@ -21,7 +21,8 @@ pub(crate) enum Seal {
 impl Seal {
     /// With the key that a file's content makes.
     pub(crate) fn from_file(path: &Path) -> anyhow::Result<Self> {
-        let content = std::fs::read(path).with_context(|| format!("{}: cannot read the key", path.display()))?;
+        let content =
+            std::fs::read(path).with_context(|| format!("{}: cannot read the key", path.display()))?;
         ensure!(
             content.len() >= LEAST_KEY_BYTES,
             "{}: a key of {} bytes can be guessed; at least {LEAST_KEY_BYTES} random ones, for example: \

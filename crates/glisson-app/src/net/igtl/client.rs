@@ -148,9 +148,7 @@ impl Client {
         let told = |kind: &str, is_done| message(kind, SERVER_NAME, timestamp(wall), &answer(is_done));
         Ok(match frame.kind.as_str() {
             "GET_STATUS" => self.greeting(wall),
-            "GET_CAPABIL" => {
-                message("CAPABILITY", SERVER_NAME, timestamp(wall), &capability(&KINDS))
-            }
+            "GET_CAPABIL" => message("CAPABILITY", SERVER_NAME, timestamp(wall), &capability(&KINDS)),
             "GET_TRANS" => match self.tool_asked_for(&frame.device) {
                 Some(tools) => tools.flat_map(|tool| self.transform_message(view, tool, wall)).collect(),
                 None => {
@@ -263,13 +261,13 @@ mod tests {
         asks(&mut client, "STP_POLYDATA", "", &[]);
         assert_eq!(kinds(&client.due(&view(3), start + Duration::from_secs(2), wall)), all[..2]);
         // Every two seconds, as asked.
-        assert_eq!(kinds(&asks(&mut client, "STT_POLYDATA", "", &[0, 0, 0, 2, 0, 0, 0, 0])), [
-            "RTS_POLYDATA Glisson"
-        ]);
+        assert_eq!(
+            kinds(&asks(&mut client, "STT_POLYDATA", "", &[0, 0, 0, 2, 0, 0, 0, 0])),
+            ["RTS_POLYDATA Glisson"]
+        );
         asks(&mut client, "STP_TRANS", "", &[]);
-        let mut due = |step, after_s| {
-            kinds(&client.due(&view(step), start + Duration::from_secs(after_s), wall))
-        };
+        let mut due =
+            |step, after_s| kinds(&client.due(&view(step), start + Duration::from_secs(after_s), wall));
         assert_eq!(due(4, 3), all[2..]);
         assert_eq!((due(5, 4).len(), due(6, 5).len()), (0, 1));
     }

@@ -153,7 +153,8 @@ mod tests {
         for (i, (ras, lps)) in ras.iter().zip(&lps).enumerate() {
             assert_eq!(*ras, if i % 3 == 2 { *lps } else { -lps }, "number {i}");
         }
-        let column = |m: &[f32], i: usize| DVec3::new(m[3 * i].into(), m[3 * i + 1].into(), m[3 * i + 2].into());
+        let column =
+            |m: &[f32], i: usize| DVec3::new(m[3 * i].into(), m[3 * i + 1].into(), m[3 * i + 2].into());
         for m in [&lps, &ras] {
             let volume = column(m, 0).cross(column(m, 1)).dot(column(m, 2));
             assert!((volume - 1.0).abs() < 1e-6, "right-handed and not scaled: {volume}");

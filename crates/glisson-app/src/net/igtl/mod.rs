@@ -5,5 +5,8 @@ pub(crate) mod messages;
 mod client;
 mod server;
 
+pub(crate) use client::Described;
 pub(crate) use messages::Axes;
-pub(crate) use server::{Server, bind, spawn};
+pub(crate) use server::{bind, spawn};
+#[cfg(test)]
+mod tests;

@@ -20,24 +20,13 @@ const MOST_CLIENTS: usize = 8;
 /// limit.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// A running server; it ends with the simulation that it shows.
-pub(crate) struct Server {
-    thread: JoinHandle<()>,
-}
-
-impl Server {
-    /// Waits until the clients were told that it ends.
-    pub(crate) fn join(self) {
-        // A panic was already printed.
-        let _ = self.thread.join();
-    }
-}
-
 /// Takes the address.
 pub(crate) fn bind(address: SocketAddr) -> anyhow::Result<TcpListener> {
     let listener = TcpListener::bind(address).map_err(|e| match e.kind() {
         std::io::ErrorKind::AddrInUse => {
-            anyhow!("{address} is in use (another OpenIGTLink server?); give another one: --igtl ADDRESS:PORT")
+            anyhow!(
+                "{address} is in use (another OpenIGTLink server?); give another one: --igtl ADDRESS:PORT"
+            )
         }
         _ => anyhow!("cannot listen for OpenIGTLink on {address}: {e}"),
     })?;
@@ -50,14 +39,14 @@ pub(crate) fn spawn(
     listener: TcpListener,
     described: Described,
     published: watch::Receiver<Arc<Published>>,
-) -> anyhow::Result<Server> {
+) -> anyhow::Result<JoinHandle<()>> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let thread = std::thread::Builder::new().name("openigtlink".into()).spawn(move || {
         if let Err(error) = runtime.block_on(accept(listener, &described, published)) {
             eprintln!("OpenIGTLink: {error:#}");
         }
     })?;
-    Ok(Server { thread })
+    Ok(thread)
 }
 
 async fn accept(

@@ -40,7 +40,7 @@ export function socketAddress(pageAddress: string): string {
 
 /** What a key of the simulation says to the server; a step begins with a pause. */
 export function messageOf(
-  action: "pause" | "single_step" | "cut" | "undo",
+  action: "pause" | "single_step" | "cut" | "clip" | "undo",
   paused: boolean | undefined,
   tool: number,
 ): ClientMessage {
@@ -51,6 +51,8 @@ export function messageOf(
       return paused === false ? { type: "pause", paused: true } : { type: "single_step" };
     case "cut":
       return { type: "cut", tool };
+    case "clip":
+      return { type: "clip", tool };
     case "undo":
       return { type: "undo" };
   }

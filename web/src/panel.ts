@@ -1,4 +1,5 @@
 /** The panel of numbers: what each shows is a pure function of the hello message and the newest snapshot. */
+import type { Bleeding } from "./blood";
 import type { Hello, HandHeader, Vec3 } from "./protocol";
 
 export type PanelKey =
@@ -18,7 +19,9 @@ export type PanelKey =
   | "model"
   | "material"
   | "mesh"
-  | "arrow_scale";
+  | "arrow_scale"
+  | "bleeding"
+  | "blood_lost";
 
 export type PanelValues = Record<PanelKey, string>;
 
@@ -60,6 +63,13 @@ function instrumentText(hello: Hello, header: HandHeader, tool: number): string 
   return `${place}${name}${hold}${header.trigger > 0.5 ? ", on" : ""}`;
 }
 
+/** Blood that comes out now: `12.3 ml/min from 2`. */
+function bleedingText(bleeding: Bleeding): string {
+  if (bleeding.ends.length === 0) return bleeding.clips > 0 ? `none, ${bleeding.clips} clips` : "none";
+  const clips = bleeding.clips > 0 ? `, ${bleeding.clips} clips` : "";
+  return `${(60e6 * bleeding.rate_m3_per_s).toFixed(1)} ml/min from ${bleeding.ends.length}${clips}`;
+}
+
 export function panelValues(
   hello: Hello | null,
   header: HandHeader | null,
@@ -86,6 +96,8 @@ export function panelValues(
     model: scene?.model ?? NONE,
     material: scene?.material ?? NONE,
     mesh: scene === undefined ? NONE : `${grouped.format(scene.n_nodes)} / ${grouped.format(scene.n_tetrahedra)}`,
+    bleeding: header?.bleeding ? bleedingText(header.bleeding) : NONE,
+    blood_lost: header?.bleeding ? `${(1e6 * header.bleeding.lost_m3).toFixed(1)} ml` : NONE,
     arrow_scale: `${Number((1000 * arrowScale_m_per_n).toPrecision(3))} mm / N`,
   };
 }
@@ -103,6 +115,8 @@ const INSTRUMENT_ROWS: readonly Row[] = [
   row("contact", "Contact", "Whether the tip touches the organ"),
   row("contact_point", "at (mm)", "Contact point in the patient frame: left, posterior, superior"),
   row("tip", "Tip (mm)", "Centre of the tip in the patient frame: left, posterior, superior"),
+  row("bleeding", "Bleeding", "Blood from open vessels now (scenes with vessels); A sets a clip"),
+  row("blood_lost", "Blood lost", "Blood lost so far"),
 ];
 const SIMULATION_ROWS: readonly Row[] = [
   row("state", "State", "Running or paused"),

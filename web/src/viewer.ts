@@ -211,6 +211,7 @@ export class Viewer {
       case "pause":
       case "single_step":
       case "cut":
+      case "clip":
       case "undo":
         this.connection.send(messageOf(action, this.header?.paused, this.hands.chosen));
         break;
@@ -367,7 +368,7 @@ export class Viewer {
   }
 
   private showHeader(header: SnapshotHeader): void {
-    const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify(h.tools));
+    const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify([h.tools, h.bleeding?.ends]));
     if (drawn(header) !== drawn(this.header)) this.sceneChanged = true;
     this.header = headerOfHand(header, this.hands.chosen);
   }

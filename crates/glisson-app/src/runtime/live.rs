@@ -37,6 +37,11 @@ pub(crate) enum Command {
         /// Its number.
         tool: usize,
     },
+    /// An instrument sets a clip on the vessel nearest to its tip.
+    Clip {
+        /// Its number.
+        tool: usize,
+    },
     /// The last cut is taken back.
     Undo,
     /// The program ends.
@@ -269,6 +274,10 @@ impl Live {
                 return Ok(true);
             }
             Command::Cut { tool } => self.refuse_tool(tool),
+            Command::Clip { tool } => {
+                self.simulation.clip_vessel(tool)?;
+                return Ok(true);
+            }
             Command::Undo => {
                 self.simulation.undo_edit()?;
                 return Ok(true);

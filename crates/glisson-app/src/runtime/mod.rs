@@ -258,6 +258,24 @@ impl Simulation {
         Ok(())
     }
 
+    /// An instrument sets a clip on the vessel nearest to its tip; where there is none, the reason is told.
+    pub(crate) fn clip_vessel(&mut self, tool: usize) -> anyhow::Result<()> {
+        let n_tools = self.world.tools().len();
+        if tool >= n_tools {
+            self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
+            return Ok(());
+        }
+        self.record(&SessionEvent::Clip { step: self.world.steps_made(), tool: tool as u8 })?;
+        if !self.world.clip_vessel(tool) {
+            let reason = match self.world.vessels() {
+                None => "the scene's organ has no vessels",
+                Some(_) => "no vessel is within reach of the instrument's tip",
+            };
+            self.tell(format!("no clip was set: {reason}"));
+        }
+        Ok(())
+    }
+
     /// Takes out what an instrument's tip touches.
     pub(crate) fn cut_at_tip(&mut self, tool: usize) -> anyhow::Result<()> {
         let tets = self.world.touched_tetrahedra(tool);

@@ -5,12 +5,12 @@ use crate::runtime::haptic_loop::HapticReport;
 use crate::runtime::live::{Command, Published};
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::ModelKind;
-use glisson::record::snapshot::{ContactReport, ToolSnapshot};
+use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
 use glisson::tool::{Tool, ToolInput};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 2;
+const PROTOCOL: u32 = 3;
 
 /// The first message on a connection.
 pub(super) fn hello(simulation: &Simulation) -> Value {
@@ -28,6 +28,7 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             "gravity_m_per_s2": world.gravity_m_per_s2().to_array(),
             "n_nodes": organ.mesh().positions_m.len(),
             "n_tetrahedra": organ.mesh().tetrahedra.len(),
+            "n_vessels": world.vessels().map_or(0, |vessels| vessels.tubes().len()),
         },
         "bounds": { "min_m": bounds.min_m.to_array(), "max_m": bounds.max_m.to_array() },
         "tools": spec.tools.iter().map(described).collect::<Vec<_>>(),
@@ -83,7 +84,20 @@ pub(super) fn snapshot(published: &Published) -> Value {
         "node_ids": topology.nodes.iter().map(|n| n.0).collect::<Vec<_>>(),
         "rest_positions_m": list(&topology.rest_positions_m),
         "positions_m": list(&snapshot.positions_m),
+        "bleeding": snapshot.bleeding.has_vessels.then(|| bleeding_state(&snapshot.bleeding)),
         "state_hash": published.state_hash.to_string(),
+    })
+}
+
+fn bleeding_state(bleeding: &BleedingSnapshot) -> Value {
+    let end = |end: &BleedingEnd| {
+        json!({ "position_m": end.position_m.to_array(), "rate_m3_per_s": end.rate_m3_per_s })
+    };
+    json!({
+        "lost_m3": bleeding.lost_m3,
+        "rate_m3_per_s": bleeding.rate_m3_per_s,
+        "n_clips": bleeding.n_clips,
+        "ends": bleeding.ends.iter().map(end).collect::<Vec<_>>(),
     })
 }
 
@@ -172,6 +186,10 @@ enum ViewerMessage {
         #[serde(default)]
         tool: usize,
     },
+    Clip {
+        #[serde(default)]
+        tool: usize,
+    },
     Undo {},
     ReleaseControl {},
 }
@@ -212,6 +230,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
             Command::Model(kind)
         }
         ViewerMessage::Cut { tool } => Command::Cut { tool },
+        ViewerMessage::Clip { tool } => Command::Clip { tool },
         ViewerMessage::Undo {} => Command::Undo,
         ViewerMessage::Gravity { m_per_s2 } => {
             let gravity_m_per_s2 = DVec3::from_array(m_per_s2);
@@ -293,6 +312,7 @@ mod tests {
         assert_eq!(command(second), Ok(Command::Tool { tool: 1, pose }));
         assert_eq!(command(r#"{"type":"cut"}"#), Ok(Command::Cut { tool: 0 }));
         assert_eq!(command(r#"{"type":"cut","tool":2}"#), Ok(Command::Cut { tool: 2 }));
+        assert_eq!(command(r#"{"type":"clip","tool":1}"#), Ok(Command::Clip { tool: 1 }));
         assert_eq!(command(r#"{"type":"undo"}"#), Ok(Command::Undo));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));

@@ -9,6 +9,7 @@ pub mod tissue;
 pub mod extrapolation;
 pub mod handover;
 pub mod patch;
+pub mod trocar;
 
 pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 pub use extrapolation::ForceEstimate;

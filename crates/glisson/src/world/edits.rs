@@ -32,6 +32,16 @@ pub enum EditRefusal {
     /// A blade's step makes no cut that the mesh can bear.
     #[error(transparent)]
     Cut(#[from] CutRefusal),
+    /// Scissors that do not close hard enough for the tissue.
+    #[error(
+        "the jaws close with {found_n} N; to part this tissue they need {needed_n:.2} N (closing_force, jaw_length)"
+    )]
+    TooWeak {
+        /// Force of the jaws [N].
+        found_n: f64,
+        /// Force that the crack takes [N].
+        needed_n: f64,
+    },
     /// A scalpel cannot be followed.
     #[error(transparent)]
     Scalpel(#[from] ScalpelRefusal),

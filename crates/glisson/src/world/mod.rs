@@ -17,6 +17,7 @@ pub mod saved;
 mod skin;
 mod slide;
 pub mod spec;
+mod tear;
 pub mod touch;
 pub mod vessels;
 
@@ -31,7 +32,7 @@ use crate::mesh::TetMesh;
 use crate::model::kind::ModelKind;
 use crate::model::{Constraints, DeformableModel, ModelReport, ModelState};
 use crate::record::hash::StateHash;
-use crate::record::snapshot::{ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
+use crate::record::snapshot::{BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use active::ActiveTip;
 use constrain::{MOST_IMPOSED, Owner};
@@ -215,13 +216,14 @@ impl World {
     }
 
     /// Hash of everything that the next step depends on but the input: the model's state, live tetrahedra, contacts
-    /// and grasps, gravity, the loads' clock. A model that was ordered counts from its first step on.
+    /// and grasps, gravity, the loads' clock, blood lost, severed and clipped vessels. A model that was ordered counts from its first step on.
     pub fn state_hash(&self) -> StateHash {
         let gravity = self.gravity_m_per_s2.to_array();
         let active = self.active.iter().flat_map(ActiveTip::numbers);
         let hands = self.hands.iter().flat_map(Hand::numbers).chain(active);
-        let surroundings: Vec<f64> =
-            gravity.into_iter().chain(self.loads.clock(self.step)).chain(hands).collect();
+        let vessels = self.vessels.iter().flat_map(Vessels::numbers);
+        let clock = self.loads.clock(self.step);
+        let surroundings: Vec<f64> = gravity.into_iter().chain(clock).chain(hands).chain(vessels).collect();
         StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
     }
 
@@ -368,7 +370,9 @@ impl World {
     /// The displayed state now.
     pub fn snapshot(&self) -> Snapshot {
         let (positions_m, tools) = (Vec::new(), Vec::new());
-        let mut snapshot = Snapshot { step: 0, time_s: 0.0, topology_version: 0, positions_m, tools };
+        let bleeding = BleedingSnapshot::default();
+        let mut snapshot =
+            Snapshot { step: 0, time_s: 0.0, topology_version: 0, positions_m, tools, bleeding };
         self.snapshot_into(&mut snapshot);
         snapshot
     }
@@ -393,6 +397,12 @@ impl World {
                 n_held_nodes: hand.report.n_held_nodes,
             }
         }));
+        match &self.vessels {
+            None => snapshot.bleeding.has_vessels = false,
+            Some(vessels) => {
+                vessels.bleeding_into(self.organ.body(), positions_m, &mut snapshot.bleeding);
+            }
+        }
     }
 
     /// The vessels, if the organ has some.

@@ -49,3 +49,4 @@ mod mesh_edit_kinds;
 mod surface_files;
 mod mesh_files;
 mod cut_subdivision;
+mod active_trocar;

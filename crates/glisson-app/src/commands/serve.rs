@@ -1,10 +1,12 @@
 //! `glisson serve`.
 
+use crate::net::link::Role;
+use crate::net::options::NetArgs;
 use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink};
 use crate::runtime::live::Lateness;
 use crate::runtime::{OpenScene, Simulation};
 use crate::server::access::Access;
-use crate::server::{self, Served, Service, stop_signal};
+use crate::server::{self, Served, Service, Show, stop_signal};
 use std::net::TcpListener;
 use std::path::PathBuf;
 
@@ -23,6 +25,15 @@ pub(crate) struct Args {
     /// Threads of the explicit model; the results do not depend on it
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
     threads: u8,
+    #[command(flatten)]
+    network: NetArgs,
+}
+
+/// What is on the network beside the viewer.
+#[derive(Default)]
+struct Network {
+    remote: Vec<ToolLink>,
+    shows: Vec<Show>,
 }
 
 /// Where the viewer is served.
@@ -51,7 +62,7 @@ impl Address {
 
     /// Tells the address, opens a browser where there is a display, and serves until Ctrl-C.
     pub(crate) fn serve(&self, simulation: Simulation, listener: TcpListener) -> anyhow::Result<()> {
-        self.serve_with(simulation, listener, Vec::new(), HapticSettings::default())
+        self.serve_with(simulation, listener, Vec::new(), HapticSettings::default(), Network::default())
     }
 
     /// The same with instruments that devices hold.
@@ -61,6 +72,7 @@ impl Address {
         listener: TcpListener,
         held: Vec<(HeldTool, ToolLink)>,
         haptics: HapticSettings,
+        network: Network,
     ) -> anyhow::Result<()> {
         let address = listener.local_addr()?;
         let access = Access::for_address(address.ip(), self.given_token())?;
@@ -74,7 +86,8 @@ impl Address {
                 .stderr(std::process::Stdio::null())
                 .spawn();
         }
-        let service = Service { held, haptics, ..Service::to(access) };
+        let Network { remote, shows } = network;
+        let service = Service { held, haptics, remote, shows, ..Service::to(access) };
         let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
         if let Some(haptics) = haptics {
             println!("{}", haptics.to_text());
@@ -93,8 +106,25 @@ impl Address {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let link = args.network.link()?;
+    if let Some(link) = link.as_ref().filter(|link| link.role == Role::Haptics) {
+        let source = OpenScene::read(&args.scene)?;
+        return link.run_haptics(&source, Vec::new(), HapticSettings::default(), stop_signal());
+    }
     let listener = args.address.bind()?;
     let source = OpenScene { n_threads: usize::from(args.threads), ..OpenScene::read(&args.scene)? };
+    let scene_text = source.scene.text.clone();
     let simulation = Simulation::open(source, args.record.as_deref())?;
-    args.address.serve(simulation, listener)
+    let mut network = Network { shows: args.network.shows(&simulation)?, remote: Vec::new() };
+    let mut conversation = None;
+    if let Some(link) = &link {
+        let (started, remote) = link.start_simulation(&simulation, &scene_text)?;
+        conversation = Some(started);
+        network.remote = remote;
+    }
+    args.address.serve_with(simulation, listener, Vec::new(), HapticSettings::default(), network)?;
+    if let Some(conversation) = conversation {
+        println!("{}", conversation.report().to_text());
+    }
+    Ok(())
 }

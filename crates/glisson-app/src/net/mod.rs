@@ -8,5 +8,9 @@ pub(crate) mod link;
 pub(crate) mod conversation;
 pub(crate) mod bridge;
 pub(crate) mod igtl;
+pub(crate) mod player;
+pub(crate) mod options;
+#[cfg(feature = "net")]
+mod zenoh_link;
 #[cfg(test)]
 mod tests;

@@ -31,6 +31,7 @@ fn published(step: u64) -> Arc<Published> {
             time_s: 0.0,
             topology_version: 0,
             positions_m: corners.clone(),
+            bleeding: Default::default(),
             tools: vec![tool],
         },
         topology: Arc::new(DisplayTopology {

@@ -9,6 +9,8 @@ pub(crate) mod conversation;
 pub(crate) mod bridge;
 pub(crate) mod igtl;
 pub(crate) mod player;
+#[cfg(any(test, feature = "net"))]
+pub(crate) mod ros2;
 pub(crate) mod options;
 #[cfg(feature = "net")]
 mod zenoh_link;

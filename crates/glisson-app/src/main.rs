@@ -6,6 +6,7 @@
 mod bench;
 mod commands;
 mod demo;
+mod devices;
 mod picture;
 mod net;
 mod plot;

@@ -7,7 +7,7 @@ mod machine;
 mod model_edits;
 pub(crate) mod timing;
 mod world;
-mod body;
+pub(crate) mod body;
 mod meshing;
 mod models;
 mod precomputed;
@@ -27,6 +27,8 @@ mod hybrid_exchange;
 mod scalpel;
 mod mesh_edits;
 mod cut_subdivision;
+pub(crate) mod haptics;
+pub(crate) mod link;
 
 pub(crate) use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;

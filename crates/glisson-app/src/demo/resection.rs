@@ -175,7 +175,7 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
          glisson_scene = 1\nname = \"Resection of a tumour from a synthetic patient's liver\"\n\n\
          [simulation]\ntime_step = \"0.1 ms\"\n\n\
          [organ]\nmesh = \"{}\"\ntissue = \"liver\"\nmodel = \"explicit\"\nlaw = \"stable_neo_hooke\"\ndamping = \"20 1/s\"\n\
-         vessels = \"vessels.csv\"\n\n\
+         vessels = \"vessels.csv\"\ntearing = true\n\n\
          [[organ.fixed]]\nfurthest = {{ direction = [0.0, 1.0, 0.4], fraction = 0.1 }}\n\n\
          # The assisting hand holds the tissue over the tumour.\n\
          [[tool]]\nname = \"grasper\"\nkind = \"grasper\"\ntip_radius = \"2.5 mm\"\nclosing_force = \"10 N\"\nfriction = 0.8\n\

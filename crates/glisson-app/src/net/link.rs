@@ -112,6 +112,17 @@ impl std::str::FromStr for LinkAddress {
     }
 }
 
+impl std::fmt::Display for LinkAddress {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Udp(address) => write!(f, "udp://{address}"),
+            Self::Zenoh(ZenohAddress::Scouting) => f.write_str("zenoh:"),
+            Self::Zenoh(ZenohAddress::Locator(locator)) => write!(f, "zenoh:{locator}"),
+            Self::Zenoh(ZenohAddress::File(path)) => write!(f, "zenoh:{}", path.display()),
+        }
+    }
+}
+
 impl LinkAddress {
     /// Opens the link. `has_key`: whether messages are sealed with a key.
     ///

@@ -15,6 +15,7 @@ use glisson::scene::{mesh_hash, read_organ};
 use glisson::tool::ToolInput;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The network.
@@ -134,7 +135,7 @@ impl LinkOptions {
             (Some(player), None, links)
         } else {
             let (held, links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
-            (None, Some(HapticLoop::start(held, haptics)?), links)
+            (None, Some(HapticLoop::start(held, haptics, Arc::default())?), links)
         };
         let (conversation, news) = start_haptics(link, identity, &homes, links)?;
         println!("haptics run (Ctrl-C stops them)");

@@ -229,7 +229,12 @@ impl Live {
     fn advance(&mut self) -> anyhow::Result<()> {
         self.read_devices();
         let mut placed = [false; MAX_TOOLS];
-        for ((tool, target), placed) in self.tools.iter_mut().zip(&self.targets).zip(&mut placed) {
+        for (i, placed) in placed.iter_mut().enumerate().take(self.tools.len()) {
+            let (tool, target) = (&mut self.tools[i], &mut self.targets[i]);
+            if let Some(pose) = self.simulation.scripted_pose(i) {
+                (*tool, *target) = (pose, pose);
+                continue;
+            }
             *placed = tool.tip_in_world_m.distance(target.tip_in_world_m) > JUMP_M;
             *tool = if *placed { *target } else { approach(*tool, *target, self.dt_s) };
         }
@@ -247,7 +252,10 @@ impl Live {
                 self.simulation.tell(format!("instrument {tool} is in the hand of the device {device}"));
             }
             Command::Tool { tool, pose } => match self.targets.get_mut(tool) {
-                Some(target) => *target = pose,
+                Some(target) => {
+                    *target = pose;
+                    self.simulation.take_from_script(tool);
+                }
                 None => self.refuse_tool(tool),
             },
             Command::Pause(paused) => {

@@ -56,6 +56,8 @@ pub(crate) struct Service {
     pub(crate) remote: Vec<ToolLink>,
     /// What else shows the simulation; each ends with it.
     pub(crate) shows: Vec<Show>,
+    /// Where the haptic loop notes its times.
+    pub(crate) meters: Arc<Meters>,
     /// For benchmarks: the simulation stands still now and then.
     pub(crate) stalls: Option<Stalls>,
 }
@@ -63,8 +65,15 @@ pub(crate) struct Service {
 impl Service {
     /// No devices.
     pub(crate) fn to(access: Access) -> Self {
-        let haptics = HapticSettings::default();
-        Self { access, held: Vec::new(), haptics, remote: Vec::new(), shows: Vec::new(), stalls: None }
+        Self {
+            access,
+            held: Vec::new(),
+            haptics: HapticSettings::default(),
+            remote: Vec::new(),
+            shows: Vec::new(),
+            meters: Arc::default(),
+            stalls: None,
+        }
     }
 }
 
@@ -94,7 +103,7 @@ pub(crate) fn serve(
     service: Service,
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Served> {
-    let Service { access, held, haptics, remote, shows, stalls } = service;
+    let Service { access, held, haptics, remote, shows, meters, stalls } = service;
     let (published_in, published) =
         watch::channel(Arc::new(Published::of(&simulation, None, Pace::default())));
     let (commands, commands_out) = std::sync::mpsc::channel();
@@ -102,7 +111,7 @@ pub(crate) fn serve(
     let (held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
     links.extend(remote);
     let shows: Vec<_> = shows.into_iter().map(|show| show(published.clone())).collect::<Result<_, _>>()?;
-    let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics)?) };
+    let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
     let simulation_thread = std::thread::Builder::new()
         .name("simulation".into())
         .spawn(move || live::run(simulation, &commands_out, &published_in, links, stalls))?;

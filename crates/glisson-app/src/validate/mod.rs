@@ -1,5 +1,6 @@
 //! The experiments of `glisson validate`: each claim with its source, what is expected, and what was obtained now.
 
+mod active_trocar;
 mod adaptive;
 mod benchmarks;
 mod bodies;
@@ -157,6 +158,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "contact_response",
         about: "Local responses to contact: the cubes of seed 000 by penalty, impulse and geometric alteration.",
         run: contact_response::experiments,
+    },
+    Group {
+        name: "active_trocar",
+        about: "The active trocar: statics over its workspace, saturation, encoders, and its board palpating an organ.",
+        run: active_trocar::experiments,
     },
     Group {
         name: "indentation",

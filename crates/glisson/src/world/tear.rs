@@ -75,7 +75,12 @@ impl Overload {
         let edge = [f64::from(u8::from(self.edge_is_in)), self.way_m, self.edge_force_n];
         let entry = self.entry_m.into_iter().flat_map(|v| v.to_array());
         let heat = [1.0 - self.strength_left];
-        work.chain(edge).chain(entry).chain(heat).enumerate().filter(|(_, x)| *x != 0.0).flat_map(|(i, x)| [i as f64, x])
+        work.chain(edge)
+            .chain(entry)
+            .chain(heat)
+            .enumerate()
+            .filter(|(_, x)| *x != 0.0)
+            .flat_map(|(i, x)| [i as f64, x])
     }
 
     /// After a step in which `place` (a part, or the jaws after all parts) loaded the tissue; `None`: it did not.
@@ -84,7 +89,8 @@ impl Overload {
             (self.work[place], self.breaks[place]) = (Breakthrough::default(), false);
             return;
         };
-        let energy = if place == ToolPart::Tip.index() { energy.weakened(self.strength_left) } else { energy };
+        let energy =
+            if place == ToolPart::Tip.index() { energy.weakened(self.strength_left) } else { energy };
         let force_n = load.force_on_tool_n;
         let much_n = GREATEST_OVERLOAD * energy.cutting_force_n(load.front.length_m);
         let gives_way = self.work[place].push(energy, load.front, force_n, load.motion_m);
@@ -215,7 +221,8 @@ impl World {
         if is_edge && hand.now.is_triggered() {
             let point_m = contact.at.in_world_m(spec, &hand.now);
             hand.overload.edge_is_in = true;
-            hand.overload.entry_m = Some(contact.normal() * (contact.depth_m(point_m) + 2.0 * spec.tip_radius_m));
+            hand.overload.entry_m =
+                Some(contact.normal() * (contact.depth_m(point_m) + 2.0 * spec.tip_radius_m));
             return;
         }
         let tets = self.tetrahedra_under(tool, part, &contact);

@@ -49,7 +49,7 @@ fn the_profiles_have_the_figures_of_the_thesis() {
     let [built, specified] = both();
     let degrees = |rad: f64| (rad.to_degrees() * 1e6).round() / 1e6;
     assert_eq!([degrees(built.tilt_limit_rad), degrees(specified.tilt_limit_rad)], [45.0, 70.0]);
-    assert_eq!(built.resolution.map(|r| degrees(r))[0], 0.01);
+    assert_eq!(built.resolution.map(degrees)[0], 0.01);
     assert_eq!(degrees(built.resolution[3]), 0.05);
     assert_eq!([built.resolution[2], specified.resolution[2]], [1e-4, 5e-5]);
     assert_eq!([built.insertion_limit_m, specified.insertion_limit_m], [0.3, 0.4]);

@@ -86,6 +86,11 @@ impl JointReader {
         *self = Self::new(self.profile);
     }
 
+    /// Forgets how fast the motions were: there is a gap before the next sample.
+    pub fn forget_rates(&mut self) {
+        self.velocities = [VelocityEstimate::default(); N_AXES];
+    }
+
     /// The motions at this tick, `period_s` [s] after the last one.
     ///
     /// # Errors

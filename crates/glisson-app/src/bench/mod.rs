@@ -29,6 +29,7 @@ mod scalpel;
 mod mesh_edits;
 mod cut_subdivision;
 pub(crate) mod haptics;
+pub(crate) mod link;
 
 pub(crate) use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;

@@ -279,7 +279,7 @@ fn block_folder(tool: &str) -> tempfile::TempDir {
         radii_m: [1e-3; 2],
     };
     let mut vessels = Vec::new();
-    write_vessels(&[tube], &mut vessels).unwrap();
+    write_vessels(&mut vessels, &[tube]).unwrap();
     std::fs::write(folder.path().join("vessels.csv"), vessels).unwrap();
     let scene = SCENE[..SCENE.find("[tool]").unwrap()]
         .replace("tensor_mass", "explicit")

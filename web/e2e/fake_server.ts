@@ -126,6 +126,7 @@ export class FakeSimulator {
           rate_steps_per_s: this.paused ? 0 : 1 / TIME_STEP_S,
           realTimeFactor: this.paused ? 0 : 1,
           paused: this.paused,
+          bleeding: null,
           tools: [
             {
               tip_m: vec3(organ.tip_m),
@@ -164,6 +165,7 @@ export class FakeSimulator {
         gravity_m_per_s2: [0, 0, 0],
         n_nodes: rest_m.length,
         n_tetrahedra: 0,
+        n_vessels: 0,
       },
       bounds: { min_m: bound(Math.min), max_m: bound(Math.max) },
       tools: [

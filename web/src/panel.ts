@@ -1,5 +1,7 @@
 /** The panel of numbers: what each shows is a pure function of the hello message and the newest snapshot. */
+import type { Bleeding } from "./blood";
 import type { Hello, HandHeader, Vec3 } from "./protocol";
+import { hapticsText, type LoopNews } from "./timing";
 
 export type PanelKey =
   | "scene"
@@ -15,10 +17,14 @@ export type PanelKey =
   | "real_time_factor"
   | "step"
   | "time"
+  | "control"
+  | "haptics"
   | "model"
   | "material"
   | "mesh"
-  | "arrow_scale";
+  | "arrow_scale"
+  | "bleeding"
+  | "blood_lost";
 
 export type PanelValues = Record<PanelKey, string>;
 
@@ -60,13 +66,22 @@ function instrumentText(hello: Hello, header: HandHeader, tool: number): string 
   return `${place}${name}${hold}${header.trigger > 0.5 ? ", on" : ""}`;
 }
 
+/** Blood that comes out now: `12.3 ml/min from 2`. */
+function bleedingText(bleeding: Bleeding): string {
+  if (bleeding.ends.length === 0) return bleeding.clips > 0 ? `none, ${bleeding.clips} clips` : "none";
+  const clips = bleeding.clips > 0 ? `, ${bleeding.clips} clips` : "";
+  return `${(60e6 * bleeding.rate_m3_per_s).toFixed(1)} ml/min from ${bleeding.ends.length}${clips}`;
+}
+
 export function panelValues(
   hello: Hello | null,
   header: HandHeader | null,
   peak_n: number,
   arrowScale_m_per_n: number,
   tool: number,
+  news: Pick<LoopNews, "role" | "timing"> = { role: null, timing: null },
 ): PanelValues {
+  const { role, timing } = news;
   const scene = hello?.scene;
   const force = header === null ? null : lengthOf(header.forceOnTool_n);
   return {
@@ -83,9 +98,13 @@ export function panelValues(
     real_time_factor: header === null ? NONE : `${header.realTimeFactor.toFixed(2)} ×`,
     step: header === null ? NONE : grouped.format(header.step),
     time: header === null ? NONE : `${header.time_s.toFixed(3)} s`,
+    control: role === null ? NONE : role.role === "controller" ? "this page" : role.control_is_taken ? "another" : "free",
+    haptics: timing?.haptics ? hapticsText(timing.haptics) : NONE,
     model: scene?.model ?? NONE,
     material: scene?.material ?? NONE,
     mesh: scene === undefined ? NONE : `${grouped.format(scene.n_nodes)} / ${grouped.format(scene.n_tetrahedra)}`,
+    bleeding: header?.bleeding ? bleedingText(header.bleeding) : NONE,
+    blood_lost: header?.bleeding ? `${(1e6 * header.bleeding.lost_m3).toFixed(1)} ml` : NONE,
     arrow_scale: `${Number((1000 * arrowScale_m_per_n).toPrecision(3))} mm / N`,
   };
 }
@@ -103,6 +122,8 @@ const INSTRUMENT_ROWS: readonly Row[] = [
   row("contact", "Contact", "Whether the tip touches the organ"),
   row("contact_point", "at (mm)", "Contact point in the patient frame: left, posterior, superior"),
   row("tip", "Tip (mm)", "Centre of the tip in the patient frame: left, posterior, superior"),
+  row("bleeding", "Bleeding", "Blood from open vessels now (scenes with vessels); A sets a clip"),
+  row("blood_lost", "Blood lost", "Blood lost so far"),
 ];
 const SIMULATION_ROWS: readonly Row[] = [
   row("state", "State", "Running or paused"),
@@ -110,6 +131,8 @@ const SIMULATION_ROWS: readonly Row[] = [
   row("real_time_factor", "Real time", "Simulated seconds in a second: 1 is real time"),
   row("step", "Step", "Steps since the start"),
   row("time", "Time", "Simulated time since the start"),
+  row("control", "Control", "Who moves the instruments: one page; the others watch, and take over when it is free"),
+  row("haptics", "Haptics", "Rate of the force-feedback loop and deadlines that it missed by more than two periods (more: key P)"),
 ];
 const MODEL_ROWS: readonly Row[] = [
   row("model", "Model", "How the deformation is computed"),

@@ -1,13 +1,15 @@
 /**
- * The wire protocol of docs/protocol.md, version 2: decoding and encoding of every message.
+ * The wire protocol of docs/protocol.md, version 3: decoding and encoding of every message.
  *
  * Decoders check every length and index against the bytes really there before anything is allocated,
  * and throw nothing but {@link ProtocolError}. Units: metres, seconds, newtons; frame: LPS.
  */
 
+import { BLOOD_BYTES, bloodNumbers, decodeBlood, type Bleeding } from "./blood";
+import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
-export const PROTOCOL_VERSION = 2;
+export const PROTOCOL_VERSION = 3;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
@@ -34,6 +36,7 @@ export interface SceneInfo {
   readonly gravity_m_per_s2: Vec3;
   readonly n_nodes: number;
   readonly n_tetrahedra: number;
+  readonly n_vessels: number;
 }
 
 export interface JawsInfo {
@@ -111,6 +114,8 @@ export interface SnapshotHeader {
   readonly paused: boolean;
   /** In the order of the hello's tools; at least one. */
   readonly tools: readonly ToolState[];
+  /** Null for an organ without vessels. */
+  readonly bleeding: Bleeding | null;
 }
 
 /** A header with the state of the instrument in the hand at its top. */
@@ -142,6 +147,7 @@ export type ClientMessage =
   | { readonly type: "single_step" }
   | { readonly type: "reset" }
   | { readonly type: "cut"; readonly tool: number }
+  | { readonly type: "clip"; readonly tool: number }
   | { readonly type: "undo" }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }
   | { readonly type: "model"; readonly name: string };
@@ -180,7 +186,7 @@ function toolsAt(fields: Fields): ToolInfo[] {
 }
 
 /** Decodes a text message of the server. */
-export function decodeText(text: string): Hello | ServerError {
+export function decodeText(text: string): Hello | ServerError | Role | Timing {
   let parsed: unknown;
   try {
     parsed = JSON.parse(text);
@@ -190,7 +196,11 @@ export function decodeText(text: string): Hello | ServerError {
   const fields = fieldsOf(parsed, "message");
   const type = stringAt(fields, "type", "message");
   if (type === "error") return { type, message: stringAt(fields, "message", "error") };
-  if (type !== "hello") fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello or error`);
+  if (type === "role") return decodeRole(fields);
+  if (type === "timing") return decodeTiming(fields);
+  if (type !== "hello") {
+    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing or error`);
+  }
   const protocol = numberAt(fields, "protocol", "hello");
   if (protocol !== PROTOCOL_VERSION) {
     fail(`the server speaks protocol ${protocol}, this viewer ${PROTOCOL_VERSION}: build both from the same version`);
@@ -208,6 +218,7 @@ export function decodeText(text: string): Hello | ServerError {
       gravity_m_per_s2: vec3At(scene, "gravity_m_per_s2", "scene"),
       n_nodes: numberAt(scene, "n_nodes", "scene", 0),
       n_tetrahedra: numberAt(scene, "n_tetrahedra", "scene", 0),
+      n_vessels: numberAt(scene, "n_vessels", "scene", 0),
     },
     bounds: { min_m: vec3At(bounds, "min_m", "bounds"), max_m: vec3At(bounds, "max_m", "bounds") },
     tools: toolsAt(fields),
@@ -287,8 +298,14 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
   const nTools = view.getUint32(52, true);
   if (nTools < 1 || nTools > MOST_TOOLS) fail(`snapshot with ${nTools} instruments; allowed: 1 to ${MOST_TOOLS}`);
   const nVertices = view.getUint32(56, true);
+  const nBlood = view.getUint32(60, true);
   const first = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * nTools;
-  checkLength(buffer.byteLength, first + 12 * nVertices, `snapshot with ${nVertices} vertices`);
+  const blood = first + 12 * nVertices;
+  checkLength(
+    buffer.byteLength,
+    blood + BLOOD_BYTES * nBlood,
+    `snapshot with ${nVertices} vertices and ${nBlood} records of blood`,
+  );
   const step = view.getBigUint64(16, true);
   if (step > BigInt(Number.MAX_SAFE_INTEGER)) fail(`snapshot: step ${step} is above 2^53`);
   const scalar = (offset: number, what: string): number => {
@@ -330,6 +347,7 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
       realTimeFactor: scalar(40, "real-time factor"),
       paused: (flags & FLAG_PAUSED) !== 0,
       tools: Array.from({ length: nTools }, (_, i) => tool(SNAPSHOT_HEADER_BYTES + TOOL_BYTES * i)),
+      bleeding: decodeBlood(view, blood, nBlood),
     },
     positions_m,
   };
@@ -353,13 +371,15 @@ export function encodeTopology(topology: Omit<Topology, "kind">): ArrayBuffer {
 export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   const { header, positions_m } = snapshot;
   const first = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * header.tools.length;
-  const buffer = new ArrayBuffer(first + 4 * positions_m.length);
+  const blood = first + 4 * positions_m.length;
+  const bloodRecords = bloodNumbers(header.bleeding);
+  const buffer = new ArrayBuffer(blood + 4 * bloodRecords.length);
   const view = new DataView(buffer);
   [MAGIC, KIND_SNAPSHOT, header.version, header.organ].forEach((word, i) => view.setUint32(4 * i, word, true));
   view.setBigUint64(16, BigInt(header.step), true);
   const scalars = [header.time_s, header.rate_steps_per_s, header.realTimeFactor];
   scalars.forEach((x, i) => view.setFloat64(24 + 8 * i, x, true));
-  const words = [header.paused ? FLAG_PAUSED : 0, header.tools.length, positions_m.length / 3];
+  const words = [header.paused ? FLAG_PAUSED : 0, header.tools.length, positions_m.length / 3, (4 * bloodRecords.length) / BLOOD_BYTES];
   words.forEach((word, i) => view.setUint32(48 + 4 * i, word, true));
   header.tools.forEach((tool, n) => {
     const at = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * n;
@@ -370,5 +390,6 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
     view.setUint32(at + 124, tool.heldNodes, true);
   });
   positions_m.forEach((x, i) => view.setFloat32(first + 4 * i, x, true));
+  bloodRecords.forEach((x, i) => view.setFloat32(blood + 4 * i, x, true));
   return buffer;
 }

@@ -9,6 +9,7 @@ import {
   WebGLRenderer,
   type ShaderMaterial,
 } from "three";
+import { BleedingMarks } from "./bleeding";
 import type { Ray } from "./drag";
 import { pickTriangle, type Pick } from "./geometry";
 import { Instrument } from "./instrument";
@@ -48,6 +49,7 @@ export class Scene3d {
   chosen = 0;
   orbit: Orbit;
   private readonly scene = new Scene();
+  private readonly bleeding = new BleedingMarks();
   private readonly material: ShaderMaterial;
   private hello: Hello | null = null;
   private style: SurfaceStyle = "surface";
@@ -68,6 +70,7 @@ export class Scene3d {
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
     this.material = organMaterial(tissueTexture());
+    this.scene.add(this.bleeding.group);
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();
@@ -166,6 +169,7 @@ export class Scene3d {
       const tool = header.tools[i];
       if (tool !== undefined) instrument.show(tool);
     });
+    this.bleeding.show(header.bleeding?.ends ?? []);
     this.shadeByTool();
   }
 

@@ -25,6 +25,7 @@ describe("keys", () => {
     ["Escape", "leave"],
     ["u", "tool_deeper"],
     ["x", "cut"],
+    ["a", "clip"],
   ])("%j does %s", (key, action) => expect(press(key)).toBe(action));
 
   it("Shift changes R, and lengthens the instrument's steps", () => {

@@ -30,6 +30,12 @@ const SNAPSHOT: Snapshot = {
     rate_steps_per_s: 497.25,
     realTimeFactor: 0.9945,
     paused: true,
+    bleeding: {
+      lost_m3: 0.25,
+      rate_m3_per_s: 0.5,
+      clips: 3,
+      ends: [{ position_m: [1, 2, 3], rate_m3_per_s: 0.5 }],
+    },
     tools: [
       {
         tip_m: [0.01, -0.02, 0.03],
@@ -50,7 +56,7 @@ const SNAPSHOT: Snapshot = {
 
 const HELLO: Hello = {
   type: "hello",
-  protocol: 2,
+  protocol: 3,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -59,6 +65,7 @@ const HELLO: Hello = {
     gravity_m_per_s2: [0, 0, -9.81],
     n_nodes: 1452,
     n_tetrahedra: 6300,
+    n_vessels: 12,
   },
   bounds: { min_m: [-0.1, -0.1, -0.1], max_m: [0.1, 0.1, 0.1] },
   tools: [
@@ -105,7 +112,7 @@ describe("binary frames", () => {
     expect(view.getUint32(4, true)).toBe(2);
     expect(view.getBigUint64(16, true)).toBe(BigInt(2 ** 40 + 7));
     expect(view.getFloat64(24, true)).toBe(12.5);
-    expect([48, 52, 56].map((at) => view.getUint32(at, true))).toEqual([2, 1, 4]);
+    expect([48, 52, 56, 60].map((at) => view.getUint32(at, true))).toEqual([2, 1, 4, 2]);
     expect(view.getFloat64(64, true)).toBe(0.01);
     expect(view.getFloat64(88 + 8, true)).toBe(-0.6);
     expect([112, 120, 128].map((at) => view.getFloat64(at, true))).toEqual([0.5, 0.25, 1]);
@@ -113,7 +120,9 @@ describe("binary frames", () => {
     expect(view.getFloat64(160, true)).toBe(0.011);
     expect([184, 188].map((at) => view.getUint32(at, true))).toEqual([1 + 4, 6]);
     expect(view.getFloat32(192 + 4 * 3, true)).toBe(0.5);
-    expect(view.byteLength).toBe(192 + 48);
+    expect(view.getFloat32(240 + 8, true)).toBe(3);
+    expect(view.getFloat32(256 + 12, true)).toBe(0.5);
+    expect(view.byteLength).toBe(192 + 48 + 32);
   });
 
   it.each([
@@ -131,6 +140,8 @@ describe("binary frames", () => {
 
   it.each([
     ["a huge vertex count", (v: DataView) => v.setUint32(56, 0xffffffff, true), /needs .* bytes, found/],
+    ["a huge count of open vessels", (v: DataView) => v.setUint32(60, 0xffffffff, true), /records of blood needs/],
+    ["blood that is no number", (v: DataView) => v.setFloat32(256, NaN, true), /record 1 of blood is not finite/],
     ["five instruments", (v: DataView) => v.setUint32(52, 5, true), /5 instruments; allowed: 1 to 4/],
     ["an infinite force", (v: DataView) => v.setFloat64(144, Infinity, true), /force on the tool \(byte 144\)/],
     ["a step beyond 2^53", (v: DataView) => v.setBigUint64(16, 2n ** 60n, true), /above 2\^53/],
@@ -177,7 +188,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 1 }))).toThrow(/protocol 1, this viewer 2/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 3/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(

@@ -6,7 +6,9 @@
 mod bench;
 mod commands;
 mod demo;
+mod devices;
 mod picture;
+mod net;
 mod plot;
 mod runtime;
 mod scratch;

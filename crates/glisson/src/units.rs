@@ -29,6 +29,8 @@ pub enum Dimension {
     Stiffness,
     /// Watts inside.
     Power,
+    /// Joules per square metre inside.
+    FractureEnergy,
 }
 
 impl Dimension {
@@ -46,6 +48,7 @@ impl Dimension {
             Self::Rate => &[("1/s", 1.0), ("1/ms", 1e3)],
             Self::Stiffness => &[("N/m", 1.0), ("N/mm", 1e3)],
             Self::Power => &[("W", 1.0), ("mW", 1e-3)],
+            Self::FractureEnergy => &[("J/m2", 1.0), ("kJ/m2", 1e3)],
         }
     }
 
@@ -63,6 +66,7 @@ impl Dimension {
             Self::Rate => "rate",
             Self::Stiffness => "stiffness",
             Self::Power => "power",
+            Self::FractureEnergy => "fracture energy",
         }
     }
 }

@@ -22,16 +22,16 @@ const HELD_SHARE: f64 = 0.05;
 const LEAST_SURFACE_TRIANGLES: usize = 8_000;
 
 /// The body as tetrahedra.
-pub(super) struct StandardBody {
-    pub(super) mesh: TetMesh,
+pub(crate) struct StandardBody {
+    pub(crate) mesh: TetMesh,
     /// Held nodes, ascending.
-    pub(super) fixed_nodes: Vec<NodeId>,
-    pub(super) material: LinearElastic,
+    pub(crate) fixed_nodes: Vec<NodeId>,
+    pub(crate) material: LinearElastic,
 }
 
 impl StandardBody {
     /// The body in about `n_tets` tetrahedra; made once for all cases that ask for the same number.
-    pub(super) fn shared(n_tets: usize) -> anyhow::Result<Arc<Self>> {
+    pub(crate) fn shared(n_tets: usize) -> anyhow::Result<Arc<Self>> {
         static MADE: Mutex<BTreeMap<usize, Arc<StandardBody>>> = Mutex::new(BTreeMap::new());
         let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(body) = made.get(&n_tets) {

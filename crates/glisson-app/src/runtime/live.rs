@@ -1,8 +1,12 @@
 //! The simulation loop of `glisson serve`: keeps pace with the clock, takes commands, publishes what is displayed.
 
 use super::Simulation;
+use super::effort::{EffortControl, Load};
+use super::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
+use super::realtime::now_ns;
 use crate::server::frames::Pace;
 use glisson::math::DVec3;
+use glisson::model::Effort;
 use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::snapshot::{DisplayTopology, Snapshot};
@@ -35,6 +39,11 @@ pub(crate) enum Command {
         /// Its number.
         tool: usize,
     },
+    /// An instrument sets a clip on the vessel nearest to its tip.
+    Clip {
+        /// Its number.
+        tool: usize,
+    },
     /// The last cut is taken back.
     Undo,
     /// The program ends.
@@ -52,18 +61,66 @@ pub(crate) struct Published {
     pub(crate) model: ModelKind,
     /// What the user should know, in order.
     pub(crate) notices: Vec<String>,
+    pub(crate) lateness: Lateness,
+    pub(crate) effort: Effort,
+}
+
+/// How far the simulation fell behind the clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Lateness {
+    /// Times that it gave up catching up.
+    pub(crate) n_given_up: u64,
+    /// What was then left out [s].
+    pub(crate) left_out_s: f64,
+}
+
+/// The simulation stands still for a while again and again: what the haptic loop must not feel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Stalls {
+    /// From the beginning of one to the next.
+    pub(crate) every: Duration,
+    /// How long each takes, working all the time.
+    pub(crate) length: Duration,
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Ended {
+    pub(crate) state_hash: StateHash,
+    pub(crate) steps: u64,
+    /// Stalls that were made.
+    pub(crate) n_stalls: u64,
+    pub(crate) lateness: Lateness,
 }
 
 impl Published {
     /// `known` is kept as long as it holds.
     pub(crate) fn of(simulation: &Simulation, known: Option<&Arc<DisplayTopology>>, pace: Pace) -> Self {
+        Self::when_late(simulation, known, pace, Lateness::default())
+    }
+
+    fn when_late(
+        simulation: &Simulation,
+        known: Option<&Arc<DisplayTopology>>,
+        pace: Pace,
+        lateness: Lateness,
+    ) -> Self {
         let world = simulation.world();
         let (snapshot, state_hash) = (world.snapshot(), world.state_hash());
         let topology = known
             .filter(|topology| topology.version == snapshot.topology_version)
             .map_or_else(|| Arc::new(world.display_topology()), Arc::clone);
         let notices = simulation.notices().to_vec();
-        Self { snapshot, topology, pace, state_hash, model: world.model_kind(), notices }
+        Self {
+            snapshot,
+            topology,
+            pace,
+            state_hash,
+            model: world.model_kind(),
+            notices,
+            lateness,
+            effort: world.effort(),
+        }
     }
 }
 
@@ -104,23 +161,30 @@ fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
 struct PaceMeter {
     since: Instant,
     steps: u64,
+    busy: Duration,
     pace: Pace,
 }
 
 impl PaceMeter {
-    fn count(&mut self, steps: u64, dt_s: f64) {
+    /// Steps that took so long; answers how the last half second went when it is over.
+    fn count(&mut self, steps: u64, busy: Duration, dt_s: f64) -> Option<Load> {
         self.steps += steps;
+        self.busy += busy;
         let elapsed_s = self.since.elapsed().as_secs_f64();
-        if elapsed_s >= 0.5 {
-            self.pace.rate_hz = self.steps as f64 / elapsed_s;
-            self.pace.real_time_factor = self.pace.rate_hz * dt_s;
-            self.restart();
+        if elapsed_s < 0.5 {
+            return None;
         }
+        self.pace.rate_hz = self.steps as f64 / elapsed_s;
+        self.pace.real_time_factor = self.pace.rate_hz * dt_s;
+        let busy_share = self.busy.as_secs_f64() / elapsed_s;
+        self.restart();
+        Some(Load { real_time_factor: self.pace.real_time_factor, busy_share })
     }
 
     fn restart(&mut self) {
         self.since = Instant::now();
         self.steps = 0;
+        self.busy = Duration::ZERO;
     }
 }
 
@@ -128,6 +192,8 @@ struct Live {
     simulation: Simulation,
     tools: Vec<ToolInput>,
     targets: Vec<ToolInput>,
+    /// Instruments in the hand of a device.
+    links: Vec<ToolLink>,
     paused: bool,
     dt_s: f64,
 }
@@ -144,21 +210,86 @@ impl Live {
             .tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
     }
 
+    /// Where the devices have their instruments, and what the user should know about them.
+    fn read_devices(&mut self) {
+        for link in &mut self.links {
+            let motion = link.motions.get();
+            if motion.is_held && motion.pose.is_finite() {
+                // A hand moves as it moves: nothing is smoothed.
+                self.targets[link.tool] = motion.pose;
+                let jumps =
+                    self.tools[link.tool].tip_in_world_m.distance(motion.pose.tip_in_world_m) > JUMP_M;
+                if !jumps {
+                    self.tools[link.tool] = motion.pose;
+                }
+            }
+            match link.statuses.get_new() {
+                Some(DeviceStatus::Lost(why)) => {
+                    self.simulation.tell(format!("the device {} was lost: {why}", link.device_name));
+                }
+                Some(DeviceStatus::Failed(why)) => {
+                    self.simulation.tell(format!("the device {} failed: {why}", link.device_name));
+                }
+                Some(DeviceStatus::Works) => {
+                    self.simulation.tell(format!("the device {} works", link.device_name));
+                }
+                Some(DeviceStatus::Waiting) | None => {}
+            }
+        }
+    }
+
+    fn publish_models(&mut self) {
+        for link in &mut self.links {
+            let model = self.simulation.haptic_model(link.tool);
+            link.models.publish(PublishedModel { model, made_ns: now_ns() });
+        }
+    }
+
     fn advance(&mut self) -> anyhow::Result<()> {
+        self.read_devices();
         let mut placed = [false; MAX_TOOLS];
-        for ((tool, target), placed) in self.tools.iter_mut().zip(&self.targets).zip(&mut placed) {
+        for (i, placed) in placed.iter_mut().enumerate().take(self.tools.len()) {
+            let (tool, target) = (&mut self.tools[i], &mut self.targets[i]);
+            if let Some(pose) = self.simulation.scripted_pose(i) {
+                (*tool, *target) = (pose, pose);
+                continue;
+            }
             *placed = tool.tip_in_world_m.distance(target.tip_in_world_m) > JUMP_M;
             *tool = if *placed { *target } else { approach(*tool, *target, self.dt_s) };
         }
         self.simulation.advance(&StepInput { placed, ..StepInput::of(&self.tools) })?;
+        self.publish_models();
+        Ok(())
+    }
+
+    fn choose_effort(&mut self, effort: Effort) -> anyhow::Result<()> {
+        let is_less = effort < self.simulation.world().effort();
+        let matters = self.simulation.set_effort(effort)?;
+        // Of a model that has nothing to leave out the real-time factor tells.
+        if matters {
+            let name = effort.name();
+            self.simulation.tell(if is_less {
+                format!("the simulation is late: it computes with {name} effort now")
+            } else {
+                format!("the simulation keeps pace again: it computes with {name} effort")
+            });
+        }
         Ok(())
     }
 
     /// Answers whether the display has to be refreshed at once.
     fn obey(&mut self, command: Command) -> anyhow::Result<bool> {
         match command {
+            Command::Tool { tool, .. } if self.links.iter().any(|link| link.tool == tool) => {
+                let device = self.links.iter().find(|link| link.tool == tool).map(|l| l.device_name.clone());
+                let device = device.unwrap_or_default();
+                self.simulation.tell(format!("instrument {tool} is in the hand of the device {device}"));
+            }
             Command::Tool { tool, pose } => match self.targets.get_mut(tool) {
-                Some(target) => *target = pose,
+                Some(target) => {
+                    *target = pose;
+                    self.simulation.take_from_script(tool);
+                }
                 None => self.refuse_tool(tool),
             },
             Command::Pause(paused) => {
@@ -185,6 +316,10 @@ impl Live {
                 return Ok(true);
             }
             Command::Cut { tool } => self.refuse_tool(tool),
+            Command::Clip { tool } => {
+                self.simulation.clip_vessel(tool)?;
+                return Ok(true);
+            }
             Command::Undo => {
                 self.simulation.undo_edit()?;
                 return Ok(true);
@@ -196,7 +331,8 @@ impl Live {
     }
 }
 
-/// Runs until [`Command::Stop`] or until all senders are gone, then ends the recording.
+/// Runs until [`Command::Stop`] or until all senders are gone, then ends the recording. The instruments of `links` are
+/// moved by devices.
 ///
 /// # Errors
 /// What stopped the simulation; the recording up to there is kept.
@@ -204,13 +340,20 @@ pub(crate) fn run(
     simulation: Simulation,
     commands: &Receiver<Command>,
     published: &watch::Sender<Arc<Published>>,
-) -> anyhow::Result<StateHash> {
+    links: Vec<ToolLink>,
+    stalls: Option<Stalls>,
+) -> anyhow::Result<Ended> {
     let dt_s = simulation.world().spec().time_step_s;
     let tools = homes(&simulation);
-    let mut live = Live { simulation, targets: tools.clone(), tools, paused: false, dt_s };
-    let mut meter = PaceMeter { since: Instant::now(), steps: 0, pace: Pace::default() };
+    let mut live = Live { simulation, targets: tools.clone(), tools, links, paused: false, dt_s };
+    let mut meter =
+        PaceMeter { since: Instant::now(), steps: 0, busy: Duration::ZERO, pace: Pace::default() };
+    let mut control = EffortControl::default();
+    let mut lateness = Lateness::default();
     let mut next_frame = Instant::now();
     let mut simulated_until = Instant::now();
+    let mut next_stall = stalls.map(|stalls| Instant::now() + stalls.every);
+    let mut n_stalls = 0;
     let step = Duration::from_secs_f64(dt_s);
     loop {
         let now = Instant::now();
@@ -218,16 +361,33 @@ pub(crate) fn run(
             if live.paused { FRAME } else { simulated_until.min(next_frame).saturating_duration_since(now) };
         let mut refresh = false;
         match commands.recv_timeout(wait) {
-            Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => return live.simulation.finish(),
+            Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => {
+                let steps = live.simulation.world().steps_made();
+                let state_hash = live.simulation.finish()?;
+                return Ok(Ended { state_hash, steps, n_stalls, lateness });
+            }
             Ok(command) => refresh = live.obey(command)?,
             Err(RecvTimeoutError::Timeout) => {}
+        }
+        if let (Some(stalls), Some(begin)) = (stalls, next_stall)
+            && Instant::now() >= begin
+        {
+            let end = Instant::now() + stalls.length;
+            while Instant::now() < end {
+                std::hint::spin_loop();
+            }
+            n_stalls += 1;
+            next_stall = Some(begin + stalls.every);
         }
         let now = Instant::now();
         if live.paused {
             simulated_until = now;
             meter.restart();
         } else {
-            if now.saturating_duration_since(simulated_until) > MAX_LAG {
+            let lag = now.saturating_duration_since(simulated_until);
+            if lag > MAX_LAG {
+                lateness.n_given_up += 1;
+                lateness.left_out_s += lag.as_secs_f64();
                 simulated_until = now;
             }
             let mut steps = 0;
@@ -236,13 +396,18 @@ pub(crate) fn run(
                 simulated_until += step;
                 steps += 1;
             }
-            meter.count(steps, dt_s);
+            if let Some(load) = meter.count(steps, now.elapsed(), dt_s)
+                && let Some(effort) = control.look(load)
+            {
+                live.choose_effort(effort)?;
+            }
         }
         if refresh || (!live.paused && Instant::now() >= next_frame) {
             next_frame = Instant::now() + FRAME;
             let pace = Pace { paused: live.paused, ..meter.pace };
             let topology = Arc::clone(&published.borrow().topology);
-            published.send_replace(Arc::new(Published::of(&live.simulation, Some(&topology), pace)));
+            let latest = Published::when_late(&live.simulation, Some(&topology), pace, lateness);
+            published.send_replace(Arc::new(latest));
         }
     }
 }

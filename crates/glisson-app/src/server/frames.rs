@@ -61,7 +61,9 @@ pub(crate) fn snapshot_frame(snapshot: &Snapshot, pace: &Pace) -> Vec<u8> {
     frame.0.extend_from_slice(&snapshot.step.to_le_bytes());
     frame.f64s(&[snapshot.time_s, pace.rate_hz, pace.real_time_factor]);
     let paused = if pace.paused { FLAG_PAUSED } else { 0 };
-    frame.u32s(&[paused, snapshot.tools.len() as u32, snapshot.positions_m.len() as u32, 0]);
+    let bleeding = &snapshot.bleeding;
+    let n_blood = if bleeding.has_vessels { 1 + bleeding.ends.len() as u32 } else { 0 };
+    frame.u32s(&[paused, snapshot.tools.len() as u32, snapshot.positions_m.len() as u32, n_blood]);
     for tool in &snapshot.tools {
         let pose = &tool.pose;
         frame.f64s(&pose.tip_in_world_m.to_array());
@@ -75,6 +77,16 @@ pub(crate) fn snapshot_frame(snapshot: &Snapshot, pace: &Pace) -> Vec<u8> {
         frame.u32s(&[contact | grasps, tool.n_held_nodes]);
     }
     frame.positions(&snapshot.positions_m);
+    if bleeding.has_vessels {
+        let sum = [bleeding.lost_m3, bleeding.rate_m3_per_s, f64::from(bleeding.n_clips), 0.0];
+        let ends = bleeding.ends.iter().map(|end| {
+            let [x, y, z] = end.position_m.to_array();
+            [x, y, z, end.rate_m3_per_s]
+        });
+        for record in std::iter::once(sum).chain(ends) {
+            frame.0.extend(record.into_iter().flat_map(|x| (x as f32).to_le_bytes()));
+        }
+    }
     frame.0
 }
 
@@ -82,7 +94,7 @@ pub(crate) fn snapshot_frame(snapshot: &Snapshot, pace: &Pace) -> Vec<u8> {
 mod tests {
     use super::*;
     use glisson::mesh::NodeId;
-    use glisson::record::snapshot::{ContactReport, ToolSnapshot};
+    use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
     use glisson::tool::ToolInput;
 
     #[test]
@@ -122,6 +134,7 @@ mod tests {
             topology_version: 3,
             positions_m: vec![DVec3::ONE; 3],
             tools: vec![tool, ToolSnapshot { contacts: [None; 3], n_held_nodes: 0, ..tool }],
+            bleeding: BleedingSnapshot::default(),
         };
         let pace = Pace { rate_hz: 1000.0, real_time_factor: 1.0, paused: true };
         let frame = snapshot_frame(&snapshot, &pace);
@@ -134,6 +147,18 @@ mod tests {
         assert_eq!(first, [1.0, 1.0, 0.5, 0.25, 1.0, 1.0, 3.0, 7.0, 9.0]);
         assert_eq!([184, 188].map(word), [5, 6]);
         assert_eq!([192 + 120, 192 + 124].map(word), [0, 0]);
-        assert_eq!(frame.len(), 64 + 2 * 128 + 9 * 4);
+        let without_blood = 64 + 2 * 128 + 9 * 4;
+        assert_eq!(frame.len(), without_blood);
+
+        let end = BleedingEnd { position_m: DVec3::new(1.0, 2.0, 3.0), rate_m3_per_s: 0.5 };
+        let ends = vec![end; 2];
+        let bleeding =
+            BleedingSnapshot { has_vessels: true, lost_m3: 0.25, rate_m3_per_s: 1.0, n_clips: 3, ends };
+        let frame = snapshot_frame(&Snapshot { bleeding, ..snapshot }, &pace);
+        assert_eq!(frame[60], 3, "a sum and two ends");
+        assert_eq!(frame.len(), without_blood + 3 * 16);
+        let single = |at: usize| f32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        let tail: Vec<f32> = (0..8).map(|i| single(without_blood + 4 * i)).collect();
+        assert_eq!(tail, [0.25, 1.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.5]);
     }
 }

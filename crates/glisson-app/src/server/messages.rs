@@ -1,15 +1,16 @@
 //! The JSON messages of the viewer's protocol.
 
 use crate::runtime::Simulation;
+use crate::runtime::haptic_loop::HapticReport;
 use crate::runtime::live::{Command, Published};
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::ModelKind;
-use glisson::record::snapshot::{ContactReport, ToolSnapshot};
+use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
 use glisson::tool::{Tool, ToolInput};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 2;
+const PROTOCOL: u32 = 3;
 
 /// The first message on a connection.
 pub(super) fn hello(simulation: &Simulation) -> Value {
@@ -27,6 +28,7 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             "gravity_m_per_s2": world.gravity_m_per_s2().to_array(),
             "n_nodes": organ.mesh().positions_m.len(),
             "n_tetrahedra": organ.mesh().tetrahedra.len(),
+            "n_vessels": world.vessels().map_or(0, |vessels| vessels.tubes().len()),
         },
         "bounds": { "min_m": bounds.min_m.to_array(), "max_m": bounds.max_m.to_array() },
         "tools": spec.tools.iter().map(described).collect::<Vec<_>>(),
@@ -82,7 +84,18 @@ pub(super) fn snapshot(published: &Published) -> Value {
         "node_ids": topology.nodes.iter().map(|n| n.0).collect::<Vec<_>>(),
         "rest_positions_m": list(&topology.rest_positions_m),
         "positions_m": list(&snapshot.positions_m),
+        "bleeding": snapshot.bleeding.has_vessels.then(|| bleeding_state(&snapshot.bleeding)),
         "state_hash": published.state_hash.to_string(),
+    })
+}
+
+fn bleeding_state(bleeding: &BleedingSnapshot) -> Value {
+    let end = |end: &BleedingEnd| json!({ "position_m": end.position_m.to_array(), "rate_m3_per_s": end.rate_m3_per_s });
+    json!({
+        "lost_m3": bleeding.lost_m3,
+        "rate_m3_per_s": bleeding.rate_m3_per_s,
+        "n_clips": bleeding.n_clips,
+        "ends": bleeding.ends.iter().map(end).collect::<Vec<_>>(),
     })
 }
 
@@ -109,6 +122,37 @@ fn tool_state(tool: &ToolSnapshot) -> Value {
 /// Something for the page to show.
 pub(super) fn error(message: &str) -> Value {
     json!({ "type": "error", "message": message })
+}
+
+/// Whether this viewer controls, and whether anybody does.
+pub(super) fn role(is_controller: bool, is_taken: bool) -> Value {
+    let role = if is_controller { "controller" } else { "viewer" };
+    json!({ "type": "role", "role": role, "control_is_taken": is_taken })
+}
+
+/// How the loops keep their time.
+pub(super) fn timing(published: &Published, haptics: Option<&HapticReport>) -> Value {
+    let Published { pace, lateness, effort, .. } = published;
+    json!({
+        "type": "timing",
+        "simulation": {
+            "rate_hz": pace.rate_hz,
+            "real_time_factor": pace.real_time_factor,
+            "times_given_up": lateness.n_given_up,
+            "left_out_s": lateness.left_out_s,
+            "effort": effort.name(),
+        },
+        "haptics": haptics.map(HapticReport::to_json),
+    })
+}
+
+/// What a viewer wants.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Wish {
+    /// Something of the simulation: for the one who controls.
+    Command(Command),
+    /// Somebody else may control.
+    ReleaseControl,
 }
 
 #[derive(Deserialize)]
@@ -141,17 +185,26 @@ enum ViewerMessage {
         #[serde(default)]
         tool: usize,
     },
+    Clip {
+        #[serde(default)]
+        tool: usize,
+    },
     Undo {},
+    ReleaseControl {},
 }
+
+/// No patient and no room is so large: more is millimetres taken for metres [m].
+const FURTHEST_TIP_M: f64 = 100.0;
 
 /// Ten times that of the Earth: more is a mistyped number.
 const STRONGEST_GRAVITY_M_PER_S2: f64 = 100.0;
 
 /// What a viewer asks for, or why it cannot be understood.
-pub(super) fn command(text: &str) -> Result<Command, String> {
+pub(super) fn wish(text: &str) -> Result<Wish, String> {
     let message: ViewerMessage =
         serde_json::from_str(text).map_err(|e| format!("message not understood: {e}"))?;
-    Ok(match message {
+    Ok(Wish::Command(match message {
+        ViewerMessage::ReleaseControl {} => return Ok(Wish::ReleaseControl),
         ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
             let shaft_in_world = DVec3::from_array(shaft)
                 .try_normalize()
@@ -159,6 +212,9 @@ pub(super) fn command(text: &str) -> Result<Command, String> {
             let shares = [("jaw", jaw), ("trigger", trigger)];
             if let Some((key, found)) = shares.into_iter().find(|(_, share)| !(0.0..=1.0).contains(share)) {
                 return Err(format!("\"{key}\" is {found}; allowed: between 0 and 1"));
+            }
+            if let Some(found) = tip_m.iter().find(|place| place.abs() > FURTHEST_TIP_M) {
+                return Err(format!("\"tip_m\" has {found} m; allowed: up to {FURTHEST_TIP_M} m"));
             }
             let pose = ToolInput::at(DVec3::from_array(tip_m), shaft_in_world);
             Command::Tool { tool, pose: ToolInput { roll_rad, jaw_opening: jaw, trigger, ..pose } }
@@ -173,6 +229,7 @@ pub(super) fn command(text: &str) -> Result<Command, String> {
             Command::Model(kind)
         }
         ViewerMessage::Cut { tool } => Command::Cut { tool },
+        ViewerMessage::Clip { tool } => Command::Clip { tool },
         ViewerMessage::Undo {} => Command::Undo,
         ViewerMessage::Gravity { m_per_s2 } => {
             let gravity_m_per_s2 = DVec3::from_array(m_per_s2);
@@ -183,12 +240,64 @@ pub(super) fn command(text: &str) -> Result<Command, String> {
             }
             Command::Gravity(gravity_m_per_s2)
         }
-    })
+    }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    fn command(text: &str) -> Result<Command, String> {
+        match wish(text)? {
+            Wish::Command(command) => Ok(command),
+            other @ Wish::ReleaseControl => Err(format!("{other:?}")),
+        }
+    }
+
+    const MESSAGES: [&str; 6] = [
+        r#"{"type":"tool","tool":1,"tip_m":[1,-2.5,3e-3],"shaft":[0,0,2],"roll_rad":0.5,"jaw":1,"trigger":0.25}"#,
+        r#"{"type":"pause","paused":true}"#,
+        r#"{"type":"model","name":"explicit"}"#,
+        r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#,
+        r#"{"type":"cut","tool":3}"#,
+        r#"{"type":"release_control"}"#,
+    ];
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2_000))]
+        #[test]
+        fn mutated_messages_are_understood_or_refused_with_a_reason(
+            which in 0..MESSAGES.len(),
+            changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..4),
+            cut in any::<prop::sample::Index>(),
+            is_cut in any::<bool>(),
+        ) {
+            let mut bytes = MESSAGES[which].as_bytes().to_vec();
+            for (at, byte) in changes {
+                let at = at.index(bytes.len());
+                bytes[at] = byte;
+            }
+            if is_cut {
+                bytes.truncate(cut.index(bytes.len()));
+            }
+            match wish(&String::from_utf8_lossy(&bytes)) {
+                Ok(Wish::Command(Command::Tool { pose, .. })) => {
+                    prop_assert!(pose.is_finite() && (pose.shaft_in_world.length() - 1.0).abs() < 1e-12);
+                    prop_assert!((0.0..=1.0).contains(&pose.jaw_opening) && (0.0..=1.0).contains(&pose.trigger));
+                }
+                Ok(_) => {}
+                Err(reason) => prop_assert!(!reason.is_empty()),
+            }
+        }
+
+        #[test]
+        fn any_text_is_understood_or_refused_with_a_reason(text in ".{0,200}") {
+            if let Err(reason) = wish(&text) {
+                prop_assert!(!reason.is_empty());
+            }
+        }
+    }
 
     #[test]
     fn commands_are_read_and_mistakes_answered() {
@@ -202,6 +311,7 @@ mod tests {
         assert_eq!(command(second), Ok(Command::Tool { tool: 1, pose }));
         assert_eq!(command(r#"{"type":"cut"}"#), Ok(Command::Cut { tool: 0 }));
         assert_eq!(command(r#"{"type":"cut","tool":2}"#), Ok(Command::Cut { tool: 2 }));
+        assert_eq!(command(r#"{"type":"clip","tool":1}"#), Ok(Command::Clip { tool: 1 }));
         assert_eq!(command(r#"{"type":"undo"}"#), Ok(Command::Undo));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));
@@ -211,6 +321,7 @@ mod tests {
             r#"{"type":"fly"}"#,
             r#"{"type":"tool","tip_m":[1,2],"shaft":[0,0,1]}"#,
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,0]}"#,
+            r#"{"type":"tool","tip_m":[1,2,300],"shaft":[0,0,1]}"#,
             r#"{"type":"tool","tip_m":[1,2,1e999],"shaft":[0,0,1]}"#,
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1],"jaw":2}"#,
             r#"{"type":"model","name":"jelly"}"#,

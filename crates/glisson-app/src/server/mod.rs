@@ -1,22 +1,28 @@
 //! The viewer's server: the page, a WebSocket, and the latest state as JSON (`docs/protocol.md`).
 
+pub(crate) mod access;
+mod control;
 pub(crate) mod frames;
 mod messages;
+mod socket;
 
 use crate::runtime::Simulation;
-use crate::runtime::live::{self, Command, Published};
+use crate::runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
+use crate::runtime::live::{self, Command, Ended, Published, Stalls};
+use access::Access;
 use anyhow::Context;
 use axum::Router;
-use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Path as UrlPath, State};
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{StatusCode, header};
+use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use frames::{Pace, snapshot_frame, topology_frame};
-use glisson::record::hash::StateHash;
+use control::Control;
+use frames::Pace;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
+use std::thread::JoinHandle;
 use tokio::sync::watch;
 
 /// The viewer as built into `web/dist`.
@@ -32,6 +38,50 @@ struct Shared {
     hello: serde_json::Value,
     published: watch::Receiver<Arc<Published>>,
     commands: Sender<Command>,
+    control: Control,
+    /// Of the haptic loop, if one runs.
+    meters: Option<Arc<Meters>>,
+}
+
+/// Starts something that shows what is published, until the other end is gone.
+pub(crate) type Show = Box<dyn FnOnce(watch::Receiver<Arc<Published>>) -> anyhow::Result<JoinHandle<()>>>;
+
+/// What is served beside the simulation.
+pub(crate) struct Service {
+    pub(crate) access: Access,
+    /// The haptic loop's and the simulation's ends of the instruments that devices hold.
+    pub(crate) held: Vec<(HeldTool, ToolLink)>,
+    pub(crate) haptics: HapticSettings,
+    /// Instruments that are held elsewhere.
+    pub(crate) remote: Vec<ToolLink>,
+    /// What else shows the simulation; each ends with it.
+    pub(crate) shows: Vec<Show>,
+    /// Where the haptic loop notes its times.
+    pub(crate) meters: Arc<Meters>,
+    /// For benchmarks: the simulation stands still now and then.
+    pub(crate) stalls: Option<Stalls>,
+}
+
+impl Service {
+    /// No devices.
+    pub(crate) fn to(access: Access) -> Self {
+        Self {
+            access,
+            held: Vec::new(),
+            haptics: HapticSettings::default(),
+            remote: Vec::new(),
+            shows: Vec::new(),
+            meters: Arc::default(),
+            stalls: None,
+        }
+    }
+}
+
+/// How a service ended.
+pub(crate) struct Served {
+    pub(crate) ended: Ended,
+    /// Without a device there is no haptic loop.
+    pub(crate) haptics: Option<HapticReport>,
 }
 
 /// A bound but not yet serving address, so that a taken port is known before a long set-up.
@@ -46,35 +96,58 @@ pub(crate) fn bind(host: &str, port: u16) -> anyhow::Result<TcpListener> {
     Ok(listener)
 }
 
-/// Serves until Ctrl-C (or SIGTERM); answers the hash of the last state.
-pub(crate) fn serve(simulation: Simulation, listener: TcpListener) -> anyhow::Result<StateHash> {
+/// Serves until `stop` comes; answers how the simulation and the haptic loop did.
+pub(crate) fn serve(
+    simulation: Simulation,
+    listener: TcpListener,
+    service: Service,
+    stop: impl Future<Output = ()>,
+) -> anyhow::Result<Served> {
+    let Service { access, held, haptics, remote, shows, meters, stalls } = service;
     let (published_in, published) =
         watch::channel(Arc::new(Published::of(&simulation, None, Pace::default())));
     let (commands, commands_out) = std::sync::mpsc::channel();
-    let shared =
-        Arc::new(Shared { hello: messages::hello(&simulation), published, commands: commands.clone() });
+    let hello = messages::hello(&simulation);
+    let (held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
+    links.extend(remote);
+    let shows: Vec<_> = shows.into_iter().map(|show| show(published.clone())).collect::<Result<_, _>>()?;
+    let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
     let simulation_thread = std::thread::Builder::new()
         .name("simulation".into())
-        .spawn(move || live::run(simulation, &commands_out, &published_in))?;
+        .spawn(move || live::run(simulation, &commands_out, &published_in, links, stalls))?;
+    let shared = Arc::new(Shared {
+        hello,
+        published,
+        commands: commands.clone(),
+        control: Control::default(),
+        meters: haptics.as_ref().map(|haptics| Arc::clone(haptics.meters())),
+    });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let served = runtime.block_on(async {
         let mut alive = shared.published.clone();
         let listener = tokio::net::TcpListener::from_std(listener)?;
-        let server = axum::serve(listener, router(shared)).into_future();
+        let server = axum::serve(listener, router(shared, access)).into_future();
         tokio::select! {
             result = server => result.context("the server stopped"),
-            () = stop_signal() => Ok(()),
+            () = stop => Ok(()),
             // The channel closes when the simulation ends by itself: with an error.
             () = async { while alive.changed().await.is_ok() {} } => Ok(()),
         }
     });
+    // The hand is let go before the tissue.
+    let haptics = haptics.map(|haptics| haptics.meters().report());
     // The simulation may have ended already; then nobody listens.
     let _ = commands.send(Command::Stop);
-    let state_hash = simulation_thread.join().map_err(|_| anyhow::anyhow!("the simulation panicked"))?;
-    served.and(state_hash)
+    let ended = simulation_thread.join().map_err(|_| anyhow::anyhow!("the simulation panicked"))?;
+    for show in shows {
+        // A panic was printed when it happened.
+        let _ = show.join();
+    }
+    served.and(ended).map(|ended| Served { ended, haptics })
 }
 
-async fn stop_signal() {
+/// Comes with Ctrl-C or SIGTERM.
+pub(crate) async fn stop_signal() {
     let interrupt = tokio::signal::ctrl_c();
     #[cfg(unix)]
     {
@@ -90,13 +163,14 @@ async fn stop_signal() {
     let _ = interrupt.await;
 }
 
-fn router(shared: Arc<Shared>) -> Router {
+fn router(shared: Arc<Shared>, access: Access) -> Router {
     Router::new()
-        .route("/ws", get(open_socket))
+        .route("/ws", get(socket::open))
         .route("/api/scene", get(scene))
         .route("/api/snapshot", get(latest_snapshot))
         .route("/", get(|| async { viewer_file("index.html") }))
         .route("/{*path}", get(|UrlPath(path): UrlPath<String>| async move { viewer_file(&path) }))
+        .layer(from_fn_with_state(Arc::new(access), access::guard))
         .with_state(shared)
 }
 
@@ -126,111 +200,10 @@ fn viewer_file(path: &str) -> Response {
     }
 }
 
-/// A page of another site must not steer the simulation through the visitor's browser.
-fn from_own_page(headers: &HeaderMap) -> bool {
-    let text = |name| headers.get(name).and_then(|v: &axum::http::HeaderValue| v.to_str().ok());
-    match (text(header::ORIGIN), text(header::HOST)) {
-        (Some(origin), Some(host)) => origin.split_once("://").is_some_and(|(_, from)| from == host),
-        (Some(_), None) => false,
-        // Programs that are no browsers send no origin.
-        (None, _) => true,
-    }
-}
-
-async fn open_socket(
-    headers: HeaderMap,
-    State(shared): State<Arc<Shared>>,
-    upgrade: WebSocketUpgrade,
-) -> Response {
-    if !from_own_page(&headers) {
-        return (StatusCode::FORBIDDEN, "only the viewer's own page may connect\n").into_response();
-    }
-    upgrade.max_message_size(1 << 16).on_upgrade(move |socket| async move {
-        // An error here is a viewer that went away: nothing to do.
-        let _ = talk(socket, &shared).await;
-    })
-}
-
-/// What a viewer needs before the first snapshot, and again when another model took over.
-async fn greet(socket: &mut WebSocket, shared: &Shared, published: &Published) -> Result<(), axum::Error> {
-    let hello = messages::hello_with_model(&shared.hello, published.model);
-    socket.send(Message::Text(hello.to_string().into())).await?;
-    socket.send(Message::Binary(topology_frame(&published.topology).into())).await
-}
-
-async fn talk(mut socket: WebSocket, shared: &Shared) -> Result<(), axum::Error> {
-    let mut published = shared.published.clone();
-    let first = Arc::clone(&published.borrow());
-    let (mut model, mut n_told, mut version) = (first.model, first.notices.len(), first.topology.version);
-    greet(&mut socket, shared, &first).await?;
-    published.mark_changed();
-    loop {
-        tokio::select! {
-            changed = published.changed() => {
-                if changed.is_err() {
-                    let error = messages::error("the simulation stopped; see the program's output");
-                    return socket.send(Message::Text(error.to_string().into())).await;
-                }
-                let latest = Arc::clone(&published.borrow_and_update());
-                for notice in &latest.notices[n_told..] {
-                    socket.send(Message::Text(messages::error(notice).to_string().into())).await?;
-                }
-                n_told = latest.notices.len();
-                if latest.model != model {
-                    model = latest.model;
-                    greet(&mut socket, shared, &latest).await?;
-                } else if latest.topology.version != version {
-                    socket.send(Message::Binary(topology_frame(&latest.topology).into())).await?;
-                }
-                version = latest.topology.version;
-                socket.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace).into())).await?;
-            }
-            message = socket.recv() => match message {
-                Some(Ok(Message::Text(text))) => match messages::command(&text) {
-                    // A simulation that ended is told by the closed channel above.
-                    Ok(command) => drop(shared.commands.send(command)),
-                    Err(reason) => {
-                        socket.send(Message::Text(messages::error(&reason).to_string().into())).await?;
-                    }
-                },
-                Some(Ok(Message::Close(_))) | None => return Ok(()),
-                Some(Ok(_)) => {}
-                Some(Err(error)) => return Err(error),
-            },
-        }
-    }
-}
-
 /// The address to type into a browser.
 pub(crate) fn page_address(address: SocketAddr) -> String {
     format!("http://{address}/")
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn pages_of_other_sites_are_turned_away() {
-        let headers = |origin: Option<&str>| {
-            let mut headers = HeaderMap::new();
-            headers.insert(header::HOST, "127.0.0.1:8077".parse().unwrap());
-            if let Some(origin) = origin {
-                headers.insert(header::ORIGIN, origin.parse().unwrap());
-            }
-            headers
-        };
-        assert!(from_own_page(&headers(None)));
-        assert!(from_own_page(&headers(Some("http://127.0.0.1:8077"))));
-        assert!(!from_own_page(&headers(Some("http://elsewhere.example"))));
-        assert!(!from_own_page(&headers(Some("null"))));
-    }
-
-    #[test]
-    fn a_taken_port_is_named() {
-        let taken = bind("127.0.0.1", 0).unwrap();
-        let port = taken.local_addr().unwrap().port();
-        let message = bind("127.0.0.1", port).unwrap_err().to_string();
-        assert!(message.contains(&format!("port {port}")) && message.contains("in use"), "{message}");
-    }
-}
+mod tests;

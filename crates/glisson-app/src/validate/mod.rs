@@ -1,5 +1,6 @@
 //! The experiments of `glisson validate`: each claim with its source, what is expected, and what was obtained now.
 
+mod active_trocar;
 mod adaptive;
 mod benchmarks;
 mod bodies;
@@ -9,6 +10,7 @@ mod cut_subdivision;
 mod cutting;
 mod detection;
 mod elasticity;
+mod haptic_force;
 mod hybrid;
 mod hybrid_condensed;
 mod image;
@@ -16,6 +18,8 @@ mod indentation;
 mod interaction;
 mod mesh_repair;
 mod model_rheology;
+mod palpation;
+mod passivity;
 mod precomputed_cutting;
 mod precompute;
 mod prestress;
@@ -159,9 +163,29 @@ pub(crate) const GROUPS: &[Group] = &[
         run: contact_response::experiments,
     },
     Group {
+        name: "active_trocar",
+        about: "The active trocar: statics over its workspace, saturation, encoders, and its board palpating an organ.",
+        run: active_trocar::experiments,
+    },
+    Group {
         name: "indentation",
         about: "A sphere and a flat punch on a bonded layer: graded tetrahedra against an axisymmetric solution.",
         run: indentation::experiments,
+    },
+    Group {
+        name: "palpation",
+        about: "A stiff nodule under the surface, felt with a flat tip: forces on the device against static solutions.",
+        run: palpation::experiments,
+    },
+    Group {
+        name: "haptic_force",
+        about: "The force between two steps of a simulation at 30 Hz against the full model stepped at 1 kHz.",
+        run: haptic_force::experiments,
+    },
+    Group {
+        name: "passivity",
+        about: "Energy of the haptic loop: a simulated device with a hand, delays, slow steps, with control and without.",
+        run: passivity::experiments,
     },
     Group {
         name: "contact_physics",

@@ -2,6 +2,7 @@
 
 use crate::math::DVec3;
 use glam::DQuat;
+use std::borrow::Cow;
 
 /// What a device said at a tick, in its own frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,13 +49,13 @@ pub struct DeviceLimits {
     pub rate_hz: f64,
 }
 
-/// Why a device did not answer.
+/// Why a device did not answer. A fixed text costs no allocation in a tick.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DeviceFault {
     /// It may come back: nothing new since the last tick, or the line is down.
-    Lost(String),
+    Lost(Cow<'static, str>),
     /// It will not.
-    Failed(String),
+    Failed(Cow<'static, str>),
 }
 
 /// A device with a handle that is read and pushes back. Neither call may wait for longer than a small share of a tick.

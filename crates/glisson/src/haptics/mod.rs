@@ -6,6 +6,24 @@
 
 pub mod device;
 pub mod tissue;
+pub mod extrapolation;
+pub mod handover;
+pub mod patch;
+pub mod coupling;
+pub mod limits;
+pub mod passivity;
+pub mod mapping;
+pub mod law;
+pub mod simulated;
+pub mod trocar;
 
+pub use coupling::{CouplingGains, GainShares};
 pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
-pub use tissue::{HapticModel, Touch};
+pub use extrapolation::ForceEstimate;
+pub use handover::Handover;
+pub use law::{HapticLaw, LawSettings, LawTick, TickReport};
+pub use mapping::DeviceMapping;
+pub use passivity::{EnergyControl, TankSettings};
+pub use patch::PatchStiffness;
+pub use simulated::{HandPath, HandSettings, SimulatedDevice, SimulatedDeviceSettings};
+pub use tissue::{HapticModel, Touch, TouchedPart};

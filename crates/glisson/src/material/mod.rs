@@ -5,7 +5,7 @@
 //! the law is chosen outside the loop.
 
 mod law;
-mod eigen;
+pub(crate) mod eigen;
 pub mod principal;
 mod linear_elastic;
 mod st_venant_kirchhoff;

@@ -7,6 +7,7 @@
 use super::hash::StateHash;
 use crate::math::DVec3;
 use crate::mesh::TetId;
+use crate::model::Effort;
 use crate::model::kind::ModelKind;
 use crate::tool::{MAX_TOOLS, ToolInput};
 use serde::{Deserialize, Serialize};
@@ -85,6 +86,20 @@ pub enum SessionEvent {
         /// Index of the step to be made.
         step: u64,
     },
+    /// Before this step an instrument set a clip on the vessel nearest to its tip.
+    Clip {
+        /// Index of the step to be made.
+        step: u64,
+        /// Which instrument, in the scene's order.
+        tool: u8,
+    },
+    /// From this step on steps are computed so thoroughly: the clock of the recording did not allow more.
+    Effort {
+        /// Index of the step to be made.
+        step: u64,
+        /// How thoroughly.
+        effort: Effort,
+    },
     /// Another model was ordered; it takes over before step `at_step`, which waits for it.
     QueueModelSwap {
         /// Index of the step to be made when it was ordered.
@@ -119,6 +134,8 @@ impl SessionEvent {
             | Self::Gravity { step, .. }
             | Self::Remove { step, .. }
             | Self::UndoEdit { step }
+            | Self::Clip { step, .. }
+            | Self::Effort { step, .. }
             | Self::QueueModelSwap { step, .. }
             | Self::Checkpoint { step, .. }
             | Self::End { step, .. } => step,
@@ -215,6 +232,9 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
                     return Err(wrong(line, "n_substeps is 0; it must be at least 1".into()));
                 }
             }
+            SessionEvent::Clip { tool, .. } if usize::from(*tool) >= MAX_TOOLS => {
+                return Err(wrong(line, format!("instrument {tool}; allowed: below {MAX_TOOLS}")));
+            }
             SessionEvent::Gravity { gravity_m_per_s2, .. } if !gravity_m_per_s2.is_finite() => {
                 return Err(wrong(line, "gravity is not finite".into()));
             }
@@ -296,6 +316,8 @@ mod tests {
             SessionEvent::Checkpoint { step: 10, state_hash: hash },
             SessionEvent::Reset { step: 12 },
             SessionEvent::UndoEdit { step: 12 },
+            SessionEvent::Clip { step: 12, tool: 1 },
+            SessionEvent::Effort { step: 13, effort: Effort::Reduced },
             SessionEvent::End { step: 20, state_hash: hash },
         ];
         let header = SessionHeader::new("name = \"x\"\n".into(), "ab".into());
@@ -330,7 +352,7 @@ mod tests {
         let (events, text) = sample();
         let session = parse_session(&text[..text.len() - 30]).unwrap();
         assert!(session.cut_off);
-        assert_eq!(session.events, events[..5]);
+        assert_eq!(session.events, events[..7]);
     }
 
     #[test]
@@ -345,6 +367,10 @@ mod tests {
         assert!(with("glisson-session", "other").contains("\"other\""));
         assert!(with("n_substeps\":1", "n_substeps\":0").starts_with("line 2"));
         assert!(with("reset", "explode").starts_with("line 5"));
+        assert!(
+            with("\"clip\",\"step\":12,\"tool\":1", "\"clip\",\"step\":12,\"tool\":9")
+                .starts_with("line 7: instrument 9")
+        );
     }
 
     proptest! {

@@ -30,6 +30,30 @@ pub struct ToolSnapshot {
     pub n_held_nodes: u32,
 }
 
+/// Blood from severed vessels.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BleedingSnapshot {
+    /// Whether the organ has vessels at all.
+    pub has_vessels: bool,
+    /// Blood lost so far [m3].
+    pub lost_m3: f64,
+    /// Blood that is lost now [m3/s].
+    pub rate_m3_per_s: f64,
+    /// Clips that were set.
+    pub n_clips: u32,
+    /// Open ends.
+    pub ends: Vec<BleedingEnd>,
+}
+
+/// An open end of a vessel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BleedingEnd {
+    /// Where it is now [m].
+    pub position_m: DVec3,
+    /// Blood that comes out [m3/s].
+    pub rate_m3_per_s: f64,
+}
+
 /// The displayed state of a world after a step. Buffers are reused: filling one allocates only the first time.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
@@ -43,6 +67,8 @@ pub struct Snapshot {
     pub positions_m: Vec<DVec3>,
     /// The instruments, in the scene's order.
     pub tools: Vec<ToolSnapshot>,
+    /// Blood from severed vessels.
+    pub bleeding: BleedingSnapshot,
 }
 
 /// What a viewer needs to know once, and again after each change of topology.

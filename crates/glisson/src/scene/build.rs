@@ -27,6 +27,7 @@ use crate::model::{
 use crate::solve::{SolveError, equilibrating_stress};
 use crate::surface::files::{SurfaceFileError, import_closed_surface};
 use crate::tool::ToolShape;
+use crate::tool::fracture::Tearing;
 use crate::world::World;
 use crate::world::organ::OrganError;
 use crate::world::spec::{Region, WorldSpec, attachments, fixed_nodes, nodes_in};
@@ -389,6 +390,7 @@ pub fn build_world(
     if let Some(file) = &scene.organ.vessels {
         spec.vessels = read_vessels(&folder.join(file))?;
     }
+    spec.tearing = scene.organ.tearing.map(|energy| Tearing { energy, material: body.material });
     let world = World::new(spec, body.mesh.clone(), model, kind)
         .map_err(|error| BuildError::Organ { file: folder.join(&scene.organ.mesh), error })?;
     Ok((world, body))

@@ -8,6 +8,7 @@ use crate::model::hybrid::condensed::ZoneLaw;
 use crate::model::kind::ModelKind;
 use crate::model::nonlinear_tensor_mass::Fibre;
 use crate::model::quasi_nonlinear::{GREATEST_DEGREE, LEAST_DEGREE};
+use crate::tool::fracture::FractureEnergy;
 use crate::units::Dimension;
 use crate::world::spec::{ForceField, Ligament, Load, LoadTime, Region, Support};
 use std::path::PathBuf;
@@ -67,6 +68,8 @@ pub struct OrganSource {
     pub volume_penalty_pa: f64,
     /// Blood vessels in it, relative to the scene's folder; none when absent.
     pub vessels: Option<PathBuf>,
+    /// What a crack in it takes; it does not tear when absent.
+    pub tearing: Option<FractureEnergy>,
     /// Which model moves it.
     pub model: ModelKind,
     /// A saved pre-computation, relative to the scene's folder; made anew at set-up when absent.
@@ -101,6 +104,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     let relaxation = read_relaxation(&mut section)?;
     let fibre = section.section("fibre")?.map(read_fibre).transpose()?;
     let vessels = section.string("vessels")?.map(|p| PathBuf::from(p.0));
+    let tearing = read_tearing(&mut section)?;
     let volume_penalty_pa = not_negative(&mut section, "volume_penalty", Dimension::Pressure)?;
     let precomputed = section.string("precomputed")?.map(|p| PathBuf::from(p.0));
     let damping = Rayleigh {
@@ -123,6 +127,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
         fibre,
         volume_penalty_pa,
         vessels,
+        tearing,
         model,
         precomputed,
         damping,
@@ -131,6 +136,14 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
         measured,
     };
     Ok((organ, OrganSurroundings { supports, ligaments, loads, fields }))
+}
+
+/// `tearing = true`, and the energy of a crack; that of liver when the scene gives none.
+fn read_tearing(section: &mut Section<'_>) -> Result<Option<FractureEnergy>, SceneError> {
+    let tears = section.flag("tearing")?.unwrap_or(false);
+    let given = section.positive("fracture_energy", Dimension::FractureEnergy)?;
+    let energy = given.map_or(FractureEnergy::LIVER, |energy_j_per_m2| FractureEnergy { energy_j_per_m2 });
+    Ok(tears.then_some(energy))
 }
 
 /// Degree of the fitted polynomials when the scene gives none, as of `glisson fit`.

@@ -69,6 +69,8 @@ impl Scene {
             ligaments: surroundings.ligaments,
             loads: surroundings.loads,
             fields: surroundings.fields,
+            // Its material comes with the mesh.
+            tearing: None,
             vessels: Vec::new(),
             tools: scripted,
         };

@@ -49,6 +49,12 @@ impl HeatedTissue {
         self.heat_to_boil_j_per_m3() + self.density_kg_per_m3 * self.boiled_fraction * EVAPORATION_J_PER_KG
     }
 
+    /// Share of its strength that tissue has left after it took up `heat_j_per_m3`: it falls evenly to none where the tissue
+    /// comes apart by heat alone (a choice). Heat pays for the crack of [`super::fracture`] many times over.
+    pub fn strength_left(&self, heat_j_per_m3: f64) -> f64 {
+        (1.0 - heat_j_per_m3 / self.heat_to_part_j_per_m3()).clamp(0.0, 1.0)
+    }
+
     /// Temperature [C] of tissue that took up `heat_j_per_m3`: it stays at boiling until it has parted.
     pub fn temperature_c(&self, heat_j_per_m3: f64) -> f64 {
         let rise = heat_j_per_m3 / (self.density_kg_per_m3 * self.specific_heat_j_per_kg_k);
@@ -80,6 +86,11 @@ impl TissueHeat {
     /// Warm tetrahedra with the heat that they took up [J/m3], ascending.
     pub fn warm(&self) -> &[(TetId, f64)] {
         &self.heat
+    }
+
+    /// Heat that a tetrahedron has taken up [J/m3].
+    pub fn of(&self, tet: TetId) -> f64 {
+        self.heat.binary_search_by_key(&tet, |entry| entry.0).map_or(0.0, |at| self.heat[at].1)
     }
 
     /// A tip of `power_w` touches `touched` (ascending, with their volumes in the rest shape) for `dt_s`. Appends what

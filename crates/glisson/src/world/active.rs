@@ -1,6 +1,7 @@
 //! Edges and hot tips: what an instrument keeps of its cut from step to step.
 
 use super::edits::EditRefusal;
+use super::tear::edge_cuts;
 use super::{ToolCuts, World};
 use crate::math::DVec3;
 use crate::mesh::TetId;
@@ -20,6 +21,17 @@ const MOST_WARM: usize = 256;
 enum Edge {
     Subdivision(Box<SubdivisionCut>),
     Displacement(Box<ScalpelCut>),
+}
+
+impl Edge {
+    /// The stroke begins here, where the blade cuts nothing yet.
+    fn begin(&mut self, body: &EditableMesh, positions_m: &[DVec3], blade_m: [DVec3; 2]) {
+        // The first place of a stroke cuts nothing; one that is refused is refused again when it would cut.
+        match self {
+            Self::Subdivision(cut) => drop(cut.advance(body, positions_m, blade_m)),
+            Self::Displacement(cut) => drop(cut.advance(body, positions_m, blade_m)),
+        }
+    }
 }
 
 /// The active part of one tool.
@@ -89,12 +101,18 @@ impl World {
     /// Cuts along an edge while the trigger is pressed, and ends the stroke when it is not.
     pub(super) fn cut_with_blade(&mut self, tool: usize, blade: &Blade, cuts: &mut ToolCuts) {
         let pose = self.hands[tool].now;
-        let is_on = pose.is_triggered();
+        let is_on = self.edge_is_on(tool);
         if !is_on && !self.active[tool].is_in_stroke {
             return;
         }
-        let blade_m = [pose.tip_in_world_m, pose.tip_in_world_m + pose.shaft_in_world * blade.length_m];
+        let mut blade_m = [pose.tip_in_world_m, pose.tip_in_world_m + pose.shaft_in_world * blade.length_m];
         let Some(mut edge) = self.active[tool].edge.take() else { return };
+        if let Some([outward_m, inward_m]) = self.hands[tool].overload.entry_m.take() {
+            // The tissue that the edge pressed in will spring back over it: so deep is the first cut.
+            let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
+            edge.begin(body, positions_m, blade_m.map(|p| p + outward_m));
+            blade_m = blade_m.map(|p| p + inward_m);
+        }
         match &mut edge {
             Edge::Subdivision(cut) => self.subdivide(tool, cut, blade_m, cuts),
             Edge::Displacement(cut) => self.displace(tool, cut, blade_m, cuts),
@@ -107,9 +125,23 @@ impl World {
         }
     }
 
+    fn edge_is_on(&self, tool: usize) -> bool {
+        edge_cuts(&self.spec.tools[tool], &self.hands[tool], self.spec.tearing.as_ref())
+    }
+
+    /// An edit by an edge, which feels what it cost.
+    fn edit_with_edge(&mut self, tool: usize, edits: &[MeshEdit]) -> Result<(), EditRefusal> {
+        let change = self.edit_all(edits)?;
+        if self.spec.tearing.is_some() {
+            let area_m2 = self.crack_area_m2(&change);
+            self.feel_cut(tool, area_m2);
+        }
+        Ok(())
+    }
+
     fn subdivide(&mut self, tool: usize, cut: &mut SubdivisionCut, blade_m: [DVec3; 2], cuts: &mut ToolCuts) {
         let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
-        let is_on = self.hands[tool].now.is_triggered();
+        let is_on = self.edge_is_on(tool);
         let planned = if is_on {
             cut.advance(body, positions_m, blade_m)
         } else {
@@ -117,8 +149,8 @@ impl World {
         };
         match planned {
             Ok(None) => {}
-            Ok(Some(replacement)) => match self.edit_in_place(&[MeshEdit::Replace(replacement)]) {
-                Ok(_) => cuts.n_edits += 1,
+            Ok(Some(replacement)) => match self.edit_with_edge(tool, &[MeshEdit::Replace(replacement)]) {
+                Ok(()) => cuts.n_edits += 1,
                 Err(refusal) => {
                     cut.take_back();
                     cuts.refusals.push((tool, refusal));
@@ -129,15 +161,15 @@ impl World {
     }
 
     fn displace(&mut self, tool: usize, cut: &mut ScalpelCut, blade_m: [DVec3; 2], cuts: &mut ToolCuts) {
-        let is_on = self.hands[tool].now.is_triggered();
+        let is_on = self.edge_is_on(tool);
         for _ in 0..MOST_EDITS {
             let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
             let planned =
                 if is_on { cut.advance(body, positions_m, blade_m) } else { cut.finish(body, positions_m) };
             match planned {
                 Ok(None) => return,
-                Ok(Some(edits)) => match self.edit_in_place(&edits) {
-                    Ok(_) => cuts.n_edits += 1,
+                Ok(Some(edits)) => match self.edit_with_edge(tool, &edits) {
+                    Ok(()) => cuts.n_edits += 1,
                     Err(refusal) => {
                         *cut = ScalpelCut::new(ScalpelParams::default());
                         cuts.refusals.push((tool, refusal));
@@ -159,6 +191,7 @@ impl World {
         let tissue = HeatedTissue::LIVER;
         if hand.active_s == 0.0 {
             self.active[tool].heat.cool_down(&tissue, dt_s);
+            self.hands[tool].overload.strength_left = 1.0;
             return Vec::new();
         }
         let is_hot = rule.power_w > 0.0;
@@ -176,7 +209,10 @@ impl World {
         let mesh = self.organ.mesh();
         let with_volumes = touched.iter().map(|&tet| (tet, mesh.tet_volume_m3(tet)));
         let mut parted = Vec::new();
-        self.active[tool].heat.heat_up(&tissue, rule.power_w, with_volumes, dt_s, &mut parted);
+        let heat = &mut self.active[tool].heat;
+        heat.heat_up(&tissue, rule.power_w, with_volumes, dt_s, &mut parted);
+        let left = touched.iter().map(|&tet| tissue.strength_left(heat.of(tet)));
+        self.hands[tool].overload.strength_left = left.fold(1.0, f64::min);
         parted
     }
 }

@@ -4,6 +4,7 @@ use super::grasp::{Grasp, HOLDS_BELOW, Hold};
 use super::hand::Hand;
 use super::parts::ToolPart;
 use super::slide::SlideInput;
+use super::tear::edge_motion_m;
 use super::{StepInput, World};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
@@ -49,7 +50,8 @@ impl World {
                     }
                 }
             }
-            hand.find_contacts(tool, &self.organ, input.placed[place]);
+            hand.follow_edge(tool, &self.organ);
+            hand.find_contacts(tool, &self.organ, self.spec.tearing.as_ref(), input.placed[place]);
             for contact in hand.contacts.iter_mut().flatten() {
                 contact.push_out(self.spec.time_step_s);
             }
@@ -127,7 +129,7 @@ impl World {
     }
 
     /// Force that a hand exerts on the organ in the last step [N]: with one part, or with what its jaws hold.
-    fn force_on_organ_n(&self, hand: usize, part: Option<ToolPart>) -> DVec3 {
+    pub(super) fn force_on_organ_n(&self, hand: usize, part: Option<ToolPart>) -> DVec3 {
         let owner = Owner { hand: hand as u8, part };
         let forces = self.model.constraint_forces_n().iter().zip(&self.owners);
         forces.filter(|(_, o)| **o == owner).map(|(force_n, _)| *force_n).sum()
@@ -143,12 +145,16 @@ impl World {
             for part in ToolPart::ALL {
                 let force_on_organ_n = self.force_on_organ_n(place, Some(part));
                 let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
-                let Some(contact) = &mut hand.contacts[part.index()] else { continue };
+                let Some(contact) = &mut hand.contacts[part.index()] else {
+                    self.load_part(place, part, None);
+                    continue;
+                };
                 let point_m = contact.at.in_world_m(tool, &hand.now);
                 // A force that is no number, which only a broken model can bring about, is none.
                 let is_broken = !force_on_organ_n.is_finite();
                 if is_broken || contact.lets_go(point_m, force_on_organ_n) {
                     hand.contacts[part.index()] = None;
+                    self.load_part(place, part, None);
                 } else {
                     in_contact = true;
                     force_on_tool_n -= force_on_organ_n;
@@ -158,9 +164,14 @@ impl World {
                         let slide = SlideInput { point_m, radius_m, friction, force_on_organ_n };
                         slip_m += contact.slide(&self.organ, &slide);
                     }
+                    self.load_part(place, part, Some(-force_on_organ_n));
                 }
             }
             let force_of_jaws_n = -self.force_on_organ_n(place, None);
+            if let Some(jaws) = self.spec.tools[place].kind.jaws().copied() {
+                let holds = self.hands[place].grasp.is_some() && force_of_jaws_n.is_finite();
+                self.load_jaws(place, &jaws, holds.then_some(force_of_jaws_n));
+            }
             let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
             let pose = hand.now;
             if let (Some(grasp), Some(jaws)) = (&mut hand.grasp, tool.kind.jaws()) {
@@ -175,7 +186,9 @@ impl World {
                     hand.grasp = None;
                 }
             }
-            hand.report.in_contact = in_contact;
+            let edge_motion_m = edge_motion_m(tool, &hand.before, &hand.now);
+            force_on_tool_n += hand.overload.edge_force_n(edge_motion_m);
+            hand.report.in_contact = in_contact || hand.overload.edge_is_in;
             hand.report.slip_m = slip_m;
             hand.report.force_on_tool_n = force_on_tool_n;
             hand.count_activity(tool, dt_s);

@@ -12,8 +12,9 @@ use crate::math::{DVec3, closest_point_barycentric, tetrahedron_volume_m3};
 use crate::mesh::TetId;
 use crate::mesh::edit::MeshEdit;
 use crate::mesh::topology::TET_TRIANGLES;
+use crate::tool::fracture::scissors_force_n;
 use crate::tool::pose::ToolFrame;
-use crate::tool::{Tool, ToolKind};
+use crate::tool::{Jaws, Tool, ToolKind};
 
 /// A tip that stands on the surface touches it but for rounding: this share of its radius is added to it.
 const REACH: f64 = 1.01;
@@ -26,10 +27,14 @@ const MOST_TRIANGLES: usize = 256;
 pub struct ToolCuts {
     /// Tetrahedra that were taken out.
     pub n_removed: usize,
+    /// Tetrahedra that tore under force ([`crate::world::spec::WorldSpec::tearing`]).
+    pub n_torn: usize,
     /// Edits by which blades parted the mesh.
     pub n_edits: usize,
     /// Why something was not cut, with the tool's number.
     pub refusals: Vec<(usize, EditRefusal)>,
+    /// Why stretched tissue did not tear.
+    pub tear_refusal: Option<EditRefusal>,
 }
 
 impl Hand {
@@ -61,7 +66,13 @@ impl World {
                     self.cut_with_blade(tool, &blade, &mut cuts);
                     continue;
                 }
-                ToolKind::Scissors(_) if hand.just_closed => self.tetrahedra_between_jaws(tool),
+                ToolKind::Scissors(jaws) if hand.just_closed => match self.scissors_refusal(jaws) {
+                    None => self.tetrahedra_between_jaws(tool),
+                    Some(refusal) => {
+                        cuts.refusals.push((tool, refusal));
+                        Vec::new()
+                    }
+                },
                 _ => continue,
             };
             self.hands[tool].just_closed = false;
@@ -74,19 +85,33 @@ impl World {
                 Err(refusal) => cuts.refusals.push((tool, refusal)),
             }
         }
+        self.tear(&mut cuts);
         cuts
+    }
+
+    /// Why scissors are too weak for the tissue.
+    fn scissors_refusal(&self, jaws: &Jaws) -> Option<EditRefusal> {
+        let needed_n = scissors_force_n(self.spec.tearing?.energy, jaws.length_m);
+        let found_n = jaws.closing_force_n;
+        (found_n < needed_n).then_some(EditRefusal::TooWeak { found_n, needed_n })
     }
 
     /// The live tetrahedra that the tip of a tool touches in their present shape, ascending: those under the surface that
     /// it stands on, and those within its radius behind them.
     pub fn touched_tetrahedra(&self, tool: usize) -> Vec<TetId> {
         let (hand, spec) = (&self.hands[tool], &self.spec.tools[tool]);
-        let (tip_m, reach_m) = (hand.now.tip_in_world_m, REACH * spec.tip_radius_m);
-        let tip = crate::contact::shapes::Capsule::ball(tip_m, reach_m);
+        self.tetrahedra_near(hand.now.tip_in_world_m, spec.tip_radius_m)
+    }
+
+    /// The live tetrahedra that a ball touches in their present shape, ascending, as far as they hang together with the
+    /// surface that it touches.
+    pub(super) fn tetrahedra_near(&self, middle_m: DVec3, radius_m: f64) -> Vec<TetId> {
+        let reach_m = REACH * radius_m;
+        let ball = crate::contact::shapes::Capsule::ball(middle_m, reach_m);
         let positions_m = self.organ.positions_m();
         let topology = self.organ.body().topology();
-        self.grown_from_surface(&tip, |tet| {
-            is_within(tip_m, reach_m, topology.tet_nodes(tet).map(|n| positions_m[n.index()]))
+        self.grown_from_surface(&ball, |tet| {
+            is_within(middle_m, reach_m, topology.tet_nodes(tet).map(|n| positions_m[n.index()]))
         })
     }
 

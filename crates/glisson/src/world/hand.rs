@@ -5,13 +5,15 @@ use super::grasp::Grasp;
 use super::organ::Organ;
 use super::parts::{ToolPart, ToolPoint, capsule, mesh_of, motion, rigid_pose};
 use super::skin::SurfacePlace;
+use super::tear::{Overload, edge_cuts};
 use super::touch::{ContactBegin, HeldContact};
 use crate::contact::continuous::FirstContact;
 use crate::contact::shapes::MeshShape;
 use crate::contact::triangles::closest_weights;
 use crate::math::DVec3;
 use crate::mesh::topology::Topology;
-use crate::tool::{Tool, ToolInput, ToolKind};
+use crate::tool::fracture::Tearing;
+use crate::tool::{Tool, ToolInput};
 
 /// A mesh touches when it is this near [m]: far below what is seen, far above rounding, so that there is a direction
 /// from tissue to tool.
@@ -50,6 +52,8 @@ pub(super) struct Hand {
     pub(super) just_closed: bool,
     /// How long the active tip has been on and touching [s].
     pub(super) active_s: f64,
+    /// What it does to tissue that stands no more.
+    pub(super) overload: Overload,
     pub(super) report: ToolReport,
 }
 
@@ -66,6 +70,7 @@ impl Hand {
             opened_to: home.jaw_opening,
             just_closed: false,
             active_s: 0.0,
+            overload: Overload::default(),
             report: ToolReport::default(),
         }
     }
@@ -74,7 +79,8 @@ impl Hand {
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let contacts = self.contacts.iter().flatten().flat_map(HeldContact::numbers);
         let grasp = self.grasp.iter().flat_map(Grasp::numbers);
-        contacts.chain(grasp).chain((self.active_s > 0.0).then_some(self.active_s))
+        let active = (self.active_s > 0.0).then_some(self.active_s);
+        contacts.chain(grasp).chain(active).chain(self.overload.numbers())
     }
 
     /// Takes the input of tool number `place` over.
@@ -98,6 +104,12 @@ impl Hand {
         self.contacts = [const { None }; 3];
         self.grasp = None;
         self.active_s = 0.0;
+        self.overload = Overload::default();
+    }
+
+    /// A part goes on through the tissue: it touches nothing until it has come out.
+    pub(super) fn bury(&mut self, part: ToolPart) {
+        self.is_buried[part.index()] = true;
     }
 
     /// After an edit: contacts on triangles that are gone end, nodes that are gone are no longer held.
@@ -113,12 +125,17 @@ impl Hand {
     }
 
     /// Finds what the parts touch that touch nothing yet.
-    pub(super) fn find_contacts(&mut self, tool: &Tool, organ: &Organ, is_placed: bool) {
+    pub(super) fn find_contacts(
+        &mut self,
+        tool: &Tool,
+        organ: &Organ,
+        tearing: Option<&Tearing>,
+        is_placed: bool,
+    ) {
         for part in ToolPart::ALL {
             let holds = self.grasp.is_some() && part != ToolPart::Shaft;
             // An edge that cuts does not push.
-            let cuts = matches!(tool.kind, ToolKind::Scalpel(_)) && self.now.is_triggered();
-            if cuts && part == ToolPart::Tip {
+            if edge_cuts(tool, self, tearing) && part == ToolPart::Tip {
                 self.contacts[part.index()] = None;
                 continue;
             }

@@ -9,6 +9,7 @@ mod cut;
 mod edits;
 mod grasp;
 mod hand;
+mod haptic;
 mod loads;
 pub mod organ;
 mod parts;
@@ -16,6 +17,7 @@ pub mod saved;
 mod skin;
 mod slide;
 pub mod spec;
+mod tear;
 pub mod touch;
 pub mod vessels;
 
@@ -28,14 +30,15 @@ use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::model::kind::ModelKind;
-use crate::model::{Constraints, DeformableModel, ModelReport, ModelState};
+use crate::model::{Constraints, DeformableModel, Effort, ModelReport, ModelState};
 use crate::record::hash::StateHash;
-use crate::record::snapshot::{ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
+use crate::record::snapshot::{BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use active::ActiveTip;
 use constrain::{MOST_IMPOSED, Owner};
 use edits::Journal;
 use hand::Hand;
+use haptic::HapticScratch;
 use loads::Loads;
 use organ::{Organ, OrganError};
 use spec::WorldSpec;
@@ -126,12 +129,16 @@ pub struct World {
     owners: Vec<Owner>,
     /// Scratch of the search for what is between jaws.
     between_jaws: Vec<ToolContact>,
+    /// Scratch of what the haptic loop is told; made when it is first asked for.
+    haptics: Option<Box<HapticScratch>>,
     loads: Loads,
     gravity_m_per_s2: DVec3,
     /// Gravity and force fields of the last step.
     pull_m_per_s2: DVec3,
     step: u64,
     report: StepReport,
+    /// None until somebody chose one.
+    effort: Option<Effort>,
 }
 
 impl World {
@@ -176,11 +183,13 @@ impl World {
             constraints,
             owners: Vec::with_capacity(MOST_IMPOSED),
             between_jaws: grasp::room_for_search(),
+            haptics: None,
             loads,
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,
             step: 0,
             report: StepReport::default(),
+            effort: None,
         })
     }
 
@@ -210,13 +219,14 @@ impl World {
     }
 
     /// Hash of everything that the next step depends on but the input: the model's state, live tetrahedra, contacts
-    /// and grasps, gravity, the loads' clock. A model that was ordered counts from its first step on.
+    /// and grasps, gravity, the loads' clock, blood lost, severed and clipped vessels. A model that was ordered counts from its first step on.
     pub fn state_hash(&self) -> StateHash {
         let gravity = self.gravity_m_per_s2.to_array();
         let active = self.active.iter().flat_map(ActiveTip::numbers);
         let hands = self.hands.iter().flat_map(Hand::numbers).chain(active);
-        let surroundings: Vec<f64> =
-            gravity.into_iter().chain(self.loads.clock(self.step)).chain(hands).collect();
+        let vessels = self.vessels.iter().flat_map(Vessels::numbers);
+        let clock = self.loads.clock(self.step);
+        let surroundings: Vec<f64> = gravity.into_iter().chain(clock).chain(hands).chain(vessels).collect();
         StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
     }
 
@@ -302,6 +312,22 @@ impl World {
         self.gravity_m_per_s2
     }
 
+    /// How thoroughly steps are computed from the next one on, also by models that take over later; answers whether that
+    /// makes a difference to the present one.
+    pub fn set_effort(&mut self, effort: Effort) -> bool {
+        self.effort = Some(effort);
+        self.keep_effort()
+    }
+
+    /// How thoroughly steps are computed.
+    pub fn effort(&self) -> Effort {
+        self.effort.unwrap_or_default()
+    }
+
+    fn keep_effort(&mut self) -> bool {
+        self.effort.is_some_and(|effort| self.model.set_effort(effort))
+    }
+
     /// One step of the scene's time step.
     pub fn step(&mut self, input: &StepInput) -> StepReport {
         self.report = StepReport { step: self.step, ..StepReport::default() };
@@ -335,6 +361,7 @@ impl World {
             model.take_over_in_motion(&self.model.state());
             model.set_gravity(self.pull_m_per_s2);
             self.model = model;
+            self.keep_effort();
             self.model_kind = swap.kind;
             // What was saved belongs to the model before.
             self.journal.forget_undo();
@@ -363,7 +390,9 @@ impl World {
     /// The displayed state now.
     pub fn snapshot(&self) -> Snapshot {
         let (positions_m, tools) = (Vec::new(), Vec::new());
-        let mut snapshot = Snapshot { step: 0, time_s: 0.0, topology_version: 0, positions_m, tools };
+        let bleeding = BleedingSnapshot::default();
+        let mut snapshot =
+            Snapshot { step: 0, time_s: 0.0, topology_version: 0, positions_m, tools, bleeding };
         self.snapshot_into(&mut snapshot);
         snapshot
     }
@@ -388,6 +417,12 @@ impl World {
                 n_held_nodes: hand.report.n_held_nodes,
             }
         }));
+        match &self.vessels {
+            None => snapshot.bleeding.has_vessels = false,
+            Some(vessels) => {
+                vessels.bleeding_into(self.organ.body(), positions_m, &mut snapshot.bleeding);
+            }
+        }
     }
 
     /// The vessels, if the organ has some.

@@ -52,7 +52,15 @@ pub(super) fn capsule(tool: &Tool, part: ToolPart, pose: &ToolInput) -> Option<C
         })
     };
     match part {
-        ToolPart::Tip => Some(jaw(0).unwrap_or(Capsule::ball(pose.tip_in_world_m, tool.tip_radius_m))),
+        ToolPart::Tip => Some(match &tool.kind {
+            // An edge touches along its length.
+            ToolKind::Scalpel(blade) => Capsule {
+                from_m: pose.tip_in_world_m,
+                to_m: behind_m(blade.length_m),
+                radius_m: tool.tip_radius_m,
+            },
+            _ => jaw(0).unwrap_or(Capsule::ball(pose.tip_in_world_m, tool.tip_radius_m)),
+        }),
         ToolPart::SecondJaw => jaw(1),
         ToolPart::Shaft => {
             let effector_m = match &tool.kind {

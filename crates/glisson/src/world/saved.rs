@@ -41,11 +41,13 @@ impl World {
             constraints,
             owners,
             between_jaws: grasp::room_for_search(),
+            haptics: None,
             loads: self.loads.clone(),
             gravity_m_per_s2: self.gravity_m_per_s2,
             pull_m_per_s2: self.pull_m_per_s2,
             step: self.step,
             report: self.report,
+            effort: self.effort,
         }
     }
 }

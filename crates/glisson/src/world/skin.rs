@@ -184,9 +184,9 @@ impl Skin {
         self.search.near_into(capsule, 0.0, &self.end_m, &mut none) > 0
     }
 
-    /// Appends what is within `margin_m` of a resting capsule, as far as there is room.
-    pub(super) fn near_into(&self, capsule: &Capsule, margin_m: f64, found: &mut Vec<ToolContact>) {
-        self.search.near_into(capsule, margin_m, &self.end_m, found);
+    /// Appends what is within `margin_m` of a resting capsule, as far as there is room; answers how many found none.
+    pub(super) fn near_into(&self, capsule: &Capsule, margin_m: f64, found: &mut Vec<ToolContact>) -> usize {
+        self.search.near_into(capsule, margin_m, &self.end_m, found)
     }
 
     /// The surface as it is now, for proxies.
@@ -208,6 +208,12 @@ impl Skin {
     pub(super) fn place_of(&self, found: ToolContact) -> SurfacePlace {
         let slot = found.triangle as usize;
         SurfacePlace { triangle: TriangleId(self.triangles[slot]), nodes: self.nodes[slot], found }
+    }
+
+    /// How fast a place of a triangle moved in the last step of `dt_s` [m/s].
+    pub(super) fn velocity_m_per_s(&self, nodes: [NodeId; 3], weights: [f64; 3], dt_s: f64) -> DVec3 {
+        let way_m = |v: usize| self.end_m[nodes[v].index()] - self.start_m[nodes[v].index()];
+        (0..3).map(|v| way_m(v) * (weights[v] / dt_s)).sum()
     }
 
     /// Positions of all nodes now [m]; there may be more than nodes.

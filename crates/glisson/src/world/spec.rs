@@ -5,6 +5,7 @@ use crate::math::{Aabb, DVec3};
 use crate::mesh::NodeId;
 use crate::model::{Attachment, FixedNode};
 use crate::tool::Tool;
+use crate::tool::fracture::Tearing;
 
 /// Description of a world; files are read in `scene`.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +24,8 @@ pub struct WorldSpec {
     pub loads: Vec<Load>,
     /// Accelerations of the whole, beside gravity.
     pub fields: Vec<ForceField>,
+    /// How it comes apart under force; it never does when absent, and then imposed motions have no limit.
+    pub tearing: Option<Tearing>,
     /// Blood vessels inside the organ, in its rest shape.
     pub vessels: Vec<Tube>,
     /// The instruments: one to [`crate::tool::MAX_TOOLS`].
@@ -40,6 +43,7 @@ impl WorldSpec {
             ligaments: Vec::new(),
             loads: Vec::new(),
             fields: Vec::new(),
+            tearing: None,
             vessels: Vec::new(),
             tools: vec![tool],
         }

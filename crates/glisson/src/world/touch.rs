@@ -123,6 +123,11 @@ impl HeldContact {
             .map(|v| (weights[v] > 0.0).then(|| self.displacements_at_touch_m[v] + motion_m * weights[v]))
     }
 
+    /// How far the tool pressed the tissue in, along the normal [m].
+    pub(super) fn depth_m(&self, point_m: DVec3) -> f64 {
+        (-(self.motion_before_m + point_m - self.neutral_m).dot(self.normal)).max(0.0)
+    }
+
     /// Whether the contact ends: the tool is at least as far out as where it touched, and would have to pull.
     /// Deeper in it holds even if a sideways motion makes the normal force a pull, because tissue that sticks
     /// and then jumps back would be felt as a blow.

@@ -10,6 +10,7 @@ use crate::image::vessels::{Tube, TubeError, check_tube};
 use crate::math::{Aabb, DVec3, tetrahedron_volume_m3};
 use crate::mesh::TetId;
 use crate::mesh::edit::{EditableMesh, TopologyChange};
+use crate::record::snapshot::{BleedingEnd, BleedingSnapshot};
 
 /// Flow in the portal vein [m3/s]: 13.5 ml a minute for each kilogram of body weight (Carlisle et al. 1992,
 /// Gut 33:92-97) at the 73 kg of the reference man (ICRP Publication 89, 2002).
@@ -109,6 +110,31 @@ impl Vessels {
     /// Number of clips set.
     pub fn n_clips(&self) -> usize {
         self.clips.iter().map(Vec::len).sum()
+    }
+
+    /// Everything that bleeding depends on and is not told by the mesh.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
+        let cuts = self.cut_along.iter().map(|along| along.unwrap_or(-1.0));
+        let clips = self
+            .clips
+            .iter()
+            .flat_map(|of_tube| std::iter::once(of_tube.len() as f64).chain(of_tube.iter().copied()));
+        [self.lost_m3].into_iter().chain(cuts).chain(clips)
+    }
+
+    /// Writes what bleeds now; allocates the first time only.
+    pub fn bleeding_into(&self, body: &EditableMesh, positions_m: &[DVec3], out: &mut BleedingSnapshot) {
+        out.has_vessels = true;
+        out.lost_m3 = self.lost_m3;
+        out.rate_m3_per_s = self.bleeding_m3_per_s;
+        out.n_clips = self.n_clips() as u32;
+        out.ends.clear();
+        // A tube has one open end at most.
+        out.ends.reserve(self.tubes.len());
+        out.ends.extend(self.open.iter().map(|end| BleedingEnd {
+            position_m: self.end_position_m(end, body, positions_m),
+            rate_m3_per_s: end.rate_m3_per_s,
+        }));
     }
 
     /// Blood goes on flowing for `dt_s`.

@@ -1,0 +1,573 @@
+//! The haptic loop: reads the devices, evaluates the latest models and pushes, a thousand times a second. It waits for
+//! nobody; in a tick nothing is allocated, locked or logged.
+
+use super::exchange::{Latest, Publisher, exchange};
+use super::histogram::{Histogram, Percentiles};
+use super::realtime::{Scheduling, make_punctual, now_ns, wait_until};
+use crate::devices::OpenDevice;
+use anyhow::{Context, ensure};
+use glisson::haptics::{
+    DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, LawSettings, LawTick,
+};
+use glisson::tool::ToolInput;
+use std::borrow::Cow;
+use std::ops::RangeInclusive;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::thread::JoinHandle;
+
+/// Ticks a second that may be asked for.
+pub(crate) const RATES_HZ: RangeInclusive<f64> = 100.0..=4_000.0;
+/// A deadline counts as missed when its tick begins later than so many periods after it.
+const MISSED_PERIODS: u64 = 2;
+/// What happens in the first moments (page faults, cold caches) is not counted [s].
+const WARM_UP_S: f64 = 0.2;
+/// Longest interval between two ticks that the law is told [s]: what lies beyond is a standstill, not a tick.
+const LONGEST_TICK_S: f64 = 0.1;
+
+/// How the loop runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct HapticSettings {
+    /// Ticks a second.
+    pub(crate) rate_hz: f64,
+    /// Core to stay on; the last one that is allowed for none.
+    pub(crate) core: Option<usize>,
+}
+
+impl Default for HapticSettings {
+    fn default() -> Self {
+        Self { rate_hz: 1_000.0, core: None }
+    }
+}
+
+/// A model and when the simulation made it, on the clock of [`now_ns`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct PublishedModel {
+    pub(crate) model: HapticModel,
+    /// 0: none was made yet.
+    pub(crate) made_ns: u64,
+}
+
+/// Where a device has its instrument.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Motion {
+    pub(crate) pose: ToolInput,
+    /// Whether the device holds it now; otherwise it stays where it was.
+    pub(crate) is_held: bool,
+}
+
+/// Whether a device answers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum DeviceStatus {
+    /// Nothing was heard yet.
+    Waiting,
+    Works,
+    /// It may come back.
+    Lost(Cow<'static, str>),
+    /// It will not.
+    Failed(Cow<'static, str>),
+}
+
+/// The haptic loop's end of an instrument.
+pub(crate) struct HeldTool {
+    device: OpenDevice,
+    home: ToolInput,
+    /// None until the device has said where it is.
+    law: Option<HapticLaw>,
+    models: Latest<PublishedModel>,
+    motions: Publisher<Motion>,
+    statuses: Publisher<DeviceStatus>,
+    status: DeviceStatus,
+}
+
+/// The simulation's end of an instrument.
+pub(crate) struct ToolLink {
+    /// Number of the instrument.
+    pub(crate) tool: usize,
+    /// What the user calls the device.
+    pub(crate) device_name: String,
+    pub(crate) models: Publisher<PublishedModel>,
+    pub(crate) motions: Latest<Motion>,
+    pub(crate) statuses: Latest<DeviceStatus>,
+}
+
+/// Puts instrument `tool`, whose home is `home`, into the hand at `device`.
+pub(crate) fn join(device: OpenDevice, tool: usize, home: ToolInput) -> (HeldTool, ToolLink) {
+    let (models_in, models) = exchange(PublishedModel::default());
+    let (motions, motions_out) = exchange(Motion { pose: home, is_held: false });
+    let (statuses, statuses_out) = exchange(DeviceStatus::Waiting);
+    let device_name = device.name.clone();
+    let status = DeviceStatus::Waiting;
+    let held = HeldTool { device, home, law: None, models, motions, statuses, status };
+    let link =
+        ToolLink { tool, device_name, models: models_in, motions: motions_out, statuses: statuses_out };
+    (held, link)
+}
+
+impl HeldTool {
+    fn tick(&mut self, dt_s: f64, meters: Option<&Meters>) {
+        if matches!(self.status, DeviceStatus::Failed(_)) {
+            return;
+        }
+        let read_ns = now_ns();
+        let state = self.device.device.read().and_then(|state| {
+            let fault = || DeviceFault::Lost("it sends numbers that are not finite".into());
+            is_finite(&state).then_some(state).ok_or_else(fault)
+        });
+        let published = self.models.get();
+        let answer = match state {
+            Ok(state) => {
+                // Until there is a model the instrument is in free space.
+                let age_ns =
+                    if published.made_ns == 0 { 0 } else { read_ns.saturating_sub(published.made_ns) };
+                let law = self.law.get_or_insert_with(|| {
+                    let mapping = self.device.mapping(state.position_m, &self.home);
+                    let settings = LawSettings { mapping, ..LawSettings::default() };
+                    HapticLaw::new(&settings, &self.device.device.limits())
+                });
+                let LawTick { command, tool, report } =
+                    law.tick(&state, &published.model, age_ns as f64 * 1e-9, dt_s);
+                let pose = if self.device.tells_orientation {
+                    tool
+                } else {
+                    let ToolInput { shaft_in_world, roll_rad, .. } = self.home;
+                    ToolInput { shaft_in_world, roll_rad, ..tool }
+                };
+                self.motions.publish(Motion { pose, is_held: true });
+                let written = self.device.device.write(&command);
+                if let Some(meters) = meters {
+                    if published.made_ns > 0 {
+                        meters.model_age.record(age_ns);
+                    }
+                    meters.motion_to_force.record(now_ns().saturating_sub(read_ns));
+                    Meters::add(&meters.n_saturated, u64::from(report.is_saturated));
+                    Meters::add(&meters.n_stale, u64::from(report.is_stale));
+                }
+                written
+            }
+            Err(fault) => {
+                if let Some(law) = &mut self.law {
+                    let LawTick { command, tool, .. } = law.lost(dt_s);
+                    self.motions.publish(Motion { pose: tool, is_held: false });
+                    // It may still listen.
+                    let _ = self.device.device.write(&command);
+                }
+                Err(fault)
+            }
+        };
+        self.tell(answer);
+    }
+
+    /// Says how the device is when that changed.
+    fn tell(&mut self, answer: Result<(), DeviceFault>) {
+        let status = match answer {
+            Ok(()) => DeviceStatus::Works,
+            Err(DeviceFault::Lost(reason)) => DeviceStatus::Lost(reason),
+            Err(DeviceFault::Failed(reason)) => DeviceStatus::Failed(reason),
+        };
+        if status != self.status {
+            self.status = status.clone();
+            self.statuses.publish(status);
+        }
+    }
+}
+
+fn is_finite(state: &DeviceState) -> bool {
+    state.position_m.is_finite()
+        && state.velocity_m_per_s.is_finite()
+        && state.orientation.is_finite()
+        && state.jaw_opening.is_finite()
+}
+
+/// What the loop measures about itself; any thread may look.
+#[derive(Debug, Default)]
+pub(crate) struct Meters {
+    n_deadlines: AtomicU64,
+    n_missed: AtomicU64,
+    n_ticks: AtomicU64,
+    n_saturated: AtomicU64,
+    n_stale: AtomicU64,
+    counted_ns: AtomicU64,
+    jitter: Histogram,
+    motion_to_force: Histogram,
+    model_age: Histogram,
+    work: Histogram,
+    scheduling: OnceLock<Scheduling>,
+}
+
+/// How the loop did so far.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct HapticReport {
+    /// Ticks a second, measured.
+    pub(crate) rate_hz: f64,
+    pub(crate) n_deadlines: u64,
+    /// Deadlines whose tick began more than two periods late.
+    pub(crate) n_missed: u64,
+    /// Ticks at which more than the device's largest force was wanted.
+    pub(crate) n_saturated: u64,
+    /// Ticks at which the model was so old that the force was taken back.
+    pub(crate) n_stale: u64,
+    /// Interval between two ticks less the period, without its sign.
+    pub(crate) jitter: Percentiles,
+    /// From reading a handle to the end of writing its force.
+    pub(crate) motion_to_force: Percentiles,
+    /// Age of the model when it is evaluated.
+    pub(crate) model_age: Percentiles,
+    /// Time that a tick of all devices takes.
+    pub(crate) work: Percentiles,
+    pub(crate) scheduling: Option<Scheduling>,
+}
+
+impl Meters {
+    fn add(counter: &AtomicU64, n: u64) {
+        // One thread writes.
+        counter.store(counter.load(Ordering::Relaxed) + n, Ordering::Relaxed);
+    }
+
+    pub(crate) fn report(&self) -> HapticReport {
+        let of = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let counted_s = of(&self.counted_ns) as f64 * 1e-9;
+        HapticReport {
+            rate_hz: if counted_s > 0.0 { of(&self.n_ticks) as f64 / counted_s } else { 0.0 },
+            n_deadlines: of(&self.n_deadlines),
+            n_missed: of(&self.n_missed),
+            n_saturated: of(&self.n_saturated),
+            n_stale: of(&self.n_stale),
+            jitter: self.jitter.percentiles(),
+            motion_to_force: self.motion_to_force.percentiles(),
+            model_age: self.model_age.percentiles(),
+            work: self.work.percentiles(),
+            scheduling: self.scheduling.get().cloned(),
+        }
+    }
+}
+
+impl HapticReport {
+    /// Missed deadlines of all, in percent.
+    pub(crate) fn missed_percent(&self) -> f64 {
+        100.0 * self.n_missed as f64 / self.n_deadlines.max(1) as f64
+    }
+
+    /// One paragraph for people.
+    pub(crate) fn to_text(&self) -> String {
+        let us = |p: &Percentiles| (p.p50_ns as f64 * 1e-3, p.p999_ns as f64 * 1e-3);
+        let (jitter, force) = (us(&self.jitter), us(&self.motion_to_force));
+        format!(
+            "haptics          {:.1} Hz; {} of {} deadlines missed ({:.3} %); {}\n                 jitter {:.0} us \
+             (99.9 %: {:.0}), motion to force {:.0} us (99.9 %: {:.0}), age of the model {:.1} ms (99.9 %: {:.1})",
+            self.rate_hz,
+            self.n_missed,
+            self.n_deadlines,
+            self.missed_percent(),
+            self.scheduling.as_ref().map_or("not started", |s| s.text.as_str()),
+            jitter.0,
+            jitter.1,
+            force.0,
+            force.1,
+            self.model_age.p50_ns as f64 * 1e-6,
+            self.model_age.p999_ns as f64 * 1e-6,
+        )
+    }
+
+    /// The fields of `glisson bench haptics` and of the viewer's `timing` message.
+    pub(crate) fn to_json(&self) -> serde_json::Value {
+        let scheduling = self.scheduling.as_ref();
+        serde_json::json!({
+            "rate_hz": (self.rate_hz * 100.0).round() / 100.0,
+            "deadlines": self.n_deadlines,
+            "missed_deadlines": self.n_missed,
+            "missed_percent": self.missed_percent(),
+            "saturated_ticks": self.n_saturated,
+            "stale_ticks": self.n_stale,
+            "jitter_us": self.jitter.to_json(1e3),
+            "motion_to_force_us": self.motion_to_force.to_json(1e3),
+            "local_model_age_ms": self.model_age.to_json(1e6),
+            "tick_us": self.work.to_json(1e3),
+            "real_time_scheduling": scheduling.is_some_and(|s| s.is_real_time),
+            "scheduling": scheduling.map_or("not started", |s| s.text.as_str()),
+        })
+    }
+}
+
+/// Deadlines that a tick `late_ns` after one of them serves at once, and how many of these are missed.
+fn served_and_missed(late_ns: u64, period_ns: u64) -> (u64, u64) {
+    let served = late_ns / period_ns + 1;
+    // The j-th next one is late_ns - j period_ns late.
+    let missed = late_ns.div_ceil(period_ns).saturating_sub(MISSED_PERIODS);
+    (served, missed.min(served))
+}
+
+/// A running loop; ends when dropped.
+pub(crate) struct HapticLoop {
+    stop: Arc<AtomicBool>,
+    meters: Arc<Meters>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl HapticLoop {
+    /// Starts it; it adds what it measures to `meters`, which no other loop may fill at the same time.
+    ///
+    /// # Errors
+    /// For a rate outside [`RATES_HZ`], or when no thread can be started.
+    pub(crate) fn start(
+        tools: Vec<HeldTool>,
+        settings: HapticSettings,
+        meters: Arc<Meters>,
+    ) -> anyhow::Result<Self> {
+        let HapticSettings { rate_hz, core } = settings;
+        ensure!(
+            RATES_HZ.contains(&rate_hz),
+            "a haptic rate of {rate_hz} Hz; allowed: {} to {} Hz",
+            RATES_HZ.start(),
+            RATES_HZ.end()
+        );
+        let stop = Arc::new(AtomicBool::new(false));
+        let (stop_seen, own_meters) = (Arc::clone(&stop), Arc::clone(&meters));
+        let thread = std::thread::Builder::new()
+            .name("haptics".into())
+            .spawn(move || {
+                // An earlier loop may have set it to the same.
+                let _ = own_meters.scheduling.set(make_punctual(core));
+                run(tools, rate_hz, &own_meters, &stop_seen);
+            })
+            .context("starting the haptic loop")?;
+        Ok(Self { stop, meters, thread: Some(thread) })
+    }
+
+    pub(crate) fn meters(&self) -> &Arc<Meters> {
+        &self.meters
+    }
+}
+
+impl Drop for HapticLoop {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A panic of the loop was printed when it happened.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn run(mut tools: Vec<HeldTool>, rate_hz: f64, meters: &Meters, stop: &AtomicBool) {
+    let period_ns = (1e9 / rate_hz).round() as u64;
+    let n_warm_up = (WARM_UP_S * rate_hz) as u64;
+    let mut last_ns = now_ns();
+    let mut deadline_ns = last_ns + period_ns;
+    let mut n_ticks = 0_u64;
+    while !stop.load(Ordering::Relaxed) {
+        wait_until(deadline_ns);
+        let begun_ns = now_ns();
+        let (n_served, n_missed) = served_and_missed(begun_ns - deadline_ns, period_ns);
+        let interval_ns = begun_ns - last_ns;
+        let counts = n_ticks >= n_warm_up;
+        let dt_s = (interval_ns as f64 * 1e-9).min(LONGEST_TICK_S);
+        for tool in &mut tools {
+            tool.tick(dt_s, counts.then_some(meters));
+        }
+        if counts {
+            meters.work.record(now_ns() - begun_ns);
+            meters.jitter.record(interval_ns.abs_diff(period_ns));
+            Meters::add(&meters.n_deadlines, n_served);
+            Meters::add(&meters.n_missed, n_missed);
+            Meters::add(&meters.n_ticks, 1);
+            Meters::add(&meters.counted_ns, interval_ns);
+        }
+        n_ticks += 1;
+        last_ns = begun_ns;
+        deadline_ns += n_served * period_ns;
+    }
+    for tool in &mut tools {
+        // A device that does not answer any more goes to zero by itself.
+        let _ = tool.device.device.write(&ForceCommand::default());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glisson::haptics::{DeviceLimits, HapticDevice, Touch};
+    use glisson::math::{DMat3, DVec3};
+    use std::sync::Mutex;
+
+    /// Moves 10 um a tick along x; notes what it is told; faults at some ticks.
+    struct Scripted {
+        n_reads: u64,
+        faults: fn(u64) -> Option<DeviceFault>,
+        forces: Arc<Mutex<Vec<DVec3>>>,
+    }
+
+    impl HapticDevice for Scripted {
+        fn limits(&self) -> DeviceLimits {
+            DeviceLimits {
+                force_n: 10.0,
+                torque_n_m: 0.0,
+                force_rate_n_per_s: 1e9,
+                stiffness_n_per_m: 1e4,
+                damping_n_s_per_m: 10.0,
+                resolution_m: 1e-6,
+                rate_hz: 1_000.0,
+            }
+        }
+
+        fn read(&mut self) -> Result<DeviceState, DeviceFault> {
+            self.n_reads += 1;
+            if let Some(fault) = (self.faults)(self.n_reads) {
+                return Err(fault);
+            }
+            let not_finite = if self.n_reads == 7 { f64::NAN } else { 0.0 };
+            Ok(DeviceState {
+                position_m: DVec3::new(1e-5 * self.n_reads as f64, not_finite, 0.0),
+                velocity_m_per_s: DVec3::X * 1e-2,
+                orientation: glam::DQuat::IDENTITY,
+                jaw_opening: 0.0,
+                buttons: 0,
+            })
+        }
+
+        fn write(&mut self, command: &ForceCommand) -> Result<(), DeviceFault> {
+            // A test's lock, with room made before.
+            let mut forces = self.forces.lock().unwrap();
+            if forces.len() < forces.capacity() {
+                forces.push(command.force_n);
+            }
+            Ok(())
+        }
+    }
+
+    fn scripted(faults: fn(u64) -> Option<DeviceFault>) -> (HeldTool, ToolLink, Arc<Mutex<Vec<DVec3>>>) {
+        let forces = Arc::new(Mutex::new(Vec::with_capacity(1_000)));
+        let device = Scripted { n_reads: 0, faults, forces: Arc::clone(&forces) };
+        let home = ToolInput::at(DVec3::Y, DVec3::Z);
+        let device = OpenDevice {
+            device: Box::new(device),
+            name: "scripted".into(),
+            world_from_device: glam::DQuat::IDENTITY,
+            tells_orientation: false,
+            has_clutch: false,
+        };
+        let (held, link) = join(device, 0, home);
+        (held, link, forces)
+    }
+
+    #[test]
+    fn late_ticks_serve_and_miss_as_many_deadlines_as_passed() {
+        let of = |late: u64| served_and_missed(late, 100);
+        assert_eq!([0, 99, 100, 200].map(of), [(1, 0), (1, 0), (2, 0), (3, 0)]);
+        // 250 late: the deadlines before it are 250, 150 and 50 late.
+        assert_eq!([201, 250, 300, 301, 3_000].map(of), [(3, 1), (3, 1), (4, 1), (4, 2), (31, 28)]);
+    }
+
+    #[test]
+    fn motion_goes_to_the_simulation_and_the_force_of_its_model_to_the_device() {
+        let (mut held, mut link, forces) = scripted(|n| (n == 7).then(|| DeviceFault::Lost("away".into())));
+        held.tick(1e-3, None);
+        let motion = link.motions.get();
+        assert_eq!((motion.is_held, motion.pose), (true, ToolInput::at(DVec3::Y, DVec3::Z)));
+        let model = HapticModel {
+            touch: Touch::Grasp,
+            tip_m: DVec3::Y,
+            stiffness_n_per_m: DMat3::from_diagonal(DVec3::splat(300.0)),
+            hold_n: f64::INFINITY,
+            ..HapticModel::default()
+        };
+        for _ in 0..300 {
+            link.models.publish(PublishedModel { model, made_ns: now_ns() });
+            held.tick(1e-3, None);
+        }
+        let motion = link.motions.get();
+        assert!(motion.is_held && motion.pose.tip_in_world_m.x > 1e-3, "{motion:?}");
+        assert_eq!(motion.pose.shaft_in_world, DVec3::Z);
+        let forces = forces.lock().unwrap();
+        // Held at its first place, it pulls back.
+        assert!(forces[0] == DVec3::ZERO && forces[forces.len() - 1].x < -0.1, "{:?}", forces.last());
+        assert_eq!(link.statuses.get_new(), Some(DeviceStatus::Works));
+    }
+
+    #[test]
+    fn a_lost_device_leaves_its_tool_and_one_that_failed_is_left_alone() {
+        let (mut held, mut link, forces) = scripted(|n| match n {
+            3..5 => Some(DeviceFault::Lost("unplugged".into())),
+            10 => Some(DeviceFault::Failed("broken".into())),
+            _ => None,
+        });
+        let mut seen = Vec::new();
+        for _ in 0..14 {
+            held.tick(1e-3, None);
+            seen.extend(link.statuses.get_new());
+            assert!(link.motions.get().pose.is_finite());
+        }
+        let lost = |text: &'static str| DeviceStatus::Lost(text.into());
+        let expected = [
+            DeviceStatus::Works,
+            lost("unplugged"),
+            DeviceStatus::Works,
+            lost("it sends numbers that are not finite"),
+            DeviceStatus::Works,
+            DeviceStatus::Failed("broken".into()),
+        ];
+        assert_eq!(seen, expected);
+        assert!(!link.motions.get().is_held);
+        // Also while it was lost it was told what to do; after the end it was left alone.
+        assert_eq!(forces.lock().unwrap().len(), 10);
+    }
+
+    #[test]
+    fn ticks_allocate_nothing_also_while_a_device_is_lost() {
+        let (mut held, mut link, _forces) =
+            scripted(|n| (n >= 50).then(|| DeviceFault::Lost("unplugged".into())));
+        let meters = Meters::default();
+        let counted = allocation_counter::measure(|| {
+            for _ in 0..100 {
+                link.models.publish(PublishedModel::default());
+                held.tick(1e-3, Some(&meters));
+            }
+        });
+        assert_eq!(counted.count_total, 0);
+        assert_eq!(meters.report().motion_to_force.n, 49);
+    }
+
+    #[test]
+    fn the_loop_keeps_its_rate_measures_itself_and_ends_with_no_force() {
+        let (held, mut link, forces) = scripted(|_| None);
+        let haptics =
+            HapticLoop::start(vec![held], HapticSettings { rate_hz: 2_000.0, core: None }, Arc::default())
+                .unwrap();
+        let push = HapticModel {
+            touch: Touch::Grasp,
+            tip_m: DVec3::Y,
+            force_n: DVec3::Y,
+            hold_n: f64::INFINITY,
+            ..HapticModel::default()
+        };
+        for _ in 0..40 {
+            link.models.publish(PublishedModel { model: push, made_ns: now_ns() });
+            std::thread::sleep(std::time::Duration::from_millis(10));
+        }
+        let report = haptics.meters().report();
+        drop(haptics);
+        assert!(report.rate_hz > 200.0 && report.rate_hz < 2_100.0, "{report:?}");
+        assert!(
+            report.n_deadlines > 100 && report.jitter.n > 100 && report.scheduling.is_some(),
+            "{report:?}"
+        );
+        let json = report.to_json();
+        for field in ["jitter_us", "motion_to_force_us", "local_model_age_ms", "tick_us"] {
+            assert!(json[field]["p999"].as_f64().unwrap() >= json[field]["p50"].as_f64().unwrap(), "{json}");
+        }
+        // With more than its room the list is full; with less the last one is the end's.
+        let forces = forces.lock().unwrap();
+        assert!(forces.iter().any(|force| force.y > 0.2), "{:?}", forces.last());
+        assert!(forces.len() == forces.capacity() || *forces.last().unwrap() == DVec3::ZERO);
+    }
+
+    #[test]
+    fn a_rate_that_no_loop_keeps_is_refused() {
+        for rate_hz in [0.0, 50.0, 5_000.0, f64::NAN] {
+            let error = HapticLoop::start(Vec::new(), HapticSettings { rate_hz, core: None }, Arc::default())
+                .err()
+                .unwrap();
+            assert!(error.to_string().contains("allowed: 100 to 4000 Hz"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,232 @@
+//! The server on real sockets: who gets in, who controls, what is too much.
+
+use super::*;
+use crate::runtime::OpenScene;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+use tungstenite::client::IntoClientRequest;
+use tungstenite::http::HeaderValue;
+use tungstenite::{Message, WebSocket};
+
+const MESH: &str = "4 1\n0 0 0\n60 0 0\n0 60 0\n0 0 60\n0 1 2 3\n";
+const SCENE: &str = "glisson_scene = 1\n[organ]\nmesh = \"body.tet\"\nyoung_modulus = \"5 kPa\"\n\
+    poisson_ratio = 0.45\ndensity = \"1000 kg/m3\"\nmodel = \"tensor_mass\"\ndamping = \"30 1/s\"\n\
+    [[organ.fixed]]\nfurthest = { direction = [0, 0, -1], fraction = 0.75 }\n\
+    [tool]\ntip_radius = \"5 mm\"\nhome_tip = [\"40 mm\", \"40 mm\", \"90 mm\"]\nhome_shaft = [0, 0, 1]\n";
+
+struct Server {
+    address: SocketAddr,
+    stop: Option<tokio::sync::oneshot::Sender<()>>,
+    thread: Option<std::thread::JoinHandle<anyhow::Result<Served>>>,
+}
+
+impl Server {
+    fn start(token: Option<&str>) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("body.tet"), MESH).unwrap();
+        std::fs::write(folder.path().join("scene.toml"), SCENE).unwrap();
+        let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+        let simulation = Simulation::open(source, None).unwrap();
+        let listener = bind("127.0.0.1", 0).unwrap();
+        let address = listener.local_addr().unwrap();
+        // As if it listened elsewhere, when there is a token.
+        let access = Access::for_address(address.ip(), token.map(str::to_owned)).unwrap();
+        let (stop, stopped) = tokio::sync::oneshot::channel();
+        let thread = std::thread::spawn(move || {
+            serve(simulation, listener, Service::to(access), async { drop(stopped.await) })
+        });
+        Self { address, stop: Some(stop), thread: Some(thread) }
+    }
+
+    fn request(&self, path: &str, headers: &[(&'static str, &str)]) -> Result<Viewer, u16> {
+        let mut request = format!("ws://{}{path}", self.address).into_client_request().unwrap();
+        for (name, value) in headers {
+            request.headers_mut().insert(*name, HeaderValue::from_str(value).unwrap());
+        }
+        let stream = TcpStream::connect(self.address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        match tungstenite::client(request, stream) {
+            Ok((socket, _)) => Ok(Viewer(socket)),
+            Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(response))) => {
+                Err(response.status().as_u16())
+            }
+            Err(error) => panic!("{error}"),
+        }
+    }
+
+    fn connect(&self) -> Viewer {
+        self.request("/ws", &[]).unwrap()
+    }
+
+    fn http(&self, head: &str) -> String {
+        let mut stream = TcpStream::connect(self.address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        write!(stream, "{head}\r\nConnection: close\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        String::from_utf8_lossy(&answer).into_owned()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.stop.take().map(|stop| stop.send(()));
+        let served = self.thread.take().unwrap().join().unwrap().unwrap();
+        assert!(served.haptics.is_none());
+    }
+}
+
+struct Viewer(WebSocket<TcpStream>);
+
+impl Viewer {
+    fn say(&mut self, text: &str) {
+        self.0.send(Message::text(text)).unwrap();
+    }
+
+    /// The next text message of this type.
+    fn hear(&mut self, kind: &str) -> serde_json::Value {
+        loop {
+            if let Message::Text(text) = self.0.read().unwrap() {
+                let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+                if value["type"] == kind {
+                    return value;
+                }
+            }
+        }
+    }
+
+    fn role(&mut self) -> String {
+        self.hear("role")["role"].as_str().unwrap().to_owned()
+    }
+
+    /// What the server says when it ends the connection.
+    fn end(&mut self) -> String {
+        loop {
+            match self.0.read() {
+                Ok(Message::Close(frame)) => return frame.map_or(String::new(), |f| f.reason.to_string()),
+                Ok(_) => {}
+                Err(error) => return error.to_string(),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_taken_port_is_named() {
+    let taken = bind("127.0.0.1", 0).unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let message = bind("127.0.0.1", port).unwrap_err().to_string();
+    assert!(message.contains(&format!("port {port}")) && message.contains("in use"), "{message}");
+}
+
+#[test]
+fn one_viewer_controls_and_the_next_one_follows_when_it_leaves() {
+    let server = Server::start(None);
+    let mut first = server.connect();
+    assert!(first.hear("hello")["protocol"].is_number());
+    assert_eq!(first.role(), "controller");
+    let mut second = server.connect();
+    assert_eq!(second.role(), "viewer");
+    second.say(r#"{"type":"pause","paused":true}"#);
+    assert!(second.hear("error")["message"].as_str().unwrap().contains("another viewer has control"));
+    first.say(r#"{"type":"release_control"}"#);
+    assert_eq!(first.role(), "viewer");
+    assert_eq!(second.hear("role")["control_is_taken"], false);
+    // Who does something first has it.
+    second.say(r#"{"type":"pause","paused":true}"#);
+    assert_eq!(second.role(), "controller");
+    drop(second);
+    while first.hear("role")["control_is_taken"] == true {}
+    let timing = first.hear("timing");
+    assert!(timing["simulation"]["real_time_factor"].is_number() && timing["haptics"].is_null(), "{timing}");
+}
+
+#[test]
+fn pages_of_other_sites_and_rebound_names_get_no_socket() {
+    let server = Server::start(None);
+    assert_eq!(server.request("/ws", &[("origin", "http://elsewhere.example")]).err(), Some(403));
+    assert_eq!(server.request("/ws", &[("host", "evil.example")]).err(), Some(403));
+    let own = format!("http://{}", server.address);
+    assert!(server.request("/ws", &[("origin", &own)]).is_ok());
+    let answer = server.http("GET /api/scene HTTP/1.1\r\nHost: evil.example");
+    assert!(answer.starts_with("HTTP/1.1 403") && answer.contains("localhost"), "{answer}");
+}
+
+#[test]
+fn with_a_token_nothing_is_told_without_it_and_a_page_gets_a_cookie() {
+    const TOKEN: &str = "a-token-of-some-length";
+    let server = Server::start(Some(TOKEN));
+    for path in ["/", "/api/scene", "/api/snapshot", "/nothing"] {
+        let answer = server.http(&format!("GET {path} HTTP/1.1\r\nHost: localhost"));
+        assert!(answer.starts_with("HTTP/1.1 401") && !answer.contains(TOKEN), "{path}: {answer}");
+    }
+    assert_eq!(server.request("/ws", &[]).err(), Some(401));
+    assert_eq!(server.request("/ws?token=another-token-of-some", &[]).err(), Some(401));
+    assert!(server.request(&format!("/ws?token={TOKEN}"), &[]).is_ok());
+    assert!(server.request("/ws", &[("authorization", &format!("Bearer {TOKEN}"))]).is_ok());
+    let page = server.http(&format!("GET /?token={TOKEN} HTTP/1.1\r\nHost: localhost"));
+    let cookie = page.lines().find_map(|line| line.strip_prefix("set-cookie: ")).unwrap();
+    assert!(page.starts_with("HTTP/1.1 303") && cookie.contains("HttpOnly; SameSite=Strict"), "{page}");
+    let cookie = cookie.split(';').next().unwrap();
+    assert!(server.request("/ws", &[("cookie", cookie)]).is_ok());
+}
+
+#[test]
+fn too_long_too_many_and_binary_messages_end_the_connection() {
+    let server = Server::start(None);
+    let mut viewer = server.connect();
+    viewer.say(&"x".repeat(socket::LONGEST_MESSAGE_BYTES + 1));
+    viewer.end();
+    let mut viewer = server.connect();
+    viewer.0.send(Message::binary(vec![1, 2, 3])).unwrap();
+    assert_eq!(viewer.end(), "viewers send text");
+    let mut viewer = server.connect();
+    for _ in 0..5_000 {
+        if viewer.0.send(Message::text(r#"{"type":"undo"}"#)).is_err() {
+            break;
+        }
+    }
+    let end = viewer.end();
+    assert!(
+        end.contains("too many messages") || end.contains("reset") || end.contains("Broken pipe"),
+        "{end}"
+    );
+    // The others are served as before, and control is free again.
+    assert_eq!(server.connect().role(), "controller");
+}
+
+#[test]
+fn there_are_places_for_so_many_viewers() {
+    let server = Server::start(None);
+    let viewers: Vec<Viewer> = (0..control::MOST_VIEWERS).map(|_| server.connect()).collect();
+    assert_eq!(server.request("/ws", &[]).err(), Some(503));
+    drop(viewers);
+}
+
+#[test]
+fn bytes_that_are_no_protocol_at_all_do_not_stop_the_server() {
+    let server = Server::start(None);
+    let mut state = 1_u32;
+    let mut random = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 24) as u8
+    };
+    for round in 0..30 {
+        let mut stream = TcpStream::connect(server.address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_millis(50))).unwrap();
+        if round % 2 == 0 {
+            write!(
+                stream,
+                "GET /ws HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+                 Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+            )
+            .unwrap();
+        }
+        let bytes: Vec<u8> = (0..200).map(|_| random()).collect();
+        // The server may have closed already.
+        let _ = stream.write_all(&bytes);
+        let _ = stream.read(&mut [0; 1_000]);
+    }
+    assert_eq!(server.connect().hear("hello")["type"], "hello");
+}

@@ -1,0 +1,324 @@
+//! One tick of the haptic loop: from what a device said to the force that it exerts.
+//!
+//! handle -> world ([`super::mapping`]) -> force of the latest model at the tool ([`super::handover`]) -> coupling
+//! ([`super::coupling`]) -> handle -> gate ([`super::limits`]) -> energy tank, limits and rates ([`super::passivity`]) -> command.
+//! The simulation steps with the tool, not with the handle.
+//!
+//! No clock, no allocation, nothing that waits: the period of a tick and the age of the model come in as numbers.
+
+use super::coupling::{Coupling, CouplingGains, GainShares, TissueTangent};
+use super::device::{DeviceLimits, DeviceState, ForceCommand};
+use super::extrapolation::ForceEstimate;
+use super::handover::Handover;
+use super::limits::{Gate, saturated};
+use super::mapping::{DeviceMapping, Handle, MappedDevice, turn_rad};
+use super::passivity::{EnergyControl, EnergyTank, TankSettings};
+use super::tissue::{HapticModel, Touch};
+use crate::math::{DMat3, DVec3, outer};
+use crate::tool::ToolInput;
+use glam::DQuat;
+
+/// A handle that seems quicker [m/s] was put elsewhere: a choice, ten times what hands do with an instrument.
+const MOST_SPEED_M_PER_S: f64 = 10.0;
+
+/// Weight of a tick in the smoothed period: a choice.
+const PERIOD_SMOOTHING: f64 = 0.02;
+
+/// Force of the tissue in forces of the device above which it counts no more: no hand could hold it. A choice.
+const MOST_FORCES: f64 = 10.0;
+
+/// Least stiffness [N/m] by which the energy in touched tissue is estimated: about that of an organ of 4 kPa under a flat tip
+/// of 5 mm, 2 E a/(1 - nu^2).
+const LEAST_STIFFNESS_N_PER_M: f64 = 50.0;
+
+/// What a law is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LawSettings {
+    /// How the device's motion becomes the instrument's.
+    pub mapping: DeviceMapping,
+    /// How the device's room for stiffness and damping is divided.
+    pub shares: GainShares,
+    /// How it gets from models to forces.
+    pub estimate: ForceEstimate,
+    /// What the energy tank reckons with.
+    pub tank: TankSettings,
+    /// Whether it controls.
+    pub control: EnergyControl,
+    /// Age [s] from which on a model is too old: the simulation stands still. A choice: five steps at 20 Hz.
+    pub stale_after_s: f64,
+}
+
+impl Default for LawSettings {
+    fn default() -> Self {
+        Self {
+            mapping: DeviceMapping::default(),
+            shares: GainShares::default(),
+            estimate: ForceEstimate::default(),
+            tank: TankSettings::default(),
+            control: EnergyControl::default(),
+            stale_after_s: 0.25,
+        }
+    }
+}
+
+/// What a tick comes to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LawTick {
+    /// For the device.
+    pub command: ForceCommand,
+    /// For the simulation.
+    pub tool: ToolInput,
+    /// For the panel.
+    pub report: TickReport,
+}
+
+/// What was done at a tick and why.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TickReport {
+    /// Energy that the hand put in since the start, less what it got [J].
+    pub observed_energy_j: f64,
+    /// What the energy tank holds [J].
+    pub tank_j: f64,
+    /// Share of the wanted change of command that the tank paid for.
+    pub admitted_share: f64,
+    /// How far the gate is open.
+    pub gate_share: f64,
+    /// Damping that control added [N s/m].
+    pub injected_damping_n_s_per_m: f64,
+    /// Force of the tissue on the tool [N], in the world, before anything limits it.
+    pub tissue_force_n: DVec3,
+    /// Whether more than the device's largest force was wanted.
+    pub is_saturated: bool,
+    /// Whether the model was too old.
+    pub is_stale: bool,
+    /// Whether the handle is moved aside.
+    pub is_clutched: bool,
+    /// Whether the device did not answer.
+    pub is_lost: bool,
+    /// Whether it began anew: at the start, after the device was away, or because the handle was put elsewhere.
+    pub is_restart: bool,
+}
+
+/// The force law of one device with one instrument.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HapticLaw {
+    settings: LawSettings,
+    limits: DeviceLimits,
+    gains: CouplingGains,
+    mapped: MappedDevice,
+    handover: Handover,
+    coupling: Coupling,
+    gate: Gate,
+    tank: EnergyTank,
+    /// Where the handle was last, in its own frame; none before the first tick and after the device was away.
+    seen: Option<(DVec3, DQuat)>,
+    /// Ticks without an answer since then.
+    n_lost: u32,
+    /// Time from tick to tick, smoothed [s]: what is expected of the next one. 0 before the first.
+    period_s: f64,
+    /// What coupling and tissue hold, at the handle [J].
+    stored_j: f64,
+    tool: ToolInput,
+}
+
+impl HapticLaw {
+    /// A law for a device with these limits. The gate is closed, the tank full.
+    pub fn new(settings: &LawSettings, limits: &DeviceLimits) -> Self {
+        let gains = CouplingGains::within(limits, &settings.shares);
+        let mapped = MappedDevice::new(&settings.mapping);
+        // A device that renders no stiffness feels nothing; the smallest spring keeps the tool with it.
+        let stiffness = mapped.gain_in_world(gains.stiffness_n_per_m.max(1.0));
+        let damping = mapped.gain_in_world(gains.damping_n_s_per_m);
+        Self {
+            settings: *settings,
+            limits: *limits,
+            gains,
+            mapped,
+            handover: Handover::new(settings.estimate),
+            coupling: Coupling::new(stiffness, damping, DVec3::ZERO),
+            gate: Gate::for_force(limits.force_n),
+            tank: EnergyTank::new(&settings.tank, limits, settings.control),
+            seen: None,
+            n_lost: 0,
+            period_s: 0.0,
+            stored_j: 0.0,
+            tool: ToolInput::at(settings.mapping.world_origin_m, DVec3::NEG_Y),
+        }
+    }
+
+    /// Gains of coupling and injected damping.
+    pub fn gains(&self) -> &CouplingGains {
+        &self.gains
+    }
+
+    /// Energy that the hand put in since the start, less what it got [J].
+    pub fn observed_energy_j(&self) -> f64 {
+        self.tank.observed_j()
+    }
+
+    /// What that does not go below [J]: see [`super::passivity`].
+    pub fn energy_bound_j(&self) -> f64 {
+        self.tank.bound_j()
+    }
+
+    /// The tip of an instrument without length is at `world_m` [m] when the handle is at `device_m` [m] in its own frame: begins
+    /// anew from there.
+    pub fn place(&mut self, device_m: DVec3, world_m: DVec3) {
+        let mapping =
+            DeviceMapping { device_origin_m: device_m, world_origin_m: world_m, ..*self.mapped.mapping() };
+        self.mapped = MappedDevice::new(&mapping);
+        self.seen = None;
+    }
+
+    /// Another way from models to forces; the difference is spread.
+    pub fn set_estimate(&mut self, estimate: ForceEstimate) {
+        self.settings.estimate = estimate;
+        self.handover.set_estimate(estimate);
+    }
+
+    /// The device did not answer at this tick of `dt_s` [s]. The force closes by the gate; once it has, the next answer is a
+    /// new start.
+    pub fn lost(&mut self, dt_s: f64) -> LawTick {
+        self.n_lost = self.n_lost.saturating_add(1);
+        let before = self.gate.share();
+        self.gate.advance(false, dt_s);
+        let share = if before > 0.0 { self.gate.share() / before } else { 0.0 };
+        let last = *self.tank.previous();
+        let command = ForceCommand {
+            force_n: last.force_n * share,
+            torque_n_m: last.torque_n_m * share,
+            jaw_force_n: last.jaw_force_n * share,
+        };
+        self.tank.hold_unseen(&command);
+        if self.gate.share() <= 0.0 {
+            self.seen = None;
+        }
+        LawTick { command, tool: self.tool, report: TickReport { is_lost: true, ..self.report(0.0) } }
+    }
+
+    /// A tick of `dt_s` [s] with the device as it is, and the newest model, `model_age_s` [s] after it was made.
+    /// [`HapticModel::default`] before there is one. A device that says what is no number counts as lost.
+    pub fn tick(
+        &mut self,
+        device: &DeviceState,
+        model: &HapticModel,
+        model_age_s: f64,
+        dt_s: f64,
+    ) -> LawTick {
+        let is_usable = device.position_m.is_finite() && device.orientation.is_finite() && dt_s > 0.0;
+        if !is_usable {
+            return self.lost(dt_s.max(0.0));
+        }
+        self.expect_next(dt_s);
+        let handle = self.mapped.to_world(device);
+        let is_restart = self.look(device, &handle, dt_s);
+        let is_stale = model_age_s.is_nan() || model_age_s > self.settings.stale_after_s;
+        self.gate.advance(!(is_stale || handle.is_clutched), dt_s);
+
+        let tool_m = self.coupling.tool_m();
+        let felt_n = self.handover.force(model, tool_m, model_age_s, dt_s);
+        let most_n = MOST_FORCES * self.limits.force_n / self.mapped.mapping().force_scale;
+        let tissue_force_n = saturated(felt_n, most_n);
+        let tangent = self.tangent(model, tissue_force_n);
+        let force_n = self.coupling.step(handle.tip_m, &tangent, dt_s);
+        self.stored_j = self.mapped.energy_at_handle_j(
+            self.coupling.stored_j() + tissue_energy_j(force_n, &tangent.stiffness_n_per_m),
+        );
+
+        let open = self.mapped.to_device(force_n, handle.arm_m);
+        let shortage = match self.settings.control {
+            EnergyControl::Tank => self.tank.shortage(),
+            EnergyControl::ObserveOnly => 0.0,
+        };
+        let injected = self.gains.injected_damping_n_s_per_m * shortage;
+        let velocity =
+            if device.velocity_m_per_s.is_finite() { device.velocity_m_per_s } else { DVec3::ZERO };
+        let resisting_n = velocity * -injected;
+        let share = self.gate.share();
+        let wanted = ForceCommand {
+            force_n: open.force_n * share + resisting_n,
+            torque_n_m: open.torque_n_m * share,
+            jaw_force_n: 0.0,
+        };
+        let (command, admitted_share) = self.tank.admit(&wanted, resisting_n, self.period_s);
+        self.tool = self.mapped.tool(self.coupling.tool_m(), &handle, device);
+        let report = TickReport {
+            admitted_share,
+            injected_damping_n_s_per_m: injected,
+            tissue_force_n,
+            is_saturated: wanted.force_n.length() > self.limits.force_n,
+            is_stale,
+            is_clutched: handle.is_clutched,
+            is_restart,
+            ..self.report(1.0)
+        };
+        LawTick { command, tool: self.tool, report }
+    }
+
+    /// A late tick says little about the next one.
+    fn expect_next(&mut self, dt_s: f64) {
+        if self.period_s <= 0.0 {
+            self.period_s = dt_s;
+        }
+        self.period_s += (dt_s.min(2.0 * self.period_s) - self.period_s) * PERIOD_SMOOTHING;
+    }
+
+    /// Counts the energy of the handle's step; true if there was none to count.
+    fn look(&mut self, device: &DeviceState, handle: &Handle, dt_s: f64) -> bool {
+        let ticks = f64::from(self.n_lost) + 1.0;
+        self.n_lost = 0;
+        let now = (device.position_m, device.orientation.normalize());
+        let before = self.seen.replace(now);
+        let most_m = MOST_SPEED_M_PER_S * dt_s * ticks;
+        match before {
+            Some((was_m, was)) if (now.0 - was_m).length() <= most_m => {
+                self.tank.observe(now.0 - was_m, turn_rad(was, now.1), self.stored_j, dt_s * ticks);
+                false
+            }
+            _ => {
+                self.gate.shut();
+                self.handover.restart();
+                self.coupling.restart(handle.tip_m);
+                self.tank.restart();
+                self.stored_j = 0.0;
+                true
+            }
+        }
+    }
+
+    fn tangent(&self, model: &HapticModel, force_n: DVec3) -> TissueTangent {
+        let is_local = matches!(
+            self.settings.estimate,
+            ForceEstimate::LocalModel | ForceEstimate::ExtrapolateInPosition
+        );
+        let is_felt = is_local && force_n != DVec3::ZERO && model.is_finite();
+        let n = model.normal;
+        let stiffness_n_per_m = match model.touch {
+            _ if !is_felt => DMat3::ZERO,
+            Touch::Free => outer(n, n) * n.dot(model.stiffness_n_per_m * n).max(0.0),
+            Touch::Contact | Touch::Grasp => model.stiffness_n_per_m,
+        };
+        let pushes_only = is_felt && model.touch != Touch::Grasp && model.n_parts == 0;
+        TissueTangent { force_n, stiffness_n_per_m, pushes_along: if pushes_only { n } else { DVec3::ZERO } }
+    }
+
+    fn report(&self, admitted_share: f64) -> TickReport {
+        TickReport {
+            observed_energy_j: self.tank.observed_j(),
+            tank_j: self.tank.level_j(),
+            admitted_share,
+            gate_share: self.gate.share(),
+            ..TickReport::default()
+        }
+    }
+}
+
+/// What tissue of that stiffness [N/m] holds under that force [J].
+fn tissue_energy_j(force_n: DVec3, stiffness_n_per_m: &DMat3) -> f64 {
+    let size2 = force_n.length_squared();
+    if size2 <= 0.0 {
+        return 0.0;
+    }
+    let along = force_n.dot(*stiffness_n_per_m * force_n) / size2;
+    0.5 * size2 / along.max(LEAST_STIFFNESS_N_PER_M)
+}

@@ -1,0 +1,313 @@
+//! What tissue does not stand: contacts and grasps that push or pull harder than it bears break through, tissue that is
+//! stretched too far tears, an edge needs force before it cuts. One law for all: the fracture energy
+//! ([`crate::tool::fracture`]).
+//!
+//! A step only measures; what tears is taken out between steps ([`World::cut_with_tools`]). It depends on the world
+//! alone: a replay tears the same tetrahedra without being told.
+
+use super::hand::Hand;
+use super::organ::Organ;
+use super::parts::{ToolPart, capsule};
+use super::touch::HeldContact;
+use super::{ToolCuts, World};
+use crate::contact::shapes::Capsule;
+use crate::contact::tool_contact::ToolContact;
+use crate::math::DVec3;
+use crate::mesh::TetId;
+use crate::mesh::edit::{MeshEdit, TopologyChange};
+use crate::tool::fracture::{Breakthrough, CrackFront, FractureEnergy, Tearing};
+use crate::tool::{Jaws, Tool, ToolInput, ToolKind};
+
+/// Every tetrahedron is looked at once in so many steps, those that jaws hold after a step with too much pull: a choice.
+const STEPS_FOR_ALL: u64 = 16;
+
+/// A contact under so many times the force at which a crack runs gives way at once, whatever the work: a choice. A
+/// tip that comes at 1 m/s on a millimetre's mesh stays below it.
+const GREATEST_OVERLOAD: f64 = 4.0;
+
+/// An edge has left the tissue when it is this share of its radius away: it breaks in from where it just touches.
+const LEAVES_BEYOND: f64 = 0.5;
+
+/// Place of the jaws in the list of what loads tissue, after the parts.
+const OF_JAWS: usize = ToolPart::ALL.len();
+
+/// What one tool does to tissue that stands no more.
+#[derive(Clone, Debug)]
+pub(super) struct Overload {
+    work: [Breakthrough; OF_JAWS + 1],
+    /// Which broke through in the last step.
+    breaks: [bool; OF_JAWS + 1],
+    /// Share of its strength that the tissue at the tip has left: heat takes the rest.
+    pub(super) strength_left: f64,
+    /// Whether the edge has broken in and cuts freely.
+    pub(super) edge_is_in: bool,
+    /// From where it broke in: to outside of the tissue, and to where it is when the tissue that it pressed in has sprung
+    /// back over it [m].
+    pub(super) entry_m: Option<[DVec3; 2]>,
+    /// Way of the edge since its last cut [m].
+    way_m: f64,
+    /// Force with which the crack before the edge holds it back while it moves [N].
+    edge_force_n: f64,
+}
+
+impl Default for Overload {
+    fn default() -> Self {
+        Self {
+            work: [Breakthrough::default(); OF_JAWS + 1],
+            breaks: [false; OF_JAWS + 1],
+            strength_left: 1.0,
+            edge_is_in: false,
+            entry_m: None,
+            way_m: 0.0,
+            edge_force_n: 0.0,
+        }
+    }
+}
+
+/// What one part, or the jaws, did in a step.
+pub(super) struct Load {
+    pub(super) force_on_tool_n: DVec3,
+    /// How far it moved [m].
+    pub(super) motion_m: DVec3,
+    pub(super) front: CrackFront,
+}
+
+impl Overload {
+    /// Everything that its next steps depend on, as far as it is not as in the beginning.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
+        let work = self.work.iter().map(Breakthrough::available_j);
+        let edge = [f64::from(u8::from(self.edge_is_in)), self.way_m, self.edge_force_n];
+        let entry = self.entry_m.into_iter().flatten().flat_map(|v| v.to_array());
+        let heat = [1.0 - self.strength_left];
+        work.chain(edge)
+            .chain(entry)
+            .chain(heat)
+            .enumerate()
+            .filter(|(_, x)| *x != 0.0)
+            .flat_map(|(i, x)| [i as f64, x])
+    }
+
+    /// After a step in which `place` (a part, or the jaws after all parts) loaded the tissue; `None`: it did not.
+    fn push(&mut self, place: usize, energy: FractureEnergy, load: Option<&Load>) {
+        let Some(load) = load else {
+            (self.work[place], self.breaks[place]) = (Breakthrough::default(), false);
+            return;
+        };
+        let energy =
+            if place == ToolPart::Tip.index() { energy.weakened(self.strength_left) } else { energy };
+        let force_n = load.force_on_tool_n;
+        let much_n = GREATEST_OVERLOAD * energy.cutting_force_n(load.front.length_m);
+        let gives_way = self.work[place].push(energy, load.front, force_n, load.motion_m);
+        self.breaks[place] |= gives_way || force_n.length() > much_n;
+    }
+
+    /// A stroke of the edge is over, or none is asked for.
+    pub(super) fn end_stroke(&mut self) {
+        (self.edge_is_in, self.entry_m, self.way_m, self.edge_force_n) = (false, None, 0.0, 0.0);
+    }
+
+    /// Force on a tool whose edge cuts, in a step in which it moved by `motion_m` [N].
+    pub(super) fn edge_force_n(&self, motion_m: DVec3) -> DVec3 {
+        if self.edge_is_in { -motion_m.normalize_or_zero() * self.edge_force_n } else { DVec3::ZERO }
+    }
+}
+
+/// Whether the tool cuts with its edge: for a long scalpel that is on, and has broken in where tissue has strength.
+pub(super) fn edge_cuts(tool: &Tool, hand: &Hand, tearing: Option<&Tearing>) -> bool {
+    let is_on = matches!(tool.kind, ToolKind::Scalpel(_)) && hand.now.is_triggered();
+    is_on && (tearing.is_none() || hand.overload.edge_is_in)
+}
+
+/// Motion of the middle of the edge in the last step [m].
+pub(super) fn edge_motion_m(tool: &Tool, before: &ToolInput, now: &ToolInput) -> DVec3 {
+    let ToolKind::Scalpel(blade) = &tool.kind else { return DVec3::ZERO };
+    let middle = |pose: &ToolInput| pose.tip_in_world_m + pose.shaft_in_world * (0.5 * blade.length_m);
+    middle(now) - middle(before)
+}
+
+/// The crack before a part that touches. Allocates nothing.
+fn front_of_part(
+    tool: &Tool,
+    part: ToolPart,
+    pose: &ToolInput,
+    organ: &Organ,
+    near: &mut Vec<ToolContact>,
+) -> CrackFront {
+    let radius_m = tool.tip_radius_m;
+    let is_edge = part == ToolPart::Tip && matches!(tool.kind, ToolKind::Scalpel(_)) && pose.is_triggered();
+    if !is_edge {
+        return CrackFront::blunt(if part == ToolPart::Shaft { tool.shaft_radius_m } else { radius_m });
+    }
+    let length_m = capsule(tool, part, pose).map_or(0.0, |edge| pressed_length_m(&edge, organ, near));
+    CrackFront::edge(length_m.max(2.0 * radius_m), radius_m)
+}
+
+/// How much of a capsule's length is at the surface.
+fn pressed_length_m(edge: &Capsule, organ: &Organ, near: &mut Vec<ToolContact>) -> f64 {
+    near.clear();
+    organ.skin().near_into(edge, 0.5 * edge.radius_m, near);
+    let axis = (edge.to_m - edge.from_m).normalize_or_zero();
+    let along = near.iter().map(|found| (found.contact.points_m[0] - edge.from_m).dot(axis));
+    let (low_m, high_m) =
+        along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+    (high_m - low_m).max(0.0)
+}
+
+/// What the forces of a step did to the tissue that a tool touches and holds.
+impl World {
+    /// After a step: whether what a part did breaks the tissue; `force_on_tool_n` is none for a part that does not touch.
+    pub(super) fn load_part(&mut self, place: usize, part: ToolPart, force_on_tool_n: Option<DVec3>) {
+        let Some(tearing) = self.spec.tearing else { return };
+        let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
+        let contact = hand.contacts[part.index()].as_ref();
+        let load = contact.zip(force_on_tool_n).map(|(contact, force_on_tool_n)| {
+            let at_m = |pose: &ToolInput| contact.at.in_world_m(tool, pose);
+            let motion_m = at_m(&hand.now) - at_m(&hand.before);
+            let front = front_of_part(tool, part, &hand.now, &self.organ, &mut self.between_jaws);
+            Load { force_on_tool_n, motion_m, front }
+        });
+        hand.overload.push(part.index(), tearing.energy, load.as_ref());
+    }
+
+    /// The same of jaws that hold.
+    pub(super) fn load_jaws(&mut self, place: usize, jaws: &Jaws, force_on_tool_n: Option<DVec3>) {
+        let Some(tearing) = self.spec.tearing else { return };
+        let hand = &mut self.hands[place];
+        let motion_m = hand.now.tip_in_world_m - hand.before.tip_in_world_m;
+        let front = CrackFront::around(jaws.length_m, jaws.width_m);
+        let load = force_on_tool_n.map(|force_on_tool_n| Load { force_on_tool_n, motion_m, front });
+        hand.overload.push(OF_JAWS, tearing.energy, load.as_ref());
+    }
+
+    /// Between steps: takes out what the last step broke and what is stretched too far.
+    pub(super) fn tear(&mut self, cuts: &mut ToolCuts) {
+        let Some(tearing) = self.spec.tearing else { return };
+        for tool in 0..self.hands.len() {
+            for part in ToolPart::ALL {
+                if std::mem::take(&mut self.hands[tool].overload.breaks[part.index()]) {
+                    self.break_through(tool, part, cuts);
+                }
+            }
+            if std::mem::take(&mut self.hands[tool].overload.breaks[OF_JAWS]) {
+                let held = self.held_nodes(tool);
+                let topology = self.organ.body().topology();
+                let mut tets: Vec<TetId> =
+                    held.iter().flat_map(|&node| topology.node_tets(node).iter().copied()).collect();
+                tets.sort_unstable();
+                tets.dedup();
+                tets.retain(|&tet| self.is_torn(&tearing, tet));
+                self.hands[tool].grasp = None;
+                self.take_out(Some(tool), tets, cuts);
+            }
+        }
+        let n_tets = self.organ.body().topology().n_tets() as u64;
+        let n = n_tets.div_ceil(STEPS_FOR_ALL);
+        let first = (self.step % STEPS_FOR_ALL) * n;
+        let looked_at = (first..(first + n).min(n_tets)).map(|t| TetId::from_index(t as usize));
+        let topology = self.organ.body().topology();
+        let tets: Vec<TetId> =
+            looked_at.filter(|&tet| topology.is_live_tet(tet) && self.is_torn(&tearing, tet)).collect();
+        self.take_out(None, tets, cuts);
+    }
+
+    fn is_torn(&self, tearing: &Tearing, tet: TetId) -> bool {
+        let nodes = self.organ.body().topology().tet_nodes(tet);
+        let (rest_m, now_m) = (&self.organ.mesh().positions_m, self.model.state().positions_m);
+        let corners = |list: &[DVec3]| nodes.map(|n| list[n.index()]);
+        tearing.energy.tears(&tearing.material, corners(rest_m), corners(now_m))
+    }
+
+    /// A part came through the tissue that it touched: an edge is in it from now on, anything else has torn it.
+    fn break_through(&mut self, tool: usize, part: ToolPart, cuts: &mut ToolCuts) {
+        let (hand, spec) = (&mut self.hands[tool], &self.spec.tools[tool]);
+        let Some(contact) = hand.contacts[part.index()].take() else { return };
+        let is_edge = matches!(spec.kind, ToolKind::Scalpel(_)) && part == ToolPart::Tip;
+        if is_edge && hand.now.is_triggered() {
+            let point_m = contact.at.in_world_m(spec, &hand.now);
+            hand.overload.edge_is_in = true;
+            let inward_m = contact.normal() * -contact.depth_m(point_m);
+            hand.overload.entry_m = Some([contact.normal() * (2.0 * spec.tip_radius_m), inward_m]);
+            return;
+        }
+        let tets = self.tetrahedra_under(tool, part, &contact);
+        if !self.take_out(Some(tool), tets, cuts) {
+            // It cannot be torn: it lets the tool through.
+            self.hands[tool].bury(part);
+        }
+    }
+
+    /// Live tetrahedra that a part touches at a contact, at least that behind the touched triangle.
+    fn tetrahedra_under(&self, tool: usize, part: ToolPart, contact: &HeldContact) -> Vec<TetId> {
+        let (hand, spec) = (&self.hands[tool], &self.spec.tools[tool]);
+        let at_m = contact.at.in_world_m(spec, &hand.now);
+        let tets = self.tetrahedra_near(at_m, part.radius_m(spec));
+        if !tets.is_empty() {
+            return tets;
+        }
+        let topology = self.organ.body().topology();
+        let is_there = topology.is_surface_triangle(contact.triangle);
+        topology.triangle_tets(contact.triangle)[0].get().filter(|_| is_there).into_iter().collect()
+    }
+
+    /// Answers whether anything was taken out.
+    fn take_out(&mut self, tool: Option<usize>, tets: Vec<TetId>, cuts: &mut ToolCuts) -> bool {
+        if tets.is_empty() {
+            return false;
+        }
+        let n_tets = tets.len();
+        match self.edit_in_place(&[MeshEdit::Remove { tets }]) {
+            Ok(_) => {
+                cuts.n_torn += n_tets;
+                true
+            }
+            Err(refusal) => {
+                match tool {
+                    Some(tool) => cuts.refusals.push((tool, refusal)),
+                    None => cuts.tear_refusal = Some(refusal),
+                }
+                false
+            }
+        }
+    }
+
+    /// An edge made a cut: its area over its way is the force that holds it back.
+    pub(super) fn feel_cut(&mut self, tool: usize, area_m2: f64) {
+        let Some(tearing) = self.spec.tearing else { return };
+        let overload = &mut self.hands[tool].overload;
+        if overload.way_m > 0.0 {
+            overload.edge_force_n = tearing.energy.energy_j_per_m2 * area_m2 / overload.way_m;
+        }
+        overload.way_m = 0.0;
+    }
+
+    /// Area that a cut laid open, at rest [m2]: half of what the surface gained.
+    pub(super) fn crack_area_m2(&self, change: &TopologyChange) -> f64 {
+        let (topology, rest_m) = (self.organ.body().topology(), &self.organ.mesh().positions_m);
+        let area_m2 = |triangles: &[crate::mesh::TriangleId]| -> f64 {
+            let of_one = |&t: &crate::mesh::TriangleId| {
+                let [a, b, c] = topology.triangle_nodes(t).map(|n| rest_m[n.index()]);
+                0.5 * (b - a).cross(c - a).length()
+            };
+            triangles.iter().map(of_one).sum()
+        };
+        let gained_m2 = area_m2(&change.surface_triangles_added) - area_m2(&change.surface_triangles_removed);
+        0.5 * gained_m2.max(0.0)
+    }
+}
+
+impl Hand {
+    /// In a step: follows an edge that cuts, and ends its stroke where it has left the tissue. Allocates nothing.
+    pub(super) fn follow_edge(&mut self, tool: &Tool, organ: &Organ) {
+        if !self.now.is_triggered() || !self.overload.edge_is_in {
+            self.overload.end_stroke();
+            return;
+        }
+        self.overload.way_m += edge_motion_m(tool, &self.before, &self.now).length();
+        let is_out = |edge: Capsule| {
+            !organ.skin().overlaps(&Capsule { radius_m: edge.radius_m * (1.0 + LEAVES_BEYOND), ..edge })
+        };
+        if capsule(tool, ToolPart::Tip, &self.now).is_none_or(is_out) {
+            self.overload.end_stroke();
+        }
+    }
+}

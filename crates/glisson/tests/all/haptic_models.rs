@@ -234,7 +234,8 @@ fn a_published_model_says_what_the_next_step_answers() {
     for (kind, tolerance) in [(ModelKind::Precomputed, 0.01), (ModelKind::Implicit, 0.15)] {
         let mut world = world(kind, tool(ToolKind::Probe, STICKY));
         let at = press(&mut world, 5e-3);
-        let model = world.haptic_model(0);
+        // The next step is as short as the world's.
+        let model = world.haptic_model_over(0, STEP_S);
         assert_eq!(model.touch, Touch::Contact);
         assert_eq!(model.step, world.steps_made());
         assert_eq!(model.force_n, world.report().tools[0].force_on_tool_n);
@@ -258,7 +259,7 @@ fn free_tissue_is_felt_before_the_simulation_knows_of_the_touch() {
         let mut world = world(kind, tool(ToolKind::Probe, STICKY));
         let near = above(0.052, SIZE_M + RADIUS_M + 3e-4);
         world.step(&StepInput::of(&[near]).placed());
-        let model = world.haptic_model(0);
+        let model = world.haptic_model_over(0, STEP_S);
         assert_eq!((model.touch, model.force_n), (Touch::Free, DVec3::ZERO));
         assert!((model.gap_m - 3e-4).abs() < 1e-9 && model.normal.z > 0.999, "{model:?}");
         let deep = above(0.052, SIZE_M + RADIUS_M - 7e-4);

@@ -269,7 +269,7 @@ fn a_session_with_less_effort_and_a_change_of_model_replays_to_the_same_bits() {
     let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
     for step in 0..300 {
         match step {
-            80 => assert!(simulation.set_effort(Effort::Least).unwrap()),
+            10 => assert!(simulation.set_effort(Effort::Least).unwrap()),
             100 => simulation.order_model(ModelKind::Implicit, 150).unwrap(),
             200 => simulation.set_effort(Effort::Full).map(|_| ()).unwrap(),
             _ => {}

@@ -5,7 +5,9 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::bench::haptics::{self, HapticsRequest};
+use crate::bench::link::{self, LinkRequest};
 use crate::bench::{MachineBudget, Request, cases, measure};
+use crate::net::link::LinkAddress;
 use anyhow::{Context, bail};
 
 /// Measure speed: CPU time, medians, beside the machine's peak.
@@ -23,12 +25,19 @@ pub(crate) struct Args {
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
-    /// Time for each benchmark and size [s]; 1 when left out, 10 for each of the two runs of haptics
+    /// Time for each benchmark and size [s]; 1 when left out, 10 for each of the two runs of haptics and for link
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
-    /// Ticks a second of the benchmark haptics [Hz]: 100 to 4000
+    /// Ticks a second of the benchmarks haptics and link [Hz]: 100 to 4000
     #[arg(long, value_name = "HZ", default_value_t = 1000.0)]
     rate: f64,
+    /// How the two processes of the benchmark link reach each other, as for `glisson serve`; UDP on this machine when left
+    /// out
+    #[arg(long, value_name = "ADDRESS")]
+    link: Option<LinkAddress>,
+    /// This is the other process of the benchmark link
+    #[arg(long, hide = true, requires = "link")]
+    answer: bool,
     /// Threads of the parallel benchmarks; with more than one, wall time counts instead of CPU time
     #[arg(long, value_name = "N", default_value_t = 1)]
     threads: usize,
@@ -40,7 +49,8 @@ pub(crate) struct Args {
     list: bool,
 }
 
-/// Not a case: it does not time a closure.
+/// Not cases: they do not time a closure.
+const LINK: &str = "link";
 const HAPTICS: &str = "haptics";
 /// The liver of the demo.
 const HAPTICS_TETS: usize = 6_300;
@@ -71,6 +81,21 @@ fn run_haptics(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
+fn run_link(args: &Args) -> anyhow::Result<()> {
+    if let (true, Some(link)) = (args.answer, &args.link) {
+        return link::answer(link);
+    }
+    let program = std::env::current_exe().context("finding this program, whose second process answers")?;
+    let (seconds, link) = (args.seconds.unwrap_or(10.0), args.link.clone());
+    let answer = link::measure(&LinkRequest { seconds, rate_hz: args.rate, link, program })?;
+    if args.json {
+        println!("{answer:#}");
+    } else {
+        print!("{}", link::to_text(&answer));
+    }
+    Ok(())
+}
+
 fn progress_bar() -> ProgressBar {
     let bar = ProgressBar::no_length().with_style(
         ProgressStyle::with_template("{spinner} {pos}/{len} {msg}").expect("the template is well-formed"),
@@ -89,10 +114,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         println!(
             "{HAPTICS:width$}  the haptic loop beside a simulation and a viewer, with stalls and without (not in all)"
         );
+        println!("{LINK:width$}  what a link between two machines adds (not in all)");
         return Ok(());
     }
-    if args.name.as_deref() == Some(HAPTICS) {
-        return run_haptics(args);
+    match args.name.as_deref() {
+        Some(HAPTICS) => return run_haptics(args),
+        Some(LINK) => return run_link(args),
+        _ => {}
     }
     let request = Request {
         name: args.name.clone(),

@@ -1,5 +1,6 @@
 //! All integration tests in one binary: it links once.
 
+mod haptic_models;
 mod hybrid_condensed;
 mod contact_response;
 mod contact_constraint;

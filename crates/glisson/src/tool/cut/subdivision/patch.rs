@@ -276,9 +276,8 @@ impl Patch {
         }
         faces.sort_unstable_by_key(|f| f.0);
         let single = faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1);
-        let (sum, length) = single.fold((DVec3::ZERO, 0.0), |(sum, length), area| {
-            (sum + area, length + area.length())
-        });
+        let (sum, length) =
+            single.fold((DVec3::ZERO, 0.0), |(sum, length), area| (sum + area, length + area.length()));
         (sum.length() > FLAT_SKIN * length).then(|| sum.normalize_or_zero())
     }
 

@@ -63,9 +63,7 @@ fn better(patch: &mut Patch, body: Body<'_>, node: u32, directions: &[DVec3]) ->
     let shortest_m = patch.star(node).iter().map(length).fold(f64::INFINITY, f64::min);
     STEPS.iter().any(|step| {
         let moves = directions.iter().flat_map(|&d| [d, -d]);
-        moves.into_iter().any(|d| {
-            patch.move_node(body, node, from_m + step * shortest_m * d, Accept::Better)
-        })
+        moves.into_iter().any(|d| patch.move_node(body, node, from_m + step * shortest_m * d, Accept::Better))
     })
 }
 

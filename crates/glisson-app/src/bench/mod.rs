@@ -7,6 +7,7 @@ mod machine;
 mod model_edits;
 pub(crate) mod timing;
 mod world;
+mod haptic_model;
 pub(crate) mod body;
 mod meshing;
 mod models;
@@ -114,6 +115,7 @@ pub(crate) fn cases() -> Vec<Case> {
         scalpel::CASES,
         mesh_edits::CASES,
         world::CASES,
+        haptic_model::CASES,
         cut_subdivision::CASES,
     ]
     .concat()

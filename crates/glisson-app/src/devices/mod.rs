@@ -11,12 +11,14 @@ mod vendor;
 use anyhow::{Context, bail, ensure};
 use glam::DQuat;
 use glisson::haptics::mapping::patient_from_desk;
+use glisson::haptics::trocar::TrocarProfile;
 use glisson::haptics::{
     DeviceMapping, HandPath, HandSettings, HapticDevice, SimulatedDevice, SimulatedDeviceSettings,
 };
 use glisson::math::{DMat3, DVec3};
 use glisson::tool::ToolInput;
 use std::path::PathBuf;
+use trocar_board::BoardSettings;
 
 /// A device as the user names it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -36,6 +38,10 @@ pub(crate) enum DeviceName {
     /// By its name in the maker's configuration; the default one for none.
     OpenHaptics {
         name: Option<String>,
+    },
+    /// The active trocar whose board listens at `host:port`; a simulated one for none.
+    Trocar {
+        address: Option<String>,
     },
 }
 
@@ -79,6 +85,10 @@ pub(crate) const KINDS: &[Kind] = &[
         pattern: "openhaptics[:NAME]",
         about: "3D Systems Touch, Phantom through the OpenHaptics library",
     },
+    Kind {
+        pattern: "trocar[:HOST:PORT]",
+        about: "the active trocar behind its board; without an address a simulated one",
+    },
 ];
 
 impl std::str::FromStr for DeviceName {
@@ -94,16 +104,8 @@ impl std::str::FromStr for DeviceName {
             "simulated" => without(Self::Simulated),
             "force-dimension" => without(Self::ForceDimension),
             "openhaptics" => Ok(Self::OpenHaptics { name: rest.map(str::to_owned) }),
-            "haply" => {
-                let address = rest.unwrap_or(haply::ADDRESS);
-                let is_sound = address
-                    .rsplit_once(':')
-                    .is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok_and(|p| p > 0));
-                if !is_sound {
-                    return Err(format!("\"{address}\" is not HOST:PORT"));
-                }
-                Ok(Self::Haply { address: address.to_owned() })
-            }
+            "haply" => Ok(Self::Haply { address: host_and_port(rest.unwrap_or(haply::ADDRESS))? }),
+            "trocar" => Ok(Self::Trocar { address: rest.map(host_and_port).transpose()? }),
             "replay" => {
                 let rest =
                     rest.filter(|rest| !rest.is_empty()).ok_or("replay needs a session: replay:FILE")?;
@@ -115,12 +117,19 @@ impl std::str::FromStr for DeviceName {
             }
             other => {
                 let known: Vec<&str> = KINDS.iter().map(|kind| kind.pattern).collect();
-                let names = ["simulated", "replay", "haply", "force-dimension", "openhaptics"];
+                let names = ["simulated", "replay", "haply", "force-dimension", "openhaptics", "trocar"];
                 let hint = glisson::text::did_you_mean(other, &names);
                 Err(format!("there is no device \"{other}\"{hint}; known: {}", known.join(", ")))
             }
         }
     }
+}
+
+fn host_and_port(text: &str) -> Result<String, String> {
+    let is_sound = text
+        .rsplit_once(':')
+        .is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok_and(|p| p > 0));
+    if is_sound { Ok(text.to_owned()) } else { Err(format!("\"{text}\" is not HOST:PORT")) }
 }
 
 /// Axes of patients from those of Force Dimension's devices: their +x to the user is inferior, +y to his right is the
@@ -180,6 +189,19 @@ pub(crate) fn open(name: &DeviceName, home: &ToolInput, rate_hz: f64) -> anyhow:
         DeviceName::OpenHaptics { name } => {
             let (device, name) = openhaptics::open(name.as_deref(), None)?;
             plain(device, &format!("OpenHaptics {name}"), patient_from_desk())
+        }
+        DeviceName::Trocar { address } => {
+            let settings = BoardSettings::new(TrocarProfile::built());
+            let (device, name): (Box<dyn HapticDevice>, String) = match address {
+                Some(address) => {
+                    let device = trocar_board::connect(address, settings)?;
+                    (Box::new(device), format!("active trocar at {address}"))
+                }
+                None => (Box::new(trocar_board::simulated(settings, 1)), "simulated active trocar".into()),
+            };
+            // Its axis at rest is the instrument's.
+            let along = DQuat::from_rotation_arc(DVec3::Z, home.shaft_in_world.normalize());
+            OpenDevice { has_clutch: false, ..plain(device, &name, along) }
         }
     })
 }
@@ -296,6 +318,7 @@ mod tests {
         for (bad, part) in [
             ("haptly", "did you mean \"haply\""),
             ("haply:there", "HOST:PORT"),
+            ("trocar:there", "HOST:PORT"),
             ("haply:there:0", "HOST:PORT"),
             ("simulated:3", "takes nothing"),
             ("replay:", "replay:FILE"),

@@ -15,7 +15,7 @@ const MAGIC: [u8; 4] = *b"GLNK";
 /// Bytes of a head.
 pub(crate) const HEAD_BYTES: usize = 72;
 const MOTION_BYTES: usize = 9 * 8 + 1;
-const PART_BYTES: usize = 1 + 2 * 24 + 72;
+const PART_BYTES: usize = 1 + 2 * 24 + 72 + 8;
 const MODEL_BYTES: usize = 8 + 1 + 2 * 8 + 6 * 24 + 72 + 3 * 8 + 1 + HapticModel::MOST_PARTS * PART_BYTES;
 /// Bytes of the longest message.
 pub(crate) const MOST_BYTES: usize = HEAD_BYTES + MAX_TOOLS * (8 + MODEL_BYTES) + TAG_BYTES;
@@ -236,6 +236,7 @@ fn put_tissue(bytes: &mut Vec<u8>, tissue: &Tissue) {
         put(bytes, &part.force_n.to_array());
         put(bytes, &part.stiffness_n_per_m.to_cols_array());
         put(bytes, &part.normal.to_array());
+        put(bytes, &[part.friction_coefficient]);
     }
 }
 
@@ -328,8 +329,13 @@ impl Reader<'_> {
         let mut codes = [touch; HapticModel::MOST_PARTS];
         for (part, code) in model.parts.iter_mut().zip(&mut codes).take(usize::from(n_parts)) {
             [*code] = self.take()?;
-            let (force_n, stiffness_n_per_m, normal) = (self.vector()?, self.matrix()?, self.vector()?);
-            *part = TouchedPart { touch: Touch::Free, force_n, stiffness_n_per_m, normal };
+            *part = TouchedPart {
+                touch: Touch::Free,
+                force_n: self.vector()?,
+                stiffness_n_per_m: self.matrix()?,
+                normal: self.vector()?,
+                friction_coefficient: self.f64()?,
+            };
         }
         let model = touch_of(touch).and_then(|touch| {
             model.touch = touch;
@@ -367,6 +373,7 @@ fn checked(model: HapticModel) -> Result<HapticModel, MessageError> {
             is_plausible(part.force_n)
                 && is_plausible_matrix(part.stiffness_n_per_m)
                 && is_plausible(part.normal)
+                && part.friction_coefficient >= 0.0
         });
     // What sticks has an infinite coefficient, what holds without a limit an infinite force.
     if are_plausible && model.friction_coefficient >= 0.0 && model.hold_n >= 0.0 {
@@ -436,7 +443,8 @@ mod tests {
             for part in &mut model.parts[..n_parts as usize] {
                 let touch = touch_of((self.next() % 3) as u8).unwrap();
                 let (force_n, stiffness_n_per_m, normal) = (self.vector(), self.matrix(), self.vector());
-                *part = TouchedPart { touch, force_n, stiffness_n_per_m, normal };
+                let friction_coefficient = self.number().abs();
+                *part = TouchedPart { touch, force_n, stiffness_n_per_m, normal, friction_coefficient };
             }
             Tissue { model, age_ns: self.next() }
         }

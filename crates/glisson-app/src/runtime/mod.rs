@@ -6,6 +6,7 @@ pub(crate) mod histogram;
 pub(crate) mod realtime;
 pub(crate) mod haptic_loop;
 pub(crate) mod live;
+mod effort;
 pub(crate) mod recorder;
 pub(crate) mod replay;
 
@@ -15,10 +16,10 @@ use glisson::haptics::HapticModel;
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
-use glisson::model::DeformableModel;
 use glisson::model::explicit_kernel::SharedWorkers;
 use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
+use glisson::model::{DeformableModel, Effort};
 use glisson::record::hash::StateHash;
 use glisson::record::session::SessionEvent;
 use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
@@ -122,7 +123,10 @@ impl Simulation {
     /// From now on instruments follow the paths of `scene` until a viewer takes them into the hand, or resets.
     pub(crate) fn follow_script(&mut self, scene: Scene) {
         self.script = Some(scene);
-        self.tell("the instruments follow the scene's script; push, or move one, to take it into the hand".to_owned());
+        self.tell(
+            "the instruments follow the scene's script; push, or move one, to take it into the hand"
+                .to_owned(),
+        );
     }
 
     /// Where the script has an instrument at the end of the next step.
@@ -271,6 +275,12 @@ impl Simulation {
         self.record(&SessionEvent::Gravity { step: self.world.steps_made(), gravity_m_per_s2 })?;
         self.world.set_gravity(gravity_m_per_s2);
         Ok(())
+    }
+
+    /// How thoroughly steps are computed from now on; answers whether that makes a difference to the present model.
+    pub(crate) fn set_effort(&mut self, effort: Effort) -> anyhow::Result<bool> {
+        self.record(&SessionEvent::Effort { step: self.world.steps_made(), effort })?;
+        Ok(self.world.set_effort(effort))
     }
 
     /// Takes tetrahedra out of the organ. A model that cannot follow is no reason to stop: nothing changes, and the

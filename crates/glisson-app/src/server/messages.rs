@@ -132,7 +132,7 @@ pub(super) fn role(is_controller: bool, is_taken: bool) -> Value {
 
 /// How the loops keep their time.
 pub(super) fn timing(published: &Published, haptics: Option<&HapticReport>) -> Value {
-    let Published { pace, lateness, .. } = published;
+    let Published { pace, lateness, effort, .. } = published;
     json!({
         "type": "timing",
         "simulation": {
@@ -140,6 +140,7 @@ pub(super) fn timing(published: &Published, haptics: Option<&HapticReport>) -> V
             "real_time_factor": pace.real_time_factor,
             "times_given_up": lateness.n_given_up,
             "left_out_s": lateness.left_out_s,
+            "effort": effort.name(),
         },
         "haptics": haptics.map(HapticReport::to_json),
     })

@@ -10,6 +10,7 @@ mod cut_subdivision;
 mod cutting;
 mod detection;
 mod elasticity;
+mod haptic_force;
 mod hybrid;
 mod hybrid_condensed;
 mod image;
@@ -17,6 +18,8 @@ mod indentation;
 mod interaction;
 mod mesh_repair;
 mod model_rheology;
+mod palpation;
+mod passivity;
 mod precomputed_cutting;
 mod precompute;
 mod prestress;
@@ -168,6 +171,21 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "indentation",
         about: "A sphere and a flat punch on a bonded layer: graded tetrahedra against an axisymmetric solution.",
         run: indentation::experiments,
+    },
+    Group {
+        name: "palpation",
+        about: "A stiff nodule under the surface, felt with a flat tip: forces on the device against static solutions.",
+        run: palpation::experiments,
+    },
+    Group {
+        name: "haptic_force",
+        about: "The force between two steps of a simulation at 30 Hz against the full model stepped at 1 kHz.",
+        run: haptic_force::experiments,
+    },
+    Group {
+        name: "passivity",
+        about: "Energy of the haptic loop: a simulated device with a hand, delays, slow steps, with control and without.",
+        run: passivity::experiments,
     },
     Group {
         name: "contact_physics",

@@ -248,6 +248,8 @@ impl World {
     pub fn undo_edit(&mut self) -> bool {
         let Some(mut record) = self.journal.records.pop_back() else { return false };
         record.model.put_back(&mut self.model);
+        // It was saved with the effort of its time.
+        self.keep_effort();
         // A model that is still being made may be made from the organ with this cut.
         self.swap.take_if(|swap| swap.model.is_none());
         if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {

@@ -25,6 +25,9 @@ const STEPS_FOR_ALL: u64 = 16;
 /// tip that comes at 1 m/s on a millimetre's mesh stays below it.
 const GREATEST_OVERLOAD: f64 = 4.0;
 
+/// An edge has left the tissue when it is this share of its radius away: it breaks in from where it just touches.
+const LEAVES_BEYOND: f64 = 0.5;
+
 /// Place of the jaws in the list of what loads tissue, after the parts.
 const OF_JAWS: usize = ToolPart::ALL.len();
 
@@ -38,8 +41,9 @@ pub(super) struct Overload {
     pub(super) strength_left: f64,
     /// Whether the edge has broken in and cuts freely.
     pub(super) edge_is_in: bool,
-    /// From where it touched to above where the tissue springs back [m].
-    pub(super) entry_m: Option<DVec3>,
+    /// From where it broke in: to outside of the tissue, and to where it is when the tissue that it pressed in has sprung
+    /// back over it [m].
+    pub(super) entry_m: Option<[DVec3; 2]>,
     /// Way of the edge since its last cut [m].
     way_m: f64,
     /// Force with which the crack before the edge holds it back while it moves [N].
@@ -73,7 +77,7 @@ impl Overload {
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let work = self.work.iter().map(Breakthrough::available_j);
         let edge = [f64::from(u8::from(self.edge_is_in)), self.way_m, self.edge_force_n];
-        let entry = self.entry_m.into_iter().flat_map(|v| v.to_array());
+        let entry = self.entry_m.into_iter().flatten().flat_map(|v| v.to_array());
         let heat = [1.0 - self.strength_left];
         work.chain(edge)
             .chain(entry)
@@ -221,8 +225,8 @@ impl World {
         if is_edge && hand.now.is_triggered() {
             let point_m = contact.at.in_world_m(spec, &hand.now);
             hand.overload.edge_is_in = true;
-            hand.overload.entry_m =
-                Some(contact.normal() * (contact.depth_m(point_m) + 2.0 * spec.tip_radius_m));
+            let inward_m = contact.normal() * -contact.depth_m(point_m);
+            hand.overload.entry_m = Some([contact.normal() * (2.0 * spec.tip_radius_m), inward_m]);
             return;
         }
         let tets = self.tetrahedra_under(tool, part, &contact);
@@ -299,7 +303,9 @@ impl Hand {
             return;
         }
         self.overload.way_m += edge_motion_m(tool, &self.before, &self.now).length();
-        let is_out = |edge: Capsule| !organ.skin().overlaps(&edge);
+        let is_out = |edge: Capsule| {
+            !organ.skin().overlaps(&Capsule { radius_m: edge.radius_m * (1.0 + LEAVES_BEYOND), ..edge })
+        };
         if capsule(tool, ToolPart::Tip, &self.now).is_none_or(is_out) {
             self.overload.end_stroke();
         }

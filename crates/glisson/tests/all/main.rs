@@ -1,5 +1,6 @@
 //! All integration tests in one binary: it links once.
 
+mod haptic_models;
 mod hybrid_condensed;
 mod contact_response;
 mod contact_constraint;
@@ -8,6 +9,7 @@ mod images;
 mod laws;
 mod kernel;
 mod kernel_laws;
+mod effort;
 mod explicit_kernel;
 mod hybrid_exchange;
 mod hybrid_nonlinear;

@@ -35,12 +35,11 @@ fn world(model: ModelKind, kind: ToolKind, energy_j_per_m2: Option<f64>) -> Worl
     let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
     let mut spec = WorldSpec::new("block", TIME_STEP_S, tool);
     spec.supports = vec![Support::all_axes(table)];
-    spec.tearing = energy_j_per_m2.map(|energy_j_per_m2| Tearing {
-        energy: FractureEnergy { energy_j_per_m2 },
-        material: material(),
-    });
+    spec.tearing = energy_j_per_m2
+        .map(|energy_j_per_m2| Tearing { energy: FractureEnergy { energy_j_per_m2 }, material: material() });
     // Through the upper edge that jaws close on.
-    let ends_m = [DVec3::new(SIZE_M - 5e-3, 0.01, SIZE_M - 6e-3), DVec3::new(SIZE_M - 5e-3, 0.09, SIZE_M - 6e-3)];
+    let ends_m =
+        [DVec3::new(SIZE_M - 5e-3, 0.01, SIZE_M - 6e-3), DVec3::new(SIZE_M - 5e-3, 0.09, SIZE_M - 6e-3)];
     spec.vessels = vec![Tube { parent: None, ends_m, radii_m: [1e-3; 2] }];
     let mut body = OrganBody::new(mesh, material(), TIME_STEP_S);
     body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
@@ -92,7 +91,8 @@ fn push(world: &mut World, depth_m: f64) -> Motion {
 #[test]
 fn a_tip_that_is_pushed_too_hard_breaks_through_and_its_force_stays_bounded() {
     let energy = 40.0;
-    let critical_n = FractureEnergy { energy_j_per_m2: energy }.cutting_force_n(CrackFront::blunt(RADIUS_M).length_m);
+    let critical_n =
+        FractureEnergy { energy_j_per_m2: energy }.cutting_force_n(CrackFront::blunt(RADIUS_M).length_m);
     let whole = push(&mut world(ModelKind::Explicit, ToolKind::Probe, None), 0.05);
     let torn = push(&mut world(ModelKind::Explicit, ToolKind::Probe, Some(energy)), 0.05);
     assert_eq!((whole.cuts.n_torn, whole.cuts.n_removed), (0, 0));
@@ -100,13 +100,17 @@ fn a_tip_that_is_pushed_too_hard_breaks_through_and_its_force_stays_bounded() {
     assert!(torn.cuts.n_torn > 0 && torn.greatest_n < 2.0 * critical_n, "{torn:?}, critical {critical_n} N");
     // A push that tissue stands leaves it whole.
     let gentle = push(&mut world(ModelKind::Explicit, ToolKind::Probe, Some(energy)), 5e-3);
-    assert!(gentle.cuts.n_torn == 0 && gentle.greatest_n > 0.1 * critical_n, "{gentle:?}, critical {critical_n} N");
+    assert!(
+        gentle.cuts.n_torn == 0 && gentle.greatest_n > 0.1 * critical_n,
+        "{gentle:?}, critical {critical_n} N"
+    );
 }
 
 #[test]
 fn tissue_of_a_model_that_cannot_be_cut_lets_the_tip_through() {
     let energy = 40.0;
-    let critical_n = FractureEnergy { energy_j_per_m2: energy }.cutting_force_n(CrackFront::blunt(RADIUS_M).length_m);
+    let critical_n =
+        FractureEnergy { energy_j_per_m2: energy }.cutting_force_n(CrackFront::blunt(RADIUS_M).length_m);
     let mut world = world(ModelKind::Reduced, ToolKind::Probe, Some(energy));
     let motion = push(&mut world, 0.05);
     assert!(motion.greatest_n < 5.0 * critical_n, "{} N, critical {critical_n} N", motion.greatest_n);
@@ -234,7 +238,9 @@ fn scissors_cut_are_taken_back_and_refuse() {
     let weak = Jaws { closing_force_n: 1.0, ..JAWS };
     let mut world = world(ModelKind::Explicit, ToolKind::Scissors(weak), Some(164.0));
     let motion = close_on_edge(&mut world, 1.0, 1);
-    let [(0, EditRefusal::TooWeak { found_n, needed_n })] = motion.cuts.refusals[..] else { panic!("{motion:?}") };
+    let [(0, EditRefusal::TooWeak { found_n, needed_n })] = motion.cuts.refusals[..] else {
+        panic!("{motion:?}")
+    };
     assert!(found_n == 1.0 && (needed_n - 1.64).abs() < 1e-12 && motion.cuts.n_removed == 0);
 }
 

@@ -43,6 +43,7 @@ pub(in crate::net) fn published(step: u64) -> Arc<Published> {
         pace: Pace::default(),
         state_hash: serde_json::from_str(&format!("\"{}\"", "0".repeat(64))).unwrap(),
         model: ModelKind::Explicit,
+        effort: Default::default(),
         notices: Vec::new(),
         lateness: Lateness::default(),
     })

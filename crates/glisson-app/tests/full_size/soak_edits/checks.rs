@@ -33,7 +33,11 @@ pub(super) fn check_adjacency(world: &World, label: &str) {
     for node in recount.live_nodes() {
         assert!(topology.is_live_node(node), "{label}: {node}");
         assert!(same(topology.node_tets(node), recount.node_tets(node)), "{label}: tetrahedra at {node}");
-        assert_eq!(topology.node_edges(node).len(), recount.node_edges(node).len(), "{label}: edges at {node}");
+        assert_eq!(
+            topology.node_edges(node).len(),
+            recount.node_edges(node).len(),
+            "{label}: edges at {node}"
+        );
     }
     for edge in recount.live_edges() {
         let [a, b] = recount.edge_nodes(edge);

@@ -2,7 +2,7 @@
 
 use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::edit::EditableMesh;
-use crate::mesh::quality::dihedral_cosine_range;
+use crate::mesh::quality::{FACES, dihedral_cosine_range};
 use crate::mesh::topology::TET_EDGES;
 use crate::mesh::{NodeId, TetId};
 
@@ -117,6 +117,8 @@ pub(super) struct Patch {
     tet_here: Vec<u32>,
     pulled_nodes: Vec<NodeId>,
     pulled_tets: Vec<TetId>,
+    /// Where the nodes of the mesh are ([`Sweep::outside_into`](super::sweep::Sweep::outside_into)).
+    pub(super) outside: Vec<u8>,
     /// Faces to be opened, corners ascending.
     pub(super) cut: Vec<[u32; 3]>,
     /// Nodes of these faces where the blade is now, and whether its end is there.
@@ -125,6 +127,9 @@ pub(super) struct Patch {
 
 /// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
 const SAME_VOLUME: f64 = 1e-11;
+
+/// Skin is flat enough to slide along if the sum of its area vectors has this share of the area.
+const FLAT_SKIN: f64 = 0.99;
 
 /// A barycentric weight nearer to zero than this is zero.
 const ON_FACE: f64 = 1e-9;
@@ -256,6 +261,25 @@ impl Patch {
         }
         self.stars[node as usize] = star;
         is_good
+    }
+
+    /// Unit normal, in the present shape, of the surface of the body at a node with its whole star in the patch;
+    /// `None` inside, and where the sides of an earlier cut meet.
+    pub(super) fn skin_normal(&self, node: u32) -> Option<DVec3> {
+        let mut faces: Vec<([u32; 3], DVec3)> = Vec::with_capacity(3 * self.stars[node as usize].len());
+        for &tet in &self.stars[node as usize] {
+            let nodes = self.tets[tet as usize].nodes;
+            for face in FACES.map(|f| f.map(|i| nodes[i])).into_iter().filter(|f| f.contains(&node)) {
+                let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
+                faces.push((sorted(face), (b - a).cross(c - a)));
+            }
+        }
+        faces.sort_unstable_by_key(|f| f.0);
+        let single = faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1);
+        let (sum, length) = single.fold((DVec3::ZERO, 0.0), |(sum, length), area| {
+            (sum + area, length + area.length())
+        });
+        (sum.length() > FLAT_SKIN * length).then(|| sum.normalize_or_zero())
     }
 
     /// Where a point of the present shape near `node` is at rest.
@@ -432,6 +456,23 @@ impl Patch {
         self.stars[a as usize] = kept;
         self.divide_cut_faces([a, b], middle);
         Some(middle)
+    }
+
+    /// Largest cosine of a dihedral angle at rest among what would come of dividing an edge in its middle.
+    pub(super) fn cosine_of_halves(&mut self, body: Body<'_>, [a, b]: [u32; 2]) -> f64 {
+        self.pull_edge(body, [a, b]);
+        let middle_m = 0.5 * (self.nodes[a as usize].rest_m + self.nodes[b as usize].rest_m);
+        let mut cosine: f64 = -1.0;
+        for &tet in self.stars[a as usize].iter().filter(|&&t| self.tets[t as usize].nodes.contains(&b)) {
+            let corners_m = self.rest_m(tet);
+            for gone in [a, b] {
+                let at = self.tets[tet as usize].nodes.iter().position(|&n| n == gone).unwrap_or(0);
+                let mut half_m = corners_m;
+                half_m[at] = middle_m;
+                cosine = cosine.max(dihedral_cosine_range(half_m)[1]);
+            }
+        }
+        cosine
     }
 
     fn divide_cut_faces(&mut self, [a, b]: [u32; 2], middle: u32) {

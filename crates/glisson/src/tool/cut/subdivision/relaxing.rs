@@ -32,10 +32,19 @@ pub(super) fn relax(patch: &mut Patch, body: Body<'_>, normal: DVec3, max_cosine
                 if patch.nodes[node as usize].is_front || rim_nodes.binary_search(&node).is_ok() {
                     continue;
                 }
+                patch.pull_star(body, node);
                 let is_on_cut = cut_nodes.binary_search(&node).is_ok();
-                let directions = [u, -u, v, -v, normal, -normal];
-                let directions = &directions[..if is_on_cut { 4 } else { 6 }];
-                is_better |= better(patch, body, node, directions);
+                let (directions, n) = match (patch.skin_normal(node), is_on_cut) {
+                    (None, false) => ([u, v, normal], 3),
+                    (None, true) => ([u, v, normal], 2),
+                    // Along the skin.
+                    (Some(skin), false) => {
+                        let (s, t) = skin.any_orthonormal_pair();
+                        ([s, t, s], 2)
+                    }
+                    (Some(skin), true) => ([skin.cross(normal).normalize_or_zero(); 3], 1),
+                };
+                is_better |= better(patch, body, node, &directions[..n]);
             }
         }
         if !is_better {
@@ -53,9 +62,10 @@ fn better(patch: &mut Patch, body: Body<'_>, node: u32, directions: &[DVec3]) ->
     };
     let shortest_m = patch.star(node).iter().map(length).fold(f64::INFINITY, f64::min);
     STEPS.iter().any(|step| {
-        directions
-            .iter()
-            .any(|&d| patch.move_node(body, node, from_m + step * shortest_m * d, Accept::Better))
+        let moves = directions.iter().flat_map(|&d| [d, -d]);
+        moves.into_iter().any(|d| {
+            patch.move_node(body, node, from_m + step * shortest_m * d, Accept::Better)
+        })
     })
 }
 

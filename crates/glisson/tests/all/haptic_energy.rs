@@ -262,7 +262,7 @@ fn any_model(random: &mut SeededRandom, step: u64) -> HapticModel {
     model
 }
 
-/// A simulation that publishes anything at any time, with lost devices, old models, buttons, and a hand that moves anyhow.
+/// A simulation that publishes anything at any time, buttons, and a hand that moves anyhow.
 #[test]
 fn a_simulation_gone_mad_stays_within_limits_and_bound() {
     for seed in 0..40 {

@@ -1,6 +1,6 @@
 //! The simulated board in a closed loop with a world: the trocar's pose drives a tool, the tissue's force goes back.
 
-use super::{OWN, PROTOTYPE, dashed, figure, line};
+use super::{EXACT, OWN, PROTOTYPE, dashed, figure, line};
 use crate::bench::body::StandardBody;
 use crate::bench::thread_cpu_ns;
 use crate::devices::trocar_board::{
@@ -143,8 +143,9 @@ fn above() -> Placement {
 
 /// What a palpation showed.
 struct Palpated {
-    /// Time [s], insertion wanted by the hand and got [mm], force of the tissue and on the hand along the way in [N].
-    rows: Vec<[f64; 5]>,
+    /// Time [s], insertion wanted by the hand and got [mm], then forces [N]: of the tissue and on the hand along the
+    /// instrument, the same across it.
+    rows: Vec<[f64; 7]>,
     /// At the end, in the world [N].
     tissue_n: DVec3,
     hand_n: DVec3,
@@ -178,7 +179,17 @@ fn palpate(tilt_rad: [f64; 2], mapping: Mapping) -> anyhow::Result<Palpated> {
         let inward = -tool.shaft_in_world;
         let on_hand_n = station.on_hand_n();
         let got_m = station.mechanism().joints.insertion_m;
-        rows.push([t, 1e3 * target.insertion_m, 1e3 * got_m, -force_n.dot(inward), -on_hand_n.dot(inward)]);
+        let along = |n: DVec3| -n.dot(inward);
+        let across = |n: DVec3| n.reject_from(inward).length();
+        rows.push([
+            t,
+            1e3 * target.insertion_m,
+            1e3 * got_m,
+            along(force_n),
+            along(on_hand_n),
+            across(force_n),
+            across(on_hand_n),
+        ]);
     }
     let wanted = station.device.commanded().to_array();
     let limits = TrocarProfile::built().limits.to_array();
@@ -240,13 +251,14 @@ fn palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
     outcome.figures.push(figure(
         "active_trocar_palpation.svg",
         "The simulated board palpates the ellipsoid at pitch 20, roll -29 degrees: the force of the tissue, and what the hand \
-         holds against, along the instrument.",
-        ["Palpation through the active trocar's board", "time [s]", "force along the instrument [N]"],
+         holds against, along and across the instrument.",
+        ["Palpation through the active trocar's board", "time [s]", "force [N]"],
         vec![
-            line("tissue, virtual work", column(&aslant, 3)),
-            line("hand, virtual work", column(&aslant, 4)),
-            line("tissue, eq. 5.6", column(&published[1], 3)),
-            line("hand, eq. 5.6", column(&published[1], 4)),
+            line("along: hand", column(&aslant, 4)),
+            line("along: tissue", column(&aslant, 3)),
+            line("across: hand", column(&aslant, 6)),
+            line("across: tissue", column(&aslant, 5)),
+            line("across: hand, eq. 5.6", column(&published[1], 6)),
         ],
     ));
     outcome.figures.push(figure(
@@ -440,44 +452,46 @@ fn remote_palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A board behind a socket of this machine: how long a state is under way, answered by outputs.
+/// A board behind a socket of this machine: the same bytes, with the board's own clock.
 fn over_tcp(outcome: &mut Outcome) -> anyhow::Result<()> {
     let listener = TcpListener::bind("127.0.0.1:0").context("a port of this machine")?;
     let address = listener.local_addr()?.to_string();
     let stop = Arc::new(AtomicBool::new(false));
     let served = std::thread::spawn({
         let stop = Arc::clone(&stop);
-        move || -> anyhow::Result<f64> {
+        move || -> anyhow::Result<()> {
             let profile = TrocarProfile::built();
             let start = TrocarJoints { insertion_m: 0.1, ..TrocarJoints::default() };
             let tag = InstrumentTag { instrument: InstrumentType::PalpationProbe, serial: 1 };
             let mut board = SimulatedBoard::new(Mechanism::new(profile, start), tag, 63).homed();
-            serve_board(TcpLine::new(listener.accept()?.0)?, &mut board, &stop)?;
-            Ok(board.mechanism.joints.insertion_m)
+            Ok(serve_board(TcpLine::new(listener.accept()?.0)?, &mut board, &stop)?)
         }
     });
     let mut device = connect(&address, BoardSettings::new(TrocarProfile::built()))?;
-    let until = Instant::now() + Duration::from_millis(600);
+    // The board has its own clock: on a busy machine it ticks slower, so what counts is where it comes to rest.
+    let rest_m = 0.1 - 1.0 / 400.0;
+    let until = Instant::now() + PATIENCE;
     let push = ForceCommand { force_n: DVec3::NEG_Z, ..ForceCommand::default() };
-    while Instant::now() < until {
-        if device.read().is_ok() {
+    let mut off_m = f64::INFINITY;
+    while off_m > MOST_OFF_M && Instant::now() < until {
+        if let Ok(state) = device.read() {
+            off_m = (state.position_m.length() - rest_m).abs();
             device.write(&push).map_err(fault)?;
         }
         std::thread::sleep(Duration::from_micros(500));
     }
     let report = device.report();
     stop.store(true, Ordering::Relaxed);
-    let insertion_m = served.join().map_err(|_| anyhow!("the board's thread panicked"))??;
+    served.join().map_err(|_| anyhow!("the board's thread panicked"))??;
     outcome.experiments.extend([
-        Experiment::near(
-            "board behind a socket: insertion under 1 N against a hand of 400 N/m [m]",
-            "100 mm less 2.5 mm",
-            insertion_m,
-            0.0975,
-            2e-3,
+        Experiment::at_most(
+            "board behind a socket: 1 N pushes a hand of 400 N/m back by 2.5 mm: off by [m]",
+            EXACT,
+            off_m,
+            MOST_OFF_M,
         ),
         Experiment::at_most(
-            "board behind a socket: frames lost or refused in 0.6 s",
+            "board behind a socket: frames lost or refused",
             OWN,
             (report.n_lost + report.n_refused + report.n_refused_by_board) as f64,
             0.0,
@@ -485,8 +499,13 @@ fn over_tcp(outcome: &mut Outcome) -> anyhow::Result<()> {
     ]);
     let identity = device.identity().context("a board that was greeted")?;
     outcome.notes += &format!(
-        "\nOver the socket {} states came in 0.6 s from a board that promised {} a second.\n",
+        "\nOver the socket it took {} states of a board that promised {} a second.\n",
         report.n_states, identity.rate_hz
     );
     Ok(())
 }
+
+/// A step of the encoder and half of one [m].
+const MOST_OFF_M: f64 = 1.5e-4;
+/// How long a hand may take to come to rest on a machine that is busy.
+const PATIENCE: Duration = Duration::from_secs(20);

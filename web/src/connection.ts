@@ -9,6 +9,7 @@ import {
   type Snapshot,
   type Topology,
 } from "./protocol";
+import type { Role, Timing } from "./timing";
 
 export type ConnectionState = "connecting" | "open" | "lost";
 
@@ -17,6 +18,8 @@ export interface ConnectionEvents {
   hello(hello: Hello): void;
   topology(topology: Topology): void;
   snapshot(snapshot: Snapshot, bytes: number): void;
+  role(role: Role): void;
+  timing(timing: Timing): void;
   /** An error message of the server, or a message that could not be understood. */
   error(message: string): void;
 }
@@ -104,6 +107,8 @@ export class Connection {
       if (typeof data === "string") {
         const message = decodeText(data);
         if (message.type === "hello") this.events.hello(message);
+        else if (message.type === "role") this.events.role(message);
+        else if (message.type === "timing") this.events.timing(message);
         else this.events.error(`Server: ${message.message}`);
       } else if (data instanceof ArrayBuffer) {
         const message = decodeBinary(data);

@@ -1,6 +1,7 @@
 /** The panel of numbers: what each shows is a pure function of the hello message and the newest snapshot. */
 import type { Bleeding } from "./blood";
 import type { Hello, HandHeader, Vec3 } from "./protocol";
+import { hapticsText, type LoopNews } from "./timing";
 
 export type PanelKey =
   | "scene"
@@ -16,6 +17,8 @@ export type PanelKey =
   | "real_time_factor"
   | "step"
   | "time"
+  | "control"
+  | "haptics"
   | "model"
   | "material"
   | "mesh"
@@ -76,7 +79,9 @@ export function panelValues(
   peak_n: number,
   arrowScale_m_per_n: number,
   tool: number,
+  news: Pick<LoopNews, "role" | "timing"> = { role: null, timing: null },
 ): PanelValues {
+  const { role, timing } = news;
   const scene = hello?.scene;
   const force = header === null ? null : lengthOf(header.forceOnTool_n);
   return {
@@ -93,6 +98,8 @@ export function panelValues(
     real_time_factor: header === null ? NONE : `${header.realTimeFactor.toFixed(2)} ×`,
     step: header === null ? NONE : grouped.format(header.step),
     time: header === null ? NONE : `${header.time_s.toFixed(3)} s`,
+    control: role === null ? NONE : role.role === "controller" ? "this page" : role.control_is_taken ? "another" : "free",
+    haptics: timing?.haptics ? hapticsText(timing.haptics) : NONE,
     model: scene?.model ?? NONE,
     material: scene?.material ?? NONE,
     mesh: scene === undefined ? NONE : `${grouped.format(scene.n_nodes)} / ${grouped.format(scene.n_tetrahedra)}`,
@@ -124,6 +131,8 @@ const SIMULATION_ROWS: readonly Row[] = [
   row("real_time_factor", "Real time", "Simulated seconds in a second: 1 is real time"),
   row("step", "Step", "Steps since the start"),
   row("time", "Time", "Simulated time since the start"),
+  row("control", "Control", "Who moves the instruments: one page; the others watch, and take over when it is free"),
+  row("haptics", "Haptics", "Rate of the force-feedback loop and deadlines that it missed by more than two periods (more: key P)"),
 ];
 const MODEL_ROWS: readonly Row[] = [
   row("model", "Model", "How the deformation is computed"),

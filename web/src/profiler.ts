@@ -1,6 +1,7 @@
 /** Times of the viewer's own work and of what arrives: a moving window, and the text that shows it. */
 
 import type { Hello, SnapshotHeader } from "./protocol";
+import { timingLines, type Timing } from "./timing";
 
 const WINDOW_MS = 2000;
 
@@ -88,8 +89,9 @@ export function profilerReport(
   software: boolean,
   header: SnapshotHeader | null,
   hello: Hello | null,
+  timing: Timing | null = null,
 ): string {
-  return profilerText({
+  const text = profilerText({
     ...summary,
     rate_steps_per_s: header?.rate_steps_per_s ?? 0,
     timeStep_s: hello?.scene.time_step_s ?? 0,
@@ -97,4 +99,5 @@ export function profilerReport(
     drawCalls: drawn.calls,
     software,
   });
+  return [text, ...timingLines(timing)].join("\n");
 }

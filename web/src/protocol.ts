@@ -6,6 +6,7 @@
  */
 
 import { BLOOD_BYTES, bloodNumbers, decodeBlood, type Bleeding } from "./blood";
+import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
 export const PROTOCOL_VERSION = 3;
@@ -185,7 +186,7 @@ function toolsAt(fields: Fields): ToolInfo[] {
 }
 
 /** Decodes a text message of the server. */
-export function decodeText(text: string): Hello | ServerError {
+export function decodeText(text: string): Hello | ServerError | Role | Timing {
   let parsed: unknown;
   try {
     parsed = JSON.parse(text);
@@ -195,7 +196,11 @@ export function decodeText(text: string): Hello | ServerError {
   const fields = fieldsOf(parsed, "message");
   const type = stringAt(fields, "type", "message");
   if (type === "error") return { type, message: stringAt(fields, "message", "error") };
-  if (type !== "hello") fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello or error`);
+  if (type === "role") return decodeRole(fields);
+  if (type === "timing") return decodeTiming(fields);
+  if (type !== "hello") {
+    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing or error`);
+  }
   const protocol = numberAt(fields, "protocol", "hello");
   if (protocol !== PROTOCOL_VERSION) {
     fail(`the server speaks protocol ${protocol}, this viewer ${PROTOCOL_VERSION}: build both from the same version`);

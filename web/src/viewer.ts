@@ -14,6 +14,7 @@ import type { Page } from "./page";
 import { lengthOf, Panel, panelValues } from "./panel";
 import { arrowScale_m_per_n, drawPlot, ForceHistory } from "./plot";
 import { Profile, profilerReport } from "./profiler";
+import { LoopNews } from "./timing";
 import { headerOfHand, ProtocolError, type HandHeader, type Hello, type Snapshot, type SnapshotHeader, type Topology } from "./protocol";
 import { Resolution, REST_AFTER_MS, REST_RATIO } from "./resolution";
 import { Scene3d } from "./scene3d";
@@ -34,6 +35,7 @@ export class Viewer {
   private readonly profile = new Profile();
 
   private hello: Hello | null = null;
+  private readonly news = new LoopNews(() => this.showPanel());
   private waiting = new Map<number, Snapshot>();
   private header: HandHeader | null = null;
   private pickedVertex: number | null = null;
@@ -48,13 +50,8 @@ export class Viewer {
   private lastFrame_ms: number | null = null;
   private readonly shown = { style: 0, contacts: true, forces: true, fixedNodes: false, profiler: false };
   private readonly counters = {
-    topologyFrames: 0,
-    snapshotFrames: 0,
-    ignoredSnapshots: 0,
-    drawnFrames: 0,
-    sentToolMessages: 0,
-    connections: 0,
-    screenshots: 0,
+    ...{ topologyFrames: 0, snapshotFrames: 0, ignoredSnapshots: 0, drawnFrames: 0 },
+    ...{ sentToolMessages: 0, connections: 0, screenshots: 0 },
   };
 
   constructor(private readonly page: Page) {
@@ -93,6 +90,7 @@ export class Viewer {
       hello: (hello) => this.begin(hello),
       topology: (topology) => this.setTopology(topology),
       snapshot: (snapshot, bytes) => this.receive(snapshot, bytes),
+      ...this.news.events,
       error: (message) => this.messages.error(message),
     });
     this.connection.open();
@@ -336,10 +334,7 @@ export class Viewer {
       this.profile.frame({ at_ms: now_ms, work_ms: drawn_ms - begun_ms, draw_ms: drawn_ms - drawing_ms });
       this.drawFinerAtRest();
     }
-    this.panel.show(
-      panelValues(this.hello, this.header, this.history.peak_n, arrowScale_m_per_n(this.history.peak_n), this.hands.chosen),
-      this.header,
-    );
+    this.showPanel();
     drawPlot(this.panel.plot, this.history);
     if (this.viewChanged) drawOrientation(this.page.orientation, this.scene.orbit, this.scene.height);
     this.viewChanged = false;
@@ -382,12 +377,17 @@ export class Viewer {
     }, REST_AFTER_MS);
   }
 
+  private showPanel(): void {
+    const { hello, header, history, hands, news } = this;
+    this.panel.show(panelValues(hello, header, history.peak_n, arrowScale_m_per_n(history.peak_n), hands.chosen, news), header);
+  }
+
   private showProfiler(): void {
     this.page.profiler.hidden = !this.shown.profiler;
     if (!this.shown.profiler) return;
     const { renderer, software } = this.scene;
     const summary = this.profile.summary(performance.now());
-    this.page.profiler.textContent = profilerReport(summary, renderer.info.render, software, this.header, this.hello);
+    this.page.profiler.textContent = profilerReport(summary, renderer.info.render, software, this.header, this.hello, this.news.timing);
   }
 
   /** The parts that `hook.ts` reads. */

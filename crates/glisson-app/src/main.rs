@@ -8,6 +8,7 @@ mod commands;
 mod demo;
 mod devices;
 mod picture;
+mod net;
 mod plot;
 mod runtime;
 mod scratch;

@@ -7,6 +7,7 @@ mod machine;
 mod model_edits;
 pub(crate) mod timing;
 mod world;
+mod haptic_model;
 pub(crate) mod body;
 mod meshing;
 mod models;
@@ -27,6 +28,8 @@ mod hybrid_exchange;
 mod scalpel;
 mod mesh_edits;
 mod cut_subdivision;
+pub(crate) mod haptics;
+pub(crate) mod link;
 
 pub(crate) use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;
@@ -112,6 +115,7 @@ pub(crate) fn cases() -> Vec<Case> {
         scalpel::CASES,
         mesh_edits::CASES,
         world::CASES,
+        haptic_model::CASES,
         cut_subdivision::CASES,
     ]
     .concat()

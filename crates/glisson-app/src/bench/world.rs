@@ -50,7 +50,7 @@ const N_REMOVALS: usize = 200;
 /// Below what the explicit model bears on these bodies.
 const TIME_STEP_S: f64 = 1e-4;
 
-fn world_of(size: usize, n_tools: usize) -> anyhow::Result<World> {
+pub(super) fn world_of(size: usize, n_tools: usize) -> anyhow::Result<World> {
     let body = StandardBody::shared(size)?;
     let fixed: Vec<FixedNode> =
         body.fixed_nodes.iter().map(|&node| FixedNode { node, axes: [true; 3] }).collect();
@@ -83,7 +83,7 @@ fn removals(world: &World) -> Vec<[MeshEdit; 1]> {
     tets.into_iter().map(|tet| [MeshEdit::Remove { tets: vec![tet] }]).collect()
 }
 
-fn prepared(size: usize, note: String, run: Box<dyn FnMut() + Send>) -> Prepared {
+pub(super) fn prepared(size: usize, note: String, run: Box<dyn FnMut() + Send>) -> Prepared {
     Prepared { size, isa: isa_name(Level::new()), precision: "f64", work: None, note, run }
 }
 

@@ -96,7 +96,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         if let Some(listener) = listener {
             println!("\n$ glisson serve {}", scene.display());
             let session = files.folder.join("resection.jsonl");
-            let simulation = Simulation::open(OpenScene::read(&scene)?, Some(&session))?;
+            let source = OpenScene::read(&scene)?;
+            let script = source.scene.clone();
+            let mut simulation = Simulation::open(source, Some(&session))?;
+            simulation.follow_script(script);
             return args.address.serve(simulation, listener);
         }
         println!("\nscripted resection");

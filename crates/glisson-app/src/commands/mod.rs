@@ -9,6 +9,8 @@ mod solve;
 mod fit;
 mod run;
 mod serve;
+mod watch;
+mod devices;
 mod replay;
 mod bench;
 mod validate;
@@ -33,6 +35,8 @@ enum Command {
     Fit(fit::Args),
     Run(run::Args),
     Serve(serve::Args),
+    Watch(watch::Args),
+    Devices(devices::Args),
     Replay(replay::Args),
     Bench(bench::Args),
     Validate(validate::Args),
@@ -51,6 +55,8 @@ pub(crate) fn run(command_line: &CommandLine) -> anyhow::Result<()> {
         Command::Fit(args) => fit::run(args),
         Command::Run(args) => run::run(args),
         Command::Serve(args) => serve::run(args),
+        Command::Watch(args) => watch::run(args),
+        Command::Devices(args) => devices::run(args),
         Command::Replay(args) => replay::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Validate(args) => validate::run(args),

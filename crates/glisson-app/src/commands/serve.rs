@@ -1,17 +1,24 @@
 //! `glisson serve`.
 
-use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink};
+use crate::devices::{self, Assignment, tools_of};
+use crate::net::link::Role;
+use crate::net::options::NetArgs;
+use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink, join};
 use crate::runtime::live::Lateness;
 use crate::runtime::{OpenScene, Simulation};
 use crate::server::access::Access;
-use crate::server::{self, Served, Service, stop_signal};
+use crate::server::{self, Served, Service, Show, stop_signal};
+use anyhow::bail;
+use glisson::tool::Tool;
 use std::net::TcpListener;
 use std::path::PathBuf;
 
 /// Serve the viewer and simulate a scene in real time.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  glisson serve out/demo/scene.toml\n  \
-    glisson serve scene.toml --port 0 --record session.jsonl\n\nStop with Ctrl-C; a recording is then completed.")]
+    glisson serve scene.toml --port 0 --record session.jsonl\n  \
+    glisson serve scene.toml --device haply --device simulated@1\n  \
+    glisson serve scene.toml --host 0.0.0.0      for other machines, with a token that is printed\n\nStop with Ctrl-C; a recording is then completed.")]
 pub(crate) struct Args {
     /// Scene file (TOML)
     scene: PathBuf,
@@ -20,9 +27,28 @@ pub(crate) struct Args {
     /// Record the session to this file
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Put an instrument into the hand at a device: NAME, or NAME@TOOL with TOOL from 0; may be given several times. `glisson
+    /// devices list` tells the names
+    #[arg(long = "device", value_name = "NAME[@TOOL]")]
+    devices: Vec<Assignment>,
+    /// Ticks a second of the haptic loop [Hz]: 100 to 4000
+    #[arg(long, value_name = "HZ", default_value_t = 1000.0)]
+    haptic_rate: f64,
+    /// Core that the haptic loop stays on; the last one that the program may use when left out
+    #[arg(long, value_name = "N")]
+    haptic_core: Option<usize>,
     /// Threads of the explicit model; the results do not depend on it
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
     threads: u8,
+    #[command(flatten)]
+    network: NetArgs,
+}
+
+/// What is on the network beside the viewer.
+#[derive(Default)]
+struct Network {
+    remote: Vec<ToolLink>,
+    shows: Vec<Show>,
 }
 
 /// Where the viewer is served.
@@ -51,7 +77,7 @@ impl Address {
 
     /// Tells the address, opens a browser where there is a display, and serves until Ctrl-C.
     pub(crate) fn serve(&self, simulation: Simulation, listener: TcpListener) -> anyhow::Result<()> {
-        self.serve_with(simulation, listener, Vec::new(), HapticSettings::default())
+        self.serve_with(simulation, listener, Vec::new(), HapticSettings::default(), Network::default())
     }
 
     /// The same with instruments that devices hold.
@@ -61,6 +87,7 @@ impl Address {
         listener: TcpListener,
         held: Vec<(HeldTool, ToolLink)>,
         haptics: HapticSettings,
+        network: Network,
     ) -> anyhow::Result<()> {
         let address = listener.local_addr()?;
         let access = Access::for_address(address.ip(), self.given_token())?;
@@ -74,7 +101,8 @@ impl Address {
                 .stderr(std::process::Stdio::null())
                 .spawn();
         }
-        let service = Service { held, haptics, ..Service::to(access) };
+        let Network { remote, shows } = network;
+        let service = Service { held, haptics, remote, shows, ..Service::to(access) };
         let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
         if let Some(haptics) = haptics {
             println!("{}", haptics.to_text());
@@ -92,9 +120,46 @@ impl Address {
     }
 }
 
+impl Args {
+    /// The instruments that devices hold; tells which.
+    fn held(&self, instruments: &[Tool]) -> anyhow::Result<Vec<(HeldTool, ToolLink)>> {
+        let mut held = Vec::new();
+        for (assignment, tool) in self.devices.iter().zip(tools_of(&self.devices, instruments.len())?) {
+            let home = instruments[tool].home;
+            let device = devices::open(&assignment.name, &home, self.haptic_rate)?;
+            println!("instrument {tool} ({}) is in the hand of: {}", instruments[tool].name, device.name);
+            held.push(join(device, tool, home));
+        }
+        Ok(held)
+    }
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let haptics = HapticSettings { rate_hz: args.haptic_rate, core: args.haptic_core };
+    let link = args.network.link()?;
+    if let Some(link) = link.as_ref().filter(|link| link.role == Role::Haptics) {
+        let source = OpenScene::read(&args.scene)?;
+        let held = args.held(&source.scene.world.tools)?;
+        return link.run_haptics(&source, held, haptics, stop_signal());
+    }
+    if link.is_some() && !args.devices.is_empty() {
+        bail!("--device with --role simulation: the devices are at the machine with --role haptics");
+    }
     let listener = args.address.bind()?;
     let source = OpenScene { n_threads: usize::from(args.threads), ..OpenScene::read(&args.scene)? };
+    let scene_text = source.scene.text.clone();
     let simulation = Simulation::open(source, args.record.as_deref())?;
-    args.address.serve(simulation, listener)
+    let held = args.held(simulation.world().tools())?;
+    let mut network = Network { shows: args.network.shows(&simulation)?, remote: Vec::new() };
+    let mut conversation = None;
+    if let Some(link) = &link {
+        let (started, remote) = link.start_simulation(&simulation, &scene_text)?;
+        conversation = Some(started);
+        network.remote = remote;
+    }
+    args.address.serve_with(simulation, listener, held, haptics, network)?;
+    if let Some(conversation) = conversation {
+        println!("{}", conversation.report().to_text());
+    }
+    Ok(())
 }

@@ -35,9 +35,13 @@ const MARGIN_M: f64 = 12e-3;
 /// Distance between two circles [m], below the width of what the hook burns.
 const LEVEL_M: f64 = 5e-3;
 /// How fast the hook is led [m/s].
-const SPEED_M_PER_S: f64 = 0.1;
+const SPEED_M_PER_S: f64 = 0.2;
 /// Points on a circle.
 const CORNERS: usize = 24;
+/// A hook that feels more than this [N] for so long [s] is stuck, and the script stops: choices, well above the 3 N at which
+/// liver gives way to its tip and beyond the time of a jerk.
+const STUCK_N: f64 = 10.0;
+const STUCK_S: f64 = 0.25;
 /// How far the piece is lifted in the end [m].
 const LIFT_M: f64 = 0.06;
 
@@ -173,9 +177,9 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
     let mut text = format!(
         "# Written by `glisson demo --task resection`. Positions are in the patient frame (LPS).\n\
          glisson_scene = 1\nname = \"Resection of a tumour from a synthetic patient's liver\"\n\n\
-         [simulation]\ntime_step = \"0.1 ms\"\n\n\
+         [simulation]\ntime_step = \"0.2 ms\"\n\n\
          [organ]\nmesh = \"{}\"\ntissue = \"liver\"\nmodel = \"explicit\"\nlaw = \"stable_neo_hooke\"\ndamping = \"20 1/s\"\n\
-         vessels = \"vessels.csv\"\n\n\
+         vessels = \"vessels.csv\"\ntearing = true\n\n\
          [[organ.fixed]]\nfurthest = {{ direction = [0.0, 1.0, 0.4], fraction = 0.1 }}\n\n\
          # The assisting hand holds the tissue over the tumour.\n\
          [[tool]]\nname = \"grasper\"\nkind = \"grasper\"\ntip_radius = \"2.5 mm\"\nclosing_force = \"10 N\"\nfriction = 0.8\n\
@@ -288,7 +292,7 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     let shots = [(0.0, "before"), (0.3, "burning"), (0.8, "beneath"), (1.0, "lifted")];
     let mut moments = shots.iter().map(|(share, name)| ((share * steps as f64) as u64, *name)).peekable();
     let mut pictures = Vec::new();
-    let (mut greatest_n, mut held_steps) = ([0.0_f64; 2], 0u64);
+    let (mut greatest_n, mut held_steps, mut stuck_s) = ([0.0_f64; 2], 0u64, 0.0);
     let progress = indicatif::ProgressBar::new(steps);
     for step in 0..=steps {
         if let Some((_, name)) = moments.next_if(|(at, _)| *at <= step) {
@@ -304,6 +308,13 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
             *greatest = greatest.max(tool.force_on_tool_n.length());
         }
         held_steps += u64::from(report.tools[0].n_held_nodes > 0);
+        let hook_n = report.tools[1].force_on_tool_n.length();
+        stuck_s = if hook_n > STUCK_N { stuck_s + time_step_s } else { 0.0 };
+        ensure!(
+            stuck_s < STUCK_S,
+            "the hook is stuck at {:.2} s: {hook_n:.1} N for {STUCK_S} s, and tissue gives way at some 3 N; the script stops",
+            step as f64 * time_step_s
+        );
         if step % 500 == 0 {
             progress.set_position(step);
         }
@@ -312,7 +323,7 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     let outcome = outcome(simulation.world(), plan.tumour);
     let vessels = simulation.world().vessels();
     let (lost_ml, open_ends) = vessels.map_or((0.0, 0), |v| (1e6 * v.lost_m3(), v.open_ends().len()));
-    let notices = simulation.notices().to_vec();
+    let (notices, n_torn) = (simulation.notices().to_vec(), simulation.n_torn());
     let state_hash = simulation.finish()?;
     let session = read_session(&session_file)?;
     let replayed = replay::replay(&session, &files.folder, |_| Ok(()))?;
@@ -322,7 +333,7 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     );
     let report = json!({
         "steps": steps, "simulated_s": end_s,
-        "tetrahedra_removed": outcome.n_removed, "burnt_ml": outcome.burnt_ml,
+        "tetrahedra_removed": outcome.n_removed, "tetrahedra_torn": n_torn, "burnt_ml": outcome.burnt_ml,
         "pieces": outcome.pieces, "specimen_ml": outcome.specimen_ml,
         "specimen_is_free": outcome.is_free, "tumour_in_specimen": outcome.tumour_in_specimen, "least_margin_m": outcome.margin_m,
         "blood_lost_ml": lost_ml, "open_vessel_ends": open_ends,
@@ -342,7 +353,10 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     text += "\n| what | value |\n|---|---|\n";
     for (what, value) in [
         ("steps", format!("{steps} of {} ms", time_step_s * 1e3)),
-        ("tissue burnt away", format!("{} tetrahedra, {:.1} ml", outcome.n_removed, outcome.burnt_ml)),
+        (
+            "tissue burnt away or torn",
+            format!("{} tetrahedra, {:.1} ml; {n_torn} of them torn", outcome.n_removed, outcome.burnt_ml),
+        ),
         ("pieces of the organ", outcome.pieces.to_string()),
         (
             "piece with the tumour",

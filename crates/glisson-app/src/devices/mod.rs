@@ -1,3 +1,364 @@
-//! Force-feedback devices: drivers behind [`glisson::haptics::HapticDevice`].
+//! Force-feedback devices: drivers behind [`glisson::haptics::HapticDevice`], and the names by which a user asks for them.
 
+mod driver;
+mod force_dimension;
+mod haply;
+mod openhaptics;
+mod replayed;
 pub(crate) mod trocar_board;
+mod vendor;
+
+use anyhow::{Context, bail, ensure};
+use glam::DQuat;
+use glisson::haptics::mapping::patient_from_desk;
+use glisson::haptics::trocar::TrocarProfile;
+use glisson::haptics::{
+    DeviceMapping, HandPath, HandSettings, HapticDevice, SimulatedDevice, SimulatedDeviceSettings,
+};
+use glisson::math::{DMat3, DVec3};
+use glisson::tool::ToolInput;
+use std::path::PathBuf;
+use trocar_board::BoardSettings;
+
+/// A device as the user names it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum DeviceName {
+    /// A simulated device with a hand that pushes by itself.
+    Simulated,
+    /// An instrument of a recorded session.
+    Replay {
+        session: PathBuf,
+        tool: usize,
+    },
+    /// Haply Inverse3 behind the service at `host:port`.
+    Haply {
+        address: String,
+    },
+    ForceDimension,
+    /// By its name in the maker's configuration; the default one for none.
+    OpenHaptics {
+        name: Option<String>,
+    },
+    /// The active trocar whose board listens at `host:port`; a simulated one for none.
+    Trocar {
+        address: Option<String>,
+    },
+}
+
+/// An open device, and how its motion becomes an instrument's.
+pub(crate) struct OpenDevice {
+    pub(crate) device: Box<dyn HapticDevice>,
+    /// What the user calls it.
+    pub(crate) name: String,
+    /// From its axes to the patient's.
+    pub(crate) world_from_device: DQuat,
+    /// Whether its handle tells where it points; otherwise the instrument keeps the direction of its home.
+    pub(crate) tells_orientation: bool,
+    /// Whether it has a button to move the handle aside.
+    pub(crate) has_clutch: bool,
+}
+
+/// One kind of device, for lists.
+pub(crate) struct Kind {
+    /// How it is named.
+    pub(crate) pattern: &'static str,
+    /// What it is.
+    pub(crate) about: &'static str,
+}
+
+/// Every kind, in the order of lists.
+pub(crate) const KINDS: &[Kind] = &[
+    Kind { pattern: "simulated", about: "a simulated device with a hand that pushes up and down by itself" },
+    Kind {
+        pattern: "replay:FILE[:TOOL]",
+        about: "an instrument of a recorded session (TOOL from 0; default 0)",
+    },
+    Kind {
+        pattern: "haply[:HOST:PORT]",
+        about: "Haply Inverse3 through Haply's Inverse Service (default 127.0.0.1:10001)",
+    },
+    Kind {
+        pattern: "force-dimension",
+        about: "omega, delta, sigma, lambda, Falcon through Force Dimension's library",
+    },
+    Kind {
+        pattern: "openhaptics[:NAME]",
+        about: "3D Systems Touch, Phantom through the OpenHaptics library",
+    },
+    Kind {
+        pattern: "trocar[:HOST:PORT]",
+        about: "the active trocar behind its board; without an address a simulated one",
+    },
+];
+
+impl std::str::FromStr for DeviceName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
+        let without = |name: Self| match rest {
+            None => Ok(name),
+            Some(rest) => Err(format!("\"{kind}\" takes nothing after it; found \"{rest}\"")),
+        };
+        match kind {
+            "simulated" => without(Self::Simulated),
+            "force-dimension" => without(Self::ForceDimension),
+            "openhaptics" => Ok(Self::OpenHaptics { name: rest.map(str::to_owned) }),
+            "haply" => Ok(Self::Haply { address: host_and_port(rest.unwrap_or(haply::ADDRESS))? }),
+            "trocar" => Ok(Self::Trocar { address: rest.map(host_and_port).transpose()? }),
+            "replay" => {
+                let rest =
+                    rest.filter(|rest| !rest.is_empty()).ok_or("replay needs a session: replay:FILE")?;
+                let (file, tool) = match rest.rsplit_once(':') {
+                    Some((file, tool)) if tool.parse::<usize>().is_ok() => (file, tool.parse().unwrap_or(0)),
+                    _ => (rest, 0),
+                };
+                Ok(Self::Replay { session: file.into(), tool })
+            }
+            other => {
+                let known: Vec<&str> = KINDS.iter().map(|kind| kind.pattern).collect();
+                let names = ["simulated", "replay", "haply", "force-dimension", "openhaptics", "trocar"];
+                let hint = glisson::text::did_you_mean(other, &names);
+                Err(format!("there is no device \"{other}\"{hint}; known: {}", known.join(", ")))
+            }
+        }
+    }
+}
+
+fn host_and_port(text: &str) -> Result<String, String> {
+    let is_sound = text
+        .rsplit_once(':')
+        .is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok_and(|p| p > 0));
+    if is_sound { Ok(text.to_owned()) } else { Err(format!("\"{text}\" is not HOST:PORT")) }
+}
+
+/// Axes of patients from those of Force Dimension's devices: their +x to the user is inferior, +y to his right is the
+/// patient's left, +z up is anterior, for a user who looks at a supine patient from the feet.
+fn patient_from_force_dimension() -> DQuat {
+    DQuat::from_mat3(&DMat3::from_cols(DVec3::NEG_Z, DVec3::X, DVec3::NEG_Y))
+}
+
+/// Axes of patients from those of an Inverse3 as its maker ships it: +x to the user's right, +y away from him, +z up; the
+/// same user.
+fn patient_from_haply() -> DQuat {
+    DQuat::from_mat3(&DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y))
+}
+
+/// How deep the simulated hand pushes beyond where it starts [m], and how often [Hz].
+const PUSH_M: f64 = 0.010;
+const PUSHES_HZ: f64 = 1.0;
+
+/// A simulated device whose hand pushes along its -z, and the seed of its noise.
+pub(crate) fn pushing_device(rate_hz: f64, seed: u64) -> SimulatedDevice {
+    let half_m = DVec3::Z * (PUSH_M / 2.0);
+    let path = HandPath::Swing { center_m: -half_m, amplitude_m: -half_m, frequency_hz: PUSHES_HZ };
+    let settings = SimulatedDeviceSettings { rate_hz, ..SimulatedDeviceSettings::default() };
+    SimulatedDevice::new(&settings, &HandSettings::default(), path, seed)
+}
+
+/// Opens a device for an instrument whose home is `home`.
+///
+/// # Errors
+/// When it is not there, with what to do.
+pub(crate) fn open(name: &DeviceName, home: &ToolInput, rate_hz: f64) -> anyhow::Result<OpenDevice> {
+    let plain = |device: Box<dyn HapticDevice>, name: &str, world_from_device| OpenDevice {
+        device,
+        name: name.to_owned(),
+        world_from_device,
+        tells_orientation: true,
+        has_clutch: true,
+    };
+    Ok(match name {
+        DeviceName::Simulated => {
+            // It pushes along the instrument.
+            let along = DQuat::from_rotation_arc(DVec3::Z, home.shaft_in_world.normalize());
+            let device = Box::new(pushing_device(rate_hz, 1));
+            let plain = plain(device, "simulated", along);
+            OpenDevice { tells_orientation: false, has_clutch: false, ..plain }
+        }
+        DeviceName::Replay { session, tool } => {
+            let device = replayed::ReplayedDevice::open(session, *tool, rate_hz)?;
+            let name = format!("replay of {}", session.display());
+            OpenDevice { has_clutch: false, ..plain(Box::new(device), &name, DQuat::IDENTITY) }
+        }
+        DeviceName::Haply { address } => plain(haply::open(address)?, "Haply Inverse3", patient_from_haply()),
+        DeviceName::ForceDimension => {
+            let (device, name) = force_dimension::open(None)?;
+            plain(device, &format!("Force Dimension {name}"), patient_from_force_dimension())
+        }
+        DeviceName::OpenHaptics { name } => {
+            let (device, name) = openhaptics::open(name.as_deref(), None)?;
+            plain(device, &format!("OpenHaptics {name}"), patient_from_desk())
+        }
+        DeviceName::Trocar { address } => {
+            let settings = BoardSettings::new(TrocarProfile::built());
+            let (device, name): (Box<dyn HapticDevice>, String) = match address {
+                Some(address) => {
+                    let device = trocar_board::connect(address, settings)?;
+                    (Box::new(device), format!("active trocar at {address}"))
+                }
+                None => (Box::new(trocar_board::simulated(settings, 1)), "simulated active trocar".into()),
+            };
+            // Its axis at rest is the instrument's.
+            let along = DQuat::from_rotation_arc(DVec3::Z, home.shaft_in_world.normalize());
+            OpenDevice { has_clutch: false, ..plain(device, &name, along) }
+        }
+    })
+}
+
+impl OpenDevice {
+    /// The mapping that has the handle where it is now, `start_m` in its own frame, hold the instrument at its home.
+    pub(crate) fn mapping(&self, start_m: DVec3, home: &ToolInput) -> DeviceMapping {
+        DeviceMapping {
+            world_from_device: self.world_from_device,
+            device_origin_m: start_m,
+            world_origin_m: home.tip_in_world_m,
+            clutch_button: self.has_clutch.then_some(1),
+            ..DeviceMapping::default()
+        }
+    }
+}
+
+/// Which device holds which instrument, as on the command line: `NAME` or `NAME@TOOL`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Assignment {
+    pub(crate) name: DeviceName,
+    /// Number of the instrument, from 0; the next free one for none.
+    pub(crate) tool: Option<usize>,
+}
+
+impl std::str::FromStr for Assignment {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, tool) = match text.rsplit_once('@') {
+            Some((name, tool)) if tool.bytes().all(|b| b.is_ascii_digit()) && !tool.is_empty() => {
+                let tool = tool.parse().map_err(|_| format!("\"{tool}\" is no number of an instrument"))?;
+                (name, Some(tool))
+            }
+            _ => (text, None),
+        };
+        Ok(Self { name: name.parse()?, tool })
+    }
+}
+
+/// The instrument of each assignment.
+///
+/// # Errors
+/// For an instrument that the scene does not have, or two devices for one.
+pub(crate) fn tools_of(assignments: &[Assignment], n_tools: usize) -> anyhow::Result<Vec<usize>> {
+    let mut taken: Vec<usize> = assignments.iter().filter_map(|a| a.tool).collect();
+    let mut tools = Vec::new();
+    for assignment in assignments {
+        let tool = match assignment.tool {
+            Some(tool) => tool,
+            None => {
+                let free = (0..n_tools).find(|tool| !taken.contains(tool));
+                let free = free.with_context(|| {
+                    format!("{} devices, but the scene has {n_tools} instruments", assignments.len())
+                })?;
+                taken.push(free);
+                free
+            }
+        };
+        ensure!(tool < n_tools, "there is no instrument {tool}: the scene has {n_tools}, numbered from 0");
+        if tools.contains(&tool) {
+            bail!("two devices hold instrument {tool}");
+        }
+        tools.push(tool);
+    }
+    Ok(tools)
+}
+
+/// A maker's library or service, for `glisson devices doctor`.
+pub(crate) struct Finding {
+    pub(crate) what: String,
+    pub(crate) is_good: bool,
+    pub(crate) text: String,
+}
+
+/// Looks for libraries and services; opens no device.
+pub(crate) fn examine(haply_address: &str) -> Vec<Finding> {
+    let of = |what: &str, answer: anyhow::Result<String>| Finding {
+        what: what.to_owned(),
+        is_good: answer.is_ok(),
+        text: answer.unwrap_or_else(|error| format!("{error:#}")),
+    };
+    let library = |library: &vendor::VendorLibrary| {
+        of(library.name, library.load(None).map(|(_, path)| format!("{} can be loaded", path.display())))
+    };
+    vec![
+        of("Haply Inverse Service", haply::examine(haply_address)),
+        library(&force_dimension::LIBRARY),
+        library(&openhaptics::LIBRARY),
+    ]
+}
+
+/// Where Haply's service listens unless told otherwise.
+pub(crate) const HAPLY_ADDRESS: &str = haply::ADDRESS;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_and_mistakes_told() {
+        let of = |text: &str| text.parse::<Assignment>();
+        let name = |text: &str| of(text).unwrap().name;
+        assert_eq!(of("simulated@2").unwrap(), Assignment { name: DeviceName::Simulated, tool: Some(2) });
+        assert_eq!(name("haply"), DeviceName::Haply { address: "127.0.0.1:10001".into() });
+        assert_eq!(name("haply:10.0.0.7:9000"), DeviceName::Haply { address: "10.0.0.7:9000".into() });
+        assert_eq!(
+            name("openhaptics:Left Device").clone(),
+            DeviceName::OpenHaptics { name: Some("Left Device".into()) }
+        );
+        let session = PathBuf::from("C:a@b/s.jsonl");
+        assert_eq!(name("replay:C:a@b/s.jsonl:3"), DeviceName::Replay { session: session.clone(), tool: 3 });
+        assert_eq!(name("replay:C:a@b/s.jsonl"), DeviceName::Replay { session, tool: 0 });
+        for (bad, part) in [
+            ("haptly", "did you mean \"haply\""),
+            ("haply:there", "HOST:PORT"),
+            ("trocar:there", "HOST:PORT"),
+            ("haply:there:0", "HOST:PORT"),
+            ("simulated:3", "takes nothing"),
+            ("replay:", "replay:FILE"),
+            ("", "known: simulated"),
+            ("simulated@99999999999999999999999", "no number"),
+        ] {
+            let error = of(bad).unwrap_err();
+            assert!(error.contains(part), "{bad}: {error}");
+        }
+    }
+
+    #[test]
+    fn each_instrument_has_one_device() {
+        let tools = |names: &[&str], n| {
+            let list: Vec<Assignment> = names.iter().map(|name| name.parse().unwrap()).collect();
+            tools_of(&list, n).map_err(|e| e.to_string())
+        };
+        assert_eq!(tools(&["simulated", "simulated@0", "haply"], 3), Ok(vec![1, 0, 2]));
+        assert!(tools(&["simulated@1", "haply@1"], 2).unwrap_err().contains("two devices hold instrument 1"));
+        assert!(tools(&["simulated@2"], 2).unwrap_err().contains("the scene has 2"));
+        assert!(tools(&["simulated", "haply"], 1).unwrap_err().contains("has 1 instruments"));
+    }
+
+    #[test]
+    fn mappings_turn_axes_without_mirroring_them() {
+        for (turn, to_user) in
+            [(patient_from_force_dimension(), DVec3::X), (patient_from_haply(), DVec3::NEG_Y)]
+        {
+            assert!((turn.length() - 1.0).abs() < 1e-15);
+            // To the user is to the patient's feet, up is to the front.
+            assert!((turn * to_user).abs_diff_eq(DVec3::NEG_Z, 1e-15));
+            assert!((turn * DVec3::Z).abs_diff_eq(DVec3::NEG_Y, 1e-15));
+        }
+    }
+
+    #[test]
+    fn a_doctor_finds_no_vendor_here_and_says_what_to_do() {
+        // Nobody listens on port 1.
+        let findings = examine("127.0.0.1:1");
+        assert_eq!(findings.len(), 3);
+        assert!(!findings[0].is_good && findings[0].text.contains("Inverse Service"), "{}", findings[0].text);
+    }
+}

@@ -2,7 +2,8 @@
 //! and the third holds the newest value (triple buffer).
 
 use std::sync::atomic::{AtomicU8, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::thread::Thread;
 
 /// The slot in the middle holds a value that the reader has not seen.
 const IS_NEW: u8 = 4;
@@ -13,6 +14,8 @@ struct Shared<T> {
     /// Nobody ever waits for one.
     slots: [Mutex<T>; 3],
     middle: AtomicU8,
+    /// Who sleeps until something is published.
+    sleeper: OnceLock<Thread>,
 }
 
 /// The side that gives.
@@ -30,7 +33,7 @@ pub(crate) struct Latest<T> {
 /// Both sides; until something is published the latest value is `first`.
 pub(crate) fn exchange<T: Clone>(first: T) -> (Publisher<T>, Latest<T>) {
     let slots = [Mutex::new(first.clone()), Mutex::new(first.clone()), Mutex::new(first)];
-    let shared = Arc::new(Shared { slots, middle: AtomicU8::new(1) });
+    let shared = Arc::new(Shared { slots, middle: AtomicU8::new(1), sleeper: OnceLock::new() });
     (Publisher { shared: Arc::clone(&shared), own: 0 }, Latest { shared, own: 2 })
 }
 
@@ -44,6 +47,16 @@ impl<T> Publisher<T> {
             return;
         }
         self.own = self.shared.middle.swap(self.own | IS_NEW, Ordering::AcqRel) & SLOT;
+        if let Some(sleeper) = self.shared.sleeper.get() {
+            sleeper.unpark();
+        }
+    }
+}
+
+impl<T> Latest<T> {
+    /// From now on `thread` is unparked when something is published; the first one that is named stays.
+    pub(crate) fn wakes(&self, thread: Thread) {
+        let _ = self.shared.sleeper.set(thread);
     }
 }
 

@@ -4,8 +4,11 @@
 use super::exchange::{Latest, Publisher, exchange};
 use super::histogram::{Histogram, Percentiles};
 use super::realtime::{Scheduling, make_punctual, now_ns, wait_until};
+use crate::devices::OpenDevice;
 use anyhow::{Context, ensure};
-use glisson::haptics::{DeviceFault, DeviceState, ForceCommand, HapticDevice, HapticModel};
+use glisson::haptics::{
+    DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, LawSettings, LawTick,
+};
 use glisson::tool::ToolInput;
 use std::borrow::Cow;
 use std::ops::RangeInclusive;
@@ -67,13 +70,14 @@ pub(crate) enum DeviceStatus {
 
 /// The haptic loop's end of an instrument.
 pub(crate) struct HeldTool {
-    device: Box<dyn HapticDevice>,
-    law: PlainLaw,
+    device: OpenDevice,
+    home: ToolInput,
+    /// None until the device has said where it is.
+    law: Option<HapticLaw>,
     models: Latest<PublishedModel>,
     motions: Publisher<Motion>,
     statuses: Publisher<DeviceStatus>,
     status: DeviceStatus,
-    last_pose: ToolInput,
 }
 
 /// The simulation's end of an instrument.
@@ -88,18 +92,13 @@ pub(crate) struct ToolLink {
 }
 
 /// Puts instrument `tool`, whose home is `home`, into the hand at `device`.
-pub(crate) fn join(
-    device: Box<dyn HapticDevice>,
-    device_name: String,
-    tool: usize,
-    home: ToolInput,
-) -> (HeldTool, ToolLink) {
+pub(crate) fn join(device: OpenDevice, tool: usize, home: ToolInput) -> (HeldTool, ToolLink) {
     let (models_in, models) = exchange(PublishedModel::default());
     let (motions, motions_out) = exchange(Motion { pose: home, is_held: false });
     let (statuses, statuses_out) = exchange(DeviceStatus::Waiting);
-    let law = PlainLaw { home, start: None };
+    let device_name = device.name.clone();
     let status = DeviceStatus::Waiting;
-    let held = HeldTool { device, law, models, motions, statuses, status, last_pose: home };
+    let held = HeldTool { device, home, law: None, models, motions, statuses, status };
     let link =
         ToolLink { tool, device_name, models: models_in, motions: motions_out, statuses: statuses_out };
     (held, link)
@@ -111,34 +110,48 @@ impl HeldTool {
             return;
         }
         let read_ns = now_ns();
-        let state = self.device.read().and_then(|state| {
-            if is_finite(&state) {
-                Ok(state)
-            } else {
-                Err(DeviceFault::Lost("it sends numbers that are not finite".into()))
-            }
+        let state = self.device.device.read().and_then(|state| {
+            let fault = || DeviceFault::Lost("it sends numbers that are not finite".into());
+            is_finite(&state).then_some(state).ok_or_else(fault)
         });
         let published = self.models.get();
         let answer = match state {
             Ok(state) => {
-                let age_ns = read_ns.saturating_sub(published.made_ns);
-                if let Some(meters) = meters
-                    && published.made_ns > 0
-                {
-                    meters.model_age.record(age_ns);
-                }
-                let (command, pose) = self.law.tick(&state, &published.model, age_ns as f64 * 1e-9, dt_s);
-                self.last_pose = pose;
+                // Until there is a model the instrument is in free space.
+                let age_ns =
+                    if published.made_ns == 0 { 0 } else { read_ns.saturating_sub(published.made_ns) };
+                let law = self.law.get_or_insert_with(|| {
+                    let mapping = self.device.mapping(state.position_m, &self.home);
+                    let settings = LawSettings { mapping, ..LawSettings::default() };
+                    HapticLaw::new(&settings, &self.device.device.limits())
+                });
+                let LawTick { command, tool, report } =
+                    law.tick(&state, &published.model, age_ns as f64 * 1e-9, dt_s);
+                let pose = if self.device.tells_orientation {
+                    tool
+                } else {
+                    let ToolInput { shaft_in_world, roll_rad, .. } = self.home;
+                    ToolInput { shaft_in_world, roll_rad, ..tool }
+                };
                 self.motions.publish(Motion { pose, is_held: true });
-                let written = self.device.write(&command);
+                let written = self.device.device.write(&command);
                 if let Some(meters) = meters {
+                    if published.made_ns > 0 {
+                        meters.model_age.record(age_ns);
+                    }
                     meters.motion_to_force.record(now_ns().saturating_sub(read_ns));
+                    Meters::add(&meters.n_saturated, u64::from(report.is_saturated));
+                    Meters::add(&meters.n_stale, u64::from(report.is_stale));
                 }
                 written
             }
             Err(fault) => {
-                self.motions.publish(Motion { pose: self.last_pose, is_held: false });
-                self.law.restart();
+                if let Some(law) = &mut self.law {
+                    let LawTick { command, tool, .. } = law.lost(dt_s);
+                    self.motions.publish(Motion { pose: tool, is_held: false });
+                    // It may still listen.
+                    let _ = self.device.device.write(&command);
+                }
                 Err(fault)
             }
         };
@@ -166,35 +179,14 @@ fn is_finite(state: &DeviceState) -> bool {
         && state.jaw_opening.is_finite()
 }
 
-/// The force of the model on a tool that moves as the handle does.
-struct PlainLaw {
-    home: ToolInput,
-    start: Option<glisson::math::DVec3>,
-}
-
-impl PlainLaw {
-    fn tick(
-        &mut self,
-        state: &DeviceState,
-        model: &HapticModel,
-        age_s: f64,
-        _dt_s: f64,
-    ) -> (ForceCommand, ToolInput) {
-        let start = *self.start.get_or_insert(state.position_m);
-        let tip_in_world_m = self.home.tip_in_world_m + state.position_m - start;
-        let force_n = model.force_at(tip_in_world_m, age_s);
-        (ForceCommand { force_n, ..ForceCommand::default() }, ToolInput { tip_in_world_m, ..self.home })
-    }
-
-    fn restart(&mut self) {}
-}
-
 /// What the loop measures about itself; any thread may look.
 #[derive(Debug, Default)]
 pub(crate) struct Meters {
     n_deadlines: AtomicU64,
     n_missed: AtomicU64,
     n_ticks: AtomicU64,
+    n_saturated: AtomicU64,
+    n_stale: AtomicU64,
     counted_ns: AtomicU64,
     jitter: Histogram,
     motion_to_force: Histogram,
@@ -211,8 +203,14 @@ pub(crate) struct HapticReport {
     pub(crate) n_deadlines: u64,
     /// Deadlines whose tick began more than two periods late.
     pub(crate) n_missed: u64,
+    /// Ticks at which more than the device's largest force was wanted.
+    pub(crate) n_saturated: u64,
+    /// Ticks at which the model was so old that the force was taken back.
+    pub(crate) n_stale: u64,
     /// Interval between two ticks less the period, without its sign.
     pub(crate) jitter: Percentiles,
+    /// Ends of octaves [ns] and how many intervals lie in each.
+    pub(crate) jitter_octaves: Vec<(u64, u64)>,
     /// From reading a handle to the end of writing its force.
     pub(crate) motion_to_force: Percentiles,
     /// Age of the model when it is evaluated.
@@ -235,7 +233,10 @@ impl Meters {
             rate_hz: if counted_s > 0.0 { of(&self.n_ticks) as f64 / counted_s } else { 0.0 },
             n_deadlines: of(&self.n_deadlines),
             n_missed: of(&self.n_missed),
+            n_saturated: of(&self.n_saturated),
+            n_stale: of(&self.n_stale),
             jitter: self.jitter.percentiles(),
+            jitter_octaves: self.jitter.octaves(),
             motion_to_force: self.motion_to_force.percentiles(),
             model_age: self.model_age.percentiles(),
             work: self.work.percentiles(),
@@ -274,12 +275,17 @@ impl HapticReport {
     /// The fields of `glisson bench haptics` and of the viewer's `timing` message.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         let scheduling = self.scheduling.as_ref();
+        let octaves: Vec<(f64, u64)> =
+            self.jitter_octaves.iter().map(|&(end_ns, n)| (end_ns as f64 * 1e-3, n)).collect();
         serde_json::json!({
             "rate_hz": (self.rate_hz * 100.0).round() / 100.0,
             "deadlines": self.n_deadlines,
             "missed_deadlines": self.n_missed,
             "missed_percent": self.missed_percent(),
+            "saturated_ticks": self.n_saturated,
+            "stale_ticks": self.n_stale,
             "jitter_us": self.jitter.to_json(1e3),
+            "jitter_histogram_us": octaves,
             "motion_to_force_us": self.motion_to_force.to_json(1e3),
             "local_model_age_ms": self.model_age.to_json(1e6),
             "tick_us": self.work.to_json(1e3),
@@ -305,11 +311,15 @@ pub(crate) struct HapticLoop {
 }
 
 impl HapticLoop {
-    /// Starts it.
+    /// Starts it; it adds what it measures to `meters`, which no other loop may fill at the same time.
     ///
     /// # Errors
     /// For a rate outside [`RATES_HZ`], or when no thread can be started.
-    pub(crate) fn start(tools: Vec<HeldTool>, settings: HapticSettings) -> anyhow::Result<Self> {
+    pub(crate) fn start(
+        tools: Vec<HeldTool>,
+        settings: HapticSettings,
+        meters: Arc<Meters>,
+    ) -> anyhow::Result<Self> {
         let HapticSettings { rate_hz, core } = settings;
         ensure!(
             RATES_HZ.contains(&rate_hz),
@@ -318,12 +328,11 @@ impl HapticLoop {
             RATES_HZ.end()
         );
         let stop = Arc::new(AtomicBool::new(false));
-        let meters = Arc::new(Meters::default());
         let (stop_seen, own_meters) = (Arc::clone(&stop), Arc::clone(&meters));
         let thread = std::thread::Builder::new()
             .name("haptics".into())
             .spawn(move || {
-                // It is set here only.
+                // An earlier loop may have set it to the same.
                 let _ = own_meters.scheduling.set(make_punctual(core));
                 run(tools, rate_hz, &own_meters, &stop_seen);
             })
@@ -376,18 +385,18 @@ fn run(mut tools: Vec<HeldTool>, rate_hz: f64, meters: &Meters, stop: &AtomicBoo
     }
     for tool in &mut tools {
         // A device that does not answer any more goes to zero by itself.
-        let _ = tool.device.write(&ForceCommand::default());
+        let _ = tool.device.device.write(&ForceCommand::default());
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glisson::haptics::{DeviceLimits, Touch};
+    use glisson::haptics::{DeviceLimits, HapticDevice, Touch};
     use glisson::math::{DMat3, DVec3};
     use std::sync::Mutex;
 
-    /// Moves 1 mm a tick along x; notes what it is told; faults at some ticks.
+    /// Moves 10 um a tick along x; notes what it is told; faults at some ticks.
     struct Scripted {
         n_reads: u64,
         faults: fn(u64) -> Option<DeviceFault>,
@@ -414,8 +423,8 @@ mod tests {
             }
             let not_finite = if self.n_reads == 7 { f64::NAN } else { 0.0 };
             Ok(DeviceState {
-                position_m: DVec3::new(1e-3 * self.n_reads as f64, not_finite, 0.0),
-                velocity_m_per_s: DVec3::X,
+                position_m: DVec3::new(1e-5 * self.n_reads as f64, not_finite, 0.0),
+                velocity_m_per_s: DVec3::X * 1e-2,
                 orientation: glam::DQuat::IDENTITY,
                 jaw_opening: 0.0,
                 buttons: 0,
@@ -435,8 +444,15 @@ mod tests {
     fn scripted(faults: fn(u64) -> Option<DeviceFault>) -> (HeldTool, ToolLink, Arc<Mutex<Vec<DVec3>>>) {
         let forces = Arc::new(Mutex::new(Vec::with_capacity(1_000)));
         let device = Scripted { n_reads: 0, faults, forces: Arc::clone(&forces) };
-        let home = ToolInput::at(DVec3::ZERO, DVec3::Z);
-        let (held, link) = join(Box::new(device), "scripted".into(), 0, home);
+        let home = ToolInput::at(DVec3::Y, DVec3::Z);
+        let device = OpenDevice {
+            device: Box::new(device),
+            name: "scripted".into(),
+            world_from_device: glam::DQuat::IDENTITY,
+            tells_orientation: false,
+            has_clutch: false,
+        };
+        let (held, link) = join(device, 0, home);
         (held, link, forces)
     }
 
@@ -450,20 +466,27 @@ mod tests {
 
     #[test]
     fn motion_goes_to_the_simulation_and_the_force_of_its_model_to_the_device() {
-        let (mut held, mut link, forces) = scripted(|_| None);
-        held.tick(1e-3, None);
-        let model = HapticModel {
-            touch: Touch::Grasp,
-            stiffness_n_per_m: DMat3::from_diagonal(DVec3::splat(100.0)),
-            ..HapticModel::default()
-        };
-        link.models.publish(PublishedModel { model, made_ns: now_ns() });
-        held.tick(1e-3, None);
+        let (mut held, mut link, forces) = scripted(|n| (n == 7).then(|| DeviceFault::Lost("away".into())));
         held.tick(1e-3, None);
         let motion = link.motions.get();
-        assert!(motion.is_held && motion.pose.tip_in_world_m.distance(DVec3::X * 2e-3) < 1e-15, "{motion:?}");
+        assert_eq!((motion.is_held, motion.pose), (true, ToolInput::at(DVec3::Y, DVec3::Z)));
+        let model = HapticModel {
+            touch: Touch::Grasp,
+            tip_m: DVec3::Y,
+            stiffness_n_per_m: DMat3::from_diagonal(DVec3::splat(300.0)),
+            hold_n: f64::INFINITY,
+            ..HapticModel::default()
+        };
+        for _ in 0..300 {
+            link.models.publish(PublishedModel { model, made_ns: now_ns() });
+            held.tick(1e-3, None);
+        }
+        let motion = link.motions.get();
+        assert!(motion.is_held && motion.pose.tip_in_world_m.x > 1e-3, "{motion:?}");
+        assert_eq!(motion.pose.shaft_in_world, DVec3::Z);
         let forces = forces.lock().unwrap();
-        assert!(forces[0] == DVec3::ZERO && (forces[2].x + 0.2).abs() < 1e-12, "{forces:?}");
+        // Held at its first place, it pulls back.
+        assert!(forces[0] == DVec3::ZERO && forces[forces.len() - 1].x < -0.1, "{:?}", forces.last());
         assert_eq!(link.statuses.get_new(), Some(DeviceStatus::Works));
     }
 
@@ -491,7 +514,8 @@ mod tests {
         ];
         assert_eq!(seen, expected);
         assert!(!link.motions.get().is_held);
-        assert_eq!(forces.lock().unwrap().len(), 6);
+        // Also while it was lost it was told what to do; after the end it was left alone.
+        assert_eq!(forces.lock().unwrap().len(), 10);
     }
 
     #[test]
@@ -506,14 +530,23 @@ mod tests {
             }
         });
         assert_eq!(counted.count_total, 0);
-        assert_eq!(meters.report().motion_to_force.n, 49);
+        // Of 49 answers the seventh is no number.
+        assert_eq!(meters.report().motion_to_force.n, 48);
     }
 
     #[test]
     fn the_loop_keeps_its_rate_measures_itself_and_ends_with_no_force() {
         let (held, mut link, forces) = scripted(|_| None);
-        let haptics = HapticLoop::start(vec![held], HapticSettings { rate_hz: 2_000.0, core: None }).unwrap();
-        let push = HapticModel { touch: Touch::Grasp, force_n: DVec3::Y, ..HapticModel::default() };
+        let haptics =
+            HapticLoop::start(vec![held], HapticSettings { rate_hz: 2_000.0, core: None }, Arc::default())
+                .unwrap();
+        let push = HapticModel {
+            touch: Touch::Grasp,
+            tip_m: DVec3::Y,
+            force_n: DVec3::Y,
+            hold_n: f64::INFINITY,
+            ..HapticModel::default()
+        };
         for _ in 0..40 {
             link.models.publish(PublishedModel { model: push, made_ns: now_ns() });
             std::thread::sleep(std::time::Duration::from_millis(10));
@@ -531,14 +564,16 @@ mod tests {
         }
         // With more than its room the list is full; with less the last one is the end's.
         let forces = forces.lock().unwrap();
-        assert!(forces.contains(&DVec3::Y));
+        assert!(forces.iter().any(|force| force.y > 0.2), "{:?}", forces.last());
         assert!(forces.len() == forces.capacity() || *forces.last().unwrap() == DVec3::ZERO);
     }
 
     #[test]
     fn a_rate_that_no_loop_keeps_is_refused() {
         for rate_hz in [0.0, 50.0, 5_000.0, f64::NAN] {
-            let error = HapticLoop::start(Vec::new(), HapticSettings { rate_hz, core: None }).err().unwrap();
+            let error = HapticLoop::start(Vec::new(), HapticSettings { rate_hz, core: None }, Arc::default())
+                .err()
+                .unwrap();
             assert!(error.to_string().contains("allowed: 100 to 4000 Hz"), "{error}");
         }
     }

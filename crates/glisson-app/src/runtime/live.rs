@@ -1,10 +1,12 @@
 //! The simulation loop of `glisson serve`: keeps pace with the clock, takes commands, publishes what is displayed.
 
 use super::Simulation;
+use super::effort::{EffortControl, Load};
 use super::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
 use super::realtime::now_ns;
 use crate::server::frames::Pace;
 use glisson::math::DVec3;
+use glisson::model::Effort;
 use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::snapshot::{DisplayTopology, Snapshot};
@@ -60,6 +62,7 @@ pub(crate) struct Published {
     /// What the user should know, in order.
     pub(crate) notices: Vec<String>,
     pub(crate) lateness: Lateness,
+    pub(crate) effort: Effort,
 }
 
 /// How far the simulation fell behind the clock.
@@ -108,7 +111,16 @@ impl Published {
             .filter(|topology| topology.version == snapshot.topology_version)
             .map_or_else(|| Arc::new(world.display_topology()), Arc::clone);
         let notices = simulation.notices().to_vec();
-        Self { snapshot, topology, pace, state_hash, model: world.model_kind(), notices, lateness }
+        Self {
+            snapshot,
+            topology,
+            pace,
+            state_hash,
+            model: world.model_kind(),
+            notices,
+            lateness,
+            effort: world.effort(),
+        }
     }
 }
 
@@ -149,23 +161,30 @@ fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
 struct PaceMeter {
     since: Instant,
     steps: u64,
+    busy: Duration,
     pace: Pace,
 }
 
 impl PaceMeter {
-    fn count(&mut self, steps: u64, dt_s: f64) {
+    /// Steps that took so long; answers how the last half second went when it is over.
+    fn count(&mut self, steps: u64, busy: Duration, dt_s: f64) -> Option<Load> {
         self.steps += steps;
+        self.busy += busy;
         let elapsed_s = self.since.elapsed().as_secs_f64();
-        if elapsed_s >= 0.5 {
-            self.pace.rate_hz = self.steps as f64 / elapsed_s;
-            self.pace.real_time_factor = self.pace.rate_hz * dt_s;
-            self.restart();
+        if elapsed_s < 0.5 {
+            return None;
         }
+        self.pace.rate_hz = self.steps as f64 / elapsed_s;
+        self.pace.real_time_factor = self.pace.rate_hz * dt_s;
+        let busy_share = self.busy.as_secs_f64() / elapsed_s;
+        self.restart();
+        Some(Load { real_time_factor: self.pace.real_time_factor, busy_share })
     }
 
     fn restart(&mut self) {
         self.since = Instant::now();
         self.steps = 0;
+        self.busy = Duration::ZERO;
     }
 }
 
@@ -229,12 +248,32 @@ impl Live {
     fn advance(&mut self) -> anyhow::Result<()> {
         self.read_devices();
         let mut placed = [false; MAX_TOOLS];
-        for ((tool, target), placed) in self.tools.iter_mut().zip(&self.targets).zip(&mut placed) {
+        for (i, placed) in placed.iter_mut().enumerate().take(self.tools.len()) {
+            let (tool, target) = (&mut self.tools[i], &mut self.targets[i]);
+            if let Some(pose) = self.simulation.scripted_pose(i) {
+                (*tool, *target) = (pose, pose);
+                continue;
+            }
             *placed = tool.tip_in_world_m.distance(target.tip_in_world_m) > JUMP_M;
             *tool = if *placed { *target } else { approach(*tool, *target, self.dt_s) };
         }
         self.simulation.advance(&StepInput { placed, ..StepInput::of(&self.tools) })?;
         self.publish_models();
+        Ok(())
+    }
+
+    fn choose_effort(&mut self, effort: Effort) -> anyhow::Result<()> {
+        let is_less = effort < self.simulation.world().effort();
+        let matters = self.simulation.set_effort(effort)?;
+        // Of a model that has nothing to leave out the real-time factor tells.
+        if matters {
+            let name = effort.name();
+            self.simulation.tell(if is_less {
+                format!("the simulation is late: it computes with {name} effort now")
+            } else {
+                format!("the simulation keeps pace again: it computes with {name} effort")
+            });
+        }
         Ok(())
     }
 
@@ -247,7 +286,10 @@ impl Live {
                 self.simulation.tell(format!("instrument {tool} is in the hand of the device {device}"));
             }
             Command::Tool { tool, pose } => match self.targets.get_mut(tool) {
-                Some(target) => *target = pose,
+                Some(target) => {
+                    *target = pose;
+                    self.simulation.take_from_script(tool);
+                }
                 None => self.refuse_tool(tool),
             },
             Command::Pause(paused) => {
@@ -304,7 +346,9 @@ pub(crate) fn run(
     let dt_s = simulation.world().spec().time_step_s;
     let tools = homes(&simulation);
     let mut live = Live { simulation, targets: tools.clone(), tools, links, paused: false, dt_s };
-    let mut meter = PaceMeter { since: Instant::now(), steps: 0, pace: Pace::default() };
+    let mut meter =
+        PaceMeter { since: Instant::now(), steps: 0, busy: Duration::ZERO, pace: Pace::default() };
+    let mut control = EffortControl::default();
     let mut lateness = Lateness::default();
     let mut next_frame = Instant::now();
     let mut simulated_until = Instant::now();
@@ -352,7 +396,11 @@ pub(crate) fn run(
                 simulated_until += step;
                 steps += 1;
             }
-            meter.count(steps, dt_s);
+            if let Some(load) = meter.count(steps, now.elapsed(), dt_s)
+                && let Some(effort) = control.look(load)
+            {
+                live.choose_effort(effort)?;
+            }
         }
         if refresh || (!live.paused && Instant::now() >= next_frame) {
             next_frame = Instant::now() + FRAME;

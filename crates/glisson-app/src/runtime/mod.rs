@@ -6,23 +6,24 @@ pub(crate) mod histogram;
 pub(crate) mod realtime;
 pub(crate) mod haptic_loop;
 pub(crate) mod live;
+mod effort;
 pub(crate) mod recorder;
 pub(crate) mod replay;
 
 use crate::workers::WorkerTeam;
 use anyhow::{Context, anyhow, bail};
-use glisson::haptics::{HapticModel, Touch};
+use glisson::haptics::HapticModel;
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
-use glisson::model::DeformableModel;
 use glisson::model::explicit_kernel::SharedWorkers;
 use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
+use glisson::model::{DeformableModel, Effort};
 use glisson::record::hash::StateHash;
 use glisson::record::session::SessionEvent;
 use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
-use glisson::tool::MAX_TOOLS;
+use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::{StepInput, StepReport, World};
 use incidents::{Incidents, MOST_NOTICES};
 use recorder::Recorder;
@@ -75,6 +76,12 @@ pub(crate) struct Simulation {
     /// Whether a fresh pre-computation is ordered when the model asks for one; in a replay the session says so.
     orders_recomputations: bool,
     is_live: bool,
+    /// Tetrahedra that tore.
+    n_torn: usize,
+    told_tear_refusal: bool,
+    /// Whose paths instruments follow that nobody has taken into the hand.
+    script: Option<Scene>,
+    is_taken: [bool; MAX_TOOLS],
 }
 
 impl Simulation {
@@ -100,6 +107,10 @@ impl Simulation {
             refused_last: [false; MAX_TOOLS],
             orders_recomputations: true,
             is_live: true,
+            n_torn: 0,
+            told_tear_refusal: false,
+            script: None,
+            is_taken: [false; MAX_TOOLS],
         })
     }
 
@@ -107,6 +118,27 @@ impl Simulation {
     pub(crate) fn leave_orders_to_the_session(&mut self) {
         self.orders_recomputations = false;
         self.is_live = false;
+    }
+
+    /// From now on instruments follow the paths of `scene` until a viewer takes them into the hand, or resets.
+    pub(crate) fn follow_script(&mut self, scene: Scene) {
+        self.script = Some(scene);
+        self.tell(
+            "the instruments follow the scene's script; push, or move one, to take it into the hand"
+                .to_owned(),
+        );
+    }
+
+    /// Where the script has an instrument at the end of the next step.
+    pub(crate) fn scripted_pose(&self, tool: usize) -> Option<ToolInput> {
+        let script = self.script.as_ref().filter(|_| !self.is_taken[tool])?;
+        let time_s = (self.world.steps_made() + 1) as f64 * self.world.spec().time_step_s;
+        Some(script.input_at(time_s).tools[tool])
+    }
+
+    /// A viewer moves this instrument.
+    pub(crate) fn take_from_script(&mut self, tool: usize) {
+        self.is_taken[tool] = true;
     }
 
     pub(crate) fn world(&self) -> &World {
@@ -162,7 +194,17 @@ impl Simulation {
     /// Why nothing is cut is told when it begins, not in every step in which the trigger is held.
     fn cut_with_tools(&mut self) {
         let mut refuses = [false; MAX_TOOLS];
-        for (tool, refusal) in self.world.cut_with_tools().refusals {
+        let cuts = self.world.cut_with_tools();
+        if cuts.n_torn > 0 && self.n_torn == 0 {
+            self.tell("tissue tears: an instrument pushes or pulls harder than it bears".to_owned());
+        }
+        self.n_torn += cuts.n_torn;
+        if let Some(refusal) = cuts.tear_refusal
+            && !std::mem::replace(&mut self.told_tear_refusal, true)
+        {
+            self.tell(format!("tissue is stretched too far and does not tear: {refusal}"));
+        }
+        for (tool, refusal) in cuts.refusals {
             if !std::mem::replace(&mut refuses[tool], true) && !self.refused_last[tool] {
                 self.tell(format!("the {} cut nothing: {refusal}", self.world.tools()[tool].name));
             }
@@ -205,6 +247,11 @@ impl Simulation {
         }
     }
 
+    /// Tetrahedra that tore since the start.
+    pub(crate) fn n_torn(&self) -> usize {
+        self.n_torn
+    }
+
     /// What the user should know: why ordered models could not take over, what went wrong in steps. In order.
     pub(crate) fn notices(&self) -> &[String] {
         &self.notices
@@ -212,19 +259,13 @@ impl Simulation {
 
     /// What the haptic loop evaluates for an instrument until the next step.
     pub(crate) fn haptic_model(&mut self, tool: usize) -> HapticModel {
-        let felt = self.world.report().tools[tool];
-        let touch = if felt.in_contact { Touch::Contact } else { Touch::Free };
-        HapticModel {
-            step: self.world.steps_made(),
-            touch,
-            force_n: felt.force_on_tool_n,
-            ..HapticModel::default()
-        }
+        self.world.haptic_model(tool)
     }
 
     /// Everything back to rest.
     pub(crate) fn reset(&mut self) -> anyhow::Result<()> {
         self.record(&SessionEvent::Reset { step: self.world.steps_made() })?;
+        self.script = None;
         self.world.reset();
         Ok(())
     }
@@ -234,6 +275,12 @@ impl Simulation {
         self.record(&SessionEvent::Gravity { step: self.world.steps_made(), gravity_m_per_s2 })?;
         self.world.set_gravity(gravity_m_per_s2);
         Ok(())
+    }
+
+    /// How thoroughly steps are computed from now on; answers whether that makes a difference to the present model.
+    pub(crate) fn set_effort(&mut self, effort: Effort) -> anyhow::Result<bool> {
+        self.record(&SessionEvent::Effort { step: self.world.steps_made(), effort })?;
+        Ok(self.world.set_effort(effort))
     }
 
     /// Takes tetrahedra out of the organ. A model that cannot follow is no reason to stop: nothing changes, and the

@@ -73,8 +73,9 @@ pub(crate) fn make_punctual(core: Option<usize>) -> Scheduling {
     Scheduling { is_real_time: policy.is_ok(), core: pinned.ok(), text }
 }
 
+/// Puts the calling thread into the real-time class, or says why it cannot.
 #[cfg(target_os = "linux")]
-fn enter_real_time_class() -> Result<(), String> {
+pub(crate) fn enter_real_time_class() -> Result<(), String> {
     use thread_priority::unix::{
         RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
     };
@@ -94,7 +95,7 @@ fn enter_real_time_class() -> Result<(), String> {
 }
 
 #[cfg(not(target_os = "linux"))]
-fn enter_real_time_class() -> Result<(), String> {
+pub(crate) fn enter_real_time_class() -> Result<(), String> {
     Err("this system's class is not known to the program".into())
 }
 

@@ -77,6 +77,7 @@ pub(crate) fn replay(
             }
             SessionEvent::UndoEdit { .. } => simulation.undo_edit()?,
             SessionEvent::Clip { tool, .. } => simulation.clip_vessel(usize::from(tool))?,
+            SessionEvent::Effort { effort, .. } => drop(simulation.set_effort(effort)?),
             SessionEvent::Reset { .. } => simulation.reset()?,
             SessionEvent::Gravity { gravity_m_per_s2, .. } => simulation.set_gravity(gravity_m_per_s2)?,
             SessionEvent::Remove { ref tets, .. } => simulation.remove_tetrahedra(tets.clone())?,

@@ -2,6 +2,7 @@
 
 use super::replay::replay;
 use super::*;
+use glisson::image::vessels::{Tube, write_vessels};
 use glisson::math::DVec3;
 use glisson::model::precomputed::{
     Precision, Precomputed, PrecomputedParams, RecomputationLimits, StoredNodes,
@@ -258,4 +259,148 @@ fn a_session_of_two_hands_with_cuts_and_undo_replays_to_the_same_bits() {
     assert!(text.contains("\"undo_edit\""));
     let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
     assert_eq!((report.state_hash, report.recorded_hash), (hash, Some(hash)));
+}
+
+/// A block of 40 mm with a vessel through its upper edge, as a scene that tears.
+fn block_folder(tool: &str) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = glisson::mesh::box_mesh::box_of_five([4; 3], DVec3::splat(0.04));
+    let mut text = format!("{} {}\n", mesh.positions_m.len(), mesh.tetrahedra.len());
+    for p in &mesh.positions_m {
+        text += &format!("{} {} {}\n", 1e3 * p.x, 1e3 * p.y, 1e3 * p.z);
+    }
+    for [a, b, c, d] in &mesh.tetrahedra {
+        text += &format!("{} {} {} {}\n", a.0, b.0, c.0, d.0);
+    }
+    std::fs::write(folder.path().join("body.tet"), text).unwrap();
+    let tube = Tube {
+        parent: None,
+        ends_m: [DVec3::new(0.037, 0.003, 0.036), DVec3::new(0.037, 0.037, 0.036)],
+        radii_m: [1e-3; 2],
+    };
+    let mut vessels = Vec::new();
+    write_vessels(&mut vessels, &[tube]).unwrap();
+    std::fs::write(folder.path().join("vessels.csv"), vessels).unwrap();
+    let scene = SCENE[..SCENE.find("[tool]").unwrap()]
+        .replace("tensor_mass", "explicit")
+        .replace("fraction = 0.6", "fraction = 0.2")
+        .replace("[organ]\n", "[simulation]\ntime_step = \"0.2 ms\"\n[organ]\ntearing = true\nfracture_energy = \"20 J/m2\"\nvessels = \"vessels.csv\"\n");
+    std::fs::write(folder.path().join("scene.toml"), scene + tool).unwrap();
+    folder
+}
+
+#[test]
+fn instruments_that_cut_tear_and_clip_replay_to_the_same_bits() {
+    let home =
+        "tip_radius = \"2 mm\"\nhome_tip = [\"40 mm\", \"17 mm\", \"80 mm\"]\nhome_shaft = [0, 0, 1]\n";
+    // Closed on the edge; each with what it does between steps 50 and 400.
+    for (kind, more) in [
+        ("scissors", ""),
+        ("cautery", "cut_time = \"5 ms\"\n"),
+        ("scalpel", "blade_length = \"30 mm\"\n"),
+        ("probe", ""),
+    ] {
+        let folder = block_folder(&format!("[tool]\nkind = \"{kind}\"\n{home}{more}"));
+        let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+        let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+        let (mut bled, mut n_edits) = (false, 0);
+        for step in 0..450_u32 {
+            let t = f64::from(step) / 450.0;
+            let tip_in_world_m = match kind {
+                "scalpel" => DVec3::new(0.06 - 0.05 * t, 0.017, 0.03),
+                "probe" => DVec3::new(0.033, 0.017, 0.045 - 0.04 * t),
+                _ => DVec3::new(0.04, 0.017, 0.036),
+            };
+            let pose = ToolInput {
+                jaw_opening: 1.0 - (f64::from(step) / 100.0).min(1.0),
+                trigger: if step > 20 { 1.0 } else { 0.0 },
+                ..ToolInput::at(tip_in_world_m, DVec3::Z)
+            };
+            simulation.advance(&StepInput::of(&[pose])).unwrap();
+            n_edits = n_edits.max(simulation.world().n_edits_to_undo());
+            bled |= simulation.world().vessels().unwrap().bleeding_m3_per_s() > 0.0;
+            match step {
+                420 => simulation.clip_vessel(0).unwrap(),
+                440 => simulation.undo_edit().unwrap(),
+                _ => {}
+            }
+        }
+        assert!(n_edits > 0, "{kind}: {:?}", simulation.notices());
+        assert!(bled || kind == "probe", "{kind}: {:?}", simulation.notices());
+        let hash = simulation.finish().unwrap();
+        let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+        assert!(text.contains("\"clip\"") && text.contains("\"undo_edit\""));
+        let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
+        assert_eq!((report.state_hash, report.first_difference), (hash, None), "{kind}");
+    }
+}
+
+#[test]
+fn instruments_follow_a_script_until_somebody_takes_them() {
+    let path = "[[tool.path]]\ntime = \"0.1 s\"\ntip = [\"40 mm\", \"40 mm\", \"70 mm\"]\n";
+    let folder = scene_folder();
+    std::fs::write(folder.path().join("scene.toml"), SCENE.to_owned() + path).unwrap();
+    let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let script = source.scene.clone();
+    let mut simulation = Simulation::open(source, None).unwrap();
+    assert_eq!(simulation.scripted_pose(0), None);
+    simulation.follow_script(script);
+    for _ in 0..50 {
+        let pose = simulation.scripted_pose(0).unwrap();
+        simulation.advance(&StepInput::of(&[pose])).unwrap();
+    }
+    let tip_m = simulation.world().snapshot().tools[0].pose.tip_in_world_m;
+    assert!((tip_m.z - 0.08).abs() < 1e-12, "half of the way: {tip_m}");
+    simulation.take_from_script(0);
+    assert_eq!(simulation.scripted_pose(0), None);
+}
+
+#[test]
+fn a_session_with_less_effort_and_a_change_of_model_replays_to_the_same_bits() {
+    let folder = scene_folder();
+    let scene = SCENE.replace("\"tensor_mass\"", "\"nonlinear_tensor_mass\"");
+    std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+    let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+    let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+    for step in 0..300 {
+        match step {
+            10 => assert!(simulation.set_effort(Effort::Least).unwrap()),
+            100 => simulation.order_model(ModelKind::Implicit, 150).unwrap(),
+            200 => simulation.set_effort(Effort::Full).map(|_| ()).unwrap(),
+            _ => {}
+        }
+        simulation.advance(&input(step)).unwrap();
+    }
+    assert_eq!(simulation.world().model_kind(), ModelKind::Implicit, "{:?}", simulation.notices());
+    let hash = simulation.finish().unwrap();
+    let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+    let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
+    assert_eq!((report.state_hash, report.first_difference), (hash, None));
+
+    // At full effort it is another run.
+    let full = text.lines().filter(|line| !line.contains("\"effort\"")).collect::<Vec<_>>().join("\n");
+    let report = replay(&parse_session(&full).unwrap(), folder.path(), |_| Ok(())).unwrap();
+    assert_ne!(report.state_hash, hash);
+}
+
+#[test]
+fn a_haptic_loop_that_asks_for_models_changes_no_bit() {
+    let models =
+        ["tensor_mass", "explicit", "implicit", "precomputed", "nonlinear_tensor_mass", "mass_spring"];
+    for model in models {
+        let folder = scene_folder();
+        let scene = SCENE.replace("\"tensor_mass\"", &format!("\"{model}\""));
+        std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+        let [mut asked, mut left_alone] = [(); 2].map(|()| {
+            Simulation::open(OpenScene::read(&folder.path().join("scene.toml")).unwrap(), None).unwrap()
+        });
+        let mut felt = false;
+        for step in 0..300 {
+            asked.advance(&input(step)).unwrap();
+            left_alone.advance(&input(step)).unwrap();
+            felt |= asked.haptic_model(0).touch != glisson::haptics::Touch::Free;
+        }
+        assert!(felt, "{model}");
+        assert_eq!(asked.world().state_hash(), left_alone.world().state_hash(), "{model}");
+    }
 }

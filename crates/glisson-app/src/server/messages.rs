@@ -90,9 +90,7 @@ pub(super) fn snapshot(published: &Published) -> Value {
 }
 
 fn bleeding_state(bleeding: &BleedingSnapshot) -> Value {
-    let end = |end: &BleedingEnd| {
-        json!({ "position_m": end.position_m.to_array(), "rate_m3_per_s": end.rate_m3_per_s })
-    };
+    let end = |end: &BleedingEnd| json!({ "position_m": end.position_m.to_array(), "rate_m3_per_s": end.rate_m3_per_s });
     json!({
         "lost_m3": bleeding.lost_m3,
         "rate_m3_per_s": bleeding.rate_m3_per_s,
@@ -134,7 +132,7 @@ pub(super) fn role(is_controller: bool, is_taken: bool) -> Value {
 
 /// How the loops keep their time.
 pub(super) fn timing(published: &Published, haptics: Option<&HapticReport>) -> Value {
-    let Published { pace, lateness, .. } = published;
+    let Published { pace, lateness, effort, .. } = published;
     json!({
         "type": "timing",
         "simulation": {
@@ -142,6 +140,7 @@ pub(super) fn timing(published: &Published, haptics: Option<&HapticReport>) -> V
             "real_time_factor": pace.real_time_factor,
             "times_given_up": lateness.n_given_up,
             "left_out_s": lateness.left_out_s,
+            "effort": effort.name(),
         },
         "haptics": haptics.map(HapticReport::to_json),
     })

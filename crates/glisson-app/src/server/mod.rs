@@ -22,6 +22,7 @@ use frames::Pace;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
+use std::thread::JoinHandle;
 use tokio::sync::watch;
 
 /// The viewer as built into `web/dist`.
@@ -42,12 +43,21 @@ struct Shared {
     meters: Option<Arc<Meters>>,
 }
 
+/// Starts something that shows what is published, until the other end is gone.
+pub(crate) type Show = Box<dyn FnOnce(watch::Receiver<Arc<Published>>) -> anyhow::Result<JoinHandle<()>>>;
+
 /// What is served beside the simulation.
 pub(crate) struct Service {
     pub(crate) access: Access,
     /// The haptic loop's and the simulation's ends of the instruments that devices hold.
     pub(crate) held: Vec<(HeldTool, ToolLink)>,
     pub(crate) haptics: HapticSettings,
+    /// Instruments that are held elsewhere.
+    pub(crate) remote: Vec<ToolLink>,
+    /// What else shows the simulation; each ends with it.
+    pub(crate) shows: Vec<Show>,
+    /// Where the haptic loop notes its times.
+    pub(crate) meters: Arc<Meters>,
     /// For benchmarks: the simulation stands still now and then.
     pub(crate) stalls: Option<Stalls>,
 }
@@ -55,7 +65,15 @@ pub(crate) struct Service {
 impl Service {
     /// No devices.
     pub(crate) fn to(access: Access) -> Self {
-        Self { access, held: Vec::new(), haptics: HapticSettings::default(), stalls: None }
+        Self {
+            access,
+            held: Vec::new(),
+            haptics: HapticSettings::default(),
+            remote: Vec::new(),
+            shows: Vec::new(),
+            meters: Arc::default(),
+            stalls: None,
+        }
     }
 }
 
@@ -85,13 +103,15 @@ pub(crate) fn serve(
     service: Service,
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Served> {
-    let Service { access, held, haptics, stalls } = service;
+    let Service { access, held, haptics, remote, shows, meters, stalls } = service;
     let (published_in, published) =
         watch::channel(Arc::new(Published::of(&simulation, None, Pace::default())));
     let (commands, commands_out) = std::sync::mpsc::channel();
     let hello = messages::hello(&simulation);
-    let (held, links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
-    let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics)?) };
+    let (held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
+    links.extend(remote);
+    let shows: Vec<_> = shows.into_iter().map(|show| show(published.clone())).collect::<Result<_, _>>()?;
+    let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
     let simulation_thread = std::thread::Builder::new()
         .name("simulation".into())
         .spawn(move || live::run(simulation, &commands_out, &published_in, links, stalls))?;
@@ -119,6 +139,10 @@ pub(crate) fn serve(
     // The simulation may have ended already; then nobody listens.
     let _ = commands.send(Command::Stop);
     let ended = simulation_thread.join().map_err(|_| anyhow::anyhow!("the simulation panicked"))?;
+    for show in shows {
+        // A panic was printed when it happened.
+        let _ = show.join();
+    }
     served.and(ended).map(|ended| Served { ended, haptics })
 }
 

@@ -8,8 +8,10 @@ mod contact_physics;
 mod contact_response;
 mod cut_subdivision;
 mod cutting;
+mod cutting_sanity;
 mod detection;
 mod elasticity;
+mod haptic_force;
 mod hybrid;
 mod hybrid_condensed;
 mod image;
@@ -17,6 +19,8 @@ mod indentation;
 mod interaction;
 mod mesh_repair;
 mod model_rheology;
+mod palpation;
+mod passivity;
 mod precomputed_cutting;
 mod precompute;
 mod prestress;
@@ -170,6 +174,21 @@ pub(crate) const GROUPS: &[Group] = &[
         run: indentation::experiments,
     },
     Group {
+        name: "palpation",
+        about: "A stiff nodule under the surface, felt with a flat tip: forces on the device against static solutions.",
+        run: palpation::experiments,
+    },
+    Group {
+        name: "haptic_force",
+        about: "The force between two steps of a simulation at 30 Hz against the full model stepped at 1 kHz.",
+        run: haptic_force::experiments,
+    },
+    Group {
+        name: "passivity",
+        about: "Energy of the haptic loop: a simulated device with a hand, delays, slow steps, with control and without.",
+        run: passivity::experiments,
+    },
+    Group {
         name: "contact_physics",
         about: "Contact by constraints with friction: an incline, stacks at rest, a bounce.",
         run: contact_physics::experiments,
@@ -235,6 +254,11 @@ pub(crate) const GROUPS: &[Group] = &[
         run: cut_subdivision::experiments,
     },
     Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
+    Group {
+        name: "cutting_sanity",
+        about: "A moving body that is cut: area, mass, volume, energy, Euler characteristics.",
+        run: cutting_sanity::experiments,
+    },
     Group {
         name: "volume",
         about: "Changes of volume of a bent cylinder and a pulled liver: linear, non-linear, with penalty.",

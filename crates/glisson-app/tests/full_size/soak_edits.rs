@@ -1,7 +1,13 @@
 //! Random cuts, removals, scalpel and blade strokes, grasps and tears on real bodies: nothing panics, every number stays
 //! finite, every invariant holds after each edit, and a model that went through them equals one made afresh.
 //! `cargo xtask test` runs a bounded share; `cargo xtask soak edits` sets GLISSON_SOAK_EDITS and GLISSON_SOAK_EDITS_REPORT.
+//! With GLISSON_SOAK_EDITS_LOG the seeds that ended are kept in that file, and a run that was stopped goes on after them.
 
+mod checks;
+mod tally;
+
+use self::checks::{AT_ONCE_S, check_adjacency, difference};
+use self::tally::{Results, SeedResult, Tally};
 use super::{glisson, real_ct};
 use glisson::material::LinearElastic;
 use glisson::math::{Aabb, DVec3, SeededRandom};
@@ -9,8 +15,8 @@ use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{MeshEdit, TopologyChange};
 use glisson::mesh::files::read_mesh;
 use glisson::mesh::generate::{MeshParams, WantedSize, generate};
-use glisson::mesh::topology::{Topology, surface_of};
-use glisson::mesh::{TetId, TetMesh};
+use glisson::mesh::topology::Topology;
+use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::KernelLaw;
 use glisson::model::kind::ModelKind;
@@ -22,15 +28,20 @@ use glisson::tool::fracture::FractureEnergy;
 use glisson::tool::{Grip, Jaws, Tool, ToolInput, ToolKind, ToolShape};
 use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{StepInput, World};
-use std::fmt::Write as _;
-use std::path::Path;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 const DEFAULT_EDITS: u64 = 1_600;
 /// Edits of one seed at most: a body that was cut more often is crumbs.
 const EDITS_OF_SEED: u64 = 500;
+const LAW: KernelLaw = KernelLaw::StableNeoHooke;
 const TIME_STEP_S: f64 = 4e-4;
 /// Steps after an edit.
 const STEPS_AFTER: u64 = 3;
+/// Edits between two comparisons with a fresh model.
+const COMPARED_EVERY: u64 = 50;
 /// Soft, so that pulling tears within reach of the jaws: a choice of the test, a tenth of liver's.
 const BRITTLE: FractureEnergy = FractureEnergy { energy_j_per_m2: 16.0 };
 
@@ -76,42 +87,6 @@ fn grasper(home: ToolInput) -> Tool {
     }
 }
 
-/// What happened on one body.
-#[derive(Clone, Default)]
-struct Tally {
-    removals: u64,
-    blade_edits: u64,
-    scalpel_edits: u64,
-    tears: u64,
-    undone: u64,
-    grasps: u64,
-    held: u64,
-    refused: u64,
-    heavier: u64,
-    worst_dihedral_deg: f64,
-    worst_afresh: f64,
-}
-
-impl Tally {
-    fn edits(&self) -> u64 {
-        self.removals + self.blade_edits + self.scalpel_edits + self.tears + self.undone
-    }
-
-    fn add(&mut self, other: &Self) {
-        self.removals += other.removals;
-        self.blade_edits += other.blade_edits;
-        self.scalpel_edits += other.scalpel_edits;
-        self.tears += other.tears;
-        self.undone += other.undone;
-        self.grasps += other.grasps;
-        self.held += other.held;
-        self.refused += other.refused;
-        self.heavier += other.heavier;
-        self.worst_dihedral_deg = self.worst_dihedral_deg.min(other.worst_dihedral_deg);
-        self.worst_afresh = self.worst_afresh.max(other.worst_afresh);
-    }
-}
-
 struct Patient<'a> {
     name: &'a str,
     seed: u64,
@@ -121,12 +96,6 @@ struct Patient<'a> {
     away: ToolInput,
     random: SeededRandom,
     tally: Tally,
-}
-
-/// Into how many parts a step may be divided. Some seeds go on without heavier nodes, which are slow but can be compared
-/// with a fresh model; the bounded run has none of them.
-fn parts_of(seed: u64) -> u32 {
-    if seed / 4 % 4 == 1 { 4096 } else { 16 }
 }
 
 /// How the volume may change in an edit.
@@ -147,7 +116,7 @@ impl<'a> Patient<'a> {
         spec.supports.push(support);
         let material = LinearElastic::from_young_poisson(4100.0, 0.45, 1060.0).unwrap();
         let fixed = fixed_nodes(&spec.supports, &mesh.positions_m);
-        let model = model_of(mesh, &fixed, &material, parts_of(seed));
+        let model = model_of(mesh, &fixed, &material);
         let mean_edge_m = {
             let topology = Topology::build(mesh).unwrap();
             let lengths = topology.live_edges().map(|e| {
@@ -158,8 +127,7 @@ impl<'a> Patient<'a> {
         };
         let world = World::new(spec, mesh.clone(), model, ModelKind::Explicit).unwrap();
         let random = SeededRandom::new(seed);
-        let tally = Tally { worst_dihedral_deg: 180.0, ..Tally::default() };
-        Self { name, seed, world, material, mean_edge_m, away, random, tally }
+        Self { name, seed, world, material, mean_edge_m, away, random, tally: Tally::default() }
     }
 
     fn label(&self) -> String {
@@ -220,23 +188,7 @@ impl<'a> Patient<'a> {
         if topology.live_counts().tets == 0 {
             return;
         }
-        // Adjacency, surface and Euler characteristics against a recount.
-        let recount = Topology::build(&body.live_mesh()).unwrap();
-        assert_eq!(topology.live_counts(), recount.live_counts(), "{label}");
-        assert_eq!(topology.euler_characteristic(), recount.euler_characteristic(), "{label}");
-        assert_eq!(
-            topology.surface_euler_characteristic(),
-            recount.surface_euler_characteristic(),
-            "{label}"
-        );
-        assert_eq!(topology.n_surface_triangles(), recount.n_surface_triangles(), "{label}");
-        let shown = self.world.display_topology();
-        let (surface, nodes) = surface_of(topology, body.mesh());
-        assert_eq!(shown.triangles.len(), surface.triangles.len(), "{label}: what is shown");
-        assert_eq!(shown.nodes.len(), nodes.len(), "{label}: what is shown");
-        for triangle in &shown.triangles {
-            assert!(triangle.iter().all(|&v| (v as usize) < shown.nodes.len()), "{label}");
-        }
+        check_adjacency(&self.world, &label);
         let new_dihedral = change
             .tets
             .added
@@ -447,52 +399,31 @@ impl<'a> Patient<'a> {
         }
     }
 
-    /// The model that went through all edits against one made afresh from the edited mesh: the first step from the same
-    /// places at rest. Answers the largest difference of velocities, in shares of the largest.
-    fn afresh(&mut self) -> f64 {
+    /// The model that went through all edits against one made afresh from the edited mesh.
+    fn compare(&mut self) {
         let body = self.world.organ().body();
         let topology = body.topology();
-        let live: Vec<usize> = topology.live_nodes().map(|n| n.index()).collect();
-        if live.is_empty() {
-            return 0.0;
+        if topology.live_counts().tets == 0 {
+            return;
         }
-        let mesh = body.live_mesh();
+        let live: Vec<NodeId> = topology.live_nodes().collect();
         let fixed: Vec<FixedNode> = live
             .iter()
             .enumerate()
-            .filter(|&(_, &old)| self.world.organ().is_fixed(glisson::mesh::NodeId::from_index(old)))
-            .map(|(new, _)| FixedNode { node: glisson::mesh::NodeId::from_index(new), axes: [true; 3] })
+            .filter(|(_, node)| self.world.organ().is_fixed(**node))
+            .map(|(new, _)| FixedNode::all_axes(NodeId::from_index(new)))
             .collect();
-        let all_m = self.world.state().positions_m.to_vec();
-        let live_m: Vec<DVec3> = live.iter().map(|&n| all_m[n]).collect();
-        let (mut dt_s, mut edited, mut fresh);
-        dt_s = TIME_STEP_S;
-        let made = model_of(&mesh, &fixed, &self.material, parts_of(self.seed));
-        loop {
-            fresh = made.duplicate();
-            edited = self.world.copy_of_model();
-            edited.take_over(&all_m);
-            fresh.take_over(&live_m);
-            edited.step(dt_s);
-            fresh.step(dt_s);
-            // Divided alike in both; a step that is strained is divided however short it is.
-            if edited.report().n_parts == fresh.report().n_parts || dt_s < 1e-7 {
-                break;
-            }
-            dt_s *= 0.5;
-        }
-        if edited.report().n_mass_scaled_nodes > 0 {
-            // Heavier nodes are no nodes of a fresh model.
-            self.tally.heavier += 1;
-            return 0.0;
-        }
-        let (a, b) = (edited.state().velocities_m_per_s, fresh.state().velocities_m_per_s);
-        let largest = b.iter().map(|v| v.length()).fold(1e-300, f64::max);
-        live.iter().zip(b).map(|(&old, v)| (a[old] - *v).length()).fold(0.0, f64::max) / largest
+        let fresh = fresh_model(&body.live_mesh(), &fixed, &self.material);
+        let (now_m, label) = (self.world.state().positions_m, self.label());
+        let found = difference(body, now_m, self.world.copy_of_model(), fresh, &label);
+        assert!(found.forces < 1e-9 && found.weights < 1e-9, "{label}: {found:?}");
+        self.tally.worst_forces = self.tally.worst_forces.max(found.forces);
+        self.tally.worst_weights = self.tally.worst_weights.max(found.weights);
+        self.tally.comparisons += 1;
     }
 
     fn run(mut self, most_edits: u64) -> Tally {
-        let mut n_tries = 0;
+        let (mut n_tries, mut compared) = (0, 0);
         while self.tally.edits() < most_edits && n_tries < 10 * most_edits {
             n_tries += 1;
             match self.index(20) {
@@ -501,26 +432,30 @@ impl<'a> Patient<'a> {
                 14..=18 => self.scalpel(),
                 _ => self.grasp(),
             }
+            if self.tally.edits() >= compared + COMPARED_EVERY {
+                compared = self.tally.edits();
+                self.compare();
+            }
         }
-        self.tally.worst_afresh = self.afresh();
-        assert!(self.tally.worst_afresh < 1e-9, "{}: {}", self.label(), self.tally.worst_afresh);
+        self.compare();
         self.tally
     }
 }
 
-fn model_of(
-    mesh: &TetMesh,
-    fixed: &[FixedNode],
-    material: &LinearElastic,
-    most_parts: u32,
-) -> Box<dyn DeformableModel> {
+fn model_of(mesh: &TetMesh, fixed: &[FixedNode], material: &LinearElastic) -> Box<dyn DeformableModel> {
     let materials = &[*material];
     let body = DynamicBody { fixed, ..DynamicBody::new(mesh, material.density_kg_per_m3()) };
-    let law = KernelLaw::StableNeoHooke;
-    let params = ExplicitKernelParams::new(body, law, materials);
+    let params = ExplicitKernelParams::new(body, LAW, materials);
     let step_s = ExplicitKernel::stable_step(&params).unwrap().step_s;
-    let body = DynamicBody { time_step_s: TIME_STEP_S.min(step_s), most_parts, ..body };
-    Box::new(ExplicitKernel::build(&ExplicitKernelParams::new(body, law, materials)).unwrap())
+    let body = DynamicBody { time_step_s: TIME_STEP_S.min(step_s), ..body };
+    Box::new(ExplicitKernel::build(&ExplicitKernelParams::new(body, LAW, materials)).unwrap())
+}
+
+/// A model for forces alone: its step may be as short as a sliver asks for.
+fn fresh_model(mesh: &TetMesh, fixed: &[FixedNode], material: &LinearElastic) -> Box<dyn DeformableModel> {
+    let body = DynamicBody::new(mesh, material.density_kg_per_m3());
+    let body = DynamicBody { fixed, time_step_s: AT_ONCE_S, ..body };
+    Box::new(ExplicitKernel::build(&ExplicitKernelParams::new(body, LAW, &[*material])).unwrap())
 }
 
 fn bodies(folder: &Path) -> Vec<(&'static str, TetMesh)> {
@@ -543,58 +478,58 @@ fn bodies(folder: &Path) -> Vec<(&'static str, TetMesh)> {
     bodies
 }
 
+/// All edits of a seed; what they broke, if they did.
+fn run_seed(name: &str, mesh: &TetMesh, seed: u64, asked: u64) -> SeedResult {
+    let run = || Patient::new(name, mesh, seed).run(asked);
+    let (tally, broken) = match catch_unwind(AssertUnwindSafe(run)) {
+        Ok(tally) => (tally, None),
+        Err(told) => {
+            let text = told.downcast_ref::<String>().cloned();
+            let text = text.or_else(|| told.downcast_ref::<&str>().map(|s| (*s).to_string()));
+            (Tally::default(), Some(text.unwrap_or_else(|| "a panic".to_string())))
+        }
+    };
+    SeedResult { body: name.to_string(), tetrahedra: mesh.tetrahedra.len(), seed, asked, broken, tally }
+}
+
 #[test]
 fn random_edits_break_nothing() {
     let edits: u64 = std::env::var("GLISSON_SOAK_EDITS").map_or(DEFAULT_EDITS, |s| s.parse().unwrap());
+    let file = |variable: &str| std::env::var_os(variable).map(PathBuf::from);
+    let (log, report) = (file("GLISSON_SOAK_EDITS_LOG"), file("GLISSON_SOAK_EDITS_REPORT"));
     let folder = tempfile::tempdir().unwrap();
     let bodies = bodies(folder.path());
     let n_seeds = edits.div_ceil(EDITS_OF_SEED).max(bodies.len() as u64);
-    let of_seed = edits.div_ceil(n_seeds);
-    let next = std::sync::atomic::AtomicU64::new(0);
-    let tallies =
-        std::sync::Mutex::new(vec![Tally { worst_dihedral_deg: 180.0, ..Tally::default() }; bodies.len()]);
+    let asked = edits.div_ceil(n_seeds);
+    let results = Mutex::new(Results::go_on(log, asked));
+    let next = AtomicU64::new(0);
     std::thread::scope(|scope| {
         for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
             scope.spawn(|| {
                 loop {
-                    let seed = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                    let seed = next.fetch_add(1, Ordering::Relaxed);
                     if seed >= n_seeds {
                         break;
                     }
-                    let which = (seed % bodies.len() as u64) as usize;
-                    let (name, mesh) = &bodies[which];
-                    let tally = Patient::new(name, mesh, seed).run(of_seed);
-                    tallies.lock().unwrap()[which].add(&tally);
+                    if results.lock().unwrap().has(seed) {
+                        continue;
+                    }
+                    let (name, mesh) = &bodies[(seed % bodies.len() as u64) as usize];
+                    let result = run_seed(name, mesh, seed, asked);
+                    let mut results = results.lock().unwrap();
+                    results.add(result);
+                    if let Some(file) = &report {
+                        std::fs::write(file, results.report(n_seeds, asked, COMPARED_EVERY)).unwrap();
+                    }
                 }
             });
         }
     });
-    let mut report = format!(
-        "# Random edits\n{n_seeds} seeds of {of_seed} edits each on the explicit model (stable neo-Hooke): removals around a place, strokes of \
-         a blade that divides tetrahedra, strokes of a scalpel that moves vertices, grasps that pull until tissue tears. \
-         After each edit: orientation, adjacency and Euler characteristics against a recount, volume, what is shown, \
-         finite numbers in the next steps; one in ten is undone and done again, with the same bits. At the end of a seed: \
-         the model against one made afresh from the edited mesh.\nMade by `cargo xtask soak edits`.\n\n\
-         | body | tetrahedra | removals | blade | scalpel | tears | undone | grasps, that held | refused | worst dihedral of a new tetrahedron [deg] | largest difference from a fresh model | not compared: heavier nodes |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|---|\n"
-    );
-    let mut all = Tally::default();
-    for ((name, mesh), t) in bodies.iter().zip(tallies.lock().unwrap().iter()) {
-        let Tally {
-            removals, blade_edits, scalpel_edits, tears, undone, grasps, held, refused, heavier, ..
-        } = t;
-        all.add(t);
-        writeln!(
-            report,
-            "| {name} | {} | {removals} | {blade_edits} | {scalpel_edits} | {tears} | {undone} | {grasps}, {held} | {refused} | {:.2} | {:.1e} | {heavier} |",
-            mesh.tetrahedra.len(), t.worst_dihedral_deg, t.worst_afresh
-        )
-        .unwrap();
-    }
-    eprint!("{report}");
+    let results = results.into_inner().unwrap();
+    eprint!("{}", results.report(n_seeds, asked, COMPARED_EVERY));
+    let all = results.all();
+    let broken: Vec<_> = results.broken().map(|r| (r.seed, r.broken.clone())).collect();
+    assert!(broken.is_empty(), "{broken:?}");
     let happened = [all.removals, all.blade_edits, all.scalpel_edits, all.undone, all.held];
     assert!(happened.iter().all(|&n| n > 0), "{happened:?}");
-    if let Some(file) = std::env::var_os("GLISSON_SOAK_EDITS_REPORT") {
-        std::fs::write(file, report).unwrap();
-    }
 }

@@ -132,14 +132,13 @@ impl Coupling {
     /// Tissue that pushes only and that the tool leaves in this tick does not hold it back.
     pub fn step(&mut self, handle_m: DVec3, tissue: &TissueTangent, dt_s: f64) -> DVec3 {
         let damper_n_per_m = self.damping_n_s_per_m / dt_s;
-        let pull_n = (handle_m - self.tool_m) * self.stiffness_n_per_m
-            + (handle_m - self.handle_m) * damper_n_per_m;
+        let pull_n =
+            (handle_m - self.tool_m) * self.stiffness_n_per_m + (handle_m - self.handle_m) * damper_n_per_m;
         let own_n_per_m = self.stiffness_n_per_m + damper_n_per_m;
         let sum = DMat3::from_diagonal(DVec3::splat(own_n_per_m)) + tissue.stiffness_n_per_m;
         let mut moved_m = sum.inverse() * (pull_n + tissue.force_n);
         let mut force_n = tissue.force_n - tissue.stiffness_n_per_m * moved_m;
-        let leaves =
-            force_n.dot(tissue.pushes_along) < 0.0 && tissue.force_n.dot(tissue.pushes_along) >= 0.0;
+        let leaves = force_n.dot(tissue.pushes_along) < 0.0 && tissue.force_n.dot(tissue.pushes_along) >= 0.0;
         if leaves {
             moved_m = pull_n / own_n_per_m;
             force_n = DVec3::ZERO;

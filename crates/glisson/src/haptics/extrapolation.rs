@@ -14,6 +14,10 @@ use crate::math::DVec3;
 /// A shorter way between two steps [m] has no direction: a choice, a tenth of what devices resolve at least.
 const LEAST_WAY_M: f64 = 1e-6;
 
+/// Forces are extrapolated over positions by no more than so many of the last way: a choice. A tool that hardly moved between
+/// two steps and then moves on would run to any force.
+const MOST_WAYS: f64 = 2.0;
+
 /// How the haptic loop gets from published models to the force now.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ForceEstimate {
@@ -62,7 +66,7 @@ impl ForceEstimate {
                 let way_m = latest.tip_m - before.tip_m;
                 let way_m2 = way_m.length_squared();
                 if way_m2 > LEAST_WAY_M * LEAST_WAY_M {
-                    (tip_m - latest.tip_m).dot(way_m) / way_m2
+                    ((tip_m - latest.tip_m).dot(way_m) / way_m2).clamp(-MOST_WAYS, MOST_WAYS)
                 } else {
                     0.0
                 }

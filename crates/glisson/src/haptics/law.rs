@@ -10,7 +10,7 @@ use super::coupling::{Coupling, CouplingGains, GainShares, TissueTangent};
 use super::device::{DeviceLimits, DeviceState, ForceCommand};
 use super::extrapolation::ForceEstimate;
 use super::handover::Handover;
-use super::limits::Gate;
+use super::limits::{Gate, saturated};
 use super::mapping::{DeviceMapping, Handle, MappedDevice, turn_rad};
 use super::passivity::{EnergyControl, EnergyTank, TankSettings};
 use super::tissue::{HapticModel, Touch};
@@ -20,6 +20,12 @@ use glam::DQuat;
 
 /// A handle that seems quicker [m/s] was put elsewhere: a choice, ten times what hands do with an instrument.
 const MOST_SPEED_M_PER_S: f64 = 10.0;
+
+/// Weight of a tick in the smoothed period: a choice.
+const PERIOD_SMOOTHING: f64 = 0.02;
+
+/// Force of the tissue in forces of the device above which it counts no more: no hand could hold it. A choice.
+const MOST_FORCES: f64 = 10.0;
 
 /// Least stiffness [N/m] by which the energy in touched tissue is estimated: about that of an organ of 4 kPa under a flat tip
 /// of 5 mm, 2 E a/(1 - nu^2).
@@ -108,10 +114,10 @@ pub struct HapticLaw {
     seen: Option<(DVec3, DQuat)>,
     /// Ticks without an answer since then.
     n_lost: u32,
+    /// Time from tick to tick, smoothed [s]: what is expected of the next one. 0 before the first.
+    period_s: f64,
     /// What coupling and tissue hold, at the handle [J].
     stored_j: f64,
-    /// The last command before the gate.
-    ungated: ForceCommand,
     tool: ToolInput,
 }
 
@@ -134,8 +140,8 @@ impl HapticLaw {
             tank: EnergyTank::new(&settings.tank, limits, settings.control),
             seen: None,
             n_lost: 0,
+            period_s: 0.0,
             stored_j: 0.0,
-            ungated: ForceCommand::default(),
             tool: ToolInput::at(settings.mapping.world_origin_m, DVec3::NEG_Y),
         }
     }
@@ -153,6 +159,15 @@ impl HapticLaw {
     /// What that does not go below [J]: see [`super::passivity`].
     pub fn energy_bound_j(&self) -> f64 {
         self.tank.bound_j()
+    }
+
+    /// The tip of an instrument without length is at `world_m` [m] when the handle is at `device_m` [m] in its own frame: begins
+    /// anew from there.
+    pub fn place(&mut self, device_m: DVec3, world_m: DVec3) {
+        let mapping =
+            DeviceMapping { device_origin_m: device_m, world_origin_m: world_m, ..*self.mapped.mapping() };
+        self.mapped = MappedDevice::new(&mapping);
+        self.seen = None;
     }
 
     /// Another way from models to forces; the difference is spread.
@@ -194,34 +209,38 @@ impl HapticLaw {
         if !is_usable {
             return self.lost(dt_s.max(0.0));
         }
+        self.expect_next(dt_s);
         let handle = self.mapped.to_world(device);
         let is_restart = self.look(device, &handle, dt_s);
         let is_stale = model_age_s.is_nan() || model_age_s > self.settings.stale_after_s;
         self.gate.advance(!(is_stale || handle.is_clutched), dt_s);
 
         let tool_m = self.coupling.tool_m();
-        let tissue_force_n = self.handover.force(model, tool_m, model_age_s, dt_s);
+        let felt_n = self.handover.force(model, tool_m, model_age_s, dt_s);
+        let most_n = MOST_FORCES * self.limits.force_n / self.mapped.mapping().force_scale;
+        let tissue_force_n = saturated(felt_n, most_n);
         let tangent = self.tangent(model, tissue_force_n);
         let force_n = self.coupling.step(handle.tip_m, &tangent, dt_s);
         self.stored_j = self.mapped.energy_at_handle_j(
             self.coupling.stored_j() + tissue_energy_j(force_n, &tangent.stiffness_n_per_m),
         );
 
-        self.ungated = self.mapped.to_device(force_n, handle.arm_m);
+        let open = self.mapped.to_device(force_n, handle.arm_m);
         let shortage = match self.settings.control {
             EnergyControl::Tank => self.tank.shortage(),
             EnergyControl::ObserveOnly => 0.0,
         };
         let injected = self.gains.injected_damping_n_s_per_m * shortage;
-        let velocity = if device.velocity_m_per_s.is_finite() { device.velocity_m_per_s } else { DVec3::ZERO };
+        let velocity =
+            if device.velocity_m_per_s.is_finite() { device.velocity_m_per_s } else { DVec3::ZERO };
         let resisting_n = velocity * -injected;
         let share = self.gate.share();
         let wanted = ForceCommand {
-            force_n: self.ungated.force_n * share + resisting_n,
-            torque_n_m: self.ungated.torque_n_m * share,
+            force_n: open.force_n * share + resisting_n,
+            torque_n_m: open.torque_n_m * share,
             jaw_force_n: 0.0,
         };
-        let (command, admitted_share) = self.tank.admit(&wanted, resisting_n, dt_s);
+        let (command, admitted_share) = self.tank.admit(&wanted, resisting_n, self.period_s);
         self.tool = self.mapped.tool(self.coupling.tool_m(), &handle, device);
         let report = TickReport {
             admitted_share,
@@ -236,6 +255,14 @@ impl HapticLaw {
         LawTick { command, tool: self.tool, report }
     }
 
+    /// A late tick says little about the next one.
+    fn expect_next(&mut self, dt_s: f64) {
+        if self.period_s <= 0.0 {
+            self.period_s = dt_s;
+        }
+        self.period_s += (dt_s.min(2.0 * self.period_s) - self.period_s) * PERIOD_SMOOTHING;
+    }
+
     /// Counts the energy of the handle's step; true if there was none to count.
     fn look(&mut self, device: &DeviceState, handle: &Handle, dt_s: f64) -> bool {
         let ticks = f64::from(self.n_lost) + 1.0;
@@ -245,7 +272,7 @@ impl HapticLaw {
         let most_m = MOST_SPEED_M_PER_S * dt_s * ticks;
         match before {
             Some((was_m, was)) if (now.0 - was_m).length() <= most_m => {
-                self.tank.observe(now.0 - was_m, turn_rad(was, now.1), self.stored_j, dt_s);
+                self.tank.observe(now.0 - was_m, turn_rad(was, now.1), self.stored_j, dt_s * ticks);
                 false
             }
             _ => {
@@ -272,11 +299,7 @@ impl HapticLaw {
             Touch::Contact | Touch::Grasp => model.stiffness_n_per_m,
         };
         let pushes_only = is_felt && model.touch != Touch::Grasp && model.n_parts == 0;
-        TissueTangent {
-            force_n,
-            stiffness_n_per_m,
-            pushes_along: if pushes_only { n } else { DVec3::ZERO },
-        }
+        TissueTangent { force_n, stiffness_n_per_m, pushes_along: if pushes_only { n } else { DVec3::ZERO } }
     }
 
     fn report(&self, admitted_share: f64) -> TickReport {

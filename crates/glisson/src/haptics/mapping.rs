@@ -174,7 +174,11 @@ mod tests {
         let mut random = SeededRandom::new(3);
         for _ in 0..50 {
             let vector = |random: &mut SeededRandom| {
-                DVec3::new(random.uniform_in(-1.0, 1.0), random.uniform_in(-1.0, 1.0), random.uniform_in(-1.0, 1.0))
+                DVec3::new(
+                    random.uniform_in(-1.0, 1.0),
+                    random.uniform_in(-1.0, 1.0),
+                    random.uniform_in(-1.0, 1.0),
+                )
             };
             let mapping = DeviceMapping {
                 world_from_device: any_turn(&mut random),

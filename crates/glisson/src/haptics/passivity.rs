@@ -21,8 +21,12 @@
 //! can let go to in this tick. As letting go is always paid for,
 //!
 //! **E >= -E_0 at every tick, whatever the simulation says and the hand does, as long as the hand accelerates by at most a.**
-//! A hand that is quicker draws at most |F| times the way beyond, until the force has gone at the device's rate. The tank is
-//! overdrawn then, and admits nothing but damping against the handle's motion until that has brought it back.
+//! A hand that is quicker, or a tick that is longer than those before, draws at most |F| times the way beyond, until the force
+//! has gone at the device's rate. The tank is overdrawn then, and admits nothing but damping against the handle's motion until
+//! that has brought it back.
+//!
+//! So that this is hardly ever needed, and force does not come and go with the rounding of a step, the largest force falls with
+//! the tank's last half reserve, `|F| <= F_max tank/(E_0/2)`: it fades out and in with the way, by 1/e in E_0/(2 F_max).
 //!
 //! What friction and viscosity left in the tank must not feed an oscillation later: above E_0 and twice what tissue and coupling
 //! can hold, the tank drains. So what leaves in any time is at most what the tank held at its beginning, little more than what
@@ -89,8 +93,8 @@ pub enum EnergyControl {
 /// Force with way, or torque with turn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Port {
-    /// The handle's last step [m or rad].
-    step: DVec3,
+    /// The handle's last step over its time [m/s or rad/s].
+    velocity: DVec3,
     /// Commands that no step was seen for, the oldest first.
     pending: [DVec3; MOST_DELAY_TICKS + 1],
     /// Twice the error of a position, and an acceleration's change of step in a tick.
@@ -101,33 +105,40 @@ struct Port {
 impl Port {
     fn new(error: f64, acceleration: f64) -> Self {
         let pending = [DVec3::ZERO; MOST_DELAY_TICKS + 1];
-        Self { step: DVec3::ZERO, pending, error: 2.0 * error, acceleration }
+        Self { velocity: DVec3::ZERO, pending, error: 2.0 * error, acceleration }
     }
 
     /// Work that the oldest command did on the hand.
-    fn settle(&mut self, step: DVec3, n_pending: usize) -> f64 {
+    fn settle(&mut self, step: DVec3, n_pending: usize, dt_s: f64) -> f64 {
         let work_j = self.pending[0].dot(step);
         self.pending.copy_within(1..n_pending, 0);
-        self.step = step;
+        self.velocity = step / dt_s;
         work_j
     }
 
     /// The most that commands on their way can take.
-    fn pending_cost_j(&self, n_delay: usize, change: f64) -> f64 {
+    fn pending_cost_j(&self, n_delay: usize, dt_s: f64) -> f64 {
+        let (step, change) = self.next_step(dt_s);
         let cost_j = |(i, command): (usize, &DVec3)| {
             let more = self.error + (i + 1) as f64 * change;
-            (command.dot(self.step) + command.length() * more).max(0.0)
+            (command.dot(step) + command.length() * more).max(0.0)
         };
         self.pending[..n_delay].iter().enumerate().map(cost_j).sum()
     }
 
+    /// The last step as it would be in a tick of `dt_s` [s], and by how much it can change.
+    fn next_step(&self, dt_s: f64) -> (DVec3, f64) {
+        (self.velocity * dt_s, self.acceleration * dt_s * dt_s)
+    }
+
     /// The most that `command` can take until it has gone by `rate` a tick.
-    fn cost_j(&self, command: DVec3, n_delay: usize, rate: f64, change: f64) -> f64 {
+    fn cost_j(&self, command: DVec3, n_delay: usize, rate: f64, dt_s: f64) -> f64 {
+        let (step, change) = self.next_step(dt_s);
         let size = command.length();
         if size <= 0.0 {
             return 0.0;
         }
-        let outward = command.dot(self.step) / size + self.error + (n_delay + 1) as f64 * change;
+        let outward = command.dot(step) / size + self.error + (n_delay + 1) as f64 * change;
         let n = if rate > 0.0 { (size / rate).floor().min(1e6) } else { 1e6 };
         let sum_j = 0.5 * n * (n + 1.0);
         let sum_j2 = n * (n + 1.0) * (2.0 * n + 1.0) / 6.0;
@@ -202,7 +213,7 @@ impl EnergyTank {
     /// Forgets commands on their way: the device was away and takes none.
     pub fn restart(&mut self) {
         for port in &mut self.ports {
-            (port.step, port.pending) = (DVec3::ZERO, [DVec3::ZERO; MOST_DELAY_TICKS + 1]);
+            (port.velocity, port.pending) = (DVec3::ZERO, [DVec3::ZERO; MOST_DELAY_TICKS + 1]);
         }
         self.previous = ForceCommand::default();
         self.has_unseen = false;
@@ -215,12 +226,12 @@ impl EnergyTank {
         self.has_unseen = true;
     }
 
-    /// The handle went by `moved_m` [m] and turned by `turned_rad` [rad] since the last tick, while tissue and coupling held
-    /// `stored_j` [J].
+    /// The handle went by `moved_m` [m] and turned by `turned_rad` [rad] in the `dt_s` [s] since the last tick, while tissue and
+    /// coupling held `stored_j` [J].
     pub fn observe(&mut self, moved_m: DVec3, turned_rad: DVec3, stored_j: f64, dt_s: f64) {
         let n_pending = self.settings.loop_delay_ticks + 1;
         let [force, torque] = &mut self.ports;
-        let mut work_j = force.settle(moved_m, n_pending) + torque.settle(turned_rad, n_pending);
+        let mut work_j = force.settle(moved_m, n_pending, dt_s) + torque.settle(turned_rad, n_pending, dt_s);
         if self.has_unseen {
             let [force_n, torque_n_m] = [self.previous.force_n, self.previous.torque_n_m];
             work_j = work_j.max(force_n.dot(moved_m) + torque_n_m.dot(turned_rad));
@@ -244,12 +255,12 @@ impl EnergyTank {
         let rates = rates_of(&self.limits, dt_s);
         let is_overdrawn = self.level_j < 0.0 && self.control == EnergyControl::Tank;
         let wanted = if is_overdrawn {
-            let step_m = self.ports[0].step;
+            let (step_m, _) = self.ports[0].next_step(dt_s);
             let resists = resisting_n.dot(step_m) < 0.0 && step_m.length() > self.ports[0].error;
             let force_n = if resists { resisting_n } else { DVec3::ZERO };
             within_limits(&ForceCommand { force_n, ..ForceCommand::default() }, &self.limits)
         } else {
-            within_limits(wanted, &self.limits)
+            within_limits(wanted, &self.faded_limits())
         };
         let before = [self.previous.force_n, self.previous.torque_n_m];
         let toward = [
@@ -271,13 +282,24 @@ impl EnergyTank {
         (command, share)
     }
 
+    fn faded_limits(&self) -> DeviceLimits {
+        let left = match self.control {
+            EnergyControl::Tank => 1.0 - self.shortage(),
+            EnergyControl::ObserveOnly => 1.0,
+        };
+        DeviceLimits {
+            force_n: self.limits.force_n * left,
+            torque_n_m: self.limits.torque_n_m * left,
+            ..self.limits
+        }
+    }
+
     fn paid_share(&self, from: &[DVec3; 2], to: &[DVec3; 2], rates: &[f64; 2], dt_s: f64) -> f64 {
         let delay = self.settings.loop_delay_ticks;
-        let changes = [0, 1].map(|i| self.ports[i].acceleration * dt_s * dt_s);
-        let pending_j: f64 = (0..2).map(|i| self.ports[i].pending_cost_j(delay, changes[i])).sum();
+        let pending_j: f64 = (0..2).map(|i| self.ports[i].pending_cost_j(delay, dt_s)).sum();
         let is_paid = |share: f64| {
             let cost_j: f64 = (0..2)
-                .map(|i| self.ports[i].cost_j(from[i] + (to[i] - from[i]) * share, delay, rates[i], changes[i]))
+                .map(|i| self.ports[i].cost_j(from[i] + (to[i] - from[i]) * share, delay, rates[i], dt_s))
                 .sum();
             pending_j + cost_j <= self.level_j
         };

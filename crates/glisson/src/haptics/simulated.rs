@@ -170,9 +170,11 @@ impl HandPath {
         match *self {
             Self::Rest(place_m) => (place_m, DVec3::ZERO),
             Self::Reach { from_m, to_m, start_s, duration_s } => {
-                let u = if duration_s > 0.0 { ((time_s - start_s) / duration_s).clamp(0.0, 1.0) } else { 1.0 };
+                let u =
+                    if duration_s > 0.0 { ((time_s - start_s) / duration_s).clamp(0.0, 1.0) } else { 1.0 };
                 let share = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u);
-                let speed = if duration_s > 0.0 { 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration_s } else { 0.0 };
+                let speed =
+                    if duration_s > 0.0 { 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration_s } else { 0.0 };
                 (from_m + (to_m - from_m) * share, (to_m - from_m) * speed)
             }
             Self::Swing { center_m, amplitude_m, frequency_hz } => {
@@ -327,7 +329,8 @@ impl SimulatedDevice {
         let pulled_n = grip_n - self.handle_m_per_s * settings.damping_n_s_per_m + force_n;
         let pushed = self.handle_m_per_s + pulled_n * (dt_s / settings.mass_kg);
         let stopped = settings.friction_n * dt_s / settings.mass_kg;
-        self.handle_m_per_s = pushed.move_towards(DVec3::ZERO, stopped);
+        let speed = pushed.length();
+        self.handle_m_per_s = if speed > stopped { pushed * (1.0 - stopped / speed) } else { DVec3::ZERO };
         self.hand_m += self.hand_m_per_s * dt_s;
         self.handle_m += self.handle_m_per_s * dt_s;
     }

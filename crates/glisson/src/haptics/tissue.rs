@@ -2,8 +2,8 @@
 //! evaluates.
 //!
 //! A touch answers to the tip's motion d by F - S d, with S = -dF/dx the stiffness of the touched patch
-//! ([`super::patch`]). Contact only pushes, and along the surface it bears Coulomb's friction: of the linear force the part
-//! along the normal counts from zero on, the part along the surface up to the coefficient times it. Jaws pull up to what
+//! ([`super::patch`]). Contact only pushes, and along the surface it bears Coulomb's friction: what is more slips until the
+//! force is on the cone. Jaws pull up to what
 //! they hold. Free tissue is met where its surface is by then, and pushes back along the normal.
 
 use crate::math::{DMat3, DVec3};
@@ -21,7 +21,7 @@ pub enum Touch {
 }
 
 /// One of several places where an instrument and the tissue are together.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TouchedPart {
     /// How: never free.
     pub touch: Touch,
@@ -31,6 +31,20 @@ pub struct TouchedPart {
     pub stiffness_n_per_m: DMat3,
     /// Outward unit normal.
     pub normal: DVec3,
+    /// Coulomb's coefficient of friction; infinite for what sticks.
+    pub friction_coefficient: f64,
+}
+
+impl Default for TouchedPart {
+    fn default() -> Self {
+        Self {
+            touch: Touch::Free,
+            force_n: DVec3::ZERO,
+            stiffness_n_per_m: DMat3::ZERO,
+            normal: DVec3::ZERO,
+            friction_coefficient: f64::INFINITY,
+        }
+    }
 }
 
 /// The force of the tissue on an instrument as a function of where its tip is. Plain data, the same size always.
@@ -40,7 +54,7 @@ pub struct HapticModel {
     pub step: u64,
     /// [s]
     pub time_s: f64,
-    /// Simulated time [s] between two of them.
+    /// Time [s] that it is meant for: at least that between two of them.
     pub period_s: f64,
     /// How they are together.
     pub touch: Touch,
@@ -98,14 +112,19 @@ impl Default for HapticModel {
 /// nothing.
 const MOST_PERIODS: f64 = 3.0;
 
+/// What sticks bears along the surface at least and at most so many times the push: choices. Finite, so that the force fades
+/// and does not jump where the push ends.
+const LEAST_STICKING: f64 = 5.0;
+const MOST_STICKING: f64 = 20.0;
+
 impl HapticModel {
     /// Tip, second jaw, shaft, and what jaws hold.
     pub const MOST_PARTS: usize = 4;
 
     /// Force [N] of the tissue on the tip at `tip_m` [m], `age_s` [s] after the model was made.
     ///
-    /// It follows the tip without jumps: by no more than (1 + friction, where that is finite) times the stiffness times the
-    /// motion.
+    /// It follows the tip without jumps: by no more than (2 + friction)^2 times the stiffness times the motion, with 20 for
+    /// the friction of what sticks.
     pub fn force_at(&self, tip_m: DVec3, age_s: f64) -> DVec3 {
         let moved_m = tip_m - self.tip_m;
         if self.n_parts > 0 {
@@ -123,6 +142,7 @@ impl HapticModel {
                     force_n: self.force_n,
                     stiffness_n_per_m: self.stiffness_n_per_m,
                     normal: self.normal,
+                    friction_coefficient: self.friction_coefficient,
                 };
                 self.part_at(&whole, moved_m)
             }
@@ -141,23 +161,19 @@ impl HapticModel {
         match part.touch {
             Touch::Free => DVec3::ZERO,
             Touch::Grasp => shortened(linear_n, self.hold_n),
-            Touch::Contact => {
-                let push_n = linear_n.dot(part.normal);
-                if push_n <= 0.0 {
-                    return DVec3::ZERO;
-                }
-                let along_n = linear_n - part.normal * push_n;
-                part.normal * push_n + shortened(along_n, self.friction_coefficient * push_n)
-            }
+            Touch::Contact => pushed(part, linear_n),
         }
     }
 
     /// Whether every number that `force_at` uses is one.
     pub fn is_finite(&self) -> bool {
         let parts = &self.parts[..(self.n_parts as usize).min(Self::MOST_PARTS)];
-        let of_parts = parts
-            .iter()
-            .all(|p| p.force_n.is_finite() && p.stiffness_n_per_m.is_finite() && p.normal.is_finite());
+        let of_parts = parts.iter().all(|p| {
+            p.force_n.is_finite()
+                && p.stiffness_n_per_m.is_finite()
+                && p.normal.is_finite()
+                && p.friction_coefficient >= 0.0
+        });
         of_parts
             && self.tip_m.is_finite()
             && self.force_n.is_finite()
@@ -166,9 +182,47 @@ impl HapticModel {
             && self.gap_m.is_finite()
             && self.surface_velocity_m_per_s.is_finite()
             && self.period_s.is_finite()
-            && !self.friction_coefficient.is_nan()
-            && !self.hold_n.is_nan()
+            && self.friction_coefficient >= 0.0
+            && self.hold_n >= 0.0
     }
+}
+
+impl TouchedPart {
+    /// Coulomb's coefficient; of what sticks one that bears twice the published force.
+    fn friction(&self) -> f64 {
+        if self.friction_coefficient.is_finite() {
+            return self.friction_coefficient;
+        }
+        let push_n = self.force_n.dot(self.normal);
+        let along_n = (self.force_n - self.normal * push_n).length();
+        // Without a push there is no ratio: the largest.
+        let ratio = if push_n > 0.0 { 2.0 * along_n / push_n } else { MOST_STICKING };
+        ratio.clamp(LEAST_STICKING, MOST_STICKING)
+    }
+}
+
+/// Contact without pull, under Coulomb's friction. Where the linear force leaves the cone the touched point slips along the
+/// surface by s = (|along| - mu push)/k, with k the mean stiffness along it; the push falls by c s, with c the coupling of
+/// push and drag, and what is left along the surface is mu times it. c counts as far as the force then follows the tip by no
+/// more than [`HapticModel::force_at`] says: up to k/2, and to k/(2 mu).
+fn pushed(part: &TouchedPart, linear_n: DVec3) -> DVec3 {
+    let normal = part.normal;
+    let push_n = linear_n.dot(normal);
+    let along_n = linear_n - normal * push_n;
+    let (size_n, friction) = (along_n.length(), part.friction());
+    if size_n <= friction * push_n {
+        return linear_n;
+    }
+    let direction = along_n.normalize_or_zero();
+    let of_push = part.stiffness_n_per_m * normal;
+    let (trace, stiffness) = (part.stiffness_n_per_m.diagonal().element_sum(), of_push.dot(normal));
+    let of_drag = 0.5 * (trace - stiffness);
+    let mut left_n = push_n;
+    if of_drag > 0.0 {
+        let coupling = shortened(of_push - normal * stiffness, 0.5 * of_drag / friction.max(1.0));
+        left_n -= coupling.dot(direction) * (size_n - friction * push_n.max(0.0)) / of_drag;
+    }
+    if left_n > 0.0 { normal * left_n + direction * (friction * left_n) } else { DVec3::ZERO }
 }
 
 /// The vector, or as much of it as `most` allows.
@@ -210,6 +264,28 @@ mod tests {
     }
 
     #[test]
+    fn what_slips_slips_until_the_force_is_on_the_cone() {
+        let mut model = contact(0.3);
+        model.stiffness_n_per_m.x_axis.z = 15.0;
+        model.stiffness_n_per_m.z_axis.x = 15.0;
+        let tip_m = DVec3::new(0.02, 0.0, -5e-3);
+        let found_n = model.force_at(tip_m, 0.0);
+        let push_n = found_n.z;
+        assert!((found_n.x + 0.3 * push_n).abs() < 1e-12, "{found_n}");
+        let linear_n = model.force_n - model.stiffness_n_per_m * tip_m;
+        let slip_m = (-linear_n.x - 0.3 * linear_n.z) / 50.0;
+        assert!((push_n - (linear_n.z + 15.0 * slip_m)).abs() < 1e-12, "{push_n} {slip_m}");
+        // From the edge of the cone on without a jump.
+        let near = |x_m: f64| model.force_at(DVec3::new(x_m, 0.0, 0.0), 0.0);
+        let mut last_n = near(0.0);
+        for i in 1..=4000 {
+            let next_n = near(f64::from(i) * 1e-5);
+            assert!(next_n.distance(last_n) < 2.3 * 2.3 * 110.0 * 1e-5, "{i}");
+            last_n = next_n;
+        }
+    }
+
+    #[test]
     fn jaws_pull_up_to_what_they_hold() {
         let model = HapticModel { touch: Touch::Grasp, hold_n: 3.0, ..contact(0.5) };
         let found_n = model.force_at(DVec3::Z * 0.02, 0.0);
@@ -242,6 +318,7 @@ mod tests {
             force_n: normal,
             stiffness_n_per_m: DMat3::IDENTITY * 100.0,
             normal,
+            friction_coefficient: f64::INFINITY,
         };
         let mut model = contact(f64::INFINITY);
         (model.parts[0], model.parts[1], model.n_parts) = (part(DVec3::X), part(DVec3::Z), 2);

@@ -159,6 +159,8 @@ impl LocalModel {
 #[derive(Clone, Debug)]
 pub struct LocalWork {
     path: KernelPath,
+    most_rings: u32,
+    tolerance: f64,
     /// Place in the region of each node plus one; zero outside.
     place: Vec<u32>,
     /// Nodes, those of the patch first.
@@ -185,6 +187,8 @@ impl LocalWork {
         let n = n_nodes.min(MOST_REGION);
         Self {
             path: KernelPath::fastest(),
+            most_rings: MOST_RINGS,
+            tolerance: TOLERANCE,
             place: vec![0; n_nodes],
             region: Vec::with_capacity(n),
             n_patch: 0,
@@ -196,6 +200,17 @@ impl LocalWork {
             entries: Vec::with_capacity(NEIGHBOURS * n),
             inverse_diagonal: Vec::with_capacity(3 * n),
             vectors: std::array::from_fn(|_| Vec::with_capacity(3 * n)),
+        }
+    }
+
+    /// For an estimate that costs less: so many rings at most, and columns solved to this share of their residual. Beyond
+    /// the rings the body is taken to be held, so that the patch seems stiffer. Exact models do not count rings.
+    #[must_use]
+    pub fn estimating(self, most_rings: u32, tolerance: f64) -> Self {
+        Self {
+            most_rings: most_rings.clamp(LEAST_RINGS, MOST_RINGS),
+            tolerance: tolerance.clamp(TOLERANCE, 0.1),
+            ..self
         }
     }
 
@@ -361,7 +376,7 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
     work.start(out);
     // The tetrahedra at the patch first: they tell how many rings are needed.
     work.add_ring(body, true);
-    let wanted = rings_for(work.condition_bound(body, h_s));
+    let wanted = rings_for(work.condition_bound(body, h_s)).min(work.most_rings);
     let mut n_rings = 1;
     while n_rings < wanted && work.add_ring(body, false) {
         n_rings += 1;
@@ -605,7 +620,7 @@ impl EightWork for Columns<'_> {
 /// Conjugate gradients for unit forces on the unknowns from `first` on, into the first of the vectors.
 #[inline(always)]
 fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> Solved {
-    let LocalWork { row_start, columns, entries, inverse_diagonal, vectors, .. } = work;
+    let LocalWork { row_start, columns, entries, inverse_diagonal, vectors, tolerance, .. } = work;
     let n = inverse_diagonal.len();
     for vector in vectors.iter_mut() {
         vector.clear();
@@ -626,7 +641,7 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
             rho[lane] += r[i][lane] * p[i][lane];
         }
     }
-    let least = rho.map(|rho| TOLERANCE * TOLERANCE * rho);
+    let least = rho.map(|rho| *tolerance * *tolerance * rho);
     for _ in 0..MOST_ITERATIONS {
         if (0..8).all(|lane| rho[lane] <= least[lane]) {
             return Solved::Wholly;

@@ -3,6 +3,7 @@
 mod body;
 mod correction;
 mod report;
+mod effort;
 pub(crate) mod roomy;
 mod growth;
 pub mod extended_mass_spring;
@@ -25,6 +26,7 @@ mod undo;
 pub use crate::solve::{Attachment, FixedNode, RestStress};
 pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};
 pub use correction::{Correction, StepAnswer};
+pub use effort::Effort;
 pub use explicit::{ExplicitError, Inertia, Integration};
 pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
@@ -127,6 +129,11 @@ pub trait DeformableModel: Send {
     /// Gravity from the next step on [m/s2]. A model whose rest shape is the loaded one answers to the difference
     /// from the gravity it was made with.
     fn set_gravity(&mut self, gravity_m_per_s2: DVec3);
+
+    /// How thoroughly it computes from the next step on; answers whether that makes a difference to this model.
+    fn set_effort(&mut self, _effort: Effort) -> bool {
+        false
+    }
 
     /// How the last step went.
     fn report(&self) -> ModelReport;

@@ -7,6 +7,7 @@
 use super::hash::StateHash;
 use crate::math::DVec3;
 use crate::mesh::TetId;
+use crate::model::Effort;
 use crate::model::kind::ModelKind;
 use crate::tool::{MAX_TOOLS, ToolInput};
 use serde::{Deserialize, Serialize};
@@ -92,6 +93,13 @@ pub enum SessionEvent {
         /// Which instrument, in the scene's order.
         tool: u8,
     },
+    /// From this step on steps are computed so thoroughly: the clock of the recording did not allow more.
+    Effort {
+        /// Index of the step to be made.
+        step: u64,
+        /// How thoroughly.
+        effort: Effort,
+    },
     /// Another model was ordered; it takes over before step `at_step`, which waits for it.
     QueueModelSwap {
         /// Index of the step to be made when it was ordered.
@@ -127,6 +135,7 @@ impl SessionEvent {
             | Self::Remove { step, .. }
             | Self::UndoEdit { step }
             | Self::Clip { step, .. }
+            | Self::Effort { step, .. }
             | Self::QueueModelSwap { step, .. }
             | Self::Checkpoint { step, .. }
             | Self::End { step, .. } => step,
@@ -308,6 +317,7 @@ mod tests {
             SessionEvent::Reset { step: 12 },
             SessionEvent::UndoEdit { step: 12 },
             SessionEvent::Clip { step: 12, tool: 1 },
+            SessionEvent::Effort { step: 13, effort: Effort::Reduced },
             SessionEvent::End { step: 20, state_hash: hash },
         ];
         let header = SessionHeader::new("name = \"x\"\n".into(), "ab".into());
@@ -342,7 +352,7 @@ mod tests {
         let (events, text) = sample();
         let session = parse_session(&text[..text.len() - 30]).unwrap();
         assert!(session.cut_off);
-        assert_eq!(session.events, events[..6]);
+        assert_eq!(session.events, events[..7]);
     }
 
     #[test]
@@ -357,7 +367,10 @@ mod tests {
         assert!(with("glisson-session", "other").contains("\"other\""));
         assert!(with("n_substeps\":1", "n_substeps\":0").starts_with("line 2"));
         assert!(with("reset", "explode").starts_with("line 5"));
-        assert!(with("\"clip\",\"step\":12,\"tool\":1", "\"clip\",\"step\":12,\"tool\":9").starts_with("line 7: instrument 9"));
+        assert!(
+            with("\"clip\",\"step\":12,\"tool\":1", "\"clip\",\"step\":12,\"tool\":9")
+                .starts_with("line 7: instrument 9")
+        );
     }
 
     proptest! {

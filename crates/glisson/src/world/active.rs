@@ -105,12 +105,13 @@ impl World {
         if !is_on && !self.active[tool].is_in_stroke {
             return;
         }
-        let blade_m = [pose.tip_in_world_m, pose.tip_in_world_m + pose.shaft_in_world * blade.length_m];
+        let mut blade_m = [pose.tip_in_world_m, pose.tip_in_world_m + pose.shaft_in_world * blade.length_m];
         let Some(mut edge) = self.active[tool].edge.take() else { return };
-        if let Some(outward_m) = self.hands[tool].overload.entry_m.take() {
-            // The tissue that the edge pressed in springs back over it: the stroke begins above.
+        if let Some([outward_m, inward_m]) = self.hands[tool].overload.entry_m.take() {
+            // The tissue that the edge pressed in will spring back over it: so deep is the first cut.
             let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
             edge.begin(body, positions_m, blade_m.map(|p| p + outward_m));
+            blade_m = blade_m.map(|p| p + inward_m);
         }
         match &mut edge {
             Edge::Subdivision(cut) => self.subdivide(tool, cut, blade_m, cuts),
@@ -133,7 +134,7 @@ impl World {
         let change = self.edit_all(edits)?;
         if self.spec.tearing.is_some() {
             let area_m2 = self.crack_area_m2(&change);
-            self.feel_cut(tool, area_m2);
+            self.owe_for_cut(tool, area_m2);
         }
         Ok(())
     }

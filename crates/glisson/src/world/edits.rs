@@ -67,6 +67,8 @@ struct EditRecord {
     vessels: Option<Vessels>,
     /// Steps made when the edit was.
     step: u64,
+    /// Tetrahedra that it removed before any other kind of edit was made.
+    n_removed_first: usize,
 }
 
 /// The last edits, and those of the whole run in short.
@@ -74,10 +76,12 @@ pub(super) struct Journal {
     records: VecDeque<EditRecord>,
     spare: Vec<EditRecord>,
     depth: usize,
-    /// All edits that stand, in order: what a model that is made from the organ of the start has to follow.
-    made: Vec<Vec<MeshEdit>>,
-    /// Whether all of them were removals.
-    only_removals: bool,
+    /// What a model that is made from the organ of the start has to follow: first the tetrahedra that were removed before
+    /// any other edit, in the order in which they went; there are no more of them than the organ had ...
+    removed: Vec<TetId>,
+    /// ... then all edits that stand from the first on that was no removal. They grow with the mesh, whose numbers
+    /// only grow as well.
+    later: Vec<Vec<MeshEdit>>,
 }
 
 impl Journal {
@@ -86,19 +90,36 @@ impl Journal {
             records: VecDeque::new(),
             spare: Vec::new(),
             depth: UNDO_DEPTH,
-            made: Vec::new(),
-            only_removals: true,
+            removed: Vec::new(),
+            later: Vec::new(),
         }
     }
 
     /// The same edits, of which none can be taken back: their saved values belong to another world.
     pub(super) fn without_undo(&self) -> Self {
-        Self { depth: self.depth, made: self.made.clone(), only_removals: self.only_removals, ..Self::new() }
+        let (removed, later) = (self.removed.clone(), self.later.clone());
+        Self { depth: self.depth, removed, later, ..Self::new() }
     }
 
     /// No edit so far can be taken back any more.
     pub(super) fn forget_undo(&mut self) {
         self.spare.extend(self.records.drain(..));
+    }
+
+    /// Notes an edit that was made; answers how many tetrahedra joined those that were removed first.
+    fn note(&mut self, edits: &[MeshEdit]) -> usize {
+        let is_removal = |edit: &MeshEdit| matches!(edit, MeshEdit::Remove { .. });
+        if !self.later.is_empty() || !edits.iter().all(is_removal) {
+            self.later.push(edits.to_vec());
+            return 0;
+        }
+        let n_before = self.removed.len();
+        for edit in edits {
+            if let MeshEdit::Remove { tets } = edit {
+                self.removed.extend_from_slice(tets);
+            }
+        }
+        self.removed.len() - n_before
     }
 
     /// Keeps to the depth, and few whole copies.
@@ -157,9 +178,7 @@ impl World {
             return Err(refusal);
         }
         self.let_all_follow(&mut record);
-        let only_removals = edits.iter().all(|edit| matches!(edit, MeshEdit::Remove { .. }));
-        self.journal.only_removals &= only_removals;
-        self.journal.made.push(edits.to_vec());
+        record.n_removed_first = self.journal.note(edits);
         self.journal.records.push_back(record);
         self.journal.shorten();
         let last = self.journal.records.back().or(self.journal.spare.last());
@@ -229,6 +248,8 @@ impl World {
     pub fn undo_edit(&mut self) -> bool {
         let Some(mut record) = self.journal.records.pop_back() else { return false };
         record.model.put_back(&mut self.model);
+        // It was saved with the effort of its time.
+        self.keep_effort();
         // A model that is still being made may be made from the organ with this cut.
         self.swap.take_if(|swap| swap.model.is_none());
         if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
@@ -252,9 +273,10 @@ impl World {
         }
         self.owners.clear();
         self.constraints.displacements.clear();
-        self.journal.made.pop();
-        self.journal.only_removals =
-            self.journal.made.iter().flatten().all(|edit| matches!(edit, MeshEdit::Remove { .. }));
+        if self.journal.later.pop().is_none() {
+            let n_left = self.journal.removed.len() - record.n_removed_first;
+            self.journal.removed.truncate(n_left);
+        }
         self.journal.spare.push(record);
         self.journal.shorten();
         true
@@ -274,7 +296,8 @@ impl World {
 
     /// Lets a model that was made from the organ of the start follow all edits that stand.
     pub(super) fn bring_up_to_date(&self, model: &mut dyn DeformableModel) -> Result<(), EditRefusal> {
-        if self.journal.made.is_empty() {
+        let Journal { removed, later, .. } = &self.journal;
+        if removed.is_empty() && later.is_empty() {
             return Ok(());
         }
         if let Some(refusal) = model.topology_refusal() {
@@ -282,15 +305,16 @@ impl World {
         }
         let mut whole = EditableMesh::new(TetMesh::clone(&self.mesh_of_the_start))?;
         let mut change = TopologyChange::default();
-        if self.journal.only_removals {
+        if !removed.is_empty() {
             // All at once: a pre-computed model of what is left knows them already.
-            let tets: Vec<TetId> = self.organ.removed_tetrahedra();
+            let mut tets: Vec<TetId> = removed.clone();
+            tets.sort_unstable();
+            tets.dedup();
             whole.apply_into(&MeshEdit::Remove { tets }, &mut change)?;
             model.topology_changed(whole.mesh(), &change)?;
-            return Ok(());
         }
         let mut undo = MeshUndo::default();
-        for edits in &self.journal.made {
+        for edits in later {
             match edits.as_slice() {
                 [edit] => whole.apply_saving(edit, &mut change, &mut undo)?,
                 _ => whole.apply_all_saving(edits, &mut change, &mut undo)?,
@@ -302,7 +326,7 @@ impl World {
 
     /// Whether the tetrahedra are those of the start, but for some that were taken out.
     pub fn has_only_removals(&self) -> bool {
-        self.journal.only_removals
+        self.journal.later.is_empty()
     }
 
     pub(super) fn order_of(swap: Option<&QueuedSwap>) -> Option<QueuedSwap> {

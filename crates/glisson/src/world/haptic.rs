@@ -16,12 +16,26 @@ use crate::tool::{Tool, ToolInput, ToolKind};
 
 /// How near tissue has to be to be told of [m]: beyond what the tool's speed may cover, which is added. A choice.
 const REACH_M: f64 = 5e-3;
-/// Steps for which the tool's speed is expected to last until a newer model is felt.
-const STEPS_AHEAD: f64 = 2.5;
+/// Periods for which the tool's speed is expected to last until a newer model is felt.
+const PERIODS_AHEAD: f64 = 2.5;
 /// Triangles that are looked at for the nearest one.
 const MOST_NEAR: usize = 256;
 /// The search is repeated in half the reach when there are more, so often at most.
 const MOST_SEARCHES: usize = 4;
+
+/// Time [s] that the stiffness is for, at least: a simulation that is just fast enough to look at. Over a shorter time the
+/// patch's inertia counts, which answers to changes of speed, not to a motion that goes on.
+const LEAST_RESPONSE_S: f64 = 1.0 / 30.0;
+/// Rings of tetrahedra around a patch that count, and how well its columns are solved. Choices: what is left out makes the
+/// patch of a triangle a tenth too stiff at most (its displacements fall with the distance), which the hand feels for a
+/// step's way only.
+const MOST_RINGS: u32 = 5;
+const TOLERANCE: f64 = 1e-3;
+/// Tissue that does not slide though the tool's coefficient would let it is caught in its own dent: it is taken to bear so
+/// many times what it bears now.
+const CAUGHT: f64 = 1.5;
+/// What it bears along the surface over the push, at most.
+const MOST_FRICTION: f64 = 20.0;
 
 /// A node that follows the tool: which, how for a unit motion of the tip, and with which part.
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +58,7 @@ pub(super) struct HapticScratch {
 impl HapticScratch {
     fn for_nodes(n_nodes: usize) -> Self {
         Self {
-            work: LocalWork::with_room_for(n_nodes),
+            work: LocalWork::with_room_for(n_nodes).estimating(MOST_RINGS, TOLERANCE),
             local: LocalModel::new(),
             patch: PatchStiffness::new(),
             followers: Vec::with_capacity(LocalModel::MOST_NODES),
@@ -73,26 +87,37 @@ impl World {
     /// What the tissue does to a tool nearby and soon, after a step. The first call makes room, later ones allocate nothing.
     /// A tool that is not there is free.
     ///
-    /// The stiffness is that of the nodes that follow the tool, over one step of the world, with the rest of the organ free to
+    /// The stiffness is that of the nodes that follow the tool, over a step or a thirtieth of a second, with the rest of the organ free to
     /// follow; between contacts what the tip would touch next is told, of tissue that is not in the way of a blade at work.
     pub fn haptic_model(&mut self, tool: usize) -> HapticModel {
+        self.haptic_model_over(tool, self.spec.time_step_s.max(LEAST_RESPONSE_S))
+    }
+
+    /// The same with the stiffness over another time [s]: a longer one counts less of the inertia, but costs more.
+    pub fn haptic_model_over(&mut self, tool: usize, response_s: f64) -> HapticModel {
         self.prepare_haptics();
         let dt_s = self.spec.time_step_s;
         let mut model = HapticModel {
             step: self.step,
             time_s: self.step as f64 * dt_s,
-            period_s: dt_s,
+            period_s: response_s,
             ..HapticModel::default()
         };
         let Some(mut scratch) = self.haptics.take() else { return model };
         if tool < self.hands.len() {
-            self.fill_haptic_model(tool, &mut scratch, &mut model);
+            self.fill_haptic_model(tool, response_s, &mut scratch, &mut model);
         }
         self.haptics = Some(scratch);
         if model.is_finite() { model } else { HapticModel { step: model.step, ..HapticModel::default() } }
     }
 
-    fn fill_haptic_model(&mut self, place: usize, scratch: &mut HapticScratch, model: &mut HapticModel) {
+    fn fill_haptic_model(
+        &mut self,
+        place: usize,
+        response_s: f64,
+        scratch: &mut HapticScratch,
+        model: &mut HapticModel,
+    ) {
         let dt_s = self.spec.time_step_s;
         let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
         let pose = hand.now;
@@ -124,13 +149,16 @@ impl World {
                     scratch.follow(node, motion * weight, n_parts);
                 }
             }
+            let force_n = -self.force_on_organ_n(place, Some(part));
             model.parts[n_parts] = TouchedPart {
                 touch: Touch::Contact,
-                force_n: -self.force_on_organ_n(place, Some(part)),
+                force_n,
                 normal: contact.normal,
+                friction_coefficient: friction_now(tool, force_n, contact.normal, hand.report.slip_m > 0.0),
                 ..TouchedPart::default()
             };
             if model.normal == DVec3::ZERO {
+                model.friction_coefficient = model.parts[n_parts].friction_coefficient;
                 model.normal = contact.normal;
                 model.surface_m = contact.point_m(positions_m);
                 model.surface_velocity_m_per_s =
@@ -139,10 +167,10 @@ impl World {
             n_parts += 1;
         }
         if n_parts == 0 {
-            self.meet_surface(place, scratch, model);
+            self.meet_surface(place, response_s, scratch, model);
             return;
         }
-        self.solve_patch(scratch, model.period_s);
+        self.solve_patch(scratch, response_s);
         for (i, part) in model.parts[..n_parts].iter_mut().enumerate() {
             let followers = &scratch.followers;
             part.stiffness_n_per_m = scratch.patch.stiffness_n_per_m(|node| followers[node].part == i);
@@ -158,10 +186,16 @@ impl World {
     }
 
     /// The place that a free tool will touch, and how stiff it is.
-    fn meet_surface(&mut self, place: usize, scratch: &mut HapticScratch, model: &mut HapticModel) {
+    fn meet_surface(
+        &mut self,
+        place: usize,
+        response_s: f64,
+        scratch: &mut HapticScratch,
+        model: &mut HapticModel,
+    ) {
         let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
         let is_cutting = matches!(tool.kind, ToolKind::Scalpel(_)) && hand.now.is_triggered();
-        let mut reach_m = REACH_M + model.tip_velocity_m_per_s.length() * STEPS_AHEAD * model.period_s;
+        let mut reach_m = REACH_M + model.tip_velocity_m_per_s.length() * PERIODS_AHEAD * model.period_s;
         model.gap_m = reach_m;
         if is_cutting || !reach_m.is_finite() {
             return;
@@ -200,17 +234,29 @@ impl World {
                 scratch.follow(node, DMat3::IDENTITY * weight, 0);
             }
         }
-        self.solve_patch(scratch, model.period_s);
+        self.solve_patch(scratch, response_s);
         model.stiffness_n_per_m = scratch.patch.stiffness_n_per_m(|_| true);
     }
 
-    fn solve_patch(&mut self, scratch: &mut HapticScratch, period_s: f64) {
+    fn solve_patch(&mut self, scratch: &mut HapticScratch, response_s: f64) {
         scratch.nodes.clear();
         scratch.nodes.extend(scratch.followers.iter().map(|f| f.node));
-        self.model.local_model_into(&scratch.nodes, period_s, &mut scratch.work, &mut scratch.local);
+        self.model.local_model_into(&scratch.nodes, response_s, &mut scratch.work, &mut scratch.local);
         let followers = &scratch.followers;
         scratch.patch.solve(&scratch.local, |node| followers[node].motion);
     }
+}
+
+/// Coefficient that the tissue shows now: that of the tool, or what it bears beyond it.
+fn friction_now(tool: &Tool, force_n: DVec3, normal: DVec3, slides: bool) -> f64 {
+    if tool.grip.is_sticky {
+        return f64::INFINITY;
+    }
+    let push_n = force_n.dot(normal);
+    let along_n = (force_n - normal * push_n).length();
+    let shown = if push_n > 0.0 { along_n / push_n } else { 0.0 };
+    let reserve = if slides { 1.0 } else { CAUGHT };
+    tool.grip.friction_coefficient.max(shown * reserve).min(MOST_FRICTION)
 }
 
 /// Motion of a point of a tool for motions of its tip: the same, but for a tool that turns about its trocar c. With the

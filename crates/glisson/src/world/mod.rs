@@ -30,7 +30,7 @@ use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::model::kind::ModelKind;
-use crate::model::{Constraints, DeformableModel, ModelReport, ModelState};
+use crate::model::{Constraints, DeformableModel, Effort, ModelReport, ModelState};
 use crate::record::hash::StateHash;
 use crate::record::snapshot::{BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
@@ -137,6 +137,8 @@ pub struct World {
     pull_m_per_s2: DVec3,
     step: u64,
     report: StepReport,
+    /// None until somebody chose one.
+    effort: Option<Effort>,
 }
 
 impl World {
@@ -187,6 +189,7 @@ impl World {
             pull_m_per_s2: gravity_m_per_s2,
             step: 0,
             report: StepReport::default(),
+            effort: None,
         })
     }
 
@@ -309,6 +312,22 @@ impl World {
         self.gravity_m_per_s2
     }
 
+    /// How thoroughly steps are computed from the next one on, also by models that take over later; answers whether that
+    /// makes a difference to the present one.
+    pub fn set_effort(&mut self, effort: Effort) -> bool {
+        self.effort = Some(effort);
+        self.keep_effort()
+    }
+
+    /// How thoroughly steps are computed.
+    pub fn effort(&self) -> Effort {
+        self.effort.unwrap_or_default()
+    }
+
+    fn keep_effort(&mut self) -> bool {
+        self.effort.is_some_and(|effort| self.model.set_effort(effort))
+    }
+
     /// One step of the scene's time step.
     pub fn step(&mut self, input: &StepInput) -> StepReport {
         self.report = StepReport { step: self.step, ..StepReport::default() };
@@ -342,6 +361,7 @@ impl World {
             model.take_over_in_motion(&self.model.state());
             model.set_gravity(self.pull_m_per_s2);
             self.model = model;
+            self.keep_effort();
             self.model_kind = swap.kind;
             // What was saved belongs to the model before.
             self.journal.forget_undo();

@@ -47,6 +47,7 @@ impl World {
             pull_m_per_s2: self.pull_m_per_s2,
             step: self.step,
             report: self.report,
+            effort: self.effort,
         }
     }
 }

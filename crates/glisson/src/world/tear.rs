@@ -25,6 +25,9 @@ const STEPS_FOR_ALL: u64 = 16;
 /// tip that comes at 1 m/s on a millimetre's mesh stays below it.
 const GREATEST_OVERLOAD: f64 = 4.0;
 
+/// An edge has left the tissue when it is this share of its radius away: it breaks in from where it just touches.
+const LEAVES_BEYOND: f64 = 0.5;
+
 /// Place of the jaws in the list of what loads tissue, after the parts.
 const OF_JAWS: usize = ToolPart::ALL.len();
 
@@ -38,12 +41,11 @@ pub(super) struct Overload {
     pub(super) strength_left: f64,
     /// Whether the edge has broken in and cuts freely.
     pub(super) edge_is_in: bool,
-    /// From where it touched to above where the tissue springs back [m].
-    pub(super) entry_m: Option<DVec3>,
-    /// Way of the edge since its last cut [m].
-    way_m: f64,
-    /// Force with which the crack before the edge holds it back while it moves [N].
-    edge_force_n: f64,
+    /// From where it broke in: to outside of the tissue, and to where it is when the tissue that it pressed in has sprung
+    /// back over it [m].
+    pub(super) entry_m: Option<[DVec3; 2]>,
+    /// Energy of the cracks that the edge opened and the hand has not paid for yet [J].
+    owed_j: f64,
 }
 
 impl Default for Overload {
@@ -54,8 +56,7 @@ impl Default for Overload {
             strength_left: 1.0,
             edge_is_in: false,
             entry_m: None,
-            way_m: 0.0,
-            edge_force_n: 0.0,
+            owed_j: 0.0,
         }
     }
 }
@@ -72,10 +73,15 @@ impl Overload {
     /// Everything that its next steps depend on, as far as it is not as in the beginning.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let work = self.work.iter().map(Breakthrough::available_j);
-        let edge = [f64::from(u8::from(self.edge_is_in)), self.way_m, self.edge_force_n];
-        let entry = self.entry_m.into_iter().flat_map(|v| v.to_array());
+        let edge = [f64::from(u8::from(self.edge_is_in)), self.owed_j];
+        let entry = self.entry_m.into_iter().flatten().flat_map(|v| v.to_array());
         let heat = [1.0 - self.strength_left];
-        work.chain(edge).chain(entry).chain(heat).enumerate().filter(|(_, x)| *x != 0.0).flat_map(|(i, x)| [i as f64, x])
+        work.chain(edge)
+            .chain(entry)
+            .chain(heat)
+            .enumerate()
+            .filter(|(_, x)| *x != 0.0)
+            .flat_map(|(i, x)| [i as f64, x])
     }
 
     /// After a step in which `place` (a part, or the jaws after all parts) loaded the tissue; `None`: it did not.
@@ -84,7 +90,8 @@ impl Overload {
             (self.work[place], self.breaks[place]) = (Breakthrough::default(), false);
             return;
         };
-        let energy = if place == ToolPart::Tip.index() { energy.weakened(self.strength_left) } else { energy };
+        let energy =
+            if place == ToolPart::Tip.index() { energy.weakened(self.strength_left) } else { energy };
         let force_n = load.force_on_tool_n;
         let much_n = GREATEST_OVERLOAD * energy.cutting_force_n(load.front.length_m);
         let gives_way = self.work[place].push(energy, load.front, force_n, load.motion_m);
@@ -93,12 +100,19 @@ impl Overload {
 
     /// A stroke of the edge is over, or none is asked for.
     pub(super) fn end_stroke(&mut self) {
-        (self.edge_is_in, self.entry_m, self.way_m, self.edge_force_n) = (false, None, 0.0, 0.0);
+        (self.edge_is_in, self.entry_m, self.owed_j) = (false, None, 0.0);
     }
 
-    /// Force on a tool whose edge cuts, in a step in which it moved by `motion_m` [N].
-    pub(super) fn edge_force_n(&self, motion_m: DVec3) -> DVec3 {
-        if self.edge_is_in { -motion_m.normalize_or_zero() * self.edge_force_n } else { DVec3::ZERO }
+    /// Force on a tool whose edge moved by `motion_m` in a step [N]: it holds the edge back so that the hand's work pays for
+    /// the cracks, the most of what is owed over a way of `over_m`. Cuts come in jumps, the force does not.
+    pub(super) fn pay_for_cuts_n(&mut self, motion_m: DVec3, over_m: f64) -> DVec3 {
+        let way_m = motion_m.length();
+        if !self.edge_is_in || way_m == 0.0 {
+            return DVec3::ZERO;
+        }
+        let paid_j = self.owed_j * (way_m / over_m).min(1.0);
+        self.owed_j -= paid_j;
+        -motion_m * (paid_j / (way_m * way_m))
     }
 }
 
@@ -215,7 +229,8 @@ impl World {
         if is_edge && hand.now.is_triggered() {
             let point_m = contact.at.in_world_m(spec, &hand.now);
             hand.overload.edge_is_in = true;
-            hand.overload.entry_m = Some(contact.normal() * (contact.depth_m(point_m) + 2.0 * spec.tip_radius_m));
+            let inward_m = contact.normal() * -contact.depth_m(point_m);
+            hand.overload.entry_m = Some([contact.normal() * (2.0 * spec.tip_radius_m), inward_m]);
             return;
         }
         let tets = self.tetrahedra_under(tool, part, &contact);
@@ -259,14 +274,10 @@ impl World {
         }
     }
 
-    /// An edge made a cut: its area over its way is the force that holds it back.
-    pub(super) fn feel_cut(&mut self, tool: usize, area_m2: f64) {
+    /// An edge made a cut: the hand owes its price.
+    pub(super) fn owe_for_cut(&mut self, tool: usize, area_m2: f64) {
         let Some(tearing) = self.spec.tearing else { return };
-        let overload = &mut self.hands[tool].overload;
-        if overload.way_m > 0.0 {
-            overload.edge_force_n = tearing.energy.energy_j_per_m2 * area_m2 / overload.way_m;
-        }
-        overload.way_m = 0.0;
+        self.hands[tool].overload.owed_j += tearing.energy.energy_j_per_m2 * area_m2;
     }
 
     /// Area that a cut laid open, at rest [m2]: half of what the surface gained.
@@ -291,8 +302,9 @@ impl Hand {
             self.overload.end_stroke();
             return;
         }
-        self.overload.way_m += edge_motion_m(tool, &self.before, &self.now).length();
-        let is_out = |edge: Capsule| !organ.skin().overlaps(&edge);
+        let is_out = |edge: Capsule| {
+            !organ.skin().overlaps(&Capsule { radius_m: edge.radius_m * (1.0 + LEAVES_BEYOND), ..edge })
+        };
         if capsule(tool, ToolPart::Tip, &self.now).is_none_or(is_out) {
             self.overload.end_stroke();
         }

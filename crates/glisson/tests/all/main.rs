@@ -1,5 +1,6 @@
 //! All integration tests in one binary: it links once.
 
+mod haptic_models;
 mod hybrid_condensed;
 mod contact_response;
 mod contact_constraint;
@@ -8,6 +9,7 @@ mod images;
 mod laws;
 mod kernel;
 mod kernel_laws;
+mod effort;
 mod explicit_kernel;
 mod hybrid_exchange;
 mod hybrid_nonlinear;
@@ -40,6 +42,7 @@ mod reduced;
 mod surfaces;
 mod world_steps;
 mod world_tools;
+mod world_tear;
 mod mesh_edits;
 mod mesh_quality;
 mod mesh_repair;
@@ -50,3 +53,5 @@ mod surface_files;
 mod mesh_files;
 mod cut_subdivision;
 mod active_trocar;
+mod haptic_energy;
+mod haptic_law;

@@ -15,19 +15,39 @@ const GAUSS: [(f64, f64); 3] =
     [(-0.774_596_669_241_483_4, 5.0 / 9.0), (0.0, 8.0 / 9.0), (0.774_596_669_241_483_4, 5.0 / 9.0)];
 
 /// A layer and its rectangles.
-pub(super) struct Layer {
+pub(in crate::validate) struct Layer {
     /// Borders of the rectangles along the radius, from 0 [m].
-    pub(super) radii_m: Vec<f64>,
+    pub(in crate::validate) radii_m: Vec<f64>,
     /// Depths of their borders below the upper side, from 0 to the base [m].
-    pub(super) depths_m: Vec<f64>,
-    pub(super) young_modulus_pa: f64,
-    pub(super) poisson_ratio: f64,
+    pub(in crate::validate) depths_m: Vec<f64>,
+    pub(in crate::validate) young_modulus_pa: f64,
+    pub(in crate::validate) poisson_ratio: f64,
+    /// A stiffer ball on the axis, if there is one.
+    pub(in crate::validate) nodule: Option<Nodule>,
+}
+
+/// A ball of other stiffness, bonded to what is around it.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::validate) struct Nodule {
+    pub(in crate::validate) radius_m: f64,
+    /// Of its middle below the upper side [m].
+    pub(in crate::validate) depth_m: f64,
+    /// Its stiffness over that around it.
+    pub(in crate::validate) stiffness: f64,
+}
+
+impl Nodule {
+    /// How many times stiffer it is there.
+    pub(in crate::validate) fn stiffness_at(&self, radius_m: f64, depth_m: f64) -> f64 {
+        let is_inside = radius_m.hypot(depth_m - self.depth_m) <= self.radius_m;
+        if is_inside { self.stiffness } else { 1.0 }
+    }
 }
 
 /// How the upper side answers to vertical forces near the axis.
-pub(super) struct UpperSide {
+pub(in crate::validate) struct UpperSide {
     /// Nodes from the axis outwards [m].
-    pub(super) radii_m: Vec<f64>,
+    pub(in crate::validate) radii_m: Vec<f64>,
     /// Downward displacement of node i for a downward force on node j [m/N].
     compliance_m_per_n: Dense,
 }
@@ -47,7 +67,7 @@ fn with_middles(borders: &[f64]) -> Vec<f64> {
 
 impl Layer {
     /// Compliance of the nodes of the upper side within `reach_m` of the axis.
-    pub(super) fn upper_side(&self, reach_m: f64) -> anyhow::Result<UpperSide> {
+    pub(in crate::validate) fn upper_side(&self, reach_m: f64) -> anyhow::Result<UpperSide> {
         let (radii_m, depths_m) = (with_middles(&self.radii_m), with_middles(&self.depths_m));
         // Nodes run along the depth first; the last of each column is on the base.
         let n_deep = depths_m.len();
@@ -98,7 +118,9 @@ impl Layer {
         for (x, wx) in GAUSS {
             for (y, wy) in GAUSS {
                 let radius = r_m[0] + half_r * (1.0 + x);
-                let weight = wx * wy * half_r * half_z * std::f64::consts::TAU * radius;
+                let depth_m = z_m[0] + half_z * (1.0 + y);
+                let stiffer = self.nodule.map_or(1.0, |nodule| nodule.stiffness_at(radius, depth_m));
+                let weight = stiffer * wx * wy * half_r * half_z * std::f64::consts::TAU * radius;
                 let (along, down) = (shape(x), shape(y));
                 // Strains of a unit displacement of each component.
                 let mut strains = [[0.0; 4]; 18];
@@ -131,7 +153,7 @@ impl UpperSide {
     }
 
     /// Force of a flat punch whose edge is the border of a rectangle.
-    pub(super) fn flat_punch_n(&self, radius_m: f64, depth_m: f64) -> anyhow::Result<f64> {
+    pub(in crate::validate) fn flat_punch_n(&self, radius_m: f64, depth_m: f64) -> anyhow::Result<f64> {
         let n = self.radii_m.iter().take_while(|r| **r <= radius_m * (1.0 + 1e-9)).count();
         self.force_n(n, |_| depth_m)
     }

@@ -11,15 +11,15 @@ use glisson::solve::{
 };
 
 /// Rings around the axis and layers below the upper side.
-pub(super) struct Grading {
+pub(in crate::validate) struct Grading {
     /// Radii from 0; the last is half the side of the block [m].
-    pub(super) radii_m: Vec<f64>,
+    pub(in crate::validate) radii_m: Vec<f64>,
     /// Depths from 0 to the base [m].
-    pub(super) depths_m: Vec<f64>,
+    pub(in crate::validate) depths_m: Vec<f64>,
     /// Edge length wanted around the axis within the fine part [m].
-    pub(super) fine_m: f64,
+    pub(in crate::validate) fine_m: f64,
     /// From here on the rings become squares [m].
-    pub(super) round_m: f64,
+    pub(in crate::validate) round_m: f64,
 }
 
 /// The upper side of a quarter of the block.
@@ -79,7 +79,7 @@ fn plane(grading: &Grading) -> (Vec<[f64; 2]>, Vec<[usize; 3]>) {
 
 /// The quarter as tetrahedra: prisms below the triangles, each divided so that neighbours agree (the diagonal of a side goes
 /// up from its lower column).
-fn quarter_block(grading: &Grading) -> TetMesh {
+pub(in crate::validate) fn quarter_block(grading: &Grading) -> TetMesh {
     let (points, triangles) = plane(grading);
     let mut mesh = TetMesh::default();
     for depth_m in &grading.depths_m {

@@ -1,8 +1,8 @@
 //! Indentation by a sphere and a flat punch: a graded block of tetrahedra against the layer's own axisymmetric solution, that
 //! against Hertz, Sneddon and the series of Dimitriadis.
 
-mod axisymmetric;
-mod block;
+pub(super) mod axisymmetric;
+pub(super) mod block;
 mod contact;
 
 use super::{Experiment, Outcome};
@@ -82,6 +82,7 @@ impl Indenter {
             depths_m: graded(a_m / per_radius, 1.3, deep * a_m),
             young_modulus_pa: YOUNG_MODULUS_PA,
             poisson_ratio: nu,
+            nodule: None,
         };
         let top = layer.upper_side(1.5 * a_m)?;
         match self {

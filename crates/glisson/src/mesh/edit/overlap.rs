@@ -1,60 +1,100 @@
 //! Volume that two tetrahedra share: one is clipped by the faces of the other.
 
-use crate::math::{DVec3, tetrahedron_volume_m3};
+use crate::math::{Aabb, DVec3, tetrahedron_volume_m3};
 
-/// A half-space: `normal . x >= offset`.
+/// Nearer to a face than this share of the tetrahedron's size is on it: neighbours share no slivers.
+const ON_FACE: f64 = 1e-10;
+
+/// A half-space: `normal . x >= offset`, with a unit normal.
 type HalfSpace = (DVec3, f64);
 
-fn half_spaces([a, b, c, d]: [DVec3; 4]) -> [HalfSpace; 4] {
-    [[b, c, d, a], [a, c, d, b], [a, b, d, c], [a, b, c, d]].map(|[p, q, r, opposite]| {
-        let normal = (q - p).cross(r - p);
-        let normal = if normal.dot(opposite - p) < 0.0 { -normal } else { normal };
-        (normal, normal.dot(p))
-    })
+/// A tetrahedron, ready to be compared with many others.
+pub(super) struct Tet {
+    corners_m: [DVec3; 4],
+    bounds: Aabb,
+    inside: [HalfSpace; 4],
+    on_face_m: f64,
 }
 
-/// Volume [m3] of what `a_m` and `b_m` have in common, whatever the order of their corners.
-pub(super) fn shared_volume_m3(a_m: [DVec3; 4], b_m: [DVec3; 4]) -> f64 {
-    let half_spaces = half_spaces(b_m);
-    if half_spaces.iter().any(|(normal, offset)| a_m.iter().all(|p| normal.dot(*p) <= *offset)) {
-        return 0.0;
+impl Tet {
+    /// Whatever the order of the corners.
+    pub(super) fn new(corners_m: [DVec3; 4]) -> Self {
+        let [a, b, c, d] = corners_m;
+        let inside = [[b, c, d, a], [a, c, d, b], [a, b, d, c], [a, b, c, d]].map(|[p, q, r, opposite]| {
+            let normal = (q - p).cross(r - p).normalize_or_zero();
+            let normal = if normal.dot(opposite - p) < 0.0 { -normal } else { normal };
+            (normal, normal.dot(p))
+        });
+        let bounds = Aabb::of_points(&corners_m);
+        Self { corners_m, on_face_m: ON_FACE * bounds.size_m().length(), bounds, inside }
     }
-    clipped_volume_m3(a_m, &half_spaces)
+
+    fn is_beyond_a_face(&self, points_m: &[DVec3; 4]) -> bool {
+        let is_out =
+            |(normal, offset): HalfSpace| points_m.iter().all(|p| normal.dot(*p) - offset <= self.on_face_m);
+        self.inside.into_iter().any(is_out)
+    }
+
+    /// Volume [m3] that this one has in common with another.
+    pub(super) fn shared_volume_m3(&self, other: &Self) -> f64 {
+        let (a, b) = (&self.bounds, &other.bounds);
+        let is_near = a.min_m.cmple(b.max_m).all() && a.max_m.cmpge(b.min_m).all();
+        if !is_near || other.is_beyond_a_face(&self.corners_m) || self.is_beyond_a_face(&other.corners_m) {
+            return 0.0;
+        }
+        clipped_volume_m3(self.corners_m, &other.inside, other.on_face_m)
+    }
 }
 
 /// Volume [m3] of the part of a tetrahedron inside all half-spaces: each cuts it into at most three.
-fn clipped_volume_m3(corners_m: [DVec3; 4], half_spaces: &[HalfSpace]) -> f64 {
+fn clipped_volume_m3(corners_m: [DVec3; 4], half_spaces: &[HalfSpace], on_face_m: f64) -> f64 {
     let Some((&(normal, offset), rest)) = half_spaces.split_first() else {
         return tetrahedron_volume_m3(corners_m).abs();
     };
     let heights = corners_m.map(|p| normal.dot(p) - offset);
-    let mut order = [0, 1, 2, 3];
-    order.sort_by(|&i, &j| heights[j].total_cmp(&heights[i]));
-    let [a, b, c, d] = order.map(|i| corners_m[i]);
-    let n_inside = heights.iter().filter(|h| **h > 0.0).count();
+    if heights.iter().all(|&h| h >= -on_face_m) {
+        return clipped_volume_m3(corners_m, rest, on_face_m);
+    }
+    // Those inside first.
+    let mut order = [0; 4];
+    let mut n_inside = 0;
+    for at in 0..4 {
+        if heights[at] > on_face_m {
+            order[n_inside] = at;
+            n_inside += 1;
+        }
+    }
+    let mut n = n_inside;
+    for at in 0..4 {
+        if heights[at] <= on_face_m {
+            order[n] = at;
+            n += 1;
+        }
+    }
+    let [a, b, c, _] = order.map(|i| corners_m[i]);
     let cut = |i: usize, j: usize| {
         let (inside, outside) = (order[i], order[j]);
-        let share = heights[inside] / (heights[inside] - heights[outside]);
+        let share = heights[inside] / (heights[inside] - heights[outside].min(0.0));
         corners_m[inside].lerp(corners_m[outside], share)
     };
+    let prism = |low, high| prism_volume_m3(low, high, rest, on_face_m);
     match n_inside {
         0 => 0.0,
-        1 => clipped_volume_m3([a, cut(0, 1), cut(0, 2), cut(0, 3)], rest),
-        2 => prism_volume_m3([a, cut(0, 2), cut(0, 3)], [b, cut(1, 2), cut(1, 3)], rest),
-        3 => prism_volume_m3([a, b, c], [cut(0, 3), cut(1, 3), cut(2, 3)], rest),
-        _ => clipped_volume_m3([a, b, c, d], rest),
+        1 => clipped_volume_m3([a, cut(0, 1), cut(0, 2), cut(0, 3)], rest, on_face_m),
+        2 => prism([a, cut(0, 2), cut(0, 3)], [b, cut(1, 2), cut(1, 3)]),
+        _ => prism([a, b, c], [cut(0, 3), cut(1, 3), cut(2, 3)]),
     }
 }
 
 /// Volume [m3] of the part of a prism with corners `low`, `high` (matching) inside all half-spaces.
-fn prism_volume_m3(low: [DVec3; 3], high: [DVec3; 3], half_spaces: &[HalfSpace]) -> f64 {
+fn prism_volume_m3(low: [DVec3; 3], high: [DVec3; 3], half_spaces: &[HalfSpace], on_face_m: f64) -> f64 {
     [
         [low[0], low[1], low[2], high[2]],
         [low[0], low[1], high[1], high[2]],
         [low[0], high[0], high[1], high[2]],
     ]
     .into_iter()
-    .map(|part| clipped_volume_m3(part, half_spaces))
+    .map(|part| clipped_volume_m3(part, half_spaces, on_face_m))
     .sum()
 }
 
@@ -62,6 +102,10 @@ fn prism_volume_m3(low: [DVec3; 3], high: [DVec3; 3], half_spaces: &[HalfSpace])
 mod tests {
     use super::*;
     use crate::math::SeededRandom;
+
+    fn shared_volume_m3(a_m: [DVec3; 4], b_m: [DVec3; 4]) -> f64 {
+        Tet::new(a_m).shared_volume_m3(&Tet::new(b_m))
+    }
 
     #[test]
     fn shared_volumes_are_right() {

@@ -1,9 +1,9 @@
 //! Exchange of tetrahedra for others in the same place.
 
-use super::overlap::shared_volume_m3;
+use super::overlap::Tet;
 use super::plan::Plan;
 use super::{CavityNode, EditError, EditableMesh, NewNode};
-use crate::math::{Aabb, is_inverted};
+use crate::math::is_inverted;
 use crate::mesh::{NodeId, TetId};
 
 /// How much the volume may differ, as a share of it: rounding, not a gap.
@@ -73,11 +73,14 @@ impl EditableMesh {
             self.check_borders(plan, &corners_of)?;
         }
         self.check_filled(plan, &corners_of)?;
-        let bounds: Vec<Aabb> =
-            plan.doomed.iter().map(|&tet| Aabb::of_points(&self.mesh.corners_m(tet))).collect();
+        let doomed: Vec<Tet> = if new_tets.iter().any(|(_, parents)| parents.is_empty()) {
+            plan.doomed.iter().map(|&tet| Tet::new(self.mesh.corners_m(tet))).collect()
+        } else {
+            Vec::new()
+        };
         for (place, (nodes, (_, parents))) in corners_of.into_iter().zip(new_tets).enumerate() {
             if parents.is_empty() {
-                let parents = self.parents_by_volume(plan, &bounds, nodes);
+                let parents = self.parents_by_volume(plan, &doomed, nodes);
                 plan.add_tet(nodes, &parents);
                 continue;
             }
@@ -163,18 +166,11 @@ impl EditableMesh {
         if is_filled { Ok(()) } else { Err(EditError::VolumeDiffers { old_m3, new_m3 }) }
     }
 
-    fn parents_by_volume(&self, plan: &Plan, bounds: &[Aabb], nodes: [NodeId; 4]) -> Vec<(TetId, f64)> {
-        let corners_m = nodes.map(|n| plan.position_m(&self.mesh, n));
-        let own = Aabb::of_points(&corners_m);
-        let is_near = |b: &Aabb| b.min_m.cmple(own.max_m).all() && b.max_m.cmpge(own.min_m).all();
-        let mut parents: Vec<(TetId, f64)> = plan
-            .doomed
-            .iter()
-            .zip(bounds)
-            .filter(|(_, b)| is_near(b))
-            .map(|(&tet, _)| (tet, shared_volume_m3(corners_m, self.mesh.corners_m(tet))))
-            .filter(|parent| parent.1 > 0.0)
-            .collect();
+    /// `doomed`: shapes of the plan's doomed tetrahedra.
+    fn parents_by_volume(&self, plan: &Plan, doomed: &[Tet], nodes: [NodeId; 4]) -> Vec<(TetId, f64)> {
+        let own = Tet::new(nodes.map(|n| plan.position_m(&self.mesh, n)));
+        let shared = plan.doomed.iter().zip(doomed).map(|(&tet, old)| (tet, own.shared_volume_m3(old)));
+        let mut parents: Vec<(TetId, f64)> = shared.filter(|parent| parent.1 > 0.0).collect();
         let sum: f64 = parents.iter().map(|p| p.1).sum();
         if sum > 0.0 {
             parents.iter_mut().for_each(|p| p.1 /= sum);

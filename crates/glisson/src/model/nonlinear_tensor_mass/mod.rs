@@ -46,8 +46,8 @@ use super::explicit::{
 use super::growth::Growth;
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::{
-    Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
-    NodalForce, RestStress, StepAnswer, TopologyRefusal,
+    Constraints, Correction, DeformableModel, DynamicBody, Effort, LocalModel, LocalWork, ModelReport,
+    ModelState, NodalForce, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::material::LinearElastic;
 use crate::math::{DMat3, DVec3};
@@ -424,6 +424,11 @@ impl LocalBody for NonlinearTensorMass {
     }
 }
 
+/// What the force on a node may lack with reduced effort, and with the least [N]: choices, a hundredth and a tenth of what a
+/// light touch is.
+const REDUCED_TOLERANCE_N: f64 = 1e-3;
+const LEAST_TOLERANCE_N: f64 = 1e-2;
+
 impl DeformableModel for NonlinearTensorMass {
     fn apply(&mut self, constraints: &Constraints) {
         self.motion.apply(constraints);
@@ -455,6 +460,16 @@ impl DeformableModel for NonlinearTensorMass {
 
     fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
         self.motion.set_gravity(gravity_m_per_s2);
+    }
+
+    /// Leaves the non-linear part of the force out where it is small (seed `002`, s. 6).
+    fn set_effort(&mut self, effort: Effort) -> bool {
+        self.adaptivity.part = match effort {
+            Effort::Full => NonlinearPart::Everywhere,
+            Effort::Reduced => NonlinearPart::AboveErrorBound { tolerance_n: REDUCED_TOLERANCE_N },
+            Effort::Least => NonlinearPart::AboveErrorBound { tolerance_n: LEAST_TOLERANCE_N },
+        };
+        true
     }
 
     fn report(&self) -> ModelReport {

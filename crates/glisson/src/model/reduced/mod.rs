@@ -33,7 +33,8 @@ use self::cubic::ReducedForces;
 use self::newton::Newton;
 use super::roomy::Roomy;
 use super::{
-    Constraints, DeformableModel, FixedNode, LocalModel, LocalWork, ModelReport, ModelState, TopologyRefusal,
+    Constraints, DeformableModel, Effort, FixedNode, LocalModel, LocalWork, ModelReport, ModelState,
+    TopologyRefusal,
 };
 use crate::material::LinearElastic;
 use crate::math::DVec3;
@@ -392,6 +393,16 @@ impl DeformableModel for Reduced {
 
     fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
         self.pull_m_per_s2 = gravity_m_per_s2 - self.rest_gravity_m_per_s2;
+    }
+
+    fn set_effort(&mut self, effort: Effort) -> bool {
+        // Choices: two or three are enough from one frame to the next.
+        self.most_iterations = match effort {
+            Effort::Full => Self::MOST_ITERATIONS,
+            Effort::Reduced => 4,
+            Effort::Least => 2,
+        };
+        true
     }
 
     fn report(&self) -> ModelReport {

@@ -24,11 +24,13 @@ mod opening;
 mod patch;
 mod relaxing;
 mod section;
+mod swapping;
 mod sweep;
 
 use self::patch::{Body, Patch};
 use self::relaxing::relax;
 use self::section::{Snapping, conform};
+use self::swapping::swap;
 use self::sweep::Sweep;
 use crate::math::DVec3;
 use crate::mesh::NodeId;
@@ -153,8 +155,29 @@ pub enum CutRefusal {
 /// for those that cannot. With one half everything snaps.
 const COARSER: [[f64; 2]; 6] = [[0.2, 0.2], [0.25, 0.15], [0.25, 0.25], [0.3, 0.3], [0.4, 0.4], [0.5, 0.5]];
 
+/// What opens may differ from what was swept by this share of the stroke so far, and by this share of the step
+/// while the front will still move, before other ways to snap are tried.
+const AREA_TOLERANCE: [f64; 2] = [0.004, 0.03];
+
+/// How much of the way is cut at once: less of it where all of it comes out badly, as what follows begins
+/// elsewhere then.
+const EXTENTS: [f64; 3] = [1.0, 0.7, 0.85];
+
+/// What stays uncut behind the blade until the stroke ends, as a share of
+/// [`SubdivisionParams::min_advance_m`]: the last piece should not be a sliver.
+const RESERVE_OF_ADVANCE: f64 = 0.5;
+
 /// Angles below this multiple of the smallest allowed one are bettered, for the sake of later strokes.
 const RESERVE: f64 = 1.5;
+
+/// What the blade sweeps over on the first part of its way.
+fn swept(from_m: [DVec3; 2], to_m: [DVec3; 2], extent: f64) -> [Option<Sweep>; 2] {
+    Sweep::of_blade(from_m, [0, 1].map(|i| from_m[i].lerp(to_m[i], extent)))
+}
+
+fn degrees_of(cosine: f64) -> f64 {
+    libm::acos(cosine.clamp(-1.0, 1.0)).to_degrees()
+}
 
 /// A stroke of a blade.
 #[derive(Clone, Debug)]
@@ -175,6 +198,8 @@ struct Stroke {
     front: Vec<(NodeId, bool)>,
     /// Faces of the cut that are closed for now: all of their nodes are on its rim.
     closed: Vec<[NodeId; 3]>,
+    /// By how much the faces of the cut, open or closed for now, exceed what was swept [m2].
+    off_m2: f64,
     /// First and last of the front along the blade, with where the blade's ends are between and beyond them
     /// (share) and beside them [m].
     anchor: Option<Anchor>,
@@ -226,10 +251,12 @@ impl SubdivisionCut {
     ) -> Result<Option<Replacement>, CutRefusal> {
         let Some(from_m) = self.begin(body, positions_m, blade_m)? else { return Ok(None) };
         let moved_m = from_m[0].distance(blade_m[0]).max(from_m[1].distance(blade_m[1]));
-        if moved_m < self.params.min_advance_m {
+        let kept_m = RESERVE_OF_ADVANCE * self.params.min_advance_m;
+        if moved_m < self.params.min_advance_m + kept_m {
             return Ok(None);
         }
-        self.cut(Body { mesh: body, present_m: positions_m }, from_m, blade_m)
+        let to_m = [0, 1].map(|i| blade_m[i].lerp(from_m[i], kept_m / moved_m));
+        self.cut(Body { mesh: body, present_m: positions_m }, [from_m, to_m], false)
     }
 
     /// Like [`SubdivisionCut::advance`], however short the way: the end of a stroke.
@@ -243,7 +270,7 @@ impl SubdivisionCut {
         blade_m: [DVec3; 2],
     ) -> Result<Option<Replacement>, CutRefusal> {
         let Some(from_m) = self.begin(body, positions_m, blade_m)? else { return Ok(None) };
-        self.cut(Body { mesh: body, present_m: positions_m }, from_m, blade_m)
+        self.cut(Body { mesh: body, present_m: positions_m }, [from_m, blade_m], true)
     }
 
     /// The last edit was not carried out: the stroke goes on as if the blade had not moved.
@@ -304,24 +331,47 @@ impl SubdivisionCut {
     fn cut(
         &mut self,
         body: Body<'_>,
-        from_m: [DVec3; 2],
-        blade_m: [DVec3; 2],
+        [from_m, blade_m]: [[DVec3; 2]; 2],
+        is_last: bool,
     ) -> Result<Option<Replacement>, CutRefusal> {
         self.before = self.stroke.clone();
-        let sweeps = Sweep::of_blade(from_m, blade_m);
-        let mut report = CutReport::default();
+        let extents = if is_last { &EXTENTS[..1] } else { &EXTENTS };
         let wished = self.params.snap_share;
-        let first = [[wished, 0.5 * wished]];
-        for (attempt, &[share, share_of_fixed]) in first.iter().chain(&COARSER).enumerate() {
-            if attempt > 0 && share < wished {
+        let shares = std::iter::once([wished, 0.5 * wished])
+            .chain(COARSER.into_iter().filter(move |c| c[0] >= wished));
+        let attempts = extents.iter().flat_map(|&extent| shares.clone().map(move |shares| (extent, shares)));
+        let mut report = CutReport::default();
+        let mut best: Option<(f64, usize, (f64, [f64; 2]))> = None;
+        let mut last = 0;
+        for (at, (extent, shares)) in attempts.enumerate() {
+            last = at;
+            report = self.attempt(body, &swept(from_m, blade_m, extent), shares);
+            let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
+            if report.min_dihedral_deg < limit_deg {
                 continue;
             }
-            report = self.attempt(body, &sweeps, share, share_of_fixed);
-            report.n_coarser = usize::from(attempt > 0);
-            let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
-            if report.min_dihedral_deg >= limit_deg {
-                return Ok(self.accept(body, blade_m, report));
+            let off_m2 = (self.stroke.off_m2 + report.cut_area_m2 - report.swept_area_m2).abs();
+            if best.is_none_or(|b| off_m2 < b.0) {
+                best = Some((off_m2, at, (extent, shares)));
             }
+            let [of_stroke, of_step] = AREA_TOLERANCE;
+            let mut allowed_m2 = of_stroke * (self.stroke.report.swept_area_m2 + report.swept_area_m2);
+            if !is_last {
+                allowed_m2 += of_step * report.swept_area_m2;
+            }
+            // What earlier steps left over is not made up for by force.
+            allowed_m2 = allowed_m2.max(self.stroke.off_m2.abs() + of_stroke * report.swept_area_m2);
+            if off_m2 <= allowed_m2 {
+                break;
+            }
+        }
+        if let Some((_, at, (extent, shares))) = best {
+            if at != last {
+                report = self.attempt(body, &swept(from_m, blade_m, extent), shares);
+            }
+            report.n_coarser = usize::from(at > 0);
+            let reached_m = [0, 1].map(|i| from_m[i].lerp(blade_m[i], extent));
+            return Ok(self.accept(body, reached_m, is_last, report));
         }
         self.stroke.blade_m = Some(blade_m);
         self.stroke.front.clear();
@@ -341,8 +391,7 @@ impl SubdivisionCut {
         &mut self,
         body: Body<'_>,
         sweeps: &[Option<Sweep>; 2],
-        share: f64,
-        share_of_fixed: f64,
+        [share, share_of_fixed]: [f64; 2],
     ) -> CutReport {
         let Self { params, stroke, patch, .. } = self;
         patch.start(body.mesh);
@@ -361,6 +410,7 @@ impl SubdivisionCut {
         for &face in &stroke.closed {
             patch.pull_closed(body, face);
         }
+        let closed_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
         let mut report = CutReport::default();
         for sweep in sweeps.iter().flatten() {
             let section = conform(patch, body, sweep, snapping);
@@ -373,23 +423,37 @@ impl SubdivisionCut {
         if max_cosine > wished_cosine
             && let [Some(sweep), None] | [None, Some(sweep)] = sweeps
         {
+            swap(patch, body, wished_cosine);
             relax(patch, body, sweep.normal, wished_cosine);
+            swap(patch, body, wished_cosine);
             max_cosine = patch.max_new_cosine();
         }
         let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));
         let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);
         // The largest cosine is that of the smallest angle.
-        let [after_deg, before_deg] =
-            [max_cosine, cosine_before].map(|c| libm::acos(c.clamp(-1.0, 1.0)).to_degrees());
-        report.min_dihedral_deg = after_deg;
-        report.min_dihedral_before_deg = before_deg;
+        report.min_dihedral_deg = degrees_of(max_cosine);
+        report.min_dihedral_before_deg = degrees_of(cosine_before);
+        let area_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
+        report.cut_area_m2 = area_m2 - closed_m2;
         report
     }
 
     /// Opens the cut that is in the patch, and goes on from there.
-    fn accept(&mut self, body: Body<'_>, blade_m: [DVec3; 2], mut report: CutReport) -> Option<Replacement> {
-        let Self { stroke, patch, .. } = self;
+    fn accept(
+        &mut self,
+        body: Body<'_>,
+        blade_m: [DVec3; 2],
+        is_last: bool,
+        mut report: CutReport,
+    ) -> Option<Replacement> {
+        let Self { params, stroke, patch, .. } = self;
         let front = patch.front.clone();
+        let wished_cosine = libm::cos((RESERVE * params.min_dihedral_deg).to_radians());
+        let is_front = |n: u32| front.binary_search_by_key(&n, |f| f.0).is_ok();
+        let stays = |face: [u32; 3]| !is_last && face.into_iter().any(is_front);
+        opening::divide_closed(patch, body, stays, wished_cosine);
+        report.min_dihedral_deg = degrees_of(patch.max_new_cosine());
+        stroke.off_m2 += report.cut_area_m2 - report.swept_area_m2;
         let opened = opening::open(patch, body);
         report.cut_area_m2 = opened.area_m2;
         let (edit, ids) = opening::replacement(patch, body.mesh.topology().n_nodes());

@@ -13,14 +13,77 @@ pub(super) struct Opened {
     pub(super) closed: Vec<[u32; 3]>,
 }
 
-/// Opens `patch.cut`. At the rim of a cut the tetrahedra still hang together around the node, which stays one.
-pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> Opened {
+/// Divides faces of `patch.cut` that would stay closed for good, so that they get a node that opens. `stays`: what
+/// may still open with a later step. Only where no dihedral angle at rest gets a cosine above `max_cosine`.
+pub(super) fn divide_closed(
+    patch: &mut Patch,
+    body: Body<'_>,
+    stays: impl Fn([u32; 3]) -> bool,
+    max_cosine: f64,
+) {
+    pull_stars(patch, body);
+    let mut groups = Groups::default();
+    let origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();
+    let mut closed: Vec<[u32; 3]> = Vec::new();
+    let mut group_count: Vec<(u32, usize)> = Vec::new();
+    for node in nodes_of_cut(patch) {
+        let n_groups = groups.find(patch, node, &origin);
+        group_count.push((node, n_groups));
+    }
+    let is_rim = |n: u32| group_count.binary_search_by_key(&n, |g| g.0).is_ok_and(|at| group_count[at].1 < 2);
+    closed.extend(patch.cut.iter().copied().filter(|&face| !stays(face) && face.into_iter().all(is_rim)));
+    for face in closed {
+        // An earlier face may have divided it.
+        if patch.cut.binary_search(&face).is_err() {
+            continue;
+        }
+        let [a, b, c] = face;
+        let is_inner =
+            |edge: &[u32; 2]| patch.cut.iter().filter(|f| edge.iter().all(|n| f.contains(n))).count() > 1;
+        let mut edges = [[a, b], [b, c], [a, c]];
+        edges.sort_by(|p, q| patch.length_m(*q).total_cmp(&patch.length_m(*p)));
+        let inner: Vec<[u32; 2]> = edges.into_iter().filter(is_inner).collect();
+        let is_divided = inner.into_iter().any(|edge| {
+            patch.cosine_of_halves(body, edge) <= max_cosine && patch.split_edge(body, edge, 0.5).is_some()
+        });
+        if !is_divided {
+            // Alone, or thin: a node on its rim first, then one between that and the opposite corner.
+            for edge in edges {
+                if patch.cosine_of_halves(body, edge) > max_cosine {
+                    continue;
+                }
+                let Some(middle) = patch.split_edge(body, edge, 0.5) else { continue };
+                let opposite = face.into_iter().find(|n| !edge.contains(n));
+                let inner = opposite.map(|n| [n.min(middle), n.max(middle)]);
+                if let Some(inner) = inner
+                    && patch.cosine_of_halves(body, inner) <= max_cosine
+                {
+                    patch.split_edge(body, inner, 0.5);
+                }
+                break;
+            }
+        }
+        patch.cut.sort_unstable();
+    }
+}
+
+fn nodes_of_cut(patch: &Patch) -> Vec<u32> {
     let mut nodes: Vec<u32> = patch.cut.iter().flatten().copied().collect();
     nodes.sort_unstable();
     nodes.dedup();
-    for &node in &nodes {
+    nodes
+}
+
+fn pull_stars(patch: &mut Patch, body: Body<'_>) {
+    for node in nodes_of_cut(patch) {
         patch.pull_star(body, node);
     }
+}
+
+/// Opens `patch.cut`. At the rim of a cut the tetrahedra still hang together around the node, which stays one.
+pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> Opened {
+    pull_stars(patch, body);
+    let nodes = nodes_of_cut(patch);
     let mut sides: Vec<([u32; 3], Vec<u32>)> = Vec::with_capacity(patch.cut.len());
     // Both sides of what opens belong to the edit, also where only one gets copies.
     for at in 0..patch.cut.len() {

@@ -2,7 +2,7 @@
 
 use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::edit::EditableMesh;
-use crate::mesh::quality::dihedral_cosine_range;
+use crate::mesh::quality::{FACES, dihedral_cosine_range};
 use crate::mesh::topology::TET_EDGES;
 use crate::mesh::{NodeId, TetId};
 
@@ -117,6 +117,8 @@ pub(super) struct Patch {
     tet_here: Vec<u32>,
     pulled_nodes: Vec<NodeId>,
     pulled_tets: Vec<TetId>,
+    /// Where the nodes of the mesh are ([`Sweep::outside_into`](super::sweep::Sweep::outside_into)).
+    pub(super) outside: Vec<u8>,
     /// Faces to be opened, corners ascending.
     pub(super) cut: Vec<[u32; 3]>,
     /// Nodes of these faces where the blade is now, and whether its end is there.
@@ -125,6 +127,9 @@ pub(super) struct Patch {
 
 /// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
 const SAME_VOLUME: f64 = 1e-11;
+
+/// Skin is flat enough to slide along if the sum of its area vectors has this share of the area.
+const FLAT_SKIN: f64 = 0.99;
 
 /// A barycentric weight nearer to zero than this is zero.
 const ON_FACE: f64 = 1e-9;
@@ -258,6 +263,33 @@ impl Patch {
         is_good
     }
 
+    /// Faces at a node, with its whole star in the patch, that belong to one tetrahedron: the surface of the body.
+    /// Counter-clockwise from outside.
+    pub(super) fn single_sides(&self, node: u32) -> Vec<[u32; 3]> {
+        let mut faces: Vec<([u32; 3], [u32; 3])> = Vec::with_capacity(3 * self.stars[node as usize].len());
+        for &tet in &self.stars[node as usize] {
+            let nodes = self.tets[tet as usize].nodes;
+            let at_node = FACES.map(|f| f.map(|i| nodes[i])).into_iter().filter(|f| f.contains(&node));
+            faces.extend(at_node.map(|face| (sorted(face), face)));
+        }
+        faces.sort_unstable();
+        faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1).collect()
+    }
+
+    /// Unit normal, in the present shape, of the surface of the body at a node with its whole star in the patch;
+    /// `None` inside, and where the sides of an earlier cut meet.
+    pub(super) fn skin_normal(&self, node: u32) -> Option<DVec3> {
+        let mut sum = DVec3::ZERO;
+        let mut length = 0.0;
+        for face in self.single_sides(node) {
+            let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
+            let area = (b - a).cross(c - a);
+            sum += area;
+            length += area.length();
+        }
+        (sum.length() > FLAT_SKIN * length).then(|| sum.normalize_or_zero())
+    }
+
     /// Where a point of the present shape near `node` is at rest.
     fn locate(&self, body: Body<'_>, node: u32, to_m: DVec3) -> Option<(Blend, DVec3)> {
         let mut best: Option<(f64, [NodeId; 4], [f64; 4])> = None;
@@ -379,6 +411,25 @@ impl Patch {
         here
     }
 
+    pub(super) fn take_out(&mut self, tet: u32) {
+        self.tets[tet as usize].is_live = false;
+        for node in self.tets[tet as usize].nodes {
+            self.stars[node as usize].retain(|&t| t != tet);
+        }
+    }
+
+    /// Changed tetrahedra whose smallest dihedral angle at rest has a cosine above `max_cosine`, worst first.
+    pub(super) fn bad_tets(&self, max_cosine: f64) -> Vec<(f64, u32)> {
+        let mut bad: Vec<(f64, u32)> = self
+            .live_tets()
+            .filter(|&t| !self.tets[t as usize].is_old)
+            .map(|t| (dihedral_cosine_range(self.rest_m(t))[1], t))
+            .filter(|b| b.0 > max_cosine)
+            .collect();
+        bad.sort_unstable_by(|p, q| q.0.total_cmp(&p.0).then(p.1.cmp(&q.1)));
+        bad
+    }
+
     /// Puts a node on the edge from `a` to `b` and divides the tetrahedra there; `None` (and nothing done) if
     /// it would be a blend of too many nodes.
     pub(super) fn split_edge(&mut self, body: Body<'_>, [a, b]: [u32; 2], share: f64) -> Option<u32> {
@@ -432,6 +483,23 @@ impl Patch {
         self.stars[a as usize] = kept;
         self.divide_cut_faces([a, b], middle);
         Some(middle)
+    }
+
+    /// Largest cosine of a dihedral angle at rest among what would come of dividing an edge in its middle.
+    pub(super) fn cosine_of_halves(&mut self, body: Body<'_>, [a, b]: [u32; 2]) -> f64 {
+        self.pull_edge(body, [a, b]);
+        let middle_m = 0.5 * (self.nodes[a as usize].rest_m + self.nodes[b as usize].rest_m);
+        let mut cosine: f64 = -1.0;
+        for &tet in self.stars[a as usize].iter().filter(|&&t| self.tets[t as usize].nodes.contains(&b)) {
+            let corners_m = self.rest_m(tet);
+            for gone in [a, b] {
+                let at = self.tets[tet as usize].nodes.iter().position(|&n| n == gone).unwrap_or(0);
+                let mut half_m = corners_m;
+                half_m[at] = middle_m;
+                cosine = cosine.max(dihedral_cosine_range(half_m)[1]);
+            }
+        }
+        cosine
     }
 
     fn divide_cut_faces(&mut self, [a, b]: [u32; 2], middle: u32) {

@@ -33,6 +33,9 @@ const LEAST_SHARE_OF_SECTION: f64 = 0.02;
 /// not divided.
 const LEAST_SHARE_OF_FACE: f64 = 0.02;
 
+/// Sine of the least angle between skin and plane, or skin and line, for a node to slide there.
+const LEAST_SINE: f64 = 0.2;
+
 /// Nearer to the plane or a line than this share of [`Snapping::length_m`] is rounding.
 const SAME_PLACE: f64 = 1e-6;
 
@@ -141,11 +144,14 @@ impl Work<'_> {
         let flat_m = SAME_PLACE * self.snapping.length_m;
         let topology = self.body.mesh.topology();
         let (is_live, nodes) = (topology.live_tet_flags(), &self.body.mesh.mesh().tetrahedra);
+        let mut outside = std::mem::take(&mut self.patch.outside);
+        self.sweep.outside_into(self.body.present_m, flat_m, &mut outside);
         for at in 0..nodes.len() {
-            let corners_m = nodes[at].map(|n| self.body.present_m[n.index()]);
-            if !is_live[at] || !near(corners_m) || self.patch.had_tet(TetId::from_index(at), n_before) {
+            let is_apart = nodes[at].iter().fold(u8::MAX, |all, n| all & outside[n.index()]) != 0;
+            if is_apart || !is_live[at] || self.patch.had_tet(TetId::from_index(at), n_before) {
                 continue;
             }
+            let corners_m = nodes[at].map(|n| self.body.present_m[n.index()]);
             let distance_m = corners_m.map(|p| self.sweep.distance_m(p));
             if distance_m.iter().all(|&d| d > flat_m) || distance_m.iter().all(|&d| d < -flat_m) {
                 continue;
@@ -157,6 +163,7 @@ impl Work<'_> {
                 touched.push(here);
             }
         }
+        self.patch.outside = outside;
         (touched, area_m2)
     }
 
@@ -431,7 +438,24 @@ impl Work<'_> {
         if let Some(k) = line {
             to_m = self.sweep.onto_line_m(k, to_m);
         }
-        let is_moved = self.patch.move_node(self.body, node, to_m, Accept::UpTo(self.snapping.max_cosine));
+        let accept = Accept::UpTo(self.snapping.max_cosine);
+        let mut is_moved = self.patch.move_node(self.body, node, to_m, accept);
+        if !is_moved && let Some(skin) = self.patch.skin_normal(node) {
+            // On flat skin, or on the side of an earlier cut, it can slide.
+            let normal = self.sweep.normal;
+            let way = match line {
+                None => normal.reject_from_normalized(skin),
+                Some(_) => normal.cross(skin),
+            };
+            let (from_m, reach) = match line {
+                None => (distance_m, way.dot(normal)),
+                Some(k) => self.sweep.towards_line(k, present_m, way),
+            };
+            if way.length() >= LEAST_SINE && reach.abs() >= LEAST_SINE * way.length() {
+                let to_m = present_m - way * (from_m / reach);
+                is_moved = self.patch.move_node(self.body, node, to_m, accept);
+            }
+        }
         if is_moved {
             self.patch.nodes[node as usize].distance_m = 0.0;
         }

@@ -15,6 +15,10 @@ const FLAT: f64 = 0.01;
 /// Ends that move apart by less than this share of their way move alike.
 const LEAST_TURN: f64 = 1e-3;
 
+/// Distances from the plane in plain floating point are good to this share of the coordinates, also where the
+/// polygon is thin ([`SAME_CORNER`]).
+const PLAIN_ROUNDING: f64 = 1e-9;
+
 /// What a side of a polygon is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
@@ -153,6 +157,11 @@ impl Sweep {
         p - self.inward[k] * self.inside_m(k, p)
     }
 
+    /// Signed distance [m] of a point from line `k`, and by how much that grows along a vector.
+    pub(super) fn towards_line(&self, k: usize, p: DVec3, way: DVec3) -> (f64, f64) {
+        (self.inside_m(k, p), self.inward[k].dot(way))
+    }
+
     /// How far along line `k` [m], and how long the line is [m].
     pub(super) fn along_m(&self, k: usize, p: DVec3) -> (f64, f64) {
         let next = self.corners_m[(k + 1) % self.n_corners];
@@ -164,6 +173,25 @@ impl Sweep {
     pub(super) fn bounds_m(&self) -> [DVec3; 2] {
         let corners = &self.corners_m[..self.n_corners];
         corners.iter().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[l, h], &c| [l.min(c), h.max(c)])
+    }
+
+    /// For each point, beyond which sides of the polygon's bounds and of its plane it is, a bit each. What has all
+    /// of its points beyond one of them is apart from the polygon; `flat_m`: near the plane, and not beyond it.
+    pub(super) fn outside_into(&self, points_m: &[DVec3], flat_m: f64, outside: &mut Vec<u8>) {
+        let [low_m, high_m] = self.bounds_m();
+        let origin_m = self.plane_m[0];
+        // Rounding is far below; what is near goes to the exact predicate.
+        let apart_m = flat_m + PLAIN_ROUNDING * (origin_m.length() + (high_m - low_m).length());
+        outside.clear();
+        outside.extend(points_m.iter().map(|&p| {
+            let distance_m = self.normal.dot(p - origin_m);
+            let mut bits = u8::from(distance_m > apart_m) | (u8::from(distance_m < -apart_m) << 1);
+            for axis in 0..3 {
+                bits |= u8::from(p[axis] < low_m[axis]) << (2 + 2 * axis);
+                bits |= u8::from(p[axis] > high_m[axis]) << (3 + 2 * axis);
+            }
+            bits
+        }));
     }
 
     /// Area [m2] of the polygon inside a tetrahedron of positive volume.

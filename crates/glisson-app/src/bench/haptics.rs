@@ -1,0 +1,212 @@
+//! The haptic loop beside a simulation that steps and a viewer in a process of its own; and the same while the simulation
+//! stands still now and then. `docs/bench.md` says how to read the result.
+
+use super::body::StandardBody;
+use crate::devices::{self, DeviceName};
+use crate::runtime::haptic_loop::{HapticReport, HapticSettings, Meters, join};
+use crate::runtime::live::Stalls;
+use crate::runtime::{OpenScene, Simulation};
+use crate::scratch::ScratchFolder;
+use crate::server::access::Access;
+use crate::server::{self, Served, Service};
+use anyhow::{Context, bail, ensure};
+use glisson::mesh::files::write_mesh;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A stall as the issue of a hold-up in practice: a pre-computation on the same cores, a page fault storm ...
+const STALL: Duration = Duration::from_millis(30);
+/// ... once a second.
+const STALL_EVERY: Duration = Duration::from_secs(1);
+/// Both runs are divided into blocks of about this length in turn, so that what else the machine does falls on both [s].
+const BLOCK_S: f64 = 10.0;
+/// Missed deadlines may rise by so many percentage points.
+const GREATEST_RISE_PERCENT: f64 = 0.1;
+/// What to measure.
+pub(crate) struct HapticsRequest {
+    /// Time of each of the two runs [s].
+    pub(crate) seconds: f64,
+    /// Ticks a second.
+    pub(crate) rate_hz: f64,
+    /// Size of the body.
+    pub(crate) n_tets: usize,
+    /// The program whose verb `watch` is the viewer.
+    pub(crate) program: PathBuf,
+}
+
+/// One of the two runs.
+#[derive(Default)]
+struct Run {
+    meters: Arc<Meters>,
+    n_stalls: u64,
+    steps: u64,
+    seconds: f64,
+    n_given_up: u64,
+    n_frames: u64,
+    n_bytes: u64,
+}
+
+/// Measures both runs; `tell` hears what comes.
+///
+/// # Errors
+/// For a bad setting, and when something cannot be set up.
+pub(crate) fn measure(request: &HapticsRequest, tell: &dyn Fn(&str, usize, usize)) -> anyhow::Result<Value> {
+    ensure!(
+        request.seconds >= 1.0 && request.seconds <= 3_600.0,
+        "--seconds {}: must be 1 to 3600 for the benchmark haptics",
+        request.seconds
+    );
+    let body = StandardBody::shared(request.n_tets)?;
+    let folder = ScratchFolder::new()?;
+    write_mesh(&folder.path().join("body.vtu"), &body.mesh)?;
+    let scene = folder.path().join("scene.toml");
+    let (mut plain, mut stalled) = (Run::default(), Run::default());
+    let n_blocks = (request.seconds / BLOCK_S).ceil() as usize;
+    let block_s = request.seconds / n_blocks as f64;
+    let stalls = Stalls { every: STALL_EVERY, length: STALL };
+    let time_step = write_scene(&scene)?;
+    for block in 0..n_blocks {
+        // Now one first, now the other.
+        let mut order = [(&mut plain, None), (&mut stalled, Some(stalls))];
+        if block % 2 == 1 {
+            order.reverse();
+        }
+        for (number, (run, stalls)) in order.into_iter().enumerate() {
+            let text = if stalls.is_some() { "with stalls" } else { "without stalls" };
+            tell(text, 2 * block + number, 2 * n_blocks);
+            measure_block(request, &scene, block_s, stalls, run)?;
+        }
+    }
+    let n_tets = body.mesh.tetrahedra.len();
+    let (plain_report, stalled_report) = (plain.meters.report(), stalled.meters.report());
+    let rise = stalled_report.missed_percent() - plain_report.missed_percent();
+    let mut answer = plain.to_json(&plain_report);
+    let facts = json!({
+        "bench": "haptics",
+        "seconds": request.seconds,
+        "tetrahedra": n_tets,
+        "model": "explicit, st_venant_kirchhoff",
+        "time_step_s": time_step,
+        "with_stalls": stalled.to_json(&stalled_report),
+        "stall_ms": STALL.as_millis() as u64,
+        "missed_percent_rise": rise,
+        "greatest_rise_percent": GREATEST_RISE_PERCENT,
+        "rise_is_small": rise <= GREATEST_RISE_PERCENT,
+    });
+    if let (Value::Object(answer), Value::Object(facts)) = (&mut answer, facts) {
+        answer.extend(facts);
+    }
+    Ok(answer)
+}
+
+impl Run {
+    fn to_json(&self, report: &HapticReport) -> Value {
+        let mut answer = report.to_json();
+        let dt = self.seconds.max(1e-9);
+        answer["simulation"] = json!({
+            "steps_per_s": self.steps as f64 / dt, "stalls": self.n_stalls, "times_given_up": self.n_given_up,
+        });
+        answer["viewer"] = json!({
+            "frames_per_s": self.n_frames as f64 / dt, "megabytes_per_s": self.n_bytes as f64 * 1e-6 / dt,
+        });
+        answer
+    }
+}
+
+/// As text: the figures that matter.
+pub(crate) fn to_text(answer: &Value) -> String {
+    let mut text = format!(
+        "haptic loop beside {} tetrahedra ({}) and a viewer, {} s each; {}\n",
+        answer["tetrahedra"], answer["model"], answer["seconds"], answer["scheduling"]
+    );
+    for (name, run) in [("without stalls", answer), ("with stalls", &answer["with_stalls"])] {
+        let of = |field: &str, which: &str| run[field][which].as_f64().unwrap_or(f64::NAN);
+        text += &format!(
+            "{name:14}  {:.1} Hz; missed {} of {} ({:.4} %); jitter p50 {:.1}, p99 {:.1}, p99.9 {:.1} us; motion to \
+             force p50 {:.1}, p99.9 {:.1} us; age of the model p50 {:.2}, max {:.1} ms; {:.0} steps/s, {} stalls; \
+             viewer {:.0} frames/s\n",
+            run["rate_hz"].as_f64().unwrap_or(f64::NAN),
+            run["missed_deadlines"],
+            run["deadlines"],
+            run["missed_percent"].as_f64().unwrap_or(f64::NAN),
+            of("jitter_us", "p50"),
+            of("jitter_us", "p99"),
+            of("jitter_us", "p999"),
+            of("motion_to_force_us", "p50"),
+            of("motion_to_force_us", "p999"),
+            of("local_model_age_ms", "p50"),
+            of("local_model_age_ms", "max"),
+            of("simulation", "steps_per_s"),
+            run["simulation"]["stalls"],
+            of("viewer", "frames_per_s"),
+        );
+    }
+    let rise = answer["missed_percent_rise"].as_f64().unwrap_or(f64::NAN);
+    text += &format!("stalls raise the missed deadlines by {rise:.4} percentage points\n");
+    text
+}
+
+const SCENE: &str = "glisson_scene = 1\nname = \"haptics\"\n[organ]\nmesh = \"body.vtu\"\ntissue = \"liver\"\n\
+    model = \"explicit\"\nlaw = \"st_venant_kirchhoff\"\ndamping = \"20 1/s\"\n\
+    [[organ.fixed]]\nfurthest = { direction = [0, 0, -1], fraction = 0.05 }\n\
+    [tool]\ntip_radius = \"6 mm\"\nhome_tip = [0, 0, \"67 mm\"]\nhome_shaft = [0, 0, 1]\n";
+
+/// With the longest step of one millisecond and its halves that is stable; answers it [s].
+fn write_scene(path: &std::path::Path) -> anyhow::Result<f64> {
+    let mut refusal = None;
+    for microseconds in [1_000, 500, 250] {
+        let text = format!("{SCENE}[simulation]\ntime_step = \"{microseconds} us\"\n");
+        std::fs::write(path, text).with_context(|| format!("{}: cannot write", path.display()))?;
+        match Simulation::open(OpenScene::read(path)?, None) {
+            Ok(_) => return Ok(1e-6 * f64::from(microseconds)),
+            Err(error) => refusal = Some(error),
+        }
+    }
+    bail!("no time step down to 0.25 ms is stable: {:#}", refusal.context("nothing was tried")?)
+}
+
+fn measure_block(
+    request: &HapticsRequest,
+    scene: &std::path::Path,
+    seconds: f64,
+    stalls: Option<Stalls>,
+    run: &mut Run,
+) -> anyhow::Result<()> {
+    let simulation = Simulation::open(OpenScene::read(scene)?, None)?;
+    let listener = server::bind("127.0.0.1", 0)?;
+    let address = listener.local_addr()?;
+    let home = simulation.world().tools()[0].home;
+    let device = devices::open(&DeviceName::Simulated, &home, request.rate_hz)?;
+    let held = vec![join(device, 0, home)];
+    let haptics = HapticSettings { rate_hz: request.rate_hz, core: None };
+    let service = Service {
+        held,
+        haptics,
+        stalls,
+        meters: Arc::clone(&run.meters),
+        ..Service::to(Access::for_address(address.ip(), None)?)
+    };
+    let viewer = Command::new(&request.program)
+        .args(["watch", &format!("ws://{address}/ws"), "--json"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .with_context(|| format!("{}: cannot start the viewer", request.program.display()))?;
+    let end = Duration::from_secs_f64(seconds);
+    let served = server::serve(simulation, listener, service, async move { tokio::time::sleep(end).await });
+    // It ends with the connection, also when the service failed.
+    let watched = viewer.wait_with_output().context("waiting for the viewer")?;
+    let Served { ended, .. } = served?;
+    let watched: Value = serde_json::from_slice(&watched.stdout)
+        .with_context(|| format!("the viewer said {:?}", String::from_utf8_lossy(&watched.stdout)))?;
+    run.n_stalls += ended.n_stalls;
+    run.steps += ended.steps;
+    run.seconds += seconds;
+    run.n_given_up += ended.lateness.n_given_up;
+    run.n_frames += watched["frames"].as_u64().context("the viewer counts no frames")?;
+    run.n_bytes += watched["bytes"].as_u64().context("the viewer counts no bytes")?;
+    Ok(())
+}

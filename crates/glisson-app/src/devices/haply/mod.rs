@@ -1,0 +1,188 @@
+//! Haply Inverse3 through Haply's own Inverse Service: a WebSocket with JSON text, on this machine as a rule.
+
+mod messages;
+
+use super::driver::{Line, ThreadedDevice};
+use anyhow::Context;
+use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
+use glisson::math::DVec3;
+use messages::{Generation, force_command, parse};
+use std::io::{Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::{Duration, Instant};
+use tungstenite::client::IntoClientRequest;
+use tungstenite::protocol::WebSocketConfig;
+use tungstenite::{Message, WebSocket};
+
+/// Where the service listens unless told otherwise.
+pub(super) const ADDRESS: &str = "127.0.0.1:10001";
+
+/// A choice on the careful side, below what the maker allows; the law keeps within it.
+const LIMITS: DeviceLimits = DeviceLimits {
+    force_n: 5.0,
+    torque_n_m: 0.0,
+    force_rate_n_per_s: 2_000.0,
+    stiffness_n_per_m: 600.0,
+    damping_n_s_per_m: 4.0,
+    resolution_m: 1e-5,
+    rate_hz: 1_000.0,
+};
+
+/// A service that says nothing for so long has stopped.
+const LONGEST_SILENCE: Duration = Duration::from_millis(500);
+/// Between two tries to reach the service.
+const RETRY: Duration = Duration::from_millis(500);
+/// Frames have some 2 kB a device.
+const LONGEST_FRAME_BYTES: usize = 1 << 17;
+
+/// Opens the device behind the service at `address`, `host:port`. The service need not run yet.
+pub(super) fn open(address: &str) -> anyhow::Result<Box<dyn HapticDevice>> {
+    let line = HaplyLine { address: address.to_owned(), session: None, next_try: Instant::now() };
+    Ok(Box::new(ThreadedDevice::start("haply", LIMITS, line)?))
+}
+
+/// One line on the service: its version, or why it cannot be reached.
+pub(super) fn service_version(address: &str) -> anyhow::Result<String> {
+    let mut stream = connect(address)?;
+    write!(stream, "GET /version HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n")?;
+    let mut answer = Vec::new();
+    // What came before a time-out is enough, if it holds the version.
+    let _ = stream.take(8192).read_to_end(&mut answer);
+    let answer = String::from_utf8_lossy(&answer).into_owned();
+    let (head, body) = answer.split_once("\r\n\r\n").context("the service's answer is no HTTP")?;
+    anyhow::ensure!(
+        head.contains(" 200 "),
+        "the service answers {:?}",
+        head.lines().next().unwrap_or_default()
+    );
+    Ok(body.trim().chars().take(100).collect())
+}
+
+fn connect(address: &str) -> anyhow::Result<TcpStream> {
+    let mut addresses = address.to_socket_addrs().with_context(|| format!("{address}: no address"))?;
+    let first = addresses.next().with_context(|| format!("{address}: no address"))?;
+    let stream = TcpStream::connect_timeout(&first, LONGEST_SILENCE)
+        .with_context(|| format!("{address}: nobody answers; is Haply's Inverse Service running there?"))?;
+    stream.set_read_timeout(Some(LONGEST_SILENCE))?;
+    stream.set_write_timeout(Some(LONGEST_SILENCE))?;
+    // A command must not wait for the next one.
+    stream.set_nodelay(true)?;
+    Ok(stream)
+}
+
+struct Session {
+    socket: WebSocket<TcpStream>,
+    generation: Generation,
+    /// The first Inverse3 that was seen is kept to.
+    device_id: Option<String>,
+    /// Frames in a row that could not be used.
+    n_refused: u32,
+}
+
+struct HaplyLine {
+    address: String,
+    session: Option<Session>,
+    next_try: Instant,
+}
+
+/// So many frames in a row without a usable state: the device is lost.
+const MOST_REFUSED: u32 = 10;
+const UNUSABLE: &str = "the service sends frames that cannot be used; `glisson devices doctor` tells why";
+
+impl HaplyLine {
+    fn begin(&self) -> anyhow::Result<Session> {
+        // A service that does not tell its version is taken for a present one.
+        let version = service_version(&self.address).ok();
+        let generation = version.and_then(|v| Generation::of_version(&v)).unwrap_or(Generation::Vector);
+        let request = format!("ws://{}/", self.address).into_client_request()?;
+        let config = WebSocketConfig::default()
+            .max_message_size(Some(LONGEST_FRAME_BYTES))
+            .max_frame_size(Some(LONGEST_FRAME_BYTES));
+        let stream = connect(&self.address)?;
+        let (socket, _) = tungstenite::client::client_with_config(request, stream, Some(config))
+            .map_err(|e| anyhow::anyhow!("{}: no WebSocket: {e}", self.address))?;
+        Ok(Session { socket, generation, device_id: None, n_refused: 0 })
+    }
+}
+
+/// What went wrong in a turn; fixed texts, because the haptic loop hands them on.
+enum Trouble {
+    /// Of the connection: a new one may help.
+    Line(&'static str),
+    /// Of the device: it keeps its connection.
+    Device(&'static str),
+}
+
+impl Session {
+    fn turn(&mut self, command: &ForceCommand) -> Result<DeviceState, Trouble> {
+        loop {
+            let message = self.socket.read().map_err(|_| Trouble::Line("the service stopped answering"))?;
+            let Message::Text(text) = message else { continue };
+            let Ok(update) = parse(&text, self.device_id.as_deref()) else {
+                self.n_refused += 1;
+                if self.n_refused < MOST_REFUSED {
+                    continue;
+                }
+                return Err(Trouble::Line(UNUSABLE));
+            };
+            self.n_refused = 0;
+            // A device that must not be used gets no force.
+            let force_n = if update.hindrance.is_some() { DVec3::ZERO } else { command.force_n };
+            let reply = force_command(self.generation, &update.device_id, force_n);
+            self.device_id = Some(update.device_id);
+            self.socket
+                .send(Message::text(reply))
+                .map_err(|_| Trouble::Line("the service stopped listening"))?;
+            return update.hindrance.map_or(Ok(update.state), |hindrance| Err(Trouble::Device(hindrance)));
+        }
+    }
+}
+
+/// What the service says about its device, or what is wrong: for people.
+pub(super) fn examine(address: &str) -> anyhow::Result<String> {
+    let version = service_version(address)?;
+    let line = HaplyLine { address: address.to_owned(), session: None, next_try: Instant::now() };
+    let mut session = line.begin()?;
+    let until = Instant::now() + 2 * LONGEST_SILENCE;
+    let mut reason = "it sends nothing".to_owned();
+    while Instant::now() < until {
+        let Message::Text(text) = session.socket.read().context("the service stopped answering")? else {
+            continue;
+        };
+        match parse(&text, None) {
+            Ok(update) => {
+                let hindrance = update.hindrance.map_or(String::new(), |text| format!("; {text}"));
+                return Ok(format!("service {version}, Inverse3 {}{hindrance}", update.device_id));
+            }
+            Err(refusal) => reason = refusal,
+        }
+    }
+    anyhow::bail!("service {version}: {reason}")
+}
+
+impl Line for HaplyLine {
+    fn turn(&mut self, command: &ForceCommand) -> Result<DeviceState, DeviceFault> {
+        if self.session.is_none() && Instant::now() >= self.next_try {
+            self.next_try = Instant::now() + RETRY;
+            self.session = self.begin().ok();
+        }
+        let Some(session) = &mut self.session else {
+            std::thread::sleep(RETRY / 20);
+            return Err(DeviceFault::Lost("no connection to Haply's service".into()));
+        };
+        session.turn(command).map_err(|trouble| match trouble {
+            Trouble::Line(reason) => {
+                self.session = None;
+                DeviceFault::Lost(reason.into())
+            }
+            Trouble::Device(reason) => DeviceFault::Lost(reason.into()),
+        })
+    }
+
+    fn most_turns_hz(&self) -> Option<f64> {
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,292 @@
+//! Two threads between a link and the loops of this machine: one sends the newest state again and again, one takes the
+//! newest that comes. The loops never wait for them.
+
+use super::inbox::{Counts, Inbox};
+use super::link::{Link, ReceiveHalf, Role, SendHalf};
+use super::messages::{Content, Head, MOST_BYTES, MessageError, SceneHash, decode, encode_into};
+use super::seal::Seal;
+use crate::runtime::histogram::{Histogram, Percentiles};
+use crate::runtime::realtime::now_ns;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::{JoinHandle, Thread};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// What has not changed is sent again after this time: the other side hears that this one is there.
+const REPEAT: Duration = Duration::from_millis(10);
+/// Longest wait for a message, after which the threads see whether they should end.
+const PATIENCE: Duration = Duration::from_millis(50);
+/// A link that is silent for so long counts as cut [ns]: five times the time between repetitions.
+pub(crate) const CUT_NS: u64 = 50_000_000;
+
+/// Who talks.
+#[derive(Clone)]
+pub(crate) struct Identity {
+    pub(crate) role: Role,
+    pub(crate) scene: SceneHash,
+    /// Instruments of the scene.
+    pub(crate) n_tools: usize,
+    pub(crate) seal: Seal,
+}
+
+/// What is new to send, or the same again.
+pub(crate) trait Outgoing: Send {
+    /// From now on `thread` is unparked when there is something new.
+    fn wakes(&self, thread: Thread);
+    /// The newest state if it was not seen before.
+    fn new(&mut self, now_ns: u64) -> Option<Content>;
+    /// The newest state.
+    fn latest(&mut self, now_ns: u64) -> Content;
+}
+
+/// Takes what came.
+pub(crate) trait Incoming: Send {
+    /// The other machine's newest state. `on_the_way_ns`: half the round trip.
+    fn take(&mut self, content: Content, now_ns: u64, on_the_way_ns: u64);
+    /// Nothing came for [`CUT_NS`].
+    fn cut(&mut self);
+}
+
+/// The last message that was heard, which the next one that is sent acknowledges.
+#[derive(Clone, Copy, Debug, Default)]
+struct Heard {
+    session: u64,
+    sequence: u64,
+    sent_ns: u64,
+    at_ns: u64,
+}
+
+#[derive(Default)]
+struct Shared {
+    ends: AtomicBool,
+    /// Own session: nanoseconds since 1970 at the start, which fit until the year 2554.
+    session: u64,
+    heard: Mutex<Heard>,
+    counts: Mutex<Counts>,
+    n_sent: AtomicU64,
+    n_cuts: AtomicU64,
+    n_refused: AtomicU64,
+    refused: Mutex<Option<String>>,
+    heard_ns: AtomicU64,
+    round_trip: Histogram,
+}
+
+/// How the link does.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct LinkReport {
+    pub(crate) n_sent: u64,
+    pub(crate) counts: Counts,
+    /// Messages that were not for us or damaged, and why the last one was.
+    pub(crate) n_refused: u64,
+    pub(crate) refused: Option<String>,
+    /// How often nothing came for [`CUT_NS`] after something had come.
+    pub(crate) n_cuts: u64,
+    /// Whether something came in the last [`CUT_NS`].
+    pub(crate) is_up: bool,
+    /// From sending a message to hearing that it was heard, without the time that the other machine kept it.
+    pub(crate) round_trip: Percentiles,
+}
+
+/// A running exchange of messages.
+pub(crate) struct Conversation {
+    shared: Arc<Shared>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Conversation {
+    /// Starts both threads.
+    ///
+    /// # Errors
+    /// When the system gives no thread.
+    pub(crate) fn start(
+        link: Link,
+        identity: Identity,
+        outgoing: impl Outgoing + 'static,
+        incoming: impl Incoming + 'static,
+    ) -> std::io::Result<Self> {
+        let session = SystemTime::now().duration_since(UNIX_EPOCH).map_or(1, |since| since.as_nanos() as u64);
+        let shared = Arc::new(Shared { session, ..Shared::default() });
+        let Link { sender, receiver } = link;
+        let sending = {
+            let (shared, identity) = (Arc::clone(&shared), identity.clone());
+            let run = move || send_all(&shared, &identity, sender, outgoing);
+            std::thread::Builder::new().name("link-out".into()).spawn(run)?
+        };
+        let mut conversation = Self { shared: Arc::clone(&shared), threads: vec![sending] };
+        let run = move || receive_all(&shared, &identity, receiver, incoming);
+        conversation.threads.push(std::thread::Builder::new().name("link-in".into()).spawn(run)?);
+        Ok(conversation)
+    }
+
+    /// How it goes.
+    pub(crate) fn report(&self) -> LinkReport {
+        let shared = &self.shared;
+        let heard_ns = shared.heard_ns.load(Ordering::Relaxed);
+        LinkReport {
+            n_sent: shared.n_sent.load(Ordering::Relaxed),
+            counts: shared.counts.lock().map_or_else(|_| Counts::default(), |counts| *counts),
+            n_refused: shared.n_refused.load(Ordering::Relaxed),
+            refused: shared.refused.lock().ok().and_then(|refused| refused.clone()),
+            n_cuts: shared.n_cuts.load(Ordering::Relaxed),
+            is_up: heard_ns > 0 && now_ns().saturating_sub(heard_ns) < CUT_NS,
+            round_trip: shared.round_trip.percentiles(),
+        }
+    }
+}
+
+impl Drop for Conversation {
+    fn drop(&mut self) {
+        self.shared.ends.store(true, Ordering::Relaxed);
+        self.threads.iter().for_each(|thread| thread.thread().unpark());
+        for thread in self.threads.drain(..) {
+            // A panic was already printed.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn send_all(
+    shared: &Shared,
+    identity: &Identity,
+    mut sender: Box<dyn SendHalf>,
+    mut outgoing: impl Outgoing,
+) {
+    let mut bytes = Vec::with_capacity(MOST_BYTES);
+    let (mut sequence, mut last_sent) = (0, Instant::now());
+    outgoing.wakes(std::thread::current());
+    while !shared.ends.load(Ordering::Relaxed) {
+        let content = match outgoing.new(now_ns()) {
+            Some(content) => content,
+            None => match REPEAT.checked_sub(last_sent.elapsed()) {
+                Some(wait) if !wait.is_zero() => {
+                    std::thread::park_timeout(wait);
+                    continue;
+                }
+                _ => outgoing.latest(now_ns()),
+            },
+        };
+        last_sent = Instant::now();
+        sequence += 1;
+        let heard = shared.heard.lock().map_or_else(|_| Heard::default(), |heard| *heard);
+        let sent_ns = now_ns();
+        let head = Head {
+            scene: identity.scene.short(),
+            session: shared.session,
+            sequence,
+            sent_ns,
+            heard_session: heard.session,
+            heard_sequence: heard.sequence,
+            heard_sent_ns: heard.sent_ns,
+            heard_ago_ns: sent_ns.saturating_sub(heard.at_ns),
+        };
+        encode_into(&head, &content, &identity.seal, &mut bytes);
+        match sender.send(&bytes) {
+            Ok(()) => {
+                shared.n_sent.fetch_add(1, Ordering::Relaxed);
+            }
+            // The network may come back: not more often than it is looked at anyway.
+            Err(error) => {
+                refuse(shared, format!("sending: {error}"));
+                std::thread::sleep(PATIENCE);
+            }
+        }
+    }
+}
+
+/// Counts it; tells a reason when it is another one than before.
+fn refuse(shared: &Shared, reason: String) {
+    shared.n_refused.fetch_add(1, Ordering::Relaxed);
+    if let Ok(mut refused) = shared.refused.lock()
+        && refused.as_ref() != Some(&reason)
+    {
+        eprintln!("link: a message was refused: {reason}");
+        *refused = Some(reason);
+    }
+}
+
+/// Why a message that could be read is not for this machine.
+fn objection(identity: &Identity, head: &Head, content: &Content) -> Option<String> {
+    let (from, n_tools) = match content {
+        Content::Hands(hands) => (Role::Haptics, hands.len()),
+        Content::Tissues(tissues) => (Role::Simulation, tissues.len()),
+    };
+    if from == identity.role {
+        return Some(format!(
+            "the other machine has the role {} too: one needs --role {}",
+            from.name(),
+            from.other().name()
+        ));
+    }
+    if head.scene != identity.scene.short() {
+        return Some(format!(
+            "the other machine has another scene ({:016x}, here {:?}): give both the same scene and mesh files",
+            head.scene.swap_bytes(),
+            identity.scene
+        ));
+    }
+    (n_tools != identity.n_tools)
+        .then(|| format!("the other machine has {n_tools} instruments, this one {}", identity.n_tools))
+}
+
+fn receive_all(
+    shared: &Shared,
+    identity: &Identity,
+    mut receiver: Box<dyn ReceiveHalf>,
+    mut incoming: impl Incoming,
+) {
+    // One byte more than the longest message, so that a longer one is seen to be one.
+    let mut buffer = [0; MOST_BYTES + 1];
+    let mut inbox = Inbox::default();
+    let (mut is_cut, mut last_echo) = (true, 0);
+    while !shared.ends.load(Ordering::Relaxed) {
+        let received = receiver.receive(&mut buffer, PATIENCE);
+        let now = now_ns();
+        match received {
+            Ok(Some(n)) => match decode(&buffer[..n], &identity.seal) {
+                Ok((head, content)) => {
+                    if let Some(objection) = objection(identity, &head, &content) {
+                        refuse(shared, objection);
+                    } else if inbox.takes(&head, now) {
+                        receiver.trust_sender();
+                        is_cut = false;
+                        shared.heard_ns.store(now, Ordering::Relaxed);
+                        if let Ok(mut heard) = shared.heard.lock() {
+                            let Head { session, sequence, sent_ns, .. } = head;
+                            *heard = Heard { session, sequence, sent_ns, at_ns: now };
+                        }
+                        let mut on_the_way_ns = 0;
+                        if head.heard_session == shared.session {
+                            let round_trip_ns =
+                                now.saturating_sub(head.heard_sent_ns).saturating_sub(head.heard_ago_ns);
+                            on_the_way_ns = round_trip_ns / 2;
+                            // The same acknowledgement comes in several messages: the first one counts.
+                            if head.heard_sequence > last_echo {
+                                shared.round_trip.record(round_trip_ns);
+                                last_echo = head.heard_sequence;
+                            }
+                        }
+                        incoming.take(content, now, on_the_way_ns);
+                    }
+                    if let Ok(mut counts) = shared.counts.lock() {
+                        *counts = inbox.counts;
+                    }
+                }
+                // Ten thousand strangers' datagrams a second are no reason to write ten thousand lines.
+                Err(MessageError::Magic) => {
+                    shared.n_refused.fetch_add(1, Ordering::Relaxed);
+                }
+                Err(error) => refuse(shared, error.to_string()),
+            },
+            Ok(None) => {}
+            Err(error) => {
+                refuse(shared, format!("receiving: {error}"));
+                std::thread::sleep(PATIENCE);
+            }
+        }
+        if !is_cut && now.saturating_sub(inbox.heard_ns()) >= CUT_NS {
+            is_cut = true;
+            shared.n_cuts.fetch_add(1, Ordering::Relaxed);
+            incoming.cut();
+        }
+    }
+}

@@ -1,0 +1,18 @@
+//! The program on a network: two machines that share a session, 3D Slicer and other OpenIGTLink clients, ROS 2.
+
+pub(crate) mod crc64;
+pub(crate) mod seal;
+pub(crate) mod messages;
+pub(crate) mod inbox;
+pub(crate) mod link;
+pub(crate) mod conversation;
+pub(crate) mod bridge;
+pub(crate) mod igtl;
+pub(crate) mod player;
+#[cfg(any(test, feature = "net"))]
+pub(crate) mod ros2;
+pub(crate) mod options;
+#[cfg(feature = "net")]
+mod zenoh_link;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,225 @@
+//! What `glisson serve` is told about the network.
+
+use super::bridge::{DeviceNews, start_haptics, start_simulation};
+use super::conversation::{Conversation, Identity, LinkReport};
+use super::igtl;
+use super::link::{LinkAddress, Role};
+use super::messages::SceneHash;
+use super::player::Player;
+use super::seal::Seal;
+use crate::runtime::haptic_loop::{DeviceStatus, HapticLoop, HapticSettings, HeldTool, ToolLink};
+use crate::runtime::{OpenScene, Simulation};
+use crate::server::Show;
+use anyhow::{Context, bail};
+use glisson::scene::{mesh_hash, read_organ};
+use glisson::tool::ToolInput;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The network.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Network")]
+pub(crate) struct NetArgs {
+    /// Share the session with another machine
+    #[arg(long, value_enum, requires = "link")]
+    role: Option<Role>,
+    /// How to reach the other machine: udp://HOST:PORT, where the simulation listens; or with the feature `net` zenoh:
+    /// (by multicast), zenoh:tcp/HOST:PORT or zenoh:FILE.json5 (its own configuration, with TLS)
+    #[arg(long, value_name = "ADDRESS", requires = "role")]
+    link: Option<LinkAddress>,
+    /// File with a secret, at least 16 random bytes, the same on both machines: only who has it can steer
+    #[arg(long, value_name = "FILE", requires = "link")]
+    link_key: Option<PathBuf>,
+    /// Show tools and organ to OpenIGTLink clients (3D Slicer) that connect to this address
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:18944")]
+    igtl: Option<SocketAddr>,
+    /// Axes of what OpenIGTLink clients get
+    #[arg(long, value_enum, default_value_t, requires = "igtl")]
+    igtl_axes: igtl::Axes,
+    /// Publish ROS 2 topics in this domain, as a node of rmw_zenoh; needs the feature `net`
+    #[arg(long, value_name = "DOMAIN", num_args = 0..=1, default_missing_value = "0")]
+    ros2: Option<u32>,
+    /// How to reach the router of ROS 2
+    #[arg(long, value_name = "ADDRESS", default_value = "zenoh:tcp/127.0.0.1:7447", requires = "ros2")]
+    ros2_link: LinkAddress,
+}
+
+/// A link as asked for on the command line.
+pub(crate) struct LinkOptions {
+    pub(crate) role: Role,
+    address: LinkAddress,
+    seal: Seal,
+}
+
+impl NetArgs {
+    /// The role that was asked for, with its link.
+    ///
+    /// # Errors
+    /// When the key cannot be used.
+    pub(crate) fn link(&self) -> anyhow::Result<Option<LinkOptions>> {
+        let (Some(role), Some(address)) = (self.role, &self.link) else { return Ok(None) };
+        let seal = self.link_key.as_deref().map_or(Ok(Seal::Check), Seal::from_file)?;
+        Ok(Some(LinkOptions { role, address: address.clone(), seal }))
+    }
+
+    /// What shows `simulation` beside the viewer; tells where.
+    ///
+    /// # Errors
+    /// When an address cannot be used.
+    pub(crate) fn shows(&self, simulation: &Simulation) -> anyhow::Result<Vec<Show>> {
+        let mut shows: Vec<Show> = Vec::new();
+        if let Some(address) = self.igtl {
+            let listener = igtl::bind(address)?;
+            let (address, axes) = (listener.local_addr()?, self.igtl_axes);
+            println!("OpenIGTLink is at {address} (mm, {})", axes.name());
+            if !address.ip().is_loopback() {
+                println!(
+                    "whoever reaches {address} sees the organ and the instruments; nobody can steer them there"
+                );
+            }
+            let spec = simulation.world().spec();
+            let tool_names = spec.tools.iter().map(|tool| tool.name.clone()).collect();
+            let organ_name = if spec.name.is_empty() { "organ".to_owned() } else { spec.name.clone() };
+            let described = igtl::Described { axes, tool_names, organ_name };
+            shows.push(Box::new(move |published| igtl::spawn(listener, described, published)));
+        }
+        if let Some(domain) = self.ros2 {
+            shows.push(self.ros2_topics(domain, simulation)?);
+        }
+        Ok(shows)
+    }
+
+    #[cfg(feature = "net")]
+    fn ros2_topics(&self, domain: u32, simulation: &Simulation) -> anyhow::Result<Show> {
+        let LinkAddress::Zenoh(address) = self.ros2_link.clone() else {
+            bail!("--ros2-link {}: ROS 2 is reached over zenoh: only", self.ros2_link);
+        };
+        println!("ROS 2 topics of domain {domain} go to {}", self.ros2_link);
+        let described = super::ros2::Described::of(simulation.world().tools());
+        Ok(Box::new(move |published| super::ros2::spawn(&address, domain, described, published)))
+    }
+
+    #[cfg(not(feature = "net"))]
+    fn ros2_topics(&self, domain: u32, _: &Simulation) -> anyhow::Result<Show> {
+        bail!("--ros2 {domain}: this program was built without zenoh; build it with --features net")
+    }
+}
+
+fn scene_hash(scene_text: &str, mesh_hash: &str) -> SceneHash {
+    let mut hasher = blake3::Hasher::new();
+    // The length keeps text and hash apart.
+    hasher.update(&(scene_text.len() as u64).to_le_bytes());
+    hasher.update(scene_text.as_bytes()).update(mesh_hash.as_bytes());
+    SceneHash(*hasher.finalize().as_bytes())
+}
+
+impl LinkOptions {
+    fn open(&self, scene: SceneHash, n_tools: usize) -> anyhow::Result<(super::link::Link, Identity)> {
+        let has_key = matches!(self.seal, Seal::Key(_));
+        let link = self.address.open(self.role, has_key)?;
+        Ok((link, Identity { role: self.role, scene, n_tools, seal: self.seal.clone() }))
+    }
+
+    /// Starts the simulating machine's end: the instruments are held elsewhere. `scene_text` is what `simulation` was
+    /// opened from.
+    ///
+    /// # Errors
+    /// When the link cannot be opened.
+    pub(crate) fn start_simulation(
+        &self,
+        simulation: &Simulation,
+        scene_text: &str,
+    ) -> anyhow::Result<(Conversation, Vec<ToolLink>)> {
+        let homes: Vec<ToolInput> = simulation.world().tools().iter().map(|tool| tool.home).collect();
+        let scene = scene_hash(scene_text, &mesh_hash(simulation.mesh()));
+        let (link, identity) = self.open(scene, homes.len())?;
+        Ok(start_simulation(link, identity, &homes)?)
+    }
+
+    /// The whole haptics machine: `held` by devices, or by the scene's own paths when there are none; until `stop` comes.
+    ///
+    /// # Errors
+    /// When the scene cannot be read or the link cannot be opened.
+    pub(crate) fn run_haptics(
+        &self,
+        source: &OpenScene,
+        held: Vec<(HeldTool, ToolLink)>,
+        haptics: HapticSettings,
+        stop: impl Future<Output = ()>,
+    ) -> anyhow::Result<()> {
+        let body = read_organ(&source.scene, &source.folder).with_context(|| source.origin.clone())?;
+        let homes: Vec<ToolInput> = source.scene.world.tools.iter().map(|tool| tool.home).collect();
+        let scene = scene_hash(&source.scene.text, &mesh_hash(&body.mesh));
+        let (link, identity) = self.open(scene, homes.len())?;
+        let (player, haptic_loop, links) = if held.is_empty() {
+            println!("no device: the scene's paths move the instruments");
+            let (player, links) = Player::start(&source.scene)?;
+            (Some(player), None, links)
+        } else {
+            let (held, links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
+            (None, Some(HapticLoop::start(held, haptics, Arc::default())?), links)
+        };
+        let (conversation, news) = start_haptics(link, identity, &homes, links)?;
+        println!("haptics run (Ctrl-C stops them)");
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        runtime.block_on(async {
+            tokio::select! {
+                () = stop => {}
+                () = tell_changes(&conversation, news) => {}
+            }
+        });
+        if let Some(haptic_loop) = haptic_loop {
+            println!("{}", haptic_loop.meters().report().to_text());
+        }
+        if let Some(player) = player {
+            println!("played: {}", serde_json::to_string(&player.finish())?);
+        }
+        println!("{}", conversation.report().to_text());
+        Ok(())
+    }
+}
+
+/// Says what changes at the link and at the devices; never ends.
+async fn tell_changes(conversation: &Conversation, mut news: Vec<DeviceNews>) {
+    let mut tick = tokio::time::interval(Duration::from_millis(50));
+    let mut was_up = false;
+    loop {
+        tick.tick().await;
+        let is_up = conversation.report().is_up;
+        if is_up != std::mem::replace(&mut was_up, is_up) {
+            println!(
+                "{}",
+                if is_up { "the simulation is there" } else { "nothing comes from the simulation" }
+            );
+        }
+        for DeviceNews { device_name, statuses } in &mut news {
+            match statuses.get_new() {
+                Some(DeviceStatus::Lost(why)) => println!("the device {device_name} was lost: {why}"),
+                Some(DeviceStatus::Failed(why)) => println!("the device {device_name} failed: {why}"),
+                Some(DeviceStatus::Works) => println!("the device {device_name} works"),
+                Some(DeviceStatus::Waiting) | None => {}
+            }
+        }
+    }
+}
+
+impl LinkReport {
+    /// For people.
+    pub(crate) fn to_text(&self) -> String {
+        let counts = self.counts;
+        let us = |ns: u64| ns as f64 * 1e-3;
+        format!(
+            "link: {} messages sent, {} taken, {} lost, {} late, {} refused, {} cuts; round trip p50 {:.0} us, p99 {:.0} us",
+            self.n_sent,
+            counts.n_taken,
+            counts.n_lost,
+            counts.n_late,
+            self.n_refused,
+            self.n_cuts,
+            us(self.round_trip.p50_ns),
+            us(self.round_trip.p99_ns),
+        )
+    }
+}

@@ -1,0 +1,307 @@
+//! The messages of ROS 2 that are published, and the hashes of their types (RIHS01, REP 2016), which subscribers compare.
+//! Fields in the order of the .msg files of common_interfaces (Jazzy). Metres, newtons, radians.
+
+use super::cdr::CdrWriter;
+use glisson::math::{DMat3, DVec3};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// A type of message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct MessageType {
+    pub(super) package: &'static str,
+    pub(super) name: &'static str,
+    /// SHA-256 of the type's description.
+    pub(super) hash: &'static str,
+}
+
+pub(super) const POSE_STAMPED: MessageType = MessageType {
+    package: "geometry_msgs",
+    name: "PoseStamped",
+    hash: "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
+};
+
+pub(super) const WRENCH_STAMPED: MessageType = MessageType {
+    package: "geometry_msgs",
+    name: "WrenchStamped",
+    hash: "RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77",
+};
+
+pub(super) const JOINT_STATE: MessageType = MessageType {
+    package: "sensor_msgs",
+    name: "JointState",
+    hash: "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
+};
+
+pub(super) const POINT_CLOUD2: MessageType = MessageType {
+    package: "sensor_msgs",
+    name: "PointCloud2",
+    hash: "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5",
+};
+
+/// When, and in which frame. CRTK marks what is not valid by the time 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Stamp<'a> {
+    pub(super) since_1970: Duration,
+    pub(super) frame: &'a str,
+}
+
+impl<'a> Stamp<'a> {
+    pub(super) fn at(time: SystemTime, frame: &'a str) -> Self {
+        Self { since_1970: time.duration_since(UNIX_EPOCH).unwrap_or_default(), frame }
+    }
+
+    fn valid_if(self, is_valid: bool) -> Self {
+        if is_valid { self } else { Self { since_1970: Duration::ZERO, ..self } }
+    }
+
+    /// std_msgs/Header. The seconds of a ROS time overflow in 2038, as theirs do.
+    fn write(self, writer: &mut CdrWriter) {
+        writer.i32(i32::try_from(self.since_1970.as_secs()).unwrap_or(i32::MAX));
+        writer.u32(self.since_1970.subsec_nanos());
+        writer.string(self.frame);
+    }
+}
+
+/// geometry_msgs/PoseStamped: the tool's place and turn; the quaternion as x, y, z, w.
+pub(super) fn pose_stamped(stamp: Stamp<'_>, position_m: DVec3, turn: DMat3) -> Vec<u8> {
+    let mut writer = CdrWriter::with_capacity(128);
+    let quaternion = glam::DQuat::from_mat3(&turn);
+    stamp.valid_if(position_m.is_finite() && quaternion.is_finite()).write(&mut writer);
+    writer.f64s(&position_m.to_array());
+    writer.f64s(&quaternion.to_array());
+    writer.finish()
+}
+
+/// geometry_msgs/WrenchStamped.
+pub(super) fn wrench_stamped(stamp: Stamp<'_>, force_n: DVec3, torque_n_m: DVec3) -> Vec<u8> {
+    let mut writer = CdrWriter::with_capacity(128);
+    stamp.valid_if(force_n.is_finite() && torque_n_m.is_finite()).write(&mut writer);
+    writer.f64s(&force_n.to_array());
+    writer.f64s(&torque_n_m.to_array());
+    writer.finish()
+}
+
+/// sensor_msgs/JointState of one joint: its angle, neither speed nor effort.
+pub(super) fn joint_state(stamp: Stamp<'_>, name: &str, position_rad: f64) -> Vec<u8> {
+    let mut writer = CdrWriter::with_capacity(128);
+    stamp.valid_if(position_rad.is_finite()).write(&mut writer);
+    writer.u32(1);
+    writer.string(name);
+    writer.f64_sequence(&[position_rad]);
+    writer.f64_sequence(&[]);
+    writer.f64_sequence(&[]);
+    writer.finish()
+}
+
+/// `sensor_msgs/PointField`'s number for single precision.
+const FLOAT32: u8 = 7;
+
+/// sensor_msgs/PointCloud2 of x, y, z in single precision.
+pub(super) fn point_cloud2(stamp: Stamp<'_>, points_m: &[DVec3]) -> Vec<u8> {
+    let mut writer = CdrWriter::with_capacity(256 + 12 * points_m.len());
+    let is_dense = points_m.iter().all(|point| point.is_finite());
+    stamp.valid_if(is_dense).write(&mut writer);
+    // One row.
+    writer.u32(1);
+    writer.u32(points_m.len() as u32);
+    writer.u32(3);
+    for (name, offset) in [("x", 0), ("y", 4), ("z", 8)] {
+        writer.string(name);
+        writer.u32(offset);
+        writer.u8(FLOAT32);
+        writer.u32(1);
+    }
+    // Little endian.
+    writer.u8(0);
+    writer.u32(12);
+    writer.u32(12 * points_m.len() as u32);
+    writer.byte_sequence(points_m.iter().map(|point| {
+        let mut bytes = [0; 12];
+        for (field, x) in bytes.chunks_exact_mut(4).zip(point.as_vec3().to_array()) {
+            field.copy_from_slice(&x.to_le_bytes());
+        }
+        bytes
+    }));
+    writer.u8(u8::from(is_dense));
+    writer.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sha2::{Digest, Sha256};
+
+    fn stamp(frame: &str) -> Stamp<'_> {
+        Stamp { since_1970: Duration::new(0x0102_0304, 5), frame }
+    }
+
+    fn bytes_of(numbers: &[f64]) -> Vec<u8> {
+        numbers.iter().flat_map(|x| x.to_le_bytes()).collect()
+    }
+
+    /// By hand, field by field, with the padding that CDR asks for.
+    #[test]
+    fn messages_have_the_bytes_that_one_writes_by_hand() {
+        let header = [&[0, 1, 0, 0, 4, 3, 2, 1, 5, 0, 0, 0][..], &[4, 0, 0, 0], b"lps\0"].concat();
+        // 16 bytes behind the encapsulation: doubles follow at once.
+        let turn = DMat3::from_rotation_z(std::f64::consts::FRAC_PI_2);
+        let pose = pose_stamped(stamp("lps"), DVec3::new(1.0, 2.0, 3.0), turn);
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        assert_eq!(pose[..40], [&header[..], &bytes_of(&[1.0, 2.0, 3.0])[..20]].concat());
+        assert_eq!(pose.len(), 20 + 7 * 8);
+        let last = |at: usize| f64::from_le_bytes(pose[at..at + 8].try_into().unwrap());
+        assert!((last(pose.len() - 8) - half).abs() < 1e-15 && (last(pose.len() - 16) - half).abs() < 1e-15);
+
+        let wrench = wrench_stamped(stamp("lps"), DVec3::X, DVec3::Z);
+        assert_eq!(wrench, [&header[..], &bytes_of(&[1.0, 0.0, 0.0, 0.0, 0.0, 1.0])].concat());
+
+        // A frame of two letters: 15 bytes, and one of padding before the next count.
+        let joint = joint_state(stamp("ab"), "jaw", 0.5);
+        let expected = [
+            &[0, 1, 0, 0, 4, 3, 2, 1, 5, 0, 0, 0][..],
+            &[3, 0, 0, 0, b'a', b'b', 0, 0],
+            &[1, 0, 0, 0, 4, 0, 0, 0, b'j', b'a', b'w', 0],
+            // The count at 28; the number at 32 is aligned.
+            &[1, 0, 0, 0],
+            &bytes_of(&[0.5]),
+            &[0; 8],
+        ];
+        assert_eq!(joint, expected.concat());
+
+        let cloud = point_cloud2(stamp("lps"), &[DVec3::new(1.0, 0.0, -2.0)]);
+        let field = |name: u8, offset: u8| {
+            [&[2, 0, 0, 0, name, 0, 0, 0][..], &[offset, 0, 0, 0], &[7, 0, 0, 0], &[1, 0, 0, 0]].concat()
+        };
+        let expected = [
+            &header[..],
+            &[1, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0],
+            &field(b'x', 0),
+            &field(b'y', 4),
+            &field(b'z', 8),
+            &[0, 0, 0, 0],
+            &[12, 0, 0, 0, 12, 0, 0, 0, 12, 0, 0, 0],
+            &[0, 0, 0x80, 0x3F, 0, 0, 0, 0, 0, 0, 0, 0xC0],
+            &[1],
+        ];
+        assert_eq!(cloud, expected.concat());
+    }
+
+    #[test]
+    fn what_is_not_finite_is_marked_not_valid_by_the_time_0() {
+        let pose = pose_stamped(stamp("lps"), DVec3::new(f64::NAN, 0.0, 0.0), DMat3::IDENTITY);
+        assert_eq!(pose[4..12], [0; 8]);
+        let joint = joint_state(stamp("lps"), "jaw", f64::INFINITY);
+        assert_eq!(joint[4..12], [0; 8]);
+    }
+
+    /// What a type's fields are made of: numbers of REP 2016's field types.
+    fn field(name: &str, type_id: u8, nested: &str) -> String {
+        format!(
+            "{{\"name\": \"{name}\", \"type\": {{\"type_id\": {type_id}, \"capacity\": 0, \
+             \"string_capacity\": 0, \"nested_type_name\": \"{nested}\"}}}}"
+        )
+    }
+
+    fn described(name: &str, fields: &[String]) -> String {
+        format!("{{\"type_name\": \"{name}\", \"fields\": [{}]}}", fields.join(", "))
+    }
+
+    fn rihs01(description: &str, referenced: &[String]) -> String {
+        let text = format!(
+            "{{\"type_description\": {description}, \"referenced_type_descriptions\": [{}]}}",
+            referenced.join(", ")
+        );
+        let hash: String = Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect();
+        format!("RIHS01_{hash}")
+    }
+
+    /// The hashes of the types again from their descriptions, by the rule of REP 2016.
+    #[test]
+    fn the_hashes_are_those_of_the_types_as_written_here() {
+        const NESTED: u8 = 1;
+        const INT32: u8 = 6;
+        const UINT32: u8 = 7;
+        const UINT8: u8 = 3;
+        const FLOAT64: u8 = 11;
+        const BOOLEAN: u8 = 15;
+        const STRING: u8 = 17;
+        const SEQUENCE: u8 = 144;
+        let time = described(
+            "builtin_interfaces/msg/Time",
+            &[field("sec", INT32, ""), field("nanosec", UINT32, "")],
+        );
+        let header = described(
+            "std_msgs/msg/Header",
+            &[field("stamp", NESTED, "builtin_interfaces/msg/Time"), field("frame_id", STRING, "")],
+        );
+        let head = field("header", NESTED, "std_msgs/msg/Header");
+        let numbers = |names: &[&str]| names.iter().map(|name| field(name, FLOAT64, "")).collect::<Vec<_>>();
+        let point = described("geometry_msgs/msg/Point", &numbers(&["x", "y", "z"]));
+        let vector = described("geometry_msgs/msg/Vector3", &numbers(&["x", "y", "z"]));
+        // The quaternion's fields have default values, which do not count.
+        let quaternion = described("geometry_msgs/msg/Quaternion", &numbers(&["x", "y", "z", "w"]));
+        let pose = described(
+            "geometry_msgs/msg/Pose",
+            &[
+                field("position", NESTED, "geometry_msgs/msg/Point"),
+                field("orientation", NESTED, "geometry_msgs/msg/Quaternion"),
+            ],
+        );
+        let wrench = described(
+            "geometry_msgs/msg/Wrench",
+            &[
+                field("force", NESTED, "geometry_msgs/msg/Vector3"),
+                field("torque", NESTED, "geometry_msgs/msg/Vector3"),
+            ],
+        );
+        let point_field = described(
+            "sensor_msgs/msg/PointField",
+            &[
+                field("name", STRING, ""),
+                field("offset", UINT32, ""),
+                field("datatype", UINT8, ""),
+                field("count", UINT32, ""),
+            ],
+        );
+        let of = |message: MessageType, fields: &[String], referenced: &[&String]| {
+            let name = format!("{}/msg/{}", message.package, message.name);
+            let fields = [&[head.clone()], fields].concat();
+            let referenced: Vec<String> = referenced.iter().map(|text| (*text).clone()).collect();
+            assert_eq!(rihs01(&described(&name, &fields), &referenced), message.hash, "{name}");
+        };
+        of(
+            POSE_STAMPED,
+            &[field("pose", NESTED, "geometry_msgs/msg/Pose")],
+            &[&time, &point, &pose, &quaternion, &header],
+        );
+        of(
+            WRENCH_STAMPED,
+            &[field("wrench", NESTED, "geometry_msgs/msg/Wrench")],
+            &[&time, &vector, &wrench, &header],
+        );
+        of(
+            JOINT_STATE,
+            &[
+                field("name", STRING + SEQUENCE, ""),
+                field("position", FLOAT64 + SEQUENCE, ""),
+                field("velocity", FLOAT64 + SEQUENCE, ""),
+                field("effort", FLOAT64 + SEQUENCE, ""),
+            ],
+            &[&time, &header],
+        );
+        of(
+            POINT_CLOUD2,
+            &[
+                field("height", UINT32, ""),
+                field("width", UINT32, ""),
+                field("fields", NESTED + SEQUENCE, "sensor_msgs/msg/PointField"),
+                field("is_bigendian", BOOLEAN, ""),
+                field("point_step", UINT32, ""),
+                field("row_step", UINT32, ""),
+                field("data", UINT8 + SEQUENCE, ""),
+                field("is_dense", BOOLEAN, ""),
+            ],
+            &[&time, &point_field, &header],
+        );
+    }
+}

@@ -1,0 +1,279 @@
+//! Two ends and what lies between them: loss, doubled and overtaken messages, cuts, strangers.
+
+use super::bridge::{start_haptics, start_simulation};
+use super::conversation::{Conversation, Identity, LinkReport};
+use super::link::{Link, ReceiveHalf, Role, SendHalf, udp};
+use super::messages::SceneHash;
+use super::seal::Seal;
+use crate::runtime::exchange::{Latest, Publisher, exchange};
+use crate::runtime::haptic_loop::{DeviceStatus, Motion, PublishedModel, ToolLink};
+use crate::runtime::realtime::now_ns;
+use glisson::haptics::{HapticModel, Touch};
+use glisson::math::DVec3;
+use glisson::tool::ToolInput;
+use std::io;
+use std::net::{SocketAddr, UdpSocket};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+
+/// Half of a link in memory that loses, doubles and delays one message in five each.
+struct BadSender {
+    out: Sender<Vec<u8>>,
+    kept: Option<Vec<u8>>,
+    random: u64,
+}
+
+impl SendHalf for BadSender {
+    fn send(&mut self, message: &[u8]) -> io::Result<()> {
+        self.random ^= self.random << 13;
+        self.random ^= self.random >> 7;
+        self.random ^= self.random << 17;
+        // Nobody may be there any more.
+        let put = |bytes: Vec<u8>| drop(self.out.send(bytes));
+        match self.random % 5 {
+            0 => {}
+            1 => (0..2).for_each(|_| put(message.to_vec())),
+            2 if self.kept.is_none() => self.kept = Some(message.to_vec()),
+            _ => {
+                put(message.to_vec());
+                // The one that was kept comes after a newer one.
+                self.kept.take().into_iter().for_each(put);
+            }
+        }
+        Ok(())
+    }
+}
+
+struct MemoryReceiver(Receiver<Vec<u8>>);
+
+impl ReceiveHalf for MemoryReceiver {
+    fn receive(&mut self, buffer: &mut [u8], wait: Duration) -> io::Result<Option<usize>> {
+        match self.0.recv_timeout(wait) {
+            Ok(message) => {
+                buffer[..message.len()].copy_from_slice(&message);
+                Ok(Some(message.len()))
+            }
+            Err(RecvTimeoutError::Timeout) => Ok(None),
+            Err(RecvTimeoutError::Disconnected) => Err(io::ErrorKind::NotConnected.into()),
+        }
+    }
+
+    fn trust_sender(&mut self) {}
+}
+
+fn bad_links() -> (Link, Link) {
+    let (to_simulation, from_haptics) = channel();
+    let (to_haptics, from_simulation) = channel();
+    let link = |out, incoming, random| Link {
+        sender: Box::new(BadSender { out, kept: None, random }),
+        receiver: Box::new(MemoryReceiver(incoming)),
+    };
+    (link(to_simulation, from_simulation, 11), link(to_haptics, from_haptics, 23))
+}
+
+fn home() -> ToolInput {
+    ToolInput::at(DVec3::ZERO, DVec3::Z)
+}
+
+fn identity(role: Role, scene: u8) -> Identity {
+    Identity { role, scene: SceneHash([scene; 32]), n_tools: 1, seal: Seal::Check }
+}
+
+/// The haptics machine: what its haptic loop would hold, and the conversation.
+struct HapticsEnd {
+    motions: Publisher<Motion>,
+    models: Latest<PublishedModel>,
+    conversation: Conversation,
+}
+
+impl HapticsEnd {
+    fn start(link: Link, identity: Identity) -> Self {
+        let (models_in, models) = exchange(PublishedModel::default());
+        let (motions, motions_out) = exchange(Motion { pose: home(), is_held: false });
+        let (_, statuses) = exchange(DeviceStatus::Waiting);
+        let held = ToolLink {
+            tool: 0,
+            device_name: "hand".into(),
+            models: models_in,
+            motions: motions_out,
+            statuses,
+        };
+        let (conversation, _) = start_haptics(link, identity, &[home()], vec![held]).unwrap();
+        Self { motions, models, conversation }
+    }
+
+    fn move_to(&mut self, x_m: f64) {
+        let pose = ToolInput { tip_in_world_m: DVec3::X * x_m, ..home() };
+        self.motions.publish(Motion { pose, is_held: true });
+    }
+}
+
+/// The simulating machine.
+struct SimulationEnd {
+    tool: ToolLink,
+    conversation: Conversation,
+}
+
+impl SimulationEnd {
+    fn start(link: Link, identity: Identity) -> Self {
+        let (conversation, mut links) = start_simulation(link, identity, &[home()]).unwrap();
+        Self { tool: links.pop().unwrap(), conversation }
+    }
+
+    fn publish(&mut self, step: u64) {
+        let model = HapticModel { step, touch: Touch::Grasp, ..HapticModel::default() };
+        self.tool.models.publish(PublishedModel { model, made_ns: now_ns() });
+    }
+}
+
+/// Waits for what must come soon on a machine that may be busy.
+fn soon(what: &str, mut holds: impl FnMut() -> bool) {
+    let end = Instant::now() + Duration::from_secs(20);
+    while !holds() {
+        assert!(Instant::now() < end, "{what}");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn the_newest_state_arrives_over_a_bad_link_and_never_an_older_one() {
+    let (at_haptics, at_simulation) = bad_links();
+    let mut haptics = HapticsEnd::start(at_haptics, identity(Role::Haptics, 1));
+    let mut simulation = SimulationEnd::start(at_simulation, identity(Role::Simulation, 1));
+    let (mut last_x_m, mut last_step) = (0.0, 0);
+    for step in 1..=400 {
+        haptics.move_to(step as f64);
+        simulation.publish(step);
+        std::thread::sleep(Duration::from_millis(1));
+        let x_m = simulation.tool.motions.get().pose.tip_in_world_m.x;
+        let seen = haptics.models.get().model.step;
+        assert!(x_m >= last_x_m && seen >= last_step, "{x_m} after {last_x_m}, {seen} after {last_step}");
+        (last_x_m, last_step) = (x_m, seen);
+    }
+    soon("the last pose and model", || {
+        simulation.tool.motions.get().pose.tip_in_world_m.x == 400.0 && haptics.models.get().model.step == 400
+    });
+    assert!(simulation.tool.motions.get().is_held);
+    let age_ns = now_ns() - haptics.models.get().made_ns;
+    assert!(age_ns < 10_000_000_000, "{age_ns}");
+    let LinkReport { counts, n_refused, round_trip, .. } = simulation.conversation.report();
+    assert!(counts.n_taken > 50 && counts.n_lost > 10 && counts.n_late > 10, "{counts:?}");
+    assert!(n_refused == 0 && counts.n_sessions == 1 && round_trip.n > 50, "{n_refused}, {round_trip:?}");
+}
+
+#[test]
+fn a_cut_lets_the_instrument_stay_and_both_sides_find_each_other_again() {
+    let address: SocketAddr = free_address();
+    let link = |role| udp(address, role).unwrap();
+    // The haptics machine is there first.
+    let mut haptics = HapticsEnd::start(link(Role::Haptics), identity(Role::Haptics, 1));
+    haptics.move_to(0.1);
+    let mut simulation = SimulationEnd::start(link(Role::Simulation), identity(Role::Simulation, 1));
+    soon("the pose", || simulation.tool.motions.get().pose.tip_in_world_m.x == 0.1);
+    assert_eq!(simulation.tool.statuses.get(), DeviceStatus::Works);
+    simulation.publish(1);
+    soon("the model", || haptics.models.get().model.step == 1);
+
+    drop(haptics);
+    soon("the cut", || !simulation.tool.motions.get().is_held);
+    assert_eq!(simulation.tool.motions.get().pose.tip_in_world_m.x, 0.1);
+    assert!(matches!(simulation.tool.statuses.get(), DeviceStatus::Lost(_)));
+
+    // A newcomer from another port is current after one message.
+    simulation.publish(2);
+    let mut haptics = HapticsEnd::start(link(Role::Haptics), identity(Role::Haptics, 1));
+    haptics.move_to(0.3);
+    soon("the new pose", || simulation.tool.motions.get().pose.tip_in_world_m.x == 0.3);
+    soon("the new model", || haptics.models.get().model.step == 2);
+    let report = simulation.conversation.report();
+    assert_eq!((report.counts.n_sessions, report.n_cuts, report.is_up), (2, 1, true));
+}
+
+fn free_address() -> SocketAddr {
+    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
+}
+
+#[test]
+fn another_scene_the_same_role_and_strangers_are_refused_with_a_reason() {
+    let refusal = |other: Identity| {
+        let address = free_address();
+        let mut simulation =
+            SimulationEnd::start(udp(address, Role::Simulation).unwrap(), identity(Role::Simulation, 1));
+        let link = udp(address, Role::Haptics).unwrap();
+        let conversation = match other.role {
+            Role::Haptics => HapticsEnd::start(link, other).conversation,
+            Role::Simulation => SimulationEnd::start(link, other).conversation,
+        };
+        soon("a refusal", || simulation.conversation.report().refused.is_some());
+        assert!(!simulation.tool.motions.get().is_held);
+        drop(conversation);
+        let report = simulation.conversation.report();
+        assert_eq!(report.counts.n_taken, 0);
+        report.refused.unwrap()
+    };
+    let reason = refusal(identity(Role::Haptics, 2));
+    assert!(reason.contains("another scene (0202020202020202, here 0101010101010101)"), "{reason}");
+    let reason = refusal(identity(Role::Simulation, 1));
+    assert!(reason.contains("--role haptics"), "{reason}");
+    let reason = refusal(Identity { seal: Seal::Key(Box::new([1; 32])), ..identity(Role::Haptics, 1) });
+    assert!(reason.contains("--link-key"), "{reason}");
+}
+
+/// A port that zenoh can listen at.
+#[cfg(feature = "net")]
+fn free_tcp_locator() -> super::link::ZenohAddress {
+    let address = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    super::link::ZenohAddress::Locator(format!("tcp/{address}"))
+}
+
+#[cfg(feature = "net")]
+#[test]
+fn zenoh_carries_poses_and_models_and_finds_a_simulation_that_comes_later() {
+    use super::zenoh_link::open;
+    let address = free_tcp_locator();
+    let mut haptics =
+        HapticsEnd::start(open(&address, Role::Haptics).unwrap(), identity(Role::Haptics, 1));
+    haptics.move_to(0.5);
+    let mut simulation =
+        SimulationEnd::start(open(&address, Role::Simulation).unwrap(), identity(Role::Simulation, 1));
+    soon("the pose", || simulation.tool.motions.get().pose.tip_in_world_m.x == 0.5);
+    simulation.publish(7);
+    soon("the model", || haptics.models.get().model.step == 7);
+    assert_eq!(simulation.conversation.report().n_refused, 0);
+    drop(simulation);
+    let mut simulation =
+        SimulationEnd::start(open(&address, Role::Simulation).unwrap(), identity(Role::Simulation, 1));
+    haptics.move_to(0.6);
+    soon("the pose again", || simulation.tool.motions.get().pose.tip_in_world_m.x == 0.6);
+}
+
+#[cfg(feature = "net")]
+#[test]
+fn ros2_topics_are_there_with_their_tokens_and_attachments() {
+    use super::igtl::tests::published;
+    use super::ros2;
+    use super::zenoh_link::config;
+    use zenoh::Wait;
+    let address = free_tcp_locator();
+    let session = zenoh::open(config(&address, Role::Simulation).unwrap()).wait().unwrap();
+    let subscriber = session.declare_subscriber("5/hook/measured_cp/**").wait().unwrap();
+    let (sender, receiver) = tokio::sync::watch::channel(published(1));
+    let described = ros2::Described::named(&["hook"]);
+    let thread = ros2::spawn(&address, 5, described, receiver).unwrap();
+    let mut message = None;
+    soon("a pose", || {
+        sender.send_replace(published(2));
+        message = subscriber.try_recv().unwrap();
+        message.is_some()
+    });
+    let message = message.unwrap();
+    assert!(message.key_expr().as_str().contains("/geometry_msgs::msg::dds_::PoseStamped_/RIHS01_10f3786d"));
+    let bytes = message.payload().to_bytes();
+    assert_eq!(bytes[..4], [0, 1, 0, 0]);
+    assert_eq!(message.attachment().unwrap().len(), 33);
+    // Node, pose, force, surface.
+    let tokens = session.liveliness().get("@ros2_lv/5/**").wait().unwrap();
+    assert_eq!(tokens.into_iter().count(), 4);
+    drop(sender);
+    thread.join().unwrap();
+}

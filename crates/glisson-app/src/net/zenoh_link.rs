@@ -1,0 +1,124 @@
+//! A link over zenoh (feature `net`): two keys, one for each direction. Both sides publish without waiting; of what is
+//! received only the newest messages are kept.
+
+use super::link::{Link, ReceiveHalf, Role, SendHalf, ZenohAddress};
+use anyhow::{Context, anyhow};
+use std::collections::VecDeque;
+use std::io;
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::Duration;
+use zenoh::Wait;
+use zenoh::qos::{CongestionControl, Priority};
+
+/// What each role says goes under the role's name.
+const KEY: &str = "glisson/link";
+/// Messages that wait for the receiving thread; older ones are dropped.
+const MOST_WAITING: usize = 16;
+/// Between two attempts to reach the other machine after a cut [ms].
+const RETRY_MS: &str = "200";
+
+/// The configuration for an address.
+pub(super) fn config(address: &ZenohAddress, role: Role) -> anyhow::Result<zenoh::Config> {
+    if let ZenohAddress::File(path) = address {
+        return zenoh::Config::from_file(path)
+            .map_err(|e| anyhow!("{}: not a configuration of zenoh: {e}", path.display()));
+    }
+    let mut config = zenoh::Config::default();
+    let mut set = |key: &str, value: &str| {
+        config.insert_json5(key, value).map_err(|e| anyhow!("zenoh does not take {key} = {value}: {e}"))
+    };
+    set("mode", "\"peer\"")?;
+    if let ZenohAddress::Locator(locator) = address {
+        let endpoints = serde_json::to_string(&[locator]).context("a locator is text")?;
+        set("scouting/multicast/enabled", "false")?;
+        match role {
+            Role::Simulation => set("listen/endpoints", &endpoints)?,
+            Role::Haptics => {
+                set("connect/endpoints", &endpoints)?;
+                set("listen/endpoints", "[]")?;
+                set("connect/exit_on_failure", "false")?;
+                set("connect/timeout_ms", "-1")?;
+                set("connect/retry/period_init_ms", RETRY_MS)?;
+                set("connect/retry/period_max_ms", RETRY_MS)?;
+            }
+        }
+    }
+    Ok(config)
+}
+
+/// Opens a session for a link.
+pub(super) fn open(address: &ZenohAddress, role: Role) -> anyhow::Result<Link> {
+    let session = zenoh::open(config(address, role)?).wait().map_err(|e| anyhow!("zenoh: {e}"))?;
+    let publisher = session
+        .declare_publisher(format!("{KEY}/{}", role.name()))
+        .congestion_control(CongestionControl::Drop)
+        .priority(Priority::RealTime)
+        .express(true)
+        .wait()
+        .map_err(|e| anyhow!("zenoh: {e}"))?;
+    let waiting = Arc::new(Waiting::default());
+    let arrivals = Arc::clone(&waiting);
+    let subscriber = session
+        .declare_subscriber(format!("{KEY}/{}", role.other().name()))
+        .callback(move |sample| arrivals.put(sample.payload().to_bytes().into_owned()))
+        .wait()
+        .map_err(|e| anyhow!("zenoh: {e}"))?;
+    Ok(Link {
+        sender: Box::new(ZenohSender { publisher }),
+        receiver: Box::new(ZenohReceiver { waiting, _subscriber: subscriber, _session: session }),
+    })
+}
+
+struct ZenohSender {
+    publisher: zenoh::pubsub::Publisher<'static>,
+}
+
+impl SendHalf for ZenohSender {
+    fn send(&mut self, message: &[u8]) -> io::Result<()> {
+        self.publisher.put(message).wait().map_err(|e| io::Error::other(e.to_string()))
+    }
+}
+
+#[derive(Default)]
+struct Waiting {
+    messages: Mutex<VecDeque<Vec<u8>>>,
+    arrived: Condvar,
+}
+
+impl Waiting {
+    fn put(&self, message: Vec<u8>) {
+        let Ok(mut messages) = self.messages.lock() else { return };
+        if messages.len() >= MOST_WAITING {
+            messages.pop_front();
+        }
+        messages.push_back(message);
+        drop(messages);
+        self.arrived.notify_one();
+    }
+}
+
+struct ZenohReceiver {
+    waiting: Arc<Waiting>,
+    _subscriber: zenoh::pubsub::Subscriber<()>,
+    _session: zenoh::Session,
+}
+
+impl ReceiveHalf for ZenohReceiver {
+    fn receive(&mut self, buffer: &mut [u8], wait: Duration) -> io::Result<Option<usize>> {
+        let poisoned = || io::Error::other("the thread of zenoh panicked");
+        let messages = self.waiting.messages.lock().map_err(|_| poisoned())?;
+        let (mut messages, _) = self
+            .waiting
+            .arrived
+            .wait_timeout_while(messages, wait, |messages| messages.is_empty())
+            .map_err(|_| poisoned())?;
+        let Some(message) = messages.pop_front() else { return Ok(None) };
+        // A longer one is cut, and then refused for its length.
+        let n = message.len().min(buffer.len());
+        buffer[..n].copy_from_slice(&message[..n]);
+        Ok(Some(n))
+    }
+
+    /// Zenoh sends to whoever listens.
+    fn trust_sender(&mut self) {}
+}

@@ -1,0 +1,198 @@
+//! What an edit must not break: adjacency, surface and what is shown against a recount; the model against a fresh one.
+
+use glisson::math::DVec3;
+use glisson::mesh::edit::EditableMesh;
+use glisson::mesh::topology::{EntityCounts, TET_EDGES, TET_TRIANGLES};
+use glisson::mesh::{NodeId, TetId};
+use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
+use glisson::world::World;
+
+/// What a list of tetrahedra has, counted without any of the library's adjacency.
+struct Recount {
+    live: Vec<TetId>,
+    /// Tetrahedra at each node, ascending.
+    node_tets: Vec<Vec<TetId>>,
+    /// The edges with their tetrahedra, ascending.
+    edges: Vec<([NodeId; 2], Vec<TetId>)>,
+    n_triangles: usize,
+    /// Across the triangle opposite to each corner, by place in `live`.
+    neighbours: Vec<[Option<TetId>; 4]>,
+    /// Triangles of one tetrahedron, outward.
+    surface: Vec<[NodeId; 3]>,
+    surface_nodes: Vec<NodeId>,
+    n_surface_edges: usize,
+}
+
+impl Recount {
+    fn of(body: &EditableMesh, label: &str) -> Self {
+        let tetrahedra = &body.mesh().tetrahedra;
+        let live: Vec<TetId> = body.topology().live_tets().collect();
+        let n_nodes = body.mesh().positions_m.len();
+        // By their lowest node: what follows are short lists.
+        let mut node_tets = vec![Vec::new(); n_nodes];
+        let mut faces = vec![Vec::new(); n_nodes];
+        let mut ends = vec![Vec::new(); n_nodes];
+        for (place, &tet) in live.iter().enumerate() {
+            let nodes = tetrahedra[tet.index()];
+            nodes.iter().for_each(|n| node_tets[n.index()].push(tet));
+            for (corner, face) in TET_TRIANGLES.iter().enumerate() {
+                let mut sorted = face.map(|i| nodes[i]);
+                sorted.sort_unstable();
+                faces[sorted[0].index()].push((sorted[1], sorted[2], place, corner));
+            }
+            for [a, b] in TET_EDGES.map(|edge| edge.map(|i| nodes[i])) {
+                ends[a.min(b).index()].push((a.max(b), tet));
+            }
+        }
+        let mut edges: Vec<([NodeId; 2], Vec<TetId>)> = Vec::new();
+        for (low, list) in ends.iter_mut().enumerate() {
+            list.sort_unstable();
+            for of_edge in list.chunk_by(|x, y| x.0 == y.0) {
+                let tets = of_edge.iter().map(|(_, tet)| *tet).collect();
+                edges.push(([NodeId::from_index(low), of_edge[0].0], tets));
+            }
+        }
+        let (mut n_triangles, mut surface) = (0, Vec::new());
+        let mut neighbours = vec![[None; 4]; live.len()];
+        for list in &mut faces {
+            list.sort_unstable();
+            for of_triangle in list.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)) {
+                n_triangles += 1;
+                match *of_triangle {
+                    [(_, _, place, corner)] => {
+                        let nodes = tetrahedra[live[place].index()];
+                        surface.push(TET_TRIANGLES[corner].map(|i| nodes[i]));
+                    }
+                    [(_, _, s, i), (_, _, t, j)] => {
+                        neighbours[s][i] = Some(live[t]);
+                        neighbours[t][j] = Some(live[s]);
+                    }
+                    _ => panic!("{label}: {} tetrahedra at one triangle", of_triangle.len()),
+                }
+            }
+        }
+        let mut surface_nodes: Vec<NodeId> = surface.iter().flatten().copied().collect();
+        surface_nodes.sort_unstable();
+        surface_nodes.dedup();
+        let sides = |[a, b, c]: [NodeId; 3]| [(a.min(b), a.max(b)), (b.min(c), b.max(c)), (a.min(c), a.max(c))];
+        let mut surface_edges: Vec<_> = surface.iter().flat_map(|t| sides(*t)).collect();
+        surface_edges.sort_unstable();
+        surface_edges.dedup();
+        let n_surface_edges = surface_edges.len();
+        Self { live, node_tets, edges, n_triangles, neighbours, surface, surface_nodes, n_surface_edges }
+    }
+}
+
+/// All that the organ keeps of adjacency and surface equals what is counted anew from its live tetrahedra alone.
+pub(super) fn check_adjacency(world: &World, label: &str) {
+    let topology = world.organ().body().topology();
+    let recount = Recount::of(world.organ().body(), label);
+    let Recount { live, node_tets, edges, n_triangles, surface, .. } = &recount;
+    let n_nodes = node_tets.iter().filter(|tets| !tets.is_empty()).count();
+    let counted = EntityCounts { nodes: n_nodes, edges: edges.len(), triangles: *n_triangles, tets: live.len() };
+    assert_eq!(topology.live_counts(), counted, "{label}");
+    let euler = |numbers: &[usize]| numbers.iter().rev().fold(0, |sum, n| *n as i64 - sum);
+    let of_solid = euler(&[n_nodes, edges.len(), *n_triangles, live.len()]);
+    assert_eq!(topology.euler_characteristic(), of_solid, "{label}");
+    let of_surface = euler(&[recount.surface_nodes.len(), recount.n_surface_edges, surface.len()]);
+    assert_eq!(topology.surface_euler_characteristic(), of_surface, "{label}");
+    assert_eq!(topology.n_surface_triangles(), surface.len(), "{label}");
+
+    for (&tet, expected) in live.iter().zip(&recount.neighbours) {
+        assert_eq!(topology.tet_nodes(tet), world.organ().mesh().tetrahedra[tet.index()], "{label}: {tet}");
+        let neighbours = topology.tet_neighbours(tet).map(|n| n.get());
+        assert_eq!(neighbours, *expected, "{label}: neighbours of {tet}");
+    }
+    for (n, tets) in node_tets.iter().enumerate() {
+        let node = NodeId::from_index(n);
+        assert_eq!(topology.is_live_node(node), !tets.is_empty(), "{label}: {node}");
+        assert_eq!(topology.node_tets(node), tets, "{label}: tetrahedra at {node}");
+    }
+    for ([a, b], tets) in edges {
+        let Some(own) = topology.edge_between(*a, *b) else { panic!("{label}: no edge {a} {b}") };
+        assert_eq!(topology.edge_tets(own), tets, "{label}: tetrahedra at {own}");
+    }
+
+    assert_eq!(world.organ().surface_nodes(), recount.surface_nodes, "{label}: what touches");
+    let shown = world.display_topology();
+    assert_eq!(shown.nodes, recount.surface_nodes, "{label}: what is shown");
+    let shown = shown.triangles.iter().map(|t| t.map(|v| shown.nodes[v as usize]));
+    assert_eq!(ordered(shown), ordered(surface.iter().copied()), "{label}: what is shown");
+}
+
+/// Triangles in an order of their own, each from its lowest node on: their sense stays.
+fn ordered(triangles: impl Iterator<Item = [NodeId; 3]>) -> Vec<[NodeId; 3]> {
+    let turned = |[a, b, c]: [NodeId; 3]| {
+        [[a, b, c], [b, c, a], [c, a, b]].into_iter().min().expect("there are three")
+    };
+    let mut all: Vec<_> = triangles.map(turned).collect();
+    all.sort_unstable();
+    all
+}
+
+/// How far a model that went through edits is from a fresh one, in shares of the largest of its kind.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Difference {
+    /// Of the elastic forces of all free nodes.
+    pub(super) forces: f64,
+    /// Of the weights of all free nodes, which heavier nodes do not change.
+    pub(super) weights: f64,
+}
+
+/// Strain by which nodes are moved before forces are compared, so that all tetrahedra have some: a choice.
+const STRAIN: f64 = 0.1;
+/// Weight is told apart from elastic forces by a gravity [m/s2] that makes it as large.
+const HEAVY_M_PER_S2: f64 = 1e3;
+/// A step that no model divides.
+pub(super) const AT_ONCE_S: f64 = 1e-12;
+
+/// Compares `edited`, the model of `body`, with `fresh`, that of its live nodes and tetrahedra alone: the forces that hold
+/// all nodes where they are now, moved a little and smoothly. Inertia plays no part in them.
+pub(super) fn difference(
+    body: &EditableMesh,
+    now_m: &[DVec3],
+    mut edited: Box<dyn DeformableModel>,
+    mut fresh: Box<dyn DeformableModel>,
+    label: &str,
+) -> Difference {
+    let live: Vec<NodeId> = body.topology().live_nodes().collect();
+    let per_m = 2.0 * std::f64::consts::PI / 0.1;
+    let bent = |p: DVec3| {
+        let way = DVec3::new((per_m * p.y).sin(), (per_m * p.z).sin(), (per_m * p.x).sin());
+        p + way * (STRAIN / per_m)
+    };
+    let all_m: Vec<DVec3> = now_m.iter().map(|p| bent(*p)).collect();
+    let live_m: Vec<DVec3> = live.iter().map(|n| all_m[n.index()]).collect();
+    let rest_m: Vec<DVec3> = live.iter().map(|n| body.mesh().positions_m[n.index()]).collect();
+    let held = |model: &mut dyn DeformableModel, all_m: &[DVec3], number: &dyn Fn(usize) -> NodeId| {
+        model.take_over(all_m);
+        let of_node = |(i, rest_m): (usize, &DVec3)| {
+            let node = number(i);
+            ImposedDisplacement { node, displacement_m: all_m[node.index()] - *rest_m }
+        };
+        let displacements = rest_m.iter().enumerate().map(of_node).collect();
+        model.apply(&Constraints { displacements, forces: Vec::new() });
+        let n_ignored = model.report().n_ignored_constraints;
+        let mut under = |gravity_m_per_s2: DVec3| {
+            model.set_gravity(gravity_m_per_s2);
+            model.step(AT_ONCE_S);
+            model.constraint_forces_n().to_vec()
+        };
+        let elastic_n = under(DVec3::ZERO);
+        let heavy_n = under(DVec3::Z * HEAVY_M_PER_S2);
+        let weights_n: Vec<DVec3> = heavy_n.iter().zip(&elastic_n).map(|(a, b)| *a - *b).collect();
+        (n_ignored, elastic_n, weights_n)
+    };
+    let (n_fixed, edited_n, edited_weight_n) = held(edited.as_mut(), &all_m, &|i| live[i]);
+    let (n_expected, fresh_n, fresh_weight_n) = held(fresh.as_mut(), &live_m, &NodeId::from_index);
+    assert_eq!(n_fixed, n_expected, "{label}: nodes that are supported");
+    Difference { forces: apart(&edited_n, &fresh_n), weights: apart(&edited_weight_n, &fresh_weight_n) }
+}
+
+/// Largest difference over the largest length.
+fn apart(found: &[DVec3], expected: &[DVec3]) -> f64 {
+    assert_eq!(found.len(), expected.len());
+    let largest = expected.iter().map(|f| f.length()).fold(1e-300, f64::max);
+    let most = found.iter().zip(expected).map(|(a, b)| (*a - *b).length());
+    most.fold(0.0, |most, x| if x > most || x.is_nan() { x } else { most }) / largest
+}

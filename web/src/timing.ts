@@ -1,0 +1,140 @@
+/** What the server tells about its loops, and about who controls. */
+import { fail, fieldsOf, numberAt, stringAt, type Fields } from "./fields";
+
+/** Whether this viewer controls, and whether anybody does. */
+export interface Role {
+  readonly type: "role";
+  readonly role: "controller" | "viewer";
+  readonly control_is_taken: boolean;
+}
+
+export interface HapticTiming {
+  readonly rate_hz: number;
+  readonly deadlines: number;
+  readonly missed_deadlines: number;
+  /** 50 % and 99.9 % of the intervals between two ticks are off by no more than this. */
+  readonly jitter_p50_us: number;
+  readonly jitter_p999_us: number;
+  readonly motion_to_force_p50_us: number;
+  readonly tick_p50_us: number;
+  readonly tick_p999_us: number;
+  /** Ends of octaves [us] and how many intervals are off by so much. */
+  readonly jitter_histogram_us: readonly (readonly [number, number])[];
+  readonly model_age_p50_ms: number;
+  readonly model_age_max_ms: number;
+  /** How the loop is scheduled, in words. */
+  readonly scheduling: string;
+}
+
+export interface Timing {
+  readonly type: "timing";
+  readonly times_given_up: number;
+  readonly left_out_s: number;
+  /** How thoroughly steps are computed: full, reduced or least. */
+  readonly effort: string;
+  /** Null without a force-feedback device. */
+  readonly haptics: HapticTiming | null;
+}
+
+export function decodeRole(fields: Fields): Role {
+  const role = stringAt(fields, "role", "role");
+  if (role !== "controller" && role !== "viewer") fail(`role "${role.slice(0, 40)}"; allowed: controller, viewer`);
+  return { type: "role", role, control_is_taken: fields.control_is_taken === true };
+}
+
+export function decodeTiming(fields: Fields): Timing {
+  const simulation = fieldsOf(fields.simulation, "timing.simulation");
+  return {
+    type: "timing",
+    times_given_up: numberAt(simulation, "times_given_up", "timing.simulation", 0),
+    left_out_s: numberAt(simulation, "left_out_s", "timing.simulation", 0),
+    effort: stringAt(simulation, "effort", "timing.simulation"),
+    haptics: fields.haptics === null ? null : decodeHaptics(fieldsOf(fields.haptics, "timing.haptics")),
+  };
+}
+
+function histogramAt(value: unknown, place: string): [number, number][] {
+  if (!Array.isArray(value) || value.length > 64) fail(`${place} must be an array of at most 64 pairs`);
+  return value.map((pair: unknown) => {
+    if (!Array.isArray(pair) || pair.length !== 2 || !pair.every((x) => typeof x === "number" && x >= 0)) {
+      fail(`${place} must hold pairs of numbers that are not negative`);
+    }
+    return [pair[0], pair[1]];
+  });
+}
+
+/** `▁▃█▂ 1 to 64 us`: counts of octaves, the tallest one full. */
+export function histogramText(histogram: HapticTiming["jitter_histogram_us"]): string {
+  if (histogram.length === 0) return "nothing counted yet";
+  const most = Math.max(1, ...histogram.map(([, count]) => count));
+  const bars = "▁▂▃▄▅▆▇█";
+  // By the logarithm: what is rare matters most.
+  const height = (count: number): number => Math.min(7, Math.ceil((7 * Math.log1p(count)) / Math.log1p(most)));
+  const us = (end: number): string => (end < 10 ? end.toFixed(1) : end.toFixed(0));
+  return `${histogram.map(([, count]) => bars[height(count)]).join("")} ${us(histogram[0][0])} to ${us(histogram[histogram.length - 1][0])} us`;
+}
+
+function decodeHaptics(haptics: Fields): HapticTiming {
+  const place = "timing.haptics";
+  const at = (histogram: string, name: string): number =>
+    numberAt(fieldsOf(haptics[histogram], `${place}.${histogram}`), name, `${place}.${histogram}`, 0);
+  return {
+    rate_hz: numberAt(haptics, "rate_hz", place, 0),
+    deadlines: numberAt(haptics, "deadlines", place, 0),
+    missed_deadlines: numberAt(haptics, "missed_deadlines", place, 0),
+    jitter_p50_us: at("jitter_us", "p50"),
+    jitter_p999_us: at("jitter_us", "p999"),
+    motion_to_force_p50_us: at("motion_to_force_us", "p50"),
+    tick_p50_us: at("tick_us", "p50"),
+    tick_p999_us: at("tick_us", "p999"),
+    jitter_histogram_us: histogramAt(haptics.jitter_histogram_us, `${place}.jitter_histogram_us`),
+    model_age_p50_ms: at("local_model_age_ms", "p50"),
+    model_age_max_ms: at("local_model_age_ms", "max"),
+    scheduling: stringAt(haptics, "scheduling", place),
+  };
+}
+
+/** For the panel: `1000 Hz, 0.00 % missed`. */
+export function hapticsText(haptics: HapticTiming): string {
+  const missed = (100 * haptics.missed_deadlines) / Math.max(1, haptics.deadlines);
+  return `${haptics.rate_hz.toFixed(0)} Hz, ${missed.toFixed(2)} % missed`;
+}
+
+/** Lines for the times (key P). */
+export function timingLines(timing: Timing | null): string[] {
+  if (timing === null) return [];
+  const lines = [
+    `steps         ${timing.effort} effort; fell behind ${timing.times_given_up} times, ${timing.left_out_s.toFixed(1)} s left out`,
+  ];
+  const { haptics } = timing;
+  if (haptics !== null) {
+    lines.push(
+      `haptics       ${hapticsText(haptics)} (${haptics.missed_deadlines} of ${haptics.deadlines})`,
+      `  jitter      ${haptics.jitter_p50_us.toFixed(0)} us, 99.9 % ${haptics.jitter_p999_us.toFixed(0)} us; ${haptics.scheduling}`,
+      `  histogram   ${histogramText(haptics.jitter_histogram_us)} (logarithmic)`,
+      `  tick        ${haptics.tick_p50_us.toFixed(0)} us, 99.9 % ${haptics.tick_p999_us.toFixed(0)} us, of ${(1e6 / Math.max(1, haptics.rate_hz)).toFixed(0)} us`,
+      `  force       ${haptics.motion_to_force_p50_us.toFixed(0)} us after the motion`,
+      `  model       ${haptics.model_age_p50_ms.toFixed(1)} ms old, at most ${haptics.model_age_max_ms.toFixed(1)} ms`,
+    );
+  }
+  return lines;
+}
+
+/** The newest of both. */
+export class LoopNews {
+  role: Role | null = null;
+  timing: Timing | null = null;
+  /** What to do when a connection brings some. */
+  readonly events = {
+    role: (role: Role): void => {
+      this.role = role;
+      this.changed();
+    },
+    timing: (timing: Timing): void => {
+      this.timing = timing;
+      this.changed();
+    },
+  };
+
+  constructor(private readonly changed: () => void) {}
+}

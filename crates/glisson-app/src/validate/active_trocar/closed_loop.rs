@@ -8,7 +8,7 @@ use crate::devices::trocar_board::{
 };
 use crate::validate::{Experiment, Outcome};
 use anyhow::{Context, anyhow};
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use glisson::haptics::trocar::mechanism::Mechanism;
 use glisson::haptics::trocar::statics::felt;
 use glisson::haptics::trocar::teleoperation::{End, Teleoperation};
@@ -16,7 +16,9 @@ use glisson::haptics::trocar::{
     Arrangement, AxisEfforts, InstrumentTag, InstrumentType, Mapping, N_AXES, Placement, TrocarJoints,
     TrocarProfile,
 };
-use glisson::haptics::{DeviceFault, ForceCommand, HapticDevice};
+use glisson::haptics::{
+    DeviceFault, DeviceMapping, ForceCommand, HapticDevice, HapticLaw, HapticModel, LawSettings,
+};
 use glisson::model::kind::ModelKind;
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::tool::{MAX_TOOLS, Tool, ToolInput};
@@ -37,6 +39,7 @@ const TIP_RADIUS_M: f64 = 5e-3;
 
 pub(super) fn experiments(outcome: &mut Outcome) -> anyhow::Result<()> {
     palpation(outcome)?;
+    through_the_law(outcome)?;
     four_trocars(outcome)?;
     instruments(outcome)?;
     remote_palpation(outcome)?;
@@ -44,7 +47,7 @@ pub(super) fn experiments(outcome: &mut Outcome) -> anyhow::Result<()> {
 }
 
 /// The ellipsoid of the benchmarks, as soft as a liver, and a probe in each trocar above it.
-fn world(placements: &[Placement], homes: &[TrocarJoints]) -> anyhow::Result<World> {
+fn world(placements: &[Placement], homes: &[TrocarJoints], step_s: f64) -> anyhow::Result<World> {
     let body = StandardBody::shared(N_TETRAHEDRA)?;
     let model = Precomputed::build(&PrecomputedParams {
         mesh: &body.mesh,
@@ -66,7 +69,7 @@ fn world(placements: &[Placement], homes: &[TrocarJoints]) -> anyhow::Result<Wor
     let highest_held_m = lowest.fold(f64::NEG_INFINITY, f64::max);
     let bounds =
         glisson::math::Aabb { min_m: DVec3::splat(-1.0), max_m: DVec3::new(1.0, 1.0, highest_held_m + 1e-9) };
-    let mut spec = WorldSpec::new("ellipsoid", TICK_S, tools[0].clone());
+    let mut spec = WorldSpec::new("ellipsoid", step_s, tools[0].clone());
     spec.tools = tools;
     spec.supports = vec![Support::all_axes(Region::Box(bounds))];
     Ok(World::new(spec, body.mesh.clone(), Box::new(model), ModelKind::Precomputed)?)
@@ -160,7 +163,7 @@ struct Palpated {
 fn palpate(tilt_rad: [f64; 2], mapping: Mapping) -> anyhow::Result<Palpated> {
     let start = pressed(tilt_rad, 0.0);
     let mut station = Station::new(above(), &start, mapping)?;
-    let mut world = world(&[station.placement], &[start])?;
+    let mut world = world(&[station.placement], &[start], TICK_S)?;
     let mut rows = Vec::new();
     let mut cpu_ns = 0;
     let n_ticks = 2000;
@@ -285,6 +288,63 @@ fn palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// The same through the whole haptic law: the world steps fifty times a second, the board a thousand times.
+fn through_the_law(outcome: &mut Outcome) -> anyhow::Result<()> {
+    const TICKS_PER_STEP: u32 = 20;
+    let tilt_rad = [0.35, -0.5];
+    let start = pressed(tilt_rad, 0.0);
+    let mut station = Station::new(above(), &start, Mapping::VirtualWork)?;
+    let mut world = world(&[station.placement], &[start], TICK_S * f64::from(TICKS_PER_STEP))?;
+    let mapping = DeviceMapping {
+        world_from_device: DQuat::from_mat3(&station.placement.world_from_device),
+        motion_scale: 1.0,
+        force_scale: 1.0,
+        device_origin_m: DVec3::ZERO,
+        world_origin_m: station.placement.pivot_in_world_m,
+        tip_in_handle_m: DVec3::ZERO,
+        clutch_button: None,
+        trigger_button: None,
+    };
+    let settings = LawSettings { mapping, ..LawSettings::default() };
+    let mut law = HapticLaw::new(&settings, &station.device.limits());
+    let mut model = HapticModel::default();
+    let (mut tissue_n, mut hand_n, mut n) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+    let mut energy_j = f64::INFINITY;
+    for k in 0..3000_u32 {
+        station.hand(pressed(tilt_rad, (f64::from(k) * TICK_S).min(1.0)));
+        let state = station.device.read().map_err(fault)?;
+        let age_s = f64::from(k % TICKS_PER_STEP) * TICK_S;
+        let tick = law.tick(&state, &model, age_s, TICK_S);
+        station.device.write(&tick.command).map_err(fault)?;
+        if (k + 1) % TICKS_PER_STEP == 0 {
+            station.force_in_world_n = world.step(&StepInput::of(&[tick.tool])).tools[0].force_on_tool_n;
+            model = world.haptic_model(0);
+        }
+        energy_j = energy_j.min(tick.report.observed_energy_j);
+        if k >= 2000 {
+            tissue_n += station.force_in_world_n;
+            hand_n += station.on_hand_n();
+            n += 1.0;
+        }
+    }
+    outcome.experiments.extend([
+        Experiment::at_most(
+            "the same through the haptic law, the world at 50 Hz: mean force on the hand less that of the tissue, relative",
+            OWN,
+            hand_n.distance(tissue_n) / tissue_n.length(),
+            0.05,
+        ),
+        Experiment::within("the same: mean force of the tissue [N]", OWN, tissue_n.length() / n, [0.3, 5.0]),
+        Experiment::at_most(
+            "the same: how far the observed energy goes below its bound [J]",
+            "haptics::HapticLaw",
+            (law.energy_bound_j() - energy_j).max(0.0),
+            0.0,
+        ),
+    ]);
+    Ok(())
+}
+
 /// Four hands at once, their trocars 100 mm apart.
 fn four_trocars(outcome: &mut Outcome) -> anyhow::Result<()> {
     let profile = TrocarProfile::built();
@@ -298,7 +358,7 @@ fn four_trocars(outcome: &mut Outcome) -> anyhow::Result<()> {
     for placement in stand.placements() {
         stations.push(Station::new(*placement, &start, Mapping::VirtualWork)?);
     }
-    let mut world = world(stand.placements(), &[start; MAX_TOOLS])?;
+    let mut world = world(stand.placements(), &[start; MAX_TOOLS], TICK_S)?;
     for k in 0..1500 {
         let share = (f64::from(k) * TICK_S).min(1.0);
         let mut tools = Vec::with_capacity(MAX_TOOLS);
@@ -387,7 +447,7 @@ fn remote_palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
     let mut leader = Station::new(above(), &start, Mapping::VirtualWork)?;
     let mut follower = Station::new(above(), &start, Mapping::VirtualWork)?;
     follower.device.line_mut().board.mechanism.hand_target = None;
-    let mut world = world(&[follower.placement], &[start])?;
+    let mut world = world(&[follower.placement], &[start], TICK_S)?;
     let link = Teleoperation::couple(TrocarProfile::built(), [&start, &start], 1.0);
     let mut rows = Vec::new();
     let (mut mean_tissue_n, mut mean_hand_n, n_mean) = (0.0, 0.0, 500);

@@ -1,6 +1,6 @@
 //! The simulated board in a closed loop with a world: the trocar's pose drives a tool, the tissue's force goes back.
 
-use super::{OWN, PROTOTYPE, dashed, figure, line};
+use super::{EXACT, OWN, PROTOTYPE, dashed, figure, line};
 use crate::bench::body::StandardBody;
 use crate::bench::thread_cpu_ns;
 use crate::devices::trocar_board::{
@@ -8,7 +8,7 @@ use crate::devices::trocar_board::{
 };
 use crate::validate::{Experiment, Outcome};
 use anyhow::{Context, anyhow};
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use glisson::haptics::trocar::mechanism::Mechanism;
 use glisson::haptics::trocar::statics::felt;
 use glisson::haptics::trocar::teleoperation::{End, Teleoperation};
@@ -16,7 +16,9 @@ use glisson::haptics::trocar::{
     Arrangement, AxisEfforts, InstrumentTag, InstrumentType, Mapping, N_AXES, Placement, TrocarJoints,
     TrocarProfile,
 };
-use glisson::haptics::{DeviceFault, ForceCommand, HapticDevice};
+use glisson::haptics::{
+    DeviceFault, DeviceMapping, ForceCommand, HapticDevice, HapticLaw, HapticModel, LawSettings,
+};
 use glisson::model::kind::ModelKind;
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::tool::{MAX_TOOLS, Tool, ToolInput};
@@ -37,6 +39,7 @@ const TIP_RADIUS_M: f64 = 5e-3;
 
 pub(super) fn experiments(outcome: &mut Outcome) -> anyhow::Result<()> {
     palpation(outcome)?;
+    through_the_law(outcome)?;
     four_trocars(outcome)?;
     instruments(outcome)?;
     remote_palpation(outcome)?;
@@ -44,7 +47,7 @@ pub(super) fn experiments(outcome: &mut Outcome) -> anyhow::Result<()> {
 }
 
 /// The ellipsoid of the benchmarks, as soft as a liver, and a probe in each trocar above it.
-fn world(placements: &[Placement], homes: &[TrocarJoints]) -> anyhow::Result<World> {
+fn world(placements: &[Placement], homes: &[TrocarJoints], step_s: f64) -> anyhow::Result<World> {
     let body = StandardBody::shared(N_TETRAHEDRA)?;
     let model = Precomputed::build(&PrecomputedParams {
         mesh: &body.mesh,
@@ -66,7 +69,7 @@ fn world(placements: &[Placement], homes: &[TrocarJoints]) -> anyhow::Result<Wor
     let highest_held_m = lowest.fold(f64::NEG_INFINITY, f64::max);
     let bounds =
         glisson::math::Aabb { min_m: DVec3::splat(-1.0), max_m: DVec3::new(1.0, 1.0, highest_held_m + 1e-9) };
-    let mut spec = WorldSpec::new("ellipsoid", TICK_S, tools[0].clone());
+    let mut spec = WorldSpec::new("ellipsoid", step_s, tools[0].clone());
     spec.tools = tools;
     spec.supports = vec![Support::all_axes(Region::Box(bounds))];
     Ok(World::new(spec, body.mesh.clone(), Box::new(model), ModelKind::Precomputed)?)
@@ -143,8 +146,9 @@ fn above() -> Placement {
 
 /// What a palpation showed.
 struct Palpated {
-    /// Time [s], insertion wanted by the hand and got [mm], force of the tissue and on the hand along the way in [N].
-    rows: Vec<[f64; 5]>,
+    /// Time [s], insertion wanted by the hand and got [mm], then forces [N]: of the tissue and on the hand along the
+    /// instrument, the same across it.
+    rows: Vec<[f64; 7]>,
     /// At the end, in the world [N].
     tissue_n: DVec3,
     hand_n: DVec3,
@@ -159,7 +163,7 @@ struct Palpated {
 fn palpate(tilt_rad: [f64; 2], mapping: Mapping) -> anyhow::Result<Palpated> {
     let start = pressed(tilt_rad, 0.0);
     let mut station = Station::new(above(), &start, mapping)?;
-    let mut world = world(&[station.placement], &[start])?;
+    let mut world = world(&[station.placement], &[start], TICK_S)?;
     let mut rows = Vec::new();
     let mut cpu_ns = 0;
     let n_ticks = 2000;
@@ -178,7 +182,17 @@ fn palpate(tilt_rad: [f64; 2], mapping: Mapping) -> anyhow::Result<Palpated> {
         let inward = -tool.shaft_in_world;
         let on_hand_n = station.on_hand_n();
         let got_m = station.mechanism().joints.insertion_m;
-        rows.push([t, 1e3 * target.insertion_m, 1e3 * got_m, -force_n.dot(inward), -on_hand_n.dot(inward)]);
+        let along = |n: DVec3| -n.dot(inward);
+        let across = |n: DVec3| n.reject_from(inward).length();
+        rows.push([
+            t,
+            1e3 * target.insertion_m,
+            1e3 * got_m,
+            along(force_n),
+            along(on_hand_n),
+            across(force_n),
+            across(on_hand_n),
+        ]);
     }
     let wanted = station.device.commanded().to_array();
     let limits = TrocarProfile::built().limits.to_array();
@@ -240,13 +254,14 @@ fn palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
     outcome.figures.push(figure(
         "active_trocar_palpation.svg",
         "The simulated board palpates the ellipsoid at pitch 20, roll -29 degrees: the force of the tissue, and what the hand \
-         holds against, along the instrument.",
-        ["Palpation through the active trocar's board", "time [s]", "force along the instrument [N]"],
+         holds against, along and across the instrument.",
+        ["Palpation through the active trocar's board", "time [s]", "force [N]"],
         vec![
-            line("tissue, virtual work", column(&aslant, 3)),
-            line("hand, virtual work", column(&aslant, 4)),
-            line("tissue, eq. 5.6", column(&published[1], 3)),
-            line("hand, eq. 5.6", column(&published[1], 4)),
+            line("along: hand", column(&aslant, 4)),
+            line("along: tissue", column(&aslant, 3)),
+            line("across: hand", column(&aslant, 6)),
+            line("across: tissue", column(&aslant, 5)),
+            line("across: hand, eq. 5.6", column(&published[1], 6)),
         ],
     ));
     outcome.figures.push(figure(
@@ -273,6 +288,63 @@ fn palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// The same through the whole haptic law: the world steps fifty times a second, the board a thousand times.
+fn through_the_law(outcome: &mut Outcome) -> anyhow::Result<()> {
+    const TICKS_PER_STEP: u32 = 20;
+    let tilt_rad = [0.35, -0.5];
+    let start = pressed(tilt_rad, 0.0);
+    let mut station = Station::new(above(), &start, Mapping::VirtualWork)?;
+    let mut world = world(&[station.placement], &[start], TICK_S * f64::from(TICKS_PER_STEP))?;
+    let mapping = DeviceMapping {
+        world_from_device: DQuat::from_mat3(&station.placement.world_from_device),
+        motion_scale: 1.0,
+        force_scale: 1.0,
+        device_origin_m: DVec3::ZERO,
+        world_origin_m: station.placement.pivot_in_world_m,
+        tip_in_handle_m: DVec3::ZERO,
+        clutch_button: None,
+        trigger_button: None,
+    };
+    let settings = LawSettings { mapping, ..LawSettings::default() };
+    let mut law = HapticLaw::new(&settings, &station.device.limits());
+    let mut model = HapticModel::default();
+    let (mut tissue_n, mut hand_n, mut n) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+    let mut energy_j = f64::INFINITY;
+    for k in 0..3000_u32 {
+        station.hand(pressed(tilt_rad, (f64::from(k) * TICK_S).min(1.0)));
+        let state = station.device.read().map_err(fault)?;
+        let age_s = f64::from(k % TICKS_PER_STEP) * TICK_S;
+        let tick = law.tick(&state, &model, age_s, TICK_S);
+        station.device.write(&tick.command).map_err(fault)?;
+        if (k + 1) % TICKS_PER_STEP == 0 {
+            station.force_in_world_n = world.step(&StepInput::of(&[tick.tool])).tools[0].force_on_tool_n;
+            model = world.haptic_model(0);
+        }
+        energy_j = energy_j.min(tick.report.observed_energy_j);
+        if k >= 2000 {
+            tissue_n += station.force_in_world_n;
+            hand_n += station.on_hand_n();
+            n += 1.0;
+        }
+    }
+    outcome.experiments.extend([
+        Experiment::at_most(
+            "the same through the haptic law, the world at 50 Hz: mean force on the hand less that of the tissue, relative",
+            OWN,
+            hand_n.distance(tissue_n) / tissue_n.length(),
+            0.05,
+        ),
+        Experiment::within("the same: mean force of the tissue [N]", OWN, tissue_n.length() / n, [0.3, 5.0]),
+        Experiment::at_most(
+            "the same: how far the observed energy goes below its bound [J]",
+            "haptics::HapticLaw",
+            (law.energy_bound_j() - energy_j).max(0.0),
+            0.0,
+        ),
+    ]);
+    Ok(())
+}
+
 /// Four hands at once, their trocars 100 mm apart.
 fn four_trocars(outcome: &mut Outcome) -> anyhow::Result<()> {
     let profile = TrocarProfile::built();
@@ -286,7 +358,7 @@ fn four_trocars(outcome: &mut Outcome) -> anyhow::Result<()> {
     for placement in stand.placements() {
         stations.push(Station::new(*placement, &start, Mapping::VirtualWork)?);
     }
-    let mut world = world(stand.placements(), &[start; MAX_TOOLS])?;
+    let mut world = world(stand.placements(), &[start; MAX_TOOLS], TICK_S)?;
     for k in 0..1500 {
         let share = (f64::from(k) * TICK_S).min(1.0);
         let mut tools = Vec::with_capacity(MAX_TOOLS);
@@ -375,7 +447,7 @@ fn remote_palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
     let mut leader = Station::new(above(), &start, Mapping::VirtualWork)?;
     let mut follower = Station::new(above(), &start, Mapping::VirtualWork)?;
     follower.device.line_mut().board.mechanism.hand_target = None;
-    let mut world = world(&[follower.placement], &[start])?;
+    let mut world = world(&[follower.placement], &[start], TICK_S)?;
     let link = Teleoperation::couple(TrocarProfile::built(), [&start, &start], 1.0);
     let mut rows = Vec::new();
     let (mut mean_tissue_n, mut mean_hand_n, n_mean) = (0.0, 0.0, 500);
@@ -440,44 +512,46 @@ fn remote_palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A board behind a socket of this machine: how long a state is under way, answered by outputs.
+/// A board behind a socket of this machine: the same bytes, with the board's own clock.
 fn over_tcp(outcome: &mut Outcome) -> anyhow::Result<()> {
     let listener = TcpListener::bind("127.0.0.1:0").context("a port of this machine")?;
     let address = listener.local_addr()?.to_string();
     let stop = Arc::new(AtomicBool::new(false));
     let served = std::thread::spawn({
         let stop = Arc::clone(&stop);
-        move || -> anyhow::Result<f64> {
+        move || -> anyhow::Result<()> {
             let profile = TrocarProfile::built();
             let start = TrocarJoints { insertion_m: 0.1, ..TrocarJoints::default() };
             let tag = InstrumentTag { instrument: InstrumentType::PalpationProbe, serial: 1 };
             let mut board = SimulatedBoard::new(Mechanism::new(profile, start), tag, 63).homed();
-            serve_board(TcpLine::new(listener.accept()?.0)?, &mut board, &stop)?;
-            Ok(board.mechanism.joints.insertion_m)
+            Ok(serve_board(TcpLine::new(listener.accept()?.0)?, &mut board, &stop)?)
         }
     });
     let mut device = connect(&address, BoardSettings::new(TrocarProfile::built()))?;
-    let until = Instant::now() + Duration::from_millis(600);
+    // The board has its own clock: on a busy machine it ticks slower, so what counts is where it comes to rest.
+    let rest_m = 0.1 - 1.0 / 400.0;
+    let until = Instant::now() + PATIENCE;
     let push = ForceCommand { force_n: DVec3::NEG_Z, ..ForceCommand::default() };
-    while Instant::now() < until {
-        if device.read().is_ok() {
+    let mut off_m = f64::INFINITY;
+    while off_m > MOST_OFF_M && Instant::now() < until {
+        if let Ok(state) = device.read() {
+            off_m = (state.position_m.length() - rest_m).abs();
             device.write(&push).map_err(fault)?;
         }
         std::thread::sleep(Duration::from_micros(500));
     }
     let report = device.report();
     stop.store(true, Ordering::Relaxed);
-    let insertion_m = served.join().map_err(|_| anyhow!("the board's thread panicked"))??;
+    served.join().map_err(|_| anyhow!("the board's thread panicked"))??;
     outcome.experiments.extend([
-        Experiment::near(
-            "board behind a socket: insertion under 1 N against a hand of 400 N/m [m]",
-            "100 mm less 2.5 mm",
-            insertion_m,
-            0.0975,
-            2e-3,
+        Experiment::at_most(
+            "board behind a socket: 1 N pushes a hand of 400 N/m back by 2.5 mm: off by [m]",
+            EXACT,
+            off_m,
+            MOST_OFF_M,
         ),
         Experiment::at_most(
-            "board behind a socket: frames lost or refused in 0.6 s",
+            "board behind a socket: frames lost or refused",
             OWN,
             (report.n_lost + report.n_refused + report.n_refused_by_board) as f64,
             0.0,
@@ -485,8 +559,13 @@ fn over_tcp(outcome: &mut Outcome) -> anyhow::Result<()> {
     ]);
     let identity = device.identity().context("a board that was greeted")?;
     outcome.notes += &format!(
-        "\nOver the socket {} states came in 0.6 s from a board that promised {} a second.\n",
+        "\nOver the socket it took {} states of a board that promised {} a second.\n",
         report.n_states, identity.rate_hz
     );
     Ok(())
 }
+
+/// A step of the encoder and half of one [m].
+const MOST_OFF_M: f64 = 1.5e-4;
+/// How long a hand may take to come to rest on a machine that is busy.
+const PATIENCE: Duration = Duration::from_secs(20);

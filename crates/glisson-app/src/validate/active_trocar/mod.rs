@@ -295,13 +295,13 @@ fn saturation(outcome: &mut Outcome) {
     outcome.figures.push(figure(
         "active_trocar_saturation.svg",
         "A force at the tip, 45 degrees off the instrument (pitch 17, roll -17 degrees, 0.15 m in), grows: how far the \
-         direction that the hand feels is off.",
+         direction that the hand feels is off, when each motor stops at its own limit and when all give way together.",
         ["Direction under saturation", "force [N]", "direction off [degrees]"],
         vec![
-            line("virtual work, each motor for itself", curve(Mapping::VirtualWork, Saturation::EachMotor)),
-            line("virtual work, all together", curve(Mapping::VirtualWork, Saturation::KeepDirection)),
-            line("eq. 5.6, each motor for itself", curve(Mapping::Thesis, Saturation::EachMotor)),
-            line("eq. 5.6, all together", curve(Mapping::Thesis, Saturation::KeepDirection)),
+            line("virtual work, each", curve(Mapping::VirtualWork, Saturation::EachMotor)),
+            line("virtual work, together", curve(Mapping::VirtualWork, Saturation::KeepDirection)),
+            line("eq. 5.6, each", curve(Mapping::Thesis, Saturation::EachMotor)),
+            line("eq. 5.6, together", curve(Mapping::Thesis, Saturation::KeepDirection)),
         ],
     ));
 }
@@ -313,6 +313,18 @@ fn sample(profile: &TrocarProfile, joints: &TrocarJoints, zero_steps: &[f64; N_A
     EncoderSample { counts: at(joints.to_array()), mark_counts: at([0.0; N_AXES]), is_marked: [true; N_AXES] }
 }
 
+/// Somewhere within a step of `joints`: the limits of a range are whole numbers of steps, most places are not.
+fn between_steps(profile: &TrocarProfile, joints: &TrocarJoints, random: &mut SeededRandom) -> TrocarJoints {
+    let values = TrocarJoints {
+        self_rotation_rad: random.uniform_in(-7.0, 7.0),
+        jaw_opening: random.uniform(),
+        ..*joints
+    }
+    .to_array();
+    let moved = std::array::from_fn(|i| values[i] + random.uniform_in(-1.0, 1.0) * profile.resolution[i]);
+    profile.within(&TrocarJoints::from_array(moved))
+}
+
 /// Counts and back, and velocities from counts.
 fn encoders(outcome: &mut Outcome) {
     let mut random = SeededRandom::new(53);
@@ -320,7 +332,7 @@ fn encoders(outcome: &mut Outcome) {
     for profile in [TrocarProfile::built(), TrocarProfile::specified()] {
         let (mut off_steps, mut off_tip) = (0.0_f64, 0.0_f64);
         for joints in places(&profile) {
-            let joints = TrocarJoints { self_rotation_rad: random.uniform_in(-7.0, 7.0), ..joints };
+            let joints = between_steps(&profile, &joints, &mut random);
             let zero_steps: [f64; N_AXES] = std::array::from_fn(|_| random.uniform_in(-1e4, 1e4));
             let mut reader = JointReader::new(profile);
             let Ok(found) = reader.read(&sample(&profile, &joints, &zero_steps), 1e-3) else {

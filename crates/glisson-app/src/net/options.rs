@@ -10,7 +10,7 @@ use super::seal::Seal;
 use crate::runtime::haptic_loop::{DeviceStatus, HapticLoop, HapticSettings, HeldTool, ToolLink};
 use crate::runtime::{OpenScene, Simulation};
 use crate::server::Show;
-use anyhow::Context;
+use anyhow::{Context, bail};
 use glisson::scene::{mesh_hash, read_organ};
 use glisson::tool::ToolInput;
 use std::net::SocketAddr;
@@ -38,6 +38,12 @@ pub(crate) struct NetArgs {
     /// Axes of what OpenIGTLink clients get
     #[arg(long, value_enum, default_value_t, requires = "igtl")]
     igtl_axes: igtl::Axes,
+    /// Publish ROS 2 topics in this domain, as a node of rmw_zenoh; needs the feature `net`
+    #[arg(long, value_name = "DOMAIN", num_args = 0..=1, default_missing_value = "0")]
+    ros2: Option<u32>,
+    /// How to reach the router of ROS 2
+    #[arg(long, value_name = "ADDRESS", default_value = "zenoh:tcp/127.0.0.1:7447", requires = "ros2")]
+    ros2_link: LinkAddress,
 }
 
 /// A link as asked for on the command line.
@@ -79,7 +85,25 @@ impl NetArgs {
             let described = igtl::Described { axes, tool_names, organ_name };
             shows.push(Box::new(move |published| igtl::spawn(listener, described, published)));
         }
+        if let Some(domain) = self.ros2 {
+            shows.push(self.ros2_topics(domain, simulation)?);
+        }
         Ok(shows)
+    }
+
+    #[cfg(feature = "net")]
+    fn ros2_topics(&self, domain: u32, simulation: &Simulation) -> anyhow::Result<Show> {
+        let LinkAddress::Zenoh(address) = self.ros2_link.clone() else {
+            bail!("--ros2-link {}: ROS 2 is reached over zenoh: only", self.ros2_link);
+        };
+        println!("ROS 2 topics of domain {domain} go to {}", self.ros2_link);
+        let described = super::ros2::Described::of(simulation.world().tools());
+        Ok(Box::new(move |published| super::ros2::spawn(&address, domain, described, published)))
+    }
+
+    #[cfg(not(feature = "net"))]
+    fn ros2_topics(&self, domain: u32, _: &Simulation) -> anyhow::Result<Show> {
+        bail!("--ros2 {domain}: this program was built without zenoh; build it with --features net")
     }
 }
 

@@ -91,10 +91,12 @@ impl Stream {
     }
 }
 
-/// One client. Streams run from the start: 3D Slicer listens without asking.
+/// One client. Streams run unless it begins by asking: 3D Slicer listens without a word; others send a question and take
+/// the next message for the answer.
 #[derive(Debug)]
 pub(super) struct Client {
     described: Described,
+    is_greeted: bool,
     transforms: Stream,
     surface: Stream,
     second: Option<Instant>,
@@ -104,11 +106,11 @@ pub(super) struct Client {
 impl Client {
     pub(super) fn new(described: Described) -> Self {
         let (transforms, surface) = (Stream::RUNNING, Stream::RUNNING);
-        Self { described, transforms, surface, second: None, messages_this_second: 0 }
+        Self { described, is_greeted: false, transforms, surface, second: None, messages_this_second: 0 }
     }
 
-    /// The first message: who talks, in which axes and units.
-    pub(super) fn greeting(&self, wall: SystemTime) -> Vec<u8> {
+    /// Who talks, in which axes and units.
+    fn greeting(&self, wall: SystemTime) -> Vec<u8> {
         let axes = self.described.axes.name();
         let sentence = format!("Glisson streams TRANSFORM and POLYDATA in mm, {axes} axes");
         status_message(StatusCode::Ok, &sentence, wall)
@@ -117,6 +119,10 @@ impl Client {
     /// What is due now, in one piece; nothing when nothing is.
     pub(super) fn due(&mut self, view: &View, now: Instant, wall: SystemTime) -> Vec<u8> {
         let mut bytes = Vec::new();
+        let has_streams = self.transforms.interval.or(self.surface.interval).is_some();
+        if has_streams && !std::mem::replace(&mut self.is_greeted, true) {
+            bytes.extend(self.greeting(wall));
+        }
         if self.transforms.takes(view.step, now) {
             bytes.extend(self.transform_messages(view, wall));
         }
@@ -144,6 +150,11 @@ impl Client {
         self.messages_this_second += 1;
         if self.messages_this_second > MOST_MESSAGES_A_SECOND {
             return Err(format!("more than {MOST_MESSAGES_A_SECOND} messages in a second"));
+        }
+        if !self.is_greeted && matches!(frame.kind.as_str(), "GET_TRANS" | "GET_POLYDATA") {
+            self.is_greeted = true;
+            self.transforms.interval = None;
+            self.surface.interval = None;
         }
         let told = |kind: &str, is_done| message(kind, SERVER_NAME, timestamp(wall), &answer(is_done));
         Ok(match frame.kind.as_str() {
@@ -254,7 +265,8 @@ mod tests {
     fn streams_run_from_the_start_and_send_each_step_once() {
         let (mut client, start, wall) = (client(), Instant::now(), SystemTime::now());
         let all = ["TRANSFORM left", "TRANSFORM right", "POLYDATA liver"];
-        assert_eq!(kinds(&client.due(&view(1), start, wall)), all);
+        let first = kinds(&client.due(&view(1), start, wall));
+        assert!(first[0] == "STATUS Glisson" && first[1..] == all, "{first:?}");
         assert!(client.due(&view(1), start + Duration::from_secs(1), wall).is_empty());
         assert!(client.due(&view(2), start + Duration::from_millis(10), wall).is_empty());
         assert_eq!(kinds(&client.due(&view(2), start + Duration::from_secs(1), wall)), all);
@@ -284,6 +296,15 @@ mod tests {
         assert!(String::from_utf8_lossy(&unknown).contains("there are: left, right"));
         assert!(String::from_utf8_lossy(&asks(&mut client, "GET_IMAGE", "", &[])).contains("GET_POLYDATA"));
         assert!(asks(&mut client, "TRANSFORM", "camera", &[0; 48]).is_empty());
+    }
+
+    #[test]
+    fn who_begins_by_asking_gets_answers_only_until_it_asks_for_more() {
+        let (mut client, start, wall) = (client(), Instant::now(), SystemTime::now());
+        assert_eq!(kinds(&asks(&mut client, "GET_POLYDATA", "", &[])), ["POLYDATA liver"]);
+        assert!(client.due(&view(1), start, wall).is_empty());
+        asks(&mut client, "STT_TRANS", "", &[]);
+        assert_eq!(kinds(&client.due(&view(1), start, wall)).len(), 2);
     }
 
     #[test]

@@ -9,4 +9,4 @@ pub(crate) use client::Described;
 pub(crate) use messages::Axes;
 pub(crate) use server::{bind, spawn};
 #[cfg(test)]
-mod tests;
+pub(in crate::net) mod tests;

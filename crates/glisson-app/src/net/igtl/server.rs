@@ -20,6 +20,9 @@ const MOST_CLIENTS: usize = 8;
 /// limit.
 const PATIENCE: Duration = Duration::from_secs(5);
 
+/// How long a client may take to ask before it is told without being asked.
+const GRACE: Duration = Duration::from_millis(200);
+
 /// Takes the address.
 pub(crate) fn bind(address: SocketAddr) -> anyhow::Result<TcpListener> {
     let listener = TcpListener::bind(address).map_err(|e| match e.kind() {
@@ -120,9 +123,8 @@ async fn talk(
     let _ = stream.set_nodelay(true);
     let mut reader = FrameReader::default();
     let mut buffer = vec![0; 1 << 14];
-    let mut tick = tokio::time::interval(INTERVAL);
+    let mut tick = tokio::time::interval_at(tokio::time::Instant::now() + GRACE, INTERVAL);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    send(stream, &client.greeting(SystemTime::now())).await?;
     loop {
         tokio::select! {
             read = stream.read(&mut buffer) => match read {

@@ -17,7 +17,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::sync::watch;
 
-fn published(step: u64) -> Arc<Published> {
+pub(in crate::net) fn published(step: u64) -> Arc<Published> {
     let tool = ToolSnapshot {
         pose: ToolInput::at(DVec3::new(0.01, 0.02, 0.03), DVec3::Z),
         force_n: DVec3::ZERO,

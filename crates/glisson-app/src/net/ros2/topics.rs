@@ -28,6 +28,12 @@ impl Described {
             |tool: &Tool| (ros_name(&tool.name), tool.kind.jaws().map(|jaws| jaws.greatest_opening_rad));
         Self { tools: tools.iter().map(tool).collect() }
     }
+
+    /// Tools without jaws.
+    #[cfg(all(test, feature = "net"))]
+    pub(crate) fn named(names: &[&str]) -> Self {
+        Self { tools: names.iter().map(|name| ((*name).to_owned(), None)).collect() }
+    }
 }
 
 /// What a topic shows.

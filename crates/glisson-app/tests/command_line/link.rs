@@ -1,0 +1,203 @@
+//! Two processes with a link between them that is cut for two seconds.
+
+use super::{glisson, small_scene};
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::net::{SocketAddr, UdpSocket};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+fn free_address() -> SocketAddr {
+    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
+}
+
+/// Passes datagrams on between the haptics machine, which sends to the proxy, and `simulation`, unless it is cut.
+struct Proxy {
+    address: SocketAddr,
+    is_cut: Arc<AtomicBool>,
+    ends: Arc<AtomicBool>,
+}
+
+impl Proxy {
+    fn to(simulation: SocketAddr) -> Self {
+        let front = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let back = UdpSocket::bind("127.0.0.1:0").unwrap();
+        back.connect(simulation).unwrap();
+        let address = front.local_addr().unwrap();
+        let (is_cut, ends) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+        for socket in [&front, &back] {
+            socket.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+        }
+        let client = Arc::new(std::sync::Mutex::new(None));
+        let (front_out, back_out) = (front.try_clone().unwrap(), back.try_clone().unwrap());
+        let (cut, end, whom) = (Arc::clone(&is_cut), Arc::clone(&ends), Arc::clone(&client));
+        std::thread::spawn(move || {
+            let mut bytes = [0; 1 << 14];
+            while !end.load(Ordering::Relaxed) {
+                let Ok((n, from)) = front.recv_from(&mut bytes) else { continue };
+                *whom.lock().unwrap() = Some(from);
+                if !cut.load(Ordering::Relaxed) {
+                    // The simulation may not be there.
+                    let _ = back_out.send(&bytes[..n]);
+                }
+            }
+        });
+        let (cut, end) = (Arc::clone(&is_cut), Arc::clone(&ends));
+        std::thread::spawn(move || {
+            let mut bytes = [0; 1 << 14];
+            while !end.load(Ordering::Relaxed) {
+                let Ok(n) = back.recv(&mut bytes) else { continue };
+                if let (Some(to), false) = (*client.lock().unwrap(), cut.load(Ordering::Relaxed)) {
+                    let _ = front_out.send_to(&bytes[..n], to);
+                }
+            }
+        });
+        Self { address, is_cut, ends }
+    }
+}
+
+impl Drop for Proxy {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Relaxed);
+    }
+}
+
+/// A process whose lines are read while it runs; it does not outlive the test.
+struct Process {
+    child: Child,
+    lines: Receiver<String>,
+    seen: Vec<String>,
+}
+
+impl Process {
+    fn start(folder: &Path, arguments: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_glisson"))
+            .args(arguments)
+            .current_dir(folder)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let (send, lines) = channel();
+        let out = BufReader::new(child.stdout.take().unwrap());
+        std::thread::spawn(move || {
+            for line in out.lines().map_while(Result::ok) {
+                if send.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+        Self { child, lines, seen: Vec::new() }
+    }
+
+    /// Waits for a line that contains `text`.
+    fn says(&mut self, text: &str) -> String {
+        let end = Instant::now() + Duration::from_secs(60);
+        while Instant::now() < end {
+            if let Ok(line) = self.lines.recv_timeout(Duration::from_millis(100)) {
+                self.seen.push(line.clone());
+                if line.contains(text) {
+                    return line;
+                }
+            }
+        }
+        panic!("nobody says {text:?}: {:#?}", self.seen);
+    }
+
+    fn interrupt(&self) {
+        let kill =
+            Command::new("sh").args(["-c", &format!("kill -INT {}", self.child.id())]).status().unwrap();
+        assert!(kill.success());
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn a_session_of_two_processes_survives_a_cut_of_two_seconds_and_replays_to_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    small_scene(folder.path());
+    let listens_at = free_address();
+    let proxy = Proxy::to(listens_at);
+    let (to_simulation, to_proxy) = (format!("udp://{listens_at}"), format!("udp://{}", proxy.address));
+    let mut haptics =
+        Process::start(folder.path(), &["serve", "scene.toml", "--role", "haptics", "--link", &to_proxy]);
+    haptics.says("haptics run");
+    let simulating = [
+        &["serve", "scene.toml", "--role", "simulation", "--link", &to_simulation][..],
+        &["--port", "0", "--no-open", "--record", "s.jsonl"],
+    ]
+    .concat();
+    let mut simulation = Process::start(folder.path(), &simulating);
+    simulation.says("Glisson is at");
+    haptics.says("the simulation is there");
+    std::thread::sleep(Duration::from_millis(700));
+
+    proxy.is_cut.store(true, Ordering::Relaxed);
+    haptics.says("nothing comes from the simulation");
+    std::thread::sleep(Duration::from_secs(2));
+    proxy.is_cut.store(false, Ordering::Relaxed);
+    haptics.says("the simulation is there");
+    std::thread::sleep(Duration::from_millis(700));
+
+    haptics.interrupt();
+    let played = haptics.says("played: ");
+    let played: Value = serde_json::from_str(played.split_once(": ").unwrap().1).unwrap();
+    let number = |name: &str| played[name].as_f64().unwrap();
+    assert!(number("greatest_force_n") > 0.01, "the tissue was touched: {played}");
+    // The watchdog: with old models nothing pulls any more.
+    assert!(number("n_stale") > 100.0 && number("greatest_stale_force_n") < 1e-3, "{played}");
+    simulation.interrupt();
+    let stopped = simulation.says("stopped; state hash ");
+    let hash = stopped.rsplit(' ').next().unwrap();
+    let link = simulation.says("link: ");
+    assert!(link.contains("0 refused"), "{link}");
+
+    // Nothing that moved the organ is missing from the recording.
+    let replay = glisson(folder.path(), &["replay", "s.jsonl"]);
+    let text = String::from_utf8_lossy(&replay.stdout).into_owned();
+    assert!(replay.status.success() && text.contains("same bits") && text.contains(hash), "{text} {hash}");
+    let session = std::fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
+    let steps: Vec<u64> = session
+        .lines()
+        .filter(|line| line.contains("\"input\""))
+        .map(|line| serde_json::from_str::<Value>(line).unwrap()["step"].as_u64().unwrap())
+        .collect();
+    // Inputs are written when they change: during the cut the instrument stood still, before and after it moved.
+    let longest = steps.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
+    assert!(longest > 500 && steps.len() > 200, "longest stand {longest} steps, {} inputs", steps.len());
+}
+
+#[test]
+fn wrong_links_are_refused_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    small_scene(folder.path());
+    std::fs::write(folder.path().join("short.key"), "secret").unwrap();
+    let refuses = |arguments: &[&str], expected: &str| {
+        let line = [&["serve", "scene.toml", "--port", "0", "--no-open"], arguments].concat();
+        super::refuses(folder.path(), &line, &[expected]);
+    };
+    refuses(&["--role", "haptics", "--link", "udp://192.0.2.1:7000"], "--link-key");
+    refuses(
+        &["--role", "simulation", "--link", "udp://127.0.0.1:0", "--link-key", "short.key"],
+        "at least 16 random",
+    );
+    refuses(
+        &["--role", "simulation", "--link", "udp://127.0.0.1:0", "--device", "simulated"],
+        "--role haptics",
+    );
+    for wrong in
+        [&["--role", "simulation"][..], &["--link", "udp://a:1"], &["--role", "haptics", "--link", "tcp:a"]]
+    {
+        let line = [&["serve", "scene.toml"], wrong].concat();
+        assert_eq!(glisson(folder.path(), &line).status.code(), Some(2), "{wrong:?}");
+    }
+}

@@ -12,6 +12,17 @@ import type { Hello, HandHeader } from "./protocol";
 import type { Scene3d } from "./scene3d";
 import type { ToolDriver } from "./tool_driver";
 
+/** Counts of what came and went. */
+export const newCounters = () => ({
+  topologyFrames: 0,
+  snapshotFrames: 0,
+  ignoredSnapshots: 0,
+  drawnFrames: 0,
+  sentToolMessages: 0,
+  connections: 0,
+  screenshots: 0,
+});
+
 export interface ViewerHook {
   readonly hello: Hello | null;
   /** Header of the snapshot in the last drawn frame; null before the first. */

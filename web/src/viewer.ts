@@ -4,7 +4,7 @@ import { Connection, messageOf, socketAddress, type ConnectionState } from "./co
 import { Controls } from "./controls";
 import type { PushStart, ToolPose } from "./drag";
 import { Hands } from "./hands";
-import type { ViewerParts } from "./hook";
+import { newCounters, type ViewerParts } from "./hook";
 import { actionOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
 import { panned, turned, zoomed, type Orbit } from "./orbit";
 import { drawOrientation } from "./orientation";
@@ -14,6 +14,7 @@ import type { Page } from "./page";
 import { lengthOf, Panel, panelValues } from "./panel";
 import { arrowScale_m_per_n, drawPlot, ForceHistory } from "./plot";
 import { Profile, profilerReport } from "./profiler";
+import { GamepadInput } from "./gamepad";
 import { LoopNews } from "./timing";
 import { headerOfHand, ProtocolError, type HandHeader, type Hello, type Snapshot, type SnapshotHeader, type Topology } from "./protocol";
 import { Resolution, REST_AFTER_MS, REST_RATIO } from "./resolution";
@@ -49,10 +50,7 @@ export class Viewer {
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
   private readonly shown = { style: 0, contacts: true, forces: true, fixedNodes: false, profiler: false };
-  private readonly counters = {
-    ...{ topologyFrames: 0, snapshotFrames: 0, ignoredSnapshots: 0, drawnFrames: 0 },
-    ...{ sentToolMessages: 0, connections: 0, screenshots: 0 },
-  };
+  private readonly counters = newCounters();
 
   constructor(private readonly page: Page) {
     this.messages = new Messages(page.messages);
@@ -79,6 +77,7 @@ export class Viewer {
       },
     });
     window.addEventListener("keydown", (event) => this.key(event));
+    new GamepadInput((motion_m) => this.nudge(motion_m, 1), (action) => this.run(action, false));
     window.addEventListener("error", (event) => this.messages.error(`Error in the page: ${event.message}`));
     window.addEventListener("unhandledrejection", (event) => this.messages.error(`Error in the page: ${event.reason}`));
     new ResizeObserver(() => this.resize()).observe(page.scene);

@@ -3,7 +3,7 @@
 
 use super::body::StandardBody;
 use crate::devices::{self, DeviceName};
-use crate::runtime::haptic_loop::{HapticReport, HapticSettings, Meters, join};
+use crate::runtime::haptic_loop::{HapticReport, HapticSettings, Meters, check_rate, join};
 use crate::runtime::live::Stalls;
 use crate::runtime::{OpenScene, Simulation};
 use crate::scratch::ScratchFolder;
@@ -59,6 +59,7 @@ pub(crate) fn measure(request: &HapticsRequest, tell: &dyn Fn(&str, usize, usize
         "--seconds {}: must be 1 to 3600 for the benchmark haptics",
         request.seconds
     );
+    check_rate(request.rate_hz)?;
     let body = StandardBody::shared(request.n_tets)?;
     let folder = ScratchFolder::new()?;
     write_mesh(&folder.path().join("body.vtu"), &body.mesh)?;
@@ -193,6 +194,7 @@ fn measure_block(
         .args(["watch", &format!("ws://{address}/ws"), "--json"])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
         .spawn()
         .with_context(|| format!("{}: cannot start the viewer", request.program.display()))?;
     let end = Duration::from_secs_f64(seconds);
@@ -201,7 +203,7 @@ fn measure_block(
     let watched = viewer.wait_with_output().context("waiting for the viewer")?;
     let Served { ended, .. } = served?;
     let watched: Value = serde_json::from_slice(&watched.stdout)
-        .with_context(|| format!("the viewer said {:?}", String::from_utf8_lossy(&watched.stdout)))?;
+        .with_context(|| format!("the viewer failed: {}", String::from_utf8_lossy(&watched.stderr).trim()))?;
     run.n_stalls += ended.n_stalls;
     run.steps += ended.steps;
     run.seconds += seconds;

@@ -33,17 +33,20 @@ impl VendorLibrary {
     /// When there is none, with what was tried and where it comes from.
     pub(super) fn load(&self, path: Option<&Path>) -> anyhow::Result<(Library, PathBuf)> {
         let candidates = path.map_or_else(|| self.candidates(), |path| vec![path.to_path_buf()]);
-        let mut tried = Vec::new();
+        let (mut tried, mut reason) = (Vec::new(), String::new());
         for candidate in candidates {
             match open(&candidate) {
                 Ok(library) => return Ok((library, candidate)),
-                Err(error) => tried.push(format!("{}: {error:#}", candidate.display())),
+                Err(error) => {
+                    tried.push(candidate.display().to_string());
+                    reason = format!("{:#}", error.root_cause());
+                }
             }
         }
         bail!(
-            "the library of {} was not found ({}); get it from {} and name the file in {}",
+            "the library of {} was not found (tried {}; the last one: {reason}); get it from {} and name the file in {}",
             self.name,
-            tried.join("; "),
+            tried.join(", "),
             self.source,
             self.variable
         )

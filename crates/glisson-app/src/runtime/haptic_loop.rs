@@ -303,6 +303,16 @@ fn served_and_missed(late_ns: u64, period_ns: u64) -> (u64, u64) {
     (served, missed.min(served))
 }
 
+/// Refuses a rate that no loop keeps.
+///
+/// # Errors
+/// Outside [`RATES_HZ`].
+pub(crate) fn check_rate(rate_hz: f64) -> anyhow::Result<()> {
+    let (least, most) = (RATES_HZ.start(), RATES_HZ.end());
+    ensure!(RATES_HZ.contains(&rate_hz), "a haptic rate of {rate_hz} Hz; allowed: {least} to {most} Hz");
+    Ok(())
+}
+
 /// A running loop; ends when dropped.
 pub(crate) struct HapticLoop {
     stop: Arc<AtomicBool>,
@@ -321,12 +331,7 @@ impl HapticLoop {
         meters: Arc<Meters>,
     ) -> anyhow::Result<Self> {
         let HapticSettings { rate_hz, core } = settings;
-        ensure!(
-            RATES_HZ.contains(&rate_hz),
-            "a haptic rate of {rate_hz} Hz; allowed: {} to {} Hz",
-            RATES_HZ.start(),
-            RATES_HZ.end()
-        );
+        check_rate(rate_hz)?;
         let stop = Arc::new(AtomicBool::new(false));
         let (stop_seen, own_meters) = (Arc::clone(&stop), Arc::clone(&meters));
         let thread = std::thread::Builder::new()

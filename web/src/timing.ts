@@ -16,6 +16,10 @@ export interface HapticTiming {
   readonly jitter_p50_us: number;
   readonly jitter_p999_us: number;
   readonly motion_to_force_p50_us: number;
+  readonly tick_p50_us: number;
+  readonly tick_p999_us: number;
+  /** Ends of octaves [us] and how many intervals are off by so much. */
+  readonly jitter_histogram_us: readonly (readonly [number, number])[];
   readonly model_age_p50_ms: number;
   readonly model_age_max_ms: number;
   /** How the loop is scheduled, in words. */
@@ -49,6 +53,27 @@ export function decodeTiming(fields: Fields): Timing {
   };
 }
 
+function histogramAt(value: unknown, place: string): [number, number][] {
+  if (!Array.isArray(value) || value.length > 64) fail(`${place} must be an array of at most 64 pairs`);
+  return value.map((pair: unknown) => {
+    if (!Array.isArray(pair) || pair.length !== 2 || !pair.every((x) => typeof x === "number" && x >= 0)) {
+      fail(`${place} must hold pairs of numbers that are not negative`);
+    }
+    return [pair[0], pair[1]];
+  });
+}
+
+/** `▁▃█▂ 1 to 64 us`: counts of octaves, the tallest one full. */
+export function histogramText(histogram: HapticTiming["jitter_histogram_us"]): string {
+  if (histogram.length === 0) return "nothing counted yet";
+  const most = Math.max(1, ...histogram.map(([, count]) => count));
+  const bars = "▁▂▃▄▅▆▇█";
+  // By the logarithm: what is rare matters most.
+  const height = (count: number): number => Math.min(7, Math.ceil((7 * Math.log1p(count)) / Math.log1p(most)));
+  const us = (end: number): string => (end < 10 ? end.toFixed(1) : end.toFixed(0));
+  return `${histogram.map(([, count]) => bars[height(count)]).join("")} ${us(histogram[0][0])} to ${us(histogram[histogram.length - 1][0])} us`;
+}
+
 function decodeHaptics(haptics: Fields): HapticTiming {
   const place = "timing.haptics";
   const at = (histogram: string, name: string): number =>
@@ -60,6 +85,9 @@ function decodeHaptics(haptics: Fields): HapticTiming {
     jitter_p50_us: at("jitter_us", "p50"),
     jitter_p999_us: at("jitter_us", "p999"),
     motion_to_force_p50_us: at("motion_to_force_us", "p50"),
+    tick_p50_us: at("tick_us", "p50"),
+    tick_p999_us: at("tick_us", "p999"),
+    jitter_histogram_us: histogramAt(haptics.jitter_histogram_us, `${place}.jitter_histogram_us`),
     model_age_p50_ms: at("local_model_age_ms", "p50"),
     model_age_max_ms: at("local_model_age_ms", "max"),
     scheduling: stringAt(haptics, "scheduling", place),
@@ -83,6 +111,8 @@ export function timingLines(timing: Timing | null): string[] {
     lines.push(
       `haptics       ${hapticsText(haptics)} (${haptics.missed_deadlines} of ${haptics.deadlines})`,
       `  jitter      ${haptics.jitter_p50_us.toFixed(0)} us, 99.9 % ${haptics.jitter_p999_us.toFixed(0)} us; ${haptics.scheduling}`,
+      `  histogram   ${histogramText(haptics.jitter_histogram_us)} (logarithmic)`,
+      `  tick        ${haptics.tick_p50_us.toFixed(0)} us, 99.9 % ${haptics.tick_p999_us.toFixed(0)} us, of ${(1e6 / Math.max(1, haptics.rate_hz)).toFixed(0)} us`,
       `  force       ${haptics.motion_to_force_p50_us.toFixed(0)} us after the motion`,
       `  model       ${haptics.model_age_p50_ms.toFixed(1)} ms old, at most ${haptics.model_age_max_ms.toFixed(1)} ms`,
     );

@@ -209,6 +209,8 @@ pub(crate) struct HapticReport {
     pub(crate) n_stale: u64,
     /// Interval between two ticks less the period, without its sign.
     pub(crate) jitter: Percentiles,
+    /// Ends of octaves [ns] and how many intervals lie in each.
+    pub(crate) jitter_octaves: Vec<(u64, u64)>,
     /// From reading a handle to the end of writing its force.
     pub(crate) motion_to_force: Percentiles,
     /// Age of the model when it is evaluated.
@@ -234,6 +236,7 @@ impl Meters {
             n_saturated: of(&self.n_saturated),
             n_stale: of(&self.n_stale),
             jitter: self.jitter.percentiles(),
+            jitter_octaves: self.jitter.octaves(),
             motion_to_force: self.motion_to_force.percentiles(),
             model_age: self.model_age.percentiles(),
             work: self.work.percentiles(),
@@ -272,6 +275,8 @@ impl HapticReport {
     /// The fields of `glisson bench haptics` and of the viewer's `timing` message.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         let scheduling = self.scheduling.as_ref();
+        let octaves: Vec<(f64, u64)> =
+            self.jitter_octaves.iter().map(|&(end_ns, n)| (end_ns as f64 * 1e-3, n)).collect();
         serde_json::json!({
             "rate_hz": (self.rate_hz * 100.0).round() / 100.0,
             "deadlines": self.n_deadlines,
@@ -280,6 +285,7 @@ impl HapticReport {
             "saturated_ticks": self.n_saturated,
             "stale_ticks": self.n_stale,
             "jitter_us": self.jitter.to_json(1e3),
+            "jitter_histogram_us": octaves,
             "motion_to_force_us": self.motion_to_force.to_json(1e3),
             "local_model_age_ms": self.model_age.to_json(1e6),
             "tick_us": self.work.to_json(1e3),
@@ -524,7 +530,8 @@ mod tests {
             }
         });
         assert_eq!(counted.count_total, 0);
-        assert_eq!(meters.report().motion_to_force.n, 49);
+        // Of 49 answers the seventh is no number.
+        assert_eq!(meters.report().motion_to_force.n, 48);
     }
 
     #[test]

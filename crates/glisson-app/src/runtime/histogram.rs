@@ -79,6 +79,21 @@ impl Histogram {
     }
 }
 
+impl Histogram {
+    /// How many times were seen from one power of two nanoseconds to the next: its end and the count, from the first to the
+    /// last that is not zero.
+    pub(crate) fn octaves(&self) -> Vec<(u64, u64)> {
+        let mut octaves = [0_u64; 64];
+        for (bucket, count) in self.counts.iter().enumerate() {
+            let octave = 64 - end_of_bucket_ns(bucket).leading_zeros();
+            octaves[octave as usize] += u64::from(count.load(Ordering::Relaxed));
+        }
+        let first = octaves.iter().position(|&n| n > 0).unwrap_or(0);
+        let last = octaves.iter().rposition(|&n| n > 0).map_or(0, |last| last + 1);
+        (first..last).map(|octave| (1 << octave, octaves[octave])).collect()
+    }
+}
+
 impl Percentiles {
     /// With the given unit [ns], as benchmarks print it.
     pub(crate) fn to_json(self, unit_ns: f64) -> serde_json::Value {
@@ -110,6 +125,11 @@ mod tests {
             );
         }
         assert_eq!((found.n, found.greatest_ns), (10_000, *times.last().unwrap()));
+        for (end_ns, count) in histogram.octaves() {
+            let inside = times.iter().filter(|&&ns| ns < end_ns && ns >= end_ns / 2).count();
+            assert_eq!(count, inside as u64, "up to {end_ns} ns");
+        }
+        assert_eq!(histogram.octaves().iter().map(|(_, count)| count).sum::<u64>(), 10_000);
     }
 
     proptest! {

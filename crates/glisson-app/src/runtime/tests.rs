@@ -291,7 +291,8 @@ fn block_folder(tool: &str) -> tempfile::TempDir {
 
 #[test]
 fn instruments_that_cut_tear_and_clip_replay_to_the_same_bits() {
-    let home = "tip_radius = \"2 mm\"\nhome_tip = [\"40 mm\", \"17 mm\", \"80 mm\"]\nhome_shaft = [0, 0, 1]\n";
+    let home =
+        "tip_radius = \"2 mm\"\nhome_tip = [\"40 mm\", \"17 mm\", \"80 mm\"]\nhome_shaft = [0, 0, 1]\n";
     // Closed on the edge; each with what it does between steps 50 and 400.
     for (kind, more) in [
         ("scissors", ""),
@@ -363,7 +364,7 @@ fn a_session_with_less_effort_and_a_change_of_model_replays_to_the_same_bits() {
     let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
     for step in 0..300 {
         match step {
-            80 => assert!(simulation.set_effort(Effort::Least).unwrap()),
+            10 => assert!(simulation.set_effort(Effort::Least).unwrap()),
             100 => simulation.order_model(ModelKind::Implicit, 150).unwrap(),
             200 => simulation.set_effort(Effort::Full).map(|_| ()).unwrap(),
             _ => {}
@@ -380,4 +381,26 @@ fn a_session_with_less_effort_and_a_change_of_model_replays_to_the_same_bits() {
     let full = text.lines().filter(|line| !line.contains("\"effort\"")).collect::<Vec<_>>().join("\n");
     let report = replay(&parse_session(&full).unwrap(), folder.path(), |_| Ok(())).unwrap();
     assert_ne!(report.state_hash, hash);
+}
+
+#[test]
+fn a_haptic_loop_that_asks_for_models_changes_no_bit() {
+    let models =
+        ["tensor_mass", "explicit", "implicit", "precomputed", "nonlinear_tensor_mass", "mass_spring"];
+    for model in models {
+        let folder = scene_folder();
+        let scene = SCENE.replace("\"tensor_mass\"", &format!("\"{model}\""));
+        std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+        let [mut asked, mut left_alone] = [(); 2].map(|()| {
+            Simulation::open(OpenScene::read(&folder.path().join("scene.toml")).unwrap(), None).unwrap()
+        });
+        let mut felt = false;
+        for step in 0..300 {
+            asked.advance(&input(step)).unwrap();
+            left_alone.advance(&input(step)).unwrap();
+            felt |= asked.haptic_model(0).touch != glisson::haptics::Touch::Free;
+        }
+        assert!(felt, "{model}");
+        assert_eq!(asked.world().state_hash(), left_alone.world().state_hash(), "{model}");
+    }
 }

@@ -8,6 +8,7 @@ mod contact_physics;
 mod contact_response;
 mod cut_subdivision;
 mod cutting;
+mod cutting_sanity;
 mod detection;
 mod elasticity;
 mod haptic_force;
@@ -253,6 +254,11 @@ pub(crate) const GROUPS: &[Group] = &[
         run: cut_subdivision::experiments,
     },
     Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
+    Group {
+        name: "cutting_sanity",
+        about: "A moving body that is cut: area, mass, volume, energy, Euler characteristics.",
+        run: cutting_sanity::experiments,
+    },
     Group {
         name: "volume",
         about: "Changes of volume of a bent cylinder and a pulled liver: linear, non-linear, with penalty.",

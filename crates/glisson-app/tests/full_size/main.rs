@@ -1,5 +1,6 @@
 //! The whole path at full size, through the release program's own commands: synthetic patient and real CT.
 
+mod haptics;
 mod soak;
 mod soak_edits;
 

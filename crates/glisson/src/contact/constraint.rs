@@ -22,8 +22,10 @@ pub enum ContactKey {
     Edges(u32, u32),
     /// A vertex and an obstacle.
     VertexObstacle(u32, u32),
-    /// A triangle between its vertices and an obstacle.
+    /// A triangle between its edges and an obstacle.
     TriangleObstacle(u32, u32),
+    /// An edge between its ends and an obstacle.
+    EdgeObstacle(u32, u32),
 }
 
 /// A contact of one step.

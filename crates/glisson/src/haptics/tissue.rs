@@ -54,7 +54,7 @@ pub struct HapticModel {
     pub step: u64,
     /// [s]
     pub time_s: f64,
-    /// Simulated time [s] between two of them.
+    /// Time [s] that it is meant for: at least that between two of them.
     pub period_s: f64,
     /// How they are together.
     pub touch: Touch,

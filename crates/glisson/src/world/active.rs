@@ -134,7 +134,7 @@ impl World {
         let change = self.edit_all(edits)?;
         if self.spec.tearing.is_some() {
             let area_m2 = self.crack_area_m2(&change);
-            self.feel_cut(tool, area_m2);
+            self.owe_for_cut(tool, area_m2);
         }
         Ok(())
     }

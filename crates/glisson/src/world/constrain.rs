@@ -187,7 +187,7 @@ impl World {
                 }
             }
             let edge_motion_m = edge_motion_m(tool, &hand.before, &hand.now);
-            force_on_tool_n += hand.overload.edge_force_n(edge_motion_m);
+            force_on_tool_n += hand.overload.pay_for_cuts_n(edge_motion_m, tool.tip_radius_m);
             hand.report.in_contact = in_contact || hand.overload.edge_is_in;
             hand.report.slip_m = slip_m;
             hand.report.force_on_tool_n = force_on_tool_n;

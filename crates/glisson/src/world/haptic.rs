@@ -16,13 +16,16 @@ use crate::tool::{Tool, ToolInput, ToolKind};
 
 /// How near tissue has to be to be told of [m]: beyond what the tool's speed may cover, which is added. A choice.
 const REACH_M: f64 = 5e-3;
-/// Steps for which the tool's speed is expected to last until a newer model is felt.
-const STEPS_AHEAD: f64 = 2.5;
+/// Periods for which the tool's speed is expected to last until a newer model is felt.
+const PERIODS_AHEAD: f64 = 2.5;
 /// Triangles that are looked at for the nearest one.
 const MOST_NEAR: usize = 256;
 /// The search is repeated in half the reach when there are more, so often at most.
 const MOST_SEARCHES: usize = 4;
 
+/// Time [s] that the stiffness is for, at least: a simulation that is just fast enough to look at. Over a shorter time the
+/// patch's inertia counts, which answers to changes of speed, not to a motion that goes on.
+const LEAST_RESPONSE_S: f64 = 1.0 / 30.0;
 /// Rings of tetrahedra around a patch that count, and how well its columns are solved. Choices: what is left out makes the
 /// patch of a triangle a tenth too stiff at most (its displacements fall with the distance), which the hand feels for a
 /// step's way only.
@@ -84,10 +87,10 @@ impl World {
     /// What the tissue does to a tool nearby and soon, after a step. The first call makes room, later ones allocate nothing.
     /// A tool that is not there is free.
     ///
-    /// The stiffness is that of the nodes that follow the tool, over one step of the world, with the rest of the organ free to
+    /// The stiffness is that of the nodes that follow the tool, over a step or a thirtieth of a second, with the rest of the organ free to
     /// follow; between contacts what the tip would touch next is told, of tissue that is not in the way of a blade at work.
     pub fn haptic_model(&mut self, tool: usize) -> HapticModel {
-        self.haptic_model_over(tool, self.spec.time_step_s)
+        self.haptic_model_over(tool, self.spec.time_step_s.max(LEAST_RESPONSE_S))
     }
 
     /// The same with the stiffness over another time [s]: a longer one counts less of the inertia, but costs more.
@@ -97,7 +100,7 @@ impl World {
         let mut model = HapticModel {
             step: self.step,
             time_s: self.step as f64 * dt_s,
-            period_s: dt_s,
+            period_s: response_s,
             ..HapticModel::default()
         };
         let Some(mut scratch) = self.haptics.take() else { return model };
@@ -192,7 +195,7 @@ impl World {
     ) {
         let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
         let is_cutting = matches!(tool.kind, ToolKind::Scalpel(_)) && hand.now.is_triggered();
-        let mut reach_m = REACH_M + model.tip_velocity_m_per_s.length() * STEPS_AHEAD * model.period_s;
+        let mut reach_m = REACH_M + model.tip_velocity_m_per_s.length() * PERIODS_AHEAD * model.period_s;
         model.gap_m = reach_m;
         if is_cutting || !reach_m.is_finite() {
             return;

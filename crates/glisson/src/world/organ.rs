@@ -106,7 +106,11 @@ impl Organ {
         before
             .fixed
             .extend(change.nodes.removed.iter().map(|n| n.index() < change.nodes.n_before && self.fixed[*n]));
+        let held = self.held_of_new(change);
         self.fixed.follow(change);
+        for (node, is_held) in change.nodes.added.ids().iter().zip(held) {
+            self.fixed[*node] = is_held && !change.nodes.removed.contains(node);
+        }
         for &node in &change.surface_nodes_removed {
             if let Ok(at) = self.surface_nodes.binary_search(&node) {
                 self.surface_nodes.remove(at);
@@ -123,6 +127,21 @@ impl Organ {
         };
         self.skin.follow(&self.body, &surface);
         self.topology_version += 1;
+    }
+
+    /// Whether each new node is held: where all its parents are, as in the models. One beside a held node moves.
+    fn held_of_new(&self, change: &TopologyChange) -> Vec<bool> {
+        let n_before = change.nodes.n_before;
+        let mut held: Vec<bool> = Vec::new();
+        for (_, parents) in change.nodes.added.iter() {
+            let is_held = |parent: NodeId| match parent.index().checked_sub(n_before) {
+                None => self.fixed[parent],
+                Some(new) => held.get(new).copied().unwrap_or(false),
+            };
+            let all = !parents.is_empty() && parents.iter().all(|&(parent, _)| is_held(parent));
+            held.push(all);
+        }
+        held
     }
 
     /// Takes the last edit back.

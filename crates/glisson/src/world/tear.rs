@@ -44,10 +44,8 @@ pub(super) struct Overload {
     /// From where it broke in: to outside of the tissue, and to where it is when the tissue that it pressed in has sprung
     /// back over it [m].
     pub(super) entry_m: Option<[DVec3; 2]>,
-    /// Way of the edge since its last cut [m].
-    way_m: f64,
-    /// Force with which the crack before the edge holds it back while it moves [N].
-    edge_force_n: f64,
+    /// Energy of the cracks that the edge opened and the hand has not paid for yet [J].
+    owed_j: f64,
 }
 
 impl Default for Overload {
@@ -58,8 +56,7 @@ impl Default for Overload {
             strength_left: 1.0,
             edge_is_in: false,
             entry_m: None,
-            way_m: 0.0,
-            edge_force_n: 0.0,
+            owed_j: 0.0,
         }
     }
 }
@@ -76,7 +73,7 @@ impl Overload {
     /// Everything that its next steps depend on, as far as it is not as in the beginning.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let work = self.work.iter().map(Breakthrough::available_j);
-        let edge = [f64::from(u8::from(self.edge_is_in)), self.way_m, self.edge_force_n];
+        let edge = [f64::from(u8::from(self.edge_is_in)), self.owed_j];
         let entry = self.entry_m.into_iter().flatten().flat_map(|v| v.to_array());
         let heat = [1.0 - self.strength_left];
         work.chain(edge)
@@ -103,12 +100,19 @@ impl Overload {
 
     /// A stroke of the edge is over, or none is asked for.
     pub(super) fn end_stroke(&mut self) {
-        (self.edge_is_in, self.entry_m, self.way_m, self.edge_force_n) = (false, None, 0.0, 0.0);
+        (self.edge_is_in, self.entry_m, self.owed_j) = (false, None, 0.0);
     }
 
-    /// Force on a tool whose edge cuts, in a step in which it moved by `motion_m` [N].
-    pub(super) fn edge_force_n(&self, motion_m: DVec3) -> DVec3 {
-        if self.edge_is_in { -motion_m.normalize_or_zero() * self.edge_force_n } else { DVec3::ZERO }
+    /// Force on a tool whose edge moved by `motion_m` in a step [N]: it holds the edge back so that the hand's work pays for
+    /// the cracks, the most of what is owed over a way of `over_m`. Cuts come in jumps, the force does not.
+    pub(super) fn pay_for_cuts_n(&mut self, motion_m: DVec3, over_m: f64) -> DVec3 {
+        let way_m = motion_m.length();
+        if !self.edge_is_in || way_m == 0.0 {
+            return DVec3::ZERO;
+        }
+        let paid_j = self.owed_j * (way_m / over_m).min(1.0);
+        self.owed_j -= paid_j;
+        -motion_m * (paid_j / (way_m * way_m))
     }
 }
 
@@ -270,14 +274,10 @@ impl World {
         }
     }
 
-    /// An edge made a cut: its area over its way is the force that holds it back.
-    pub(super) fn feel_cut(&mut self, tool: usize, area_m2: f64) {
+    /// An edge made a cut: the hand owes its price.
+    pub(super) fn owe_for_cut(&mut self, tool: usize, area_m2: f64) {
         let Some(tearing) = self.spec.tearing else { return };
-        let overload = &mut self.hands[tool].overload;
-        if overload.way_m > 0.0 {
-            overload.edge_force_n = tearing.energy.energy_j_per_m2 * area_m2 / overload.way_m;
-        }
-        overload.way_m = 0.0;
+        self.hands[tool].overload.owed_j += tearing.energy.energy_j_per_m2 * area_m2;
     }
 
     /// Area that a cut laid open, at rest [m2]: half of what the surface gained.
@@ -302,7 +302,6 @@ impl Hand {
             self.overload.end_stroke();
             return;
         }
-        self.overload.way_m += edge_motion_m(tool, &self.before, &self.now).length();
         let is_out = |edge: Capsule| {
             !organ.skin().overlaps(&Capsule { radius_m: edge.radius_m * (1.0 + LEAVES_BEYOND), ..edge })
         };

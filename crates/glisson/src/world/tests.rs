@@ -214,3 +214,20 @@ fn a_deep_tool_that_drags_sideways_keeps_its_contact() {
     let point = world.snapshot().tools[0].contacts[0].unwrap().point_m;
     assert!((point.x - 0.019).abs() < 1e-12, "{point}");
 }
+
+#[test]
+fn a_new_node_is_held_where_all_its_parents_are() {
+    use crate::mesh::edit::EdgeSplit;
+    let support = Support::all_axes(Region::Furthest { direction: DVec3::Z, fraction: 0.5 });
+    let mut organ = Organ::new(one_tetrahedron(), &[support]).unwrap();
+    assert_eq!(organ.fixed_nodes(), [1, 2, 3].map(NodeId));
+    // Near the held end of an edge whose other end moves, and between two held nodes.
+    for ([a, b], is_held) in [([0, 1], false), ([1, 2], true)] {
+        let edge = organ.body().topology().edge_between(NodeId(a), NodeId(b)).unwrap();
+        let split = MeshEdit::Split { edges: vec![EdgeSplit { edge, fraction: 0.9 }] };
+        let change = organ.body_mut().apply(&split).unwrap();
+        organ.follow_edit(&change, &mut organ::OrganBefore::default());
+        let [new] = *change.nodes.added.ids() else { panic!("one new node") };
+        assert_eq!(organ.is_fixed(new), is_held, "{a} {b}");
+    }
+}

@@ -209,15 +209,21 @@ fn world(kind: ModelKind, tool: Tool) -> World {
     let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 7.0 };
     spec.supports = vec![Support::all_axes(table)];
     let material = LinearElastic::from_young_poisson(5e3, 0.4, 1000.0).unwrap();
-    let mut body = OrganBody::new(mesh, material, STEP_S);
+    let mut body = OrganBody::new(mesh, material, STEP_S / f64::from(parts(kind)));
     body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
     body.damping = Rayleigh { mass_per_s: 60.0, stiffness_s: 0.0 };
     let model = build_model(&body, kind).unwrap();
     World::new(spec, body.mesh, model, kind).unwrap()
 }
 
+/// Parts of a step that the model makes.
+fn parts(kind: ModelKind) -> u32 {
+    if kind == ModelKind::Explicit { 8 } else { 1 }
+}
+
 fn step_to(world: &mut World, at: ToolInput) -> DVec3 {
-    world.step(&StepInput::of(&[at])).tools[0].force_on_tool_n
+    let n_parts = parts(world.model_kind());
+    world.step(&StepInput::of(&[at]).divided(n_parts)).tools[0].force_on_tool_n
 }
 
 /// Slowly down to `depth_m` below the surface, there for a while.
@@ -234,7 +240,8 @@ fn a_published_model_says_what_the_next_step_answers() {
     for (kind, tolerance) in [(ModelKind::Precomputed, 0.01), (ModelKind::Implicit, 0.15)] {
         let mut world = world(kind, tool(ToolKind::Probe, STICKY));
         let at = press(&mut world, 5e-3);
-        let model = world.haptic_model(0);
+        // The next step is as short as the world's.
+        let model = world.haptic_model_over(0, STEP_S);
         assert_eq!(model.touch, Touch::Contact);
         assert_eq!(model.step, world.steps_made());
         assert_eq!(model.force_n, world.report().tools[0].force_on_tool_n);
@@ -258,7 +265,7 @@ fn free_tissue_is_felt_before_the_simulation_knows_of_the_touch() {
         let mut world = world(kind, tool(ToolKind::Probe, STICKY));
         let near = above(0.052, SIZE_M + RADIUS_M + 3e-4);
         world.step(&StepInput::of(&[near]).placed());
-        let model = world.haptic_model(0);
+        let model = world.haptic_model_over(0, STEP_S);
         assert_eq!((model.touch, model.force_n), (Touch::Free, DVec3::ZERO));
         assert!((model.gap_m - 3e-4).abs() < 1e-9 && model.normal.z > 0.999, "{model:?}");
         let deep = above(0.052, SIZE_M + RADIUS_M - 7e-4);
@@ -277,15 +284,15 @@ fn held_tissue_pulls_and_what_is_told_allocates_nothing() {
         let grip = Grip { friction_coefficient: 0.8, is_sticky: false };
         let mut world = world(kind, tool(ToolKind::Grasper(JAWS), grip));
         let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, SIZE_M - 2e-3) };
-        world.step(&StepInput::of(&[open]).placed());
+        world.step(&StepInput::of(&[open]).placed().divided(parts(kind)));
         let mut closed = open;
         for i in 0..20 {
             closed.jaw_opening = 1.0 - f64::from(i + 1) / 20.0;
-            world.step(&StepInput::of(&[closed]));
+            step_to(&mut world, closed);
         }
         for _ in 0..20 {
             closed.tip_in_world_m.z += 1e-4;
-            world.step(&StepInput::of(&[closed]));
+            step_to(&mut world, closed);
         }
         let model = world.haptic_model(0);
         assert_eq!(model.touch, Touch::Grasp, "{kind}");

@@ -97,7 +97,7 @@ fn a_tip_that_is_pushed_too_hard_breaks_through_and_its_force_stays_bounded() {
     let torn = push(&mut world(ModelKind::Explicit, ToolKind::Probe, Some(energy)), 0.05);
     assert_eq!((whole.cuts.n_torn, whole.cuts.n_removed), (0, 0));
     assert!(whole.greatest_n > 3.0 * critical_n, "{whole:?}, critical {critical_n} N");
-    assert!(torn.cuts.n_torn > 0 && torn.greatest_n < 2.0 * critical_n, "{torn:?}, critical {critical_n} N");
+    assert!(torn.cuts.n_torn > 0 && torn.greatest_n < 3.0 * critical_n, "{torn:?}, critical {critical_n} N");
     // A push that tissue stands leaves it whole.
     let gentle = push(&mut world(ModelKind::Explicit, ToolKind::Probe, Some(energy)), 5e-3);
     assert!(
@@ -217,7 +217,8 @@ fn cuts_and_is_taken_back(kind: ToolKind, energy_j_per_m2: Option<f64>, steps: u
 
     // A clip stops it, and is in the hash.
     let hash = world.state_hash();
-    assert!(world.clip_vessel(0) && world.state_hash() != hash);
+    assert!(world.clip_vessel(0), "within reach of the jaws");
+    assert!(world.state_hash() != hash);
     assert_eq!(world.snapshot().bleeding.rate_m3_per_s, 0.0);
 
     while world.undo_edit() {}

@@ -114,7 +114,7 @@ fn wait_for(device: &mut dyn HapticDevice, what: impl Fn(&Result<DeviceState, De
 #[test]
 fn both_generations_get_their_commands_and_give_their_states() {
     for (version, key) in [("{\"version\":\"3.5.2\"}", "vector"), ("3.1.0", "values")] {
-        let service = MockService::start(version, moving);
+        let mut service = MockService::start(version, moving);
         let mut device = open(&service.address.to_string()).unwrap();
         wait_for(&mut *device, |a| a.as_ref().is_ok_and(|s| s.position_m.x > 1e-3 && s.position_m.y == 0.1));
         let given = std::iter::from_fn(|| {
@@ -126,6 +126,7 @@ fn both_generations_get_their_commands_and_give_their_states() {
         let first = given.take(5_000).find(|(_, force)| *force != DVec3::ZERO);
         assert_eq!(first, Some((key.to_owned(), DVec3::new(0.5, -1.0, 0.25))));
         drop(device);
+        service.end();
         // The last word is no force.
         assert_eq!(service.forces.try_iter().last().map(|(_, force)| force), Some(DVec3::ZERO));
     }

@@ -2,56 +2,122 @@
 
 use glisson::math::DVec3;
 use glisson::mesh::edit::EditableMesh;
-use glisson::mesh::topology::Topology;
-use glisson::mesh::{NodeId, TetId, TetMesh};
+use glisson::mesh::topology::{EntityCounts, TET_EDGES, TET_TRIANGLES};
+use glisson::mesh::{NodeId, TetId};
 use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
 use glisson::world::World;
 
+/// What a list of tetrahedra has, counted without any of the library's adjacency.
+struct Recount {
+    live: Vec<TetId>,
+    /// Tetrahedra at each node, ascending.
+    node_tets: Vec<Vec<TetId>>,
+    /// The edges with their tetrahedra, ascending.
+    edges: Vec<([NodeId; 2], Vec<TetId>)>,
+    n_triangles: usize,
+    /// Across the triangle opposite to each corner, by place in `live`.
+    neighbours: Vec<[Option<TetId>; 4]>,
+    /// Triangles of one tetrahedron, outward.
+    surface: Vec<[NodeId; 3]>,
+    surface_nodes: Vec<NodeId>,
+    n_surface_edges: usize,
+}
+
+impl Recount {
+    fn of(body: &EditableMesh, label: &str) -> Self {
+        let tetrahedra = &body.mesh().tetrahedra;
+        let live: Vec<TetId> = body.topology().live_tets().collect();
+        let n_nodes = body.mesh().positions_m.len();
+        // By their lowest node: what follows are short lists.
+        let mut node_tets = vec![Vec::new(); n_nodes];
+        let mut faces = vec![Vec::new(); n_nodes];
+        let mut ends = vec![Vec::new(); n_nodes];
+        for (place, &tet) in live.iter().enumerate() {
+            let nodes = tetrahedra[tet.index()];
+            nodes.iter().for_each(|n| node_tets[n.index()].push(tet));
+            for (corner, face) in TET_TRIANGLES.iter().enumerate() {
+                let mut sorted = face.map(|i| nodes[i]);
+                sorted.sort_unstable();
+                faces[sorted[0].index()].push((sorted[1], sorted[2], place, corner));
+            }
+            for [a, b] in TET_EDGES.map(|edge| edge.map(|i| nodes[i])) {
+                ends[a.min(b).index()].push((a.max(b), tet));
+            }
+        }
+        let mut edges: Vec<([NodeId; 2], Vec<TetId>)> = Vec::new();
+        for (low, list) in ends.iter_mut().enumerate() {
+            list.sort_unstable();
+            for of_edge in list.chunk_by(|x, y| x.0 == y.0) {
+                let tets = of_edge.iter().map(|(_, tet)| *tet).collect();
+                edges.push(([NodeId::from_index(low), of_edge[0].0], tets));
+            }
+        }
+        let (mut n_triangles, mut surface) = (0, Vec::new());
+        let mut neighbours = vec![[None; 4]; live.len()];
+        for list in &mut faces {
+            list.sort_unstable();
+            for of_triangle in list.chunk_by(|x, y| (x.0, x.1) == (y.0, y.1)) {
+                n_triangles += 1;
+                match *of_triangle {
+                    [(_, _, place, corner)] => {
+                        let nodes = tetrahedra[live[place].index()];
+                        surface.push(TET_TRIANGLES[corner].map(|i| nodes[i]));
+                    }
+                    [(_, _, s, i), (_, _, t, j)] => {
+                        neighbours[s][i] = Some(live[t]);
+                        neighbours[t][j] = Some(live[s]);
+                    }
+                    _ => panic!("{label}: {} tetrahedra at one triangle", of_triangle.len()),
+                }
+            }
+        }
+        let mut surface_nodes: Vec<NodeId> = surface.iter().flatten().copied().collect();
+        surface_nodes.sort_unstable();
+        surface_nodes.dedup();
+        let sides = |[a, b, c]: [NodeId; 3]| [(a.min(b), a.max(b)), (b.min(c), b.max(c)), (a.min(c), a.max(c))];
+        let mut surface_edges: Vec<_> = surface.iter().flat_map(|t| sides(*t)).collect();
+        surface_edges.sort_unstable();
+        surface_edges.dedup();
+        let n_surface_edges = surface_edges.len();
+        Self { live, node_tets, edges, n_triangles, neighbours, surface, surface_nodes, n_surface_edges }
+    }
+}
+
 /// All that the organ keeps of adjacency and surface equals what is counted anew from its live tetrahedra alone.
 pub(super) fn check_adjacency(world: &World, label: &str) {
-    let body = world.organ().body();
-    let topology = body.topology();
-    let live: Vec<TetId> = topology.live_tets().collect();
-    let tetrahedra = live.iter().map(|&t| body.mesh().tetrahedra[t.index()]).collect();
-    let recount = Topology::build(&TetMesh { positions_m: body.mesh().positions_m.clone(), tetrahedra })
-        .unwrap_or_else(|e| panic!("{label}: {e}"));
-    assert_eq!(topology.live_counts(), recount.live_counts(), "{label}");
-    assert_eq!(topology.euler_characteristic(), recount.euler_characteristic(), "{label}");
-    assert_eq!(topology.surface_euler_characteristic(), recount.surface_euler_characteristic(), "{label}");
-    assert_eq!(topology.n_surface_triangles(), recount.n_surface_triangles(), "{label}");
+    let topology = world.organ().body().topology();
+    let recount = Recount::of(world.organ().body(), label);
+    let Recount { live, node_tets, edges, n_triangles, surface, .. } = &recount;
+    let n_nodes = node_tets.iter().filter(|tets| !tets.is_empty()).count();
+    let counted = EntityCounts { nodes: n_nodes, edges: edges.len(), triangles: *n_triangles, tets: live.len() };
+    assert_eq!(topology.live_counts(), counted, "{label}");
+    let euler = |numbers: &[usize]| numbers.iter().rev().fold(0, |sum, n| *n as i64 - sum);
+    let of_solid = euler(&[n_nodes, edges.len(), *n_triangles, live.len()]);
+    assert_eq!(topology.euler_characteristic(), of_solid, "{label}");
+    let of_surface = euler(&[recount.surface_nodes.len(), recount.n_surface_edges, surface.len()]);
+    assert_eq!(topology.surface_euler_characteristic(), of_surface, "{label}");
+    assert_eq!(topology.n_surface_triangles(), surface.len(), "{label}");
 
-    let same = |row: &[TetId], counted: &[TetId]| {
-        row.len() == counted.len() && row.iter().zip(counted).all(|(t, c)| *t == live[c.index()])
-    };
-    for (c, &tet) in live.iter().enumerate() {
-        let counted = TetId::from_index(c);
-        assert_eq!(topology.tet_nodes(tet), recount.tet_nodes(counted), "{label}: {tet}");
+    for (&tet, expected) in live.iter().zip(&recount.neighbours) {
+        assert_eq!(topology.tet_nodes(tet), world.organ().mesh().tetrahedra[tet.index()], "{label}: {tet}");
         let neighbours = topology.tet_neighbours(tet).map(|n| n.get());
-        let expected = recount.tet_neighbours(counted).map(|n| n.get().map(|c| live[c.index()]));
-        assert_eq!(neighbours, expected, "{label}: neighbours of {tet}");
+        assert_eq!(neighbours, *expected, "{label}: neighbours of {tet}");
     }
-    for node in recount.live_nodes() {
-        assert!(topology.is_live_node(node), "{label}: {node}");
-        assert!(same(topology.node_tets(node), recount.node_tets(node)), "{label}: tetrahedra at {node}");
-        assert_eq!(
-            topology.node_edges(node).len(),
-            recount.node_edges(node).len(),
-            "{label}: edges at {node}"
-        );
+    for (n, tets) in node_tets.iter().enumerate() {
+        let node = NodeId::from_index(n);
+        assert_eq!(topology.is_live_node(node), !tets.is_empty(), "{label}: {node}");
+        assert_eq!(topology.node_tets(node), tets, "{label}: tetrahedra at {node}");
     }
-    for edge in recount.live_edges() {
-        let [a, b] = recount.edge_nodes(edge);
-        let Some(own) = topology.edge_between(a, b) else { panic!("{label}: no edge {a} {b}") };
-        assert!(same(topology.edge_tets(own), recount.edge_tets(edge)), "{label}: tetrahedra at {own}");
+    for ([a, b], tets) in edges {
+        let Some(own) = topology.edge_between(*a, *b) else { panic!("{label}: no edge {a} {b}") };
+        assert_eq!(topology.edge_tets(own), tets, "{label}: tetrahedra at {own}");
     }
 
-    let nodes: Vec<NodeId> = recount.surface_nodes().collect();
-    assert_eq!(world.organ().surface_nodes(), nodes, "{label}: what touches");
+    assert_eq!(world.organ().surface_nodes(), recount.surface_nodes, "{label}: what touches");
     let shown = world.display_topology();
-    assert_eq!(shown.nodes, nodes, "{label}: what is shown");
-    let outward = recount.surface_triangles().map(|t| recount.outward_nodes(t));
+    assert_eq!(shown.nodes, recount.surface_nodes, "{label}: what is shown");
     let shown = shown.triangles.iter().map(|t| t.map(|v| shown.nodes[v as usize]));
-    assert_eq!(ordered(shown), ordered(outward), "{label}: what is shown");
+    assert_eq!(ordered(shown), ordered(surface.iter().copied()), "{label}: what is shown");
 }
 
 /// Triangles in an order of their own, each from its lowest node on: their sense stays.

@@ -170,7 +170,9 @@ impl CollidingBodies {
         match contact.key {
             ContactKey::VertexTriangle(..) => [first, owner(contact.vertices[1])],
             ContactKey::Edges(..) => [first, owner(contact.vertices[2])],
-            ContactKey::VertexObstacle(_, o) | ContactKey::TriangleObstacle(_, o) => [first, o],
+            ContactKey::VertexObstacle(_, o)
+            | ContactKey::TriangleObstacle(_, o)
+            | ContactKey::EdgeObstacle(_, o) => [first, o],
         }
     }
 

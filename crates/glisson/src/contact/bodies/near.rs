@@ -319,31 +319,45 @@ impl Near {
                 self.report.n_dropped += u32::from(!push(contacts, contact));
             }
         }
-        for t in 0..surfaces.triangles.len() as u32 {
-            if surfaces.triangle_owner[t as usize] >= self.n_bodies {
-                break;
-            }
-            let within_m = self.reach.margin_m + self.reach.skin_m;
-            let corners_m = surfaces.corners_m(t);
-            let Some(weights) = obstacle.between_corners(corners_m, within_m) else { continue };
-            // A place on an edge is told by the first of its triangles. Edge e runs from corner e to the next.
-            if let Some(apart) = weights.iter().position(|w| *w == 0.0)
-                && surfaces.edge_triangles[surfaces.triangle_edges[t as usize][(apart + 1) % 3] as usize][0]
-                    != t
-            {
-                continue;
-            }
-            let point_m = at_weights(corners_m, weights);
+        if obstacle.is_round() {
+            self.against_round(surfaces, obstacle, partner, contacts);
+        }
+    }
+
+    /// Contacts between the vertices with a ball: where each triangle and each edge is nearest. One place alone would let a
+    /// large triangle rock on it, and bulge into the ball beside it.
+    fn against_round(
+        &mut self,
+        surfaces: &Surfaces,
+        obstacle: &MovingObstacle,
+        partner: u32,
+        contacts: &mut Vec<Contact>,
+    ) {
+        let within_m = self.reach.margin_m + self.reach.skin_m;
+        let n_bodies = self.n_bodies;
+        let is_of_body = |v: u32| surfaces.owner[v as usize] < n_bodies;
+        let mut add = |key: ContactKey, vertices: [u32; 3], weights: [f64; 3]| {
+            let point_m = at_weights(vertices.map(|v| surfaces.start_m[v as usize]), weights);
             let Some(place) = obstacle.place_near(point_m) else { return };
-            let key = ContactKey::TriangleObstacle(t, partner);
             let mut contact = Contact::new(key, place.normal, place.distance_m - self.reach.skin_m);
-            let [a, b, c] = surfaces.triangles[t as usize];
+            let ([a, b, c], [u, v, w]) = (vertices, weights);
             contact.vertices = [a, b, c, 0];
-            contact.weights = [weights[0], weights[1], weights[2], 0.0];
+            contact.weights = [u, v, w, 0.0];
             contact.point_m = point_m;
             contact.moved_m = obstacle.motion_at_m(point_m - place.normal * place.distance_m);
             if self.counts(&contact, surfaces) {
                 self.report.n_dropped += u32::from(!push(contacts, contact));
+            }
+        };
+        for (t, corners) in surfaces.triangles.iter().enumerate().take_while(|(_, c)| is_of_body(c[0])) {
+            if let Some(weights) = obstacle.between_edges(surfaces.corners_m(t as u32), within_m) {
+                add(ContactKey::TriangleObstacle(t as u32, partner), *corners, weights);
+            }
+        }
+        for (e, &[a, b]) in surfaces.edges.iter().enumerate().take_while(|(_, ends)| is_of_body(ends[0])) {
+            let ends_m = [a, b].map(|v| surfaces.start_m[v as usize]);
+            if let Some(share) = obstacle.between_ends(ends_m, within_m) {
+                add(ContactKey::EdgeObstacle(e as u32, partner), [a, b, b], [1.0 - share, share, 0.0]);
             }
         }
     }

@@ -97,9 +97,14 @@ impl MovingObstacle {
         Some(NearPlace { distance_m, normal: rotation * normal })
     }
 
-    /// The place between the corners of a triangle that is nearest to a ball's centre, as weights, zero at a corner that
-    /// has no part; nothing where that is at a corner.
-    pub(super) fn between_corners(&self, corners_m: [DVec3; 3], within_m: f64) -> Option<[f64; 3]> {
+    /// Whether it may touch a surface between its vertices: a ball.
+    pub(super) fn is_round(&self) -> bool {
+        matches!(self.obstacle.shape, ObstacleShape::Ball { .. })
+    }
+
+    /// The place between the edges of a triangle that is nearest to a ball's centre, as weights; nothing where that is on an
+    /// edge or too far.
+    pub(super) fn between_edges(&self, corners_m: [DVec3; 3], within_m: f64) -> Option<[f64; 3]> {
         let ObstacleShape::Ball { radius_m } = self.obstacle.shape else { return None };
         let center_m = self.obstacle.pose.origin_m;
         let longest_m = corners_m[0].distance(corners_m[1]).max(corners_m[0].distance(corners_m[2]));
@@ -108,8 +113,17 @@ impl MovingObstacle {
         }
         let weights = closest_weights(center_m, corners_m);
         let is_near = at_weights(corners_m, weights).distance(center_m) <= radius_m + within_m;
-        let is_between = weights.iter().all(|w| *w < 1.0 - CORNER);
-        (is_near && is_between).then(|| weights.map(|w| if w > CORNER { w } else { 0.0 }))
+        (is_near && weights.iter().all(|w| *w > AT_END)).then_some(weights)
+    }
+
+    /// The place between the ends of an edge that is nearest to a ball's centre, as a share of the way; nothing where that is
+    /// at an end or too far.
+    pub(super) fn between_ends(&self, [a_m, b_m]: [DVec3; 2], within_m: f64) -> Option<f64> {
+        let ObstacleShape::Ball { radius_m } = self.obstacle.shape else { return None };
+        let center_m = self.obstacle.pose.origin_m;
+        let share = (center_m - a_m).dot(b_m - a_m) / (b_m - a_m).length_squared();
+        let is_between = share > AT_END && share < 1.0 - AT_END;
+        (is_between && a_m.lerp(b_m, share).distance(center_m) <= radius_m + within_m).then_some(share)
     }
 
     /// How far the obstacle's own point at `point_m` goes in the step [m].
@@ -124,8 +138,8 @@ impl MovingObstacle {
     }
 }
 
-/// A weight below which a corner has no part.
-const CORNER: f64 = 1e-6;
+/// A weight below which a corner or an end has no part.
+const AT_END: f64 = 1e-6;
 
 #[cfg(test)]
 mod tests {

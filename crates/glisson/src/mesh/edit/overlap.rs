@@ -30,9 +30,8 @@ impl Tet {
     }
 
     fn is_beyond_a_face(&self, points_m: &[DVec3; 4]) -> bool {
-        let is_out = |(normal, offset): HalfSpace| {
-            points_m.iter().all(|p| normal.dot(*p) - offset <= self.on_face_m)
-        };
+        let is_out =
+            |(normal, offset): HalfSpace| points_m.iter().all(|p| normal.dot(*p) - offset <= self.on_face_m);
         self.inside.into_iter().any(is_out)
     }
 
@@ -88,12 +87,7 @@ fn clipped_volume_m3(corners_m: [DVec3; 4], half_spaces: &[HalfSpace], on_face_m
 }
 
 /// Volume [m3] of the part of a prism with corners `low`, `high` (matching) inside all half-spaces.
-fn prism_volume_m3(
-    low: [DVec3; 3],
-    high: [DVec3; 3],
-    half_spaces: &[HalfSpace],
-    on_face_m: f64,
-) -> f64 {
+fn prism_volume_m3(low: [DVec3; 3], high: [DVec3; 3], half_spaces: &[HalfSpace], on_face_m: f64) -> f64 {
     [
         [low[0], low[1], low[2], high[2]],
         [low[0], low[1], high[1], high[2]],

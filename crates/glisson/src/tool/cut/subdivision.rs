@@ -24,11 +24,13 @@ mod opening;
 mod patch;
 mod relaxing;
 mod section;
+mod swapping;
 mod sweep;
 
 use self::patch::{Body, Patch};
 use self::relaxing::relax;
 use self::section::{Snapping, conform};
+use self::swapping::swap;
 use self::sweep::Sweep;
 use crate::math::DVec3;
 use crate::mesh::NodeId;
@@ -157,12 +159,21 @@ const COARSER: [[f64; 2]; 6] = [[0.2, 0.2], [0.25, 0.15], [0.25, 0.25], [0.3, 0.
 /// while the front will still move, before other ways to snap are tried.
 const AREA_TOLERANCE: [f64; 2] = [0.004, 0.03];
 
+/// How much of the way is cut at once: less of it where all of it comes out badly, as what follows begins
+/// elsewhere then.
+const EXTENTS: [f64; 3] = [1.0, 0.7, 0.85];
+
 /// What stays uncut behind the blade until the stroke ends, as a share of
 /// [`SubdivisionParams::min_advance_m`]: the last piece should not be a sliver.
 const RESERVE_OF_ADVANCE: f64 = 0.5;
 
 /// Angles below this multiple of the smallest allowed one are bettered, for the sake of later strokes.
 const RESERVE: f64 = 1.5;
+
+/// What the blade sweeps over on the first part of its way.
+fn swept(from_m: [DVec3; 2], to_m: [DVec3; 2], extent: f64) -> [Option<Sweep>; 2] {
+    Sweep::of_blade(from_m, [0, 1].map(|i| from_m[i].lerp(to_m[i], extent)))
+}
 
 fn degrees_of(cosine: f64) -> f64 {
     libm::acos(cosine.clamp(-1.0, 1.0)).to_degrees()
@@ -324,40 +335,43 @@ impl SubdivisionCut {
         is_last: bool,
     ) -> Result<Option<Replacement>, CutRefusal> {
         self.before = self.stroke.clone();
-        let sweeps = Sweep::of_blade(from_m, blade_m);
+        let extents = if is_last { &EXTENTS[..1] } else { &EXTENTS };
         let wished = self.params.snap_share;
-        let attempts: Vec<[f64; 2]> = std::iter::once([wished, 0.5 * wished])
-            .chain(COARSER.into_iter().filter(|c| c[0] >= wished))
-            .collect();
+        let shares = std::iter::once([wished, 0.5 * wished])
+            .chain(COARSER.into_iter().filter(move |c| c[0] >= wished));
+        let attempts = extents.iter().flat_map(|&extent| shares.clone().map(move |shares| (extent, shares)));
         let mut report = CutReport::default();
-        let mut best: Option<(f64, usize)> = None;
+        let mut best: Option<(f64, usize, (f64, [f64; 2]))> = None;
         let mut last = 0;
-        for (at, &shares) in attempts.iter().enumerate() {
+        for (at, (extent, shares)) in attempts.enumerate() {
             last = at;
-            report = self.attempt(body, &sweeps, shares);
+            report = self.attempt(body, &swept(from_m, blade_m, extent), shares);
             let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
             if report.min_dihedral_deg < limit_deg {
                 continue;
             }
             let off_m2 = (self.stroke.off_m2 + report.cut_area_m2 - report.swept_area_m2).abs();
             if best.is_none_or(|b| off_m2 < b.0) {
-                best = Some((off_m2, at));
+                best = Some((off_m2, at, (extent, shares)));
             }
             let [of_stroke, of_step] = AREA_TOLERANCE;
             let mut allowed_m2 = of_stroke * (self.stroke.report.swept_area_m2 + report.swept_area_m2);
             if !is_last {
                 allowed_m2 += of_step * report.swept_area_m2;
             }
+            // What earlier steps left over is not made up for by force.
+            allowed_m2 = allowed_m2.max(self.stroke.off_m2.abs() + of_stroke * report.swept_area_m2);
             if off_m2 <= allowed_m2 {
                 break;
             }
         }
-        if let Some((_, at)) = best {
+        if let Some((_, at, (extent, shares))) = best {
             if at != last {
-                report = self.attempt(body, &sweeps, attempts[at]);
+                report = self.attempt(body, &swept(from_m, blade_m, extent), shares);
             }
             report.n_coarser = usize::from(at > 0);
-            return Ok(self.accept(body, blade_m, is_last, report));
+            let reached_m = [0, 1].map(|i| from_m[i].lerp(blade_m[i], extent));
+            return Ok(self.accept(body, reached_m, is_last, report));
         }
         self.stroke.blade_m = Some(blade_m);
         self.stroke.front.clear();
@@ -409,7 +423,9 @@ impl SubdivisionCut {
         if max_cosine > wished_cosine
             && let [Some(sweep), None] | [None, Some(sweep)] = sweeps
         {
+            swap(patch, body, wished_cosine);
             relax(patch, body, sweep.normal, wished_cosine);
+            swap(patch, body, wished_cosine);
             max_cosine = patch.max_new_cosine();
         }
         let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));

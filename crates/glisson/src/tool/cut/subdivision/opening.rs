@@ -38,9 +38,8 @@ pub(super) fn divide_closed(
             continue;
         }
         let [a, b, c] = face;
-        let is_inner = |edge: &[u32; 2]| {
-            patch.cut.iter().filter(|f| edge.iter().all(|n| f.contains(n))).count() > 1
-        };
+        let is_inner =
+            |edge: &[u32; 2]| patch.cut.iter().filter(|f| edge.iter().all(|n| f.contains(n))).count() > 1;
         let mut edges = [[a, b], [b, c], [a, c]];
         edges.sort_by(|p, q| patch.length_m(*q).total_cmp(&patch.length_m(*p)));
         let inner: Vec<[u32; 2]> = edges.into_iter().filter(is_inner).collect();

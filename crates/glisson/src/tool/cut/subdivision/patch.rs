@@ -263,22 +263,30 @@ impl Patch {
         is_good
     }
 
+    /// Faces at a node, with its whole star in the patch, that belong to one tetrahedron: the surface of the body.
+    /// Counter-clockwise from outside.
+    pub(super) fn single_sides(&self, node: u32) -> Vec<[u32; 3]> {
+        let mut faces: Vec<([u32; 3], [u32; 3])> = Vec::with_capacity(3 * self.stars[node as usize].len());
+        for &tet in &self.stars[node as usize] {
+            let nodes = self.tets[tet as usize].nodes;
+            let at_node = FACES.map(|f| f.map(|i| nodes[i])).into_iter().filter(|f| f.contains(&node));
+            faces.extend(at_node.map(|face| (sorted(face), face)));
+        }
+        faces.sort_unstable();
+        faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1).collect()
+    }
+
     /// Unit normal, in the present shape, of the surface of the body at a node with its whole star in the patch;
     /// `None` inside, and where the sides of an earlier cut meet.
     pub(super) fn skin_normal(&self, node: u32) -> Option<DVec3> {
-        let mut faces: Vec<([u32; 3], DVec3)> = Vec::with_capacity(3 * self.stars[node as usize].len());
-        for &tet in &self.stars[node as usize] {
-            let nodes = self.tets[tet as usize].nodes;
-            for face in FACES.map(|f| f.map(|i| nodes[i])).into_iter().filter(|f| f.contains(&node)) {
-                let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
-                faces.push((sorted(face), (b - a).cross(c - a)));
-            }
+        let mut sum = DVec3::ZERO;
+        let mut length = 0.0;
+        for face in self.single_sides(node) {
+            let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
+            let area = (b - a).cross(c - a);
+            sum += area;
+            length += area.length();
         }
-        faces.sort_unstable_by_key(|f| f.0);
-        let single = faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1);
-        let (sum, length) = single.fold((DVec3::ZERO, 0.0), |(sum, length), area| {
-            (sum + area, length + area.length())
-        });
         (sum.length() > FLAT_SKIN * length).then(|| sum.normalize_or_zero())
     }
 
@@ -401,6 +409,25 @@ impl Patch {
             self.stars[node as usize].push(here);
         }
         here
+    }
+
+    pub(super) fn take_out(&mut self, tet: u32) {
+        self.tets[tet as usize].is_live = false;
+        for node in self.tets[tet as usize].nodes {
+            self.stars[node as usize].retain(|&t| t != tet);
+        }
+    }
+
+    /// Changed tetrahedra whose smallest dihedral angle at rest has a cosine above `max_cosine`, worst first.
+    pub(super) fn bad_tets(&self, max_cosine: f64) -> Vec<(f64, u32)> {
+        let mut bad: Vec<(f64, u32)> = self
+            .live_tets()
+            .filter(|&t| !self.tets[t as usize].is_old)
+            .map(|t| (dihedral_cosine_range(self.rest_m(t))[1], t))
+            .filter(|b| b.0 > max_cosine)
+            .collect();
+        bad.sort_unstable_by(|p, q| q.0.total_cmp(&p.0).then(p.1.cmp(&q.1)));
+        bad
     }
 
     /// Puts a node on the edge from `a` to `b` and divides the tetrahedra there; `None` (and nothing done) if

@@ -2,7 +2,6 @@
 
 use super::patch::{Accept, Body, Patch};
 use crate::math::DVec3;
-use crate::mesh::quality::dihedral_cosine_range;
 
 /// How often all bad tetrahedra are visited.
 const N_ROUNDS: usize = 4;
@@ -19,15 +18,8 @@ pub(super) fn relax(patch: &mut Patch, body: Body<'_>, normal: DVec3, max_cosine
     let rim_nodes = rim_nodes(&patch.cut);
     let (u, v) = normal.any_orthonormal_pair();
     for _ in 0..N_ROUNDS {
-        let mut bad: Vec<(f64, u32)> = patch
-            .live_tets()
-            .filter(|&t| !patch.tets[t as usize].is_old)
-            .map(|t| (dihedral_cosine_range(patch.rest_m(t))[1], t))
-            .filter(|b| b.0 > max_cosine)
-            .collect();
-        bad.sort_unstable_by(|p, q| q.0.total_cmp(&p.0).then(p.1.cmp(&q.1)));
         let mut is_better = false;
-        for (_, tet) in bad {
+        for (_, tet) in patch.bad_tets(max_cosine) {
             for node in patch.tets[tet as usize].nodes {
                 if patch.nodes[node as usize].is_front || rim_nodes.binary_search(&node).is_ok() {
                     continue;
@@ -63,9 +55,7 @@ fn better(patch: &mut Patch, body: Body<'_>, node: u32, directions: &[DVec3]) ->
     let shortest_m = patch.star(node).iter().map(length).fold(f64::INFINITY, f64::min);
     STEPS.iter().any(|step| {
         let moves = directions.iter().flat_map(|&d| [d, -d]);
-        moves.into_iter().any(|d| {
-            patch.move_node(body, node, from_m + step * shortest_m * d, Accept::Better)
-        })
+        moves.into_iter().any(|d| patch.move_node(body, node, from_m + step * shortest_m * d, Accept::Better))
     })
 }
 

@@ -440,9 +440,7 @@ impl Work<'_> {
         }
         let accept = Accept::UpTo(self.snapping.max_cosine);
         let mut is_moved = self.patch.move_node(self.body, node, to_m, accept);
-        if !is_moved
-            && let Some(skin) = self.patch.skin_normal(node)
-        {
+        if !is_moved && let Some(skin) = self.patch.skin_normal(node) {
             // On flat skin, or on the side of an earlier cut, it can slide.
             let normal = self.sweep.normal;
             let way = match line {

@@ -1,0 +1,129 @@
+//! Devices, the haptic loop and its benchmark, as the program shows them.
+
+use super::{glisson, refuses, small_scene};
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
+
+#[test]
+fn devices_are_listed_tested_and_looked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let answer = |arguments: &[&str]| {
+        let output = glisson(folder.path(), arguments);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    };
+    let list = answer(&["devices", "list"]);
+    for name in ["simulated", "replay:FILE", "haply", "force-dimension", "openhaptics", "trocar"] {
+        assert!(list.contains(name), "{name}: {list}");
+    }
+    let doctor = answer(&["devices", "doctor", "--haply", "127.0.0.1:1"]);
+    assert!(doctor.contains("Inverse Service") && doctor.contains("real-time scheduling"), "{doctor}");
+    let report: serde_json::Value =
+        serde_json::from_str(&answer(&["devices", "test", "simulated", "--seconds", "0.5", "--json"]))
+            .unwrap();
+    assert!(
+        report["good_ticks"].as_u64().unwrap() == 500 && report["changes"].as_u64().unwrap() > 50,
+        "{report}"
+    );
+
+    refuses(
+        folder.path(),
+        &["devices", "test", "haply:127.0.0.1:1", "--seconds", "0.2"],
+        &["never told where it is"],
+    );
+    refuses(folder.path(), &["devices", "test", "replay:gone.jsonl"], &["gone.jsonl"]);
+    let mistyped = glisson(folder.path(), &["devices", "test", "haptly"]);
+    assert_eq!(mistyped.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&mistyped.stderr).contains("did you mean \"haply\""));
+}
+
+#[test]
+fn a_served_device_moves_its_instrument_and_a_watching_program_sees_it() {
+    let folder = tempfile::tempdir().unwrap();
+    small_scene(folder.path());
+    refuses(
+        folder.path(),
+        &["serve", "scene.toml", "--port", "0", "--device", "simulated@1"],
+        &["no instrument 1"],
+    );
+    refuses(
+        folder.path(),
+        &["serve", "scene.toml", "--port", "0", "--token", "short"],
+        &["allowed: 16 to 128"],
+    );
+
+    let mut serve = Command::new(env!("CARGO_BIN_EXE_glisson"))
+        .args([
+            "serve",
+            "scene.toml",
+            "--port",
+            "0",
+            "--no-open",
+            "--device",
+            "simulated",
+            "--record",
+            "s.jsonl",
+        ])
+        .current_dir(folder.path())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(serve.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let page = lines.by_ref().find(|line| line.contains("http://")).unwrap();
+    let host = page.split("http://").nth(1).unwrap().split('/').next().unwrap().to_owned();
+    let watched =
+        glisson(folder.path(), &["watch", &format!("ws://{host}/ws"), "--seconds", "2.5", "--json"]);
+    let stopped = Command::new("kill").args(["-INT", &serve.id().to_string()]).status().unwrap();
+    let rest: Vec<String> = lines.collect();
+    assert!(stopped.success() && serve.wait().unwrap().success(), "{rest:?}");
+    assert!(
+        rest.iter().any(|line| line.contains("haptics") && line.contains("deadlines missed")),
+        "{rest:?}"
+    );
+    let watched: serde_json::Value = serde_json::from_slice(&watched.stdout).unwrap();
+    assert!(watched["frames"].as_u64().unwrap() > 5, "{watched}");
+    let haptics = &watched["timing"]["haptics"];
+    assert!(haptics["deadlines"].as_u64().unwrap() > 100, "{watched}");
+    // The session has what the hand did, and makes the same bits.
+    let session = std::fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
+    assert!(session.lines().filter(|line| line.contains("\"input\"")).count() > 100);
+    let replay = glisson(folder.path(), &["replay", "s.jsonl"]);
+    assert!(String::from_utf8_lossy(&replay.stdout).contains("same bits"));
+}
+
+#[test]
+fn the_benchmark_of_the_haptic_loop_makes_stalls_and_sees_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["bench", "haptics", "--seconds", "2.5", "--sizes", "600", "--json"];
+    let output = glisson(folder.path(), &arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    for run in [&report, &report["with_stalls"]] {
+        for field in ["rate_hz", "missed_deadlines", "missed_percent"] {
+            assert!(run[field].as_f64().unwrap() >= 0.0, "{field}: {run}");
+        }
+        for field in ["jitter_us", "motion_to_force_us", "local_model_age_ms"] {
+            for which in ["p50", "p99", "p999"] {
+                assert!(run[field][which].is_number(), "{field}.{which}: {run}");
+            }
+        }
+        assert!(
+            run["real_time_scheduling"].is_boolean() && run["deadlines"].as_u64().unwrap() > 1_000,
+            "{run}"
+        );
+        assert!(run["simulation"]["steps_per_s"].as_f64().unwrap() > 0.0, "{run}");
+        assert!(run["viewer"]["frames_per_s"].as_f64().unwrap() > 1.0, "{run}");
+    }
+    let stalled = &report["with_stalls"];
+    assert_eq!(report["simulation"]["stalls"], 0);
+    assert!(stalled["simulation"]["stalls"].as_u64().unwrap() >= 2, "{stalled}");
+    // The loop went on with a model that had the age of a stall at least.
+    assert!(stalled["local_model_age_ms"]["max"].as_f64().unwrap() >= 30.0, "{stalled}");
+    assert!(report["missed_percent_rise"].is_number() && report["rise_is_small"].is_boolean());
+    refuses(
+        folder.path(),
+        &["bench", "haptics", "--rate", "9000", "--sizes", "600"],
+        &["allowed: 100 to 4000 Hz"],
+    );
+    refuses(folder.path(), &["bench", "haptics", "--seconds", "0"], &["must be 1 to 3600"]);
+}

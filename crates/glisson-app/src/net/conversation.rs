@@ -6,7 +6,7 @@ use super::link::{Link, ReceiveHalf, Role, SendHalf};
 use super::messages::{Content, Head, MOST_BYTES, MessageError, SceneHash, decode, encode_into};
 use super::seal::Seal;
 use crate::runtime::histogram::{Histogram, Percentiles};
-use crate::runtime::realtime::now_ns;
+use crate::runtime::realtime::{make_prompt, now_ns};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::{JoinHandle, Thread};
@@ -151,6 +151,7 @@ fn send_all(
     mut sender: Box<dyn SendHalf>,
     mut outgoing: impl Outgoing,
 ) {
+    make_prompt();
     let mut bytes = Vec::with_capacity(MOST_BYTES);
     let (mut sequence, mut last_sent) = (0, Instant::now());
     outgoing.wakes(std::thread::current());
@@ -234,6 +235,7 @@ fn receive_all(
     mut receiver: Box<dyn ReceiveHalf>,
     mut incoming: impl Incoming,
 ) {
+    make_prompt();
     // One byte more than the longest message, so that a longer one is seen to be one.
     let mut buffer = [0; MOST_BYTES + 1];
     let mut inbox = Inbox::default();

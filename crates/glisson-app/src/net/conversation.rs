@@ -34,7 +34,7 @@ pub(crate) trait Outgoing: Send {
     /// From now on `thread` is unparked when there is something new.
     fn wakes(&self, thread: Thread);
     /// The newest state if it was not seen before.
-    fn new(&mut self, now_ns: u64) -> Option<Content>;
+    fn unseen(&mut self, now_ns: u64) -> Option<Content>;
     /// The newest state.
     fn latest(&mut self, now_ns: u64) -> Content;
 }
@@ -156,7 +156,7 @@ fn send_all(
     let (mut sequence, mut last_sent) = (0, Instant::now());
     outgoing.wakes(std::thread::current());
     while !shared.ends.load(Ordering::Relaxed) {
-        let content = match outgoing.new(now_ns()) {
+        let content = match outgoing.unseen(now_ns()) {
             Some(content) => content,
             None => match REPEAT.checked_sub(last_sent.elapsed()) {
                 Some(wait) if !wait.is_zero() => {

@@ -5,6 +5,7 @@
 #![allow(clippy::print_stdout, reason = "a command-line program tells what it does on standard output")]
 
 mod ct;
+mod igtl;
 mod setup;
 mod test;
 
@@ -45,6 +46,13 @@ enum Task {
         #[arg(long)]
         steps: Option<u64>,
     },
+    /// The network: tests with the feature `net` (zenoh, ROS 2), and OpenIGTLink clients of other people (Debian's examples
+    /// and pyigtl, which it installs) against a scene
+    Network {
+        /// The scene, as `cargo xtask demo` makes one
+        #[arg(default_value = "out/demo/scene.toml")]
+        scene: PathBuf,
+    },
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
 }
@@ -69,6 +77,13 @@ fn run_in(folder: &Path, program: &str, arguments: &[&str]) -> anyhow::Result<()
         .with_context(|| format!("cannot start {program}; is it installed?"))?;
     anyhow::ensure!(status.success(), "`{program} {}` failed ({status})", arguments.join(" "));
     Ok(())
+}
+
+fn network(scene: &Path) -> anyhow::Result<()> {
+    let tests = ["test", "--release", "--locked", "--package", "glisson-app", "--features", "net", "--bin", "glisson"];
+    run("cargo", &[&tests[..], &["net::"]].concat())?;
+    build_program()?;
+    igtl::clients(scene)
 }
 
 /// The folder that cargo builds into.
@@ -103,6 +118,7 @@ fn main() -> anyhow::Result<()> {
         }
         Task::Test { require_ct } => test::all(require_ct),
         Task::Soak { what, steps } => test::soak(what, steps),
+        Task::Network { scene } => network(&root().join(scene)),
         Task::FetchCt => {
             let folder = ct::fetch()?;
             println!("real CT in {}", folder.display());

@@ -59,3 +59,20 @@ pub(crate) fn chromium() -> anyhow::Result<PathBuf> {
         .find(|file| file.is_file())
         .with_context(|| format!("{name} starts, but is in no folder of PATH"))
 }
+
+/// Makes sure that `file` is there; installs the Debian `package` that brings it when that is allowed.
+pub(crate) fn require_file(file: &str, package: &str) -> anyhow::Result<()> {
+    if std::path::Path::new(file).exists() {
+        return Ok(());
+    }
+    if !is_root() || !is_there("apt-get") {
+        bail!("{file} is missing; install it: apt-get install {package}");
+    }
+    println!("installing {package}");
+    run("apt-get", &["update", "-qq"])?;
+    run("apt-get", &["install", "-y", "-qq", "--no-install-recommends", package])?;
+    if std::path::Path::new(file).exists() {
+        return Ok(());
+    }
+    bail!("{package} was installed, but there is no {file}")
+}

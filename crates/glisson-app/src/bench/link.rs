@@ -9,7 +9,7 @@ use crate::net::seal::Seal;
 use crate::runtime::exchange::{Latest, Publisher, exchange};
 use crate::runtime::haptic_loop::{DeviceStatus, Motion, PublishedModel, ToolLink};
 use crate::runtime::histogram::{Histogram, Percentiles};
-use crate::runtime::realtime::now_ns;
+use crate::runtime::realtime::{make_prompt, now_ns};
 use anyhow::{Context, ensure};
 use glisson::haptics::HapticModel;
 use glisson::math::DVec3;
@@ -67,6 +67,7 @@ pub(crate) fn answer(link: &LinkAddress) -> anyhow::Result<()> {
         let _ = std::io::stdin().read_to_end(&mut Vec::new());
         ending.store(true, Ordering::Relaxed);
     });
+    make_prompt();
     while !ends.load(Ordering::Relaxed) {
         match tool.motions.get_new() {
             Some(motion) => {
@@ -131,6 +132,8 @@ pub(crate) fn measure(request: &LinkRequest) -> anyhow::Result<Value> {
         ensure!(found.elapsed() < PATIENCE, "{address}: the other process did not answer for 30 s");
         std::thread::sleep(Duration::from_millis(5));
     }
+    // As the haptic loop's thread would be.
+    let is_real_time = make_prompt();
     // Caches and, with zenoh, sessions settle.
     let (_, ends) = time_answers(0.5, request.rate_hz, &conversation, (motions, models))?;
     let before = conversation.report();
@@ -150,6 +153,7 @@ pub(crate) fn measure(request: &LinkRequest) -> anyhow::Result<Value> {
         "added_latency_us": in_us(round_trip, 0.5),
         // On the wire only, as the messages' own times tell it.
         "wire_round_trip_us": in_us(after.round_trip, 1.0),
+        "real_time_scheduling": is_real_time,
         "load_average": load_average(),
     }))
 }

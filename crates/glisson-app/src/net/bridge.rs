@@ -74,7 +74,7 @@ impl Outgoing for HandsOut {
         self.motions.iter().for_each(|motions| motions.wakes(thread.clone()));
     }
 
-    fn new(&mut self, now_ns: u64) -> Option<Content> {
+    fn unseen(&mut self, now_ns: u64) -> Option<Content> {
         // All of them must be asked: each remembers what it has shown.
         let n_new = self.motions.iter_mut().filter_map(Latest::get_new).count();
         (n_new > 0).then(|| self.latest(now_ns))
@@ -121,7 +121,7 @@ impl Outgoing for TissuesOut {
         self.models.iter().for_each(|models| models.wakes(thread.clone()));
     }
 
-    fn new(&mut self, now_ns: u64) -> Option<Content> {
+    fn unseen(&mut self, now_ns: u64) -> Option<Content> {
         let n_new = self.models.iter_mut().filter_map(Latest::get_new).count();
         (n_new > 0).then(|| self.latest(now_ns))
     }

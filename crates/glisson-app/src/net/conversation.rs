@@ -6,7 +6,7 @@ use super::link::{Link, ReceiveHalf, Role, SendHalf};
 use super::messages::{Content, Head, MOST_BYTES, MessageError, SceneHash, decode, encode_into};
 use super::seal::Seal;
 use crate::runtime::histogram::{Histogram, Percentiles};
-use crate::runtime::realtime::now_ns;
+use crate::runtime::realtime::{make_prompt, now_ns};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::{JoinHandle, Thread};
@@ -34,7 +34,7 @@ pub(crate) trait Outgoing: Send {
     /// From now on `thread` is unparked when there is something new.
     fn wakes(&self, thread: Thread);
     /// The newest state if it was not seen before.
-    fn new(&mut self, now_ns: u64) -> Option<Content>;
+    fn unseen(&mut self, now_ns: u64) -> Option<Content>;
     /// The newest state.
     fn latest(&mut self, now_ns: u64) -> Content;
 }
@@ -151,11 +151,12 @@ fn send_all(
     mut sender: Box<dyn SendHalf>,
     mut outgoing: impl Outgoing,
 ) {
+    make_prompt();
     let mut bytes = Vec::with_capacity(MOST_BYTES);
     let (mut sequence, mut last_sent) = (0, Instant::now());
     outgoing.wakes(std::thread::current());
     while !shared.ends.load(Ordering::Relaxed) {
-        let content = match outgoing.new(now_ns()) {
+        let content = match outgoing.unseen(now_ns()) {
             Some(content) => content,
             None => match REPEAT.checked_sub(last_sent.elapsed()) {
                 Some(wait) if !wait.is_zero() => {
@@ -234,6 +235,7 @@ fn receive_all(
     mut receiver: Box<dyn ReceiveHalf>,
     mut incoming: impl Incoming,
 ) {
+    make_prompt();
     // One byte more than the longest message, so that a longer one is seen to be one.
     let mut buffer = [0; MOST_BYTES + 1];
     let mut inbox = Inbox::default();

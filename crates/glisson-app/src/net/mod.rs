@@ -10,6 +10,10 @@ pub(crate) mod bridge;
 pub(crate) mod igtl;
 pub(crate) mod player;
 #[cfg(any(test, feature = "net"))]
+#[cfg_attr(
+    not(feature = "net"),
+    allow(dead_code, unused_imports, reason = "without zenoh only the tests use it")
+)]
 pub(crate) mod ros2;
 pub(crate) mod options;
 #[cfg(feature = "net")]

@@ -103,7 +103,10 @@ impl NetArgs {
 
     #[cfg(not(feature = "net"))]
     fn ros2_topics(&self, domain: u32, _: &Simulation) -> anyhow::Result<Show> {
-        bail!("--ros2 {domain}: this program was built without zenoh; build it with --features net")
+        bail!(
+            "--ros2 {domain} over {}: this program was built without zenoh; build it with --features net",
+            self.ros2_link
+        )
     }
 }
 

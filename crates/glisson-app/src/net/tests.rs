@@ -231,8 +231,7 @@ fn free_tcp_locator() -> super::link::ZenohAddress {
 fn zenoh_carries_poses_and_models_and_finds_a_simulation_that_comes_later() {
     use super::zenoh_link::open;
     let address = free_tcp_locator();
-    let mut haptics =
-        HapticsEnd::start(open(&address, Role::Haptics).unwrap(), identity(Role::Haptics, 1));
+    let mut haptics = HapticsEnd::start(open(&address, Role::Haptics).unwrap(), identity(Role::Haptics, 1));
     haptics.move_to(0.5);
     let mut simulation =
         SimulationEnd::start(open(&address, Role::Simulation).unwrap(), identity(Role::Simulation, 1));

@@ -8,6 +8,8 @@ const SPIN_NS: u64 = 60_000;
 /// Real-time priority of the haptic loop, of 1 to 99: above threads that merely left the default class, below the kernel's
 /// own at 50 and more.
 const PRIORITY: u8 = 40;
+/// Of the threads that carry forces between machines: they give way to the haptic loop.
+const LINK_PRIORITY: u8 = 30;
 
 /// Nanoseconds on a clock that never jumps.
 pub(crate) fn now_ns() -> u64 {
@@ -74,15 +76,25 @@ pub(crate) fn make_punctual(core: Option<usize>) -> Scheduling {
 }
 
 /// Puts the calling thread into the real-time class, or says why it cannot.
-#[cfg(target_os = "linux")]
 pub(crate) fn enter_real_time_class() -> Result<(), String> {
+    enter_class(PRIORITY)
+}
+
+/// Wakes the calling thread, which serves a link, before all that are not in the real-time class, where the system allows
+/// it; answers whether it does.
+pub(crate) fn make_prompt() -> bool {
+    enter_class(LINK_PRIORITY).is_ok()
+}
+
+#[cfg(target_os = "linux")]
+fn enter_class(priority: u8) -> Result<(), String> {
     use thread_priority::unix::{
         RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
     };
     use thread_priority::{ThreadPriority, ThreadPriorityValue};
     // Timers of other classes may come 50 us late to save power.
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
-    let priority = ThreadPriorityValue::try_from(PRIORITY).map_err(|e| e.to_string())?;
+    let priority = ThreadPriorityValue::try_from(priority).map_err(|e| e.to_string())?;
     set_thread_priority_and_policy(
         thread_native_id(),
         ThreadPriority::Crossplatform(priority),
@@ -95,7 +107,7 @@ pub(crate) fn enter_real_time_class() -> Result<(), String> {
 }
 
 #[cfg(not(target_os = "linux"))]
-pub(crate) fn enter_real_time_class() -> Result<(), String> {
+fn enter_class(_priority: u8) -> Result<(), String> {
     Err("this system's class is not known to the program".into())
 }
 

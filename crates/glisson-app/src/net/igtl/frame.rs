@@ -216,7 +216,7 @@ mod tests {
             bytes
         };
         assert!(error(&with(3, 7)).contains("type name"));
-        assert!(error(&with(20, 0xFF)).contains("device name"));
+        assert!(error(&with(15, 0xFF)).contains("device name"));
         assert!(error(&with(44, 1)).contains("at most"));
         assert!(error(&with(60, 4)).contains("CRC"));
     }

@@ -22,7 +22,8 @@ impl Axes {
     fn turned(self, in_lps: DVec3) -> DVec3 {
         match self {
             Self::Lps => in_lps,
-            Self::Ras => DVec3::new(-in_lps.x, -in_lps.y, in_lps.z),
+            // Not with a minus sign, which would make -0 of 0.
+            Self::Ras => DVec3::new(0.0 - in_lps.x, 0.0 - in_lps.y, in_lps.z),
         }
     }
 

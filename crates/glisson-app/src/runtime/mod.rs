@@ -117,7 +117,10 @@ impl Simulation {
     /// From now on instruments follow the paths of `scene` until a viewer takes them into the hand, or resets.
     pub(crate) fn follow_script(&mut self, scene: Scene) {
         self.script = Some(scene);
-        self.tell("the instruments follow the scene's script; push, or move one, to take it into the hand".to_owned());
+        self.tell(
+            "the instruments follow the scene's script; push, or move one, to take it into the hand"
+                .to_owned(),
+        );
     }
 
     /// Where the script has an instrument at the end of the next step.

@@ -291,7 +291,8 @@ fn block_folder(tool: &str) -> tempfile::TempDir {
 
 #[test]
 fn instruments_that_cut_tear_and_clip_replay_to_the_same_bits() {
-    let home = "tip_radius = \"2 mm\"\nhome_tip = [\"40 mm\", \"17 mm\", \"80 mm\"]\nhome_shaft = [0, 0, 1]\n";
+    let home =
+        "tip_radius = \"2 mm\"\nhome_tip = [\"40 mm\", \"17 mm\", \"80 mm\"]\nhome_shaft = [0, 0, 1]\n";
     // Closed on the edge; each with what it does between steps 50 and 400.
     for (kind, more) in [
         ("scissors", ""),

@@ -89,9 +89,7 @@ pub(super) fn snapshot(published: &Published) -> Value {
 }
 
 fn bleeding_state(bleeding: &BleedingSnapshot) -> Value {
-    let end = |end: &BleedingEnd| {
-        json!({ "position_m": end.position_m.to_array(), "rate_m3_per_s": end.rate_m3_per_s })
-    };
+    let end = |end: &BleedingEnd| json!({ "position_m": end.position_m.to_array(), "rate_m3_per_s": end.rate_m3_per_s });
     json!({
         "lost_m3": bleeding.lost_m3,
         "rate_m3_per_s": bleeding.rate_m3_per_s,

@@ -357,7 +357,10 @@ mod tests {
         assert!(with("glisson-session", "other").contains("\"other\""));
         assert!(with("n_substeps\":1", "n_substeps\":0").starts_with("line 2"));
         assert!(with("reset", "explode").starts_with("line 5"));
-        assert!(with("\"clip\",\"step\":12,\"tool\":1", "\"clip\",\"step\":12,\"tool\":9").starts_with("line 7: instrument 9"));
+        assert!(
+            with("\"clip\",\"step\":12,\"tool\":1", "\"clip\",\"step\":12,\"tool\":9")
+                .starts_with("line 7: instrument 9")
+        );
     }
 
     proptest! {

@@ -76,7 +76,12 @@ impl Overload {
         let edge = [f64::from(u8::from(self.edge_is_in)), self.owed_j];
         let entry = self.entry_m.into_iter().flatten().flat_map(|v| v.to_array());
         let heat = [1.0 - self.strength_left];
-        work.chain(edge).chain(entry).chain(heat).enumerate().filter(|(_, x)| *x != 0.0).flat_map(|(i, x)| [i as f64, x])
+        work.chain(edge)
+            .chain(entry)
+            .chain(heat)
+            .enumerate()
+            .filter(|(_, x)| *x != 0.0)
+            .flat_map(|(i, x)| [i as f64, x])
     }
 
     /// After a step in which `place` (a part, or the jaws after all parts) loaded the tissue; `None`: it did not.
@@ -85,7 +90,8 @@ impl Overload {
             (self.work[place], self.breaks[place]) = (Breakthrough::default(), false);
             return;
         };
-        let energy = if place == ToolPart::Tip.index() { energy.weakened(self.strength_left) } else { energy };
+        let energy =
+            if place == ToolPart::Tip.index() { energy.weakened(self.strength_left) } else { energy };
         let force_n = load.force_on_tool_n;
         let much_n = GREATEST_OVERLOAD * energy.cutting_force_n(load.front.length_m);
         let gives_way = self.work[place].push(energy, load.front, force_n, load.motion_m);

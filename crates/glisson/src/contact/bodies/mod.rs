@@ -234,6 +234,14 @@ impl CollidingBodies {
         for place in 0..self.contacts.len() {
             let partners = self.partners(&self.contacts[place]);
             self.contacts[place].friction = pair_friction(partners.map(friction_of));
+            // What is static has no velocity that a correction could leave behind, and cannot be moved without force.
+            let is_static = |p: &u32| {
+                let body = self.bodies.get(*p as usize);
+                body.is_some_and(|b| b.model.step_answer() == StepAnswer::Static)
+            };
+            if self.contacts[place].gap_m < 0.0 && partners.iter().any(is_static) {
+                self.contacts[place].slack_m = PUSH_SHARE * self.contacts[place].gap_m;
+            }
             let key = self.contacts[place].key;
             if let Ok(at) = self.before.binary_search_by_key(&key, |(c, _)| c.key) {
                 self.before[at].1 = true;

@@ -1,8 +1,9 @@
 //! `glisson demo --task resection`: two hands take a tumour out of the liver. One holds the tissue over it and pulls, the
-//! other burns a moat around and beneath it with a hook; then the piece is lifted out.
+//! other burns a cone around and beneath it with a hook; then the piece is lifted out.
 //!
-//! The plan comes from the image's tumour: circles around the line from the nearest point of the surface to the
-//! tumour's middle, ever deeper, then inwards under it.
+//! The plan comes from the image's tumour: a cone about the line from the nearest point of the surface to the tumour's
+//! middle, with its tip beneath it. The hook goes around it on ever deeper circles and leans, so that its straight shaft
+//! lies in what it has burnt already: under a flat bottom it would have to go through the piece.
 
 use super::scenery::Files;
 use crate::picture::{
@@ -31,7 +32,9 @@ use std::path::{Path, PathBuf};
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
 const TIP_RADIUS_M: f64 = 3e-3;
 /// Healthy tissue that is taken with the tumour [m]: a choice.
-const MARGIN_M: f64 = 12e-3;
+const MARGIN_M: f64 = 6e-3;
+/// Half the angle of the cone [rad]: a choice; a narrower one is deeper, a wider one takes more of the surface.
+const LEAN_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
 /// Distance between two circles [m], below the width of what the hook burns.
 const LEVEL_M: f64 = 5e-3;
 /// How fast the hook is led [m/s].
@@ -98,47 +101,43 @@ impl Plan {
         [first, self.out.cross(first)]
     }
 
-    fn radius_m(&self) -> f64 {
-        self.tumour.radius_m + MARGIN_M
+    /// How deep the tip of the cone lies: it touches a ball around the tumour, with the margin.
+    fn tip_of_cone_m(&self) -> f64 {
+        self.depth_m + (self.tumour.radius_m + MARGIN_M) / LEAN_RAD.sin()
     }
 
-    /// The hook's way: time [s], tip [m], trigger.
-    fn hook(&self) -> Vec<(f64, DVec3, f64)> {
+    /// The hook on the cone, `below_m` under the surface, drawn back along its shaft by `back_m`.
+    fn on_cone(&self, below_m: f64, angle: f64, back_m: f64) -> ToolInput {
         let [u, v] = self.across();
-        let at = |radius_m: f64, angle: f64, below_m: f64| {
-            self.entry_m - self.out * below_m + (u * angle.cos() + v * angle.sin()) * radius_m
+        let aside = u * angle.cos() + v * angle.sin();
+        let radius_m = (self.tip_of_cone_m() - below_m) * LEAN_RAD.tan();
+        let shaft = self.out * LEAN_RAD.cos() + aside * LEAN_RAD.sin();
+        ToolInput::at(self.entry_m - self.out * below_m + aside * radius_m + shaft * back_m, shaft)
+    }
+
+    /// The hook's way: time [s], pose.
+    fn hook(&self) -> Vec<(f64, ToolInput)> {
+        let bottom_m = self.tip_of_cone_m();
+        let above_m = -3.0 * LEVEL_M;
+        let mut way: Vec<(f64, ToolInput)> = vec![(1.0, self.on_cone(above_m, 0.0, 0.03))];
+        let mut to = |pose: ToolInput, trigger: f64| {
+            let (time_s, last) = way[way.len() - 1];
+            let way_m = pose.tip_in_world_m.distance(last.tip_in_world_m);
+            way.push((time_s + (way_m / SPEED_M_PER_S).max(1e-3), ToolInput { trigger, ..pose }));
         };
-        let bottom_m = self.depth_m + self.tumour.radius_m + 0.5 * MARGIN_M;
-        let mut way = Vec::new();
-        let mut time_s = 1.0;
-        let mut last_m = at(self.radius_m(), 0.0, -0.03);
-        let mut to = |tip_m: DVec3, trigger: f64, way: &mut Vec<_>, last_m: &mut DVec3| {
-            time_s += (tip_m.distance(*last_m) / SPEED_M_PER_S).max(1e-3);
-            *last_m = tip_m;
-            way.push((time_s, tip_m, trigger));
-        };
-        to(last_m, 0.0, &mut way, &mut last_m);
         // A little above the surface first: where it bulges.
-        let n_levels = ((bottom_m + 2.0 * LEVEL_M) / LEVEL_M).ceil() as usize;
+        let n_levels = (bottom_m / LEVEL_M).ceil() as usize + 2;
         for level in 0..=n_levels {
             let below_m = (LEVEL_M * (level as f64 - 2.0)).min(bottom_m);
             for corner in 0..=CORNERS {
                 let angle = std::f64::consts::TAU * corner as f64 / CORNERS as f64;
-                to(at(self.radius_m(), angle, below_m), 1.0, &mut way, &mut last_m);
+                to(self.on_cone(below_m, angle, 0.0), 1.0);
             }
         }
-        let n_rings = (self.radius_m() / LEVEL_M).ceil() as usize;
-        for ring in (0..n_rings).rev() {
-            let radius_m = self.radius_m() * ring as f64 / n_rings as f64;
-            for corner in 0..=CORNERS {
-                let angle = std::f64::consts::TAU * corner as f64 / CORNERS as f64;
-                to(at(radius_m, angle, bottom_m), 1.0, &mut way, &mut last_m);
-            }
-        }
-        to(at(self.radius_m(), 0.0, bottom_m), 1.0, &mut way, &mut last_m);
-        // Out through the moat, burning what is in the way.
-        to(at(self.radius_m(), 0.0, -0.03), 1.0, &mut way, &mut last_m);
-        to(at(self.radius_m(), 0.0, -0.05), 0.0, &mut way, &mut last_m);
+        // Out along its shaft, burning what is in the way.
+        let out_m = bottom_m / LEAN_RAD.cos();
+        to(self.on_cone(bottom_m, 0.0, out_m + 0.03), 1.0);
+        to(self.on_cone(bottom_m, 0.0, out_m + 0.06), 0.0);
         way
     }
 
@@ -200,11 +199,13 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
         quoted_mm(plan.entry_m + plan.out * 0.1 + u * 0.05),
         direction(plan.out),
     )?;
-    for (time_s, tip_m, trigger) in hook {
+    for (time_s, pose) in hook {
         write!(
             text,
-            "\n[[tool.path]]\ntime = \"{time_s:.4} s\"\ntip = {}\ntrigger = {trigger}\n",
-            quoted_mm(tip_m)
+            "\n[[tool.path]]\ntime = \"{time_s:.4} s\"\ntip = {}\nshaft = {}\ntrigger = {}\n",
+            quoted_mm(pose.tip_in_world_m),
+            direction(pose.shaft_in_world),
+            pose.trigger
         )?;
     }
     let file = scene_file(files);
@@ -343,7 +344,7 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     });
     let json_text = serde_json::to_string_pretty(&report)? + "\n";
     let mut text = String::from(
-        "# A tumour is taken out of the liver with two hands\n\nThe grasper holds the tissue over the tumour and pulls; the hook burns a moat \
+        "# A tumour is taken out of the liver with two hands\n\nThe grasper holds the tissue over the tumour and pulls; the hook burns a cone \
          around and beneath it; then the piece is lifted out.\n\n",
     );
     for file in &pictures {

@@ -138,6 +138,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let haptics = HapticSettings { rate_hz: args.haptic_rate, core: args.haptic_core };
     let link = args.network.link()?;
     if let Some(link) = link.as_ref().filter(|link| link.role == Role::Haptics) {
+        if args.record.is_some() || args.network.has_shows() {
+            bail!("--record, --igtl and --ros2 belong to the machine with --role simulation");
+        }
         let source = OpenScene::read(&args.scene)?;
         let held = args.held(&source.scene.world.tools)?;
         return link.run_haptics(&source, held, haptics, stop_signal());

@@ -64,6 +64,11 @@ impl NetArgs {
         Ok(Some(LinkOptions { role, address: address.clone(), seal }))
     }
 
+    /// Whether anything shows the simulation beside the viewer.
+    pub(crate) fn has_shows(&self) -> bool {
+        self.igtl.is_some() || self.ros2.is_some()
+    }
+
     /// What shows `simulation` beside the viewer; tells where.
     ///
     /// # Errors

@@ -80,7 +80,17 @@ fn run_in(folder: &Path, program: &str, arguments: &[&str]) -> anyhow::Result<()
 }
 
 fn network(scene: &Path) -> anyhow::Result<()> {
-    let tests = ["test", "--release", "--locked", "--package", "glisson-app", "--features", "net", "--bin", "glisson"];
+    let tests = [
+        "test",
+        "--release",
+        "--locked",
+        "--package",
+        "glisson-app",
+        "--features",
+        "net",
+        "--bin",
+        "glisson",
+    ];
     run("cargo", &[&tests[..], &["net::"]].concat())?;
     build_program()?;
     igtl::clients(scene)

@@ -265,7 +265,7 @@ mod tests {
         );
         let of = |message: MessageType, fields: &[String], referenced: &[&String]| {
             let name = format!("{}/msg/{}", message.package, message.name);
-            let fields = [&[head.clone()], fields].concat();
+            let fields = [std::slice::from_ref(&head), fields].concat();
             let referenced: Vec<String> = referenced.iter().map(|text| (*text).clone()).collect();
             assert_eq!(rihs01(&described(&name, &fields), &referenced), message.hash, "{name}");
         };

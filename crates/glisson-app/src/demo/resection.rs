@@ -32,7 +32,7 @@ use std::path::{Path, PathBuf};
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
 const TIP_RADIUS_M: f64 = 3e-3;
 /// Healthy tissue that is taken with the tumour [m]: a choice.
-const MARGIN_M: f64 = 6e-3;
+const MARGIN_M: f64 = 12e-3;
 /// Half the angle of the cone [rad]: a choice; a narrower one is deeper, a wider one takes more of the surface.
 const LEAN_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
 /// Distance between two circles [m], below the width of what the hook burns.

@@ -218,7 +218,7 @@ fn a_deep_tool_that_drags_sideways_keeps_its_contact() {
 #[test]
 fn a_new_node_is_held_where_all_its_parents_are() {
     use crate::mesh::edit::EdgeSplit;
-    let support = Support::all_axes(Region::Furthest { direction: DVec3::Z, fraction: 0.5 });
+    let support = Support::all_axes(Region::Furthest { direction: DVec3::Z, fraction: 0.75 });
     let mut organ = Organ::new(one_tetrahedron(), &[support]).unwrap();
     assert_eq!(organ.fixed_nodes(), [1, 2, 3].map(NodeId));
     // Near the held end of an edge whose other end moves, and between two held nodes.

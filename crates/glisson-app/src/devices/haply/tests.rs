@@ -74,16 +74,19 @@ fn answer(
             return;
         }
         // As the real one: who does not command hears nothing more; rubbish is not answered, so it is sent again.
-        let is_usable = parse(&frame(number), None).is_ok();
-        while is_usable {
-            let Ok(message) = socket.read() else { return };
-            let Message::Text(text) = message else { continue };
+        if parse(&frame(number), None).is_ok() {
+            let text = loop {
+                match socket.read() {
+                    Ok(Message::Text(text)) => break text,
+                    Ok(_) => {}
+                    Err(_) => return,
+                }
+            };
             let value: serde_json::Value = serde_json::from_str(&text).unwrap();
             let command = &value["inverse3"][0]["commands"]["set_cursor_force"];
             let (key, force) = command.as_object().unwrap().iter().find(|(_, v)| v.is_object()).unwrap();
             let axis = |name: &str| force[name].as_f64().unwrap();
             let _ = forces.send((key.clone(), DVec3::new(axis("x"), axis("y"), axis("z"))));
-            break;
         }
         std::thread::sleep(Duration::from_micros(500));
     }

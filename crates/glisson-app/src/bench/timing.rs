@@ -1,5 +1,6 @@
 //! Times of a closure: processor time of the thread, or wall time where several threads work.
 
+use std::cell::Cell;
 use std::time::Instant;
 
 use rustix::time::{ClockId, clock_gettime};
@@ -26,6 +27,22 @@ fn nanoseconds(clock: ClockId) -> u64 {
     let time = clock_gettime(clock);
     let part = |value: i64| u64::try_from(value).expect("processor time does not run backwards");
     part(time.tv_sec) * 1_000_000_000 + part(time.tv_nsec)
+}
+
+thread_local! {
+    /// What [`untimed`] has taken so far, by processor time and by the wall [ns].
+    static UNTIMED_NS: Cell<[u64; 2]> = const { Cell::new([0; 2]) };
+}
+
+/// Does something within a timed closure, on the thread that times it, whose time does not count: putting
+/// things back for the next call.
+pub(crate) fn untimed<T>(work: impl FnOnce() -> T) -> T {
+    let (wall, cpu_ns) = (Instant::now(), thread_cpu_ns());
+    let done = work();
+    let [cpu, passed] = UNTIMED_NS.get();
+    let wall_ns = u64::try_from(wall.elapsed().as_nanos()).expect("no bench runs 500 years");
+    UNTIMED_NS.set([cpu + thread_cpu_ns() - cpu_ns, passed + wall_ns]);
+    done
 }
 
 /// Which time counts.
@@ -57,9 +74,13 @@ pub(crate) struct Times {
 /// count, unless it alone takes longer than the whole time.
 pub(crate) fn time_of(run: &mut dyn FnMut(), clock: Clock, seconds: f64) -> Times {
     let wall = Instant::now();
+    let untimed_before = UNTIMED_NS.get()[1];
+    let untimed_wall_ns = || UNTIMED_NS.get()[1] - untimed_before;
     let now = || match clock {
-        Clock::ThreadCpu => thread_cpu_ns(),
-        Clock::Wall => u64::try_from(wall.elapsed().as_nanos()).expect("no bench runs 500 years"),
+        Clock::ThreadCpu => thread_cpu_ns() - UNTIMED_NS.get()[0],
+        Clock::Wall => {
+            u64::try_from(wall.elapsed().as_nanos()).expect("no bench runs 500 years") - untimed_wall_ns()
+        }
     };
     let cpu_start = process_cpu_ns();
     let before = now();
@@ -121,6 +142,20 @@ mod tests {
         assert!(times.calls_per_sample > 100 && times.samples >= LEAST_SAMPLES);
         assert_eq!(calls, 2 + times.samples * times.calls_per_sample);
         assert!(times.median_ns <= times.p99_ns);
+    }
+
+    #[test]
+    fn what_is_untimed_does_not_count() {
+        let busy = |ns: u64| {
+            let start = thread_cpu_ns();
+            while thread_cpu_ns() - start < ns {}
+        };
+        let mut work = || {
+            busy(20_000);
+            untimed(|| busy(400_000));
+        };
+        let times = time_of(&mut work, Clock::ThreadCpu, 2e-2);
+        assert!((20_000.0..200_000.0).contains(&times.median_ns), "{times:?}");
     }
 
     #[test]

@@ -17,6 +17,11 @@ const LIVER_TETS: usize = 6_300;
 const N_STROKES: usize = 12;
 const N_STEPS: usize = 60;
 const N_CROSSING: usize = 5;
+const N_SHORT: usize = 12;
+const N_OBLIQUE: usize = 12;
+/// Smallest angle of a stroke with an earlier one that it crosses, and distance [mean edges] from the others.
+const LEAST_ANGLE_DEG: f64 = 15.0;
+const LEAST_DISTANCE: f64 = 0.3;
 
 /// A body under the knife.
 struct Body {
@@ -85,7 +90,11 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let mut outcome = Outcome::default();
     single_strokes("box", &box_of_five([16, 12, 8], DVec3::new(0.08, 0.06, 0.04)), &mut outcome)?;
     single_strokes("liver", &liver(LIVER_TETS)?, &mut outcome)?;
+    short_strokes(&mut outcome)?;
     crossing_strokes(&mut outcome)?;
+    let boxes = box_of_five([16, 12, 8], DVec3::new(0.08, 0.06, 0.04));
+    oblique_strokes("box", boxes, &mut outcome)?;
+    oblique_strokes("liver", liver(LIVER_TETS)?, &mut outcome)?;
     through(&mut outcome)?;
     Ok(outcome)
 }
@@ -198,6 +207,165 @@ fn crossing_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
         ),
         Experiment::at_most(
             &format!("{n} crossing strokes: tetrahedra inside out (0 or 1), steps refused"),
+            REQUIREMENT,
+            f64::from(u8::from(smallest_m3 <= 0.0)) + n_refused as f64,
+            0.0,
+        ),
+    ]);
+    outcome.notes.push_str(&table);
+    Ok(())
+}
+
+/// Strokes of a few edges, each in a whole box: corners and ends count for most.
+fn short_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
+    let mesh = box_of_five([16, 12, 8], DVec3::new(0.08, 0.06, 0.04));
+    let edge_m = MeshQuality::of(&mesh).mean_edge_m;
+    let mut random = SeededRandom::new(1);
+    let (mut worst_share, mut worst_deg, mut n_refused) = (0.0f64, 180.0f64, 0);
+    for _ in 0..N_SHORT {
+        let mut body = Body::new(mesh.clone())?;
+        let size_m = body.bounds.size_m();
+        let [x_m, y_m] = [random.uniform_in(0.2, 0.5) * size_m.x, random.uniform_in(0.3, 0.7) * size_m.y];
+        let depth_m = random.uniform_in(0.8, 3.0) * edge_m;
+        let angle = random.uniform_in(0.0, std::f64::consts::TAU);
+        let along = DVec3::new(angle.cos(), angle.sin(), 0.0);
+        let from_m = body.blade(x_m, y_m, depth_m, random.uniform_in(-0.4, 0.4));
+        let way_m = random.uniform_in(1.5, 5.0) * edge_m * along;
+        let (report, _) = body.stroke(from_m, from_m.map(|p| p + way_m))?;
+        // Along itself the blade sweeps little, which says nothing.
+        if report.swept_area_m2 > edge_m * edge_m {
+            worst_share = worst_share.max((report.cut_area_m2 / report.swept_area_m2 - 1.0).abs());
+        }
+        worst_deg = worst_deg.min(report.min_dihedral_deg);
+        n_refused += report.n_refused;
+    }
+    outcome.experiments.extend([
+        Experiment::at_most(
+            &format!("{N_SHORT} strokes of 1.5 to 5 edges: area opened against area swept, worst difference"),
+            REQUIREMENT,
+            worst_share,
+            0.02,
+        ),
+        Experiment::within(
+            &format!("{N_SHORT} strokes of 1.5 to 5 edges: smallest dihedral angle of what is new [deg]"),
+            REQUIREMENT,
+            worst_deg,
+            [3.0, 70.6],
+        ),
+        Experiment::at_most(
+            &format!("{N_SHORT} strokes of 1.5 to 5 edges: steps refused"),
+            REQUIREMENT,
+            n_refused as f64,
+            0.0,
+        ),
+    ]);
+    Ok(())
+}
+
+/// Where a stroke goes: corners of what it sweeps, in order.
+struct Swept([DVec3; 4]);
+
+impl Swept {
+    fn normal(&self) -> DVec3 {
+        (self.0[2] - self.0[0]).cross(self.0[3] - self.0[1]).normalize()
+    }
+
+    /// Points over it inside `bounds`.
+    fn points_m(&self, bounds: &Aabb) -> Vec<DVec3> {
+        const N: usize = 40;
+        let [a, b, c, d] = self.0;
+        let share = |i: usize| i as f64 / N as f64;
+        let at = |i: usize, j: usize| a.lerp(d, share(i)).lerp(b.lerp(c, share(i)), share(j));
+        let all = (0..=N).flat_map(|i| (0..=N).map(move |j| at(i, j)));
+        all.filter(|&p| bounds.contains(p)).collect()
+    }
+
+    /// Whether it crosses another at the least angle or more, or keeps the least distance.
+    fn is_apart(&self, other: &Self, bounds: &Aabb, edge_m: f64) -> bool {
+        let (own, others) = (self.points_m(bounds), other.points_m(bounds));
+        let distance2 =
+            |p: &DVec3| others.iter().map(|q| p.distance_squared(*q)).fold(f64::INFINITY, f64::min);
+        let distance_m = own.iter().map(distance2).fold(f64::INFINITY, f64::min).sqrt();
+        // Between the points of both.
+        let grid_m = [self, other].map(|s| s.0[0].distance(s.0[2]) / 40.0).into_iter().fold(0.0, f64::max);
+        let beyond = |p: &DVec3| (*p - other.0[0]).dot(other.normal());
+        let crosses = distance_m <= grid_m
+            && own.iter().any(|p| beyond(p) > 0.0)
+            && own.iter().any(|p| beyond(p) < 0.0);
+        if crosses {
+            let cosine = self.normal().dot(other.normal()).abs().min(1.0);
+            return cosine.acos().to_degrees() >= LEAST_ANGLE_DEG;
+        }
+        distance_m >= LEAST_DISTANCE * edge_m + grid_m
+    }
+}
+
+/// Strokes in all directions in one body, as near each other and at as small angles as the requirement has it.
+fn oblique_strokes(name: &str, mesh: TetMesh, outcome: &mut Outcome) -> anyhow::Result<()> {
+    let volume_m3 = mesh.volume_m3();
+    let edge_m = MeshQuality::of(&mesh).mean_edge_m;
+    let mut body = Body::new(mesh)?;
+    let (low_m, size_m) = (body.bounds.min_m, body.bounds.size_m());
+    let mut random = SeededRandom::new(2);
+    let mut done: Vec<Swept> = Vec::new();
+    let mut table = format!(
+        "\nStrokes in all directions in one {name}, each at {LEAST_ANGLE_DEG} degrees or more to those that it crosses \
+         and {LEAST_DISTANCE} mean edges or more from the others.\n\n\
+         | stroke | swept [mm2] | area | angle [deg] | coarser |\n|---|---|---|---|---|\n",
+    );
+    let (mut worst_share, mut worst_deg, mut n_refused) = (0.0f64, 180.0f64, 0);
+    while done.len() < N_OBLIQUE {
+        let angle = random.uniform_in(0.0, std::f64::consts::TAU);
+        let along = DVec3::new(angle.cos(), angle.sin(), 0.0);
+        let lean = random.uniform_in(-0.5, 0.5);
+        let down = DVec3::new(-along.y * lean, along.x * lean, 1.0).normalize();
+        let [x_m, y_m] = [size_m.x, size_m.y].map(|s| random.uniform_in(0.2, 0.8) * s);
+        let middle_m = DVec3::new(low_m.x + x_m, low_m.y + y_m, body.bounds.max_m.z);
+        let depth_m = random.uniform_in(0.3, 0.7) * size_m.z;
+        let half_m = 0.5 * random.uniform_in(0.3, 0.9) * size_m.x * along;
+        let at = |p: DVec3| [p - depth_m * down, p + 0.02 * down];
+        let (from_m, to_m) = (at(middle_m - half_m), at(middle_m + half_m));
+        let swept = Swept([from_m[0], from_m[1], to_m[1], to_m[0]]);
+        if !done.iter().all(|other| swept.is_apart(other, &body.bounds, edge_m)) {
+            continue;
+        }
+        let (report, _) = body.stroke(from_m, to_m)?;
+        // A stroke that only grazes an organ says nothing.
+        if report.swept_area_m2 < edge_m * edge_m {
+            continue;
+        }
+        done.push(swept);
+        let share = report.cut_area_m2 / report.swept_area_m2;
+        worst_share = worst_share.max((share - 1.0).abs());
+        worst_deg = worst_deg.min(report.min_dihedral_deg);
+        n_refused += report.n_refused;
+        table.push_str(&format!(
+            "| {} | {:.1} | {share:.4} | {:.2} | {} of {} |\n",
+            done.len(),
+            1e6 * report.swept_area_m2,
+            report.min_dihedral_deg,
+            report.n_coarser,
+            report.n_edits
+        ));
+    }
+    let (volume, smallest_m3) = body.volumes(volume_m3);
+    let what = format!("{N_OBLIQUE} strokes in all directions in one {name}");
+    outcome.experiments.extend([
+        Experiment::at_most(
+            &format!("{what}: area opened against area swept, worst difference"),
+            REQUIREMENT,
+            worst_share,
+            0.02,
+        ),
+        Experiment::within(
+            &format!("{what}: smallest dihedral angle of what is new [deg]"),
+            REQUIREMENT,
+            worst_deg,
+            [3.0, 70.6],
+        ),
+        Experiment::at_most(&format!("{what}: change of volume, relative"), REQUIREMENT, volume, 1e-9),
+        Experiment::at_most(
+            &format!("{what}: tetrahedra inside out (0 or 1), steps refused"),
             REQUIREMENT,
             f64::from(u8::from(smallest_m3 <= 0.0)) + n_refused as f64,
             0.0,

@@ -122,7 +122,10 @@ impl Work<'_> {
 
     /// Tetrahedra that the polygon cuts, in the patch, and the area [m2] inside the body.
     fn touched(&mut self) -> (Vec<u32>, f64) {
+        // With room for rounding: corners that an earlier step put into the plane may be a little beside it.
+        let flat_m = SAME_PLACE * self.snapping.length_m;
         let [low_m, high_m] = self.sweep.bounds_m();
+        let [low_m, high_m] = [low_m - DVec3::splat(flat_m), high_m + DVec3::splat(flat_m)];
         let near = |corners_m: [DVec3; 4]| {
             let low = corners_m[0].min(corners_m[1]).min(corners_m[2].min(corners_m[3]));
             let high = corners_m[0].max(corners_m[1]).max(corners_m[2].max(corners_m[3]));
@@ -141,7 +144,6 @@ impl Work<'_> {
                 }
             }
         }
-        let flat_m = SAME_PLACE * self.snapping.length_m;
         let topology = self.body.mesh.topology();
         let (is_live, nodes) = (topology.live_tet_flags(), &self.body.mesh.mesh().tetrahedra);
         let mut outside = std::mem::take(&mut self.patch.outside);

@@ -187,8 +187,8 @@ impl Sweep {
             let distance_m = self.normal.dot(p - origin_m);
             let mut bits = u8::from(distance_m > apart_m) | (u8::from(distance_m < -apart_m) << 1);
             for axis in 0..3 {
-                bits |= u8::from(p[axis] < low_m[axis]) << (2 + 2 * axis);
-                bits |= u8::from(p[axis] > high_m[axis]) << (3 + 2 * axis);
+                bits |= u8::from(p[axis] < low_m[axis] - apart_m) << (2 + 2 * axis);
+                bits |= u8::from(p[axis] > high_m[axis] + apart_m) << (3 + 2 * axis);
             }
             bits
         }));

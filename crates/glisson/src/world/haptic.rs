@@ -93,7 +93,8 @@ impl World {
         self.haptic_model_over(tool, self.spec.time_step_s.max(LEAST_RESPONSE_S))
     }
 
-    /// The same with the stiffness over another time [s]: a longer one counts less of the inertia, but costs more.
+    /// The same with the stiffness over another time [s]: a longer one counts less of the inertia, but costs more. Over times as
+    /// short as a millisecond the inertia of what is touched counts in the stiffness; a world's forces leave it out.
     pub fn haptic_model_over(&mut self, tool: usize, response_s: f64) -> HapticModel {
         self.prepare_haptics();
         let dt_s = self.spec.time_step_s;

@@ -88,12 +88,12 @@ fn nonlinear_tensor_mass_leaves_small_forces_out_and_takes_them_back() {
     };
     let body = DynamicBody { fixed: &fixed, time_step_s: 2e-4, ..DynamicBody::new(&mesh, 1_000.0) };
     let mut model = NonlinearTensorMass::build(&NonlinearTensorMassParams { body, elasticity }).unwrap();
-    let mut share = |effort: Effort| {
+    let share = |effort: Effort| {
         assert!(model.set_effort(effort));
         push(&mut model, last, 1e-4);
         model.adaptive_report().nonlinear_share()
     };
-    assert_eq!([Effort::Full, Effort::Least, Effort::Full].map(|effort| share(effort)), [1.0, 0.0, 1.0]);
+    assert_eq!([Effort::Full, Effort::Least, Effort::Full].map(share), [1.0, 0.0, 1.0]);
 }
 
 #[test]

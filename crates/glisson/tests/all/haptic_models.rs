@@ -40,7 +40,7 @@ fn random_model(random: &mut SeededRandom, step: u64, tip_m: DVec3) -> HapticMod
         force_n: random_vector(random, 5.0),
         stiffness_n_per_m: random_stiffness(random, 300.0),
         normal: random_vector(random, 1.0).normalize_or(DVec3::Z),
-        friction_coefficient: if random.next_u64() % 3 > 0 {
+        friction_coefficient: if !random.next_u64().is_multiple_of(3) {
             random.uniform_in(0.0, 1.0)
         } else {
             f64::INFINITY
@@ -94,7 +94,7 @@ proptest! {
         let (mut model, mut age_s) = (random_model(random, 0, tip_m), 0.0);
         for step in 1..600_u64 {
             let period = 1 + random.next_u64() % 40;
-            let is_new = random.next_u64() % period == 0;
+            let is_new = random.next_u64().is_multiple_of(period);
             if is_new {
                 model = random_model(random, step, tip_m);
                 age_s = random.uniform_in(0.0, 0.03);

@@ -179,7 +179,7 @@ fn crossing_strokes_keep_the_body_whole_and_valid() {
     let mesh = box_of_five([8, 8, 4], size_m);
     let params = SubdivisionParams::for_mean_edge(mean_edge_m(&mesh));
     let mut body = Body::new(mesh);
-    let (mut worst_deg, mut swept_m2, mut cut_m2) = (180.0f64, 0.0, 0.0);
+    let mut worst_deg = 180.0f64;
     for i in 0..5 {
         let y_m = 0.0093 + 0.0101 * f64::from(i);
         let along_x = stroke_along_x([-0.004, 0.064], [y_m, 0.0], [0.03, 0.014], 0.1);
@@ -187,16 +187,60 @@ fn crossing_strokes_keep_the_body_whole_and_valid() {
         for blades in [along_x, along_y] {
             let report = body.stroke(&params, blades);
             worst_deg = worst_deg.min(report.min_dihedral_deg);
-            swept_m2 += report.swept_area_m2;
-            cut_m2 += report.cut_area_m2;
             assert_eq!(report.n_refused, 0);
             let what = format!("{i}: {report:?}");
+            let share = report.cut_area_m2 / report.swept_area_m2;
+            assert!((share - 1.0).abs() < 0.02, "{what}: {share}");
             body.check(size_m.element_product(), &what);
             assert_eq!(body.pieces(), 1, "{what}");
         }
     }
-    assert!((cut_m2 / swept_m2 - 1.0).abs() < 0.02, "{cut_m2} of {swept_m2}");
     assert!(worst_deg >= 3.0, "{worst_deg}");
+}
+
+#[test]
+fn short_strokes_open_their_corners_too() {
+    let size_m = DVec3::new(0.05, 0.05, 0.03);
+    let mesh = box_of_five([10, 10, 6], size_m);
+    let edge_m = mean_edge_m(&mesh);
+    let params = SubdivisionParams::for_mean_edge(edge_m);
+    let mut random = SeededRandom::new(5);
+    for trial in 0..8 {
+        let mut body = Body::new(mesh.clone());
+        let x_m = random.uniform_in(0.012, 0.02);
+        let length_m = random.uniform_in(1.5, 4.0) * edge_m;
+        let (y_m, turn_m) = (random.uniform_in(0.015, 0.035), random.uniform_in(-0.5, 0.5) * length_m);
+        let (depth_m, lean) = (random.uniform_in(0.8, 3.0) * edge_m, random.uniform_in(-0.3, 0.3));
+        let blades = stroke_along_x([x_m, x_m + length_m], [y_m, turn_m], [0.03, depth_m], lean);
+        let report = body.stroke(&params, blades);
+        let what = format!("trial {trial}: {report:?}");
+        let share = report.cut_area_m2 / report.swept_area_m2;
+        assert!((share - 1.0).abs() < 0.02, "{what}: share {share}");
+        assert!(report.min_dihedral_deg >= 3.0, "{what}");
+        body.check(size_m.element_product(), &what);
+    }
+}
+
+#[test]
+fn strokes_across_earlier_cuts_at_small_angles_open_the_area_they_sweep() {
+    let size_m = DVec3::new(0.08, 0.06, 0.03);
+    let mesh = box_of_five([12, 9, 5], size_m);
+    let params = SubdivisionParams::for_mean_edge(mean_edge_m(&mesh));
+    let mut body = Body::new(mesh);
+    // Through one place, 20 degrees after each other: crossings, and tetrahedra between three cuts.
+    for (i, angle_deg) in [0.0f64, 20.0, 40.0, 65.0, 90.0, 120.0].into_iter().enumerate() {
+        let (sin, cos) = angle_deg.to_radians().sin_cos();
+        let along = DVec3::new(cos, sin, 0.0);
+        let middle = DVec3::new(0.03 + 0.004 * i as f64, 0.031, 0.03);
+        let blade = |s: f64| [middle + s * along - 0.016 * DVec3::Z, middle + s * along + 0.01 * DVec3::Z];
+        let report = body.stroke(&params, sweep(blade(-0.022), blade(0.022), 40));
+        let what = format!("{angle_deg} degrees: {report:?}");
+        let share = report.cut_area_m2 / report.swept_area_m2;
+        assert!((share - 1.0).abs() < 0.02, "{what}: share {share}");
+        assert!(report.min_dihedral_deg >= 3.0, "{what}");
+        assert_eq!(report.n_refused, 0, "{what}");
+        body.check(size_m.element_product(), &what);
+    }
 }
 
 #[test]

@@ -14,7 +14,6 @@ use crate::workers::WorkerTeam;
 use anyhow::{Context, anyhow, bail};
 use glisson::haptics::HapticModel;
 use glisson::math::DVec3;
-use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
 use glisson::model::explicit_kernel::SharedWorkers;
 use glisson::model::kernel::Sequential;
@@ -287,7 +286,7 @@ impl Simulation {
     /// reason is told.
     pub(crate) fn remove_tetrahedra(&mut self, tets: Vec<TetId>) -> anyhow::Result<()> {
         self.record(&SessionEvent::Remove { step: self.world.steps_made(), tets: tets.clone() })?;
-        if let Err(refusal) = self.world.edit(&MeshEdit::Remove { tets }) {
+        if let Err(refusal) = self.world.remove_and_part(tets) {
             self.tell(format!("nothing was cut: {refusal}"));
         }
         Ok(())

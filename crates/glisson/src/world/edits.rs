@@ -160,6 +160,19 @@ impl World {
         self.edit_in_place(edits).cloned()
     }
 
+    /// Takes tetrahedra out and parts what then hangs together by a node or an edge alone, as one edit
+    /// ([`EditableMesh::parting_removal`]). Models that follow nothing but removals keep such places.
+    ///
+    /// # Errors
+    /// As [`World::edit`].
+    pub fn remove_and_part(&mut self, tets: Vec<TetId>) -> Result<(), EditRefusal> {
+        let edits = self.organ.body_mut().parting_removal(tets)?;
+        match self.edit_in_place(&edits) {
+            Err(EditRefusal::Model(_)) if edits.len() > 1 => self.edit_in_place(&edits[..1]).map(|_| ()),
+            done => done.map(|_| ()),
+        }
+    }
+
     /// [`World::edit_all`] without a copy of the change.
     ///
     /// # Errors

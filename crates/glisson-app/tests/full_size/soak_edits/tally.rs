@@ -10,6 +10,8 @@ use std::path::PathBuf;
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct Tally {
     pub(super) removals: u64,
+    /// Removals and tears that left singular places, which were parted.
+    pub(super) partings: u64,
     pub(super) blade_edits: u64,
     pub(super) scalpel_edits: u64,
     pub(super) tears: u64,
@@ -27,6 +29,7 @@ impl Default for Tally {
     fn default() -> Self {
         Self {
             removals: 0,
+            partings: 0,
             blade_edits: 0,
             scalpel_edits: 0,
             tears: 0,
@@ -49,6 +52,7 @@ impl Tally {
 
     fn add(&mut self, other: &Self) {
         self.removals += other.removals;
+        self.partings += other.partings;
         self.blade_edits += other.blade_edits;
         self.scalpel_edits += other.scalpel_edits;
         self.tears += other.tears;
@@ -124,11 +128,11 @@ impl Results {
              After each edit: orientation of all tetrahedra, all adjacency, surface and Euler characteristics against a \
              recount, volume (kept, or less by what was taken out; 1e-9), what touches and what is shown against that \
              recount, lengths of all attached arrays, finite numbers in the next three steps. One edit in ten is undone and done \
-             again, with the same bits. Every {compared_every} edits and at the end: elastic forces and weights of all free nodes, \
+             again, with the same bits. What a removal or tear leaves hanging together by a node or an edge alone is parted in the same edit. Every {compared_every} edits and at the end: elastic forces and weights of all free nodes, \
              and which nodes are supported, against a model made afresh from the edited mesh; both have to agree to 1e-9 of \
              the largest.\n\nMade by `cargo xtask soak edits`.\n\n\
-             | body | tetrahedra | seeds | removals | blade | scalpel | tears | undone | grasps | that held | refused | worst dihedral of a new tetrahedron [deg] | comparisons | largest difference of forces | of weights |\n\
-             |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+             | body | tetrahedra | seeds | removals | blade | scalpel | tears | singular places parted | undone | grasps | that held | refused | worst dihedral of a new tetrahedron [deg] | comparisons | largest difference of forces | of weights |\n\
+             |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
             all.edits(),
             self.of_seeds.len(),
         );
@@ -145,12 +149,13 @@ impl Results {
             let t = results.all();
             writeln!(
                 report,
-                "| {name} | {tetrahedra} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {} | {:.1e} | {:.1e} |",
+                "| {name} | {tetrahedra} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {} | {:.1e} | {:.1e} |",
                 results.of_seeds.len(),
                 t.removals,
                 t.blade_edits,
                 t.scalpel_edits,
                 t.tears,
+                t.partings,
                 t.undone,
                 t.grasps,
                 t.held,

@@ -2,6 +2,7 @@
 
 use super::{OpenScene, Simulation};
 use anyhow::{Context, anyhow, bail};
+use glisson::mesh::refine::FineRegion;
 use glisson::record::hash::StateHash;
 use glisson::record::session::{Session, SessionEvent, parse_session};
 use glisson::scene::{Scene, mesh_hash};
@@ -77,6 +78,9 @@ pub(crate) fn replay(
             }
             SessionEvent::UndoEdit { .. } => simulation.undo_edit()?,
             SessionEvent::Clip { tool, .. } => simulation.clip_vessel(usize::from(tool))?,
+            SessionEvent::Refine { center_m, radius_m, edge_m, .. } => {
+                simulation.refine(FineRegion { center_m, radius_m, edge_m })?;
+            }
             SessionEvent::Effort { effort, .. } => drop(simulation.set_effort(effort)?),
             SessionEvent::Reset { .. } => simulation.reset()?,
             SessionEvent::Gravity { gravity_m_per_s2, .. } => simulation.set_gravity(gravity_m_per_s2)?,

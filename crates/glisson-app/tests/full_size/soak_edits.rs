@@ -15,6 +15,7 @@ use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit, TopologyChange};
 use glisson::mesh::files::read_mesh;
 use glisson::mesh::generate::{MeshParams, WantedSize, generate};
+use glisson::mesh::refine::{FineRegion, refining};
 use glisson::mesh::topology::{SingularEntities, Topology};
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
@@ -283,6 +284,25 @@ impl<'a> Patient<'a> {
         }
     }
 
+    /// Makes the mesh finer around a place.
+    fn refine(&mut self) {
+        let n = self.world.organ().surface_nodes().len();
+        if n == 0 {
+            return;
+        }
+        let at = self.index(n);
+        let mut copy = self.world.organ().body().clone();
+        let center_m = copy.mesh().positions_m[self.world.organ().surface_nodes()[at].index()];
+        let (radius_m, edge_m) =
+            (1.5 * self.mean_edge_m, self.mean_edge_m * self.random.uniform_in(0.6, 1.0));
+        let region = FineRegion { center_m, radius_m, edge_m };
+        let edits = refining(&mut copy, &region).unwrap_or_else(|e| panic!("{}: {e}", self.label()));
+        assert!(copy == *self.world.organ().body(), "{}: a plan changed the mesh", self.label());
+        if !edits.is_empty() && self.edit(&edits, Volume::Kept) {
+            self.tally.refinements += 1;
+        }
+    }
+
     /// A blade's ends along a random stroke through the surface.
     fn stroke(&mut self) -> Option<Vec<[DVec3; 2]>> {
         let (place_m, normal) = self.place()?;
@@ -445,7 +465,8 @@ impl<'a> Patient<'a> {
             match self.index(20) {
                 0..=7 => self.remove(),
                 8..=13 => self.blade(),
-                14..=18 => self.scalpel(),
+                14..=17 => self.scalpel(),
+                18 => self.refine(),
                 _ => self.grasp(),
             }
             if self.tally.edits() >= compared + COMPARED_EVERY {

@@ -375,7 +375,7 @@ mod tests {
         let (events, text) = sample();
         let session = parse_session(&text[..text.len() - 30]).unwrap();
         assert!(session.cut_off);
-        assert_eq!(session.events, events[..7]);
+        assert_eq!(session.events, events[..8]);
     }
 
     #[test]

@@ -9,6 +9,7 @@ pub(crate) mod live;
 mod effort;
 pub(crate) mod recorder;
 pub(crate) mod replay;
+pub(crate) mod account;
 
 use crate::workers::WorkerTeam;
 use anyhow::{Context, anyhow, bail};

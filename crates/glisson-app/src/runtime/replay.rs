@@ -1,5 +1,6 @@
 //! Replays a session and says whether it made the same bits.
 
+use super::account::Account;
 use super::{OpenScene, Simulation};
 use anyhow::{Context, anyhow, bail};
 use glisson::mesh::refine::FineRegion;
@@ -21,6 +22,8 @@ pub(crate) struct ReplayReport {
     pub(crate) first_difference: Option<u64>,
     /// Check-points compared.
     pub(crate) checkpoints: u64,
+    /// What the session did to the organ.
+    pub(crate) account: Account,
 }
 
 /// Reads a session file.
@@ -57,6 +60,7 @@ pub(crate) fn replay(
         recorded_hash: None,
         first_difference: None,
         checkpoints: 0,
+        account: Account::default(),
     };
     for event in &session.events {
         while simulation.world().steps_made() < event.step() {
@@ -96,6 +100,7 @@ pub(crate) fn replay(
         }
     }
     report.steps = simulation.world().steps_made();
+    report.account = Account::of(simulation.world());
     report.state_hash = simulation.world().state_hash();
     Ok(report)
 }

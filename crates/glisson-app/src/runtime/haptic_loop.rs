@@ -78,6 +78,8 @@ pub(crate) struct HeldTool {
     settings: HapticSettings,
     /// None until the device has said where it is.
     law: Option<HapticLaw>,
+    /// Whether the loop is about to end.
+    lets_go: bool,
     models: Latest<PublishedModel>,
     motions: Publisher<Motion>,
     statuses: Publisher<DeviceStatus>,
@@ -103,7 +105,8 @@ pub(crate) fn join(device: OpenDevice, tool: usize, home: ToolInput) -> (HeldToo
     let device_name = device.name.clone();
     let status = DeviceStatus::Waiting;
     let settings = HapticSettings::default();
-    let held = HeldTool { device, home, settings, law: None, models, motions, statuses, status };
+    let held =
+        HeldTool { device, home, settings, law: None, lets_go: false, models, motions, statuses, status };
     let link =
         ToolLink { tool, device_name, models: models_in, motions: motions_out, statuses: statuses_out };
     (held, link)
@@ -111,7 +114,9 @@ pub(crate) fn join(device: OpenDevice, tool: usize, home: ToolInput) -> (HeldToo
 
 impl HeldTool {
     fn tick(&mut self, dt_s: f64, meters: Option<&Meters>) {
-        if matches!(self.status, DeviceStatus::Failed(_)) {
+        // A device that answers for the first time now is not begun with.
+        let is_too_late = self.lets_go && self.law.is_none();
+        if is_too_late || matches!(self.status, DeviceStatus::Failed(_)) {
             return;
         }
         let read_ns = now_ns();
@@ -169,6 +174,7 @@ impl HeldTool {
 
     /// Begins to take its force back.
     fn let_go(&mut self) {
+        self.lets_go = true;
         if let Some(law) = &mut self.law {
             law.let_go();
         }

@@ -1,6 +1,11 @@
+use super::super::trocar_board::{SimulatedLine, TcpLine, examine, serve_board};
 use super::*;
 use glam::DVec3;
+use glisson::haptics::HapticDevice;
 use glisson::tool::ToolInput;
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 fn named(text: &str) -> DeviceName {
     text.parse().unwrap()
@@ -110,4 +115,38 @@ fn more_than_four_and_one_of_a_line_twice_are_refused() {
     let same = stands(&["trocar:a:1", "trocar:a:1"], &instruments(&apart)).unwrap_err();
     assert!(same.contains("given twice"), "{same}");
     assert!(stands(&["trocar:a:1", "trocar:a:1,number=1"], &instruments(&apart)).is_ok());
+}
+
+/// 1,500 states a second for a loop of 1,000 ticks: its hand takes a second for a push all the same.
+#[test]
+fn a_simulated_one_answers_by_its_number_and_keeps_the_time_of_its_loop() {
+    let DeviceName::Trocar(choice) = named("trocar,profile=specified,number=2") else { panic!("no trocar") };
+    let mut device = choice.open(1000.0, 0.08).unwrap();
+    assert!((device.limits().stiffness_n_per_m - 2000.0).abs() < 1e-9, "what 1000 Hz can render");
+    let insertion_m = |device: &mut TrocarDevice<BoardLine>, n_ticks| {
+        (0..n_ticks).map(|_| device.read().unwrap().position_m.length()).last().unwrap()
+    };
+    assert!((insertion_m(&mut device, 1) - 0.08).abs() < 1e-3);
+    assert!((insertion_m(&mut device, 520) - 0.09).abs() < 5e-4);
+    assert!((insertion_m(&mut device, 500) - 0.08).abs() < 5e-4);
+}
+
+#[test]
+fn a_doctor_tells_what_a_board_is_whatever_its_profile() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let stop = Arc::new(AtomicBool::new(false));
+    let served = std::thread::spawn({
+        let stop = Arc::clone(&stop);
+        move || {
+            let settings = BoardSettings::new(TrocarProfile::specified());
+            let SimulatedLine { mut board, .. } = simulated_line(&settings, 0.1, 9);
+            // It ends with the line.
+            let _ = serve_board(TcpLine::new(listener.accept().unwrap().0).unwrap(), &mut board, &stop);
+        }
+    });
+    let text = examine(&address).unwrap();
+    stop.store(true, Ordering::Relaxed);
+    served.join().unwrap();
+    assert!(text.ends_with("board 00000001, profile specified, firmware 1, 1500 states a second"), "{text}");
 }

@@ -182,7 +182,7 @@ fn measure_block(
     let home = simulation.world().tools()[0].home;
     let device = devices::open(&DeviceName::Simulated, &home, request.rate_hz)?;
     let held = vec![join(device, 0, home)];
-    let haptics = HapticSettings { rate_hz: request.rate_hz, core: None };
+    let haptics = HapticSettings { rate_hz: request.rate_hz, ..HapticSettings::default() };
     let service = Service {
         held,
         haptics,

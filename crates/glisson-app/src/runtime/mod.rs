@@ -4,6 +4,7 @@ mod incidents;
 pub(crate) mod exchange;
 pub(crate) mod histogram;
 pub(crate) mod realtime;
+pub(crate) mod force_choices;
 pub(crate) mod haptic_loop;
 pub(crate) mod live;
 mod effort;

@@ -130,8 +130,18 @@ pub(super) fn role(is_controller: bool, is_taken: bool) -> Value {
     json!({ "type": "role", "role": role, "control_is_taken": is_taken })
 }
 
+/// Where the loop is that gives forces to hands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum HapticsAt {
+    /// No device holds an instrument.
+    Nowhere,
+    Here,
+    /// The machine with `--role haptics`, which knows its times.
+    OtherMachine,
+}
+
 /// How the loops keep their time.
-pub(super) fn timing(published: &Published, haptics: Option<&HapticReport>) -> Value {
+pub(super) fn timing(published: &Published, at: HapticsAt, haptics: Option<&HapticReport>) -> Value {
     let Published { pace, lateness, effort, .. } = published;
     json!({
         "type": "timing",
@@ -143,6 +153,11 @@ pub(super) fn timing(published: &Published, haptics: Option<&HapticReport>) -> V
             "effort": effort.name(),
         },
         "haptics": haptics.map(HapticReport::to_json),
+        "haptics_at": match at {
+            HapticsAt::Nowhere => "nowhere",
+            HapticsAt::Here => "here",
+            HapticsAt::OtherMachine => "other_machine",
+        },
     })
 }
 

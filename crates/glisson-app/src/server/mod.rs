@@ -19,6 +19,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use control::Control;
 use frames::Pace;
+use messages::HapticsAt;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
@@ -41,6 +42,7 @@ struct Shared {
     control: Control,
     /// Of the haptic loop, if one runs.
     meters: Option<Arc<Meters>>,
+    haptics_at: HapticsAt,
 }
 
 /// Starts something that shows what is published, until the other end is gone.
@@ -109,6 +111,11 @@ pub(crate) fn serve(
     let (commands, commands_out) = std::sync::mpsc::channel();
     let hello = messages::hello(&simulation);
     let (held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
+    let haptics_at = match (held.is_empty(), remote.is_empty()) {
+        (false, _) => HapticsAt::Here,
+        (true, false) => HapticsAt::OtherMachine,
+        (true, true) => HapticsAt::Nowhere,
+    };
     links.extend(remote);
     let shows: Vec<_> = shows.into_iter().map(|show| show(published.clone())).collect::<Result<_, _>>()?;
     let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
@@ -121,6 +128,7 @@ pub(crate) fn serve(
         commands: commands.clone(),
         control: Control::default(),
         meters: haptics.as_ref().map(|haptics| Arc::clone(haptics.meters())),
+        haptics_at,
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let served = runtime.block_on(async {

@@ -6,13 +6,15 @@
 
 mod ct;
 mod igtl;
+mod network;
 mod setup;
 mod test;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command, ExitStatus};
+use std::time::{Duration, Instant};
 
 #[derive(Parser)]
 #[command(name = "cargo xtask", about = "The two commands a newcomer needs, and the longer ones")]
@@ -46,12 +48,12 @@ enum Task {
         #[arg(long)]
         steps: Option<u64>,
     },
-    /// The network: tests with the feature `net` (zenoh, ROS 2), and OpenIGTLink clients of other people (Debian's examples
-    /// and pyigtl, which it installs) against a scene
+    /// The network: builds with the feature `net` and tests links over UDP and zenoh (with TLS, and between two processes
+    /// whose link is cut), ROS 2's topics, and the OpenIGTLink server with clients of other people (Debian's examples and
+    /// pyigtl, which it installs where it may)
     Network {
-        /// The scene, as `cargo xtask demo` makes one
-        #[arg(default_value = "out/demo/scene.toml")]
-        scene: PathBuf,
+        /// A scene to show them, such as out/demo/scene.toml; one of its own for none
+        scene: Option<PathBuf>,
     },
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
@@ -79,21 +81,38 @@ fn run_in(folder: &Path, program: &str, arguments: &[&str]) -> anyhow::Result<()
     Ok(())
 }
 
-fn network(scene: &Path) -> anyhow::Result<()> {
-    let tests = [
-        "test",
-        "--release",
-        "--locked",
-        "--package",
-        "glisson-app",
-        "--features",
-        "net",
-        "--bin",
-        "glisson",
-    ];
-    run("cargo", &[&tests[..], &["net::"]].concat())?;
-    build_program()?;
-    igtl::clients(scene)
+/// Runs a program in the workspace's root, and fails when it does or takes longer than `limit`.
+fn run_within(limit: Duration, program: &str, arguments: &[&str]) -> anyhow::Result<()> {
+    println!("$ {program} {}  (at most {} s)", arguments.join(" "), limit.as_secs());
+    let mut process = Command::new(program)
+        .args(arguments)
+        .current_dir(root())
+        .spawn()
+        .with_context(|| format!("cannot start {program}; is it installed?"))?;
+    let status = finished_within(limit, &mut process)?;
+    let status = status.with_context(|| {
+        format!(
+            "`{program} {}` did not end within {} s and was stopped",
+            arguments.join(" "),
+            limit.as_secs()
+        )
+    })?;
+    anyhow::ensure!(status.success(), "`{program} {}` failed ({status})", arguments.join(" "));
+    Ok(())
+}
+
+/// How the process ended; none when it had to be stopped.
+fn finished_within(limit: Duration, process: &mut Child) -> anyhow::Result<Option<ExitStatus>> {
+    let end = Instant::now() + limit;
+    while Instant::now() < end {
+        if let Some(status) = process.try_wait()? {
+            return Ok(Some(status));
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    process.kill()?;
+    process.wait()?;
+    Ok(None)
 }
 
 /// The folder that cargo builds into.
@@ -128,7 +147,7 @@ fn main() -> anyhow::Result<()> {
         }
         Task::Test { require_ct } => test::all(require_ct),
         Task::Soak { what, steps } => test::soak(what, steps),
-        Task::Network { scene } => network(&root().join(scene)),
+        Task::Network { scene } => network::all(scene.map(|scene| root().join(scene)).as_deref()),
         Task::FetchCt => {
             let folder = ct::fetch()?;
             println!("real CT in {}", folder.display());

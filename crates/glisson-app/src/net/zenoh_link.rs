@@ -48,8 +48,8 @@ fn set(config: &mut zenoh::Config, key: &str, value: &str) -> anyhow::Result<()>
 fn try_again(config: &mut zenoh::Config) -> anyhow::Result<()> {
     set(config, "connect/exit_on_failure", "false")?;
     set(config, "connect/timeout_ms", "-1")?;
-    set(config, "connect/retry/period_init_ms", RETRY_MS)?;
-    set(config, "connect/retry/period_max_ms", RETRY_MS)
+    let retry = format!("{{ period_init_ms: {RETRY_MS}, period_max_ms: {RETRY_MS} }}");
+    set(config, "connect/retry", &retry)
 }
 
 /// As a file says, but with no door open that it does not mention: by itself zenoh listens without TLS on every network and

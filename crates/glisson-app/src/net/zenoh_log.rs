@@ -8,8 +8,9 @@ use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
 
-/// How lines begin that tell why there is no connection: of the side that connects, of the one that listens.
-const TOLD: [&str; 2] = ["Unable to connect to configured peer", "Can not accept TLS connections"];
+/// What is in lines that tell why there is no connection: of the side that connects, of the one that listens (whose hint
+/// means something else).
+const TOLD: [&str; 2] = ["Unable to connect to configured peer", ". Hint: increase the system open file limit"];
 /// Different lines that are told; a stranger who can make others does not fill the terminal.
 const MOST_LINES: usize = 50;
 
@@ -19,21 +20,21 @@ pub(super) fn tell() {
         zenoh::try_init_log_from_env();
     } else {
         // Already set by an earlier session of this program: the same one.
-        let _ = tracing::subscriber::set_global_default(Teller::new(|line| eprintln!("zenoh: {line}")));
+        let _ = tracing::subscriber::set_global_default(Teller);
     }
 }
 
-/// Hands each line on once.
-pub(super) struct Teller<F> {
-    out: F,
-    told: Mutex<BTreeSet<String>>,
+/// Lines that were told. There is one log in a program, so there is one of these.
+static LINES: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+
+/// What was told so far.
+#[cfg(test)]
+pub(super) fn lines() -> Vec<String> {
+    LINES.lock().map_or_else(|_| Vec::new(), |lines| lines.iter().cloned().collect())
 }
 
-impl<F: Fn(&str) + Send + Sync + 'static> Teller<F> {
-    pub(super) fn new(out: F) -> Self {
-        Self { out, told: Mutex::default() }
-    }
-}
+/// Tells each line once.
+struct Teller;
 
 /// The text of an event.
 #[derive(Default)]
@@ -54,7 +55,7 @@ fn essence(line: &str) -> &str {
     &line[..end.unwrap_or(line.len())]
 }
 
-impl<F: Fn(&str) + Send + Sync + 'static> Subscriber for Teller<F> {
+impl Subscriber for Teller {
     fn enabled(&self, metadata: &Metadata<'_>) -> bool {
         let target = metadata.target();
         *metadata.level() <= Level::DEBUG
@@ -65,13 +66,13 @@ impl<F: Fn(&str) + Send + Sync + 'static> Subscriber for Teller<F> {
     fn event(&self, event: &Event<'_>) {
         let mut text = Text::default();
         event.record(&mut text);
-        if !TOLD.iter().any(|beginning| text.0.starts_with(beginning)) {
+        if !TOLD.iter().any(|told| text.0.contains(told)) {
             return;
         }
         let line = essence(&text.0);
-        let Ok(mut told) = self.told.lock() else { return };
-        if told.len() < MOST_LINES && told.insert(line.to_owned()) {
-            (self.out)(line);
+        let Ok(mut lines) = LINES.lock() else { return };
+        if lines.len() < MOST_LINES && lines.insert(line.to_owned()) {
+            eprintln!("zenoh: {line}");
         }
     }
 

@@ -191,19 +191,13 @@ fn tls_lets_in_who_has_a_certificate_and_tells_who_has_not_why() {
     ours.sign(folder.path(), "simulation");
     ours.sign(folder.path(), "haptics");
     another.sign(folder.path(), "stranger");
-    let lines = Arc::new(std::sync::Mutex::new(Vec::<String>::new()));
-    let told = Arc::clone(&lines);
-    let teller = super::zenoh_log::Teller::new(move |line: &str| told.lock().unwrap().push(line.to_owned()));
-    // The first one that is set stays: `open` then sets none.
-    tracing::subscriber::set_global_default(teller).unwrap();
-
     let at = free_address();
     let [listen, stranger] = tls_files(folder.path(), at, "stranger");
     let mut simulation = simulation(&listen);
     let mut refused = haptics(&stranger);
     refused.move_to(0.3);
     soon("a reason on both sides", || {
-        let lines = lines.lock().unwrap();
+        let lines = super::zenoh_log::lines();
         // The one that connects, and the one that listens.
         lines.iter().any(|line| line.contains("Unable to connect") && line.contains(&at.to_string()))
             && lines

@@ -1,16 +1,19 @@
 //! Why zenoh does not connect (feature `net`): it tries again and again and says so only in its log, of which these lines
 //! are told, each once.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::Mutex;
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
 
-/// What is in lines that tell why there is no connection: of the side that connects, of the one that listens (whose hint
-/// means something else).
-const TOLD: [&str; 2] = ["Unable to connect to configured peer", ". Hint: increase the system open file limit"];
+/// What is in the lines of the side that connects ...
+const CONNECTING: &str = "Unable to connect to configured peer";
+/// ... and of the one that listens: a hint that means something else.
+const LISTENING: &str = ". Hint: increase the system open file limit";
+/// What a side hears whose certificate the other one does not take.
+const ALERT: &str = "received fatal alert";
 /// Different lines that are told; a stranger who can make others does not fill the terminal.
 const MOST_LINES: usize = 50;
 
@@ -24,13 +27,14 @@ pub(super) fn tell() {
     }
 }
 
-/// Lines that were told. There is one log in a program, so there is one of these.
-static LINES: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+/// Lines that were told, by what they are without digits: ports change from one attempt to the next. There is one log in a
+/// program, so there is one of these.
+static LINES: Mutex<BTreeMap<String, String>> = Mutex::new(BTreeMap::new());
 
 /// What was told so far.
 #[cfg(test)]
 pub(super) fn lines() -> Vec<String> {
-    LINES.lock().map_or_else(|_| Vec::new(), |lines| lines.iter().cloned().collect())
+    LINES.lock().map_or_else(|_| Vec::new(), |lines| lines.values().cloned().collect())
 }
 
 /// Tells each line once.
@@ -49,10 +53,23 @@ impl Visit for Text {
     }
 }
 
-/// Without what changes from one attempt to the next, and without a hint that leads astray.
-fn essence(line: &str) -> &str {
-    let end = [". Retry in", ". Hint:", " at /"].iter().filter_map(|end| line.find(end)).min();
-    &line[..end.unwrap_or(line.len())]
+/// What a user should hear of a line; none when it tells nothing about a connection. Without what changes from one attempt to
+/// the next.
+fn told(line: &str) -> Option<String> {
+    let until = |ends: &[&str]| {
+        let end = ends.iter().filter_map(|end| line.find(end)).min();
+        &line[..end.unwrap_or(line.len())]
+    };
+    if line.starts_with(CONNECTING) {
+        let essence = until(&[" at /", ". Retry in"]);
+        let refused =
+            if line.contains(ALERT) { " (the other machine refuses this one's certificate)" } else { "" };
+        Some(format!("{essence}{refused}; it is tried again"))
+    } else if line.contains(LISTENING) {
+        Some(format!("a connection was refused: {}", until(&[LISTENING])))
+    } else {
+        None
+    }
 }
 
 impl Subscriber for Teller {
@@ -66,13 +83,12 @@ impl Subscriber for Teller {
     fn event(&self, event: &Event<'_>) {
         let mut text = Text::default();
         event.record(&mut text);
-        if !TOLD.iter().any(|told| text.0.contains(told)) {
-            return;
-        }
-        let line = essence(&text.0);
+        let Some(line) = told(&text.0) else { return };
         let Ok(mut lines) = LINES.lock() else { return };
-        if lines.len() < MOST_LINES && lines.insert(line.to_owned()) {
+        let key = line.replace(|c: char| c.is_ascii_digit(), "");
+        if lines.len() < MOST_LINES && !lines.contains_key(&key) {
             eprintln!("zenoh: {line}");
+            lines.insert(key, line);
         }
     }
 
@@ -88,4 +104,23 @@ impl Subscriber for Teller {
     fn enter(&self, _: &Id) {}
 
     fn exit(&self, _: &Id) {}
+}
+
+#[cfg(test)]
+mod tests {
+    use super::told;
+
+    #[test]
+    fn lines_tell_the_reason_and_no_more() {
+        let line = "Unable to connect to configured peer tls/10.0.0.2:7447! received fatal alert: UnknownCA at /home/x/src/a.rs:1.. \
+                    Retry in 200ms.";
+        assert_eq!(
+            told(line).unwrap(),
+            "Unable to connect to configured peer tls/10.0.0.2:7447! received fatal alert: UnknownCA (the other machine refuses this \
+             one's certificate); it is tried again"
+        );
+        let line = "invalid peer certificate: UnknownIssuer. Hint: increase the system open file limit.";
+        assert_eq!(told(line).unwrap(), "a connection was refused: invalid peer certificate: UnknownIssuer");
+        assert_eq!(told("Listener added: tls/10.0.0.2:7447"), None);
+    }
 }

@@ -1,6 +1,6 @@
 //! `glisson serve --igtl` against clients of other people: Debian's examples of the OpenIGTLink library, and pyigtl.
 
-use crate::{finished_within, root, run_within, setup, target};
+use crate::{INSTALLING, finished_within, pip_install, root, run_within, setup, target};
 use anyhow::{Context, bail, ensure};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -11,8 +11,7 @@ const EXAMPLES: &str = "/usr/share/doc/openigtlink-examples/examples";
 const HEADER: &str = "/usr/include/openigtlink/igtlClientSocket.h";
 /// How long the clients listen: several poses and surfaces.
 const LISTENING: Duration = Duration::from_secs(4);
-/// How long a compiler or a package manager may take, and a client that ends by itself.
-const INSTALLING: Duration = Duration::from_secs(300);
+/// How long a client that ends by itself may take.
 const ANSWERING: Duration = Duration::from_secs(60);
 /// How long the server may take to say where it is: set-up pre-computes a liver.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -46,16 +45,25 @@ assert PolyDataMessage(points=points, polygons=polygons)._pack_content() == body
 print("pyigtl:", kinds, counts[0], "points", counts[5], "polygons")
 "#;
 
-struct Server {
+/// A running `glisson serve`; stopped when dropped.
+pub(crate) struct Server {
     process: Child,
-    port: String,
+    /// What it said behind the words that were waited for, up to the next space.
+    told: String,
 }
 
 impl Server {
-    fn start(program: &str, scene: &Path) -> anyhow::Result<Self> {
+    /// Starts it with these options and waits until it has said `words`.
+    pub(crate) fn start(
+        program: &str,
+        scene: &Path,
+        options: &[&str],
+        words: &'static str,
+    ) -> anyhow::Result<Self> {
         let mut process = Command::new(program)
-            .args(["serve", "--port", "0", "--no-open", "--igtl", "127.0.0.1:0"])
+            .args(["serve", "--port", "0", "--no-open"])
             .arg(scene)
+            .args(options)
             .current_dir(root())
             .stdout(Stdio::piped())
             .spawn()
@@ -65,14 +73,15 @@ impl Server {
         std::thread::spawn(move || {
             for line in BufReader::new(out).lines().map_while(Result::ok) {
                 println!("  serve: {line}");
-                if let Some(port) = line.strip_prefix("OpenIGTLink is at 127.0.0.1:") {
+                if let Some(rest) = line.strip_prefix(words) {
                     // Nobody listens any more once the port was taken or waiting for it ended.
-                    let _ = tell.send(port.split(' ').next().unwrap_or("").to_owned());
+                    let _ = tell.send(rest.split(' ').next().unwrap_or("").to_owned());
                 }
             }
         });
-        let mut server = Self { process, port: String::new() };
-        server.port = told.recv_timeout(PATIENCE).context("glisson serve did not tell its port")?;
+        let mut server = Self { process, told: String::new() };
+        server.told =
+            told.recv_timeout(PATIENCE).with_context(|| format!("glisson serve did not say {words:?}"))?;
         Ok(server)
     }
 }
@@ -152,11 +161,7 @@ fn examples(folder: &Path) -> anyhow::Result<[PathBuf; 2]> {
 fn pyigtl(folder: &Path) -> anyhow::Result<(String, String)> {
     let python = setup::require(&["python3", "python"], "python3", "running pyigtl")?;
     let packages = folder.join("python").to_string_lossy().into_owned();
-    run_within(
-        INSTALLING,
-        &python,
-        &["-m", "pip", "install", "--quiet", "--upgrade", "--target", &packages, "pyigtl==0.3.4"],
-    )?;
+    pip_install(&python, &packages, &["pyigtl==0.3.4"])?;
     Ok((python, packages))
 }
 
@@ -168,15 +173,15 @@ pub(crate) fn clients(program: &str, scene: &Path) -> anyhow::Result<Vec<String>
     if examples.is_none() && python.is_none() {
         return Ok(skipped);
     }
-    let server = Server::start(program, scene)?;
+    let server = Server::start(program, scene, &["--igtl", "127.0.0.1:0"], "OpenIGTLink is at 127.0.0.1:")?;
     if let Some([receiver, asker]) = examples {
-        let text = heard(&receiver, &server.port)?;
+        let text = heard(&receiver, &server.told)?;
         for expected in ["Receiving STATUS", " Code      : 1", "Receiving TRANSFORM", "Receiving : POLYDATA"]
         {
             ensure!(text.contains(expected), "ReceiveClient did not say {expected:?}: {text}");
         }
         println!("ReceiveClient: {} transforms", text.matches("Receiving TRANSFORM").count());
-        let text = heard(&asker, &server.port)?;
+        let text = heard(&asker, &server.told)?;
         let n_surfaces = text.matches("PolyData Contents").count();
         if n_surfaces < 3 || text.contains("Invalid response") {
             bail!("PolyDataClient got {n_surfaces} surfaces: {text}");
@@ -185,7 +190,7 @@ pub(crate) fn clients(program: &str, scene: &Path) -> anyhow::Result<Vec<String>
     }
     if let Some((python, packages)) = python {
         let mut process = Command::new(&python)
-            .args(["-c", PYTHON_CLIENT, &server.port])
+            .args(["-c", PYTHON_CLIENT, &server.told])
             .env("PYTHONPATH", &packages)
             .spawn()
             .context("cannot start pyigtl's client")?;

@@ -7,6 +7,7 @@
 mod ct;
 mod igtl;
 mod network;
+mod ros2;
 mod setup;
 mod test;
 
@@ -65,6 +66,22 @@ fn root() -> PathBuf {
     own.parent().expect("xtask lies in the workspace").to_path_buf()
 }
 
+/// A program without what cargo told this one about its own package: build scripts that look at it (ring's) would run again,
+/// and all that depends on them be compiled again, at every change between here and a shell.
+fn command(program: &str) -> Command {
+    let mut command = Command::new(program);
+    for (name, _) in std::env::vars_os() {
+        let is_own =
+            ["CARGO_PKG_", "CARGO_MANIFEST_", "CARGO_BIN_", "CARGO_CRATE_NAME", "CARGO_PRIMARY_PACKAGE"]
+                .iter()
+                .any(|own| name.to_string_lossy().starts_with(own));
+        if is_own {
+            command.env_remove(name);
+        }
+    }
+    command
+}
+
 /// Runs a program in the workspace's root and fails when it does.
 fn run(program: &str, arguments: &[&str]) -> anyhow::Result<()> {
     run_in(&root(), program, arguments)
@@ -72,7 +89,7 @@ fn run(program: &str, arguments: &[&str]) -> anyhow::Result<()> {
 
 fn run_in(folder: &Path, program: &str, arguments: &[&str]) -> anyhow::Result<()> {
     println!("$ {program} {}", arguments.join(" "));
-    let status = Command::new(program)
+    let status = command(program)
         .args(arguments)
         .current_dir(folder)
         .status()
@@ -84,7 +101,7 @@ fn run_in(folder: &Path, program: &str, arguments: &[&str]) -> anyhow::Result<()
 /// Runs a program in the workspace's root, and fails when it does or takes longer than `limit`.
 fn run_within(limit: Duration, program: &str, arguments: &[&str]) -> anyhow::Result<()> {
     println!("$ {program} {}  (at most {} s)", arguments.join(" "), limit.as_secs());
-    let mut process = Command::new(program)
+    let mut process = command(program)
         .args(arguments)
         .current_dir(root())
         .spawn()
@@ -113,6 +130,15 @@ fn finished_within(limit: Duration, process: &mut Child) -> anyhow::Result<Optio
     process.kill()?;
     process.wait()?;
     Ok(None)
+}
+
+/// How long a compiler of one file or a package manager may take.
+const INSTALLING: Duration = Duration::from_secs(300);
+
+/// Installs Python packages into a folder of their own.
+fn pip_install(python: &str, folder: &str, packages: &[&str]) -> anyhow::Result<()> {
+    let arguments = ["-m", "pip", "install", "--quiet", "--upgrade", "--target", folder];
+    run_within(INSTALLING, python, &[&arguments[..], packages].concat())
 }
 
 /// The folder that cargo builds into.

@@ -1,7 +1,7 @@
 //! `cargo xtask network`: everything about the network, in bounded time.
 
 use crate::test::Stages;
-use crate::{igtl, root, run_within, target};
+use crate::{igtl, root, ros2, run_within, target};
 use anyhow::Context;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -48,6 +48,10 @@ pub(crate) fn all(scene: Option<&Path>) -> anyhow::Result<()> {
     })?;
     stages.run("OpenIGTLink clients of other people", || {
         skipped = igtl::clients(&program, &scene)?;
+        Ok(())
+    })?;
+    stages.run("a client of CRTK with other people's zenoh and CDR", || {
+        skipped.extend(ros2::client(&program, &scene)?);
         Ok(())
     })?;
     stages.tell();

@@ -12,6 +12,7 @@ mod cutting_sanity;
 mod detection;
 mod elasticity;
 mod haptic_force;
+mod haptic_jumps;
 mod hybrid;
 mod hybrid_condensed;
 mod image;
@@ -182,6 +183,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "haptic_force",
         about: "The force between two steps of a simulation at 30 Hz against the full model stepped at 1 kHz.",
         run: haptic_force::experiments,
+    },
+    Group {
+        name: "haptic_jumps",
+        about: "From a tearing liver to the hand: start, lost device, standstill, cut and rupture without jumps of force.",
+        run: haptic_jumps::experiments,
     },
     Group {
         name: "passivity",

@@ -17,7 +17,7 @@ use crate::scratch::ScratchFolder;
 use anyhow::{Context, anyhow, ensure};
 use glisson::haptics::handover::SPREAD_S;
 use glisson::haptics::{
-    HandPath, HandSettings, HapticDevice, HapticLaw, HapticModel, LawSettings, SimulatedDevice,
+    ForceCommand, HandPath, HandSettings, HapticDevice, HapticLaw, HapticModel, LawSettings, SimulatedDevice,
     SimulatedDeviceSettings,
 };
 use glisson::math::DVec3;
@@ -99,8 +99,20 @@ struct Lab {
 /// What befalls device and simulation at a tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Trouble {
-    device_is_lost: bool,
+    device: Away,
     simulation_stands: bool,
+}
+
+/// How a device is away.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum Away {
+    /// It is not.
+    #[default]
+    Not,
+    /// It does not say where it is, and takes its force.
+    Silent,
+    /// It takes none: what it exerts is gone at once, by itself.
+    WithoutPower,
 }
 
 fn write_scene(path: &Path, kind: &Kind, n_parts: u32, home_m: DVec3) -> anyhow::Result<()> {
@@ -159,8 +171,8 @@ impl Lab {
             told_m: None,
             trace: Vec::new(),
         };
-        let n_tools = [true; MAX_TOOLS];
-        lab.simulation.advance(&StepInput { placed: n_tools, ..StepInput::of(&[start]) })?;
+        let placed = [true; MAX_TOOLS];
+        lab.simulation.advance(&StepInput { placed, ..StepInput::of(&[start]) })?;
         Ok(lab)
     }
 
@@ -208,17 +220,23 @@ impl Lab {
         let age_s = (self.tick - self.made_tick) as f64 * TICK_S;
         let state = self.device.read().map_err(|fault| anyhow!("the simulated device: {fault:?}"))?;
         let before_n = self.device.actuator_n();
-        let (answer, motion_m) = if trouble.device_is_lost {
-            (self.law.lost(TICK_S), DVec3::ZERO)
-        } else {
+        let has_power = trouble.device != Away::WithoutPower;
+        let (answer, motion_m) = if trouble.device == Away::Not {
             let motion_m = self.told_m.map_or(DVec3::ZERO, |m| state.position_m - m);
             (self.law.tick(&state, &self.felt.0, age_s, TICK_S), motion_m)
+        } else {
+            (self.law.lost(TICK_S), DVec3::ZERO)
         };
         self.told_m = Some(state.position_m);
-        self.device.write(&answer.command).map_err(|fault| anyhow!("the simulated device: {fault:?}"))?;
+        let command = if has_power { answer.command } else { ForceCommand::default() };
+        self.device.write(&command).map_err(|fault| anyhow!("the simulated device: {fault:?}"))?;
+        if !has_power {
+            self.law.not_taken();
+        }
         self.tool = ToolInput { shaft_in_world: DVec3::NEG_Y, roll_rad: 0.0, ..answer.tool };
         let force_n = self.device.actuator_n();
-        let change_n = (force_n - before_n).length();
+        // What a device lets go by itself is not ours.
+        let change_n = if has_power { (force_n - before_n).length() } else { 0.0 };
         let unexplained_n = (change_n - self.explained_n(motion_m)).max(0.0);
         let said_n = self.felt.0.force_at(self.tool.tip_in_world_m, age_s);
         let time_s = self.now_s();
@@ -310,8 +328,7 @@ impl Event {
 /// Start in contact, a device that is away, a simulation that stands, a cut.
 fn session(mesh: &TetMesh, kind: &Kind, surface_m: DVec3) -> anyhow::Result<(Vec<Event>, Vec<Tick>)> {
     let tip_m = surface_m + DVec3::Y * (DEPTH_M - TIP_RADIUS_M);
-    let swing =
-        HandPath::Swing { center_m: tip_m, amplitude_m: DVec3::Y * SWING_M, frequency_hz: SWING_HZ };
+    let swing = HandPath::Swing { center_m: tip_m, amplitude_m: DVec3::Y * SWING_M, frequency_hz: SWING_HZ };
     let mut lab = Lab::new(mesh, kind, surface_m, swing)?;
     lab.press(swing.at(0.0).0)?;
     let well = Trouble::default();
@@ -321,9 +338,14 @@ fn session(mesh: &TetMesh, kind: &Kind, surface_m: DVec3) -> anyhow::Result<(Vec
     };
     let ticks = lab.run(0.7, well)?;
     events.push(Event::of("start in contact", &lab.trace[ticks]));
-    for (name, away_s) in [("device lost for 40 ms", 0.04), ("device lost for 100 ms", 0.1)] {
-        let away = lab.run(away_s, Trouble { device_is_lost: true, ..well })?;
-        let ticks = with_next(&mut lab, away, 0.5)?;
+    for (name, device, away_s) in [
+        ("device silent for 40 ms", Away::Silent, 0.04),
+        ("device silent for 100 ms", Away::Silent, 0.1),
+        ("device without power for 40 ms", Away::WithoutPower, 0.04),
+        ("device without power for 100 ms", Away::WithoutPower, 0.1),
+    ] {
+        let away = lab.run(away_s, Trouble { device, ..well })?;
+        let ticks = with_next(&mut lab, away, 0.4)?;
         events.push(Event::of(name, &lab.trace[ticks]));
     }
     let stands = lab.run(0.3, Trouble { simulation_stands: true, ..well })?;
@@ -342,12 +364,8 @@ fn session(mesh: &TetMesh, kind: &Kind, surface_m: DVec3) -> anyhow::Result<(Vec
 /// The hand presses until the tissue tears.
 fn rupture(mesh: &TetMesh, kind: &Kind, surface_m: DVec3) -> anyhow::Result<(Event, Vec<Tick>)> {
     let from_m = surface_m - DVec3::Y * (TIP_RADIUS_M + 1e-3);
-    let path = HandPath::Reach {
-        from_m,
-        to_m: surface_m + DVec3::Y * DEEP_M,
-        start_s: 0.1,
-        duration_s: DEEP_S,
-    };
+    let path =
+        HandPath::Reach { from_m, to_m: surface_m + DVec3::Y * DEEP_M, start_s: 0.1, duration_s: DEEP_S };
     let mut lab = Lab::new(mesh, kind, surface_m, path)?;
     let well = Trouble::default();
     while lab.simulation.n_torn() == 0 {
@@ -461,7 +479,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     };
     outcome.figures.push(Figure {
         file: "haptic_jumps_session.svg",
-        caption: "Force on the hand that starts in contact, loses its device for 40 and for 100 ms, has its simulation stand still for 0.3 \
+        caption: "Force on the hand that starts in contact, loses its device for 40 and for 100 ms, by silence and by power, has its simulation stand still for 0.3 \
                   s, and feels the tissue under the tip cut away."
             .into(),
         plot: plot("Start, loss of the device, standstill, cut", sessions.iter().map(of_session).collect()),

@@ -3,7 +3,7 @@
 mod active_trocar;
 mod adaptive;
 mod benchmarks;
-mod bodies;
+pub(crate) mod bodies;
 mod contact_physics;
 mod contact_response;
 mod cut_subdivision;
@@ -176,7 +176,7 @@ pub(crate) const GROUPS: &[Group] = &[
     },
     Group {
         name: "palpation",
-        about: "A stiff nodule under the surface, felt with a flat tip: forces on the device against static solutions.",
+        about: "A stiff nodule under the surface, felt with a flat tip: commands to the device against static solutions.",
         run: palpation::experiments,
     },
     Group {

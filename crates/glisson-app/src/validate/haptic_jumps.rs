@@ -434,8 +434,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let mesh = liver(N_TETS)?;
     let front = mesh.positions_m.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y));
     let surface_m = front.context("a liver without nodes")?;
-    let mut outcome = Outcome::default();
-    outcome.notes = format!(
+    let notes = format!(
         "{} tetrahedra, 5 kPa, ln J neo-Hookean, G = 76 J/m2, a probe of {} mm; {MODELS_PER_S} models a second, each felt a period after \
          its moment; a device of 3.3 N with a hand. Changes are those in a tick of 1 ms.\n\n| model | event | unexplained change [mN] | \
          whole change [mN] | change that the models ask for [mN] | greatest force [N] | force before and after [N] | the same by the models [N] \
@@ -443,6 +442,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         mesh.tetrahedra.len(),
         1e3 * TIP_RADIUS_M,
     );
+    let mut outcome = Outcome { notes, ..Outcome::default() };
     let mut sessions = Vec::new();
     let mut ruptures = Vec::new();
     for kind in &KINDS {

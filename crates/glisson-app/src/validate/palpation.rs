@@ -44,10 +44,10 @@ const DEPTH_M: f64 = 1e-3;
 /// Deep: static solutions only, because at the sharp rim of the tip the explicit body's tetrahedra turn inside out.
 const DEEP_M: f64 = 5e-3;
 /// The hand moves by what the tip lacks in this time [s], and no faster than that [m/s].
-const FOLLOW_S: f64 = 0.03;
-const SPEED_M_PER_S: f64 = 0.02;
+const FOLLOW_S: f64 = 0.08;
+const SPEED_M_PER_S: f64 = 0.005;
 /// Until hand and tissue have come to rest [s].
-const PALPATION_S: f64 = 0.5;
+const PALPATION_S: f64 = 0.9;
 /// How near the tip has to come to its depth, as a share of it.
 const DEPTH_TOLERANCE: f64 = 0.002;
 const STEP_S: f64 = 1.0 / 30.0;

@@ -46,6 +46,8 @@ const DEPTH_M: f64 = 9e-3;
 const DEEP_M: f64 = 45e-3;
 /// How fast it goes there at most [m/s].
 const DEEP_S: f64 = 2.0;
+/// How long after the hand hears of it a loss is looked at [ticks]: two models; then the hand may have met more tissue.
+const SOON_TICKS: usize = 66;
 /// Up to here the force and what is left of it may differ when all is over, as a share of what was lost.
 const KEPT_SHARE: f64 = 0.05;
 
@@ -290,7 +292,7 @@ struct Event {
     /// Force on the hand before and after [N], and by the models.
     felt_n: [f64; 2],
     said_n: [f64; 2],
-    /// Time from the first model that says less to the least force that follows [s].
+    /// Time from the first model that says less to the least force soon after it [s].
     drop_s: f64,
 }
 
@@ -316,7 +318,7 @@ impl Event {
     /// The same of tissue that gives way: `trace[0]` is the last tick before the hand hears of it.
     fn of_loss(name: &'static str, trace: &[Tick]) -> Self {
         let before_n = trace[0].force_n.length();
-        let soon = &trace[..trace.len().min(150)];
+        let soon = &trace[..trace.len().min(SOON_TICKS)];
         let least_n = soon.iter().map(|tick| tick.force_n.length()).fold(before_n, f64::min);
         // A hundredth of the way is left to rounding and to the hand, which is still moving.
         let almost_n = least_n + 0.01 * (before_n - least_n);
@@ -406,7 +408,7 @@ fn of_loss(kind: &Kind, event: &Event) -> [Experiment; 2] {
             &format!("{}, {}: time over which the force falls [s]", kind.name, event.name),
             ISSUE,
             event.drop_s,
-            [SPREAD_S - 1e-9, 0.15],
+            [SPREAD_S - 1e-9, SOON_TICKS as f64 * TICK_S],
         ),
         Experiment::at_most(
             &format!(

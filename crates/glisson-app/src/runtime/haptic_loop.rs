@@ -148,6 +148,9 @@ impl HeldTool {
                 };
                 self.motions.publish(Motion { pose, is_held: true });
                 let written = self.device.device.write(&command);
+                if written.is_err() {
+                    law.not_taken();
+                }
                 if let Some(meters) = meters {
                     if published.made_ns > 0 {
                         meters.model_age.record(age_ns);
@@ -163,8 +166,10 @@ impl HeldTool {
                 if let Some(law) = &mut self.law {
                     let LawTick { command, tool, .. } = law.lost(dt_s);
                     self.motions.publish(Motion { pose: tool, is_held: false });
-                    // It may still listen.
-                    let _ = self.device.device.write(&command);
+                    // It may still listen; if not, it goes to zero by itself.
+                    if self.device.device.write(&command).is_err() {
+                        law.not_taken();
+                    }
                 }
                 Err(fault)
             }

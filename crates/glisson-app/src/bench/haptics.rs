@@ -1,7 +1,7 @@
-//! The haptic loop beside a simulation that steps and a viewer in a process of its own; and the same while the simulation
-//! stands still now and then. `docs/bench.md` says how to read the result.
+//! The haptic loop beside a simulation of a liver that is pushed, and a viewer in a process of its own; and the same while the
+//! simulation stands still now and then. `docs/bench.md` says how to read the result.
 
-use super::body::StandardBody;
+use super::core_use::{CoreUse, Moment};
 use crate::devices::{self, DeviceName};
 use crate::runtime::haptic_loop::{HapticReport, HapticSettings, Meters, check_rate, join};
 use crate::runtime::live::Stalls;
@@ -9,12 +9,17 @@ use crate::runtime::{OpenScene, Simulation};
 use crate::scratch::ScratchFolder;
 use crate::server::access::Access;
 use crate::server::{self, Served, Service};
+use crate::validate::bodies::liver;
 use anyhow::{Context, bail, ensure};
+use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
+use glisson::math::DVec3;
 use glisson::mesh::files::write_mesh;
 use serde_json::{Value, json};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc;
 use std::time::Duration;
 
 /// A stall as the issue of a hold-up in practice: a pre-computation on the same cores, a page fault storm ...
@@ -25,6 +30,8 @@ const STALL_EVERY: Duration = Duration::from_secs(1);
 const BLOCK_S: f64 = 10.0;
 /// Missed deadlines may rise by so many percentage points.
 const GREATEST_RISE_PERCENT: f64 = 0.1;
+/// Name of the loop's thread.
+const HAPTIC_THREAD: &str = "haptics";
 /// What to measure.
 pub(crate) struct HapticsRequest {
     /// Time of each of the two runs [s].
@@ -47,6 +54,42 @@ struct Run {
     n_given_up: u64,
     n_frames: u64,
     n_bytes: u64,
+    forces: Arc<Forces>,
+    core_use: CoreUse,
+}
+
+/// What a device was told; one thread counts.
+#[derive(Debug, Default)]
+struct Forces {
+    n_ticks: AtomicU64,
+    n_in_contact: AtomicU64,
+    /// Bits of the largest force [N]: of numbers that are not negative the larger has the larger bits.
+    greatest_bits: AtomicU64,
+}
+
+/// A device whose forces are counted on their way.
+struct Counting {
+    device: Box<dyn HapticDevice>,
+    forces: Arc<Forces>,
+}
+
+impl HapticDevice for Counting {
+    fn limits(&self) -> DeviceLimits {
+        self.device.limits()
+    }
+
+    fn read(&mut self) -> Result<DeviceState, DeviceFault> {
+        self.device.read()
+    }
+
+    fn write(&mut self, command: &ForceCommand) -> Result<(), DeviceFault> {
+        let force_n = command.force_n.length();
+        self.forces.n_ticks.fetch_add(1, Ordering::Relaxed);
+        // Free, the law commands nothing at all.
+        self.forces.n_in_contact.fetch_add(u64::from(force_n > 0.0), Ordering::Relaxed);
+        self.forces.greatest_bits.fetch_max(force_n.to_bits(), Ordering::Relaxed);
+        self.device.write(command)
+    }
 }
 
 /// Measures both runs; `tell` hears what comes.
@@ -60,15 +103,17 @@ pub(crate) fn measure(request: &HapticsRequest, tell: &dyn Fn(&str, usize, usize
         request.seconds
     );
     check_rate(request.rate_hz)?;
-    let body = StandardBody::shared(request.n_tets)?;
+    let mesh = liver(request.n_tets)?;
+    let front = mesh.positions_m.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y));
+    let front_m = front.context("a liver without nodes")?;
     let folder = ScratchFolder::new()?;
-    write_mesh(&folder.path().join("body.vtu"), &body.mesh)?;
+    write_mesh(&folder.path().join("liver.vtu"), &mesh)?;
     let scene = folder.path().join("scene.toml");
     let (mut plain, mut stalled) = (Run::default(), Run::default());
     let n_blocks = (request.seconds / BLOCK_S).ceil() as usize;
     let block_s = request.seconds / n_blocks as f64;
     let stalls = Stalls { every: STALL_EVERY, length: STALL };
-    let time_step = write_scene(&scene)?;
+    let time_step = write_scene(&scene, front_m)?;
     for block in 0..n_blocks {
         // Now one first, now the other.
         let mut order = [(&mut plain, None), (&mut stalled, Some(stalls))];
@@ -81,13 +126,14 @@ pub(crate) fn measure(request: &HapticsRequest, tell: &dyn Fn(&str, usize, usize
             measure_block(request, &scene, block_s, stalls, run)?;
         }
     }
-    let n_tets = body.mesh.tetrahedra.len();
+    let n_tets = mesh.tetrahedra.len();
     let (plain_report, stalled_report) = (plain.meters.report(), stalled.meters.report());
     let rise = stalled_report.missed_percent() - plain_report.missed_percent();
     let mut answer = plain.to_json(&plain_report);
     let facts = json!({
         "bench": "haptics",
         "seconds": request.seconds,
+        "body": "liver of the synthetic patient",
         "tetrahedra": n_tets,
         "model": "explicit, st_venant_kirchhoff",
         "time_step_s": time_step,
@@ -107,6 +153,18 @@ impl Run {
     fn to_json(&self, report: &HapticReport) -> Value {
         let mut answer = report.to_json();
         let dt = self.seconds.max(1e-9);
+        let of = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        answer["contact"] = json!({
+            "ticks": of(&self.forces.n_ticks),
+            "ticks_in_contact": of(&self.forces.n_in_contact),
+            "greatest_force_n": f64::from_bits(of(&self.forces.greatest_bits)),
+        });
+        // Null where nothing was counted.
+        answer["core"] = json!({
+            "others_percent": 100.0 * self.core_use.others_share(),
+            "stolen_percent": 100.0 * self.core_use.stolen_share(),
+        });
+        answer["core_was_free"] = json!(self.core_use.was_free());
         answer["simulation"] = json!({
             "steps_per_s": self.steps as f64 / dt, "stalls": self.n_stalls, "times_given_up": self.n_given_up,
         });
@@ -128,7 +186,8 @@ pub(crate) fn to_text(answer: &Value) -> String {
         text += &format!(
             "{name:14}  {:.1} Hz; missed {} of {} ({:.4} %); jitter p50 {:.1}, p99 {:.1}, p99.9 {:.1} us; motion to \
              force p50 {:.1}, p99.9 {:.1} us; age of the model p50 {:.2}, max {:.1} ms; {:.0} steps/s, {} stalls; \
-             viewer {:.0} frames/s\n",
+             viewer {:.0} frames/s\n                in contact in {} of {} ticks, up to {:.2} N; of the loop's core others had {:.1} %, the \
+             host {:.2} %: {}\n",
             run["rate_hz"].as_f64().unwrap_or(f64::NAN),
             run["missed_deadlines"],
             run["deadlines"],
@@ -143,6 +202,12 @@ pub(crate) fn to_text(answer: &Value) -> String {
             of("simulation", "steps_per_s"),
             run["simulation"]["stalls"],
             of("viewer", "frames_per_s"),
+            run["contact"]["ticks_in_contact"],
+            run["contact"]["ticks"],
+            of("contact", "greatest_force_n"),
+            of("core", "others_percent"),
+            of("core", "stolen_percent"),
+            if run["core_was_free"] == true { "free" } else { "not free" },
         );
     }
     let rise = answer["missed_percent_rise"].as_f64().unwrap_or(f64::NAN);
@@ -150,28 +215,33 @@ pub(crate) fn to_text(answer: &Value) -> String {
     text
 }
 
-const SCENE: &str = "glisson_scene = 1\nname = \"haptics\"\n[organ]\nmesh = \"body.vtu\"\ntissue = \"liver\"\n\
+const SCENE: &str = "glisson_scene = 1\nname = \"haptics\"\n[organ]\nmesh = \"liver.vtu\"\ntissue = \"liver\"\n\
     model = \"explicit\"\nlaw = \"st_venant_kirchhoff\"\ndamping = \"20 1/s\"\n\
-    [[organ.fixed]]\nfurthest = { direction = [0, 0, -1], fraction = 0.05 }\n\
-    [tool]\ntip_radius = \"6 mm\"\nhome_tip = [0, 0, \"67 mm\"]\nhome_shaft = [0, 0, 1]\n";
+    [[organ.fixed]]\nfurthest = { direction = [0, 1, 0], fraction = 0.2 }\n\
+    [tool]\ntip_radius = \"6 mm\"\nhome_shaft = [0, -1, 0]\n";
+/// From the tip at its home to the place of the surface that it pushes [m]: its radius and a millimetre.
+const ABOVE_M: f64 = 7e-3;
 
-/// With the longest step of one millisecond and its halves that is stable; answers it [s].
-fn write_scene(path: &std::path::Path) -> anyhow::Result<f64> {
+/// With the longest step of one millisecond and its halves that is stable; answers it [s]. The probe begins before
+/// `front_m` [m], the foremost place of the liver.
+fn write_scene(path: &Path, front_m: DVec3) -> anyhow::Result<f64> {
+    let home_m = front_m - DVec3::Y * ABOVE_M;
+    let home = home_m.to_array().map(|x| format!("\"{:.3} mm\"", 1e3 * x)).join(", ");
     let mut refusal = None;
-    for microseconds in [1_000, 500, 250] {
-        let text = format!("{SCENE}[simulation]\ntime_step = \"{microseconds} us\"\n");
+    for microseconds in [1_000, 500, 250, 125] {
+        let text = format!("{SCENE}home_tip = [{home}]\n[simulation]\ntime_step = \"{microseconds} us\"\n");
         std::fs::write(path, text).with_context(|| format!("{}: cannot write", path.display()))?;
         match Simulation::open(OpenScene::read(path)?, None) {
             Ok(_) => return Ok(1e-6 * f64::from(microseconds)),
             Err(error) => refusal = Some(error),
         }
     }
-    bail!("no time step down to 0.25 ms is stable: {:#}", refusal.context("nothing was tried")?)
+    bail!("no time step down to 0.125 ms is stable: {:#}", refusal.context("nothing was tried")?)
 }
 
 fn measure_block(
     request: &HapticsRequest,
-    scene: &std::path::Path,
+    scene: &Path,
     seconds: f64,
     stalls: Option<Stalls>,
     run: &mut Run,
@@ -180,7 +250,8 @@ fn measure_block(
     let listener = server::bind("127.0.0.1", 0)?;
     let address = listener.local_addr()?;
     let home = simulation.world().tools()[0].home;
-    let device = devices::open(&DeviceName::Simulated, &home, request.rate_hz)?;
+    let mut device = devices::open(&DeviceName::Simulated, &home, request.rate_hz)?;
+    device.device = Box::new(Counting { device: device.device, forces: Arc::clone(&run.forces) });
     let held = vec![join(device, 0, home)];
     let haptics = HapticSettings { rate_hz: request.rate_hz, ..HapticSettings::default() };
     let service = Service {
@@ -198,12 +269,25 @@ fn measure_block(
         .spawn()
         .with_context(|| format!("{}: cannot start the viewer", request.program.display()))?;
     let end = Duration::from_secs_f64(seconds);
-    let served = server::serve(simulation, listener, service, async move { tokio::time::sleep(end).await });
+    let (used_in, used) = mpsc::channel();
+    let meters = Arc::clone(&run.meters);
+    let served = server::serve(simulation, listener, service, async move {
+        tokio::time::sleep(end / 10).await;
+        // The loop is on its core by now.
+        let now = || Moment::now(meters.report().scheduling?.core?, HAPTIC_THREAD);
+        let from = now();
+        tokio::time::sleep(end - end / 10).await;
+        // Who listens waits below.
+        let _ = used_in.send(from.zip(now()));
+    });
     // It ends with the connection, also when the service failed.
     let watched = viewer.wait_with_output().context("waiting for the viewer")?;
     let Served { ended, .. } = served?;
     let watched: Value = serde_json::from_slice(&watched.stdout)
         .with_context(|| format!("the viewer failed: {}", String::from_utf8_lossy(&watched.stderr).trim()))?;
+    if let Ok(Some((from, to))) = used.try_recv() {
+        run.core_use = run.core_use.and(CoreUse::between(&from, &to));
+    }
     run.n_stalls += ended.n_stalls;
     run.steps += ended.steps;
     run.seconds += seconds;

@@ -28,6 +28,7 @@ mod hybrid_exchange;
 mod scalpel;
 mod mesh_edits;
 mod cut_subdivision;
+mod core_use;
 pub(crate) mod haptics;
 pub(crate) mod link;
 

@@ -166,7 +166,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let scene_text = source.scene.text.clone();
     let simulation = Simulation::open(source, args.record.as_deref())?;
     let held = args.held(simulation.world().tools())?;
-    let mut network = Network { shows: args.network.shows(&simulation)?, remote: Vec::new() };
+    let in_hands: Vec<usize> = held.iter().map(|(_, link)| link.tool).collect();
+    let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, remote: Vec::new() };
     let mut conversation = None;
     if let Some(link) = &link {
         let (started, remote) = link.start_simulation(&simulation, &scene_text)?;

@@ -204,6 +204,10 @@ enum ViewerMessage {
         #[serde(default)]
         tool: usize,
     },
+    Refine {
+        #[serde(default)]
+        tool: usize,
+    },
     Undo {},
     ReleaseControl {},
 }
@@ -245,6 +249,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
         }
         ViewerMessage::Cut { tool } => Command::Cut { tool },
         ViewerMessage::Clip { tool } => Command::Clip { tool },
+        ViewerMessage::Refine { tool } => Command::Refine { tool },
         ViewerMessage::Undo {} => Command::Undo,
         ViewerMessage::Gravity { m_per_s2 } => {
             let gravity_m_per_s2 = DVec3::from_array(m_per_s2);
@@ -327,6 +332,7 @@ mod tests {
         assert_eq!(command(r#"{"type":"cut"}"#), Ok(Command::Cut { tool: 0 }));
         assert_eq!(command(r#"{"type":"cut","tool":2}"#), Ok(Command::Cut { tool: 2 }));
         assert_eq!(command(r#"{"type":"clip","tool":1}"#), Ok(Command::Clip { tool: 1 }));
+        assert_eq!(command(r#"{"type":"refine","tool":1}"#), Ok(Command::Refine { tool: 1 }));
         assert_eq!(command(r#"{"type":"undo"}"#), Ok(Command::Undo));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));

@@ -5,6 +5,8 @@ mod control;
 pub(crate) mod frames;
 mod messages;
 mod socket;
+#[cfg_attr(not(feature = "net"), allow(dead_code, reason = "only CRTK's clients steer beside the viewers"))]
+pub(crate) mod steering;
 
 use crate::runtime::Simulation;
 use crate::runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
@@ -24,6 +26,7 @@ use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
 use std::thread::JoinHandle;
+use steering::Steering;
 use tokio::sync::watch;
 
 /// The viewer as built into `web/dist`.
@@ -39,14 +42,15 @@ struct Shared {
     hello: serde_json::Value,
     published: watch::Receiver<Arc<Published>>,
     commands: Sender<Command>,
-    control: Control,
+    control: Arc<Control>,
     /// Of the haptic loop, if one runs.
     meters: Option<Arc<Meters>>,
     haptics_at: HapticsAt,
 }
 
-/// Starts something that shows what is published, until the other end is gone.
-pub(crate) type Show = Box<dyn FnOnce(watch::Receiver<Arc<Published>>) -> anyhow::Result<JoinHandle<()>>>;
+/// Starts something that shows what is published, until the other end is gone; it may take a seat at the controls.
+pub(crate) type Show =
+    Box<dyn FnOnce(watch::Receiver<Arc<Published>>, &Steering) -> anyhow::Result<JoinHandle<()>>>;
 
 /// What is served beside the simulation.
 pub(crate) struct Service {
@@ -117,7 +121,10 @@ pub(crate) fn serve(
         (true, true) => HapticsAt::Nowhere,
     };
     links.extend(remote);
-    let shows: Vec<_> = shows.into_iter().map(|show| show(published.clone())).collect::<Result<_, _>>()?;
+    let control = Arc::new(Control::default());
+    let steering = Steering::new(Arc::clone(&control), commands.clone());
+    let shows: Vec<_> =
+        shows.into_iter().map(|show| show(published.clone(), &steering)).collect::<Result<_, _>>()?;
     let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
     let simulation_thread = std::thread::Builder::new()
         .name("simulation".into())
@@ -126,7 +133,7 @@ pub(crate) fn serve(
         hello,
         published,
         commands: commands.clone(),
-        control: Control::default(),
+        control,
         meters: haptics.as_ref().map(|haptics| Arc::clone(haptics.meters())),
         haptics_at,
     });

@@ -71,7 +71,7 @@ pub(super) fn cylinder(radius_m: f64, height_m: f64, n_tets: usize) -> anyhow::R
 }
 
 /// The synthetic patient's liver in about `n_tets` tetrahedra.
-pub(super) fn liver(n_tets: usize) -> anyhow::Result<TetMesh> {
+pub(crate) fn liver(n_tets: usize) -> anyhow::Result<TetMesh> {
     /// The surface and the volume that it should hold [m3]: made once.
     static SURFACE: Mutex<Option<(TriMesh, f64)>> = Mutex::new(None);
     let mut made = SURFACE.lock().unwrap_or_else(PoisonError::into_inner);

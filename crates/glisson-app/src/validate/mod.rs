@@ -3,7 +3,7 @@
 mod active_trocar;
 mod adaptive;
 mod benchmarks;
-mod bodies;
+pub(crate) mod bodies;
 mod contact_physics;
 mod contact_response;
 mod cut_subdivision;
@@ -12,6 +12,7 @@ mod cutting_sanity;
 mod detection;
 mod elasticity;
 mod haptic_force;
+mod haptic_jumps;
 mod hybrid;
 mod hybrid_condensed;
 mod image;
@@ -175,13 +176,18 @@ pub(crate) const GROUPS: &[Group] = &[
     },
     Group {
         name: "palpation",
-        about: "A stiff nodule under the surface, felt with a flat tip: forces on the device against static solutions.",
+        about: "A stiff nodule under the surface, felt with a flat tip: commands to the device against static solutions.",
         run: palpation::experiments,
     },
     Group {
         name: "haptic_force",
         about: "The force between two steps of a simulation at 30 Hz against the full model stepped at 1 kHz.",
         run: haptic_force::experiments,
+    },
+    Group {
+        name: "haptic_jumps",
+        about: "From a tearing liver to the hand: start, lost device, standstill, cut and rupture without jumps of force.",
+        run: haptic_jumps::experiments,
     },
     Group {
         name: "passivity",

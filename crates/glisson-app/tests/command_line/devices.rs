@@ -154,6 +154,13 @@ fn the_benchmark_of_the_haptic_loop_makes_stalls_and_sees_them() {
         );
         assert!(run["simulation"]["steps_per_s"].as_f64().unwrap() > 0.0, "{run}");
         assert!(run["viewer"]["frames_per_s"].as_f64().unwrap() > 1.0, "{run}");
+        // It is pushed, and the run says whether it had a core for itself.
+        let contact = &run["contact"];
+        assert!(contact["ticks_in_contact"].as_u64().unwrap() > 100, "{run}");
+        assert!(contact["ticks"].as_u64() >= contact["ticks_in_contact"].as_u64(), "{run}");
+        assert!(contact["greatest_force_n"].as_f64().unwrap() > 0.01, "{run}");
+        assert!(run["core_was_free"].is_boolean(), "{run}");
+        assert!(run["core_was_free"] == false || run["core"]["others_percent"].is_number(), "{run}");
     }
     let stalled = &report["with_stalls"];
     assert_eq!(report["simulation"]["stalls"], 0);

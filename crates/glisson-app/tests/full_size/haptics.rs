@@ -5,11 +5,14 @@ use serde_json::Value;
 
 /// Missed deadlines may rise by so many percentage points; other tests run beside this one, so that a run may be spoilt.
 const GREATEST_RISE_PERCENT: f64 = 0.1;
+/// 99.9 of 100 ticks begin nearer to their moment than this [us], where the system lets the loop be punctual: in the real-time
+/// class, on a core that others and the machine's host leave it.
+const GREATEST_JITTER_US: f64 = 100.0;
 const MOST_RUNS: usize = 3;
 
 #[test]
 fn stalls_of_the_simulation_do_not_reach_the_haptic_loop() {
-    let mut rises = Vec::new();
+    let mut spoilt = Vec::new();
     for _ in 0..MOST_RUNS {
         let printed = glisson(&["bench", "haptics", "--seconds", "20", "--json"]);
         let report: Value = serde_json::from_str(&printed).unwrap();
@@ -17,14 +20,31 @@ fn stalls_of_the_simulation_do_not_reach_the_haptic_loop() {
         assert!((report["tetrahedra"].as_f64().unwrap() / 6_300.0 - 1.0).abs() < 0.05, "{printed}");
         assert!(stalled["simulation"]["stalls"].as_u64().unwrap() >= 18, "{printed}");
         assert!(stalled["local_model_age_ms"]["max"].as_f64().unwrap() >= 30.0, "{printed}");
+        let mut what_is_late = Vec::new();
         for run in [&report, stalled] {
             assert!(run["viewer"]["frames_per_s"].as_f64().unwrap() > 1.0, "{printed}");
             assert!(run["deadlines"].as_u64().unwrap() > 18_000, "{printed}");
+            // The hand pushes for about half of the time.
+            let contact = &run["contact"];
+            let share = contact["ticks_in_contact"].as_f64().unwrap() / contact["ticks"].as_f64().unwrap();
+            assert!(share > 0.2, "{printed}");
+            assert!(contact["greatest_force_n"].as_f64().unwrap() > 0.05, "{printed}");
+            let jitter_us = run["jitter_us"]["p999"].as_f64().unwrap();
+            let can_be_punctual = run["real_time_scheduling"] == true && run["core_was_free"] == true;
+            if !can_be_punctual {
+                println!("jitter p99.9 {jitter_us} us; {}; core: {}", run["scheduling"], run["core"]);
+            } else if jitter_us >= GREATEST_JITTER_US {
+                what_is_late.push(format!("jitter p99.9 {jitter_us} us on a free core"));
+            }
         }
-        rises.push(report["missed_percent_rise"].as_f64().unwrap());
-        if rises.last().is_some_and(|rise| *rise <= GREATEST_RISE_PERCENT) {
+        let rise = report["missed_percent_rise"].as_f64().unwrap();
+        if rise > GREATEST_RISE_PERCENT {
+            what_is_late.push(format!("stalls raise the missed deadlines by {rise} percentage points"));
+        }
+        if what_is_late.is_empty() {
             return;
         }
+        spoilt.push(what_is_late);
     }
-    panic!("stalls raise the missed deadlines by {rises:?} percentage points");
+    panic!("{spoilt:?}");
 }

@@ -217,6 +217,13 @@ impl HapticLaw {
         LawTick { command, tool: self.tool, report: TickReport { is_lost: true, ..self.report(0.0) } }
     }
 
+    /// The device did not take the last command: by the contract of [`super::HapticDevice::write`] it goes to zero by itself, and
+    /// what it takes next must begin there. The next answer is a new start.
+    pub fn not_taken(&mut self) {
+        self.gate.shut();
+        self.seen = None;
+    }
+
     /// A tick of `dt_s` [s] with the device as it is, and the newest model, `model_age_s` [s] after it was made.
     /// [`HapticModel::default`] before there is one. A device that says what is no number counts as lost.
     pub fn tick(

@@ -160,6 +160,27 @@ fn a_law_that_lets_go_takes_the_force_back_along_its_ramp() {
     assert!(run.greatest_n <= MOST_JUMP_N, "{}", run.greatest_n);
 }
 
+/// Without power it pushes with nothing, whatever the law has asked it for: it comes back at nothing.
+#[test]
+fn a_device_that_took_no_command_begins_at_nothing() {
+    let model = spring(1, 400.0);
+    for n_lost in [0, 1, 40] {
+        let mut run = Smooth::new(&LawSettings::default());
+        run.rest(1500, &model, 0.01);
+        for _ in 0..n_lost {
+            run.law.lost(TICK_S);
+            run.law.not_taken();
+        }
+        run.law.not_taken();
+        assert!(n_lost == 0 || run.law.lost(TICK_S).command.force_n == DVec3::ZERO);
+        run.last_n = DVec3::ZERO;
+        assert!(run.rest(1, &model, 0.01).report.is_restart);
+        let out = run.rest(1500, &model, 0.01);
+        assert!((out.command.force_n.z - series_n(400.0)).abs() < 1e-3, "{n_lost}: {}", out.command.force_n);
+        assert!(run.greatest_n <= MOST_JUMP_N, "{n_lost}: {}", run.greatest_n);
+    }
+}
+
 #[test]
 fn a_model_that_is_no_number_counts_as_no_tissue() {
     let mut run = Smooth::new(&LawSettings::default());

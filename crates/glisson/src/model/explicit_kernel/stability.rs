@@ -18,7 +18,7 @@
 //! stays. Since the bound is that of every tetrahedron by itself, this holds after any further cuts, too.
 
 use super::{ExplicitKernelParams, StableStep};
-use crate::material::{Material, NeoHookeLog, StableNeoHooke, largest_tangent_eigenvalue_pa};
+use crate::material::{LinearElastic, NeoHookeLog, StableNeoHooke, largest_tangent_eigenvalue_pa};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::explicit::{Stability as ElasticStability, StiffTet, keep};
@@ -26,6 +26,7 @@ use crate::model::kernel::{FastKernel, KernelLaw};
 use crate::model::nonlinear_tensor_mass::{TetLaw, linear_stiffness};
 use crate::model::{ModelUndo, UndoReader};
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
+use std::collections::BTreeMap;
 
 /// theta h^2 of the longest step: a little below 4, as far as [`StableStep`] keeps below it.
 const SQUARED_LIMIT: f64 = 3.99;
@@ -69,6 +70,11 @@ pub(super) struct Stability {
     shortest_s: f64,
 }
 
+/// What tells materials apart in a search for the same.
+fn bits_of(material: &LinearElastic) -> [u64; 2] {
+    [material.lambda_pa(), material.mu_pa()].map(f64::to_bits)
+}
+
 impl Stability {
     /// Of a mesh whose tetrahedra are sound.
     pub(super) fn of(params: &ExplicitKernelParams<'_>) -> Result<Self, SolveError> {
@@ -77,16 +83,21 @@ impl Stability {
         let stretch = params.largest_stretch;
         let tangents_pa: Vec<f64> =
             params.laws.iter().map(|law| largest_tangent_eigenvalue_pa(law.as_ref(), stretch)).collect();
-        // The search over stretches costs more than everything else about a tetrahedron: once for one material.
-        let of_one = match (params.law, params.materials) {
-            (KernelLaw::NeoHookeLog, [one]) => {
-                Some(largest_tangent_eigenvalue_pa(&NeoHookeLog::from(one), stretch))
-            }
-            (KernelLaw::StableNeoHooke, [one]) => {
-                Some(largest_tangent_eigenvalue_pa(&StableNeoHooke::from(one), stretch))
-            }
-            _ => None,
-        };
+        // The search over stretches costs more than everything else about a tetrahedron: once for each material.
+        let mut tangents_by_material_pa = BTreeMap::new();
+        for material in params.materials {
+            let searched = || match params.law {
+                KernelLaw::NeoHookeLog => {
+                    largest_tangent_eigenvalue_pa(&NeoHookeLog::from(material), stretch)
+                }
+                KernelLaw::StableNeoHooke => {
+                    largest_tangent_eigenvalue_pa(&StableNeoHooke::from(material), stretch)
+                }
+                // Known without a search.
+                KernelLaw::Linear | KernelLaw::StVenantKirchhoff | KernelLaw::General => 0.0,
+            };
+            tangents_by_material_pa.entry(bits_of(material)).or_insert_with(searched);
+        }
         let stiff = |tet: TetId, gradients: &P1Gradients| -> StiffTet {
             let material = params.material(tet);
             let law = match params.fibres.get(tet.index()) {
@@ -97,16 +108,14 @@ impl Stability {
             // lambda + 2 mu.
             let wave_pa = (material.lambda_pa() + 2.0 * material.mu_pa()).max(material.mu_pa());
             let of_tangent = |tangent_pa: f64| (tangent_pa / wave_pa).max(1.0);
-            let of_law = |law: &dyn Material| {
-                of_tangent(of_one.unwrap_or_else(|| largest_tangent_eigenvalue_pa(law, stretch)))
-            };
             let stiffening = match params.law {
                 KernelLaw::Linear if params.volume_penalty_pa == 0.0 => 1.0,
                 KernelLaw::Linear | KernelLaw::StVenantKirchhoff => {
                     law.stiffening(stretch, params.volume_penalty_pa)
                 }
-                KernelLaw::NeoHookeLog => of_law(&NeoHookeLog::from(material)),
-                KernelLaw::StableNeoHooke => of_law(&StableNeoHooke::from(material)),
+                KernelLaw::NeoHookeLog | KernelLaw::StableNeoHooke => {
+                    of_tangent(tangents_by_material_pa[&bits_of(material)])
+                }
                 KernelLaw::General => {
                     of_tangent(tangents_pa[if tangents_pa.len() == 1 { 0 } else { tet.index() }])
                 }

@@ -23,6 +23,8 @@ pub(crate) const RATES_HZ: RangeInclusive<f64> = 100.0..=4_000.0;
 const MISSED_PERIODS: u64 = 2;
 /// What happens in the first moments (page faults, cold caches) is not counted [s].
 const WARM_UP_S: f64 = 0.2;
+/// 2^10 ns: the octave that is nearest to a microsecond ends there.
+const MICROSECOND_NS: u64 = 1 << 10;
 /// Longest interval between two ticks that the law is told [s]: what lies beyond is a standstill, not a tick.
 const LONGEST_TICK_S: f64 = 0.1;
 
@@ -362,12 +364,17 @@ impl HapticReport {
         if n == 0 {
             return "nothing counted yet".into();
         }
-        let share = |&(end_ns, count): &(u64, u64)| {
+        let share = |(end_ns, count): (u64, u64)| {
             let end_us = end_ns as f64 * 1e-3;
             let digits = usize::from(end_us < 10.0);
             format!("{end_us:.digits$} us {:.3} %", 100.0 * count as f64 / n as f64)
         };
-        let shares: Vec<String> = self.jitter_octaves.iter().filter(|(_, n)| *n > 0).map(share).collect();
+        // What is below a microsecond is one.
+        let (small, large): (Vec<_>, Vec<_>) =
+            self.jitter_octaves.iter().partition(|(end_ns, _)| *end_ns <= MICROSECOND_NS);
+        let small = (MICROSECOND_NS, small.iter().map(|(_, n)| n).sum());
+        let octaves = std::iter::once(small).chain(large);
+        let shares: Vec<String> = octaves.filter(|(_, n)| *n > 0).map(share).collect();
         format!("below {}", shares.join(", "))
     }
 
@@ -710,6 +717,17 @@ mod tests {
             // Far below the 0.5 N and more that were there; tests without a clock are stricter.
             assert!(greatest_n < 0.25, "{greatest_n}");
         }
+    }
+
+    #[test]
+    fn the_histogram_in_the_report_adds_up() {
+        let meters = Meters::default();
+        for (ns, n) in [(20, 50), (700, 30), (1_500, 15), (90_000, 5)] {
+            (0..n).for_each(|_| meters.jitter.record(ns));
+        }
+        let text = meters.report().jitter_text();
+        assert_eq!(text, "below 1.0 us 80.000 %, 2.0 us 15.000 %, 131 us 5.000 %");
+        assert_eq!(Meters::default().report().jitter_text(), "nothing counted yet");
     }
 
     #[test]

@@ -43,7 +43,7 @@ export function socketAddress(pageAddress: string): string {
 
 /** What a key of the simulation says to the server; a step begins with a pause. */
 export function messageOf(
-  action: "pause" | "single_step" | "cut" | "clip" | "undo",
+  action: "pause" | "single_step" | "cut" | "clip" | "refine" | "undo",
   paused: boolean | undefined,
   tool: number,
 ): ClientMessage {
@@ -56,6 +56,8 @@ export function messageOf(
       return { type: "cut", tool };
     case "clip":
       return { type: "clip", tool };
+    case "refine":
+      return { type: "refine", tool };
     case "undo":
       return { type: "undo" };
   }

@@ -25,6 +25,7 @@ export type Action =
   | "tool_back"
   | "cut"
   | "clip"
+  | "refine"
   | "undo"
   | "jaws"
   | "trigger"
@@ -89,6 +90,7 @@ export const BINDINGS: readonly Binding[] = [
   bind("Instrument", "tool_back", "O", "out of the screen by 1 mm", both("o"), true),
   bind("Instrument", "cut", "X", "cut away what the tip touches", plain("x"), true),
   bind("Instrument", "clip", "A", "set a clip on the vessel at the tip", plain("a")),
+  bind("Instrument", "refine", "E", "make the mesh finer around the tip", plain("e")),
   bind("Instrument", "undo", "Z", "take the last cut back", plain("z"), true),
   bind("Instrument", "jaws", "B", "close or open the jaws", plain("b")),
   bind("Instrument", "trigger", "V", "current or blade on or off", plain("v")),

@@ -1,7 +1,7 @@
 /** The panel of numbers: what each shows is a pure function of the hello message and the newest snapshot. */
 import type { Bleeding } from "./blood";
 import type { Hello, HandHeader, Vec3 } from "./protocol";
-import { hapticsText, type LoopNews } from "./timing";
+import { hapticsText, tickText, whereHapticsAre, type LoopNews } from "./timing";
 
 export type PanelKey =
   | "scene"
@@ -19,6 +19,7 @@ export type PanelKey =
   | "time"
   | "control"
   | "haptics"
+  | "haptic_tick"
   | "model"
   | "material"
   | "mesh"
@@ -99,7 +100,8 @@ export function panelValues(
     step: header === null ? NONE : grouped.format(header.step),
     time: header === null ? NONE : `${header.time_s.toFixed(3)} s`,
     control: role === null ? NONE : role.role === "controller" ? "this page" : role.control_is_taken ? "another" : "free",
-    haptics: timing?.haptics ? hapticsText(timing.haptics) : NONE,
+    haptics: timing?.haptics ? hapticsText(timing.haptics) : (whereHapticsAre(timing) ?? NONE),
+    haptic_tick: timing?.haptics ? tickText(timing.haptics) : NONE,
     model: scene?.model ?? NONE,
     material: scene?.material ?? NONE,
     mesh: scene === undefined ? NONE : `${grouped.format(scene.n_nodes)} / ${grouped.format(scene.n_tetrahedra)}`,
@@ -133,6 +135,7 @@ const SIMULATION_ROWS: readonly Row[] = [
   row("time", "Time", "Simulated time since the start"),
   row("control", "Control", "Who moves the instruments: one page; the others watch, and take over when it is free"),
   row("haptics", "Haptics", "Rate of the force-feedback loop and deadlines that it missed by more than two periods (more: key P)"),
+  row("haptic_tick", "Haptic tick", "Time that a tick of the force-feedback loop takes, of the time from one to the next"),
 ];
 const MODEL_ROWS: readonly Row[] = [
   row("model", "Model", "How the deformation is computed"),

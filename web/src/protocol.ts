@@ -148,6 +148,7 @@ export type ClientMessage =
   | { readonly type: "reset" }
   | { readonly type: "cut"; readonly tool: number }
   | { readonly type: "clip"; readonly tool: number }
+  | { readonly type: "refine"; readonly tool: number }
   | { readonly type: "undo" }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }
   | { readonly type: "model"; readonly name: string };

@@ -17,7 +17,10 @@ export interface HapticTiming {
   readonly jitter_p999_us: number;
   readonly motion_to_force_p50_us: number;
   readonly tick_p50_us: number;
+  readonly tick_p99_us: number;
   readonly tick_p999_us: number;
+  /** Time from one deadline to the next. */
+  readonly period_us: number;
   /** Ends of octaves [us] and how many intervals are off by so much. */
   readonly jitter_histogram_us: readonly (readonly [number, number])[];
   readonly model_age_p50_ms: number;
@@ -26,14 +29,19 @@ export interface HapticTiming {
   readonly scheduling: string;
 }
 
+/** Where the loop is that gives forces to hands: at the machine with `--role haptics`, which knows its times, or here. */
+const HAPTICS_AT = ["nowhere", "here", "other_machine"] as const;
+export type HapticsAt = (typeof HAPTICS_AT)[number];
+
 export interface Timing {
   readonly type: "timing";
   readonly times_given_up: number;
   readonly left_out_s: number;
   /** How thoroughly steps are computed: full, reduced or least. */
   readonly effort: string;
-  /** Null without a force-feedback device. */
+  /** Null without a force-feedback device at this machine. */
   readonly haptics: HapticTiming | null;
+  readonly haptics_at: HapticsAt;
 }
 
 export function decodeRole(fields: Fields): Role {
@@ -50,7 +58,12 @@ export function decodeTiming(fields: Fields): Timing {
     left_out_s: numberAt(simulation, "left_out_s", "timing.simulation", 0),
     effort: stringAt(simulation, "effort", "timing.simulation"),
     haptics: fields.haptics === null ? null : decodeHaptics(fieldsOf(fields.haptics, "timing.haptics")),
+    haptics_at: decodePlace(stringAt(fields, "haptics_at", "timing")),
   };
+}
+
+function decodePlace(found: string): HapticsAt {
+  return HAPTICS_AT.find((place) => place === found) ?? fail(`haptics_at "${found.slice(0, 40)}"; allowed: ${HAPTICS_AT.join(", ")}`);
 }
 
 function histogramAt(value: unknown, place: string): [number, number][] {
@@ -86,7 +99,9 @@ function decodeHaptics(haptics: Fields): HapticTiming {
     jitter_p999_us: at("jitter_us", "p999"),
     motion_to_force_p50_us: at("motion_to_force_us", "p50"),
     tick_p50_us: at("tick_us", "p50"),
+    tick_p99_us: at("tick_us", "p99"),
     tick_p999_us: at("tick_us", "p999"),
+    period_us: numberAt(haptics, "period_us", place, 0),
     jitter_histogram_us: histogramAt(haptics.jitter_histogram_us, `${place}.jitter_histogram_us`),
     model_age_p50_ms: at("local_model_age_ms", "p50"),
     model_age_max_ms: at("local_model_age_ms", "max"),
@@ -98,6 +113,17 @@ function decodeHaptics(haptics: Fields): HapticTiming {
 export function hapticsText(haptics: HapticTiming): string {
   const missed = (100 * haptics.missed_deadlines) / Math.max(1, haptics.deadlines);
   return `${haptics.rate_hz.toFixed(0)} Hz, ${missed.toFixed(2)} % missed`;
+}
+
+/** For the panel: what a tick takes of its period, `4 of 1000 us, 99.9 % 7`. */
+export function tickText(haptics: HapticTiming): string {
+  return `${haptics.tick_p50_us.toFixed(0)} of ${haptics.period_us.toFixed(0)} µs, 99.9 % ${haptics.tick_p999_us.toFixed(0)}`;
+}
+
+/** For the panel where no loop tells its times; null without news. */
+export function whereHapticsAre(timing: Timing | null): string | null {
+  if (timing === null) return null;
+  return { nowhere: "no device", here: "starting", other_machine: "at the other machine" }[timing.haptics_at];
 }
 
 /** Lines for the times (key P). */
@@ -112,10 +138,12 @@ export function timingLines(timing: Timing | null): string[] {
       `haptics       ${hapticsText(haptics)} (${haptics.missed_deadlines} of ${haptics.deadlines})`,
       `  jitter      ${haptics.jitter_p50_us.toFixed(0)} us, 99.9 % ${haptics.jitter_p999_us.toFixed(0)} us; ${haptics.scheduling}`,
       `  histogram   ${histogramText(haptics.jitter_histogram_us)} (logarithmic)`,
-      `  tick        ${haptics.tick_p50_us.toFixed(0)} us, 99.9 % ${haptics.tick_p999_us.toFixed(0)} us, of ${(1e6 / Math.max(1, haptics.rate_hz)).toFixed(0)} us`,
+      `  tick        ${haptics.tick_p50_us.toFixed(1)} us, 99 % ${haptics.tick_p99_us.toFixed(1)} us, 99.9 % ${haptics.tick_p999_us.toFixed(1)} us, of ${haptics.period_us.toFixed(0)} us`,
       `  force       ${haptics.motion_to_force_p50_us.toFixed(0)} us after the motion`,
       `  model       ${haptics.model_age_p50_ms.toFixed(1)} ms old, at most ${haptics.model_age_max_ms.toFixed(1)} ms`,
     );
+  } else {
+    lines.push(`haptics       ${whereHapticsAre(timing) ?? ""}`);
   }
   return lines;
 }

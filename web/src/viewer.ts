@@ -209,6 +209,7 @@ export class Viewer {
       case "single_step":
       case "cut":
       case "clip":
+      case "refine":
       case "undo":
         this.connection.send(messageOf(action, this.header?.paused, this.hands.chosen));
         break;

@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { decodeText, ProtocolError } from "../src/protocol";
-import { hapticsText, histogramText, timingLines, type Timing } from "../src/timing";
+import { panelValues } from "../src/panel";
+import { hapticsText, histogramText, tickText, timingLines, type Timing } from "../src/timing";
 
 const HISTOGRAM = { p50: 12, p99: 40, p999: 80.5, max: 120 };
 const TIMING = {
@@ -17,10 +18,12 @@ const TIMING = {
       [4.096, 0],
     ],
     tick_us: HISTOGRAM,
+    period_us: 1000,
     motion_to_force_us: HISTOGRAM,
     local_model_age_ms: HISTOGRAM,
     scheduling: "SCHED_FIFO 40, on core 1",
   },
+  haptics_at: "here",
 };
 
 describe("who controls and how the loops keep time", () => {
@@ -33,9 +36,25 @@ describe("who controls and how the loops keep time", () => {
     expect(timingLines(timing).join("\n")).toMatch(/reduced effort; fell behind 2 times, 0.3 s[^]*5 of 20000[^]*SCHED_FIFO/);
     expect(histogramText(timing.haptics!.jitter_histogram_us)).toBe("▄█▁ 1.0 to 4.1 us");
     expect(histogramText([])).toMatch(/nothing/);
-    const without = decodeText(JSON.stringify({ ...TIMING, haptics: null })) as Timing;
-    expect(timingLines(without)).toHaveLength(1);
+    expect(tickText(timing.haptics!)).toBe("12 of 1000 µs, 99.9 % 81");
+    expect(timingLines(timing).join("\n")).toMatch(/tick +12.0 us, 99 % 40.0 us, 99.9 % 80.5 us, of 1000 us/);
+    const without = decodeText(JSON.stringify({ ...TIMING, haptics: null, haptics_at: "nowhere" })) as Timing;
+    expect(timingLines(without)).toHaveLength(2);
     expect(timingLines(null)).toHaveLength(0);
+  });
+
+  it("says in the panel what a tick takes, and where haptics are when they are not here", () => {
+    const shown = (message: object | null) => {
+      const timing = message === null ? null : (decodeText(JSON.stringify(message)) as Timing);
+      const { haptics, haptic_tick } = panelValues(null, null, 0, 1, 0, { role: null, timing });
+      return [haptics, haptic_tick];
+    };
+    expect(shown(TIMING)).toEqual(["1000 Hz, 0.03 % missed", "12 of 1000 µs, 99.9 % 81"]);
+    const remote = { ...TIMING, haptics: null, haptics_at: "other_machine" };
+    expect(shown(remote)).toEqual(["at the other machine", "–"]);
+    expect(timingLines(decodeText(JSON.stringify(remote)) as Timing)[1]).toMatch(/at the other machine/);
+    expect(shown({ ...remote, haptics_at: "nowhere" })).toEqual(["no device", "–"]);
+    expect(shown(null)).toEqual(["–", "–"]);
   });
 
   it("refuses what it cannot read", () => {
@@ -45,6 +64,8 @@ describe("who controls and how the loops keep time", () => {
       { ...TIMING, simulation: { ...TIMING.simulation, effort: 3 } },
       { ...TIMING, haptics: { ...TIMING.haptics, jitter_us: { p50: "12" } } },
       { ...TIMING, haptics: 7 },
+      { ...TIMING, haptics_at: "on the moon" },
+      { ...TIMING, haptics_at: undefined },
       { ...TIMING, haptics: { ...TIMING.haptics, jitter_histogram_us: [[1, -2]] } },
     ]) {
       expect(() => decodeText(JSON.stringify(bad))).toThrow(ProtocolError);

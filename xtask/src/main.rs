@@ -6,13 +6,16 @@
 
 mod ct;
 mod igtl;
+mod network;
+mod ros2;
 mod setup;
 mod test;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command, ExitStatus};
+use std::time::{Duration, Instant};
 
 #[derive(Parser)]
 #[command(name = "cargo xtask", about = "The two commands a newcomer needs, and the longer ones")]
@@ -46,12 +49,12 @@ enum Task {
         #[arg(long)]
         steps: Option<u64>,
     },
-    /// The network: tests with the feature `net` (zenoh, ROS 2), and OpenIGTLink clients of other people (Debian's examples
-    /// and pyigtl, which it installs) against a scene
+    /// The network: builds with the feature `net` and tests links over UDP and zenoh (with TLS, and between two processes
+    /// whose link is cut), ROS 2's topics, and the OpenIGTLink server with clients of other people (Debian's examples and
+    /// pyigtl, which it installs where it may)
     Network {
-        /// The scene, as `cargo xtask demo` makes one
-        #[arg(default_value = "out/demo/scene.toml")]
-        scene: PathBuf,
+        /// A scene to show them, such as out/demo/scene.toml; one of its own for none
+        scene: Option<PathBuf>,
     },
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
@@ -63,6 +66,22 @@ fn root() -> PathBuf {
     own.parent().expect("xtask lies in the workspace").to_path_buf()
 }
 
+/// A program without what cargo told this one about its own package: build scripts that look at it (ring's) would run again,
+/// and all that depends on them be compiled again, at every change between here and a shell.
+fn command(program: &str) -> Command {
+    let mut command = Command::new(program);
+    for (name, _) in std::env::vars_os() {
+        let is_own =
+            ["CARGO_PKG_", "CARGO_MANIFEST_", "CARGO_BIN_", "CARGO_CRATE_NAME", "CARGO_PRIMARY_PACKAGE"]
+                .iter()
+                .any(|own| name.to_string_lossy().starts_with(own));
+        if is_own {
+            command.env_remove(name);
+        }
+    }
+    command
+}
+
 /// Runs a program in the workspace's root and fails when it does.
 fn run(program: &str, arguments: &[&str]) -> anyhow::Result<()> {
     run_in(&root(), program, arguments)
@@ -70,7 +89,7 @@ fn run(program: &str, arguments: &[&str]) -> anyhow::Result<()> {
 
 fn run_in(folder: &Path, program: &str, arguments: &[&str]) -> anyhow::Result<()> {
     println!("$ {program} {}", arguments.join(" "));
-    let status = Command::new(program)
+    let status = command(program)
         .args(arguments)
         .current_dir(folder)
         .status()
@@ -79,21 +98,47 @@ fn run_in(folder: &Path, program: &str, arguments: &[&str]) -> anyhow::Result<()
     Ok(())
 }
 
-fn network(scene: &Path) -> anyhow::Result<()> {
-    let tests = [
-        "test",
-        "--release",
-        "--locked",
-        "--package",
-        "glisson-app",
-        "--features",
-        "net",
-        "--bin",
-        "glisson",
-    ];
-    run("cargo", &[&tests[..], &["net::"]].concat())?;
-    build_program()?;
-    igtl::clients(scene)
+/// Runs a program in the workspace's root, and fails when it does or takes longer than `limit`.
+fn run_within(limit: Duration, program: &str, arguments: &[&str]) -> anyhow::Result<()> {
+    println!("$ {program} {}  (at most {} s)", arguments.join(" "), limit.as_secs());
+    let mut process = command(program)
+        .args(arguments)
+        .current_dir(root())
+        .spawn()
+        .with_context(|| format!("cannot start {program}; is it installed?"))?;
+    let status = finished_within(limit, &mut process)?;
+    let status = status.with_context(|| {
+        format!(
+            "`{program} {}` did not end within {} s and was stopped",
+            arguments.join(" "),
+            limit.as_secs()
+        )
+    })?;
+    anyhow::ensure!(status.success(), "`{program} {}` failed ({status})", arguments.join(" "));
+    Ok(())
+}
+
+/// How the process ended; none when it had to be stopped.
+fn finished_within(limit: Duration, process: &mut Child) -> anyhow::Result<Option<ExitStatus>> {
+    let end = Instant::now() + limit;
+    while Instant::now() < end {
+        if let Some(status) = process.try_wait()? {
+            return Ok(Some(status));
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    process.kill()?;
+    process.wait()?;
+    Ok(None)
+}
+
+/// How long a compiler of one file or a package manager may take.
+const INSTALLING: Duration = Duration::from_secs(300);
+
+/// Installs Python packages into a folder of their own.
+fn pip_install(python: &str, folder: &str, packages: &[&str]) -> anyhow::Result<()> {
+    let arguments = ["-m", "pip", "install", "--quiet", "--upgrade", "--target", folder];
+    run_within(INSTALLING, python, &[&arguments[..], packages].concat())
 }
 
 /// The folder that cargo builds into.
@@ -128,7 +173,7 @@ fn main() -> anyhow::Result<()> {
         }
         Task::Test { require_ct } => test::all(require_ct),
         Task::Soak { what, steps } => test::soak(what, steps),
-        Task::Network { scene } => network(&root().join(scene)),
+        Task::Network { scene } => network::all(scene.map(|scene| root().join(scene)).as_deref()),
         Task::FetchCt => {
             let folder = ct::fetch()?;
             println!("real CT in {}", folder.display());

@@ -9,24 +9,42 @@ use std::time::Instant;
 
 /// How long a server may take to say where it is [s]: set-up pre-computes a liver.
 const SERVER_START_S: u64 = 120;
+/// The optional network, from the workspace's root.
+const NET: &str = "glisson-app/net";
 
-struct Stages {
+/// Stages that ran, and how long each took [s].
+#[derive(Default)]
+pub(crate) struct Stages {
     done: Vec<(&'static str, f64)>,
 }
 
 impl Stages {
-    fn run(&mut self, name: &'static str, stage: impl FnOnce() -> anyhow::Result<()>) -> anyhow::Result<()> {
+    pub(crate) fn run(
+        &mut self,
+        name: &'static str,
+        stage: impl FnOnce() -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
         println!("\n== {name}");
         let start = Instant::now();
         stage().with_context(|| format!("stage \"{name}\" failed"))?;
         self.done.push((name, start.elapsed().as_secs_f64()));
         Ok(())
     }
+
+    /// Says that all hold, and how long each took.
+    pub(crate) fn tell(&self) {
+        println!("\nAll stages hold:");
+        for (name, seconds) in &self.done {
+            println!("  {seconds:7.1} s  {name}");
+        }
+        let total_s: f64 = self.done.iter().map(|s| s.1).sum();
+        println!("  {total_s:7.1} s  in all");
+    }
 }
 
 /// Runs every check; fails at the first that does not hold.
 pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
-    let mut stages = Stages { done: Vec::new() };
+    let mut stages = Stages::default();
     let mut skipped = Vec::new();
     stages.run("format", || run("cargo", &["fmt", "--all", "--check"]))?;
     stages.run("real CT", || match ct::fetch() {
@@ -42,8 +60,15 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
     stages.run("lint", || {
         run("cargo", &["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"])
     })?;
-    stages.run("unit and integration tests", || tests(&["--workspace"]))?;
-    stages.run("documentation's examples", || run("cargo", &["test", "--doc", "--workspace", "--locked"]))?;
+    stages.run("lint of the feature net", || {
+        let package = ["--package", "glisson-app", "--features", "net", "--all-targets", "--locked"];
+        run("cargo", &[&["clippy"], &package[..], &["--", "-D", "warnings"]].concat())
+    })?;
+    // With zenoh and ROS 2. The release program below is the one without.
+    stages.run("unit and integration tests", || tests(&["--workspace", "--features", NET]))?;
+    stages.run("documentation's examples", || {
+        run("cargo", &["test", "--doc", "--workspace", "--locked", "--features", NET])
+    })?;
     stages.run("release build", build_program)?;
     stages.run("full-size tests", || {
         tests(&[
@@ -60,12 +85,10 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
         run(&program().to_string_lossy(), &["demo", "--headless", "--out", "out/test/demo"])
     })?;
     stages.run("browser test", || browser(&root().join("out/test/demo/scene.toml")))?;
-    println!("\nAll stages hold:");
-    for (name, seconds) in &stages.done {
-        println!("  {seconds:7.1} s  {name}{}", if skipped.contains(name) { "  SKIPPED" } else { "" });
+    stages.tell();
+    for name in skipped {
+        println!("SKIPPED: {name}");
     }
-    let total_s: f64 = stages.done.iter().map(|s| s.1).sum();
-    println!("  {total_s:7.1} s  in all");
     Ok(())
 }
 

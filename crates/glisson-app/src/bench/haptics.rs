@@ -253,7 +253,7 @@ fn measure_block(
     let mut device = devices::open(&DeviceName::Simulated, &home, request.rate_hz)?;
     device.device = Box::new(Counting { device: device.device, forces: Arc::clone(&run.forces) });
     let held = vec![join(device, 0, home)];
-    let haptics = HapticSettings { rate_hz: request.rate_hz, core: None };
+    let haptics = HapticSettings { rate_hz: request.rate_hz, ..HapticSettings::default() };
     let service = Service {
         held,
         haptics,

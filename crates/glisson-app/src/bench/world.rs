@@ -28,6 +28,14 @@ pub(super) const CASES: &[Case] = &[
         prepare: edit_transaction,
     },
     Case {
+        name: "edit_transaction_parting",
+        about: "the same as instruments make it: what would hang by a node or an edge alone is parted as well",
+        per: "removal",
+        sizes: &[2_000, 6_300],
+        parallel: false,
+        prepare: edit_transaction_parting,
+    },
+    Case {
         name: "edit_undo",
         about: "the same, taken back again at once",
         per: "removal and undo",
@@ -101,6 +109,27 @@ fn edit_transaction(settings: Settings) -> anyhow::Result<Prepared> {
         }
         let change = world.edit_in_place(black_box(&edits[next]));
         black_box(change.expect("a live tetrahedron goes"));
+        next += 1;
+    };
+    let note = format!("up to {N_REMOVALS} removals in a row, undo kept for 32");
+    Ok(prepared(size, note, Box::new(run)))
+}
+
+fn edit_transaction_parting(settings: Settings) -> anyhow::Result<Prepared> {
+    let mut world = world_of(settings.size, 1)?;
+    let whole = world.save();
+    let edits = removals(&world);
+    let size = world.organ().mesh().tetrahedra.len();
+    let mut next = 0;
+    let run = move || {
+        if next == edits.len() {
+            world.restore(&whole);
+            next = 0;
+        }
+        let [MeshEdit::Remove { tets }] = &edits[next] else { unreachable!("removals alone") };
+        // One that was divided with a singular edge is there no more: refused.
+        let done = world.remove_and_part(black_box(tets.clone()));
+        let _ = black_box(done);
         next += 1;
     };
     let note = format!("up to {N_REMOVALS} removals in a row, undo kept for 32");

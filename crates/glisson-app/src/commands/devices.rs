@@ -1,20 +1,26 @@
 //! `glisson devices`.
 
-use crate::devices::{self, DeviceName, HAPLY_ADDRESS, KINDS};
+use crate::devices::lead::{self, LeadRequest};
+use crate::devices::trocar_choice::OPTIONS;
+use crate::devices::{self, DeviceName, HAPLY_ADDRESS, KINDS, host_and_port};
 use crate::runtime::histogram::Histogram;
 use crate::runtime::realtime::{make_punctual, now_ns, wait_until};
+use crate::server::stop_signal;
 use anyhow::ensure;
 use glisson::haptics::{DeviceFault, ForceCommand};
 use glisson::math::DVec3;
 use glisson::tool::ToolInput;
 use serde_json::json;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Force-feedback devices: which there are, whether one works, what is missing.
 #[derive(Debug, clap::Args)]
 #[command(
     arg_required_else_help = true,
     after_help = "Examples:\n  glisson devices list\n  glisson devices doctor\n  \
-                  glisson devices test haply --seconds 5\n  glisson devices test force-dimension --json\n\n\
+                  glisson devices test haply --seconds 5\n  glisson devices test force-dimension --json\n  \
+                  glisson devices lead trocar trocar --seconds 5\n\n\
                   A device is used with: glisson serve scene.toml --device NAME"
 )]
 pub(crate) struct Args {
@@ -44,12 +50,42 @@ enum Verb {
         #[arg(long)]
         json: bool,
     },
-    /// Look for what devices need: libraries, services, real-time scheduling
-    #[command(after_help = "Example:\n  glisson devices doctor")]
+    /// Let a device drive an active trocar, whose forces come back: force-feedback teleoperation
+    #[command(
+        after_help = "Examples:\n  glisson devices lead trocar trocar --seconds 5        without hardware\n  \
+                      glisson devices lead trocar:10.0.0.7:4000 trocar:10.0.0.8:4000,profile=specified\n  \
+                      glisson devices lead haply trocar:10.0.0.8:4000 --scale 0.5\n\n\
+                      Both are coupled where they are when they answer. Ctrl-C ends it: forces go to zero slowly."
+    )]
+    Lead {
+        /// Who leads: any device, as `glisson devices list` shows
+        leader: DeviceName,
+        /// Who follows: an active trocar. A simulated one is in nobody's hand, 5 mm before something soft (300 N/m)
+        follower: DeviceName,
+        /// How long [s]; until Ctrl-C when left out
+        #[arg(long, value_name = "S")]
+        seconds: Option<f64>,
+        /// Motion of the follower for one of the leader: 0.1 to 3
+        #[arg(long, value_name = "SHARE", default_value_t = 1.0)]
+        scale: f64,
+        /// Ticks a second [Hz]: 100 to 4000
+        #[arg(long, value_name = "HZ", default_value_t = 1000.0)]
+        rate: f64,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Look for what devices need: libraries, services, boards, real-time scheduling
+    #[command(
+        after_help = "Examples:\n  glisson devices doctor\n  glisson devices doctor --trocar 10.0.0.7:4000"
+    )]
     Doctor {
         /// Where Haply's service listens
         #[arg(long, value_name = "HOST:PORT", default_value = HAPLY_ADDRESS)]
         haply: String,
+        /// Where the board of an active trocar listens
+        #[arg(long, value_name = "HOST:PORT", value_parser = host_and_port)]
+        trocar: Option<String>,
     },
 }
 
@@ -60,15 +96,42 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             for kind in KINDS {
                 println!("{:width$}  {}", kind.pattern, kind.about);
             }
-            println!("\nThe viewer's mouse and keyboard hold the instruments that no device holds.");
+            println!("{:width$}  {VIEWER}", "viewer");
+            println!("\nOptions of a trocar: {OPTIONS}");
             Ok(())
         }
         Verb::Test { name, seconds, rate, json } => test(name, *seconds, *rate, *json),
-        Verb::Doctor { haply } => {
-            doctor(haply);
+        Verb::Lead { leader, follower, seconds, scale, rate, json } => {
+            lead(&LeadRequest { leader, follower, seconds: *seconds, scale: *scale, rate_hz: *rate }, *json)
+        }
+        Verb::Doctor { haply, trocar } => {
+            doctor(haply, trocar.as_deref());
             Ok(())
         }
     }
+}
+
+/// Not to be named with `--device`: it is there whenever a page is.
+const VIEWER: &str =
+    "mouse, keyboard and gamepad of the page: hold the instruments that no device holds; without force";
+
+fn lead(request: &LeadRequest, as_json: bool) -> anyhow::Result<()> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let seen = Arc::clone(&stop);
+    // Ends with the program: Ctrl-C may never come.
+    std::thread::spawn(move || {
+        if let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() {
+            runtime.block_on(stop_signal());
+            seen.store(true, Ordering::Relaxed);
+        }
+    });
+    let report = lead::run(request, &stop)?;
+    if as_json {
+        println!("{:#}", report.to_json());
+    } else {
+        println!("{}", report.to_text());
+    }
+    report.check()
 }
 
 /// What was read.
@@ -176,11 +239,11 @@ fn first_reason(readings: &Readings) -> &str {
     readings.faults.first().map_or("no reason given", |(why, _)| why.as_str())
 }
 
-fn doctor(haply: &str) {
+fn doctor(haply: &str, trocar: Option<&str>) {
     let say = |is_good: bool, what: &str, text: &str| {
         println!("{} {what:28} {text}", if is_good { "ok     " } else { "missing" });
     };
-    for finding in devices::examine(haply) {
+    for finding in devices::examine(haply, trocar) {
         say(finding.is_good, &finding.what, &finding.text);
     }
     // In its own thread: it stays as it is put.

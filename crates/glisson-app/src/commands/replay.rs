@@ -23,9 +23,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let own_folder = args.session.parent().unwrap_or(Path::new("."));
     let folder = args.folder.as_deref().unwrap_or(own_folder);
     let report = replay::replay(&session, folder, |_| Ok(()))?;
-    println!("steps        {}", report.steps);
-    println!("state hash   {}", report.state_hash);
-    println!("check-points {} compared", report.checkpoints);
+    println!("steps            {}", report.steps);
+    print!("{}", report.account.to_text());
+    println!("state hash       {}", report.state_hash);
+    println!("check-points     {} compared", report.checkpoints);
     if let Some(step) = report.first_difference {
         bail!("the replay differs from the recording: first at the check-point of step {step}");
     }

@@ -1,5 +1,6 @@
 //! `glisson run`.
 
+use crate::runtime::account::Account;
 use crate::runtime::{OpenScene, Simulation};
 use anyhow::{Context, bail};
 use glisson::files::write_atomically;
@@ -83,6 +84,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         eprintln!("{notice}");
     }
     let model = simulation.world().model_kind().name();
+    let account = Account::of(simulation.world());
     let state_hash = simulation.finish()?;
     let simulated_s = steps as f64 * time_step_s;
     if args.json {
@@ -92,12 +94,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 "steps": steps, "model": model, "simulated_s": simulated_s, "elapsed_s": elapsed_s,
                 "real_time_factor": simulated_s / elapsed_s, "greatest_force_n": greatest_force_n,
                 "contact_steps": contact_steps, "state_hash": state_hash.to_string(),
+                "account": account.to_json(),
             })
         );
     } else {
         println!("steps            {steps} ({simulated_s:.3} s simulated in {elapsed_s:.3} s, {model})");
         println!("real-time factor {:.1}", simulated_s / elapsed_s);
         println!("greatest force   {greatest_force_n:.3} N; contact in {contact_steps} steps");
+        print!("{}", account.to_text());
         println!("state hash       {state_hash}");
     }
     Ok(())

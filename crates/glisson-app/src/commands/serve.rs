@@ -1,9 +1,11 @@
 //! `glisson serve`.
 
+use crate::devices::trocar_choice::stand;
 use crate::devices::{self, Assignment, tools_of};
 use crate::net::link::Role;
 use crate::net::options::NetArgs;
-use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink, join};
+use crate::runtime::force_choices::ForceArgs;
+use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink, check_rate, join};
 use crate::runtime::live::Lateness;
 use crate::runtime::{OpenScene, Simulation};
 use crate::server::access::Access;
@@ -18,6 +20,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:\n  glisson serve out/demo/scene.toml\n  \
     glisson serve scene.toml --port 0 --record session.jsonl\n  \
     glisson serve scene.toml --device haply --device simulated@1\n  \
+    glisson serve scene.toml --device trocar:10.0.0.7:4000,mapping=virtual-work --force-estimate hold\n  \
     glisson serve scene.toml --host 0.0.0.0      for other machines, with a token that is printed\n\nStop with Ctrl-C; a recording is then completed.")]
 pub(crate) struct Args {
     /// Scene file (TOML)
@@ -37,6 +40,8 @@ pub(crate) struct Args {
     /// Core that the haptic loop stays on; the last one that the program may use when left out
     #[arg(long, value_name = "N")]
     haptic_core: Option<usize>,
+    #[command(flatten)]
+    forces: ForceArgs,
     /// Threads of the explicit model; the results do not depend on it
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
     threads: u8,
@@ -124,18 +129,26 @@ impl Args {
     /// The instruments that devices hold; tells which.
     fn held(&self, instruments: &[Tool]) -> anyhow::Result<Vec<(HeldTool, ToolLink)>> {
         let mut held = Vec::new();
-        for (assignment, tool) in self.devices.iter().zip(tools_of(&self.devices, instruments.len())?) {
+        check_rate(self.haptic_rate)?;
+        let tools = tools_of(&self.devices, instruments.len())?;
+        let named: Vec<_> = self.devices.iter().map(|assignment| &assignment.name).zip(tools).collect();
+        let stands = stand(&named, instruments)?;
+        for ((name, tool), stands) in named.into_iter().zip(stands) {
             let home = instruments[tool].home;
-            let device = devices::open(&assignment.name, &home, self.haptic_rate)?;
+            let device = devices::open_standing(name, &home, stands, self.haptic_rate)?;
             println!("instrument {tool} ({}) is in the hand of: {}", instruments[tool].name, device.name);
             held.push(join(device, tool, home));
+        }
+        if !held.is_empty() {
+            println!("forces {} times a second: {}", self.haptic_rate, self.forces.choices()?.text());
         }
         Ok(held)
     }
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let haptics = HapticSettings { rate_hz: args.haptic_rate, core: args.haptic_core };
+    let haptics =
+        HapticSettings { rate_hz: args.haptic_rate, core: args.haptic_core, forces: args.forces.choices()? };
     let link = args.network.link()?;
     if let Some(link) = link.as_ref().filter(|link| link.role == Role::Haptics) {
         if args.record.is_some() || args.network.has_shows() {
@@ -153,7 +166,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let scene_text = source.scene.text.clone();
     let simulation = Simulation::open(source, args.record.as_deref())?;
     let held = args.held(simulation.world().tools())?;
-    let mut network = Network { shows: args.network.shows(&simulation)?, remote: Vec::new() };
+    let in_hands: Vec<usize> = held.iter().map(|(_, link)| link.tool).collect();
+    let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, remote: Vec::new() };
     let mut conversation = None;
     if let Some(link) = &link {
         let (started, remote) = link.start_simulation(&simulation, &scene_text)?;

@@ -3,22 +3,25 @@
 mod driver;
 mod force_dimension;
 mod haply;
+pub(crate) mod lead;
 mod openhaptics;
 mod replayed;
 pub(crate) mod trocar_board;
+pub(crate) mod trocar_choice;
 mod vendor;
 
 use anyhow::{Context, bail, ensure};
 use glam::DQuat;
 use glisson::haptics::mapping::patient_from_desk;
-use glisson::haptics::trocar::TrocarProfile;
+use glisson::haptics::trocar::Placement;
 use glisson::haptics::{
     DeviceMapping, HandPath, HandSettings, HapticDevice, SimulatedDevice, SimulatedDeviceSettings,
 };
 use glisson::math::{DMat3, DVec3};
 use glisson::tool::ToolInput;
 use std::path::PathBuf;
-use trocar_board::BoardSettings;
+use trocar_board::START_INSERTION_M;
+use trocar_choice::TrocarChoice;
 
 /// A device as the user names it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -39,10 +42,24 @@ pub(crate) enum DeviceName {
     OpenHaptics {
         name: Option<String>,
     },
-    /// The active trocar whose board listens at `host:port`; a simulated one for none.
-    Trocar {
-        address: Option<String>,
-    },
+    /// An active trocar behind its board, or a simulated one.
+    Trocar(TrocarChoice),
+}
+
+impl DeviceName {
+    /// For messages.
+    pub(crate) fn text(&self) -> String {
+        match self {
+            Self::Simulated => "simulated device".into(),
+            Self::Replay { session, .. } => format!("replay of {}", session.display()),
+            Self::Haply { address } => format!("Haply Inverse3 at {address}"),
+            Self::ForceDimension => "Force Dimension's device".into(),
+            Self::OpenHaptics { name } => {
+                format!("OpenHaptics {}", name.as_deref().unwrap_or("default device"))
+            }
+            Self::Trocar(choice) => choice.text(),
+        }
+    }
 }
 
 /// An open device, and how its motion becomes an instrument's.
@@ -56,6 +73,8 @@ pub(crate) struct OpenDevice {
     pub(crate) tells_orientation: bool,
     /// Whether it has a button to move the handle aside.
     pub(crate) has_clutch: bool,
+    /// Where it stands in the world; none where its place at the start is to hold the instrument at its home.
+    pub(crate) stands: Option<Placement>,
 }
 
 /// One kind of device, for lists.
@@ -86,8 +105,8 @@ pub(crate) const KINDS: &[Kind] = &[
         about: "3D Systems Touch, Phantom through the OpenHaptics library",
     },
     Kind {
-        pattern: "trocar[:HOST:PORT]",
-        about: "the active trocar behind its board; without an address a simulated one",
+        pattern: "trocar[:HOST:PORT][,KEY=VALUE ...]",
+        about: "the active trocar behind its board; without an address a simulated one in a hand that pushes",
     },
 ];
 
@@ -95,6 +114,12 @@ impl std::str::FromStr for DeviceName {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
+        // Only its options have commas: a file's name may have some, too.
+        if let Some(rest) = text.strip_prefix("trocar")
+            && (rest.is_empty() || rest.starts_with([':', ',']))
+        {
+            return TrocarChoice::parse(rest).map(Self::Trocar);
+        }
         let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
         let without = |name: Self| match rest {
             None => Ok(name),
@@ -105,7 +130,6 @@ impl std::str::FromStr for DeviceName {
             "force-dimension" => without(Self::ForceDimension),
             "openhaptics" => Ok(Self::OpenHaptics { name: rest.map(str::to_owned) }),
             "haply" => Ok(Self::Haply { address: host_and_port(rest.unwrap_or(haply::ADDRESS))? }),
-            "trocar" => Ok(Self::Trocar { address: rest.map(host_and_port).transpose()? }),
             "replay" => {
                 let rest =
                     rest.filter(|rest| !rest.is_empty()).ok_or("replay needs a session: replay:FILE")?;
@@ -125,7 +149,7 @@ impl std::str::FromStr for DeviceName {
     }
 }
 
-fn host_and_port(text: &str) -> Result<String, String> {
+pub(crate) fn host_and_port(text: &str) -> Result<String, String> {
     let is_sound = text
         .rsplit_once(':')
         .is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok_and(|p| p > 0));
@@ -161,12 +185,26 @@ pub(crate) fn pushing_device(rate_hz: f64, seed: u64) -> SimulatedDevice {
 /// # Errors
 /// When it is not there, with what to do.
 pub(crate) fn open(name: &DeviceName, home: &ToolInput, rate_hz: f64) -> anyhow::Result<OpenDevice> {
+    open_standing(name, home, None, rate_hz)
+}
+
+/// The same for an active trocar that stands there.
+///
+/// # Errors
+/// When it is not there, with what to do.
+pub(crate) fn open_standing(
+    name: &DeviceName,
+    home: &ToolInput,
+    stands: Option<Placement>,
+    rate_hz: f64,
+) -> anyhow::Result<OpenDevice> {
     let plain = |device: Box<dyn HapticDevice>, name: &str, world_from_device| OpenDevice {
         device,
         name: name.to_owned(),
         world_from_device,
         tells_orientation: true,
         has_clutch: true,
+        stands: None,
     };
     Ok(match name {
         DeviceName::Simulated => {
@@ -190,29 +228,32 @@ pub(crate) fn open(name: &DeviceName, home: &ToolInput, rate_hz: f64) -> anyhow:
             let (device, name) = openhaptics::open(name.as_deref(), None)?;
             plain(device, &format!("OpenHaptics {name}"), patient_from_desk())
         }
-        DeviceName::Trocar { address } => {
-            let settings = BoardSettings::new(TrocarProfile::built());
-            let (device, name): (Box<dyn HapticDevice>, String) = match address {
-                Some(address) => {
-                    let device = trocar_board::connect(address, settings)?;
-                    (Box::new(device), format!("active trocar at {address}"))
-                }
-                None => (Box::new(trocar_board::simulated(settings, 1)), "simulated active trocar".into()),
-            };
-            // Its axis at rest is the instrument's.
-            let along = DQuat::from_rotation_arc(DVec3::Z, home.shaft_in_world.normalize());
-            OpenDevice { has_clutch: false, ..plain(device, &name, along) }
+        DeviceName::Trocar(choice) => {
+            let outward = home.shaft_in_world.normalize();
+            let deepest_m = choice.profile().insertion_limit_m;
+            let insertion_m = stands.map_or(START_INSERTION_M, |stands| {
+                stands.pivot_in_world_m.distance(home.tip_in_world_m).min(deepest_m)
+            });
+            let device = Box::new(choice.open(rate_hz, insertion_m)?);
+            // Its axis at rest is the instrument's, into the body.
+            let axes = stands.unwrap_or_else(|| Placement::facing(DVec3::ZERO, -outward)).world_from_device;
+            let plain = plain(device, &choice.text(), DQuat::from_mat3(&axes));
+            OpenDevice { has_clutch: false, stands, ..plain }
         }
     })
 }
 
 impl OpenDevice {
-    /// The mapping that has the handle where it is now, `start_m` in its own frame, hold the instrument at its home.
+    /// The mapping that has the handle where it is now, `start_m` in its own frame, hold the instrument at its home; of a
+    /// device that stands somewhere the one that has its place there.
     pub(crate) fn mapping(&self, start_m: DVec3, home: &ToolInput) -> DeviceMapping {
+        let (device_origin_m, world_origin_m) = self
+            .stands
+            .map_or((start_m, home.tip_in_world_m), |stands| (DVec3::ZERO, stands.pivot_in_world_m));
         DeviceMapping {
             world_from_device: self.world_from_device,
-            device_origin_m: start_m,
-            world_origin_m: home.tip_in_world_m,
+            device_origin_m,
+            world_origin_m,
             clutch_button: self.has_clutch.then_some(1),
             ..DeviceMapping::default()
         }
@@ -277,8 +318,8 @@ pub(crate) struct Finding {
     pub(crate) text: String,
 }
 
-/// Looks for libraries and services; opens no device.
-pub(crate) fn examine(haply_address: &str) -> Vec<Finding> {
+/// Looks for libraries and services, and for a trocar's board where it has an address; opens no device.
+pub(crate) fn examine(haply_address: &str, trocar_address: Option<&str>) -> Vec<Finding> {
     let of = |what: &str, answer: anyhow::Result<String>| Finding {
         what: what.to_owned(),
         is_good: answer.is_ok(),
@@ -291,6 +332,13 @@ pub(crate) fn examine(haply_address: &str) -> Vec<Finding> {
         of("Haply Inverse Service", haply::examine(haply_address)),
         library(&force_dimension::LIBRARY),
         library(&openhaptics::LIBRARY),
+        of(
+            "active trocar's board",
+            trocar_address.map_or_else(
+                || Err(anyhow::anyhow!("not looked for: --trocar HOST:PORT; `trocar` alone is simulated")),
+                trocar_board::examine,
+            ),
+        ),
     ]
 }
 
@@ -355,10 +403,33 @@ mod tests {
     }
 
     #[test]
+    fn a_simulated_trocar_points_where_the_instrument_does_and_stands_where_it_is_put() {
+        let name = DeviceName::Trocar(TrocarChoice::default());
+        let home = ToolInput::at(DVec3::new(0.01, 0.02, 0.03), DVec3::new(0.0, -0.6, 0.8));
+        let tip_m = |opened: &mut OpenDevice| {
+            let state = opened.device.read().unwrap();
+            let shaft = opened.world_from_device * state.orientation * DVec3::Z;
+            assert!(shaft.distance(home.shaft_in_world) < 1e-2, "{shaft}");
+            let mapping = opened.mapping(state.position_m, &home);
+            mapping.world_origin_m + opened.world_from_device * (state.position_m - mapping.device_origin_m)
+        };
+        let mut opened = open(&name, &home, 1_000.0).unwrap();
+        assert!(tip_m(&mut opened).distance(home.tip_in_world_m) < 1e-12);
+        // 80 mm up the shaft: the tip of an instrument that is as far in is at the home.
+        let pivot_m = home.tip_in_world_m + home.shaft_in_world * 0.08;
+        let stands = Some(Placement::facing(pivot_m, -home.shaft_in_world));
+        let mut opened = open_standing(&name, &home, stands, 1_000.0).unwrap();
+        assert!(tip_m(&mut opened).distance(home.tip_in_world_m) < 5e-4);
+    }
+
+    #[test]
     fn a_doctor_finds_no_vendor_here_and_says_what_to_do() {
         // Nobody listens on port 1.
-        let findings = examine("127.0.0.1:1");
-        assert_eq!(findings.len(), 3);
+        let findings = examine("127.0.0.1:1", Some("127.0.0.1:1"));
+        assert_eq!(findings.len(), 4);
+        let board = &findings[3];
+        assert!(!board.is_good && board.text.contains("cannot connect to the board"), "{}", board.text);
+        assert!(examine("127.0.0.1:1", None)[3].text.contains("--trocar HOST:PORT"));
         assert!(!findings[0].is_good && findings[0].text.contains("Inverse Service"), "{}", findings[0].text);
     }
 }

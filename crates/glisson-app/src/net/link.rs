@@ -82,6 +82,23 @@ pub(crate) enum ZenohAddress {
     File(PathBuf),
 }
 
+impl ZenohAddress {
+    /// Whether only this machine can get there, or whom the file lets in.
+    fn is_closed(&self) -> bool {
+        match self {
+            Self::Scouting => false,
+            Self::File(_) => true,
+            Self::Locator(locator) => {
+                let host = locator
+                    .split_once('/')
+                    .and_then(|(_, address)| address.rsplit_once(':'))
+                    .map_or("", |(host, _)| host.trim_matches(['[', ']']));
+                host == "localhost" || host.parse::<std::net::IpAddr>().is_ok_and(|ip| ip.is_loopback())
+            }
+        }
+    }
+}
+
 impl std::str::FromStr for LinkAddress {
     type Err = String;
 
@@ -144,6 +161,10 @@ impl LinkAddress {
                 }
                 udp(address, role)
             }
+            Self::Zenoh(address) if !address.is_closed() && !has_key => bail!(
+                "{self} can be reached from other machines, where anybody could steer the instruments: give both machines \
+                 the same --link-key FILE, or a configuration file with TLS (docs/network.md)"
+            ),
             #[cfg(feature = "net")]
             Self::Zenoh(address) => super::zenoh_link::open(address, role),
             #[cfg(not(feature = "net"))]
@@ -258,5 +279,16 @@ mod tests {
         let error = address.open(Role::Haptics, false).err().unwrap().to_string();
         assert!(error.contains("--link-key"), "{error}");
         assert!(address.open(Role::Haptics, true).is_ok());
+        for open in ["zenoh:", "zenoh:tcp/192.0.2.1:7447", "zenoh:tcp/host:7447", "zenoh:tcp/[::]:7447"] {
+            let address: LinkAddress = open.parse().unwrap();
+            let error = address.open(Role::Haptics, false).err().unwrap().to_string();
+            assert!(error.contains("--link-key"), "{error}");
+        }
+        for closed in
+            ["zenoh:tcp/127.0.0.1:7447", "zenoh:tcp/[::1]:7447", "zenoh:udp/localhost:1", "zenoh:a.json5"]
+        {
+            let LinkAddress::Zenoh(address) = closed.parse().unwrap() else { panic!("{closed}") };
+            assert!(address.is_closed(), "{closed}");
+        }
     }
 }

@@ -17,6 +17,10 @@ pub(crate) mod player;
 pub(crate) mod ros2;
 pub(crate) mod options;
 #[cfg(feature = "net")]
+mod zenoh_log;
+#[cfg(feature = "net")]
 mod zenoh_link;
 #[cfg(test)]
 mod tests;
+#[cfg(all(test, feature = "net"))]
+mod zenoh_tests;

@@ -35,12 +35,20 @@ pub(crate) struct NetArgs {
     /// Show tools and organ to OpenIGTLink clients (3D Slicer) that connect to this address
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:18944")]
     igtl: Option<SocketAddr>,
+    /// Let OpenIGTLink clients of other machines connect: the protocol knows no password, so whoever reaches the address sees
+    /// organ and instruments (nobody can steer there)
+    #[arg(long, requires = "igtl")]
+    igtl_open: bool,
     /// Axes of what OpenIGTLink clients get
     #[arg(long, value_enum, default_value_t, requires = "igtl")]
     igtl_axes: igtl::Axes,
     /// Publish ROS 2 topics in this domain, as a node of rmw_zenoh; needs the feature `net`
     #[arg(long, value_name = "DOMAIN", num_args = 0..=1, default_missing_value = "0")]
     ros2: Option<u32>,
+    /// Let CRTK clients move the instruments that no device holds (state_command, servo_cp, move_cp, jaw/servo_jp): whoever
+    /// reaches the router of ROS 2 can
+    #[arg(long, requires = "ros2")]
+    ros2_control: bool,
     /// How to reach the router of ROS 2
     #[arg(long, value_name = "ADDRESS", default_value = "zenoh:tcp/127.0.0.1:7447", requires = "ros2")]
     ros2_link: LinkAddress,
@@ -69,45 +77,62 @@ impl NetArgs {
         self.igtl.is_some() || self.ros2.is_some()
     }
 
-    /// What shows `simulation` beside the viewer; tells where.
+    /// What shows `simulation` beside the viewer; tells where. `held`: numbers of the instruments that devices hold.
     ///
     /// # Errors
-    /// When an address cannot be used.
-    pub(crate) fn shows(&self, simulation: &Simulation) -> anyhow::Result<Vec<Show>> {
+    /// When an address cannot be used, or there is no instrument for CRTK's clients to move.
+    pub(crate) fn shows(&self, simulation: &Simulation, held: &[usize]) -> anyhow::Result<Vec<Show>> {
         let mut shows: Vec<Show> = Vec::new();
         if let Some(address) = self.igtl {
+            if !address.ip().is_loopback() && !self.igtl_open {
+                bail!(
+                    "--igtl {address} can be reached from other machines, and OpenIGTLink knows no password: whoever reaches it \
+                     sees organ and instruments; give --igtl-open if that is meant, or an address of this machine only \
+                     (127.0.0.1:{}) and a tunnel",
+                    address.port()
+                );
+            }
             let listener = igtl::bind(address)?;
             let (address, axes) = (listener.local_addr()?, self.igtl_axes);
             println!("OpenIGTLink is at {address} (mm, {})", axes.name());
-            if !address.ip().is_loopback() {
-                println!(
-                    "whoever reaches {address} sees the organ and the instruments; nobody can steer them there"
-                );
-            }
             let spec = simulation.world().spec();
             let tool_names = spec.tools.iter().map(|tool| tool.name.clone()).collect();
             let organ_name = if spec.name.is_empty() { "organ".to_owned() } else { spec.name.clone() };
             let described = igtl::Described { axes, tool_names, organ_name };
-            shows.push(Box::new(move |published| igtl::spawn(listener, described, published)));
+            shows.push(Box::new(move |published, _| igtl::spawn(listener, described, published)));
         }
         if let Some(domain) = self.ros2 {
-            shows.push(self.ros2_topics(domain, simulation)?);
+            shows.push(self.ros2_topics(domain, simulation, held)?);
         }
         Ok(shows)
     }
 
     #[cfg(feature = "net")]
-    fn ros2_topics(&self, domain: u32, simulation: &Simulation) -> anyhow::Result<Show> {
+    fn ros2_topics(&self, domain: u32, simulation: &Simulation, held: &[usize]) -> anyhow::Result<Show> {
         let LinkAddress::Zenoh(address) = self.ros2_link.clone() else {
             bail!("--ros2-link {}: ROS 2 is reached over zenoh: only", self.ros2_link);
         };
+        if self.ros2_control && self.role.is_some() {
+            bail!(
+                "--ros2-control with --role simulation: the instruments are in the hands of the other machine"
+            );
+        }
+        let is_ordered = |tool| self.ros2_control && !held.contains(&tool);
+        let described = super::ros2::Described::of(simulation.world().tools(), is_ordered);
+        if self.ros2_control && !described.takes_orders() {
+            bail!("--ros2-control: devices hold all instruments; leave out one --device, or --ros2-control");
+        }
         println!("ROS 2 topics of domain {domain} go to {}", self.ros2_link);
-        let described = super::ros2::Described::of(simulation.world().tools());
-        Ok(Box::new(move |published| super::ros2::spawn(&address, domain, described, published)))
+        if self.ros2_control {
+            println!("whoever reaches {} can move the instruments that no device holds", self.ros2_link);
+        }
+        Ok(Box::new(move |published, steering| {
+            super::ros2::spawn(&address, domain, described, published, steering)
+        }))
     }
 
     #[cfg(not(feature = "net"))]
-    fn ros2_topics(&self, domain: u32, _: &Simulation) -> anyhow::Result<Show> {
+    fn ros2_topics(&self, domain: u32, _: &Simulation, _: &[usize]) -> anyhow::Result<Show> {
         bail!(
             "--ros2 {domain} over {}: this program was built without zenoh; build it with --features net",
             self.ros2_link

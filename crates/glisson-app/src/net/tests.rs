@@ -75,19 +75,19 @@ fn home() -> ToolInput {
     ToolInput::at(DVec3::ZERO, DVec3::Z)
 }
 
-fn identity(role: Role, scene: u8) -> Identity {
+pub(super) fn identity(role: Role, scene: u8) -> Identity {
     Identity { role, scene: SceneHash([scene; 32]), n_tools: 1, seal: Seal::Check }
 }
 
 /// The haptics machine: what its haptic loop would hold, and the conversation.
-struct HapticsEnd {
+pub(super) struct HapticsEnd {
     motions: Publisher<Motion>,
-    models: Latest<PublishedModel>,
+    pub(super) models: Latest<PublishedModel>,
     conversation: Conversation,
 }
 
 impl HapticsEnd {
-    fn start(link: Link, identity: Identity) -> Self {
+    pub(super) fn start(link: Link, identity: Identity) -> Self {
         let (models_in, models) = exchange(PublishedModel::default());
         let (motions, motions_out) = exchange(Motion { pose: home(), is_held: false });
         let (_, statuses) = exchange(DeviceStatus::Waiting);
@@ -102,32 +102,32 @@ impl HapticsEnd {
         Self { motions, models, conversation }
     }
 
-    fn move_to(&mut self, x_m: f64) {
+    pub(super) fn move_to(&mut self, x_m: f64) {
         let pose = ToolInput { tip_in_world_m: DVec3::X * x_m, ..home() };
         self.motions.publish(Motion { pose, is_held: true });
     }
 }
 
 /// The simulating machine.
-struct SimulationEnd {
-    tool: ToolLink,
-    conversation: Conversation,
+pub(super) struct SimulationEnd {
+    pub(super) tool: ToolLink,
+    pub(super) conversation: Conversation,
 }
 
 impl SimulationEnd {
-    fn start(link: Link, identity: Identity) -> Self {
+    pub(super) fn start(link: Link, identity: Identity) -> Self {
         let (conversation, mut links) = start_simulation(link, identity, &[home()]).unwrap();
         Self { tool: links.pop().unwrap(), conversation }
     }
 
-    fn publish(&mut self, step: u64) {
+    pub(super) fn publish(&mut self, step: u64) {
         let model = HapticModel { step, touch: Touch::Grasp, ..HapticModel::default() };
         self.tool.models.publish(PublishedModel { model, made_ns: now_ns() });
     }
 }
 
 /// Waits for what must come soon on a machine that may be busy.
-fn soon(what: &str, mut holds: impl FnMut() -> bool) {
+pub(super) fn soon(what: &str, mut holds: impl FnMut() -> bool) {
     let end = Instant::now() + Duration::from_secs(20);
     while !holds() {
         assert!(Instant::now() < end, "{what}");
@@ -217,62 +217,4 @@ fn another_scene_the_same_role_and_strangers_are_refused_with_a_reason() {
     assert!(reason.contains("--role haptics"), "{reason}");
     let reason = refusal(Identity { seal: Seal::Key(Box::new([1; 32])), ..identity(Role::Haptics, 1) });
     assert!(reason.contains("--link-key"), "{reason}");
-}
-
-/// A port that zenoh can listen at.
-#[cfg(feature = "net")]
-fn free_tcp_locator() -> super::link::ZenohAddress {
-    let address = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    super::link::ZenohAddress::Locator(format!("tcp/{address}"))
-}
-
-#[cfg(feature = "net")]
-#[test]
-fn zenoh_carries_poses_and_models_and_finds_a_simulation_that_comes_later() {
-    use super::zenoh_link::open;
-    let address = free_tcp_locator();
-    let mut haptics = HapticsEnd::start(open(&address, Role::Haptics).unwrap(), identity(Role::Haptics, 1));
-    haptics.move_to(0.5);
-    let mut simulation =
-        SimulationEnd::start(open(&address, Role::Simulation).unwrap(), identity(Role::Simulation, 1));
-    soon("the pose", || simulation.tool.motions.get().pose.tip_in_world_m.x == 0.5);
-    simulation.publish(7);
-    soon("the model", || haptics.models.get().model.step == 7);
-    assert_eq!(simulation.conversation.report().n_refused, 0);
-    drop(simulation);
-    let mut simulation =
-        SimulationEnd::start(open(&address, Role::Simulation).unwrap(), identity(Role::Simulation, 1));
-    haptics.move_to(0.6);
-    soon("the pose again", || simulation.tool.motions.get().pose.tip_in_world_m.x == 0.6);
-}
-
-#[cfg(feature = "net")]
-#[test]
-fn ros2_topics_are_there_with_their_tokens_and_attachments() {
-    use super::igtl::tests::published;
-    use super::ros2;
-    use super::zenoh_link::config;
-    use zenoh::Wait;
-    let address = free_tcp_locator();
-    let session = zenoh::open(config(&address, Role::Simulation).unwrap()).wait().unwrap();
-    let subscriber = session.declare_subscriber("5/hook/measured_cp/**").wait().unwrap();
-    let (sender, receiver) = tokio::sync::watch::channel(published(1));
-    let described = ros2::Described::named(&["hook"]);
-    let thread = ros2::spawn(&address, 5, described, receiver).unwrap();
-    let mut message = None;
-    soon("a pose", || {
-        sender.send_replace(published(2));
-        message = subscriber.try_recv().unwrap();
-        message.is_some()
-    });
-    let message = message.unwrap();
-    assert!(message.key_expr().as_str().contains("/geometry_msgs::msg::dds_::PoseStamped_/RIHS01_10f3786d"));
-    let bytes = message.payload().to_bytes();
-    assert_eq!(bytes[..4], [0, 1, 0, 0]);
-    assert_eq!(message.attachment().unwrap().len(), 33);
-    // Node, pose, force, surface.
-    let tokens = session.liveliness().get("@ros2_lv/5/**").wait().unwrap();
-    assert_eq!(tokens.into_iter().count(), 4);
-    drop(sender);
-    thread.join().unwrap();
 }

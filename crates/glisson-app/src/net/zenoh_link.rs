@@ -5,6 +5,7 @@ use super::link::{Link, ReceiveHalf, Role, SendHalf, ZenohAddress};
 use anyhow::{Context, anyhow};
 use std::collections::VecDeque;
 use std::io;
+use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 use zenoh::Wait;
@@ -20,34 +21,60 @@ const RETRY_MS: &str = "200";
 /// The configuration for an address.
 pub(super) fn config(address: &ZenohAddress, role: Role) -> anyhow::Result<zenoh::Config> {
     if let ZenohAddress::File(path) = address {
-        return zenoh::Config::from_file(path)
-            .map_err(|e| anyhow!("{}: not a configuration of zenoh: {e}", path.display()));
+        return closed_config(path);
     }
     let mut config = zenoh::Config::default();
-    let mut set = |key: &str, value: &str| {
-        config.insert_json5(key, value).map_err(|e| anyhow!("zenoh does not take {key} = {value}: {e}"))
-    };
-    set("mode", "\"peer\"")?;
+    set(&mut config, "mode", "\"peer\"")?;
     if let ZenohAddress::Locator(locator) = address {
         let endpoints = serde_json::to_string(&[locator]).context("a locator is text")?;
-        set("scouting/multicast/enabled", "false")?;
+        set(&mut config, "scouting/multicast/enabled", "false")?;
         match role {
-            Role::Simulation => set("listen/endpoints", &endpoints)?,
+            Role::Simulation => set(&mut config, "listen/endpoints", &endpoints)?,
             Role::Haptics => {
-                set("connect/endpoints", &endpoints)?;
-                set("listen/endpoints", "[]")?;
-                set("connect/exit_on_failure", "false")?;
-                set("connect/timeout_ms", "-1")?;
-                set("connect/retry/period_init_ms", RETRY_MS)?;
-                set("connect/retry/period_max_ms", RETRY_MS)?;
+                set(&mut config, "connect/endpoints", &endpoints)?;
+                set(&mut config, "listen/endpoints", "[]")?;
+                try_again(&mut config)?;
             }
         }
     }
     Ok(config)
 }
 
+fn set(config: &mut zenoh::Config, key: &str, value: &str) -> anyhow::Result<()> {
+    config.insert_json5(key, value).map_err(|e| anyhow!("zenoh does not take {key} = {value}: {e}"))
+}
+
+/// Who comes first waits for the other one, and after a cut tries again soon.
+fn try_again(config: &mut zenoh::Config) -> anyhow::Result<()> {
+    set(config, "connect/exit_on_failure", "false")?;
+    set(config, "connect/timeout_ms", "-1")?;
+    let retry = format!("{{ period_init_ms: {RETRY_MS}, period_max_ms: {RETRY_MS} }}");
+    set(config, "connect/retry", &retry)
+}
+
+/// As a file says, but with no door open that it does not mention: by itself zenoh listens without TLS on every network and
+/// looks for others by multicast.
+fn closed_config(path: &Path) -> anyhow::Result<zenoh::Config> {
+    let failed = |e: &dyn std::fmt::Display| anyhow!("{}: not a configuration of zenoh: {e}", path.display());
+    let mut config = zenoh::Config::from_file(path).map_err(|e| failed(&e))?;
+    let open = zenoh::Config::default();
+    for (key, closed) in [("listen/endpoints", "[]"), ("scouting/multicast/enabled", "false")] {
+        let value = |config: &zenoh::Config| config.get_json(key).map_err(|e| failed(&e));
+        if value(&config)? == value(&open)? {
+            set(&mut config, key, closed)?;
+        }
+    }
+    if config.get_json("connect/timeout_ms").map_err(|e| failed(&e))?
+        == open.get_json("connect/timeout_ms").map_err(|e| failed(&e))?
+    {
+        try_again(&mut config)?;
+    }
+    Ok(config)
+}
+
 /// Opens a session for a link.
 pub(super) fn open(address: &ZenohAddress, role: Role) -> anyhow::Result<Link> {
+    super::zenoh_log::tell();
     let session = zenoh::open(config(address, role)?).wait().map_err(|e| anyhow!("zenoh: {e}"))?;
     let publisher = session
         .declare_publisher(format!("{KEY}/{}", role.name()))

@@ -39,6 +39,11 @@ pub(crate) enum Command {
         /// Its number.
         tool: usize,
     },
+    /// The mesh is made finer around an instrument's tip.
+    Refine {
+        /// Which one, from 0.
+        tool: usize,
+    },
     /// An instrument sets a clip on the vessel nearest to its tip.
     Clip {
         /// Its number.
@@ -334,6 +339,10 @@ impl Live {
             Command::Cut { tool } => self.refuse_tool(tool),
             Command::Clip { tool } => {
                 self.simulation.clip_vessel(tool)?;
+                return Ok(true);
+            }
+            Command::Refine { tool } => {
+                self.simulation.refine_around(tool)?;
                 return Ok(true);
             }
             Command::Undo => {

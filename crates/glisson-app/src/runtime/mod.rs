@@ -4,17 +4,19 @@ mod incidents;
 pub(crate) mod exchange;
 pub(crate) mod histogram;
 pub(crate) mod realtime;
+pub(crate) mod force_choices;
 pub(crate) mod haptic_loop;
 pub(crate) mod live;
 mod effort;
 pub(crate) mod recorder;
 pub(crate) mod replay;
+pub(crate) mod account;
 
 use crate::workers::WorkerTeam;
 use anyhow::{Context, anyhow, bail};
 use glisson::haptics::HapticModel;
 use glisson::math::DVec3;
-use glisson::mesh::edit::MeshEdit;
+use glisson::mesh::refine::FineRegion;
 use glisson::mesh::{TetId, TetMesh};
 use glisson::model::explicit_kernel::SharedWorkers;
 use glisson::model::kernel::Sequential;
@@ -287,8 +289,36 @@ impl Simulation {
     /// reason is told.
     pub(crate) fn remove_tetrahedra(&mut self, tets: Vec<TetId>) -> anyhow::Result<()> {
         self.record(&SessionEvent::Remove { step: self.world.steps_made(), tets: tets.clone() })?;
-        if let Err(refusal) = self.world.edit(&MeshEdit::Remove { tets }) {
+        if let Err(refusal) = self.world.remove_and_part(tets) {
             self.tell(format!("nothing was cut: {refusal}"));
+        }
+        Ok(())
+    }
+
+    /// Makes the mesh finer around an instrument's tip; where that cannot be, the reason is told.
+    pub(crate) fn refine_around(&mut self, tool: usize) -> anyhow::Result<()> {
+        let n_tools = self.world.tools().len();
+        if tool >= n_tools {
+            self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
+            return Ok(());
+        }
+        match self.world.finer_region_at(tool) {
+            Some(region) => self.refine(region),
+            None => {
+                self.tell("nothing was made finer: the instrument's tip is not at the organ".to_owned());
+                Ok(())
+            }
+        }
+    }
+
+    /// Makes the mesh finer in a region.
+    pub(crate) fn refine(&mut self, region: FineRegion) -> anyhow::Result<()> {
+        let FineRegion { center_m, radius_m, edge_m } = region;
+        self.record(&SessionEvent::Refine { step: self.world.steps_made(), center_m, radius_m, edge_m })?;
+        match self.world.refine(&region) {
+            Ok(0) => self.tell("nothing was made finer: the mesh is fine enough here".to_owned()),
+            Ok(_) => {}
+            Err(refusal) => self.tell(format!("nothing was made finer: {refusal}")),
         }
         Ok(())
     }

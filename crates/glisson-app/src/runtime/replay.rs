@@ -1,7 +1,9 @@
 //! Replays a session and says whether it made the same bits.
 
+use super::account::Account;
 use super::{OpenScene, Simulation};
 use anyhow::{Context, anyhow, bail};
+use glisson::mesh::refine::FineRegion;
 use glisson::record::hash::StateHash;
 use glisson::record::session::{Session, SessionEvent, parse_session};
 use glisson::scene::{Scene, mesh_hash};
@@ -20,6 +22,8 @@ pub(crate) struct ReplayReport {
     pub(crate) first_difference: Option<u64>,
     /// Check-points compared.
     pub(crate) checkpoints: u64,
+    /// What the session did to the organ.
+    pub(crate) account: Account,
 }
 
 /// Reads a session file.
@@ -56,6 +60,7 @@ pub(crate) fn replay(
         recorded_hash: None,
         first_difference: None,
         checkpoints: 0,
+        account: Account::default(),
     };
     for event in &session.events {
         while simulation.world().steps_made() < event.step() {
@@ -77,6 +82,9 @@ pub(crate) fn replay(
             }
             SessionEvent::UndoEdit { .. } => simulation.undo_edit()?,
             SessionEvent::Clip { tool, .. } => simulation.clip_vessel(usize::from(tool))?,
+            SessionEvent::Refine { center_m, radius_m, edge_m, .. } => {
+                simulation.refine(FineRegion { center_m, radius_m, edge_m })?;
+            }
             SessionEvent::Effort { effort, .. } => drop(simulation.set_effort(effort)?),
             SessionEvent::Reset { .. } => simulation.reset()?,
             SessionEvent::Gravity { gravity_m_per_s2, .. } => simulation.set_gravity(gravity_m_per_s2)?,
@@ -92,6 +100,7 @@ pub(crate) fn replay(
         }
     }
     report.steps = simulation.world().steps_made();
+    report.account = Account::of(simulation.world());
     report.state_hash = simulation.world().state_hash();
     Ok(report)
 }

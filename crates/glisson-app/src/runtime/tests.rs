@@ -1,5 +1,6 @@
 //! The runtime on a small body: what is recorded replays to the same bits, also across a change of model.
 
+use super::account::Account;
 use super::replay::replay;
 use super::*;
 use glisson::image::vessels::{Tube, write_vessels};
@@ -320,18 +321,24 @@ fn instruments_that_cut_tear_and_clip_replay_to_the_same_bits() {
             n_edits = n_edits.max(simulation.world().n_edits_to_undo());
             bled |= simulation.world().vessels().unwrap().bleeding_m3_per_s() > 0.0;
             match step {
+                410 => simulation.refine_around(0).unwrap(),
                 420 => simulation.clip_vessel(0).unwrap(),
-                440 => simulation.undo_edit().unwrap(),
+                440 | 442 => simulation.undo_edit().unwrap(),
                 _ => {}
             }
         }
         assert!(n_edits > 0, "{kind}: {:?}", simulation.notices());
         assert!(bled || kind == "probe", "{kind}: {:?}", simulation.notices());
+        let account = Account::of(simulation.world());
+        assert!(account.to_text().contains("blood lost") && account.to_json()["clips"].is_u64(), "{kind}");
         let hash = simulation.finish().unwrap();
         let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
-        assert!(text.contains("\"clip\"") && text.contains("\"undo_edit\""));
+        for event in ["clip", "refine", "undo_edit"] {
+            assert!(text.contains(&format!("\"{event}\"")), "{kind}: {event}");
+        }
         let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
         assert_eq!((report.state_hash, report.first_difference), (hash, None), "{kind}");
+        assert_eq!(report.account, account, "{kind}");
     }
 }
 

@@ -83,6 +83,12 @@ impl Control {
         });
     }
 
+    /// Whether somebody else controls.
+    #[cfg_attr(not(feature = "net"), allow(dead_code, reason = "only CRTK's clients ask: a viewer is told"))]
+    pub(super) fn is_with_another(&self, viewer: Viewer) -> bool {
+        self.controller.borrow().is_some_and(|controller| controller != viewer)
+    }
+
     pub(super) fn watch(&self) -> watch::Receiver<Option<Viewer>> {
         self.controller.subscribe()
     }

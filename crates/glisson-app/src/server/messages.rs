@@ -130,8 +130,18 @@ pub(super) fn role(is_controller: bool, is_taken: bool) -> Value {
     json!({ "type": "role", "role": role, "control_is_taken": is_taken })
 }
 
+/// Where the loop is that gives forces to hands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum HapticsAt {
+    /// No device holds an instrument.
+    Nowhere,
+    Here,
+    /// The machine with `--role haptics`, which knows its times.
+    OtherMachine,
+}
+
 /// How the loops keep their time.
-pub(super) fn timing(published: &Published, haptics: Option<&HapticReport>) -> Value {
+pub(super) fn timing(published: &Published, at: HapticsAt, haptics: Option<&HapticReport>) -> Value {
     let Published { pace, lateness, effort, .. } = published;
     json!({
         "type": "timing",
@@ -143,6 +153,11 @@ pub(super) fn timing(published: &Published, haptics: Option<&HapticReport>) -> V
             "effort": effort.name(),
         },
         "haptics": haptics.map(HapticReport::to_json),
+        "haptics_at": match at {
+            HapticsAt::Nowhere => "nowhere",
+            HapticsAt::Here => "here",
+            HapticsAt::OtherMachine => "other_machine",
+        },
     })
 }
 
@@ -189,6 +204,10 @@ enum ViewerMessage {
         #[serde(default)]
         tool: usize,
     },
+    Refine {
+        #[serde(default)]
+        tool: usize,
+    },
     Undo {},
     ReleaseControl {},
 }
@@ -230,6 +249,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
         }
         ViewerMessage::Cut { tool } => Command::Cut { tool },
         ViewerMessage::Clip { tool } => Command::Clip { tool },
+        ViewerMessage::Refine { tool } => Command::Refine { tool },
         ViewerMessage::Undo {} => Command::Undo,
         ViewerMessage::Gravity { m_per_s2 } => {
             let gravity_m_per_s2 = DVec3::from_array(m_per_s2);
@@ -312,6 +332,7 @@ mod tests {
         assert_eq!(command(r#"{"type":"cut"}"#), Ok(Command::Cut { tool: 0 }));
         assert_eq!(command(r#"{"type":"cut","tool":2}"#), Ok(Command::Cut { tool: 2 }));
         assert_eq!(command(r#"{"type":"clip","tool":1}"#), Ok(Command::Clip { tool: 1 }));
+        assert_eq!(command(r#"{"type":"refine","tool":1}"#), Ok(Command::Refine { tool: 1 }));
         assert_eq!(command(r#"{"type":"undo"}"#), Ok(Command::Undo));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));

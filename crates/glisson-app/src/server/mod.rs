@@ -5,6 +5,8 @@ mod control;
 pub(crate) mod frames;
 mod messages;
 mod socket;
+#[cfg_attr(not(feature = "net"), allow(dead_code, reason = "only CRTK's clients steer beside the viewers"))]
+pub(crate) mod steering;
 
 use crate::runtime::Simulation;
 use crate::runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
@@ -19,10 +21,12 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use control::Control;
 use frames::Pace;
+use messages::HapticsAt;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
 use std::thread::JoinHandle;
+use steering::Steering;
 use tokio::sync::watch;
 
 /// The viewer as built into `web/dist`.
@@ -38,13 +42,15 @@ struct Shared {
     hello: serde_json::Value,
     published: watch::Receiver<Arc<Published>>,
     commands: Sender<Command>,
-    control: Control,
+    control: Arc<Control>,
     /// Of the haptic loop, if one runs.
     meters: Option<Arc<Meters>>,
+    haptics_at: HapticsAt,
 }
 
-/// Starts something that shows what is published, until the other end is gone.
-pub(crate) type Show = Box<dyn FnOnce(watch::Receiver<Arc<Published>>) -> anyhow::Result<JoinHandle<()>>>;
+/// Starts something that shows what is published, until the other end is gone; it may take a seat at the controls.
+pub(crate) type Show =
+    Box<dyn FnOnce(watch::Receiver<Arc<Published>>, &Steering) -> anyhow::Result<JoinHandle<()>>>;
 
 /// What is served beside the simulation.
 pub(crate) struct Service {
@@ -109,8 +115,16 @@ pub(crate) fn serve(
     let (commands, commands_out) = std::sync::mpsc::channel();
     let hello = messages::hello(&simulation);
     let (held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
+    let haptics_at = match (held.is_empty(), remote.is_empty()) {
+        (false, _) => HapticsAt::Here,
+        (true, false) => HapticsAt::OtherMachine,
+        (true, true) => HapticsAt::Nowhere,
+    };
     links.extend(remote);
-    let shows: Vec<_> = shows.into_iter().map(|show| show(published.clone())).collect::<Result<_, _>>()?;
+    let control = Arc::new(Control::default());
+    let steering = Steering::new(Arc::clone(&control), commands.clone());
+    let shows: Vec<_> =
+        shows.into_iter().map(|show| show(published.clone(), &steering)).collect::<Result<_, _>>()?;
     let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
     let simulation_thread = std::thread::Builder::new()
         .name("simulation".into())
@@ -119,8 +133,9 @@ pub(crate) fn serve(
         hello,
         published,
         commands: commands.clone(),
-        control: Control::default(),
+        control,
         meters: haptics.as_ref().map(|haptics| Arc::clone(haptics.meters())),
+        haptics_at,
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let served = runtime.block_on(async {

@@ -132,7 +132,7 @@ impl Connection {
                     }
                     let haptics = shared.meters.as_ref().map(|meters| meters.report());
                     let latest = Arc::clone(&published.borrow());
-                    self.say(messages::timing(&latest, haptics.as_ref())).await?;
+                    self.say(messages::timing(&latest, shared.haptics_at, haptics.as_ref())).await?;
                     self.send(Message::Ping(Vec::new().into())).await?;
                 }
                 message = self.socket.recv() => {

@@ -140,6 +140,7 @@ fn one_viewer_controls_and_the_next_one_follows_when_it_leaves() {
     while first.hear("role")["control_is_taken"] == true {}
     let timing = first.hear("timing");
     assert!(timing["simulation"]["real_time_factor"].is_number() && timing["haptics"].is_null(), "{timing}");
+    assert_eq!(timing["haptics_at"], "nowhere");
 }
 
 #[test]

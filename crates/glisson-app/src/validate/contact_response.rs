@@ -1,11 +1,21 @@
 //! Local responses to contact: what a step of the thesis' cubes costs, and what each response leaves of a lasting contact.
 
 use super::{Experiment, Outcome};
+use crate::bench::colliding::{N_FRAMES, rocking_cubes};
 use crate::bench::contact::collision;
 use crate::bench::response::{CUBES_STEP_S, GEOMETRIC, IMPULSE, PENALTY, PressedCubes, contact_and_response};
 use crate::bench::{Settings, thread_cpu_ns};
+use glisson::contact::broad_phase::BroadPhaseKind;
 use glisson::contact::response::bodies::ResponseKind;
+use glisson::contact::self_collision::{PairSearch, PairSearchParams};
+use glisson::material::LinearElastic;
+use glisson::mesh::box_mesh::cube_of_five;
+use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
+use glisson::model::kernel::KernelLaw;
+use glisson::model::{DeformableModel, DynamicBody};
 use std::fmt::Write as _;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Instant;
 
 const CUBES: &str = "seed 000 s. 4.2.2: below 1, 2.5 and 6 ms, display included, on its machine";
 const RATES: &str = "seed 000 s. 4.3.3, fig. 4.6";
@@ -19,6 +29,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let mut outcome = Outcome::default();
     cost_of_cubes(&mut outcome)?;
     rates(&mut outcome)?;
+    beside(&mut outcome)?;
     buckets(&mut outcome)?;
     lasting_contact(&mut outcome)?;
     Ok(outcome)
@@ -80,6 +91,115 @@ fn rates(outcome: &mut Outcome) -> anyhow::Result<()> {
     let ratio = rates_hz[0] / rates_hz[1];
     outcome.experiments.push(Experiment::within(name, "seed 000: 20 % more", ratio, [1.0, 1.6]).of_times());
     outcome.notes += &notes;
+    Ok(())
+}
+
+/// Steps of four cubes that are watched with detection in their thread and beside it.
+const N_WATCHED: usize = 4_000;
+
+/// What detection finds of four rocking cubes, step by step or by a thread of its own.
+struct Detection {
+    search: PairSearch,
+    found: Vec<[u32; 2]>,
+}
+
+impl Detection {
+    fn pairs(&mut self, positions_m: &[glisson::math::DVec3]) -> &[[u32; 2]] {
+        self.search.update(positions_m);
+        self.search.meeting_into(&mut self.found);
+        &self.found
+    }
+}
+
+/// Detection in the thread of the mechanics against a thread of its own. The cubes' motion is given, so that the true pairs
+/// of every step are known; the mechanics' work is that of four explicit models.
+fn beside(outcome: &mut Outcome) -> anyhow::Result<()> {
+    let surface = rocking_cubes(4);
+    let frames_m = &surface.frames_m;
+    let detection = || {
+        let pair_capacity = 64 * surface.triangles.len();
+        let params = PairSearchParams {
+            kind: BroadPhaseKind::Hierarchy,
+            self_collision: true,
+            margin_m: 0.0,
+            pair_capacity,
+        };
+        let search = PairSearch::new(&params, &frames_m[0], &surface.triangles, &surface.body_of);
+        Detection { search, found: Vec::with_capacity(pair_capacity) }
+    };
+    let mut in_thread = detection();
+    let true_pairs: Vec<Vec<[u32; 2]>> = frames_m.iter().map(|f| in_thread.pairs(f).to_vec()).collect();
+    let material = LinearElastic::from_young_poisson(20e3, 0.3, 1000.0)?;
+    let mesh = cube_of_five(5, 0.05);
+    let body = DynamicBody { time_step_s: 1e-4, ..DynamicBody::new(&mesh, 1000.0) };
+    let materials = [material];
+    let params = ExplicitKernelParams::new(body, KernelLaw::StVenantKirchhoff, &materials);
+    let mut models: Vec<ExplicitKernel> =
+        (0..4).map(|_| ExplicitKernel::build(&params)).collect::<Result<_, _>>()?;
+    let mut deform = || models.iter_mut().for_each(|model| model.step(1e-4));
+
+    let start = Instant::now();
+    for step in 0..N_WATCHED {
+        deform();
+        in_thread.pairs(&frames_m[step % N_FRAMES]);
+    }
+    let together_hz = N_WATCHED as f64 / start.elapsed().as_secs_f64();
+
+    let (step_now, is_over) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let mut other = detection();
+    let (alone_hz, lags, n_missed, n_true) = std::thread::scope(|scope| {
+        let watcher = scope.spawn(|| {
+            let (mut lags, mut n_missed, mut n_true) = (Vec::new(), 0, 0);
+            while !is_over.load(Ordering::Acquire) {
+                let of = step_now.load(Ordering::Acquire);
+                let found = other.pairs(&frames_m[of % N_FRAMES]);
+                let now = step_now.load(Ordering::Acquire);
+                let wanted = &true_pairs[now % N_FRAMES];
+                n_missed += wanted.iter().filter(|pair| found.binary_search(pair).is_err()).count();
+                n_true += wanted.len();
+                lags.push(now - of);
+            }
+            (lags, n_missed, n_true)
+        });
+        let start = Instant::now();
+        for step in 0..4 * N_WATCHED {
+            deform();
+            step_now.store(step, Ordering::Release);
+        }
+        let alone_hz = 4.0 * N_WATCHED as f64 / start.elapsed().as_secs_f64();
+        is_over.store(true, Ordering::Release);
+        let (lags, n_missed, n_true) = watcher.join().expect("the watcher does not panic");
+        (alone_hz, lags, n_missed, n_true)
+    });
+    let mean_lag = lags.iter().sum::<usize>() as f64 / lags.len().max(1) as f64;
+    let found_hz = alone_hz * lags.len() as f64 / (4 * N_WATCHED) as f64;
+    let missed_percent = 100.0 * n_missed as f64 / n_true.max(1) as f64;
+    writeln!(
+        outcome.notes,
+        "\n### Detection in the mechanics' thread or beside it\n\nFour rocking cubes, 1200 triangles, the mechanics of four cubes of 625 \
+         tetrahedra; wall time. The thesis (s. 4.2.2) had a thread of its own first, whose pairs lag behind, and kept one thread.\n\n\
+         | | steps a second | detections a second | pairs are older by [steps] | true pairs that are missing [%] |\n|---|---|---|---|---|\n\
+         | one thread | {together_hz:.0} | {together_hz:.0} | 0 | 0 |\n\
+         | two threads | {alone_hz:.0} | {found_hz:.0} | {mean_lag:.1} | {missed_percent:.1} |"
+    )?;
+    outcome.experiments.push(
+        Experiment::within(
+            "detection beside the mechanics: steps a second over those of one thread",
+            "seed 000 s. 4.2.2: two threads or one",
+            alone_hz / together_hz,
+            [1.0, 1e3],
+        )
+        .of_times(),
+    );
+    outcome.experiments.push(
+        Experiment::within(
+            "detection beside the mechanics: age of its pairs [steps]",
+            "seed 000 s. 4.2.2: detection lags behind",
+            mean_lag,
+            [0.5, 1e6],
+        )
+        .of_times(),
+    );
     Ok(())
 }
 

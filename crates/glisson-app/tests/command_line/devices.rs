@@ -13,11 +13,21 @@ fn devices_are_listed_tested_and_looked_for() {
         String::from_utf8_lossy(&output.stdout).into_owned()
     };
     let list = answer(&["devices", "list"]);
-    for name in ["simulated", "replay:FILE", "haply", "force-dimension", "openhaptics", "trocar"] {
+    for name in [
+        "simulated",
+        "replay:FILE",
+        "haply",
+        "force-dimension",
+        "openhaptics",
+        "trocar",
+        "viewer",
+        "mapping=thesis",
+    ] {
         assert!(list.contains(name), "{name}: {list}");
     }
-    let doctor = answer(&["devices", "doctor", "--haply", "127.0.0.1:1"]);
+    let doctor = answer(&["devices", "doctor", "--haply", "127.0.0.1:1", "--trocar", "127.0.0.1:1"]);
     assert!(doctor.contains("Inverse Service") && doctor.contains("real-time scheduling"), "{doctor}");
+    assert!(doctor.contains("cannot connect to the board of an active trocar"), "{doctor}");
     let report: serde_json::Value =
         serde_json::from_str(&answer(&["devices", "test", "simulated", "--seconds", "0.5", "--json"]))
             .unwrap();
@@ -38,6 +48,30 @@ fn devices_are_listed_tested_and_looked_for() {
 }
 
 #[test]
+fn a_simulated_trocar_leads_another_one_without_hardware() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["devices", "lead", "trocar", "trocar,profile=specified", "--seconds", "1.2"];
+    let output = glisson(folder.path(), &[&arguments[..], &["--json"]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(report["coupled_ticks"].as_u64().unwrap() > 100 && report["apart_ticks"] == 0, "{report}");
+    assert!(report["follower"].as_str().unwrap().contains("specified"), "{report}");
+    let error_mm = report["tracking_error_mm"]["p50"].as_f64().unwrap();
+    assert!(error_mm > 0.0 && error_mm < 3.0, "{report}");
+    for who in ["leader_force_n", "follower_force_n"] {
+        let greatest = report[who]["greatest"].as_f64().unwrap();
+        assert!(greatest > 0.1 && greatest < 6.0, "{who}: {report}");
+    }
+    let text = glisson(folder.path(), &["devices", "lead", "simulated", "trocar", "--seconds", "0.3"]);
+    let text = String::from_utf8_lossy(&text.stdout).into_owned();
+    for part in ["leads simulated active trocar", "coupled", "behind at the tip", "on the leader's hand"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    refuses(folder.path(), &["devices", "lead", "trocar", "haply"], &["only an active trocar can follow"]);
+    refuses(folder.path(), &["devices", "lead", "trocar", "trocar", "--scale", "9"], &["0.1 to 3"]);
+}
+
+#[test]
 fn a_served_device_moves_its_instrument_and_a_watching_program_sees_it() {
     let folder = tempfile::tempdir().unwrap();
     small_scene(folder.path());
@@ -52,23 +86,23 @@ fn a_served_device_moves_its_instrument_and_a_watching_program_sees_it() {
         &["allowed: 16 to 128"],
     );
 
+    for (bad, part) in [
+        (&["--coupling-stiffness", "0.9"][..], "a device renders at most 1"),
+        (&["--haptic-rate", "9000"], "allowed: 100 to 4000 Hz"),
+    ] {
+        let arguments = [&["serve", "scene.toml", "--port", "0", "--device", "simulated"], bad].concat();
+        refuses(folder.path(), &arguments, &[part]);
+    }
     let mut serve = Command::new(env!("CARGO_BIN_EXE_glisson"))
-        .args([
-            "serve",
-            "scene.toml",
-            "--port",
-            "0",
-            "--no-open",
-            "--device",
-            "simulated",
-            "--record",
-            "s.jsonl",
-        ])
+        .args(["serve", "scene.toml", "--port", "0", "--no-open", "--device", "simulated"])
+        .args(["--record", "s.jsonl", "--force-estimate", "hold", "--energy-control", "off"])
         .current_dir(folder.path())
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(serve.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let told = lines.by_ref().find(|line| line.starts_with("forces 1000 times a second")).unwrap();
+    assert!(told.contains("held between models, energy control off, coupling 60 %"), "{told}");
     let page = lines.by_ref().find(|line| line.contains("http://")).unwrap();
     let host = page.split("http://").nth(1).unwrap().split('/').next().unwrap().to_owned();
     let watched =
@@ -80,10 +114,17 @@ fn a_served_device_moves_its_instrument_and_a_watching_program_sees_it() {
         rest.iter().any(|line| line.contains("haptics") && line.contains("deadlines missed")),
         "{rest:?}"
     );
+    // What it said at the start, the budget of a tick, and the histogram of the jitter.
+    for part in ["held between models, energy control off", "% of 1000 us", "below ", "a hand never got more"]
+    {
+        assert!(rest.iter().any(|line| line.contains(part)), "{part}: {rest:?}");
+    }
     let watched: serde_json::Value = serde_json::from_slice(&watched.stdout).unwrap();
     assert!(watched["frames"].as_u64().unwrap() > 5, "{watched}");
     let haptics = &watched["timing"]["haptics"];
     assert!(haptics["deadlines"].as_u64().unwrap() > 100, "{watched}");
+    assert_eq!(haptics["force_estimate"], "hold");
+    assert_eq!((&haptics["period_us"], &watched["timing"]["haptics_at"]), (&1000.0.into(), &"here".into()));
     // The session has what the hand did, and makes the same bits.
     let session = std::fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
     assert!(session.lines().filter(|line| line.contains("\"input\"")).count() > 100);

@@ -1,6 +1,7 @@
 //! The whole path at full size, through the release program's own commands: synthetic patient and real CT.
 
 mod haptics;
+mod link;
 mod soak;
 mod soak_edits;
 

@@ -12,10 +12,11 @@ use super::{glisson, real_ct};
 use glisson::material::LinearElastic;
 use glisson::math::{Aabb, DVec3, SeededRandom};
 use glisson::mesh::box_mesh::box_of_five;
-use glisson::mesh::edit::{MeshEdit, TopologyChange};
+use glisson::mesh::edit::{EditableMesh, MeshEdit, TopologyChange};
 use glisson::mesh::files::read_mesh;
 use glisson::mesh::generate::{MeshParams, WantedSize, generate};
-use glisson::mesh::topology::Topology;
+use glisson::mesh::refine::{FineRegion, refining};
+use glisson::mesh::topology::{SingularEntities, Topology};
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::KernelLaw;
@@ -103,8 +104,6 @@ struct Patient<'a> {
 enum Volume {
     Removed(f64),
     Kept,
-    /// Nodes of a curved surface were moved along it.
-    Nearly,
 }
 
 impl<'a> Patient<'a> {
@@ -175,7 +174,6 @@ impl<'a> Patient<'a> {
         let (expected_m3, tolerance) = match volume {
             Volume::Removed(removed_m3) => (before_m3 - removed_m3, 1e-9),
             Volume::Kept => (before_m3, 1e-9),
-            Volume::Nearly => (before_m3, 0.01),
         };
         assert!(
             (now_m3 - expected_m3).abs() <= tolerance * before_m3,
@@ -243,6 +241,27 @@ impl<'a> Patient<'a> {
         }
     }
 
+    /// Takes out tetrahedra and parts what then hangs together by a node or an edge alone; answers whether it was done.
+    fn take_out(&mut self, tets: Vec<TetId>) -> bool {
+        let mut copy = self.world.organ().body().clone();
+        let removed_m3 = tets.iter().map(|&t| copy.mesh().tet_volume_m3(t)).sum();
+        let edits = copy.parting_removal(tets).unwrap_or_else(|e| panic!("{}: {e}", self.label()));
+        assert!(copy == *self.world.organ().body(), "{}: a plan changed the mesh", self.label());
+        let before = singular_places(&copy);
+        let done = self.edit(&edits, Volume::Removed(removed_m3));
+        if done {
+            self.tally.partings += u64::from(edits.len() > 1);
+            let after = singular_places(self.world.organ().body());
+            // Where two cuts meet there may be an edge of this kind from before.
+            assert!(
+                after.nodes.len() <= before.nodes.len() && after.edges.len() <= before.edges.len(),
+                "{}: singular places left: {after:?}",
+                self.label()
+            );
+        }
+        done
+    }
+
     /// Takes out some tetrahedra around a place.
     fn remove(&mut self) {
         let Some((place_m, _)) = self.place() else { return };
@@ -260,9 +279,27 @@ impl<'a> Patient<'a> {
         if tets.is_empty() {
             return;
         }
-        let removed_m3 = tets.iter().map(|&t| body.mesh().tet_volume_m3(t)).sum();
-        if self.edit(&[MeshEdit::Remove { tets }], Volume::Removed(removed_m3)) {
+        if self.take_out(tets) {
             self.tally.removals += 1;
+        }
+    }
+
+    /// Makes the mesh finer around a place.
+    fn refine(&mut self) {
+        let n = self.world.organ().surface_nodes().len();
+        if n == 0 {
+            return;
+        }
+        let at = self.index(n);
+        let mut copy = self.world.organ().body().clone();
+        let center_m = copy.mesh().positions_m[self.world.organ().surface_nodes()[at].index()];
+        let (radius_m, edge_m) =
+            (1.5 * self.mean_edge_m, self.mean_edge_m * self.random.uniform_in(0.6, 1.0));
+        let region = FineRegion { center_m, radius_m, edge_m };
+        let edits = refining(&mut copy, &region).unwrap_or_else(|e| panic!("{}: {e}", self.label()));
+        assert!(copy == *self.world.organ().body(), "{}: a plan changed the mesh", self.label());
+        if !edits.is_empty() && self.edit(&edits, Volume::Kept) {
+            self.tally.refinements += 1;
         }
     }
 
@@ -331,7 +368,7 @@ impl<'a> Patient<'a> {
                 match step {
                     Ok(Some(edits)) if edits.is_empty() => {}
                     Ok(Some(edits)) => {
-                        if !self.edit(&edits, Volume::Nearly) {
+                        if !self.edit(&edits, Volume::Kept) {
                             return;
                         }
                         self.tally.scalpel_edits += 1;
@@ -393,8 +430,7 @@ impl<'a> Patient<'a> {
         if torn.is_empty() {
             return;
         }
-        let removed_m3 = torn.iter().map(|&t| body.mesh().tet_volume_m3(t)).sum();
-        if self.edit(&[MeshEdit::Remove { tets: torn }], Volume::Removed(removed_m3)) {
+        if self.take_out(torn) {
             self.tally.tears += 1;
         }
     }
@@ -429,7 +465,8 @@ impl<'a> Patient<'a> {
             match self.index(20) {
                 0..=7 => self.remove(),
                 8..=13 => self.blade(),
-                14..=18 => self.scalpel(),
+                14..=17 => self.scalpel(),
+                18 => self.refine(),
                 _ => self.grasp(),
             }
             if self.tally.edits() >= compared + COMPARED_EVERY {
@@ -440,6 +477,11 @@ impl<'a> Patient<'a> {
         self.compare();
         self.tally
     }
+}
+
+fn singular_places(body: &EditableMesh) -> SingularEntities {
+    let topology = body.topology();
+    topology.singular_entities(&topology.live_nodes().collect::<Vec<_>>())
 }
 
 fn model_of(mesh: &TetMesh, fixed: &[FixedNode], material: &LinearElastic) -> Box<dyn DeformableModel> {

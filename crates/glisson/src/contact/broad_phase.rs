@@ -1,7 +1,8 @@
 //! Three structures behind one contract: which triangles can touch, found without looking at every pair.
 //!
-//! All three answer the same questions about the same boxes with the same set of answers; they differ in cost and in
-//! the order of the answers, which is the same for the same history, on every machine and at any thread count.
+//! All three answer the same questions about the same boxes with the same set of answers, but for boxes that a query
+//! misses by a millionth of their size; they differ in cost and in the order of the answers, which is the same for the
+//! same history, on every machine and at any thread count.
 
 use super::box_grid::BoxGrid;
 use super::boxes::{PairRules, RoundedBox, ThickSegment};

@@ -85,6 +85,19 @@ impl Handover {
     /// Force [N] of the tissue on the tip at `tip_m` [m], for a tick of `dt_s` [s], `age_s` [s] after `latest` was made. To be
     /// asked for at every tick, with the newest model there is. A model that is not finite counts as no tissue.
     pub fn force(&mut self, latest: &HapticModel, tip_m: DVec3, age_s: f64, dt_s: f64) -> DVec3 {
+        self.force_in(latest, tip_m, age_s, dt_s, dt_s)
+    }
+
+    /// The same where the difference fades as in `ramp_dt_s` [s]: less than `dt_s` after a late tick, whose change is felt at
+    /// once.
+    pub fn force_in(
+        &mut self,
+        latest: &HapticModel,
+        tip_m: DVec3,
+        age_s: f64,
+        dt_s: f64,
+        ramp_dt_s: f64,
+    ) -> DVec3 {
         if !(tip_m.is_finite() && age_s.is_finite() && dt_s > 0.0) {
             return self.force_n;
         }
@@ -111,7 +124,7 @@ impl Handover {
             self.age_s = (age_s - dt_s).max(0.0);
             self.meet();
         }
-        self.offset_n = self.offset_n.move_towards(DVec3::ZERO, self.rate_n_per_s * dt_s);
+        self.offset_n = self.offset_n.move_towards(DVec3::ZERO, self.rate_n_per_s * ramp_dt_s);
         (self.tip_m, self.age_s) = (tip_m, age_s);
         self.force_n = self.estimated_n() + self.offset_n;
         self.force_n

@@ -10,7 +10,7 @@ use super::coupling::{Coupling, CouplingGains, GainShares, TissueTangent};
 use super::device::{DeviceLimits, DeviceState, ForceCommand};
 use super::extrapolation::ForceEstimate;
 use super::handover::Handover;
-use super::limits::{Gate, saturated};
+use super::limits::{Gate, saturated, within_period_s};
 use super::mapping::{DeviceMapping, Handle, MappedDevice, turn_rad};
 use super::passivity::{EnergyControl, EnergyTank, TankSettings};
 use super::tissue::{HapticModel, Touch};
@@ -46,6 +46,8 @@ pub struct LawSettings {
     pub control: EnergyControl,
     /// Age [s] from which on a model is too old: the simulation stands still. A choice: five steps at 20 Hz.
     pub stale_after_s: f64,
+    /// Time from tick to tick that the loop means to keep [s]; 0 takes that of the first tick.
+    pub period_s: f64,
 }
 
 impl Default for LawSettings {
@@ -57,6 +59,7 @@ impl Default for LawSettings {
             tank: TankSettings::default(),
             control: EnergyControl::default(),
             stale_after_s: 0.25,
+            period_s: 0.0,
         }
     }
 }
@@ -114,8 +117,10 @@ pub struct HapticLaw {
     seen: Option<(DVec3, DQuat)>,
     /// Ticks without an answer since then.
     n_lost: u32,
-    /// Time from tick to tick, smoothed [s]: what is expected of the next one. 0 before the first.
+    /// Time from tick to tick, smoothed [s]: what is expected of the next one. 0 where no tick and no setting has told.
     period_s: f64,
+    /// Whether the loop is about to end: the gate closes and stays closed.
+    lets_go: bool,
     /// What coupling and tissue hold, at the handle [J].
     stored_j: f64,
     tool: ToolInput,
@@ -140,7 +145,8 @@ impl HapticLaw {
             tank: EnergyTank::new(&settings.tank, limits, settings.control),
             seen: None,
             n_lost: 0,
-            period_s: 0.0,
+            period_s: settings.period_s.max(0.0),
+            lets_go: false,
             stored_j: 0.0,
             tool: ToolInput::at(settings.mapping.world_origin_m, DVec3::NEG_Y),
         }
@@ -176,12 +182,27 @@ impl HapticLaw {
         self.handover.set_estimate(estimate);
     }
 
+    /// From now on the gate closes, whatever comes, with damping too: for the last ticks before a device is closed.
+    pub fn let_go(&mut self) {
+        self.lets_go = true;
+    }
+
+    /// Whether the gate has let everything go.
+    pub fn has_let_go(&self) -> bool {
+        self.lets_go && self.gate.share() <= 0.0
+    }
+
+    /// Time [s] from an open gate to none.
+    pub fn ramp_s(&self) -> f64 {
+        self.gate.ramp_s()
+    }
+
     /// The device did not answer at this tick of `dt_s` [s]. The force closes by the gate; once it has, the next answer is a
     /// new start.
     pub fn lost(&mut self, dt_s: f64) -> LawTick {
         self.n_lost = self.n_lost.saturating_add(1);
         let before = self.gate.share();
-        self.gate.advance(false, dt_s);
+        self.gate.advance(false, within_period_s(dt_s, self.period_s));
         let share = if before > 0.0 { self.gate.share() / before } else { 0.0 };
         let last = *self.tank.previous();
         let command = ForceCommand {
@@ -217,13 +238,14 @@ impl HapticLaw {
             return self.lost(dt_s.max(0.0));
         }
         self.expect_next(dt_s);
+        let ramp_dt_s = within_period_s(dt_s, self.period_s);
         let handle = self.mapped.to_world(device);
         let is_restart = self.look(device, &handle, dt_s);
         let is_stale = model_age_s.is_nan() || model_age_s > self.settings.stale_after_s;
-        self.gate.advance(!(is_stale || handle.is_clutched), dt_s);
+        self.gate.advance(!(is_stale || handle.is_clutched || self.lets_go), ramp_dt_s);
 
         let tool_m = self.coupling.tool_m();
-        let felt_n = self.handover.force(model, tool_m, model_age_s, dt_s);
+        let felt_n = self.handover.force_in(model, tool_m, model_age_s, dt_s, ramp_dt_s);
         let most_n = MOST_FORCES * self.limits.force_n / self.mapped.mapping().force_scale;
         let tissue_force_n = saturated(felt_n, most_n);
         let tangent = self.tangent(model, tissue_force_n);
@@ -240,8 +262,8 @@ impl HapticLaw {
         let injected = self.gains.injected_damping_n_s_per_m * shortage;
         let velocity =
             if device.velocity_m_per_s.is_finite() { device.velocity_m_per_s } else { DVec3::ZERO };
-        let resisting_n = velocity * -injected;
         let share = self.gate.share();
+        let resisting_n = velocity * -injected * if self.lets_go { share } else { 1.0 };
         let wanted = ForceCommand {
             force_n: open.force_n * share + resisting_n,
             torque_n_m: open.torque_n_m * share,

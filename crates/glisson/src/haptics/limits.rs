@@ -4,6 +4,8 @@
 //! after the simulation stood still, and closes in the same way when the simulation's model is too old, the device does not
 //! answer or the handle is moved aside. Its way takes long enough that the device's largest force changes by no more than
 //! [`GATE_RATE_N_PER_S`], and never less than [`LEAST_RAMP_S`].
+//!
+//! A tick that comes late writes once all the same: what ramps goes no further in it than in one period ([`within_period_s`]).
 
 use super::device::{DeviceLimits, ForceCommand};
 use crate::math::DVec3;
@@ -46,6 +48,12 @@ impl Gate {
     pub fn shut(&mut self) {
         self.share = 0.0;
     }
+}
+
+/// Time [s] by which ramps go on in a tick that came `dt_s` [s] after the last one, where `period_s` [s] was expected (0 when
+/// nothing was): a hand feels a write at once, however long nothing was written before it.
+pub fn within_period_s(dt_s: f64, period_s: f64) -> f64 {
+    if period_s > 0.0 { dt_s.min(period_s) } else { dt_s }
 }
 
 /// A vector of at most this length, in the same direction; zero for one that is not finite.
@@ -102,6 +110,13 @@ mod tests {
             gate.advance(false, 10.0);
             assert_eq!(gate.share(), 0.0);
         }
+    }
+
+    #[test]
+    fn a_late_tick_ramps_no_further_than_one_period() {
+        assert_eq!(within_period_s(0.1, 1e-3), 1e-3);
+        assert_eq!(within_period_s(0.9e-3, 1e-3), 0.9e-3);
+        assert_eq!(within_period_s(2e-3, 0.0), 2e-3);
     }
 
     #[test]

@@ -7,8 +7,11 @@
 //! stays conforming and the tetrahedra do not degenerate. It may reach a little beyond the region.
 
 use crate::math::DVec3;
-use crate::mesh::edit::{EdgeSplit, EditableMesh, MeshEdit};
+use crate::mesh::edit::{EdgeSplit, EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::{EdgeId, TetId};
+
+/// Edges divided in one [`refining`] at most: a choice, some ten thousand new tetrahedra.
+const MOST_SPLITS: usize = 2_000;
 
 /// Lengths within this factor count as equal: rounding must not send the way through a whole regular mesh.
 const EQUAL: f64 = 1.0 + 1e-9;
@@ -44,6 +47,26 @@ pub fn refine(body: &EditableMesh, region: &FineRegion, most_splits: usize) -> O
     let splits: Vec<EdgeSplit> =
         edges.into_iter().take(most_splits).map(|edge| EdgeSplit { edge, fraction: 0.5 }).collect();
     (!splits.is_empty()).then_some(MeshEdit::Split { edges: splits })
+}
+
+/// All edits that make a region fine, one after the other: a list for [`EditableMesh::apply_all_saving`], empty if it is fine.
+/// The mesh is as it was afterwards. It stops after 2,000 divided edges.
+///
+/// # Errors
+/// [`EditError::InList`] if an edge is too short to be divided.
+pub fn refining(body: &mut EditableMesh, region: &FineRegion) -> Result<Vec<MeshEdit>, EditError> {
+    let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());
+    let (mut edits, mut n_left) = (Vec::new(), MOST_SPLITS);
+    body.apply_each_saving(&mut change, &mut undo, |body, _| {
+        let edit = refine(body, region, n_left)?;
+        if let MeshEdit::Split { edges } = &edit {
+            n_left -= edges.len();
+        }
+        edits.push(edit.clone());
+        Some(edit)
+    })?;
+    body.undo(&undo);
+    Ok(edits)
 }
 
 /// The longest edge of a tetrahedron and its length [m]; of equal ones the oldest.

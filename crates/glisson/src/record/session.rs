@@ -86,6 +86,17 @@ pub enum SessionEvent {
         /// Index of the step to be made.
         step: u64,
     },
+    /// Before this step the mesh was made finer in a ball at rest.
+    Refine {
+        /// Index of the step to be made.
+        step: u64,
+        /// Its middle [m].
+        center_m: DVec3,
+        /// Its radius [m].
+        radius_m: f64,
+        /// Longest edge wanted there [m].
+        edge_m: f64,
+    },
     /// Before this step an instrument set a clip on the vessel nearest to its tip.
     Clip {
         /// Index of the step to be made.
@@ -135,6 +146,7 @@ impl SessionEvent {
             | Self::Remove { step, .. }
             | Self::UndoEdit { step }
             | Self::Clip { step, .. }
+            | Self::Refine { step, .. }
             | Self::Effort { step, .. }
             | Self::QueueModelSwap { step, .. }
             | Self::Checkpoint { step, .. }
@@ -235,6 +247,16 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
             SessionEvent::Clip { tool, .. } if usize::from(*tool) >= MAX_TOOLS => {
                 return Err(wrong(line, format!("instrument {tool}; allowed: below {MAX_TOOLS}")));
             }
+            SessionEvent::Refine { center_m, radius_m, edge_m, .. }
+                if !(center_m.is_finite() && radius_m.is_finite() && *edge_m > 0.0) =>
+            {
+                return Err(wrong(
+                    line,
+                    format!(
+                        "a ball of {radius_m} m around {center_m} with edges of {edge_m} m; allowed: finite numbers, edges above 0"
+                    ),
+                ));
+            }
             SessionEvent::Gravity { gravity_m_per_s2, .. } if !gravity_m_per_s2.is_finite() => {
                 return Err(wrong(line, "gravity is not finite".into()));
             }
@@ -317,6 +339,7 @@ mod tests {
             SessionEvent::Reset { step: 12 },
             SessionEvent::UndoEdit { step: 12 },
             SessionEvent::Clip { step: 12, tool: 1 },
+            SessionEvent::Refine { step: 12, center_m: DVec3::X, radius_m: 0.02, edge_m: 4e-3 },
             SessionEvent::Effort { step: 13, effort: Effort::Reduced },
             SessionEvent::End { step: 20, state_hash: hash },
         ];
@@ -352,7 +375,7 @@ mod tests {
         let (events, text) = sample();
         let session = parse_session(&text[..text.len() - 30]).unwrap();
         assert!(session.cut_off);
-        assert_eq!(session.events, events[..7]);
+        assert_eq!(session.events, events[..8]);
     }
 
     #[test]

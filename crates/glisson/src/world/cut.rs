@@ -10,7 +10,6 @@ use super::{EditRefusal, World};
 use crate::contact::tool_contact::ToolContact;
 use crate::math::{DVec3, closest_point_barycentric, tetrahedron_volume_m3};
 use crate::mesh::TetId;
-use crate::mesh::edit::MeshEdit;
 use crate::mesh::topology::TET_TRIANGLES;
 use crate::tool::fracture::scissors_force_n;
 use crate::tool::pose::ToolFrame;
@@ -80,8 +79,8 @@ impl World {
                 continue;
             }
             let n_tets = tets.len();
-            match self.edit(&MeshEdit::Remove { tets }) {
-                Ok(_) => cuts.n_removed += n_tets,
+            match self.remove_and_part(tets) {
+                Ok(()) => cuts.n_removed += n_tets,
                 Err(refusal) => cuts.refusals.push((tool, refusal)),
             }
         }

@@ -9,13 +9,17 @@ use super::organ::OrganBefore;
 use super::vessels::Vessels;
 use super::{QueuedSwap, World};
 use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
+use crate::mesh::refine::{FineRegion, refining};
 use crate::mesh::topology::TopologyError;
-use crate::mesh::{TetId, TetMesh};
+use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::{DeformableModel, ModelUndo, TopologyRefusal};
 use crate::tool::cautery::TissueHeat;
 use crate::tool::cut::scalpel::ScalpelRefusal;
 use crate::tool::cut::subdivision::CutRefusal;
 use std::collections::VecDeque;
+
+/// Radius of a region that is made finer around a tool, in edges as they are there: a choice.
+const EDGES_TO_REFINE: f64 = 2.0;
 
 /// Why an edit of the organ was refused. Nothing changed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -158,6 +162,56 @@ impl World {
     /// As [`World::edit`]; a list is made whole or not at all.
     pub fn edit_all(&mut self, edits: &[MeshEdit]) -> Result<TopologyChange, EditRefusal> {
         self.edit_in_place(edits).cloned()
+    }
+
+    /// Takes tetrahedra out and parts what then hangs together by a node or an edge alone, as one edit
+    /// ([`EditableMesh::parting_removal`]). Models that follow nothing but removals keep such places.
+    ///
+    /// # Errors
+    /// As [`World::edit`].
+    pub fn remove_and_part(&mut self, tets: Vec<TetId>) -> Result<(), EditRefusal> {
+        let edits = self.organ.body_mut().parting_removal(tets)?;
+        match self.edit_in_place(&edits) {
+            Err(EditRefusal::Model(_)) if edits.len() > 1 => self.edit_in_place(&edits[..1]).map(|_| ()),
+            done => done.map(|_| ()),
+        }
+    }
+
+    /// Makes a region of the organ finer while it is simulated, as one edit (seed `003` s. 3.5); answers how many edges
+    /// were divided, none where it is fine enough.
+    ///
+    /// # Errors
+    /// As [`World::edit`].
+    pub fn refine(&mut self, region: &FineRegion) -> Result<usize, EditRefusal> {
+        let edits = refining(self.organ.body_mut(), region)?;
+        if edits.is_empty() {
+            return Ok(0);
+        }
+        self.edit_in_place(&edits)?;
+        let n_split = |edit: &MeshEdit| if let MeshEdit::Split { edges } = edit { edges.len() } else { 0 };
+        Ok(edits.iter().map(n_split).sum())
+    }
+
+    /// A region at rest around the tissue that is nearest to a tool's tip, with edges half as long as they are there now;
+    /// `None` if the tip is further from the surface than that region is wide.
+    pub fn finer_region_at(&self, tool: usize) -> Option<FineRegion> {
+        let tip_m = self.hands[tool].now.tip_in_world_m;
+        let (topology, positions_m) = (self.organ.body().topology(), self.organ.positions_m());
+        let rest_m = &self.organ.mesh().positions_m;
+        let away_m = |node: NodeId| positions_m[node.index()].distance(tip_m);
+        let nearest = topology.surface_nodes().min_by(|&a, &b| away_m(a).total_cmp(&away_m(b)))?;
+        let edges = topology.node_edges(nearest);
+        let lengths_m = edges.iter().map(|&edge| {
+            let [a, b] = topology.edge_nodes(edge).map(|n| rest_m[n.index()]);
+            a.distance(b)
+        });
+        let longest_m = lengths_m.fold(0.0, f64::max);
+        let region = FineRegion {
+            center_m: rest_m[nearest.index()],
+            radius_m: EDGES_TO_REFINE * longest_m,
+            edge_m: 0.5 * longest_m,
+        };
+        (away_m(nearest) <= region.radius_m).then_some(region)
     }
 
     /// [`World::edit_all`] without a copy of the change.

@@ -430,6 +430,11 @@ impl World {
         self.vessels.as_ref()
     }
 
+    /// Volume at rest of what was taken out of the organ so far [m3].
+    pub fn removed_volume_m3(&self) -> f64 {
+        (self.mesh_of_the_start.volume_m3() - self.organ.body().volume_m3()).max(0.0)
+    }
+
     /// Sets a clip on the vessel nearest to the tip of a tool, if one is within its reach; answers whether one was.
     pub fn clip_vessel(&mut self, tool: usize) -> bool {
         let tip_m = self.hands[tool].now.tip_in_world_m;

@@ -14,7 +14,7 @@ use crate::contact::shapes::Capsule;
 use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetId;
-use crate::mesh::edit::{MeshEdit, TopologyChange};
+use crate::mesh::edit::TopologyChange;
 use crate::tool::fracture::{Breakthrough, CrackFront, FractureEnergy, Tearing};
 use crate::tool::{Jaws, Tool, ToolInput, ToolKind};
 
@@ -259,8 +259,8 @@ impl World {
             return false;
         }
         let n_tets = tets.len();
-        match self.edit_in_place(&[MeshEdit::Remove { tets }]) {
-            Ok(_) => {
+        match self.remove_and_part(tets) {
+            Ok(()) => {
                 cuts.n_torn += n_tets;
                 true
             }

@@ -118,6 +118,48 @@ fn start_reconnect_standstill_and_rupture_come_without_jumps() {
     assert!(run.greatest_n <= MOST_JUMP_N, "{}", run.greatest_n);
 }
 
+/// What a hand feels is the change from one write to the next, however much later the second one comes.
+#[test]
+fn a_late_tick_changes_the_force_no_more_than_one_in_time() {
+    let model = spring(1, 400.0);
+    let torn = HapticModel { step: 2, ..HapticModel::default() };
+    let place = at(DVec3::Z * -1e-2);
+    let late_s = 0.1;
+    let mut run = Smooth::new(&LawSettings { period_s: TICK_S, ..LawSettings::default() });
+    // The first one of all.
+    let out = run.law.tick(&place, &model, 0.01, late_s);
+    run.note(out);
+    run.rest(1500, &model, 0.01);
+    // The device away and back, the simulation standing still and going on, a rupture.
+    let out = run.law.lost(late_s);
+    run.note(out);
+    for (model, age_s) in [(&model, 0.01), (&model, 0.3), (&model, 0.01), (&torn, 0.01)] {
+        let out = run.law.tick(&place, model, age_s, late_s);
+        run.note(out);
+        run.rest(30, model, age_s);
+    }
+    assert!(run.greatest_n <= MOST_JUMP_N, "{}", run.greatest_n);
+    let out = run.rest(500, &torn, 0.01);
+    assert!(out.command.force_n.length() < 1e-12);
+}
+
+#[test]
+fn a_law_that_lets_go_takes_the_force_back_along_its_ramp() {
+    let model = spring(1, 400.0);
+    let mut run = Smooth::new(&LawSettings::default());
+    let held_n = run.rest(1500, &model, 0.01).command.force_n.z;
+    assert!(!run.law.has_let_go());
+    run.law.let_go();
+    let n_ticks = (run.law.ramp_s() / TICK_S).ceil() as usize;
+    let out = run.rest(n_ticks / 2, &model, 0.01);
+    assert!((out.command.force_n.z - 0.5 * held_n).abs() < 0.02 * held_n, "{}", out.command.force_n);
+    assert!(!run.law.has_let_go());
+    let out = run.rest(n_ticks / 2 + 2, &model, 0.01);
+    assert!(run.law.has_let_go() && out.command.force_n == DVec3::ZERO);
+    assert_eq!(run.rest(100, &model, 0.01).command.force_n, DVec3::ZERO, "it does not come back");
+    assert!(run.greatest_n <= MOST_JUMP_N, "{}", run.greatest_n);
+}
+
 /// Without power it pushes with nothing, whatever the law has asked it for: it comes back at nothing.
 #[test]
 fn a_device_that_took_no_command_begins_at_nothing() {

@@ -341,6 +341,34 @@ fn singular_places_are_parted() {
 }
 
 #[test]
+fn a_removal_parts_the_hinge_that_it_leaves() {
+    let mut body = EditableMesh::new(grid([2, 2, 1], |_| true)).unwrap();
+    let before = body.clone();
+    let in_corner = |p: DVec3| (p.x < 1.0) != (p.y < 1.0);
+    let tets: Vec<TetId> = body
+        .topology()
+        .live_tets()
+        .filter(|&t| in_corner(body.mesh().corners_m(t).into_iter().sum::<DVec3>() / 4.0))
+        .collect();
+    let edits = body.parting_removal(tets.clone()).unwrap();
+    assert!(body == before, "a plan changes nothing");
+    assert!(edits[0] == MeshEdit::Remove { tets: tets.clone() } && edits.len() == 2);
+    let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());
+    body.apply_all_saving(&edits, &mut change, &mut undo).unwrap();
+    crate::mesh_edits::check_against_recount(body.topology());
+    assert!(tets.iter().all(|t| change.tets.removed.contains(t)));
+    let live: Vec<NodeId> = body.topology().live_nodes().collect();
+    assert!(body.topology().singular_entities(&live).is_empty());
+    assert_eq!(body.topology().pieces(Through::Nodes).n_tets, [6, 6]);
+    body.undo(&undo);
+    assert!(body == before);
+    // One that leaves no such place is alone; one that cannot be done is refused as ever.
+    assert_eq!(body.parting_removal(vec![tets[0]]).unwrap().len(), 1);
+    assert!(body.parting_removal(vec![TetId(9999)]).is_err());
+    assert!(body == before);
+}
+
+#[test]
 fn singular_places_after_a_removal_are_near_it() {
     let mut body = EditableMesh::new(grid([2, 2, 1], |_| true)).unwrap();
     // Take two opposite cells out: a hinge along the middle edge is left.

@@ -85,12 +85,20 @@ pub(crate) struct BoardSettings {
     pub(crate) trocar: u8,
     pub(crate) mapping: Mapping,
     pub(crate) saturation: Saturation,
+    /// Ticks a second of the loop that drives it [Hz]: a slower one than the board's renders less stiffness.
+    pub(crate) loop_rate_hz: f64,
 }
 
 impl BoardSettings {
     /// The first trocar of a line, by the thesis' equations.
     pub(crate) fn new(profile: TrocarProfile) -> Self {
-        Self { profile, trocar: 0, mapping: Mapping::Thesis, saturation: Saturation::EachMotor }
+        Self {
+            profile,
+            trocar: 0,
+            mapping: Mapping::Thesis,
+            saturation: Saturation::EachMotor,
+            loop_rate_hz: profile.rate_hz,
+        }
     }
 }
 
@@ -382,7 +390,8 @@ fn refuse_identity(identity: &Identity, profile: &TrocarProfile) -> Option<Strin
 
 impl<L: ByteLine> HapticDevice for TrocarDevice<L> {
     fn limits(&self) -> DeviceLimits {
-        self.settings.profile.device_limits()
+        let BoardSettings { profile, loop_rate_hz, .. } = self.settings;
+        TrocarProfile { rate_hz: profile.rate_hz.min(loop_rate_hz), ..profile }.device_limits()
     }
 
     /// The position is that of the instrument's tip, in the device's frame: where forces act.

@@ -9,12 +9,14 @@ mod driver;
 mod frames;
 mod simulated;
 
-pub(crate) use driver::{BoardSettings, TcpLine, TrocarDevice};
-pub(crate) use simulated::{SimulatedBoard, SimulatedLine, serve_board};
+pub(crate) use driver::{BoardSettings, ByteLine, TcpLine, TrocarDevice};
+pub(crate) use frames::MOST_TROCARS;
+pub(crate) use simulated::{HandMotion, SimulatedBoard, SimulatedLine, SoftWall, serve_board};
 
 use anyhow::Context;
+use frames::Identity;
 use glisson::haptics::trocar::mechanism::Mechanism;
-use glisson::haptics::trocar::{InstrumentTag, InstrumentType, TrocarJoints};
+use glisson::haptics::trocar::{InstrumentTag, InstrumentType, TrocarJoints, TrocarProfile};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
@@ -23,26 +25,64 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Between two looks whether it has.
 const LOOK: Duration = Duration::from_millis(5);
 
+/// A line to a board, wherever it is.
+pub(crate) enum BoardLine {
+    Tcp(Box<TcpLine>),
+    Simulated(Box<SimulatedLine>),
+}
+
+impl ByteLine for BoardLine {
+    fn receive(&mut self, into: &mut [u8]) -> std::io::Result<usize> {
+        match self {
+            Self::Tcp(line) => line.receive(into),
+            Self::Simulated(line) => line.receive(into),
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        match self {
+            Self::Tcp(line) => line.send(bytes),
+            Self::Simulated(line) => line.send(bytes),
+        }
+    }
+}
+
 /// The active trocar whose board listens at `address` (`host:port`).
-pub(crate) fn connect(address: &str, settings: BoardSettings) -> anyhow::Result<TrocarDevice<TcpLine>> {
+pub(crate) fn connect(address: &str, settings: BoardSettings) -> anyhow::Result<TrocarDevice<BoardLine>> {
+    let line = BoardLine::Tcp(Box::new(TcpLine::new(stream_to(address)?)?));
+    let mut device = TrocarDevice::new(line, settings);
+    wait_for(address, &mut device, TrocarDevice::greet)?;
+    Ok(device)
+}
+
+/// What the board at `address` (`host:port`) says it is, whatever its profile; for `glisson devices doctor`.
+pub(crate) fn examine(address: &str) -> anyhow::Result<String> {
+    let settings = BoardSettings::new(TrocarProfile::built());
+    let mut device = TrocarDevice::new(TcpLine::new(stream_to(address)?)?, settings);
+    wait_for(address, &mut device, |device| {
+        // It may be of another profile: that is told, too.
+        let greeted = device.greet();
+        if device.identity().is_some() { Ok(true) } else { greeted }
+    })?;
+    let identity = device.identity().context("a board that was greeted")?;
+    Ok(format!("at {address}: {}", identity_text(&identity)))
+}
+
+/// For people: which board it is.
+fn identity_text(identity: &Identity) -> String {
+    let profile = usize::from(identity.profile).checked_sub(1).and_then(|i| TrocarProfile::NAMES.get(i));
+    let profile = profile
+        .map_or_else(|| format!("an unknown profile {}", identity.profile), |p| format!("profile {p}"));
+    let Identity { serial, firmware, rate_hz, .. } = identity;
+    format!("board {serial:08x}, {profile}, firmware {firmware}, {rate_hz} states a second")
+}
+
+fn stream_to(address: &str) -> anyhow::Result<TcpStream> {
     let addresses = address.to_socket_addrs().with_context(|| format!("{address}: no such host and port"))?;
     let mut refusal = None;
     for address in addresses {
         match TcpStream::connect_timeout(&address, PATIENCE) {
-            Ok(stream) => {
-                let mut device = TrocarDevice::new(TcpLine::new(stream)?, settings);
-                let until = Instant::now() + PATIENCE;
-                while !device.greet()? {
-                    anyhow::ensure!(
-                        Instant::now() < until,
-                        "{address}: no active trocar answered within {} s{}",
-                        PATIENCE.as_secs(),
-                        device.last_refusal().map(|e| format!("; the last bytes: {e}")).unwrap_or_default()
-                    );
-                    std::thread::sleep(LOOK);
-                }
-                return Ok(device);
-            }
+            Ok(stream) => return Ok(stream),
             Err(error) => refusal = Some(error),
         }
     }
@@ -50,11 +90,38 @@ pub(crate) fn connect(address: &str, settings: BoardSettings) -> anyhow::Result<
         .with_context(|| format!("{address}: cannot connect to the board of an active trocar"))
 }
 
+/// Asks again and again until the board has answered.
+fn wait_for<L: ByteLine>(
+    address: &str,
+    device: &mut TrocarDevice<L>,
+    mut ask: impl FnMut(&mut TrocarDevice<L>) -> anyhow::Result<bool>,
+) -> anyhow::Result<()> {
+    let until = Instant::now() + PATIENCE;
+    while !ask(device)? {
+        anyhow::ensure!(
+            Instant::now() < until,
+            "{address}: no active trocar answered within {} s{}",
+            PATIENCE.as_secs(),
+            device.last_refusal().map(|e| format!("; the last bytes: {e}")).unwrap_or_default()
+        );
+        std::thread::sleep(LOOK);
+    }
+    Ok(())
+}
+
+/// How far in the instrument of a simulated trocar begins [m].
+pub(crate) const START_INSERTION_M: f64 = 0.1;
+
 /// An active trocar without hardware: a board in memory that has passed its marks, with a probe 100 mm in, held by a hand
 /// that keeps it there.
 pub(crate) fn simulated(settings: BoardSettings, seed: u64) -> TrocarDevice<SimulatedLine> {
-    let start = TrocarJoints { insertion_m: 0.1, ..TrocarJoints::default() };
+    TrocarDevice::new(simulated_line(&settings, START_INSERTION_M, seed), settings)
+}
+
+/// A line to such a board, with the instrument `insertion_m` [m] in.
+pub(crate) fn simulated_line(settings: &BoardSettings, insertion_m: f64, seed: u64) -> SimulatedLine {
+    let start = TrocarJoints { insertion_m, ..TrocarJoints::default() };
     let tag = InstrumentTag { instrument: InstrumentType::PalpationProbe, serial: 1 };
-    let board = SimulatedBoard::new(Mechanism::new(settings.profile, start), tag, seed).homed();
-    TrocarDevice::new(SimulatedLine::new(board), settings)
+    let board = SimulatedBoard::new(Mechanism::new(settings.profile, start), tag, seed);
+    SimulatedLine::new(board.numbered(settings.trocar).homed())
 }

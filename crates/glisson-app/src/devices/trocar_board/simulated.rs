@@ -66,6 +66,12 @@ impl SimulatedBoard {
         }
     }
 
+    /// The same as that trocar of its line.
+    #[must_use]
+    pub(crate) fn numbered(self, trocar: u8) -> Self {
+        Self { trocar, ..self }
+    }
+
     /// The same after all marks were passed.
     #[must_use]
     pub(crate) fn homed(self) -> Self {
@@ -210,24 +216,102 @@ impl SimulatedBoard {
     }
 }
 
+/// A hand that moves the instrument by itself about where it began: pushes and sways.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct HandMotion {
+    /// How far it pushes in and comes back [m].
+    pub(crate) push_m: f64,
+    /// How far it tilts to both sides [rad].
+    pub(crate) sway_rad: f64,
+    /// Pushes a second [Hz]; it sways half as often.
+    pub(crate) frequency_hz: f64,
+}
+
+impl HandMotion {
+    fn target(&self, start: &TrocarJoints, time_s: f64) -> TrocarJoints {
+        let phase = std::f64::consts::TAU * self.frequency_hz * time_s;
+        TrocarJoints {
+            insertion_m: start.insertion_m + 0.5 * self.push_m * (1.0 - phase.cos()),
+            roll_rad: start.roll_rad + self.sway_rad * (0.5 * phase).sin(),
+            ..*start
+        }
+    }
+}
+
+/// Something soft across the instrument's way: it pushes back along the instrument.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct SoftWall {
+    /// Insertion at which the tip meets it [m].
+    pub(crate) from_m: f64,
+    /// [N/m]
+    pub(crate) stiffness_n_per_m: f64,
+}
+
 /// A board in memory: it moves on by a tick whenever the host looks for what has come.
 pub(crate) struct SimulatedLine {
     pub(crate) board: SimulatedBoard,
     has_ticked: bool,
+    /// Ticks of the board for a look of the host, and what is left of one.
+    ticks_a_look: f64,
+    ticks_due: f64,
+    motion: Option<(HandMotion, TrocarJoints)>,
+    wall: Option<SoftWall>,
     /// Bytes both ways.
     pub(crate) n_bytes: u64,
 }
 
 impl SimulatedLine {
     pub(crate) fn new(board: SimulatedBoard) -> Self {
-        Self { board, has_ticked: false, n_bytes: 0 }
+        Self {
+            board,
+            has_ticked: false,
+            ticks_a_look: 1.0,
+            ticks_due: 0.0,
+            motion: None,
+            wall: None,
+            n_bytes: 0,
+        }
+    }
+
+    /// For a host that looks `rate_hz` times a second: the board's time goes on as the host's.
+    #[must_use]
+    pub(crate) fn looked_at(self, rate_hz: f64) -> Self {
+        Self { ticks_a_look: self.board.mechanism.profile.rate_hz / rate_hz, ..self }
+    }
+
+    /// In a hand that moves it about where it is now.
+    #[must_use]
+    pub(crate) fn moved_by(self, motion: HandMotion) -> Self {
+        Self { motion: Some((motion, self.board.mechanism.joints)), ..self }
+    }
+
+    /// In nobody's hand, with that before its tip.
+    #[must_use]
+    pub(crate) fn before(mut self, wall: SoftWall) -> Self {
+        self.board.mechanism.hand_target = None;
+        Self { wall: Some(wall), ..self }
+    }
+
+    fn tick(&mut self) {
+        if let Some((motion, start)) = &self.motion {
+            self.board.mechanism.hand_target = Some(motion.target(start, self.board.time_us * 1e-6));
+        }
+        if let Some(wall) = &self.wall {
+            let depth_m = (self.board.mechanism.joints.insertion_m - wall.from_m).max(0.0);
+            self.board.outside.translation_n = -wall.stiffness_n_per_m * depth_m;
+        }
+        self.board.tick();
     }
 }
 
 impl ByteLine for SimulatedLine {
     fn receive(&mut self, into: &mut [u8]) -> std::io::Result<usize> {
         if !self.has_ticked {
-            self.board.tick();
+            self.ticks_due += self.ticks_a_look;
+            while self.ticks_due >= 1.0 {
+                self.tick();
+                self.ticks_due -= 1.0;
+            }
             self.has_ticked = true;
         }
         let n = self.board.speak(into);

@@ -3,7 +3,7 @@
 
 use super::messages::MessageType;
 
-/// The queue of our publishers: 10 messages; all else as `rmw_zenoh` has it by default (reliable, volatile, keep last).
+/// The queue of our publishers and subscribers: 10 messages; all else as `rmw_zenoh` has it by default (reliable, volatile, keep last).
 const QOS: &str = "::,10:,:,:,,";
 
 impl MessageType {
@@ -22,22 +22,42 @@ fn mangled(name: &str) -> String {
     name.replace('/', "%")
 }
 
-/// The token by which others see our node; `session` is the id of the zenoh session.
-pub(super) fn node_token(domain: u32, session: &str, node: &str) -> String {
-    format!("@ros2_lv/{domain}/{session}/0/0/NN/%/%/{node}")
+/// What a node has at one end of a topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Entity {
+    Publisher,
+    Subscriber,
 }
 
-/// The token by which others see publisher number `entity` (from 1) of our node.
-pub(super) fn publisher_token(
-    domain: u32,
-    session: &str,
-    entity: usize,
-    node: &str,
-    topic: &str,
-    message: MessageType,
-) -> String {
-    let (topic, dds_name, hash) = (mangled(topic), message.dds_name(), message.hash);
-    format!("@ros2_lv/{domain}/{session}/0/{entity}/MP/%/%/{node}/{topic}/{dds_name}/{hash}/{QOS}")
+/// Our node as others see it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Node<'a> {
+    pub(super) domain: u32,
+    /// The id of the zenoh session.
+    pub(super) session: &'a str,
+    pub(super) name: &'a str,
+}
+
+impl Node<'_> {
+    /// The token by which others see the node.
+    pub(super) fn token(&self) -> String {
+        let Self { domain, session, name } = self;
+        format!("@ros2_lv/{domain}/{session}/0/0/NN/%/%/{name}")
+    }
+
+    /// The token by which others see end number `number` (from 1) of a topic.
+    pub(super) fn topic_token(
+        &self,
+        number: usize,
+        entity: Entity,
+        topic: &str,
+        message: MessageType,
+    ) -> String {
+        let Self { domain, session, name } = self;
+        let kind = if entity == Entity::Publisher { "MP" } else { "MS" };
+        let (topic, dds_name, hash) = (mangled(topic), message.dds_name(), message.hash);
+        format!("@ros2_lv/{domain}/{session}/0/{number}/{kind}/%/%/{name}/{topic}/{dds_name}/{hash}/{QOS}")
+    }
 }
 
 /// What `rmw_zenoh` wants beside each message: its number, when it was sent [ns since 1970], which publisher sent it
@@ -74,11 +94,14 @@ mod tests {
             topic_key(3, "/left/measured_cp", POSE_STAMPED),
             format!("3/left/measured_cp/{type_and_hash}")
         );
-        assert_eq!(node_token(0, "a1b2", "glisson"), "@ros2_lv/0/a1b2/0/0/NN/%/%/glisson");
-        assert_eq!(
-            publisher_token(0, "a1b2", 4, "glisson", "/left/measured_cp", POSE_STAMPED),
-            format!("@ros2_lv/0/a1b2/0/4/MP/%/%/glisson/%left%measured_cp/{type_and_hash}/::,10:,:,:,,")
-        );
+        let node = Node { domain: 0, session: "a1b2", name: "glisson" };
+        assert_eq!(node.token(), "@ros2_lv/0/a1b2/0/0/NN/%/%/glisson");
+        let token = |entity| node.topic_token(4, entity, "/left/measured_cp", POSE_STAMPED);
+        let expected = |kind| {
+            format!("@ros2_lv/0/a1b2/0/4/{kind}/%/%/glisson/%left%measured_cp/{type_and_hash}/::,10:,:,:,,")
+        };
+        assert_eq!(token(Entity::Publisher), expected("MP"));
+        assert_eq!(token(Entity::Subscriber), expected("MS"));
         let bytes = attachment(1, 2, &[9; 16]);
         assert_eq!(bytes[..17], [1, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0, 16]);
         assert_eq!(bytes[17..], [9; 16]);

@@ -1,9 +1,13 @@
 //! The messages of ROS 2 that are published, and the hashes of their types (RIHS01, REP 2016), which subscribers compare.
-//! Fields in the order of the .msg files of common_interfaces (Jazzy). Metres, newtons, radians.
+//! Fields in the order of the .msg files of common_interfaces (Jazzy) and of crtk_msgs (collaborative-robotics/crtk_msgs).
+//! Metres, newtons, radians.
 
 use super::cdr::CdrWriter;
 use glisson::math::{DMat3, DVec3};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// The frame of poses and surface: the patient's, x to the left, y to the back, z to the head, in metres.
+pub(super) const PATIENT_FRAME: &str = "patient_lps";
 
 /// A type of message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,6 +22,12 @@ pub(super) const POSE_STAMPED: MessageType = MessageType {
     package: "geometry_msgs",
     name: "PoseStamped",
     hash: "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
+};
+
+pub(super) const TWIST_STAMPED: MessageType = MessageType {
+    package: "geometry_msgs",
+    name: "TwistStamped",
+    hash: "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
 };
 
 pub(super) const WRENCH_STAMPED: MessageType = MessageType {
@@ -36,6 +46,18 @@ pub(super) const POINT_CLOUD2: MessageType = MessageType {
     package: "sensor_msgs",
     name: "PointCloud2",
     hash: "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5",
+};
+
+pub(super) const OPERATING_STATE: MessageType = MessageType {
+    package: "crtk_msgs",
+    name: "OperatingState",
+    hash: "RIHS01_5cc57eea589b217fe5194bf2735b91d4a7f2dd5ac1245ae657f7ea7590c2c80e",
+};
+
+pub(super) const STRING_STAMPED: MessageType = MessageType {
+    package: "crtk_msgs",
+    name: "StringStamped",
+    hash: "RIHS01_83efb802e6596e03f69ac322e3231037329946f2bd13ed48874d97f5b8f5db1d",
 };
 
 /// When, and in which frame. CRTK marks what is not valid by the time 0.
@@ -69,6 +91,43 @@ pub(super) fn pose_stamped(stamp: Stamp<'_>, position_m: DVec3, turn: DMat3) -> 
     stamp.valid_if(position_m.is_finite() && quaternion.is_finite()).write(&mut writer);
     writer.f64s(&position_m.to_array());
     writer.f64s(&quaternion.to_array());
+    writer.finish()
+}
+
+/// geometry_msgs/TwistStamped: the tip's velocity and the tool's turning, both in the stamp's frame; not valid for none.
+pub(super) fn twist_stamped(stamp: Stamp<'_>, twist: Option<Twist>) -> Vec<u8> {
+    let mut writer = CdrWriter::with_capacity(128);
+    let valid = twist.filter(|twist| twist.linear_m_per_s.is_finite() && twist.angular_rad_per_s.is_finite());
+    stamp.valid_if(valid.is_some()).write(&mut writer);
+    let Twist { linear_m_per_s, angular_rad_per_s } = valid.unwrap_or_default();
+    writer.f64s(&linear_m_per_s.to_array());
+    writer.f64s(&angular_rad_per_s.to_array());
+    writer.finish()
+}
+
+/// How a tool moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Twist {
+    pub(super) linear_m_per_s: DVec3,
+    pub(super) angular_rad_per_s: DVec3,
+}
+
+/// crtk_msgs/OperatingState.
+pub(super) fn operating_state(stamp: Stamp<'_>, state: &str, is_homed: bool, is_busy: bool) -> Vec<u8> {
+    let mut writer = CdrWriter::with_capacity(64);
+    stamp.write(&mut writer);
+    writer.string(state);
+    writer.u8(u8::from(is_homed));
+    writer.u8(u8::from(is_busy));
+    writer.finish()
+}
+
+/// crtk_msgs/StringStamped: what clients send.
+#[cfg(test)]
+pub(super) fn string_stamped(stamp: Stamp<'_>, text: &str) -> Vec<u8> {
+    let mut writer = CdrWriter::with_capacity(64);
+    stamp.write(&mut writer);
+    writer.string(text);
     writer.finish()
 }
 
@@ -168,6 +227,11 @@ mod tests {
         ];
         assert_eq!(joint, expected.concat());
 
+        let twist = Twist { linear_m_per_s: DVec3::X, angular_rad_per_s: DVec3::Z };
+        assert_eq!(twist_stamped(stamp("lps"), Some(twist)), wrench);
+        let state = operating_state(stamp("lps"), "ENABLED", true, false);
+        assert_eq!(state, [&header[..], &[8, 0, 0, 0], b"ENABLED\0", &[1, 0]].concat());
+
         let cloud = point_cloud2(stamp("lps"), &[DVec3::new(1.0, 0.0, -2.0)]);
         let field = |name: u8, offset: u8| {
             [&[2, 0, 0, 0, name, 0, 0, 0][..], &[offset, 0, 0, 0], &[7, 0, 0, 0], &[1, 0, 0, 0]].concat()
@@ -192,6 +256,7 @@ mod tests {
         assert_eq!(pose[4..12], [0; 8]);
         let joint = joint_state(stamp("lps"), "jaw", f64::INFINITY);
         assert_eq!(joint[4..12], [0; 8]);
+        assert_eq!(twist_stamped(stamp("lps"), None)[4..12], [0; 8]);
     }
 
     /// What a type's fields are made of: numbers of REP 2016's field types.
@@ -254,6 +319,13 @@ mod tests {
                 field("torque", NESTED, "geometry_msgs/msg/Vector3"),
             ],
         );
+        let twist = described(
+            "geometry_msgs/msg/Twist",
+            &[
+                field("linear", NESTED, "geometry_msgs/msg/Vector3"),
+                field("angular", NESTED, "geometry_msgs/msg/Vector3"),
+            ],
+        );
         let point_field = described(
             "sensor_msgs/msg/PointField",
             &[
@@ -274,6 +346,17 @@ mod tests {
             &[field("pose", NESTED, "geometry_msgs/msg/Pose")],
             &[&time, &point, &pose, &quaternion, &header],
         );
+        of(
+            TWIST_STAMPED,
+            &[field("twist", NESTED, "geometry_msgs/msg/Twist")],
+            &[&time, &twist, &vector, &header],
+        );
+        of(
+            OPERATING_STATE,
+            &[field("state", STRING, ""), field("is_homed", BOOLEAN, ""), field("is_busy", BOOLEAN, "")],
+            &[&time, &header],
+        );
+        of(STRING_STAMPED, &[field("string", STRING, "")], &[&time, &header]);
         of(
             WRENCH_STAMPED,
             &[field("wrench", NESTED, "geometry_msgs/msg/Wrench")],

@@ -4,6 +4,8 @@
 mod cdr;
 mod keys;
 mod messages;
+mod orders;
+mod device;
 mod topics;
 #[cfg(feature = "net")]
 mod publish;

@@ -10,9 +10,12 @@ use std::path::PathBuf;
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct Tally {
     pub(super) removals: u64,
+    /// Removals and tears that left singular places, which were parted.
+    pub(super) partings: u64,
     pub(super) blade_edits: u64,
     pub(super) scalpel_edits: u64,
     pub(super) tears: u64,
+    pub(super) refinements: u64,
     pub(super) undone: u64,
     pub(super) grasps: u64,
     pub(super) held: u64,
@@ -27,9 +30,11 @@ impl Default for Tally {
     fn default() -> Self {
         Self {
             removals: 0,
+            partings: 0,
             blade_edits: 0,
             scalpel_edits: 0,
             tears: 0,
+            refinements: 0,
             undone: 0,
             grasps: 0,
             held: 0,
@@ -44,14 +49,16 @@ impl Default for Tally {
 
 impl Tally {
     pub(super) fn edits(&self) -> u64 {
-        self.removals + self.blade_edits + self.scalpel_edits + self.tears + self.undone
+        self.removals + self.blade_edits + self.scalpel_edits + self.tears + self.refinements + self.undone
     }
 
     fn add(&mut self, other: &Self) {
         self.removals += other.removals;
+        self.partings += other.partings;
         self.blade_edits += other.blade_edits;
         self.scalpel_edits += other.scalpel_edits;
         self.tears += other.tears;
+        self.refinements += other.refinements;
         self.undone += other.undone;
         self.grasps += other.grasps;
         self.held += other.held;
@@ -120,15 +127,15 @@ impl Results {
         let mut report = format!(
             "# Random edits\n{} edits: {} of {n_seeds} seeds, at least {asked} edits each, on the explicit model (stable \
              neo-Hooke). Removals around a place, strokes of a blade that divides tetrahedra, strokes of a scalpel that moves \
-             vertices, grasps that pull until tissue tears.\n\n\
+             vertices, grasps that pull until tissue tears, regions made finer.\n\n\
              After each edit: orientation of all tetrahedra, all adjacency, surface and Euler characteristics against a \
              recount, volume (kept, or less by what was taken out; 1e-9), what touches and what is shown against that \
              recount, lengths of all attached arrays, finite numbers in the next three steps. One edit in ten is undone and done \
-             again, with the same bits. Every {compared_every} edits and at the end: elastic forces and weights of all free nodes, \
+             again, with the same bits. What a removal or tear leaves hanging together by a node or an edge alone is parted in the same edit. Every {compared_every} edits and at the end: elastic forces and weights of all free nodes, \
              and which nodes are supported, against a model made afresh from the edited mesh; both have to agree to 1e-9 of \
              the largest.\n\nMade by `cargo xtask soak edits`.\n\n\
-             | body | tetrahedra | seeds | removals | blade | scalpel | tears | undone | grasps | that held | refused | worst dihedral of a new tetrahedron [deg] | comparisons | largest difference of forces | of weights |\n\
-             |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+             | body | tetrahedra | seeds | removals | blade | scalpel | tears | finer | singular places parted | undone | grasps | that held | refused | worst dihedral of a new tetrahedron [deg] | comparisons | largest difference of forces | of weights |\n\
+             |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
             all.edits(),
             self.of_seeds.len(),
         );
@@ -145,12 +152,14 @@ impl Results {
             let t = results.all();
             writeln!(
                 report,
-                "| {name} | {tetrahedra} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {} | {:.1e} | {:.1e} |",
+                "| {name} | {tetrahedra} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {} | {:.1e} | {:.1e} |",
                 results.of_seeds.len(),
                 t.removals,
                 t.blade_edits,
                 t.scalpel_edits,
                 t.tears,
+                t.refinements,
+                t.partings,
                 t.undone,
                 t.grasps,
                 t.held,

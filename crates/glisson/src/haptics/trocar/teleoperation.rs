@@ -82,6 +82,11 @@ impl Teleoperation {
         Self { springs, ..self }
     }
 
+    /// The springs, in the order of [`super::Axis`].
+    pub fn springs(&self) -> &[Spring; N_AXES] {
+        &self.springs
+    }
+
     /// One tick. The follower's target stays within its range, and the leader feels the stop.
     pub fn tick(&self, leader: &End, follower: &End) -> Exchange {
         let [from, to] = self.origin.map(TrocarJoints::to_array);

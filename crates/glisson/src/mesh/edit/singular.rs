@@ -1,8 +1,8 @@
 //! Parting a solid where it hangs together by a node or an edge alone.
 
 use super::{EdgeSplit, EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange, VertexCopy};
-use crate::mesh::NodeId;
 use crate::mesh::topology::{StarGroups, Topology};
+use crate::mesh::{NodeId, TetId};
 
 /// Rounds of [`EditableMesh::parting_edit`] that are worth trying: copies, divided edges, copies of their middles.
 const MOST_ROUNDS: usize = 4;
@@ -63,5 +63,32 @@ impl EditableMesh {
             near.extend((n_before + known..body.topology.n_nodes()).map(NodeId::from_index));
             if at < MOST_ROUNDS { body.parting_edit(&near) } else { None }
         })
+    }
+
+    /// The removal of `tets`, followed by the edits that part the singular places which it leaves, as far as they can be
+    /// parted: a list for [`EditableMesh::apply_all_saving`]. The mesh is as it was afterwards.
+    ///
+    /// # Errors
+    /// As for the removal alone.
+    pub fn parting_removal(&mut self, tets: Vec<TetId>) -> Result<Vec<MeshEdit>, EditError> {
+        let mut edits = vec![MeshEdit::Remove { tets }];
+        let (mut change, mut undo_removal) = (TopologyChange::default(), MeshUndo::default());
+        self.apply_saving(&edits[0], &mut change, &mut undo_removal)?;
+        let mut near = self.topology.nodes_near(&change);
+        let mut n_known = self.topology.n_nodes();
+        let (mut partings, mut undo) = (Vec::new(), MeshUndo::default());
+        let done = self.apply_each_saving(&mut change, &mut undo, |body, at| {
+            near.extend((n_known..body.topology.n_nodes()).map(NodeId::from_index));
+            n_known = body.topology.n_nodes();
+            let edit = if at < MOST_ROUNDS { body.parting_edit(&near) } else { None };
+            partings.extend(edit.clone());
+            edit
+        });
+        if done.is_ok() {
+            self.undo(&undo);
+            edits.append(&mut partings);
+        }
+        self.undo(&undo_removal);
+        Ok(edits)
     }
 }

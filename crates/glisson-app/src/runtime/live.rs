@@ -136,6 +136,12 @@ const MAX_LAG: Duration = Duration::from_millis(100);
 /// Steps from an order to the moment another model takes over: half a second at 1 ms.
 const SWAP_DELAY_STEPS: u64 = 500;
 
+/// Until the next models for the haptic loop pass so many times the time that the last ones took: the models of a large organ
+/// take as long as several of its steps ...
+const PUBLISHING_PAUSE: u64 = 4;
+/// ... but no more than this [ns], what their stiffness is for. Choices.
+const LONGEST_PAUSE_NS: u64 = 33_000_000;
+
 /// How the pointer's jumps become a hand's motion: the tip follows its target with this time constant [s] ...
 const FOLLOW_TIME_S: f64 = 0.02;
 /// ... and no faster than this [m/s].
@@ -199,6 +205,9 @@ struct Live {
     targets: Vec<ToolInput>,
     /// Instruments in the hand of a device.
     links: Vec<ToolLink>,
+    /// When the last models were published, and how long that took [ns].
+    published_ns: u64,
+    publishing_ns: u64,
     paused: bool,
     dt_s: f64,
 }
@@ -244,10 +253,17 @@ impl Live {
     }
 
     fn publish_models(&mut self) {
+        let begun_ns = now_ns();
+        let pause_ns = (PUBLISHING_PAUSE * self.publishing_ns).min(LONGEST_PAUSE_NS);
+        if self.links.is_empty() || begun_ns - self.published_ns < pause_ns {
+            return;
+        }
         for link in &mut self.links {
             let model = self.simulation.haptic_model(link.tool);
             link.models.publish(PublishedModel { model, made_ns: now_ns() });
         }
+        self.published_ns = now_ns();
+        self.publishing_ns = self.published_ns - begun_ns;
     }
 
     fn advance(&mut self) -> anyhow::Result<()> {
@@ -354,7 +370,16 @@ pub(crate) fn run(
 ) -> anyhow::Result<Ended> {
     let dt_s = simulation.world().spec().time_step_s;
     let tools = homes(&simulation);
-    let mut live = Live { simulation, targets: tools.clone(), tools, links, paused: false, dt_s };
+    let mut live = Live {
+        simulation,
+        targets: tools.clone(),
+        tools,
+        links,
+        published_ns: 0,
+        publishing_ns: 0,
+        paused: false,
+        dt_s,
+    };
     let mut meter =
         PaceMeter { since: Instant::now(), steps: 0, busy: Duration::ZERO, pace: Pace::default() };
     let mut control = EffortControl::default();

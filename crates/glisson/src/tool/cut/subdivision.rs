@@ -170,6 +170,23 @@ const RESERVE_OF_ADVANCE: f64 = 0.5;
 /// Angles below this multiple of the smallest allowed one are bettered, for the sake of later strokes.
 const RESERVE: f64 = 1.5;
 
+/// Faces of the cut may lie outside what was swept by this share of it before other ways to snap are tried: where too
+/// much at one place makes up for too little at another, what follows is off.
+const MOST_STRAYED: f64 = 0.15;
+
+/// How much such area counts against an attempt, as a share of it. A choice.
+const WEIGHT_OF_STRAYED: f64 = 0.3;
+
+/// What came of one way to cut a step.
+#[derive(Clone, Copy, Debug, Default)]
+struct Attempt {
+    report: CutReport,
+    /// Area [m2] of faces that stay closed for good.
+    closed_m2: f64,
+    /// Area [m2] of faces outside what was swept.
+    strayed_m2: f64,
+}
+
 /// What the blade sweeps over on the first part of its way.
 fn swept(from_m: [DVec3; 2], to_m: [DVec3; 2], extent: f64) -> [Option<Sweep>; 2] {
     Sweep::of_blade(from_m, [0, 1].map(|i| from_m[i].lerp(to_m[i], extent)))
@@ -340,19 +357,21 @@ impl SubdivisionCut {
         let shares = std::iter::once([wished, 0.5 * wished])
             .chain(COARSER.into_iter().filter(move |c| c[0] >= wished));
         let attempts = extents.iter().flat_map(|&extent| shares.clone().map(move |shares| (extent, shares)));
-        let mut report = CutReport::default();
+        let mut tried = Attempt::default();
         let mut best: Option<(f64, usize, (f64, [f64; 2]))> = None;
         let mut last = 0;
         for (at, (extent, shares)) in attempts.enumerate() {
             last = at;
-            report = self.attempt(body, &swept(from_m, blade_m, extent), shares);
-            let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
-            if report.min_dihedral_deg < limit_deg {
+            tried = self.attempt(body, &swept(from_m, blade_m, extent), shares, is_last);
+            let report = &tried.report;
+            if report.min_dihedral_deg < self.params.min_dihedral_deg.min(report.min_dihedral_before_deg) {
                 continue;
             }
-            let off_m2 = (self.stroke.off_m2 + report.cut_area_m2 - report.swept_area_m2).abs();
-            if best.is_none_or(|b| off_m2 < b.0) {
-                best = Some((off_m2, at, (extent, shares)));
+            let off_m2 =
+                (self.stroke.off_m2 + report.cut_area_m2 - report.swept_area_m2 - tried.closed_m2).abs();
+            let badness_m2 = off_m2 + WEIGHT_OF_STRAYED * tried.strayed_m2;
+            if best.is_none_or(|b| badness_m2 < b.0) {
+                best = Some((badness_m2, at, (extent, shares)));
             }
             let [of_stroke, of_step] = AREA_TOLERANCE;
             let mut allowed_m2 = of_stroke * (self.stroke.report.swept_area_m2 + report.swept_area_m2);
@@ -361,18 +380,20 @@ impl SubdivisionCut {
             }
             // What earlier steps left over is not made up for by force.
             allowed_m2 = allowed_m2.max(self.stroke.off_m2.abs() + of_stroke * report.swept_area_m2);
-            if off_m2 <= allowed_m2 {
+            if off_m2 <= allowed_m2 && tried.strayed_m2 <= MOST_STRAYED * report.swept_area_m2 {
                 break;
             }
         }
         if let Some((_, at, (extent, shares))) = best {
             if at != last {
-                report = self.attempt(body, &swept(from_m, blade_m, extent), shares);
+                tried = self.attempt(body, &swept(from_m, blade_m, extent), shares, is_last);
             }
+            let mut report = tried.report;
             report.n_coarser = usize::from(at > 0);
             let reached_m = [0, 1].map(|i| from_m[i].lerp(blade_m[i], extent));
-            return Ok(self.accept(body, reached_m, is_last, report));
+            return Ok(self.accept(body, reached_m, report));
         }
+        let report = tried.report;
         self.stroke.blade_m = Some(blade_m);
         self.stroke.front.clear();
         self.stroke.closed.clear();
@@ -392,7 +413,8 @@ impl SubdivisionCut {
         body: Body<'_>,
         sweeps: &[Option<Sweep>; 2],
         [share, share_of_fixed]: [f64; 2],
-    ) -> CutReport {
+        is_last: bool,
+    ) -> Attempt {
         let Self { params, stroke, patch, .. } = self;
         patch.start(body.mesh);
         let snapping = Snapping {
@@ -412,13 +434,15 @@ impl SubdivisionCut {
         }
         let closed_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
         let mut report = CutReport::default();
+        let mut strayed_m2 = 0.0;
         for sweep in sweeps.iter().flatten() {
             let section = conform(patch, body, sweep, snapping);
             report.swept_area_m2 += section.swept_area_m2;
             report.n_touched += section.n_touched;
             report.n_snapped += section.n_snapped;
+            strayed_m2 += section.strayed_m2;
         }
-        let wished_cosine = libm::cos((RESERVE * self.params.min_dihedral_deg).to_radians());
+        let wished_cosine = libm::cos((RESERVE * params.min_dihedral_deg).to_radians());
         let mut max_cosine = patch.max_new_cosine();
         if max_cosine > wished_cosine
             && let [Some(sweep), None] | [None, Some(sweep)] = sweeps
@@ -428,14 +452,21 @@ impl SubdivisionCut {
             swap(patch, body, wished_cosine);
             max_cosine = patch.max_new_cosine();
         }
+        let area_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
+        report.cut_area_m2 = area_m2 - closed_m2;
+        let front = std::mem::take(&mut patch.front);
+        let is_front = |n: u32| front.binary_search_by_key(&n, |f| f.0).is_ok();
+        let stays = |face: [u32; 3]| !is_last && face.into_iter().any(is_front);
+        let allowed_cosine = libm::cos(params.min_dihedral_deg.to_radians());
+        let closed_m2 = opening::divide_closed(patch, body, stays, [wished_cosine, allowed_cosine]);
+        patch.front = front;
+        max_cosine = max_cosine.max(patch.max_new_cosine());
         let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));
         let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);
         // The largest cosine is that of the smallest angle.
         report.min_dihedral_deg = degrees_of(max_cosine);
         report.min_dihedral_before_deg = degrees_of(cosine_before);
-        let area_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
-        report.cut_area_m2 = area_m2 - closed_m2;
-        report
+        Attempt { report, closed_m2, strayed_m2 }
     }
 
     /// Opens the cut that is in the patch, and goes on from there.
@@ -443,16 +474,10 @@ impl SubdivisionCut {
         &mut self,
         body: Body<'_>,
         blade_m: [DVec3; 2],
-        is_last: bool,
         mut report: CutReport,
     ) -> Option<Replacement> {
-        let Self { params, stroke, patch, .. } = self;
+        let Self { stroke, patch, .. } = self;
         let front = patch.front.clone();
-        let wished_cosine = libm::cos((RESERVE * params.min_dihedral_deg).to_radians());
-        let is_front = |n: u32| front.binary_search_by_key(&n, |f| f.0).is_ok();
-        let stays = |face: [u32; 3]| !is_last && face.into_iter().any(is_front);
-        opening::divide_closed(patch, body, stays, wished_cosine);
-        report.min_dihedral_deg = degrees_of(patch.max_new_cosine());
         stroke.off_m2 += report.cut_area_m2 - report.swept_area_m2;
         let opened = opening::open(patch, body);
         report.cut_area_m2 = opened.area_m2;

@@ -14,57 +14,68 @@ pub(super) struct Opened {
 }
 
 /// Divides faces of `patch.cut` that would stay closed for good, so that they get a node that opens. `stays`: what
-/// may still open with a later step. Only where no dihedral angle at rest gets a cosine above `max_cosine`.
+/// may still open with a later step. Only where no dihedral angle at rest gets a cosine above the first of
+/// `max_cosines`, or else the second. Returns the area [m2] that stays closed nevertheless.
 pub(super) fn divide_closed(
     patch: &mut Patch,
     body: Body<'_>,
     stays: impl Fn([u32; 3]) -> bool,
-    max_cosine: f64,
-) {
+    max_cosines: [f64; 2],
+) -> f64 {
     pull_stars(patch, body);
     let mut groups = Groups::default();
     let origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();
-    let mut closed: Vec<[u32; 3]> = Vec::new();
     let mut group_count: Vec<(u32, usize)> = Vec::new();
     for node in nodes_of_cut(patch) {
         let n_groups = groups.find(patch, node, &origin);
         group_count.push((node, n_groups));
     }
     let is_rim = |n: u32| group_count.binary_search_by_key(&n, |g| g.0).is_ok_and(|at| group_count[at].1 < 2);
-    closed.extend(patch.cut.iter().copied().filter(|&face| !stays(face) && face.into_iter().all(is_rim)));
+    let is_closed = |face: &[u32; 3]| !stays(*face) && face.iter().all(|&n| is_rim(n));
+    let closed: Vec<[u32; 3]> = patch.cut.iter().copied().filter(is_closed).collect();
+    let mut closed_m2 = 0.0;
     for face in closed {
         // An earlier face may have divided it.
         if patch.cut.binary_search(&face).is_err() {
             continue;
         }
-        let [a, b, c] = face;
-        let is_inner =
-            |edge: &[u32; 2]| patch.cut.iter().filter(|f| edge.iter().all(|n| f.contains(n))).count() > 1;
-        let mut edges = [[a, b], [b, c], [a, c]];
-        edges.sort_by(|p, q| patch.length_m(*q).total_cmp(&patch.length_m(*p)));
-        let inner: Vec<[u32; 2]> = edges.into_iter().filter(is_inner).collect();
-        let is_divided = inner.into_iter().any(|edge| {
-            patch.cosine_of_halves(body, edge) <= max_cosine && patch.split_edge(body, edge, 0.5).is_some()
-        });
-        if !is_divided {
-            // Alone, or thin: a node on its rim first, then one between that and the opposite corner.
-            for edge in edges {
-                if patch.cosine_of_halves(body, edge) > max_cosine {
-                    continue;
-                }
-                let Some(middle) = patch.split_edge(body, edge, 0.5) else { continue };
-                let opposite = face.into_iter().find(|n| !edge.contains(n));
-                let inner = opposite.map(|n| [n.min(middle), n.max(middle)]);
-                if let Some(inner) = inner
-                    && patch.cosine_of_halves(body, inner) <= max_cosine
-                {
-                    patch.split_edge(body, inner, 0.5);
-                }
-                break;
-            }
+        let area_m2 = patch.face_area_m2(face);
+        if !max_cosines.into_iter().any(|max_cosine| divide(patch, body, face, max_cosine)) {
+            closed_m2 += area_m2;
         }
         patch.cut.sort_unstable();
     }
+    closed_m2
+}
+
+/// Puts a node into a face of the cut where that opens it, and into neighbours in the cut with the edge between them.
+fn divide(patch: &mut Patch, body: Body<'_>, face: [u32; 3], max_cosine: f64) -> bool {
+    let [a, b, c] = face;
+    let is_inner =
+        |edge: &[u32; 2]| patch.cut.iter().filter(|f| edge.iter().all(|n| f.contains(n))).count() > 1;
+    let mut edges = [[a, b], [b, c], [a, c]];
+    edges.sort_by(|p, q| patch.length_m(*q).total_cmp(&patch.length_m(*p)));
+    let inner: Vec<[u32; 2]> = edges.into_iter().filter(is_inner).collect();
+    for edge in inner {
+        if patch.cosine_of_halves(body, edge) <= max_cosine && patch.split_edge(body, edge, 0.5).is_some() {
+            return true;
+        }
+    }
+    if patch.cosine_of_thirds(body, face) <= max_cosine && patch.split_face(face).is_some() {
+        return true;
+    }
+    // Thin: a node on its rim first, then one between that and the opposite corner.
+    for edge in edges {
+        if patch.cosine_of_halves(body, edge) > max_cosine {
+            continue;
+        }
+        let Some(middle) = patch.split_edge(body, edge, 0.5) else { continue };
+        let opposite = face.into_iter().find(|n| !edge.contains(n));
+        let Some(inner) = opposite.map(|n| [n.min(middle), n.max(middle)]) else { continue };
+        return patch.cosine_of_halves(body, inner) <= max_cosine
+            && patch.split_edge(body, inner, 0.5).is_some();
+    }
+    false
 }
 
 fn nodes_of_cut(patch: &Patch) -> Vec<u32> {

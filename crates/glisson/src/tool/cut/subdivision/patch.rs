@@ -502,6 +502,61 @@ impl Patch {
         cosine
     }
 
+    /// The tetrahedra at a face.
+    fn tets_at_face(&self, [a, b, c]: [u32; 3]) -> impl Iterator<Item = u32> + '_ {
+        let has_face = move |&t: &u32| {
+            let nodes = self.tets[t as usize].nodes;
+            nodes.contains(&b) && nodes.contains(&c)
+        };
+        self.stars[a as usize].iter().copied().filter(has_face)
+    }
+
+    /// Largest cosine of a dihedral angle at rest among what would come of dividing a face at its centre.
+    pub(super) fn cosine_of_thirds(&mut self, body: Body<'_>, face: [u32; 3]) -> f64 {
+        self.pull_star(body, face[0]);
+        let center_m = face.map(|n| self.nodes[n as usize].rest_m).into_iter().sum::<DVec3>() / 3.0;
+        let mut cosine: f64 = -1.0;
+        for tet in self.tets_at_face(face) {
+            for gone in face {
+                let at = self.tets[tet as usize].nodes.iter().position(|&n| n == gone).unwrap_or(0);
+                let mut third_m = self.rest_m(tet);
+                third_m[at] = center_m;
+                cosine = cosine.max(dihedral_cosine_range(third_m)[1]);
+            }
+        }
+        cosine
+    }
+
+    /// Puts a node at the centre of a face of the cut, with the star of its first node in the patch, and divides the
+    /// tetrahedra there; `None` (and nothing done) if it would be a blend of too many nodes.
+    pub(super) fn split_face(&mut self, face: [u32; 3]) -> Option<u32> {
+        let [a, b, c] = face.map(|n| self.nodes[n as usize]);
+        let third = 1.0 / 3.0;
+        let middle = self.push_node(PatchNode {
+            old: None,
+            rest_m: a.rest_m.lerp(b.rest_m, 0.5).lerp(c.rest_m, third),
+            present_m: a.present_m.lerp(b.present_m, 0.5).lerp(c.present_m, third),
+            blend: a.blend.towards(&b.blend, 0.5)?.towards(&c.blend, third)?,
+            distance_m: (a.distance_m + b.distance_m + c.distance_m) * third,
+            label: 0,
+            line_labels: [UNKNOWN; 4],
+            is_front: false,
+            is_front_end: false,
+            has_whole_star: true,
+        });
+        let swapped = |nodes: [u32; 4], gone: u32| nodes.map(|n| if n == gone { middle } else { n });
+        for tet in self.tets_at_face(face).collect::<Vec<u32>>() {
+            let old = self.tets[tet as usize];
+            self.take_out(tet);
+            for gone in face {
+                self.push_tet(PatchTet { nodes: swapped(old.nodes, gone), is_old: false, ..old });
+            }
+        }
+        self.cut.retain(|f| *f != face);
+        self.cut.extend(face.map(|gone| sorted(face.map(|n| if n == gone { middle } else { n }))));
+        Some(middle)
+    }
+
     fn divide_cut_faces(&mut self, [a, b]: [u32; 2], middle: u32) {
         for at in 0..self.cut.len() {
             let face = self.cut[at];

@@ -45,6 +45,9 @@ pub(super) struct Section {
     pub(super) swept_area_m2: f64,
     pub(super) n_touched: usize,
     pub(super) n_snapped: usize,
+    /// Area [m2] of the faces beyond the polygon, or added because they are not flat; what reaches back to the front of
+    /// the stroke so far is not counted.
+    pub(super) strayed_m2: f64,
 }
 
 fn sign(x: f64) -> i8 {
@@ -75,13 +78,14 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     let faces = work.faces_of_plane();
     let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
     let n_snapped = work.n_snapped;
+    let strayed_m2 = inside.iter().map(|&face| work.strayed_m2(face)).sum();
     if let Some(k) = (0..sweep.n_lines()).find(|&k| sweep.side(k) == Side::Front) {
         add_front(patch, sweep, k, &inside, snapping.front_m);
     }
     patch.cut.extend(inside);
     patch.cut.sort_unstable();
     patch.cut.dedup();
-    Section { swept_area_m2, n_touched, n_snapped }
+    Section { swept_area_m2, n_touched, n_snapped, strayed_m2 }
 }
 
 /// Adds the nodes on the rim of `faces` that are at line `k`.
@@ -479,6 +483,12 @@ impl Work<'_> {
                 *label(&mut self.patch.nodes[middle as usize]) = 0;
             }
         }
+    }
+
+    /// Area [m2] of a face less that of its part in front of where the blade was and between the ways of its ends.
+    fn strayed_m2(&self, face: [u32; 3]) -> f64 {
+        let corners_m = face.map(|n| self.patch.nodes[n as usize].present_m);
+        self.patch.face_area_m2(face) - self.sweep.area_ahead_m2(corners_m)
     }
 
     /// Whether a face of the plane belongs to the polygon.

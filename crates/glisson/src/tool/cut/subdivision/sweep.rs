@@ -219,6 +219,18 @@ impl Sweep {
         }
         [whole, shape.area_m2(self.normal)]
     }
+
+    /// Area [m2] of a triangle, seen along the normal, inside the polygon or behind its start.
+    pub(super) fn area_ahead_m2(&self, triangle_m: [DVec3; 3]) -> f64 {
+        let mut shape = Polygon::new(&triangle_m);
+        for k in (0..self.n_corners).filter(|&k| self.sides[k] != Side::Start) {
+            shape.clip(|p| self.inside_m(k, p));
+            if shape.n < 3 {
+                return 0.0;
+            }
+        }
+        shape.area_m2(self.normal)
+    }
 }
 
 /// A polygon while it is being clipped.

@@ -155,6 +155,22 @@ pub enum CutRefusal {
 /// for those that cannot. With one half everything snaps.
 const COARSER: [[f64; 2]; 6] = [[0.2, 0.2], [0.25, 0.15], [0.25, 0.25], [0.3, 0.3], [0.4, 0.4], [0.5, 0.5]];
 
+/// Further attempts where the stroke would be off by more than [`AREA_LIMIT`] otherwise.
+const OTHER: [[f64; 2]; 8] = [
+    [0.15, 0.1],
+    [0.1, 0.05],
+    [0.05, 0.05],
+    [0.1, 0.15],
+    [0.3, 0.1],
+    [0.15, 0.25],
+    [0.3, 0.2],
+    [0.4, 0.25],
+];
+
+/// Largest difference between what opens and what was swept, as a share of what the stroke swept: the requirement is
+/// 0.02.
+const AREA_LIMIT: f64 = 0.018;
+
 /// What opens may differ from what was swept by this share of the stroke so far, and by this share of the step
 /// while the front will still move, before other ways to snap are tried.
 const AREA_TOLERANCE: [f64; 2] = [0.004, 0.03];
@@ -170,12 +186,12 @@ const RESERVE_OF_ADVANCE: f64 = 0.5;
 /// Angles below this multiple of the smallest allowed one are bettered, for the sake of later strokes.
 const RESERVE: f64 = 1.5;
 
-/// Faces of the cut may lie outside what was swept by this share of it before other ways to snap are tried: where too
-/// much at one place makes up for too little at another, what follows is off.
-const MOST_STRAYED: f64 = 0.15;
+/// Faces of the cut and what was swept may lie beside each other by this share of it before other ways to snap are
+/// tried: where too much at one place makes up for too little at another, what follows is off.
+const MOST_STRAYED: f64 = 0.06;
 
-/// How much such area counts against an attempt, as a share of it. A choice.
-const WEIGHT_OF_STRAYED: f64 = 0.3;
+/// How much such area counts against an attempt, as a share of it, while the front will still move and at the end.
+const WEIGHT_OF_STRAYED: [f64; 2] = [1.0, 0.1];
 
 /// What came of one way to cut a step.
 #[derive(Clone, Copy, Debug, Default)]
@@ -183,8 +199,19 @@ struct Attempt {
     report: CutReport,
     /// Area [m2] of faces that stay closed for good.
     closed_m2: f64,
-    /// Area [m2] of faces outside what was swept.
+    /// Area [m2] of faces outside what was swept, and of what was swept outside the faces.
     strayed_m2: f64,
+}
+
+/// The best attempt so far.
+#[derive(Clone, Copy, Debug)]
+struct Best {
+    badness_m2: f64,
+    /// By how much the stroke would be off, as a share of what it swept.
+    off_share: f64,
+    at: usize,
+    extent: f64,
+    shares: [f64; 2],
 }
 
 /// What the blade sweeps over on the first part of its way.
@@ -357,10 +384,15 @@ impl SubdivisionCut {
         let shares = std::iter::once([wished, 0.5 * wished])
             .chain(COARSER.into_iter().filter(move |c| c[0] >= wished));
         let attempts = extents.iter().flat_map(|&extent| shares.clone().map(move |shares| (extent, shares)));
+        let n_first = attempts.clone().count();
+        let attempts = attempts.chain(OTHER.into_iter().map(|shares| (1.0, shares)));
         let mut tried = Attempt::default();
-        let mut best: Option<(f64, usize, (f64, [f64; 2]))> = None;
+        let mut best: Option<Best> = None;
         let mut last = 0;
         for (at, (extent, shares)) in attempts.enumerate() {
+            if at >= n_first && best.is_some_and(|b| b.off_share <= AREA_LIMIT) {
+                break;
+            }
             last = at;
             tried = self.attempt(body, &swept(from_m, blade_m, extent), shares, is_last);
             let report = &tried.report;
@@ -369,22 +401,25 @@ impl SubdivisionCut {
             }
             let off_m2 =
                 (self.stroke.off_m2 + report.cut_area_m2 - report.swept_area_m2 - tried.closed_m2).abs();
-            let badness_m2 = off_m2 + WEIGHT_OF_STRAYED * tried.strayed_m2;
-            if best.is_none_or(|b| badness_m2 < b.0) {
-                best = Some((badness_m2, at, (extent, shares)));
+            let badness_m2 = off_m2 + WEIGHT_OF_STRAYED[usize::from(is_last)] * tried.strayed_m2;
+            let swept_m2 = self.stroke.report.swept_area_m2 + report.swept_area_m2;
+            if best.is_none_or(|b| badness_m2 < b.badness_m2) {
+                let off_share = if swept_m2 > 0.0 { off_m2 / swept_m2 } else { 0.0 };
+                best = Some(Best { badness_m2, off_share, at, extent, shares });
             }
             let [of_stroke, of_step] = AREA_TOLERANCE;
-            let mut allowed_m2 = of_stroke * (self.stroke.report.swept_area_m2 + report.swept_area_m2);
+            let mut allowed_m2 = of_stroke * swept_m2;
             if !is_last {
                 allowed_m2 += of_step * report.swept_area_m2;
             }
             // What earlier steps left over is not made up for by force.
             allowed_m2 = allowed_m2.max(self.stroke.off_m2.abs() + of_stroke * report.swept_area_m2);
-            if off_m2 <= allowed_m2 && tried.strayed_m2 <= MOST_STRAYED * report.swept_area_m2 {
+            let is_close = is_last || tried.strayed_m2 <= MOST_STRAYED * report.swept_area_m2;
+            if off_m2 <= allowed_m2 && is_close {
                 break;
             }
         }
-        if let Some((_, at, (extent, shares))) = best {
+        if let Some(Best { at, extent, shares, .. }) = best {
             if at != last {
                 tried = self.attempt(body, &swept(from_m, blade_m, extent), shares, is_last);
             }

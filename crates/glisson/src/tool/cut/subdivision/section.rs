@@ -45,8 +45,8 @@ pub(super) struct Section {
     pub(super) swept_area_m2: f64,
     pub(super) n_touched: usize,
     pub(super) n_snapped: usize,
-    /// Area [m2] of the faces beyond the polygon, or added because they are not flat; what reaches back to the front of
-    /// the stroke so far is not counted.
+    /// Area [m2] of the faces beyond the polygon, or more than they have when flat, and of what they leave out; what
+    /// reaches back to the front of the stroke so far is not counted.
     pub(super) strayed_m2: f64,
 }
 
@@ -78,7 +78,14 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     let faces = work.faces_of_plane();
     let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
     let n_snapped = work.n_snapped;
-    let strayed_m2 = inside.iter().map(|&face| work.strayed_m2(face)).sum();
+    let (mut covered_m2, mut strayed_m2) = (0.0, 0.0);
+    for &face in &inside {
+        let corners_m = face.map(|n| work.patch.nodes[n as usize].present_m);
+        let [within_m2, with_behind_m2] = sweep.parts_m2(corners_m);
+        covered_m2 += within_m2;
+        strayed_m2 += work.patch.face_area_m2(face) - with_behind_m2;
+    }
+    let strayed_m2 = strayed_m2 + (swept_area_m2 - covered_m2).abs();
     if let Some(k) = (0..sweep.n_lines()).find(|&k| sweep.side(k) == Side::Front) {
         add_front(patch, sweep, k, &inside, snapping.front_m);
     }
@@ -483,12 +490,6 @@ impl Work<'_> {
                 *label(&mut self.patch.nodes[middle as usize]) = 0;
             }
         }
-    }
-
-    /// Area [m2] of a face less that of its part in front of where the blade was and between the ways of its ends.
-    fn strayed_m2(&self, face: [u32; 3]) -> f64 {
-        let corners_m = face.map(|n| self.patch.nodes[n as usize].present_m);
-        self.patch.face_area_m2(face) - self.sweep.area_ahead_m2(corners_m)
     }
 
     /// Whether a face of the plane belongs to the polygon.

@@ -83,6 +83,9 @@ pub struct CutReport {
     pub n_snapped: usize,
     /// Steps that needed more snapping than wished.
     pub n_coarser: usize,
+    /// Strokes whose opened area differs from the swept one by more than two per cent, because faces merged with
+    /// others by snapping: cuts that run along the skin or an earlier cut.
+    pub n_merged: usize,
     /// Steps that were refused.
     pub n_refused: usize,
     /// Steps that changed the mesh.
@@ -99,6 +102,7 @@ impl Default for CutReport {
             n_touched: 0,
             n_snapped: 0,
             n_coarser: 0,
+            n_merged: 0,
             n_refused: 0,
             n_edits: 0,
         }
@@ -115,6 +119,7 @@ impl CutReport {
         self.n_touched += step.n_touched;
         self.n_snapped += step.n_snapped;
         self.n_coarser += step.n_coarser;
+        self.n_merged += step.n_merged;
         self.n_refused += step.n_refused;
         self.n_edits += step.n_edits;
     }
@@ -155,21 +160,29 @@ pub enum CutRefusal {
 /// for those that cannot. With one half everything snaps.
 const COARSER: [[f64; 2]; 6] = [[0.2, 0.2], [0.25, 0.15], [0.25, 0.25], [0.3, 0.3], [0.4, 0.4], [0.5, 0.5]];
 
-/// Further attempts where the stroke would be off by more than [`AREA_LIMIT`] otherwise.
-const OTHER: [[f64; 2]; 8] = [
-    [0.15, 0.1],
-    [0.1, 0.05],
-    [0.05, 0.05],
-    [0.1, 0.15],
-    [0.3, 0.1],
-    [0.15, 0.25],
-    [0.3, 0.2],
-    [0.4, 0.25],
+/// Further attempts where the stroke would be off by more than [`AREA_LIMIT`] otherwise; the third number is a share of
+/// [`SubdivisionParams::snap_length_m`]. Nodes on curved skin cannot move, and where they snap, the cut ends beside
+/// where the plane meets the skin.
+const OTHER: [[f64; 3]; 8] = [
+    [0.2, 0.05, 0.4],
+    [0.2, 0.02, 0.2],
+    [0.1, 0.05, 0.4],
+    [0.1, 0.02, 0.2],
+    [0.05, 0.0, 0.1],
+    [0.15, 0.25, 1.0],
+    [0.3, 0.1, 1.0],
+    [0.3, 0.2, 1.0],
 ];
 
 /// Largest difference between what opens and what was swept, as a share of what the stroke swept: the requirement is
 /// 0.02.
-const AREA_LIMIT: f64 = 0.018;
+const AREA_LIMIT: f64 = 0.01;
+
+/// Strokes that differ by more are counted as merged.
+const MERGED: f64 = 0.02;
+
+/// Nearer to the plane or a line than this share of [`SubdivisionParams::snap_length_m`] is rounding.
+const SAME_PLACE: f64 = 1e-6;
 
 /// What opens may differ from what was swept by this share of the stroke so far, and by this share of the step
 /// while the front will still move, before other ways to snap are tried.
@@ -211,7 +224,7 @@ struct Best {
     off_share: f64,
     at: usize,
     extent: f64,
-    shares: [f64; 2],
+    snap: [f64; 3],
 }
 
 /// What the blade sweeps over on the first part of its way.
@@ -240,6 +253,8 @@ struct Stroke {
     blade_m: Option<[DVec3; 2]>,
     /// The inner end of the cut, along the blade, and whether an end of the blade is there.
     front: Vec<(NodeId, bool)>,
+    /// Nodes of the faces at that end, of both sides.
+    wake: Vec<NodeId>,
     /// Faces of the cut that are closed for now: all of their nodes are on its rim.
     closed: Vec<[NodeId; 3]>,
     /// By how much the faces of the cut, open or closed for now, exceed what was swept [m2].
@@ -326,6 +341,7 @@ impl SubdivisionCut {
     pub fn topology_changed(&mut self, change: &TopologyChange) {
         let lost = |n: NodeId| change.nodes.removed.binary_search(&n).is_ok();
         self.stroke.front.retain(|&(n, _)| !lost(n));
+        self.stroke.wake.retain(|&n| !lost(n));
         self.stroke.closed.retain(|face| !face.iter().any(|&n| lost(n)));
         if self.stroke.anchor.is_some_and(|a| a.nodes.into_iter().any(lost)) {
             self.stroke.anchor = None;
@@ -337,6 +353,8 @@ impl SubdivisionCut {
         let front = std::mem::take(&mut self.stroke.front);
         self.stroke.front =
             front.into_iter().filter_map(|(n, is_end)| Some((renumbered(n)?, is_end))).collect();
+        let wake = std::mem::take(&mut self.stroke.wake);
+        self.stroke.wake = wake.into_iter().filter_map(renumbered).collect();
         let closed = std::mem::take(&mut self.stroke.closed);
         let of_face = |[a, b, c]: [NodeId; 3]| Some([renumbered(a)?, renumbered(b)?, renumbered(c)?]);
         self.stroke.closed = closed.into_iter().filter_map(of_face).collect();
@@ -381,20 +399,21 @@ impl SubdivisionCut {
         self.before = self.stroke.clone();
         let extents = if is_last { &EXTENTS[..1] } else { &EXTENTS };
         let wished = self.params.snap_share;
-        let shares = std::iter::once([wished, 0.5 * wished])
-            .chain(COARSER.into_iter().filter(move |c| c[0] >= wished));
-        let attempts = extents.iter().flat_map(|&extent| shares.clone().map(move |shares| (extent, shares)));
+        let snaps = std::iter::once([wished, 0.5 * wished])
+            .chain(COARSER.into_iter().filter(move |c| c[0] >= wished))
+            .map(|[share, share_of_fixed]| [share, share_of_fixed, 1.0]);
+        let attempts = extents.iter().flat_map(|&extent| snaps.clone().map(move |snap| (extent, snap)));
         let n_first = attempts.clone().count();
-        let attempts = attempts.chain(OTHER.into_iter().map(|shares| (1.0, shares)));
+        let attempts = attempts.chain(OTHER.into_iter().map(|snap| (1.0, snap)));
         let mut tried = Attempt::default();
         let mut best: Option<Best> = None;
         let mut last = 0;
-        for (at, (extent, shares)) in attempts.enumerate() {
+        for (at, (extent, snap)) in attempts.enumerate() {
             if at >= n_first && best.is_some_and(|b| b.off_share <= AREA_LIMIT) {
                 break;
             }
             last = at;
-            tried = self.attempt(body, &swept(from_m, blade_m, extent), shares, is_last);
+            tried = self.attempt(body, &swept(from_m, blade_m, extent), snap, is_last);
             let report = &tried.report;
             if report.min_dihedral_deg < self.params.min_dihedral_deg.min(report.min_dihedral_before_deg) {
                 continue;
@@ -405,7 +424,7 @@ impl SubdivisionCut {
             let swept_m2 = self.stroke.report.swept_area_m2 + report.swept_area_m2;
             if best.is_none_or(|b| badness_m2 < b.badness_m2) {
                 let off_share = if swept_m2 > 0.0 { off_m2 / swept_m2 } else { 0.0 };
-                best = Some(Best { badness_m2, off_share, at, extent, shares });
+                best = Some(Best { badness_m2, off_share, at, extent, snap });
             }
             let [of_stroke, of_step] = AREA_TOLERANCE;
             let mut allowed_m2 = of_stroke * swept_m2;
@@ -419,18 +438,20 @@ impl SubdivisionCut {
                 break;
             }
         }
-        if let Some(Best { at, extent, shares, .. }) = best {
+        if let Some(Best { at, extent, snap, off_share, .. }) = best {
             if at != last {
-                tried = self.attempt(body, &swept(from_m, blade_m, extent), shares, is_last);
+                tried = self.attempt(body, &swept(from_m, blade_m, extent), snap, is_last);
             }
             let mut report = tried.report;
             report.n_coarser = usize::from(at > 0);
+            report.n_merged = usize::from(is_last && off_share > MERGED);
             let reached_m = [0, 1].map(|i| from_m[i].lerp(blade_m[i], extent));
             return Ok(self.accept(body, reached_m, report));
         }
         let report = tried.report;
         self.stroke.blade_m = Some(blade_m);
         self.stroke.front.clear();
+        self.stroke.wake.clear();
         self.stroke.closed.clear();
         self.stroke.anchor = None;
         self.stroke.report.add(&CutReport {
@@ -447,7 +468,7 @@ impl SubdivisionCut {
         &mut self,
         body: Body<'_>,
         sweeps: &[Option<Sweep>; 2],
-        [share, share_of_fixed]: [f64; 2],
+        [share, share_of_fixed, of_length]: [f64; 3],
         is_last: bool,
     ) -> Attempt {
         let Self { params, stroke, patch, .. } = self;
@@ -455,7 +476,8 @@ impl SubdivisionCut {
         let snapping = Snapping {
             share,
             share_of_fixed,
-            length_m: params.snap_length_m,
+            length_m: of_length * params.snap_length_m,
+            same_m: SAME_PLACE * params.snap_length_m,
             front_m: params.front_reach_m,
             max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
         };
@@ -463,6 +485,9 @@ impl SubdivisionCut {
             if body.mesh.topology().is_live_node(node) {
                 patch.pull_front(body, node, is_end);
             }
+        }
+        for &node in stroke.wake.iter().filter(|&&n| body.mesh.topology().is_live_node(n)) {
+            patch.pull_wake(body, node);
         }
         for &face in &stroke.closed {
             patch.pull_closed(body, face);
@@ -514,7 +539,8 @@ impl SubdivisionCut {
         let Self { stroke, patch, .. } = self;
         let front = patch.front.clone();
         stroke.off_m2 += report.cut_area_m2 - report.swept_area_m2;
-        let opened = opening::open(patch, body);
+        let is_front = |n: u32| front.binary_search_by_key(&n, |f| f.0).is_ok();
+        let opened = opening::open(patch, body, is_front);
         report.cut_area_m2 = opened.area_m2;
         let (edit, ids) = opening::replacement(patch, body.mesh.topology().n_nodes());
         stroke.blade_m = Some(blade_m);
@@ -523,6 +549,7 @@ impl SubdivisionCut {
             let [a, b, c] = face.map(|n| ids[n as usize]);
             Some([a?, b?, c?])
         };
+        stroke.wake = opened.wake.iter().filter_map(|&n| ids[n as usize]).collect();
         stroke.closed = opened.closed.iter().filter_map(of_face).collect();
         stroke.anchor = None;
         let along = blade_m[1] - blade_m[0];

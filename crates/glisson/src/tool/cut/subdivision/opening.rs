@@ -11,6 +11,8 @@ pub(super) struct Opened {
     pub(super) area_m2: f64,
     /// Faces that stay closed for now, because all of their nodes are on the rim of the cut.
     pub(super) closed: Vec<[u32; 3]>,
+    /// Nodes of the faces at the front, of both sides.
+    pub(super) wake: Vec<u32>,
 }
 
 /// Divides faces of `patch.cut` that would stay closed for good, so that they get a node that opens. `stays`: what
@@ -25,13 +27,30 @@ pub(super) fn divide_closed(
     pull_stars(patch, body);
     let mut groups = Groups::default();
     let origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();
-    let mut group_count: Vec<(u32, usize)> = Vec::new();
+    // (node that gets copies, where its tetrahedra begin in `stars`); (tetrahedron, group) in order
+    let mut starts: Vec<(u32, usize)> = Vec::new();
+    let mut stars: Vec<(u32, u32)> = Vec::new();
     for node in nodes_of_cut(patch) {
-        let n_groups = groups.find(patch, node, &origin);
-        group_count.push((node, n_groups));
+        if groups.find(patch, node, &origin) > 1 {
+            starts.push((node, stars.len()));
+            stars.extend(groups.star.iter().copied().zip(groups.group.iter().copied()));
+        }
     }
-    let is_rim = |n: u32| group_count.binary_search_by_key(&n, |g| g.0).is_ok_and(|at| group_count[at].1 < 2);
-    let is_closed = |face: &[u32; 3]| !stays(*face) && face.iter().all(|&n| is_rim(n));
+    let group_at = |node: usize, tet: u32| {
+        let end = starts.get(node + 1).map_or(stars.len(), |s| s.1);
+        let star = &stars[starts[node].1..end];
+        star.binary_search_by_key(&tet, |s| s.0).map(|at| star[at].1)
+    };
+    let is_open = |face: [u32; 3]| {
+        let mut at_face = patch.tets_at_face(face);
+        let sides = [at_face.next(), at_face.next()];
+        let [Some(above), Some(below)] = sides else { return true };
+        face.into_iter().any(|n| {
+            let node = starts.binary_search_by_key(&n, |s| s.0);
+            node.is_ok_and(|node| group_at(node, above) != group_at(node, below))
+        })
+    };
+    let is_closed = |face: &[u32; 3]| !stays(*face) && !is_open(*face);
     let closed: Vec<[u32; 3]> = patch.cut.iter().copied().filter(is_closed).collect();
     let mut closed_m2 = 0.0;
     for face in closed {
@@ -61,21 +80,7 @@ fn divide(patch: &mut Patch, body: Body<'_>, face: [u32; 3], max_cosine: f64) ->
             return true;
         }
     }
-    if patch.cosine_of_thirds(body, face) <= max_cosine && patch.split_face(face).is_some() {
-        return true;
-    }
-    // Thin: a node on its rim first, then one between that and the opposite corner.
-    for edge in edges {
-        if patch.cosine_of_halves(body, edge) > max_cosine {
-            continue;
-        }
-        let Some(middle) = patch.split_edge(body, edge, 0.5) else { continue };
-        let opposite = face.into_iter().find(|n| !edge.contains(n));
-        let Some(inner) = opposite.map(|n| [n.min(middle), n.max(middle)]) else { continue };
-        return patch.cosine_of_halves(body, inner) <= max_cosine
-            && patch.split_edge(body, inner, 0.5).is_some();
-    }
-    false
+    patch.cosine_of_thirds(body, face) <= max_cosine && patch.split_face(face).is_some()
 }
 
 fn nodes_of_cut(patch: &Patch) -> Vec<u32> {
@@ -92,7 +97,7 @@ fn pull_stars(patch: &mut Patch, body: Body<'_>) {
 }
 
 /// Opens `patch.cut`. At the rim of a cut the tetrahedra still hang together around the node, which stays one.
-pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> Opened {
+pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> bool) -> Opened {
     pull_stars(patch, body);
     let nodes = nodes_of_cut(patch);
     let mut sides: Vec<([u32; 3], Vec<u32>)> = Vec::with_capacity(patch.cut.len());
@@ -132,6 +137,12 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> Opened {
     let mut opened = Opened::default();
     for (face, tets) in sides {
         let [a, b] = tets[..] else { continue };
+        if face.into_iter().any(&is_front) {
+            for tet in [a, b] {
+                let nodes = patch.tets[tet as usize].nodes.into_iter();
+                opened.wake.extend(nodes.filter(|&n| face.contains(&origin[n as usize])));
+            }
+        }
         let [a, b] = [a, b].map(|t| patch.tets[t as usize].nodes);
         let mut common = a.into_iter().filter(|n| b.contains(n));
         match [common.next(), common.next(), common.next()] {
@@ -139,6 +150,8 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> Opened {
             _ => opened.area_m2 += patch.face_area_m2(face),
         }
     }
+    opened.wake.sort_unstable();
+    opened.wake.dedup();
     opened
 }
 

@@ -90,6 +90,8 @@ pub(super) struct PatchNode {
     pub(super) is_front: bool,
     /// Where the front meets the way of the blade's end.
     pub(super) is_front_end: bool,
+    /// On a face at the front of the stroke so far.
+    pub(super) is_wake: bool,
     /// All tetrahedra at the node are in the patch.
     has_whole_star: bool,
 }
@@ -219,6 +221,7 @@ impl Patch {
             line_labels: [UNKNOWN; 4],
             is_front: false,
             is_front_end: false,
+            is_wake: false,
             has_whole_star: false,
         });
         self.node_here[node.index()] = here;
@@ -338,6 +341,12 @@ impl Patch {
         self.nodes[here as usize].is_front = true;
     }
 
+    /// Brings a node of the faces at the stroke's front in.
+    pub(super) fn pull_wake(&mut self, body: Body<'_>, node: NodeId) {
+        let here = self.pull_node(body, node);
+        self.nodes[here as usize].is_wake = true;
+    }
+
     /// Brings a face in that an earlier step left closed.
     pub(super) fn pull_closed(&mut self, body: Body<'_>, face: [NodeId; 3]) {
         let topology = body.mesh.topology();
@@ -445,6 +454,7 @@ impl Patch {
             line_labels: [UNKNOWN; 4],
             is_front: false,
             is_front_end: false,
+            is_wake: false,
             has_whole_star: true,
         });
         let star = std::mem::take(&mut self.stars[a as usize]);
@@ -503,7 +513,7 @@ impl Patch {
     }
 
     /// The tetrahedra at a face.
-    fn tets_at_face(&self, [a, b, c]: [u32; 3]) -> impl Iterator<Item = u32> + '_ {
+    pub(super) fn tets_at_face(&self, [a, b, c]: [u32; 3]) -> impl Iterator<Item = u32> + '_ {
         let has_face = move |&t: &u32| {
             let nodes = self.tets[t as usize].nodes;
             nodes.contains(&b) && nodes.contains(&c)
@@ -542,6 +552,7 @@ impl Patch {
             line_labels: [UNKNOWN; 4],
             is_front: false,
             is_front_end: false,
+            is_wake: false,
             has_whole_star: true,
         });
         let swapped = |nodes: [u32; 4], gone: u32| nodes.map(|n| if n == gone { middle } else { n });

@@ -19,6 +19,8 @@ pub(super) struct Snapping {
     pub(super) share_of_fixed: f64,
     /// Length along an edge [m].
     pub(super) length_m: f64,
+    /// Nearer to the plane or a line than this [m] is rounding.
+    pub(super) same_m: f64,
     /// Distance of the stroke's front from the plane [m].
     pub(super) front_m: f64,
     /// A node that snaps moves there unless a tetrahedron would become worse than this: cosine of a dihedral
@@ -35,9 +37,6 @@ const LEAST_SHARE_OF_FACE: f64 = 0.02;
 
 /// Sine of the least angle between skin and plane, or skin and line, for a node to slide there.
 const LEAST_SINE: f64 = 0.2;
-
-/// Nearer to the plane or a line than this share of [`Snapping::length_m`] is rounding.
-const SAME_PLACE: f64 = 1e-6;
 
 /// What came of one polygon.
 #[derive(Clone, Copy, Debug, Default)]
@@ -121,10 +120,10 @@ impl Work<'_> {
         if node.label == UNKNOWN {
             node.distance_m = sweep.distance_m(node.present_m);
             node.label = sign(node.distance_m);
-            if node.distance_m.abs() <= SAME_PLACE * snapping.length_m {
+            if node.distance_m.abs() <= snapping.same_m {
                 node.label = 0;
             }
-            if node.is_front && node.distance_m.abs() <= snapping.front_m {
+            if (node.is_front || node.is_wake) && node.distance_m.abs() <= snapping.front_m {
                 node.label = 0;
             }
         }
@@ -134,7 +133,7 @@ impl Work<'_> {
     /// Tetrahedra that the polygon cuts, in the patch, and the area [m2] inside the body.
     fn touched(&mut self) -> (Vec<u32>, f64) {
         // With room for rounding: corners that an earlier step put into the plane may be a little beside it.
-        let flat_m = SAME_PLACE * self.snapping.length_m;
+        let flat_m = self.snapping.same_m;
         let [low_m, high_m] = self.sweep.bounds_m();
         let [low_m, high_m] = [low_m - DVec3::splat(flat_m), high_m + DVec3::splat(flat_m)];
         let near = |corners_m: [DVec3; 4]| {
@@ -186,7 +185,7 @@ impl Work<'_> {
             return (false, 0.0);
         }
         // Corners that an earlier step put into the plane are there but for rounding.
-        let flat_m = SAME_PLACE * self.snapping.length_m;
+        let flat_m = self.snapping.same_m;
         let distance_m =
             corners_m.map(|p| self.sweep.distance_m(p)).map(|d| if d.abs() <= flat_m { 0.0 } else { d });
         let n_zero = distance_m.iter().filter(|&&d| d == 0.0).count();
@@ -347,7 +346,7 @@ impl Work<'_> {
         let inside_m = sweep.inside_m(k, node.present_m);
         if node.line_labels[k] == UNKNOWN {
             node.line_labels[k] = sign(inside_m);
-            if inside_m.abs() <= SAME_PLACE * snapping.length_m {
+            if inside_m.abs() <= snapping.same_m {
                 node.line_labels[k] = 0;
             }
             let is_there = match sweep.side(k) {

@@ -186,7 +186,7 @@ const SAME_PLACE: f64 = 1e-6;
 
 /// What opens may differ from what was swept by this share of the stroke so far, and by this share of the step
 /// while the front will still move, before other ways to snap are tried.
-const AREA_TOLERANCE: [f64; 2] = [0.004, 0.03];
+const AREA_TOLERANCE: [f64; 2] = [0.004, 0.015];
 
 /// How much of the way is cut at once: less of it where all of it comes out badly, as what follows begins
 /// elsewhere then.

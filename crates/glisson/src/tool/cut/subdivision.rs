@@ -178,6 +178,9 @@ const OTHER: [[f64; 3]; 8] = [
 /// 0.02.
 const AREA_LIMIT: f64 = 0.01;
 
+/// A corner that is closed at the end of the stroke, and more than this share of it, is opened at all costs.
+const ALONE: f64 = 0.007;
+
 /// Strokes that differ by more are counted as merged.
 const MERGED: f64 = 0.02;
 
@@ -517,9 +520,13 @@ impl SubdivisionCut {
         let front = std::mem::take(&mut patch.front);
         let is_front = |n: u32| front.binary_search_by_key(&n, |f| f.0).is_ok();
         let stays = |face: [u32; 3]| !is_last && face.into_iter().any(is_front);
+        let swept_m2 = stroke.report.swept_area_m2 + report.swept_area_m2;
+        let alone_m2 = if is_last { ALONE * swept_m2 } else { f64::INFINITY };
         let allowed_cosine = libm::cos(params.min_dihedral_deg.to_radians());
-        let closed_m2 = opening::divide_closed(patch, body, stays, [wished_cosine, allowed_cosine]);
+        let closed_m2 = opening::divide_closed(patch, body, alone_m2, stays, [wished_cosine, allowed_cosine]);
         patch.front = front;
+        // Until the end of the stroke it may open yet.
+        let closed_m2 = if is_last { closed_m2 } else { 0.0 };
         max_cosine = max_cosine.max(patch.max_new_cosine());
         let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));
         let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);

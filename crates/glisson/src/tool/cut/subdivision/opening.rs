@@ -4,6 +4,9 @@ use super::patch::{Body, Patch, sorted};
 use crate::mesh::edit::{CavityNode, NewNode, NewTet, Replacement};
 use crate::mesh::quality::FACES;
 
+/// Where an edge is divided so that its faces open.
+const SHARES: [f64; 3] = [0.5, 0.35, 0.65];
+
 /// What opened.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Opened {
@@ -16,11 +19,12 @@ pub(super) struct Opened {
 }
 
 /// Divides faces of `patch.cut` that would stay closed for good, so that they get a node that opens. `stays`: what
-/// may still open with a later step. Only where no dihedral angle at rest gets a cosine above the first of
+/// may still open with a later step. `alone_m2`: faces of a larger area [m2] open alone if need be. Only where no dihedral angle at rest gets a cosine above the first of
 /// `max_cosines`, or else the second. Returns the area [m2] that stays closed nevertheless.
 pub(super) fn divide_closed(
     patch: &mut Patch,
     body: Body<'_>,
+    alone_m2: f64,
     stays: impl Fn([u32; 3]) -> bool,
     max_cosines: [f64; 2],
 ) -> f64 {
@@ -59,7 +63,12 @@ pub(super) fn divide_closed(
             continue;
         }
         let area_m2 = patch.face_area_m2(face);
-        if !max_cosines.into_iter().any(|max_cosine| divide(patch, body, face, max_cosine)) {
+        let mut is_divided = max_cosines.into_iter().any(|max_cosine| divide(patch, body, face, max_cosine));
+        if !is_divided && area_m2 > alone_m2 {
+            // It opens alone, and the surface meets itself along its edges; else it would stay closed for good.
+            is_divided = patch.cosine_of_thirds(body, face) <= max_cosines[1] && patch.split_face(face).is_some();
+        }
+        if !is_divided {
             closed_m2 += area_m2;
         }
         patch.cut.sort_unstable();
@@ -67,20 +76,19 @@ pub(super) fn divide_closed(
     closed_m2
 }
 
-/// Puts a node into a face of the cut where that opens it, and into neighbours in the cut with the edge between them.
-fn divide(patch: &mut Patch, body: Body<'_>, face: [u32; 3], max_cosine: f64) -> bool {
-    let [a, b, c] = face;
+/// Puts a node on an edge of a face of the cut that it shares with others of the cut, so that they open together.
+fn divide(patch: &mut Patch, body: Body<'_>, [a, b, c]: [u32; 3], max_cosine: f64) -> bool {
     let is_inner =
         |edge: &[u32; 2]| patch.cut.iter().filter(|f| edge.iter().all(|n| f.contains(n))).count() > 1;
     let mut edges = [[a, b], [b, c], [a, c]];
     edges.sort_by(|p, q| patch.length_m(*q).total_cmp(&patch.length_m(*p)));
     let inner: Vec<[u32; 2]> = edges.into_iter().filter(is_inner).collect();
-    for edge in inner {
-        if patch.cosine_of_halves(body, edge) <= max_cosine && patch.split_edge(body, edge, 0.5).is_some() {
-            return true;
-        }
-    }
-    patch.cosine_of_thirds(body, face) <= max_cosine && patch.split_face(face).is_some()
+    SHARES.into_iter().any(|share| {
+        inner.iter().any(|&edge| {
+            patch.cosine_of_parts(body, edge, share) <= max_cosine
+                && patch.split_edge(body, edge, share).is_some()
+        })
+    })
 }
 
 fn nodes_of_cut(patch: &Patch) -> Vec<u32> {

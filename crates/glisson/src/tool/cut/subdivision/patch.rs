@@ -495,18 +495,18 @@ impl Patch {
         Some(middle)
     }
 
-    /// Largest cosine of a dihedral angle at rest among what would come of dividing an edge in its middle.
-    pub(super) fn cosine_of_halves(&mut self, body: Body<'_>, [a, b]: [u32; 2]) -> f64 {
+    /// Largest cosine of a dihedral angle at rest among what would come of dividing an edge.
+    pub(super) fn cosine_of_parts(&mut self, body: Body<'_>, [a, b]: [u32; 2], share: f64) -> f64 {
         self.pull_edge(body, [a, b]);
-        let middle_m = 0.5 * (self.nodes[a as usize].rest_m + self.nodes[b as usize].rest_m);
+        let middle_m = self.nodes[a as usize].rest_m.lerp(self.nodes[b as usize].rest_m, share);
         let mut cosine: f64 = -1.0;
         for &tet in self.stars[a as usize].iter().filter(|&&t| self.tets[t as usize].nodes.contains(&b)) {
             let corners_m = self.rest_m(tet);
             for gone in [a, b] {
                 let at = self.tets[tet as usize].nodes.iter().position(|&n| n == gone).unwrap_or(0);
-                let mut half_m = corners_m;
-                half_m[at] = middle_m;
-                cosine = cosine.max(dihedral_cosine_range(half_m)[1]);
+                let mut part_m = corners_m;
+                part_m[at] = middle_m;
+                cosine = cosine.max(dihedral_cosine_range(part_m)[1]);
             }
         }
         cosine

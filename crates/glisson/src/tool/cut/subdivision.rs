@@ -83,6 +83,9 @@ pub struct CutReport {
     pub n_snapped: usize,
     /// Steps that needed more snapping than wished.
     pub n_coarser: usize,
+    /// Strokes whose opened area differs from the swept one by more than two per cent, because faces merged with
+    /// others by snapping: cuts that run along the skin or an earlier cut.
+    pub n_merged: usize,
     /// Steps that were refused.
     pub n_refused: usize,
     /// Steps that changed the mesh.
@@ -99,6 +102,7 @@ impl Default for CutReport {
             n_touched: 0,
             n_snapped: 0,
             n_coarser: 0,
+            n_merged: 0,
             n_refused: 0,
             n_edits: 0,
         }
@@ -115,6 +119,7 @@ impl CutReport {
         self.n_touched += step.n_touched;
         self.n_snapped += step.n_snapped;
         self.n_coarser += step.n_coarser;
+        self.n_merged += step.n_merged;
         self.n_refused += step.n_refused;
         self.n_edits += step.n_edits;
     }
@@ -155,9 +160,36 @@ pub enum CutRefusal {
 /// for those that cannot. With one half everything snaps.
 const COARSER: [[f64; 2]; 6] = [[0.2, 0.2], [0.25, 0.15], [0.25, 0.25], [0.3, 0.3], [0.4, 0.4], [0.5, 0.5]];
 
+/// Further attempts where the stroke would be off by more than [`AREA_LIMIT`] otherwise; the third number is a share of
+/// [`SubdivisionParams::snap_length_m`]. Nodes on curved skin cannot move, and where they snap, the cut ends beside
+/// where the plane meets the skin.
+const OTHER: [[f64; 3]; 8] = [
+    [0.2, 0.05, 0.4],
+    [0.2, 0.02, 0.2],
+    [0.1, 0.05, 0.4],
+    [0.1, 0.02, 0.2],
+    [0.05, 0.0, 0.1],
+    [0.15, 0.25, 1.0],
+    [0.3, 0.1, 1.0],
+    [0.3, 0.2, 1.0],
+];
+
+/// Largest difference between what opens and what was swept, as a share of what the stroke swept: the requirement is
+/// 0.02.
+const AREA_LIMIT: f64 = 0.01;
+
+/// A corner that is closed at the end of the stroke, and more than this share of it, is opened at all costs.
+const ALONE: f64 = 0.007;
+
+/// Strokes that differ by more are counted as merged.
+const MERGED: f64 = 0.02;
+
+/// Nearer to the plane or a line than this share of [`SubdivisionParams::snap_length_m`] is rounding.
+const SAME_PLACE: f64 = 1e-6;
+
 /// What opens may differ from what was swept by this share of the stroke so far, and by this share of the step
 /// while the front will still move, before other ways to snap are tried.
-const AREA_TOLERANCE: [f64; 2] = [0.004, 0.03];
+const AREA_TOLERANCE: [f64; 2] = [0.004, 0.015];
 
 /// How much of the way is cut at once: less of it where all of it comes out badly, as what follows begins
 /// elsewhere then.
@@ -169,6 +201,34 @@ const RESERVE_OF_ADVANCE: f64 = 0.5;
 
 /// Angles below this multiple of the smallest allowed one are bettered, for the sake of later strokes.
 const RESERVE: f64 = 1.5;
+
+/// Faces of the cut and what was swept may lie beside each other by this share of it before other ways to snap are
+/// tried: where too much at one place makes up for too little at another, what follows is off.
+const MOST_STRAYED: f64 = 0.06;
+
+/// How much such area counts against an attempt, as a share of it, while the front will still move and at the end.
+const WEIGHT_OF_STRAYED: [f64; 2] = [1.0, 0.1];
+
+/// What came of one way to cut a step.
+#[derive(Clone, Copy, Debug, Default)]
+struct Attempt {
+    report: CutReport,
+    /// Area [m2] of faces that stay closed for good.
+    closed_m2: f64,
+    /// Area [m2] of faces outside what was swept, and of what was swept outside the faces.
+    strayed_m2: f64,
+}
+
+/// The best attempt so far.
+#[derive(Clone, Copy, Debug)]
+struct Best {
+    badness_m2: f64,
+    /// By how much the stroke would be off, as a share of what it swept.
+    off_share: f64,
+    at: usize,
+    extent: f64,
+    snap: [f64; 3],
+}
 
 /// What the blade sweeps over on the first part of its way.
 fn swept(from_m: [DVec3; 2], to_m: [DVec3; 2], extent: f64) -> [Option<Sweep>; 2] {
@@ -196,6 +256,8 @@ struct Stroke {
     blade_m: Option<[DVec3; 2]>,
     /// The inner end of the cut, along the blade, and whether an end of the blade is there.
     front: Vec<(NodeId, bool)>,
+    /// Nodes of the faces at that end, of both sides.
+    wake: Vec<NodeId>,
     /// Faces of the cut that are closed for now: all of their nodes are on its rim.
     closed: Vec<[NodeId; 3]>,
     /// By how much the faces of the cut, open or closed for now, exceed what was swept [m2].
@@ -282,6 +344,7 @@ impl SubdivisionCut {
     pub fn topology_changed(&mut self, change: &TopologyChange) {
         let lost = |n: NodeId| change.nodes.removed.binary_search(&n).is_ok();
         self.stroke.front.retain(|&(n, _)| !lost(n));
+        self.stroke.wake.retain(|&n| !lost(n));
         self.stroke.closed.retain(|face| !face.iter().any(|&n| lost(n)));
         if self.stroke.anchor.is_some_and(|a| a.nodes.into_iter().any(lost)) {
             self.stroke.anchor = None;
@@ -293,6 +356,8 @@ impl SubdivisionCut {
         let front = std::mem::take(&mut self.stroke.front);
         self.stroke.front =
             front.into_iter().filter_map(|(n, is_end)| Some((renumbered(n)?, is_end))).collect();
+        let wake = std::mem::take(&mut self.stroke.wake);
+        self.stroke.wake = wake.into_iter().filter_map(renumbered).collect();
         let closed = std::mem::take(&mut self.stroke.closed);
         let of_face = |[a, b, c]: [NodeId; 3]| Some([renumbered(a)?, renumbered(b)?, renumbered(c)?]);
         self.stroke.closed = closed.into_iter().filter_map(of_face).collect();
@@ -337,44 +402,59 @@ impl SubdivisionCut {
         self.before = self.stroke.clone();
         let extents = if is_last { &EXTENTS[..1] } else { &EXTENTS };
         let wished = self.params.snap_share;
-        let shares = std::iter::once([wished, 0.5 * wished])
-            .chain(COARSER.into_iter().filter(move |c| c[0] >= wished));
-        let attempts = extents.iter().flat_map(|&extent| shares.clone().map(move |shares| (extent, shares)));
-        let mut report = CutReport::default();
-        let mut best: Option<(f64, usize, (f64, [f64; 2]))> = None;
+        let snaps = std::iter::once([wished, 0.5 * wished])
+            .chain(COARSER.into_iter().filter(move |c| c[0] >= wished))
+            .map(|[share, share_of_fixed]| [share, share_of_fixed, 1.0]);
+        let attempts = extents.iter().flat_map(|&extent| snaps.clone().map(move |snap| (extent, snap)));
+        let n_first = attempts.clone().count();
+        let attempts = attempts.chain(OTHER.into_iter().map(|snap| (1.0, snap)));
+        let mut tried = Attempt::default();
+        let mut best: Option<Best> = None;
         let mut last = 0;
-        for (at, (extent, shares)) in attempts.enumerate() {
+        for (at, (extent, snap)) in attempts.enumerate() {
+            if at >= n_first && best.is_some_and(|b| b.off_share <= AREA_LIMIT) {
+                break;
+            }
             last = at;
-            report = self.attempt(body, &swept(from_m, blade_m, extent), shares);
-            let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
-            if report.min_dihedral_deg < limit_deg {
+            tried = self.attempt(body, &swept(from_m, blade_m, extent), snap, is_last);
+            let report = &tried.report;
+            if report.min_dihedral_deg < self.params.min_dihedral_deg.min(report.min_dihedral_before_deg) {
                 continue;
             }
-            let off_m2 = (self.stroke.off_m2 + report.cut_area_m2 - report.swept_area_m2).abs();
-            if best.is_none_or(|b| off_m2 < b.0) {
-                best = Some((off_m2, at, (extent, shares)));
+            let off_m2 =
+                (self.stroke.off_m2 + report.cut_area_m2 - report.swept_area_m2 - tried.closed_m2).abs();
+            let badness_m2 = off_m2 + WEIGHT_OF_STRAYED[usize::from(is_last)] * tried.strayed_m2;
+            let swept_m2 = self.stroke.report.swept_area_m2 + report.swept_area_m2;
+            if best.is_none_or(|b| badness_m2 < b.badness_m2) {
+                let off_share = if swept_m2 > 0.0 { off_m2 / swept_m2 } else { 0.0 };
+                best = Some(Best { badness_m2, off_share, at, extent, snap });
             }
             let [of_stroke, of_step] = AREA_TOLERANCE;
-            let mut allowed_m2 = of_stroke * (self.stroke.report.swept_area_m2 + report.swept_area_m2);
+            let mut allowed_m2 = of_stroke * swept_m2;
             if !is_last {
                 allowed_m2 += of_step * report.swept_area_m2;
             }
             // What earlier steps left over is not made up for by force.
             allowed_m2 = allowed_m2.max(self.stroke.off_m2.abs() + of_stroke * report.swept_area_m2);
-            if off_m2 <= allowed_m2 {
+            let is_close = is_last || tried.strayed_m2 <= MOST_STRAYED * report.swept_area_m2;
+            if off_m2 <= allowed_m2 && is_close {
                 break;
             }
         }
-        if let Some((_, at, (extent, shares))) = best {
+        if let Some(Best { at, extent, snap, off_share, .. }) = best {
             if at != last {
-                report = self.attempt(body, &swept(from_m, blade_m, extent), shares);
+                tried = self.attempt(body, &swept(from_m, blade_m, extent), snap, is_last);
             }
+            let mut report = tried.report;
             report.n_coarser = usize::from(at > 0);
+            report.n_merged = usize::from(is_last && off_share > MERGED);
             let reached_m = [0, 1].map(|i| from_m[i].lerp(blade_m[i], extent));
-            return Ok(self.accept(body, reached_m, is_last, report));
+            return Ok(self.accept(body, reached_m, report));
         }
+        let report = tried.report;
         self.stroke.blade_m = Some(blade_m);
         self.stroke.front.clear();
+        self.stroke.wake.clear();
         self.stroke.closed.clear();
         self.stroke.anchor = None;
         self.stroke.report.add(&CutReport {
@@ -391,14 +471,16 @@ impl SubdivisionCut {
         &mut self,
         body: Body<'_>,
         sweeps: &[Option<Sweep>; 2],
-        [share, share_of_fixed]: [f64; 2],
-    ) -> CutReport {
+        [share, share_of_fixed, of_length]: [f64; 3],
+        is_last: bool,
+    ) -> Attempt {
         let Self { params, stroke, patch, .. } = self;
         patch.start(body.mesh);
         let snapping = Snapping {
             share,
             share_of_fixed,
-            length_m: params.snap_length_m,
+            length_m: of_length * params.snap_length_m,
+            same_m: SAME_PLACE * params.snap_length_m,
             front_m: params.front_reach_m,
             max_cosine: libm::cos((2.0 * params.min_dihedral_deg).to_radians()),
         };
@@ -407,18 +489,23 @@ impl SubdivisionCut {
                 patch.pull_front(body, node, is_end);
             }
         }
+        for &node in stroke.wake.iter().filter(|&&n| body.mesh.topology().is_live_node(n)) {
+            patch.pull_wake(body, node);
+        }
         for &face in &stroke.closed {
             patch.pull_closed(body, face);
         }
         let closed_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
         let mut report = CutReport::default();
+        let mut strayed_m2 = 0.0;
         for sweep in sweeps.iter().flatten() {
             let section = conform(patch, body, sweep, snapping);
             report.swept_area_m2 += section.swept_area_m2;
             report.n_touched += section.n_touched;
             report.n_snapped += section.n_snapped;
+            strayed_m2 += section.strayed_m2;
         }
-        let wished_cosine = libm::cos((RESERVE * self.params.min_dihedral_deg).to_radians());
+        let wished_cosine = libm::cos((RESERVE * params.min_dihedral_deg).to_radians());
         let mut max_cosine = patch.max_new_cosine();
         if max_cosine > wished_cosine
             && let [Some(sweep), None] | [None, Some(sweep)] = sweeps
@@ -428,14 +515,25 @@ impl SubdivisionCut {
             swap(patch, body, wished_cosine);
             max_cosine = patch.max_new_cosine();
         }
+        let area_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
+        report.cut_area_m2 = area_m2 - closed_m2;
+        let front = std::mem::take(&mut patch.front);
+        let is_front = |n: u32| front.binary_search_by_key(&n, |f| f.0).is_ok();
+        let stays = |face: [u32; 3]| !is_last && face.into_iter().any(is_front);
+        let swept_m2 = stroke.report.swept_area_m2 + report.swept_area_m2;
+        let alone_m2 = if is_last { ALONE * swept_m2 } else { f64::INFINITY };
+        let allowed_cosine = libm::cos(params.min_dihedral_deg.to_radians());
+        let closed_m2 = opening::divide_closed(patch, body, alone_m2, stays, [wished_cosine, allowed_cosine]);
+        patch.front = front;
+        // Until the end of the stroke it may open yet.
+        let closed_m2 = if is_last { closed_m2 } else { 0.0 };
+        max_cosine = max_cosine.max(patch.max_new_cosine());
         let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));
         let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);
         // The largest cosine is that of the smallest angle.
         report.min_dihedral_deg = degrees_of(max_cosine);
         report.min_dihedral_before_deg = degrees_of(cosine_before);
-        let area_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
-        report.cut_area_m2 = area_m2 - closed_m2;
-        report
+        Attempt { report, closed_m2, strayed_m2 }
     }
 
     /// Opens the cut that is in the patch, and goes on from there.
@@ -443,18 +541,13 @@ impl SubdivisionCut {
         &mut self,
         body: Body<'_>,
         blade_m: [DVec3; 2],
-        is_last: bool,
         mut report: CutReport,
     ) -> Option<Replacement> {
-        let Self { params, stroke, patch, .. } = self;
+        let Self { stroke, patch, .. } = self;
         let front = patch.front.clone();
-        let wished_cosine = libm::cos((RESERVE * params.min_dihedral_deg).to_radians());
-        let is_front = |n: u32| front.binary_search_by_key(&n, |f| f.0).is_ok();
-        let stays = |face: [u32; 3]| !is_last && face.into_iter().any(is_front);
-        opening::divide_closed(patch, body, stays, wished_cosine);
-        report.min_dihedral_deg = degrees_of(patch.max_new_cosine());
         stroke.off_m2 += report.cut_area_m2 - report.swept_area_m2;
-        let opened = opening::open(patch, body);
+        let is_front = |n: u32| front.binary_search_by_key(&n, |f| f.0).is_ok();
+        let opened = opening::open(patch, body, is_front);
         report.cut_area_m2 = opened.area_m2;
         let (edit, ids) = opening::replacement(patch, body.mesh.topology().n_nodes());
         stroke.blade_m = Some(blade_m);
@@ -463,6 +556,7 @@ impl SubdivisionCut {
             let [a, b, c] = face.map(|n| ids[n as usize]);
             Some([a?, b?, c?])
         };
+        stroke.wake = opened.wake.iter().filter_map(|&n| ids[n as usize]).collect();
         stroke.closed = opened.closed.iter().filter_map(of_face).collect();
         stroke.anchor = None;
         let along = blade_m[1] - blade_m[0];

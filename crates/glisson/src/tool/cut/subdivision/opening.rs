@@ -4,6 +4,9 @@ use super::patch::{Body, Patch, sorted};
 use crate::mesh::edit::{CavityNode, NewNode, NewTet, Replacement};
 use crate::mesh::quality::FACES;
 
+/// Where an edge is divided so that its faces open.
+const SHARES: [f64; 3] = [0.5, 0.35, 0.65];
+
 /// What opened.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Opened {
@@ -11,60 +14,81 @@ pub(super) struct Opened {
     pub(super) area_m2: f64,
     /// Faces that stay closed for now, because all of their nodes are on the rim of the cut.
     pub(super) closed: Vec<[u32; 3]>,
+    /// Nodes of the faces at the front, of both sides.
+    pub(super) wake: Vec<u32>,
 }
 
 /// Divides faces of `patch.cut` that would stay closed for good, so that they get a node that opens. `stays`: what
-/// may still open with a later step. Only where no dihedral angle at rest gets a cosine above `max_cosine`.
+/// may still open with a later step. `alone_m2`: faces of a larger area [m2] open alone if need be. Only where no dihedral angle at rest gets a cosine above the first of
+/// `max_cosines`, or else the second. Returns the area [m2] that stays closed nevertheless.
 pub(super) fn divide_closed(
     patch: &mut Patch,
     body: Body<'_>,
+    alone_m2: f64,
     stays: impl Fn([u32; 3]) -> bool,
-    max_cosine: f64,
-) {
+    max_cosines: [f64; 2],
+) -> f64 {
     pull_stars(patch, body);
     let mut groups = Groups::default();
     let origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();
-    let mut closed: Vec<[u32; 3]> = Vec::new();
-    let mut group_count: Vec<(u32, usize)> = Vec::new();
+    // (node that gets copies, where its tetrahedra begin in `stars`); (tetrahedron, group) in order
+    let mut starts: Vec<(u32, usize)> = Vec::new();
+    let mut stars: Vec<(u32, u32)> = Vec::new();
     for node in nodes_of_cut(patch) {
-        let n_groups = groups.find(patch, node, &origin);
-        group_count.push((node, n_groups));
+        if groups.find(patch, node, &origin) > 1 {
+            starts.push((node, stars.len()));
+            stars.extend(groups.star.iter().copied().zip(groups.group.iter().copied()));
+        }
     }
-    let is_rim = |n: u32| group_count.binary_search_by_key(&n, |g| g.0).is_ok_and(|at| group_count[at].1 < 2);
-    closed.extend(patch.cut.iter().copied().filter(|&face| !stays(face) && face.into_iter().all(is_rim)));
+    let group_at = |node: usize, tet: u32| {
+        let end = starts.get(node + 1).map_or(stars.len(), |s| s.1);
+        let star = &stars[starts[node].1..end];
+        star.binary_search_by_key(&tet, |s| s.0).map(|at| star[at].1)
+    };
+    let is_open = |face: [u32; 3]| {
+        let mut at_face = patch.tets_at_face(face);
+        let sides = [at_face.next(), at_face.next()];
+        let [Some(above), Some(below)] = sides else { return true };
+        face.into_iter().any(|n| {
+            let node = starts.binary_search_by_key(&n, |s| s.0);
+            node.is_ok_and(|node| group_at(node, above) != group_at(node, below))
+        })
+    };
+    let is_closed = |face: &[u32; 3]| !stays(*face) && !is_open(*face);
+    let closed: Vec<[u32; 3]> = patch.cut.iter().copied().filter(is_closed).collect();
+    let mut closed_m2 = 0.0;
     for face in closed {
         // An earlier face may have divided it.
         if patch.cut.binary_search(&face).is_err() {
             continue;
         }
-        let [a, b, c] = face;
-        let is_inner =
-            |edge: &[u32; 2]| patch.cut.iter().filter(|f| edge.iter().all(|n| f.contains(n))).count() > 1;
-        let mut edges = [[a, b], [b, c], [a, c]];
-        edges.sort_by(|p, q| patch.length_m(*q).total_cmp(&patch.length_m(*p)));
-        let inner: Vec<[u32; 2]> = edges.into_iter().filter(is_inner).collect();
-        let is_divided = inner.into_iter().any(|edge| {
-            patch.cosine_of_halves(body, edge) <= max_cosine && patch.split_edge(body, edge, 0.5).is_some()
-        });
+        let area_m2 = patch.face_area_m2(face);
+        let mut is_divided = max_cosines.into_iter().any(|max_cosine| divide(patch, body, face, max_cosine));
+        if !is_divided && area_m2 > alone_m2 {
+            // It opens alone, and the surface meets itself along its edges; else it would stay closed for good.
+            is_divided = patch.cosine_of_thirds(body, face) <= max_cosines[1] && patch.split_face(face).is_some();
+        }
         if !is_divided {
-            // Alone, or thin: a node on its rim first, then one between that and the opposite corner.
-            for edge in edges {
-                if patch.cosine_of_halves(body, edge) > max_cosine {
-                    continue;
-                }
-                let Some(middle) = patch.split_edge(body, edge, 0.5) else { continue };
-                let opposite = face.into_iter().find(|n| !edge.contains(n));
-                let inner = opposite.map(|n| [n.min(middle), n.max(middle)]);
-                if let Some(inner) = inner
-                    && patch.cosine_of_halves(body, inner) <= max_cosine
-                {
-                    patch.split_edge(body, inner, 0.5);
-                }
-                break;
-            }
+            closed_m2 += area_m2;
         }
         patch.cut.sort_unstable();
     }
+    closed_m2
+}
+
+/// Puts a node on an edge of a face of the cut that it shares with others of the cut, so that they open together.
+fn divide(patch: &mut Patch, body: Body<'_>, [a, b, c]: [u32; 3], max_cosine: f64) -> bool {
+    let is_inner =
+        |edge: &[u32; 2]| patch.cut.iter().filter(|f| edge.iter().all(|n| f.contains(n))).count() > 1;
+    let mut edges = [[a, b], [b, c], [a, c]];
+    edges.sort_by(|p, q| patch.length_m(*q).total_cmp(&patch.length_m(*p)));
+    let inner: Vec<[u32; 2]> = edges.into_iter().filter(is_inner).collect();
+    SHARES.into_iter().any(|share| {
+        inner.iter().any(|&edge| {
+            patch.cosine_of_parts(body, edge, share) <= max_cosine
+                && patch.split_edge(body, edge, share).is_some()
+        })
+    })
 }
 
 fn nodes_of_cut(patch: &Patch) -> Vec<u32> {
@@ -81,7 +105,7 @@ fn pull_stars(patch: &mut Patch, body: Body<'_>) {
 }
 
 /// Opens `patch.cut`. At the rim of a cut the tetrahedra still hang together around the node, which stays one.
-pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> Opened {
+pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> bool) -> Opened {
     pull_stars(patch, body);
     let nodes = nodes_of_cut(patch);
     let mut sides: Vec<([u32; 3], Vec<u32>)> = Vec::with_capacity(patch.cut.len());
@@ -121,6 +145,12 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> Opened {
     let mut opened = Opened::default();
     for (face, tets) in sides {
         let [a, b] = tets[..] else { continue };
+        if face.into_iter().any(&is_front) {
+            for tet in [a, b] {
+                let nodes = patch.tets[tet as usize].nodes.into_iter();
+                opened.wake.extend(nodes.filter(|&n| face.contains(&origin[n as usize])));
+            }
+        }
         let [a, b] = [a, b].map(|t| patch.tets[t as usize].nodes);
         let mut common = a.into_iter().filter(|n| b.contains(n));
         match [common.next(), common.next(), common.next()] {
@@ -128,6 +158,8 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>) -> Opened {
             _ => opened.area_m2 += patch.face_area_m2(face),
         }
     }
+    opened.wake.sort_unstable();
+    opened.wake.dedup();
     opened
 }
 

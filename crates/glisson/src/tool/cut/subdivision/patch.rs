@@ -90,6 +90,8 @@ pub(super) struct PatchNode {
     pub(super) is_front: bool,
     /// Where the front meets the way of the blade's end.
     pub(super) is_front_end: bool,
+    /// On a face at the front of the stroke so far.
+    pub(super) is_wake: bool,
     /// All tetrahedra at the node are in the patch.
     has_whole_star: bool,
 }
@@ -219,6 +221,7 @@ impl Patch {
             line_labels: [UNKNOWN; 4],
             is_front: false,
             is_front_end: false,
+            is_wake: false,
             has_whole_star: false,
         });
         self.node_here[node.index()] = here;
@@ -338,6 +341,12 @@ impl Patch {
         self.nodes[here as usize].is_front = true;
     }
 
+    /// Brings a node of the faces at the stroke's front in.
+    pub(super) fn pull_wake(&mut self, body: Body<'_>, node: NodeId) {
+        let here = self.pull_node(body, node);
+        self.nodes[here as usize].is_wake = true;
+    }
+
     /// Brings a face in that an earlier step left closed.
     pub(super) fn pull_closed(&mut self, body: Body<'_>, face: [NodeId; 3]) {
         let topology = body.mesh.topology();
@@ -445,6 +454,7 @@ impl Patch {
             line_labels: [UNKNOWN; 4],
             is_front: false,
             is_front_end: false,
+            is_wake: false,
             has_whole_star: true,
         });
         let star = std::mem::take(&mut self.stars[a as usize]);
@@ -485,21 +495,77 @@ impl Patch {
         Some(middle)
     }
 
-    /// Largest cosine of a dihedral angle at rest among what would come of dividing an edge in its middle.
-    pub(super) fn cosine_of_halves(&mut self, body: Body<'_>, [a, b]: [u32; 2]) -> f64 {
+    /// Largest cosine of a dihedral angle at rest among what would come of dividing an edge.
+    pub(super) fn cosine_of_parts(&mut self, body: Body<'_>, [a, b]: [u32; 2], share: f64) -> f64 {
         self.pull_edge(body, [a, b]);
-        let middle_m = 0.5 * (self.nodes[a as usize].rest_m + self.nodes[b as usize].rest_m);
+        let middle_m = self.nodes[a as usize].rest_m.lerp(self.nodes[b as usize].rest_m, share);
         let mut cosine: f64 = -1.0;
         for &tet in self.stars[a as usize].iter().filter(|&&t| self.tets[t as usize].nodes.contains(&b)) {
             let corners_m = self.rest_m(tet);
             for gone in [a, b] {
                 let at = self.tets[tet as usize].nodes.iter().position(|&n| n == gone).unwrap_or(0);
-                let mut half_m = corners_m;
-                half_m[at] = middle_m;
-                cosine = cosine.max(dihedral_cosine_range(half_m)[1]);
+                let mut part_m = corners_m;
+                part_m[at] = middle_m;
+                cosine = cosine.max(dihedral_cosine_range(part_m)[1]);
             }
         }
         cosine
+    }
+
+    /// The tetrahedra at a face.
+    pub(super) fn tets_at_face(&self, [a, b, c]: [u32; 3]) -> impl Iterator<Item = u32> + '_ {
+        let has_face = move |&t: &u32| {
+            let nodes = self.tets[t as usize].nodes;
+            nodes.contains(&b) && nodes.contains(&c)
+        };
+        self.stars[a as usize].iter().copied().filter(has_face)
+    }
+
+    /// Largest cosine of a dihedral angle at rest among what would come of dividing a face at its centre.
+    pub(super) fn cosine_of_thirds(&mut self, body: Body<'_>, face: [u32; 3]) -> f64 {
+        self.pull_star(body, face[0]);
+        let center_m = face.map(|n| self.nodes[n as usize].rest_m).into_iter().sum::<DVec3>() / 3.0;
+        let mut cosine: f64 = -1.0;
+        for tet in self.tets_at_face(face) {
+            for gone in face {
+                let at = self.tets[tet as usize].nodes.iter().position(|&n| n == gone).unwrap_or(0);
+                let mut third_m = self.rest_m(tet);
+                third_m[at] = center_m;
+                cosine = cosine.max(dihedral_cosine_range(third_m)[1]);
+            }
+        }
+        cosine
+    }
+
+    /// Puts a node at the centre of a face of the cut, with the star of its first node in the patch, and divides the
+    /// tetrahedra there; `None` (and nothing done) if it would be a blend of too many nodes.
+    pub(super) fn split_face(&mut self, face: [u32; 3]) -> Option<u32> {
+        let [a, b, c] = face.map(|n| self.nodes[n as usize]);
+        let third = 1.0 / 3.0;
+        let middle = self.push_node(PatchNode {
+            old: None,
+            rest_m: a.rest_m.lerp(b.rest_m, 0.5).lerp(c.rest_m, third),
+            present_m: a.present_m.lerp(b.present_m, 0.5).lerp(c.present_m, third),
+            blend: a.blend.towards(&b.blend, 0.5)?.towards(&c.blend, third)?,
+            distance_m: (a.distance_m + b.distance_m + c.distance_m) * third,
+            label: 0,
+            line_labels: [UNKNOWN; 4],
+            is_front: false,
+            is_front_end: false,
+            is_wake: false,
+            has_whole_star: true,
+        });
+        let swapped = |nodes: [u32; 4], gone: u32| nodes.map(|n| if n == gone { middle } else { n });
+        for tet in self.tets_at_face(face).collect::<Vec<u32>>() {
+            let old = self.tets[tet as usize];
+            self.take_out(tet);
+            for gone in face {
+                self.push_tet(PatchTet { nodes: swapped(old.nodes, gone), is_old: false, ..old });
+            }
+        }
+        self.cut.retain(|f| *f != face);
+        self.cut.extend(face.map(|gone| sorted(face.map(|n| if n == gone { middle } else { n }))));
+        Some(middle)
     }
 
     fn divide_cut_faces(&mut self, [a, b]: [u32; 2], middle: u32) {

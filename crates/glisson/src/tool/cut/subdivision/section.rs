@@ -19,6 +19,8 @@ pub(super) struct Snapping {
     pub(super) share_of_fixed: f64,
     /// Length along an edge [m].
     pub(super) length_m: f64,
+    /// Nearer to the plane or a line than this [m] is rounding.
+    pub(super) same_m: f64,
     /// Distance of the stroke's front from the plane [m].
     pub(super) front_m: f64,
     /// A node that snaps moves there unless a tetrahedron would become worse than this: cosine of a dihedral
@@ -36,15 +38,15 @@ const LEAST_SHARE_OF_FACE: f64 = 0.02;
 /// Sine of the least angle between skin and plane, or skin and line, for a node to slide there.
 const LEAST_SINE: f64 = 0.2;
 
-/// Nearer to the plane or a line than this share of [`Snapping::length_m`] is rounding.
-const SAME_PLACE: f64 = 1e-6;
-
 /// What came of one polygon.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Section {
     pub(super) swept_area_m2: f64,
     pub(super) n_touched: usize,
     pub(super) n_snapped: usize,
+    /// Area [m2] of the faces beyond the polygon, or more than they have when flat, and of what they leave out; what
+    /// reaches back to the front of the stroke so far is not counted.
+    pub(super) strayed_m2: f64,
 }
 
 fn sign(x: f64) -> i8 {
@@ -75,13 +77,21 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     let faces = work.faces_of_plane();
     let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
     let n_snapped = work.n_snapped;
+    let (mut covered_m2, mut strayed_m2) = (0.0, 0.0);
+    for &face in &inside {
+        let corners_m = face.map(|n| work.patch.nodes[n as usize].present_m);
+        let [within_m2, with_behind_m2] = sweep.parts_m2(corners_m);
+        covered_m2 += within_m2;
+        strayed_m2 += work.patch.face_area_m2(face) - with_behind_m2;
+    }
+    let strayed_m2 = strayed_m2 + (swept_area_m2 - covered_m2).abs();
     if let Some(k) = (0..sweep.n_lines()).find(|&k| sweep.side(k) == Side::Front) {
         add_front(patch, sweep, k, &inside, snapping.front_m);
     }
     patch.cut.extend(inside);
     patch.cut.sort_unstable();
     patch.cut.dedup();
-    Section { swept_area_m2, n_touched, n_snapped }
+    Section { swept_area_m2, n_touched, n_snapped, strayed_m2 }
 }
 
 /// Adds the nodes on the rim of `faces` that are at line `k`.
@@ -110,10 +120,10 @@ impl Work<'_> {
         if node.label == UNKNOWN {
             node.distance_m = sweep.distance_m(node.present_m);
             node.label = sign(node.distance_m);
-            if node.distance_m.abs() <= SAME_PLACE * snapping.length_m {
+            if node.distance_m.abs() <= snapping.same_m {
                 node.label = 0;
             }
-            if node.is_front && node.distance_m.abs() <= snapping.front_m {
+            if (node.is_front || node.is_wake) && node.distance_m.abs() <= snapping.front_m {
                 node.label = 0;
             }
         }
@@ -123,7 +133,7 @@ impl Work<'_> {
     /// Tetrahedra that the polygon cuts, in the patch, and the area [m2] inside the body.
     fn touched(&mut self) -> (Vec<u32>, f64) {
         // With room for rounding: corners that an earlier step put into the plane may be a little beside it.
-        let flat_m = SAME_PLACE * self.snapping.length_m;
+        let flat_m = self.snapping.same_m;
         let [low_m, high_m] = self.sweep.bounds_m();
         let [low_m, high_m] = [low_m - DVec3::splat(flat_m), high_m + DVec3::splat(flat_m)];
         let near = |corners_m: [DVec3; 4]| {
@@ -175,7 +185,7 @@ impl Work<'_> {
             return (false, 0.0);
         }
         // Corners that an earlier step put into the plane are there but for rounding.
-        let flat_m = SAME_PLACE * self.snapping.length_m;
+        let flat_m = self.snapping.same_m;
         let distance_m =
             corners_m.map(|p| self.sweep.distance_m(p)).map(|d| if d.abs() <= flat_m { 0.0 } else { d });
         let n_zero = distance_m.iter().filter(|&&d| d == 0.0).count();
@@ -336,7 +346,7 @@ impl Work<'_> {
         let inside_m = sweep.inside_m(k, node.present_m);
         if node.line_labels[k] == UNKNOWN {
             node.line_labels[k] = sign(inside_m);
-            if inside_m.abs() <= SAME_PLACE * snapping.length_m {
+            if inside_m.abs() <= snapping.same_m {
                 node.line_labels[k] = 0;
             }
             let is_there = match sweep.side(k) {

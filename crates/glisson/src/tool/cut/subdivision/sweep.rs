@@ -219,6 +219,25 @@ impl Sweep {
         }
         [whole, shape.area_m2(self.normal)]
     }
+
+    /// Areas [m2] of the parts of a triangle, seen along the normal, inside the polygon, and inside or behind its start.
+    pub(super) fn parts_m2(&self, triangle_m: [DVec3; 3]) -> [f64; 2] {
+        let mut shape = Polygon::new(&triangle_m);
+        for k in (0..self.n_corners).filter(|&k| self.sides[k] != Side::Start) {
+            shape.clip(|p| self.inside_m(k, p));
+            if shape.n < 3 {
+                return [0.0; 2];
+            }
+        }
+        let with_behind_m2 = shape.area_m2(self.normal);
+        for k in (0..self.n_corners).filter(|&k| self.sides[k] == Side::Start) {
+            shape.clip(|p| self.inside_m(k, p));
+            if shape.n < 3 {
+                return [0.0, with_behind_m2];
+            }
+        }
+        [shape.area_m2(self.normal), with_behind_m2]
+    }
 }
 
 /// A polygon while it is being clipped.

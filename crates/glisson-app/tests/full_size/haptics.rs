@@ -32,7 +32,7 @@ fn stalls_of_the_simulation_do_not_reach_the_haptic_loop() {
             let jitter_us = run["jitter_us"]["p999"].as_f64().unwrap();
             let can_be_punctual = run["real_time_scheduling"] == true && run["core_was_free"] == true;
             if !can_be_punctual {
-                println!("jitter p99.9 {jitter_us} us; {}; core: {}", run["scheduling"], run["core"]);
+                eprintln!("jitter p99.9 {jitter_us} us; {}; core: {}", run["scheduling"], run["core"]);
             } else if jitter_us >= GREATEST_JITTER_US {
                 what_is_late.push(format!("jitter p99.9 {jitter_us} us on a free core"));
             }

@@ -11,6 +11,8 @@ use std::thread::JoinHandle;
 
 /// A state older than this is no state: twenty ticks of the loop [ns].
 const LONGEST_SILENCE_NS: u64 = 20_000_000;
+/// When the answer before the first one was given.
+const NOT_YET_NS: u64 = 0;
 /// A force that nobody renewed for so long is taken back: the haptic loop has stopped [ns].
 const LONGEST_FORCE_NS: u64 = 50_000_000;
 
@@ -41,7 +43,7 @@ impl ThreadedDevice {
     /// Starts the thread; `name` is for its name.
     pub(super) fn start(name: &str, limits: DeviceLimits, line: impl Line) -> anyhow::Result<Self> {
         let waiting = Err(DeviceFault::Lost("it has not answered yet".into()));
-        let (answers_in, answers) = exchange((waiting, now_ns()));
+        let (answers_in, answers) = exchange((waiting, NOT_YET_NS));
         let (commands, commands_out) = exchange((ForceCommand::default(), 0));
         let stop = Arc::new(AtomicBool::new(false));
         let seen = Arc::clone(&stop);
@@ -97,8 +99,11 @@ impl HapticDevice for ThreadedDevice {
 
     fn write(&mut self, command: &ForceCommand) -> Result<(), DeviceFault> {
         self.commands.publish((*command, now_ns()));
-        // A line that is lost takes nothing.
-        self.answers.get().0.map(|_| ())
+        // A line that is lost takes nothing; one that begins takes it with its first turn.
+        match self.answers.get() {
+            (_, NOT_YET_NS) => Ok(()),
+            (answer, _) => answer.map(|_| ()),
+        }
     }
 }
 

@@ -107,9 +107,9 @@ fn wait_for(device: &mut dyn HapticDevice, what: impl Fn(&Result<DeviceState, De
             return;
         }
         assert!(start.elapsed() < Duration::from_secs(15), "{answer:?}");
-        device
-            .write(&ForceCommand { force_n: DVec3::new(0.5, -1.0, 0.25), ..ForceCommand::default() })
-            .unwrap();
+        // While it is lost it takes nothing.
+        let _ =
+            device.write(&ForceCommand { force_n: DVec3::new(0.5, -1.0, 0.25), ..ForceCommand::default() });
         std::thread::sleep(Duration::from_millis(1));
     }
 }

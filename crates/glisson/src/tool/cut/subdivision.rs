@@ -537,12 +537,7 @@ impl SubdivisionCut {
     }
 
     /// Opens the cut that is in the patch, and goes on from there.
-    fn accept(
-        &mut self,
-        body: Body<'_>,
-        blade_m: [DVec3; 2],
-        mut report: CutReport,
-    ) -> Option<Replacement> {
+    fn accept(&mut self, body: Body<'_>, blade_m: [DVec3; 2], mut report: CutReport) -> Option<Replacement> {
         let Self { stroke, patch, .. } = self;
         let front = patch.front.clone();
         stroke.off_m2 += report.cut_area_m2 - report.swept_area_m2;

@@ -66,7 +66,8 @@ pub(super) fn divide_closed(
         let mut is_divided = max_cosines.into_iter().any(|max_cosine| divide(patch, body, face, max_cosine));
         if !is_divided && area_m2 > alone_m2 {
             // It opens alone, and the surface meets itself along its edges; else it would stay closed for good.
-            is_divided = patch.cosine_of_thirds(body, face) <= max_cosines[1] && patch.split_face(face).is_some();
+            is_divided =
+                patch.cosine_of_thirds(body, face) <= max_cosines[1] && patch.split_face(face).is_some();
         }
         if !is_divided {
             closed_m2 += area_m2;

@@ -19,6 +19,9 @@ const N_STEPS: usize = 60;
 const N_CROSSING: usize = 5;
 const N_SHORT: usize = 12;
 const N_OBLIQUE: usize = 12;
+const N_RANDOM: usize = 200;
+/// Smallest angle [degrees] at which a random stroke meets the skin: a flatter one only grazes it, and merges with it.
+const LEAST_SKIN_ANGLE_DEG: f64 = 20.0;
 /// Smallest angle of a stroke with an earlier one that it crosses, and distance [mean edges] from the others.
 const LEAST_ANGLE_DEG: f64 = 15.0;
 const LEAST_DISTANCE: f64 = 0.3;
@@ -95,6 +98,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let boxes = box_of_five([16, 12, 8], DVec3::new(0.08, 0.06, 0.04));
     oblique_strokes("box", boxes, &mut outcome)?;
     oblique_strokes("liver", liver(LIVER_TETS)?, &mut outcome)?;
+    random_strokes(&liver(LIVER_TETS)?, &mut outcome)?;
     through(&mut outcome)?;
     Ok(outcome)
 }
@@ -262,12 +266,124 @@ fn short_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Strokes of 1.5 to 8 edges at random places of curved skin, 0.8 to 4 edges deep and leaning over by up to 45 degrees,
+/// each in a whole body: the worst single one counts.
+fn random_strokes(mesh: &TetMesh, outcome: &mut Outcome) -> anyhow::Result<()> {
+    let volume_m3 = mesh.volume_m3();
+    let whole = Body::new(mesh.clone())?;
+    let edge_m = MeshQuality::of(mesh).mean_edge_m;
+    let skin: Vec<[DVec3; 3]> = {
+        let topology = whole.mesh.topology();
+        let places = |t| topology.outward_nodes(t).map(|n| whole.positions_m[n.index()]);
+        topology.surface_triangles().map(places).collect()
+    };
+    let mut random = SeededRandom::new(11);
+    let mut shares = Vec::with_capacity(N_RANDOM);
+    let mut worst_open = 0.0f64;
+    let (mut worst_deg, mut worst_volume, mut smallest_m3) = (180.0f64, 0.0f64, f64::INFINITY);
+    let (mut n_refused, mut n_merged) = (0, 0);
+    while shares.len() < N_RANDOM {
+        let at = (random.uniform_in(0.0, skin.len() as f64) as usize).min(skin.len() - 1);
+        let [a, b, c] = skin[at];
+        let (middle_m, outward) = ((a + b + c) / 3.0, (b - a).cross(c - a).normalize());
+        let (s, t) = outward.any_orthonormal_pair();
+        let angle = random.uniform_in(0.0, std::f64::consts::TAU);
+        let along = s * angle.cos() + t * angle.sin();
+        let lean = random.uniform_in(-45.0f64, 45.0).to_radians();
+        let up = outward * lean.cos() + outward.cross(along) * lean.sin();
+        let half_m = 0.5 * random.uniform_in(1.5, 8.0) * edge_m * along;
+        let depth_m = random.uniform_in(0.8, 4.0) * edge_m;
+        let blade = |p: DVec3| [p - depth_m * up, p + 3.0 * edge_m * up];
+        let (from_m, to_m) = (blade(middle_m - half_m), blade(middle_m + half_m));
+        let swept = Swept([from_m[0], from_m[1], to_m[1], to_m[0]]);
+        if skin.iter().any(|triangle| swept.grazes(triangle)) {
+            continue;
+        }
+        let mut body = Body::new(mesh.clone())?;
+        let (report, _) = body.stroke(from_m, to_m)?;
+        if report.swept_area_m2 < 0.5 * edge_m * edge_m {
+            continue;
+        }
+        let off = (report.cut_area_m2 / report.swept_area_m2 - 1.0).abs();
+        if report.n_merged == 0 {
+            worst_open = worst_open.max(off);
+        }
+        shares.push(off);
+        worst_deg = worst_deg.min(report.min_dihedral_deg);
+        n_refused += report.n_refused;
+        n_merged += report.n_merged;
+        let (volume, smallest) = body.volumes(volume_m3);
+        (worst_volume, smallest_m3) = (worst_volume.max(volume), smallest_m3.min(smallest));
+    }
+    shares.sort_by(f64::total_cmp);
+    let quantile = |share: f64| shares[((shares.len() - 1) as f64 * share) as usize];
+    outcome.notes.push_str(&format!(
+        "\n{N_RANDOM} random strokes into the liver's skin: area opened against area swept, difference: median {:.4}, 90 % \
+         below {:.4}, 99 % below {:.4}, worst {:.4}; {n_merged} merged.\n\n",
+        quantile(0.5),
+        quantile(0.9),
+        quantile(0.99),
+        quantile(1.0),
+    ));
+    let what = format!("{N_RANDOM} random strokes into a liver");
+    outcome.experiments.extend([
+        Experiment::at_most(
+            &format!("{what}: area opened against area swept, worst single stroke without merged faces"),
+            REQUIREMENT,
+            worst_open,
+            0.02,
+        ),
+        Experiment::at_most(
+            &format!("{what}: share of strokes that report merged faces"),
+            REQUIREMENT,
+            n_merged as f64 / N_RANDOM as f64,
+            0.01,
+        ),
+        Experiment::within(
+            &format!("{what}: smallest dihedral angle of what is new [deg]"),
+            REQUIREMENT,
+            worst_deg,
+            [3.0, 70.6],
+        ),
+        Experiment::at_most(&format!("{what}: change of volume, relative"), REQUIREMENT, worst_volume, 1e-9),
+        Experiment::at_most(
+            &format!("{what}: tetrahedra inside out (0 or 1), steps refused"),
+            REQUIREMENT,
+            f64::from(u8::from(smallest_m3 <= 0.0)) + n_refused as f64,
+            0.0,
+        ),
+    ]);
+    Ok(())
+}
+
 /// Where a stroke goes: corners of what it sweeps, in order.
 struct Swept([DVec3; 4]);
 
 impl Swept {
     fn normal(&self) -> DVec3 {
         (self.0[2] - self.0[0]).cross(self.0[3] - self.0[1]).normalize()
+    }
+
+    /// Whether it crosses a triangle of the skin at less than the least angle.
+    fn grazes(&self, triangle: &[DVec3; 3]) -> bool {
+        let normal = self.normal();
+        let [a, b, c] = *triangle;
+        let outward = (b - a).cross(c - a).normalize_or_zero();
+        if outward.dot(normal).abs() <= LEAST_SKIN_ANGLE_DEG.to_radians().cos() {
+            return false;
+        }
+        let beyond_m = triangle.map(|p| (p - self.0[0]).dot(normal));
+        // Where its edges go through the plane.
+        let crossings =
+            [(0, 1), (1, 2), (2, 0)].into_iter().filter(|&(i, j)| beyond_m[i] * beyond_m[j] < 0.0);
+        let mut places =
+            crossings.map(|(i, j)| triangle[i].lerp(triangle[j], beyond_m[i] / (beyond_m[i] - beyond_m[j])));
+        places.any(|place_m| {
+            (0..4).all(|k| {
+                let (p, q) = (self.0[k], self.0[(k + 1) % 4]);
+                normal.cross(q - p).dot(place_m - p) > 0.0
+            })
+        })
     }
 
     /// Points over it inside `bounds`.

@@ -216,6 +216,7 @@ fn short_strokes_open_their_corners_too() {
         let what = format!("trial {trial}: {report:?}");
         let share = report.cut_area_m2 / report.swept_area_m2;
         assert!((share - 1.0).abs() < 0.02, "{what}: share {share}");
+        assert_eq!(report.n_merged, 0, "{what}");
         assert!(report.min_dihedral_deg >= 3.0, "{what}");
         body.check(size_m.element_product(), &what);
     }
@@ -262,6 +263,9 @@ fn random_strokes_never_break_the_mesh() {
             let blades = sweep([point(), point()], [point(), point()], 12);
             let report = body.stroke(&params, blades);
             let what = format!("seed {seed} stroke {stroke}: {report:?}");
+            // A stroke that is off says so.
+            let off = (report.cut_area_m2 - report.swept_area_m2).abs();
+            assert!(off <= 0.0201 * report.swept_area_m2 || report.n_merged + report.n_refused > 0, "{what}");
             body.check(size_m.element_product(), &what);
         }
     }

@@ -1,14 +1,14 @@
 //! The force on the hand between two steps of a simulation at 30 Hz, against the full model stepped at 1 kHz.
 //!
-//! The synthetic patient's liver, ln J neo-Hookean, explicit; a probe of 5 mm with friction 0.2 that goes along a recorded path:
-//! a sinusoid from 2 mm above the surface to 10 mm deep and back, at 20 mm/s at most; straight in to 10 mm at 20 mm/s;
-//! sideways by 15 mm at 20 mm/s. The slow simulation reads the tool every 33 ms and steps its 33 ms of time at once. Its model
-//! is felt either from that moment on (computed in no time) or one period later (computed just in time), and until the next
-//! one. The error is the root mean square of the difference of the forces over the reference's largest force.
+//! The synthetic patient's liver, ln J neo-Hookean, explicit; a probe of 5 mm with friction 0.05 (wet tissue slides more easily
+//! still) that goes along a recorded path: a sinusoid from 2 mm above the surface to 10 mm deep and back, at 20 mm/s at most;
+//! straight in to 10 mm at 20 mm/s; sideways by 15 mm at 20 mm/s, in which it slides over the tissue. The slow simulation
+//! reads the tool every 33 ms and steps its 33 ms of time at once. Its model is felt either from that moment on (computed in no
+//! time) or one period later (computed just in time), and until the next one. The error is the root mean square of the
+//! difference of the forces over the reference's largest force.
 //!
 //! St Venant-Kirchhoff tissue is no reference here: under a tip that presses single nodes 10 mm into a mesh of 12 mm it softens
-//! and collapses, as the law does under large compression. At this depth the tip drags the tissue along rather than slides:
-//! with friction 0.05 it slides, and the full model itself is torn about, so that a path with a slide is still missing here.
+//! and collapses, as the law does under large compression.
 
 use super::bodies::liver;
 use super::{Experiment, Figure, Outcome};
@@ -28,13 +28,14 @@ use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
 const ISSUE: &str = "requirement: local model below 10 %";
+const SLIDES: &str = "requirement: slides calmly under Coulomb's law";
 
 const N_TETS: usize = 6300;
 const YOUNG_MODULUS_PA: f64 = 5e3;
 const POISSON_RATIO: f64 = 0.45;
 const DENSITY_KG_PER_M3: f64 = 1060.0;
 const DAMPING_PER_S: f64 = 60.0;
-const FRICTION: f64 = 0.2;
+const FRICTION: f64 = 0.05;
 const TIP_RADIUS_M: f64 = 5e-3;
 const DEPTH_M: f64 = 10e-3;
 const LEAD_M: f64 = 2e-3;
@@ -44,7 +45,7 @@ const TICK_S: f64 = 1e-3;
 const STEP_S: f64 = 1.0 / 30.0;
 
 /// Parts of the path and when they end.
-const PHASES: [&str; 3] = ["sinusoid", "entry", "drag"];
+const PHASES: [&str; 3] = ["sinusoid", "entry", "slide"];
 
 /// The recorded path over the place that is touched [m].
 struct Path {
@@ -110,18 +111,38 @@ fn world(mesh: &TetMesh, step_s: f64) -> anyhow::Result<(World, u32)> {
     Ok((World::new(spec, mesh.clone(), model, ModelKind::Explicit)?, n_parts))
 }
 
-/// Forces [N] of the full model at every tick, and how far the tip slid [m].
-fn reference(mesh: &TetMesh, path: &Path) -> anyhow::Result<(Vec<DVec3>, f64)> {
+/// What the full model did.
+struct Reference {
+    /// Force on the tool [N] at every tick.
+    forces_n: Vec<DVec3>,
+    /// How far the tip slid while it went sideways [m].
+    slid_m: f64,
+    /// The largest share of the force along the surface that friction does not explain, over the largest force.
+    beyond_cone: f64,
+    /// The largest jump of the force from tick to tick while the tip went sideways, over the largest force.
+    jump: f64,
+}
+
+fn reference(mesh: &TetMesh, path: &Path) -> anyhow::Result<Reference> {
     let (mut world, n_parts) = world(mesh, TICK_S)?;
-    let mut slid_m = 0.0;
-    let forces_n = (0..path.n_ticks())
-        .map(|tick| {
-            let report = world.step(&path.input(tick as f64 * TICK_S, n_parts)).tools[0];
-            slid_m += report.slip_m;
-            report.force_on_tool_n
-        })
-        .collect();
-    Ok((forces_n, slid_m))
+    let mut made = Reference { forces_n: Vec::new(), slid_m: 0.0, beyond_cone: 0.0, jump: 0.0 };
+    for tick in 0..path.n_ticks() {
+        let report = world.step(&path.input(tick as f64 * TICK_S, n_parts)).tools[0];
+        let force_n = report.force_on_tool_n;
+        if path.phase(tick) == 2 {
+            made.slid_m += report.slip_m;
+            made.jump = made.jump.max(made.forces_n.last().map_or(0.0, |f: &DVec3| f.distance(force_n)));
+        }
+        if let Some(contact) = &world.snapshot().tools[0].contacts[0] {
+            let push_n = force_n.dot(contact.normal);
+            let along_n = (force_n - contact.normal * push_n).length();
+            made.beyond_cone = made.beyond_cone.max(along_n - FRICTION * push_n.max(0.0));
+        }
+        made.forces_n.push(force_n);
+    }
+    let peak_n = made.forces_n.iter().map(|f| f.length()).fold(0.0, f64::max);
+    (made.beyond_cone, made.jump) = (made.beyond_cone / peak_n, made.jump / peak_n);
+    Ok(made)
 }
 
 /// What the slow simulation publishes.
@@ -177,20 +198,35 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let mesh = liver(N_TETS)?;
     let front = mesh.positions_m.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y));
     let path = Path::over(front.unwrap_or(DVec3::ZERO));
-    let (reference_n, slid_m) = reference(&mesh, &path)?;
+    let Reference { forces_n: reference_n, slid_m, beyond_cone, jump } = reference(&mesh, &path)?;
     let models = published(&mesh, &path)?;
     let peak_n = reference_n.iter().map(|f| f.length()).fold(0.0, f64::max);
     let mut notes = format!(
-        "{} tetrahedra, E = {YOUNG_MODULUS_PA} Pa, nu = {POISSON_RATIO}; largest force of the full model {peak_n:.3} N; the tip slid by {:.1} mm on the \
-         tissue. Root mean square of the error over the largest force [%]:\n\n\
+        "{} tetrahedra, E = {YOUNG_MODULUS_PA} Pa, nu = {POISSON_RATIO}; friction {FRICTION}; largest force of the full model {peak_n:.3} N; going \
+         sideways the tip slid by {:.1} mm of {:.1} mm on the tissue. Root mean square of the error over the largest force [%]:\n\n\
          | felt | estimate | whole path | {} | {} | {} |\n|---|---|---|---|---|---|\n",
         mesh.tetrahedra.len(),
         1e3 * slid_m,
+        1e3 * SLIDE_M,
         PHASES[0],
         PHASES[1],
         PHASES[2],
     );
     let mut outcome = Outcome::default();
+    outcome.experiments.push(Experiment::near(
+        "full model at 1 kHz, 10 mm deep, friction 0.05: slip over the way sideways",
+        SLIDES,
+        slid_m / SLIDE_M,
+        1.0,
+        0.2,
+    ));
+    for (what, found) in [
+        ("force along the surface beyond what friction bears, over the largest force", beyond_cone),
+        ("largest change of the force in a millisecond of sliding, over the largest force", jump),
+    ] {
+        let name = format!("the same: {what}");
+        outcome.experiments.push(Experiment::at_most(&name, SLIDES, found, 0.05));
+    }
     let curve = |forces_n: &[DVec3]| -> Vec<[f64; 2]> {
         forces_n.iter().enumerate().map(|(tick, f)| [tick as f64 * TICK_S, f.length()]).collect()
     };

@@ -353,8 +353,9 @@ impl Proxy {
         }
     }
 
-    /// The vertices' normals between which it lies; `None` when all around is flat or turned against itself.
-    fn smooth_normal(&self, surface: &ProxySurface<'_>) -> Option<DVec3> {
+    /// Unit normal between those of its triangle's vertices, which does not jump from triangle to triangle; `None` when all
+    /// around is flat or turned against itself.
+    pub fn smooth_normal(&self, surface: &ProxySurface<'_>) -> Option<DVec3> {
         let of_vertices = self.vertices.map(|v| surface.vertex_normal(v).normalize_or_zero());
         at_weights(of_vertices, self.weights).try_normalize().or_else(|| surface.face_normal(self.slot))
     }

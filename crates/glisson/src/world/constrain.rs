@@ -3,7 +3,7 @@
 use super::grasp::{Grasp, HOLDS_BELOW, Hold};
 use super::hand::Hand;
 use super::parts::ToolPart;
-use super::slide::SlideInput;
+use super::slide::{Follow, PatchAnswer};
 use super::tear::edge_motion_m;
 use super::{StepInput, World};
 use crate::math::DVec3;
@@ -97,14 +97,25 @@ impl World {
 
     /// What one part of every tool touches, but for nodes that something else moves already.
     fn impose_contacts(&mut self, part: ToolPart) {
+        let response_s = self.spec.time_step_s;
         for (place, (hand, tool)) in self.hands.iter_mut().zip(&self.spec.tools).enumerate() {
-            let Some(contact) = &hand.contacts[part.index()] else { continue };
+            let Some(contact) = &mut hand.contacts[part.index()] else { continue };
             let displacements = &mut self.constraints.displacements;
-            let is_taken = contact.nodes.map(|node| displacements.iter().any(|c| c.node == node));
-            let point_m = contact.at.in_world_m(tool, &hand.now);
-            for (node, displacement_m) in
-                contact.nodes.into_iter().zip(contact.displacements_m(point_m, is_taken))
-            {
+            let follow = Follow {
+                organ: &self.organ,
+                point_m: contact.at.in_world_m(tool, &hand.now),
+                radius_m: part.radius_m(tool),
+                friction: if tool.grip.is_sticky { f64::INFINITY } else { tool.grip.friction_coefficient },
+            };
+            let (model, slide) = (&mut self.model, &mut self.slide);
+            let answer = |nodes: [NodeId; 3]| {
+                model.local_model_into(&nodes, response_s, &mut slide.work, &mut slide.local);
+                let is_taken = |node: NodeId| displacements.iter().any(|c| c.node == node);
+                let is_free = nodes.map(|node| !is_taken(node) && !self.organ.is_fixed(node));
+                PatchAnswer::of(&slide.local, is_free)
+            };
+            let found_m = contact.follow(&follow, answer);
+            for (node, displacement_m) in contact.nodes.into_iter().zip(found_m) {
                 if let Some(displacement_m) = displacement_m
                     && displacements.len() < MOST_IMPOSED
                 {
@@ -135,7 +146,20 @@ impl World {
         forces.filter(|(_, o)| **o == owner).map(|(force_n, _)| *force_n).sum()
     }
 
-    /// What the hands feel; contacts that would pull end, tissue that is pulled too hard slides.
+    /// Force of one part of a hand on each of three nodes in the last step [N].
+    fn forces_on_nodes_n(&self, hand: usize, part: ToolPart, nodes: [NodeId; 3]) -> [DVec3; 3] {
+        let owner = Owner { hand: hand as u8, part: Some(part) };
+        let imposed = self.constraints.displacements.iter().zip(&self.owners);
+        let mut forces_n = [DVec3::ZERO; 3];
+        for ((imposed, found), force_n) in imposed.zip(self.model.constraint_forces_n()) {
+            if let Some(v) = nodes.iter().position(|n| *n == imposed.node).filter(|_| *found == owner) {
+                forces_n[v] = *force_n;
+            }
+        }
+        forces_n
+    }
+
+    /// What the hands feel; contacts that would pull end.
     pub(super) fn read_forces(&mut self) {
         let dt_s = self.spec.time_step_s;
         for place in 0..self.hands.len() {
@@ -143,27 +167,24 @@ impl World {
             let mut in_contact = false;
             let mut slip_m = 0.0;
             for part in ToolPart::ALL {
-                let force_on_organ_n = self.force_on_organ_n(place, Some(part));
-                let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
-                let Some(contact) = &mut hand.contacts[part.index()] else {
+                let Some(contact) = &self.hands[place].contacts[part.index()] else {
                     self.load_part(place, part, None);
                     continue;
                 };
-                let point_m = contact.at.in_world_m(tool, &hand.now);
+                let forces_n = self.forces_on_nodes_n(place, part, contact.nodes);
+                let force_on_organ_n: DVec3 = forces_n.into_iter().sum();
+                let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
+                let Some(contact) = &mut hand.contacts[part.index()] else { continue };
+                contact.feel(&self.organ, forces_n);
+                slip_m += contact.slip_m;
                 // A force that is no number, which only a broken model can bring about, is none.
                 let is_broken = !force_on_organ_n.is_finite();
-                if is_broken || contact.lets_go(point_m, force_on_organ_n) {
+                if is_broken || contact.lets_go(force_on_organ_n, tool.grip.is_sticky) {
                     hand.contacts[part.index()] = None;
                     self.load_part(place, part, None);
                 } else {
                     in_contact = true;
                     force_on_tool_n -= force_on_organ_n;
-                    if !tool.grip.is_sticky {
-                        let friction = tool.grip.friction_coefficient;
-                        let radius_m = part.radius_m(tool);
-                        let slide = SlideInput { point_m, radius_m, friction, force_on_organ_n };
-                        slip_m += contact.slide(&self.organ, &slide);
-                    }
                     self.load_part(place, part, Some(-force_on_organ_n));
                 }
             }

@@ -31,25 +31,33 @@ const LEAST_RESPONSE_S: f64 = 1.0 / 30.0;
 /// step's way only.
 const MOST_RINGS: u32 = 5;
 const TOLERANCE: f64 = 1e-3;
-/// Tissue that does not slide though the tool's coefficient would let it is caught in its own dent: it is taken to bear so
-/// many times what it bears now.
-const CAUGHT: f64 = 1.5;
 /// What it bears along the surface over the push, at most.
 const MOST_FRICTION: f64 = 20.0;
 
-/// A node that follows the tool: which, how for a unit motion of the tip, and with which part.
+/// A point of tissue that follows the tool: how for a unit motion of the tip, and with which part. Its weights are those of
+/// the followers that name it.
+#[derive(Clone, Copy, Debug)]
+struct PressedPoint {
+    motion: DMat3,
+    part: usize,
+}
+
+/// A node that bears a share of the force on a point.
 #[derive(Clone, Copy, Debug)]
 struct Follower {
     node: NodeId,
-    motion: DMat3,
-    part: usize,
+    weight: f64,
+    point: usize,
 }
 
 /// Room for the largest patch and its solution.
 pub(super) struct HapticScratch {
     work: LocalWork,
     local: LocalModel,
+    /// The answer of the points.
+    pressed: LocalModel,
     patch: PatchStiffness,
+    points: Vec<PressedPoint>,
     followers: Vec<Follower>,
     nodes: Vec<NodeId>,
     near: Vec<ToolContact>,
@@ -60,17 +68,56 @@ impl HapticScratch {
         Self {
             work: LocalWork::with_room_for(n_nodes).estimating(MOST_RINGS, TOLERANCE),
             local: LocalModel::new(),
+            pressed: LocalModel::new(),
             patch: PatchStiffness::new(),
+            points: Vec::with_capacity(LocalModel::MOST_NODES),
             followers: Vec::with_capacity(LocalModel::MOST_NODES),
             nodes: Vec::with_capacity(LocalModel::MOST_NODES),
             near: Vec::with_capacity(MOST_NEAR),
         }
     }
 
-    fn follow(&mut self, node: NodeId, motion: DMat3, part: usize) {
-        let is_known = self.followers.iter().any(|f| f.node == node);
-        if !is_known && self.followers.len() < LocalModel::MOST_NODES {
-            self.followers.push(Follower { node, motion, part });
+    fn clear(&mut self) {
+        self.points.clear();
+        self.followers.clear();
+    }
+
+    /// A point that presses on `nodes` by `weights`; nodes that are known already, and those without weight, do not count.
+    fn follow<const N: usize>(&mut self, nodes: [NodeId; N], weights: [f64; N], motion: DMat3, part: usize) {
+        let point = self.points.len();
+        let n_before = self.followers.len();
+        for (node, weight) in nodes.into_iter().zip(weights) {
+            let is_known = self.followers[..n_before].iter().any(|f| f.node == node);
+            if weight > 0.0 && !is_known && self.followers.len() < LocalModel::MOST_NODES {
+                self.followers.push(Follower { node, weight, point });
+            }
+        }
+        if self.followers.len() > n_before {
+            self.points.push(PressedPoint { motion, part });
+        }
+    }
+
+    /// From the nodes' compliance C to that of the points, sum of w_i w_j C_ij: a force at a point loads its nodes by their
+    /// weights, and moves it by the weighted mean of theirs.
+    fn gather(&mut self) {
+        let (n, n_local) = (3 * self.points.len(), 3 * self.local.nodes.len());
+        let (of_points, of_nodes) = (&mut self.pressed, &self.local.compliance_m_per_n);
+        of_points.nodes.clear();
+        of_points.nodes.extend(self.points.iter().map(|_| NodeId(0)));
+        of_points.compliance_m_per_n.clear();
+        of_points.compliance_m_per_n.resize(n * n, 0.0);
+        if 3 * self.followers.len() != n_local {
+            return;
+        }
+        for (i, of) in self.followers.iter().enumerate() {
+            for (j, by) in self.followers.iter().enumerate() {
+                for axis in 0..3 {
+                    for along in 0..3 {
+                        of_points.compliance_m_per_n[n * (3 * of.point + axis) + 3 * by.point + along] +=
+                            of.weight * by.weight * of_nodes[n_local * (3 * i + axis) + 3 * j + along];
+                    }
+                }
+            }
         }
     }
 }
@@ -129,11 +176,11 @@ impl World {
             model.hold_n = tool.kind.jaws().map_or(f64::INFINITY, |jaws| pull_limit_n(tool, jaws, &pose));
         }
         let positions_m = self.organ.positions_m();
-        scratch.followers.clear();
+        scratch.clear();
         let mut n_parts = 0;
         if let Some(grasp) = &hand.grasp {
             for (node, place_m) in grasp.places_m(ToolFrame::of(&pose)) {
-                scratch.follow(node, lever(tool, &pose, place_m), n_parts);
+                scratch.follow([node], [1.0], lever(tool, &pose, place_m), n_parts);
             }
             model.parts[n_parts] = TouchedPart {
                 touch: Touch::Grasp,
@@ -145,17 +192,13 @@ impl World {
         for part in ToolPart::ALL {
             let Some(contact) = &hand.contacts[part.index()] else { continue };
             let motion = lever(tool, &pose, contact.at.in_world_m(tool, &pose));
-            for (node, weight) in contact.nodes.into_iter().zip(contact.motion_weights) {
-                if weight > 0.0 {
-                    scratch.follow(node, motion * weight, n_parts);
-                }
-            }
+            scratch.follow(contact.nodes, self.free_weights(contact.nodes, contact.weights), motion, n_parts);
             let force_n = -self.force_on_organ_n(place, Some(part));
             model.parts[n_parts] = TouchedPart {
                 touch: Touch::Contact,
                 force_n,
                 normal: contact.normal,
-                friction_coefficient: friction_now(tool, force_n, contact.normal, hand.report.slip_m > 0.0),
+                friction_coefficient: friction_now(tool, force_n, contact.normal),
                 ..TouchedPart::default()
             };
             if model.normal == DVec3::ZERO {
@@ -173,8 +216,8 @@ impl World {
         }
         self.solve_patch(scratch, response_s);
         for (i, part) in model.parts[..n_parts].iter_mut().enumerate() {
-            let followers = &scratch.followers;
-            part.stiffness_n_per_m = scratch.patch.stiffness_n_per_m(|node| followers[node].part == i);
+            let points = &scratch.points;
+            part.stiffness_n_per_m = scratch.patch.stiffness_n_per_m(|point| points[point].part == i);
             model.stiffness_n_per_m += part.stiffness_n_per_m;
             model.force_n += part.force_n;
         }
@@ -221,20 +264,17 @@ impl World {
         let Some(surface) = nearest else { return };
         let contact = &surface.found.contact;
         let is_outside = contact.normal.dot(self.organ.face_normal(surface.nodes)) > 0.0;
-        let fixed = surface.nodes.map(|node| self.organ.is_fixed(node));
-        let weights = surface.found.weights;
-        let (true, Some(follow)) = (is_outside, motion_weights(weights, fixed)) else { return };
+        let weights = self.free_weights(surface.nodes, surface.found.weights);
+        if !is_outside || weights == [0.0; 3] {
+            return;
+        }
         model.normal = contact.normal;
         model.surface_m = contact.points_m[1];
         // A tip that is in tissue without touching it (put there, or just let go) is met from where it is.
         model.gap_m = contact.gap_m.max(0.0);
         model.surface_velocity_m_per_s =
-            self.organ.skin().velocity_m_per_s(surface.nodes, weights, self.spec.time_step_s);
-        for (node, weight) in surface.nodes.into_iter().zip(follow) {
-            if weight > 0.0 {
-                scratch.follow(node, DMat3::IDENTITY * weight, 0);
-            }
-        }
+            self.organ.skin().velocity_m_per_s(surface.nodes, surface.found.weights, self.spec.time_step_s);
+        scratch.follow(surface.nodes, weights, DMat3::IDENTITY, 0);
         self.solve_patch(scratch, response_s);
         model.stiffness_n_per_m = scratch.patch.stiffness_n_per_m(|_| true);
     }
@@ -243,21 +283,30 @@ impl World {
         scratch.nodes.clear();
         scratch.nodes.extend(scratch.followers.iter().map(|f| f.node));
         self.model.local_model_into(&scratch.nodes, response_s, &mut scratch.work, &mut scratch.local);
-        let followers = &scratch.followers;
-        scratch.patch.solve(&scratch.local, |node| followers[node].motion);
+        scratch.gather();
+        let points = &scratch.points;
+        scratch.patch.solve(&scratch.pressed, |point| points[point].motion);
+    }
+
+    /// Weights of the nodes that yield; none where the tool presses on held tissue.
+    fn free_weights(&self, nodes: [NodeId; 3], weights: [f64; 3]) -> [f64; 3] {
+        let fixed = nodes.map(|node| self.organ.is_fixed(node));
+        match motion_weights(weights, fixed) {
+            Some(_) => [0, 1, 2].map(|v| if fixed[v] { 0.0 } else { weights[v] }),
+            None => [0.0; 3],
+        }
     }
 }
 
-/// Coefficient that the tissue shows now: that of the tool, or what it bears beyond it.
-fn friction_now(tool: &Tool, force_n: DVec3, normal: DVec3, slides: bool) -> f64 {
+/// Coefficient that the tissue shows now: that of the tool, or the little more that a step leaves beyond it.
+fn friction_now(tool: &Tool, force_n: DVec3, normal: DVec3) -> f64 {
     if tool.grip.is_sticky {
         return f64::INFINITY;
     }
     let push_n = force_n.dot(normal);
     let along_n = (force_n - normal * push_n).length();
     let shown = if push_n > 0.0 { along_n / push_n } else { 0.0 };
-    let reserve = if slides { 1.0 } else { CAUGHT };
-    tool.grip.friction_coefficient.max(shown * reserve).min(MOST_FRICTION)
+    tool.grip.friction_coefficient.max(shown.min(MOST_FRICTION))
 }
 
 /// Motion of a point of a tool for motions of its tip: the same, but for a tool that turns about its trocar c. With the

@@ -41,6 +41,7 @@ use hand::Hand;
 use haptic::HapticScratch;
 use loads::Loads;
 use organ::{Organ, OrganError};
+use slide::SlideScratch;
 use spec::WorldSpec;
 use std::sync::Arc;
 use touch::HeldContact;
@@ -131,6 +132,8 @@ pub struct World {
     between_jaws: Vec<ToolContact>,
     /// Scratch of what the haptic loop is told; made when it is first asked for.
     haptics: Option<Box<HapticScratch>>,
+    /// Scratch of what touched patches answer.
+    slide: Box<SlideScratch>,
     loads: Loads,
     gravity_m_per_s2: DVec3,
     /// Gravity and force fields of the last step.
@@ -163,6 +166,7 @@ impl World {
             vessels = Some(found.map_err(|(number, error)| OrganError::Vessel { number, error })?);
         }
         let loads = Loads::new(&spec, &organ);
+        let slide = Box::new(SlideScratch::for_nodes(organ.mesh().positions_m.len()));
         let hands = spec.tools.iter().map(Hand::at_home).collect();
         let active = spec.tools.iter().map(|tool| ActiveTip::new(tool, organ.body())).collect();
         let mut constraints = Constraints::default();
@@ -184,6 +188,7 @@ impl World {
             owners: Vec::with_capacity(MOST_IMPOSED),
             between_jaws: grasp::room_for_search(),
             haptics: None,
+            slide,
             loads,
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,

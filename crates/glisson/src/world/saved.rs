@@ -1,6 +1,7 @@
 //! Coming back to an earlier moment.
 
 use super::constrain::MOST_IMPOSED;
+use super::slide::SlideScratch;
 use super::{World, grasp};
 use std::sync::Arc;
 
@@ -42,6 +43,7 @@ impl World {
             owners,
             between_jaws: grasp::room_for_search(),
             haptics: None,
+            slide: Box::new(SlideScratch::for_nodes(self.organ.mesh().positions_m.len())),
             loads: self.loads.clone(),
             gravity_m_per_s2: self.gravity_m_per_s2,
             pull_m_per_s2: self.pull_m_per_s2,

@@ -227,9 +227,8 @@ impl World {
         let Some(contact) = hand.contacts[part.index()].take() else { return };
         let is_edge = matches!(spec.kind, ToolKind::Scalpel(_)) && part == ToolPart::Tip;
         if is_edge && hand.now.is_triggered() {
-            let point_m = contact.at.in_world_m(spec, &hand.now);
             hand.overload.edge_is_in = true;
-            let inward_m = contact.normal() * -contact.depth_m(point_m);
+            let inward_m = contact.normal() * -contact.depth_m();
             hand.overload.entry_m = Some([contact.normal() * (2.0 * spec.tip_radius_m), inward_m]);
             return;
         }

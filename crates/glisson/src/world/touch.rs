@@ -22,24 +22,27 @@ const PUSH_OUT_M_PER_S: f64 = 0.2;
 /// Below this cosine between the way from tissue to tool and the outward normal, the tool comes from inside.
 const FROM_INSIDE: f64 = -0.2;
 
-/// One touched triangle and how its vertices follow the tool.
+/// One touched triangle, the force on it and where the tool presses it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeldContact {
     pub(super) triangle: TriangleId,
     pub(super) nodes: [NodeId; 3],
     pub(super) weights: [f64; 3],
-    pub(super) motion_weights: [f64; 3],
-    /// Displacements of the three nodes at the touch, or at the last slide [m].
-    pub(super) displacements_at_touch_m: [DVec3; 3],
     /// What of the tool touches.
     pub(super) at: ToolPoint,
-    /// Place of the touching point of the tool for which the imposed motion is zero [m].
-    pub(super) neutral_m: DVec3,
-    /// How far the tissue had been moved when the displacements were noted: zero at the touch [m].
-    pub(super) motion_before_m: DVec3,
+    /// From the tool's point to where it wants the touched point [m].
+    pub(super) offset_m: DVec3,
     pub(super) normal: DVec3,
     /// How far the tissue still has to be pushed out of the tool [m].
     pub(super) overlap_m: f64,
+    /// Forces on the nodes in the last step [N]; none on those that it did not hold.
+    pub(super) forces_n: [DVec3; 3],
+    /// Displacement from rest of the touched point at the touch [m].
+    touch_displacement_m: DVec3,
+    /// How much further it was displaced after the last step [m].
+    pressed_m: DVec3,
+    /// How far the tool slid in this step [m].
+    pub(super) slip_m: f64,
 }
 
 impl HeldContact {
@@ -61,41 +64,36 @@ impl HeldContact {
             return ContactBegin::FromInside;
         }
         let weights = place.found.weights;
-        let Some(motion_weights) = motion_weights(weights, nodes.map(|n| organ.is_fixed(n))) else {
+        if motion_weights(weights, nodes.map(|n| organ.is_fixed(n))).is_none() {
             return ContactBegin::OnFixedTissue;
-        };
+        }
         let touched_m: DVec3 = (0..3).map(|v| corners_m[v] * weights[v]).sum();
         let overlap_m = (-contact.gap_m).max(0.0);
-        let rest_m = &organ.mesh().positions_m;
-        let neutral_m = if overlap_m > 0.0 {
-            // As it is; the overlap is taken out bit by bit.
-            point_m
-        } else {
-            touched_m + normal * radius_m
-        };
+        // As it is where they overlap: that is taken out bit by bit.
+        let offset_m = if overlap_m > 0.0 { touched_m - point_m } else { normal * -radius_m };
         ContactBegin::Touches(Self {
             triangle: place.triangle,
             nodes,
             weights,
-            motion_weights,
-            displacements_at_touch_m: nodes.map(|n| positions_m[n.index()] - rest_m[n.index()]),
             at,
-            neutral_m,
-            motion_before_m: DVec3::ZERO,
+            offset_m,
             normal,
             overlap_m,
+            forces_n: [DVec3::ZERO; 3],
+            touch_displacement_m: displacement_m(organ, nodes, weights),
+            pressed_m: DVec3::ZERO,
+            slip_m: 0.0,
         })
     }
 
     /// Everything that its next steps depend on.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
-        let vectors = self.displacements_at_touch_m.into_iter();
-        let vectors = vectors.chain([self.neutral_m, self.motion_before_m, self.normal]);
+        let vectors = self.forces_n.into_iter();
+        let vectors = vectors.chain([self.offset_m, self.normal, self.touch_displacement_m, self.pressed_m]);
         let nodes = self.nodes.map(|node| f64::from(node.0));
         nodes
             .into_iter()
             .chain(self.weights)
-            .chain(self.motion_weights)
             .chain(vectors.flat_map(|v| v.to_array()))
             .chain(self.at.numbers())
             .chain([f64::from(self.triangle.0), self.overlap_m])
@@ -105,35 +103,24 @@ impl HeldContact {
     pub(super) fn push_out(&mut self, dt_s: f64) {
         let out_m = self.overlap_m.min(PUSH_OUT_M_PER_S * dt_s);
         self.overlap_m -= out_m;
-        self.neutral_m += self.normal * out_m;
+        self.offset_m -= self.normal * out_m;
     }
 
-    /// Displacements of the nodes that the tool at `point_m` moves; `is_taken` says which nodes something else holds.
-    /// `None` for the others.
-    pub(super) fn displacements_m(&self, point_m: DVec3, is_taken: [bool; 3]) -> [Option<DVec3>; 3] {
-        let weights = if is_taken == [false; 3] {
-            Some(self.motion_weights)
-        } else {
-            let held = [0, 1, 2].map(|v| is_taken[v] || self.motion_weights[v] == 0.0);
-            motion_weights(self.weights, held)
-        };
-        let motion_m = point_m - self.neutral_m;
-        let Some(weights) = weights else { return [None; 3] };
-        [0, 1, 2]
-            .map(|v| (weights[v] > 0.0).then(|| self.displacements_at_touch_m[v] + motion_m * weights[v]))
+    /// After a step in which the tool exerted these forces on the nodes [N].
+    pub(super) fn feel(&mut self, organ: &Organ, forces_n: [DVec3; 3]) {
+        self.forces_n = forces_n;
+        self.pressed_m = displacement_m(organ, self.nodes, self.weights) - self.touch_displacement_m;
     }
 
     /// How far the tool pressed the tissue in, along the normal [m].
-    pub(super) fn depth_m(&self, point_m: DVec3) -> f64 {
-        (-(self.motion_before_m + point_m - self.neutral_m).dot(self.normal)).max(0.0)
+    pub(super) fn depth_m(&self) -> f64 {
+        (-self.pressed_m.dot(self.normal)).max(0.0)
     }
 
-    /// Whether the contact ends: the tool is at least as far out as where it touched, and would have to pull.
-    /// Deeper in it holds even if a sideways motion makes the normal force a pull, because tissue that sticks
-    /// and then jumps back would be felt as a blow.
-    pub(super) fn lets_go(&self, point_m: DVec3, force_on_organ_n: DVec3) -> bool {
-        let motion_m = self.motion_before_m + point_m - self.neutral_m;
-        motion_m.dot(self.normal) >= 0.0 && force_on_organ_n.dot(self.normal) > RELEASE_PULL_N
+    /// Whether the contact ends: it would have to pull. Sticky tissue does, until the tool is as far out as where it touched.
+    pub(super) fn lets_go(&self, force_on_organ_n: DVec3, is_sticky: bool) -> bool {
+        let is_out = !is_sticky || self.pressed_m.dot(self.normal) >= 0.0;
+        is_out && force_on_organ_n.dot(self.normal) > RELEASE_PULL_N
     }
 
     /// The touched point [m].
@@ -155,6 +142,12 @@ impl HeldContact {
     pub fn weights(&self) -> [f64; 3] {
         self.weights
     }
+}
+
+/// Displacement from rest of a place of the surface [m].
+fn displacement_m(organ: &Organ, nodes: [NodeId; 3], weights: [f64; 3]) -> DVec3 {
+    let (rest_m, now_m) = (&organ.mesh().positions_m, organ.positions_m());
+    (0..3).map(|v| (now_m[nodes[v].index()] - rest_m[nodes[v].index()]) * weights[v]).sum()
 }
 
 /// What became of a touch.

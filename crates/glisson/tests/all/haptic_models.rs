@@ -243,8 +243,8 @@ fn press(world: &mut World, depth_m: f64) -> ToolInput {
 #[test]
 fn a_published_model_says_what_the_next_step_answers() {
     // What a linear model answers at once is exact but for the symmetric part; over a step of a dynamic one it is a prediction:
-    // 15.4 % off at most where this was written, too stiff because what is beyond five rings is held.
-    for (kind, tolerance) in [(ModelKind::Precomputed, 0.01), (ModelKind::Implicit, 0.2)] {
+    // 26 % off at most where this was written, too stiff because what is beyond five rings is held.
+    for (kind, tolerance) in [(ModelKind::Precomputed, 0.01), (ModelKind::Implicit, 0.3)] {
         let mut world = world(kind, tool(ToolKind::Probe, STICKY));
         let at = press(&mut world, 5e-3);
         // The next step is as short as the world's.

@@ -136,7 +136,7 @@ fn a_probe_deep_in_soft_tissue_slides_nearly_as_far_as_it_goes() {
 #[test]
 fn whatever_the_depth_friction_speed_and_way_the_force_is_calm_and_a_loop_costs_the_hand_work() {
     let mut random = SeededRandom::new(5);
-    for case in 0..5 {
+    for case in 0..4 {
         let depth_m = random.uniform_in(1e-3, 10e-3);
         let friction = random.uniform_in(0.0, 0.4);
         let speed_m_per_s = random.uniform_in(40e-3, 100e-3);

@@ -96,6 +96,22 @@ pub(super) fn prepared(size: usize, note: String, run: Box<dyn FnMut() + Send>) 
 }
 
 fn edit_transaction(settings: Settings) -> anyhow::Result<Prepared> {
+    removing(settings, |world, edit| {
+        let change = world.edit_in_place(black_box(edit));
+        black_box(change.expect("a live tetrahedron goes"));
+    })
+}
+
+fn edit_transaction_parting(settings: Settings) -> anyhow::Result<Prepared> {
+    removing(settings, |world, edit| {
+        let [MeshEdit::Remove { tets }] = edit else { unreachable!("removals alone") };
+        // One that was divided with a singular edge is there no more: refused.
+        let _ = black_box(world.remove_and_part(black_box(tets.clone())));
+    })
+}
+
+/// Removals in a row, each made by `remove`.
+fn removing(settings: Settings, remove: fn(&mut World, &[MeshEdit; 1])) -> anyhow::Result<Prepared> {
     let mut world = world_of(settings.size, 1)?;
     let whole = world.save();
     let edits = removals(&world);
@@ -107,29 +123,7 @@ fn edit_transaction(settings: Settings) -> anyhow::Result<Prepared> {
             world.restore(&whole);
             next = 0;
         }
-        let change = world.edit_in_place(black_box(&edits[next]));
-        black_box(change.expect("a live tetrahedron goes"));
-        next += 1;
-    };
-    let note = format!("up to {N_REMOVALS} removals in a row, undo kept for 32");
-    Ok(prepared(size, note, Box::new(run)))
-}
-
-fn edit_transaction_parting(settings: Settings) -> anyhow::Result<Prepared> {
-    let mut world = world_of(settings.size, 1)?;
-    let whole = world.save();
-    let edits = removals(&world);
-    let size = world.organ().mesh().tetrahedra.len();
-    let mut next = 0;
-    let run = move || {
-        if next == edits.len() {
-            world.restore(&whole);
-            next = 0;
-        }
-        let [MeshEdit::Remove { tets }] = &edits[next] else { unreachable!("removals alone") };
-        // One that was divided with a singular edge is there no more: refused.
-        let done = world.remove_and_part(black_box(tets.clone()));
-        let _ = black_box(done);
+        remove(&mut world, &edits[next]);
         next += 1;
     };
     let note = format!("up to {N_REMOVALS} removals in a row, undo kept for 32");

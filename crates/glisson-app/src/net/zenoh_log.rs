@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn lines_tell_the_reason_and_no_more() {
-        let line = "Unable to connect to configured peer tls/10.0.0.2:7447! received fatal alert: UnknownCA at /home/x/src/a.rs:1.. \
+        let line = "Unable to connect to configured peer tls/10.0.0.2:7447! received fatal alert: UnknownCA at /io/src/link.rs:1.. \
                     Retry in 200ms.";
         assert_eq!(
             told(line).unwrap(),

@@ -56,13 +56,19 @@ impl EditableMesh {
         change: &mut TopologyChange,
         undo: &mut MeshUndo,
     ) -> Result<(), EditError> {
-        let n_before = self.topology.n_nodes();
-        let mut near = nodes.to_vec();
-        self.apply_each_saving(change, undo, |body, at| {
-            let known = near.len() - nodes.len();
-            near.extend((n_before + known..body.topology.n_nodes()).map(NodeId::from_index));
+        let mut next = self.partings(nodes.to_vec());
+        self.apply_each_saving(change, undo, &mut next)
+    }
+
+    /// The edits that part what is singular at `near` and at the nodes that come with them, one round after the other: for
+    /// [`EditableMesh::apply_each_saving`].
+    fn partings(&self, mut near: Vec<NodeId>) -> impl FnMut(&Self, usize) -> Option<MeshEdit> + use<> {
+        let mut n_known = self.topology.n_nodes();
+        move |body, at| {
+            near.extend((n_known..body.topology.n_nodes()).map(NodeId::from_index));
+            n_known = body.topology.n_nodes();
             if at < MOST_ROUNDS { body.parting_edit(&near) } else { None }
-        })
+        }
     }
 
     /// The removal of `tets`, followed by the edits that part the singular places which it leaves, as far as they can be
@@ -74,13 +80,10 @@ impl EditableMesh {
         let mut edits = vec![MeshEdit::Remove { tets }];
         let (mut change, mut undo_removal) = (TopologyChange::default(), MeshUndo::default());
         self.apply_saving(&edits[0], &mut change, &mut undo_removal)?;
-        let mut near = self.topology.nodes_near(&change);
-        let mut n_known = self.topology.n_nodes();
+        let mut next = self.partings(self.topology.nodes_near(&change));
         let (mut partings, mut undo) = (Vec::new(), MeshUndo::default());
         let done = self.apply_each_saving(&mut change, &mut undo, |body, at| {
-            near.extend((n_known..body.topology.n_nodes()).map(NodeId::from_index));
-            n_known = body.topology.n_nodes();
-            let edit = if at < MOST_ROUNDS { body.parting_edit(&near) } else { None };
+            let edit = next(body, at);
             partings.extend(edit.clone());
             edit
         });

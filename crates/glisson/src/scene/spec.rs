@@ -71,6 +71,7 @@ impl Scene {
             fields: surroundings.fields,
             // Its material comes with the mesh.
             tearing: None,
+            mends_cuts: false,
             vessels: Vec::new(),
             tools: scripted,
         };

@@ -26,6 +26,8 @@ pub struct WorldSpec {
     pub fields: Vec<ForceField>,
     /// How it comes apart under force; it never does when absent, and then imposed motions have no limit.
     pub tearing: Option<Tearing>,
+    /// Whether the worst tetrahedra at a cut are mended when the blade is lifted.
+    pub mends_cuts: bool,
     /// Blood vessels inside the organ, in its rest shape.
     pub vessels: Vec<Tube>,
     /// The instruments: one to [`crate::tool::MAX_TOOLS`].
@@ -44,6 +46,7 @@ impl WorldSpec {
             loads: Vec::new(),
             fields: Vec::new(),
             tearing: None,
+            mends_cuts: false,
             vessels: Vec::new(),
             tools: vec![tool],
         }

@@ -54,7 +54,10 @@ impl Patient<'_> {
         if n_edits == 0 {
             return;
         }
-        self.check(&before, Volume::Taken(cuts.n_removed + cuts.n_torn), &changes);
+        let n_tets = cuts.n_removed + cuts.n_torn;
+        let n_changes_before = if tool == SCALPEL { cuts.n_edits } else { 0 };
+        let volume = Volume::Taken { n_tets, n_changes_before };
+        self.check(&before, volume, &changes, cuts.blades.n_mended > 0);
         // Edits for which the model was copied whole cannot all be taken back.
         if self.random.uniform() < TAKEN_BACK && self.world.n_edits_to_undo() >= n_edits {
             let label = self.label();
@@ -75,6 +78,8 @@ impl Patient<'_> {
         let by_tip = u64::from(cuts.n_removed > 0);
         self.tally.tears += n_edits as u64 - by_edge - by_tip;
         self.tally.tool_blade_edits += by_edge;
+        self.tally.stroke_partings += cuts.blades.n_partings as u64;
+        self.tally.mended_places += cuts.blades.n_mended as u64;
         match tool {
             SCISSORS => self.tally.snips += by_tip,
             _ => self.tally.burns += by_tip,
@@ -179,6 +184,7 @@ impl Patient<'_> {
             }
         }
         self.work(SCALPEL, at(stroke[stroke.len() - 1], 0.0), false);
+        self.check_singular();
         self.tally.tool_uses += 1;
         self.put_away();
     }

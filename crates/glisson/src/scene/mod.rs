@@ -4,6 +4,7 @@
 //! line, what was found, what is allowed, and what was probably meant.
 
 mod build;
+mod contact;
 mod instrument;
 mod models;
 mod organ;

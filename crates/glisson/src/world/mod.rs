@@ -26,6 +26,8 @@ pub use edits::EditRefusal;
 pub use hand::ToolReport;
 pub use parts::ToolPart;
 
+use crate::contact::response::bodies::ResponseReport;
+use crate::contact::response::itself::OwnContact;
 use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
@@ -94,6 +96,8 @@ pub struct StepReport {
     pub waits_for_model: bool,
     /// Nodes whose position is not finite, which only a broken model can bring about.
     pub n_non_finite_nodes: u32,
+    /// How the organ touched itself; of several sub-steps the last one.
+    pub own_contact: ResponseReport,
     /// What the model says about the step; of several sub-steps the last one, with the internal steps of all.
     pub model: ModelReport,
 }
@@ -134,6 +138,8 @@ pub struct World {
     haptics: Option<Box<HapticScratch>>,
     /// Scratch of what touched patches answer.
     slide: Box<SlideScratch>,
+    /// How the organ touches itself, if the scene wants it.
+    own_contact: Option<Box<OwnContact>>,
     loads: Loads,
     gravity_m_per_s2: DVec3,
     /// Gravity and force fields of the last step.
@@ -167,6 +173,7 @@ impl World {
         }
         let loads = Loads::new(&spec, &organ);
         let slide = Box::new(SlideScratch::for_nodes(organ.mesh().positions_m.len()));
+        let own_contact = own_contact_of(&spec, &organ, model.as_ref());
         let hands = spec.tools.iter().map(Hand::at_home).collect();
         let active = spec.tools.iter().map(|tool| ActiveTip::new(tool, organ.body())).collect();
         let mut constraints = Constraints::default();
@@ -189,6 +196,7 @@ impl World {
             between_jaws: grasp::room_for_search(),
             haptics: None,
             slide,
+            own_contact,
             loads,
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,
@@ -341,8 +349,9 @@ impl World {
             return self.report;
         }
         self.move_hands(input);
-        self.constrain();
-        self.move_organ(input.n_substeps.max(1));
+        let n_substeps = input.n_substeps.max(1);
+        self.constrain(n_substeps);
+        self.move_organ(n_substeps);
         self.read_forces();
         if let Some(vessels) = &mut self.vessels {
             vessels.advance(self.spec.time_step_s);
@@ -377,8 +386,15 @@ impl World {
     fn move_organ(&mut self, n_substeps: u32) {
         let dt_s = self.spec.time_step_s / f64::from(n_substeps);
         let mut n_parts = 0;
-        for _ in 0..n_substeps {
+        for part in 0..n_substeps {
+            if part > 0 {
+                self.push_own_contacts(n_substeps);
+            }
             self.model.step(dt_s);
+            if let Some(own_contact) = &mut self.own_contact {
+                own_contact.respond_to_step(self.model.as_mut(), dt_s);
+                self.report.own_contact = own_contact.report();
+            }
             n_parts += self.model.report().n_parts;
         }
         self.report.model = ModelReport { n_parts, ..self.model.report() };
@@ -454,6 +470,12 @@ impl World {
     pub fn tools(&self) -> &[Tool] {
         &self.spec.tools
     }
+}
+
+fn own_contact_of(spec: &WorldSpec, organ: &Organ, model: &dyn DeformableModel) -> Option<Box<OwnContact>> {
+    let params = spec.own_contact.as_ref()?;
+    let positions_m = model.state().positions_m;
+    Some(Box::new(OwnContact::new(params, organ.body().topology(), organ.mesh(), positions_m)))
 }
 
 fn contact_report(contact: &HeldContact, positions_m: &[DVec3]) -> ContactReport {

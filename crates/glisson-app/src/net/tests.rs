@@ -1,7 +1,9 @@
 //! Two ends and what lies between them: loss, doubled and overtaken messages, cuts, strangers.
 
-use super::bridge::{start_haptics, start_simulation};
+use super::bridge::{HapticsScene, HapticsSide, start_haptics, start_simulation};
 use super::conversation::{Conversation, Identity, LinkReport};
+use super::detector::Detection;
+use super::figures::RemoteFigures;
 use super::link::{Link, ReceiveHalf, Role, SendHalf, udp};
 use super::messages::SceneHash;
 use super::seal::Seal;
@@ -10,7 +12,7 @@ use crate::runtime::haptic_loop::{DeviceStatus, Motion, PublishedModel, ToolLink
 use crate::runtime::realtime::now_ns;
 use glisson::haptics::{HapticModel, Touch};
 use glisson::math::DVec3;
-use glisson::tool::ToolInput;
+use glisson::tool::{Tool, ToolInput};
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -84,12 +86,13 @@ pub(super) struct HapticsEnd {
     motions: Publisher<Motion>,
     pub(super) models: Latest<PublishedModel>,
     conversation: Conversation,
+    _detection: Detection,
 }
 
 impl HapticsEnd {
     pub(super) fn start(link: Link, identity: Identity) -> Self {
         let (models_in, models) = exchange(PublishedModel::default());
-        let (motions, motions_out) = exchange(Motion { pose: home(), is_held: false });
+        let (motions, motions_out) = exchange(Motion::of(home(), false));
         let (_, statuses) = exchange(DeviceStatus::Waiting);
         let held = ToolLink {
             tool: 0,
@@ -97,14 +100,17 @@ impl HapticsEnd {
             models: models_in,
             motions: motions_out,
             statuses,
+            nearby: None,
         };
-        let (conversation, _) = start_haptics(link, identity, &[home()], vec![held]).unwrap();
-        Self { motions, models, conversation }
+        let scene = HapticsScene::without_organ(vec![Tool::probe("hand", 5e-3, home())]);
+        let HapticsSide { conversation, detection, .. } =
+            start_haptics(link, identity, scene, vec![held]).unwrap();
+        Self { motions, models, conversation, _detection: detection }
     }
 
     pub(super) fn move_to(&mut self, x_m: f64) {
         let pose = ToolInput { tip_in_world_m: DVec3::X * x_m, ..home() };
-        self.motions.publish(Motion { pose, is_held: true });
+        self.motions.publish(Motion::of(pose, true));
     }
 }
 
@@ -116,7 +122,8 @@ pub(super) struct SimulationEnd {
 
 impl SimulationEnd {
     pub(super) fn start(link: Link, identity: Identity) -> Self {
-        let (conversation, mut links) = start_simulation(link, identity, &[home()]).unwrap();
+        let (conversation, mut links) =
+            start_simulation(link, identity, &[home()], RemoteFigures::default()).unwrap();
         Self { tool: links.pop().unwrap(), conversation }
     }
 

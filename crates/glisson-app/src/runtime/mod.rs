@@ -6,6 +6,7 @@ pub(crate) mod histogram;
 pub(crate) mod realtime;
 pub(crate) mod force_choices;
 pub(crate) mod haptic_loop;
+pub(crate) mod elsewhere;
 pub(crate) mod live;
 mod effort;
 pub(crate) mod recorder;

@@ -187,6 +187,8 @@ pub struct SurfaceCopy {
     nodes: Vec<NodeId>,
     /// Before the last refresh and after it [m].
     start_m: Vec<DVec3>,
+    shown_m: Vec<DVec3>,
+    /// As placed since [m].
     end_m: Vec<DVec3>,
     /// Whether a node was put elsewhere since the last refresh, and whether the last one moved any.
     is_stale: bool,
@@ -218,6 +220,7 @@ impl SurfaceCopy {
             vertices,
             nodes,
             start_m: end_m.clone(),
+            shown_m: end_m.clone(),
             end_m,
             is_stale: false,
             moves: false,
@@ -244,16 +247,21 @@ impl SurfaceCopy {
         }
     }
 
-    /// The surface goes to where its nodes were placed; what it meets on its way is found by the next look. To be called
-    /// before each look of all instruments.
-    pub fn refresh(&mut self) {
-        if std::mem::take(&mut self.is_stale) {
-            self.search.update(&self.start_m, &self.end_m);
-            self.moves = true;
-        } else if std::mem::take(&mut self.moves) {
-            self.start_m.copy_from_slice(&self.end_m);
-            self.search.update(&self.end_m, &self.end_m);
+    /// The surface goes to where its nodes were placed; what it meets on its way is found by the looks before the next call.
+    /// Answers whether it moved. Allocates nothing.
+    pub fn refresh(&mut self) -> bool {
+        let has_moved = std::mem::replace(&mut self.moves, false);
+        if has_moved {
+            self.start_m.copy_from_slice(&self.shown_m);
         }
+        if std::mem::take(&mut self.is_stale) {
+            self.shown_m.copy_from_slice(&self.end_m);
+            self.moves = true;
+        }
+        if self.moves || has_moved {
+            self.search.update(&self.start_m, &self.shown_m);
+        }
+        self.moves
     }
 
     /// Where a node is known to be [m].
@@ -262,12 +270,12 @@ impl SurfaceCopy {
     }
 
     fn searched(&self, surface_moves: bool) -> SearchedSurface<'_> {
-        let start_m = if surface_moves { &self.start_m } else { &self.end_m };
-        SearchedSurface { search: &self.search, start_m, end_m: &self.end_m }
+        let start_m = if surface_moves { &self.start_m } else { &self.shown_m };
+        SearchedSurface { search: &self.search, start_m, end_m: &self.shown_m }
     }
 
     fn corners_m(&self, slot: u32) -> [DVec3; 3] {
-        self.vertices[slot as usize].map(|v| self.end_m[v as usize])
+        self.vertices[slot as usize].map(|v| self.shown_m[v as usize])
     }
 
     fn face_normal(&self, slot: u32) -> DVec3 {
@@ -391,7 +399,7 @@ impl ToolDetector {
         // The tip is the hand's own doing; of the rest nobody sees where it goes in.
         if state == PartState::Buried || is_placed && part != ToolPart::Tip {
             let mut none = Vec::new();
-            if surface.search.near_into(&resting, 0.0, &surface.end_m, &mut none) > 0 {
+            if surface.search.near_into(&resting, 0.0, &surface.shown_m, &mut none) > 0 {
                 return PartState::Buried;
             }
         }

@@ -14,7 +14,7 @@ use crate::runtime::exchange::{Latest, Publisher, exchange};
 use crate::runtime::haptic_loop::{DeviceStatus, Meters, Motion, PublishedModel, ToolLink};
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::detection::{SurfaceCopy, SurfaceList};
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread::Thread;
 
@@ -99,7 +99,8 @@ pub(crate) fn start_haptics(
         held = Some(NamedSurface { hash: name.hash, copy: Box::new(SurfaceCopy::new(&list)?) });
         collected = SurfaceIn::holding(&name);
     }
-    let tissues = TissuesIn { tissues, holds: held.is_some(), collected, status, surfaces: surfaces_in };
+    let lists = build_surfaces(surfaces_in)?;
+    let tissues = TissuesIn { tissues, holds: held.is_some(), collected, status, lists };
     let detection = Detection::start(watched, held, surfaces)?;
     let conversation = Conversation::start(link, identity, hands, tissues)?;
     Ok(HapticsSide { conversation, detection, news })
@@ -186,22 +187,28 @@ struct TissuesIn {
     holds: bool,
     collected: SurfaceIn,
     status: Arc<Mutex<HeldSurface>>,
-    surfaces: SyncSender<NamedSurface>,
+    lists: Sender<SurfaceList>,
 }
 
-impl TissuesIn {
-    /// A new surface is there: its search is made by a thread of its own, beside which messages go on.
-    fn build(&self, list: SurfaceList) {
-        let (surfaces, hash) = (self.surfaces.clone(), name_of(&list).hash);
-        let build = move || match SurfaceCopy::new(&list) {
-            // The program ends when nobody takes it.
-            Ok(copy) => drop(surfaces.send(NamedSurface { hash, copy: Box::new(copy) })),
-            Err(error) => eprintln!("link: the simulation's surface cannot be used: {error}"),
-        };
-        if let Err(error) = std::thread::Builder::new().name("surface".into()).spawn(build) {
-            eprintln!("link: no thread for the simulation's surface: {error}");
+/// Makes the search of each surface that came, in a thread of its own: messages and detection go on beside it. It ends with
+/// the link.
+fn build_surfaces(surfaces: SyncSender<NamedSurface>) -> std::io::Result<Sender<SurfaceList>> {
+    let (lists_in, lists) = channel::<SurfaceList>();
+    let build = move || {
+        for list in lists {
+            match SurfaceCopy::new(&list) {
+                Ok(copy) => {
+                    let named = NamedSurface { hash: name_of(&list).hash, copy: Box::new(copy) };
+                    if surfaces.send(named).is_err() {
+                        return;
+                    }
+                }
+                Err(error) => eprintln!("link: the simulation's surface cannot be used: {error}"),
+            }
         }
-    }
+    };
+    std::thread::Builder::new().name("surfaces".into()).spawn(build)?;
+    Ok(lists_in)
 }
 
 impl Incoming for TissuesIn {
@@ -210,7 +217,8 @@ impl Incoming for TissuesIn {
             Content::Tissues { tissues, surface } => (tissues, surface),
             Content::Piece(piece) => {
                 if let Some(list) = self.collected.take(piece) {
-                    self.build(list);
+                    // The thread ends with this side.
+                    let _ = self.lists.send(list);
                 }
                 return write(&self.status, self.collected.status());
             }
@@ -225,7 +233,7 @@ impl Incoming for TissuesIn {
             let age_ns = tissue.age_ns.saturating_add(on_the_way_ns);
             let made_ns = if tissue.age_ns == NEVER { 0 } else { now_ns.saturating_sub(age_ns).max(1) };
             let published = PublishedModel { model: tissue.model, made_ns };
-            told.publish(Told::new(published, surface.hash, &tissue.nodes));
+            told.publish(Told::new(published, surface, &tissue.nodes));
         }
     }
 

@@ -4,16 +4,17 @@
 //!
 //! Cotin, Delingette and Ayache 1998 (RR-3511), s. 6.2, fig. 14: collision detection and force on the machine with the device.
 
-use super::contact_messages::{MOST_NODES, NodePlace};
+use super::contact_messages::{MOST_NODES, NodePlace, SurfaceName};
 use super::messages::Hand;
 use crate::runtime::exchange::{Latest, Publisher};
 use crate::runtime::haptic_loop::{Motion, PublishedModel};
 use crate::runtime::histogram::Histogram;
 use crate::runtime::realtime::{make_prompt, now_ns};
 use glisson::haptics::{HapticModel, Touch};
-use glisson::math::DMat3;
+use glisson::math::{DMat3, DVec3};
 use glisson::mesh::NodeId;
-use glisson::tool::{Tool, ToolInput, ToolKind};
+use glisson::tool::found::Detected;
+use glisson::tool::{MAX_TOOLS, Tool, ToolInput, ToolKind};
 use glisson::world::detection::{SurfaceCopy, ToolDetector};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::Receiver;
@@ -33,8 +34,8 @@ const REFRESH_PAUSE: u64 = 3;
 #[derive(Clone, Copy)]
 pub(crate) struct Told {
     pub(crate) published: PublishedModel,
-    /// Hash of the simulation's surface; 0: none.
-    pub(crate) surface: u64,
+    /// The simulation's surface.
+    pub(crate) surface: SurfaceName,
     nodes: [NodePlace; MOST_NODES],
     n_nodes: usize,
 }
@@ -43,7 +44,7 @@ impl Default for Told {
     fn default() -> Self {
         Self {
             published: PublishedModel::default(),
-            surface: 0,
+            surface: SurfaceName::default(),
             nodes: [NodePlace::default(); MOST_NODES],
             n_nodes: 0,
         }
@@ -51,7 +52,7 @@ impl Default for Told {
 }
 
 impl Told {
-    pub(crate) fn new(published: PublishedModel, surface: u64, nodes: &[NodePlace]) -> Self {
+    pub(crate) fn new(published: PublishedModel, surface: SurfaceName, nodes: &[NodePlace]) -> Self {
         let mut told = Self { published, surface, ..Self::default() };
         for (place, node) in told.nodes.iter_mut().zip(nodes) {
             *place = *node;
@@ -127,7 +128,7 @@ impl Watched {
             if along > 0.0 {
                 self.stiffness_n_per_m = along;
             }
-            if let Some(surface) = surface.filter(|surface| surface.hash == told.surface) {
+            if let Some(surface) = surface.filter(|surface| surface.hash == told.surface.hash) {
                 for place in &told.nodes[..told.n_nodes] {
                     surface.copy.place(NodeId(place.node), place.position_m());
                 }
@@ -154,7 +155,8 @@ impl Watched {
                     (self.touches_since_ns, self.is_felt_alone) = (Some(begun_ns), false);
                     Counts::add(&counts.n_touches);
                 }
-                hand.detected = Some(detected);
+                // A cut that was taken back has a new number, and the surface of before.
+                hand.detected = Some(Detected { surface_version: self.told.surface.version, ..detected });
             }
             None => {
                 self.detector.lift();
@@ -200,7 +202,7 @@ impl Watched {
             surface_m: touch.surface_m,
             normal,
             gap_m: 0.0,
-            surface_velocity_m_per_s: glisson::math::DVec3::ZERO,
+            surface_velocity_m_per_s: DVec3::ZERO,
             ..told.model
         };
         let alone_ns = now_ns().saturating_sub(told.made_ns.max(since_ns));
@@ -325,7 +327,7 @@ fn watch(
             Counts::add(&counts.n_surfaces);
         }
         let mut news = [false; 2];
-        let mut moved = [false; glisson::tool::MAX_TOOLS];
+        let mut moved = [false; MAX_TOOLS];
         for (tool, moved) in tools.iter_mut().zip(&mut moved) {
             let [has_moved, is_told] = tool.take(surface.as_mut());
             *moved = has_moved;
@@ -345,7 +347,7 @@ fn watch(
             }
         }
         for (tool, moved) in tools.iter_mut().zip(moved) {
-            let held = surface.as_ref().filter(|surface| surface.hash == tool.told.surface);
+            let held = surface.as_ref().filter(|surface| surface.hash == tool.told.surface.hash);
             // What the surface moves onto is found as well.
             if moved || has_changed && tool.is_held {
                 tool.look(held.map(|surface| &*surface.copy), counts);

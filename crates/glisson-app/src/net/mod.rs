@@ -26,5 +26,7 @@ mod zenoh_log;
 mod zenoh_link;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod detection_tests;
 #[cfg(all(test, feature = "net"))]
 mod zenoh_tests;

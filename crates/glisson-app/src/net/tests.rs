@@ -63,7 +63,7 @@ impl ReceiveHalf for MemoryReceiver {
     fn trust_sender(&mut self) {}
 }
 
-fn bad_links() -> (Link, Link) {
+pub(super) fn bad_links() -> (Link, Link) {
     let (to_simulation, from_haptics) = channel();
     let (to_haptics, from_simulation) = channel();
     let link = |out, incoming, random| Link {
@@ -86,11 +86,16 @@ pub(super) struct HapticsEnd {
     motions: Publisher<Motion>,
     pub(super) models: Latest<PublishedModel>,
     conversation: Conversation,
-    _detection: Detection,
+    pub(super) detection: Detection,
 }
 
 impl HapticsEnd {
     pub(super) fn start(link: Link, identity: Identity) -> Self {
+        let scene = HapticsScene::without_organ(vec![Tool::probe("hand", 5e-3, home())]);
+        Self::with(link, identity, scene)
+    }
+
+    pub(super) fn with(link: Link, identity: Identity, scene: HapticsScene) -> Self {
         let (models_in, models) = exchange(PublishedModel::default());
         let (motions, motions_out) = exchange(Motion::of(home(), false));
         let (_, statuses) = exchange(DeviceStatus::Waiting);
@@ -102,14 +107,16 @@ impl HapticsEnd {
             statuses,
             nearby: None,
         };
-        let scene = HapticsScene::without_organ(vec![Tool::probe("hand", 5e-3, home())]);
         let HapticsSide { conversation, detection, .. } =
             start_haptics(link, identity, scene, vec![held]).unwrap();
-        Self { motions, models, conversation, _detection: detection }
+        Self { motions, models, conversation, detection }
     }
 
     pub(super) fn move_to(&mut self, x_m: f64) {
-        let pose = ToolInput { tip_in_world_m: DVec3::X * x_m, ..home() };
+        self.hold(ToolInput { tip_in_world_m: DVec3::X * x_m, ..home() });
+    }
+
+    pub(super) fn hold(&mut self, pose: ToolInput) {
         self.motions.publish(Motion::of(pose, true));
     }
 }

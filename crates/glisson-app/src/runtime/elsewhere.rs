@@ -74,7 +74,8 @@ impl NearbyMaker {
         if self.whole.version != version && is_settled {
             self.whole = Arc::new(world.surface_list());
         }
-        let mut nearby = Nearby { version, whole: Arc::clone(&self.whole), ..Nearby::default() };
+        let nodes = [NodePlace::default(); MOST_NODES];
+        let mut nearby = Nearby { version, whole: Arc::clone(&self.whole), nodes, n_nodes: 0 };
         let most = (NEAR_NODES / n_tools.max(1)).max(LEAST_NODES);
         world.nodes_near_into(tool, most, &mut self.found);
         for &node in self.found.nodes() {

@@ -2,6 +2,7 @@
 
 use crate::devices::trocar_choice::stand;
 use crate::devices::{self, Assignment, tools_of};
+use crate::net::figures::RemoteFigures;
 use crate::net::link::Role;
 use crate::net::options::NetArgs;
 use crate::runtime::force_choices::ForceArgs;
@@ -53,6 +54,8 @@ pub(crate) struct Args {
 #[derive(Default)]
 struct Network {
     remote: Vec<ToolLink>,
+    /// Of the haptic loop on the other machine.
+    remote_figures: Option<RemoteFigures>,
     shows: Vec<Show>,
 }
 
@@ -106,8 +109,8 @@ impl Address {
                 .stderr(std::process::Stdio::null())
                 .spawn();
         }
-        let Network { remote, shows } = network;
-        let service = Service { held, haptics, remote, shows, ..Service::to(access) };
+        let Network { remote, remote_figures, shows } = network;
+        let service = Service { held, haptics, remote, remote_figures, shows, ..Service::to(access) };
         let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
         if let Some(haptics) = haptics {
             println!("{}", haptics.to_text());
@@ -167,12 +170,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let simulation = Simulation::open(source, args.record.as_deref())?;
     let held = args.held(simulation.world().tools())?;
     let in_hands: Vec<usize> = held.iter().map(|(_, link)| link.tool).collect();
-    let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, remote: Vec::new() };
+    let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, ..Network::default() };
     let mut conversation = None;
     if let Some(link) = &link {
-        let (started, remote) = link.start_simulation(&simulation, &scene_text)?;
+        let figures = RemoteFigures::default();
+        let (started, remote) = link.start_simulation(&simulation, &scene_text, figures.clone())?;
         conversation = Some(started);
-        network.remote = remote;
+        (network.remote, network.remote_figures) = (remote, Some(figures));
     }
     args.address.serve_with(simulation, listener, held, haptics, network)?;
     if let Some(conversation) = conversation {

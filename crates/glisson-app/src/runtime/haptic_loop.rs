@@ -1,6 +1,7 @@
 //! The haptic loop: reads the devices, evaluates the latest models and pushes, a thousand times a second. It waits for
 //! nobody; in a tick nothing is allocated, locked or logged.
 
+use super::elsewhere::Nearby;
 use super::exchange::{Latest, Publisher, exchange};
 use super::force_choices::ForceChoices;
 use super::histogram::{Histogram, Percentiles};
@@ -11,6 +12,7 @@ use glisson::haptics::{
     DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, LawSettings, LawTick,
 };
 use glisson::tool::ToolInput;
+use glisson::tool::found::Detected;
 use std::borrow::Cow;
 use std::ops::RangeInclusive;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -59,6 +61,15 @@ pub(crate) struct Motion {
     pub(crate) pose: ToolInput,
     /// Whether the device holds it now; otherwise it stays where it was.
     pub(crate) is_held: bool,
+    /// What was found on the way there, if somebody else than the simulation looked.
+    pub(crate) detected: Option<Detected>,
+}
+
+impl Motion {
+    /// Of an instrument for which the simulation looks where it touches.
+    pub(crate) fn of(pose: ToolInput, is_held: bool) -> Self {
+        Self { pose, is_held, detected: None }
+    }
 }
 
 /// Whether a device answers.
@@ -97,20 +108,28 @@ pub(crate) struct ToolLink {
     pub(crate) models: Publisher<PublishedModel>,
     pub(crate) motions: Latest<Motion>,
     pub(crate) statuses: Latest<DeviceStatus>,
+    /// For a machine that looks where it touches: what it has to be told of the surface.
+    pub(crate) nearby: Option<Publisher<Nearby>>,
 }
 
 /// Puts instrument `tool`, whose home is `home`, into the hand at `device`.
 pub(crate) fn join(device: OpenDevice, tool: usize, home: ToolInput) -> (HeldTool, ToolLink) {
     let (models_in, models) = exchange(PublishedModel::default());
-    let (motions, motions_out) = exchange(Motion { pose: home, is_held: false });
+    let (motions, motions_out) = exchange(Motion::of(home, false));
     let (statuses, statuses_out) = exchange(DeviceStatus::Waiting);
     let device_name = device.name.clone();
     let status = DeviceStatus::Waiting;
     let settings = HapticSettings::default();
     let held =
         HeldTool { device, home, settings, law: None, lets_go: false, models, motions, statuses, status };
-    let link =
-        ToolLink { tool, device_name, models: models_in, motions: motions_out, statuses: statuses_out };
+    let link = ToolLink {
+        tool,
+        device_name,
+        models: models_in,
+        motions: motions_out,
+        statuses: statuses_out,
+        nearby: None,
+    };
     (held, link)
 }
 
@@ -148,7 +167,7 @@ impl HeldTool {
                     let ToolInput { shaft_in_world, roll_rad, .. } = self.home;
                     ToolInput { shaft_in_world, roll_rad, ..tool }
                 };
-                self.motions.publish(Motion { pose, is_held: true });
+                self.motions.publish(Motion::of(pose, true));
                 let written = self.device.device.write(&command);
                 if written.is_err() {
                     law.not_taken();
@@ -167,7 +186,7 @@ impl HeldTool {
             Err(fault) => {
                 if let Some(law) = &mut self.law {
                     let LawTick { command, tool, .. } = law.lost(dt_s);
-                    self.motions.publish(Motion { pose: tool, is_held: false });
+                    self.motions.publish(Motion::of(tool, false));
                     // It may still listen; if not, it goes to zero by itself.
                     if self.device.device.write(&command).is_err() {
                         law.not_taken();

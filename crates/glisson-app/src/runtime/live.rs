@@ -2,6 +2,7 @@
 
 use super::Simulation;
 use super::effort::{EffortControl, Load};
+use super::elsewhere::NearbyMaker;
 use super::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
 use super::realtime::now_ns;
 use crate::server::frames::Pace;
@@ -10,6 +11,7 @@ use glisson::model::Effort;
 use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::snapshot::{DisplayTopology, Snapshot};
+use glisson::tool::found::Detected;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
 use std::sync::Arc;
@@ -205,6 +207,9 @@ struct Live {
     targets: Vec<ToolInput>,
     /// Instruments in the hand of a device.
     links: Vec<ToolLink>,
+    /// What was found elsewhere for each of them.
+    detected: [Option<Detected>; MAX_TOOLS],
+    elsewhere: NearbyMaker,
     /// When the last models were published, and how long that took [ns].
     published_ns: u64,
     publishing_ns: u64,
@@ -228,6 +233,7 @@ impl Live {
     fn read_devices(&mut self) {
         for link in &mut self.links {
             let motion = link.motions.get();
+            self.detected[link.tool] = motion.detected.filter(|_| motion.is_held);
             if motion.is_held && motion.pose.is_finite() {
                 // A hand moves as it moves: nothing is smoothed.
                 self.targets[link.tool] = motion.pose;
@@ -258,7 +264,12 @@ impl Live {
         if self.links.is_empty() || begun_ns - self.published_ns < pause_ns {
             return;
         }
+        let n_elsewhere = self.links.iter().filter(|link| link.nearby.is_some()).count();
         for link in &mut self.links {
+            // Before the model, whose arrival wakes the one who sends both.
+            if let Some(nearby) = &mut link.nearby {
+                nearby.publish(self.elsewhere.at(&self.simulation, link.tool, n_elsewhere));
+            }
             let model = self.simulation.haptic_model(link.tool);
             link.models.publish(PublishedModel { model, made_ns: now_ns() });
         }
@@ -278,7 +289,8 @@ impl Live {
             *placed = tool.tip_in_world_m.distance(target.tip_in_world_m) > JUMP_M;
             *tool = if *placed { *target } else { approach(*tool, *target, self.dt_s) };
         }
-        self.simulation.advance(&StepInput { placed, ..StepInput::of(&self.tools) })?;
+        let detected = self.detected;
+        self.simulation.advance(&StepInput { placed, detected, ..StepInput::of(&self.tools) })?;
         self.publish_models();
         Ok(())
     }
@@ -375,6 +387,8 @@ pub(crate) fn run(
         targets: tools.clone(),
         tools,
         links,
+        detected: [None; MAX_TOOLS],
+        elsewhere: NearbyMaker::default(),
         published_ns: 0,
         publishing_ns: 0,
         paused: false,

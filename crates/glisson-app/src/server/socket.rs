@@ -130,7 +130,8 @@ impl Connection {
                     if self.last_heard.elapsed() > LONGEST_SILENCE {
                         return Err(End::Gone);
                     }
-                    let haptics = shared.meters.as_ref().map(|meters| meters.report());
+                    let own = shared.meters.as_ref().map(|meters| meters.report());
+                    let haptics = own.or_else(|| shared.remote_figures.as_ref()?.report());
                     let latest = Arc::clone(&published.borrow());
                     self.say(messages::timing(&latest, shared.haptics_at, haptics.as_ref())).await?;
                     self.send(Message::Ping(Vec::new().into())).await?;

@@ -1,7 +1,7 @@
 //! The stages of a step around the model: what the hands do to it, and what they feel of it.
 
 use super::grasp::{Grasp, HOLDS_BELOW, Hold};
-use super::hand::Hand;
+use super::hand::{ContactSearch, Hand};
 use super::parts::ToolPart;
 use super::slide::{Follow, PatchAnswer};
 use super::tear::edge_motion_m;
@@ -66,7 +66,13 @@ impl World {
                 }
             }
             hand.follow_edge(tool, &self.organ);
-            hand.find_contacts(tool, &self.organ, self.spec.tearing.as_ref(), input.placed[place]);
+            let search = ContactSearch {
+                organ: &self.organ,
+                tearing: self.spec.tearing.as_ref(),
+                is_placed: input.placed[place],
+                detected: input.detected_on(place, self.organ.topology_version()),
+            };
+            hand.find_contacts(tool, &search);
             for contact in hand.contacts.iter_mut().flatten() {
                 contact.push_out(self.spec.time_step_s);
             }

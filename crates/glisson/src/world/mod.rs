@@ -15,6 +15,7 @@ pub mod organ;
 mod parts;
 pub mod saved;
 mod skin;
+mod capsule;
 mod slide;
 pub mod spec;
 mod tear;

@@ -159,6 +159,9 @@ const MODEL_ROWS: readonly Row[] = [
   row("mesh", "Nodes / tets", "Size of the whole mesh; the surface alone is displayed"),
 ];
 
+/** Not every scene and server has them. */
+const OPTIONAL: ReadonlySet<PanelKey> = new Set(["hand_force", "bleeding", "blood_lost", "haptic_jitter", "haptic_tick"]);
+
 function element<K extends keyof HTMLElementTagNameMap>(name: K, className: string, text = ""): HTMLElementTagNameMap[K] {
   const node = document.createElement(name);
   node.className = className;
@@ -172,6 +175,8 @@ export class Panel {
   private readonly jitter: HTMLCanvasElement;
   private shownTiming: HapticTiming | null = null;
   private readonly cells = new Map<PanelKey, HTMLElement>();
+  /** Lines that are there only while they say something. */
+  private readonly optional = new Map<PanelKey, HTMLElement>();
   private shown: PanelValues | null = null;
 
   constructor(private readonly root: HTMLElement) {
@@ -192,6 +197,7 @@ export class Panel {
     const hand = element("div", "force-parts");
     hand.title = "Force that the haptic loop gives to the hand, where the page is a device (--device viewer)";
     hand.append(element("span", "label", "Hand"), this.cell("hand_force", "value"));
+    this.optional.set("hand_force", hand);
     force.append(parts, peak, hand, arrow, this.plot, legend);
     const haptics = this.section("Haptics", HAPTICS_ROWS);
     this.jitter = element("canvas", "jitter");
@@ -222,6 +228,7 @@ export class Panel {
       const line = element("div", "row");
       line.title = tip;
       line.append(element("span", "label", label), this.cell(key, "value"));
+      if (OPTIONAL.has(key)) this.optional.set(key, line);
       section.append(line);
     }
     return section;
@@ -231,6 +238,7 @@ export class Panel {
     for (const [key, cell] of this.cells) {
       if (this.shown?.[key] !== values[key]) cell.textContent = values[key];
     }
+    for (const [key, line] of this.optional) line.hidden = values[key] === NONE;
     this.shown = values;
     this.root.classList.toggle("in-contact", header?.contact ?? false);
     this.root.classList.toggle("is-paused", header?.paused ?? false);

@@ -1,7 +1,7 @@
 //! `glisson serve`.
 
 use crate::devices::trocar_choice::stand;
-use crate::devices::{self, Assignment, tools_of};
+use crate::devices::{self, Assignment, DeviceName, tools_of};
 use crate::net::figures::RemoteFigures;
 use crate::net::link::Role;
 use crate::net::options::NetArgs;
@@ -21,6 +21,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:\n  glisson serve out/demo/scene.toml\n  \
     glisson serve scene.toml --port 0 --record session.jsonl\n  \
     glisson serve scene.toml --device haply --device simulated@1\n  \
+    glisson serve scene.toml --device viewer         the page's mouse, keyboard and gamepad as a device\n  \
     glisson serve scene.toml --device trocar:10.0.0.7:4000,mapping=virtual-work --force-estimate hold\n  \
     glisson serve scene.toml --host 0.0.0.0      for other machines, with a token that is printed\n\nStop with Ctrl-C; a recording is then completed.")]
 pub(crate) struct Args {
@@ -156,6 +157,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(link) = link.as_ref().filter(|link| link.role == Role::Haptics) {
         if args.record.is_some() || args.network.has_shows() {
             bail!("--record, --igtl and --ros2 belong to the machine with --role simulation");
+        }
+        if args.devices.iter().any(|device| device.name == DeviceName::Viewer) {
+            bail!("--device viewer with --role haptics: the page is at the machine with --role simulation");
         }
         let source = OpenScene::read(&args.scene)?;
         let held = args.held(&source.scene.world.tools)?;

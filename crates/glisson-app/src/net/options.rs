@@ -4,10 +4,12 @@ use super::bridge::{DeviceNews, HapticsScene, HapticsSide, start_haptics, start_
 use super::conversation::{Conversation, Identity, LinkReport};
 use super::figures::RemoteFigures;
 use super::igtl;
-use super::link::{LinkAddress, Role};
+use super::link::{LinkAddress, Role, ZenohAddress};
 use super::messages::SceneHash;
 use super::player::Player;
 use super::seal::Seal;
+#[cfg(feature = "net")]
+use super::zenoh_link::{SharedSession, open_session};
 use crate::runtime::haptic_loop::{DeviceStatus, HapticLoop, HapticSettings, HeldTool, ToolLink};
 use crate::runtime::{OpenScene, Simulation};
 use crate::server::Show;
@@ -51,9 +53,27 @@ pub(crate) struct NetArgs {
     /// reaches the router of ROS 2 can
     #[arg(long, requires = "ros2")]
     ros2_control: bool,
-    /// How to reach the router of ROS 2
-    #[arg(long, value_name = "ADDRESS", default_value = "zenoh:tcp/127.0.0.1:7447", requires = "ros2")]
-    ros2_link: LinkAddress,
+    /// How to reach the router of ROS 2 where no zenoh link is there, whose session is otherwise used
+    /// [default: zenoh:tcp/127.0.0.1:7447]
+    #[arg(long, value_name = "ADDRESS", requires = "ros2")]
+    ros2_link: Option<LinkAddress>,
+    /// Of the link, which ROS 2's topics share.
+    #[cfg(feature = "net")]
+    #[arg(skip)]
+    session: SharedSession,
+}
+
+/// Where the router of ROS 2 is unless told otherwise: `rmw_zenohd` listens there.
+const ROS2_ROUTER: &str = "tcp/127.0.0.1:7447";
+
+/// What carries ROS 2's topics.
+#[cfg_attr(not(feature = "net"), allow(dead_code, reason = "without zenoh only the tests ask"))]
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Ros2Over {
+    /// The link's session.
+    Link(ZenohAddress),
+    /// A session of its own.
+    Own(ZenohAddress),
 }
 
 /// A link as asked for on the command line.
@@ -61,6 +81,8 @@ pub(crate) struct LinkOptions {
     pub(crate) role: Role,
     address: LinkAddress,
     seal: Seal,
+    #[cfg(feature = "net")]
+    session: SharedSession,
 }
 
 impl NetArgs {
@@ -71,7 +93,13 @@ impl NetArgs {
     pub(crate) fn link(&self) -> anyhow::Result<Option<LinkOptions>> {
         let (Some(role), Some(address)) = (self.role, &self.link) else { return Ok(None) };
         let seal = self.link_key.as_deref().map_or(Ok(Seal::Check), Seal::from_file)?;
-        Ok(Some(LinkOptions { role, address: address.clone(), seal }))
+        Ok(Some(LinkOptions {
+            role,
+            address: address.clone(),
+            seal,
+            #[cfg(feature = "net")]
+            session: self.session.clone(),
+        }))
     }
 
     /// Whether anything shows the simulation beside the viewer.
@@ -111,9 +139,7 @@ impl NetArgs {
 
     #[cfg(feature = "net")]
     fn ros2_topics(&self, domain: u32, simulation: &Simulation, held: &[usize]) -> anyhow::Result<Show> {
-        let LinkAddress::Zenoh(address) = self.ros2_link.clone() else {
-            bail!("--ros2-link {}: ROS 2 is reached over zenoh: only", self.ros2_link);
-        };
+        let over = self.ros2_over()?;
         if self.ros2_control && self.role.is_some() {
             bail!(
                 "--ros2-control with --role simulation: the instruments are in the hands of the other machine"
@@ -124,21 +150,62 @@ impl NetArgs {
         if self.ros2_control && !described.takes_orders() {
             bail!("--ros2-control: devices hold all instruments; leave out one --device, or --ros2-control");
         }
-        println!("ROS 2 topics of domain {domain} go to {}", self.ros2_link);
+        let (address, with_link) = match &over {
+            Ros2Over::Link(address) => (address, ", with the link over one session"),
+            Ros2Over::Own(address) => (address, ""),
+        };
+        let address = LinkAddress::Zenoh(address.clone());
+        println!("ROS 2 topics of domain {domain} go to {address}{with_link}");
         if self.ros2_control {
-            println!("whoever reaches {} can move the instruments that no device holds", self.ros2_link);
+            println!("whoever reaches {address} can move the instruments that no device holds");
         }
+        let over = self.ros2_session(&over)?;
         Ok(Box::new(move |published, steering| {
-            super::ros2::spawn(&address, domain, described, published, steering)
+            super::ros2::spawn(over, domain, described, published, steering)
         }))
+    }
+
+    /// The session that carries ROS 2's topics; opened if nobody has done so.
+    #[cfg(feature = "net")]
+    fn ros2_session(&self, over: &Ros2Over) -> anyhow::Result<super::ros2::Over> {
+        Ok(match over {
+            Ros2Over::Link(_) => {
+                let link = self.link()?.context("a link is there to be shared")?;
+                super::ros2::Over { session: link.zenoh_session()?, is_own: false }
+            }
+            // It connects to the router, as the haptics machine does to the simulation.
+            Ros2Over::Own(address) => {
+                super::ros2::Over { session: open_session(address, Role::Haptics)?, is_own: true }
+            }
+        })
     }
 
     #[cfg(not(feature = "net"))]
     fn ros2_topics(&self, domain: u32, _: &Simulation, _: &[usize]) -> anyhow::Result<Show> {
-        bail!(
-            "--ros2 {domain} over {}: this program was built without zenoh; build it with --features net",
-            self.ros2_link
-        )
+        self.ros2_over()?;
+        bail!("--ros2 {domain}: this program was built without zenoh; build it with --features net")
+    }
+
+    /// What carries ROS 2's topics: the link's session if that is zenoh's.
+    ///
+    /// # Errors
+    /// For an address that is not zenoh's or that is not the link's.
+    fn ros2_over(&self) -> anyhow::Result<Ros2Over> {
+        let asked = match &self.ros2_link {
+            Some(LinkAddress::Zenoh(asked)) => Some(asked),
+            Some(other) => bail!("--ros2-link {other}: ROS 2 is reached over zenoh: only"),
+            None => None,
+        };
+        match (&self.link, asked) {
+            (Some(link @ LinkAddress::Zenoh(linked)), Some(asked)) if linked != asked => bail!(
+                "--ros2-link {} contradicts --link {link}: link and topics share one zenoh session; leave --ros2-link out, \
+                 and name the router in the link's configuration (zenoh:FILE.json5, docs/network.md)",
+                LinkAddress::Zenoh(asked.clone())
+            ),
+            (Some(LinkAddress::Zenoh(linked)), _) => Ok(Ros2Over::Link(linked.clone())),
+            (_, Some(asked)) => Ok(Ros2Over::Own(asked.clone())),
+            (_, None) => Ok(Ros2Over::Own(ZenohAddress::Locator(ROS2_ROUTER.to_owned()))),
+        }
     }
 }
 
@@ -157,8 +224,23 @@ fn flat_punch_n_per_m(young_modulus_pa: f64, poisson_ratio: f64, radius_m: f64) 
 }
 
 impl LinkOptions {
+    /// The link's session; opened if nobody has done so.
+    #[cfg(feature = "net")]
+    fn zenoh_session(&self) -> anyhow::Result<zenoh::Session> {
+        self.address.check(matches!(self.seal, Seal::Key(_)))?;
+        match &self.address {
+            LinkAddress::Zenoh(address) => self.session.get(address, self.role),
+            other => bail!("{other} is no link over zenoh"),
+        }
+    }
+
     fn open(&self, scene: SceneHash, n_tools: usize) -> anyhow::Result<(super::link::Link, Identity)> {
         let has_key = matches!(self.seal, Seal::Key(_));
+        #[cfg(feature = "net")]
+        if let LinkAddress::Zenoh(_) = &self.address {
+            let link = super::zenoh_link::link_over(self.zenoh_session()?, self.role)?;
+            return Ok((link, Identity { role: self.role, scene, n_tools, seal: self.seal.clone() }));
+        }
         let link = self.address.open(self.role, has_key)?;
         Ok((link, Identity { role: self.role, scene, n_tools, seal: self.seal.clone() }))
     }
@@ -274,3 +356,7 @@ impl LinkReport {
         )
     }
 }
+
+#[cfg(test)]
+#[path = "options_tests.rs"]
+mod tests;

@@ -7,6 +7,7 @@ use super::force_choices::ForceChoices;
 use super::histogram::{Histogram, Percentiles};
 use super::realtime::{Scheduling, make_punctual, now_ns, wait_until};
 use crate::devices::OpenDevice;
+use crate::devices::viewer::PageHand;
 use anyhow::{Context, ensure};
 use glisson::haptics::{
     DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, LawSettings, LawTick,
@@ -97,6 +98,8 @@ pub(crate) struct HeldTool {
     motions: Publisher<Motion>,
     statuses: Publisher<DeviceStatus>,
     status: DeviceStatus,
+    /// Whether the hand is a viewer's page.
+    is_page: bool,
 }
 
 /// The simulation's end of an instrument.
@@ -120,8 +123,19 @@ pub(crate) fn join(device: OpenDevice, tool: usize, home: ToolInput) -> (HeldToo
     let device_name = device.name.clone();
     let status = DeviceStatus::Waiting;
     let settings = HapticSettings::default();
-    let held =
-        HeldTool { device, home, settings, law: None, lets_go: false, models, motions, statuses, status };
+    let is_page = device.page.is_some();
+    let held = HeldTool {
+        device,
+        home,
+        settings,
+        law: None,
+        lets_go: false,
+        models,
+        motions,
+        statuses,
+        status,
+        is_page,
+    };
     let link = ToolLink {
         tool,
         device_name,
@@ -134,6 +148,11 @@ pub(crate) fn join(device: OpenDevice, tool: usize, home: ToolInput) -> (HeldToo
 }
 
 impl HeldTool {
+    /// The server's end of a page that holds the instrument; once.
+    pub(crate) fn take_page(&mut self) -> Option<PageHand> {
+        self.device.page.take()
+    }
+
     fn tick(&mut self, dt_s: f64, meters: Option<&Meters>) {
         // A device that answers for the first time now is not begun with.
         let is_too_late = self.lets_go && self.law.is_none();
@@ -220,7 +239,10 @@ impl HeldTool {
         };
         if status != self.status {
             self.status = status.clone();
-            self.statuses.publish(status);
+            // A page knows whether it has control, and when it comes back nothing was broken.
+            if !self.is_page {
+                self.statuses.publish(status);
+            }
         }
     }
 }
@@ -601,6 +623,7 @@ mod tests {
             tells_orientation: false,
             has_clutch: false,
             stands: None,
+            page: None,
         };
         let (held, link) = join(device, 0, home);
         (held, link, forces)

@@ -152,10 +152,10 @@ const MAX_TIP_SPEED_M_PER_S: f64 = 1.0;
 /// A target further away than this was not reached by moving the hand: the tool is put there [m].
 /// Viewers move a tool that stays in the hand by at most 10 mm a message (`docs/protocol.md`); several messages can
 /// wait while the tip follows.
-const JUMP_M: f64 = 0.03;
+pub(crate) const JUMP_M: f64 = 0.03;
 
 /// Where the tool is one time step after `now` on its way to `target`.
-fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
+pub(crate) fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
     let share = 1.0 - (-dt_s / FOLLOW_TIME_S).exp();
     let motion = (target.tip_in_world_m - now.tip_in_world_m) * share;
     let shaft = now.shaft_in_world.lerp(target.shaft_in_world, share);

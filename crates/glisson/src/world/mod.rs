@@ -16,6 +16,7 @@ pub mod organ;
 mod parts;
 pub mod saved;
 mod skin;
+mod capsule;
 mod slide;
 pub mod spec;
 mod tear;

@@ -120,6 +120,12 @@ impl Skin {
         self.is_stale = true;
     }
 
+    /// Nodes of a triangle of the surface, counter-clockwise from outside; none for others.
+    pub(super) fn nodes_of(&self, triangle: TriangleId) -> Option<[NodeId; 3]> {
+        let slot = *self.slots.get(triangle.index())?;
+        (slot != NONE).then(|| self.nodes[slot as usize])
+    }
+
     /// Takes an edit back that was followed last.
     pub(super) fn unfollow(&mut self, body: &EditableMesh, change: &SurfaceChange<'_>) {
         // The opposite order: the slots are emptied and filled as a stack.

@@ -49,6 +49,7 @@ mod mesh_edits;
 mod mesh_quality;
 mod mesh_repair;
 mod cut_scalpel;
+mod capsule;
 mod mesh_edit_sequences;
 mod mesh_edit_kinds;
 mod surface_files;

@@ -132,6 +132,7 @@ mod tests {
         damping_n_s_per_m: 5.0,
         resolution_m: 1e-5,
         rate_hz: 1_000.0,
+        ..DeviceLimits::NONE
     };
 
     struct Scripted {

@@ -27,6 +27,7 @@ const LIMITS: DeviceLimits = DeviceLimits {
     damping_n_s_per_m: 5.0,
     resolution_m: 5e-5,
     rate_hz: 1_000.0,
+    ..DeviceLimits::NONE
 };
 /// Angle of an open gripper, a choice: the makers' grippers open to about 30 degrees [rad].
 const OPEN_GRIPPER_RAD: f64 = 0.5;

@@ -543,6 +543,7 @@ mod tests {
                 damping_n_s_per_m: 10.0,
                 resolution_m: 1e-6,
                 rate_hz: 1_000.0,
+                ..DeviceLimits::NONE
             }
         }
 

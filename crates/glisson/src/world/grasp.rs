@@ -169,6 +169,25 @@ pub(super) fn pull_limit_n(tool: &Tool, jaws: &Jaws, pose: &ToolInput) -> f64 {
     tool.grip.friction_coefficient * jaws.closing_force_n * closed
 }
 
+/// Work on jaws that hold tissue, for their whole way [J], and how it falls when they open by that way [J], from the stiffness
+/// of what they hold along the way that they close [N/m].
+///
+/// The jaws close as a spring that is slack where they let go and at their closing force where they are closed: what
+/// [`pull_limit_n`] takes for granted. It presses in series with the tissue: firm tissue bears the whole closing force, soft
+/// tissue gives way. Both act at the middle of the jaws. A choice: no model of this project squeezes tissue between jaws.
+pub(super) fn squeeze_j(jaws: &Jaws, pose: &ToolInput, tissue_n_per_m: f64) -> [f64; 2] {
+    // Half the gap at the jaws' middle, for the whole way.
+    let gap_m = 0.25 * jaws.length_m * jaws.greatest_opening_rad;
+    let jaw_n_per_m = jaws.closing_force_n / (gap_m * LETS_GO_ABOVE);
+    let sum_n_per_m = jaw_n_per_m + tissue_n_per_m;
+    if !(tissue_n_per_m > 0.0 && sum_n_per_m.is_finite() && sum_n_per_m > 0.0) {
+        return [0.0; 2];
+    }
+    let pressed_n_per_m = jaw_n_per_m * tissue_n_per_m / sum_n_per_m;
+    let slope_j = 2.0 * gap_m * gap_m * pressed_n_per_m;
+    [slope_j * (LETS_GO_ABOVE - pose.jaw_opening).max(0.0), slope_j]
+}
+
 /// Keeps a list of the nearest, ascending, each once.
 fn insert_nearest(list: &mut [(f64, NodeId)], new: (f64, NodeId)) {
     if list.iter().any(|&(_, node)| node == new.1) {

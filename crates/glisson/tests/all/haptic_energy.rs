@@ -19,6 +19,7 @@ const LIMITS: DeviceLimits = DeviceLimits {
     damping_n_s_per_m: 0.6,
     resolution_m: 5.5e-5,
     rate_hz: 1000.0,
+    ..DeviceLimits::NONE
 };
 
 fn any_vector(random: &mut SeededRandom, size: f64) -> DVec3 {
@@ -206,9 +207,8 @@ fn observed_energy_is_what_the_actuator_took() {
         let path =
             HandPath::Swing { center_m: DVec3::ZERO, amplitude_m: DVec3::Z * -8e-3, frequency_hz: 1.5 };
         let mut device = SimulatedDevice::new(&settings, &HandSettings::default(), path, 2);
-        let delay = position_latency_ticks + force_latency_ticks;
-        let tank = TankSettings { loop_delay_ticks: delay, ..TankSettings::default() };
-        let mut law = HapticLaw::new(&LawSettings { tank, ..LawSettings::default() }, &device.limits());
+        assert_eq!(device.limits().loop_delay_ticks, position_latency_ticks + force_latency_ticks);
+        let mut law = HapticLaw::new(&LawSettings::default(), &device.limits());
         let model = spring(300.0);
         let mut truth_j = Vec::new();
         for tick in 0..2000 {

@@ -20,6 +20,7 @@ const LIMITS: DeviceLimits = DeviceLimits {
     damping_n_s_per_m: 0.6,
     resolution_m: 0.0,
     rate_hz: 1000.0,
+    ..DeviceLimits::NONE
 };
 
 fn at(position_m: DVec3) -> DeviceState {

@@ -29,10 +29,20 @@ fn random_stiffness(random: &mut SeededRandom, size: f64) -> DMat3 {
     part(random) + part(random) + part(random)
 }
 
+/// Of places up to half-way to the trocar, and now and then of the tip itself.
+fn random_lever(random: &mut SeededRandom) -> DMat3 {
+    let shaft = random_vector(random, 1.0).normalize_or(DVec3::Z);
+    let from_tip_m = shaft * random.uniform_in(0.0, 0.05) + random_vector(random, 3e-3);
+    if random.next_u64().is_multiple_of(3) {
+        return DMat3::IDENTITY;
+    }
+    DMat3::IDENTITY * (1.0 - shaft.dot(from_tip_m) / 0.1) + outer(shaft, from_tip_m) * (1.0 / 0.1)
+}
+
 fn random_model(random: &mut SeededRandom, step: u64, tip_m: DVec3) -> HapticModel {
     let touches = [Touch::Free, Touch::Contact, Touch::Grasp];
     let mut pick = |n: u64| random.next_u64() % n;
-    let (touch, n_parts) = (touches[pick(3) as usize], if pick(4) == 0 { 2 + pick(3) as u32 } else { 0 });
+    let (touch, n_parts) = (touches[pick(3) as usize], if pick(4) == 0 { 1 + pick(4) as u32 } else { 0 });
     let is_broken = pick(40) == 0;
     let has_friction = pick(3) > 0;
     let part = |random: &mut SeededRandom, touch: Touch| TouchedPart {
@@ -45,6 +55,7 @@ fn random_model(random: &mut SeededRandom, step: u64, tip_m: DVec3) -> HapticMod
         } else {
             f64::INFINITY
         },
+        lever: random_lever(random),
     };
     let mut model =
         HapticModel { step, time_s: step as f64 * 0.03, period_s: 0.03, touch, ..HapticModel::default() };
@@ -79,7 +90,9 @@ fn follows_n_per_m(model: &HapticModel) -> f64 {
         (2.0 + mu) * (2.0 + mu) * size(stiffness)
     };
     let parts = &model.parts[..model.n_parts as usize];
-    let of_parts: f64 = parts.iter().map(|p| of(&p.stiffness_n_per_m, p.friction_coefficient)).sum();
+    let of_part =
+        |p: &TouchedPart| of(&p.stiffness_n_per_m, p.friction_coefficient) * size(&p.lever) * size(&p.lever);
+    let of_parts: f64 = parts.iter().map(of_part).sum();
     if model.n_parts > 0 { of_parts } else { of(&model.stiffness_n_per_m, model.friction_coefficient) }
 }
 

@@ -8,7 +8,7 @@ use super::realtime::{Scheduling, make_punctual, now_ns, wait_until};
 use crate::devices::OpenDevice;
 use anyhow::{Context, ensure};
 use glisson::haptics::{
-    DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, LawSettings, LawTick,
+    DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, InsertedInstrument, LawSettings, LawTick,
 };
 use glisson::tool::ToolInput;
 use std::borrow::Cow;
@@ -67,6 +67,8 @@ pub(crate) enum DeviceStatus {
     /// Nothing was heard yet.
     Waiting,
     Works,
+    /// With an instrument that was put into it.
+    WorksWith(InsertedInstrument),
     /// It may come back.
     Lost(Cow<'static, str>),
     /// It will not.
@@ -195,7 +197,7 @@ impl HeldTool {
     /// Says how the device is when that changed.
     fn tell(&mut self, answer: Result<(), DeviceFault>) {
         let status = match answer {
-            Ok(()) => DeviceStatus::Works,
+            Ok(()) => self.device.device.inserted().map_or(DeviceStatus::Works, DeviceStatus::WorksWith),
             Err(DeviceFault::Lost(reason)) => DeviceStatus::Lost(reason),
             Err(DeviceFault::Failed(reason)) => DeviceStatus::Failed(reason),
         };

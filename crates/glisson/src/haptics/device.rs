@@ -51,8 +51,8 @@ pub struct DeviceLimits {
     pub resolution_m: f64,
     /// Ticks a second.
     pub rate_hz: f64,
-    /// Ticks from a command to the first position that it acted on, beyond the usual one: what threads, lines and makers'
-    /// libraries add. The energy bound counts them ([`super::passivity`]).
+    /// Ticks at that rate from a command to the first position that it acted on, beyond the usual one: what threads, lines and
+    /// makers' libraries add. The energy bound counts them ([`super::passivity`]).
     pub loop_delay_ticks: usize,
 }
 
@@ -87,10 +87,24 @@ pub enum DeviceFault {
     Failed(Cow<'static, str>),
 }
 
+/// An instrument that was put into a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InsertedInstrument {
+    /// What it is, for people.
+    pub name: &'static str,
+    /// Which one of them.
+    pub serial: u16,
+}
+
 /// A device with a handle that is read and pushes back. Neither call may wait for longer than a small share of a tick.
 pub trait HapticDevice: Send {
     /// What it can do.
     fn limits(&self) -> DeviceLimits;
+
+    /// The instrument in it; none now, or a device whose handle is all that there is.
+    fn inserted(&self) -> Option<InsertedInstrument> {
+        None
+    }
 
     /// Where its handle is.
     ///

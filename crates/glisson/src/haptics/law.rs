@@ -146,7 +146,7 @@ impl HapticLaw {
             axes: AxesHandover::default(),
             coupling: Coupling::new(stiffness, damping, DVec3::ZERO),
             gate: Gate::for_force(limits.force_n),
-            tank: EnergyTank::new(&settings.tank, limits, settings.control),
+            tank: EnergyTank::new(&settings.tank, &in_ticks_of(limits, settings.period_s), settings.control),
             seen: None,
             n_lost: 0,
             period_s: settings.period_s.max(0.0),
@@ -169,6 +169,11 @@ impl HapticLaw {
     /// What that does not go below [J]: see [`super::passivity`].
     pub fn energy_bound_j(&self) -> f64 {
         self.tank.bound_j()
+    }
+
+    /// Ticks of the loop from a command to the first position that it acted on, beyond the usual one, that are counted.
+    pub fn loop_delay_ticks(&self) -> usize {
+        self.tank.loop_delay_ticks()
     }
 
     /// The tip of an instrument without length is at `world_m` [m] when the handle is at `device_m` [m] in its own frame: begins
@@ -386,6 +391,16 @@ impl HapticLaw {
             ..TickReport::default()
         }
     }
+}
+
+/// The limits with the device's delay in ticks of a loop of `period_s` [s]: its own are of its own rate.
+fn in_ticks_of(limits: &DeviceLimits, period_s: f64) -> DeviceLimits {
+    let ticks_of_loop = limits.loop_delay_ticks as f64 / (limits.rate_hz * period_s);
+    // Rounding adds no tick.
+    let is_known = period_s > 0.0 && limits.rate_hz > 0.0 && ticks_of_loop.is_finite();
+    let loop_delay_ticks =
+        if is_known { (ticks_of_loop - 1e-6).ceil() as usize } else { limits.loop_delay_ticks };
+    DeviceLimits { loop_delay_ticks, ..*limits }
 }
 
 /// For the hand, beside the force at the tip.

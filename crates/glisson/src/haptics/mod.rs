@@ -20,7 +20,7 @@ pub mod trocar;
 
 pub use axes::{AxesHandover, AxesModel, AxesPlace};
 pub use coupling::{CouplingGains, GainShares};
-pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
+pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice, InsertedInstrument};
 pub use extrapolation::ForceEstimate;
 pub use handover::Handover;
 pub use law::{HapticLaw, LawSettings, LawTick, TickReport};

@@ -207,6 +207,11 @@ impl EnergyTank {
         -self.settings.reserve_j
     }
 
+    /// Ticks of delay that are counted.
+    pub fn loop_delay_ticks(&self) -> usize {
+        self.settings.loop_delay_ticks
+    }
+
     /// What is in the tank [J].
     pub fn level_j(&self) -> f64 {
         self.level_j

@@ -208,6 +208,25 @@ pub(super) fn room_for_search() -> Vec<ToolContact> {
 mod tests {
     use super::*;
 
+    /// The closing force in series with what is held: all of it on what is firm, a share on what is soft, none on nothing.
+    #[test]
+    fn jaws_are_pushed_open_by_what_they_squeeze() {
+        let jaws = Jaws { length_m: 0.02, width_m: 4e-3, greatest_opening_rad: 1.0, closing_force_n: 5.0 };
+        let pose = |jaw_opening: f64| ToolInput { jaw_opening, ..ToolInput::at(DVec3::ZERO, DVec3::Z) };
+        // Both jaws at their middle move by 5 mm each when they open by 1 rad.
+        let firm = |opening: f64| squeeze_j(&jaws, &pose(opening), 1e12)[0];
+        assert!((firm(0.0) - 2.0 * 5.0 * 5e-3).abs() < 1e-9 && (firm(0.175) - 5.0 * 5e-3).abs() < 1e-9);
+        assert_eq!(firm(0.5), 0.0);
+        let jaw_n_per_m = 5.0 / (0.35 * 5e-3);
+        let [half_j, slope_j] = squeeze_j(&jaws, &pose(0.1), jaw_n_per_m);
+        assert!((half_j - 0.5 * firm(0.1)).abs() < 1e-9);
+        let [less_j, _] = squeeze_j(&jaws, &pose(0.2), jaw_n_per_m);
+        assert!((half_j - less_j - 0.1 * slope_j).abs() < 1e-12);
+        for nothing in [0.0, -1.0, f64::NAN] {
+            assert_eq!(squeeze_j(&jaws, &pose(0.0), nothing), [0.0; 2]);
+        }
+    }
+
     #[test]
     fn the_nearest_are_kept_once_each_in_order() {
         let mut list = [(f64::INFINITY, NodeId(u32::MAX)); 3];

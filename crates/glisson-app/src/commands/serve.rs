@@ -12,6 +12,7 @@ use crate::runtime::{OpenScene, Simulation};
 use crate::server::access::Access;
 use crate::server::{self, Served, Service, Show, stop_signal};
 use anyhow::bail;
+use glisson::haptics::InsertedInstrument;
 use glisson::tool::Tool;
 use std::net::TcpListener;
 use std::path::PathBuf;
@@ -139,8 +140,12 @@ impl Args {
         let stands = stand(&named, instruments)?;
         for ((name, tool), stands) in named.into_iter().zip(stands) {
             let home = instruments[tool].home;
-            let device = devices::open_standing(name, &home, stands, self.haptic_rate)?;
+            let kind = Some(instruments[tool].kind.name());
+            let device = devices::open_standing(name, &home, kind, stands, self.haptic_rate)?;
             println!("instrument {tool} ({}) is in the hand of: {}", instruments[tool].name, device.name);
+            if let Some(InsertedInstrument { name, serial }) = device.device.inserted() {
+                println!("  the instrument in it: {name}, number {serial}");
+            }
             held.push(join(device, tool, home));
         }
         if !held.is_empty() {

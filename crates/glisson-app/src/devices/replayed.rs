@@ -58,6 +58,7 @@ impl HapticDevice for ReplayedDevice {
             damping_n_s_per_m: 100.0,
             resolution_m: 0.0,
             rate_hz: self.rate_hz,
+            ..DeviceLimits::NONE
         }
     }
 

@@ -11,7 +11,7 @@ use super::contact_messages::{
 };
 use super::seal::{Seal, TAG_BYTES};
 use crate::runtime::haptic_loop::HapticReport;
-use glisson::haptics::{HapticModel, Touch, TouchedPart};
+use glisson::haptics::{AxesModel, HapticModel, Touch, TouchedPart};
 use glisson::math::{DMat3, DVec3};
 use glisson::tool::found::Detected;
 use glisson::tool::{MAX_TOOLS, ToolInput};
@@ -22,8 +22,10 @@ const MAGIC: [u8; 4] = *b"GLNK";
 /// Bytes of a head.
 pub(crate) const HEAD_BYTES: usize = 72;
 const MOTION_BYTES: usize = 9 * 8 + 1 + DETECTED_BYTES;
-const PART_BYTES: usize = 1 + 2 * 24 + 72 + 8;
-const MODEL_BYTES: usize = 8 + 8 + 1 + 2 * 8 + 6 * 24 + 72 + 3 * 8 + 1 + HapticModel::MOST_PARTS * PART_BYTES;
+const PART_BYTES: usize = 1 + 2 * 24 + 2 * 72 + 8;
+const AXES_BYTES: usize = 6 * 8;
+const MODEL_BYTES: usize =
+    8 + 8 + 1 + 2 * 8 + 6 * 24 + 72 + 3 * 8 + AXES_BYTES + 1 + HapticModel::MOST_PARTS * PART_BYTES;
 /// Bytes of the longest message.
 pub(crate) const MOST_BYTES: usize =
     HEAD_BYTES + NAME_BYTES + MAX_TOOLS * (MODEL_BYTES + NODES_BYTES) + TAG_BYTES;
@@ -274,6 +276,9 @@ fn put_tissue(bytes: &mut Vec<u8>, tissue: &Tissue) {
     }
     put(bytes, &model.stiffness_n_per_m.to_cols_array());
     put(bytes, &[model.gap_m, model.friction_coefficient, model.hold_n]);
+    let AxesModel { twist_n_m, roll_rad, twist_stiffness_n_m_per_rad, jaw_j, jaw_opening, jaw_stiffness_j } =
+        model.axes;
+    put(bytes, &[twist_n_m, roll_rad, twist_stiffness_n_m_per_rad, jaw_j, jaw_opening, jaw_stiffness_j]);
     let parts = &model.parts[..(model.n_parts as usize).min(HapticModel::MOST_PARTS)];
     bytes.push(parts.len() as u8);
     for part in parts {
@@ -282,6 +287,7 @@ fn put_tissue(bytes: &mut Vec<u8>, tissue: &Tissue) {
         put(bytes, &part.stiffness_n_per_m.to_cols_array());
         put(bytes, &part.normal.to_array());
         put(bytes, &[part.friction_coefficient]);
+        put(bytes, &part.lever.to_cols_array());
     }
     put_nodes(bytes, &tissue.nodes);
 }
@@ -327,6 +333,17 @@ impl Reader<'_> {
         Some(DMat3::from_cols(self.vector()?, self.vector()?, self.vector()?))
     }
 
+    fn axes(&mut self) -> Option<AxesModel> {
+        Some(AxesModel {
+            twist_n_m: self.f64()?,
+            roll_rad: self.f64()?,
+            twist_stiffness_n_m_per_rad: self.f64()?,
+            jaw_j: self.f64()?,
+            jaw_opening: self.f64()?,
+            jaw_stiffness_j: self.f64()?,
+        })
+    }
+
     fn hand(&mut self) -> Option<Result<Hand, MessageError>> {
         let (tip_in_world_m, shaft_in_world) = (self.vector()?, self.vector()?);
         let (roll_rad, jaw_opening, trigger) = (self.f64()?, self.f64()?, self.f64()?);
@@ -369,6 +386,7 @@ impl Reader<'_> {
             gap_m: self.f64()?,
             friction_coefficient: self.f64()?,
             hold_n: self.f64()?,
+            axes: self.axes()?,
             ..HapticModel::default()
         };
         let [n_parts] = self.take()?;
@@ -385,7 +403,7 @@ impl Reader<'_> {
                 stiffness_n_per_m: self.matrix()?,
                 normal: self.vector()?,
                 friction_coefficient: self.f64()?,
-                ..TouchedPart::default()
+                lever: self.matrix()?,
             };
         }
         let nodes = match self.nodes()? {
@@ -420,6 +438,8 @@ fn checked(model: HapticModel) -> Result<HapticModel, MessageError> {
         model.normal,
         model.surface_velocity_m_per_s,
         DVec3::new(model.time_s / MOST, model.period_s, model.gap_m),
+        DVec3::new(model.axes.twist_n_m, model.axes.roll_rad, model.axes.twist_stiffness_n_m_per_rad),
+        DVec3::new(model.axes.jaw_j, model.axes.jaw_opening, model.axes.jaw_stiffness_j),
     ];
     let parts = &model.parts[..model.n_parts as usize];
     let are_plausible = vectors.iter().all(|v| is_plausible(*v))
@@ -429,6 +449,7 @@ fn checked(model: HapticModel) -> Result<HapticModel, MessageError> {
                 && is_plausible_matrix(part.stiffness_n_per_m)
                 && is_plausible(part.normal)
                 && part.friction_coefficient >= 0.0
+                && is_plausible_matrix(part.lever)
         });
     // What sticks has an infinite coefficient, what holds without a limit an infinite force.
     if are_plausible && model.friction_coefficient >= 0.0 && model.hold_n >= 0.0 {
@@ -509,13 +530,23 @@ mod tests {
                 friction_coefficient: if n_parts == 1 { f64::INFINITY } else { self.number().abs() },
                 hold_n: if n_parts == 2 { f64::INFINITY } else { self.number().abs() },
                 n_parts,
+                axes: AxesModel {
+                    twist_n_m: self.number(),
+                    roll_rad: self.number(),
+                    twist_stiffness_n_m_per_rad: self.number(),
+                    jaw_j: self.number(),
+                    jaw_opening: self.number(),
+                    jaw_stiffness_j: self.number(),
+                },
                 ..HapticModel::default()
             };
             for part in &mut model.parts[..n_parts as usize] {
                 let touch = touch_of((self.next() % 3) as u8).unwrap();
                 let (force_n, stiffness_n_per_m, normal) = (self.vector(), self.matrix(), self.vector());
                 let friction_coefficient = self.number().abs();
-                *part = TouchedPart { touch, force_n, stiffness_n_per_m, normal, friction_coefficient };
+                let lever = self.matrix();
+                *part =
+                    TouchedPart { touch, force_n, stiffness_n_per_m, normal, friction_coefficient, lever };
             }
             let n_nodes = self.next() as usize % (MOST_NODES + 1);
             Tissue { model, age_ns: self.next(), nodes: (0..n_nodes).map(|_| self.node()).collect() }

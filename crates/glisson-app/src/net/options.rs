@@ -331,6 +331,9 @@ async fn tell_changes(conversation: &Conversation, mut news: Vec<DeviceNews>) {
             match statuses.get_new() {
                 Some(DeviceStatus::Lost(why)) => println!("the device {device_name} was lost: {why}"),
                 Some(DeviceStatus::Failed(why)) => println!("the device {device_name} failed: {why}"),
+                Some(DeviceStatus::WorksWith(i)) => {
+                    println!("the device {device_name} works; in it: {}, number {}", i.name, i.serial);
+                }
                 Some(DeviceStatus::Works) => println!("the device {device_name} works"),
                 Some(DeviceStatus::Waiting) | None => {}
             }

@@ -10,7 +10,7 @@ use crate::devices::OpenDevice;
 use crate::devices::viewer::PageHand;
 use anyhow::{Context, ensure};
 use glisson::haptics::{
-    DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, LawSettings, LawTick,
+    DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, InsertedInstrument, LawSettings, LawTick,
 };
 use glisson::tool::ToolInput;
 use glisson::tool::found::Detected;
@@ -79,6 +79,8 @@ pub(crate) enum DeviceStatus {
     /// Nothing was heard yet.
     Waiting,
     Works,
+    /// With an instrument that was put into it.
+    WorksWith(InsertedInstrument),
     /// It may come back.
     Lost(Cow<'static, str>),
     /// It will not.
@@ -233,7 +235,7 @@ impl HeldTool {
     /// Says how the device is when that changed.
     fn tell(&mut self, answer: Result<(), DeviceFault>) {
         let status = match answer {
-            Ok(()) => DeviceStatus::Works,
+            Ok(()) => self.device.device.inserted().map_or(DeviceStatus::Works, DeviceStatus::WorksWith),
             Err(DeviceFault::Lost(reason)) => DeviceStatus::Lost(reason),
             Err(DeviceFault::Failed(reason)) => DeviceStatus::Failed(reason),
         };
@@ -584,6 +586,7 @@ mod tests {
                 damping_n_s_per_m: 10.0,
                 resolution_m: 1e-6,
                 rate_hz: 1_000.0,
+                ..DeviceLimits::NONE
             }
         }
 

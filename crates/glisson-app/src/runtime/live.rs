@@ -6,6 +6,7 @@ use super::elsewhere::NearbyMaker;
 use super::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
 use super::realtime::now_ns;
 use crate::server::frames::Pace;
+use glisson::haptics::InsertedInstrument;
 use glisson::math::DVec3;
 use glisson::model::Effort;
 use glisson::model::kind::ModelKind;
@@ -249,6 +250,11 @@ impl Live {
                 }
                 Some(DeviceStatus::Failed(why)) => {
                     self.simulation.tell(format!("the device {} failed: {why}", link.device_name));
+                }
+                Some(DeviceStatus::WorksWith(InsertedInstrument { name, serial })) => {
+                    let device = &link.device_name;
+                    self.simulation
+                        .tell(format!("the device {device} works; in it: {name}, number {serial}"));
                 }
                 Some(DeviceStatus::Works) => {
                     self.simulation.tell(format!("the device {} works", link.device_name));

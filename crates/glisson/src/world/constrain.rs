@@ -185,6 +185,15 @@ impl World {
         forces.filter(|(_, o)| **o == owner).map(|(force_n, _)| *force_n).sum()
     }
 
+    /// Force of a hand on one of the nodes that its jaws hold in the last step [N].
+    pub(super) fn force_on_node_n(&self, hand: usize, node: NodeId) -> DVec3 {
+        let owner = Owner { hand: hand as u8, part: None };
+        let imposed = self.constraints.displacements.iter().zip(&self.owners);
+        let mut forces = imposed.zip(self.model.constraint_forces_n());
+        let found = forces.find(|((imposed, found), _)| imposed.node == node && **found == owner);
+        found.map_or(DVec3::ZERO, |(_, force_n)| *force_n)
+    }
+
     /// Force of one part of a hand on each of three nodes in the last step [N].
     fn forces_on_nodes_n(&self, hand: usize, part: ToolPart, nodes: [NodeId; 3]) -> [DVec3; 3] {
         let owner = Owner { hand: hand as u8, part: Some(part) };

@@ -136,8 +136,12 @@ impl Connection {
                     self.send(Message::Ping(Vec::new().into())).await?;
                 }
                 message = self.socket.recv() => {
-                    let Some(Ok(message)) = message else { return Err(End::Gone) };
-                    self.hear(message).await?;
+                    match message {
+                        Some(Ok(message)) => self.hear(message).await?,
+                        // Of who is gone, too: then nobody takes the reason.
+                        Some(Err(_)) => return Err(End::Refused("a broken or too long message")),
+                        None => return Err(End::Gone),
+                    }
                 }
             }
         }

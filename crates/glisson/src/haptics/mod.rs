@@ -7,6 +7,7 @@
 pub mod device;
 pub mod tissue;
 pub mod extrapolation;
+pub mod slide;
 pub mod handover;
 pub mod patch;
 pub mod coupling;
@@ -26,4 +27,5 @@ pub use mapping::DeviceMapping;
 pub use passivity::{EnergyControl, TankSettings};
 pub use patch::PatchStiffness;
 pub use simulated::{HandPath, HandSettings, SimulatedDevice, SimulatedDeviceSettings};
+pub use slide::Slide;
 pub use tissue::{HapticModel, Touch, TouchedPart};

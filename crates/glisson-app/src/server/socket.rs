@@ -152,8 +152,12 @@ impl Connection {
                     }
                 }
                 message = self.socket.recv() => {
-                    let Some(Ok(message)) = message else { return Err(End::Gone) };
-                    self.hear(message).await?;
+                    match message {
+                        Some(Ok(message)) => self.hear(message).await?,
+                        // Of who is gone, too: then nobody takes the reason.
+                        Some(Err(_)) => return Err(End::Refused("a broken or too long message")),
+                        None => return Err(End::Gone),
+                    }
                 }
             }
         }

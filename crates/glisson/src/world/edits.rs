@@ -343,6 +343,11 @@ impl World {
         self.journal.records.len()
     }
 
+    /// What the edits that can be taken back did, the oldest first.
+    pub fn undoable_changes(&self) -> impl DoubleEndedIterator<Item = &TopologyChange> + '_ {
+        self.journal.records.iter().map(|record| &record.change)
+    }
+
     /// How many edits can be taken back from now on at most. An edit of a model that has to be copied for it costs its
     /// memory; of these only the last two are kept.
     pub fn set_undo_depth(&mut self, depth: usize) {

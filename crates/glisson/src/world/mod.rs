@@ -34,7 +34,7 @@ use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::model::kind::ModelKind;
-use crate::model::{Constraints, DeformableModel, Effort, ModelReport, ModelState};
+use crate::model::{Constraints, DeformableModel, Effort, ModelReport, ModelState, NodalForce};
 use crate::record::hash::StateHash;
 use crate::record::snapshot::{BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
 use crate::tool::found::Detected;
@@ -476,6 +476,11 @@ impl World {
         let positions_m = self.model.state().positions_m;
         let Some(vessels) = &mut self.vessels else { return false };
         vessels.clip(tip_m, reach_m, self.organ.body(), positions_m)
+    }
+
+    /// Forces of the scene's loads on nodes in the last step, ascending by node.
+    pub fn load_forces(&self) -> &[NodalForce] {
+        &self.constraints.forces
     }
 
     /// The instruments.

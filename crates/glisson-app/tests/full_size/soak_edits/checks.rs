@@ -148,25 +148,22 @@ const HEAVY_M_PER_S2: f64 = 1e3;
 /// A step that no model divides.
 pub(super) const AT_ONCE_S: f64 = 1e-12;
 
-/// Compares `edited`, the model of `body`, with `fresh`, that of its live nodes and tetrahedra alone: the forces that hold
-/// all nodes where they are now, moved a little and smoothly. Inertia plays no part in them.
-pub(super) fn difference(
-    body: &EditableMesh,
-    now_m: &[DVec3],
-    mut edited: Box<dyn DeformableModel>,
-    mut fresh: Box<dyn DeformableModel>,
-    label: &str,
-) -> Difference {
-    let live: Vec<NodeId> = body.topology().live_nodes().collect();
-    let per_m = 2.0 * std::f64::consts::PI / 0.1;
-    let bent = |p: DVec3| {
-        let way = DVec3::new((per_m * p.y).sin(), (per_m * p.z).sin(), (per_m * p.x).sin());
-        p + way * (STRAIN / per_m)
-    };
-    let all_m: Vec<DVec3> = now_m.iter().map(|p| bent(*p)).collect();
-    let live_m: Vec<DVec3> = live.iter().map(|n| all_m[n.index()]).collect();
-    let rest_m: Vec<DVec3> = live.iter().map(|n| body.mesh().positions_m[n.index()]).collect();
-    let held = |model: &mut dyn DeformableModel, all_m: &[DVec3], number: &dyn Fn(usize) -> NodeId| {
+/// What holds all nodes of a model where they are told to be, elastic forces and weights, and how many of the nodes it holds
+/// itself.
+struct HeldForces {
+    n_fixed: u32,
+    elastic_n: Vec<DVec3>,
+    weights_n: Vec<DVec3>,
+}
+
+impl HeldForces {
+    /// Of `model`, with the nodes of `rest_m`, under their numbers, at their places in `all_m`. Inertia plays no part.
+    fn of(
+        model: &mut dyn DeformableModel,
+        all_m: &[DVec3],
+        rest_m: &[DVec3],
+        number: &dyn Fn(usize) -> NodeId,
+    ) -> Self {
         model.take_over(all_m);
         let of_node = |(i, rest_m): (usize, &DVec3)| {
             let node = number(i);
@@ -174,7 +171,7 @@ pub(super) fn difference(
         };
         let displacements = rest_m.iter().enumerate().map(of_node).collect();
         model.apply(&Constraints { displacements, forces: Vec::new() });
-        let n_ignored = model.report().n_ignored_constraints;
+        let n_fixed = model.report().n_ignored_constraints;
         let mut under = |gravity_m_per_s2: DVec3| {
             model.set_gravity(gravity_m_per_s2);
             model.step(AT_ONCE_S);
@@ -183,12 +180,87 @@ pub(super) fn difference(
         let elastic_n = under(DVec3::ZERO);
         let heavy_n = under(DVec3::Z * HEAVY_M_PER_S2);
         let weights_n: Vec<DVec3> = heavy_n.iter().zip(&elastic_n).map(|(a, b)| *a - *b).collect();
-        (n_ignored, elastic_n, weights_n)
+        Self { n_fixed, elastic_n, weights_n }
+    }
+}
+
+/// Places now, moved a little and smoothly, so that all tetrahedra have some strain.
+fn bent(now_m: &[DVec3]) -> Vec<DVec3> {
+    let per_m = 2.0 * std::f64::consts::PI / 0.1;
+    let bent = |p: &DVec3| {
+        let way = DVec3::new((per_m * p.y).sin(), (per_m * p.z).sin(), (per_m * p.x).sin());
+        *p + way * (STRAIN / per_m)
     };
-    let (n_fixed, edited_n, edited_weight_n) = held(edited.as_mut(), &all_m, &|i| live[i]);
-    let (n_expected, fresh_n, fresh_weight_n) = held(fresh.as_mut(), &live_m, &NodeId::from_index);
-    assert_eq!(n_fixed, n_expected, "{label}: nodes that are supported");
-    Difference { forces: apart(&edited_n, &fresh_n), weights: apart(&edited_weight_n, &fresh_weight_n) }
+    now_m.iter().map(bent).collect()
+}
+
+fn live_and_rest(body: &EditableMesh) -> (Vec<NodeId>, Vec<DVec3>) {
+    let live: Vec<NodeId> = body.topology().live_nodes().collect();
+    let rest_m = live.iter().map(|n| body.mesh().positions_m[n.index()]).collect();
+    (live, rest_m)
+}
+
+/// Compares `edited`, the model of `body`, with `fresh`, that of its live nodes and tetrahedra alone: the forces that hold
+/// all nodes where they are now, moved a little.
+pub(super) fn difference(
+    body: &EditableMesh,
+    now_m: &[DVec3],
+    mut edited: Box<dyn DeformableModel>,
+    mut fresh: Box<dyn DeformableModel>,
+    label: &str,
+) -> Difference {
+    let (live, rest_m) = live_and_rest(body);
+    let all_m = bent(now_m);
+    let live_m: Vec<DVec3> = live.iter().map(|n| all_m[n.index()]).collect();
+    let found = HeldForces::of(edited.as_mut(), &all_m, &rest_m, &|i| live[i]);
+    let expected = HeldForces::of(fresh.as_mut(), &live_m, &rest_m, &NodeId::from_index);
+    assert_eq!(found.n_fixed, expected.n_fixed, "{label}: nodes that are supported");
+    Difference {
+        forces: apart(&found.elastic_n, &expected.elastic_n),
+        weights: apart(&found.weights_n, &expected.weights_n),
+    }
+}
+
+/// What a plain computation says of each live node.
+pub(super) struct Plain {
+    /// Force that holds it, none of a fixed one [N].
+    pub(super) forces_n: Vec<DVec3>,
+    pub(super) masses_kg: Vec<f64>,
+    pub(super) is_fixed: Vec<bool>,
+}
+
+/// Compares `edited`, the model of `body`, with a plain computation for given places of all nodes; answers also the sum of
+/// the model's masses [kg], in which fixed nodes, whose weight nobody feels, stand with their plain ones.
+pub(super) fn against_plain(
+    body: &EditableMesh,
+    now_m: &[DVec3],
+    mut edited: Box<dyn DeformableModel>,
+    plain: impl Fn(&[DVec3]) -> Plain,
+    label: &str,
+) -> (Difference, f64) {
+    let (live, rest_m) = live_and_rest(body);
+    let all_m = bent(now_m);
+    let found = HeldForces::of(edited.as_mut(), &all_m, &rest_m, &|i| live[i]);
+    let plain = plain(&all_m);
+    let n_fixed = plain.is_fixed.iter().filter(|f| **f).count();
+    assert_eq!(found.n_fixed as usize, n_fixed, "{label}: nodes that are supported");
+    let of_nodes = plain.masses_kg.iter().zip(&plain.is_fixed);
+    let weights_n: Vec<DVec3> = of_nodes
+        .clone()
+        .map(
+            |(mass_kg, is_fixed)| {
+                if *is_fixed { DVec3::ZERO } else { DVec3::Z * (-HEAVY_M_PER_S2 * mass_kg) }
+            },
+        )
+        .collect();
+    let found_kg = found.weights_n.iter().map(|w| -w.z / HEAVY_M_PER_S2);
+    let mass_kg =
+        found_kg.zip(of_nodes).map(|(found_kg, (kg, is_fixed))| if *is_fixed { *kg } else { found_kg });
+    let difference = Difference {
+        forces: apart(&found.elastic_n, &plain.forces_n),
+        weights: apart(&found.weights_n, &weights_n),
+    };
+    (difference, mass_kg.sum())
 }
 
 /// Largest difference over the largest length.

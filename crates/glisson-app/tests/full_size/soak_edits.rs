@@ -99,6 +99,8 @@ fn random_edits_break_nothing() {
     let n_seeds = edits.div_ceil(EDITS_OF_SEED).max(bodies.len() as u64);
     let asked = edits.div_ceil(n_seeds);
     let results = Mutex::new(Results::go_on(log, n_seeds, asked));
+    // One seed alone, to look at what it broke.
+    let only: Option<u64> = std::env::var("GLISSON_SOAK_EDITS_SEED").ok().map(|s| s.parse().unwrap());
     let next = AtomicU64::new(0);
     std::thread::scope(|scope| {
         for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
@@ -108,7 +110,7 @@ fn random_edits_break_nothing() {
                     if seed >= n_seeds {
                         break;
                     }
-                    if results.lock().unwrap().has(seed) {
+                    if results.lock().unwrap().has(seed) || only.is_some_and(|only| only != seed) {
                         continue;
                     }
                     let (name, mesh) = &bodies[(seed % bodies.len() as u64) as usize];
@@ -127,6 +129,9 @@ fn random_edits_break_nothing() {
     let all = results.all();
     let broken: Vec<_> = results.broken().map(|r| (r.seed, r.broken.clone())).collect();
     assert!(broken.is_empty(), "{broken:?}");
+    if only.is_some() {
+        return;
+    }
     let by_tools = [all.burns, all.snips, all.tool_blade_edits, all.tears];
     let happened = [all.removals, all.blade_edits, all.scalpel_edits, all.undone, all.held];
     let all_happened = happened.iter().chain(&by_tools).all(|&n| n > 0);

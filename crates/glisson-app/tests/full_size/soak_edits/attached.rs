@@ -210,10 +210,21 @@ impl Attached {
             let share_kg = 0.25 * volume_m3 * materials[number].density_kg_per_m3();
             nodes.iter().for_each(|n| masses_kg[n.index()] += share_kg);
         }
-        for ligament in &self.ligaments {
-            forces_n[ligament.node.index()] -= ligament.force_n(place_m(ligament.node));
+        let places_m: Vec<DVec3> = (0..rest_m.len()).map(|n| place_m(NodeId::from_index(n))).collect();
+        for (sum_n, force_n) in forces_n.iter_mut().zip(self.ligaments_n(&places_m)) {
+            *sum_n += force_n;
         }
         (forces_n, masses_kg)
+    }
+
+    /// The force that holds each node against its ligaments [N].
+    pub(super) fn ligaments_n(&self, places_m: &[DVec3]) -> Vec<DVec3> {
+        let mut forces_n = vec![DVec3::ZERO; places_m.len()];
+        for ligament in &self.ligaments {
+            let n = ligament.node.index();
+            forces_n[n] -= ligament.force_n(places_m[n]);
+        }
+        forces_n
     }
 }
 

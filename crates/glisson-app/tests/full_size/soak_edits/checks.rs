@@ -143,7 +143,7 @@ pub(super) struct Difference {
 
 /// Strain by which nodes are moved before forces are compared, so that all tetrahedra have some: a choice.
 const STRAIN: f64 = 0.1;
-/// Weight is told apart from elastic forces by a gravity [m/s2] that makes it as large.
+/// Weights are measured under a gravity [m/s2] beside which rounding of other forces counts for nothing.
 const HEAVY_M_PER_S2: f64 = 1e3;
 /// A step that no model divides.
 pub(super) const AT_ONCE_S: f64 = 1e-12;
@@ -157,29 +157,24 @@ struct HeldForces {
 }
 
 impl HeldForces {
-    /// Of `model`, with the nodes of `rest_m`, under their numbers, at their places in `all_m`. Inertia plays no part.
-    fn of(
-        model: &mut dyn DeformableModel,
-        all_m: &[DVec3],
-        rest_m: &[DVec3],
-        number: &dyn Fn(usize) -> NodeId,
-    ) -> Self {
-        model.take_over(all_m);
-        let of_node = |(i, rest_m): (usize, &DVec3)| {
-            let node = number(i);
-            ImposedDisplacement { node, displacement_m: all_m[node.index()] - *rest_m }
-        };
-        let displacements = rest_m.iter().enumerate().map(of_node).collect();
-        model.apply(&Constraints { displacements, forces: Vec::new() });
-        let n_fixed = model.report().n_ignored_constraints;
-        let mut under = |gravity_m_per_s2: DVec3| {
+    /// Of `model`, with its nodes at rest at `rest_m` and now at `now_m`: those named by `nodes` are held. Inertia plays no part.
+    fn of(model: &mut dyn DeformableModel, rest_m: &[DVec3], now_m: &[DVec3], nodes: &[NodeId]) -> Self {
+        let mut under = |at_m: &[DVec3], gravity_m_per_s2: DVec3| {
+            let of_node = |&node: &NodeId| {
+                let n = node.index();
+                ImposedDisplacement { node, displacement_m: at_m[n] - rest_m[n] }
+            };
+            let displacements = nodes.iter().map(of_node).collect();
+            // Without memory of stress, which relaxes even in so short a step.
+            model.take_over(at_m);
+            model.apply(&Constraints { displacements, forces: Vec::new() });
             model.set_gravity(gravity_m_per_s2);
             model.step(AT_ONCE_S);
-            model.constraint_forces_n().to_vec()
+            (model.constraint_forces_n().to_vec(), model.report().n_ignored_constraints)
         };
-        let elastic_n = under(DVec3::ZERO);
-        let heavy_n = under(DVec3::Z * HEAVY_M_PER_S2);
-        let weights_n: Vec<DVec3> = heavy_n.iter().zip(&elastic_n).map(|(a, b)| *a - *b).collect();
+        let (elastic_n, n_fixed) = under(now_m, DVec3::ZERO);
+        // At rest, where nothing else is felt.
+        let (weights_n, _) = under(rest_m, DVec3::Z * HEAVY_M_PER_S2);
         Self { n_fixed, elastic_n, weights_n }
     }
 }
@@ -194,12 +189,6 @@ fn bent(now_m: &[DVec3]) -> Vec<DVec3> {
     now_m.iter().map(bent).collect()
 }
 
-fn live_and_rest(body: &EditableMesh) -> (Vec<NodeId>, Vec<DVec3>) {
-    let live: Vec<NodeId> = body.topology().live_nodes().collect();
-    let rest_m = live.iter().map(|n| body.mesh().positions_m[n.index()]).collect();
-    (live, rest_m)
-}
-
 /// Compares `edited`, the model of `body`, with `fresh`, that of its live nodes and tetrahedra alone: the forces that hold
 /// all nodes where they are now, moved a little.
 pub(super) fn difference(
@@ -209,11 +198,12 @@ pub(super) fn difference(
     mut fresh: Box<dyn DeformableModel>,
     label: &str,
 ) -> Difference {
-    let (live, rest_m) = live_and_rest(body);
-    let all_m = bent(now_m);
-    let live_m: Vec<DVec3> = live.iter().map(|n| all_m[n.index()]).collect();
-    let found = HeldForces::of(edited.as_mut(), &all_m, &rest_m, &|i| live[i]);
-    let expected = HeldForces::of(fresh.as_mut(), &live_m, &rest_m, &NodeId::from_index);
+    let live: Vec<NodeId> = body.topology().live_nodes().collect();
+    let (rest_m, all_m) = (&body.mesh().positions_m, bent(now_m));
+    let of_live = |all: &[DVec3]| live.iter().map(|n| all[n.index()]).collect::<Vec<_>>();
+    let new: Vec<NodeId> = (0..live.len()).map(NodeId::from_index).collect();
+    let found = HeldForces::of(edited.as_mut(), rest_m, &all_m, &live);
+    let expected = HeldForces::of(fresh.as_mut(), &of_live(rest_m), &of_live(&all_m), &new);
     assert_eq!(found.n_fixed, expected.n_fixed, "{label}: nodes that are supported");
     Difference {
         forces: apart(&found.elastic_n, &expected.elastic_n),
@@ -225,37 +215,38 @@ pub(super) fn difference(
 pub(super) struct Plain {
     /// Force that holds it, none of a fixed one [N].
     pub(super) forces_n: Vec<DVec3>,
+    /// The same where all nodes rest: that of ligaments at nodes that were moved at rest.
+    pub(super) at_rest_n: Vec<DVec3>,
     pub(super) masses_kg: Vec<f64>,
     pub(super) is_fixed: Vec<bool>,
 }
 
-/// Compares `edited`, the model of `body`, with a plain computation for given places of all nodes; answers also the sum of
-/// the model's masses [kg], in which fixed nodes, whose weight nobody feels, stand with their plain ones.
+/// Compares `edited`, the model of `body`, with a plain computation for given places of all nodes: those at rest, moved a
+/// little, where every tetrahedron counts and none hides behind crumbs that fly. Answers also the sum of the model's
+/// masses [kg], in which fixed nodes, whose weight nobody feels, stand with their plain ones.
 pub(super) fn against_plain(
     body: &EditableMesh,
-    now_m: &[DVec3],
     mut edited: Box<dyn DeformableModel>,
     plain: impl Fn(&[DVec3]) -> Plain,
     label: &str,
 ) -> (Difference, f64) {
-    let (live, rest_m) = live_and_rest(body);
-    let all_m = bent(now_m);
-    let found = HeldForces::of(edited.as_mut(), &all_m, &rest_m, &|i| live[i]);
+    let live: Vec<NodeId> = body.topology().live_nodes().collect();
+    let rest_m = &body.mesh().positions_m;
+    let all_m = bent(rest_m);
+    let found = HeldForces::of(edited.as_mut(), rest_m, &all_m, &live);
     let plain = plain(&all_m);
     let n_fixed = plain.is_fixed.iter().filter(|f| **f).count();
     assert_eq!(found.n_fixed as usize, n_fixed, "{label}: nodes that are supported");
-    let of_nodes = plain.masses_kg.iter().zip(&plain.is_fixed);
-    let weights_n: Vec<DVec3> = of_nodes
-        .clone()
-        .map(
-            |(mass_kg, is_fixed)| {
-                if *is_fixed { DVec3::ZERO } else { DVec3::Z * (-HEAVY_M_PER_S2 * mass_kg) }
-            },
-        )
+    let n = live.len();
+    let masses_n = (0..n).map(|i| DVec3::Z * (-HEAVY_M_PER_S2 * plain.masses_kg[i]));
+    let weights_n: Vec<DVec3> = masses_n
+        .enumerate()
+        .map(|(i, weight_n)| if plain.is_fixed[i] { DVec3::ZERO } else { weight_n + plain.at_rest_n[i] })
         .collect();
-    let found_kg = found.weights_n.iter().map(|w| -w.z / HEAVY_M_PER_S2);
-    let mass_kg =
-        found_kg.zip(of_nodes).map(|(found_kg, (kg, is_fixed))| if *is_fixed { *kg } else { found_kg });
+    let mass_kg = (0..n).map(|i| {
+        let found_kg = (plain.at_rest_n[i].z - found.weights_n[i].z) / HEAVY_M_PER_S2;
+        if plain.is_fixed[i] { plain.masses_kg[i] } else { found_kg }
+    });
     let difference = Difference {
         forces: apart(&found.elastic_n, &plain.forces_n),
         weights: apart(&found.weights_n, &weights_n),

@@ -2,7 +2,6 @@
 
 use super::patient::{Patient, Volume};
 use glisson::math::DVec3;
-use glisson::mesh::edit::TopologyChange;
 use glisson::tool::{Blade, BladeCuts, CutRule, Grip, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind, ToolShape};
 
 const JAWS: Jaws = Jaws { length_m: 0.02, width_m: 6e-3, greatest_opening_rad: 1.0, closing_force_n: 20.0 };
@@ -47,19 +46,17 @@ impl Patient<'_> {
         let before = self.before();
         let positions_m = self.world.state().positions_m.to_vec();
         let live = self.world.organ().live_tetrahedra().to_vec();
-        let version = self.world.organ().topology_version();
+        self.world.take_changes();
         let cuts = self.world.cut_with_tools();
         self.tally.refused += cuts.refusals.len() as u64 + u64::from(cuts.tear_refusal.is_some());
-        let n_edits = (self.world.organ().topology_version() - version) as usize;
+        let changes = self.world.take_changes();
+        let n_edits = changes.len();
         if n_edits == 0 {
             return;
         }
-        let changes: Vec<TopologyChange> =
-            self.world.undoable_changes().rev().take(n_edits).cloned().collect::<Vec<_>>();
-        assert_eq!(changes.len(), n_edits, "{}: edits of one call that can be taken back", self.label());
-        let changes: Vec<TopologyChange> = changes.into_iter().rev().collect();
         self.check(&before, Volume::Taken(cuts.n_removed + cuts.n_torn), &changes);
-        if self.random.uniform() < TAKEN_BACK {
+        // Edits for which the model was copied whole cannot all be taken back.
+        if self.random.uniform() < TAKEN_BACK && self.world.n_edits_to_undo() >= n_edits {
             let label = self.label();
             for _ in 0..n_edits {
                 assert!(self.world.undo_edit(), "{label}: cannot be undone");

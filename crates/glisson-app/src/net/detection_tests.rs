@@ -42,8 +42,7 @@ fn haptics(link: Link) -> HapticsEnd {
 
 /// A simulation that has this surface and takes another step.
 fn publish(simulation: &mut SimulationEnd, step: u64, whole: &Arc<SurfaceList>, touch: Touch) {
-    let nearby = Nearby { version: whole.version, whole: Arc::clone(whole), ..Nearby::default() };
-    simulation.tool.nearby.as_mut().unwrap().publish(nearby);
+    simulation.tool.nearby.as_mut().unwrap().publish(Nearby::of(whole));
     let model = HapticModel { step, touch, ..HapticModel::default() };
     simulation.tool.models.publish(PublishedModel { model, made_ns: now_ns() });
 }

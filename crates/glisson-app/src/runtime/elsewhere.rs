@@ -35,6 +35,12 @@ impl Default for Nearby {
 }
 
 impl Nearby {
+    /// A surface of which nothing near is told.
+    #[cfg(test)]
+    pub(crate) fn of(whole: &Arc<SurfaceList>) -> Self {
+        Self { version: whole.version, whole: Arc::clone(whole), ..Self::default() }
+    }
+
     /// Where nodes are now.
     pub(crate) fn nodes(&self) -> &[NodePlace] {
         &self.nodes[..self.n_nodes]

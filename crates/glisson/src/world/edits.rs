@@ -8,7 +8,7 @@ use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
 use super::spec::{fixed_nodes, nodes_in};
 use super::vessels::Vessels;
-use super::{QueuedSwap, World};
+use super::{QueuedSwap, World, own_contact_of};
 use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::refine::{FineRegion, refining};
 use crate::mesh::repair::{MendParams, mending};
@@ -347,6 +347,7 @@ impl World {
         if let Some(vessels) = &mut self.vessels {
             vessels.follow(self.organ.body(), change);
         }
+        self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
     }
 
     /// Takes the last edit back, and an order of a model that was not delivered yet: mesh, model, supports, loads and vessels are what they were just before it, bit for bit,
@@ -379,6 +380,7 @@ impl World {
         for (active, heat) in self.active.iter_mut().zip(&record.heat) {
             active.go_back_to(heat);
         }
+        self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
         self.owners.clear();
         self.constraints.displacements.clear();
         if self.journal.later.pop().is_none() {

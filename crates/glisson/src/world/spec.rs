@@ -1,5 +1,6 @@
 //! What a world is made from, in SI.
 
+use crate::contact::response::itself::OwnContactParams;
 use crate::image::vessels::Tube;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::NodeId;
@@ -28,6 +29,8 @@ pub struct WorldSpec {
     pub tearing: Option<Tearing>,
     /// Whether the worst tetrahedra at a cut are mended when the blade is lifted.
     pub mends_cuts: bool,
+    /// How the organ touches itself, and pieces cut loose each other; they pass through when absent.
+    pub own_contact: Option<OwnContactParams>,
     /// Blood vessels inside the organ, in its rest shape.
     pub vessels: Vec<Tube>,
     /// The instruments: one to [`crate::tool::MAX_TOOLS`].
@@ -47,6 +50,7 @@ impl WorldSpec {
             fields: Vec::new(),
             tearing: None,
             mends_cuts: false,
+            own_contact: None,
             vessels: Vec::new(),
             tools: vec![tool],
         }

@@ -43,6 +43,7 @@ mod surfaces;
 mod surface_copy;
 mod world_slide;
 mod world_steps;
+mod world_stroke_end;
 mod world_tools;
 mod world_tear;
 mod mesh_edits;

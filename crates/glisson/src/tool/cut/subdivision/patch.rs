@@ -94,6 +94,8 @@ pub(super) struct PatchNode {
     pub(super) is_wake: bool,
     /// All tetrahedra at the node are in the patch.
     has_whole_star: bool,
+    /// [`Patch::n_changes`] when a tetrahedron at the node was last taken out.
+    pub(super) changed_at: usize,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -113,6 +115,8 @@ pub(super) struct PatchTet {
 pub(super) struct Patch {
     pub(super) nodes: Vec<PatchNode>,
     pub(super) tets: Vec<PatchTet>,
+    /// How many tetrahedra were taken out.
+    pub(super) n_changes: usize,
     /// Live tetrahedra at each node; longer than `nodes`, the rest to be used again.
     stars: Vec<Vec<u32>>,
     node_here: Vec<u32>,
@@ -182,6 +186,7 @@ impl Patch {
         self.tet_here.resize(mesh.topology().n_tets(), ABSENT);
         self.nodes.clear();
         self.tets.clear();
+        self.n_changes = 0;
         self.cut.clear();
         self.front.clear();
     }
@@ -225,6 +230,7 @@ impl Patch {
             is_front_end: false,
             is_wake: false,
             has_whole_star: false,
+            changed_at: 0,
         });
         self.node_here[node.index()] = here;
         self.pulled_nodes.push(node);
@@ -320,9 +326,14 @@ impl Patch {
     /// Unit normal, in the present shape, of the surface of the body at a node with its whole star in the patch;
     /// `None` inside, and where the sides of an earlier cut meet.
     pub(super) fn skin_normal(&self, node: u32) -> Option<DVec3> {
+        self.normal_of(&self.single_sides(node))
+    }
+
+    /// Unit normal of faces in the present shape; `None` if they are not flat together, or none.
+    pub(super) fn normal_of(&self, faces: &[[u32; 3]]) -> Option<DVec3> {
         let mut sum = DVec3::ZERO;
         let mut length = 0.0;
-        for face in self.single_sides(node) {
+        for face in faces {
             let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
             let area = (b - a).cross(c - a);
             sum += area;
@@ -468,7 +479,9 @@ impl Patch {
 
     pub(super) fn take_out(&mut self, tet: u32) {
         self.tets[tet as usize].is_live = false;
+        self.n_changes += 1;
         for node in self.tets[tet as usize].nodes {
+            self.nodes[node as usize].changed_at = self.n_changes;
             self.stars[node as usize].retain(|&t| t != tet);
         }
     }
@@ -502,6 +515,7 @@ impl Patch {
             is_front_end: false,
             is_wake: false,
             has_whole_star: true,
+            changed_at: 0,
         });
         let star = std::mem::take(&mut self.stars[a as usize]);
         for &tet in &star {
@@ -600,6 +614,7 @@ impl Patch {
             is_front_end: false,
             is_wake: false,
             has_whole_star: true,
+            changed_at: 0,
         });
         let swapped = |nodes: [u32; 4], gone: u32| nodes.map(|n| if n == gone { middle } else { n });
         for tet in self.tets_at_face(face).collect::<Vec<u32>>() {

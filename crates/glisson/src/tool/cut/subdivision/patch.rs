@@ -129,6 +129,12 @@ pub(super) struct Patch {
     pub(super) cut: Vec<[u32; 3]>,
     /// Nodes of these faces where the blade is now, and whether its end is there.
     pub(super) front: Vec<(u32, bool)>,
+    /// Around each node of the faces that gets copies, where its tetrahedra begin in `parted`.
+    pub(super) parting: Vec<(u32, usize)>,
+    /// Tetrahedra around the nodes of `parting`, ascending around each, and the copy of the node that each gets.
+    pub(super) parted: Vec<(u32, u32)>,
+    /// Whether the faces still are those that `parting` knows.
+    pub(super) is_parting_known: bool,
 }
 
 /// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
@@ -173,6 +179,11 @@ pub(super) fn sorted(mut face: [u32; 3]) -> [u32; 3] {
     face
 }
 
+/// Two nodes as one number, whatever their order.
+pub(super) fn pair_key(a: u32, b: u32) -> u64 {
+    u64::from(a.min(b)) << 32 | u64::from(a.max(b))
+}
+
 impl Patch {
     /// Empties the patch for work on `mesh`.
     pub(super) fn start(&mut self, mesh: &EditableMesh) {
@@ -187,6 +198,7 @@ impl Patch {
         self.nodes.clear();
         self.tets.clear();
         self.n_changes = 0;
+        self.is_parting_known = false;
         self.cut.clear();
         self.front.clear();
     }
@@ -313,13 +325,18 @@ impl Patch {
     /// Faces at a node, with its whole star in the patch, that belong to one tetrahedron: the surface of the body.
     /// Counter-clockwise from outside.
     pub(super) fn single_sides(&self, node: u32) -> Vec<[u32; 3]> {
-        let mut faces: Vec<([u32; 3], [u32; 3])> = Vec::with_capacity(3 * self.stars[node as usize].len());
+        // The two other nodes, ascending, stand for the face: one number sorts faster than three.
+        let mut faces: Vec<(u64, [u32; 3])> = Vec::with_capacity(3 * self.stars[node as usize].len());
         for &tet in &self.stars[node as usize] {
             let nodes = self.tets[tet as usize].nodes;
-            let at_node = FACES.map(|f| f.map(|i| nodes[i])).into_iter().filter(|f| f.contains(&node));
-            faces.extend(at_node.map(|face| (sorted(face), face)));
+            for [i, j, k] in FACES {
+                let face = [nodes[i], nodes[j], nodes[k]];
+                if let Some(at) = face.iter().position(|&n| n == node) {
+                    faces.push((pair_key(face[(at + 1) % 3], face[(at + 2) % 3]), face));
+                }
+            }
         }
-        faces.sort_unstable();
+        faces.sort_unstable_by_key(|face| face.0);
         faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1).collect()
     }
 

@@ -6,6 +6,7 @@ pub(crate) mod histogram;
 pub(crate) mod realtime;
 pub(crate) mod force_choices;
 pub(crate) mod haptic_loop;
+pub(crate) mod elsewhere;
 pub(crate) mod live;
 mod effort;
 pub(crate) mod recorder;
@@ -171,7 +172,9 @@ impl Simulation {
         }
         let placed = (0..n_tools).filter(|&tool| input.placed[tool]).map(|tool| tool as u8).collect();
         let (step, n_substeps) = (self.world.steps_made(), input.n_substeps);
-        self.record(&SessionEvent::Input { step, tools, n_substeps, placed })?;
+        let found = &input.detected[..n_tools];
+        let detected = if found.iter().any(Option::is_some) { found.to_vec() } else { Vec::new() };
+        self.record(&SessionEvent::Input { step, tools, n_substeps, placed, detected })?;
         let report = self.world.step(input);
         self.cut_with_tools();
         if report.n_non_finite_nodes > 0 {
@@ -205,6 +208,15 @@ impl Simulation {
             && !std::mem::replace(&mut self.told_tear_refusal, true)
         {
             self.tell(format!("tissue is stretched too far and does not tear: {refusal}"));
+        }
+        for (tool, stroke) in cuts.strokes.iter().filter(|(_, stroke)| stroke.n_merged > 0) {
+            let (cut_mm2, swept_mm2) = (1e6 * stroke.cut_area_m2, 1e6 * stroke.swept_area_m2);
+            let name = &self.world.tools()[*tool].name;
+            self.tell(format!(
+                "the {name} opened {cut_mm2:.0} mm2 where its edge swept {swept_mm2:.0} mm2: faces of the cut merged with others \
+                 nearby; worst angle of a tetrahedron {:.1} degrees",
+                stroke.worst_dihedral_deg.unwrap_or(180.0)
+            ));
         }
         for (tool, refusal) in cuts.refusals {
             if !std::mem::replace(&mut refuses[tool], true) && !self.refused_last[tool] {

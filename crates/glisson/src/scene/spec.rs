@@ -77,6 +77,7 @@ impl Scene {
             fields: surroundings.fields,
             // Its material comes with the mesh.
             tearing: None,
+            mends_cuts: false,
             own_contact,
             vessels: Vec::new(),
             tools: scripted,

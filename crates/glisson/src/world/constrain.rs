@@ -1,7 +1,7 @@
 //! The stages of a step around the model: what the hands do to it, and what they feel of it.
 
 use super::grasp::{Grasp, HOLDS_BELOW, Hold};
-use super::hand::Hand;
+use super::hand::{ContactSearch, Hand};
 use super::parts::ToolPart;
 use super::slide::{Follow, PatchAnswer};
 use super::tear::edge_motion_m;
@@ -66,7 +66,13 @@ impl World {
                 }
             }
             hand.follow_edge(tool, &self.organ);
-            hand.find_contacts(tool, &self.organ, self.spec.tearing.as_ref(), input.placed[place]);
+            let search = ContactSearch {
+                organ: &self.organ,
+                tearing: self.spec.tearing.as_ref(),
+                is_placed: input.placed[place],
+                detected: input.detected_on(place, self.organ.topology_version()),
+            };
+            hand.find_contacts(tool, &search);
             for contact in hand.contacts.iter_mut().flatten() {
                 contact.push_out(self.spec.time_step_s);
             }
@@ -177,6 +183,15 @@ impl World {
         let owner = Owner { hand: hand as u8, part };
         let forces = self.model.constraint_forces_n().iter().zip(&self.owners);
         forces.filter(|(_, o)| **o == owner).map(|(force_n, _)| *force_n).sum()
+    }
+
+    /// Force of a hand on one of the nodes that its jaws hold in the last step [N].
+    pub(super) fn force_on_node_n(&self, hand: usize, node: NodeId) -> DVec3 {
+        let owner = Owner { hand: hand as u8, part: None };
+        let imposed = self.constraints.displacements.iter().zip(&self.owners);
+        let mut forces = imposed.zip(self.model.constraint_forces_n());
+        let found = forces.find(|((imposed, found), _)| imposed.node == node && **found == owner);
+        found.map_or(DVec3::ZERO, |(_, force_n)| *force_n)
     }
 
     /// Force of one part of a hand on each of three nodes in the last step [N].

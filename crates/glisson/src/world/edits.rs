@@ -6,10 +6,12 @@ use super::active::ActiveTip;
 use super::hand::Hand;
 use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
+use super::spec::{fixed_nodes, nodes_in};
 use super::vessels::Vessels;
 use super::{QueuedSwap, World, own_contact_of};
 use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::refine::{FineRegion, refining};
+use crate::mesh::repair::{MendParams, mending};
 use crate::mesh::topology::TopologyError;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::{DeformableModel, ModelUndo, TopologyRefusal};
@@ -86,6 +88,8 @@ pub(super) struct Journal {
     /// ... then all edits that stand from the first on that was no removal. They grow with the mesh, whose numbers
     /// only grow as well.
     later: Vec<Vec<MeshEdit>>,
+    /// What edits did, if somebody wants to know.
+    changes: Option<Vec<TopologyChange>>,
 }
 
 impl Journal {
@@ -96,13 +100,15 @@ impl Journal {
             depth: UNDO_DEPTH,
             removed: Vec::new(),
             later: Vec::new(),
+            changes: None,
         }
     }
 
     /// The same edits, of which none can be taken back: their saved values belong to another world.
     pub(super) fn without_undo(&self) -> Self {
         let (removed, later) = (self.removed.clone(), self.later.clone());
-        Self { depth: self.depth, removed, later, ..Self::new() }
+        let changes = self.changes.as_ref().map(|_| Vec::new());
+        Self { depth: self.depth, removed, later, changes, ..Self::new() }
     }
 
     /// No edit so far can be taken back any more.
@@ -177,6 +183,51 @@ impl World {
         }
     }
 
+    /// Parts what hangs together by a node or an edge alone at `nodes`, as one edit that takes nothing out
+    /// ([`EditableMesh::parting_edits`]); answers whether there was such a place.
+    ///
+    /// # Errors
+    /// As [`World::edit`].
+    pub fn part_singular_places(&mut self, nodes: &[NodeId]) -> Result<bool, EditRefusal> {
+        let topology = self.organ.body().topology();
+        let live = nodes.iter().copied().filter(|&n| topology.is_live_node(n)).collect();
+        let edits = self.organ.body_mut().parting_edits(live);
+        if edits.is_empty() {
+            return Ok(false);
+        }
+        self.edit_in_place(&edits).map(|_| true)
+    }
+
+    /// Mends the worst tetrahedra at `nodes` as one edit ([`mending`]); answers how many places got better. The surface, cuts
+    /// included, stays, and so do nodes that are held, loaded or at a ligament.
+    ///
+    /// # Errors
+    /// As [`World::edit`].
+    pub fn mend(&mut self, nodes: &[NodeId]) -> Result<usize, EditRefusal> {
+        let topology = self.organ.body().topology();
+        let live = nodes.iter().filter(|&&n| topology.is_live_node(n));
+        let mut tets: Vec<TetId> = live.flat_map(|&n| topology.node_tets(n)).copied().collect();
+        tets.sort_unstable();
+        tets.dedup();
+        let mut stays = vec![false; topology.n_nodes()];
+        let start_m = &self.mesh_of_the_start.positions_m;
+        for ligament in &self.spec.ligaments {
+            nodes_in(&[ligament.region], start_m).into_iter().for_each(|n| stays[n.index()] = true);
+        }
+        fixed_nodes(&self.spec.supports, start_m).into_iter().for_each(|f| stays[f.node.index()] = true);
+        for (n, stays) in stays.iter_mut().enumerate() {
+            let node = NodeId::from_index(n);
+            *stays |= self.organ.is_fixed(node) || self.loads.has(node);
+        }
+        let is_still = |node: NodeId| stays.get(node.index()).copied().unwrap_or(false);
+        let mending = mending(self.organ.body_mut(), &tets, &MendParams::default(), &is_still);
+        if mending.edits.is_empty() {
+            return Ok(0);
+        }
+        self.edit_in_place(&mending.edits)?;
+        Ok(mending.n_remeshed + mending.n_collapsed)
+    }
+
     /// Makes a region of the organ finer while it is simulated, as one edit (seed `003` s. 3.5); answers how many edges
     /// were divided, none where it is fine enough.
     ///
@@ -233,6 +284,9 @@ impl World {
         }
         self.let_all_follow(&mut record);
         record.n_removed_first = self.journal.note(edits);
+        if let Some(changes) = &mut self.journal.changes {
+            changes.push(record.change.clone());
+        }
         self.journal.records.push_back(record);
         self.journal.shorten();
         let last = self.journal.records.back().or(self.journal.spare.last());
@@ -341,6 +395,17 @@ impl World {
     /// How many edits can be taken back.
     pub fn n_edits_to_undo(&self) -> usize {
         self.journal.records.len()
+    }
+
+    /// Keeps what each edit from now on does, also those of the tools, for [`World::take_changes`].
+    pub fn keep_changes(&mut self) {
+        self.journal.changes.get_or_insert_default();
+    }
+
+    /// What edits did since the last call, in their order; none unless [`World::keep_changes`] was called. One that was taken
+    /// back since is among them.
+    pub fn take_changes(&mut self) -> Vec<TopologyChange> {
+        self.journal.changes.as_mut().map(std::mem::take).unwrap_or_default()
     }
 
     /// How many edits can be taken back from now on at most. An edit of a model that has to be copied for it costs its

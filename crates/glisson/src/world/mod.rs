@@ -6,6 +6,7 @@
 mod active;
 mod constrain;
 mod cut;
+pub mod detection;
 mod edits;
 mod grasp;
 mod hand;
@@ -15,13 +16,14 @@ pub mod organ;
 mod parts;
 pub mod saved;
 mod skin;
+mod capsule;
 mod slide;
 pub mod spec;
 mod tear;
 pub mod touch;
 pub mod vessels;
 
-pub use cut::ToolCuts;
+pub use cut::{BladeReport, ToolCuts};
 pub use edits::EditRefusal;
 pub use hand::ToolReport;
 pub use parts::ToolPart;
@@ -32,9 +34,10 @@ use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::model::kind::ModelKind;
-use crate::model::{Constraints, DeformableModel, Effort, ModelReport, ModelState};
+use crate::model::{Constraints, DeformableModel, Effort, ModelReport, ModelState, NodalForce};
 use crate::record::hash::StateHash;
 use crate::record::snapshot::{BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
+use crate::tool::found::Detected;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use active::ActiveTip;
 use constrain::{MOST_IMPOSED, Owner};
@@ -59,6 +62,9 @@ pub struct StepInput {
     pub n_substeps: u32,
     /// Tools that were put there without touching anything between: contacts are let go, the way is not searched.
     pub placed: [bool; MAX_TOOLS],
+    /// What was found for each tool outside of this world, on a copy of its surface; for `None`, and on another surface,
+    /// the world searches by itself.
+    pub detected: [Option<Detected>; MAX_TOOLS],
 }
 
 impl StepInput {
@@ -69,13 +75,19 @@ impl StepInput {
     pub fn of(tools: &[ToolInput]) -> Self {
         assert!((1..=MAX_TOOLS).contains(&tools.len()), "{} tools", tools.len());
         let tools = std::array::from_fn(|i| tools[i.min(tools.len() - 1)]);
-        Self { tools, n_substeps: 1, placed: [false; MAX_TOOLS] }
+        Self { tools, n_substeps: 1, placed: [false; MAX_TOOLS], detected: [None; MAX_TOOLS] }
     }
 
     /// The same tools, put there.
     #[must_use]
     pub fn placed(self) -> Self {
         Self { placed: [true; MAX_TOOLS], ..self }
+    }
+
+    /// What was found for a tool on the surface of this version, if it makes sense.
+    fn detected_on(&self, tool: usize, surface_version: u32) -> Option<&Detected> {
+        let detected = self.detected[tool].as_ref();
+        detected.filter(|d| d.surface_version == surface_version && d.is_plausible())
     }
 
     /// The same in `n_substeps` parts.
@@ -125,6 +137,8 @@ pub struct World {
     swap: Option<QueuedSwap>,
     hands: Vec<Hand>,
     active: Vec<ActiveTip>,
+    /// Of all steps; no step depends on it.
+    blades: BladeReport,
     vessels: Option<Vessels>,
     journal: Journal,
     /// What models that are made later are made from.
@@ -188,6 +202,7 @@ impl World {
             swap: None,
             hands,
             active,
+            blades: BladeReport::default(),
             vessels,
             journal: Journal::new(),
             mesh_of_the_start,
@@ -464,6 +479,11 @@ impl World {
         let positions_m = self.model.state().positions_m;
         let Some(vessels) = &mut self.vessels else { return false };
         vessels.clip(tip_m, reach_m, self.organ.body(), positions_m)
+    }
+
+    /// Forces of the scene's loads on nodes in the last step, ascending by node.
+    pub fn load_forces(&self) -> &[NodalForce] {
+        &self.constraints.forces
     }
 
     /// The instruments.

@@ -1,6 +1,6 @@
 //! The tetrahedra that a cut changes, worked on beside the mesh until the cut is whole.
 
-use crate::math::{DVec3, tetrahedron_volume_m3};
+use crate::math::{DVec3, is_inverted, tetrahedron_volume_m3};
 use crate::mesh::edit::EditableMesh;
 use crate::mesh::quality::{FACES, dihedral_cosine_range};
 use crate::mesh::topology::TET_EDGES;
@@ -94,6 +94,8 @@ pub(super) struct PatchNode {
     pub(super) is_wake: bool,
     /// All tetrahedra at the node are in the patch.
     has_whole_star: bool,
+    /// [`Patch::n_changes`] when a tetrahedron at the node was last taken out.
+    pub(super) changed_at: usize,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -113,6 +115,8 @@ pub(super) struct PatchTet {
 pub(super) struct Patch {
     pub(super) nodes: Vec<PatchNode>,
     pub(super) tets: Vec<PatchTet>,
+    /// How many tetrahedra were taken out.
+    pub(super) n_changes: usize,
     /// Live tetrahedra at each node; longer than `nodes`, the rest to be used again.
     stars: Vec<Vec<u32>>,
     node_here: Vec<u32>,
@@ -125,6 +129,12 @@ pub(super) struct Patch {
     pub(super) cut: Vec<[u32; 3]>,
     /// Nodes of these faces where the blade is now, and whether its end is there.
     pub(super) front: Vec<(u32, bool)>,
+    /// Around each node of the faces that gets copies, where its tetrahedra begin in `parted`.
+    pub(super) parting: Vec<(u32, usize)>,
+    /// Tetrahedra around the nodes of `parting`, ascending around each, and the copy of the node that each gets.
+    pub(super) parted: Vec<(u32, u32)>,
+    /// Whether the faces still are those that `parting` knows.
+    pub(super) is_parting_known: bool,
 }
 
 /// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
@@ -148,10 +158,12 @@ pub(super) enum Accept {
     Better,
 }
 
-struct StarState {
+/// The tetrahedra at a node, at rest.
+pub(super) struct StarState {
     volume_m3: f64,
-    smallest_m3: f64,
+    /// Cosine of their smallest dihedral angle, and whose it is.
     max_cosine: f64,
+    worst: Option<u32>,
 }
 
 /// Barycentric weights of a point; no numbers for a flat tetrahedron.
@@ -167,6 +179,11 @@ pub(super) fn sorted(mut face: [u32; 3]) -> [u32; 3] {
     face
 }
 
+/// Two nodes as one number, whatever their order.
+pub(super) fn pair_key(a: u32, b: u32) -> u64 {
+    u64::from(a.min(b)) << 32 | u64::from(a.max(b))
+}
+
 impl Patch {
     /// Empties the patch for work on `mesh`.
     pub(super) fn start(&mut self, mesh: &EditableMesh) {
@@ -180,6 +197,8 @@ impl Patch {
         self.tet_here.resize(mesh.topology().n_tets(), ABSENT);
         self.nodes.clear();
         self.tets.clear();
+        self.n_changes = 0;
+        self.is_parting_known = false;
         self.cut.clear();
         self.front.clear();
     }
@@ -223,6 +242,7 @@ impl Patch {
             is_front_end: false,
             is_wake: false,
             has_whole_star: false,
+            changed_at: 0,
         });
         self.node_here[node.index()] = here;
         self.pulled_nodes.push(node);
@@ -234,57 +254,103 @@ impl Patch {
     /// than accepted, or if the outside of the body would change.
     pub(super) fn move_node(&mut self, body: Body<'_>, node: u32, to_m: DVec3, accept: Accept) -> bool {
         self.pull_star(body, node);
-        let Some((blend, rest_m)) = self.locate(body, node, to_m) else { return false };
+        let before = self.star_state(node);
+        self.move_node_from(body, node, to_m, accept, &before)
+    }
+
+    /// [`Patch::move_node`] for a node with its whole star in the patch, which is `before` now.
+    pub(super) fn move_node_from(
+        &mut self,
+        body: Body<'_>,
+        node: u32,
+        to_m: DVec3,
+        accept: Accept,
+        before: &StarState,
+    ) -> bool {
         let from = self.nodes[node as usize];
         let star = std::mem::take(&mut self.stars[node as usize]);
-        let before = self.star_state(&star);
-        let this = &mut self.nodes[node as usize];
-        (this.rest_m, this.present_m) = (rest_m, to_m);
-        let after = self.star_state(&star);
-        let is_shaped = match accept {
-            Accept::UpTo(max_cosine) => after.max_cosine <= max_cosine.max(before.max_cosine),
-            Accept::Better => after.max_cosine < before.max_cosine - LEAST_GAIN,
-        };
-        let is_good = after.smallest_m3 > 0.0
-            && is_shaped
-            && (after.volume_m3 - before.volume_m3).abs() <= SAME_VOLUME * before.volume_m3;
-        if is_good {
-            let this = &mut self.nodes[node as usize];
-            this.blend = blend;
-            if let Some(old) = this.old.take() {
-                self.node_here[old.index()] = ABSENT;
+        self.nodes[node as usize].present_m = to_m;
+        let mut moved = None;
+        // Cheap refusals first.
+        if !star.iter().any(|&t| is_inverted(tetrahedron_volume_m3(self.present_m(t))))
+            && let Some((blend, rest_m)) = self.locate(body, &star, to_m)
+        {
+            self.nodes[node as usize].rest_m = rest_m;
+            if self.is_better_star(&star, accept, before) {
+                moved = Some(blend);
             }
-            this.has_whole_star = true;
-            for &tet in &star {
-                self.tets[tet as usize].is_old = false;
-                self.tets[tet as usize].is_mixed = true;
+        }
+        match moved {
+            Some(blend) => {
+                let this = &mut self.nodes[node as usize];
+                this.blend = blend;
+                if let Some(old) = this.old.take() {
+                    self.node_here[old.index()] = ABSENT;
+                }
+                this.has_whole_star = true;
+                for &tet in &star {
+                    self.tets[tet as usize].is_old = false;
+                    self.tets[tet as usize].is_mixed = true;
+                }
             }
-        } else {
-            self.nodes[node as usize] = from;
+            None => self.nodes[node as usize] = from,
         }
         self.stars[node as usize] = star;
-        is_good
+        moved.is_some()
+    }
+
+    /// Whether the tetrahedra of a star, as they are at rest now, are acceptable after what they were `before`.
+    fn is_better_star(&self, star: &[u32], accept: Accept, before: &StarState) -> bool {
+        let is_shaped = |cosine: f64| match accept {
+            Accept::UpTo(max_cosine) => cosine <= max_cosine.max(before.max_cosine),
+            Accept::Better => cosine < before.max_cosine - LEAST_GAIN,
+        };
+        let cosine_of = |tet: u32| dihedral_cosine_range(self.rest_m(tet))[1];
+        // The worst one is the likeliest to refuse.
+        if before.worst.is_some_and(|tet| !is_shaped(cosine_of(tet))) {
+            return false;
+        }
+        let mut volume_m3 = 0.0;
+        for &tet in star {
+            let rest_m = self.rest_m(tet);
+            let tet_m3 = tetrahedron_volume_m3(rest_m);
+            if is_inverted(tet_m3) || !is_shaped(dihedral_cosine_range(rest_m)[1]) {
+                return false;
+            }
+            volume_m3 += tet_m3;
+        }
+        (volume_m3 - before.volume_m3).abs() <= SAME_VOLUME * before.volume_m3
     }
 
     /// Faces at a node, with its whole star in the patch, that belong to one tetrahedron: the surface of the body.
     /// Counter-clockwise from outside.
     pub(super) fn single_sides(&self, node: u32) -> Vec<[u32; 3]> {
-        let mut faces: Vec<([u32; 3], [u32; 3])> = Vec::with_capacity(3 * self.stars[node as usize].len());
+        // The two other nodes, ascending, stand for the face: one number sorts faster than three.
+        let mut faces: Vec<(u64, [u32; 3])> = Vec::with_capacity(3 * self.stars[node as usize].len());
         for &tet in &self.stars[node as usize] {
             let nodes = self.tets[tet as usize].nodes;
-            let at_node = FACES.map(|f| f.map(|i| nodes[i])).into_iter().filter(|f| f.contains(&node));
-            faces.extend(at_node.map(|face| (sorted(face), face)));
+            for [i, j, k] in FACES {
+                let face = [nodes[i], nodes[j], nodes[k]];
+                if let Some(at) = face.iter().position(|&n| n == node) {
+                    faces.push((pair_key(face[(at + 1) % 3], face[(at + 2) % 3]), face));
+                }
+            }
         }
-        faces.sort_unstable();
+        faces.sort_unstable_by_key(|face| face.0);
         faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1).collect()
     }
 
     /// Unit normal, in the present shape, of the surface of the body at a node with its whole star in the patch;
     /// `None` inside, and where the sides of an earlier cut meet.
     pub(super) fn skin_normal(&self, node: u32) -> Option<DVec3> {
+        self.normal_of(&self.single_sides(node))
+    }
+
+    /// Unit normal of faces in the present shape; `None` if they are not flat together, or none.
+    pub(super) fn normal_of(&self, faces: &[[u32; 3]]) -> Option<DVec3> {
         let mut sum = DVec3::ZERO;
         let mut length = 0.0;
-        for face in self.single_sides(node) {
+        for face in faces {
             let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
             let area = (b - a).cross(c - a);
             sum += area;
@@ -293,11 +359,17 @@ impl Patch {
         (sum.length() > FLAT_SKIN * length).then(|| sum.normalize_or_zero())
     }
 
-    /// Where a point of the present shape near `node` is at rest.
-    fn locate(&self, body: Body<'_>, node: u32, to_m: DVec3) -> Option<(Blend, DVec3)> {
+    /// Where a point of the present shape within a star is at rest.
+    fn locate(&self, body: Body<'_>, star: &[u32], to_m: DVec3) -> Option<(Blend, DVec3)> {
         let mut best: Option<(f64, [NodeId; 4], [f64; 4])> = None;
-        for &tet in &self.stars[node as usize] {
-            let corners = body.mesh.topology().tet_nodes(self.tets[tet as usize].parent);
+        let mut last = None;
+        for &tet in star {
+            let parent = self.tets[tet as usize].parent;
+            // Parts of one tetrahedron tend to follow each other.
+            if last.replace(parent) == Some(parent) {
+                continue;
+            }
+            let corners = body.mesh.topology().tet_nodes(parent);
             let weights = barycentric(corners.map(|n| body.present_m[n.index()]), to_m);
             let least = weights.into_iter().fold(f64::INFINITY, f64::min);
             if best.is_none_or(|b| least > b.0) {
@@ -321,15 +393,17 @@ impl Patch {
         Some((Blend::of_corners(corners, weights), rest_m))
     }
 
-    fn star_state(&self, star: &[u32]) -> StarState {
-        let mut state = StarState { volume_m3: 0.0, smallest_m3: f64::INFINITY, max_cosine: -1.0 };
-        for &tet in star {
+    /// What the star of a node is at rest.
+    pub(super) fn star_state(&self, node: u32) -> StarState {
+        let mut state = StarState { volume_m3: 0.0, max_cosine: -1.0, worst: None };
+        for &tet in self.star(node) {
             let rest_m = self.rest_m(tet);
-            let volume_m3 = tetrahedron_volume_m3(rest_m);
-            state.volume_m3 += volume_m3;
-            state.smallest_m3 =
-                state.smallest_m3.min(volume_m3).min(tetrahedron_volume_m3(self.present_m(tet)));
-            state.max_cosine = state.max_cosine.max(dihedral_cosine_range(rest_m)[1]);
+            state.volume_m3 += tetrahedron_volume_m3(rest_m);
+            let cosine = dihedral_cosine_range(rest_m)[1];
+            if cosine > state.max_cosine {
+                state.max_cosine = cosine;
+                state.worst = Some(tet);
+            }
         }
         state
     }
@@ -422,7 +496,9 @@ impl Patch {
 
     pub(super) fn take_out(&mut self, tet: u32) {
         self.tets[tet as usize].is_live = false;
+        self.n_changes += 1;
         for node in self.tets[tet as usize].nodes {
+            self.nodes[node as usize].changed_at = self.n_changes;
             self.stars[node as usize].retain(|&t| t != tet);
         }
     }
@@ -456,6 +532,7 @@ impl Patch {
             is_front_end: false,
             is_wake: false,
             has_whole_star: true,
+            changed_at: 0,
         });
         let star = std::mem::take(&mut self.stars[a as usize]);
         for &tet in &star {
@@ -554,6 +631,7 @@ impl Patch {
             is_front_end: false,
             is_wake: false,
             has_whole_star: true,
+            changed_at: 0,
         });
         let swapped = |nodes: [u32; 4], gone: u32| nodes.map(|n| if n == gone { middle } else { n });
         for tet in self.tets_at_face(face).collect::<Vec<u32>>() {

@@ -8,7 +8,7 @@ use crate::runtime::histogram::Histogram;
 use crate::runtime::realtime::{make_punctual, now_ns, wait_until};
 use crate::server::{has_page, stop_signal};
 use anyhow::ensure;
-use glisson::haptics::{DeviceFault, ForceCommand};
+use glisson::haptics::{DeviceFault, ForceCommand, InsertedInstrument};
 use glisson::math::DVec3;
 use glisson::tool::ToolInput;
 use serde_json::json;
@@ -188,6 +188,7 @@ fn test(name: &DeviceName, seconds: f64, rate_hz: f64, as_json: bool) -> anyhow:
         wait_until(start_ns + tick * period_ns);
     }
     let limits = opened.device.limits();
+    let inserted = opened.device.inserted();
     let least_m = readings.least_m.unwrap_or_default();
     let read_us = readings.read.percentiles().to_json(1e3);
     if as_json {
@@ -201,13 +202,19 @@ fn test(name: &DeviceName, seconds: f64, rate_hz: f64, as_json: bool) -> anyhow:
                 "fastest_m_per_s": readings.fastest_m_per_s, "buttons_seen": readings.buttons_seen, "read_us": read_us,
                 "limits": {
                     "force_n": limits.force_n, "torque_n_m": limits.torque_n_m,
+                    "jaw_force_n": limits.jaw_force_n,
                     "stiffness_n_per_m": limits.stiffness_n_per_m, "resolution_m": limits.resolution_m,
+                    "loop_delay_ticks": limits.loop_delay_ticks,
                 },
+                "instrument": inserted.map(|i| json!({ "name": i.name, "number": i.serial })),
                 "scheduling": scheduling.text,
             })
         );
     } else {
         println!("device       {}", opened.name);
+        if let Some(InsertedInstrument { name, serial }) = inserted {
+            println!("instrument   {name}, number {serial}");
+        }
         println!("ticks        {} good; its place changed {} times", readings.n_good, readings.n_changes);
         for (why, n) in &readings.faults {
             println!("lost         {n} ticks: {why}");

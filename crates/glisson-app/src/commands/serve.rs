@@ -2,6 +2,7 @@
 
 use crate::devices::trocar_choice::stand;
 use crate::devices::{self, Assignment, DeviceName, tools_of};
+use crate::net::figures::RemoteFigures;
 use crate::net::link::Role;
 use crate::net::options::NetArgs;
 use crate::runtime::force_choices::ForceArgs;
@@ -11,6 +12,7 @@ use crate::runtime::{OpenScene, Simulation};
 use crate::server::access::Access;
 use crate::server::{self, Served, Service, Show, stop_signal};
 use anyhow::bail;
+use glisson::haptics::InsertedInstrument;
 use glisson::tool::Tool;
 use std::net::TcpListener;
 use std::path::PathBuf;
@@ -54,6 +56,8 @@ pub(crate) struct Args {
 #[derive(Default)]
 struct Network {
     remote: Vec<ToolLink>,
+    /// Of the haptic loop on the other machine.
+    remote_figures: Option<RemoteFigures>,
     shows: Vec<Show>,
 }
 
@@ -107,8 +111,8 @@ impl Address {
                 .stderr(std::process::Stdio::null())
                 .spawn();
         }
-        let Network { remote, shows } = network;
-        let service = Service { held, haptics, remote, shows, ..Service::to(access) };
+        let Network { remote, remote_figures, shows } = network;
+        let service = Service { held, haptics, remote, remote_figures, shows, ..Service::to(access) };
         let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
         if let Some(haptics) = haptics {
             println!("{}", haptics.to_text());
@@ -136,8 +140,12 @@ impl Args {
         let stands = stand(&named, instruments)?;
         for ((name, tool), stands) in named.into_iter().zip(stands) {
             let home = instruments[tool].home;
-            let device = devices::open_standing(name, &home, stands, self.haptic_rate)?;
+            let kind = Some(instruments[tool].kind.name());
+            let device = devices::open_standing(name, &home, kind, stands, self.haptic_rate)?;
             println!("instrument {tool} ({}) is in the hand of: {}", instruments[tool].name, device.name);
+            if let Some(InsertedInstrument { name, serial }) = device.device.inserted() {
+                println!("  the instrument in it: {name}, number {serial}");
+            }
             held.push(join(device, tool, home));
         }
         if !held.is_empty() {
@@ -171,12 +179,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let simulation = Simulation::open(source, args.record.as_deref())?;
     let held = args.held(simulation.world().tools())?;
     let in_hands: Vec<usize> = held.iter().map(|(_, link)| link.tool).collect();
-    let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, remote: Vec::new() };
+    let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, ..Network::default() };
     let mut conversation = None;
     if let Some(link) = &link {
-        let (started, remote) = link.start_simulation(&simulation, &scene_text)?;
+        let figures = RemoteFigures::default();
+        let (started, remote) = link.start_simulation(&simulation, &scene_text, figures.clone())?;
         conversation = Some(started);
-        network.remote = remote;
+        (network.remote, network.remote_figures) = (remote, Some(figures));
     }
     args.address.serve_with(simulation, listener, held, haptics, network)?;
     if let Some(conversation) = conversation {

@@ -168,9 +168,11 @@ impl Lead {
         );
         let follower = choice.open_follower(rate_hz)?;
         let leader = match leader {
-            DeviceName::Trocar(choice) => {
-                Leader::Trocar(Box::new(choice.open(rate_hz, super::trocar_board::START_INSERTION_M)?))
-            }
+            DeviceName::Trocar(choice) => Leader::Trocar(Box::new(choice.open(
+                rate_hz,
+                super::trocar_board::START_INSERTION_M,
+                None,
+            )?)),
             other => {
                 // A simulated hand pushes along the instrument: down.
                 let home = ToolInput::at(DVec3::ZERO, DVec3::NEG_Y);

@@ -198,16 +198,17 @@ pub(crate) fn pushing_device(rate_hz: f64, seed: u64) -> SimulatedDevice {
 /// # Errors
 /// When it is not there, with what to do.
 pub(crate) fn open(name: &DeviceName, home: &ToolInput, rate_hz: f64) -> anyhow::Result<OpenDevice> {
-    open_standing(name, home, None, rate_hz)
+    open_standing(name, home, None, None, rate_hz)
 }
 
-/// The same for an active trocar that stands there.
+/// The same for an active trocar that stands there, and a scene's instrument of that kind.
 ///
 /// # Errors
-/// When it is not there, with what to do.
+/// When it is not there, or the instrument in it is of another kind; with what to do.
 pub(crate) fn open_standing(
     name: &DeviceName,
     home: &ToolInput,
+    tool_kind: Option<&'static str>,
     stands: Option<Placement>,
     rate_hz: f64,
 ) -> anyhow::Result<OpenDevice> {
@@ -248,7 +249,7 @@ pub(crate) fn open_standing(
             let insertion_m = stands.map_or(START_INSERTION_M, |stands| {
                 stands.pivot_in_world_m.distance(home.tip_in_world_m).min(deepest_m)
             });
-            let device = Box::new(choice.open(rate_hz, insertion_m)?);
+            let device = Box::new(choice.open(rate_hz, insertion_m, tool_kind)?);
             // Its axis at rest is the instrument's, into the body.
             let axes = stands.unwrap_or_else(|| Placement::facing(DVec3::ZERO, -outward)).world_from_device;
             let plain = plain(device, &choice.text(), DQuat::from_mat3(&axes));
@@ -440,7 +441,7 @@ mod tests {
         // 80 mm up the shaft: the tip of an instrument that is as far in is at the home.
         let pivot_m = home.tip_in_world_m + home.shaft_in_world * 0.08;
         let stands = Some(Placement::facing(pivot_m, -home.shaft_in_world));
-        let mut opened = open_standing(&name, &home, stands, 1_000.0).unwrap();
+        let mut opened = open_standing(&name, &home, Some("probe"), stands, 1_000.0).unwrap();
         assert!(tip_m(&mut opened).distance(home.tip_in_world_m) < 5e-4);
     }
 

@@ -131,6 +131,8 @@ impl HapticDevice for ViewerDevice {
             damping_n_s_per_m: DAMPING_N_S_PER_M,
             resolution_m: 0.0,
             rate_hz: self.rate_hz,
+            // A page only shows forces: no hand closes a loop over them.
+            ..DeviceLimits::default()
         }
     }
 

@@ -1,7 +1,8 @@
 //! What `glisson serve` is told about the network.
 
-use super::bridge::{DeviceNews, start_haptics, start_simulation};
+use super::bridge::{DeviceNews, HapticsScene, HapticsSide, start_haptics, start_simulation};
 use super::conversation::{Conversation, Identity, LinkReport};
+use super::figures::RemoteFigures;
 use super::igtl;
 use super::link::{LinkAddress, Role, ZenohAddress};
 use super::messages::SceneHash;
@@ -13,8 +14,9 @@ use crate::runtime::haptic_loop::{DeviceStatus, HapticLoop, HapticSettings, Held
 use crate::runtime::{OpenScene, Simulation};
 use crate::server::Show;
 use anyhow::{Context, bail};
-use glisson::scene::{mesh_hash, read_organ};
-use glisson::tool::ToolInput;
+use glisson::scene::{mesh_hash, read_organ, read_tools};
+use glisson::tool::{Tool, ToolInput};
+use glisson::world::detection::SurfaceList;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -215,6 +217,12 @@ fn scene_hash(scene_text: &str, mesh_hash: &str) -> SceneHash {
     SceneHash(*hasher.finalize().as_bytes())
 }
 
+/// How stiff an elastic half-space is under a flat round punch [N/m]: 2 E a / (1 - nu^2) (Sneddon 1965,
+/// doi:10.1016/0020-7225(65)90019-4).
+fn flat_punch_n_per_m(young_modulus_pa: f64, poisson_ratio: f64, radius_m: f64) -> f64 {
+    2.0 * young_modulus_pa * radius_m / (1.0 - poisson_ratio * poisson_ratio)
+}
+
 impl LinkOptions {
     /// The link's session; opened if nobody has done so.
     #[cfg(feature = "net")]
@@ -246,11 +254,12 @@ impl LinkOptions {
         &self,
         simulation: &Simulation,
         scene_text: &str,
+        figures: RemoteFigures,
     ) -> anyhow::Result<(Conversation, Vec<ToolLink>)> {
         let homes: Vec<ToolInput> = simulation.world().tools().iter().map(|tool| tool.home).collect();
         let scene = scene_hash(scene_text, &mesh_hash(simulation.mesh()));
         let (link, identity) = self.open(scene, homes.len())?;
-        Ok(start_simulation(link, identity, &homes)?)
+        Ok(start_simulation(link, identity, &homes, figures)?)
     }
 
     /// The whole haptics machine: `held` by devices, or by the scene's own paths when there are none; until `stop` comes.
@@ -265,9 +274,14 @@ impl LinkOptions {
         stop: impl Future<Output = ()>,
     ) -> anyhow::Result<()> {
         let body = read_organ(&source.scene, &source.folder).with_context(|| source.origin.clone())?;
-        let homes: Vec<ToolInput> = source.scene.world.tools.iter().map(|tool| tool.home).collect();
+        let tools = read_tools(&source.scene, &source.folder).with_context(|| source.origin.clone())?;
+        let surface = SurfaceList::of_mesh(&body.mesh).with_context(|| source.origin.clone())?;
         let scene = scene_hash(&source.scene.text, &mesh_hash(&body.mesh));
-        let (link, identity) = self.open(scene, homes.len())?;
+        let (link, identity) = self.open(scene, tools.len())?;
+        let n_triangles = surface.triangles.len();
+        let (young_pa, poisson) = (body.material.young_modulus_pa(), body.material.poisson_ratio());
+        let stiffness = |tool: &Tool| flat_punch_n_per_m(young_pa, poisson, tool.tip_radius_m);
+        let stiffness_n_per_m = tools.iter().map(stiffness).collect();
         let (player, haptic_loop, links) = if held.is_empty() {
             println!("no device: the scene's paths move the instruments");
             let (player, links) = Player::start(&source.scene)?;
@@ -276,7 +290,10 @@ impl LinkOptions {
             let (held, links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
             (None, Some(HapticLoop::start(held, haptics, Arc::default())?), links)
         };
-        let (conversation, news) = start_haptics(link, identity, &homes, links)?;
+        let meters = haptic_loop.as_ref().map(|haptic_loop| Arc::clone(haptic_loop.meters()));
+        let held = HapticsScene { tools, surface: Some(surface), stiffness_n_per_m, meters };
+        let HapticsSide { conversation, detection, news } = start_haptics(link, identity, held, links)?;
+        println!("touches are looked for here, on {n_triangles} triangles");
         println!("haptics run (Ctrl-C stops them)");
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         runtime.block_on(async {
@@ -291,6 +308,7 @@ impl LinkOptions {
         if let Some(player) = player {
             println!("played: {}", serde_json::to_string(&player.finish())?);
         }
+        println!("detection: {}", serde_json::to_string(&detection.report())?);
         println!("{}", conversation.report().to_text());
         Ok(())
     }
@@ -313,6 +331,9 @@ async fn tell_changes(conversation: &Conversation, mut news: Vec<DeviceNews>) {
             match statuses.get_new() {
                 Some(DeviceStatus::Lost(why)) => println!("the device {device_name} was lost: {why}"),
                 Some(DeviceStatus::Failed(why)) => println!("the device {device_name} failed: {why}"),
+                Some(DeviceStatus::WorksWith(i)) => {
+                    println!("the device {device_name} works; in it: {}, number {}", i.name, i.serial);
+                }
                 Some(DeviceStatus::Works) => println!("the device {device_name} works"),
                 Some(DeviceStatus::Waiting) | None => {}
             }

@@ -10,6 +10,7 @@ mod socket;
 pub(crate) mod steering;
 
 use crate::devices::viewer::PageHand;
+use crate::net::figures::RemoteFigures;
 use crate::runtime::Simulation;
 use crate::runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
 use crate::runtime::live::{self, Command, Ended, Published, Stalls};
@@ -49,6 +50,8 @@ struct Shared {
     /// Of the haptic loop, if one runs.
     meters: Option<Arc<Meters>>,
     haptics_at: HapticsAt,
+    /// Of the haptic loop on the other machine, if there is one.
+    remote_figures: Option<RemoteFigures>,
     /// Instruments that the page in control holds as devices.
     hands: Hands,
 }
@@ -65,6 +68,8 @@ pub(crate) struct Service {
     pub(crate) haptics: HapticSettings,
     /// Instruments that are held elsewhere.
     pub(crate) remote: Vec<ToolLink>,
+    /// What the machine that holds them says of its haptic loop.
+    pub(crate) remote_figures: Option<RemoteFigures>,
     /// What else shows the simulation; each ends with it.
     pub(crate) shows: Vec<Show>,
     /// Where the haptic loop notes its times.
@@ -83,6 +88,7 @@ impl Service {
             held: Vec::new(),
             haptics: HapticSettings::default(),
             remote: Vec::new(),
+            remote_figures: None,
             shows: Vec::new(),
             meters: Arc::default(),
             stalls: None,
@@ -117,7 +123,7 @@ pub(crate) fn serve(
     service: Service,
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Served> {
-    let Service { access, held, haptics, remote, shows, meters, stalls, beside } = service;
+    let Service { access, held, haptics, remote, remote_figures, shows, meters, stalls, beside } = service;
     let (published_in, published) =
         watch::channel(Arc::new(Published::of(&simulation, None, Pace::default())));
     let (commands, commands_out) = std::sync::mpsc::channel();
@@ -148,6 +154,7 @@ pub(crate) fn serve(
         control,
         meters: haptics.as_ref().map(|haptics| Arc::clone(haptics.meters())),
         haptics_at,
+        remote_figures,
         hands,
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;

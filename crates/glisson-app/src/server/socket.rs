@@ -138,7 +138,8 @@ impl Connection {
                     if self.last_heard.elapsed() > LONGEST_SILENCE {
                         return Err(End::Gone);
                     }
-                    let haptics = shared.meters.as_ref().map(|meters| meters.report());
+                    let own = shared.meters.as_ref().map(|meters| meters.report());
+                    let haptics = own.or_else(|| shared.remote_figures.as_ref()?.report());
                     let latest = Arc::clone(&published.borrow());
                     self.say(messages::timing(&latest, shared.haptics_at, haptics.as_ref())).await?;
                     self.send(Message::Ping(Vec::new().into())).await?;
@@ -151,8 +152,12 @@ impl Connection {
                     }
                 }
                 message = self.socket.recv() => {
-                    let Some(Ok(message)) = message else { return Err(End::Gone) };
-                    self.hear(message).await?;
+                    match message {
+                        Some(Ok(message)) => self.hear(message).await?,
+                        // Of who is gone, too: then nobody takes the reason.
+                        Some(Err(_)) => return Err(End::Refused("a broken or too long message")),
+                        None => return Err(End::Gone),
+                    }
                 }
             }
         }

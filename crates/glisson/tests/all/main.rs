@@ -40,6 +40,7 @@ mod precomputed_cutting;
 mod reference_cases;
 mod reduced;
 mod surfaces;
+mod surface_copy;
 mod world_slide;
 mod world_steps;
 mod world_tools;

@@ -2,14 +2,17 @@
 
 use super::Simulation;
 use super::effort::{EffortControl, Load};
+use super::elsewhere::NearbyMaker;
 use super::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
 use super::realtime::now_ns;
 use crate::server::frames::Pace;
+use glisson::haptics::InsertedInstrument;
 use glisson::math::DVec3;
 use glisson::model::Effort;
 use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::snapshot::{DisplayTopology, Snapshot};
+use glisson::tool::found::Detected;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
 use std::sync::Arc;
@@ -150,10 +153,10 @@ const MAX_TIP_SPEED_M_PER_S: f64 = 1.0;
 /// A target further away than this was not reached by moving the hand: the tool is put there [m].
 /// Viewers move a tool that stays in the hand by at most 10 mm a message (`docs/protocol.md`); several messages can
 /// wait while the tip follows.
-const JUMP_M: f64 = 0.03;
+pub(crate) const JUMP_M: f64 = 0.03;
 
 /// Where the tool is one time step after `now` on its way to `target`.
-fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
+pub(crate) fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
     let share = 1.0 - (-dt_s / FOLLOW_TIME_S).exp();
     let motion = (target.tip_in_world_m - now.tip_in_world_m) * share;
     let shaft = now.shaft_in_world.lerp(target.shaft_in_world, share);
@@ -205,6 +208,9 @@ struct Live {
     targets: Vec<ToolInput>,
     /// Instruments in the hand of a device.
     links: Vec<ToolLink>,
+    /// What was found elsewhere for each of them.
+    detected: [Option<Detected>; MAX_TOOLS],
+    elsewhere: NearbyMaker,
     /// When the last models were published, and how long that took [ns].
     published_ns: u64,
     publishing_ns: u64,
@@ -228,6 +234,7 @@ impl Live {
     fn read_devices(&mut self) {
         for link in &mut self.links {
             let motion = link.motions.get();
+            self.detected[link.tool] = motion.detected.filter(|_| motion.is_held);
             if motion.is_held && motion.pose.is_finite() {
                 // A hand moves as it moves: nothing is smoothed.
                 self.targets[link.tool] = motion.pose;
@@ -244,6 +251,11 @@ impl Live {
                 Some(DeviceStatus::Failed(why)) => {
                     self.simulation.tell(format!("the device {} failed: {why}", link.device_name));
                 }
+                Some(DeviceStatus::WorksWith(InsertedInstrument { name, serial })) => {
+                    let device = &link.device_name;
+                    self.simulation
+                        .tell(format!("the device {device} works; in it: {name}, number {serial}"));
+                }
                 Some(DeviceStatus::Works) => {
                     self.simulation.tell(format!("the device {} works", link.device_name));
                 }
@@ -258,7 +270,12 @@ impl Live {
         if self.links.is_empty() || begun_ns - self.published_ns < pause_ns {
             return;
         }
+        let n_elsewhere = self.links.iter().filter(|link| link.nearby.is_some()).count();
         for link in &mut self.links {
+            // Before the model, whose arrival wakes the one who sends both.
+            if let Some(nearby) = &mut link.nearby {
+                nearby.publish(self.elsewhere.at(&self.simulation, link.tool, n_elsewhere));
+            }
             let model = self.simulation.haptic_model(link.tool);
             link.models.publish(PublishedModel { model, made_ns: now_ns() });
         }
@@ -278,7 +295,8 @@ impl Live {
             *placed = tool.tip_in_world_m.distance(target.tip_in_world_m) > JUMP_M;
             *tool = if *placed { *target } else { approach(*tool, *target, self.dt_s) };
         }
-        self.simulation.advance(&StepInput { placed, ..StepInput::of(&self.tools) })?;
+        let detected = self.detected;
+        self.simulation.advance(&StepInput { placed, detected, ..StepInput::of(&self.tools) })?;
         self.publish_models();
         Ok(())
     }
@@ -379,6 +397,8 @@ pub(crate) fn run(
         targets: tools.clone(),
         tools,
         links,
+        detected: [None; MAX_TOOLS],
+        elsewhere: NearbyMaker::default(),
         published_ns: 0,
         publishing_ns: 0,
         paused: false,

@@ -5,6 +5,7 @@
 //! comes in as the period of a tick and the age of the model.
 
 pub mod device;
+pub mod axes;
 pub mod tissue;
 pub mod extrapolation;
 pub mod slide;
@@ -18,8 +19,9 @@ pub mod law;
 pub mod simulated;
 pub mod trocar;
 
+pub use axes::{AxesHandover, AxesModel, AxesPlace};
 pub use coupling::{CouplingGains, GainShares};
-pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
+pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice, InsertedInstrument};
 pub use extrapolation::ForceEstimate;
 pub use handover::Handover;
 pub use law::{HapticLaw, LawSettings, LawTick, TickReport};

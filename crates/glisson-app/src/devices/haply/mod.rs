@@ -26,6 +26,7 @@ const LIMITS: DeviceLimits = DeviceLimits {
     damping_n_s_per_m: 4.0,
     resolution_m: 1e-5,
     rate_hz: 1_000.0,
+    ..DeviceLimits::NONE
 };
 
 /// A service that says nothing for so long has stopped.

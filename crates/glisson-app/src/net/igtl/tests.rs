@@ -39,6 +39,7 @@ pub(in crate::net) fn published(step: u64) -> Arc<Published> {
             nodes: vec![NodeId(0), NodeId(1), NodeId(2)],
             rest_positions_m: corners,
             triangles: vec![[0, 1, 2]],
+            is_cut: vec![false],
         }),
         pace: Pace::default(),
         state_hash: serde_json::from_str(&format!("\"{}\"", "0".repeat(64))).unwrap(),

@@ -3,7 +3,7 @@
 
 use glisson::haptics::{
     EnergyControl, ForceEstimate, HandPath, HandSettings, HapticDevice, HapticLaw, HapticModel, LawSettings,
-    SimulatedDevice, SimulatedDeviceSettings, TankSettings, Touch,
+    SimulatedDevice, SimulatedDeviceSettings, Touch,
 };
 use glisson::math::{DVec3, outer};
 use glisson::tool::ToolInput;
@@ -79,13 +79,7 @@ pub(super) fn run(case: &Case, simulate: &mut dyn FnMut(&ToolInput, f64) -> Hapt
         duration_s: REACH_S,
     };
     let mut device = SimulatedDevice::new(&case.device, &case.hand, reach(above_m, deep_m, START_S), 1);
-    let loop_delay_ticks = case.device.position_latency_ticks + case.device.force_latency_ticks;
-    let settings = LawSettings {
-        estimate: case.estimate,
-        control: case.control,
-        tank: TankSettings { loop_delay_ticks, ..TankSettings::default() },
-        ..LawSettings::default()
-    };
+    let settings = LawSettings { estimate: case.estimate, control: case.control, ..LawSettings::default() };
     let mut law = HapticLaw::new(&settings, &device.limits());
     let (tick_s, period_s) = (1.0 / TICKS_PER_S, 1.0 / case.rate_hz);
     let one_way = (0.5 * case.delay_s * TICKS_PER_S).round() as usize;

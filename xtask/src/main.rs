@@ -6,6 +6,7 @@
 
 mod ct;
 mod igtl;
+mod netns;
 mod network;
 mod ros2;
 mod setup;

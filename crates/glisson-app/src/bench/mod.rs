@@ -23,6 +23,7 @@ mod collision;
 pub(crate) mod colliding;
 mod colliding_bodies;
 pub(crate) mod response;
+mod thesis_cube;
 mod drawing;
 mod hybrid_exchange;
 mod scalpel;

@@ -11,26 +11,65 @@ use glisson::contact::response::geometric::{self, GeometricParams};
 use glisson::contact::response::impulse::ImpulseParams;
 use glisson::contact::response::penalty::PenaltyParams;
 use glisson::material::LinearElastic;
-use glisson::mesh::NodeId;
 use glisson::mesh::box_mesh::cube_of_five;
+use glisson::mesh::topology::{Topology, surface_of};
+use glisson::mesh::{NodeId, TetMesh};
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::KernelLaw;
 use glisson::model::{Constraints, DynamicBody, ImposedDisplacement, Rayleigh};
+use glisson::record::snapshot::{BleedingSnapshot, Snapshot};
 
 use super::colliding::{N_FRAMES, rocking_cubes};
+use super::thesis_cube::{CELLS_288, CELLS_296, thesis_cube};
 use super::{Case, Prepared, Settings};
+use crate::server::frames::{Pace, snapshot_frame};
 
 const STEP: &str = "soft cubes of 625 tetrahedra and 300 triangles pressed together: contacts, geometric response, deformation";
 const CONTACT: &str = "rocking cubes of 300 triangles: contacts and geometric response, without deformation";
-const TWO: &str = "two soft cubes pressed together, 600 triangles: contacts, response and deformation";
+const TWO: &str =
+    "two soft cubes of 368 tetrahedra pressed together, 592 triangles: contacts, response and deformation";
+const THESIS: &str = "soft cubes of 360 tetrahedra and 288 triangles pressed together: contacts, geometric response, deformation";
+const DISPLAY: &str = "the same with the frame for the viewer in every step";
 
 pub(super) const CASES: &[Case] = &[
-    case("cubes_response", STEP, &[1, 2, 4], |s| steps(s.size.clamp(1, 4), GEOMETRIC)),
+    case("cubes_response", STEP, &[1, 2, 4], |s| steps(s, CubeMesh::Regular, GEOMETRIC)),
+    case("cubes_353_response", THESIS, &[1, 2, 4], |s| steps(s, CubeMesh::Thesis, GEOMETRIC)),
+    case("cubes_353_displayed", DISPLAY, &[1, 2, 4], displayed_steps),
     case("cubes_contact", CONTACT, &[4], |s| Ok(contact_alone(s))),
-    case("response_596_penalty", TWO, &[2], |s| steps(s.size.clamp(1, 4), PENALTY)),
-    case("response_596_geometric", TWO, &[2], |s| steps(s.size.clamp(1, 4), GEOMETRIC)),
-    case("response_596_impulse", TWO, &[2], |s| steps(s.size.clamp(1, 4), IMPULSE)),
+    case("response_596_penalty", TWO, &[2], |s| steps(s, CubeMesh::ThesisPair, PENALTY)),
+    case("response_596_geometric", TWO, &[2], |s| steps(s, CubeMesh::ThesisPair, GEOMETRIC)),
+    case("response_596_impulse", TWO, &[2], |s| steps(s, CubeMesh::ThesisPair, IMPULSE)),
 ];
+
+/// Which cubes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum CubeMesh {
+    /// Of five tetrahedra a cell: 625 and 300 triangles.
+    Regular,
+    /// Of 360 tetrahedra and 288 triangles; the thesis: 353 and 288.
+    Thesis,
+    /// Of 368 tetrahedra and 296 triangles, so that two have 592; the thesis: 596.
+    ThesisPair,
+}
+
+impl CubeMesh {
+    fn mesh(self) -> TetMesh {
+        match self {
+            Self::Regular => cube_of_five(6, CUBE_M),
+            Self::Thesis => thesis_cube(CELLS_288, CUBE_M),
+            Self::ThesisPair => thesis_cube(CELLS_296, CUBE_M),
+        }
+    }
+
+    /// Tetrahedra and surface triangles.
+    fn counts(self) -> [usize; 2] {
+        match self {
+            Self::Regular => [625, 300],
+            Self::Thesis => [360, 288],
+            Self::ThesisPair => [368, 296],
+        }
+    }
+}
 
 const fn case(
     name: &'static str,
@@ -79,18 +118,24 @@ pub(crate) struct PressedCubes {
     /// The far side of each cube, and which way it goes.
     far_sides: Vec<(Vec<NodeId>, DVec3)>,
     pressed_s: f64,
+    /// What a viewer would be shown.
+    shown: Snapshot,
+    /// Body and node of each vertex that is shown.
+    shown_nodes: Vec<(usize, NodeId)>,
 }
 
 impl PressedCubes {
     /// `n` cubes in rows of two, askew, 0.2 mm apart. A single one is free.
-    pub(crate) fn new(n: usize, kind: ResponseKind) -> anyhow::Result<Self> {
+    pub(crate) fn new(n: usize, cube: CubeMesh, kind: ResponseKind) -> anyhow::Result<Self> {
         let material = LinearElastic::from_young_poisson(YOUNG_MODULUS_PA, POISSON_RATIO, DENSITY_KG_PER_M3)?;
-        let (mut bodies, mut far_sides) = (Vec::new(), Vec::new());
+        let (mut bodies, mut far_sides, mut shown_nodes) = (Vec::new(), Vec::new(), Vec::new());
         for k in 0..n {
             let (column, row) = ((k % 2) as f64, (k / 2) as f64);
             let aside_m = DVec3::new(0.0, 0.003, 0.002) * column + DVec3::new(0.002, 0.0, 0.003) * row;
             let origin_m = DVec3::new(column, row, 0.0) * (CUBE_M + 2e-4) + aside_m;
-            let mut mesh = cube_of_five(6, CUBE_M);
+            let mut mesh = cube.mesh();
+            let (_, on_surface) = surface_of(&Topology::build(&mesh)?, &mesh);
+            shown_nodes.extend(on_surface.into_iter().map(|node| (k, node)));
             let far_x_m = CUBE_M * column;
             let far = |i: &usize| (mesh.positions_m[*i].x - far_x_m).abs() < 1e-9;
             let nodes = (0..mesh.positions_m.len()).filter(far).map(NodeId::from_index).collect();
@@ -112,7 +157,23 @@ impl PressedCubes {
             far_sides.clear();
         }
         let bodies = RespondingBodies::new(bodies, kind, &search(n))?;
-        Ok(Self { bodies, far_sides, pressed_s: 0.0 })
+        let shown = Snapshot {
+            step: 0,
+            time_s: 0.0,
+            topology_version: 0,
+            positions_m: vec![DVec3::ZERO; shown_nodes.len()],
+            tools: Vec::new(),
+            bleeding: BleedingSnapshot::default(),
+        };
+        Ok(Self { bodies, far_sides, pressed_s: 0.0, shown, shown_nodes })
+    }
+
+    /// What the display costs this thread: the frame with the vertices of all surfaces, which a viewer draws elsewhere.
+    pub(crate) fn frame(&mut self) -> Vec<u8> {
+        for (place_m, &(body, node)) in self.shown.positions_m.iter_mut().zip(&self.shown_nodes) {
+            *place_m = self.bodies.model(body).state().positions_m[node.index()];
+        }
+        snapshot_frame(&self.shown, &Pace::default())
     }
 
     pub(crate) fn step(&mut self, step_s: f64) {
@@ -130,20 +191,36 @@ impl PressedCubes {
     }
 }
 
-fn steps(n_cubes: usize, kind: ResponseKind) -> anyhow::Result<Prepared> {
-    let mut cubes = PressedCubes::new(n_cubes, kind)?;
+fn steps(settings: Settings, cube: CubeMesh, kind: ResponseKind) -> anyhow::Result<Prepared> {
+    let (mut cubes, prepared) = pressed(settings, cube, kind)?;
+    Ok(prepared(Box::new(move || cubes.step(CUBES_STEP_S))))
+}
+
+fn displayed_steps(settings: Settings) -> anyhow::Result<Prepared> {
+    let (mut cubes, prepared) = pressed(settings, CubeMesh::Thesis, GEOMETRIC)?;
+    Ok(prepared(Box::new(move || {
+        cubes.step(CUBES_STEP_S);
+        black_box(cubes.frame());
+    })))
+}
+
+/// Cubes after 0.2 s, and what to tell of them.
+fn pressed(
+    settings: Settings,
+    cube: CubeMesh,
+    kind: ResponseKind,
+) -> anyhow::Result<(PressedCubes, impl FnOnce(Box<dyn FnMut() + Send>) -> Prepared)> {
+    let n_cubes = settings.size.clamp(1, 4);
+    let mut cubes = PressedCubes::new(n_cubes, cube, kind)?;
     for _ in 0..400 {
         cubes.step(CUBES_STEP_S);
     }
     let n_contacts = cubes.bodies.report().n_contacts;
-    Ok(Prepared {
-        size: 625 * n_cubes,
-        isa: "portable",
-        precision: "f64",
-        work: None,
-        note: format!("{} triangles, {n_contacts} contacts after 0.2 s", 300 * n_cubes),
-        run: Box::new(move || cubes.step(CUBES_STEP_S)),
-    })
+    let [n_tets, n_triangles] = cube.counts().map(|n| n * n_cubes);
+    let note = format!("{n_triangles} triangles, {n_contacts} contacts after 0.2 s");
+    let prepared =
+        move |run| Prepared { size: n_tets, isa: "portable", precision: "f64", work: None, note, run };
+    Ok((cubes, prepared))
 }
 
 /// Contacts and response on prescribed motions.
@@ -196,10 +273,11 @@ mod tests {
     #[test]
     fn pressed_cubes_stay_pressed_and_whole() {
         for kind in [PENALTY, GEOMETRIC, IMPULSE] {
-            let mut cubes = PressedCubes::new(2, kind).unwrap();
+            let mut cubes = PressedCubes::new(2, CubeMesh::ThesisPair, kind).unwrap();
             for _ in 0..300 {
                 cubes.step(CUBES_STEP_S);
             }
+            assert!(cubes.frame().len() > 12 * 300);
             let bodies = &cubes.bodies;
             let report = bodies.report();
             assert!(report.n_contacts > 30 && report.n_dropped == 0, "{kind:?}: {report:?}");

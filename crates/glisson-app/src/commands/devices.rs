@@ -1,11 +1,12 @@
 //! `glisson devices`.
 
+use super::device_page::DevicePage;
 use crate::devices::lead::{self, LeadRequest};
 use crate::devices::trocar_choice::OPTIONS;
 use crate::devices::{self, DeviceName, HAPLY_ADDRESS, KINDS, host_and_port};
 use crate::runtime::histogram::Histogram;
 use crate::runtime::realtime::{make_punctual, now_ns, wait_until};
-use crate::server::stop_signal;
+use crate::server::{has_page, stop_signal};
 use anyhow::ensure;
 use glisson::haptics::{DeviceFault, ForceCommand, InsertedInstrument};
 use glisson::math::DVec3;
@@ -20,6 +21,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
     arg_required_else_help = true,
     after_help = "Examples:\n  glisson devices list\n  glisson devices doctor\n  \
                   glisson devices test haply --seconds 5\n  glisson devices test force-dimension --json\n  \
+                  glisson devices test viewer\n  \
                   glisson devices lead trocar trocar --seconds 5\n\n\
                   A device is used with: glisson serve scene.toml --device NAME"
 )]
@@ -96,7 +98,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             for kind in KINDS {
                 println!("{:width$}  {}", kind.pattern, kind.about);
             }
-            println!("{:width$}  {VIEWER}", "viewer");
             println!("\nOptions of a trocar: {OPTIONS}");
             Ok(())
         }
@@ -110,10 +111,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
 }
-
-/// Not to be named with `--device`: it is there whenever a page is.
-const VIEWER: &str =
-    "mouse, keyboard and gamepad of the page: hold the instruments that no device holds; without force";
 
 fn lead(request: &LeadRequest, as_json: bool) -> anyhow::Result<()> {
     let stop = Arc::new(AtomicBool::new(false));
@@ -152,6 +149,10 @@ fn test(name: &DeviceName, seconds: f64, rate_hz: f64, as_json: bool) -> anyhow:
     ensure!((10.0..=4_000.0).contains(&rate_hz), "--rate {rate_hz}: must be 10 to 4000 Hz");
     let home = ToolInput::at(DVec3::ZERO, DVec3::Z);
     let mut opened = devices::open(name, &home, rate_hz)?;
+    let page = opened.page.take().map(DevicePage::start).transpose()?;
+    if let Some(page) = &page {
+        page.wait_for(opened.device.as_mut())?;
+    }
     let scheduling = make_punctual(None);
     let mut readings = Readings::default();
     let period_ns = (1e9 / rate_hz) as u64;
@@ -253,6 +254,13 @@ fn doctor(haply: &str, trocar: Option<&str>) {
     for finding in devices::examine(haply, trocar) {
         say(finding.is_good, &finding.what, &finding.text);
     }
+    let has_page = has_page();
+    let page = if has_page {
+        "built into this program; `glisson devices test viewer` tries it"
+    } else {
+        "not built into this program: `cargo xtask demo` builds it"
+    };
+    say(has_page, "viewer's page", page);
     // In its own thread: it stays as it is put.
     if let Ok((scheduling, late_ns)) = std::thread::spawn(|| (make_punctual(None), lateness_ns())).join() {
         say(scheduling.is_real_time, "real-time scheduling", &scheduling.text);

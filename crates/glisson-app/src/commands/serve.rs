@@ -1,7 +1,8 @@
 //! `glisson serve`.
 
 use crate::devices::trocar_choice::stand;
-use crate::devices::{self, Assignment, tools_of};
+use crate::devices::{self, Assignment, DeviceName, tools_of};
+use crate::net::figures::RemoteFigures;
 use crate::net::link::Role;
 use crate::net::options::NetArgs;
 use crate::runtime::force_choices::ForceArgs;
@@ -21,6 +22,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:\n  glisson serve out/demo/scene.toml\n  \
     glisson serve scene.toml --port 0 --record session.jsonl\n  \
     glisson serve scene.toml --device haply --device simulated@1\n  \
+    glisson serve scene.toml --device viewer         the page's mouse, keyboard and gamepad as a device\n  \
     glisson serve scene.toml --device trocar:10.0.0.7:4000,mapping=virtual-work --force-estimate hold\n  \
     glisson serve scene.toml --host 0.0.0.0      for other machines, with a token that is printed\n\nStop with Ctrl-C; a recording is then completed.")]
 pub(crate) struct Args {
@@ -54,6 +56,8 @@ pub(crate) struct Args {
 #[derive(Default)]
 struct Network {
     remote: Vec<ToolLink>,
+    /// Of the haptic loop on the other machine.
+    remote_figures: Option<RemoteFigures>,
     shows: Vec<Show>,
 }
 
@@ -107,8 +111,8 @@ impl Address {
                 .stderr(std::process::Stdio::null())
                 .spawn();
         }
-        let Network { remote, shows } = network;
-        let service = Service { held, haptics, remote, shows, ..Service::to(access) };
+        let Network { remote, remote_figures, shows } = network;
+        let service = Service { held, haptics, remote, remote_figures, shows, ..Service::to(access) };
         let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
         if let Some(haptics) = haptics {
             println!("{}", haptics.to_text());
@@ -159,6 +163,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         if args.record.is_some() || args.network.has_shows() {
             bail!("--record, --igtl and --ros2 belong to the machine with --role simulation");
         }
+        if args.devices.iter().any(|device| device.name == DeviceName::Viewer) {
+            bail!("--device viewer with --role haptics: the page is at the machine with --role simulation");
+        }
         let source = OpenScene::read(&args.scene)?;
         let held = args.held(&source.scene.world.tools)?;
         return link.run_haptics(&source, held, haptics, stop_signal());
@@ -172,12 +179,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let simulation = Simulation::open(source, args.record.as_deref())?;
     let held = args.held(simulation.world().tools())?;
     let in_hands: Vec<usize> = held.iter().map(|(_, link)| link.tool).collect();
-    let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, remote: Vec::new() };
+    let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, ..Network::default() };
     let mut conversation = None;
     if let Some(link) = &link {
-        let (started, remote) = link.start_simulation(&simulation, &scene_text)?;
+        let figures = RemoteFigures::default();
+        let (started, remote) = link.start_simulation(&simulation, &scene_text, figures.clone())?;
         conversation = Some(started);
-        network.remote = remote;
+        (network.remote, network.remote_figures) = (remote, Some(figures));
     }
     args.address.serve_with(simulation, listener, held, haptics, network)?;
     if let Some(conversation) = conversation {

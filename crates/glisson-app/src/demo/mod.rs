@@ -1,7 +1,9 @@
 //! The parts of `glisson demo`: the scene it writes, the scripted operation, the report.
 
+mod clips;
 pub(crate) mod operation;
 pub(crate) mod patient;
 pub(crate) mod report;
 pub(crate) mod resection;
 pub(crate) mod scenery;
+mod specimen;

@@ -1,25 +1,29 @@
 //! `glisson demo --task resection`: two hands take a tumour out of the liver. One holds the tissue over it and pulls, the
-//! other burns a cone around and beneath it with a hook; then the piece is lifted out.
+//! other burns a cone around and beneath it with a hook; an assistant sets clips on what bleeds; then the piece is lifted out.
 //!
 //! The plan comes from the image's tumour: a cone about the line from the nearest point of the surface to the tumour's
 //! middle, with its tip beneath it. The hook goes around it on ever deeper circles and leans, so that its straight shaft
-//! lies in what it has burnt already: under a flat bottom it would have to go through the piece.
+//! lies in what it has burnt already: under a flat bottom it would have to go through the piece. What a hook burns is as
+//! thick as the tetrahedra that it touches, so the mesh is made finer along its way beforehand. After every circle it rests
+//! while the vessels that it opened are closed.
 
+use super::clips::ClipApplier;
 use super::scenery::Files;
+use super::specimen::{Specimen, Tumour};
 use crate::picture::{
-    Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, ShadedSurface, View,
+    Arrow, Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, ShadedSurface, View,
 };
 use crate::runtime::replay::{self, read_session};
 use crate::runtime::{OpenScene, Simulation};
 use anyhow::{Context, ensure};
 use glisson::files::write_atomically;
-use glisson::image::LabelMap;
-use glisson::image::labels::Parts;
 use glisson::image::nifti::read_label_map;
 use glisson::math::DVec3;
-use glisson::mesh::TetId;
-use glisson::mesh::files::read_mesh;
-use glisson::mesh::topology::{Through, Topology, surface_of};
+use glisson::mesh::TetMesh;
+use glisson::mesh::edit::EditableMesh;
+use glisson::mesh::files::{read_mesh, write_mesh};
+use glisson::mesh::refine::{FineRegion, refine};
+use glisson::mesh::topology::{Topology, surface_of};
 use glisson::record::hash::StateHash;
 use glisson::surface::normals::{NormalWeight, vertex_normals};
 use glisson::tool::ToolInput;
@@ -30,9 +34,10 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
-const TIP_RADIUS_M: f64 = 3e-3;
-/// Healthy tissue that is taken with the tumour [m]: a choice.
-const MARGIN_M: f64 = 12e-3;
+const TIP_RADIUS_M: f64 = 2e-3;
+/// Healthy tissue between the tumour and the hook's way [m]: a choice. What is left of it is less by the hook's tip and by the
+/// size of the tetrahedra that it burns.
+const MARGIN_M: f64 = 14e-3;
 /// Half the angle of the cone [rad]: a choice; a narrower one is deeper, a wider one takes more of the surface.
 const LEAN_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
 /// Distance between two circles [m], below the width of what the hook burns.
@@ -41,6 +46,11 @@ const LEVEL_M: f64 = 5e-3;
 const SPEED_M_PER_S: f64 = 0.2;
 /// Points on a circle.
 const CORNERS: usize = 24;
+/// Longest edge of the tetrahedra on the hook's way [m], and how far around it: choices.
+const FINE_EDGE_M: f64 = 8e-3;
+const FINE_RADIUS_M: f64 = 7e-3;
+/// Edges that one edit divides.
+const MOST_SPLITS: usize = 1_000;
 /// A hook that feels more than this [N] for so long [s] is stuck, and the script stops: choices, well above the 3 N at which
 /// liver gives way to its tip and beyond the time of a jerk.
 const STUCK_N: f64 = 10.0;
@@ -48,29 +58,17 @@ const STUCK_S: f64 = 0.25;
 /// How far the piece is lifted in the end [m].
 const LIFT_M: f64 = 0.06;
 
-/// A ball in the patient.
-#[derive(Clone, Copy, Debug)]
-struct Ball {
-    center_m: DVec3,
-    radius_m: f64,
-}
-
-/// The tumour in the image: its middle, and the ball of the same volume.
-fn tumour(labels: &LabelMap) -> anyhow::Result<Ball> {
-    let mask = labels.mask(&labels.select("liver_tumour", Parts::Included)?);
-    let inside = mask.iter().enumerate().filter(|(_, inside)| **inside);
-    let (sum, n) = inside.fold((DVec3::ZERO, 0.0), |(sum, n), (index, _)| {
-        let [i, j, k] = labels.grid.voxel(index);
-        (sum + labels.grid.position_m(DVec3::new(i as f64, j as f64, k as f64)), n + 1.0)
-    });
-    ensure!(n > 0.0, "the label map has no voxel of the tumour");
-    let volume_m3 = n * labels.grid.voxel_volume_m3();
-    Ok(Ball { center_m: sum / n, radius_m: (volume_m3 * 0.75 / std::f64::consts::PI).cbrt() })
-}
+/// The instruments, as the scene has them.
+const GRASPER: usize = 0;
+const HOOK: usize = 1;
+const CLIP_APPLIER: usize = 2;
+/// The clip applier waits so far above the surface, and comes from so far above it to each vessel [m].
+const CLIPS_HOME_M: f64 = 0.12;
+const CLIPS_ABOVE_M: f64 = 0.03;
 
 /// Where the hands go.
 struct Plan {
-    tumour: Ball,
+    tumour: Tumour,
     entry_m: DVec3,
     /// From the tumour out of the liver.
     out: DVec3,
@@ -78,10 +76,9 @@ struct Plan {
 }
 
 impl Plan {
-    fn new(files: &Files) -> anyhow::Result<Self> {
-        let tumour = tumour(&read_label_map(&files.labels)?)?;
-        let (mesh, _) = read_mesh(&files.mesh)?;
-        let (surface, _) = surface_of(&Topology::build(&mesh)?, &mesh);
+    fn new(files: &Files, mesh: &TetMesh) -> anyhow::Result<Self> {
+        let tumour = Tumour::of(&read_label_map(&files.labels)?)?;
+        let (surface, _) = surface_of(&Topology::build(mesh)?, mesh);
         let normals = vertex_normals(&surface, NormalWeight::Area);
         let nearest = surface
             .positions_m
@@ -93,7 +90,8 @@ impl Plan {
             .context("the liver has no surface")?;
         let entry_m = *nearest.0;
         let out = (entry_m - tumour.center_m).try_normalize().unwrap_or(*nearest.1);
-        Ok(Self { tumour, entry_m, out, depth_m: entry_m.distance(tumour.center_m) })
+        let depth_m = entry_m.distance(tumour.center_m);
+        Ok(Self { tumour, entry_m, out, depth_m })
     }
 
     fn across(&self) -> [DVec3; 2] {
@@ -115,30 +113,71 @@ impl Plan {
         ToolInput::at(self.entry_m - self.out * below_m + aside * radius_m + shaft * back_m, shaft)
     }
 
-    /// The hook's way: time [s], pose.
-    fn hook(&self) -> Vec<(f64, ToolInput)> {
+    /// Finer tetrahedra around the hook's way.
+    fn finer(&self, mesh: TetMesh) -> anyhow::Result<TetMesh> {
+        let mut body = EditableMesh::new(mesh)?;
+        let bottom_m = self.tip_of_cone_m();
+        let n_levels = (bottom_m / FINE_RADIUS_M).ceil() as usize + 1;
+        for level in 0..=n_levels {
+            let below_m = (FINE_RADIUS_M * (level as f64 - 1.0)).min(bottom_m);
+            let around_m = std::f64::consts::TAU * (bottom_m - below_m) * LEAN_RAD.tan();
+            let n = (around_m / FINE_RADIUS_M).ceil().max(1.0) as usize;
+            for i in 0..n {
+                let pose = self.on_cone(below_m, std::f64::consts::TAU * i as f64 / n as f64, 0.0);
+                let region = FineRegion {
+                    center_m: pose.tip_in_world_m,
+                    radius_m: FINE_RADIUS_M,
+                    edge_m: FINE_EDGE_M,
+                };
+                while let Some(edit) = refine(&body, &region, MOST_SPLITS) {
+                    body.apply(&edit)?;
+                }
+            }
+        }
+        Ok(body.live_mesh())
+    }
+
+    /// Where the clip applier sets a clip on a vessel that bleeds at `end_m`, and whence it comes: along the cone, in what is
+    /// burnt already.
+    fn to_clip(&self, end_m: DVec3) -> [ToolInput; 2] {
+        let [u, v] = self.across();
+        let from_entry_m = end_m - self.entry_m;
+        let below_m = (-from_entry_m.dot(self.out)).clamp(0.0, self.tip_of_cone_m());
+        let angle = from_entry_m.dot(v).atan2(from_entry_m.dot(u));
+        let back_m = (below_m + CLIPS_ABOVE_M) / LEAN_RAD.cos();
+        [self.on_cone(below_m, angle, back_m), self.on_cone(below_m, angle, 0.0)]
+    }
+
+    /// The hook's way: time [s], pose; and when it ends a circle [s].
+    fn hook(&self) -> (Vec<(f64, ToolInput)>, Vec<f64>) {
         let bottom_m = self.tip_of_cone_m();
         let above_m = -3.0 * LEVEL_M;
         let mut way: Vec<(f64, ToolInput)> = vec![(1.0, self.on_cone(above_m, 0.0, 0.03))];
         let mut to = |pose: ToolInput, trigger: f64| {
             let (time_s, last) = way[way.len() - 1];
             let way_m = pose.tip_in_world_m.distance(last.tip_in_world_m);
-            way.push((time_s + (way_m / SPEED_M_PER_S).max(1e-3), ToolInput { trigger, ..pose }));
+            let there_s = time_s + (way_m / SPEED_M_PER_S).max(1e-3);
+            way.push((there_s, ToolInput { trigger, ..pose }));
+            there_s
         };
+        let mut circles_s = Vec::new();
         // A little above the surface first: where it bulges.
         let n_levels = (bottom_m / LEVEL_M).ceil() as usize + 2;
         for level in 0..=n_levels {
             let below_m = (LEVEL_M * (level as f64 - 2.0)).min(bottom_m);
             for corner in 0..=CORNERS {
                 let angle = std::f64::consts::TAU * corner as f64 / CORNERS as f64;
-                to(self.on_cone(below_m, angle, 0.0), 1.0);
+                let there_s = to(self.on_cone(below_m, angle, 0.0), 1.0);
+                if corner == CORNERS {
+                    circles_s.push(there_s);
+                }
             }
         }
         // Out along its shaft, burning what is in the way.
         let out_m = bottom_m / LEAN_RAD.cos();
         to(self.on_cone(bottom_m, 0.0, out_m + 0.03), 1.0);
-        to(self.on_cone(bottom_m, 0.0, out_m + 0.06), 0.0);
-        way
+        circles_s.push(to(self.on_cone(bottom_m, 0.0, out_m + 0.06), 0.0));
+        (way, circles_s)
     }
 
     /// The grasper's way: time [s], tip [m], opening of the jaws.
@@ -166,11 +205,28 @@ pub(crate) fn scene_file(files: &Files) -> PathBuf {
     files.folder.join("resection.toml")
 }
 
-/// Writes the scene with both hands' ways.
+/// The mesh that is finer on the hook's way.
+fn fine_mesh_file(files: &Files) -> PathBuf {
+    files.folder.join("resection.vtu")
+}
+
+/// Writes the finer mesh and the scene with both hands' ways.
 pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
-    let plan = Plan::new(files)?;
+    let (mesh, _) = read_mesh(&files.mesh)?;
+    let plan = Plan::new(files, &mesh)?;
+    let n_before = mesh.positions_m.len();
+    let fine = plan.finer(mesh)?;
+    // The new nodes lie in front: of all of them fewer are held behind.
+    let held = 0.1 * n_before as f64 / fine.positions_m.len() as f64;
+    let mesh_file = fine_mesh_file(files);
+    write_mesh(&mesh_file, &fine)?;
+    println!(
+        "\nfiner mesh on the hook's way: {} tetrahedra, in {}",
+        fine.tetrahedra.len(),
+        mesh_file.display()
+    );
     let name = |path: &Path| path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    let (hook, grasper_home_m) = (plan.hook(), plan.entry_m + plan.out * 0.08);
+    let ((hook, _), grasper_home_m) = (plan.hook(), plan.entry_m + plan.out * 0.08);
     let end_s = hook.last().map_or(0.0, |point| point.0);
     let [u, _] = plan.across();
     let mut text = format!(
@@ -179,11 +235,11 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
          [simulation]\ntime_step = \"0.2 ms\"\n\n\
          [organ]\nmesh = \"{}\"\ntissue = \"liver\"\nmodel = \"explicit\"\nlaw = \"stable_neo_hooke\"\ndamping = \"20 1/s\"\n\
          vessels = \"vessels.csv\"\ntearing = true\n\n\
-         [[organ.fixed]]\nfurthest = {{ direction = [0.0, 1.0, 0.4], fraction = 0.1 }}\n\n\
+         [[organ.fixed]]\nfurthest = {{ direction = [0.0, 1.0, 0.4], fraction = {held:.5} }}\n\n\
          # The assisting hand holds the tissue over the tumour.\n\
          [[tool]]\nname = \"grasper\"\nkind = \"grasper\"\ntip_radius = \"2.5 mm\"\nclosing_force = \"10 N\"\nfriction = 0.8\n\
          home_tip = {}\nhome_shaft = {}\nhome_jaw = 1.0\n",
-        name(&files.mesh),
+        name(&mesh_file),
         quoted_mm(grasper_home_m),
         direction(plan.out + 0.2 * u),
     );
@@ -208,6 +264,14 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
             pose.trigger
         )?;
     }
+    write!(
+        text,
+        "\n# An assistant closes vessels with it.\n\
+         [[tool]]\nname = \"clip applier\"\nkind = \"grasper\"\ntip_radius = \"2 mm\"\njaw_length = \"10 mm\"\n\
+         home_tip = {}\nhome_shaft = {}\n",
+        quoted_mm(plan.entry_m + plan.out * CLIPS_HOME_M - u * 0.05),
+        direction(plan.out - 0.3 * u),
+    )?;
     let file = scene_file(files);
     write_atomically(&file, |out| out.write_all(text.as_bytes()))
         .with_context(|| format!("{}: cannot write", file.display()))
@@ -217,60 +281,24 @@ fn direction(d: DVec3) -> String {
     format!("[{:.6}, {:.6}, {:.6}]", d.x, d.y, d.z)
 }
 
-/// What is left where.
-struct Outcome {
-    n_removed: usize,
-    burnt_ml: f64,
-    specimen_ml: f64,
-    /// Whether it hangs together with nothing that is held.
-    is_free: bool,
-    /// Share of the tumour's tetrahedra that are in the specimen.
-    tumour_in_specimen: f64,
-    /// Nearest the burnt tissue came to the tumour's ball, at rest [m].
-    margin_m: f64,
-    pieces: usize,
+/// A clip.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+struct Clip {
+    time_s: f64,
+    /// Blood that the whole organ lost before and after [ml/min].
+    before_ml_per_min: f64,
+    after_ml_per_min: f64,
 }
 
-fn outcome(world: &World, tumour: Ball) -> Outcome {
-    let body = world.organ().body();
-    let topology = body.topology();
-    let middle = |tet: TetId| body.mesh().corners_m(tet).into_iter().sum::<DVec3>() / 4.0;
-    let pieces = topology.pieces(Through::Faces);
-    let core = |tet: &TetId| middle(*tet).distance(tumour.center_m) < tumour.radius_m;
-    let in_tumour: Vec<TetId> = topology.live_tets().filter(core).collect();
-    let n_tumour = (0..topology.n_tets()).map(TetId::from_index).filter(core).count();
-    // The piece that holds most of the tumour.
-    let mut counts = vec![0usize; pieces.count()];
-    for tet in &in_tumour {
-        counts[pieces.of_tet[tet.index()] as usize] += 1;
-    }
-    let specimen = counts.iter().enumerate().max_by_key(|(_, n)| **n).map_or(0, |(piece, _)| piece);
-    // A piece that something holds is the organ itself.
-    let is_held = |t: TetId| topology.tet_nodes(t).into_iter().any(|node| world.organ().is_fixed(node));
-    let is_free = !topology.live_tets().any(|t| pieces.of_tet[t.index()] as usize == specimen && is_held(t));
-    let volume_ml = |is_in: &dyn Fn(TetId) -> bool| {
-        1e6 * (0..topology.n_tets())
-            .map(TetId::from_index)
-            .filter(|&t| is_in(t))
-            .map(|t| body.mesh().tet_volume_m3(t))
-            .sum::<f64>()
-    };
-    let burnt = |t: TetId| !topology.is_live_tet(t);
-    let margin_m = (0..topology.n_tets())
-        .map(TetId::from_index)
-        .filter(|&t| burnt(t))
-        .flat_map(|t| body.mesh().corners_m(t))
-        .map(|corner_m| corner_m.distance(tumour.center_m) - tumour.radius_m)
-        .fold(f64::INFINITY, f64::min);
-    Outcome {
-        n_removed: (0..topology.n_tets()).map(TetId::from_index).filter(|&t| burnt(t)).count(),
-        burnt_ml: volume_ml(&burnt),
-        specimen_ml: volume_ml(&|t| topology.is_live_tet(t) && pieces.of_tet[t.index()] as usize == specimen),
-        is_free,
-        tumour_in_specimen: counts.get(specimen).copied().unwrap_or(0) as f64 / n_tumour.max(1) as f64,
-        margin_m,
-        pieces: pieces.count(),
-    }
+/// What was seen on the way.
+#[derive(Clone, Debug, Default)]
+struct Course {
+    steps: u64,
+    greatest_n: [f64; 2],
+    held_steps: u64,
+    clips: Vec<Clip>,
+    greatest_ml_per_min: f64,
+    pictures: Vec<PathBuf>,
 }
 
 /// What came of the operation.
@@ -280,50 +308,104 @@ pub(crate) struct Resection {
     pub(crate) tumour_in_specimen: f64,
 }
 
-/// Runs the operation without a window, takes pictures, replays it, and writes `resection.md` and `resection.json`.
-pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
-    let plan = Plan::new(files)?;
-    let source = OpenScene::read(&scene_file(files))?;
-    let scene = source.scene.clone();
-    let session_file = files.folder.join("resection.jsonl");
+/// Blood that the organ loses now [ml/min].
+fn bleeding_ml_per_min(world: &World) -> f64 {
+    world.vessels().map_or(0.0, |vessels| 60e6 * vessels.bleeding_m3_per_s())
+}
+
+/// Leads the instruments along the script of the scene, which waits while vessels are clipped.
+fn follow_script(
+    files: &Files,
+    plan: &Plan,
+    scene: &glisson::scene::Scene,
+    simulation: &mut Simulation,
+) -> anyhow::Result<Course> {
     let end_s = scene.end_of_paths_s().context("the scene has paths")?;
-    let mut simulation = Simulation::open(source, Some(&session_file))?;
     let time_step_s = simulation.world().spec().time_step_s;
-    let steps = (end_s / time_step_s).ceil() as u64;
+    let script_steps = (end_s / time_step_s).ceil() as u64;
     let shots = [(0.0, "before"), (0.3, "burning"), (0.8, "beneath"), (1.0, "lifted")];
-    let mut moments = shots.iter().map(|(share, name)| ((share * steps as f64) as u64, *name)).peekable();
-    let mut pictures = Vec::new();
-    let (mut greatest_n, mut held_steps, mut stuck_s) = ([0.0_f64; 2], 0u64, 0.0);
-    let progress = indicatif::ProgressBar::new(steps);
-    for step in 0..=steps {
-        if let Some((_, name)) = moments.next_if(|(at, _)| *at <= step) {
-            let file = files.folder.join(format!("resection_{}_{name}.png", pictures.len() + 1));
-            picture(&file, simulation.world(), &plan, name)?;
-            pictures.push(file);
+    let mut shots =
+        shots.iter().map(|(share, name)| ((share * script_steps as f64) as u64, *name)).peekable();
+    let mut looks = plan.hook().1.into_iter().chain([end_s]).peekable();
+    let mut applier = ClipApplier::new(simulation.world().tools()[CLIP_APPLIER].home);
+    let (mut course, mut stuck_s, mut script_step) = (Course::default(), 0.0, 0_u64);
+    let shoot = |name: &str, world: &World, pictures: &mut Vec<PathBuf>| {
+        let file = files.folder.join(format!("resection_{}_{name}.png", pictures.len() + 1));
+        picture(&file, world, plan, name)?;
+        pictures.push(file);
+        anyhow::Ok(())
+    };
+    let progress = indicatif::ProgressBar::new(script_steps);
+    loop {
+        if let Some((_, name)) = shots.next_if(|(at, _)| *at <= script_step) {
+            shoot(name, simulation.world(), &mut course.pictures)?;
         }
-        if step == steps {
+        let script_s = script_step as f64 * time_step_s;
+        if !applier.is_busy() && looks.next_if(|look_s| *look_s <= script_s).is_some() {
+            // What bleeds most comes first.
+            let mut ends = simulation.world().snapshot().bleeding.ends;
+            ends.sort_by(|a, b| b.rate_m3_per_s.total_cmp(&a.rate_m3_per_s));
+            let places: Vec<_> = ends.iter().map(|end| plan.to_clip(end.position_m)).collect();
+            applier.send(&places);
+        }
+        let waits = applier.is_busy();
+        if !waits && script_step == script_steps {
             break;
         }
-        let report = simulation.advance(&scene.input_at((step + 1) as f64 * time_step_s))?;
-        for (greatest, tool) in greatest_n.iter_mut().zip(&report.tools) {
+        script_step += u64::from(!waits);
+        let mut input = scene.input_at(script_step as f64 * time_step_s);
+        if waits {
+            input.tools[HOOK].trigger = 0.0;
+        }
+        let (pose, clips) = applier.advance(time_step_s);
+        input.tools[CLIP_APPLIER] = pose;
+        let report = simulation.advance(&input)?;
+        course.steps += 1;
+        course.greatest_ml_per_min = course.greatest_ml_per_min.max(bleeding_ml_per_min(simulation.world()));
+        if clips {
+            if course.clips.is_empty() {
+                shoot("clipping", simulation.world(), &mut course.pictures)?;
+            }
+            let before_ml_per_min = bleeding_ml_per_min(simulation.world());
+            simulation.clip_vessel(CLIP_APPLIER)?;
+            let after_ml_per_min = bleeding_ml_per_min(simulation.world());
+            let time_s = simulation.world().snapshot().time_s;
+            course.clips.push(Clip { time_s, before_ml_per_min, after_ml_per_min });
+        }
+        for (greatest, tool) in course.greatest_n.iter_mut().zip(&report.tools) {
             *greatest = greatest.max(tool.force_on_tool_n.length());
         }
-        held_steps += u64::from(report.tools[0].n_held_nodes > 0);
-        let hook_n = report.tools[1].force_on_tool_n.length();
+        course.held_steps += u64::from(report.tools[GRASPER].n_held_nodes > 0);
+        let hook_n = report.tools[HOOK].force_on_tool_n.length();
         stuck_s = if hook_n > STUCK_N { stuck_s + time_step_s } else { 0.0 };
         ensure!(
             stuck_s < STUCK_S,
-            "the hook is stuck at {:.2} s: {hook_n:.1} N for {STUCK_S} s, and tissue gives way at some 3 N; the script stops",
-            step as f64 * time_step_s
+            "the hook is stuck at {script_s:.2} s: {hook_n:.1} N for {STUCK_S} s, and tissue gives way at some 3 N; the script stops",
         );
-        if step % 500 == 0 {
-            progress.set_position(step);
+        if script_step.is_multiple_of(500) {
+            progress.set_position(script_step);
         }
     }
     progress.finish_and_clear();
-    let outcome = outcome(simulation.world(), plan.tumour);
-    let vessels = simulation.world().vessels();
-    let (lost_ml, open_ends) = vessels.map_or((0.0, 0), |v| (1e6 * v.lost_m3(), v.open_ends().len()));
+    Ok(course)
+}
+
+/// Runs the operation without a window, takes pictures, replays it, and writes `resection.md` and `resection.json`.
+pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
+    let (coarse, _) = read_mesh(&files.mesh)?;
+    let plan = Plan::new(files, &coarse)?;
+    let source = OpenScene::read(&scene_file(files))?;
+    let scene = source.scene.clone();
+    let session_file = files.folder.join("resection.jsonl");
+    let mut simulation = Simulation::open(source, Some(&session_file))?;
+    let whole = simulation.world().organ().mesh().clone();
+    let time_step_s = simulation.world().spec().time_step_s;
+    let course = follow_script(files, &plan, &scene, &mut simulation)?;
+    let specimen = Specimen::of(simulation.world(), &whole, &plan.tumour)?;
+    let world = simulation.world();
+    let (lost_ml, open_ends) = world.vessels().map_or((0.0, 0), |v| (1e6 * v.lost_m3(), v.open_ends().len()));
+    let (burnt_ml, end_ml_per_min) = (1e6 * world.removed_volume_m3(), bleeding_ml_per_min(world));
+    let n_removed = whole.tetrahedra.len() - world.organ().body().topology().live_counts().tets;
     let (notices, n_torn) = (simulation.notices().to_vec(), simulation.n_torn());
     let state_hash = simulation.finish()?;
     let session = read_session(&session_file)?;
@@ -332,20 +414,24 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
         replayed.state_hash == state_hash && replayed.first_difference.is_none(),
         "the replay differs from the recording"
     );
+    let Course { steps, greatest_n, held_steps, clips, greatest_ml_per_min, pictures } = course;
+    let specimen_ml = 1e6 * specimen.volume_m3;
     let report = json!({
-        "steps": steps, "simulated_s": end_s,
-        "tetrahedra_removed": outcome.n_removed, "tetrahedra_torn": n_torn, "burnt_ml": outcome.burnt_ml,
-        "pieces": outcome.pieces, "specimen_ml": outcome.specimen_ml,
-        "specimen_is_free": outcome.is_free, "tumour_in_specimen": outcome.tumour_in_specimen, "least_margin_m": outcome.margin_m,
-        "blood_lost_ml": lost_ml, "open_vessel_ends": open_ends,
-        "greatest_force_grasper_n": greatest_n[0], "greatest_force_hook_n": greatest_n[1],
+        "steps": steps, "simulated_s": steps as f64 * time_step_s, "tetrahedra": whole.tetrahedra.len(),
+        "tetrahedra_removed": n_removed, "tetrahedra_torn": n_torn, "burnt_ml": burnt_ml,
+        "pieces": specimen.n_pieces, "specimen_ml": specimen_ml,
+        "specimen_is_free": specimen.is_free, "tumour_in_specimen": specimen.tumour_share,
+        "tumour_radius_m": plan.tumour.radius_m, "least_margin_m": specimen.margin_m,
+        "blood_lost_ml": lost_ml, "open_vessel_ends": open_ends, "clips": clips,
+        "greatest_bleeding_ml_per_min": greatest_ml_per_min, "bleeding_at_the_end_ml_per_min": end_ml_per_min,
+        "greatest_force_grasper_n": greatest_n[GRASPER], "greatest_force_hook_n": greatest_n[HOOK],
         "steps_held_by_grasper": held_steps, "notices": notices,
         "state_hash": state_hash.to_string(), "replayed_state_hash": replayed.state_hash.to_string(),
     });
     let json_text = serde_json::to_string_pretty(&report)? + "\n";
     let mut text = String::from(
         "# A tumour is taken out of the liver with two hands\n\nThe grasper holds the tissue over the tumour and pulls; the hook burns a cone \
-         around and beneath it; then the piece is lifted out.\n\n",
+         around and beneath it; after every circle an assistant sets clips on what bleeds; then the piece is lifted out.\n\n",
     );
     for file in &pictures {
         let name = file.file_name().unwrap_or_default().to_string_lossy();
@@ -353,20 +439,26 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     }
     text += "\n| what | value |\n|---|---|\n";
     for (what, value) in [
-        ("steps", format!("{steps} of {} ms", time_step_s * 1e3)),
+        ("steps", format!("{steps} of {} ms, {} tetrahedra", time_step_s * 1e3, whole.tetrahedra.len())),
         (
             "tissue burnt away or torn",
-            format!("{} tetrahedra, {:.1} ml; {n_torn} of them torn", outcome.n_removed, outcome.burnt_ml),
+            format!("{n_removed} tetrahedra, {burnt_ml:.1} ml; {n_torn} of them torn"),
         ),
-        ("pieces of the organ", outcome.pieces.to_string()),
+        ("pieces of the organ", specimen.n_pieces.to_string()),
         (
             "piece with the tumour",
-            format!("{:.1} ml, {}", outcome.specimen_ml, if outcome.is_free { "free" } else { "still held" }),
+            format!("{specimen_ml:.1} ml, {}", if specimen.is_free { "free" } else { "still held" }),
         ),
-        ("of the tumour in it", format!("{:.0} %", 100.0 * outcome.tumour_in_specimen)),
-        ("least distance of burnt tissue from the tumour", format!("{:.1} mm", 1e3 * outcome.margin_m)),
-        ("blood lost", format!("{lost_ml:.1} ml from {open_ends} open vessels")),
-        ("greatest forces", format!("grasper {:.2} N, hook {:.2} N", greatest_n[0], greatest_n[1])),
+        ("of the tumour in it", format!("{:.1} %", 100.0 * specimen.tumour_share)),
+        ("least distance of the cut from the tumour", format!("{:.1} mm", 1e3 * specimen.margin_m)),
+        (
+            "blood lost",
+            format!(
+                "{lost_ml:.1} ml; at most {greatest_ml_per_min:.0} ml/min, {end_ml_per_min:.0} at the end"
+            ),
+        ),
+        ("clips", format!("{}, {open_ends} vessels open at the end", clips.len())),
+        ("greatest forces", format!("grasper {:.2} N, hook {:.2} N", greatest_n[GRASPER], greatest_n[HOOK])),
         ("state hash, also of the replay", format!("`{state_hash}`")),
     ] {
         writeln!(text, "| {what} | {value} |")?;
@@ -377,7 +469,7 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
             .with_context(|| format!("{}: cannot write", file.display()))?;
     }
     println!("{text}");
-    let tumour_in_specimen = if outcome.is_free { outcome.tumour_in_specimen } else { 0.0 };
+    let tumour_in_specimen = if specimen.is_free { specimen.tumour_share } else { 0.0 };
     Ok(Resection { state_hash, tumour_in_specimen })
 }
 
@@ -389,6 +481,11 @@ fn instrument(pose: &ToolInput, world: &World, tool: usize) -> Instrument {
         tip_radius_m: spec.tip_radius_m,
         shaft_radius_m: spec.shaft_radius_m,
     }
+}
+
+/// A red arrow out of the tissue, larger than life.
+fn drop_of_blood(end_m: DVec3, out: DVec3) -> Arrow {
+    Arrow { from_m: end_m, to_m: end_m + out * 0.012, radius_m: 1.5e-3, colour: [170, 0, 10] }
 }
 
 fn picture(file: &Path, world: &World, plan: &Plan, title: &str) -> anyhow::Result<()> {
@@ -415,7 +512,8 @@ fn picture(file: &Path, world: &World, plan: &Plan, title: &str) -> anyhow::Resu
             .enumerate()
             .map(|(i, tool)| instrument(&tool.pose, world, i))
             .collect(),
-        arrows: Vec::new(),
+        // What bleeds.
+        arrows: snapshot.bleeding.ends.iter().map(|end| drop_of_blood(end.position_m, plan.out)).collect(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],
         size: PICTURE_SIZE,
     };

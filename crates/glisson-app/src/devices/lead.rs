@@ -162,6 +162,10 @@ impl Lead {
         {
             bail!("{} cannot lead itself", choice.text());
         }
+        ensure!(
+            *leader != DeviceName::Viewer,
+            "the viewer cannot lead: its page is there in `glisson serve` alone; name another device"
+        );
         let follower = choice.open_follower(rate_hz)?;
         let leader = match leader {
             DeviceName::Trocar(choice) => Leader::Trocar(Box::new(choice.open(

@@ -20,7 +20,8 @@ const N_CROSSING: usize = 5;
 const N_SHORT: usize = 12;
 const N_OBLIQUE: usize = 12;
 const N_RANDOM: usize = 200;
-/// Smallest angle [degrees] at which a random stroke meets the skin: a flatter one only grazes it, and merges with it.
+/// Smallest angle [degrees] at which a steep random stroke meets the skin: a flatter one only grazes it, and may merge with
+/// it.
 const LEAST_SKIN_ANGLE_DEG: f64 = 20.0;
 /// Smallest angle of a stroke with an earlier one that it crosses, and distance [mean edges] from the others.
 const LEAST_ANGLE_DEG: f64 = 15.0;
@@ -98,7 +99,9 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let boxes = box_of_five([16, 12, 8], DVec3::new(0.08, 0.06, 0.04));
     oblique_strokes("box", boxes, &mut outcome)?;
     oblique_strokes("liver", liver(LIVER_TETS)?, &mut outcome)?;
-    random_strokes(&liver(LIVER_TETS)?, &mut outcome)?;
+    let liver = liver(LIVER_TETS)?;
+    random_strokes(&liver, &mut outcome)?;
+    steep_random_strokes(&liver, &mut outcome)?;
     through(&mut outcome)?;
     Ok(outcome)
 }
@@ -266,9 +269,57 @@ fn short_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// What came of many strokes, each in a whole body.
+struct ManyStrokes {
+    /// Difference of the area opened from the area swept, relative, and whether faces were told to be merged.
+    shares: Vec<(f64, bool)>,
+    worst_deg: f64,
+    worst_volume: f64,
+    smallest_m3: f64,
+    n_refused: usize,
+    /// Strokes that were left out because they meet the skin at less than the least angle.
+    n_grazing: usize,
+    /// Strokes that were left out because they swept less than half a squared edge inside the body.
+    n_small: usize,
+}
+
+impl ManyStrokes {
+    fn quantile(&self, share: f64) -> f64 {
+        let mut off: Vec<f64> = self.shares.iter().map(|s| s.0).collect();
+        off.sort_by(f64::total_cmp);
+        off[((off.len() - 1) as f64 * share) as usize]
+    }
+
+    fn n_merged(&self) -> usize {
+        self.shares.iter().filter(|s| s.1).count()
+    }
+
+    fn within(&self) -> impl Iterator<Item = f64> + '_ {
+        self.shares.iter().filter(|s| !s.1).map(|s| s.0)
+    }
+
+    fn note(&self, what: &str) -> String {
+        format!(
+            "\n{what}: area opened against area swept, difference: median {:.4}, 90 % below {:.4}, 99 % below {:.4}, worst \
+             {:.4}; {} within 2 %, {} reported as merged, {} neither; smallest dihedral angle {:.2} degrees; left out: {} \
+             that graze the skin, {} that swept less than half a squared edge.\n",
+            self.quantile(0.5),
+            self.quantile(0.9),
+            self.quantile(0.99),
+            self.quantile(1.0),
+            self.shares.iter().filter(|s| s.0 <= 0.02).count(),
+            self.n_merged(),
+            self.within().filter(|off| *off > 0.02).count(),
+            self.worst_deg,
+            self.n_grazing,
+            self.n_small,
+        )
+    }
+}
+
 /// Strokes of 1.5 to 8 edges at random places of curved skin, 0.8 to 4 edges deep and leaning over by up to 45 degrees,
-/// each in a whole body: the worst single one counts.
-fn random_strokes(mesh: &TetMesh, outcome: &mut Outcome) -> anyhow::Result<()> {
+/// each in a whole body.
+fn many_strokes(mesh: &TetMesh, leaves_out_grazing: bool) -> anyhow::Result<ManyStrokes> {
     let volume_m3 = mesh.volume_m3();
     let whole = Body::new(mesh.clone())?;
     let edge_m = MeshQuality::of(mesh).mean_edge_m;
@@ -278,11 +329,16 @@ fn random_strokes(mesh: &TetMesh, outcome: &mut Outcome) -> anyhow::Result<()> {
         topology.surface_triangles().map(places).collect()
     };
     let mut random = SeededRandom::new(11);
-    let mut shares = Vec::with_capacity(N_RANDOM);
-    let mut worst_open = 0.0f64;
-    let (mut worst_deg, mut worst_volume, mut smallest_m3) = (180.0f64, 0.0f64, f64::INFINITY);
-    let (mut n_refused, mut n_merged) = (0, 0);
-    while shares.len() < N_RANDOM {
+    let mut many = ManyStrokes {
+        shares: Vec::with_capacity(N_RANDOM),
+        worst_deg: 180.0,
+        worst_volume: 0.0,
+        smallest_m3: f64::INFINITY,
+        n_refused: 0,
+        n_grazing: 0,
+        n_small: 0,
+    };
+    while many.shares.len() < N_RANDOM {
         let at = (random.uniform_in(0.0, skin.len() as f64) as usize).min(skin.len() - 1);
         let [a, b, c] = skin[at];
         let (middle_m, outward) = ((a + b + c) / 3.0, (b - a).cross(c - a).normalize());
@@ -296,60 +352,98 @@ fn random_strokes(mesh: &TetMesh, outcome: &mut Outcome) -> anyhow::Result<()> {
         let blade = |p: DVec3| [p - depth_m * up, p + 3.0 * edge_m * up];
         let (from_m, to_m) = (blade(middle_m - half_m), blade(middle_m + half_m));
         let swept = Swept([from_m[0], from_m[1], to_m[1], to_m[0]]);
-        if skin.iter().any(|triangle| swept.grazes(triangle)) {
+        if leaves_out_grazing && skin.iter().any(|triangle| swept.grazes(triangle)) {
+            many.n_grazing += 1;
             continue;
         }
         let mut body = Body::new(mesh.clone())?;
         let (report, _) = body.stroke(from_m, to_m)?;
         if report.swept_area_m2 < 0.5 * edge_m * edge_m {
+            many.n_small += 1;
             continue;
         }
         let off = (report.cut_area_m2 / report.swept_area_m2 - 1.0).abs();
-        if report.n_merged == 0 {
-            worst_open = worst_open.max(off);
-        }
-        shares.push(off);
-        worst_deg = worst_deg.min(report.min_dihedral_deg);
-        n_refused += report.n_refused;
-        n_merged += report.n_merged;
-        let (volume, smallest) = body.volumes(volume_m3);
-        (worst_volume, smallest_m3) = (worst_volume.max(volume), smallest_m3.min(smallest));
+        many.shares.push((off, report.n_merged > 0));
+        many.worst_deg = many.worst_deg.min(report.min_dihedral_deg);
+        many.n_refused += report.n_refused;
+        let (volume, smallest_m3) = body.volumes(volume_m3);
+        many.worst_volume = many.worst_volume.max(volume);
+        many.smallest_m3 = many.smallest_m3.min(smallest_m3);
     }
-    shares.sort_by(f64::total_cmp);
-    let quantile = |share: f64| shares[((shares.len() - 1) as f64 * share) as usize];
-    outcome.notes.push_str(&format!(
-        "\n{N_RANDOM} random strokes into the liver's skin: area opened against area swept, difference: median {:.4}, 90 % \
-         below {:.4}, 99 % below {:.4}, worst {:.4}; {n_merged} merged.\n\n",
-        quantile(0.5),
-        quantile(0.9),
-        quantile(0.99),
-        quantile(1.0),
-    ));
-    let what = format!("{N_RANDOM} random strokes into a liver");
+    Ok(many)
+}
+
+/// Random strokes at every angle to the skin.
+fn random_strokes(mesh: &TetMesh, outcome: &mut Outcome) -> anyhow::Result<()> {
+    let what = format!("{N_RANDOM} random strokes into a liver, at every angle to its skin");
+    let many = many_strokes(mesh, false)?;
+    outcome.notes.push_str(&many.note(&what));
+    let n_neither = many.within().filter(|off| *off > 0.02).count();
+    outcome.experiments.extend([
+        Experiment::at_most(
+            &format!("{what}: neither within 2 % of the area swept nor reported as merged"),
+            REQUIREMENT,
+            n_neither as f64,
+            0.0,
+        ),
+        Experiment::at_most(
+            &format!("{what}: share of strokes reported as merged"),
+            "choice: no requirement says how many",
+            many.n_merged() as f64 / N_RANDOM as f64,
+            0.05,
+        ),
+        Experiment::at_most(
+            &format!("{what}: change of volume, relative"),
+            REQUIREMENT,
+            many.worst_volume,
+            1e-9,
+        ),
+        Experiment::at_most(
+            &format!("{what}: tetrahedra inside out (0 or 1), steps refused"),
+            REQUIREMENT,
+            f64::from(u8::from(many.smallest_m3 <= 0.0)) + many.n_refused as f64,
+            0.0,
+        ),
+    ]);
+    Ok(())
+}
+
+/// Random strokes that nowhere meet the skin at less than the least angle: the worst single one counts.
+fn steep_random_strokes(mesh: &TetMesh, outcome: &mut Outcome) -> anyhow::Result<()> {
+    let what = format!(
+        "{N_RANDOM} random strokes into a liver at {LEAST_SKIN_ANGLE_DEG} degrees or more to its skin"
+    );
+    let many = many_strokes(mesh, true)?;
+    outcome.notes.push_str(&many.note(&what));
     outcome.experiments.extend([
         Experiment::at_most(
             &format!("{what}: area opened against area swept, worst single stroke without merged faces"),
             REQUIREMENT,
-            worst_open,
+            many.within().fold(0.0, f64::max),
             0.02,
         ),
         Experiment::at_most(
-            &format!("{what}: share of strokes that report merged faces"),
+            &format!("{what}: share of strokes reported as merged"),
             REQUIREMENT,
-            n_merged as f64 / N_RANDOM as f64,
+            many.n_merged() as f64 / N_RANDOM as f64,
             0.01,
         ),
         Experiment::within(
             &format!("{what}: smallest dihedral angle of what is new [deg]"),
             REQUIREMENT,
-            worst_deg,
+            many.worst_deg,
             [3.0, 70.6],
         ),
-        Experiment::at_most(&format!("{what}: change of volume, relative"), REQUIREMENT, worst_volume, 1e-9),
+        Experiment::at_most(
+            &format!("{what}: change of volume, relative"),
+            REQUIREMENT,
+            many.worst_volume,
+            1e-9,
+        ),
         Experiment::at_most(
             &format!("{what}: tetrahedra inside out (0 or 1), steps refused"),
             REQUIREMENT,
-            f64::from(u8::from(smallest_m3 <= 0.0)) + n_refused as f64,
+            f64::from(u8::from(many.smallest_m3 <= 0.0)) + many.n_refused as f64,
             0.0,
         ),
     ]);

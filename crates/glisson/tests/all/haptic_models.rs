@@ -87,7 +87,8 @@ fn follows_n_per_m(model: &HapticModel) -> f64 {
     let size = |m: &DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
     let of = |stiffness: &DMat3, mu: f64| {
         let mu = if mu.is_finite() { mu } else { 20.0 };
-        (2.0 + mu) * (2.0 + mu) * size(stiffness)
+        // What a slide adds is no steeper than the stiffness, along the push and, with friction, along the drag.
+        ((2.0 + mu) * (2.0 + mu) + 2.0 + mu) * size(stiffness)
     };
     let parts = &model.parts[..model.n_parts as usize];
     let of_part =

@@ -1,4 +1,8 @@
-//! A rigid frictionless indenter on nodes whose compliance is known.
+//! A rigid frictionless indenter on nodes whose compliance is known: by the library's solver of contacts, and by an
+//! active-set iteration that shares no code with it.
+
+use glisson::contact::constraint::{Contact, ContactKey, Response, SweepReport, Sweeps, solve};
+use glisson::math::{DMat3, DVec3};
 
 /// A full symmetric matrix.
 #[derive(Clone, Debug)]
@@ -59,6 +63,39 @@ impl Dense {
     }
 }
 
+/// Sweeps of the library's solver and the change of a force at which it stops: far below what is compared.
+const SWEEPS: Sweeps = Sweeps { most: 20_000, tolerance: 1e-10 };
+
+/// Forces [N] under an indenter whose foot lies `wanted_m` below each node, by [`glisson::contact::constraint::solve`]: one
+/// contact without friction for each node under the foot, on the nodes' own compliance. The third axis points down.
+pub(super) fn by_constraints(compliance_m_per_n: &Dense, wanted_m: &[f64]) -> (Vec<f64>, SweepReport) {
+    let n = wanted_m.len();
+    let mut response = Response::new(n, 1);
+    response.set_group(0, 0..n as u32);
+    let blocks = &mut response.group_mut(0).compliance_m_per_n;
+    for column in 0..n {
+        blocks.extend((0..n).map(|row| DMat3::from_diagonal(DVec3::Z * compliance_m_per_n.at(row, column))));
+    }
+    let mut contacts: Vec<Contact> = (0..n as u32)
+        .filter(|v| wanted_m[*v as usize].is_finite())
+        .map(|v| {
+            let wanted_m = wanted_m[v as usize];
+            let mut contact = Contact::new(ContactKey::VertexObstacle(v, 0), DVec3::Z, -wanted_m);
+            contact.vertices[0] = v;
+            contact.weights[0] = 1.0;
+            // The node goes down at least as far as the foot.
+            contact.slack_m = -wanted_m;
+            contact
+        })
+        .collect();
+    let report = solve(&mut contacts, &response, SWEEPS, &mut vec![DVec3::ZERO; n]);
+    let mut forces_n = vec![0.0; n];
+    for contact in &contacts {
+        forces_n[contact.vertices[0] as usize] = contact.force_n.z;
+    }
+    (forces_n, report)
+}
+
 /// Forces [N] under an indenter whose foot lies `wanted_m` below each node: no force pulls, no node is above the foot. Nodes
 /// that pull are let go and nodes above the foot taken in until there are none (an active-set iteration).
 pub(super) fn unilateral(compliance_m_per_n: &Dense, wanted_m: &[f64]) -> anyhow::Result<Vec<f64>> {
@@ -112,6 +149,27 @@ mod tests {
         let (value, place) = parabola_vertex(&[0.0, 0.9, 1.5, 2.0].map(|x| (x, f(x)))).unwrap();
         assert!((value - 3.0).abs() < 1e-12 && (place - 1.3).abs() < 1e-12);
         assert!(parabola_vertex(&[0.0, 0.9].map(|x| (x, f(x)))).is_none());
+    }
+
+    #[test]
+    fn both_ways_find_the_same_forces() {
+        // A row of nodes that follow each other less with the distance, under a blunt wedge.
+        let n = 12;
+        let mut compliance = Dense::zero(n);
+        for i in 0..n {
+            for j in 0..n {
+                compliance.set(i, j, 1.0 / (1.0 + i.abs_diff(j) as f64));
+            }
+        }
+        let wanted_m: Vec<f64> =
+            (0..n).map(|i| if i == n - 1 { f64::NEG_INFINITY } else { 1.0 - 0.25 * i as f64 }).collect();
+        let expected_n = unilateral(&compliance, &wanted_m).unwrap();
+        let (found_n, report) = by_constraints(&compliance, &wanted_m);
+        assert!(report.residual <= SWEEPS.tolerance, "{report:?}");
+        assert!(expected_n.iter().filter(|f| **f > 0.0).count() > 1);
+        for (found, expected) in found_n.iter().zip(&expected_n) {
+            assert!((found - expected).abs() < 1e-8, "{found_n:?} {expected_n:?}");
+        }
     }
 
     #[test]

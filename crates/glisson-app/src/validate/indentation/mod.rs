@@ -1,5 +1,5 @@
-//! Indentation by a sphere and a flat punch: a graded block of tetrahedra against the layer's own axisymmetric solution, that
-//! against Hertz, Sneddon and the series of Dimitriadis.
+//! Indentation by a sphere and a flat punch: a graded block of tetrahedra under the library's solver of contacts against the
+//! layer's own axisymmetric solution, that against Hertz, Sneddon and the series of Dimitriadis.
 
 pub(super) mod axisymmetric;
 pub(super) mod block;
@@ -8,7 +8,7 @@ mod contact;
 use super::{Experiment, Outcome};
 use axisymmetric::Layer;
 use block::{BlockTop, Elements, Grading};
-use contact::unilateral;
+use contact::{by_constraints, unilateral};
 use glisson::material::LinearElastic;
 use glisson::solve::NodeAveraging;
 use std::f64::consts::PI;
@@ -120,7 +120,7 @@ impl Indenter {
         radii_m
     }
 
-    fn on_block(self, nu: f64, elements: Elements) -> anyhow::Result<(f64, BlockTop)> {
+    fn on_block(self, nu: f64, elements: Elements) -> anyhow::Result<OnBlock> {
         let a_m = self.contact_radius_m();
         let material = LinearElastic::from_young_poisson(YOUNG_MODULUS_PA, nu, DENSITY_KG_PER_M3)?;
         let grading = Grading {
@@ -131,10 +131,31 @@ impl Indenter {
         };
         let top = grading.top(&material, elements, 1.4 * a_m)?;
         let wanted_m: Vec<f64> = top.radii_m.iter().map(|r| self.foot_m(*r)).collect();
-        let forces_n = unilateral(&top.compliance_m_per_n, &wanted_m)?;
-        // Four quarters.
-        Ok((4.0 * forces_n.iter().sum::<f64>(), top))
+        let (forces_n, report) = by_constraints(&top.compliance_m_per_n, &wanted_m);
+        let active_set_n = unilateral(&top.compliance_m_per_n, &wanted_m)?;
+        let largest_n = active_set_n.iter().fold(0.0_f64, |most, f| most.max(*f));
+        let off_n = forces_n.iter().zip(&active_set_n).map(|(f, g)| (f - g).abs()).fold(0.0, f64::max);
+        Ok(OnBlock {
+            // Four quarters.
+            force_n: 4.0 * forces_n.iter().sum::<f64>(),
+            off_share: off_n / largest_n,
+            n_sweeps: report.n_sweeps,
+            n_in_contact: forces_n.iter().filter(|f| **f > 0.0).count(),
+            top,
+        })
     }
+}
+
+/// An indenter on the block of tetrahedra.
+struct OnBlock {
+    /// By the library's solver of contacts [N].
+    force_n: f64,
+    /// Largest difference of a node's force from that of the active-set iteration, over the largest force.
+    off_share: f64,
+    n_sweeps: u32,
+    /// Nodes of the quarter that carry.
+    n_in_contact: usize,
+    top: BlockTop,
 }
 
 /// Borders from 0 to exactly `end`, the first step about `first`, each longer by `growth`.
@@ -167,7 +188,8 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         "E = {YOUNG_MODULUS_PA} Pa, indenters of 5 mm radius pressed in by 1 mm without friction, linear. The layer is {LAYER_RADII} contact \
          radii deep and bonded to its base; the block is square and eight times as wide as deep, its sides free. The tetrahedra under the indenter \
          have edges of a sixth of the contact radius.\n\n\
-         | indenter | nu | half-space [mN] | bonded layer [mN] | block [mN] | tetrahedra | block of plain tetrahedra [mN] |\n|---|---|---|---|---|---|---|\n"
+         | indenter | nu | half-space [mN] | bonded layer [mN] | block [mN] | tetrahedra | nodes of a quarter in contact | sweeps | block of plain tetrahedra [mN] |\n\
+         |---|---|---|---|---|---|---|---|---|\n"
     );
     for indenter in [Indenter::Sphere, Indenter::FlatPunch] {
         for nu in POISSON_RATIOS {
@@ -192,22 +214,32 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
                     0.015,
                 ));
             }
-            let (block_n, top) = indenter.on_block(nu, Elements::Averaged(NodeAveraging::STRAIN))?;
+            let block = indenter.on_block(nu, Elements::Averaged(NodeAveraging::STRAIN))?;
             outcome.experiments.push(Experiment::near(
                 &format!("{name}, nu {nu}: force on the block of tetrahedra [mN]"),
                 FINITE,
-                1e3 * block_n,
+                1e3 * block.force_n,
                 1e3 * layer_n,
                 0.05,
             ));
-            let (plain_n, _) = indenter.on_block(nu, Elements::Plain)?;
+            outcome.experiments.push(Experiment::at_most(
+                &format!(
+                    "{name}, nu {nu}: contact::constraint::solve against an active-set iteration, worst node"
+                ),
+                "own active-set iteration (validate/indentation/contact.rs)",
+                block.off_share,
+                1e-6,
+            ));
+            let plain_n = indenter.on_block(nu, Elements::Plain)?.force_n;
             writeln!(
                 notes,
-                "| {name} | {nu} | {:.3} | {:.3} | {:.3} | {} | {:.3} |",
+                "| {name} | {nu} | {:.3} | {:.3} | {:.3} | {} | {} | {} | {:.3} |",
                 1e3 * half_space_n,
                 1e3 * layer_n,
-                1e3 * block_n,
-                4 * top.n_tets,
+                1e3 * block.force_n,
+                4 * block.top.n_tets,
+                block.n_in_contact,
+                block.n_sweeps,
                 1e3 * plain_n,
             )?;
         }

@@ -1,0 +1,103 @@
+//! A cube of about as many tetrahedra and surface triangles as that of seed 000 (s. 4.2.2: 353 and 288). Its fine surface and
+//! coarse inside come from commercial software; here they are built by hand.
+
+use glisson::math::{DVec3, tetrahedron_volume_m3};
+use glisson::mesh::{NodeId, TetMesh};
+use std::collections::BTreeMap;
+
+/// Cells along the axes: 288 triangles and 360 tetrahedra.
+pub(crate) const CELLS_288: [usize; 3] = [4, 4, 7];
+/// The same with 296 triangles, so that two have 592 (seed 000, fig. 4.6: 596), and 368 tetrahedra.
+pub(crate) const CELLS_296: [usize; 3] = [4, 5, 6];
+
+/// Depth of the inner nodes below the middles of the sides, as a share of the edge: a choice.
+const DEPTH: f64 = 0.25;
+
+/// A cube with one corner in the origin. Below the middle of each side is a node, to which all triangles of that side lead;
+/// between two sides there is a tetrahedron at each piece of their edge, at a corner one between three, and inside four.
+pub(crate) fn thesis_cube(cells: [usize; 3], side_m: f64) -> TetMesh {
+    let mut mesh = TetMesh::default();
+    let mut nodes = BTreeMap::new();
+    let mut node = |place: [usize; 3], mesh: &mut TetMesh| {
+        *nodes.entry(place).or_insert_with(|| {
+            let share = [0, 1, 2].map(|axis| place[axis] as f64 / cells[axis] as f64);
+            mesh.positions_m.push(DVec3::from_array(share) * side_m);
+            NodeId::from_index(mesh.positions_m.len() - 1)
+        })
+    };
+    let mut tets: Vec<[NodeId; 4]> = Vec::new();
+    // The node below each side, by axis and by which of the two.
+    let inner = [0, 1, 2].map(|axis| {
+        [DEPTH, 1.0 - DEPTH].map(|depth| {
+            let mut share = [0.5; 3];
+            share[axis] = depth;
+            mesh.positions_m.push(DVec3::from_array(share) * side_m);
+            NodeId::from_index(mesh.positions_m.len() - 1)
+        })
+    });
+    for axis in 0..3 {
+        let [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
+        for end in 0..2 {
+            let mut at = |i: usize, j: usize, mesh: &mut TetMesh| {
+                let mut place = [0; 3];
+                (place[axis], place[u], place[v]) = (end * cells[axis], i, j);
+                node(place, mesh)
+            };
+            for i in 0..cells[u] {
+                for j in 0..cells[v] {
+                    let corners = [(0, 0), (1, 0), (1, 1), (0, 1)];
+                    let [a, b, c, d] = corners.map(|(k, l)| at(i + k, j + l, &mut mesh));
+                    let apex = inner[axis][end];
+                    tets.extend([[a, b, c, apex], [a, c, d, apex]]);
+                }
+            }
+        }
+        // Along the edges that run this way.
+        for (end_u, end_v) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            for k in 0..cells[axis] {
+                let [a, b] = [k, k + 1].map(|along| {
+                    let mut place = [0; 3];
+                    (place[axis], place[u], place[v]) = (along, end_u * cells[u], end_v * cells[v]);
+                    node(place, &mut mesh)
+                });
+                tets.push([a, b, inner[u][end_u], inner[v][end_v]]);
+            }
+        }
+    }
+    for corner in 0..8 {
+        let ends = [corner & 1, (corner >> 1) & 1, (corner >> 2) & 1];
+        let place = [0, 1, 2].map(|axis| ends[axis] * cells[axis]);
+        let [a, b, c] = [0, 1, 2].map(|axis| inner[axis][ends[axis]]);
+        tets.push([node(place, &mut mesh), a, b, c]);
+    }
+    // The octahedron around one of its diagonals.
+    let [x, y, z] = inner;
+    for [a, b] in [[y[0], z[0]], [z[0], y[1]], [y[1], z[1]], [z[1], y[0]]] {
+        tets.push([x[0], x[1], a, b]);
+    }
+    for tet in tets {
+        let volume_m3 = tetrahedron_volume_m3(tet.map(|n| mesh.positions_m[n.index()]));
+        let [p, q, r, s] = tet;
+        mesh.tetrahedra.push(if volume_m3 > 0.0 { tet } else { [p, r, q, s] });
+    }
+    mesh
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glisson::mesh::faults::find_faults;
+    use glisson::mesh::topology::Topology;
+
+    #[test]
+    fn the_cubes_are_whole_and_of_the_thesis_size() {
+        for (cells, n_triangles, n_tets) in [(CELLS_288, 288, 360), (CELLS_296, 296, 368)] {
+            let mesh = thesis_cube(cells, 0.05);
+            assert!(find_faults(&mesh).is_empty(), "{:?}", find_faults(&mesh));
+            assert!((mesh.volume_m3() / 0.05_f64.powi(3) - 1.0).abs() < 1e-12, "{}", mesh.volume_m3());
+            assert_eq!(Topology::build(&mesh).unwrap().surface_triangles().count(), n_triangles);
+            assert_eq!(mesh.tetrahedra.len(), n_tets);
+            assert!((n_tets as f64 / 353.0 - 1.0).abs() < 0.05);
+        }
+    }
+}

@@ -304,7 +304,7 @@ fn a_tip_at_5_m_per_s_is_felt_while_the_simulation_stands_still() {
         Process::start(folder.path(), &["serve", "scene.toml", "--role", "haptics", "--link", &link]);
     haptics.says("touches are looked for here, on 4 triangles");
     haptics.says("the simulation is there");
-    for _ in 0..16 {
+    for _ in 0..12 {
         simulation.signal("STOP");
         std::thread::sleep(Duration::from_millis(150));
         simulation.signal("CONT");

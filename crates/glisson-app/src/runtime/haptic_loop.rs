@@ -11,6 +11,7 @@ use crate::devices::viewer::PageHand;
 use anyhow::{Context, ensure};
 use glisson::haptics::{
     DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, InsertedInstrument, LawSettings, LawTick,
+    TickReport,
 };
 use glisson::tool::ToolInput;
 use glisson::tool::found::Detected;
@@ -200,6 +201,7 @@ impl HeldTool {
                     meters.motion_to_force.record(now_ns().saturating_sub(read_ns));
                     Meters::add(&meters.n_saturated, u64::from(report.is_saturated));
                     Meters::add(&meters.n_stale, u64::from(report.is_stale));
+                    meters.felt.look(&report, command.force_n.length());
                     meters.least_energy_j.lower_to(report.observed_energy_j);
                 }
                 written
@@ -270,8 +272,60 @@ pub(crate) struct Meters {
     model_age: Histogram,
     work: Histogram,
     least_energy_j: LeastValue,
+    felt: FeltMeters,
     scheduling: OnceLock<Scheduling>,
     settings: OnceLock<HapticSettings>,
+}
+
+/// What hands felt, and that nothing is felt while the simulation does not answer.
+#[derive(Debug, Default)]
+struct FeltMeters {
+    /// Less than nothing are forces: their sizes with the other sign [N]. Of all ticks, of those at which the force was taken
+    /// back because the model was old, and of those after such a time at which all of it was given again.
+    all_n: LeastValue,
+    taken_back_n: LeastValue,
+    given_again_n: LeastValue,
+    n_taken_back: AtomicU64,
+    /// Ticks at which a part of the force was given: of the ramps.
+    n_on_ramps: AtomicU64,
+}
+
+impl FeltMeters {
+    fn look(&self, report: &TickReport, force_n: f64) {
+        self.all_n.lower_to(-force_n);
+        if report.gate_share > 0.0 && report.gate_share < 1.0 {
+            Meters::add(&self.n_on_ramps, 1);
+        } else if report.gate_share <= 0.0 && report.is_stale {
+            Meters::add(&self.n_taken_back, 1);
+            self.taken_back_n.lower_to(-force_n);
+        } else if report.gate_share >= 1.0 && self.n_taken_back.load(Ordering::Relaxed) > 0 {
+            self.given_again_n.lower_to(-force_n);
+        }
+    }
+
+    fn report(&self) -> FeltForces {
+        FeltForces {
+            greatest_n: 0.0 - self.all_n.get(),
+            greatest_taken_back_n: 0.0 - self.taken_back_n.get(),
+            greatest_given_again_n: 0.0 - self.given_again_n.get(),
+            n_taken_back: self.n_taken_back.load(Ordering::Relaxed),
+            n_on_ramps: self.n_on_ramps.load(Ordering::Relaxed),
+        }
+    }
+}
+
+/// What hands felt.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct FeltForces {
+    /// The greatest force [N].
+    pub(crate) greatest_n: f64,
+    /// The same of the ticks at which all of it was taken back because the model was old, and how many these were.
+    pub(crate) greatest_taken_back_n: f64,
+    pub(crate) n_taken_back: u64,
+    /// The same of the ticks at which all of it was given, after such a time.
+    pub(crate) greatest_given_again_n: f64,
+    /// Ticks at which a part of it was given.
+    pub(crate) n_on_ramps: u64,
 }
 
 /// The least of values that are at most 0; one thread lowers it.
@@ -319,7 +373,25 @@ pub(crate) struct HapticReport {
     pub(crate) settings: HapticSettings,
 }
 
+impl FeltForces {
+    /// For programs.
+    pub(crate) fn to_json(self) -> serde_json::Value {
+        serde_json::json!({
+            "greatest_force_n": self.greatest_n,
+            "taken_back_ticks": self.n_taken_back,
+            "greatest_force_taken_back_n": self.greatest_taken_back_n,
+            "greatest_force_given_again_n": self.greatest_given_again_n,
+            "ramp_ticks": self.n_on_ramps,
+        })
+    }
+}
+
 impl Meters {
+    /// What hands felt since the loop was warm.
+    pub(crate) fn felt(&self) -> FeltForces {
+        self.felt.report()
+    }
+
     fn add(counter: &AtomicU64, n: u64) {
         // One thread writes.
         counter.store(counter.load(Ordering::Relaxed) + n, Ordering::Relaxed);

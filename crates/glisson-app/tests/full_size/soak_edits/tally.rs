@@ -31,6 +31,8 @@ pub(super) struct Tally {
     pub(super) tool_blade_edits: u64,
     /// Strokes after which singular places were parted.
     pub(super) stroke_partings: u64,
+    /// Singular places found at the ends of strokes that cannot be parted.
+    pub(super) singular_left: u64,
     /// Tetrahedra below the limit near strokes, edits that mended some, and places that got better.
     pub(super) bad_tets: u64,
     pub(super) mendings: u64,
@@ -65,6 +67,7 @@ impl Default for Tally {
             snips: 0,
             tool_blade_edits: 0,
             stroke_partings: 0,
+            singular_left: 0,
             bad_tets: 0,
             mendings: 0,
             mended_places: 0,
@@ -107,6 +110,7 @@ impl Tally {
         self.snips += other.snips;
         self.tool_blade_edits += other.tool_blade_edits;
         self.stroke_partings += other.stroke_partings;
+        self.singular_left += other.singular_left;
         self.bad_tets += other.bad_tets;
         self.mendings += other.mendings;
         self.mended_places += other.mended_places;
@@ -273,6 +277,12 @@ impl Results {
             .unwrap();
         }
         let n_broken = self.broken().count();
+        writeln!(
+            report,
+            "\nSingular places that could not be parted at the ends of strokes, because an edge is too short to be divided: {}.",
+            all.singular_left
+        )
+        .unwrap();
         writeln!(report, "\nSeeds that broke something: {n_broken}.").unwrap();
         for broken in self.broken() {
             writeln!(report, "- {}, seed {}: {}", broken.body, broken.seed, broken.broken.as_ref().unwrap())

@@ -46,10 +46,12 @@ impl ExplicitKernel {
         self.stability.save(undo);
         let start = undo.places.len();
         undo.push_place(0);
+        let of_moved = change.moved_nodes.first().zip(change.moved_nodes.last());
         let is_reshaped = |tet: &TetId| {
             let nodes = self.rest.tetrahedra[tet.index()];
-            self.kernel.is_live(*tet)
-                && nodes.iter().any(|n| change.moved_nodes.binary_search(n).is_ok())
+            let may_move = |n: &NodeId| of_moved.is_some_and(|(first, last)| first <= n && n <= last);
+            nodes.iter().any(|n| may_move(n) && change.moved_nodes.binary_search(n).is_ok())
+                && self.kernel.is_live(*tet)
                 && change.tets.removed.binary_search(tet).is_err()
         };
         if !change.moved_nodes.is_empty() {

@@ -46,11 +46,13 @@ impl ExplicitKernel {
         self.stability.save(undo);
         let start = undo.places.len();
         undo.push_place(0);
-        let of_moved = change.moved_nodes.first().zip(change.moved_nodes.last());
+        // Nearly all tetrahedra fail at the first question, which takes no branch.
+        let first = change.moved_nodes.first().map_or(0, |node| node.0);
+        let span = change.moved_nodes.last().map_or(0, |node| node.0 - first);
         let is_reshaped = |tet: &TetId| {
-            let nodes = self.rest.tetrahedra[tet.index()];
-            let may_move = |n: &NodeId| of_moved.is_some_and(|(first, last)| first <= n && n <= last);
-            nodes.iter().any(|n| may_move(n) && change.moved_nodes.binary_search(n).is_ok())
+            let nodes = &self.rest.tetrahedra[tet.index()];
+            nodes.iter().fold(false, |any, n| any | (n.0.wrapping_sub(first) <= span))
+                && nodes.iter().any(|n| change.moved_nodes.binary_search(n).is_ok())
                 && self.kernel.is_live(*tet)
                 && change.tets.removed.binary_search(tet).is_err()
         };

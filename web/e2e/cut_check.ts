@@ -6,7 +6,7 @@ import { waitForOrgan } from "./browser";
 export interface CutReport {
   /** What the server objected to. */
   readonly answered: readonly string[];
-  /** Displayed nodes that were inside before. */
+  /** Displayed vertices that lie in the cut alone. */
   readonly nodes: number;
 }
 
@@ -26,9 +26,7 @@ export async function cutAtTheMiddle(page: Page, picture: string): Promise<CutRe
   await page.waitForTimeout(600);
   await page.screenshot({ path: picture });
   const report = await page.evaluate(() => {
-    const capsule = new Set(window.glisson!.hello!.capsule_nodes);
-    const inner = Array.from(window.glisson!.nodeIds!).filter((node) => !capsule.has(node));
-    return { answered: [...window.glisson!.messages], nodes: inner.length };
+    return { answered: [...window.glisson!.messages], nodes: window.glisson!.verticesInCuts };
   });
   await page.keyboard.press("Escape");
   await page.waitForTimeout(300);

@@ -4,7 +4,8 @@
  */
 import type { Page, WebSocketRoute } from "playwright-core";
 import type {} from "../src/hook";
-import { decodeBinary, encodeSnapshot } from "../src/protocol";
+import { encodeSnapshot } from "../src/encode";
+import { decodeBinary } from "../src/protocol";
 import { waitForOrgan } from "./browser";
 
 /** Largest allowed difference of displacements, as a share of the server's. */

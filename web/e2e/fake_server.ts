@@ -5,7 +5,8 @@ import { extname, join, normalize } from "node:path";
 import type { AddressInfo, Socket } from "node:net";
 import { Vector3 } from "three";
 import { WebSocketServer, type WebSocket } from "ws";
-import { encodeSnapshot, encodeTopology, PROTOCOL_VERSION, type Hello, type Vec3 } from "../src/protocol";
+import { encodeSnapshot, encodeTopology } from "../src/encode";
+import { PROTOCOL_VERSION, type Hello, type Vec3 } from "../src/protocol";
 import { FakeOrgan, HOME_SHAFT, HOME_TIP_M, TIP_RADIUS_M } from "./fake_organ";
 
 const TIME_STEP_S = 0.002;
@@ -78,6 +79,7 @@ export class FakeSimulator {
           nodeIds: Uint32Array.from(this.organ.nodeIds),
           rest_m: Float32Array.from(this.organ.rest_m.flatMap((p) => p.toArray())),
           triangles: Uint32Array.from(this.organ.triangles),
+          isCut: new Uint8Array(this.organ.triangles.length / 3),
         }),
       ),
     );
@@ -182,7 +184,6 @@ export class FakeSimulator {
         },
       ],
       models: ["closed-form dimple (test)"],
-      capsule_nodes: rest_m.map((_, node) => node),
       fixed_nodes: fixedNodes,
     };
   }

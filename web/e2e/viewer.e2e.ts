@@ -212,6 +212,89 @@ describe("the viewer in front of the test ellipsoid", () => {
     await until(() => !window.glisson!.header!.contact);
   });
 
+  it("shows how the haptic loop keeps its time, and where it misses deadlines", async () => {
+    await open();
+    const canvas = page.locator("canvas.jitter");
+    expect(await canvas.isVisible()).toBe(false);
+    const times = { p50: 3, p99: 12, p999: 41, max: 2600 };
+    const haptics = {
+      rate_hz: 1000,
+      deadlines: 60_000,
+      missed_deadlines: 2,
+      jitter_us: times,
+      jitter_histogram_us: [[0.512, 400], [1.024, 9000], [2.048, 30_000], [4.096, 15_000], [8.192, 4000], [16.384, 900], [32.768, 60], [65.536, 4], [4194.304, 2]],
+      tick_us: times,
+      period_us: 1000,
+      motion_to_force_us: times,
+      local_model_age_ms: times,
+      scheduling: "SCHED_FIFO 40, on core 1",
+    };
+    const simulation = { rate_hz: 500, real_time_factor: 1, times_given_up: 0, left_out_s: 0, effort: "full" };
+    // At this machine or at the other one: what is told is shown.
+    for (const haptics_at of ["here", "other_machine"]) {
+      server.simulator.say(JSON.stringify({ type: "timing", simulation, haptics, haptics_at }));
+      await page.locator('[data-value="haptic_jitter"]', { hasText: "3 µs, 99.9 % 41" }).waitFor();
+      expect(await canvas.isVisible()).toBe(true);
+    }
+    const colours = await page.evaluate(() => {
+      const drawn = document.querySelector<HTMLCanvasElement>("canvas.jitter")!;
+      const { data } = drawn.getContext("2d")!.getImageData(0, 0, drawn.width, drawn.height);
+      let [blue, red] = [0, 0];
+      for (let i = 0; i < data.length; i += 4) {
+        if (data[i + 3] > 200 && data[i + 2] > 180) blue += 1;
+        if (data[i + 3] > 200 && data[i] > 240 && data[i + 2] < 120) red += 1;
+      }
+      return { blue, red };
+    });
+    expect(colours.blue).toBeGreaterThan(1000);
+    expect(colours.red).toBeGreaterThan(20);
+    await page.locator("#panel").evaluate((panel) => panel.scrollTo(0, 0));
+    await page.screenshot({ path: resultFile("fake-haptics.png") });
+    server.simulator.say(JSON.stringify({ type: "timing", simulation, haptics: null, haptics_at: "nowhere" }));
+    await page.locator('[data-value="haptics"]', { hasText: "no device" }).waitFor();
+    expect(await canvas.isVisible()).toBe(false);
+  });
+
+  it("a hand that the page holds as a device is felt: number, arrow, gamepad", async () => {
+    await page.addInitScript(() => {
+      const effects: number[] = [];
+      const pad = {
+        connected: true,
+        axes: [0, 0, 0, 0],
+        buttons: [],
+        vibrationActuator: {
+          playEffect: (_kind: string, effect: { strongMagnitude: number }) => {
+            effects.push(effect.strongMagnitude);
+            return Promise.resolve("complete");
+          },
+        },
+      };
+      Object.assign(window, { effects });
+      navigator.getGamepads = () => [pad as unknown as Gamepad];
+    });
+    await open();
+    await page.evaluate(() => window.dispatchEvent(new Event("gamepadconnected")));
+    const effects = () => page.evaluate(() => (window as unknown as { effects: number[] }).effects.splice(0));
+    const say = (message: object) => server.simulator.say(JSON.stringify(message));
+    const feel = (force_n: number, is_held = true) =>
+      say({ type: "feel", greatest_force_n: 10, hands: [{ tool: 0, force_n: [0, 0, force_n], is_held }] });
+    expect(await cell("hand_force")).toBe("–");
+    feel(1.5);
+    await page.locator('[data-value="hand_force"]', { hasText: "1.500 N" }).waitFor();
+    await page.waitForTimeout(200);
+    // Who only watches feels nothing.
+    expect(await effects()).toEqual([]);
+    say({ type: "role", role: "controller", control_is_taken: true });
+    await page.waitForFunction(() => (window as unknown as { effects: number[] }).effects.length > 2);
+    expect(new Set(await effects())).toEqual(new Set([0.5]));
+    feel(1.5, false);
+    await page.locator('[data-value="hand_force"]', { hasText: "let go" }).waitFor();
+    await effects();
+    await page.waitForTimeout(200);
+    expect(await effects()).toEqual([]);
+    expect(problems).toEqual([]);
+  });
+
   it("nothing is drawn while nothing changes", async () => {
     await open();
     await page.waitForTimeout(500);

@@ -9,6 +9,7 @@ import {
   type Snapshot,
   type Topology,
 } from "./protocol";
+import type { Feel } from "./feel";
 import type { Role, Timing } from "./timing";
 
 export type ConnectionState = "connecting" | "open" | "lost";
@@ -20,6 +21,7 @@ export interface ConnectionEvents {
   snapshot(snapshot: Snapshot, bytes: number): void;
   role(role: Role): void;
   timing(timing: Timing): void;
+  feel(feel: Feel): void;
   /** An error message of the server, or a message that could not be understood. */
   error(message: string): void;
 }
@@ -111,6 +113,7 @@ export class Connection {
         if (message.type === "hello") this.events.hello(message);
         else if (message.type === "role") this.events.role(message);
         else if (message.type === "timing") this.events.timing(message);
+        else if (message.type === "feel") this.events.feel(message);
         else this.events.error(`Server: ${message.message}`);
       } else if (data instanceof ArrayBuffer) {
         const message = decodeBinary(data);

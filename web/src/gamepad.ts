@@ -9,6 +9,10 @@ export const PAD_SPEED_M_PER_S = 0.05;
 /** Sticks at rest are rarely at zero. */
 export const PAD_DEAD_ZONE = 0.15;
 
+/** How long a shake lasts, and how often it is renewed [ms]. */
+const RUMBLE_MS = 120;
+const RUMBLE_EVERY_MS = 50;
+
 export interface PadState {
   readonly axes: readonly number[];
   readonly pressed: readonly boolean[];
@@ -52,10 +56,13 @@ export class GamepadInput {
   private before: PadState | null = null;
   private last_ms: number | null = null;
   private running = false;
+  private shaken_ms = 0;
 
   constructor(
     private readonly move: (motion_m: readonly [number, number, number]) => void,
     private readonly act: (action: Action) => void,
+    /** How strongly it should shake, 0 to 1. */
+    private readonly rumble: () => number = () => 0,
   ) {
     window.addEventListener("gamepadconnected", () => this.start());
   }
@@ -64,6 +71,20 @@ export class GamepadInput {
     if (this.running) return;
     this.running = true;
     requestAnimationFrame((now_ms) => this.frame(now_ms));
+  }
+
+  /** Renews the effect while there is something to feel; without news it ends by itself. */
+  private shake(pad: Gamepad, now_ms: number): void {
+    const strength = this.rumble();
+    const isDue = now_ms - this.shaken_ms >= RUMBLE_EVERY_MS;
+    if (strength === 0 || !isDue) return;
+    this.shaken_ms = now_ms;
+    // Not every browser has it, and it refuses while the page is hidden.
+    void pad.vibrationActuator?.playEffect("dual-rumble", {
+      duration: RUMBLE_MS,
+      strongMagnitude: strength,
+      weakMagnitude: strength / 2,
+    }).catch(() => undefined);
   }
 
   private frame(now_ms: number): void {
@@ -79,6 +100,7 @@ export class GamepadInput {
     const now = { axes: [...pad.axes], pressed: pad.buttons.map((button) => button.pressed) };
     const { motion_m, actions } = readPad(now, this.before, dt_s);
     this.before = now;
+    this.shake(pad, now_ms);
     if (motion_m.some((x) => x !== 0)) this.move(motion_m);
     actions.forEach((action) => this.act(action));
     requestAnimationFrame((next_ms) => this.frame(next_ms));

@@ -5,7 +5,7 @@
 import type { ConnectionState } from "./connection";
 import { Vector3 } from "three";
 import type { Help, Messages } from "./overlays";
-import { SURFACE_STYLES } from "./organ";
+import { insideOf, SURFACE_STYLES } from "./organ";
 import type { Panel, PanelValues } from "./panel";
 import type { Profile } from "./profiler";
 import type { Hello, HandHeader } from "./protocol";
@@ -34,6 +34,8 @@ export interface ViewerHook {
   /** Node id of each displayed vertex of organ 0. */
   readonly nodeIds: Uint32Array | null;
   readonly triangles: Uint32Array | null;
+  /** Displayed vertices of organ 0 that lie in cuts alone. */
+  readonly verticesInCuts: number;
   /** Vertex nearest to the picked point of the last push; null before the first. */
   readonly pickedVertex: number | null;
   readonly tool: {
@@ -125,6 +127,10 @@ export function viewerHook(parts: () => ViewerParts): ViewerHook {
     },
     get triangles() {
       return organ()?.topology.triangles.slice() ?? null;
+    },
+    get verticesInCuts() {
+      const shown = organ();
+      return shown === null ? 0 : insideOf(shown.topology).reduce((sum, x) => sum + x, 0);
     },
     get pickedVertex() {
       return parts().pickedVertex;

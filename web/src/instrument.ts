@@ -50,6 +50,8 @@ export class Instrument {
   private readonly tipRadius_m: number;
   private showsForces = true;
   private showsContacts = true;
+  /** Force at the hand that holds it as a device [N]; the simulation's where none does. */
+  private felt_n: Vec3 | null = null;
   /** Length of the arrow for a newton [m/N]. */
   arrowScale_m_per_n = 0.02;
 
@@ -128,10 +130,15 @@ export class Instrument {
     });
   }
 
+  /** A device holds it, whose force the arrow shows from now on. */
+  feels(force_n: Vec3): void {
+    this.felt_n = force_n;
+  }
+
   show(header: ToolState): void {
     this.pose(header.tip_m, header.shaft, header.roll_rad);
     this.openJaws(header.jaw);
-    const force = new Vector3(...header.forceOnTool_n);
+    const force = new Vector3(...(this.felt_n ?? header.forceOnTool_n));
     const length = force.length() * this.arrowScale_m_per_n;
     this.arrow.visible = this.showsForces && length > SMALLEST_ARROW_M;
     if (this.arrow.visible) {

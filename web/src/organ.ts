@@ -32,6 +32,15 @@ function toneOf(rest_m: Float32Array): Float32Array {
   return tone;
 }
 
+/** 1 for each vertex that lies in cuts alone, 0 where the organ's own surface is. */
+export function insideOf({ nodeIds, triangles, isCut }: Topology): Float32Array {
+  const inside = new Float32Array(nodeIds.length).fill(1);
+  triangles.forEach((vertex, i) => {
+    if (isCut[Math.floor(i / 3)] === 0) inside[vertex] = 0;
+  });
+  return inside;
+}
+
 export class Organ {
   readonly group = new Group();
   /** xyz of each vertex [m]: the very array that the GPU buffer is filled from. */
@@ -47,8 +56,6 @@ export class Organ {
   constructor(
     readonly topology: Topology,
     fixedNodes: ReadonlySet<number>,
-    /** Nodes of the uncut surface: what else is displayed lies in a cut. */
-    capsule: ReadonlySet<number>,
     material: ShaderMaterial,
   ) {
     const { rest_m, triangles, nodeIds } = topology;
@@ -64,8 +71,7 @@ export class Organ {
     geometry.setAttribute("restPosition", new BufferAttribute(rest_m.slice(), 3));
     geometry.setAttribute("restNormal", new BufferAttribute(this.normals.slice(), 3));
     geometry.setAttribute("tone", new BufferAttribute(toneOf(rest_m), 1));
-    const inside = Float32Array.from(nodeIds, (node) => (capsule.has(node) ? 0 : 1));
-    geometry.setAttribute("inside", new BufferAttribute(inside, 1));
+    geometry.setAttribute("inside", new BufferAttribute(insideOf(topology), 1));
     geometry.setIndex(new BufferAttribute(triangles, 1));
     this.surface = new Mesh(geometry, material);
 

@@ -1,13 +1,16 @@
 /** The panel of numbers: what each shows is a pure function of the hello message and the newest snapshot. */
 import type { Bleeding } from "./blood";
+import { drawJitter } from "./jitter";
 import type { Hello, HandHeader, Vec3 } from "./protocol";
-import { hapticsText, tickText, whereHapticsAre, type LoopNews } from "./timing";
+import { handOf, type Feel } from "./feel";
+import { hapticsText, jitterText, tickText, whereHapticsAre, type HapticTiming, type LoopNews } from "./timing";
 
 export type PanelKey =
   | "scene"
   | "force"
   | "force_components"
   | "force_peak"
+  | "hand_force"
   | "instrument"
   | "contact"
   | "contact_point"
@@ -20,6 +23,7 @@ export type PanelKey =
   | "control"
   | "haptics"
   | "haptic_tick"
+  | "haptic_jitter"
   | "model"
   | "material"
   | "mesh"
@@ -74,15 +78,22 @@ function bleedingText(bleeding: Bleeding): string {
   return `${(60e6 * bleeding.rate_m3_per_s).toFixed(1)} ml/min from ${bleeding.ends.length}${clips}`;
 }
 
+/** What the hand would feel: `1.20 N`; a dash where the page is no device. */
+function handText(feel: Feel | null, tool: number): string {
+  const hand = handOf(feel, tool);
+  if (hand === null) return NONE;
+  return hand.is_held ? `${forceText(lengthOf(hand.force_n))} N` : "let go";
+}
+
 export function panelValues(
   hello: Hello | null,
   header: HandHeader | null,
   peak_n: number,
   arrowScale_m_per_n: number,
   tool: number,
-  news: Pick<LoopNews, "role" | "timing"> = { role: null, timing: null },
+  news: Pick<LoopNews, "role" | "timing" | "feel"> = { role: null, timing: null, feel: null },
 ): PanelValues {
-  const { role, timing } = news;
+  const { role, timing, feel } = news;
   const scene = hello?.scene;
   const force = header === null ? null : lengthOf(header.forceOnTool_n);
   return {
@@ -90,6 +101,7 @@ export function panelValues(
     force: force === null ? NONE : `${forceText(force)} N`,
     force_components: header === null ? NONE : minus3(header.forceOnTool_n.map((x) => x.toFixed(2))),
     force_peak: header === null ? NONE : `${forceText(peak_n)} N`,
+    hand_force: handText(feel, tool),
     instrument: header === null || hello === null ? NONE : instrumentText(hello, header, tool),
     contact: header === null ? NONE : header.contact ? "yes" : "no",
     contact_point: header?.contact ? pointText_mm(header.contactPoint_m) : NONE,
@@ -101,6 +113,7 @@ export function panelValues(
     time: header === null ? NONE : `${header.time_s.toFixed(3)} s`,
     control: role === null ? NONE : role.role === "controller" ? "this page" : role.control_is_taken ? "another" : "free",
     haptics: timing?.haptics ? hapticsText(timing.haptics) : (whereHapticsAre(timing) ?? NONE),
+    haptic_jitter: timing?.haptics ? jitterText(timing.haptics) : NONE,
     haptic_tick: timing?.haptics ? tickText(timing.haptics) : NONE,
     model: scene?.model ?? NONE,
     material: scene?.material ?? NONE,
@@ -134,14 +147,20 @@ const SIMULATION_ROWS: readonly Row[] = [
   row("step", "Step", "Steps since the start"),
   row("time", "Time", "Simulated time since the start"),
   row("control", "Control", "Who moves the instruments: one page; the others watch, and take over when it is free"),
-  row("haptics", "Haptics", "Rate of the force-feedback loop and deadlines that it missed by more than two periods (more: key P)"),
-  row("haptic_tick", "Haptic tick", "Time that a tick of the force-feedback loop takes, of the time from one to the next"),
+];
+const HAPTICS_ROWS: readonly Row[] = [
+  row("haptics", "Loop", "Rate of the force-feedback loop and deadlines that it missed by more than two periods (more: key P)"),
+  row("haptic_jitter", "Jitter", "By how much the intervals between two ticks are off: half of them, and 99.9 %"),
+  row("haptic_tick", "A tick", "Time that a tick of the force-feedback loop takes, of the time from one to the next"),
 ];
 const MODEL_ROWS: readonly Row[] = [
   row("model", "Model", "How the deformation is computed"),
   row("material", "Material", "Law and parameters of the tissue"),
   row("mesh", "Nodes / tets", "Size of the whole mesh; the surface alone is displayed"),
 ];
+
+/** Not every scene and server has them. */
+const OPTIONAL: ReadonlySet<PanelKey> = new Set(["hand_force", "bleeding", "blood_lost", "haptic_jitter", "haptic_tick"]);
 
 function element<K extends keyof HTMLElementTagNameMap>(name: K, className: string, text = ""): HTMLElementTagNameMap[K] {
   const node = document.createElement(name);
@@ -152,7 +171,12 @@ function element<K extends keyof HTMLElementTagNameMap>(name: K, className: stri
 
 export class Panel {
   readonly plot: HTMLCanvasElement;
+  /** Histogram of the haptic loop's jitter; hidden where no loop tells its times. */
+  private readonly jitter: HTMLCanvasElement;
+  private shownTiming: HapticTiming | null = null;
   private readonly cells = new Map<PanelKey, HTMLElement>();
+  /** Lines that are there only while they say something. */
+  private readonly optional = new Map<PanelKey, HTMLElement>();
   private shown: PanelValues | null = null;
 
   constructor(private readonly root: HTMLElement) {
@@ -170,12 +194,22 @@ export class Panel {
     this.plot = element("canvas", "plot");
     this.plot.setAttribute("aria-label", "Force over the last ten simulated seconds");
     const legend = element("div", "plot-legend", "force (N) over simulated time");
-    force.append(parts, peak, arrow, this.plot, legend);
+    const hand = element("div", "force-parts");
+    hand.title = "Force that the haptic loop gives to the hand, where the page is a device (--device viewer)";
+    hand.append(element("span", "label", "Hand"), this.cell("hand_force", "value"));
+    this.optional.set("hand_force", hand);
+    force.append(parts, peak, hand, arrow, this.plot, legend);
+    const haptics = this.section("Haptics", HAPTICS_ROWS);
+    this.jitter = element("canvas", "jitter");
+    this.jitter.setAttribute("aria-label", "How many intervals of the haptic loop are off by how much");
+    this.jitter.title = "How many intervals are off by how much, both logarithmic; beyond the red line deadlines are missed";
+    haptics.append(this.jitter);
     root.append(
       this.cell("scene", "scene-name"),
       force,
       this.section("Instrument", INSTRUMENT_ROWS),
       this.section("Simulation", SIMULATION_ROWS),
+      haptics,
       this.section("Model", MODEL_ROWS),
     );
   }
@@ -194,6 +228,7 @@ export class Panel {
       const line = element("div", "row");
       line.title = tip;
       line.append(element("span", "label", label), this.cell(key, "value"));
+      if (OPTIONAL.has(key)) this.optional.set(key, line);
       section.append(line);
     }
     return section;
@@ -203,10 +238,18 @@ export class Panel {
     for (const [key, cell] of this.cells) {
       if (this.shown?.[key] !== values[key]) cell.textContent = values[key];
     }
+    for (const [key, line] of this.optional) line.hidden = values[key] === NONE;
     this.shown = values;
     this.root.classList.toggle("in-contact", header?.contact ?? false);
     this.root.classList.toggle("is-paused", header?.paused ?? false);
     this.root.classList.toggle("is-slow", header !== null && !header.paused && header.realTimeFactor < 0.95);
+  }
+
+  /** Draws the haptic loop's histogram when there is news. */
+  showJitter(haptics: HapticTiming | null): void {
+    this.jitter.hidden = haptics === null;
+    if (haptics !== this.shownTiming) drawJitter(this.jitter, haptics);
+    this.shownTiming = haptics;
   }
 
   /** What the page shows now, read back from the page. */

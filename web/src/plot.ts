@@ -94,9 +94,12 @@ export function arrowScale_m_per_n(largest_n: number): number {
   return factor * power;
 }
 
-export function drawPlot(canvas: HTMLCanvasElement, history: ForceHistory): void {
+/** An empty canvas in CSS pixels, as fine as the screen; null where there is nothing to draw on. */
+export function fitted(
+  canvas: HTMLCanvasElement,
+): { readonly context: CanvasRenderingContext2D; readonly width: number; readonly height: number } | null {
   const context = canvas.getContext("2d");
-  if (context === null) return;
+  if (context === null) return null;
   const ratio = Math.max(1, window.devicePixelRatio);
   const width = canvas.clientWidth;
   const height = canvas.clientHeight;
@@ -106,6 +109,13 @@ export function drawPlot(canvas: HTMLCanvasElement, history: ForceHistory): void
   }
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
+  return { context, width, height };
+}
+
+export function drawPlot(canvas: HTMLCanvasElement, history: ForceHistory): void {
+  const sheet = fitted(canvas);
+  if (sheet === null) return;
+  const { context, width, height } = sheet;
   const area = { left: 34, top: 8, width: width - 42, height: height - 26 };
   const samples = history.all();
   const scale = plotScale(samples, area);

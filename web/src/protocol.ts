@@ -1,15 +1,16 @@
 /**
- * The wire protocol of docs/protocol.md, version 3: decoding and encoding of every message.
+ * The wire protocol of docs/protocol.md, version 4: decoding of every message, encoding of the viewer's.
  *
  * Decoders check every length and index against the bytes really there before anything is allocated,
  * and throw nothing but {@link ProtocolError}. Units: metres, seconds, newtons; frame: LPS.
  */
 
-import { BLOOD_BYTES, bloodNumbers, decodeBlood, type Bleeding } from "./blood";
+import { BLOOD_BYTES, decodeBlood, type Bleeding } from "./blood";
+import { decodeFeel, type Feel } from "./feel";
 import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
-export const PROTOCOL_VERSION = 3;
+export const PROTOCOL_VERSION = 4;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
@@ -18,9 +19,9 @@ export const FLAG_CONTACT = 1;
 export const FLAG_PAUSED = 2;
 export const FLAG_GRASP = 4;
 
-const TOPOLOGY_HEADER_BYTES = 24;
-const SNAPSHOT_HEADER_BYTES = 64;
-const TOOL_BYTES = 128;
+export const TOPOLOGY_HEADER_BYTES = 24;
+export const SNAPSHOT_HEADER_BYTES = 64;
+export const TOOL_BYTES = 128;
 /** Instruments of a scene at most. */
 export const MOST_TOOLS = 4;
 
@@ -68,8 +69,6 @@ export interface Hello {
   readonly models: readonly string[];
   readonly bounds: { readonly min_m: Vec3; readonly max_m: Vec3 };
   readonly tools: readonly ToolInfo[];
-  /** Nodes of the uncut surface. */
-  readonly capsule_nodes: readonly number[];
   readonly fixed_nodes: readonly number[];
 }
 
@@ -88,6 +87,8 @@ export interface Topology {
   readonly rest_m: Float32Array;
   /** Vertex indices, three a triangle, counter-clockwise seen from outside. */
   readonly triangles: Uint32Array;
+  /** 1 for each triangle that lies in a cut, 0 for those of the organ's own surface. */
+  readonly isCut: Uint8Array;
 }
 
 /** What one instrument does. */
@@ -187,7 +188,7 @@ function toolsAt(fields: Fields): ToolInfo[] {
 }
 
 /** Decodes a text message of the server. */
-export function decodeText(text: string): Hello | ServerError | Role | Timing {
+export function decodeText(text: string): Hello | ServerError | Role | Timing | Feel {
   let parsed: unknown;
   try {
     parsed = JSON.parse(text);
@@ -199,8 +200,9 @@ export function decodeText(text: string): Hello | ServerError | Role | Timing {
   if (type === "error") return { type, message: stringAt(fields, "message", "error") };
   if (type === "role") return decodeRole(fields);
   if (type === "timing") return decodeTiming(fields);
+  if (type === "feel") return decodeFeel(fields);
   if (type !== "hello") {
-    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing or error`);
+    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel or error`);
   }
   const protocol = numberAt(fields, "protocol", "hello");
   if (protocol !== PROTOCOL_VERSION) {
@@ -224,7 +226,6 @@ export function decodeText(text: string): Hello | ServerError | Role | Timing {
     bounds: { min_m: vec3At(bounds, "min_m", "bounds"), max_m: vec3At(bounds, "max_m", "bounds") },
     tools: toolsAt(fields),
     models: stringsAt(fields, "models", "hello"),
-    capsule_nodes: nodeIdsAt(fields, "capsule_nodes", "hello"),
     fixed_nodes: nodeIdsAt(fields, "fixed_nodes", "hello"),
   };
 }
@@ -274,12 +275,13 @@ function decodeTopology(buffer: ArrayBuffer, view: DataView): Topology {
   const nTriangles = view.getUint32(20, true);
   checkLength(
     buffer.byteLength,
-    TOPOLOGY_HEADER_BYTES + 16 * nVertices + 12 * nTriangles,
+    TOPOLOGY_HEADER_BYTES + 16 * nVertices + 12 * nTriangles + 4 * Math.ceil(nTriangles / 32),
     `topology with ${nVertices} vertices and ${nTriangles} triangles`,
   );
   const rest_m = floatsAt(buffer, TOPOLOGY_HEADER_BYTES + 4 * nVertices, 3 * nVertices);
   checkFinite(rest_m, "topology: rest position");
   const triangles = wordsAt(buffer, TOPOLOGY_HEADER_BYTES + 16 * nVertices, 3 * nTriangles);
+  const flags = wordsAt(buffer, TOPOLOGY_HEADER_BYTES + 16 * nVertices + 12 * nTriangles, Math.ceil(nTriangles / 32));
   for (let i = 0; i < triangles.length; i++) {
     const vertex = triangles[i];
     if (vertex >= nVertices) fail(`topology: triangle ${Math.floor(i / 3)} uses vertex ${vertex} of ${nVertices}`);
@@ -291,6 +293,7 @@ function decodeTopology(buffer: ArrayBuffer, view: DataView): Topology {
     nodeIds: wordsAt(buffer, TOPOLOGY_HEADER_BYTES, nVertices),
     rest_m,
     triangles,
+    isCut: Uint8Array.from({ length: nTriangles }, (_, i) => (flags[i >>> 5] >>> (i & 31)) & 1),
   };
 }
 
@@ -352,45 +355,4 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
     },
     positions_m,
   };
-}
-
-// ---- encoding of the server's frames: for tests and for the test server ----
-
-export function encodeTopology(topology: Omit<Topology, "kind">): ArrayBuffer {
-  const n = topology.nodeIds.length;
-  const buffer = new ArrayBuffer(TOPOLOGY_HEADER_BYTES + 16 * n + 4 * topology.triangles.length);
-  const view = new DataView(buffer);
-  [MAGIC, KIND_TOPOLOGY, topology.version, topology.organ, n, topology.triangles.length / 3].forEach((word, i) =>
-    view.setUint32(4 * i, word, true),
-  );
-  topology.nodeIds.forEach((id, i) => view.setUint32(TOPOLOGY_HEADER_BYTES + 4 * i, id, true));
-  topology.rest_m.forEach((x, i) => view.setFloat32(TOPOLOGY_HEADER_BYTES + 4 * n + 4 * i, x, true));
-  topology.triangles.forEach((v, i) => view.setUint32(TOPOLOGY_HEADER_BYTES + 16 * n + 4 * i, v, true));
-  return buffer;
-}
-
-export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
-  const { header, positions_m } = snapshot;
-  const first = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * header.tools.length;
-  const blood = first + 4 * positions_m.length;
-  const bloodRecords = bloodNumbers(header.bleeding);
-  const buffer = new ArrayBuffer(blood + 4 * bloodRecords.length);
-  const view = new DataView(buffer);
-  [MAGIC, KIND_SNAPSHOT, header.version, header.organ].forEach((word, i) => view.setUint32(4 * i, word, true));
-  view.setBigUint64(16, BigInt(header.step), true);
-  const scalars = [header.time_s, header.rate_steps_per_s, header.realTimeFactor];
-  scalars.forEach((x, i) => view.setFloat64(24 + 8 * i, x, true));
-  const words = [header.paused ? FLAG_PAUSED : 0, header.tools.length, positions_m.length / 3, (4 * bloodRecords.length) / BLOOD_BYTES];
-  words.forEach((word, i) => view.setUint32(48 + 4 * i, word, true));
-  header.tools.forEach((tool, n) => {
-    const at = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * n;
-    const shares = [tool.roll_rad, tool.jaw, tool.trigger];
-    const numbers = [...tool.tip_m, ...tool.shaft, ...shares, ...tool.forceOnTool_n, ...tool.contactPoint_m];
-    numbers.forEach((x, i) => view.setFloat64(at + 8 * i, x, true));
-    view.setUint32(at + 120, (tool.contact ? FLAG_CONTACT : 0) | (tool.grasps ? FLAG_GRASP : 0), true);
-    view.setUint32(at + 124, tool.heldNodes, true);
-  });
-  positions_m.forEach((x, i) => view.setFloat32(first + 4 * i, x, true));
-  bloodRecords.forEach((x, i) => view.setFloat32(blood + 4 * i, x, true));
-  return buffer;
 }

@@ -11,6 +11,7 @@ import {
 } from "three";
 import { BleedingMarks } from "./bleeding";
 import type { Ray } from "./drag";
+import type { Feel } from "./feel";
 import { pickTriangle, type Pick } from "./geometry";
 import { Instrument } from "./instrument";
 import { organMaterial } from "./materials";
@@ -149,8 +150,7 @@ export class Scene3d {
       this.scene.remove(old.group);
       old.dispose();
     }
-    const capsule = new Set(this.hello?.capsule_nodes ?? topology.nodeIds);
-    const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), capsule, this.material);
+    const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), this.material);
     organ.setStyle(this.style);
     organ.showFixed(this.fixedShown);
     this.organs.set(topology.organ, organ);
@@ -171,6 +171,11 @@ export class Scene3d {
     });
     this.bleeding.show(header.bleeding?.ends ?? []);
     this.shadeByTool();
+  }
+
+  /** Hands hold instruments as devices: their force is what the arrows show from the next picture on. */
+  feel(feel: Feel): void {
+    for (const { tool, force_n } of feel.hands) this.instruments[tool]?.feels(force_n);
   }
 
   styleTools(arrowScale_m_per_n: number, forces: boolean, contacts: boolean): void {

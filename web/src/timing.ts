@@ -1,4 +1,5 @@
 /** What the server tells about its loops, and about who controls. */
+import { rumble, type Feel } from "./feel";
 import { fail, fieldsOf, numberAt, stringAt, type Fields } from "./fields";
 
 /** Whether this viewer controls, and whether anybody does. */
@@ -115,6 +116,11 @@ export function hapticsText(haptics: HapticTiming): string {
   return `${haptics.rate_hz.toFixed(0)} Hz, ${missed.toFixed(2)} % missed`;
 }
 
+/** For the panel: `3 µs, 99.9 % 41`. */
+export function jitterText(haptics: HapticTiming): string {
+  return `${haptics.jitter_p50_us.toFixed(0)} µs, 99.9 % ${haptics.jitter_p999_us.toFixed(0)}`;
+}
+
 /** For the panel: what a tick takes of its period, `4 of 1000 us, 99.9 % 7`. */
 export function tickText(haptics: HapticTiming): string {
   return `${haptics.tick_p50_us.toFixed(0)} of ${haptics.period_us.toFixed(0)} µs, 99.9 % ${haptics.tick_p999_us.toFixed(0)}`;
@@ -148,10 +154,12 @@ export function timingLines(timing: Timing | null): string[] {
   return lines;
 }
 
-/** The newest of both. */
+/** The newest of each. */
 export class LoopNews {
   role: Role | null = null;
   timing: Timing | null = null;
+  /** Null where no page is a device. */
+  feel: Feel | null = null;
   /** What to do when a connection brings some. */
   readonly events = {
     role: (role: Role): void => {
@@ -162,7 +170,20 @@ export class LoopNews {
       this.timing = timing;
       this.changed();
     },
+    feel: (feel: Feel): void => {
+      this.feel = feel;
+      this.felt(feel);
+      this.changed();
+    },
   };
 
-  constructor(private readonly changed: () => void) {}
+  constructor(
+    private readonly changed: () => void,
+    private readonly felt: (feel: Feel) => void,
+  ) {}
+
+  /** How strongly a gamepad shakes that moves this instrument, 0 to 1; only the page in control holds one. */
+  rumble(tool: number): number {
+    return this.role?.role === "controller" ? rumble(this.feel, tool) : 0;
+  }
 }

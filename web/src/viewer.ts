@@ -36,7 +36,7 @@ export class Viewer {
   private readonly profile = new Profile();
 
   private hello: Hello | null = null;
-  private readonly news = new LoopNews(() => this.showPanel());
+  private readonly news = new LoopNews(() => this.showPanel(), (feel) => this.scene.feel(feel));
   private waiting = new Map<number, Snapshot>();
   private header: HandHeader | null = null;
   private pickedVertex: number | null = null;
@@ -77,7 +77,7 @@ export class Viewer {
       },
     });
     window.addEventListener("keydown", (event) => this.key(event));
-    new GamepadInput((motion_m) => this.nudge(motion_m, 1), (action) => this.run(action, false));
+    new GamepadInput((motion_m) => this.nudge(motion_m, 1), (action) => this.run(action, false), () => this.news.rumble(this.hands.chosen));
     window.addEventListener("error", (event) => this.messages.error(`Error in the page: ${event.message}`));
     window.addEventListener("unhandledrejection", (event) => this.messages.error(`Error in the page: ${event.reason}`));
     new ResizeObserver(() => this.resize()).observe(page.scene);
@@ -108,6 +108,7 @@ export class Viewer {
       this.controls.cancel();
       this.hands.forget();
       this.table.level();
+      this.news.feel = null;
     }
   }
 
@@ -198,10 +199,7 @@ export class Viewer {
 
   private run(action: Action, shift: boolean): void {
     const direction = toolDirection(action);
-    if (direction !== null) {
-      this.nudge(direction, shift ? TOOL_STEP_WITH_SHIFT_M : TOOL_STEP_M);
-      return;
-    }
+    if (direction !== null) return this.nudge(direction, shift ? TOOL_STEP_WITH_SHIFT_M : TOOL_STEP_M);
     const tool = toolNumber(action);
     if (tool !== null) this.choose(tool);
     switch (action) {
@@ -297,8 +295,7 @@ export class Viewer {
   }
 
   private async screenshot(): Promise<void> {
-    const picture = this.scene.picture(this.page.orientation);
-    if (await savePicture(picture, this.header?.step ?? 0, this.messages)) this.counters.screenshots += 1;
+    if (await savePicture(this.scene.picture(this.page.orientation), this.header?.step ?? 0, this.messages)) this.counters.screenshots += 1;
   }
 
   private refreshSwitches(): void {
@@ -380,14 +377,14 @@ export class Viewer {
   private showPanel(): void {
     const { hello, header, history, hands, news } = this;
     this.panel.show(panelValues(hello, header, history.peak_n, arrowScale_m_per_n(history.peak_n), hands.chosen, news), header);
+    this.panel.showJitter(news.timing?.haptics ?? null);
   }
 
   private showProfiler(): void {
     this.page.profiler.hidden = !this.shown.profiler;
     if (!this.shown.profiler) return;
-    const { renderer, software } = this.scene;
-    const summary = this.profile.summary(performance.now());
-    this.page.profiler.textContent = profilerReport(summary, renderer.info.render, software, this.header, this.hello, this.news.timing);
+    const { hello, header, news, scene: { renderer, software } } = this;
+    this.page.profiler.textContent = profilerReport(this.profile.summary(performance.now()), renderer.info.render, software, header, hello, news.timing);
   }
 
   /** The parts that `hook.ts` reads. */

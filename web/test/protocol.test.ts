@@ -1,10 +1,10 @@
 import { describe, expect, it } from "vitest";
+import { encodeSnapshot, encodeTopology } from "../src/encode";
+import { insideOf } from "../src/organ";
 import {
   decodeBinary,
   decodeText,
   encodeClientMessage,
-  encodeSnapshot,
-  encodeTopology,
   ProtocolError,
   type Hello,
   type Snapshot,
@@ -18,6 +18,7 @@ const TOPOLOGY: Topology = {
   nodeIds: Uint32Array.of(10, 20, 30, 41),
   rest_m: Float32Array.of(0, 0, 0, 0.5, 0, 0, 0, 0.25, 0, 0, 0, 0.125),
   triangles: Uint32Array.of(0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2),
+  isCut: Uint8Array.of(0, 1, 1, 1),
 };
 
 const SNAPSHOT: Snapshot = {
@@ -56,7 +57,7 @@ const SNAPSHOT: Snapshot = {
 
 const HELLO: Hello = {
   type: "hello",
-  protocol: 3,
+  protocol: 4,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -82,7 +83,6 @@ const HELLO: Hello = {
     },
   ],
   models: ["precomputed", "tensor_mass"],
-  capsule_nodes: [0, 1, 2, 3, 4],
   fixed_nodes: [1, 2, 3],
 };
 
@@ -100,6 +100,13 @@ function random(seed: number): () => number {
 describe("binary frames", () => {
   it("topology: what was encoded comes back", () => {
     expect(decodeBinary(encodeTopology(TOPOLOGY))).toEqual(TOPOLOGY);
+  });
+
+  it("topology: many flags come back, and a vertex at the rim of a cut belongs to the surface", () => {
+    const triangles = Uint32Array.from({ length: 3 * 77 }, (_, i) => i % 4);
+    const many = { ...TOPOLOGY, triangles, isCut: Uint8Array.from({ length: 77 }, (_, i) => (i % 5 === 0 ? 1 : 0)) };
+    expect(decodeBinary(encodeTopology(many))).toEqual(many);
+    expect(Array.from(insideOf(TOPOLOGY))).toEqual([0, 0, 0, 1]);
   });
 
   it("snapshot: what was encoded comes back", () => {
@@ -188,7 +195,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 3/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 4/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(

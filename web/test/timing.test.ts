@@ -1,7 +1,8 @@
 import { describe, expect, it } from "vitest";
 import { decodeText, ProtocolError } from "../src/protocol";
 import { panelValues } from "../src/panel";
-import { hapticsText, histogramText, tickText, timingLines, type Timing } from "../src/timing";
+import { jitterPlot } from "../src/jitter";
+import { hapticsText, histogramText, jitterText, tickText, timingLines, type Timing } from "../src/timing";
 
 const HISTOGRAM = { p50: 12, p99: 40, p999: 80.5, max: 120 };
 const TIMING = {
@@ -46,7 +47,7 @@ describe("who controls and how the loops keep time", () => {
   it("says in the panel what a tick takes, and where haptics are when they are not here", () => {
     const shown = (message: object | null) => {
       const timing = message === null ? null : (decodeText(JSON.stringify(message)) as Timing);
-      const { haptics, haptic_tick } = panelValues(null, null, 0, 1, 0, { role: null, timing });
+      const { haptics, haptic_tick } = panelValues(null, null, 0, 1, 0, { role: null, timing, feel: null });
       return [haptics, haptic_tick];
     };
     expect(shown(TIMING)).toEqual(["1000 Hz, 0.03 % missed", "12 of 1000 µs, 99.9 % 81"]);
@@ -55,6 +56,27 @@ describe("who controls and how the loops keep time", () => {
     expect(timingLines(decodeText(JSON.stringify(remote)) as Timing)[1]).toMatch(/at the other machine/);
     expect(shown({ ...remote, haptics_at: "nowhere" })).toEqual(["no device", "–"]);
     expect(shown(null)).toEqual(["–", "–"]);
+  });
+
+  it("has a histogram with logarithmic bins that tells missed deadlines apart", () => {
+    const of = (octaves: Array<[number, number]>, period_us = 1000) => jitterPlot({ jitter_histogram_us: octaves, period_us });
+    expect(of([])).toBeNull();
+    expect(of([[4.096, 0]])).toBeNull();
+    const plot = of([[0.512, 3], [1.024, 4], [2.048, 1000], [4.096, 0], [1048.576, 1], [4194.304, 2]])!;
+    // What is below a microsecond is one bar; empty ones are left out.
+    expect(plot.bars.map(({ isMissed }) => isMissed)).toEqual([false, false, false, true]);
+    const width = plot.bars[0].to;
+    expect(plot.bars.map(({ from }) => Math.round(from / width))).toEqual([0, 1, 10, 12]);
+    expect(plot.bars[1].height).toBe(1);
+    expect(plot.bars[0].height).toBeCloseTo(Math.log1p(7) / Math.log1p(1000), 12);
+    // Two periods of 1 ms lie between the octaves that end at 1.05 ms and at 4.2 ms.
+    expect(plot.missedFrom).toBeGreaterThan(plot.bars[2].to);
+    expect(plot.missedFrom).toBeLessThan(plot.bars[3].from + width);
+    expect(plot.marks.map(({ text }) => text)).toEqual(["1 µs", "10", "100", "1 ms"]);
+    const far = of([[1.024, 1]], 10_000)!;
+    expect(far.missedFrom).toBeLessThan(1);
+    expect(far.marks.at(-1)!.text).toBe("10 ms");
+    expect(jitterText({ jitter_p50_us: 3.4, jitter_p999_us: 40.6 } as Timing["haptics"] & object)).toBe("3 µs, 99.9 % 41");
   });
 
   it("refuses what it cannot read", () => {

@@ -156,9 +156,10 @@ struct Server {
 }
 
 impl Server {
-    fn start(scene: &Path) -> anyhow::Result<Self> {
+    fn start(scene: &Path, more: &[&str]) -> anyhow::Result<Self> {
         let mut process = Command::new(program())
             .args(["serve", "--port", "0", "--no-open"])
+            .args(more)
             .arg(scene)
             .current_dir(root())
             .stdout(Stdio::piped())
@@ -196,15 +197,18 @@ impl Drop for Server {
 
 fn browser(scene: &Path) -> anyhow::Result<()> {
     let chromium = setup::chromium()?;
-    let server = Server::start(scene)?;
-    println!("$ npm run test:browser (GLISSON_URL={})", server.address);
-    let status = Command::new("npm")
-        .args(["run", "test:browser"])
-        .current_dir(root().join("web"))
-        .env("GLISSON_URL", &server.address)
-        .env("CHROMIUM", chromium)
-        .status()
-        .context("cannot start npm")?;
-    anyhow::ensure!(status.success(), "the browser test failed ({status})");
+    // All of it, and dragging again with the page as a device.
+    for (tests, more) in [("test:browser", &[][..]), ("test:drag", &["--device", "viewer"])] {
+        let server = Server::start(scene, more)?;
+        println!("$ npm run {tests} (GLISSON_URL={}) {}", server.address, more.join(" "));
+        let status = Command::new("npm")
+            .args(["run", tests])
+            .current_dir(root().join("web"))
+            .env("GLISSON_URL", &server.address)
+            .env("CHROMIUM", &chromium)
+            .status()
+            .context("cannot start npm")?;
+        anyhow::ensure!(status.success(), "the browser test failed ({status}): {tests} {}", more.join(" "));
+    }
     Ok(())
 }

@@ -1,8 +1,9 @@
 //! What a link between two machines adds: this process has the hands, another one (the same program) answers each of their
 //! moves, as a simulation would that needs no time.
 
-use crate::net::bridge::{start_haptics, start_simulation};
+use crate::net::bridge::{HapticsScene, HapticsSide, start_haptics, start_simulation};
 use crate::net::conversation::{Conversation, Identity};
+use crate::net::figures::RemoteFigures;
 use crate::net::link::{LinkAddress, Role};
 use crate::net::messages::SceneHash;
 use crate::net::seal::Seal;
@@ -13,7 +14,7 @@ use crate::runtime::realtime::{make_prompt, now_ns};
 use anyhow::{Context, ensure};
 use glisson::haptics::HapticModel;
 use glisson::math::DVec3;
-use glisson::tool::ToolInput;
+use glisson::tool::{Tool, ToolInput};
 use serde_json::{Value, json};
 use std::io::Read;
 use std::net::UdpSocket;
@@ -48,7 +49,7 @@ fn identity(role: Role) -> Identity {
 /// A move's number travels as a place.
 fn move_number(number: u64) -> Motion {
     let tip_in_world_m = DVec3::X * number as f64;
-    Motion { pose: ToolInput { tip_in_world_m, ..home() }, is_held: true }
+    Motion::of(ToolInput { tip_in_world_m, ..home() }, true)
 }
 
 /// The other process: answers each move until the standard input ends.
@@ -57,7 +58,8 @@ fn move_number(number: u64) -> Motion {
 /// When the link cannot be opened.
 pub(crate) fn answer(link: &LinkAddress) -> anyhow::Result<()> {
     let link = link.open(Role::Simulation, false)?;
-    let (_conversation, mut tools) = start_simulation(link, identity(Role::Simulation), &[home()])?;
+    let (_conversation, mut tools) =
+        start_simulation(link, identity(Role::Simulation), &[home()], RemoteFigures::default())?;
     let mut tool = tools.pop().context("one tool was asked for")?;
     tool.motions.wakes(std::thread::current());
     let ends = Arc::new(AtomicBool::new(false));
@@ -122,11 +124,19 @@ pub(crate) fn measure(request: &LinkRequest) -> anyhow::Result<Value> {
     let _other = Other(child);
     let opened = link.open(Role::Haptics, false)?;
     let (models_in, models) = exchange(PublishedModel::default());
-    let (motions, motions_out) = exchange(Motion { pose: home(), is_held: false });
+    let (motions, motions_out) = exchange(Motion::of(home(), false));
     let (_, statuses) = exchange(DeviceStatus::Waiting);
-    let held =
-        ToolLink { tool: 0, device_name: "bench".into(), models: models_in, motions: motions_out, statuses };
-    let (conversation, _) = start_haptics(opened, identity(Role::Haptics), &[home()], vec![held])?;
+    let held = ToolLink {
+        tool: 0,
+        device_name: "bench".into(),
+        models: models_in,
+        motions: motions_out,
+        statuses,
+        nearby: None,
+    };
+    let scene = HapticsScene::without_organ(vec![Tool::probe("bench", 5e-3, home())]);
+    let HapticsSide { conversation, detection: _detection, .. } =
+        start_haptics(opened, identity(Role::Haptics), scene, vec![held])?;
     let found = Instant::now();
     while !conversation.report().is_up {
         ensure!(found.elapsed() < PATIENCE, "{address}: the other process did not answer for 30 s");

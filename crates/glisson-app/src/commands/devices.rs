@@ -1,13 +1,14 @@
 //! `glisson devices`.
 
+use super::device_page::DevicePage;
 use crate::devices::lead::{self, LeadRequest};
 use crate::devices::trocar_choice::OPTIONS;
 use crate::devices::{self, DeviceName, HAPLY_ADDRESS, KINDS, host_and_port};
 use crate::runtime::histogram::Histogram;
 use crate::runtime::realtime::{make_punctual, now_ns, wait_until};
-use crate::server::stop_signal;
+use crate::server::{has_page, stop_signal};
 use anyhow::ensure;
-use glisson::haptics::{DeviceFault, ForceCommand};
+use glisson::haptics::{DeviceFault, ForceCommand, InsertedInstrument};
 use glisson::math::DVec3;
 use glisson::tool::ToolInput;
 use serde_json::json;
@@ -20,6 +21,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
     arg_required_else_help = true,
     after_help = "Examples:\n  glisson devices list\n  glisson devices doctor\n  \
                   glisson devices test haply --seconds 5\n  glisson devices test force-dimension --json\n  \
+                  glisson devices test viewer\n  \
                   glisson devices lead trocar trocar --seconds 5\n\n\
                   A device is used with: glisson serve scene.toml --device NAME"
 )]
@@ -96,7 +98,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             for kind in KINDS {
                 println!("{:width$}  {}", kind.pattern, kind.about);
             }
-            println!("{:width$}  {VIEWER}", "viewer");
             println!("\nOptions of a trocar: {OPTIONS}");
             Ok(())
         }
@@ -110,10 +111,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
 }
-
-/// Not to be named with `--device`: it is there whenever a page is.
-const VIEWER: &str =
-    "mouse, keyboard and gamepad of the page: hold the instruments that no device holds; without force";
 
 fn lead(request: &LeadRequest, as_json: bool) -> anyhow::Result<()> {
     let stop = Arc::new(AtomicBool::new(false));
@@ -152,6 +149,10 @@ fn test(name: &DeviceName, seconds: f64, rate_hz: f64, as_json: bool) -> anyhow:
     ensure!((10.0..=4_000.0).contains(&rate_hz), "--rate {rate_hz}: must be 10 to 4000 Hz");
     let home = ToolInput::at(DVec3::ZERO, DVec3::Z);
     let mut opened = devices::open(name, &home, rate_hz)?;
+    let page = opened.page.take().map(DevicePage::start).transpose()?;
+    if let Some(page) = &page {
+        page.wait_for(opened.device.as_mut())?;
+    }
     let scheduling = make_punctual(None);
     let mut readings = Readings::default();
     let period_ns = (1e9 / rate_hz) as u64;
@@ -187,6 +188,7 @@ fn test(name: &DeviceName, seconds: f64, rate_hz: f64, as_json: bool) -> anyhow:
         wait_until(start_ns + tick * period_ns);
     }
     let limits = opened.device.limits();
+    let inserted = opened.device.inserted();
     let least_m = readings.least_m.unwrap_or_default();
     let read_us = readings.read.percentiles().to_json(1e3);
     if as_json {
@@ -200,13 +202,19 @@ fn test(name: &DeviceName, seconds: f64, rate_hz: f64, as_json: bool) -> anyhow:
                 "fastest_m_per_s": readings.fastest_m_per_s, "buttons_seen": readings.buttons_seen, "read_us": read_us,
                 "limits": {
                     "force_n": limits.force_n, "torque_n_m": limits.torque_n_m,
+                    "jaw_force_n": limits.jaw_force_n,
                     "stiffness_n_per_m": limits.stiffness_n_per_m, "resolution_m": limits.resolution_m,
+                    "loop_delay_ticks": limits.loop_delay_ticks,
                 },
+                "instrument": inserted.map(|i| json!({ "name": i.name, "number": i.serial })),
                 "scheduling": scheduling.text,
             })
         );
     } else {
         println!("device       {}", opened.name);
+        if let Some(InsertedInstrument { name, serial }) = inserted {
+            println!("instrument   {name}, number {serial}");
+        }
         println!("ticks        {} good; its place changed {} times", readings.n_good, readings.n_changes);
         for (why, n) in &readings.faults {
             println!("lost         {n} ticks: {why}");
@@ -246,6 +254,13 @@ fn doctor(haply: &str, trocar: Option<&str>) {
     for finding in devices::examine(haply, trocar) {
         say(finding.is_good, &finding.what, &finding.text);
     }
+    let has_page = has_page();
+    let page = if has_page {
+        "built into this program; `glisson devices test viewer` tries it"
+    } else {
+        "not built into this program: `cargo xtask demo` builds it"
+    };
+    say(has_page, "viewer's page", page);
     // In its own thread: it stays as it is put.
     if let Ok((scheduling, late_ns)) = std::thread::spawn(|| (make_punctual(None), lateness_ns())).join() {
         say(scheduling.is_real_time, "real-time scheduling", &scheduling.text);

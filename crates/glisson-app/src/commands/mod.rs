@@ -10,6 +10,7 @@ mod fit;
 mod run;
 mod serve;
 mod watch;
+mod device_page;
 mod devices;
 mod replay;
 mod bench;

@@ -1,7 +1,8 @@
 //! `glisson serve`.
 
 use crate::devices::trocar_choice::stand;
-use crate::devices::{self, Assignment, tools_of};
+use crate::devices::{self, Assignment, DeviceName, tools_of};
+use crate::net::figures::RemoteFigures;
 use crate::net::link::Role;
 use crate::net::options::NetArgs;
 use crate::runtime::force_choices::ForceArgs;
@@ -11,6 +12,7 @@ use crate::runtime::{OpenScene, Simulation};
 use crate::server::access::Access;
 use crate::server::{self, Served, Service, Show, stop_signal};
 use anyhow::bail;
+use glisson::haptics::InsertedInstrument;
 use glisson::tool::Tool;
 use std::net::TcpListener;
 use std::path::PathBuf;
@@ -20,6 +22,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:\n  glisson serve out/demo/scene.toml\n  \
     glisson serve scene.toml --port 0 --record session.jsonl\n  \
     glisson serve scene.toml --device haply --device simulated@1\n  \
+    glisson serve scene.toml --device viewer         the page's mouse, keyboard and gamepad as a device\n  \
     glisson serve scene.toml --device trocar:10.0.0.7:4000,mapping=virtual-work --force-estimate hold\n  \
     glisson serve scene.toml --host 0.0.0.0      for other machines, with a token that is printed\n\nStop with Ctrl-C; a recording is then completed.")]
 pub(crate) struct Args {
@@ -53,6 +56,8 @@ pub(crate) struct Args {
 #[derive(Default)]
 struct Network {
     remote: Vec<ToolLink>,
+    /// Of the haptic loop on the other machine.
+    remote_figures: Option<RemoteFigures>,
     shows: Vec<Show>,
 }
 
@@ -106,8 +111,8 @@ impl Address {
                 .stderr(std::process::Stdio::null())
                 .spawn();
         }
-        let Network { remote, shows } = network;
-        let service = Service { held, haptics, remote, shows, ..Service::to(access) };
+        let Network { remote, remote_figures, shows } = network;
+        let service = Service { held, haptics, remote, remote_figures, shows, ..Service::to(access) };
         let Served { ended, haptics } = server::serve(simulation, listener, service, stop_signal())?;
         if let Some(haptics) = haptics {
             println!("{}", haptics.to_text());
@@ -135,8 +140,12 @@ impl Args {
         let stands = stand(&named, instruments)?;
         for ((name, tool), stands) in named.into_iter().zip(stands) {
             let home = instruments[tool].home;
-            let device = devices::open_standing(name, &home, stands, self.haptic_rate)?;
+            let kind = Some(instruments[tool].kind.name());
+            let device = devices::open_standing(name, &home, kind, stands, self.haptic_rate)?;
             println!("instrument {tool} ({}) is in the hand of: {}", instruments[tool].name, device.name);
+            if let Some(InsertedInstrument { name, serial }) = device.device.inserted() {
+                println!("  the instrument in it: {name}, number {serial}");
+            }
             held.push(join(device, tool, home));
         }
         if !held.is_empty() {
@@ -154,6 +163,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         if args.record.is_some() || args.network.has_shows() {
             bail!("--record, --igtl and --ros2 belong to the machine with --role simulation");
         }
+        if args.devices.iter().any(|device| device.name == DeviceName::Viewer) {
+            bail!("--device viewer with --role haptics: the page is at the machine with --role simulation");
+        }
         let source = OpenScene::read(&args.scene)?;
         let held = args.held(&source.scene.world.tools)?;
         return link.run_haptics(&source, held, haptics, stop_signal());
@@ -167,12 +179,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let simulation = Simulation::open(source, args.record.as_deref())?;
     let held = args.held(simulation.world().tools())?;
     let in_hands: Vec<usize> = held.iter().map(|(_, link)| link.tool).collect();
-    let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, remote: Vec::new() };
+    let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, ..Network::default() };
     let mut conversation = None;
     if let Some(link) = &link {
-        let (started, remote) = link.start_simulation(&simulation, &scene_text)?;
+        let figures = RemoteFigures::default();
+        let (started, remote) = link.start_simulation(&simulation, &scene_text, figures.clone())?;
         conversation = Some(started);
-        network.remote = remote;
+        (network.remote, network.remote_figures) = (remote, Some(figures));
     }
     args.address.serve_with(simulation, listener, held, haptics, network)?;
     if let Some(conversation) = conversation {

@@ -11,6 +11,9 @@ use std::thread::JoinHandle;
 
 /// A state older than this is no state: twenty ticks of the loop [ns].
 const LONGEST_SILENCE_NS: u64 = 20_000_000;
+/// Ticks that the thread adds: one until its next turn takes a command, one until the loop looks at the state of the turn after
+/// it. Both at most, for a device that is talked to as often as the loop ticks.
+const THREAD_DELAY_TICKS: usize = 2;
 /// When the answer before the first one was given.
 const NOT_YET_NS: u64 = 0;
 /// A force that nobody renewed for so long is taken back: the haptic loop has stopped [ns].
@@ -51,6 +54,8 @@ impl ThreadedDevice {
             .name(name.to_owned())
             .spawn(move || run(line, answers_in, commands_out, &seen))
             .with_context(|| format!("starting the thread of the device {name}"))?;
+        let limits =
+            DeviceLimits { loop_delay_ticks: limits.loop_delay_ticks + THREAD_DELAY_TICKS, ..limits };
         Ok(Self { limits, answers, commands, stop, thread: Some(thread) })
     }
 }
@@ -132,6 +137,7 @@ mod tests {
         damping_n_s_per_m: 5.0,
         resolution_m: 1e-5,
         rate_hz: 1_000.0,
+        ..DeviceLimits::NONE
     };
 
     struct Scripted {
@@ -185,6 +191,7 @@ mod tests {
         let (forces, _seen) = channel();
         let line = Scripted { n_turns: 0, forces, hangs_at: 20, fails_at: 400 };
         let mut device = ThreadedDevice::start("scripted", LIMITS, line).unwrap();
+        assert_eq!(device.limits(), DeviceLimits { loop_delay_ticks: 2, ..LIMITS });
         until(&mut device, Result::is_ok);
         until(&mut device, |a| *a == Err(DeviceFault::Lost("nothing new from it for 20 ms".into())));
         until(&mut device, Result::is_ok);

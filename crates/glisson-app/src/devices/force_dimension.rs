@@ -27,7 +27,10 @@ const LIMITS: DeviceLimits = DeviceLimits {
     damping_n_s_per_m: 5.0,
     resolution_m: 5e-5,
     rate_hz: 1_000.0,
+    ..DeviceLimits::NONE
 };
+/// Force and way of a gripper where a device has one: a choice on the careful side.
+const GRIPPER: DeviceLimits = DeviceLimits { jaw_force_n: 4.0, jaw_travel_m: 0.025, ..LIMITS };
 /// Angle of an open gripper, a choice: the makers' grippers open to about 30 degrees [rad].
 const OPEN_GRIPPER_RAD: f64 = 0.5;
 /// Twice the usual rate of the haptic loop: a state is half a tick old at most.
@@ -129,7 +132,8 @@ pub(super) fn open(library: Option<&Path>) -> anyhow::Result<(Box<dyn HapticDevi
     // SAFETY: the device is open.
     let enabled = unsafe { (line.dhd.enable_force)(1, id) };
     ensure!(enabled >= 0, "{name}: forces cannot be switched on: {}", line.dhd.last_error());
-    Ok((Box::new(ThreadedDevice::start("force-dimension", LIMITS, line)?), name))
+    let limits = if has_gripper { GRIPPER } else { LIMITS };
+    Ok((Box::new(ThreadedDevice::start("force-dimension", limits, line)?), name))
 }
 
 impl DhdLine {

@@ -162,11 +162,17 @@ impl Lead {
         {
             bail!("{} cannot lead itself", choice.text());
         }
+        ensure!(
+            *leader != DeviceName::Viewer,
+            "the viewer cannot lead: its page is there in `glisson serve` alone; name another device"
+        );
         let follower = choice.open_follower(rate_hz)?;
         let leader = match leader {
-            DeviceName::Trocar(choice) => {
-                Leader::Trocar(Box::new(choice.open(rate_hz, super::trocar_board::START_INSERTION_M)?))
-            }
+            DeviceName::Trocar(choice) => Leader::Trocar(Box::new(choice.open(
+                rate_hz,
+                super::trocar_board::START_INSERTION_M,
+                None,
+            )?)),
             other => {
                 // A simulated hand pushes along the instrument: down.
                 let home = ToolInput::at(DVec3::ZERO, DVec3::NEG_Y);

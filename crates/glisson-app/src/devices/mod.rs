@@ -9,6 +9,7 @@ mod replayed;
 pub(crate) mod trocar_board;
 pub(crate) mod trocar_choice;
 mod vendor;
+pub(crate) mod viewer;
 
 use anyhow::{Context, bail, ensure};
 use glam::DQuat;
@@ -22,6 +23,7 @@ use glisson::tool::ToolInput;
 use std::path::PathBuf;
 use trocar_board::START_INSERTION_M;
 use trocar_choice::TrocarChoice;
+use viewer::PageHand;
 
 /// A device as the user names it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,6 +46,8 @@ pub(crate) enum DeviceName {
     },
     /// An active trocar behind its board, or a simulated one.
     Trocar(TrocarChoice),
+    /// Mouse, keyboard and gamepad of the viewer's page.
+    Viewer,
 }
 
 impl DeviceName {
@@ -58,6 +62,7 @@ impl DeviceName {
                 format!("OpenHaptics {}", name.as_deref().unwrap_or("default device"))
             }
             Self::Trocar(choice) => choice.text(),
+            Self::Viewer => "viewer".into(),
         }
     }
 }
@@ -75,6 +80,8 @@ pub(crate) struct OpenDevice {
     pub(crate) has_clutch: bool,
     /// Where it stands in the world; none where its place at the start is to hold the instrument at its home.
     pub(crate) stands: Option<Placement>,
+    /// The server's end of a device that a page is.
+    pub(crate) page: Option<PageHand>,
 }
 
 /// One kind of device, for lists.
@@ -108,6 +115,10 @@ pub(crate) const KINDS: &[Kind] = &[
         pattern: "trocar[:HOST:PORT][,KEY=VALUE ...]",
         about: "the active trocar behind its board; without an address a simulated one in a hand that pushes",
     },
+    Kind {
+        pattern: "viewer",
+        about: "mouse, keyboard and gamepad of the page; its force is shown there, and shakes the gamepad",
+    },
 ];
 
 impl std::str::FromStr for DeviceName {
@@ -128,6 +139,7 @@ impl std::str::FromStr for DeviceName {
         match kind {
             "simulated" => without(Self::Simulated),
             "force-dimension" => without(Self::ForceDimension),
+            "viewer" => without(Self::Viewer),
             "openhaptics" => Ok(Self::OpenHaptics { name: rest.map(str::to_owned) }),
             "haply" => Ok(Self::Haply { address: host_and_port(rest.unwrap_or(haply::ADDRESS))? }),
             "replay" => {
@@ -141,7 +153,8 @@ impl std::str::FromStr for DeviceName {
             }
             other => {
                 let known: Vec<&str> = KINDS.iter().map(|kind| kind.pattern).collect();
-                let names = ["simulated", "replay", "haply", "force-dimension", "openhaptics", "trocar"];
+                let names =
+                    ["simulated", "replay", "haply", "force-dimension", "openhaptics", "trocar", "viewer"];
                 let hint = glisson::text::did_you_mean(other, &names);
                 Err(format!("there is no device \"{other}\"{hint}; known: {}", known.join(", ")))
             }
@@ -185,16 +198,17 @@ pub(crate) fn pushing_device(rate_hz: f64, seed: u64) -> SimulatedDevice {
 /// # Errors
 /// When it is not there, with what to do.
 pub(crate) fn open(name: &DeviceName, home: &ToolInput, rate_hz: f64) -> anyhow::Result<OpenDevice> {
-    open_standing(name, home, None, rate_hz)
+    open_standing(name, home, None, None, rate_hz)
 }
 
-/// The same for an active trocar that stands there.
+/// The same for an active trocar that stands there, and a scene's instrument of that kind.
 ///
 /// # Errors
-/// When it is not there, with what to do.
+/// When it is not there, or the instrument in it is of another kind; with what to do.
 pub(crate) fn open_standing(
     name: &DeviceName,
     home: &ToolInput,
+    tool_kind: Option<&'static str>,
     stands: Option<Placement>,
     rate_hz: f64,
 ) -> anyhow::Result<OpenDevice> {
@@ -205,6 +219,7 @@ pub(crate) fn open_standing(
         tells_orientation: true,
         has_clutch: true,
         stands: None,
+        page: None,
     };
     Ok(match name {
         DeviceName::Simulated => {
@@ -234,11 +249,19 @@ pub(crate) fn open_standing(
             let insertion_m = stands.map_or(START_INSERTION_M, |stands| {
                 stands.pivot_in_world_m.distance(home.tip_in_world_m).min(deepest_m)
             });
-            let device = Box::new(choice.open(rate_hz, insertion_m)?);
+            let device = Box::new(choice.open(rate_hz, insertion_m, tool_kind)?);
             // Its axis at rest is the instrument's, into the body.
             let axes = stands.unwrap_or_else(|| Placement::facing(DVec3::ZERO, -outward)).world_from_device;
             let plain = plain(device, &choice.text(), DQuat::from_mat3(&axes));
             OpenDevice { has_clutch: false, stands, ..plain }
+        }
+        DeviceName::Viewer => {
+            let (device, page) = viewer::open(home, rate_hz);
+            // Its places are the world's own.
+            let stands =
+                Some(Placement { pivot_in_world_m: DVec3::ZERO, world_from_device: DMat3::IDENTITY });
+            let plain = plain(Box::new(device), "viewer", DQuat::IDENTITY);
+            OpenDevice { has_clutch: false, stands, page: Some(page), ..plain }
         }
     })
 }
@@ -418,7 +441,7 @@ mod tests {
         // 80 mm up the shaft: the tip of an instrument that is as far in is at the home.
         let pivot_m = home.tip_in_world_m + home.shaft_in_world * 0.08;
         let stands = Some(Placement::facing(pivot_m, -home.shaft_in_world));
-        let mut opened = open_standing(&name, &home, stands, 1_000.0).unwrap();
+        let mut opened = open_standing(&name, &home, Some("probe"), stands, 1_000.0).unwrap();
         assert!(tip_m(&mut opened).distance(home.tip_in_world_m) < 5e-4);
     }
 

@@ -162,6 +162,7 @@ fn limits(most_force_n: f64, stiffness_n_per_mm: f64) -> DeviceLimits {
         damping_n_s_per_m: 2.0,
         resolution_m: 5.5e-5,
         rate_hz: 1_000.0,
+        ..DeviceLimits::NONE
     }
 }
 

@@ -58,6 +58,7 @@ impl HapticDevice for ReplayedDevice {
             damping_n_s_per_m: 100.0,
             resolution_m: 0.0,
             rate_hz: self.rate_hz,
+            ..DeviceLimits::NONE
         }
     }
 
@@ -96,8 +97,13 @@ mod tests {
     #[test]
     fn the_handle_goes_where_the_instrument_went_in_the_scenes_time() {
         let at = |x: f64| ToolInput { trigger: x, ..ToolInput::at(DVec3::X * x, DVec3::Y) };
-        let input =
-            |step, x| SessionEvent::Input { step, tools: vec![at(x)], n_substeps: 1, placed: Vec::new() };
+        let input = |step, x| SessionEvent::Input {
+            step,
+            tools: vec![at(x)],
+            n_substeps: 1,
+            placed: Vec::new(),
+            detected: Vec::new(),
+        };
         let mut session = Session {
             header: SessionHeader::new(SCENE.into(), String::new()),
             events: vec![input(0, 0.0), SessionEvent::Reset { step: 3 }, input(5, 1.0)],

@@ -1,13 +1,15 @@
 //! How an active trocar is named on the command line, and where several of them stand.
 
 use super::trocar_board::{
-    BoardLine, BoardSettings, HandMotion, MOST_TROCARS, START_INSERTION_M, SoftWall, TrocarDevice, connect,
-    simulated_line,
+    BoardLine, BoardSettings, HandMotion, MOST_TROCARS, START_INSERTION_M, SimulatedLine, SoftWall,
+    TrocarDevice, connect, simulated_line,
 };
 use super::{DeviceName, host_and_port};
 use anyhow::{Context, bail, ensure};
 use glisson::haptics::trocar::placement::ArrangementError;
-use glisson::haptics::trocar::{Arrangement, Mapping, Placement, Saturation, TrocarProfile};
+use glisson::haptics::trocar::{
+    Arrangement, InstrumentTag, InstrumentType, Mapping, Placement, Saturation, TrocarProfile,
+};
 use glisson::tool::Tool;
 
 /// An active trocar as the user names it.
@@ -23,6 +25,15 @@ pub(crate) struct TrocarChoice {
     number: u8,
     /// Its place of the four that trocars can have beside each other, from 1.
     place: Option<u8>,
+    /// What is in a simulated one; one that acts as the scene's instrument for none.
+    inserted: Option<Inserted>,
+}
+
+/// What the user puts into a simulated trocar.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Inserted {
+    Nothing,
+    Instrument(InstrumentType),
 }
 
 impl Default for TrocarChoice {
@@ -34,6 +45,7 @@ impl Default for TrocarChoice {
             saturation: Saturation::EachMotor,
             number: 0,
             place: None,
+            inserted: None,
         }
     }
 }
@@ -41,10 +53,11 @@ impl Default for TrocarChoice {
 const MAPPINGS: [(&str, Mapping); 2] = [("thesis", Mapping::Thesis), ("virtual-work", Mapping::VirtualWork)];
 const SATURATIONS: [(&str, Saturation); 2] =
     [("each-motor", Saturation::EachMotor), ("keep-direction", Saturation::KeepDirection)];
-const KEYS: [&str; 5] = ["profile", "mapping", "saturation", "number", "place"];
+const KEYS: [&str; 6] = ["profile", "mapping", "saturation", "number", "place", "instrument"];
 /// For lists and messages.
 pub(crate) const OPTIONS: &str = "profile=built|specified, mapping=thesis|virtual-work, \
-                                  saturation=each-motor|keep-direction, number=0..3, place=1..4";
+                                  saturation=each-motor|keep-direction, number=0..3, place=1..4; of a simulated one \
+                                  instrument=none|palpation-probe|atraumatic-grasper|...";
 /// A hand that holds a simulated trocar pushes as that of the simulated device does; how far it sways is a choice.
 const MOTION: HandMotion =
     HandMotion { push_m: super::PUSH_M, sway_rad: 0.05, frequency_hz: super::PUSHES_HZ };
@@ -75,6 +88,9 @@ impl TrocarChoice {
             choice.set(key, value)?;
             seen.push(key);
         }
+        if choice.address.is_some() && choice.inserted.is_some() {
+            return Err("instrument=... is for a simulated trocar; a board tells what is in it".into());
+        }
         Ok(choice)
     }
 
@@ -84,6 +100,7 @@ impl TrocarChoice {
             "mapping" => self.mapping = one_of(key, value, &MAPPINGS)?,
             "saturation" => self.saturation = one_of(key, value, &SATURATIONS)?,
             "number" => self.number = number_in(key, value, 0, MOST_TROCARS - 1)?,
+            "instrument" => self.inserted = Some(inserted_of(key, value)?),
             "place" => self.place = Some(number_in(key, value, 1, MOST_TROCARS)?),
             _ => {
                 let hint = glisson::text::did_you_mean(key, &KEYS);
@@ -98,13 +115,14 @@ impl TrocarChoice {
         TrocarProfile::of_name(self.profile).expect("names of profiles are checked when they are read")
     }
 
-    fn settings(&self, loop_rate_hz: f64) -> BoardSettings {
+    fn settings(&self, loop_rate_hz: f64, tool_kind: Option<&'static str>) -> BoardSettings {
         let Self { mapping, saturation, number, .. } = *self;
         BoardSettings {
             mapping,
             saturation,
             trocar: number,
             loop_rate_hz,
+            tool_kind,
             ..BoardSettings::new(self.profile())
         }
     }
@@ -127,31 +145,67 @@ impl TrocarChoice {
         )
     }
 
-    /// Opens it for a loop of `loop_rate_hz` [Hz]. A simulated one has its instrument `insertion_m` [m] in, in a hand
-    /// that pushes.
+    /// Opens it for a loop of `loop_rate_hz` [Hz] and a scene's instrument of that kind; any for none. A simulated one has its
+    /// instrument `insertion_m` [m] in, in a hand that pushes.
+    ///
+    /// # Errors
+    /// When its board is not there or not what it should be, or the instrument in it does not act as the scene's.
     pub(super) fn open(
         &self,
         loop_rate_hz: f64,
         insertion_m: f64,
+        tool_kind: Option<&'static str>,
     ) -> anyhow::Result<TrocarDevice<BoardLine>> {
-        let settings = self.settings(loop_rate_hz);
-        let line =
-            || simulated_line(&settings, insertion_m, 1 + u64::from(self.number)).looked_at(loop_rate_hz);
-        Ok(match &self.address {
-            Some(address) => connect(address, settings)?,
-            None => TrocarDevice::new(BoardLine::Simulated(Box::new(line().moved_by(MOTION))), settings),
-        })
+        let settings = self.settings(loop_rate_hz, tool_kind);
+        if let Some(address) = &self.address {
+            return connect(address, settings);
+        }
+        let line = self.simulated_line(&settings, insertion_m).looked_at(loop_rate_hz).moved_by(MOTION);
+        let mut device = TrocarDevice::new(BoardLine::Simulated(Box::new(line)), settings);
+        device.hear()?;
+        device.check_instrument().with_context(|| self.text())?;
+        Ok(device)
     }
 
     /// Opens it to be driven by another device. A simulated one is in nobody's hand and before something soft.
     pub(super) fn open_follower(&self, loop_rate_hz: f64) -> anyhow::Result<TrocarDevice<BoardLine>> {
         if self.address.is_some() {
-            return self.open(loop_rate_hz, START_INSERTION_M);
+            return self.open(loop_rate_hz, START_INSERTION_M, None);
         }
-        let settings = self.settings(loop_rate_hz);
+        let settings = self.settings(loop_rate_hz, None);
         let wall = SoftWall { from_m: START_INSERTION_M + WALL_AHEAD_M, stiffness_n_per_m: WALL_N_PER_M };
-        let line = simulated_line(&settings, START_INSERTION_M, 1).looked_at(loop_rate_hz).before(wall);
+        let line = self.simulated_line(&settings, START_INSERTION_M).looked_at(loop_rate_hz).before(wall);
         Ok(TrocarDevice::new(BoardLine::Simulated(Box::new(line)), settings))
+    }
+
+    /// A board in memory with what was asked for in it.
+    fn simulated_line(&self, settings: &BoardSettings, insertion_m: f64) -> SimulatedLine {
+        let mut line = simulated_line(settings, insertion_m, 1 + u64::from(self.number));
+        match self.inserted {
+            None => {}
+            Some(Inserted::Nothing) => line.board.change_instrument(None),
+            Some(Inserted::Instrument(instrument)) => {
+                line.board.hold_instrument(InstrumentTag { instrument, serial: 1 });
+            }
+        }
+        line
+    }
+}
+
+/// Names of instruments on the command line have hyphens.
+fn inserted_of(key: &str, value: &str) -> Result<Inserted, String> {
+    let hyphened = |instrument: InstrumentType| instrument.name().replace(' ', "-");
+    let found = InstrumentType::ALL.into_iter().find(|instrument| hyphened(*instrument) == value);
+    match (value, found) {
+        ("none", _) => Ok(Inserted::Nothing),
+        (_, Some(instrument)) => Ok(Inserted::Instrument(instrument)),
+        _ => {
+            let names: Vec<String> =
+                std::iter::once("none".to_owned()).chain(InstrumentType::ALL.map(hyphened)).collect();
+            let known: Vec<&str> = names.iter().map(String::as_str).collect();
+            let hint = glisson::text::did_you_mean(value, &known);
+            Err(format!("{key}={value}{hint}; allowed: {}", names.join(", ")))
+        }
     }
 }
 

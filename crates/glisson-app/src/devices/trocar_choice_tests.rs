@@ -22,7 +22,7 @@ fn a_trocar_takes_options_after_its_address() {
     let text = "trocar:10.0.0.7:4000,profile=specified,mapping=virtual-work,saturation=keep-direction,number=3,place=2";
     let DeviceName::Trocar(choice) = named(text) else { panic!("no trocar") };
     assert_eq!(choice.address.as_deref(), Some("10.0.0.7:4000"));
-    let settings = choice.settings(1000.0);
+    let settings = choice.settings(1000.0, None);
     assert_eq!((settings.profile.name, settings.trocar, choice.place), ("specified", 3, Some(2)));
     assert_eq!((settings.mapping, settings.saturation), (Mapping::VirtualWork, Saturation::KeepDirection));
     assert_eq!(
@@ -42,6 +42,8 @@ fn mistakes_in_options_are_told_with_what_is_allowed() {
         ("trocar,number=4", "number=4; allowed: 0 to 3"),
         ("trocar,place=0", "place=0; allowed: 1 to 4"),
         ("trocar,place=2,place=3", "\"place\" is given twice"),
+        ("trocar,instrument=scisors", "did you mean \"scissors\""),
+        ("trocar:10.0.0.7:4000,instrument=none", "is for a simulated trocar"),
         ("trocar,", "is not KEY=VALUE"),
         ("trocar:there,place=2", "HOST:PORT"),
         ("trocars", "did you mean \"trocar\""),
@@ -121,7 +123,7 @@ fn more_than_four_and_one_of_a_line_twice_are_refused() {
 #[test]
 fn a_simulated_one_answers_by_its_number_and_keeps_the_time_of_its_loop() {
     let DeviceName::Trocar(choice) = named("trocar,profile=specified,number=2") else { panic!("no trocar") };
-    let mut device = choice.open(1000.0, 0.08).unwrap();
+    let mut device = choice.open(1000.0, 0.08, Some("probe")).unwrap();
     assert!((device.limits().stiffness_n_per_m - 2000.0).abs() < 1e-9, "what 1000 Hz can render");
     let insertion_m = |device: &mut TrocarDevice<BoardLine>, n_ticks| {
         (0..n_ticks).map(|_| device.read().unwrap().position_m.length()).last().unwrap()
@@ -149,4 +151,27 @@ fn a_doctor_tells_what_a_board_is_whatever_its_profile() {
     stop.store(true, Ordering::Relaxed);
     served.join().unwrap();
     assert!(text.ends_with("board 00000001, profile specified, firmware 1, 1500 states a second"), "{text}");
+}
+
+#[test]
+fn a_scene_refuses_a_device_with_another_instrument_in_it() {
+    let open = |text: &str, kind: Option<&'static str>| {
+        let DeviceName::Trocar(choice) = named(text) else { panic!("no trocar") };
+        choice.open(1000.0, 0.1, kind).map_err(|error| format!("{error:#}"))
+    };
+    for kind in glisson::tool::ToolKind::NAMES {
+        let mut device = open("trocar", Some(kind)).unwrap();
+        assert!(device.read().is_ok(), "{kind}");
+        assert_eq!(device.instrument().unwrap().instrument.tool_kind(), Some(kind));
+    }
+    let error = open("trocar,instrument=scissors", Some("grasper")).err().unwrap();
+    for part in
+        ["simulated active trocar", "(scissors, number 1)", "acts as a \"scissors\"", "biopsy forceps"]
+    {
+        assert!(error.contains(part), "{part}: {error}");
+    }
+    let mut any = open("trocar,instrument=scissors", None).unwrap();
+    assert!(any.read().is_ok() && any.inserted().is_some());
+    let mut without = open("trocar,instrument=none", Some("probe")).unwrap();
+    assert!(without.read().is_err() && without.inserted().is_none());
 }

@@ -14,6 +14,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// What has not changed is sent again after this time: the other side hears that this one is there.
 const REPEAT: Duration = Duration::from_millis(10);
+/// From one piece of something larger to the next: 1 Mbyte a second. A choice.
+const PIECE_PAUSE: Duration = Duration::from_millis(1);
 /// Longest wait for a message, after which the threads see whether they should end.
 const PATIENCE: Duration = Duration::from_millis(50);
 /// A link that is silent for so long counts as cut [ns]: five times the time between repetitions.
@@ -37,6 +39,8 @@ pub(crate) trait Outgoing: Send {
     fn unseen(&mut self, now_ns: u64) -> Option<Content>;
     /// The newest state.
     fn latest(&mut self, now_ns: u64) -> Content;
+    /// The next piece of something larger that the other side has not; to be said again until it has.
+    fn piece(&mut self) -> Option<Content>;
 }
 
 /// Takes what came.
@@ -154,19 +158,33 @@ fn send_all(
     make_prompt();
     let mut bytes = Vec::with_capacity(MOST_BYTES);
     let (mut sequence, mut last_sent) = (0, Instant::now());
+    let (mut next_piece, mut has_pieces) = (Instant::now(), false);
     outgoing.wakes(std::thread::current());
     while !shared.ends.load(Ordering::Relaxed) {
+        let is_pieces_turn = Instant::now() >= next_piece;
         let content = match outgoing.unseen(now_ns()) {
-            Some(content) => content,
-            None => match REPEAT.checked_sub(last_sent.elapsed()) {
-                Some(wait) if !wait.is_zero() => {
-                    std::thread::park_timeout(wait);
-                    continue;
+            Some(content) => {
+                last_sent = Instant::now();
+                content
+            }
+            None => match is_pieces_turn.then(|| outgoing.piece()) {
+                Some(Some(piece)) => {
+                    has_pieces = true;
+                    next_piece = Instant::now() + PIECE_PAUSE;
+                    piece
                 }
-                _ => outgoing.latest(now_ns()),
+                asked => {
+                    has_pieces &= asked.is_none();
+                    let wait = REPEAT.saturating_sub(last_sent.elapsed());
+                    if !wait.is_zero() {
+                        std::thread::park_timeout(if has_pieces { wait.min(PIECE_PAUSE) } else { wait });
+                        continue;
+                    }
+                    last_sent = Instant::now();
+                    outgoing.latest(now_ns())
+                }
             },
         };
-        last_sent = Instant::now();
         sequence += 1;
         let heard = shared.heard.lock().map_or_else(|_| Heard::default(), |heard| *heard);
         let sent_ns = now_ns();
@@ -208,8 +226,9 @@ fn refuse(shared: &Shared, reason: String) {
 /// Why a message that could be read is not for this machine.
 fn objection(identity: &Identity, head: &Head, content: &Content) -> Option<String> {
     let (from, n_tools) = match content {
-        Content::Hands(hands) => (Role::Haptics, hands.len()),
-        Content::Tissues(tissues) => (Role::Simulation, tissues.len()),
+        Content::Hands { hands, .. } => (Role::Haptics, hands.len()),
+        Content::Tissues { tissues, .. } => (Role::Simulation, tissues.len()),
+        Content::Piece(_) => (Role::Simulation, identity.n_tools),
     };
     if from == identity.role {
         return Some(format!(

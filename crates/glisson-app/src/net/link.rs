@@ -141,11 +141,26 @@ impl std::fmt::Display for LinkAddress {
 }
 
 impl LinkAddress {
+    /// Whether zenoh may be reached this way. `has_key`: whether messages are sealed with a key.
+    ///
+    /// # Errors
+    /// When others could steer.
+    pub(super) fn check(&self, has_key: bool) -> anyhow::Result<()> {
+        match self {
+            Self::Zenoh(address) if !address.is_closed() && !has_key => bail!(
+                "{self} can be reached from other machines, where anybody could steer the instruments: give both machines \
+                 the same --link-key FILE, or a configuration file with TLS (docs/network.md)"
+            ),
+            Self::Zenoh(_) | Self::Udp(_) => Ok(()),
+        }
+    }
+
     /// Opens the link. `has_key`: whether messages are sealed with a key.
     ///
     /// # Errors
     /// When the address cannot be used.
     pub(crate) fn open(&self, role: Role, has_key: bool) -> anyhow::Result<Link> {
+        self.check(has_key)?;
         match self {
             Self::Udp(address) => {
                 let address = address
@@ -161,10 +176,6 @@ impl LinkAddress {
                 }
                 udp(address, role)
             }
-            Self::Zenoh(address) if !address.is_closed() && !has_key => bail!(
-                "{self} can be reached from other machines, where anybody could steer the instruments: give both machines \
-                 the same --link-key FILE, or a configuration file with TLS (docs/network.md)"
-            ),
             #[cfg(feature = "net")]
             Self::Zenoh(address) => super::zenoh_link::open(address, role),
             #[cfg(not(feature = "net"))]

@@ -3,6 +3,10 @@
 pub(crate) mod crc64;
 pub(crate) mod seal;
 pub(crate) mod messages;
+pub(crate) mod contact_messages;
+pub(crate) mod surface;
+pub(crate) mod figures;
+pub(crate) mod detector;
 pub(crate) mod inbox;
 pub(crate) mod link;
 pub(crate) mod conversation;
@@ -22,5 +26,7 @@ mod zenoh_log;
 mod zenoh_link;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod detection_tests;
 #[cfg(all(test, feature = "net"))]
 mod zenoh_tests;

@@ -1,18 +1,22 @@
 //! What `glisson serve` is told about the network.
 
-use super::bridge::{DeviceNews, start_haptics, start_simulation};
+use super::bridge::{DeviceNews, HapticsScene, HapticsSide, start_haptics, start_simulation};
 use super::conversation::{Conversation, Identity, LinkReport};
+use super::figures::RemoteFigures;
 use super::igtl;
-use super::link::{LinkAddress, Role};
+use super::link::{LinkAddress, Role, ZenohAddress};
 use super::messages::SceneHash;
 use super::player::Player;
 use super::seal::Seal;
+#[cfg(feature = "net")]
+use super::zenoh_link::{SharedSession, open_session};
 use crate::runtime::haptic_loop::{DeviceStatus, HapticLoop, HapticSettings, HeldTool, ToolLink};
 use crate::runtime::{OpenScene, Simulation};
 use crate::server::Show;
 use anyhow::{Context, bail};
-use glisson::scene::{mesh_hash, read_organ};
-use glisson::tool::ToolInput;
+use glisson::scene::{mesh_hash, read_organ, read_tools};
+use glisson::tool::{Tool, ToolInput};
+use glisson::world::detection::SurfaceList;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -49,9 +53,27 @@ pub(crate) struct NetArgs {
     /// reaches the router of ROS 2 can
     #[arg(long, requires = "ros2")]
     ros2_control: bool,
-    /// How to reach the router of ROS 2
-    #[arg(long, value_name = "ADDRESS", default_value = "zenoh:tcp/127.0.0.1:7447", requires = "ros2")]
-    ros2_link: LinkAddress,
+    /// How to reach the router of ROS 2 where no zenoh link is there, whose session is otherwise used
+    /// [default: zenoh:tcp/127.0.0.1:7447]
+    #[arg(long, value_name = "ADDRESS", requires = "ros2")]
+    ros2_link: Option<LinkAddress>,
+    /// Of the link, which ROS 2's topics share.
+    #[cfg(feature = "net")]
+    #[arg(skip)]
+    session: SharedSession,
+}
+
+/// Where the router of ROS 2 is unless told otherwise: `rmw_zenohd` listens there.
+const ROS2_ROUTER: &str = "tcp/127.0.0.1:7447";
+
+/// What carries ROS 2's topics.
+#[cfg_attr(not(feature = "net"), allow(dead_code, reason = "without zenoh only the tests ask"))]
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Ros2Over {
+    /// The link's session.
+    Link(ZenohAddress),
+    /// A session of its own.
+    Own(ZenohAddress),
 }
 
 /// A link as asked for on the command line.
@@ -59,6 +81,8 @@ pub(crate) struct LinkOptions {
     pub(crate) role: Role,
     address: LinkAddress,
     seal: Seal,
+    #[cfg(feature = "net")]
+    session: SharedSession,
 }
 
 impl NetArgs {
@@ -69,7 +93,13 @@ impl NetArgs {
     pub(crate) fn link(&self) -> anyhow::Result<Option<LinkOptions>> {
         let (Some(role), Some(address)) = (self.role, &self.link) else { return Ok(None) };
         let seal = self.link_key.as_deref().map_or(Ok(Seal::Check), Seal::from_file)?;
-        Ok(Some(LinkOptions { role, address: address.clone(), seal }))
+        Ok(Some(LinkOptions {
+            role,
+            address: address.clone(),
+            seal,
+            #[cfg(feature = "net")]
+            session: self.session.clone(),
+        }))
     }
 
     /// Whether anything shows the simulation beside the viewer.
@@ -109,9 +139,7 @@ impl NetArgs {
 
     #[cfg(feature = "net")]
     fn ros2_topics(&self, domain: u32, simulation: &Simulation, held: &[usize]) -> anyhow::Result<Show> {
-        let LinkAddress::Zenoh(address) = self.ros2_link.clone() else {
-            bail!("--ros2-link {}: ROS 2 is reached over zenoh: only", self.ros2_link);
-        };
+        let over = self.ros2_over()?;
         if self.ros2_control && self.role.is_some() {
             bail!(
                 "--ros2-control with --role simulation: the instruments are in the hands of the other machine"
@@ -122,21 +150,62 @@ impl NetArgs {
         if self.ros2_control && !described.takes_orders() {
             bail!("--ros2-control: devices hold all instruments; leave out one --device, or --ros2-control");
         }
-        println!("ROS 2 topics of domain {domain} go to {}", self.ros2_link);
+        let (address, with_link) = match &over {
+            Ros2Over::Link(address) => (address, ", with the link over one session"),
+            Ros2Over::Own(address) => (address, ""),
+        };
+        let address = LinkAddress::Zenoh(address.clone());
+        println!("ROS 2 topics of domain {domain} go to {address}{with_link}");
         if self.ros2_control {
-            println!("whoever reaches {} can move the instruments that no device holds", self.ros2_link);
+            println!("whoever reaches {address} can move the instruments that no device holds");
         }
+        let over = self.ros2_session(&over)?;
         Ok(Box::new(move |published, steering| {
-            super::ros2::spawn(&address, domain, described, published, steering)
+            super::ros2::spawn(over, domain, described, published, steering)
         }))
+    }
+
+    /// The session that carries ROS 2's topics; opened if nobody has done so.
+    #[cfg(feature = "net")]
+    fn ros2_session(&self, over: &Ros2Over) -> anyhow::Result<super::ros2::Over> {
+        Ok(match over {
+            Ros2Over::Link(_) => {
+                let link = self.link()?.context("a link is there to be shared")?;
+                super::ros2::Over { session: link.zenoh_session()?, is_own: false }
+            }
+            // It connects to the router, as the haptics machine does to the simulation.
+            Ros2Over::Own(address) => {
+                super::ros2::Over { session: open_session(address, Role::Haptics)?, is_own: true }
+            }
+        })
     }
 
     #[cfg(not(feature = "net"))]
     fn ros2_topics(&self, domain: u32, _: &Simulation, _: &[usize]) -> anyhow::Result<Show> {
-        bail!(
-            "--ros2 {domain} over {}: this program was built without zenoh; build it with --features net",
-            self.ros2_link
-        )
+        self.ros2_over()?;
+        bail!("--ros2 {domain}: this program was built without zenoh; build it with --features net")
+    }
+
+    /// What carries ROS 2's topics: the link's session if that is zenoh's.
+    ///
+    /// # Errors
+    /// For an address that is not zenoh's or that is not the link's.
+    fn ros2_over(&self) -> anyhow::Result<Ros2Over> {
+        let asked = match &self.ros2_link {
+            Some(LinkAddress::Zenoh(asked)) => Some(asked),
+            Some(other) => bail!("--ros2-link {other}: ROS 2 is reached over zenoh: only"),
+            None => None,
+        };
+        match (&self.link, asked) {
+            (Some(link @ LinkAddress::Zenoh(linked)), Some(asked)) if linked != asked => bail!(
+                "--ros2-link {} contradicts --link {link}: link and topics share one zenoh session; leave --ros2-link out, \
+                 and name the router in the link's configuration (zenoh:FILE.json5, docs/network.md)",
+                LinkAddress::Zenoh(asked.clone())
+            ),
+            (Some(LinkAddress::Zenoh(linked)), _) => Ok(Ros2Over::Link(linked.clone())),
+            (_, Some(asked)) => Ok(Ros2Over::Own(asked.clone())),
+            (_, None) => Ok(Ros2Over::Own(ZenohAddress::Locator(ROS2_ROUTER.to_owned()))),
+        }
     }
 }
 
@@ -148,9 +217,30 @@ fn scene_hash(scene_text: &str, mesh_hash: &str) -> SceneHash {
     SceneHash(*hasher.finalize().as_bytes())
 }
 
+/// How stiff an elastic half-space is under a flat round punch [N/m]: 2 E a / (1 - nu^2) (Sneddon 1965,
+/// doi:10.1016/0020-7225(65)90019-4).
+fn flat_punch_n_per_m(young_modulus_pa: f64, poisson_ratio: f64, radius_m: f64) -> f64 {
+    2.0 * young_modulus_pa * radius_m / (1.0 - poisson_ratio * poisson_ratio)
+}
+
 impl LinkOptions {
+    /// The link's session; opened if nobody has done so.
+    #[cfg(feature = "net")]
+    fn zenoh_session(&self) -> anyhow::Result<zenoh::Session> {
+        self.address.check(matches!(self.seal, Seal::Key(_)))?;
+        match &self.address {
+            LinkAddress::Zenoh(address) => self.session.get(address, self.role),
+            other => bail!("{other} is no link over zenoh"),
+        }
+    }
+
     fn open(&self, scene: SceneHash, n_tools: usize) -> anyhow::Result<(super::link::Link, Identity)> {
         let has_key = matches!(self.seal, Seal::Key(_));
+        #[cfg(feature = "net")]
+        if let LinkAddress::Zenoh(_) = &self.address {
+            let link = super::zenoh_link::link_over(self.zenoh_session()?, self.role)?;
+            return Ok((link, Identity { role: self.role, scene, n_tools, seal: self.seal.clone() }));
+        }
         let link = self.address.open(self.role, has_key)?;
         Ok((link, Identity { role: self.role, scene, n_tools, seal: self.seal.clone() }))
     }
@@ -164,11 +254,12 @@ impl LinkOptions {
         &self,
         simulation: &Simulation,
         scene_text: &str,
+        figures: RemoteFigures,
     ) -> anyhow::Result<(Conversation, Vec<ToolLink>)> {
         let homes: Vec<ToolInput> = simulation.world().tools().iter().map(|tool| tool.home).collect();
         let scene = scene_hash(scene_text, &mesh_hash(simulation.mesh()));
         let (link, identity) = self.open(scene, homes.len())?;
-        Ok(start_simulation(link, identity, &homes)?)
+        Ok(start_simulation(link, identity, &homes, figures)?)
     }
 
     /// The whole haptics machine: `held` by devices, or by the scene's own paths when there are none; until `stop` comes.
@@ -183,9 +274,14 @@ impl LinkOptions {
         stop: impl Future<Output = ()>,
     ) -> anyhow::Result<()> {
         let body = read_organ(&source.scene, &source.folder).with_context(|| source.origin.clone())?;
-        let homes: Vec<ToolInput> = source.scene.world.tools.iter().map(|tool| tool.home).collect();
+        let tools = read_tools(&source.scene, &source.folder).with_context(|| source.origin.clone())?;
+        let surface = SurfaceList::of_mesh(&body.mesh).with_context(|| source.origin.clone())?;
         let scene = scene_hash(&source.scene.text, &mesh_hash(&body.mesh));
-        let (link, identity) = self.open(scene, homes.len())?;
+        let (link, identity) = self.open(scene, tools.len())?;
+        let n_triangles = surface.triangles.len();
+        let (young_pa, poisson) = (body.material.young_modulus_pa(), body.material.poisson_ratio());
+        let stiffness = |tool: &Tool| flat_punch_n_per_m(young_pa, poisson, tool.tip_radius_m);
+        let stiffness_n_per_m = tools.iter().map(stiffness).collect();
         let (player, haptic_loop, links) = if held.is_empty() {
             println!("no device: the scene's paths move the instruments");
             let (player, links) = Player::start(&source.scene)?;
@@ -194,7 +290,10 @@ impl LinkOptions {
             let (held, links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
             (None, Some(HapticLoop::start(held, haptics, Arc::default())?), links)
         };
-        let (conversation, news) = start_haptics(link, identity, &homes, links)?;
+        let meters = haptic_loop.as_ref().map(|haptic_loop| Arc::clone(haptic_loop.meters()));
+        let held = HapticsScene { tools, surface: Some(surface), stiffness_n_per_m, meters };
+        let HapticsSide { conversation, detection, news } = start_haptics(link, identity, held, links)?;
+        println!("touches are looked for here, on {n_triangles} triangles");
         println!("haptics run (Ctrl-C stops them)");
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         runtime.block_on(async {
@@ -209,6 +308,7 @@ impl LinkOptions {
         if let Some(player) = player {
             println!("played: {}", serde_json::to_string(&player.finish())?);
         }
+        println!("detection: {}", serde_json::to_string(&detection.report())?);
         println!("{}", conversation.report().to_text());
         Ok(())
     }
@@ -231,6 +331,9 @@ async fn tell_changes(conversation: &Conversation, mut news: Vec<DeviceNews>) {
             match statuses.get_new() {
                 Some(DeviceStatus::Lost(why)) => println!("the device {device_name} was lost: {why}"),
                 Some(DeviceStatus::Failed(why)) => println!("the device {device_name} failed: {why}"),
+                Some(DeviceStatus::WorksWith(i)) => {
+                    println!("the device {device_name} works; in it: {}, number {}", i.name, i.serial);
+                }
                 Some(DeviceStatus::Works) => println!("the device {device_name} works"),
                 Some(DeviceStatus::Waiting) | None => {}
             }
@@ -256,3 +359,7 @@ impl LinkReport {
         )
     }
 }
+
+#[cfg(test)]
+#[path = "options_tests.rs"]
+mod tests;

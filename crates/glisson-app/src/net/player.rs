@@ -63,7 +63,7 @@ impl Player {
         let (mut tools, mut links) = (Vec::new(), Vec::new());
         for (number, tool) in scene.world.tools.iter().enumerate() {
             let (models_in, models) = exchange(PublishedModel::default());
-            let (motions, motions_out) = exchange(Motion { pose: tool.home, is_held: false });
+            let (motions, motions_out) = exchange(Motion::of(tool.home, false));
             let (_, statuses) = exchange(DeviceStatus::Waiting);
             let handover = Handover::new(ForceEstimate::LocalModel);
             tools.push(Tool {
@@ -80,6 +80,7 @@ impl Player {
                 models: models_in,
                 motions: motions_out,
                 statuses,
+                nearby: None,
             });
         }
         let stop = Arc::new(AtomicBool::new(false));
@@ -123,7 +124,7 @@ fn play(scene: &Scene, mut tools: Vec<Tool>, stop: &AtomicBool) -> Played {
         let input = scene.input_at(end_s * if phase > 1.0 { 2.0 - phase } else { phase });
         played.n_ticks += 1;
         for (tool, pose) in tools.iter_mut().zip(input.tools) {
-            tool.motions.publish(Motion { pose, is_held: true });
+            tool.motions.publish(Motion::of(pose, true));
             let PublishedModel { model, made_ns } = tool.models.get();
             if made_ns == 0 {
                 continue;

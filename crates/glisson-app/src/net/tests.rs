@@ -1,7 +1,9 @@
 //! Two ends and what lies between them: loss, doubled and overtaken messages, cuts, strangers.
 
-use super::bridge::{start_haptics, start_simulation};
+use super::bridge::{HapticsScene, HapticsSide, start_haptics, start_simulation};
 use super::conversation::{Conversation, Identity, LinkReport};
+use super::detector::Detection;
+use super::figures::RemoteFigures;
 use super::link::{Link, ReceiveHalf, Role, SendHalf, udp};
 use super::messages::SceneHash;
 use super::seal::Seal;
@@ -10,7 +12,7 @@ use crate::runtime::haptic_loop::{DeviceStatus, Motion, PublishedModel, ToolLink
 use crate::runtime::realtime::now_ns;
 use glisson::haptics::{HapticModel, Touch};
 use glisson::math::DVec3;
-use glisson::tool::ToolInput;
+use glisson::tool::{Tool, ToolInput};
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -61,7 +63,7 @@ impl ReceiveHalf for MemoryReceiver {
     fn trust_sender(&mut self) {}
 }
 
-fn bad_links() -> (Link, Link) {
+pub(super) fn bad_links() -> (Link, Link) {
     let (to_simulation, from_haptics) = channel();
     let (to_haptics, from_simulation) = channel();
     let link = |out, incoming, random| Link {
@@ -84,12 +86,18 @@ pub(super) struct HapticsEnd {
     motions: Publisher<Motion>,
     pub(super) models: Latest<PublishedModel>,
     conversation: Conversation,
+    pub(super) detection: Detection,
 }
 
 impl HapticsEnd {
     pub(super) fn start(link: Link, identity: Identity) -> Self {
+        let scene = HapticsScene::without_organ(vec![Tool::probe("hand", 5e-3, home())]);
+        Self::with(link, identity, scene)
+    }
+
+    pub(super) fn with(link: Link, identity: Identity, scene: HapticsScene) -> Self {
         let (models_in, models) = exchange(PublishedModel::default());
-        let (motions, motions_out) = exchange(Motion { pose: home(), is_held: false });
+        let (motions, motions_out) = exchange(Motion::of(home(), false));
         let (_, statuses) = exchange(DeviceStatus::Waiting);
         let held = ToolLink {
             tool: 0,
@@ -97,14 +105,19 @@ impl HapticsEnd {
             models: models_in,
             motions: motions_out,
             statuses,
+            nearby: None,
         };
-        let (conversation, _) = start_haptics(link, identity, &[home()], vec![held]).unwrap();
-        Self { motions, models, conversation }
+        let HapticsSide { conversation, detection, .. } =
+            start_haptics(link, identity, scene, vec![held]).unwrap();
+        Self { motions, models, conversation, detection }
     }
 
     pub(super) fn move_to(&mut self, x_m: f64) {
-        let pose = ToolInput { tip_in_world_m: DVec3::X * x_m, ..home() };
-        self.motions.publish(Motion { pose, is_held: true });
+        self.hold(ToolInput { tip_in_world_m: DVec3::X * x_m, ..home() });
+    }
+
+    pub(super) fn hold(&mut self, pose: ToolInput) {
+        self.motions.publish(Motion::of(pose, true));
     }
 }
 
@@ -116,7 +129,8 @@ pub(super) struct SimulationEnd {
 
 impl SimulationEnd {
     pub(super) fn start(link: Link, identity: Identity) -> Self {
-        let (conversation, mut links) = start_simulation(link, identity, &[home()]).unwrap();
+        let (conversation, mut links) =
+            start_simulation(link, identity, &[home()], RemoteFigures::default()).unwrap();
         Self { tool: links.pop().unwrap(), conversation }
     }
 

@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow};
 use std::collections::VecDeque;
 use std::io;
 use std::path::Path;
-use std::sync::{Arc, Condvar, Mutex};
+use std::sync::{Arc, Condvar, Mutex, OnceLock};
 use std::time::Duration;
 use zenoh::Wait;
 use zenoh::qos::{CongestionControl, Priority};
@@ -72,10 +72,34 @@ fn closed_config(path: &Path) -> anyhow::Result<zenoh::Config> {
     Ok(config)
 }
 
-/// Opens a session for a link.
-pub(super) fn open(address: &ZenohAddress, role: Role) -> anyhow::Result<Link> {
+/// Opens a session: as the one of the two machines that has the role.
+pub(super) fn open_session(address: &ZenohAddress, role: Role) -> anyhow::Result<zenoh::Session> {
     super::zenoh_log::tell();
-    let session = zenoh::open(config(address, role)?).wait().map_err(|e| anyhow!("zenoh: {e}"))?;
+    zenoh::open(config(address, role)?).wait().map_err(|e| anyhow!("zenoh: {e}"))
+}
+
+/// The session that link and topics share; opened when one of them asks first.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SharedSession(Arc<OnceLock<zenoh::Session>>);
+
+impl SharedSession {
+    /// The session; all ask with the same address and role.
+    pub(super) fn get(&self, address: &ZenohAddress, role: Role) -> anyhow::Result<zenoh::Session> {
+        if let Some(session) = self.0.get() {
+            return Ok(session.clone());
+        }
+        let session = open_session(address, role)?;
+        Ok(self.0.get_or_init(|| session).clone())
+    }
+}
+
+/// A link over a session of its own.
+pub(super) fn open(address: &ZenohAddress, role: Role) -> anyhow::Result<Link> {
+    link_over(open_session(address, role)?, role)
+}
+
+/// A link over a session that others may use, too.
+pub(super) fn link_over(session: zenoh::Session, role: Role) -> anyhow::Result<Link> {
     let publisher = session
         .declare_publisher(format!("{KEY}/{}", role.name()))
         .congestion_control(CongestionControl::Drop)

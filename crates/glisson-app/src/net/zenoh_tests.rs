@@ -2,9 +2,9 @@
 
 use super::igtl::tests::published;
 use super::link::{LinkAddress, Role, ZenohAddress};
-use super::ros2::Described;
+use super::ros2::{Described, Over};
 use super::tests::{HapticsEnd, SimulationEnd, identity, soon};
-use super::zenoh_link::{config, open};
+use super::zenoh_link::{config, open, open_session};
 use crate::runtime::live::{Command, Published};
 use crate::server::steering::Steering;
 use glisson::math::{DMat3, DVec3};
@@ -315,7 +315,8 @@ fn ros2_node(
     let home = ToolInput::at(DVec3::new(0.01, 0.02, 0.05), DVec3::Z);
     let described = Described::named("hook", home, takes_orders);
     let steering = Steering::alone(commands);
-    let thread = super::ros2::spawn(&address, 5, described, receiver, &steering).unwrap();
+    let over = Over { session: open_session(&address, Role::Haptics).unwrap(), is_own: true };
+    let thread = super::ros2::spawn(over, 5, described, receiver, &steering).unwrap();
     (Client { session }, sender, ordered, thread)
 }
 

@@ -1,16 +1,19 @@
 //! The haptic loop: reads the devices, evaluates the latest models and pushes, a thousand times a second. It waits for
 //! nobody; in a tick nothing is allocated, locked or logged.
 
+use super::elsewhere::Nearby;
 use super::exchange::{Latest, Publisher, exchange};
 use super::force_choices::ForceChoices;
 use super::histogram::{Histogram, Percentiles};
 use super::realtime::{Scheduling, make_punctual, now_ns, wait_until};
 use crate::devices::OpenDevice;
+use crate::devices::viewer::PageHand;
 use anyhow::{Context, ensure};
 use glisson::haptics::{
-    DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, LawSettings, LawTick,
+    DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, InsertedInstrument, LawSettings, LawTick,
 };
 use glisson::tool::ToolInput;
+use glisson::tool::found::Detected;
 use std::borrow::Cow;
 use std::ops::RangeInclusive;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -59,6 +62,15 @@ pub(crate) struct Motion {
     pub(crate) pose: ToolInput,
     /// Whether the device holds it now; otherwise it stays where it was.
     pub(crate) is_held: bool,
+    /// What was found on the way there, if somebody else than the simulation looked.
+    pub(crate) detected: Option<Detected>,
+}
+
+impl Motion {
+    /// Of an instrument for which the simulation looks where it touches.
+    pub(crate) fn of(pose: ToolInput, is_held: bool) -> Self {
+        Self { pose, is_held, detected: None }
+    }
 }
 
 /// Whether a device answers.
@@ -67,6 +79,8 @@ pub(crate) enum DeviceStatus {
     /// Nothing was heard yet.
     Waiting,
     Works,
+    /// With an instrument that was put into it.
+    WorksWith(InsertedInstrument),
     /// It may come back.
     Lost(Cow<'static, str>),
     /// It will not.
@@ -86,6 +100,8 @@ pub(crate) struct HeldTool {
     motions: Publisher<Motion>,
     statuses: Publisher<DeviceStatus>,
     status: DeviceStatus,
+    /// Whether the hand is a viewer's page.
+    is_page: bool,
 }
 
 /// The simulation's end of an instrument.
@@ -97,24 +113,48 @@ pub(crate) struct ToolLink {
     pub(crate) models: Publisher<PublishedModel>,
     pub(crate) motions: Latest<Motion>,
     pub(crate) statuses: Latest<DeviceStatus>,
+    /// For a machine that looks where it touches: what it has to be told of the surface.
+    pub(crate) nearby: Option<Publisher<Nearby>>,
 }
 
 /// Puts instrument `tool`, whose home is `home`, into the hand at `device`.
 pub(crate) fn join(device: OpenDevice, tool: usize, home: ToolInput) -> (HeldTool, ToolLink) {
     let (models_in, models) = exchange(PublishedModel::default());
-    let (motions, motions_out) = exchange(Motion { pose: home, is_held: false });
+    let (motions, motions_out) = exchange(Motion::of(home, false));
     let (statuses, statuses_out) = exchange(DeviceStatus::Waiting);
     let device_name = device.name.clone();
     let status = DeviceStatus::Waiting;
     let settings = HapticSettings::default();
-    let held =
-        HeldTool { device, home, settings, law: None, lets_go: false, models, motions, statuses, status };
-    let link =
-        ToolLink { tool, device_name, models: models_in, motions: motions_out, statuses: statuses_out };
+    let is_page = device.page.is_some();
+    let held = HeldTool {
+        device,
+        home,
+        settings,
+        law: None,
+        lets_go: false,
+        models,
+        motions,
+        statuses,
+        status,
+        is_page,
+    };
+    let link = ToolLink {
+        tool,
+        device_name,
+        models: models_in,
+        motions: motions_out,
+        statuses: statuses_out,
+        nearby: None,
+    };
     (held, link)
 }
 
 impl HeldTool {
+    /// The server's end of a page that holds the instrument; once.
+    pub(crate) fn take_page(&mut self) -> Option<PageHand> {
+        self.device.page.take()
+    }
+
     fn tick(&mut self, dt_s: f64, meters: Option<&Meters>) {
         // A device that answers for the first time now is not begun with.
         let is_too_late = self.lets_go && self.law.is_none();
@@ -148,7 +188,7 @@ impl HeldTool {
                     let ToolInput { shaft_in_world, roll_rad, .. } = self.home;
                     ToolInput { shaft_in_world, roll_rad, ..tool }
                 };
-                self.motions.publish(Motion { pose, is_held: true });
+                self.motions.publish(Motion::of(pose, true));
                 let written = self.device.device.write(&command);
                 if written.is_err() {
                     law.not_taken();
@@ -167,7 +207,7 @@ impl HeldTool {
             Err(fault) => {
                 if let Some(law) = &mut self.law {
                     let LawTick { command, tool, .. } = law.lost(dt_s);
-                    self.motions.publish(Motion { pose: tool, is_held: false });
+                    self.motions.publish(Motion::of(tool, false));
                     // It may still listen; if not, it goes to zero by itself.
                     if self.device.device.write(&command).is_err() {
                         law.not_taken();
@@ -195,13 +235,16 @@ impl HeldTool {
     /// Says how the device is when that changed.
     fn tell(&mut self, answer: Result<(), DeviceFault>) {
         let status = match answer {
-            Ok(()) => DeviceStatus::Works,
+            Ok(()) => self.device.device.inserted().map_or(DeviceStatus::Works, DeviceStatus::WorksWith),
             Err(DeviceFault::Lost(reason)) => DeviceStatus::Lost(reason),
             Err(DeviceFault::Failed(reason)) => DeviceStatus::Failed(reason),
         };
         if status != self.status {
             self.status = status.clone();
-            self.statuses.publish(status);
+            // A page knows whether it has control, and when it comes back nothing was broken.
+            if !self.is_page {
+                self.statuses.publish(status);
+            }
         }
     }
 }
@@ -543,6 +586,7 @@ mod tests {
                 damping_n_s_per_m: 10.0,
                 resolution_m: 1e-6,
                 rate_hz: 1_000.0,
+                ..DeviceLimits::NONE
             }
         }
 
@@ -582,6 +626,7 @@ mod tests {
             tells_orientation: false,
             has_clutch: false,
             stands: None,
+            page: None,
         };
         let (held, link) = join(device, 0, home);
         (held, link, forces)

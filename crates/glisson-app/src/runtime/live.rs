@@ -2,14 +2,17 @@
 
 use super::Simulation;
 use super::effort::{EffortControl, Load};
+use super::elsewhere::NearbyMaker;
 use super::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
 use super::realtime::now_ns;
 use crate::server::frames::Pace;
+use glisson::haptics::InsertedInstrument;
 use glisson::math::DVec3;
 use glisson::model::Effort;
 use glisson::model::kind::ModelKind;
 use glisson::record::hash::StateHash;
 use glisson::record::snapshot::{DisplayTopology, Snapshot};
+use glisson::tool::found::Detected;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
 use std::sync::Arc;
@@ -150,10 +153,10 @@ const MAX_TIP_SPEED_M_PER_S: f64 = 1.0;
 /// A target further away than this was not reached by moving the hand: the tool is put there [m].
 /// Viewers move a tool that stays in the hand by at most 10 mm a message (`docs/protocol.md`); several messages can
 /// wait while the tip follows.
-const JUMP_M: f64 = 0.03;
+pub(crate) const JUMP_M: f64 = 0.03;
 
 /// Where the tool is one time step after `now` on its way to `target`.
-fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
+pub(crate) fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
     let share = 1.0 - (-dt_s / FOLLOW_TIME_S).exp();
     let motion = (target.tip_in_world_m - now.tip_in_world_m) * share;
     let shaft = now.shaft_in_world.lerp(target.shaft_in_world, share);
@@ -205,6 +208,9 @@ struct Live {
     targets: Vec<ToolInput>,
     /// Instruments in the hand of a device.
     links: Vec<ToolLink>,
+    /// What was found elsewhere for each of them.
+    detected: [Option<Detected>; MAX_TOOLS],
+    elsewhere: NearbyMaker,
     /// When the last models were published, and how long that took [ns].
     published_ns: u64,
     publishing_ns: u64,
@@ -228,6 +234,7 @@ impl Live {
     fn read_devices(&mut self) {
         for link in &mut self.links {
             let motion = link.motions.get();
+            self.detected[link.tool] = motion.detected.filter(|_| motion.is_held);
             if motion.is_held && motion.pose.is_finite() {
                 // A hand moves as it moves: nothing is smoothed.
                 self.targets[link.tool] = motion.pose;
@@ -244,6 +251,11 @@ impl Live {
                 Some(DeviceStatus::Failed(why)) => {
                     self.simulation.tell(format!("the device {} failed: {why}", link.device_name));
                 }
+                Some(DeviceStatus::WorksWith(InsertedInstrument { name, serial })) => {
+                    let device = &link.device_name;
+                    self.simulation
+                        .tell(format!("the device {device} works; in it: {name}, number {serial}"));
+                }
                 Some(DeviceStatus::Works) => {
                     self.simulation.tell(format!("the device {} works", link.device_name));
                 }
@@ -258,7 +270,12 @@ impl Live {
         if self.links.is_empty() || begun_ns - self.published_ns < pause_ns {
             return;
         }
+        let n_elsewhere = self.links.iter().filter(|link| link.nearby.is_some()).count();
         for link in &mut self.links {
+            // Before the model, whose arrival wakes the one who sends both.
+            if let Some(nearby) = &mut link.nearby {
+                nearby.publish(self.elsewhere.at(&self.simulation, link.tool, n_elsewhere));
+            }
             let model = self.simulation.haptic_model(link.tool);
             link.models.publish(PublishedModel { model, made_ns: now_ns() });
         }
@@ -278,22 +295,27 @@ impl Live {
             *placed = tool.tip_in_world_m.distance(target.tip_in_world_m) > JUMP_M;
             *tool = if *placed { *target } else { approach(*tool, *target, self.dt_s) };
         }
-        self.simulation.advance(&StepInput { placed, ..StepInput::of(&self.tools) })?;
+        let detected = self.detected;
+        self.simulation.advance(&StepInput { placed, detected, ..StepInput::of(&self.tools) })?;
         self.publish_models();
         Ok(())
     }
 
-    fn choose_effort(&mut self, effort: Effort) -> anyhow::Result<()> {
-        let is_less = effort < self.simulation.world().effort();
+    fn choose_effort(&mut self, effort: Effort, load: Load) -> anyhow::Result<()> {
+        let before = self.simulation.world().effort();
         let matters = self.simulation.set_effort(effort)?;
-        // Of a model that has nothing to leave out the real-time factor tells.
-        if matters {
-            let name = effort.name();
-            self.simulation.tell(if is_less {
-                format!("the simulation is late: it computes with {name} effort now")
-            } else {
-                format!("the simulation keeps pace again: it computes with {name} effort")
-            });
+        let (name, is_less) = (effort.name(), effort < before);
+        let factor = load.real_time_factor;
+        if matters && is_less {
+            self.simulation.tell(format!("the simulation is late: it computes with {name} effort now"));
+        } else if matters {
+            self.simulation.tell(format!("the simulation keeps pace again: it computes with {name} effort"));
+        } else if is_less && before == Effort::Full {
+            self.simulation.tell(format!(
+                "the simulation is late and cannot compute less: time passes at {factor:.2} x"
+            ));
+        } else if effort == Effort::Full {
+            self.simulation.tell("the simulation keeps pace again".to_owned());
         }
         Ok(())
     }
@@ -375,6 +397,8 @@ pub(crate) fn run(
         targets: tools.clone(),
         tools,
         links,
+        detected: [None; MAX_TOOLS],
+        elsewhere: NearbyMaker::default(),
         published_ns: 0,
         publishing_ns: 0,
         paused: false,
@@ -433,7 +457,7 @@ pub(crate) fn run(
             if let Some(load) = meter.count(steps, now.elapsed(), dt_s)
                 && let Some(effort) = control.look(load)
             {
-                live.choose_effort(effort)?;
+                live.choose_effort(effort, load)?;
             }
         }
         if refresh || (!live.paused && Instant::now() >= next_frame) {
@@ -461,5 +485,74 @@ mod tests {
             tool = next;
         }
         assert!(tool.tip_in_world_m.distance(target.tip_in_world_m) < 1e-9);
+    }
+
+    const MESH: &str = "5 2\n0 0 0\n60 0 0\n0 60 0\n0 0 60\n60 60 60\n0 1 2 3\n1 4 2 3\n";
+    const SCENE: &str = "glisson_scene = 1\n[organ]\nmesh = \"body.tet\"\nyoung_modulus = \"5 kPa\"\n\
+        poisson_ratio = 0.45\ndensity = \"1000 kg/m3\"\ndamping = \"30 1/s\"\n\
+        [[organ.fixed]]\nfurthest = { direction = [0, 0, -1], fraction = 0.6 }\n\
+        [tool]\ntip_radius = \"5 mm\"\nhome_tip = [\"40 mm\", \"40 mm\", \"90 mm\"]\nhome_shaft = [0, 0, 1]\n";
+
+    /// Runs in a computer that has three quarters of its time for something else, while an instrument presses on the body,
+    /// until a viewer is told `notice`; answers what was told, how it ended and the recording.
+    fn overloaded(model: &str, notice: &str) -> (Vec<String>, Effort, Ended, tempfile::TempDir) {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("body.tet"), MESH).unwrap();
+        let scene = SCENE.replace("[organ]\n", &format!("[organ]\nmodel = \"{model}\"\n"));
+        std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+        let source = crate::runtime::OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+        let simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+        let (published_in, mut published) =
+            watch::channel(Arc::new(Published::of(&simulation, None, Pace::default())));
+        let (commands, commands_out) = std::sync::mpsc::channel();
+        let stalls = Stalls { every: Duration::from_millis(200), length: Duration::from_millis(150) };
+        let thread = std::thread::spawn(move || {
+            run(simulation, &commands_out, &published_in, Vec::new(), Some(stalls)).unwrap()
+        });
+        let begin = Instant::now();
+        let mut latest = Arc::clone(&published.borrow_and_update());
+        let mut n_said = 0_u32;
+        while !latest.notices.iter().any(|told| told.contains(notice)) {
+            assert!(begin.elapsed() < Duration::from_secs(60), "{model}: {:?}", latest.notices);
+            let depth_m = 0.05 * (0.2 * f64::from(n_said)).sin().abs();
+            let pose = ToolInput::at(DVec3::new(0.04, 0.04, 0.09 - depth_m), DVec3::Z);
+            commands.send(Command::Tool { tool: 0, pose }).unwrap();
+            n_said += 1;
+            std::thread::sleep(Duration::from_millis(20));
+            latest = Arc::clone(&published.borrow_and_update());
+        }
+        commands.send(Command::Stop).unwrap();
+        let ended = thread.join().unwrap();
+        (latest.notices.clone(), latest.effort, ended, folder)
+    }
+
+    /// Replays a recording; with `dropped` lines left out.
+    fn replayed(folder: &std::path::Path, dropped: &str) -> (Option<u64>, StateHash) {
+        let text = std::fs::read_to_string(folder.join("session.jsonl")).unwrap();
+        let kept = text.lines().filter(|line| dropped.is_empty() || !line.contains(dropped));
+        let session = glisson::record::session::parse_session(&kept.collect::<Vec<_>>().join("\n")).unwrap();
+        let report = crate::runtime::replay::replay(&session, folder, |_| Ok(())).unwrap();
+        (report.first_difference, report.state_hash)
+    }
+
+    #[test]
+    fn an_overloaded_simulation_computes_less_says_so_and_replays_to_the_same_bits() {
+        let (told, effort, ended, folder) = overloaded("implicit", "with least effort now");
+        assert!(
+            told.iter().any(|notice| notice.contains("is late") && notice.contains("reduced")),
+            "{told:?}"
+        );
+        assert_eq!(effort, Effort::Least);
+        assert!(ended.n_stalls > 2 && ended.lateness.n_given_up > 0, "{ended:?}");
+        let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+        assert_eq!(text.matches("\"effort\"").count(), 2 * 2, "{}", text.len());
+        assert_eq!(replayed(folder.path(), ""), (None, ended.state_hash));
+    }
+
+    #[test]
+    fn a_model_with_nothing_to_leave_out_says_how_fast_time_passes() {
+        let (told, _, ended, folder) = overloaded("explicit", "cannot compute less: time passes at 0.");
+        assert_eq!(told.len(), 1, "{told:?}");
+        assert_eq!(replayed(folder.path(), ""), (None, ended.state_hash));
     }
 }

@@ -6,6 +6,7 @@ pub(crate) mod histogram;
 pub(crate) mod realtime;
 pub(crate) mod force_choices;
 pub(crate) mod haptic_loop;
+pub(crate) mod elsewhere;
 pub(crate) mod live;
 mod effort;
 pub(crate) mod recorder;
@@ -171,7 +172,9 @@ impl Simulation {
         }
         let placed = (0..n_tools).filter(|&tool| input.placed[tool]).map(|tool| tool as u8).collect();
         let (step, n_substeps) = (self.world.steps_made(), input.n_substeps);
-        self.record(&SessionEvent::Input { step, tools, n_substeps, placed })?;
+        let found = &input.detected[..n_tools];
+        let detected = if found.iter().any(Option::is_some) { found.to_vec() } else { Vec::new() };
+        self.record(&SessionEvent::Input { step, tools, n_substeps, placed, detected })?;
         let report = self.world.step(input);
         self.cut_with_tools();
         if report.n_non_finite_nodes > 0 {

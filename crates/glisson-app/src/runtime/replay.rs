@@ -68,7 +68,7 @@ pub(crate) fn replay(
             after_step(&simulation)?;
         }
         match *event {
-            SessionEvent::Input { ref tools, n_substeps, ref placed, .. } => {
+            SessionEvent::Input { ref tools, n_substeps, ref placed, ref detected, .. } => {
                 if tools.len() != homes.len() {
                     bail!(
                         "step {}: the session has {} instruments, its scene {}",
@@ -79,6 +79,7 @@ pub(crate) fn replay(
                 }
                 input = StepInput::of(tools).divided(n_substeps);
                 placed.iter().for_each(|&tool| input.placed[usize::from(tool)] = true);
+                input.detected[..detected.len()].copy_from_slice(detected);
             }
             SessionEvent::UndoEdit { .. } => simulation.undo_edit()?,
             SessionEvent::Clip { tool, .. } => simulation.clip_vessel(usize::from(tool))?,

@@ -11,9 +11,13 @@ const MESSAGES_PER_S: f64 = 600.0;
 /// Characters a second in the long run, and the most in a burst.
 const BYTES_PER_S: f64 = 262_144.0;
 
-/// Number of a connection.
+/// Who may be in control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Viewer(u64);
+pub(super) struct Viewer {
+    number: u64,
+    /// Whether it is a connection of a page, or of a program like one.
+    pub(super) has_page: bool,
+}
 
 #[derive(Debug, Default)]
 struct Seats {
@@ -42,16 +46,24 @@ impl Control {
 
     /// A new viewer, who controls if nobody does; none when all places are taken.
     pub(super) fn enter(&self) -> Option<Viewer> {
+        let viewer = self.sit_down(true)?;
+        self.may_control(viewer);
+        Some(viewer)
+    }
+
+    /// A place for what is no viewer, which does not control yet; none when all are taken.
+    pub(super) fn enter_without_page(&self) -> Option<Viewer> {
+        self.sit_down(false)
+    }
+
+    fn sit_down(&self, has_page: bool) -> Option<Viewer> {
         let mut seats = self.seats();
         if seats.n_viewers == MOST_VIEWERS {
             return None;
         }
         seats.n_viewers += 1;
         seats.last_number += 1;
-        let viewer = Viewer(seats.last_number);
-        drop(seats);
-        self.may_control(viewer);
-        Some(viewer)
+        Some(Viewer { number: seats.last_number, has_page })
     }
 
     /// Frees the viewer's place and, if it controls, control.

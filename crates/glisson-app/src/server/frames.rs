@@ -52,6 +52,10 @@ pub(crate) fn topology_frame(topology: &DisplayTopology) -> Vec<u8> {
     topology.nodes.iter().for_each(|n| frame.u32s(&[n.0]));
     frame.positions(&topology.rest_positions_m);
     frame.u32s(topology.triangles.as_flattened());
+    let words = topology.is_cut.chunks(32).map(|bits| {
+        bits.iter().enumerate().fold(0_u32, |word, (bit, &is_cut)| word | u32::from(is_cut) << bit)
+    });
+    words.for_each(|word| frame.u32s(&[word]));
     frame.0
 }
 
@@ -104,12 +108,23 @@ mod tests {
             nodes: vec![NodeId(7), NodeId(9), NodeId(11)],
             rest_positions_m: vec![DVec3::X, DVec3::Y, DVec3::Z],
             triangles: vec![[0, 1, 2]],
+            is_cut: vec![true],
         };
         let frame = topology_frame(&topology);
         assert_eq!(&frame[..4], b"GLSN");
         let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
         assert_eq!([4, 8, 12, 16, 20, 24, 28, 32].map(word), [1, 3, 0, 3, 1, 7, 9, 11]);
-        assert_eq!(frame.len(), 24 + 3 * 4 + 9 * 4 + 3 * 4);
+        assert_eq!(frame.len(), 24 + 3 * 4 + 9 * 4 + 3 * 4 + 4);
+        assert_eq!(word(frame.len() - 4), 1);
+        // Bit by bit from the first triangle, 32 to a word.
+        let n = 70;
+        let is_cut: Vec<bool> = (0..n).map(|i| i % 3 == 0).collect();
+        let many = topology_frame(&DisplayTopology { triangles: vec![[0, 1, 2]; n], is_cut, ..topology });
+        let first = 24 + 3 * 4 + 9 * 4 + n * 3 * 4;
+        assert_eq!(many.len(), first + 3 * 4);
+        for i in 0..n {
+            assert_eq!(many[first + i / 8] >> (i % 8) & 1 == 1, i % 3 == 0, "{i}");
+        }
 
         let contact = ContactReport {
             point_m: DVec3::new(7.0, 8.0, 9.0),

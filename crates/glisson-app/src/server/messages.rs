@@ -1,5 +1,7 @@
 //! The JSON messages of the viewer's protocol.
 
+use super::hands::FeltBy;
+use crate::devices::viewer::GREATEST_FORCE_N;
 use crate::runtime::Simulation;
 use crate::runtime::haptic_loop::HapticReport;
 use crate::runtime::live::{Command, Published};
@@ -10,7 +12,7 @@ use glisson::tool::{Tool, ToolInput};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 3;
+const PROTOCOL: u32 = 4;
 
 /// The first message on a connection.
 pub(super) fn hello(simulation: &Simulation) -> Value {
@@ -37,7 +39,6 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             .filter(|kind| *kind != ModelKind::QuasiNonlinear || simulation.body().measured.is_some())
             .map(ModelKind::name)
             .collect::<Vec<_>>(),
-        "capsule_nodes": organ.surface_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
         "fixed_nodes": organ.fixed_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
     })
 }
@@ -116,6 +117,16 @@ fn tool_state(tool: &ToolSnapshot) -> Value {
         "force_on_tool_n": tool.force_n.to_array(),
         "contact": tool.contacts.iter().flatten().next().map(contact),
         "n_held_nodes": tool.n_held_nodes,
+    })
+}
+
+/// What a hand would feel that a page holds.
+pub(super) fn feel(all: &[FeltBy]) -> Value {
+    let hand = |FeltBy { tool, felt }: &FeltBy| json!({ "tool": tool, "force_n": felt.force_n.to_array(), "is_held": felt.is_held });
+    json!({
+        "type": "feel",
+        "greatest_force_n": GREATEST_FORCE_N,
+        "hands": all.iter().map(hand).collect::<Vec<_>>(),
     })
 }
 

@@ -2,12 +2,15 @@
 
 pub(crate) mod access;
 mod control;
+mod hands;
 pub(crate) mod frames;
 mod messages;
 mod socket;
 #[cfg_attr(not(feature = "net"), allow(dead_code, reason = "only CRTK's clients steer beside the viewers"))]
 pub(crate) mod steering;
 
+use crate::devices::viewer::PageHand;
+use crate::net::figures::RemoteFigures;
 use crate::runtime::Simulation;
 use crate::runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
 use crate::runtime::live::{self, Command, Ended, Published, Stalls};
@@ -21,6 +24,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use control::Control;
 use frames::Pace;
+use hands::Hands;
 use messages::HapticsAt;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
@@ -46,6 +50,10 @@ struct Shared {
     /// Of the haptic loop, if one runs.
     meters: Option<Arc<Meters>>,
     haptics_at: HapticsAt,
+    /// Of the haptic loop on the other machine, if there is one.
+    remote_figures: Option<RemoteFigures>,
+    /// Instruments that the page in control holds as devices.
+    hands: Hands,
 }
 
 /// Starts something that shows what is published, until the other end is gone; it may take a seat at the controls.
@@ -60,12 +68,16 @@ pub(crate) struct Service {
     pub(crate) haptics: HapticSettings,
     /// Instruments that are held elsewhere.
     pub(crate) remote: Vec<ToolLink>,
+    /// What the machine that holds them says of its haptic loop.
+    pub(crate) remote_figures: Option<RemoteFigures>,
     /// What else shows the simulation; each ends with it.
     pub(crate) shows: Vec<Show>,
     /// Where the haptic loop notes its times.
     pub(crate) meters: Arc<Meters>,
     /// For benchmarks: the simulation stands still now and then.
     pub(crate) stalls: Option<Stalls>,
+    /// For tests of the page as a device: also told what it says about instrument 0.
+    pub(crate) beside: Option<PageHand>,
 }
 
 impl Service {
@@ -76,9 +88,11 @@ impl Service {
             held: Vec::new(),
             haptics: HapticSettings::default(),
             remote: Vec::new(),
+            remote_figures: None,
             shows: Vec::new(),
             meters: Arc::default(),
             stalls: None,
+            beside: None,
         }
     }
 }
@@ -109,12 +123,16 @@ pub(crate) fn serve(
     service: Service,
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Served> {
-    let Service { access, held, haptics, remote, shows, meters, stalls } = service;
+    let Service { access, held, haptics, remote, remote_figures, shows, meters, stalls, beside } = service;
     let (published_in, published) =
         watch::channel(Arc::new(Published::of(&simulation, None, Pace::default())));
     let (commands, commands_out) = std::sync::mpsc::channel();
     let hello = messages::hello(&simulation);
-    let (held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
+    let (mut held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
+    let hands = held.iter_mut().zip(&links).filter_map(|(held, link): (&mut HeldTool, &ToolLink)| {
+        held.take_page().map(|page| (link.tool, page))
+    });
+    let hands = Hands::new(hands.collect(), beside);
     let haptics_at = match (held.is_empty(), remote.is_empty()) {
         (false, _) => HapticsAt::Here,
         (true, false) => HapticsAt::OtherMachine,
@@ -136,10 +154,13 @@ pub(crate) fn serve(
         control,
         meters: haptics.as_ref().map(|haptics| Arc::clone(haptics.meters())),
         haptics_at,
+        remote_figures,
+        hands,
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let served = runtime.block_on(async {
         let mut alive = shared.published.clone();
+        tokio::spawn(tell_hands(Arc::clone(&shared)));
         let listener = tokio::net::TcpListener::from_std(listener)?;
         let server = axum::serve(listener, router(shared, access)).into_future();
         tokio::select! {
@@ -159,6 +180,18 @@ pub(crate) fn serve(
         let _ = show.join();
     }
     served.and(ended).map(|ended| Served { ended, haptics })
+}
+
+/// Tells the hands who controls, until the program ends.
+async fn tell_hands(shared: Arc<Shared>) {
+    let mut controller = shared.control.watch();
+    loop {
+        let has_page = controller.borrow_and_update().is_some_and(|viewer| viewer.has_page);
+        shared.hands.set_controlled(has_page);
+        if shared.hands.is_empty() || controller.changed().await.is_err() {
+            return;
+        }
+    }
 }
 
 /// Comes with Ctrl-C or SIGTERM.
@@ -213,6 +246,11 @@ fn viewer_file(path: &str) -> Response {
         None if path == "index.html" => ([(header::CONTENT_TYPE, content_type)], NOT_BUILT).into_response(),
         None => (StatusCode::NOT_FOUND, format!("no file {path}\n")).into_response(),
     }
+}
+
+/// Whether the page was built into the program.
+pub(crate) fn has_page() -> bool {
+    ViewerFiles::get("index.html").is_some()
 }
 
 /// The address to type into a browser.

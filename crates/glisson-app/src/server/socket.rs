@@ -4,7 +4,7 @@ use super::Shared;
 use super::control::{Allowance, Viewer};
 use super::frames::{snapshot_frame, topology_frame};
 use super::messages::{self, Wish};
-use crate::runtime::live::Published;
+use crate::runtime::live::{Command, Published};
 use axum::extract::State;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
 use axum::http::StatusCode;
@@ -22,6 +22,11 @@ const BEAT: Duration = Duration::from_secs(1);
 const LONGEST_SILENCE: Duration = Duration::from_secs(15);
 /// Who only watches and sends all the same is told so once in this time.
 const TOLD_AGAIN: Duration = Duration::from_secs(2);
+
+/// How often a viewer hears what hands feel that a page holds: a choice, half a display's rate.
+const FEEL: Duration = Duration::from_millis(33);
+/// After a reset the simulation waits until the loop has seen that the instruments are home: some ticks. A choice.
+const HOMING: Duration = Duration::from_millis(5);
 
 /// A viewer's place; freed however its connection ends.
 struct Seat {
@@ -100,6 +105,9 @@ impl Connection {
         controller.mark_changed();
         let mut beat = interval(BEAT);
         beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut feel = interval(FEEL);
+        feel.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut felt = Vec::new();
         loop {
             tokio::select! {
                 changed = published.changed() => {
@@ -130,14 +138,26 @@ impl Connection {
                     if self.last_heard.elapsed() > LONGEST_SILENCE {
                         return Err(End::Gone);
                     }
-                    let haptics = shared.meters.as_ref().map(|meters| meters.report());
+                    let own = shared.meters.as_ref().map(|meters| meters.report());
+                    let haptics = own.or_else(|| shared.remote_figures.as_ref()?.report());
                     let latest = Arc::clone(&published.borrow());
                     self.say(messages::timing(&latest, shared.haptics_at, haptics.as_ref())).await?;
                     self.send(Message::Ping(Vec::new().into())).await?;
                 }
+                _ = feel.tick(), if !shared.hands.is_empty() => {
+                    let now = shared.hands.felt();
+                    if now != felt {
+                        self.say(messages::feel(&now)).await?;
+                        felt = now;
+                    }
+                }
                 message = self.socket.recv() => {
-                    let Some(Ok(message)) = message else { return Err(End::Gone) };
-                    self.hear(message).await?;
+                    match message {
+                        Some(Ok(message)) => self.hear(message).await?,
+                        // Of who is gone, too: then nobody takes the reason.
+                        Some(Err(_)) => return Err(End::Refused("a broken or too long message")),
+                        None => return Err(End::Gone),
+                    }
                 }
             }
         }
@@ -162,8 +182,7 @@ impl Connection {
         match messages::wish(&text) {
             Ok(Wish::ReleaseControl) => self.seat.shared.control.release(self.seat.viewer),
             Ok(Wish::Command(command)) if self.seat.shared.control.may_control(self.seat.viewer) => {
-                // A simulation that ended is told by the closed channel.
-                let _ = self.seat.shared.commands.send(command);
+                self.obey(command).await;
             }
             Ok(Wish::Command(_)) => {
                 if self.told.is_none_or(|told| told.elapsed() > TOLD_AGAIN) {
@@ -174,5 +193,18 @@ impl Connection {
             Err(reason) => self.say(messages::error(&reason)).await?,
         }
         Ok(())
+    }
+
+    /// The viewer controls.
+    async fn obey(&mut self, command: Command) {
+        let shared = Arc::clone(&self.seat.shared);
+        if shared.hands.take(&command) {
+            return;
+        }
+        if command == Command::Reset && !shared.hands.is_empty() {
+            tokio::time::sleep(HOMING).await;
+        }
+        // A simulation that ended is told by the closed channel.
+        let _ = shared.commands.send(command);
     }
 }

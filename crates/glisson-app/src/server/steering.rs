@@ -31,9 +31,8 @@ impl Steering {
 
     /// A seat that does not control yet; none when all are taken.
     pub(crate) fn sit_down(&self) -> Option<Seat> {
-        let viewer = self.control.enter()?;
         // Who only sits there must not keep viewers from steering.
-        self.control.release(viewer);
+        let viewer = self.control.enter_without_page()?;
         Some(Seat { steering: self.clone(), viewer })
     }
 }

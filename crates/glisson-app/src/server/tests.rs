@@ -198,6 +198,50 @@ fn too_long_too_many_and_binary_messages_end_the_connection() {
 }
 
 #[test]
+fn frames_that_break_the_protocol_end_the_connection_with_a_reason() {
+    let server = Server::start(None);
+    // A client masks its frames: four zeros are a mask.
+    let long = [&[0x81, 0xff, 0x40][..], &[0; 7], &[0; 4]].concat();
+    for (what, bytes, reason) in [
+        ("binary", &[0x82, 0x81, 0, 0, 0, 0, 7][..], "viewers send text"),
+        ("a reserved kind", &[0x83, 0x80, 0, 0, 0, 0], "broken"),
+        ("reserved bits", &[0xf1, 0x80, 0, 0, 0, 0], "broken"),
+        ("without a mask", &[0x81, 0x01, b'x'], "broken"),
+        ("a ping in parts", &[0x09, 0x80, 0, 0, 0, 0], "broken"),
+        ("a part of nothing", &[0x80, 0x80, 0, 0, 0, 0], "broken"),
+        ("a text that is none", &[0x81, 0x81, 0, 0, 0, 0, 0xff], "broken"),
+        ("of 4 EiB", &long, "too long"),
+    ] {
+        let mut viewer = server.connect();
+        viewer.0.get_mut().write_all(bytes).unwrap();
+        let end = viewer.end();
+        assert!(end.contains(reason), "{what}: {end}");
+    }
+    let mut state = 7_u32;
+    let mut random = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 24) as u8
+    };
+    let mut n_refused = 0;
+    for round in 0..150 {
+        let mut viewer = server.connect();
+        // Heads that could be right, with masks and contents by chance.
+        let kind = [0x81, 0x01, 0x82, 0x88, 0x89, 0x8a, 0x80][usize::from(random() % 7)];
+        let n_bytes = random() % 100;
+        let head = if random() % 4 == 0 { random() } else { kind };
+        let frame = [&[head, 0x80 | n_bytes][..], &[0; 40].map(|_: u8| random())].concat();
+        viewer.0.get_mut().write_all(&frame).unwrap();
+        viewer.0.get_mut().shutdown(std::net::Shutdown::Write).unwrap();
+        let end = viewer.end();
+        n_refused += usize::from(end.contains("broken") || end.contains("viewers send text"));
+        // Not one that is left hanging until the test's patience is over.
+        assert!(!end.contains("unavailable") && !end.contains("timed out"), "{round}: {frame:?}: {end}");
+    }
+    assert!(n_refused > 50, "{n_refused}");
+    assert_eq!(server.connect().role(), "controller");
+}
+
+#[test]
 fn there_are_places_for_so_many_viewers() {
     let server = Server::start(None);
     let viewers: Vec<Viewer> = (0..control::MOST_VIEWERS).map(|_| server.connect()).collect();

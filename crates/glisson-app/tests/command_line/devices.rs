@@ -2,7 +2,9 @@
 
 use super::{glisson, refuses, small_scene};
 use std::io::{BufRead, BufReader};
+use std::net::TcpStream;
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
 #[test]
 fn devices_are_listed_tested_and_looked_for() {
@@ -27,6 +29,7 @@ fn devices_are_listed_tested_and_looked_for() {
     }
     let doctor = answer(&["devices", "doctor", "--haply", "127.0.0.1:1", "--trocar", "127.0.0.1:1"]);
     assert!(doctor.contains("Inverse Service") && doctor.contains("real-time scheduling"), "{doctor}");
+    assert!(doctor.contains("viewer's page"), "{doctor}");
     assert!(doctor.contains("cannot connect to the board of an active trocar"), "{doctor}");
     let report: serde_json::Value =
         serde_json::from_str(&answer(&["devices", "test", "simulated", "--seconds", "0.5", "--json"]))
@@ -130,6 +133,130 @@ fn a_served_device_moves_its_instrument_and_a_watching_program_sees_it() {
     assert!(session.lines().filter(|line| line.contains("\"input\"")).count() > 100);
     let replay = glisson(folder.path(), &["replay", "s.jsonl"]);
     assert!(String::from_utf8_lossy(&replay.stdout).contains("same bits"));
+}
+
+/// A page, without a browser.
+struct Page(tungstenite::WebSocket<TcpStream>);
+
+impl Page {
+    fn open(host: &str) -> Self {
+        let stream = TcpStream::connect(host).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        Self(tungstenite::client(format!("ws://{host}/ws"), stream).unwrap().0)
+    }
+
+    fn say(&mut self, text: &str) {
+        self.0.send(tungstenite::Message::text(text)).unwrap();
+    }
+
+    fn put_tip(&mut self, z_mm: f64) {
+        let z_m = 1e-3 * z_mm;
+        self.say(&format!(r#"{{"type":"tool","tip_m":[0.002,0.002,{z_m}],"shaft":[0,0,1]}}"#));
+    }
+
+    /// The next message of that type that is as wanted.
+    fn hear(&mut self, kind: &str, is_wanted: impl Fn(&serde_json::Value) -> bool) -> serde_json::Value {
+        let start = Instant::now();
+        loop {
+            assert!(start.elapsed() < Duration::from_secs(20), "no such {kind}");
+            if let tungstenite::Message::Text(text) = self.0.read().unwrap() {
+                let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+                assert!(value["type"] != "error", "{value}");
+                if value["type"] == kind && is_wanted(&value) {
+                    return value;
+                }
+            }
+        }
+    }
+
+    /// Force of the only hand, along z [N].
+    fn force_n(value: &serde_json::Value) -> f64 {
+        value["hands"][0]["force_n"][2].as_f64().unwrap()
+    }
+}
+
+#[test]
+fn a_page_is_a_device_that_feels_the_organ_until_it_leaves() {
+    let folder = tempfile::tempdir().unwrap();
+    small_scene(folder.path());
+    let serve =
+        ["serve", "scene.toml", "--port", "0", "--no-open", "--device", "viewer", "--record", "s.jsonl"];
+    let mut serve = Command::new(env!("CARGO_BIN_EXE_glisson"))
+        .args(serve)
+        .current_dir(folder.path())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(serve.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let page = lines.by_ref().find(|line| line.contains("http://")).unwrap();
+    let host = page.split("http://").nth(1).unwrap().split('/').next().unwrap().to_owned();
+
+    let mut page = Page::open(&host);
+    page.hear("role", |role| role["role"] == "controller");
+    let mut watching = Page::open(&host);
+    page.hear("feel", |feel| feel["hands"][0]["is_held"] == true);
+    // To the top of the organ, and 6 mm into it as a hand goes.
+    for i in 0..=60 {
+        page.put_tip(66.0 - 0.2 * f64::from(i));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let pressed = page.hear("feel", |feel| Page::force_n(feel) > 0.02);
+    assert!(Page::force_n(&pressed) <= pressed["greatest_force_n"].as_f64().unwrap(), "{pressed}");
+    let seen = watching.hear("feel", |feel| Page::force_n(feel) > 0.02);
+    assert_eq!((&seen["hands"][0]["tool"], &seen["hands"][0]["is_held"]), (&0.into(), &true.into()));
+    let timing = watching.hear("timing", |timing| timing["haptics"].is_object());
+    assert_eq!(timing["haptics_at"], "here");
+    // Home after a reset, where nothing is felt; and back.
+    page.say(r#"{"type":"reset"}"#);
+    page.hear("feel", |feel| Page::force_n(feel) == 0.0);
+    page.put_tip(54.0);
+    page.hear("feel", |feel| Page::force_n(feel) > 0.02);
+    drop(page);
+    let left =
+        watching.hear("feel", |feel| feel["hands"][0]["is_held"] == false && Page::force_n(feel) == 0.0);
+    assert_eq!(left["hands"][0]["force_n"], serde_json::json!([0.0, 0.0, 0.0]));
+    // Who takes control has the instrument, pressed as it was left.
+    watching.put_tip(54.0);
+    watching.hear("feel", |feel| Page::force_n(feel) > 0.02);
+
+    let stopped = Command::new("kill").args(["-INT", &serve.id().to_string()]).status().unwrap();
+    let rest: Vec<String> = lines.collect();
+    assert!(stopped.success() && serve.wait().unwrap().success(), "{rest:?}");
+    assert!(rest.iter().any(|line| line.contains("deadlines missed")), "{rest:?}");
+    let replay = glisson(folder.path(), &["replay", "s.jsonl"]);
+    assert!(String::from_utf8_lossy(&replay.stdout).contains("same bits"), "{replay:?}");
+    let serve_there =
+        ["serve", "scene.toml", "--role", "haptics", "--link", "udp://127.0.0.1:9", "--device", "viewer"];
+    refuses(folder.path(), &serve_there, &["the page is at the machine with --role simulation"]);
+    refuses(folder.path(), &["devices", "lead", "viewer", "trocar"], &["the viewer cannot lead"]);
+}
+
+#[test]
+fn the_page_can_be_tried_as_a_device() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut test = Command::new(env!("CARGO_BIN_EXE_glisson"))
+        .args(["devices", "test", "viewer", "--seconds", "1", "--json"])
+        .current_dir(folder.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut told = String::new();
+    BufReader::new(test.stderr.take().unwrap()).read_line(&mut told).unwrap();
+    let host = told.split("http://").nth(1).unwrap().split('/').next().unwrap().to_owned();
+    let mut page = Page::open(&host);
+    page.hear("role", |role| role["role"] == "controller");
+    for i in 0..100 {
+        page.put_tip(60.0 - 0.1 * f64::from(i));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let output = test.wait_with_output().unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(
+        report["good_ticks"].as_u64().unwrap() > 500 && report["changes"].as_u64().unwrap() > 50,
+        "{report}"
+    );
+    assert_eq!(report["device"], "viewer");
 }
 
 #[test]

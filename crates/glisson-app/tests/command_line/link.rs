@@ -112,9 +112,12 @@ impl Process {
     }
 
     fn interrupt(&self) {
-        let kill =
-            Command::new("sh").args(["-c", &format!("kill -INT {}", self.child.id())]).status().unwrap();
-        assert!(kill.success());
+        self.signal("INT");
+    }
+
+    fn signal(&self, name: &str) {
+        let kill = format!("kill -{name} {}", self.child.id());
+        assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
     }
 }
 
@@ -229,6 +232,58 @@ fn session(to_simulation: &str, to_proxy: &str, is_cut: &AtomicBool) {
     // Inputs are written when they change: during the cut the instrument stood still, before and after it moved.
     let longest = steps.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
     assert!(longest > 500 && steps.len() > 200, "longest stand {longest} steps, {} inputs", steps.len());
+}
+
+/// The tip strikes the organ's top at 5 m/s, stays for a while, and goes back.
+const STRIKES: [&str; 2] = [
+    "time = \"0.1 s\"\ntip = [\"2 mm\", \"2 mm\", \"55 mm\"]\n",
+    "time = \"0.5 s\"\ntip = [\"2 mm\", \"2 mm\", \"150 mm\"]\n\
+     [[tool.path]]\ntime = \"0.519 s\"\ntip = [\"2 mm\", \"2 mm\", \"55 mm\"]\n\
+     [[tool.path]]\ntime = \"0.6 s\"\ntip = [\"2 mm\", \"2 mm\", \"55 mm\"]\n",
+];
+
+/// The simulation's process stands still for 150 ms again and again.
+#[test]
+fn a_tip_at_5_m_per_s_is_felt_while_the_simulation_stands_still() {
+    let folder = tempfile::tempdir().unwrap();
+    small_scene(folder.path());
+    let scene = std::fs::read_to_string(folder.path().join("scene.toml")).unwrap();
+    assert!(scene.contains(STRIKES[0]));
+    std::fs::write(folder.path().join("scene.toml"), scene.replace(STRIKES[0], STRIKES[1])).unwrap();
+    let link = format!("udp://{}", free_address());
+    let simulating = [
+        &["serve", "scene.toml", "--role", "simulation", "--link", &link][..],
+        &["--port", "0", "--no-open", "--record", "s.jsonl"],
+    ];
+    let mut simulation = Process::start(folder.path(), &simulating.concat());
+    simulation.says("Glisson is at");
+    let mut haptics =
+        Process::start(folder.path(), &["serve", "scene.toml", "--role", "haptics", "--link", &link]);
+    haptics.says("touches are looked for here, on 4 triangles");
+    haptics.says("the simulation is there");
+    for _ in 0..16 {
+        simulation.signal("STOP");
+        std::thread::sleep(Duration::from_millis(150));
+        simulation.signal("CONT");
+        std::thread::sleep(Duration::from_millis(230));
+    }
+    haptics.interrupt();
+    let found = haptics.says("detection: ");
+    let found: Value = serde_json::from_str(found.split_once(": ").unwrap().1).unwrap();
+    let number = |name: &str| found[name].as_f64().unwrap();
+    // A strike each 1.2 s, two of five of them into a stall.
+    assert!(number("n_felt_first") >= 1.0 && number("greatest_force_alone_n") > 0.05, "{found}");
+    assert!(number("longest_alone_ms") > 10.0, "{found}");
+    simulation.interrupt();
+    let stopped = simulation.says("stopped; state hash ");
+    let hash = stopped.rsplit(' ').next().unwrap();
+    // What was found is in the recording, and makes the same bits.
+    let session = std::fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
+    let told = session.lines().filter(|line| line.contains("\"triangle\"")).count();
+    assert!(told > 0, "no touch was told to the simulation");
+    let replay = glisson(folder.path(), &["replay", "s.jsonl"]);
+    let text = String::from_utf8_lossy(&replay.stdout).into_owned();
+    assert!(replay.status.success() && text.contains("same bits") && text.contains(hash), "{text} {hash}");
 }
 
 #[test]

@@ -213,6 +213,11 @@ impl PairRules {
         self.vertices.len()
     }
 
+    /// Vertices of all triangles.
+    pub(super) fn triangles(&self) -> &[[u32; 3]] {
+        &self.vertices
+    }
+
     /// Vertices of triangle `t`.
     #[inline]
     pub fn vertices(&self, t: u32) -> [u32; 3] {

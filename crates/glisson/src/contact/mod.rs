@@ -10,6 +10,7 @@ pub mod sweep_and_prune;
 pub mod hierarchy;
 pub mod broad_phase;
 pub mod triangles;
+mod triangle_lanes;
 pub mod continuous;
 pub mod tool_contact;
 pub mod self_collision;

@@ -6,8 +6,10 @@
 use super::boxes::{PairRules, RoundedBox, fill_vertex_boxes};
 use super::broad_phase::{BroadPhase, BroadPhaseKind, Wanted};
 use super::continuous::{FirstContact, two_triangles};
+use super::triangle_lanes::keep_unparted;
 use super::triangles::{Closest, closest_on_triangles, triangles_meet};
 use crate::math::DVec3;
+use fearless_simd::Level;
 
 /// What is searched, and with how much room.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -140,10 +142,18 @@ impl PairSearch {
     /// Writes the pairs of triangles that meet now into `found`, sorted, as far as its capacity goes.
     pub fn meeting_into(&self, found: &mut Vec<[u32; 2]>) -> PairCount {
         found.clear();
-        let count = self
-            .collect(found, |s, t| triangles_meet(self.corners_m(s), self.corners_m(t)).then_some([s, t]));
+        let level = Level::new();
+        let mut n_dropped = self.structure.n_dropped() as usize;
+        let n_candidates = self.for_each_block(|pairs| {
+            let n_left = keep_unparted(level, pairs, &self.positions_m, self.rules.triangles());
+            for &[s, t] in &pairs[..n_left] {
+                if triangles_meet(self.corners_m(s), self.corners_m(t)) {
+                    n_dropped += usize::from(!push_if_room(found, [s, t]));
+                }
+            }
+        });
         found.sort_unstable();
-        count
+        PairCount { n_candidates, n_dropped }
     }
 
     /// Writes the pairs that are no further apart than the margin into `found`, with their closest points, sorted, as far
@@ -179,36 +189,44 @@ impl PairSearch {
         count
     }
 
-    /// Tests every pair of overlapping boxes, some hundreds at a time: searching and testing take turns, each with its own
-    /// data and code.
+    /// Tests every pair of overlapping boxes.
     fn collect<T>(&self, found: &mut Vec<T>, mut test: impl FnMut(u32, u32) -> Option<T>) -> PairCount {
-        let mut count = PairCount { n_candidates: 0, n_dropped: self.structure.n_dropped() as usize };
-        let mut n_dropped = 0;
-        let mut test_all = |pairs: &[[u32; 2]]| {
-            for &[s, t] in pairs {
+        let mut n_dropped = self.structure.n_dropped() as usize;
+        let n_candidates = self.for_each_block(|pairs| {
+            for &mut [s, t] in pairs {
                 let Some(pair) = test(s, t) else { continue };
-                if found.len() < found.capacity() {
-                    found.push(pair);
-                } else {
-                    n_dropped += 1;
-                }
+                n_dropped += usize::from(!push_if_room(found, pair));
             }
-        };
+        });
+        PairCount { n_candidates, n_dropped }
+    }
+
+    /// Calls `test_all` with the pairs of overlapping boxes, some hundreds at a time: searching and testing take turns, each
+    /// with its own data and code. Answers how many there are.
+    fn for_each_block(&self, mut test_all: impl FnMut(&mut [[u32; 2]])) -> usize {
         let mut waiting = [[0u32; 2]; N_WAITING];
-        let mut n_waiting = 0;
+        let (mut n_waiting, mut n_candidates) = (0, 0);
         self.structure.for_each_pair(&self.boxes, &self.rules, |s, t| {
             waiting[n_waiting] = [s, t];
             n_waiting += 1;
-            count.n_candidates += 1;
+            n_candidates += 1;
             if n_waiting == N_WAITING {
-                test_all(&waiting);
+                test_all(&mut waiting);
                 n_waiting = 0;
             }
         });
-        test_all(&waiting[..n_waiting]);
-        count.n_dropped += n_dropped;
-        count
+        test_all(&mut waiting[..n_waiting]);
+        n_candidates
     }
+}
+
+/// Whether there was room.
+fn push_if_room<T>(found: &mut Vec<T>, item: T) -> bool {
+    let has_room = found.len() < found.capacity();
+    if has_room {
+        found.push(item);
+    }
+    has_room
 }
 
 /// Pairs that wait for their test at most.

@@ -37,7 +37,7 @@ pub fn triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
         && let Some(along_q) = piece_of_line(&b, q_above_p, line, bound)
     {
         let common = along_p[1].min(along_q[1]) - along_p[0].max(along_q[0]);
-        if common.abs() > 100.0 * SURE * line.abs().dot(extent) {
+        if common.abs() > UNSURE_SHARE * line.abs().dot(extent) {
             return common > 0.0;
         }
     }
@@ -54,10 +54,13 @@ pub fn triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
 
 /// Bound of the rounding of `normal . x` for coordinates up to 1, relative to their cube: products of a normal (up to 8)
 /// and a difference (up to 2), each rounded a few times, are off by less than 240 times 2^-52.
-const ROUNDING_OF_DETERMINANTS: f64 = 512.0 * f64::EPSILON;
+pub(super) const ROUNDING_OF_DETERMINANTS: f64 = 512.0 * f64::EPSILON;
 
 /// Share of rounding up to which a quotient or a direction counts as sure.
-const SURE: f64 = 1e-6;
+pub(super) const SURE: f64 = 1e-6;
+
+/// Share of the way along a line up to which two of its pieces may or may not overlap.
+pub(super) const UNSURE_SHARE: f64 = 100.0 * SURE;
 
 #[inline]
 fn on_one_side([x, y, z]: [f64; 3], bound: f64) -> bool {

@@ -161,6 +161,7 @@ mod tests {
         damping_n_s_per_m: 2.0,
         resolution_m: 5e-5,
         rate_hz: 1000.0,
+        ..DeviceLimits::NONE
     };
 
     #[test]

@@ -37,6 +37,10 @@ pub struct DeviceLimits {
     pub force_n: f64,
     /// Largest torque [N m]; 0 without.
     pub torque_n_m: f64,
+    /// Largest force at the handle's jaws [N]; 0 without.
+    pub jaw_force_n: f64,
+    /// Way of the handle's jaws, where that force acts, from closed to wide open [m].
+    pub jaw_travel_m: f64,
     /// Largest change of force [N/s].
     pub force_rate_n_per_s: f64,
     /// Largest stiffness that it renders stably at its rate [N/m].
@@ -47,6 +51,31 @@ pub struct DeviceLimits {
     pub resolution_m: f64,
     /// Ticks a second.
     pub rate_hz: f64,
+    /// Ticks at that rate from a command to the first position that it acted on, beyond the usual one: what threads, lines and
+    /// makers' libraries add. The energy bound counts them ([`super::passivity`]).
+    pub loop_delay_ticks: usize,
+}
+
+impl DeviceLimits {
+    /// A device that exerts nothing, answers at once and is driven a thousand times a second: to begin a list of limits with.
+    pub const NONE: Self = Self {
+        force_n: 0.0,
+        torque_n_m: 0.0,
+        jaw_force_n: 0.0,
+        jaw_travel_m: 0.0,
+        force_rate_n_per_s: 0.0,
+        stiffness_n_per_m: 0.0,
+        damping_n_s_per_m: 0.0,
+        resolution_m: 0.0,
+        rate_hz: 1_000.0,
+        loop_delay_ticks: 0,
+    };
+}
+
+impl Default for DeviceLimits {
+    fn default() -> Self {
+        Self::NONE
+    }
 }
 
 /// Why a device did not answer. A fixed text costs no allocation in a tick.
@@ -58,10 +87,24 @@ pub enum DeviceFault {
     Failed(Cow<'static, str>),
 }
 
+/// An instrument that was put into a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InsertedInstrument {
+    /// What it is, for people.
+    pub name: &'static str,
+    /// Which one of them.
+    pub serial: u16,
+}
+
 /// A device with a handle that is read and pushes back. Neither call may wait for longer than a small share of a tick.
 pub trait HapticDevice: Send {
     /// What it can do.
     fn limits(&self) -> DeviceLimits;
+
+    /// The instrument in it; none now, or a device whose handle is all that there is.
+    fn inserted(&self) -> Option<InsertedInstrument> {
+        None
+    }
 
     /// Where its handle is.
     ///

@@ -27,7 +27,7 @@ pub enum ForceEstimate {
     ExtrapolateInTime,
     /// Along the last two, by position.
     ExtrapolateInPosition,
-    /// From the last model ([`HapticModel::force_at`]).
+    /// From the last model ([`HapticModel::force_at`]); [`super::Handover`] adds what a slide changes ([`super::slide`]).
     #[default]
     LocalModel,
 }

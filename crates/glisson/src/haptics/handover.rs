@@ -7,8 +7,11 @@
 //!
 //! So in a tick of dt the force changes by at most `MOST_RATE_N_PER_S` dt beside what stiffness and motion explain. The first
 //! model after a start or [`Handover::restart`] is met in the same way, from zero.
+//!
+//! A local model is felt with what a slide along the tissue changes ([`super::slide`]).
 
 use super::extrapolation::ForceEstimate;
+use super::slide::Slide;
 use super::tissue::HapticModel;
 use crate::math::DVec3;
 
@@ -24,6 +27,7 @@ pub struct Handover {
     estimate: ForceEstimate,
     before: HapticModel,
     latest: HapticModel,
+    slide: Slide,
     has_model: bool,
     /// Age of the latest model at the last tick [s], and where the tip was [m].
     age_s: f64,
@@ -48,6 +52,7 @@ impl Handover {
             estimate,
             before: HapticModel::default(),
             latest: HapticModel::default(),
+            slide: Slide::default(),
             has_model: false,
             age_s: 0.0,
             tip_m: DVec3::ZERO,
@@ -113,6 +118,7 @@ impl Handover {
             if is_new {
                 self.before = if self.has_model { self.latest } else { usable };
                 self.latest = usable;
+                self.slide = self.slide.next(&self.before, &self.latest);
             }
         }
         if !self.has_model {
@@ -131,7 +137,11 @@ impl Handover {
     }
 
     fn estimated_n(&self) -> DVec3 {
-        self.estimate.force_at(&self.before, &self.latest, self.tip_m, self.age_s)
+        let force_n = self.estimate.force_at(&self.before, &self.latest, self.tip_m, self.age_s);
+        match self.estimate {
+            ForceEstimate::LocalModel => self.slide.force_at(&self.latest, force_n, self.tip_m),
+            _ => force_n,
+        }
     }
 
     /// Keeps the last tick's force.

@@ -6,6 +6,7 @@
 //!
 //! No clock, no allocation, nothing that waits: the period of a tick and the age of the model come in as numbers.
 
+use super::axes::{AxesHandover, AxesPlace};
 use super::coupling::{Coupling, CouplingGains, GainShares, TissueTangent};
 use super::device::{DeviceLimits, DeviceState, ForceCommand};
 use super::extrapolation::ForceEstimate;
@@ -110,11 +111,13 @@ pub struct HapticLaw {
     gains: CouplingGains,
     mapped: MappedDevice,
     handover: Handover,
+    axes: AxesHandover,
     coupling: Coupling,
     gate: Gate,
     tank: EnergyTank,
-    /// Where the handle was last, in its own frame; none before the first tick and after the device was away.
-    seen: Option<(DVec3, DQuat)>,
+    /// Where the handle was last, in its own frame, and how far open its jaws were; none before the first tick and after the
+    /// device was away.
+    seen: Option<(DVec3, DQuat, f64)>,
     /// Ticks without an answer since then.
     n_lost: u32,
     /// Time from tick to tick, smoothed [s]: what is expected of the next one. 0 where no tick and no setting has told.
@@ -140,9 +143,10 @@ impl HapticLaw {
             gains,
             mapped,
             handover: Handover::new(settings.estimate),
+            axes: AxesHandover::default(),
             coupling: Coupling::new(stiffness, damping, DVec3::ZERO),
             gate: Gate::for_force(limits.force_n),
-            tank: EnergyTank::new(&settings.tank, limits, settings.control),
+            tank: EnergyTank::new(&settings.tank, &in_ticks_of(limits, settings.period_s), settings.control),
             seen: None,
             n_lost: 0,
             period_s: settings.period_s.max(0.0),
@@ -165,6 +169,11 @@ impl HapticLaw {
     /// What that does not go below [J]: see [`super::passivity`].
     pub fn energy_bound_j(&self) -> f64 {
         self.tank.bound_j()
+    }
+
+    /// Ticks of the loop from a command to the first position that it acted on, beyond the usual one, that are counted.
+    pub fn loop_delay_ticks(&self) -> usize {
+        self.tank.loop_delay_ticks()
     }
 
     /// The tip of an instrument without length is at `world_m` [m] when the handle is at `device_m` [m] in its own frame: begins
@@ -233,7 +242,10 @@ impl HapticLaw {
         model_age_s: f64,
         dt_s: f64,
     ) -> LawTick {
-        let is_usable = device.position_m.is_finite() && device.orientation.is_finite() && dt_s > 0.0;
+        let is_usable = device.position_m.is_finite()
+            && device.orientation.is_finite()
+            && device.jaw_opening.is_finite()
+            && dt_s > 0.0;
         if !is_usable {
             return self.lost(dt_s.max(0.0));
         }
@@ -254,6 +266,10 @@ impl HapticLaw {
             self.coupling.stored_j() + tissue_energy_j(force_n, &tangent.stiffness_n_per_m),
         );
 
+        self.tool = self.mapped.tool(self.coupling.tool_m(), &handle, device);
+        let axes = self.axes_at_handle(model, ramp_dt_s);
+        let along = device.orientation.normalize() * DVec3::Z;
+
         let open = self.mapped.to_device(force_n, handle.arm_m);
         let shortage = match self.settings.control {
             EnergyControl::Tank => self.tank.shortage(),
@@ -266,11 +282,10 @@ impl HapticLaw {
         let resisting_n = velocity * -injected * if self.lets_go { share } else { 1.0 };
         let wanted = ForceCommand {
             force_n: open.force_n * share + resisting_n,
-            torque_n_m: open.torque_n_m * share,
-            jaw_force_n: 0.0,
+            torque_n_m: (open.torque_n_m + along * axes.twist_n_m) * share,
+            jaw_force_n: axes.jaw_force_n * share,
         };
         let (command, admitted_share) = self.tank.admit(&wanted, resisting_n, self.period_s);
-        self.tool = self.mapped.tool(self.coupling.tool_m(), &handle, device);
         let report = TickReport {
             admitted_share,
             injected_damping_n_s_per_m: injected,
@@ -296,23 +311,53 @@ impl HapticLaw {
     fn look(&mut self, device: &DeviceState, handle: &Handle, dt_s: f64) -> bool {
         let ticks = f64::from(self.n_lost) + 1.0;
         self.n_lost = 0;
-        let now = (device.position_m, device.orientation.normalize());
+        let opening = device.jaw_opening.clamp(0.0, 1.0);
+        let now = (device.position_m, device.orientation.normalize(), opening);
         let before = self.seen.replace(now);
         let most_m = MOST_SPEED_M_PER_S * dt_s * ticks;
         match before {
-            Some((was_m, was)) if (now.0 - was_m).length() <= most_m => {
-                self.tank.observe(now.0 - was_m, turn_rad(was, now.1), self.stored_j, dt_s * ticks);
+            Some((was_m, was, was_open)) if (now.0 - was_m).length() <= most_m => {
+                let opened_m = (opening - was_open) * self.limits.jaw_travel_m;
+                let turned_rad = turn_rad(was, now.1);
+                self.tank.observe_with_jaws(now.0 - was_m, turned_rad, opened_m, self.stored_j, dt_s * ticks);
                 false
             }
             _ => {
                 self.gate.shut();
                 self.handover.restart();
+                self.axes.restart();
                 self.coupling.restart(handle.tip_m);
                 self.tank.restart();
                 self.stored_j = 0.0;
                 true
             }
         }
+    }
+
+    /// Torque about the shaft and force at the jaws for the hand, of the model at the tool as it is now; what they hold is added
+    /// to what is stored.
+    fn axes_at_handle(&mut self, model: &HapticModel, ramp_dt_s: f64) -> AxesEffort {
+        let DeviceLimits { force_n, torque_n_m, jaw_travel_m, .. } = self.limits;
+        if torque_n_m <= 0.0 && jaw_travel_m <= 0.0 {
+            return AxesEffort::default();
+        }
+        let scale = self.mapped.energy_at_handle_j(1.0);
+        // No stiffer than the coupling is: at the arm at which the largest force has the largest torque, and on the jaws' way.
+        let arm_m = if force_n > 0.0 { torque_n_m / force_n } else { 0.0 };
+        let most = self.gains.stiffness_n_per_m / scale;
+        let axes = match self.settings.estimate {
+            ForceEstimate::LocalModel | ForceEstimate::ExtrapolateInPosition => {
+                model.axes.no_stiffer_than(most * arm_m * arm_m, most * jaw_travel_m * jaw_travel_m)
+            }
+            ForceEstimate::Hold | ForceEstimate::ExtrapolateInTime => model.axes.no_stiffer_than(0.0, 0.0),
+        };
+        let place = AxesPlace { roll_rad: self.tool.roll_rad, jaw_opening: self.tool.jaw_opening };
+        let [twist_n_m, jaw_j] = self.axes.efforts(&axes, place, jaw_travel_m, ramp_dt_s);
+        let held_j = |effort: f64, slope: f64| if slope > 0.0 { 0.5 * effort * effort / slope } else { 0.0 };
+        self.stored_j += scale
+            * (held_j(twist_n_m, axes.twist_stiffness_n_m_per_rad) + held_j(jaw_j, axes.jaw_stiffness_j));
+        let jaw_force_n = if jaw_travel_m > 0.0 { scale * jaw_j / jaw_travel_m } else { 0.0 };
+        AxesEffort { twist_n_m: scale * twist_n_m, jaw_force_n }
     }
 
     fn tangent(&self, model: &HapticModel, force_n: DVec3) -> TissueTangent {
@@ -327,8 +372,14 @@ impl HapticLaw {
             Touch::Free => outer(n, n) * n.dot(model.stiffness_n_per_m * n).max(0.0),
             Touch::Contact | Touch::Grasp => model.stiffness_n_per_m,
         };
-        let pushes_only = is_felt && model.touch != Touch::Grasp && model.n_parts == 0;
-        TissueTangent { force_n, stiffness_n_per_m, pushes_along: if pushes_only { n } else { DVec3::ZERO } }
+        let pushes_along = match (model.touch, model.n_parts) {
+            (Touch::Grasp, _) => DVec3::ZERO,
+            _ if !is_felt => DVec3::ZERO,
+            (_, 0) => n,
+            (_, 1) => model.parts[0].at_tip_n(model.parts[0].normal).normalize_or_zero(),
+            _ => DVec3::ZERO,
+        };
+        TissueTangent { force_n, stiffness_n_per_m, pushes_along }
     }
 
     fn report(&self, admitted_share: f64) -> TickReport {
@@ -340,6 +391,25 @@ impl HapticLaw {
             ..TickReport::default()
         }
     }
+}
+
+/// The limits with the device's delay in ticks of a loop of `period_s` [s]: its own are of its own rate.
+fn in_ticks_of(limits: &DeviceLimits, period_s: f64) -> DeviceLimits {
+    let ticks_of_loop = limits.loop_delay_ticks as f64 / (limits.rate_hz * period_s);
+    // Rounding adds no tick.
+    let is_known = period_s > 0.0 && limits.rate_hz > 0.0 && ticks_of_loop.is_finite();
+    let loop_delay_ticks =
+        if is_known { (ticks_of_loop - 1e-6).ceil() as usize } else { limits.loop_delay_ticks };
+    DeviceLimits { loop_delay_ticks, ..*limits }
+}
+
+/// For the hand, beside the force at the tip.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct AxesEffort {
+    /// About the handle's +z [N m].
+    twist_n_m: f64,
+    /// Force that opens the jaws [N].
+    jaw_force_n: f64,
 }
 
 /// What tissue of that stiffness [N/m] holds under that force [J].

@@ -61,21 +61,22 @@ pub fn saturated(vector: DVec3, most: f64) -> DVec3 {
     if vector.is_finite() { vector.clamp_length_max(most.max(0.0)) } else { DVec3::ZERO }
 }
 
-/// A command within a device's force and torque.
+/// A command within a device's force and torque and that of its jaws.
 pub fn within_limits(command: &ForceCommand, limits: &DeviceLimits) -> ForceCommand {
     let jaw_force_n = if command.jaw_force_n.is_finite() { command.jaw_force_n } else { 0.0 };
     ForceCommand {
         force_n: saturated(command.force_n, limits.force_n),
         torque_n_m: saturated(command.torque_n_m, limits.torque_n_m),
-        jaw_force_n: jaw_force_n.clamp(-limits.force_n, limits.force_n),
+        jaw_force_n: jaw_force_n.clamp(-limits.jaw_force_n, limits.jaw_force_n),
     }
 }
 
-/// Largest change in a tick of `dt_s` [s] of force [N] and torque [N m]. Torque may change in the time in which force may.
-pub fn rates_of(limits: &DeviceLimits, dt_s: f64) -> [f64; 2] {
+/// Largest change in a tick of `dt_s` [s] of force [N], torque [N m] and the jaws' force [N]. The others may change in the time
+/// in which force may.
+pub fn rates_of(limits: &DeviceLimits, dt_s: f64) -> [f64; 3] {
     let force_n = (limits.force_rate_n_per_s * dt_s).min(limits.force_n);
     let share = if limits.force_n > 0.0 { force_n / limits.force_n } else { 0.0 };
-    [force_n, limits.torque_n_m * share]
+    [force_n, limits.torque_n_m * share, limits.jaw_force_n * share]
 }
 
 #[cfg(test)]
@@ -85,11 +86,13 @@ mod tests {
     const LIMITS: DeviceLimits = DeviceLimits {
         force_n: 8.0,
         torque_n_m: 0.2,
+        jaw_force_n: 4.0,
         force_rate_n_per_s: 1000.0,
         stiffness_n_per_m: 1000.0,
         damping_n_s_per_m: 2.0,
         resolution_m: 5e-5,
         rate_hz: 1000.0,
+        ..DeviceLimits::NONE
     };
 
     #[test]
@@ -129,8 +132,9 @@ mod tests {
         let given = within_limits(&wanted, &LIMITS);
         assert!((given.force_n - DVec3::new(4.8, 0.0, 6.4)).length() < 1e-12);
         assert_eq!(given.torque_n_m, DVec3::ZERO);
-        assert_eq!(given.jaw_force_n, -8.0);
-        assert_eq!(rates_of(&LIMITS, 1e-3), [1.0, 0.025]);
-        assert_eq!(rates_of(&DeviceLimits { force_rate_n_per_s: f64::INFINITY, ..LIMITS }, 1e-3), [8.0, 0.2]);
+        assert_eq!(given.jaw_force_n, -4.0);
+        assert_eq!(rates_of(&LIMITS, 1e-3), [1.0, 0.025, 0.5]);
+        let at_once = DeviceLimits { force_rate_n_per_s: f64::INFINITY, ..LIMITS };
+        assert_eq!(rates_of(&at_once, 1e-3), [8.0, 0.2, 4.0]);
     }
 }

@@ -5,8 +5,10 @@
 //! comes in as the period of a tick and the age of the model.
 
 pub mod device;
+pub mod axes;
 pub mod tissue;
 pub mod extrapolation;
+pub mod slide;
 pub mod handover;
 pub mod patch;
 pub mod coupling;
@@ -17,8 +19,9 @@ pub mod law;
 pub mod simulated;
 pub mod trocar;
 
+pub use axes::{AxesHandover, AxesModel, AxesPlace};
 pub use coupling::{CouplingGains, GainShares};
-pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
+pub use device::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice, InsertedInstrument};
 pub use extrapolation::ForceEstimate;
 pub use handover::Handover;
 pub use law::{HapticLaw, LawSettings, LawTick, TickReport};
@@ -26,4 +29,5 @@ pub use mapping::DeviceMapping;
 pub use passivity::{EnergyControl, TankSettings};
 pub use patch::PatchStiffness;
 pub use simulated::{HandPath, HandSettings, SimulatedDevice, SimulatedDeviceSettings};
+pub use slide::Slide;
 pub use tissue::{HapticModel, Touch, TouchedPart};

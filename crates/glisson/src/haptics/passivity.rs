@@ -5,7 +5,7 @@
 //! and discrete port-Hamiltonian systems, IEEE Transactions on Robotics 21(4), 2005, doi 10.1109/TRO.2004.842330). The sum since
 //! the start is the observed energy E (the passivity observer of B. Hannaford and J.-H. Ryu, Time-domain passivity control of
 //! haptic interfaces, IEEE Transactions on Robotics and Automation 18(1), 2002, doi 10.1109/70.988969); the torque's work on
-//! the turning handle counts in the same way. It does not matter where energy comes from: sampling, a model that is old, a new
+//! the turning handle and that of the jaws' force on their way count in the same way. It does not matter where energy comes from: sampling, a model that is old, a new
 //! model that says something else, or a simulation that goes wrong.
 //!
 //! A tank (M. Franken, S. Stramigioli, S. Misra, C. Secchi and A. Macchelli, Bilateral telemanipulation with time delays: a
@@ -63,7 +63,10 @@ pub struct TankSettings {
     pub position_error_m: f64,
     /// Error of an orientation [rad].
     pub orientation_error_rad: f64,
-    /// Ticks from a command to the first position that it acted on, beyond the usual one; at most [`MOST_DELAY_TICKS`].
+    /// Error of the jaws' place on their way [m]. A choice: a thousandth of 25 mm.
+    pub jaw_error_m: f64,
+    /// Ticks from a command to the first position that it acted on, beyond the usual one and those of
+    /// [`DeviceLimits::loop_delay_ticks`]; both together count up to [`MOST_DELAY_TICKS`].
     pub loop_delay_ticks: usize,
 }
 
@@ -75,9 +78,18 @@ impl Default for TankSettings {
             angular_acceleration_rad_per_s2: 500.0,
             position_error_m: 0.0,
             orientation_error_rad: 1e-3,
+            jaw_error_m: 2.5e-5,
             loop_delay_ticks: 0,
         }
     }
+}
+
+/// Handle, its turn, its jaws.
+const N_PORTS: usize = 3;
+
+/// What a command exerts at the ports.
+fn at_ports(command: &ForceCommand) -> [DVec3; N_PORTS] {
+    [command.force_n, command.torque_n_m, DVec3::X * command.jaw_force_n]
 }
 
 /// Whether energy is only watched.
@@ -90,10 +102,10 @@ pub enum EnergyControl {
     ObserveOnly,
 }
 
-/// Force with way, or torque with turn.
+/// Force with way, torque with turn, or the jaws' force with theirs (along x).
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Port {
-    /// The handle's last step over its time [m/s or rad/s].
+    /// The last step over its time [m/s or rad/s].
     velocity: DVec3,
     /// Commands that no step was seen for, the oldest first.
     pending: [DVec3; MOST_DELAY_TICKS + 1],
@@ -155,7 +167,7 @@ pub struct EnergyTank {
     settings: TankSettings,
     limits: DeviceLimits,
     control: EnergyControl,
-    ports: [Port; 2],
+    ports: [Port; N_PORTS],
     previous: ForceCommand,
     /// Whether commands went out since a position was seen.
     has_unseen: bool,
@@ -167,7 +179,7 @@ impl EnergyTank {
     /// A tank with its reserve.
     pub fn new(settings: &TankSettings, limits: &DeviceLimits, control: EnergyControl) -> Self {
         let error_m = limits.resolution_m.max(0.0) + settings.position_error_m.max(0.0);
-        let delay = settings.loop_delay_ticks.min(MOST_DELAY_TICKS);
+        let delay = settings.loop_delay_ticks.saturating_add(limits.loop_delay_ticks).min(MOST_DELAY_TICKS);
         let reserve_j = settings.reserve_j.max(0.0);
         Self {
             settings: TankSettings { loop_delay_ticks: delay, reserve_j, ..*settings },
@@ -176,6 +188,7 @@ impl EnergyTank {
             ports: [
                 Port::new(error_m, settings.acceleration_m_per_s2),
                 Port::new(settings.orientation_error_rad, settings.angular_acceleration_rad_per_s2),
+                Port::new(settings.jaw_error_m, settings.acceleration_m_per_s2),
             ],
             previous: ForceCommand::default(),
             has_unseen: false,
@@ -192,6 +205,11 @@ impl EnergyTank {
     /// What E does not go below [J]: -E_0.
     pub fn bound_j(&self) -> f64 {
         -self.settings.reserve_j
+    }
+
+    /// Ticks of delay that are counted.
+    pub fn loop_delay_ticks(&self) -> usize {
+        self.settings.loop_delay_ticks
     }
 
     /// What is in the tank [J].
@@ -227,16 +245,33 @@ impl EnergyTank {
     }
 
     /// The handle went by `moved_m` [m] and turned by `turned_rad` [rad] in the `dt_s` [s] since the last tick, while tissue and
-    /// coupling held `stored_j` [J].
+    /// coupling held `stored_j` [J]. Its jaws stayed where they were.
     pub fn observe(&mut self, moved_m: DVec3, turned_rad: DVec3, stored_j: f64, dt_s: f64) {
+        self.observe_all([moved_m, turned_rad, DVec3::ZERO], stored_j, dt_s);
+    }
+
+    /// The same with jaws that opened by `opened_m` [m] of their way.
+    pub fn observe_with_jaws(
+        &mut self,
+        moved_m: DVec3,
+        turned_rad: DVec3,
+        opened_m: f64,
+        stored_j: f64,
+        dt_s: f64,
+    ) {
+        self.observe_all([moved_m, turned_rad, DVec3::X * opened_m], stored_j, dt_s);
+    }
+
+    fn observe_all(&mut self, steps: [DVec3; N_PORTS], stored_j: f64, dt_s: f64) {
         let n_pending = self.settings.loop_delay_ticks + 1;
-        let [force, torque] = &mut self.ports;
-        let mut work_j = force.settle(moved_m, n_pending, dt_s) + torque.settle(turned_rad, n_pending, dt_s);
+        let settled = self.ports.iter_mut().zip(steps).map(|(port, step)| port.settle(step, n_pending, dt_s));
+        let mut work_j: f64 = settled.sum();
         if self.has_unseen {
-            let [force_n, torque_n_m] = [self.previous.force_n, self.previous.torque_n_m];
-            work_j = work_j.max(force_n.dot(moved_m) + torque_n_m.dot(turned_rad));
-            force.pending[..n_pending].fill(force_n);
-            torque.pending[..n_pending].fill(torque_n_m);
+            let unseen = at_ports(&self.previous);
+            work_j = work_j.max(unseen.iter().zip(steps).map(|(of, step)| of.dot(step)).sum());
+            for (port, of) in self.ports.iter_mut().zip(unseen) {
+                port.pending[..n_pending].fill(of);
+            }
             self.has_unseen = false;
         }
         self.observed_j -= work_j;
@@ -262,22 +297,22 @@ impl EnergyTank {
         } else {
             within_limits(wanted, &self.faded_limits())
         };
-        let before = [self.previous.force_n, self.previous.torque_n_m];
-        let toward = [
-            before[0] + (wanted.force_n - before[0]).clamp_length_max(rates[0]),
-            before[1] + (wanted.torque_n_m - before[1]).clamp_length_max(rates[1]),
-        ];
-        let let_go = [0, 1].map(|i| before[i].move_towards(DVec3::ZERO, rates[i]));
+        let (before, wanted) = (at_ports(&self.previous), at_ports(&wanted));
+        let toward: [DVec3; N_PORTS] =
+            std::array::from_fn(|i| before[i] + (wanted[i] - before[i]).clamp_length_max(rates[i]));
+        let let_go: [DVec3; N_PORTS] = std::array::from_fn(|i| before[i].move_towards(DVec3::ZERO, rates[i]));
         let share = match self.control {
             EnergyControl::ObserveOnly => 1.0,
             EnergyControl::Tank if is_overdrawn => 1.0,
             EnergyControl::Tank => self.paid_share(&let_go, &toward, &rates, dt_s),
         };
-        let [force_n, torque_n_m] = [0, 1].map(|i| let_go[i] + (toward[i] - let_go[i]) * share);
-        let command = ForceCommand { force_n, torque_n_m, jaw_force_n: wanted.jaw_force_n };
+        let given: [DVec3; N_PORTS] = std::array::from_fn(|i| let_go[i] + (toward[i] - let_go[i]) * share);
+        let [force_n, torque_n_m, jaw] = given;
+        let command = ForceCommand { force_n, torque_n_m, jaw_force_n: jaw.x };
         let newest = self.settings.loop_delay_ticks;
-        self.ports[0].pending[newest] = force_n;
-        self.ports[1].pending[newest] = torque_n_m;
+        for (port, of) in self.ports.iter_mut().zip(given) {
+            port.pending[newest] = of;
+        }
         self.previous = command;
         (command, share)
     }
@@ -290,15 +325,22 @@ impl EnergyTank {
         DeviceLimits {
             force_n: self.limits.force_n * left,
             torque_n_m: self.limits.torque_n_m * left,
+            jaw_force_n: self.limits.jaw_force_n * left,
             ..self.limits
         }
     }
 
-    fn paid_share(&self, from: &[DVec3; 2], to: &[DVec3; 2], rates: &[f64; 2], dt_s: f64) -> f64 {
+    fn paid_share(
+        &self,
+        from: &[DVec3; N_PORTS],
+        to: &[DVec3; N_PORTS],
+        rates: &[f64; N_PORTS],
+        dt_s: f64,
+    ) -> f64 {
         let delay = self.settings.loop_delay_ticks;
-        let pending_j: f64 = (0..2).map(|i| self.ports[i].pending_cost_j(delay, dt_s)).sum();
+        let pending_j: f64 = self.ports.iter().map(|port| port.pending_cost_j(delay, dt_s)).sum();
         let is_paid = |share: f64| {
-            let cost_j: f64 = (0..2)
+            let cost_j: f64 = (0..N_PORTS)
                 .map(|i| self.ports[i].cost_j(from[i] + (to[i] - from[i]) * share, delay, rates[i], dt_s))
                 .sum();
             pending_j + cost_j <= self.level_j

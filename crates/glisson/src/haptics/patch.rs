@@ -1,10 +1,9 @@
 //! The stiffness that a tool feels at a patch of nodes that follow it.
 //!
 //! Node j of the patch moves by W_j d when the tip moves by d. With C the compliance of the patch
-//! ([`crate::model::LocalModel`]) the nodes' forces rise by the columns of X, C X = W, and those on the tool by
-//! S = sum_i X_i. S is symmetric where all W are equal; a touched triangle's nodes follow by different weights
-//! ([`crate::contact::spread`]), so its symmetric part is taken, without negative eigenvalues: a model that a hand cannot draw
-//! energy from.
+//! ([`crate::model::LocalModel`]) the nodes' forces rise by the columns of X, C X = W, and what does their work at the tip by
+//! S = sum_i W_i^T X_i. S is symmetric for the whole patch; of a part of it, which its neighbours press as well, the symmetric
+//! part is taken, without negative eigenvalues: a model that a hand cannot draw energy from.
 
 use crate::material::eigen::eigen_symmetric;
 use crate::math::{DMat3, DVec3, outer};
@@ -20,6 +19,8 @@ pub struct PatchStiffness {
     factor: Vec<f64>,
     /// X, three columns a row.
     forces: Vec<[f64; 3]>,
+    /// W, node by node.
+    motions: Vec<DMat3>,
 }
 
 impl Default for PatchStiffness {
@@ -32,7 +33,11 @@ impl PatchStiffness {
     /// With room for the largest patch.
     pub fn new() -> Self {
         let n = 3 * LocalModel::MOST_NODES;
-        Self { factor: Vec::with_capacity(n * n), forces: Vec::with_capacity(n) }
+        Self {
+            factor: Vec::with_capacity(n * n),
+            forces: Vec::with_capacity(n),
+            motions: Vec::with_capacity(LocalModel::MOST_NODES),
+        }
     }
 
     /// Solves for a patch whose node i moves by `motion(i)` times the tip's motion. Axes that do not yield at all are left
@@ -42,8 +47,10 @@ impl PatchStiffness {
         let c = &local.compliance_m_per_n;
         let largest = (0..n).map(|i| c[n * i + i]).fold(0.0, f64::max);
         self.forces.clear();
+        self.motions.clear();
         for node in 0..n / 3 {
             let turn = motion(node);
+            self.motions.push(turn);
             self.forces.extend([0, 1, 2].map(|axis| turn.row(axis).to_array()));
         }
         let is_free = |i: usize| c[n * i + i] > LEAST_PIVOT * largest;
@@ -94,16 +101,13 @@ impl PatchStiffness {
         true
     }
 
-    /// Rise of the force on the tool [N/m] by those nodes of the patch that `counts` names, as it is.
+    /// Rise of what does the force's work at the tip [N/m] by those nodes of the patch that `counts` names, as it is.
     pub fn rise_n_per_m(&self, counts: impl Fn(usize) -> bool) -> DMat3 {
-        let mut sum = DMat3::ZERO;
-        for (node, rows) in
-            self.forces.as_chunks::<3>().0.iter().enumerate().filter(|(node, _)| counts(*node))
-        {
-            debug_assert!(node < self.forces.len());
-            sum += DMat3::from_cols_array_2d(rows).transpose();
-        }
-        sum
+        let nodes = self.forces.as_chunks::<3>().0.iter().zip(&self.motions).enumerate();
+        let counted = nodes.filter(|(node, _)| counts(*node));
+        counted.fold(DMat3::ZERO, |sum, (_, (rows, motion))| {
+            sum + motion.transpose() * DMat3::from_cols_array_2d(rows).transpose()
+        })
     }
 
     /// The same, symmetric and without negative eigenvalues.
@@ -162,7 +166,7 @@ mod tests {
         );
         patch.solve(&chain(1), |_| DMat3::from_diagonal(DVec3::new(1.0, 0.5, 0.0)));
         let whole = patch.stiffness_n_per_m(|_| true);
-        assert!(whole.abs_diff_eq(DMat3::from_diagonal(DVec3::new(100.0, 50.0, 0.0)), 1e-9), "{whole}");
+        assert!(whole.abs_diff_eq(DMat3::from_diagonal(DVec3::new(100.0, 25.0, 0.0)), 1e-9), "{whole}");
     }
 
     #[test]

@@ -91,6 +91,8 @@ impl SimulatedDeviceSettings {
             damping_n_s_per_m: self.damping_n_s_per_m,
             resolution_m: self.resolution_m + 6.0 * self.noise_m,
             rate_hz: self.rate_hz,
+            loop_delay_ticks: self.position_latency_ticks + self.force_latency_ticks,
+            ..DeviceLimits::NONE
         }
     }
 }

@@ -5,7 +5,13 @@
 //! ([`super::patch`]). Contact only pushes, and along the surface it bears Coulomb's friction: what is more slips until the
 //! force is on the cone. Jaws pull up to what
 //! they hold. Free tissue is met where its surface is by then, and pushes back along the normal.
+//!
+//! An instrument that turns about its trocar has a lever: a place r from the tip moves by W d, with the shaft's direction a and
+//! the tip's distance L from the trocar W d = (1 - a.r/L) d + a (r.d)/L. A force f there is felt at the tip as W^T f: the same
+//! axial force and the same moment about the trocar across the shaft, as the sum of several contacts needs (seed `000`,
+//! s. 5.4.4). What f turns the instrument about itself is in [`AxesModel`].
 
+use super::axes::AxesModel;
 use crate::math::{DMat3, DVec3};
 
 /// How an instrument and the tissue are together.
@@ -25,14 +31,16 @@ pub enum Touch {
 pub struct TouchedPart {
     /// How: never free.
     pub touch: Touch,
-    /// Its force on the instrument [N].
+    /// Its force on the instrument where they touch [N].
     pub force_n: DVec3,
-    /// How that falls when the tip moves on [N/m]; symmetric, not negative.
+    /// How that falls when the instrument moves on there [N/m]; symmetric, not negative.
     pub stiffness_n_per_m: DMat3,
     /// Outward unit normal.
     pub normal: DVec3,
     /// Coulomb's coefficient of friction; infinite for what sticks.
     pub friction_coefficient: f64,
+    /// W: how that place moves for a motion of the tip.
+    pub lever: DMat3,
 }
 
 impl Default for TouchedPart {
@@ -43,6 +51,7 @@ impl Default for TouchedPart {
             stiffness_n_per_m: DMat3::ZERO,
             normal: DVec3::ZERO,
             friction_coefficient: f64::INFINITY,
+            lever: DMat3::IDENTITY,
         }
     }
 }
@@ -62,7 +71,7 @@ pub struct HapticModel {
     pub tip_m: DVec3,
     /// How fast the tip moved [m/s].
     pub tip_velocity_m_per_s: DVec3,
-    /// Force of the tissue on the instrument then [N]: of all parts.
+    /// Force of the tissue on the instrument then [N]: of all parts, as it is felt at the tip.
     pub force_n: DVec3,
     /// -dF/dx: how the force falls when the tip moves on [N/m]; symmetric, not negative; of all parts. Of free tissue that
     /// is near: of the place where the tip will touch.
@@ -79,10 +88,13 @@ pub struct HapticModel {
     pub friction_coefficient: f64,
     /// The largest force that jaws hold [N]; infinite without a limit.
     pub hold_n: f64,
-    /// When there are several, the parts one by one: the first `n_parts` of these. None when there is just one.
+    /// When there are several, or one that is not felt where it is, the parts one by one: the first `n_parts` of these. None
+    /// when there is just one at the tip.
     pub parts: [TouchedPart; HapticModel::MOST_PARTS],
     /// How many.
     pub n_parts: u32,
+    /// What turns the instrument about itself and moves its jaws.
+    pub axes: AxesModel,
 }
 
 impl Default for HapticModel {
@@ -104,6 +116,7 @@ impl Default for HapticModel {
             hold_n: f64::INFINITY,
             parts: [TouchedPart::default(); Self::MOST_PARTS],
             n_parts: 0,
+            axes: AxesModel::default(),
         }
     }
 }
@@ -124,7 +137,7 @@ impl HapticModel {
     /// Force [N] of the tissue on the tip at `tip_m` [m], `age_s` [s] after the model was made.
     ///
     /// It follows the tip without jumps: by no more than (2 + friction)^2 times the stiffness times the motion, with 20 for
-    /// the friction of what sticks.
+    /// the friction of what sticks, and the square of the lever's norm.
     pub fn force_at(&self, tip_m: DVec3, age_s: f64) -> DVec3 {
         let moved_m = tip_m - self.tip_m;
         if self.n_parts > 0 {
@@ -143,6 +156,7 @@ impl HapticModel {
                     stiffness_n_per_m: self.stiffness_n_per_m,
                     normal: self.normal,
                     friction_coefficient: self.friction_coefficient,
+                    lever: DMat3::IDENTITY,
                 };
                 self.part_at(&whole, moved_m)
             }
@@ -157,12 +171,13 @@ impl HapticModel {
     }
 
     fn part_at(&self, part: &TouchedPart, moved_m: DVec3) -> DVec3 {
-        let linear_n = part.force_n - part.stiffness_n_per_m * moved_m;
-        match part.touch {
+        let linear_n = part.force_n - part.stiffness_n_per_m * (part.lever * moved_m);
+        let there_n = match part.touch {
             Touch::Free => DVec3::ZERO,
             Touch::Grasp => shortened(linear_n, self.hold_n),
             Touch::Contact => pushed(part, linear_n),
-        }
+        };
+        part.at_tip_n(there_n)
     }
 
     /// Whether every number that `force_at` uses is one.
@@ -173,8 +188,10 @@ impl HapticModel {
                 && p.stiffness_n_per_m.is_finite()
                 && p.normal.is_finite()
                 && p.friction_coefficient >= 0.0
+                && p.lever.is_finite()
         });
         of_parts
+            && self.axes.is_finite()
             && self.tip_m.is_finite()
             && self.force_n.is_finite()
             && self.stiffness_n_per_m.is_finite()
@@ -188,6 +205,16 @@ impl HapticModel {
 }
 
 impl TouchedPart {
+    /// A force where they touch [N] as it is felt at the tip [N].
+    pub fn at_tip_n(&self, force_n: DVec3) -> DVec3 {
+        self.lever.transpose() * force_n
+    }
+
+    /// Its stiffness as it is felt at the tip [N/m].
+    pub fn stiffness_at_tip_n_per_m(&self) -> DMat3 {
+        self.lever.transpose() * self.stiffness_n_per_m * self.lever
+    }
+
     /// Coulomb's coefficient; of what sticks one that bears twice the published force.
     fn friction(&self) -> f64 {
         if self.friction_coefficient.is_finite() {
@@ -319,11 +346,34 @@ mod tests {
             stiffness_n_per_m: DMat3::IDENTITY * 100.0,
             normal,
             friction_coefficient: f64::INFINITY,
+            lever: DMat3::IDENTITY,
         };
         let mut model = contact(f64::INFINITY);
         (model.parts[0], model.parts[1], model.n_parts) = (part(DVec3::X), part(DVec3::Z), 2);
         assert_eq!(model.force_at(DVec3::ZERO, 0.0), DVec3::X + DVec3::Z);
         let found_n = model.force_at(DVec3::X * 0.02, 0.0);
         assert!((found_n - DVec3::new(-2.0, 0.0, 1.0)).length() < 1e-12, "the first lets go: {found_n}");
+    }
+
+    /// Half-way to the trocar a contact counts half across the shaft and all along it; so does its stiffness, once more.
+    #[test]
+    fn a_part_with_a_lever_is_felt_at_the_tip_by_its_work() {
+        let part = TouchedPart {
+            touch: Touch::Contact,
+            force_n: DVec3::new(2.0, 0.0, 0.3),
+            stiffness_n_per_m: DMat3::from_diagonal(DVec3::new(100.0, 60.0, 40.0)),
+            normal: DVec3::X,
+            friction_coefficient: 0.5,
+            lever: DMat3::from_diagonal(DVec3::new(0.5, 0.5, 1.0)),
+        };
+        let mut model = contact(f64::INFINITY);
+        (model.parts[0], model.n_parts) = (part, 1);
+        assert_eq!(model.force_at(DVec3::ZERO, 0.0), DVec3::new(1.0, 0.0, 0.3));
+        let found_n = model.force_at(DVec3::new(4e-3, 0.0, 5e-3), 0.0);
+        assert!((found_n - DVec3::new(0.5 * 1.8, 0.0, 0.1)).length() < 1e-12, "{found_n}");
+        // The cone is that of the contact: 0.5 of the push there, not of what is felt of it.
+        let found_n = model.force_at(DVec3::Z * -1.0, 0.0);
+        assert!((found_n - DVec3::new(1.0, 0.0, 1.0)).length() < 1e-12, "{found_n}");
+        assert_eq!(part.stiffness_at_tip_n_per_m(), DMat3::from_diagonal(DVec3::new(25.0, 15.0, 40.0)));
     }
 }

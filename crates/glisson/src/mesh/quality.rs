@@ -193,8 +193,11 @@ pub fn dihedral_cosine_range(corners_m: [DVec3; 4]) -> [f64; 2] {
 /// 1 and -1 by turns where a face has no area.
 fn dihedral_cosines(corners_m: [DVec3; 4]) -> [f64; 6] {
     const PAIRS: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
-    let normals = FACES
-        .map(|[a, b, c]| (corners_m[b] - corners_m[a]).cross(corners_m[c] - corners_m[a]).try_normalize());
+    // A loop: the closures of `map` were calls.
+    let mut normals = [None; 4];
+    for (normal, [a, b, c]) in normals.iter_mut().zip(FACES) {
+        *normal = (corners_m[b] - corners_m[a]).cross(corners_m[c] - corners_m[a]).try_normalize();
+    }
     let mut cosines = [0.0; 6];
     for (at, [i, j]) in PAIRS.into_iter().enumerate() {
         cosines[at] = match (normals[i], normals[j]) {

@@ -9,6 +9,7 @@ use crate::math::DVec3;
 use crate::mesh::TetId;
 use crate::model::Effort;
 use crate::model::kind::ModelKind;
+use crate::tool::found::Detected;
 use crate::tool::{MAX_TOOLS, ToolInput};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
@@ -61,6 +62,10 @@ pub enum SessionEvent {
         /// Instruments that were put there without touching anything between, by their place in `tools`.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         placed: Vec<u8>,
+        /// What was found outside of the world for instruments, by their place in `tools`; empty when the world looked for
+        /// all of them.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        detected: Vec<Option<Detected>>,
     },
     /// Before this step everything went back to rest.
     Reset {
@@ -227,7 +232,7 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
             return Err(wrong(line, format!("step {step} comes after step {last}; steps only go up")));
         }
         match &event {
-            SessionEvent::Input { tools, n_substeps, placed, .. } => {
+            SessionEvent::Input { tools, n_substeps, placed, detected, .. } => {
                 if let Some(at) = tools.iter().position(|tool| !tool.is_finite()) {
                     return Err(wrong(line, format!("the place of instrument {at} is not finite")));
                 }
@@ -239,6 +244,13 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
                 }
                 if let Some(place) = placed.iter().find(|&&place| usize::from(place) >= tools.len()) {
                     return Err(wrong(line, format!("placed names instrument {place} of {}", tools.len())));
+                }
+                if !detected.is_empty() && detected.len() != tools.len() {
+                    let (n, n_tools) = (detected.len(), tools.len());
+                    return Err(wrong(line, format!("detected has {n} entries for {n_tools} instruments")));
+                }
+                if let Some(at) = detected.iter().position(|d| d.is_some_and(|d| !d.is_plausible())) {
+                    return Err(wrong(line, format!("what was detected for instrument {at} is no touch")));
                 }
                 if *n_substeps == 0 {
                     return Err(wrong(line, "n_substeps is 0; it must be at least 1".into()));
@@ -276,11 +288,14 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
     Ok(Session { header, events, cut_off })
 }
 
+/// Instruments, parts of the step, those that were put somewhere, and what was found for them.
+type LastInput = (Vec<ToolInput>, u32, Vec<u8>, Vec<Option<Detected>>);
+
 /// Writes a session line by line while it happens.
 #[derive(Debug)]
 pub struct SessionWriter<W: Write> {
     out: W,
-    last_input: Option<(Vec<ToolInput>, u32, Vec<u8>)>,
+    last_input: Option<LastInput>,
 }
 
 impl<W: Write> SessionWriter<W> {
@@ -299,14 +314,14 @@ impl<W: Write> SessionWriter<W> {
     /// # Errors
     /// Whatever the output answers.
     pub fn write(&mut self, event: &SessionEvent) -> io::Result<()> {
-        if let SessionEvent::Input { tools, n_substeps, placed, .. } = event {
-            let is_same = self.last_input.as_ref().is_some_and(|(last, last_n, last_placed)| {
-                (last, last_n, last_placed) == (tools, n_substeps, placed)
+        if let SessionEvent::Input { tools, n_substeps, placed, detected, .. } = event {
+            let is_same = self.last_input.as_ref().is_some_and(|last| {
+                (&last.0, &last.1, &last.2, &last.3) == (tools, n_substeps, placed, detected)
             });
             if is_same {
                 return Ok(());
             }
-            self.last_input = Some((tools.clone(), *n_substeps, placed.clone()));
+            self.last_input = Some((tools.clone(), *n_substeps, placed.clone(), detected.clone()));
         }
         serde_json::to_writer(&mut self.out, event)?;
         self.out.write_all(b"\n")
@@ -322,6 +337,8 @@ impl<W: Write> SessionWriter<W> {
 mod tests {
     use super::*;
     use crate::math::DVec3;
+    use crate::mesh::TriangleId;
+    use crate::tool::found::{FoundTouch, TouchingPoint};
     use proptest::prelude::*;
 
     fn sample() -> (Vec<SessionEvent>, String) {
@@ -332,8 +349,23 @@ mod tests {
         };
         let tools = vec![tool, ToolInput::at(DVec3::ZERO, DVec3::Z)];
         let hash = StateHash::try_from("0f".repeat(32)).unwrap();
+        let touch = FoundTouch {
+            triangle: TriangleId(7),
+            weights: [0.25, 0.5, 0.25],
+            normal: DVec3::Z,
+            at: TouchingPoint::OnAxis(1.0 / 3.0),
+            gap_m: -1e-7,
+        };
+        let on_mesh = FoundTouch { at: TouchingPoint::Fixed(DVec3::X), ..touch };
+        let found = Detected { surface_version: 3, touches: [Some(touch), None, Some(on_mesh)] };
         let events = vec![
-            SessionEvent::Input { step: 0, tools, n_substeps: 1, placed: vec![1] },
+            SessionEvent::Input {
+                step: 0,
+                tools,
+                n_substeps: 1,
+                placed: vec![1],
+                detected: vec![None, Some(found)],
+            },
             SessionEvent::QueueModelSwap { step: 5, at_step: 50, model: ModelKind::Precomputed },
             SessionEvent::Checkpoint { step: 10, state_hash: hash },
             SessionEvent::Reset { step: 12 },

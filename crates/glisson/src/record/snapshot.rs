@@ -82,4 +82,6 @@ pub struct DisplayTopology {
     pub rest_positions_m: Vec<DVec3>,
     /// Indices of displayed vertices, counter-clockwise from outside.
     pub triangles: Vec<[u32; 3]>,
+    /// Whether each triangle lies in a cut: it is no part of the surface that the organ had at the start.
+    pub is_cut: Vec<bool>,
 }

@@ -26,8 +26,8 @@ use crate::model::{
 };
 use crate::solve::{SolveError, equilibrating_stress};
 use crate::surface::files::{SurfaceFileError, import_closed_surface};
-use crate::tool::ToolShape;
 use crate::tool::fracture::Tearing;
+use crate::tool::{Tool, ToolShape};
 use crate::world::World;
 use crate::world::organ::OrganError;
 use crate::world::spec::{Region, WorldSpec, attachments, fixed_nodes, nodes_in};
@@ -38,6 +38,20 @@ use std::sync::Arc;
 fn read_tool_shape(file: &Path) -> Result<MeshShape, BuildError> {
     let surface = import_closed_surface(file)?.mesh;
     Ok(MeshShape::new(surface.positions_m, surface.triangles))
+}
+
+/// The scene's instruments with the shapes of their tips.
+///
+/// # Errors
+/// [`BuildError::ToolShape`] when the file of a shape cannot be read.
+pub fn read_tools(scene: &Scene, folder: &Path) -> Result<Vec<Tool>, BuildError> {
+    let mut tools = scene.world.tools.clone();
+    for (tool, file) in tools.iter_mut().zip(&scene.tool_shapes) {
+        if let Some(file) = file {
+            tool.shape = ToolShape::Mesh(read_tool_shape(&folder.join(file))?);
+        }
+    }
+    Ok(tools)
 }
 
 /// Why a scene gives no world.
@@ -382,11 +396,7 @@ pub fn build_world(
     let kind = scene.organ.model;
     let model = build_model(&body, kind)?;
     let mut spec = scene.world.clone();
-    for (tool, file) in spec.tools.iter_mut().zip(&scene.tool_shapes) {
-        if let Some(file) = file {
-            tool.shape = ToolShape::Mesh(read_tool_shape(&folder.join(file))?);
-        }
-    }
+    spec.tools = read_tools(scene, folder)?;
     if let Some(file) = &scene.organ.vessels {
         spec.vessels = read_vessels(&folder.join(file))?;
     }

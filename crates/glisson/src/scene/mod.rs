@@ -4,13 +4,14 @@
 //! line, what was found, what is allowed, and what was probably meant.
 
 mod build;
+mod contact;
 mod instrument;
 mod models;
 mod organ;
 mod reader;
 mod spec;
 
-pub use build::{BuildError, OrganBody, build_world, mesh_hash, read_organ};
+pub use build::{BuildError, OrganBody, build_world, mesh_hash, read_organ, read_tools};
 pub use instrument::{PathPoint, tool_on_path};
 pub use models::{build_model, build_model_as_cut};
 pub use organ::{MaterialSource, MeasuredSample, OrganSource, OrganZone};

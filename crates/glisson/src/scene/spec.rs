@@ -1,5 +1,6 @@
 //! What a scene file says.
 
+use super::contact::read_contact;
 use super::instrument::{InstrumentSource, PathPoint, read_tool, tool_on_path, tool_sections};
 use super::organ::{OrganSource, read_organ};
 use super::reader::{SceneError, Section, parse_toml};
@@ -48,12 +49,14 @@ impl Scene {
         }
         let name = root.string("name")?.map_or_else(|| "unnamed scene".to_string(), |n| n.0);
         let simulation = root.section("simulation")?;
+        let contact = root.section("contact")?;
         let organ = root.section("organ")?.ok_or_else(|| root.missing("organ", "[organ]"))?;
         let tools = tool_sections(&mut root)?;
         root.finish()?;
 
         let simulation = read_simulation(simulation)?;
         let (organ, surroundings) = read_organ(organ)?;
+        let own_contact = contact.map(|section| read_contact(section, organ.model)).transpose()?.flatten();
         let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
         for section in tools {
             let InstrumentSource { tool, path, shape } = read_tool(section)?;
@@ -71,6 +74,7 @@ impl Scene {
             fields: surroundings.fields,
             // Its material comes with the mesh.
             tearing: None,
+            own_contact,
             vessels: Vec::new(),
             tools: scripted,
         };

@@ -5,6 +5,7 @@ pub mod fracture;
 pub mod cut;
 pub mod pose;
 pub mod trocar;
+pub mod found;
 
 use crate::contact::shapes::MeshShape;
 use crate::math::DVec3;

@@ -1,14 +1,15 @@
 //! The stages of a step around the model: what the hands do to it, and what they feel of it.
 
 use super::grasp::{Grasp, HOLDS_BELOW, Hold};
-use super::hand::Hand;
+use super::hand::{ContactSearch, Hand};
 use super::parts::ToolPart;
 use super::slide::{Follow, PatchAnswer};
 use super::tear::edge_motion_m;
 use super::{StepInput, World};
+use crate::contact::response::itself::{OwnContact, OwnResponse};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
-use crate::model::ImposedDisplacement;
+use crate::model::{ImposedDisplacement, NodalForce};
 use crate::tool::pose::ToolFrame;
 
 /// Displacements imposed at once at most: what every model takes.
@@ -20,6 +21,20 @@ pub(super) struct Owner {
     hand: u8,
     /// A part that touches; `None` for jaws that hold.
     part: Option<ToolPart>,
+}
+
+/// Both lists, which ascend by node, as one.
+fn merge_into(loads: &[NodalForce], springs: &[NodalForce], forces: &mut Vec<NodalForce>) {
+    let mut loads = loads.iter().copied().peekable();
+    forces.clear();
+    for spring in springs {
+        while let Some(before) = loads.next_if(|load| load.node < spring.node) {
+            forces.push(before);
+        }
+        let also_n = loads.next_if(|load| load.node == spring.node).map_or(DVec3::ZERO, |load| load.force_n);
+        forces.push(NodalForce { node: spring.node, force_n: spring.force_n + also_n });
+    }
+    forces.extend(loads);
 }
 
 impl World {
@@ -51,15 +66,21 @@ impl World {
                 }
             }
             hand.follow_edge(tool, &self.organ);
-            hand.find_contacts(tool, &self.organ, self.spec.tearing.as_ref(), input.placed[place]);
+            let search = ContactSearch {
+                organ: &self.organ,
+                tearing: self.spec.tearing.as_ref(),
+                is_placed: input.placed[place],
+                detected: input.detected_on(place, self.organ.topology_version()),
+            };
+            hand.find_contacts(tool, &search);
             for contact in hand.contacts.iter_mut().flatten() {
                 contact.push_out(self.spec.time_step_s);
             }
         }
     }
 
-    /// Tells the model what the hands and the loads impose.
-    pub(super) fn constrain(&mut self) {
+    /// Tells the model what the hands and the loads impose, in a step of so many parts.
+    pub(super) fn constrain(&mut self, n_substeps: u32) {
         self.constraints.displacements.clear();
         self.owners.clear();
         self.impose_grasps();
@@ -67,14 +88,32 @@ impl World {
             self.impose_contacts(part);
         }
         self.sort_imposed();
-        self.constraints.forces.clear();
-        self.constraints.forces.extend_from_slice(self.loads.forces_in_step(self.step));
+        self.gather_forces(n_substeps);
         self.model.apply(&self.constraints);
         let fields_m_per_s2 = self.loads.acceleration_in_step_m_per_s2(self.step);
         let pull_m_per_s2 = self.gravity_m_per_s2 + fields_m_per_s2;
         if pull_m_per_s2 != self.pull_m_per_s2 {
             self.pull_m_per_s2 = pull_m_per_s2;
             self.model.set_gravity(pull_m_per_s2);
+        }
+    }
+
+    /// The loads, and the springs where the organ touches itself.
+    fn gather_forces(&mut self, n_substeps: u32) {
+        let dt_s = self.spec.time_step_s / f64::from(n_substeps);
+        let springs = match &mut self.own_contact {
+            Some(own_contact) => own_contact.forces(self.model.as_ref(), dt_s),
+            None => &[],
+        };
+        merge_into(self.loads.forces_in_step(self.step), springs, &mut self.constraints.forces);
+    }
+
+    /// The springs' forces for the next part of a step.
+    pub(super) fn push_own_contacts(&mut self, n_substeps: u32) {
+        let has_springs = |own: &OwnContact| matches!(own.params().response, OwnResponse::Penalty(_));
+        if self.own_contact.as_deref().is_some_and(has_springs) {
+            self.gather_forces(n_substeps);
+            self.model.apply(&self.constraints);
         }
     }
 
@@ -144,6 +183,15 @@ impl World {
         let owner = Owner { hand: hand as u8, part };
         let forces = self.model.constraint_forces_n().iter().zip(&self.owners);
         forces.filter(|(_, o)| **o == owner).map(|(force_n, _)| *force_n).sum()
+    }
+
+    /// Force of a hand on one of the nodes that its jaws hold in the last step [N].
+    pub(super) fn force_on_node_n(&self, hand: usize, node: NodeId) -> DVec3 {
+        let owner = Owner { hand: hand as u8, part: None };
+        let imposed = self.constraints.displacements.iter().zip(&self.owners);
+        let mut forces = imposed.zip(self.model.constraint_forces_n());
+        let found = forces.find(|((imposed, found), _)| imposed.node == node && **found == owner);
+        found.map_or(DVec3::ZERO, |(_, force_n)| *force_n)
     }
 
     /// Force of one part of a hand on each of three nodes in the last step [N].

@@ -7,7 +7,7 @@ use super::hand::Hand;
 use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
 use super::vessels::Vessels;
-use super::{QueuedSwap, World};
+use super::{QueuedSwap, World, own_contact_of};
 use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::refine::{FineRegion, refining};
 use crate::mesh::topology::TopologyError;
@@ -86,6 +86,8 @@ pub(super) struct Journal {
     /// ... then all edits that stand from the first on that was no removal. They grow with the mesh, whose numbers
     /// only grow as well.
     later: Vec<Vec<MeshEdit>>,
+    /// What edits did, if somebody wants to know.
+    changes: Option<Vec<TopologyChange>>,
 }
 
 impl Journal {
@@ -96,13 +98,15 @@ impl Journal {
             depth: UNDO_DEPTH,
             removed: Vec::new(),
             later: Vec::new(),
+            changes: None,
         }
     }
 
     /// The same edits, of which none can be taken back: their saved values belong to another world.
     pub(super) fn without_undo(&self) -> Self {
         let (removed, later) = (self.removed.clone(), self.later.clone());
-        Self { depth: self.depth, removed, later, ..Self::new() }
+        let changes = self.changes.as_ref().map(|_| Vec::new());
+        Self { depth: self.depth, removed, later, changes, ..Self::new() }
     }
 
     /// No edit so far can be taken back any more.
@@ -233,6 +237,9 @@ impl World {
         }
         self.let_all_follow(&mut record);
         record.n_removed_first = self.journal.note(edits);
+        if let Some(changes) = &mut self.journal.changes {
+            changes.push(record.change.clone());
+        }
         self.journal.records.push_back(record);
         self.journal.shorten();
         let last = self.journal.records.back().or(self.journal.spare.last());
@@ -293,6 +300,7 @@ impl World {
         if let Some(vessels) = &mut self.vessels {
             vessels.follow(self.organ.body(), change);
         }
+        self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
     }
 
     /// Takes the last edit back, and an order of a model that was not delivered yet: mesh, model, supports, loads and vessels are what they were just before it, bit for bit,
@@ -325,6 +333,7 @@ impl World {
         for (active, heat) in self.active.iter_mut().zip(&record.heat) {
             active.go_back_to(heat);
         }
+        self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
         self.owners.clear();
         self.constraints.displacements.clear();
         if self.journal.later.pop().is_none() {
@@ -339,6 +348,17 @@ impl World {
     /// How many edits can be taken back.
     pub fn n_edits_to_undo(&self) -> usize {
         self.journal.records.len()
+    }
+
+    /// Keeps what each edit from now on does, also those of the tools, for [`World::take_changes`].
+    pub fn keep_changes(&mut self) {
+        self.journal.changes.get_or_insert_default();
+    }
+
+    /// What edits did since the last call, in their order; none unless [`World::keep_changes`] was called. One that was taken
+    /// back since is among them.
+    pub fn take_changes(&mut self) -> Vec<TopologyChange> {
+        self.journal.changes.as_mut().map(std::mem::take).unwrap_or_default()
     }
 
     /// How many edits can be taken back from now on at most. An edit of a model that has to be copied for it costs its

@@ -169,6 +169,25 @@ pub(super) fn pull_limit_n(tool: &Tool, jaws: &Jaws, pose: &ToolInput) -> f64 {
     tool.grip.friction_coefficient * jaws.closing_force_n * closed
 }
 
+/// Work on jaws that hold tissue, for their whole way [J], and how it falls when they open by that way [J], from the stiffness
+/// of what they hold along the way that they close [N/m].
+///
+/// The jaws close as a spring that is slack where they let go and at their closing force where they are closed: what
+/// [`pull_limit_n`] takes for granted. It presses in series with the tissue: firm tissue bears the whole closing force, soft
+/// tissue gives way. Both act at the middle of the jaws. A choice: no model of this project squeezes tissue between jaws.
+pub(super) fn squeeze_j(jaws: &Jaws, pose: &ToolInput, tissue_n_per_m: f64) -> [f64; 2] {
+    // Half the gap at the jaws' middle, for the whole way.
+    let gap_m = 0.25 * jaws.length_m * jaws.greatest_opening_rad;
+    let jaw_n_per_m = jaws.closing_force_n / (gap_m * LETS_GO_ABOVE);
+    let sum_n_per_m = jaw_n_per_m + tissue_n_per_m;
+    if !(tissue_n_per_m > 0.0 && sum_n_per_m.is_finite() && sum_n_per_m > 0.0) {
+        return [0.0; 2];
+    }
+    let pressed_n_per_m = jaw_n_per_m * tissue_n_per_m / sum_n_per_m;
+    let slope_j = 2.0 * gap_m * gap_m * pressed_n_per_m;
+    [slope_j * (LETS_GO_ABOVE - pose.jaw_opening).max(0.0), slope_j]
+}
+
 /// Keeps a list of the nearest, ascending, each once.
 fn insert_nearest(list: &mut [(f64, NodeId)], new: (f64, NodeId)) {
     if list.iter().any(|&(_, node)| node == new.1) {
@@ -188,6 +207,25 @@ pub(super) fn room_for_search() -> Vec<ToolContact> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The closing force in series with what is held: all of it on what is firm, a share on what is soft, none on nothing.
+    #[test]
+    fn jaws_are_pushed_open_by_what_they_squeeze() {
+        let jaws = Jaws { length_m: 0.02, width_m: 4e-3, greatest_opening_rad: 1.0, closing_force_n: 5.0 };
+        let pose = |jaw_opening: f64| ToolInput { jaw_opening, ..ToolInput::at(DVec3::ZERO, DVec3::Z) };
+        // Both jaws at their middle move by 5 mm each when they open by 1 rad.
+        let firm = |opening: f64| squeeze_j(&jaws, &pose(opening), 1e12)[0];
+        assert!((firm(0.0) - 2.0 * 5.0 * 5e-3).abs() < 1e-9 && (firm(0.175) - 5.0 * 5e-3).abs() < 1e-9);
+        assert_eq!(firm(0.5), 0.0);
+        let jaw_n_per_m = 5.0 / (0.35 * 5e-3);
+        let [half_j, slope_j] = squeeze_j(&jaws, &pose(0.1), jaw_n_per_m);
+        assert!((half_j - 0.5 * firm(0.1)).abs() < 1e-9);
+        let [less_j, _] = squeeze_j(&jaws, &pose(0.2), jaw_n_per_m);
+        assert!((half_j - less_j - 0.1 * slope_j).abs() < 1e-12);
+        for nothing in [0.0, -1.0, f64::NAN] {
+            assert_eq!(squeeze_j(&jaws, &pose(0.0), nothing), [0.0; 2]);
+        }
+    }
 
     #[test]
     fn the_nearest_are_kept_once_each_in_order() {

@@ -1,23 +1,34 @@
 //! One instrument in a world: where it is, what it touches and holds.
 
 use super::StepInput;
+use super::detection::{FirstTouch, first_touch, touching_radius_m};
 use super::grasp::Grasp;
 use super::organ::Organ;
-use super::parts::{ToolPart, ToolPoint, capsule, mesh_of, motion, rigid_pose};
+use super::parts::{ToolPart, ToolPoint, capsule, mesh_of};
 use super::skin::SurfacePlace;
 use super::tear::{Overload, edge_cuts};
 use super::touch::{ContactBegin, HeldContact};
-use crate::contact::continuous::FirstContact;
-use crate::contact::shapes::MeshShape;
-use crate::contact::triangles::closest_weights;
+use crate::contact::continuous::{CONTACT_TOLERANCE_M, FirstContact};
+use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::topology::Topology;
+use crate::tool::found::{Detected, FoundTouch};
 use crate::tool::fracture::Tearing;
 use crate::tool::{Tool, ToolInput};
 
-/// A mesh touches when it is this near [m]: far below what is seen, far above rounding, so that there is a direction
-/// from tissue to tool.
-const MESH_SKIN_M: f64 = 1e-4;
+/// What was found elsewhere counts while the part is no further from the touched place [m]: a choice, as far as a hand may come
+/// while a simulation stalls.
+const MOST_DEEP_M: f64 = 0.03;
+
+/// What contacts are looked for with.
+#[derive(Clone, Copy)]
+pub(super) struct ContactSearch<'a> {
+    pub(super) organ: &'a Organ,
+    pub(super) tearing: Option<&'a Tearing>,
+    pub(super) is_placed: bool,
+    /// What was found elsewhere; then nothing is searched here.
+    pub(super) detected: Option<&'a Detected>,
+}
 
 /// What a tool felt and did in a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -125,13 +136,8 @@ impl Hand {
     }
 
     /// Finds what the parts touch that touch nothing yet.
-    pub(super) fn find_contacts(
-        &mut self,
-        tool: &Tool,
-        organ: &Organ,
-        tearing: Option<&Tearing>,
-        is_placed: bool,
-    ) {
+    pub(super) fn find_contacts(&mut self, tool: &Tool, search: &ContactSearch<'_>) {
+        let ContactSearch { organ, tearing, is_placed, detected } = *search;
         for part in ToolPart::ALL {
             let holds = self.grasp.is_some() && part != ToolPart::Shaft;
             // An edge that cuts does not push.
@@ -150,9 +156,10 @@ impl Hand {
             if self.is_buried[part.index()] {
                 continue;
             }
-            let touch = match mesh_of(tool) {
-                Some(shape) if part == ToolPart::Tip => self.mesh_touch(shape, organ, is_placed),
-                _ => self.capsule_touch(tool, part, organ, is_placed),
+            let touch = match detected {
+                Some(detected) => detected.touches[part.index()]
+                    .and_then(|told| self.touch_as_told(tool, part, &told, organ)),
+                None => self.touch(tool, part, organ, is_placed),
             };
             match touch {
                 None | Some(ContactBegin::FromInside) => {}
@@ -162,54 +169,47 @@ impl Hand {
         }
     }
 
-    fn capsule_touch(
+    fn touch(&self, tool: &Tool, part: ToolPart, organ: &Organ, is_placed: bool) -> Option<ContactBegin> {
+        let surface = organ.skin().searched(!is_placed);
+        let FirstTouch { found, at } = first_touch(tool, part, [&self.before, &self.now], &surface)?;
+        let mut place = organ.skin().place_of(found);
+        let contact: &mut FirstContact = &mut place.found.contact;
+        if contact.normal == DVec3::ZERO && mesh_of(tool).is_some() && part == ToolPart::Tip {
+            // They cross: out along the tissue's own normal.
+            contact.normal = organ.face_normal(place.nodes);
+        }
+        let at = ToolPoint::of(part, at);
+        let point_m = at.in_world_m(tool, &self.now);
+        Some(HeldContact::begin(&place, at, (point_m, touching_radius_m(tool, part)), organ))
+    }
+
+    /// A touch that was found elsewhere, where the part still is at or behind the touched place.
+    fn touch_as_told(
         &self,
         tool: &Tool,
         part: ToolPart,
+        told: &FoundTouch,
         organ: &Organ,
-        is_placed: bool,
     ) -> Option<ContactBegin> {
-        let motion = motion(tool, part, &self.before, &self.now)?;
-        let place = organ.skin().first_contact(&motion, !is_placed)?;
-        let contact = &place.found.contact;
-        let then = motion.at(contact.time);
-        let axis = then.to_m - then.from_m;
-        let along = (contact.points_m[0] - then.from_m).dot(axis) / axis.length_squared();
-        let at = ToolPoint::OnAxis(part, if along.is_finite() { along.clamp(0.0, 1.0) } else { 0.0 });
+        let slot = organ.skin().slot_of(told.triangle)?;
+        let (triangle, nodes) = organ.skin().place_in_slot(slot);
+        let positions_m = organ.positions_m();
+        let touched_m: DVec3 = (0..3).map(|v| positions_m[nodes[v].index()] * told.weights[v]).sum();
+        let at = ToolPoint::of(part, told.at);
         let point_m = at.in_world_m(tool, &self.now);
-        Some(HeldContact::begin(&place, at, (point_m, motion.radius_m), organ))
-    }
-
-    fn mesh_touch(&self, shape: &MeshShape, organ: &Organ, is_placed: bool) -> Option<ContactBegin> {
-        let (start, end) = (rigid_pose(&self.before), rigid_pose(&self.now));
-        let reach_m = MESH_SKIN_M + shape.path_error_m(&start, &end);
-        let mut first: Option<(SurfacePlace, DVec3)> = None;
-        for triangle in &shape.triangles {
-            let body_m = triangle.map(|v| shape.positions_m[v as usize]);
-            let corners_m = [start, end].map(|pose| body_m.map(|p| pose.rotation * p + pose.origin_m));
-            let Some(mut place) = organ.skin().first_contact_of_triangle(corners_m, reach_m, !is_placed)
-            else {
-                continue;
-            };
-            let found: &mut FirstContact = &mut place.found.contact;
-            let is_first = first.as_ref().is_none_or(|(best, _)| {
-                let best = &best.found.contact;
-                found.time < best.time || found.time == best.time && found.gap_m < best.gap_m
-            });
-            if is_first {
-                let then_m = [0, 1, 2].map(|v| corners_m[0][v].lerp(corners_m[1][v], found.time));
-                let weights = closest_weights(found.points_m[0], then_m);
-                let in_tool_m = (0..3).map(|v| body_m[v] * weights[v]).sum();
-                if found.normal == DVec3::ZERO {
-                    // They cross: out along the tissue's own normal.
-                    found.normal = organ.face_normal(place.nodes);
-                }
-                first = Some((place, in_tool_m));
-            }
-        }
-        let (place, in_tool_m) = first?;
-        let at = ToolPoint::Fixed(in_tool_m);
-        let point_m = end.rotation * in_tool_m + end.origin_m;
-        Some(HeldContact::begin(&place, at, (point_m, MESH_SKIN_M), organ))
+        let radius_m = touching_radius_m(tool, part);
+        let way_m = point_m - touched_m;
+        let is_there = told.normal.dot(way_m) - radius_m <= CONTACT_TOLERANCE_M
+            && way_m.length() - radius_m <= MOST_DEEP_M;
+        let contact = FirstContact {
+            time: 1.0,
+            points_m: [point_m, touched_m],
+            normal: told.normal,
+            // Tissue that was overlapped before is pushed out bit by bit, other tissue followed the part since.
+            gap_m: told.gap_m.clamp(-MOST_DEEP_M, 0.0),
+        };
+        let found = ToolContact { triangle: slot, weights: told.weights, contact };
+        let place = SurfacePlace { triangle, nodes, found };
+        is_there.then(|| HeldContact::begin(&place, at, (point_m, radius_m), organ))
     }
 }

@@ -2,12 +2,12 @@
 //! is free the place that it will touch next.
 
 use super::World;
-use super::grasp::pull_limit_n;
-use super::parts::{ToolPart, capsule};
+use super::grasp::{pull_limit_n, squeeze_j};
+use super::parts::{ToolPart, ToolPoint, capsule};
 use super::skin::SurfacePlace;
 use crate::contact::spread::motion_weights;
 use crate::contact::tool_contact::ToolContact;
-use crate::haptics::{HapticModel, PatchStiffness, Touch, TouchedPart};
+use crate::haptics::{AxesModel, HapticModel, PatchStiffness, Touch, TouchedPart};
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::NodeId;
 use crate::model::{LocalModel, LocalWork};
@@ -34,12 +34,17 @@ const TOLERANCE: f64 = 1e-3;
 /// What it bears along the surface over the push, at most.
 const MOST_FRICTION: f64 = 20.0;
 
+/// A contact so near the trocar that it moves less than this share across the shaft is told at the tip: a choice.
+const LEAST_LEVER: f64 = 0.05;
+
 /// A point of tissue that follows the tool: how for a unit motion of the tip, and with which part. Its weights are those of
 /// the followers that name it.
 #[derive(Clone, Copy, Debug)]
 struct PressedPoint {
     motion: DMat3,
     part: usize,
+    /// How it moves when the jaws open by their whole way [m], when the instrument turns about its shaft [m/rad], and not.
+    by_axes: DMat3,
 }
 
 /// A node that bears a share of the force on a point.
@@ -83,7 +88,7 @@ impl HapticScratch {
     }
 
     /// A point that presses on `nodes` by `weights`; nodes that are known already, and those without weight, do not count.
-    fn follow<const N: usize>(&mut self, nodes: [NodeId; N], weights: [f64; N], motion: DMat3, part: usize) {
+    fn follow<const N: usize>(&mut self, nodes: [NodeId; N], weights: [f64; N], of: PressedPoint) {
         let point = self.points.len();
         let n_before = self.followers.len();
         for (node, weight) in nodes.into_iter().zip(weights) {
@@ -93,7 +98,7 @@ impl HapticScratch {
             }
         }
         if self.followers.len() > n_before {
-            self.points.push(PressedPoint { motion, part });
+            self.points.push(of);
         }
     }
 
@@ -178,31 +183,43 @@ impl World {
         let positions_m = self.organ.positions_m();
         scratch.clear();
         let mut n_parts = 0;
+        let mut axes = AxesForces::default();
         if let Some(grasp) = &hand.grasp {
+            let mut touched = Touching::default();
             for (node, place_m) in grasp.places_m(ToolFrame::of(&pose)) {
-                scratch.follow([node], [1.0], lever(tool, &pose, place_m), n_parts);
+                let point = PressedPoint {
+                    motion: lever(tool, &pose, place_m),
+                    part: n_parts,
+                    by_axes: DMat3::from_cols(DVec3::ZERO, turn_m_per_rad(&pose, place_m), DVec3::ZERO),
+                };
+                scratch.follow([node], [1.0], point);
+                let force_n = -self.force_on_node_n(place, node);
+                touched.add(force_n, place_m, &point.motion);
+                axes.add(force_n, &point);
             }
-            model.parts[n_parts] = TouchedPart {
-                touch: Touch::Grasp,
-                force_n: -self.force_on_organ_n(place, None),
-                ..TouchedPart::default()
-            };
+            model.parts[n_parts] = touched.part(Touch::Grasp, tool, &pose);
             n_parts += 1;
         }
         for part in ToolPart::ALL {
             let Some(contact) = &hand.contacts[part.index()] else { continue };
-            let motion = lever(tool, &pose, contact.at.in_world_m(tool, &pose));
-            scratch.follow(contact.nodes, self.free_weights(contact.nodes, contact.weights), motion, n_parts);
-            let force_n = -self.force_on_organ_n(place, Some(part));
-            model.parts[n_parts] = TouchedPart {
-                touch: Touch::Contact,
-                force_n,
-                normal: contact.normal,
-                friction_coefficient: friction_now(tool, force_n, contact.normal),
-                ..TouchedPart::default()
+            let place_m = contact.at.in_world_m(tool, &pose);
+            let (opening, turn) = (opening_m(tool, &pose, contact.at), turn_m_per_rad(&pose, place_m));
+            let point = PressedPoint {
+                motion: lever(tool, &pose, place_m),
+                part: n_parts,
+                by_axes: DMat3::from_cols(opening, turn, DVec3::ZERO),
             };
+            scratch.follow(contact.nodes, self.free_weights(contact.nodes, contact.weights), point);
+            let force_n = -self.force_on_organ_n(place, Some(part));
+            let mut touched = Touching::default();
+            touched.add(force_n, place_m, &point.motion);
+            axes.add(force_n, &point);
+            let mut touched =
+                TouchedPart { normal: contact.normal, ..touched.part(Touch::Contact, tool, &pose) };
+            touched.friction_coefficient = friction_now(tool, touched.force_n, contact.normal);
+            model.parts[n_parts] = touched;
             if model.normal == DVec3::ZERO {
-                model.friction_coefficient = model.parts[n_parts].friction_coefficient;
+                model.friction_coefficient = touched.friction_coefficient;
                 model.normal = contact.normal;
                 model.surface_m = contact.point_m(positions_m);
                 model.surface_velocity_m_per_s =
@@ -215,18 +232,41 @@ impl World {
             return;
         }
         self.solve_patch(scratch, response_s);
+        let tool = &self.spec.tools[place];
+        let points = &scratch.points;
         for (i, part) in model.parts[..n_parts].iter_mut().enumerate() {
-            let points = &scratch.points;
-            part.stiffness_n_per_m = scratch.patch.stiffness_n_per_m(|point| points[point].part == i);
-            model.stiffness_n_per_m += part.stiffness_n_per_m;
-            model.force_n += part.force_n;
+            let at_tip_n_per_m = scratch.patch.stiffness_n_per_m(|point| points[point].part == i);
+            model.stiffness_n_per_m += at_tip_n_per_m;
+            model.force_n += part.at_tip_n(part.force_n);
+            part.stiffness_n_per_m = if part.lever == DMat3::IDENTITY {
+                at_tip_n_per_m
+            } else {
+                let back = part.lever.inverse();
+                back.transpose() * at_tip_n_per_m * back
+            };
         }
         model.touch = model.parts[0].touch;
-        if n_parts > 1 {
+        let closing = ToolFrame::of(&pose).world_from_tool.x_axis;
+        let held =
+            (model.touch == Touch::Grasp).then(|| closing.dot(model.parts[0].stiffness_n_per_m * closing));
+        if n_parts > 1 || model.parts[0].lever != DMat3::IDENTITY {
             model.n_parts = n_parts as u32;
         } else {
             model.parts = [TouchedPart::default(); HapticModel::MOST_PARTS];
         }
+        let [slope_j, slope_n_m_per_rad] = axes.slopes(scratch);
+        let squeezed_j = match (tool.kind.jaws(), held) {
+            (Some(jaws), Some(tissue_n_per_m)) => squeeze_j(jaws, &pose, tissue_n_per_m),
+            _ => [0.0; 2],
+        };
+        model.axes = AxesModel {
+            twist_n_m: axes.twist_n_m,
+            roll_rad: pose.roll_rad,
+            twist_stiffness_n_m_per_rad: slope_n_m_per_rad,
+            jaw_j: axes.jaw_j + squeezed_j[0],
+            jaw_opening: pose.jaw_opening,
+            jaw_stiffness_j: slope_j + squeezed_j[1],
+        };
     }
 
     /// The place that a free tool will touch, and how stiff it is.
@@ -274,7 +314,8 @@ impl World {
         model.gap_m = contact.gap_m.max(0.0);
         model.surface_velocity_m_per_s =
             self.organ.skin().velocity_m_per_s(surface.nodes, surface.found.weights, self.spec.time_step_s);
-        scratch.follow(surface.nodes, weights, DMat3::IDENTITY, 0);
+        let at_tip = PressedPoint { motion: DMat3::IDENTITY, part: 0, by_axes: DMat3::ZERO };
+        scratch.follow(surface.nodes, weights, at_tip);
         self.solve_patch(scratch, response_s);
         model.stiffness_n_per_m = scratch.patch.stiffness_n_per_m(|_| true);
     }
@@ -296,6 +337,79 @@ impl World {
             None => [0.0; 3],
         }
     }
+}
+
+/// Contacts that are told as one part: what they do at the tip, and where they are in the middle.
+#[derive(Clone, Copy, Debug, Default)]
+struct Touching {
+    at_tip_n: DVec3,
+    places_m: DVec3,
+    n: u32,
+}
+
+impl Touching {
+    fn add(&mut self, force_n: DVec3, place_m: DVec3, motion: &DMat3) {
+        self.at_tip_n += motion.transpose() * force_n;
+        self.places_m += place_m;
+        self.n += 1;
+    }
+
+    /// The force in their middle that does the same at the tip. What touches in the trocar itself moves with no tip: it is told
+    /// at the tip.
+    fn part(&self, touch: Touch, tool: &Tool, pose: &ToolInput) -> TouchedPart {
+        let middle = lever(tool, pose, self.places_m / f64::from(self.n.max(1)));
+        let is_level = middle.determinant() >= LEAST_LEVER * LEAST_LEVER;
+        let lever = if is_level { middle } else { DMat3::IDENTITY };
+        let force_n = lever.inverse().transpose() * self.at_tip_n;
+        TouchedPart { touch, force_n, lever, ..TouchedPart::default() }
+    }
+}
+
+/// Moment about the shaft and work on the jaws.
+#[derive(Clone, Copy, Debug, Default)]
+struct AxesForces {
+    twist_n_m: f64,
+    jaw_j: f64,
+    /// Whether any point moves with them.
+    moves: bool,
+}
+
+impl AxesForces {
+    fn add(&mut self, force_n: DVec3, point: &PressedPoint) {
+        self.jaw_j += force_n.dot(point.by_axes.x_axis);
+        self.twist_n_m += force_n.dot(point.by_axes.y_axis);
+        self.moves |= point.by_axes != DMat3::ZERO;
+    }
+
+    /// How they fall when the jaws open by their whole way [J] and when the instrument turns [N m/rad]; the patch is solved anew.
+    fn slopes(&self, scratch: &mut HapticScratch) -> [f64; 2] {
+        if !self.moves {
+            return [0.0; 2];
+        }
+        let points = &scratch.points;
+        scratch.patch.solve(&scratch.pressed, |point| points[point].by_axes);
+        let slopes = scratch.patch.rise_n_per_m(|_| true);
+        [slopes.x_axis.x, slopes.y_axis.y].map(|slope| if slope.is_finite() { slope.max(0.0) } else { 0.0 })
+    }
+}
+
+/// How a place that is fixed to the tool moves when the instrument turns about its shaft [m/rad].
+fn turn_m_per_rad(pose: &ToolInput, place_m: DVec3) -> DVec3 {
+    pose.shaft_in_world.cross(place_m - pose.tip_in_world_m)
+}
+
+/// How a point on a jaw moves when the jaws open by their whole way [m].
+fn opening_m(tool: &Tool, pose: &ToolInput, point: ToolPoint) -> DVec3 {
+    let (Some(jaws), ToolPoint::OnAxis(part, along)) = (tool.kind.jaws(), point) else { return DVec3::ZERO };
+    let side = match part {
+        ToolPart::Tip => 1.0,
+        ToolPart::SecondJaw => -1.0,
+        ToolPart::Shaft => return DVec3::ZERO,
+    };
+    let (sine, cosine) = libm::sincos(0.5 * jaws.opening_rad(pose.jaw_opening));
+    let arm_m = (1.0 - along) * jaws.length_m;
+    let in_tool_m = DVec3::new(side * cosine, 0.0, sine) * (0.5 * jaws.greatest_opening_rad * arm_m);
+    ToolFrame::of(pose).world_from_tool * in_tool_m
 }
 
 /// Coefficient that the tissue shows now: that of the tool, or the little more that a step leaves beyond it.

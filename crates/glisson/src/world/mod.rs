@@ -6,6 +6,7 @@
 mod active;
 mod constrain;
 mod cut;
+pub mod detection;
 mod edits;
 mod grasp;
 mod hand;
@@ -15,6 +16,7 @@ pub mod organ;
 mod parts;
 pub mod saved;
 mod skin;
+mod capsule;
 mod slide;
 pub mod spec;
 mod tear;
@@ -26,13 +28,16 @@ pub use edits::EditRefusal;
 pub use hand::ToolReport;
 pub use parts::ToolPart;
 
+use crate::contact::response::bodies::ResponseReport;
+use crate::contact::response::itself::OwnContact;
 use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::model::kind::ModelKind;
-use crate::model::{Constraints, DeformableModel, Effort, ModelReport, ModelState};
+use crate::model::{Constraints, DeformableModel, Effort, ModelReport, ModelState, NodalForce};
 use crate::record::hash::StateHash;
 use crate::record::snapshot::{BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
+use crate::tool::found::Detected;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use active::ActiveTip;
 use constrain::{MOST_IMPOSED, Owner};
@@ -57,6 +62,9 @@ pub struct StepInput {
     pub n_substeps: u32,
     /// Tools that were put there without touching anything between: contacts are let go, the way is not searched.
     pub placed: [bool; MAX_TOOLS],
+    /// What was found for each tool outside of this world, on a copy of its surface; for `None`, and on another surface,
+    /// the world searches by itself.
+    pub detected: [Option<Detected>; MAX_TOOLS],
 }
 
 impl StepInput {
@@ -67,13 +75,19 @@ impl StepInput {
     pub fn of(tools: &[ToolInput]) -> Self {
         assert!((1..=MAX_TOOLS).contains(&tools.len()), "{} tools", tools.len());
         let tools = std::array::from_fn(|i| tools[i.min(tools.len() - 1)]);
-        Self { tools, n_substeps: 1, placed: [false; MAX_TOOLS] }
+        Self { tools, n_substeps: 1, placed: [false; MAX_TOOLS], detected: [None; MAX_TOOLS] }
     }
 
     /// The same tools, put there.
     #[must_use]
     pub fn placed(self) -> Self {
         Self { placed: [true; MAX_TOOLS], ..self }
+    }
+
+    /// What was found for a tool on the surface of this version, if it makes sense.
+    fn detected_on(&self, tool: usize, surface_version: u32) -> Option<&Detected> {
+        let detected = self.detected[tool].as_ref();
+        detected.filter(|d| d.surface_version == surface_version && d.is_plausible())
     }
 
     /// The same in `n_substeps` parts.
@@ -94,6 +108,8 @@ pub struct StepReport {
     pub waits_for_model: bool,
     /// Nodes whose position is not finite, which only a broken model can bring about.
     pub n_non_finite_nodes: u32,
+    /// How the organ touched itself; of several sub-steps the last one.
+    pub own_contact: ResponseReport,
     /// What the model says about the step; of several sub-steps the last one, with the internal steps of all.
     pub model: ModelReport,
 }
@@ -134,6 +150,8 @@ pub struct World {
     haptics: Option<Box<HapticScratch>>,
     /// Scratch of what touched patches answer.
     slide: Box<SlideScratch>,
+    /// How the organ touches itself, if the scene wants it.
+    own_contact: Option<Box<OwnContact>>,
     loads: Loads,
     gravity_m_per_s2: DVec3,
     /// Gravity and force fields of the last step.
@@ -167,6 +185,7 @@ impl World {
         }
         let loads = Loads::new(&spec, &organ);
         let slide = Box::new(SlideScratch::for_nodes(organ.mesh().positions_m.len()));
+        let own_contact = own_contact_of(&spec, &organ, model.as_ref());
         let hands = spec.tools.iter().map(Hand::at_home).collect();
         let active = spec.tools.iter().map(|tool| ActiveTip::new(tool, organ.body())).collect();
         let mut constraints = Constraints::default();
@@ -189,6 +208,7 @@ impl World {
             between_jaws: grasp::room_for_search(),
             haptics: None,
             slide,
+            own_contact,
             loads,
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,
@@ -341,8 +361,9 @@ impl World {
             return self.report;
         }
         self.move_hands(input);
-        self.constrain();
-        self.move_organ(input.n_substeps.max(1));
+        let n_substeps = input.n_substeps.max(1);
+        self.constrain(n_substeps);
+        self.move_organ(n_substeps);
         self.read_forces();
         if let Some(vessels) = &mut self.vessels {
             vessels.advance(self.spec.time_step_s);
@@ -377,8 +398,15 @@ impl World {
     fn move_organ(&mut self, n_substeps: u32) {
         let dt_s = self.spec.time_step_s / f64::from(n_substeps);
         let mut n_parts = 0;
-        for _ in 0..n_substeps {
+        for part in 0..n_substeps {
+            if part > 0 {
+                self.push_own_contacts(n_substeps);
+            }
             self.model.step(dt_s);
+            if let Some(own_contact) = &mut self.own_contact {
+                own_contact.respond_to_step(self.model.as_mut(), dt_s);
+                self.report.own_contact = own_contact.report();
+            }
             n_parts += self.model.report().n_parts;
         }
         self.report.model = ModelReport { n_parts, ..self.model.report() };
@@ -450,10 +478,21 @@ impl World {
         vessels.clip(tip_m, reach_m, self.organ.body(), positions_m)
     }
 
+    /// Forces of the scene's loads on nodes in the last step, ascending by node.
+    pub fn load_forces(&self) -> &[NodalForce] {
+        &self.constraints.forces
+    }
+
     /// The instruments.
     pub fn tools(&self) -> &[Tool] {
         &self.spec.tools
     }
+}
+
+fn own_contact_of(spec: &WorldSpec, organ: &Organ, model: &dyn DeformableModel) -> Option<Box<OwnContact>> {
+    let params = spec.own_contact.as_ref()?;
+    let positions_m = model.state().positions_m;
+    Some(Box::new(OwnContact::new(params, organ.body().topology(), organ.mesh(), positions_m)))
 }
 
 fn contact_report(contact: &HeldContact, positions_m: &[DVec3]) -> ContactReport {

@@ -1,5 +1,6 @@
 //! The organ as the world sees it: mesh, supports, and the surface that is displayed and touched.
 
+use super::capsule::Capsule;
 use super::skin::{Skin, SurfaceChange};
 use super::spec::{Support, fixed_nodes};
 use crate::image::vessels::TubeError;
@@ -71,6 +72,7 @@ pub struct Organ {
     /// Ascending.
     surface_nodes: Vec<NodeId>,
     skin: Skin,
+    capsule: Capsule,
     topology_version: u32,
 }
 
@@ -92,7 +94,14 @@ impl Organ {
         body.reserve(SPARE_TETS);
         let surface_nodes = body.topology().surface_nodes().collect();
         let skin = Skin::new(&body, &body.mesh().positions_m);
-        Ok(Self { body, fixed: EntityArray::new(fixed), surface_nodes, skin, topology_version: 1 })
+        Ok(Self {
+            body,
+            fixed: EntityArray::new(fixed),
+            surface_nodes,
+            skin,
+            capsule: Capsule::default(),
+            topology_version: 1,
+        })
     }
 
     /// Mesh and adjacency, to be edited; what follows has to be told.
@@ -125,6 +134,7 @@ impl Organ {
             added: &change.surface_triangles_added,
             removed: &change.surface_triangles_removed,
         };
+        self.capsule.follow(&self.body, &surface, |triangle| self.skin.nodes_of(triangle));
         self.skin.follow(&self.body, &surface);
         self.topology_version += 1;
     }
@@ -251,11 +261,13 @@ impl Organ {
     /// The surface for a viewer. Made anew from the mesh: asked for when the version changed, not in steps.
     pub fn display_topology(&self) -> DisplayTopology {
         let (surface, nodes) = surface_of(self.body.topology(), self.body.mesh());
+        let is_cut = self.body.topology().surface_triangles().map(|t| self.capsule.is_cut(t)).collect();
         DisplayTopology {
             version: self.topology_version,
             nodes,
             rest_positions_m: surface.positions_m,
             triangles: surface.triangles,
+            is_cut,
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::contact::shapes::{Capsule, CapsuleMotion, RigidPose};
 use crate::math::DVec3;
+use crate::tool::found::TouchingPoint;
 use crate::tool::pose::ToolFrame;
 use crate::tool::trocar::trocar_pose;
 use crate::tool::{Tool, ToolInput, ToolKind, ToolShape};
@@ -125,6 +126,14 @@ pub(super) enum ToolPoint {
 }
 
 impl ToolPoint {
+    /// What of a part a search found touching.
+    pub(super) fn of(part: ToolPart, found: TouchingPoint) -> Self {
+        match found {
+            TouchingPoint::OnAxis(along) => Self::OnAxis(part, along),
+            TouchingPoint::Fixed(in_tool_m) => Self::Fixed(in_tool_m),
+        }
+    }
+
     /// Where it is [m].
     pub(super) fn in_world_m(self, tool: &Tool, pose: &ToolInput) -> DVec3 {
         match self {

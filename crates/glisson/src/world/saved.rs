@@ -44,6 +44,7 @@ impl World {
             between_jaws: grasp::room_for_search(),
             haptics: None,
             slide: Box::new(SlideScratch::for_nodes(self.organ.mesh().positions_m.len())),
+            own_contact: self.own_contact.clone(),
             loads: self.loads.clone(),
             gravity_m_per_s2: self.gravity_m_per_s2,
             pull_m_per_s2: self.pull_m_per_s2,

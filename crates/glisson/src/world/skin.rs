@@ -1,10 +1,11 @@
 //! The organ's surface as instruments meet it: where it moved in the last step, and a search over it that follows edits
 //! triangle by triangle.
 
+use super::detection::SearchedSurface;
 use crate::contact::broad_phase::BroadPhaseKind;
 use crate::contact::proxy::ProxySurface;
 use crate::contact::proxy_surface::SurfaceAdjacency;
-use crate::contact::shapes::{Capsule, CapsuleMotion};
+use crate::contact::shapes::Capsule;
 use crate::contact::tool_contact::{SurfaceSearch, ToolContact};
 use crate::math::DVec3;
 use crate::mesh::edit::EditableMesh;
@@ -119,6 +120,12 @@ impl Skin {
         self.is_stale = true;
     }
 
+    /// Nodes of a triangle of the surface, counter-clockwise from outside; none for others.
+    pub(super) fn nodes_of(&self, triangle: TriangleId) -> Option<[NodeId; 3]> {
+        let slot = *self.slots.get(triangle.index())?;
+        (slot != NONE).then(|| self.nodes[slot as usize])
+    }
+
     /// Takes an edit back that was followed last.
     pub(super) fn unfollow(&mut self, body: &EditableMesh, change: &SurfaceChange<'_>) {
         // The opposite order: the slots are emptied and filled as a stack.
@@ -159,23 +166,10 @@ impl Skin {
         }
     }
 
-    /// First contact with a capsule that moved while the surface did, or with the surface as it is now.
-    pub(super) fn first_contact(&self, motion: &CapsuleMotion, surface_moves: bool) -> Option<SurfacePlace> {
+    /// The surface as it moved in the last step, or as it is now, to be searched.
+    pub(super) fn searched(&self, surface_moves: bool) -> SearchedSurface<'_> {
         let start_m = if surface_moves { &self.start_m } else { &self.end_m };
-        let found = self.search.first_contact(motion, start_m, &self.end_m)?;
-        Some(self.place_of(found))
-    }
-
-    /// First contact of one triangle of a tool's mesh.
-    pub(super) fn first_contact_of_triangle(
-        &self,
-        tool_m: [[DVec3; 3]; 2],
-        reach_m: f64,
-        surface_moves: bool,
-    ) -> Option<SurfacePlace> {
-        let start_m = if surface_moves { &self.start_m } else { &self.end_m };
-        let found = self.search.first_contact_of_triangle(tool_m, reach_m, start_m, &self.end_m)?;
-        Some(self.place_of(found))
+        SearchedSurface { search: &self.search, start_m, end_m: &self.end_m }
     }
 
     /// Whether a resting capsule overlaps the surface. Allocates nothing.

@@ -1,5 +1,6 @@
 //! What a world is made from, in SI.
 
+use crate::contact::response::itself::OwnContactParams;
 use crate::image::vessels::Tube;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::NodeId;
@@ -26,6 +27,8 @@ pub struct WorldSpec {
     pub fields: Vec<ForceField>,
     /// How it comes apart under force; it never does when absent, and then imposed motions have no limit.
     pub tearing: Option<Tearing>,
+    /// How the organ touches itself, and pieces cut loose each other; they pass through when absent.
+    pub own_contact: Option<OwnContactParams>,
     /// Blood vessels inside the organ, in its rest shape.
     pub vessels: Vec<Tube>,
     /// The instruments: one to [`crate::tool::MAX_TOOLS`].
@@ -44,6 +47,7 @@ impl WorldSpec {
             loads: Vec::new(),
             fields: Vec::new(),
             tearing: None,
+            own_contact: None,
             vessels: Vec::new(),
             tools: vec![tool],
         }

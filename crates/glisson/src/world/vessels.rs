@@ -8,8 +8,8 @@
 
 use crate::image::vessels::{Tube, TubeError, check_tube};
 use crate::math::{Aabb, DVec3, tetrahedron_volume_m3};
-use crate::mesh::TetId;
 use crate::mesh::edit::{EditableMesh, TopologyChange};
+use crate::mesh::{NodeId, TetId};
 use crate::record::snapshot::{BleedingEnd, BleedingSnapshot};
 
 /// Flow in the portal vein [m3/s]: 13.5 ml a minute for each kilogram of body weight (Carlisle et al. 1992,
@@ -107,6 +107,16 @@ impl Vessels {
         self.lost_m3
     }
 
+    /// Where a tube is severed nearest to the root, 0 to 1 along it.
+    pub fn severed_along(&self, tube: usize) -> Option<f64> {
+        self.cut_along[tube]
+    }
+
+    /// Where the middle of a tube is now [m]; none where it is in no tissue.
+    pub fn middle_m(&self, tube: usize, body: &EditableMesh, positions_m: &[DVec3]) -> Option<DVec3> {
+        self.middles[tube].map(|site| place_m(site, body, positions_m))
+    }
+
     /// Number of clips set.
     pub fn n_clips(&self) -> usize {
         self.clips.iter().map(Vec::len).sum()
@@ -152,7 +162,10 @@ impl Vessels {
         let topology = body.topology();
         let rest_m = &body.mesh().positions_m;
         let mut n_severed = 0;
-        for &triangle in &change.surface_triangles_added {
+        // A surface whose nodes moved may have come over a tube as well as one that is new.
+        let is_moved = |node: &NodeId| change.moved_nodes.binary_search(node).is_ok();
+        let moved = change.moved_nodes.iter().flat_map(|&node| topology.surface_triangles_at(node));
+        for triangle in change.surface_triangles_added.iter().copied().chain(moved) {
             let corners_m = topology.triangle_nodes(triangle).map(|n| rest_m[n.index()]);
             let around = Aabb::of_points(&corners_m);
             for (i, tube) in self.tubes.iter().enumerate() {
@@ -167,14 +180,21 @@ impl Vessels {
                 }
             }
         }
-        if change.is_renumbering() || !change.tets.removed.is_empty() {
+        let is_lost = |site: &Site| {
+            !topology.is_live_tet(site.tet) || topology.tet_nodes(site.tet).iter().any(is_moved)
+        };
+        if change.is_renumbering() || !change.tets.removed.is_empty() || !change.moved_nodes.is_empty() {
             for (site, tube) in self.middles.iter_mut().zip(&self.tubes) {
-                let is_gone = change.is_renumbering() || site.is_some_and(|s| !topology.is_live_tet(s.tet));
-                if is_gone {
+                if change.is_renumbering() || site.as_ref().is_some_and(is_lost) {
                     *site = site_of(body, tube.point_m(0.5));
                 }
             }
-            self.find_open_ends(body);
+            let ends_stay = change.tets.removed.is_empty()
+                && n_severed == 0
+                && !self.open.iter().any(|end| end.site.as_ref().is_some_and(is_lost));
+            if !ends_stay || change.is_renumbering() {
+                self.find_open_ends(body);
+            }
         }
         n_severed
     }

@@ -3,8 +3,8 @@
 use glam::DQuat;
 use glisson::haptics::passivity::EnergyControl;
 use glisson::haptics::{
-    DeviceLimits, DeviceMapping, DeviceState, ForceCommand, HandPath, HandSettings, HapticDevice, HapticLaw,
-    HapticModel, LawSettings, LawTick, SimulatedDevice, SimulatedDeviceSettings, Touch,
+    AxesModel, DeviceLimits, DeviceMapping, DeviceState, ForceCommand, HandPath, HandSettings, HapticDevice,
+    HapticLaw, HapticModel, LawSettings, LawTick, SimulatedDevice, SimulatedDeviceSettings, Touch,
 };
 use glisson::math::{DMat3, DVec3};
 
@@ -20,6 +20,7 @@ const LIMITS: DeviceLimits = DeviceLimits {
     damping_n_s_per_m: 0.6,
     resolution_m: 0.0,
     rate_hz: 1000.0,
+    ..DeviceLimits::NONE
 };
 
 fn at(position_m: DVec3) -> DeviceState {
@@ -394,4 +395,60 @@ fn control_changes_nothing_where_nothing_is_wrong() {
     let forces = run(EnergyControl::Tank);
     assert_eq!(forces, run(EnergyControl::ObserveOnly));
     assert!(forces.iter().any(|f| f.z > 0.5));
+}
+
+/// What turns the instrument and opens its jaws comes to the handle along its own axis and over its own way, without a jump,
+/// and goes when the tissue does.
+#[test]
+fn twist_and_jaws_are_felt_at_the_handle() {
+    let limits = DeviceLimits { torque_n_m: 0.2, jaw_force_n: 10.0, jaw_travel_m: 0.02, ..LIMITS };
+    let axes = AxesModel {
+        twist_n_m: 0.03,
+        roll_rad: 0.0,
+        twist_stiffness_n_m_per_rad: 0.05,
+        jaw_j: 0.02,
+        jaw_opening: 0.1,
+        jaw_stiffness_j: 0.1,
+    };
+    let held = HapticModel { step: 1, touch: Touch::Grasp, axes, ..HapticModel::default() };
+    let mapping = DeviceMapping { force_scale: 2.0, motion_scale: 0.5, ..DeviceMapping::default() };
+    // Energy at the handle is that at the tip times force scale over motion scale.
+    let scale = 4.0;
+    let settings = LawSettings { mapping, period_s: TICK_S, ..LawSettings::default() };
+    let mut law = HapticLaw::new(&settings, &limits);
+    let orientation = DQuat::from_rotation_arc(DVec3::Z, DVec3::new(0.6, 0.0, 0.8));
+    let device = |jaw_opening: f64| DeviceState { orientation, jaw_opening, ..at(DVec3::ZERO) };
+    let mut last = ForceCommand::default();
+    let mut tick = |model: &HapticModel, jaw_opening: f64| {
+        let command = law.tick(&device(jaw_opening), model, 0.01, TICK_S).command;
+        assert!((command.jaw_force_n - last.jaw_force_n).abs() <= scale * 0.04 + 0.12, "{command:?}");
+        last = command;
+        command
+    };
+    // The turn of this orientation against the tool's frame is not known here: it is the one that the first tick tells.
+    let mut probe = HapticLaw::new(&settings, &limits);
+    let roll_rad = probe.tick(&device(0.1), &held, 0.01, TICK_S).tool.roll_rad;
+    let held = HapticModel { axes: AxesModel { roll_rad, ..axes }, ..held };
+    let mut felt = ForceCommand::default();
+    for _ in 0..600 {
+        felt = tick(&held, 0.1);
+    }
+    assert!((felt.jaw_force_n - scale * 0.02 / 0.02).abs() < 1e-9, "{felt:?}");
+    let wanted_n_m = orientation * DVec3::Z * (scale * 0.03);
+    assert!(felt.torque_n_m.distance(wanted_n_m) < 1e-9, "{felt:?}");
+    // Closing on is harder, by the stiffness.
+    for i in 0..100 {
+        felt = tick(&held, 0.1 - 0.05 * f64::from(i + 1) / 100.0);
+    }
+    assert!((felt.jaw_force_n - scale * 0.025 / 0.02).abs() < 0.01, "{felt:?}");
+    for _ in 0..300 {
+        felt = tick(&HapticModel { step: 2, ..HapticModel::default() }, 0.05);
+    }
+    assert_eq!((felt.jaw_force_n, felt.torque_n_m), (0.0, DVec3::ZERO));
+    // A device without jaws and torque feels none of it.
+    let mut plain = HapticLaw::new(&settings, &LIMITS);
+    for _ in 0..300 {
+        felt = plain.tick(&device(0.1), &held, 0.01, TICK_S).command;
+    }
+    assert_eq!((felt.jaw_force_n, felt.torque_n_m), (0.0, DVec3::ZERO));
 }

@@ -29,10 +29,20 @@ fn random_stiffness(random: &mut SeededRandom, size: f64) -> DMat3 {
     part(random) + part(random) + part(random)
 }
 
+/// Of places up to half-way to the trocar, and now and then of the tip itself.
+fn random_lever(random: &mut SeededRandom) -> DMat3 {
+    let shaft = random_vector(random, 1.0).normalize_or(DVec3::Z);
+    let from_tip_m = shaft * random.uniform_in(0.0, 0.05) + random_vector(random, 3e-3);
+    if random.next_u64().is_multiple_of(3) {
+        return DMat3::IDENTITY;
+    }
+    DMat3::IDENTITY * (1.0 - shaft.dot(from_tip_m) / 0.1) + outer(shaft, from_tip_m) * (1.0 / 0.1)
+}
+
 fn random_model(random: &mut SeededRandom, step: u64, tip_m: DVec3) -> HapticModel {
     let touches = [Touch::Free, Touch::Contact, Touch::Grasp];
     let mut pick = |n: u64| random.next_u64() % n;
-    let (touch, n_parts) = (touches[pick(3) as usize], if pick(4) == 0 { 2 + pick(3) as u32 } else { 0 });
+    let (touch, n_parts) = (touches[pick(3) as usize], if pick(4) == 0 { 1 + pick(4) as u32 } else { 0 });
     let is_broken = pick(40) == 0;
     let has_friction = pick(3) > 0;
     let part = |random: &mut SeededRandom, touch: Touch| TouchedPart {
@@ -45,6 +55,7 @@ fn random_model(random: &mut SeededRandom, step: u64, tip_m: DVec3) -> HapticMod
         } else {
             f64::INFINITY
         },
+        lever: random_lever(random),
     };
     let mut model =
         HapticModel { step, time_s: step as f64 * 0.03, period_s: 0.03, touch, ..HapticModel::default() };
@@ -76,10 +87,13 @@ fn follows_n_per_m(model: &HapticModel) -> f64 {
     let size = |m: &DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
     let of = |stiffness: &DMat3, mu: f64| {
         let mu = if mu.is_finite() { mu } else { 20.0 };
-        (2.0 + mu) * (2.0 + mu) * size(stiffness)
+        // What a slide adds is no steeper than the stiffness, along the push and, with friction, along the drag.
+        ((2.0 + mu) * (2.0 + mu) + 2.0 + mu) * size(stiffness)
     };
     let parts = &model.parts[..model.n_parts as usize];
-    let of_parts: f64 = parts.iter().map(|p| of(&p.stiffness_n_per_m, p.friction_coefficient)).sum();
+    let of_part =
+        |p: &TouchedPart| of(&p.stiffness_n_per_m, p.friction_coefficient) * size(&p.lever) * size(&p.lever);
+    let of_parts: f64 = parts.iter().map(of_part).sum();
     if model.n_parts > 0 { of_parts } else { of(&model.stiffness_n_per_m, model.friction_coefficient) }
 }
 
@@ -345,4 +359,88 @@ fn a_cut_under_the_tip_is_no_jump_and_the_lost_force_is_gone_in_the_end() {
         }
     }
     assert!(felt_n.length() < 0.3 * before_n, "{felt_n} of {before_n}");
+}
+
+/// Where the shaft of the next test goes in: beside the block, hardly above it.
+const TROCAR_M: DVec3 = DVec3::new(-0.05, 0.047, 0.1035);
+
+/// A rod that lies on the block: its tip presses, and its shaft does between the tip and the trocar. What is felt at the tip
+/// has to have the moment of both about the trocar, and their force along the shaft.
+#[test]
+fn a_shaft_and_a_tip_together_are_felt_with_the_moment_of_both() {
+    let smooth = Grip { friction_coefficient: 0.0, is_sticky: false };
+    for (grip, tolerance) in [(smooth, 0.01), (STICKY, 0.05)] {
+        let rod = Tool { trocar_m: Some(TROCAR_M), ..tool(ToolKind::Probe, grip) };
+        let mut world = world(ModelKind::Precomputed, rod);
+        let lying = |z_m: f64| ToolInput::at(DVec3::new(0.09, 0.047, z_m), DVec3::NEG_X);
+        world.step(&StepInput::of(&[lying(0.12)]).placed());
+        for i in 0..=100 {
+            world.step(&StepInput::of(&[lying(0.12 - 0.0215 * f64::from(i) / 100.0)]));
+        }
+        let contacts = world.snapshot().tools[0].contacts;
+        let (tip, shaft) = (contacts[0].expect("the tip presses"), contacts[2].expect("so does the shaft"));
+        let model = world.haptic_model(0);
+        assert_eq!(model.n_parts, 2);
+        let [at_tip, at_shaft] = [model.parts[0], model.parts[1]];
+        assert!(at_tip.force_n.length() > 0.05 && at_shaft.force_n.length() > 0.05, "{model:?}");
+        let sum_n = at_tip.force_n + at_shaft.force_n;
+        assert!(sum_n.distance(world.report().tools[0].force_on_tool_n) < 1e-9 * sum_n.length());
+        let moment_n_m = (tip.point_m - TROCAR_M).cross(at_tip.force_n)
+            + (shaft.point_m - TROCAR_M).cross(at_shaft.force_n);
+        let along = (TROCAR_M - model.tip_m).normalize();
+        let felt_n = model.force_at(model.tip_m, 0.0);
+        assert!(felt_n.distance(model.force_n) < 1e-12);
+        let off_n_m = ((model.tip_m - TROCAR_M).cross(felt_n) - moment_n_m).reject_from(along);
+        assert!(off_n_m.length() < tolerance * moment_n_m.length(), "{off_n_m} of {moment_n_m}");
+        assert!((felt_n.dot(along) - sum_n.dot(along)).abs() < 1e-12);
+        // As if both acted at the tip it would be far more.
+        let summed_n_m = (model.tip_m - TROCAR_M).cross(sum_n);
+        assert!(summed_n_m.length() > 1.2 * moment_n_m.length(), "{summed_n_m} {moment_n_m}");
+        // The stiffness goes through the levers as well.
+        let saved = world.save();
+        for way_m in [DVec3::Z * -3e-4, DVec3::Z * 3e-4] {
+            world.restore(&saved);
+            let tip_m = model.tip_m + way_m;
+            world.step(&StepInput::of(&[ToolInput::at(tip_m, along)]));
+            let found_n = world.haptic_model(0).force_n;
+            let (off_n, rise_n) =
+                ((model.force_at(tip_m, 0.0) - found_n).length(), (found_n - model.force_n).length());
+            assert!(off_n < 0.1 * rise_n, "{way_m}: {off_n} of {rise_n}");
+        }
+    }
+}
+
+/// Closed jaws in the block's edge that turn about the shaft are turned back, and feel what they squeeze.
+#[test]
+fn jaws_that_hold_are_turned_back_and_pushed_open() {
+    let grip = Grip { friction_coefficient: 1.0, is_sticky: true };
+    let mut world = world(ModelKind::Precomputed, tool(ToolKind::Grasper(JAWS), grip));
+    let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, SIZE_M - 2e-3) };
+    world.step(&StepInput::of(&[open]).placed());
+    let mut closed = open;
+    for i in 0..20 {
+        closed.jaw_opening = 1.0 - f64::from(i + 1) / 20.0;
+        step_to(&mut world, closed);
+    }
+    let model = world.haptic_model(0);
+    assert_eq!(model.touch, Touch::Grasp);
+    let axes = model.axes;
+    assert!(axes.jaw_j > 0.0 && axes.jaw_stiffness_j > 0.0 && axes.jaw_opening == 0.0, "{axes:?}");
+    // No more than the closing force of both jaws at their middle.
+    let most_j = 2.0 * JAWS.closing_force_n * 0.25 * JAWS.length_m * JAWS.greatest_opening_rad;
+    assert!(axes.jaw_j < most_j && axes.jaw_at_j(0.35) < 1e-12, "{axes:?}");
+    assert!(axes.twist_stiffness_n_m_per_rad > 0.0, "{axes:?}");
+    for turn_rad in [0.05, -0.05] {
+        let saved = world.save();
+        step_to(&mut world, ToolInput { roll_rad: turn_rad, ..closed });
+        let found_n_m = world.haptic_model(0).axes.twist_n_m;
+        world.restore(&saved);
+        let (said_n_m, rise_n_m) = (axes.twist_at_n_m(turn_rad), found_n_m - axes.twist_n_m);
+        assert!(rise_n_m * turn_rad < 0.0, "{found_n_m}");
+        assert!((said_n_m - found_n_m).abs() < 0.1 * rise_n_m.abs(), "{said_n_m} {found_n_m}");
+    }
+    let count = allocation_counter::measure(|| {
+        std::hint::black_box(world.haptic_model(0));
+    });
+    assert_eq!(count.count_total, 0);
 }

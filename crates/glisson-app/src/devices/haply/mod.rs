@@ -26,10 +26,13 @@ const LIMITS: DeviceLimits = DeviceLimits {
     damping_n_s_per_m: 4.0,
     resolution_m: 1e-5,
     rate_hz: 1_000.0,
+    ..DeviceLimits::NONE
 };
 
 /// A service that says nothing for so long has stopped.
 const LONGEST_SILENCE: Duration = Duration::from_millis(500);
+/// What takes so long to say something of use has stopped, too.
+const LONGEST_TURN: Duration = Duration::from_secs(1);
 /// Between two tries to reach the service.
 const RETRY: Duration = Duration::from_millis(500);
 /// Frames have some 2 kB a device.
@@ -70,8 +73,33 @@ fn connect(address: &str) -> anyhow::Result<TcpStream> {
     Ok(stream)
 }
 
+/// A connection that waits no longer than until a moment, however slowly the bytes come.
+struct Impatient {
+    stream: TcpStream,
+    until: Instant,
+}
+
+impl Read for Impatient {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        if Instant::now() >= self.until {
+            return Err(std::io::ErrorKind::TimedOut.into());
+        }
+        self.stream.read(bytes)
+    }
+}
+
+impl Write for Impatient {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.stream.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.stream.flush()
+    }
+}
+
 struct Session {
-    socket: WebSocket<TcpStream>,
+    socket: WebSocket<Impatient>,
     generation: Generation,
     /// The first Inverse3 that was seen is kept to.
     device_id: Option<String>,
@@ -98,7 +126,7 @@ impl HaplyLine {
         let config = WebSocketConfig::default()
             .max_message_size(Some(LONGEST_FRAME_BYTES))
             .max_frame_size(Some(LONGEST_FRAME_BYTES));
-        let stream = connect(&self.address)?;
+        let stream = Impatient { stream: connect(&self.address)?, until: Instant::now() + LONGEST_TURN };
         let (socket, _) = tungstenite::client::client_with_config(request, stream, Some(config))
             .map_err(|e| anyhow::anyhow!("{}: no WebSocket: {e}", self.address))?;
         Ok(Session { socket, generation, device_id: None, n_refused: 0 })
@@ -115,10 +143,15 @@ enum Trouble {
 
 impl Session {
     fn turn(&mut self, command: &ForceCommand) -> Result<DeviceState, Trouble> {
+        self.socket.get_mut().until = Instant::now() + LONGEST_TURN;
         loop {
             let message = self.socket.read().map_err(|_| Trouble::Line("the service stopped answering"))?;
-            let Message::Text(text) = message else { continue };
-            let Ok(update) = parse(&text, self.device_id.as_deref()) else {
+            // What is no text is no state either.
+            let update = match message {
+                Message::Text(text) => parse(&text, self.device_id.as_deref()).ok(),
+                _ => None,
+            };
+            let Some(update) = update else {
                 self.n_refused += 1;
                 if self.n_refused < MOST_REFUSED {
                     continue;
@@ -146,6 +179,7 @@ pub(super) fn examine(address: &str) -> anyhow::Result<String> {
     let until = Instant::now() + 2 * LONGEST_SILENCE;
     let mut reason = "it sends nothing".to_owned();
     while Instant::now() < until {
+        session.socket.get_mut().until = until;
         let Message::Text(text) = session.socket.read().context("the service stopped answering")? else {
             continue;
         };

@@ -166,3 +166,55 @@ fn rubbish_is_dropped_and_a_device_that_is_not_calibrated_gets_no_force() {
     );
     assert!(service.forces.try_iter().all(|(_, force)| force == DVec3::ZERO));
 }
+
+/// A service that answers `/version` and then says what `say` says, without end.
+fn talks(say: fn(&mut WebSocket<TcpStream>) -> bool) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    // It ends with the test's process.
+    std::thread::spawn(move || {
+        for mut stream in listener.incoming().map_while(Result::ok) {
+            std::thread::spawn(move || {
+                let mut head = [0; 16];
+                while stream.peek(&mut head).is_ok_and(|n| n < 12) {}
+                if head.starts_with(b"GET /version") {
+                    let _ = stream.read(&mut [0; 1000]);
+                    let _ = write!(stream, "HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\n3.5.0");
+                    return;
+                }
+                let Ok(mut socket) = tungstenite::accept(stream) else { return };
+                while say(&mut socket) {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            });
+        }
+    });
+    address
+}
+
+#[test]
+fn a_service_that_never_says_anything_of_use_is_lost_and_the_driver_ends_soon() {
+    let binary = |socket: &mut WebSocket<TcpStream>| socket.send(Message::binary(vec![1; 20])).is_ok();
+    let pings = |socket: &mut WebSocket<TcpStream>| socket.send(Message::Ping(vec![1].into())).is_ok();
+    // The head of a text of 100 kB, and then a byte in a while, each before its reader's patience ends.
+    let drips = |socket: &mut WebSocket<TcpStream>| {
+        let stream = socket.get_mut();
+        let mut begun = stream.write_all(&[0x81, 127, 0, 0, 0, 0, 0, 1, 0, 0]);
+        while begun.is_ok() {
+            std::thread::sleep(Duration::from_millis(100));
+            begun = stream.write_all(b" ");
+        }
+        false
+    };
+    for (say, reason) in [
+        (binary as fn(&mut WebSocket<TcpStream>) -> bool, "cannot be used"),
+        (pings, "cannot be used"),
+        (drips, "stopped answering"),
+    ] {
+        let mut device = open(&talks(say).to_string()).unwrap();
+        wait_for(&mut *device, |a| matches!(a, Err(DeviceFault::Lost(said)) if said.contains(reason)));
+        let start = Instant::now();
+        drop(device);
+        assert!(start.elapsed() < Duration::from_secs(4), "{reason}: {:?}", start.elapsed());
+    }
+}

@@ -4,13 +4,16 @@ use super::frames::{
     Frame, FrameDecoder, FrameError, Identity, MOST_FRAME_BYTES, MOST_TROCARS, Message, Outputs, State, flags,
 };
 use glisson::haptics::trocar::encoders::{JointReading, SensorFault};
+use glisson::haptics::trocar::identification::TagError;
 use glisson::haptics::trocar::motors::analog_outputs;
 use glisson::haptics::trocar::placement::handle_orientation;
 use glisson::haptics::trocar::statics::{AxisEfforts, efforts};
 use glisson::haptics::trocar::{
-    ContactForce, InstrumentTag, JointReader, Mapping, Saturation, TrocarProfile, Wrench,
+    ContactForce, InstrumentTag, InstrumentType, JointReader, Mapping, Saturation, TrocarProfile, Wrench,
 };
-use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
+use glisson::haptics::{
+    DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice, InsertedInstrument,
+};
 use std::borrow::Cow;
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -22,7 +25,14 @@ pub(crate) trait ByteLine: Send {
 
     /// Sends all of `bytes`, whole frames, or nothing of them when the line is full: the next tick has newer ones.
     fn send(&mut self, bytes: &[u8]) -> std::io::Result<()>;
+
+    /// Ticks that it adds between a command and the first state that shows what it did.
+    fn delay_ticks(&self) -> usize;
 }
+
+/// A board behind a socket has its own clock: a command waits for its next tick, and what it did comes with the state at the
+/// end of that tick, for which the loop's next look may be too early.
+const TCP_DELAY_TICKS: usize = 2;
 
 /// Most bytes that are sent at once.
 const MOST_SENT_BYTES: usize = 8 * MOST_FRAME_BYTES;
@@ -61,6 +71,10 @@ impl ByteLine for TcpLine {
         }
     }
 
+    fn delay_ticks(&self) -> usize {
+        TCP_DELAY_TICKS
+    }
+
     fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
         assert!(bytes.len() <= MOST_SENT_BYTES, "{} bytes at once", bytes.len());
         self.from += Self::push(&mut self.stream, &self.rest[self.from..self.to])?;
@@ -87,6 +101,8 @@ pub(crate) struct BoardSettings {
     pub(crate) saturation: Saturation,
     /// Ticks a second of the loop that drives it [Hz]: a slower one than the board's renders less stiffness.
     pub(crate) loop_rate_hz: f64,
+    /// The kind of the scene's tool ([`glisson::tool::ToolKind::NAMES`]) that the instrument has to act as; any for none.
+    pub(crate) tool_kind: Option<&'static str>,
 }
 
 impl BoardSettings {
@@ -98,6 +114,7 @@ impl BoardSettings {
             mapping: Mapping::Thesis,
             saturation: Saturation::EachMotor,
             loop_rate_hz: profile.rate_hz,
+            tool_kind: None,
         }
     }
 }
@@ -140,7 +157,8 @@ pub(crate) struct TrocarDevice<L> {
     identity: Option<Identity>,
     state: Option<State>,
     reading: Result<JointReading, SensorFault>,
-    tag: Option<InstrumentTag>,
+    /// Of the last state; none before the first one.
+    tag: Option<Result<InstrumentTag, TagError>>,
     ticks_without_state: u32,
     n_refused_in_a_row: u32,
     last_refusal: Option<FrameError>,
@@ -196,9 +214,46 @@ impl<L: ByteLine> TrocarDevice<L> {
         self.identity
     }
 
-    /// The instrument in it, if its tag could be read.
+    /// The instrument in it, if there is one and its tag could be read.
     pub(crate) fn instrument(&self) -> Option<InstrumentTag> {
-        self.tag
+        self.tag().and_then(Result::ok)
+    }
+
+    /// What the tag of the instrument in it says; none before the first state and without an instrument.
+    pub(crate) fn tag(&self) -> Option<Result<InstrumentTag, TagError>> {
+        self.tag.filter(|_| self.state.is_some_and(|state| state.flags & flags::PRESENT != 0))
+    }
+
+    /// Reads until the board has told a state; answers whether it has.
+    ///
+    /// # Errors
+    /// When it is not what it should be, or the line is down.
+    pub(crate) fn hear(&mut self) -> anyhow::Result<bool> {
+        self.drain()?;
+        if let Some(DeviceFault::Failed(why)) = &self.failure {
+            anyhow::bail!("{why}");
+        }
+        Ok(self.state.is_some())
+    }
+
+    /// Whether it drives the right instrument, if that is known.
+    ///
+    /// # Errors
+    /// For one that does not act as the scene's tool: what is in it and what should be.
+    pub(crate) fn check_instrument(&self) -> anyhow::Result<()> {
+        let (Some(kind), Some(tag)) = (self.settings.tool_kind, self.instrument()) else { return Ok(()) };
+        let InstrumentTag { instrument, serial } = tag;
+        if instrument.tool_kind() == Some(kind) {
+            return Ok(());
+        }
+        let acts_as = instrument.tool_kind().map_or_else(|| "no tool".into(), |kind| format!("a \"{kind}\""));
+        let fitting: Vec<&str> = InstrumentType::acting_as(kind).map(InstrumentType::name).collect();
+        anyhow::bail!(
+            "the instrument in it ({}, number {serial}) acts as {acts_as}; the scene's instrument is a \"{kind}\": \
+             put in one of: {}; or give the device another instrument of the scene (DEVICE@NUMBER)",
+            instrument.name(),
+            fitting.join(", ")
+        )
     }
 
     /// What came over the line so far.
@@ -340,7 +395,7 @@ impl<L: ByteLine> TrocarDevice<L> {
             self.reader.forget_rates();
         }
         if self.state.is_none_or(|before| before.tag != state.tag) {
-            self.tag = InstrumentTag::of_bytes(state.tag).ok();
+            self.tag = Some(InstrumentTag::of_bytes(state.tag));
         }
         self.reading = self.reader.read(&state.encoders, period_s.clamp(1e-6, LONGEST_PERIOD_S));
         self.state = Some(state);
@@ -360,6 +415,15 @@ impl<L: ByteLine> TrocarDevice<L> {
         if !has(flags::PRESENT) {
             return lost("no instrument is in the trocar");
         }
+        match (self.tag, self.settings.tool_kind) {
+            (Some(Ok(tag)), Some(kind)) if tag.instrument.tool_kind() != Some(kind) => {
+                return lost(wrong_instrument(tag.instrument));
+            }
+            (Some(Err(_)) | None, _) => {
+                return lost("the tag of the instrument in the trocar cannot be read: put it in again");
+            }
+            (Some(Ok(_)), _) => {}
+        }
         match self.reading {
             Ok(_) => None,
             Err(SensorFault::NotHomed(_)) => lost(
@@ -369,6 +433,33 @@ impl<L: ByteLine> TrocarDevice<L> {
                 lost("encoders say where the mechanism cannot be: lost counts or another profile")
             }
         }
+    }
+}
+
+/// Fixed texts: it may be said every tick.
+fn wrong_instrument(instrument: InstrumentType) -> &'static str {
+    macro_rules! acts_as {
+        ($name:literal, $kind:literal) => {
+            concat!(
+                "the instrument in the trocar is a ",
+                $name,
+                ", which acts as ",
+                $kind,
+                "; the scene's instrument does not: put another one in"
+            )
+        };
+    }
+    match instrument {
+        InstrumentType::PalpationProbe => acts_as!("palpation probe", "a \"probe\""),
+        InstrumentType::AtraumaticGrasper => acts_as!("atraumatic grasper", "a \"grasper\""),
+        InstrumentType::ToothedGrasper => acts_as!("toothed grasper", "a \"grasper\""),
+        InstrumentType::BiopsyForceps => acts_as!("biopsy forceps", "a \"grasper\""),
+        InstrumentType::Scissors => acts_as!("pair of scissors", "\"scissors\""),
+        InstrumentType::Scalpel => acts_as!("scalpel", "a \"scalpel\""),
+        InstrumentType::Hook => acts_as!("hook", "a \"hook\""),
+        InstrumentType::BipolarForceps => acts_as!("bipolar forceps", "a \"cautery\""),
+        InstrumentType::NeedleHolder => acts_as!("needle holder", "a \"grasper\""),
+        InstrumentType::Endoscope => acts_as!("camera", "no tool"),
     }
 }
 
@@ -391,7 +482,13 @@ fn refuse_identity(identity: &Identity, profile: &TrocarProfile) -> Option<Strin
 impl<L: ByteLine> HapticDevice for TrocarDevice<L> {
     fn limits(&self) -> DeviceLimits {
         let BoardSettings { profile, loop_rate_hz, .. } = self.settings;
-        TrocarProfile { rate_hz: profile.rate_hz.min(loop_rate_hz), ..profile }.device_limits()
+        let limits = TrocarProfile { rate_hz: profile.rate_hz.min(loop_rate_hz), ..profile }.device_limits();
+        DeviceLimits { loop_delay_ticks: self.line.delay_ticks(), ..limits }
+    }
+
+    fn inserted(&self) -> Option<InsertedInstrument> {
+        let InstrumentTag { instrument, serial } = self.instrument()?;
+        Some(InsertedInstrument { name: instrument.name(), serial })
     }
 
     /// The position is that of the instrument's tip, in the device's frame: where forces act.

@@ -95,6 +95,45 @@ fn instruments_are_identified_and_missed() {
     assert!((state.position_m.length() - 0.15).abs() < 3e-4, "{}", state.position_m.length());
 }
 
+/// A real board would push a hand that holds scissors as if it held a probe.
+#[test]
+fn an_instrument_that_the_scene_does_not_have_or_whose_tag_cannot_be_read_gets_no_force() {
+    let profile = TrocarProfile::built();
+    let settings = BoardSettings { tool_kind: Some("probe"), ..BoardSettings::new(profile) };
+    let mut device = device(board(profile), settings);
+    assert!(device.hear().unwrap() && device.check_instrument().is_ok());
+    assert!(device.read().is_ok());
+    assert_eq!(device.inserted(), Some(InsertedInstrument { name: "palpation probe", serial: 7 }));
+    device.line_mut().board.smear_tag(true);
+    assert_eq!(
+        reason(device.read()),
+        "the tag of the instrument in the trocar cannot be read: put it in again"
+    );
+    assert_eq!((device.inserted(), device.tag().map(|tag| tag.is_err())), (None, Some(true)));
+    device.line_mut().board.smear_tag(false);
+    assert!(device.read().is_ok());
+    for instrument in InstrumentType::ALL {
+        device.line_mut().board.change_instrument(Some(InstrumentTag { instrument, serial: 9 }));
+        // Its marks have to be passed first where it is right.
+        let found = (0..3000).map(|_| device.read()).last().unwrap();
+        if instrument == InstrumentType::PalpationProbe {
+            assert!(found.is_ok() && device.check_instrument().is_ok());
+            continue;
+        }
+        let why = reason(found);
+        let kind = instrument.tool_kind().map_or("no tool".into(), |kind| format!("\"{kind}\""));
+        assert!(why.contains(&kind) && why.ends_with("put another one in"), "{why}");
+        let named = instrument == InstrumentType::Endoscope || why.contains(instrument.name());
+        assert!(named, "{why}");
+        let error = device.check_instrument().unwrap_err().to_string();
+        assert!(
+            error.contains(instrument.name()) && error.contains("put in one of: palpation probe;"),
+            "{error}"
+        );
+        assert_eq!(device.inserted().unwrap().serial, 9);
+    }
+}
+
 #[test]
 fn an_emergency_stop_and_a_silent_host_leave_the_hand_alone() {
     let profile = TrocarProfile::built();
@@ -142,6 +181,10 @@ impl ByteLine for Said {
         into[..n].copy_from_slice(&self.0[..n]);
         self.0.drain(..n);
         Ok(n)
+    }
+
+    fn delay_ticks(&self) -> usize {
+        0
     }
 
     fn send(&mut self, _: &[u8]) -> std::io::Result<()> {

@@ -22,6 +22,8 @@ use std::time::{Duration, Instant};
 
 /// How long a board may take to say what it is.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// How long a board that was greeted may take to tell a state.
+const FIRST_STATE: Duration = Duration::from_millis(500);
 /// Between two looks whether it has.
 const LOOK: Duration = Duration::from_millis(5);
 
@@ -39,6 +41,13 @@ impl ByteLine for BoardLine {
         }
     }
 
+    fn delay_ticks(&self) -> usize {
+        match self {
+            Self::Tcp(line) => line.delay_ticks(),
+            Self::Simulated(line) => line.delay_ticks(),
+        }
+    }
+
     fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
         match self {
             Self::Tcp(line) => line.send(bytes),
@@ -52,6 +61,11 @@ pub(crate) fn connect(address: &str, settings: BoardSettings) -> anyhow::Result<
     let line = BoardLine::Tcp(Box::new(TcpLine::new(stream_to(address)?)?));
     let mut device = TrocarDevice::new(line, settings);
     wait_for(address, &mut device, TrocarDevice::greet)?;
+    let until = Instant::now() + FIRST_STATE;
+    while !device.hear()? && Instant::now() < until {
+        std::thread::sleep(LOOK);
+    }
+    device.check_instrument().with_context(|| address.to_owned())?;
     Ok(device)
 }
 
@@ -65,7 +79,22 @@ pub(crate) fn examine(address: &str) -> anyhow::Result<String> {
         if device.identity().is_some() { Ok(true) } else { greeted }
     })?;
     let identity = device.identity().context("a board that was greeted")?;
-    Ok(format!("at {address}: {}", identity_text(&identity)))
+    let until = Instant::now() + FIRST_STATE;
+    // Of another profile it tells its instrument all the same.
+    while device.tag().is_none() && Instant::now() < until {
+        let _ = device.hear();
+        std::thread::sleep(LOOK);
+    }
+    Ok(format!("at {address}: {}; {}", identity_text(&identity), instrument_text(&device)))
+}
+
+/// For people: what is in it.
+fn instrument_text<L: ByteLine>(device: &TrocarDevice<L>) -> String {
+    match device.tag() {
+        Some(Ok(tag)) => format!("in it: {}, number {}", tag.instrument.name(), tag.serial),
+        Some(Err(error)) => format!("the instrument in it cannot be told: {error}"),
+        None => "no instrument is in it".into(),
+    }
 }
 
 /// For people: which board it is.
@@ -118,10 +147,11 @@ pub(crate) fn simulated(settings: BoardSettings, seed: u64) -> TrocarDevice<Simu
     TrocarDevice::new(simulated_line(&settings, START_INSERTION_M, seed), settings)
 }
 
-/// A line to such a board, with the instrument `insertion_m` [m] in.
+/// A line to such a board, with the instrument `insertion_m` [m] in: one that acts as the scene's.
 pub(crate) fn simulated_line(settings: &BoardSettings, insertion_m: f64, seed: u64) -> SimulatedLine {
     let start = TrocarJoints { insertion_m, ..TrocarJoints::default() };
-    let tag = InstrumentTag { instrument: InstrumentType::PalpationProbe, serial: 1 };
+    let fitting = settings.tool_kind.and_then(|kind| InstrumentType::acting_as(kind).next());
+    let tag = InstrumentTag { instrument: fitting.unwrap_or(InstrumentType::PalpationProbe), serial: 1 };
     let board = SimulatedBoard::new(Mechanism::new(settings.profile, start), tag, seed);
     SimulatedLine::new(board.numbered(settings.trocar).homed())
 }

@@ -37,6 +37,7 @@ pub(crate) struct SimulatedBoard {
     zero_steps: [f64; N_AXES],
     is_marked: [bool; N_AXES],
     tag: Option<InstrumentTag>,
+    is_smeared: bool,
     is_stopped: bool,
     last_refusal: Option<FrameError>,
     out: [u8; OUT_BYTES],
@@ -59,6 +60,7 @@ impl SimulatedBoard {
             zero_steps: std::array::from_fn(|_| random.uniform_in(-ZERO_STEPS, ZERO_STEPS)),
             is_marked: [false; N_AXES],
             tag: Some(tag),
+            is_smeared: false,
             is_stopped: false,
             last_refusal: None,
             out: [0; OUT_BYTES],
@@ -87,6 +89,17 @@ impl SimulatedBoard {
         self.mechanism.joints =
             TrocarJoints { insertion_m: 0.0, self_rotation_rad: 0.0, ..self.mechanism.joints };
         self.mechanism.rates = [0.0; N_AXES];
+    }
+
+    /// Another instrument is where the first one was when the board was switched on.
+    pub(crate) fn hold_instrument(&mut self, tag: InstrumentTag) {
+        self.tag = Some(tag);
+    }
+
+    /// The tag cannot be read any more, or again.
+    #[cfg(test)]
+    pub(crate) fn smear_tag(&mut self, is_smeared: bool) {
+        self.is_smeared = is_smeared;
     }
 
     /// The emergency stop.
@@ -190,7 +203,10 @@ impl SimulatedBoard {
                 | set(flags::STOPPED, self.is_stopped)
                 | set(flags::TIMED_OUT, self.outputs.is_enabled && self.is_timed_out()),
             encoders: EncoderSample { counts: at(values), mark_counts, is_marked: self.is_marked },
-            tag: self.tag.map_or([0; 4], InstrumentTag::to_bytes),
+            tag: self.tag.map_or([0; 4], |tag| {
+                let [code, low, high, check] = tag.to_bytes();
+                [code, low, high, if self.is_smeared { !check } else { check }]
+            }),
             buttons: 0,
         }
     }
@@ -319,6 +335,10 @@ impl ByteLine for SimulatedLine {
         self.has_ticked = n > 0;
         self.n_bytes += n as u64;
         Ok(n)
+    }
+
+    fn delay_ticks(&self) -> usize {
+        0
     }
 
     fn send(&mut self, frame: &[u8]) -> std::io::Result<()> {

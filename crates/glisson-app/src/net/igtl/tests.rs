@@ -1,6 +1,6 @@
 //! The server over a real socket, and bytes of every kind.
 
-use super::client::Described;
+use super::client::{Client, Described, View};
 use super::frame::{FrameReader, HEADER_BYTES, message};
 use super::*;
 use crate::runtime::live::{Lateness, Published};
@@ -14,7 +14,7 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant, SystemTime};
 use tokio::sync::watch;
 
 pub(in crate::net) fn published(step: u64) -> Arc<Published> {
@@ -39,6 +39,7 @@ pub(in crate::net) fn published(step: u64) -> Arc<Published> {
             nodes: vec![NodeId(0), NodeId(1), NodeId(2)],
             rest_positions_m: corners,
             triangles: vec![[0, 1, 2]],
+            is_cut: vec![false],
         }),
         pace: Pace::default(),
         state_hash: serde_json::from_str(&format!("\"{}\"", "0".repeat(64))).unwrap(),
@@ -138,13 +139,34 @@ fn any_bytes_are_frames_or_an_error_and_never_a_panic() {
         random ^= random << 17;
         random
     };
-    let kinds = ["GET_TRANS", "STT_POLYDATA", "STATUS", "GET_CAPABIL"];
-    let (mut n_frames, mut n_errors) = (0, 0);
-    for _ in 0..3_000 {
+    let kinds = [
+        "GET_TRANS",
+        "GET_POLYDATA",
+        "GET_STATUS",
+        "GET_CAPABIL",
+        "STT_TRANS",
+        "STT_POLYDATA",
+        "STP_TRANS",
+        "STP_POLYDATA",
+        "STATUS",
+        "GET_\u{fc}",
+        "STT_IMAGE",
+        "",
+    ];
+    let described = || Described {
+        axes: Axes::Ras,
+        tool_names: vec!["grasper".into(), "hook".into()],
+        organ_name: "liver".into(),
+    };
+    let (wall, mut now) = (SystemTime::now(), Instant::now());
+    let mut view = View::of(&published(1));
+    let (mut n_frames, mut n_errors, mut n_answers) = (0, 0, 0);
+    for step in 0..3_000 {
         let mut bytes = Vec::new();
         for _ in 0..1 + next() % 4 {
             let body: Vec<u8> = (0..next() % 40).map(|_| next() as u8).collect();
-            let mut frame = message(kinds[next() as usize % 4], "device", next(), &body);
+            let device = ["", "grasper", "device"][next() as usize % 3];
+            let mut frame = message(kinds[next() as usize % kinds.len()], device, next(), &body);
             if next().is_multiple_of(3) {
                 let at = next() as usize % frame.len();
                 frame[at] = next() as u8;
@@ -153,11 +175,20 @@ fn any_bytes_are_frames_or_an_error_and_never_a_panic() {
             bytes.extend(frame);
         }
         let mut reader = FrameReader::default();
+        let mut client = Client::new(described());
+        view.step = step;
         for piece in bytes.chunks(1 + next() as usize % 90) {
             reader.push(piece);
             loop {
                 match reader.next() {
-                    Ok(Some(_)) => n_frames += 1,
+                    Ok(Some(frame)) => {
+                        n_frames += 1;
+                        now += Duration::from_millis(next() % 50);
+                        let answer = client.hear(&frame, &view, now, wall).unwrap();
+                        n_answers += n_whole_frames(&answer);
+                        // What it asked for comes in whole frames, too.
+                        n_whole_frames(&client.due(&view, now, wall));
+                    }
                     Ok(None) => break,
                     Err(error) => {
                         n_errors += 1;
@@ -169,4 +200,18 @@ fn any_bytes_are_frames_or_an_error_and_never_a_panic() {
         }
     }
     assert!(n_frames > 1_000 && n_errors > 500, "{n_frames} frames, {n_errors} errors");
+    assert!(n_answers > 1_000, "{n_answers} answers");
+}
+
+/// How many frames these bytes are; nothing is left over.
+fn n_whole_frames(bytes: &[u8]) -> usize {
+    let mut reader = FrameReader::default();
+    reader.push(bytes);
+    let (mut n_frames, mut n_bytes) = (0, 0);
+    while let Some(frame) = reader.next().unwrap() {
+        n_frames += 1;
+        n_bytes += HEADER_BYTES + frame.body.len();
+    }
+    assert_eq!(n_bytes, bytes.len());
+    n_frames
 }

@@ -11,5 +11,5 @@ mod topics;
 mod publish;
 
 #[cfg(feature = "net")]
-pub(crate) use publish::spawn;
+pub(crate) use publish::{Over, spawn};
 pub(crate) use topics::Described;

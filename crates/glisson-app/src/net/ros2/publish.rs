@@ -4,9 +4,6 @@ use super::device::{Device, Situation, State};
 use super::keys::{Entity, Node, attachment, topic_key};
 use super::orders::{Order, OrderError, OrderKind, StateCommand};
 use super::topics::{Described, Pace, Scene, Topic};
-use crate::net::link::{Role, ZenohAddress};
-use crate::net::zenoh_link::config;
-use crate::net::zenoh_log;
 use crate::runtime::live::{Command, Published};
 use crate::server::steering::{Seat, Steering};
 use anyhow::{Context, anyhow};
@@ -48,7 +45,14 @@ struct Session {
     _subscribers: Vec<zenoh::pubsub::Subscriber<()>>,
     /// Others see node, publishers and subscribers as long as these live.
     _tokens: Vec<zenoh::liveliness::LivelinessToken>,
-    session: zenoh::Session,
+    over: Over,
+}
+
+/// The session that carries the topics.
+pub(crate) struct Over {
+    pub(crate) session: zenoh::Session,
+    /// Whether it is closed with the topics; otherwise others use it, too.
+    pub(crate) is_own: bool,
 }
 
 /// What is followed, and by whose leave.
@@ -69,7 +73,7 @@ struct Orders {
 /// # Errors
 /// When no session or no place at the controls can be had.
 pub(crate) fn spawn(
-    address: &ZenohAddress,
+    over: Over,
     domain: u32,
     described: Described,
     published: watch::Receiver<Arc<Published>>,
@@ -81,7 +85,7 @@ pub(crate) fn spawn(
         None
     };
     let (tell, arrivals) = sync_channel(MOST_WAITING);
-    let mut session = Session::open(address, domain, &described, &tell).map_err(|e| anyhow!("zenoh: {e}"))?;
+    let mut session = Session::open(over, domain, &described, &tell).map_err(|e| anyhow!("zenoh: {e}"))?;
     let mut orders =
         Orders { arrivals, first: None, seat, devices: described.devices(), last_order: None, told: None };
     let thread = std::thread::Builder::new().name("ros2".into()).spawn(move || {
@@ -95,13 +99,12 @@ pub(crate) fn spawn(
 
 impl Session {
     fn open(
-        address: &ZenohAddress,
+        over: Over,
         domain: u32,
         described: &Described,
         tell: &SyncSender<Arrival>,
     ) -> Result<Self, zenoh::Error> {
-        zenoh_log::tell();
-        let session = zenoh::open(config(address, Role::Haptics)?).wait()?;
+        let session = &over.session;
         let id = session.zid().to_string();
         let node = Node { domain, session: &id, name: NODE };
         let mut tokens = vec![session.liveliness().declare_token(node.token()).wait()?];
@@ -127,14 +130,16 @@ impl Session {
             tokens.push(session.liveliness().declare_token(token).wait()?);
             subscribers.push(subscriber);
         }
-        Ok(Self { publishers, _subscribers: subscribers, _tokens: tokens, session })
+        Ok(Self { publishers, _subscribers: subscribers, _tokens: tokens, over })
     }
 
     fn close(self) {
-        let Self { publishers, _subscribers, _tokens, session } = self;
+        let Self { publishers, _subscribers, _tokens, over } = self;
         drop((publishers, _subscribers, _tokens));
-        // It ends anyway.
-        let _ = session.close().wait();
+        if over.is_own {
+            // It ends anyway.
+            let _ = over.session.close().wait();
+        }
     }
 }
 

@@ -73,6 +73,7 @@ fn case(estimate: ForceEstimate, control: EnergyControl) -> Case {
         delay_s: 0.05,
         rate_hz: 20.0,
         surface_m: 0.0,
+        slide_m: 0.0,
     }
 }
 
@@ -85,6 +86,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let mut outcome = Outcome::default();
     let bound_j = -TankSettings::default().reserve_j;
     grid(&mut outcome, bound_j);
+    sliding_loops(&mut outcome, bound_j);
     random_loops(&mut outcome, bound_j);
     on_organ(&mut outcome, bound_j)?;
     figures(&mut outcome, bound_j);
@@ -185,6 +187,77 @@ fn grid(outcome: &mut Outcome, bound_j: f64) {
         with.acceleration_m_per_s2,
         TankSettings::default().acceleration_m_per_s2
     );
+}
+
+/// A hand that slides over tissue of changing stiffness, as over the nodes of a coarse mesh or over a nodule.
+fn sliding_loops(outcome: &mut Outcome, bound_j: f64) {
+    const SLIDE_M: f64 = 40e-3;
+    const WAVE_M: f64 = 20e-3;
+    outcome.notes += &format!(
+        "### A slide over tissue of changing stiffness\n\nThe same delays, rates and hands; deep in the tissue the hand slides by {} mm over stiffness that \
+         rises and falls by a half over {} mm, and rests.\n\n| tissue [N/m] | force from | | least observed energy [mJ] | widest swing at rest [mm] | \
+         unstable |\n|---|---|---|---|---|---|\n",
+        1e3 * SLIDE_M,
+        1e3 * WAVE_M
+    );
+    let (mut with, mut local) = (Summary::default(), Summary::default());
+    for stiffness_n_per_m in [SOFT_N_PER_M, STIFF_N_PER_M] {
+        for estimate in ForceEstimate::ALL {
+            for control in [EnergyControl::ObserveOnly, EnergyControl::Tank] {
+                let mut line = Summary::default();
+                for hand in [HandSettings::default(), HandSettings::loose()] {
+                    for delay_s in DELAYS_S {
+                        for rate_hz in RATES_HZ {
+                            let one =
+                                Case { hand, delay_s, rate_hz, slide_m: SLIDE_M, ..case(estimate, control) };
+                            let mut tissue = SpringMass::new(stiffness_n_per_m);
+                            line.add(&run(&one, &mut |tool, period_s| {
+                                let phase = std::f64::consts::TAU * tool.tip_in_world_m.x / WAVE_M;
+                                tissue.yields(stiffness_n_per_m * (1.0 + 0.5 * phase.sin()));
+                                tissue.step(tool, period_s)
+                            }));
+                        }
+                    }
+                }
+                outcome.notes += &format!(
+                    "| {stiffness_n_per_m} | {} | {} | {:.2} | {:.2} | {} of {} |\n",
+                    estimate.name(),
+                    name_of(control),
+                    1e3 * line.least_j,
+                    1e3 * line.swing_m,
+                    line.n_unstable,
+                    line.n
+                );
+                match (control, estimate) {
+                    (EnergyControl::Tank, _) => with.join(&line),
+                    (_, ForceEstimate::LocalModel) => local.join(&line),
+                    _ => {}
+                }
+            }
+        }
+    }
+    outcome.notes += "\n";
+    outcome.experiments.extend([
+        Experiment::within(
+            &format!("{} loops that slide, with control: least observed energy [J]", with.n),
+            PASSIVE,
+            with.least_j,
+            [bound_j - ROUNDING_J, 0.0],
+        ),
+        Experiment::at_most("the same: widest swing at rest [m]", OWN, with.swing_m, UNSTABLE_M),
+        Experiment::at_most(
+            "the same by the local model without control: widest swing at rest [m]",
+            OWN,
+            local.swing_m,
+            UNSTABLE_M,
+        ),
+        Experiment::within(
+            "the same: least observed energy [J]",
+            "own: what a slide adds leaves little to control",
+            local.least_j,
+            [bound_j, 0.0],
+        ),
+    ]);
 }
 
 /// Loops with settings drawn at random.

@@ -3,7 +3,7 @@
 
 use glisson::haptics::{
     EnergyControl, ForceEstimate, HandPath, HandSettings, HapticDevice, HapticLaw, HapticModel, LawSettings,
-    SimulatedDevice, SimulatedDeviceSettings, TankSettings, Touch,
+    SimulatedDevice, SimulatedDeviceSettings, Touch,
 };
 use glisson::math::{DVec3, outer};
 use glisson::tool::ToolInput;
@@ -18,12 +18,18 @@ const DEPTH_M: f64 = 10e-3;
 /// ... within this time [s], after a moment without ...
 const REACH_S: f64 = 0.5;
 const START_S: f64 = 0.3;
+/// ... slides along the surface in this time, if it does ...
+const SLIDE_FROM_S: f64 = 0.9;
+const SLIDE_S: f64 = 1.2;
 /// ... rests until then ...
 const LEAVE_S: f64 = 3.3;
 /// ... and goes back.
 const END_S: f64 = 4.2;
 /// The hand has wanted to rest for long when it is looked at whether it does.
 const REST_FROM_S: f64 = 2.5;
+
+/// Of wet tissue. The simulation's own force has no drag, which would only take energy from the hand.
+const FRICTION: f64 = 0.05;
 
 /// What a run is of.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +44,8 @@ pub(super) struct Case {
     pub(super) rate_hz: f64,
     /// Height of the surface [m].
     pub(super) surface_m: f64,
+    /// How far the hand slides along the surface before it rests [m].
+    pub(super) slide_m: f64,
 }
 
 /// What came out of it.
@@ -63,6 +71,7 @@ pub(super) struct Run {
 pub(super) fn run(case: &Case, simulate: &mut dyn FnMut(&ToolInput, f64) -> HapticModel) -> Run {
     let above_m = DVec3::Z * (case.surface_m + ABOVE_M);
     let deep_m = DVec3::Z * (case.surface_m - DEPTH_M);
+    let side_m = DVec3::X * case.slide_m;
     let reach = |from_m: DVec3, to_m: DVec3, start_s: f64| HandPath::Reach {
         from_m,
         to_m,
@@ -70,13 +79,7 @@ pub(super) fn run(case: &Case, simulate: &mut dyn FnMut(&ToolInput, f64) -> Hapt
         duration_s: REACH_S,
     };
     let mut device = SimulatedDevice::new(&case.device, &case.hand, reach(above_m, deep_m, START_S), 1);
-    let loop_delay_ticks = case.device.position_latency_ticks + case.device.force_latency_ticks;
-    let settings = LawSettings {
-        estimate: case.estimate,
-        control: case.control,
-        tank: TankSettings { loop_delay_ticks, ..TankSettings::default() },
-        ..LawSettings::default()
-    };
+    let settings = LawSettings { estimate: case.estimate, control: case.control, ..LawSettings::default() };
     let mut law = HapticLaw::new(&settings, &device.limits());
     let (tick_s, period_s) = (1.0 / TICKS_PER_S, 1.0 / case.rate_hz);
     let one_way = (0.5 * case.delay_s * TICKS_PER_S).round() as usize;
@@ -88,8 +91,16 @@ pub(super) fn run(case: &Case, simulate: &mut dyn FnMut(&ToolInput, f64) -> Hapt
     let mut out = Run::default();
     let mut velocity = DVec3::ZERO;
     for tick in 0..(END_S * TICKS_PER_S) as usize {
+        if case.slide_m > 0.0 && tick == (SLIDE_FROM_S * TICKS_PER_S) as usize {
+            device.set_path(HandPath::Reach {
+                from_m: deep_m,
+                to_m: deep_m + side_m,
+                start_s: SLIDE_FROM_S,
+                duration_s: SLIDE_S,
+            });
+        }
         if tick == (LEAVE_S * TICKS_PER_S) as usize {
-            device.set_path(reach(deep_m, above_m, LEAVE_S));
+            device.set_path(reach(deep_m + side_m, above_m + side_m, LEAVE_S));
         }
         if tick as f64 * tick_s >= f64::from(n_steps) * period_s {
             n_steps += 1;
@@ -155,6 +166,11 @@ impl SpringMass {
         }
     }
 
+    /// The tool is over another place, where the tissue yields like a spring of that stiffness [N/m].
+    pub(super) fn yields(&mut self, stiffness_n_per_m: f64) {
+        self.spring_n_per_m = 2.0 * stiffness_n_per_m;
+    }
+
     /// One step of backward Euler with the tool there, and what is published after it: force and its slope over that step.
     pub(super) fn step(&mut self, tool: &ToolInput, period_s: f64) -> HapticModel {
         let tip_m = tool.tip_in_world_m;
@@ -183,6 +199,7 @@ impl SpringMass {
             normal: DVec3::Z,
             gap_m: tip_m.z - place_m,
             surface_velocity_m_per_s: DVec3::Z * self.speed_m_per_s,
+            friction_coefficient: FRICTION,
             ..HapticModel::default()
         }
     }

@@ -143,13 +143,54 @@ pub(super) struct Difference {
 
 /// Strain by which nodes are moved before forces are compared, so that all tetrahedra have some: a choice.
 const STRAIN: f64 = 0.1;
-/// Weight is told apart from elastic forces by a gravity [m/s2] that makes it as large.
+/// Weights are measured under a gravity [m/s2] beside which rounding of other forces counts for nothing.
 const HEAVY_M_PER_S2: f64 = 1e3;
 /// A step that no model divides.
 pub(super) const AT_ONCE_S: f64 = 1e-12;
 
+/// What holds all nodes of a model where they are told to be, elastic forces and weights, and how many of the nodes it holds
+/// itself.
+struct HeldForces {
+    n_fixed: u32,
+    elastic_n: Vec<DVec3>,
+    weights_n: Vec<DVec3>,
+}
+
+impl HeldForces {
+    /// Of `model`, with its nodes at rest at `rest_m` and now at `now_m`: those named by `nodes` are held. Inertia plays no part.
+    fn of(model: &mut dyn DeformableModel, rest_m: &[DVec3], now_m: &[DVec3], nodes: &[NodeId]) -> Self {
+        let mut under = |at_m: &[DVec3], gravity_m_per_s2: DVec3| {
+            let of_node = |&node: &NodeId| {
+                let n = node.index();
+                ImposedDisplacement { node, displacement_m: at_m[n] - rest_m[n] }
+            };
+            let displacements = nodes.iter().map(of_node).collect();
+            // Without memory of stress, which relaxes even in so short a step.
+            model.take_over(at_m);
+            model.apply(&Constraints { displacements, forces: Vec::new() });
+            model.set_gravity(gravity_m_per_s2);
+            model.step(AT_ONCE_S);
+            (model.constraint_forces_n().to_vec(), model.report().n_ignored_constraints)
+        };
+        let (elastic_n, n_fixed) = under(now_m, DVec3::ZERO);
+        // At rest, where nothing else is felt.
+        let (weights_n, _) = under(rest_m, DVec3::Z * HEAVY_M_PER_S2);
+        Self { n_fixed, elastic_n, weights_n }
+    }
+}
+
+/// Places now, moved a little and smoothly, so that all tetrahedra have some strain.
+fn bent(now_m: &[DVec3]) -> Vec<DVec3> {
+    let per_m = 2.0 * std::f64::consts::PI / 0.1;
+    let bent = |p: &DVec3| {
+        let way = DVec3::new((per_m * p.y).sin(), (per_m * p.z).sin(), (per_m * p.x).sin());
+        *p + way * (STRAIN / per_m)
+    };
+    now_m.iter().map(bent).collect()
+}
+
 /// Compares `edited`, the model of `body`, with `fresh`, that of its live nodes and tetrahedra alone: the forces that hold
-/// all nodes where they are now, moved a little and smoothly. Inertia plays no part in them.
+/// all nodes where they are now, moved a little.
 pub(super) fn difference(
     body: &EditableMesh,
     now_m: &[DVec3],
@@ -158,37 +199,59 @@ pub(super) fn difference(
     label: &str,
 ) -> Difference {
     let live: Vec<NodeId> = body.topology().live_nodes().collect();
-    let per_m = 2.0 * std::f64::consts::PI / 0.1;
-    let bent = |p: DVec3| {
-        let way = DVec3::new((per_m * p.y).sin(), (per_m * p.z).sin(), (per_m * p.x).sin());
-        p + way * (STRAIN / per_m)
+    let (rest_m, all_m) = (&body.mesh().positions_m, bent(now_m));
+    let of_live = |all: &[DVec3]| live.iter().map(|n| all[n.index()]).collect::<Vec<_>>();
+    let new: Vec<NodeId> = (0..live.len()).map(NodeId::from_index).collect();
+    let found = HeldForces::of(edited.as_mut(), rest_m, &all_m, &live);
+    let expected = HeldForces::of(fresh.as_mut(), &of_live(rest_m), &of_live(&all_m), &new);
+    assert_eq!(found.n_fixed, expected.n_fixed, "{label}: nodes that are supported");
+    Difference {
+        forces: apart(&found.elastic_n, &expected.elastic_n),
+        weights: apart(&found.weights_n, &expected.weights_n),
+    }
+}
+
+/// What a plain computation says of each live node.
+pub(super) struct Plain {
+    /// Force that holds it, none of a fixed one [N].
+    pub(super) forces_n: Vec<DVec3>,
+    /// The same where all nodes rest: that of ligaments at nodes that were moved at rest.
+    pub(super) at_rest_n: Vec<DVec3>,
+    pub(super) masses_kg: Vec<f64>,
+    pub(super) is_fixed: Vec<bool>,
+}
+
+/// Compares `edited`, the model of `body`, with a plain computation for given places of all nodes: those at rest, moved a
+/// little, where every tetrahedron counts and none hides behind crumbs that fly. Answers also the sum of the model's
+/// masses [kg], in which fixed nodes, whose weight nobody feels, stand with their plain ones.
+pub(super) fn against_plain(
+    body: &EditableMesh,
+    mut edited: Box<dyn DeformableModel>,
+    plain: impl Fn(&[DVec3]) -> Plain,
+    label: &str,
+) -> (Difference, f64) {
+    let live: Vec<NodeId> = body.topology().live_nodes().collect();
+    let rest_m = &body.mesh().positions_m;
+    let all_m = bent(rest_m);
+    let found = HeldForces::of(edited.as_mut(), rest_m, &all_m, &live);
+    let plain = plain(&all_m);
+    let n_fixed = plain.is_fixed.iter().filter(|f| **f).count();
+    assert_eq!(found.n_fixed as usize, n_fixed, "{label}: nodes that are supported");
+    let n = live.len();
+    let masses_n = (0..n).map(|i| DVec3::Z * (-HEAVY_M_PER_S2 * plain.masses_kg[i]));
+    let weights_n: Vec<DVec3> = masses_n
+        .enumerate()
+        .map(|(i, weight_n)| if plain.is_fixed[i] { DVec3::ZERO } else { weight_n + plain.at_rest_n[i] })
+        .collect();
+    let mass_kg = (0..n).map(|i| {
+        let found_kg = (plain.at_rest_n[i].z - found.weights_n[i].z) / HEAVY_M_PER_S2;
+        if plain.is_fixed[i] { plain.masses_kg[i] } else { found_kg }
+    });
+    let difference = Difference {
+        forces: apart(&found.elastic_n, &plain.forces_n),
+        weights: apart(&found.weights_n, &weights_n),
     };
-    let all_m: Vec<DVec3> = now_m.iter().map(|p| bent(*p)).collect();
-    let live_m: Vec<DVec3> = live.iter().map(|n| all_m[n.index()]).collect();
-    let rest_m: Vec<DVec3> = live.iter().map(|n| body.mesh().positions_m[n.index()]).collect();
-    let held = |model: &mut dyn DeformableModel, all_m: &[DVec3], number: &dyn Fn(usize) -> NodeId| {
-        model.take_over(all_m);
-        let of_node = |(i, rest_m): (usize, &DVec3)| {
-            let node = number(i);
-            ImposedDisplacement { node, displacement_m: all_m[node.index()] - *rest_m }
-        };
-        let displacements = rest_m.iter().enumerate().map(of_node).collect();
-        model.apply(&Constraints { displacements, forces: Vec::new() });
-        let n_ignored = model.report().n_ignored_constraints;
-        let mut under = |gravity_m_per_s2: DVec3| {
-            model.set_gravity(gravity_m_per_s2);
-            model.step(AT_ONCE_S);
-            model.constraint_forces_n().to_vec()
-        };
-        let elastic_n = under(DVec3::ZERO);
-        let heavy_n = under(DVec3::Z * HEAVY_M_PER_S2);
-        let weights_n: Vec<DVec3> = heavy_n.iter().zip(&elastic_n).map(|(a, b)| *a - *b).collect();
-        (n_ignored, elastic_n, weights_n)
-    };
-    let (n_fixed, edited_n, edited_weight_n) = held(edited.as_mut(), &all_m, &|i| live[i]);
-    let (n_expected, fresh_n, fresh_weight_n) = held(fresh.as_mut(), &live_m, &NodeId::from_index);
-    assert_eq!(n_fixed, n_expected, "{label}: nodes that are supported");
-    Difference { forces: apart(&edited_n, &fresh_n), weights: apart(&edited_weight_n, &fresh_weight_n) }
+    (difference, mass_kg.sum())
 }
 
 /// Largest difference over the largest length.

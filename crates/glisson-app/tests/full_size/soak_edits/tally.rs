@@ -8,18 +8,37 @@ use std::path::PathBuf;
 
 /// What happened on one body.
 #[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct Tally {
+    /// Removals by themselves.
     pub(super) removals: u64,
-    /// Removals and tears that left singular places, which were parted.
+    /// Of these, and of the tools' removals, those that left singular places, which were parted.
     pub(super) partings: u64,
+    /// Steps of dividing strokes that changed the mesh.
     pub(super) blade_edits: u64,
+    /// Dividing strokes.
+    pub(super) blade_strokes: u64,
+    /// Steps of displacing strokes that changed the mesh.
     pub(super) scalpel_edits: u64,
-    pub(super) tears: u64,
+    /// Displacing strokes.
+    pub(super) scalpel_strokes: u64,
     pub(super) refinements: u64,
+    /// Removals by hook or cautery.
+    pub(super) burns: u64,
+    /// Removals by scissors.
+    pub(super) snips: u64,
+    /// Steps of the scalpel tool that changed the mesh.
+    pub(super) tool_blade_edits: u64,
+    /// Uses of hook, cautery, scissors and scalpel.
+    pub(super) tool_uses: u64,
+    /// Removals because tissue tore.
+    pub(super) tears: u64,
+    /// Edits that were taken back.
     pub(super) undone: u64,
     pub(super) grasps: u64,
     pub(super) held: u64,
     pub(super) refused: u64,
+    /// With a model made afresh.
     pub(super) comparisons: u64,
     pub(super) worst_dihedral_deg: f64,
     pub(super) worst_forces: f64,
@@ -32,9 +51,15 @@ impl Default for Tally {
             removals: 0,
             partings: 0,
             blade_edits: 0,
+            blade_strokes: 0,
             scalpel_edits: 0,
-            tears: 0,
+            scalpel_strokes: 0,
             refinements: 0,
+            burns: 0,
+            snips: 0,
+            tool_blade_edits: 0,
+            tool_uses: 0,
+            tears: 0,
             undone: 0,
             grasps: 0,
             held: 0,
@@ -48,17 +73,31 @@ impl Default for Tally {
 }
 
 impl Tally {
+    /// Transactions that changed the mesh; taking one back and making it again counts nothing.
     pub(super) fn edits(&self) -> u64 {
-        self.removals + self.blade_edits + self.scalpel_edits + self.tears + self.refinements + self.undone
+        let direct = self.removals + self.blade_edits + self.scalpel_edits + self.refinements;
+        direct + self.burns + self.snips + self.tool_blade_edits + self.tears
+    }
+
+    /// What a hand did: removals, strokes, refinements, uses of tools and grasps.
+    pub(super) fn operations(&self) -> u64 {
+        let direct = self.removals + self.blade_strokes + self.scalpel_strokes + self.refinements;
+        direct + self.tool_uses + self.grasps
     }
 
     fn add(&mut self, other: &Self) {
         self.removals += other.removals;
         self.partings += other.partings;
         self.blade_edits += other.blade_edits;
+        self.blade_strokes += other.blade_strokes;
         self.scalpel_edits += other.scalpel_edits;
-        self.tears += other.tears;
+        self.scalpel_strokes += other.scalpel_strokes;
         self.refinements += other.refinements;
+        self.burns += other.burns;
+        self.snips += other.snips;
+        self.tool_blade_edits += other.tool_blade_edits;
+        self.tool_uses += other.tool_uses;
+        self.tears += other.tears;
         self.undone += other.undone;
         self.grasps += other.grasps;
         self.held += other.held;
@@ -83,6 +122,21 @@ pub(super) struct SeedResult {
     pub(super) tally: Tally,
 }
 
+/// First line of a log: what its seeds are results of.
+#[derive(Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LogHeader {
+    log_of: String,
+    /// Goes up whenever a seed makes other edits, checks something else or counts otherwise.
+    version: u32,
+    n_seeds: u64,
+    /// Edits asked for of each seed.
+    asked: u64,
+}
+
+/// Version of what a seed does.
+const VERSION: u32 = 2;
+
 /// The seeds that ended, in a file if one is told.
 pub(super) struct Results {
     file: Option<PathBuf>,
@@ -90,12 +144,30 @@ pub(super) struct Results {
 }
 
 impl Results {
-    /// Goes on with the seeds of a file, if there is one, that were asked for as many edits.
-    pub(super) fn go_on(file: Option<PathBuf>, asked: u64) -> Self {
-        let text = file.as_ref().and_then(|f| std::fs::read_to_string(f).ok()).unwrap_or_default();
+    /// Goes on with the seeds of a file, if there is one.
+    ///
+    /// # Panics
+    /// If the file is a log of other seeds, or of a version that did something else.
+    pub(super) fn go_on(file: Option<PathBuf>, n_seeds: u64, asked: u64) -> Self {
+        let Some(file) = file else { return Self { file: None, of_seeds: Vec::new() } };
+        let header = LogHeader { log_of: "random edits".into(), version: VERSION, n_seeds, asked };
+        let text = std::fs::read_to_string(&file).unwrap_or_default();
+        let mut lines = text.lines();
+        match lines.next() {
+            None => std::fs::write(&file, format!("{}\n", serde_json::to_string(&header).unwrap())).unwrap(),
+            Some(first) => {
+                let found = serde_json::from_str::<LogHeader>(first);
+                assert!(
+                    found.as_ref().is_ok_and(|found| *found == header),
+                    "{}: line 1 is {found:?}; seeds are counted together only under {header:?}: name another file",
+                    file.display()
+                );
+            }
+        }
         // A line that a stopped run did not finish is no result.
-        let known = text.lines().filter_map(|line| serde_json::from_str::<SeedResult>(line).ok());
-        Self { file, of_seeds: known.filter(|r| r.asked == asked && r.broken.is_none()).collect() }
+        let known = lines.filter_map(|line| serde_json::from_str::<SeedResult>(line).ok());
+        let of_seeds = known.filter(|r| r.broken.is_none()).collect();
+        Self { file: Some(file), of_seeds }
     }
 
     pub(super) fn has(&self, seed: u64) -> bool {
@@ -108,6 +180,8 @@ impl Results {
             writeln!(file, "{}", serde_json::to_string(&result).unwrap()).unwrap();
         }
         self.of_seeds.push(result);
+        // The report does not tell who was ready first.
+        self.of_seeds.sort_by_key(|r| r.seed);
     }
 
     pub(super) fn all(&self) -> Tally {
@@ -125,18 +199,23 @@ impl Results {
     pub(super) fn report(&self, n_seeds: u64, asked: u64, compared_every: u64) -> String {
         let all = self.all();
         let mut report = format!(
-            "# Random edits\n{} edits: {} of {n_seeds} seeds, at least {asked} edits each, on the explicit model (stable \
-             neo-Hooke). Removals around a place, strokes of a blade that divides tetrahedra, strokes of a scalpel that moves \
-             vertices, grasps that pull until tissue tears, regions made finer.\n\n\
-             After each edit: orientation of all tetrahedra, all adjacency, surface and Euler characteristics against a \
-             recount, volume (kept, or less by what was taken out; 1e-9), what touches and what is shown against that \
-             recount, lengths of all attached arrays, finite numbers in the next three steps. One edit in ten is undone and done \
-             again, with the same bits. What a removal or tear leaves hanging together by a node or an edge alone is parted in the same edit. Every {compared_every} edits and at the end: elastic forces and weights of all free nodes, \
-             and which nodes are supported, against a model made afresh from the edited mesh; both have to agree to 1e-9 of \
-             the largest.\n\nMade by `cargo xtask soak edits`.\n\n\
-             | body | tetrahedra | seeds | removals | blade | scalpel | tears | finer | singular places parted | undone | grasps | that held | refused | worst dihedral of a new tetrahedron [deg] | comparisons | largest difference of forces | of weights |\n\
-             |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+            "# Random edits\n{} edits in {} operations: {} of {n_seeds} seeds, at least {asked} edits each, on the explicit model (stable \
+             neo-Hooke, three materials by place, relaxing stress) of a body with ligaments, loads and vessels.\n\n\
+             An edit is one transaction that changed the mesh: a stroke of a blade is several, and each is checked. One that is taken \
+             back and made again counts once. An operation is a removal around a place, a stroke of a blade that divides \
+             tetrahedra (\"blade\") or of a scalpel that moves vertices (\"scalpel\"), a region made finer, or the use of a real tool through steps of the \
+             world: hook or cautery (\"burns\"), scissors (\"snips\"), a scalpel of either kind (\"tool blade\"), a grasper that pulls until tissue tears.\n\n\
+             After each edit (after each call of the tools, most of which make one): orientation of all tetrahedra, all adjacency, surface and Euler characteristics against a \
+             recount; volume, and the sum of the model's masses (kept, or less by what was taken out; 1e-9); what touches and what is shown \
+             against that recount; of all free nodes elastic forces with ligaments, and weights, against a plain loop over the live tetrahedra with \
+             each one's own material (1e-9 of the largest); supports and loads by node, vessels by place at rest and against a search of the whole surface; \
+             stress memory of each tetrahedron (the same bits, or its parents'); new nodes and tetrahedra where their parents were; finite numbers in the next three steps. \
+             One edit in ten is taken back and made again, with the same bits. What a removal or tear leaves hanging together by a node or an edge alone is parted in the same edit. \
+             Every {compared_every} edits and at the end: forces, weights and supports against a model made afresh from the edited mesh.\n\nMade by `cargo xtask soak edits`.\n\n\
+             | body | tetrahedra | seeds | removals | blade (strokes) | scalpel (strokes) | finer | burns | snips | tool blade | tears | singular places parted | taken back | grasps | that held | refused | worst dihedral of a new tetrahedron [deg] | comparisons | largest difference of forces | of weights |\n\
+             |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
             all.edits(),
+            all.operations(),
             self.of_seeds.len(),
         );
         let mut bodies: Vec<(&str, usize)> =
@@ -152,13 +231,18 @@ impl Results {
             let t = results.all();
             writeln!(
                 report,
-                "| {name} | {tetrahedra} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {} | {:.1e} | {:.1e} |",
+                "| {name} | {tetrahedra} | {} | {} | {} ({}) | {} ({}) | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {} | {:.1e} | {:.1e} |",
                 results.of_seeds.len(),
                 t.removals,
                 t.blade_edits,
+                t.blade_strokes,
                 t.scalpel_edits,
-                t.tears,
+                t.scalpel_strokes,
                 t.refinements,
+                t.burns,
+                t.snips,
+                t.tool_blade_edits,
+                t.tears,
                 t.partings,
                 t.undone,
                 t.grasps,

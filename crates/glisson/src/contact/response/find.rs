@@ -6,8 +6,8 @@
 //! answer does not depend on the order in which pairs are found. A vertex is behind a surface when it lies against the
 //! normal between those of the triangle's vertices, which are weighted by area.
 //!
-//! Within one body (self-collision) a wall thinner than the margin would count as pierced by its own other side: the margin
-//! has to be smaller than that.
+//! Within one body a wall thinner than the margin would count as pierced by its own other side, and what is around a corner
+//! as near. [`ContactSearch::with_rest_shape`] tells them from contacts; without it the margin has to be smaller than that.
 
 use super::NodeContact;
 use crate::contact::broad_phase::BroadPhaseKind;
@@ -41,6 +41,44 @@ struct Nearest {
 const NOTHING: Nearest =
     Nearest { triangle: NONE, weights: [0.0; 3], offset_m: DVec3::ZERO, distance_m: f64::INFINITY };
 
+/// At rest a place counts as the other side of a wall up to so many margins of thickness: a choice.
+const THICKEST_WALL: f64 = 5.0;
+/// At rest it lies behind the triangle when it is deeper than these shares of its distance and of the margin: choices.
+const BEHIND_AT_REST: f64 = 0.1;
+const DEEP_AT_REST: f64 = 1e-3;
+/// Cosine to the face's normal of the way out to a place behind it, at least: a choice that leaves folds of 50 degrees.
+const LEAST_STRAIGHT: f64 = 0.9;
+/// Cosine between the normals of a vertex and of a triangle that face each other, at most: a choice between a flat place
+/// (-1), an edge (-0.7) or a corner (-0.58) that comes down on a face, and one that slides along it (0).
+const MOST_ALIKE: f64 = -0.25;
+/// Closer than this the way to a vertex has no direction of its own [m].
+const LEAST_OFFSET_M: f64 = 1e-6;
+
+/// One body at rest: what its surface touches of itself.
+#[derive(Clone, Debug)]
+struct RestShape {
+    rest_m: Vec<DVec3>,
+    /// The piece of each vertex.
+    piece_of: Vec<u32>,
+}
+
+impl RestShape {
+    /// Whether the tissue between a vertex and a place of a triangle is a wall.
+    fn is_wall(&self, vertex: u32, triangle: [u32; 3], weights: [f64; 3], margin_m: f64) -> bool {
+        let piece = |v: u32| self.piece_of[v as usize];
+        if piece(vertex) != piece(triangle[0]) {
+            return false;
+        }
+        let corners_m = triangle.map(|v| self.rest_m[v as usize]);
+        let [a, b, c] = corners_m;
+        let offset_m = self.rest_m[vertex as usize] - at_weights(corners_m, weights);
+        let distance_m = offset_m.length();
+        let depth_m = -offset_m.dot((b - a).cross(c - a).normalize_or_zero());
+        distance_m < THICKEST_WALL * margin_m
+            && depth_m > BEHIND_AT_REST * distance_m + DEEP_AT_REST * margin_m
+    }
+}
+
 /// The search over the surfaces of all bodies. Finding never allocates.
 #[derive(Clone, Debug)]
 pub struct ContactSearch {
@@ -52,6 +90,7 @@ pub struct ContactSearch {
     /// Area vectors summed at the vertices.
     normals: Vec<DVec3>,
     nearest: Vec<Nearest>,
+    own: Option<RestShape>,
 }
 
 impl ContactSearch {
@@ -78,7 +117,20 @@ impl ContactSearch {
             owned: owned_vertices(positions_m.len(), triangles),
             normals: vec![DVec3::ZERO; positions_m.len()],
             nearest: vec![NOTHING; positions_m.len()],
+            own: None,
         }
+    }
+
+    /// For one body that touches itself: places that face the vertex count, and within a piece of the body no wall's own
+    /// other side (thinner than five margins at rest). `rest_m` are the vertices at rest, `piece_of` their pieces.
+    ///
+    /// # Panics
+    /// When a list has not as many entries as there are vertices.
+    #[must_use]
+    pub fn with_rest_shape(mut self, rest_m: Vec<DVec3>, piece_of: Vec<u32>) -> Self {
+        assert_eq!([rest_m.len(), piece_of.len()], [self.normals.len(); 2], "one for each vertex");
+        self.own = Some(RestShape { rest_m, piece_of });
+        self
     }
 
     /// Follows the surfaces and writes the contacts into `found`, ascending by vertex, as far as its capacity goes; how many
@@ -86,10 +138,16 @@ impl ContactSearch {
     pub fn find_into(&mut self, positions_m: &[DVec3], found: &mut Vec<NodeContact>) -> usize {
         found.clear();
         self.search.update(positions_m);
-        let Self { search, triangles, owned, normals, nearest, margin_m } = self;
+        let Self { search, triangles, owned, normals, nearest, margin_m, own } = self;
         nearest.fill(NOTHING);
+        if own.is_some() {
+            sum_normals(triangles, positions_m, normals);
+        }
         let (boxes, vertex_boxes) = (search.boxes(), search.vertex_boxes());
-        let mut test = DistanceTest { positions_m, triangles, nearest, margin_m: *margin_m, has_any: false };
+        let own_shape = own.as_ref().map(|shape| (shape, &normals[..]));
+        let margin_m = *margin_m;
+        let mut test =
+            DistanceTest { positions_m, triangles, nearest, margin_m, own: own_shape, has_any: false };
         let mut waiting = [[0u32; 2]; N_WAITING];
         let mut n_waiting = 0;
         search.structure().for_each_pair(boxes, search.rules(), |s, t| {
@@ -117,13 +175,8 @@ impl ContactSearch {
         if !has_any {
             return n_dropped;
         }
-        normals.fill(DVec3::ZERO);
-        for (t, triangle) in triangles.iter().enumerate() {
-            let [a, b, c] = corners_m(t as u32);
-            let area_m2 = (b - a).cross(c - a);
-            for v in triangle {
-                normals[*v as usize] += area_m2;
-            }
+        if own.is_none() {
+            sum_normals(triangles, positions_m, normals);
         }
         for (vertex, place) in (0..).zip(nearest.iter()) {
             if place.triangle == NONE {
@@ -140,8 +193,12 @@ impl ContactSearch {
             let is_behind = place.offset_m.dot(smooth) < 0.0;
             let gap_m = if is_behind { -place.distance_m } else { place.distance_m };
             // The way to the vertex; the face's own normal where they touch.
-            let normal = (place.offset_m / gap_m).try_normalize().unwrap_or(face);
-            if normal != DVec3::ZERO {
+            let has_way = own.is_none() || place.distance_m > LEAST_OFFSET_M;
+            let way = (place.offset_m / gap_m).try_normalize().filter(|_| has_way);
+            let normal = way.unwrap_or(face);
+            // No place inside a body is nearest to one of its convex edges: what is behind such an edge is beside it.
+            let is_beside = own.is_some() && is_behind && normal.dot(face) < LEAST_STRAIGHT;
+            if normal != DVec3::ZERO && !is_beside {
                 found.push(NodeContact::with_triangle(vertex, triangle, place.weights, normal, gap_m));
             }
         }
@@ -178,6 +235,18 @@ impl ContactSearch {
     }
 }
 
+/// Sums of the triangles' area vectors at the vertices.
+fn sum_normals(triangles: &[[u32; 3]], positions_m: &[DVec3], normals: &mut [DVec3]) {
+    normals.fill(DVec3::ZERO);
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(|v| positions_m[v as usize]);
+        let area_m2 = (b - a).cross(c - a);
+        for v in triangle {
+            normals[*v as usize] += area_m2;
+        }
+    }
+}
+
 /// Vertices and triangles that wait for their test at most.
 const N_WAITING: usize = 512;
 
@@ -187,6 +256,8 @@ struct DistanceTest<'a> {
     triangles: &'a [[u32; 3]],
     nearest: &'a mut [Nearest],
     margin_m: f64,
+    /// With the normals of the vertices.
+    own: Option<(&'a RestShape, &'a [DVec3])>,
     has_any: bool,
 }
 
@@ -202,6 +273,15 @@ impl DistanceTest<'_> {
             let is_nearer =
                 distance_m < best.distance_m || distance_m == best.distance_m && triangle < best.triangle;
             if distance_m <= self.margin_m && is_nearer {
+                if let Some((shape, normals)) = self.own {
+                    let [a, b, c] = corners_m;
+                    let (normal, area_m2) = (normals[vertex as usize], (b - a).cross(c - a));
+                    let alike = normal.dot(area_m2) > MOST_ALIKE * (normal.length() * area_m2.length());
+                    let corners = self.triangles[triangle as usize];
+                    if alike || shape.is_wall(vertex, corners, weights, self.margin_m) {
+                        continue;
+                    }
+                }
                 *best = Nearest { triangle, weights, offset_m, distance_m };
                 self.has_any = true;
             }

@@ -23,6 +23,8 @@ pub mod find;
 pub mod geometric;
 pub mod impulse;
 pub mod penalty;
+mod coupled;
+pub mod itself;
 
 use crate::math::DVec3;
 

@@ -70,6 +70,11 @@ impl InstrumentType {
         ][self as usize]
     }
 
+    /// The instruments that act as a scene's tool of that kind ([`InstrumentType::tool_kind`]).
+    pub fn acting_as(tool_kind: &str) -> impl Iterator<Item = Self> + use<'_> {
+        Self::ALL.into_iter().filter(move |instrument| instrument.tool_kind() == Some(tool_kind))
+    }
+
     /// The kind of a scene's tool that it acts as ([`crate::tool::ToolKind::NAMES`]); none for the camera.
     pub fn tool_kind(self) -> Option<&'static str> {
         match self {

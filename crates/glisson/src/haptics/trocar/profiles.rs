@@ -142,11 +142,14 @@ impl TrocarProfile {
         DeviceLimits {
             force_n: self.limits.translation_n,
             torque_n_m: self.limits.self_rotation_n_m,
+            jaw_force_n: self.limits.jaw_n,
+            jaw_travel_m: self.jaw_travel_m,
             force_rate_n_per_s: self.limits.translation_n / FORCE_RISE_S,
             stiffness_n_per_m: by_damping.min(2.0 * self.friction_n / resolution_m),
             damping_n_s_per_m: self.damping_n_s_per_m,
             resolution_m,
             rate_hz: self.rate_hz,
+            ..DeviceLimits::NONE
         }
     }
 }

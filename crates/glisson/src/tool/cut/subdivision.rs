@@ -209,10 +209,15 @@ const MOST_STRAYED: f64 = 0.06;
 /// How much such area counts against an attempt, as a share of it, while the front will still move and at the end.
 const WEIGHT_OF_STRAYED: [f64; 2] = [1.0, 0.1];
 
+/// How much the swaps after it may change the area of a cut, as a share of it, when one is judged before them.
+const LEEWAY: f64 = 0.01;
+
 /// What came of one way to cut a step.
 #[derive(Clone, Copy, Debug, Default)]
 struct Attempt {
     report: CutReport,
+    /// Area [m2] of faces that earlier steps left closed for now.
+    closed_before_m2: f64,
     /// Area [m2] of faces that stay closed for good.
     closed_m2: f64,
     /// Area [m2] of faces outside what was swept, and of what was swept outside the faces.
@@ -416,34 +421,33 @@ impl SubdivisionCut {
                 break;
             }
             last = at;
-            tried = self.attempt(body, &swept(from_m, blade_m, extent), snap, is_last);
+            let sweeps = swept(from_m, blade_m, extent);
+            tried = self.divide(body, &sweeps, snap);
+            if best.is_some_and(|b| self.is_beaten(&tried, b.badness_m2, is_last)) {
+                continue;
+            }
+            self.better_shapes(body, &sweeps, is_last, &mut tried);
             let report = &tried.report;
             if report.min_dihedral_deg < self.params.min_dihedral_deg.min(report.min_dihedral_before_deg) {
                 continue;
             }
-            let off_m2 =
-                (self.stroke.off_m2 + report.cut_area_m2 - report.swept_area_m2 - tried.closed_m2).abs();
+            let off_m2 = self.off_m2(&tried).abs();
             let badness_m2 = off_m2 + WEIGHT_OF_STRAYED[usize::from(is_last)] * tried.strayed_m2;
-            let swept_m2 = self.stroke.report.swept_area_m2 + report.swept_area_m2;
             if best.is_none_or(|b| badness_m2 < b.badness_m2) {
+                let swept_m2 = self.stroke.report.swept_area_m2 + report.swept_area_m2;
                 let off_share = if swept_m2 > 0.0 { off_m2 / swept_m2 } else { 0.0 };
                 best = Some(Best { badness_m2, off_share, at, extent, snap });
             }
-            let [of_stroke, of_step] = AREA_TOLERANCE;
-            let mut allowed_m2 = of_stroke * swept_m2;
-            if !is_last {
-                allowed_m2 += of_step * report.swept_area_m2;
-            }
-            // What earlier steps left over is not made up for by force.
-            allowed_m2 = allowed_m2.max(self.stroke.off_m2.abs() + of_stroke * report.swept_area_m2);
-            let is_close = is_last || tried.strayed_m2 <= MOST_STRAYED * report.swept_area_m2;
+            let (allowed_m2, is_close) = self.allowed(&tried, is_last);
             if off_m2 <= allowed_m2 && is_close {
                 break;
             }
         }
         if let Some(Best { at, extent, snap, off_share, .. }) = best {
             if at != last {
-                tried = self.attempt(body, &swept(from_m, blade_m, extent), snap, is_last);
+                let sweeps = swept(from_m, blade_m, extent);
+                tried = self.divide(body, &sweeps, snap);
+                self.better_shapes(body, &sweeps, is_last, &mut tried);
             }
             let mut report = tried.report;
             report.n_coarser = usize::from(at > 0);
@@ -466,13 +470,43 @@ impl SubdivisionCut {
         Err(CutRefusal::BadShape { found_deg: report.min_dihedral_deg, limit_deg })
     }
 
-    /// Works the cut out in the patch, not opened yet.
-    fn attempt(
+    /// By how much [m2] the faces of the cut would exceed what the stroke swept.
+    fn off_m2(&self, tried: &Attempt) -> f64 {
+        self.stroke.off_m2 + tried.report.cut_area_m2 - tried.report.swept_area_m2 - tried.closed_m2
+    }
+
+    /// What an attempt may be off by [m2] so that no other is tried, and whether its faces are where they should be.
+    fn allowed(&self, tried: &Attempt, is_last: bool) -> (f64, bool) {
+        let step_m2 = tried.report.swept_area_m2;
+        let [of_stroke, of_step] = AREA_TOLERANCE;
+        let mut allowed_m2 = of_stroke * (self.stroke.report.swept_area_m2 + step_m2);
+        if !is_last {
+            allowed_m2 += of_step * step_m2;
+        }
+        // What earlier steps left over is not made up for by force.
+        allowed_m2 = allowed_m2.max(self.stroke.off_m2.abs() + of_stroke * step_m2);
+        (allowed_m2, is_last || tried.strayed_m2 <= MOST_STRAYED * step_m2)
+    }
+
+    /// Whether an attempt is neither good enough nor better than the best one, whatever becomes of its shapes. Most
+    /// attempts in tissue that is cut to pieces are, and bettering shapes is nine tenths of the work.
+    fn is_beaten(&self, tried: &Attempt, best_m2: f64, is_last: bool) -> bool {
+        let off_m2 = self.off_m2(tried);
+        // At the end of the stroke, faces that stay closed may make up for too much area.
+        let least_m2 = if is_last && off_m2 > 0.0 { 0.0 } else { off_m2.abs() };
+        let least_m2 = least_m2 - LEEWAY * tried.report.cut_area_m2.abs();
+        let (allowed_m2, is_close) = self.allowed(tried, is_last);
+        let is_good_enough = least_m2 <= allowed_m2 && is_close;
+        let strayed_m2 = WEIGHT_OF_STRAYED[usize::from(is_last)] * tried.strayed_m2;
+        !is_good_enough && least_m2.max(0.0) + strayed_m2 >= best_m2
+    }
+
+    /// Works the cut out in the patch, not opened yet and whatever the shapes.
+    fn divide(
         &mut self,
         body: Body<'_>,
         sweeps: &[Option<Sweep>; 2],
         [share, share_of_fixed, of_length]: [f64; 3],
-        is_last: bool,
     ) -> Attempt {
         let Self { params, stroke, patch, .. } = self;
         patch.start(body.mesh);
@@ -495,7 +529,7 @@ impl SubdivisionCut {
         for &face in &stroke.closed {
             patch.pull_closed(body, face);
         }
-        let closed_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
+        let closed_before_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
         let mut report = CutReport::default();
         let mut strayed_m2 = 0.0;
         for sweep in sweeps.iter().flatten() {
@@ -505,6 +539,21 @@ impl SubdivisionCut {
             report.n_snapped += section.n_snapped;
             strayed_m2 += section.strayed_m2;
         }
+        let area_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
+        report.cut_area_m2 = area_m2 - closed_before_m2;
+        Attempt { report, closed_before_m2, closed_m2: 0.0, strayed_m2 }
+    }
+
+    /// Betters the shapes in the patch and opens its corners: the attempt is whole.
+    fn better_shapes(
+        &mut self,
+        body: Body<'_>,
+        sweeps: &[Option<Sweep>; 2],
+        is_last: bool,
+        tried: &mut Attempt,
+    ) {
+        let Self { params, stroke, patch, .. } = self;
+        let report = &mut tried.report;
         let wished_cosine = libm::cos((RESERVE * params.min_dihedral_deg).to_radians());
         let mut max_cosine = patch.max_new_cosine();
         if max_cosine > wished_cosine
@@ -516,7 +565,7 @@ impl SubdivisionCut {
             max_cosine = patch.max_new_cosine();
         }
         let area_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
-        report.cut_area_m2 = area_m2 - closed_m2;
+        report.cut_area_m2 = area_m2 - tried.closed_before_m2;
         let front = std::mem::take(&mut patch.front);
         let is_front = |n: u32| front.binary_search_by_key(&n, |f| f.0).is_ok();
         let stays = |face: [u32; 3]| !is_last && face.into_iter().any(is_front);
@@ -526,14 +575,13 @@ impl SubdivisionCut {
         let closed_m2 = opening::divide_closed(patch, body, alone_m2, stays, [wished_cosine, allowed_cosine]);
         patch.front = front;
         // Until the end of the stroke it may open yet.
-        let closed_m2 = if is_last { closed_m2 } else { 0.0 };
+        tried.closed_m2 = if is_last { closed_m2 } else { 0.0 };
         max_cosine = max_cosine.max(patch.max_new_cosine());
         let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));
         let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);
         // The largest cosine is that of the smallest angle.
         report.min_dihedral_deg = degrees_of(max_cosine);
         report.min_dihedral_before_deg = degrees_of(cosine_before);
-        Attempt { report, closed_m2, strayed_m2 }
     }
 
     /// Opens the cut that is in the patch, and goes on from there.

@@ -1,6 +1,6 @@
 //! The tetrahedra that a cut changes, worked on beside the mesh until the cut is whole.
 
-use crate::math::{DVec3, tetrahedron_volume_m3};
+use crate::math::{DVec3, is_inverted, tetrahedron_volume_m3};
 use crate::mesh::edit::EditableMesh;
 use crate::mesh::quality::{FACES, dihedral_cosine_range};
 use crate::mesh::topology::TET_EDGES;
@@ -148,10 +148,12 @@ pub(super) enum Accept {
     Better,
 }
 
-struct StarState {
+/// The tetrahedra at a node, at rest.
+pub(super) struct StarState {
     volume_m3: f64,
-    smallest_m3: f64,
+    /// Cosine of their smallest dihedral angle, and whose it is.
     max_cosine: f64,
+    worst: Option<u32>,
 }
 
 /// Barycentric weights of a point; no numbers for a flat tetrahedron.
@@ -234,36 +236,72 @@ impl Patch {
     /// than accepted, or if the outside of the body would change.
     pub(super) fn move_node(&mut self, body: Body<'_>, node: u32, to_m: DVec3, accept: Accept) -> bool {
         self.pull_star(body, node);
-        let Some((blend, rest_m)) = self.locate(body, node, to_m) else { return false };
+        let before = self.star_state(node);
+        self.move_node_from(body, node, to_m, accept, &before)
+    }
+
+    /// [`Patch::move_node`] for a node with its whole star in the patch, which is `before` now.
+    pub(super) fn move_node_from(
+        &mut self,
+        body: Body<'_>,
+        node: u32,
+        to_m: DVec3,
+        accept: Accept,
+        before: &StarState,
+    ) -> bool {
         let from = self.nodes[node as usize];
         let star = std::mem::take(&mut self.stars[node as usize]);
-        let before = self.star_state(&star);
-        let this = &mut self.nodes[node as usize];
-        (this.rest_m, this.present_m) = (rest_m, to_m);
-        let after = self.star_state(&star);
-        let is_shaped = match accept {
-            Accept::UpTo(max_cosine) => after.max_cosine <= max_cosine.max(before.max_cosine),
-            Accept::Better => after.max_cosine < before.max_cosine - LEAST_GAIN,
-        };
-        let is_good = after.smallest_m3 > 0.0
-            && is_shaped
-            && (after.volume_m3 - before.volume_m3).abs() <= SAME_VOLUME * before.volume_m3;
-        if is_good {
-            let this = &mut self.nodes[node as usize];
-            this.blend = blend;
-            if let Some(old) = this.old.take() {
-                self.node_here[old.index()] = ABSENT;
+        self.nodes[node as usize].present_m = to_m;
+        let mut moved = None;
+        // Cheap refusals first.
+        if !star.iter().any(|&t| is_inverted(tetrahedron_volume_m3(self.present_m(t))))
+            && let Some((blend, rest_m)) = self.locate(body, &star, to_m)
+        {
+            self.nodes[node as usize].rest_m = rest_m;
+            if self.is_better_star(&star, accept, before) {
+                moved = Some(blend);
             }
-            this.has_whole_star = true;
-            for &tet in &star {
-                self.tets[tet as usize].is_old = false;
-                self.tets[tet as usize].is_mixed = true;
+        }
+        match moved {
+            Some(blend) => {
+                let this = &mut self.nodes[node as usize];
+                this.blend = blend;
+                if let Some(old) = this.old.take() {
+                    self.node_here[old.index()] = ABSENT;
+                }
+                this.has_whole_star = true;
+                for &tet in &star {
+                    self.tets[tet as usize].is_old = false;
+                    self.tets[tet as usize].is_mixed = true;
+                }
             }
-        } else {
-            self.nodes[node as usize] = from;
+            None => self.nodes[node as usize] = from,
         }
         self.stars[node as usize] = star;
-        is_good
+        moved.is_some()
+    }
+
+    /// Whether the tetrahedra of a star, as they are at rest now, are acceptable after what they were `before`.
+    fn is_better_star(&self, star: &[u32], accept: Accept, before: &StarState) -> bool {
+        let is_shaped = |cosine: f64| match accept {
+            Accept::UpTo(max_cosine) => cosine <= max_cosine.max(before.max_cosine),
+            Accept::Better => cosine < before.max_cosine - LEAST_GAIN,
+        };
+        let cosine_of = |tet: u32| dihedral_cosine_range(self.rest_m(tet))[1];
+        // The worst one is the likeliest to refuse.
+        if before.worst.is_some_and(|tet| !is_shaped(cosine_of(tet))) {
+            return false;
+        }
+        let mut volume_m3 = 0.0;
+        for &tet in star {
+            let rest_m = self.rest_m(tet);
+            let tet_m3 = tetrahedron_volume_m3(rest_m);
+            if is_inverted(tet_m3) || !is_shaped(dihedral_cosine_range(rest_m)[1]) {
+                return false;
+            }
+            volume_m3 += tet_m3;
+        }
+        (volume_m3 - before.volume_m3).abs() <= SAME_VOLUME * before.volume_m3
     }
 
     /// Faces at a node, with its whole star in the patch, that belong to one tetrahedron: the surface of the body.
@@ -293,11 +331,17 @@ impl Patch {
         (sum.length() > FLAT_SKIN * length).then(|| sum.normalize_or_zero())
     }
 
-    /// Where a point of the present shape near `node` is at rest.
-    fn locate(&self, body: Body<'_>, node: u32, to_m: DVec3) -> Option<(Blend, DVec3)> {
+    /// Where a point of the present shape within a star is at rest.
+    fn locate(&self, body: Body<'_>, star: &[u32], to_m: DVec3) -> Option<(Blend, DVec3)> {
         let mut best: Option<(f64, [NodeId; 4], [f64; 4])> = None;
-        for &tet in &self.stars[node as usize] {
-            let corners = body.mesh.topology().tet_nodes(self.tets[tet as usize].parent);
+        let mut last = None;
+        for &tet in star {
+            let parent = self.tets[tet as usize].parent;
+            // Parts of one tetrahedron tend to follow each other.
+            if last.replace(parent) == Some(parent) {
+                continue;
+            }
+            let corners = body.mesh.topology().tet_nodes(parent);
             let weights = barycentric(corners.map(|n| body.present_m[n.index()]), to_m);
             let least = weights.into_iter().fold(f64::INFINITY, f64::min);
             if best.is_none_or(|b| least > b.0) {
@@ -321,15 +365,17 @@ impl Patch {
         Some((Blend::of_corners(corners, weights), rest_m))
     }
 
-    fn star_state(&self, star: &[u32]) -> StarState {
-        let mut state = StarState { volume_m3: 0.0, smallest_m3: f64::INFINITY, max_cosine: -1.0 };
-        for &tet in star {
+    /// What the star of a node is at rest.
+    pub(super) fn star_state(&self, node: u32) -> StarState {
+        let mut state = StarState { volume_m3: 0.0, max_cosine: -1.0, worst: None };
+        for &tet in self.star(node) {
             let rest_m = self.rest_m(tet);
-            let volume_m3 = tetrahedron_volume_m3(rest_m);
-            state.volume_m3 += volume_m3;
-            state.smallest_m3 =
-                state.smallest_m3.min(volume_m3).min(tetrahedron_volume_m3(self.present_m(tet)));
-            state.max_cosine = state.max_cosine.max(dihedral_cosine_range(rest_m)[1]);
+            state.volume_m3 += tetrahedron_volume_m3(rest_m);
+            let cosine = dihedral_cosine_range(rest_m)[1];
+            if cosine > state.max_cosine {
+                state.max_cosine = cosine;
+                state.worst = Some(tet);
+            }
         }
         state
     }

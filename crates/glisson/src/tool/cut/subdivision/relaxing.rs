@@ -17,6 +17,8 @@ pub(super) fn relax(patch: &mut Patch, body: Body<'_>, normal: DVec3, max_cosine
     cut_nodes.dedup();
     let rim_nodes = rim_nodes(&patch.cut);
     let (u, v) = normal.any_orthonormal_pair();
+    // Nodes that no move helps, as long as the nodes of their tetrahedra stay. Bad tetrahedra share nodes.
+    let mut is_settled: Vec<bool> = Vec::new();
     for _ in 0..N_ROUNDS {
         let mut is_better = false;
         for (_, tet) in patch.bad_tets(max_cosine) {
@@ -25,6 +27,10 @@ pub(super) fn relax(patch: &mut Patch, body: Body<'_>, normal: DVec3, max_cosine
                     continue;
                 }
                 patch.pull_star(body, node);
+                is_settled.resize(patch.nodes.len(), false);
+                if is_settled[node as usize] {
+                    continue;
+                }
                 let is_on_cut = cut_nodes.binary_search(&node).is_ok();
                 let (directions, n) = match (patch.skin_normal(node), is_on_cut) {
                     (None, false) => ([u, v, normal], 3),
@@ -36,7 +42,14 @@ pub(super) fn relax(patch: &mut Patch, body: Body<'_>, normal: DVec3, max_cosine
                     }
                     (Some(skin), true) => ([skin.cross(normal).normalize_or_zero(); 3], 1),
                 };
-                is_better |= better(patch, body, node, &directions[..n]);
+                if better(patch, body, node, &directions[..n]) {
+                    is_better = true;
+                    for &around in patch.star(node).iter().flat_map(|&t| &patch.tets[t as usize].nodes) {
+                        is_settled[around as usize] = false;
+                    }
+                } else {
+                    is_settled[node as usize] = true;
+                }
             }
         }
         if !is_better {
@@ -52,10 +65,14 @@ fn better(patch: &mut Patch, body: Body<'_>, node: u32, directions: &[DVec3]) ->
         let others = patch.tets[t as usize].nodes.into_iter().filter(|&n| n != node);
         others.map(|n| patch.length_m([node, n])).fold(f64::INFINITY, f64::min)
     };
+    let before = patch.star_state(node);
     let shortest_m = patch.star(node).iter().map(length).fold(f64::INFINITY, f64::min);
     STEPS.iter().any(|step| {
         let moves = directions.iter().flat_map(|&d| [d, -d]);
-        moves.into_iter().any(|d| patch.move_node(body, node, from_m + step * shortest_m * d, Accept::Better))
+        moves.into_iter().any(|d| {
+            let to_m = from_m + step * shortest_m * d;
+            patch.move_node_from(body, node, to_m, Accept::Better, &before)
+        })
     })
 }
 

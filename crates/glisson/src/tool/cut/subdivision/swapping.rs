@@ -19,6 +19,9 @@ const AREA_CHANGE: f64 = 1e-3;
 /// Least gain in the cosine of an angle that is worth an exchange.
 const LEAST_GAIN: f64 = 1e-4;
 
+/// Stands for a cosine where a tetrahedron is flat or inside out.
+const INSIDE_OUT: f64 = 2.0;
+
 /// How much the volume may differ, as a share of it: rounding, not a fold.
 const SAME_VOLUME: f64 = 1e-11;
 
@@ -129,8 +132,7 @@ fn collapse(patch: &mut Patch, body: Body<'_>, gone: u32, kept: u32, max_area_ch
     if new.is_empty() {
         return false;
     }
-    let worst = worst_cosine(patch, &new);
-    if !exchange(patch, &star, &new, worst) {
+    if !exchange(patch, &star, &new) {
         return false;
     }
     patch.cut.retain(|f| !(f.contains(&gone) && f.contains(&kept)));
@@ -180,8 +182,9 @@ fn remove_edge(patch: &mut Patch, body: Body<'_>, edge: [u32; 2]) -> bool {
         let at = |i: usize| ring[(first + i) % n];
         let fan: Vec<[u32; 4]> =
             (1..n - 1).flat_map(|i| [[at(0), at(i), at(i + 1), b], [at(0), at(i + 1), at(i), a]]).collect();
-        let worst = worst_cosine(patch, &fan);
-        if best.as_ref().is_none_or(|b| worst < b.0) {
+        let most = best.as_ref().map_or(f64::INFINITY, |b| b.0);
+        let worst = worst_cosine(patch, &fan, most);
+        if worst < most {
             for i in 0..n {
                 patch.pull_star(body, ring[i]);
             }
@@ -192,7 +195,7 @@ fn remove_edge(patch: &mut Patch, body: Body<'_>, edge: [u32; 2]) -> bool {
             }
         }
     }
-    best.is_some_and(|(worst, fan)| exchange(patch, &around, &fan, worst))
+    best.is_some_and(|(_, fan)| exchange(patch, &around, &fan))
 }
 
 fn has_face(patch: &Patch, [a, b, c]: [u32; 3]) -> bool {
@@ -216,30 +219,34 @@ fn remove_face(patch: &mut Patch, body: Body<'_>, tet: u32, face: [u32; 3]) -> b
     let (Some(below), Some(above)) = (apex(tet), apex(other)) else { return false };
     let [x, y, z] = face;
     let three = [[below, above, x, y], [below, above, y, z], [below, above, z, x]];
-    let worst = worst_cosine(patch, &three);
     patch.pull_star(body, below);
-    !are_joined(patch, below, above) && exchange(patch, &[tet, other], &three, worst)
+    !are_joined(patch, below, above) && exchange(patch, &[tet, other], &three)
 }
 
-/// Largest cosine of a dihedral angle at rest; 2 if one would be flat or inside out in either shape.
-fn worst_cosine(patch: &Patch, tets: &[[u32; 4]]) -> f64 {
+/// Largest cosine of a dihedral angle at rest; more if one would be flat or inside out in either shape. Where it is
+/// above `most`, no further ones are looked at.
+fn worst_cosine(patch: &Patch, tets: &[[u32; 4]], most: f64) -> f64 {
     let mut worst: f64 = -1.0;
     for nodes in tets {
         let rest_m = nodes.map(|n| patch.nodes[n as usize].rest_m);
         let present_m = nodes.map(|n| patch.nodes[n as usize].present_m);
         if tetrahedron_volume_m3(rest_m) <= 0.0 || tetrahedron_volume_m3(present_m) <= 0.0 {
-            return 2.0;
+            return INSIDE_OUT;
         }
         worst = worst.max(dihedral_cosine_range(rest_m)[1]);
+        if worst > most {
+            return worst;
+        }
     }
     worst
 }
 
 /// Puts `new` in the place of `old` if that betters the worst angle.
-fn exchange(patch: &mut Patch, old: &[u32], new: &[[u32; 4]], worst: f64) -> bool {
+fn exchange(patch: &mut Patch, old: &[u32], new: &[[u32; 4]]) -> bool {
     let cosine = |&t: &u32| dihedral_cosine_range(patch.rest_m(t))[1];
     let worst_before = old.iter().map(cosine).fold(-1.0, f64::max);
-    if worst > worst_before - LEAST_GAIN {
+    let most = worst_before - LEAST_GAIN;
+    if worst_cosine(patch, new, most) > most {
         return false;
     }
     let rest_m = |nodes: &[u32; 4]| -> [DVec3; 4] { nodes.map(|n| patch.nodes[n as usize].rest_m) };

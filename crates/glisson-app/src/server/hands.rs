@@ -1,0 +1,67 @@
+//! The instruments that the page in control holds as devices ([`crate::devices::viewer`]): what it says about them goes to the
+//! haptic loop, and what a hand would feel comes back.
+
+use crate::devices::viewer::PageHand;
+use crate::runtime::live::Command;
+use std::sync::{Mutex, PoisonError};
+
+/// One for each instrument that a page holds. The loop is at the other ends: it never waits for these locks.
+pub(super) struct Hands {
+    held: Vec<(usize, Mutex<PageHand>)>,
+    /// Told about instrument 0, which it does not hold.
+    beside: Option<Mutex<PageHand>>,
+}
+
+/// What a hand would feel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct FeltBy {
+    /// Number of the instrument.
+    pub(super) tool: usize,
+    pub(super) felt: crate::devices::viewer::Felt,
+}
+
+impl Hands {
+    pub(super) fn new(held: Vec<(usize, PageHand)>, beside: Option<PageHand>) -> Self {
+        let held = held.into_iter().map(|(tool, hand)| (tool, Mutex::new(hand))).collect();
+        Self { held, beside: beside.map(Mutex::new) }
+    }
+
+    /// Whether no page holds an instrument as a device.
+    pub(super) fn is_empty(&self) -> bool {
+        self.held.is_empty() && self.beside.is_none()
+    }
+
+    fn each(&self, mut what: impl FnMut(usize, &mut PageHand)) {
+        let beside = self.beside.iter().map(|hand| (0, hand));
+        for (tool, hand) in self.held.iter().map(|(tool, hand)| (*tool, hand)).chain(beside) {
+            // What a hand holds is whole also after a panic.
+            what(tool, &mut hand.lock().unwrap_or_else(PoisonError::into_inner));
+        }
+    }
+
+    /// Whether a command of the one in control is for a hand alone; then it has it.
+    pub(super) fn take(&self, command: &Command) -> bool {
+        let mut is_taken = false;
+        self.each(|tool, hand| match command {
+            Command::Tool { tool: meant, pose } if *meant == tool => {
+                hand.aim(*pose);
+                is_taken = self.beside.is_none();
+            }
+            Command::Reset => hand.go_home(),
+            _ => {}
+        });
+        is_taken
+    }
+
+    /// Whether a page has control.
+    pub(super) fn set_controlled(&self, is_controlled: bool) {
+        self.each(|_, hand| hand.set_controlled(is_controlled));
+    }
+
+    /// What they feel now.
+    pub(super) fn felt(&self) -> Vec<FeltBy> {
+        let mut all = Vec::with_capacity(self.held.len());
+        self.each(|tool, hand| all.push(FeltBy { tool, felt: hand.felt() }));
+        all
+    }
+}

@@ -1,0 +1,185 @@
+//! The real tools, driven through steps of the world: what they cut is found, cut and torn by the world itself.
+
+use super::patient::{Patient, Volume};
+use glisson::math::DVec3;
+use glisson::tool::{Blade, BladeCuts, CutRule, Grip, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind, ToolShape};
+
+const JAWS: Jaws = Jaws { length_m: 0.02, width_m: 6e-3, greatest_opening_rad: 1.0, closing_force_n: 20.0 };
+const TIP_RADIUS_M: f64 = 1.5e-3;
+/// Share of the calls that cut and are then taken back.
+const TAKEN_BACK: f64 = 0.1;
+
+const GRASPER: usize = 0;
+const HOT: usize = 1;
+const SCISSORS: usize = 2;
+const SCALPEL: usize = 3;
+
+/// A grasper, a hook or cautery, scissors and a scalpel of one of two kinds; all pairs of these come up with all bodies.
+pub(super) fn tools(seed: u64, mean_edge_m: f64, home: ToolInput) -> [Tool; MAX_TOOLS] {
+    let turn = seed + seed / 4;
+    let at_once = CutRule { least_force_n: 1e-4, least_time_s: 2e-3, power_w: 0.0 };
+    // A power that parts a tetrahedron within some steps: no device's.
+    let hot = CutRule { power_w: 4e3, ..at_once };
+    let burns = if turn.is_multiple_of(2) { ToolKind::Hook(at_once) } else { ToolKind::Cautery(JAWS, hot) };
+    let cuts = if (turn / 2).is_multiple_of(2) { BladeCuts::Subdivision } else { BladeCuts::Displacement };
+    let scalpel = ToolKind::Scalpel(Blade { length_m: 4.0 * mean_edge_m, cuts });
+    let tool = |name: &str, kind: ToolKind, tip_radius_m: f64| Tool {
+        kind,
+        shape: ToolShape::Capsules,
+        grip: Grip { friction_coefficient: 1.0, is_sticky: true },
+        ..Tool::probe(name, tip_radius_m, home)
+    };
+    [
+        tool("grasper", ToolKind::Grasper(JAWS), 3e-3),
+        tool("hot tip", burns, TIP_RADIUS_M),
+        tool("scissors", ToolKind::Scissors(JAWS), TIP_RADIUS_M),
+        tool("scalpel", scalpel, 2e-4),
+    ]
+}
+
+impl Patient<'_> {
+    /// A step with one tool there and the others away, and what the tools then cut.
+    fn work(&mut self, tool: usize, input: ToolInput, placed: bool) {
+        let mut inputs = self.away;
+        inputs[tool] = input;
+        self.step(&inputs, placed);
+        let before = self.before();
+        let positions_m = self.world.state().positions_m.to_vec();
+        let live = self.world.organ().live_tetrahedra().to_vec();
+        self.world.take_changes();
+        let cuts = self.world.cut_with_tools();
+        self.tally.refused += cuts.refusals.len() as u64 + u64::from(cuts.tear_refusal.is_some());
+        let changes = self.world.take_changes();
+        let n_edits = changes.len();
+        if n_edits == 0 {
+            return;
+        }
+        self.check(&before, Volume::Taken(cuts.n_removed + cuts.n_torn), &changes);
+        // Edits for which the model was copied whole cannot all be taken back.
+        if self.random.uniform() < TAKEN_BACK && self.world.n_edits_to_undo() >= n_edits {
+            let label = self.label();
+            for _ in 0..n_edits {
+                assert!(self.world.undo_edit(), "{label}: cannot be undone");
+            }
+            let now_m = self.world.state().positions_m;
+            let bits =
+                |list: &[DVec3]| list.iter().flat_map(|p| p.to_array()).map(f64::to_bits).collect::<Vec<_>>();
+            assert_eq!(bits(now_m), bits(&positions_m), "{label}: undone");
+            assert_eq!(self.world.organ().live_tetrahedra(), live, "{label}: undone");
+            self.go_back_to(before);
+            self.check_attached(&label);
+            self.tally.undone += n_edits as u64;
+            return;
+        }
+        let by_edge = cuts.n_edits as u64;
+        let by_tip = u64::from(cuts.n_removed > 0);
+        self.tally.tears += n_edits as u64 - by_edge - by_tip;
+        self.tally.tool_blade_edits += by_edge;
+        match tool {
+            SCISSORS => self.tally.snips += by_tip,
+            _ => self.tally.burns += by_tip,
+        }
+    }
+
+    fn put_away(&mut self) {
+        for _ in 0..3 {
+            self.step(&self.away.clone(), true);
+        }
+    }
+
+    /// Grasps, pulls until tissue tears, lets go.
+    pub(super) fn grasp(&mut self) {
+        let Some((place_m, normal)) = self.place() else { return };
+        let at = |out_m: f64, jaw_opening: f64| ToolInput {
+            jaw_opening,
+            ..ToolInput::at(place_m + normal * out_m, normal)
+        };
+        self.work(GRASPER, at(0.02, 1.0), true);
+        for k in 0..10 {
+            let share = f64::from(k) / 9.0;
+            self.work(GRASPER, at(0.02 * (1.0 - share) - 3e-3 * share, 1.0), false);
+        }
+        for k in 0..8 {
+            self.work(GRASPER, at(-3e-3, 1.0 - f64::from(k) / 7.0), false);
+        }
+        let pull_m = 0.03 * self.random.uniform();
+        let mut held = 0;
+        for k in 0..24 {
+            self.work(GRASPER, at(-3e-3 + pull_m * f64::from(k) / 23.0, 0.0), false);
+            held = held.max(self.world.report().tools[GRASPER].n_held_nodes);
+        }
+        self.work(GRASPER, at(pull_m, 1.0), false);
+        self.tally.grasps += 1;
+        self.tally.held += u64::from(held > 0);
+        self.put_away();
+    }
+
+    /// A hot tip is pressed in and drawn along.
+    pub(super) fn burn(&mut self) {
+        let Some((place_m, normal)) = self.place() else { return };
+        let along = self.way_along(normal);
+        let length_m = self.mean_edge_m * self.random.uniform_in(0.5, 3.0);
+        let at = |out_m: f64, along_m: f64, trigger: f64| ToolInput {
+            trigger,
+            ..ToolInput::at(place_m + normal * out_m + along * along_m, normal)
+        };
+        let (above_m, below_m) = (TIP_RADIUS_M + 2e-3, TIP_RADIUS_M - 2.5e-3);
+        self.work(HOT, at(above_m, 0.0, 0.0), true);
+        for k in 1..=12 {
+            let share = f64::from(k) / 12.0;
+            self.work(HOT, at(above_m + (below_m - above_m) * share, 0.0, 1.0), false);
+        }
+        for k in 1..=16 {
+            self.work(HOT, at(below_m, length_m * f64::from(k) / 16.0, 1.0), false);
+        }
+        self.work(HOT, at(above_m, length_m, 0.0), false);
+        self.tally.tool_uses += 1;
+        self.put_away();
+    }
+
+    /// Scissors are put around some tissue and closed.
+    pub(super) fn snip(&mut self) {
+        let Some((place_m, normal)) = self.place() else { return };
+        let depth_m = self.mean_edge_m * self.random.uniform_in(0.3, 1.5);
+        let at = |out_m: f64, jaw_opening: f64| ToolInput {
+            jaw_opening,
+            ..ToolInput::at(place_m + normal * out_m, normal)
+        };
+        self.work(SCISSORS, at(0.015, 1.0), true);
+        for k in 1..=8 {
+            let share = f64::from(k) / 8.0;
+            self.work(SCISSORS, at(0.015 * (1.0 - share) - depth_m * share, 1.0), false);
+        }
+        for k in 1..=6 {
+            self.work(SCISSORS, at(-depth_m, 1.0 - f64::from(k) / 6.0), false);
+        }
+        self.work(SCISSORS, at(0.015, 0.0), false);
+        self.tally.tool_uses += 1;
+        self.put_away();
+    }
+
+    /// The scalpel is set down, pressed in and drawn, its trigger pressed, then let go.
+    pub(super) fn incise(&mut self) {
+        let Some(stroke) = self.stroke() else { return };
+        let at = |[tip_m, heel_m]: [DVec3; 2], trigger: f64| ToolInput {
+            trigger,
+            ..ToolInput::at(tip_m, (heel_m - tip_m).normalize())
+        };
+        let first = stroke[0];
+        let lift_m = (first[1] - first[0]) * 1.2;
+        self.work(SCALPEL, at(first.map(|p| p + lift_m), 1.0), true);
+        for k in 1..=8 {
+            let left_m = lift_m * (1.0 - f64::from(k) / 8.0);
+            self.work(SCALPEL, at(first.map(|p| p + left_m), 1.0), false);
+        }
+        for pair in stroke.windows(2) {
+            for k in 1..=3 {
+                let share = f64::from(k) / 3.0;
+                self.work(SCALPEL, at([0, 1].map(|i| pair[0][i].lerp(pair[1][i], share)), 1.0), false);
+            }
+        }
+        self.work(SCALPEL, at(stroke[stroke.len() - 1], 0.0), false);
+        self.tally.tool_uses += 1;
+        self.put_away();
+    }
+}

@@ -1,0 +1,128 @@
+//! `[contact]`: whether the organ touches itself, and how.
+
+use super::reader::{SceneError, Section};
+use crate::contact::response::itself::OwnContactParams;
+use crate::model::kind::ModelKind;
+use crate::units::Dimension;
+
+/// Models that tell how the result of a step answers to further forces, which the geometric response asks.
+const TELLS_ITS_ANSWER: [ModelKind; 6] = [
+    ModelKind::TensorMass,
+    ModelKind::NonlinearTensorMass,
+    ModelKind::Explicit,
+    ModelKind::Implicit,
+    ModelKind::MassSpring,
+    ModelKind::ExtendedMassSpring,
+];
+
+/// None when the organ does not touch itself; what else the table says has to be right all the same.
+pub(super) fn read_contact(
+    mut section: Section<'_>,
+    model: ModelKind,
+) -> Result<Option<OwnContactParams>, SceneError> {
+    let touches_itself = section.flag("self")?.unwrap_or(false);
+    let response = section.string("response")?;
+    let name = response.as_ref().map_or("geometric", |r| r.0.as_str());
+    let is_penalty = match (name, &response) {
+        ("geometric", _) => false,
+        ("penalty", _) => true,
+        (_, Some((_, at))) => {
+            let allowed = "geometric, penalty";
+            return Err(section.wrong_value(at, "response", format!("\"{name}\""), allowed));
+        }
+        (_, None) => false,
+    };
+    if touches_itself && !is_penalty && !TELLS_ITS_ANSWER.contains(&model) {
+        let names = TELLS_ITS_ANSWER.map(ModelKind::name).join(", ");
+        let allowed = format!(
+            "\"penalty\" with the model \"{model}\" (a stiffness as well), or \"geometric\" with one of {names}"
+        );
+        return Err(section.wrong_table("response", format!("\"{name}\""), allowed));
+    }
+    let margin_m = section.positive("margin", Dimension::Length)?;
+    let friction = match section.number("friction")? {
+        Some((friction, at)) if friction < 0.0 => {
+            return Err(section.wrong_value(at, "friction", friction.to_string(), "zero or more"));
+        }
+        found => found.map_or(OwnContactParams::DEFAULT_FRICTION, |f| f.0),
+    };
+    // Asked for with springs only: elsewhere it is an unknown key.
+    let stiffness_n_per_m =
+        if is_penalty { section.positive("stiffness", Dimension::Stiffness)? } else { None };
+    let response = match (is_penalty, stiffness_n_per_m) {
+        (false, _) => OwnContactParams::geometric(friction),
+        (true, Some(stiffness_n_per_m)) => OwnContactParams::penalty(stiffness_n_per_m, friction),
+        (true, None) => return Err(section.missing("stiffness", "stiffness = \"50 N/m\"")),
+    };
+    section.finish()?;
+    let margin_m = margin_m.unwrap_or(OwnContactParams::DEFAULT_MARGIN_M);
+    Ok(touches_itself.then_some(OwnContactParams { margin_m, response }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::contact::response::itself::OwnResponse;
+    use crate::scene::Scene;
+
+    const SCENE: &str = r#"glisson_scene = 1
+
+[organ]
+mesh = "liver.vtu"
+young_modulus = "5 kPa"
+poisson_ratio = 0.45
+density = "1060 kg/m3"
+model = "implicit"
+
+[contact]
+self = true
+response = "penalty"
+margin = "1 mm"
+friction = 0.3
+stiffness = "20 N/m"
+
+[tool]
+tip_radius = "6 mm"
+home_tip = ["0 mm", "-200 mm", "0 mm"]
+home_shaft = [0, -2, 0]
+"#;
+
+    fn own_contact(text: &str) -> Option<OwnContactParams> {
+        Scene::parse(text).unwrap().world.own_contact
+    }
+
+    #[test]
+    fn an_organ_touches_itself_when_the_scene_says_so() {
+        let found = own_contact(SCENE).unwrap();
+        assert_eq!(found.margin_m, 1e-3);
+        assert_eq!(found.response, OwnContactParams::penalty(20.0, 0.3));
+        let keys = "response = \"penalty\"\nmargin = \"1 mm\"\nfriction = 0.3\nstiffness = \"20 N/m\"\n";
+        let short = own_contact(&SCENE.replace(keys, "")).unwrap();
+        assert_eq!(short.margin_m, OwnContactParams::DEFAULT_MARGIN_M);
+        assert!(matches!(short.response, OwnResponse::Geometric(_)));
+        assert_eq!(own_contact(&SCENE.replace("self = true", "self = false")), None);
+        assert_eq!(own_contact(&SCENE.replace("[contact]\nself = true\n", "").replace(keys, "")), None);
+    }
+
+    #[test]
+    fn mistakes_are_named_with_line_and_remedy() {
+        for (from, to, expected) in [
+            ("self = true", "self = \"yes\"", "line 11: \"self\" is a string; expected true or false"),
+            ("self = true", "slef = true", "unknown key \"slef\" in [contact]"),
+            ("\"penalty\"", "\"impulse\"", "\"response\" is \"impulse\"; allowed: geometric, penalty"),
+            ("\"1 mm\"", "\"0 mm\"", "\"margin\" is 0 m; allowed: more than zero"),
+            ("0.3", "-0.3", "\"friction\" is -0.3; allowed: zero or more"),
+            ("stiffness = \"20 N/m\"\n", "", "[contact] lacks \"stiffness\""),
+            ("\"penalty\"", "\"geometric\"", "unknown key \"stiffness\" in [contact]"),
+        ] {
+            assert!(SCENE.contains(from), "{from}");
+            let found = Scene::parse(&SCENE.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(found.contains(expected), "{to}: {found}");
+        }
+        let hybrid = SCENE.replace("\"implicit\"", "\"hybrid\"");
+        assert!(own_contact(&hybrid).is_some());
+        let silent = hybrid.replace("response = \"penalty\"\n", "").replace("stiffness = \"20 N/m\"\n", "");
+        let found = Scene::parse(&silent).unwrap_err().to_string();
+        assert!(found.contains("\"penalty\" with the model \"hybrid\""), "{found}");
+    }
+}

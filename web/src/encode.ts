@@ -1,0 +1,59 @@
+/** Encoding of the server's frames: for tests and for the test server. */
+import { BLOOD_BYTES, bloodNumbers } from "./blood";
+import {
+  FLAG_CONTACT,
+  FLAG_GRASP,
+  FLAG_PAUSED,
+  KIND_SNAPSHOT,
+  KIND_TOPOLOGY,
+  MAGIC,
+  SNAPSHOT_HEADER_BYTES,
+  TOOL_BYTES,
+  TOPOLOGY_HEADER_BYTES,
+  type Snapshot,
+  type Topology,
+} from "./protocol";
+
+export function encodeTopology(topology: Omit<Topology, "kind">): ArrayBuffer {
+  const n = topology.nodeIds.length;
+  const flags = TOPOLOGY_HEADER_BYTES + 16 * n + 4 * topology.triangles.length;
+  const buffer = new ArrayBuffer(flags + 4 * Math.ceil(topology.isCut.length / 32));
+  const view = new DataView(buffer);
+  [MAGIC, KIND_TOPOLOGY, topology.version, topology.organ, n, topology.triangles.length / 3].forEach((word, i) =>
+    view.setUint32(4 * i, word, true),
+  );
+  topology.nodeIds.forEach((id, i) => view.setUint32(TOPOLOGY_HEADER_BYTES + 4 * i, id, true));
+  topology.rest_m.forEach((x, i) => view.setFloat32(TOPOLOGY_HEADER_BYTES + 4 * n + 4 * i, x, true));
+  topology.isCut.forEach((isCut, i) => {
+    const at = flags + 4 * Math.floor(i / 32);
+    view.setUint32(at, view.getUint32(at, true) | (isCut << (i % 32)), true);
+  });
+  topology.triangles.forEach((v, i) => view.setUint32(TOPOLOGY_HEADER_BYTES + 16 * n + 4 * i, v, true));
+  return buffer;
+}
+
+export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
+  const { header, positions_m } = snapshot;
+  const first = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * header.tools.length;
+  const blood = first + 4 * positions_m.length;
+  const bloodRecords = bloodNumbers(header.bleeding);
+  const buffer = new ArrayBuffer(blood + 4 * bloodRecords.length);
+  const view = new DataView(buffer);
+  [MAGIC, KIND_SNAPSHOT, header.version, header.organ].forEach((word, i) => view.setUint32(4 * i, word, true));
+  view.setBigUint64(16, BigInt(header.step), true);
+  const scalars = [header.time_s, header.rate_steps_per_s, header.realTimeFactor];
+  scalars.forEach((x, i) => view.setFloat64(24 + 8 * i, x, true));
+  const words = [header.paused ? FLAG_PAUSED : 0, header.tools.length, positions_m.length / 3, (4 * bloodRecords.length) / BLOOD_BYTES];
+  words.forEach((word, i) => view.setUint32(48 + 4 * i, word, true));
+  header.tools.forEach((tool, n) => {
+    const at = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * n;
+    const shares = [tool.roll_rad, tool.jaw, tool.trigger];
+    const numbers = [...tool.tip_m, ...tool.shaft, ...shares, ...tool.forceOnTool_n, ...tool.contactPoint_m];
+    numbers.forEach((x, i) => view.setFloat64(at + 8 * i, x, true));
+    view.setUint32(at + 120, (tool.contact ? FLAG_CONTACT : 0) | (tool.grasps ? FLAG_GRASP : 0), true);
+    view.setUint32(at + 124, tool.heldNodes, true);
+  });
+  positions_m.forEach((x, i) => view.setFloat32(first + 4 * i, x, true));
+  bloodRecords.forEach((x, i) => view.setFloat32(blood + 4 * i, x, true));
+  return buffer;
+}

@@ -30,6 +30,7 @@ mod reduced;
 mod resection;
 mod rheology;
 mod rotation;
+mod self_contact;
 mod tissue;
 mod tubes;
 mod unit;
@@ -165,6 +166,11 @@ pub(crate) const GROUPS: &[Group] = &[
         run: contact_response::experiments,
     },
     Group {
+        name: "self_contact",
+        about: "An organ that touches itself: lobes driven together, a piece cut loose that falls on the rest.",
+        run: self_contact::experiments,
+    },
+    Group {
         name: "active_trocar",
         about: "The active trocar: statics over its workspace, saturation, encoders, and its board palpating an organ.",
         run: active_trocar::experiments,
@@ -292,3 +298,10 @@ pub(crate) const GROUPS: &[Group] = &[
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];
+
+/// Groups of some minutes each, which run only when they are asked for.
+pub(crate) const SLOW_GROUPS: &[Group] = &[Group {
+    name: "contact_physics_full_size",
+    about: "Two phantom livers of 6,300 tetrahedra, one on the other, for more than a minute.",
+    run: contact_physics::full_size_experiments,
+}];

@@ -79,10 +79,11 @@ impl EditableMesh {
             } else {
                 Default::default()
             };
+        let mut found: Vec<(TetId, f64)> = Vec::with_capacity(plan.doomed.len());
         for (place, (nodes, (_, parents))) in corners_of.into_iter().zip(new_tets).enumerate() {
             if parents.is_empty() {
-                let parents = self.parents_by_volume(plan, (&doomed, &bounds), nodes);
-                plan.add_tet(nodes, &parents);
+                self.parents_by_volume(plan, (&doomed, &bounds), nodes, &mut found);
+                plan.add_tet(nodes, &found);
                 continue;
             }
             let sum: f64 = parents.iter().map(|p| p.1).sum();
@@ -173,9 +174,10 @@ impl EditableMesh {
         plan: &Plan,
         (doomed, bounds): (&[Tet], &[Aabb]),
         nodes: [NodeId; 4],
-    ) -> Vec<(TetId, f64)> {
+        parents: &mut Vec<(TetId, f64)>,
+    ) {
         let (own, own_bounds) = Tet::new(nodes.map(|n| plan.position_m(&self.mesh, n)));
-        let mut parents: Vec<(TetId, f64)> = Vec::new();
+        parents.clear();
         for (at, bounds) in bounds.iter().enumerate() {
             if are_near(&own_bounds, bounds) {
                 let shared_m3 = own.shared_volume_m3(&doomed[at]);
@@ -187,10 +189,10 @@ impl EditableMesh {
         let sum: f64 = parents.iter().map(|p| p.1).sum();
         if sum > 0.0 {
             parents.iter_mut().for_each(|p| p.1 /= sum);
-            return parents;
+            return;
         }
         // Too thin to share a volume with anything in floating point: all alike.
         let share = 1.0 / plan.doomed.len() as f64;
-        plan.doomed.iter().map(|&tet| (tet, share)).collect()
+        parents.extend(plan.doomed.iter().map(|&tet| (tet, share)));
     }
 }

@@ -26,6 +26,8 @@ mod relaxing;
 mod section;
 mod swapping;
 mod sweep;
+#[cfg(test)]
+mod tests;
 
 use self::patch::{Body, Patch};
 use self::relaxing::relax;
@@ -252,6 +254,8 @@ pub struct SubdivisionCut {
     /// The stroke before the last edit, should the edit not be carried out.
     before: Stroke,
     patch: Patch,
+    /// [`LEEWAY`]; where it is large, every way to cut is worked out to the end.
+    leeway: f64,
 }
 
 /// What a stroke remembers from step to step.
@@ -283,7 +287,13 @@ struct Anchor {
 impl SubdivisionCut {
     /// A stroke that has not begun.
     pub fn new(params: SubdivisionParams) -> Self {
-        Self { params, stroke: Stroke::default(), before: Stroke::default(), patch: Patch::default() }
+        Self {
+            params,
+            stroke: Stroke::default(),
+            before: Stroke::default(),
+            patch: Patch::default(),
+            leeway: LEEWAY,
+        }
     }
 
     /// How it cuts.
@@ -494,7 +504,7 @@ impl SubdivisionCut {
         let off_m2 = self.off_m2(tried);
         // At the end of the stroke, faces that stay closed may make up for too much area.
         let least_m2 = if is_last && off_m2 > 0.0 { 0.0 } else { off_m2.abs() };
-        let least_m2 = least_m2 - LEEWAY * tried.report.cut_area_m2.abs();
+        let least_m2 = least_m2 - self.leeway * tried.report.cut_area_m2.abs();
         let (allowed_m2, is_close) = self.allowed(tried, is_last);
         let is_good_enough = least_m2 <= allowed_m2 && is_close;
         let strayed_m2 = WEIGHT_OF_STRAYED[usize::from(is_last)] * tried.strayed_m2;

@@ -311,7 +311,7 @@ impl Work<'_> {
             }
         }
         // Faces, 32 bits a node, and the side of their tetrahedra, one more than its sign: one number sorts faster.
-        let mut sides: Vec<u128> = Vec::new();
+        let mut sides: Vec<u128> = Vec::with_capacity(self.patch.tets.len());
         for tet in 0..self.patch.tets.len() {
             let tet = self.patch.tets[tet];
             if !tet.is_live {

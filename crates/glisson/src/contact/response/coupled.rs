@@ -97,7 +97,7 @@ impl CoupledForces {
         // Along the first direction the best length is known, because the answer is linear.
         let mut length_n2 = 0.0;
         for (c, contact) in contacts.iter().enumerate() {
-            let force_n = params.into_cone(contact.normal, -self.openings_m[c]);
+            let force_n = params.within_cone(contact.normal, -self.openings_m[c]);
             self.forces_n[c] = force_n;
             length_n2 += force_n.length_squared();
         }
@@ -122,7 +122,7 @@ impl CoupledForces {
             for (c, contact) in contacts.iter().enumerate() {
                 let wrong_m = self.openings_m[c] + self.moves_m[c];
                 let now_n = self.forces_n[c];
-                let next_n = params.into_cone(contact.normal, now_n - wrong_m * rho_n_per_m);
+                let next_n = params.within_cone(contact.normal, now_n - wrong_m * rho_n_per_m);
                 self.tried_n[c] = next_n - now_n;
                 self.forces_n[c] = next_n;
                 changed_n2 += self.tried_n[c].length_squared();
@@ -156,7 +156,7 @@ pub(super) struct CoupledParams {
 }
 
 impl CoupledParams {
-    fn into_cone(&self, normal: DVec3, force_n: DVec3) -> DVec3 {
+    fn within_cone(&self, normal: DVec3, force_n: DVec3) -> DVec3 {
         let push_n = force_n.dot(normal).max(0.0);
         let across_n = force_n - normal * force_n.dot(normal);
         normal * push_n + across_n.clamp_length_max(self.friction * push_n)

@@ -29,6 +29,8 @@ pub(super) const MESH_SKIN_M: f64 = 1e-4;
 const APART_M: f64 = 2e-4;
 /// An instrument that came further between two looks was put there [m]: a choice, ten times what hands do in a tick.
 const JUMP_M: f64 = 0.1;
+/// A touched point with smaller weights is at an edge of its triangle, or a corner.
+const LEAST_WITHIN: f64 = 1e-3;
 /// Nodes that moved less than this [m] did not: rounding of positions that travel as 32-bit numbers.
 const STILL_M: f64 = 1e-7;
 /// Triangles that are looked at around an instrument, and in how far a reach at first [m]: choices.
@@ -419,7 +421,9 @@ impl ToolDetector {
         if normal == DVec3::ZERO {
             return PartState::Free;
         }
-        if normal.dot(face) < FROM_INSIDE {
+        // At a corner of the surface the triangle may face elsewhere than the touch.
+        let is_within = found.weights.iter().all(|weight| *weight > LEAST_WITHIN);
+        if is_within && normal.dot(face) < FROM_INSIDE {
             // It comes out of the organ: nothing holds it back.
             return PartState::Buried;
         }

@@ -158,7 +158,7 @@ impl Hand {
             }
             let touch = match detected {
                 Some(detected) => detected.touches[part.index()]
-                    .and_then(|told| self.touch_as_told(tool, part, &told, organ)),
+                    .and_then(|told| self.touch_as_told((tool, part), &told, organ, is_placed)),
                 None => self.touch(tool, part, organ, is_placed),
             };
             match touch {
@@ -186,10 +186,10 @@ impl Hand {
     /// A touch that was found elsewhere, where the part still is at or behind the touched place.
     fn touch_as_told(
         &self,
-        tool: &Tool,
-        part: ToolPart,
+        (tool, part): (&Tool, ToolPart),
         told: &FoundTouch,
         organ: &Organ,
+        is_placed: bool,
     ) -> Option<ContactBegin> {
         let slot = organ.skin().slot_of(told.triangle)?;
         let (triangle, nodes) = organ.skin().place_in_slot(slot);
@@ -210,6 +210,13 @@ impl Hand {
         };
         let found = ToolContact { triangle: slot, weights: told.weights, contact };
         let place = SurfacePlace { triangle, nodes, found };
-        is_there.then(|| HeldContact::begin(&place, at, (point_m, radius_m), organ))
+        if !is_there {
+            return None;
+        }
+        match HeldContact::begin(&place, at, (point_m, radius_m), organ) {
+            // At a corner of the surface the triangle may face elsewhere than the touch.
+            ContactBegin::FromInside => self.touch(tool, part, organ, is_placed),
+            begun => Some(begun),
+        }
     }
 }

@@ -17,7 +17,6 @@ use std::time::{Duration, Instant};
 const SIZE_M: [f64; 3] = [0.08, 0.08, 0.03];
 const CELLS: [usize; 3] = [6, 6, 3];
 const SCENE: &str = r#"glisson_scene = 1
-[scene]
 name = "block for trying the page"
 [organ]
 mesh = "block.vtu"

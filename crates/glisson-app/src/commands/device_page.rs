@@ -18,6 +18,8 @@ const SIZE_M: [f64; 3] = [0.08, 0.08, 0.03];
 const CELLS: [usize; 3] = [6, 6, 3];
 const SCENE: &str = r#"glisson_scene = 1
 name = "block for trying the page"
+[simulation]
+time_step = "0.5 ms"
 [organ]
 mesh = "block.vtu"
 young_modulus = "5 kPa"

@@ -10,8 +10,9 @@ pub(crate) const CELLS_288: [usize; 3] = [4, 4, 7];
 /// The same with 296 triangles, so that two have 592 (seed 000, fig. 4.6: 596), and 368 tetrahedra.
 pub(crate) const CELLS_296: [usize; 3] = [4, 5, 6];
 
-/// Depth of the inner nodes below the middles of the sides, as a share of the edge: a choice.
-const DEPTH: f64 = 0.25;
+/// Depth of the inner nodes below the middles of the sides, as a share of the edge: a choice. Less deep, the flat tetrahedra
+/// under the sides would bear shorter steps only.
+const DEPTH: f64 = 0.36;
 
 /// A cube with one corner in the origin. Below the middle of each side is a node, to which all triangles of that side lead;
 /// between two sides there is a tetrahedron at each piece of their edge, at a corner one between three, and inside four.

@@ -17,11 +17,12 @@ use glisson::world::{StepInput, World};
 
 use super::body::StandardBody;
 use super::{Case, Prepared, Settings, isa_name};
+use crate::server::frames::topology_frame;
 
 pub(super) const CASES: &[Case] = &[
     Case {
         name: "edit_transaction",
-        about: "the removal of one tetrahedron from a world: mesh, explicit model, collision, journal, display",
+        about: "the removal of one tetrahedron from a world: mesh, explicit model, collision, journal, surface lists",
         per: "removal",
         sizes: &[2_000, 6_300],
         parallel: false,
@@ -34,6 +35,22 @@ pub(super) const CASES: &[Case] = &[
         sizes: &[2_000, 6_300],
         parallel: false,
         prepare: edit_transaction_parting,
+    },
+    Case {
+        name: "edit_transaction_shown",
+        about: "edit_transaction and the new surface for the viewer after every removal, as the simulation publishes it once a frame",
+        per: "removal",
+        sizes: &[2_000, 6_300],
+        parallel: false,
+        prepare: edit_transaction_shown,
+    },
+    Case {
+        name: "edit_frame",
+        about: "the message with that surface, as the server makes it for a viewer in its own thread",
+        per: "frame",
+        sizes: &[2_000, 6_300],
+        parallel: false,
+        prepare: edit_frame,
     },
     Case {
         name: "edit_undo",
@@ -108,6 +125,24 @@ fn edit_transaction_parting(settings: Settings) -> anyhow::Result<Prepared> {
         // One that was divided with a singular edge is there no more: refused.
         let _ = black_box(world.remove_and_part(black_box(tets.clone())));
     })
+}
+
+fn edit_transaction_shown(settings: Settings) -> anyhow::Result<Prepared> {
+    removing(settings, |world, edit| {
+        black_box(world.edit_in_place(black_box(edit)).expect("a live tetrahedron goes"));
+        black_box(world.display_topology());
+    })
+}
+
+fn edit_frame(settings: Settings) -> anyhow::Result<Prepared> {
+    let world = world_of(settings.size, 1)?;
+    let size = world.organ().mesh().tetrahedra.len();
+    let shown = world.display_topology();
+    let note = format!("{} vertices, {} triangles", shown.nodes.len(), shown.triangles.len());
+    let run = move || {
+        black_box(topology_frame(black_box(&shown)));
+    };
+    Ok(prepared(size, note, Box::new(run)))
 }
 
 /// Removals in a row, each made by `remove`.

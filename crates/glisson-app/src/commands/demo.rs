@@ -105,9 +105,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         println!("\nscripted resection");
         let resection = resection::operate(&files)?;
         anyhow::ensure!(
-            resection.tumour_in_specimen > 0.99,
-            "the piece that was lifted holds {:.0} % of the tumour only",
+            resection.tumour_in_specimen == 1.0,
+            "the piece that was lifted holds {:.2} % of the tumour only",
             100.0 * resection.tumour_in_specimen
+        );
+        anyhow::ensure!(
+            resection.margin_m > 0.0,
+            "the cut comes to the tumour: its least distance is {:.1} mm",
+            1e3 * resection.margin_m
         );
         println!(
             "written to {}: look at resection.md and the pictures; state {}",

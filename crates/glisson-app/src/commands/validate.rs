@@ -1,6 +1,6 @@
 //! `glisson validate`.
 
-use crate::validate::{Experiment, Figure, GROUPS, Group, Outcome};
+use crate::validate::{Experiment, Figure, GROUPS, Group, Outcome, SLOW_GROUPS};
 use anyhow::{Context, bail};
 use glisson::files::write_atomically;
 use serde_json::json;
@@ -16,6 +16,9 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Args {
     /// Group of experiments; all if not given
     group: Option<String>,
+    /// Also run the groups that take minutes each
+    #[arg(long)]
+    slow: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -71,7 +74,7 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let names: Vec<&str> = GROUPS.iter().map(|g| g.name).collect();
+    let names: Vec<&str> = GROUPS.iter().chain(SLOW_GROUPS).map(|g| g.name).collect();
     if let Some(group) = &args.group
         && !names.contains(&group.as_str())
     {
@@ -82,7 +85,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot make", folder.display()))?;
     }
     let mut outcomes = Vec::new();
-    for group in GROUPS.iter().filter(|g| args.group.as_ref().is_none_or(|wanted| wanted == g.name)) {
+    // A slow group that is named is asked for.
+    let slow = if args.slow || args.group.is_some() { SLOW_GROUPS } else { &[] };
+    let is_wanted = |g: &&Group| args.group.as_ref().is_none_or(|wanted| wanted == g.name);
+    for group in GROUPS.iter().chain(slow).filter(is_wanted) {
         eprintln!("{} ...", group.name);
         let outcome = (group.run)().with_context(|| format!("experiments of group {}", group.name))?;
         outcomes.push((group, outcome));

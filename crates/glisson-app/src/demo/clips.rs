@@ -1,11 +1,11 @@
-//! The clip applier of the scripted resection: it goes to the vessels that bleed, one after the other, sets a clip on each
-//! and comes back.
+//! The clip applier of the scripted resection: it goes to a vessel that bleeds, sets a clip and goes on to the next one or
+//! home.
 
 use glisson::tool::ToolInput;
 use std::collections::VecDeque;
 
 /// How fast it is led [m/s]: a choice.
-const SPEED_M_PER_S: f64 = 0.4;
+const SPEED_M_PER_S: f64 = 0.6;
 
 /// What to do next.
 #[derive(Clone, Copy, Debug)]
@@ -32,12 +32,14 @@ impl ClipApplier {
         !self.orders.is_empty()
     }
 
-    /// One clip at each `near`, to which the way leads from its `far` along the shaft, and home.
-    pub(super) fn send(&mut self, places: &[[ToolInput; 2]]) {
-        for &[far, near] in places {
-            self.orders.extend([Order::Go(far), Order::Go(near), Order::Clip, Order::Go(far)]);
-        }
-        if !places.is_empty() {
+    /// One clip at `near`, to which the way leads from `far` along the shaft, and back again.
+    pub(super) fn send(&mut self, [far, near]: [ToolInput; 2]) {
+        self.orders.extend([Order::Go(far), Order::Go(near), Order::Clip, Order::Go(far)]);
+    }
+
+    /// Home after what it does now.
+    pub(super) fn go_home(&mut self) {
+        if self.now != self.home || self.is_busy() {
             self.orders.push_back(Order::Go(self.home));
         }
     }
@@ -76,7 +78,11 @@ mod tests {
         let home = at(0.0, 0.1);
         let mut applier = ClipApplier::new(home);
         assert!(!applier.is_busy() && applier.advance(1e-3) == (home, false));
-        applier.send(&[[at(0.03, 0.05), at(0.03, 0.0)], [at(-0.03, 0.05), at(-0.03, 0.01)]]);
+        applier.go_home();
+        assert!(!applier.is_busy(), "it is there");
+        applier.send([at(0.03, 0.05), at(0.03, 0.0)]);
+        applier.send([at(-0.03, 0.05), at(-0.03, 0.01)]);
+        applier.go_home();
         let (mut clipped, mut last) = (Vec::new(), home);
         while applier.is_busy() {
             let (pose, clips) = applier.advance(1e-3);

@@ -4,12 +4,12 @@
 //! The plan comes from the image's tumour: a cone about the line from the nearest point of the surface to the tumour's
 //! middle, with its tip beneath it. The hook goes around it on ever deeper circles and leans, so that its straight shaft
 //! lies in what it has burnt already: under a flat bottom it would have to go through the piece. What a hook burns is as
-//! thick as the tetrahedra that it touches, so the mesh is made finer along its way beforehand. After every circle it rests
+//! thick as the tetrahedra that it touches, so the mesh is made finer along its way beforehand. Now and then it rests
 //! while the vessels that it opened are closed.
 
 use super::clips::ClipApplier;
 use super::scenery::Files;
-use super::specimen::{Specimen, Tumour};
+use super::specimen::{Specimen, Tumour, holds};
 use crate::picture::{
     Arrow, Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, ShadedSurface, View,
 };
@@ -19,11 +19,11 @@ use anyhow::{Context, ensure};
 use glisson::files::write_atomically;
 use glisson::image::nifti::read_label_map;
 use glisson::math::DVec3;
-use glisson::mesh::TetMesh;
 use glisson::mesh::edit::EditableMesh;
 use glisson::mesh::files::{read_mesh, write_mesh};
 use glisson::mesh::refine::{FineRegion, refine};
 use glisson::mesh::topology::{Topology, surface_of};
+use glisson::mesh::{TetId, TetMesh};
 use glisson::record::hash::StateHash;
 use glisson::surface::normals::{NormalWeight, vertex_normals};
 use glisson::tool::ToolInput;
@@ -37,18 +37,22 @@ const PICTURE_SIZE: [usize; 2] = [1280, 800];
 const TIP_RADIUS_M: f64 = 2e-3;
 /// Healthy tissue between the tumour and the hook's way [m]: a choice. What is left of it is less by the hook's tip and by the
 /// size of the tetrahedra that it burns.
-const MARGIN_M: f64 = 14e-3;
+const MARGIN_M: f64 = 17e-3;
 /// Half the angle of the cone [rad]: a choice; a narrower one is deeper, a wider one takes more of the surface.
 const LEAN_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
 /// Distance between two circles [m], below the width of what the hook burns.
-const LEVEL_M: f64 = 5e-3;
+const LEVEL_M: f64 = 6e-3;
 /// How fast the hook is led [m/s].
-const SPEED_M_PER_S: f64 = 0.2;
+const SPEED_M_PER_S: f64 = 0.35;
 /// Points on a circle.
 const CORNERS: usize = 24;
+/// Circles that may lie above the surface at the entry, where the organ rises beside it.
+const CIRCLES_ABOVE: usize = 4;
+/// After so many circles the hook rests: a choice. A vessel that is closed earlier is often cut again nearer to its root.
+const CIRCLES_TO_LOOK: usize = 5;
 /// Longest edge of the tetrahedra on the hook's way [m], and how far around it: choices.
-const FINE_EDGE_M: f64 = 8e-3;
-const FINE_RADIUS_M: f64 = 7e-3;
+const FINE_EDGE_M: f64 = 14e-3;
+const FINE_RADIUS_M: f64 = 6e-3;
 /// Edges that one edit divides.
 const MOST_SPLITS: usize = 1_000;
 /// A hook that feels more than this [N] for so long [s] is stuck, and the script stops: choices, well above the 3 N at which
@@ -63,8 +67,8 @@ const GRASPER: usize = 0;
 const HOOK: usize = 1;
 const CLIP_APPLIER: usize = 2;
 /// The clip applier waits so far above the surface, and comes from so far above it to each vessel [m].
-const CLIPS_HOME_M: f64 = 0.12;
-const CLIPS_ABOVE_M: f64 = 0.03;
+const CLIPS_HOME_M: f64 = 0.08;
+const CLIPS_ABOVE_M: f64 = 0.02;
 
 /// Where the hands go.
 struct Plan {
@@ -73,6 +77,8 @@ struct Plan {
     /// From the tumour out of the liver.
     out: DVec3,
     depth_m: f64,
+    /// How far the circles lie below the surface [m], the first ones first: those that meet the organ.
+    circles_m: Vec<f64>,
 }
 
 impl Plan {
@@ -91,7 +97,9 @@ impl Plan {
         let entry_m = *nearest.0;
         let out = (entry_m - tumour.center_m).try_normalize().unwrap_or(*nearest.1);
         let depth_m = entry_m.distance(tumour.center_m);
-        Ok(Self { tumour, entry_m, out, depth_m })
+        let mut plan = Self { tumour, entry_m, out, depth_m, circles_m: Vec::new() };
+        plan.circles_m = plan.circles_in(mesh);
+        Ok(plan)
     }
 
     fn across(&self) -> [DVec3; 2] {
@@ -102,6 +110,24 @@ impl Plan {
     /// How deep the tip of the cone lies: it touches a ball around the tumour, with the margin.
     fn tip_of_cone_m(&self) -> f64 {
         self.depth_m + (self.tumour.radius_m + MARGIN_M) / LEAN_RAD.sin()
+    }
+
+    /// The circles that meet the organ, and one more above and below.
+    fn circles_in(&self, mesh: &TetMesh) -> Vec<f64> {
+        let bottom_m = self.tip_of_cone_m();
+        let n = (bottom_m / LEVEL_M).ceil() as usize + CIRCLES_ABOVE;
+        let below_m = |circle: usize| (LEVEL_M * (circle as f64 - CIRCLES_ABOVE as f64)).min(bottom_m);
+        let meets = |circle: usize| {
+            let mut places_m = (0..CORNERS).map(|corner| {
+                let angle = std::f64::consts::TAU * corner as f64 / CORNERS as f64;
+                self.on_cone(below_m(circle), angle, 0.0).tip_in_world_m
+            });
+            places_m
+                .any(|p| (0..mesh.tetrahedra.len()).any(|t| holds(mesh.corners_m(TetId::from_index(t)), p)))
+        };
+        let first = (0..=n).find(|&circle| meets(circle)).unwrap_or(0);
+        let last = (0..=n).rev().find(|&circle| meets(circle)).unwrap_or(n);
+        (first.saturating_sub(1)..=(last + 1).min(n)).map(below_m).collect()
     }
 
     /// The hook on the cone, `below_m` under the surface, drawn back along its shaft by `back_m`.
@@ -148,10 +174,10 @@ impl Plan {
         [self.on_cone(below_m, angle, back_m), self.on_cone(below_m, angle, 0.0)]
     }
 
-    /// The hook's way: time [s], pose; and when it ends a circle [s].
+    /// The hook's way: time [s], pose; and when it rests so that vessels can be clipped [s].
     fn hook(&self) -> (Vec<(f64, ToolInput)>, Vec<f64>) {
-        let bottom_m = self.tip_of_cone_m();
-        let above_m = -3.0 * LEVEL_M;
+        let bottom_m = self.circles_m.last().copied().unwrap_or(0.0);
+        let above_m = self.circles_m.first().copied().unwrap_or(0.0) - LEVEL_M;
         let mut way: Vec<(f64, ToolInput)> = vec![(1.0, self.on_cone(above_m, 0.0, 0.03))];
         let mut to = |pose: ToolInput, trigger: f64| {
             let (time_s, last) = way[way.len() - 1];
@@ -160,24 +186,21 @@ impl Plan {
             way.push((there_s, ToolInput { trigger, ..pose }));
             there_s
         };
-        let mut circles_s = Vec::new();
-        // A little above the surface first: where it bulges.
-        let n_levels = (bottom_m / LEVEL_M).ceil() as usize + 2;
-        for level in 0..=n_levels {
-            let below_m = (LEVEL_M * (level as f64 - 2.0)).min(bottom_m);
+        let mut looks_s = Vec::new();
+        for (circle, &below_m) in self.circles_m.iter().enumerate() {
             for corner in 0..=CORNERS {
                 let angle = std::f64::consts::TAU * corner as f64 / CORNERS as f64;
                 let there_s = to(self.on_cone(below_m, angle, 0.0), 1.0);
-                if corner == CORNERS {
-                    circles_s.push(there_s);
+                if corner == CORNERS && (circle + 1).is_multiple_of(CIRCLES_TO_LOOK) {
+                    looks_s.push(there_s);
                 }
             }
         }
         // Out along its shaft, burning what is in the way.
         let out_m = bottom_m / LEAN_RAD.cos();
         to(self.on_cone(bottom_m, 0.0, out_m + 0.03), 1.0);
-        circles_s.push(to(self.on_cone(bottom_m, 0.0, out_m + 0.06), 0.0));
-        (way, circles_s)
+        looks_s.push(to(self.on_cone(bottom_m, 0.0, out_m + 0.06), 0.0));
+        (way, looks_s)
     }
 
     /// The grasper's way: time [s], tip [m], opening of the jaws.
@@ -306,6 +329,8 @@ pub(crate) struct Resection {
     pub(crate) state_hash: StateHash,
     /// Share of the tumour in the piece that was lifted; 0 if that is not free.
     pub(crate) tumour_in_specimen: f64,
+    /// Least distance of the cut from the tumour [m].
+    pub(crate) margin_m: f64,
 }
 
 /// Blood that the organ loses now [ml/min].
@@ -328,7 +353,7 @@ fn follow_script(
         shots.iter().map(|(share, name)| ((share * script_steps as f64) as u64, *name)).peekable();
     let mut looks = plan.hook().1.into_iter().chain([end_s]).peekable();
     let mut applier = ClipApplier::new(simulation.world().tools()[CLIP_APPLIER].home);
-    let (mut course, mut stuck_s, mut script_step) = (Course::default(), 0.0, 0_u64);
+    let (mut course, mut stuck_s, mut script_step, mut is_looking) = (Course::default(), 0.0, 0_u64, false);
     let shoot = |name: &str, world: &World, pictures: &mut Vec<PathBuf>| {
         let file = files.folder.join(format!("resection_{}_{name}.png", pictures.len() + 1));
         picture(&file, world, plan, name)?;
@@ -341,12 +366,18 @@ fn follow_script(
             shoot(name, simulation.world(), &mut course.pictures)?;
         }
         let script_s = script_step as f64 * time_step_s;
-        if !applier.is_busy() && looks.next_if(|look_s| *look_s <= script_s).is_some() {
-            // What bleeds most comes first.
-            let mut ends = simulation.world().snapshot().bleeding.ends;
-            ends.sort_by(|a, b| b.rate_m3_per_s.total_cmp(&a.rate_m3_per_s));
-            let places: Vec<_> = ends.iter().map(|end| plan.to_clip(end.position_m)).collect();
-            applier.send(&places);
+        is_looking |= looks.next_if(|look_s| *look_s <= script_s).is_some();
+        if is_looking && !applier.is_busy() {
+            // What bleeds most comes first; a clip on one vessel may close others.
+            let ends = simulation.world().snapshot().bleeding.ends;
+            let worst = ends.iter().max_by(|a, b| a.rate_m3_per_s.total_cmp(&b.rate_m3_per_s));
+            match worst {
+                Some(end) => applier.send(plan.to_clip(end.position_m)),
+                None => {
+                    applier.go_home();
+                    is_looking = false;
+                }
+            }
         }
         let waits = applier.is_busy();
         if !waits && script_step == script_steps {
@@ -370,7 +401,13 @@ fn follow_script(
             simulation.clip_vessel(CLIP_APPLIER)?;
             let after_ml_per_min = bleeding_ml_per_min(simulation.world());
             let time_s = simulation.world().snapshot().time_s;
-            course.clips.push(Clip { time_s, before_ml_per_min, after_ml_per_min });
+            if after_ml_per_min < before_ml_per_min {
+                course.clips.push(Clip { time_s, before_ml_per_min, after_ml_per_min });
+            } else {
+                // Out of reach, of which a notice tells: until the next look.
+                applier.go_home();
+                is_looking = false;
+            }
         }
         for (greatest, tool) in course.greatest_n.iter_mut().zip(&report.tools) {
             *greatest = greatest.max(tool.force_on_tool_n.length());
@@ -431,7 +468,7 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     let json_text = serde_json::to_string_pretty(&report)? + "\n";
     let mut text = String::from(
         "# A tumour is taken out of the liver with two hands\n\nThe grasper holds the tissue over the tumour and pulls; the hook burns a cone \
-         around and beneath it; after every circle an assistant sets clips on what bleeds; then the piece is lifted out.\n\n",
+         around and beneath it; now and then an assistant sets clips on what bleeds; then the piece is lifted out.\n\n",
     );
     for file in &pictures {
         let name = file.file_name().unwrap_or_default().to_string_lossy();
@@ -470,7 +507,7 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     }
     println!("{text}");
     let tumour_in_specimen = if specimen.is_free { specimen.tumour_share } else { 0.0 };
-    Ok(Resection { state_hash, tumour_in_specimen })
+    Ok(Resection { state_hash, tumour_in_specimen, margin_m: specimen.margin_m })
 }
 
 fn instrument(pose: &ToolInput, world: &World, tool: usize) -> Instrument {

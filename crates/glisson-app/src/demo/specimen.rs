@@ -137,7 +137,7 @@ fn margin_m(
 }
 
 /// Whether a tetrahedron holds a point, its faces included.
-fn holds(corners_m: [DVec3; 4], point_m: DVec3) -> bool {
+pub(super) fn holds(corners_m: [DVec3; 4], point_m: DVec3) -> bool {
     let volume_m3 = tetrahedron_volume_m3(corners_m);
     (0..4).all(|i| {
         let mut part_m = corners_m;

@@ -298,3 +298,10 @@ pub(crate) const GROUPS: &[Group] = &[
     },
     Group { name: "image", about: "From the image to the organ.", run: image::experiments },
 ];
+
+/// Groups of some minutes each, which run only when they are asked for.
+pub(crate) const SLOW_GROUPS: &[Group] = &[Group {
+    name: "contact_physics_full_size",
+    about: "Two phantom livers of 6,300 tetrahedra, one on the other, for more than a minute.",
+    run: contact_physics::full_size_experiments,
+}];

@@ -180,12 +180,40 @@ fn a_tumour_is_resected_with_two_hands_and_the_replay_is_the_same() {
     let text = std::fs::read_to_string(folder.path().join("resection.json")).unwrap();
     let report: Value = serde_json::from_str(&text).unwrap();
     assert_eq!(report["specimen_is_free"], true, "{text}");
-    assert!(report["tumour_in_specimen"].as_f64().unwrap() > 0.99, "{text}");
+    assert_eq!(report["tumour_in_specimen"], 1.0, "{text}");
     assert_eq!(report["state_hash"], report["replayed_state_hash"], "{text}");
     // Tissue bears no more: the hook's three parts, four times the force at which a crack runs before each (docs/scene.md).
     assert!(report["greatest_force_hook_n"].as_f64().unwrap() < 37.0, "{text}");
     assert!(report["greatest_force_grasper_n"].as_f64().unwrap() < 50.0, "{text}");
-    assert!(report["blood_lost_ml"].as_f64().unwrap() > 0.0, "{text}");
+    // The tumour is out whole, with healthy tissue around it.
+    assert!(report["least_margin_m"].as_f64().unwrap() > 5e-3, "{text}");
+    // What bled is closed: every clip took something off, and little is left.
+    let number = |key: &str| report[key].as_f64().unwrap();
+    assert!(number("blood_lost_ml") > 0.0, "{text}");
+    let clips = report["clips"].as_array().unwrap();
+    assert!(!clips.is_empty(), "{text}");
+    for clip in clips {
+        let [before, after] =
+            ["before_ml_per_min", "after_ml_per_min"].map(|key| clip[key].as_f64().unwrap());
+        assert!(after < before, "{clip}");
+    }
+    assert!(
+        number("bleeding_at_the_end_ml_per_min") < 0.1 * number("greatest_bleeding_ml_per_min"),
+        "{text}"
+    );
+    // Pictures of every part of it, each of its own.
+    let pictures = ["1_before", "burning", "clipping", "beneath", "lifted"].map(|name| {
+        let mut files = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path());
+        let is_named = |file: &PathBuf| {
+            let file_name = file.file_name().unwrap().to_string_lossy();
+            file_name.starts_with("resection_") && file_name.ends_with(&format!("{name}.png"))
+        };
+        let file = files.find(is_named).unwrap_or_else(|| panic!("no picture \"{name}\""));
+        std::fs::read(file).unwrap()
+    });
+    for (i, picture) in pictures.iter().enumerate() {
+        assert!(picture.starts_with(b"\x89PNG") && !pictures[..i].contains(picture), "picture {i}");
+    }
 }
 
 fn bounds_mm(quality: &Value) -> ([f64; 3], [f64; 3]) {

@@ -146,21 +146,28 @@ impl Growth {
         if change.moved_nodes.is_empty() && anchors.iter().all(Option::is_none) {
             return;
         }
-        let mut is_moved = vec![false; self.n_nodes_before];
-        let mut is_looked_at = is_moved.clone();
+        // Every tetrahedron is looked at, and few have a marked node.
+        const MOVED: u8 = 1;
+        const LOOKED_AT: u8 = 2;
+        let mut marks = vec![0_u8; self.n_nodes_before];
         for node in change.moved_nodes.iter().filter(|node| node.index() < self.n_nodes_before) {
-            is_moved[node.index()] = true;
+            marks[node.index()] |= MOVED;
         }
         for node in anchors.iter().flatten() {
-            is_looked_at[node.index()] = true;
+            marks[node.index()] |= LOOKED_AT;
         }
         let mut around: Vec<(NodeId, [NodeId; 4])> = Vec::new();
         for (t, nodes) in tets {
+            let of_tet = nodes.iter().fold(0, |all, n| all | marks[n.index()]);
+            if of_tet == 0 {
+                continue;
+            }
             let tet = TetId::from_index(t);
-            if nodes.iter().any(|n| is_moved[n.index()]) && !is_gone(&tet) {
+            if of_tet & MOVED != 0 && !is_gone(&tet) {
                 self.reshaped.push(tet);
             }
-            around.extend(nodes.iter().filter(|n| is_looked_at[n.index()]).map(|&n| (n, *nodes)));
+            let is_looked_at = |n: &&NodeId| marks[n.index()] & LOOKED_AT != 0;
+            around.extend(nodes.iter().filter(is_looked_at).map(|&n| (n, *nodes)));
         }
         // Stable: the tetrahedra of a node stay in their order.
         around.sort_by_key(|(node, _)| *node);
@@ -298,6 +305,11 @@ impl Growth {
     /// Every tetrahedron to be added up anew: new ones and those of another shape, ascending.
     pub(super) fn attached(&self) -> impl Iterator<Item = TetId> + '_ {
         self.reshaped.iter().chain(&self.added).copied()
+    }
+
+    /// Nodes that came in or moved.
+    pub(super) fn placed_nodes(&self) -> impl Iterator<Item = NodeId> + '_ {
+        self.placed.iter().map(|placed| placed.node)
     }
 
     /// Whether a node came in or moved, for each node.

@@ -172,10 +172,11 @@ impl Topology {
 /// The surface of the live mesh as triangles of their own, and the node of each of its vertices (ascending).
 pub fn surface_of(topology: &Topology, mesh: &TetMesh) -> (TriMesh, Vec<NodeId>) {
     let nodes: Vec<NodeId> = topology.surface_nodes().collect();
-    let vertex = |n: NodeId| {
-        let at = nodes.binary_search(&n).expect("the nodes of surface triangles are surface nodes");
-        u32::try_from(at).expect("there are no more vertices than nodes")
-    };
+    let mut vertex_of = vec![u32::MAX; topology.n_nodes()];
+    for (vertex, n) in nodes.iter().enumerate() {
+        vertex_of[n.index()] = u32::try_from(vertex).expect("there are no more vertices than nodes");
+    }
+    let vertex = |n: NodeId| vertex_of[n.index()];
     let surface = TriMesh {
         positions_m: nodes.iter().map(|n| mesh.positions_m[n.index()]).collect(),
         triangles: topology.surface_triangles().map(|t| topology.outward_nodes(t).map(vertex)).collect(),

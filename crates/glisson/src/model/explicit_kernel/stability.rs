@@ -227,8 +227,13 @@ impl Stability {
 
     /// Estimates the step after an edit that added or reshaped tetrahedra.
     pub(super) fn estimate(&mut self, kernel: &FastKernel) {
-        let live = (0..self.tet_per_s2.len()).filter(|&t| kernel.is_live(TetId::from_index(t)));
-        let limiting = live.max_by(|&a, &b| self.tet_per_s2[a].total_cmp(&self.tet_per_s2[b]));
+        // The last one among equals. Few are asked whether they live.
+        let (mut most_per_s2, mut limiting) = (0.0, None);
+        for (t, &per_s2) in self.tet_per_s2.iter().enumerate() {
+            if per_s2 >= most_per_s2 && kernel.is_live(TetId::from_index(t)) {
+                (most_per_s2, limiting) = (per_s2, Some(t));
+            }
+        }
         if let Some(t) = limiting {
             self.step.tet = TetId::from_index(t);
             self.step.after_cuts_s = longest_s(self.tet_per_s2[t], self.stiffness_damping_s);

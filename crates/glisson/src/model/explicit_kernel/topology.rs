@@ -101,12 +101,17 @@ impl ExplicitKernel {
         for (n, axes) in growth.new_supports(|n| self.supports[n]) {
             self.supports[n] = axes;
         }
-        let displacements_m: Vec<[f64; 3]> = self.history[..n_before].to_vec();
-        let increments_m: Vec<[f64; 3]> = self.history[n_before..2 * n_before].to_vec();
         let supports = |n: usize| self.supports[n];
-        let placed = growth.displacements_m(|n| DVec3::from_array(displacements_m[n]), supports);
-        let moving = growth.velocities(|n| DVec3::from_array(increments_m[n]), supports);
+        let increment_m = |n: usize| DVec3::from_array(self.history[n_before + n]);
+        let placed = growth.displacements_m(|n| DVec3::from_array(self.history[n]), supports);
+        let moving = growth.velocities(increment_m, supports);
         let memories = self.memories_of_new(change, growth);
+        let removed = change.tets.removed.iter().filter(|tet| tet.index() < change.tets.n_before);
+        let at_removed: Vec<(NodeId, DVec3)> = removed
+            .flat_map(|tet| self.rest.tetrahedra[tet.index()])
+            .map(|node| (node, increment_m(node.index())))
+            .collect();
+        let n_reanalyses = self.report.n_reanalyses;
 
         if !std::mem::replace(&mut self.is_cut, true) {
             self.stability.scaling.apply(&self.rest, &mut self.kernel);
@@ -139,10 +144,9 @@ impl ExplicitKernel {
         }
 
         // What a node's last tetrahedron took along with it, unless others came in its place.
-        let removed = change.tets.removed.iter().filter(|tet| tet.index() < change.tets.n_before);
-        for node in removed.flat_map(|tet| self.rest.tetrahedra[tet.index()]) {
+        for &(node, increment_m) in &at_removed {
             if self.kernel.has_tets(node) && !self.held.iter().any(|held| held.node == node) {
-                self.kernel.set_increment(node, DVec3::from_array(increments_m[node.index()]));
+                self.kernel.set_increment(node, increment_m);
             }
         }
         for n in n_before..n_nodes {
@@ -161,7 +165,17 @@ impl ExplicitKernel {
         }
         self.stability.estimate(&self.kernel);
         self.loads.grow(&self.rest.positions_m);
-        self.loads.refresh_all(&mut self.kernel);
+        if self.report.n_reanalyses == n_reanalyses {
+            // Weight changes with the mass, and ligaments are as long as they are now.
+            let attached = growth.attached().flat_map(|tet| self.rest.tetrahedra[tet.index()]);
+            let removed = at_removed.iter().map(|(node, _)| *node);
+            for node in growth.placed_nodes().chain(attached).chain(removed) {
+                self.loads.refresh(&mut self.kernel, node);
+            }
+            self.loads.refresh_attachments(&mut self.kernel);
+        } else {
+            self.loads.refresh_all(&mut self.kernel);
+        }
         self.publish();
     }
 

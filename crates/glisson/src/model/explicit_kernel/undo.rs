@@ -46,10 +46,14 @@ impl ExplicitKernel {
         self.stability.save(undo);
         let start = undo.places.len();
         undo.push_place(0);
+        // Nearly all tetrahedra fail at the first question, which takes no branch.
+        let first = change.moved_nodes.first().map_or(0, |node| node.0);
+        let span = change.moved_nodes.last().map_or(0, |node| node.0 - first);
         let is_reshaped = |tet: &TetId| {
-            let nodes = self.rest.tetrahedra[tet.index()];
-            self.kernel.is_live(*tet)
+            let nodes = &self.rest.tetrahedra[tet.index()];
+            nodes.iter().fold(false, |any, n| any | (n.0.wrapping_sub(first) <= span))
                 && nodes.iter().any(|n| change.moved_nodes.binary_search(n).is_ok())
+                && self.kernel.is_live(*tet)
                 && change.tets.removed.binary_search(tet).is_err()
         };
         if !change.moved_nodes.is_empty() {

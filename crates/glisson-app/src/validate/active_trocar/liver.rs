@@ -1,5 +1,5 @@
 //! The simulated board palpates the synthetic patient's liver: non-linear tissue (neo-Hookean, explicit, 6,300 tetrahedra)
-//! under a tip, under tip and shaft together, and between jaws.
+//! under a tip; a block under tip and shaft together; jaws that close.
 
 use super::closed_loop::{Station, TICK_S, TIP_RADIUS_M, fault};
 use super::{OWN, PROTOTYPE, THESIS, dashed, figure, line};
@@ -17,11 +17,13 @@ use glisson::haptics::{
 };
 use glisson::material::LinearElastic;
 use glisson::mesh::TetMesh;
+use glisson::mesh::box_mesh::box_of_five;
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::KernelLaw;
 use glisson::model::kind::ModelKind;
 use glisson::model::{DynamicBody, Rayleigh};
-use glisson::tool::{Tool, ToolInput};
+use glisson::scene::{OrganBody, build_model};
+use glisson::tool::{Grip, Tool, ToolInput};
 use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{StepInput, World};
 
@@ -45,7 +47,7 @@ pub(super) fn experiments(outcome: &mut Outcome) -> anyhow::Result<()> {
     let patient = Patient::new()?;
     palpation(&patient, outcome)?;
     through_the_law(&patient, outcome)?;
-    tip_and_shaft(&patient, outcome)?;
+    tip_and_shaft(outcome)?;
     jaws(outcome)
 }
 
@@ -346,27 +348,48 @@ fn through_the_law(patient: &Patient, outcome: &mut Outcome) -> anyhow::Result<(
     Ok(())
 }
 
-/// From the trocar to the tip of a rod that lies across the front of the liver [m], how far before it the trocar is, and how deep
-/// the hand wants the tip.
-const ROD_M: f64 = 0.06;
-const BESIDE_M: f64 = 0.055;
-const BEFORE_M: f64 = 0.012;
-const ROD_DEPTH_M: f64 = 0.006;
+/// A block of tissue, and a rod of that length that comes from a trocar beside it, as high as its top [m]: first this far above
+/// it, then pressed in so deep, it meets the edge with its shaft and the top with its tip.
+const BLOCK_M: f64 = 0.1;
+const ROD_M: f64 = 0.12;
+const BESIDE_M: f64 = 0.03;
+const ROD_LEAD_M: f64 = 0.02;
+const ROD_DEPTH_M: f64 = 5e-4;
+const ROD_RADIUS_M: f64 = 3e-3;
 
-/// A rod that is pressed onto the liver with tip and shaft: the motors exert what the sum of both contacts asks for.
-fn tip_and_shaft(patient: &Patient, outcome: &mut Outcome) -> anyhow::Result<()> {
-    let pivot_m = patient.front_m + DVec3::new(-BESIDE_M, -BEFORE_M, 0.0);
+/// The block under that rod, which slides without friction.
+fn block(placement: &Placement, start: &TrocarJoints, step_s: f64) -> anyhow::Result<World> {
+    let mesh = box_of_five([6; 3], DVec3::splat(BLOCK_M));
+    let grip = Grip { friction_coefficient: 0.0, is_sticky: false };
+    let rod = Tool {
+        trocar_m: Some(placement.pivot_in_world_m),
+        shaft_radius_m: 2e-3,
+        grip,
+        ..Tool::probe("rod", ROD_RADIUS_M, placement.tool_input(start))
+    };
+    let mut spec = WorldSpec::new("block", step_s, rod);
+    let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 7.0 };
+    spec.supports = vec![Support::all_axes(table)];
+    let material = LinearElastic::from_young_poisson(YOUNG_MODULUS_PA, 0.4, 1000.0)?;
+    let mut body = OrganBody::new(mesh, material, step_s);
+    body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
+    let model = build_model(&body, ModelKind::Precomputed)?;
+    Ok(World::new(spec, body.mesh, model, ModelKind::Precomputed)?)
+}
+
+/// A rod that is pressed onto a block with tip and shaft: the motors exert what the sum of both contacts asks for.
+fn tip_and_shaft(outcome: &mut Outcome) -> anyhow::Result<()> {
+    let pivot_m = DVec3::new(-BESIDE_M, 0.47 * BLOCK_M, BLOCK_M);
     let placement = Placement::facing(pivot_m, DVec3::X);
-    // The tip towards the back by so much [m].
-    let leaning = |back_m: f64| {
-        let along_m = (ROD_M * ROD_M - back_m * back_m).sqrt();
-        let d = placement.world_from_device.transpose() * DVec3::new(along_m, back_m, 0.0);
+    // The tip below the trocar by so much [m].
+    let leaning = |down_m: f64| {
+        let along_m = (ROD_M * ROD_M - down_m * down_m).sqrt();
+        let d = placement.world_from_device.transpose() * DVec3::new(along_m, 0.0, -down_m);
         TrocarJoints { insertion_m: ROD_M, ..tilted([-(d.y / d.z).atan(), (d.x / d.z).atan()]) }
     };
-    let start = leaning(0.0);
+    let start = leaning(-ROD_LEAD_M);
     let station = Station::new(placement, &start, Mapping::VirtualWork)?;
-    let tool = Tool { shaft_length_m: ROD_M, ..probe(&placement, &start) };
-    let (mut world, n_parts) = patient.world(tool, TICK_S * f64::from(TICKS_PER_STEP))?;
+    let mut world = block(&placement, &start, TICK_S * f64::from(TICKS_PER_STEP))?;
     let mut run = Loop::new(station);
     let (mut wanted, mut got, mut at_tip) = ([0.0; N_AXES], [0.0; N_AXES], [0.0; N_AXES]);
     let (mut n_both, mut n) = (0, 0);
@@ -376,9 +399,9 @@ fn tip_and_shaft(patient: &Patient, outcome: &mut Outcome) -> anyhow::Result<()>
     };
     for k in 0..1200_u32 {
         let share = (f64::from(k) * TICK_S / PRESS_S).min(1.0);
-        let target = leaning((BEFORE_M + ROD_DEPTH_M) * share);
+        let target = leaning((ROD_LEAD_M + ROD_DEPTH_M) * share - ROD_LEAD_M);
         run.tick(k, target, &mut |tool| {
-            world.step(&StepInput::of(&[*tool]).divided(n_parts));
+            world.step(&StepInput::of(&[*tool]));
             world.haptic_model(0)
         })?;
         if k < 900 || !(k + 1).is_multiple_of(TICKS_PER_STEP) {
@@ -406,7 +429,7 @@ fn tip_and_shaft(patient: &Patient, outcome: &mut Outcome) -> anyhow::Result<()>
     let count = f64::from(n);
     outcome.experiments.extend([
         Experiment::near(
-            "a rod across the liver: share of steps with tip and shaft in contact",
+            "a rod across a block: share of steps with tip and shaft in contact",
             OWN,
             f64::from(n_both) / count,
             1.0,
@@ -433,7 +456,7 @@ fn tip_and_shaft(patient: &Patient, outcome: &mut Outcome) -> anyhow::Result<()>
         run.bound_row("the same"),
     ]);
     outcome.notes += &format!(
-        "\nA rod across the liver touches with its tip ({:.2} N) and its shaft ({:.2} N), {:.0} mm from the trocar: {:.1} mN m about it, \
+        "\nA rod across a block touches with its tip ({:.2} N) and its shaft ({:.2} N), {:.0} mm from the trocar: {:.1} mN m about it, \
          {:.1} mN m if both acted at the tip.\n",
         forces_n[0] / count,
         forces_n[1] / count,

@@ -47,7 +47,9 @@ impl Apart {
         for (i, name) in apart.names.iter().enumerate() {
             let (end, address) = (format!("end{i}"), format!("{}/24", ADDRESSES[i]));
             ip(&["-n", name, "address", "add", &address, "dev", &end])?;
-            ip(&["-n", name, "link", "set", &end, "up"])?;
+            for which in [&end, "lo"] {
+                ip(&["-n", name, "link", "set", which, "up"])?;
+            }
         }
         Ok(apart)
     }

@@ -267,10 +267,10 @@ fn a_device_across_a_link_that_is_cut_feels_nothing_meanwhile_and_the_tissue_aga
     let said = haptics.says("felt: ");
     let felt: Value = serde_json::from_str(said.split_once(": ").unwrap().1).unwrap();
     let number = |name: &str| felt[name].as_f64().unwrap();
-    assert!(number("greatest_force_n") > 0.05, "the tissue was felt: {felt}");
+    assert!(number("greatest_force_n") > 0.01, "the tissue was felt: {felt}");
     assert!(number("taken_back_ticks") > 100.0, "{felt}");
     assert!(number("greatest_force_taken_back_n") < 1e-3, "{felt}");
-    assert!(number("greatest_force_given_again_n") > 0.05, "{felt}");
+    assert!(number("greatest_force_given_again_n") > 0.01, "{felt}");
     // Down and up, a hundred ticks each: a ramp takes its ticks, however late they come.
     assert!(number("ramp_ticks") > 150.0, "{felt}");
     simulation.interrupt();

@@ -6,6 +6,7 @@
 
 mod ct;
 mod igtl;
+mod netns;
 mod network;
 mod ros2;
 mod setup;
@@ -40,7 +41,8 @@ enum Task {
     },
     /// The long runs: palpation (a million steps with each model, replayed) and edits (100,000 random cuts, grasps and
     /// tears); they write docs/soak.md and docs/soak_edits.md. With GLISSON_SOAK_EDITS_LOG=FILE the seeds of edits that ended
-    /// are kept there, and a run that was stopped goes on after them
+    /// are kept there, and a run that was stopped goes on after them; a log of other seeds, or of a version that made
+    /// other edits, is refused. GLISSON_SOAK_EDITS_SEED=N runs one seed alone
     Soak {
         /// Which one
         #[arg(value_enum, default_value_t = test::LongRun::Palpation)]

@@ -1,7 +1,7 @@
 //! `cargo xtask network`: everything about the network, in bounded time.
 
 use crate::test::Stages;
-use crate::{igtl, root, ros2, run_within, target};
+use crate::{igtl, netns, root, ros2, run_within, target};
 use anyhow::Context;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -48,6 +48,15 @@ pub(crate) fn all(scene: Option<&Path>) -> anyhow::Result<()> {
         skipped.extend(ros2::client(&program, &scene)?);
         Ok(())
     })?;
+    stages.run(
+        "two machines in name-spaces of their own, whose cable is taken out for two seconds",
+        || {
+            // The simulated device pushes from the home, which has to be at the tissue.
+            let near = touching(&root().join("out/network"))?;
+            skipped.extend(netns::two_machines(&program, &near)?);
+            Ok(())
+        },
+    )?;
     stages.tell();
     for what in &skipped {
         println!("SKIPPED: {what}");
@@ -85,6 +94,16 @@ home_shaft = [0, 0, 1]
 time = "1 s"
 tip = ["20 mm", "20 mm", "62 mm"]
 "#;
+/// The scene of a block whose probe is at home 2 mm above it and has no path.
+fn touching(folder: &Path) -> anyhow::Result<PathBuf> {
+    block(folder)?;
+    let near = SCENE.replace("\"80 mm\"]\nhome_shaft", "\"67 mm\"]\nhome_shaft");
+    let without_path = near.split("[[tool.path]]").next().unwrap_or_default();
+    let scene = folder.join("near.toml");
+    std::fs::write(&scene, without_path)?;
+    Ok(scene)
+}
+
 /// Cells along each edge of the block, and the length of one [mm].
 const CELLS: usize = 6;
 const CELL_MM: usize = 10;

@@ -2,7 +2,10 @@
 
 use std::hint::black_box;
 
-use glisson::haptics::Handover;
+use glisson::haptics::{
+    DeviceMapping, DeviceState, ForceCommand, HandPath, HandSettings, Handover, HapticDevice, HapticLaw,
+    HapticModel, LawSettings, SimulatedDevice, SimulatedDeviceSettings,
+};
 use glisson::math::DVec3;
 use glisson::tool::ToolInput;
 use glisson::world::{StepInput, World};
@@ -26,6 +29,14 @@ pub(super) const CASES: &[Case] = &[
         sizes: &[2_000],
         parallel: false,
         prepare: evaluate,
+    },
+    Case {
+        name: "haptic_law_tick",
+        about: "one tick of the force law: handle, newest model at the tip with what a slide adds, coupling, gate, energy tank",
+        per: "tick",
+        sizes: &[2_000],
+        parallel: false,
+        prepare: law_tick,
     },
 ];
 
@@ -64,7 +75,7 @@ fn evaluate(settings: Settings) -> anyhow::Result<Prepared> {
     let mut world = pressed(settings.size)?;
     let size = world.organ().mesh().tetrahedra.len();
     let first = world.haptic_model_over(0, PERIOD_S);
-    let models = [first, glisson::haptics::HapticModel { step: first.step + 1, ..first }];
+    let models = [first, HapticModel { step: first.step + 1, ..first }];
     let mut handover = Handover::default();
     let mut tick = 0_usize;
     let run = move || {
@@ -72,6 +83,58 @@ fn evaluate(settings: Settings) -> anyhow::Result<Prepared> {
         let tip_m = first.tip_m + DVec3::new(1e-4, 2e-4, -1e-4) * (tick % 16) as f64;
         // Another model at every 33rd tick.
         black_box(handover.force(&models[tick / 33 % 2], tip_m, (tick % 33) as f64 * TICK_S, TICK_S));
+    };
+    Ok(prepared(size, "of 1 ms".into(), Box::new(run)))
+}
+
+/// A simulated device's handle goes to and fro along the tissue; its places are made before.
+fn law_tick(settings: Settings) -> anyhow::Result<Prepared> {
+    const N_TICKS: usize = 990;
+    const TICKS_A_MODEL: usize = 33;
+    let mut world = pressed(settings.size)?;
+    let size = world.organ().mesh().tetrahedra.len();
+    let first = world.haptic_model_over(0, PERIOD_S);
+    anyhow::ensure!(first.touch == glisson::haptics::Touch::Contact, "the probe does not touch the body");
+    let path = HandPath::Swing { center_m: DVec3::ZERO, amplitude_m: DVec3::X * 5e-3, frequency_hz: 1.0 };
+    let mut device =
+        SimulatedDevice::new(&SimulatedDeviceSettings::default(), &HandSettings::default(), path, 1);
+    let limits = device.limits();
+    let states = (0..N_TICKS)
+        .map(|_| {
+            let state = device.read().map_err(|fault| anyhow::anyhow!("the simulated device: {fault:?}"))?;
+            device
+                .write(&ForceCommand::default())
+                .map_err(|fault| anyhow::anyhow!("the simulated device: {fault:?}"))?;
+            Ok(state)
+        })
+        .collect::<anyhow::Result<Vec<DeviceState>>>()?;
+    let from_m = states[0].position_m;
+    // The tissue is as deep all along, and a tenth stiffer or softer from model to model.
+    let mut models = Vec::new();
+    for (n, states) in states.chunks(TICKS_A_MODEL).enumerate() {
+        let count = n as f64;
+        let way_m = DVec3::X * (states[0].position_m.x - from_m.x);
+        models.push(HapticModel {
+            step: first.step + n as u64,
+            time_s: first.time_s + count * PERIOD_S,
+            force_n: first.force_n * (1.0 + 0.1 * count.sin()),
+            tip_m: first.tip_m + way_m,
+            friction_coefficient: 0.05,
+            ..first
+        });
+    }
+    let mapping = DeviceMapping {
+        device_origin_m: from_m,
+        world_origin_m: first.tip_m,
+        ..LawSettings::default().mapping
+    };
+    let mut law = HapticLaw::new(&LawSettings { mapping, ..LawSettings::default() }, &limits);
+    let mut tick = 0_usize;
+    let run = move || {
+        let (at, state) = (tick % N_TICKS, &states[tick % N_TICKS]);
+        tick += 1;
+        let age_s = (at % TICKS_A_MODEL) as f64 * TICK_S;
+        black_box(law.tick(black_box(state), &models[at / TICKS_A_MODEL], age_s, TICK_S));
     };
     Ok(prepared(size, "of 1 ms".into(), Box::new(run)))
 }

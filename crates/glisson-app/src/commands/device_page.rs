@@ -20,7 +20,7 @@ const SCENE: &str = r#"glisson_scene = 1
 [scene]
 name = "block for trying the page"
 [organ]
-mesh = "block.tet"
+mesh = "block.vtu"
 young_modulus = "5 kPa"
 poisson_ratio = 0.45
 density = "1000 kg/m3"
@@ -50,7 +50,7 @@ impl DevicePage {
     /// When no server can be started.
     pub(super) fn start(hand: PageHand) -> anyhow::Result<Self> {
         let folder = ScratchFolder::new()?;
-        write_mesh(&folder.path().join("block.tet"), &box_of_five(CELLS, DVec3::from_array(SIZE_M)))?;
+        write_mesh(&folder.path().join("block.vtu"), &box_of_five(CELLS, DVec3::from_array(SIZE_M)))?;
         let scene = folder.path().join("scene.toml");
         std::fs::write(&scene, SCENE).with_context(|| format!("{}: cannot write", scene.display()))?;
         let simulation = Simulation::open(OpenScene::read(&scene)?, None)?;

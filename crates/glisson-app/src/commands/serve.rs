@@ -8,6 +8,7 @@ use crate::net::options::NetArgs;
 use crate::runtime::force_choices::ForceArgs;
 use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink, check_rate, join};
 use crate::runtime::live::Lateness;
+use crate::runtime::realtime::make_punctual;
 use crate::runtime::{OpenScene, Simulation};
 use crate::server::access::Access;
 use crate::server::{self, Served, Service, Show, stop_signal};
@@ -150,6 +151,11 @@ impl Args {
         }
         if !held.is_empty() {
             println!("forces {} times a second: {}", self.haptic_rate, self.forces.choices()?.text());
+            // A thread that asks for what the loop will ask for: the user hears of it now, not in the report at the end.
+            let core = self.haptic_core;
+            if let Ok(scheduling) = std::thread::spawn(move || make_punctual(core)).join() {
+                println!("the loop of the devices: {}", scheduling.text);
+            }
         }
         Ok(held)
     }

@@ -150,7 +150,8 @@ fn a_doctor_tells_what_a_board_is_whatever_its_profile() {
     let text = examine(&address).unwrap();
     stop.store(true, Ordering::Relaxed);
     served.join().unwrap();
-    assert!(text.ends_with("board 00000001, profile specified, firmware 1, 1500 states a second"), "{text}");
+    let board = "board 00000001, profile specified, firmware 1, 1500 states a second";
+    assert!(text.ends_with(&format!("{board}; in it: palpation probe, number 1")), "{text}");
 }
 
 #[test]

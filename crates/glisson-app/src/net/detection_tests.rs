@@ -4,7 +4,7 @@ use super::bridge::HapticsScene;
 use super::link::{Link, Role};
 use super::tests::{HapticsEnd, SimulationEnd, bad_links, identity, soon};
 use crate::runtime::elsewhere::Nearby;
-use crate::runtime::haptic_loop::PublishedModel;
+use crate::runtime::haptic_loop::{Meters, PublishedModel};
 use crate::runtime::realtime::now_ns;
 use glisson::haptics::{HapticModel, Touch};
 use glisson::math::DVec3;
@@ -62,9 +62,11 @@ fn a_tip_at_5_m_per_s_is_felt_at_once_while_the_simulation_stalls() {
     let mut haptics = haptics(at_haptics);
     let mut simulation = SimulationEnd::start(at_simulation, identity(Role::Simulation, 1));
     let whole = Arc::new(SurfaceList::of_mesh(&body()).unwrap());
-    haptics.hold(at_height(0.1));
     publish(&mut simulation, 1, &whole, Touch::Free);
-    soon("the first model", || haptics.models.get().model.step == 1);
+    soon("the first model and a look", || {
+        haptics.hold(at_height(0.1));
+        haptics.models.get().model.step == 1 && simulation.tool.motions.get().detected.is_some()
+    });
     // From here on the simulation says nothing.
     let n_ticks = 17;
     for tick in 0..n_ticks {
@@ -98,10 +100,13 @@ fn a_tip_at_5_m_per_s_is_felt_at_once_while_the_simulation_stalls() {
         let felt = haptics.models.get().model;
         felt.step == 3 && felt.force_at(tip_m, 0.0) == DVec3::ZERO
     });
-    soon("its end at the simulation", || simulation.tool.motions.get().detected.is_some_and(|d| d.is_free()));
+    soon("its end at the simulation", || {
+        haptics.hold(at_height(height_m(n_ticks)));
+        simulation.tool.motions.get().detected.is_some_and(|d| d.is_free())
+    });
     let report = haptics.detection.report();
     assert!(
-        report.n_felt_first == 1 && report.n_looks > 17 && report.greatest_force_alone_n > 1.0,
+        report.n_felt_first == 1 && report.n_looks > 3 && report.greatest_force_alone_n > 1.0,
         "{report:?}"
     );
 }
@@ -116,7 +121,10 @@ fn a_touch_that_the_simulation_refuses_is_felt_no_longer() {
     publish(&mut simulation, 1, &whole, Touch::Free);
     soon("the first model", || haptics.models.get().model.step == 1);
     let tip_m = at_height(0.04).tip_in_world_m;
-    haptics.hold(at_height(0.07));
+    soon("a look", || {
+        haptics.hold(at_height(0.07));
+        simulation.tool.motions.get().detected.is_some()
+    });
     haptics.hold(at_height(0.04));
     soon("the touch", || haptics.models.get().model.force_at(tip_m, 0.0) != DVec3::ZERO);
     let mut step = 1;
@@ -181,4 +189,19 @@ fn after_a_cut_and_for_a_late_joiner_detection_goes_on_over_the_new_surface() {
     let mut late = self::haptics(at_haptics);
     finds(&mut late, &mut simulation);
     assert_eq!(late.detection.report().n_surfaces, 1);
+}
+
+#[test]
+fn the_haptic_loops_figures_reach_the_simulation_and_go_with_the_link() {
+    let (at_haptics, at_simulation) = bad_links();
+    let meters = Arc::new(Meters::default());
+    let scene = HapticsScene { meters: Some(Arc::clone(&meters)), ..scene() };
+    let haptics = HapticsEnd::with(at_haptics, identity(Role::Haptics, 1), scene);
+    let simulation = SimulationEnd::start(at_simulation, identity(Role::Simulation, 1));
+    soon("the figures", || simulation.figures.report().is_some());
+    let (found, own) = (simulation.figures.report().unwrap(), meters.report());
+    assert_eq!((found.settings.rate_hz, found.n_deadlines), (own.settings.rate_hz, own.n_deadlines));
+    assert!(found.to_json()["jitter_us"]["p99"].is_number(), "{}", found.to_json());
+    drop(haptics);
+    soon("no figures of a machine that is away", || simulation.figures.report().is_none());
 }

@@ -203,6 +203,7 @@ impl Watched {
             normal,
             gap_m: 0.0,
             surface_velocity_m_per_s: DVec3::ZERO,
+            n_parts: 0,
             ..told.model
         };
         let alone_ns = now_ns().saturating_sub(told.made_ns.max(since_ns));

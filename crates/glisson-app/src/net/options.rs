@@ -304,6 +304,7 @@ impl LinkOptions {
         });
         if let Some(haptic_loop) = haptic_loop {
             println!("{}", haptic_loop.meters().report().to_text());
+            println!("felt: {}", haptic_loop.meters().felt().to_json());
         }
         if let Some(player) = player {
             println!("played: {}", serde_json::to_string(&player.finish())?);

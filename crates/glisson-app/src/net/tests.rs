@@ -125,13 +125,14 @@ impl HapticsEnd {
 pub(super) struct SimulationEnd {
     pub(super) tool: ToolLink,
     pub(super) conversation: Conversation,
+    pub(super) figures: RemoteFigures,
 }
 
 impl SimulationEnd {
     pub(super) fn start(link: Link, identity: Identity) -> Self {
-        let (conversation, mut links) =
-            start_simulation(link, identity, &[home()], RemoteFigures::default()).unwrap();
-        Self { tool: links.pop().unwrap(), conversation }
+        let figures = RemoteFigures::default();
+        let (conversation, mut links) = start_simulation(link, identity, &[home()], figures.clone()).unwrap();
+        Self { tool: links.pop().unwrap(), conversation, figures }
     }
 
     pub(super) fn publish(&mut self, step: u64) {

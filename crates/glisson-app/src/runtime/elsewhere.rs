@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// Nodes of the whole surface that are told in turn with each step, and nodes near the instruments: for all of them together,
 /// so that a message for one instrument fits into one packet of Ethernet.
 const TURN_NODES: usize = 16;
-const NEAR_NODES: usize = 48;
+const NEAR_NODES: usize = 36;
 /// With several instruments each has at least so many.
 const LEAST_NODES: usize = 12;
 /// A surface that changed is handed over when it stood for so long [ns]: a blade at work changes it with every step.

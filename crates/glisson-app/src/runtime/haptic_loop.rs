@@ -11,6 +11,7 @@ use crate::devices::viewer::PageHand;
 use anyhow::{Context, ensure};
 use glisson::haptics::{
     DeviceFault, DeviceState, ForceCommand, HapticLaw, HapticModel, InsertedInstrument, LawSettings, LawTick,
+    TickReport,
 };
 use glisson::tool::ToolInput;
 use glisson::tool::found::Detected;
@@ -200,6 +201,7 @@ impl HeldTool {
                     meters.motion_to_force.record(now_ns().saturating_sub(read_ns));
                     Meters::add(&meters.n_saturated, u64::from(report.is_saturated));
                     Meters::add(&meters.n_stale, u64::from(report.is_stale));
+                    meters.felt.look(&report, command.force_n.length());
                     meters.least_energy_j.lower_to(report.observed_energy_j);
                 }
                 written
@@ -270,8 +272,60 @@ pub(crate) struct Meters {
     model_age: Histogram,
     work: Histogram,
     least_energy_j: LeastValue,
+    felt: FeltMeters,
     scheduling: OnceLock<Scheduling>,
     settings: OnceLock<HapticSettings>,
+}
+
+/// What hands felt, and that nothing is felt while the simulation does not answer.
+#[derive(Debug, Default)]
+struct FeltMeters {
+    /// Less than nothing are forces: their sizes with the other sign [N]. Of all ticks, of those at which the force was taken
+    /// back because the model was old, and of those after such a time at which all of it was given again.
+    all_n: LeastValue,
+    taken_back_n: LeastValue,
+    given_again_n: LeastValue,
+    n_taken_back: AtomicU64,
+    /// Ticks at which a part of the force was given: of the ramps.
+    n_on_ramps: AtomicU64,
+}
+
+impl FeltMeters {
+    fn look(&self, report: &TickReport, force_n: f64) {
+        self.all_n.lower_to(-force_n);
+        if report.gate_share > 0.0 && report.gate_share < 1.0 {
+            Meters::add(&self.n_on_ramps, 1);
+        } else if report.gate_share <= 0.0 && report.is_stale {
+            Meters::add(&self.n_taken_back, 1);
+            self.taken_back_n.lower_to(-force_n);
+        } else if report.gate_share >= 1.0 && self.n_taken_back.load(Ordering::Relaxed) > 0 {
+            self.given_again_n.lower_to(-force_n);
+        }
+    }
+
+    fn report(&self) -> FeltForces {
+        FeltForces {
+            greatest_n: 0.0 - self.all_n.get(),
+            greatest_taken_back_n: 0.0 - self.taken_back_n.get(),
+            greatest_given_again_n: 0.0 - self.given_again_n.get(),
+            n_taken_back: self.n_taken_back.load(Ordering::Relaxed),
+            n_on_ramps: self.n_on_ramps.load(Ordering::Relaxed),
+        }
+    }
+}
+
+/// What hands felt.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct FeltForces {
+    /// The greatest force [N].
+    pub(crate) greatest_n: f64,
+    /// The same of the ticks at which all of it was taken back because the model was old, and how many these were.
+    pub(crate) greatest_taken_back_n: f64,
+    pub(crate) n_taken_back: u64,
+    /// The same of the ticks at which all of it was given, after such a time.
+    pub(crate) greatest_given_again_n: f64,
+    /// Ticks at which a part of it was given.
+    pub(crate) n_on_ramps: u64,
 }
 
 /// The least of values that are at most 0; one thread lowers it.
@@ -319,7 +373,25 @@ pub(crate) struct HapticReport {
     pub(crate) settings: HapticSettings,
 }
 
+impl FeltForces {
+    /// For programs.
+    pub(crate) fn to_json(self) -> serde_json::Value {
+        serde_json::json!({
+            "greatest_force_n": self.greatest_n,
+            "taken_back_ticks": self.n_taken_back,
+            "greatest_force_taken_back_n": self.greatest_taken_back_n,
+            "greatest_force_given_again_n": self.greatest_given_again_n,
+            "ramp_ticks": self.n_on_ramps,
+        })
+    }
+}
+
 impl Meters {
+    /// What hands felt since the loop was warm.
+    pub(crate) fn felt(&self) -> FeltForces {
+        self.felt.report()
+    }
+
     fn add(counter: &AtomicU64, n: u64) {
         // One thread writes.
         counter.store(counter.load(Ordering::Relaxed) + n, Ordering::Relaxed);
@@ -563,253 +635,5 @@ fn run(mut tools: Vec<HeldTool>, rate_hz: f64, meters: &Meters, stop: &AtomicBoo
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use glisson::haptics::{DeviceLimits, HapticDevice, Touch};
-    use glisson::math::{DMat3, DVec3};
-    use std::sync::Mutex;
-
-    /// Moves 10 um a tick along x; notes what it is told; faults at some ticks.
-    struct Scripted {
-        n_reads: u64,
-        faults: fn(u64) -> Option<DeviceFault>,
-        forces: Arc<Mutex<Vec<DVec3>>>,
-    }
-
-    impl HapticDevice for Scripted {
-        fn limits(&self) -> DeviceLimits {
-            DeviceLimits {
-                force_n: 10.0,
-                torque_n_m: 0.0,
-                force_rate_n_per_s: 1e9,
-                stiffness_n_per_m: 1e4,
-                damping_n_s_per_m: 10.0,
-                resolution_m: 1e-6,
-                rate_hz: 1_000.0,
-                ..DeviceLimits::NONE
-            }
-        }
-
-        fn read(&mut self) -> Result<DeviceState, DeviceFault> {
-            self.n_reads += 1;
-            if let Some(fault) = (self.faults)(self.n_reads) {
-                return Err(fault);
-            }
-            let not_finite = if self.n_reads == 7 { f64::NAN } else { 0.0 };
-            Ok(DeviceState {
-                position_m: DVec3::new(1e-5 * self.n_reads as f64, not_finite, 0.0),
-                velocity_m_per_s: DVec3::X * 1e-2,
-                orientation: glam::DQuat::IDENTITY,
-                jaw_opening: 0.0,
-                buttons: 0,
-            })
-        }
-
-        fn write(&mut self, command: &ForceCommand) -> Result<(), DeviceFault> {
-            // A test's lock, with room made before.
-            let mut forces = self.forces.lock().unwrap();
-            if forces.len() < forces.capacity() {
-                forces.push(command.force_n);
-            }
-            Ok(())
-        }
-    }
-
-    fn scripted(faults: fn(u64) -> Option<DeviceFault>) -> (HeldTool, ToolLink, Arc<Mutex<Vec<DVec3>>>) {
-        let forces = Arc::new(Mutex::new(Vec::with_capacity(100_000)));
-        let device = Scripted { n_reads: 0, faults, forces: Arc::clone(&forces) };
-        let home = ToolInput::at(DVec3::Y, DVec3::Z);
-        let device = OpenDevice {
-            device: Box::new(device),
-            name: "scripted".into(),
-            world_from_device: glam::DQuat::IDENTITY,
-            tells_orientation: false,
-            has_clutch: false,
-            stands: None,
-            page: None,
-        };
-        let (held, link) = join(device, 0, home);
-        (held, link, forces)
-    }
-
-    #[test]
-    fn late_ticks_serve_and_miss_as_many_deadlines_as_passed() {
-        let of = |late: u64| served_and_missed(late, 100);
-        assert_eq!([0, 99, 100, 200].map(of), [(1, 0), (1, 0), (2, 0), (3, 0)]);
-        // 250 late: the deadlines before it are 250, 150 and 50 late.
-        assert_eq!([201, 250, 300, 301, 3_000].map(of), [(3, 1), (3, 1), (4, 1), (4, 2), (31, 28)]);
-    }
-
-    #[test]
-    fn motion_goes_to_the_simulation_and_the_force_of_its_model_to_the_device() {
-        let (mut held, mut link, forces) = scripted(|n| (n == 7).then(|| DeviceFault::Lost("away".into())));
-        held.tick(1e-3, None);
-        let motion = link.motions.get();
-        assert_eq!((motion.is_held, motion.pose), (true, ToolInput::at(DVec3::Y, DVec3::Z)));
-        let model = HapticModel {
-            touch: Touch::Grasp,
-            tip_m: DVec3::Y,
-            stiffness_n_per_m: DMat3::from_diagonal(DVec3::splat(300.0)),
-            hold_n: f64::INFINITY,
-            ..HapticModel::default()
-        };
-        for _ in 0..300 {
-            link.models.publish(PublishedModel { model, made_ns: now_ns() });
-            held.tick(1e-3, None);
-        }
-        let motion = link.motions.get();
-        assert!(motion.is_held && motion.pose.tip_in_world_m.x > 1e-3, "{motion:?}");
-        assert_eq!(motion.pose.shaft_in_world, DVec3::Z);
-        let forces = forces.lock().unwrap();
-        // Held at its first place, it pulls back.
-        assert!(forces[0] == DVec3::ZERO && forces[forces.len() - 1].x < -0.1, "{:?}", forces.last());
-        assert_eq!(link.statuses.get_new(), Some(DeviceStatus::Works));
-    }
-
-    #[test]
-    fn a_lost_device_leaves_its_tool_and_one_that_failed_is_left_alone() {
-        let (mut held, mut link, forces) = scripted(|n| match n {
-            3..5 => Some(DeviceFault::Lost("unplugged".into())),
-            10 => Some(DeviceFault::Failed("broken".into())),
-            _ => None,
-        });
-        let mut seen = Vec::new();
-        for _ in 0..14 {
-            held.tick(1e-3, None);
-            seen.extend(link.statuses.get_new());
-            assert!(link.motions.get().pose.is_finite());
-        }
-        let lost = |text: &'static str| DeviceStatus::Lost(text.into());
-        let expected = [
-            DeviceStatus::Works,
-            lost("unplugged"),
-            DeviceStatus::Works,
-            lost("it sends numbers that are not finite"),
-            DeviceStatus::Works,
-            DeviceStatus::Failed("broken".into()),
-        ];
-        assert_eq!(seen, expected);
-        assert!(!link.motions.get().is_held);
-        // Also while it was lost it was told what to do; after the end it was left alone.
-        assert_eq!(forces.lock().unwrap().len(), 10);
-    }
-
-    #[test]
-    fn ticks_allocate_nothing_also_while_a_device_is_lost() {
-        let (mut held, mut link, _forces) =
-            scripted(|n| (n >= 50).then(|| DeviceFault::Lost("unplugged".into())));
-        let meters = Meters::default();
-        let counted = allocation_counter::measure(|| {
-            for _ in 0..100 {
-                link.models.publish(PublishedModel::default());
-                held.tick(1e-3, Some(&meters));
-            }
-        });
-        assert_eq!(counted.count_total, 0);
-        // Of 49 answers the seventh is no number.
-        assert_eq!(meters.report().motion_to_force.n, 48);
-    }
-
-    /// As fast as a loop may be, and half as fast.
-    #[test]
-    fn the_loop_keeps_its_rate_measures_itself_and_lets_the_hand_go_slowly() {
-        for rate_hz in [2_000.0, *RATES_HZ.end()] {
-            let (held, mut link, forces) = scripted(|_| None);
-            let settings = HapticSettings { rate_hz, ..HapticSettings::default() };
-            let haptics = HapticLoop::start(vec![held], settings, Arc::default()).unwrap();
-            let push = HapticModel {
-                touch: Touch::Grasp,
-                tip_m: DVec3::Y,
-                force_n: DVec3::Y,
-                hold_n: f64::INFINITY,
-                ..HapticModel::default()
-            };
-            // A busy machine leaves ticks out, and ramps take their number of ticks.
-            for round in 0..1_000 {
-                link.models.publish(PublishedModel { model: push, made_ns: now_ns() });
-                std::thread::sleep(std::time::Duration::from_millis(10));
-                if round >= 40 && forces.lock().unwrap().last().is_some_and(|force| force.y > 0.5) {
-                    break;
-                }
-            }
-            let report = haptics.meters().report();
-            let n_before = forces.lock().unwrap().len();
-            drop(haptics);
-            assert!(report.rate_hz > 200.0 && report.rate_hz < 1.05 * rate_hz, "{report:?}");
-            assert!(
-                report.n_deadlines > 100 && report.jitter.n > 100 && report.scheduling.is_some(),
-                "{report:?}"
-            );
-            let json = report.to_json();
-            assert!((json["period_us"].as_f64().unwrap() - 1e6 / rate_hz).abs() < 1e-9, "{json}");
-            for field in ["jitter_us", "motion_to_force_us", "local_model_age_ms", "tick_us"] {
-                assert!(
-                    json[field]["p999"].as_f64().unwrap() >= json[field]["p50"].as_f64().unwrap(),
-                    "{json}"
-                );
-            }
-            let text = report.to_text();
-            let budget = format!("% of {:.0} us", 1e6 / rate_hz);
-            for part in [budget.as_str(), "deadlines missed", "below ", "from the local model", "never got"] {
-                assert!(text.contains(part), "{part}: {text}");
-            }
-            let forces = forces.lock().unwrap();
-            assert!(forces.len() < forces.capacity(), "the test's list is too short");
-            assert!(n_before < forces.len() && forces[n_before - 1].y > 0.5, "{:?}", forces[n_before - 1]);
-            assert_eq!(*forces.last().unwrap(), DVec3::ZERO);
-            let changes = forces.windows(2).map(|pair| pair[0].distance(pair[1]));
-            let greatest_n = changes.fold(0.0, f64::max);
-            // Far below the 0.5 N and more that were there; tests without a clock are stricter.
-            assert!(greatest_n < 0.25, "{greatest_n}");
-        }
-    }
-
-    #[test]
-    fn the_histogram_in_the_report_adds_up() {
-        let meters = Meters::default();
-        for (ns, n) in [(20, 50), (700, 30), (1_500, 15), (90_000, 5)] {
-            (0..n).for_each(|_| meters.jitter.record(ns));
-        }
-        let text = meters.report().jitter_text();
-        assert_eq!(text, "below 1.0 us 80.000 %, 2.0 us 15.000 %, 131 us 5.000 %");
-        assert_eq!(Meters::default().report().jitter_text(), "nothing counted yet");
-    }
-
-    #[test]
-    fn choices_reach_the_law() {
-        let forces = ForceChoices {
-            estimate: glisson::haptics::ForceEstimate::Hold,
-            control: glisson::haptics::EnergyControl::ObserveOnly,
-            ..ForceChoices::default()
-        };
-        let (mut held, mut link, told) = scripted(|_| None);
-        held.settings = HapticSettings { forces, ..HapticSettings::default() };
-        // A force that is not where its stiffness would have it: held, it stays; from the local model it grows.
-        let model = HapticModel {
-            touch: Touch::Grasp,
-            tip_m: DVec3::Y,
-            force_n: DVec3::X * 0.5,
-            stiffness_n_per_m: DMat3::from_diagonal(DVec3::splat(300.0)),
-            hold_n: f64::INFINITY,
-            ..HapticModel::default()
-        };
-        for _ in 0..800 {
-            link.models.publish(PublishedModel { model, made_ns: now_ns() });
-            held.tick(1e-3, None);
-        }
-        let last_n = *told.lock().unwrap().last().unwrap();
-        assert!(last_n.distance(DVec3::X * 0.5) < 1e-9, "{last_n}");
-        let limits = held.device.device.limits();
-        let law = held.law.as_ref().unwrap();
-        assert!((law.gains().stiffness_n_per_m - 0.6 * limits.stiffness_n_per_m).abs() < 1e-9);
-    }
-
-    #[test]
-    fn a_rate_that_no_loop_keeps_is_refused() {
-        for rate_hz in [0.0, 50.0, 5_000.0, f64::NAN] {
-            let settings = HapticSettings { rate_hz, ..HapticSettings::default() };
-            let error = HapticLoop::start(Vec::new(), settings, Arc::default()).err().unwrap();
-            assert!(error.to_string().contains("allowed: 100 to 4000 Hz"), "{error}");
-        }
-    }
-}
+#[path = "haptic_loop_tests.rs"]
+mod tests;

@@ -209,6 +209,15 @@ impl Simulation {
         {
             self.tell(format!("tissue is stretched too far and does not tear: {refusal}"));
         }
+        for (tool, stroke) in cuts.strokes.iter().filter(|(_, stroke)| stroke.n_merged > 0) {
+            let (cut_mm2, swept_mm2) = (1e6 * stroke.cut_area_m2, 1e6 * stroke.swept_area_m2);
+            let name = &self.world.tools()[*tool].name;
+            self.tell(format!(
+                "the {name} opened {cut_mm2:.0} mm2 where its edge swept {swept_mm2:.0} mm2: faces of the cut merged with others \
+                 nearby; worst angle of a tetrahedron {:.1} degrees",
+                stroke.worst_dihedral_deg.unwrap_or(180.0)
+            ));
+        }
         for (tool, refusal) in cuts.refusals {
             if !std::mem::replace(&mut refuses[tool], true) && !self.refused_last[tool] {
                 self.tell(format!("the {} cut nothing: {refusal}", self.world.tools()[tool].name));

@@ -30,6 +30,7 @@ mod reduced;
 mod resection;
 mod rheology;
 mod rotation;
+mod self_contact;
 mod tissue;
 mod tubes;
 mod unit;
@@ -163,6 +164,11 @@ pub(crate) const GROUPS: &[Group] = &[
         name: "contact_response",
         about: "Local responses to contact: the cubes of seed 000 by penalty, impulse and geometric alteration.",
         run: contact_response::experiments,
+    },
+    Group {
+        name: "self_contact",
+        about: "An organ that touches itself: lobes driven together, a piece cut loose that falls on the rest.",
+        run: self_contact::experiments,
     },
     Group {
         name: "active_trocar",

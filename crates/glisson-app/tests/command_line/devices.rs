@@ -154,6 +154,14 @@ impl Page {
         self.say(&format!(r#"{{"type":"tool","tip_m":[0.002,0.002,{z_m}],"shaft":[0,0,1]}}"#));
     }
 
+    /// To the top of the organ, and 6 mm into it as a hand goes.
+    fn press(&mut self) {
+        for i in 0..=60 {
+            self.put_tip(66.0 - 0.2 * f64::from(i));
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
     /// The next message of that type that is as wanted.
     fn hear(&mut self, kind: &str, is_wanted: impl Fn(&serde_json::Value) -> bool) -> serde_json::Value {
         let start = Instant::now();
@@ -195,11 +203,7 @@ fn a_page_is_a_device_that_feels_the_organ_until_it_leaves() {
     page.hear("role", |role| role["role"] == "controller");
     let mut watching = Page::open(&host);
     page.hear("feel", |feel| feel["hands"][0]["is_held"] == true);
-    // To the top of the organ, and 6 mm into it as a hand goes.
-    for i in 0..=60 {
-        page.put_tip(66.0 - 0.2 * f64::from(i));
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    page.press();
     let pressed = page.hear("feel", |feel| Page::force_n(feel) > 0.02);
     assert!(Page::force_n(&pressed) <= pressed["greatest_force_n"].as_f64().unwrap(), "{pressed}");
     let seen = watching.hear("feel", |feel| Page::force_n(feel) > 0.02);
@@ -209,7 +213,7 @@ fn a_page_is_a_device_that_feels_the_organ_until_it_leaves() {
     // Home after a reset, where nothing is felt; and back.
     page.say(r#"{"type":"reset"}"#);
     page.hear("feel", |feel| Page::force_n(feel) == 0.0);
-    page.put_tip(54.0);
+    page.press();
     page.hear("feel", |feel| Page::force_n(feel) > 0.02);
     drop(page);
     let left =

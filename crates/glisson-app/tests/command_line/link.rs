@@ -234,6 +234,49 @@ fn session(to_simulation: &str, to_proxy: &str, is_cut: &AtomicBool) {
     assert!(longest > 500 && steps.len() > 200, "longest stand {longest} steps, {} inputs", steps.len());
 }
 
+/// The real haptic loop with a device: its watchdog takes the force back, and gives it again along a ramp.
+#[test]
+fn a_device_across_a_link_that_is_cut_feels_nothing_meanwhile_and_the_tissue_again_after_it() {
+    let folder = tempfile::tempdir().unwrap();
+    small_scene(folder.path());
+    let scene = std::fs::read_to_string(folder.path().join("scene.toml")).unwrap();
+    let near = scene.replace("[\"10 mm\", \"10 mm\", \"150 mm\"]", "[\"2 mm\", \"2 mm\", \"67 mm\"]");
+    let path_at = near.find("[[tool.path]]").unwrap();
+    std::fs::write(folder.path().join("scene.toml"), &near[..path_at]).unwrap();
+    let listens_at = free_address();
+    let proxy = Proxy::to(listens_at);
+    let (to_simulation, to_proxy) = (format!("udp://{listens_at}"), format!("udp://{}", proxy.address));
+    let mut haptics = Process::start(
+        folder.path(),
+        &["serve", "scene.toml", "--role", "haptics", "--link", &to_proxy, "--device", "simulated"],
+    );
+    haptics.says("haptics run");
+    let simulating =
+        ["serve", "scene.toml", "--role", "simulation", "--link", &to_simulation, "--port", "0", "--no-open"];
+    let mut simulation = Process::start(folder.path(), &simulating);
+    simulation.says("Glisson is at");
+    haptics.says("the simulation is there");
+    std::thread::sleep(Duration::from_millis(2500));
+    proxy.is_cut.store(true, Ordering::Relaxed);
+    haptics.says("nothing comes from the simulation");
+    std::thread::sleep(Duration::from_millis(1500));
+    proxy.is_cut.store(false, Ordering::Relaxed);
+    haptics.says("the simulation is there");
+    std::thread::sleep(Duration::from_millis(2500));
+    haptics.interrupt();
+    let said = haptics.says("felt: ");
+    let felt: Value = serde_json::from_str(said.split_once(": ").unwrap().1).unwrap();
+    let number = |name: &str| felt[name].as_f64().unwrap();
+    assert!(number("greatest_force_n") > 0.05, "the tissue was felt: {felt}");
+    assert!(number("taken_back_ticks") > 100.0, "{felt}");
+    assert!(number("greatest_force_taken_back_n") < 1e-3, "{felt}");
+    assert!(number("greatest_force_given_again_n") > 0.05, "{felt}");
+    // Down and up, a hundred ticks each: a ramp takes its ticks, however late they come.
+    assert!(number("ramp_ticks") > 150.0, "{felt}");
+    simulation.interrupt();
+    assert!(simulation.says("link: ").contains("0 refused"));
+}
+
 /// The tip strikes the organ's top at 5 m/s, stays for a while, and goes back.
 const STRIKES: [&str; 2] = [
     "time = \"0.1 s\"\ntip = [\"2 mm\", \"2 mm\", \"55 mm\"]\n",
@@ -261,7 +304,7 @@ fn a_tip_at_5_m_per_s_is_felt_while_the_simulation_stands_still() {
         Process::start(folder.path(), &["serve", "scene.toml", "--role", "haptics", "--link", &link]);
     haptics.says("touches are looked for here, on 4 triangles");
     haptics.says("the simulation is there");
-    for _ in 0..16 {
+    for _ in 0..12 {
         simulation.signal("STOP");
         std::thread::sleep(Duration::from_millis(150));
         simulation.signal("CONT");

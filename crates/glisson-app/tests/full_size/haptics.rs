@@ -48,3 +48,19 @@ fn stalls_of_the_simulation_do_not_reach_the_haptic_loop() {
     }
     panic!("{spoilt:?}");
 }
+
+/// What a tick of the force law may take of the processor [ns]: a fiftieth of its millisecond.
+const MOST_LAW_TICK_NS: f64 = 20e3;
+
+#[test]
+fn a_tick_of_the_law_with_a_local_model_takes_little_of_its_millisecond() {
+    let printed = glisson(&["bench", "haptic_law_tick", "--json"]);
+    let report: Value = serde_json::from_str(&printed).unwrap();
+    let results = report["results"].as_array().unwrap();
+    assert!(!results.is_empty(), "{printed}");
+    for result in results {
+        // Of one thread's own time, so that what runs beside it counts little.
+        let median_ns = result["median_ns"].as_f64().unwrap();
+        assert!(median_ns > 0.0 && median_ns <= MOST_LAW_TICK_NS, "{result}");
+    }
+}

@@ -18,9 +18,9 @@
 //! the normal, or rests, has no way along the surface: then nothing is added, and what is passive without it stays so.
 
 use super::tissue::{HapticModel, Touch, TouchedPart};
-use crate::math::DVec3;
+use crate::math::{DMat3, DVec3};
 
-/// A shorter way between two models is no slide [m]: twice what devices resolve. A choice, as are the next four.
+/// A shorter way between two models is no slide [m]: twice what devices resolve. A choice, as are the next five.
 const LEAST_SLIDE_M: f64 = 1e-4;
 /// So many of the last way are looked ahead: a model that is felt a period late is two of them behind at the next.
 const MOST_WAYS: f64 = 2.0;
@@ -30,6 +30,10 @@ const MOST_REACH_M: f64 = 5e-3;
 const MOST_PUSH_SHARE: f64 = 0.5;
 /// Share of itself by which the change along the way goes on changing at most.
 const MOST_CHANGE: f64 = 0.5;
+
+/// How much a part's lever may differ from none, entry by entry: of a tip behind its trocar, less than its radius over the
+/// length that is in.
+const LARGEST_LEVER: f64 = 0.2;
 
 /// The change of force along a slide, from the last two models.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -81,21 +85,24 @@ impl Slide {
     /// `force_n` [N] of the latest model at `tip_m` [m], with what the slide adds.
     pub fn force_at(&self, latest: &HapticModel, force_n: DVec3, tip_m: DVec3) -> DVec3 {
         let Some(now) = contact(latest).filter(|_| self.way_m > 0.0) else { return force_n };
-        let push_n = force_n.dot(now.normal);
-        if push_n <= 0.0 {
+        let alone_n = force_n.dot(now.normal);
+        if alone_n <= 0.0 {
             return force_n;
         }
         let s_m = (tip_m - latest.tip_m).dot(self.along);
         let most_m = (MOST_WAYS * self.way_m).min(MOST_REACH_M);
-        let most_n = MOST_PUSH_SHARE * push_n;
-        let push_n = push_n + (self.rise_n_per_m * s_m.clamp(-most_m, most_m)).clamp(-most_n, most_n);
-        let drag_n =
-            force_n - now.normal * force_n.dot(now.normal) + self.drag_n * (s_m / self.way_m).clamp(0.0, 1.0);
-        now.normal * push_n + drag_n.clamp_length_max(now.friction_coefficient * push_n)
+        let most_n = MOST_PUSH_SHARE * alone_n;
+        let push_n = alone_n + (self.rise_n_per_m * s_m.clamp(-most_m, most_m)).clamp(-most_n, most_n);
+        let along_n = force_n - now.normal * alone_n;
+        let drag_n = along_n + self.drag_n * (s_m / self.way_m).clamp(0.0, 1.0);
+        // A lever may show a little more at the tip.
+        let friction = now.friction_coefficient.max(along_n.length() / alone_n);
+        now.normal * push_n + drag_n.clamp_length_max(friction * push_n)
     }
 }
 
-/// The one contact of a model that has no other part.
+/// The one contact of a model that has no other part, if it is felt about where it is: what a shaft touches is not where
+/// the tip slides.
 fn contact(model: &HapticModel) -> Option<TouchedPart> {
     let part = match model.n_parts {
         0 => TouchedPart {
@@ -106,7 +113,7 @@ fn contact(model: &HapticModel) -> Option<TouchedPart> {
             friction_coefficient: model.friction_coefficient,
             ..TouchedPart::default()
         },
-        1 => model.parts[0],
+        1 if model.parts[0].lever.abs_diff_eq(DMat3::IDENTITY, LARGEST_LEVER) => model.parts[0],
         _ => return None,
     };
     (part.touch == Touch::Contact).then_some(part)
@@ -115,7 +122,6 @@ fn contact(model: &HapticModel) -> Option<TouchedPart> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::DMat3;
 
     const STEP_M: f64 = 7e-4;
 
@@ -155,7 +161,8 @@ mod tests {
             let found_n = slide.force_at(&latest, alone_n, tip_m);
             assert!((found_n.z - truth_n).abs() < 1e-9 * truth_n, "{ways}: {found_n} for {truth_n}");
             assert!(ways == 0.0 || (alone_n.z - truth_n).abs() > 0.02 * truth_n);
-            assert!((found_n.x + 0.1 * found_n.z).abs() < 1e-3, "{found_n}");
+            // The drag is looked ahead by one way only.
+            assert!((found_n.x + 0.1 * found_n.z).abs() < 8e-3, "{found_n}");
         }
         // Further than it looks, and back behind, it stays.
         let at = |x_m: f64| slide.force_at(&latest, latest.force_n, latest.tip_m + DVec3::X * x_m);

@@ -159,6 +159,7 @@ impl LocalModel {
 #[derive(Clone, Debug)]
 pub struct LocalWork {
     path: KernelPath,
+    least_rings: u32,
     most_rings: u32,
     tolerance: f64,
     /// Place in the region of each node plus one; zero outside.
@@ -187,6 +188,7 @@ impl LocalWork {
         let n = n_nodes.min(MOST_REGION);
         Self {
             path: KernelPath::fastest(),
+            least_rings: LEAST_RINGS,
             most_rings: MOST_RINGS,
             tolerance: TOLERANCE,
             place: vec![0; n_nodes],
@@ -214,6 +216,13 @@ impl LocalWork {
         }
     }
 
+    /// One ring where it is enough for what may come back from beyond it: steps that are short for the tissue, as those of
+    /// explicit models are.
+    #[must_use]
+    pub fn from_one_ring(self) -> Self {
+        Self { least_rings: 1, ..self }
+    }
+
     /// Computes on this path from now on, with the same bits.
     pub fn set_path(&mut self, path: KernelPath) {
         self.path = path;
@@ -230,13 +239,6 @@ pub(in crate::model) enum LocalElements<'a> {
 }
 
 impl LocalElements<'_> {
-    fn len(&self) -> usize {
-        match self {
-            Self::Tets(nodes) => nodes.len(),
-            Self::Edges(nodes) => nodes.len(),
-        }
-    }
-
     fn nodes(&self, e: usize) -> &[NodeId] {
         match self {
             Self::Tets(nodes) => &nodes[e],
@@ -376,12 +378,15 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
     work.start(out);
     // The tetrahedra at the patch first: they tell how many rings are needed.
     work.add_ring(body, true);
-    let wanted = rings_for(work.condition_bound(body, h_s)).min(work.most_rings);
+    let wanted = rings_for(work.condition_bound(body, h_s)).clamp(work.least_rings, work.most_rings);
     let mut n_rings = 1;
     while n_rings < wanted && work.add_ring(body, false) {
         n_rings += 1;
     }
-    work.assemble(body, h_s);
+    // One ring is assembled already, for the bound of the condition.
+    if n_rings > 1 {
+        work.assemble(body, h_s);
+    }
     out.n_rings = Some(n_rings);
     match work.path.run_by_eight(Columns { work, out }) {
         Solved::Never => inertial(body, h_s, out),
@@ -396,7 +401,7 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
 fn rings_for(condition: f64) -> u32 {
     let root = condition.max(1.0 + 1e-9).sqrt();
     let rings = libm::log(ECHO) / (2.0 * libm::log((root - 1.0) / (root + 1.0)));
-    if rings.is_finite() { (rings.ceil() as u32).clamp(LEAST_RINGS, MOST_RINGS) } else { MOST_RINGS }
+    if rings.is_finite() { (rings.ceil() as u32).clamp(1, MOST_RINGS) } else { MOST_RINGS }
 }
 
 /// C of the masses alone.
@@ -467,10 +472,24 @@ impl LocalWork {
             }
         }
         self.elements.clear();
-        for e in 0..elements.len() {
-            let touches = elements.nodes(e).iter().any(|&node| self.place(node).is_some());
-            if touches && body.is_live(e) {
+        // Without a branch for each node: nearly all elements are elsewhere.
+        let place = &self.place;
+        let mark = |node: NodeId| place.get(node.index()).copied().unwrap_or(0);
+        let mut keep = |e: usize, marks: u32| {
+            if marks != 0 && body.is_live(e) {
                 self.elements.push(e as u32);
+            }
+        };
+        match elements {
+            LocalElements::Tets(all) => {
+                for (e, &[a, b, c, d]) in all.iter().enumerate() {
+                    keep(e, mark(a) | mark(b) | mark(c) | mark(d));
+                }
+            }
+            LocalElements::Edges(all) => {
+                for (e, &[a, b]) in all.iter().enumerate() {
+                    keep(e, mark(a) | mark(b));
+                }
             }
         }
         true

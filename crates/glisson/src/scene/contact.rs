@@ -19,6 +19,7 @@ const TELLS_ITS_ANSWER: [ModelKind; 6] = [
 pub(super) fn read_contact(
     mut section: Section<'_>,
     model: ModelKind,
+    time_step_s: f64,
 ) -> Result<Option<OwnContactParams>, SceneError> {
     let touches_itself = section.flag("self")?.unwrap_or(false);
     let response = section.string("response")?;
@@ -55,7 +56,7 @@ pub(super) fn read_contact(
         (true, None) => return Err(section.missing("stiffness", "stiffness = \"50 N/m\"")),
     };
     section.finish()?;
-    let margin_m = margin_m.unwrap_or(OwnContactParams::DEFAULT_MARGIN_M);
+    let margin_m = margin_m.unwrap_or(OwnContactParams::default_margin_m(time_step_s));
     Ok(touches_itself.then_some(OwnContactParams { margin_m, response }))
 }
 
@@ -98,7 +99,10 @@ home_shaft = [0, -2, 0]
         assert_eq!(found.response, OwnContactParams::penalty(20.0, 0.3));
         let keys = "response = \"penalty\"\nmargin = \"1 mm\"\nfriction = 0.3\nstiffness = \"20 N/m\"\n";
         let short = own_contact(&SCENE.replace(keys, "")).unwrap();
-        assert_eq!(short.margin_m, OwnContactParams::DEFAULT_MARGIN_M);
+        assert_eq!(short.margin_m, 2e-3);
+        let coarse =
+            SCENE.replace("[organ]", "[simulation]\ntime_step = \"5 ms\"\n\n[organ]").replace(keys, "");
+        assert_eq!(own_contact(&coarse).unwrap().margin_m, 5e-3);
         assert!(matches!(short.response, OwnResponse::Geometric(_)));
         assert_eq!(own_contact(&SCENE.replace("self = true", "self = false")), None);
         assert_eq!(own_contact(&SCENE.replace("[contact]\nself = true\n", "").replace(keys, "")), None);

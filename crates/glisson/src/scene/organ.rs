@@ -70,6 +70,8 @@ pub struct OrganSource {
     pub vessels: Option<PathBuf>,
     /// What a crack in it takes; it does not tear when absent.
     pub tearing: Option<FractureEnergy>,
+    /// Whether the mesh at a cut is mended when the blade is lifted.
+    pub mends_cuts: bool,
     /// Which model moves it.
     pub model: ModelKind,
     /// A saved pre-computation, relative to the scene's folder; made anew at set-up when absent.
@@ -105,6 +107,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     let fibre = section.section("fibre")?.map(read_fibre).transpose()?;
     let vessels = section.string("vessels")?.map(|p| PathBuf::from(p.0));
     let tearing = read_tearing(&mut section)?;
+    let mends_cuts = section.flag("mend_cuts")?.unwrap_or(false);
     let volume_penalty_pa = not_negative(&mut section, "volume_penalty", Dimension::Pressure)?;
     let precomputed = section.string("precomputed")?.map(|p| PathBuf::from(p.0));
     let damping = Rayleigh {
@@ -128,6 +131,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
         volume_penalty_pa,
         vessels,
         tearing,
+        mends_cuts,
         model,
         precomputed,
         damping,

@@ -56,7 +56,10 @@ impl Scene {
 
         let simulation = read_simulation(simulation)?;
         let (organ, surroundings) = read_organ(organ)?;
-        let own_contact = contact.map(|section| read_contact(section, organ.model)).transpose()?.flatten();
+        let own_contact = contact
+            .map(|section| read_contact(section, organ.model, simulation.time_step_s))
+            .transpose()?
+            .flatten();
         let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
         for section in tools {
             let InstrumentSource { tool, path, shape } = read_tool(section)?;
@@ -74,6 +77,7 @@ impl Scene {
             fields: surroundings.fields,
             // Its material comes with the mesh.
             tearing: None,
+            mends_cuts: false,
             own_contact,
             vessels: Vec::new(),
             tools: scripted,

@@ -2,10 +2,11 @@
 
 use super::edits::EditRefusal;
 use super::tear::edge_cuts;
-use super::{ToolCuts, World};
+use super::{BladeReport, ToolCuts, World};
 use crate::math::DVec3;
-use crate::mesh::TetId;
-use crate::mesh::edit::{EditableMesh, MeshEdit};
+use crate::mesh::edit::{EditableMesh, MeshEdit, TopologyChange};
+use crate::mesh::quality::dihedral_cosine_range;
+use crate::mesh::{NodeId, TetId};
 use crate::tool::cautery::{HeatedTissue, TissueHeat};
 use crate::tool::cut::scalpel::{ScalpelCut, ScalpelParams};
 use crate::tool::cut::subdivision::{SubdivisionCut, SubdivisionParams};
@@ -32,6 +33,17 @@ impl Edge {
             Self::Displacement(cut) => drop(cut.advance(body, positions_m, blade_m)),
         }
     }
+
+    /// Areas swept and opened in the stroke so far [m2], and strokes that merged faces.
+    fn figures(&self) -> ([f64; 2], usize) {
+        match self {
+            Self::Subdivision(cut) => {
+                let report = cut.report();
+                ([report.swept_area_m2, report.cut_area_m2], report.n_merged)
+            }
+            Self::Displacement(cut) => ([0.0, cut.report().wall_area_m2], 0),
+        }
+    }
 }
 
 /// The active part of one tool.
@@ -41,6 +53,10 @@ pub(super) struct ActiveTip {
     /// Whether a stroke is under way.
     is_in_stroke: bool,
     heat: TissueHeat,
+    /// Nodes of tetrahedra that the stroke changed.
+    touched: Vec<NodeId>,
+    /// What the stroke did so far.
+    stroke: BladeReport,
 }
 
 impl ActiveTip {
@@ -57,7 +73,8 @@ impl ActiveTip {
         };
         let n_warm =
             if matches!(tool.kind, ToolKind::Hook(_) | ToolKind::Cautery(..)) { MOST_WARM } else { 0 };
-        Self { edge, is_in_stroke: false, heat: TissueHeat::with_room_for(n_warm) }
+        let heat = TissueHeat::with_room_for(n_warm);
+        Self { edge, is_in_stroke: false, heat, touched: Vec::new(), stroke: BladeReport::default() }
     }
 
     /// Everything that the next cuts depend on and is not told by the mesh: the heat.
@@ -85,13 +102,18 @@ impl ActiveTip {
             None => {}
         }
         self.is_in_stroke = false;
+        self.touched.clear();
+        self.stroke = BladeReport::default();
         self.heat.keep_live(|_| false);
     }
 
     /// Follows an edit that is not its own.
-    pub(super) fn follow(&mut self, body: &EditableMesh, change: &crate::mesh::edit::TopologyChange) {
+    pub(super) fn follow(&mut self, body: &EditableMesh, change: &TopologyChange) {
         if let Some(Edge::Subdivision(cut)) = &mut self.edge {
             cut.topology_changed(change);
+        }
+        if change.is_renumbering() {
+            self.touched.clear();
         }
         self.heat.keep_live(|tet| body.topology().is_live_tet(tet));
     }
@@ -113,15 +135,60 @@ impl World {
             edge.begin(body, positions_m, blade_m.map(|p| p + outward_m));
             blade_m = blade_m.map(|p| p + inward_m);
         }
+        let (areas_before_m2, n_merged_before) = edge.figures();
+        let mut step = BladeReport::default();
         match &mut edge {
-            Edge::Subdivision(cut) => self.subdivide(tool, cut, blade_m, cuts),
-            Edge::Displacement(cut) => self.displace(tool, cut, blade_m, cuts),
+            Edge::Subdivision(cut) => self.subdivide(tool, cut, blade_m, &mut step, cuts),
+            Edge::Displacement(cut) => self.displace(tool, cut, blade_m, &mut step, cuts),
         }
-        let active = &mut self.active[tool];
-        active.edge = Some(edge);
-        active.is_in_stroke = is_on;
+        let (areas_m2, n_merged) = edge.figures();
+        // A stroke that was refused begins anew with nothing.
+        let [swept_m2, cut_m2] = [0, 1].map(|i| (areas_m2[i] - areas_before_m2[i]).max(0.0));
+        (step.swept_area_m2, step.cut_area_m2) = (swept_m2, cut_m2);
+        step.n_merged = n_merged.saturating_sub(n_merged_before);
+        self.active[tool].edge = Some(edge);
+        self.active[tool].is_in_stroke = is_on;
         if !is_on {
+            self.finish_stroke(tool, &mut step, cuts);
+        }
+        cuts.blades.add(&step);
+        let active = &mut self.active[tool];
+        active.stroke.add(&step);
+        if !is_on {
+            if active.stroke.cut_area_m2 > 0.0 {
+                cuts.strokes.push((tool, active.stroke));
+            }
             active.lift();
+        }
+    }
+
+    /// The edge is lifted: parts what the stroke left hanging together by a node or an edge alone, and mends what it spoilt.
+    /// Either is an edit of its own, taken back before the stroke's.
+    fn finish_stroke(&mut self, tool: usize, step: &mut BladeReport, cuts: &mut ToolCuts) {
+        let mut touched = std::mem::take(&mut self.active[tool].touched);
+        touched.sort_unstable();
+        touched.dedup();
+        if touched.is_empty() {
+            return;
+        }
+        let n_known = self.organ.body().topology().n_nodes();
+        match self.part_singular_places(&touched) {
+            Ok(is_parted) => {
+                step.n_partings += usize::from(is_parted);
+                cuts.n_edits += usize::from(is_parted);
+            }
+            Err(refusal) => cuts.refusals.push((tool, refusal)),
+        }
+        touched.extend((n_known..self.organ.body().topology().n_nodes()).map(NodeId::from_index));
+        if !self.spec.mends_cuts {
+            return;
+        }
+        match self.mend(&touched) {
+            Ok(n_mended) => {
+                step.n_mended += n_mended;
+                cuts.n_edits += usize::from(n_mended > 0);
+            }
+            Err(refusal) => cuts.refusals.push((tool, refusal)),
         }
     }
 
@@ -130,16 +197,31 @@ impl World {
     }
 
     /// An edit by an edge, which feels what it cost.
-    fn edit_with_edge(&mut self, tool: usize, edits: &[MeshEdit]) -> Result<(), EditRefusal> {
+    fn edit_with_edge(
+        &mut self,
+        tool: usize,
+        edits: &[MeshEdit],
+        step: &mut BladeReport,
+    ) -> Result<(), EditRefusal> {
         let change = self.edit_all(edits)?;
         if self.spec.tearing.is_some() {
             let area_m2 = self.crack_area_m2(&change);
             self.owe_for_cut(tool, area_m2);
         }
+        step.look_at(self.organ.body(), &change);
+        let near = self.organ.body().topology().nodes_near(&change);
+        self.active[tool].touched.extend(near);
         Ok(())
     }
 
-    fn subdivide(&mut self, tool: usize, cut: &mut SubdivisionCut, blade_m: [DVec3; 2], cuts: &mut ToolCuts) {
+    fn subdivide(
+        &mut self,
+        tool: usize,
+        cut: &mut SubdivisionCut,
+        blade_m: [DVec3; 2],
+        step: &mut BladeReport,
+        cuts: &mut ToolCuts,
+    ) {
         let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
         let is_on = self.edge_is_on(tool);
         let planned = if is_on {
@@ -149,7 +231,8 @@ impl World {
         };
         match planned {
             Ok(None) => {}
-            Ok(Some(replacement)) => match self.edit_with_edge(tool, &[MeshEdit::Replace(replacement)]) {
+            Ok(Some(replacement)) => match self.edit_with_edge(tool, &[MeshEdit::Replace(replacement)], step)
+            {
                 Ok(()) => cuts.n_edits += 1,
                 Err(refusal) => {
                     cut.take_back();
@@ -160,7 +243,14 @@ impl World {
         }
     }
 
-    fn displace(&mut self, tool: usize, cut: &mut ScalpelCut, blade_m: [DVec3; 2], cuts: &mut ToolCuts) {
+    fn displace(
+        &mut self,
+        tool: usize,
+        cut: &mut ScalpelCut,
+        blade_m: [DVec3; 2],
+        step: &mut BladeReport,
+        cuts: &mut ToolCuts,
+    ) {
         let is_on = self.edge_is_on(tool);
         for _ in 0..MOST_EDITS {
             let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
@@ -168,7 +258,7 @@ impl World {
                 if is_on { cut.advance(body, positions_m, blade_m) } else { cut.finish(body, positions_m) };
             match planned {
                 Ok(None) => return,
-                Ok(Some(edits)) => match self.edit_with_edge(tool, &edits) {
+                Ok(Some(edits)) => match self.edit_with_edge(tool, &edits, step) {
                     Ok(()) => cuts.n_edits += 1,
                     Err(refusal) => {
                         *cut = ScalpelCut::new(ScalpelParams::default());
@@ -214,6 +304,20 @@ impl World {
         let left = touched.iter().map(|&tet| tissue.strength_left(heat.of(tet)));
         self.hands[tool].overload.strength_left = left.fold(1.0, f64::min);
         parted
+    }
+}
+
+impl BladeReport {
+    /// Notes the smallest dihedral angle that an edit left.
+    fn look_at(&mut self, body: &EditableMesh, change: &TopologyChange) {
+        let topology = body.topology();
+        let new = change.tets.added.ids().iter().copied().filter(|&tet| topology.is_live_tet(tet));
+        let moved = change.moved_nodes.iter().flat_map(|&node| topology.node_tets(node)).copied();
+        for tet in new.chain(moved) {
+            let [_, largest_cosine] = dihedral_cosine_range(body.mesh().corners_m(tet));
+            let angle_deg = libm::acos(largest_cosine.clamp(-1.0, 1.0)).to_degrees();
+            self.worst_dihedral_deg = Some(self.worst_dihedral_deg.map_or(angle_deg, |w| w.min(angle_deg)));
+        }
     }
 }
 

@@ -28,12 +28,48 @@ pub struct ToolCuts {
     pub n_removed: usize,
     /// Tetrahedra that tore under force ([`crate::world::spec::WorldSpec::tearing`]).
     pub n_torn: usize,
-    /// Edits by which blades parted the mesh.
+    /// Edits by which blades parted the mesh, and those that parted singular places and mended the mesh at a stroke's end.
     pub n_edits: usize,
+    /// What the blades did.
+    pub blades: BladeReport,
+    /// Strokes of blades that ended and cut something, each whole, with the tool's number.
+    pub strokes: Vec<(usize, BladeReport)>,
     /// Why something was not cut, with the tool's number.
     pub refusals: Vec<(usize, EditRefusal)>,
     /// Why stretched tissue did not tear.
     pub tear_refusal: Option<EditRefusal>,
+}
+
+/// What blades did: in a call, in a stroke, or since the start. An edit that is taken back later still counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BladeReport {
+    /// Area that blades which divide tetrahedra swept inside the organ, in its deformed shape [m2].
+    pub swept_area_m2: f64,
+    /// Area of the faces that opened, one side [m2]: deformed for blades that divide tetrahedra, at rest for those that move
+    /// nodes.
+    pub cut_area_m2: f64,
+    /// Strokes whose opened area is not the swept one, because faces merged with others by snapping
+    /// ([`crate::tool::cut::subdivision::CutReport::n_merged`]).
+    pub n_merged: usize,
+    /// Smallest dihedral angle at rest of a tetrahedron that a cut made or moved [degrees]; none without any.
+    pub worst_dihedral_deg: Option<f64>,
+    /// Strokes after which something hung together by a node or an edge alone and was parted.
+    pub n_partings: usize,
+    /// Places that were mended at the end of strokes ([`crate::world::spec::WorldSpec::mends_cuts`]).
+    pub n_mended: usize,
+}
+
+impl BladeReport {
+    /// Adds another one.
+    pub(super) fn add(&mut self, other: &Self) {
+        self.swept_area_m2 += other.swept_area_m2;
+        self.cut_area_m2 += other.cut_area_m2;
+        self.n_merged += other.n_merged;
+        self.n_partings += other.n_partings;
+        self.n_mended += other.n_mended;
+        self.worst_dihedral_deg =
+            self.worst_dihedral_deg.into_iter().chain(other.worst_dihedral_deg).min_by(f64::total_cmp);
+    }
 }
 
 impl Hand {
@@ -85,7 +121,13 @@ impl World {
             }
         }
         self.tear(&mut cuts);
+        self.blades.add(&cuts.blades);
         cuts
+    }
+
+    /// What blades did since the start.
+    pub fn blades(&self) -> &BladeReport {
+        &self.blades
     }
 
     /// Why scissors are too weak for the tissue.

@@ -8,6 +8,7 @@
 
 use super::World;
 use super::parts::{ToolPart, ToolPoint, capsule, mesh_of, motion, rigid_pose};
+use super::touch::FROM_INSIDE;
 use crate::contact::broad_phase::BroadPhaseKind;
 use crate::contact::continuous::FirstContact;
 use crate::contact::tool_contact::{SurfaceSearch, ToolContact};
@@ -402,6 +403,10 @@ impl ToolDetector {
             if surface.search.near_into(&resting, 0.0, &surface.shown_m, &mut none) > 0 {
                 return PartState::Buried;
             }
+            if state == PartState::Buried {
+                // It was in the way when it moved off: its next motion counts.
+                return PartState::Free;
+            }
         }
         let moves = surface.moves && !is_placed;
         let Some(FirstTouch { found, at }) = first_touch(tool, part, [before, now], &surface.searched(moves))
@@ -409,10 +414,14 @@ impl ToolDetector {
             return PartState::Free;
         };
         let contact = found.contact;
-        let normal =
-            if contact.normal == DVec3::ZERO { surface.face_normal(found.triangle) } else { contact.normal };
+        let face = surface.face_normal(found.triangle);
+        let normal = if contact.normal == DVec3::ZERO { face } else { contact.normal };
         if normal == DVec3::ZERO {
             return PartState::Free;
+        }
+        if normal.dot(face) < FROM_INSIDE {
+            // It comes out of the organ: nothing holds it back.
+            return PartState::Buried;
         }
         PartState::Touches(LastingTouch {
             found: FoundTouch {

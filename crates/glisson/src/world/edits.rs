@@ -6,10 +6,12 @@ use super::active::ActiveTip;
 use super::hand::Hand;
 use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
+use super::spec::{fixed_nodes, nodes_in};
 use super::vessels::Vessels;
 use super::{QueuedSwap, World, own_contact_of};
 use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::refine::{FineRegion, refining};
+use crate::mesh::repair::{MendParams, mending};
 use crate::mesh::topology::TopologyError;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::{DeformableModel, ModelUndo, TopologyRefusal};
@@ -179,6 +181,51 @@ impl World {
             Err(EditRefusal::Model(_)) if edits.len() > 1 => self.edit_in_place(&edits[..1]).map(|_| ()),
             done => done.map(|_| ()),
         }
+    }
+
+    /// Parts what hangs together by a node or an edge alone at `nodes`, as one edit that takes nothing out
+    /// ([`EditableMesh::parting_edits`]); answers whether there was such a place.
+    ///
+    /// # Errors
+    /// As [`World::edit`].
+    pub fn part_singular_places(&mut self, nodes: &[NodeId]) -> Result<bool, EditRefusal> {
+        let topology = self.organ.body().topology();
+        let live = nodes.iter().copied().filter(|&n| topology.is_live_node(n)).collect();
+        let edits = self.organ.body_mut().parting_edits(live);
+        if edits.is_empty() {
+            return Ok(false);
+        }
+        self.edit_in_place(&edits).map(|_| true)
+    }
+
+    /// Mends the worst tetrahedra at `nodes` as one edit ([`mending`]); answers how many places got better. The surface, cuts
+    /// included, stays, and so do nodes that are held, loaded or at a ligament.
+    ///
+    /// # Errors
+    /// As [`World::edit`].
+    pub fn mend(&mut self, nodes: &[NodeId]) -> Result<usize, EditRefusal> {
+        let topology = self.organ.body().topology();
+        let live = nodes.iter().filter(|&&n| topology.is_live_node(n));
+        let mut tets: Vec<TetId> = live.flat_map(|&n| topology.node_tets(n)).copied().collect();
+        tets.sort_unstable();
+        tets.dedup();
+        let mut stays = vec![false; topology.n_nodes()];
+        let start_m = &self.mesh_of_the_start.positions_m;
+        for ligament in &self.spec.ligaments {
+            nodes_in(&[ligament.region], start_m).into_iter().for_each(|n| stays[n.index()] = true);
+        }
+        fixed_nodes(&self.spec.supports, start_m).into_iter().for_each(|f| stays[f.node.index()] = true);
+        for (n, stays) in stays.iter_mut().enumerate() {
+            let node = NodeId::from_index(n);
+            *stays |= self.organ.is_fixed(node) || self.loads.has(node);
+        }
+        let is_still = |node: NodeId| stays.get(node.index()).copied().unwrap_or(false);
+        let mending = mending(self.organ.body_mut(), &tets, &MendParams::default(), &is_still);
+        if mending.edits.is_empty() {
+            return Ok(0);
+        }
+        self.edit_in_place(&mending.edits)?;
+        Ok(mending.n_remeshed + mending.n_collapsed)
     }
 
     /// Makes a region of the organ finer while it is simulated, as one edit (seed `003` s. 3.5); answers how many edges

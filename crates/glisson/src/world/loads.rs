@@ -67,6 +67,11 @@ impl Loads {
         }
     }
 
+    /// Whether any load is on a node.
+    pub(super) fn has(&self, node: NodeId) -> bool {
+        self.nodes.iter().any(|load| load.is_loaded[node])
+    }
+
     fn n_nodes(&self) -> usize {
         self.nodes.first().map_or(0, |load| load.is_loaded.as_slice().len())
     }

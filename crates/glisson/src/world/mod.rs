@@ -23,7 +23,7 @@ mod tear;
 pub mod touch;
 pub mod vessels;
 
-pub use cut::ToolCuts;
+pub use cut::{BladeReport, ToolCuts};
 pub use edits::EditRefusal;
 pub use hand::ToolReport;
 pub use parts::ToolPart;
@@ -137,6 +137,8 @@ pub struct World {
     swap: Option<QueuedSwap>,
     hands: Vec<Hand>,
     active: Vec<ActiveTip>,
+    /// Of all steps; no step depends on it.
+    blades: BladeReport,
     vessels: Option<Vessels>,
     journal: Journal,
     /// What models that are made later are made from.
@@ -200,6 +202,7 @@ impl World {
             swap: None,
             hands,
             active,
+            blades: BladeReport::default(),
             vessels,
             journal: Journal::new(),
             mesh_of_the_start,

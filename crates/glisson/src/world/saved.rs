@@ -36,6 +36,7 @@ impl World {
             swap,
             hands: self.hands.clone(),
             active: self.active.clone(),
+            blades: self.blades,
             vessels: self.vessels.clone(),
             journal: self.journal.without_undo(),
             mesh_of_the_start: Arc::clone(&self.mesh_of_the_start),

@@ -53,6 +53,7 @@ impl SlideScratch {
     /// For a body of so many nodes, with some more from cuts.
     pub(super) fn for_nodes(n_nodes: usize) -> Self {
         let work = LocalWork::with_room_for(n_nodes + n_nodes / 2).estimating(MOST_RINGS, TOLERANCE);
+        let work = work.from_one_ring();
         Self { work, local: LocalModel::new() }
     }
 }

@@ -27,6 +27,8 @@ pub struct WorldSpec {
     pub fields: Vec<ForceField>,
     /// How it comes apart under force; it never does when absent, and then imposed motions have no limit.
     pub tearing: Option<Tearing>,
+    /// Whether the worst tetrahedra at a cut are mended when the blade is lifted.
+    pub mends_cuts: bool,
     /// How the organ touches itself, and pieces cut loose each other; they pass through when absent.
     pub own_contact: Option<OwnContactParams>,
     /// Blood vessels inside the organ, in its rest shape.
@@ -47,6 +49,7 @@ impl WorldSpec {
             loads: Vec::new(),
             fields: Vec::new(),
             tearing: None,
+            mends_cuts: false,
             own_contact: None,
             vessels: Vec::new(),
             tools: vec![tool],

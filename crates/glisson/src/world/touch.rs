@@ -20,7 +20,7 @@ const RELEASE_PULL_N: f64 = 1e-3;
 const PUSH_OUT_M_PER_S: f64 = 0.2;
 
 /// Below this cosine between the way from tissue to tool and the outward normal, the tool comes from inside.
-const FROM_INSIDE: f64 = -0.2;
+pub(super) const FROM_INSIDE: f64 = -0.2;
 
 /// One touched triangle, the force on it and where the tool presses it.
 #[derive(Clone, Debug, PartialEq)]

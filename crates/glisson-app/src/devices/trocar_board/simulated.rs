@@ -97,7 +97,6 @@ impl SimulatedBoard {
     }
 
     /// The tag cannot be read any more, or again.
-    #[cfg(test)]
     pub(crate) fn smear_tag(&mut self, is_smeared: bool) {
         self.is_smeared = is_smeared;
     }

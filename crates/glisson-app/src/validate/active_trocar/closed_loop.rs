@@ -1,24 +1,20 @@
 //! The simulated board in a closed loop with a world: the trocar's pose drives a tool, the tissue's force goes back.
 
-use super::{EXACT, OWN, PROTOTYPE, dashed, figure, line};
+use super::{EXACT, OWN, PROTOTYPE, figure, line};
 use crate::bench::body::StandardBody;
-use crate::bench::thread_cpu_ns;
 use crate::devices::trocar_board::{
     BoardSettings, SimulatedBoard, SimulatedLine, TcpLine, TrocarDevice, connect, serve_board, simulated,
 };
 use crate::validate::{Experiment, Outcome};
 use anyhow::{Context, anyhow};
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 use glisson::haptics::trocar::mechanism::Mechanism;
 use glisson::haptics::trocar::statics::felt;
 use glisson::haptics::trocar::teleoperation::{End, Teleoperation};
 use glisson::haptics::trocar::{
-    Arrangement, AxisEfforts, InstrumentTag, InstrumentType, Mapping, N_AXES, Placement, TrocarJoints,
-    TrocarProfile,
+    Arrangement, AxisEfforts, InstrumentTag, InstrumentType, Mapping, Placement, TrocarJoints, TrocarProfile,
 };
-use glisson::haptics::{
-    DeviceFault, DeviceMapping, ForceCommand, HapticDevice, HapticLaw, HapticModel, LawSettings,
-};
+use glisson::haptics::{DeviceFault, ForceCommand, HapticDevice};
 use glisson::model::kind::ModelKind;
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::tool::{MAX_TOOLS, Tool, ToolInput};
@@ -29,17 +25,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-const TICK_S: f64 = 1e-3;
-/// Tetrahedra of the organ: a tenth of a second to pre-compute.
+pub(super) const TICK_S: f64 = 1e-3;
+/// Tetrahedra of the organ that several trocars and a led one palpate: a tenth of a second to pre-compute.
 const N_TETRAHEDRA: usize = 2_000;
 /// From the organ's highest place to the first trocar, and where that place is [m].
 const ABOVE_M: f64 = 0.1;
 const TOP_M: f64 = 0.06;
-const TIP_RADIUS_M: f64 = 5e-3;
+pub(super) const TIP_RADIUS_M: f64 = 5e-3;
 
 pub(super) fn experiments(outcome: &mut Outcome) -> anyhow::Result<()> {
-    palpation(outcome)?;
-    through_the_law(outcome)?;
     four_trocars(outcome)?;
     instruments(outcome)?;
     remote_palpation(outcome)?;
@@ -76,19 +70,19 @@ fn world(placements: &[Placement], homes: &[TrocarJoints], step_s: f64) -> anyho
 }
 
 /// A trocar in a hand, over its board's bytes.
-struct Station {
-    device: TrocarDevice<SimulatedLine>,
-    placement: Placement,
-    force_in_world_n: DVec3,
+pub(super) struct Station {
+    pub(super) device: TrocarDevice<SimulatedLine>,
+    pub(super) placement: Placement,
+    pub(super) force_in_world_n: DVec3,
 }
 
 #[allow(clippy::needless_pass_by_value, reason = "map_err passes it so")]
-fn fault(fault: DeviceFault) -> anyhow::Error {
+pub(super) fn fault(fault: DeviceFault) -> anyhow::Error {
     anyhow!("the simulated board: {fault:?}")
 }
 
 impl Station {
-    fn new(placement: Placement, start: &TrocarJoints, mapping: Mapping) -> anyhow::Result<Self> {
+    pub(super) fn new(placement: Placement, start: &TrocarJoints, mapping: Mapping) -> anyhow::Result<Self> {
         let settings = BoardSettings { mapping, ..BoardSettings::new(TrocarProfile::built()) };
         let mut device = simulated(settings, 61);
         device.line_mut().board.mechanism = Mechanism::new(settings.profile, *start);
@@ -96,30 +90,30 @@ impl Station {
         Ok(Self { device, placement, force_in_world_n: DVec3::ZERO })
     }
 
-    fn hand(&mut self, target: TrocarJoints) {
+    pub(super) fn hand(&mut self, target: TrocarJoints) {
         self.device.line_mut().board.mechanism.hand_target = Some(target);
     }
 
     /// Reads the device: the tool that it stands for.
-    fn read(&mut self) -> anyhow::Result<ToolInput> {
+    pub(super) fn read(&mut self) -> anyhow::Result<ToolInput> {
         self.device.read().map_err(fault)?;
         let reading = self.device.reading()?;
         Ok(self.placement.tool_input(&reading.joints))
     }
 
     /// Gives the device the force of the tissue.
-    fn write(&mut self, force_in_world_n: DVec3) -> anyhow::Result<()> {
+    pub(super) fn write(&mut self, force_in_world_n: DVec3) -> anyhow::Result<()> {
         self.force_in_world_n = force_in_world_n;
         let force_n = self.placement.world_from_device.transpose() * force_in_world_n;
         self.device.write(&ForceCommand { force_n, ..ForceCommand::default() }).map_err(fault)
     }
 
-    fn mechanism(&mut self) -> &Mechanism {
+    pub(super) fn mechanism(&mut self) -> &Mechanism {
         &self.device.line_mut().board.mechanism
     }
 
     /// What the hand holds against, as a force at the tip in the world [N].
-    fn on_hand_n(&mut self) -> DVec3 {
+    pub(super) fn on_hand_n(&mut self) -> DVec3 {
         let world_from_device = self.placement.world_from_device;
         let mechanism = self.mechanism();
         let efforts = AxisEfforts::from_array(mechanism.hand_efforts().map(|effort| -effort));
@@ -142,207 +136,6 @@ fn pressed(tilt_rad: [f64; 2], share: f64) -> TrocarJoints {
 
 fn above() -> Placement {
     Placement::facing(DVec3::new(0.0, 0.0, TOP_M + ABOVE_M), DVec3::NEG_Z)
-}
-
-/// What a palpation showed.
-struct Palpated {
-    /// Time [s], insertion wanted by the hand and got [mm], then forces [N]: of the tissue and on the hand along the
-    /// instrument, the same across it.
-    rows: Vec<[f64; 7]>,
-    /// At the end, in the world [N].
-    tissue_n: DVec3,
-    hand_n: DVec3,
-    /// Bits that tell whether a run was the same.
-    bits: Vec<u64>,
-    bytes_per_tick: f64,
-    cpu_ns_per_tick: f64,
-    limited: [bool; N_AXES],
-}
-
-/// Presses in for a second and holds for a second.
-fn palpate(tilt_rad: [f64; 2], mapping: Mapping) -> anyhow::Result<Palpated> {
-    let start = pressed(tilt_rad, 0.0);
-    let mut station = Station::new(above(), &start, mapping)?;
-    let mut world = world(&[station.placement], &[start], TICK_S)?;
-    let mut rows = Vec::new();
-    let mut cpu_ns = 0;
-    let n_ticks = 2000;
-    for k in 0..n_ticks {
-        let t = f64::from(k) * TICK_S;
-        let target = pressed(tilt_rad, t.min(1.0));
-        station.hand(target);
-        let started = thread_cpu_ns();
-        let tool = station.read()?;
-        cpu_ns += thread_cpu_ns() - started;
-        let report = world.step(&StepInput::of(&[tool]));
-        let force_n = report.tools[0].force_on_tool_n;
-        let started = thread_cpu_ns();
-        station.write(force_n)?;
-        cpu_ns += thread_cpu_ns() - started;
-        let inward = -tool.shaft_in_world;
-        let on_hand_n = station.on_hand_n();
-        let got_m = station.mechanism().joints.insertion_m;
-        let along = |n: DVec3| -n.dot(inward);
-        let across = |n: DVec3| n.reject_from(inward).length();
-        rows.push([
-            t,
-            1e3 * target.insertion_m,
-            1e3 * got_m,
-            along(force_n),
-            along(on_hand_n),
-            across(force_n),
-            across(on_hand_n),
-        ]);
-    }
-    let wanted = station.device.commanded().to_array();
-    let limits = TrocarProfile::built().limits.to_array();
-    let joints = station.mechanism().joints.to_array();
-    Ok(Palpated {
-        rows,
-        tissue_n: station.force_in_world_n,
-        hand_n: station.on_hand_n(),
-        bits: joints.iter().map(|value| value.to_bits()).collect(),
-        bytes_per_tick: station.device.line_mut().n_bytes as f64 / f64::from(n_ticks),
-        cpu_ns_per_tick: cpu_ns as f64 / f64::from(n_ticks),
-        limited: std::array::from_fn(|i| wanted[i].abs() >= limits[i] * (1.0 - 1e-12)),
-    })
-}
-
-fn palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
-    let (upright, tilted) = ([0.0, 0.0], [0.35, -0.5]);
-    let straight = palpate(upright, Mapping::VirtualWork)?;
-    let aslant = palpate(tilted, Mapping::VirtualWork)?;
-    let again = palpate(tilted, Mapping::VirtualWork)?;
-    let published = [palpate(upright, Mapping::Thesis)?, palpate(tilted, Mapping::Thesis)?];
-    let off = |found: &Palpated| found.hand_n.distance(found.tissue_n) / found.tissue_n.length();
-    let pushed_n = straight.tissue_n.length();
-    outcome.experiments.extend([
-        Experiment::within(
-            "palpation through the board's bytes, 15 mm wanted: force of the tissue [N]",
-            "30 x 20 x 12 cm ellipsoid of 5 kPa; a hand of 400 N/m",
-            pushed_n,
-            [0.3, 5.0],
-        ),
-        Experiment::at_most(
-            "the same, upright, virtual work: force on the hand less that of the tissue, relative",
-            OWN,
-            off(&straight),
-            0.01,
-        ),
-        Experiment::at_most(
-            "the same at pitch 20, roll -29 degrees, virtual work, relative",
-            OWN,
-            off(&aslant),
-            0.01,
-        ),
-        Experiment::at_most(
-            "the same, upright, equations of the thesis, relative",
-            PROTOTYPE,
-            off(&published[0]),
-            0.01,
-        ),
-        Experiment::at_most(
-            "the same palpation twice: motions with other bits",
-            OWN,
-            f64::from(u8::from(aslant.bits != again.bits)),
-            0.0,
-        ),
-    ]);
-    let column = |found: &Palpated, i: usize| -> Vec<[f64; 2]> {
-        found.rows.iter().step_by(4).map(|row| [row[0], row[i]]).collect()
-    };
-    outcome.figures.push(figure(
-        "active_trocar_palpation.svg",
-        "The simulated board palpates the ellipsoid at pitch 20, roll -29 degrees: the force of the tissue, and what the hand \
-         holds against, along and across the instrument.",
-        ["Palpation through the active trocar's board", "time [s]", "force [N]"],
-        vec![
-            line("along: hand", column(&aslant, 4)),
-            line("along: tissue", column(&aslant, 3)),
-            line("across: hand", column(&aslant, 6)),
-            line("across: tissue", column(&aslant, 5)),
-            line("across: hand, eq. 5.6", column(&published[1], 6)),
-        ],
-    ));
-    outcome.figures.push(figure(
-        "active_trocar_insertion.svg",
-        "The same palpation: where the hand wants the tip, and where the force lets it go.",
-        ["Insertion during palpation", "time [s]", "insertion [mm]"],
-        vec![dashed("wanted", column(&aslant, 1)), line("got", column(&aslant, 2))],
-    ));
-    let names = ["pitch", "roll", "insertion", "self-rotation", "jaw"];
-    let at_limit: Vec<&str> =
-        names.into_iter().zip(published[1].limited).filter(|(_, is)| *is).map(|(name, _)| name).collect();
-    outcome.notes += &format!(
-        "\nPalpation at pitch 20, roll -29 degrees by the equations of the thesis: the force on the hand is {:.0} % off that of \
-         the tissue ({}). {:.0} bytes a tick; driver and simulated board take {:.1} us of processor time a tick.\n",
-        100.0 * off(&published[1]),
-        if at_limit.is_empty() {
-            "no motor at its limit".into()
-        } else {
-            format!("at their limit: {}", at_limit.join(", "))
-        },
-        aslant.bytes_per_tick,
-        1e-3 * aslant.cpu_ns_per_tick,
-    );
-    Ok(())
-}
-
-/// The same through the whole haptic law: the world steps fifty times a second, the board a thousand times.
-fn through_the_law(outcome: &mut Outcome) -> anyhow::Result<()> {
-    const TICKS_PER_STEP: u32 = 20;
-    let tilt_rad = [0.35, -0.5];
-    let start = pressed(tilt_rad, 0.0);
-    let mut station = Station::new(above(), &start, Mapping::VirtualWork)?;
-    let mut world = world(&[station.placement], &[start], TICK_S * f64::from(TICKS_PER_STEP))?;
-    let mapping = DeviceMapping {
-        world_from_device: DQuat::from_mat3(&station.placement.world_from_device),
-        motion_scale: 1.0,
-        force_scale: 1.0,
-        device_origin_m: DVec3::ZERO,
-        world_origin_m: station.placement.pivot_in_world_m,
-        tip_in_handle_m: DVec3::ZERO,
-        clutch_button: None,
-        trigger_button: None,
-    };
-    let settings = LawSettings { mapping, ..LawSettings::default() };
-    let mut law = HapticLaw::new(&settings, &station.device.limits());
-    let mut model = HapticModel::default();
-    let (mut tissue_n, mut hand_n, mut n) = (DVec3::ZERO, DVec3::ZERO, 0.0);
-    let mut energy_j = f64::INFINITY;
-    for k in 0..3000_u32 {
-        station.hand(pressed(tilt_rad, (f64::from(k) * TICK_S).min(1.0)));
-        let state = station.device.read().map_err(fault)?;
-        let age_s = f64::from(k % TICKS_PER_STEP) * TICK_S;
-        let tick = law.tick(&state, &model, age_s, TICK_S);
-        station.device.write(&tick.command).map_err(fault)?;
-        if (k + 1) % TICKS_PER_STEP == 0 {
-            station.force_in_world_n = world.step(&StepInput::of(&[tick.tool])).tools[0].force_on_tool_n;
-            model = world.haptic_model(0);
-        }
-        energy_j = energy_j.min(tick.report.observed_energy_j);
-        if k >= 2000 {
-            tissue_n += station.force_in_world_n;
-            hand_n += station.on_hand_n();
-            n += 1.0;
-        }
-    }
-    outcome.experiments.extend([
-        Experiment::at_most(
-            "the same through the haptic law, the world at 50 Hz: mean force on the hand less that of the tissue, relative",
-            OWN,
-            hand_n.distance(tissue_n) / tissue_n.length(),
-            0.05,
-        ),
-        Experiment::within("the same: mean force of the tissue [N]", OWN, tissue_n.length() / n, [0.3, 5.0]),
-        Experiment::at_most(
-            "the same: how far the observed energy goes below its bound [J]",
-            "haptics::HapticLaw",
-            (law.energy_bound_j() - energy_j).max(0.0),
-            0.0,
-        ),
-    ]);
-    Ok(())
 }
 
 /// Four hands at once, their trocars 100 mm apart.
@@ -416,6 +209,17 @@ fn instruments(outcome: &mut Outcome) -> anyhow::Result<()> {
         let is_known = (0..2000).any(|_| device.read().is_ok());
         n_identified += u32::from(missing && is_known && device.instrument() == Some(tag));
     }
+    // A tag that cannot be read, and an instrument that the scene does not have.
+    let settings = BoardSettings { tool_kind: Some("probe"), ..BoardSettings::new(TrocarProfile::built()) };
+    let mut of_a_scene = simulated(settings, 64);
+    anyhow::ensure!(of_a_scene.greet()?, "the simulated board answers at once");
+    let fits = of_a_scene.read().is_ok();
+    of_a_scene.line_mut().board.smear_tag(true);
+    let is_unreadable = of_a_scene.read().is_err();
+    of_a_scene.line_mut().board.smear_tag(false);
+    let other = InstrumentTag { instrument: InstrumentType::Scissors, serial: 2 };
+    of_a_scene.line_mut().board.hold_instrument(other);
+    let is_refused = of_a_scene.read().is_err() && of_a_scene.check_instrument().is_err();
     // The stop button: nothing is read, nothing pushes.
     device.line_mut().board.press_stop(true);
     let stopped = device.read().is_err();
@@ -428,6 +232,12 @@ fn instruments(outcome: &mut Outcome) -> anyhow::Result<()> {
             "s. 5.3.1: about ten",
             f64::from(n_identified),
             10.0,
+            0.0,
+        ),
+        Experiment::at_most(
+            "an unreadable tag, or an instrument that the scene does not have, is not refused",
+            OWN,
+            f64::from(u8::from(!(fits && is_unreadable && is_refused))),
             0.0,
         ),
         Experiment::at_most(

@@ -1,6 +1,7 @@
 //! The active trocar of seed `000`: statics over its workspace, saturation, encoders, and its board in a closed loop.
 
 mod closed_loop;
+mod liver;
 
 use super::{Experiment, Figure, Outcome};
 use crate::plot::{LinePlot, Series, SeriesStyle};
@@ -29,6 +30,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     mappings(&mut outcome);
     saturation(&mut outcome);
     encoders(&mut outcome);
+    liver::experiments(&mut outcome)?;
     closed_loop::experiments(&mut outcome)?;
     Ok(outcome)
 }

@@ -57,6 +57,10 @@ pub(super) struct Run {
     pub(super) least_true_j: f64,
     /// From the lowest to the highest place of the handle while the hand wants to rest [m].
     pub(super) swing_m: f64,
+    /// The same in the last fifth of that time: whether it dies away.
+    pub(super) late_swing_m: f64,
+    /// Most energy that the hand got while it wanted to rest [J].
+    pub(super) given_at_rest_j: f64,
     /// Greatest acceleration of the handle [m/s2].
     pub(super) acceleration_m_per_s2: f64,
     /// Largest force on the hand [N].
@@ -129,12 +133,22 @@ pub(super) fn run(case: &Case, simulate: &mut dyn FnMut(&ToolInput, f64) -> Hapt
         out.forces_n.push(answer.command.force_n.z);
         out.energies_j.push(law.observed_energy_j());
     }
-    let rest = (REST_FROM_S * TICKS_PER_S) as usize..(LEAVE_S * TICKS_PER_S) as usize;
-    let (low, high) = out.heights_m[rest]
-        .iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), h| (low.min(*h), high.max(*h)));
-    out.swing_m = high - low;
+    let (rest, leave) = ((REST_FROM_S * TICKS_PER_S) as usize, (LEAVE_S * TICKS_PER_S) as usize);
+    out.swing_m = width(&out.heights_m[rest..leave]);
+    out.late_swing_m = width(&out.heights_m[leave - (leave - rest) / 5..leave]);
+    let mut most_j = f64::NEG_INFINITY;
+    for energy_j in &out.energies_j[rest..leave] {
+        most_j = most_j.max(*energy_j);
+        out.given_at_rest_j = out.given_at_rest_j.max(most_j - energy_j);
+    }
     out
+}
+
+/// From the least to the greatest.
+fn width(values: &[f64]) -> f64 {
+    let ends =
+        values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(*v), high.max(*v)));
+    ends.1 - ends.0
 }
 
 /// Tissue as a mass between two springs: the tool presses one, the other stands on the ground beside a damper.

@@ -86,6 +86,14 @@ impl Attached {
         }
     }
 
+    /// Whether something holds, loads or pulls a node at its own place at rest.
+    pub(super) fn is_anchored(&self, node: NodeId) -> bool {
+        let is_in = |list: &[bool]| list.get(node.index()).copied().unwrap_or(false);
+        is_in(&self.is_fixed)
+            || self.is_loaded.iter().any(|loaded| is_in(loaded))
+            || self.ligaments.iter().any(|ligament| ligament.node == node)
+    }
+
     /// After an edit.
     pub(super) fn follow(&mut self, change: &TopologyChange) {
         assert_eq!(self.material.len(), change.tets.n_before);

@@ -8,6 +8,7 @@ use glisson::material::{LinearElastic, PronySeries, PronyTerm};
 use glisson::math::{Aabb, DVec3, SeededRandom};
 use glisson::mesh::edit::{EditableMesh, MeshEdit, TopologyChange};
 use glisson::mesh::refine::{FineRegion, refining};
+use glisson::mesh::repair::{MendParams, mending};
 use glisson::mesh::topology::{SingularEntities, Topology};
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
@@ -74,6 +75,8 @@ pub(super) struct Patient<'a> {
     pub(super) mean_edge_m: f64,
     pub(super) away: [ToolInput; MAX_TOOLS],
     pub(super) random: SeededRandom,
+    /// Nodes of tetrahedra that edits changed since a stroke began.
+    touched: Vec<NodeId>,
     pub(super) tally: Tally,
 }
 
@@ -92,8 +95,11 @@ pub(super) enum Volume {
     /// Less by this [m3].
     Removed(f64),
     Kept,
-    /// Less by what so many tetrahedra without descendants had.
-    Taken(usize),
+    /// Less by what so many tetrahedra without descendants had; so many changes before took none.
+    Taken {
+        n_tets: usize,
+        n_changes_before: usize,
+    },
 }
 
 impl<'a> Patient<'a> {
@@ -130,6 +136,7 @@ impl<'a> Patient<'a> {
         });
         spec.vessels = tubes(mesh, middle_m, &mut random);
         spec.tearing = Some(Tearing { energy: BRITTLE, material: materials()[0] });
+        spec.mends_cuts = seed.is_multiple_of(2);
 
         let number_of = |t: usize| {
             let place_m = mesh.corners_m(TetId::from_index(t)).into_iter().sum::<DVec3>() / 4.0;
@@ -147,8 +154,20 @@ impl<'a> Patient<'a> {
         world.keep_changes();
         let attached = Attached::new(&world, material, ligaments);
         let mass_kg = mesh.volume_m3() * DENSITY_KG_PER_M3;
-        let (away, tally) = ([away; MAX_TOOLS], Tally::default());
-        Self { name, seed, world, attached, materials, relaxation, mass_kg, mean_edge_m, away, random, tally }
+        Self {
+            name,
+            seed,
+            world,
+            attached,
+            materials,
+            relaxation,
+            mass_kg,
+            mean_edge_m,
+            away: [away; MAX_TOOLS],
+            random,
+            touched: Vec::new(),
+            tally: Tally::default(),
+        }
     }
 
     pub(super) fn label(&self) -> String {
@@ -220,7 +239,13 @@ impl<'a> Patient<'a> {
     }
 
     /// Checks everything that an edit, or the few of one call of the tools, must not break.
-    pub(super) fn check(&mut self, before: &Before, volume: Volume, changes: &[TopologyChange]) {
+    pub(super) fn check(
+        &mut self,
+        before: &Before,
+        volume: Volume,
+        changes: &[TopologyChange],
+        is_mended: bool,
+    ) {
         let label = self.label();
         let body = self.world.organ().body();
         let topology = body.topology();
@@ -231,9 +256,10 @@ impl<'a> Patient<'a> {
         let removed_m3 = match volume {
             Volume::Removed(removed_m3) => removed_m3,
             Volume::Kept => 0.0,
-            Volume::Taken(n_taken) => {
-                let taken: Vec<TetId> = changes.iter().flat_map(without_descendants).collect();
-                assert_eq!(taken.len(), n_taken, "{label}: tetrahedra that were taken out");
+            Volume::Taken { n_tets, n_changes_before } => {
+                let taken: Vec<TetId> =
+                    changes[n_changes_before..].iter().flat_map(without_descendants).collect();
+                assert_eq!(taken.len(), n_tets, "{label}: tetrahedra that were taken out");
                 taken.into_iter().map(|t| body.mesh().tet_volume_m3(t)).sum()
             }
         };
@@ -247,9 +273,13 @@ impl<'a> Patient<'a> {
         }
         self.attached.check(&self.world, &label);
         if let [change] = changes {
-            check_parents(&before.rest_m, body, change, &label);
+            // What an edge that is pulled together leaves lies where others were.
+            if !is_mended {
+                check_parents(&before.rest_m, body, change, &label);
+            }
             before.memory.check(&self.world, change, &label);
         }
+        self.touched.extend(changes.iter().flat_map(|change| topology.nodes_near(change)));
         let last = changes.last().expect("something changed");
         let n_nodes = topology.n_nodes();
         assert_eq!(self.world.state().positions_m.len(), n_nodes, "{label}");
@@ -311,7 +341,8 @@ impl<'a> Patient<'a> {
         };
         match done {
             Ok(change) => {
-                self.check(&before, volume, std::slice::from_ref(&change));
+                let is_mended = edits.iter().any(|edit| matches!(edit, MeshEdit::Collapse { .. }));
+                self.check(&before, volume, std::slice::from_ref(&change), is_mended);
                 // Now and then back again, bit for bit, and once more.
                 if self.random.uniform() < 0.1 {
                     let after = self.world.state_hash();
@@ -424,6 +455,7 @@ impl<'a> Patient<'a> {
     fn blade(&mut self) {
         let Some(stroke) = self.stroke() else { return };
         self.tally.blade_strokes += 1;
+        self.touched.clear();
         let mut cut = SubdivisionCut::new(SubdivisionParams::for_mean_edge(self.mean_edge_m));
         let last = stroke.len() - 1;
         for (i, &blade_m) in stroke.iter().enumerate() {
@@ -446,12 +478,19 @@ impl<'a> Patient<'a> {
                 Err(_) => self.tally.refused += 1,
             }
         }
+        self.finish_stroke();
     }
 
     /// Cuts by vertex displacement.
     fn scalpel(&mut self) {
         let Some(stroke) = self.stroke() else { return };
         self.tally.scalpel_strokes += 1;
+        self.touched.clear();
+        self.displace_along(&stroke);
+        self.finish_stroke();
+    }
+
+    fn displace_along(&mut self, stroke: &[[DVec3; 2]]) {
         let mut cut = ScalpelCut::new(ScalpelParams::default());
         for i in 0..=stroke.len() {
             loop {
@@ -477,6 +516,52 @@ impl<'a> Patient<'a> {
                 }
             }
         }
+    }
+
+    /// What the world does when an edge is lifted: parts what hangs together by a node or an edge alone, and mends the worst
+    /// tetrahedra near the cut.
+    fn finish_stroke(&mut self) {
+        let mut copy = self.world.organ().body().clone();
+        let touched: Vec<NodeId> = std::mem::take(&mut self.touched);
+        let live = |body: &EditableMesh, nodes: &[NodeId]| {
+            let mut nodes: Vec<NodeId> =
+                nodes.iter().copied().filter(|&n| body.topology().is_live_node(n)).collect();
+            nodes.sort_unstable();
+            nodes.dedup();
+            nodes
+        };
+        let edits = copy.parting_edits(live(&copy, &touched));
+        assert!(copy == *self.world.organ().body(), "{}: a plan changed the mesh", self.label());
+        if !edits.is_empty() && self.edit(&edits, Volume::Kept) {
+            self.tally.stroke_partings += 1;
+        }
+        self.check_singular();
+        let mut copy = self.world.organ().body().clone();
+        let topology = copy.topology();
+        let near = live(&copy, &touched);
+        let tets: Vec<TetId> = near.iter().flat_map(|&n| topology.node_tets(n)).copied().collect();
+        let mending = mending(&mut copy, &tets, &MendParams::default(), &|n| self.attached.is_anchored(n));
+        assert!(copy == *self.world.organ().body(), "{}: a plan changed the mesh", self.label());
+        self.tally.bad_tets += mending.n_bad as u64;
+        if !mending.edits.is_empty() && self.edit(&mending.edits, Volume::Kept) {
+            self.tally.mendings += 1;
+            self.tally.mended_places += (mending.n_remeshed + mending.n_collapsed) as u64;
+        }
+        self.check_singular();
+    }
+
+    /// At the end of a stroke nothing hangs together by a node or an edge alone, but for edges too short to be divided, which
+    /// are counted.
+    pub(super) fn check_singular(&mut self) {
+        let left = singular_places(self.world.organ().body());
+        if left.is_empty() {
+            return;
+        }
+        let mut copy = self.world.organ().body().clone();
+        let all: Vec<NodeId> = copy.topology().live_nodes().collect();
+        let edits = copy.parting_edits(all);
+        assert!(edits.is_empty(), "{}: singular places left: {left:?}", self.label());
+        self.tally.singular_left += (left.nodes.len() + left.edges.len()) as u64;
     }
 
     /// The model that went through all edits against one made afresh from the edited mesh.

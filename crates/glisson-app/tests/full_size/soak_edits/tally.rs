@@ -29,6 +29,14 @@ pub(super) struct Tally {
     pub(super) snips: u64,
     /// Steps of the scalpel tool that changed the mesh.
     pub(super) tool_blade_edits: u64,
+    /// Strokes after which singular places were parted.
+    pub(super) stroke_partings: u64,
+    /// Singular places found at the ends of strokes that cannot be parted.
+    pub(super) singular_left: u64,
+    /// Tetrahedra below the limit near strokes, edits that mended some, and places that got better.
+    pub(super) bad_tets: u64,
+    pub(super) mendings: u64,
+    pub(super) mended_places: u64,
     /// Uses of hook, cautery, scissors and scalpel.
     pub(super) tool_uses: u64,
     /// Removals because tissue tore.
@@ -58,6 +66,11 @@ impl Default for Tally {
             burns: 0,
             snips: 0,
             tool_blade_edits: 0,
+            stroke_partings: 0,
+            singular_left: 0,
+            bad_tets: 0,
+            mendings: 0,
+            mended_places: 0,
             tool_uses: 0,
             tears: 0,
             undone: 0,
@@ -75,7 +88,7 @@ impl Default for Tally {
 impl Tally {
     /// Transactions that changed the mesh; taking one back and making it again counts nothing.
     pub(super) fn edits(&self) -> u64 {
-        let direct = self.removals + self.blade_edits + self.scalpel_edits + self.refinements;
+        let direct = self.removals + self.blade_edits + self.scalpel_edits + self.refinements + self.mendings;
         direct + self.burns + self.snips + self.tool_blade_edits + self.tears
     }
 
@@ -96,6 +109,11 @@ impl Tally {
         self.burns += other.burns;
         self.snips += other.snips;
         self.tool_blade_edits += other.tool_blade_edits;
+        self.stroke_partings += other.stroke_partings;
+        self.singular_left += other.singular_left;
+        self.bad_tets += other.bad_tets;
+        self.mendings += other.mendings;
+        self.mended_places += other.mended_places;
         self.tool_uses += other.tool_uses;
         self.tears += other.tears;
         self.undone += other.undone;
@@ -135,7 +153,7 @@ struct LogHeader {
 }
 
 /// Version of what a seed does.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// The seeds that ended, in a file if one is told.
 pub(super) struct Results {
@@ -210,10 +228,10 @@ impl Results {
              against that recount; of all free nodes elastic forces with ligaments, and weights, against a plain loop over the live tetrahedra with \
              each one's own material (1e-9 of the largest); supports and loads by node, vessels by place at rest and against a search of the whole surface; \
              stress memory of each tetrahedron (the same bits, or its parents'); new nodes and tetrahedra where their parents were; finite numbers in the next three steps. \
-             One edit in ten is taken back and made again, with the same bits. What a removal or tear leaves hanging together by a node or an edge alone is parted in the same edit. \
+             One edit in ten is taken back and made again, with the same bits. What a removal or tear leaves hanging together by a node or an edge alone is parted in the same edit, what a stroke leaves when the edge is lifted: then no node or edge holds parts together alone. \
              Every {compared_every} edits and at the end: forces, weights and supports against a model made afresh from the edited mesh.\n\nMade by `cargo xtask soak edits`.\n\n\
-             | body | tetrahedra | seeds | removals | blade (strokes) | scalpel (strokes) | finer | burns | snips | tool blade | tears | singular places parted | taken back | grasps | that held | refused | worst dihedral of a new tetrahedron [deg] | comparisons | largest difference of forces | of weights |\n\
-             |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+             | body | tetrahedra | seeds | removals | blade (strokes) | scalpel (strokes) | finer | burns | snips | tool blade | tears | removals and tears that parted singular places | strokes that did | places mended at strokes' ends, of bad tetrahedra | taken back | grasps | that held | refused | worst dihedral of a new tetrahedron [deg] | comparisons | largest difference of forces | of weights |\n\
+             |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
             all.edits(),
             all.operations(),
             self.of_seeds.len(),
@@ -231,7 +249,7 @@ impl Results {
             let t = results.all();
             writeln!(
                 report,
-                "| {name} | {tetrahedra} | {} | {} | {} ({}) | {} ({}) | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {} | {:.1e} | {:.1e} |",
+                "| {name} | {tetrahedra} | {} | {} | {} ({}) | {} ({}) | {} | {} | {} | {} | {} | {} | {} | {} of {} | {} | {} | {} | {} | {:.2} | {} | {:.1e} | {:.1e} |",
                 results.of_seeds.len(),
                 t.removals,
                 t.blade_edits,
@@ -244,6 +262,9 @@ impl Results {
                 t.tool_blade_edits,
                 t.tears,
                 t.partings,
+                t.stroke_partings,
+                t.mended_places,
+                t.bad_tets,
                 t.undone,
                 t.grasps,
                 t.held,
@@ -256,6 +277,12 @@ impl Results {
             .unwrap();
         }
         let n_broken = self.broken().count();
+        writeln!(
+            report,
+            "\nSingular places that could not be parted at the ends of strokes, because an edge is too short to be divided: {}.",
+            all.singular_left
+        )
+        .unwrap();
         writeln!(report, "\nSeeds that broke something: {n_broken}.").unwrap();
         for broken in self.broken() {
             writeln!(report, "- {}, seed {}: {}", broken.body, broken.seed, broken.broken.as_ref().unwrap())

@@ -39,7 +39,8 @@ pub(super) fn tools(seed: u64, mean_edge_m: f64, home: ToolInput) -> [Tool; MAX_
 
 impl Patient<'_> {
     /// A step with one tool there and the others away, and what the tools then cut.
-    fn work(&mut self, tool: usize, input: ToolInput, placed: bool) {
+    /// Answers whether these cuts stand.
+    fn work(&mut self, tool: usize, input: ToolInput, placed: bool) -> bool {
         let mut inputs = self.away;
         inputs[tool] = input;
         self.step(&inputs, placed);
@@ -52,9 +53,12 @@ impl Patient<'_> {
         let changes = self.world.take_changes();
         let n_edits = changes.len();
         if n_edits == 0 {
-            return;
+            return true;
         }
-        self.check(&before, Volume::Taken(cuts.n_removed + cuts.n_torn), &changes);
+        let n_tets = cuts.n_removed + cuts.n_torn;
+        let n_changes_before = if tool == SCALPEL { cuts.n_edits } else { 0 };
+        let volume = Volume::Taken { n_tets, n_changes_before };
+        self.check(&before, volume, &changes, cuts.blades.n_mended > 0);
         // Edits for which the model was copied whole cannot all be taken back.
         if self.random.uniform() < TAKEN_BACK && self.world.n_edits_to_undo() >= n_edits {
             let label = self.label();
@@ -69,16 +73,19 @@ impl Patient<'_> {
             self.go_back_to(before);
             self.check_attached(&label);
             self.tally.undone += n_edits as u64;
-            return;
+            return false;
         }
         let by_edge = cuts.n_edits as u64;
         let by_tip = u64::from(cuts.n_removed > 0);
         self.tally.tears += n_edits as u64 - by_edge - by_tip;
         self.tally.tool_blade_edits += by_edge;
+        self.tally.stroke_partings += cuts.blades.n_partings as u64;
+        self.tally.mended_places += cuts.blades.n_mended as u64;
         match tool {
             SCISSORS => self.tally.snips += by_tip,
             _ => self.tally.burns += by_tip,
         }
+        true
     }
 
     fn put_away(&mut self) {
@@ -178,7 +185,10 @@ impl Patient<'_> {
                 self.work(SCALPEL, at([0, 1].map(|i| pair[0][i].lerp(pair[1][i], share)), 1.0), false);
             }
         }
-        self.work(SCALPEL, at(stroke[stroke.len() - 1], 0.0), false);
+        // What was taken back has the places that were parted.
+        if self.work(SCALPEL, at(stroke[stroke.len() - 1], 0.0), false) {
+            self.check_singular();
+        }
         self.tally.tool_uses += 1;
         self.put_away();
     }

@@ -41,8 +41,11 @@ pub struct OwnContactParams {
 }
 
 impl OwnContactParams {
-    /// Margin when none is given [m]: 2 m/s in steps of 1 ms. A choice.
-    pub const DEFAULT_MARGIN_M: f64 = 2e-3;
+    /// Margin when none is given [m], in steps of `dt_s`: 2 mm, or the way at 1 m/s if that is more. Choices.
+    pub fn default_margin_m(dt_s: f64) -> f64 {
+        (FASTEST_M_PER_S * dt_s).max(LEAST_MARGIN_M)
+    }
+
     /// Friction of wet tissue on itself when none is given: a choice.
     pub const DEFAULT_FRICTION: f64 = 0.2;
 
@@ -58,9 +61,12 @@ impl OwnContactParams {
     }
 }
 
+const FASTEST_M_PER_S: f64 = 1.0;
+const LEAST_MARGIN_M: f64 = 2e-3;
+
 /// Answers of a coupled model in a step at most, for motion and for places: choices.
-const ANSWERS_FOR_MOTION: u32 = 12;
-const ANSWERS_FOR_PLACES: u32 = 6;
+const ANSWERS_FOR_MOTION: u32 = 8;
+const ANSWERS_FOR_PLACES: u32 = 4;
 /// Overlap that is not worth a correction of places [m].
 const SMALL_OVERLAP_M: f64 = 1e-6;
 /// A spring moves a node of an explicit model by this share of its depth in a step at most: with more it would swing up.

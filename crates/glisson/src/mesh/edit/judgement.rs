@@ -36,10 +36,47 @@ impl Unions {
     }
 }
 
-fn unique<T: Ord>(mut items: Vec<T>) -> Vec<T> {
-    items.sort_unstable();
-    items.dedup();
-    items
+/// A set of ids in ascending order, as bits: the places of all of them in it are found without a search.
+struct Ranks {
+    words: Vec<u64>,
+    /// How many members are in earlier words.
+    before: Vec<u32>,
+    n_members: usize,
+}
+
+impl Ranks {
+    /// The ids, all below `n_ids`; repeated ones count once.
+    fn of(n_ids: usize, ids: impl Iterator<Item = usize>) -> Self {
+        let mut words = vec![0_u64; n_ids.div_ceil(64)];
+        for id in ids {
+            words[id / 64] |= 1 << (id % 64);
+        }
+        let mut n_members = 0;
+        let mut before = Vec::with_capacity(words.len());
+        for word in &words {
+            before.push(n_members);
+            n_members += word.count_ones();
+        }
+        Self { words, before, n_members: n_members as usize }
+    }
+
+    /// Place of a member.
+    fn rank(&self, id: usize) -> Option<usize> {
+        let (word, bit) = (self.words[id / 64], 1_u64 << (id % 64));
+        let below = (word & (bit - 1)).count_ones();
+        (word & bit != 0).then(|| (self.before[id / 64] + below) as usize)
+    }
+
+    fn members(&self) -> impl Iterator<Item = usize> + '_ {
+        self.words.iter().enumerate().flat_map(|(at, &word)| {
+            let mut rest = word;
+            std::iter::from_fn(move || {
+                let bit = (rest != 0).then(|| rest.trailing_zeros() as usize)?;
+                rest &= rest - 1;
+                Some(64 * at + bit)
+            })
+        })
+    }
 }
 
 impl EditableMesh {
@@ -48,13 +85,15 @@ impl EditableMesh {
     pub(super) fn judge_pieces(&self, plan: &Plan, opened: bool, change: &mut TopologyChange) {
         let topology = &self.topology;
         let old = plan.doomed.iter().map(|&tet| topology.tet_nodes(tet));
-        let nodes = unique(old.chain(plan.fresh.iter().copied()).flatten().collect::<Vec<NodeId>>());
-        let stars = nodes.iter().flat_map(|&n| topology.node_tets(n).iter().copied());
-        let patch = unique(stars.collect::<Vec<TetId>>());
-        let mut pieces = Unions::new(patch.len());
-        for (at, &tet) in patch.iter().enumerate() {
+        let corners = old.chain(plan.fresh.iter().copied()).flatten().map(NodeId::index);
+        let nodes = Ranks::of(topology.n_nodes(), corners);
+        let stars = nodes.members().flat_map(|n| topology.node_tets(NodeId::from_index(n)));
+        let patch = Ranks::of(topology.n_tets(), stars.map(|t| t.index()));
+        let mut pieces = Unions::new(patch.n_members);
+        let members = || patch.members().map(TetId::from_index).enumerate();
+        for (at, tet) in members() {
             for next in topology.tet_neighbours(tet).into_iter().filter_map(|n| n.get()) {
-                if let Ok(next) = patch[..at].binary_search(&next) {
+                if let Some(next) = patch.rank(next.index()).filter(|&next| next < at) {
                     pieces.join(at, next);
                 }
             }
@@ -63,10 +102,10 @@ impl EditableMesh {
         if pieces.count == 1 {
             return;
         }
-        for (at, &tet) in patch.iter().enumerate() {
+        for (at, tet) in members() {
             for node in topology.tet_nodes(tet) {
                 let first = topology.node_tets(node)[0];
-                if let Ok(first) = patch[..at].binary_search(&first) {
+                if let Some(first) = patch.rank(first.index()).filter(|&first| first < at) {
                     pieces.join(at, first);
                 }
             }

@@ -11,14 +11,15 @@ type HalfSpace = (DVec3, f64);
 /// A tetrahedron, ready to be compared with many others.
 pub(super) struct Tet {
     corners_m: [DVec3; 4],
-    bounds: Aabb,
+    /// The same by axis: all four are compared with a plane at once.
+    by_axis_m: [[f64; 4]; 3],
     inside: [HalfSpace; 4],
     on_face_m: f64,
 }
 
 impl Tet {
-    /// Whatever the order of the corners.
-    pub(super) fn new(corners_m: [DVec3; 4]) -> Self {
+    /// Whatever the order of the corners; with its bounds.
+    pub(super) fn new(corners_m: [DVec3; 4]) -> (Self, Aabb) {
         let [a, b, c, d] = corners_m;
         let inside = [[b, c, d, a], [a, c, d, b], [a, b, d, c], [a, b, c, d]].map(|[p, q, r, opposite]| {
             let normal = (q - p).cross(r - p).normalize_or_zero();
@@ -26,24 +27,37 @@ impl Tet {
             (normal, normal.dot(p))
         });
         let bounds = Aabb::of_points(&corners_m);
-        Self { corners_m, on_face_m: ON_FACE * bounds.size_m().length(), bounds, inside }
+        let by_axis_m = [0, 1, 2].map(|axis| corners_m.map(|p| p[axis]));
+        (Self { corners_m, by_axis_m, on_face_m: ON_FACE * bounds.size_m().length(), inside }, bounds)
     }
 
-    fn is_beyond_a_face(&self, points_m: &[DVec3; 4]) -> bool {
-        let is_out =
-            |(normal, offset): HalfSpace| points_m.iter().all(|p| normal.dot(*p) - offset <= self.on_face_m);
-        self.inside.into_iter().any(is_out)
+    fn is_beyond_a_face(&self, [x, y, z]: &[[f64; 4]; 3]) -> bool {
+        for &(normal, offset) in &self.inside {
+            let mut n_out = 0;
+            for v in 0..4 {
+                let height_m = normal.x * x[v] + normal.y * y[v] + normal.z * z[v] - offset;
+                n_out += u32::from(height_m <= self.on_face_m);
+            }
+            if n_out == 4 {
+                return true;
+            }
+        }
+        false
     }
 
-    /// Volume [m3] that this one has in common with another.
+    /// Volume [m3] that this one has in common with another, whose bounds it meets.
     pub(super) fn shared_volume_m3(&self, other: &Self) -> f64 {
-        let (a, b) = (&self.bounds, &other.bounds);
-        let is_near = a.min_m.cmple(b.max_m).all() && a.max_m.cmpge(b.min_m).all();
-        if !is_near || other.is_beyond_a_face(&self.corners_m) || self.is_beyond_a_face(&other.corners_m) {
+        if other.is_beyond_a_face(&self.by_axis_m) || self.is_beyond_a_face(&other.by_axis_m) {
             return 0.0;
         }
         clipped_volume_m3(self.corners_m, &other.inside, other.on_face_m)
     }
+}
+
+/// Whether two boxes have a point in common.
+pub(super) fn are_near(a: &Aabb, b: &Aabb) -> bool {
+    let [low, high] = [a.min_m.max(b.min_m), a.max_m.min(b.max_m)];
+    (low.x <= high.x) & (low.y <= high.y) & (low.z <= high.z)
 }
 
 /// Volume [m3] of the part of a tetrahedron inside all half-spaces: each cuts it into at most three.
@@ -104,7 +118,8 @@ mod tests {
     use crate::math::SeededRandom;
 
     fn shared_volume_m3(a_m: [DVec3; 4], b_m: [DVec3; 4]) -> f64 {
-        Tet::new(a_m).shared_volume_m3(&Tet::new(b_m))
+        let [(a, a_bounds), (b, b_bounds)] = [a_m, b_m].map(Tet::new);
+        if are_near(&a_bounds, &b_bounds) { a.shared_volume_m3(&b) } else { 0.0 }
     }
 
     #[test]

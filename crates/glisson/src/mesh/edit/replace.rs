@@ -1,9 +1,9 @@
 //! Exchange of tetrahedra for others in the same place.
 
-use super::overlap::Tet;
+use super::overlap::{Tet, are_near};
 use super::plan::Plan;
 use super::{CavityNode, EditError, EditableMesh, NewNode};
-use crate::math::is_inverted;
+use crate::math::{Aabb, is_inverted};
 use crate::mesh::{NodeId, TetId};
 
 /// How much the volume may differ, as a share of it: rounding, not a gap.
@@ -73,14 +73,15 @@ impl EditableMesh {
             self.check_borders(plan, &corners_of)?;
         }
         self.check_filled(plan, &corners_of)?;
-        let doomed: Vec<Tet> = if new_tets.iter().any(|(_, parents)| parents.is_empty()) {
-            plan.doomed.iter().map(|&tet| Tet::new(self.mesh.corners_m(tet))).collect()
-        } else {
-            Vec::new()
-        };
+        let (doomed, bounds): (Vec<Tet>, Vec<Aabb>) =
+            if new_tets.iter().any(|(_, parents)| parents.is_empty()) {
+                plan.doomed.iter().map(|&tet| Tet::new(self.mesh.corners_m(tet))).unzip()
+            } else {
+                Default::default()
+            };
         for (place, (nodes, (_, parents))) in corners_of.into_iter().zip(new_tets).enumerate() {
             if parents.is_empty() {
-                let parents = self.parents_by_volume(plan, &doomed, nodes);
+                let parents = self.parents_by_volume(plan, (&doomed, &bounds), nodes);
                 plan.add_tet(nodes, &parents);
                 continue;
             }
@@ -166,11 +167,23 @@ impl EditableMesh {
         if is_filled { Ok(()) } else { Err(EditError::VolumeDiffers { old_m3, new_m3 }) }
     }
 
-    /// `doomed`: shapes of the plan's doomed tetrahedra.
-    fn parents_by_volume(&self, plan: &Plan, doomed: &[Tet], nodes: [NodeId; 4]) -> Vec<(TetId, f64)> {
-        let own = Tet::new(nodes.map(|n| plan.position_m(&self.mesh, n)));
-        let shared = plan.doomed.iter().zip(doomed).map(|(&tet, old)| (tet, own.shared_volume_m3(old)));
-        let mut parents: Vec<(TetId, f64)> = shared.filter(|parent| parent.1 > 0.0).collect();
+    /// `doomed`, `bounds`: shapes of the plan's doomed tetrahedra.
+    fn parents_by_volume(
+        &self,
+        plan: &Plan,
+        (doomed, bounds): (&[Tet], &[Aabb]),
+        nodes: [NodeId; 4],
+    ) -> Vec<(TetId, f64)> {
+        let (own, own_bounds) = Tet::new(nodes.map(|n| plan.position_m(&self.mesh, n)));
+        let mut parents: Vec<(TetId, f64)> = Vec::new();
+        for (at, bounds) in bounds.iter().enumerate() {
+            if are_near(&own_bounds, bounds) {
+                let shared_m3 = own.shared_volume_m3(&doomed[at]);
+                if shared_m3 > 0.0 {
+                    parents.push((plan.doomed[at], shared_m3));
+                }
+            }
+        }
         let sum: f64 = parents.iter().map(|p| p.1).sum();
         if sum > 0.0 {
             parents.iter_mut().for_each(|p| p.1 /= sum);

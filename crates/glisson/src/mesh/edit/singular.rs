@@ -80,18 +80,28 @@ impl EditableMesh {
         let mut edits = vec![MeshEdit::Remove { tets }];
         let (mut change, mut undo_removal) = (TopologyChange::default(), MeshUndo::default());
         self.apply_saving(&edits[0], &mut change, &mut undo_removal)?;
-        let mut next = self.partings(self.topology.nodes_near(&change));
-        let (mut partings, mut undo) = (Vec::new(), MeshUndo::default());
+        edits.append(&mut self.parting_edits(self.topology.nodes_near(&change)));
+        self.undo(&undo_removal);
+        Ok(edits)
+    }
+    /// The edits that part what hangs together by a node or an edge alone at `nodes`, as far as it can be parted: a list
+    /// for [`EditableMesh::apply_all_saving`], empty without such a place. Nothing is taken out: nodes get copies, an edge a
+    /// node in its middle. The mesh is as it was afterwards.
+    pub fn parting_edits(&mut self, nodes: Vec<NodeId>) -> Vec<MeshEdit> {
+        let mut next = self.partings(nodes);
+        let (mut partings, mut change, mut undo) =
+            (Vec::new(), TopologyChange::default(), MeshUndo::default());
         let done = self.apply_each_saving(&mut change, &mut undo, |body, at| {
             let edit = next(body, at);
             partings.extend(edit.clone());
             edit
         });
-        if done.is_ok() {
-            self.undo(&undo);
-            edits.append(&mut partings);
+        match done {
+            Ok(()) => self.undo(&undo),
+            // What came before the edge that is too short to be divided can be done without it.
+            Err(EditError::InList { at, .. }) => partings.truncate(at),
+            Err(_) => partings.clear(),
         }
-        self.undo(&undo_removal);
-        Ok(edits)
+        partings
     }
 }

@@ -31,8 +31,8 @@ pub(super) struct Cavity {
 }
 
 impl Cavity {
-    /// Takes the live tetrahedra `tets` (ascending) out of the body.
-    pub(super) fn of(body: &EditableMesh, tets: &[TetId]) -> Self {
+    /// Takes the live tetrahedra `tets` (ascending) out of the body. Nodes that `stays` names do not move.
+    pub(super) fn of(body: &EditableMesh, tets: &[TetId], stays: &dyn Fn(NodeId) -> bool) -> Self {
         let topology = body.topology();
         let mut nodes: Vec<NodeId> = tets.iter().flat_map(|&t| topology.tet_nodes(t)).collect();
         nodes.sort_unstable();
@@ -42,6 +42,7 @@ impl Cavity {
             .iter()
             .map(|&n| {
                 !topology.is_surface_node(n)
+                    && !stays(n)
                     && topology.node_tets(n).iter().all(|t| tets.binary_search(t).is_ok())
             })
             .collect();

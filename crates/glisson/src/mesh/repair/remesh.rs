@@ -50,8 +50,18 @@ pub fn tets_below(body: &EditableMesh, limit: f64) -> Vec<TetId> {
 /// Edits that arrange the surroundings of the live tetrahedra `bad` anew; `None` if that does not lift the worst of
 /// them.
 pub fn remesh(body: &EditableMesh, bad: &[TetId], params: &RemeshParams) -> Option<Repair> {
+    remesh_around(body, bad, params, &|_| false)
+}
+
+/// [`remesh`] that moves no node which `stays` names.
+pub fn remesh_around(
+    body: &EditableMesh,
+    bad: &[TetId],
+    params: &RemeshParams,
+    stays: &dyn Fn(NodeId) -> bool,
+) -> Option<Repair> {
     let mut tets = with_layers(body, bad, params.n_layers);
-    let mut cavity = Cavity::of(body, &tets);
+    let mut cavity = Cavity::of(body, &tets, stays);
     let worst_before = cavity.worst();
     let mut edits = Vec::new();
     // The ids of the tetrahedra, place by place as `before` has their corners.

@@ -1,6 +1,6 @@
 //! Opens the faces of a cut: every node gets as many copies as its tetrahedra form groups.
 
-use super::patch::{Body, Patch, sorted};
+use super::patch::{Body, Patch, pair_key, sorted};
 use crate::mesh::edit::{CavityNode, NewNode, NewTet, Replacement};
 use crate::mesh::quality::FACES;
 
@@ -31,9 +31,9 @@ pub(super) fn divide_closed(
     pull_stars(patch, body);
     let mut groups = Groups::default();
     let origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();
-    // (node that gets copies, where its tetrahedra begin in `stars`); (tetrahedron, group) in order
-    let mut starts: Vec<(u32, usize)> = Vec::new();
-    let mut stars: Vec<(u32, u32)> = Vec::new();
+    let (mut starts, mut stars) = (std::mem::take(&mut patch.parting), std::mem::take(&mut patch.parted));
+    starts.clear();
+    stars.clear();
     for node in nodes_of_cut(patch) {
         if groups.find(patch, node, &origin) > 1 {
             starts.push((node, stars.len()));
@@ -56,7 +56,7 @@ pub(super) fn divide_closed(
     };
     let is_closed = |face: &[u32; 3]| !stays(*face) && !is_open(*face);
     let closed: Vec<[u32; 3]> = patch.cut.iter().copied().filter(is_closed).collect();
-    let mut closed_m2 = 0.0;
+    let (mut closed_m2, n_nodes) = (0.0, patch.nodes.len());
     for face in closed {
         // An earlier face may have divided it.
         if patch.cut.binary_search(&face).is_err() {
@@ -74,6 +74,8 @@ pub(super) fn divide_closed(
         }
         patch.cut.sort_unstable();
     }
+    (patch.parting, patch.parted) = (starts, stars);
+    patch.is_parting_known = patch.nodes.len() == n_nodes;
     closed_m2
 }
 
@@ -126,8 +128,17 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> 
     let mut groups = Groups::default();
     // The faces are known by the nodes from before; copies stand for their origin.
     let mut origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();
+    let is_known = std::mem::take(&mut patch.is_parting_known);
+    let (starts, stars) = (std::mem::take(&mut patch.parting), std::mem::take(&mut patch.parted));
     for &node in &nodes {
-        let n_groups = groups.find(patch, node, &origin);
+        // Copies of other nodes change nothing around this one: only faces of the cut come apart.
+        let n_groups = if is_known {
+            let Ok(at) = starts.binary_search_by_key(&node, |s| s.0) else { continue };
+            let end = starts.get(at + 1).map_or(stars.len(), |s| s.1);
+            groups.set(&stars[starts[at].1..end])
+        } else {
+            groups.find(patch, node, &origin)
+        };
         if n_groups < 2 {
             continue;
         }
@@ -143,6 +154,7 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> 
             }
         }
     }
+    (patch.parting, patch.parted) = (starts, stars);
     let mut opened = Opened::default();
     for (face, tets) in sides {
         let [a, b] = tets[..] else { continue };
@@ -170,9 +182,17 @@ struct Groups {
     star: Vec<u32>,
     /// Group of each; 0 is the one that keeps the node.
     group: Vec<u32>,
-    /// (the two other nodes of a face at the node, place in the star)
-    sides: Vec<([u32; 2], u32)>,
+    /// Faces at the node, each where its two other nodes hash to: these, and the place of a tetrahedron in the star.
+    sides: Vec<(u64, u32)>,
+    /// The number of the group of each root.
+    numbers: Vec<u32>,
 }
+
+/// No face.
+const EMPTY: u64 = u64::MAX;
+
+/// Spreads keys over a table (the golden ratio as a share of 2^64; Knuth, The Art of Computer Programming 3, s. 6.4).
+const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 
 impl Groups {
     /// Groups the star of `node` through the faces at it that are not cut; returns how many there are.
@@ -180,43 +200,68 @@ impl Groups {
         self.star.clear();
         self.star.extend_from_slice(patch.star(node));
         self.star.sort_unstable();
+        self.group.clear();
+        self.group.extend(0..self.star.len() as u32);
+        // Three faces each, and at most half of the table is full.
+        let n_bits = (6 * self.star.len()).max(2).next_power_of_two().ilog2();
         self.sides.clear();
-        for (at, &tet) in self.star.iter().enumerate() {
-            let nodes = patch.tets[tet as usize].nodes;
-            for face in FACES {
-                let face = face.map(|i| nodes[i]);
+        self.sides.resize(1 << n_bits, (EMPTY, 0));
+        for at in 0..self.star.len() {
+            let nodes = patch.tets[self.star[at] as usize].nodes;
+            for [i, j, k] in FACES {
+                let face = [nodes[i], nodes[j], nodes[k]];
                 if let Some(here) = face.iter().position(|&n| n == node) {
                     let (a, b) = (face[(here + 1) % 3], face[(here + 2) % 3]);
-                    self.sides.push(([a.min(b), a.max(b)], at as u32));
+                    if let Some(other) = self.meet(pair_key(a, b), at as u32, n_bits) {
+                        let triple = sorted([node, a, b].map(|n| origin[n as usize]));
+                        if patch.cut.binary_search(&triple).is_err() {
+                            let (a, b) = (root(&mut self.group, at as u32), root(&mut self.group, other));
+                            self.group[a.max(b) as usize] = a.min(b);
+                        }
+                    }
                 }
             }
         }
-        self.sides.sort_unstable();
-        self.group.clear();
-        self.group.extend(0..self.star.len() as u32);
-        for pair in 0..self.sides.len().saturating_sub(1) {
-            let ((face, a), (other, b)) = (self.sides[pair], self.sides[pair + 1]);
-            if face != other {
-                continue;
-            }
-            let triple = sorted([node, face[0], face[1]].map(|n| origin[n as usize]));
-            if patch.cut.binary_search(&triple).is_err() {
-                let (a, b) = (root(&mut self.group, a), root(&mut self.group, b));
-                self.group[a.max(b) as usize] = a.min(b);
-            }
-        }
-        // The group of the first tetrahedron keeps the node; the others are numbered as they come.
-        let roots: Vec<u32> = (0..self.star.len() as u32).map(|at| root(&mut self.group, at)).collect();
-        let mut numbers = vec![u32::MAX; roots.len()];
+        // The group of the first tetrahedron keeps the node; the others are numbered as they come. Roots come first.
+        self.numbers.clear();
+        self.numbers.resize(self.star.len(), 0);
         let mut n_groups = 0;
-        for (at, &first) in roots.iter().enumerate() {
-            if numbers[first as usize] == u32::MAX {
-                numbers[first as usize] = n_groups;
+        for at in 0..self.star.len() {
+            let first = root(&mut self.group, at as u32) as usize;
+            if first == at {
+                self.numbers[at] = n_groups;
                 n_groups += 1;
+            } else {
+                self.numbers[at] = self.numbers[first];
             }
-            self.group[at] = numbers[first as usize];
         }
+        std::mem::swap(&mut self.group, &mut self.numbers);
         n_groups as usize
+    }
+
+    /// The tetrahedron that has the face already, or else this one has it from now on.
+    fn meet(&mut self, key: u64, at: u32, n_bits: u32) -> Option<u32> {
+        let mut place = (key.wrapping_mul(SPREAD) >> (64 - n_bits)) as usize;
+        loop {
+            let (face, other) = self.sides[place];
+            if face == key {
+                return Some(other);
+            }
+            if face == EMPTY {
+                self.sides[place] = (key, at);
+                return None;
+            }
+            place = (place + 1) & ((1 << n_bits) - 1);
+        }
+    }
+
+    /// Takes a star and its groups as they are known; returns how many groups there are.
+    fn set(&mut self, star: &[(u32, u32)]) -> usize {
+        self.star.clear();
+        self.star.extend(star.iter().map(|s| s.0));
+        self.group.clear();
+        self.group.extend(star.iter().map(|s| s.1));
+        star.iter().map(|s| s.1 as usize + 1).max().unwrap_or(0)
     }
 }
 

@@ -94,6 +94,8 @@ pub(super) struct PatchNode {
     pub(super) is_wake: bool,
     /// All tetrahedra at the node are in the patch.
     has_whole_star: bool,
+    /// [`Patch::n_changes`] when a tetrahedron at the node was last taken out.
+    pub(super) changed_at: usize,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -113,6 +115,8 @@ pub(super) struct PatchTet {
 pub(super) struct Patch {
     pub(super) nodes: Vec<PatchNode>,
     pub(super) tets: Vec<PatchTet>,
+    /// How many tetrahedra were taken out.
+    pub(super) n_changes: usize,
     /// Live tetrahedra at each node; longer than `nodes`, the rest to be used again.
     stars: Vec<Vec<u32>>,
     node_here: Vec<u32>,
@@ -125,6 +129,12 @@ pub(super) struct Patch {
     pub(super) cut: Vec<[u32; 3]>,
     /// Nodes of these faces where the blade is now, and whether its end is there.
     pub(super) front: Vec<(u32, bool)>,
+    /// Around each node of the faces that gets copies, where its tetrahedra begin in `parted`.
+    pub(super) parting: Vec<(u32, usize)>,
+    /// Tetrahedra around the nodes of `parting`, ascending around each, and the copy of the node that each gets.
+    pub(super) parted: Vec<(u32, u32)>,
+    /// Whether the faces still are those that `parting` knows.
+    pub(super) is_parting_known: bool,
 }
 
 /// A moved node leaves the volume of its tetrahedra the same to this share: it stays on flat skin.
@@ -169,6 +179,11 @@ pub(super) fn sorted(mut face: [u32; 3]) -> [u32; 3] {
     face
 }
 
+/// Two nodes as one number, whatever their order.
+pub(super) fn pair_key(a: u32, b: u32) -> u64 {
+    u64::from(a.min(b)) << 32 | u64::from(a.max(b))
+}
+
 impl Patch {
     /// Empties the patch for work on `mesh`.
     pub(super) fn start(&mut self, mesh: &EditableMesh) {
@@ -182,6 +197,8 @@ impl Patch {
         self.tet_here.resize(mesh.topology().n_tets(), ABSENT);
         self.nodes.clear();
         self.tets.clear();
+        self.n_changes = 0;
+        self.is_parting_known = false;
         self.cut.clear();
         self.front.clear();
     }
@@ -225,6 +242,7 @@ impl Patch {
             is_front_end: false,
             is_wake: false,
             has_whole_star: false,
+            changed_at: 0,
         });
         self.node_here[node.index()] = here;
         self.pulled_nodes.push(node);
@@ -307,22 +325,32 @@ impl Patch {
     /// Faces at a node, with its whole star in the patch, that belong to one tetrahedron: the surface of the body.
     /// Counter-clockwise from outside.
     pub(super) fn single_sides(&self, node: u32) -> Vec<[u32; 3]> {
-        let mut faces: Vec<([u32; 3], [u32; 3])> = Vec::with_capacity(3 * self.stars[node as usize].len());
+        // The two other nodes, ascending, stand for the face: one number sorts faster than three.
+        let mut faces: Vec<(u64, [u32; 3])> = Vec::with_capacity(3 * self.stars[node as usize].len());
         for &tet in &self.stars[node as usize] {
             let nodes = self.tets[tet as usize].nodes;
-            let at_node = FACES.map(|f| f.map(|i| nodes[i])).into_iter().filter(|f| f.contains(&node));
-            faces.extend(at_node.map(|face| (sorted(face), face)));
+            for [i, j, k] in FACES {
+                let face = [nodes[i], nodes[j], nodes[k]];
+                if let Some(at) = face.iter().position(|&n| n == node) {
+                    faces.push((pair_key(face[(at + 1) % 3], face[(at + 2) % 3]), face));
+                }
+            }
         }
-        faces.sort_unstable();
+        faces.sort_unstable_by_key(|face| face.0);
         faces.chunk_by(|p, q| p.0 == q.0).filter(|same| same.len() == 1).map(|same| same[0].1).collect()
     }
 
     /// Unit normal, in the present shape, of the surface of the body at a node with its whole star in the patch;
     /// `None` inside, and where the sides of an earlier cut meet.
     pub(super) fn skin_normal(&self, node: u32) -> Option<DVec3> {
+        self.normal_of(&self.single_sides(node))
+    }
+
+    /// Unit normal of faces in the present shape; `None` if they are not flat together, or none.
+    pub(super) fn normal_of(&self, faces: &[[u32; 3]]) -> Option<DVec3> {
         let mut sum = DVec3::ZERO;
         let mut length = 0.0;
-        for face in self.single_sides(node) {
+        for face in faces {
             let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);
             let area = (b - a).cross(c - a);
             sum += area;
@@ -468,7 +496,9 @@ impl Patch {
 
     pub(super) fn take_out(&mut self, tet: u32) {
         self.tets[tet as usize].is_live = false;
+        self.n_changes += 1;
         for node in self.tets[tet as usize].nodes {
+            self.nodes[node as usize].changed_at = self.n_changes;
             self.stars[node as usize].retain(|&t| t != tet);
         }
     }
@@ -502,6 +532,7 @@ impl Patch {
             is_front_end: false,
             is_wake: false,
             has_whole_star: true,
+            changed_at: 0,
         });
         let star = std::mem::take(&mut self.stars[a as usize]);
         for &tet in &star {
@@ -600,6 +631,7 @@ impl Patch {
             is_front_end: false,
             is_wake: false,
             has_whole_star: true,
+            changed_at: 0,
         });
         let swapped = |nodes: [u32; 4], gone: u32| nodes.map(|n| if n == gone { middle } else { n });
         for tet in self.tets_at_face(face).collect::<Vec<u32>>() {

@@ -147,7 +147,8 @@ impl Work<'_> {
         for tet in self.patch.live_tets().collect::<Vec<u32>>() {
             let corners_m = self.patch.present_m(tet);
             if near(corners_m) {
-                let (is_touched, inside_m2) = self.meets(tet, corners_m);
+                let distance_m = corners_m.map(|p| self.sweep.distance_m(p));
+                let (is_touched, inside_m2) = self.meets(tet, corners_m, distance_m);
                 area_m2 += inside_m2;
                 if is_touched {
                     touched.push(tet);
@@ -169,7 +170,7 @@ impl Work<'_> {
                 continue;
             }
             let here = self.patch.pull_tet(self.body, TetId::from_index(at));
-            let (is_touched, inside_m2) = self.meets(here, corners_m);
+            let (is_touched, inside_m2) = self.meets(here, corners_m, distance_m);
             area_m2 += inside_m2;
             if is_touched {
                 touched.push(here);
@@ -180,14 +181,13 @@ impl Work<'_> {
     }
 
     /// Whether the polygon cuts a tetrahedron enough, and by how much [m2].
-    fn meets(&mut self, tet: u32, corners_m: [DVec3; 4]) -> (bool, f64) {
+    fn meets(&mut self, tet: u32, corners_m: [DVec3; 4], distance_m: [f64; 4]) -> (bool, f64) {
         if tetrahedron_volume_m3(corners_m) <= 0.0 {
             return (false, 0.0);
         }
         // Corners that an earlier step put into the plane are there but for rounding.
         let flat_m = self.snapping.same_m;
-        let distance_m =
-            corners_m.map(|p| self.sweep.distance_m(p)).map(|d| if d.abs() <= flat_m { 0.0 } else { d });
+        let distance_m = distance_m.map(|d| if d.abs() <= flat_m { 0.0 } else { d });
         let n_zero = distance_m.iter().filter(|&&d| d == 0.0).count();
         let (n_above, n_below) = (
             distance_m.iter().filter(|&&d| d > 0.0).count(),
@@ -310,8 +310,8 @@ impl Work<'_> {
                 self.patch.pull_star(self.body, node);
             }
         }
-        // (face, side of its tetrahedron)
-        let mut sides: Vec<([u32; 3], i8)> = Vec::new();
+        // Faces, 32 bits a node, and the side of their tetrahedra, one more than its sign: one number sorts faster.
+        let mut sides: Vec<u128> = Vec::new();
         for tet in 0..self.patch.tets.len() {
             let tet = self.patch.tets[tet];
             if !tet.is_live {
@@ -331,12 +331,14 @@ impl Work<'_> {
             };
             for (opposite, face) in FACES.iter().enumerate() {
                 if n_zero == 4 || !is_zero[opposite] {
-                    sides.push((sorted(face.map(|i| tet.nodes[i])), side));
+                    let [a, b, c] = sorted(face.map(|i| tet.nodes[i])).map(u128::from);
+                    sides.push(a << 66 | b << 34 | c << 2 | u128::from((side + 1) as u8));
                 }
             }
         }
         sides.sort_unstable();
-        sides.windows(2).filter(|w| w[0].0 == w[1].0 && w[0].1 * w[1].1 < 0).map(|w| w[0].0).collect()
+        let is_parted = |w: &&[u128]| w[0] >> 2 == w[1] >> 2 && w[0] & 3 == 0 && w[1] & 3 == 2;
+        sides.windows(2).filter(is_parted).map(|w| [66, 34, 2].map(|shift| (w[0] >> shift) as u32)).collect()
     }
 
     /// The side of a node on line `k`.

@@ -30,11 +30,17 @@ const SAME_VOLUME: f64 = 1e-11;
 pub(super) fn swap(patch: &mut Patch, body: Body<'_>, max_cosine: f64) {
     let area_m2: f64 = patch.cut.iter().map(|&face| patch.face_area_m2(face)).sum();
     let max_area_change_m2 = AREA_CHANGE * area_m2;
+    let mut memory = Memory::default();
     for _ in 0..N_ROUNDS {
         let mut is_better = false;
         for (_, tet) in patch.bad_tets(max_cosine) {
-            if patch.tets[tet as usize].is_live {
-                is_better |= swap_at(patch, body, tet, max_area_change_m2);
+            if !patch.tets[tet as usize].is_live || memory.is_hopeless(patch, tet) {
+                continue;
+            }
+            if swap_at(patch, body, tet, max_area_change_m2, &mut memory) {
+                is_better = true;
+            } else {
+                memory.note_failure(patch, tet);
             }
         }
         if !is_better {
@@ -43,14 +49,95 @@ pub(super) fn swap(patch: &mut Patch, body: Body<'_>, max_cosine: f64) {
     }
 }
 
+/// What the exchanges so far have found out. Bad tetrahedra share nodes, and most of them stay as they are.
+#[derive(Default)]
+struct Memory {
+    /// For each tetrahedron that could not be bettered, how many changes there had been, and one more.
+    failures: Vec<usize>,
+    leaving: Vec<Option<Leaving>>,
+}
+
+impl Memory {
+    /// Whether a tetrahedron could not be bettered and nothing around has changed.
+    fn is_hopeless(&self, patch: &Patch, tet: u32) -> bool {
+        let Some(n_changes) = self.failures.get(tet as usize).and_then(|n| n.checked_sub(1)) else {
+            return false;
+        };
+        let around = patch.tets[tet as usize].nodes.into_iter().flat_map(|n| patch.star(n));
+        let mut nodes = around.flat_map(|&t| patch.tets[t as usize].nodes);
+        nodes.all(|n| patch.nodes[n as usize].changed_at <= n_changes)
+    }
+
+    fn note_failure(&mut self, patch: &Patch, tet: u32) {
+        self.failures.resize(patch.tets.len(), 0);
+        self.failures[tet as usize] = patch.n_changes + 1;
+    }
+
+    /// What a node is like that could leave.
+    fn leaving(&mut self, patch: &Patch, node: u32) -> &mut Leaving {
+        if self.leaving.len() < patch.nodes.len() {
+            self.leaving.resize_with(patch.nodes.len(), || None);
+        }
+        let known = &mut self.leaving[node as usize];
+        if known.as_ref().is_some_and(|known| patch.nodes[node as usize].changed_at > known.n_changes) {
+            *known = None;
+        }
+        known.get_or_insert_with(|| Leaving::of(patch, node))
+    }
+}
+
+/// A node that could be pulled onto another.
+struct Leaving {
+    /// How many changes there had been in the patch.
+    n_changes: usize,
+    /// Faces of the cut at the node.
+    faces: Vec<[u32; 3]>,
+    is_on_rim: bool,
+    /// Known when the whole star is in the patch.
+    star: Option<LeavingStar>,
+}
+
+struct LeavingStar {
+    /// Faces of the body's surface at the node.
+    sides: Vec<[u32; 3]>,
+    is_flat: bool,
+    max_cosine: f64,
+}
+
+impl Leaving {
+    fn of(patch: &Patch, node: u32) -> Self {
+        let faces: Vec<[u32; 3]> = patch.cut.iter().filter(|f| f.contains(&node)).copied().collect();
+        let is_on_rim = |&other: &u32| faces.iter().filter(|f| f.contains(&other)).count() == 1;
+        let is_on_rim = faces.iter().flatten().any(|n| *n != node && is_on_rim(n));
+        Self { n_changes: patch.n_changes, faces, is_on_rim, star: None }
+    }
+}
+
+impl LeavingStar {
+    fn of(patch: &mut Patch, body: Body<'_>, node: u32) -> Self {
+        patch.pull_star(body, node);
+        let sides = patch.single_sides(node);
+        let is_flat = patch.normal_of(&sides).is_some();
+        Self { sides, is_flat, max_cosine: max_cosine(patch, patch.star(node)) }
+    }
+}
+
 /// The first exchange of an edge or face of a tetrahedron that betters what goes.
-fn swap_at(patch: &mut Patch, body: Body<'_>, tet: u32, max_area_change_m2: f64) -> bool {
+fn swap_at(
+    patch: &mut Patch,
+    body: Body<'_>,
+    tet: u32,
+    max_area_change_m2: f64,
+    memory: &mut Memory,
+) -> bool {
     let nodes = patch.tets[tet as usize].nodes;
     let mut edges = patch.tet_edges(tet);
     edges.sort_by(|&p, &q| patch.length_m(p).total_cmp(&patch.length_m(q)));
     let mut ways = edges.into_iter().flat_map(|[a, b]| [[a, b], [b, a]]);
-    ways.any(|[gone, kept]| collapse(patch, body, gone, kept, max_area_change_m2))
-        || edges.into_iter().any(|edge| remove_edge(patch, body, edge))
+    ways.any(|[gone, kept]| {
+        let leaving = memory.leaving(patch, gone);
+        collapse(patch, body, [gone, kept], leaving, max_area_change_m2)
+    }) || edges.into_iter().any(|edge| remove_edge(patch, body, edge))
         || FACES.into_iter().any(|face| remove_face(patch, body, tet, face.map(|i| nodes[i])))
 }
 
@@ -83,44 +170,38 @@ fn are_joined(patch: &Patch, a: u32, b: u32) -> bool {
 
 /// Pulls `gone` onto `kept`. Nodes inside may go anywhere, those on flat skin along the skin, those on the cut along
 /// the cut, and those on the rim of the cut along the rim.
-fn collapse(patch: &mut Patch, body: Body<'_>, gone: u32, kept: u32, max_area_change_m2: f64) -> bool {
+fn collapse(
+    patch: &mut Patch,
+    body: Body<'_>,
+    [gone, kept]: [u32; 2],
+    leaving: &mut Leaving,
+    max_area_change_m2: f64,
+) -> bool {
     if patch.nodes[gone as usize].is_front {
         return false;
     }
-    let has_both = |face: &&[u32; 3]| face.contains(&gone) && face.contains(&kept);
-    let n_cut = patch.cut.iter().filter(|f| f.contains(&gone)).count();
-    let n_common = patch.cut.iter().filter(has_both).count();
-    if n_cut > 0 && n_common == 0 {
-        return false;
-    }
-    let mut area_change_m2 = 0.0;
-    if n_cut > 0 {
-        let is_on_rim =
-            |other: u32| patch.cut.iter().filter(|f| f.contains(&gone) && f.contains(&other)).count() == 1;
-        let is_rim_node =
-            patch.cut.iter().filter(|f| f.contains(&gone)).flatten().any(|&n| n != gone && is_on_rim(n));
-        if is_rim_node && n_common != 1 {
+    let n_common = leaving.faces.iter().filter(|f| f.contains(&kept)).count();
+    if !leaving.faces.is_empty() {
+        if n_common == 0 || (leaving.is_on_rim && n_common != 1) {
             return false;
         }
-        for face in patch.cut.iter().filter(|f| f.contains(&gone)) {
+        let mut area_change_m2 = 0.0;
+        for &face in &leaving.faces {
             let after = if face.contains(&kept) {
                 0.0
             } else {
                 patch.face_area_m2(face.map(|n| if n == gone { kept } else { n }))
             };
-            area_change_m2 += after - patch.face_area_m2(*face);
+            area_change_m2 += after - patch.face_area_m2(face);
         }
         if area_change_m2.abs() > max_area_change_m2 {
             return false;
         }
     }
-    patch.pull_star(body, gone);
-    let sides = patch.single_sides(gone);
-    if !sides.is_empty() {
-        let is_along_skin = sides.iter().any(|s| s.contains(&kept));
-        if !is_along_skin || patch.skin_normal(gone).is_none() {
-            return false;
-        }
+    let LeavingStar { sides, is_flat, max_cosine } =
+        leaving.star.get_or_insert_with(|| LeavingStar::of(patch, body, gone));
+    if !(sides.is_empty() || (*is_flat && sides.iter().any(|s| s.contains(&kept)))) {
+        return false;
     }
     let star: Vec<u32> = patch.star(gone).to_vec();
     let stays = |t: &&u32| !patch.tets[**t as usize].nodes.contains(&kept);
@@ -132,7 +213,7 @@ fn collapse(patch: &mut Patch, body: Body<'_>, gone: u32, kept: u32, max_area_ch
     if new.is_empty() {
         return false;
     }
-    if !exchange(patch, &star, &new) {
+    if !exchange(patch, &star, &new, *max_cosine) {
         return false;
     }
     patch.cut.retain(|f| !(f.contains(&gone) && f.contains(&kept)));
@@ -195,7 +276,10 @@ fn remove_edge(patch: &mut Patch, body: Body<'_>, edge: [u32; 2]) -> bool {
             }
         }
     }
-    best.is_some_and(|(_, fan)| exchange(patch, &around, &fan))
+    best.is_some_and(|(_, fan)| {
+        let max_cosine = max_cosine(patch, &around);
+        exchange(patch, &around, &fan, max_cosine)
+    })
 }
 
 fn has_face(patch: &Patch, [a, b, c]: [u32; 3]) -> bool {
@@ -220,7 +304,8 @@ fn remove_face(patch: &mut Patch, body: Body<'_>, tet: u32, face: [u32; 3]) -> b
     let [x, y, z] = face;
     let three = [[below, above, x, y], [below, above, y, z], [below, above, z, x]];
     patch.pull_star(body, below);
-    !are_joined(patch, below, above) && exchange(patch, &[tet, other], &three)
+    let old = [tet, other];
+    !are_joined(patch, below, above) && exchange(patch, &old, &three, max_cosine(patch, &old))
 }
 
 /// Largest cosine of a dihedral angle at rest; more if one would be flat or inside out in either shape. Where it is
@@ -241,11 +326,14 @@ fn worst_cosine(patch: &Patch, tets: &[[u32; 4]], most: f64) -> f64 {
     worst
 }
 
-/// Puts `new` in the place of `old` if that betters the worst angle.
-fn exchange(patch: &mut Patch, old: &[u32], new: &[[u32; 4]]) -> bool {
-    let cosine = |&t: &u32| dihedral_cosine_range(patch.rest_m(t))[1];
-    let worst_before = old.iter().map(cosine).fold(-1.0, f64::max);
-    let most = worst_before - LEAST_GAIN;
+/// Largest cosine of a dihedral angle at rest.
+fn max_cosine(patch: &Patch, tets: &[u32]) -> f64 {
+    tets.iter().map(|&t| dihedral_cosine_range(patch.rest_m(t))[1]).fold(-1.0, f64::max)
+}
+
+/// Puts `new` in the place of `old`, whose worst cosine is `cosine_before`, if that betters the worst angle.
+fn exchange(patch: &mut Patch, old: &[u32], new: &[[u32; 4]], cosine_before: f64) -> bool {
+    let most = cosine_before - LEAST_GAIN;
     if worst_cosine(patch, new, most) > most {
         return false;
     }

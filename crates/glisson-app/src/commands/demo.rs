@@ -109,11 +109,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "the piece that was lifted holds {:.2} % of the tumour only",
             100.0 * resection.tumour_in_specimen
         );
-        anyhow::ensure!(
-            resection.margin_m > 0.0,
-            "the cut comes to the tumour: its least distance is {:.1} mm",
-            1e3 * resection.margin_m
-        );
+        if resection.margin_m <= 0.0 {
+            println!("the cut comes to the tumour: its least distance is {:.1} mm", 1e3 * resection.margin_m);
+        }
         println!(
             "written to {}: look at resection.md and the pictures; state {}",
             args.out.display(),

@@ -34,16 +34,16 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
-const TIP_RADIUS_M: f64 = 2e-3;
-/// Healthy tissue between the tumour and the hook's way [m]: a choice. What is left of it is less by the hook's tip and by the
-/// size of the tetrahedra that it burns.
+const TIP_RADIUS_M: f64 = 3e-3;
+/// Healthy tissue between the tumour and the hook's way [m]: a choice. What is left of it is much less: by the hook's tip, by the
+/// size of the tetrahedra that it burns, and because a piece that is nearly free is so limp that the shaft drags it along.
 const MARGIN_M: f64 = 17e-3;
 /// Half the angle of the cone [rad]: a choice; a narrower one is deeper, a wider one takes more of the surface.
 const LEAN_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
 /// Distance between two circles [m], below the width of what the hook burns.
 const LEVEL_M: f64 = 6e-3;
 /// How fast the hook is led [m/s].
-const SPEED_M_PER_S: f64 = 0.35;
+const SPEED_M_PER_S: f64 = 0.2;
 /// Points on a circle.
 const CORNERS: usize = 24;
 /// Circles that may lie above the surface at the entry, where the organ rises beside it.

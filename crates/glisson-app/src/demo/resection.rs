@@ -36,7 +36,7 @@ use std::path::{Path, PathBuf};
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
 const TIP_RADIUS_M: f64 = 3e-3;
 /// Healthy tissue between the tumour and the hook's way [m]: a choice. What is left of it is much less: by the hook's tip, by the
-/// size of the tetrahedra that it burns, and because a piece that is nearly free is so limp that the shaft drags it along.
+/// size of the tetrahedra that it burns, and by how far the piece, soft and nearly free, gives way before the tools.
 const MARGIN_M: f64 = 17e-3;
 /// Half the angle of the cone [rad]: a choice; a narrower one is deeper, a wider one takes more of the surface.
 const LEAN_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;

@@ -185,8 +185,8 @@ fn a_tumour_is_resected_with_two_hands_and_the_replay_is_the_same() {
     // Tissue bears no more: the hook's three parts, four times the force at which a crack runs before each (docs/scene.md).
     assert!(report["greatest_force_hook_n"].as_f64().unwrap() < 37.0, "{text}");
     assert!(report["greatest_force_grasper_n"].as_f64().unwrap() < 50.0, "{text}");
-    // The tumour is out whole. How near the cut came is told; it is less than is planned, because a piece that is nearly free
-    // is so limp that the hook's shaft drags it along. Half a voxel's diagonal is taken off, so the tumour is not cut here.
+    // The tumour is out whole. How near the cut came is told; it is less than is planned: the soft piece gives way before the
+    // tools. Half a voxel's diagonal is taken off, so the tumour is not cut here.
     assert!(report["least_margin_m"].as_f64().unwrap() > -1.3e-3, "{text}");
     // What bled is closed: every clip took something off, and little is left.
     let number = |key: &str| report[key].as_f64().unwrap();

@@ -406,9 +406,10 @@ fn a_shaft_and_a_tip_together_are_felt_with_the_moment_of_both() {
             let tip_m = model.tip_m + way_m;
             world.step(&StepInput::of(&[ToolInput::at(tip_m, along)]));
             let found_n = world.haptic_model(0).force_n;
-            let (off_n, rise_n) =
-                ((model.force_at(tip_m, 0.0) - found_n).length(), (found_n - model.force_n).length());
-            assert!(off_n < 0.3 * rise_n, "{way_m}: {off_n} of {rise_n}");
+            let (off_n, rise_n) = (model.force_at(tip_m, 0.0) - found_n, found_n - model.force_n);
+            // What slides finds another place of the faceted surface, with another normal: there only the push is compared.
+            let (off_n, bound) = if grip.is_sticky { (off_n.length(), 0.02) } else { (off_n.z.abs(), 0.15) };
+            assert!(off_n < bound * rise_n.length(), "{way_m}: {off_n} of {rise_n}");
         }
     }
 }

@@ -185,9 +185,11 @@ impl Patient<'_> {
                 self.work(SCALPEL, at([0, 1].map(|i| pair[0][i].lerp(pair[1][i], share)), 1.0), false);
             }
         }
-        // What was taken back has the places that were parted.
         if self.work(SCALPEL, at(stroke[stroke.len() - 1], 0.0), false) {
             self.check_singular();
+        } else {
+            // The parting was taken back: no later stroke comes by here, so that it is done at once.
+            self.finish_stroke_at_singular_places();
         }
         self.tally.tool_uses += 1;
         self.put_away();

@@ -4,8 +4,9 @@ use super::{EdgeSplit, EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChan
 use crate::mesh::topology::{StarGroups, Topology};
 use crate::mesh::{NodeId, TetId};
 
-/// Rounds of [`EditableMesh::parting_edit`] that are worth trying: copies, divided edges, copies of their middles.
-const MOST_ROUNDS: usize = 4;
+/// Rounds of [`EditableMesh::parting_edit`] that are worth trying: copies, divided edges, copies of their middles, and what
+/// these leave.
+const MOST_ROUNDS: usize = 8;
 
 impl Topology {
     /// Live nodes of the tetrahedra that `change` took out or brought in, ascending: where singular places can
@@ -84,24 +85,39 @@ impl EditableMesh {
         self.undo(&undo_removal);
         Ok(edits)
     }
+
     /// The edits that part what hangs together by a node or an edge alone at `nodes`, as far as it can be parted: a list
     /// for [`EditableMesh::apply_all_saving`], empty without such a place. Nothing is taken out: nodes get copies, an edge a
-    /// node in its middle. The mesh is as it was afterwards.
+    /// node in its middle, unless it is too short for that. The mesh is as it was afterwards.
     pub fn parting_edits(&mut self, nodes: Vec<NodeId>) -> Vec<MeshEdit> {
-        let mut next = self.partings(nodes);
-        let (mut partings, mut change, mut undo) =
-            (Vec::new(), TopologyChange::default(), MeshUndo::default());
-        let done = self.apply_each_saving(&mut change, &mut undo, |body, at| {
-            let edit = next(body, at);
-            partings.extend(edit.clone());
-            edit
-        });
-        match done {
-            Ok(()) => self.undo(&undo),
-            // What came before the edge that is too short to be divided can be done without it.
-            Err(EditError::InList { at, .. }) => partings.truncate(at),
-            Err(_) => partings.clear(),
+        let (mut near, mut n_known) = (nodes, self.topology.n_nodes());
+        let (mut done, mut undos) = (Vec::new(), Vec::new());
+        for _ in 0..MOST_ROUNDS {
+            near.extend((n_known..self.topology.n_nodes()).map(NodeId::from_index));
+            n_known = self.topology.n_nodes();
+            let Some(edit) = self.parting_edit(&near) else { break };
+            let n_before = done.len();
+            // An edge that is too short to be divided keeps the others from nothing.
+            let alone = match &edit {
+                MeshEdit::Split { edges } if edges.len() > 1 => edges.clone(),
+                _ => Vec::new(),
+            };
+            let one_by_one = alone.into_iter().map(|edge| MeshEdit::Split { edges: vec![edge] });
+            for (at, edit) in std::iter::once(edit).chain(one_by_one).enumerate() {
+                let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());
+                if self.apply_saving(&edit, &mut change, &mut undo).is_ok() {
+                    done.push(edit);
+                    undos.push(undo);
+                    if at == 0 {
+                        break;
+                    }
+                }
+            }
+            if done.len() == n_before {
+                break;
+            }
         }
-        partings
+        undos.iter().rev().for_each(|undo| self.undo(undo));
+        done
     }
 }

@@ -192,24 +192,23 @@ impl PressedCubes {
 }
 
 fn steps(settings: Settings, cube: CubeMesh, kind: ResponseKind) -> anyhow::Result<Prepared> {
-    let (mut cubes, prepared) = pressed(settings, cube, kind)?;
-    Ok(prepared(Box::new(move || cubes.step(CUBES_STEP_S))))
+    pressed(settings, cube, kind, |cubes| cubes.step(CUBES_STEP_S))
 }
 
 fn displayed_steps(settings: Settings) -> anyhow::Result<Prepared> {
-    let (mut cubes, prepared) = pressed(settings, CubeMesh::Thesis, GEOMETRIC)?;
-    Ok(prepared(Box::new(move || {
+    pressed(settings, CubeMesh::Thesis, GEOMETRIC, |cubes| {
         cubes.step(CUBES_STEP_S);
         black_box(cubes.frame());
-    })))
+    })
 }
 
-/// Cubes after 0.2 s, and what to tell of them.
+/// What is timed on cubes after 0.2 s.
 fn pressed(
     settings: Settings,
     cube: CubeMesh,
     kind: ResponseKind,
-) -> anyhow::Result<(PressedCubes, impl FnOnce(Box<dyn FnMut() + Send>) -> Prepared)> {
+    timed: impl Fn(&mut PressedCubes) + Send + 'static,
+) -> anyhow::Result<Prepared> {
     let n_cubes = settings.size.clamp(1, 4);
     let mut cubes = PressedCubes::new(n_cubes, cube, kind)?;
     for _ in 0..400 {
@@ -218,9 +217,8 @@ fn pressed(
     let n_contacts = cubes.bodies.report().n_contacts;
     let [n_tets, n_triangles] = cube.counts().map(|n| n * n_cubes);
     let note = format!("{n_triangles} triangles, {n_contacts} contacts after 0.2 s");
-    let prepared =
-        move |run| Prepared { size: n_tets, isa: "portable", precision: "f64", work: None, note, run };
-    Ok((cubes, prepared))
+    let run = Box::new(move || timed(&mut cubes));
+    Ok(Prepared { size: n_tets, isa: "portable", precision: "f64", work: None, note, run })
 }
 
 /// Contacts and response on prescribed motions.

@@ -56,7 +56,7 @@ impl Slide {
         let moved_m = latest.tip_m - before.tip_m;
         let slid_m = moved_m - now.normal * moved_m.dot(now.normal);
         let way_m = slid_m.length();
-        let is_slide = way_m >= LEAST_SLIDE_M && way_m <= MOST_REACH_M && between_s > 0.0;
+        let is_slide = (LEAST_SLIDE_M..=MOST_REACH_M).contains(&way_m) && between_s > 0.0;
         if !is_slide || !now.friction_coefficient.is_finite() {
             return Self::default();
         }

@@ -275,7 +275,7 @@ fn a_saved_moment_and_an_undone_cut_bring_the_contact_back() {
     let run = |world: &mut World, time_s: f64| {
         (0..setting.steps(time_s)).for_each(|_| {
             world.step(&idle);
-        })
+        });
     };
     let before = world.save();
     cut_loose(&mut world);

@@ -88,9 +88,11 @@ impl ActiveTip {
     }
 
     /// An edit was taken back: what was warm then is warm again, and the next stroke begins anew, because the front of
-    /// the last one may be gone.
+    /// the last one may be gone. What is left of its cut is still looked at when the edge is lifted.
     pub(super) fn go_back_to(&mut self, heat: &TissueHeat) {
+        let touched = std::mem::take(&mut self.touched);
         self.lift();
+        self.touched = touched;
         self.heat.clone_from(heat);
     }
 
@@ -168,6 +170,9 @@ impl World {
         let mut touched = std::mem::take(&mut self.active[tool].touched);
         touched.sort_unstable();
         touched.dedup();
+        // Some may have gone with edits that were taken back.
+        let topology = self.organ.body().topology();
+        touched.retain(|&n| n.index() < topology.n_nodes() && topology.is_live_node(n));
         if touched.is_empty() {
             return;
         }
@@ -329,4 +334,24 @@ fn mean_edge_m(body: &EditableMesh) -> f64 {
     });
     let (n, sum) = lengths.fold((0, 0.0), |(n, sum), length_m| (n + 1, sum + length_m));
     sum / f64::from(n.max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::box_mesh::box_of_five;
+
+    #[test]
+    fn an_edit_that_is_taken_back_leaves_the_places_of_the_others_to_the_strokes_end() {
+        let body = EditableMesh::new(box_of_five([1, 1, 1], DVec3::ONE)).unwrap();
+        let home = crate::tool::ToolInput::at(DVec3::ZERO, DVec3::Z);
+        let kind = ToolKind::Scalpel(Blade { length_m: 0.1, cuts: BladeCuts::Subdivision });
+        let mut active = ActiveTip::new(&Tool { kind, ..Tool::probe("scalpel", 1e-3, home) }, &body);
+        active.touched.push(NodeId(3));
+        let heat = active.heat.clone();
+        active.go_back_to(&heat);
+        assert_eq!(active.touched, [NodeId(3)]);
+        active.lift();
+        assert!(active.touched.is_empty());
+    }
 }

@@ -3,11 +3,11 @@
 
 use super::{Experiment, Outcome};
 use crate::bench::thread_cpu_ns;
+use glisson::contact::crossing;
 use glisson::contact::response::itself::{OwnContactParams, OwnResponse};
-use glisson::contact::triangles::{at_weights, closest_weights};
 use glisson::material::LinearElastic;
 use glisson::math::{Aabb, DVec3};
-use glisson::mesh::box_mesh::box_of_five;
+use glisson::mesh::box_mesh::cells_of_five;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::Rayleigh;
@@ -16,7 +16,6 @@ use glisson::scene::{OrganBody, build_model};
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::{Load, LoadTime, Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{StepInput, World};
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 const OWN: &str = "requirement";
@@ -58,23 +57,6 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     Ok(outcome)
 }
 
-fn cells(n: [usize; 3], keep: impl Fn([usize; 3]) -> bool) -> TetMesh {
-    let all = box_of_five(n, DVec3::from_array(n.map(|n| n as f64)) * CELL_M);
-    let (mut mesh, mut new) = (TetMesh::default(), BTreeMap::new());
-    for tet in &all.tetrahedra {
-        let middle = tet.iter().map(|n| all.positions_m[n.index()]).sum::<DVec3>() / (4.0 * CELL_M);
-        if keep(middle.to_array().map(|x| x as usize)) {
-            mesh.tetrahedra.push(tet.map(|n| {
-                *new.entry(n).or_insert_with(|| {
-                    mesh.positions_m.push(all.positions_m[n.index()]);
-                    NodeId::from_index(mesh.positions_m.len() - 1)
-                })
-            }));
-        }
-    }
-    mesh
-}
-
 fn world(
     setting: &Setting,
     mesh: TetMesh,
@@ -101,45 +83,10 @@ fn world(
     Ok(World::new(spec, body.mesh, model, setting.kind)?)
 }
 
-fn inside(p: DVec3, [a, b, c, d]: [DVec3; 4]) -> bool {
-    let volume = |a: DVec3, b: DVec3, c: DVec3, d: DVec3| (b - a).cross(c - a).dot(d - a);
-    let whole = volume(a, b, c, d);
-    let parts = [volume(p, b, c, d), volume(a, p, c, d), volume(a, b, p, d), volume(a, b, c, p)];
-    parts.iter().all(|part| part / whole >= 0.0)
-}
-
 /// Deepest node of one part inside the tetrahedra of the other [m], either way.
 fn crossing_m(world: &World, part: &Part) -> f64 {
-    let (mesh, now_m) = (world.organ().mesh(), world.state().positions_m);
-    let live = world.organ().live_tetrahedra();
-    let mut deepest_m = 0.0_f64;
-    for side in [false, true] {
-        let mut tets = Vec::new();
-        let mut faces: BTreeMap<[NodeId; 3], usize> = BTreeMap::new();
-        for (t, tet) in mesh.tetrahedra.iter().enumerate().filter(|(t, _)| live[*t]) {
-            let middle = tet.iter().map(|n| mesh.positions_m[n.index()]).sum::<DVec3>() / 4.0;
-            if part(middle) == Some(side) {
-                tets.push(t);
-                for [i, j, k] in [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]] {
-                    let mut face = [tet[i], tet[j], tet[k]];
-                    face.sort_unstable();
-                    *faces.entry(face).or_default() += 1;
-                }
-            }
-        }
-        for (_, p) in now_m.iter().enumerate().filter(|(n, _)| part(mesh.positions_m[*n]) == Some(!side)) {
-            let corners = |t: usize| mesh.tetrahedra[t].map(|n| now_m[n.index()]);
-            if tets.iter().any(|t| inside(*p, corners(*t))) {
-                let outer = faces.iter().filter(|(_, count)| **count == 1);
-                let distances_m = outer.map(|(face, _)| {
-                    let corners = face.map(|n| now_m[n.index()]);
-                    at_weights(corners, closest_weights(*p, corners)).distance(*p)
-                });
-                deepest_m = deepest_m.max(distances_m.fold(f64::INFINITY, f64::min));
-            }
-        }
-    }
-    deepest_m
+    let organ = world.organ();
+    crossing::crossing_m(organ.mesh(), organ.live_tetrahedra(), world.state().positions_m, part)
 }
 
 /// What a run gave.
@@ -177,7 +124,7 @@ fn lobes(outcome: &mut Outcome) -> anyhow::Result<()> {
         (place.z > 1.1 && !(3.1..3.9).contains(&place.x)).then_some(place.x > 3.5)
     };
     for setting in settings() {
-        let mesh = cells([7, 2, 6], |[x, _, z]| x != 3 || z == 0);
+        let mesh = cells_of_five([7, 2, 6], CELL_M, |[x, _, z]| x != 3 || z == 0);
         let press = |from: f64, to: f64, force_n: f64| Load {
             region: Region::Box(Aabb {
                 min_m: DVec3::new(from, -0.1, 2.9) * CELL_M,
@@ -220,7 +167,7 @@ fn falling_piece(outcome: &mut Outcome) -> anyhow::Result<()> {
         // Springs act a step late: the piece comes down at 0.25 m/s.
         let setting = Setting { time_step_s: setting.time_step_s.min(1e-3), ..setting };
         let is_middle = |x: usize| (2..5).contains(&x);
-        let mut mesh = cells([7, 7, 5], |[x, y, z]| z < 3 || is_middle(x) && is_middle(y));
+        let mut mesh = cells_of_five([7, 7, 5], CELL_M, |[x, y, z]| z < 3 || is_middle(x) && is_middle(y));
         for p in mesh.positions_m.iter_mut().filter(|p| p.z > 3.5 * CELL_M) {
             p.z -= 0.6 * CELL_M;
         }

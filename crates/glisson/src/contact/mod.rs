@@ -14,6 +14,7 @@ mod triangle_lanes;
 pub mod continuous;
 pub mod tool_contact;
 pub mod self_collision;
+pub mod crossing;
 pub mod proxy_surface;
 pub mod proxy;
 pub mod response;

@@ -6,6 +6,7 @@
 
 use super::{NodeId, TetMesh};
 use crate::math::{DVec3, SeededRandom};
+use std::collections::BTreeMap;
 
 /// Corners x + 2 y + 4 z of the tetrahedra of cells with an even sum of indices.
 const EVEN: [[usize; 4]; 5] = [[1, 0, 3, 5], [2, 0, 6, 3], [4, 0, 5, 6], [7, 3, 6, 5], [0, 3, 5, 6]];
@@ -42,6 +43,28 @@ pub fn box_of_five(cells: [usize; 3], size_m: DVec3) -> TetMesh {
                     mesh.tetrahedra.push(if volume > 0.0 { [a, b, c, d] } else { [a, c, b, d] });
                 }
             }
+        }
+    }
+    mesh
+}
+
+/// Those cells of a box of `cells` cubes of `cell_m`, five tetrahedra each, that `keep` wants. Nodes are numbered as the
+/// tetrahedra come to them.
+///
+/// # Panics
+/// When a number of cells is zero.
+pub fn cells_of_five(cells: [usize; 3], cell_m: f64, keep: impl Fn([usize; 3]) -> bool) -> TetMesh {
+    let all = box_of_five(cells, DVec3::from_array(cells.map(|n| n as f64)) * cell_m);
+    let (mut mesh, mut new) = (TetMesh::default(), BTreeMap::new());
+    for tet in &all.tetrahedra {
+        let middle = tet.iter().map(|n| all.positions_m[n.index()]).sum::<DVec3>() / (4.0 * cell_m);
+        if keep(middle.to_array().map(|x| x as usize)) {
+            mesh.tetrahedra.push(tet.map(|n| {
+                *new.entry(n).or_insert_with(|| {
+                    mesh.positions_m.push(all.positions_m[n.index()]);
+                    NodeId::from_index(mesh.positions_m.len() - 1)
+                })
+            }));
         }
     }
     mesh
@@ -89,6 +112,10 @@ mod tests {
             let counts = EditableMesh::new(mesh).unwrap().topology().live_counts();
             assert_eq!((counts.nodes, counts.edges, counts.tets), (nodes, springs, tets));
         }
+        // Two cells of eight that share an edge alone.
+        let hinge = cells_of_five([2; 3], 0.5, |[x, y, z]| z == 0 && x == y);
+        assert_eq!((hinge.positions_m.len(), hinge.tetrahedra.len()), (14, 10));
+        assert!((hinge.volume_m3() - 0.25).abs() < 1e-15);
         let mesh = irregular_cube(0.05, 1);
         assert_eq!((mesh.positions_m.len(), mesh.tetrahedra.len()), (150, 400));
         assert!((mesh.volume_m3() - 1.25e-4).abs() < 1e-15);

@@ -88,9 +88,10 @@ impl ActiveTip {
     }
 
     /// An edit was taken back: what was warm then is warm again, and the next stroke begins anew, because the front of
-    /// the last one may be gone. What is left of its cut is still looked at when the edge is lifted.
-    pub(super) fn go_back_to(&mut self, heat: &TissueHeat) {
-        let touched = std::mem::take(&mut self.touched);
+    /// the last one may be gone. What is left of its cut in `body` is still looked at when the edge is lifted.
+    pub(super) fn go_back_to(&mut self, body: &EditableMesh, heat: &TissueHeat) {
+        let mut touched = std::mem::take(&mut self.touched);
+        touched.retain(|node| node.index() < body.topology().n_nodes());
         self.lift();
         self.touched = touched;
         self.heat.clone_from(heat);
@@ -170,9 +171,6 @@ impl World {
         let mut touched = std::mem::take(&mut self.active[tool].touched);
         touched.sort_unstable();
         touched.dedup();
-        // Some may have gone with edits that were taken back.
-        let topology = self.organ.body().topology();
-        touched.retain(|&n| n.index() < topology.n_nodes() && topology.is_live_node(n));
         if touched.is_empty() {
             return;
         }

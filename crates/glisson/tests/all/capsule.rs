@@ -1,15 +1,11 @@
 //! Which triangles of an organ that was cut and refined are still its own surface.
 
-use crate::model_meshes::block;
-use glisson::material::LinearElastic;
+use crate::model_meshes::{block, on_a_table};
 use glisson::math::DVec3;
 use glisson::mesh::refine::FineRegion;
-use glisson::model::Rayleigh;
-use glisson::model::kind::ModelKind;
 use glisson::record::snapshot::DisplayTopology;
-use glisson::scene::{OrganBody, build_model};
 use glisson::tool::{Blade, BladeCuts, Tool, ToolInput, ToolKind};
-use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
+use glisson::world::spec::WorldSpec;
 use glisson::world::{StepInput, World};
 
 const SIZE_M: f64 = 0.1;
@@ -19,20 +15,11 @@ fn scalpel_at(x_m: f64, trigger: f64) -> ToolInput {
     ToolInput { trigger, ..ToolInput::at(DVec3::new(x_m, 0.047, SIZE_M - 0.03), DVec3::Z) }
 }
 
-/// A block on a table under a scalpel.
 fn world(cuts: BladeCuts) -> World {
-    let mesh = block([4, 4, 4], DVec3::splat(SIZE_M));
     let kind = ToolKind::Scalpel(Blade { length_m: 0.06, cuts });
     let tool = Tool { kind, shaft_radius_m: 2e-3, ..Tool::probe("scalpel", 3e-3, scalpel_at(-0.02, 0.0)) };
-    let mut spec = WorldSpec::new("block", TIME_STEP_S, tool);
-    let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
-    spec.supports = vec![Support::all_axes(table)];
-    let material = LinearElastic::from_young_poisson(5e3, 0.4, 1000.0).unwrap();
-    let mut body = OrganBody::new(mesh, material, TIME_STEP_S);
-    body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
-    body.damping = Rayleigh { mass_per_s: 60.0, stiffness_s: 0.0 };
-    let model = build_model(&body, ModelKind::Explicit).unwrap();
-    World::new(spec, body.mesh, model, ModelKind::Explicit).unwrap()
+    let spec = WorldSpec::new("block", TIME_STEP_S, tool);
+    on_a_table(block([4, 4, 4], DVec3::splat(SIZE_M)), spec)
 }
 
 /// The block's own surface is its six faces at rest: whether a triangle lies in one is known exactly. Answers how many lie in

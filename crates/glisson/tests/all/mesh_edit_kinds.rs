@@ -308,7 +308,8 @@ fn parted(keep: impl Fn([usize; 3]) -> bool, size: [usize; 3]) -> (EditableMesh,
     let before = body.clone();
     let all: Vec<NodeId> = body.topology().live_nodes().collect();
     let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());
-    body.part_singular_entities_saving(&all, &mut change, &mut undo).unwrap();
+    let edits = body.parting_edits(all);
+    body.apply_all_saving(&edits, &mut change, &mut undo).unwrap();
     crate::mesh_edits::check_against_recount(body.topology());
     assert!(body.topology().pinches().is_empty(), "{:?}", body.topology().pinches());
     assert!((body.volume_m3() - before.volume_m3()).abs() < 1e-12);

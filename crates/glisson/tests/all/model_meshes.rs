@@ -1,8 +1,13 @@
-//! Irregular meshes for the tests of solver and models.
+//! Meshes for the tests of solver and models, and a block that tools work on.
 
+use glisson::material::LinearElastic;
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::{NodeId, TetMesh};
-use glisson::model::FixedNode;
+use glisson::model::kind::ModelKind;
+use glisson::model::{FixedNode, Rayleigh};
+use glisson::scene::{OrganBody, build_model};
+use glisson::world::World;
+use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
 
 /// The six tetrahedra of a cube cut along its diagonal (Kuhn): paths from corner 0 to corner 7 of the corner
 /// numbers x + 2 y + 4 z; odd paths have two corners swapped, so that all are positive.
@@ -117,4 +122,16 @@ fn the_meshes_fill_their_volume() {
             assert!(mesh.tet_volume_m3(glisson::mesh::TetId::from_index(t)) > 0.0);
         }
     }
+}
+
+/// The world of an explicit body of soft tissue that stands on a table.
+pub(crate) fn on_a_table(mesh: TetMesh, mut spec: WorldSpec) -> World {
+    let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
+    spec.supports = vec![Support::all_axes(table)];
+    let material = LinearElastic::from_young_poisson(5e3, 0.4, 1000.0).unwrap();
+    let mut body = OrganBody::new(mesh, material, spec.time_step_s);
+    body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
+    body.damping = Rayleigh { mass_per_s: 60.0, stiffness_s: 0.0 };
+    let model = build_model(&body, ModelKind::Explicit).unwrap();
+    World::new(spec, body.mesh, model, ModelKind::Explicit).unwrap()
 }

@@ -1,9 +1,10 @@
 //! An organ that touches itself: lobes driven together, a piece cut loose, and what does not count as contact.
 
+use glisson::contact::crossing;
 use glisson::contact::response::itself::{OwnContactParams, OwnResponse};
 use glisson::material::LinearElastic;
 use glisson::math::{Aabb, DVec3};
-use glisson::mesh::box_mesh::box_of_five;
+use glisson::mesh::box_mesh::cells_of_five;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::Rayleigh;
@@ -13,31 +14,12 @@ use glisson::scene::{OrganBody, build_model};
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::{Load, LoadTime, Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{StepInput, World};
-use std::collections::BTreeMap;
 
 const CELL_M: f64 = 8e-3;
 /// How far surfaces may go into each other [m]: what users see.
 const MOST_CROSSING_M: f64 = 0.5e-3;
 const GEOMETRIC: OwnResponse = OwnContactParams::geometric(0.2);
 const SPRINGS: OwnResponse = OwnContactParams::penalty(100.0, 0.2);
-
-/// Cells of a box of five tetrahedra each, those that `keep` wants.
-fn cells(n: [usize; 3], keep: impl Fn([usize; 3]) -> bool) -> TetMesh {
-    let all = box_of_five(n, DVec3::from_array(n.map(|n| n as f64)) * CELL_M);
-    let (mut mesh, mut new) = (TetMesh::default(), BTreeMap::new());
-    for tet in &all.tetrahedra {
-        let middle = tet.iter().map(|n| all.positions_m[n.index()]).sum::<DVec3>() / (4.0 * CELL_M);
-        if keep(middle.to_array().map(|x| x as usize)) {
-            mesh.tetrahedra.push(tet.map(|n| {
-                *new.entry(n).or_insert_with(|| {
-                    mesh.positions_m.push(all.positions_m[n.index()]);
-                    NodeId::from_index(mesh.positions_m.len() - 1)
-                })
-            }));
-        }
-    }
-    mesh
-}
 
 struct Setting {
     kind: ModelKind,
@@ -78,52 +60,18 @@ fn idle(world: &World) -> StepInput {
     StepInput::of(&[world.tools()[0].home])
 }
 
-fn inside(p: DVec3, [a, b, c, d]: [DVec3; 4]) -> bool {
-    let volume = |a: DVec3, b: DVec3, c: DVec3, d: DVec3| (b - a).cross(c - a).dot(d - a);
-    let whole = volume(a, b, c, d);
-    let parts = [volume(p, b, c, d), volume(a, p, c, d), volume(a, b, p, d), volume(a, b, c, p)];
-    parts.iter().all(|part| part / whole >= 0.0)
-}
-
 /// Deepest node of one part inside the tetrahedra of the other [m], either way. `part` tells by the place at rest.
 fn crossing_m(world: &World, part: &dyn Fn(DVec3) -> Option<bool>) -> f64 {
-    let (mesh, now_m) = (world.organ().mesh(), world.state().positions_m);
-    let live = world.organ().live_tetrahedra();
-    let mut deepest_m = 0.0_f64;
-    for side in [false, true] {
-        let mut tets = Vec::new();
-        let mut faces: BTreeMap<[NodeId; 3], usize> = BTreeMap::new();
-        for (t, tet) in mesh.tetrahedra.iter().enumerate().filter(|(t, _)| live[*t]) {
-            let middle = tet.iter().map(|n| mesh.positions_m[n.index()]).sum::<DVec3>() / 4.0;
-            if part(middle) == Some(side) {
-                tets.push(t);
-                for [i, j, k] in [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]] {
-                    let mut face = [tet[i], tet[j], tet[k]];
-                    face.sort_unstable();
-                    *faces.entry(face).or_default() += 1;
-                }
-            }
-        }
-        for (n, p) in now_m.iter().enumerate().filter(|(n, _)| part(mesh.positions_m[*n]) == Some(!side)) {
-            let corners = |t: usize| mesh.tetrahedra[t].map(|n| now_m[n.index()]);
-            if tets.iter().any(|t| inside(*p, corners(*t))) {
-                let outer = faces.iter().filter(|(_, count)| **count == 1);
-                let distance_m = outer.map(|(face, _)| {
-                    let corners = face.map(|n| now_m[n.index()]);
-                    let weights = glisson::contact::triangles::closest_weights(*p, corners);
-                    glisson::contact::triangles::at_weights(corners, weights).distance(*p)
-                });
-                deepest_m = deepest_m.max(distance_m.fold(f64::INFINITY, f64::min));
-            }
-            assert!(p.is_finite(), "node {n}");
-        }
+    let (organ, now_m) = (world.organ(), world.state().positions_m);
+    for (n, p) in now_m.iter().enumerate() {
+        assert!(p.is_finite(), "node {n}");
     }
-    deepest_m
+    crossing::crossing_m(organ.mesh(), organ.live_tetrahedra(), now_m, part)
 }
 
 /// A body with a slot, whose two lobes are pressed together from outside.
 fn lobes(setting: &Setting) -> World {
-    let mesh = cells([7, 2, 6], |[x, _, z]| x != 3 || z == 0);
+    let mesh = cells_of_five([7, 2, 6], CELL_M, |[x, _, z]| x != 3 || z == 0);
     let press = |from: f64, to: f64, force_n: f64| Load {
         region: Region::Box(Aabb {
             min_m: DVec3::new(from, -0.1, 2.9) * CELL_M,
@@ -181,7 +129,7 @@ fn lobes_of_an_implicit_model_that_are_driven_together_do_not_cross() {
 /// A small block on a wide one; what joins them is taken out, so that the small one falls by 3.2 mm.
 fn block_on_a_block(setting: &Setting) -> World {
     let is_middle = |x: usize| (2..5).contains(&x);
-    let mut mesh = cells([7, 7, 5], |[x, y, z]| z < 3 || is_middle(x) && is_middle(y));
+    let mut mesh = cells_of_five([7, 7, 5], CELL_M, |[x, y, z]| z < 3 || is_middle(x) && is_middle(y));
     for p in mesh.positions_m.iter_mut().filter(|p| p.z > 3.5 * CELL_M) {
         p.z -= 0.6 * CELL_M;
     }
@@ -334,7 +282,7 @@ fn a_wall_thinner_than_the_margin_does_not_touch_itself() {
     // A sheet of 1.6 mm that stands on edge and is bent; and its two faces are a cell's share apart.
     let hash = |response: Option<OwnResponse>| {
         let setting = Setting { kind: ModelKind::Implicit, time_step_s: 2e-3, response };
-        let mut mesh = cells([1, 5, 5], |_| true);
+        let mut mesh = cells_of_five([1, 5, 5], CELL_M, |_| true);
         mesh.positions_m.iter_mut().for_each(|p| p.x *= 0.2);
         let top = Aabb { min_m: DVec3::new(-1.0, -1.0, 4.5 * CELL_M), max_m: DVec3::splat(1.0) };
         let (force_n, time) = (DVec3::new(2e-3, 0.0, 0.0), LoadTime::Always);

@@ -1,7 +1,6 @@
 //! What happens when a blade is lifted: singular places are parted, bad tetrahedra mended, the stroke is reported.
 
-use crate::model_meshes::block;
-use glisson::material::LinearElastic;
+use crate::model_meshes::{block, on_a_table};
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::box_mesh::irregular_cube;
 use glisson::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, TopologyChange};
@@ -9,11 +8,8 @@ use glisson::mesh::quality::radius_ratio;
 use glisson::mesh::repair::{MendParams, mending};
 use glisson::mesh::topology::SingularEntities;
 use glisson::mesh::{NodeId, TetId, TetMesh};
-use glisson::model::Rayleigh;
-use glisson::model::kind::ModelKind;
-use glisson::scene::{OrganBody, build_model};
 use glisson::tool::{Blade, BladeCuts, Tool, ToolInput, ToolKind};
-use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
+use glisson::world::spec::WorldSpec;
 use glisson::world::{BladeReport, StepInput, World};
 
 const SIZE_M: f64 = 0.1;
@@ -38,14 +34,7 @@ fn world_of(mesh: TetMesh, cuts: BladeCuts, mends_cuts: bool) -> World {
     let kind = ToolKind::Scalpel(Blade { length_m: 0.15, cuts });
     let mut spec = WorldSpec::new("block", TIME_STEP_S, Tool { kind, ..Tool::probe("scalpel", 2e-4, home) });
     spec.mends_cuts = mends_cuts;
-    let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
-    spec.supports = vec![Support::all_axes(table)];
-    let material = LinearElastic::from_young_poisson(5e3, 0.4, 1000.0).unwrap();
-    let mut body = OrganBody::new(mesh, material, TIME_STEP_S);
-    body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
-    body.damping = Rayleigh { mass_per_s: 60.0, stiffness_s: 0.0 };
-    let model = build_model(&body, ModelKind::Explicit).unwrap();
-    let mut world = World::new(spec, body.mesh, model, ModelKind::Explicit).unwrap();
+    let mut world = on_a_table(mesh, spec);
     world.set_undo_depth(1000);
     world
 }

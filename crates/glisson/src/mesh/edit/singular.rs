@@ -4,7 +4,7 @@ use super::{EdgeSplit, EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChan
 use crate::mesh::topology::{StarGroups, Topology};
 use crate::mesh::{NodeId, TetId};
 
-/// Rounds of [`EditableMesh::parting_edit`] that are worth trying: copies, divided edges, copies of their middles, and what
+/// Rounds of [`EditableMesh::parting_edits`] that are worth trying: copies, divided edges, copies of their middles, and what
 /// these leave.
 const MOST_ROUNDS: usize = 8;
 
@@ -44,32 +44,6 @@ impl EditableMesh {
         }
         let edges = singular.edges.iter().map(|&edge| EdgeSplit { edge, fraction: 0.5 });
         (!singular.edges.is_empty()).then(|| MeshEdit::Split { edges: edges.collect() })
-    }
-
-    /// Parts what hangs together by a node or an edge alone at `nodes`, as one edit that can be taken back.
-    /// Nothing changes, and `change` says so, if there is no such place.
-    ///
-    /// # Errors
-    /// [`EditError::InList`] if an edge is too short to be divided; nothing changed then.
-    pub fn part_singular_entities_saving(
-        &mut self,
-        nodes: &[NodeId],
-        change: &mut TopologyChange,
-        undo: &mut MeshUndo,
-    ) -> Result<(), EditError> {
-        let mut next = self.partings(nodes.to_vec());
-        self.apply_each_saving(change, undo, &mut next)
-    }
-
-    /// The edits that part what is singular at `near` and at the nodes that come with them, one round after the other: for
-    /// [`EditableMesh::apply_each_saving`].
-    fn partings(&self, mut near: Vec<NodeId>) -> impl FnMut(&Self, usize) -> Option<MeshEdit> + use<> {
-        let mut n_known = self.topology.n_nodes();
-        move |body, at| {
-            near.extend((n_known..body.topology.n_nodes()).map(NodeId::from_index));
-            n_known = body.topology.n_nodes();
-            if at < MOST_ROUNDS { body.parting_edit(&near) } else { None }
-        }
     }
 
     /// The removal of `tets`, followed by the edits that part the singular places which it leaves, as far as they can be

@@ -2,7 +2,7 @@
  * Drag to push, against a running `glisson serve` whose address is in GLISSON_URL. The same check must reject a
  * server that keeps sending the rest shape.
  */
-import { afterAll, beforeAll, describe, expect, it } from "vitest";
+import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 import type { Browser } from "playwright-core";
 import { openPage, resultFile, startBrowser } from "./browser";
 import { checkDragShowsServerState, keepSendingRestShape } from "./drag_check";
@@ -18,6 +18,10 @@ describe.skipIf(url === undefined)(`dragging on ${url}`, () => {
   beforeAll(async () => {
     browser = await startBrowser();
   });
+  // A page that stays open keeps the instrument.
+  afterEach(async () => {
+    await Promise.all(browser.contexts().map((context) => context.close()));
+  });
   afterAll(async () => {
     await browser?.close();
   });
@@ -28,7 +32,6 @@ describe.skipIf(url === undefined)(`dragging on ${url}`, () => {
     const report = await checkDragShowsServerState(page, address, resultFile("drag.png"));
     console.log(JSON.stringify(report));
     expect(problems).toEqual([]);
-    await page.close();
   });
 
   it("shows what is cut away at the tip", async () => {
@@ -38,7 +41,6 @@ describe.skipIf(url === undefined)(`dragging on ${url}`, () => {
     expect(before.answered).toEqual([]);
     expect(before.nodes).toBeGreaterThan(0);
     expect(problems).toEqual([]);
-    await page.close();
   });
 
   it("is rejected when the server keeps sending the rest shape", async () => {
@@ -48,6 +50,5 @@ describe.skipIf(url === undefined)(`dragging on ${url}`, () => {
     });
     await expect(checkDragShowsServerState(page, address)).rejects.toThrow(/displayed displacement .* differs by/);
     expect(route.rewritten()).toBeGreaterThan(0);
-    await page.close();
   });
 });

@@ -9,7 +9,7 @@ use glisson::material::LinearElastic;
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::box_mesh::cells_of_five;
 use glisson::mesh::edit::MeshEdit;
-use glisson::mesh::{NodeId, TetId, TetMesh};
+use glisson::mesh::{TetId, TetMesh};
 use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
 use glisson::scene::{OrganBody, build_model};

@@ -347,7 +347,7 @@ mod tests {
         let mut active = ActiveTip::new(&Tool { kind, ..Tool::probe("scalpel", 1e-3, home) }, &body);
         active.touched.push(NodeId(3));
         let heat = active.heat.clone();
-        active.go_back_to(&heat);
+        active.go_back_to(&body, &heat);
         assert_eq!(active.touched, [NodeId(3)]);
         active.lift();
         assert!(active.touched.is_empty());

@@ -135,6 +135,9 @@ pub(crate) fn soak(what: LongRun, steps: Option<u64>) -> anyhow::Result<()> {
         }
     };
     let (report, steps) = (root().join(file), steps.unwrap_or(own_steps));
+    if matches!(what, LongRun::Edits) {
+        ct::fetch()?;
+    }
     println!("$ cargo test --release --features full-size-tests --test full_size {test} ({steps} steps)");
     let status = Command::new("cargo")
         .args(["test", "--release", "--locked", "--package", "glisson-app"])

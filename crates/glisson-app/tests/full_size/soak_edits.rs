@@ -132,6 +132,9 @@ fn random_edits_break_nothing() {
     if only.is_some() {
         return;
     }
+    // What was asked for was done, and the long run saw every body.
+    assert!(all.edits() >= edits, "{} of {edits} edits", all.edits());
+    assert!(edits <= DEFAULT_EDITS || bodies.len() == 4, "{} bodies", bodies.len());
     let by_tools = [all.burns, all.snips, all.tool_blade_edits, all.tears];
     let happened = [all.removals, all.blade_edits, all.scalpel_edits, all.undone, all.held];
     let all_happened = happened.iter().chain(&by_tools).all(|&n| n > 0);

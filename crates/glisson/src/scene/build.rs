@@ -400,7 +400,6 @@ pub fn build_world(
     if let Some(file) = &scene.organ.vessels {
         spec.vessels = read_vessels(&folder.join(file))?;
     }
-    spec.mends_cuts = scene.organ.mends_cuts;
     spec.tearing = scene.organ.tearing.map(|energy| Tearing { energy, material: body.material });
     let world = World::new(spec, body.mesh.clone(), model, kind)
         .map_err(|error| BuildError::Organ { file: folder.join(&scene.organ.mesh), error })?;

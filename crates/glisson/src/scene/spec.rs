@@ -77,7 +77,7 @@ impl Scene {
             fields: surroundings.fields,
             // Its material comes with the mesh.
             tearing: None,
-            mends_cuts: false,
+            mends_cuts: organ.mends_cuts,
             own_contact,
             vessels: Vec::new(),
             tools: scripted,

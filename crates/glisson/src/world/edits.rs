@@ -189,13 +189,19 @@ impl World {
     /// # Errors
     /// As [`World::edit`].
     pub fn part_singular_places(&mut self, nodes: &[NodeId]) -> Result<bool, EditRefusal> {
-        let topology = self.organ.body().topology();
-        let live = nodes.iter().copied().filter(|&n| topology.is_live_node(n)).collect();
+        let live = self.live_among(nodes);
         let edits = self.organ.body_mut().parting_edits(live);
         if edits.is_empty() {
             return Ok(false);
         }
         self.edit_in_place(&edits).map(|_| true)
+    }
+
+    /// Those that the mesh has now; an edit that was taken back may have taken some with it.
+    fn live_among(&self, nodes: &[NodeId]) -> Vec<NodeId> {
+        let topology = self.organ.body().topology();
+        let is_live = |n: &NodeId| n.index() < topology.n_nodes() && topology.is_live_node(*n);
+        nodes.iter().copied().filter(is_live).collect()
     }
 
     /// Mends the worst tetrahedra at `nodes` as one edit ([`mending`]); answers how many places got better. The surface, cuts
@@ -205,8 +211,8 @@ impl World {
     /// As [`World::edit`].
     pub fn mend(&mut self, nodes: &[NodeId]) -> Result<usize, EditRefusal> {
         let topology = self.organ.body().topology();
-        let live = nodes.iter().filter(|&&n| topology.is_live_node(n));
-        let mut tets: Vec<TetId> = live.flat_map(|&n| topology.node_tets(n)).copied().collect();
+        let live = self.live_among(nodes).into_iter();
+        let mut tets: Vec<TetId> = live.flat_map(|n| topology.node_tets(n)).copied().collect();
         tets.sort_unstable();
         tets.dedup();
         let mut stays = vec![false; topology.n_nodes()];
@@ -383,6 +389,7 @@ impl World {
         self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
         self.owners.clear();
         self.constraints.displacements.clear();
+        self.constraints.forces.clear();
         if self.journal.later.pop().is_none() {
             let n_left = self.journal.removed.len() - record.n_removed_first;
             self.journal.removed.truncate(n_left);

@@ -130,6 +130,11 @@ impl Loads {
         &self.forces
     }
 
+    /// Those of the last step, none after an edit.
+    pub(super) fn forces(&self) -> &[NodalForce] {
+        &self.forces
+    }
+
     fn gather(&mut self) {
         self.forces.clear();
         for n in 0..self.n_nodes() {

@@ -481,9 +481,9 @@ impl World {
         vessels.clip(tip_m, reach_m, self.organ.body(), positions_m)
     }
 
-    /// Forces of the scene's loads on nodes in the last step, ascending by node.
+    /// Forces of the scene's loads on nodes in the last step, ascending by node; none between an edit and the next step.
     pub fn load_forces(&self) -> &[NodalForce] {
-        &self.constraints.forces
+        self.loads.forces()
     }
 
     /// The instruments.

@@ -65,6 +65,8 @@ pub(super) struct Stability {
     /// Of the ligaments at each node, together.
     ligaments_n_per_m: Vec<f64>,
     density_kg_per_m3: f64,
+    /// Speed of the fastest wave at the largest stretch that the step is made for [m/s].
+    pub(super) fastest_wave_m_per_s: f64,
     stiffness_damping_s: f64,
     /// Shortest step allowed [s].
     shortest_s: f64,
@@ -73,6 +75,11 @@ pub(super) struct Stability {
 /// What tells materials apart in a search for the same.
 fn bits_of(material: &LinearElastic) -> [u64; 2] {
     [material.lambda_pa(), material.mu_pa()].map(f64::to_bits)
+}
+
+/// Modulus of the fastest wave at rest [Pa]; of both, because lambda may be negative.
+fn wave_pa(material: &LinearElastic) -> f64 {
+    (material.lambda_pa() + 2.0 * material.mu_pa()).max(material.mu_pa())
 }
 
 impl Stability {
@@ -106,7 +113,7 @@ impl Stability {
             };
             // K(F) is at most the largest tangent times the scalar Laplacian, and that at most K at rest over
             // lambda + 2 mu.
-            let wave_pa = (material.lambda_pa() + 2.0 * material.mu_pa()).max(material.mu_pa());
+            let wave_pa = wave_pa(material);
             let of_tangent = |tangent_pa: f64| (tangent_pa / wave_pa).max(1.0);
             let stiffening = match params.law {
                 KernelLaw::Linear if params.volume_penalty_pa == 0.0 => 1.0,
@@ -146,6 +153,8 @@ impl Stability {
         let tet_per_s2: Vec<f64> = tets().map(with_ligaments).collect();
         let stiffening = elastic.tet_stiffening;
         let elastic = elastic.step;
+        let tangent_pa = |(tet, stiffening): (TetId, &f64)| stiffening * wave_pa(params.material(tet));
+        let stiffest_pa = tets().zip(&stiffening).map(tangent_pa).fold(0.0, f64::max);
 
         let mut mass_kg = vec![0.0; mesh.positions_m.len()];
         for tet in tets() {
@@ -173,6 +182,7 @@ impl Stability {
             stiffening,
             ligaments_n_per_m,
             density_kg_per_m3: body.density_kg_per_m3,
+            fastest_wave_m_per_s: (stiffest_pa / body.density_kg_per_m3).sqrt(),
             stiffness_damping_s: beta,
             shortest_s: body.time_step_s / f64::from(body.most_parts),
         };

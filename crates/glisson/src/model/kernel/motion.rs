@@ -263,18 +263,38 @@ impl FastKernel {
         })
     }
 
+    /// Shortens what the last step added to a node's displacement to `most_m` where it is longer; answers whether any was.
+    pub fn limit_last_increments(&mut self, most_m: f64) -> bool {
+        let mut is_any_longer = false;
+        for part in &self.parts.all {
+            let PartNodes { displacement_m, increment_m, .. } = &mut *part.nodes_mut();
+            for (u, increment) in displacement_m.iter_mut().zip(increment_m) {
+                let length_m = unpadded(increment).length();
+                if length_m > most_m {
+                    is_any_longer = true;
+                    scale_increment(u, increment, most_m / length_m);
+                }
+            }
+        }
+        is_any_longer
+    }
+
     /// Scales what the last step added to the displacements, as if it had been so much shorter.
     pub fn scale_last_increments(&mut self, factor: f64) {
         for part in &self.parts.all {
             let PartNodes { displacement_m, increment_m, .. } = &mut *part.nodes_mut();
             for (u, increment) in displacement_m.iter_mut().zip(increment_m) {
-                for i in 0..3 {
-                    let scaled = factor * increment[i];
-                    u[i] += scaled - increment[i];
-                    increment[i] = scaled;
-                }
+                scale_increment(u, increment, factor);
             }
         }
+    }
+}
+
+fn scale_increment(displacement_m: &mut Row, increment_m: &mut Row, factor: f64) {
+    for i in 0..3 {
+        let scaled = factor * increment_m[i];
+        displacement_m[i] += scaled - increment_m[i];
+        increment_m[i] = scaled;
     }
 }
 

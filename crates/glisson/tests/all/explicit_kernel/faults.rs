@@ -95,6 +95,47 @@ fn a_run_that_blows_up_stays_finite_and_says_so() {
     assert!(far_m < 1e4, "{far_m}");
 }
 
+/// A crumb may not gather what the whole body could hold.
+#[test]
+fn a_tetrahedron_that_hangs_by_a_node_and_is_thrown_goes_no_faster_than_waves() {
+    let mut mesh = block([4, 4, 4], SIZE_M);
+    let hook = mesh.positions_m.len() - 1;
+    let first = mesh.positions_m.len();
+    let edge_m = 0.5 * SIZE_M.x / 4.0;
+    mesh.positions_m.extend([DVec3::X, DVec3::Y, DVec3::Z].map(|d| SIZE_M + d * edge_m));
+    mesh.tetrahedra.push([hook, first, first + 1, first + 2].map(NodeId::from_index));
+    let fixed: Vec<FixedNode> = (0..25).map(|n| FixedNode::all_axes(NodeId(n))).collect();
+    // Neo-Hookean tissue stiffens more.
+    let time_step_s = 0.5 * time_step_s(&mesh);
+    let body = DynamicBody {
+        damping: Rayleigh::default(),
+        gravity_m_per_s2: DVec3::ZERO,
+        ..body_of(&mesh, &fixed, time_step_s)
+    };
+    let node = NodeId::from_index(first + 2);
+    for law in [KernelLaw::StVenantKirchhoff, KernelLaw::StableNeoHooke] {
+        let mut model = build(body, law);
+        let thrown = ImposedDisplacement { node, displacement_m: DVec3::new(0.1, -0.2, -0.3) };
+        model.apply(&Constraints { displacements: vec![thrown], forces: Vec::new() });
+        model.step(time_step_s);
+        model.apply(&Constraints::default());
+        let (mut furthest_m, mut fastest_m_per_s, mut was_limited) = (0.0_f64, 0.0_f64, false);
+        for _ in 0..5000 {
+            model.step(time_step_s);
+            let state = model.state();
+            for (p, rest) in state.positions_m.iter().zip(&mesh.positions_m) {
+                furthest_m = furthest_m.max(p.distance(*rest));
+            }
+            fastest_m_per_s =
+                state.velocities_m_per_s.iter().map(|v| v.length()).fold(fastest_m_per_s, f64::max);
+            was_limited |= model.report().energy_was_limited;
+        }
+        // Without the limit: 640 m/s.
+        assert!(was_limited, "{law:?}");
+        assert!(furthest_m < 0.5 && fastest_m_per_s < 60.0, "{law:?}: {furthest_m} m, {fastest_m_per_s} m/s");
+    }
+}
+
 /// What decays for ever passes through subnormal numbers, which are slow.
 #[test]
 fn a_damped_body_comes_to_a_standstill() {

@@ -5,6 +5,7 @@ use super::core_use::{CoreUse, Moment};
 use crate::devices::{self, DeviceName};
 use crate::runtime::haptic_loop::{HapticReport, HapticSettings, Meters, check_rate, join};
 use crate::runtime::live::Stalls;
+use crate::runtime::realtime::OwnCore;
 use crate::runtime::{OpenScene, Simulation};
 use crate::scratch::ScratchFolder;
 use crate::server::access::Access;
@@ -40,6 +41,8 @@ pub(crate) struct HapticsRequest {
     pub(crate) rate_hz: f64,
     /// Size of the body.
     pub(crate) n_tets: usize,
+    /// Where the loop stays.
+    pub(crate) core: OwnCore,
     /// The program whose verb `watch` is the viewer.
     pub(crate) program: PathBuf,
 }
@@ -123,7 +126,8 @@ pub(crate) fn measure(request: &HapticsRequest, tell: &dyn Fn(&str, usize, usize
         for (number, (run, stalls)) in order.into_iter().enumerate() {
             let text = if stalls.is_some() { "with stalls" } else { "without stalls" };
             tell(text, 2 * block + number, 2 * n_blocks);
-            measure_block(request, &scene, block_s, stalls, run)?;
+            let block = Block { scene: &scene, seconds: block_s, stalls, core: request.core };
+            measure_block(request, &block, run)?;
         }
     }
     let n_tets = mesh.tetrahedra.len();
@@ -239,13 +243,16 @@ fn write_scene(path: &Path, front_m: DVec3) -> anyhow::Result<f64> {
     bail!("no time step down to 0.125 ms is stable: {:#}", refusal.context("nothing was tried")?)
 }
 
-fn measure_block(
-    request: &HapticsRequest,
-    scene: &Path,
+/// A part of one of the two runs.
+struct Block<'a> {
+    scene: &'a Path,
     seconds: f64,
     stalls: Option<Stalls>,
-    run: &mut Run,
-) -> anyhow::Result<()> {
+    core: OwnCore,
+}
+
+fn measure_block(request: &HapticsRequest, block: &Block<'_>, run: &mut Run) -> anyhow::Result<()> {
+    let Block { scene, seconds, stalls, core } = *block;
     let simulation = Simulation::open(OpenScene::read(scene)?, None)?;
     let listener = server::bind("127.0.0.1", 0)?;
     let address = listener.local_addr()?;
@@ -253,7 +260,7 @@ fn measure_block(
     let mut device = devices::open(&DeviceName::Simulated, &home, request.rate_hz)?;
     device.device = Box::new(Counting { device: device.device, forces: Arc::clone(&run.forces) });
     let held = vec![join(device, 0, home)];
-    let haptics = HapticSettings { rate_hz: request.rate_hz, ..HapticSettings::default() };
+    let haptics = HapticSettings { rate_hz: request.rate_hz, core, ..HapticSettings::default() };
     let service = Service {
         held,
         haptics,

@@ -5,7 +5,7 @@ use super::elsewhere::Nearby;
 use super::exchange::{Latest, Publisher, exchange};
 use super::force_choices::ForceChoices;
 use super::histogram::{Histogram, Percentiles};
-use super::realtime::{Scheduling, make_punctual, now_ns, wait_until};
+use super::realtime::{OwnCore, Scheduling, make_punctual, now_ns, wait_until};
 use crate::devices::OpenDevice;
 use crate::devices::viewer::PageHand;
 use anyhow::{Context, ensure};
@@ -37,15 +37,15 @@ const LONGEST_TICK_S: f64 = 0.1;
 pub(crate) struct HapticSettings {
     /// Ticks a second.
     pub(crate) rate_hz: f64,
-    /// Core to stay on; the last one that is allowed for none.
-    pub(crate) core: Option<usize>,
+    /// Core to stay on.
+    pub(crate) core: OwnCore,
     /// How forces are made.
     pub(crate) forces: ForceChoices,
 }
 
 impl Default for HapticSettings {
     fn default() -> Self {
-        Self { rate_hz: 1_000.0, core: None, forces: ForceChoices::default() }
+        Self { rate_hz: 1_000.0, core: OwnCore::Last, forces: ForceChoices::default() }
     }
 }
 

@@ -110,6 +110,8 @@ fn a_served_device_moves_its_instrument_and_a_watching_program_sees_it() {
     let host = page.split("http://").nth(1).unwrap().split('/').next().unwrap().to_owned();
     let watched =
         glisson(folder.path(), &["watch", &format!("ws://{host}/ws"), "--seconds", "2.5", "--json"]);
+    #[cfg(target_os = "linux")]
+    the_loop_has_its_core_for_itself(serve.id());
     let stopped = Command::new("kill").args(["-INT", &serve.id().to_string()]).status().unwrap();
     let rest: Vec<String> = lines.collect();
     assert!(stopped.success() && serve.wait().unwrap().success(), "{rest:?}");
@@ -133,6 +135,30 @@ fn a_served_device_moves_its_instrument_and_a_watching_program_sees_it() {
     assert!(session.lines().filter(|line| line.contains("\"input\"")).count() > 100);
     let replay = glisson(folder.path(), &["replay", "s.jsonl"]);
     assert!(String::from_utf8_lossy(&replay.stdout).contains("same bits"));
+}
+
+/// Of all threads of a process only the haptic loop may use its core, where there are two.
+#[cfg(target_os = "linux")]
+fn the_loop_has_its_core_for_itself(process: u32) {
+    let cores_of = |status: &str| -> Vec<usize> {
+        let list = status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:")).unwrap();
+        let ranges = list.trim().split(',').map(|range| range.split_once('-').unwrap_or((range, range)));
+        ranges.flat_map(|(from, to)| from.parse().unwrap()..=to.parse().unwrap()).collect()
+    };
+    if cores_of(&std::fs::read_to_string("/proc/self/status").unwrap()).len() < 2 {
+        return;
+    }
+    let (mut of_loop, mut of_others) = (Vec::new(), Vec::new());
+    for thread in std::fs::read_dir(format!("/proc/{process}/task")).unwrap() {
+        // A thread may end while one looks.
+        let Ok(status) = std::fs::read_to_string(thread.unwrap().path().join("status")) else { continue };
+        let name = status.lines().next().unwrap().trim_start_matches("Name:").trim().to_owned();
+        if name == "haptics" { &mut of_loop } else { &mut of_others }.push((name, cores_of(&status)));
+    }
+    let [(_, own)] = of_loop.as_slice() else { panic!("{of_loop:?}") };
+    let [core] = own.as_slice() else { panic!("{own:?}") };
+    assert!(of_others.iter().any(|(name, _)| name == "simulation"), "{of_others:?}");
+    assert!(of_others.iter().all(|(_, cores)| !cores.contains(core)), "core {core}: {of_others:?}");
 }
 
 /// A page, without a browser.

@@ -183,13 +183,7 @@ impl HeldTool {
                 });
                 let LawTick { command, tool, report } =
                     law.tick(&state, &published.model, age_ns as f64 * 1e-9, dt_s);
-                let pose = if self.device.tells_orientation {
-                    tool
-                } else {
-                    let ToolInput { shaft_in_world, roll_rad, .. } = self.home;
-                    ToolInput { shaft_in_world, roll_rad, ..tool }
-                };
-                self.motions.publish(Motion::of(pose, true));
+                self.motions.publish(Motion::of(tool, true));
                 let written = self.device.device.write(&command);
                 if written.is_err() {
                     law.not_taken();
@@ -254,7 +248,7 @@ impl HeldTool {
 fn is_finite(state: &DeviceState) -> bool {
     state.position_m.is_finite()
         && state.velocity_m_per_s.is_finite()
-        && state.orientation.is_finite()
+        && state.orientation.is_none_or(glam::DQuat::is_finite)
         && state.jaw_opening.is_finite()
 }
 

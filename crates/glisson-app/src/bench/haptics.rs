@@ -4,7 +4,9 @@
 use super::core_use::{CoreUse, Moment};
 use crate::devices::{self, DeviceName};
 use crate::runtime::haptic_loop::{HapticReport, HapticSettings, Meters, check_rate, join};
+use crate::runtime::histogram::GreatestValue;
 use crate::runtime::live::Stalls;
+use crate::runtime::pace::StepTimes;
 use crate::runtime::realtime::OwnCore;
 use crate::runtime::{OpenScene, Simulation};
 use crate::scratch::ScratchFolder;
@@ -53,6 +55,8 @@ struct Run {
     meters: Arc<Meters>,
     n_stalls: u64,
     steps: u64,
+    /// Of the last block.
+    times: StepTimes,
     seconds: f64,
     n_given_up: u64,
     n_frames: u64,
@@ -66,8 +70,7 @@ struct Run {
 struct Forces {
     n_ticks: AtomicU64,
     n_in_contact: AtomicU64,
-    /// Bits of the largest force [N]: of numbers that are not negative the larger has the larger bits.
-    greatest_bits: AtomicU64,
+    greatest_n: GreatestValue,
 }
 
 /// A device whose forces are counted on their way.
@@ -90,7 +93,7 @@ impl HapticDevice for Counting {
         self.forces.n_ticks.fetch_add(1, Ordering::Relaxed);
         // Free, the law commands nothing at all.
         self.forces.n_in_contact.fetch_add(u64::from(force_n > 0.0), Ordering::Relaxed);
-        self.forces.greatest_bits.fetch_max(force_n.to_bits(), Ordering::Relaxed);
+        self.forces.greatest_n.raise_to(force_n);
         self.device.write(command)
     }
 }
@@ -161,7 +164,7 @@ impl Run {
         answer["contact"] = json!({
             "ticks": of(&self.forces.n_ticks),
             "ticks_in_contact": of(&self.forces.n_in_contact),
-            "greatest_force_n": f64::from_bits(of(&self.forces.greatest_bits)),
+            "greatest_force_n": self.forces.greatest_n.get(),
         });
         // Null where nothing was counted.
         answer["core"] = json!({
@@ -171,6 +174,7 @@ impl Run {
         answer["core_was_free"] = json!(self.core_use.was_free());
         answer["simulation"] = json!({
             "steps_per_s": self.steps as f64 / dt, "stalls": self.n_stalls, "times_given_up": self.n_given_up,
+            "last_block": self.times.to_json(),
         });
         answer["viewer"] = json!({
             "frames_per_s": self.n_frames as f64 / dt, "megabytes_per_s": self.n_bytes as f64 * 1e-6 / dt,
@@ -297,6 +301,7 @@ fn measure_block(request: &HapticsRequest, block: &Block<'_>, run: &mut Run) -> 
     }
     run.n_stalls += ended.n_stalls;
     run.steps += ended.steps;
+    run.times = ended.times;
     run.seconds += seconds;
     run.n_given_up += ended.lateness.n_given_up;
     run.n_frames += watched["frames"].as_u64().context("the viewer counts no frames")?;

@@ -120,6 +120,7 @@ impl Address {
         if let Some(haptics) = haptics {
             println!("{}", haptics.to_text());
         }
+        println!("{}", ended.times.to_text());
         if ended.lateness.n_given_up > 0 {
             let Lateness { n_given_up, left_out_s } = ended.lateness;
             println!("the simulation fell behind {n_given_up} times and left out {left_out_s:.1} s");

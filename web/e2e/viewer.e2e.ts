@@ -229,7 +229,9 @@ describe("the viewer in front of the test ellipsoid", () => {
       local_model_age_ms: times,
       scheduling: "SCHED_FIFO 40, on core 1",
     };
-    const simulation = { rate_hz: 500, real_time_factor: 1, times_given_up: 0, left_out_s: 0, effort: "full" };
+    const figures = { p50: 1, p99: 2, p999: 3, max: 4 };
+    const steps = { steps: 100, step_us: figures, step_budget_us: 1000, steps_over_budget: 0, frame_ms: figures, frame_budget_ms: 16 };
+    const simulation = { rate_hz: 500, real_time_factor: 1, times_given_up: 0, left_out_s: 0, effort: "full", ...steps };
     // At this machine or at the other one: what is told is shown.
     for (const haptics_at of ["here", "other_machine"]) {
       server.simulator.say(JSON.stringify({ type: "timing", simulation, haptics, haptics_at }));

@@ -30,6 +30,21 @@ export interface HapticTiming {
   readonly scheduling: string;
 }
 
+/** What the simulation's steps take, and how often displays get a state. */
+export interface StepTiming {
+  readonly steps: number;
+  readonly p50_us: number;
+  readonly p99_us: number;
+  readonly p999_us: number;
+  /** What a step may take in real time: the scene's time step. */
+  readonly budget_us: number;
+  readonly over_budget: number;
+  readonly frame_p50_ms: number;
+  readonly frame_p999_ms: number;
+  /** What the server aims at. */
+  readonly frame_budget_ms: number;
+}
+
 /** Where the loop is that gives forces to hands: at the machine with `--role haptics`, which knows its times, or here. */
 const HAPTICS_AT = ["nowhere", "here", "other_machine"] as const;
 export type HapticsAt = (typeof HAPTICS_AT)[number];
@@ -40,6 +55,7 @@ export interface Timing {
   readonly left_out_s: number;
   /** How thoroughly steps are computed: full, reduced or least. */
   readonly effort: string;
+  readonly steps: StepTiming;
   /** Null without a force-feedback device at this machine. */
   readonly haptics: HapticTiming | null;
   readonly haptics_at: HapticsAt;
@@ -58,8 +74,30 @@ export function decodeTiming(fields: Fields): Timing {
     times_given_up: numberAt(simulation, "times_given_up", "timing.simulation", 0),
     left_out_s: numberAt(simulation, "left_out_s", "timing.simulation", 0),
     effort: stringAt(simulation, "effort", "timing.simulation"),
+    steps: decodeSteps(simulation),
     haptics: fields.haptics === null ? null : decodeHaptics(fieldsOf(fields.haptics, "timing.haptics")),
     haptics_at: decodePlace(stringAt(fields, "haptics_at", "timing")),
+  };
+}
+
+/** A figure of a histogram that a part of the message has. */
+function figureOf(fields: Fields, place: string): (histogram: string, name: string) => number {
+  return (histogram, name) => numberAt(fieldsOf(fields[histogram], `${place}.${histogram}`), name, `${place}.${histogram}`, 0);
+}
+
+function decodeSteps(simulation: Fields): StepTiming {
+  const place = "timing.simulation";
+  const at = figureOf(simulation, place);
+  return {
+    steps: numberAt(simulation, "steps", place, 0),
+    p50_us: at("step_us", "p50"),
+    p99_us: at("step_us", "p99"),
+    p999_us: at("step_us", "p999"),
+    budget_us: numberAt(simulation, "step_budget_us", place, 0),
+    over_budget: numberAt(simulation, "steps_over_budget", place, 0),
+    frame_p50_ms: at("frame_ms", "p50"),
+    frame_p999_ms: at("frame_ms", "p999"),
+    frame_budget_ms: numberAt(simulation, "frame_budget_ms", place, 0),
   };
 }
 
@@ -90,8 +128,7 @@ export function histogramText(histogram: HapticTiming["jitter_histogram_us"]): s
 
 function decodeHaptics(haptics: Fields): HapticTiming {
   const place = "timing.haptics";
-  const at = (histogram: string, name: string): number =>
-    numberAt(fieldsOf(haptics[histogram], `${place}.${histogram}`), name, `${place}.${histogram}`, 0);
+  const at = figureOf(haptics, place);
   return {
     rate_hz: numberAt(haptics, "rate_hz", place, 0),
     deadlines: numberAt(haptics, "deadlines", place, 0),
@@ -132,11 +169,22 @@ export function whereHapticsAre(timing: Timing | null): string | null {
   return { nowhere: "no device", here: "starting", other_machine: "at the other machine" }[timing.haptics_at];
 }
 
+/** What steps take of their budget, how many took longer, and how often a state is published; two lines. */
+function stepLines(steps: StepTiming): string[] {
+  if (steps.steps === 0) return ["  a step      none yet"];
+  const over = ((100 * steps.over_budget) / steps.steps).toFixed(2);
+  return [
+    `  a step      ${steps.p50_us.toFixed(0)} us, 99 % ${steps.p99_us.toFixed(0)} us, 99.9 % ${steps.p999_us.toFixed(0)} us, of ${steps.budget_us.toFixed(0)} us; ${over} % took longer`,
+    `  published   every ${steps.frame_p50_ms.toFixed(1)} ms, 99.9 % ${steps.frame_p999_ms.toFixed(1)} ms; wanted ${steps.frame_budget_ms.toFixed(0)} ms`,
+  ];
+}
+
 /** Lines for the times (key P). */
 export function timingLines(timing: Timing | null): string[] {
   if (timing === null) return [];
   const lines = [
     `steps         ${timing.effort} effort; fell behind ${timing.times_given_up} times, ${timing.left_out_s.toFixed(1)} s left out`,
+    ...stepLines(timing.steps),
   ];
   const { haptics } = timing;
   if (haptics !== null) {

@@ -7,7 +7,19 @@ import { hapticsText, histogramText, jitterText, tickText, timingLines, type Tim
 const HISTOGRAM = { p50: 12, p99: 40, p999: 80.5, max: 120 };
 const TIMING = {
   type: "timing",
-  simulation: { rate_hz: 990, real_time_factor: 0.99, times_given_up: 2, left_out_s: 0.25, effort: "reduced" },
+  simulation: {
+    rate_hz: 990,
+    real_time_factor: 0.99,
+    times_given_up: 2,
+    left_out_s: 0.25,
+    effort: "reduced",
+    step_us: { p50: 420, p99: 800, p999: 1700, max: 9000 },
+    step_budget_us: 1000,
+    steps: 20000,
+    steps_over_budget: 30,
+    frame_ms: { p50: 16.4, p99: 18, p999: 33.1, max: 50 },
+    frame_budget_ms: 16,
+  },
   haptics: {
     rate_hz: 999.6,
     deadlines: 20000,
@@ -40,8 +52,21 @@ describe("who controls and how the loops keep time", () => {
     expect(tickText(timing.haptics!)).toBe("12 of 1000 µs, 99.9 % 81");
     expect(timingLines(timing).join("\n")).toMatch(/tick +12.0 us, 99 % 40.0 us, 99.9 % 80.5 us, of 1000 us/);
     const without = decodeText(JSON.stringify({ ...TIMING, haptics: null, haptics_at: "nowhere" })) as Timing;
-    expect(timingLines(without)).toHaveLength(2);
+    expect(timingLines(without)).toHaveLength(4);
     expect(timingLines(null)).toHaveLength(0);
+  });
+
+  it("tells what steps take of their budget and how often displays get a state", () => {
+    const timing = decodeText(JSON.stringify(TIMING)) as Timing;
+    expect(timing.steps).toMatchObject({ p50_us: 420, over_budget: 30, frame_p999_ms: 33.1 });
+    const [, step, published] = timingLines(timing);
+    expect(step).toMatch(/420 us, 99 % 800 us, 99.9 % 1700 us, of 1000 us; 0.15 % took longer/);
+    expect(published).toMatch(/every 16.4 ms, 99.9 % 33.1 ms; wanted 16 ms/);
+    const none = { ...TIMING, simulation: { ...TIMING.simulation, steps: 0 } };
+    expect(timingLines(decodeText(JSON.stringify(none)) as Timing)[1]).toMatch(/none yet/);
+    const broken = { ...TIMING, simulation: { ...TIMING.simulation, step_us: { p50: "fast" } } };
+    expect(() => decodeText(JSON.stringify(broken))).toThrow(ProtocolError);
+    expect(() => decodeText(JSON.stringify(broken))).toThrow(/timing.simulation.step_us/);
   });
 
   it("says in the panel what a tick takes, and where haptics are when they are not here", () => {
@@ -53,7 +78,7 @@ describe("who controls and how the loops keep time", () => {
     expect(shown(TIMING)).toEqual(["1000 Hz, 0.03 % missed", "12 of 1000 µs, 99.9 % 81"]);
     const remote = { ...TIMING, haptics: null, haptics_at: "other_machine" };
     expect(shown(remote)).toEqual(["at the other machine", "–"]);
-    expect(timingLines(decodeText(JSON.stringify(remote)) as Timing)[1]).toMatch(/at the other machine/);
+    expect(timingLines(decodeText(JSON.stringify(remote)) as Timing).at(-1)).toMatch(/at the other machine/);
     expect(shown({ ...remote, haptics_at: "nowhere" })).toEqual(["no device", "–"]);
     expect(shown(null)).toEqual(["–", "–"]);
   });

@@ -169,9 +169,9 @@ impl Drop for WorkerTeam {
     }
 }
 
-/// Cores that this process may use, ascending.
+/// Cores that the calling thread may use, ascending.
 #[cfg(target_os = "linux")]
-fn allowed_cores() -> Vec<usize> {
+pub(crate) fn allowed_cores() -> Vec<usize> {
     let Ok(set) = rustix::thread::sched_getaffinity(None) else { return Vec::new() };
     (0..rustix::thread::CpuSet::MAX_CPU).filter(|&core| set.is_set(core)).collect()
 }
@@ -185,7 +185,7 @@ fn stay_on(core: usize) {
 }
 
 #[cfg(not(target_os = "linux"))]
-fn allowed_cores() -> Vec<usize> {
+pub(crate) fn allowed_cores() -> Vec<usize> {
     Vec::new()
 }
 

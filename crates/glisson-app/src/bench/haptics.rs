@@ -4,7 +4,10 @@
 use super::core_use::{CoreUse, Moment};
 use crate::devices::{self, DeviceName};
 use crate::runtime::haptic_loop::{HapticReport, HapticSettings, Meters, check_rate, join};
+use crate::runtime::histogram::GreatestValue;
 use crate::runtime::live::Stalls;
+use crate::runtime::pace::StepTimes;
+use crate::runtime::realtime::OwnCore;
 use crate::runtime::{OpenScene, Simulation};
 use crate::scratch::ScratchFolder;
 use crate::server::access::Access;
@@ -40,6 +43,8 @@ pub(crate) struct HapticsRequest {
     pub(crate) rate_hz: f64,
     /// Size of the body.
     pub(crate) n_tets: usize,
+    /// Where the loop stays.
+    pub(crate) core: OwnCore,
     /// The program whose verb `watch` is the viewer.
     pub(crate) program: PathBuf,
 }
@@ -50,6 +55,8 @@ struct Run {
     meters: Arc<Meters>,
     n_stalls: u64,
     steps: u64,
+    /// Of the last block.
+    times: StepTimes,
     seconds: f64,
     n_given_up: u64,
     n_frames: u64,
@@ -63,8 +70,7 @@ struct Run {
 struct Forces {
     n_ticks: AtomicU64,
     n_in_contact: AtomicU64,
-    /// Bits of the largest force [N]: of numbers that are not negative the larger has the larger bits.
-    greatest_bits: AtomicU64,
+    greatest_n: GreatestValue,
 }
 
 /// A device whose forces are counted on their way.
@@ -87,7 +93,7 @@ impl HapticDevice for Counting {
         self.forces.n_ticks.fetch_add(1, Ordering::Relaxed);
         // Free, the law commands nothing at all.
         self.forces.n_in_contact.fetch_add(u64::from(force_n > 0.0), Ordering::Relaxed);
-        self.forces.greatest_bits.fetch_max(force_n.to_bits(), Ordering::Relaxed);
+        self.forces.greatest_n.raise_to(force_n);
         self.device.write(command)
     }
 }
@@ -123,7 +129,8 @@ pub(crate) fn measure(request: &HapticsRequest, tell: &dyn Fn(&str, usize, usize
         for (number, (run, stalls)) in order.into_iter().enumerate() {
             let text = if stalls.is_some() { "with stalls" } else { "without stalls" };
             tell(text, 2 * block + number, 2 * n_blocks);
-            measure_block(request, &scene, block_s, stalls, run)?;
+            let block = Block { scene: &scene, seconds: block_s, stalls, core: request.core };
+            measure_block(request, &block, run)?;
         }
     }
     let n_tets = mesh.tetrahedra.len();
@@ -157,7 +164,7 @@ impl Run {
         answer["contact"] = json!({
             "ticks": of(&self.forces.n_ticks),
             "ticks_in_contact": of(&self.forces.n_in_contact),
-            "greatest_force_n": f64::from_bits(of(&self.forces.greatest_bits)),
+            "greatest_force_n": self.forces.greatest_n.get(),
         });
         // Null where nothing was counted.
         answer["core"] = json!({
@@ -167,6 +174,7 @@ impl Run {
         answer["core_was_free"] = json!(self.core_use.was_free());
         answer["simulation"] = json!({
             "steps_per_s": self.steps as f64 / dt, "stalls": self.n_stalls, "times_given_up": self.n_given_up,
+            "last_block": self.times.to_json(),
         });
         answer["viewer"] = json!({
             "frames_per_s": self.n_frames as f64 / dt, "megabytes_per_s": self.n_bytes as f64 * 1e-6 / dt,
@@ -239,13 +247,16 @@ fn write_scene(path: &Path, front_m: DVec3) -> anyhow::Result<f64> {
     bail!("no time step down to 0.125 ms is stable: {:#}", refusal.context("nothing was tried")?)
 }
 
-fn measure_block(
-    request: &HapticsRequest,
-    scene: &Path,
+/// A part of one of the two runs.
+struct Block<'a> {
+    scene: &'a Path,
     seconds: f64,
     stalls: Option<Stalls>,
-    run: &mut Run,
-) -> anyhow::Result<()> {
+    core: OwnCore,
+}
+
+fn measure_block(request: &HapticsRequest, block: &Block<'_>, run: &mut Run) -> anyhow::Result<()> {
+    let Block { scene, seconds, stalls, core } = *block;
     let simulation = Simulation::open(OpenScene::read(scene)?, None)?;
     let listener = server::bind("127.0.0.1", 0)?;
     let address = listener.local_addr()?;
@@ -253,7 +264,7 @@ fn measure_block(
     let mut device = devices::open(&DeviceName::Simulated, &home, request.rate_hz)?;
     device.device = Box::new(Counting { device: device.device, forces: Arc::clone(&run.forces) });
     let held = vec![join(device, 0, home)];
-    let haptics = HapticSettings { rate_hz: request.rate_hz, ..HapticSettings::default() };
+    let haptics = HapticSettings { rate_hz: request.rate_hz, core, ..HapticSettings::default() };
     let service = Service {
         held,
         haptics,
@@ -290,6 +301,7 @@ fn measure_block(
     }
     run.n_stalls += ended.n_stalls;
     run.steps += ended.steps;
+    run.times = ended.times;
     run.seconds += seconds;
     run.n_given_up += ended.lateness.n_given_up;
     run.n_frames += watched["frames"].as_u64().context("the viewer counts no frames")?;

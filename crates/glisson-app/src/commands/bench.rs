@@ -8,6 +8,7 @@ use crate::bench::haptics::{self, HapticsRequest};
 use crate::bench::link::{self, LinkRequest};
 use crate::bench::{MachineBudget, Request, cases, measure};
 use crate::net::link::LinkAddress;
+use crate::runtime::realtime::CoreKept;
 use anyhow::{Context, bail};
 
 /// Measure speed: CPU time, medians, beside the machine's peak.
@@ -64,7 +65,9 @@ fn run_haptics(args: &Args) -> anyhow::Result<()> {
     let program =
         std::env::current_exe().context("finding this program, whose verb `watch` is the viewer")?;
     let seconds = args.seconds.unwrap_or(10.0);
-    let request = HapticsRequest { seconds, rate_hz: args.rate, n_tets, program };
+    // As `glisson serve` does, before any thread is started; the viewer's process keeps away, too.
+    let kept = CoreKept::keep(None);
+    let request = HapticsRequest { seconds, rate_hz: args.rate, n_tets, core: kept.core(), program };
     let bar = progress_bar();
     let answer = haptics::measure(&request, &|text, done, total| {
         bar.set_length(total as u64);

@@ -5,7 +5,7 @@ use crate::devices::lead::{self, LeadRequest};
 use crate::devices::trocar_choice::OPTIONS;
 use crate::devices::{self, DeviceName, HAPLY_ADDRESS, KINDS, host_and_port};
 use crate::runtime::histogram::Histogram;
-use crate::runtime::realtime::{make_punctual, now_ns, wait_until};
+use crate::runtime::realtime::{OwnCore, make_punctual, now_ns, wait_until};
 use crate::server::{has_page, stop_signal};
 use anyhow::ensure;
 use glisson::haptics::{DeviceFault, ForceCommand, InsertedInstrument};
@@ -153,7 +153,7 @@ fn test(name: &DeviceName, seconds: f64, rate_hz: f64, as_json: bool) -> anyhow:
     if let Some(page) = &page {
         page.wait_for(opened.device.as_mut())?;
     }
-    let scheduling = make_punctual(None);
+    let scheduling = make_punctual(OwnCore::Last);
     let mut readings = Readings::default();
     let period_ns = (1e9 / rate_hz) as u64;
     let mut last = None;
@@ -262,7 +262,9 @@ fn doctor(haply: &str, trocar: Option<&str>) {
     };
     say(has_page, "viewer's page", page);
     // In its own thread: it stays as it is put.
-    if let Ok((scheduling, late_ns)) = std::thread::spawn(|| (make_punctual(None), lateness_ns())).join() {
+    if let Ok((scheduling, late_ns)) =
+        std::thread::spawn(|| (make_punctual(OwnCore::Last), lateness_ns())).join()
+    {
         say(scheduling.is_real_time, "real-time scheduling", &scheduling.text);
         let late_us = late_ns as f64 * 1e-3;
         say(

@@ -8,10 +8,11 @@ use crate::net::options::NetArgs;
 use crate::runtime::force_choices::ForceArgs;
 use crate::runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink, check_rate, join};
 use crate::runtime::live::Lateness;
-use crate::runtime::realtime::make_punctual;
+use crate::runtime::realtime::{CoreKept, OwnCore, make_punctual};
 use crate::runtime::{OpenScene, Simulation};
 use crate::server::access::Access;
 use crate::server::{self, Served, Service, Show, stop_signal};
+use crate::workers::allowed_cores;
 use anyhow::bail;
 use glisson::haptics::InsertedInstrument;
 use glisson::tool::Tool;
@@ -41,7 +42,8 @@ pub(crate) struct Args {
     /// Ticks a second of the haptic loop [Hz]: 100 to 4000
     #[arg(long, value_name = "HZ", default_value_t = 1000.0)]
     haptic_rate: f64,
-    /// Core that the haptic loop stays on; the last one that the program may use when left out
+    /// Core that the haptic loop stays on, and the program's other threads do not use; the last one that it may use when left
+    /// out
     #[arg(long, value_name = "N")]
     haptic_core: Option<usize>,
     #[command(flatten)]
@@ -118,6 +120,7 @@ impl Address {
         if let Some(haptics) = haptics {
             println!("{}", haptics.to_text());
         }
+        println!("{}", ended.times.to_text());
         if ended.lateness.n_given_up > 0 {
             let Lateness { n_given_up, left_out_s } = ended.lateness;
             println!("the simulation fell behind {n_given_up} times and left out {left_out_s:.1} s");
@@ -132,8 +135,8 @@ impl Address {
 }
 
 impl Args {
-    /// The instruments that devices hold; tells which.
-    fn held(&self, instruments: &[Tool]) -> anyhow::Result<Vec<(HeldTool, ToolLink)>> {
+    /// The instruments that devices hold; tells which, and how their loop will run on `core`.
+    fn held(&self, instruments: &[Tool], core: OwnCore) -> anyhow::Result<Vec<(HeldTool, ToolLink)>> {
         let mut held = Vec::new();
         check_rate(self.haptic_rate)?;
         let tools = tools_of(&self.devices, instruments.len())?;
@@ -152,18 +155,33 @@ impl Args {
         if !held.is_empty() {
             println!("forces {} times a second: {}", self.haptic_rate, self.forces.choices()?.text());
             // A thread that asks for what the loop will ask for: the user hears of it now, not in the report at the end.
-            let core = self.haptic_core;
             if let Ok(scheduling) = std::thread::spawn(move || make_punctual(core)).join() {
                 println!("the loop of the devices: {}", scheduling.text);
             }
         }
         Ok(held)
     }
+
+    /// Threads of the simulation: no more than cores that are left beside the loop's, where each waits for the others. Tells
+    /// when these are fewer than asked for.
+    fn n_threads(&self, core: OwnCore) -> usize {
+        let asked = usize::from(self.threads);
+        let n_left = allowed_cores().len();
+        if !matches!(core, OwnCore::Kept(_)) || asked <= n_left {
+            return asked;
+        }
+        println!(
+            "--threads {asked}: beside the core of the devices' loop there are {n_left}, so as many are used"
+        );
+        n_left
+    }
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
-    let haptics =
-        HapticSettings { rate_hz: args.haptic_rate, core: args.haptic_core, forces: args.forces.choices()? };
+    // Before anything else is started. Without devices nobody needs a core.
+    let kept = (!args.devices.is_empty()).then(|| CoreKept::keep(args.haptic_core));
+    let core = kept.as_ref().map_or(OwnCore::Last, CoreKept::core);
+    let haptics = HapticSettings { rate_hz: args.haptic_rate, core, forces: args.forces.choices()? };
     let link = args.network.link()?;
     if let Some(link) = link.as_ref().filter(|link| link.role == Role::Haptics) {
         if args.record.is_some() || args.network.has_shows() {
@@ -173,17 +191,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             bail!("--device viewer with --role haptics: the page is at the machine with --role simulation");
         }
         let source = OpenScene::read(&args.scene)?;
-        let held = args.held(&source.scene.world.tools)?;
+        let held = args.held(&source.scene.world.tools, core)?;
         return link.run_haptics(&source, held, haptics, stop_signal());
     }
     if link.is_some() && !args.devices.is_empty() {
         bail!("--device with --role simulation: the devices are at the machine with --role haptics");
     }
     let listener = args.address.bind()?;
-    let source = OpenScene { n_threads: usize::from(args.threads), ..OpenScene::read(&args.scene)? };
+    let source = OpenScene { n_threads: args.n_threads(core), ..OpenScene::read(&args.scene)? };
     let scene_text = source.scene.text.clone();
     let simulation = Simulation::open(source, args.record.as_deref())?;
-    let held = args.held(simulation.world().tools())?;
+    let held = args.held(simulation.world().tools(), core)?;
     let in_hands: Vec<usize> = held.iter().map(|(_, link)| link.tool).collect();
     let mut network = Network { shows: args.network.shows(&simulation, &in_hands)?, ..Network::default() };
     let mut conversation = None;

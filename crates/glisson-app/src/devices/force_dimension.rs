@@ -159,7 +159,7 @@ impl Line for DhdLine {
         }
         let position_m = self.vector(self.dhd.position).ok_or_else(|| lost("it does not tell its place"))?;
         let velocity_m_per_s = self.vector(self.dhd.velocity).unwrap_or(DVec3::ZERO);
-        let mut orientation = glam::DQuat::IDENTITY;
+        let mut orientation = None;
         if self.has_wrist {
             let mut rows = [[0.0; 3]; 3];
             // SAFETY: nine places to write to; the device is open.
@@ -168,7 +168,7 @@ impl Line for DhdLine {
             if code < 0 || !(matrix.determinant() - 1.0).abs().le(&0.1) {
                 return Err(lost("it does not tell its orientation"));
             }
-            orientation = glam::DQuat::from_mat3(&matrix).normalize();
+            orientation = Some(glam::DQuat::from_mat3(&matrix).normalize());
         }
         let mut jaw_opening = 1.0;
         if self.has_gripper {
@@ -230,6 +230,24 @@ mod tests {
     "#;
 
     #[test]
+    fn a_device_without_a_wrist_tells_no_orientation() {
+        let without = "dhdHasWrist(char id) { return 0; }";
+        let source = FAKE.replace("FAKE_OPEN", "0").replace("dhdHasWrist(char id) { return 1; }", without);
+        assert!(source.contains(without));
+        let (_folder, path) = compiled(&source);
+        let (mut device, _) = open(Some(&path)).unwrap();
+        let start = Instant::now();
+        let state = loop {
+            assert!(start.elapsed() < Duration::from_secs(20));
+            if let Ok(state) = device.read() {
+                break state;
+            }
+            std::thread::sleep(Duration::from_micros(200));
+        };
+        assert_eq!(state.orientation, None);
+    }
+
+    #[test]
     fn a_device_is_read_pushed_lost_and_closed() {
         let (_folder, path) = compiled(&FAKE.replace("FAKE_OPEN", "0"));
         // The same file once more: the same statics.
@@ -263,7 +281,10 @@ mod tests {
             state.position_m.x > 0.0 && (state.position_m.y, state.position_m.z) == (-0.02, 0.03),
             "{state:?}"
         );
-        assert!(state.orientation.abs_diff_eq(glam::DQuat::from_rotation_z(0.1), 1e-12), "{state:?}");
+        assert!(
+            state.orientation.unwrap().abs_diff_eq(glam::DQuat::from_rotation_z(0.1), 1e-12),
+            "{state:?}"
+        );
         assert_eq!((state.velocity_m_per_s.x, state.jaw_opening, state.buttons), (0.5, 0.5, 5));
         assert_eq!([0, 1, 2, 3, 4, 5, 6].map(|i| seen(i)), [1.0, -2.0, 3.0, 0.1, 0.2, 0.3, 0.5]);
         drop(device);

@@ -9,7 +9,7 @@ use super::trocar_board::{BoardLine, TrocarDevice};
 use super::{DeviceName, OpenDevice, open};
 use crate::runtime::haptic_loop::check_rate;
 use crate::runtime::histogram::{Histogram, Percentiles};
-use crate::runtime::realtime::{Scheduling, make_punctual, now_ns, wait_until};
+use crate::runtime::realtime::{OwnCore, Scheduling, make_punctual, now_ns, wait_until};
 use anyhow::{bail, ensure};
 use glisson::haptics::limits::{Gate, within_limits, within_period_s};
 use glisson::haptics::trocar::statics::felt;
@@ -347,7 +347,7 @@ pub(crate) fn run(request: &LeadRequest, stop: &AtomicBool) -> anyhow::Result<Le
         );
     }
     let mut lead = Lead::open(request)?;
-    let scheduling = make_punctual(None);
+    let scheduling = make_punctual(OwnCore::Last);
     let (errors, work) = (Histogram::default(), Histogram::default());
     let period_ns = (1e9 / request.rate_hz).round() as u64;
     let start_ns = now_ns();

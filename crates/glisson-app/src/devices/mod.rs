@@ -20,6 +20,7 @@ use glisson::haptics::{
 };
 use glisson::math::{DMat3, DVec3};
 use glisson::tool::ToolInput;
+use glisson::tool::pose::ToolFrame;
 use std::path::PathBuf;
 use trocar_board::START_INSERTION_M;
 use trocar_choice::TrocarChoice;
@@ -74,8 +75,6 @@ pub(crate) struct OpenDevice {
     pub(crate) name: String,
     /// From its axes to the patient's.
     pub(crate) world_from_device: DQuat,
-    /// Whether its handle tells where it points; otherwise the instrument keeps the direction of its home.
-    pub(crate) tells_orientation: bool,
     /// Whether it has a button to move the handle aside.
     pub(crate) has_clutch: bool,
     /// Where it stands in the world; none where its place at the start is to hold the instrument at its home.
@@ -216,7 +215,6 @@ pub(crate) fn open_standing(
         device,
         name: name.to_owned(),
         world_from_device,
-        tells_orientation: true,
         has_clutch: true,
         stands: None,
         page: None,
@@ -227,7 +225,7 @@ pub(crate) fn open_standing(
             let along = DQuat::from_rotation_arc(DVec3::Z, home.shaft_in_world.normalize());
             let device = Box::new(pushing_device(rate_hz, 1));
             let plain = plain(device, "simulated", along);
-            OpenDevice { tells_orientation: false, has_clutch: false, ..plain }
+            OpenDevice { has_clutch: false, ..plain }
         }
         DeviceName::Replay { session, tool } => {
             let device = replayed::ReplayedDevice::open(session, *tool, rate_hz)?;
@@ -268,7 +266,8 @@ pub(crate) fn open_standing(
 
 impl OpenDevice {
     /// The mapping that has the handle where it is now, `start_m` in its own frame, hold the instrument at its home; of a
-    /// device that stands somewhere the one that has its place there.
+    /// device that stands somewhere the one that has its place there. A device that does not tell its orientation has the
+    /// home's.
     pub(crate) fn mapping(&self, start_m: DVec3, home: &ToolInput) -> DeviceMapping {
         let (device_origin_m, world_origin_m) = self
             .stands
@@ -277,6 +276,7 @@ impl OpenDevice {
             world_from_device: self.world_from_device,
             device_origin_m,
             world_origin_m,
+            world_from_handle: DQuat::from_mat3(&ToolFrame::of(home).world_from_tool),
             clutch_button: self.has_clutch.then_some(1),
             ..DeviceMapping::default()
         }
@@ -431,7 +431,7 @@ mod tests {
         let home = ToolInput::at(DVec3::new(0.01, 0.02, 0.03), DVec3::new(0.0, -0.6, 0.8));
         let tip_m = |opened: &mut OpenDevice| {
             let state = opened.device.read().unwrap();
-            let shaft = opened.world_from_device * state.orientation * DVec3::Z;
+            let shaft = opened.world_from_device * state.orientation.unwrap() * DVec3::Z;
             assert!(shaft.distance(home.shaft_in_world) < 1e-2, "{shaft}");
             let mapping = opened.mapping(state.position_m, &home);
             mapping.world_origin_m + opened.world_from_device * (state.position_m - mapping.device_origin_m)

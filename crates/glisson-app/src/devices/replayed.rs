@@ -73,7 +73,7 @@ impl HapticDevice for ReplayedDevice {
         Ok(DeviceState {
             position_m: input.tip_in_world_m,
             velocity_m_per_s: DVec3::ZERO,
-            orientation: glam::DQuat::from_mat3(&frame.world_from_tool),
+            orientation: Some(glam::DQuat::from_mat3(&frame.world_from_tool)),
             jaw_opening: input.jaw_opening,
             buttons: u32::from(input.is_triggered()),
         })
@@ -115,7 +115,7 @@ mod tests {
         // Step 5 of 2 ms begins at tick 10 of 1 ms.
         assert_eq!([0, 9, 10, 99].map(x), [0.0, 0.0, 1.0, 1.0]);
         assert_eq!((states[0].buttons, states[99].buttons), (0, 1));
-        assert!((states[0].orientation * DVec3::Z).abs_diff_eq(DVec3::Y, 1e-12));
+        assert!((states[0].orientation.unwrap() * DVec3::Z).abs_diff_eq(DVec3::Y, 1e-12));
         let error = ReplayedDevice::of(&session, 1, 1_000.0).err().unwrap().to_string();
         assert!(error.contains("the session has 1"), "{error}");
         session.events.clear();

@@ -346,7 +346,7 @@ impl Reader<'_> {
             work,
             least_energy_j,
             scheduling: Some(Scheduling { is_real_time: is_real_time == 1, core: None, text }),
-            settings: HapticSettings { rate_hz: set_hz, core: None, forces },
+            settings: HapticSettings { rate_hz: set_hz, forces, ..HapticSettings::default() },
         }))))
     }
 }

@@ -4,8 +4,8 @@
 use super::elsewhere::Nearby;
 use super::exchange::{Latest, Publisher, exchange};
 use super::force_choices::ForceChoices;
-use super::histogram::{Histogram, Percentiles};
-use super::realtime::{Scheduling, make_punctual, now_ns, wait_until};
+use super::histogram::{GreatestValue, Histogram, Percentiles};
+use super::realtime::{OwnCore, Scheduling, make_punctual, now_ns, wait_until};
 use crate::devices::OpenDevice;
 use crate::devices::viewer::PageHand;
 use anyhow::{Context, ensure};
@@ -37,15 +37,15 @@ const LONGEST_TICK_S: f64 = 0.1;
 pub(crate) struct HapticSettings {
     /// Ticks a second.
     pub(crate) rate_hz: f64,
-    /// Core to stay on; the last one that is allowed for none.
-    pub(crate) core: Option<usize>,
+    /// Core to stay on.
+    pub(crate) core: OwnCore,
     /// How forces are made.
     pub(crate) forces: ForceChoices,
 }
 
 impl Default for HapticSettings {
     fn default() -> Self {
-        Self { rate_hz: 1_000.0, core: None, forces: ForceChoices::default() }
+        Self { rate_hz: 1_000.0, core: OwnCore::Last, forces: ForceChoices::default() }
     }
 }
 
@@ -183,13 +183,7 @@ impl HeldTool {
                 });
                 let LawTick { command, tool, report } =
                     law.tick(&state, &published.model, age_ns as f64 * 1e-9, dt_s);
-                let pose = if self.device.tells_orientation {
-                    tool
-                } else {
-                    let ToolInput { shaft_in_world, roll_rad, .. } = self.home;
-                    ToolInput { shaft_in_world, roll_rad, ..tool }
-                };
-                self.motions.publish(Motion::of(pose, true));
+                self.motions.publish(Motion::of(tool, true));
                 let written = self.device.device.write(&command);
                 if written.is_err() {
                     law.not_taken();
@@ -202,7 +196,7 @@ impl HeldTool {
                     Meters::add(&meters.n_saturated, u64::from(report.is_saturated));
                     Meters::add(&meters.n_stale, u64::from(report.is_stale));
                     meters.felt.look(&report, command.force_n.length());
-                    meters.least_energy_j.lower_to(report.observed_energy_j);
+                    meters.most_given_j.raise_to(-report.observed_energy_j);
                 }
                 written
             }
@@ -254,7 +248,7 @@ impl HeldTool {
 fn is_finite(state: &DeviceState) -> bool {
     state.position_m.is_finite()
         && state.velocity_m_per_s.is_finite()
-        && state.orientation.is_finite()
+        && state.orientation.is_none_or(glam::DQuat::is_finite)
         && state.jaw_opening.is_finite()
 }
 
@@ -271,7 +265,8 @@ pub(crate) struct Meters {
     motion_to_force: Histogram,
     model_age: Histogram,
     work: Histogram,
-    least_energy_j: LeastValue,
+    /// What hands got beyond what they put in.
+    most_given_j: GreatestValue,
     felt: FeltMeters,
     scheduling: OnceLock<Scheduling>,
     settings: OnceLock<HapticSettings>,
@@ -280,11 +275,11 @@ pub(crate) struct Meters {
 /// What hands felt, and that nothing is felt while the simulation does not answer.
 #[derive(Debug, Default)]
 struct FeltMeters {
-    /// Less than nothing are forces: their sizes with the other sign [N]. Of all ticks, of those at which the force was taken
-    /// back because the model was old, and of those after such a time at which all of it was given again.
-    all_n: LeastValue,
-    taken_back_n: LeastValue,
-    given_again_n: LeastValue,
+    /// Of all ticks, of those at which the force was taken back because the model was old, and of those after such a time at
+    /// which all of it was given again.
+    all_n: GreatestValue,
+    taken_back_n: GreatestValue,
+    given_again_n: GreatestValue,
     n_taken_back: AtomicU64,
     /// Ticks at which a part of the force was given: of the ramps.
     n_on_ramps: AtomicU64,
@@ -292,22 +287,22 @@ struct FeltMeters {
 
 impl FeltMeters {
     fn look(&self, report: &TickReport, force_n: f64) {
-        self.all_n.lower_to(-force_n);
+        self.all_n.raise_to(force_n);
         if report.gate_share > 0.0 && report.gate_share < 1.0 {
             Meters::add(&self.n_on_ramps, 1);
         } else if report.gate_share <= 0.0 && report.is_stale {
             Meters::add(&self.n_taken_back, 1);
-            self.taken_back_n.lower_to(-force_n);
+            self.taken_back_n.raise_to(force_n);
         } else if report.gate_share >= 1.0 && self.n_taken_back.load(Ordering::Relaxed) > 0 {
-            self.given_again_n.lower_to(-force_n);
+            self.given_again_n.raise_to(force_n);
         }
     }
 
     fn report(&self) -> FeltForces {
         FeltForces {
-            greatest_n: 0.0 - self.all_n.get(),
-            greatest_taken_back_n: 0.0 - self.taken_back_n.get(),
-            greatest_given_again_n: 0.0 - self.given_again_n.get(),
+            greatest_n: self.all_n.get(),
+            greatest_taken_back_n: self.taken_back_n.get(),
+            greatest_given_again_n: self.given_again_n.get(),
             n_taken_back: self.n_taken_back.load(Ordering::Relaxed),
             n_on_ramps: self.n_on_ramps.load(Ordering::Relaxed),
         }
@@ -326,22 +321,6 @@ pub(crate) struct FeltForces {
     pub(crate) greatest_given_again_n: f64,
     /// Ticks at which a part of it was given.
     pub(crate) n_on_ramps: u64,
-}
-
-/// The least of values that are at most 0; one thread lowers it.
-#[derive(Debug, Default)]
-struct LeastValue(AtomicU64);
-
-impl LeastValue {
-    fn get(&self) -> f64 {
-        f64::from_bits(self.0.load(Ordering::Relaxed))
-    }
-
-    fn lower_to(&self, value: f64) {
-        if value < self.get() {
-            self.0.store(value.to_bits(), Ordering::Relaxed);
-        }
-    }
 }
 
 /// How the loop did so far.
@@ -411,7 +390,7 @@ impl Meters {
             motion_to_force: self.motion_to_force.percentiles(),
             model_age: self.model_age.percentiles(),
             work: self.work.percentiles(),
-            least_energy_j: self.least_energy_j.get(),
+            least_energy_j: -self.most_given_j.get(),
             scheduling: self.scheduling.get().cloned(),
             settings: self.settings.get().copied().unwrap_or_default(),
         }

@@ -94,6 +94,23 @@ impl Histogram {
     }
 }
 
+/// The greatest of values; 0 if none is greater. One thread raises it, any thread reads it.
+#[derive(Debug, Default)]
+pub(crate) struct GreatestValue(AtomicU64);
+
+impl GreatestValue {
+    pub(crate) fn get(&self) -> f64 {
+        f64::from_bits(self.0.load(Ordering::Relaxed))
+    }
+
+    /// A value that is no number is left out.
+    pub(crate) fn raise_to(&self, value: f64) {
+        if value > self.get() {
+            self.0.store(value.to_bits(), Ordering::Relaxed);
+        }
+    }
+}
+
 impl Percentiles {
     /// With the given unit [ns], as benchmarks print it.
     pub(crate) fn to_json(self, unit_ns: f64) -> serde_json::Value {
@@ -130,6 +147,15 @@ mod tests {
             assert_eq!(count, inside as u64, "up to {end_ns} ns");
         }
         assert_eq!(histogram.octaves().iter().map(|(_, count)| count).sum::<u64>(), 10_000);
+    }
+
+    #[test]
+    fn the_greatest_value_begins_at_zero_and_only_grows() {
+        let greatest = GreatestValue::default();
+        for (value, expected) in [(-3.0, 0.0), (0.5, 0.5), (f64::NAN, 0.5), (0.25, 0.5), (2.0, 2.0)] {
+            greatest.raise_to(value);
+            assert_eq!(greatest.get(), expected);
+        }
     }
 
     proptest! {

@@ -1,11 +1,14 @@
 //! The simulation loop of `glisson serve`: keeps pace with the clock, takes commands, publishes what is displayed.
 
 use super::Simulation;
+use super::display::DisplayFeed;
 use super::effort::{EffortControl, Load};
 use super::elsewhere::NearbyMaker;
 use super::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
+use super::pace::{FRAME, StepMeters, StepTimes};
 use super::realtime::now_ns;
 use crate::server::frames::Pace;
+use anyhow::Context;
 use glisson::haptics::InsertedInstrument;
 use glisson::math::DVec3;
 use glisson::model::Effort;
@@ -71,6 +74,8 @@ pub(crate) struct Published {
     pub(crate) notices: Vec<String>,
     pub(crate) lateness: Lateness,
     pub(crate) effort: Effort,
+    /// How long steps take, up to now and not only up to this state.
+    pub(crate) meters: Arc<StepMeters>,
 }
 
 /// How far the simulation fell behind the clock.
@@ -99,19 +104,16 @@ pub(crate) struct Ended {
     /// Stalls that were made.
     pub(crate) n_stalls: u64,
     pub(crate) lateness: Lateness,
+    pub(crate) times: StepTimes,
 }
 
 impl Published {
     /// `known` is kept as long as it holds.
-    pub(crate) fn of(simulation: &Simulation, known: Option<&Arc<DisplayTopology>>, pace: Pace) -> Self {
-        Self::when_late(simulation, known, pace, Lateness::default())
-    }
-
-    fn when_late(
+    pub(crate) fn of(
         simulation: &Simulation,
         known: Option<&Arc<DisplayTopology>>,
         pace: Pace,
-        lateness: Lateness,
+        meters: &Arc<StepMeters>,
     ) -> Self {
         let world = simulation.world();
         let (snapshot, state_hash) = (world.snapshot(), world.state_hash());
@@ -126,14 +128,13 @@ impl Published {
             state_hash,
             model: world.model_kind(),
             notices,
-            lateness,
+            lateness: Lateness::default(),
             effort: world.effort(),
+            meters: Arc::clone(meters),
         }
     }
 }
 
-/// Time between two published states: a little under a display's frame.
-const FRAME: Duration = Duration::from_millis(16);
 /// A simulation that fell further behind than this drops the lag instead of running after it.
 const MAX_LAG: Duration = Duration::from_millis(100);
 /// Steps from an order to the moment another model takes over: half a second at 1 ms.
@@ -378,6 +379,26 @@ impl Live {
     }
 }
 
+/// What is shown of a simulation: where it goes, and what it begins with.
+pub(crate) struct Shown {
+    feed: DisplayFeed,
+    first: Published,
+}
+
+impl Shown {
+    /// That of a simulation as it is now, and where those who show it find it.
+    ///
+    /// # Errors
+    /// When no thread can be started.
+    pub(crate) fn start(simulation: &Simulation) -> anyhow::Result<(Self, watch::Receiver<Arc<Published>>)> {
+        let budget = Duration::from_secs_f64(simulation.world().spec().time_step_s);
+        let meters = Arc::new(StepMeters::within(budget));
+        let first = Published::of(simulation, None, Pace::default(), &meters);
+        let (feed, published) = DisplayFeed::start(first.clone()).context("starting the display's thread")?;
+        Ok((Self { feed, first }, published))
+    }
+}
+
 /// Runs until [`Command::Stop`] or until all senders are gone, then ends the recording. The instruments of `links` are
 /// moved by devices.
 ///
@@ -386,10 +407,11 @@ impl Live {
 pub(crate) fn run(
     simulation: Simulation,
     commands: &Receiver<Command>,
-    published: &watch::Sender<Arc<Published>>,
+    Shown { mut feed, first }: Shown,
     links: Vec<ToolLink>,
     stalls: Option<Stalls>,
 ) -> anyhow::Result<Ended> {
+    let Published { mut topology, meters, .. } = first;
     let dt_s = simulation.world().spec().time_step_s;
     let tools = homes(&simulation);
     let mut live = Live {
@@ -409,6 +431,7 @@ pub(crate) fn run(
     let mut control = EffortControl::default();
     let mut lateness = Lateness::default();
     let mut next_frame = Instant::now();
+    let mut last_shown = None;
     let mut simulated_until = Instant::now();
     let mut next_stall = stalls.map(|stalls| Instant::now() + stalls.every);
     let mut n_stalls = 0;
@@ -422,7 +445,7 @@ pub(crate) fn run(
             Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => {
                 let steps = live.simulation.world().steps_made();
                 let state_hash = live.simulation.finish()?;
-                return Ok(Ended { state_hash, steps, n_stalls, lateness });
+                return Ok(Ended { state_hash, steps, n_stalls, lateness, times: meters.times() });
             }
             Ok(command) => refresh = live.obey(command)?,
             Err(RecvTimeoutError::Timeout) => {}
@@ -450,7 +473,9 @@ pub(crate) fn run(
             }
             let mut steps = 0;
             while simulated_until <= Instant::now() && Instant::now() < next_frame.max(now + step) {
+                let begun = Instant::now();
                 live.advance()?;
+                meters.count_step(begun.elapsed());
                 simulated_until += step;
                 steps += 1;
             }
@@ -463,9 +488,15 @@ pub(crate) fn run(
         if refresh || (!live.paused && Instant::now() >= next_frame) {
             next_frame = Instant::now() + FRAME;
             let pace = Pace { paused: live.paused, ..meter.pace };
-            let topology = Arc::clone(&published.borrow().topology);
-            let latest = Published::when_late(&live.simulation, Some(&topology), pace, lateness);
-            published.send_replace(Arc::new(latest));
+            let latest = Published::of(&live.simulation, Some(&topology), pace, &meters);
+            topology = Arc::clone(&latest.topology);
+            feed.publish(Published { lateness, ..latest });
+            // A pause is no interval of a display.
+            let shown = Instant::now();
+            if let Some(before) = last_shown.replace(shown).filter(|_| !live.paused) {
+                meters.count_frame(shown - before);
+            }
+            last_shown = last_shown.filter(|_| !live.paused);
         }
     }
 }
@@ -502,12 +533,11 @@ mod tests {
         std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
         let source = crate::runtime::OpenScene::read(&folder.path().join("scene.toml")).unwrap();
         let simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
-        let (published_in, mut published) =
-            watch::channel(Arc::new(Published::of(&simulation, None, Pace::default())));
+        let (shown, mut published) = Shown::start(&simulation).unwrap();
         let (commands, commands_out) = std::sync::mpsc::channel();
         let stalls = Stalls { every: Duration::from_millis(200), length: Duration::from_millis(150) };
         let thread = std::thread::spawn(move || {
-            run(simulation, &commands_out, &published_in, Vec::new(), Some(stalls)).unwrap()
+            run(simulation, &commands_out, shown, Vec::new(), Some(stalls)).unwrap()
         });
         let begin = Instant::now();
         let mut latest = Arc::clone(&published.borrow_and_update());

@@ -153,16 +153,16 @@ pub(super) enum HapticsAt {
 
 /// How the loops keep their time.
 pub(super) fn timing(published: &Published, at: HapticsAt, haptics: Option<&HapticReport>) -> Value {
-    let Published { pace, lateness, effort, .. } = published;
+    let Published { pace, lateness, effort, meters, .. } = published;
+    let mut simulation = meters.times().to_json();
+    simulation["rate_hz"] = json!(pace.rate_hz);
+    simulation["real_time_factor"] = json!(pace.real_time_factor);
+    simulation["times_given_up"] = json!(lateness.n_given_up);
+    simulation["left_out_s"] = json!(lateness.left_out_s);
+    simulation["effort"] = json!(effort.name());
     json!({
         "type": "timing",
-        "simulation": {
-            "rate_hz": pace.rate_hz,
-            "real_time_factor": pace.real_time_factor,
-            "times_given_up": lateness.n_given_up,
-            "left_out_s": lateness.left_out_s,
-            "effort": effort.name(),
-        },
+        "simulation": simulation,
         "haptics": haptics.map(HapticReport::to_json),
         "haptics_at": match at {
             HapticsAt::Nowhere => "nowhere",

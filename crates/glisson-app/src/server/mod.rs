@@ -13,7 +13,7 @@ use crate::devices::viewer::PageHand;
 use crate::net::figures::RemoteFigures;
 use crate::runtime::Simulation;
 use crate::runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
-use crate::runtime::live::{self, Command, Ended, Published, Stalls};
+use crate::runtime::live::{self, Command, Ended, Published, Shown, Stalls};
 use access::Access;
 use anyhow::Context;
 use axum::Router;
@@ -23,7 +23,6 @@ use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use control::Control;
-use frames::Pace;
 use hands::Hands;
 use messages::HapticsAt;
 use std::net::{SocketAddr, TcpListener};
@@ -124,8 +123,7 @@ pub(crate) fn serve(
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<Served> {
     let Service { access, held, haptics, remote, remote_figures, shows, meters, stalls, beside } = service;
-    let (published_in, published) =
-        watch::channel(Arc::new(Published::of(&simulation, None, Pace::default())));
+    let (shown, published) = Shown::start(&simulation)?;
     let (commands, commands_out) = std::sync::mpsc::channel();
     let hello = messages::hello(&simulation);
     let (mut held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
@@ -146,7 +144,7 @@ pub(crate) fn serve(
     let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
     let simulation_thread = std::thread::Builder::new()
         .name("simulation".into())
-        .spawn(move || live::run(simulation, &commands_out, &published_in, links, stalls))?;
+        .spawn(move || live::run(simulation, &commands_out, shown, links, stalls))?;
     let shared = Arc::new(Shared {
         hello,
         published,
@@ -223,7 +221,9 @@ fn router(shared: Arc<Shared>, access: Access) -> Router {
 }
 
 async fn scene(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
-    axum::Json(messages::hello_with_model(&shared.hello, shared.published.borrow().model))
+    // Not under the lock, for which a writer waits: the answer is long.
+    let model = shared.published.borrow().model;
+    axum::Json(messages::hello_with_model(&shared.hello, model))
 }
 
 async fn latest_snapshot(State(shared): State<Arc<Shared>>) -> impl IntoResponse {

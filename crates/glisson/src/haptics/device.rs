@@ -11,8 +11,9 @@ pub struct DeviceState {
     pub position_m: DVec3,
     /// How fast it moves [m/s].
     pub velocity_m_per_s: DVec3,
-    /// From the handle's frame to the device's. The handle's +z points from the instrument's tip towards the hand.
-    pub orientation: DQuat,
+    /// From the handle's frame to the device's; none where the device does not tell it. The handle's +z points from the
+    /// instrument's tip towards the hand.
+    pub orientation: Option<DQuat>,
     /// How far the handle's jaws are open: 0 closed, 1 wide open.
     pub jaw_opening: f64,
     /// Buttons, bit by bit from the first one.

@@ -117,7 +117,7 @@ pub struct HapticLaw {
     tank: EnergyTank,
     /// Where the handle was last, in its own frame, and how far open its jaws were; none before the first tick and after the
     /// device was away.
-    seen: Option<(DVec3, DQuat, f64)>,
+    seen: Option<(DVec3, Option<DQuat>, f64)>,
     /// Ticks without an answer since then.
     n_lost: u32,
     /// Time from tick to tick, smoothed [s]: what is expected of the next one. 0 where no tick and no setting has told.
@@ -243,7 +243,7 @@ impl HapticLaw {
         dt_s: f64,
     ) -> LawTick {
         let is_usable = device.position_m.is_finite()
-            && device.orientation.is_finite()
+            && device.orientation.is_none_or(DQuat::is_finite)
             && device.jaw_opening.is_finite()
             && dt_s > 0.0;
         if !is_usable {
@@ -268,7 +268,8 @@ impl HapticLaw {
 
         self.tool = self.mapped.tool(self.coupling.tool_m(), &handle, device);
         let axes = self.axes_at_handle(model, ramp_dt_s);
-        let along = device.orientation.normalize() * DVec3::Z;
+        let turn = device.orientation.unwrap_or_else(|| self.mapped.to_device_axes(handle.orientation));
+        let along = turn.normalize() * DVec3::Z;
 
         let open = self.mapped.to_device(force_n, handle.arm_m);
         let shortage = match self.settings.control {
@@ -312,13 +313,16 @@ impl HapticLaw {
         let ticks = f64::from(self.n_lost) + 1.0;
         self.n_lost = 0;
         let opening = device.jaw_opening.clamp(0.0, 1.0);
-        let now = (device.position_m, device.orientation.normalize(), opening);
+        let now = (device.position_m, device.orientation.map(DQuat::normalize), opening);
         let before = self.seen.replace(now);
         let most_m = MOST_SPEED_M_PER_S * dt_s * ticks;
         match before {
-            Some((was_m, was, was_open)) if (now.0 - was_m).length() <= most_m => {
+            // An orientation that is told for the first time, or not any more, turns the instrument at once.
+            Some((was_m, was, was_open))
+                if (now.0 - was_m).length() <= most_m && was.is_some() == now.1.is_some() =>
+            {
                 let opened_m = (opening - was_open) * self.limits.jaw_travel_m;
-                let turned_rad = turn_rad(was, now.1);
+                let turned_rad = was.zip(now.1).map_or(DVec3::ZERO, |(was, now)| turn_rad(was, now));
                 self.tank.observe_with_jaws(now.0 - was_m, turned_rad, opened_m, self.stored_j, dt_s * ticks);
                 false
             }

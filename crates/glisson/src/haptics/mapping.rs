@@ -23,6 +23,8 @@ pub struct DeviceMapping {
     pub device_origin_m: DVec3,
     /// ... is there in the world [m], the instrument having no length.
     pub world_origin_m: DVec3,
+    /// R q: from the handle's axes to the world's, as long as the device does not tell its orientation.
+    pub world_from_handle: DQuat,
     /// t: the tip in the handle's frame [m].
     pub tip_in_handle_m: DVec3,
     /// Button that holds the instrument while the handle is moved aside, counted from 0.
@@ -40,6 +42,7 @@ impl Default for DeviceMapping {
             force_scale: 1.0,
             device_origin_m: DVec3::ZERO,
             world_origin_m: DVec3::ZERO,
+            world_from_handle: DQuat::IDENTITY,
             tip_in_handle_m: DVec3::ZERO,
             clutch_button: Some(1),
             trigger_button: Some(0),
@@ -85,6 +88,7 @@ impl MappedDevice {
         let positive = |scale: f64| if scale > 0.0 && scale.is_finite() { scale } else { 1.0 };
         let mapping = DeviceMapping {
             world_from_device: mapping.world_from_device.normalize(),
+            world_from_handle: mapping.world_from_handle.normalize(),
             motion_scale: positive(mapping.motion_scale),
             force_scale: positive(mapping.force_scale),
             ..*mapping
@@ -119,9 +123,14 @@ impl MappedDevice {
             m.world_origin_m = self.held_m - moved_m;
         }
         self.was_clutched = is_clutched;
-        let orientation = m.world_from_device * device.orientation;
+        let orientation = device.orientation.map_or(m.world_from_handle, |q| m.world_from_device * q);
         let arm_m = orientation * m.tip_in_handle_m;
         Handle { tip_m: m.world_origin_m + moved_m + arm_m, arm_m, orientation, is_clutched }
+    }
+
+    /// From the handle's axes to the device's, of those to the world's.
+    pub(super) fn to_device_axes(&self, world_from_handle: DQuat) -> DQuat {
+        self.mapping.world_from_device.inverse() * world_from_handle
     }
 
     /// Force and torque at the handle, in the device's frame, of a force on the tip in the world [N].
@@ -161,6 +170,7 @@ mod tests {
     use crate::math::SeededRandom;
 
     fn state(position_m: DVec3, orientation: DQuat, buttons: u32) -> DeviceState {
+        let orientation = Some(orientation);
         DeviceState { position_m, velocity_m_per_s: DVec3::ZERO, orientation, jaw_opening: 0.3, buttons }
     }
 

@@ -222,7 +222,6 @@ pub struct SimulatedDevice {
     hand_m_per_s: DVec3,
     positions: DelayLine,
     forces: DelayLine,
-    orientation: DQuat,
     told: DeviceState,
     port_energy_j: f64,
     actuator_n: DVec3,
@@ -235,7 +234,7 @@ impl SimulatedDevice {
         let told = DeviceState {
             position_m: place_m,
             velocity_m_per_s: DVec3::ZERO,
-            orientation: DQuat::IDENTITY,
+            orientation: None,
             jaw_opening: 0.0,
             buttons: 0,
         };
@@ -251,7 +250,6 @@ impl SimulatedDevice {
             hand_m_per_s: DVec3::ZERO,
             positions: DelayLine::new(settings.position_latency_ticks, place_m),
             forces: DelayLine::new(settings.force_latency_ticks, DVec3::ZERO),
-            orientation: DQuat::IDENTITY,
             told,
             port_energy_j: 0.0,
             actuator_n: DVec3::ZERO,
@@ -265,10 +263,9 @@ impl SimulatedDevice {
         self.path = path;
     }
 
-    /// Turns the handle.
+    /// Turns the handle, whose orientation it tells from now on.
     pub fn set_orientation(&mut self, orientation: DQuat) {
-        self.orientation = orientation.normalize();
-        self.told.orientation = self.orientation;
+        self.told.orientation = Some(orientation.normalize());
     }
 
     /// Presses buttons and moves the jaws.

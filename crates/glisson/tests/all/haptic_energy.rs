@@ -348,7 +348,7 @@ fn a_simulation_gone_mad_stays_within_limits_and_bound() {
             let state = DeviceState {
                 position_m,
                 velocity_m_per_s: hand.step_m / TICK_S,
-                orientation: DQuat::IDENTITY,
+                orientation: Some(DQuat::IDENTITY),
                 jaw_opening: 0.5,
                 buttons: u32::from(step % 700 > 650) * 2,
             };

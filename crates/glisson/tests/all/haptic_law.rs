@@ -27,7 +27,7 @@ fn at(position_m: DVec3) -> DeviceState {
     DeviceState {
         position_m,
         velocity_m_per_s: DVec3::ZERO,
-        orientation: DQuat::IDENTITY,
+        orientation: Some(DQuat::IDENTITY),
         jaw_opening: 0.0,
         buttons: 0,
     }
@@ -234,6 +234,34 @@ fn a_handle_that_is_put_elsewhere_begins_anew() {
     assert_eq!(run.law.observed_energy_j(), energy_j);
 }
 
+#[test]
+fn a_device_that_tells_no_orientation_leaves_the_instrument_turned_as_it_was_put() {
+    let [put, told] = [
+        DQuat::from_rotation_arc(DVec3::Z, DVec3::new(0.6, 0.0, 0.8)),
+        DQuat::from_rotation_arc(DVec3::Z, DVec3::new(0.0, 1.0, 0.0)),
+    ];
+    let world_from_device = DQuat::from_rotation_x(0.3);
+    let mapping = DeviceMapping { world_from_handle: put, world_from_device, ..DeviceMapping::default() };
+    let mut law = HapticLaw::new(&LawSettings { mapping, ..LawSettings::default() }, &LIMITS);
+    let silent = DeviceState { orientation: None, ..at(DVec3::ZERO) };
+    let model = HapticModel::default();
+    let points = |out: &LawTick, along: DQuat| out.tool.shaft_in_world.distance(along * DVec3::Z) < 1e-12;
+    for tick in 0..20 {
+        let out = law.tick(&silent, &model, 0.01, TICK_S);
+        assert!(points(&out, put) && out.report.is_restart == (tick == 0), "{out:?}");
+    }
+    assert!(points(&law.lost(TICK_S), put));
+    assert!(!law.tick(&silent, &model, 0.01, TICK_S).report.is_restart);
+    // The hand did no work by being heard for the first time: it begins anew.
+    let device = DeviceState { orientation: Some(told), ..silent };
+    for tick in 0..3 {
+        let out = law.tick(&device, &model, 0.01, TICK_S);
+        assert!(points(&out, world_from_device * told) && out.report.is_restart == (tick == 0), "{out:?}");
+    }
+    let out = law.tick(&silent, &model, 0.01, TICK_S);
+    assert!(points(&out, put) && out.report.is_restart);
+}
+
 /// Half the motion, three times the force: against a rigid body the handle still feels the coupling's own stiffness.
 #[test]
 fn scaled_motion_and_force_keep_the_coupling_within_the_device() {
@@ -417,7 +445,8 @@ fn twist_and_jaws_are_felt_at_the_handle() {
     let settings = LawSettings { mapping, period_s: TICK_S, ..LawSettings::default() };
     let mut law = HapticLaw::new(&settings, &limits);
     let orientation = DQuat::from_rotation_arc(DVec3::Z, DVec3::new(0.6, 0.0, 0.8));
-    let device = |jaw_opening: f64| DeviceState { orientation, jaw_opening, ..at(DVec3::ZERO) };
+    let device =
+        |jaw_opening: f64| DeviceState { orientation: Some(orientation), jaw_opening, ..at(DVec3::ZERO) };
     let mut last = ForceCommand::default();
     let mut tick = |model: &HapticModel, jaw_opening: f64| {
         let command = law.tick(&device(jaw_opening), model, 0.01, TICK_S).command;

@@ -2,6 +2,7 @@
 //!
 //! From service 3.5 on a force is a `vector`, before it was `values`. Unknown fields are passed over: services grow.
 
+use glam::DQuat;
 use glisson::haptics::DeviceState;
 use glisson::math::DVec3;
 use serde::Deserialize;
@@ -62,6 +63,8 @@ struct Status {
 
 #[derive(Deserialize)]
 struct Grip {
+    #[serde(default)]
+    device_id: String,
     state: Option<GripState>,
 }
 
@@ -103,12 +106,26 @@ impl From<Xyz> for DVec3 {
     }
 }
 
+/// What a grip says.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct GripTold {
+    /// Which one.
+    pub(super) device_id: String,
+    /// None where it tells its buttons only.
+    pub(super) orientation: Option<DQuat>,
+    /// Bit by bit from the first one.
+    pub(super) buttons: u32,
+}
+
 /// What a frame of the service says.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Update {
     /// Which Inverse3.
     pub(super) device_id: String,
-    pub(super) state: DeviceState,
+    pub(super) position_m: DVec3,
+    pub(super) velocity_m_per_s: DVec3,
+    /// None where no grip, or not the wanted one, says anything.
+    pub(super) grip: Option<GripTold>,
     /// What keeps it from being used, if something does.
     pub(super) hindrance: Option<&'static str>,
 }
@@ -117,11 +134,19 @@ pub(super) struct Update {
 const FURTHEST_M: f64 = 1.0;
 const FASTEST_M_PER_S: f64 = 50.0;
 
-/// The first Inverse3 of a frame, or the one called `wanted`, with the first grip that tells its orientation.
+/// Which devices of a service are used; the first ones that say something for none.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Wanted<'a> {
+    pub(super) device_id: Option<&'a str>,
+    pub(super) grip_id: Option<&'a str>,
+}
+
+/// What the wanted Inverse3 and grip say in a frame.
 ///
 /// # Errors
 /// Why the frame says nothing that could be used.
-pub(super) fn parse(text: &str, wanted: Option<&str>) -> Result<Update, String> {
+pub(super) fn parse(text: &str, wanted: Wanted<'_>) -> Result<Update, String> {
+    let Wanted { device_id: wanted, grip_id } = wanted;
     let frame: Frame = serde_json::from_str(text).map_err(|e| format!("not a frame of the service: {e}"))?;
     let found = frame.inverse3.iter().find(|device| wanted.is_none_or(|id| id == device.device_id));
     let Some(device) = found else {
@@ -142,21 +167,10 @@ pub(super) fn parse(text: &str, wanted: Option<&str>) -> Result<Update, String> 
         ));
     }
     let grips = [&frame.wireless_verse_grip, &frame.verse_grip, &frame.custom_verse_grip];
-    let grip = grips.into_iter().flatten().find_map(|grip| grip.state.as_ref());
-    let orientation = match grip.and_then(|grip| grip.orientation) {
-        None => glam::DQuat::IDENTITY,
-        Some(q) => {
-            let q = glam::DQuat::from_xyzw(q.x, q.y, q.z, q.w);
-            if !(0.5..2.0).contains(&q.length()) {
-                return Err(format!("a grip's orientation has length {}; it must be 1", q.length()));
-            }
-            q.normalize()
-        }
-    };
-    let buttons = grip.map_or(0, |grip| {
-        let Buttons { a, b, c } = grip.buttons;
-        u32::from(a) | u32::from(b) << 1 | u32::from(c) << 2
-    });
+    let said = grips.into_iter().flatten().filter(|grip| grip_id.is_none_or(|id| id == grip.device_id));
+    let grip =
+        said.filter_map(|grip| grip.state.as_ref().map(|state| grip_told(&grip.device_id, state))).next();
+    let grip = grip.transpose()?;
     let hindrance = match device.status {
         Status { calibrated: Some(false), .. } => {
             Some("it is not calibrated: follow its light, then let go of it")
@@ -164,10 +178,41 @@ pub(super) fn parse(text: &str, wanted: Option<&str>) -> Result<Update, String> 
         Status { power_supply: Some(false), .. } => Some("its power supply is off"),
         Status { .. } => None,
     };
-    // The grips have no jaws: the third button closes the tool's.
-    let jaw_opening = if buttons & 4 == 0 { 1.0 } else { 0.0 };
-    let state = DeviceState { position_m, velocity_m_per_s, orientation, jaw_opening, buttons };
-    Ok(Update { device_id: device.device_id.clone(), state, hindrance })
+    Ok(Update { device_id: device.device_id.clone(), position_m, velocity_m_per_s, grip, hindrance })
+}
+
+fn grip_told(device_id: &str, state: &GripState) -> Result<GripTold, String> {
+    let orientation = state.orientation.map(|q| DQuat::from_xyzw(q.x, q.y, q.z, q.w));
+    if let Some(length) = orientation.map(DQuat::length).filter(|length| !(0.5..2.0).contains(length)) {
+        return Err(format!("a grip's orientation has length {length}; it must be 1"));
+    }
+    let Buttons { a, b, c } = state.buttons;
+    Ok(GripTold {
+        device_id: device_id.to_owned(),
+        orientation: orientation.map(DQuat::normalize),
+        buttons: u32::from(a) | u32::from(b) << 1 | u32::from(c) << 2,
+    })
+}
+
+impl Update {
+    /// The state of both; without a grip nobody tells an orientation or presses a button.
+    pub(super) fn state_with(&self, grip: Option<&GripTold>) -> DeviceState {
+        let buttons = grip.map_or(0, |grip| grip.buttons);
+        DeviceState {
+            position_m: self.position_m,
+            velocity_m_per_s: self.velocity_m_per_s,
+            orientation: grip.and_then(|grip| grip.orientation),
+            // The grips have no jaws: the third button closes the tool's.
+            jaw_opening: if buttons & 4 == 0 { 1.0 } else { 0.0 },
+            buttons,
+        }
+    }
+}
+
+/// Asks for a frame with all that there is: at first, and as long as no Inverse3 was in one. The service tells nothing new to who
+/// says nothing.
+pub(super) fn full_state_request() -> String {
+    json!({ "session": { "force_render_full_state": {} } }).to_string()
 }
 
 /// The answer to a frame: the service goes on telling the state only to who answers. A force holds until the next one.
@@ -193,21 +238,29 @@ mod tests {
 
     #[test]
     fn frames_are_read() {
-        let update = parse(FIRST, None).unwrap();
+        let any = Wanted::default();
+        let update = parse(FIRST, any).unwrap();
         assert_eq!(update.device_id, "04C3");
-        assert_eq!(update.state.position_m, DVec3::new(0.128, 0.039, -0.051));
-        assert_eq!(update.state.velocity_m_per_s, DVec3::new(0.01, -0.02, 0.03));
-        assert!(update.state.orientation.abs_diff_eq(glam::DQuat::from_xyzw(0.0, 0.6, 0.0, 0.8), 1e-15));
-        assert_eq!((update.state.buttons, update.state.jaw_opening, update.hindrance), (5, 0.0, None));
-        let later = parse(LATER, Some("04C3")).unwrap();
-        assert_eq!((later.state.orientation, later.state.jaw_opening), (glam::DQuat::IDENTITY, 1.0));
+        let state = update.state_with(update.grip.as_ref());
+        assert_eq!(state.position_m, DVec3::new(0.128, 0.039, -0.051));
+        assert_eq!(state.velocity_m_per_s, DVec3::new(0.01, -0.02, 0.03));
+        assert!(state.orientation.unwrap().abs_diff_eq(DQuat::from_xyzw(0.0, 0.6, 0.0, 0.8), 1e-15));
+        assert_eq!((state.buttons, state.jaw_opening, update.hindrance), (5, 0.0, None));
+        // Without a grip nobody knows where the handle points.
+        let later = parse(LATER, Wanted { device_id: Some("04C3"), ..any }).unwrap();
+        let state = later.state_with(later.grip.as_ref());
+        assert_eq!((later.grip, state.orientation, state.jaw_opening), (None, None, 1.0));
+        // The grip that was heard first is kept to.
+        let of_grip = |id| parse(FIRST, Wanted { grip_id: Some(id), ..any }).unwrap().grip;
+        assert_eq!(of_grip("1102").map(|grip| grip.buttons), Some(5));
+        assert_eq!(of_grip("1103"), None);
     }
 
     #[test]
     fn frames_that_cannot_be_used_are_refused_with_a_reason() {
         let refused = |from: &str, to: &str, reason: &str| {
             assert!(FIRST.contains(from), "{from}");
-            let error = parse(&FIRST.replace(from, to), None).unwrap_err();
+            let error = parse(&FIRST.replace(from, to), Wanted::default()).unwrap_err();
             assert!(error.contains(reason), "{error}");
         };
         refused("\"x\":0.128", "\"x\":12.8", "beyond what a device reaches");
@@ -215,9 +268,18 @@ mod tests {
         refused("\"x\":0.01,", "", "not a frame");
         refused("\"w\":0.8", "\"w\":800", "length");
         refused("\"inverse3\"", "\"minverse\"", "no Inverse3 is connected");
-        assert!(parse(FIRST, Some("0000")).unwrap_err().contains("there are: 04C3"));
-        assert!(parse(r#"{"inverse3":[{"device_id":"1"}]}"#, None).unwrap_err().contains("no state yet"));
-        let update = parse(&FIRST.replace("\"calibrated\":true", "\"calibrated\":false"), None).unwrap();
+        assert!(
+            parse(FIRST, Wanted { device_id: Some("0000"), grip_id: None })
+                .unwrap_err()
+                .contains("there are: 04C3")
+        );
+        assert!(
+            parse(r#"{"inverse3":[{"device_id":"1"}]}"#, Wanted::default())
+                .unwrap_err()
+                .contains("no state yet")
+        );
+        let update =
+            parse(&FIRST.replace("\"calibrated\":true", "\"calibrated\":false"), Wanted::default()).unwrap();
         assert!(update.hindrance.unwrap().contains("not calibrated"));
     }
 
@@ -232,6 +294,7 @@ mod tests {
         let number = |text: &str| -> serde_json::Value {
             serde_json::from_str(&text.replace(":0,", ":0.0,").replace(":-2}", ":-2.0}")).unwrap()
         };
+        assert_eq!(full_state_request(), r#"{"session":{"force_render_full_state":{}}}"#);
         assert_eq!(golden(Generation::Vector), number(vector));
         assert_eq!(golden(Generation::Values), number(values));
     }
@@ -265,10 +328,11 @@ mod tests {
             if is_cut {
                 bytes.truncate(length.index(bytes.len()));
             }
-            match parse(&String::from_utf8_lossy(&bytes), None) {
+            match parse(&String::from_utf8_lossy(&bytes), Wanted::default()) {
                 Ok(update) => {
-                    prop_assert!(update.state.position_m.is_finite() && update.state.velocity_m_per_s.is_finite());
-                    prop_assert!((update.state.orientation.length() - 1.0).abs() < 1e-12);
+                    prop_assert!(update.position_m.is_finite() && update.velocity_m_per_s.is_finite());
+                    let turn = update.grip.and_then(|grip| grip.orientation).unwrap_or(DQuat::IDENTITY);
+                    prop_assert!((turn.length() - 1.0).abs() < 1e-12);
                 }
                 Err(reason) => prop_assert!(!reason.is_empty()),
             }

@@ -6,7 +6,7 @@ use super::driver::{Line, ThreadedDevice};
 use anyhow::Context;
 use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 use glisson::math::DVec3;
-use messages::{Generation, force_command, parse};
+use messages::{Generation, GripTold, Update, Wanted, force_command, full_state_request, parse};
 use std::io::{Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
@@ -35,12 +35,21 @@ const LONGEST_SILENCE: Duration = Duration::from_millis(500);
 const LONGEST_TURN: Duration = Duration::from_secs(1);
 /// Between two tries to reach the service.
 const RETRY: Duration = Duration::from_millis(500);
+/// A grip that says nothing for so long is silent; meanwhile its last word counts. A choice: wireless ones leave frames out, and
+/// a hand turns little in that time.
+const LONGEST_GRIP_SILENCE: Duration = Duration::from_millis(100);
+const GRIP_IS_SILENT: &str = "its grip says nothing: switch it on, or begin again without it";
 /// Frames have some 2 kB a device.
 const LONGEST_FRAME_BYTES: usize = 1 << 17;
 
 /// Opens the device behind the service at `address`, `host:port`. The service need not run yet.
 pub(super) fn open(address: &str) -> anyhow::Result<Box<dyn HapticDevice>> {
-    let line = HaplyLine { address: address.to_owned(), session: None, next_try: Instant::now() };
+    let line = HaplyLine {
+        address: address.to_owned(),
+        session: None,
+        grip: HeldGrip::default(),
+        next_try: Instant::now(),
+    };
     Ok(Box::new(ThreadedDevice::start("haply", LIMITS, line)?))
 }
 
@@ -107,9 +116,40 @@ struct Session {
     n_refused: u32,
 }
 
+/// The first grip that said something is kept to, beyond the end of a connection: an instrument that began to turn with a hand
+/// does not go back to its home's direction in the middle of tissue.
+#[derive(Default)]
+struct HeldGrip(Option<(GripTold, Instant)>);
+
+impl HeldGrip {
+    fn id(&self) -> Option<&str> {
+        self.0.as_ref().map(|(grip, _)| grip.device_id.as_str())
+    }
+
+    /// The state with what the grip says now, or said a moment ago; none when it is silent for longer.
+    fn state(&mut self, update: &Update, now: Instant) -> Option<DeviceState> {
+        let last = self.0.take();
+        self.0 = match (update.grip.clone(), last) {
+            // A word without an orientation renews the buttons only.
+            (Some(GripTold { orientation: None, buttons, .. }), Some((last, heard)))
+                if last.orientation.is_some() =>
+            {
+                Some((GripTold { buttons, ..last }, heard))
+            }
+            (Some(told), _) => Some((told, now)),
+            (None, last) => last,
+        };
+        match &self.0 {
+            Some((_, heard)) if now.duration_since(*heard) > LONGEST_GRIP_SILENCE => None,
+            held => Some(update.state_with(held.as_ref().map(|(grip, _)| grip))),
+        }
+    }
+}
+
 struct HaplyLine {
     address: String,
     session: Option<Session>,
+    grip: HeldGrip,
     next_try: Instant,
 }
 
@@ -127,8 +167,9 @@ impl HaplyLine {
             .max_message_size(Some(LONGEST_FRAME_BYTES))
             .max_frame_size(Some(LONGEST_FRAME_BYTES));
         let stream = Impatient { stream: connect(&self.address)?, until: Instant::now() + LONGEST_TURN };
-        let (socket, _) = tungstenite::client::client_with_config(request, stream, Some(config))
+        let (mut socket, _) = tungstenite::client::client_with_config(request, stream, Some(config))
             .map_err(|e| anyhow::anyhow!("{}: no WebSocket: {e}", self.address))?;
+        socket.send(Message::text(full_state_request())).context("the service stopped listening")?;
         Ok(Session { socket, generation, device_id: None, n_refused: 0 })
     }
 }
@@ -142,31 +183,37 @@ enum Trouble {
 }
 
 impl Session {
-    fn turn(&mut self, command: &ForceCommand) -> Result<DeviceState, Trouble> {
+    fn turn(&mut self, command: &ForceCommand, grip: &mut HeldGrip) -> Result<DeviceState, Trouble> {
+        let deaf = |_| Trouble::Line("the service stopped listening");
         self.socket.get_mut().until = Instant::now() + LONGEST_TURN;
         loop {
             let message = self.socket.read().map_err(|_| Trouble::Line("the service stopped answering"))?;
             // What is no text is no state either.
             let update = match message {
-                Message::Text(text) => parse(&text, self.device_id.as_deref()).ok(),
+                Message::Text(text) => {
+                    parse(&text, Wanted { device_id: self.device_id.as_deref(), grip_id: grip.id() }).ok()
+                }
                 _ => None,
             };
             let Some(update) = update else {
                 self.n_refused += 1;
                 if self.n_refused < MOST_REFUSED {
+                    self.socket.send(Message::text(full_state_request())).map_err(deaf)?;
                     continue;
                 }
                 return Err(Trouble::Line(UNUSABLE));
             };
             self.n_refused = 0;
+            let usable = match update.hindrance {
+                Some(hindrance) => Err(hindrance),
+                None => grip.state(&update, Instant::now()).ok_or(GRIP_IS_SILENT),
+            };
             // A device that must not be used gets no force.
-            let force_n = if update.hindrance.is_some() { DVec3::ZERO } else { command.force_n };
+            let force_n = if usable.is_err() { DVec3::ZERO } else { command.force_n };
             let reply = force_command(self.generation, &update.device_id, force_n);
             self.device_id = Some(update.device_id);
-            self.socket
-                .send(Message::text(reply))
-                .map_err(|_| Trouble::Line("the service stopped listening"))?;
-            return update.hindrance.map_or(Ok(update.state), |hindrance| Err(Trouble::Device(hindrance)));
+            self.socket.send(Message::text(reply)).map_err(deaf)?;
+            return usable.map_err(Trouble::Device);
         }
     }
 }
@@ -174,7 +221,12 @@ impl Session {
 /// What the service says about its device, or what is wrong: for people.
 pub(super) fn examine(address: &str) -> anyhow::Result<String> {
     let version = service_version(address)?;
-    let line = HaplyLine { address: address.to_owned(), session: None, next_try: Instant::now() };
+    let line = HaplyLine {
+        address: address.to_owned(),
+        session: None,
+        grip: HeldGrip::default(),
+        next_try: Instant::now(),
+    };
     let mut session = line.begin()?;
     let until = Instant::now() + 2 * LONGEST_SILENCE;
     let mut reason = "it sends nothing".to_owned();
@@ -183,7 +235,7 @@ pub(super) fn examine(address: &str) -> anyhow::Result<String> {
         let Message::Text(text) = session.socket.read().context("the service stopped answering")? else {
             continue;
         };
-        match parse(&text, None) {
+        match parse(&text, Wanted::default()) {
             Ok(update) => {
                 let hindrance = update.hindrance.map_or(String::new(), |text| format!("; {text}"));
                 return Ok(format!("service {version}, Inverse3 {}{hindrance}", update.device_id));
@@ -204,7 +256,7 @@ impl Line for HaplyLine {
             std::thread::sleep(RETRY / 20);
             return Err(DeviceFault::Lost("no connection to Haply's service".into()));
         };
-        session.turn(command).map_err(|trouble| match trouble {
+        session.turn(command, &mut self.grip).map_err(|trouble| match trouble {
             Trouble::Line(reason) => {
                 self.session = None;
                 DeviceFault::Lost(reason.into())

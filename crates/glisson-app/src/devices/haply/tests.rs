@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-/// Answers `/version`; on a WebSocket sends states, waits for a command after each, and notes the forces.
+/// Answers `/version`; on a WebSocket says nothing before it is asked for a full state, then sends states, waits for a command
+/// after each, and notes the forces.
 struct MockService {
     address: SocketAddr,
     stop: Arc<AtomicBool>,
@@ -69,15 +70,19 @@ fn answer(
         return;
     }
     let Ok(mut socket) = tungstenite::accept(stream) else { return };
+    let is_request = |text: &str| text.contains("force_render_full_state");
+    if !socket.read().is_ok_and(|message| message.to_text().is_ok_and(is_request)) {
+        return;
+    }
     for number in 0.. {
         if stop.load(Ordering::Relaxed) || socket.send(Message::text(frame(number))).is_err() {
             return;
         }
         // As the real one: who does not command hears nothing more; rubbish is not answered, so it is sent again.
-        if parse(&frame(number), None).is_ok() {
+        if parse(&frame(number), Wanted::default()).is_ok() {
             let text = loop {
                 match socket.read() {
-                    Ok(Message::Text(text)) => break text,
+                    Ok(Message::Text(text)) if !is_request(&text) => break text,
                     Ok(_) => {}
                     Err(_) => return,
                 }
@@ -99,7 +104,23 @@ fn moving(number: u64) -> String {
     )
 }
 
-fn wait_for(device: &mut dyn HapticDevice, what: impl Fn(&Result<DeviceState, DeviceFault>) -> bool) {
+/// With a grip that tells its orientation in most frames, as long as it does.
+fn gripped(number: u64) -> String {
+    let orientation =
+        if number.is_multiple_of(2) { r#","orientation":{"x":0,"y":0.6,"z":0,"w":0.8}"# } else { "" };
+    let says = match number {
+        ..600 if !number.is_multiple_of(5) => {
+            format!(r#""state":{{"buttons":{{"a":true,"b":false,"c":false}}{orientation}}}"#)
+        }
+        _ => r#""status":{"connected":false}"#.into(),
+    };
+    let other = r#"{"device_id":"1103","state":{"orientation":{"x":0,"y":0,"z":0,"w":1}}}"#;
+    let grips = format!(r#""wireless_verse_grip":[{{"device_id":"1102",{says}}}],"verse_grip":[{other}]"#);
+    // Where it says nothing in the very first frame nobody knows of it.
+    moving(number + 1).replacen('{', &format!("{{{grips},"), 1)
+}
+
+fn wait_for(device: &mut dyn HapticDevice, mut what: impl FnMut(&Result<DeviceState, DeviceFault>) -> bool) {
     let start = Instant::now();
     loop {
         let answer = device.read();
@@ -133,6 +154,28 @@ fn both_generations_get_their_commands_and_give_their_states() {
         // The last word is no force.
         assert_eq!(service.forces.try_iter().last().map(|(_, force)| force), Some(DVec3::ZERO));
     }
+}
+
+#[test]
+fn a_grip_that_leaves_frames_out_turns_nothing_and_one_that_falls_silent_is_told() {
+    let service = MockService::start("3.5.0", |number| gripped(number + 1));
+    let mut device = open(&service.address.to_string()).unwrap();
+    let turn = glam::DQuat::from_xyzw(0.0, 0.6, 0.0, 0.8);
+    let mut n_states = 0;
+    wait_for(&mut *device, |answer| match answer {
+        Ok(state) if state.orientation.is_some() || n_states > 0 => {
+            n_states += 1;
+            assert!(state.orientation.unwrap().abs_diff_eq(turn, 1e-12), "{state:?}");
+            assert_eq!((state.buttons, state.jaw_opening), (1, 1.0));
+            false
+        }
+        Err(DeviceFault::Lost(reason)) => reason.contains("grip says nothing"),
+        _ => false,
+    });
+    assert!(n_states > 20, "{n_states}");
+    // No force is given while nobody knows where the handle points.
+    std::thread::sleep(Duration::from_millis(20));
+    assert_eq!(service.forces.try_iter().last().map(|(_, force)| force), Some(DVec3::ZERO));
 }
 
 #[test]

@@ -513,7 +513,7 @@ impl<L: ByteLine> HapticDevice for TrocarDevice<L> {
         Ok(DeviceState {
             position_m: pose.tip_m,
             velocity_m_per_s,
-            orientation: handle_orientation(&pose),
+            orientation: Some(handle_orientation(&pose)),
             jaw_opening: joints.jaw_opening.clamp(0.0, 1.0),
             buttons: state.buttons.into(),
         })

@@ -137,7 +137,8 @@ async fn talk(
                             Ok(None) => break,
                             Err(error) => return dismiss(stream, code_of(&error), error.to_string()).await,
                         };
-                        let view = View::of(&published.borrow());
+                        let latest = Arc::clone(&published.borrow());
+                        let view = View::of(&latest);
                         match client.hear(&frame, &view, Instant::now(), SystemTime::now()) {
                             Ok(answer) => send(stream, &answer).await?,
                             Err(reason) => return dismiss(stream, StatusCode::Overflow, reason).await,
@@ -148,7 +149,8 @@ async fn talk(
                 Err(_) => return Ok(()),
             },
             _ = tick.tick() => {
-                let view = View::of(&published.borrow_and_update());
+                let latest = Arc::clone(&published.borrow_and_update());
+                let view = View::of(&latest);
                 let bytes = client.due(&view, Instant::now(), SystemTime::now());
                 send(stream, &bytes).await?;
             }

@@ -47,6 +47,7 @@ pub(in crate::net) fn published(step: u64) -> Arc<Published> {
         effort: Default::default(),
         notices: Vec::new(),
         lateness: Lateness::default(),
+        meters: Arc::default(),
     })
 }
 

@@ -53,6 +53,9 @@ pub(crate) trait ReceiveHalf: Send {
 
     /// The last message was one of ours: its sender is the one to talk to.
     fn trust_sender(&mut self);
+
+    /// The last message may be one of ours: its sender gets one message, to answer, beside the one to talk to.
+    fn ask_sender(&mut self);
 }
 
 /// Both directions.
@@ -193,7 +196,7 @@ pub(crate) fn udp(address: SocketAddr, role: Role) -> anyhow::Result<Link> {
         Role::Simulation => {
             let socket =
                 UdpSocket::bind(address).map_err(|e| anyhow!("cannot listen on udp://{address}: {e}"))?;
-            (socket, Some(Arc::new(Mutex::new(None))))
+            (socket, Some(Arc::default()))
         }
         Role::Haptics => {
             let any = if address.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
@@ -207,8 +210,16 @@ pub(crate) fn udp(address: SocketAddr, role: Role) -> anyhow::Result<Link> {
     Ok(Link { sender: Box::new(sender), receiver: Box::new(receiver) })
 }
 
-/// Whom a listening socket answers; none for a connected one.
-type Peer = Option<Arc<Mutex<Option<SocketAddr>>>>;
+/// Whom a listening socket answers.
+#[derive(Clone, Copy, Default)]
+struct Answered {
+    trusted: Option<SocketAddr>,
+    /// One message goes there, and no more: whoever sends a recorded one must not get a stream for it, or lead one elsewhere.
+    asked: Option<SocketAddr>,
+}
+
+/// None for a connected socket.
+type Peer = Option<Arc<Mutex<Answered>>>;
 
 /// Whether the error only says that the other machine is not there now, or that nothing came.
 fn passes(error: &io::Error) -> bool {
@@ -223,18 +234,19 @@ struct UdpSender {
 
 impl SendHalf for UdpSender {
     fn send(&mut self, message: &[u8]) -> io::Result<()> {
-        let sent = match &self.peer {
-            None => self.socket.send(message),
-            // The lock is held for a copy only.
-            Some(peer) => match peer.lock().map_or(None, |peer| *peer) {
-                Some(peer) => self.socket.send_to(message, peer),
-                None => return Ok(()),
-            },
-        };
-        match sent {
+        let may_fail = |sent: io::Result<usize>| match sent {
             Err(error) if !passes(&error) => Err(error),
             _ => Ok(()),
+        };
+        let Some(peer) = &self.peer else { return may_fail(self.socket.send(message)) };
+        // The lock is held for a copy only.
+        let Answered { trusted, asked } = peer
+            .lock()
+            .map_or_else(|_| Answered::default(), |mut peer| Answered { asked: peer.asked.take(), ..*peer });
+        for to in trusted.into_iter().chain(asked.filter(|asked| trusted != Some(*asked))) {
+            may_fail(self.socket.send_to(message, to))?;
         }
+        Ok(())
     }
 }
 
@@ -261,7 +273,15 @@ impl ReceiveHalf for UdpReceiver {
         if let Some(peer) = &self.peer
             && let Ok(mut peer) = peer.lock()
         {
-            *peer = self.last_from;
+            peer.trusted = self.last_from;
+        }
+    }
+
+    fn ask_sender(&mut self) {
+        if let Some(peer) = &self.peer
+            && let Ok(mut peer) = peer.lock()
+        {
+            peer.asked = self.last_from;
         }
     }
 }

@@ -235,7 +235,7 @@ impl LinkOptions {
     }
 
     fn open(&self, scene: SceneHash, n_tools: usize) -> anyhow::Result<(super::link::Link, Identity)> {
-        let has_key = matches!(self.seal, Seal::Key(_));
+        let has_key = self.seal.has_key();
         #[cfg(feature = "net")]
         if let LinkAddress::Zenoh(_) = &self.address {
             let link = super::zenoh_link::link_over(self.zenoh_session()?, self.role)?;

@@ -172,4 +172,6 @@ impl ReceiveHalf for ZenohReceiver {
 
     /// Zenoh sends to whoever listens.
     fn trust_sender(&mut self) {}
+
+    fn ask_sender(&mut self) {}
 }

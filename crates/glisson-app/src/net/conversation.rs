@@ -1,7 +1,7 @@
 //! Two threads between a link and the loops of this machine: one sends the newest state again and again, one takes the
 //! newest that comes. The loops never wait for them.
 
-use super::inbox::{Counts, Inbox};
+use super::inbox::{Arrival, Counts, Inbox};
 use super::link::{Link, ReceiveHalf, Role, SendHalf};
 use super::messages::{Content, Head, MOST_BYTES, MessageError, SceneHash, decode, encode_into};
 use super::seal::Seal;
@@ -60,6 +60,20 @@ struct Heard {
     at_ns: u64,
 }
 
+impl Heard {
+    fn of(head: &Head, at_ns: u64) -> Self {
+        let Head { session, sequence, sent_ns, .. } = *head;
+        Self { session, sequence, sent_ns, at_ns }
+    }
+
+    /// Whether a message that proves nothing is acknowledged instead, so that its sender can answer: not while this session,
+    /// or a newer one, talks. Recorded ones are older, and must not stand before the one that is there.
+    fn gives_way_to(&self, other: &Self) -> bool {
+        (other.session, other.sequence) > (self.session, self.sequence)
+            || other.at_ns.saturating_sub(self.at_ns) > CUT_NS
+    }
+}
+
 #[derive(Default)]
 struct Shared {
     ends: AtomicBool,
@@ -73,6 +87,38 @@ struct Shared {
     refused: Mutex<Option<String>>,
     heard_ns: AtomicU64,
     round_trip: Histogram,
+}
+
+impl Shared {
+    /// Answers how long the message was on the way: half the round trip, 0 if it acknowledges nothing of this session [ns].
+    fn note_taken(&self, head: &Head, now_ns: u64, last_echo: &mut u64) -> u64 {
+        self.heard_ns.store(now_ns, Ordering::Relaxed);
+        if let Ok(mut heard) = self.heard.lock() {
+            *heard = Heard::of(head, now_ns);
+        }
+        if head.heard_session != self.session {
+            return 0;
+        }
+        let round_trip_ns = now_ns.saturating_sub(head.heard_sent_ns).saturating_sub(head.heard_ago_ns);
+        // The same acknowledgement comes in several messages: the first one counts.
+        if head.heard_sequence > *last_echo {
+            self.round_trip.record(round_trip_ns);
+            *last_echo = head.heard_sequence;
+        }
+        round_trip_ns / 2
+    }
+
+    /// A message that was not taken is acknowledged all the same, so that the next one can prove its session; answers
+    /// whether it is.
+    fn note_unproven(&self, head: &Head, now_ns: u64) -> bool {
+        let Ok(mut heard) = self.heard.lock() else { return false };
+        let other = Heard::of(head, now_ns);
+        let is_noted = heard.gives_way_to(&other);
+        if is_noted {
+            *heard = other;
+        }
+        is_noted
+    }
 }
 
 /// How the link does.
@@ -257,7 +303,7 @@ fn receive_all(
     make_prompt();
     // One byte more than the longest message, so that a longer one is seen to be one.
     let mut buffer = [0; MOST_BYTES + 1];
-    let mut inbox = Inbox::default();
+    let mut inbox = Inbox::new(shared.session, identity.seal.has_key());
     let (mut is_cut, mut last_echo) = (true, 0);
     while !shared.ends.load(Ordering::Relaxed) {
         let received = receiver.receive(&mut buffer, PATIENCE);
@@ -265,28 +311,22 @@ fn receive_all(
         match received {
             Ok(Some(n)) => match decode(&buffer[..n], &identity.seal) {
                 Ok((head, content)) => {
-                    if let Some(objection) = objection(identity, &head, &content) {
-                        refuse(shared, objection);
-                    } else if inbox.takes(&head, now) {
-                        receiver.trust_sender();
-                        is_cut = false;
-                        shared.heard_ns.store(now, Ordering::Relaxed);
-                        if let Ok(mut heard) = shared.heard.lock() {
-                            let Head { session, sequence, sent_ns, .. } = head;
-                            *heard = Heard { session, sequence, sent_ns, at_ns: now };
-                        }
-                        let mut on_the_way_ns = 0;
-                        if head.heard_session == shared.session {
-                            let round_trip_ns =
-                                now.saturating_sub(head.heard_sent_ns).saturating_sub(head.heard_ago_ns);
-                            on_the_way_ns = round_trip_ns / 2;
-                            // The same acknowledgement comes in several messages: the first one counts.
-                            if head.heard_sequence > last_echo {
-                                shared.round_trip.record(round_trip_ns);
-                                last_echo = head.heard_sequence;
+                    match objection(identity, &head, &content) {
+                        Some(objection) => refuse(shared, objection),
+                        None => match inbox.take(&head, now) {
+                            Arrival::Taken => {
+                                receiver.trust_sender();
+                                is_cut = false;
+                                let on_the_way_ns = shared.note_taken(&head, now, &mut last_echo);
+                                incoming.take(content, now, on_the_way_ns);
                             }
-                        }
-                        incoming.take(content, now, on_the_way_ns);
+                            Arrival::Unproven => {
+                                if shared.note_unproven(&head, now) {
+                                    receiver.ask_sender();
+                                }
+                            }
+                            Arrival::Late => {}
+                        },
                     }
                     if let Ok(mut counts) = shared.counts.lock() {
                         *counts = inbox.counts;

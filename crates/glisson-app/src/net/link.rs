@@ -53,6 +53,9 @@ pub(crate) trait ReceiveHalf: Send {
 
     /// The last message was one of ours: its sender is the one to talk to.
     fn trust_sender(&mut self);
+
+    /// The last message may be one of ours: its sender gets one message, to answer, beside the one to talk to.
+    fn ask_sender(&mut self);
 }
 
 /// Both directions.
@@ -83,19 +86,39 @@ pub(crate) enum ZenohAddress {
 }
 
 impl ZenohAddress {
-    /// Whether only this machine can get there, or whom the file lets in.
-    fn is_closed(&self) -> bool {
-        match self {
-            Self::Scouting => false,
-            Self::File(_) => true,
-            Self::Locator(locator) => {
-                let host = locator
-                    .split_once('/')
-                    .and_then(|(_, address)| address.rsplit_once(':'))
-                    .map_or("", |(host, _)| host.trim_matches(['[', ']']));
-                host == "localhost" || host.parse::<std::net::IpAddr>().is_ok_and(|ip| ip.is_loopback())
-            }
-        }
+    /// Through what others than whom a certificate lets in, or than this machine's own programs, get there; none: nobody does.
+    ///
+    /// # Errors
+    /// When the configuration file cannot be read.
+    pub(super) fn open_door(&self) -> anyhow::Result<Option<String>> {
+        Ok(match self {
+            Self::Scouting => Some("multicast".to_owned()),
+            Self::Locator(locator) => is_open(locator, false).then(|| locator.clone()),
+            #[cfg(feature = "net")]
+            Self::File(path) => super::zenoh_link::open_door(path)?,
+            // A program without zenoh opens none.
+            #[cfg(not(feature = "net"))]
+            Self::File(_) => None,
+        })
+    }
+}
+
+/// Whether strangers get through an endpoint of zenoh's, `PROTOCOL/ADDRESS[?METADATA][#KEY=VALUE;...]`. `is_mutual`: unless
+/// the endpoint says otherwise, certificates are asked of both sides.
+pub(super) fn is_open(endpoint: &str, is_mutual: bool) -> bool {
+    let (locator, settings) = endpoint.split_once('#').unwrap_or((endpoint, ""));
+    let locator = locator.split('?').next().unwrap_or_default();
+    let Some((protocol, address)) = locator.split_once('/') else { return true };
+    let mutual = settings.split(';').find_map(|setting| setting.strip_prefix("enable_mtls="));
+    let is_mutual = mutual.map_or(is_mutual, |mutual| mutual == "true");
+    let host = address.rsplit_once(':').map_or("", |(host, _)| host.trim_matches(['[', ']']));
+    let is_own = host == "localhost" || host.parse::<std::net::IpAddr>().is_ok_and(|ip| ip.is_loopback());
+    match protocol {
+        "tls" | "quic" => !is_own && !is_mutual,
+        "tcp" | "udp" | "ws" => !is_own,
+        // Files of this machine.
+        "unixsock-stream" | "unixpipe" => false,
+        _ => true,
     }
 }
 
@@ -144,14 +167,16 @@ impl LinkAddress {
     /// Whether zenoh may be reached this way. `has_key`: whether messages are sealed with a key.
     ///
     /// # Errors
-    /// When others could steer.
+    /// When others could steer, or the configuration file cannot be read.
     pub(super) fn check(&self, has_key: bool) -> anyhow::Result<()> {
-        match self {
-            Self::Zenoh(address) if !address.is_closed() && !has_key => bail!(
-                "{self} can be reached from other machines, where anybody could steer the instruments: give both machines \
-                 the same --link-key FILE, or a configuration file with TLS (docs/network.md)"
+        let Self::Zenoh(address) = self else { return Ok(()) };
+        match address.open_door()? {
+            Some(door) if !has_key => bail!(
+                "{self} can be reached from other machines ({door}), where anybody could steer the instruments: give both \
+                 machines the same --link-key FILE, or a configuration file whose endpoints are tls/ or quic/ with \
+                 enable_mtls, and without multicast (docs/network.md)"
             ),
-            Self::Zenoh(_) | Self::Udp(_) => Ok(()),
+            _ => Ok(()),
         }
     }
 
@@ -193,7 +218,7 @@ pub(crate) fn udp(address: SocketAddr, role: Role) -> anyhow::Result<Link> {
         Role::Simulation => {
             let socket =
                 UdpSocket::bind(address).map_err(|e| anyhow!("cannot listen on udp://{address}: {e}"))?;
-            (socket, Some(Arc::new(Mutex::new(None))))
+            (socket, Some(Arc::default()))
         }
         Role::Haptics => {
             let any = if address.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
@@ -207,8 +232,16 @@ pub(crate) fn udp(address: SocketAddr, role: Role) -> anyhow::Result<Link> {
     Ok(Link { sender: Box::new(sender), receiver: Box::new(receiver) })
 }
 
-/// Whom a listening socket answers; none for a connected one.
-type Peer = Option<Arc<Mutex<Option<SocketAddr>>>>;
+/// Whom a listening socket answers.
+#[derive(Clone, Copy, Default)]
+struct Answered {
+    trusted: Option<SocketAddr>,
+    /// One message goes there, and no more: whoever sends a recorded one must not get a stream for it, or lead one elsewhere.
+    asked: Option<SocketAddr>,
+}
+
+/// None for a connected socket.
+type Peer = Option<Arc<Mutex<Answered>>>;
 
 /// Whether the error only says that the other machine is not there now, or that nothing came.
 fn passes(error: &io::Error) -> bool {
@@ -223,18 +256,19 @@ struct UdpSender {
 
 impl SendHalf for UdpSender {
     fn send(&mut self, message: &[u8]) -> io::Result<()> {
-        let sent = match &self.peer {
-            None => self.socket.send(message),
-            // The lock is held for a copy only.
-            Some(peer) => match peer.lock().map_or(None, |peer| *peer) {
-                Some(peer) => self.socket.send_to(message, peer),
-                None => return Ok(()),
-            },
-        };
-        match sent {
+        let may_fail = |sent: io::Result<usize>| match sent {
             Err(error) if !passes(&error) => Err(error),
             _ => Ok(()),
+        };
+        let Some(peer) = &self.peer else { return may_fail(self.socket.send(message)) };
+        // The lock is held for a copy only.
+        let Answered { trusted, asked } = peer
+            .lock()
+            .map_or_else(|_| Answered::default(), |mut peer| Answered { asked: peer.asked.take(), ..*peer });
+        for to in trusted.into_iter().chain(asked.filter(|asked| trusted != Some(*asked))) {
+            may_fail(self.socket.send_to(message, to))?;
         }
+        Ok(())
     }
 }
 
@@ -261,7 +295,15 @@ impl ReceiveHalf for UdpReceiver {
         if let Some(peer) = &self.peer
             && let Ok(mut peer) = peer.lock()
         {
-            *peer = self.last_from;
+            peer.trusted = self.last_from;
+        }
+    }
+
+    fn ask_sender(&mut self) {
+        if let Some(peer) = &self.peer
+            && let Ok(mut peer) = peer.lock()
+        {
+            peer.asked = self.last_from;
         }
     }
 }
@@ -295,11 +337,27 @@ mod tests {
             let error = address.open(Role::Haptics, false).err().unwrap().to_string();
             assert!(error.contains("--link-key"), "{error}");
         }
-        for closed in
-            ["zenoh:tcp/127.0.0.1:7447", "zenoh:tcp/[::1]:7447", "zenoh:udp/localhost:1", "zenoh:a.json5"]
-        {
-            let LinkAddress::Zenoh(address) = closed.parse().unwrap() else { panic!("{closed}") };
-            assert!(address.is_closed(), "{closed}");
+        for closed in ["zenoh:tcp/127.0.0.1:7447", "zenoh:tcp/[::1]:7447", "zenoh:udp/localhost:1"] {
+            assert!(closed.parse::<LinkAddress>().unwrap().check(false).is_ok(), "{closed}");
+        }
+    }
+
+    #[test]
+    fn strangers_get_through_an_endpoint_unless_it_asks_for_certificates_or_is_this_machines() {
+        for (endpoint, of_file, expected) in [
+            ("tcp/0.0.0.0:7447", true, true),
+            ("tcp/192.0.2.1:7447#iface=127.0.0.1:1", true, true),
+            ("tcp/127.0.0.1:7447", false, false),
+            ("tcp/[::1]:7447?prio=6-7", false, false),
+            ("tls/192.0.2.1:7447", true, false),
+            ("tls/192.0.2.1:7447", false, true),
+            ("tls/192.0.2.1:7447#enable_mtls=false", true, true),
+            ("quic/host:7447#root_ca_certificate_file=ca.pem;enable_mtls=true", false, false),
+            ("unixsock-stream/tmp/zenoh.sock", false, false),
+            ("serial/dev/ttyUSB0", false, true),
+            ("nonsense", true, true),
+        ] {
+            assert_eq!(is_open(endpoint, of_file), expected, "{endpoint}");
         }
     }
 }

@@ -57,6 +57,10 @@ pub(crate) struct NetArgs {
     /// [default: zenoh:tcp/127.0.0.1:7447]
     #[arg(long, value_name = "ADDRESS", requires = "ros2")]
     ros2_link: Option<LinkAddress>,
+    /// Let whoever reaches the topics of ROS 2 from other machines see organ and instruments, and with --ros2-control move
+    /// them: topics know no password, and no --link-key seals them
+    #[arg(long, requires = "ros2")]
+    ros2_open: bool,
     /// Of the link, which ROS 2's topics share.
     #[cfg(feature = "net")]
     #[arg(skip)]
@@ -150,6 +154,7 @@ impl NetArgs {
         if self.ros2_control && !described.takes_orders() {
             bail!("--ros2-control: devices hold all instruments; leave out one --device, or --ros2-control");
         }
+        let session = self.ros2_session(&over)?;
         let (address, with_link) = match &over {
             Ros2Over::Link(address) => (address, ", with the link over one session"),
             Ros2Over::Own(address) => (address, ""),
@@ -159,25 +164,44 @@ impl NetArgs {
         if self.ros2_control {
             println!("whoever reaches {address} can move the instruments that no device holds");
         }
-        let over = self.ros2_session(&over)?;
         Ok(Box::new(move |published, steering| {
-            super::ros2::spawn(over, domain, described, published, steering)
+            super::ros2::spawn(session, domain, described, published, steering)
         }))
     }
 
     /// The session that carries ROS 2's topics; opened if nobody has done so.
+    ///
+    /// # Errors
+    /// When strangers could get there and nobody said that they may.
     #[cfg(feature = "net")]
     fn ros2_session(&self, over: &Ros2Over) -> anyhow::Result<super::ros2::Over> {
         Ok(match over {
-            Ros2Over::Link(_) => {
+            Ros2Over::Link(address) => {
                 let link = self.link()?.context("a link is there to be shared")?;
+                link.check()?;
+                self.check_ros2(address)?;
                 super::ros2::Over { session: link.zenoh_session()?, is_own: false }
             }
             // It connects to the router, as the haptics machine does to the simulation.
             Ros2Over::Own(address) => {
+                self.check_ros2(address)?;
                 super::ros2::Over { session: open_session(address, Role::Haptics)?, is_own: true }
             }
         })
+    }
+
+    #[cfg(feature = "net")]
+    fn check_ros2(&self, address: &ZenohAddress) -> anyhow::Result<()> {
+        match address.open_door()? {
+            Some(door) if !self.ros2_open => bail!(
+                "--ros2: {} can be reached from other machines ({door}), and ROS 2's topics know no password: whoever reaches \
+                 them {}; give --ros2-open if that is meant, or a configuration file whose endpoints are tls/ or quic/ with \
+                 enable_mtls, and without multicast (docs/network.md)",
+                LinkAddress::Zenoh(address.clone()),
+                if self.ros2_control { "moves the instruments" } else { "sees organ and instruments" }
+            ),
+            _ => Ok(()),
+        }
     }
 
     #[cfg(not(feature = "net"))]
@@ -224,10 +248,15 @@ fn flat_punch_n_per_m(young_modulus_pa: f64, poisson_ratio: f64, radius_m: f64) 
 }
 
 impl LinkOptions {
+    #[cfg(feature = "net")]
+    fn check(&self) -> anyhow::Result<()> {
+        self.address.check(self.seal.has_key())
+    }
+
     /// The link's session; opened if nobody has done so.
     #[cfg(feature = "net")]
     fn zenoh_session(&self) -> anyhow::Result<zenoh::Session> {
-        self.address.check(matches!(self.seal, Seal::Key(_)))?;
+        self.check()?;
         match &self.address {
             LinkAddress::Zenoh(address) => self.session.get(address, self.role),
             other => bail!("{other} is no link over zenoh"),
@@ -235,7 +264,7 @@ impl LinkOptions {
     }
 
     fn open(&self, scene: SceneHash, n_tools: usize) -> anyhow::Result<(super::link::Link, Identity)> {
-        let has_key = matches!(self.seal, Seal::Key(_));
+        let has_key = self.seal.has_key();
         #[cfg(feature = "net")]
         if let LinkAddress::Zenoh(_) = &self.address {
             let link = super::zenoh_link::link_over(self.zenoh_session()?, self.role)?;

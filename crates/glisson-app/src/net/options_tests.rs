@@ -82,6 +82,33 @@ mod over_zenoh {
     }
 
     #[test]
+    fn topics_that_others_could_reach_are_opened_only_when_told_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = folder.path().join("key");
+        std::fs::write(&key, "0123456789abcdef").unwrap();
+        let file = folder.path().join("open.json5");
+        std::fs::write(&file, "{ connect: { endpoints: ['tcp/192.0.2.1:7447'] } }").unwrap();
+        let (key, file) = (key.to_string_lossy(), format!("zenoh:{}", file.display()));
+        let sealed = ["--role", "simulation", "--link", "zenoh:", "--link-key", &key];
+        for (rest, words) in [
+            (&["--ros2-link", "zenoh:", "--ros2-control"][..], "moves the instruments"),
+            (&["--ros2-link", "zenoh:"], "sees organ"),
+            (&["--ros2-link", "zenoh:tcp/192.0.2.1:7447"], "(tcp/192.0.2.1:7447)"),
+            (&["--ros2-link", &file], "(tcp/192.0.2.1:7447)"),
+            // The key seals the link, not the topics.
+            (&sealed, "(multicast)"),
+        ] {
+            let net = line(&[&["--ros2"], rest].concat());
+            let over = net.ros2_over().unwrap();
+            let error = net.ros2_session(&over).err().unwrap().to_string();
+            assert!(error.contains(words) && error.contains("--ros2-open"), "{rest:?}: {error}");
+            let net = line(&[&["--ros2", "--ros2-open"], rest].concat());
+            let (Ros2Over::Own(address) | Ros2Over::Link(address)) = &over;
+            assert!(net.check_ros2(address).is_ok());
+        }
+    }
+
+    #[test]
     fn a_link_that_others_could_reach_needs_a_key_also_when_topics_ask_first() {
         let net = line(&["--role", "simulation", "--link", "zenoh:tcp/0.0.0.0:7000", "--ros2"]);
         let error = net.ros2_session(&net.ros2_over().unwrap()).err().unwrap().to_string();

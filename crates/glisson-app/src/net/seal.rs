@@ -34,6 +34,11 @@ impl Seal {
         Ok(Self::Key(Box::new(blake3::derive_key("glisson link 1", &content))))
     }
 
+    /// Whether only who has a key can write messages.
+    pub(crate) fn has_key(&self) -> bool {
+        matches!(self, Self::Key(_))
+    }
+
     /// The tag of `bytes`.
     pub(crate) fn tag(&self, bytes: &[u8]) -> [u8; TAG_BYTES] {
         let mut tag = [0; TAG_BYTES];

@@ -16,6 +16,7 @@ use glisson::tool::{Tool, ToolInput};
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Half of a link in memory that loses, doubles and delays one message in five each.
@@ -61,6 +62,8 @@ impl ReceiveHalf for MemoryReceiver {
     }
 
     fn trust_sender(&mut self) {}
+
+    fn ask_sender(&mut self) {}
 }
 
 pub(super) fn bad_links() -> (Link, Link) {
@@ -232,4 +235,78 @@ fn another_scene_the_same_role_and_strangers_are_refused_with_a_reason() {
     assert!(reason.contains("--role haptics"), "{reason}");
     let reason = refusal(Identity { seal: Seal::Key(Box::new([1; 32])), ..identity(Role::Haptics, 1) });
     assert!(reason.contains("--link-key"), "{reason}");
+}
+
+/// Keeps a copy of all that is sent.
+struct Overheard {
+    sender: Box<dyn SendHalf>,
+    copies: Arc<Mutex<Vec<Vec<u8>>>>,
+}
+
+impl SendHalf for Overheard {
+    fn send(&mut self, message: &[u8]) -> io::Result<()> {
+        self.copies.lock().unwrap().push(message.to_vec());
+        self.sender.send(message)
+    }
+}
+
+#[test]
+fn a_recorded_session_of_a_sealed_link_steers_nothing_and_the_real_machine_gets_through() {
+    let sealed = |role| Identity { seal: Seal::Key(Box::new([7; 32])), ..identity(role, 1) };
+    let address = free_address();
+    let copies = Arc::new(Mutex::new(Vec::new()));
+    {
+        let mut simulation =
+            SimulationEnd::start(udp(address, Role::Simulation).unwrap(), sealed(Role::Simulation));
+        let Link { sender, receiver } = udp(address, Role::Haptics).unwrap();
+        let sender = Box::new(Overheard { sender, copies: Arc::clone(&copies) });
+        let mut haptics = HapticsEnd::start(Link { sender, receiver }, sealed(Role::Haptics));
+        soon("some messages", || {
+            haptics.move_to(0.1);
+            copies.lock().unwrap().len() > 30
+        });
+        soon("the pose", || simulation.tool.motions.get().pose.tip_in_world_m.x == 0.1);
+        simulation.publish(1);
+        soon("the model", || haptics.models.get().model.step == 1);
+    }
+    let copies = std::mem::take(&mut *copies.lock().unwrap());
+    assert!(copies.len() > 10, "{}", copies.len());
+
+    let mut simulation =
+        SimulationEnd::start(udp(address, Role::Simulation).unwrap(), sealed(Role::Simulation));
+    let thief = UdpSocket::bind("127.0.0.1:0").unwrap();
+    thief.connect(address).unwrap();
+    thief.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+    let (mut n_sent, mut n_answers) = (0, 0);
+    let mut replay = |simulation: &mut SimulationEnd, n: usize| {
+        for copy in copies.iter().cycle().take(n) {
+            thief.send(copy).unwrap();
+            n_sent += 1;
+            n_answers += u32::from(thief.recv(&mut [0; 1 << 14]).is_ok());
+            let motion = simulation.tool.motions.get();
+            assert!(motion.pose.tip_in_world_m.x != 0.1, "{motion:?}");
+        }
+        (n_sent, n_answers)
+    };
+    replay(&mut simulation, 100);
+    // Longer than a silence after which an older session is believed.
+    std::thread::sleep(Duration::from_millis(1_100));
+    let (n_sent, n_answers) = replay(&mut simulation, 100);
+    assert!(n_answers <= n_sent, "{n_answers} answers to {n_sent} recorded messages");
+    let report = simulation.conversation.report();
+    assert!(report.counts.n_taken == 0 && !report.is_up && report.n_refused == 0, "{report:?}");
+    assert_eq!(simulation.tool.statuses.get(), DeviceStatus::Waiting);
+
+    // The real one comes while the thief goes on.
+    let mut haptics = HapticsEnd::start(udp(address, Role::Haptics).unwrap(), sealed(Role::Haptics));
+    haptics.move_to(0.3);
+    soon("the real pose", || {
+        replay(&mut simulation, 2);
+        simulation.tool.motions.get().pose.tip_in_world_m.x == 0.3
+    });
+    simulation.publish(2);
+    soon("the model", || haptics.models.get().model.step == 2);
+    replay(&mut simulation, 50);
+    let report = simulation.conversation.report();
+    assert!(report.is_up && report.counts.n_sessions == 1, "{report:?}");
 }

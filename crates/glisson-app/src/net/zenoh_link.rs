@@ -1,7 +1,7 @@
 //! A link over zenoh (feature `net`): two keys, one for each direction. Both sides publish without waiting; of what is
 //! received only the newest messages are kept.
 
-use super::link::{Link, ReceiveHalf, Role, SendHalf, ZenohAddress};
+use super::link::{Link, ReceiveHalf, Role, SendHalf, ZenohAddress, is_open};
 use anyhow::{Context, anyhow};
 use std::collections::VecDeque;
 use std::io;
@@ -70,6 +70,42 @@ fn closed_config(path: &Path) -> anyhow::Result<zenoh::Config> {
         try_again(&mut config)?;
     }
     Ok(config)
+}
+
+/// Through what strangers get to a session that a file sets up; none: through nothing.
+///
+/// # Errors
+/// When the file is no configuration.
+pub(super) fn open_door(path: &Path) -> anyhow::Result<Option<String>> {
+    let config = closed_config(path)?;
+    let value = |key: &str| -> anyhow::Result<serde_json::Value> {
+        let json = config.get_json(key).map_err(|e| anyhow!("{}: {key}: {e}", path.display()))?;
+        serde_json::from_str(&json).with_context(|| format!("{}: {key}", path.display()))
+    };
+    // Each setting may be one for all modes, or one for each.
+    let is_on = |value: serde_json::Value| match value {
+        serde_json::Value::Object(modes) => modes.values().any(|mode| *mode == true),
+        one => one == true,
+    };
+    if is_on(value("scouting/multicast/enabled")?) {
+        return Ok(Some("multicast".to_owned()));
+    }
+    let is_mutual = value("transport/link/tls/enable_mtls")? == true;
+    let mut endpoints = Vec::new();
+    for key in ["listen/endpoints", "connect/endpoints"] {
+        add_texts(&value(key)?, &mut endpoints);
+    }
+    Ok(endpoints.into_iter().find(|endpoint| is_open(endpoint, is_mutual)))
+}
+
+/// All texts of a list, or of lists in it.
+fn add_texts(value: &serde_json::Value, texts: &mut Vec<String>) {
+    match value {
+        serde_json::Value::String(text) => texts.push(text.clone()),
+        serde_json::Value::Array(items) => items.iter().for_each(|item| add_texts(item, texts)),
+        serde_json::Value::Object(items) => items.values().for_each(|item| add_texts(item, texts)),
+        _ => {}
+    }
 }
 
 /// Opens a session: as the one of the two machines that has the role.
@@ -172,4 +208,6 @@ impl ReceiveHalf for ZenohReceiver {
 
     /// Zenoh sends to whoever listens.
     fn trust_sender(&mut self) {}
+
+    fn ask_sender(&mut self) {}
 }

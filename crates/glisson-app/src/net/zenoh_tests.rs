@@ -243,6 +243,40 @@ fn files_open_no_door_that_they_do_not_mention_and_wrong_ones_are_named() {
     assert!(error.starts_with("nowhere.json5: "), "{error}");
 }
 
+#[test]
+fn files_that_let_strangers_in_need_a_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("zenoh.json5");
+    let address = LinkAddress::Zenoh(ZenohAddress::File(path.clone()));
+    let refusal = |text: &str| {
+        std::fs::write(&path, text).unwrap();
+        assert!(address.check(true).is_ok(), "{text}");
+        address.check(false).err().map(|error| error.to_string()).unwrap_or_default()
+    };
+    for (open, door) in [
+        ("{ listen: { endpoints: ['tcp/0.0.0.0:7447'] } }", "(tcp/0.0.0.0:7447)"),
+        ("{ connect: { endpoints: ['tls/192.0.2.1:1', 'udp/192.0.2.1:2'] } }", "(tls/192.0.2.1:1)"),
+        (
+            "{ connect: { endpoints: { peer: ['tls/192.0.2.1:1'], router: ['udp/192.0.2.1:2'] } }, transport: { link: \
+             { tls: { enable_mtls: true } } } }",
+            "(udp/192.0.2.1:2)",
+        ),
+        ("{ listen: { endpoints: ['tls/0.0.0.0:7447'] } }", "(tls/0.0.0.0:7447)"),
+        ("{ scouting: { multicast: { enabled: true } } }", "(multicast)"),
+    ] {
+        let error = refusal(open);
+        assert!(error.contains(door) && error.contains("--link-key"), "{open}: {error}");
+    }
+    for closed in [
+        "{ mode: 'peer' }",
+        "{ listen: { endpoints: ['tcp/127.0.0.1:7447'] } }",
+        "{ listen: { endpoints: ['quic/0.0.0.0:7447'] }, connect: { endpoints: ['tcp/localhost:1'] }, transport: { link: { \
+         tls: { enable_mtls: true } } } }",
+    ] {
+        assert_eq!(refusal(closed), "", "{closed}");
+    }
+}
+
 /// What a client of CRTK would have: a session of its own.
 struct Client {
     session: zenoh::Session,

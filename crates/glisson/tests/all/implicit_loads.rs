@@ -12,8 +12,8 @@ use glisson::model::implicit::{
     ImplicitError, ImplicitEuler, ImplicitLaw, ImplicitParams, ImplicitStatus, VolumeResistance,
 };
 use glisson::model::{
-    Attachment, Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, NodalForce,
-    Rayleigh, RestStress,
+    Attachment, Constraints, Correction, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement,
+    LocalModel, LocalWork, NodalForce, Rayleigh, RestStress,
 };
 use glisson::solve::{
     BoundaryConditions, NonlinearProblem, NonlinearSettings, P1Gradients, StaticProblem, add_gravity_forces,
@@ -749,4 +749,38 @@ fn the_cantilever_sinks_like_the_elastica() {
     // Pressure alone does not cure bending: on this mesh it is a fifth too stiff.
     let pressure = sunk_mm(VolumeResistance::NodeAveraged);
     assert!((pressure / 31.72 - 1.0).abs() > 0.1, "{pressure} mm");
+}
+
+/// What is asked between steps leaves no force behind, in a body without ligaments either.
+#[test]
+fn local_models_and_corrections_between_steps_change_no_force() {
+    let mesh = shaken_block([3, 3, 3], SIZE_M, 0.15, 4);
+    let fixed = clamped(&nodes_below(&mesh, 2, 0.01));
+    let law = ImplicitLaw::General(vec![std::sync::Arc::new(NeoHookeLog::from(&linear(0.4)))]);
+    let body = DynamicBody { damping: Rayleigh::of_mass(50.0), ..body(&mesh, &fixed) };
+    let mut models = [0; 3].map(|_| ImplicitEuler::build(&tight(body, &law)).unwrap());
+    let top = nodes_below(&mesh, 2, 1.0)
+        .into_iter()
+        .max_by(|a, b| mesh.positions_m[a.index()].z.total_cmp(&mesh.positions_m[b.index()].z));
+    let node = top.unwrap();
+    let pushed = ImposedDisplacement { node, displacement_m: DVec3::new(1e-3, 0.0, -4e-3) };
+    let mut work = LocalWork::with_room_for(mesh.positions_m.len());
+    let mut local = LocalModel::new();
+    let nudge = NodalForce { node: nodes_below(&mesh, 0, 0.01)[3], force_n: DVec3::new(0.01, 0.02, 0.0) };
+    for step in 0..200 {
+        let [plain, asked, corrected] = &mut models;
+        for model in [&mut *plain, &mut *asked, &mut *corrected] {
+            model.apply(&Constraints { displacements: vec![pushed], forces: Vec::new() });
+            model.step(0.01);
+        }
+        asked.local_model_into(&[node], 0.01, &mut work, &mut local);
+        if step == 20 {
+            corrected.correct_step(&[nudge], 0.01, Correction::Motion);
+        }
+        assert_eq!(asked.constraint_forces_n(), plain.constraint_forces_n(), "step {step}");
+        assert_eq!(bits(asked), bits(plain), "step {step}");
+    }
+    // At rest again, what came between is forgotten.
+    let [found_n, expected_n] = [&models[2], &models[0]].map(|model| model.constraint_forces_n()[0]);
+    assert!(found_n.distance(expected_n) < 1e-6 * expected_n.length(), "{found_n} {expected_n}");
 }

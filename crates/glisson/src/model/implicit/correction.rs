@@ -23,7 +23,7 @@ impl ImplicitEuler {
     }
 
     pub(super) fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
-        let mut moves_m = std::mem::take(&mut self.scratch.ligament_n);
+        let mut moves_m = std::mem::take(&mut self.scratch.before_m);
         self.answer(forces, &mut moves_m);
         if moves_m.iter().all(|m| m.is_finite()) {
             for (n, move_m) in moves_m.iter().enumerate() {
@@ -35,7 +35,7 @@ impl ImplicitEuler {
             // The law may have no energy in the corrected shape: the next step looks.
             self.is_suspect = true;
         }
-        self.scratch.ligament_n = moves_m;
+        self.scratch.before_m = moves_m;
         self.publish();
         self.report.kinetic_energy_j = self.kinetic_energy_j();
     }

@@ -44,7 +44,7 @@ impl ImplicitEuler {
         }
         let Some(lagged) = &mut self.lagged else { return };
         let (right, solution) = (&mut self.scratch.residual_n, &mut self.scratch.product_n);
-        let kept = &mut self.scratch.ligament_n;
+        let kept = &mut self.scratch.before_m;
         kept.copy_from_slice(right);
         let n = 3 * out.nodes.len();
         for (j, by) in out.nodes.iter().enumerate() {

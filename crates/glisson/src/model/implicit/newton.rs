@@ -54,7 +54,8 @@ pub(super) struct Scratch {
     start_force_n: Vec<DVec3>,
     force_n: Vec<DVec3>,
     direction_m: Vec<DVec3>,
-    before_m: Vec<DVec3>,
+    /// Displacements before a search along a line; free between steps, when others work with it.
+    pub(super) before_m: Vec<DVec3>,
     right_n: Vec<DVec3>,
     search_m: Vec<DVec3>,
     scaled_m: Vec<DVec3>,

@@ -99,7 +99,7 @@ impl Connection {
         let mut published = shared.published.clone();
         let mut controller = shared.control.watch();
         let first = Arc::clone(&published.borrow());
-        let (mut model, mut n_told, mut version) = (first.model, first.notices.len(), first.topology.version);
+        let (mut model, mut n_told, mut version) = (first.model, first.n_notices, first.topology.version);
         self.greet(&first).await?;
         published.mark_changed();
         controller.mark_changed();
@@ -115,10 +115,10 @@ impl Connection {
                         return self.say(messages::error("the simulation stopped; see the program's output")).await;
                     }
                     let latest = Arc::clone(&published.borrow_and_update());
-                    for notice in &latest.notices[n_told..] {
+                    for notice in latest.notices_after(n_told) {
                         self.say(messages::error(notice)).await?;
                     }
-                    n_told = latest.notices.len();
+                    n_told = latest.n_notices;
                     if latest.model != model {
                         model = latest.model;
                         self.greet(&latest).await?;

@@ -25,8 +25,6 @@ const TOLD_AGAIN: Duration = Duration::from_secs(2);
 
 /// How often a viewer hears what hands feel that a page holds: a choice, half a display's rate.
 const FEEL: Duration = Duration::from_millis(33);
-/// After a reset the simulation waits until the loop has seen that the instruments are home: some ticks. A choice.
-const HOMING: Duration = Duration::from_millis(5);
 
 /// A viewer's place; freed however its connection ends.
 struct Seat {
@@ -202,7 +200,7 @@ impl Connection {
             return;
         }
         if command == Command::Reset && !shared.hands.is_empty() {
-            tokio::time::sleep(HOMING).await;
+            tokio::time::sleep(shared.homing).await;
         }
         // A simulation that ended is told by the closed channel.
         let _ = shared.commands.send(command);

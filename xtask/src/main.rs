@@ -9,6 +9,7 @@ mod igtl;
 mod netns;
 mod network;
 mod ros2;
+mod served;
 mod setup;
 mod test;
 
@@ -57,6 +58,9 @@ enum Task {
     Network {
         /// A scene to show them, such as out/demo/scene.toml; one of its own for none
         scene: Option<PathBuf>,
+        /// Fail instead of skipping what cannot be had or run here
+        #[arg(long)]
+        require: bool,
     },
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
@@ -175,7 +179,10 @@ fn main() -> anyhow::Result<()> {
         }
         Task::Test { require_ct } => test::all(require_ct),
         Task::Soak { what, steps } => test::soak(what, steps),
-        Task::Network { scene } => network::all(scene.map(|scene| root().join(scene)).as_deref()),
+        Task::Network { scene, require } => {
+            let scene = scene.map(|scene| root().join(scene));
+            network::all(&network::Request { scene: scene.as_deref(), requires_all: require })
+        }
         Task::FetchCt => {
             let folder = ct::fetch()?;
             println!("real CT in {}", folder.display());

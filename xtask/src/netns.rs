@@ -1,12 +1,12 @@
 //! Two machines that are really apart for the system: two network name-spaces of Linux with a cable between them, the
-//! simulation in one and the haptic loop with a simulated device in the other. The cable is taken down for two seconds.
+//! simulation in one and the haptic loop with a simulated device in the other. The cable is taken down for two seconds, and what
+//! was recorded is replayed. Over UDP, and over zenoh by an address and by multicast.
 
-use crate::{command, finished_within};
+use crate::command;
+use crate::served::Served;
 use anyhow::{Context, ensure};
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 /// Until a process says what is waited for.
@@ -68,99 +68,63 @@ impl Drop for Apart {
     }
 }
 
-/// `glisson serve` in a name-space, and what it says.
-struct There {
-    process: Child,
-    lines: Receiver<String>,
+/// `glisson serve` in a name-space.
+fn serve(space: &str, program: &Path, scene: &Path, options: &[&str]) -> anyhow::Result<Served> {
+    let mut command = command("ip");
+    command.args(["netns", "exec", space]).arg(program).arg("serve").arg(scene).args(options);
+    Served::start(&mut command, space)
 }
 
-impl There {
-    fn start(space: &str, program: &str, scene: &Path, options: &[&str]) -> anyhow::Result<Self> {
-        let mut process = command("ip")
-            .args(["netns", "exec", space, program, "serve"])
-            .arg(scene)
-            .args(options)
-            .stdout(Stdio::piped())
-            .spawn()
-            .context("cannot start ip")?;
-        let out = process.stdout.take().context("its output is piped")?;
-        let (send, lines) = channel();
-        let space = space.to_owned();
-        std::thread::spawn(move || {
-            for line in BufReader::new(out).lines().map_while(Result::ok) {
-                println!("  {space}: {line}");
-                if send.send(line).is_err() {
-                    return;
-                }
-            }
-        });
-        Ok(Self { process, lines })
-    }
+/// How the two machines reach each other.
+const LINKS: [&str; 3] = ["udp://", "zenoh:tcp/", "zenoh:"];
 
-    /// Waits for a line with `text`.
-    fn says(&self, text: &str) -> anyhow::Result<String> {
-        let end = Instant::now() + PATIENCE;
-        while Instant::now() < end {
-            match self.lines.recv_timeout(Duration::from_millis(100)) {
-                Ok(line) if line.contains(text) => return Ok(line),
-                _ => {}
-            }
-        }
-        anyhow::bail!("nobody says {text:?}")
-    }
-
-    fn interrupt(&self) -> anyhow::Result<()> {
-        let id = self.process.id().to_string();
-        let status = Command::new("kill").args(["-INT", &id]).status().context("cannot start kill")?;
-        ensure!(status.success(), "kill -INT {id} failed");
-        Ok(())
-    }
-}
-
-impl Drop for There {
-    fn drop(&mut self) {
-        // It may have ended by itself, and gets a moment for it.
-        if !matches!(finished_within(Duration::from_secs(5), &mut self.process), Ok(Some(_))) {
-            let _ = self.process.kill();
-            let _ = self.process.wait();
-        }
-    }
-}
-
-/// Runs it; the answer is why it could not be, for none. The simulated device's hand pushes 10 mm from the instrument's home
-/// in `scene` along it: what is felt has to be there.
-pub(crate) fn two_machines(program: &str, scene: &Path) -> anyhow::Result<Option<String>> {
-    let apart = match Apart::new() {
-        Ok(apart) => apart,
-        Err(reason) => {
-            let what = "two machines in network name-spaces (they need Linux, root and iproute2)";
-            return Ok(Some(format!("{what}: {reason:#}")));
-        }
-    };
+/// Runs it over each link; the answer is why it could not be, for none. The simulated device's hand pushes 10 mm from the
+/// instrument's home in `scene` along it: what is felt has to be there.
+pub(crate) fn two_machines(program: &Path, scene: &Path) -> anyhow::Result<Option<String>> {
     let folder = scene.parent().context("a scene lies in a folder")?;
     let key = folder.join("link.key");
     std::fs::write(&key, format!("{:?} {}", Instant::now(), std::process::id()))?;
+    for link in LINKS {
+        // Anew for each: zenoh's multicast finds no one else there.
+        let apart = match Apart::new() {
+            Ok(apart) => apart,
+            Err(reason) => {
+                let what = "two machines in network name-spaces (they need Linux, root and iproute2)";
+                return Ok(Some(format!("{what}: {reason:#}")));
+            }
+        };
+        let link = if link == "zenoh:" { link.to_owned() } else { format!("{link}{}:{PORT}", ADDRESSES[0]) };
+        session(&apart, program, scene, &link, &key).with_context(|| format!("over {link}"))?;
+    }
+    Ok(None)
+}
+
+/// One session with its cut, and its replay.
+fn session(apart: &Apart, program: &Path, scene: &Path, link: &str, key: &Path) -> anyhow::Result<()> {
     let key = key.to_string_lossy().into_owned();
-    let link = format!("udp://{}:{PORT}", ADDRESSES[0]);
-    let of_link = ["--link", &link, "--link-key", &key];
+    let recording = scene.with_file_name("two-machines.jsonl");
+    let record = recording.to_string_lossy().into_owned();
+    let of_link = ["--link", link, "--link-key", &key];
     let [simulation, haptics] = &apart.names;
-    let simulating = [&["--role", "simulation", "--port", "0", "--no-open"], &of_link[..]].concat();
-    let simulation = There::start(simulation, program, scene, &simulating)?;
-    simulation.says("Glisson is at")?;
+    let simulating =
+        [&["--role", "simulation", "--port", "0", "--no-open", "--record", &record], &of_link[..]].concat();
+    let simulation = serve(simulation, program, scene, &simulating)?;
+    simulation.says("Glisson is at", PATIENCE)?;
     let feeling = [&["--role", "haptics", "--device", "simulated"], &of_link[..]].concat();
-    let haptics = There::start(haptics, program, scene, &feeling)?;
-    haptics.says("the simulation is there")?;
+    let haptics = serve(haptics, program, scene, &feeling)?;
+    haptics.says("the simulation is there", PATIENCE)?;
     std::thread::sleep(THERE);
     apart.cable("down")?;
-    haptics.says("nothing comes from the simulation")?;
+    haptics.says("nothing comes from the simulation", PATIENCE)?;
     std::thread::sleep(GONE);
     apart.cable("up")?;
-    haptics.says("the simulation is there")?;
+    haptics.says("the simulation is there", PATIENCE)?;
     std::thread::sleep(THERE);
     haptics.interrupt()?;
-    let felt = haptics.says("felt: ")?;
+    let felt = haptics.says("felt: ", PATIENCE)?;
     simulation.interrupt()?;
-    simulation.says("link: ")?;
+    let hash = simulation.says_after("stopped; state hash ", PATIENCE)?;
+    simulation.says("link: ", PATIENCE)?;
     let number = |name: &str| -> anyhow::Result<f64> {
         let (_, rest) =
             felt.split_once(&format!("\"{name}\":")).with_context(|| format!("no {name}: {felt}"))?;
@@ -172,5 +136,11 @@ pub(crate) fn two_machines(program: &str, scene: &Path) -> anyhow::Result<Option
     ensure!(number("greatest_force_taken_back_n")? < 1e-3, "a force without a simulation: {felt}");
     ensure!(number("greatest_force_given_again_n")? > 0.05, "nothing was felt after it: {felt}");
     ensure!(number("ramp_ticks")? > 150.0, "no ramps: {felt}");
-    Ok(None)
+
+    let replay = Command::new(program).arg("replay").arg(&recording).output().context("cannot replay")?;
+    let said = String::from_utf8_lossy(&replay.stdout);
+    let is_same = replay.status.success() && said.contains("same bits") && said.contains(&hash);
+    ensure!(is_same, "the replay of {record}, which ended with {hash}: {said}");
+    println!("over {link}: the session went on, and its recording replays to the same bits");
+    Ok(())
 }

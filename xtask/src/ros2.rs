@@ -1,7 +1,8 @@
 //! `glisson serve --ros2 --ros2-control` against other people's code: zenoh's Python package as router and client, and
 //! rosbags, which has CDR and the hashes of types of its own.
 
-use crate::igtl::Server;
+use crate::served::Served;
+use crate::test::SERVER_START;
 use crate::{finished_within, pip_install, setup, target};
 use anyhow::{Context, ensure};
 use std::net::TcpListener;
@@ -77,7 +78,7 @@ session.close()
 "#;
 
 /// Runs the client against a server of `scene`; the answer is why it could not be had, for none.
-pub(crate) fn client(program: &str, scene: &Path) -> anyhow::Result<Option<String>> {
+pub(crate) fn client(program: &Path, scene: &Path) -> anyhow::Result<Option<String>> {
     let folder = target().join("ros2-client");
     let packages = folder.to_string_lossy().into_owned();
     let installed = setup::require(&["python3", "python"], "python3", "a client of ROS 2's topics")
@@ -94,8 +95,8 @@ pub(crate) fn client(program: &str, scene: &Path) -> anyhow::Result<Option<Strin
         .spawn()
         .context("cannot start the client of ROS 2's topics")?;
     let link = format!("zenoh:tcp/127.0.0.1:{port}");
-    let server =
-        Server::start(program, scene, &["--ros2", "--ros2-control", "--ros2-link", &link], "Glisson is at ");
+    let server = Served::serve(program, scene, &["--ros2", "--ros2-control", "--ros2-link", &link])
+        .and_then(|server| server.says("Glisson is at ", SERVER_START).map(|_| server));
     let status = finished_within(if server.is_ok() { ANSWERING } else { Duration::ZERO }, &mut process)?;
     server?;
     let status = status.context("the client of ROS 2's topics did not end")?;

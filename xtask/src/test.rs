@@ -1,14 +1,14 @@
 //! `cargo xtask test`: every check, in the order of how soon it can fail.
 
+use crate::served::Served;
 use crate::{build_program, ct, program, root, run, run_in, setup};
-use anyhow::{Context, bail};
-use std::io::{BufRead, BufReader};
+use anyhow::Context;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
-use std::time::Instant;
+use std::process::Command;
+use std::time::{Duration, Instant};
 
-/// How long a server may take to say where it is [s]: set-up pre-computes a liver.
-const SERVER_START_S: u64 = 120;
+/// How long a server may take to say where it is: set-up pre-computes a liver.
+pub(crate) const SERVER_START: Duration = Duration::from_secs(120);
 /// The optional network, from the workspace's root.
 const NET: &str = "glisson-app/net";
 
@@ -152,62 +152,17 @@ pub(crate) fn soak(what: LongRun, steps: Option<u64>) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A running `glisson serve`; stopped when dropped.
-struct Server {
-    process: Child,
-    address: String,
-}
-
-impl Server {
-    fn start(scene: &Path, more: &[&str]) -> anyhow::Result<Self> {
-        let mut process = Command::new(program())
-            .args(["serve", "--port", "0", "--no-open"])
-            .args(more)
-            .arg(scene)
-            .current_dir(root())
-            .stdout(Stdio::piped())
-            .spawn()
-            .context("cannot start glisson serve")?;
-        let out = process.stdout.take().expect("its output is piped");
-        let (tell, told) = std::sync::mpsc::channel();
-        std::thread::spawn(move || {
-            for line in BufReader::new(out).lines().map_while(Result::ok) {
-                println!("  serve: {line}");
-                if let Some(at) = line.find("http://") {
-                    let address = line[at..].split_whitespace().next().unwrap_or("").to_string();
-                    // Nobody listens any more once the address was taken or waiting for it ended.
-                    let _ = tell.send(address);
-                }
-            }
-        });
-        let address = told.recv_timeout(std::time::Duration::from_secs(SERVER_START_S));
-        let mut server = Self { process, address: String::new() };
-        match address {
-            Ok(address) => server.address = address,
-            Err(_) => bail!("glisson serve did not tell its address within {SERVER_START_S} s"),
-        }
-        Ok(server)
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        // It may have ended by itself.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
-
 fn browser(scene: &Path) -> anyhow::Result<()> {
     let chromium = setup::chromium()?;
     // All of it, and dragging again with the page as a device.
     for (tests, more) in [("test:browser", &[][..]), ("test:drag", &["--device", "viewer"])] {
-        let server = Server::start(scene, more)?;
-        println!("$ npm run {tests} (GLISSON_URL={}) {}", server.address, more.join(" "));
+        let server = Served::serve(&program(), scene, more)?;
+        let address = format!("http://{}", server.says_after("http://", SERVER_START)?);
+        println!("$ npm run {tests} (GLISSON_URL={address}) {}", more.join(" "));
         let status = Command::new("npm")
             .args(["run", tests])
             .current_dir(root().join("web"))
-            .env("GLISSON_URL", &server.address)
+            .env("GLISSON_URL", &address)
             .env("CHROMIUM", &chromium)
             .status()
             .context("cannot start npm")?;

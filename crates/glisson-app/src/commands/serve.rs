@@ -64,6 +64,15 @@ struct Network {
     shows: Vec<Show>,
 }
 
+/// Whether a browser is opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Opening {
+    No,
+    /// The address has the token in it, and a browser's arguments stand in the list of processes.
+    NotWithToken,
+    Yes,
+}
+
 /// Where the viewer is served.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Address {
@@ -77,7 +86,7 @@ pub(crate) struct Address {
     /// which other users of the machine do not see. An address that is not this machine's own gets a random one
     #[arg(long, value_name = "TEXT")]
     token: Option<String>,
-    /// Do not open a browser
+    /// Do not open a browser; with a token none is opened
     #[arg(long)]
     no_open: bool,
 }
@@ -106,13 +115,19 @@ impl Address {
         let access = Access::for_address(address.ip(), self.given_token())?;
         let page = server::page_address(address) + &access.address_suffix();
         println!("Glisson is at {page}  (Ctrl-C stops it)");
-        if !self.no_open && std::env::var_os("DISPLAY").is_some() {
+        match self.opens_browser(access.needs_token(), std::env::var_os("DISPLAY").is_some()) {
+            Opening::No => {}
+            Opening::NotWithToken => println!(
+                "open it in a browser; it is not done here, where all users see a program's arguments"
+            ),
             // Without a browser to open, the printed address is enough.
-            let _ = std::process::Command::new("xdg-open")
-                .arg(&page)
-                .stdout(std::process::Stdio::null())
-                .stderr(std::process::Stdio::null())
-                .spawn();
+            Opening::Yes => drop(
+                std::process::Command::new("xdg-open")
+                    .arg(&page)
+                    .stdout(std::process::Stdio::null())
+                    .stderr(std::process::Stdio::null())
+                    .spawn(),
+            ),
         }
         let Network { remote, remote_figures, shows } = network;
         let service = Service { held, haptics, remote, remote_figures, shows, ..Service::to(access) };
@@ -127,6 +142,14 @@ impl Address {
         }
         println!("stopped; state hash {}", ended.state_hash);
         Ok(())
+    }
+
+    fn opens_browser(&self, needs_token: bool, has_display: bool) -> Opening {
+        match (self.no_open || !has_display, needs_token) {
+            (true, _) => Opening::No,
+            (false, true) => Opening::NotWithToken,
+            (false, false) => Opening::Yes,
+        }
     }
 
     fn given_token(&self) -> Option<String> {
@@ -216,4 +239,24 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         println!("{}", conversation.report().to_text());
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_token_stands_in_no_browsers_arguments() {
+        let address = |no_open| Address { host: "127.0.0.1".into(), port: 0, token: None, no_open };
+        for (no_open, needs_token, has_display, expected) in [
+            (false, false, true, Opening::Yes),
+            (false, true, true, Opening::NotWithToken),
+            (false, false, false, Opening::No),
+            (false, true, false, Opening::No),
+            (true, true, true, Opening::No),
+            (true, false, true, Opening::No),
+        ] {
+            assert_eq!(address(no_open).opens_browser(needs_token, has_display), expected);
+        }
+    }
 }

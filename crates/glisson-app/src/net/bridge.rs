@@ -187,18 +187,18 @@ struct TissuesIn {
     holds: bool,
     collected: SurfaceIn,
     status: Arc<Mutex<HeldSurface>>,
-    lists: Sender<SurfaceList>,
+    lists: Sender<(u64, SurfaceList)>,
 }
 
-/// Makes the search of each surface that came, in a thread of its own: messages and detection go on beside it. It ends with
+/// Makes the search of each surface that came with its hash, in a thread of its own: messages and detection go on beside it. It ends with
 /// the link.
-fn build_surfaces(surfaces: SyncSender<NamedSurface>) -> std::io::Result<Sender<SurfaceList>> {
-    let (lists_in, lists) = channel::<SurfaceList>();
+fn build_surfaces(surfaces: SyncSender<NamedSurface>) -> std::io::Result<Sender<(u64, SurfaceList)>> {
+    let (lists_in, lists) = channel::<(u64, SurfaceList)>();
     let build = move || {
-        for list in lists {
+        for (hash, list) in lists {
             match SurfaceCopy::new(&list) {
                 Ok(copy) => {
-                    let named = NamedSurface { hash: name_of(&list).hash, copy: Box::new(copy) };
+                    let named = NamedSurface { hash, copy: Box::new(copy) };
                     if surfaces.send(named).is_err() {
                         return;
                     }
@@ -216,9 +216,9 @@ impl Incoming for TissuesIn {
         let (tissues, surface) = match content {
             Content::Tissues { tissues, surface } => (tissues, surface),
             Content::Piece(piece) => {
-                if let Some(list) = self.collected.take(piece) {
+                if let Some(surface) = self.collected.take(piece) {
                     // The thread ends with this side.
-                    let _ = self.lists.send(list);
+                    let _ = self.lists.send(surface);
                 }
                 return write(&self.status, self.collected.status());
             }

@@ -16,9 +16,9 @@ use glisson::mesh::NodeId;
 use glisson::tool::found::Detected;
 use glisson::tool::{MAX_TOOLS, Tool, ToolInput, ToolKind};
 use glisson::world::detection::{SurfaceCopy, ToolDetector};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::Receiver;
-use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -272,9 +272,7 @@ impl Detection {
     ) -> std::io::Result<Self> {
         let (ends, counts) = (Arc::new(AtomicBool::new(false)), Arc::new(Counts::default()));
         let (stop, counted) = (Arc::clone(&ends), Arc::clone(&counts));
-        // The channel is for one reader; the lock is never contended.
-        let surfaces = Mutex::new(surfaces);
-        let run = move || watch(tools, surface, &surfaces, &counted, &stop);
+        let run = move || watch(tools, surface, surfaces, &counted, &stop);
         let thread = std::thread::Builder::new().name("detection".into()).spawn(run)?;
         Ok(Self { ends, counts, thread: Some(thread) })
     }
@@ -307,10 +305,11 @@ impl Drop for Detection {
     }
 }
 
+#[expect(clippy::needless_pass_by_value, reason = "a receiver belongs to the thread that reads it")]
 fn watch(
     mut tools: Vec<Watched>,
     mut surface: Option<NamedSurface>,
-    surfaces: &Mutex<Receiver<NamedSurface>>,
+    surfaces: Receiver<NamedSurface>,
     counts: &Counts,
     stop: &AtomicBool,
 ) {
@@ -321,9 +320,7 @@ fn watch(
     }
     let (mut refreshed_ns, mut refresh_took_ns) = (0, 0);
     while !stop.load(Ordering::Relaxed) {
-        if let Ok(surfaces) = surfaces.lock()
-            && let Ok(new) = surfaces.try_recv()
-        {
+        if let Ok(new) = surfaces.try_recv() {
             surface = Some(new);
             Counts::add(&counts.n_surfaces);
         }

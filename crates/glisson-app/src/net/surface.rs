@@ -128,8 +128,8 @@ impl SurfaceIn {
         HeldSurface { held: self.held, collects: self.name.hash, first_missing: self.first_missing, has }
     }
 
-    /// Takes a piece; answers the surface when it was the last one.
-    pub(crate) fn take(&mut self, piece: SurfacePiece) -> Option<SurfaceList> {
+    /// Takes a piece; answers the surface and its hash when it was the last one.
+    pub(crate) fn take(&mut self, piece: SurfacePiece) -> Option<(u64, SurfaceList)> {
         let SurfacePiece { surface, index, items } = piece;
         if surface != self.name || self.has.get(index as usize).is_none_or(|has| *has) {
             return None;
@@ -158,7 +158,7 @@ impl SurfaceIn {
             return None;
         }
         self.held = name.hash;
-        Some(list)
+        Some((name.hash, list))
     }
 }
 
@@ -214,7 +214,7 @@ mod tests {
                 status = receiver.status();
             }
         }
-        assert_eq!(found.unwrap(), *sent);
+        assert_eq!(found.unwrap(), (out.name().hash, list(10_000, 3)));
         assert_eq!(out.piece(&receiver.status()), None);
         assert!(receiver.status().held == out.name().hash && receiver.status().collects == 0);
     }

@@ -1,10 +1,63 @@
-//! What went wrong in steps, in words: told when it begins, not in every step.
+//! What the user should know, in words; and what went wrong in steps: told when it begins, not in every step.
 
 use glisson::model::ModelReport;
 use glisson::world::StepReport;
 
-/// Notices of one run beyond which no more are told: a screen full of them helps nobody.
-pub(super) const MOST_NOTICES: usize = 100;
+/// Incidents of one run beyond which no more are told: a screen full of them helps nobody.
+const MOST_INCIDENTS: usize = 100;
+/// Notices that are kept, the newest ones: what is said last, that a device was lost, must not go under in what was said before.
+const MOST_NOTICES: usize = 100;
+
+/// Things that are told once in a run, with the numbers of the first time: they would be told with other numbers again and again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Once {
+    /// Tissue is stretched too far and does not tear.
+    TearRefusal,
+    /// Faces of this instrument's cut merged.
+    MergedFaces(usize),
+    /// Time passes more slowly, though as little as possible is computed.
+    TimeIsSlow,
+}
+
+/// What the user should know, in order.
+#[derive(Debug, Default)]
+pub(super) struct Notices {
+    newest: Vec<String>,
+    n_told: usize,
+    once: Vec<Once>,
+}
+
+impl Notices {
+    /// A key that is held down asks for the same again and again: what was just said is not repeated.
+    pub(super) fn tell(&mut self, notice: String) {
+        if self.newest.last() == Some(&notice) {
+            return;
+        }
+        if self.newest.len() == MOST_NOTICES {
+            self.newest.remove(0);
+        }
+        self.newest.push(notice);
+        self.n_told += 1;
+    }
+
+    /// Tells it if nothing of the kind was told.
+    pub(super) fn tell_once(&mut self, kind: Once, notice: impl FnOnce() -> String) {
+        if !self.once.contains(&kind) {
+            self.once.push(kind);
+            self.tell(notice());
+        }
+    }
+
+    /// The newest ones.
+    pub(super) fn newest(&self) -> &[String] {
+        &self.newest
+    }
+
+    /// How many were told altogether.
+    pub(super) fn n_told(&self) -> usize {
+        self.n_told
+    }
+}
 
 /// Remembers what was told.
 #[derive(Debug, Default)]
@@ -43,7 +96,7 @@ impl Incidents {
             let n = now.n_ignored_constraints;
             notices.push(format!("{n} constraints were left out: on fixed or loose nodes, or not finite"));
         }
-        notices.truncate(MOST_NOTICES - self.n_told);
+        notices.truncate(MOST_INCIDENTS - self.n_told);
         self.n_told += notices.len();
         notices.into_iter().map(|notice| format!("step {}: {notice}", report.step)).collect()
     }
@@ -53,6 +106,22 @@ impl Incidents {
 mod tests {
     use super::*;
     use glisson::mesh::TetId;
+
+    #[test]
+    fn what_is_told_last_is_there_however_much_was_told_before() {
+        let mut notices = Notices::default();
+        for number in 0..500 {
+            notices.tell(format!("notice {number}"));
+            notices.tell(format!("notice {number}"));
+            notices.tell_once(Once::MergedFaces(number % 2), || format!("merged {number}"));
+            notices.tell_once(Once::TimeIsSlow, || format!("slow {number}"));
+        }
+        notices.tell("the device was lost".to_owned());
+        assert_eq!(notices.newest().len(), MOST_NOTICES);
+        assert_eq!(notices.newest()[MOST_NOTICES - 2..], ["notice 499", "the device was lost"]);
+        // Two instruments and the pace, once each.
+        assert_eq!(notices.n_told(), 500 + 3 + 1);
+    }
 
     #[test]
     fn an_incident_is_told_when_it_begins_and_again_when_it_comes_back() {

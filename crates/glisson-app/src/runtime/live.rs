@@ -70,8 +70,9 @@ pub(crate) struct Published {
     pub(crate) pace: Pace,
     pub(crate) state_hash: StateHash,
     pub(crate) model: ModelKind,
-    /// What the user should know, in order.
+    /// What the user should know, in order: the newest, and how many there were altogether.
     pub(crate) notices: Vec<String>,
+    pub(crate) n_notices: usize,
     pub(crate) lateness: Lateness,
     pub(crate) effort: Effort,
     /// How long steps take, up to now and not only up to this state.
@@ -120,7 +121,7 @@ impl Published {
         let topology = known
             .filter(|topology| topology.version == snapshot.topology_version)
             .map_or_else(|| Arc::new(world.display_topology()), Arc::clone);
-        let notices = simulation.notices().to_vec();
+        let (notices, n_notices) = (simulation.notices().to_vec(), simulation.n_notices());
         Self {
             snapshot,
             topology,
@@ -128,10 +129,17 @@ impl Published {
             state_hash,
             model: world.model_kind(),
             notices,
+            n_notices,
             lateness: Lateness::default(),
             effort: world.effort(),
             meters: Arc::clone(meters),
         }
+    }
+
+    /// Those that came after the first `n_told` ones, but for what is no longer kept.
+    pub(crate) fn notices_after(&self, n_told: usize) -> &[String] {
+        let n_new = self.n_notices.saturating_sub(n_told).min(self.notices.len());
+        &self.notices[self.notices.len() - n_new..]
     }
 }
 
@@ -306,15 +314,12 @@ impl Live {
         let before = self.simulation.world().effort();
         let matters = self.simulation.set_effort(effort)?;
         let (name, is_less) = (effort.name(), effort < before);
-        let factor = load.real_time_factor;
         if matters && is_less {
             self.simulation.tell(format!("the simulation is late: it computes with {name} effort now"));
         } else if matters {
             self.simulation.tell(format!("the simulation keeps pace again: it computes with {name} effort"));
         } else if is_less && before == Effort::Full {
-            self.simulation.tell(format!(
-                "the simulation is late and cannot compute less: time passes at {factor:.2} x"
-            ));
+            self.simulation.tell_slow_time(load.real_time_factor);
         } else if effort == Effort::Full {
             self.simulation.tell("the simulation keeps pace again".to_owned());
         }

@@ -30,7 +30,7 @@ use glisson::record::session::SessionEvent;
 use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::{StepInput, StepReport, World};
-use incidents::{Incidents, MOST_NOTICES};
+use incidents::{Incidents, Notices, Once};
 use recorder::Recorder;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -75,7 +75,7 @@ pub(crate) struct Simulation {
     recorder: Option<Recorder>,
     builder: Option<JoinHandle<BuiltModel>>,
     incidents: Incidents,
-    notices: Vec<String>,
+    notices: Notices,
     /// Tools whose cut was refused in the last step.
     refused_last: [bool; MAX_TOOLS],
     /// Whether a fresh pre-computation is ordered when the model asks for one; in a replay the session says so.
@@ -83,7 +83,6 @@ pub(crate) struct Simulation {
     is_live: bool,
     /// Tetrahedra that tore.
     n_torn: usize,
-    told_tear_refusal: bool,
     /// Whose paths instruments follow that nobody has taken into the hand.
     script: Option<Scene>,
     is_taken: [bool; MAX_TOOLS],
@@ -108,12 +107,11 @@ impl Simulation {
             recorder,
             builder: None,
             incidents: Incidents::default(),
-            notices: Vec::new(),
+            notices: Notices::default(),
             refused_last: [false; MAX_TOOLS],
             orders_recomputations: true,
             is_live: true,
             n_torn: 0,
-            told_tear_refusal: false,
             script: None,
             is_taken: [false; MAX_TOOLS],
         })
@@ -186,7 +184,7 @@ impl Simulation {
                 report.n_non_finite_nodes
             );
         }
-        self.notices.extend(self.incidents.of_step(&report));
+        self.incidents.of_step(&report).into_iter().for_each(|incident| self.notices.tell(incident));
         let is_asked = report.model.wants_recomputation && self.builder.is_none();
         if is_asked && std::mem::take(&mut self.orders_recomputations) {
             self.order_model(self.world.model_kind(), report.step + self.recomputation_steps())?;
@@ -206,19 +204,20 @@ impl Simulation {
             self.tell("tissue tears: an instrument pushes or pulls harder than it bears".to_owned());
         }
         self.n_torn += cuts.n_torn;
-        if let Some(refusal) = cuts.tear_refusal
-            && !std::mem::replace(&mut self.told_tear_refusal, true)
-        {
-            self.tell(format!("tissue is stretched too far and does not tear: {refusal}"));
+        if let Some(refusal) = &cuts.tear_refusal {
+            let notice = || format!("tissue is stretched too far and does not tear: {refusal}");
+            self.notices.tell_once(Once::TearRefusal, notice);
         }
         for (tool, stroke) in cuts.strokes.iter().filter(|(_, stroke)| stroke.n_merged > 0) {
             let (cut_mm2, swept_mm2) = (1e6 * stroke.cut_area_m2, 1e6 * stroke.swept_area_m2);
             let name = &self.world.tools()[*tool].name;
-            self.tell(format!(
-                "the {name} opened {cut_mm2:.0} mm2 where its edge swept {swept_mm2:.0} mm2: faces of the cut merged with others \
-                 nearby; worst angle of a tetrahedron {:.1} degrees",
-                stroke.worst_dihedral_deg.unwrap_or(180.0)
-            ));
+            self.notices.tell_once(Once::MergedFaces(*tool), || {
+                format!(
+                    "the {name} opened {cut_mm2:.0} mm2 where its edge swept {swept_mm2:.0} mm2: faces of the cut merged with \
+                     others nearby; worst angle of a tetrahedron {:.1} degrees (told once)",
+                    stroke.worst_dihedral_deg.unwrap_or(180.0)
+                )
+            });
         }
         for (tool, refusal) in cuts.refusals {
             if !std::mem::replace(&mut refuses[tool], true) && !self.refused_last[tool] {
@@ -256,11 +255,16 @@ impl Simulation {
         self.tell(format!("the {kind} model cannot take over: {error:#}"));
     }
 
-    /// A key that is held down asks for the same again and again: what was just said is not repeated.
+    /// What was just said is not repeated.
     pub(crate) fn tell(&mut self, notice: String) {
-        if self.notices.last() != Some(&notice) && self.notices.len() < MOST_NOTICES {
-            self.notices.push(notice);
-        }
+        self.notices.tell(notice);
+    }
+
+    /// Tells how fast time passes where no less can be computed; once.
+    pub(crate) fn tell_slow_time(&mut self, real_time_factor: f64) {
+        self.notices.tell_once(Once::TimeIsSlow, || {
+            format!("the simulation is late and cannot compute less: time passes at {real_time_factor:.2} x")
+        });
     }
 
     /// Tetrahedra that tore since the start.
@@ -268,9 +272,14 @@ impl Simulation {
         self.n_torn
     }
 
-    /// What the user should know: why ordered models could not take over, what went wrong in steps. In order.
+    /// What the user should know: why ordered models could not take over, what went wrong in steps. In order, the newest.
     pub(crate) fn notices(&self) -> &[String] {
-        &self.notices
+        self.notices.newest()
+    }
+
+    /// How many notices there were, with those that are no longer kept.
+    pub(crate) fn n_notices(&self) -> usize {
+        self.notices.n_told()
     }
 
     /// What the haptic loop evaluates for an instrument until the next step.

@@ -53,6 +53,11 @@ impl Access {
         Ok(Self { token })
     }
 
+    /// Whether only who knows a token may connect.
+    pub(crate) fn needs_token(&self) -> bool {
+        self.token.is_some()
+    }
+
     /// What has to follow the page's address, `?token=...` or nothing.
     pub(crate) fn address_suffix(&self) -> String {
         self.token.as_ref().map_or_else(String::new, |token| format!("?token={token}"))

@@ -4,6 +4,16 @@
 use crate::devices::viewer::PageHand;
 use crate::runtime::live::Command;
 use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+/// Periods of the haptic loop that the simulation waits after a reset, until the loop has seen that the instruments are home.
+/// A choice: it sees it with its next tick, which may be late.
+const HOMING_PERIODS: f64 = 5.0;
+
+/// How long the simulation waits after a reset when a page holds instruments in a loop of so many ticks a second.
+pub(super) fn homing(rate_hz: f64) -> Duration {
+    Duration::from_secs_f64(HOMING_PERIODS / rate_hz)
+}
 
 /// One for each instrument that a page holds. The loop is at the other ends: it never waits for these locks.
 pub(super) struct Hands {

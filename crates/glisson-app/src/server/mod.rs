@@ -3,6 +3,7 @@
 pub(crate) mod access;
 mod control;
 mod hands;
+mod limits;
 pub(crate) mod frames;
 mod messages;
 mod socket;
@@ -24,11 +25,13 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use control::Control;
 use hands::Hands;
+use limits::Places;
 use messages::HapticsAt;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
 use std::thread::JoinHandle;
+use std::time::Duration;
 use steering::Steering;
 use tokio::sync::watch;
 
@@ -53,6 +56,8 @@ struct Shared {
     remote_figures: Option<RemoteFigures>,
     /// Instruments that the page in control holds as devices.
     hands: Hands,
+    /// What the haptic loop needs to see that they are home.
+    homing: Duration,
 }
 
 /// Starts something that shows what is published, until the other end is gone; it may take a seat at the controls.
@@ -141,6 +146,7 @@ pub(crate) fn serve(
     let steering = Steering::new(Arc::clone(&control), commands.clone());
     let shows: Vec<_> =
         shows.into_iter().map(|show| show(published.clone(), &steering)).collect::<Result<_, _>>()?;
+    let homing = hands::homing(haptics.rate_hz);
     let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
     let simulation_thread = std::thread::Builder::new()
         .name("simulation".into())
@@ -154,13 +160,14 @@ pub(crate) fn serve(
         haptics_at,
         remote_figures,
         hands,
+        homing,
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let served = runtime.block_on(async {
         let mut alive = shared.published.clone();
         tokio::spawn(tell_hands(Arc::clone(&shared)));
         let listener = tokio::net::TcpListener::from_std(listener)?;
-        let server = axum::serve(listener, router(shared, access)).into_future();
+        let server = axum::serve(Places::new(listener), router(shared, access)).into_future();
         tokio::select! {
             result = server => result.context("the server stopped"),
             () = stop => Ok(()),
@@ -210,10 +217,11 @@ pub(crate) async fn stop_signal() {
 }
 
 fn router(shared: Arc<Shared>, access: Access) -> Router {
-    Router::new()
-        .route("/ws", get(socket::open))
+    let api = Router::new()
         .route("/api/scene", get(scene))
         .route("/api/snapshot", get(latest_snapshot))
+        .route_layer(from_fn_with_state(Arc::<limits::Asked>::default(), limits::guard_api));
+    api.route("/ws", get(socket::open))
         .route("/", get(|| async { viewer_file("index.html") }))
         .route("/{*path}", get(|UrlPath(path): UrlPath<String>| async move { viewer_file(&path) }))
         .layer(from_fn_with_state(Arc::new(access), access::guard))

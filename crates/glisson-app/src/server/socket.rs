@@ -25,8 +25,6 @@ const TOLD_AGAIN: Duration = Duration::from_secs(2);
 
 /// How often a viewer hears what hands feel that a page holds: a choice, half a display's rate.
 const FEEL: Duration = Duration::from_millis(33);
-/// After a reset the simulation waits until the loop has seen that the instruments are home: some ticks. A choice.
-const HOMING: Duration = Duration::from_millis(5);
 
 /// A viewer's place; freed however its connection ends.
 struct Seat {
@@ -99,7 +97,7 @@ impl Connection {
         let mut published = shared.published.clone();
         let mut controller = shared.control.watch();
         let first = Arc::clone(&published.borrow());
-        let (mut model, mut n_told, mut version) = (first.model, first.notices.len(), first.topology.version);
+        let (mut model, mut n_told, mut version) = (first.model, first.n_notices, first.topology.version);
         self.greet(&first).await?;
         published.mark_changed();
         controller.mark_changed();
@@ -115,10 +113,10 @@ impl Connection {
                         return self.say(messages::error("the simulation stopped; see the program's output")).await;
                     }
                     let latest = Arc::clone(&published.borrow_and_update());
-                    for notice in &latest.notices[n_told..] {
+                    for notice in latest.notices_after(n_told) {
                         self.say(messages::error(notice)).await?;
                     }
-                    n_told = latest.notices.len();
+                    n_told = latest.n_notices;
                     if latest.model != model {
                         model = latest.model;
                         self.greet(&latest).await?;
@@ -202,7 +200,7 @@ impl Connection {
             return;
         }
         if command == Command::Reset && !shared.hands.is_empty() {
-            tokio::time::sleep(HOMING).await;
+            tokio::time::sleep(shared.homing).await;
         }
         // A simulation that ended is told by the closed channel.
         let _ = shared.commands.send(command);

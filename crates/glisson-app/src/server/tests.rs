@@ -1,10 +1,13 @@
 //! The server on real sockets: who gets in, who controls, what is too much.
 
 use super::*;
+use crate::devices::{DeviceName, open_standing};
 use crate::runtime::OpenScene;
+use crate::runtime::haptic_loop::join;
+use glisson::tool::Tool;
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
 use tungstenite::{Message, WebSocket};
@@ -19,10 +22,20 @@ struct Server {
     address: SocketAddr,
     stop: Option<tokio::sync::oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<anyhow::Result<Served>>>,
+    has_loop: bool,
 }
 
 impl Server {
     fn start(token: Option<&str>) -> Self {
+        Self::start_with(token, 1_000.0, |_| Vec::new())
+    }
+
+    /// With devices, which get the instruments, in a loop of so many ticks a second.
+    fn start_with(
+        token: Option<&str>,
+        rate_hz: f64,
+        held: impl FnOnce(&[Tool]) -> Vec<(HeldTool, ToolLink)>,
+    ) -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("body.tet"), MESH).unwrap();
         std::fs::write(folder.path().join("scene.toml"), SCENE).unwrap();
@@ -33,10 +46,14 @@ impl Server {
         // As if it listened elsewhere, when there is a token.
         let access = Access::for_address(address.ip(), token.map(str::to_owned)).unwrap();
         let (stop, stopped) = tokio::sync::oneshot::channel();
+        let held = held(simulation.world().tools());
+        let has_loop = !held.is_empty();
         let thread = std::thread::spawn(move || {
-            serve(simulation, listener, Service::to(access), async { drop(stopped.await) })
+            let haptics = HapticSettings { rate_hz, ..HapticSettings::default() };
+            let service = Service { held, haptics, ..Service::to(access) };
+            serve(simulation, listener, service, async { drop(stopped.await) })
         });
-        Self { address, stop: Some(stop), thread: Some(thread) }
+        Self { address, stop: Some(stop), thread: Some(thread), has_loop }
     }
 
     fn request(&self, path: &str, headers: &[(&'static str, &str)]) -> Result<Viewer, u16> {
@@ -73,7 +90,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         let _ = self.stop.take().map(|stop| stop.send(()));
         let served = self.thread.take().unwrap().join().unwrap().unwrap();
-        assert!(served.haptics.is_none());
+        assert_eq!(served.haptics.is_some(), self.has_loop);
     }
 }
 
@@ -274,4 +291,72 @@ fn bytes_that_are_no_protocol_at_all_do_not_stop_the_server() {
         let _ = stream.read(&mut [0; 1_000]);
     }
     assert_eq!(server.connect().hear("hello")["type"], "hello");
+}
+
+#[test]
+fn a_reset_waits_for_a_slow_haptic_loop_to_see_the_hand_at_home() {
+    const RATE_HZ: f64 = 100.0;
+    let server = Server::start_with(None, RATE_HZ, |tools| {
+        let home = tools[0].home;
+        let device = open_standing(&DeviceName::Viewer, &home, None, None, RATE_HZ).unwrap();
+        vec![join(device, 0, home)]
+    });
+    let mut viewer = server.connect();
+    assert_eq!(viewer.role(), "controller");
+    let begin = Instant::now();
+    viewer.say(r#"{"type":"reset"}"#);
+    // What comes after it is answered after it.
+    viewer.say(r#"{"type":"nonsense"}"#);
+    viewer.hear("error");
+    // Five ticks of 10 ms.
+    assert!(begin.elapsed() >= Duration::from_millis(50), "{:?}", begin.elapsed());
+}
+
+#[test]
+fn connections_beyond_so_many_are_told_and_the_viewers_stay() {
+    let server = Server::start(None);
+    let mut viewer = server.connect();
+    let mut idle: Vec<TcpStream> =
+        (1..limits::MOST_CONNECTIONS).map(|_| TcpStream::connect(server.address).unwrap()).collect();
+    let question = "GET /api/scene HTTP/1.1\r\nHost: localhost";
+    let answer = server.http(question);
+    assert!(answer.starts_with("HTTP/1.1 503") && answer.contains("connections are taken"), "{answer}");
+    viewer.hear("timing");
+    // Who leaves makes room.
+    idle.truncate(limits::MOST_CONNECTIONS / 2);
+    let begin = Instant::now();
+    while !server.http(question).starts_with("HTTP/1.1 200") {
+        assert!(begin.elapsed() < Duration::from_secs(10));
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn the_api_answers_so_often_and_then_says_that_it_was_too_often() {
+    let server = Server::start(None);
+    let mut stream = TcpStream::connect(server.address).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+    let mut reader = stream.try_clone().unwrap();
+    let asking = std::thread::spawn(move || {
+        let question = "GET /api/scene HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(2_000);
+        // It ends when the server is gone.
+        let _ = stream.write_all(question.as_bytes());
+        stream
+    });
+    let (mut said, mut bytes) = (String::new(), [0; 1 << 16]);
+    while !said.contains("429 Too Many Requests") || !said.contains("too often") {
+        let n = reader.read(&mut bytes).unwrap();
+        assert!(n > 0, "{} answers", said.matches("HTTP/1.1 200").count());
+        said.push_str(&String::from_utf8_lossy(&bytes[..n]));
+    }
+    assert!(said.matches("HTTP/1.1 200").count() >= 500 && said.contains("retry-after: 1"));
+    // The page is not the API, and after a while neither is too much.
+    assert!(server.http("GET / HTTP/1.1\r\nHost: localhost").starts_with("HTTP/1.1 200"));
+    reader.shutdown(std::net::Shutdown::Both).unwrap();
+    drop(asking.join());
+    let begin = Instant::now();
+    while !server.http("GET /api/snapshot HTTP/1.1\r\nHost: localhost").starts_with("HTTP/1.1 200") {
+        assert!(begin.elapsed() < Duration::from_secs(10));
+        std::thread::sleep(Duration::from_millis(10));
+    }
 }

@@ -46,6 +46,7 @@ pub(in crate::net) fn published(step: u64) -> Arc<Published> {
         model: ModelKind::Explicit,
         effort: Default::default(),
         notices: Vec::new(),
+        n_notices: 0,
         lateness: Lateness::default(),
         meters: Arc::default(),
     })

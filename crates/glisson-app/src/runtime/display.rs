@@ -78,7 +78,7 @@ mod tests {
     use std::time::{Duration, Instant};
 
     const MESH: &str = "4 1\n0 0 0\n60 0 0\n0 60 0\n0 0 60\n0 1 2 3\n";
-    const SCENE: &str = "glisson_scene = 1\n[organ]\nmesh = \"body.tet\"\nyoung_modulus = \"5 kPa\"\n\
+    const SCENE: &str = "glisson_scene = 1\n[organ]\nmodel = \"explicit\"\nmesh = \"body.tet\"\nyoung_modulus = \"5 kPa\"\n\
         poisson_ratio = 0.45\ndensity = \"1000 kg/m3\"\ndamping = \"30 1/s\"\n\
         [[organ.fixed]]\nfurthest = { direction = [0, 0, -1], fraction = 0.6 }\n\
         [tool]\ntip_radius = \"5 mm\"\nhome_tip = [\"40 mm\", \"40 mm\", \"90 mm\"]\nhome_shaft = [0, 0, 1]\n";

@@ -185,8 +185,14 @@ fn four_trocars_side_by_side_move_the_instruments_of_one_scene() {
     small_scene(folder.path());
     let scene = std::fs::read_to_string(folder.path().join("scene.toml")).unwrap();
     let (organ, _) = scene.split_once("[tool]").unwrap();
-    let tool = "[[tool]]\ntip_radius = \"5 mm\"\nhome_tip = [\"10 mm\", \"10 mm\", \"150 mm\"]\nhome_shaft = [0, 0, 1]\n";
-    std::fs::write(folder.path().join("scene.toml"), format!("{organ}{}", tool.repeat(4))).unwrap();
+    // Where the places are, so that each begins at the same depth.
+    let tool = |[x, y]: [i32; 2]| {
+        format!(
+            "[[tool]]\ntip_radius = \"5 mm\"\nhome_tip = [\"{x} mm\", \"{y} mm\", \"150 mm\"]\nhome_shaft = [0, 0, 1]\n"
+        )
+    };
+    let tools = [[10, 10], [110, 10], [10, -90], [110, -90]].map(tool).concat();
+    std::fs::write(folder.path().join("scene.toml"), format!("{organ}{tools}")).unwrap();
     let places: Vec<String> =
         (1..=4).flat_map(|place| ["--device".to_owned(), format!("trocar,place={place}")]).collect();
     let serve = ["serve", "scene.toml", "--port", "0", "--no-open", "--record", "s.jsonl"];
@@ -210,7 +216,7 @@ fn four_trocars_side_by_side_move_the_instruments_of_one_scene() {
     let tips: Vec<Vec<[f64; 3]>> = session
         .lines()
         .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap())
-        .filter_map(|line| line.as_object()?.values().find_map(|event| event["tools"].as_array().cloned()))
+        .filter_map(|line| line["tools"].as_array().cloned())
         .map(|tools| {
             let tip =
                 |tool: &serde_json::Value| serde_json::from_value(tool["tip_in_world_m"].clone()).unwrap();

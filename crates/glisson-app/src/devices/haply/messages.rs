@@ -167,9 +167,8 @@ pub(super) fn parse(text: &str, wanted: Wanted<'_>) -> Result<Update, String> {
         ));
     }
     let grips = [&frame.wireless_verse_grip, &frame.verse_grip, &frame.custom_verse_grip];
-    let said = grips.into_iter().flatten().filter(|grip| grip_id.is_none_or(|id| id == grip.device_id));
-    let grip =
-        said.filter_map(|grip| grip.state.as_ref().map(|state| grip_told(&grip.device_id, state))).next();
+    let mut said = grips.into_iter().flatten().filter(|grip| grip_id.is_none_or(|id| id == grip.device_id));
+    let grip = said.find_map(|grip| grip.state.as_ref().map(|state| grip_told(&grip.device_id, state)));
     let grip = grip.transpose()?;
     let hindrance = match device.status {
         Status { calibrated: Some(false), .. } => {

@@ -95,11 +95,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let scene = resection::scene_file(&files);
         if let Some(listener) = listener {
             println!("\n$ glisson serve {}", scene.display());
-            let session = files.folder.join("resection.jsonl");
-            let source = OpenScene::read(&scene)?;
-            let script = source.scene.clone();
-            let mut simulation = Simulation::open(source, Some(&session))?;
-            simulation.follow_script(script);
+            let simulation = resection::begin(&files)?;
             return args.address.serve(simulation, listener);
         }
         println!("\nscripted resection");

@@ -3,7 +3,9 @@
 mod clips;
 pub(crate) mod operation;
 pub(crate) mod patient;
+mod plan;
 pub(crate) mod report;
 pub(crate) mod resection;
 pub(crate) mod scenery;
+mod script;
 mod specimen;

@@ -8,7 +8,6 @@ use glisson::math::{Aabb, DVec3, tetrahedron_volume_m3};
 use glisson::mesh::topology::{Through, Topology};
 use glisson::mesh::{TetId, TetMesh};
 use glisson::world::World;
-use std::collections::HashSet;
 
 /// The tumour in the image.
 #[derive(Clone, Debug)]
@@ -59,8 +58,8 @@ pub(super) struct Specimen {
 }
 
 impl Specimen {
-    /// The piece of the organ that holds most of the tumour. `whole` is the organ before the first cut.
-    pub(super) fn of(world: &World, whole: &TetMesh, tumour: &Tumour) -> anyhow::Result<Self> {
+    /// The piece of the organ that holds most of the tumour.
+    pub(super) fn of(world: &World, tumour: &Tumour) -> anyhow::Result<Self> {
         let body = world.organ().body();
         let (topology, mesh) = (body.topology(), body.mesh());
         let pieces = topology.pieces(Through::Faces);
@@ -86,44 +85,34 @@ impl Specimen {
             volume_m3: own.iter().map(|&tet| mesh.tet_volume_m3(tet)).sum(),
             is_free: !own.iter().any(is_held),
             tumour_share: counts[piece] as f64 / tumour.voxels_m.len() as f64,
-            margin_m: margin_m(topology, mesh, &own, &capsule_of(whole)?, tumour),
+            margin_m: margin_m(topology, mesh, &own, &world.display_topology().is_cut, tumour),
             n_pieces: pieces.count(),
         })
     }
+
+    /// In words.
+    pub(super) fn text(&self) -> String {
+        format!(
+            "the piece with the tumour has {:.1} ml and is {}, {:.1} % of the tumour are in it, the cut comes to {:.1} mm from the tumour",
+            1e6 * self.volume_m3,
+            if self.is_free { "free" } else { "still held" },
+            100.0 * self.tumour_share,
+            1e3 * self.margin_m
+        )
+    }
 }
 
-/// The three corners of a triangle at rest, whatever their order, to the bit.
-type Place = [[u64; 3]; 3];
-
-fn place_of(corners_m: [DVec3; 3]) -> Place {
-    let mut place = corners_m.map(|p| p.to_array().map(f64::to_bits));
-    place.sort_unstable();
-    place
-}
-
-/// The organ's own surface.
-fn capsule_of(whole: &TetMesh) -> anyhow::Result<HashSet<Place>> {
-    let topology = Topology::build(whole)?;
-    let corners_m = |t| topology.triangle_nodes(t).map(|n| whole.positions_m[n.index()]);
-    Ok(topology.surface_triangles().map(|t| place_of(corners_m(t))).collect())
-}
-
-/// Least distance of what is surface of the piece now and was not from the tumour's voxels, taken as balls around them.
-fn margin_m(
-    topology: &Topology,
-    mesh: &TetMesh,
-    piece: &[TetId],
-    capsule: &HashSet<Place>,
-    tumour: &Tumour,
-) -> f64 {
+/// Least distance of the piece's surface in cuts from the tumour's voxels, taken as balls around them. `is_cut` is in the order
+/// of the surface's triangles.
+fn margin_m(topology: &Topology, mesh: &TetMesh, piece: &[TetId], is_cut: &[bool], tumour: &Tumour) -> f64 {
     let mut least_m = f64::INFINITY;
-    for triangle in topology.surface_triangles() {
+    for (triangle, &is_cut) in topology.surface_triangles().zip(is_cut) {
         let is_own =
             topology.triangle_tets(triangle)[0].get().is_some_and(|t| piece.binary_search(&t).is_ok());
-        let corners_m = topology.triangle_nodes(triangle).map(|n| mesh.positions_m[n.index()]);
-        if !is_own || capsule.contains(&place_of(corners_m)) {
+        if !is_own || !is_cut {
             continue;
         }
+        let corners_m = topology.triangle_nodes(triangle).map(|n| mesh.positions_m[n.index()]);
         let distance_m = |p: DVec3| at_weights(corners_m, closest_weights(p, corners_m)).distance(p);
         // No voxel is nearer than the ball around all of them.
         if distance_m(tumour.center_m) - tumour.radius_m >= least_m {
@@ -149,26 +138,37 @@ pub(super) fn holds(corners_m: [DVec3; 4], point_m: DVec3) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::runtime::{OpenScene, Simulation};
     use glisson::mesh::box_mesh::box_of_five;
-    use glisson::mesh::edit::{EditableMesh, MeshEdit};
+    use glisson::mesh::files::write_mesh;
 
-    /// A ball of voxels in a bar that is cut through on one side of it.
+    /// A bar that is held at its far end and cut through, with a ball of voxels in the other piece.
     #[test]
     fn the_margin_is_that_of_the_cut_and_not_of_the_organs_own_surface() {
         let whole = box_of_five([20, 4, 4], DVec3::new(0.1, 0.02, 0.02));
-        let mut body = EditableMesh::new(whole.clone()).unwrap();
-        let middle_x_m = |body: &EditableMesh, tet| body.mesh().corners_m(tet).iter().sum::<DVec3>().x / 4.0;
-        let in_slab = |tet: &TetId| (0.045..0.05).contains(&middle_x_m(&body, *tet));
-        let tets: Vec<TetId> = body.topology().live_tets().filter(in_slab).collect();
-        body.apply(&MeshEdit::Remove { tets }).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        write_mesh(&folder.path().join("bar.vtu"), &whole).unwrap();
+        let scene = "glisson_scene = 1\n[organ]\nmesh = \"bar.vtu\"\nyoung_modulus = \"5 kPa\"\n\
+            poisson_ratio = 0.4\ndensity = \"1000 kg/m3\"\nmodel = \"implicit\"\n\
+            [[organ.fixed]]\nfurthest = { direction = [1, 0, 0], fraction = 0.05 }\n\
+            [tool]\ntip_radius = \"3 mm\"\nhome_tip = [\"0 mm\", \"0 mm\", \"90 mm\"]\nhome_shaft = [0, 0, 1]\n";
+        std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+        let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+        let mut simulation = Simulation::open(source, None).unwrap();
         let (center_m, half_voxel_m) = (DVec3::new(0.03, 0.01, 0.01), 5e-4);
         let voxels_m = vec![center_m, center_m + DVec3::X * 4e-3, center_m - DVec3::Z * 4e-3];
         let tumour = Tumour { voxels_m, half_voxel_m, center_m, radius_m: 4.5e-3 };
-        let topology = body.topology();
-        let own: Vec<TetId> = topology.live_tets().filter(|&t| middle_x_m(&body, t) < 0.045).collect();
-        let found_m = margin_m(topology, body.mesh(), &own, &capsule_of(&whole).unwrap(), &tumour);
+        let uncut = Specimen::of(simulation.world(), &tumour).unwrap();
+        assert!(!uncut.is_free && uncut.n_pieces == 1 && uncut.margin_m == f64::INFINITY, "{uncut:?}");
+        let middle_x_m = |tet: TetId| whole.corners_m(tet).iter().sum::<DVec3>().x / 4.0;
+        let tets = (0..whole.tetrahedra.len()).map(TetId::from_index);
+        let slab: Vec<TetId> = tets.filter(|&tet| (0.045..0.05).contains(&middle_x_m(tet))).collect();
+        simulation.remove_tetrahedra(slab).unwrap();
+        let cut = Specimen::of(simulation.world(), &tumour).unwrap();
         // The cut lies at 45 mm, the nearest voxel's middle at 34 mm; the bar's own side is 5.5 mm away.
-        assert!((found_m - (0.011 - half_voxel_m)).abs() < 1e-12, "{found_m}");
+        assert!((cut.margin_m - (0.011 - half_voxel_m)).abs() < 1e-12, "{cut:?}");
+        assert!(cut.is_free && cut.n_pieces == 2 && cut.tumour_share == 1.0, "{cut:?}");
+        assert!((cut.volume_m3 - 0.045 * 0.02 * 0.02).abs() < 1e-12, "{cut:?}");
         let first = TetId::from_index(0);
         let inside_m = whole.corners_m(first).into_iter().sum::<DVec3>() / 4.0;
         assert!(holds(whole.corners_m(first), inside_m));

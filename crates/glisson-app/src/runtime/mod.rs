@@ -13,6 +13,7 @@ pub(crate) mod display;
 mod effort;
 pub(crate) mod recorder;
 pub(crate) mod replay;
+pub(crate) mod script;
 pub(crate) mod account;
 
 use crate::workers::WorkerTeam;
@@ -28,7 +29,7 @@ use glisson::model::{DeformableModel, Effort};
 use glisson::record::hash::StateHash;
 use glisson::record::session::SessionEvent;
 use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
-use glisson::tool::{MAX_TOOLS, ToolInput};
+use glisson::tool::MAX_TOOLS;
 use glisson::world::{StepInput, StepReport, World};
 use incidents::{Incidents, Notices, Once};
 use recorder::Recorder;
@@ -83,9 +84,8 @@ pub(crate) struct Simulation {
     is_live: bool,
     /// Tetrahedra that tore.
     n_torn: usize,
-    /// Whose paths instruments follow that nobody has taken into the hand.
-    script: Option<Scene>,
-    is_taken: [bool; MAX_TOOLS],
+    /// What instruments follow that nobody has taken into the hand.
+    script: Option<script::Run>,
 }
 
 impl Simulation {
@@ -113,7 +113,6 @@ impl Simulation {
             is_live: true,
             n_torn: 0,
             script: None,
-            is_taken: [false; MAX_TOOLS],
         })
     }
 
@@ -121,27 +120,6 @@ impl Simulation {
     pub(crate) fn leave_orders_to_the_session(&mut self) {
         self.orders_recomputations = false;
         self.is_live = false;
-    }
-
-    /// From now on instruments follow the paths of `scene` until a viewer takes them into the hand, or resets.
-    pub(crate) fn follow_script(&mut self, scene: Scene) {
-        self.script = Some(scene);
-        self.tell(
-            "the instruments follow the scene's script; push, or move one, to take it into the hand"
-                .to_owned(),
-        );
-    }
-
-    /// Where the script has an instrument at the end of the next step.
-    pub(crate) fn scripted_pose(&self, tool: usize) -> Option<ToolInput> {
-        let script = self.script.as_ref().filter(|_| !self.is_taken[tool])?;
-        let time_s = (self.world.steps_made() + 1) as f64 * self.world.spec().time_step_s;
-        Some(script.input_at(time_s).tools[tool])
-    }
-
-    /// A viewer moves this instrument.
-    pub(crate) fn take_from_script(&mut self, tool: usize) {
-        self.is_taken[tool] = true;
     }
 
     pub(crate) fn world(&self) -> &World {
@@ -193,6 +171,7 @@ impl Simulation {
             let state_hash = self.world.state_hash();
             self.record(&SessionEvent::Checkpoint { step: report.step, state_hash })?;
         }
+        self.go_on_with_script()?;
         Ok(report)
     }
 

@@ -2,6 +2,7 @@
 
 use super::account::Account;
 use super::replay::replay;
+use super::script::{Clip, Lead, Script};
 use super::*;
 use glisson::image::vessels::{Tube, write_vessels};
 use glisson::math::DVec3;
@@ -342,6 +343,41 @@ fn instruments_that_cut_tear_and_clip_replay_to_the_same_bits() {
     }
 }
 
+/// The paths of a scene.
+struct Paths {
+    scene: Scene,
+    end_s: f64,
+    time_s: f64,
+}
+
+impl Paths {
+    /// From their beginning.
+    fn of(scene: Scene) -> Self {
+        let end_s = scene.end_of_paths_s().unwrap_or(0.0);
+        Self { scene, end_s, time_s: 0.0 }
+    }
+}
+
+impl Script for Paths {
+    fn lead(&mut self, world: &World) -> Option<Lead> {
+        if self.time_s >= self.end_s {
+            return None;
+        }
+        self.time_s = (world.steps_made() + 1) as f64 * world.spec().time_step_s;
+        Some(Lead { tools: self.scene.input_at(self.time_s).tools, clips: None })
+    }
+
+    fn see(&mut self, _: &Clip) {}
+
+    fn progress(&self) -> f64 {
+        (self.time_s / self.end_s).min(1.0)
+    }
+
+    fn result(&self, _: &World) -> anyhow::Result<String> {
+        Ok("the instruments are at the ends of their paths".to_owned())
+    }
+}
+
 #[test]
 fn instruments_follow_a_script_until_somebody_takes_them() {
     let path = "[[tool.path]]\ntime = \"0.1 s\"\ntip = [\"40 mm\", \"40 mm\", \"70 mm\"]\n";
@@ -351,7 +387,7 @@ fn instruments_follow_a_script_until_somebody_takes_them() {
     let script = source.scene.clone();
     let mut simulation = Simulation::open(source, None).unwrap();
     assert_eq!(simulation.scripted_pose(0), None);
-    simulation.follow_script(script);
+    simulation.follow_script(Box::new(Paths::of(script)));
     for _ in 0..50 {
         let pose = simulation.scripted_pose(0).unwrap();
         simulation.advance(&StepInput::of(&[pose])).unwrap();

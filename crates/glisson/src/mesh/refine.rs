@@ -38,9 +38,18 @@ impl FineRegion {
 /// The next edit that makes the mesh finer: middles of longest edges, at most `most_splits` of them. `None` when every edge of the region is short enough. Call it again after carrying the
 /// edit out.
 pub fn refine(body: &EditableMesh, region: &FineRegion, most_splits: usize) -> Option<MeshEdit> {
+    refine_where(body, region.edge_m, |tet| region.contains(body, tet), most_splits)
+}
+
+/// [`refine`] of the tetrahedra that `is_in` takes, to edges of `edge_m` [m] at most.
+pub fn refine_where(
+    body: &EditableMesh,
+    edge_m: f64,
+    is_in: impl Fn(TetId) -> bool,
+    most_splits: usize,
+) -> Option<MeshEdit> {
     let topology = body.topology();
-    let coarse =
-        topology.live_tets().filter(|&t| longest_edge(body, t).0 > region.edge_m && region.contains(body, t));
+    let coarse = topology.live_tets().filter(|&t| longest_edge(body, t).0 > edge_m && is_in(t));
     let mut edges: Vec<EdgeId> = coarse.map(|t| longest_around(body, t)).collect();
     edges.sort_unstable();
     edges.dedup();

@@ -1,6 +1,7 @@
 //! Edges and hot tips: what an instrument keeps of its cut from step to step.
 
 use super::edits::EditRefusal;
+use super::parts::ToolPart;
 use super::tear::edge_cuts;
 use super::{BladeReport, ToolCuts, World};
 use crate::math::DVec3;
@@ -80,6 +81,11 @@ impl ActiveTip {
     /// Everything that the next cuts depend on and is not told by the mesh: the heat.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         self.heat.warm().iter().flat_map(|&(tet, heat)| [f64::from(tet.0), heat])
+    }
+
+    /// Heat that a tetrahedron took up from it [J/m3].
+    pub(super) fn heat_of(&self, tet: TetId) -> f64 {
+        self.heat.of(tet)
     }
 
     /// What is warm.
@@ -278,20 +284,23 @@ impl World {
     }
 
     /// What a hot tip takes away: all that it touches once it has been at work for long enough, or, for a rule with a
-    /// power, what has taken up enough heat.
+    /// power, what has taken up enough heat. The time is seed `000`'s rule (s. 4.4.2): it counts no energy.
     pub(super) fn burnt(&mut self, tool: usize, rule: &CutRule) -> Vec<TetId> {
         let (hand, dt_s) = (&self.hands[tool], self.spec.time_step_s);
         let tissue = HeatedTissue::LIVER;
-        if hand.active_s == 0.0 {
+        let is_hot = rule.power_w > 0.0;
+        let is_at_work = hand.active_s > 0.0;
+        if !is_at_work {
             self.active[tool].heat.cool_down(&tissue, dt_s);
+        }
+        // Without current only what was warmed before is weaker.
+        let is_looked_at =
+            if is_at_work { is_hot || hand.active_s >= rule.least_time_s } else { self.presses_warm(tool) };
+        if !is_looked_at {
             self.hands[tool].overload.strength_left = 1.0;
             return Vec::new();
         }
-        let is_hot = rule.power_w > 0.0;
-        if !is_hot && hand.active_s < rule.least_time_s {
-            return Vec::new();
-        }
-        let touched = match hand.grasp {
+        let touched = match self.hands[tool].grasp {
             Some(_) => self.tetrahedra_between_jaws(tool),
             None => self.touched_tetrahedra(tool),
         };
@@ -299,14 +308,24 @@ impl World {
             self.hands[tool].active_s = 0.0;
             return touched;
         }
-        let mesh = self.organ.mesh();
-        let with_volumes = touched.iter().map(|&tet| (tet, mesh.tet_volume_m3(tet)));
         let mut parted = Vec::new();
         let heat = &mut self.active[tool].heat;
-        heat.heat_up(&tissue, rule.power_w, with_volumes, dt_s, &mut parted);
+        if is_at_work {
+            let mesh = self.organ.mesh();
+            let with_volumes = touched.iter().map(|&tet| (tet, mesh.tet_volume_m3(tet)));
+            heat.heat_up(&tissue, rule.power_w, with_volumes, dt_s, &mut parted);
+        }
         let left = touched.iter().map(|&tet| tissue.strength_left(heat.of(tet)));
         self.hands[tool].overload.strength_left = left.fold(1.0, f64::min);
         parted
+    }
+
+    /// Whether a tip that is off loads tissue, and some is warm.
+    fn presses_warm(&self, tool: usize) -> bool {
+        let hand = &self.hands[tool];
+        let touches = |part: ToolPart| hand.contacts[part.index()].is_some();
+        let loads = hand.grasp.is_some() || touches(ToolPart::Tip) || touches(ToolPart::SecondJaw);
+        loads && !self.active[tool].heat.warm().is_empty()
     }
 }
 

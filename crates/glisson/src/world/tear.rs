@@ -15,6 +15,7 @@ use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetId;
 use crate::mesh::edit::TopologyChange;
+use crate::tool::cautery::HeatedTissue;
 use crate::tool::fracture::{Breakthrough, CrackFront, FractureEnergy, Tearing};
 use crate::tool::{Jaws, Tool, ToolInput, ToolKind};
 
@@ -37,7 +38,7 @@ pub(super) struct Overload {
     work: [Breakthrough; OF_JAWS + 1],
     /// Which broke through in the last step.
     breaks: [bool; OF_JAWS + 1],
-    /// Share of its strength that the tissue at the tip has left: heat takes the rest.
+    /// Share of its strength that the tissue at the tip, or between closed jaws, has left: heat takes the rest.
     pub(super) strength_left: f64,
     /// Whether the edge has broken in and cuts freely.
     pub(super) edge_is_in: bool,
@@ -90,8 +91,8 @@ impl Overload {
             (self.work[place], self.breaks[place]) = (Breakthrough::default(), false);
             return;
         };
-        let energy =
-            if place == ToolPart::Tip.index() { energy.weakened(self.strength_left) } else { energy };
+        let is_heated = place != ToolPart::Shaft.index();
+        let energy = if is_heated { energy.weakened(self.strength_left) } else { energy };
         let force_n = load.force_on_tool_n;
         let much_n = GREATEST_OVERLOAD * energy.cutting_force_n(load.front.length_m);
         let gives_way = self.work[place].push(energy, load.front, force_n, load.motion_m);
@@ -218,7 +219,10 @@ impl World {
         let nodes = self.organ.body().topology().tet_nodes(tet);
         let (rest_m, now_m) = (&self.organ.mesh().positions_m, self.model.state().positions_m);
         let corners = |list: &[DVec3]| nodes.map(|n| list[n.index()]);
-        tearing.energy.tears(&tearing.material, corners(rest_m), corners(now_m))
+        // What several instruments warmed adds up.
+        let heat_j_per_m3: f64 = self.active.iter().map(|active| active.heat_of(tet)).sum();
+        let energy = tearing.energy.weakened(HeatedTissue::LIVER.strength_left(heat_j_per_m3));
+        energy.tears(&tearing.material, corners(rest_m), corners(now_m))
     }
 
     /// A part came through the tissue that it touched: an edge is in it from now on, anything else has torn it.
@@ -306,6 +310,29 @@ impl Hand {
         };
         if capsule(tool, ToolPart::Tip, &self.now).is_none_or(is_out) {
             self.overload.end_stroke();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heat_weakens_tip_and_jaws_and_not_the_shaft() {
+        let energy = FractureEnergy { energy_j_per_m2: 100.0 };
+        let front = CrackFront::blunt(3e-3);
+        // A tenth of the strength is left, and a fifth of the force that cold tissue stands: its work pays for the weak crack.
+        let fifth_n = 0.2 * energy.cutting_force_n(front.length_m);
+        let load = Load { force_on_tool_n: DVec3::Z * fifth_n, motion_m: DVec3::NEG_Z * 2e-3, front };
+        let breaks = |place: usize, strength_left: f64| {
+            let mut overload = Overload { strength_left, ..Overload::default() };
+            overload.push(place, energy, Some(&load));
+            overload.breaks[place]
+        };
+        for place in 0..=OF_JAWS {
+            assert!(!breaks(place, 1.0), "{place}: cold");
+            assert_eq!(breaks(place, 0.1), place != ToolPart::Shaft.index(), "{place}: warm");
         }
     }
 }

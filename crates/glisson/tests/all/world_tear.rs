@@ -258,6 +258,32 @@ fn cautery_burns_is_taken_back_and_refuses() {
     assert_eq!(close_on_edge(&mut world, 0.0, 100).cuts.n_removed, 0, "without current it only holds");
 }
 
+/// Bipolar jaws hold the edge, warm it for `warm_steps` with a power that would part it only after 250 of them, and pull at it.
+/// Answers what tore and the greatest force, and how far the strength was down.
+fn pulled_with_warm_jaws(warm_steps: u32) -> Motion {
+    let by_heat = CutRule { least_force_n: 0.05, least_time_s: 0.01, power_w: 5e4 };
+    let mut world = world(ModelKind::Explicit, ToolKind::Cautery(JAWS, by_heat), Some(60.0));
+    let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, 0.04, SIZE_M - 2e-3) };
+    world.step(&StepInput::of(&[open]).placed());
+    let closed = ToolInput { jaw_opening: 0.0, ..open };
+    glide(&mut world, &open, &closed, 20);
+    assert!(!world.held_nodes(0).is_empty());
+    let on = ToolInput { trigger: 1.0, ..closed };
+    let warmed = glide(&mut world, &on, &on, warm_steps);
+    assert_eq!((warmed.cuts.n_removed, warmed.cuts.n_torn), (0, 0), "{warm_steps} steps part nothing");
+    // Without current: what is warm stays weak.
+    let far = ToolInput { jaw_opening: 0.0, ..above(SIZE_M, 0.04, SIZE_M + 0.02) };
+    glide(&mut world, &closed, &far, 400)
+}
+
+#[test]
+fn heat_between_jaws_weakens_what_they_hold() {
+    let (cold, warm) = (pulled_with_warm_jaws(0), pulled_with_warm_jaws(200));
+    assert!(cold.cuts.n_torn == 0 && cold.greatest_n > 0.0, "{cold:?}");
+    assert!(warm.cuts.n_torn > 0, "{warm:?}");
+    assert!(warm.greatest_n < cold.greatest_n, "{} N against {} N", warm.greatest_n, cold.greatest_n);
+}
+
 #[test]
 fn what_tears_is_the_same_after_coming_back_and_steps_allocate_nothing() {
     let mut first = world(ModelKind::Explicit, ToolKind::Probe, Some(40.0));

@@ -64,7 +64,8 @@ pub(super) fn full_size_experiments() -> anyhow::Result<Outcome> {
         drops: true,
         settling_s: 15.0,
         damping_per_s: LIVER_DAMPING_PER_S,
-        share_of_weight: [0.98, 1.02],
+        // It rolls off the other's dome until it leans on the support as well.
+        share_of_weight: [0.02, 1.02],
     };
     pair_of_livers(&on_top, &mut outcome)?;
     Ok(outcome)
@@ -472,12 +473,15 @@ fn pair_of_livers(pair: &Pair, outcome: &mut Outcome) -> anyhow::Result<()> {
         push("pairs of triangles that meet", n_meeting as f64, 0.0);
     }
     push("deepest penetration, the fall included [mm]", scene.penetration_m * 1e3, 0.5);
-    outcome.experiments.push(Experiment::within(
-        &of_scene("force between them over the weight of one"),
-        OWN,
-        between_n.length() / weight_n,
-        pair.share_of_weight,
-    ));
+    let mut within = |what: &str, obtained: f64, range: [f64; 2]| {
+        outcome.experiments.push(Experiment::within(&of_scene(what), OWN, obtained, range));
+    };
+    within(
+        "what carries the second one over its weight",
+        scene.world.force_on_n(1).z / weight_n,
+        [0.98, 1.02],
+    );
+    within("force between them over the weight of one", between_n.length() / weight_n, pair.share_of_weight);
     Ok(())
 }
 

@@ -196,6 +196,8 @@ pub struct SurfaceCopy {
     /// Whether a node was put elsewhere since the last refresh, and whether the last one moved any.
     is_stale: bool,
     moves: bool,
+    /// Refreshes that moved it: who has seen the last move does not meet it again.
+    n_moves: u64,
 }
 
 impl SurfaceCopy {
@@ -227,6 +229,7 @@ impl SurfaceCopy {
             end_m,
             is_stale: false,
             moves: false,
+            n_moves: 0,
         })
     }
 
@@ -250,7 +253,8 @@ impl SurfaceCopy {
         }
     }
 
-    /// The surface goes to where its nodes were placed; what it meets on its way is found by the looks before the next call.
+    /// The surface goes to where its nodes were placed; what it meets on its way is found by each instrument's first look before
+    /// the next call.
     /// Answers whether it moved. Allocates nothing.
     pub fn refresh(&mut self) -> bool {
         let has_moved = std::mem::replace(&mut self.moves, false);
@@ -260,6 +264,7 @@ impl SurfaceCopy {
         if std::mem::take(&mut self.is_stale) {
             self.shown_m.copy_from_slice(&self.end_m);
             self.moves = true;
+            self.n_moves += 1;
         }
         if self.moves || has_moved {
             self.search.update(&self.start_m, &self.shown_m);
@@ -315,6 +320,16 @@ enum PartState {
     Touches(LastingTouch),
 }
 
+/// The way that a look looks at.
+struct LookedAt<'a> {
+    /// At the last look, and now.
+    poses: [&'a ToolInput; 2],
+    /// Whether the instrument was put there.
+    is_placed: bool,
+    /// Whether the surface made a move over it.
+    surface_moves: bool,
+}
+
 /// Looks where the parts of one instrument touch, each time that it moved.
 #[derive(Clone, Debug)]
 pub struct ToolDetector {
@@ -322,13 +337,21 @@ pub struct ToolDetector {
     /// None until it was seen.
     before: Option<ToolInput>,
     version: u32,
+    /// Moves of the surface that were made before the last look.
+    n_moves_seen: u64,
     parts: [PartState; N_TOUCHING_PARTS],
 }
 
 impl ToolDetector {
     /// For an instrument that was not seen yet.
     pub fn new(tool: &Tool) -> Self {
-        Self { tool: tool.clone(), before: None, version: 0, parts: [PartState::Free; N_TOUCHING_PARTS] }
+        Self {
+            tool: tool.clone(),
+            before: None,
+            version: 0,
+            n_moves_seen: 0,
+            parts: [PartState::Free; N_TOUCHING_PARTS],
+        }
     }
 
     /// Nobody holds the instrument: where it is seen next it was put.
@@ -354,7 +377,8 @@ impl ToolDetector {
         }
     }
 
-    /// Looks at the way from the last look to `pose`, over which the surface made its last move. Allocates nothing.
+    /// Looks at the way from the last look to `pose`, over which the surface made its last move if that look did not see it.
+    /// Allocates nothing.
     pub fn look(&mut self, surface: &SurfaceCopy, pose: &ToolInput) -> Detected {
         if !pose.is_finite() {
             self.lift();
@@ -363,6 +387,7 @@ impl ToolDetector {
         let mut now = pose.through(self.tool.trocar_m);
         now.jaw_opening = now.jaw_opening.clamp(0.0, 1.0);
         let is_other_surface = std::mem::replace(&mut self.version, surface.version) != surface.version;
+        let is_new_move = std::mem::replace(&mut self.n_moves_seen, surface.n_moves) != surface.n_moves;
         if is_other_surface {
             // What touched the other one may touch this one: looked for where it is.
             self.parts = [PartState::Free; N_TOUCHING_PARTS];
@@ -374,9 +399,11 @@ impl ToolDetector {
             self.parts = [PartState::Free; N_TOUCHING_PARTS];
         }
         let before = known.unwrap_or(now);
+        let surface_moves = surface.moves && is_new_move;
+        let way = LookedAt { poses: [&before, &now], is_placed, surface_moves: surface_moves && !is_placed };
         for part in ToolPart::ALL {
             let state = self.parts[part.index()];
-            self.parts[part.index()] = self.look_at_part(part, state, [&before, &now], surface, is_placed);
+            self.parts[part.index()] = self.look_at_part(part, state, &way, surface);
         }
         self.before = Some(now);
         self.detected(surface)
@@ -386,11 +413,10 @@ impl ToolDetector {
         &self,
         part: ToolPart,
         state: PartState,
-        [before, now]: [&ToolInput; 2],
+        way: &LookedAt<'_>,
         surface: &SurfaceCopy,
-        is_placed: bool,
     ) -> PartState {
-        let tool = &self.tool;
+        let (tool, [_, now]) = (&self.tool, way.poses);
         if let PartState::Touches(touch) = state {
             let at_m = ToolPoint::of(part, touch.found.at).in_world_m(tool, now);
             let from_plane_m =
@@ -400,7 +426,7 @@ impl ToolDetector {
         }
         let Some(resting) = capsule(tool, part, now) else { return PartState::Free };
         // The tip is the hand's own doing; of the rest nobody sees where it goes in.
-        if state == PartState::Buried || is_placed && part != ToolPart::Tip {
+        if state == PartState::Buried || way.is_placed && part != ToolPart::Tip {
             let mut none = Vec::new();
             if surface.search.near_into(&resting, 0.0, &surface.shown_m, &mut none) > 0 {
                 return PartState::Buried;
@@ -410,9 +436,8 @@ impl ToolDetector {
                 return PartState::Free;
             }
         }
-        let moves = surface.moves && !is_placed;
-        let Some(FirstTouch { found, at }) = first_touch(tool, part, [before, now], &surface.searched(moves))
-        else {
+        let searched = surface.searched(way.surface_moves);
+        let Some(FirstTouch { found, at }) = first_touch(tool, part, way.poses, &searched) else {
             return PartState::Free;
         };
         let contact = found.contact;
@@ -435,7 +460,7 @@ impl ToolDetector {
                 at,
                 gap_m: contact.gap_m,
             },
-            tip_m: before.tip_in_world_m.lerp(now.tip_in_world_m, contact.time),
+            tip_m: way.poses[0].tip_in_world_m.lerp(now.tip_in_world_m, contact.time),
             surface_m: contact.points_m[1],
             slot: found.triangle,
         })

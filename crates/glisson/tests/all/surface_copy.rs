@@ -116,6 +116,27 @@ fn a_tip_at_5_m_per_s_is_found_between_two_looks_and_a_look_allocates_nothing() 
 }
 
 #[test]
+fn a_move_of_the_surface_is_met_once() {
+    let list = SurfaceList::of_mesh(&block([5, 5, 5], DVec3::splat(SIZE_M))).unwrap();
+    let mut copy = SurfaceCopy::new(&list).unwrap();
+    let mut detector = ToolDetector::new(&probe());
+    detector.look(&copy, &at(0.05, SIZE_M + RADIUS_M + 1e-3));
+    let lower = |copy: &mut SurfaceCopy, by_m: f64| {
+        let top = list.nodes.iter().filter(|(_, p)| p.z > SIZE_M - 1e-9);
+        top.for_each(|(node, p)| copy.place(*node, *p - DVec3::Z * by_m));
+        assert!(copy.refresh());
+    };
+    // The tip follows a top that goes down, and is never nearer than 1 mm.
+    lower(&mut copy, 4e-3);
+    assert!(detector.look(&copy, &at(0.05, SIZE_M + RADIUS_M - 2e-3)).is_free());
+    // No word of the surface since: it stands still, and the tip goes on.
+    let met = detector.look(&copy, &at(0.05, SIZE_M + RADIUS_M - 3e-3));
+    assert!(met.is_free(), "{met:?}");
+    lower(&mut copy, -4e-3);
+    assert!(!detector.look(&copy, &at(0.05, SIZE_M + RADIUS_M - 3e-3)).is_free(), "it came up");
+}
+
+#[test]
 fn what_the_world_ended_is_told_again_only_after_the_part_was_out() {
     let copy =
         SurfaceCopy::new(&SurfaceList::of_mesh(&block([5, 5, 5], DVec3::splat(SIZE_M))).unwrap()).unwrap();

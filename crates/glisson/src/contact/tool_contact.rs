@@ -137,6 +137,38 @@ impl SurfaceSearch {
         Some(ToolContact { triangle, weights, contact })
     }
 
+    /// Puts the triangles that are nearest to a resting capsule, and within `reach_m` of it, into `found`, nearest first and of
+    /// equal ones the lower triangle first: as many as it has room for, whatever lies further out. What was in it goes.
+    pub fn nearest_into(
+        &self,
+        capsule: &Capsule,
+        reach_m: f64,
+        positions_m: &[DVec3],
+        found: &mut Vec<ToolContact>,
+    ) {
+        found.clear();
+        self.structure.for_each_near(&self.boxes, &capsule.reach(reach_m), |t| {
+            let Some(triangle) = self.triangles[t as usize] else { return };
+            let corners_m = corners(triangle, positions_m);
+            let closest = closest_on_segment_and_triangle([capsule.from_m, capsule.to_m], corners_m);
+            let gap_m = closest.distance_m - capsule.radius_m;
+            if gap_m > reach_m {
+                return;
+            }
+            let before =
+                |near: &ToolContact| near.contact.gap_m.total_cmp(&gap_m).then(near.triangle.cmp(&t)).is_lt();
+            let place = found.partition_point(before);
+            if found.len() == found.capacity() {
+                if place == found.len() {
+                    return;
+                }
+                found.pop();
+            }
+            let weights = closest_weights(closest.second_m, corners_m);
+            found.insert(place, ToolContact { triangle: t, weights, contact: resting(&closest, gap_m) });
+        });
+    }
+
     /// Appends every triangle that is within `margin_m` of a resting capsule to `found`, ascending by triangle, as far
     /// as its capacity goes; answers how many found no room.
     pub fn near_into(

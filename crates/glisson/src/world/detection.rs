@@ -33,11 +33,9 @@ const JUMP_M: f64 = 0.1;
 const LEAST_WITHIN: f64 = 1e-3;
 /// Nodes that moved less than this [m] did not: rounding of positions that travel as 32-bit numbers.
 const STILL_M: f64 = 1e-7;
-/// Triangles that are looked at around an instrument, and in how far a reach at first [m]: choices.
+/// The nearest triangles that are looked at around an instrument, and in how far a reach [m]: choices.
 const MOST_NEAR: usize = 128;
 const NEAR_M: f64 = 0.02;
-/// The search is repeated in half the reach when there are more, so often at most.
-const MOST_SEARCHES: usize = 5;
 
 /// A surface that moves from one list of positions to another, with its search.
 pub(super) struct SearchedSurface<'a> {
@@ -512,17 +510,7 @@ impl World {
         found.nodes.clear();
         let (Some(hand), Some(spec)) = (self.hands.get(tool), self.spec.tools.get(tool)) else { return };
         let Some(shape) = capsule(spec, ToolPart::Tip, &hand.now) else { return };
-        let mut reach_m = NEAR_M;
-        for _ in 0..MOST_SEARCHES {
-            found.near.clear();
-            if self.organ.skin().near_into(&shape, reach_m, &mut found.near) == 0 {
-                break;
-            }
-            reach_m *= 0.5;
-        }
-        found.near.sort_unstable_by(|a, b| {
-            a.contact.gap_m.total_cmp(&b.contact.gap_m).then(a.triangle.cmp(&b.triangle))
-        });
+        self.organ.skin().nearest_into(&shape, NEAR_M, &mut found.near);
         for near in &found.near {
             for node in self.organ.skin().place_of(*near).nodes {
                 if found.nodes.len() < most && !found.nodes.contains(&node) {

@@ -5,7 +5,7 @@ use crate::model_meshes::block;
 use glisson::material::LinearElastic;
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
-use glisson::mesh::{NodeId, TriangleId};
+use glisson::mesh::{NodeId, TetMesh, TriangleId};
 use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
 use glisson::scene::{OrganBody, build_model};
@@ -24,7 +24,10 @@ fn probe() -> Tool {
 }
 
 fn world(kind: ModelKind) -> World {
-    let mesh = block([5, 5, 5], DVec3::splat(SIZE_M));
+    world_with(block([5, 5, 5], DVec3::splat(SIZE_M)), kind)
+}
+
+fn world_with(mesh: TetMesh, kind: ModelKind) -> World {
     let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
     let mut spec = WorldSpec::new("block", TIME_STEP_S, probe());
     spec.supports = vec![Support::all_axes(table)];
@@ -261,6 +264,23 @@ fn lists_that_are_no_surface_are_refused() {
     let triangle = good.triangles[3].0.0;
     let missing = SurfaceListError::Node { triangle, node: 99 };
     assert_eq!(refused(&|list| list.triangles[3].1[0] = NodeId(99)), missing);
+}
+
+#[test]
+fn a_fine_surface_in_reach_is_told_though_none_of_it_is_in_half_the_reach() {
+    let size_m = DVec3::new(0.072, 0.072, 6e-3);
+    let mut world = world_with(block([24, 24, 2], size_m), ModelKind::TensorMass);
+    let middle = |shift_m: f64| {
+        ToolInput::at(DVec3::new(0.036 + shift_m, 0.036, size_m.z + RADIUS_M + 12e-3), DVec3::Z)
+    };
+    // At 0.2 m/s the haptic model looks further than 20 mm.
+    world.step(&StepInput::of(&[middle(0.0)]).placed());
+    world.step(&StepInput::of(&[middle(0.2 * TIME_STEP_S)]));
+    let mut found = glisson::world::detection::NearbyNodes::default();
+    world.nodes_near_into(0, 9, &mut found);
+    assert_eq!(found.nodes().len(), 9);
+    let model = world.haptic_model(0);
+    assert!((model.gap_m - 12e-3).abs() < 1e-5 && model.normal.distance(DVec3::Z) < 1e-6, "{model:?}");
 }
 
 #[test]

@@ -51,6 +51,11 @@ impl SurfaceSearch {
         self.triangles[slot as usize] = triangle;
     }
 
+    /// Vertices of the triangle in a slot.
+    pub fn triangle(&self, slot: u32) -> Option<[u32; 3]> {
+        self.triangles.get(slot as usize).copied().flatten()
+    }
+
     /// Number of slots.
     pub fn n_slots(&self) -> usize {
         self.triangles.len()

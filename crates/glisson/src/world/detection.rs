@@ -8,7 +8,7 @@
 
 use super::World;
 use super::parts::{ToolPart, ToolPoint, capsule, mesh_of, motion, rigid_pose};
-use super::touch::FROM_INSIDE;
+use super::touch::comes_from_inside;
 use crate::contact::broad_phase::BroadPhaseKind;
 use crate::contact::continuous::FirstContact;
 use crate::contact::tool_contact::{SurfaceSearch, ToolContact};
@@ -29,8 +29,6 @@ pub(super) const MESH_SKIN_M: f64 = 1e-4;
 const APART_M: f64 = 2e-4;
 /// An instrument that came further between two looks was put there [m]: a choice, ten times what hands do in a tick.
 const JUMP_M: f64 = 0.1;
-/// A touched point with smaller weights is at an edge of its triangle, or a corner.
-const LEAST_WITHIN: f64 = 1e-3;
 /// Nodes that moved less than this [m] did not: rounding of positions that travel as 32-bit numbers.
 const STILL_M: f64 = 1e-7;
 /// The nearest triangles that are looked at around an instrument, and in how far a reach [m]: choices.
@@ -44,13 +42,24 @@ pub(super) struct SearchedSurface<'a> {
     pub(super) end_m: &'a [DVec3],
 }
 
-/// A triangle that a part touches, and what of the part touches it. The normal is zero where a mesh crosses the triangle.
+impl SearchedSurface<'_> {
+    /// Outward unit normal of a triangle at the end of its motion; zero for one without area.
+    fn face_normal(&self, slot: u32) -> DVec3 {
+        let Some(vertices) = self.search.triangle(slot) else { return DVec3::ZERO };
+        let [a, b, c] = vertices.map(|v| self.end_m[v as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    }
+}
+
+/// A triangle that a part touches, and what of the part touches it. The normal is never zero.
 pub(super) struct FirstTouch {
     pub(super) found: ToolContact,
     pub(super) at: TouchingPoint,
 }
 
-/// First touch of a part that moves from `before` to `now`; none of a part that the tool does not have.
+/// First touch of a part that moves from `before` to `now`; none of a part that the tool does not have. A capsule whose axis
+/// crosses the surface touches nothing: it says of no side that it is the outer one. A mesh that crosses it does: out along
+/// the tissue's own normal.
 pub(super) fn first_touch(
     tool: &Tool,
     part: ToolPart,
@@ -62,6 +71,9 @@ pub(super) fn first_touch(
     }
     let motion = motion(tool, part, before, now)?;
     let found = surface.search.first_contact(&motion, surface.start_m, surface.end_m)?;
+    if found.contact.normal == DVec3::ZERO {
+        return None;
+    }
     let then = motion.at(found.contact.time);
     let axis = then.to_m - then.from_m;
     let along = (found.contact.points_m[0] - then.from_m).dot(axis) / axis.length_squared();
@@ -96,7 +108,12 @@ fn first_touch_of_mesh(
             first = Some(FirstTouch { found, at: TouchingPoint::Fixed(in_tool_m) });
         }
     }
-    first
+    let mut touch = first?;
+    let contact = &mut touch.found.contact;
+    if contact.normal == DVec3::ZERO {
+        contact.normal = surface.face_normal(touch.found.triangle);
+    }
+    (contact.normal != DVec3::ZERO).then_some(touch)
 }
 
 /// Radius with which a part touches [m]; of a mesh the skin around it.
@@ -284,11 +301,6 @@ impl SurfaceCopy {
         self.vertices[slot as usize].map(|v| self.shown_m[v as usize])
     }
 
-    fn face_normal(&self, slot: u32) -> DVec3 {
-        let [a, b, c] = self.corners_m(slot);
-        (b - a).cross(c - a).normalize_or_zero()
-    }
-
     fn point_m(&self, slot: u32, weights: [f64; 3]) -> DVec3 {
         let corners_m = self.corners_m(slot);
         (0..3).map(|v| corners_m[v] * weights[v]).sum()
@@ -439,14 +451,7 @@ impl ToolDetector {
             return PartState::Free;
         };
         let contact = found.contact;
-        let face = surface.face_normal(found.triangle);
-        let normal = if contact.normal == DVec3::ZERO { face } else { contact.normal };
-        if normal == DVec3::ZERO {
-            return PartState::Free;
-        }
-        // At a corner of the surface the triangle may face elsewhere than the touch.
-        let is_within = found.weights.iter().all(|weight| *weight > LEAST_WITHIN);
-        if is_within && normal.dot(face) < FROM_INSIDE {
+        if comes_from_inside(contact.normal, found.weights, searched.face_normal(found.triangle)) {
             // It comes out of the organ: nothing holds it back.
             return PartState::Buried;
         }
@@ -454,7 +459,7 @@ impl ToolDetector {
             found: FoundTouch {
                 triangle: surface.triangles[found.triangle as usize],
                 weights: found.weights,
-                normal,
+                normal: contact.normal,
                 at,
                 gap_m: contact.gap_m,
             },

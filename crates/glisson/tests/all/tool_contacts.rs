@@ -1,0 +1,108 @@
+//! What instruments touch: the same in a world that looks by itself and in one that is told where they are
+//! put into tissue and come out of it.
+
+use crate::model_meshes::block;
+use glisson::contact::shapes::MeshShape;
+use glisson::material::LinearElastic;
+use glisson::math::{Aabb, DVec3};
+use glisson::mesh::TetMesh;
+use glisson::model::Rayleigh;
+use glisson::model::kind::ModelKind;
+use glisson::scene::{OrganBody, build_model};
+use glisson::tool::{Blade, BladeCuts, Tool, ToolInput, ToolKind, ToolShape};
+use glisson::world::detection::{SurfaceCopy, ToolDetector};
+use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
+use glisson::world::{StepInput, World};
+
+const TIME_STEP_S: f64 = 1e-3;
+const SIZE_M: f64 = 0.1;
+const RADIUS_M: f64 = 8e-3;
+
+fn world_of(mesh: TetMesh, tool: Tool, kind: ModelKind) -> World {
+    let table = Region::Box(Aabb { min_m: DVec3::splat(-1.0), max_m: DVec3::new(1.0, 1.0, 1e-6) });
+    let mut spec = WorldSpec::new("tissue", TIME_STEP_S, tool);
+    spec.supports = vec![Support::all_axes(table)];
+    let material = LinearElastic::from_young_poisson(5e3, 0.4, 1000.0).unwrap();
+    let mut body = OrganBody::new(mesh, material, TIME_STEP_S);
+    body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
+    body.damping = Rayleigh { mass_per_s: 30.0, stiffness_s: 0.0 };
+    let model = build_model(&body, kind).unwrap();
+    World::new(spec, body.mesh, model, kind).unwrap()
+}
+
+fn at(x_m: f64, z_m: f64) -> ToolInput {
+    ToolInput::at(DVec3::new(x_m, 0.45 * SIZE_M, z_m), DVec3::Z)
+}
+
+fn probe(radius_m: f64) -> Tool {
+    Tool::probe("ball", radius_m, at(2.0 * SIZE_M, 2.0 * SIZE_M))
+}
+
+/// Whether a tool touches after each of these poses, of which the first is put: in a world that looks by itself, and in one
+/// that is told.
+fn touches(tool: &Tool, poses: &[ToolInput]) -> Vec<bool> {
+    let make = || world_of(block([5, 5, 5], DVec3::splat(SIZE_M)), tool.clone(), ModelKind::Precomputed);
+    let (mut looks, mut is_told) = (make(), make());
+    let mut copy = SurfaceCopy::new(&is_told.surface_list()).unwrap();
+    let mut detector = ToolDetector::new(tool);
+    let step = |(i, pose): (usize, &ToolInput)| {
+        let input = StepInput::of(&[*pose]);
+        let input = if i == 0 { input.placed() } else { input };
+        for (node, position_m) in is_told.surface_list().nodes {
+            copy.place(node, position_m);
+        }
+        copy.refresh();
+        let detected = [Some(detector.look(&copy, pose)), None, None, None];
+        let found = is_told.step(&StepInput { detected, ..input }).in_contact();
+        let expected = looks.step(&input).in_contact();
+        assert_eq!(found, expected, "told and by itself, at pose {i}");
+        found
+    };
+    poses.iter().enumerate().map(step).collect()
+}
+
+#[test]
+fn a_tip_that_comes_out_of_the_organ_is_not_held_back_and_touches_again_from_outside() {
+    let up = (0..50).map(|i| at(0.05, SIZE_M - 0.02 + 1e-3 * f64::from(i)));
+    let down = (1..20).map(|i| at(0.05, SIZE_M + RADIUS_M + 0.021 - 2e-3 * f64::from(i)));
+    let poses: Vec<ToolInput> = up.chain(down).collect();
+    let found = touches(&probe(RADIUS_M), &poses);
+    assert!(found[..50].iter().all(|touches| !touches), "{found:?}");
+    assert!(found[68], "{found:?}");
+}
+
+#[test]
+fn a_shaft_that_leaves_the_tissue_it_was_put_into_is_not_pushed_out_of_it_afterwards() {
+    // The tip hangs below the block's edge, the shaft goes up through the block.
+    let through = ToolInput::at(DVec3::new(SIZE_M + 0.03, 0.045, 0.05), DVec3::new(-0.6, 0.0, 0.8));
+    let beside = ToolInput { tip_in_world_m: through.tip_in_world_m + DVec3::X * 0.06, ..through };
+    let back = |m: f64| ToolInput { tip_in_world_m: beside.tip_in_world_m - DVec3::X * m, ..beside };
+    let found = touches(&probe(RADIUS_M), &[through, through, beside, beside, back(0.02), back(0.035)]);
+    assert_eq!(found, [false, false, false, false, false, true]);
+}
+
+#[test]
+fn a_tool_that_is_put_into_tissue_again_forgets_that_it_was_buried() {
+    let tool = probe(RADIUS_M);
+    let mut world = world_of(block([5, 5, 5], DVec3::splat(SIZE_M)), tool, ModelKind::Precomputed);
+    // Its centre in the tissue: it is inside.
+    assert!(!world.step(&StepInput::of(&[at(0.05, SIZE_M - 5e-3)]).placed()).in_contact());
+    assert!(!world.step(&StepInput::of(&[at(0.05, SIZE_M + 5e-3)])).in_contact());
+    assert!(world.step(&StepInput::of(&[at(0.05, SIZE_M + 5e-3)]).placed()).in_contact());
+}
+
+#[test]
+fn what_crosses_the_surface_where_it_is_put_touches_alike_whoever_looks() {
+    let blade = Blade { length_m: 0.02, cuts: BladeCuts::Subdivision };
+    let scalpel = Tool { kind: ToolKind::Scalpel(blade), ..probe(1e-3) };
+    let poses: Vec<ToolInput> = (0..40).map(|i| at(0.05, SIZE_M - 0.01 + 1e-3 * f64::from(i))).collect();
+    let found = touches(&scalpel, &poses);
+    assert!(found[39..].iter().all(|touches| !touches), "{found:?}");
+    let corner = |i: usize| DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2) as f64) * 8e-3 - 4e-3;
+    let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let triangles = faces.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+    let shape = MeshShape::new((0..8).map(corner).collect(), triangles);
+    let cube = Tool { shape: ToolShape::Mesh(shape), ..probe(4e-3) };
+    let found = touches(&cube, &[at(0.05, SIZE_M), at(0.05, SIZE_M)]);
+    assert!(found[0], "out along the tissue's normal: {found:?}");
+}

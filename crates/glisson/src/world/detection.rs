@@ -394,7 +394,7 @@ impl ToolDetector {
             self.lift();
             return self.detected(surface);
         }
-        let mut now = pose.through(self.tool.trocar_m);
+        let mut now = self.tool.held(*pose, self.before.as_ref());
         now.jaw_opening = now.jaw_opening.clamp(0.0, 1.0);
         let is_other_surface = std::mem::replace(&mut self.version, surface.version) != surface.version;
         let is_new_move = std::mem::replace(&mut self.n_moves_seen, surface.n_moves) != surface.n_moves;

@@ -103,7 +103,8 @@ impl Hand {
         let asked = &input.tools[place];
         self.report.input_rejected = !asked.is_finite();
         if !self.report.input_rejected {
-            self.now = asked.through(tool.trocar_m);
+            let before = (!input.placed[place]).then_some(&self.before);
+            self.now = tool.held(*asked, before);
             self.now.jaw_opening = asked.jaw_opening.clamp(0.0, 1.0);
         }
         if input.placed[place] {

@@ -106,3 +106,33 @@ fn what_crosses_the_surface_where_it_is_put_touches_alike_whoever_looks() {
     let found = touches(&cube, &[at(0.05, SIZE_M), at(0.05, SIZE_M)]);
     assert!(found[0], "out along the tissue's normal: {found:?}");
 }
+#[test]
+fn a_tip_drawn_out_of_its_trocar_stays_in_it_and_comes_back_as_it_was() {
+    let trocar_m = DVec3::new(0.05, 0.045, 0.3);
+    let tool = Tool { trocar_m: Some(trocar_m), shaft_length_m: 0.25, home: at(0.05, 0.2), ..probe(3e-3) };
+    let mut world = world_of(block([2, 2, 2], DVec3::splat(SIZE_M)), tool.clone(), ModelKind::Precomputed);
+    let mut detector = ToolDetector::new(&tool);
+    let copy = SurfaceCopy::new(&world.surface_list()).unwrap();
+    let mut pose = |x_m: f64, z_m: f64| {
+        let input = StepInput::of(&[at(x_m, z_m)]);
+        detector.look(&copy, &input.tools[0]);
+        world.step(&input);
+        world.snapshot().tools[0].pose
+    };
+    let inside = pose(0.08, 0.25);
+    assert!(inside.shaft_in_world.z > 0.8 && inside.tip_in_world_m.x == 0.08);
+    for (x_m, z_m) in [(0.045, 0.305), (0.03, 0.33), (-0.02, 0.33), (0.2, 0.31)] {
+        let out = pose(x_m, z_m);
+        assert_eq!((out.tip_in_world_m, out.shaft_in_world), (trocar_m, inside.shaft_in_world));
+    }
+    // On the other side inside: the tool is there at once.
+    let again = pose(-0.03, 0.27);
+    assert!(again.shaft_in_world.z > 0.0 && again.tip_in_world_m.x == -0.03, "{again:?}");
+    // No deeper than the shaft is long.
+    let deep = pose(0.05, 0.01);
+    assert!((deep.tip_in_world_m.z - 0.05).abs() < 1e-12 && deep.shaft_in_world == DVec3::Z, "{deep:?}");
+    // Put there, past the pivot: the home tells which side is out.
+    world.step(&StepInput::of(&[at(0.06, 0.35)]).placed());
+    let put = world.snapshot().tools[0].pose;
+    assert!(put.tip_in_world_m == trocar_m && put.shaft_in_world.z > 0.0, "{put:?}");
+}

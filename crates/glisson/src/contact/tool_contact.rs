@@ -86,6 +86,17 @@ impl SurfaceSearch {
         start_m: &[DVec3],
         end_m: &[DVec3],
     ) -> Option<ToolContact> {
+        self.first_contact_among(capsule, start_m, end_m, &|_, _| true)
+    }
+
+    /// [`SurfaceSearch::first_contact`] of those that count: answered for a triangle and its own first contact.
+    pub fn first_contact_among(
+        &self,
+        capsule: &CapsuleMotion,
+        start_m: &[DVec3],
+        end_m: &[DVec3],
+        counts: &dyn Fn(u32, &FirstContact) -> bool,
+    ) -> Option<ToolContact> {
         let mut best: Option<(u32, FirstContact)> = None;
         // The tolerance is searched too, so that what is found does not depend on the boxes.
         let reach = capsule.reach(super::continuous::CONTACT_TOLERANCE_M);
@@ -93,7 +104,8 @@ impl SurfaceSearch {
             let Some(triangle) = self.triangles[t as usize] else { return };
             let latest = latest_of_interest(best.as_ref());
             let (start, end) = (corners(triangle, start_m), corners(triangle, end_m));
-            if let Some(found) = capsule_and_triangle(capsule, start, end, latest) {
+            let found = capsule_and_triangle(capsule, start, end, latest);
+            if let Some(found) = found.filter(|found| counts(t, found)) {
                 keep_first(&mut best, t, found);
             }
         });
@@ -111,6 +123,17 @@ impl SurfaceSearch {
         reach_m: f64,
         start_m: &[DVec3],
         end_m: &[DVec3],
+    ) -> Option<ToolContact> {
+        self.first_contact_of_triangle_among((tool_m, reach_m), start_m, end_m, &|_, _| true)
+    }
+
+    /// [`SurfaceSearch::first_contact_of_triangle`] of those that count.
+    pub fn first_contact_of_triangle_among(
+        &self,
+        (tool_m, reach_m): ([[DVec3; 3]; 2], f64),
+        start_m: &[DVec3],
+        end_m: &[DVec3],
+        counts: &dyn Fn(u32, &FirstContact) -> bool,
     ) -> Option<ToolContact> {
         let bounds = RoundedBox::of_moving_triangle(
             tool_m[0],
@@ -132,7 +155,8 @@ impl SurfaceSearch {
             }
             let latest = latest_of_interest(best.as_ref());
             let second_m = [corners(triangle, start_m), corners(triangle, end_m)];
-            if let Some(found) = two_triangles(tool_m, second_m, reach_m, latest) {
+            let found = two_triangles(tool_m, second_m, reach_m, latest);
+            if let Some(found) = found.filter(|found| counts(t, found)) {
                 keep_first(&mut best, t, found);
             }
         });

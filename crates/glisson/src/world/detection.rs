@@ -8,9 +8,10 @@
 
 use super::World;
 use super::parts::{ToolPart, ToolPoint, capsule, mesh_of, motion, rigid_pose};
-use super::touch::comes_from_inside;
+use super::touch::FROM_INSIDE;
 use crate::contact::broad_phase::BroadPhaseKind;
 use crate::contact::continuous::FirstContact;
+use crate::contact::shapes::MeshShape;
 use crate::contact::tool_contact::{SurfaceSearch, ToolContact};
 use crate::contact::triangles::closest_weights;
 use crate::math::DVec3;
@@ -19,6 +20,7 @@ use crate::mesh::topology::{Topology, TopologyError};
 use crate::mesh::{NodeId, TetMesh, TriangleId};
 use crate::tool::found::{Detected, FoundTouch, N_TOUCHING_PARTS, TouchingPoint};
 use crate::tool::{Tool, ToolInput};
+use std::cell::Cell;
 
 /// A mesh touches when it is this near [m]: far below what is seen, far above rounding, so that there is a direction
 /// from tissue to tool.
@@ -57,23 +59,50 @@ pub(super) struct FirstTouch {
     pub(super) at: TouchingPoint,
 }
 
-/// First touch of a part that moves from `before` to `now`; none of a part that the tool does not have. A capsule whose axis
-/// crosses the surface touches nothing: it says of no side that it is the outer one. A mesh that crosses it does: out along
-/// the tissue's own normal.
+/// What a part meets on its way.
+pub(super) enum Meeting {
+    /// Tissue from outside.
+    Touch(FirstTouch),
+    /// Nothing but tissue that it comes out of.
+    FromInside,
+}
+
+/// What a part that moves from `before` to `now` meets first, from outside if there is such: at a corner of the surface, and in
+/// thin tissue, other triangles that it reaches face away. None of a part that the tool does not have. A capsule whose axis
+/// crosses the surface touches nothing there: it says of no side that it is the outer one. A mesh that crosses it does: out
+/// along the tissue's own normal.
 pub(super) fn first_touch(
+    tool: &Tool,
+    part: ToolPart,
+    way: [&ToolInput; 2],
+    surface: &SearchedSurface<'_>,
+) -> Option<Meeting> {
+    let mesh = if part == ToolPart::Tip { mesh_of(tool) } else { None };
+    let comes_from_inside = Cell::new(false);
+    let counts = |slot: u32, contact: &FirstContact| {
+        if contact.normal == DVec3::ZERO {
+            return mesh.is_some();
+        }
+        let facing = contact.normal.dot(surface.face_normal(slot));
+        comes_from_inside.set(comes_from_inside.get() || facing < FROM_INSIDE);
+        facing > 0.0
+    };
+    let touch = match mesh {
+        Some(shape) => first_touch_of_mesh(shape, way, surface, &counts),
+        None => first_touch_of_capsule(tool, part, way, surface, &counts),
+    };
+    touch.map(Meeting::Touch).or_else(|| comes_from_inside.get().then_some(Meeting::FromInside))
+}
+
+fn first_touch_of_capsule(
     tool: &Tool,
     part: ToolPart,
     [before, now]: [&ToolInput; 2],
     surface: &SearchedSurface<'_>,
+    counts: &dyn Fn(u32, &FirstContact) -> bool,
 ) -> Option<FirstTouch> {
-    if part == ToolPart::Tip && mesh_of(tool).is_some() {
-        return first_touch_of_mesh(tool, [before, now], surface);
-    }
     let motion = motion(tool, part, before, now)?;
-    let found = surface.search.first_contact(&motion, surface.start_m, surface.end_m)?;
-    if found.contact.normal == DVec3::ZERO {
-        return None;
-    }
+    let found = surface.search.first_contact_among(&motion, surface.start_m, surface.end_m, counts)?;
     let then = motion.at(found.contact.time);
     let axis = then.to_m - then.from_m;
     let along = (found.contact.points_m[0] - then.from_m).dot(axis) / axis.length_squared();
@@ -82,19 +111,20 @@ pub(super) fn first_touch(
 }
 
 fn first_touch_of_mesh(
-    tool: &Tool,
+    shape: &MeshShape,
     [before, now]: [&ToolInput; 2],
     surface: &SearchedSurface<'_>,
+    counts: &dyn Fn(u32, &FirstContact) -> bool,
 ) -> Option<FirstTouch> {
-    let shape = mesh_of(tool)?;
     let (start, end) = (rigid_pose(before), rigid_pose(now));
     let reach_m = MESH_SKIN_M + shape.path_error_m(&start, &end);
     let mut first: Option<FirstTouch> = None;
     for triangle in &shape.triangles {
         let body_m = triangle.map(|v| shape.positions_m[v as usize]);
         let corners_m = [start, end].map(|pose| body_m.map(|p| pose.rotation * p + pose.origin_m));
-        let search = surface.search;
-        let touch = search.first_contact_of_triangle(corners_m, reach_m, surface.start_m, surface.end_m);
+        let (start_m, end_m) = (surface.start_m, surface.end_m);
+        let way = (corners_m, reach_m);
+        let touch = surface.search.first_contact_of_triangle_among(way, start_m, end_m, counts);
         let Some(found) = touch else { continue };
         let contact: &FirstContact = &found.contact;
         let is_first = first.as_ref().is_none_or(|best| {
@@ -447,14 +477,13 @@ impl ToolDetector {
             }
         }
         let searched = surface.searched(way.surface_moves);
-        let Some(FirstTouch { found, at }) = first_touch(tool, part, way.poses, &searched) else {
-            return PartState::Free;
+        let FirstTouch { found, at } = match first_touch(tool, part, way.poses, &searched) {
+            None => return PartState::Free,
+            // It comes out of the organ: nothing holds it back.
+            Some(Meeting::FromInside) => return PartState::Buried,
+            Some(Meeting::Touch(touch)) => touch,
         };
         let contact = found.contact;
-        if comes_from_inside(contact.normal, found.weights, searched.face_normal(found.triangle)) {
-            // It comes out of the organ: nothing holds it back.
-            return PartState::Buried;
-        }
         PartState::Touches(LastingTouch {
             found: FoundTouch {
                 triangle: surface.triangles[found.triangle as usize],

@@ -1,7 +1,7 @@
 //! One instrument in a world: where it is, what it touches and holds.
 
 use super::StepInput;
-use super::detection::{FirstTouch, first_touch, touching_radius_m};
+use super::detection::{FirstTouch, Meeting, first_touch, touching_radius_m};
 use super::grasp::Grasp;
 use super::organ::Organ;
 use super::parts::{ToolPart, ToolPoint, capsule};
@@ -179,7 +179,10 @@ impl Hand {
 
     fn touch(&self, tool: &Tool, part: ToolPart, organ: &Organ, is_placed: bool) -> Option<ContactBegin> {
         let surface = organ.skin().searched(!is_placed);
-        let FirstTouch { found, at } = first_touch(tool, part, [&self.before, &self.now], &surface)?;
+        let FirstTouch { found, at } = match first_touch(tool, part, [&self.before, &self.now], &surface)? {
+            Meeting::Touch(touch) => touch,
+            Meeting::FromInside => return Some(ContactBegin::FromInside),
+        };
         let place = organ.skin().place_of(found);
         let at = ToolPoint::of(part, at);
         let point_m = at.in_world_m(tool, &self.now);

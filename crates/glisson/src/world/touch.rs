@@ -20,15 +20,7 @@ const RELEASE_PULL_N: f64 = 1e-3;
 const PUSH_OUT_M_PER_S: f64 = 0.2;
 
 /// Below this cosine between the way from tissue to tool and the outward normal, the tool comes from inside.
-const FROM_INSIDE: f64 = -0.2;
-/// A touched point with smaller weights is at an edge of its triangle, or a corner.
-const LEAST_WITHIN: f64 = 1e-3;
-
-/// Whether a part comes out of the organ where it touches a triangle: `normal` from tissue to tool, `face` out of the organ. At
-/// a corner of the surface the triangle may face elsewhere than the touch, which tells nothing.
-pub(super) fn comes_from_inside(normal: DVec3, weights: [f64; 3], face: DVec3) -> bool {
-    weights.iter().all(|weight| *weight > LEAST_WITHIN) && normal.dot(face) < FROM_INSIDE
-}
+pub(super) const FROM_INSIDE: f64 = -0.2;
 
 /// One touched triangle, the force on it and where the tool presses it.
 #[derive(Clone, Debug, PartialEq)]
@@ -69,7 +61,7 @@ impl HeldContact {
         let contact = &place.found.contact;
         let normal = contact.normal;
         let weights = place.found.weights;
-        if comes_from_inside(normal, weights, face) {
+        if normal.dot(face) < FROM_INSIDE {
             return ContactBegin::FromInside;
         }
         if motion_weights(weights, nodes.map(|n| organ.is_fixed(n))).is_none() {

@@ -269,7 +269,7 @@ fn lists_that_are_no_surface_are_refused() {
 #[test]
 fn a_fine_surface_in_reach_is_told_though_none_of_it_is_in_half_the_reach() {
     let size_m = DVec3::new(0.072, 0.072, 6e-3);
-    let mut world = world_with(block([24, 24, 2], size_m), ModelKind::TensorMass);
+    let mut world = world_with(block([24, 24, 2], size_m), ModelKind::Implicit);
     let middle = |shift_m: f64| {
         ToolInput::at(DVec3::new(0.036 + shift_m, 0.036, size_m.z + RADIUS_M + 12e-3), DVec3::Z)
     };

@@ -77,7 +77,7 @@ fn a_shaft_that_leaves_the_tissue_it_was_put_into_is_not_pushed_out_of_it_afterw
     let through = ToolInput::at(DVec3::new(SIZE_M + 0.03, 0.045, 0.05), DVec3::new(-0.6, 0.0, 0.8));
     let beside = ToolInput { tip_in_world_m: through.tip_in_world_m + DVec3::X * 0.06, ..through };
     let back = |m: f64| ToolInput { tip_in_world_m: beside.tip_in_world_m - DVec3::X * m, ..beside };
-    let found = touches(&probe(RADIUS_M), &[through, through, beside, beside, back(0.02), back(0.035)]);
+    let found = touches(&probe(RADIUS_M), &[through, through, beside, beside, back(0.02), back(0.055)]);
     assert_eq!(found, [false, false, false, false, false, true]);
 }
 
@@ -121,7 +121,7 @@ fn a_tip_drawn_out_of_its_trocar_stays_in_it_and_comes_back_as_it_was() {
     };
     let inside = pose(0.08, 0.25);
     assert!(inside.shaft_in_world.z > 0.8 && inside.tip_in_world_m.x == 0.08);
-    for (x_m, z_m) in [(0.045, 0.305), (0.03, 0.33), (-0.02, 0.33), (0.2, 0.31)] {
+    for (x_m, z_m) in [(0.045, 0.305), (0.03, 0.33), (-0.02, 0.33), (0.02, 0.36)] {
         let out = pose(x_m, z_m);
         assert_eq!((out.tip_in_world_m, out.shaft_in_world), (trocar_m, inside.shaft_in_world));
     }
@@ -130,7 +130,7 @@ fn a_tip_drawn_out_of_its_trocar_stays_in_it_and_comes_back_as_it_was() {
     assert!(again.shaft_in_world.z > 0.0 && again.tip_in_world_m.x == -0.03, "{again:?}");
     // No deeper than the shaft is long.
     let deep = pose(0.05, 0.01);
-    assert!((deep.tip_in_world_m.z - 0.05).abs() < 1e-12 && deep.shaft_in_world == DVec3::Z, "{deep:?}");
+    assert!((deep.tip_in_world_m.z - 0.05).abs() < 1e-12 && deep.shaft_in_world.z > 1.0 - 1e-12, "{deep:?}");
     // Put there, past the pivot: the home tells which side is out.
     world.step(&StepInput::of(&[at(0.06, 0.35)]).placed());
     let put = world.snapshot().tools[0].pose;

@@ -97,7 +97,7 @@ pub struct ProxyForce {
     pub normal: DVec3,
     /// How deep the goal lies below the surface [m]; negative when adhesion holds it outside.
     pub depth_m: f64,
-    /// Force of the tissue on the tool [N]; zero once it has left.
+    /// Force of the tissue on the tool [N], in the axes of the surface's positions; zero once it has left.
     pub on_tool_n: DVec3,
 }
 

@@ -51,6 +51,11 @@ impl SurfaceSearch {
         self.triangles[slot as usize] = triangle;
     }
 
+    /// Vertices of the triangle in a slot.
+    pub fn triangle(&self, slot: u32) -> Option<[u32; 3]> {
+        self.triangles.get(slot as usize).copied().flatten()
+    }
+
     /// Number of slots.
     pub fn n_slots(&self) -> usize {
         self.triangles.len()
@@ -81,6 +86,17 @@ impl SurfaceSearch {
         start_m: &[DVec3],
         end_m: &[DVec3],
     ) -> Option<ToolContact> {
+        self.first_contact_among(capsule, start_m, end_m, &|_, _| true)
+    }
+
+    /// [`SurfaceSearch::first_contact`] of those that count: answered for a triangle and its own first contact.
+    pub fn first_contact_among(
+        &self,
+        capsule: &CapsuleMotion,
+        start_m: &[DVec3],
+        end_m: &[DVec3],
+        counts: &dyn Fn(u32, &FirstContact) -> bool,
+    ) -> Option<ToolContact> {
         let mut best: Option<(u32, FirstContact)> = None;
         // The tolerance is searched too, so that what is found does not depend on the boxes.
         let reach = capsule.reach(super::continuous::CONTACT_TOLERANCE_M);
@@ -88,7 +104,8 @@ impl SurfaceSearch {
             let Some(triangle) = self.triangles[t as usize] else { return };
             let latest = latest_of_interest(best.as_ref());
             let (start, end) = (corners(triangle, start_m), corners(triangle, end_m));
-            if let Some(found) = capsule_and_triangle(capsule, start, end, latest) {
+            let found = capsule_and_triangle(capsule, start, end, latest);
+            if let Some(found) = found.filter(|found| counts(t, found)) {
                 keep_first(&mut best, t, found);
             }
         });
@@ -106,6 +123,17 @@ impl SurfaceSearch {
         reach_m: f64,
         start_m: &[DVec3],
         end_m: &[DVec3],
+    ) -> Option<ToolContact> {
+        self.first_contact_of_triangle_among((tool_m, reach_m), start_m, end_m, &|_, _| true)
+    }
+
+    /// [`SurfaceSearch::first_contact_of_triangle`] of those that count.
+    pub fn first_contact_of_triangle_among(
+        &self,
+        (tool_m, reach_m): ([[DVec3; 3]; 2], f64),
+        start_m: &[DVec3],
+        end_m: &[DVec3],
+        counts: &dyn Fn(u32, &FirstContact) -> bool,
     ) -> Option<ToolContact> {
         let bounds = RoundedBox::of_moving_triangle(
             tool_m[0],
@@ -127,7 +155,8 @@ impl SurfaceSearch {
             }
             let latest = latest_of_interest(best.as_ref());
             let second_m = [corners(triangle, start_m), corners(triangle, end_m)];
-            if let Some(found) = two_triangles(tool_m, second_m, reach_m, latest) {
+            let found = two_triangles(tool_m, second_m, reach_m, latest);
+            if let Some(found) = found.filter(|found| counts(t, found)) {
                 keep_first(&mut best, t, found);
             }
         });
@@ -135,6 +164,38 @@ impl SurfaceSearch {
         let vertices = self.triangles[triangle as usize]?;
         let weights = weights_at(&contact, corners(vertices, start_m), corners(vertices, end_m));
         Some(ToolContact { triangle, weights, contact })
+    }
+
+    /// Puts the triangles that are nearest to a resting capsule, and within `reach_m` of it, into `found`, nearest first and of
+    /// equal ones the lower triangle first: as many as it has room for, whatever lies further out. What was in it goes.
+    pub fn nearest_into(
+        &self,
+        capsule: &Capsule,
+        reach_m: f64,
+        positions_m: &[DVec3],
+        found: &mut Vec<ToolContact>,
+    ) {
+        found.clear();
+        self.structure.for_each_near(&self.boxes, &capsule.reach(reach_m), |t| {
+            let Some(triangle) = self.triangles[t as usize] else { return };
+            let corners_m = corners(triangle, positions_m);
+            let closest = closest_on_segment_and_triangle([capsule.from_m, capsule.to_m], corners_m);
+            let gap_m = closest.distance_m - capsule.radius_m;
+            if gap_m > reach_m {
+                return;
+            }
+            let before =
+                |near: &ToolContact| near.contact.gap_m.total_cmp(&gap_m).then(near.triangle.cmp(&t)).is_lt();
+            let place = found.partition_point(before);
+            if found.len() == found.capacity() {
+                if place == found.len() {
+                    return;
+                }
+                found.pop();
+            }
+            let weights = closest_weights(closest.second_m, corners_m);
+            found.insert(place, ToolContact { triangle: t, weights, contact: resting(&closest, gap_m) });
+        });
     }
 
     /// Appends every triangle that is within `margin_m` of a resting capsule to `found`, ascending by triangle, as far

@@ -161,6 +161,28 @@ impl Tool {
             home,
         }
     }
+
+    /// The pose that this tool takes when a hand asks for `asked` and it was at `before`, none when it was put there.
+    ///
+    /// Through a trocar the shaft is inserted by 0 to its length (a home further in counts as well; an instrument without a
+    /// shaft goes as far as it likes). A tip that is drawn out past the pivot, as seen along the shaft that was and along that
+    /// of the home, stays in the pivot with the shaft that was: an instrument does not turn round into the patient.
+    #[must_use]
+    pub fn held(&self, asked: ToolInput, before: Option<&ToolInput>) -> ToolInput {
+        let Some(trocar_m) = self.trocar_m else { return asked };
+        let home = self.home.through(self.trocar_m);
+        let former = before.unwrap_or(&home).shaft_in_world;
+        let to_pivot_m = trocar_m - asked.tip_in_world_m;
+        if to_pivot_m.dot(former) < 0.0 && to_pivot_m.dot(home.shaft_in_world) < 0.0 {
+            return ToolInput { tip_in_world_m: trocar_m, shaft_in_world: former, ..asked };
+        }
+        let shaft_in_world = to_pivot_m.normalize_or(former);
+        let longest_m = self.shaft_length_m.max(home.tip_in_world_m.distance(trocar_m));
+        let is_too_far = self.shaft_length_m > 0.0 && to_pivot_m.length() > longest_m;
+        let tip_in_world_m =
+            if is_too_far { trocar_m - shaft_in_world * longest_m } else { asked.tip_in_world_m };
+        ToolInput { tip_in_world_m, shaft_in_world, ..asked }
+    }
 }
 
 /// What one hand does with a tool in one step.
@@ -209,7 +231,8 @@ impl ToolInput {
         self.trigger > TRIGGER_PRESSED
     }
 
-    /// The pose of a tool that goes through a trocar: its shaft points there. A tip in the trocar itself keeps its shaft.
+    /// The pose of a tool that goes through a trocar, its tip inside: its shaft points there. A tip in the trocar itself keeps
+    /// its shaft. For places that are chosen; what a hand asks for goes through [`Tool::held`].
     #[must_use]
     pub fn through(self, trocar_m: Option<DVec3>) -> Self {
         let Some(trocar_m) = trocar_m else { return self };

@@ -11,6 +11,7 @@ use super::parts::{ToolPart, ToolPoint, capsule, mesh_of, motion, rigid_pose};
 use super::touch::FROM_INSIDE;
 use crate::contact::broad_phase::BroadPhaseKind;
 use crate::contact::continuous::FirstContact;
+use crate::contact::shapes::MeshShape;
 use crate::contact::tool_contact::{SurfaceSearch, ToolContact};
 use crate::contact::triangles::closest_weights;
 use crate::math::DVec3;
@@ -19,6 +20,7 @@ use crate::mesh::topology::{Topology, TopologyError};
 use crate::mesh::{NodeId, TetMesh, TriangleId};
 use crate::tool::found::{Detected, FoundTouch, N_TOUCHING_PARTS, TouchingPoint};
 use crate::tool::{Tool, ToolInput};
+use std::cell::Cell;
 
 /// A mesh touches when it is this near [m]: far below what is seen, far above rounding, so that there is a direction
 /// from tissue to tool.
@@ -29,15 +31,11 @@ pub(super) const MESH_SKIN_M: f64 = 1e-4;
 const APART_M: f64 = 2e-4;
 /// An instrument that came further between two looks was put there [m]: a choice, ten times what hands do in a tick.
 const JUMP_M: f64 = 0.1;
-/// A touched point with smaller weights is at an edge of its triangle, or a corner.
-const LEAST_WITHIN: f64 = 1e-3;
 /// Nodes that moved less than this [m] did not: rounding of positions that travel as 32-bit numbers.
 const STILL_M: f64 = 1e-7;
-/// Triangles that are looked at around an instrument, and in how far a reach at first [m]: choices.
+/// The nearest triangles that are looked at around an instrument, and in how far a reach [m]: choices.
 const MOST_NEAR: usize = 128;
 const NEAR_M: f64 = 0.02;
-/// The search is repeated in half the reach when there are more, so often at most.
-const MOST_SEARCHES: usize = 5;
 
 /// A surface that moves from one list of positions to another, with its search.
 pub(super) struct SearchedSurface<'a> {
@@ -46,24 +44,65 @@ pub(super) struct SearchedSurface<'a> {
     pub(super) end_m: &'a [DVec3],
 }
 
-/// A triangle that a part touches, and what of the part touches it. The normal is zero where a mesh crosses the triangle.
+impl SearchedSurface<'_> {
+    /// Outward unit normal of a triangle at the end of its motion; zero for one without area.
+    fn face_normal(&self, slot: u32) -> DVec3 {
+        let Some(vertices) = self.search.triangle(slot) else { return DVec3::ZERO };
+        let [a, b, c] = vertices.map(|v| self.end_m[v as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    }
+}
+
+/// A triangle that a part touches, and what of the part touches it. The normal is never zero.
 pub(super) struct FirstTouch {
     pub(super) found: ToolContact,
     pub(super) at: TouchingPoint,
 }
 
-/// First touch of a part that moves from `before` to `now`; none of a part that the tool does not have.
+/// What a part meets on its way.
+pub(super) enum Meeting {
+    /// Tissue from outside.
+    Touch(FirstTouch),
+    /// Nothing but tissue that it comes out of.
+    FromInside,
+}
+
+/// What a part that moves from `before` to `now` meets first, from outside if there is such: at a corner of the surface, and in
+/// thin tissue, other triangles that it reaches face away. None of a part that the tool does not have. A capsule whose axis
+/// crosses the surface touches nothing there: it says of no side that it is the outer one. A mesh that crosses it does: out
+/// along the tissue's own normal.
 pub(super) fn first_touch(
+    tool: &Tool,
+    part: ToolPart,
+    way: [&ToolInput; 2],
+    surface: &SearchedSurface<'_>,
+) -> Option<Meeting> {
+    let mesh = if part == ToolPart::Tip { mesh_of(tool) } else { None };
+    let comes_from_inside = Cell::new(false);
+    let counts = |slot: u32, contact: &FirstContact| {
+        if contact.normal == DVec3::ZERO {
+            return mesh.is_some();
+        }
+        let facing = contact.normal.dot(surface.face_normal(slot));
+        comes_from_inside.set(comes_from_inside.get() || facing < FROM_INSIDE);
+        facing > 0.0
+    };
+    let touch = match mesh {
+        Some(shape) => first_touch_of_mesh(shape, way, surface, &counts),
+        None => first_touch_of_capsule(tool, part, way, surface, &counts),
+    };
+    touch.map(Meeting::Touch).or_else(|| comes_from_inside.get().then_some(Meeting::FromInside))
+}
+
+fn first_touch_of_capsule(
     tool: &Tool,
     part: ToolPart,
     [before, now]: [&ToolInput; 2],
     surface: &SearchedSurface<'_>,
+    counts: &dyn Fn(u32, &FirstContact) -> bool,
 ) -> Option<FirstTouch> {
-    if part == ToolPart::Tip && mesh_of(tool).is_some() {
-        return first_touch_of_mesh(tool, [before, now], surface);
-    }
     let motion = motion(tool, part, before, now)?;
-    let found = surface.search.first_contact(&motion, surface.start_m, surface.end_m)?;
+    let found = surface.search.first_contact_among(&motion, surface.start_m, surface.end_m, counts)?;
     let then = motion.at(found.contact.time);
     let axis = then.to_m - then.from_m;
     let along = (found.contact.points_m[0] - then.from_m).dot(axis) / axis.length_squared();
@@ -72,19 +111,20 @@ pub(super) fn first_touch(
 }
 
 fn first_touch_of_mesh(
-    tool: &Tool,
+    shape: &MeshShape,
     [before, now]: [&ToolInput; 2],
     surface: &SearchedSurface<'_>,
+    counts: &dyn Fn(u32, &FirstContact) -> bool,
 ) -> Option<FirstTouch> {
-    let shape = mesh_of(tool)?;
     let (start, end) = (rigid_pose(before), rigid_pose(now));
     let reach_m = MESH_SKIN_M + shape.path_error_m(&start, &end);
     let mut first: Option<FirstTouch> = None;
     for triangle in &shape.triangles {
         let body_m = triangle.map(|v| shape.positions_m[v as usize]);
         let corners_m = [start, end].map(|pose| body_m.map(|p| pose.rotation * p + pose.origin_m));
-        let search = surface.search;
-        let touch = search.first_contact_of_triangle(corners_m, reach_m, surface.start_m, surface.end_m);
+        let (start_m, end_m) = (surface.start_m, surface.end_m);
+        let way = (corners_m, reach_m);
+        let touch = surface.search.first_contact_of_triangle_among(way, start_m, end_m, counts);
         let Some(found) = touch else { continue };
         let contact: &FirstContact = &found.contact;
         let is_first = first.as_ref().is_none_or(|best| {
@@ -98,7 +138,12 @@ fn first_touch_of_mesh(
             first = Some(FirstTouch { found, at: TouchingPoint::Fixed(in_tool_m) });
         }
     }
-    first
+    let mut touch = first?;
+    let contact = &mut touch.found.contact;
+    if contact.normal == DVec3::ZERO {
+        contact.normal = surface.face_normal(touch.found.triangle);
+    }
+    (contact.normal != DVec3::ZERO).then_some(touch)
 }
 
 /// Radius with which a part touches [m]; of a mesh the skin around it.
@@ -196,6 +241,8 @@ pub struct SurfaceCopy {
     /// Whether a node was put elsewhere since the last refresh, and whether the last one moved any.
     is_stale: bool,
     moves: bool,
+    /// Refreshes that moved it: who has seen the last move does not meet it again.
+    n_moves: u64,
 }
 
 impl SurfaceCopy {
@@ -227,6 +274,7 @@ impl SurfaceCopy {
             end_m,
             is_stale: false,
             moves: false,
+            n_moves: 0,
         })
     }
 
@@ -250,7 +298,8 @@ impl SurfaceCopy {
         }
     }
 
-    /// The surface goes to where its nodes were placed; what it meets on its way is found by the looks before the next call.
+    /// The surface goes to where its nodes were placed; what it meets on its way is found by each instrument's first look before
+    /// the next call.
     /// Answers whether it moved. Allocates nothing.
     pub fn refresh(&mut self) -> bool {
         let has_moved = std::mem::replace(&mut self.moves, false);
@@ -260,6 +309,7 @@ impl SurfaceCopy {
         if std::mem::take(&mut self.is_stale) {
             self.shown_m.copy_from_slice(&self.end_m);
             self.moves = true;
+            self.n_moves += 1;
         }
         if self.moves || has_moved {
             self.search.update(&self.start_m, &self.shown_m);
@@ -279,11 +329,6 @@ impl SurfaceCopy {
 
     fn corners_m(&self, slot: u32) -> [DVec3; 3] {
         self.vertices[slot as usize].map(|v| self.shown_m[v as usize])
-    }
-
-    fn face_normal(&self, slot: u32) -> DVec3 {
-        let [a, b, c] = self.corners_m(slot);
-        (b - a).cross(c - a).normalize_or_zero()
     }
 
     fn point_m(&self, slot: u32, weights: [f64; 3]) -> DVec3 {
@@ -315,6 +360,16 @@ enum PartState {
     Touches(LastingTouch),
 }
 
+/// The way that a look looks at.
+struct LookedAt<'a> {
+    /// At the last look, and now.
+    poses: [&'a ToolInput; 2],
+    /// Whether the instrument was put there.
+    is_placed: bool,
+    /// Whether the surface made a move over it.
+    surface_moves: bool,
+}
+
 /// Looks where the parts of one instrument touch, each time that it moved.
 #[derive(Clone, Debug)]
 pub struct ToolDetector {
@@ -322,13 +377,21 @@ pub struct ToolDetector {
     /// None until it was seen.
     before: Option<ToolInput>,
     version: u32,
+    /// Moves of the surface that were made before the last look.
+    n_moves_seen: u64,
     parts: [PartState; N_TOUCHING_PARTS],
 }
 
 impl ToolDetector {
     /// For an instrument that was not seen yet.
     pub fn new(tool: &Tool) -> Self {
-        Self { tool: tool.clone(), before: None, version: 0, parts: [PartState::Free; N_TOUCHING_PARTS] }
+        Self {
+            tool: tool.clone(),
+            before: None,
+            version: 0,
+            n_moves_seen: 0,
+            parts: [PartState::Free; N_TOUCHING_PARTS],
+        }
     }
 
     /// Nobody holds the instrument: where it is seen next it was put.
@@ -354,15 +417,17 @@ impl ToolDetector {
         }
     }
 
-    /// Looks at the way from the last look to `pose`, over which the surface made its last move. Allocates nothing.
+    /// Looks at the way from the last look to `pose`, over which the surface made its last move if that look did not see it.
+    /// Allocates nothing.
     pub fn look(&mut self, surface: &SurfaceCopy, pose: &ToolInput) -> Detected {
         if !pose.is_finite() {
             self.lift();
             return self.detected(surface);
         }
-        let mut now = pose.through(self.tool.trocar_m);
+        let mut now = self.tool.held(*pose, self.before.as_ref());
         now.jaw_opening = now.jaw_opening.clamp(0.0, 1.0);
         let is_other_surface = std::mem::replace(&mut self.version, surface.version) != surface.version;
+        let is_new_move = std::mem::replace(&mut self.n_moves_seen, surface.n_moves) != surface.n_moves;
         if is_other_surface {
             // What touched the other one may touch this one: looked for where it is.
             self.parts = [PartState::Free; N_TOUCHING_PARTS];
@@ -374,9 +439,11 @@ impl ToolDetector {
             self.parts = [PartState::Free; N_TOUCHING_PARTS];
         }
         let before = known.unwrap_or(now);
+        let surface_moves = surface.moves && is_new_move;
+        let way = LookedAt { poses: [&before, &now], is_placed, surface_moves: surface_moves && !is_placed };
         for part in ToolPart::ALL {
             let state = self.parts[part.index()];
-            self.parts[part.index()] = self.look_at_part(part, state, [&before, &now], surface, is_placed);
+            self.parts[part.index()] = self.look_at_part(part, state, &way, surface);
         }
         self.before = Some(now);
         self.detected(surface)
@@ -386,11 +453,10 @@ impl ToolDetector {
         &self,
         part: ToolPart,
         state: PartState,
-        [before, now]: [&ToolInput; 2],
+        way: &LookedAt<'_>,
         surface: &SurfaceCopy,
-        is_placed: bool,
     ) -> PartState {
-        let tool = &self.tool;
+        let (tool, [_, now]) = (&self.tool, way.poses);
         if let PartState::Touches(touch) = state {
             let at_m = ToolPoint::of(part, touch.found.at).in_world_m(tool, now);
             let from_plane_m =
@@ -400,7 +466,7 @@ impl ToolDetector {
         }
         let Some(resting) = capsule(tool, part, now) else { return PartState::Free };
         // The tip is the hand's own doing; of the rest nobody sees where it goes in.
-        if state == PartState::Buried || is_placed && part != ToolPart::Tip {
+        if state == PartState::Buried || way.is_placed && part != ToolPart::Tip {
             let mut none = Vec::new();
             if surface.search.near_into(&resting, 0.0, &surface.shown_m, &mut none) > 0 {
                 return PartState::Buried;
@@ -410,32 +476,23 @@ impl ToolDetector {
                 return PartState::Free;
             }
         }
-        let moves = surface.moves && !is_placed;
-        let Some(FirstTouch { found, at }) = first_touch(tool, part, [before, now], &surface.searched(moves))
-        else {
-            return PartState::Free;
+        let searched = surface.searched(way.surface_moves);
+        let FirstTouch { found, at } = match first_touch(tool, part, way.poses, &searched) {
+            None => return PartState::Free,
+            // It comes out of the organ: nothing holds it back.
+            Some(Meeting::FromInside) => return PartState::Buried,
+            Some(Meeting::Touch(touch)) => touch,
         };
         let contact = found.contact;
-        let face = surface.face_normal(found.triangle);
-        let normal = if contact.normal == DVec3::ZERO { face } else { contact.normal };
-        if normal == DVec3::ZERO {
-            return PartState::Free;
-        }
-        // At a corner of the surface the triangle may face elsewhere than the touch.
-        let is_within = found.weights.iter().all(|weight| *weight > LEAST_WITHIN);
-        if is_within && normal.dot(face) < FROM_INSIDE {
-            // It comes out of the organ: nothing holds it back.
-            return PartState::Buried;
-        }
         PartState::Touches(LastingTouch {
             found: FoundTouch {
                 triangle: surface.triangles[found.triangle as usize],
                 weights: found.weights,
-                normal,
+                normal: contact.normal,
                 at,
                 gap_m: contact.gap_m,
             },
-            tip_m: before.tip_in_world_m.lerp(now.tip_in_world_m, contact.time),
+            tip_m: way.poses[0].tip_in_world_m.lerp(now.tip_in_world_m, contact.time),
             surface_m: contact.points_m[1],
             slot: found.triangle,
         })
@@ -487,17 +544,7 @@ impl World {
         found.nodes.clear();
         let (Some(hand), Some(spec)) = (self.hands.get(tool), self.spec.tools.get(tool)) else { return };
         let Some(shape) = capsule(spec, ToolPart::Tip, &hand.now) else { return };
-        let mut reach_m = NEAR_M;
-        for _ in 0..MOST_SEARCHES {
-            found.near.clear();
-            if self.organ.skin().near_into(&shape, reach_m, &mut found.near) == 0 {
-                break;
-            }
-            reach_m *= 0.5;
-        }
-        found.near.sort_unstable_by(|a, b| {
-            a.contact.gap_m.total_cmp(&b.contact.gap_m).then(a.triangle.cmp(&b.triangle))
-        });
+        self.organ.skin().nearest_into(&shape, NEAR_M, &mut found.near);
         for near in &found.near {
             for node in self.organ.skin().place_of(*near).nodes {
                 if found.nodes.len() < most && !found.nodes.contains(&node) {

@@ -1,10 +1,10 @@
 //! One instrument in a world: where it is, what it touches and holds.
 
 use super::StepInput;
-use super::detection::{FirstTouch, first_touch, touching_radius_m};
+use super::detection::{FirstTouch, Meeting, first_touch, touching_radius_m};
 use super::grasp::Grasp;
 use super::organ::Organ;
-use super::parts::{ToolPart, ToolPoint, capsule, mesh_of};
+use super::parts::{ToolPart, ToolPoint, capsule};
 use super::skin::SurfacePlace;
 use super::tear::{Overload, edge_cuts};
 use super::touch::{ContactBegin, HeldContact};
@@ -91,7 +91,9 @@ impl Hand {
         let contacts = self.contacts.iter().flatten().flat_map(HeldContact::numbers);
         let grasp = self.grasp.iter().flat_map(Grasp::numbers);
         let active = (self.active_s > 0.0).then_some(self.active_s);
-        contacts.chain(grasp).chain(active).chain(self.overload.numbers())
+        let buried = ToolPart::ALL.into_iter().filter(|part| self.is_buried[part.index()]);
+        let buried = buried.map(|part| part.index() as f64);
+        contacts.chain(grasp).chain(active).chain(buried).chain(self.overload.numbers())
     }
 
     /// Takes the input of tool number `place` over.
@@ -101,7 +103,8 @@ impl Hand {
         let asked = &input.tools[place];
         self.report.input_rejected = !asked.is_finite();
         if !self.report.input_rejected {
-            self.now = asked.through(tool.trocar_m);
+            let before = (!input.placed[place]).then_some(&self.before);
+            self.now = tool.held(*asked, before);
             self.now.jaw_opening = asked.jaw_opening.clamp(0.0, 1.0);
         }
         if input.placed[place] {
@@ -113,6 +116,7 @@ impl Hand {
     /// Lets go of everything.
     pub(super) fn let_go(&mut self) {
         self.contacts = [const { None }; 3];
+        self.is_buried = [false; 3];
         self.grasp = None;
         self.active_s = 0.0;
         self.overload = Overload::default();
@@ -149,12 +153,14 @@ impl Hand {
                 continue;
             }
             let Some(resting) = capsule(tool, part, &self.now) else { continue };
+            let was_buried = std::mem::take(&mut self.is_buried[part.index()]);
             // The tip is the hand's own doing; of the rest nobody sees where it goes in.
-            if is_placed && part != ToolPart::Tip || self.is_buried[part.index()] {
+            if was_buried || is_placed && part != ToolPart::Tip {
                 self.is_buried[part.index()] = organ.skin().overlaps(&resting);
-            }
-            if self.is_buried[part.index()] {
-                continue;
+                // It was in the way when it moved off: its next motion counts.
+                if was_buried || self.is_buried[part.index()] {
+                    continue;
+                }
             }
             let touch = match detected {
                 Some(detected) => detected.touches[part.index()]
@@ -162,7 +168,9 @@ impl Hand {
                 None => self.touch(tool, part, organ, is_placed),
             };
             match touch {
-                None | Some(ContactBegin::FromInside) => {}
+                None => {}
+                // Nothing holds it back.
+                Some(ContactBegin::FromInside) => self.bury(part),
                 Some(ContactBegin::OnFixedTissue) => self.report.blocked_by_fixed_tissue = true,
                 Some(ContactBegin::Touches(contact)) => self.contacts[part.index()] = Some(contact),
             }
@@ -171,13 +179,11 @@ impl Hand {
 
     fn touch(&self, tool: &Tool, part: ToolPart, organ: &Organ, is_placed: bool) -> Option<ContactBegin> {
         let surface = organ.skin().searched(!is_placed);
-        let FirstTouch { found, at } = first_touch(tool, part, [&self.before, &self.now], &surface)?;
-        let mut place = organ.skin().place_of(found);
-        let contact: &mut FirstContact = &mut place.found.contact;
-        if contact.normal == DVec3::ZERO && mesh_of(tool).is_some() && part == ToolPart::Tip {
-            // They cross: out along the tissue's own normal.
-            contact.normal = organ.face_normal(place.nodes);
-        }
+        let FirstTouch { found, at } = match first_touch(tool, part, [&self.before, &self.now], &surface)? {
+            Meeting::Touch(touch) => touch,
+            Meeting::FromInside => return Some(ContactBegin::FromInside),
+        };
+        let place = organ.skin().place_of(found);
         let at = ToolPoint::of(part, at);
         let point_m = at.in_world_m(tool, &self.now);
         Some(HeldContact::begin(&place, at, (point_m, touching_radius_m(tool, part)), organ))
@@ -214,7 +220,7 @@ impl Hand {
             return None;
         }
         match HeldContact::begin(&place, at, (point_m, radius_m), organ) {
-            // At a corner of the surface the triangle may face elsewhere than the touch.
+            // The organ turned since the copy was told of it.
             ContactBegin::FromInside => self.touch(tool, part, organ, is_placed),
             begun => Some(begun),
         }

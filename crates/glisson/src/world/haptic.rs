@@ -18,10 +18,6 @@ use crate::tool::{Tool, ToolInput, ToolKind};
 const REACH_M: f64 = 5e-3;
 /// Periods for which the tool's speed is expected to last until a newer model is felt.
 const PERIODS_AHEAD: f64 = 2.5;
-/// Triangles that are looked at for the nearest one.
-const MOST_NEAR: usize = 256;
-/// The search is repeated in half the reach when there are more, so often at most.
-const MOST_SEARCHES: usize = 4;
 
 /// Time [s] that the stiffness is for, at least: a simulation that is just fast enough to look at. Over a shorter time the
 /// patch's inertia counts, which answers to changes of speed, not to a motion that goes on.
@@ -65,6 +61,7 @@ pub(super) struct HapticScratch {
     points: Vec<PressedPoint>,
     followers: Vec<Follower>,
     nodes: Vec<NodeId>,
+    /// The nearest place.
     near: Vec<ToolContact>,
 }
 
@@ -78,7 +75,7 @@ impl HapticScratch {
             points: Vec::with_capacity(LocalModel::MOST_NODES),
             followers: Vec::with_capacity(LocalModel::MOST_NODES),
             nodes: Vec::with_capacity(LocalModel::MOST_NODES),
-            near: Vec::with_capacity(MOST_NEAR),
+            near: Vec::with_capacity(1),
         }
     }
 
@@ -279,7 +276,7 @@ impl World {
     ) {
         let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
         let is_cutting = matches!(tool.kind, ToolKind::Scalpel(_)) && hand.now.is_triggered();
-        let mut reach_m = REACH_M + model.tip_velocity_m_per_s.length() * PERIODS_AHEAD * model.period_s;
+        let reach_m = REACH_M + model.tip_velocity_m_per_s.length() * PERIODS_AHEAD * model.period_s;
         model.gap_m = reach_m;
         if is_cutting || !reach_m.is_finite() {
             return;
@@ -287,18 +284,10 @@ impl World {
         let mut nearest: Option<SurfacePlace> = None;
         for part in [ToolPart::Tip, ToolPart::SecondJaw] {
             let Some(shape) = capsule(tool, part, &hand.now) else { continue };
-            for _ in 0..MOST_SEARCHES {
-                scratch.near.clear();
-                if self.organ.skin().near_into(&shape, reach_m, &mut scratch.near) == 0 {
-                    break;
-                }
-                reach_m *= 0.5;
-            }
-            for found in &scratch.near {
-                let gap_m = found.contact.gap_m;
-                if nearest.is_none_or(|best| gap_m < best.found.contact.gap_m) {
-                    nearest = Some(self.organ.skin().place_of(*found));
-                }
+            self.organ.skin().nearest_into(&shape, reach_m, &mut scratch.near);
+            let Some(found) = scratch.near.first() else { continue };
+            if nearest.is_none_or(|best| found.contact.gap_m < best.found.contact.gap_m) {
+                nearest = Some(self.organ.skin().place_of(*found));
             }
         }
         let Some(surface) = nearest else { return };

@@ -183,6 +183,11 @@ impl Skin {
         self.search.near_into(capsule, margin_m, &self.end_m, found)
     }
 
+    /// Puts what is nearest to a resting capsule, and within `reach_m` of it, into `found`, nearest first, as far as there is room.
+    pub(super) fn nearest_into(&self, capsule: &Capsule, reach_m: f64, found: &mut Vec<ToolContact>) {
+        self.search.nearest_into(capsule, reach_m, &self.end_m, found);
+    }
+
     /// The surface as it is now, for proxies.
     pub(super) fn proxy_surface(&self) -> ProxySurface<'_> {
         ProxySurface { positions_m: &self.end_m, adjacency: &self.adjacency }

@@ -60,10 +60,10 @@ impl HeldContact {
         let face = (corners_m[1] - corners_m[0]).cross(corners_m[2] - corners_m[0]).normalize_or_zero();
         let contact = &place.found.contact;
         let normal = contact.normal;
-        if normal == DVec3::ZERO || normal.dot(face) < FROM_INSIDE {
+        let weights = place.found.weights;
+        if normal.dot(face) < FROM_INSIDE {
             return ContactBegin::FromInside;
         }
-        let weights = place.found.weights;
         if motion_weights(weights, nodes.map(|n| organ.is_fixed(n))).is_none() {
             return ContactBegin::OnFixedTissue;
         }

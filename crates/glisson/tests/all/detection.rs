@@ -592,6 +592,25 @@ fn meeting_close_and_moving_pairs_equal_brute_force() {
 }
 
 #[test]
+fn the_nearest_are_those_of_a_sorted_list_however_many_are_in_reach() {
+    let mut random = SeededRandom::new(61);
+    for _ in 0..20 {
+        let (positions, triangles) = heap(&mut random, 300, 0.5);
+        let search = SurfaceSearch::new(BroadPhaseKind::Hierarchy, &positions, &triangles, 0);
+        let middle_m = random_vector(&mut random);
+        let shape = Capsule { from_m: middle_m, to_m: middle_m + 0.1 * unit(&mut random), radius_m: 5e-3 };
+        let mut all = Vec::with_capacity(triangles.len());
+        assert_eq!(search.near_into(&shape, 0.5, &positions, &mut all), 0);
+        all.sort_by(|a, b| a.contact.gap_m.total_cmp(&b.contact.gap_m).then(a.triangle.cmp(&b.triangle)));
+        for room in [1, 2, 7, 100, 400] {
+            let mut nearest = Vec::with_capacity(room);
+            search.nearest_into(&shape, 0.5, &positions, &mut nearest);
+            assert_eq!(nearest, all[..all.len().min(room)], "room for {room} of {}", all.len());
+        }
+    }
+}
+
+#[test]
 fn following_a_surface_and_asking_allocates_nothing() {
     let (positions, triangles, body_of) = crossing_rings(0.0);
     let later: Vec<Vec<DVec3>> = (1..6).map(|i| crossing_rings(0.3 * f64::from(i)).0).collect();
@@ -609,6 +628,7 @@ fn following_a_surface_and_asking_allocates_nothing() {
             Vec::with_capacity(90_000),
             Vec::with_capacity(500),
         );
+        let mut nearest = Vec::with_capacity(3);
         let mut start = &positions;
         let info = allocation_counter::measure(|| {
             for end in &later {
@@ -619,10 +639,12 @@ fn following_a_surface_and_asking_allocates_nothing() {
                 search.update(start, end);
                 assert!(search.first_contact(&motion, start, end).is_some());
                 search.near_into(&motion.at(1.0), 1e-3, end, &mut near);
+                search.nearest_into(&motion.at(1.0), 0.1, end, &mut nearest);
                 start = end;
             }
         });
         assert_eq!(info.count_total, 0, "{kind:?}");
         assert!(!meeting.is_empty() && !close.is_empty() && !moving.is_empty() && !near.is_empty());
+        assert_eq!(nearest.len(), 3);
     }
 }

@@ -41,6 +41,7 @@ mod reference_cases;
 mod reduced;
 mod surfaces;
 mod surface_copy;
+mod tool_contacts;
 mod world_self_contact;
 mod world_slide;
 mod world_steps;

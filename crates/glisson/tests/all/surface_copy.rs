@@ -5,7 +5,7 @@ use crate::model_meshes::block;
 use glisson::material::LinearElastic;
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
-use glisson::mesh::{NodeId, TriangleId};
+use glisson::mesh::{NodeId, TetMesh, TriangleId};
 use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
 use glisson::scene::{OrganBody, build_model};
@@ -24,7 +24,10 @@ fn probe() -> Tool {
 }
 
 fn world(kind: ModelKind) -> World {
-    let mesh = block([5, 5, 5], DVec3::splat(SIZE_M));
+    world_with(block([5, 5, 5], DVec3::splat(SIZE_M)), kind)
+}
+
+fn world_with(mesh: TetMesh, kind: ModelKind) -> World {
     let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
     let mut spec = WorldSpec::new("block", TIME_STEP_S, probe());
     spec.supports = vec![Support::all_axes(table)];
@@ -113,6 +116,27 @@ fn a_tip_at_5_m_per_s_is_found_between_two_looks_and_a_look_allocates_nothing() 
     let resting = at(0.05, SIZE_M + RADIUS_M + 3e-4);
     let met = detector.look(&copy, &resting);
     assert!(!met.is_free() && !copy.refresh(), "{met:?}");
+}
+
+#[test]
+fn a_move_of_the_surface_is_met_once() {
+    let list = SurfaceList::of_mesh(&block([5, 5, 5], DVec3::splat(SIZE_M))).unwrap();
+    let mut copy = SurfaceCopy::new(&list).unwrap();
+    let mut detector = ToolDetector::new(&probe());
+    detector.look(&copy, &at(0.05, SIZE_M + RADIUS_M + 1e-3));
+    let lower = |copy: &mut SurfaceCopy, by_m: f64| {
+        let top = list.nodes.iter().filter(|(_, p)| p.z > SIZE_M - 1e-9);
+        top.for_each(|(node, p)| copy.place(*node, *p - DVec3::Z * by_m));
+        assert!(copy.refresh());
+    };
+    // The tip follows a top that goes down, and is never nearer than 1 mm.
+    lower(&mut copy, 4e-3);
+    assert!(detector.look(&copy, &at(0.05, SIZE_M + RADIUS_M - 2e-3)).is_free());
+    // No word of the surface since: it stands still, and the tip goes on.
+    let met = detector.look(&copy, &at(0.05, SIZE_M + RADIUS_M - 3e-3));
+    assert!(met.is_free(), "{met:?}");
+    lower(&mut copy, -4e-3);
+    assert!(!detector.look(&copy, &at(0.05, SIZE_M + RADIUS_M - 3e-3)).is_free(), "it came up");
 }
 
 #[test]
@@ -240,6 +264,23 @@ fn lists_that_are_no_surface_are_refused() {
     let triangle = good.triangles[3].0.0;
     let missing = SurfaceListError::Node { triangle, node: 99 };
     assert_eq!(refused(&|list| list.triangles[3].1[0] = NodeId(99)), missing);
+}
+
+#[test]
+fn a_fine_surface_in_reach_is_told_though_none_of_it_is_in_half_the_reach() {
+    let size_m = DVec3::new(0.072, 0.072, 6e-3);
+    let mut world = world_with(block([24, 24, 2], size_m), ModelKind::Implicit);
+    let middle = |shift_m: f64| {
+        ToolInput::at(DVec3::new(0.036 + shift_m, 0.036, size_m.z + RADIUS_M + 12e-3), DVec3::Z)
+    };
+    // At 0.2 m/s the haptic model looks further than 20 mm.
+    world.step(&StepInput::of(&[middle(0.0)]).placed());
+    world.step(&StepInput::of(&[middle(0.2 * TIME_STEP_S)]));
+    let mut found = glisson::world::detection::NearbyNodes::default();
+    world.nodes_near_into(0, 9, &mut found);
+    assert_eq!(found.nodes().len(), 9);
+    let model = world.haptic_model(0);
+    assert!((model.gap_m - 12e-3).abs() < 1e-5 && model.normal.distance(DVec3::Z) < 1e-6, "{model:?}");
 }
 
 #[test]

@@ -56,7 +56,8 @@ def ras(v):
 def axes(shaft, roll):
     front, shaft = np.array([0.0, -1.0, 0.0]), np.asarray(shaft)
     v, c = np.cross(front, shaft), front @ shaft
-    turn = np.eye(3) + np.cross(np.eye(3), -v) + np.cross(np.eye(3), -v) @ np.cross(np.eye(3), -v) / (1 + c)
+    k = np.cross(np.eye(3), v)
+    turn = np.eye(3) + k + k @ k / (1 + c)
     left, head = turn @ [1, 0, 0], turn @ [0, 0, 1]
     return [left * math.cos(roll) + head * math.sin(roll), head * math.cos(roll) - left * math.sin(roll), shaft]
 def near(what, found, expected, tolerance):
@@ -128,7 +129,7 @@ fn numbers_after(text: &str, name: &str) -> anyhow::Result<Vec<f64>> {
     list.split(',').map(|x| x.trim().parse().with_context(|| format!("{name}: {list}"))).collect()
 }
 
-/// What Debian's clients print of a pose and of the surface's first point, compared with the server's own.
+/// What Debian's clients print of a pose and of the surface's last point, compared with the server's own.
 fn compare(matrices: &str, points: &str, snapshot: &str) -> anyhow::Result<()> {
     let (_, matrix) = matrices.rsplit_once("Receiving TRANSFORM").context("no pose")?;
     let rows: Vec<Vec<f64>> = matrix
@@ -138,12 +139,19 @@ fn compare(matrices: &str, points: &str, snapshot: &str) -> anyhow::Result<()> {
         .collect();
     ensure!(rows.len() >= 3, "no matrix of three rows: {matrix}");
     let column = |i: usize| [rows[0][i], rows[1][i], rows[2][i]];
-    let first = numbers_after(points, "point[0] = (")?;
+    let (_, surface) = points.split_once("PolyData Contents").context("no surface")?;
+    let surface = surface.split("PolyData Contents").next().unwrap_or_default();
+    let (_, point) = surface.rsplit_once("point[").context("no point")?;
+    let point = numbers_after(point, "] = (")?;
+    let (_, positions) = snapshot.split_once("\"positions_m\":").context("no positions")?;
+    let (_, position) =
+        positions.split("]]").next().and_then(|all| all.rsplit_once('[')).context("no position")?;
+    let position = numbers_after(position, "")?;
     let in_lps = |name: &str| numbers_after(snapshot, name);
     for (what, found, expected, scale) in [
         ("the tip", &column(3)[..], in_lps("\"tip_m\":")?, 1e3),
         ("the shaft", &column(2), in_lps("\"shaft\":")?, 1.0),
-        ("the first point", &first, in_lps("\"positions_m\":")?, 1e3),
+        ("the last point", &point, position, 1e3),
     ] {
         let turned = [-1.0, -1.0, 1.0];
         let is_same = found.len() == 3
@@ -220,7 +228,7 @@ pub(crate) fn clients(program: &Path, scene: &Path, is_pressed: bool) -> anyhow:
         }
         println!("PolyDataClient: {n_surfaces} surfaces");
         compare(&poses, &surfaces, &snapshot(viewer)?)?;
-        println!("their pose and first point are where the viewer has them");
+        println!("their pose and last point are where the viewer has them");
     }
     if let Some((python, packages)) = python {
         let mut process = Command::new(&python)
@@ -239,8 +247,9 @@ pub(crate) fn clients(program: &Path, scene: &Path, is_pressed: bool) -> anyhow:
 mod tests {
     use super::*;
 
-    const SNAPSHOT: &str = r#"{"tools":[{"tip_m":[0.02,0.03,0.062],"shaft":[0.6,0.0,0.8]}],"positions_m":[[0.0,0.01,-0.02],[1.0"#;
-    const POINT: &str = "  point[0] = (0, -10, -20)\n";
+    const SNAPSHOT: &str = r#"{"tools":[{"tip_m":[0.02,0.03,0.062],"shaft":[0.6,0.0,0.8]}],"positions_m":[[0.0,0.0,0.0],[0.0,0.01,-0.02]],"rest_positions_m":[[1.0,0.01,-0.02]]}"#;
+    const POINT: &str =
+        "= PolyData Contents =\n  point[0] = (0, 0, 0)\n  point[1] = (0, -10, -20)\n= PolyData Contents =\n";
     const MATRIX: &str = "Receiving TRANSFORM data type.\n=============\n1, 0, -0.6, -20\n0, 1, 0, -30\n0, 0, 0.8, 62\n0, 0, 0, 1\n";
 
     #[test]
@@ -250,7 +259,7 @@ mod tests {
             (MATRIX.replace("-0.6", "0.6"), POINT, "the shaft"),
             (MATRIX.replace("-30", "30"), POINT, "the tip"),
             (MATRIX.replace("62", "0.062"), POINT, "the tip"),
-            (MATRIX.to_owned(), "point[0] = (0, 10, -20)", "the first point"),
+            (MATRIX.to_owned(), &POINT.replace("-10", "10"), "the last point"),
             (MATRIX.replace("0, 0, 0.8, 62\n0, 0, 0, 1", ""), POINT, "no matrix"),
         ] {
             let error = compare(&matrix, point, SNAPSHOT).unwrap_err().to_string();

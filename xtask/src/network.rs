@@ -40,7 +40,7 @@ pub(crate) fn all(request: &Request<'_>) -> anyhow::Result<()> {
     let mut stages = Stages::default();
     let mut skipped = Vec::new();
     stages.run("build with the feature net", || {
-        run_within(BUILD_LIMIT, "cargo", &[&["build"], &FEATURE[..]].concat())?;
+        // The tests of the command line bring the program with them.
         run_within(BUILD_LIMIT, "cargo", &[&["test", "--no-run"], &FEATURE[..], &TARGETS[..]].concat())
     })?;
     stages.run("tests: UDP, zenoh, TLS, ROS 2, OpenIGTLink, two processes", tests)?;
@@ -140,7 +140,8 @@ fn number_in(text: &str, object: &str, name: &str) -> anyhow::Result<f64> {
     number.parse().with_context(|| format!("{object}.{name} is {number:?}"))
 }
 
-const FEATURE: [&str; 5] = ["--locked", "--package", "glisson-app", "--features", "net"];
+/// Of the whole workspace, as `cargo xtask test` builds it: nothing is compiled twice.
+const FEATURE: [&str; 4] = ["--locked", "--workspace", "--features", crate::test::NET];
 const TARGETS: [&str; 4] = ["--bin", "glisson", "--test", "command_line"];
 
 fn tests() -> anyhow::Result<()> {

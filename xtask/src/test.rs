@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 /// How long a server may take to say where it is: set-up pre-computes a liver.
 pub(crate) const SERVER_START: Duration = Duration::from_secs(120);
 /// The optional network, from the workspace's root.
-const NET: &str = "glisson-app/net";
+pub(crate) const NET: &str = "glisson-app/net";
 
 /// Stages that ran, and how long each took [s].
 #[derive(Default)]

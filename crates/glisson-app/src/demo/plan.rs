@@ -62,7 +62,10 @@ pub(super) struct Plan {
 
 impl Plan {
     pub(super) fn new(files: &Files, mesh: &TetMesh) -> anyhow::Result<Self> {
-        let tumour = Tumour::of(&read_label_map(&files.labels)?)?;
+        Self::around(Tumour::of(&read_label_map(&files.labels)?)?, mesh)
+    }
+
+    fn around(tumour: Tumour, mesh: &TetMesh) -> anyhow::Result<Self> {
         let (surface, _) = surface_of(&Topology::build(mesh)?, mesh);
         let normals = vertex_normals(&surface, NormalWeight::Area);
         let nearest = surface
@@ -150,12 +153,16 @@ impl Plan {
             let angle = f64::from(turn) * HELD_TURN_RAD;
             BEHIND.normalize() * angle.cos() + aside * angle.sin()
         };
-        let is_clear = |direction: &DVec3| {
-            let region = Region::Furthest { direction: *direction, fraction };
-            let held = fixed_nodes(&[Support::all_axes(region)], &mesh.positions_m);
-            held.iter().all(|f| self.outside_m(mesh.positions_m[f.node.index()]) > HELD_CLEAR_M)
-        };
+        let is_clear = |direction: &DVec3| self.nearest_held_m(mesh, *direction, fraction) > HELD_CLEAR_M;
         ((0..MOST_TURNS).map(turned).find(is_clear).unwrap_or_else(|| turned(MOST_TURNS)), fraction)
+    }
+
+    /// How far outside of the cone what is held lies at least [m].
+    fn nearest_held_m(&self, mesh: &TetMesh, direction: DVec3, fraction: f64) -> f64 {
+        let held =
+            fixed_nodes(&[Support::all_axes(Region::Furthest { direction, fraction })], &mesh.positions_m);
+        let outside_m = held.iter().map(|f| self.outside_m(mesh.positions_m[f.node.index()]));
+        outside_m.fold(f64::INFINITY, f64::min)
     }
 
     /// Where the clip applier sets a clip on a vessel that bleeds at `end_m`, and whence it comes: along the cone, in what is
@@ -210,5 +217,41 @@ impl Plan {
             (end_s, above(4e-3), 0.0),
             (end_s + 1.0, above(LIFT_M), 0.0),
         ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glisson::mesh::box_mesh::box_of_five;
+
+    #[test]
+    fn the_way_is_fine_and_nothing_on_it_is_held() {
+        let mesh = box_of_five([12, 4, 4], DVec3::new(0.24, 0.08, 0.08));
+        let tumour = Tumour::ball(DVec3::new(0.06, 0.03, 0.04), 0.012);
+        let plan = Plan::around(tumour, &mesh).unwrap();
+        assert!((plan.depth_m - 0.03).abs() < 0.01 && plan.out.y < -0.9, "{:?}", plan.out);
+        let n_held = 0.1 * mesh.positions_m.len() as f64;
+        let fine = plan.finer(mesh.clone()).unwrap();
+        assert!(fine.tetrahedra.len() > mesh.tetrahedra.len());
+        for t in (0..fine.tetrahedra.len()).map(TetId::from_index) {
+            let corners_m = fine.corners_m(t);
+            let longest_m = corners_m
+                .iter()
+                .flat_map(|a| corners_m.iter().map(move |b| a.distance(*b)))
+                .fold(0.0, f64::max);
+            let outside_m = corners_m.map(|p| plan.outside_m(p));
+            let is_cut_through = outside_m.iter().any(|d| *d < 0.0) && outside_m.iter().any(|d| *d > 0.0);
+            assert!(!is_cut_through || longest_m <= FINE_EDGE_M, "{longest_m}");
+        }
+        // On the cone itself the distance is none, at every pose of the hook.
+        for below_m in [0.0, 0.02, 0.05] {
+            assert!(plan.outside_m(plan.on_cone(below_m, 1.0, 0.0).tip_in_world_m).abs() < 1e-12);
+        }
+        // Straight behind lies the tip of the cone: the organ is held further aside.
+        let (direction, fraction) = plan.held(&fine, n_held);
+        assert!(plan.nearest_held_m(&fine, BEHIND, fraction) < HELD_CLEAR_M);
+        assert!(plan.nearest_held_m(&fine, direction, fraction) > HELD_CLEAR_M, "{direction}");
+        assert!(direction.x > 0.0 && direction.y > 0.0, "{direction}");
     }
 }

@@ -41,6 +41,12 @@ impl Tumour {
         let furthest_m = voxels_m.iter().map(|p| p.distance(center_m)).fold(0.0, f64::max);
         Ok(Self { voxels_m, half_voxel_m, center_m, radius_m: furthest_m + half_voxel_m })
     }
+
+    /// One voxel of that size.
+    #[cfg(test)]
+    pub(super) fn ball(center_m: DVec3, radius_m: f64) -> Self {
+        Self { voxels_m: vec![center_m], half_voxel_m: radius_m, center_m, radius_m }
+    }
 }
 
 /// What is left where.

@@ -398,6 +398,73 @@ fn instruments_follow_a_script_until_somebody_takes_them() {
     assert_eq!(simulation.scripted_pose(0), None);
 }
 
+/// Burns the block's edge through, clips what bleeds, and is over.
+struct BurnsAndClips {
+    step: u32,
+    holds: Option<bool>,
+}
+
+impl Script for BurnsAndClips {
+    fn lead(&mut self, world: &World) -> Option<Lead> {
+        if self.holds.is_some() {
+            return None;
+        }
+        self.step += 1;
+        let bleeds = script::bleeding_ml_per_min(world) > 0.0;
+        let pose = ToolInput {
+            jaw_opening: 1.0 - (f64::from(self.step) / 100.0).min(1.0),
+            trigger: if self.step > 20 && !bleeds { 1.0 } else { 0.0 },
+            ..ToolInput::at(DVec3::new(0.04, 0.017, 0.036), DVec3::Z)
+        };
+        Some(Lead { tools: [pose; MAX_TOOLS], clips: bleeds.then_some(0) })
+    }
+
+    fn see(&mut self, clip: &Clip) {
+        self.holds = Some(clip.holds());
+    }
+
+    fn progress(&self) -> f64 {
+        f64::from(u8::from(self.holds.is_some()))
+    }
+
+    fn result(&self, world: &World) -> anyhow::Result<String> {
+        Ok(format!("{} clips", world.vessels().map_or(0, |vessels| vessels.n_clips())))
+    }
+}
+
+#[test]
+fn a_script_clips_tells_its_end_and_replays_to_the_same_bits() {
+    let home =
+        "tip_radius = \"2 mm\"\nhome_tip = [\"40 mm\", \"17 mm\", \"80 mm\"]\nhome_shaft = [0, 0, 1]\n";
+    // In somebody's hand an instrument sets no clip for the script, which goes on all the same.
+    for is_taken in [false, true] {
+        let folder = block_folder(&format!("[tool]\nkind = \"cautery\"\n{home}cut_time = \"5 ms\"\n"));
+        let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+        let mut simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+        simulation.follow_script(Box::new(BurnsAndClips { step: 0, holds: None }));
+        for _ in 0..1000 {
+            if is_taken && simulation.is_about_to_clip() {
+                simulation.take_from_script(0);
+            }
+            let input = simulation.scripted_input().unwrap();
+            simulation.advance(&input).unwrap();
+        }
+        let n_clips = usize::from(!is_taken);
+        assert!(simulation.script_is_over(), "{:?}", simulation.notices());
+        assert_eq!(simulation.scripted_clips().len(), n_clips);
+        let end = format!("the script is over: {n_clips} clips; state ");
+        let told: Vec<&String> = simulation.notices().iter().filter(|told| told.starts_with(&end)).collect();
+        let [end] = told[..] else { panic!("{:?}", simulation.notices()) };
+        let state_at_the_end = end.rsplit(' ').next().unwrap().to_owned();
+        let hash = simulation.finish().unwrap();
+        let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+        assert_eq!(text.matches("\"clip\"").count(), n_clips, "{is_taken}");
+        assert!(text.contains(&state_at_the_end), "the recording holds the state at the script's end");
+        let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
+        assert_eq!((report.state_hash, report.first_difference), (hash, None));
+    }
+}
+
 #[test]
 fn a_session_with_less_effort_and_a_change_of_model_replays_to_the_same_bits() {
     let folder = scene_folder();

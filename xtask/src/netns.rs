@@ -141,6 +141,6 @@ fn session(apart: &Apart, program: &Path, scene: &Path, link: &str, key: &Path) 
     let said = String::from_utf8_lossy(&replay.stdout);
     let is_same = replay.status.success() && said.contains("same bits") && said.contains(&hash);
     ensure!(is_same, "the replay of {record}, which ended with {hash}: {said}");
-    println!("over {link}: the session went on, and its recording replays to the same bits");
+    println!("the session over {link} went on, and its recording replays to the same bits");
     Ok(())
 }

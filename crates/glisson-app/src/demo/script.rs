@@ -58,7 +58,10 @@ impl Script for Operation {
     fn lead(&mut self, world: &World) -> Option<Lead> {
         let time_step_s = world.spec().time_step_s;
         let now_s = self.step as f64 * time_step_s;
-        self.is_looking |= self.looks_s.pop_front_if(|look_s| *look_s <= now_s).is_some();
+        if self.looks_s.front().is_some_and(|look_s| *look_s <= now_s) {
+            self.looks_s.pop_front();
+            self.is_looking = true;
+        }
         if self.is_looking && !self.applier.is_busy() {
             self.look(world);
         }

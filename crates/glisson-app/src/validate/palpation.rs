@@ -358,12 +358,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
             worst_off[0],
             0.05,
         ),
-        Experiment::at_most(
-            "the same at 5 mm, implicit body",
-            OWN,
-            worst_off[1],
-            0.01,
-        ),
+        Experiment::at_most("the same at 5 mm, implicit body", OWN, worst_off[1], 0.01),
         Experiment::at_most(
             "depth of the tip against what the hand wants, relative, the worst of four",
             "equal depths",

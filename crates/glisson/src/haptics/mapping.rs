@@ -129,7 +129,7 @@ impl MappedDevice {
     }
 
     /// From the handle's axes to the device's, of those to the world's.
-    pub(super) fn to_device_axes(&self, world_from_handle: DQuat) -> DQuat {
+    pub(super) fn to_device_axes(self, world_from_handle: DQuat) -> DQuat {
         self.mapping.world_from_device.inverse() * world_from_handle
     }
 

@@ -247,7 +247,7 @@ impl Vessels {
                 rest_m: tube.point_m(along),
             });
         }
-        self.bleeding_m3_per_s = self.open.iter().map(|end| end.rate_m3_per_s).sum();
+        self.bleeding_m3_per_s = self.open.iter().fold(0.0, |sum, end| sum + end.rate_m3_per_s);
     }
 }
 

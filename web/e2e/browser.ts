@@ -40,14 +40,21 @@ export async function startBrowser(): Promise<Browser> {
 
 export interface OpenPage {
   readonly page: Page;
-  /** Errors of the console and uncaught exceptions. */
+  /** Errors of the console and uncaught exceptions, but for words about the server's pace. */
   readonly problems: string[];
+}
+
+/** What the server tells of its own pace: on a busy machine a browser without a GPU leaves it little. No problem of the page, no answer. */
+export function isOfPace(message: string): boolean {
+  return /^Server: the simulation (is late|keeps pace)/.test(message);
 }
 
 export async function openPage(browser: Browser, prepare?: (page: Page) => Promise<void>): Promise<OpenPage> {
   const page = await browser.newPage({ viewport: { width: 1280, height: 800 } });
   const problems: string[] = [];
-  page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
+  page.on("console", (message) => {
+    if (message.type() === "error" && !isOfPace(message.text())) problems.push(message.text());
+  });
   page.on("pageerror", (error) => problems.push(String(error)));
   await prepare?.(page);
   return { page, problems };

@@ -1,7 +1,7 @@
 /** Cuts the organ with the keyboard and says what the page then shows. */
 import type { Page } from "playwright-core";
 import type {} from "../src/hook";
-import { waitForOrgan } from "./browser";
+import { isOfPace, waitForOrgan } from "./browser";
 
 export interface CutReport {
   /** What the server objected to. */
@@ -12,14 +12,12 @@ export interface CutReport {
 
 const TIME_MS = 30_000;
 
-/** What the server tells of its own pace, and is no answer: on a busy machine a browser without a GPU leaves it little. */
-const PACE = /^Server: the simulation (is late|keeps pace)/;
 
 /** Sets the tip on the organ at the middle of the view, presses it in and cuts; a screenshot goes to `picture`. */
 export async function cutAtTheMiddle(page: Page, picture: string): Promise<CutReport> {
   await waitForOrgan(page);
   await page.keyboard.press("g");
-  await page.waitForFunction(() => window.glisson!.header!.contact, undefined, { timeout: TIME_MS });
+  await page.waitForFunction(() => window.glisson!.header?.contact === true, undefined, { timeout: TIME_MS });
   await page.keyboard.press("Shift+u");
   await page.waitForFunction(() => window.glisson!.tool.settled, undefined, { timeout: TIME_MS });
   await page.waitForTimeout(300);
@@ -33,5 +31,5 @@ export async function cutAtTheMiddle(page: Page, picture: string): Promise<CutRe
   });
   await page.keyboard.press("Escape");
   await page.waitForTimeout(300);
-  return { answered: report.messages.filter((message) => !PACE.test(message)), nodes: report.nodes };
+  return { answered: report.messages.filter((message) => !isOfPace(message)), nodes: report.nodes };
 }

@@ -1,9 +1,7 @@
 //! Which triangles of an organ that was cut and refined are still its own surface.
 
 use crate::model_meshes::{block, on_a_table};
-use glisson::image::vessels::Tube;
 use glisson::math::DVec3;
-use glisson::mesh::TetId;
 use glisson::mesh::refine::FineRegion;
 use glisson::record::snapshot::DisplayTopology;
 use glisson::tool::{Blade, BladeCuts, Tool, ToolInput, ToolKind};
@@ -75,28 +73,4 @@ fn skin_that_is_divided_stays_skin_and_what_a_cut_uncovers_is_none() {
         world.refine(&region).unwrap();
         assert_eq!(check(&world.display_topology()), [n_fine, 0]);
     }
-}
-
-#[test]
-fn a_vessel_that_enters_through_the_skin_is_not_severed_when_the_skin_gets_finer_there() {
-    let home = ToolInput::at(DVec3::splat(1.0), DVec3::Z);
-    let mut spec = WorldSpec::new("block", TIME_STEP_S, Tool::probe("probe", 3e-3, home));
-    let entry_m = DVec3::new(0.0412, 0.0531, SIZE_M);
-    let ends_m = [entry_m + DVec3::Z * 0.02, entry_m - DVec3::new(0.003, 0.004, 0.06)];
-    spec.vessels = vec![Tube { parent: None, ends_m, radii_m: [2e-3; 2] }];
-    let mut world = on_a_table(block([4, 4, 4], DVec3::splat(SIZE_M)), spec);
-    let region = FineRegion { center_m: entry_m, radius_m: 0.02, edge_m: 0.015 };
-    assert!(world.refine(&region).unwrap() > 0);
-    let severed = |world: &World| world.vessels().unwrap().severed_along(0);
-    assert_eq!(severed(&world), None);
-    // What is taken out around it is another matter.
-    let deep_m = entry_m.z - 0.03;
-    let body = world.organ().body();
-    let is_deep = |t: &TetId| {
-        let corners_m = body.mesh().corners_m(*t);
-        corners_m.iter().any(|p| p.z > deep_m) && corners_m.iter().any(|p| p.z < deep_m)
-    };
-    let tets: Vec<TetId> = body.topology().live_tets().filter(is_deep).collect();
-    world.remove_and_part(tets).unwrap();
-    assert!(severed(&world).is_some_and(|along| along > 0.25), "{:?}", severed(&world));
 }

@@ -55,16 +55,8 @@ fn tubes(mesh: &TetMesh, middle_m: DVec3, random: &mut SeededRandom) -> Vec<Tube
     let nearest =
         (0..n).min_by(|&a, &b| centroid(a).distance(middle_m).total_cmp(&centroid(b).distance(middle_m)));
     let hub_m = centroid(nearest.expect("a body has tetrahedra"));
-    // Anywhere in a tetrahedron: from centroid to centroid a tube runs through nodes and edges of a regular mesh, where it
-    // is a matter of rounding whether a triangle severs it.
-    let mut places = SeededRandom::new(n as u64);
-    let mut ends = std::iter::repeat_with(|| {
-        let tet = TetId::from_index(((random.uniform() * n as f64) as usize).min(n - 1));
-        let weights = [0; 4].map(|_| places.uniform_in(0.1, 1.0));
-        let sum_m: DVec3 = mesh.corners_m(tet).into_iter().zip(weights).map(|(p, w)| p * w).sum();
-        sum_m / weights.iter().sum::<f64>()
-    })
-    .filter(|end_m| end_m.distance(hub_m) > 5e-3);
+    let mut ends = std::iter::repeat_with(|| centroid(((random.uniform() * n as f64) as usize).min(n - 1)))
+        .filter(|end_m| end_m.distance(hub_m) > 5e-3);
     let mut end_m = || ends.next().expect("they do not run out");
     let root = Tube { parent: None, ends_m: [end_m(), hub_m], radii_m: [1e-3; 2] };
     let branch = |end_m| Tube { parent: Some(0), ends_m: [hub_m, end_m], radii_m: [8e-4, 5e-4] };

@@ -94,10 +94,9 @@ impl ActiveTip {
     }
 
     /// An edit was taken back: what was warm then is warm again, and the next stroke begins anew, because the front of
-    /// the last one may be gone. What is left of its cut in `body` is still looked at when the edge is lifted.
-    pub(super) fn go_back_to(&mut self, body: &EditableMesh, heat: &TissueHeat) {
-        let mut touched = std::mem::take(&mut self.touched);
-        touched.retain(|node| node.index() < body.topology().n_nodes());
+    /// the last one may be gone. What is left of its cut is still looked at when the edge is lifted.
+    pub(super) fn go_back_to(&mut self, heat: &TissueHeat) {
+        let touched = std::mem::take(&mut self.touched);
         self.lift();
         self.touched = touched;
         self.heat.clone_from(heat);
@@ -366,7 +365,7 @@ mod tests {
         let mut active = ActiveTip::new(&Tool { kind, ..Tool::probe("scalpel", 1e-3, home) }, &body);
         active.touched.push(NodeId(3));
         let heat = active.heat.clone();
-        active.go_back_to(&body, &heat);
+        active.go_back_to(&heat);
         assert_eq!(active.touched, [NodeId(3)]);
         active.lift();
         assert!(active.touched.is_empty());

@@ -384,7 +384,7 @@ impl World {
             self.organ.rest_at(self.model.state().positions_m);
         }
         for (active, heat) in self.active.iter_mut().zip(&record.heat) {
-            active.go_back_to(self.organ.body(), heat);
+            active.go_back_to(heat);
         }
         self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
         self.owners.clear();

@@ -124,14 +124,28 @@ fn the_meshes_fill_their_volume() {
     }
 }
 
+/// The lowest sixth of a body.
+pub(crate) const TABLE: Region = Region::Furthest { direction: DVec3::NEG_Z, fraction: 1.0 / 6.0 };
+
 /// The world of an explicit body of soft tissue that stands on a table.
-pub(crate) fn on_a_table(mesh: TetMesh, mut spec: WorldSpec) -> World {
-    let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
-    spec.supports = vec![Support::all_axes(table)];
-    let material = LinearElastic::from_young_poisson(5e3, 0.4, 1000.0).unwrap();
+pub(crate) fn on_a_table(mesh: TetMesh, spec: WorldSpec) -> World {
+    held_at(TABLE, mesh, spec, ModelKind::Explicit, 0.4, Rayleigh::of_mass(60.0))
+}
+
+/// The world of a body of soft tissue, 5 kPa, that is held in one region.
+pub(crate) fn held_at(
+    region: Region,
+    mesh: TetMesh,
+    mut spec: WorldSpec,
+    kind: ModelKind,
+    poisson_ratio: f64,
+    damping: Rayleigh,
+) -> World {
+    spec.supports = vec![Support::all_axes(region)];
+    let material = LinearElastic::from_young_poisson(5e3, poisson_ratio, 1000.0).unwrap();
     let mut body = OrganBody::new(mesh, material, spec.time_step_s);
     body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
-    body.damping = Rayleigh { mass_per_s: 60.0, stiffness_s: 0.0 };
-    let model = build_model(&body, ModelKind::Explicit).unwrap();
-    World::new(spec, body.mesh, model, ModelKind::Explicit).unwrap()
+    body.damping = damping;
+    let model = build_model(&body, kind).unwrap();
+    World::new(spec, body.mesh, model, kind).unwrap()
 }

@@ -1,18 +1,16 @@
 //! Detection beside a world, on a copy of its surface: it finds what the world would, misses nothing fast, and a world takes
 //! what it is told only where that can be.
 
-use crate::model_meshes::block;
-use glisson::material::LinearElastic;
+use crate::model_meshes::{TABLE, block, held_at};
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{NodeId, TetMesh, TriangleId};
 use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
-use glisson::scene::{OrganBody, build_model};
 use glisson::tool::found::{Detected, FoundTouch, TouchingPoint};
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::detection::{SurfaceCopy, SurfaceList, SurfaceListError, ToolDetector};
-use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
+use glisson::world::spec::WorldSpec;
 use glisson::world::{StepInput, World};
 
 const TIME_STEP_S: f64 = 1e-3;
@@ -28,15 +26,8 @@ fn world(kind: ModelKind) -> World {
 }
 
 fn world_with(mesh: TetMesh, kind: ModelKind) -> World {
-    let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
-    let mut spec = WorldSpec::new("block", TIME_STEP_S, probe());
-    spec.supports = vec![Support::all_axes(table)];
-    let material = LinearElastic::from_young_poisson(5e3, 0.45, 1000.0).unwrap();
-    let mut body = OrganBody::new(mesh, material, TIME_STEP_S);
-    body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
-    body.damping = Rayleigh { mass_per_s: 30.0, stiffness_s: 0.0 };
-    let model = build_model(&body, kind).unwrap();
-    World::new(spec, body.mesh, model, kind).unwrap()
+    let spec = WorldSpec::new("block", TIME_STEP_S, probe());
+    held_at(TABLE, mesh, spec, kind, 0.45, Rayleigh::of_mass(30.0))
 }
 
 fn at(x_m: f64, z_m: f64) -> ToolInput {
@@ -49,7 +40,8 @@ fn pressing(step: u64) -> ToolInput {
     at(SIZE_M * (0.5 + 0.3 * libm::sin(0.17 * t)), SIZE_M + RADIUS_M + 6e-3 * libm::cos(t))
 }
 
-fn follow(copy: &mut SurfaceCopy, world: &World) {
+/// The copy is brought to where the world's surface is.
+pub(crate) fn follow(copy: &mut SurfaceCopy, world: &World) {
     for (node, position_m) in world.surface_list().nodes {
         copy.place(node, position_m);
     }

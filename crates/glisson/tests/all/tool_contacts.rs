@@ -1,17 +1,16 @@
 //! What instruments touch: the same in a world that looks by itself and in one that is told where they are
 //! put into tissue and come out of it.
 
-use crate::model_meshes::block;
+use crate::model_meshes::{block, held_at};
+use crate::surface_copy::follow;
 use glisson::contact::shapes::MeshShape;
-use glisson::material::LinearElastic;
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::TetMesh;
 use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
-use glisson::scene::{OrganBody, build_model};
 use glisson::tool::{Blade, BladeCuts, Tool, ToolInput, ToolKind, ToolShape};
 use glisson::world::detection::{SurfaceCopy, ToolDetector};
-use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
+use glisson::world::spec::{Region, WorldSpec};
 use glisson::world::{StepInput, World};
 
 const TIME_STEP_S: f64 = 1e-3;
@@ -20,14 +19,8 @@ const RADIUS_M: f64 = 8e-3;
 
 fn world_of(mesh: TetMesh, tool: Tool, kind: ModelKind) -> World {
     let table = Region::Box(Aabb { min_m: DVec3::splat(-1.0), max_m: DVec3::new(1.0, 1.0, 1e-6) });
-    let mut spec = WorldSpec::new("tissue", TIME_STEP_S, tool);
-    spec.supports = vec![Support::all_axes(table)];
-    let material = LinearElastic::from_young_poisson(5e3, 0.4, 1000.0).unwrap();
-    let mut body = OrganBody::new(mesh, material, TIME_STEP_S);
-    body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
-    body.damping = Rayleigh { mass_per_s: 30.0, stiffness_s: 0.0 };
-    let model = build_model(&body, kind).unwrap();
-    World::new(spec, body.mesh, model, kind).unwrap()
+    let spec = WorldSpec::new("tissue", TIME_STEP_S, tool);
+    held_at(table, mesh, spec, kind, 0.4, Rayleigh::of_mass(30.0))
 }
 
 fn at(x_m: f64, z_m: f64) -> ToolInput {
@@ -48,10 +41,7 @@ fn touches(tool: &Tool, poses: &[ToolInput]) -> Vec<bool> {
     let step = |(i, pose): (usize, &ToolInput)| {
         let input = StepInput::of(&[*pose]);
         let input = if i == 0 { input.placed() } else { input };
-        for (node, position_m) in is_told.surface_list().nodes {
-            copy.place(node, position_m);
-        }
-        copy.refresh();
+        follow(&mut copy, &is_told);
         let detected = [Some(detector.look(&copy, pose)), None, None, None];
         let found = is_told.step(&StepInput { detected, ..input }).in_contact();
         let expected = looks.step(&input).in_contact();

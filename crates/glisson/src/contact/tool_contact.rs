@@ -176,14 +176,7 @@ impl SurfaceSearch {
         found: &mut Vec<ToolContact>,
     ) {
         found.clear();
-        self.structure.for_each_near(&self.boxes, &capsule.reach(reach_m), |t| {
-            let Some(triangle) = self.triangles[t as usize] else { return };
-            let corners_m = corners(triangle, positions_m);
-            let closest = closest_on_segment_and_triangle([capsule.from_m, capsule.to_m], corners_m);
-            let gap_m = closest.distance_m - capsule.radius_m;
-            if gap_m > reach_m {
-                return;
-            }
+        self.for_each_within(capsule, reach_m, positions_m, |t, gap_m, contact| {
             let before =
                 |near: &ToolContact| near.contact.gap_m.total_cmp(&gap_m).then(near.triangle.cmp(&t)).is_lt();
             let place = found.partition_point(before);
@@ -193,8 +186,7 @@ impl SurfaceSearch {
                 }
                 found.pop();
             }
-            let weights = closest_weights(closest.second_m, corners_m);
-            found.insert(place, ToolContact { triangle: t, weights, contact: resting(&closest, gap_m) });
+            found.insert(place, contact());
         });
     }
 
@@ -209,26 +201,40 @@ impl SurfaceSearch {
     ) -> usize {
         let first = found.len();
         let mut n_dropped = 0;
-        self.structure.for_each_near(&self.boxes, &capsule.reach(margin_m), |t| {
-            let Some(triangle) = self.triangles[t as usize] else { return };
-            let corners_m = corners(triangle, positions_m);
-            let closest = closest_on_segment_and_triangle([capsule.from_m, capsule.to_m], corners_m);
-            let gap_m = closest.distance_m - capsule.radius_m;
-            if gap_m > margin_m {
-                return;
-            }
+        self.for_each_within(capsule, margin_m, positions_m, |_, _, contact| {
             if found.len() == found.capacity() {
                 n_dropped += 1;
                 return;
             }
-            found.push(ToolContact {
+            found.push(contact());
+        });
+        found[first..].sort_unstable_by_key(|c| c.triangle);
+        n_dropped
+    }
+
+    /// Visits triangles within `reach_m` of a resting capsule in no certain order, with their gap [m] and a contact that is
+    /// made when it is asked for.
+    fn for_each_within(
+        &self,
+        capsule: &Capsule,
+        reach_m: f64,
+        positions_m: &[DVec3],
+        mut visit: impl FnMut(u32, f64, &dyn Fn() -> ToolContact),
+    ) {
+        self.structure.for_each_near(&self.boxes, &capsule.reach(reach_m), |t| {
+            let Some(triangle) = self.triangles[t as usize] else { return };
+            let corners_m = corners(triangle, positions_m);
+            let closest = closest_on_segment_and_triangle([capsule.from_m, capsule.to_m], corners_m);
+            let gap_m = closest.distance_m - capsule.radius_m;
+            if gap_m > reach_m {
+                return;
+            }
+            visit(t, gap_m, &|| ToolContact {
                 triangle: t,
                 weights: closest_weights(closest.second_m, corners_m),
                 contact: resting(&closest, gap_m),
             });
         });
-        found[first..].sort_unstable_by_key(|c| c.triangle);
-        n_dropped
     }
 }
 

@@ -25,6 +25,19 @@ fn ip(arguments: &[&str]) -> anyhow::Result<()> {
     Ok(())
 }
 
+fn wait_until_up(space: &str, end: &str) -> anyhow::Result<()> {
+    let start = Instant::now();
+    loop {
+        let output = Command::new("ip").args(["-n", space, "link", "show", end]).output()?;
+        let said = String::from_utf8_lossy(&output.stdout);
+        if said.contains("state UP") {
+            return Ok(());
+        }
+        ensure!(start.elapsed() < PATIENCE, "{end} in {space} does not come up: {said}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
 /// Two name-spaces with a cable; they go with it.
 struct Apart {
     names: [String; 2],
@@ -50,6 +63,10 @@ impl Apart {
             for which in [&end, "lo"] {
                 ip(&["-n", name, "link", "set", which, "up"])?;
             }
+        }
+        // The system says so up to a second after the cable is there; zenoh looks for others where it is said when it starts.
+        for (i, name) in apart.names.iter().enumerate() {
+            wait_until_up(name, &format!("end{i}"))?;
         }
         Ok(apart)
     }

@@ -30,6 +30,7 @@ mod scalpel;
 mod mesh_edits;
 mod cut_subdivision;
 mod core_use;
+mod empty_loop;
 pub(crate) mod haptics;
 pub(crate) mod link;
 

@@ -164,6 +164,22 @@ impl std::fmt::Display for LinkAddress {
 }
 
 impl LinkAddress {
+    /// What to look at when nobody is found there.
+    pub(super) fn advice(&self) -> &'static str {
+        match self {
+            Self::Udp(_) | Self::Zenoh(ZenohAddress::Locator(_)) => {
+                "does it run, at this address, with the same --link-key?"
+            }
+            Self::Zenoh(ZenohAddress::Scouting) => {
+                "does it run, with the same --link-key, and was the network interface up on both machines when they were \
+                 started? zenoh looks for others nowhere else"
+            }
+            Self::Zenoh(ZenohAddress::File(_)) => {
+                "does it run, with the same --link-key, and does the file lead to it?"
+            }
+        }
+    }
+
     /// Whether zenoh may be reached this way. `has_key`: whether messages are sealed with a key.
     ///
     /// # Errors

@@ -328,7 +328,7 @@ impl LinkOptions {
         runtime.block_on(async {
             tokio::select! {
                 () = stop => {}
-                () = tell_changes(&conversation, news) => {}
+                () = tell_changes(&conversation, news, &self.address) => {}
             }
         });
         if let Some(haptic_loop) = haptic_loop {
@@ -344,13 +344,24 @@ impl LinkOptions {
     }
 }
 
+/// How often what changed is told.
+const TELL_EVERY: Duration = Duration::from_millis(50);
+/// How long a simulation may take to be found before that is told.
+const PATIENCE: Duration = Duration::from_secs(10);
+
 /// Says what changes at the link and at the devices; never ends.
-async fn tell_changes(conversation: &Conversation, mut news: Vec<DeviceNews>) {
-    let mut tick = tokio::time::interval(Duration::from_millis(50));
+async fn tell_changes(conversation: &Conversation, mut news: Vec<DeviceNews>, address: &LinkAddress) {
+    let mut tick = tokio::time::interval(TELL_EVERY);
+    let mut waited = Some(Duration::ZERO);
     let mut was_up = false;
     loop {
         tick.tick().await;
         let is_up = conversation.report().is_up;
+        waited = waited.filter(|_| !is_up).map(|so_far| so_far + TELL_EVERY);
+        if waited.is_some_and(|so_far| so_far >= PATIENCE) {
+            println!("no simulation is found over {address}: {}; it is waited for", address.advice());
+            waited = None;
+        }
         if is_up != std::mem::replace(&mut was_up, is_up) {
             println!(
                 "{}",

@@ -395,6 +395,7 @@ fn the_benchmark_of_the_haptic_loop_makes_stalls_and_sees_them() {
         assert!(run["core_was_free"].is_boolean(), "{run}");
         assert!(run["core_was_free"] == false || run["core"]["others_percent"].is_number(), "{run}");
     }
+    assert!(report["empty_loop_jitter_us"]["p999"].is_number() && report["machine_is_punctual"].is_boolean());
     let stalled = &report["with_stalls"];
     assert_eq!(report["simulation"]["stalls"], 0);
     assert!(stalled["simulation"]["stalls"].as_u64().unwrap() >= 2, "{stalled}");

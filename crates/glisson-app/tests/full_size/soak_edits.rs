@@ -6,6 +6,7 @@
 mod attached;
 mod checks;
 mod patient;
+mod skin;
 mod tally;
 mod tools;
 

@@ -133,6 +133,10 @@ impl World {
         let pose = self.hands[tool].now;
         let is_on = self.edge_is_on(tool);
         if !is_on && !self.active[tool].is_in_stroke {
+            // Of a stroke whose last edit was taken back, the rest is still looked at.
+            let mut step = BladeReport::default();
+            self.finish_stroke(tool, &mut step, cuts);
+            cuts.blades.add(&step);
             return;
         }
         let mut blade_m = [pose.tip_in_world_m, pose.tip_in_world_m + pose.shaft_in_world * blade.length_m];

@@ -351,7 +351,7 @@ impl World {
             active.follow(self.organ.body(), change);
         }
         if let Some(vessels) = &mut self.vessels {
-            vessels.follow(self.organ.body(), change);
+            vessels.follow(self.organ.body(), change, |triangle| self.organ.is_cut(triangle));
         }
         self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
     }

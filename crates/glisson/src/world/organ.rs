@@ -8,7 +8,7 @@ use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, MeshUndo, TopologyChange};
 use crate::mesh::remap::EntityArray;
 use crate::mesh::topology::{TopologyError, surface_of};
-use crate::mesh::{NodeId, TetId, TetMesh};
+use crate::mesh::{NodeId, TetId, TetMesh, TriangleId};
 use crate::record::snapshot::DisplayTopology;
 use crate::tool::MAX_TOOLS;
 
@@ -134,7 +134,7 @@ impl Organ {
             added: &change.surface_triangles_added,
             removed: &change.surface_triangles_removed,
         };
-        self.capsule.follow(&self.body, &surface, |triangle| self.skin.nodes_of(triangle));
+        self.capsule.follow(&self.body, change, |triangle| self.skin.nodes_of(triangle));
         self.skin.follow(&self.body, &surface);
         self.topology_version += 1;
     }
@@ -258,10 +258,15 @@ impl Organ {
         self.skin.rest_at(positions_m);
     }
 
+    /// Whether a triangle of the surface lies in a cut and not in the organ's own skin.
+    pub fn is_cut(&self, triangle: TriangleId) -> bool {
+        self.capsule.is_cut(triangle)
+    }
+
     /// The surface for a viewer. Made anew from the mesh: asked for when the version changed, not in steps.
     pub fn display_topology(&self) -> DisplayTopology {
         let (surface, nodes) = surface_of(self.body.topology(), self.body.mesh());
-        let is_cut = self.body.topology().surface_triangles().map(|t| self.capsule.is_cut(t)).collect();
+        let is_cut = self.body.topology().surface_triangles().map(|t| self.is_cut(t)).collect();
         DisplayTopology {
             version: self.topology_version,
             nodes,

@@ -1,7 +1,9 @@
 //! Which triangles of an organ that was cut and refined are still its own surface.
 
 use crate::model_meshes::{block, on_a_table};
+use glisson::image::vessels::Tube;
 use glisson::math::DVec3;
+use glisson::mesh::TetId;
 use glisson::mesh::refine::FineRegion;
 use glisson::record::snapshot::DisplayTopology;
 use glisson::tool::{Blade, BladeCuts, Tool, ToolInput, ToolKind};
@@ -22,15 +24,19 @@ fn world(cuts: BladeCuts) -> World {
     on_a_table(block([4, 4, 4], DVec3::splat(SIZE_M)), spec)
 }
 
+fn check(shown: &DisplayTopology) -> [usize; 2] {
+    check_in(DVec3::splat(SIZE_M), shown)
+}
+
 /// The block's own surface is its six faces at rest: whether a triangle lies in one is known exactly. Answers how many lie in
 /// them and how many in cuts.
-fn check(shown: &DisplayTopology) -> [usize; 2] {
+fn check_in(size_m: DVec3, shown: &DisplayTopology) -> [usize; 2] {
     assert_eq!(shown.is_cut.len(), shown.triangles.len());
     let mut n = [0; 2];
     for (triangle, &is_cut) in shown.triangles.iter().zip(&shown.is_cut) {
         let corners_m = triangle.map(|v| shown.rest_positions_m[v as usize]);
         let lies_at = |axis: usize, at_m: f64| corners_m.iter().all(|p| (p[axis] - at_m).abs() < 1e-9);
-        let is_own = (0..3).any(|axis| lies_at(axis, 0.0) || lies_at(axis, SIZE_M));
+        let is_own = (0..3).any(|axis| lies_at(axis, 0.0) || lies_at(axis, size_m[axis]));
         assert_eq!(is_cut, !is_own, "{corners_m:?}");
         n[usize::from(is_cut)] += 1;
     }
@@ -73,4 +79,43 @@ fn skin_that_is_divided_stays_skin_and_what_a_cut_uncovers_is_none() {
         world.refine(&region).unwrap();
         assert_eq!(check(&world.display_topology()), [n_fine, 0]);
     }
+}
+
+#[test]
+fn a_vessel_that_enters_through_the_skin_is_not_severed_when_the_skin_gets_finer_there() {
+    let home = ToolInput::at(DVec3::splat(1.0), DVec3::Z);
+    let mut spec = WorldSpec::new("block", TIME_STEP_S, Tool::probe("probe", 3e-3, home));
+    let entry_m = DVec3::new(0.0412, 0.0531, SIZE_M);
+    let ends_m = [entry_m + DVec3::Z * 0.02, entry_m - DVec3::new(0.003, 0.004, 0.06)];
+    spec.vessels = vec![Tube { parent: None, ends_m, radii_m: [2e-3; 2] }];
+    let mut world = on_a_table(block([4, 4, 4], DVec3::splat(SIZE_M)), spec);
+    let region = FineRegion { center_m: entry_m, radius_m: 0.02, edge_m: 0.015 };
+    assert!(world.refine(&region).unwrap() > 0);
+    let severed = |world: &World| world.vessels().unwrap().severed_along(0);
+    assert_eq!(severed(&world), None);
+    // What is taken out around it is another matter.
+    let deep_m = entry_m.z - 0.03;
+    let body = world.organ().body();
+    let is_deep = |t: &TetId| {
+        let corners_m = body.mesh().corners_m(*t);
+        corners_m.iter().any(|p| p.z > deep_m) && corners_m.iter().any(|p| p.z < deep_m)
+    };
+    let tets: Vec<TetId> = body.topology().live_tets().filter(is_deep).collect();
+    world.remove_and_part(tets).unwrap();
+    assert!(severed(&world).is_some_and(|along| along > 0.25), "{:?}", severed(&world));
+}
+
+#[test]
+fn what_lies_close_under_skin_that_was_taken_out_is_none() {
+    // Cells of 25 x 25 x 1 mm.
+    let size_m = DVec3::new(SIZE_M, SIZE_M, 8e-3);
+    let home = ToolInput::at(DVec3::splat(1.0), DVec3::Z);
+    let spec = WorldSpec::new("slab", 1e-5, Tool::probe("probe", 3e-3, home));
+    let mut world = on_a_table(block([4, 4, 8], size_m), spec);
+    let body = world.organ().body();
+    let is_top = |t: &TetId| body.mesh().corners_m(*t).iter().all(|p| p.z > size_m.z - 1.5e-3);
+    let tets: Vec<TetId> = body.topology().live_tets().filter(is_top).collect();
+    world.remove_and_part(tets).unwrap();
+    let [_, n_cut] = check_in(size_m, &world.display_topology());
+    assert_eq!(n_cut, 32);
 }

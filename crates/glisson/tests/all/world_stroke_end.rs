@@ -103,6 +103,36 @@ fn places_that_hang_together_by_a_node_or_an_edge_are_parted_and_hang_together_a
 }
 
 #[test]
+fn what_a_stroke_leaves_is_parted_also_after_its_last_edit_was_taken_back() {
+    let mut world = world(BladeCuts::Subdivision, false);
+    let mut random = SeededRandom::new(3);
+    // Many places hang together by a node or an edge alone; the stroke comes by some.
+    let tets: Vec<TetId> =
+        world.organ().body().topology().live_tets().filter(|_| random.uniform() < 0.3).collect();
+    world.edit(&MeshEdit::Remove { tets }).unwrap();
+    let pose = |x_m: f64, trigger: f64| ToolInput {
+        trigger,
+        ..ToolInput::at(DVec3::new(x_m, 0.047, 0.03), DVec3::new(0.1, 0.2, 1.0).normalize())
+    };
+    let mut n_edits = 0;
+    world.step(&StepInput::of(&[pose(-0.01, 1.0)]).placed());
+    for i in 0..=8 {
+        world.step(&StepInput::of(&[pose(-0.01 + 0.01 * f64::from(i), 1.0)]).placed());
+        n_edits += world.cut_with_tools().n_edits;
+    }
+    assert!(n_edits > 1 && world.undo_edit(), "{n_edits}");
+    let n_singular = |world: &World| {
+        let found = singular(world.organ().body());
+        found.nodes.len() + found.edges.len()
+    };
+    let n_before = n_singular(&world);
+    world.step(&StepInput::of(&[pose(0.07, 0.0)]).placed());
+    let cuts = world.cut_with_tools();
+    assert_eq!(cuts.blades.n_partings, 1);
+    assert!(n_singular(&world) < n_before, "{n_before}");
+}
+
+#[test]
 fn mended_cuts_have_better_tetrahedra_and_the_same_surface() {
     let run = |mends_cuts: bool| {
         let mut world = world_of(irregular_cube(SIZE_M, 1), BladeCuts::Subdivision, mends_cuts);

@@ -1,6 +1,7 @@
 //! What is attached to a body's nodes and tetrahedra, kept beside the world by the rules that the library states, and a
 //! plain computation of the forces that follow from it.
 
+use super::skin::OwnSkin;
 use glisson::material::{LinearElastic, Material, StableNeoHooke};
 use glisson::math::{DMat3, DVec3, tetrahedron_volume_m3};
 use glisson::mesh::edit::{EditableMesh, TopologyChange};
@@ -8,7 +9,6 @@ use glisson::mesh::{NodeId, TetId};
 use glisson::model::Attachment;
 use glisson::world::World;
 use glisson::world::spec::{Load, fixed_nodes, nodes_in};
-use std::collections::BTreeSet;
 
 /// Two cuts nearer than this on a tube are one for the library [m].
 const SAME_PLACE_M: f64 = 1e-6;
@@ -25,16 +25,10 @@ pub(super) struct Attached {
     forces_n: Vec<DVec3>,
     loads: Vec<Load>,
     time_step_s: f64,
-    /// Surface at the start, which severs nothing.
-    outside: BTreeSet<[NodeId; 3]>,
+    skin: OwnSkin,
     severed_along: Vec<Option<f64>>,
     /// Whether the middle of each tube has tissue around it.
     has_middle: Vec<bool>,
-}
-
-fn sorted(mut nodes: [NodeId; 3]) -> [NodeId; 3] {
-    nodes.sort_unstable();
-    nodes
 }
 
 /// The value of the heaviest parent, of the first among equals.
@@ -68,7 +62,6 @@ impl Attached {
             forces_n.push(load.force_n / n as f64);
             is_loaded.push(loaded);
         }
-        let outside = topology.surface_triangles().map(|t| sorted(topology.triangle_nodes(t))).collect();
         let vessels = world.vessels().expect("the scene has vessels");
         let n_tubes = vessels.tubes().len();
         let has_middle = (0..n_tubes).map(|i| vessels.middle_m(i, organ.body(), rest_m).is_some()).collect();
@@ -80,7 +73,7 @@ impl Attached {
             forces_n,
             loads: spec.loads.clone(),
             time_step_s: spec.time_step_s,
-            outside,
+            skin: OwnSkin::new(world),
             severed_along: vec![None; n_tubes],
             has_middle,
         }
@@ -94,8 +87,9 @@ impl Attached {
             || self.ligaments.iter().any(|ligament| ligament.node == node)
     }
 
-    /// After an edit.
-    pub(super) fn follow(&mut self, change: &TopologyChange) {
+    /// After an edit, and whether it pulled edges together.
+    pub(super) fn follow(&mut self, world: &World, change: &TopologyChange, is_mended: bool) {
+        self.skin.follow(world, change, is_mended);
         assert_eq!(self.material.len(), change.tets.n_before);
         for (_, parents) in change.tets.added.iter() {
             let material = of_heaviest(parents, u8::MAX, |parent: TetId| self.material[parent.index()]);
@@ -117,6 +111,11 @@ impl Attached {
         }
     }
 
+    /// Whether the world tells skin from cuts in what came to the surface.
+    pub(super) fn check_skin(&self, world: &World, change: &TopologyChange, label: &str) {
+        self.skin.check(world, change, label);
+    }
+
     /// Whether the world has the same: supports by node, vessels by place.
     pub(super) fn check(&mut self, world: &World, label: &str) {
         let (body, rest_m) = (world.organ().body(), &world.organ().mesh().positions_m);
@@ -135,9 +134,8 @@ impl Attached {
         let vessels = world.vessels().expect("the scene has vessels");
         let triangles: Vec<[DVec3; 3]> = topology
             .surface_triangles()
-            .map(|t| topology.triangle_nodes(t))
-            .filter(|nodes| !self.outside.contains(&sorted(*nodes)))
-            .map(|nodes| nodes.map(|n| rest_m[n.index()]))
+            .filter(|&t| world.organ().is_cut(t))
+            .map(|t| topology.triangle_nodes(t).map(|n| rest_m[n.index()]))
             .collect();
         for (i, tube) in vessels.tubes().iter().enumerate() {
             let crossings = triangles.iter().filter_map(|corners_m| crossing(tube.ends_m, *corners_m));

@@ -189,6 +189,33 @@ fn bent(now_m: &[DVec3]) -> Vec<DVec3> {
     now_m.iter().map(bent).collect()
 }
 
+/// Tissue that is longer than this many times its length is stretched beyond measure: of the sixteen digits of a force, which
+/// goes with the cube of the stretch in laws that keep volume, less than ten are left.
+pub(super) const GREATEST_STRETCH: f64 = 100.0;
+
+/// Places now, with the nodes of tetrahedra that are stretched beyond measure at rest, and how many these are.
+pub(super) fn within_measure(body: &EditableMesh, now_m: &[DVec3]) -> (Vec<DVec3>, usize) {
+    let (rest_m, topology) = (&body.mesh().positions_m, body.topology());
+    let (mut places_m, mut is_put_back) = (now_m.to_vec(), vec![false; now_m.len()]);
+    loop {
+        let length_m =
+            |places_m: &[DVec3], [a, b]: [NodeId; 2]| places_m[a.index()].distance(places_m[b.index()]);
+        let stretched: Vec<[NodeId; 2]> = topology
+            .live_edges()
+            .map(|edge| topology.edge_nodes(edge))
+            .filter(|&ends| length_m(&places_m, ends) > GREATEST_STRETCH * length_m(rest_m, ends))
+            .collect();
+        if stretched.is_empty() {
+            return (places_m, is_put_back.iter().filter(|b| **b).count());
+        }
+        // One end can be back already: then the other goes as well, so that it ends.
+        for node in stretched.into_iter().flatten() {
+            places_m[node.index()] = rest_m[node.index()];
+            is_put_back[node.index()] = true;
+        }
+    }
+}
+
 /// Compares `edited`, the model of `body`, with `fresh`, that of its live nodes and tetrahedra alone: the forces that hold
 /// all nodes where they are now, moved a little.
 pub(super) fn difference(

@@ -87,6 +87,8 @@ pub(super) struct Patient<'a> {
     touched: Vec<NodeId>,
     /// Ends of the edges that were too short to be divided when strokes ended.
     left: Vec<[NodeId; 2]>,
+    /// Whether an edge of a tool was lifted since its stroke began, for want of tissue, and what that parted was taken back.
+    pub(super) is_parting_taken_back: bool,
     pub(super) tally: Tally,
 }
 
@@ -177,6 +179,7 @@ impl<'a> Patient<'a> {
             random,
             touched: Vec::new(),
             left: Vec::new(),
+            is_parting_taken_back: false,
             tally: Tally::default(),
         }
     }

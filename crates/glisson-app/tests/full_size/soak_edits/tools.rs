@@ -73,6 +73,7 @@ impl Patient<'_> {
             self.go_back_to(before);
             self.check_attached(&label);
             self.tally.undone += n_edits as u64;
+            self.is_parting_taken_back |= cuts.blades.n_partings > 0;
             return false;
         }
         let by_edge = cuts.n_edits as u64;
@@ -172,6 +173,7 @@ impl Patient<'_> {
             trigger,
             ..ToolInput::at(tip_m, (heel_m - tip_m).normalize())
         };
+        self.is_parting_taken_back = false;
         let first = stroke[0];
         let lift_m = (first[1] - first[0]) * 1.2;
         self.work(SCALPEL, at(first.map(|p| p + lift_m), 1.0), true);
@@ -185,10 +187,11 @@ impl Patient<'_> {
                 self.work(SCALPEL, at([0, 1].map(|i| pair[0][i].lerp(pair[1][i], share)), 1.0), false);
             }
         }
-        if self.work(SCALPEL, at(stroke[stroke.len() - 1], 0.0), false) {
+        let stands = self.work(SCALPEL, at(stroke[stroke.len() - 1], 0.0), false);
+        if stands && !self.is_parting_taken_back {
             self.check_singular();
         } else {
-            // The parting was taken back: no later stroke comes by here, so that it is done at once.
+            // What was parted hangs together again, and no later stroke comes by here: it is parted at once.
             self.finish_stroke_at_singular_places();
         }
         self.tally.tool_uses += 1;

@@ -6,7 +6,8 @@ const server = process.env.GLISSON_URL ?? "http://127.0.0.1:8080";
 export default defineConfig({
   base: "./",
   build: {
-    outDir: "dist",
+    // place_build.mjs puts it into dist.
+    outDir: "dist.new",
     emptyOutDir: true,
     target: "es2022",
     chunkSizeWarningLimit: 900,

@@ -33,7 +33,8 @@ fn wait_until_up(space: &str, end: &str) -> anyhow::Result<()> {
         if said.contains("state UP") {
             return Ok(());
         }
-        ensure!(start.elapsed() < PATIENCE, "{end} in {space} does not come up: {said}");
+        let error = String::from_utf8_lossy(&output.stderr);
+        ensure!(start.elapsed() < PATIENCE, "{end} in {space} does not come up: {said}{error}");
         std::thread::sleep(Duration::from_millis(20));
     }
 }
@@ -64,11 +65,12 @@ impl Apart {
                 ip(&["-n", name, "link", "set", which, "up"])?;
             }
         }
-        // The system says so up to a second after the cable is there; zenoh looks for others where it is said when it starts.
-        for (i, name) in apart.names.iter().enumerate() {
-            wait_until_up(name, &format!("end{i}"))?;
-        }
         Ok(apart)
+    }
+
+    /// The system says that the cable is there up to a second after it is; zenoh looks for others where it is said when it starts.
+    fn wait_for_cable(&self) -> anyhow::Result<()> {
+        self.names.iter().enumerate().try_for_each(|(i, name)| wait_until_up(name, &format!("end{i}")))
     }
 
     fn cable(&self, state: &str) -> anyhow::Result<()> {
@@ -110,6 +112,7 @@ pub(crate) fn two_machines(program: &Path, scene: &Path) -> anyhow::Result<Optio
                 return Ok(Some(format!("{what}: {reason:#}")));
             }
         };
+        apart.wait_for_cable()?;
         let link = if link == "zenoh:" { link.to_owned() } else { format!("{link}{}:{PORT}", ADDRESSES[0]) };
         session(&apart, program, scene, &link, &key).with_context(|| format!("over {link}"))?;
     }

@@ -5,9 +5,10 @@ use serde_json::Value;
 
 /// Missed deadlines may rise by so many percentage points; other tests run beside this one, so that a run may be spoilt.
 const GREATEST_RISE_PERCENT: f64 = 0.1;
-/// 99.9 of 100 ticks begin nearer to their moment than this [us], where the system lets the loop be punctual: in the real-time
-/// class, on a core that others leave it, of a machine on which an empty loop is as punctual.
+/// 99.9 of 100 ticks begin nearer to their moment than this [us] in the real-time class on a core that others leave it, ...
 const GREATEST_JITTER_US: f64 = 100.0;
+/// ... or than so many times what an empty loop shows, where the machine lets nobody be as punctual: a choice.
+const EMPTY_LOOPS: f64 = 2.0;
 const MOST_RUNS: usize = 3;
 
 #[test]
@@ -30,15 +31,13 @@ fn stalls_of_the_simulation_do_not_reach_the_haptic_loop() {
             assert!(share > 0.2, "{printed}");
             assert!(contact["greatest_force_n"].as_f64().unwrap() > 0.05, "{printed}");
             let jitter_us = run["jitter_us"]["p999"].as_f64().unwrap();
-            let is_free = run["core_was_free"] == true && report["machine_is_punctual"] == true;
-            if run["real_time_scheduling"] != true || !is_free {
-                let (scheduling, core, empty) =
-                    (&run["scheduling"], &run["core"], &report["empty_loop_jitter_us"]["p999"]);
-                eprintln!(
-                    "jitter p99.9 {jitter_us} us, {empty} us of an empty loop; {scheduling}; core: {core}"
-                );
-            } else if jitter_us >= GREATEST_JITTER_US {
-                what_is_late.push(format!("jitter p99.9 {jitter_us} us on a free core"));
+            let empty_us = report["empty_loop_jitter_us"]["p999"].as_f64().unwrap();
+            let most_us = GREATEST_JITTER_US.max(EMPTY_LOOPS * empty_us);
+            let what = format!("jitter p99.9 {jitter_us} us, {empty_us} us of an empty loop");
+            if run["real_time_scheduling"] != true || run["core_was_free"] != true {
+                eprintln!("{what}; {}; core: {}", run["scheduling"], run["core"]);
+            } else if jitter_us >= most_us {
+                what_is_late.push(format!("{what}, on a free core"));
             }
         }
         let rise = report["missed_percent_rise"].as_f64().unwrap();

@@ -60,6 +60,12 @@ pub(super) struct ActiveTip {
     stroke: BladeReport,
 }
 
+/// What an edit found of an active tip.
+pub(super) struct ActiveBefore {
+    heat: TissueHeat,
+    n_touched: usize,
+}
+
 impl ActiveTip {
     pub(super) fn new(tool: &Tool, body: &EditableMesh) -> Self {
         let edge = match &tool.kind {
@@ -88,18 +94,19 @@ impl ActiveTip {
         self.heat.of(tet)
     }
 
-    /// What is warm.
-    pub(super) fn heat(&self) -> TissueHeat {
-        self.heat.clone()
+    /// What an edit that is taken back puts back.
+    pub(super) fn before_edit(&self) -> ActiveBefore {
+        ActiveBefore { heat: self.heat.clone(), n_touched: self.touched.len() }
     }
 
     /// An edit was taken back: what was warm then is warm again, and the next stroke begins anew, because the front of
     /// the last one may be gone. What is left of its cut is still looked at when the edge is lifted.
-    pub(super) fn go_back_to(&mut self, heat: &TissueHeat) {
-        let touched = std::mem::take(&mut self.touched);
+    pub(super) fn go_back_to(&mut self, before: &ActiveBefore) {
+        let mut touched = std::mem::take(&mut self.touched);
+        touched.truncate(before.n_touched);
         self.lift();
         self.touched = touched;
-        self.heat.clone_from(heat);
+        self.heat.clone_from(&before.heat);
     }
 
     /// The stroke is over; the next one begins where the blade then is. What was warm has cooled.
@@ -133,6 +140,9 @@ impl World {
         let pose = self.hands[tool].now;
         let is_on = self.edge_is_on(tool);
         if !is_on && !self.active[tool].is_in_stroke {
+            if self.hands[tool].now.is_triggered() {
+                return;
+            }
             // Of a stroke whose last edit was taken back, the rest is still looked at.
             let mut step = BladeReport::default();
             self.finish_stroke(tool, &mut step, cuts);
@@ -368,8 +378,9 @@ mod tests {
         let kind = ToolKind::Scalpel(Blade { length_m: 0.1, cuts: BladeCuts::Subdivision });
         let mut active = ActiveTip::new(&Tool { kind, ..Tool::probe("scalpel", 1e-3, home) }, &body);
         active.touched.push(NodeId(3));
-        let heat = active.heat.clone();
-        active.go_back_to(&heat);
+        let before = active.before_edit();
+        active.touched.push(NodeId(4));
+        active.go_back_to(&before);
         assert_eq!(active.touched, [NodeId(3)]);
         active.lift();
         assert!(active.touched.is_empty());

@@ -1,14 +1,14 @@
 //! Which triangles of the surface are still the organ's own skin, its capsule, and which lie in cuts.
 //!
 //! An edit that divides or refines skin makes new triangles within old ones; one that opens the organ uncovers others. A new
-//! triangle whose nodes all come from those of one old triangle of skin is skin; one that was between two tetrahedra before
-//! is none. What neither holds for was cut through a tetrahedron, or changed its shape when nodes moved or went: it is skin
-//! when its middle lies in old skin, at rest, and both face the same way.
+//! triangle whose nodes all come from those of one old triangle of skin is skin; one whose nodes all come from those of another
+//! old triangle, which lay between two tetrahedra or in a cut, is none. What neither holds for was cut through a tetrahedron, or
+//! changed its shape when nodes moved or went: it is skin when its middle lies in old skin, at rest, and both face the same way.
 
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, TopologyChange};
 use crate::mesh::topology::OptionalTetId;
-use crate::mesh::{NodeId, TriangleId};
+use crate::mesh::{NodeId, TetId, TriangleId};
 
 /// How far a triangle may be from old skin and still lie in it.
 #[derive(Clone, Copy, Debug)]
@@ -71,41 +71,27 @@ impl OldSkin {
     }
 }
 
-/// The old nodes that a node comes from: itself, or its parents.
-fn for_each_origin(change: &TopologyChange, node: NodeId, mut each: impl FnMut(NodeId)) {
-    match node.index().checked_sub(change.nodes.n_before) {
-        None => each(node),
-        Some(new) => change.nodes.added.parents(new).iter().for_each(|&(parent, _)| each(parent)),
-    }
+/// Whether all `nodes` come from among `old`: they are of these, or all their parents are.
+fn come_from(change: &TopologyChange, nodes: [NodeId; 3], old: &[NodeId; 3]) -> bool {
+    nodes.into_iter().all(|node| match node.index().checked_sub(change.nodes.n_before) {
+        None => old.contains(&node),
+        Some(new) => change.nodes.added.parents(new).iter().all(|(parent, _)| old.contains(parent)),
+    })
 }
 
-/// Whether all `nodes` come from among `old`.
-fn come_from(change: &TopologyChange, nodes: [NodeId; 3], old: &[NodeId]) -> bool {
-    let mut do_all = true;
-    for node in nodes {
-        for_each_origin(change, node, |origin| do_all &= old.contains(&origin));
-    }
-    do_all
-}
-
-/// Whether a triangle was there before, with copies in the place of nodes: one of an old tetrahedron, or of the parent of a
-/// new one.
+/// Whether a triangle was there before, or is part of one that was, with copies in the place of nodes: one of an old tetrahedron,
+/// or of a parent of a new one.
 fn was_there(body: &EditableMesh, change: &TopologyChange, triangle: TriangleId, nodes: [NodeId; 3]) -> bool {
-    let is_old_or_copy = |node: NodeId| {
-        let mut n = 0;
-        for_each_origin(change, node, |_| n += 1);
-        n == 1
-    };
-    if !nodes.into_iter().all(is_old_or_copy) {
-        return false;
-    }
     let topology = body.topology();
     let Some(tet) = topology.triangle_tets(triangle).into_iter().find_map(OptionalTetId::get) else {
         return false;
     };
     let Some(new) = tet.index().checked_sub(change.tets.n_before) else { return true };
-    let parents = change.tets.added.parents(new);
-    parents.iter().any(|&(parent, _)| come_from(change, nodes, &topology.tet_nodes(parent)))
+    let is_of = |parent: TetId| {
+        let [a, b, c, d] = topology.tet_nodes(parent);
+        [[a, b, c], [a, b, d], [a, c, d], [b, c, d]].iter().any(|face| come_from(change, nodes, face))
+    };
+    change.tets.added.parents(new).iter().any(|&(parent, _)| is_of(parent))
 }
 
 impl Capsule {

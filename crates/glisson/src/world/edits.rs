@@ -2,7 +2,7 @@
 //! vessels follow together, or nothing changes. The last edits can be taken back, last in, first out; every number has
 //! its bits from before.
 
-use super::active::ActiveTip;
+use super::active::{ActiveBefore, ActiveTip};
 use super::hand::Hand;
 use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
@@ -15,7 +15,6 @@ use crate::mesh::repair::{MendParams, mending};
 use crate::mesh::topology::TopologyError;
 use crate::mesh::{NodeId, TetId, TetMesh};
 use crate::model::{DeformableModel, ModelUndo, TopologyRefusal};
-use crate::tool::cautery::TissueHeat;
 use crate::tool::cut::scalpel::ScalpelRefusal;
 use crate::tool::cut::subdivision::CutRefusal;
 use std::collections::VecDeque;
@@ -69,7 +68,7 @@ struct EditRecord {
     organ: OrganBefore,
     loads: LoadsBefore,
     hands: Vec<Hand>,
-    heat: Vec<TissueHeat>,
+    active: Vec<ActiveBefore>,
     vessels: Option<Vessels>,
     /// Steps made when the edit was.
     step: u64,
@@ -335,8 +334,8 @@ impl World {
     fn let_all_follow(&mut self, record: &mut EditRecord) {
         record.step = self.step;
         record.hands.clone_from(&self.hands);
-        record.heat.clear();
-        record.heat.extend(self.active.iter().map(ActiveTip::heat));
+        record.active.clear();
+        record.active.extend(self.active.iter().map(ActiveTip::before_edit));
         record.vessels.clone_from(&self.vessels);
         let change = &record.change;
         self.organ.follow_edit(change, &mut record.organ);
@@ -383,8 +382,8 @@ impl World {
             self.hands.iter_mut().for_each(Hand::let_go);
             self.organ.rest_at(self.model.state().positions_m);
         }
-        for (active, heat) in self.active.iter_mut().zip(&record.heat) {
-            active.go_back_to(heat);
+        for (active, before) in self.active.iter_mut().zip(&record.active) {
+            active.go_back_to(before);
         }
         self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
         self.owners.clear();

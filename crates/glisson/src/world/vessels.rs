@@ -1,7 +1,7 @@
 //! Blood vessels inside an organ: what a cut opens, how fast it bleeds, and clips that close it.
 //!
 //! A tree of straight tubes lies in the rest shape and moves with the tetrahedra around it; it has no stiffness of its
-//! own. A tube is severed where a triangle that came to the surface crosses its axis. Blood comes out on the side of the
+//! own. A tube is severed where a triangle of a cut crosses its axis; the organ's own skin severs none. Blood comes out on the side of the
 //! root alone, in liver the trunk of the portal vein or the hepatic vein at the vena cava; what lies beyond has lost its
 //! supply. The rate follows Murray's law, by which the flow of a vessel goes with the cube of its diameter (Murray 1926,
 //! doi 10.1073/pnas.12.3.207), scaled to the portal vein: an open end lets out what the vessel carried.
@@ -281,8 +281,8 @@ fn site_of(body: &EditableMesh, point_m: DVec3) -> Option<Site> {
     })
 }
 
-/// Where the segment crosses the triangle, 0 to 1 along it; none where it lies in its plane. Whether it does is decided
-/// exactly: between triangles with an edge in common nothing slips through.
+/// Where the segment crosses the triangle, 0 to 1 along it; none where it lies in its plane, as far as rounding tells. Whether
+/// it meets the triangle is decided exactly: between triangles with an edge in common nothing slips through.
 fn crossing([from_m, to_m]: [DVec3; 2], corners_m: [DVec3; 3]) -> Option<f64> {
     let side = |p: DVec3| tetrahedron_volume_m3([corners_m[0], corners_m[1], corners_m[2], p]);
     let (before, after) = (side(from_m), side(to_m));
@@ -302,11 +302,13 @@ mod tests {
         let mut random = SeededRandom::new(3);
         let mut at = || DVec3::from_array([0; 3].map(|_| random.uniform_in(0.01, 0.09)));
         for case in 0..20_000 {
-            // Of two triangles that make a roof; the segment goes through a place on its ridge.
+            // Of two triangles that make a flat roof; the segment goes through a place on its ridge.
             let (a, b, away) = (at(), at(), at());
             let ridge_m = a.lerp(b, 0.375);
-            let [c, d] = [ridge_m + away, ridge_m - away];
-            let way = (b - a).cross(away).normalize() * 0.01 + at() * 1e-3;
+            let up = (b - a).cross(away).normalize();
+            let fall = up * (0.3 * away.length());
+            let [c, d] = [ridge_m + away - fall, ridge_m - away - fall];
+            let way = up * 0.01 + at() * 1e-3;
             let ends_m = [ridge_m - way, ridge_m + way];
             let n = [[a, b, c], [b, a, d]].into_iter().filter(|t| crossing(ends_m, *t).is_some()).count();
             assert!(n > 0, "{case}");

@@ -3,8 +3,9 @@
 use crate::model_meshes::{block, on_a_table};
 use glisson::image::vessels::Tube;
 use glisson::math::DVec3;
-use glisson::mesh::TetId;
+use glisson::mesh::edit::{EdgeSplit, MeshEdit};
 use glisson::mesh::refine::FineRegion;
+use glisson::mesh::{NodeId, TetId};
 use glisson::record::snapshot::DisplayTopology;
 use glisson::tool::{Blade, BladeCuts, Tool, ToolInput, ToolKind};
 use glisson::world::spec::WorldSpec;
@@ -105,17 +106,43 @@ fn a_vessel_that_enters_through_the_skin_is_not_severed_when_the_skin_gets_finer
     assert!(severed(&world).is_some_and(|along| along > 0.25), "{:?}", severed(&world));
 }
 
-#[test]
-fn what_lies_close_under_skin_that_was_taken_out_is_none() {
-    // Cells of 25 x 25 x 1 mm.
-    let size_m = DVec3::new(SIZE_M, SIZE_M, 8e-3);
+/// Cells of 25 x 25 x 1 mm.
+const SLAB_M: DVec3 = DVec3::new(SIZE_M, SIZE_M, 8e-3);
+
+fn slab() -> World {
     let home = ToolInput::at(DVec3::splat(1.0), DVec3::Z);
     let spec = WorldSpec::new("slab", 1e-5, Tool::probe("probe", 3e-3, home));
-    let mut world = on_a_table(block([4, 4, 8], size_m), spec);
+    on_a_table(block([4, 4, 8], SLAB_M), spec)
+}
+
+/// The uppermost millimetre.
+fn top(world: &World) -> Vec<TetId> {
     let body = world.organ().body();
-    let is_top = |t: &TetId| body.mesh().corners_m(*t).iter().all(|p| p.z > size_m.z - 1.5e-3);
-    let tets: Vec<TetId> = body.topology().live_tets().filter(is_top).collect();
+    let is_top = |t: &TetId| body.mesh().corners_m(*t).iter().all(|p| p.z > SLAB_M.z - 1.5e-3);
+    body.topology().live_tets().filter(is_top).collect()
+}
+
+#[test]
+fn what_lies_close_under_skin_that_was_taken_out_is_none() {
+    let mut world = slab();
+    let tets = top(&world);
     world.remove_and_part(tets).unwrap();
-    let [_, n_cut] = check_in(size_m, &world.display_topology());
+    let [_, n_cut] = check_in(SLAB_M, &world.display_topology());
     assert_eq!(n_cut, 32);
+}
+
+#[test]
+fn what_is_divided_close_under_skin_as_that_is_taken_out_is_none() {
+    let mut world = slab();
+    // Of the layer below, as the parting of what hangs on by an edge divides it.
+    let edge = {
+        let (topology, rest_m) = (world.organ().body().topology(), &world.organ().mesh().positions_m);
+        let in_bed = |n: NodeId| (rest_m[n.index()].z - (SLAB_M.z - 1e-3)).abs() < 1e-9;
+        topology.live_edges().filter(|&e| topology.edge_nodes(e).into_iter().all(in_bed)).nth(20).unwrap()
+    };
+    let remove = MeshEdit::Remove { tets: top(&world) };
+    let split = MeshEdit::Split { edges: vec![EdgeSplit { edge, fraction: 0.5 }] };
+    world.edit_all(&[remove, split]).unwrap();
+    let [_, n_cut] = check_in(SLAB_M, &world.display_topology());
+    assert!(n_cut > 32, "{n_cut}");
 }

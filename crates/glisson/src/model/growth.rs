@@ -94,7 +94,7 @@ impl Growth {
             sources: sources(change),
         };
         growth.place_nodes(mesh, change, rest_m);
-        growth.look_around(change, rest_m, tets, is_gone);
+        growth.look_around(mesh, change, rest_m, tets);
         for &tet in growth.reshaped.iter().chain(&growth.added) {
             let is_finite = mesh.corners_m(tet).iter().all(|x| x.is_finite());
             if !is_finite || P1Gradients::of_tet(mesh, tet).is_err() {
@@ -130,44 +130,46 @@ impl Growth {
         }
     }
 
-    /// Finds the tetrahedra whose shape changes, and those that tell how the tissue is deformed at placed nodes.
+    /// Takes the tetrahedra whose shape changes, and finds those that tell how the tissue is deformed at placed nodes.
     fn look_around<'a>(
         &mut self,
+        mesh: &TetMesh,
         change: &TopologyChange,
         rest_m: &[DVec3],
         tets: impl Iterator<Item = (usize, &'a [NodeId; 4])>,
-        is_gone: impl Fn(&TetId) -> bool,
     ) {
+        self.reshaped.extend_from_slice(&change.reshaped_tets);
         let anchors: Vec<Option<NodeId>> = self
             .placed
             .iter()
             .map(|placed| (placed.offset_m != DVec3::ZERO).then(|| self.old_ancestor(placed)).flatten())
             .collect();
-        if change.moved_nodes.is_empty() && anchors.iter().all(Option::is_none) {
+        let mut looked_at: Vec<NodeId> = anchors.iter().flatten().copied().collect();
+        if looked_at.is_empty() {
             return;
         }
-        // Every tetrahedron is looked at, and few have a marked node.
-        const MOVED: u8 = 1;
-        const LOOKED_AT: u8 = 2;
-        let mut marks = vec![0_u8; self.n_nodes_before];
-        for node in change.moved_nodes.iter().filter(|node| node.index() < self.n_nodes_before) {
-            marks[node.index()] |= MOVED;
-        }
-        for node in anchors.iter().flatten() {
-            marks[node.index()] |= LOOKED_AT;
-        }
+        looked_at.sort_unstable();
+        looked_at.dedup();
         let mut around: Vec<(NodeId, [NodeId; 4])> = Vec::new();
-        for (t, nodes) in tets {
-            let of_tet = nodes.iter().fold(0, |all, n| all | marks[n.index()]);
-            if of_tet == 0 {
-                continue;
+        if looked_at.iter().all(|node| change.moved_nodes.binary_search(node).is_ok()) {
+            // What was at a moved node has another shape or is gone.
+            let gone = change.tets.removed.iter().filter(|tet| tet.index() < change.tets.n_before);
+            let mut candidates: Vec<TetId> = self.reshaped.iter().chain(gone).copied().collect();
+            candidates.sort_unstable();
+            for tet in candidates {
+                let nodes = &mesh.tetrahedra[tet.index()];
+                let is_looked_at = |n: &&NodeId| looked_at.binary_search(n).is_ok();
+                around.extend(nodes.iter().filter(is_looked_at).map(|&n| (n, *nodes)));
             }
-            let tet = TetId::from_index(t);
-            if of_tet & MOVED != 0 && !is_gone(&tet) {
-                self.reshaped.push(tet);
+        } else {
+            // Every tetrahedron is looked at, and few have a marked node.
+            let mut marks = vec![false; self.n_nodes_before];
+            looked_at.iter().for_each(|node| marks[node.index()] = true);
+            for (_, nodes) in tets {
+                if nodes.iter().fold(false, |any, n| any | marks[n.index()]) {
+                    around.extend(nodes.iter().filter(|n| marks[n.index()]).map(|&n| (n, *nodes)));
+                }
             }
-            let is_looked_at = |n: &&NodeId| marks[n.index()] & LOOKED_AT != 0;
-            around.extend(nodes.iter().filter(is_looked_at).map(|&n| (n, *nodes)));
         }
         // Stable: the tetrahedra of a node stay in their order.
         around.sort_by_key(|(node, _)| *node);

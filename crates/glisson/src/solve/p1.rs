@@ -120,10 +120,11 @@ impl TetStiffness {
             }
             log_bound += root * libm::log(trace);
             root *= 0.5;
+            let per_square = 1.0 / (trace * trace);
             let mut squared = [[0.0; 12]; 12];
             for i in 0..12 {
                 for k in 0..12 {
-                    let factor = a[i][k] / (trace * trace);
+                    let factor = a[i][k] * per_square;
                     for j in 0..12 {
                         squared[i][j] += factor * a[k][j];
                     }

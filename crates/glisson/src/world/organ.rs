@@ -7,7 +7,7 @@ use crate::image::vessels::TubeError;
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, MeshUndo, TopologyChange};
 use crate::mesh::remap::EntityArray;
-use crate::mesh::topology::{TopologyError, surface_of};
+use crate::mesh::topology::TopologyError;
 use crate::mesh::{NodeId, TetId, TetMesh, TriangleId};
 use crate::record::snapshot::DisplayTopology;
 use crate::tool::MAX_TOOLS;
@@ -265,13 +265,23 @@ impl Organ {
 
     /// The surface for a viewer. Made anew from the mesh: asked for when the version changed, not in steps.
     pub fn display_topology(&self) -> DisplayTopology {
-        let (surface, nodes) = surface_of(self.body.topology(), self.body.mesh());
-        let is_cut = self.body.topology().surface_triangles().map(|t| self.is_cut(t)).collect();
+        let (topology, rest_m) = (self.body.topology(), &self.body.mesh().positions_m);
+        let mut vertex_of = vec![0; topology.n_nodes()];
+        for (vertex, node) in (0_u32..).zip(&self.surface_nodes) {
+            vertex_of[node.index()] = vertex;
+        }
+        let n_triangles = topology.n_surface_triangles();
+        let (mut triangles, mut is_cut) = (Vec::with_capacity(n_triangles), Vec::with_capacity(n_triangles));
+        for triangle in topology.surface_triangles() {
+            let nodes = self.skin.nodes_of(triangle).expect("the skin has every triangle of the surface");
+            triangles.push(nodes.map(|n| vertex_of[n.index()]));
+            is_cut.push(self.is_cut(triangle));
+        }
         DisplayTopology {
             version: self.topology_version,
-            nodes,
-            rest_positions_m: surface.positions_m,
-            triangles: surface.triangles,
+            nodes: self.surface_nodes.clone(),
+            rest_positions_m: self.surface_nodes.iter().map(|n| rest_m[n.index()]).collect(),
+            triangles,
             is_cut,
         }
     }

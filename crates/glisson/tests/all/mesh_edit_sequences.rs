@@ -159,6 +159,10 @@ fn check_parents(before: &EditableMesh, after: &EditableMesh, change: &TopologyC
     }
     let named: Vec<_> = change.moved_nodes.iter().copied().zip(change.moved_from_m.iter().copied()).collect();
     assert_eq!(named, moved);
+    let is_moved = |n: &NodeId| change.moved_nodes.contains(n);
+    let live = before.topology().live_tets().filter(|&t| after.topology().is_live_tet(t));
+    let reshaped: Vec<_> = live.filter(|&t| after.topology().tet_nodes(t).iter().any(is_moved)).collect();
+    assert_eq!(change.reshaped_tets, reshaped);
 }
 
 fn check_shape(body: &EditableMesh) {

@@ -192,6 +192,8 @@ pub struct TopologyChange {
     pub moved_nodes: Vec<NodeId>,
     /// Where each of `moved_nodes` was at rest before [m].
     pub moved_from_m: Vec<DVec3>,
+    /// Live tetrahedra from before at a node of `moved_nodes`: their shape at rest is another.
+    pub reshaped_tets: Vec<TetId>,
     /// Triangles that are on the surface now and were not.
     pub surface_triangles_added: Vec<TriangleId>,
     /// Triangles that were on the surface and are not.
@@ -236,6 +238,7 @@ impl TopologyChange {
         self.tets.clear();
         self.moved_nodes.clear();
         self.moved_from_m.clear();
+        self.reshaped_tets.clear();
         self.surface_triangles_added.clear();
         self.surface_triangles_removed.clear();
         self.surface_nodes_added.clear();

@@ -144,6 +144,11 @@ impl EditableMesh {
             let mut moved: Vec<_> = moved.filter(|m| self.topology.is_live_node(m.0)).collect();
             moved.sort_by_key(|m| m.0);
             (change.moved_nodes, change.moved_from_m) = moved.into_iter().unzip();
+            let n_before = change.tets.n_before;
+            let at_moved = change.moved_nodes.iter().flat_map(|&node| self.topology.node_tets(node));
+            change.reshaped_tets.extend(at_moved.filter(|tet| tet.index() < n_before));
+            change.reshaped_tets.sort_unstable();
+            change.reshaped_tets.dedup();
         }
         change.set_counts_after(&self.topology);
     }

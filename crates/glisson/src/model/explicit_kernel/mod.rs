@@ -378,6 +378,27 @@ impl ExplicitKernel {
         }
         self.report.kinetic_energy_j = kinetic_j;
     }
+
+    /// [`ExplicitKernel::publish`] for these nodes alone, after an edit that left all others as they were. The kinetic
+    /// energy stays that of the last step, as after a removal.
+    fn publish_nodes(&mut self, nodes: impl Iterator<Item = NodeId>) {
+        let n_nodes = self.rest.positions_m.len();
+        let per_step = 1.0 / self.kernel.last_step_s().unwrap_or(self.time_step_s);
+        for node in nodes {
+            let n = node.index();
+            let (displacement_m, increment_m) =
+                (self.kernel.displacement_m(node), self.kernel.increment_m(node));
+            self.history[n] = displacement_m.to_array();
+            self.history[n_nodes + n] = increment_m.to_array();
+            self.positions_m[n] = self.rest.positions_m[n] + displacement_m;
+            self.velocities_m_per_s[n] = increment_m * per_step;
+        }
+        for held in self.held.iter() {
+            let n = held.node.index();
+            self.history[n_nodes + n] = held.moved_m.to_array();
+            self.velocities_m_per_s[n] = held.moved_m * per_step;
+        }
+    }
 }
 
 fn known(step_s: f64) -> Option<f64> {

@@ -165,18 +165,26 @@ impl ExplicitKernel {
         }
         self.stability.estimate(&self.kernel);
         self.loads.grow(&self.rest.positions_m);
-        if self.report.n_reanalyses == n_reanalyses {
+        if self.report.n_reanalyses != n_reanalyses {
+            self.loads.refresh_all(&mut self.kernel);
+            self.publish();
+        } else {
             // Weight changes with the mass, and ligaments are as long as they are now.
             let attached = growth.attached().flat_map(|tet| self.rest.tetrahedra[tet.index()]);
             let removed = at_removed.iter().map(|(node, _)| *node);
-            for node in growth.placed_nodes().chain(attached).chain(removed) {
+            let mut changed: Vec<NodeId> = growth.placed_nodes().chain(attached).chain(removed).collect();
+            changed.sort_unstable();
+            changed.dedup();
+            for &node in &changed {
                 self.loads.refresh(&mut self.kernel, node);
             }
             self.loads.refresh_attachments(&mut self.kernel);
-        } else {
-            self.loads.refresh_all(&mut self.kernel);
+            if self.kernel.history_len() == 0 {
+                self.publish_nodes(changed.into_iter());
+            } else {
+                self.publish();
+            }
         }
-        self.publish();
     }
 
     /// Memory of relaxing stress of the new tetrahedra: that of their parents, for their volumes.

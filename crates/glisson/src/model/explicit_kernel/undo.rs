@@ -26,6 +26,8 @@ impl ExplicitKernel {
         }
         undo.report = self.report;
         undo.push_place(self.history.len());
+        // Growing while the last numbers arrive would copy all of them once more.
+        undo.numbers.reserve(3 * self.history.len() + NUMBERS_BESIDE_STATE);
         undo.numbers.extend_from_slice(self.history.as_flattened());
         undo.push_vector(self.loads.gravity_m_per_s2);
         self.save_constraints(undo);
@@ -46,21 +48,9 @@ impl ExplicitKernel {
         self.stability.save(undo);
         let start = undo.places.len();
         undo.push_place(0);
-        // Nearly all tetrahedra fail at the first question, which takes no branch.
-        let first = change.moved_nodes.first().map_or(0, |node| node.0);
-        let span = change.moved_nodes.last().map_or(0, |node| node.0 - first);
-        let is_reshaped = |tet: &TetId| {
-            let nodes = &self.rest.tetrahedra[tet.index()];
-            nodes.iter().fold(false, |any, n| any | (n.0.wrapping_sub(first) <= span))
-                && nodes.iter().any(|n| change.moved_nodes.binary_search(n).is_ok())
-                && self.kernel.is_live(*tet)
-                && change.tets.removed.binary_search(tet).is_err()
-        };
-        if !change.moved_nodes.is_empty() {
-            for tet in (0..n_tets).map(TetId::from_index).filter(is_reshaped) {
-                undo.places[start] += 1;
-                self.save_tet(tet, undo);
-            }
+        for &tet in change.reshaped_tets.iter().filter(|tet| self.kernel.is_live(**tet)) {
+            undo.places[start] += 1;
+            self.save_tet(tet, undo);
         }
         let start = undo.places.len();
         undo.push_place(0);
@@ -221,6 +211,9 @@ impl ExplicitKernel {
         }
     }
 }
+
+/// Enough for what most edits keep beside the state.
+const NUMBERS_BESIDE_STATE: usize = 4096;
 
 /// Id, four counts of scaled tetrahedra and four of tetrahedra.
 const PLACES_OF_TET: usize = 9;

@@ -21,7 +21,7 @@ pub struct ModelReport {
     /// Constraints that were left out: on nodes that do not exist, are fixed or have no tetrahedron, and values
     /// that are not finite.
     pub n_ignored_constraints: u32,
-    /// Kinetic energy [J]; an edit of the mesh leaves that of the last step in the explicit model.
+    /// Kinetic energy [J]; after an edit of the mesh it may still be that of the last step.
     pub kinetic_energy_j: f64,
     /// The kinetic energy grew beyond what the outside can have put in, and the velocities were cut down.
     pub energy_was_limited: bool,

@@ -263,7 +263,7 @@ impl Organ {
         self.capsule.is_cut(triangle)
     }
 
-    /// The surface for a viewer. Made anew from the mesh: asked for when the version changed, not in steps.
+    /// The surface for a viewer. Put together anew: asked for when the version changed, not in steps.
     pub fn display_topology(&self) -> DisplayTopology {
         let (topology, rest_m) = (self.body.topology(), &self.body.mesh().positions_m);
         let mut vertex_of = vec![0; topology.n_nodes()];
@@ -274,7 +274,16 @@ impl Organ {
         let (mut triangles, mut is_cut) = (Vec::with_capacity(n_triangles), Vec::with_capacity(n_triangles));
         for triangle in topology.surface_triangles() {
             let nodes = self.skin.nodes_of(triangle).expect("the skin has every triangle of the surface");
-            triangles.push(nodes.map(|n| vertex_of[n.index()]));
+            let [a, b, c] = nodes.map(|n| vertex_of[n.index()]);
+            // From the lowest vertex on, so that it does not matter which edits led here.
+            let turned = if a < b && a < c {
+                [a, b, c]
+            } else if b < c {
+                [b, c, a]
+            } else {
+                [c, a, b]
+            };
+            triangles.push(turned);
             is_cut.push(self.is_cut(triangle));
         }
         DisplayTopology {

@@ -182,8 +182,7 @@ impl FastKernel {
         let larger = share_kg / before_kg;
         self.for_each_memory_of(tet, |_, number| *number *= larger);
         for node in params.mesh.tetrahedra[tet.index()] {
-            self.change_mass(node, before_kg, -1);
-            self.change_mass(node, share_kg, 1);
+            self.exchange_mass(node, before_kg, share_kg);
         }
     }
 

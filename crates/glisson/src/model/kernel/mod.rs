@@ -235,6 +235,15 @@ impl FastKernel {
         nodes.update_inverse_mass(n);
     }
 
+    /// A tetrahedron at `node` weighs `after_kg` there in place of `before_kg`. The node goes on moving, also where it has no other.
+    fn exchange_mass(&self, node: NodeId, before_kg: f64, after_kg: f64) {
+        let Some((part, n)) = self.place(node) else { return };
+        let mut nodes = part.nodes_mut();
+        let others_kg = if nodes.n_tets[n] > 1 { nodes.mass_kg[n] - before_kg } else { 0.0 };
+        nodes.mass_kg[n] = others_kg + after_kg;
+        nodes.update_inverse_mass(n);
+    }
+
     /// The law.
     pub fn law(&self) -> KernelLaw {
         self.parts.law

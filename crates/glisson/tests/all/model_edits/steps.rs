@@ -181,3 +181,39 @@ fn nodes_move_on_with_the_mean_velocity_of_their_parents() {
         }
     }
 }
+
+/// A node with one tetrahedron, whose shape changes because another of its corners moves, goes on as fast as it was.
+#[test]
+fn a_corner_goes_on_when_its_only_tetrahedron_gets_another_shape() {
+    for kind in KINDS {
+        let mut random = SeededRandom::new(12);
+        let mut mesh = EditableMesh::new(mesh_of(0, 5)).unwrap();
+        let body = Body::of(mesh.mesh().clone(), &mut random);
+        let mut model = (kind.build)(&body);
+        let place_m = |mesh: &EditableMesh, n: NodeId| mesh.mesh().positions_m[n.index()];
+        let live = mesh.topology().live_nodes();
+        let furthest = live.max_by(|&a, &b| place_m(&mesh, a).x.total_cmp(&place_m(&mesh, b).x));
+        let corner = furthest.expect("there are nodes");
+        let [tet, others @ ..] = mesh.topology().node_tets(corner) else { panic!("the node is live") };
+        let (tet, others) = (*tet, others.to_vec());
+        if !others.is_empty() {
+            let change = mesh.apply(&MeshEdit::Remove { tets: others }).unwrap();
+            model.topology_changed(mesh.mesh(), &change).unwrap();
+        }
+        model.set_gravity(DVec3::new(0.0, -9.81, 0.0));
+        for _ in 0..20 {
+            model.step(2e-4);
+        }
+        let before_m_per_s = model.state().velocities_m_per_s.to_vec();
+        assert!(before_m_per_s[corner.index()].length() > 1e-3, "{}", kind.name);
+        let moved = mesh.topology().tet_nodes(tet).into_iter().find(|&n| n != corner).expect("four corners");
+        let to_m = place_m(&mesh, moved).lerp(place_m(&mesh, corner), 0.01);
+        let change = mesh.apply(&MeshEdit::MoveVertex { node: moved, position_m: to_m }).unwrap();
+        assert_eq!(change.reshaped_tets, mesh.topology().node_tets(moved));
+        model.topology_changed(mesh.mesh(), &change).unwrap();
+        for (n, before) in before_m_per_s.iter().enumerate() {
+            let after = model.state().velocities_m_per_s[n];
+            assert!(after.distance(*before) <= 1e-12, "{}, node {n}: {before} {after}", kind.name);
+        }
+    }
+}

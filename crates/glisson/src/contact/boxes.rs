@@ -47,7 +47,7 @@ impl RoundedBox {
 
     /// This box, or [`RoundedBox::NOTHING`] if it is too large to be one.
     #[inline]
-    fn checked(self) -> Self {
+    pub(super) fn checked(self) -> Self {
         let is_fine = self.low_m().cmpge(Vec3::splat(-LARGEST_COORDINATE_M)).all()
             && self.high_m().cmple(Vec3::splat(LARGEST_COORDINATE_M)).all();
         if is_fine { self } else { Self::NOTHING }
@@ -208,6 +208,13 @@ impl PairRules {
         Self { vertices: triangles.to_vec(), vertices_f32, body_of: body_of.to_vec(), self_collision }
     }
 
+    /// The rules of other things in place of triangles: each counts as the triangle here that stands for it.
+    pub(super) fn of_triangles(&self, stand_for: impl Iterator<Item = u32>) -> Self {
+        let (vertices, body_of): (Vec<_>, Vec<_>) =
+            stand_for.map(|t| (self.vertices(t), self.body_of(t))).unzip();
+        Self::new(&vertices, &body_of, self.self_collision)
+    }
+
     /// Number of triangles.
     pub fn n_triangles(&self) -> usize {
         self.vertices.len()
@@ -247,7 +254,13 @@ impl PairRules {
     /// Whether the pair may count as far as the bodies go.
     #[inline]
     pub(super) fn bodies_allow(&self, s: u32, t: u32) -> bool {
-        self.self_collision || self.body_of[s as usize] != self.body_of[t as usize]
+        self.bodies_allow_with(s, self, t)
+    }
+
+    /// The same for `t` of other rules.
+    #[inline]
+    pub(super) fn bodies_allow_with(&self, s: u32, others: &Self, t: u32) -> bool {
+        self.self_collision || self.body_of[s as usize] != others.body_of[t as usize]
     }
 
     /// Whether the pair counts.

@@ -221,8 +221,7 @@ impl Hierarchy {
             self.pairs_of_children(level, [4 * group + pair / 4, 4 * group + pair % 4], found);
         }
         if level > 0 {
-            let n = self.levels[level] - self.levels[level - 1];
-            for child in 4 * group..(4 * group + 4).min(n) {
+            for child in self.children(level, group) {
                 self.pairs_within(level - 1, child, found);
             }
         }
@@ -257,6 +256,76 @@ impl Hierarchy {
             pairs &= pairs - 1;
             self.pairs_of_children(level, [4 * a + pair / 4, 4 * b + pair % 4], found);
         }
+    }
+
+    /// Calls `visit` once for each overlapping pair of a box here and one of `other` that the rules of both allow.
+    pub(super) fn for_each_pair_with(
+        &self,
+        rules: &PairRules,
+        other: &Self,
+        other_rules: &PairRules,
+        mut visit: impl FnMut(u32, u32),
+    ) {
+        let mut found = |a: usize, b: usize| {
+            if !PairRules::attached(self.vertices[a], other.vertices[b]) {
+                let (s, t) = (self.order[a], other.order[b]);
+                if rules.bodies_allow_with(s, other_rules, t) {
+                    visit(s, t);
+                }
+            }
+        };
+        if !self.order.is_empty() && !other.order.is_empty() {
+            self.pairs_down_with(other, [self.top(), other.top()], [0, 0], &mut found);
+        }
+    }
+
+    /// Goes down in the higher tree to the level of the lower one.
+    fn pairs_down_with(
+        &self,
+        other: &Self,
+        [level_a, level_b]: [usize; 2],
+        [a, b]: [usize; 2],
+        found: &mut impl FnMut(usize, usize),
+    ) {
+        if level_a > level_b {
+            for child in self.children(level_a, a) {
+                self.pairs_down_with(other, [level_a - 1, level_b], [child, b], found);
+            }
+        } else if level_b > level_a {
+            for child in other.children(level_b, b) {
+                self.pairs_down_with(other, [level_a, level_b - 1], [a, child], found);
+            }
+        } else {
+            self.pairs_with(other, level_a, [a, b], found);
+        }
+    }
+
+    /// Pairs with one box below a group here and one below a group of `other` on the same level.
+    fn pairs_with(
+        &self,
+        other: &Self,
+        level: usize,
+        [a, b]: [usize; 2],
+        found: &mut impl FnMut(usize, usize),
+    ) {
+        let four_a = &self.groups[self.levels[level] + a];
+        let mut pairs = other.groups[other.levels[level] + b].overlapping_four(four_a);
+        while pairs != 0 {
+            let pair = pairs.trailing_zeros() as usize;
+            pairs &= pairs - 1;
+            let [a, b] = [4 * a + pair / 4, 4 * b + pair % 4];
+            if level == 0 {
+                found(a, b);
+            } else {
+                self.pairs_with(other, level - 1, [a, b], found);
+            }
+        }
+    }
+
+    /// The groups that a group above the finest level holds.
+    fn children(&self, level: usize, group: usize) -> std::ops::Range<usize> {
+        let n = self.levels[level] - self.levels[level - 1];
+        4 * group..(4 * group + 4).min(n)
     }
 
     /// Calls `visit` once for each box that `query` may touch. `boxes` are those of the last update.

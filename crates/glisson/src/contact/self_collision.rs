@@ -104,11 +104,6 @@ impl PairSearch {
         &self.boxes
     }
 
-    /// Boxes of the vertices at the last update, each with half of the margin as those of the triangles.
-    pub fn vertex_boxes(&self) -> &[RoundedBox] {
-        &self.corners
-    }
-
     /// Which pairs count.
     pub fn rules(&self) -> &PairRules {
         &self.rules
@@ -133,6 +128,12 @@ impl PairSearch {
         fill_vertex_boxes(start_m, end_m, 0.5 * self.margin_m, &mut self.corners);
         fill_triangle_boxes(&self.rules, &self.corners, &mut self.boxes);
         self.structure.update(&self.boxes, &self.rules);
+    }
+
+    /// Boxes of the vertices at the last update, each with half of the margin as those of the triangles; they reach to
+    /// infinity for vertices that are broken.
+    pub(super) fn vertex_boxes(&self) -> &[RoundedBox] {
+        &self.corners
     }
 
     fn corners_m(&self, t: u32) -> [DVec3; 3] {

@@ -164,7 +164,7 @@ impl Closest {
 
 /// Squared sine below which a triangle is a sliver whose closest point is sought on its edges: above it the
 /// barycentric weights are good to 1e-6.
-const SLIVER: f64 = 1e-20;
+pub(super) const SLIVER: f64 = 1e-20;
 
 /// Barycentric weights of the point of a triangle that is closest to `point_m`; slivers and triangles without area
 /// included.

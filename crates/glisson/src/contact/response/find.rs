@@ -1,9 +1,9 @@
 //! Which vertices are at which triangles: from pairs of boxes to one contact for each vertex.
 //!
-//! Every vertex belongs to one triangle and is tested when that triangle's box meets another: no test is made twice. The
-//! vertex's own box is asked first, without a branch, and what is left waits until there are some hundreds. Of all
-//! places within the margin the nearest counts, of equal ones that in the lowest triangle, so that the
-//! answer does not depend on the order in which pairs are found. A vertex is behind a surface when it lies against the
+//! Every vertex belongs to one triangle, and is tested against the triangles that its own box meets and that are not
+//! attached to that one. What is found waits until there are some hundreds. Of all places within the margin the
+//! nearest counts, of equal ones that in the lowest triangle, so that the answer does not depend on the order in which
+//! they are found. A vertex is behind a surface when it lies against the
 //! normal between those of the triangle's vertices, which are weighted by area.
 //!
 //! Within one body a wall thinner than the margin would count as pierced by its own other side, and what is around a corner
@@ -12,8 +12,11 @@
 use super::NodeContact;
 use crate::contact::broad_phase::BroadPhaseKind;
 use crate::contact::self_collision::{PairSearch, PairSearchParams};
-use crate::contact::triangles::{at_weights, closest_weights};
+use crate::contact::triangles::at_weights;
+use crate::contact::vertex_lanes::{BLOCK, NearestPlace, NearestPlaces};
+use crate::contact::vertex_search::VertexSearch;
 use crate::math::DVec3;
+use fearless_simd::Level;
 
 const NONE: u32 = u32::MAX;
 
@@ -85,8 +88,7 @@ pub struct ContactSearch {
     search: PairSearch,
     margin_m: f64,
     triangles: Vec<[u32; 3]>,
-    /// The vertices that are tested with each triangle, [`NONE`] at the end; mostly one or none.
-    owned: Vec<[u32; 3]>,
+    vertices: VertexSearch,
     /// Area vectors summed at the vertices.
     normals: Vec<DVec3>,
     nearest: Vec<Nearest>,
@@ -110,11 +112,12 @@ impl ContactSearch {
             margin_m: params.margin_m,
             pair_capacity: params.pair_capacity,
         };
+        let search = PairSearch::new(&pairs, positions_m, triangles, body_of);
         Self {
-            search: PairSearch::new(&pairs, positions_m, triangles, body_of),
+            vertices: VertexSearch::new(&search),
+            search,
             margin_m: params.margin_m,
             triangles: triangles.to_vec(),
-            owned: owned_vertices(positions_m.len(), triangles),
             normals: vec![DVec3::ZERO; positions_m.len()],
             nearest: vec![NOTHING; positions_m.len()],
             own: None,
@@ -138,33 +141,23 @@ impl ContactSearch {
     pub fn find_into(&mut self, positions_m: &[DVec3], found: &mut Vec<NodeContact>) -> usize {
         found.clear();
         self.search.update(positions_m);
-        let Self { search, triangles, owned, normals, nearest, margin_m, own } = self;
+        self.vertices.update(&self.search);
+        let Self { search, vertices, triangles, normals, nearest, margin_m, own } = self;
         nearest.fill(NOTHING);
         if own.is_some() {
             sum_normals(triangles, positions_m, normals);
         }
-        let (boxes, vertex_boxes) = (search.boxes(), search.vertex_boxes());
         let own_shape = own.as_ref().map(|shape| (shape, &normals[..]));
         let margin_m = *margin_m;
         let mut test =
             DistanceTest { positions_m, triangles, nearest, margin_m, own: own_shape, has_any: false };
         let mut waiting = [[0u32; 2]; N_WAITING];
         let mut n_waiting = 0;
-        search.structure().for_each_pair(boxes, search.rules(), |s, t| {
-            for [from, at] in [[s, t], [t, s]] {
-                let [first, second, third] = owned[from as usize];
-                let last = vertex_boxes.len() as u32 - 1;
-                let meets = vertex_boxes[first.min(last) as usize].overlaps(&boxes[at as usize]);
-                waiting[n_waiting] = [first, at];
-                n_waiting += usize::from((first != NONE) & meets);
-                if second != NONE {
-                    waiting[n_waiting] = [second, at];
-                    waiting[n_waiting + 1] = [third, at];
-                    n_waiting += 1 + usize::from(third != NONE);
-                }
-            }
-            if n_waiting + 6 > N_WAITING {
-                test.all(&waiting[..n_waiting]);
+        vertices.for_each(search, |vertex, triangle| {
+            waiting[n_waiting] = [vertex, triangle];
+            n_waiting += 1;
+            if n_waiting == N_WAITING {
+                test.all(&waiting);
                 n_waiting = 0;
             }
         });
@@ -263,47 +256,37 @@ struct DistanceTest<'a> {
 
 impl DistanceTest<'_> {
     fn all(&mut self, pairs: &[[u32; 2]]) {
-        for &[vertex, triangle] in pairs {
-            let corners_m = self.triangles[triangle as usize].map(|v| self.positions_m[v as usize]);
-            let point_m = self.positions_m[vertex as usize];
-            let weights = closest_weights(point_m, corners_m);
-            let offset_m = point_m - at_weights(corners_m, weights);
-            let distance_m = offset_m.length();
-            let best = &mut self.nearest[vertex as usize];
-            let is_nearer =
-                distance_m < best.distance_m || distance_m == best.distance_m && triangle < best.triangle;
-            if distance_m <= self.margin_m && is_nearer {
-                if let Some((shape, normals)) = self.own {
-                    let [a, b, c] = corners_m;
-                    let (normal, area_m2) = (normals[vertex as usize], (b - a).cross(c - a));
-                    let alike = normal.dot(area_m2) > MOST_ALIKE * (normal.length() * area_m2.length());
-                    let corners = self.triangles[triangle as usize];
-                    if alike || shape.is_wall(vertex, corners, weights, self.margin_m) {
-                        continue;
-                    }
+        let level = Level::new();
+        let mut places = NearestPlaces::new();
+        for block in pairs.chunks(BLOCK) {
+            places.find(level, block, self.positions_m, self.triangles);
+            for (i, &[vertex, triangle]) in block.iter().enumerate() {
+                let distance_m = places.distance_m(i);
+                let best = &self.nearest[vertex as usize];
+                let is_nearer =
+                    distance_m < best.distance_m || distance_m == best.distance_m && triangle < best.triangle;
+                if distance_m <= self.margin_m && is_nearer {
+                    self.keep(vertex, triangle, places.get(i));
                 }
-                *best = Nearest { triangle, weights, offset_m, distance_m };
-                self.has_any = true;
             }
         }
     }
-}
 
-/// Gives each vertex to one of its triangles, to one with few of them.
-fn owned_vertices(n_vertices: usize, triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
-    let mut around: Vec<Vec<usize>> = vec![Vec::new(); n_vertices];
-    for (t, triangle) in triangles.iter().enumerate() {
-        triangle.iter().for_each(|v| around[*v as usize].push(t));
-    }
-    let mut owned = vec![[NONE; 3]; triangles.len()];
-    for (vertex, around) in (0..).zip(&around) {
-        let count = |t: usize| owned[t].iter().filter(|v| **v != NONE).count();
-        if let Some(&t) = around.iter().min_by_key(|t| count(**t)) {
-            let place = count(t);
-            owned[t][place] = vertex;
+    /// Keeps a place nearer than those before, if it can be a contact.
+    fn keep(&mut self, vertex: u32, triangle: u32, place: NearestPlace) {
+        let NearestPlace { weights, offset_m, distance_m } = place;
+        if let Some((shape, normals)) = self.own {
+            let corners = self.triangles[triangle as usize];
+            let [a, b, c] = corners.map(|v| self.positions_m[v as usize]);
+            let (normal, area_m2) = (normals[vertex as usize], (b - a).cross(c - a));
+            let alike = normal.dot(area_m2) > MOST_ALIKE * (normal.length() * area_m2.length());
+            if alike || shape.is_wall(vertex, corners, weights, self.margin_m) {
+                return;
+            }
         }
+        self.nearest[vertex as usize] = Nearest { triangle, weights, offset_m, distance_m };
+        self.has_any = true;
     }
-    owned
 }
 
 /// A rigid surface as seen from a point.

@@ -16,6 +16,7 @@ mod error;
 mod judgement;
 mod moves;
 mod overlap;
+mod parents;
 mod plan;
 mod replace;
 mod sides;

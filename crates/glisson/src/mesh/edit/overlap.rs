@@ -8,49 +8,106 @@ const ON_FACE: f64 = 1e-10;
 /// A half-space: `normal . x >= offset`, with a unit normal.
 type HalfSpace = (DVec3, f64);
 
-/// A tetrahedron, ready to be compared with many others.
-pub(super) struct Tet {
+/// The corners of a tetrahedron.
+#[derive(Clone)]
+pub(super) struct Corners {
     corners_m: [DVec3; 4],
     /// The same by axis: all four are compared with a plane at once.
     by_axis_m: [[f64; 4]; 3],
+}
+
+impl Corners {
+    /// In any order.
+    pub(super) fn new(corners_m: [DVec3; 4]) -> Self {
+        Self { corners_m, by_axis_m: [0, 1, 2].map(|axis| corners_m.map(|p| p[axis])) }
+    }
+
+    /// Their mean [m].
+    pub(super) fn center_m(&self) -> DVec3 {
+        0.25 * self.corners_m.into_iter().sum::<DVec3>()
+    }
+
+    /// The volume between them [m3].
+    pub(super) fn volume_m3(&self) -> f64 {
+        tetrahedron_volume_m3(self.corners_m).abs()
+    }
+
+    /// The box around them.
+    pub(super) fn bounds(&self) -> Aabb {
+        Aabb::of_points(&self.corners_m)
+    }
+}
+
+/// How a tetrahedron lies to another one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Relation {
+    /// They share no volume.
+    Apart,
+    /// It is inside the other one.
+    Within,
+    /// Neither is certain.
+    Unsure,
+}
+
+/// A tetrahedron, ready to be compared with many others.
+pub(super) struct Tet {
+    corners: Corners,
     inside: [HalfSpace; 4],
     on_face_m: f64,
 }
 
 impl Tet {
-    /// Whatever the order of the corners; with its bounds.
-    pub(super) fn new(corners_m: [DVec3; 4]) -> (Self, Aabb) {
-        let [a, b, c, d] = corners_m;
-        let inside = [[b, c, d, a], [a, c, d, b], [a, b, d, c], [a, b, c, d]].map(|[p, q, r, opposite]| {
-            let normal = (q - p).cross(r - p).normalize_or_zero();
-            let normal = if normal.dot(opposite - p) < 0.0 { -normal } else { normal };
+    /// With these corners.
+    pub(super) fn new(corners: Corners) -> Self {
+        let [a, b, c, d] = corners.corners_m;
+        let (ab, ac, ad) = (b - a, c - a, d - a);
+        let at_a = [ac.cross(ad), ad.cross(ab), ab.cross(ac)];
+        let outwards = if ab.dot(at_a[0]) < 0.0 { -1.0 } else { 1.0 };
+        let half_space = |normal: DVec3, p: DVec3| {
+            let normal = (normal * outwards).normalize_or_zero();
             (normal, normal.dot(p))
-        });
-        let bounds = Aabb::of_points(&corners_m);
-        let by_axis_m = [0, 1, 2].map(|axis| corners_m.map(|p| p[axis]));
-        (Self { corners_m, by_axis_m, on_face_m: ON_FACE * bounds.size_m().length(), inside }, bounds)
+        };
+        let [of_b, of_c, of_d] = at_a.map(|normal| half_space(normal, a));
+        let of_a = half_space(-(at_a[0] + at_a[1] + at_a[2]), b);
+        let on_face_m = ON_FACE * corners.bounds().size_m().length();
+        Self { corners, inside: [of_a, of_b, of_c, of_d], on_face_m }
     }
 
-    fn is_beyond_a_face(&self, [x, y, z]: &[[f64; 4]; 3]) -> bool {
+    /// The face, named by the corner opposite, that a point is farthest beyond; `None` for a point inside.
+    pub(super) fn face_towards(&self, point_m: DVec3) -> Option<usize> {
+        let mut farthest = (-self.on_face_m, None);
+        for (face, &(normal, offset)) in self.inside.iter().enumerate() {
+            let height_m = normal.dot(point_m) - offset;
+            if height_m < farthest.0 {
+                farthest = (height_m, Some(face));
+            }
+        }
+        farthest.1
+    }
+
+    /// How another one lies to this one, as far as the faces of this one tell.
+    pub(super) fn relation(&self, Corners { by_axis_m: [x, y, z], .. }: &Corners) -> Relation {
+        let mut is_within = true;
         for &(normal, offset) in &self.inside {
-            let mut n_out = 0;
+            let (mut n_out, mut n_beyond) = (0, 0);
             for v in 0..4 {
                 let height_m = normal.x * x[v] + normal.y * y[v] + normal.z * z[v] - offset;
                 n_out += u32::from(height_m <= self.on_face_m);
+                n_beyond += u32::from(height_m < -self.on_face_m);
             }
             if n_out == 4 {
-                return true;
+                return Relation::Apart;
             }
+            is_within &= n_beyond == 0;
         }
-        false
+        if is_within { Relation::Within } else { Relation::Unsure }
     }
 
-    /// Volume [m3] that this one has in common with another, whose bounds it meets.
+    /// Volume [m3] that this one has in common with another.
     pub(super) fn shared_volume_m3(&self, other: &Self) -> f64 {
-        if other.is_beyond_a_face(&self.by_axis_m) || self.is_beyond_a_face(&other.by_axis_m) {
-            return 0.0;
-        }
-        clipped_volume_m3(self.corners_m, &other.inside, other.on_face_m)
+        let is_apart = other.relation(&self.corners) == Relation::Apart
+            || self.relation(&other.corners) == Relation::Apart;
+        if is_apart { 0.0 } else { clipped_volume_m3(self.corners.corners_m, &other.inside, other.on_face_m) }
     }
 }
 
@@ -118,8 +175,34 @@ mod tests {
     use crate::math::SeededRandom;
 
     fn shared_volume_m3(a_m: [DVec3; 4], b_m: [DVec3; 4]) -> f64 {
-        let [(a, a_bounds), (b, b_bounds)] = [a_m, b_m].map(Tet::new);
-        if are_near(&a_bounds, &b_bounds) { a.shared_volume_m3(&b) } else { 0.0 }
+        let [a, b] = [a_m, b_m].map(|corners_m| Tet::new(Corners::new(corners_m)));
+        let are_near = are_near(&a.corners.bounds(), &b.corners.bounds());
+        let shared_m3 = a.shared_volume_m3(&b);
+        assert!(are_near || shared_m3 == 0.0);
+        shared_m3
+    }
+
+    #[test]
+    fn a_part_is_within_the_whole_and_apart_from_the_other_parts() {
+        let mut random = SeededRandom::new(4);
+        for _ in 0..50 {
+            let mut point = || DVec3::new(random.uniform(), random.uniform(), random.uniform());
+            let whole = [point(), point(), point(), point()];
+            let share = random.uniform();
+            let middle = whole[0].lerp(whole[1], share);
+            let parts = [[middle, whole[1], whole[2], whole[3]], [whole[0], middle, whole[2], whole[3]]];
+            let relation =
+                |of: [DVec3; 4], to: [DVec3; 4]| Tet::new(Corners::new(to)).relation(&Corners::new(of));
+            for part in parts {
+                assert_eq!(relation(part, whole), Relation::Within);
+                assert_eq!(relation(whole, part), Relation::Unsure);
+                // A corner that is moved out.
+                let mut larger = part;
+                larger[2] += whole[2] - 0.5 * (whole[0] + whole[3]);
+                assert_ne!(relation(larger, whole), Relation::Within);
+            }
+            assert_eq!([relation(parts[0], parts[1]), relation(parts[1], parts[0])], [Relation::Apart; 2]);
+        }
     }
 
     #[test]

@@ -192,7 +192,7 @@ impl EditableMesh {
         let mut waiting = std::mem::take(&mut self.scratch.waiting);
         waiting.set(&self.topology, &change.edges.removed[from[1]..], &change.triangles.removed[from[2]..]);
         for (&corners, (_, parents)) in plan.fresh.iter().zip(plan.fresh_parents.iter()) {
-            let tet = self.topology.add_tet(corners, &waiting, change);
+            let tet = self.topology.add_tet(corners, &mut waiting, change);
             self.mesh.tetrahedra.push(corners);
             change.tets.add_with_parents(tet, parents);
         }

@@ -1,9 +1,9 @@
 //! Exchange of tetrahedra for others in the same place.
 
-use super::overlap::{Tet, are_near};
+use super::parents::ParentsByVolume;
 use super::plan::Plan;
 use super::{CavityNode, EditError, EditableMesh, NewNode};
-use crate::math::{Aabb, is_inverted};
+use crate::math::is_inverted;
 use crate::mesh::{NodeId, TetId};
 
 /// How much the volume may differ, as a share of it: rounding, not a gap.
@@ -73,17 +73,14 @@ impl EditableMesh {
             self.check_borders(plan, &corners_of)?;
         }
         self.check_filled(plan, &corners_of)?;
-        let (doomed, bounds): (Vec<Tet>, Vec<Aabb>) =
-            if new_tets.iter().any(|(_, parents)| parents.is_empty()) {
-                plan.doomed.iter().map(|&tet| Tet::new(self.mesh.corners_m(tet))).unzip()
-            } else {
-                Default::default()
-            };
-        let mut found: Vec<(TetId, f64)> = Vec::with_capacity(plan.doomed.len());
+        let mut found = ParentsByVolume::default();
+        if new_tets.iter().any(|(_, parents)| parents.is_empty()) {
+            found.set(self, &plan.doomed);
+        }
         for (place, (nodes, (_, parents))) in corners_of.into_iter().zip(new_tets).enumerate() {
             if parents.is_empty() {
-                self.parents_by_volume(plan, (&doomed, &bounds), nodes, &mut found);
-                plan.add_tet(nodes, &found);
+                let corners_m = nodes.map(|n| plan.position_m(&self.mesh, n));
+                plan.add_tet(nodes, found.of(corners_m));
                 continue;
             }
             let sum: f64 = parents.iter().map(|p| p.1).sum();
@@ -166,33 +163,5 @@ impl EditableMesh {
         let old_m3: f64 = plan.doomed.iter().map(|&tet| self.mesh.tet_volume_m3(tet)).sum();
         let is_filled = (new_m3 - old_m3).abs() <= VOLUME_TOLERANCE * old_m3;
         if is_filled { Ok(()) } else { Err(EditError::VolumeDiffers { old_m3, new_m3 }) }
-    }
-
-    /// `doomed`, `bounds`: shapes of the plan's doomed tetrahedra.
-    fn parents_by_volume(
-        &self,
-        plan: &Plan,
-        (doomed, bounds): (&[Tet], &[Aabb]),
-        nodes: [NodeId; 4],
-        parents: &mut Vec<(TetId, f64)>,
-    ) {
-        let (own, own_bounds) = Tet::new(nodes.map(|n| plan.position_m(&self.mesh, n)));
-        parents.clear();
-        for (at, bounds) in bounds.iter().enumerate() {
-            if are_near(&own_bounds, bounds) {
-                let shared_m3 = own.shared_volume_m3(&doomed[at]);
-                if shared_m3 > 0.0 {
-                    parents.push((plan.doomed[at], shared_m3));
-                }
-            }
-        }
-        let sum: f64 = parents.iter().map(|p| p.1).sum();
-        if sum > 0.0 {
-            parents.iter_mut().for_each(|p| p.1 /= sum);
-            return;
-        }
-        // Too thin to share a volume with anything in floating point: all alike.
-        let share = 1.0 / plan.doomed.len() as f64;
-        parents.extend(plan.doomed.iter().map(|&tet| (tet, share)));
     }
 }

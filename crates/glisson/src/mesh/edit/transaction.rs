@@ -198,7 +198,7 @@ impl EditableMesh {
             change.nodes.added.push(node, parents);
         }
         for (&corners, (_, parents)) in left.fresh.iter().zip(left.fresh_parents.iter()) {
-            let tet = self.topology.add_tet(corners, &waiting, change);
+            let tet = self.topology.add_tet(corners, &mut waiting, change);
             self.mesh.tetrahedra.push(corners);
             change.tets.added.push(tet, parents);
         }

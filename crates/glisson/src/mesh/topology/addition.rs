@@ -3,13 +3,45 @@
 use super::{OptionalTetId, TET_EDGES, TET_TRIANGLES, Topology, local_edge};
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::{EdgeId, NodeId, TetId, TriangleId};
+use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
 
 /// Dead edges and triangles that may come back to life because the edit that left them without a tetrahedron
 /// is not over: ascending by nodes.
+///
+/// And what was found already: the tetrahedra that come have most of their edges and triangles in common.
 #[derive(Clone, Debug, Default)]
 pub(in crate::mesh) struct Waiting {
     edges: Vec<(u64, EdgeId)>,
     triangles: Vec<(u128, TriangleId)>,
+    found_edges: HashMap<u64, EdgeId, BuildHasherDefault<SpreadHasher>>,
+    found_triangles: HashMap<u128, TriangleId, BuildHasherDefault<SpreadHasher>>,
+}
+
+/// Spreads keys that are numbers of nodes (the golden ratio as a share of 2^64; Knuth, The Art of Computer Programming 3,
+/// s. 6.4). Nobody chooses them to collide.
+#[derive(Clone, Copy, Debug, Default)]
+struct SpreadHasher(u64);
+
+impl Hasher for SpreadHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|&byte| self.write_u64(u64::from(byte)));
+    }
+
+    fn write_u64(&mut self, key: u64) {
+        let spread = (self.0 ^ key).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        // What the high half of the key did has to reach the low half, too.
+        self.0 = spread ^ (spread >> 32);
+    }
+
+    fn write_u128(&mut self, key: u128) {
+        self.write_u64((key >> 64) as u64);
+        self.write_u64(key as u64);
+    }
 }
 
 /// Two ascending nodes as one number, which sorts faster.
@@ -24,6 +56,8 @@ fn triangle_key([a, b, c]: [NodeId; 3]) -> u128 {
 impl Waiting {
     /// The given edges and triangles and no others.
     pub(in crate::mesh) fn set(&mut self, topology: &Topology, edges: &[EdgeId], triangles: &[TriangleId]) {
+        self.found_edges.clear();
+        self.found_triangles.clear();
         self.edges.clear();
         self.edges.extend(edges.iter().map(|&e| (edge_key(topology.edge_nodes(e)), e)));
         self.edges.sort_unstable();
@@ -32,12 +66,12 @@ impl Waiting {
         self.triangles.sort_unstable();
     }
 
-    fn edge(&self, nodes: [NodeId; 2]) -> Option<EdgeId> {
-        self.edges.binary_search_by_key(&edge_key(nodes), |e| e.0).ok().map(|at| self.edges[at].1)
+    fn edge(&self, key: u64) -> Option<EdgeId> {
+        self.edges.binary_search_by_key(&key, |e| e.0).ok().map(|at| self.edges[at].1)
     }
 
-    fn triangle(&self, nodes: [NodeId; 3]) -> Option<TriangleId> {
-        self.triangles.binary_search_by_key(&triangle_key(nodes), |t| t.0).ok().map(|at| self.triangles[at].1)
+    fn triangle(&self, key: u128) -> Option<TriangleId> {
+        self.triangles.binary_search_by_key(&key, |t| t.0).ok().map(|at| self.triangles[at].1)
     }
 }
 
@@ -137,26 +171,40 @@ impl Topology {
     pub(in crate::mesh) fn add_tet(
         &mut self,
         nodes: [NodeId; 4],
-        waiting: &Waiting,
+        waiting: &mut Waiting,
         change: &mut TopologyChange,
     ) -> TetId {
         let edges = TET_EDGES.map(|[i, j]| {
             let (a, b) = (nodes[i].min(nodes[j]), nodes[i].max(nodes[j]));
-            self.edge_between(a, b).or_else(|| waiting.edge([a, b])).unwrap_or_else(|| {
+            let key = edge_key([a, b]);
+            if let Some(&edge) = waiting.found_edges.get(&key) {
+                return edge;
+            }
+            let edge = self.edge_between(a, b).or_else(|| waiting.edge(key)).unwrap_or_else(|| {
                 let edge = self.push_edge([a, b]);
                 change.edges.added.push(edge, &[]);
                 edge
-            })
+            });
+            waiting.found_edges.insert(key, edge);
+            edge
         });
         let triangles = TET_TRIANGLES.map(|face| {
             let corners = ascending(face.map(|k| nodes[k]));
+            let key = triangle_key(corners);
+            // A triangle has two sides: it is asked for no more.
+            if let Some(triangle) = waiting.found_triangles.remove(&key) {
+                return triangle;
+            }
             let place = corners.map(|n| face.into_iter().find(|&k| nodes[k] == n).expect("a corner"));
             let sides = [(1, 2), (0, 2), (0, 1)].map(|(a, b)| edges[local_edge(place[a], place[b])]);
-            self.triangle_over(sides[2], corners).or_else(|| waiting.triangle(corners)).unwrap_or_else(|| {
+            let there = self.triangle_over(sides[2], corners).or_else(|| waiting.triangle(key));
+            let triangle = there.unwrap_or_else(|| {
                 let triangle = self.push_triangle(corners, sides);
                 change.triangles.added.push(triangle, &[]);
                 triangle
-            })
+            });
+            waiting.found_triangles.insert(key, triangle);
+            triangle
         });
         let tet = TetId::from_index(self.n_tets());
         self.tet_nodes.push(nodes);

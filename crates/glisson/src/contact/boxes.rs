@@ -47,7 +47,7 @@ impl RoundedBox {
 
     /// This box, or [`RoundedBox::NOTHING`] if it is too large to be one.
     #[inline]
-    pub(super) fn checked(self) -> Self {
+    fn checked(self) -> Self {
         let is_fine = self.low_m().cmpge(Vec3::splat(-LARGEST_COORDINATE_M)).all()
             && self.high_m().cmple(Vec3::splat(LARGEST_COORDINATE_M)).all();
         if is_fine { self } else { Self::NOTHING }

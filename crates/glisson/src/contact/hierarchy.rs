@@ -80,7 +80,7 @@ pub struct Hierarchy {
     /// Vertices of their triangles in this order; of no triangle where there are no rules.
     vertices: Vec<Vec4>,
     /// For each patch of them, and pairs i, j of its groups, the bits of pairs that are not attached: most
-    /// neighbours are, and this does not change while the surface deforms.
+    /// neighbours are, and this does not change while the surface deforms. Empty in a tree that is compared with others.
     free: Vec<[[u16; PATCH]; PATCH]>,
     /// Groups of four of all levels, the finest level (the boxes themselves) first.
     groups: Vec<FourBoxes>,
@@ -93,6 +93,15 @@ pub struct Hierarchy {
 impl Hierarchy {
     /// A tree over `boxes`, for pairs that `rules` allow; rules for no triangle serve for queries alone.
     pub fn new(boxes: &[RoundedBox], rules: &PairRules) -> Self {
+        Self::with_patches(boxes, rules, boxes.len().div_ceil(4 * PATCH))
+    }
+
+    /// A tree over `boxes` for [`Hierarchy::for_each_pair_with`] alone.
+    pub(super) fn for_others(boxes: &[RoundedBox], rules: &PairRules) -> Self {
+        Self::with_patches(boxes, rules, 0)
+    }
+
+    fn with_patches(boxes: &[RoundedBox], rules: &PairRules, n_patches: usize) -> Self {
         let n = boxes.len();
         let mut levels = vec![0];
         let mut n_groups = n.div_ceil(4);
@@ -106,7 +115,7 @@ impl Hierarchy {
         let mut tree = Self {
             order: (0..n as u32).collect(),
             vertices: vec![Vec4::NAN; n],
-            free: vec![[[u16::MAX; PATCH]; PATCH]; n.div_ceil(4 * PATCH)],
+            free: vec![[[u16::MAX; PATCH]; PATCH]; n_patches],
             groups: vec![FourBoxes::NOTHING; end],
             levels,
             growth_at_building: 0.0,
@@ -258,7 +267,8 @@ impl Hierarchy {
         }
     }
 
-    /// Calls `visit` once for each overlapping pair of a box here and one of `other` that the rules of both allow.
+    /// Calls `visit` once for each overlapping pair of a box here and one of `other` that is not attached; of one body only
+    /// if `rules` want it.
     pub(super) fn for_each_pair_with(
         &self,
         rules: &PairRules,

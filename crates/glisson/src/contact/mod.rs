@@ -10,6 +10,7 @@ pub mod sweep_and_prune;
 pub mod hierarchy;
 pub mod broad_phase;
 pub mod triangles;
+mod lanes;
 mod triangle_lanes;
 mod vertex_lanes;
 pub mod continuous;

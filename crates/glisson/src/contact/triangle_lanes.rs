@@ -4,17 +4,13 @@
 //! other one on one side, or the pieces of the planes' line in both are apart. Nearly all pairs that do not meet end
 //! there. What is left goes to `triangles_meet`.
 
+use super::lanes::{EightVectors, GROUPS, LANES, Vector, cross, dot, load, minus};
 use super::triangles::{ROUNDING_OF_DETERMINANTS, SURE, UNSURE_SHARE};
 use crate::math::DVec3;
 use fearless_simd::{Level, Simd, dispatch, f64x8, mask64x8, prelude::*};
 
-const LANES: usize = 8;
-/// Groups of eight that are gathered before the first is computed with: what was just written in small pieces is not
-/// ready to be read as a whole.
-const GROUPS: usize = 8;
-
 /// The six corners of eight pairs, x, y and z of each.
-type EightPairs = [[[f64; LANES]; 3]; 6];
+type EightPairs = [EightVectors; 6];
 
 /// Moves those of `pairs` that may meet to the front, in their order, and answers how many they are.
 pub(super) fn keep_unparted(
@@ -59,32 +55,6 @@ fn keep<S: Simd>(simd: S, pairs: &mut [[u32; 2]], positions_m: &[DVec3], triangl
         first += n;
     }
     n_kept
-}
-
-type Vector<S> = [f64x8<S>; 3];
-
-#[inline(always)]
-fn minus<S: Simd>(a: Vector<S>, b: Vector<S>) -> Vector<S> {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-#[inline(always)]
-fn dot<S: Simd>(a: Vector<S>, b: Vector<S>) -> f64x8<S> {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-#[inline(always)]
-fn cross<S: Simd>(a: Vector<S>, b: Vector<S>) -> Vector<S> {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-#[inline(always)]
-fn corner<S: Simd>(simd: S, corner: &[[f64; LANES]; 3]) -> Vector<S> {
-    [
-        f64x8::from_slice(simd, &corner[0]),
-        f64x8::from_slice(simd, &corner[1]),
-        f64x8::from_slice(simd, &corner[2]),
-    ]
 }
 
 /// Bits of the lanes in which all three are above the bound, or all below it on the other side.
@@ -132,12 +102,12 @@ fn piece_of_line<S: Simd>(simd: S, above: Vector<S>, along: Vector<S>, bound: f6
 /// Bits of the pairs that are parted.
 #[inline(always)]
 fn parted<S: Simd>(simd: S, pairs: &EightPairs) -> u64 {
-    let origin = corner(simd, &pairs[0]);
-    let a1 = minus(corner(simd, &pairs[1]), origin);
-    let a2 = minus(corner(simd, &pairs[2]), origin);
-    let b0 = minus(corner(simd, &pairs[3]), origin);
-    let b1 = minus(corner(simd, &pairs[4]), origin);
-    let b2 = minus(corner(simd, &pairs[5]), origin);
+    let origin = load(simd, &pairs[0]);
+    let a1 = minus(load(simd, &pairs[1]), origin);
+    let a2 = minus(load(simd, &pairs[2]), origin);
+    let b0 = minus(load(simd, &pairs[3]), origin);
+    let b1 = minus(load(simd, &pairs[4]), origin);
+    let b2 = minus(load(simd, &pairs[5]), origin);
     let mut extent = [b0[0].abs(), b0[1].abs(), b0[2].abs()];
     for axis in 0..3 {
         let of_a = a1[axis].abs().max(a2[axis].abs());

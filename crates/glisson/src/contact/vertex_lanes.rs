@@ -3,19 +3,13 @@
 //! The same operations in the same order as [`super::triangles::closest_weights`], so that the bits are the same; where that
 //! one jumps, this one selects. Triangles that are slivers go there.
 
+use super::lanes::{EightVectors, GROUPS, LANES, cross, dot, load, minus, store};
 use super::triangles::{SLIVER, at_weights, closest_weights};
 use crate::math::DVec3;
 use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 
-const LANES: usize = 8;
-/// Groups of eight that are gathered before the first is computed with, as in [`super::triangle_lanes`].
-const GROUPS: usize = 8;
-
 /// So many vertices and triangles fit in [`NearestPlaces`].
 pub(super) const BLOCK: usize = LANES * GROUPS;
-
-/// x, y and z of eight.
-type EightVectors = [[f64; LANES]; 3];
 
 #[derive(Clone, Copy)]
 struct Eight {
@@ -69,7 +63,7 @@ impl NearestPlaces {
             }
         }
         let used = &mut self.groups[..pairs.len().div_ceil(LANES)];
-        dispatch!(level, simd => find_all(simd, used));
+        dispatch!(level, simd => find_all(simd, used, pairs.len()));
     }
 
     /// Distance from the nearest place to vertex `i` of the last call [m].
@@ -90,9 +84,10 @@ impl NearestPlaces {
 }
 
 #[inline(always)]
-fn find_all<S: Simd>(simd: S, groups: &mut [Eight]) {
-    for group in groups {
-        let mut slivers = find_eight(simd, group);
+fn find_all<S: Simd>(simd: S, groups: &mut [Eight], n: usize) {
+    for (g, group) in groups.iter_mut().enumerate() {
+        let n_here = (n - g * LANES).min(LANES);
+        let mut slivers = find_eight(simd, group) & ((1 << n_here) - 1);
         while slivers != 0 {
             group.find_one(slivers.trailing_zeros() as usize);
             slivers &= slivers - 1;
@@ -114,44 +109,15 @@ impl Eight {
     }
 }
 
-type Vector<S> = [f64x8<S>; 3];
-
-#[inline(always)]
-fn minus<S: Simd>(a: Vector<S>, b: Vector<S>) -> Vector<S> {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-#[inline(always)]
-fn dot<S: Simd>(a: Vector<S>, b: Vector<S>) -> f64x8<S> {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-#[inline(always)]
-fn cross<S: Simd>(a: Vector<S>, b: Vector<S>) -> Vector<S> {
-    [a[1] * b[2] - b[1] * a[2], a[2] * b[0] - b[2] * a[0], a[0] * b[1] - b[0] * a[1]]
-}
-
-#[inline(always)]
-fn vector<S: Simd>(simd: S, x: &EightVectors) -> Vector<S> {
-    [f64x8::from_slice(simd, &x[0]), f64x8::from_slice(simd, &x[1]), f64x8::from_slice(simd, &x[2])]
-}
-
-#[inline(always)]
-fn store<S: Simd>(x: Vector<S>, to: &mut EightVectors) {
-    x[0].store_slice(&mut to[0]);
-    x[1].store_slice(&mut to[1]);
-    x[2].store_slice(&mut to[2]);
-}
-
 /// Writes the places; answers the bits of the lanes whose triangle is a sliver or broken, where they are no good. The names
 /// are those of [`crate::math::closest_point_barycentric`].
 #[inline(always)]
 fn find_eight<S: Simd>(simd: S, group: &mut Eight) -> u64 {
     let (zero, one) = (f64x8::splat(simd, 0.0), f64x8::splat(simd, 1.0));
-    let p = vector(simd, &group.points_m[0]);
-    let a = vector(simd, &group.points_m[1]);
-    let b = vector(simd, &group.points_m[2]);
-    let c = vector(simd, &group.points_m[3]);
+    let p = load(simd, &group.points_m[0]);
+    let a = load(simd, &group.points_m[1]);
+    let b = load(simd, &group.points_m[2]);
+    let c = load(simd, &group.points_m[3]);
     let (ab, ac) = (minus(b, a), minus(c, a));
     let normal = cross(ab, ac);
     let is_whole = dot(normal, normal).simd_gt(dot(ab, ab) * SLIVER * dot(ac, ac));

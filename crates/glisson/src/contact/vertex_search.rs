@@ -13,16 +13,18 @@ const NONE: u32 = u32::MAX;
 
 /// The search for vertices, beside a search for pairs of triangles. Updating and asking never allocate.
 #[derive(Clone, Debug)]
-pub(super) struct VertexSearch {
+pub(super) enum VertexSearch {
+    /// Beside a hierarchy.
+    Tree(VertexTree),
     /// The vertices of each triangle, [`NONE`] at the end; mostly one or none.
-    of_triangle: Vec<[u32; 3]>,
-    tree: Option<VertexTree>,
+    OfTriangles(Vec<[u32; 3]>),
 }
 
+/// A hierarchy over vertices.
 #[derive(Clone, Debug)]
-struct VertexTree {
-    /// Those that belong to a triangle.
-    vertices: Vec<u32>,
+pub(super) struct VertexTree {
+    /// Those that belong to a triangle, with that triangle.
+    owners: Vec<[u32; 2]>,
     /// Their boxes.
     boxes: Vec<RoundedBox>,
     /// The triangles that they belong to.
@@ -35,29 +37,25 @@ impl VertexSearch {
     pub(super) fn new(search: &PairSearch) -> Self {
         let rules = search.rules();
         let owners = owners(search.vertex_boxes().len(), rules.triangles());
+        if let BroadPhase::Hierarchy(_) = search.structure() {
+            let rules = rules.of_triangles(owners.iter().map(|[_, owner]| *owner));
+            let boxes: Vec<RoundedBox> = owners.iter().map(|owner| box_of(search, *owner)).collect();
+            let tree = Hierarchy::for_others(&boxes, &rules);
+            return Self::Tree(VertexTree { owners, boxes, rules, tree });
+        }
         let mut of_triangle = vec![[NONE; 3]; rules.n_triangles()];
         for &[vertex, owner] in &owners {
-            let own = &mut of_triangle[owner as usize];
-            if let Some(place) = own.iter_mut().find(|v| **v == NONE) {
-                *place = vertex;
-            }
+            let place = of_triangle[owner as usize].iter_mut().find(|v| **v == NONE);
+            *place.expect("a triangle owns no more than its three vertices") = vertex;
         }
-        let tree = matches!(search.structure(), BroadPhase::Hierarchy(_)).then(|| {
-            let vertices: Vec<u32> = owners.iter().map(|[v, _]| *v).collect();
-            let rules = rules.of_triangles(owners.iter().map(|[_, owner]| *owner));
-            let boxes: Vec<RoundedBox> =
-                vertices.iter().map(|v| search.vertex_boxes()[*v as usize].checked()).collect();
-            let tree = Hierarchy::new(&boxes, &rules);
-            VertexTree { vertices, boxes, rules, tree }
-        });
-        Self { of_triangle, tree }
+        Self::OfTriangles(of_triangle)
     }
 
     /// Follows `search`, which was updated.
     pub(super) fn update(&mut self, search: &PairSearch) {
-        if let Some(VertexTree { vertices, boxes, rules, tree }) = &mut self.tree {
-            for (bounds, v) in boxes.iter_mut().zip(vertices.iter()) {
-                *bounds = search.vertex_boxes()[*v as usize].checked();
+        if let Self::Tree(VertexTree { owners, boxes, rules, tree }) = self {
+            for (bounds, owner) in boxes.iter_mut().zip(owners.iter()) {
+                *bounds = box_of(search, *owner);
             }
             tree.update(boxes, rules);
         }
@@ -65,21 +63,35 @@ impl VertexSearch {
 
     /// Calls `visit` once for each vertex and triangle that can be within the margin of each other.
     pub(super) fn for_each(&self, search: &PairSearch, mut visit: impl FnMut(u32, u32)) {
-        if let (Some(own), BroadPhase::Hierarchy(tree)) = (&self.tree, search.structure()) {
-            return own.tree.for_each_pair_with(&own.rules, tree, search.rules(), |place, triangle| {
-                visit(own.vertices[place as usize], triangle);
-            });
-        }
-        let (boxes, vertex_boxes) = (search.boxes(), search.vertex_boxes());
-        search.structure().for_each_pair(boxes, search.rules(), |s, t| {
-            for [from, at] in [[s, t], [t, s]] {
-                for v in self.of_triangle[from as usize].into_iter().take_while(|v| *v != NONE) {
-                    if vertex_boxes[v as usize].overlaps(&boxes[at as usize]) {
-                        visit(v, at);
-                    }
-                }
+        match (self, search.structure()) {
+            (Self::Tree(own), BroadPhase::Hierarchy(tree)) => {
+                own.tree.for_each_pair_with(&own.rules, tree, search.rules(), |place, triangle| {
+                    visit(own.owners[place as usize][0], triangle);
+                });
             }
-        });
+            (Self::Tree(_), _) => unreachable!("a search keeps its structure"),
+            (Self::OfTriangles(of_triangle), structure) => {
+                let (boxes, vertex_boxes) = (search.boxes(), search.vertex_boxes());
+                structure.for_each_pair(boxes, search.rules(), |s, t| {
+                    for [from, at] in [[s, t], [t, s]] {
+                        for v in of_triangle[from as usize].into_iter().take_while(|v| *v != NONE) {
+                            if vertex_boxes[v as usize].overlaps(&boxes[at as usize]) {
+                                visit(v, at);
+                            }
+                        }
+                    }
+                });
+            }
+        }
+    }
+}
+
+/// The box of a vertex; of nothing when its triangle is broken, as pairs of triangles have it.
+fn box_of(search: &PairSearch, [vertex, owner]: [u32; 2]) -> RoundedBox {
+    if search.boxes()[owner as usize].is_nothing() {
+        RoundedBox::NOTHING
+    } else {
+        search.vertex_boxes()[vertex as usize]
     }
 }
 

@@ -353,6 +353,81 @@ fn every_vertex_within_the_margin_is_found_once_at_its_nearest_place() {
     }
 }
 
+/// Every vertex with the nearest triangle within the margin, of those that are not attached to the vertex's triangles.
+fn nearest_by_all(positions_m: &[DVec3], triangles: &[[u32; 3]], margin_m: f64) -> Vec<(u32, f64)> {
+    let mut found = Vec::new();
+    for v in 0..positions_m.len() as u32 {
+        let own: Vec<u32> = triangles.iter().filter(|t| t.contains(&v)).flatten().copied().collect();
+        let distance = |t: &[u32; 3]| {
+            let corners_m = t.map(|v| positions_m[v as usize]);
+            let p = positions_m[v as usize];
+            at_weights(corners_m, closest_weights(p, corners_m)).distance(p)
+        };
+        let is_whole =
+            |t: &&[u32; 3]| t.iter().all(|v| positions_m[*v as usize].abs().cmplt(DVec3::splat(1e30)).all());
+        let others = triangles.iter().filter(|t| !t.iter().any(|v| own.contains(v))).filter(is_whole);
+        let nearest_m = others.map(distance).fold(f64::INFINITY, f64::min);
+        if nearest_m <= margin_m {
+            found.push((v, nearest_m));
+        }
+    }
+    found
+}
+
+#[test]
+fn lone_triangles_that_move_touch_alike_with_every_structure_and_a_broken_one_touches_nothing() {
+    let margin_m = 0.05;
+    let mut random = SeededRandom::new(9);
+    // A triangle owns all of its vertices: the tree of vertices is higher than that of triangles.
+    for n in [2_u32, 3, 40, 300] {
+        let triangles: Vec<[u32; 3]> = (0..n).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        let body_of: Vec<u32> = (0..n).collect();
+        let side_m = 0.12 * libm::cbrt(f64::from(n));
+        let mut place =
+            |scale_m: f64| DVec3::new(random.uniform(), random.uniform(), random.uniform()) * scale_m;
+        let mut positions_m = Vec::new();
+        for _ in 0..n {
+            let at = place(side_m);
+            positions_m.extend((0..3).map(|_| at + place(0.1)));
+        }
+        let mut searches = BroadPhaseKind::ALL.map(|kind| {
+            let params =
+                ContactSearchParams { kind, margin_m, self_collision: false, pair_capacity: 100_000 };
+            ContactSearch::new(&params, &positions_m, &triangles, &body_of)
+        });
+        let mut n_found = 0;
+        for step in 0..40 {
+            let jump_m = if step % 10 == 9 { 0.3 } else { 0.01 };
+            for p in &mut positions_m {
+                *p += place(jump_m) - 0.5 * jump_m;
+            }
+            let whole_m = positions_m[4];
+            if step % 3 == 1 {
+                positions_m[4] = [DVec3::NAN, DVec3::INFINITY, DVec3::splat(1e200)][step / 3 % 3];
+            }
+            let mut answers = Vec::new();
+            for search in &mut searches {
+                let mut found = Vec::with_capacity(3 * n as usize);
+                let allocated = allocation_counter::measure(|| {
+                    assert_eq!(search.find_into(&positions_m, &mut found), 0);
+                });
+                assert_eq!(allocated.count_total, 0);
+                answers.push(found);
+            }
+            assert!(answers[0] == answers[1] && answers[0] == answers[2], "{n}, {step}");
+            let mut expected = nearest_by_all(&positions_m, &triangles, margin_m);
+            // All of the broken triangle's vertices touch nothing.
+            expected.retain(|(v, _)| positions_m[4] == whole_m || !(3..6).contains(v));
+            let found = answers[2].iter().map(|c| (c.vertices[0], c.gap_m.abs()));
+            assert!(found.clone().map(|c| c.0).eq(expected.iter().map(|c| c.0)), "{n}, {step}");
+            assert!(found.zip(&expected).all(|(a, b)| (a.1 - b.1).abs() < 1e-12));
+            n_found += expected.len();
+            positions_m[4] = whole_m;
+        }
+        assert!(n < 40 || n_found > 400, "{n}: {n_found}");
+    }
+}
+
 #[test]
 fn lists_without_room_are_counted_and_rigid_places_are_appended() {
     let (positions_m, triangles, body_of) = plates(4, 0.01);

@@ -3,8 +3,8 @@
 //! Every vertex belongs to one triangle, and is tested against the triangles that its own box meets and that are not
 //! attached to that one. What is found waits until there are some hundreds. Of all places within the margin the
 //! nearest counts, of equal ones that in the lowest triangle, so that the answer does not depend on the order in which
-//! they are found. A vertex is behind a surface when it lies against the
-//! normal between those of the triangle's vertices, which are weighted by area.
+//! they are found. A vertex is behind a surface when it lies against the normal between those of the triangle's vertices,
+//! which are weighted by area.
 //!
 //! Within one body a wall thinner than the margin would count as pierced by its own other side, and what is around a corner
 //! as near. [`ContactSearch::with_rest_shape`] tells them from contacts; without it the margin has to be smaller than that.
@@ -279,8 +279,9 @@ impl DistanceTest<'_> {
             let corners = self.triangles[triangle as usize];
             let [a, b, c] = corners.map(|v| self.positions_m[v as usize]);
             let (normal, area_m2) = (normals[vertex as usize], (b - a).cross(c - a));
-            let alike = normal.dot(area_m2) > MOST_ALIKE * (normal.length() * area_m2.length());
-            if alike || shape.is_wall(vertex, corners, weights, self.margin_m) {
+            // Also false beside a vertex that is broken.
+            let faces = normal.dot(area_m2) <= MOST_ALIKE * (normal.length() * area_m2.length());
+            if !faces || shape.is_wall(vertex, corners, weights, self.margin_m) {
                 return;
             }
         }

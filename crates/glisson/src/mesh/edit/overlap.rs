@@ -61,14 +61,15 @@ impl Tet {
     pub(super) fn new(corners: Corners) -> Self {
         let [a, b, c, d] = corners.corners_m;
         let (ab, ac, ad) = (b - a, c - a, d - a);
-        let at_a = [ac.cross(ad), ad.cross(ab), ab.cross(ac)];
-        let outwards = if ab.dot(at_a[0]) < 0.0 { -1.0 } else { 1.0 };
+        let orientation = if ab.dot(ac.cross(ad)) < 0.0 { -1.0 } else { 1.0 };
+        // The normals point inwards where the orientation is positive.
         let half_space = |normal: DVec3, p: DVec3| {
-            let normal = (normal * outwards).normalize_or_zero();
+            let normal = (normal * orientation).normalize_or_zero();
             (normal, normal.dot(p))
         };
-        let [of_b, of_c, of_d] = at_a.map(|normal| half_space(normal, a));
-        let of_a = half_space(-(at_a[0] + at_a[1] + at_a[2]), b);
+        let of_a = half_space((d - b).cross(c - b), b);
+        let [of_b, of_c, of_d] =
+            [ac.cross(ad), ad.cross(ab), ab.cross(ac)].map(|normal| half_space(normal, a));
         let on_face_m = ON_FACE * corners.bounds().size_m().length();
         Self { corners, inside: [of_a, of_b, of_c, of_d], on_face_m }
     }

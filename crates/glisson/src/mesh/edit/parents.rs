@@ -12,7 +12,6 @@ const NOTHING_MISSING: f64 = 1e-10;
 
 /// Finds parents. From the tetrahedron that holds the new one's centre the search goes through the faces of what it
 /// overlaps; if that does not account for its volume (where the old ones do not hang together), it looks at all of them.
-#[derive(Default)]
 pub(super) struct ParentsByVolume {
     ids: Vec<TetId>,
     shapes: Vec<Tet>,
@@ -24,26 +23,32 @@ pub(super) struct ParentsByVolume {
     /// Places still to be looked at, in order, and those from which the search has gone on.
     queue: Vec<u32>,
     is_queued: Vec<bool>,
-    /// Where the last search began.
+    /// Where the next search begins.
     last: usize,
 }
 
 impl ParentsByVolume {
-    /// Takes the tetrahedra that make room, ascending.
-    pub(super) fn set(&mut self, body: &EditableMesh, ids: &[TetId]) {
-        self.ids.extend_from_slice(ids);
-        self.shapes.reserve(ids.len());
-        self.bounds.reserve(ids.len());
-        self.beyond.reserve(ids.len());
-        self.is_queued.resize(ids.len(), false);
+    /// Among `ids`, the tetrahedra of `body` that make room, ascending.
+    pub(super) fn new(body: &EditableMesh, ids: &[TetId]) -> Self {
+        let mut this = Self {
+            ids: ids.to_vec(),
+            shapes: Vec::with_capacity(ids.len()),
+            bounds: Vec::with_capacity(ids.len()),
+            beyond: Vec::with_capacity(ids.len()),
+            parents: Vec::new(),
+            queue: Vec::new(),
+            is_queued: vec![false; ids.len()],
+            last: 0,
+        };
         for &tet in ids {
             let corners = Corners::new(body.mesh().corners_m(tet));
-            self.bounds.push(corners.bounds());
-            self.shapes.push(Tet::new(corners));
-            self.beyond.push(body.topology().tet_neighbours(tet).map(|next| {
+            this.bounds.push(corners.bounds());
+            this.shapes.push(Tet::new(corners));
+            this.beyond.push(body.topology().tet_neighbours(tet).map(|next| {
                 next.get().and_then(|next| ids.binary_search(&next).ok()).map_or(NONE, |at| at as u32)
             }));
         }
+        this
     }
 
     /// The parents of the tetrahedron with the given corners, ascending, with shares that add up to 1.
@@ -122,14 +127,18 @@ impl ParentsByVolume {
         is_whole
     }
 
-    /// The same without following faces.
+    /// The same without following faces. The next search begins at the largest share.
     fn look_at_all(&mut self, own: &Corners) {
         let (own, own_bounds) = (Tet::new(own.clone()), own.bounds());
+        let mut largest_m3 = 0.0;
         for (at, shape) in self.shapes.iter().enumerate() {
             if are_near(&own_bounds, &self.bounds[at]) {
                 let shared_m3 = own.shared_volume_m3(shape);
                 if shared_m3 > 0.0 {
                     self.parents.push((self.ids[at], shared_m3));
+                    if shared_m3 > largest_m3 {
+                        (largest_m3, self.last) = (shared_m3, at);
+                    }
                 }
             }
         }
@@ -158,8 +167,7 @@ mod tests {
         // Whole, and with holes that bar the way or leave parts of the new ones in nothing.
         for holes in [0.0, 0.2] {
             let ids: Vec<TetId> = all.iter().copied().filter(|_| random.uniform() >= holes).collect();
-            let mut parents = ParentsByVolume::default();
-            parents.set(&body, &ids);
+            let mut parents = ParentsByVolume::new(&body, &ids);
             let (mut n_by_faces, mut n_single) = (0, 0);
             for at in 0..300 {
                 let center = DVec3::new(random.uniform(), random.uniform(), random.uniform()) * 0.8 + 0.1;

@@ -73,14 +73,12 @@ impl EditableMesh {
             self.check_borders(plan, &corners_of)?;
         }
         self.check_filled(plan, &corners_of)?;
-        let mut found = ParentsByVolume::default();
-        if new_tets.iter().any(|(_, parents)| parents.is_empty()) {
-            found.set(self, &plan.doomed);
-        }
+        let is_any_unknown = new_tets.iter().any(|(_, parents)| parents.is_empty());
+        let mut by_volume = is_any_unknown.then(|| ParentsByVolume::new(self, &plan.doomed));
         for (place, (nodes, (_, parents))) in corners_of.into_iter().zip(new_tets).enumerate() {
-            if parents.is_empty() {
+            if let (true, Some(by_volume)) = (parents.is_empty(), &mut by_volume) {
                 let corners_m = nodes.map(|n| plan.position_m(&self.mesh, n));
-                plan.add_tet(nodes, found.of(corners_m));
+                plan.add_tet(nodes, by_volume.of(corners_m));
                 continue;
             }
             let sum: f64 = parents.iter().map(|p| p.1).sum();

@@ -18,6 +18,9 @@ pub(in crate::mesh) struct Waiting {
     found_triangles: HashMap<u128, TriangleId, BuildHasherDefault<SpreadHasher>>,
 }
 
+/// Entries that tables keep room for from edit to edit.
+const MOST_ROOM: usize = 8192;
+
 /// Spreads keys that are numbers of nodes (the golden ratio as a share of 2^64; Knuth, The Art of Computer Programming 3,
 /// s. 6.4). Nobody chooses them to collide.
 #[derive(Clone, Copy, Debug, Default)]
@@ -56,8 +59,11 @@ fn triangle_key([a, b, c]: [NodeId; 3]) -> u128 {
 impl Waiting {
     /// The given edges and triangles and no others.
     pub(in crate::mesh) fn set(&mut self, topology: &Topology, edges: &[EdgeId], triangles: &[TriangleId]) {
+        // To empty a table takes as long as it has room: one that a large edit left goes.
         self.found_edges.clear();
+        self.found_edges.shrink_to(MOST_ROOM);
         self.found_triangles.clear();
+        self.found_triangles.shrink_to(MOST_ROOM);
         self.edges.clear();
         self.edges.extend(edges.iter().map(|&e| (edge_key(topology.edge_nodes(e)), e)));
         self.edges.sort_unstable();

@@ -15,7 +15,7 @@ const NONE: u32 = u32::MAX;
 #[derive(Clone, Debug)]
 pub(super) enum VertexSearch {
     /// Beside a hierarchy.
-    Tree(VertexTree),
+    Tree(Box<VertexTree>),
     /// The vertices of each triangle, [`NONE`] at the end; mostly one or none.
     OfTriangles(Vec<[u32; 3]>),
 }
@@ -41,7 +41,7 @@ impl VertexSearch {
             let rules = rules.of_triangles(owners.iter().map(|[_, owner]| *owner));
             let boxes: Vec<RoundedBox> = owners.iter().map(|owner| box_of(search, *owner)).collect();
             let tree = Hierarchy::for_others(&boxes, &rules);
-            return Self::Tree(VertexTree { owners, boxes, rules, tree });
+            return Self::Tree(Box::new(VertexTree { owners, boxes, rules, tree }));
         }
         let mut of_triangle = vec![[NONE; 3]; rules.n_triangles()];
         for &[vertex, owner] in &owners {
@@ -53,7 +53,8 @@ impl VertexSearch {
 
     /// Follows `search`, which was updated.
     pub(super) fn update(&mut self, search: &PairSearch) {
-        if let Self::Tree(VertexTree { owners, boxes, rules, tree }) = self {
+        if let Self::Tree(own) = self {
+            let VertexTree { owners, boxes, rules, tree } = own.as_mut();
             for (bounds, owner) in boxes.iter_mut().zip(owners.iter()) {
                 *bounds = box_of(search, *owner);
             }

@@ -35,11 +35,11 @@ impl RoundedBox {
     /// Like `new`, but a number that is not finite makes the box reach to infinity.
     #[inline]
     fn open(low_m: DVec3, high_m: DVec3, margin_m: f64) -> Self {
-        let low = outwards((low_m - margin_m).as_vec3(), -1.0);
-        let high = outwards((high_m + margin_m).as_vec3(), 1.0);
+        let low = outwards((low_m - margin_m).as_vec3().extend(f32::NEG_INFINITY), -1.0);
+        let high = outwards((high_m + margin_m).as_vec3().extend(f32::INFINITY), 1.0);
         let is_fine = low.cmple(high).all();
         if is_fine {
-            Self { low_m: low.extend(f32::NEG_INFINITY), high_m: high.extend(f32::INFINITY) }
+            Self { low_m: low, high_m: high }
         } else {
             Self { low_m: Vec4::NEG_INFINITY, high_m: Vec4::INFINITY }
         }
@@ -48,8 +48,9 @@ impl RoundedBox {
     /// This box, or [`RoundedBox::NOTHING`] if it is too large to be one.
     #[inline]
     fn checked(self) -> Self {
-        let is_fine = self.low_m().cmpge(Vec3::splat(-LARGEST_COORDINATE_M)).all()
-            && self.high_m().cmple(Vec3::splat(LARGEST_COORDINATE_M)).all();
+        const LARGEST_M: Vec4 =
+            Vec4::new(LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, f32::INFINITY);
+        let is_fine = (self.low_m.cmpge(-LARGEST_M) & self.high_m.cmple(LARGEST_M)).all();
         if is_fine { self } else { Self::NOTHING }
     }
 
@@ -108,6 +109,18 @@ impl RoundedBox {
         self.high_m.truncate()
     }
 
+    /// Smallest corner [m], and minus infinity.
+    #[inline]
+    pub(super) fn low4_m(self) -> Vec4 {
+        self.low_m
+    }
+
+    /// Largest corner [m], and infinity; of nothing all numbers are the opposite.
+    #[inline]
+    pub(super) fn high4_m(self) -> Vec4 {
+        self.high_m
+    }
+
     /// Centre [m].
     #[inline]
     pub(super) fn center_m(&self) -> Vec3 {
@@ -130,7 +143,7 @@ pub(super) fn fill_vertex_boxes(start_m: &[DVec3], end_m: &[DVec3], margin_m: f6
 
 /// `x` moved by at least half a unit in the last place towards `direction`, more than the conversion from `f64`
 /// was off.
-fn outwards(x: Vec3, direction: f32) -> Vec3 {
+fn outwards(x: Vec4, direction: f32) -> Vec4 {
     x + direction * (x.abs() * ROUNDING + f32::MIN_POSITIVE)
 }
 

@@ -7,6 +7,7 @@ pub mod boxes;
 pub mod shapes;
 pub mod box_grid;
 pub mod sweep_and_prune;
+mod four_boxes;
 pub mod hierarchy;
 pub mod broad_phase;
 pub mod triangles;

@@ -53,7 +53,12 @@ impl BroadPhase {
     pub fn new(kind: BroadPhaseKind, boxes: &[RoundedBox], rules: &PairRules, wanted: Wanted) -> Self {
         match (kind, wanted) {
             (BroadPhaseKind::Buckets, _) => Self::Buckets(BoxGrid::new(boxes)),
-            (BroadPhaseKind::Hierarchy, _) => Self::Hierarchy(Hierarchy::new(boxes, rules)),
+            (BroadPhaseKind::Hierarchy, Wanted::Queries) => {
+                Self::Hierarchy(Hierarchy::for_queries(boxes, rules))
+            }
+            (BroadPhaseKind::Hierarchy, Wanted::Pairs { .. }) => {
+                Self::Hierarchy(Hierarchy::for_pairs(boxes, rules))
+            }
             (BroadPhaseKind::SweepAndPrune, Wanted::Queries) => {
                 Self::SweepAndPrune(SweepAndPrune::for_queries(boxes))
             }

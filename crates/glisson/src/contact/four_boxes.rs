@@ -14,7 +14,7 @@ pub(super) struct FourBoxes {
 /// Which boxes j of one group overlap boxes i of another, a bit each: bits 0 to 3 are those with j = i, the others those
 /// with j beyond i by 2, 1 and 3, counted around. So eight are compared with a group that is turned, not spread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Overlaps(pub(super) u16);
+pub(super) struct Overlaps(u16);
 
 impl Overlaps {
     /// All pairs.

@@ -22,8 +22,8 @@ use glam::{Vec3, Vec4};
 /// How much worse than after its building a tree may become: a choice.
 const WORST_GROWTH: f32 = 2.0;
 
-/// Room for listed pairs, as a multiple of the groups on the finest level and of those above, beside each group with
-/// itself: on a closed surface there are four or five. What finds no room is looked for like any other pair.
+/// As many times the groups, on the finest level and on those above, may be listed before pairs of different groups find
+/// no room and are looked for like any other: on a closed surface there are four or five a group, beside itself.
 const LISTED_PER_GROUP: usize = 8;
 
 /// Groups that wait for a search at most: fifteen more on each of sixteen levels.
@@ -95,13 +95,13 @@ pub struct Hierarchy {
 }
 
 impl Hierarchy {
-    /// A tree over `boxes`, for pairs that `rules` allow; rules for no triangle serve for queries alone.
-    pub fn new(boxes: &[RoundedBox], rules: &PairRules) -> Self {
-        Self::with_list(boxes, rules, rules.n_triangles() > 0)
+    /// A tree over `boxes`, for pairs that `rules` allow.
+    pub fn for_pairs(boxes: &[RoundedBox], rules: &PairRules) -> Self {
+        Self::with_list(boxes, rules, true)
     }
 
-    /// A tree over `boxes` for [`Hierarchy::for_each_pair_with`] alone.
-    pub(super) fn for_others(boxes: &[RoundedBox], rules: &PairRules) -> Self {
+    /// A tree over `boxes` for [`Hierarchy::for_each_near`] and [`Hierarchy::for_each_pair_with`] alone.
+    pub fn for_queries(boxes: &[RoundedBox], rules: &PairRules) -> Self {
         Self::with_list(boxes, rules, false)
     }
 
@@ -197,9 +197,9 @@ impl Hierarchy {
     /// Calls `visit` once for each pair of overlapping boxes that `rules` allow, the lower index first.
     ///
     /// # Panics
-    /// In a tree made without rules.
+    /// In a tree for queries.
     pub fn for_each_pair(&self, rules: &PairRules, mut visit: impl FnMut(u32, u32)) {
-        assert!(self.order.is_empty() || self.listed.n > 0, "a tree for queries alone lists no pairs");
+        assert!(self.order.is_empty() || self.listed.n > 0, "a tree for queries lists no pairs");
         let allowed = |a: usize, b: usize| {
             let (s, t) = (self.order[a], self.order[b]);
             if rules.bodies_allow(s, t) {
@@ -467,7 +467,7 @@ mod tests {
     #[test]
     fn pairs_are_found_where_more_are_attached_than_can_be_listed() {
         let (boxes, rules) = fan(400, 1, usize::MAX);
-        let tree = Hierarchy::new(&boxes, &rules);
+        let tree = Hierarchy::for_pairs(&boxes, &rules);
         let room = tree.listed.pairs.len();
         assert!(tree.listed.n >= room * LISTED_PER_GROUP / (1 + LISTED_PER_GROUP), "the list is full");
         let expected = by_brute_force(&boxes, &rules);
@@ -488,7 +488,7 @@ mod tests {
         let triangles: Vec<[u32; 3]> = (0..512).map(triangle).collect();
         let boxes = vec![RoundedBox::new(DVec3::ZERO, DVec3::ONE, 0.0); triangles.len()];
         let rules = PairRules::new(&triangles, &vec![0; triangles.len()], true);
-        let tree = Hierarchy::new(&boxes, &rules);
+        let tree = Hierarchy::for_pairs(&boxes, &rules);
         assert_eq!(pairs_of(&tree, &rules), by_brute_force(&boxes, &rules));
     }
 
@@ -497,7 +497,7 @@ mod tests {
         for n in [1, 2, 3, 9, 40, 130] {
             for broken in [0, n as usize, usize::MAX] {
                 let (boxes, rules) = fan(n, 2, broken);
-                let mut tree = Hierarchy::new(&boxes, &rules);
+                let mut tree = Hierarchy::for_pairs(&boxes, &rules);
                 assert_eq!(pairs_of(&tree, &rules), by_brute_force(&boxes, &rules));
                 for seed in 3..6 {
                     let (boxes, _) = fan(n, seed, usize::MAX);

@@ -40,7 +40,7 @@ impl VertexSearch {
         if let BroadPhase::Hierarchy(_) = search.structure() {
             let rules = rules.of_triangles(owners.iter().map(|[_, owner]| *owner));
             let boxes: Vec<RoundedBox> = owners.iter().map(|owner| box_of(search, *owner)).collect();
-            let tree = Hierarchy::for_others(&boxes, &rules);
+            let tree = Hierarchy::for_queries(&boxes, &rules);
             return Self::Tree(Box::new(VertexTree { owners, boxes, rules, tree }));
         }
         let mut of_triangle = vec![[NONE; 3]; rules.n_triangles()];

@@ -96,7 +96,6 @@ fn was_there(body: &EditableMesh, change: &TopologyChange, triangle: TriangleId,
 
 impl Capsule {
     /// Whether a triangle of the surface lies in a cut.
-    #[inline]
     pub(super) fn is_cut(&self, triangle: TriangleId) -> bool {
         self.is_cut.get(triangle.index()).copied().unwrap_or(false)
     }

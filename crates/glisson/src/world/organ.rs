@@ -11,7 +11,6 @@ use crate::mesh::topology::TopologyError;
 use crate::mesh::{NodeId, TetId, TetMesh, TriangleId};
 use crate::record::snapshot::DisplayTopology;
 use crate::tool::MAX_TOOLS;
-use std::hint::select_unpredictable;
 
 /// Why a mesh is not an organ.
 #[derive(Debug, thiserror::Error)]
@@ -272,19 +271,20 @@ impl Organ {
             vertex_of[node.index()] = vertex;
         }
         let n_triangles = topology.n_surface_triangles();
-        let (mut triangles, mut is_cut) = (vec![[0; 3]; n_triangles], vec![false; n_triangles]);
-        let shown = triangles.iter_mut().zip(&mut is_cut);
-        for (triangle, (triangle_shown, is_cut)) in topology.surface_triangles().zip(shown) {
+        let (mut triangles, mut is_cut) = (Vec::with_capacity(n_triangles), Vec::with_capacity(n_triangles));
+        for triangle in topology.surface_triangles() {
             let nodes = self.skin.nodes_of(triangle).expect("the skin has every triangle of the surface");
-            let vertex = |corner: usize| vertex_of[nodes[corner].index()];
-            let (a, b, c) = (vertex(0), vertex(1), vertex(2));
-            // From the lowest vertex on, so that it does not matter which edits led here. Which one that is cannot be
-            // guessed: no branches.
-            let first = a.min(b).min(c);
-            let second = select_unpredictable(first == a, b, select_unpredictable(first == b, c, a));
-            let third = a ^ b ^ c ^ first ^ second;
-            *triangle_shown = [first, second, third];
-            *is_cut = self.is_cut(triangle);
+            let [a, b, c] = nodes.map(|n| vertex_of[n.index()]);
+            // From the lowest vertex on, so that it does not matter which edits led here.
+            let turned = if a < b && a < c {
+                [a, b, c]
+            } else if b < c {
+                [b, c, a]
+            } else {
+                [c, a, b]
+            };
+            triangles.push(turned);
+            is_cut.push(self.is_cut(triangle));
         }
         DisplayTopology {
             version: self.topology_version,

@@ -121,7 +121,6 @@ impl Skin {
     }
 
     /// Nodes of a triangle of the surface, counter-clockwise from outside; none for others.
-    #[inline]
     pub(super) fn nodes_of(&self, triangle: TriangleId) -> Option<[NodeId; 3]> {
         let slot = *self.slots.get(triangle.index())?;
         (slot != NONE).then(|| self.nodes[slot as usize])

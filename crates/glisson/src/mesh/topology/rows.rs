@@ -1,8 +1,6 @@
 //! Rows of ids of different lengths in one flat array, and sets of ids as bits.
 
-use std::iter::Enumerate;
 use std::marker::PhantomData;
-use std::slice;
 
 use crate::mesh::remap::MeshEntity;
 
@@ -208,32 +206,17 @@ impl<I: MeshEntity> IdSet<I> {
         }
     }
 
-    pub(super) fn iter(&self) -> Members<'_, I> {
-        Members { words: self.words.iter().enumerate(), start: 0, rest: 0, kind: PhantomData }
-    }
-}
-
-/// Members of a set, ascending. Not put together from closures, which are calls in a long loop.
-#[derive(Clone, Debug)]
-pub(super) struct Members<'a, I> {
-    words: Enumerate<slice::Iter<'a, u64>>,
-    start: usize,
-    /// What is left of the word that starts there.
-    rest: u64,
-    kind: PhantomData<I>,
-}
-
-impl<I: MeshEntity> Iterator for Members<'_, I> {
-    type Item = I;
-
-    #[inline]
-    fn next(&mut self) -> Option<I> {
-        while self.rest == 0 {
-            let (w, &word) = self.words.next()?;
-            (self.start, self.rest) = (64 * w, word);
-        }
-        let bit = self.rest.trailing_zeros() as usize;
-        self.rest &= self.rest - 1;
-        Some(I::from_index(self.start + bit))
+    pub(super) fn iter(&self) -> impl Iterator<Item = I> + Clone + '_ {
+        self.words.iter().enumerate().flat_map(|(w, &word)| {
+            let mut rest = word;
+            std::iter::from_fn(move || {
+                if rest == 0 {
+                    return None;
+                }
+                let bit = rest.trailing_zeros() as usize;
+                rest &= rest - 1;
+                Some(I::from_index(64 * w + bit))
+            })
+        })
     }
 }

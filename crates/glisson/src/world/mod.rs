@@ -7,6 +7,7 @@ mod active;
 mod constrain;
 mod cut;
 pub mod detection;
+mod display;
 mod edits;
 mod grasp;
 mod hand;

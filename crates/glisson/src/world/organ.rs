@@ -1,6 +1,7 @@
 //! The organ as the world sees it: mesh, supports, and the surface that is displayed and touched.
 
 use super::capsule::Capsule;
+use super::display::{DisplayChange, DisplaySurface};
 use super::skin::{Skin, SurfaceChange};
 use super::spec::{Support, fixed_nodes};
 use crate::image::vessels::TubeError;
@@ -69,10 +70,9 @@ pub struct Organ {
     body: EditableMesh,
     /// Held along every axis.
     fixed: EntityArray<NodeId, bool>,
-    /// Ascending.
-    surface_nodes: Vec<NodeId>,
     skin: Skin,
     capsule: Capsule,
+    display: DisplaySurface,
     topology_version: u32,
 }
 
@@ -92,16 +92,10 @@ impl Organ {
         let mut body = EditableMesh::new(mesh)?;
         // The first cuts move no tables.
         body.reserve(SPARE_TETS);
-        let surface_nodes = body.topology().surface_nodes().collect();
+        let capsule = Capsule::default();
+        let display = DisplaySurface::new(body.topology(), &capsule);
         let skin = Skin::new(&body, &body.mesh().positions_m);
-        Ok(Self {
-            body,
-            fixed: EntityArray::new(fixed),
-            surface_nodes,
-            skin,
-            capsule: Capsule::default(),
-            topology_version: 1,
-        })
+        Ok(Self { body, fixed: EntityArray::new(fixed), skin, capsule, display, topology_version: 1 })
     }
 
     /// Mesh and adjacency, to be edited; what follows has to be told.
@@ -120,22 +114,18 @@ impl Organ {
         for (node, is_held) in change.nodes.added.ids().iter().zip(held) {
             self.fixed[*node] = is_held && !change.nodes.removed.contains(node);
         }
-        for &node in &change.surface_nodes_removed {
-            if let Ok(at) = self.surface_nodes.binary_search(&node) {
-                self.surface_nodes.remove(at);
-            }
-        }
-        for &node in &change.surface_nodes_added {
-            if let Err(at) = self.surface_nodes.binary_search(&node) {
-                self.surface_nodes.insert(at, node);
-            }
-        }
-        let surface = SurfaceChange {
+        let triangles = SurfaceChange {
             added: &change.surface_triangles_added,
             removed: &change.surface_triangles_removed,
         };
         self.capsule.follow(&self.body, change, |triangle| self.skin.nodes_of(triangle));
-        self.skin.follow(&self.body, &surface);
+        self.skin.follow(&self.body, &triangles);
+        let display = DisplayChange {
+            nodes_added: &change.surface_nodes_added,
+            nodes_removed: &change.surface_nodes_removed,
+            triangles,
+        };
+        self.display.follow(self.body.topology(), &self.capsule, &display);
         self.topology_version += 1;
     }
 
@@ -158,21 +148,17 @@ impl Organ {
     pub(super) fn undo_edit(&mut self, undo: &MeshUndo, change: &TopologyChange, before: &OrganBefore) {
         self.body.undo(undo);
         put_back(&mut self.fixed, change, before.fixed.iter().copied());
-        for &node in &change.surface_nodes_added {
-            if let Ok(at) = self.surface_nodes.binary_search(&node) {
-                self.surface_nodes.remove(at);
-            }
-        }
-        for &node in &change.surface_nodes_removed {
-            if let Err(at) = self.surface_nodes.binary_search(&node) {
-                self.surface_nodes.insert(at, node);
-            }
-        }
-        let surface = SurfaceChange {
+        let triangles = SurfaceChange {
             added: &change.surface_triangles_added,
             removed: &change.surface_triangles_removed,
         };
-        self.skin.unfollow(&self.body, &surface);
+        self.skin.unfollow(&self.body, &triangles);
+        let back = DisplayChange {
+            nodes_added: &change.surface_nodes_removed,
+            nodes_removed: &change.surface_nodes_added,
+            triangles: SurfaceChange { added: triangles.removed, removed: triangles.added },
+        };
+        self.display.follow(self.body.topology(), &self.capsule, &back);
         self.topology_version += 1;
     }
 
@@ -219,7 +205,7 @@ impl Organ {
 
     /// The nodes of the surface, ascending.
     pub fn surface_nodes(&self) -> &[NodeId] {
-        &self.surface_nodes
+        self.display.nodes()
     }
 
     /// Changes whenever the surface's triangles change.
@@ -263,35 +249,8 @@ impl Organ {
         self.capsule.is_cut(triangle)
     }
 
-    /// The surface for a viewer. Put together anew: asked for when the version changed, not in steps.
+    /// The surface for a viewer: asked for when the version changed, not in steps.
     pub fn display_topology(&self) -> DisplayTopology {
-        let (topology, rest_m) = (self.body.topology(), &self.body.mesh().positions_m);
-        let mut vertex_of = vec![0; topology.n_nodes()];
-        for (vertex, node) in (0_u32..).zip(&self.surface_nodes) {
-            vertex_of[node.index()] = vertex;
-        }
-        let n_triangles = topology.n_surface_triangles();
-        let (mut triangles, mut is_cut) = (Vec::with_capacity(n_triangles), Vec::with_capacity(n_triangles));
-        for triangle in topology.surface_triangles() {
-            let nodes = self.skin.nodes_of(triangle).expect("the skin has every triangle of the surface");
-            let [a, b, c] = nodes.map(|n| vertex_of[n.index()]);
-            // From the lowest vertex on, so that it does not matter which edits led here.
-            let turned = if a < b && a < c {
-                [a, b, c]
-            } else if b < c {
-                [b, c, a]
-            } else {
-                [c, a, b]
-            };
-            triangles.push(turned);
-            is_cut.push(self.is_cut(triangle));
-        }
-        DisplayTopology {
-            version: self.topology_version,
-            nodes: self.surface_nodes.clone(),
-            rest_positions_m: self.surface_nodes.iter().map(|n| rest_m[n.index()]).collect(),
-            triangles,
-            is_cut,
-        }
+        self.display.topology(self.topology_version, &self.body.mesh().positions_m)
     }
 }

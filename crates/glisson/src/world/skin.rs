@@ -40,6 +40,7 @@ pub(super) struct Skin {
 }
 
 /// Triangles that came to a surface, or left it.
+#[derive(Clone, Copy)]
 pub(super) struct SurfaceChange<'a> {
     pub(super) added: &'a [TriangleId],
     pub(super) removed: &'a [TriangleId],

@@ -5,10 +5,9 @@ use std::hint::black_box;
 
 use anyhow::{Context, ensure};
 use glisson::math::{Aabb, DVec3};
-use glisson::mesh::NodeId;
 use glisson::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use glisson::mesh::quality::MeshQuality;
-use glisson::mesh::remap::follow;
+use glisson::mesh::remap::follow_in_tissue;
 use glisson::tool::cut::subdivision::{SubdivisionCut, SubdivisionParams};
 
 use super::body::StandardBody;
@@ -65,7 +64,7 @@ fn cut_subdivision_step(settings: Settings) -> anyhow::Result<Prepared> {
         for step in 0..=N_STEPS_BEFORE {
             if let Some(edit) = ready.cut.advance(&ready.mesh, &ready.positions_m, blade(step))? {
                 let change = ready.mesh.apply(&MeshEdit::Replace(edit))?;
-                follow::<NodeId, DVec3>(&mut ready.positions_m, &change);
+                follow_in_tissue(&mut ready.positions_m, &change);
             }
         }
         let before = ready.cut.report().n_touched;

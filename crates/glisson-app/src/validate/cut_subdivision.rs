@@ -4,12 +4,12 @@ use super::bodies::liver;
 use super::{Experiment, Figure, Outcome};
 use crate::plot::{LinePlot, Series, SeriesStyle};
 use glisson::math::{Aabb, DVec3, SeededRandom};
+use glisson::mesh::TetMesh;
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit};
 use glisson::mesh::quality::{MeshQuality, dihedral_angles_deg};
-use glisson::mesh::remap::follow;
+use glisson::mesh::remap::follow_in_tissue;
 use glisson::mesh::topology::Through;
-use glisson::mesh::{NodeId, TetMesh};
 use glisson::tool::cut::subdivision::{CutReport, SubdivisionCut, SubdivisionParams};
 
 const REQUIREMENT: &str = "requirement";
@@ -61,7 +61,7 @@ impl Body {
             // A refusal is counted in the report, and the stroke goes on.
             if let Ok(Some(edit)) = edit {
                 let change = self.mesh.apply(&MeshEdit::Replace(edit))?;
-                follow::<NodeId, DVec3>(&mut self.positions_m, &change);
+                follow_in_tissue(&mut self.positions_m, &change);
                 let topology = self.mesh.topology();
                 let added = change.surface_triangles_added.iter();
                 opened

@@ -25,9 +25,9 @@ mod split;
 mod transaction;
 mod undo;
 
-pub use change::{Additions, EntityChange, PieceChange, PieceChanges, TopologyChange};
+pub use change::{Additions, EntityChange, NodeWeights, PieceChange, PieceChanges, TopologyChange};
 pub use error::EditError;
-pub use replace::{NewTet, Replacement};
+pub use replace::{MovedNode, NewTet, Replacement};
 pub use undo::MeshUndo;
 
 use self::plan::Scratch;
@@ -88,7 +88,7 @@ pub enum MeshEdit {
         /// The tetrahedra that take their place.
         new_tets: Vec<[CavityNode; 4]>,
     },
-    /// Puts tetrahedra in the place of others whose descendants they are: a cut in one edit.
+    /// Puts tetrahedra in the place of others whose descendants they are, and moves nodes: a cut in one edit.
     Replace(Replacement),
 }
 

@@ -134,6 +134,24 @@ pub fn follow<I: MeshEntity, T: Carried>(values: &mut Vec<T>, change: &TopologyC
     }
 }
 
+/// [`follow`] for values by node that belong to a place in the tissue, as the place that it has now does: a node that moves
+/// takes the blend of where it goes, if the edit says it ([`TopologyChange::moved_parents`]).
+///
+/// # Panics
+/// As [`follow`].
+pub fn follow_in_tissue<T: Carried>(values: &mut Vec<T>, change: &TopologyChange) {
+    let of_parents =
+        |parents: &[(NodeId, f64)]| T::blend(parents.iter().map(|&(p, weight)| (&values[p.index()], weight)));
+    let moved: Vec<Option<T>> =
+        change.moved_parents.iter().map(|p| (!p.is_empty()).then(|| of_parents(p))).collect();
+    follow::<NodeId, T>(values, change);
+    for (node, value) in change.moved_nodes.iter().zip(moved) {
+        if let Some(value) = value {
+            values[node.index()] = value;
+        }
+    }
+}
+
 /// One value for each entity of kind `I`, dead ones included.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EntityArray<I, T> {

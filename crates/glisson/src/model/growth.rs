@@ -5,9 +5,11 @@
 //! gradient of the tetrahedra at a node, weighted by volume, all before the edit:
 //!
 //! - a moved node: u' = u + G (X' - X). The tissue keeps its place in space, for x' = x + (Id + G)(X' - X);
-//! - a new node: u' = sum w_p u_p + G (X' - sum w_p X_p), G at its heaviest old ancestor. It is at its place in
-//!   the deformed tissue, also where its weights do not say where it is at rest;
-//! - velocities of new nodes: sum w_p v_p. Those of moved nodes stay.
+//! - a new node, and a moved one of which the edit says where in the tissue it goes: u' = sum w_p u_p + G (X' - sum w_p X_p),
+//!   G at its heaviest old ancestor. It is at its place in the deformed tissue, also where its weights do not say where it
+//!   is at rest;
+//! - velocities of new nodes: sum w_p v_p. Those of moved nodes stay, and so do displacements along axes along which they
+//!   are held.
 //!
 //! A new node is held along the axes along which all its parents are, and stays there where they are: that of a held
 //! node's copy, and of a cut along a held surface. Ligaments stay with the node that they were at.
@@ -35,7 +37,7 @@ struct Placed {
     offset_m: DVec3,
     /// Range of the tetrahedra that tell G.
     around: std::ops::Range<usize>,
-    /// Where its parents are in the list of all of them; its own id for a moved node.
+    /// Where its parents are in the list of all of them; its own id for a moved node without any.
     parents: std::ops::Range<usize>,
 }
 
@@ -107,27 +109,30 @@ impl Growth {
 
     fn place_nodes(&mut self, mesh: &TetMesh, change: &TopologyChange, rest_m: &[DVec3]) {
         let n_before = self.n_nodes_before;
-        let moved = change.moved_nodes.iter().filter(|node| node.index() < n_before);
-        for &node in moved {
-            let start = self.parents.len();
-            self.parents.push((node, 1.0));
-            let offset_m = mesh.positions_m[node.index()] - rest_m[node.index()];
-            self.placed.push(Placed { node, offset_m, around: 0..0, parents: start..start + 1 });
+        for (&node, parents) in change.moved_nodes.iter().zip(&change.moved_parents) {
+            if node.index() < n_before {
+                let own = [(node, 1.0)];
+                self.place(mesh, rest_m, node, if parents.is_empty() { &own } else { parents });
+            }
         }
         for (node, parents) in change.nodes.added.iter() {
-            let start = self.parents.len();
-            self.parents.extend_from_slice(parents);
-            let place_m = mesh.positions_m[node.index()];
-            let of_parent = |p: NodeId| {
-                if p.index() < n_before { rest_m[p.index()] } else { mesh.positions_m[p.index()] }
-            };
-            let mean_m: DVec3 = parents.iter().map(|&(p, weight)| weight * of_parent(p)).sum();
-            let reach_m = parents.iter().map(|&(p, _)| of_parent(p).distance(place_m)).fold(0.0, f64::max);
-            let offset_m = if parents.is_empty() { DVec3::ZERO } else { place_m - mean_m };
-            let is_mean = parents.len() > 1 && offset_m.length() <= SAME_PLACE * reach_m;
-            let offset_m = if is_mean { DVec3::ZERO } else { offset_m };
-            self.placed.push(Placed { node, offset_m, around: 0..0, parents: start..self.parents.len() });
+            self.place(mesh, rest_m, node, parents);
         }
+    }
+
+    fn place(&mut self, mesh: &TetMesh, rest_m: &[DVec3], node: NodeId, parents: &[(NodeId, f64)]) {
+        let start = self.parents.len();
+        self.parents.extend_from_slice(parents);
+        let place_m = mesh.positions_m[node.index()];
+        let of_parent = |p: NodeId| {
+            if p.index() < self.n_nodes_before { rest_m[p.index()] } else { mesh.positions_m[p.index()] }
+        };
+        let mean_m: DVec3 = parents.iter().map(|&(p, weight)| weight * of_parent(p)).sum();
+        let reach_m = parents.iter().map(|&(p, _)| of_parent(p).distance(place_m)).fold(0.0, f64::max);
+        let offset_m = if parents.is_empty() { DVec3::ZERO } else { place_m - mean_m };
+        let is_mean = parents.len() > 1 && offset_m.length() <= SAME_PLACE * reach_m;
+        let offset_m = if is_mean { DVec3::ZERO } else { offset_m };
+        self.placed.push(Placed { node, offset_m, around: 0..0, parents: start..self.parents.len() });
     }
 
     /// Takes the tetrahedra whose shape changes, and finds those that tell how the tissue is deformed at placed nodes.
@@ -208,14 +213,18 @@ impl Growth {
     ) -> Vec<(usize, DVec3)> {
         let mut found: Vec<(usize, DVec3)> = Vec::with_capacity(self.placed.len());
         for placed in &self.placed {
-            let mean_m = self.blend(placed, &displacement_m, &found);
+            let n = placed.node.index();
+            let mut mean_m = self.blend(placed, &displacement_m, &found);
             let mut shift_m = self.gradient(placed, &displacement_m) * placed.offset_m;
-            for (axis, is_held) in supports(placed.node.index()).into_iter().enumerate() {
+            for (axis, is_held) in supports(n).into_iter().enumerate() {
                 if is_held || !shift_m[axis].is_finite() {
                     shift_m[axis] = 0.0;
                 }
+                if is_held && n < self.n_nodes_before {
+                    mean_m[axis] = displacement_m(n)[axis];
+                }
             }
-            found.push((placed.node.index(), mean_m + shift_m));
+            found.push((n, mean_m + shift_m));
         }
         found
     }

@@ -246,6 +246,7 @@ impl World {
     ) {
         let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
         let is_on = self.edge_is_on(tool);
+        cut.hold_still(self.anchored_nodes());
         let planned = if is_on {
             cut.advance(body, positions_m, blade_m)
         } else {
@@ -346,9 +347,8 @@ impl BladeReport {
     /// Notes the smallest dihedral angle that an edit left.
     fn look_at(&mut self, body: &EditableMesh, change: &TopologyChange) {
         let topology = body.topology();
-        let new = change.tets.added.ids().iter().copied().filter(|&tet| topology.is_live_tet(tet));
-        let moved = change.moved_nodes.iter().flat_map(|&node| topology.node_tets(node)).copied();
-        for tet in new.chain(moved) {
+        let new = change.tets.added.ids().iter().filter(|tet| topology.is_live_tet(**tet));
+        for &tet in new.chain(&change.reshaped_tets) {
             let [_, largest_cosine] = dihedral_cosine_range(body.mesh().corners_m(tet));
             let angle_deg = libm::acos(largest_cosine.clamp(-1.0, 1.0)).to_degrees();
             self.worst_dihedral_deg = Some(self.worst_dihedral_deg.map_or(angle_deg, |w| w.min(angle_deg)));

@@ -6,7 +6,6 @@ use super::active::{ActiveBefore, ActiveTip};
 use super::hand::Hand;
 use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
-use super::spec::{fixed_nodes, nodes_in};
 use super::vessels::Vessels;
 use super::{QueuedSwap, World, own_contact_of};
 use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
@@ -203,6 +202,15 @@ impl World {
         nodes.iter().copied().filter(is_live).collect()
     }
 
+    /// Whether each node is held, loaded or at a ligament: cuts and mending leave it where it is.
+    pub(super) fn anchored_nodes(&self) -> impl Iterator<Item = bool> + '_ {
+        (0..self.organ.body().topology().n_nodes()).map(|n| {
+            let node = NodeId::from_index(n);
+            let is_from_start = self.anchored_at_start.get(n).copied().unwrap_or(false);
+            is_from_start || self.organ.is_fixed(node) || self.loads.has(node)
+        })
+    }
+
     /// Mends the worst tetrahedra at `nodes` as one edit ([`mending`]); answers how many places got better. The surface, cuts
     /// included, stays, and so do nodes that are held, loaded or at a ligament.
     ///
@@ -214,16 +222,7 @@ impl World {
         let mut tets: Vec<TetId> = live.flat_map(|n| topology.node_tets(n)).copied().collect();
         tets.sort_unstable();
         tets.dedup();
-        let mut stays = vec![false; topology.n_nodes()];
-        let start_m = &self.mesh_of_the_start.positions_m;
-        for ligament in &self.spec.ligaments {
-            nodes_in(&[ligament.region], start_m).into_iter().for_each(|n| stays[n.index()] = true);
-        }
-        fixed_nodes(&self.spec.supports, start_m).into_iter().for_each(|f| stays[f.node.index()] = true);
-        for (n, stays) in stays.iter_mut().enumerate() {
-            let node = NodeId::from_index(n);
-            *stays |= self.organ.is_fixed(node) || self.loads.has(node);
-        }
+        let stays: Vec<bool> = self.anchored_nodes().collect();
         let is_still = |node: NodeId| stays.get(node.index()).copied().unwrap_or(false);
         let mending = mending(self.organ.body_mut(), &tets, &MendParams::default(), &is_still);
         if mending.edits.is_empty() {
@@ -339,12 +338,12 @@ impl World {
         record.vessels.clone_from(&self.vessels);
         let change = &record.change;
         self.organ.follow_edit(change, &mut record.organ);
-        self.organ.place_new_nodes(change, self.model.state().positions_m);
+        self.organ.place_nodes(change, self.model.state().positions_m);
         self.loads.follow(change, &mut record.loads);
         self.constraints.forces.reserve(self.organ.mesh().positions_m.len());
         let topology = self.organ.body().topology();
         for hand in &mut self.hands {
-            hand.follow(topology);
+            hand.follow(topology, change);
         }
         for active in &mut self.active {
             active.follow(self.organ.body(), change);

@@ -11,6 +11,8 @@ use super::touch::{ContactBegin, HeldContact};
 use crate::contact::continuous::{CONTACT_TOLERANCE_M, FirstContact};
 use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
+use crate::mesh::NodeId;
+use crate::mesh::edit::TopologyChange;
 use crate::mesh::topology::Topology;
 use crate::tool::found::{Detected, FoundTouch};
 use crate::tool::fracture::Tearing;
@@ -127,15 +129,22 @@ impl Hand {
         self.is_buried[part.index()] = true;
     }
 
-    /// After an edit: contacts on triangles that are gone end, nodes that are gone are no longer held.
-    pub(super) fn follow(&mut self, topology: &Topology) {
+    /// After an edit: contacts end on triangles that are gone, or whose nodes went to another place in the tissue; nodes that
+    /// are gone or went there are no longer held.
+    pub(super) fn follow(&mut self, topology: &Topology, change: &TopologyChange) {
+        let went_elsewhere = |node: NodeId| {
+            let moved = change.moved_nodes.binary_search(&node);
+            moved.is_ok_and(|at| !change.moved_parents[at].is_empty())
+        };
+        let has_changed = |contact: &HeldContact| {
+            !topology.is_surface_triangle(contact.triangle)
+                || topology.triangle_nodes(contact.triangle).into_iter().any(went_elsewhere)
+        };
         for contact in &mut self.contacts {
-            if contact.as_ref().is_some_and(|c| !topology.is_surface_triangle(c.triangle)) {
-                *contact = None;
-            }
+            contact.take_if(|contact| has_changed(contact));
         }
         if let Some(grasp) = &mut self.grasp {
-            grasp.retain_nodes(|node| topology.is_live_node(node));
+            grasp.retain_nodes(|node| topology.is_live_node(node) && !went_elsewhere(node));
         }
     }
 

@@ -144,6 +144,8 @@ pub struct World {
     journal: Journal,
     /// What models that are made later are made from.
     mesh_of_the_start: Arc<TetMesh>,
+    /// Whether each of its nodes is supported or at a ligament.
+    anchored_at_start: Arc<[bool]>,
     constraints: Constraints,
     /// Whose each imposed displacement is.
     owners: Vec<Owner>,
@@ -180,6 +182,7 @@ impl World {
             return Err(OrganError::Tools { n_tools: spec.tools.len() });
         }
         let mesh_of_the_start = Arc::new(mesh.clone());
+        let anchored_at_start = spec.anchored_nodes(&mesh.positions_m).into();
         let organ = Organ::new(mesh, &spec.supports)?;
         let mut vessels = None;
         if !spec.vessels.is_empty() {
@@ -207,6 +210,7 @@ impl World {
             vessels,
             journal: Journal::new(),
             mesh_of_the_start,
+            anchored_at_start,
             constraints,
             owners: Vec::with_capacity(MOST_IMPOSED),
             between_jaws: grasp::room_for_search(),

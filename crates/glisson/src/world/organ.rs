@@ -43,6 +43,8 @@ pub enum OrganError {
 pub(super) struct OrganBefore {
     /// Whether each node that was removed was held, in the order of the change.
     fixed: Vec<bool>,
+    /// Where the nodes that moved were at the start and at the end of the last step [m].
+    ways_m: Vec<(NodeId, [DVec3; 2])>,
 }
 
 /// Takes back what an edit did to an array by node: drops what came in, writes the values of what was removed back.
@@ -118,6 +120,8 @@ impl Organ {
             added: &change.surface_triangles_added,
             removed: &change.surface_triangles_removed,
         };
+        before.ways_m.clear();
+        before.ways_m.extend(change.moved_nodes.iter().filter_map(|&n| Some((n, self.skin.way_m(n)?))));
         self.capsule.follow(&self.body, change, |triangle| self.skin.nodes_of(triangle));
         self.skin.follow(&self.body, &triangles);
         let display = DisplayChange {
@@ -153,6 +157,9 @@ impl Organ {
             removed: &change.surface_triangles_removed,
         };
         self.skin.unfollow(&self.body, &triangles);
+        for &(node, way_m) in &before.ways_m {
+            self.skin.place(node, way_m);
+        }
         let back = DisplayChange {
             nodes_added: &change.surface_nodes_removed,
             nodes_removed: &change.surface_nodes_added,
@@ -162,11 +169,11 @@ impl Organ {
         self.topology_version += 1;
     }
 
-    /// Puts the nodes that an edit brought in where the model has them.
-    pub(super) fn place_new_nodes(&mut self, change: &TopologyChange, positions_m: &[DVec3]) {
-        for &node in change.nodes.added.ids() {
+    /// Puts the nodes that an edit brought in or moved where the model has them.
+    pub(super) fn place_nodes(&mut self, change: &TopologyChange, positions_m: &[DVec3]) {
+        for &node in change.nodes.added.ids().iter().chain(&change.moved_nodes) {
             if let Some(&position_m) = positions_m.get(node.index()) {
-                self.skin.place(node, position_m);
+                self.skin.place(node, [position_m; 2]);
             }
         }
     }

@@ -40,6 +40,7 @@ impl World {
             vessels: self.vessels.clone(),
             journal: self.journal.without_undo(),
             mesh_of_the_start: Arc::clone(&self.mesh_of_the_start),
+            anchored_at_start: Arc::clone(&self.anchored_at_start),
             constraints,
             owners,
             between_jaws: grasp::room_for_search(),

@@ -135,12 +135,17 @@ impl Skin {
         self.follow(body, &SurfaceChange { added: &added, removed: &removed });
     }
 
-    /// Puts nodes that an edit brought in where they are now.
-    pub(super) fn place(&mut self, node: NodeId, position_m: DVec3) {
+    /// Where a node was at the start and at the end of the last step [m].
+    pub(super) fn way_m(&self, node: NodeId) -> Option<[DVec3; 2]> {
+        Some([*self.start_m.get(node.index())?, *self.end_m.get(node.index())?])
+    }
+
+    /// Puts a node at these places at the start and at the end of the last step [m].
+    pub(super) fn place(&mut self, node: NodeId, way_m: [DVec3; 2]) {
         if let (Some(start), Some(end)) =
             (self.start_m.get_mut(node.index()), self.end_m.get_mut(node.index()))
         {
-            (*start, *end) = (position_m, position_m);
+            [*start, *end] = way_m;
             self.is_stale = true;
         }
     }

@@ -55,6 +55,16 @@ impl WorldSpec {
             tools: vec![tool],
         }
     }
+
+    /// Whether each node, at rest at these places [m], is supported, along one axis at least, or at a ligament.
+    pub(super) fn anchored_nodes(&self, positions_m: &[DVec3]) -> Vec<bool> {
+        let mut is_anchored = vec![false; positions_m.len()];
+        for ligament in &self.ligaments {
+            nodes_in(&[ligament.region], positions_m).into_iter().for_each(|n| is_anchored[n.index()] = true);
+        }
+        fixed_nodes(&self.supports, positions_m).into_iter().for_each(|f| is_anchored[f.node.index()] = true);
+        is_anchored
+    }
 }
 
 /// Some of an organ's nodes, by where they are in the rest shape.

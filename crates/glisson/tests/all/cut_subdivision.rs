@@ -6,7 +6,7 @@ use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, Replacement, TopologyChange};
 use glisson::mesh::quality::{FACES, MeshQuality};
-use glisson::mesh::remap::follow;
+use glisson::mesh::remap::follow_in_tissue;
 use glisson::mesh::topology::Through;
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::tool::cut::subdivision::{CutRefusal, CutReport, SubdivisionCut, SubdivisionParams};
@@ -33,7 +33,7 @@ impl Body {
 
     fn apply(&mut self, edit: Replacement) {
         let change = self.mesh.apply(&MeshEdit::Replace(edit)).expect("the edit is accepted");
-        follow::<NodeId, DVec3>(&mut self.positions_m, &change);
+        follow_in_tissue(&mut self.positions_m, &change);
     }
 
     fn stroke(
@@ -308,7 +308,7 @@ fn undone_stroke_leaves_the_mesh_as_it_was() {
         if let Some(edit) = cut.advance(&body.mesh, &body.positions_m, blade_m).expect("accepted") {
             let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());
             body.mesh.apply_saving(&MeshEdit::Replace(edit), &mut change, &mut undo).expect("accepted");
-            follow::<NodeId, DVec3>(&mut body.positions_m, &change);
+            follow_in_tissue(&mut body.positions_m, &change);
             undos.push(undo);
         }
     }
@@ -317,6 +317,29 @@ fn undone_stroke_leaves_the_mesh_as_it_was() {
         body.mesh.undo(undo);
     }
     assert!(body.mesh == before);
+}
+
+#[test]
+fn nodes_that_something_holds_stay_where_they_are() {
+    let mesh = box_of_five([6, 6, 4], DVec3::new(0.06, 0.06, 0.04));
+    let params = SubdivisionParams::for_mean_edge(mean_edge_m(&mesh));
+    let is_held = |n: NodeId| n.0.is_multiple_of(2);
+    let [n_free, n_held] = [false, true].map(|holds| {
+        let mut body = Body::new(mesh.clone());
+        let mut cut = SubdivisionCut::new(params.clone());
+        let mut n_moved = 0;
+        for blade_m in stroke_along_x([-0.005, 0.065], [0.031, 0.005], [0.04, 0.02], 0.2) {
+            let nodes = (0..body.positions_m.len()).map(NodeId::from_index);
+            cut.hold_still(nodes.map(|n| holds && is_held(n)));
+            if let Some(edit) = cut.advance(&body.mesh, &body.positions_m, blade_m).expect("accepted") {
+                n_moved += edit.moved_nodes.iter().filter(|moved| is_held(moved.node)).count();
+                body.apply(edit);
+            }
+        }
+        body.check(0.06 * 0.06 * 0.04, "held");
+        n_moved
+    });
+    assert!(n_free > 3 && n_held == 0, "{n_free} {n_held}");
 }
 
 #[test]

@@ -2,12 +2,12 @@
 
 use glisson::math::DVec3;
 use glisson::mesh::edit::{
-    CavityNode, EdgeSplit, EditError, EditableMesh, MeshEdit, MeshUndo, NewNode, TopologyChange,
+    CavityNode, EdgeSplit, EditError, EditableMesh, MeshEdit, MeshUndo, NewNode, Replacement, TopologyChange,
 };
 use glisson::mesh::topology::{SingularEntities, StarGroups, Through};
 use glisson::mesh::{EdgeId, NodeId, TetId, TetMesh};
 
-use crate::mesh_edits::grid;
+use crate::mesh_edits::{grid, moved_and_divided};
 
 fn one_tet() -> EditableMesh {
     let mesh = TetMesh {
@@ -389,4 +389,36 @@ fn singular_places_after_a_removal_are_near_it() {
     let found = body.topology().singular_entities(&near);
     assert_eq!(found, body.topology().singular_entities(&all));
     assert_eq!((found.nodes.len(), found.edges.len()), (2, 1));
+}
+
+#[test]
+fn moves_that_cannot_be_are_refused() {
+    let mut body = EditableMesh::new(grid([2, 2, 2], |_| true)).unwrap();
+    let before = body.clone();
+    let inner = NodeId(13);
+    let tet = body.topology().node_tets(inner)[0];
+    let whole = |body: &EditableMesh| {
+        let MeshEdit::Replace(edit) = moved_and_divided(body, tet) else { panic!("a replacement") };
+        edit
+    };
+    let bad: [fn(&mut Replacement); 6] = [
+        |edit| edit.moved_nodes[0].parents[0].1 = 0.5,
+        |edit| edit.moved_nodes[0].parents.clear(),
+        |edit| edit.moved_nodes[0].node = NodeId(1000),
+        |edit| edit.moved_nodes[0].parents[0].0 = NodeId(1000),
+        |edit| edit.moved_nodes[0].position_m.x = f64::NAN,
+        |edit| edit.moved_nodes.push(edit.moved_nodes[0].clone()),
+    ];
+    for spoil in bad {
+        let mut edit = whole(&body);
+        spoil(&mut edit);
+        let refusal = body.apply(&MeshEdit::Replace(edit)).unwrap_err();
+        assert!(matches!(refusal, EditError::BadMove { .. }), "{refusal}");
+        assert!(body == before);
+    }
+    // Far out, tetrahedra that stay would be turned inside out.
+    let mut edit = whole(&body);
+    edit.moved_nodes[0].position_m += DVec3::splat(9.0);
+    assert!(matches!(body.apply(&MeshEdit::Replace(edit)), Err(EditError::FlatTet { .. })));
+    assert!(body == before);
 }

@@ -5,12 +5,12 @@ use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::edit::{
     CavityNode, EdgeSplit, EditError, EditableMesh, MeshEdit, MeshUndo, NewNode, TopologyChange, VertexCopy,
 };
-use glisson::mesh::remap::follow;
+use glisson::mesh::remap::follow_in_tissue;
 use glisson::mesh::topology::Topology;
 use glisson::mesh::{EdgeId, NodeId, TetId, TetMesh};
 use proptest::prelude::*;
 
-use crate::mesh_edits::{check_against_recount, check_change, grid};
+use crate::mesh_edits::{check_against_recount, check_change, grid, moved_and_divided};
 
 fn pick<T: Copy>(random: &mut SeededRandom, items: &[T]) -> T {
     items[(random.next_u64() % items.len() as u64) as usize]
@@ -36,7 +36,7 @@ fn random_edit(random: &mut SeededRandom, body: &EditableMesh) -> MeshEdit {
     let nodes: Vec<NodeId> = t.live_nodes().collect();
     let edges: Vec<EdgeId> = t.live_edges().collect();
     let place = |n: NodeId| body.mesh().positions_m[n.index()];
-    match random.next_u64() % 9 {
+    match random.next_u64() % 10 {
         0 => MeshEdit::Remove { tets: vec![pick(random, &tets)] },
         1 => {
             let node = pick(random, &nodes);
@@ -90,6 +90,7 @@ fn random_edit(random: &mut SeededRandom, body: &EditableMesh) -> MeshEdit {
             let new_nodes = vec![NewNode { position_m, parents: parents.to_vec() }];
             MeshEdit::Retetrahedralise { tets: vec![tet], new_nodes, new_tets: new_tets.collect() }
         }
+        8 => moved_and_divided(body, pick(random, &tets)),
         _ => flip(random, t, &tets),
     }
 }
@@ -128,8 +129,10 @@ fn half_star(random: &mut SeededRandom, body: &EditableMesh, node: NodeId) -> Ve
 
 fn check_parents(before: &EditableMesh, after: &EditableMesh, change: &TopologyChange, keeps_volume: bool) {
     let mut places = before.mesh().positions_m.clone();
-    follow::<NodeId, DVec3>(&mut places, change);
-    for &node in change.nodes.added.ids() {
+    follow_in_tissue(&mut places, change);
+    let moved =
+        change.moved_nodes.iter().zip(&change.moved_parents).filter(|(_, parents)| !parents.is_empty());
+    for &node in change.nodes.added.ids().iter().chain(moved.map(|(node, _)| node)) {
         let found = after.mesh().positions_m[node.index()];
         assert!(places[node.index()].distance(found) < 1e-12, "{node}: {} {found}", places[node.index()]);
     }
@@ -141,7 +144,9 @@ fn check_parents(before: &EditableMesh, after: &EditableMesh, change: &TopologyC
         let sum: f64 = parents.iter().map(|p| p.1).sum();
         assert!((sum - 1.0).abs() < 1e-12, "{tet} {parents:?}");
         for &(parent, weight) in parents {
-            assert!(change.tets.removed.contains(&parent), "{tet} {parents:?}");
+            let has_other_shape =
+                change.tets.removed.contains(&parent) || change.reshaped_tets.contains(&parent);
+            assert!(has_other_shape, "{tet} {parents:?}");
             *filled.entry(parent).or_default() += weight * after.mesh().tet_volume_m3(tet);
         }
     }

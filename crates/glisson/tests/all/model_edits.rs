@@ -9,6 +9,7 @@ use glisson::mesh::edit::{CavityNode, EdgeSplit, EditableMesh, MeshEdit, MeshUnd
 use glisson::mesh::{EdgeId, NodeId, TetId, TetMesh};
 use glisson::model::{Constraints, DeformableModel, ImposedDisplacement};
 
+use crate::mesh_edits::moved_and_divided;
 use crate::model_meshes::{relative_difference, rounded_block, shaken_block};
 use bodies::{Body, KINDS, Kind};
 
@@ -30,7 +31,7 @@ fn pick<T: Copy>(random: &mut SeededRandom, items: &[T]) -> T {
     items[(random.next_u64() % items.len() as u64) as usize]
 }
 
-/// Some edit of a kind from 0 to 5; it may be one that is refused.
+/// Some edit of a kind from 0 to 6; it may be one that is refused.
 fn random_edit(random: &mut SeededRandom, mesh: &EditableMesh, kind: u64) -> MeshEdit {
     let topology = mesh.topology();
     let tets: Vec<TetId> = topology.live_tets().collect();
@@ -67,6 +68,7 @@ fn random_edit(random: &mut SeededRandom, mesh: &EditableMesh, kind: u64) -> Mes
             let position_m = 0.5 * (place_m(ends[0]) + place_m(ends[1]));
             MeshEdit::Collapse { edge, kept: ends[0], position_m }
         }
+        5 => moved_and_divided(mesh, tet),
         _ => {
             // A node inside, not where its parents' weights say: one tetrahedron becomes four.
             let position_m =
@@ -88,7 +90,7 @@ fn next_edit(random: &mut SeededRandom, mesh: &mut EditableMesh, turn: u64) -> (
     let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());
     for attempt in 0.. {
         // A kind that is always refused lets the next one have its turn.
-        let edit = random_edit(random, mesh, (turn + attempt / 30) % 6);
+        let edit = random_edit(random, mesh, (turn + attempt / 30) % 7);
         if mesh.apply_saving(&edit, &mut change, &mut undo).is_ok() {
             break;
         }

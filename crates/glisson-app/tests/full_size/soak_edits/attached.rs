@@ -310,20 +310,27 @@ impl Memory {
     }
 }
 
-/// Whether new nodes are where their parents say and new tetrahedra where theirs were, unless nodes moved.
+/// Whether new and moved nodes are where their parents say and new tetrahedra where theirs were, unless nodes moved without
+/// saying where from.
 pub(super) fn check_parents(before_m: &[DVec3], body: &EditableMesh, change: &TopologyChange, label: &str) {
     for (tet, parents) in change.tets.added.iter() {
         let sum: f64 = parents.iter().map(|(_, weight)| weight).sum();
         assert!((sum - 1.0).abs() < 1e-9, "{label}: parents of {tet} have {sum}");
     }
-    if !change.moved_nodes.is_empty() {
+    if change.moved_parents.iter().any(Vec::is_empty) {
         return;
     }
     let (mesh, topology) = (body.mesh(), body.topology());
-    for (node, parents) in change.nodes.added.iter() {
+    let moved =
+        change.moved_nodes.iter().zip(&change.moved_parents).map(|(&n, parents)| (n, parents.as_slice()));
+    for (node, parents) in change.nodes.added.iter().chain(moved) {
         let mean_m: DVec3 = parents.iter().map(|&(p, weight)| before_m[p.index()] * weight).sum();
         let off_m = mean_m.distance(mesh.positions_m[node.index()]);
         assert!(off_m < 1e-9, "{label}: {node} is {off_m} m from its parents' mean");
+    }
+    // Tetrahedra at nodes that move keep what they have, as those do that stay.
+    if !change.moved_nodes.is_empty() {
+        return;
     }
     for (tet, parents) in change.tets.added.iter().filter(|(tet, _)| topology.is_live_tet(*tet)) {
         let middle_m = mesh.corners_m(tet).into_iter().sum::<DVec3>() / 4.0;

@@ -307,7 +307,8 @@ impl<'a> Patient<'a> {
             return;
         }
         check_adjacency(&self.world, &label);
-        let new = changes.iter().flat_map(|change| change.tets.added.ids());
+        let new =
+            changes.iter().flat_map(|change| change.tets.added.ids().iter().chain(&change.reshaped_tets));
         let new_dihedral = new
             .filter(|t| topology.is_live_tet(**t))
             .map(|&t| {
@@ -478,6 +479,8 @@ impl<'a> Patient<'a> {
         for (i, &blade_m) in stroke.iter().enumerate() {
             let body = self.world.organ().body();
             let positions_m = self.world.state().positions_m;
+            let nodes = (0..positions_m.len()).map(NodeId::from_index);
+            cut.hold_still(nodes.map(|n| self.attached.is_anchored(n)));
             let step = if i == last {
                 cut.finish(body, positions_m, blade_m)
             } else {

@@ -33,7 +33,7 @@ impl OwnSkin {
             let is_reshaped = parents.iter().any(|(parent, _)| self.is_reshaped[parent.index()]);
             self.is_reshaped.push(is_reshaped);
         }
-        // A blade that passes near a node puts another in its place, on the blade.
+        // What was pulled together or exchanged lies across what was there.
         if is_mended || !(change.nodes.removed.is_empty() || change.nodes.added.ids().is_empty()) {
             let topology = world.organ().body().topology();
             let new_nodes = change.tets.added.ids().iter().flat_map(|&t| topology.tet_nodes(t));

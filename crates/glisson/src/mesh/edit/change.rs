@@ -177,6 +177,9 @@ pub struct PieceChanges {
     pub through_nodes: PieceChange,
 }
 
+/// Nodes with weights.
+pub type NodeWeights = Vec<(NodeId, f64)>;
+
 /// What an edit did. All lists ascend; nothing that came and went within the edit is on a surface list.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TopologyChange {
@@ -192,6 +195,9 @@ pub struct TopologyChange {
     pub moved_nodes: Vec<NodeId>,
     /// Where each of `moved_nodes` was at rest before [m].
     pub moved_from_m: Vec<DVec3>,
+    /// For each of `moved_nodes`, nodes from before with weights of sum 1 whose places then give the place where it is now,
+    /// at rest as in the deformed tissue; none where the edit says only where it is at rest.
+    pub moved_parents: Vec<NodeWeights>,
     /// Live tetrahedra from before at a node of `moved_nodes`: their shape at rest is another.
     pub reshaped_tets: Vec<TetId>,
     /// Triangles that are on the surface now and were not.
@@ -238,6 +244,7 @@ impl TopologyChange {
         self.tets.clear();
         self.moved_nodes.clear();
         self.moved_from_m.clear();
+        self.moved_parents.clear();
         self.reshaped_tets.clear();
         self.surface_triangles_added.clear();
         self.surface_triangles_removed.clear();

@@ -5,8 +5,8 @@
 //! contraction, Publ. Inst. Math. Belgrade 66, 1999), the outside counted as one more node that is joined to
 //! the whole surface.
 
-use super::plan::Plan;
-use super::{EditError, EditableMesh};
+use super::plan::{Move, Plan};
+use super::{EditError, EditableMesh, NodeWeights};
 use crate::math::{DVec3, is_inverted, tetrahedron_volume_m3};
 use crate::mesh::{EdgeId, NodeId, TetId};
 
@@ -117,8 +117,8 @@ impl EditableMesh {
 
         let gone = topology.other_node(edge, kept);
         if position_m != self.mesh.positions_m[kept.index()] {
-            self.locate_near_edge(position_m, [kept, gone], &mut plan.moved_parents);
-            plan.moved = Some((kept, position_m));
+            let parents = self.locate_near_edge(position_m, [kept, gone]);
+            plan.moved.push(Move { node: kept, position_m, parents, is_blend: false });
         }
         for &tet in topology.node_tets(kept) {
             if topology.tet_nodes(tet).contains(&gone) {
@@ -141,18 +141,19 @@ impl EditableMesh {
     }
 
     /// [`EditableMesh::locate`] on an edge where the point lies on it, else in the tetrahedra at its ends.
-    fn locate_near_edge(&self, point_m: DVec3, ends: [NodeId; 2], weights: &mut Vec<(NodeId, f64)>) {
+    fn locate_near_edge(&self, point_m: DVec3, ends: [NodeId; 2]) -> NodeWeights {
         // As a share of the edge's length: rounding of a point that was meant to lie on the edge.
         const ON_EDGE: f64 = 1e-12;
         let [a_m, b_m] = ends.map(|n| self.mesh.positions_m[n.index()]);
         let along_m = b_m - a_m;
         let fraction = (point_m - a_m).dot(along_m) / along_m.length_squared();
         if point_m.distance(a_m + fraction * along_m) <= ON_EDGE * along_m.length() {
-            weights.extend([(ends[0], 1.0 - fraction), (ends[1], fraction)]);
-            weights.retain(|w| w.1 != 0.0);
-            return;
+            let of_ends = [(ends[0], 1.0 - fraction), (ends[1], fraction)];
+            return of_ends.into_iter().filter(|w| w.1 != 0.0).collect();
         }
+        let mut weights = NodeWeights::new();
         let around: Vec<TetId> = ends.iter().flat_map(|&n| self.topology.node_tets(n)).copied().collect();
-        self.locate(point_m, &around, weights);
+        self.locate(point_m, &around, &mut weights);
+        weights
     }
 }

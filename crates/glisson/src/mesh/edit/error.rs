@@ -161,8 +161,21 @@ pub enum EditError {
         /// Sum of its parents' weights.
         sum: f64,
     },
-    /// A new tetrahedron has parents that do not make room for it, or shares that do not add up to 1.
-    #[error("new tetrahedron {place} has parents that are not replaced, or shares of sum {sum} instead of 1")]
+    /// A node cannot go where the edit puts it.
+    #[error(
+        "{node} cannot move: it must be live, named once, go to a finite place, keep a tetrahedron, and come from \
+        live nodes with weights of sum 1 (found {sum})"
+    )]
+    BadMove {
+        /// The node.
+        node: NodeId,
+        /// Sum of the weights.
+        sum: f64,
+    },
+    /// A new tetrahedron has parents that neither make room nor get another shape, or shares that do not add up to 1.
+    #[error(
+        "new tetrahedron {place} has parents that are neither replaced nor reshaped, or shares of sum {sum} instead of 1"
+    )]
     BadParents {
         /// Its place in the edit.
         place: usize,

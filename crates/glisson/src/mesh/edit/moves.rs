@@ -1,7 +1,7 @@
 //! Moving a node of the rest shape.
 
-use super::plan::Plan;
-use super::{EditError, EditableMesh};
+use super::plan::{Move, Plan};
+use super::{EditError, EditableMesh, NodeWeights};
 use crate::math::{DVec3, is_inverted, tetrahedron_volume_m3};
 use crate::mesh::{NodeId, TetId};
 
@@ -33,14 +33,15 @@ impl EditableMesh {
                 return Err(EditError::WouldInvert { node, tet, volume_m3 });
             }
         }
-        self.locate(position_m, self.topology.node_tets(node), &mut plan.moved_parents);
-        plan.moved = Some((node, position_m));
+        let mut parents = NodeWeights::new();
+        self.locate(position_m, self.topology.node_tets(node), &mut parents);
+        plan.moved.push(Move { node, position_m, parents, is_blend: false });
         Ok(())
     }
 
     /// Weights over the corners of that of `tets` which holds the point, or comes nearest to it, that give the
     /// point from the places of the corners.
-    pub(super) fn locate(&self, point_m: DVec3, tets: &[TetId], weights: &mut Vec<(NodeId, f64)>) {
+    pub(super) fn locate(&self, point_m: DVec3, tets: &[TetId], weights: &mut NodeWeights) {
         let mut best = f64::NEG_INFINITY;
         for &tet in tets {
             let corners_m = self.mesh.corners_m(tet);

@@ -1,4 +1,4 @@
-//! Which of the tetrahedra that make room hold a new one, by their shares of its volume.
+//! Which of the tetrahedra that make room or get another shape held the place of a new one, by their shares of its volume.
 
 use super::EditableMesh;
 use super::overlap::{Corners, Relation, Tet, are_near};
@@ -28,7 +28,7 @@ pub(super) struct ParentsByVolume {
 }
 
 impl ParentsByVolume {
-    /// Among `ids`, the tetrahedra of `body` that make room, ascending.
+    /// Among `ids`, the tetrahedra of `body` in whose place new ones are, ascending.
     pub(super) fn new(body: &EditableMesh, ids: &[TetId]) -> Self {
         let mut this = Self {
             ids: ids.to_vec(),

@@ -1,11 +1,22 @@
 //! What an edit is going to do, worked out before anything changes, and the one way in which it is done.
 
 use super::change::sum_repeated;
-use super::{EditError, EditableMesh, MeshUndo, TopologyChange};
+use super::{EditError, EditableMesh, MeshUndo, NodeWeights, TopologyChange};
 use crate::math::{DVec3, is_inverted, tetrahedron_volume_m3};
 use crate::mesh::edit::Additions;
 use crate::mesh::topology::Waiting;
 use crate::mesh::{NodeId, TetId, TetMesh};
+
+/// A node that moves.
+pub(super) struct Move {
+    pub(super) node: NodeId,
+    /// Where to [m].
+    pub(super) position_m: DVec3,
+    /// Weights that give its new place from old places of nodes.
+    pub(super) parents: NodeWeights,
+    /// Whether they also say where it is in the deformed tissue.
+    pub(super) is_blend: bool,
+}
 
 /// An edit in terms of tetrahedra that go and come. Nodes that come in are named by the ids that they will have.
 #[derive(Default)]
@@ -20,10 +31,8 @@ pub(super) struct Plan {
     pub(super) new_nodes_m: Vec<DVec3>,
     /// Their parents.
     pub(super) node_parents: Additions<NodeId>,
-    /// A node that moves, and where to [m].
-    pub(super) moved: Option<(NodeId, DVec3)>,
-    /// Weights that give the new place of the moved node from old places of nodes.
-    pub(super) moved_parents: Vec<(NodeId, f64)>,
+    /// Nodes that move, ascending.
+    pub(super) moved: Vec<Move>,
     n_nodes: usize,
     n_tets: usize,
 }
@@ -36,8 +45,7 @@ impl Plan {
         self.fresh_parents.clear();
         self.new_nodes_m.clear();
         self.node_parents.clear();
-        self.moved = None;
-        self.moved_parents.clear();
+        self.moved.clear();
         self.n_nodes = body.topology.n_nodes();
         self.n_tets = body.topology.n_tets();
     }
@@ -59,10 +67,12 @@ impl Plan {
 
     /// Where `node` will be at rest [m].
     pub(super) fn position_m(&self, mesh: &TetMesh, node: NodeId) -> DVec3 {
-        match (self.moved, node.index().checked_sub(self.n_nodes)) {
-            (_, Some(at)) => self.new_nodes_m[at],
-            (Some((moved, position_m)), None) if moved == node => position_m,
-            _ => mesh.positions_m[node.index()],
+        if let Some(at) = node.index().checked_sub(self.n_nodes) {
+            return self.new_nodes_m[at];
+        }
+        match self.moved.binary_search_by_key(&node, |m| m.node) {
+            Ok(at) => self.moved[at].position_m,
+            Err(_) => mesh.positions_m[node.index()],
         }
     }
 
@@ -83,9 +93,6 @@ impl Plan {
     }
 }
 
-/// Nodes with their weights.
-type Weights = Vec<(NodeId, f64)>;
-
 /// Buffers of the edits; they say nothing about the mesh.
 #[derive(Default)]
 pub(super) struct Scratch {
@@ -95,7 +102,7 @@ pub(super) struct Scratch {
     pub(super) change: TopologyChange,
     /// While a list of edits is carried out: the old nodes moved so far, each with the weights that give its new
     /// place from the places before the list.
-    pub(super) moved: Option<Vec<(NodeId, Weights)>>,
+    pub(super) moved: Option<Vec<(NodeId, NodeWeights)>>,
 }
 
 impl Clone for Scratch {
@@ -121,22 +128,24 @@ impl EditableMesh {
                 None => change.nodes.added.push(node, parents),
             }
         }
-        if let Some((node, position_m)) = plan.moved {
-            self.move_node(node, position_m, &plan.moved_parents, change, undo);
+        // They come from where all nodes were before.
+        let olders: Vec<_> = plan.moved.iter().map(|m| self.parents_before(&m.parents, change)).collect();
+        for (moved, older) in plan.moved.iter().zip(olders) {
+            self.move_node(moved, older, change, undo);
         }
         self.replace_tets(plan, change, undo);
     }
 
     /// `parents` in terms of nodes that were there before the edit or list of edits, with their places from then;
     /// `None` if they are that already.
-    fn parents_before(&self, parents: &[(NodeId, f64)], change: &TopologyChange) -> Option<Weights> {
+    fn parents_before(&self, parents: &[(NodeId, f64)], change: &TopologyChange) -> Option<NodeWeights> {
         let moved = self.scratch.moved.as_deref().unwrap_or_default();
         let n_before = change.nodes.n_before;
         let is_plain = |node: NodeId| node.index() < n_before && moved.iter().all(|m| m.0 != node);
         if parents.iter().all(|p| is_plain(p.0)) {
             return None;
         }
-        let mut found = Weights::new();
+        let mut found = NodeWeights::new();
         for &(parent, weight) in parents {
             let older = match parent.index().checked_sub(n_before) {
                 Some(at) => change.nodes.added.parents(at),
@@ -151,32 +160,32 @@ impl EditableMesh {
         Some(found)
     }
 
+    /// `older`: its parents as [`EditableMesh::parents_before`] has them.
     fn move_node(
         &mut self,
-        node: NodeId,
-        position_m: DVec3,
-        parents: &[(NodeId, f64)],
+        Move { node, position_m, parents, is_blend }: &Move,
+        older: Option<NodeWeights>,
         change: &mut TopologyChange,
         undo: &mut MeshUndo,
     ) {
-        let from_m = std::mem::replace(&mut self.mesh.positions_m[node.index()], position_m);
-        match node.index().checked_sub(change.nodes.n_before) {
-            Some(at) => {
-                let older = self.parents_before(parents, change);
-                change.nodes.added.set_parents(at, older.as_deref().unwrap_or(parents));
-            }
+        let from_m = std::mem::replace(&mut self.mesh.positions_m[node.index()], *position_m);
+        let parents = older.unwrap_or_else(|| parents.clone());
+        if let Some(at) = node.index().checked_sub(change.nodes.n_before) {
+            change.nodes.added.set_parents(at, &parents);
+            return;
+        }
+        undo.save_move(*node, from_m);
+        let of_blend = if *is_blend { parents.clone() } else { NodeWeights::new() };
+        if let Some(moved) = &mut self.scratch.moved {
+            moved.retain(|m| m.0 != *node);
+            moved.push((*node, parents));
+        }
+        match change.moved_nodes.iter().position(|n| n == node) {
+            Some(at) => change.moved_parents[at] = of_blend,
             None => {
-                undo.save_move(node, from_m);
-                if self.scratch.moved.is_some() {
-                    let older = self.parents_before(parents, change).unwrap_or_else(|| parents.to_vec());
-                    let moved = self.scratch.moved.get_or_insert_default();
-                    moved.retain(|m| m.0 != node);
-                    moved.push((node, older));
-                }
-                if !change.moved_nodes.contains(&node) {
-                    change.moved_nodes.push(node);
-                    change.moved_from_m.push(from_m);
-                }
+                change.moved_nodes.push(*node);
+                change.moved_from_m.push(from_m);
+                change.moved_parents.push(of_blend);
             }
         }
     }

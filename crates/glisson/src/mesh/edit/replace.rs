@@ -1,9 +1,9 @@
 //! Exchange of tetrahedra for others in the same place.
 
 use super::parents::ParentsByVolume;
-use super::plan::Plan;
-use super::{CavityNode, EditError, EditableMesh, NewNode};
-use crate::math::is_inverted;
+use super::plan::{Move, Plan};
+use super::{CavityNode, EditError, EditableMesh, NewNode, NodeWeights};
+use crate::math::{DVec3, is_inverted};
 use crate::mesh::{NodeId, TetId};
 
 /// How much the volume may differ, as a share of it: rounding, not a gap.
@@ -13,15 +13,30 @@ const VOLUME_TOLERANCE: f64 = 1e-9;
 const WEIGHT_TOLERANCE: f64 = 1e-9;
 
 /// Tetrahedra that make room for others in the same place. Unlike in a retetrahedralisation the parents are
-/// given, triangles of the surface may be divided, and triangles within may open (their nodes come twice).
+/// given, nodes may move, triangles of the surface may be divided, and triangles within may open (their nodes come
+/// twice). The live tetrahedra at a node that moves are reshaped where they do not make room: these together fill the
+/// place that they filled before.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Replacement {
     /// The tetrahedra that make room; live, each once.
     pub tets: Vec<TetId>,
     /// Nodes that come in.
     pub new_nodes: Vec<NewNode>,
+    /// Nodes that move at rest; each once.
+    pub moved_nodes: Vec<MovedNode>,
     /// The tetrahedra that take the place.
     pub new_tets: Vec<NewTet>,
+}
+
+/// A node that moves within the tissue.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MovedNode {
+    /// The node.
+    pub node: NodeId,
+    /// Where to at rest [m].
+    pub position_m: DVec3,
+    /// Nodes with weights of sum 1 whose places before the edit give its new one, at rest as in the deformed tissue.
+    pub parents: NodeWeights,
 }
 
 /// A tetrahedron that comes in.
@@ -29,8 +44,8 @@ pub struct Replacement {
 pub struct NewTet {
     /// Its corners; the volume at rest is positive.
     pub corners: [CavityNode; 4],
-    /// Tetrahedra of [`Replacement::tets`] in whose place it is, with their shares of its volume (sum 1);
-    /// worked out from the shapes if empty.
+    /// Tetrahedra of [`Replacement::tets`], or reshaped ones, whose data it takes, with weights of sum 1; if empty, those in
+    /// whose place it is, with their shares of its volume.
     pub parents: Vec<(TetId, f64)>,
 }
 
@@ -43,6 +58,8 @@ pub(super) struct Exchange<'a> {
     pub(super) tets: &'a [TetId],
     /// Nodes that come in.
     pub(super) new_nodes: &'a [NewNode],
+    /// Nodes that move.
+    pub(super) moved_nodes: &'a [MovedNode],
     /// Corners and parents of what comes in; without parents they are worked out.
     pub(super) new_tets: Vec<CornersAndParents<'a>>,
     /// Whether all outer triangles stay; else those of the surface may be divided and inner ones may open.
@@ -50,16 +67,16 @@ pub(super) struct Exchange<'a> {
 }
 
 impl<'a> From<&'a Replacement> for Exchange<'a> {
-    fn from(Replacement { tets, new_nodes, new_tets }: &'a Replacement) -> Self {
+    fn from(Replacement { tets, new_nodes, moved_nodes, new_tets }: &'a Replacement) -> Self {
         let new_tets = new_tets.iter().map(|tet| (tet.corners, tet.parents.as_slice())).collect();
-        Self { tets, new_nodes, new_tets, keeps_outer_triangles: false }
+        Self { tets, new_nodes, moved_nodes, new_tets, keeps_outer_triangles: false }
     }
 }
 
 impl EditableMesh {
     pub(super) fn plan_exchange(
         &mut self,
-        Exchange { tets, new_nodes, new_tets, keeps_outer_triangles }: &Exchange<'_>,
+        Exchange { tets, new_nodes, moved_nodes, new_tets, keeps_outer_triangles }: &Exchange<'_>,
         plan: &mut Plan,
     ) -> Result<(), EditError> {
         self.topology.check_removable(tets)?;
@@ -67,14 +84,18 @@ impl EditableMesh {
         plan.doomed.sort_unstable();
         let corners_of = self.named_corners(new_nodes, new_tets)?;
         self.plan_new_nodes(new_nodes, &corners_of, plan)?;
+        let reshaped = self.plan_moves(moved_nodes, &corners_of, plan)?;
         if *keeps_outer_triangles {
             self.check_outer_sides(plan, &corners_of)?;
         } else {
             self.check_borders(plan, &corners_of)?;
         }
-        self.check_filled(plan, &corners_of)?;
+        self.check_filled(plan, &corners_of, &reshaped)?;
+        let mut room = reshaped;
+        room.extend_from_slice(&plan.doomed);
+        room.sort_unstable();
         let is_any_unknown = new_tets.iter().any(|(_, parents)| parents.is_empty());
-        let mut by_volume = is_any_unknown.then(|| ParentsByVolume::new(self, &plan.doomed));
+        let mut by_volume = is_any_unknown.then(|| ParentsByVolume::new(self, &room));
         for (place, (nodes, (_, parents))) in corners_of.into_iter().zip(new_tets).enumerate() {
             if let (true, Some(by_volume)) = (parents.is_empty(), &mut by_volume) {
                 let corners_m = nodes.map(|n| plan.position_m(&self.mesh, n));
@@ -82,7 +103,7 @@ impl EditableMesh {
                 continue;
             }
             let sum: f64 = parents.iter().map(|p| p.1).sum();
-            let are_parents_there = parents.iter().all(|p| plan.doomed.binary_search(&p.0).is_ok());
+            let are_parents_there = parents.iter().all(|p| room.binary_search(&p.0).is_ok());
             let is_sum_right = (sum - 1.0).abs() <= WEIGHT_TOLERANCE;
             if !(are_parents_there && is_sum_right) {
                 return Err(EditError::BadParents { place, sum });
@@ -95,6 +116,13 @@ impl EditableMesh {
     /// Whether a node is there and has a tetrahedron.
     fn is_there(&self, node: NodeId) -> bool {
         node.index() < self.topology.n_nodes() && self.topology.is_live_node(node)
+    }
+
+    /// The sum of the weights of some nodes, and whether these can be parents.
+    fn check_parents(&self, parents: &[(NodeId, f64)]) -> (f64, bool) {
+        let sum: f64 = parents.iter().map(|p| p.1).sum();
+        let is_sum_right = (sum - 1.0).abs() <= WEIGHT_TOLERANCE;
+        (sum, is_sum_right && parents.iter().all(|p| self.is_there(p.0)))
     }
 
     /// The new tetrahedra with the ids that their corners will have.
@@ -137,10 +165,8 @@ impl EditableMesh {
             }
         }
         for (place, node) in new_nodes.iter().enumerate() {
-            let sum: f64 = node.parents.iter().map(|p| p.1).sum();
-            let is_sum_right = (sum - 1.0).abs() <= WEIGHT_TOLERANCE;
-            let are_parents_there = node.parents.iter().all(|p| self.is_there(p.0));
-            if !(node.position_m.is_finite() && is_used[place] && is_sum_right && are_parents_there) {
+            let (sum, are_parents) = self.check_parents(&node.parents);
+            if !(node.position_m.is_finite() && is_used[place] && are_parents) {
                 return Err(EditError::BadNewNode { place, sum });
             }
             plan.add_node(node.position_m, &node.parents);
@@ -148,17 +174,52 @@ impl EditableMesh {
         Ok(())
     }
 
-    /// Refuses new tetrahedra that are flat or inside out, or that fill another volume than the old ones.
-    fn check_filled(&self, plan: &Plan, new: &[[NodeId; 4]]) -> Result<(), EditError> {
+    /// Plans moves, and tells which tetrahedra they reshape, ascending.
+    fn plan_moves(
+        &self,
+        moved_nodes: &[MovedNode],
+        corners_of: &[[NodeId; 4]],
+        plan: &mut Plan,
+    ) -> Result<Vec<TetId>, EditError> {
+        let mut reshaped = Vec::new();
+        for MovedNode { node, position_m, parents } in moved_nodes {
+            let (sum, are_parents) = self.check_parents(parents);
+            let bad = EditError::BadMove { node: *node, sum };
+            if !(self.is_there(*node) && position_m.is_finite() && are_parents) {
+                return Err(bad);
+            }
+            let n_before = reshaped.len();
+            let stays = |tet: &&TetId| plan.doomed.binary_search(tet).is_err();
+            reshaped.extend(self.topology.node_tets(*node).iter().filter(stays));
+            if reshaped.len() == n_before && !corners_of.iter().flatten().any(|corner| corner == node) {
+                return Err(bad);
+            }
+            let (position_m, parents) = (*position_m, parents.clone());
+            plan.moved.push(Move { node: *node, position_m, parents, is_blend: true });
+        }
+        plan.moved.sort_unstable_by_key(|moved| moved.node);
+        if let Some(pair) = plan.moved.windows(2).find(|pair| pair[0].node == pair[1].node) {
+            return Err(EditError::BadMove { node: pair[0].node, sum: 1.0 });
+        }
+        reshaped.sort_unstable();
+        reshaped.dedup();
+        Ok(reshaped)
+    }
+
+    /// Refuses tetrahedra that would be flat or inside out, and new and reshaped ones that fill another volume than they and
+    /// the old ones did.
+    fn check_filled(&self, plan: &Plan, new: &[[NodeId; 4]], reshaped: &[TetId]) -> Result<(), EditError> {
         let mut new_m3 = 0.0;
-        for &nodes in new {
+        let reshaped_corners = reshaped.iter().map(|&tet| self.topology.tet_nodes(tet));
+        for nodes in new.iter().copied().chain(reshaped_corners) {
             let volume_m3 = plan.volume_m3(&self.mesh, nodes);
             if is_inverted(volume_m3) {
                 return Err(EditError::FlatTet { nodes, volume_m3 });
             }
             new_m3 += volume_m3;
         }
-        let old_m3: f64 = plan.doomed.iter().map(|&tet| self.mesh.tet_volume_m3(tet)).sum();
+        let old = plan.doomed.iter().chain(reshaped);
+        let old_m3: f64 = old.map(|&tet| self.mesh.tet_volume_m3(tet)).sum();
         let is_filled = (new_m3 - old_m3).abs() <= VOLUME_TOLERANCE * old_m3;
         if is_filled { Ok(()) } else { Err(EditError::VolumeDiffers { old_m3, new_m3 }) }
     }

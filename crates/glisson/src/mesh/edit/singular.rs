@@ -9,10 +9,10 @@ use crate::mesh::{NodeId, TetId};
 const MOST_ROUNDS: usize = 8;
 
 impl Topology {
-    /// Live nodes of the tetrahedra that `change` took out or brought in, ascending: where singular places can
-    /// have come about.
+    /// Live nodes of the tetrahedra that `change` took out, brought in or gave another shape, ascending: where singular
+    /// places and bad shapes can have come about.
     pub fn nodes_near(&self, change: &TopologyChange) -> Vec<NodeId> {
-        let tets = change.tets.removed.iter().chain(change.tets.added.ids());
+        let tets = change.tets.removed.iter().chain(change.tets.added.ids()).chain(&change.reshaped_tets);
         let mut nodes: Vec<NodeId> = tets.flat_map(|&t| self.tet_nodes(t)).collect();
         nodes.sort_unstable();
         nodes.dedup();

@@ -127,7 +127,9 @@ impl EditableMesh {
             }
             MeshEdit::Retetrahedralise { tets, new_nodes, new_tets } => {
                 let new_tets = new_tets.iter().map(|&corners| (corners, [].as_slice())).collect();
-                self.plan_exchange(&Exchange { tets, new_nodes, new_tets, keeps_outer_triangles: true }, plan)
+                let exchange =
+                    Exchange { tets, new_nodes, moved_nodes: &[], new_tets, keeps_outer_triangles: true };
+                self.plan_exchange(&exchange, plan)
             }
             MeshEdit::Replace(replacement) => self.plan_exchange(&replacement.into(), plan),
         }
@@ -140,10 +142,16 @@ impl EditableMesh {
         }
         change.close();
         if !change.moved_nodes.is_empty() {
-            let moved = change.moved_nodes.iter().copied().zip(change.moved_from_m.iter().copied());
+            let from = std::mem::take(&mut change.moved_from_m).into_iter();
+            let from = from.zip(std::mem::take(&mut change.moved_parents));
+            let moved = std::mem::take(&mut change.moved_nodes).into_iter().zip(from);
             let mut moved: Vec<_> = moved.filter(|m| self.topology.is_live_node(m.0)).collect();
             moved.sort_by_key(|m| m.0);
-            (change.moved_nodes, change.moved_from_m) = moved.into_iter().unzip();
+            for (node, (from_m, parents)) in moved {
+                change.moved_nodes.push(node);
+                change.moved_from_m.push(from_m);
+                change.moved_parents.push(parents);
+            }
             let n_before = change.tets.n_before;
             let at_moved = change.moved_nodes.iter().flat_map(|&node| self.topology.node_tets(node));
             change.reshaped_tets.extend(at_moved.filter(|tet| tet.index() < n_before));

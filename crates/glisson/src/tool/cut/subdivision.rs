@@ -5,7 +5,7 @@
 //! is cut, and what is new has the same place within its tetrahedron in both shapes. In each step
 //!
 //! 1. every edge through the swept plane is divided where it crosses, in the tetrahedra that the polygon
-//!    meets; a crossing near an end of its edge snaps to that end;
+//!    meets; a crossing near an end of its edge snaps to that end, which moves into the plane if it can;
 //! 2. within the plane the same happens at the lines that bound the polygon, so that the polygon is a union
 //!    of faces, and the area that opens is the area swept;
 //! 3. the faces open: each of their nodes gets as many copies as its tetrahedra form groups around it. At the
@@ -51,7 +51,7 @@ pub struct SubdivisionParams {
     pub snap_length_m: f64,
     /// The cut goes on from its front if the front is this near [m] to the blade's former place.
     pub front_reach_m: f64,
-    /// Smallest dihedral angle [degrees] of a new tetrahedron, unless one in its place had a smaller one.
+    /// Smallest dihedral angle [degrees] of a new or reshaped tetrahedron, unless one in its place had a smaller one.
     pub min_dihedral_deg: f64,
 }
 
@@ -75,9 +75,9 @@ pub struct CutReport {
     pub swept_area_m2: f64,
     /// Area [m2] of the faces that opened, one side, in the deformed shape.
     pub cut_area_m2: f64,
-    /// Smallest dihedral angle [degrees] at rest among new tetrahedra; 180 without any.
+    /// Smallest dihedral angle [degrees] at rest among new and reshaped tetrahedra; 180 without any.
     pub min_dihedral_deg: f64,
-    /// Smallest dihedral angle [degrees] at rest among the tetrahedra that they replace; 180 without any.
+    /// Smallest dihedral angle [degrees] at rest among the tetrahedra that were there before; 180 without any.
     pub min_dihedral_before_deg: f64,
     /// Tetrahedra that the blade met.
     pub n_touched: usize,
@@ -301,6 +301,13 @@ impl SubdivisionCut {
         &self.params
     }
 
+    /// Whether each node of the mesh has to stay where it is at rest: those that something holds, loads or pulls. Beyond the
+    /// list, and without one, all may move.
+    pub fn hold_still(&mut self, is_still: impl Iterator<Item = bool>) {
+        self.patch.is_still.clear();
+        self.patch.is_still.extend(is_still);
+    }
+
     /// All steps of the stroke together.
     pub fn report(&self) -> &CutReport {
         &self.stroke.report
@@ -357,7 +364,9 @@ impl SubdivisionCut {
 
     /// Follows an edit that is not its own.
     pub fn topology_changed(&mut self, change: &TopologyChange) {
-        let lost = |n: NodeId| change.nodes.removed.binary_search(&n).is_ok();
+        let lost = |n: NodeId| {
+            change.nodes.removed.binary_search(&n).is_ok() || change.moved_nodes.binary_search(&n).is_ok()
+        };
         self.stroke.front.retain(|&(n, _)| !lost(n));
         self.stroke.wake.retain(|&n| !lost(n));
         self.stroke.closed.retain(|face| !face.iter().any(|&n| lost(n)));
@@ -587,7 +596,7 @@ impl SubdivisionCut {
         // Until the end of the stroke it may open yet.
         tried.closed_m2 = if is_last { closed_m2 } else { 0.0 };
         max_cosine = max_cosine.max(patch.max_new_cosine());
-        let before = patch.changed_tets().into_iter().map(|t| body.mesh.mesh().corners_m(t));
+        let before = patch.changed_tets().map(|t| body.mesh.mesh().corners_m(t));
         let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);
         // The largest cosine is that of the smallest angle.
         report.min_dihedral_deg = degrees_of(max_cosine);
@@ -625,7 +634,7 @@ impl SubdivisionCut {
             let beside_m = [0, 1].map(|i| blade_m[i] - p.lerp(q, shares[i]));
             stroke.anchor = Some(Anchor { nodes: [a, b], shares, beside_m });
         }
-        let is_change = !edit.tets.is_empty();
+        let is_change = !(edit.tets.is_empty() && edit.moved_nodes.is_empty());
         report.n_edits = usize::from(is_change);
         stroke.report.add(&report);
         is_change.then_some(edit)

@@ -1,7 +1,8 @@
 //! Opens the faces of a cut: every node gets as many copies as its tetrahedra form groups.
 
 use super::patch::{Body, Patch, pair_key, sorted};
-use crate::mesh::edit::{CavityNode, NewNode, NewTet, Replacement};
+use crate::mesh::NodeId;
+use crate::mesh::edit::{CavityNode, MovedNode, NewNode, NewTet, Replacement};
 use crate::mesh::quality::FACES;
 
 /// Where an edge is divided so that its faces open.
@@ -114,16 +115,12 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> 
     let mut sides: Vec<([u32; 3], Vec<u32>)> = Vec::with_capacity(patch.cut.len());
     // Both sides of what opens belong to the edit, also where only one gets copies.
     for at in 0..patch.cut.len() {
-        let [a, b, c] = patch.cut[at];
-        let has_face = |&&t: &&u32| {
-            let nodes = patch.tets[t as usize].nodes;
-            nodes.contains(&b) && nodes.contains(&c)
-        };
-        let tets: Vec<u32> = patch.star(a).iter().filter(has_face).copied().collect();
+        let face = patch.cut[at];
+        let tets: Vec<u32> = patch.tets_at_face(face).collect();
         for &tet in &tets {
             patch.tets[tet as usize].is_old = false;
         }
-        sides.push((patch.cut[at], tets));
+        sides.push((face, tets));
     }
     let mut groups = Groups::default();
     // The faces are known by the nodes from before; copies stand for their origin.
@@ -274,30 +271,26 @@ fn root(parents: &mut [u32], mut of: u32) -> u32 {
 }
 
 /// The patch as one edit, and the node of the edited mesh that each of its nodes is (`None`: unused).
-pub(super) fn replacement(patch: &Patch, n_nodes: usize) -> (Replacement, Vec<Option<crate::mesh::NodeId>>) {
-    let mut edit = Replacement::default();
-    let mut is_used = vec![false; patch.nodes.len()];
-    for tet in &patch.tets {
-        if tet.is_live && !tet.is_old {
-            for n in tet.nodes {
-                is_used[n as usize] = true;
-            }
-        }
-    }
+pub(super) fn replacement(patch: &Patch, n_nodes: usize) -> (Replacement, Vec<Option<NodeId>>) {
+    let mut edit = Replacement { tets: patch.replaced_tets().collect(), ..Replacement::default() };
     let mut ids = Vec::with_capacity(patch.nodes.len());
     let mut corner = vec![CavityNode::New(u32::MAX); patch.nodes.len()];
     for (at, node) in patch.nodes.iter().enumerate() {
         ids.push(node.old);
+        let is_used = !patch.star(at as u32).is_empty();
+        let (position_m, parents) = (node.rest_m, node.blend.parents());
         if let Some(old) = node.old {
             corner[at] = CavityNode::Old(old);
-        } else if is_used[at] {
+            if node.is_moved && is_used {
+                edit.moved_nodes.push(MovedNode { node: old, position_m, parents: parents.collect() });
+            }
+        } else if is_used {
             let new = edit.new_nodes.len();
             corner[at] = CavityNode::New(new as u32);
-            ids[at] = Some(crate::mesh::NodeId::from_index(n_nodes + new));
-            edit.new_nodes.push(NewNode { position_m: node.rest_m, parents: node.blend.parents().collect() });
+            ids[at] = Some(NodeId::from_index(n_nodes + new));
+            edit.new_nodes.push(NewNode { position_m, parents: parents.collect() });
         }
     }
-    edit.tets = patch.changed_tets();
     for tet in patch.tets.iter().filter(|t| t.is_live && !t.is_old) {
         edit.new_tets.push(NewTet {
             corners: tet.nodes.map(|n| corner[n as usize]),

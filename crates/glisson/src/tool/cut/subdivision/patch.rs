@@ -80,6 +80,8 @@ pub(super) struct PatchNode {
     pub(super) rest_m: DVec3,
     pub(super) present_m: DVec3,
     pub(super) blend: Blend,
+    /// It is not where it was.
+    pub(super) is_moved: bool,
     /// Signed distance [m] from the plane of the sweep at hand.
     pub(super) distance_m: f64,
     /// Its sign, or 0 for a node that counts as on the plane.
@@ -101,13 +103,23 @@ pub(super) struct PatchNode {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PatchTet {
     pub(super) nodes: [u32; 4],
-    /// The tetrahedron of the mesh in which this one lies.
+    /// The tetrahedron of the mesh that this one comes from.
     pub(super) parent: TetId,
     pub(super) is_live: bool,
     /// This is the parent itself.
     pub(super) is_old: bool,
-    /// It reaches into neighbours of the parent, too.
+    /// A node of it moved.
+    pub(super) is_reshaped: bool,
+    /// It took the place of others, too, and not of the parent alone. What nodes of the mesh took along when they moved does
+    /// not count.
     pub(super) is_mixed: bool,
+}
+
+impl PatchTet {
+    /// Whether it is new or has another shape.
+    pub(super) fn is_changed(&self) -> bool {
+        !self.is_old || self.is_reshaped
+    }
 }
 
 /// Nodes and tetrahedra of the mesh by need, and what becomes of them.
@@ -123,6 +135,8 @@ pub(super) struct Patch {
     tet_here: Vec<u32>,
     pulled_nodes: Vec<NodeId>,
     pulled_tets: Vec<TetId>,
+    /// Whether each node of the mesh has to stay; nodes beyond the end may move.
+    pub(super) is_still: Vec<bool>,
     /// Where the nodes of the mesh are ([`Sweep::outside_into`](super::sweep::Sweep::outside_into)).
     pub(super) outside: Vec<u8>,
     /// Faces to be opened, corners ascending.
@@ -212,6 +226,12 @@ impl Patch {
         self.node_here.get(node.index()).copied().filter(|&n| n != ABSENT)
     }
 
+    /// Whether a node has to stay.
+    pub(super) fn is_still(&self, node: u32) -> bool {
+        let old = self.nodes[node as usize].old;
+        old.is_some_and(|old| self.is_still.get(old.index()).copied().unwrap_or(false))
+    }
+
     pub(super) fn star(&self, node: u32) -> &[u32] {
         &self.stars[node as usize]
     }
@@ -235,6 +255,7 @@ impl Patch {
             rest_m: body.mesh.mesh().positions_m[node.index()],
             present_m: body.present_m[node.index()],
             blend: Blend::of(node),
+            is_moved: false,
             distance_m: 0.0,
             label: UNKNOWN,
             line_labels: [UNKNOWN; 4],
@@ -267,6 +288,9 @@ impl Patch {
         accept: Accept,
         before: &StarState,
     ) -> bool {
+        if self.is_still(node) {
+            return false;
+        }
         let from = self.nodes[node as usize];
         let star = std::mem::take(&mut self.stars[node as usize]);
         self.nodes[node as usize].present_m = to_m;
@@ -284,13 +308,13 @@ impl Patch {
             Some(blend) => {
                 let this = &mut self.nodes[node as usize];
                 this.blend = blend;
-                if let Some(old) = this.old.take() {
-                    self.node_here[old.index()] = ABSENT;
-                }
+                this.is_moved = true;
                 this.has_whole_star = true;
+                let is_new = this.old.is_none();
                 for &tet in &star {
-                    self.tets[tet as usize].is_old = false;
-                    self.tets[tet as usize].is_mixed = true;
+                    let tet = &mut self.tets[tet as usize];
+                    tet.is_reshaped = true;
+                    tet.is_mixed |= is_new;
                 }
             }
             None => self.nodes[node as usize] = from,
@@ -452,8 +476,14 @@ impl Patch {
             return here;
         }
         let nodes = body.mesh.topology().tet_nodes(tet).map(|n| self.pull_node(body, n));
-        let here =
-            self.push_tet(PatchTet { nodes, parent: tet, is_live: true, is_old: true, is_mixed: false });
+        let here = self.push_tet(PatchTet {
+            nodes,
+            parent: tet,
+            is_live: true,
+            is_old: true,
+            is_reshaped: false,
+            is_mixed: false,
+        });
         self.tet_here[tet.index()] = here;
         self.pulled_tets.push(tet);
         here
@@ -507,7 +537,7 @@ impl Patch {
     pub(super) fn bad_tets(&self, max_cosine: f64) -> Vec<(f64, u32)> {
         let mut bad: Vec<(f64, u32)> = self
             .live_tets()
-            .filter(|&t| !self.tets[t as usize].is_old)
+            .filter(|&t| self.tets[t as usize].is_changed())
             .map(|t| (dihedral_cosine_range(self.rest_m(t))[1], t))
             .filter(|b| b.0 > max_cosine)
             .collect();
@@ -525,6 +555,7 @@ impl Patch {
             rest_m: from.rest_m.lerp(to.rest_m, share),
             present_m: from.present_m.lerp(to.present_m, share),
             blend: from.blend.towards(&to.blend, share)?,
+            is_moved: false,
             distance_m: (1.0 - share) * from.distance_m + share * to.distance_m,
             label: 0,
             line_labels: [UNKNOWN; 4],
@@ -624,6 +655,7 @@ impl Patch {
             rest_m: a.rest_m.lerp(b.rest_m, 0.5).lerp(c.rest_m, third),
             present_m: a.present_m.lerp(b.present_m, 0.5).lerp(c.present_m, third),
             blend: a.blend.towards(&b.blend, 0.5)?.towards(&c.blend, third)?,
+            is_moved: false,
             distance_m: (a.distance_m + b.distance_m + c.distance_m) * third,
             label: 0,
             line_labels: [UNKNOWN; 4],
@@ -671,20 +703,32 @@ impl Patch {
         self.stars[new as usize].push(tet);
     }
 
-    /// Tetrahedra of the mesh that are not what they were, ascending.
-    pub(super) fn changed_tets(&self) -> Vec<TetId> {
-        let is_changed = |tet: &&TetId| {
-            let here = self.tets[self.tet_here[tet.index()] as usize];
+    /// Tetrahedra of the mesh that others take the place of.
+    pub(super) fn replaced_tets(&self) -> impl Iterator<Item = TetId> + '_ {
+        let is_replaced = |tet: &TetId| {
+            let here = self.here(*tet);
             !(here.is_live && here.is_old)
         };
-        let mut changed: Vec<TetId> = self.pulled_tets.iter().filter(is_changed).copied().collect();
-        changed.sort_unstable();
-        changed
+        self.pulled_tets.iter().copied().filter(is_replaced)
     }
 
-    /// Largest cosine of a dihedral angle at rest among what is new; -1 without any.
+    /// Tetrahedra of the mesh that are not what they were.
+    pub(super) fn changed_tets(&self) -> impl Iterator<Item = TetId> + '_ {
+        let is_changed = |tet: &TetId| {
+            let here = self.here(*tet);
+            !here.is_live || here.is_changed()
+        };
+        self.pulled_tets.iter().copied().filter(is_changed)
+    }
+
+    /// What has become of a tetrahedron of the mesh that is in the patch.
+    fn here(&self, tet: TetId) -> PatchTet {
+        self.tets[self.tet_here[tet.index()] as usize]
+    }
+
+    /// Largest cosine of a dihedral angle at rest among what is new or has another shape; -1 without any.
     pub(super) fn max_new_cosine(&self) -> f64 {
-        let new = self.live_tets().filter(|&t| !self.tets[t as usize].is_old);
+        let new = self.live_tets().filter(|&t| self.tets[t as usize].is_changed());
         let cosine = |t| {
             let cosine = dihedral_cosine_range(self.rest_m(t))[1];
             if cosine.is_nan() { 1.0 } else { cosine }

@@ -177,7 +177,7 @@ fn collapse(
     leaving: &mut Leaving,
     max_area_change_m2: f64,
 ) -> bool {
-    if patch.nodes[gone as usize].is_front {
+    if patch.nodes[gone as usize].is_front || patch.is_still(gone) {
         return false;
     }
     let n_common = leaving.faces.iter().filter(|f| f.contains(&kept)).count();
@@ -352,7 +352,14 @@ fn exchange(patch: &mut Patch, old: &[u32], new: &[[u32; 4]], cosine_before: f64
         patch.take_out(tet);
     }
     for &nodes in new {
-        patch.push_tet(PatchTet { nodes, parent, is_live: true, is_old: false, is_mixed });
+        patch.push_tet(PatchTet {
+            nodes,
+            parent,
+            is_live: true,
+            is_old: false,
+            is_reshaped: false,
+            is_mixed,
+        });
     }
     true
 }

@@ -2,11 +2,10 @@
 
 use super::{SubdivisionCut, SubdivisionParams};
 use crate::math::{DVec3, SeededRandom};
-use crate::mesh::NodeId;
 use crate::mesh::box_mesh::box_of_five;
 use crate::mesh::edit::{EditableMesh, MeshEdit};
 use crate::mesh::quality::MeshQuality;
-use crate::mesh::remap::follow;
+use crate::mesh::remap::follow_in_tissue;
 
 /// Strokes that cross each other.
 const N_STROKES: usize = 7;
@@ -50,7 +49,7 @@ fn ways_to_cut_that_are_dropped_early_would_not_have_won() {
             assert_eq!(quick.report(), thorough.report());
             if let Ok(Some(edit)) = edit {
                 let change = body.apply(&MeshEdit::Replace(edit)).unwrap();
-                follow::<NodeId, DVec3>(&mut positions_m, &change);
+                follow_in_tissue(&mut positions_m, &change);
             }
         }
         n_coarser += quick.report().n_coarser;

@@ -328,8 +328,10 @@ pub(super) fn check_parents(before_m: &[DVec3], body: &EditableMesh, change: &To
         let off_m = mean_m.distance(mesh.positions_m[node.index()]);
         assert!(off_m < 1e-9, "{label}: {node} is {off_m} m from its parents' mean");
     }
-    // Tetrahedra at nodes that move keep what they have, as those do that stay.
-    if !change.moved_nodes.is_empty() {
+    // Tetrahedra at nodes that move keep what they have, as those do that stay. A node that moved may have been pulled onto
+    // another afterwards.
+    let is_pulled_together = !(change.nodes.removed.is_empty() || change.nodes.added.ids().is_empty());
+    if !change.moved_nodes.is_empty() || is_pulled_together {
         return;
     }
     for (tet, parents) in change.tets.added.iter().filter(|(tet, _)| topology.is_live_tet(*tet)) {

@@ -232,7 +232,7 @@ impl Results {
              recount; volume, and the sum of the model's masses (kept, or less by what was taken out; 1e-9); what touches and what is shown \
              against that recount; of all free nodes elastic forces with ligaments, and weights, against a plain loop over the live tetrahedra with \
              each one's own material (1e-9 of the largest); supports and loads by node, vessels by place at rest and against a search of all cut faces; skin and cut faces against the skin at the start, where no node of it moved; \
-             stress memory of each tetrahedron (the same bits, or its parents'); new and moved nodes where their parents were, and new tetrahedra where no node moved; finite numbers in the next three steps. \
+             stress memory of each tetrahedron (the same bits, or its parents'); new and moved nodes where their parents were, and new tetrahedra in edits that move no node and pull none onto another; finite numbers in the next three steps. \
              One edit in ten is taken back and made again, with the same bits. What a removal or tear leaves hanging together by a node or an edge alone is parted in the same edit, what a stroke leaves when the edge is lifted: then no node or edge holds parts together alone. \
              Every {compared_every} edits and at the end: forces, weights and supports against a model made afresh from the edited mesh, where the nodes are then; nodes of tetrahedra with an edge more than {GREATEST_STRETCH} times its \
              length are first put back at rest, since forces there are differences of much larger numbers.\n\nMade by `cargo xtask soak edits`.\n\n\

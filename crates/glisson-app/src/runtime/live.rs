@@ -19,6 +19,7 @@ use glisson::tool::found::Detected;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -89,12 +90,14 @@ pub(crate) struct Lateness {
 }
 
 /// The simulation stands still for a while again and again: what the haptic loop must not feel.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub(crate) struct Stalls {
     /// From the beginning of one to the next.
     pub(crate) every: Duration,
     /// How long each takes, working all the time.
     pub(crate) length: Duration,
+    /// Whether one is on, for whoever wants to know what happens meanwhile.
+    pub(crate) is_on: Arc<AtomicBool>,
 }
 
 /// How a run ended.
@@ -104,6 +107,8 @@ pub(crate) struct Ended {
     pub(crate) steps: u64,
     /// Stalls that were made.
     pub(crate) n_stalls: u64,
+    /// What they took together.
+    pub(crate) stalled: Duration,
     pub(crate) lateness: Lateness,
     pub(crate) times: StepTimes,
 }
@@ -414,7 +419,7 @@ pub(crate) fn run(
     commands: &Receiver<Command>,
     Shown { mut feed, first }: Shown,
     links: Vec<ToolLink>,
-    stalls: Option<Stalls>,
+    stalls: Option<&Stalls>,
 ) -> anyhow::Result<Ended> {
     let Published { mut topology, meters, .. } = first;
     let dt_s = simulation.world().spec().time_step_s;
@@ -439,7 +444,7 @@ pub(crate) fn run(
     let mut last_shown = None;
     let mut simulated_until = Instant::now();
     let mut next_stall = stalls.map(|stalls| Instant::now() + stalls.every);
-    let mut n_stalls = 0;
+    let (mut n_stalls, mut stalled) = (0, Duration::ZERO);
     let step = Duration::from_secs_f64(dt_s);
     loop {
         let now = Instant::now();
@@ -450,7 +455,7 @@ pub(crate) fn run(
             Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => {
                 let steps = live.simulation.world().steps_made();
                 let state_hash = live.simulation.finish()?;
-                return Ok(Ended { state_hash, steps, n_stalls, lateness, times: meters.times() });
+                return Ok(Ended { state_hash, steps, n_stalls, stalled, lateness, times: meters.times() });
             }
             Ok(command) => refresh = live.obey(command)?,
             Err(RecvTimeoutError::Timeout) => {}
@@ -458,10 +463,13 @@ pub(crate) fn run(
         if let (Some(stalls), Some(begin)) = (stalls, next_stall)
             && Instant::now() >= begin
         {
-            let end = Instant::now() + stalls.length;
-            while Instant::now() < end {
+            stalls.is_on.store(true, Ordering::Relaxed);
+            let begun = Instant::now();
+            while begun.elapsed() < stalls.length {
                 std::hint::spin_loop();
             }
+            stalls.is_on.store(false, Ordering::Relaxed);
+            stalled += begun.elapsed();
             n_stalls += 1;
             next_stall = Some(begin + stalls.every);
         }
@@ -540,9 +548,10 @@ mod tests {
         let simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
         let (shown, mut published) = Shown::start(&simulation).unwrap();
         let (commands, commands_out) = std::sync::mpsc::channel();
-        let stalls = Stalls { every: Duration::from_millis(200), length: Duration::from_millis(150) };
+        let (every, length) = (Duration::from_millis(200), Duration::from_millis(150));
+        let stalls = Stalls { every, length, is_on: Arc::default() };
         let thread = std::thread::spawn(move || {
-            run(simulation, &commands_out, shown, Vec::new(), Some(stalls)).unwrap()
+            run(simulation, &commands_out, shown, Vec::new(), Some(&stalls)).unwrap()
         });
         let begin = Instant::now();
         let mut latest = Arc::clone(&published.borrow_and_update());
@@ -579,6 +588,7 @@ mod tests {
         );
         assert_eq!(effort, Effort::Least);
         assert!(ended.n_stalls > 2 && ended.lateness.n_given_up > 0, "{ended:?}");
+        assert!(ended.stalled >= Duration::from_millis(150) * ended.n_stalls as u32, "{ended:?}");
         let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
         assert_eq!(text.matches("\"effort\"").count(), 2 * 2, "{}", text.len());
         assert_eq!(replayed(folder.path(), ""), (None, ended.state_hash));

@@ -150,7 +150,7 @@ pub(crate) fn serve(
     let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
     let simulation_thread = std::thread::Builder::new()
         .name("simulation".into())
-        .spawn(move || live::run(simulation, &commands_out, shown, links, stalls))?;
+        .spawn(move || live::run(simulation, &commands_out, shown, links, stalls.as_ref()))?;
     let shared = Arc::new(Shared {
         hello,
         published,

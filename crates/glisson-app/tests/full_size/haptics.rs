@@ -3,7 +3,8 @@
 use super::glisson;
 use serde_json::Value;
 
-/// Missed deadlines may rise by so many percentage points; other tests run beside this one, so that a run may be spoilt.
+/// Missed deadlines may rise by so many percentage points where the core was free in both runs. Where the host of a virtual
+/// machine took more of its time than that, in either, the difference is the host's.
 const GREATEST_RISE_PERCENT: f64 = 0.1;
 /// 99.9 of 100 ticks begin nearer to their moment than this [us] in the real-time class on a core that others leave it, ...
 const GREATEST_JITTER_US: f64 = 100.0;
@@ -40,9 +41,17 @@ fn stalls_of_the_simulation_do_not_reach_the_haptic_loop() {
                 what_is_late.push(format!("{what}, on a free core"));
             }
         }
+        // On any machine: a loop that waited would tick once or twice in each stall of 30 periods.
+        if report["stalls_are_not_felt"] != true {
+            let (in_stalls, all) = (&report["rate_in_stalls_hz"], &stalled["rate_hz"]);
+            what_is_late.push(format!("{in_stalls} ticks a second during stalls, {all} in all"));
+        }
         let rise = report["missed_percent_rise"].as_f64().unwrap();
-        if rise > GREATEST_RISE_PERCENT {
-            what_is_late.push(format!("stalls raise the missed deadlines by {rise} percentage points"));
+        let what = format!("stalls raise the missed deadlines by {rise} percentage points");
+        if [&report, stalled].into_iter().any(|run| run["core_was_free"] != true) {
+            eprintln!("{what}, not on a free core");
+        } else if rise > GREATEST_RISE_PERCENT {
+            what_is_late.push(what);
         }
         if what_is_late.is_empty() {
             return;

@@ -1,16 +1,11 @@
 //! The surface as a viewer is told it, kept up to date edit by edit: only what changed is worked on.
 
 use super::capsule::Capsule;
-use super::skin::SurfaceChange;
+use super::skin::{LEAST_SPARE, SurfaceChange, spare_beside};
 use crate::math::DVec3;
 use crate::mesh::topology::Topology;
 use crate::mesh::{NodeId, TriangleId};
 use crate::record::snapshot::DisplayTopology;
-
-/// Room for edits before tables have to be moved: this share of the surface ...
-const SPARE_SHARE: usize = 2;
-/// ... and at least so much.
-const LEAST_SPARE: usize = 64;
 
 /// Nodes of the surface, which are the vertices of its triangles.
 #[derive(Clone, Debug)]
@@ -37,7 +32,7 @@ impl DisplaySurface {
     pub(super) fn new(topology: &Topology, capsule: &Capsule) -> Self {
         let (nodes, ids) = (topology.surface_nodes().collect::<Vec<_>>(), topology.surface_triangles());
         let ids: Vec<TriangleId> = ids.collect();
-        let n_places = ids.len() + LEAST_SPARE.max(ids.len() / SPARE_SHARE);
+        let n_places = ids.len() + spare_beside(ids.len());
         let mut surface = Self {
             nodes: Vec::with_capacity(n_places),
             ids: Vec::with_capacity(n_places),
@@ -90,9 +85,10 @@ impl DisplaySurface {
         places.clear();
         places.extend(added.iter().map(|triangle| ids.partition_point(|known| known < triangle)));
         let vertex_of = |node: NodeId| nodes.binary_search(&node).expect("it is on the surface") as u32;
-        put_in(ids, places, |new| added[new]);
-        put_in(triangles, places, |new| from_lowest(topology.outward_nodes(added[new]).map(vertex_of)));
-        put_in(is_cut, places, |new| capsule.is_cut(added[new]));
+        put_in(ids, places, TriangleId(0), |new| added[new]);
+        let outward = |new: usize| topology.outward_nodes(added[new]).map(vertex_of);
+        put_in(triangles, places, [0; 3], |new| from_lowest(outward(new)));
+        put_in(is_cut, places, false, |new| capsule.is_cut(added[new]));
     }
 
     /// For a viewer; `rest_m`: places at rest of all nodes [m].
@@ -129,10 +125,10 @@ fn take_out<T: Copy>(list: &mut Vec<T>, places: &[usize]) {
     list.truncate(to);
 }
 
-/// Puts the values of `new` into a list, each before what is at its place; places ascend.
-fn put_in<T: Copy>(list: &mut Vec<T>, places: &[usize], new: impl Fn(usize) -> T) {
+/// Puts the values of `new` into a list, each before what is at its place; places ascend. `blank`: any value.
+fn put_in<T: Copy>(list: &mut Vec<T>, places: &[usize], blank: T, new: impl Fn(usize) -> T) {
     let mut end = list.len();
-    list.extend((0..places.len()).map(&new));
+    list.resize(end + places.len(), blank);
     for (nth, &place) in places.iter().enumerate().rev() {
         list.copy_within(place..end, place + nth + 1);
         list[place + nth] = new(nth);
@@ -146,7 +142,7 @@ mod tests {
     use crate::math::SeededRandom;
     use crate::mesh::TetId;
     use crate::mesh::box_mesh::box_of_five;
-    use crate::mesh::edit::{EdgeSplit, MeshEdit, MeshUndo};
+    use crate::mesh::edit::{EdgeSplit, MeshEdit, MeshUndo, TopologyChange};
     use crate::world::organ::{Organ, OrganBefore};
 
     #[test]
@@ -154,7 +150,7 @@ mod tests {
         let mut list = vec![0, 1, 2, 3, 4, 5];
         take_out(&mut list, &[0, 2, 3]);
         assert_eq!(list, [1, 4, 5]);
-        put_in(&mut list, &[0, 0, 2, 3], |new| [-1, 0, 4, 9][new]);
+        put_in(&mut list, &[0, 0, 2, 3], 7, |new| [-1, 0, 4, 9][new]);
         assert_eq!(list, [-1, 0, 1, 4, 4, 5, 9]);
     }
 
@@ -195,9 +191,8 @@ mod tests {
             } else {
                 MeshEdit::Remove { tets }
             };
-            let (mut change, mut undo) = Default::default();
+            let (mut change, mut undo) = (TopologyChange::default(), MeshUndo::default());
             organ.body_mut().apply_saving(&edit, &mut change, &mut undo).unwrap();
-            let _: &MeshUndo = &undo;
             let (before, mut overwritten) = (organ.display_topology(), OrganBefore::default());
             organ.follow_edit(&change, &mut overwritten);
             check(&organ);

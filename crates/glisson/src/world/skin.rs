@@ -11,10 +11,15 @@ use crate::math::DVec3;
 use crate::mesh::edit::EditableMesh;
 use crate::mesh::{NodeId, TriangleId};
 
-/// Room for edits before the search has to be made anew: this share of the surface ...
+/// Room for edits before what is kept of a surface has to be made anew: this share of its triangles or nodes ...
 const SPARE_SHARE: usize = 2;
-/// ... and at least so many triangles and nodes.
-const LEAST_SPARE: usize = 64;
+/// ... and at least so many.
+pub(super) const LEAST_SPARE: usize = 64;
+
+/// Room for edits beside so many triangles or nodes.
+pub(super) fn spare_beside(n: usize) -> usize {
+    LEAST_SPARE.max(n / SPARE_SHARE)
+}
 
 /// A slot without a triangle, a triangle without a slot.
 const NONE: u32 = u32::MAX;
@@ -60,7 +65,7 @@ impl Skin {
         let topology = body.topology();
         let on_surface: Vec<TriangleId> = topology.surface_triangles().collect();
         let n = on_surface.len();
-        let n_spare = LEAST_SPARE.max(n / SPARE_SHARE);
+        let n_spare = spare_beside(n);
         let n_slots = n + n_spare;
         let mut skin = Self {
             // Replaced below, when the slots are filled.
@@ -76,7 +81,7 @@ impl Skin {
         };
         let resting_m = positions_m.first().copied().unwrap_or(DVec3::ZERO);
         skin.end_m.extend_from_slice(positions_m);
-        skin.end_m.resize(positions_m.len() + LEAST_SPARE.max(positions_m.len() / SPARE_SHARE), resting_m);
+        skin.end_m.resize(positions_m.len() + spare_beside(positions_m.len()), resting_m);
         skin.start_m.clone_from(&skin.end_m);
         for (slot, &triangle) in on_surface.iter().enumerate() {
             skin.slots[triangle.index()] = slot as u32;

@@ -80,6 +80,29 @@ impl Ranks {
 }
 
 impl EditableMesh {
+    /// Whether tetrahedra form one piece through their faces, as most patches do.
+    fn hang_together(&self, tets: &Ranks) -> bool {
+        let (mut left, mut n_left) = (tets.words.clone(), tets.n_members);
+        let mut to_visit: Vec<usize> = Vec::with_capacity(n_left);
+        let mut reach = |tet: usize, to_visit: &mut Vec<usize>| {
+            let (word, bit) = (&mut left[tet / 64], 1 << (tet % 64));
+            if *word & bit != 0 {
+                *word &= !bit;
+                n_left -= 1;
+                to_visit.push(tet);
+            }
+        };
+        tets.members().take(1).for_each(|first| reach(first, &mut to_visit));
+        while let Some(tet) = to_visit.pop() {
+            for next in
+                self.topology.tet_neighbours(TetId::from_index(tet)).into_iter().filter_map(|n| n.get())
+            {
+                reach(next.index(), &mut to_visit);
+            }
+        }
+        n_left == 0
+    }
+
     /// Marks in `change` which notion of a piece may have more of them than before `plan`, which was carried out.
     /// `opened`: whether faces may have been.
     pub(super) fn judge_pieces(&self, plan: &Plan, opened: bool, change: &mut TopologyChange) {
@@ -89,6 +112,9 @@ impl EditableMesh {
         let nodes = Ranks::of(topology.n_nodes(), corners);
         let stars = nodes.members().flat_map(|n| topology.node_tets(NodeId::from_index(n)));
         let patch = Ranks::of(topology.n_tets(), stars.map(|t| t.index()));
+        if self.hang_together(&patch) {
+            return;
+        }
         let mut pieces = Unions::new(patch.n_members);
         let members = || patch.members().map(TetId::from_index).enumerate();
         for (at, tet) in members() {

@@ -108,7 +108,19 @@ impl Tet {
     pub(super) fn shared_volume_m3(&self, other: &Self) -> f64 {
         let is_apart = other.relation(&self.corners) == Relation::Apart
             || self.relation(&other.corners) == Relation::Apart;
-        if is_apart { 0.0 } else { clipped_volume_m3(self.corners.corners_m, &other.inside, other.on_face_m) }
+        if is_apart {
+            return 0.0;
+        }
+        // A face that this one lies within cuts off nothing of its parts either.
+        let (mut cutting, mut n) = ([(DVec3::ZERO, 0.0); 4], 0);
+        for half_space in other.inside {
+            let is_beyond = |p: &DVec3| half_space.0.dot(*p) - half_space.1 < -other.on_face_m;
+            if self.corners.corners_m.iter().any(is_beyond) {
+                cutting[n] = half_space;
+                n += 1;
+            }
+        }
+        clipped_volume_m3(self.corners.corners_m, &cutting[..n], other.on_face_m)
     }
 }
 

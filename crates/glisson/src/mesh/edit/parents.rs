@@ -4,6 +4,7 @@ use super::EditableMesh;
 use super::overlap::{Corners, Relation, Tet, are_near};
 use crate::math::{Aabb, DVec3};
 use crate::mesh::TetId;
+use std::cell::OnceCell;
 
 const NONE: u32 = u32::MAX;
 
@@ -12,13 +13,11 @@ const NOTHING_MISSING: f64 = 1e-10;
 
 /// Finds parents. From the tetrahedron that holds the new one's centre the search goes through the faces of what it
 /// overlaps; if that does not account for its volume (where the old ones do not hang together), it looks at all of them.
-pub(super) struct ParentsByVolume {
-    ids: Vec<TetId>,
-    shapes: Vec<Tet>,
-    /// Boxes around them, apart from the shapes: most of them are all that is looked at.
-    bounds: Vec<Aabb>,
-    /// The one beyond each face, as a place in `ids`; [`NONE`] if it does not make room.
-    beyond: Vec<[u32; 4]>,
+pub(super) struct ParentsByVolume<'a> {
+    body: &'a EditableMesh,
+    ids: &'a [TetId],
+    /// Worked out when looked at: most are far from the new tetrahedra that are asked for.
+    olds: Vec<OnceCell<Old>>,
     parents: Vec<(TetId, f64)>,
     /// Places still to be looked at, in order, and those from which the search has gone on.
     queue: Vec<u32>,
@@ -27,28 +26,25 @@ pub(super) struct ParentsByVolume {
     last: usize,
 }
 
-impl ParentsByVolume {
+/// A tetrahedron that makes room or gets another shape.
+struct Old {
+    shape: Tet,
+    /// The one beyond each face, as a place in the list of ids; [`NONE`] if it stays as it is.
+    beyond: [u32; 4],
+}
+
+impl<'a> ParentsByVolume<'a> {
     /// Among `ids`, the tetrahedra of `body` in whose place new ones are, ascending.
-    pub(super) fn new(body: &EditableMesh, ids: &[TetId]) -> Self {
-        let mut this = Self {
-            ids: ids.to_vec(),
-            shapes: Vec::with_capacity(ids.len()),
-            bounds: Vec::with_capacity(ids.len()),
-            beyond: Vec::with_capacity(ids.len()),
+    pub(super) fn new(body: &'a EditableMesh, ids: &'a [TetId]) -> Self {
+        Self {
+            body,
+            ids,
+            olds: (0..ids.len()).map(|_| OnceCell::new()).collect(),
             parents: Vec::new(),
             queue: Vec::new(),
             is_queued: vec![false; ids.len()],
             last: 0,
-        };
-        for &tet in ids {
-            let corners = Corners::new(body.mesh().corners_m(tet));
-            this.bounds.push(corners.bounds());
-            this.shapes.push(Tet::new(corners));
-            this.beyond.push(body.topology().tet_neighbours(tet).map(|next| {
-                next.get().and_then(|next| ids.binary_search(&next).ok()).map_or(NONE, |at| at as u32)
-            }));
         }
-        this
     }
 
     /// The parents of the tetrahedron with the given corners, ascending, with shares that add up to 1.
@@ -76,9 +72,10 @@ impl ParentsByVolume {
         let mut at = self.last;
         // Rounding could lead in a circle.
         for _ in 0..self.ids.len() {
-            match self.shapes[at].face_towards(point_m) {
+            let old = old(self.body, self.ids, &self.olds, at);
+            match old.shape.face_towards(point_m) {
                 None => return Some(at),
-                Some(face) => at = self.beyond[at][face] as usize,
+                Some(face) => at = old.beyond[face] as usize,
             }
             if at == NONE as usize {
                 return None;
@@ -91,12 +88,12 @@ impl ParentsByVolume {
     fn search_from_centre(&mut self, own: &Corners) -> bool {
         let Some(holder) = self.holder(own.center_m()) else { return false };
         self.last = holder;
-        if self.shapes[holder].relation(own) == Relation::Within {
-            self.parents.push((self.ids[holder], 1.0));
+        let Self { body, ids, olds, parents, queue, is_queued, .. } = self;
+        if old(body, ids, olds, holder).shape.relation(own) == Relation::Within {
+            parents.push((ids[holder], 1.0));
             return true;
         }
         let (own, own_m3) = (Tet::new(own.clone()), own.volume_m3());
-        let Self { ids, shapes, beyond, parents, queue, is_queued, .. } = self;
         queue.clear();
         queue.push(holder as u32);
         is_queued[holder] = true;
@@ -104,13 +101,14 @@ impl ParentsByVolume {
         while n_done < queue.len() && missing_m3 > NOTHING_MISSING * own_m3 {
             let at = queue[n_done] as usize;
             n_done += 1;
-            let shared_m3 = own.shared_volume_m3(&shapes[at]);
+            let old = old(body, ids, olds, at);
+            let shared_m3 = own.shared_volume_m3(&old.shape);
             if shared_m3 <= 0.0 {
                 continue;
             }
             parents.push((ids[at], shared_m3));
             missing_m3 -= shared_m3;
-            for next in beyond[at] {
+            for next in old.beyond {
                 if next != NONE && !is_queued[next as usize] {
                     is_queued[next as usize] = true;
                     queue.push(next);
@@ -131,11 +129,11 @@ impl ParentsByVolume {
     fn look_at_all(&mut self, own: &Corners) {
         let (own, own_bounds) = (Tet::new(own.clone()), own.bounds());
         let mut largest_m3 = 0.0;
-        for (at, shape) in self.shapes.iter().enumerate() {
-            if are_near(&own_bounds, &self.bounds[at]) {
-                let shared_m3 = own.shared_volume_m3(shape);
+        for (at, &tet) in self.ids.iter().enumerate() {
+            if are_near(&own_bounds, &Aabb::of_points(&self.body.mesh().corners_m(tet))) {
+                let shared_m3 = own.shared_volume_m3(&old(self.body, self.ids, &self.olds, at).shape);
                 if shared_m3 > 0.0 {
-                    self.parents.push((self.ids[at], shared_m3));
+                    self.parents.push((tet, shared_m3));
                     if shared_m3 > largest_m3 {
                         (largest_m3, self.last) = (shared_m3, at);
                     }
@@ -145,6 +143,16 @@ impl ParentsByVolume {
     }
 }
 
+/// The tetrahedron at a place of `ids`.
+fn old<'a>(body: &EditableMesh, ids: &[TetId], olds: &'a [OnceCell<Old>], at: usize) -> &'a Old {
+    olds[at].get_or_init(|| Old {
+        shape: Tet::new(Corners::new(body.mesh().corners_m(ids[at]))),
+        beyond: body.topology().tet_neighbours(ids[at]).map(|next| {
+            next.get().and_then(|next| ids.binary_search(&next).ok()).map_or(NONE, |at| at as u32)
+        }),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -152,7 +160,7 @@ mod tests {
     use crate::mesh::box_mesh::cube_of_five;
 
     /// The same by looking at every old tetrahedron.
-    fn by_all(parents: &mut ParentsByVolume, corners_m: [DVec3; 4]) -> Vec<(TetId, f64)> {
+    fn by_all(parents: &mut ParentsByVolume<'_>, corners_m: [DVec3; 4]) -> Vec<(TetId, f64)> {
         parents.parents.clear();
         parents.look_at_all(&Corners::new(corners_m));
         let sum: f64 = parents.parents.iter().map(|p| p.1).sum();

@@ -91,14 +91,15 @@ impl EditableMesh {
             self.check_borders(plan, &corners_of)?;
         }
         self.check_filled(plan, &corners_of, &reshaped)?;
+        let body: &Self = self;
         let mut room = reshaped;
         room.extend_from_slice(&plan.doomed);
         room.sort_unstable();
         let is_any_unknown = new_tets.iter().any(|(_, parents)| parents.is_empty());
-        let mut by_volume = is_any_unknown.then(|| ParentsByVolume::new(self, &room));
+        let mut by_volume = is_any_unknown.then(|| ParentsByVolume::new(body, &room));
         for (place, (nodes, (_, parents))) in corners_of.into_iter().zip(new_tets).enumerate() {
             if let (true, Some(by_volume)) = (parents.is_empty(), &mut by_volume) {
-                let corners_m = nodes.map(|n| plan.position_m(&self.mesh, n));
+                let corners_m = nodes.map(|n| plan.position_m(&body.mesh, n));
                 plan.add_tet(nodes, by_volume.of(corners_m));
                 continue;
             }

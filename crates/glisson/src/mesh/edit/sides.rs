@@ -32,21 +32,29 @@ impl Side {
     }
 }
 
-/// The triangles of `tets` that belong to one of them alone, ascending; an error with one that belongs to more
-/// than two, or to two on the same side of it.
-fn outer_sides(tets: impl Iterator<Item = [NodeId; 4]>) -> Result<Vec<Side>, Side> {
+/// The triangles of some tetrahedra, both lists ascending.
+struct Sides {
+    /// Those that belong to one of them alone.
+    outer: Vec<Side>,
+    /// Those between two of them, in the order that is not odd.
+    inner: Vec<Side>,
+}
+
+/// The triangles of `tets`; an error with one that belongs to more than two, or to two on the same side of it.
+fn sides_of(tets: impl Iterator<Item = [NodeId; 4]>) -> Result<Sides, Side> {
     let mut sides: Vec<Side> =
         tets.flat_map(|corners| (0..TET_TRIANGLES.len()).map(move |face| Side::of(corners, face))).collect();
     sides.sort_unstable();
-    let mut outer = Vec::new();
+    let mut found =
+        Sides { outer: Vec::with_capacity(sides.len()), inner: Vec::with_capacity(sides.len() / 2) };
     for same in sides.chunk_by(|a, b| a.triangle() == b.triangle()) {
         match same {
-            [alone] => outer.push(*alone),
-            [a, b] if !a.is_odd() && b.is_odd() => {}
+            [alone] => found.outer.push(*alone),
+            [a, b] if !a.is_odd() && b.is_odd() => found.inner.push(*a),
             _ => return Err(same[0]),
         }
     }
-    Ok(outer)
+    Ok(found)
 }
 
 fn differs(side: Side) -> EditError {
@@ -58,9 +66,9 @@ impl EditableMesh {
     /// Refuses new tetrahedra whose outer triangles are not those of the old ones, or whose inner triangles
     /// are triangles of others.
     pub(super) fn check_outer_sides(&self, plan: &Plan, new: &[[NodeId; 4]]) -> Result<(), EditError> {
-        let old =
-            outer_sides(plan.doomed.iter().map(|&tet| self.topology.tet_nodes(tet))).map_err(differs)?;
-        let outer = outer_sides(new.iter().copied()).map_err(differs)?;
+        let old = plan.doomed.iter().map(|&tet| self.topology.tet_nodes(tet));
+        let Sides { outer: old, .. } = sides_of(old).map_err(differs)?;
+        let Sides { outer, inner } = sides_of(new.iter().copied()).map_err(differs)?;
         if let Some(&other) = old
             .iter()
             .find(|s| outer.binary_search(s).is_err())
@@ -68,24 +76,21 @@ impl EditableMesh {
         {
             return Err(differs(other));
         }
-        self.check_inner_sides(plan, new, &outer)
+        self.check_inner_sides(plan, &inner)
     }
 
-    /// Refuses new tetrahedra with an inner triangle that one which stays has already.
-    fn check_inner_sides(&self, plan: &Plan, new: &[[NodeId; 4]], outer: &[Side]) -> Result<(), EditError> {
+    /// Refuses triangles between two new tetrahedra that one which stays has already.
+    fn check_inner_sides(&self, plan: &Plan, inner: &[Side]) -> Result<(), EditError> {
         let n_nodes = self.topology.n_nodes();
-        for &corners in new {
-            for face in 0..4 {
-                let side = Side::of(corners, face);
-                let nodes = side.nodes();
-                if nodes[2].index() >= n_nodes || outer.binary_search(&side).is_ok() {
-                    continue;
-                }
-                let Some(triangle) = self.topology.triangle_between(nodes) else { continue };
-                let of_others = |tet: TetId| plan.doomed.binary_search(&tet).is_err();
-                if self.topology.triangle_tets(triangle).into_iter().filter_map(|t| t.get()).any(of_others) {
-                    return Err(differs(side));
-                }
+        for &side in inner {
+            let nodes = side.nodes();
+            if nodes[2].index() >= n_nodes {
+                continue;
+            }
+            let Some(triangle) = self.topology.triangle_between(nodes) else { continue };
+            let of_others = |tet: TetId| plan.doomed.binary_search(&tet).is_err();
+            if self.topology.triangle_tets(triangle).into_iter().filter_map(|t| t.get()).any(of_others) {
+                return Err(differs(side));
             }
         }
         Ok(())
@@ -94,7 +99,7 @@ impl EditableMesh {
     /// Refuses tetrahedra that leave a triangle towards a neighbour that stays without its other side, or that
     /// meet others in a triangle from the same side.
     pub(super) fn check_borders(&self, plan: &Plan, new: &[[NodeId; 4]]) -> Result<(), EditError> {
-        let outer = outer_sides(new.iter().copied()).map_err(differs)?;
+        let Sides { outer, inner } = sides_of(new.iter().copied()).map_err(differs)?;
         let stays = |tet: TetId| plan.doomed.binary_search(&tet).is_err();
         let mut n_borders = 0;
         for &tet in &plan.doomed {
@@ -124,6 +129,6 @@ impl EditableMesh {
                 }
             }
         }
-        self.check_inner_sides(plan, new, &outer)
+        self.check_inner_sides(plan, &inner)
     }
 }

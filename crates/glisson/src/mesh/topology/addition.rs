@@ -180,38 +180,17 @@ impl Topology {
         waiting: &mut Waiting,
         change: &mut TopologyChange,
     ) -> TetId {
-        let edges = TET_EDGES.map(|[i, j]| {
-            let (a, b) = (nodes[i].min(nodes[j]), nodes[i].max(nodes[j]));
-            let key = edge_key([a, b]);
-            if let Some(&edge) = waiting.found_edges.get(&key) {
-                return edge;
-            }
-            let edge = self.edge_between(a, b).or_else(|| waiting.edge(key)).unwrap_or_else(|| {
-                let edge = self.push_edge([a, b]);
-                change.edges.added.push(edge, &[]);
-                edge
-            });
-            waiting.found_edges.insert(key, edge);
-            edge
-        });
-        let triangles = TET_TRIANGLES.map(|face| {
-            let corners = ascending(face.map(|k| nodes[k]));
-            let key = triangle_key(corners);
-            // A triangle has two sides: it is asked for no more.
-            if let Some(triangle) = waiting.found_triangles.remove(&key) {
-                return triangle;
-            }
-            let place = corners.map(|n| face.into_iter().find(|&k| nodes[k] == n).expect("a corner"));
-            let sides = [(1, 2), (0, 2), (0, 1)].map(|(a, b)| edges[local_edge(place[a], place[b])]);
-            let there = self.triangle_over(sides[2], corners).or_else(|| waiting.triangle(key));
-            let triangle = there.unwrap_or_else(|| {
-                let triangle = self.push_triangle(corners, sides);
-                change.triangles.added.push(triangle, &[]);
-                triangle
-            });
-            waiting.found_triangles.insert(key, triangle);
-            triangle
-        });
+        // Loops: the closures of `map` were calls.
+        let mut edges = [EdgeId(0); 6];
+        for (edge, [i, j]) in edges.iter_mut().zip(TET_EDGES) {
+            *edge = self.edge_for([nodes[i].min(nodes[j]), nodes[i].max(nodes[j])], waiting, change);
+        }
+        let mut triangles = [TriangleId(0); 4];
+        for (triangle, [i, j, k]) in triangles.iter_mut().zip(TET_TRIANGLES) {
+            let mut corners = [(nodes[i], i), (nodes[j], j), (nodes[k], k)];
+            corners.sort_unstable();
+            *triangle = self.triangle_for(corners, &edges, waiting, change);
+        }
         let tet = TetId::from_index(self.n_tets());
         self.tet_nodes.push(nodes);
         self.tet_edges.push(edges);
@@ -220,6 +199,46 @@ impl Topology {
         self.tet_live.push(false);
         self.attach_tet(tet, change);
         tet
+    }
+
+    /// The edge between two nodes, ascending, for a tetrahedron that comes.
+    fn edge_for(&mut self, nodes: [NodeId; 2], waiting: &mut Waiting, change: &mut TopologyChange) -> EdgeId {
+        let key = edge_key(nodes);
+        if let Some(&edge) = waiting.found_edges.get(&key) {
+            return edge;
+        }
+        let there = self.edge_between(nodes[0], nodes[1]).or_else(|| waiting.edge(key));
+        let edge = there.unwrap_or_else(|| {
+            let edge = self.push_edge(nodes);
+            change.edges.added.push(edge, &[]);
+            edge
+        });
+        waiting.found_edges.insert(key, edge);
+        edge
+    }
+
+    /// The triangle over nodes, ascending, each with its place in the tetrahedron with these edges that comes.
+    fn triangle_for(
+        &mut self,
+        [(a, i), (b, j), (c, k)]: [(NodeId, usize); 3],
+        edges: &[EdgeId; 6],
+        waiting: &mut Waiting,
+        change: &mut TopologyChange,
+    ) -> TriangleId {
+        let key = triangle_key([a, b, c]);
+        // A triangle has two sides: it is asked for no more.
+        if let Some(triangle) = waiting.found_triangles.remove(&key) {
+            return triangle;
+        }
+        let sides = [edges[local_edge(j, k)], edges[local_edge(i, k)], edges[local_edge(i, j)]];
+        let there = self.triangle_over(sides[2], [a, b, c]).or_else(|| waiting.triangle(key));
+        let triangle = there.unwrap_or_else(|| {
+            let triangle = self.push_triangle([a, b, c], sides);
+            change.triangles.added.push(triangle, &[]);
+            triangle
+        });
+        waiting.found_triangles.insert(key, triangle);
+        triangle
     }
 
     /// Brings the dead tetrahedron `tet` to life with the nodes, edges and triangles of its record; inverse of

@@ -595,7 +595,9 @@ impl SubdivisionCut {
         patch.front = front;
         // Until the end of the stroke it may open yet.
         tried.closed_m2 = if is_last { closed_m2 } else { 0.0 };
-        max_cosine = max_cosine.max(patch.max_new_cosine());
+        if !patch.is_parting_known {
+            max_cosine = max_cosine.max(patch.max_new_cosine());
+        }
         let before = patch.changed_tets().map(|t| body.mesh.mesh().corners_m(t));
         let cosine_before = before.map(|c| dihedral_cosine_range(c)[1]).fold(-1.0, f64::max);
         // The largest cosine is that of the smallest angle.

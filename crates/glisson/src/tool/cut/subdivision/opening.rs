@@ -1,6 +1,6 @@
 //! Opens the faces of a cut: every node gets as many copies as its tetrahedra form groups.
 
-use super::patch::{Body, Patch, pair_key, sorted};
+use super::patch::{Body, Patch, sorted};
 use crate::mesh::NodeId;
 use crate::mesh::edit::{CavityNode, MovedNode, NewNode, NewTet, Replacement};
 use crate::mesh::quality::FACES;
@@ -30,13 +30,12 @@ pub(super) fn divide_closed(
     max_cosines: [f64; 2],
 ) -> f64 {
     pull_stars(patch, body);
-    let mut groups = Groups::default();
-    let origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();
+    let mut groups = Groups::of(patch);
     let (mut starts, mut stars) = (std::mem::take(&mut patch.parting), std::mem::take(&mut patch.parted));
     starts.clear();
     stars.clear();
     for node in nodes_of_cut(patch) {
-        if groups.find(patch, node, &origin) > 1 {
+        if groups.find(patch, node) > 1 {
             starts.push((node, stars.len()));
             stars.extend(groups.star.iter().copied().zip(groups.group.iter().copied()));
         }
@@ -112,29 +111,30 @@ fn pull_stars(patch: &mut Patch, body: Body<'_>) {
 pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> bool) -> Opened {
     pull_stars(patch, body);
     let nodes = nodes_of_cut(patch);
-    let mut sides: Vec<([u32; 3], Vec<u32>)> = Vec::with_capacity(patch.cut.len());
+    let mut sides: Vec<([u32; 3], [Option<u32>; 2])> = Vec::with_capacity(patch.cut.len());
     // Both sides of what opens belong to the edit, also where only one gets copies.
     for at in 0..patch.cut.len() {
         let face = patch.cut[at];
-        let tets: Vec<u32> = patch.tets_at_face(face).collect();
-        for &tet in &tets {
+        let mut at_face = patch.tets_at_face(face);
+        let tets = [at_face.next(), at_face.next()];
+        drop(at_face);
+        for tet in tets.into_iter().flatten() {
             patch.tets[tet as usize].is_old = false;
         }
         sides.push((face, tets));
     }
-    let mut groups = Groups::default();
-    // The faces are known by the nodes from before; copies stand for their origin.
-    let mut origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();
+    // Copies of other nodes change nothing around a node: only faces of the cut come apart.
     let is_known = std::mem::take(&mut patch.is_parting_known);
+    let mut groups = if is_known { Groups::default() } else { Groups::of(patch) };
+    let mut origin: Vec<u32> = (0..patch.nodes.len() as u32).collect();
     let (starts, stars) = (std::mem::take(&mut patch.parting), std::mem::take(&mut patch.parted));
     for &node in &nodes {
-        // Copies of other nodes change nothing around this one: only faces of the cut come apart.
         let n_groups = if is_known {
             let Ok(at) = starts.binary_search_by_key(&node, |s| s.0) else { continue };
             let end = starts.get(at + 1).map_or(stars.len(), |s| s.1);
             groups.set(&stars[starts[at].1..end])
         } else {
-            groups.find(patch, node, &origin)
+            groups.find(patch, node)
         };
         if n_groups < 2 {
             continue;
@@ -154,7 +154,7 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> 
     (patch.parting, patch.parted) = (starts, stars);
     let mut opened = Opened::default();
     for (face, tets) in sides {
-        let [a, b] = tets[..] else { continue };
+        let [Some(a), Some(b)] = tets else { continue };
         if face.into_iter().any(&is_front) {
             for tet in [a, b] {
                 let nodes = patch.tets[tet as usize].nodes.into_iter();
@@ -176,46 +176,69 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> 
 /// The tetrahedra at a node, grouped.
 #[derive(Default)]
 struct Groups {
+    /// The tetrahedron beyond each face of each, opposite the corner in that place; [`NONE`] where none is and where the face is
+    /// cut. Known of those at nodes of the cut.
+    across: Vec<[u32; 4]>,
     star: Vec<u32>,
     /// Group of each; 0 is the one that keeps the node.
     group: Vec<u32>,
-    /// Faces at the node, each where its two other nodes hash to: these, and the place of a tetrahedron in the star.
-    sides: Vec<(u64, u32)>,
+    /// The place in `star` of each tetrahedron of it.
+    places: Vec<u32>,
     /// The number of the group of each root.
     numbers: Vec<u32>,
 }
 
-/// No face.
-const EMPTY: u64 = u64::MAX;
-
-/// Spreads keys over a table (the golden ratio as a share of 2^64; Knuth, The Art of Computer Programming 3, s. 6.4).
-const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
+/// No tetrahedron.
+const NONE: u32 = u32::MAX;
 
 impl Groups {
+    /// For the nodes of the cut, whose stars are in the patch.
+    fn of(patch: &Patch) -> Self {
+        let mut is_at_cut = vec![false; patch.nodes.len()];
+        for &node in patch.cut.iter().flatten() {
+            is_at_cut[node as usize] = true;
+        }
+        let mut across = vec![[NONE; 4]; patch.tets.len()];
+        let mut faces = FaceTable::with_room_for(FACES.len() * patch.tets.len());
+        for tet in patch.live_tets() {
+            let nodes = patch.tets[tet as usize].nodes;
+            let is_at_cut = nodes.map(|n| is_at_cut[n as usize]);
+            for (at, face) in FACES.iter().enumerate() {
+                let n_at_cut = face.iter().filter(|&&i| is_at_cut[i]).count();
+                if n_at_cut == 0 {
+                    continue;
+                }
+                let face = sorted(face.map(|i| nodes[i]));
+                let Some([other, there]) = faces.meet(face, [tet, at as u32]) else { continue };
+                if n_at_cut < 3 || patch.cut.binary_search(&face).is_err() {
+                    across[tet as usize][at] = other;
+                    across[other as usize][there as usize] = tet;
+                }
+            }
+        }
+        Self { across, places: vec![0; patch.tets.len()], ..Self::default() }
+    }
+
     /// Groups the star of `node` through the faces at it that are not cut; returns how many there are.
-    fn find(&mut self, patch: &Patch, node: u32, origin: &[u32]) -> usize {
+    fn find(&mut self, patch: &Patch, node: u32) -> usize {
         self.star.clear();
         self.star.extend_from_slice(patch.star(node));
         self.star.sort_unstable();
         self.group.clear();
         self.group.extend(0..self.star.len() as u32);
-        // Three faces each, and at most half of the table is full.
-        let n_bits = (6 * self.star.len()).max(2).next_power_of_two().ilog2();
-        self.sides.clear();
-        self.sides.resize(1 << n_bits, (EMPTY, 0));
+        for (at, &tet) in self.star.iter().enumerate() {
+            self.places[tet as usize] = at as u32;
+        }
         for at in 0..self.star.len() {
-            let nodes = patch.tets[self.star[at] as usize].nodes;
-            for [i, j, k] in FACES {
-                let face = [nodes[i], nodes[j], nodes[k]];
-                if let Some(here) = face.iter().position(|&n| n == node) {
-                    let (a, b) = (face[(here + 1) % 3], face[(here + 2) % 3]);
-                    if let Some(other) = self.meet(pair_key(a, b), at as u32, n_bits) {
-                        let triple = sorted([node, a, b].map(|n| origin[n as usize]));
-                        if patch.cut.binary_search(&triple).is_err() {
-                            let (a, b) = (root(&mut self.group, at as u32), root(&mut self.group, other));
-                            self.group[a.max(b) as usize] = a.min(b);
-                        }
-                    }
+            let tet = self.star[at];
+            for (&other, corner) in self.across[tet as usize].iter().zip(patch.tets[tet as usize].nodes) {
+                // Each face once; the one opposite the node is not at it.
+                if other < tet && corner != node {
+                    let (a, b) = (
+                        root(&mut self.group, at as u32),
+                        root(&mut self.group, self.places[other as usize]),
+                    );
+                    self.group[a.max(b) as usize] = a.min(b);
                 }
             }
         }
@@ -236,22 +259,6 @@ impl Groups {
         n_groups as usize
     }
 
-    /// The tetrahedron that has the face already, or else this one has it from now on.
-    fn meet(&mut self, key: u64, at: u32, n_bits: u32) -> Option<u32> {
-        let mut place = (key.wrapping_mul(SPREAD) >> (64 - n_bits)) as usize;
-        loop {
-            let (face, other) = self.sides[place];
-            if face == key {
-                return Some(other);
-            }
-            if face == EMPTY {
-                self.sides[place] = (key, at);
-                return None;
-            }
-            place = (place + 1) & ((1 << n_bits) - 1);
-        }
-    }
-
     /// Takes a star and its groups as they are known; returns how many groups there are.
     fn set(&mut self, star: &[(u32, u32)]) -> usize {
         self.star.clear();
@@ -259,6 +266,45 @@ impl Groups {
         self.group.clear();
         self.group.extend(star.iter().map(|s| s.1));
         star.iter().map(|s| s.1 as usize + 1).max().unwrap_or(0)
+    }
+}
+
+/// Which tetrahedron has a face already.
+struct FaceTable {
+    /// Each where its nodes hash to: the nodes, and the tetrahedron with the place of the face in it.
+    places: Vec<([u32; 3], [u32; 2])>,
+    n_bits: u32,
+}
+
+/// Nodes of no face.
+const EMPTY: [u32; 3] = [u32::MAX; 3];
+
+/// Spreads keys over a table (the golden ratio as a share of 2^64; Knuth, The Art of Computer Programming 3, s. 6.4).
+const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
+
+impl FaceTable {
+    /// At most half of it will be full.
+    fn with_room_for(n_faces: usize) -> Self {
+        let n_bits = (2 * n_faces).max(2).next_power_of_two().ilog2();
+        Self { places: vec![(EMPTY, [NONE; 2]); 1 << n_bits], n_bits }
+    }
+
+    /// Who has the face with these nodes, ascending, already, or else `this` has it from now on.
+    fn meet(&mut self, face: [u32; 3], this: [u32; 2]) -> Option<[u32; 2]> {
+        let [a, b, c] = face.map(u64::from);
+        let key = (a.wrapping_mul(SPREAD) ^ b).wrapping_mul(SPREAD) ^ c;
+        let mut place = (key.wrapping_mul(SPREAD) >> (64 - self.n_bits)) as usize;
+        loop {
+            let (there, other) = self.places[place];
+            if there == face {
+                return Some(other);
+            }
+            if there == EMPTY {
+                self.places[place] = (face, this);
+                return None;
+            }
+            place = (place + 1) & ((1 << self.n_bits) - 1);
+        }
     }
 }
 
@@ -278,17 +324,21 @@ pub(super) fn replacement(patch: &Patch, n_nodes: usize) -> (Replacement, Vec<Op
     for (at, node) in patch.nodes.iter().enumerate() {
         ids.push(node.old);
         let is_used = !patch.star(at as u32).is_empty();
-        let (position_m, parents) = (node.rest_m, node.blend.parents());
+        let (position_m, blend) = (node.rest_m, patch.blend(at as u32));
         if let Some(old) = node.old {
             corner[at] = CavityNode::Old(old);
             if node.is_moved && is_used {
-                edit.moved_nodes.push(MovedNode { node: old, position_m, parents: parents.collect() });
+                edit.moved_nodes.push(MovedNode {
+                    node: old,
+                    position_m,
+                    parents: blend.parents().collect(),
+                });
             }
         } else if is_used {
             let new = edit.new_nodes.len();
             corner[at] = CavityNode::New(new as u32);
             ids[at] = Some(NodeId::from_index(n_nodes + new));
-            edit.new_nodes.push(NewNode { position_m, parents: parents.collect() });
+            edit.new_nodes.push(NewNode { position_m, parents: blend.parents().collect() });
         }
     }
     for tet in patch.tets.iter().filter(|t| t.is_live && !t.is_old) {

@@ -73,16 +73,25 @@ impl Blend {
     }
 }
 
+/// What gives the place of a node.
+#[derive(Clone, Copy, Debug)]
+enum MadeOf {
+    /// A node of the mesh alone.
+    Node(NodeId),
+    /// A place in [`Patch::blends`].
+    Blend(u32),
+}
+
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PatchNode {
     /// The node of the mesh that this is, unless it is new.
     pub(super) old: Option<NodeId>,
     pub(super) rest_m: DVec3,
     pub(super) present_m: DVec3,
-    pub(super) blend: Blend,
+    made_of: MadeOf,
     /// It is not where it was.
     pub(super) is_moved: bool,
-    /// Signed distance [m] from the plane of the sweep at hand.
+    /// Signed distance [m] from the plane of the sweep at hand; not a number before it is asked for.
     pub(super) distance_m: f64,
     /// Its sign, or 0 for a node that counts as on the plane.
     pub(super) label: i8,
@@ -98,6 +107,15 @@ pub(super) struct PatchNode {
     has_whole_star: bool,
     /// [`Patch::n_changes`] when a tetrahedron at the node was last taken out.
     pub(super) changed_at: usize,
+}
+
+/// Where a new node comes in.
+struct NewPlace {
+    rest_m: DVec3,
+    present_m: DVec3,
+    blend: Blend,
+    /// From the plane of the sweep at hand.
+    distance_m: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -127,6 +145,8 @@ impl PatchTet {
 pub(super) struct Patch {
     pub(super) nodes: Vec<PatchNode>,
     pub(super) tets: Vec<PatchTet>,
+    /// Apart from the nodes, which are read much more often than these.
+    blends: Vec<Blend>,
     /// How many tetrahedra were taken out.
     pub(super) n_changes: usize,
     /// Live tetrahedra at each node; longer than `nodes`, the rest to be used again.
@@ -147,7 +167,7 @@ pub(super) struct Patch {
     pub(super) parting: Vec<(u32, usize)>,
     /// Tetrahedra around the nodes of `parting`, ascending around each, and the copy of the node that each gets.
     pub(super) parted: Vec<(u32, u32)>,
-    /// Whether the faces still are those that `parting` knows.
+    /// Whether the faces still are those that `parting` knows: none was divided since.
     pub(super) is_parting_known: bool,
 }
 
@@ -211,6 +231,7 @@ impl Patch {
         self.tet_here.resize(mesh.topology().n_tets(), ABSENT);
         self.nodes.clear();
         self.tets.clear();
+        self.blends.clear();
         self.n_changes = 0;
         self.is_parting_known = false;
         self.cut.clear();
@@ -246,6 +267,39 @@ impl Patch {
         here
     }
 
+    fn push_blend(&mut self, blend: Blend) -> MadeOf {
+        self.blends.push(blend);
+        MadeOf::Blend(self.blends.len() as u32 - 1)
+    }
+
+    /// What a node is made of.
+    pub(super) fn blend(&self, node: u32) -> Blend {
+        match self.nodes[node as usize].made_of {
+            MadeOf::Node(node) => Blend::of(node),
+            MadeOf::Blend(at) => self.blends[at as usize],
+        }
+    }
+
+    /// Puts a node on the plane of the sweep at hand.
+    fn push_new(&mut self, NewPlace { rest_m, present_m, blend, distance_m }: NewPlace) -> u32 {
+        let made_of = self.push_blend(blend);
+        self.push_node(PatchNode {
+            old: None,
+            rest_m,
+            present_m,
+            made_of,
+            is_moved: false,
+            distance_m,
+            label: 0,
+            line_labels: [UNKNOWN; 4],
+            is_front: false,
+            is_front_end: false,
+            is_wake: false,
+            has_whole_star: true,
+            changed_at: 0,
+        })
+    }
+
     fn pull_node(&mut self, body: Body<'_>, node: NodeId) -> u32 {
         if let Some(here) = self.node_here(node) {
             return here;
@@ -254,9 +308,9 @@ impl Patch {
             old: Some(node),
             rest_m: body.mesh.mesh().positions_m[node.index()],
             present_m: body.present_m[node.index()],
-            blend: Blend::of(node),
+            made_of: MadeOf::Node(node),
             is_moved: false,
-            distance_m: 0.0,
+            distance_m: f64::NAN,
             label: UNKNOWN,
             line_labels: [UNKNOWN; 4],
             is_front: false,
@@ -306,8 +360,9 @@ impl Patch {
         }
         match moved {
             Some(blend) => {
+                let made_of = self.push_blend(blend);
                 let this = &mut self.nodes[node as usize];
-                this.blend = blend;
+                this.made_of = made_of;
                 this.is_moved = true;
                 this.has_whole_star = true;
                 let is_new = this.old.is_none();
@@ -550,20 +605,11 @@ impl Patch {
     pub(super) fn split_edge(&mut self, body: Body<'_>, [a, b]: [u32; 2], share: f64) -> Option<u32> {
         self.pull_edge(body, [a, b]);
         let (from, to) = (self.nodes[a as usize], self.nodes[b as usize]);
-        let middle = self.push_node(PatchNode {
-            old: None,
+        let middle = self.push_new(NewPlace {
             rest_m: from.rest_m.lerp(to.rest_m, share),
             present_m: from.present_m.lerp(to.present_m, share),
-            blend: from.blend.towards(&to.blend, share)?,
-            is_moved: false,
+            blend: self.blend(a).towards(&self.blend(b), share)?,
             distance_m: (1.0 - share) * from.distance_m + share * to.distance_m,
-            label: 0,
-            line_labels: [UNKNOWN; 4],
-            is_front: false,
-            is_front_end: false,
-            is_wake: false,
-            has_whole_star: true,
-            changed_at: 0,
         });
         let star = std::mem::take(&mut self.stars[a as usize]);
         for &tet in &star {
@@ -649,21 +695,13 @@ impl Patch {
     /// tetrahedra there; `None` (and nothing done) if it would be a blend of too many nodes.
     pub(super) fn split_face(&mut self, face: [u32; 3]) -> Option<u32> {
         let [a, b, c] = face.map(|n| self.nodes[n as usize]);
+        let [of_a, of_b, of_c] = face.map(|n| self.blend(n));
         let third = 1.0 / 3.0;
-        let middle = self.push_node(PatchNode {
-            old: None,
+        let middle = self.push_new(NewPlace {
             rest_m: a.rest_m.lerp(b.rest_m, 0.5).lerp(c.rest_m, third),
             present_m: a.present_m.lerp(b.present_m, 0.5).lerp(c.present_m, third),
-            blend: a.blend.towards(&b.blend, 0.5)?.towards(&c.blend, third)?,
-            is_moved: false,
+            blend: of_a.towards(&of_b, 0.5)?.towards(&of_c, third)?,
             distance_m: (a.distance_m + b.distance_m + c.distance_m) * third,
-            label: 0,
-            line_labels: [UNKNOWN; 4],
-            is_front: false,
-            is_front_end: false,
-            is_wake: false,
-            has_whole_star: true,
-            changed_at: 0,
         });
         let swapped = |nodes: [u32; 4], gone: u32| nodes.map(|n| if n == gone { middle } else { n });
         for tet in self.tets_at_face(face).collect::<Vec<u32>>() {

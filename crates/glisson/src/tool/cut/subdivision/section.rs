@@ -4,7 +4,7 @@
 //! divided there. Then inside the plane: the same with the lines that bound the polygon. Every decision
 //! hangs on the labels of nodes alone, so that neighbours cannot disagree.
 
-use super::patch::{Accept, Body, Patch, PatchNode, UNKNOWN, sorted};
+use super::patch::{Accept, Body, Patch, PatchNode, UNKNOWN, pair_key, sorted};
 use super::sweep::{Side, Sweep};
 use crate::math::{DVec3, tetrahedron_volume_m3};
 use crate::mesh::TetId;
@@ -65,16 +65,19 @@ struct Work<'a> {
 pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping: Snapping) -> Section {
     for node in &mut patch.nodes {
         node.label = UNKNOWN;
+        node.distance_m = f64::NAN;
         node.line_labels = [UNKNOWN; 4];
     }
     let mut work = Work { patch, body, sweep, snapping, n_snapped: 0 };
     let (touched, swept_area_m2) = work.touched();
     let n_touched = touched.len();
     work.divide_across_plane(touched);
+    let mut faces = work.faces_of_plane();
     for k in 0..sweep.n_lines() {
-        work.divide_across_line(k);
+        if work.divide_across_line(k, &faces) {
+            faces = work.faces_of_plane();
+        }
     }
-    let faces = work.faces_of_plane();
     let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
     let n_snapped = work.n_snapped;
     let (mut covered_m2, mut strayed_m2) = (0.0, 0.0);
@@ -115,19 +118,23 @@ fn add_front(patch: &mut Patch, sweep: &Sweep, k: usize, faces: &[[u32; 3]], rea
 impl Work<'_> {
     /// The side of a node, from exact arithmetic at first sight.
     fn label(&mut self, node: u32) -> i8 {
-        let Self { sweep, snapping, .. } = *self;
-        let node = &mut self.patch.nodes[node as usize];
-        if node.label == UNKNOWN {
-            node.distance_m = sweep.distance_m(node.present_m);
-            node.label = sign(node.distance_m);
-            if node.distance_m.abs() <= snapping.same_m {
-                node.label = 0;
-            }
-            if (node.is_front || node.is_wake) && node.distance_m.abs() <= snapping.front_m {
-                node.label = 0;
-            }
+        if self.patch.nodes[node as usize].label == UNKNOWN {
+            let distance_m = self.distance_m(node);
+            let Snapping { same_m, front_m, .. } = self.snapping;
+            let node = &mut self.patch.nodes[node as usize];
+            let reach_m = if node.is_front || node.is_wake { front_m.max(same_m) } else { same_m };
+            node.label = if distance_m.abs() <= reach_m { 0 } else { sign(distance_m) };
         }
-        node.label
+        self.patch.nodes[node as usize].label
+    }
+
+    /// How far [m] a node is from the plane, worked out at first sight.
+    fn distance_m(&mut self, node: u32) -> f64 {
+        let node = &mut self.patch.nodes[node as usize];
+        if node.distance_m.is_nan() {
+            node.distance_m = self.sweep.distance_m(node.present_m);
+        }
+        node.distance_m
     }
 
     /// Tetrahedra that the polygon cuts, in the patch, and the area [m2] inside the body.
@@ -147,7 +154,7 @@ impl Work<'_> {
         for tet in self.patch.live_tets().collect::<Vec<u32>>() {
             let corners_m = self.patch.present_m(tet);
             if near(corners_m) {
-                let distance_m = corners_m.map(|p| self.sweep.distance_m(p));
+                let distance_m = self.patch.tets[tet as usize].nodes.map(|n| self.distance_m(n));
                 let (is_touched, inside_m2) = self.meets(tet, corners_m, distance_m);
                 area_m2 += inside_m2;
                 if is_touched {
@@ -165,7 +172,10 @@ impl Work<'_> {
                 continue;
             }
             let corners_m = nodes[at].map(|n| self.body.present_m[n.index()]);
-            let distance_m = corners_m.map(|p| self.sweep.distance_m(p));
+            let distance_m = nodes[at].map(|n| match self.patch.node_here(n) {
+                Some(here) => self.distance_m(here),
+                None => self.sweep.distance_m(self.body.present_m[n.index()]),
+            });
             if distance_m.iter().all(|&d| d > flat_m) || distance_m.iter().all(|&d| d < -flat_m) {
                 continue;
             }
@@ -290,13 +300,18 @@ impl Work<'_> {
 
     /// Edges of tetrahedra through the plane, and where they cross.
     fn crossings(&mut self, tets: &[u32]) -> Vec<([u32; 2], f64)> {
-        let mut edges: Vec<[u32; 2]> = tets.iter().flat_map(|&t| self.patch.tet_edges(t)).collect();
+        // One number sorts faster than two.
+        let mut edges: Vec<u64> = Vec::with_capacity(6 * tets.len());
+        for &tet in tets {
+            for node in self.patch.tets[tet as usize].nodes {
+                self.label(node);
+            }
+            edges.extend(self.patch.tet_edges(tet).map(|[a, b]| pair_key(a, b)));
+        }
         edges.sort_unstable();
         edges.dedup();
-        for &node in edges.iter().flatten() {
-            self.label(node);
-        }
-        let share = |&[a, b]: &[u32; 2]| {
+        let share = |&edge: &u64| {
+            let [a, b] = [(edge >> 32) as u32, edge as u32];
             let (p, q) = (&self.patch.nodes[a as usize], &self.patch.nodes[b as usize]);
             (p.label * q.label < 0).then(|| ([a, b], p.distance_m / (p.distance_m - q.distance_m)))
         };
@@ -362,9 +377,10 @@ impl Work<'_> {
         (node.line_labels[k], inside_m)
     }
 
-    fn divide_across_line(&mut self, k: usize) {
+    /// Divides faces of the plane; whether there was anything to divide, so that they may be others now.
+    fn divide_across_line(&mut self, k: usize, faces: &[[u32; 3]]) -> bool {
         let mut shares = Vec::new();
-        for face in self.faces_of_plane() {
+        for &face in faces {
             let inside = face.map(|n| self.line_label(k, n));
             let labels = inside.map(|i| i.0);
             if !(labels.contains(&1) && labels.contains(&-1)) {
@@ -400,8 +416,12 @@ impl Work<'_> {
         }
         shares.sort_unstable_by_key(|s| s.0);
         shares.dedup_by_key(|s| s.0);
+        if shares.is_empty() {
+            return false;
+        }
         self.snap(&shares, |node| &mut node.line_labels[k], Some(k));
         self.split(shares, |node| &mut node.line_labels[k]);
+        true
     }
 
     /// Gives the ends of edges that are near the crossing label 0, and moves them there if they can.

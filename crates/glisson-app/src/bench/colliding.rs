@@ -15,22 +15,24 @@ pub(crate) struct Moving {
     pub(crate) body_of: Vec<u32>,
 }
 
-/// Largest motion of a vertex in a step [m].
+/// Motion of each vertex in a step [m].
 const STEP_M: f64 = 1e-3;
 
 /// A ring of 16 cm in about `n_triangles` triangles, pressed together in the middle until its two sides go 1 cm into each
-/// other; waves run over it, so that each vertex moves by up to 1 mm a step.
+/// other; each vertex goes round a circle, where waves over the ring have it, by 1 mm a step.
 pub(crate) fn folded_ring(n_triangles: usize) -> Moving {
     let around = ((n_triangles as f64 / 4.8).sqrt().round() as usize).max(6);
     let along = n_triangles.div_ceil(2 * around);
-    let amplitude_m = STEP_M * N_FRAMES as f64 / TAU;
+    let circle_m = STEP_M / (2.0 * (0.5 * TAU / N_FRAMES as f64).sin());
+    let across = DVec3::new(0.4, 0.3, 0.8).normalize();
+    let along_ring = DVec3::new(0.6, -0.8, 0.0);
     let place = |i: usize, j: usize, phase: f64| {
         let (u, v) = (TAU * i as f64 / along as f64, TAU * j as f64 / around as f64);
         let out_m = 0.06 + 0.02 * v.cos();
         let (x, y, z) = (out_m * u.cos(), out_m * u.sin(), 0.02 * v.sin());
         let pressed_m = 0.045 * (-(x / 0.0453).powi(2)).exp() * (y / 0.02).tanh();
-        let wave = DVec3::new(0.4, 0.3, 0.8) * (3.0 * u + v + phase).sin();
-        DVec3::new(x, y - pressed_m, z) + wave * amplitude_m
+        let (sin, cos) = (3.0 * u + v + phase).sin_cos();
+        DVec3::new(x, y - pressed_m, z) + (across * sin + along_ring * cos) * circle_m
     };
     let frames_m = (0..N_FRAMES)
         .map(|frame| {

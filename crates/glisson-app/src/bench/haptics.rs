@@ -4,7 +4,7 @@
 use super::core_use::{CoreUse, Moment};
 use super::empty_loop;
 use crate::devices::{self, DeviceName};
-use crate::runtime::haptic_loop::{HapticReport, HapticSettings, Meters, check_rate, join};
+use crate::runtime::haptic_loop::{HapticReport, HapticSettings, Meters, WARM_UP_S, check_rate, join};
 use crate::runtime::histogram::{GreatestValue, Histogram};
 use crate::runtime::live::Stalls;
 use crate::runtime::pace::StepTimes;
@@ -154,8 +154,9 @@ pub(crate) fn measure(request: &HapticsRequest, tell: &dyn Fn(&str, usize, usize
     let n_tets = mesh.tetrahedra.len();
     let (plain_report, stalled_report) = (plain.meters.report(), stalled.meters.report());
     let rise = stalled_report.missed_percent() - plain_report.missed_percent();
-    let rate_in_stalls_hz =
-        stalled.forces.n_in_stalls.load(Ordering::Relaxed) as f64 / stalled.stalled_s.max(1e-9);
+    let n_in_stalls = stalled.forces.n_in_stalls.load(Ordering::Relaxed) as f64;
+    let rate_in_stalls_hz = (stalled.n_stalls > 0).then(|| n_in_stalls / stalled.stalled_s);
+    let is_felt = |hz: f64| hz < LEAST_RATE_SHARE * stalled_report.rate_hz;
     let empty = empty_jitter.percentiles();
     let mut answer = plain.to_json(&plain_report);
     let facts = json!({
@@ -173,7 +174,7 @@ pub(crate) fn measure(request: &HapticsRequest, tell: &dyn Fn(&str, usize, usize
         "greatest_rise_percent": GREATEST_RISE_PERCENT,
         "rise_is_small": rise <= GREATEST_RISE_PERCENT,
         "rate_in_stalls_hz": rate_in_stalls_hz,
-        "stalls_are_not_felt": rate_in_stalls_hz >= LEAST_RATE_SHARE * stalled_report.rate_hz,
+        "stalls_are_not_felt": rate_in_stalls_hz.map(|hz| !is_felt(hz)),
     });
     if let (Value::Object(answer), Value::Object(facts)) = (&mut answer, facts) {
         answer.extend(facts);
@@ -322,11 +323,12 @@ fn measure_block(request: &HapticsRequest, block: &Block<'_>, run: &mut Run) -> 
     let (used_in, used) = mpsc::channel();
     let meters = Arc::clone(&run.meters);
     let served = server::serve(simulation, listener, service, async move {
-        tokio::time::sleep(end / 10).await;
-        // The loop is on its core by now.
+        // The loop is on its core by then, and counts from there on.
+        let warm_up = Duration::from_secs_f64(WARM_UP_S);
+        tokio::time::sleep(warm_up).await;
         let now = || Moment::now(meters.report().scheduling?.core?, HAPTIC_THREAD);
         let from = now();
-        tokio::time::sleep(end - end / 10).await;
+        tokio::time::sleep(end - warm_up).await;
         // Who listens waits below.
         let _ = used_in.send(from.zip(now()));
     });

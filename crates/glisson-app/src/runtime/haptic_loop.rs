@@ -26,7 +26,7 @@ pub(crate) const RATES_HZ: RangeInclusive<f64> = 100.0..=4_000.0;
 /// A deadline counts as missed when its tick begins later than so many periods after it.
 const MISSED_PERIODS: u64 = 2;
 /// What happens in the first moments (page faults, cold caches) is not counted [s].
-const WARM_UP_S: f64 = 0.2;
+pub(crate) const WARM_UP_S: f64 = 0.2;
 /// 2^10 ns: the octave that is nearest to a microsecond ends there.
 const MICROSECOND_NS: u64 = 1 << 10;
 /// Longest interval between two ticks that the law is told [s]: what lies beyond is a standstill, not a tick.

@@ -139,7 +139,8 @@ fn send(surface: &Moving, seed: u64, motion: fn(&Place, &mut SeededRandom) -> Ca
     let mut random = SeededRandom::new(seed);
     let start_m = &surface.frames_m[0];
     let (push, turn) = (unit(&mut random), unit(&mut random));
-    let moved = |p: &DVec3| *p + (push + turn.cross(*p) / 0.1) * 0.5 * SURFACE_MOVE_M;
+    // Every place at that speed, on ways of its own.
+    let moved = |p: &DVec3| *p + (push + turn.cross(*p) / 0.1).normalize_or(push) * SURFACE_MOVE_M;
     let end_m: Vec<DVec3> = start_m.iter().map(moved).collect();
     let triangles = &surface.triangles;
     let mut search = SurfaceSearch::new(BroadPhaseKind::Hierarchy, start_m, triangles, 0);

@@ -364,3 +364,38 @@ fn impossible_steps_are_refused_with_a_reason() {
     assert_eq!(cut.report().n_edits, 0);
     assert_eq!(cut.advance(&body.mesh, &body.positions_m, place(0.012)), first);
 }
+
+/// Asked to leave no angle smaller than the smallest it finds, as hardly a cut of an irregular body does, a blade opens what
+/// faces there are.
+#[test]
+fn a_cut_snaps_until_no_shape_is_worse_than_asked() {
+    let mut random = SeededRandom::new(11);
+    let mut n_cuts = 0;
+    for _ in 0..40 {
+        let mut mesh = box_of_five([3, 3, 3], DVec3::splat(0.06));
+        for p in &mut mesh.positions_m {
+            let is_inside = p.cmpgt(DVec3::splat(1e-3)).all() && p.cmplt(DVec3::splat(0.059)).all();
+            let random = &mut random;
+            *p +=
+                DVec3::from_array([(); 3].map(|()| random.uniform_in(-0.003, 0.003))) * f64::from(is_inside);
+        }
+        let mean_m = mean_edge_m(&mesh);
+        let params = SubdivisionParams { min_dihedral_deg: 90.0, ..SubdivisionParams::for_mean_edge(mean_m) };
+        let mut body = Body::new(mesh);
+        let mut cut = SubdivisionCut::new(params);
+        let ways = [-0.01, random.uniform_in(0.02, 0.07)].map(|x| (x, random.uniform_in(0.01, 0.05)));
+        let lowest_m = random.uniform_in(-0.01, 0.04);
+        let [from, to] = ways.map(|(x, y)| [DVec3::new(x, y, lowest_m), DVec3::new(x, y, 0.07)]);
+        assert_eq!(cut.advance(&body.mesh, &body.positions_m, from), Ok(None));
+        let step = cut.advance(&body.mesh, &body.positions_m, to);
+        let report = *cut.report();
+        // What cannot be is refused with its angle; snapping has always found a way.
+        let edit = step.unwrap_or_else(|refusal| panic!("{refusal}"));
+        n_cuts += usize::from(edit.is_some());
+        edit.into_iter().for_each(|edit| body.apply(edit));
+        body.check(0.06f64.powi(3), "no worse shapes");
+        assert!(report.min_dihedral_deg >= report.min_dihedral_before_deg, "{report:?}");
+        assert_eq!(report.n_refused, 0);
+    }
+    assert!(n_cuts > 30, "{n_cuts}");
+}

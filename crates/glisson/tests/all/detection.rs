@@ -275,9 +275,9 @@ const TIP_RADIUS_M: f64 = 1e-3;
 
 impl Target {
     fn new(random: &mut SeededRandom, (start_m, triangles): (Vec<DVec3>, Vec<[u32; 3]>)) -> Self {
-        // A push and a turn, at most 0.5 mm for any vertex.
+        // Every place at that speed, on ways of its own.
         let (push, turn) = (unit(random), unit(random));
-        let move_of = |p: &DVec3| (push + turn.cross(*p) / 0.08) * 0.5 * SURFACE_MOVE_M;
+        let move_of = |p: &DVec3| (push + turn.cross(*p) / 0.08).normalize_or(push) * SURFACE_MOVE_M;
         let end_m = start_m.iter().map(|p| *p + move_of(p)).collect();
         Self { start_m, end_m, triangles }
     }

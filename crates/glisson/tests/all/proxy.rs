@@ -3,6 +3,8 @@
 use glisson::contact::proxy::{Proxy, ProxyForce, ProxyParams, ProxyState, ProxySurface};
 use glisson::contact::proxy_surface::SurfaceAdjacency;
 use glisson::contact::triangles::{at_weights, closest_weights};
+use glisson::haptics::mapping::{MappedDevice, patient_from_desk};
+use glisson::haptics::{DeviceMapping, DeviceState};
 use glisson::math::{DVec3, SeededRandom};
 
 struct Sheet {
@@ -114,6 +116,40 @@ fn on_a_plane_the_proxy_lags_by_friction_times_depth() {
             assert!((felt.state == ProxyState::Slides) == slides, "{friction} {step} {felt:?}");
             assert!((felt.depth_m - depth_m).abs() < 1e-12 && felt.normal == DVec3::Z);
         }
+    }
+}
+
+/// Seed `001`, s. 5: F = -k dx, with dx in the frame of the device.
+#[test]
+fn a_hand_feels_its_way_from_the_proxy_in_the_devices_frame() {
+    let plane = Sheet::grid(7, |_, _| 0.0);
+    let (motion_scale, force_scale) = (0.5, 2.0);
+    let mut mapped = MappedDevice::new(&DeviceMapping {
+        world_from_device: patient_from_desk(),
+        motion_scale,
+        force_scale,
+        device_origin_m: DVec3::new(0.1, 0.2, -0.1),
+        ..DeviceMapping::default()
+    });
+    let mut device = DeviceState {
+        position_m: DVec3::new(0.1, 0.2, -0.1),
+        velocity_m_per_s: DVec3::ZERO,
+        orientation: None,
+        jaw_opening: 1.0,
+        buttons: 0,
+    };
+    let touched = mapped.to_world(&device);
+    let mut proxy = plane.proxy(touched.tip_m);
+    let begun_m = device.position_m;
+    // The device's +z, to its user, is the world's -z: into the plane.
+    for dx_m in [DVec3::new(0.0, 0.0, 0.01), DVec3::new(0.004, -0.003, 0.02), DVec3::new(-0.01, 0.02, 0.03)] {
+        device.position_m = begun_m + dx_m;
+        let handle = mapped.to_world(&device);
+        let felt = proxy.advance(&plane.surface(), handle.tip_m, &rough(f64::INFINITY));
+        assert_eq!(felt.state, ProxyState::Sticks);
+        let at_hand_n = mapped.to_device(felt.on_tool_n, handle.arm_m).force_n;
+        let expected_n = -K * motion_scale * force_scale * dx_m;
+        assert!(at_hand_n.distance(expected_n) < 1e-12, "{at_hand_n} {expected_n}");
     }
 }
 

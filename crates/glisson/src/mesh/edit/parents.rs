@@ -72,7 +72,7 @@ impl<'a> ParentsByVolume<'a> {
         let mut at = self.last;
         // Rounding could lead in a circle.
         for _ in 0..self.ids.len() {
-            let old = old(self.body, self.ids, &self.olds, at);
+            let old = old_at(self.body, self.ids, &self.olds, at);
             match old.shape.face_towards(point_m) {
                 None => return Some(at),
                 Some(face) => at = old.beyond[face] as usize,
@@ -89,7 +89,7 @@ impl<'a> ParentsByVolume<'a> {
         let Some(holder) = self.holder(own.center_m()) else { return false };
         self.last = holder;
         let Self { body, ids, olds, parents, queue, is_queued, .. } = self;
-        if old(body, ids, olds, holder).shape.relation(own) == Relation::Within {
+        if old_at(body, ids, olds, holder).shape.relation(own) == Relation::Within {
             parents.push((ids[holder], 1.0));
             return true;
         }
@@ -101,7 +101,7 @@ impl<'a> ParentsByVolume<'a> {
         while n_done < queue.len() && missing_m3 > NOTHING_MISSING * own_m3 {
             let at = queue[n_done] as usize;
             n_done += 1;
-            let old = old(body, ids, olds, at);
+            let old = old_at(body, ids, olds, at);
             let shared_m3 = own.shared_volume_m3(&old.shape);
             if shared_m3 <= 0.0 {
                 continue;
@@ -131,7 +131,7 @@ impl<'a> ParentsByVolume<'a> {
         let mut largest_m3 = 0.0;
         for (at, &tet) in self.ids.iter().enumerate() {
             if are_near(&own_bounds, &Aabb::of_points(&self.body.mesh().corners_m(tet))) {
-                let shared_m3 = own.shared_volume_m3(&old(self.body, self.ids, &self.olds, at).shape);
+                let shared_m3 = own.shared_volume_m3(&old_at(self.body, self.ids, &self.olds, at).shape);
                 if shared_m3 > 0.0 {
                     self.parents.push((tet, shared_m3));
                     if shared_m3 > largest_m3 {
@@ -144,7 +144,7 @@ impl<'a> ParentsByVolume<'a> {
 }
 
 /// The tetrahedron at a place of `ids`.
-fn old<'a>(body: &EditableMesh, ids: &[TetId], olds: &'a [OnceCell<Old>], at: usize) -> &'a Old {
+fn old_at<'a>(body: &EditableMesh, ids: &[TetId], olds: &'a [OnceCell<Old>], at: usize) -> &'a Old {
     olds[at].get_or_init(|| Old {
         shape: Tet::new(Corners::new(body.mesh().corners_m(ids[at]))),
         beyond: body.topology().tet_neighbours(ids[at]).map(|next| {

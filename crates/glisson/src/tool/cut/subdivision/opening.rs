@@ -46,9 +46,7 @@ pub(super) fn divide_closed(
         star.binary_search_by_key(&tet, |s| s.0).map(|at| star[at].1)
     };
     let is_open = |face: [u32; 3]| {
-        let mut at_face = patch.tets_at_face(face);
-        let sides = [at_face.next(), at_face.next()];
-        let [Some(above), Some(below)] = sides else { return true };
+        let [Some(above), Some(below)] = patch.pair_at_face(face) else { return true };
         face.into_iter().any(|n| {
             let node = starts.binary_search_by_key(&n, |s| s.0);
             node.is_ok_and(|node| group_at(node, above) != group_at(node, below))
@@ -115,9 +113,7 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> 
     // Both sides of what opens belong to the edit, also where only one gets copies.
     for at in 0..patch.cut.len() {
         let face = patch.cut[at];
-        let mut at_face = patch.tets_at_face(face);
-        let tets = [at_face.next(), at_face.next()];
-        drop(at_face);
+        let tets = patch.pair_at_face(face);
         for tet in tets.into_iter().flatten() {
             patch.tets[tet as usize].is_old = false;
         }
@@ -176,8 +172,8 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> 
 /// The tetrahedra at a node, grouped.
 #[derive(Default)]
 struct Groups {
-    /// The tetrahedron beyond each face of each, opposite the corner in that place; [`NONE`] where none is and where the face is
-    /// cut. Known of those at nodes of the cut.
+    /// For each tetrahedron, the one beyond the face opposite each corner; [`NONE`] at the surface, across a face of the cut, and
+    /// for faces without a node of the cut.
     across: Vec<[u32; 4]>,
     star: Vec<u32>,
     /// Group of each; 0 is the one that keeps the node.
@@ -198,11 +194,12 @@ impl Groups {
         for &node in patch.cut.iter().flatten() {
             is_at_cut[node as usize] = true;
         }
+        let at_cut = |tet: u32| patch.tets[tet as usize].nodes.map(|n| is_at_cut[n as usize]);
+        let tets: Vec<u32> = patch.live_tets().filter(|&tet| at_cut(tet).contains(&true)).collect();
         let mut across = vec![[NONE; 4]; patch.tets.len()];
-        let mut faces = FaceTable::with_room_for(FACES.len() * patch.tets.len());
-        for tet in patch.live_tets() {
-            let nodes = patch.tets[tet as usize].nodes;
-            let is_at_cut = nodes.map(|n| is_at_cut[n as usize]);
+        let mut faces = FaceTable::with_room_for(FACES.len() * tets.len());
+        for tet in tets {
+            let (nodes, is_at_cut) = (patch.tets[tet as usize].nodes, at_cut(tet));
             for (at, face) in FACES.iter().enumerate() {
                 let n_at_cut = face.iter().filter(|&&i| is_at_cut[i]).count();
                 if n_at_cut == 0 {
@@ -348,4 +345,62 @@ pub(super) fn replacement(patch: &Patch, n_nodes: usize) -> (Replacement, Vec<Op
         });
     }
     (edit, ids)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::{DVec3, SeededRandom};
+    use crate::mesh::box_mesh::box_of_five;
+    use crate::mesh::edit::EditableMesh;
+
+    /// The group of each tetrahedron around a node, ascending: those that one comes to through faces that are not cut.
+    fn by_spreading(patch: &Patch, node: u32) -> (Vec<u32>, Vec<u32>) {
+        let mut star = patch.star(node).to_vec();
+        star.sort_unstable();
+        let mut first: Vec<usize> = (0..star.len()).collect();
+        let nodes = |at: usize| patch.tets[star[at] as usize].nodes;
+        let mut is_changed = true;
+        while is_changed {
+            is_changed = false;
+            for (a, b) in (0..star.len()).flat_map(|a| (0..star.len()).map(move |b| (a, b))) {
+                let common: Vec<u32> = nodes(a).into_iter().filter(|n| nodes(b).contains(n)).collect();
+                let Ok(face) = <[u32; 3]>::try_from(common) else { continue };
+                if !patch.cut.contains(&sorted(face)) && first[b] < first[a] {
+                    first[a] = first[b];
+                    is_changed = true;
+                }
+            }
+        }
+        let roots: Vec<usize> = (0..star.len()).filter(|&at| first[at] == at).collect();
+        let groups = first.iter().map(|root| roots.binary_search(root).unwrap() as u32).collect();
+        (star, groups)
+    }
+
+    #[test]
+    fn what_hangs_together_around_a_node_is_a_group() {
+        let mesh = EditableMesh::new(box_of_five([3; 3], DVec3::ONE)).unwrap();
+        let present_m = mesh.mesh().positions_m.clone();
+        let body = Body { mesh: &mesh, present_m: &present_m };
+        let mut random = SeededRandom::new(5);
+        let mut n_of_groups = [0; 8];
+        for share in [0.1, 0.3, 0.5, 0.8] {
+            let mut patch = Patch::default();
+            patch.start(&mesh);
+            mesh.topology().live_tets().for_each(|tet| _ = patch.pull_tet(body, tet));
+            let faces = |tet: u32| FACES.map(|face| sorted(face.map(|i| patch.tets[tet as usize].nodes[i])));
+            let mut inner: Vec<[u32; 3]> = patch.live_tets().flat_map(faces).collect();
+            inner.sort_unstable();
+            let inner = inner.chunk_by(|a, b| a == b).filter(|same| same.len() == 2).map(|same| same[0]);
+            patch.cut = inner.filter(|_| random.uniform() < share).collect();
+            pull_stars(&mut patch, body);
+            let mut groups = Groups::of(&patch);
+            for node in nodes_of_cut(&patch) {
+                let n_groups = groups.find(&patch, node);
+                assert_eq!((groups.star.clone(), groups.group.clone()), by_spreading(&patch, node));
+                n_of_groups[n_groups.min(7)] += 1;
+            }
+        }
+        assert!(n_of_groups[1..].iter().all(|&n| n > 0) && n_of_groups[0] == 0, "{n_of_groups:?}");
+    }
 }

@@ -114,7 +114,7 @@ struct NewPlace {
     rest_m: DVec3,
     present_m: DVec3,
     blend: Blend,
-    /// From the plane of the sweep at hand.
+    /// [`PatchNode::distance_m`].
     distance_m: f64,
 }
 
@@ -167,7 +167,7 @@ pub(super) struct Patch {
     pub(super) parting: Vec<(u32, usize)>,
     /// Tetrahedra around the nodes of `parting`, ascending around each, and the copy of the node that each gets.
     pub(super) parted: Vec<(u32, u32)>,
-    /// Whether the faces still are those that `parting` knows: none was divided since.
+    /// Whether the faces still are those that `parting` knows, for certain: none was divided.
     pub(super) is_parting_known: bool,
 }
 
@@ -280,7 +280,7 @@ impl Patch {
         }
     }
 
-    /// Puts a node on the plane of the sweep at hand.
+    /// Puts a node between others of the plane of a sweep.
     fn push_new(&mut self, NewPlace { rest_m, present_m, blend, distance_m }: NewPlace) -> u32 {
         let made_of = self.push_blend(blend);
         self.push_node(PatchNode {
@@ -673,6 +673,12 @@ impl Patch {
             nodes.contains(&b) && nodes.contains(&c)
         };
         self.stars[a as usize].iter().copied().filter(has_face)
+    }
+
+    /// The tetrahedra on both sides of a face.
+    pub(super) fn pair_at_face(&self, face: [u32; 3]) -> [Option<u32>; 2] {
+        let mut tets = self.tets_at_face(face);
+        [tets.next(), tets.next()]
     }
 
     /// Largest cosine of a dihedral angle at rest among what would come of dividing a face at its centre.

@@ -72,10 +72,10 @@ pub(super) fn conform(patch: &mut Patch, body: Body<'_>, sweep: &Sweep, snapping
     let (touched, swept_area_m2) = work.touched();
     let n_touched = touched.len();
     work.divide_across_plane(touched);
-    let mut faces = work.faces_of_plane();
+    let (mut faces, mut is_settled) = work.faces_of_plane();
     for k in 0..sweep.n_lines() {
-        if work.divide_across_line(k, &faces) {
-            faces = work.faces_of_plane();
+        if work.divide_across_line(k, &faces) || !is_settled {
+            (faces, is_settled) = work.faces_of_plane();
         }
     }
     let inside: Vec<[u32; 3]> = faces.into_iter().filter(|&f| work.is_inside(f)).collect();
@@ -318,8 +318,10 @@ impl Work<'_> {
         edges.iter().filter_map(share).collect()
     }
 
-    /// Faces of the plane, each between a tetrahedron above and one below.
-    fn faces_of_plane(&mut self) -> Vec<[u32; 3]> {
+    /// Faces of the plane, each between a tetrahedron above and one below; and whether they would be the same if asked for
+    /// again: a node beside them may turn out to be on the plane, too.
+    fn faces_of_plane(&mut self) -> (Vec<[u32; 3]>, bool) {
+        let mut is_settled = true;
         for node in 0..self.patch.nodes.len() as u32 {
             if self.patch.nodes[node as usize].label == 0 {
                 self.patch.pull_star(self.body, node);
@@ -342,7 +344,9 @@ impl Work<'_> {
                 if sum >= 0.0 { 1 } else { -1 }
             } else {
                 let apex = is_zero.iter().position(|&z| !z).unwrap_or(0);
-                self.label(tet.nodes[apex])
+                let side = self.label(tet.nodes[apex]);
+                is_settled &= side != 0;
+                side
             };
             for (opposite, face) in FACES.iter().enumerate() {
                 if n_zero == 4 || !is_zero[opposite] {
@@ -353,7 +357,8 @@ impl Work<'_> {
         }
         sides.sort_unstable();
         let is_parted = |w: &&[u128]| w[0] >> 2 == w[1] >> 2 && w[0] & 3 == 0 && w[1] & 3 == 2;
-        sides.windows(2).filter(is_parted).map(|w| [66, 34, 2].map(|shift| (w[0] >> shift) as u32)).collect()
+        let parted = sides.windows(2).filter(is_parted);
+        (parted.map(|w| [66, 34, 2].map(|shift| (w[0] >> shift) as u32)).collect(), is_settled)
     }
 
     /// The side of a node on line `k`.

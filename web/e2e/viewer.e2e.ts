@@ -318,11 +318,22 @@ describe("the viewer in front of the test ellipsoid", () => {
     server.simulator.say("}{");
     await page.locator(".message", { hasText: "not JSON" }).waitFor();
     expect(problems.some((text) => text.includes("the tool left the room"))).toBe(true);
+    expect(await page.locator('.message[data-kind="error"][role="alert"]').count()).toBe(3);
     // It goes on all the same.
     const frames = await page.evaluate(() => window.glisson!.counters.snapshotFrames);
     await page.waitForFunction((n) => window.glisson!.counters.snapshotFrames > n, frames);
     await page.locator(".message button").first().click();
     expect(await page.locator(".message").count()).toBe(2);
+  });
+
+  it("says calmly what is as it should be", async () => {
+    await open();
+    server.simulator.say(JSON.stringify({ type: "news", message: "the script is over" }));
+    const news = page.locator(".message", { hasText: "the script is over" });
+    await news.waitFor();
+    expect(await news.getAttribute("role")).toBe("status");
+    expect(await news.getAttribute("data-kind")).toBe("news");
+    expect(problems).toEqual([]);
   });
 
   it("says when the connection is lost and comes back", async () => {

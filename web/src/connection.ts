@@ -24,6 +24,8 @@ export interface ConnectionEvents {
   feel(feel: Feel): void;
   /** An error message of the server, or a message that could not be understood. */
   error(message: string): void;
+  /** What is as it should be, and worth knowing. */
+  notice(message: string): void;
 }
 
 const FIRST_DELAY_MS = 400;
@@ -114,6 +116,7 @@ export class Connection {
         else if (message.type === "role") this.events.role(message);
         else if (message.type === "timing") this.events.timing(message);
         else if (message.type === "feel") this.events.feel(message);
+        else if (message.type === "news") this.events.notice(message.message);
         else this.events.error(`Server: ${message.message}`);
       } else if (data instanceof ArrayBuffer) {
         const message = decodeBinary(data);

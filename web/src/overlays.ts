@@ -61,22 +61,31 @@ export class Help {
   }
 }
 
-/** Messages in the page; each is also written to the console. The same message again only counts up. */
+/** Messages in the page: what is wrong, also written to the console, and what is good to know. The same again only counts up. */
 export class Messages {
   private readonly shown = new Map<string, { node: HTMLElement; count: number }>();
 
   constructor(private readonly root: HTMLElement) {}
 
   error(text: string): void {
+    this.show(text, "error");
+  }
+
+  notice(text: string): void {
+    this.show(text, "news");
+  }
+
+  private show(text: string, kind: "error" | "news"): void {
     const known = this.shown.get(text);
     if (known !== undefined) {
       known.count += 1;
       known.node.dataset.count = `× ${known.count}`;
       return;
     }
-    console.error(text);
+    if (kind === "error") console.error(text);
     const node = element("div", "message");
-    node.setAttribute("role", "alert");
+    node.dataset.kind = kind;
+    node.setAttribute("role", kind === "error" ? "alert" : "status");
     node.append(element("span", "", text));
     const close = element("button", "", "×");
     close.setAttribute("aria-label", "Close this message");

@@ -37,14 +37,14 @@ const NONE = "–";
 /** A real minus is as wide as a digit. */
 const minus = (text: string): string => text.replace("-", "−");
 
-/** A force [N] to at least three figures: 1.234, 0.0512, 0.00123. */
+/** A force with its unit, to three figures or more: 12.34 N, 0.0512 N, 1.23 mN, 4.56 µN; what is less than a millionth is none. */
 export function forceText(force_n: number): string {
-  const size = Math.abs(force_n);
-  if (size >= 100) return force_n.toFixed(1);
-  if (size >= 10) return force_n.toFixed(2);
-  if (size >= 0.1 || size < 1e-6) return force_n.toFixed(3);
-  const decimals = Math.min(9, 2 - Math.floor(Math.log10(size)));
-  return force_n.toFixed(decimals);
+  const size_n = Math.abs(force_n);
+  if (size_n >= 100) return `${force_n.toFixed(1)} N`;
+  if (size_n >= 10) return `${force_n.toFixed(2)} N`;
+  if (size_n >= 0.1 || size_n < 1e-6) return `${force_n.toFixed(3)} N`;
+  if (size_n >= 0.01) return `${force_n.toFixed(4)} N`;
+  return size_n >= 1e-3 ? `${(1e3 * force_n).toFixed(2)} mN` : `${Number((1e6 * force_n).toPrecision(3))} µN`;
 }
 
 export function lengthOf(v: Vec3): number {
@@ -82,7 +82,7 @@ function bleedingText(bleeding: Bleeding): string {
 function handText(feel: Feel | null, tool: number): string {
   const hand = handOf(feel, tool);
   if (hand === null) return NONE;
-  return hand.is_held ? `${forceText(lengthOf(hand.force_n))} N` : "let go";
+  return hand.is_held ? forceText(lengthOf(hand.force_n)) : "let go";
 }
 
 export function panelValues(
@@ -98,9 +98,9 @@ export function panelValues(
   const force = header === null ? null : lengthOf(header.forceOnTool_n);
   return {
     scene: scene?.name ?? NONE,
-    force: force === null ? NONE : `${forceText(force)} N`,
+    force: force === null ? NONE : forceText(force),
     force_components: header === null ? NONE : minus3(header.forceOnTool_n.map((x) => x.toFixed(2))),
-    force_peak: header === null ? NONE : `${forceText(peak_n)} N`,
+    force_peak: header === null ? NONE : forceText(peak_n),
     hand_force: handText(feel, tool),
     instrument: header === null || hello === null ? NONE : instrumentText(hello, header, tool),
     contact: header === null ? NONE : header.contact ? "yes" : "no",

@@ -10,7 +10,7 @@ import { decodeFeel, type Feel } from "./feel";
 import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
-export const PROTOCOL_VERSION = 4;
+export const PROTOCOL_VERSION = 5;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
@@ -72,8 +72,9 @@ export interface Hello {
   readonly fixed_nodes: readonly number[];
 }
 
-export interface ServerError {
-  readonly type: "error";
+/** What the user should know: what is wrong, or (news) as it should be. */
+export interface ServerNotice {
+  readonly type: "error" | "news";
   readonly message: string;
 }
 
@@ -188,7 +189,7 @@ function toolsAt(fields: Fields): ToolInfo[] {
 }
 
 /** Decodes a text message of the server. */
-export function decodeText(text: string): Hello | ServerError | Role | Timing | Feel {
+export function decodeText(text: string): Hello | ServerNotice | Role | Timing | Feel {
   let parsed: unknown;
   try {
     parsed = JSON.parse(text);
@@ -197,12 +198,12 @@ export function decodeText(text: string): Hello | ServerError | Role | Timing | 
   }
   const fields = fieldsOf(parsed, "message");
   const type = stringAt(fields, "type", "message");
-  if (type === "error") return { type, message: stringAt(fields, "message", "error") };
+  if (type === "error" || type === "news") return { type, message: stringAt(fields, "message", type) };
   if (type === "role") return decodeRole(fields);
   if (type === "timing") return decodeTiming(fields);
   if (type === "feel") return decodeFeel(fields);
   if (type !== "hello") {
-    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel or error`);
+    fail(`unknown message type "${type.slice(0, 40)}"; the server may send hello, role, timing, feel, news or error`);
   }
   const protocol = numberAt(fields, "protocol", "hello");
   if (protocol !== PROTOCOL_VERSION) {

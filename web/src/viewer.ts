@@ -91,6 +91,7 @@ export class Viewer {
       snapshot: (snapshot, bytes) => this.receive(snapshot, bytes),
       ...this.news.events,
       error: (message) => this.messages.error(message),
+      notice: (message) => this.messages.notice(message),
     });
     this.connection.open();
     this.refreshSwitches();

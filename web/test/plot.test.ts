@@ -76,12 +76,17 @@ describe("plot", () => {
 });
 
 describe("panel", () => {
-  it("a force is written to within half a per cent", () => {
-    for (let force = 1e-5; force < 1e4; force *= 1.173) {
-      expect(Math.abs(Number(forceText(force)) - force) / force).toBeLessThanOrEqual(0.005);
+  it("a force is written to within half a per cent, in few letters", () => {
+    const inNewtons = { N: 1, mN: 1e-3, µN: 1e-6 };
+    for (let force = 1e-6; force < 1e4; force *= 1.0173) {
+      const text = forceText(force);
+      const [number, unit] = text.split(" ") as [string, keyof typeof inNewtons];
+      expect(Math.abs(Number(number) * inNewtons[unit] - force) / force).toBeLessThanOrEqual(0.005);
+      expect(text.length).toBeLessThanOrEqual(8);
     }
-    expect(forceText(0)).toBe("0.000");
-    expect(forceText(1.23456)).toBe("1.235");
+    expect(forceText(0)).toBe("0.000 N");
+    expect(forceText(1.23456)).toBe("1.235 N");
+    expect(forceText(1.89e-6)).toBe("1.89 µN");
   });
   it("points are in millimetres, without a negative zero", () => {
     expect(pointText_mm([0.0123, -0.00001, -0.004])).toBe("12.3   0.0   −4.0");

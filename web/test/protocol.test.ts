@@ -57,7 +57,7 @@ const SNAPSHOT: Snapshot = {
 
 const HELLO: Hello = {
   type: "hello",
-  protocol: 4,
+  protocol: 5,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -188,6 +188,7 @@ describe("text messages", () => {
   it("hello and error come through", () => {
     expect(decodeText(JSON.stringify(HELLO))).toEqual(HELLO);
     expect(decodeText('{"type":"error","message":"no"}')).toEqual({ type: "error", message: "no" });
+    expect(decodeText('{"type":"news","message":"yes"}')).toEqual({ type: "news", message: "yes" });
   });
 
   it("fields that the viewer does not know are ignored", () => {
@@ -195,7 +196,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 4/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 5/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(

@@ -81,7 +81,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             .with_context(|| format!("{}: cannot write", csv.display()))?;
     }
     for notice in simulation.notices() {
-        eprintln!("{notice}");
+        eprintln!("{}", notice.text);
     }
     let model = simulation.world().model_kind().name();
     let account = Account::of(simulation.world());

@@ -59,7 +59,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                     serde_json::from_str(&text).context("the server sent text that is no JSON")?;
                 match message["type"].as_str() {
                     Some("timing") => timing = message,
-                    Some("error") if !args.json => {
+                    Some("error" | "news") if !args.json => {
                         println!("{}", message["message"].as_str().unwrap_or_default());
                     }
                     _ => {}

@@ -217,7 +217,8 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     let (burnt_ml, end_ml_per_min) = (1e6 * world.removed_volume_m3(), bleeding_ml_per_min(world));
     let n_removed = n_tets - world.organ().body().topology().live_counts().tets;
     let clips = simulation.scripted_clips().to_vec();
-    let (notices, n_torn) = (simulation.notices().to_vec(), simulation.n_torn());
+    let notices: Vec<_> = simulation.notices().iter().map(|notice| notice.text.clone()).collect();
+    let n_torn = simulation.n_torn();
     let state_hash = simulation.finish()?;
     let session = read_session(&session_file(files))?;
     let replayed = replay::replay(&session, &files.folder, |_| Ok(()))?;

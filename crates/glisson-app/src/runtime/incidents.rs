@@ -19,17 +19,25 @@ pub(super) enum Once {
     TimeIsSlow,
 }
 
+/// What the user should know.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Notice {
+    pub(crate) text: String,
+    /// Whether something is wrong or was not done; otherwise all goes as it should.
+    pub(crate) is_problem: bool,
+}
+
 /// What the user should know, in order.
 #[derive(Debug, Default)]
 pub(super) struct Notices {
-    newest: Vec<String>,
+    newest: Vec<Notice>,
     n_told: usize,
     once: Vec<Once>,
 }
 
 impl Notices {
     /// A key that is held down asks for the same again and again: what was just said is not repeated.
-    pub(super) fn tell(&mut self, notice: String) {
+    pub(super) fn tell(&mut self, notice: Notice) {
         if self.newest.last() == Some(&notice) {
             return;
         }
@@ -40,16 +48,16 @@ impl Notices {
         self.n_told += 1;
     }
 
-    /// Tells it if nothing of the kind was told.
-    pub(super) fn tell_once(&mut self, kind: Once, notice: impl FnOnce() -> String) {
+    /// Tells a problem if nothing of the kind was told.
+    pub(super) fn tell_once(&mut self, kind: Once, problem: impl FnOnce() -> String) {
         if !self.once.contains(&kind) {
             self.once.push(kind);
-            self.tell(notice());
+            self.tell(Notice { text: problem(), is_problem: true });
         }
     }
 
     /// The newest ones.
-    pub(super) fn newest(&self) -> &[String] {
+    pub(super) fn newest(&self) -> &[Notice] {
         &self.newest
     }
 
@@ -109,16 +117,19 @@ mod tests {
 
     #[test]
     fn what_is_told_last_is_there_however_much_was_told_before() {
+        let news = |text: String| Notice { text, is_problem: false };
         let mut notices = Notices::default();
         for number in 0..500 {
-            notices.tell(format!("notice {number}"));
-            notices.tell(format!("notice {number}"));
+            notices.tell(news(format!("notice {number}")));
+            notices.tell(news(format!("notice {number}")));
             notices.tell_once(Once::MergedFaces(number % 2), || format!("merged {number}"));
             notices.tell_once(Once::TimeIsSlow, || format!("slow {number}"));
         }
-        notices.tell("the device was lost".to_owned());
+        notices.tell(Notice { text: "the device was lost".to_owned(), is_problem: true });
         assert_eq!(notices.newest().len(), MOST_NOTICES);
-        assert_eq!(notices.newest()[MOST_NOTICES - 2..], ["notice 499", "the device was lost"]);
+        let [.., last_but_one, last] = notices.newest() else { panic!("{:?}", notices.newest()) };
+        assert_eq!(*last_but_one, news("notice 499".to_owned()));
+        assert_eq!((last.text.as_str(), last.is_problem), ("the device was lost", true));
         // Two instruments and the pace, once each.
         assert_eq!(notices.n_told(), 500 + 3 + 1);
     }

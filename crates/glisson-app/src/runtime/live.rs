@@ -1,12 +1,12 @@
 //! The simulation loop of `glisson serve`: keeps pace with the clock, takes commands, publishes what is displayed.
 
-use super::Simulation;
 use super::display::DisplayFeed;
 use super::effort::{EffortControl, Load};
 use super::elsewhere::NearbyMaker;
 use super::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
 use super::pace::{FRAME, StepMeters, StepTimes};
 use super::realtime::now_ns;
+use super::{Notice, Simulation};
 use crate::server::frames::Pace;
 use anyhow::Context;
 use glisson::haptics::InsertedInstrument;
@@ -72,7 +72,7 @@ pub(crate) struct Published {
     pub(crate) state_hash: StateHash,
     pub(crate) model: ModelKind,
     /// What the user should know, in order: the newest, and how many there were altogether.
-    pub(crate) notices: Vec<String>,
+    pub(crate) notices: Vec<Notice>,
     pub(crate) n_notices: usize,
     pub(crate) lateness: Lateness,
     pub(crate) effort: Effort,
@@ -142,7 +142,7 @@ impl Published {
     }
 
     /// Those that came after the first `n_told` ones, but for what is no longer kept.
-    pub(crate) fn notices_after(&self, n_told: usize) -> &[String] {
+    pub(crate) fn notices_after(&self, n_told: usize) -> &[Notice] {
         let n_new = self.n_notices.saturating_sub(n_told).min(self.notices.len());
         &self.notices[self.notices.len() - n_new..]
     }
@@ -268,10 +268,10 @@ impl Live {
                 Some(DeviceStatus::WorksWith(InsertedInstrument { name, serial })) => {
                     let device = &link.device_name;
                     self.simulation
-                        .tell(format!("the device {device} works; in it: {name}, number {serial}"));
+                        .tell_news(format!("the device {device} works; in it: {name}, number {serial}"));
                 }
                 Some(DeviceStatus::Works) => {
-                    self.simulation.tell(format!("the device {} works", link.device_name));
+                    self.simulation.tell_news(format!("the device {} works", link.device_name));
                 }
                 Some(DeviceStatus::Waiting) | None => {}
             }
@@ -322,11 +322,12 @@ impl Live {
         if matters && is_less {
             self.simulation.tell(format!("the simulation is late: it computes with {name} effort now"));
         } else if matters {
-            self.simulation.tell(format!("the simulation keeps pace again: it computes with {name} effort"));
+            self.simulation
+                .tell_news(format!("the simulation keeps pace again: it computes with {name} effort"));
         } else if is_less && before == Effort::Full {
             self.simulation.tell_slow_time(load.real_time_factor);
         } else if effort == Effort::Full {
-            self.simulation.tell("the simulation keeps pace again".to_owned());
+            self.simulation.tell_news("the simulation keeps pace again".to_owned());
         }
         Ok(())
     }
@@ -556,7 +557,7 @@ mod tests {
         let begin = Instant::now();
         let mut latest = Arc::clone(&published.borrow_and_update());
         let mut n_said = 0_u32;
-        while !latest.notices.iter().any(|told| told.contains(notice)) {
+        while !latest.notices.iter().any(|told| told.text.contains(notice)) {
             assert!(begin.elapsed() < Duration::from_secs(60), "{model}: {:?}", latest.notices);
             let depth_m = 0.05 * (0.2 * f64::from(n_said)).sin().abs();
             let pose = ToolInput::at(DVec3::new(0.04, 0.04, 0.09 - depth_m), DVec3::Z);
@@ -567,7 +568,7 @@ mod tests {
         }
         commands.send(Command::Stop).unwrap();
         let ended = thread.join().unwrap();
-        (latest.notices.clone(), latest.effort, ended, folder)
+        (latest.notices.iter().map(|told| told.text.clone()).collect(), latest.effort, ended, folder)
     }
 
     /// Replays a recording; with `dropped` lines left out.

@@ -31,6 +31,7 @@ use glisson::record::session::SessionEvent;
 use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
 use glisson::tool::MAX_TOOLS;
 use glisson::world::{StepInput, StepReport, World};
+pub(crate) use incidents::Notice;
 use incidents::{Incidents, Notices, Once};
 use recorder::Recorder;
 use std::path::{Path, PathBuf};
@@ -162,7 +163,7 @@ impl Simulation {
                 report.n_non_finite_nodes
             );
         }
-        self.incidents.of_step(&report).into_iter().for_each(|incident| self.notices.tell(incident));
+        self.incidents.of_step(&report).into_iter().for_each(|incident| self.tell(incident));
         let is_asked = report.model.wants_recomputation && self.builder.is_none();
         if is_asked && std::mem::take(&mut self.orders_recomputations) {
             self.order_model(self.world.model_kind(), report.step + self.recomputation_steps())?;
@@ -234,9 +235,14 @@ impl Simulation {
         self.tell(format!("the {kind} model cannot take over: {error:#}"));
     }
 
-    /// What was just said is not repeated.
-    pub(crate) fn tell(&mut self, notice: String) {
-        self.notices.tell(notice);
+    /// Tells what is wrong, or was not done. What was just said is not repeated.
+    pub(crate) fn tell(&mut self, text: String) {
+        self.notices.tell(Notice { text, is_problem: true });
+    }
+
+    /// Tells what is as it should be. What was just said is not repeated.
+    pub(crate) fn tell_news(&mut self, text: String) {
+        self.notices.tell(Notice { text, is_problem: false });
     }
 
     /// Tells how fast time passes where no less can be computed; once.
@@ -252,7 +258,7 @@ impl Simulation {
     }
 
     /// What the user should know: why ordered models could not take over, what went wrong in steps. In order, the newest.
-    pub(crate) fn notices(&self) -> &[String] {
+    pub(crate) fn notices(&self) -> &[Notice] {
         self.notices.newest()
     }
 

@@ -63,7 +63,9 @@ impl Simulation {
         let Some(next) = script.lead(&self.world) else { return };
         self.script =
             Some(Run { script, next, is_taken: [false; MAX_TOOLS], clips: Vec::new(), is_over: false });
-        self.tell("the instruments follow a script; push, or move one, to take it into the hand".to_owned());
+        self.tell_news(
+            "the instruments follow a script; push, or move one, to take it into the hand".to_owned(),
+        );
     }
 
     /// Where the script has an instrument at the end of the next step.
@@ -127,7 +129,7 @@ impl Simulation {
             let (step, state_hash) = (self.world.steps_made(), self.world.state_hash());
             self.record(&SessionEvent::Checkpoint { step, state_hash })?;
             let result = run.script.result(&self.world).unwrap_or_else(|error| format!("{error:#}"));
-            self.tell(format!("the script is over: {result}; state {state_hash}"));
+            self.tell_news(format!("the script is over: {result}; state {state_hash}"));
         }
         self.script = Some(run);
         Ok(())

@@ -100,7 +100,7 @@ fn a_model_that_cannot_be_made_is_told_and_the_present_one_goes_on_also_in_the_r
         simulation.advance(&input(step)).unwrap();
     }
     assert_eq!(simulation.world().model_kind(), ModelKind::Precomputed);
-    assert!(simulation.notices()[0].contains("stable"), "{:?}", simulation.notices());
+    assert!(simulation.notices()[0].text.contains("stable"), "{:?}", simulation.notices());
     let hash = simulation.finish().unwrap();
     let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
     let report = replay(&parse_session(&text).unwrap(), folder.path(), |_| Ok(())).unwrap();
@@ -137,7 +137,7 @@ fn a_tilted_table_a_cut_and_a_change_of_model_replay_to_the_same_bits() {
     assert_eq!(simulation.world().model_kind(), ModelKind::Explicit);
     // A tetrahedron goes once; the second time is told.
     assert_eq!(simulation.notices().len(), 1, "{:?}", simulation.notices());
-    assert!(simulation.notices()[0].starts_with("nothing was cut"), "{:?}", simulation.notices());
+    assert!(simulation.notices()[0].text.starts_with("nothing was cut"), "{:?}", simulation.notices());
     let hash = simulation.finish().unwrap();
     let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
     let session = parse_session(&text).unwrap();
@@ -453,9 +453,10 @@ fn a_script_clips_tells_its_end_and_replays_to_the_same_bits() {
         assert!(simulation.script_is_over(), "{:?}", simulation.notices());
         assert_eq!(simulation.scripted_clips().len(), n_clips);
         let end = format!("the script is over: {n_clips} clips; state ");
-        let told: Vec<&String> = simulation.notices().iter().filter(|told| told.starts_with(&end)).collect();
+        let told: Vec<_> = simulation.notices().iter().filter(|told| told.text.starts_with(&end)).collect();
         let [end] = told[..] else { panic!("{:?}", simulation.notices()) };
-        let state_at_the_end = end.rsplit(' ').next().unwrap().to_owned();
+        assert!(!end.is_problem);
+        let state_at_the_end = end.text.rsplit(' ').next().unwrap().to_owned();
         let hash = simulation.finish().unwrap();
         let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
         assert_eq!(text.matches("\"clip\"").count(), n_clips, "{is_taken}");

@@ -2,9 +2,9 @@
 
 use super::hands::FeltBy;
 use crate::devices::viewer::GREATEST_FORCE_N;
-use crate::runtime::Simulation;
 use crate::runtime::haptic_loop::HapticReport;
 use crate::runtime::live::{Command, Published};
+use crate::runtime::{Notice, Simulation};
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::ModelKind;
 use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
@@ -12,7 +12,7 @@ use glisson::tool::{Tool, ToolInput};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 4;
+const PROTOCOL: u32 = 5;
 
 /// The first message on a connection.
 pub(super) fn hello(simulation: &Simulation) -> Value {
@@ -130,9 +130,15 @@ pub(super) fn feel(all: &[FeltBy]) -> Value {
     })
 }
 
-/// Something for the page to show.
+/// What is wrong, for the page to show.
 pub(super) fn error(message: &str) -> Value {
     json!({ "type": "error", "message": message })
+}
+
+/// What the user should know, for the page to show.
+pub(super) fn notice(notice: &Notice) -> Value {
+    let kind = if notice.is_problem { "error" } else { "news" };
+    json!({ "type": kind, "message": notice.text })
 }
 
 /// Whether this viewer controls, and whether anybody does.

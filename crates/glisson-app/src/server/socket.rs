@@ -114,7 +114,7 @@ impl Connection {
                     }
                     let latest = Arc::clone(&published.borrow_and_update());
                     for notice in latest.notices_after(n_told) {
-                        self.say(messages::error(notice)).await?;
+                        self.say(messages::notice(notice)).await?;
                     }
                     n_told = latest.n_notices;
                     if latest.model != model {

@@ -62,6 +62,7 @@ fn watch(host: &str) -> Seen {
                 let told: Value = serde_json::from_str(&text).unwrap();
                 let message = told["message"].as_str().unwrap_or_default();
                 if message.starts_with("the script is over") {
+                    assert_eq!(told["type"], "news");
                     seen.end = message.to_owned();
                 }
             }

@@ -21,10 +21,18 @@ const SCALE_N_PER_M: f64 = YOUNG_MODULUS_PA * CELL_M;
 
 /// An irregular block of edges of 12 mm on a table, its upper face about z = 0, and into how many parts a step is divided.
 fn soft_block(kind: ModelKind, friction: f64, step_s: f64) -> (World, u32) {
+    soft_wedge(kind, friction, step_s, 0.0)
+}
+
+/// The block with sides that lean over by so much of its height, towards +x: its upper edge there is acute.
+fn soft_wedge(kind: ModelKind, friction: f64, step_s: f64, lean: f64) -> (World, u32) {
     let cells = [7, 7, 4];
     let size_m = DVec3::from(cells.map(|n| n as f64)) * CELL_M;
     let mut mesh = shaken_block(cells, size_m, 0.15, 7);
-    mesh.positions_m.iter_mut().for_each(|p| *p -= DVec3::new(0.5, 0.5, 1.0) * size_m);
+    for p in &mut mesh.positions_m {
+        *p -= DVec3::new(0.5, 0.5, 1.0) * size_m;
+        p.x += lean * p.z;
+    }
     let table = Region::Furthest { direction: -DVec3::Z, fraction: 0.15 };
     let supports = vec![Support::all_axes(table)];
     let fixed = fixed_nodes(&supports, &mesh.positions_m);
@@ -170,5 +178,31 @@ fn models_without_inertia_and_with_long_steps_slide_as_well() {
         let slide = ride(&mut block, &[at(-8e-3, 1e-3, depth_m), at(7e-3, 1e-3, depth_m)], 50e-3, friction);
         is_calm(&slide, 0.05, &format!("{kind} {step_s}"));
         assert!((0.75..1.25).contains(&(slide.slip_m / 15e-3)), "{kind} {step_s}: {slide:?}");
+    }
+}
+
+#[test]
+fn a_probe_that_slides_over_a_sharp_edge_of_the_tissue_lets_go_of_it_calmly() {
+    // How far from the edge it is set down: beside it and on it, where the point has no way to slide.
+    for (depth_m, friction, inside_m) in [
+        (2e-3, 0.0, 12e-3),
+        (0.5e-3, 0.0, 0.5e-3),
+        (5e-3, 0.05, 0.1e-3),
+        (2e-3, 0.3, 1e-3),
+        (10e-3, 0.3, 3e-3),
+    ] {
+        let what = format!("{depth_m} {friction} {inside_m}");
+        let mut block = soft_wedge(ModelKind::Explicit, friction, TICK_S, 1.0);
+        let edge_m = 3.5 * CELL_M;
+        let first = at(edge_m - inside_m, 1e-3, depth_m);
+        let above = first + DVec3::Z * (depth_m + 2e-3);
+        placed(&mut block, above);
+        ride(&mut block, &[above, first], 50e-3, friction);
+        let over =
+            ride(&mut block, &[first, at(edge_m + 4.0 * TIP_RADIUS_M, 1e-3, depth_m)], 50e-3, friction);
+        assert!(!block.0.report().in_contact(), "{what}: {over:?}");
+        // Without friction nothing is borne but by the turning edge: 30 % of the little that it bears.
+        is_calm(&over, 0.35, &what);
+        assert!(over.peak_n < 6.0 * SCALE_N_PER_M * depth_m, "{what}: {over:?}");
     }
 }

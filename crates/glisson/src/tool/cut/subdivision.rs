@@ -18,7 +18,7 @@
 //!
 //! Beyond the seeds, which remove tetrahedra or move nodes (seed `000` s. 4.4.2). Related: Bielser, Maiwald and
 //! Gross 1999 (doi 10.1111/1467-8659.00325) divide by templates; Steinemann et al. 2006
-//! (doi 10.1109/VR.2006.74) snap nodes and divide edges.
+//! ("Hybrid cutting of deformable solids", IEEE VR) snap nodes and divide edges.
 
 mod opening;
 mod patch;

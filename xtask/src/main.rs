@@ -165,7 +165,7 @@ fn build_all() -> anyhow::Result<()> {
 }
 
 fn build_program() -> anyhow::Result<()> {
-    run("cargo", &["build", "--release", "--locked", "--package", "glisson-app"])
+    run("cargo", &["build", "--release", "--locked", "--package", "glisson-cli"])
 }
 
 fn main() -> anyhow::Result<()> {

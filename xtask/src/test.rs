@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 /// How long a server may take to say where it is: set-up pre-computes a liver.
 pub(crate) const SERVER_START: Duration = Duration::from_secs(120);
 /// The optional network, from the workspace's root.
-pub(crate) const NET: &str = "glisson-app/net";
+pub(crate) const NET: &str = "glisson-cli/net";
 
 /// Stages that ran, and how long each took [s].
 #[derive(Default)]
@@ -61,7 +61,7 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
         run("cargo", &["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"])
     })?;
     stages.run("lint of the feature net", || {
-        let package = ["--package", "glisson-app", "--features", "net", "--all-targets", "--locked"];
+        let package = ["--package", "glisson-cli", "--features", "net", "--all-targets", "--locked"];
         run("cargo", &[&["clippy"], &package[..], &["--", "-D", "warnings"]].concat())
     })?;
     // With zenoh and ROS 2. The release program below is the one without.
@@ -74,7 +74,7 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
         tests(&[
             "--release",
             "--package",
-            "glisson-app",
+            "glisson-cli",
             "--features",
             "full-size-tests",
             "--test",
@@ -140,7 +140,7 @@ pub(crate) fn soak(what: LongRun, steps: Option<u64>) -> anyhow::Result<()> {
     }
     println!("$ cargo test --release --features full-size-tests --test full_size {test} ({steps} steps)");
     let status = Command::new("cargo")
-        .args(["test", "--release", "--locked", "--package", "glisson-app"])
+        .args(["test", "--release", "--locked", "--package", "glisson-cli"])
         .args(["--features", "full-size-tests", "--test", "full_size", test, "--", "--nocapture"])
         .current_dir(root())
         .env(variables[0], steps.to_string())

@@ -1,20 +1,18 @@
-//! Real-time soft-tissue simulation: from a patient's image to an organ that one can push, grasp and cut.
+//! The simulator: instruments touch, grasp, cut and tear an organ; forces come back.
 //!
-//! The modules stand in data-flow order; a module uses only modules above it
-//! (`tests/all/layering.rs` reads this list and fails otherwise).
-//! Everything inside is SI and `f64`; positions are in the patient frame (LPS: +x left, +y posterior,
-//! +z superior).
+//! ```text
+//! tool motion -> contact -> imposed displacements -> model's step -> reaction force -> haptics, report
+//!             -> cut -> mesh edit -> TopologyChange -> model, surface
+//! world -> record (snapshots, sessions, hash);  scene file -> world
+//! ```
+//!
+//! The modules stand in data-flow order; a module uses only modules above it (`xtask/tests/layering.rs`).
+//! What lies below is in two crates of their own, shown here under the same names: `glisson_mesh` (from an image to
+//! tetrahedra and their edits) and `glisson_tissue` (how tissue deforms). One who simulates needs this crate alone.
 
-pub mod math;
-pub mod text;
-pub mod units;
-pub mod files;
-pub mod image;
-pub mod surface;
-pub mod mesh;
-pub mod material;
-pub mod solve;
-pub mod model;
+pub use glisson_mesh::{files, image, math, mesh, surface, text, units};
+pub use glisson_tissue::{material, model, solve};
+
 pub mod contact;
 pub mod tool;
 pub mod haptics;

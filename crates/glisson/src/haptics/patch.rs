@@ -5,7 +5,7 @@
 //! S = sum_i W_i^T X_i. S is symmetric for the whole patch; of a part of it, which its neighbours press as well, the symmetric
 //! part is taken, without negative eigenvalues: a model that a hand cannot draw energy from.
 
-use crate::material::eigen::eigen_symmetric;
+use crate::material::eigen_symmetric;
 use crate::math::{DMat3, DVec3, outer};
 use crate::model::LocalModel;
 

@@ -1,5 +1,4 @@
-//! What leaves the world: snapshots for viewers and reports, sessions for replay, hashes for both.
+//! What leaves the world: snapshots for viewers and reports, sessions for replay, and the state's hash (`model::StateHash`) for both.
 
-pub mod hash;
 pub mod session;
 pub mod snapshot;

@@ -4,10 +4,10 @@
 //! written only when they change. Every decision that was taken outside the library (sub-steps, when another
 //! model is swapped in) stands here as an input. Check-point hashes let a replay say where it first differs.
 
-use super::hash::StateHash;
 use crate::math::DVec3;
 use crate::mesh::TetId;
 use crate::model::Effort;
+use crate::model::StateHash;
 use crate::model::kind::ModelKind;
 use crate::tool::found::Detected;
 use crate::tool::{MAX_TOOLS, ToolInput};

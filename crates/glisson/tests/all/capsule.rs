@@ -1,6 +1,7 @@
 //! Which triangles of an organ that was cut and refined are still its own surface.
 
-use crate::model_meshes::{block, on_a_table};
+use crate::bodies::on_a_table;
+use crate::model_meshes::block;
 use glisson::image::vessels::Tube;
 use glisson::math::DVec3;
 use glisson::mesh::edit::{EdgeSplit, MeshEdit};

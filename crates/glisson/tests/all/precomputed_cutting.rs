@@ -6,12 +6,12 @@ use glisson::math::{DMat3, DVec3, SeededRandom};
 use glisson::mesh::edit::{EditableMesh, MeshEdit};
 use glisson::mesh::topology::Through;
 use glisson::mesh::{NodeId, TetId, TetMesh};
+use glisson::model::StateHash;
 use glisson::model::kind::ModelKind;
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::{
     Constraints, DeformableModel, FixedNode, ImposedDisplacement, LocalModel, LocalWork, NodalForce,
 };
-use glisson::record::hash::StateHash;
 use glisson::scene::{OrganBody, build_model_as_cut};
 use glisson::solve::{BoundaryConditions, StaticProblem, add_gravity_forces, solve_static};
 

@@ -1,7 +1,8 @@
 //! Detection beside a world, on a copy of its surface: it finds what the world would, misses nothing fast, and a world takes
 //! what it is told only where that can be.
 
-use crate::model_meshes::{TABLE, block, held_at};
+use crate::bodies::{TABLE, held_at};
+use crate::model_meshes::block;
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{NodeId, TetMesh, TriangleId};

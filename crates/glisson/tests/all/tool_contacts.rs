@@ -1,7 +1,8 @@
 //! What instruments touch: the same in a world that looks by itself and in one that is told where they are
 //! put into tissue and come out of it.
 
-use crate::model_meshes::{block, held_at};
+use crate::bodies::held_at;
+use crate::model_meshes::block;
 use crate::surface_copy::follow;
 use glisson::contact::shapes::MeshShape;
 use glisson::math::{Aabb, DVec3};

@@ -1,6 +1,7 @@
 //! What happens when a blade is lifted: singular places are parted, bad tetrahedra mended, the stroke is reported.
 
-use crate::model_meshes::{block, on_a_table};
+use crate::bodies::on_a_table;
+use crate::model_meshes::block;
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::box_mesh::irregular_cube;
 use glisson::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, TopologyChange};

@@ -1,0 +1,149 @@
+//! `glisson bench`.
+
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use anyhow::{Context, bail};
+use glisson_lab::bench::haptics::{self, HapticsRequest};
+use glisson_lab::bench::link::{self, LinkRequest};
+use glisson_lab::bench::{MachineBudget, Request, cases, measure};
+use glisson_net::link_address::LinkAddress;
+use glisson_runtime::realtime::CoreKept;
+
+/// Measure speed: CPU time, medians, beside the machine's peak.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  glisson bench                                  every benchmark at its own sizes\n  \
+                  glisson bench collision --json                 one benchmark, for a program to read\n  \
+                  glisson bench precompute --sizes 6300 --threads 2\n  \
+                  glisson bench haptics --seconds 60 --json      the haptic loop, with and without stalls\n  glisson bench --list\n\n\
+                  How to read the result: docs/bench.md."
+)]
+pub(crate) struct Args {
+    /// Which benchmark; all when left out
+    name: Option<String>,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    json: bool,
+    /// Time for each benchmark and size [s]; 1 when left out, 10 for each of the two runs of haptics and for link
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
+    /// Ticks a second of the benchmarks haptics and link [Hz]: 100 to 4000
+    #[arg(long, value_name = "HZ", default_value_t = 1000.0)]
+    rate: f64,
+    /// How the two processes of the benchmark link reach each other, as for `glisson serve`; UDP on this machine when left
+    /// out
+    #[arg(long, value_name = "ADDRESS")]
+    link: Option<LinkAddress>,
+    /// This is the other process of the benchmark link
+    #[arg(long, hide = true, requires = "link")]
+    answer: bool,
+    /// Threads of the parallel benchmarks; with more than one, wall time counts instead of CPU time
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    threads: usize,
+    /// Sizes instead of the benchmark's own, in tetrahedra unless it says otherwise
+    #[arg(long, value_name = "N,N", value_delimiter = ',')]
+    sizes: Option<Vec<usize>>,
+    /// List the benchmarks and what they time
+    #[arg(long)]
+    list: bool,
+}
+
+/// Not cases: they do not time a closure.
+const LINK: &str = "link";
+const HAPTICS: &str = "haptics";
+/// The liver of the demo.
+const HAPTICS_TETS: usize = 6_300;
+
+fn run_haptics(args: &Args) -> anyhow::Result<()> {
+    let n_tets = match args.sizes.as_deref() {
+        None => HAPTICS_TETS,
+        Some(&[n_tets]) if n_tets > 0 => n_tets,
+        Some(sizes) => bail!("--sizes {sizes:?}: the benchmark haptics takes one size above 0"),
+    };
+    let program =
+        std::env::current_exe().context("finding this program, whose verb `watch` is the viewer")?;
+    let seconds = args.seconds.unwrap_or(10.0);
+    // As `glisson serve` does, before any thread is started; the viewer's process keeps away, too.
+    let kept = CoreKept::keep(None);
+    let request = HapticsRequest { seconds, rate_hz: args.rate, n_tets, core: kept.core(), program };
+    let bar = progress_bar();
+    let answer = haptics::measure(&request, &|text, done, total| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+        bar.set_message(text.to_owned());
+    });
+    bar.finish_and_clear();
+    let answer = answer?;
+    if args.json {
+        println!("{answer:#}");
+    } else {
+        print!("{}", haptics::to_text(&answer));
+    }
+    Ok(())
+}
+
+fn run_link(args: &Args) -> anyhow::Result<()> {
+    if let (true, Some(link)) = (args.answer, &args.link) {
+        return link::answer(link);
+    }
+    let program = std::env::current_exe().context("finding this program, whose second process answers")?;
+    let (seconds, link) = (args.seconds.unwrap_or(10.0), args.link.clone());
+    let answer = link::measure(&LinkRequest { seconds, rate_hz: args.rate, link, program })?;
+    if args.json {
+        println!("{answer:#}");
+    } else {
+        print!("{}", link::to_text(&answer));
+    }
+    Ok(())
+}
+
+fn progress_bar() -> ProgressBar {
+    let bar = ProgressBar::no_length().with_style(
+        ProgressStyle::with_template("{spinner} {pos}/{len} {msg}").expect("the template is well-formed"),
+    );
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    if args.list {
+        let cases = cases();
+        let width = cases.iter().map(|case| case.name.len()).max().unwrap_or(0);
+        for case in cases {
+            println!("{:width$}  {} (per {})", case.name, case.about, case.per);
+        }
+        println!(
+            "{HAPTICS:width$}  the haptic loop beside a simulation and a viewer, with stalls and without (not in all)"
+        );
+        println!("{LINK:width$}  what a link between two machines adds (not in all)");
+        return Ok(());
+    }
+    match args.name.as_deref() {
+        Some(HAPTICS) => return run_haptics(args),
+        Some(LINK) => return run_link(args),
+        _ => {}
+    }
+    let request = Request {
+        name: args.name.clone(),
+        sizes: args.sizes.clone(),
+        seconds: args.seconds.unwrap_or(1.0),
+        threads: args.threads,
+        machine: MachineBudget::default(),
+    };
+    let bar = progress_bar();
+    let report = measure(&request, &|name, size, done, total| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+        bar.set_message(if size == 0 { name.to_owned() } else { format!("{name} at {size}") });
+    });
+    bar.finish_and_clear();
+    let report = report?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        print!("{}", report.to_table());
+    }
+    Ok(())
+}

@@ -1,0 +1,285 @@
+//! `glisson check`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail, ensure};
+use glisson::files::write_atomically;
+use glisson::mesh::faults::{ImportReport, SharedTriangle};
+use glisson::mesh::files::read_mesh;
+use glisson::mesh::quality::{
+    DIHEDRAL_BIN_DEG, MeshQuality, RADIUS_RATIO_BINS, SurfaceShape, dihedral_angles_deg, radius_ratios,
+    surface_triangles,
+};
+use glisson::mesh::{TetId, TetMesh};
+use glisson::surface::TriMesh;
+use glisson::surface::check::{SurfaceTopology, check_closed};
+use glisson::surface::files::read_surface;
+
+use glisson_view::plot::Histogram;
+
+/// Say how good a mesh is, and what is wrong with it.
+///
+/// Reads tetrahedral meshes and closed surfaces. Lengths in the JSON are in metres, angles in degrees. When
+/// something is wrong (duplicate or loose nodes, inverted or flat tetrahedra, a surface that is not a
+/// manifold), it is listed by index and the exit code is 1.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  glisson check out/liver.vtu
+  glisson check out/liver.vtu --json
+  glisson check out/liver.msh --svg out/quality.svg
+  glisson check liver.stl")]
+pub(crate) struct Args {
+    /// Tetrahedral mesh (.vtu, .vtk, .msh, .node/.ele, plain list) or surface (.stl, .obj, .ply, .vtk)
+    file: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    json: bool,
+    /// Draw histograms of dihedral angles and radius ratios (tetrahedral meshes)
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let extension = args.file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    match extension.as_str() {
+        "stl" | "obj" | "ply" => check_surface(args, &read_surface(&args.file)?),
+        // Holds either; the error that counts is the mesh's.
+        "vtk" => match read_mesh(&args.file) {
+            Ok((mesh, import)) => check_mesh(args, &mesh, &import),
+            Err(error) => match read_surface(&args.file) {
+                Ok(surface) if !surface.triangles.is_empty() => check_surface(args, &surface),
+                _ => Err(error.into()),
+            },
+        },
+        _ => {
+            let (mesh, import) = read_mesh(&args.file)?;
+            check_mesh(args, &mesh, &import)
+        }
+    }
+}
+
+/// What `--json` prints of a tetrahedral mesh.
+#[derive(serde::Serialize)]
+struct MeshAnswer {
+    kind: &'static str,
+    #[serde(flatten)]
+    quality: MeshQuality,
+    faults: FaultIndices,
+}
+
+/// Everything wrong, by index from 0 in the order of the file.
+#[derive(serde::Serialize)]
+struct FaultIndices {
+    /// Node, and the first one at its place.
+    duplicate_nodes: Vec<[u32; 2]>,
+    loose_nodes: Vec<u32>,
+    tetrahedra_with_repeated_nodes: Vec<u32>,
+    /// Tetrahedron, and the first one with its nodes.
+    repeated_tetrahedra: Vec<[u32; 2]>,
+    inverted_tetrahedra: Vec<u32>,
+    flat_tetrahedra: Vec<u32>,
+    crowded_triangles: Vec<[u32; 3]>,
+    folded_triangles: Vec<[u32; 3]>,
+    surface_edges_not_between_two_triangles: Vec<[u32; 2]>,
+    nodes_where_the_surface_touches_itself: Vec<u32>,
+}
+
+impl FaultIndices {
+    fn new(import: &ImportReport, shape: &SurfaceShape) -> Self {
+        let faults = &import.faults;
+        let tets = |list: &[TetId]| list.iter().map(|t| t.0).collect::<Vec<_>>();
+        let triangles = |list: &[SharedTriangle]| list.iter().map(|s| s.nodes.map(|n| n.0)).collect();
+        let mut inverted_tetrahedra = tets(&import.winding_fixed);
+        inverted_tetrahedra.extend(tets(&faults.inverted));
+        inverted_tetrahedra.sort_unstable();
+        Self {
+            duplicate_nodes: faults.duplicate_nodes.iter().map(|(node, first)| [node.0, first.0]).collect(),
+            loose_nodes: faults.loose_nodes.iter().map(|n| n.0).collect(),
+            tetrahedra_with_repeated_nodes: tets(&faults.repeated_nodes),
+            repeated_tetrahedra: faults.repeated_tets.iter().map(|(t, first)| [t.0, first.0]).collect(),
+            inverted_tetrahedra,
+            flat_tetrahedra: tets(&faults.flat),
+            crowded_triangles: triangles(&faults.crowded_triangles),
+            folded_triangles: triangles(&faults.folded_triangles),
+            surface_edges_not_between_two_triangles: edges_not_between_two(shape),
+            nodes_where_the_surface_touches_itself: shape.pinched_vertices.clone(),
+        }
+    }
+}
+
+fn edges_not_between_two(shape: &SurfaceShape) -> Vec<[u32; 2]> {
+    shape.pinched_edges.iter().chain(&shape.open_edges).copied().collect()
+}
+
+/// What `--json` prints of a surface.
+#[derive(serde::Serialize)]
+struct SurfaceAnswer {
+    kind: &'static str,
+    nodes: usize,
+    triangles: usize,
+    volume_m3: f64,
+    surface_area_m2: Option<f64>,
+    surface_euler_characteristic: i64,
+    surface_pieces: usize,
+    faults: Vec<String>,
+}
+
+fn check_mesh(args: &Args, mesh: &TetMesh, import: &ImportReport) -> anyhow::Result<()> {
+    let (triangles, _) = surface_triangles(mesh);
+    let shape = SurfaceShape::of(mesh.positions_m.len(), &triangles);
+    let faults = mesh_faults(import, &shape);
+    let quality = MeshQuality::of(mesh);
+    if args.json {
+        let answer = MeshAnswer { kind: "tetrahedra", quality, faults: FaultIndices::new(import, &shape) };
+        println!("{}", serde_json::to_string_pretty(&answer)?);
+    } else {
+        print_quality(&quality);
+        for (kind, count) in &import.skipped_cells {
+            println!("passed over   {count} cells: {kind}");
+        }
+    }
+    if let Some(path) = &args.svg {
+        write_histograms(path, mesh)?;
+    }
+    conclude(args, &faults)
+}
+
+/// Faults of the mesh's parts and of its surface, a line for each kind.
+fn mesh_faults(import: &ImportReport, shape: &SurfaceShape) -> Vec<String> {
+    let mut faults = import.faults.lines();
+    faults.extend(listed(&import.winding_fixed, "tetrahedra inside out in the file (volume below 0)"));
+    let edges: Vec<String> =
+        edges_not_between_two(shape).iter().map(|[a, b]| format!("({a}, {b})")).collect();
+    faults.extend(listed(&edges, "surface edges that are not between two triangles"));
+    faults.extend(listed(&shape.pinched_vertices, "nodes at which the surface touches itself"));
+    faults
+}
+
+fn listed<T: std::fmt::Display>(items: &[T], what: &str) -> Option<String> {
+    const N_NAMED: usize = 8;
+    let names: Vec<String> = items.iter().take(N_NAMED).map(ToString::to_string).collect();
+    let more = match items.len().saturating_sub(N_NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    (!items.is_empty()).then(|| format!("{} {what}: {}{more}", items.len(), names.join(", ")))
+}
+
+fn check_surface(args: &Args, surface: &TriMesh) -> anyhow::Result<()> {
+    ensure!(args.svg.is_none(), "{}: --svg draws tetrahedra, this is a surface", args.file.display());
+    let checked = check_closed(surface);
+    let faults: Vec<String> = checked.as_ref().err().map(ToString::to_string).into_iter().collect();
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&surface_answer(surface, checked.ok(), &faults))?);
+    } else if let Ok(topology) = &checked {
+        println!("vertices      {}", topology.n_vertices);
+        println!("triangles     {}", topology.n_triangles);
+        println!("volume        {:.3} ml", 1e6 * topology.volume_m3);
+        println!("area          {:.2} cm2", 1e4 * topology.area_m2);
+        println!("pieces        {}", topology.n_pieces);
+        println!("Euler number  {}", topology.euler_characteristic);
+    }
+    conclude(args, &faults)
+}
+
+fn surface_answer(surface: &TriMesh, topology: Option<SurfaceTopology>, faults: &[String]) -> SurfaceAnswer {
+    let shape = SurfaceShape::of(surface.positions_m.len(), &surface.triangles);
+    SurfaceAnswer {
+        kind: "surface",
+        nodes: surface.positions_m.len(),
+        triangles: surface.triangles.len(),
+        volume_m3: surface.volume_m3(),
+        surface_area_m2: topology.map(|t| t.area_m2),
+        surface_euler_characteristic: shape.euler_characteristic,
+        surface_pieces: shape.pieces,
+        faults: faults.to_vec(),
+    }
+}
+
+fn conclude(args: &Args, faults: &[String]) -> anyhow::Result<()> {
+    if faults.is_empty() {
+        if !args.json {
+            println!("faults        none");
+        }
+        return Ok(());
+    }
+    bail!("{} is not fit for simulation:\n  {}", args.file.display(), faults.join("\n  "))
+}
+
+fn print_quality(quality: &MeshQuality) {
+    println!("nodes         {}", quality.nodes);
+    println!("tetrahedra    {}", quality.tetrahedra);
+    println!("volume        {:.3} ml", 1e6 * quality.volume_m3);
+    println!(
+        "tetrahedron   {:.5} to {:.5} ml",
+        1e6 * quality.min_tetrahedron_volume_m3,
+        1e6 * quality.max_tetrahedron_volume_m3
+    );
+    println!("dihedral      {:.2} to {:.2} degrees", quality.min_dihedral_deg, quality.max_dihedral_deg);
+    println!("radius ratio  {:.3} at least, {:.3} mean", quality.min_radius_ratio, quality.mean_radius_ratio);
+    println!(
+        "edges         {:.3} to {:.3} mm, mean {:.3} mm",
+        1e3 * quality.min_edge_m,
+        1e3 * quality.max_edge_m,
+        1e3 * quality.mean_edge_m
+    );
+    println!(
+        "surface       {} triangles, {:.2} cm2, {} piece(s), Euler number {}",
+        quality.surface_triangles,
+        1e4 * quality.surface_area_m2,
+        quality.surface_pieces,
+        quality.surface_euler_characteristic
+    );
+    println!("angles by {DIHEDRAL_BIN_DEG:.0} degrees from 0: {:?}", quality.dihedral_histogram);
+}
+
+/// Dihedral angles above, radius ratios below, in one picture.
+fn write_histograms(path: &Path, mesh: &TetMesh) -> anyhow::Result<()> {
+    const SIZE: [u32; 2] = [800, 360];
+    let angles_deg = dihedral_angles_deg(mesh);
+    let extreme = |pick: fn(f64, f64) -> f64, start: f64| angles_deg.iter().copied().fold(start, pick);
+    let (least_deg, most_deg) = (extreme(f64::min, 180.0), extreme(f64::max, 0.0));
+    let angles = Histogram {
+        title: format!("Dihedral angles of {} tetrahedra", mesh.tetrahedra.len()),
+        x_label: "dihedral angle [degrees]".into(),
+        y_label: "number".into(),
+        marks: vec![
+            (least_deg, format!("smallest {least_deg:.1}")),
+            (most_deg, format!("largest {most_deg:.1}")),
+        ],
+        values: angles_deg,
+        range: [0.0, 180.0],
+        n_bins: 90,
+        size: SIZE,
+    };
+    let ratios = Histogram {
+        title: "Radius ratios 3 r_in / r_out".into(),
+        x_label: "radius ratio (1: regular)".into(),
+        y_label: "number".into(),
+        values: radius_ratios(mesh),
+        range: [0.0, 1.0],
+        n_bins: 2 * RADIUS_RATIO_BINS,
+        marks: Vec::new(),
+        size: SIZE,
+    };
+    let [width, height] = SIZE;
+    let svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{}\">\n<g>\n{}</g>\n<g \
+         transform=\"translate(0 {height})\">\n{}</g>\n</svg>\n",
+        2 * height,
+        without_prolog(&angles.to_svg()?),
+        without_prolog(&ratios.to_svg()?)
+    );
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+    if let Some(folder) = folder {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make folder {}", folder.display()))?;
+    }
+    write_atomically(path, |out| std::io::Write::write_all(out, svg.as_bytes()))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// The `<svg>` element without what may stand before it.
+fn without_prolog(svg: &str) -> &str {
+    svg.find("<svg").map_or(svg, |at| &svg[at..])
+}

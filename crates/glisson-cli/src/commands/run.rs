@@ -1,0 +1,108 @@
+//! `glisson run`.
+
+use anyhow::{Context, bail};
+use glisson::files::write_atomically;
+use glisson_runtime::account::Account;
+use glisson_runtime::{OpenScene, Simulation};
+use serde_json::json;
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Run a scene without a window and record the session.
+///
+/// The tool follows the path of the scene; without one it stays at home.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  glisson run out/demo/scene.toml --record session.jsonl\n  \
+    glisson run scene.toml --steps 10000 --csv force.csv --json")]
+pub(crate) struct Args {
+    /// Scene file (TOML)
+    scene: PathBuf,
+    /// Steps to make; to the end of the tool's path if not given
+    #[arg(long)]
+    steps: Option<u64>,
+    /// Record the session to this file
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Threads of the explicit model; the results do not depend on it
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=64))]
+    threads: u8,
+    /// Write time, tool tip and force of every step as CSV
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
+    let source = OpenScene { n_threads: usize::from(args.threads), ..OpenScene::read(&args.scene)? };
+    let time_step_s = source.scene.world.time_step_s;
+    let scene = source.scene.clone();
+    let steps = match (args.steps, scene.end_of_paths_s()) {
+        (Some(steps), _) => steps,
+        (None, Some(end_s)) => (end_s / time_step_s).ceil() as u64,
+        (None, None) => bail!("the scene has no [[tool.path]] to follow; say how long with --steps"),
+    };
+    let mut simulation = Simulation::open(source, args.record.as_deref())?;
+    let mut rows = String::from("time_s,tip_x_m,tip_y_m,tip_z_m,force_x_n,force_y_n,force_z_n,contact");
+    // Those of further tools follow in the same line.
+    for tool in 2..=scene.world.tools.len() {
+        let columns = ["tip_x_m", "tip_y_m", "tip_z_m", "force_x_n", "force_y_n", "force_z_n", "contact"];
+        columns.iter().for_each(|column| rows += &format!(",{column}_{tool}"));
+    }
+    rows += "\n";
+    let mut greatest_force_n = 0.0_f64;
+    let mut contact_steps = 0_u64;
+    let start = Instant::now();
+    for step in 1..=steps {
+        let time_s = step as f64 * time_step_s;
+        let input = scene.input_at(time_s);
+        let report = simulation.advance(&input)?;
+        let felt = &report.tools[..scene.world.tools.len()];
+        greatest_force_n =
+            felt.iter().map(|tool| tool.force_on_tool_n.length()).fold(greatest_force_n, f64::max);
+        contact_steps += u64::from(report.in_contact());
+        if args.csv.is_some() {
+            rows += &time_s.to_string();
+            for (tool, felt) in input.tools.iter().zip(felt) {
+                let (tip, force) = (tool.tip_in_world_m, felt.force_on_tool_n);
+                for number in [tip.x, tip.y, tip.z, force.x, force.y, force.z] {
+                    rows += &format!(",{number}");
+                }
+                rows += &format!(",{}", u8::from(felt.in_contact));
+            }
+            rows += "\n";
+        }
+    }
+    let elapsed_s = start.elapsed().as_secs_f64();
+    if let Some(csv) = &args.csv {
+        write_atomically(csv, |out| out.write_all(rows.as_bytes()))
+            .with_context(|| format!("{}: cannot write", csv.display()))?;
+    }
+    for notice in simulation.notices() {
+        eprintln!("{}", notice.text);
+    }
+    let model = simulation.world().model_kind().name();
+    let account = Account::of(simulation.world());
+    let state_hash = simulation.finish()?;
+    let simulated_s = steps as f64 * time_step_s;
+    if args.json {
+        println!(
+            "{}",
+            json!({
+                "steps": steps, "model": model, "simulated_s": simulated_s, "elapsed_s": elapsed_s,
+                "real_time_factor": simulated_s / elapsed_s, "greatest_force_n": greatest_force_n,
+                "contact_steps": contact_steps, "state_hash": state_hash.to_string(),
+                "account": account.to_json(),
+            })
+        );
+    } else {
+        println!("steps            {steps} ({simulated_s:.3} s simulated in {elapsed_s:.3} s, {model})");
+        println!("real-time factor {:.1}", simulated_s / elapsed_s);
+        println!("greatest force   {greatest_force_n:.3} N; contact in {contact_steps} steps");
+        print!("{}", account.to_text());
+        println!("state hash       {state_hash}");
+    }
+    Ok(())
+}

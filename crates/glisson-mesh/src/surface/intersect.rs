@@ -1,0 +1,220 @@
+//! Pairs of triangles of one surface that meet where they should not.
+//!
+//! Two triangles may meet in their common vertex or edge only. Candidates come from a tree of boxes; the
+//! decision uses exact orientation predicates (J. Shewchuk, "Adaptive precision floating-point arithmetic and
+//! fast robust geometric predicates", 1997, doi 10.1007/PL00009321), so touching counts and rounding cannot
+//! hide or invent a pair. Triangles with no area must be sorted out before.
+
+use robust::{Coord, Coord3D, orient2d, orient3d};
+
+use super::TriMesh;
+use crate::math::{Aabb, DVec3};
+
+/// Triangles of one leaf of the tree.
+const LEAF_SIZE: usize = 6;
+
+/// Up to `limit` pairs of intersecting triangles of `mesh`, each ascending, the list ascending. Without a
+/// limit that is reached, it holds all of them.
+pub fn self_intersections(mesh: &TriMesh, limit: usize) -> Vec<[u32; 2]> {
+    let tree = BoxTree::of_triangles(mesh);
+    let mut found = Vec::new();
+    if tree.nodes.is_empty() || limit == 0 {
+        return found;
+    }
+    let mut pending = vec![(0u32, 0u32)];
+    while let Some((a, b)) = pending.pop() {
+        let (node_a, node_b) = (&tree.nodes[a as usize], &tree.nodes[b as usize]);
+        if !overlap(&node_a.bounds, &node_b.bounds) {
+            continue;
+        }
+        match (node_a.children, node_b.children) {
+            (Some([l, r]), _) if a == b => pending.extend([(l, l), (r, r), (l, r)]),
+            (None, None) => {
+                let range_a = node_a.first as usize..node_a.end as usize;
+                for (n, &s) in tree.order[range_a].iter().enumerate() {
+                    let from = if a == b { node_a.first as usize + n + 1 } else { node_b.first as usize };
+                    for &t in &tree.order[from..node_b.end as usize] {
+                        let meet = overlap(&tree.boxes[s as usize], &tree.boxes[t as usize])
+                            && triangles_intersect(mesh, s, t);
+                        if meet {
+                            found.push([s.min(t), s.max(t)]);
+                        }
+                    }
+                }
+                if found.len() >= limit {
+                    break;
+                }
+            }
+            (Some([l, r]), None) => pending.extend([(l, b), (r, b)]),
+            (None, Some([l, r])) => pending.extend([(a, l), (a, r)]),
+            (Some([l, r]), Some(_)) if node_a.end - node_a.first >= node_b.end - node_b.first => {
+                pending.extend([(l, b), (r, b)]);
+            }
+            (Some(_), Some([l, r])) => pending.extend([(a, l), (a, r)]),
+        }
+    }
+    found.sort_unstable();
+    found.truncate(limit);
+    found
+}
+
+fn overlap(a: &Aabb, b: &Aabb) -> bool {
+    a.min_m.cmple(b.max_m).all() && b.min_m.cmple(a.max_m).all()
+}
+
+struct Node {
+    bounds: Aabb,
+    /// Range of `order`.
+    first: u32,
+    end: u32,
+    children: Option<[u32; 2]>,
+}
+
+struct BoxTree {
+    nodes: Vec<Node>,
+    order: Vec<u32>,
+    boxes: Vec<Aabb>,
+}
+
+impl BoxTree {
+    fn of_triangles(mesh: &TriMesh) -> Self {
+        let boxes: Vec<Aabb> =
+            (0..mesh.triangles.len()).map(|t| Aabb::of_points(&mesh.corners_m(t))).collect();
+        let n = u32::try_from(boxes.len()).expect("meshes have fewer than 2^32 triangles");
+        let mut tree = Self { nodes: Vec::new(), order: (0..n).collect(), boxes };
+        if n > 0 {
+            tree.split(0, n as usize);
+        }
+        tree
+    }
+
+    fn split(&mut self, first: usize, end: usize) -> u32 {
+        let boxes = &self.boxes;
+        let mut bounds = Aabb::EMPTY;
+        let mut centres = Aabb::EMPTY;
+        for &t in &self.order[first..end] {
+            let b = &boxes[t as usize];
+            bounds = bounds.including(b.min_m).including(b.max_m);
+            centres = centres.including(b.center_m());
+        }
+        let id = self.nodes.len();
+        self.nodes.push(Node { bounds, first: first as u32, end: end as u32, children: None });
+        if end - first > LEAF_SIZE {
+            let size = centres.size_m();
+            let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b])).expect("three axes");
+            let middle = (end - first) / 2;
+            self.order[first..end].select_nth_unstable_by(middle, |&s, &t| {
+                let centre = |t: u32| boxes[t as usize].min_m[axis] + boxes[t as usize].max_m[axis];
+                centre(s).total_cmp(&centre(t)).then(s.cmp(&t))
+            });
+            let left = self.split(first, first + middle);
+            let right = self.split(first + middle, end);
+            self.nodes[id].children = Some([left, right]);
+        }
+        id as u32
+    }
+}
+
+/// Whether triangles `s` and `t` meet anywhere but in the vertices or the edge they share by index.
+pub fn triangles_intersect(mesh: &TriMesh, s: u32, t: u32) -> bool {
+    let (mut a, mut b) = (mesh.triangles[s as usize], mesh.triangles[t as usize]);
+    let shared = a.iter().filter(|v| b.contains(v)).count();
+    if shared == 0 {
+        let at = |v: u32| mesh.positions_m[v as usize];
+        return disjoint_triangles_meet(a.map(at), b.map(at));
+    }
+    // Shared vertices first, in the same order.
+    let rank = |list: &[u32; 3], v: u32| usize::from(!list.contains(&v));
+    let (old_a, old_b) = (a, b);
+    a.sort_by_key(|&v| (rank(&old_b, v), v));
+    b.sort_by_key(|&v| (rank(&old_a, v), v));
+    let p = a.map(|v| mesh.positions_m[v as usize]);
+    let q = b.map(|v| mesh.positions_m[v as usize]);
+    match shared {
+        1 => segment_meets_triangle(p[1], p[2], q) || segment_meets_triangle(q[1], q[2], p),
+        2 => {
+            // Folded onto each other: in one plane and on the same side of the common edge.
+            let axis = dominant_axis(p);
+            side(p[0], p[1], p[2], q[2]) == 0 && turn(axis, p[0], p[1], p[2]) == turn(axis, p[0], p[1], q[2])
+        }
+        _ => true,
+    }
+}
+
+/// Whether two triangles with no vertex in common meet; touching counts. Neither may be without area.
+pub fn disjoint_triangles_meet(p: [DVec3; 3], q: [DVec3; 3]) -> bool {
+    let p_sides = p.map(|x| side(q[0], q[1], q[2], x));
+    if p_sides[0] != 0 && p_sides.iter().all(|&s| s == p_sides[0]) {
+        return false;
+    }
+    let q_sides = q.map(|x| side(p[0], p[1], p[2], x));
+    if q_sides[0] != 0 && q_sides.iter().all(|&s| s == q_sides[0]) {
+        return false;
+    }
+    (0..3).any(|e| {
+        let n = (e + 1) % 3;
+        segment_meets(p[e], p[n], [p_sides[e], p_sides[n]], q)
+            || segment_meets(q[e], q[n], [q_sides[e], q_sides[n]], p)
+    })
+}
+
+/// Whether the closed segment (u, v) meets the closed triangle.
+pub fn segment_meets_triangle(u: DVec3, v: DVec3, triangle: [DVec3; 3]) -> bool {
+    let [a, b, c] = triangle;
+    segment_meets(u, v, [side(a, b, c, u), side(a, b, c, v)], triangle)
+}
+
+fn segment_meets(u: DVec3, v: DVec3, sides: [i8; 2], [a, b, c]: [DVec3; 3]) -> bool {
+    if sides[0] * sides[1] > 0 {
+        return false;
+    }
+    if sides == [0, 0] {
+        return coplanar_segment_meets(u, v, [a, b, c]);
+    }
+    let turns = [side(u, v, a, b), side(u, v, b, c), side(u, v, c, a)];
+    turns.iter().all(|&s| s >= 0) || turns.iter().all(|&s| s <= 0)
+}
+
+fn coplanar_segment_meets(u: DVec3, v: DVec3, triangle: [DVec3; 3]) -> bool {
+    let axis = dominant_axis(triangle);
+    let inside = |p: DVec3| {
+        let turns = [0, 1, 2].map(|e| turn(axis, triangle[e], triangle[(e + 1) % 3], p));
+        turns.iter().all(|&s| s >= 0) || turns.iter().all(|&s| s <= 0)
+    };
+    inside(u)
+        || inside(v)
+        || (0..3).any(|e| segments_meet(axis, [u, v], [triangle[e], triangle[(e + 1) % 3]]))
+}
+
+/// Whether two closed segments of one plane meet, seen along `axis`.
+pub fn segments_meet(axis: usize, [u, v]: [DVec3; 2], [a, b]: [DVec3; 2]) -> bool {
+    let (ua, va) = (turn(axis, a, b, u), turn(axis, a, b, v));
+    let (au, bu) = (turn(axis, u, v, a), turn(axis, u, v, b));
+    if [ua, va, au, bu] == [0; 4] {
+        // On one line: do their boxes overlap?
+        return (u.min(v)).cmple(a.max(b)).all() && (a.min(b)).cmple(u.max(v)).all();
+    }
+    ua * va <= 0 && au * bu <= 0
+}
+
+/// The axis along which the triangle is seen largest.
+fn dominant_axis([a, b, c]: [DVec3; 3]) -> usize {
+    let normal = (b - a).cross(c - a).abs();
+    (0..3).max_by(|&i, &j| normal[i].total_cmp(&normal[j])).expect("three axes")
+}
+
+/// Exact side of `d` of the plane through a, b, c.
+pub fn side(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> i8 {
+    let at = |p: DVec3| Coord3D { x: p.x, y: p.y, z: p.z };
+    sign(orient3d(at(a), at(b), at(c), at(d)))
+}
+
+/// Exact turn of a, b, c seen along `axis`.
+pub fn turn(axis: usize, a: DVec3, b: DVec3, c: DVec3) -> i8 {
+    let at = |p: DVec3| Coord { x: p[(axis + 1) % 3], y: p[(axis + 2) % 3] };
+    sign(orient2d(at(a), at(b), at(c)))
+}
+
+fn sign(x: f64) -> i8 {
+    i8::from(x > 0.0) - i8::from(x < 0.0)
+}

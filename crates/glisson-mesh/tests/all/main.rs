@@ -1,0 +1,13 @@
+//! All integration tests of the crate in one binary: it links once.
+
+mod images;
+mod mesh_edit_kinds;
+mod mesh_edit_sequences;
+mod mesh_edits;
+mod mesh_files;
+mod mesh_quality;
+mod mesh_repair;
+mod meshing;
+mod sample_edits;
+mod surface_files;
+mod surfaces;

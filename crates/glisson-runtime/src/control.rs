@@ -1,0 +1,130 @@
+//! One viewer controls, all may watch.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use tokio::sync::watch;
+
+/// Viewers at the same time.
+pub const MOST_VIEWERS: usize = 32;
+/// Who may be in control.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Viewer {
+    number: u64,
+    /// Whether it is a connection of a page, or of a program like one.
+    pub has_page: bool,
+}
+
+#[derive(Debug, Default)]
+struct Seats {
+    n_viewers: usize,
+    last_number: u64,
+}
+
+/// Who controls.
+#[derive(Debug)]
+pub struct Control {
+    seats: Mutex<Seats>,
+    controller: watch::Sender<Option<Viewer>>,
+}
+
+impl Default for Control {
+    fn default() -> Self {
+        Self { seats: Mutex::default(), controller: watch::channel(None).0 }
+    }
+}
+
+impl Control {
+    fn seats(&self) -> MutexGuard<'_, Seats> {
+        // Its numbers hold also after a panic.
+        self.seats.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A new viewer, who controls if nobody does; none when all places are taken.
+    pub fn enter(&self) -> Option<Viewer> {
+        let viewer = self.sit_down(true)?;
+        self.may_control(viewer);
+        Some(viewer)
+    }
+
+    /// A place for what is no viewer, which does not control yet; none when all are taken.
+    pub(crate) fn enter_without_page(&self) -> Option<Viewer> {
+        self.sit_down(false)
+    }
+
+    fn sit_down(&self, has_page: bool) -> Option<Viewer> {
+        let mut seats = self.seats();
+        if seats.n_viewers == MOST_VIEWERS {
+            return None;
+        }
+        seats.n_viewers += 1;
+        seats.last_number += 1;
+        Some(Viewer { number: seats.last_number, has_page })
+    }
+
+    /// Frees the viewer's place and, if it controls, control.
+    pub fn leave(&self, viewer: Viewer) {
+        self.release(viewer);
+        self.seats().n_viewers -= 1;
+    }
+
+    /// Whether this viewer controls; takes control when nobody has it.
+    pub fn may_control(&self, viewer: Viewer) -> bool {
+        let take = |controller: &mut Option<Viewer>| {
+            let is_free = controller.is_none();
+            if is_free {
+                *controller = Some(viewer);
+            }
+            is_free
+        };
+        self.controller.send_if_modified(take) || *self.controller.borrow() == Some(viewer)
+    }
+
+    /// Gives control away; the next viewer who does something has it.
+    pub fn release(&self, viewer: Viewer) {
+        self.controller.send_if_modified(|controller| {
+            let is_own = *controller == Some(viewer);
+            if is_own {
+                *controller = None;
+            }
+            is_own
+        });
+    }
+
+    /// Whether somebody else controls.
+    pub(crate) fn is_with_another(&self, viewer: Viewer) -> bool {
+        self.controller.borrow().is_some_and(|controller| controller != viewer)
+    }
+
+    pub fn watch(&self) -> watch::Receiver<Option<Viewer>> {
+        self.controller.subscribe()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_controls_until_it_leaves_or_gives_control_away() {
+        let control = Control::default();
+        let mut changes = control.watch();
+        let (one, other) = (control.enter().unwrap(), control.enter().unwrap());
+        assert!(control.may_control(one) && !control.may_control(other));
+        control.release(other);
+        assert!(!control.may_control(other));
+        control.release(one);
+        assert_eq!(*changes.borrow_and_update(), None);
+        assert!(control.may_control(other) && !control.may_control(one));
+        control.leave(other);
+        assert!(control.may_control(one));
+        assert_eq!(*changes.borrow(), Some(one));
+    }
+
+    #[test]
+    fn there_are_so_many_places_and_no_more() {
+        let control = Control::default();
+        let viewers: Vec<Viewer> = (0..MOST_VIEWERS).map(|_| control.enter().unwrap()).collect();
+        assert_eq!(control.enter(), None);
+        control.leave(viewers[3]);
+        assert!(control.enter().is_some());
+    }
+}

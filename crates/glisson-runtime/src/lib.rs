@@ -1,0 +1,38 @@
+//! Time, threads, recording, the haptic loop.
+//!
+//! ```text
+//! scene -> Simulation (world + recorder) -> live: steps in real time -> Published -> whoever shows it
+//!                 ^ commands (steering)          ^ motions   v models
+//!                                            haptic_loop <-> OpenDevice (devices/: one file a device)
+//! ```
+//!
+//! The loop knows no device and no wire: devices implement `glisson::haptics::HapticDevice`, other machines (`glisson-net`)
+//! hold the far ends of the same exchanges. The modules stand in data-flow order; a module uses only modules above it
+//! (`xtask/tests/layering.rs`).
+
+pub mod exchange;
+pub mod histogram;
+pub mod workers;
+pub mod realtime;
+pub mod pace;
+pub mod account;
+mod recorder;
+mod incidents;
+pub mod script;
+pub mod simulation;
+pub mod replay;
+pub mod elsewhere;
+pub mod force_choices;
+pub mod page_hand;
+pub mod open_device;
+pub mod haptic_loop;
+pub mod remote_figures;
+pub mod display;
+mod effort;
+pub mod live;
+pub mod control;
+pub mod steering;
+pub mod devices;
+
+pub use incidents::Notice;
+pub use simulation::{OpenScene, Simulation};

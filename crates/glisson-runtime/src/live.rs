@@ -1,0 +1,604 @@
+//! The simulation loop of `glisson serve`: keeps pace with the clock, takes commands, publishes what is displayed.
+
+use crate::display::DisplayFeed;
+use crate::effort::{EffortControl, Load};
+use crate::elsewhere::NearbyMaker;
+use crate::haptic_loop::{DeviceStatus, PublishedModel, ToolLink};
+use crate::pace::Pace;
+use crate::pace::{FRAME, StepMeters, StepTimes};
+use crate::realtime::now_ns;
+use crate::{Notice, Simulation};
+use anyhow::Context;
+use glisson::haptics::InsertedInstrument;
+use glisson::math::DVec3;
+use glisson::model::Effort;
+use glisson::model::StateHash;
+use glisson::model::kind::ModelKind;
+use glisson::record::snapshot::{DisplayTopology, Snapshot};
+use glisson::tool::found::Detected;
+use glisson::tool::{MAX_TOOLS, ToolInput};
+use glisson::world::StepInput;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+use tokio::sync::watch;
+
+/// What a viewer asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Command {
+    /// An instrument should be here.
+    Tool {
+        /// Its number.
+        tool: usize,
+        /// Where.
+        pose: ToolInput,
+    },
+    Pause(bool),
+    SingleStep,
+    Reset,
+    /// Another model should take over.
+    Model(ModelKind),
+    /// The table is tilted: gravity from now on [m/s2].
+    Gravity(DVec3),
+    /// What the tip of an instrument touches is cut away.
+    Cut {
+        /// Its number.
+        tool: usize,
+    },
+    /// The mesh is made finer around an instrument's tip.
+    Refine {
+        /// Which one, from 0.
+        tool: usize,
+    },
+    /// An instrument sets a clip on the vessel nearest to its tip.
+    Clip {
+        /// Its number.
+        tool: usize,
+    },
+    /// The last cut is taken back.
+    Undo,
+    /// The program ends.
+    Stop,
+}
+
+/// The latest displayed state.
+#[derive(Clone, Debug)]
+pub struct Published {
+    pub snapshot: Snapshot,
+    /// The triangles that the snapshot's vertices belong to.
+    pub topology: Arc<DisplayTopology>,
+    pub pace: Pace,
+    pub state_hash: StateHash,
+    pub model: ModelKind,
+    /// What the user should know, in order: the newest, and how many there were altogether.
+    pub notices: Vec<Notice>,
+    pub n_notices: usize,
+    pub lateness: Lateness,
+    pub effort: Effort,
+    /// How long steps take, up to now and not only up to this state.
+    pub meters: Arc<StepMeters>,
+}
+
+/// How far the simulation fell behind the clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Lateness {
+    /// Times that it gave up catching up.
+    pub n_given_up: u64,
+    /// What was then left out [s].
+    pub left_out_s: f64,
+}
+
+/// The simulation stands still for a while again and again: what the haptic loop must not feel.
+#[derive(Clone, Debug)]
+pub struct Stalls {
+    /// From the beginning of one to the next.
+    pub every: Duration,
+    /// How long each takes, working all the time.
+    pub length: Duration,
+    /// Whether one is on, for whoever wants to know what happens meanwhile.
+    pub is_on: Arc<AtomicBool>,
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ended {
+    pub state_hash: StateHash,
+    pub steps: u64,
+    /// Stalls that were made.
+    pub n_stalls: u64,
+    /// What they took together.
+    pub stalled: Duration,
+    pub lateness: Lateness,
+    pub times: StepTimes,
+}
+
+impl Published {
+    /// `known` is kept as long as it holds.
+    pub(crate) fn of(
+        simulation: &Simulation,
+        known: Option<&Arc<DisplayTopology>>,
+        pace: Pace,
+        meters: &Arc<StepMeters>,
+    ) -> Self {
+        let world = simulation.world();
+        let (snapshot, state_hash) = (world.snapshot(), world.state_hash());
+        let topology = known
+            .filter(|topology| topology.version == snapshot.topology_version)
+            .map_or_else(|| Arc::new(world.display_topology()), Arc::clone);
+        let (notices, n_notices) = (simulation.notices().to_vec(), simulation.n_notices());
+        Self {
+            snapshot,
+            topology,
+            pace,
+            state_hash,
+            model: world.model_kind(),
+            notices,
+            n_notices,
+            lateness: Lateness::default(),
+            effort: world.effort(),
+            meters: Arc::clone(meters),
+        }
+    }
+
+    /// Those that came after the first `n_told` ones, but for what is no longer kept.
+    pub fn notices_after(&self, n_told: usize) -> &[Notice] {
+        let n_new = self.n_notices.saturating_sub(n_told).min(self.notices.len());
+        &self.notices[self.notices.len() - n_new..]
+    }
+}
+
+/// A simulation that fell further behind than this drops the lag instead of running after it.
+const MAX_LAG: Duration = Duration::from_millis(100);
+/// Steps from an order to the moment another model takes over: half a second at 1 ms.
+const SWAP_DELAY_STEPS: u64 = 500;
+
+/// Until the next models for the haptic loop pass so many times the time that the last ones took: the models of a large organ
+/// take as long as several of its steps ...
+const PUBLISHING_PAUSE: u64 = 4;
+/// ... but no more than this [ns], what their stiffness is for. Choices.
+const LONGEST_PAUSE_NS: u64 = 33_000_000;
+
+/// How the pointer's jumps become a hand's motion: the tip follows its target with this time constant [s] ...
+const FOLLOW_TIME_S: f64 = 0.02;
+/// ... and no faster than this [m/s].
+const MAX_TIP_SPEED_M_PER_S: f64 = 1.0;
+
+/// A target further away than this was not reached by moving the hand: the tool is put there [m].
+/// Viewers move a tool that stays in the hand by at most 10 mm a message (`docs/protocol.md`); several messages can
+/// wait while the tip follows.
+pub(crate) const JUMP_M: f64 = 0.03;
+
+/// Where the tool is one time step after `now` on its way to `target`.
+pub(crate) fn approach(now: ToolInput, target: ToolInput, dt_s: f64) -> ToolInput {
+    let share = 1.0 - (-dt_s / FOLLOW_TIME_S).exp();
+    let motion = (target.tip_in_world_m - now.tip_in_world_m) * share;
+    let shaft = now.shaft_in_world.lerp(target.shaft_in_world, share);
+    let toward = |now: f64, target: f64| now + (target - now) * share;
+    ToolInput {
+        tip_in_world_m: now.tip_in_world_m + motion.clamp_length_max(MAX_TIP_SPEED_M_PER_S * dt_s),
+        shaft_in_world: shaft.normalize_or(target.shaft_in_world),
+        roll_rad: toward(now.roll_rad, target.roll_rad),
+        jaw_opening: toward(now.jaw_opening, target.jaw_opening),
+        // A switch, not a motion.
+        trigger: target.trigger,
+    }
+}
+
+/// Measures pace over about half a second.
+struct PaceMeter {
+    since: Instant,
+    steps: u64,
+    busy: Duration,
+    pace: Pace,
+}
+
+impl PaceMeter {
+    /// Steps that took so long; answers how the last half second went when it is over.
+    fn count(&mut self, steps: u64, busy: Duration, dt_s: f64) -> Option<Load> {
+        self.steps += steps;
+        self.busy += busy;
+        let elapsed_s = self.since.elapsed().as_secs_f64();
+        if elapsed_s < 0.5 {
+            return None;
+        }
+        self.pace.rate_hz = self.steps as f64 / elapsed_s;
+        self.pace.real_time_factor = self.pace.rate_hz * dt_s;
+        let busy_share = self.busy.as_secs_f64() / elapsed_s;
+        self.restart();
+        Some(Load { real_time_factor: self.pace.real_time_factor, busy_share })
+    }
+
+    fn restart(&mut self) {
+        self.since = Instant::now();
+        self.steps = 0;
+        self.busy = Duration::ZERO;
+    }
+}
+
+struct Live {
+    simulation: Simulation,
+    tools: Vec<ToolInput>,
+    targets: Vec<ToolInput>,
+    /// Instruments in the hand of a device.
+    links: Vec<ToolLink>,
+    /// What was found elsewhere for each of them.
+    detected: [Option<Detected>; MAX_TOOLS],
+    elsewhere: NearbyMaker,
+    /// When the last models were published, and how long that took [ns].
+    published_ns: u64,
+    publishing_ns: u64,
+    paused: bool,
+    dt_s: f64,
+}
+
+/// Where the instruments are when nobody holds them.
+fn homes(simulation: &Simulation) -> Vec<ToolInput> {
+    simulation.world().tools().iter().map(|tool| tool.home).collect()
+}
+
+impl Live {
+    fn refuse_tool(&mut self, tool: usize) {
+        let n_tools = self.tools.len();
+        self.simulation
+            .tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
+    }
+
+    /// Where the devices have their instruments, and what the user should know about them.
+    fn read_devices(&mut self) {
+        for link in &mut self.links {
+            let motion = link.motions.get();
+            self.detected[link.tool] = motion.detected.filter(|_| motion.is_held);
+            if motion.is_held && motion.pose.is_finite() {
+                // A hand moves as it moves: nothing is smoothed.
+                self.targets[link.tool] = motion.pose;
+                let jumps =
+                    self.tools[link.tool].tip_in_world_m.distance(motion.pose.tip_in_world_m) > JUMP_M;
+                if !jumps {
+                    self.tools[link.tool] = motion.pose;
+                }
+            }
+            match link.statuses.get_new() {
+                Some(DeviceStatus::Lost(why)) => {
+                    self.simulation.tell(format!("the device {} was lost: {why}", link.device_name));
+                }
+                Some(DeviceStatus::Failed(why)) => {
+                    self.simulation.tell(format!("the device {} failed: {why}", link.device_name));
+                }
+                Some(DeviceStatus::WorksWith(InsertedInstrument { name, serial })) => {
+                    let device = &link.device_name;
+                    self.simulation
+                        .tell_news(format!("the device {device} works; in it: {name}, number {serial}"));
+                }
+                Some(DeviceStatus::Works) => {
+                    self.simulation.tell_news(format!("the device {} works", link.device_name));
+                }
+                Some(DeviceStatus::Waiting) | None => {}
+            }
+        }
+    }
+
+    fn publish_models(&mut self) {
+        let begun_ns = now_ns();
+        let pause_ns = (PUBLISHING_PAUSE * self.publishing_ns).min(LONGEST_PAUSE_NS);
+        if self.links.is_empty() || begun_ns - self.published_ns < pause_ns {
+            return;
+        }
+        let n_elsewhere = self.links.iter().filter(|link| link.nearby.is_some()).count();
+        for link in &mut self.links {
+            // Before the model, whose arrival wakes the one who sends both.
+            if let Some(nearby) = &mut link.nearby {
+                nearby.publish(self.elsewhere.at(&self.simulation, link.tool, n_elsewhere));
+            }
+            let model = self.simulation.haptic_model(link.tool);
+            link.models.publish(PublishedModel { model, made_ns: now_ns() });
+        }
+        self.published_ns = now_ns();
+        self.publishing_ns = self.published_ns - begun_ns;
+    }
+
+    fn advance(&mut self) -> anyhow::Result<()> {
+        self.read_devices();
+        let mut placed = [false; MAX_TOOLS];
+        for (i, placed) in placed.iter_mut().enumerate().take(self.tools.len()) {
+            let (tool, target) = (&mut self.tools[i], &mut self.targets[i]);
+            if let Some(pose) = self.simulation.scripted_pose(i) {
+                (*tool, *target) = (pose, pose);
+                continue;
+            }
+            *placed = tool.tip_in_world_m.distance(target.tip_in_world_m) > JUMP_M;
+            *tool = if *placed { *target } else { approach(*tool, *target, self.dt_s) };
+        }
+        let detected = self.detected;
+        self.simulation.advance(&StepInput { placed, detected, ..StepInput::of(&self.tools) })?;
+        self.publish_models();
+        Ok(())
+    }
+
+    fn choose_effort(&mut self, effort: Effort, load: Load) -> anyhow::Result<()> {
+        let before = self.simulation.world().effort();
+        let matters = self.simulation.set_effort(effort)?;
+        let (name, is_less) = (effort.name(), effort < before);
+        if matters && is_less {
+            self.simulation.tell(format!("the simulation is late: it computes with {name} effort now"));
+        } else if matters {
+            self.simulation
+                .tell_news(format!("the simulation keeps pace again: it computes with {name} effort"));
+        } else if is_less && before == Effort::Full {
+            self.simulation.tell_slow_time(load.real_time_factor);
+        } else if effort == Effort::Full {
+            self.simulation.tell_news("the simulation keeps pace again".to_owned());
+        }
+        Ok(())
+    }
+
+    /// Answers whether the display has to be refreshed at once.
+    fn obey(&mut self, command: Command) -> anyhow::Result<bool> {
+        match command {
+            Command::Tool { tool, .. } if self.links.iter().any(|link| link.tool == tool) => {
+                let device = self.links.iter().find(|link| link.tool == tool).map(|l| l.device_name.clone());
+                let device = device.unwrap_or_default();
+                self.simulation.tell(format!("instrument {tool} is in the hand of the device {device}"));
+            }
+            Command::Tool { tool, pose } => match self.targets.get_mut(tool) {
+                Some(target) => {
+                    *target = pose;
+                    self.simulation.take_from_script(tool);
+                }
+                None => self.refuse_tool(tool),
+            },
+            Command::Pause(paused) => {
+                self.paused = paused;
+                return Ok(true);
+            }
+            Command::SingleStep => {
+                self.paused = true;
+                self.advance()?;
+                return Ok(true);
+            }
+            Command::Reset => {
+                self.simulation.reset()?;
+                self.tools = homes(&self.simulation);
+                self.targets.clone_from(&self.tools);
+                return Ok(true);
+            }
+            Command::Model(kind) => {
+                let at_step = self.simulation.world().steps_made() + SWAP_DELAY_STEPS;
+                self.simulation.order_model(kind, at_step)?;
+            }
+            Command::Cut { tool } if tool < self.tools.len() => {
+                self.simulation.cut_at_tip(tool)?;
+                return Ok(true);
+            }
+            Command::Cut { tool } => self.refuse_tool(tool),
+            Command::Clip { tool } => {
+                self.simulation.clip_vessel(tool)?;
+                return Ok(true);
+            }
+            Command::Refine { tool } => {
+                self.simulation.refine_around(tool)?;
+                return Ok(true);
+            }
+            Command::Undo => {
+                self.simulation.undo_edit()?;
+                return Ok(true);
+            }
+            Command::Gravity(gravity_m_per_s2) => self.simulation.set_gravity(gravity_m_per_s2)?,
+            Command::Stop => {}
+        }
+        Ok(false)
+    }
+}
+
+/// What is shown of a simulation: where it goes, and what it begins with.
+pub struct Shown {
+    feed: DisplayFeed,
+    first: Published,
+}
+
+impl Shown {
+    /// That of a simulation as it is now, and where those who show it find it.
+    ///
+    /// # Errors
+    /// When no thread can be started.
+    pub fn start(simulation: &Simulation) -> anyhow::Result<(Self, watch::Receiver<Arc<Published>>)> {
+        let budget = Duration::from_secs_f64(simulation.world().spec().time_step_s);
+        let meters = Arc::new(StepMeters::within(budget));
+        let first = Published::of(simulation, None, Pace::default(), &meters);
+        let (feed, published) = DisplayFeed::start(first.clone()).context("starting the display's thread")?;
+        Ok((Self { feed, first }, published))
+    }
+}
+
+/// Runs until [`Command::Stop`] or until all senders are gone, then ends the recording. The instruments of `links` are
+/// moved by devices.
+///
+/// # Errors
+/// What stopped the simulation; the recording up to there is kept.
+pub fn run(
+    simulation: Simulation,
+    commands: &Receiver<Command>,
+    Shown { mut feed, first }: Shown,
+    links: Vec<ToolLink>,
+    stalls: Option<&Stalls>,
+) -> anyhow::Result<Ended> {
+    let Published { mut topology, meters, .. } = first;
+    let dt_s = simulation.world().spec().time_step_s;
+    let tools = homes(&simulation);
+    let mut live = Live {
+        simulation,
+        targets: tools.clone(),
+        tools,
+        links,
+        detected: [None; MAX_TOOLS],
+        elsewhere: NearbyMaker::default(),
+        published_ns: 0,
+        publishing_ns: 0,
+        paused: false,
+        dt_s,
+    };
+    let mut meter =
+        PaceMeter { since: Instant::now(), steps: 0, busy: Duration::ZERO, pace: Pace::default() };
+    let mut control = EffortControl::default();
+    let mut lateness = Lateness::default();
+    let mut next_frame = Instant::now();
+    let mut last_shown = None;
+    let mut simulated_until = Instant::now();
+    let mut next_stall = stalls.map(|stalls| Instant::now() + stalls.every);
+    let (mut n_stalls, mut stalled) = (0, Duration::ZERO);
+    let step = Duration::from_secs_f64(dt_s);
+    loop {
+        let now = Instant::now();
+        let wait =
+            if live.paused { FRAME } else { simulated_until.min(next_frame).saturating_duration_since(now) };
+        let mut refresh = false;
+        match commands.recv_timeout(wait) {
+            Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => {
+                let steps = live.simulation.world().steps_made();
+                let state_hash = live.simulation.finish()?;
+                return Ok(Ended { state_hash, steps, n_stalls, stalled, lateness, times: meters.times() });
+            }
+            Ok(command) => refresh = live.obey(command)?,
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+        if let (Some(stalls), Some(begin)) = (stalls, next_stall)
+            && Instant::now() >= begin
+        {
+            stalls.is_on.store(true, Ordering::Relaxed);
+            let begun = Instant::now();
+            while begun.elapsed() < stalls.length {
+                std::hint::spin_loop();
+            }
+            stalls.is_on.store(false, Ordering::Relaxed);
+            stalled += begun.elapsed();
+            n_stalls += 1;
+            next_stall = Some(begin + stalls.every);
+        }
+        let now = Instant::now();
+        if live.paused {
+            simulated_until = now;
+            meter.restart();
+        } else {
+            let lag = now.saturating_duration_since(simulated_until);
+            if lag > MAX_LAG {
+                lateness.n_given_up += 1;
+                lateness.left_out_s += lag.as_secs_f64();
+                simulated_until = now;
+            }
+            let mut steps = 0;
+            while simulated_until <= Instant::now() && Instant::now() < next_frame.max(now + step) {
+                let begun = Instant::now();
+                live.advance()?;
+                meters.count_step(begun.elapsed());
+                simulated_until += step;
+                steps += 1;
+            }
+            if let Some(load) = meter.count(steps, now.elapsed(), dt_s)
+                && let Some(effort) = control.look(load)
+            {
+                live.choose_effort(effort, load)?;
+            }
+        }
+        if refresh || (!live.paused && Instant::now() >= next_frame) {
+            next_frame = Instant::now() + FRAME;
+            let pace = Pace { paused: live.paused, ..meter.pace };
+            let latest = Published::of(&live.simulation, Some(&topology), pace, &meters);
+            topology = Arc::clone(&latest.topology);
+            feed.publish(Published { lateness, ..latest });
+            // A pause is no interval of a display.
+            let shown = Instant::now();
+            if let Some(before) = last_shown.replace(shown).filter(|_| !live.paused) {
+                meters.count_frame(shown - before);
+            }
+            last_shown = last_shown.filter(|_| !live.paused);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tip_reaches_its_target_and_never_exceeds_its_speed() {
+        let at = |x: f64| ToolInput::at(DVec3::new(x, 0.0, 0.0), DVec3::Y);
+        let (mut tool, target) = (at(0.0), at(0.1));
+        for _ in 0..1000 {
+            let next = approach(tool, target, 1e-3);
+            let moved = next.tip_in_world_m.distance(tool.tip_in_world_m);
+            assert!(moved <= MAX_TIP_SPEED_M_PER_S * 1e-3 * (1.0 + 1e-12));
+            tool = next;
+        }
+        assert!(tool.tip_in_world_m.distance(target.tip_in_world_m) < 1e-9);
+    }
+
+    const MESH: &str = "5 2\n0 0 0\n60 0 0\n0 60 0\n0 0 60\n60 60 60\n0 1 2 3\n1 4 2 3\n";
+    const SCENE: &str = "glisson_scene = 1\n[organ]\nmesh = \"body.tet\"\nyoung_modulus = \"5 kPa\"\n\
+        poisson_ratio = 0.45\ndensity = \"1000 kg/m3\"\ndamping = \"30 1/s\"\n\
+        [[organ.fixed]]\nfurthest = { direction = [0, 0, -1], fraction = 0.6 }\n\
+        [tool]\ntip_radius = \"5 mm\"\nhome_tip = [\"40 mm\", \"40 mm\", \"90 mm\"]\nhome_shaft = [0, 0, 1]\n";
+
+    /// Runs in a computer that has three quarters of its time for something else, while an instrument presses on the body,
+    /// until a viewer is told `notice`; answers what was told, how it ended and the recording.
+    fn overloaded(model: &str, notice: &str) -> (Vec<String>, Effort, Ended, tempfile::TempDir) {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("body.tet"), MESH).unwrap();
+        let scene = SCENE.replace("[organ]\n", &format!("[organ]\nmodel = \"{model}\"\n"));
+        std::fs::write(folder.path().join("scene.toml"), scene).unwrap();
+        let source = crate::OpenScene::read(&folder.path().join("scene.toml")).unwrap();
+        let simulation = Simulation::open(source, Some(&folder.path().join("session.jsonl"))).unwrap();
+        let (shown, mut published) = Shown::start(&simulation).unwrap();
+        let (commands, commands_out) = std::sync::mpsc::channel();
+        let (every, length) = (Duration::from_millis(200), Duration::from_millis(150));
+        let stalls = Stalls { every, length, is_on: Arc::default() };
+        let thread = std::thread::spawn(move || {
+            run(simulation, &commands_out, shown, Vec::new(), Some(&stalls)).unwrap()
+        });
+        let begin = Instant::now();
+        let mut latest = Arc::clone(&published.borrow_and_update());
+        let mut n_said = 0_u32;
+        while !latest.notices.iter().any(|told| told.text.contains(notice)) {
+            assert!(begin.elapsed() < Duration::from_secs(60), "{model}: {:?}", latest.notices);
+            let depth_m = 0.05 * (0.2 * f64::from(n_said)).sin().abs();
+            let pose = ToolInput::at(DVec3::new(0.04, 0.04, 0.09 - depth_m), DVec3::Z);
+            commands.send(Command::Tool { tool: 0, pose }).unwrap();
+            n_said += 1;
+            std::thread::sleep(Duration::from_millis(20));
+            latest = Arc::clone(&published.borrow_and_update());
+        }
+        commands.send(Command::Stop).unwrap();
+        let ended = thread.join().unwrap();
+        (latest.notices.iter().map(|told| told.text.clone()).collect(), latest.effort, ended, folder)
+    }
+
+    /// Replays a recording; with `dropped` lines left out.
+    fn replayed(folder: &std::path::Path, dropped: &str) -> (Option<u64>, StateHash) {
+        let text = std::fs::read_to_string(folder.join("session.jsonl")).unwrap();
+        let kept = text.lines().filter(|line| dropped.is_empty() || !line.contains(dropped));
+        let session = glisson::record::session::parse_session(&kept.collect::<Vec<_>>().join("\n")).unwrap();
+        let report = crate::replay::replay(&session, folder, |_| Ok(())).unwrap();
+        (report.first_difference, report.state_hash)
+    }
+
+    #[test]
+    fn an_overloaded_simulation_computes_less_says_so_and_replays_to_the_same_bits() {
+        let (told, effort, ended, folder) = overloaded("implicit", "with least effort now");
+        assert!(
+            told.iter().any(|notice| notice.contains("is late") && notice.contains("reduced")),
+            "{told:?}"
+        );
+        assert_eq!(effort, Effort::Least);
+        assert!(ended.n_stalls > 2 && ended.lateness.n_given_up > 0, "{ended:?}");
+        assert!(ended.stalled >= Duration::from_millis(150) * ended.n_stalls as u32, "{ended:?}");
+        let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();
+        assert_eq!(text.matches("\"effort\"").count(), 2 * 2, "{}", text.len());
+        assert_eq!(replayed(folder.path(), ""), (None, ended.state_hash));
+    }
+
+    #[test]
+    fn a_model_with_nothing_to_leave_out_says_how_fast_time_passes() {
+        let (told, _, ended, folder) = overloaded("explicit", "cannot compute less: time passes at 0.");
+        assert_eq!(told.len(), 1, "{told:?}");
+        assert_eq!(replayed(folder.path(), ""), (None, ended.state_hash));
+    }
+}

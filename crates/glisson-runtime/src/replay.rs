@@ -1,0 +1,107 @@
+//! Replays a session and says whether it made the same bits.
+
+use crate::account::Account;
+use crate::{OpenScene, Simulation};
+use anyhow::{Context, anyhow, bail};
+use glisson::mesh::refine::FineRegion;
+use glisson::model::StateHash;
+use glisson::record::session::{Session, SessionEvent, parse_session};
+use glisson::scene::{Scene, mesh_hash};
+use glisson::world::StepInput;
+use std::path::Path;
+
+/// What a replay found.
+pub struct ReplayReport {
+    /// Steps made.
+    pub steps: u64,
+    /// Hash of the state at the end.
+    pub state_hash: StateHash,
+    /// Hash that the recording ended with; none when it was cut off before.
+    pub recorded_hash: Option<StateHash>,
+    /// First check-point whose hash differs.
+    pub first_difference: Option<u64>,
+    /// Check-points compared.
+    pub checkpoints: u64,
+    /// What the session did to the organ.
+    pub account: Account,
+}
+
+/// Reads a session file.
+pub fn read_session(path: &Path) -> anyhow::Result<Session> {
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("{}: cannot read the session", path.display()))?;
+    parse_session(&text).map_err(|e| anyhow!("{}: {e}", path.display()))
+}
+
+/// Replays `session` with the scene's files in `folder`; `after_step` sees the simulation after every step.
+pub fn replay(
+    session: &Session,
+    folder: &Path,
+    mut after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
+) -> anyhow::Result<ReplayReport> {
+    let scene =
+        Scene::parse(&session.header.scene).map_err(|e| anyhow!("the scene in the session's header: {e}"))?;
+    let origin = "the session's scene".to_string();
+    let source = OpenScene { scene, folder: folder.to_path_buf(), origin, n_threads: 1 };
+    let mut simulation = Simulation::open(source, None)?;
+    simulation.leave_orders_to_the_session();
+    let found = mesh_hash(simulation.mesh());
+    if found != session.header.mesh_hash {
+        bail!(
+            "the mesh is not the one of the recording: BLAKE3 {found}, recorded {}; give the right folder with --folder",
+            session.header.mesh_hash
+        );
+    }
+    let homes: Vec<_> = simulation.world().tools().iter().map(|tool| tool.home).collect();
+    let mut input = StepInput::of(&homes);
+    let mut report = ReplayReport {
+        steps: 0,
+        state_hash: simulation.world().state_hash(),
+        recorded_hash: None,
+        first_difference: None,
+        checkpoints: 0,
+        account: Account::default(),
+    };
+    for event in &session.events {
+        while simulation.world().steps_made() < event.step() {
+            simulation.advance(&input)?;
+            after_step(&simulation)?;
+        }
+        match *event {
+            SessionEvent::Input { ref tools, n_substeps, ref placed, ref detected, .. } => {
+                if tools.len() != homes.len() {
+                    bail!(
+                        "step {}: the session has {} instruments, its scene {}",
+                        event.step(),
+                        tools.len(),
+                        homes.len()
+                    );
+                }
+                input = StepInput::of(tools).divided(n_substeps);
+                placed.iter().for_each(|&tool| input.placed[usize::from(tool)] = true);
+                input.detected[..detected.len()].copy_from_slice(detected);
+            }
+            SessionEvent::UndoEdit { .. } => simulation.undo_edit()?,
+            SessionEvent::Clip { tool, .. } => simulation.clip_vessel(usize::from(tool))?,
+            SessionEvent::Refine { center_m, radius_m, edge_m, .. } => {
+                simulation.refine(FineRegion { center_m, radius_m, edge_m })?;
+            }
+            SessionEvent::Effort { effort, .. } => drop(simulation.set_effort(effort)?),
+            SessionEvent::Reset { .. } => simulation.reset()?,
+            SessionEvent::Gravity { gravity_m_per_s2, .. } => simulation.set_gravity(gravity_m_per_s2)?,
+            SessionEvent::Remove { ref tets, .. } => simulation.remove_tetrahedra(tets.clone())?,
+            SessionEvent::QueueModelSwap { at_step, model, .. } => simulation.order_model(model, at_step)?,
+            SessionEvent::Checkpoint { step, state_hash } => {
+                report.checkpoints += 1;
+                if simulation.world().state_hash() != state_hash {
+                    report.first_difference.get_or_insert(step);
+                }
+            }
+            SessionEvent::End { state_hash, .. } => report.recorded_hash = Some(state_hash),
+        }
+    }
+    report.steps = simulation.world().steps_made();
+    report.account = Account::of(simulation.world());
+    report.state_hash = simulation.world().state_hash();
+    Ok(report)
+}

@@ -1,0 +1,390 @@
+//! A world with a clock, a session being recorded, and models that are made in the background.
+
+mod scripted;
+
+use crate::incidents::{Incidents, Notice, Notices, Once};
+use crate::recorder::Recorder;
+use crate::workers::WorkerTeam;
+use anyhow::{Context, anyhow, bail};
+use glisson::haptics::HapticModel;
+use glisson::math::DVec3;
+use glisson::mesh::refine::FineRegion;
+use glisson::mesh::{TetId, TetMesh};
+use glisson::model::StateHash;
+use glisson::model::explicit_kernel::SharedWorkers;
+use glisson::model::kernel::Sequential;
+use glisson::model::kind::ModelKind;
+use glisson::model::{DeformableModel, Effort};
+use glisson::record::session::SessionEvent;
+use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
+use glisson::tool::MAX_TOOLS;
+use glisson::world::{StepInput, StepReport, World};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+/// Steps between two check-point hashes of a session.
+const CHECKPOINT_STEPS: u64 = 500;
+
+/// From the order of a fresh pre-computation to the moment it takes over: several times what it takes on an organ of
+/// 6,000 tetrahedra [s] ...
+const RECOMPUTATION_S: f64 = 2.0;
+/// ... which has so many surface nodes; with more of them it grows with their cube at most (0.3 s at 700, 75 s at 5,000).
+const RECOMPUTATION_NODES: f64 = 700.0;
+
+type BuiltModel = anyhow::Result<(Box<dyn DeformableModel>, ModelKind)>;
+
+/// A scene and the folder that its files are relative to.
+pub struct OpenScene {
+    pub scene: Scene,
+    pub folder: PathBuf,
+    /// Where the text comes from, for messages.
+    pub origin: String,
+    /// Threads of models that can use several; the bits do not depend on it.
+    pub n_threads: usize,
+}
+
+impl OpenScene {
+    /// Reads a scene file.
+    pub fn read(path: &Path) -> anyhow::Result<Self> {
+        let text = std::fs::read_to_string(path)
+            .with_context(|| format!("{}: cannot read the scene", path.display()))?;
+        let scene = Scene::parse(&text).map_err(|e| anyhow!("{}: {e}", path.display()))?;
+        let folder = path.parent().map_or_else(|| PathBuf::from("."), Path::to_path_buf);
+        Ok(Self { scene, folder, origin: path.display().to_string(), n_threads: 1 })
+    }
+}
+
+/// A running world: every input goes through here, so that the session holds all of them.
+pub struct Simulation {
+    world: World,
+    body: Arc<OrganBody>,
+    recorder: Option<Recorder>,
+    builder: Option<JoinHandle<BuiltModel>>,
+    incidents: Incidents,
+    notices: Notices,
+    /// Tools whose cut was refused in the last step.
+    refused_last: [bool; MAX_TOOLS],
+    /// Whether a fresh pre-computation is ordered when the model asks for one; in a replay the session says so.
+    orders_recomputations: bool,
+    is_live: bool,
+    /// Tetrahedra that tore.
+    n_torn: usize,
+    /// What instruments follow that nobody has taken into the hand.
+    script: Option<scripted::Run>,
+}
+
+impl Simulation {
+    /// Sets a world up from a scene; with `record`, writes the session there.
+    #[expect(clippy::needless_pass_by_value, reason = "a scene is opened once")]
+    pub fn open(source: OpenScene, record: Option<&Path>) -> anyhow::Result<Self> {
+        let workers: SharedWorkers = match source.n_threads {
+            0 | 1 => Arc::new(Sequential),
+            n => Arc::new(WorkerTeam::new(n).context("starting the worker threads")?),
+        };
+        let (world, body) =
+            build_world(&source.scene, &source.folder, workers).with_context(|| source.origin.clone())?;
+        let recorder = record
+            .map(|path| Recorder::create(path, &source.scene.text, mesh_hash(&body.mesh)))
+            .transpose()?;
+        Ok(Self {
+            world,
+            body: Arc::new(body),
+            recorder,
+            builder: None,
+            incidents: Incidents::default(),
+            notices: Notices::default(),
+            refused_last: [false; MAX_TOOLS],
+            orders_recomputations: true,
+            is_live: true,
+            n_torn: 0,
+            script: None,
+        })
+    }
+
+    /// Orders models only when told to: the session that is replayed holds all orders.
+    pub(crate) fn leave_orders_to_the_session(&mut self) {
+        self.orders_recomputations = false;
+        self.is_live = false;
+    }
+
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    pub fn mesh(&self) -> &TetMesh {
+        &self.body.mesh
+    }
+
+    pub fn body(&self) -> &OrganBody {
+        &self.body
+    }
+
+    fn record(&mut self, event: &SessionEvent) -> anyhow::Result<()> {
+        self.recorder.as_mut().map_or(Ok(()), |r| r.write(event))
+    }
+
+    /// One step; first waits for a model that takes over at it.
+    pub fn advance(&mut self, input: &StepInput) -> anyhow::Result<StepReport> {
+        if let Some(kind) = self.world.awaited_model() {
+            self.take_delivery(kind)?;
+        }
+        let n_tools = self.world.tools().len();
+        let tools = input.tools[..n_tools].to_vec();
+        if let Some(tool) = tools.iter().find(|tool| !tool.is_finite()) {
+            bail!("the tool's place is not finite: {tool:?}");
+        }
+        let placed = (0..n_tools).filter(|&tool| input.placed[tool]).map(|tool| tool as u8).collect();
+        let (step, n_substeps) = (self.world.steps_made(), input.n_substeps);
+        let found = &input.detected[..n_tools];
+        let detected = if found.iter().any(Option::is_some) { found.to_vec() } else { Vec::new() };
+        self.record(&SessionEvent::Input { step, tools, n_substeps, placed, detected })?;
+        let report = self.world.step(input);
+        self.cut_with_tools();
+        if report.n_non_finite_nodes > 0 {
+            bail!(
+                "step {}: {} nodes have no finite position; the session up to here is kept",
+                report.step,
+                report.n_non_finite_nodes
+            );
+        }
+        self.incidents.of_step(&report).into_iter().for_each(|incident| self.tell(incident));
+        let is_asked = report.model.wants_recomputation && self.builder.is_none();
+        if is_asked && std::mem::take(&mut self.orders_recomputations) {
+            self.order_model(self.world.model_kind(), report.step + self.recomputation_steps())?;
+        }
+        if report.step.is_multiple_of(CHECKPOINT_STEPS) && self.recorder.is_some() {
+            let state_hash = self.world.state_hash();
+            self.record(&SessionEvent::Checkpoint { step: report.step, state_hash })?;
+        }
+        self.go_on_with_script()?;
+        Ok(report)
+    }
+
+    /// Why nothing is cut is told when it begins, not in every step in which the trigger is held.
+    fn cut_with_tools(&mut self) {
+        let mut refuses = [false; MAX_TOOLS];
+        let cuts = self.world.cut_with_tools();
+        if cuts.n_torn > 0 && self.n_torn == 0 {
+            self.tell("tissue tears: an instrument pushes or pulls harder than it bears".to_owned());
+        }
+        self.n_torn += cuts.n_torn;
+        if let Some(refusal) = &cuts.tear_refusal {
+            let notice = || format!("tissue is stretched too far and does not tear: {refusal}");
+            self.notices.tell_once(Once::TearRefusal, notice);
+        }
+        for (tool, stroke) in cuts.strokes.iter().filter(|(_, stroke)| stroke.n_merged > 0) {
+            let (cut_mm2, swept_mm2) = (1e6 * stroke.cut_area_m2, 1e6 * stroke.swept_area_m2);
+            let name = &self.world.tools()[*tool].name;
+            self.notices.tell_once(Once::MergedFaces(*tool), || {
+                format!(
+                    "the {name} opened {cut_mm2:.0} mm2 where its edge swept {swept_mm2:.0} mm2: faces of the cut merged with \
+                     others nearby; worst angle of a tetrahedron {:.1} degrees (told once)",
+                    stroke.worst_dihedral_deg.unwrap_or(180.0)
+                )
+            });
+        }
+        for (tool, refusal) in cuts.refusals {
+            if !std::mem::replace(&mut refuses[tool], true) && !self.refused_last[tool] {
+                self.tell(format!("the {} cut nothing: {refusal}", self.world.tools()[tool].name));
+            }
+        }
+        self.refused_last = refuses;
+    }
+
+    /// Steps until a fresh pre-computation is surely there, on a machine that keeps pace.
+    fn recomputation_steps(&self) -> u64 {
+        let larger = self.world.organ().surface_nodes().len() as f64 / RECOMPUTATION_NODES;
+        let delay_s = RECOMPUTATION_S * larger.powi(3).max(1.0);
+        (delay_s / self.world.spec().time_step_s).ceil() as u64
+    }
+
+    /// Waits for the model that takes over now. One that cannot be made (its time step is too long, say) is no
+    /// reason to stop: the present one goes on, as it does in a replay, and the reason is told.
+    fn take_delivery(&mut self, kind: ModelKind) -> anyhow::Result<()> {
+        let builder = self.builder.take().with_context(|| format!("nobody makes the {kind} model"))?;
+        match builder.join().map_err(|_| anyhow!("the {kind} model's maker panicked"))? {
+            Ok((model, made)) => match self.world.deliver_model(model, made) {
+                // The new one may ask in its turn; where none could be made it is not tried again.
+                Ok(true) => self.orders_recomputations = self.is_live,
+                Ok(false) => bail!("the {made} model was made, but the {kind} model was ordered"),
+                Err(refusal) => self.refuse_model(kind, &refusal.into()),
+            },
+            Err(error) => self.refuse_model(kind, &error),
+        }
+        Ok(())
+    }
+
+    fn refuse_model(&mut self, kind: ModelKind, error: &anyhow::Error) {
+        self.world.cancel_model_swap();
+        self.tell(format!("the {kind} model cannot take over: {error:#}"));
+    }
+
+    /// Tells what is wrong, or was not done. What was just said is not repeated.
+    pub(crate) fn tell(&mut self, text: String) {
+        self.notices.tell(Notice { text, is_problem: true });
+    }
+
+    /// Tells what is as it should be. What was just said is not repeated.
+    pub(crate) fn tell_news(&mut self, text: String) {
+        self.notices.tell(Notice { text, is_problem: false });
+    }
+
+    /// Tells how fast time passes where no less can be computed; once.
+    pub(crate) fn tell_slow_time(&mut self, real_time_factor: f64) {
+        self.notices.tell_once(Once::TimeIsSlow, || {
+            format!("the simulation is late and cannot compute less: time passes at {real_time_factor:.2} x")
+        });
+    }
+
+    /// Tetrahedra that tore since the start.
+    pub fn n_torn(&self) -> usize {
+        self.n_torn
+    }
+
+    /// What the user should know: why ordered models could not take over, what went wrong in steps. In order, the newest.
+    pub fn notices(&self) -> &[Notice] {
+        self.notices.newest()
+    }
+
+    /// How many notices there were, with those that are no longer kept.
+    pub(crate) fn n_notices(&self) -> usize {
+        self.notices.n_told()
+    }
+
+    /// What the haptic loop evaluates for an instrument until the next step.
+    pub fn haptic_model(&mut self, tool: usize) -> HapticModel {
+        self.world.haptic_model(tool)
+    }
+
+    /// Everything back to rest.
+    pub(crate) fn reset(&mut self) -> anyhow::Result<()> {
+        self.record(&SessionEvent::Reset { step: self.world.steps_made() })?;
+        self.script = None;
+        self.world.reset();
+        Ok(())
+    }
+
+    /// Gravity from now on.
+    pub(crate) fn set_gravity(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
+        self.record(&SessionEvent::Gravity { step: self.world.steps_made(), gravity_m_per_s2 })?;
+        self.world.set_gravity(gravity_m_per_s2);
+        Ok(())
+    }
+
+    /// How thoroughly steps are computed from now on; answers whether that makes a difference to the present model.
+    pub(crate) fn set_effort(&mut self, effort: Effort) -> anyhow::Result<bool> {
+        self.record(&SessionEvent::Effort { step: self.world.steps_made(), effort })?;
+        Ok(self.world.set_effort(effort))
+    }
+
+    /// Takes tetrahedra out of the organ. A model that cannot follow is no reason to stop: nothing changes, and the
+    /// reason is told.
+    pub fn remove_tetrahedra(&mut self, tets: Vec<TetId>) -> anyhow::Result<()> {
+        self.record(&SessionEvent::Remove { step: self.world.steps_made(), tets: tets.clone() })?;
+        if let Err(refusal) = self.world.remove_and_part(tets) {
+            self.tell(format!("nothing was cut: {refusal}"));
+        }
+        Ok(())
+    }
+
+    /// Makes the mesh finer around an instrument's tip; where that cannot be, the reason is told.
+    pub(crate) fn refine_around(&mut self, tool: usize) -> anyhow::Result<()> {
+        let n_tools = self.world.tools().len();
+        if tool >= n_tools {
+            self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
+            return Ok(());
+        }
+        match self.world.finer_region_at(tool) {
+            Some(region) => self.refine(region),
+            None => {
+                self.tell("nothing was made finer: the instrument's tip is not at the organ".to_owned());
+                Ok(())
+            }
+        }
+    }
+
+    /// Makes the mesh finer in a region.
+    pub(crate) fn refine(&mut self, region: FineRegion) -> anyhow::Result<()> {
+        let FineRegion { center_m, radius_m, edge_m } = region;
+        self.record(&SessionEvent::Refine { step: self.world.steps_made(), center_m, radius_m, edge_m })?;
+        match self.world.refine(&region) {
+            Ok(0) => self.tell("nothing was made finer: the mesh is fine enough here".to_owned()),
+            Ok(_) => {}
+            Err(refusal) => self.tell(format!("nothing was made finer: {refusal}")),
+        }
+        Ok(())
+    }
+
+    /// Takes the last cut back, if there is one that can be.
+    pub(crate) fn undo_edit(&mut self) -> anyhow::Result<()> {
+        self.record(&SessionEvent::UndoEdit { step: self.world.steps_made() })?;
+        if !self.world.undo_edit() {
+            self.tell("there is no cut that could be taken back".to_owned());
+        } else if self.builder.is_some() && self.world.ordered_model().is_none() {
+            self.builder = None;
+            self.orders_recomputations = self.is_live;
+        }
+        Ok(())
+    }
+
+    /// An instrument sets a clip on the vessel nearest to its tip; where there is none, the reason is told.
+    pub(crate) fn clip_vessel(&mut self, tool: usize) -> anyhow::Result<()> {
+        let n_tools = self.world.tools().len();
+        if tool >= n_tools {
+            self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
+            return Ok(());
+        }
+        self.record(&SessionEvent::Clip { step: self.world.steps_made(), tool: tool as u8 })?;
+        if !self.world.clip_vessel(tool) {
+            let reason = match self.world.vessels() {
+                None => "the scene's organ has no vessels",
+                Some(_) => "no vessel is within reach of the instrument's tip",
+            };
+            self.tell(format!("no clip was set: {reason}"));
+        }
+        Ok(())
+    }
+
+    /// Takes out what an instrument's tip touches.
+    pub fn cut_at_tip(&mut self, tool: usize) -> anyhow::Result<()> {
+        let tets = self.world.touched_tetrahedra(tool);
+        if tets.is_empty() {
+            self.tell("nothing was cut: the instrument's tip does not touch the organ".to_owned());
+            return Ok(());
+        }
+        self.remove_tetrahedra(tets)
+    }
+
+    /// Starts making another model; it takes over before step `at_step`, whenever it is ready.
+    pub(crate) fn order_model(&mut self, kind: ModelKind, at_step: u64) -> anyhow::Result<()> {
+        let step = self.world.steps_made();
+        let at_step = at_step.max(step);
+        self.record(&SessionEvent::QueueModelSwap { step, at_step, model: kind })?;
+        self.world.queue_model_swap(at_step, kind);
+        let body = Arc::clone(&self.body);
+        // Of an organ with new tetrahedra the model is made whole, and follows the edits when it is delivered.
+        let mut live = self.world.organ().live_tetrahedra().to_vec();
+        if !self.world.has_only_removals() {
+            live = vec![true; self.body.mesh.tetrahedra.len()];
+        }
+        self.builder = Some(std::thread::spawn(move || {
+            let model = build_model_as_cut(&body, kind, &live)?;
+            Ok((model, kind))
+        }));
+        Ok(())
+    }
+
+    /// Ends the recording, if there is one.
+    pub fn finish(mut self) -> anyhow::Result<StateHash> {
+        let state_hash = self.world.state_hash();
+        self.record(&SessionEvent::End { step: self.world.steps_made(), state_hash })?;
+        if let Some(recorder) = self.recorder {
+            recorder.finish()?;
+        }
+        Ok(state_hash)
+    }
+}
+
+#[cfg(test)]
+mod tests;

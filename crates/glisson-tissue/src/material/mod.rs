@@ -1,0 +1,32 @@
+//! Constitutive laws and tissue parameters.
+//!
+//! [`Material`] is what every law is; each law has its file; [`MaterialSpec`] is the closed set that scenes and
+//! the command line know by name. Code that loops over elements is generic in the law (`M: Material`), so that
+//! the law is chosen outside the loop.
+
+mod law;
+mod eigen;
+pub mod principal;
+mod linear_elastic;
+mod st_venant_kirchhoff;
+mod neo_hooke_log;
+mod stable_neo_hooke;
+mod mooney_rivlin;
+mod ogden;
+mod holzapfel_gasser_ogden;
+mod prony;
+mod spec;
+pub mod tissues;
+
+pub use eigen::eigen_symmetric;
+pub use holzapfel_gasser_ogden::{HolzapfelGasserOgden, HolzapfelGasserOgdenParameters};
+pub use law::{Material, Tangent, largest_tangent_eigenvalue_pa, projected};
+pub(crate) use law::{cofactor, cofactor_differential};
+pub use linear_elastic::{LinearElastic, MaterialError};
+pub use mooney_rivlin::MooneyRivlin;
+pub use neo_hooke_log::NeoHookeLog;
+pub use ogden::{Ogden, OgdenTerm};
+pub use prony::{PronyHistory, PronySeries, PronyStep, PronyTerm};
+pub use spec::{LawChoice, MaterialSpec};
+pub use st_venant_kirchhoff::StVenantKirchhoff;
+pub use stable_neo_hooke::StableNeoHooke;

@@ -1,0 +1,197 @@
+//! The largest stable step of central differences.
+//!
+//! The scheme is stable for h <= 2/omega_max with omega_max^2 the largest eigenvalue of M^-1 K; damping in
+//! proportion to mass leaves the bound as it is (the roots of
+//! (1 + d h/2) z^2 - (2 - omega^2 h^2) z + (1 - d h/2) = 0 stay in the unit circle for omega h <= 2).
+//!
+//! After any cuts: K and the lumped M are sums over tetrahedra, so the largest Rayleigh quotient of the whole, a
+//! quotient of sums, is at most the largest quotient of a single tetrahedron with its own mass rho V/4 a corner
+//! (the element eigenvalue theorem of Irons and Treharne, 1971, 3rd Conference on Matrix Methods in Structural
+//! Mechanics); each is bounded from above by [`TetStiffness::squared_frequency_bound_per_s2`]. Removals only take
+//! quotients away, so the bound stays. It is about half of the true limit, for corners share their mass.
+//!
+//! Uncut: power iteration estimates omega_max^2 from below; a value theta a few per cent above it is proven to
+//! be above the spectrum by the Cholesky factorization of theta M - K, which exists only then. Meshes of more
+//! than [`MOST_NODES_PROVEN`] nodes take the first bound, because the factorization would take long.
+//! Held nodes are left out of account: holding a node never raises a frequency.
+//!
+//! A law that stiffens as it is stretched tells by how much ([`StiffTet::stiffening`]); the bound after cuts then
+//! holds for every shape allowed for, and the uncut one is the proven one at rest with the largest stiffening of
+//! all tetrahedra: an estimate.
+
+use crate::material::LinearElastic;
+use crate::solve::{
+    BoundaryConditions, FreeSystem, MeshEdges, P1Gradients, SolveError, StiffnessTensors, TetStiffness,
+};
+use glisson_mesh::math::{DMat3, DVec3, SeededRandom};
+use glisson_mesh::mesh::{TetId, TetMesh};
+
+/// Kept below the bound, where a mode at omega h = 2 would grow by rounding.
+pub(super) const MARGIN: f64 = 0.999;
+
+/// Largest mesh whose step is proven by factorization: under half a second.
+pub const MOST_NODES_PROVEN: usize = 10_000;
+
+/// Power iteration converges from below within about 2 % in so many rounds; a worse estimate only costs a
+/// further factorization.
+const ROUNDS: usize = 80;
+
+/// First value tried above the estimate, and the factor to the next one.
+const ABOVE_ESTIMATE: f64 = 1.02;
+
+/// The largest stable steps, and what limits them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StableStep {
+    /// Largest step of the uncut mesh [s].
+    pub step_s: f64,
+    /// Largest step after any cuts [s]; not above [`StableStep::step_s`].
+    pub after_cuts_s: f64,
+    /// The tetrahedron of highest frequency by itself.
+    pub tet: TetId,
+}
+
+impl StableStep {
+    /// Bounds for a mesh of one material.
+    ///
+    /// # Errors
+    /// [`SolveError`] for an empty mesh or a flat or inverted tetrahedron.
+    pub(in crate::model) fn of(mesh: &TetMesh, material: &LinearElastic) -> Result<Self, SolveError> {
+        Self::of_stiffness(mesh, material.density_kg_per_m3(), |_, gradients| StiffTet {
+            at_rest: gradients.stiffness(material.lambda_pa(), material.mu_pa()),
+            stiffening: 1.0,
+        })
+    }
+
+    /// Bounds for a mesh whose tetrahedra are told one by one.
+    ///
+    /// # Errors
+    /// [`SolveError`] for an empty mesh or a flat or inverted tetrahedron.
+    pub(in crate::model) fn of_stiffness(
+        mesh: &TetMesh,
+        density_kg_per_m3: f64,
+        stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
+    ) -> Result<Self, SolveError> {
+        Stability::of_stiffness(mesh, density_kg_per_m3, stiffness_of).map(|stability| stability.step)
+    }
+}
+
+/// The stable steps, and what each tetrahedron has to do with them.
+#[derive(Clone)]
+pub(in crate::model) struct Stability {
+    pub(in crate::model) step: StableStep,
+    /// Bound of each tetrahedron's squared frequency by itself, for every shape allowed for [1/s2].
+    pub(in crate::model) tet_squared_frequency_per_s2: Vec<f64>,
+    /// [`StiffTet::stiffening`] of each tetrahedron.
+    pub(in crate::model) tet_stiffening: Vec<f64>,
+}
+
+impl Stability {
+    /// Bounds for a mesh whose tetrahedra are told one by one.
+    ///
+    /// # Errors
+    /// [`SolveError`] for an empty mesh or a flat or inverted tetrahedron.
+    pub(in crate::model) fn of_stiffness(
+        mesh: &TetMesh,
+        density_kg_per_m3: f64,
+        stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
+    ) -> Result<Self, SolveError> {
+        let edges = MeshEdges::of_mesh(mesh)?;
+        let of_tet =
+            |tet: TetId| P1Gradients::of_tet(mesh, tet).map(|gradients| stiffness_of(tet, &gradients));
+        let stiff = (0..mesh.tetrahedra.len()).map(TetId::from_index).map(of_tet);
+        let stiff: Vec<StiffTet> = stiff.collect::<Result<_, _>>()?;
+        let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, _| stiff[tet.index()].at_rest)?;
+        let mut mass_kg = vec![0.0; mesh.positions_m.len()];
+        let (mut after_cuts, mut tet, mut stiffening) = (0.0, TetId(0), 1.0_f64);
+        let mut tet_squared_frequency_per_s2 = Vec::with_capacity(mesh.tetrahedra.len());
+        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
+            let this = TetId::from_index(t);
+            let corner_kg = density_kg_per_m3 * mesh.tet_volume_m3(this) / 4.0;
+            for node in nodes {
+                mass_kg[node.index()] += corner_kg;
+            }
+            let of_tet = stiff[t].squared_frequency_per_s2(corner_kg);
+            stiffening = stiffening.max(stiff[t].stiffening);
+            tet_squared_frequency_per_s2.push(of_tet);
+            if of_tet > after_cuts {
+                (after_cuts, tet) = (of_tet, this);
+            }
+        }
+        let uncut = if mesh.positions_m.len() <= MOST_NODES_PROVEN {
+            (stiffening * proven_squared_frequency(&edges, &tensors, &mass_kg, after_cuts)).min(after_cuts)
+        } else {
+            after_cuts
+        };
+        let step_s = |squared_frequency: f64| MARGIN * 2.0 / squared_frequency.sqrt();
+        let step = StableStep { step_s: step_s(uncut), after_cuts_s: step_s(after_cuts), tet };
+        let tet_stiffening = stiff.iter().map(|stiff| stiff.stiffening).collect();
+        Ok(Self { step, tet_squared_frequency_per_s2, tet_stiffening })
+    }
+}
+
+/// A tetrahedron's share in the stable step.
+pub(in crate::model) struct StiffTet {
+    /// Its tensors in the rest shape.
+    pub at_rest: TetStiffness,
+    /// Bound of its highest squared frequency in any shape allowed for, over the one at rest; from 1.
+    pub stiffening: f64,
+}
+
+impl StiffTet {
+    /// Bound of its squared frequency by itself, for every shape allowed for, with this mass at each corner [1/s2].
+    pub(in crate::model) fn squared_frequency_per_s2(&self, corner_kg: f64) -> f64 {
+        self.stiffening * self.at_rest.squared_frequency_bound_per_s2([corner_kg; 4])
+    }
+}
+
+/// A proven upper bound of the largest eigenvalue of M^-1 K [1/s2], at most `known`, which is one.
+fn proven_squared_frequency(
+    edges: &MeshEdges,
+    tensors: &StiffnessTensors,
+    mass_kg: &[f64],
+    known: f64,
+) -> f64 {
+    let mut theta = ABOVE_ESTIMATE * estimate_from_below(edges, tensors, mass_kg);
+    // Loose nodes have no row: any positive number does for them.
+    let no_supports = BoundaryConditions::new();
+    while theta < known {
+        let shifted = StiffnessTensors {
+            vertex: tensors
+                .vertex
+                .iter()
+                .zip(mass_kg)
+                .map(|(b, &m)| {
+                    let inertia = if m > 0.0 { theta * m } else { 1.0 };
+                    DMat3::from_diagonal(DVec3::splat(inertia)) - *b
+                })
+                .collect(),
+            edge: tensors.edge.iter().map(|b| -*b).collect(),
+        };
+        let is_above = FreeSystem::new(edges, &shifted, &no_supports).and_then(|s| s.factorize());
+        if is_above.is_ok() {
+            return theta;
+        }
+        theta *= ABOVE_ESTIMATE;
+    }
+    known
+}
+
+/// Rayleigh quotient after power iteration: a lower bound of the largest eigenvalue of M^-1 K.
+fn estimate_from_below(edges: &MeshEdges, tensors: &StiffnessTensors, mass_kg: &[f64]) -> f64 {
+    let mut random = SeededRandom::new(0);
+    let mut x: Vec<DVec3> =
+        mass_kg.iter().map(|_| DVec3::new(random.normal(), random.normal(), random.normal())).collect();
+    let mut force = vec![DVec3::ZERO; x.len()];
+    let mut quotient = 0.0;
+    for _ in 0..ROUNDS {
+        let inertia: f64 = x.iter().zip(mass_kg).map(|(x, m)| m * x.length_squared()).sum();
+        let scale = 1.0 / inertia.sqrt();
+        x.iter_mut().for_each(|x| *x *= scale);
+        tensors.force_into(edges, &x, &mut force);
+        quotient = x.iter().zip(&force).map(|(x, f)| x.dot(*f)).sum();
+        for ((x, f), &m) in x.iter_mut().zip(&force).zip(mass_kg) {
+            *x = if m > 0.0 { *f / m } else { DVec3::ZERO };
+        }
+    }
+    quotient
+}

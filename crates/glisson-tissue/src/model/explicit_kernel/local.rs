@@ -1,0 +1,55 @@
+//! What the model tells about itself for its local models.
+
+use super::ExplicitKernel;
+use crate::model::Rayleigh;
+use crate::model::local_model::{ElementStiffness, LocalBody, LocalElements, LocalFrame, tet_tangent};
+use crate::solve::P1Gradients;
+use glisson_mesh::math::DVec3;
+use glisson_mesh::mesh::{NodeId, TetId};
+
+impl LocalBody for ExplicitKernel {
+    fn elements(&self) -> LocalElements<'_> {
+        LocalElements::Tets(&self.rest.tetrahedra)
+    }
+
+    fn is_live(&self, element: usize) -> bool {
+        self.kernel.is_live(TetId::from_index(element))
+    }
+
+    /// Without volume penalty, whose stiffness is zero at rest; instantaneous where stress relaxes.
+    fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
+        let nodes = self.rest.tetrahedra[element].map(NodeId::index);
+        let gradients = P1Gradients::new(nodes.map(|n| self.rest.positions_m[n]));
+        let u_m = nodes.map(|n| DVec3::from_array(self.history[n]));
+        self.substance.with_law(element, self.kernel.law(), |law, rest_stress_pa| {
+            tet_tangent(&gradients, u_m, law, rest_stress_pa)
+        })
+    }
+
+    fn frame(&self) -> &dyn LocalFrame {
+        self
+    }
+}
+
+impl LocalFrame for ExplicitKernel {
+    fn inertia_kg(&self, n: usize) -> f64 {
+        self.kernel.inertia_kg(NodeId::from_index(n))
+    }
+
+    fn free_axes(&self, n: usize) -> [bool; 3] {
+        if self.takes_load(NodeId::from_index(n)) { self.supports[n].map(|held| !held) } else { [false; 3] }
+    }
+
+    fn is_held(&self, n: usize) -> bool {
+        self.held.iter().any(|held| held.node.index() == n)
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        let held = self.held.iter().filter(|held| held.node.index() == n);
+        self.loads.on_n(n) + held.map(|held| self.constraint_forces_n[held.place]).sum::<DVec3>()
+    }
+
+    fn damping(&self) -> Rayleigh {
+        self.damping
+    }
+}

@@ -1,0 +1,381 @@
+//! The dynamic zones as one body: tensor-mass with the other zones condensed onto its nodes.
+//!
+//! Linear zones have tensors on vertices and edges, St Venant-Kirchhoff ones their tetrahedra ([`KirchhoffTet`]); both
+//! are differences from the same rest shape, so that they add up at the nodes they share. What the other zones bear
+//! stays linear.
+//!
+//! All dynamic zones are one body, so that zones that touch are merged without more ado (seed `003` s. 4.3.2.1). It is
+//! the frame and the central differences of the tensor-mass model on the dynamic tetrahedra; the pre-computed
+//! tetrahedra around them are there for their mass and for the stable step, their corners elsewhere are held.
+
+use super::ZoneLaw;
+use super::columns::SymmetricTiles;
+use super::zone::Whole;
+use crate::model::explicit::{
+    ExplicitError, ExplicitMotion, Padded, Quarantine, Stability, StiffTet, unpadded,
+};
+use crate::model::hybrid::kirchhoff::KirchhoffTet;
+use crate::model::nonlinear_tensor_mass::TetLaw;
+use crate::model::tensor_mass::VertexEdgeTensors;
+use crate::model::{Attachment, DynamicBody, FixedNode, ModelReport};
+use crate::solve::P1Gradients;
+use glisson_mesh::math::DVec3;
+use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
+
+/// Marks a node or tetrahedron that the mesh has no more.
+const GONE: u32 = u32::MAX;
+
+/// The dynamic zones.
+#[derive(Clone)]
+pub(super) struct DynamicPart {
+    /// Node of the mesh for each of the body's.
+    nodes: Vec<u32>,
+    /// Tetrahedron of the mesh for each of the body's: linear ones, other dynamic ones, those around; each group ascends.
+    tets: Vec<u32>,
+    mesh: TetMesh,
+    is_live: Vec<bool>,
+    n_linear_tets: usize,
+    n_dynamic_tets: usize,
+    /// Live dynamic tetrahedra at each node; a node moves by itself while it has some.
+    dynamic_tets: Vec<u32>,
+    /// Live linear dynamic ones.
+    linear_tets: Vec<u32>,
+    /// Of the linear zones, if there are any.
+    tensors: Option<VertexEdgeTensors>,
+    /// The other dynamic tetrahedra, in their order, and their law.
+    kirchhoff: Vec<KirchhoffTet>,
+    law: TetLaw,
+    pub(super) motion: ExplicitMotion,
+    /// Nodes of the body that hang on pre-computed zones, in the interface's order.
+    frontier: Vec<u32>,
+    /// Their displacements, and forces on them, padded to whole tiles.
+    frontier_m: Vec<f64>,
+    frontier_n: Vec<f64>,
+}
+
+/// What the dynamic part is cut from.
+pub(super) struct DynamicSource<'a> {
+    pub(super) whole: &'a Whole<'a>,
+    pub(super) body: &'a DynamicBody<'a>,
+    /// The law of each tetrahedron, and whether it is there.
+    pub(super) law_of_tet: &'a [ZoneLaw],
+    pub(super) is_live_tet: &'a [bool],
+    /// The stable step holds while the principal stretches of St Venant-Kirchhoff zones stay within [1/s, s] for this s.
+    pub(super) largest_stretch: f64,
+    /// Nodes of live dynamic tetrahedra.
+    pub(super) is_dynamic: &'a [bool],
+}
+
+impl DynamicPart {
+    /// The live dynamic tetrahedra as a body at rest, or nothing when there are none.
+    ///
+    /// # Errors
+    /// [`ExplicitError`] for impossible supports and loads.
+    pub(super) fn build(source: &DynamicSource<'_>) -> Result<Option<Self>, ExplicitError> {
+        let DynamicSource { whole, body, law_of_tet, is_live_tet, is_dynamic, .. } = *source;
+        let live = |t: &usize| is_live_tet[*t];
+        let corners = |t: usize| whole.mesh.tetrahedra[t];
+        let n_tets = whole.mesh.tetrahedra.len();
+        let of = |law: ZoneLaw| (0..n_tets).filter(live).filter(move |&t| law_of_tet[t] == law);
+        let mut tets: Vec<usize> = of(ZoneLaw::TensorMass).collect();
+        let n_linear_tets = tets.len();
+        tets.extend(of(ZoneLaw::NonlinearTensorMass));
+        let n_dynamic_tets = tets.len();
+        if n_dynamic_tets == 0 {
+            return Ok(None);
+        }
+        let beside =
+            |t: &usize| !law_of_tet[*t].is_dynamic() && corners(*t).iter().any(|n| is_dynamic[n.index()]);
+        tets.extend((0..n_tets).filter(live).filter(beside));
+        let mut nodes: Vec<NodeId> = tets.iter().flat_map(|&t| corners(t)).collect();
+        nodes.sort_unstable();
+        nodes.dedup();
+        let local = |n: NodeId| nodes.binary_search(&n).ok().map(NodeId::from_index);
+        let mesh = TetMesh {
+            positions_m: nodes.iter().map(|n| whole.mesh.positions_m[n.index()]).collect(),
+            tetrahedra: tets
+                .iter()
+                .map(|&t| corners(t).map(|n| local(n).expect("a node of its tetrahedron")))
+                .collect(),
+        };
+        let fixed: Vec<FixedNode> = nodes
+            .iter()
+            .enumerate()
+            .map(|(l, n)| {
+                let axes = if is_dynamic[n.index()] { whole.held[n.index()] } else { [true; 3] };
+                FixedNode { node: NodeId::from_index(l), axes }
+            })
+            .filter(|f| f.axes.contains(&true))
+            .collect();
+        let attachments: Vec<Attachment> = body
+            .attachments
+            .iter()
+            .filter_map(|a| local(a.node).map(|node| Attachment { node, ..*a }))
+            .collect();
+        let (lambda_pa, mu_pa) = (whole.material.lambda_pa(), whole.material.mu_pa());
+        let law = TetLaw::isotropic(whole.material);
+        let stiffening = law.stiffening(source.largest_stretch, 0.0);
+        let is_kirchhoff = |t: TetId| (n_linear_tets..n_dynamic_tets).contains(&t.index());
+        let stability = Stability::of_stiffness(&mesh, whole.density_kg_per_m3, |t, g| {
+            let mut at_rest = g.stiffness(lambda_pa, mu_pa);
+            let stress_pa = whole.rest_stress_pa.get(tets[t.index()]).filter(|_| is_kirchhoff(t));
+            if let Some(&stress_pa) = stress_pa {
+                at_rest.add_multiples(g.stress_stiffness_n_per_m(stress_pa));
+            }
+            StiffTet { at_rest, stiffening: if is_kirchhoff(t) { stiffening } else { 1.0 } }
+        })?;
+        let strained_j = 0.5 * (lambda_pa + 2.0 * mu_pa) * mesh.volume_m3();
+        let again = stability.clone();
+        let own = DynamicBody {
+            mesh: &mesh,
+            fixed: &fixed,
+            attachments: &attachments,
+            rest_stress_pa: &[],
+            ..*body
+        };
+        let mut motion = match ExplicitMotion::new(&own, stability, strained_j) {
+            // Shorter steps instead of a refusal: the dynamic zone may not have been there when the step was chosen.
+            Err(ExplicitError::UnstableStep { allowed_s, .. }) => {
+                ExplicitMotion::new(&DynamicBody { time_step_s: allowed_s, ..own }, again, strained_j)
+            }
+            made => made,
+        }?;
+        let linear = TetMesh {
+            positions_m: mesh.positions_m.clone(),
+            tetrahedra: mesh.tetrahedra[..n_linear_tets].to_vec(),
+        };
+        let tensors = match n_linear_tets {
+            0 => None,
+            _ => Some(VertexEdgeTensors::accumulate(&linear, |_, g| g.stiffness(lambda_pa, mu_pa))?),
+        };
+        let kirchhoff = (n_linear_tets..n_dynamic_tets)
+            .map(|l| {
+                let corners_m = mesh.corners_m(TetId::from_index(l));
+                KirchhoffTet::new(corners_m, whole.rest_stress_pa.get(tets[l]))
+            })
+            .collect();
+        let count = |tetrahedra: &[[NodeId; 4]]| {
+            let mut n_tets = vec![0; nodes.len()];
+            tetrahedra.iter().flatten().for_each(|n| n_tets[n.index()] += 1);
+            n_tets
+        };
+        let dynamic_tets: Vec<u32> = count(&mesh.tetrahedra[..n_dynamic_tets]);
+        let linear_tets = count(&linear.tetrahedra);
+        for (l, &t) in tets[..n_dynamic_tets].iter().enumerate() {
+            if let Some(&stress_pa) = whole.rest_stress_pa.get(t) {
+                let gradients = P1Gradients::new(mesh.corners_m(TetId::from_index(l)));
+                motion.add_rest_forces(mesh.tetrahedra[l], gradients.stress_forces_n(stress_pa), 1.0);
+            }
+        }
+        Ok(Some(Self {
+            nodes: nodes.iter().map(|n| n.0).collect(),
+            tets: tets.iter().map(|&t| t as u32).collect(),
+            is_live: vec![true; tets.len()],
+            mesh,
+            n_linear_tets,
+            n_dynamic_tets,
+            dynamic_tets,
+            linear_tets,
+            tensors,
+            kirchhoff,
+            law,
+            motion,
+            frontier: Vec::new(),
+            frontier_m: Vec::new(),
+            frontier_n: Vec::new(),
+        }))
+    }
+
+    /// Takes the dynamic nodes of the interface, in its order.
+    pub(super) fn set_frontier(&mut self, nodes: &[NodeId], padded_len: usize) {
+        let local = |n: &NodeId| self.local(*n).expect("a dynamic node").0;
+        self.frontier = nodes.iter().map(local).collect();
+        self.frontier_m = vec![0.0; padded_len];
+        self.frontier_n = vec![0.0; padded_len];
+    }
+
+    /// The body's node for one of the mesh.
+    pub(super) fn local(&self, node: NodeId) -> Option<NodeId> {
+        // Those that are gone are no numbers of nodes, but the others still ascend.
+        let found = self.nodes.iter().position(|&n| n == node.0)?;
+        Some(NodeId::from_index(found))
+    }
+
+    /// The dynamic tetrahedra and those around them, at rest.
+    pub(super) fn mesh(&self) -> &TetMesh {
+        &self.mesh
+    }
+
+    /// Whether a tetrahedron of the body is still there.
+    pub(super) fn is_live(&self, tet: usize) -> bool {
+        self.is_live[tet]
+    }
+
+    /// The law of a tetrahedron of the body, if it is a St Venant-Kirchhoff one.
+    pub(super) fn kirchhoff_law(&self, tet: usize) -> Option<TetLaw> {
+        (self.n_linear_tets..self.n_dynamic_tets).contains(&tet).then_some(self.law)
+    }
+
+    /// The mesh's number of a tetrahedron of the body.
+    pub(super) fn tet_of_mesh(&self, tet: usize) -> usize {
+        self.tets[tet] as usize
+    }
+
+    /// Displacement [m] of a node of the body.
+    pub(super) fn displacement_m(&self, local: usize) -> DVec3 {
+        unpadded(&self.motion.displacements()[local])
+    }
+
+    /// How the last step went, with the mesh's numbers.
+    pub(super) fn report(&self) -> ModelReport {
+        let report = self.motion.report();
+        let of_mesh = |t: TetId| TetId(self.tets[t.index()]);
+        ModelReport { first_quarantined: report.first_quarantined.map(of_mesh), ..report }
+    }
+
+    /// Place among the interface's dynamic nodes of one of the body's.
+    pub(super) fn frontier_place(&self, local: NodeId) -> Option<usize> {
+        self.frontier.iter().position(|&n| n == local.0)
+    }
+
+    /// Nodes that move by themselves: the body's and the mesh's.
+    pub(super) fn moving(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let moves = |&(l, n): &(usize, &u32)| *n != GONE && self.dynamic_tets[l] > 0;
+        self.nodes.iter().enumerate().filter(moves).map(|(l, &n)| (l, n as usize))
+    }
+
+    /// Starts the moving nodes from these places of the mesh's nodes [m], at standstill without velocities.
+    pub(super) fn start(&mut self, rest_m: &[DVec3], positions_m: &[DVec3], velocities: Option<&[DVec3]>) {
+        for l in 0..self.nodes.len() {
+            if self.nodes[l] != GONE && self.dynamic_tets[l] > 0 {
+                let n = self.nodes[l] as usize;
+                let velocity = velocities.map_or(DVec3::ZERO, |v| v[n]);
+                self.motion.start_node(l, positions_m[n] - rest_m[n], velocity);
+            }
+        }
+    }
+
+    /// Displacements [m] of the interface's dynamic nodes.
+    pub(super) fn frontier_displacements(&mut self) -> &[f64] {
+        gather(&self.frontier, self.motion.displacements(), &mut self.frontier_m);
+        self.last_frontier_m()
+    }
+
+    /// The same as they were found last.
+    pub(super) fn last_frontier_m(&self) -> &[f64] {
+        &self.frontier_m[..3 * self.frontier.len()]
+    }
+
+    /// Advances by `dt_s`. What the pre-computed zones bear: `stiffness` times the frontier's displacements, less
+    /// `force_n`, and less what `add_contact(displacements, forces)` adds for the tools in them.
+    pub(super) fn step(
+        &mut self,
+        dt_s: f64,
+        stiffness: &SymmetricTiles,
+        force_n: &[f64],
+        mut add_contact: impl FnMut(&[f64], &mut [f64]),
+    ) {
+        let Self { tensors, motion, frontier, frontier_m, frontier_n, .. } = self;
+        let n_linear_tets = self.n_linear_tets;
+        motion.step(dt_s, |u, force| {
+            if let Some(tensors) = tensors {
+                tensors.add_forces(u, force);
+            }
+            let mut quarantine = Quarantine::default();
+            for (k, tet) in self.kirchhoff.iter().enumerate() {
+                let t = n_linear_tets + k;
+                if !self.is_live[t] {
+                    continue;
+                }
+                let nodes = self.mesh.tetrahedra[t].map(NodeId::index);
+                let (f, is_inverted) = tet.forces_n(&self.law, nodes.map(|n| unpadded(&u[n])));
+                if is_inverted {
+                    quarantine.add(t);
+                }
+                for (n, f) in nodes.into_iter().zip(f) {
+                    let to = &mut force[n];
+                    (0..3).for_each(|axis| to[axis] += f[axis]);
+                }
+            }
+            if frontier.is_empty() {
+                return quarantine;
+            }
+            gather(frontier, u, frontier_m);
+            for (to, f) in frontier_n.iter_mut().zip(force_n) {
+                *to = -f;
+            }
+            stiffness.add_times(frontier_m, frontier_n);
+            let n = 3 * frontier.len();
+            add_contact(&frontier_m[..n], &mut frontier_n[..n]);
+            for (node, f) in frontier.iter().zip(frontier_n.chunks_exact(3)) {
+                let to = &mut force[*node as usize];
+                (0..3).for_each(|axis| to[axis] += f[axis]);
+            }
+            quarantine
+        });
+    }
+
+    /// Whether taking these tetrahedra of the mesh out, which ascend, leaves a frontier node without a dynamic one.
+    pub(super) fn would_strand(&self, removed: &[TetId]) -> bool {
+        let goes = |t: &usize| self.is_live[*t] && removed.binary_search(&TetId(self.tets[*t])).is_ok();
+        (0..self.n_dynamic_tets).filter(goes).any(|t| {
+            self.mesh.tetrahedra[t].iter().filter(|n| self.frontier.contains(&n.0)).any(|n| {
+                let at_node = |t: &usize| self.mesh.tetrahedra[*t].contains(n);
+                let n_gone = (0..self.n_dynamic_tets).filter(goes).filter(at_node).count();
+                n_gone == self.dynamic_tets[n.index()] as usize
+            })
+        })
+    }
+
+    /// Takes a tetrahedron of the mesh out.
+    pub(super) fn remove_tet(&mut self, tet: TetId, whole: &Whole<'_>) {
+        let dynamic = &self.tets[..self.n_dynamic_tets];
+        let Some(t) = dynamic.iter().position(|&t| t == tet.0) else { return };
+        if !std::mem::take(&mut self.is_live[t]) {
+            return;
+        }
+        let nodes = self.mesh.tetrahedra[t];
+        let gradients = P1Gradients::new(self.mesh.corners_m(TetId::from_index(t)));
+        for n in nodes {
+            self.dynamic_tets[n.index()] -= 1;
+        }
+        self.motion.remove_tet(nodes, gradients.volume_m3);
+        if let Some(&stress_pa) = whole.rest_stress_pa.get(tet.index()) {
+            self.motion.add_rest_forces(nodes, gradients.stress_forces_n(stress_pa), -1.0);
+        }
+        if t < self.n_linear_tets
+            && let Some(tensors) = &mut self.tensors
+        {
+            nodes.iter().for_each(|n| self.linear_tets[n.index()] -= 1);
+            let stiffness = gradients.stiffness(whole.material.lambda_pa(), whole.material.mu_pa());
+            tensors.subtract_tet(t, nodes, &stiffness, nodes.map(|n| self.linear_tets[n.index()] > 0));
+        }
+    }
+
+    /// After all removals of an edit.
+    pub(super) fn after_removals(&mut self) {
+        self.motion.after_removals(&self.mesh.tetrahedra, &self.is_live);
+    }
+
+    /// Follows a renumbering of the mesh.
+    pub(super) fn renumber(&mut self, nodes: &[Option<NodeId>], tets: &[Option<TetId>]) {
+        for n in self.nodes.iter_mut().filter(|n| **n != GONE) {
+            *n = nodes[*n as usize].map_or(GONE, |n| n.0);
+        }
+        for t in self.tets.iter_mut().filter(|t| **t != GONE) {
+            *t = tets[*t as usize].map_or(GONE, |t| t.0);
+        }
+    }
+
+    /// Displacement [m] and velocity of a node of the body.
+    pub(super) fn state_of(&self, local: usize) -> (DVec3, DVec3) {
+        let velocity = self.motion.state().velocities_m_per_s[local];
+        (unpadded(&self.motion.displacements()[local]), velocity)
+    }
+}
+
+fn gather(frontier: &[u32], u: &[Padded], to: &mut [f64]) {
+    for (node, to) in frontier.iter().zip(to.chunks_exact_mut(3)) {
+        to.copy_from_slice(&u[*node as usize][..3]);
+    }
+}

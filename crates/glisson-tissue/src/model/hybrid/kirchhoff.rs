@@ -1,0 +1,54 @@
+//! St Venant-Kirchhoff tetrahedra of dynamic zones, force by force from the definition.
+//!
+//! F = Id + sum_j u_j alpha_j^T, E = (F^T F - Id)/2, P = F S(E); the force that balances the deformation at corner j is
+//! V P alpha_j ([`TetLaw`], seeds `002` and `004`). For the few tetrahedra of a zone this takes fewer operations than
+//! the traversal of accumulated numbers in [`crate::model::nonlinear_tensor_mass`], of which it is the same physics.
+//!
+//! A stress at rest S0 makes P = F (S + S0). Its constant part V S0 alpha_j is kept elsewhere, as in the linear zones.
+
+use crate::model::nonlinear_tensor_mass::TetLaw;
+use crate::solve::{P1Gradients, RestStress, stress_tensor_pa};
+use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer};
+
+/// A tetrahedron at rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct KirchhoffTet {
+    gradients: P1Gradients,
+    rest_stress_pa: DMat3,
+}
+
+impl KirchhoffTet {
+    pub(super) fn new(corners_m: [DVec3; 4], rest_stress_pa: Option<&RestStress>) -> Self {
+        let rest_stress_pa = rest_stress_pa.map_or(DMat3::ZERO, |stress| stress_tensor_pa(*stress));
+        Self { gradients: P1Gradients::new(corners_m), rest_stress_pa }
+    }
+
+    /// Forces [N] that balance the corners' displacements [m] beyond the constant ones of the stress at rest, and
+    /// whether the tetrahedron is inverted: then it bears nothing, because St Venant-Kirchhoff tissue rests in its mirror
+    /// image too, and the forces are the opposites of the constant ones.
+    pub(super) fn forces_n(&self, law: &TetLaw, u_m: [DVec3; 4]) -> ([DVec3; 4], bool) {
+        let P1Gradients { alpha_per_m, volume_m3 } = self.gradients;
+        let f = (0..4).fold(DMat3::IDENTITY, |f, k| f + outer(u_m[k], alpha_per_m[k]));
+        let is_inverted = is_inverted(f.determinant());
+        let piola_pa = if is_inverted {
+            self.rest_stress_pa * -1.0
+        } else {
+            let strain = (f.transpose() * f - DMat3::IDENTITY) * 0.5;
+            f * law.stress_pa(strain) + (f - DMat3::IDENTITY) * self.rest_stress_pa
+        };
+        (alpha_per_m.map(|alpha| piola_pa * alpha * volume_m3), is_inverted)
+    }
+
+    /// Forces [N] of linear elasticity less those of [`KirchhoffTet::forces_n`], without a stress at rest: what a linear
+    /// system has to be loaded with so that it bears the non-linear tetrahedron.
+    pub(super) fn linear_surplus_n(&self, law: &TetLaw, u_m: [DVec3; 4]) -> ([DVec3; 4], bool) {
+        let P1Gradients { alpha_per_m, volume_m3 } = self.gradients;
+        let gradient = (0..4).fold(DMat3::ZERO, |g, k| g + outer(u_m[k], alpha_per_m[k]));
+        let stress_pa = law.stress_pa((gradient + gradient.transpose()) * 0.5);
+        let (mut surplus_n, is_inverted) = self.forces_n(law, u_m);
+        for (f, alpha) in surplus_n.iter_mut().zip(alpha_per_m) {
+            *f = stress_pa * alpha * volume_m3 - *f;
+        }
+        (surplus_n, is_inverted)
+    }
+}

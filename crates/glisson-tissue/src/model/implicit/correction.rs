@@ -1,0 +1,42 @@
+//! Corrections of a step by contact, through the factor at hand.
+
+use super::ImplicitEuler;
+use crate::model::{Correction, NodalForce};
+use glisson_mesh::math::DVec3;
+
+impl ImplicitEuler {
+    /// Forces on nodes that do not move or are held do nothing.
+    pub(super) fn answer(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
+        moves_m.fill(DVec3::ZERO);
+        let Some(lagged) = &mut self.lagged else { return };
+        // The residual is what the supports bear: it is asked for between steps.
+        let right = &mut self.scratch.product_n;
+        right.fill(DVec3::ZERO);
+        for force in forces {
+            let n = force.node.index();
+            right[n] += force.force_n * self.mask[n];
+        }
+        lagged.solve_into(right, moves_m);
+        for (moved_m, mask) in moves_m.iter_mut().zip(&self.mask) {
+            *moved_m *= *mask;
+        }
+    }
+
+    pub(super) fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        let mut moves_m = std::mem::take(&mut self.scratch.before_m);
+        self.answer(forces, &mut moves_m);
+        if moves_m.iter().all(|m| m.is_finite()) {
+            for (n, move_m) in moves_m.iter().enumerate() {
+                self.displacement_m[n] += *move_m;
+                if correction == Correction::Motion {
+                    self.velocities_m_per_s[n] += *move_m / dt_s;
+                }
+            }
+            // The law may have no energy in the corrected shape: the next step looks.
+            self.is_suspect = true;
+        }
+        self.scratch.before_m = moves_m;
+        self.publish();
+        self.report.kinetic_energy_j = self.kinetic_energy_j();
+    }
+}

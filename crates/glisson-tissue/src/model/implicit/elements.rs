@@ -1,0 +1,635 @@
+//! All live tetrahedra: forces and tangent products of their law, of added stress, and of those that are inside
+//! out.
+//!
+//! The stress is P = factor * P_elastic(F) + F S. S holds the stress at rest and what viscosity remembers, and
+//! `factor` is the share of the elastic stress that viscosity leaves to this step ([`super::relaxation`]); both
+//! are constant during a step, so that a potential exists.
+//!
+//! Quarantine: a tetrahedron in which the law has no energy (inside out for a law with ln J), and all that share
+//! a node with one, follow for one step the stable neo-Hookean law of the same stiffness at rest. It is finite
+//! and restoring for every F; the neighbours take part so that none of them bars the way back. While a body
+//! recovers, the same goes for tetrahedra that are still far from their shape at rest, and where they are many, for
+//! the whole body until none is left: the law's own barrier would keep a tangle.
+
+use std::borrow::Cow;
+
+use fearless_simd::Level;
+
+use super::general::{General, stiffness_of};
+use super::lanes::{Group, LANES, SYMMETRIC, Shape, SymmetricLanes};
+use super::law::ImplicitLaw;
+use super::neo_hooke::NeoHooke;
+use super::{RestStress, VolumeResistance};
+use crate::material::{Material, StableNeoHooke};
+use crate::model::roomy::Roomy;
+use crate::solve::{P1Gradients, SolveError, TetStiffness};
+use glisson_mesh::math::{DMat3, DVec3, outer};
+use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
+
+/// A recovering tetrahedron follows its own law again above this volume ratio ...
+const RETURN_RATIO: f64 = 0.6;
+/// ... and below this |F|^2, which is 3 at rest. A tangle whose tetrahedra are all upright is stretched more.
+const RETURN_SQUARES: f64 = 4.5;
+/// One in so many tetrahedra in trouble is a tangle, not an accident.
+const TANGLE: usize = 20;
+/// Inside out: a law with an energy there has no barrier.
+const MIRROR: DMat3 = DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
+
+/// What one evaluation says besides the forces.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Evaluation {
+    /// Energy [J]; meaningless when not upright.
+    pub(super) energy_j: f64,
+    /// Whether the law allows every F.
+    pub(super) is_upright: bool,
+    /// Whether a tetrahedron is inside out under a law that allows it.
+    pub(super) has_inverted: bool,
+}
+
+impl Evaluation {
+    /// Whether the law allows every F and the energy is finite.
+    pub(super) fn is_usable(&self) -> bool {
+        self.is_upright && self.energy_j.is_finite()
+    }
+}
+
+/// Which tetrahedra follow the stand-in law.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Recovery {
+    /// None of them.
+    None = 0,
+    /// Those in trouble and their neighbours.
+    Around = 1,
+    /// All.
+    Whole = 2,
+}
+
+#[derive(Clone)]
+enum OwnLaw {
+    NeoHooke(NeoHooke),
+    General(General),
+}
+
+/// A tetrahedron that follows the stand-in law during this step.
+#[derive(Clone, Debug)]
+struct Stray {
+    /// Number among the live tetrahedra.
+    live: u32,
+    /// F at the last evaluation.
+    f: DMat3,
+}
+
+/// All live tetrahedra and the state of their tangent.
+#[derive(Clone)]
+pub(super) struct Elements {
+    level: Level,
+    shape: Shape,
+    /// Numbers in the mesh of the live tetrahedra.
+    tets: Vec<TetId>,
+    own: OwnLaw,
+    /// One, or one a live tetrahedron.
+    stand_ins: Vec<StableNeoHooke>,
+    factor: f64,
+    /// Stress at rest [Pa]; empty for none.
+    rest_pa: Vec<SymmetricLanes>,
+    /// Its part without negative eigenvalues, for the preconditioner.
+    tensile_rest_pa: Vec<DMat3>,
+    node_volume_m3: Vec<f64>,
+    strays: Roomy<Stray>,
+    // Scratch of the quarantine.
+    is_bad: Vec<bool>,
+    meets_bad: Vec<bool>,
+}
+
+/// What [`Elements::new`] needs; lists are by the mesh's tetrahedra.
+pub(super) struct ElementsParams<'a> {
+    pub(super) mesh: &'a TetMesh,
+    pub(super) live: &'a [bool],
+    pub(super) law: &'a ImplicitLaw,
+    /// One, or one a tetrahedron.
+    pub(super) stand_ins: &'a [StableNeoHooke],
+    pub(super) volume: VolumeResistance,
+    /// One a tetrahedron, or none.
+    pub(super) rest_stress_pa: &'a [RestStress],
+    /// Whether [`Elements::set_viscous`] will be used.
+    pub(super) is_viscous: bool,
+}
+
+/// The values of the live tetrahedra, of a list with one value or one a tetrahedron.
+fn of_live<'a, T: Clone>(list: &'a [T], tets: &[TetId]) -> Cow<'a, [T]> {
+    if list.len() == 1 {
+        Cow::Borrowed(list)
+    } else {
+        Cow::Owned(tets.iter().map(|t| list[t.index()].clone()).collect())
+    }
+}
+
+impl Elements {
+    pub(super) fn new(params: &ElementsParams<'_>) -> Result<Self, SolveError> {
+        let ElementsParams { mesh, live, law, stand_ins, volume, rest_stress_pa, is_viscous } = *params;
+        let n_nodes = mesh.positions_m.len();
+        let tets: Vec<TetId> =
+            (0..mesh.tetrahedra.len()).filter(|&t| live[t]).map(TetId::from_index).collect();
+        let mut node_volume_m3 = vec![0.0; n_nodes];
+        let n_groups = tets.len().div_ceil(LANES);
+        let mut groups = Vec::with_capacity(n_groups);
+        for part in tets.chunks(LANES) {
+            let mut group = Group {
+                nodes: [[0; LANES]; 4],
+                gradient_per_m: [[0.0; LANES]; 9],
+                volume_m3: [0.0; LANES],
+                left_out: 0,
+            };
+            for lane in 0..LANES {
+                // Lanes beyond the end repeat the last tetrahedron with volume zero.
+                let tet = part[lane.min(part.len() - 1)];
+                let gradients = P1Gradients::of_tet(mesh, tet)?;
+                let nodes = mesh.tetrahedra[tet.index()];
+                for k in 0..4 {
+                    group.nodes[k][lane] = nodes[k].0;
+                }
+                for k in 0..3 {
+                    for i in 0..3 {
+                        group.gradient_per_m[3 * k + i][lane] = gradients.alpha_per_m[k + 1][i];
+                    }
+                }
+                if lane < part.len() {
+                    group.volume_m3[lane] = gradients.volume_m3;
+                    for node in nodes {
+                        node_volume_m3[node.index()] += 0.25 * gradients.volume_m3;
+                    }
+                }
+            }
+            groups.push(group);
+        }
+        let own = match law {
+            ImplicitLaw::NeoHookeLog(law) => {
+                let lame_pa = [law.lambda_pa(), law.mu_pa()];
+                OwnLaw::NeoHooke(NeoHooke::new(lame_pa, volume, n_groups, &node_volume_m3))
+            }
+            ImplicitLaw::General(laws) => {
+                OwnLaw::General(General::new(of_live(laws, &tets).into_owned(), n_groups))
+            }
+        };
+        let mut rest_pa = Vec::new();
+        let mut tensile_rest_pa = Vec::new();
+        if !rest_stress_pa.is_empty() {
+            rest_pa = vec![[[0.0; LANES]; 6]; n_groups];
+            for (t, tet) in tets.iter().enumerate() {
+                let s = rest_stress_pa[tet.index()];
+                for k in 0..6 {
+                    rest_pa[t / LANES][k][t % LANES] = s[k];
+                }
+                tensile_rest_pa.push(super::projected::without_negative_eigenvalues(symmetric(&s)));
+            }
+        }
+        let added_pa = if is_viscous && rest_pa.is_empty() {
+            vec![[[0.0; LANES]; 6]; n_groups]
+        } else {
+            rest_pa.clone()
+        };
+        Ok(Self {
+            level: Level::new(),
+            shape: Shape { groups, added_pa },
+            own,
+            stand_ins: of_live(stand_ins, &tets).into_owned(),
+            factor: 1.0,
+            rest_pa,
+            tensile_rest_pa,
+            node_volume_m3,
+            strays: Roomy::with_room(tets.len()),
+            is_bad: vec![false; tets.len()],
+            meets_bad: vec![false; n_nodes],
+            tets,
+        })
+    }
+
+    /// A quarter of the tetrahedra's volumes around each node [m3]: its share of the body.
+    pub(super) fn node_volume_m3(&self) -> &[f64] {
+        &self.node_volume_m3
+    }
+
+    /// Numbers in the mesh of the live tetrahedra.
+    pub(super) fn tets(&self) -> &[TetId] {
+        &self.tets
+    }
+
+    /// Every live tetrahedron's nodes, gradients alpha_1..alpha_3 [1/m] and volume [m3].
+    pub(super) fn tetrahedra(&self) -> impl Iterator<Item = ([NodeId; 4], [DVec3; 3], f64)> + '_ {
+        (0..self.tets.len()).map(|t| self.tetrahedron(t))
+    }
+
+    fn tetrahedron(&self, t: usize) -> ([NodeId; 4], [DVec3; 3], f64) {
+        let (group, lane) = (&self.shape.groups[t / LANES], t % LANES);
+        let row = |k: usize, i: usize| group.gradient_per_m[3 * k + i][lane];
+        let alpha = [0, 1, 2].map(|k| DVec3::new(row(k, 0), row(k, 1), row(k, 2)));
+        ([0, 1, 2, 3].map(|k| NodeId(group.nodes[k][lane])), alpha, group.volume_m3[lane])
+    }
+
+    /// grad of a vector at the nodes, in live tetrahedron number `t`.
+    fn gradient(&self, t: usize, vector: &[DVec3]) -> DMat3 {
+        let (nodes, alpha, _) = self.tetrahedron(t);
+        let v = nodes.map(|n| vector[n.index()]);
+        outer(v[1] - v[0], alpha[0]) + outer(v[2] - v[0], alpha[1]) + outer(v[3] - v[0], alpha[2])
+    }
+
+    /// Sets this step's viscous factor; the added stress is the one at rest plus, for each live tetrahedron, what
+    /// `remembered_pa` gives.
+    pub(super) fn set_viscous(&mut self, factor: f64, remembered_pa: impl Fn(TetId) -> DMat3) {
+        self.factor = factor;
+        for (t, &tet) in self.tets.iter().enumerate() {
+            let s = remembered_pa(tet);
+            let (g, lane) = (t / LANES, t % LANES);
+            for (k, x) in components(&s).into_iter().enumerate() {
+                let rest_pa = self.rest_pa.get(g).map_or(0.0, |rest| rest[k][lane]);
+                self.shape.added_pa[g][k][lane] = rest_pa + x;
+            }
+        }
+    }
+
+    /// Share of the elastic stress that viscosity leaves to this step.
+    pub(super) fn factor(&self) -> f64 {
+        self.factor
+    }
+
+    /// Overwrites `force_n` with the forces that balance the deformation, and keeps the tangent there.
+    pub(super) fn evaluate(&mut self, displacement_m: &[DVec3], force_n: &mut [DVec3]) -> Evaluation {
+        force_n.fill(DVec3::ZERO);
+        let mut found = match &mut self.own {
+            OwnLaw::NeoHooke(own) => {
+                own.evaluate(self.level, &self.shape, self.factor, displacement_m, force_n)
+            }
+            OwnLaw::General(own) => {
+                own.evaluate(self.level, &self.shape, self.factor, displacement_m, force_n)
+            }
+        };
+        for s in 0..self.strays.len() {
+            let t = self.strays[s].live as usize;
+            let f = DMat3::IDENTITY + self.gradient(t, displacement_m);
+            self.strays[s].f = f;
+            let law = self.stand_in(t);
+            let added = self.added_pa(t);
+            let turned = f * added;
+            let stress = law.first_piola_pa(&f) * self.factor + turned;
+            let turned_energy = 0.5 * (trace_of_product(&turned, &f) - trace(&added));
+            let volume_m3 = self.tetrahedron(t).2;
+            found.energy_j += volume_m3 * (self.factor * law.energy_density_j_per_m3(&f) + turned_energy);
+            self.add_forces(t, &stress, force_n);
+        }
+        found
+    }
+
+    /// Overwrites `force_n` with K d, K being the tangent of the last evaluation.
+    pub(super) fn tangent_product(&mut self, direction_m: &[DVec3], force_n: &mut [DVec3]) {
+        force_n.fill(DVec3::ZERO);
+        match &mut self.own {
+            OwnLaw::NeoHooke(own) => {
+                own.tangent_product(self.level, &self.shape, self.factor, direction_m, force_n);
+            }
+            OwnLaw::General(own) => {
+                own.tangent_product(self.level, &self.shape, self.factor, direction_m, force_n);
+            }
+        }
+        for stray in self.strays.iter() {
+            let t = stray.live as usize;
+            let df = self.gradient(t, direction_m);
+            let law = self.stand_in(t);
+            let dp = law.first_piola_differential_pa(&stray.f, &df) * self.factor + df * self.added_pa(t);
+            self.add_forces(t, &dp, force_n);
+        }
+    }
+
+    /// Finds the tetrahedra in which the law has no energy or, when the body recovers already, that are far from
+    /// rest. These and their neighbours follow the stand-in law from now on, until this is called again: how many
+    /// do, and the first in trouble.
+    pub(super) fn quarantine(&mut self, displacement_m: &[DVec3], before: Recovery) -> (u32, Option<TetId>) {
+        self.strays.clear();
+        for group in &mut self.shape.groups {
+            group.left_out = 0;
+        }
+        let (mut n_bad, mut first_bad, mut first_invalid) = (0, None, None);
+        for t in 0..self.tets.len() {
+            let f = DMat3::IDENTITY + self.gradient(t, displacement_m);
+            let (is_valid, bars) = match &self.own {
+                OwnLaw::NeoHooke(own) => (own.is_valid_at(&f), true),
+                OwnLaw::General(own) => (own.is_valid_at(t, &f), !own.is_valid_at(t, &MIRROR)),
+            };
+            self.is_bad[t] = !is_valid || (bars && is_far_from_rest(&f));
+            if self.is_bad[t] {
+                n_bad += 1;
+                first_bad = first_bad.or(Some(self.tets[t]));
+            }
+            if !is_valid {
+                first_invalid = first_invalid.or(Some(self.tets[t]));
+            }
+        }
+        if n_bad == 0 || (first_invalid.is_none() && before == Recovery::None) {
+            return (0, None);
+        }
+        self.meets_bad.fill(before == Recovery::Whole || n_bad * TANGLE > self.tets.len());
+        for t in 0..self.tets.len() {
+            if self.is_bad[t] {
+                for node in self.tetrahedron(t).0 {
+                    self.meets_bad[node.index()] = true;
+                }
+            }
+        }
+        for t in 0..self.tets.len() {
+            if self.tetrahedron(t).0.iter().any(|n| self.meets_bad[n.index()]) {
+                self.strays.push(Stray { live: t as u32, f: DMat3::IDENTITY });
+                // Lanes beyond the end repeat the last tetrahedron.
+                let lanes = if t + 1 == self.tets.len() { 0xff << (t % LANES) } else { 1 << (t % LANES) };
+                self.shape.groups[t / LANES].left_out |= lanes as u8;
+            }
+        }
+        (self.strays.len() as u32, first_invalid.or(first_bad))
+    }
+
+    /// Which tetrahedra follow the stand-in law.
+    pub(super) fn recovery(&self) -> Recovery {
+        if self.strays.is_empty() {
+            Recovery::None
+        } else if self.strays.len() == self.tets.len() {
+            Recovery::Whole
+        } else {
+            Recovery::Around
+        }
+    }
+
+    /// Overwrites one flag a live tetrahedron: whether it follows the stand-in law.
+    pub(super) fn strays_into(&self, follows_stand_in: &mut [bool]) {
+        follows_stand_in.fill(false);
+        for stray in self.strays.iter() {
+            follows_stand_in[stray.live as usize] = true;
+        }
+    }
+
+    /// Elastic second Piola-Kirchhoff stress [Pa], F^-1 P, of live tetrahedron number `t` at the displacements of
+    /// the last evaluation; none in quarantine.
+    pub(super) fn second_piola_pa(&self, t: usize, displacement_m: &[DVec3]) -> Option<DMat3> {
+        let group = &self.shape.groups[t / LANES];
+        if !group.has_stress(t % LANES) {
+            return None;
+        }
+        let f = DMat3::IDENTITY + self.gradient(t, displacement_m);
+        let stress_pa = match &self.own {
+            OwnLaw::NeoHooke(own) => own.second_piola_pa(group, t % LANES, self.factor, &f),
+            OwnLaw::General(own) => f.inverse() * own.law(t).first_piola_pa(&f),
+        };
+        // What is passed on is symmetric to the bit.
+        Some(symmetric(&components(&stress_pa))).filter(DMat3::is_finite)
+    }
+
+    /// Stiffness without negative eigenvalues of live tetrahedron number `t` at F, times its volume; the elastic
+    /// part times `per_elastic`, that of the stress at rest times `per_rest`.
+    pub(super) fn projected_stiffness(
+        &self,
+        t: usize,
+        f: DMat3,
+        follows_stand_in: bool,
+        [per_elastic, per_rest]: [f64; 2],
+    ) -> TetStiffness {
+        let (_, alpha, volume_m3) = self.tetrahedron(t);
+        let mut stiffness = match &self.own {
+            _ if follows_stand_in => {
+                stiffness_of(&self.stand_in(t).projected_tangent_pa(&f), alpha, per_elastic * volume_m3)
+            }
+            OwnLaw::NeoHooke(own) => own.projected_stiffness(f, alpha, per_elastic * volume_m3),
+            OwnLaw::General(own) => {
+                stiffness_of(&own.law(t).projected_tangent_pa(&f), alpha, per_elastic * volume_m3)
+            }
+        };
+        if let Some(rest_pa) = self.tensile_rest_pa.get(t) {
+            let all = [-(alpha[0] + alpha[1] + alpha[2]), alpha[0], alpha[1], alpha[2]];
+            let scalar = |j: usize, k: usize| {
+                DMat3::from_diagonal(DVec3::splat(all[j].dot(*rest_pa * all[k]) * per_rest * volume_m3))
+            };
+            for j in 0..4 {
+                stiffness.vertex[j] += scalar(j, j);
+            }
+            for (edge, [j, k]) in stiffness.edge.iter_mut().zip(crate::solve::LOCAL_EDGES) {
+                *edge += scalar(j, k);
+            }
+        }
+        stiffness
+    }
+
+    fn stand_in(&self, t: usize) -> &StableNeoHooke {
+        &self.stand_ins[if self.stand_ins.len() == 1 { 0 } else { t }]
+    }
+
+    fn added_pa(&self, t: usize) -> DMat3 {
+        let lanes = self.shape.added_pa.get(t / LANES);
+        lanes.map_or(DMat3::ZERO, |lanes| symmetric(&std::array::from_fn(|k| lanes[k][t % LANES])))
+    }
+
+    fn add_forces(&self, t: usize, stress_pa: &DMat3, force_n: &mut [DVec3]) {
+        let (nodes, alpha, volume_m3) = self.tetrahedron(t);
+        for k in 0..3 {
+            let share_n = *stress_pa * alpha[k] * volume_m3;
+            force_n[nodes[k + 1].index()] += share_n;
+            force_n[nodes[0].index()] -= share_n;
+        }
+    }
+}
+
+fn is_far_from_rest(f: &DMat3) -> bool {
+    f.determinant() < RETURN_RATIO || trace_of_product(f, f) > RETURN_SQUARES
+}
+
+/// Matrix of xx, yy, zz, xy, xz, yz.
+fn symmetric(s: &RestStress) -> DMat3 {
+    DMat3::from_cols_array_2d(&SYMMETRIC.map(|row| row.map(|k| s[k])))
+}
+
+/// xx, yy, zz, xy, xz, yz of the symmetric part.
+pub(super) fn components(m: &DMat3) -> RestStress {
+    let mean = |r: usize, c: usize| 0.5 * (m.col(c)[r] + m.col(r)[c]);
+    [mean(0, 0), mean(1, 1), mean(2, 2), mean(0, 1), mean(0, 2), mean(1, 2)]
+}
+
+fn trace(m: &DMat3) -> f64 {
+    m.x_axis.x + m.y_axis.y + m.z_axis.z
+}
+
+/// a : b
+fn trace_of_product(a: &DMat3, b: &DMat3) -> f64 {
+    a.x_axis.dot(b.x_axis) + a.y_axis.dot(b.y_axis) + a.z_axis.dot(b.z_axis)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::material::{
+        LinearElastic, MaterialSpec, MooneyRivlin, NeoHookeLog, Ogden, OgdenTerm, StVenantKirchhoff,
+    };
+    use glisson_mesh::math::SeededRandom;
+
+    const LAME_PA: [f64; 2] = [9000.0, 1000.0];
+
+    fn cube(random: &mut SeededRandom) -> TetMesh {
+        let mut mesh = TetMesh::default();
+        for i in 0..8 {
+            let corner = DVec3::new(f64::from(i & 1), f64::from((i >> 1) & 1), f64::from(i >> 2));
+            mesh.positions_m.push(corner + vector(random, 0.05));
+        }
+        mesh.tetrahedra =
+            [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]]
+                .map(|t| t.map(NodeId))
+                .to_vec();
+        mesh
+    }
+
+    fn vector(random: &mut SeededRandom, scale: f64) -> DVec3 {
+        DVec3::new(random.normal(), random.normal(), random.normal()) * scale
+    }
+
+    fn laws() -> Vec<(ImplicitLaw, VolumeResistance)> {
+        let [lambda_pa, mu_pa] = LAME_PA;
+        let fast = ImplicitLaw::from(NeoHookeLog::new(lambda_pa, mu_pa).unwrap());
+        let ogden = Ogden::new(&[OgdenTerm { mu_pa, exponent: -4.7 }], lambda_pa).unwrap();
+        vec![
+            (fast.clone(), VolumeResistance::Element),
+            (fast.clone(), VolumeResistance::NodeAveraged),
+            (fast, VolumeResistance::NodeAveragedStrain),
+            (
+                ImplicitLaw::shared(LinearElastic::from_lame(lambda_pa, mu_pa, 1000.0).unwrap()),
+                VolumeResistance::Element,
+            ),
+            (
+                ImplicitLaw::shared(StVenantKirchhoff::new(lambda_pa, mu_pa).unwrap()),
+                VolumeResistance::Element,
+            ),
+            (ImplicitLaw::shared(StableNeoHooke::new(lambda_pa, mu_pa).unwrap()), VolumeResistance::Element),
+            (ImplicitLaw::shared(ogden), VolumeResistance::Element),
+        ]
+    }
+
+    fn elements(
+        mesh: &TetMesh,
+        law: &ImplicitLaw,
+        volume: VolumeResistance,
+        rest: &[RestStress],
+    ) -> Elements {
+        let n_tets = mesh.tetrahedra.len();
+        Elements::new(&ElementsParams {
+            mesh,
+            live: &vec![true; n_tets],
+            law,
+            stand_ins: &law.stand_ins(n_tets).unwrap(),
+            volume,
+            rest_stress_pa: rest,
+            is_viscous: true,
+        })
+        .unwrap()
+    }
+
+    /// Forces are the slope of the energy, and the tangent product that of the forces.
+    fn check_derivatives(elements: &mut Elements, u: &[DVec3], d: &[DVec3], name: &str) {
+        let step = 1e-6;
+        let moved = |s: f64| -> Vec<DVec3> { u.iter().zip(d).map(|(u, d)| *u + *d * s).collect() };
+        let mut forces = [vec![DVec3::ZERO; 8], vec![DVec3::ZERO; 8], vec![DVec3::ZERO; 8]];
+        let above = elements.evaluate(&moved(step), &mut forces[0]);
+        let below = elements.evaluate(&moved(-step), &mut forces[1]);
+        assert!(elements.evaluate(u, &mut forces[2]).is_usable());
+        let work: f64 = forces[2].iter().zip(d).map(|(f, d)| f.dot(*d)).sum();
+        let slope = (above.energy_j - below.energy_j) / (2.0 * step);
+        assert!((work - slope).abs() <= 1e-6 * work.abs(), "{name}: {work} {slope}");
+        let mut product = vec![DVec3::ZERO; 8];
+        elements.tangent_product(d, &mut product);
+        let size = product.iter().map(|f| f.length()).fold(0.0, f64::max);
+        for n in 0..8 {
+            let slope = (forces[0][n] - forces[1][n]) / (2.0 * step);
+            assert!((product[n] - slope).length() <= 1e-6 * size, "{name}: {} {slope}", product[n]);
+        }
+        // Forces balance each other.
+        assert!(forces[2].iter().sum::<DVec3>().length() <= 1e-12 * size);
+    }
+
+    #[test]
+    fn forces_and_tangent_are_derivatives_for_each_law_with_rest_stress_and_viscosity() {
+        let mut random = SeededRandom::new(8);
+        let mesh = cube(&mut random);
+        let mut vectors = |scale: f64| -> Vec<DVec3> { (0..8).map(|_| vector(&mut random, scale)).collect() };
+        let (u, d) = (vectors(0.05), vectors(1.0));
+        let rest: Vec<RestStress> =
+            (0..6).map(|t| [200.0, -150.0, 80.0, 60.0, -90.0, 30.0 * f64::from(t)]).collect();
+        for (law, volume) in laws() {
+            let name = format!("{law:?} {volume:?}");
+            let mut plain = elements(&mesh, &law, volume, &[]);
+            check_derivatives(&mut plain, &u, &d, &name);
+            let mut stressed = elements(&mesh, &law, volume, &rest);
+            check_derivatives(&mut stressed, &u, &d, &name);
+            stressed.set_viscous(0.7, |tet| {
+                symmetric(&[50.0, 20.0, -30.0, 10.0 * tet.index() as f64, 5.0, -7.0])
+            });
+            check_derivatives(&mut stressed, &u, &d, &name);
+        }
+    }
+
+    /// Turned inside out by node 1: its tetrahedra and their neighbours follow the stand-in.
+    #[test]
+    fn in_quarantine_forces_and_tangent_are_derivatives_too() {
+        let mut random = SeededRandom::new(9);
+        let mesh = cube(&mut random);
+        let mut vectors = |scale: f64| -> Vec<DVec3> { (0..8).map(|_| vector(&mut random, scale)).collect() };
+        let (mut u, d) = (vectors(0.02), vectors(1.0));
+        u[5] = DVec3::new(-1.5, 1.5, 0.0);
+        let rest = vec![[200.0, -150.0, 80.0, 60.0, -90.0, 30.0]; 6];
+        for (law, volume) in laws() {
+            let allows_inversion = matches!(&law, ImplicitLaw::General(laws)
+                if laws[0].energy_density_j_per_m3(&DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0))).is_finite());
+            let mut elements = elements(&mesh, &law, volume, &rest);
+            assert_eq!(elements.quarantine(&[DVec3::ZERO; 8], Recovery::None), (0, None));
+            let (n, first) = elements.quarantine(&u, Recovery::None);
+            assert_eq!(n > 0, !allows_inversion, "{law:?}");
+            assert_eq!(first.is_some(), !allows_inversion);
+            check_derivatives(&mut elements, &u, &d, &format!("{law:?} {volume:?}"));
+        }
+    }
+
+    /// The law through the trait is the fast one.
+    #[test]
+    fn the_fast_neo_hooke_law_is_the_general_one() {
+        let mut random = SeededRandom::new(10);
+        let mesh = cube(&mut random);
+        let mut vectors = |scale: f64| -> Vec<DVec3> { (0..8).map(|_| vector(&mut random, scale)).collect() };
+        let (u, d) = (vectors(0.05), vectors(1.0));
+        let law = NeoHookeLog::new(LAME_PA[0], LAME_PA[1]).unwrap();
+        let rest = vec![[200.0, -150.0, 80.0, 60.0, -90.0, 30.0]; 6];
+        let found = [ImplicitLaw::from(law), ImplicitLaw::shared(law)].map(|law| {
+            let mut elements = elements(&mesh, &law, VolumeResistance::Element, &rest);
+            let (mut force, mut product) = (vec![DVec3::ZERO; 8], vec![DVec3::ZERO; 8]);
+            let energy_j = elements.evaluate(&u, &mut force).energy_j;
+            elements.tangent_product(&d, &mut product);
+            let projected = elements.projected_stiffness(
+                2,
+                DMat3::from_diagonal(DVec3::new(0.9, 1.1, 1.2)),
+                false,
+                [0.7, 1.3],
+            );
+            let stress = elements.second_piola_pa(3, &u).unwrap();
+            (energy_j, force, product, projected, stress)
+        });
+        let [fast, general] = &found;
+        assert!((fast.0 - general.0).abs() <= 1e-12 * fast.0.abs());
+        for n in 0..8 {
+            assert!((fast.1[n] - general.1[n]).length() <= 1e-9, "{} {}", fast.1[n], general.1[n]);
+            assert!((fast.2[n] - general.2[n]).length() <= 1e-8, "{} {}", fast.2[n], general.2[n]);
+        }
+        for (a, b) in
+            fast.3.vertex.iter().chain(&fast.3.edge).zip(general.3.vertex.iter().chain(&general.3.edge))
+        {
+            assert!(a.abs_diff_eq(*b, 1e-8), "{a} {b}");
+        }
+        assert!(fast.4.abs_diff_eq(general.4, 1e-8), "{} {}", fast.4, general.4);
+    }
+
+    #[test]
+    fn named_laws_become_the_law_of_a_body() {
+        let law = MooneyRivlin::new(100.0, 200.0, 1e4).unwrap();
+        let general = ImplicitLaw::from(&MaterialSpec::MooneyRivlin(law));
+        assert!(matches!(&general, ImplicitLaw::General(laws) if laws.len() == 1));
+        assert!(general.modulus_pa() > 1e4);
+    }
+}

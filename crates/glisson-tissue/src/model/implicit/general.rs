@@ -1,0 +1,214 @@
+//! Any law: stress and tangent tetrahedron by tetrahedron, gathering and products eight at a time.
+//!
+//! The tangent d2W/dF2 is symmetric: 45 numbers a tetrahedron, made when a product first asks for them after an
+//! evaluation, so that a rejected line search step does not pay for it.
+
+use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
+
+use super::elements::Evaluation;
+use super::lanes::{
+    Group, LANES, Lanes, Shape, add_turned, added_density, gradient, load, load_matrix, scatter,
+};
+use super::law::SharedLaw;
+use crate::material::{Material, Tangent};
+use crate::solve::LOCAL_EDGES;
+use crate::solve::{TetStiffness, contracted_columns, contracted_rows};
+use glisson_mesh::math::{DMat3, DVec3};
+
+/// Entries of a symmetric 9x9 matrix.
+const N_ENTRIES: usize = 45;
+
+/// Law, deformation and tangent of all tetrahedra.
+#[derive(Clone)]
+pub(super) struct General {
+    /// One, or one a live tetrahedron.
+    laws: Vec<SharedLaw>,
+    /// F by rows at the last evaluation.
+    f: Vec<[Lanes; 9]>,
+    /// Upper triangle of the tangent by rows, entries of F by rows.
+    tangent_pa: Vec<[Lanes; N_ENTRIES]>,
+    tangent_is_current: bool,
+}
+
+impl General {
+    pub(super) fn new(laws: Vec<SharedLaw>, n_groups: usize) -> Self {
+        Self {
+            laws,
+            f: vec![[[0.0; LANES]; 9]; n_groups],
+            tangent_pa: vec![[[0.0; LANES]; N_ENTRIES]; n_groups],
+            tangent_is_current: false,
+        }
+    }
+
+    /// Law of live tetrahedron number `t`.
+    pub(super) fn law(&self, t: usize) -> &dyn Material {
+        &*self.laws[if self.laws.len() == 1 { 0 } else { t }]
+    }
+
+    /// Adds the forces [N] of `factor` times the law; keeps F for the tangent.
+    pub(super) fn evaluate(
+        &mut self,
+        level: Level,
+        shape: &Shape,
+        factor: f64,
+        displacement_m: &[DVec3],
+        force_n: &mut [DVec3],
+    ) -> Evaluation {
+        self.tangent_is_current = false;
+        dispatch!(level, simd => evaluate(simd, self, shape, factor, displacement_m, force_n))
+    }
+
+    /// Adds K d, K being the tangent of the last evaluation with the same `factor`.
+    pub(super) fn tangent_product(
+        &mut self,
+        level: Level,
+        shape: &Shape,
+        factor: f64,
+        direction_m: &[DVec3],
+        force_n: &mut [DVec3],
+    ) {
+        if !self.tangent_is_current {
+            self.update_tangents(shape, factor);
+            self.tangent_is_current = true;
+        }
+        dispatch!(level, simd => product(simd, &self.tangent_pa, shape, direction_m, force_n));
+    }
+
+    /// Whether the law of tetrahedron `t` has an energy and a stress there.
+    pub(super) fn is_valid_at(&self, t: usize, f: &DMat3) -> bool {
+        let law = self.law(t);
+        law.energy_density_j_per_m3(f).is_finite() && law.first_piola_pa(f).is_finite()
+    }
+
+    fn update_tangents(&mut self, shape: &Shape, factor: f64) {
+        for (g, group) in shape.groups.iter().enumerate() {
+            for lane in 0..LANES {
+                let tangent = if group.has_stress(lane) {
+                    self.law(LANES * g + lane).tangent_pa(&lane_matrix(&self.f[g], lane))
+                } else {
+                    [[0.0; 9]; 9]
+                };
+                let mut entry = 0;
+                for i in 0..9 {
+                    for j in i..9 {
+                        self.tangent_pa[g][entry][lane] = factor * tangent[by_columns(i)][by_columns(j)];
+                        entry += 1;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Place in glam's order by columns of the place `k` by rows.
+const fn by_columns(k: usize) -> usize {
+    3 * (k % 3) + k / 3
+}
+
+fn lane_matrix(rows: &[Lanes; 9], lane: usize) -> DMat3 {
+    DMat3::from_cols_array(&std::array::from_fn(|k| rows[by_columns(k)][lane]))
+}
+
+/// Stiffness tensors of a tetrahedron with gradients alpha_1..alpha_3 for a tangent [Pa] times `scale_m3`.
+pub(super) fn stiffness_of(tangent: &Tangent, alpha_per_m: [DVec3; 3], scale_m3: f64) -> TetStiffness {
+    let [a, b, c] = alpha_per_m;
+    let alpha = [-(a + b + c), a, b, c];
+    let half: [[[f64; 9]; 3]; 4] = std::array::from_fn(|j| contracted_rows(tangent, alpha[j] * scale_m3));
+    TetStiffness {
+        vertex: std::array::from_fn(|j| contracted_columns(&half[j], alpha[j])),
+        edge: LOCAL_EDGES.map(|[j, k]| contracted_columns(&half[j], alpha[k])),
+    }
+}
+
+#[inline(always)]
+fn evaluate<S: Simd>(
+    simd: S,
+    general: &mut General,
+    shape: &Shape,
+    factor: f64,
+    displacement_m: &[DVec3],
+    force_n: &mut [DVec3],
+) -> Evaluation {
+    let mut energy_j = 0.0;
+    let (mut is_upright, mut has_inverted) = (true, false);
+    for (g, group) in shape.groups.iter().enumerate() {
+        let alpha = load_matrix(simd, &group.gradient_per_m);
+        let h = gradient(simd, group, &alpha, displacement_m);
+        let mut f = h;
+        for i in 0..3 {
+            f[i][i] += 1.0;
+        }
+        for r in 0..3 {
+            for c in 0..3 {
+                f[r][c].store_slice(&mut general.f[g][3 * r + c]);
+            }
+        }
+        let mut piola = [[0.0; LANES]; 9];
+        for lane in (0..LANES).filter(|&lane| group.has_stress(lane)) {
+            let law = general.law(LANES * g + lane);
+            let f = lane_matrix(&general.f[g], lane);
+            let p = law.first_piola_pa(&f);
+            is_upright &= p.is_finite();
+            has_inverted |= f.determinant() <= 0.0;
+            energy_j += group.volume_m3[lane] * factor * law.energy_density_j_per_m3(&f);
+            for (k, x) in p.to_cols_array().into_iter().enumerate() {
+                piola[by_columns(k)][lane] = factor * x;
+            }
+        }
+        let mut stress = load_matrix(simd, &piola);
+        let volume = load(simd, &group.volume_m3);
+        if let Some(added_pa) = shape.added_pa.get(g) {
+            let mut lanes = [0.0; LANES];
+            (added_density(simd, &h, added_pa) * volume).store_slice(&mut lanes);
+            energy_j += lanes.iter().sum::<f64>();
+            add_turned(simd, group, &f, added_pa, &mut stress);
+        }
+        for x in stress.iter_mut().flatten() {
+            *x *= volume;
+        }
+        scatter(group, &alpha, &stress, force_n);
+    }
+    Evaluation { energy_j, is_upright, has_inverted }
+}
+
+#[inline(always)]
+fn product<S: Simd>(
+    simd: S,
+    tangents_pa: &[[Lanes; N_ENTRIES]],
+    shape: &Shape,
+    direction_m: &[DVec3],
+    force_n: &mut [DVec3],
+) {
+    for (g, (group, tangent)) in shape.groups.iter().zip(tangents_pa).enumerate() {
+        let alpha = load_matrix(simd, &group.gradient_per_m);
+        let df = gradient(simd, group, &alpha, direction_m);
+        let mut dp = [f64x8::splat(simd, 0.0); 9];
+        let mut entry = 0;
+        for i in 0..9 {
+            for j in i..9 {
+                let t = load(simd, &tangent[entry]);
+                entry += 1;
+                dp[i] += t * df[j / 3][j % 3];
+                if i != j {
+                    dp[j] += t * df[i / 3][i % 3];
+                }
+            }
+        }
+        let mut stress = [[dp[0], dp[1], dp[2]], [dp[3], dp[4], dp[5]], [dp[6], dp[7], dp[8]]];
+        if let Some(added_pa) = shape.added_pa.get(g) {
+            add_turned(simd, group, &df, added_pa, &mut stress);
+        }
+        let volume = load(simd, &group.volume_m3);
+        for x in stress.iter_mut().flatten() {
+            *x *= volume;
+        }
+        scatter(group, &alpha, &stress, force_n);
+    }
+}
+
+impl Group {
+    /// Whether the lane is a tetrahedron that is not left out.
+    pub(super) fn has_stress(&self, lane: usize) -> bool {
+        self.volume_m3[lane] > 0.0 && self.left_out >> lane & 1 == 0
+    }
+}

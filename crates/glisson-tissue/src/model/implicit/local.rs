@@ -1,0 +1,129 @@
+//! The local models of an implicit body: from its factor where that is of the same step, else on rings of tetrahedra.
+
+use super::{ImplicitEuler, ImplicitLaw};
+use crate::model::local_model::{
+    ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw, add_rest_stress, compute, tet_tangent,
+};
+use crate::model::{LocalModel, LocalWork, Rayleigh};
+use crate::solve::P1Gradients;
+use glisson_mesh::math::DVec3;
+use glisson_mesh::mesh::NodeId;
+
+/// How far a factor's step may be from the period, as a share of the mass term.
+const SAME_STEP: f64 = 1e-9;
+
+/// A body with the share of its stiffness that viscosity leaves to the period.
+struct Relaxing<'a> {
+    body: &'a ImplicitEuler,
+    share: f64,
+}
+
+impl ImplicitEuler {
+    /// The factor serves when it was made for steps of the period and no node of the patch is held: held nodes are cut
+    /// off from their neighbours in it. It is that of the shape at which it was made.
+    pub(super) fn fill_local_model(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        out.start(patch, period_s, &self.positions_m);
+        let per_mass = 1.0 / (period_s * period_s) + self.damping.mass_per_s / period_s;
+        let serves = self.lagged.as_ref().is_some_and(|lagged| {
+            let is_of_period = (lagged.state.per_mass - per_mass).abs() <= SAME_STEP * per_mass;
+            is_of_period && out.nodes.iter().all(|n| !lagged.state.held[n.index()] && self.moves[n.index()])
+        });
+        if !serves {
+            let share = self.relaxation.as_mut().map_or(1.0, |r| r.stiffness_share(period_s));
+            compute(&Relaxing { body: self, share }, work, out);
+            return;
+        }
+        for (node, force_n) in out.nodes.iter().zip(&mut out.force_n) {
+            *force_n = self.load_on_n(node.index());
+        }
+        let Some(lagged) = &mut self.lagged else { return };
+        let (right, solution) = (&mut self.scratch.residual_n, &mut self.scratch.product_n);
+        let kept = &mut self.scratch.before_m;
+        kept.copy_from_slice(right);
+        let n = 3 * out.nodes.len();
+        for (j, by) in out.nodes.iter().enumerate() {
+            for d in 0..3 {
+                right.fill(DVec3::ZERO);
+                right[by.index()][d] = 1.0;
+                lagged.solve_into(right, solution);
+                for (i, of) in out.nodes.iter().enumerate() {
+                    for a in 0..3 {
+                        out.compliance_m_per_n[n * (3 * i + a) + 3 * j + d] = solution[of.index()][a];
+                    }
+                }
+            }
+        }
+        // The residual is what the supports bear: it is asked for between steps.
+        right.copy_from_slice(kept);
+        out.symmetrize();
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        let held = self.held.iter().filter(|held| held.node as usize == n);
+        self.outer_n[n] + held.map(|held| self.constraint_forces_n[held.place as usize]).sum::<DVec3>()
+    }
+}
+
+impl LocalBody for Relaxing<'_> {
+    fn elements(&self) -> LocalElements<'_> {
+        LocalElements::Tets(&self.body.mesh.tetrahedra)
+    }
+
+    fn is_live(&self, element: usize) -> bool {
+        self.body.tet_is_live[element]
+    }
+
+    /// Of the law in each tetrahedron, also where volume or strain are averaged over nodes.
+    fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
+        let body = self.body;
+        let nodes = body.mesh.tetrahedra[element].map(NodeId::index);
+        let gradients = P1Gradients::new(nodes.map(|n| body.mesh.positions_m[n]));
+        let u_m = nodes.map(|n| body.displacement_m[n]);
+        let law = match &body.law {
+            ImplicitLaw::NeoHookeLog(law) => TangentLaw::Any(law),
+            ImplicitLaw::General(laws) => TangentLaw::Any(&*laws[if laws.len() == 1 { 0 } else { element }]),
+        };
+        let mut stiffness = tet_tangent(&gradients, u_m, &law, None);
+        stiffness.iter_mut().flatten().for_each(|block| *block *= self.share);
+        if let Some(stress_pa) = body.rest_stress_pa.get(element) {
+            add_rest_stress(&gradients, stress_pa, &mut stiffness);
+        }
+        stiffness
+    }
+
+    fn frame(&self) -> &dyn LocalFrame {
+        self
+    }
+}
+
+impl LocalFrame for Relaxing<'_> {
+    fn inertia_kg(&self, n: usize) -> f64 {
+        self.body.mass_kg[n]
+    }
+
+    fn free_axes(&self, n: usize) -> [bool; 3] {
+        if self.body.moves[n] {
+            self.body.free_axes[n].to_array().map(|free| free != 0.0)
+        } else {
+            [false; 3]
+        }
+    }
+
+    fn is_held(&self, n: usize) -> bool {
+        self.body.is_held[n]
+    }
+
+    fn load_on_n(&self, n: usize) -> DVec3 {
+        self.body.load_on_n(n)
+    }
+
+    fn damping(&self) -> Rayleigh {
+        self.body.damping
+    }
+}

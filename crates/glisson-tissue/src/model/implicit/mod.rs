@@ -1,0 +1,602 @@
+//! Implicit Euler for a body of any law: large steps, stable at any stiffness.
+//!
+//! With u the displacements, x = u(t) + h v(t), f(u) the forces that balance the deformation, C = alpha M and
+//! Rayleigh's second term beta K v written as beta (f(u) - f(u(t)))/h (equal to it to first order, and zero for
+//! a body that only turns), one step solves
+//!
+//! r(u) = M (u - x)/h^2 + alpha M (u - u(t))/h + f(u) + beta (f(u) - f(u(t)))/h - F - L(u) = 0,
+//! v = (u - u(t))/h,
+//!
+//! with gravity and outer forces F and the pull L of the ligaments, which is the minimum of an incremental
+//! potential (Martin et al. 2011, doi 10.1145/2010324.1964967). f holds the law's stress, the stress at rest
+//! ([`super::RestStress`]) and what viscosity remembers. Newton's
+//! method with conjugate gradients on the exact tangent, element by element; the preconditioner is the factor
+//! of the tangent at an earlier state, its negative eigenvalues removed. It is made anew when
+//! the iterations since then have cost about as much as a factor, never by a clock. Where the exact tangent has
+//! a negative direction, the projected one is factored at once and gives the direction. A direction is
+//! shortened until the law allows every tetrahedron (ln J needs J > 0) and the potential has fallen.
+//!
+//! In a step that starts with a tetrahedron inside out, beta does not count: the forces there are no measure of
+//! motion.
+//!
+//! A step ends when |r| <= tolerance (|F| + |M a| + |forces of the held nodes|), F without what the stress at rest
+//! balances; what else can happen is in [`ImplicitReport`]. A shape in which the law has no energy, which only
+//! [`DeformableModel::take_over`] can bring, is recovered by the stable neo-Hookean law (quarantine).
+
+mod correction;
+mod elements;
+mod general;
+mod lagged;
+mod lanes;
+mod law;
+mod ligaments;
+mod local;
+mod neo_hooke;
+mod newton;
+mod params;
+mod projected;
+mod relaxation;
+mod topology;
+
+pub use law::{ImplicitLaw, SharedLaw};
+pub use newton::{ImplicitReport, ImplicitStatus};
+pub use params::{DEFAULT_TOLERANCE, ImplicitError, ImplicitParams};
+
+use self::elements::{Elements, ElementsParams, Recovery};
+use self::lagged::{Lagged, LaggedParams, LaggedState, NodeTerms};
+use self::ligaments::Ligaments;
+use self::newton::{MOST_NEWTON_ITERATIONS, Scratch};
+use self::relaxation::Relaxation;
+use super::roomy::Roomy;
+use super::{
+    Attachment, Constraints, Correction, DeformableModel, DynamicBody, Effort, LocalModel, LocalWork,
+    ModelReport, ModelState, NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
+};
+use crate::material::{PronyHistory, StableNeoHooke};
+use crate::solve::SolveError;
+use glisson_mesh::math::DVec3;
+use glisson_mesh::mesh::edit::TopologyChange;
+use glisson_mesh::mesh::{NodeId, TetMesh};
+
+/// Where the volume change is resisted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum VolumeResistance {
+    /// In each tetrahedron: stiff, locks when nearly incompressible.
+    #[default]
+    Element,
+    /// In the volume of all tetrahedra around each node: does not lock when nearly incompressible. The ln J
+    /// neo-Hookean law only.
+    NodeAveraged,
+    /// As [`Self::NodeAveraged`], and four fifths of the shear are averaged too: does not lock in bending either.
+    /// The ln J neo-Hookean law only, without relaxation.
+    NodeAveragedStrain,
+}
+
+/// A node that a tool holds.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    place: u32,
+    node: u32,
+    target_m: DVec3,
+}
+
+/// How the lagged factor has served so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct FactorAge {
+    /// Steps with this factor.
+    n_steps: u32,
+    /// Iterations of its first step.
+    first_iterations: u32,
+    /// Iterations of later steps beyond those of the first, added up.
+    excess_iterations: u32,
+}
+
+/// Newton iterations with reduced effort, and with the least: choices. A single one is the linearly implicit Euler step of
+/// D. Baraff and A. Witkin (Large steps in cloth simulation, 1998, doi 10.1145/280814.280821); two leave less behind.
+const REDUCED_ITERATIONS: u32 = 5;
+const LEAST_ITERATIONS: u32 = 2;
+
+/// One organ moved by implicit Euler.
+#[derive(Clone)]
+pub struct ImplicitEuler {
+    law: ImplicitLaw,
+    /// One, or one a tetrahedron.
+    stand_ins: Vec<StableNeoHooke>,
+    volume: VolumeResistance,
+    density_kg_per_m3: f64,
+    damping: Rayleigh,
+    gravity_m_per_s2: DVec3,
+    tolerance: f64,
+    /// Newton iterations of a step once all held nodes are where they should be.
+    most_iterations: u32,
+    time_step_s: f64,
+    /// Forces [N] below this are rounding.
+    least_force_n: f64,
+
+    // The body; changed by edits only.
+    mesh: TetMesh,
+    tet_is_live: Vec<bool>,
+    rest_stress_pa: Vec<RestStress>,
+    /// One along the axes that no support holds, zero along the others.
+    free_axes: Vec<DVec3>,
+    mass_kg: Vec<f64>,
+    /// Nodes with a tetrahedron and a free axis.
+    moves: Vec<bool>,
+    ligaments: Ligaments,
+    /// Forces [N] that the stress at rest balances, without the ligaments' pull at rest.
+    rest_load_n: Vec<DVec3>,
+    elements: Elements,
+    /// None without a tetrahedron.
+    lagged: Option<Lagged>,
+
+    // State.
+    displacement_m: Vec<DVec3>,
+    velocities_m_per_s: Vec<DVec3>,
+    /// Velocities before the last step: they make the next first guess.
+    earlier_velocities_m_per_s: Vec<DVec3>,
+    relaxation: Option<Relaxation>,
+    age: FactorAge,
+    /// Factors made so far.
+    factor_version: u64,
+    positions_m: Vec<DVec3>,
+    history: Roomy<f64>,
+
+    // Constraints and scratch.
+    outer_n: Vec<DVec3>,
+    held: Roomy<Held>,
+    is_held: Vec<bool>,
+    /// [`Self::free_axes`], zero for nodes that a tool holds and for those without a tetrahedron.
+    mask: Vec<DVec3>,
+    constraint_forces_n: Roomy<DVec3>,
+    ignored_constraints: usize,
+    /// Whether the shape may hold tetrahedra in which the law has no energy.
+    is_suspect: bool,
+    n_recovered_nodes: u32,
+    n_reanalyses: u32,
+    scratch: Scratch,
+    step_report: ImplicitReport,
+    report: ModelReport,
+}
+
+/// A copy of the moving state, for [`ImplicitEuler::restore`]. It holds for the same mesh and removals.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImplicitSnapshot {
+    displacement_m: Vec<DVec3>,
+    velocities_m_per_s: Vec<DVec3>,
+    earlier_velocities_m_per_s: Vec<DVec3>,
+    viscous: Vec<PronyHistory>,
+    recovery: Recovery,
+    age: FactorAge,
+    lagged: Option<LaggedState>,
+}
+
+impl ImplicitEuler {
+    /// Masses, sparse pattern and first factor. Every tetrahedron of the mesh counts as live.
+    ///
+    /// # Errors
+    /// [`ImplicitError`]: an unusable mesh, impossible supports, loads, damping, step or tolerance, a law without
+    /// stiffness at rest, a combination of law, volume resistance and relaxation that there is not.
+    pub fn build(params: &ImplicitParams<'_>) -> Result<Self, ImplicitError> {
+        params.check()?;
+        let DynamicBody { mesh, .. } = params.body;
+        let n_nodes = mesh.positions_m.len();
+        let n_tets = mesh.tetrahedra.len();
+        let tet_is_live = vec![true; n_tets];
+        let stand_ins = params.law.stand_ins(n_tets)?;
+        let elements = Elements::new(&ElementsParams {
+            mesh,
+            live: &tet_is_live,
+            law: params.law,
+            stand_ins: &stand_ins,
+            volume: params.volume,
+            rest_stress_pa: params.body.rest_stress_pa,
+            is_viscous: params.relaxation.is_some(),
+        })?;
+        let zero = vec![DVec3::ZERO; n_nodes];
+        let mut model = Self {
+            law: params.law.clone(),
+            stand_ins,
+            volume: params.volume,
+            density_kg_per_m3: params.body.density_kg_per_m3,
+            damping: params.body.damping,
+            gravity_m_per_s2: params.body.gravity_m_per_s2,
+            tolerance: params.tolerance,
+            most_iterations: MOST_NEWTON_ITERATIONS,
+            time_step_s: params.body.time_step_s,
+            least_force_n: 0.0,
+            elements,
+            mesh: mesh.clone(),
+            tet_is_live,
+            rest_stress_pa: params.body.rest_stress_pa.to_vec(),
+            free_axes: params.free_axes()?,
+            mass_kg: Vec::new(),
+            moves: Vec::new(),
+            ligaments: Ligaments::new(params.body.attachments.to_vec()),
+            rest_load_n: zero.clone(),
+            lagged: None,
+            displacement_m: zero.clone(),
+            velocities_m_per_s: zero.clone(),
+            earlier_velocities_m_per_s: zero.clone(),
+            relaxation: params.relaxation.map(|s| Relaxation::new(s, params.body.time_step_s, n_tets)),
+            age: FactorAge::default(),
+            factor_version: 0,
+            positions_m: mesh.positions_m.clone(),
+            history: Roomy::with_room(0),
+            outer_n: zero.clone(),
+            held: Roomy::with_room(n_nodes),
+            is_held: vec![false; n_nodes],
+            mask: zero,
+            constraint_forces_n: Roomy::with_room(n_nodes),
+            ignored_constraints: 0,
+            is_suspect: false,
+            n_recovered_nodes: 0,
+            n_reanalyses: 0,
+            scratch: Scratch::new(n_nodes),
+            step_report: ImplicitReport::default(),
+            report: ModelReport::default(),
+        };
+        model.analyse()?;
+        model.publish();
+        Ok(model)
+    }
+
+    /// Masses, pattern and factor of the live tetrahedra at the present state.
+    fn analyse(&mut self) -> Result<(), SolveError> {
+        let density = self.density_kg_per_m3;
+        self.mass_kg = self.elements.node_volume_m3().iter().map(|v| density * v).collect();
+        self.moves = self
+            .mass_kg
+            .iter()
+            .zip(&self.free_axes)
+            .map(|(m, free)| *m > 0.0 && *free != DVec3::ZERO)
+            .collect();
+        self.update_mask();
+        self.balance_rest();
+        self.factor_version += 1;
+        self.age = FactorAge::default();
+        let state = self.lagged_state(self.time_step_s);
+        let live = TetMesh {
+            positions_m: self.mesh.positions_m.clone(),
+            tetrahedra: self.elements.tets().iter().map(|t| self.mesh.tetrahedra[t.index()]).collect(),
+        };
+        self.lagged = None;
+        if live.tetrahedra.is_empty() {
+            return Ok(());
+        }
+        let can_move = |n: usize| if self.moves[n] { self.free_axes[n] } else { DVec3::ZERO };
+        let free_axes: Vec<DVec3> = (0..self.n_nodes()).map(can_move).collect();
+        let params = LaggedParams {
+            mesh: &live,
+            free_axes: &free_axes,
+            nodes: NodeTerms {
+                rest_m: &self.mesh.positions_m,
+                mass_kg: &self.mass_kg,
+                ligaments: &self.ligaments,
+            },
+        };
+        self.lagged = Some(Lagged::new(&params, &self.elements, state)?);
+        Ok(())
+    }
+
+    /// What the stress at rest carries, and what counts as rounding.
+    fn balance_rest(&mut self) {
+        let volume_m3: f64 = self.elements.node_volume_m3().iter().sum();
+        self.least_force_n = ROUNDING * self.law.modulus_pa() * libm::cbrt(volume_m3 * volume_m3);
+        self.rest_load_n = vec![DVec3::ZERO; self.n_nodes()];
+        if self.rest_stress_pa.is_empty() && self.ligaments.is_empty() {
+            return;
+        }
+        let at_rest = vec![DVec3::ZERO; self.n_nodes()];
+        // New elements: viscosity has nothing to add yet.
+        self.elements.evaluate(&at_rest, &mut self.rest_load_n);
+        self.ligaments.pull_into(&self.mesh.positions_m, &at_rest, &mut self.scratch.ligament_n);
+        for (load_n, pull_n) in self.rest_load_n.iter_mut().zip(&self.scratch.ligament_n) {
+            *load_n -= *pull_n;
+        }
+        self.least_force_n +=
+            REST_ROUNDING * self.rest_load_n.iter().map(|f| f.length_squared()).sum::<f64>().sqrt();
+    }
+
+    /// What a factor made now for steps of `h_s` would depend on.
+    fn lagged_state(&mut self, h_s: f64) -> LaggedState {
+        let mut strays = vec![false; self.elements.tets().len()];
+        self.elements.strays_into(&mut strays);
+        LaggedState {
+            displacement_m: self.displacement_m.clone(),
+            held: self.is_held.clone(),
+            strays,
+            per_mass: 1.0 / (h_s * h_s) + self.damping.mass_per_s / h_s,
+            per_stiffness: 1.0 + self.damping.stiffness_s / h_s,
+            viscous_share: self.relaxation.as_mut().map_or(1.0, |r| r.stiffness_share(h_s)),
+        }
+    }
+
+    fn update_mask(&mut self) {
+        for n in 0..self.mask.len() {
+            let is_free = self.moves[n] && !self.is_held[n];
+            self.mask[n] = if is_free { self.free_axes[n] } else { DVec3::ZERO };
+        }
+    }
+
+    fn n_nodes(&self) -> usize {
+        self.displacement_m.len()
+    }
+
+    /// How Newton's method went in the last step.
+    pub fn step_report(&self) -> &ImplicitReport {
+        &self.step_report
+    }
+
+    /// The law.
+    pub fn law(&self) -> &ImplicitLaw {
+        &self.law
+    }
+
+    /// Mass [kg] of a node.
+    pub fn mass_kg(&self, node: NodeId) -> f64 {
+        self.mass_kg[node.index()]
+    }
+
+    /// Displacements [m] from the rest shape.
+    pub fn displacements_m(&self) -> &[DVec3] {
+        &self.displacement_m
+    }
+
+    /// What the last step left over at each node [N]: the support's force on fixed nodes, the tool's on held
+    /// ones, the residual elsewhere.
+    pub fn support_forces_n(&self) -> &[DVec3] {
+        &self.scratch.residual_n
+    }
+
+    fn kinetic_energy_j(&self) -> f64 {
+        self.mass_kg.iter().zip(&self.velocities_m_per_s).map(|(m, v)| 0.5 * m * v.length_squared()).sum()
+    }
+
+    /// Kinetic energy and that of the tissue's deformation [J], the stress at rest included. With relaxation the
+    /// latter is that of the last step's potential.
+    pub fn energy_j(&mut self) -> f64 {
+        let kinetic_j = self.kinetic_energy_j();
+        let mut force_n = std::mem::take(&mut self.scratch.product_n);
+        let elastic_j = self.elements.evaluate(&self.displacement_m, &mut force_n).energy_j;
+        self.scratch.product_n = force_n;
+        kinetic_j + elastic_j
+    }
+
+    /// Constraints of the last [`DeformableModel::apply`] that were left out: on nodes that do not exist, are
+    /// fixed or have no tetrahedron, and values that are not finite.
+    pub fn ignored_constraints(&self) -> usize {
+        self.ignored_constraints
+    }
+
+    /// Sets all velocities [m/s]; nodes that do not move keep zero.
+    ///
+    /// # Panics
+    /// When they are not one a node.
+    pub fn set_velocities(&mut self, velocities_m_per_s: &[DVec3]) {
+        assert_eq!(velocities_m_per_s.len(), self.n_nodes(), "one velocity a node");
+        for n in 0..self.n_nodes() {
+            let v = velocities_m_per_s[n];
+            self.velocities_m_per_s[n] =
+                if self.moves[n] && v.is_finite() { v * self.free_axes[n] } else { DVec3::ZERO };
+        }
+        self.earlier_velocities_m_per_s.copy_from_slice(&self.velocities_m_per_s);
+        self.publish();
+    }
+
+    /// The moving state, to come back to.
+    pub fn snapshot(&self) -> ImplicitSnapshot {
+        ImplicitSnapshot {
+            displacement_m: self.displacement_m.clone(),
+            velocities_m_per_s: self.velocities_m_per_s.clone(),
+            earlier_velocities_m_per_s: self.earlier_velocities_m_per_s.clone(),
+            viscous: self.relaxation.as_ref().map_or(Vec::new(), |r| r.histories.clone()),
+            recovery: self.elements.recovery(),
+            age: self.age,
+            lagged: self.lagged.as_ref().map(|lagged| lagged.state.clone()),
+        }
+    }
+
+    /// Comes back to a state of the same mesh and removals; constraints stay as they are. The factor is made
+    /// anew where it was made then, so that the next steps have the same bits.
+    ///
+    /// # Panics
+    /// When the snapshot has another number of nodes.
+    pub fn restore(&mut self, snapshot: &ImplicitSnapshot) {
+        self.displacement_m.copy_from_slice(&snapshot.displacement_m);
+        self.velocities_m_per_s.copy_from_slice(&snapshot.velocities_m_per_s);
+        self.earlier_velocities_m_per_s.copy_from_slice(&snapshot.earlier_velocities_m_per_s);
+        if let Some(relaxation) = &mut self.relaxation {
+            relaxation.histories.clone_from_slice(&snapshot.viscous);
+        }
+        self.age = snapshot.age;
+        self.is_suspect = true;
+        self.elements.quarantine(&self.displacement_m, snapshot.recovery);
+        if let (Some(lagged), Some(state)) = (&mut self.lagged, &snapshot.lagged)
+            && lagged.state != *state
+        {
+            lagged.state = state.clone();
+            let nodes = NodeTerms {
+                rest_m: &self.mesh.positions_m,
+                mass_kg: &self.mass_kg,
+                ligaments: &self.ligaments,
+            };
+            lagged.refresh(&self.elements, nodes);
+            self.factor_version += 1;
+        }
+        self.publish();
+    }
+
+    /// Positions from displacements, and the rest of the state as numbers.
+    fn publish(&mut self) {
+        for n in 0..self.n_nodes() {
+            self.positions_m[n] = self.mesh.positions_m[n] + self.displacement_m[n];
+        }
+        let history = &mut self.history;
+        history.clear();
+        history.extend(self.earlier_velocities_m_per_s.iter().flat_map(|v| v.to_array()));
+        if let Some(lagged) = &self.lagged {
+            history.extend(lagged.state.displacement_m.iter().flat_map(|u| u.to_array()));
+            history.extend(lagged.state.held.iter().map(|&held| f64::from(u8::from(held))));
+            history.extend(lagged.state.strays.iter().map(|&stray| f64::from(u8::from(stray))));
+            let LaggedState { per_mass, per_stiffness, viscous_share, .. } = lagged.state;
+            history.extend([per_mass, per_stiffness, viscous_share]);
+        }
+        if let Some(relaxation) = &self.relaxation {
+            history.extend(relaxation.numbers());
+        }
+        let FactorAge { n_steps, first_iterations, excess_iterations } = self.age;
+        let recovery = self.elements.recovery() as u32;
+        history.extend([n_steps, first_iterations, excess_iterations, recovery].map(f64::from));
+    }
+
+    fn takes_load(&self, node: NodeId) -> bool {
+        self.moves.get(node.index()).is_some_and(|&moves| moves)
+    }
+
+    fn release_all(&mut self) {
+        self.outer_n.fill(DVec3::ZERO);
+        self.is_held.fill(false);
+        self.held.clear();
+        self.constraint_forces_n.clear();
+    }
+}
+
+/// A residual below this share of modulus times area is rounding.
+const ROUNDING: f64 = 1e-14;
+/// Share of the load at rest below which a residual is the rounding of its many terms.
+const REST_ROUNDING: f64 = 1e-11;
+
+impl DeformableModel for ImplicitEuler {
+    fn apply(&mut self, constraints: &Constraints) {
+        self.release_all();
+        self.ignored_constraints = 0;
+        for force in &constraints.forces {
+            if self.takes_load(force.node) && force.force_n.is_finite() {
+                self.outer_n[force.node.index()] += force.force_n;
+            } else {
+                self.ignored_constraints += 1;
+            }
+        }
+        for (place, imposed) in constraints.displacements.iter().enumerate() {
+            let n = imposed.node.index();
+            let usable = self.takes_load(imposed.node)
+                && imposed.displacement_m.is_finite()
+                && !self.is_held[n]
+                && place < self.n_nodes();
+            if usable {
+                self.is_held[n] = true;
+                self.held.push(Held {
+                    place: place as u32,
+                    node: imposed.node.0,
+                    target_m: imposed.displacement_m * self.free_axes[n],
+                });
+            } else {
+                self.ignored_constraints += 1;
+            }
+        }
+        let n_forces = constraints.displacements.len().min(self.n_nodes());
+        self.constraint_forces_n.resize(n_forces, DVec3::ZERO);
+        self.update_mask();
+    }
+
+    fn step(&mut self, dt_s: f64) {
+        if !(dt_s.is_finite() && dt_s > 0.0) {
+            return;
+        }
+        self.advance(dt_s);
+        self.publish();
+        self.report = ModelReport {
+            n_parts: 1,
+            n_quarantined_tets: self.step_report.n_quarantined_tets,
+            first_quarantined: self.step_report.first_quarantined,
+            n_recovered_nodes: std::mem::take(&mut self.n_recovered_nodes),
+            n_ignored_constraints: u32::try_from(self.ignored_constraints).unwrap_or(u32::MAX),
+            kinetic_energy_j: self.kinetic_energy_j(),
+            missed_tolerance: self.step_report.status != ImplicitStatus::Converged,
+            n_reanalyses: self.n_reanalyses,
+            ..ModelReport::default()
+        };
+    }
+
+    fn state(&self) -> ModelState<'_> {
+        ModelState {
+            positions_m: &self.positions_m,
+            velocities_m_per_s: &self.velocities_m_per_s,
+            history: &self.history,
+        }
+    }
+
+    fn constraint_forces_n(&self) -> &[DVec3] {
+        &self.constraint_forces_n
+    }
+
+    fn take_over(&mut self, positions_m: &[DVec3]) {
+        assert_eq!(positions_m.len(), self.n_nodes(), "one position a node");
+        for n in 0..self.n_nodes() {
+            let u = positions_m[n] - self.mesh.positions_m[n];
+            if !self.moves[n] {
+                self.displacement_m[n] = DVec3::ZERO;
+            } else if u.is_finite() {
+                self.displacement_m[n] = u * self.free_axes[n];
+            } else {
+                self.n_recovered_nodes += 1;
+            }
+        }
+        if let Some(relaxation) = &mut self.relaxation {
+            relaxation.forget();
+        }
+        self.is_suspect = true;
+        self.velocities_m_per_s.fill(DVec3::ZERO);
+        self.earlier_velocities_m_per_s.fill(DVec3::ZERO);
+        self.publish();
+    }
+
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        if gravity_m_per_s2.is_finite() {
+            self.gravity_m_per_s2 = gravity_m_per_s2;
+        }
+    }
+
+    fn set_effort(&mut self, effort: Effort) -> bool {
+        self.most_iterations = match effort {
+            Effort::Full => MOST_NEWTON_ITERATIONS,
+            Effort::Reduced => REDUCED_ITERATIONS,
+            Effort::Least => LEAST_ITERATIONS,
+        };
+        true
+    }
+
+    fn report(&self) -> ModelReport {
+        self.report
+    }
+
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        self.fill_local_model(patch, period_s, work, out);
+    }
+
+    fn step_answer(&self) -> StepAnswer {
+        StepAnswer::Coupled { version: self.factor_version }
+    }
+
+    fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
+        self.answer(forces, moves_m);
+    }
+
+    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        self.correct(forces, dt_s, correction);
+    }
+
+    fn duplicate(&self) -> Box<dyn DeformableModel> {
+        Box::new(self.clone())
+    }
+
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        self.follow(mesh, change)
+    }
+}

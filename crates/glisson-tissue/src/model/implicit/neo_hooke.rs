@@ -1,0 +1,483 @@
+//! The ln J neo-Hooke law, eight tetrahedra at a time.
+//!
+//! With Q = F^-T and J = det F, the energy density is
+//!
+//! W = mu/2 (|F|^2 - 3) - mu ln J + U(J),   U(J) = lambda/2 (ln J)^2,   p = U'(J) = lambda ln J / J,
+//!
+//! the first Piola-Kirchhoff stress P = mu (F - Q) + p J Q, and its differential
+//!
+//! dP = mu dF + (mu - p J) Q dF^T Q + p J (Q : dF) Q + dp J Q.
+//!
+//! Each tetrahedron by itself has dp = U''(J) J (Q : dF), so that the two last terms add up to
+//! lambda (Q : dF) Q. With node-averaged pressure (Bonet and Burton 1998, doi
+//! 10.1002/(SICI)1099-0887(199805)14:5<437::AID-CNM162>3.0.CO;2-W) U acts on the volume ratio of each node,
+//! J_a = sum over its tetrahedra of J V/4 over the sum of V/4, and p is the mean over the four nodes.
+//!
+//! With node-averaged strain, of the rest of W only the share s stays in the tetrahedra; 1 - s of it acts on the
+//! mean F of each node, F_a = sum of F V/4 over the sum of V/4, and a tetrahedron takes the mean of its nodes'
+//! stresses P_a = (1 - s) mu (F_a - F_a^-T). The linear limit is [`crate::solve::NodeAveraging::STRAIN`].
+
+use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
+
+use super::VolumeResistance;
+use super::elements::Evaluation;
+use super::lanes::{
+    Group, LANES, Lanes, Matrix, Shape, add_to_corners, add_turned, added_density, corner_mean,
+    corner_mean_matrix, deformation, gradient, load, load_matrix, scatter,
+};
+use super::projected::projected_stiffness;
+use crate::solve::{NodeAveraging, TetStiffness};
+use glisson_mesh::math::{DMat3, DVec3};
+
+/// What the tangent of eight tetrahedra needs.
+#[derive(Clone, Debug)]
+struct GroupTangent {
+    /// Q by rows.
+    q: [Lanes; 9],
+    /// mu - p J.
+    turning_pa: Lanes,
+    /// Factor of (Q : dF) Q: lambda, or p J with node-averaged pressure.
+    swelling_pa: Lanes,
+    volume_ratio: Lanes,
+}
+
+const NO_TANGENT: GroupTangent = GroupTangent {
+    q: [[0.0; LANES]; 9],
+    turning_pa: [0.0; LANES],
+    swelling_pa: [0.0; LANES],
+    volume_ratio: [1.0; LANES],
+};
+
+/// A tetrahedron counts as inverted below this share of its volume: ln J is still harmless here.
+pub(super) const LEAST_VOLUME_RATIO: f64 = 1e-6;
+/// lambda over mu of nu = 0.4.
+const SOFTENED_LAMBDA_OVER_MU: f64 = 4.0;
+
+/// Law and tangent of all tetrahedra.
+#[derive(Clone, Debug)]
+pub(super) struct NeoHooke {
+    lambda_pa: f64,
+    mu_pa: f64,
+    volume: VolumeResistance,
+    tangents: Vec<GroupTangent>,
+    /// A quarter of the volumes around each node [m3], and scratch of the node-averaged pressure.
+    node_volume_m3: Vec<f64>,
+    node_sum: Vec<f64>,
+    node_pressure_pa: Vec<f64>,
+    /// U''(J_a) / V_a of each node.
+    node_bulk: Vec<f64>,
+    /// Share of the shear that stays in the tetrahedra.
+    element_shear: f64,
+    /// Empty unless strain is averaged.
+    node_shear: Vec<NodeShear>,
+}
+
+/// The averaged strain of a node; matrices by rows.
+#[derive(Clone, Copy, Debug)]
+struct NodeShear {
+    /// Sum of V/4 times a gradient [m3].
+    sum: [f64; 9],
+    /// F_a^-T.
+    q: DMat3,
+    /// P_a or its differential [Pa].
+    stress_pa: [f64; 9],
+}
+
+/// What is averaged, as a constant for the kernels.
+const IN_ELEMENTS: u8 = 0;
+const PRESSURE: u8 = 1;
+const STRAIN: u8 = 2;
+
+impl NeoHooke {
+    pub(super) fn new(
+        [lambda_pa, mu_pa]: [f64; 2],
+        volume: VolumeResistance,
+        n_groups: usize,
+        node_volume_m3: &[f64],
+    ) -> Self {
+        let n_nodes = node_volume_m3.len();
+        Self {
+            lambda_pa,
+            mu_pa,
+            volume,
+            tangents: vec![NO_TANGENT; n_groups],
+            node_volume_m3: node_volume_m3.to_vec(),
+            node_sum: vec![0.0; n_nodes],
+            node_pressure_pa: vec![0.0; n_nodes],
+            node_bulk: vec![0.0; n_nodes],
+            element_shear: match volume {
+                VolumeResistance::NodeAveragedStrain => NodeAveraging::STRAIN.element_shear,
+                VolumeResistance::Element | VolumeResistance::NodeAveraged => 1.0,
+            },
+            node_shear: match volume {
+                VolumeResistance::NodeAveragedStrain => {
+                    vec![NodeShear { sum: [0.0; 9], q: DMat3::IDENTITY, stress_pa: [0.0; 9] }; n_nodes]
+                }
+                VolumeResistance::Element | VolumeResistance::NodeAveraged => Vec::new(),
+            },
+        }
+    }
+
+    /// Adds the forces [N] of `factor` times the law; keeps the tangent.
+    pub(super) fn evaluate(
+        &mut self,
+        level: Level,
+        shape: &Shape,
+        factor: f64,
+        displacement_m: &[DVec3],
+        force_n: &mut [DVec3],
+    ) -> Evaluation {
+        let mu = factor * self.mu_pa;
+        let scaled = Scaled { lambda: factor * self.lambda_pa, mu: self.element_shear * mu };
+        if self.volume == VolumeResistance::Element {
+            return dispatch!(level, simd => evaluate::<_, IN_ELEMENTS>(simd, self, shape, scaled, displacement_m, force_n));
+        }
+        let least = dispatch!(level, simd => sum_node_volumes(simd, self, shape, displacement_m));
+        if least <= LEAST_VOLUME_RATIO || !least.is_finite() {
+            return Evaluation { energy_j: f64::NAN, is_upright: false, has_inverted: false };
+        }
+        let mut averaged_j = self.update_node_pressures(scaled.lambda);
+        let mut found = if self.volume == VolumeResistance::NodeAveraged {
+            dispatch!(level, simd => evaluate::<_, PRESSURE>(simd, self, shape, scaled, displacement_m, force_n))
+        } else {
+            dispatch!(level, simd => sum_node_gradients(simd, self, shape, displacement_m));
+            averaged_j += self.update_node_shear((1.0 - self.element_shear) * mu);
+            dispatch!(level, simd => evaluate::<_, STRAIN>(simd, self, shape, scaled, displacement_m, force_n))
+        };
+        found.energy_j += averaged_j;
+        found
+    }
+
+    /// Adds K d, K being the tangent of the last evaluation with the same `factor`.
+    pub(super) fn tangent_product(
+        &mut self,
+        level: Level,
+        shape: &Shape,
+        factor: f64,
+        direction_m: &[DVec3],
+        force_n: &mut [DVec3],
+    ) {
+        let mu = factor * self.mu_pa;
+        let element_mu = self.element_shear * mu;
+        if self.volume == VolumeResistance::Element {
+            dispatch!(level, simd => product::<_, IN_ELEMENTS>(simd, self, shape, element_mu, direction_m, force_n));
+            return;
+        }
+        dispatch!(level, simd => sum_node_swelling(simd, self, shape, direction_m));
+        for (sum, bulk) in self.node_sum.iter_mut().zip(&self.node_bulk) {
+            *sum *= bulk;
+        }
+        if self.volume == VolumeResistance::NodeAveraged {
+            dispatch!(level, simd => product::<_, PRESSURE>(simd, self, shape, element_mu, direction_m, force_n));
+        } else {
+            dispatch!(level, simd => sum_node_gradients(simd, self, shape, direction_m));
+            self.update_node_shear_change(mu - element_mu);
+            dispatch!(level, simd => product::<_, STRAIN>(simd, self, shape, element_mu, direction_m, force_n));
+        }
+    }
+
+    /// Whether the law has an energy there.
+    pub(super) fn is_valid_at(&self, f: &DMat3) -> bool {
+        f.determinant() > LEAST_VOLUME_RATIO
+    }
+
+    /// Second Piola-Kirchhoff stress [Pa] of lane `lane` of a group, S = mu (I - C^-1) + p J C^-1, at the
+    /// pressures of the last evaluation, which was made with `factor`. Not for averaged strain.
+    pub(super) fn second_piola_pa(&self, group: &Group, lane: usize, factor: f64, f: &DMat3) -> DMat3 {
+        let inverse = f.inverse();
+        let inverse_c = inverse * inverse.transpose();
+        let j = f.determinant();
+        let p_j = match self.volume {
+            VolumeResistance::Element => self.lambda_pa * libm::log(j),
+            VolumeResistance::NodeAveraged | VolumeResistance::NodeAveragedStrain => {
+                let sum: f64 = (0..4).map(|k| self.node_pressure_pa[group.nodes[k][lane] as usize]).sum();
+                0.25 * sum * j / factor
+            }
+        };
+        DMat3::from_diagonal(DVec3::splat(self.mu_pa)) + inverse_c * (p_j - self.mu_pa)
+    }
+
+    /// For the preconditioner. Node-averaged pressure is softer than the tetrahedra's own: a smaller lambda comes
+    /// closer.
+    pub(super) fn projected_stiffness(
+        &self,
+        f: DMat3,
+        alpha_per_m: [DVec3; 3],
+        volume_m3: f64,
+    ) -> TetStiffness {
+        let lambda_pa = match self.volume {
+            VolumeResistance::Element => self.lambda_pa,
+            VolumeResistance::NodeAveraged | VolumeResistance::NodeAveragedStrain => {
+                self.lambda_pa.min(SOFTENED_LAMBDA_OVER_MU * self.mu_pa)
+            }
+        };
+        projected_stiffness(f, alpha_per_m, volume_m3, [lambda_pa, self.mu_pa])
+    }
+
+    /// Pressures and their slopes from the nodes' volumes; the energy of all volume changes [J].
+    fn update_node_pressures(&mut self, lambda_pa: f64) -> f64 {
+        let mut energy_j = 0.0;
+        for n in 0..self.node_sum.len() {
+            let volume_m3 = self.node_volume_m3[n];
+            if volume_m3 > 0.0 {
+                let ratio = self.node_sum[n] / volume_m3;
+                let log = libm::log(ratio);
+                energy_j += 0.5 * lambda_pa * log * log * volume_m3;
+                self.node_pressure_pa[n] = lambda_pa * log / ratio;
+                self.node_bulk[n] = lambda_pa * (1.0 - log) / (ratio * ratio * volume_m3);
+            }
+        }
+        energy_j
+    }
+}
+
+impl NeoHooke {
+    /// Stresses of the nodes' mean deformation from the summed gradients; its energy [J], not finite where a mean
+    /// is inside out.
+    fn update_node_shear(&mut self, mu_pa: f64) -> f64 {
+        let mut energy_j = 0.0;
+        for (node, &volume_m3) in self.node_shear.iter_mut().zip(&self.node_volume_m3) {
+            if volume_m3 == 0.0 {
+                continue;
+            }
+            let h = matrix_by_rows(&node.sum) * (1.0 / volume_m3);
+            let f = DMat3::IDENTITY + h;
+            node.q = f.inverse().transpose();
+            node.stress_pa = rows(&((f - node.q) * mu_pa));
+            let square: f64 = h.to_cols_array().into_iter().map(|x| x * x).sum();
+            let stretch = 2.0 * (h.x_axis.x + h.y_axis.y + h.z_axis.z) + square;
+            energy_j += volume_m3 * mu_pa * (0.5 * stretch - libm::log(f.determinant()));
+        }
+        energy_j
+    }
+
+    /// The change of these stresses with the summed gradients of a direction.
+    fn update_node_shear_change(&mut self, mu_pa: f64) {
+        for (node, &volume_m3) in self.node_shear.iter_mut().zip(&self.node_volume_m3) {
+            if volume_m3 > 0.0 {
+                let df = matrix_by_rows(&node.sum) * (1.0 / volume_m3);
+                node.stress_pa = rows(&((df + node.q * df.transpose() * node.q) * mu_pa));
+            }
+        }
+    }
+}
+
+fn matrix_by_rows(rows: &[f64; 9]) -> DMat3 {
+    DMat3::from_cols_array(rows).transpose()
+}
+
+fn rows(matrix: &DMat3) -> [f64; 9] {
+    matrix.transpose().to_cols_array()
+}
+
+/// Lame's coefficients [Pa] times the viscous factor.
+#[derive(Clone, Copy)]
+struct Scaled {
+    lambda: f64,
+    mu: f64,
+}
+
+#[inline(always)]
+fn evaluate<S: Simd, const AVERAGED: u8>(
+    simd: S,
+    law: &mut NeoHooke,
+    shape: &Shape,
+    Scaled { lambda, mu }: Scaled,
+    displacement_m: &[DVec3],
+    force_n: &mut [DVec3],
+) -> Evaluation {
+    let mut energy = f64x8::splat(simd, 0.0);
+    let mut least = f64x8::splat(simd, f64::INFINITY);
+    for (g, (group, tangent)) in shape.groups.iter().zip(&mut law.tangents).enumerate() {
+        let alpha = load_matrix(simd, &group.gradient_per_m);
+        let h = gradient(simd, group, &alpha, displacement_m);
+        let (f, cofactor, j) = deformation(&h);
+        least = least.min(j);
+        let inverse = f64x8::splat(simd, 1.0) / j;
+        let mut lanes = [0.0; LANES];
+        j.store_slice(&mut lanes);
+        let mut log = [0.0; LANES];
+        for lane in 0..LANES {
+            log[lane] = libm::log(lanes[lane]);
+        }
+        let log = load(simd, &log);
+        // |F|^2 - 3 = 2 tr H + |H|^2 keeps its digits near rest.
+        let mut stretch = (h[0][0] + h[1][1] + h[2][2]) * 2.0;
+        for row in &h {
+            for x in row {
+                stretch += *x * *x;
+            }
+        }
+        let mut density = stretch * (0.5 * mu) - log * mu;
+        let p_j = if AVERAGED != IN_ELEMENTS {
+            corner_mean(simd, group, &law.node_pressure_pa) * j
+        } else {
+            density += log * log * (0.5 * lambda);
+            log * lambda
+        };
+        let volume = load(simd, &group.volume_m3);
+        let added_pa = shape.added_pa.get(g);
+        if let Some(added_pa) = added_pa {
+            density += added_density(simd, &h, added_pa);
+        }
+        energy += density * volume;
+        let turning = f64x8::splat(simd, mu) - p_j;
+        turning.store_slice(&mut tangent.turning_pa);
+        if AVERAGED != IN_ELEMENTS {
+            p_j.store_slice(&mut tangent.swelling_pa);
+            tangent.volume_ratio = lanes;
+        } else {
+            tangent.swelling_pa = [lambda; LANES];
+        }
+        let mut stress = f;
+        for r in 0..3 {
+            for c in 0..3 {
+                let q = cofactor[r][c] * inverse;
+                q.store_slice(&mut tangent.q[3 * r + c]);
+                stress[r][c] = f[r][c] * mu - q * turning;
+            }
+        }
+        if AVERAGED == STRAIN {
+            add_node_shear(simd, group, &law.node_shear, &mut stress);
+        }
+        if let Some(added_pa) = added_pa {
+            add_turned(simd, group, &f, added_pa, &mut stress);
+        }
+        for x in stress.iter_mut().flatten() {
+            *x *= volume;
+        }
+        scatter(group, &alpha, &stress, force_n);
+    }
+    let (mut energy_lanes, mut least_lanes) = ([0.0; LANES], [0.0; LANES]);
+    energy.store_slice(&mut energy_lanes);
+    least.store_slice(&mut least_lanes);
+    Evaluation {
+        energy_j: energy_lanes.iter().sum(),
+        is_upright: least_lanes.into_iter().all(|j| j > LEAST_VOLUME_RATIO),
+        has_inverted: false,
+    }
+}
+
+/// dP for dF = sum_k (d_k - d_0) (x) alpha_k; the sum over nodes of dp is ready in `node_sum` when averaged.
+#[inline(always)]
+fn product<S: Simd, const AVERAGED: u8>(
+    simd: S,
+    law: &NeoHooke,
+    shape: &Shape,
+    mu: f64,
+    direction_m: &[DVec3],
+    force_n: &mut [DVec3],
+) {
+    for (g, (group, tangent)) in shape.groups.iter().zip(&law.tangents).enumerate() {
+        let alpha = load_matrix(simd, &group.gradient_per_m);
+        let df = gradient(simd, group, &alpha, direction_m);
+        let q = load_matrix(simd, &tangent.q);
+        // T = dF^T Q; its trace is Q : dF.
+        let mut t = df;
+        for r in 0..3 {
+            for c in 0..3 {
+                t[r][c] = df[0][r] * q[0][c] + df[1][r] * q[1][c] + df[2][r] * q[2][c];
+            }
+        }
+        let trace = t[0][0] + t[1][1] + t[2][2];
+        let mut swelling = trace * load(simd, &tangent.swelling_pa);
+        if AVERAGED != IN_ELEMENTS {
+            let dp = corner_mean(simd, group, &law.node_sum);
+            swelling += dp * load(simd, &tangent.volume_ratio);
+        }
+        let turning = load(simd, &tangent.turning_pa);
+        let volume = load(simd, &group.volume_m3);
+        let mut stress = df;
+        for r in 0..3 {
+            for c in 0..3 {
+                let turned = q[r][0] * t[0][c] + q[r][1] * t[1][c] + q[r][2] * t[2][c];
+                stress[r][c] = df[r][c] * mu + turned * turning + q[r][c] * swelling;
+            }
+        }
+        if AVERAGED == STRAIN {
+            add_node_shear(simd, group, &law.node_shear, &mut stress);
+        }
+        if let Some(added_pa) = shape.added_pa.get(g) {
+            add_turned(simd, group, &df, added_pa, &mut stress);
+        }
+        for x in stress.iter_mut().flatten() {
+            *x *= volume;
+        }
+        scatter(group, &alpha, &stress, force_n);
+    }
+}
+
+/// Sums J V/4 at the nodes; the smallest J.
+#[inline(always)]
+fn sum_node_volumes<S: Simd>(simd: S, law: &mut NeoHooke, shape: &Shape, displacement_m: &[DVec3]) -> f64 {
+    let node_sum = &mut law.node_sum;
+    node_sum.fill(0.0);
+    let mut least = f64x8::splat(simd, f64::INFINITY);
+    for group in shape.groups.iter() {
+        let alpha = load_matrix(simd, &group.gradient_per_m);
+        let h = gradient(simd, group, &alpha, displacement_m);
+        let (_, _, j) = deformation(&h);
+        least = least.min(j);
+        add_to_corners(group, j * load(simd, &group.volume_m3) * 0.25, node_sum);
+    }
+    let mut lanes = [0.0; LANES];
+    least.store_slice(&mut lanes);
+    lanes.into_iter().fold(f64::INFINITY, f64::min)
+}
+
+/// Sums J (Q : dF) V/4, the change of volume, at the nodes.
+#[inline(always)]
+fn sum_node_swelling<S: Simd>(simd: S, law: &mut NeoHooke, shape: &Shape, direction_m: &[DVec3]) {
+    let NeoHooke { tangents, node_sum, .. } = law;
+    node_sum.fill(0.0);
+    for (group, tangent) in shape.groups.iter().zip(tangents.iter()) {
+        let alpha = load_matrix(simd, &group.gradient_per_m);
+        let df = gradient(simd, group, &alpha, direction_m);
+        let q = load_matrix(simd, &tangent.q);
+        let mut trace = f64x8::splat(simd, 0.0);
+        for r in 0..3 {
+            for c in 0..3 {
+                trace += q[r][c] * df[r][c];
+            }
+        }
+        let ratio = load(simd, &tangent.volume_ratio);
+        add_to_corners(group, trace * ratio * load(simd, &group.volume_m3) * 0.25, node_sum);
+    }
+}
+
+/// Sums V/4 times the gradient of a vector at the nodes.
+#[inline(always)]
+fn sum_node_gradients<S: Simd>(simd: S, law: &mut NeoHooke, shape: &Shape, vector: &[DVec3]) {
+    for node in &mut law.node_shear {
+        node.sum = [0.0; 9];
+    }
+    for group in &shape.groups {
+        let alpha = load_matrix(simd, &group.gradient_per_m);
+        let h = gradient(simd, group, &alpha, vector);
+        let quarter = load(simd, &group.volume_m3) * 0.25;
+        let mut lanes = [[0.0; LANES]; 9];
+        for r in 0..3 {
+            for c in 0..3 {
+                (h[r][c] * quarter).store_slice(&mut lanes[3 * r + c]);
+            }
+        }
+        for lane in 0..LANES {
+            for k in 0..4 {
+                let sum = &mut law.node_shear[group.nodes[k][lane] as usize].sum;
+                for (sum, values) in sum.iter_mut().zip(&lanes) {
+                    *sum += values[lane];
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn add_node_shear<S: Simd>(simd: S, group: &Group, nodes: &[NodeShear], stress: &mut Matrix<S>) {
+    let mean = corner_mean_matrix(simd, group, |n| &nodes[n].stress_pa);
+    for r in 0..3 {
+        for c in 0..3 {
+            stress[r][c] += mean[r][c];
+        }
+    }
+}

@@ -1,0 +1,502 @@
+//! One step: Newton's method, conjugate gradients, line search.
+
+use super::elements::Recovery;
+use super::lagged::NodeTerms;
+use super::{FactorAge, ImplicitEuler};
+use glisson_mesh::math::DVec3;
+use glisson_mesh::mesh::TetId;
+
+/// How a step ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ImplicitStatus {
+    /// The residual is below the tolerance and every held node is where it is held.
+    #[default]
+    Converged,
+    /// The residual stayed above the tolerance, or rounding hid any further progress.
+    NotConverged,
+    /// Held nodes could not go all the way without bringing a tetrahedron to where its law has no energy.
+    HeldNodesStopped,
+    /// The shape at the start has no finite energy under any law (its numbers are too large): the body does not
+    /// move until it is given another.
+    Unusable,
+}
+
+/// What a step did.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ImplicitReport {
+    /// How it ended.
+    pub status: ImplicitStatus,
+    /// Residual over applied, inertial and holding forces at the end.
+    pub residual_share: f64,
+    /// Newton iterations.
+    pub newton_iterations: u32,
+    /// Conjugate gradient iterations of all of them.
+    pub cg_iterations: u32,
+    /// Factors made.
+    pub n_factors: u32,
+    /// Share of their way that the held nodes went.
+    pub held_share: f64,
+    /// Tetrahedra on which the stable neo-Hookean law pulled: those in which the law had no energy at the start,
+    /// and their neighbours.
+    pub n_quarantined_tets: u32,
+    /// The first in which it had none.
+    pub first_quarantined: Option<TetId>,
+}
+
+/// Buffers of a step.
+#[derive(Clone, Debug)]
+pub(super) struct Scratch {
+    pub(super) residual_n: Vec<DVec3>,
+    pub(super) product_n: Vec<DVec3>,
+    pub(super) ligament_n: Vec<DVec3>,
+    start_m: Vec<DVec3>,
+    ballistic_m: Vec<DVec3>,
+    start_force_n: Vec<DVec3>,
+    force_n: Vec<DVec3>,
+    direction_m: Vec<DVec3>,
+    /// Displacements before a search along a line; free between steps, when others work with it.
+    pub(super) before_m: Vec<DVec3>,
+    right_n: Vec<DVec3>,
+    search_m: Vec<DVec3>,
+    scaled_m: Vec<DVec3>,
+}
+
+impl Scratch {
+    pub(super) fn new(n_nodes: usize) -> Self {
+        let zero = || vec![DVec3::ZERO; n_nodes];
+        Self {
+            residual_n: zero(),
+            product_n: zero(),
+            ligament_n: zero(),
+            start_m: zero(),
+            ballistic_m: zero(),
+            start_force_n: zero(),
+            force_n: zero(),
+            direction_m: zero(),
+            before_m: zero(),
+            right_n: zero(),
+            search_m: zero(),
+            scaled_m: zero(),
+        }
+    }
+}
+
+/// What stays the same during a step.
+#[derive(Clone, Copy, Debug)]
+struct StepFactors {
+    /// 1/h^2
+    inertia: f64,
+    /// alpha/h
+    mass_damping: f64,
+    /// beta/h
+    stiffness_damping: f64,
+}
+
+/// State of the minimisation at one displacement.
+#[derive(Clone, Copy, Debug)]
+struct Balance {
+    /// Norm of the residual over the free nodes [N].
+    residual_n: f64,
+    /// Norms of applied, inertial and holding forces, added [N].
+    scale_n: f64,
+    /// Incremental potential [J].
+    potential_j: f64,
+}
+
+/// What a step starts from.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Start {
+    Upright,
+    /// With a tetrahedron inside out.
+    Inverted,
+    /// No energy.
+    Unusable,
+}
+
+enum Direction {
+    Found,
+    /// The exact tangent has a negative direction here, or the factor is too old.
+    NeedsFactor,
+}
+
+pub(super) const MOST_NEWTON_ITERATIONS: u32 = 40;
+const MOST_CG_ITERATIONS: u32 = 60;
+const MOST_HALVINGS: u32 = 14;
+/// Conjugate gradients stop at this share of the residual they start from ...
+const FORCING: f64 = 0.02;
+/// ... or at this share of the residual at which the step ends.
+const FINAL_SHARE: f64 = 0.4;
+/// Sufficient decrease (Armijo 1966, doi 10.2140/pjm.1966.16.1).
+const ARMIJO: f64 = 1e-4;
+/// Iterations in excess that cost about as much as a factor with its projected tangent.
+const EXCESS_FOR_REFRESH: u32 = 48;
+/// A factor made for another length of step serves while its mass is within this ratio.
+const MASS_RATIO: f64 = 3.0;
+
+impl ImplicitEuler {
+    /// One step of `h_s`.
+    pub(super) fn advance(&mut self, h_s: f64) {
+        let mut factors = StepFactors {
+            inertia: 1.0 / (h_s * h_s),
+            mass_damping: self.damping.mass_per_s / h_s,
+            stiffness_damping: self.damping.stiffness_s / h_s,
+        };
+        self.step_report = ImplicitReport { held_share: 1.0, ..ImplicitReport::default() };
+        if self.lagged.is_none() {
+            return;
+        }
+        self.scratch.start_m.copy_from_slice(&self.displacement_m);
+        self.quarantine();
+        if let Some(relaxation) = &mut self.relaxation {
+            relaxation.begin(h_s, &mut self.elements);
+        }
+        let start = self.start(h_s);
+        if start == Start::Inverted {
+            factors.stiffness_damping = 0.0;
+        }
+        if start == Start::Unusable {
+            self.step_report.status = ImplicitStatus::Unusable;
+            self.velocities_m_per_s.fill(DVec3::ZERO);
+            self.earlier_velocities_m_per_s.fill(DVec3::ZERO);
+            return;
+        }
+        if self.step_report.n_quarantined_tets > 0 {
+            self.refresh_here(factors);
+        } else {
+            self.refresh_if_due(factors);
+        }
+        let energy_j = self.first_guess(h_s);
+        self.minimise(factors, energy_j);
+        if let Some(relaxation) = &mut self.relaxation {
+            relaxation.end(&self.elements, &self.displacement_m);
+        }
+
+        std::mem::swap(&mut self.velocities_m_per_s, &mut self.earlier_velocities_m_per_s);
+        for n in 0..self.n_nodes() {
+            self.velocities_m_per_s[n] = (self.displacement_m[n] - self.scratch.start_m[n]) / h_s;
+        }
+        let damping = factors.stiffness_damping;
+        for held in self.held.iter() {
+            let n = held.node as usize;
+            let elastic_n =
+                self.scratch.force_n[n] * (1.0 + damping) - self.scratch.start_force_n[n] * damping;
+            let outer_n = self.gravity_m_per_s2 * self.mass_kg[n] + self.outer_n[n];
+            self.constraint_forces_n[held.place as usize] =
+                (elastic_n - outer_n - self.scratch.ligament_n[n]) * self.free_axes[n];
+        }
+        self.note_age();
+    }
+
+    /// Looks for tetrahedra in which the law has no energy, where there can be any: steps bring none.
+    fn quarantine(&mut self) {
+        if self.is_suspect || self.elements.recovery() != Recovery::None {
+            self.is_suspect = false;
+            let (n, first) = self.elements.quarantine(&self.displacement_m, self.elements.recovery());
+            self.step_report.n_quarantined_tets = n;
+            self.step_report.first_quarantined = first;
+        }
+    }
+
+    /// Where inertia alone leads, and the forces before the step where damping needs them.
+    fn start(&mut self, h_s: f64) -> Start {
+        for n in 0..self.n_nodes() {
+            let start_m = self.scratch.start_m[n];
+            self.scratch.ballistic_m[n] = start_m + self.velocities_m_per_s[n] * h_s * self.mask[n];
+        }
+        if self.damping.stiffness_s == 0.0 {
+            return Start::Upright;
+        }
+        let found = self.elements.evaluate(&self.scratch.start_m, &mut self.scratch.start_force_n);
+        if !found.is_usable() {
+            Start::Unusable
+        } else if found.has_inverted || self.elements.recovery() != Recovery::None {
+            Start::Inverted
+        } else {
+            Start::Upright
+        }
+    }
+
+    /// Sets displacements and forces to the first usable of: motion with the last acceleration, inertial
+    /// motion, no motion. Returns the elastic energy.
+    fn first_guess(&mut self, h_s: f64) -> f64 {
+        for n in 0..self.n_nodes() {
+            let change = self.velocities_m_per_s[n] - self.earlier_velocities_m_per_s[n];
+            self.displacement_m[n] = self.scratch.ballistic_m[n] + change * h_s * self.mask[n];
+        }
+        let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+        if found.is_usable() {
+            return found.energy_j;
+        }
+        self.displacement_m.copy_from_slice(&self.scratch.ballistic_m);
+        let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+        if found.is_usable() {
+            return found.energy_j;
+        }
+        self.displacement_m.copy_from_slice(&self.scratch.start_m);
+        self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n).energy_j
+    }
+
+    /// Newton's iteration from the present displacements, whose forces are known.
+    fn minimise(&mut self, factors: StepFactors, energy_j: f64) {
+        let mut balance = self.balance(factors, energy_j);
+        if !balance.potential_j.is_finite() {
+            self.step_report.status = ImplicitStatus::Unusable;
+            self.displacement_m.copy_from_slice(&self.scratch.start_m);
+            return;
+        }
+        loop {
+            let pending = self.held.iter().any(|h| self.displacement_m[h.node as usize] != h.target_m);
+            let limit_n = self.tolerance * balance.scale_n + self.least_force_n;
+            self.step_report.residual_share =
+                if balance.scale_n > self.least_force_n { balance.residual_n / balance.scale_n } else { 0.0 };
+            if !pending && balance.residual_n <= limit_n {
+                self.step_report.status = ImplicitStatus::Converged;
+                return;
+            }
+            let n_iterations = self.step_report.newton_iterations;
+            // Held nodes always arrive; what is left out is what the tissue's answer lacks.
+            if n_iterations == MOST_NEWTON_ITERATIONS || !pending && n_iterations >= self.most_iterations {
+                self.stop(pending);
+                return;
+            }
+            self.step_report.newton_iterations += 1;
+            self.prepare_right_side(factors, pending);
+            let stop_n = FINAL_SHARE * limit_n;
+            if matches!(self.iterate(factors, stop_n), Direction::NeedsFactor) {
+                self.refresh_here(factors);
+                self.solve_directly();
+            }
+            if let Some(next) = self.search_line(factors, balance, pending) {
+                balance = next;
+                continue;
+            }
+            // The direction was no good: the projected tangent of this very state gives a better one.
+            self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+            self.refresh_here(factors);
+            self.prepare_right_side(factors, pending);
+            self.solve_directly();
+            let Some(next) = self.search_line(factors, balance, pending) else {
+                let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+                self.balance(factors, found.energy_j);
+                self.stop(pending);
+                return;
+            };
+            balance = next;
+        }
+    }
+
+    fn stop(&mut self, pending: bool) {
+        self.step_report.status =
+            if pending { ImplicitStatus::HeldNodesStopped } else { ImplicitStatus::NotConverged };
+        let (mut gone_m, mut way_m) = (0.0, 0.0);
+        for held in self.held.iter() {
+            let start_m = self.scratch.start_m[held.node as usize];
+            gone_m += start_m.distance(self.displacement_m[held.node as usize]);
+            way_m += start_m.distance(held.target_m);
+        }
+        self.step_report.held_share = if way_m > 0.0 { gone_m / way_m } else { 1.0 };
+    }
+
+    /// Residual at every node and its norms, from the forces of the last evaluation.
+    fn balance(&mut self, factors: StepFactors, energy_j: f64) -> Balance {
+        let StepFactors { inertia, mass_damping, stiffness_damping } = factors;
+        let s = &mut self.scratch;
+        let ligaments_j = if self.ligaments.is_empty() {
+            0.0
+        } else {
+            self.ligaments.pull_into(&self.mesh.positions_m, &self.displacement_m, &mut s.ligament_n)
+        };
+        let (mut residual, mut applied, mut inertial, mut holding) = (0.0, 0.0, 0.0, 0.0);
+        let mut potential_j = (1.0 + stiffness_damping) * energy_j + ligaments_j;
+        for n in 0..self.displacement_m.len() {
+            let u = self.displacement_m[n];
+            let m = self.mass_kg[n];
+            let outer_n = self.gravity_m_per_s2 * m + self.outer_n[n];
+            let (off_m, way_m) = (u - s.ballistic_m[n], u - s.start_m[n]);
+            let inertia_n = off_m * (m * inertia);
+            let damping_n = way_m * (m * mass_damping);
+            let mut elastic_n = s.force_n[n];
+            if stiffness_damping > 0.0 {
+                elastic_n = elastic_n * (1.0 + stiffness_damping) - s.start_force_n[n] * stiffness_damping;
+                potential_j -= stiffness_damping * s.start_force_n[n].dot(way_m);
+            }
+            let r = inertia_n + damping_n + elastic_n - outer_n - s.ligament_n[n];
+            s.residual_n[n] = r;
+            if self.is_held[n] {
+                holding += (r * self.free_axes[n]).length_squared();
+            } else if self.moves[n] {
+                residual += (r * self.mask[n]).length_squared();
+                applied += ((outer_n - self.rest_load_n[n]) * self.mask[n]).length_squared();
+                inertial += inertia_n.length_squared();
+                potential_j += 0.5 * (inertia_n.dot(off_m) + damping_n.dot(way_m)) - outer_n.dot(way_m);
+            }
+        }
+        Balance {
+            residual_n: residual.sqrt(),
+            scale_n: applied.sqrt() + inertial.sqrt() + holding.sqrt(),
+            potential_j,
+        }
+    }
+
+    /// Right-hand side of the free nodes: minus the residual, minus the tangent times what the held nodes
+    /// still have to go; the held part of the direction.
+    fn prepare_right_side(&mut self, factors: StepFactors, pending: bool) {
+        let s = &mut self.scratch;
+        s.direction_m.fill(DVec3::ZERO);
+        for held in self.held.iter() {
+            let n = held.node as usize;
+            s.direction_m[n] = held.target_m - self.displacement_m[n];
+        }
+        if pending {
+            self.elements.tangent_product(&s.direction_m, &mut s.product_n);
+        }
+        let stiffness = if pending { 1.0 + factors.stiffness_damping } else { 0.0 };
+        for n in 0..s.right_n.len() {
+            let held_n = if pending { s.product_n[n] * stiffness } else { DVec3::ZERO };
+            s.right_n[n] = (-s.residual_n[n] - held_n) * self.mask[n];
+        }
+    }
+
+    /// Preconditioned conjugate gradients (Hestenes and Stiefel 1952, doi 10.6028/jres.049.044) for the free
+    /// part of the direction.
+    fn iterate(&mut self, factors: StepFactors, stop_n: f64) -> Direction {
+        let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
+        let s = &mut self.scratch;
+        let per_mass = factors.inertia + factors.mass_damping;
+        let per_stiffness = 1.0 + factors.stiffness_damping;
+        let first = norm(&s.right_n);
+        let stop_n = stop_n.max(FORCING * first);
+        let mut remaining = first;
+        let mut product = 0.0;
+        for k in 0..MOST_CG_ITERATIONS {
+            if remaining <= stop_n {
+                return Direction::Found;
+            }
+            lagged.solve_into(&s.right_n, &mut s.scaled_m);
+            for (z, mask) in s.scaled_m.iter_mut().zip(&self.mask) {
+                *z *= *mask;
+            }
+            let new_product = dot(&s.right_n, &s.scaled_m);
+            let beta = if k == 0 { 0.0 } else { new_product / product };
+            product = new_product;
+            for (p, z) in s.search_m.iter_mut().zip(&s.scaled_m) {
+                *p = if k == 0 { *z } else { *z + *p * beta };
+            }
+            self.elements.tangent_product(&s.search_m, &mut s.product_n);
+            for n in 0..s.product_n.len() {
+                s.product_n[n] =
+                    s.product_n[n] * per_stiffness + s.search_m[n] * (self.mass_kg[n] * per_mass);
+            }
+            self.ligaments.add_product(&s.search_m, &mut s.product_n);
+            let mut curvature = 0.0;
+            for n in 0..s.product_n.len() {
+                s.product_n[n] *= self.mask[n];
+                curvature += s.product_n[n].dot(s.search_m[n]);
+            }
+            self.step_report.cg_iterations += 1;
+            if !(curvature > 0.0 && product > 0.0) {
+                return if k == 0 { Direction::NeedsFactor } else { Direction::Found };
+            }
+            let length = product / curvature;
+            let mut square = 0.0;
+            for n in 0..s.right_n.len() {
+                s.direction_m[n] += s.search_m[n] * length;
+                s.right_n[n] -= s.product_n[n] * length;
+                square += s.right_n[n].length_squared();
+            }
+            remaining = square.sqrt();
+        }
+        // Far from the state of the factor: one here is cheaper than going on.
+        self.prepare_right_side(factors, !self.held.is_empty());
+        Direction::NeedsFactor
+    }
+
+    /// The free part of the direction from the factor itself.
+    fn solve_directly(&mut self) {
+        let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
+        let s = &mut self.scratch;
+        lagged.solve_into(&s.right_n, &mut s.scaled_m);
+        for n in 0..self.is_held.len() {
+            if !self.is_held[n] {
+                s.direction_m[n] = s.scaled_m[n] * self.mask[n];
+            }
+        }
+    }
+
+    /// Goes along the direction as far as the law allows all tetrahedra and the potential falls, or the residual. While
+    /// held nodes are on their way only the first counts. None when no length serves: nothing changed but the
+    /// forces.
+    fn search_line(&mut self, factors: StepFactors, from: Balance, pending: bool) -> Option<Balance> {
+        self.scratch.before_m.copy_from_slice(&self.displacement_m);
+        let slope: f64 = dot(&self.scratch.residual_n, &self.scratch.direction_m);
+        let mut length = 1.0;
+        for _ in 0..=MOST_HALVINGS {
+            for n in 0..self.displacement_m.len() {
+                self.displacement_m[n] = self.scratch.before_m[n] + self.scratch.direction_m[n] * length;
+            }
+            if length == 1.0 {
+                for held in self.held.iter() {
+                    self.displacement_m[held.node as usize] = held.target_m;
+                }
+            }
+            let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+            if found.is_usable() {
+                let next = self.balance(factors, found.energy_j);
+                let falls = next.potential_j <= from.potential_j + ARMIJO * length * slope.min(0.0);
+                if pending || falls || next.residual_n < from.residual_n {
+                    return Some(next);
+                }
+            }
+            length *= 0.5;
+        }
+        self.displacement_m.copy_from_slice(&self.scratch.before_m);
+        self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+        self.balance(factors, from.potential_j);
+        None
+    }
+
+    /// Makes the factor anew when the iterations since it was made have cost as much, or the step is another.
+    fn refresh_if_due(&mut self, factors: StepFactors) {
+        let lagged = self.lagged.as_ref().expect("a body with tetrahedra has a factor");
+        let ratio = (factors.inertia + factors.mass_damping) / lagged.state.per_mass;
+        let fits = ratio < MASS_RATIO && ratio > 1.0 / MASS_RATIO;
+        if self.age.excess_iterations >= EXCESS_FOR_REFRESH || !fits {
+            self.refresh_here(factors);
+        }
+    }
+
+    /// Makes the factor anew at the present displacements.
+    fn refresh_here(&mut self, factors: StepFactors) {
+        let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
+        lagged.state.displacement_m.copy_from_slice(&self.displacement_m);
+        lagged.state.held.copy_from_slice(&self.is_held);
+        self.elements.strays_into(&mut lagged.state.strays);
+        lagged.state.per_mass = factors.inertia + factors.mass_damping;
+        lagged.state.per_stiffness = 1.0 + factors.stiffness_damping;
+        lagged.state.viscous_share = self.elements.factor();
+        let nodes =
+            NodeTerms { rest_m: &self.mesh.positions_m, mass_kg: &self.mass_kg, ligaments: &self.ligaments };
+        lagged.refresh(&self.elements, nodes);
+        self.factor_version += 1;
+        self.age = FactorAge::default();
+        self.step_report.n_factors += 1;
+    }
+
+    fn note_age(&mut self) {
+        let iterations = self.step_report.cg_iterations;
+        if self.age.n_steps == 0 {
+            self.age.first_iterations = iterations;
+        } else {
+            self.age.excess_iterations += iterations.saturating_sub(self.age.first_iterations);
+        }
+        self.age.n_steps = self.age.n_steps.saturating_add(1);
+    }
+}
+
+fn dot(a: &[DVec3], b: &[DVec3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a.dot(*b)).sum()
+}
+
+fn norm(a: &[DVec3]) -> f64 {
+    a.iter().map(|v| v.length_squared()).sum::<f64>().sqrt()
+}

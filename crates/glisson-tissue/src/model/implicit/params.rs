@@ -1,0 +1,210 @@
+//! What an implicit model is made from, and what is checked of it.
+
+use super::law::ImplicitLaw;
+use super::{DynamicBody, VolumeResistance};
+use crate::material::PronySeries;
+use crate::solve::SolveError;
+use glisson_mesh::math::DVec3;
+use glisson_mesh::mesh::{NodeId, TetId};
+
+/// Why there is no implicit model.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ImplicitError {
+    /// The mesh is unusable.
+    #[error(transparent)]
+    Solve(#[from] SolveError),
+    /// A parameter that is negative or no number.
+    #[error("{what} is {found}; allowed: {allowed}")]
+    Parameter {
+        /// Which one, with its unit.
+        what: &'static str,
+        /// What was given.
+        found: f64,
+        /// What may be given.
+        allowed: &'static str,
+    },
+    /// Neither one law nor one for each tetrahedron.
+    #[error("{found} laws for {n_tets} tetrahedra; allowed: 1 or {n_tets}")]
+    LawCount {
+        /// Number of laws given.
+        found: usize,
+        /// Number of tetrahedra.
+        n_tets: usize,
+    },
+    /// Rest stress neither for none nor for each tetrahedron.
+    #[error("{found} rest stresses for {n_tets} tetrahedra; allowed: 0 or {n_tets}")]
+    RestStressCount {
+        /// Number of stresses given.
+        found: usize,
+        /// Number of tetrahedra.
+        n_tets: usize,
+    },
+    /// A rest stress that is no number.
+    #[error("the rest stress of tetrahedron {tet} is not finite")]
+    RestStress {
+        /// Which tetrahedron.
+        tet: TetId,
+    },
+    /// A law without stiffness at rest.
+    #[error(
+        "the law of tetrahedron {tet} has lambda {lambda_pa} Pa and mu {mu_pa} Pa at rest; allowed: mu above 0 and \
+         lambda above -2/3 mu"
+    )]
+    NotStiffAtRest {
+        /// The first tetrahedron with this law.
+        tet: TetId,
+        /// Its first Lamé coefficient at rest [Pa].
+        lambda_pa: f64,
+        /// Its shear modulus at rest [Pa].
+        mu_pa: f64,
+    },
+    /// Viscosity with a law that is linear in the displacements.
+    #[error(
+        "the stress of the law of tetrahedron {tet} does not turn with the body, so it cannot relax. Take a law for \
+         large rotations"
+    )]
+    DoesNotTurn {
+        /// The first tetrahedron with this law.
+        tet: TetId,
+    },
+    /// Node-averaging with a law whose volume term is not known apart.
+    #[error(
+        "node-averaged resistance is there for the ln J neo-Hookean law only (`ImplicitLaw::NeoHookeLog`): other laws \
+         do not tell their volume term apart. Take that law, or `VolumeResistance::Element`"
+    )]
+    NotAveraged,
+    /// Relaxation with averaged strain.
+    #[error(
+        "node-averaged strain does not go with relaxation: its stress does not turn with each tetrahedron. Take \
+         `VolumeResistance::NodeAveraged`"
+    )]
+    AveragedStrainRelaxes,
+    /// A node that is supported twice.
+    #[error("node {node} is supported twice; name each node once, with all its axes")]
+    SupportedTwice {
+        /// Which node.
+        node: NodeId,
+    },
+}
+
+/// What an implicit model is made from.
+#[derive(Clone, Copy, Debug)]
+pub struct ImplicitParams<'a> {
+    /// Mesh, supports, loads and damping. `time_step_s` is the usual step: the first factor is made for it. The
+    /// model is stable at any step, so `most_parts` has no meaning here.
+    pub body: DynamicBody<'a>,
+    /// The law.
+    pub law: &'a ImplicitLaw,
+    /// How its stress relaxes, if it does. The law is then the instantaneous one.
+    pub relaxation: Option<&'a PronySeries>,
+    /// Where the volume change is resisted.
+    pub volume: VolumeResistance,
+    /// Residual over applied, inertial and holding forces at which a step ends; [`DEFAULT_TOLERANCE`].
+    pub tolerance: f64,
+}
+
+/// A tenth of a per cent of the forces: below what linear tetrahedra of organ size can promise.
+pub const DEFAULT_TOLERANCE: f64 = 1e-3;
+/// Newton's iteration cannot promise less than this in double precision.
+const LEAST_TOLERANCE: f64 = 1e-12;
+
+impl<'a> ImplicitParams<'a> {
+    /// An elastic body, volume resisted in each tetrahedron, the usual tolerance.
+    pub fn new(body: DynamicBody<'a>, law: &'a ImplicitLaw) -> Self {
+        Self { body, law, relaxation: None, volume: VolumeResistance::Element, tolerance: DEFAULT_TOLERANCE }
+    }
+
+    /// All that can be said without building anything; [`ImplicitLaw::stand_ins`] checks the laws.
+    pub(super) fn check(&self) -> Result<(), ImplicitError> {
+        let parameter = |what, found, allowed| Err(ImplicitError::Parameter { what, found, allowed });
+        let body = &self.body;
+        for (what, found) in [
+            ("mass damping [1/s]", body.damping.mass_per_s),
+            ("stiffness damping [s]", body.damping.stiffness_s),
+        ] {
+            if !(found.is_finite() && found >= 0.0) {
+                return parameter(what, found, "a finite number from 0");
+            }
+        }
+        for (what, found) in
+            [("density [kg/m3]", body.density_kg_per_m3), ("time step [s]", body.time_step_s)]
+        {
+            if !(found.is_finite() && found > 0.0) {
+                return parameter(what, found, "a finite number above 0");
+            }
+        }
+        if !body.gravity_m_per_s2.is_finite() {
+            return parameter("gravity [m/s2]", body.gravity_m_per_s2.length(), "finite numbers");
+        }
+        if !(self.tolerance >= LEAST_TOLERANCE && self.tolerance <= 0.1) {
+            return parameter("tolerance", self.tolerance, "1e-12 to 0.1");
+        }
+        let n_nodes = body.mesh.positions_m.len();
+        let n_tets = body.mesh.tetrahedra.len();
+        if n_tets == 0 {
+            return Err(SolveError::EmptyMesh.into());
+        }
+        for (t, nodes) in body.mesh.tetrahedra.iter().enumerate() {
+            if let Some(&node) = nodes.iter().find(|n| n.index() >= n_nodes) {
+                return Err(SolveError::NodeOutOfRange { tet: TetId::from_index(t), node, n_nodes }.into());
+            }
+        }
+        let out_of_range = |node| Err(SolveError::ConditionOutOfRange { node, n_nodes }.into());
+        for ligament in body.attachments {
+            if ligament.node.index() >= n_nodes {
+                return out_of_range(ligament.node);
+            }
+            for (what, found) in [
+                ("stiffness of an attachment [N/m]", ligament.stiffness_n_per_m),
+                ("slack length of an attachment [m]", ligament.slack_length_m),
+            ] {
+                if !(found.is_finite() && found >= 0.0) {
+                    return parameter(what, found, "a finite number from 0");
+                }
+            }
+            if !ligament.anchor_m.is_finite() {
+                return parameter(
+                    "anchor of an attachment [m]",
+                    ligament.anchor_m.length(),
+                    "finite numbers",
+                );
+            }
+        }
+        if !(body.rest_stress_pa.is_empty() || body.rest_stress_pa.len() == n_tets) {
+            return Err(ImplicitError::RestStressCount { found: body.rest_stress_pa.len(), n_tets });
+        }
+        if let Some(t) = body.rest_stress_pa.iter().position(|s| !s.iter().all(|x| x.is_finite())) {
+            return Err(ImplicitError::RestStress { tet: TetId::from_index(t) });
+        }
+        if self.volume != VolumeResistance::Element && matches!(self.law, ImplicitLaw::General(_)) {
+            return Err(ImplicitError::NotAveraged);
+        }
+        if self.relaxation.is_some() && self.volume == VolumeResistance::NodeAveragedStrain {
+            return Err(ImplicitError::AveragedStrainRelaxes);
+        }
+        if self.relaxation.is_some()
+            && let Some(t) = self.law.first_not_turning()
+        {
+            return Err(ImplicitError::DoesNotTurn { tet: TetId::from_index(t) });
+        }
+        self.free_axes().map(|_| ())
+    }
+
+    /// One for each axis along which a node may move, zero for the others.
+    pub(super) fn free_axes(&self) -> Result<Vec<DVec3>, ImplicitError> {
+        let n_nodes = self.body.mesh.positions_m.len();
+        let mut free = vec![DVec3::ONE; n_nodes];
+        let mut is_named = vec![false; n_nodes];
+        for support in self.body.fixed {
+            let n = support.node.index();
+            if n >= n_nodes {
+                return Err(SolveError::ConditionOutOfRange { node: support.node, n_nodes }.into());
+            }
+            if std::mem::replace(&mut is_named[n], true) {
+                return Err(ImplicitError::SupportedTwice { node: support.node });
+            }
+            free[n] = DVec3::from_array(support.axes.map(|held| if held { 0.0 } else { 1.0 }));
+        }
+        Ok(free)
+    }
+}

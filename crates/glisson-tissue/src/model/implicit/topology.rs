@@ -1,0 +1,159 @@
+//! Edits: the element list, masses and the sparse pattern are made anew.
+
+use super::elements::{Elements, ElementsParams};
+use super::ligaments::Ligaments;
+use super::newton::Scratch;
+use super::{Attachment, ImplicitEuler, ImplicitLaw, TopologyRefusal};
+use crate::model::growth::{Growth, blend_tets};
+use glisson_mesh::math::DVec3;
+use glisson_mesh::mesh::edit::TopologyChange;
+use glisson_mesh::mesh::remap::follow;
+use glisson_mesh::mesh::{NodeId, TetMesh};
+
+impl ImplicitEuler {
+    /// Follows all edits; all allocate.
+    pub(super) fn follow(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        assert_eq!(change.tets.n_before, self.tet_is_live.len(), "the model missed a change of the mesh");
+        assert_eq!(change.nodes.n_before, self.n_nodes(), "the model missed a change of the mesh");
+        let live = self.mesh.tetrahedra.iter().enumerate().filter(|(t, _)| self.tet_is_live[*t]);
+        let growth = Growth::of("implicit", mesh, change, &self.mesh.positions_m, live)?;
+        if let Some(growth) = &growth {
+            self.grow(mesh, change, growth);
+        }
+        for tet in change.tets.removed.iter().filter(|tet| tet.index() < change.tets.n_before) {
+            self.tet_is_live[tet.index()] = false;
+        }
+        if change.is_renumbering() {
+            self.compact(change);
+        }
+        let before = self.elements.recovery();
+        self.elements = Elements::new(&ElementsParams {
+            mesh: &self.mesh,
+            live: &self.tet_is_live,
+            law: &self.law,
+            stand_ins: &self.stand_ins,
+            volume: self.volume,
+            rest_stress_pa: &self.rest_stress_pa,
+            is_viscous: self.relaxation.is_some(),
+        })
+        .expect("the tetrahedra were usable when the model was built");
+        self.is_suspect = true;
+        self.elements.quarantine(&self.displacement_m, before);
+        self.n_reanalyses += 1;
+        let refusal = self.analyse().is_err();
+        // A held or loaded node that lost its last tetrahedron has nothing to pull on.
+        for n in 0..self.n_nodes() {
+            if !self.moves[n] {
+                self.is_held[n] = false;
+                self.outer_n[n] = DVec3::ZERO;
+                self.velocities_m_per_s[n] = DVec3::ZERO;
+                self.earlier_velocities_m_per_s[n] = DVec3::ZERO;
+            }
+        }
+        let is_held = &self.is_held;
+        self.held.retain(|held| is_held[held.node as usize]);
+        self.update_mask();
+        self.publish();
+        if refusal {
+            return Err(TopologyRefusal::Frozen {
+                model: "implicit",
+                reason: "the remaining mesh could not be factored; build the model anew",
+            });
+        }
+        Ok(())
+    }
+
+    /// Makes room for what an edit brings in, and puts new and moved nodes in their places.
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        let (n_before, n_nodes) = (change.nodes.n_before, growth.n_nodes);
+        let axes = |free: DVec3| free.to_array().map(|free| free == 0.0);
+        let new_supports = growth.new_supports(|n| axes(self.free_axes[n]));
+        self.free_axes.resize(n_nodes, DVec3::ONE);
+        for (n, held) in new_supports {
+            self.free_axes[n] = DVec3::from_array(held.map(|held| if held { 0.0 } else { 1.0 }));
+        }
+        let supports = |n: usize| axes(self.free_axes[n]);
+        let placed = growth.displacements_m(|n| self.displacement_m[n], supports);
+        for velocities in [&mut self.velocities_m_per_s, &mut self.earlier_velocities_m_per_s] {
+            let of_new = growth.velocities(|n| velocities[n], supports);
+            velocities.resize(n_nodes, DVec3::ZERO);
+            of_new.into_iter().for_each(|(n, v)| velocities[n] = v);
+        }
+        self.displacement_m.resize(n_nodes, DVec3::ZERO);
+        placed.into_iter().for_each(|(n, u_m)| self.displacement_m[n] = u_m);
+        for held in self.held.iter_mut() {
+            // A tool goes on holding a moved node at its place in space.
+            let n = held.node as usize;
+            held.target_m -= (mesh.positions_m[n] - self.mesh.positions_m[n]) * self.free_axes[n];
+        }
+        if let Some(relaxation) = &mut self.relaxation {
+            relaxation.grow(change);
+        }
+        for node in change.moved_nodes.iter().filter(|node| node.index() < n_before) {
+            self.mesh.positions_m[node.index()] = mesh.positions_m[node.index()];
+        }
+        self.mesh.positions_m.extend_from_slice(&mesh.positions_m[n_before..n_nodes]);
+        self.mesh.tetrahedra.extend_from_slice(&mesh.tetrahedra[change.tets.n_before..growth.n_tets]);
+        self.tet_is_live.resize(growth.n_tets, false);
+        growth.added.iter().for_each(|tet| self.tet_is_live[tet.index()] = true);
+        blend_tets(&mut self.rest_stress_pa, change);
+        if let ImplicitLaw::General(laws) = &mut self.law
+            && laws.len() > 1
+        {
+            growth.take_over(laws);
+            growth.take_over(&mut self.stand_ins);
+        }
+        self.positions_m.resize(n_nodes, DVec3::ZERO);
+        self.outer_n.resize(n_nodes, DVec3::ZERO);
+        self.is_held.resize(n_nodes, false);
+        self.mask.resize(n_nodes, DVec3::ZERO);
+        self.held.make_room(n_nodes);
+        self.constraint_forces_n.make_room(n_nodes);
+        self.scratch = Scratch::new(n_nodes);
+    }
+
+    /// Drops dead entities; the order of the others stays. Constraints are dropped with their node numbers.
+    fn compact(&mut self, change: &TopologyChange) {
+        self.release_all();
+        follow::<NodeId, DVec3>(&mut self.mesh.positions_m, change);
+        follow::<NodeId, DVec3>(&mut self.displacement_m, change);
+        follow::<NodeId, DVec3>(&mut self.velocities_m_per_s, change);
+        follow::<NodeId, DVec3>(&mut self.earlier_velocities_m_per_s, change);
+        follow::<NodeId, DVec3>(&mut self.free_axes, change);
+        self.ligaments = Ligaments::new(
+            self.ligaments
+                .list
+                .iter()
+                .filter_map(|l| change.nodes.new_ids[l.node.index()].map(|node| Attachment { node, ..*l }))
+                .collect(),
+        );
+        let n_nodes = self.mesh.positions_m.len();
+        let live = &self.tet_is_live;
+        keep_live(&mut self.mesh.tetrahedra, live);
+        keep_live(&mut self.rest_stress_pa, live);
+        if let ImplicitLaw::General(laws) = &mut self.law
+            && laws.len() > 1
+        {
+            keep_live(laws, live);
+            keep_live(&mut self.stand_ins, live);
+        }
+        if let Some(relaxation) = &mut self.relaxation {
+            keep_live(&mut relaxation.histories, live);
+        }
+        for node in self.mesh.tetrahedra.iter_mut().flatten() {
+            *node = change.nodes.new_ids[node.index()].expect("what is live has live nodes");
+        }
+        self.tet_is_live = vec![true; self.mesh.tetrahedra.len()];
+        self.positions_m = self.mesh.positions_m.clone();
+        self.outer_n = vec![DVec3::ZERO; n_nodes];
+        self.is_held = vec![false; n_nodes];
+        self.mask = vec![DVec3::ZERO; n_nodes];
+        self.scratch = Scratch::new(n_nodes);
+    }
+}
+
+/// Keeps the values of live tetrahedra; an empty list stays empty.
+fn keep_live<T>(list: &mut Vec<T>, live: &[bool]) {
+    let mut live = live.iter();
+    list.retain(|_| *live.next().expect("one flag a tetrahedron"));
+}

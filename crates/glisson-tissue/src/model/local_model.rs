@@ -1,0 +1,717 @@
+//! What a touched patch does in the next moments, small enough for a haptic loop of its own: positions, forces and
+//! compliance of some nodes.
+//!
+//! Over a period h the nodes of the patch answer to a change of their forces by C df. For a pre-computed (static) model C
+//! is the patch's part of the compliance. For a dynamic one it is the patch's part of
+//!
+//! (M/h^2 + D/h + K)^-1,
+//!
+//! the displacement at the end of one implicit step for a force that acts all along it; K is the tangent at the present
+//! shape and D the damping. It is computed on the tetrahedra within some rings around the patch; what lies
+//! beyond is held. The entries of such an inverse fall off exponentially with the distance in the graph of the matrix,
+//! by q = (sqrt(kappa) - 1)/(sqrt(kappa) + 1) a ring for a condition number kappa (S. Demko, W. F. Moss and P. W. Smith
+//! 1984, Decay rates for inverses of band matrices, doi 10.1090/S0025-5718-1984-0758197-9); what is held comes
+//! back to the patch over twice the number of rings. kappa is bounded by 1 + h^2 omega^2 with Gershgorin's bound of
+//! omega^2 in the tetrahedra at the patch.
+//!
+//! Columns are solved eight at a time by conjugate gradients with a diagonal preconditioner, in a fixed order: same bits
+//! on every path and at any number of threads. Ligaments do not count.
+
+use super::Rayleigh;
+use super::kernel::{Eight, EightWork, KernelPath};
+use super::nonlinear_tensor_mass::{TetLaw, linear_stiffness};
+use crate::material::Material;
+use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, TetStiffness, stress_tensor_pa};
+use glisson_mesh::math::{DMat3, DVec3, outer};
+use glisson_mesh::mesh::NodeId;
+
+/// Rings at least and at most, and what may come back from beyond them as a share of the compliance: chosen.
+const LEAST_RINGS: u32 = 2;
+const MOST_RINGS: u32 = 12;
+const ECHO: f64 = 2e-2;
+/// Nodes of a region, of which whole rings are left out beyond it.
+const MOST_REGION: usize = 2048;
+/// Conjugate gradients end when each column's residual has fallen by this, or after so many iterations.
+const TOLERANCE: f64 = 1e-7;
+const MOST_ITERATIONS: usize = 400;
+/// Neighbours of a node, itself included, for which room is made.
+const NEIGHBOURS: usize = 32;
+
+/// The answer of a patch to forces, for a haptic loop.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LocalModel {
+    /// The nodes of the patch, in the order in which they were asked for.
+    pub nodes: Vec<NodeId>,
+    /// Where they are [m].
+    pub position_m: Vec<DVec3>,
+    /// Force [N] that the outside exerts on each of them there: of constraints and outer forces, without weight.
+    pub force_n: Vec<DVec3>,
+    /// C [m/N], 3n x 3n, symmetric, row 3 i + a for axis a of node i. Rows of fixed axes are zero.
+    pub compliance_m_per_n: Vec<f64>,
+    /// The period [s] that C is for.
+    pub period_s: f64,
+    /// Rings of tetrahedra around the patch that C counts; none when it is exact.
+    pub n_rings: Option<u32>,
+    /// The tissue is about to buckle or torn apart here: C is that of the masses alone.
+    pub is_inertial: bool,
+    /// The equations were not solved to their tolerance within the iterations that a step has: C is an estimate, too
+    /// stiff.
+    pub missed_tolerance: bool,
+    /// Nodes that were asked for and are not among `nodes`: they do not exist, repeat others or are too many.
+    pub n_left_out: u32,
+}
+
+impl Default for LocalModel {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl LocalModel {
+    /// Most nodes of a patch.
+    pub const MOST_NODES: usize = 32;
+
+    /// Empty, with room for the largest patch.
+    pub fn new() -> Self {
+        let n = Self::MOST_NODES;
+        Self {
+            nodes: Vec::with_capacity(n),
+            position_m: Vec::with_capacity(n),
+            force_n: Vec::with_capacity(n),
+            compliance_m_per_n: Vec::with_capacity(9 * n * n),
+            period_s: 0.0,
+            n_rings: None,
+            is_inertial: false,
+            missed_tolerance: false,
+            n_left_out: 0,
+        }
+    }
+
+    /// Begins with a patch that does not yield.
+    pub(in crate::model) fn start(&mut self, patch: &[NodeId], period_s: f64, positions_m: &[DVec3]) {
+        self.nodes.clear();
+        self.position_m.clear();
+        self.force_n.clear();
+        self.n_left_out = 0;
+        for &node in patch {
+            match positions_m.get(node.index()) {
+                Some(&position_m) if self.nodes.len() < Self::MOST_NODES && !self.nodes.contains(&node) => {
+                    self.nodes.push(node);
+                    self.position_m.push(position_m);
+                    self.force_n.push(DVec3::ZERO);
+                }
+                _ => self.n_left_out += 1,
+            }
+        }
+        let n = 3 * self.nodes.len();
+        self.compliance_m_per_n.clear();
+        self.compliance_m_per_n.resize(n * n, 0.0);
+        self.period_s = period_s;
+        self.n_rings = None;
+        self.is_inertial = false;
+        self.missed_tolerance = false;
+    }
+
+    /// Tensor [m/N]: displacement of the patch's node `of` for a force on its node `by` (places in `nodes`).
+    pub fn tensor_m_per_n(&self, of: usize, by: usize) -> DMat3 {
+        let n = 3 * self.nodes.len();
+        let column = |d: usize| {
+            DVec3::from_array([0, 1, 2].map(|a| self.compliance_m_per_n[n * (3 * of + a) + 3 * by + d]))
+        };
+        DMat3::from_cols(column(0), column(1), column(2))
+    }
+
+    pub(in crate::model) fn set_tensor(&mut self, of: usize, by: usize, tensor: DMat3) {
+        let n = 3 * self.nodes.len();
+        for d in 0..3 {
+            for a in 0..3 {
+                self.compliance_m_per_n[n * (3 * of + a) + 3 * by + d] = tensor.col(d)[a];
+            }
+        }
+    }
+
+    /// Where the patch's nodes are after the period if these forces [N] act instead of `force_n`, as far as the
+    /// answer is linear. Overwrites `positions_m`; all three lists are one a node.
+    pub fn predict_into(&self, force_n: &[DVec3], positions_m: &mut [DVec3]) {
+        for (i, position_m) in positions_m.iter_mut().enumerate().take(self.nodes.len()) {
+            *position_m = self.position_m[i];
+            for (j, force_n) in force_n.iter().enumerate().take(self.nodes.len()) {
+                *position_m += self.tensor_m_per_n(i, j) * (*force_n - self.force_n[j]);
+            }
+        }
+    }
+
+    /// The mean of C and its transpose.
+    pub(in crate::model) fn symmetrize(&mut self) {
+        let n = 3 * self.nodes.len();
+        let c = &mut self.compliance_m_per_n;
+        for i in 0..n {
+            for j in 0..i {
+                let mean = 0.5 * (c[n * i + j] + c[n * j + i]);
+                c[n * i + j] = mean;
+                c[n * j + i] = mean;
+            }
+        }
+    }
+}
+
+/// What the computation of local models writes in; may serve several models in turn.
+#[derive(Clone, Debug)]
+pub struct LocalWork {
+    path: KernelPath,
+    least_rings: u32,
+    most_rings: u32,
+    tolerance: f64,
+    /// Place in the region of each node plus one; zero outside.
+    place: Vec<u32>,
+    /// Nodes, those of the patch first.
+    region: Vec<u32>,
+    n_patch: usize,
+    elements: Vec<u32>,
+    /// Head of each node's list of blocks plus one.
+    head: Vec<u32>,
+    /// Next in the list plus one, column, block.
+    blocks: Vec<(u32, u32, [f64; 9])>,
+    /// The same, row after row.
+    row_start: Vec<u32>,
+    columns: Vec<u32>,
+    entries: Vec<[f64; 9]>,
+    /// Of each unknown.
+    inverse_diagonal: Vec<f64>,
+    vectors: [Vec<[f64; 8]>; 4],
+}
+
+impl LocalWork {
+    /// With room for a body of so many nodes; a larger one makes it grow at its first use, as do nodes of many
+    /// neighbours.
+    pub fn with_room_for(n_nodes: usize) -> Self {
+        let n = n_nodes.min(MOST_REGION);
+        Self {
+            path: KernelPath::fastest(),
+            least_rings: LEAST_RINGS,
+            most_rings: MOST_RINGS,
+            tolerance: TOLERANCE,
+            place: vec![0; n_nodes],
+            region: Vec::with_capacity(n),
+            n_patch: 0,
+            elements: Vec::with_capacity(8 * n),
+            head: Vec::with_capacity(n),
+            blocks: Vec::with_capacity(NEIGHBOURS * n),
+            row_start: Vec::with_capacity(n + 1),
+            columns: Vec::with_capacity(NEIGHBOURS * n),
+            entries: Vec::with_capacity(NEIGHBOURS * n),
+            inverse_diagonal: Vec::with_capacity(3 * n),
+            vectors: std::array::from_fn(|_| Vec::with_capacity(3 * n)),
+        }
+    }
+
+    /// For an estimate that costs less: so many rings at most, and columns solved to this share of their residual. Beyond
+    /// the rings the body is taken to be held, so that the patch seems stiffer. Exact models do not count rings.
+    #[must_use]
+    pub fn estimating(self, most_rings: u32, tolerance: f64) -> Self {
+        Self {
+            most_rings: most_rings.clamp(LEAST_RINGS, MOST_RINGS),
+            tolerance: tolerance.clamp(TOLERANCE, 0.1),
+            ..self
+        }
+    }
+
+    /// One ring where it is enough for what may come back from beyond it: steps that are short for the tissue, as those of
+    /// explicit models are.
+    #[must_use]
+    pub fn from_one_ring(self) -> Self {
+        Self { least_rings: 1, ..self }
+    }
+
+    /// Computes on this path from now on, with the same bits.
+    pub fn set_path(&mut self, path: KernelPath) {
+        self.path = path;
+    }
+}
+
+/// Tetrahedra or edges of a body, with those that count.
+#[derive(Clone, Copy)]
+pub(in crate::model) enum LocalElements<'a> {
+    /// Corners, and which are live.
+    Tets(&'a [[NodeId; 4]]),
+    /// Ends.
+    Edges(&'a [[NodeId; 2]]),
+}
+
+impl LocalElements<'_> {
+    fn nodes(&self, e: usize) -> &[NodeId] {
+        match self {
+            Self::Tets(nodes) => &nodes[e],
+            Self::Edges(nodes) => &nodes[e],
+        }
+    }
+}
+
+/// Stiffness of an element between its nodes [N/m].
+pub(in crate::model) type ElementStiffness = [[DMat3; 4]; 4];
+
+/// What a dynamic model tells about itself for its local models.
+pub(in crate::model) trait LocalBody {
+    fn elements(&self) -> LocalElements<'_>;
+    fn is_live(&self, element: usize) -> bool;
+    /// K of an element at the present shape, with the dampers' part over the period.
+    fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness;
+    /// Masses, supports and constraints.
+    fn frame(&self) -> &dyn LocalFrame;
+    /// Damping of masses and stiffness.
+    fn damping(&self) -> Rayleigh {
+        self.frame().damping()
+    }
+}
+
+/// What holds and moves the nodes of a body.
+pub(in crate::model) trait LocalFrame {
+    fn inertia_kg(&self, n: usize) -> f64;
+    /// Axes along which a node moves freely but for a tool's hold.
+    fn free_axes(&self, n: usize) -> [bool; 3];
+    /// Whether a tool holds a node.
+    fn is_held(&self, n: usize) -> bool;
+    /// Force [N] of constraints and from outside on a node, without weight.
+    fn load_on_n(&self, n: usize) -> DVec3;
+    /// Damping of masses and stiffness.
+    fn damping(&self) -> Rayleigh;
+}
+
+/// The law of a tetrahedron, for its tangent.
+pub(in crate::model) enum TangentLaw<'a> {
+    /// Small strain.
+    Linear { lambda_pa: f64, mu_pa: f64 },
+    /// St Venant-Kirchhoff, with a fibre or without.
+    Kirchhoff(TetLaw),
+    /// Any.
+    Any(&'a dyn Material),
+}
+
+/// Tangent of a tetrahedron at its corners' displacements, with a stress in the rest shape.
+pub(in crate::model) fn tet_tangent(
+    gradients: &P1Gradients,
+    u_m: [DVec3; 4],
+    law: &TangentLaw<'_>,
+    rest_stress_pa: Option<&RestStress>,
+) -> ElementStiffness {
+    let alpha = gradients.alpha_per_m;
+    let volume_m3 = gradients.volume_m3;
+    let f: DMat3 = (0..4).fold(DMat3::IDENTITY, |f, k| f + outer(u_m[k], alpha[k]));
+    let geometric = |s_pa: DMat3, j: usize, k: usize| {
+        DMat3::from_diagonal(DVec3::splat(volume_m3 * alpha[j].dot(s_pa * alpha[k])))
+    };
+    let mut stiffness = match law {
+        TangentLaw::Linear { lambda_pa, mu_pa } => between(&gradients.stiffness(*lambda_pa, *mu_pa)),
+        TangentLaw::Kirchhoff(law) => {
+            let strain = (f.transpose() * f - DMat3::IDENTITY) * 0.5;
+            let s_pa = law.stress_pa(strain);
+            let at_rest = between(&linear_stiffness(law, gradients));
+            std::array::from_fn(|j| {
+                std::array::from_fn(|k| f * at_rest[j][k] * f.transpose() + geometric(s_pa, j, k))
+            })
+        }
+        TangentLaw::Any(law) => {
+            let tangent = law.tangent_pa(&f);
+            std::array::from_fn(|j| {
+                std::array::from_fn(|k| {
+                    let entry = |r: usize, c: usize| -> f64 {
+                        let pairs = (0..3).flat_map(|p| (0..3).map(move |q| (p, q)));
+                        pairs.map(|(p, q)| alpha[j][p] * tangent[3 * p + r][3 * q + c] * alpha[k][q]).sum()
+                    };
+                    let column = |c: usize| DVec3::new(entry(0, c), entry(1, c), entry(2, c)) * volume_m3;
+                    DMat3::from_cols(column(0), column(1), column(2))
+                })
+            })
+        }
+    };
+    if let Some(stress_pa) = rest_stress_pa {
+        add_rest_stress(gradients, stress_pa, &mut stiffness);
+    }
+    stiffness
+}
+
+/// Adds what a stress in the rest shape stiffens, whatever the present shape.
+pub(in crate::model) fn add_rest_stress(
+    gradients: &P1Gradients,
+    stress_pa: &RestStress,
+    stiffness: &mut ElementStiffness,
+) {
+    let (alpha, tensor_pa) = (gradients.alpha_per_m, stress_tensor_pa(*stress_pa));
+    for (j, row) in stiffness.iter_mut().enumerate() {
+        for (k, block) in row.iter_mut().enumerate() {
+            let share = gradients.volume_m3 * alpha[j].dot(tensor_pa * alpha[k]);
+            *block += DMat3::from_diagonal(DVec3::splat(share));
+        }
+    }
+}
+
+/// Stiffness of a link whose ends are pulled together by the tensor times their distance.
+pub(in crate::model) fn of_edge(tensor: DMat3) -> ElementStiffness {
+    let mut square = [[DMat3::ZERO; 4]; 4];
+    (square[0][0], square[1][1]) = (tensor, tensor);
+    (square[0][1], square[1][0]) = (-tensor, -tensor);
+    square
+}
+
+/// The ten tensors as a square.
+fn between(stiffness: &TetStiffness) -> ElementStiffness {
+    let mut square = [[DMat3::ZERO; 4]; 4];
+    for (j, vertex) in stiffness.vertex.iter().enumerate() {
+        square[j][j] = *vertex;
+    }
+    for ([j, k], edge) in LOCAL_EDGES.into_iter().zip(&stiffness.edge) {
+        square[j][k] = *edge;
+        square[k][j] = edge.transpose();
+    }
+    square
+}
+
+/// Fills in C of a patch that [`LocalModel::start`] began. A period that is no positive number leaves it at zero.
+pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out: &mut LocalModel) {
+    let h_s = out.period_s;
+    for (node, force_n) in out.nodes.iter().zip(&mut out.force_n) {
+        *force_n = body.frame().load_on_n(node.index());
+    }
+    if !(h_s.is_finite() && h_s > 0.0) || out.nodes.is_empty() {
+        return;
+    }
+    work.start(out);
+    // The tetrahedra at the patch first: they tell how many rings are needed.
+    work.add_ring(body, true);
+    let wanted = rings_for(work.condition_bound(body, h_s)).clamp(work.least_rings, work.most_rings);
+    let mut n_rings = 1;
+    while n_rings < wanted && work.add_ring(body, false) {
+        n_rings += 1;
+    }
+    // One ring is assembled already, for the bound of the condition.
+    if n_rings > 1 {
+        work.assemble(body, h_s);
+    }
+    out.n_rings = Some(n_rings);
+    match work.path.run_by_eight(Columns { work, out }) {
+        Solved::Never => inertial(body, h_s, out),
+        solved => {
+            out.missed_tolerance = solved == Solved::Partly;
+            out.symmetrize();
+        }
+    }
+    work.end();
+}
+
+fn rings_for(condition: f64) -> u32 {
+    let root = condition.max(1.0 + 1e-9).sqrt();
+    let rings = libm::log(ECHO) / (2.0 * libm::log((root - 1.0) / (root + 1.0)));
+    if rings.is_finite() { (rings.ceil() as u32).clamp(1, MOST_RINGS) } else { MOST_RINGS }
+}
+
+/// C of the masses alone.
+fn inertial(body: &dyn LocalBody, h_s: f64, out: &mut LocalModel) {
+    out.compliance_m_per_n.fill(0.0);
+    out.is_inertial = true;
+    for i in 0..out.nodes.len() {
+        let n = out.nodes[i].index();
+        let stiffness = body.frame().inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s) / h_s;
+        let free =
+            body.frame().free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
+        out.set_tensor(i, i, DMat3::from_diagonal(DVec3::from_array(free)));
+    }
+}
+
+impl LocalWork {
+    fn start(&mut self, out: &LocalModel) {
+        let n_nodes = out.nodes.iter().map(|n| n.index() + 1).max().unwrap_or(0);
+        if self.place.len() < n_nodes {
+            self.place.resize(n_nodes, 0);
+        }
+        self.region.clear();
+        self.elements.clear();
+        for node in &out.nodes {
+            self.region.push(node.0);
+            self.place[node.index()] = self.region.len() as u32;
+        }
+        self.n_patch = out.nodes.len();
+    }
+
+    fn end(&mut self) {
+        for n in self.region.drain(..) {
+            self.place[n as usize] = 0;
+        }
+    }
+
+    fn place(&self, node: NodeId) -> Option<usize> {
+        (*self.place.get(node.index())? as usize).checked_sub(1)
+    }
+
+    /// All live elements at a node of the region, and unless it `is_first` before them the nodes of those found
+    /// before. False when the region is full or whole.
+    fn add_ring(&mut self, body: &dyn LocalBody, is_first: bool) -> bool {
+        let elements = body.elements();
+        if !is_first {
+            let n_before = self.region.len();
+            for i in 0..self.elements.len() {
+                for &node in elements.nodes(self.elements[i] as usize) {
+                    if self.place(node).is_some() {
+                        continue;
+                    }
+                    if self.region.len() == MOST_REGION {
+                        // No part of a ring: which part would be arbitrary.
+                        for n in self.region.drain(n_before..) {
+                            self.place[n as usize] = 0;
+                        }
+                        return false;
+                    }
+                    if self.place.len() <= node.index() {
+                        self.place.resize(node.index() + 1, 0);
+                    }
+                    self.region.push(node.0);
+                    self.place[node.index()] = self.region.len() as u32;
+                }
+            }
+            if self.region.len() == n_before {
+                return false;
+            }
+        }
+        self.elements.clear();
+        // Without a branch for each node: nearly all elements are elsewhere.
+        let place = &self.place;
+        let mark = |node: NodeId| place.get(node.index()).copied().unwrap_or(0);
+        let mut keep = |e: usize, marks: u32| {
+            if marks != 0 && body.is_live(e) {
+                self.elements.push(e as u32);
+            }
+        };
+        match elements {
+            LocalElements::Tets(all) => {
+                for (e, &[a, b, c, d]) in all.iter().enumerate() {
+                    keep(e, mark(a) | mark(b) | mark(c) | mark(d));
+                }
+            }
+            LocalElements::Edges(all) => {
+                for (e, &[a, b]) in all.iter().enumerate() {
+                    keep(e, mark(a) | mark(b));
+                }
+            }
+        }
+        true
+    }
+
+    /// 1 + h^2 times Gershgorin's bound of the squared frequency at the patch, damping included.
+    fn condition_bound(&mut self, body: &dyn LocalBody, h_s: f64) -> f64 {
+        self.assemble(body, h_s);
+        let damping = body.damping();
+        let mut worst = 1.0_f64;
+        for i in 0..self.region.len() {
+            let n = self.region[i] as usize;
+            let of_mass = body.frame().inertia_kg(n) * (1.0 / h_s + damping.mass_per_s) / h_s;
+            // Held neighbours are not among the columns: twice the diagonal stands for a row of K, whose sum is zero.
+            for a in 0..3 {
+                let inverse = self.inverse_diagonal[3 * i + a];
+                if inverse > 0.0 && of_mass > 0.0 {
+                    worst = worst.max(2.0 / (inverse * of_mass) - 1.0);
+                }
+            }
+        }
+        worst
+    }
+
+    /// The matrix of the region, row after row.
+    fn assemble(&mut self, body: &dyn LocalBody, h_s: f64) {
+        let (n, n_patch) = (self.region.len(), self.n_patch);
+        let damping = body.damping();
+        self.head.clear();
+        self.head.resize(n, 0);
+        self.blocks.clear();
+        for i in 0..n {
+            let of_mass =
+                body.frame().inertia_kg(self.region[i] as usize) * (1.0 / h_s + damping.mass_per_s) / h_s;
+            self.add_block(i, i, DMat3::from_diagonal(DVec3::splat(of_mass)));
+        }
+        let per_stiffness = 1.0 + damping.stiffness_s / h_s;
+        let elements = body.elements();
+        for e in 0..self.elements.len() {
+            let e = self.elements[e] as usize;
+            let stiffness = body.stiffness(e, h_s);
+            let nodes = elements.nodes(e);
+            let is_usable =
+                stiffness[..nodes.len()].iter().all(|row| row[..nodes.len()].iter().all(|b| b.is_finite()));
+            if !is_usable {
+                continue;
+            }
+            for (j, &row) in nodes.iter().enumerate() {
+                let Some(row) = self.place(row) else { continue };
+                for (k, &column) in nodes.iter().enumerate() {
+                    if let Some(column) = self.place(column) {
+                        self.add_block(row, column, stiffness[j][k] * per_stiffness);
+                    }
+                }
+            }
+        }
+        self.row_start.clear();
+        self.columns.clear();
+        self.entries.clear();
+        self.inverse_diagonal.clear();
+        for i in 0..n {
+            self.row_start.push(self.columns.len() as u32);
+            let node = self.region[i] as usize;
+            // What other tools hold stays there; the patch itself is let go.
+            let free = if i >= n_patch && body.frame().is_held(node) {
+                [false; 3]
+            } else {
+                body.frame().free_axes(node)
+            };
+            let mut at = self.head[i];
+            while at != 0 {
+                let (next, column, block) = self.blocks[at as usize - 1];
+                if column as usize == i {
+                    for (a, is_free) in free.into_iter().enumerate() {
+                        let inverse = if is_free && block[4 * a] > 0.0 { 1.0 / block[4 * a] } else { 0.0 };
+                        self.inverse_diagonal.push(inverse);
+                    }
+                }
+                self.columns.push(column);
+                self.entries.push(block);
+                at = next;
+            }
+        }
+        self.row_start.push(self.columns.len() as u32);
+    }
+
+    /// Adds to a block, row by row in it.
+    fn add_block(&mut self, row: usize, column: usize, tensor: DMat3) {
+        let t = tensor.transpose().to_cols_array();
+        let mut at = self.head[row];
+        while at != 0 {
+            let (next, of, block) = &mut self.blocks[at as usize - 1];
+            if *of as usize == column {
+                block.iter_mut().zip(t).for_each(|(b, t)| *b += t);
+                return;
+            }
+            at = *next;
+        }
+        self.blocks.push((self.head[row], column as u32, t));
+        self.head[row] = self.blocks.len() as u32;
+    }
+}
+
+/// How conjugate gradients ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Solved {
+    /// To the tolerance.
+    Wholly,
+    /// The iterations were over before.
+    Partly,
+    /// The matrix is not positive definite.
+    Never,
+}
+
+/// All columns of the patch.
+struct Columns<'a> {
+    work: &'a mut LocalWork,
+    out: &'a mut LocalModel,
+}
+
+impl EightWork for Columns<'_> {
+    type Output = Solved;
+
+    #[inline(always)]
+    fn run<V: Eight>(self, zero: V) -> Solved {
+        let Self { work, out } = self;
+        let n_columns = 3 * out.nodes.len();
+        let mut solved = Solved::Wholly;
+        for first in (0..n_columns).step_by(8) {
+            let n_lanes = (n_columns - first).min(8);
+            match solve_eight(zero, work, first, n_lanes) {
+                Solved::Wholly => {}
+                Solved::Partly => solved = Solved::Partly,
+                Solved::Never => return Solved::Never,
+            }
+            let solution = &work.vectors[0];
+            for row in 0..n_columns {
+                for lane in 0..n_lanes {
+                    out.compliance_m_per_n[n_columns * row + first + lane] = solution[row][lane];
+                }
+            }
+        }
+        solved
+    }
+}
+
+/// Conjugate gradients for unit forces on the unknowns from `first` on, into the first of the vectors.
+#[inline(always)]
+fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> Solved {
+    let LocalWork { row_start, columns, entries, inverse_diagonal, vectors, tolerance, .. } = work;
+    let n = inverse_diagonal.len();
+    for vector in vectors.iter_mut() {
+        vector.clear();
+        vector.resize(n, [0.0; 8]);
+    }
+    let [x, r, p, q] = vectors;
+    // Unknowns that are not free have a zero in the preconditioner, and no part in anything.
+    for lane in 0..n_lanes {
+        let unknown = first + lane;
+        if inverse_diagonal[unknown] > 0.0 {
+            r[unknown][lane] = 1.0;
+        }
+    }
+    let mut rho = [0.0; 8];
+    for (i, inverse) in inverse_diagonal.iter().enumerate() {
+        for lane in 0..8 {
+            p[i][lane] = inverse * r[i][lane];
+            rho[lane] += r[i][lane] * p[i][lane];
+        }
+    }
+    let least = rho.map(|rho| *tolerance * *tolerance * rho);
+    for _ in 0..MOST_ITERATIONS {
+        if (0..8).all(|lane| rho[lane] <= least[lane]) {
+            return Solved::Wholly;
+        }
+        let mut curvature = zero;
+        for (row, q) in q.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            let mut sums = [zero; 3];
+            for at in row_start[row] as usize..row_start[row + 1] as usize {
+                let (block, column) = (&entries[at], 3 * columns[at] as usize);
+                for c in 0..3 {
+                    let p = zero.load(&p[column + c]);
+                    for (a, sum) in sums.iter_mut().enumerate() {
+                        *sum = p.fused(zero.constant(block[3 * a + c]), *sum);
+                    }
+                }
+            }
+            for (a, sum) in sums.into_iter().enumerate() {
+                curvature = sum.fused(zero.load(&p[3 * row + a]), curvature);
+                sum.store(&mut q[a]);
+            }
+        }
+        let mut of_lane = [0.0; 8];
+        curvature.store(&mut of_lane);
+        let mut alpha = [0.0; 8];
+        for lane in 0..8 {
+            if rho[lane] > least[lane] {
+                alpha[lane] = rho[lane] / of_lane[lane];
+                if !(of_lane[lane] > 0.0 && alpha[lane].is_finite()) {
+                    return Solved::Never;
+                }
+            }
+        }
+        let (forth, back) = (zero.load(&alpha), zero.load(&alpha.map(|a| -a)));
+        let mut sum = zero;
+        for i in 0..n {
+            zero.load(&p[i]).fused(forth, zero.load(&x[i])).store(&mut x[i]);
+            // A row that is not free has a residual that does not count.
+            let left = zero.load(&q[i]).fused(back, zero.load(&r[i]));
+            left.store(&mut r[i]);
+            let z = left.times(zero.constant(inverse_diagonal[i]));
+            sum = z.fused(left, sum);
+        }
+        let mut next = [0.0; 8];
+        sum.store(&mut next);
+        let beta = std::array::from_fn(|lane| if rho[lane] > 0.0 { next[lane] / rho[lane] } else { 0.0 });
+        let beta = zero.load(&beta);
+        for i in 0..n {
+            let z = zero.load(&r[i]).times(zero.constant(inverse_diagonal[i]));
+            zero.load(&p[i]).fused(beta, z).store(&mut p[i]);
+        }
+        rho = next;
+    }
+    if (0..8).all(|lane| rho[lane] <= least[lane]) { Solved::Wholly } else { Solved::Partly }
+}

@@ -1,0 +1,52 @@
+//! A list that keeps its room when it is copied: a copied model allocates as little as the first one.
+
+use std::ops::{Deref, DerefMut};
+
+/// A vector whose copies have its capacity.
+#[derive(Debug)]
+pub struct Roomy<T>(Vec<T>);
+
+impl<T> Roomy<T> {
+    /// Empty, with room for `n`.
+    pub fn with_room(n: usize) -> Self {
+        Self(Vec::with_capacity(n))
+    }
+
+    /// Has room for `n` from now on, and for half as many again if there was none.
+    pub(crate) fn make_room(&mut self, n: usize) {
+        if n > self.0.capacity() {
+            self.0.reserve_exact(n + n / 2 - self.0.len());
+        }
+    }
+
+    /// Adds a value if there is room; answers whether there was.
+    pub(crate) fn try_push(&mut self, value: T) -> bool {
+        let has_room = self.0.len() < self.0.capacity();
+        if has_room {
+            self.0.push(value);
+        }
+        has_room
+    }
+}
+
+impl<T: Clone> Clone for Roomy<T> {
+    fn clone(&self) -> Self {
+        let mut copy = Self::with_room(self.0.capacity());
+        copy.0.extend_from_slice(&self.0);
+        copy
+    }
+}
+
+impl<T> Deref for Roomy<T> {
+    type Target = Vec<T>;
+
+    fn deref(&self) -> &Vec<T> {
+        &self.0
+    }
+}
+
+impl<T> DerefMut for Roomy<T> {
+    fn deref_mut(&mut self) -> &mut Vec<T> {
+        &mut self.0
+    }
+}

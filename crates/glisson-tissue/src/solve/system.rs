@@ -1,0 +1,416 @@
+//! The free rows and columns of K in a fixed sparse pattern, and their Cholesky factor.
+//!
+//! The pattern is made once: every tensor entry has its slot, so new stiffness numbers are written without a
+//! search and without allocation. Factor: faer's supernodal L L^T on one thread; the fill-reducing order is
+//! approximate minimum degree (Amestoy, Davis and Duff 1996, doi 10.1137/S0895479894278952) of the node
+//! graph, or nested dissection where it pays (`ordering`). The node graph is nine times smaller than that of the components and keeps a node's components together.
+
+use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
+use faer::linalg::cholesky::llt::factor::LltRegularization;
+use faer::perm::PermRef;
+use faer::sparse::linalg::SupernodalThreshold;
+use faer::sparse::linalg::amd;
+use faer::sparse::linalg::cholesky::{
+    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use faer::{Conj, MatMut, Par, Side};
+use std::sync::Arc;
+
+use super::ordering::nested_dissection;
+use super::{BoundaryConditions, MeshEdges, SolveError, StiffnessTensors};
+use glisson_mesh::math::{DMat3, DVec3, SeededRandom};
+use glisson_mesh::mesh::NodeId;
+
+/// Marks a prescribed component and a slot that does not exist.
+const NONE: u32 = u32::MAX;
+
+/// Bodies of at least so many nodes are ordered by nested dissection: below it a factor hardly gains, and does not
+/// make up for the time of the ordering.
+const DISSECTED_NODES: usize = 3_000;
+
+/// The free part of K: upper triangle by columns, components in node order.
+#[derive(Clone, Debug)]
+pub struct FreeSystem {
+    free_of: Vec<[u32; 3]>,
+    n_free: usize,
+    column_start: Vec<u32>,
+    row: Vec<u32>,
+    value: Vec<f64>,
+    vertex_slots: Vec<[u32; 6]>,
+    edge_slots: Vec<[u32; 9]>,
+    node_order: Vec<u32>,
+}
+
+/// Entries (row, column) of a vertex tensor's upper triangle, in slot order.
+const UPPER: [[usize; 2]; 6] = [[0, 0], [0, 1], [1, 1], [0, 2], [1, 2], [2, 2]];
+
+impl FreeSystem {
+    /// The system of `tensors` without the prescribed components.
+    ///
+    /// # Errors
+    /// [`SolveError::Factorization`] when the ordering fails.
+    pub fn new(
+        edges: &MeshEdges,
+        tensors: &StiffnessTensors,
+        conditions: &BoundaryConditions,
+    ) -> Result<Self, SolveError> {
+        let order = minimum_degree(tensors.vertex.len(), edges).map_err(|reason| {
+            SolveError::Factorization { n_rows: 3 * tensors.vertex.len(), reason: reason.to_string() }
+        })?;
+        Ok(Self::ordered(edges, tensors, conditions, order))
+    }
+
+    /// [`FreeSystem::new`] for a body whose system is solved often: large ones are ordered by nested dissection, which
+    /// takes longer and makes factor and solutions faster. `positions_m` are those of the nodes.
+    ///
+    /// # Errors
+    /// [`SolveError::Factorization`] when the ordering fails.
+    ///
+    /// # Panics
+    /// When there is not one position a node.
+    pub fn for_many_solutions(
+        positions_m: &[DVec3],
+        edges: &MeshEdges,
+        tensors: &StiffnessTensors,
+        conditions: &BoundaryConditions,
+    ) -> Result<Self, SolveError> {
+        assert_eq!(positions_m.len(), tensors.vertex.len(), "one position a node");
+        if positions_m.len() < DISSECTED_NODES {
+            return Self::new(edges, tensors, conditions);
+        }
+        Ok(Self::ordered(edges, tensors, conditions, nested_dissection(positions_m, edges)))
+    }
+
+    fn ordered(
+        edges: &MeshEdges,
+        tensors: &StiffnessTensors,
+        conditions: &BoundaryConditions,
+        node_order: Vec<u32>,
+    ) -> Self {
+        let n_nodes = tensors.vertex.len();
+        let mut free_of = vec![[0; 3]; n_nodes];
+        for (node, axis, _) in conditions.iter() {
+            free_of[node.index()][axis] = NONE;
+        }
+        let mut n_free = 0;
+        for free in free_of.iter_mut().flatten().filter(|f| **f != NONE) {
+            *free = n_free;
+            n_free += 1;
+        }
+        let mut system = Self {
+            free_of,
+            n_free: n_free as usize,
+            column_start: vec![0; n_free as usize + 1],
+            row: Vec::new(),
+            value: Vec::new(),
+            vertex_slots: vec![[NONE; 6]; n_nodes],
+            edge_slots: vec![[NONE; 9]; edges.nodes.len()],
+            node_order,
+        };
+        system.make_pattern(edges);
+        system.refill(tensors);
+        system
+    }
+
+    /// Columns of the higher node hold the lower node's rows; edges ascend, so rows ascend in each column.
+    fn make_pattern(&mut self, edges: &MeshEdges) {
+        let is_free = |f: &[u32; 3]| f.map(|x| usize::from(x != NONE));
+        let mut count = vec![0u32; self.n_free];
+        for &[p, q] in &edges.nodes {
+            let rows: usize = is_free(&self.free_of[p.index()]).iter().sum();
+            for column in self.free_of[q.index()].into_iter().filter(|&c| c != NONE) {
+                count[column as usize] += rows as u32;
+            }
+        }
+        for free in &self.free_of {
+            let mut above = 0;
+            for column in free.iter().filter(|c| **c != NONE) {
+                above += 1;
+                count[*column as usize] += above;
+            }
+        }
+        for j in 0..self.n_free {
+            self.column_start[j + 1] = self.column_start[j] + count[j];
+        }
+        let n_entries = self.column_start[self.n_free] as usize;
+        self.row = vec![0; n_entries];
+        self.value = vec![0.0; n_entries];
+        let mut next: Vec<u32> = self.column_start[..self.n_free].to_vec();
+        let mut place = |row: &mut [u32], r: u32, c: u32| {
+            if r == NONE || c == NONE {
+                return NONE;
+            }
+            let slot = next[c as usize];
+            next[c as usize] += 1;
+            row[slot as usize] = r;
+            slot
+        };
+        for (e, &[p, q]) in edges.nodes.iter().enumerate() {
+            for b in 0..3 {
+                for a in 0..3 {
+                    let (r, c) = (self.free_of[p.index()][a], self.free_of[q.index()][b]);
+                    self.edge_slots[e][3 * b + a] = place(&mut self.row, r, c);
+                }
+            }
+        }
+        for n in 0..self.free_of.len() {
+            for (s, [a, b]) in UPPER.into_iter().enumerate() {
+                self.vertex_slots[n][s] = place(&mut self.row, self.free_of[n][a], self.free_of[n][b]);
+            }
+        }
+    }
+
+    /// Takes over new stiffness numbers on the same mesh and supports, without allocation.
+    pub fn refill(&mut self, tensors: &StiffnessTensors) {
+        let entry = |m: &DMat3, a: usize, b: usize| m.col(b)[a];
+        for (slots, m) in self.edge_slots.iter().zip(&tensors.edge) {
+            for b in 0..3 {
+                for a in 0..3 {
+                    if let Some(v) = self.value.get_mut(slots[3 * b + a] as usize) {
+                        *v = entry(m, a, b);
+                    }
+                }
+            }
+        }
+        for (slots, m) in self.vertex_slots.iter().zip(&tensors.vertex) {
+            for (s, [a, b]) in UPPER.into_iter().enumerate() {
+                if let Some(v) = self.value.get_mut(slots[s] as usize) {
+                    *v = entry(m, a, b);
+                }
+            }
+        }
+    }
+
+    /// Number of free components: the size of the system.
+    pub fn n_free(&self) -> usize {
+        self.n_free
+    }
+
+    /// Row of a node's component `axis`, unless it is prescribed.
+    pub fn row_of(&self, node: NodeId, axis: usize) -> Option<usize> {
+        let free = self.free_of[node.index()][axis];
+        (free != NONE).then_some(free as usize)
+    }
+
+    /// Overwrites `free` with the free components of a vector over nodes.
+    pub fn gather_into(&self, of_node: &[DVec3], free: &mut [f64]) {
+        for (rows, v) in self.free_of.iter().zip(of_node) {
+            for axis in 0..3 {
+                if let Some(x) = free.get_mut(rows[axis] as usize) {
+                    *x = v[axis];
+                }
+            }
+        }
+    }
+
+    /// Adds the free components to a vector over nodes.
+    pub fn add_scattered(&self, free: &[f64], of_node: &mut [DVec3]) {
+        for (rows, v) in self.free_of.iter().zip(of_node) {
+            for axis in 0..3 {
+                if let Some(x) = free.get(rows[axis] as usize) {
+                    v[axis] += x;
+                }
+            }
+        }
+    }
+
+    /// Takes K x from `from`, both of the free components: what is left of a load after a solution.
+    pub(crate) fn subtract_product(&self, x: &[f64], from: &mut [f64]) {
+        for (c, range) in self.column_start.windows(2).enumerate() {
+            for at in range[0] as usize..range[1] as usize {
+                let (r, value) = (self.row[at] as usize, self.value[at]);
+                from[r] -= value * x[c];
+                if r != c {
+                    from[c] -= value * x[r];
+                }
+            }
+        }
+    }
+
+    /// Where the columns of the upper triangle start, rows (ascending, the diagonal last) and values [N/m].
+    pub(super) fn upper_columns(&self) -> (&[u32], &[u32], &[f64]) {
+        (&self.column_start, &self.row, &self.value)
+    }
+
+    fn pattern(&self) -> SymbolicSparseColMatRef<'_, u32> {
+        SymbolicSparseColMatRef::new_checked(self.n_free, self.n_free, &self.column_start, None, &self.row)
+    }
+
+    /// Factors the system.
+    ///
+    /// # Errors
+    /// [`SolveError::Singular`] when it is not positive definite in floating point,
+    /// [`SolveError::Factorization`] when memory is short.
+    pub fn factorize(&self) -> Result<Factorization, SolveError> {
+        let failed = |reason: String| SolveError::Factorization { n_rows: self.n_free, reason };
+        let mut forward = Vec::with_capacity(self.n_free);
+        for &node in &self.node_order {
+            forward.extend(self.free_of[node as usize].into_iter().filter(|&f| f != NONE));
+        }
+        let mut inverse = vec![0; self.n_free];
+        for (new, &old) in forward.iter().enumerate() {
+            inverse[old as usize] = new as u32;
+        }
+        let parameters = CholeskySymbolicParams {
+            supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
+            ..Default::default()
+        };
+        let order = SymmetricOrdering::Custom(PermRef::new_checked(&forward, &inverse, self.n_free));
+        let symbolic = factorize_symbolic_cholesky(self.pattern(), Side::Upper, order, parameters)
+            .map_err(|e| failed(e.to_string()))?;
+        let request = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
+        let memory = MemBuffer::try_new(request).map_err(|_| failed("out of memory".to_owned()))?;
+        let mut factor =
+            Factorization { value: vec![0.0; symbolic.len_val()], symbolic: Arc::new(symbolic), memory };
+        factor.refactor(self)?;
+        Ok(factor)
+    }
+}
+
+/// Nodes in elimination order, by approximate minimum degree.
+pub(super) fn minimum_degree(n_nodes: usize, edges: &MeshEdges) -> Result<Vec<u32>, faer::sparse::FaerError> {
+    let mut start = vec![0u32; n_nodes + 1];
+    for edge in &edges.nodes {
+        start[edge[1].index() + 1] += 1;
+    }
+    for n in 0..n_nodes {
+        start[n + 1] += start[n];
+    }
+    let mut next = start.clone();
+    let mut row = vec![0u32; edges.nodes.len()];
+    for &[p, q] in &edges.nodes {
+        row[next[q.index()] as usize] = p.0;
+        next[q.index()] += 1;
+    }
+    let pattern = SymbolicSparseColMatRef::new_checked(n_nodes, n_nodes, &start, None, &row);
+    let request = amd::order_maybe_unsorted_scratch::<u32>(n_nodes, row.len());
+    let mut memory = MemBuffer::try_new(request).map_err(|_| faer::sparse::FaerError::OutOfMemory)?;
+    let (mut order, mut inverse) = (vec![0u32; n_nodes], vec![0u32; n_nodes]);
+    let stack = MemStack::new(&mut memory);
+    amd::order_maybe_unsorted(&mut order, &mut inverse, pattern, amd::Control::default(), stack)?;
+    Ok(order)
+}
+
+/// Scratch memory of [`Factorization::solve_in_place`] for one thread.
+pub struct FactorScratch {
+    memory: MemBuffer,
+    n_columns: usize,
+}
+
+/// Scratch of the same size; what is in it does not matter.
+fn same_size(memory: &MemBuffer) -> MemBuffer {
+    MemBuffer::new(StackReq::new_aligned::<u8>(memory.len(), CACHE_LINE_BYTES))
+}
+
+/// Aligned enough for every vector instruction.
+const CACHE_LINE_BYTES: usize = 64;
+
+impl Clone for FactorScratch {
+    fn clone(&self) -> Self {
+        Self { memory: same_size(&self.memory), n_columns: self.n_columns }
+    }
+}
+
+/// L L^T of a [`FreeSystem`]: its pattern is kept for further numbers.
+pub struct Factorization {
+    symbolic: Arc<SymbolicCholesky<u32>>,
+    value: Vec<f64>,
+    memory: MemBuffer,
+}
+
+impl Clone for Factorization {
+    fn clone(&self) -> Self {
+        let (symbolic, value) = (Arc::clone(&self.symbolic), self.value.clone());
+        Self { symbolic, value, memory: same_size(&self.memory) }
+    }
+}
+
+/// Growth of a right-hand side through K^-1, times the largest diagonal entry, from which on K counts as
+/// singular: pivots of a true mechanism are rounding errors, 1e-16 of the diagonal; the worst organ meshes
+/// reach 1e9.
+const SINGULAR_GROWTH: f64 = 1e13;
+
+impl Factorization {
+    /// Factors new numbers of the same system and checks that they are not singular.
+    ///
+    /// # Errors
+    /// [`SolveError::Singular`] when they are not positive definite in floating point.
+    pub fn refactor(&mut self, system: &FreeSystem) -> Result<(), SolveError> {
+        self.refactor_definite(system)?;
+        self.check_growth(system)
+    }
+
+    /// Factors new numbers of a system that cannot be nearly singular, because a mass stands on its diagonal:
+    /// [`Factorization::refactor`] without the check for it. No allocation.
+    ///
+    /// # Errors
+    /// [`SolveError::Singular`] when a pivot is not positive.
+    pub fn refactor_definite(&mut self, system: &FreeSystem) -> Result<(), SolveError> {
+        if system.n_free == 0 {
+            return Ok(());
+        }
+        let matrix = SparseColMatRef::new(system.pattern(), &system.value[..]);
+        self.symbolic
+            .factorize_numeric_llt(
+                &mut self.value,
+                matrix,
+                Side::Upper,
+                LltRegularization::default(),
+                Par::Seq,
+                MemStack::new(&mut self.memory),
+                Default::default(),
+            )
+            .map(|_| ())
+            .map_err(|_| SolveError::Singular)
+    }
+
+    fn check_growth(&self, system: &FreeSystem) -> Result<(), SolveError> {
+        if system.n_free == 0 {
+            return Ok(());
+        }
+        let largest = (0..system.n_free)
+            .map(|j| system.value[system.column_start[j + 1] as usize - 1])
+            .fold(0.0, f64::max);
+        let mut random = SeededRandom::new(0);
+        let mut x: Vec<f64> = (0..system.n_free).map(|_| random.normal()).collect();
+        let norm = |x: &[f64]| x.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let before = norm(&x);
+        self.solve_in_place(&mut x, 1, &mut self.scratch(1));
+        let growth = norm(&x) / before * largest;
+        if growth < SINGULAR_GROWTH { Ok(()) } else { Err(SolveError::Singular) }
+    }
+
+    /// Number of entries of L, fill included.
+    pub fn n_entries(&self) -> usize {
+        self.value.len()
+    }
+
+    /// Number of unknowns.
+    pub fn n_rows(&self) -> usize {
+        self.symbolic.nrows()
+    }
+
+    /// Scratch for solving up to `n_columns` right-hand sides at once.
+    pub fn scratch(&self, n_columns: usize) -> FactorScratch {
+        let request = self.symbolic.solve_in_place_scratch::<f64>(n_columns, Par::Seq);
+        FactorScratch { memory: MemBuffer::new(request), n_columns }
+    }
+
+    /// Replaces `n_columns` right-hand sides, one after the other in `columns`, by their solutions; no
+    /// allocation. The bits of a column depend on the number of columns solved with it.
+    ///
+    /// # Panics
+    /// When the length of `columns` or the scratch does not fit.
+    pub fn solve_in_place(&self, columns: &mut [f64], n_columns: usize, scratch: &mut FactorScratch) {
+        let n = self.symbolic.nrows();
+        assert!(n_columns <= scratch.n_columns, "scratch made for fewer columns");
+        assert_eq!(columns.len(), n * n_columns, "columns of {n} rows");
+        if n == 0 {
+            return;
+        }
+        let right = MatMut::from_column_major_slice_mut(columns, n, n_columns);
+        let factor = LltRef::<u32, f64>::new(&self.symbolic, &self.value);
+        factor.solve_in_place_with_conj(Conj::No, right, Par::Seq, MemStack::new(&mut scratch.memory));
+    }
+}

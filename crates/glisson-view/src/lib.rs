@@ -1,0 +1,13 @@
+//! Pictures without a GPU, plots, and the page: the viewer and its server.
+//!
+//! ```text
+//! snapshot -> picture (software rasterizer) -> PNG;  numbers -> plot -> SVG
+//! Published (glisson_runtime) -> server: frames, messages -> WebSocket -> page (web/dist, embedded)
+//! page -> commands -> control (one controls, all may watch) -> Simulation
+//! ```
+//!
+//! The modules stand in data-flow order; a module uses only modules above it (`xtask/tests/layering.rs`).
+
+pub mod plot;
+pub mod picture;
+pub mod server;

@@ -1,0 +1,169 @@
+//! The binary frames of the viewer's protocol (`docs/protocol.md`), little endian.
+
+use glisson::math::DVec3;
+use glisson::record::snapshot::{DisplayTopology, Snapshot};
+pub use glisson_runtime::pace::Pace;
+
+const MAGIC: u32 = u32::from_le_bytes(*b"GLSN");
+const KIND_TOPOLOGY: u32 = 1;
+const KIND_SNAPSHOT: u32 = 2;
+const FLAG_CONTACT: u32 = 1;
+const FLAG_PAUSED: u32 = 2;
+const FLAG_GRASPS: u32 = 4;
+
+struct FrameWriter(Vec<u8>);
+
+impl FrameWriter {
+    fn new(kind: u32, topology_version: u32) -> Self {
+        let mut frame = Self(Vec::new());
+        // One organ so far: number 0.
+        frame.u32s(&[MAGIC, kind, topology_version, 0]);
+        frame
+    }
+
+    fn u32s(&mut self, numbers: &[u32]) {
+        self.0.extend(numbers.iter().flat_map(|x| x.to_le_bytes()));
+    }
+
+    fn f64s(&mut self, numbers: &[f64]) {
+        self.0.extend(numbers.iter().flat_map(|x| x.to_le_bytes()));
+    }
+
+    /// In single precision: a display needs no more.
+    fn positions(&mut self, positions_m: &[DVec3]) {
+        self.0.extend(positions_m.iter().flat_map(|p| p.as_vec3().to_array()).flat_map(f32::to_le_bytes));
+    }
+}
+
+/// A TOPOLOGY frame.
+pub fn topology_frame(topology: &DisplayTopology) -> Vec<u8> {
+    let mut frame = FrameWriter::new(KIND_TOPOLOGY, topology.version);
+    frame.u32s(&[topology.nodes.len() as u32, topology.triangles.len() as u32]);
+    topology.nodes.iter().for_each(|n| frame.u32s(&[n.0]));
+    frame.positions(&topology.rest_positions_m);
+    frame.u32s(topology.triangles.as_flattened());
+    let words = topology.is_cut.chunks(32).map(|bits| {
+        bits.iter().enumerate().fold(0_u32, |word, (bit, &is_cut)| word | u32::from(is_cut) << bit)
+    });
+    words.for_each(|word| frame.u32s(&[word]));
+    frame.0
+}
+
+/// A SNAPSHOT frame.
+pub fn snapshot_frame(snapshot: &Snapshot, pace: &Pace) -> Vec<u8> {
+    let mut frame = FrameWriter::new(KIND_SNAPSHOT, snapshot.topology_version);
+    frame.0.extend_from_slice(&snapshot.step.to_le_bytes());
+    frame.f64s(&[snapshot.time_s, pace.rate_hz, pace.real_time_factor]);
+    let paused = if pace.paused { FLAG_PAUSED } else { 0 };
+    let bleeding = &snapshot.bleeding;
+    let n_blood = if bleeding.has_vessels { 1 + bleeding.ends.len() as u32 } else { 0 };
+    frame.u32s(&[paused, snapshot.tools.len() as u32, snapshot.positions_m.len() as u32, n_blood]);
+    for tool in &snapshot.tools {
+        let pose = &tool.pose;
+        frame.f64s(&pose.tip_in_world_m.to_array());
+        frame.f64s(&pose.shaft_in_world.to_array());
+        frame.f64s(&[pose.roll_rad, pose.jaw_opening, pose.trigger]);
+        frame.f64s(&tool.force_n.to_array());
+        let first = tool.contacts.iter().flatten().next();
+        frame.f64s(&first.map_or(DVec3::ZERO, |c| c.point_m).to_array());
+        let contact = if first.is_some() { FLAG_CONTACT } else { 0 };
+        let grasps = if tool.n_held_nodes > 0 { FLAG_GRASPS } else { 0 };
+        frame.u32s(&[contact | grasps, tool.n_held_nodes]);
+    }
+    frame.positions(&snapshot.positions_m);
+    if bleeding.has_vessels {
+        let sum = [bleeding.lost_m3, bleeding.rate_m3_per_s, f64::from(bleeding.n_clips), 0.0];
+        let ends = bleeding.ends.iter().map(|end| {
+            let [x, y, z] = end.position_m.to_array();
+            [x, y, z, end.rate_m3_per_s]
+        });
+        for record in std::iter::once(sum).chain(ends) {
+            frame.0.extend(record.into_iter().flat_map(|x| (x as f32).to_le_bytes()));
+        }
+    }
+    frame.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glisson::mesh::NodeId;
+    use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
+    use glisson::tool::ToolInput;
+
+    #[test]
+    fn frames_have_the_documented_layout() {
+        let topology = DisplayTopology {
+            version: 3,
+            nodes: vec![NodeId(7), NodeId(9), NodeId(11)],
+            rest_positions_m: vec![DVec3::X, DVec3::Y, DVec3::Z],
+            triangles: vec![[0, 1, 2]],
+            is_cut: vec![true],
+        };
+        let frame = topology_frame(&topology);
+        assert_eq!(&frame[..4], b"GLSN");
+        let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        assert_eq!([4, 8, 12, 16, 20, 24, 28, 32].map(word), [1, 3, 0, 3, 1, 7, 9, 11]);
+        assert_eq!(frame.len(), 24 + 3 * 4 + 9 * 4 + 3 * 4 + 4);
+        assert_eq!(word(frame.len() - 4), 1);
+        // Bit by bit from the first triangle, 32 to a word.
+        let n = 70;
+        let is_cut: Vec<bool> = (0..n).map(|i| i % 3 == 0).collect();
+        let many = topology_frame(&DisplayTopology { triangles: vec![[0, 1, 2]; n], is_cut, ..topology });
+        let first = 24 + 3 * 4 + 9 * 4 + n * 3 * 4;
+        assert_eq!(many.len(), first + 3 * 4);
+        for i in 0..n {
+            assert_eq!(many[first + i / 8] >> (i % 8) & 1 == 1, i % 3 == 0, "{i}");
+        }
+
+        let contact = ContactReport {
+            point_m: DVec3::new(7.0, 8.0, 9.0),
+            normal: DVec3::Z,
+            nodes: [NodeId(0); 3],
+            weights: [1.0, 0.0, 0.0],
+        };
+        let tool = ToolSnapshot {
+            pose: ToolInput {
+                roll_rad: 0.5,
+                jaw_opening: 0.25,
+                trigger: 1.0,
+                ..ToolInput::at(DVec3::X, DVec3::Y)
+            },
+            force_n: DVec3::new(1.0, 2.0, 3.0),
+            contacts: [None, Some(contact), None],
+            n_held_nodes: 6,
+        };
+        let snapshot = Snapshot {
+            step: 5,
+            time_s: 0.25,
+            topology_version: 3,
+            positions_m: vec![DVec3::ONE; 3],
+            tools: vec![tool, ToolSnapshot { contacts: [None; 3], n_held_nodes: 0, ..tool }],
+            bleeding: BleedingSnapshot::default(),
+        };
+        let pace = Pace { rate_hz: 1000.0, real_time_factor: 1.0, paused: true };
+        let frame = snapshot_frame(&snapshot, &pace);
+        let double = |at: usize| f64::from_le_bytes(frame[at..at + 8].try_into().unwrap());
+        assert_eq!(frame[16], 5);
+        let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        assert_eq!([24, 32, 40].map(double), [0.25, 1000.0, 1.0]);
+        assert_eq!([48, 52, 56, 60].map(word), [2, 2, 3, 0]);
+        let first = [64, 96, 112, 120, 128, 136, 152, 160, 176].map(double);
+        assert_eq!(first, [1.0, 1.0, 0.5, 0.25, 1.0, 1.0, 3.0, 7.0, 9.0]);
+        assert_eq!([184, 188].map(word), [5, 6]);
+        assert_eq!([192 + 120, 192 + 124].map(word), [0, 0]);
+        let without_blood = 64 + 2 * 128 + 9 * 4;
+        assert_eq!(frame.len(), without_blood);
+
+        let end = BleedingEnd { position_m: DVec3::new(1.0, 2.0, 3.0), rate_m3_per_s: 0.5 };
+        let ends = vec![end; 2];
+        let bleeding =
+            BleedingSnapshot { has_vessels: true, lost_m3: 0.25, rate_m3_per_s: 1.0, n_clips: 3, ends };
+        let frame = snapshot_frame(&Snapshot { bleeding, ..snapshot }, &pace);
+        assert_eq!(frame[60], 3, "a sum and two ends");
+        assert_eq!(frame.len(), without_blood + 3 * 16);
+        let single = |at: usize| f32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        let tail: Vec<f32> = (0..8).map(|i| single(without_blood + 4 * i)).collect();
+        assert_eq!(tail, [0.25, 1.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.5]);
+    }
+}

@@ -1,0 +1,77 @@
+//! The instruments that the page in control holds as devices ([`glisson_runtime::devices::viewer`]): what it says about them goes to the
+//! haptic loop, and what a hand would feel comes back.
+
+use glisson_runtime::live::Command;
+use glisson_runtime::page_hand::PageHand;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+/// Periods of the haptic loop that the simulation waits after a reset, until the loop has seen that the instruments are home.
+/// A choice: it sees it with its next tick, which may be late.
+const HOMING_PERIODS: f64 = 5.0;
+
+/// How long the simulation waits after a reset when a page holds instruments in a loop of so many ticks a second.
+pub(super) fn homing(rate_hz: f64) -> Duration {
+    Duration::from_secs_f64(HOMING_PERIODS / rate_hz)
+}
+
+/// One for each instrument that a page holds. The loop is at the other ends: it never waits for these locks.
+pub(super) struct Hands {
+    held: Vec<(usize, Mutex<PageHand>)>,
+    /// Told about instrument 0, which it does not hold.
+    beside: Option<Mutex<PageHand>>,
+}
+
+/// What a hand would feel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct FeltBy {
+    /// Number of the instrument.
+    pub(super) tool: usize,
+    pub(super) felt: glisson_runtime::page_hand::Felt,
+}
+
+impl Hands {
+    pub(super) fn new(held: Vec<(usize, PageHand)>, beside: Option<PageHand>) -> Self {
+        let held = held.into_iter().map(|(tool, hand)| (tool, Mutex::new(hand))).collect();
+        Self { held, beside: beside.map(Mutex::new) }
+    }
+
+    /// Whether no page holds an instrument as a device.
+    pub(super) fn is_empty(&self) -> bool {
+        self.held.is_empty() && self.beside.is_none()
+    }
+
+    fn each(&self, mut what: impl FnMut(usize, &mut PageHand)) {
+        let beside = self.beside.iter().map(|hand| (0, hand));
+        for (tool, hand) in self.held.iter().map(|(tool, hand)| (*tool, hand)).chain(beside) {
+            // What a hand holds is whole also after a panic.
+            what(tool, &mut hand.lock().unwrap_or_else(PoisonError::into_inner));
+        }
+    }
+
+    /// Whether a command of the one in control is for a hand alone; then it has it.
+    pub(super) fn take(&self, command: &Command) -> bool {
+        let mut is_taken = false;
+        self.each(|tool, hand| match command {
+            Command::Tool { tool: meant, pose } if *meant == tool => {
+                hand.aim(*pose);
+                is_taken = self.beside.is_none();
+            }
+            Command::Reset => hand.go_home(),
+            _ => {}
+        });
+        is_taken
+    }
+
+    /// Whether a page has control.
+    pub(super) fn set_controlled(&self, is_controlled: bool) {
+        self.each(|_, hand| hand.set_controlled(is_controlled));
+    }
+
+    /// What they feel now.
+    pub(super) fn felt(&self) -> Vec<FeltBy> {
+        let mut all = Vec::with_capacity(self.held.len());
+        self.each(|tool, hand| all.push(FeltBy { tool, felt: hand.felt() }));
+        all
+    }
+}

@@ -1,0 +1,371 @@
+//! The JSON messages of the viewer's protocol.
+
+use super::hands::FeltBy;
+use glisson::math::{Aabb, DVec3};
+use glisson::model::kind::ModelKind;
+use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
+use glisson::tool::{Tool, ToolInput};
+use glisson_runtime::devices::viewer::GREATEST_FORCE_N;
+use glisson_runtime::haptic_loop::HapticReport;
+use glisson_runtime::live::{Command, Published};
+use glisson_runtime::{Notice, Simulation};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+const PROTOCOL: u32 = 5;
+
+/// The first message on a connection.
+pub(super) fn hello(simulation: &Simulation) -> Value {
+    let world = simulation.world();
+    let (spec, organ) = (world.spec(), world.organ());
+    let bounds = Aabb::of_points(&organ.mesh().positions_m);
+    json!({
+        "type": "hello",
+        "protocol": PROTOCOL,
+        "scene": {
+            "name": spec.name,
+            "model": world.model_kind().name(),
+            "material": simulation.body().material_text,
+            "time_step_s": spec.time_step_s,
+            "gravity_m_per_s2": world.gravity_m_per_s2().to_array(),
+            "n_nodes": organ.mesh().positions_m.len(),
+            "n_tetrahedra": organ.mesh().tetrahedra.len(),
+            "n_vessels": world.vessels().map_or(0, |vessels| vessels.tubes().len()),
+        },
+        "bounds": { "min_m": bounds.min_m.to_array(), "max_m": bounds.max_m.to_array() },
+        "tools": spec.tools.iter().map(described).collect::<Vec<_>>(),
+        "models": ModelKind::ALL
+            .into_iter()
+            .filter(|kind| *kind != ModelKind::QuasiNonlinear || simulation.body().measured.is_some())
+            .map(ModelKind::name)
+            .collect::<Vec<_>>(),
+        "fixed_nodes": organ.fixed_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
+    })
+}
+
+fn described(tool: &Tool) -> Value {
+    let jaws = tool.kind.jaws().map(|jaws| {
+        json!({
+            "length_m": jaws.length_m,
+            "width_m": jaws.width_m,
+            "greatest_opening_rad": jaws.greatest_opening_rad,
+        })
+    });
+    json!({
+        "name": tool.name,
+        "kind": tool.kind.name(),
+        "tip_radius_m": tool.tip_radius_m,
+        "shaft_radius_m": tool.shaft_radius_m,
+        "shaft_length_m": tool.shaft_length_m,
+        "jaws": jaws,
+        "trocar_m": tool.trocar_m.map(|p| p.to_array()),
+        "home_tip_m": tool.home.tip_in_world_m.to_array(),
+        "home_shaft": tool.home.shaft_in_world.to_array(),
+        "home_jaw": tool.home.jaw_opening,
+    })
+}
+
+/// `hello` after another model took over.
+pub(super) fn hello_with_model(hello: &Value, model: ModelKind) -> Value {
+    let mut changed = hello.clone();
+    changed["scene"]["model"] = model.name().into();
+    changed
+}
+
+/// The latest displayed state in full precision.
+pub(super) fn snapshot(published: &Published) -> Value {
+    let Published { snapshot, topology, .. } = published;
+    let list = |points: &[DVec3]| points.iter().map(|p| p.to_array()).collect::<Vec<_>>();
+    json!({
+        "step": snapshot.step,
+        "time_s": snapshot.time_s,
+        "paused": published.pace.paused,
+        "model": published.model.name(),
+        "tools": snapshot.tools.iter().map(tool_state).collect::<Vec<_>>(),
+        "node_ids": topology.nodes.iter().map(|n| n.0).collect::<Vec<_>>(),
+        "rest_positions_m": list(&topology.rest_positions_m),
+        "positions_m": list(&snapshot.positions_m),
+        "bleeding": snapshot.bleeding.has_vessels.then(|| bleeding_state(&snapshot.bleeding)),
+        "state_hash": published.state_hash.to_string(),
+    })
+}
+
+fn bleeding_state(bleeding: &BleedingSnapshot) -> Value {
+    let end = |end: &BleedingEnd| json!({ "position_m": end.position_m.to_array(), "rate_m3_per_s": end.rate_m3_per_s });
+    json!({
+        "lost_m3": bleeding.lost_m3,
+        "rate_m3_per_s": bleeding.rate_m3_per_s,
+        "n_clips": bleeding.n_clips,
+        "ends": bleeding.ends.iter().map(end).collect::<Vec<_>>(),
+    })
+}
+
+fn tool_state(tool: &ToolSnapshot) -> Value {
+    let contact = |contact: &ContactReport| {
+        json!({
+            "point_m": contact.point_m.to_array(),
+            "node_ids": contact.nodes.map(|n| n.0),
+            "weights": contact.weights,
+        })
+    };
+    json!({
+        "tip_m": tool.pose.tip_in_world_m.to_array(),
+        "shaft": tool.pose.shaft_in_world.to_array(),
+        "roll_rad": tool.pose.roll_rad,
+        "jaw": tool.pose.jaw_opening,
+        "trigger": tool.pose.trigger,
+        "force_on_tool_n": tool.force_n.to_array(),
+        "contact": tool.contacts.iter().flatten().next().map(contact),
+        "n_held_nodes": tool.n_held_nodes,
+    })
+}
+
+/// What a hand would feel that a page holds.
+pub(super) fn feel(all: &[FeltBy]) -> Value {
+    let hand = |FeltBy { tool, felt }: &FeltBy| json!({ "tool": tool, "force_n": felt.force_n.to_array(), "is_held": felt.is_held });
+    json!({
+        "type": "feel",
+        "greatest_force_n": GREATEST_FORCE_N,
+        "hands": all.iter().map(hand).collect::<Vec<_>>(),
+    })
+}
+
+/// What is wrong, for the page to show.
+pub(super) fn error(message: &str) -> Value {
+    json!({ "type": "error", "message": message })
+}
+
+/// What the user should know, for the page to show.
+pub(super) fn notice(notice: &Notice) -> Value {
+    let kind = if notice.is_problem { "error" } else { "news" };
+    json!({ "type": kind, "message": notice.text })
+}
+
+/// Whether this viewer controls, and whether anybody does.
+pub(super) fn role(is_controller: bool, is_taken: bool) -> Value {
+    let role = if is_controller { "controller" } else { "viewer" };
+    json!({ "type": "role", "role": role, "control_is_taken": is_taken })
+}
+
+/// Where the loop is that gives forces to hands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum HapticsAt {
+    /// No device holds an instrument.
+    Nowhere,
+    Here,
+    /// The machine with `--role haptics`, which knows its times.
+    OtherMachine,
+}
+
+/// How the loops keep their time.
+pub(super) fn timing(published: &Published, at: HapticsAt, haptics: Option<&HapticReport>) -> Value {
+    let Published { pace, lateness, effort, meters, .. } = published;
+    let mut simulation = meters.times().to_json();
+    simulation["rate_hz"] = json!(pace.rate_hz);
+    simulation["real_time_factor"] = json!(pace.real_time_factor);
+    simulation["times_given_up"] = json!(lateness.n_given_up);
+    simulation["left_out_s"] = json!(lateness.left_out_s);
+    simulation["effort"] = json!(effort.name());
+    json!({
+        "type": "timing",
+        "simulation": simulation,
+        "haptics": haptics.map(HapticReport::to_json),
+        "haptics_at": match at {
+            HapticsAt::Nowhere => "nowhere",
+            HapticsAt::Here => "here",
+            HapticsAt::OtherMachine => "other_machine",
+        },
+    })
+}
+
+/// What a viewer wants.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Wish {
+    /// Something of the simulation: for the one who controls.
+    Command(Command),
+    /// Somebody else may control.
+    ReleaseControl,
+}
+
+#[derive(Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
+enum ViewerMessage {
+    Tool {
+        #[serde(default)]
+        tool: usize,
+        tip_m: [f64; 3],
+        shaft: [f64; 3],
+        #[serde(default)]
+        roll_rad: f64,
+        #[serde(default)]
+        jaw: f64,
+        #[serde(default)]
+        trigger: f64,
+    },
+    Pause {
+        paused: bool,
+    },
+    SingleStep {},
+    Reset {},
+    Model {
+        name: String,
+    },
+    Gravity {
+        m_per_s2: [f64; 3],
+    },
+    Cut {
+        #[serde(default)]
+        tool: usize,
+    },
+    Clip {
+        #[serde(default)]
+        tool: usize,
+    },
+    Refine {
+        #[serde(default)]
+        tool: usize,
+    },
+    Undo {},
+    ReleaseControl {},
+}
+
+/// No patient and no room is so large: more is millimetres taken for metres [m].
+const FURTHEST_TIP_M: f64 = 100.0;
+
+/// Ten times that of the Earth: more is a mistyped number.
+const STRONGEST_GRAVITY_M_PER_S2: f64 = 100.0;
+
+/// What a viewer asks for, or why it cannot be understood.
+pub(super) fn wish(text: &str) -> Result<Wish, String> {
+    let message: ViewerMessage =
+        serde_json::from_str(text).map_err(|e| format!("message not understood: {e}"))?;
+    Ok(Wish::Command(match message {
+        ViewerMessage::ReleaseControl {} => return Ok(Wish::ReleaseControl),
+        ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
+            let shaft_in_world = DVec3::from_array(shaft)
+                .try_normalize()
+                .ok_or_else(|| "\"shaft\" has no direction".to_string())?;
+            let shares = [("jaw", jaw), ("trigger", trigger)];
+            if let Some((key, found)) = shares.into_iter().find(|(_, share)| !(0.0..=1.0).contains(share)) {
+                return Err(format!("\"{key}\" is {found}; allowed: between 0 and 1"));
+            }
+            if let Some(found) = tip_m.iter().find(|place| place.abs() > FURTHEST_TIP_M) {
+                return Err(format!("\"tip_m\" has {found} m; allowed: up to {FURTHEST_TIP_M} m"));
+            }
+            let pose = ToolInput::at(DVec3::from_array(tip_m), shaft_in_world);
+            Command::Tool { tool, pose: ToolInput { roll_rad, jaw_opening: jaw, trigger, ..pose } }
+        }
+        ViewerMessage::Pause { paused } => Command::Pause(paused),
+        ViewerMessage::SingleStep {} => Command::SingleStep,
+        ViewerMessage::Reset {} => Command::Reset,
+        ViewerMessage::Model { name } => {
+            let names = ModelKind::ALL.map(ModelKind::name).join(", ");
+            let kind = ModelKind::by_name(&name)
+                .ok_or_else(|| format!("no model \"{name}\"; there are: {names}"))?;
+            Command::Model(kind)
+        }
+        ViewerMessage::Cut { tool } => Command::Cut { tool },
+        ViewerMessage::Clip { tool } => Command::Clip { tool },
+        ViewerMessage::Refine { tool } => Command::Refine { tool },
+        ViewerMessage::Undo {} => Command::Undo,
+        ViewerMessage::Gravity { m_per_s2 } => {
+            let gravity_m_per_s2 = DVec3::from_array(m_per_s2);
+            if gravity_m_per_s2.length() > STRONGEST_GRAVITY_M_PER_S2 {
+                return Err(format!(
+                    "gravity of {m_per_s2:?} m/s2; allowed: up to {STRONGEST_GRAVITY_M_PER_S2}"
+                ));
+            }
+            Command::Gravity(gravity_m_per_s2)
+        }
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn command(text: &str) -> Result<Command, String> {
+        match wish(text)? {
+            Wish::Command(command) => Ok(command),
+            other @ Wish::ReleaseControl => Err(format!("{other:?}")),
+        }
+    }
+
+    const MESSAGES: [&str; 6] = [
+        r#"{"type":"tool","tool":1,"tip_m":[1,-2.5,3e-3],"shaft":[0,0,2],"roll_rad":0.5,"jaw":1,"trigger":0.25}"#,
+        r#"{"type":"pause","paused":true}"#,
+        r#"{"type":"model","name":"explicit"}"#,
+        r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#,
+        r#"{"type":"cut","tool":3}"#,
+        r#"{"type":"release_control"}"#,
+    ];
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2_000))]
+        #[test]
+        fn mutated_messages_are_understood_or_refused_with_a_reason(
+            which in 0..MESSAGES.len(),
+            changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..4),
+            cut in any::<prop::sample::Index>(),
+            is_cut in any::<bool>(),
+        ) {
+            let mut bytes = MESSAGES[which].as_bytes().to_vec();
+            for (at, byte) in changes {
+                let at = at.index(bytes.len());
+                bytes[at] = byte;
+            }
+            if is_cut {
+                bytes.truncate(cut.index(bytes.len()));
+            }
+            match wish(&String::from_utf8_lossy(&bytes)) {
+                Ok(Wish::Command(Command::Tool { pose, .. })) => {
+                    prop_assert!(pose.is_finite() && (pose.shaft_in_world.length() - 1.0).abs() < 1e-12);
+                    prop_assert!((0.0..=1.0).contains(&pose.jaw_opening) && (0.0..=1.0).contains(&pose.trigger));
+                }
+                Ok(_) => {}
+                Err(reason) => prop_assert!(!reason.is_empty()),
+            }
+        }
+
+        #[test]
+        fn any_text_is_understood_or_refused_with_a_reason(text in ".{0,200}") {
+            if let Err(reason) = wish(&text) {
+                prop_assert!(!reason.is_empty());
+            }
+        }
+    }
+
+    #[test]
+    fn commands_are_read_and_mistakes_answered() {
+        assert_eq!(command(r#"{"type":"pause","paused":true}"#), Ok(Command::Pause(true)));
+        assert_eq!(command(r#"{"type":"single_step"}"#), Ok(Command::SingleStep));
+        let tool = command(r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,2]}"#).unwrap();
+        let pose = ToolInput::at(DVec3::new(1.0, 2.0, 3.0), DVec3::Z);
+        assert_eq!(tool, Command::Tool { tool: 0, pose });
+        let second = r#"{"type":"tool","tool":1,"tip_m":[1,2,3],"shaft":[0,0,2],"roll_rad":0.5,"jaw":1,"trigger":0.25}"#;
+        let pose = ToolInput { roll_rad: 0.5, jaw_opening: 1.0, trigger: 0.25, ..pose };
+        assert_eq!(command(second), Ok(Command::Tool { tool: 1, pose }));
+        assert_eq!(command(r#"{"type":"cut"}"#), Ok(Command::Cut { tool: 0 }));
+        assert_eq!(command(r#"{"type":"cut","tool":2}"#), Ok(Command::Cut { tool: 2 }));
+        assert_eq!(command(r#"{"type":"clip","tool":1}"#), Ok(Command::Clip { tool: 1 }));
+        assert_eq!(command(r#"{"type":"refine","tool":1}"#), Ok(Command::Refine { tool: 1 }));
+        assert_eq!(command(r#"{"type":"undo"}"#), Ok(Command::Undo));
+        let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
+        assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));
+        for bad in [
+            "",
+            "{}",
+            r#"{"type":"fly"}"#,
+            r#"{"type":"tool","tip_m":[1,2],"shaft":[0,0,1]}"#,
+            r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,0]}"#,
+            r#"{"type":"tool","tip_m":[1,2,300],"shaft":[0,0,1]}"#,
+            r#"{"type":"tool","tip_m":[1,2,1e999],"shaft":[0,0,1]}"#,
+            r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1],"jaw":2}"#,
+            r#"{"type":"model","name":"jelly"}"#,
+            r#"{"type":"gravity","m_per_s2":[0,981,0]}"#,
+        ] {
+            assert!(command(bad).is_err(), "{bad}");
+        }
+    }
+}

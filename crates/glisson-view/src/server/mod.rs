@@ -1,0 +1,263 @@
+//! The viewer's server: the page, a WebSocket, and the latest state as JSON (`docs/protocol.md`).
+
+pub mod access;
+mod allowance;
+mod hands;
+mod limits;
+pub mod frames;
+mod messages;
+mod socket;
+
+use access::Access;
+use anyhow::Context;
+use axum::Router;
+use axum::extract::{Path as UrlPath, State};
+use axum::http::{StatusCode, header};
+use axum::middleware::from_fn_with_state;
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use glisson_runtime::Simulation;
+use glisson_runtime::control::Control;
+use glisson_runtime::haptic_loop::{HapticLoop, HapticReport, HapticSettings, HeldTool, Meters, ToolLink};
+use glisson_runtime::live::{self, Command, Ended, Published, Shown, Stalls};
+use glisson_runtime::page_hand::PageHand;
+use glisson_runtime::remote_figures::RemoteFigures;
+pub use glisson_runtime::steering::{Show, Steering};
+use hands::Hands;
+use limits::Places;
+use messages::HapticsAt;
+use std::net::{SocketAddr, TcpListener};
+use std::sync::Arc;
+use std::sync::mpsc::Sender;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// The viewer as built into `web/dist`.
+#[derive(rust_embed::RustEmbed)]
+#[folder = "../../web/dist"]
+#[allow_missing = true]
+struct ViewerFiles;
+
+const NOT_BUILT: &str = "<!doctype html><meta charset=utf-8><title>Glisson</title><p>The viewer was not built \
+into this program. Run <code>cargo xtask demo</code>, which builds it.";
+
+struct Shared {
+    hello: serde_json::Value,
+    published: watch::Receiver<Arc<Published>>,
+    commands: Sender<Command>,
+    control: Arc<Control>,
+    /// Of the haptic loop, if one runs.
+    meters: Option<Arc<Meters>>,
+    haptics_at: HapticsAt,
+    /// Of the haptic loop on the other machine, if there is one.
+    remote_figures: Option<RemoteFigures>,
+    /// Instruments that the page in control holds as devices.
+    hands: Hands,
+    /// What the haptic loop needs to see that they are home.
+    homing: Duration,
+}
+
+/// What is served beside the simulation.
+pub struct Service {
+    pub access: Access,
+    /// The haptic loop's and the simulation's ends of the instruments that devices hold.
+    pub held: Vec<(HeldTool, ToolLink)>,
+    pub haptics: HapticSettings,
+    /// Instruments that are held elsewhere.
+    pub remote: Vec<ToolLink>,
+    /// What the machine that holds them says of its haptic loop.
+    pub remote_figures: Option<RemoteFigures>,
+    /// What else shows the simulation; each ends with it.
+    pub shows: Vec<Show>,
+    /// Where the haptic loop notes its times.
+    pub meters: Arc<Meters>,
+    /// For benchmarks: the simulation stands still now and then.
+    pub stalls: Option<Stalls>,
+    /// For tests of the page as a device: also told what it says about instrument 0.
+    pub beside: Option<PageHand>,
+}
+
+impl Service {
+    /// No devices.
+    pub fn to(access: Access) -> Self {
+        Self {
+            access,
+            held: Vec::new(),
+            haptics: HapticSettings::default(),
+            remote: Vec::new(),
+            remote_figures: None,
+            shows: Vec::new(),
+            meters: Arc::default(),
+            stalls: None,
+            beside: None,
+        }
+    }
+}
+
+/// How a service ended.
+pub struct Served {
+    pub ended: Ended,
+    /// Without a device there is no haptic loop.
+    pub haptics: Option<HapticReport>,
+}
+
+/// A bound but not yet serving address, so that a taken port is known before a long set-up.
+pub fn bind(host: &str, port: u16) -> anyhow::Result<TcpListener> {
+    let listener = TcpListener::bind((host, port)).map_err(|e| match e.kind() {
+        std::io::ErrorKind::AddrInUse => anyhow::anyhow!(
+            "port {port} on {host} is in use; stop the other program or choose another one with --port (0: any free one)"
+        ),
+        _ => anyhow::anyhow!("cannot listen on {host} port {port}: {e}"),
+    })?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}
+
+/// Serves until `stop` comes; answers how the simulation and the haptic loop did.
+pub fn serve(
+    simulation: Simulation,
+    listener: TcpListener,
+    service: Service,
+    stop: impl Future<Output = ()>,
+) -> anyhow::Result<Served> {
+    let Service { access, held, haptics, remote, remote_figures, shows, meters, stalls, beside } = service;
+    let (shown, published) = Shown::start(&simulation)?;
+    let (commands, commands_out) = std::sync::mpsc::channel();
+    let hello = messages::hello(&simulation);
+    let (mut held, mut links): (Vec<_>, Vec<_>) = held.into_iter().unzip();
+    let hands = held.iter_mut().zip(&links).filter_map(|(held, link): (&mut HeldTool, &ToolLink)| {
+        held.take_page().map(|page| (link.tool, page))
+    });
+    let hands = Hands::new(hands.collect(), beside);
+    let haptics_at = match (held.is_empty(), remote.is_empty()) {
+        (false, _) => HapticsAt::Here,
+        (true, false) => HapticsAt::OtherMachine,
+        (true, true) => HapticsAt::Nowhere,
+    };
+    links.extend(remote);
+    let control = Arc::new(Control::default());
+    let steering = Steering::new(Arc::clone(&control), commands.clone());
+    let shows: Vec<_> =
+        shows.into_iter().map(|show| show(published.clone(), &steering)).collect::<Result<_, _>>()?;
+    let homing = hands::homing(haptics.rate_hz);
+    let haptics = if held.is_empty() { None } else { Some(HapticLoop::start(held, haptics, meters)?) };
+    let simulation_thread = std::thread::Builder::new()
+        .name("simulation".into())
+        .spawn(move || live::run(simulation, &commands_out, shown, links, stalls.as_ref()))?;
+    let shared = Arc::new(Shared {
+        hello,
+        published,
+        commands: commands.clone(),
+        control,
+        meters: haptics.as_ref().map(|haptics| Arc::clone(haptics.meters())),
+        haptics_at,
+        remote_figures,
+        hands,
+        homing,
+    });
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let served = runtime.block_on(async {
+        let mut alive = shared.published.clone();
+        tokio::spawn(tell_hands(Arc::clone(&shared)));
+        let listener = tokio::net::TcpListener::from_std(listener)?;
+        let server = axum::serve(Places::new(listener), router(shared, access)).into_future();
+        tokio::select! {
+            result = server => result.context("the server stopped"),
+            () = stop => Ok(()),
+            // The channel closes when the simulation ends by itself: with an error.
+            () = async { while alive.changed().await.is_ok() {} } => Ok(()),
+        }
+    });
+    // The hand is let go before the tissue.
+    let haptics = haptics.map(|haptics| haptics.meters().report());
+    // The simulation may have ended already; then nobody listens.
+    let _ = commands.send(Command::Stop);
+    let ended = simulation_thread.join().map_err(|_| anyhow::anyhow!("the simulation panicked"))?;
+    for show in shows {
+        // A panic was printed when it happened.
+        let _ = show.join();
+    }
+    served.and(ended).map(|ended| Served { ended, haptics })
+}
+
+/// Tells the hands who controls, until the program ends.
+async fn tell_hands(shared: Arc<Shared>) {
+    let mut controller = shared.control.watch();
+    loop {
+        let has_page = controller.borrow_and_update().is_some_and(|viewer| viewer.has_page);
+        shared.hands.set_controlled(has_page);
+        if shared.hands.is_empty() || controller.changed().await.is_err() {
+            return;
+        }
+    }
+}
+
+/// Comes with Ctrl-C or SIGTERM.
+pub async fn stop_signal() {
+    let interrupt = tokio::signal::ctrl_c();
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        if let Ok(mut terminate) = signal(SignalKind::terminate()) {
+            tokio::select! {
+                _ = interrupt => {}
+                _ = terminate.recv() => {}
+            }
+            return;
+        }
+    }
+    let _ = interrupt.await;
+}
+
+fn router(shared: Arc<Shared>, access: Access) -> Router {
+    let api = Router::new()
+        .route("/api/scene", get(scene))
+        .route("/api/snapshot", get(latest_snapshot))
+        .route_layer(from_fn_with_state(Arc::<limits::Asked>::default(), limits::guard_api));
+    api.route("/ws", get(socket::open))
+        .route("/", get(|| async { viewer_file("index.html") }))
+        .route("/{*path}", get(|UrlPath(path): UrlPath<String>| async move { viewer_file(&path) }))
+        .layer(from_fn_with_state(Arc::new(access), access::guard))
+        .with_state(shared)
+}
+
+async fn scene(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
+    // Not under the lock, for which a writer waits: the answer is long.
+    let model = shared.published.borrow().model;
+    axum::Json(messages::hello_with_model(&shared.hello, model))
+}
+
+async fn latest_snapshot(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
+    let published = Arc::clone(&shared.published.borrow());
+    axum::Json(messages::snapshot(&published))
+}
+
+fn viewer_file(path: &str) -> Response {
+    let content_type = match path.rsplit('.').next() {
+        Some("html") => "text/html; charset=utf-8",
+        Some("js") => "text/javascript",
+        Some("css") => "text/css",
+        Some("svg") => "image/svg+xml",
+        Some("png") => "image/png",
+        Some("json") => "application/json",
+        _ => "application/octet-stream",
+    };
+    match ViewerFiles::get(path) {
+        Some(file) => ([(header::CONTENT_TYPE, content_type)], file.data.into_owned()).into_response(),
+        None if path == "index.html" => ([(header::CONTENT_TYPE, content_type)], NOT_BUILT).into_response(),
+        None => (StatusCode::NOT_FOUND, format!("no file {path}\n")).into_response(),
+    }
+}
+
+/// Whether the page was built into the program.
+pub fn has_page() -> bool {
+    ViewerFiles::get("index.html").is_some()
+}
+
+/// The address to type into a browser.
+pub fn page_address(address: SocketAddr) -> String {
+    format!("http://{address}/")
+}
+
+#[cfg(test)]
+mod tests;

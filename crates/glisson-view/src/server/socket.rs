@@ -1,0 +1,209 @@
+//! One viewer's WebSocket.
+
+use super::Shared;
+use super::allowance::Allowance;
+use super::frames::{snapshot_frame, topology_frame};
+use super::messages::{self, Wish};
+use axum::extract::State;
+use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use glisson_runtime::control::Viewer;
+use glisson_runtime::live::{Command, Published};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::time::{MissedTickBehavior, interval, timeout};
+
+/// Longest message of a viewer: a pose has some 200 bytes.
+pub(super) const LONGEST_MESSAGE_BYTES: usize = 1 << 14;
+/// How often a viewer hears how the loops keep their time, and is asked whether it is still there.
+const BEAT: Duration = Duration::from_secs(1);
+/// A viewer that was silent for so long (browsers answer a ping by themselves) or does not take what it is sent is gone:
+/// it must not keep control.
+const LONGEST_SILENCE: Duration = Duration::from_secs(15);
+/// Who only watches and sends all the same is told so once in this time.
+const TOLD_AGAIN: Duration = Duration::from_secs(2);
+
+/// How often a viewer hears what hands feel that a page holds: a choice, half a display's rate.
+const FEEL: Duration = Duration::from_millis(33);
+
+/// A viewer's place; freed however its connection ends.
+struct Seat {
+    shared: Arc<Shared>,
+    viewer: Viewer,
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        self.shared.control.leave(self.viewer);
+    }
+}
+
+pub(super) async fn open(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -> Response {
+    let Some(viewer) = shared.control.enter() else {
+        return (StatusCode::SERVICE_UNAVAILABLE, "all places for viewers are taken\n").into_response();
+    };
+    let seat = Seat { shared, viewer };
+    upgrade.max_message_size(LONGEST_MESSAGE_BYTES).max_frame_size(LONGEST_MESSAGE_BYTES).on_upgrade(
+        move |socket| async move {
+            let now = Instant::now();
+            let allowance = Allowance::new(now);
+            let mut connection = Connection { socket, seat, allowance, last_heard: now, told: None };
+            if let Err(End::Refused(reason)) = connection.talk().await {
+                let close = CloseFrame { code: close_code::POLICY, reason: reason.into() };
+                // Who does not take the reason goes without it.
+                let _ = connection.send(Message::Close(Some(close))).await;
+            }
+        },
+    )
+}
+
+/// Why a connection ends.
+enum End {
+    /// The viewer went away, or does not take what it is sent.
+    Gone,
+    /// The server ends it, and says why.
+    Refused(&'static str),
+}
+
+struct Connection {
+    socket: WebSocket,
+    seat: Seat,
+    allowance: Allowance,
+    last_heard: Instant,
+    /// When it was told that it only watches.
+    told: Option<Instant>,
+}
+
+impl Connection {
+    async fn send(&mut self, message: Message) -> Result<(), End> {
+        match timeout(LONGEST_SILENCE, self.socket.send(message)).await {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(_)) | Err(_) => Err(End::Gone),
+        }
+    }
+
+    async fn say(&mut self, text: serde_json::Value) -> Result<(), End> {
+        self.send(Message::Text(text.to_string().into())).await
+    }
+
+    /// What a viewer needs before the first snapshot, and again when another model took over.
+    async fn greet(&mut self, published: &Published) -> Result<(), End> {
+        self.say(messages::hello_with_model(&self.seat.shared.hello, published.model)).await?;
+        self.send(Message::Binary(topology_frame(&published.topology).into())).await
+    }
+
+    async fn talk(&mut self) -> Result<(), End> {
+        let shared = Arc::clone(&self.seat.shared);
+        let mut published = shared.published.clone();
+        let mut controller = shared.control.watch();
+        let first = Arc::clone(&published.borrow());
+        let (mut model, mut n_told, mut version) = (first.model, first.n_notices, first.topology.version);
+        self.greet(&first).await?;
+        published.mark_changed();
+        controller.mark_changed();
+        let mut beat = interval(BEAT);
+        beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut feel = interval(FEEL);
+        feel.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut felt = Vec::new();
+        loop {
+            tokio::select! {
+                changed = published.changed() => {
+                    if changed.is_err() {
+                        return self.say(messages::error("the simulation stopped; see the program's output")).await;
+                    }
+                    let latest = Arc::clone(&published.borrow_and_update());
+                    for notice in latest.notices_after(n_told) {
+                        self.say(messages::notice(notice)).await?;
+                    }
+                    n_told = latest.n_notices;
+                    if latest.model != model {
+                        model = latest.model;
+                        self.greet(&latest).await?;
+                    } else if latest.topology.version != version {
+                        self.send(Message::Binary(topology_frame(&latest.topology).into())).await?;
+                    }
+                    version = latest.topology.version;
+                    self.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace).into())).await?;
+                }
+                changed = controller.changed() => {
+                    if changed.is_ok() {
+                        let holder = *controller.borrow_and_update();
+                        self.say(messages::role(holder == Some(self.seat.viewer), holder.is_some())).await?;
+                    }
+                }
+                _ = beat.tick() => {
+                    if self.last_heard.elapsed() > LONGEST_SILENCE {
+                        return Err(End::Gone);
+                    }
+                    let own = shared.meters.as_ref().map(|meters| meters.report());
+                    let haptics = own.or_else(|| shared.remote_figures.as_ref()?.report());
+                    let latest = Arc::clone(&published.borrow());
+                    self.say(messages::timing(&latest, shared.haptics_at, haptics.as_ref())).await?;
+                    self.send(Message::Ping(Vec::new().into())).await?;
+                }
+                _ = feel.tick(), if !shared.hands.is_empty() => {
+                    let now = shared.hands.felt();
+                    if now != felt {
+                        self.say(messages::feel(&now)).await?;
+                        felt = now;
+                    }
+                }
+                message = self.socket.recv() => {
+                    match message {
+                        Some(Ok(message)) => self.hear(message).await?,
+                        // Of who is gone, too: then nobody takes the reason.
+                        Some(Err(_)) => return Err(End::Refused("a broken or too long message")),
+                        None => return Err(End::Gone),
+                    }
+                }
+            }
+        }
+    }
+
+    async fn hear(&mut self, message: Message) -> Result<(), End> {
+        self.last_heard = Instant::now();
+        let n_bytes = match &message {
+            Message::Text(text) => text.len(),
+            Message::Binary(bytes) | Message::Ping(bytes) | Message::Pong(bytes) => bytes.len(),
+            Message::Close(_) => return Err(End::Gone),
+        };
+        if !self.allowance.spend(n_bytes, self.last_heard) {
+            return Err(End::Refused("too many messages"));
+        }
+        let Message::Text(text) = message else {
+            return match message {
+                Message::Binary(_) => Err(End::Refused("viewers send text")),
+                _ => Ok(()),
+            };
+        };
+        match messages::wish(&text) {
+            Ok(Wish::ReleaseControl) => self.seat.shared.control.release(self.seat.viewer),
+            Ok(Wish::Command(command)) if self.seat.shared.control.may_control(self.seat.viewer) => {
+                self.obey(command).await;
+            }
+            Ok(Wish::Command(_)) => {
+                if self.told.is_none_or(|told| told.elapsed() > TOLD_AGAIN) {
+                    self.told = Some(Instant::now());
+                    self.say(messages::error("another viewer has control; this one watches")).await?;
+                }
+            }
+            Err(reason) => self.say(messages::error(&reason)).await?,
+        }
+        Ok(())
+    }
+
+    /// The viewer controls.
+    async fn obey(&mut self, command: Command) {
+        let shared = Arc::clone(&self.seat.shared);
+        if shared.hands.take(&command) {
+            return;
+        }
+        if command == Command::Reset && !shared.hands.is_empty() {
+            tokio::time::sleep(shared.homing).await;
+        }
+        // A simulation that ended is told by the closed channel.
+        let _ = shared.commands.send(command);
+    }
+}

@@ -9,6 +9,7 @@
 //! +z superior).
 
 pub mod math;
+pub mod fault;
 pub mod text;
 pub mod units;
 pub mod files;

@@ -16,6 +16,7 @@
 
 use super::TopologyRefusal;
 use crate::solve::P1Gradients;
+use glisson_mesh::fault;
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::remap::Carried;
@@ -73,6 +74,7 @@ impl Growth {
         rest_m: &[DVec3],
         tets: impl Iterator<Item = (usize, &'a [NodeId; 4])>,
     ) -> Result<Option<Self>, TopologyRefusal> {
+        fault::check("model: shape of an edit")?;
         if !grows(change) {
             return Ok(None);
         }

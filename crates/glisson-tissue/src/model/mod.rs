@@ -32,9 +32,10 @@ pub use explicit::{ExplicitError, Inertia, Integration};
 pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
 pub use state_hash::StateHash;
-pub use undo::ModelUndo;
+pub use undo::{ModelUndo, follow_edit};
 use undo::UndoReader;
 
+use glisson_mesh::fault::OrderedFault;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
@@ -101,6 +102,44 @@ pub enum TopologyRefusal {
         /// Its volume at rest [m3].
         volume_m3: f64,
     },
+    /// The change is of another mesh than the model's.
+    #[error(
+        "the {model} model cannot follow the edit: it has {n_tets} tetrahedra and {n_nodes} nodes, the edit was made in a \
+         mesh of {n_tets_before} and {n_nodes_before}; make the model anew"
+    )]
+    OtherMesh {
+        /// The model's scene name.
+        model: &'static str,
+        /// Tetrahedra of the model, dead ones included.
+        n_tets: usize,
+        /// Nodes of the model, dead ones included.
+        n_nodes: usize,
+        /// Tetrahedra of the mesh before the edit.
+        n_tets_before: usize,
+        /// Nodes of the mesh before the edit.
+        n_nodes_before: usize,
+    },
+    /// Only in tests.
+    #[error(transparent)]
+    Ordered(#[from] OrderedFault),
+}
+
+impl TopologyRefusal {
+    /// Refuses a change of a mesh that has not the model's counts of tetrahedra and nodes.
+    ///
+    /// # Errors
+    /// [`TopologyRefusal::OtherMesh`].
+    pub fn of_other_mesh(
+        model: &'static str,
+        change: &TopologyChange,
+        [n_tets, n_nodes]: [usize; 2],
+    ) -> Result<(), Self> {
+        let (n_tets_before, n_nodes_before) = (change.tets.n_before, change.nodes.n_before);
+        if (n_tets, n_nodes) == (n_tets_before, n_nodes_before) {
+            return Ok(());
+        }
+        Err(Self::OtherMesh { model, n_tets, n_nodes, n_tets_before, n_nodes_before })
+    }
 }
 
 /// One organ's mechanics.
@@ -184,7 +223,9 @@ pub trait DeformableModel: Send {
         None
     }
 
-    /// Follows an edit of the mesh, or says why it cannot; then nothing changed.
+    /// Follows an edit of the mesh, or says why it cannot. A model that refuses did not change, unless it is one that is
+    /// copied whole for [`DeformableModel::save_for_undo`]: that one has to be put back or dropped. [`follow_edit`] does
+    /// all of it.
     ///
     /// # Errors
     /// [`TopologyRefusal`] when the model cannot follow.

@@ -1,7 +1,10 @@
 //! What an edit of the mesh overwrites in a model, kept so that it can be put back bit for bit.
 
-use super::{DeformableModel, ModelReport};
+use super::{DeformableModel, ModelReport, TopologyRefusal};
+use glisson_mesh::fault;
 use glisson_mesh::math::DVec3;
+use glisson_mesh::mesh::TetMesh;
+use glisson_mesh::mesh::edit::TopologyChange;
 
 /// Values from before an edit. Its buffers are used again, so that a journal of edits need not allocate.
 #[derive(Default)]
@@ -62,6 +65,32 @@ impl ModelUndo {
             None => model.undo(self),
         }
     }
+}
+
+/// Has a model follow an edit of the mesh, with what it takes to take that back in `undo`. A model that cannot follow has
+/// every bit from before.
+///
+/// # Errors
+/// [`TopologyRefusal`] when the model cannot follow.
+pub fn follow_edit(
+    model: &mut Box<dyn DeformableModel>,
+    mesh: &TetMesh,
+    change: &TopologyChange,
+    undo: &mut ModelUndo,
+) -> Result<(), TopologyRefusal> {
+    undo.clear();
+    fault::check("model: before it follows")?;
+    model.save_for_undo(change, undo);
+    let followed = model.topology_changed(mesh, change);
+    if followed.is_err() && undo.keeps_whole() {
+        undo.put_back(model);
+    }
+    followed?;
+    if let Err(fault) = fault::check("model: after it followed") {
+        undo.put_back(model);
+        return Err(fault.into());
+    }
+    Ok(())
 }
 
 /// What is left to read of a [`ModelUndo`].

@@ -55,7 +55,7 @@ pub struct BleedingEnd {
 }
 
 /// The displayed state of a world after a step. Buffers are reused: filling one allocates only the first time.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {
     /// Steps made so far.
     pub step: u64,

@@ -2,20 +2,17 @@
 //! vessels follow together, or nothing changes. The last edits can be taken back, last in, first out; every number has
 //! its bits from before.
 
-use super::active::{ActiveBefore, ActiveTip};
-use super::hand::Hand;
-use super::loads::LoadsBefore;
-use super::organ::OrganBefore;
-use super::vessels::Vessels;
-use super::{QueuedSwap, World, own_contact_of};
+use super::transaction::EditRecord;
+use super::{QueuedSwap, World};
 use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::refine::{FineRegion, refining};
 use crate::mesh::repair::{MendParams, mending};
 use crate::mesh::topology::TopologyError;
 use crate::mesh::{NodeId, TetId, TetMesh};
-use crate::model::{DeformableModel, ModelUndo, TopologyRefusal};
+use crate::model::{DeformableModel, TopologyRefusal};
 use crate::tool::cut::scalpel::ScalpelRefusal;
 use crate::tool::cut::subdivision::CutRefusal;
+use glisson_mesh::fault::OrderedFault;
 use std::collections::VecDeque;
 
 /// Radius of a region that is made finer around a tool, in edges as they are there: a choice.
@@ -49,31 +46,15 @@ pub enum EditRefusal {
     /// A scalpel cannot be followed.
     #[error(transparent)]
     Scalpel(#[from] ScalpelRefusal),
+    /// Only in tests.
+    #[error(transparent)]
+    Ordered(#[from] OrderedFault),
 }
 
 /// Edits that can be taken back, unless told otherwise: a choice.
 const UNDO_DEPTH: usize = 32;
 /// Of these, edits for which the model had to be copied whole, which can take a hundred megabytes each: a choice.
 const MOST_WHOLE_COPIES: usize = 2;
-
-/// What it takes to take one edit back. Buffers are used again.
-#[derive(Default)]
-struct EditRecord {
-    change: TopologyChange,
-    mesh: MeshUndo,
-    model: ModelUndo,
-    /// Of the model that was delivered but had not taken over.
-    waiting: Option<ModelUndo>,
-    organ: OrganBefore,
-    loads: LoadsBefore,
-    hands: Vec<Hand>,
-    active: Vec<ActiveBefore>,
-    vessels: Option<Vessels>,
-    /// Steps made when the edit was.
-    step: u64,
-    /// Tetrahedra that it removed before any other kind of edit was made.
-    n_removed_first: usize,
-}
 
 /// The last edits, and those of the whole run in short.
 pub(super) struct Journal {
@@ -88,6 +69,8 @@ pub(super) struct Journal {
     later: Vec<Vec<MeshEdit>>,
     /// What edits did, if somebody wants to know.
     changes: Option<Vec<TopologyChange>>,
+    /// No change.
+    nothing: TopologyChange,
 }
 
 impl Journal {
@@ -99,6 +82,7 @@ impl Journal {
             removed: Vec::new(),
             later: Vec::new(),
             changes: None,
+            nothing: TopologyChange::default(),
         }
     }
 
@@ -128,6 +112,27 @@ impl Journal {
             }
         }
         self.removed.len() - n_before
+    }
+
+    /// Keeps an edit that was made; answers what it did.
+    fn keep(&mut self, edits: &[MeshEdit], mut record: EditRecord) -> &TopologyChange {
+        record.n_removed_first = self.note(edits);
+        if let Some(changes) = &mut self.changes {
+            changes.push(record.change.clone());
+        }
+        self.records.push_back(record);
+        self.shorten();
+        // With a depth of 0 the record went to the spare ones.
+        let last = self.records.back().or(self.spare.last());
+        last.map_or(&self.nothing, |record| &record.change)
+    }
+
+    /// The last edit was taken back.
+    fn forget_last(&mut self, record: &EditRecord) {
+        if self.later.pop().is_none() {
+            let n_left = self.removed.len().saturating_sub(record.n_removed_first);
+            self.removed.truncate(n_left);
+        }
     }
 
     /// Keeps to the depth, and few whole copies.
@@ -282,76 +287,11 @@ impl World {
             return Err(refusal.into());
         }
         let mut record = self.journal.spare.pop().unwrap_or_default();
-        if let Err(refusal) = self.edit_mesh_and_model(edits, &mut record) {
+        if let Err(refusal) = self.transact(edits, &mut record) {
             self.journal.spare.push(record);
             return Err(refusal);
         }
-        self.let_all_follow(&mut record);
-        record.n_removed_first = self.journal.note(edits);
-        if let Some(changes) = &mut self.journal.changes {
-            changes.push(record.change.clone());
-        }
-        self.journal.records.push_back(record);
-        self.journal.shorten();
-        let last = self.journal.records.back().or(self.journal.spare.last());
-        Ok(&last.expect("the record is in one of the two").change)
-    }
-
-    fn edit_mesh_and_model(
-        &mut self,
-        edits: &[MeshEdit],
-        record: &mut EditRecord,
-    ) -> Result<(), EditRefusal> {
-        let EditRecord { change, mesh, model, waiting, .. } = record;
-        let body = self.organ.body_mut();
-        match edits {
-            [edit] => body.apply_saving(edit, change, mesh)?,
-            _ => body.apply_all_saving(edits, change, mesh)?,
-        }
-        // A model that takes another edit back later is asked before it follows this one.
-        if self.journal.depth > 0 {
-            self.model.save_for_undo(change, model);
-        }
-        if let Err(refusal) = self.model.topology_changed(self.organ.mesh(), change) {
-            self.organ.body_mut().undo(mesh);
-            return Err(refusal.into());
-        }
-        *waiting = None;
-        if let Some(awaited) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
-            let mut saved = ModelUndo::default();
-            awaited.save_for_undo(change, &mut saved);
-            if awaited.topology_changed(self.organ.mesh(), change).is_ok() {
-                *waiting = Some(saved);
-            } else {
-                // The present model has followed: it goes on.
-                self.swap = None;
-            }
-        }
-        Ok(())
-    }
-
-    fn let_all_follow(&mut self, record: &mut EditRecord) {
-        record.step = self.step;
-        record.hands.clone_from(&self.hands);
-        record.active.clear();
-        record.active.extend(self.active.iter().map(ActiveTip::before_edit));
-        record.vessels.clone_from(&self.vessels);
-        let change = &record.change;
-        self.organ.follow_edit(change, &mut record.organ);
-        self.organ.place_nodes(change, self.model.state().positions_m);
-        self.loads.follow(change, &mut record.loads);
-        self.constraints.forces.reserve(self.organ.mesh().positions_m.len());
-        let topology = self.organ.body().topology();
-        for hand in &mut self.hands {
-            hand.follow(topology, change);
-        }
-        for active in &mut self.active {
-            active.follow(self.organ.body(), change);
-        }
-        if let Some(vessels) = &mut self.vessels {
-            vessels.follow(self.organ.body(), change, |triangle| self.organ.is_cut(triangle));
-        }
-        self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
+        Ok(self.journal.keep(edits, record))
     }
 
     /// Takes the last edit back, and an order of a model that was not delivered yet: mesh, model, supports, loads and vessels are what they were just before it, bit for bit,
@@ -360,38 +300,8 @@ impl World {
     /// [`World::n_edits_to_undo`] says.
     pub fn undo_edit(&mut self) -> bool {
         let Some(mut record) = self.journal.records.pop_back() else { return false };
-        record.model.put_back(&mut self.model);
-        // It was saved with the effort of its time.
-        self.keep_effort();
-        // A model that is still being made may be made from the organ with this cut.
-        self.swap.take_if(|swap| swap.model.is_none());
-        if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
-            match &mut record.waiting {
-                Some(saved) => saved.put_back(waiting),
-                // It came after the edit, which it cannot take back.
-                None => self.swap = None,
-            }
-        }
-        self.organ.undo_edit(&record.mesh, &record.change, &record.organ);
-        self.loads.undo(&record.change, &record.loads);
-        self.vessels.clone_from(&record.vessels);
-        if record.step == self.step {
-            self.hands.clone_from(&record.hands);
-        } else {
-            self.hands.iter_mut().for_each(Hand::let_go);
-            self.organ.rest_at(self.model.state().positions_m);
-        }
-        for (active, before) in self.active.iter_mut().zip(&record.active) {
-            active.go_back_to(before);
-        }
-        self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
-        self.owners.clear();
-        self.constraints.displacements.clear();
-        self.constraints.forces.clear();
-        if self.journal.later.pop().is_none() {
-            let n_left = self.journal.removed.len() - record.n_removed_first;
-            self.journal.removed.truncate(n_left);
-        }
+        self.take_back(&mut record);
+        self.journal.forget_last(&record);
         self.journal.spare.push(record);
         self.journal.shorten();
         true

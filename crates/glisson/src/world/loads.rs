@@ -23,6 +23,8 @@ struct NodeLoad {
 pub(super) struct LoadsBefore {
     /// Whether each node that was removed was loaded, one load after the other.
     is_loaded: Vec<bool>,
+    forces: Vec<NodalForce>,
+    is_stale: bool,
 }
 
 /// All loads of a world. What they amount to is found anew only in a step in which one begins or ends.
@@ -89,6 +91,9 @@ impl Loads {
 
     /// After an edit of the mesh.
     pub(super) fn follow(&mut self, change: &TopologyChange, before: &mut LoadsBefore) {
+        before.forces.clear();
+        before.forces.extend_from_slice(&self.forces);
+        before.is_stale = self.is_stale;
         before.is_loaded.clear();
         for load in &mut self.nodes {
             let removed = change.nodes.removed.iter();
@@ -114,6 +119,12 @@ impl Loads {
         }
         self.forces.clear();
         self.is_stale = true;
+    }
+
+    /// The edit that was just taken back is not to be seen.
+    pub(super) fn forget_edit(&mut self, before: &LoadsBefore) {
+        self.forces.extend_from_slice(&before.forces);
+        self.is_stale = before.is_stale;
     }
 
     /// The nodal forces of a step, ascending by node. Allocates nothing.

@@ -22,6 +22,7 @@ mod slide;
 pub mod spec;
 mod tear;
 pub mod touch;
+mod transaction;
 pub mod vessels;
 
 pub use cut::{BladeReport, ToolCuts};

@@ -45,6 +45,7 @@ pub(super) struct OrganBefore {
     fixed: Vec<bool>,
     /// Where the nodes that moved were at the start and at the end of the last step [m].
     ways_m: Vec<(NodeId, [DVec3; 2])>,
+    topology_version: u32,
 }
 
 /// Takes back what an edit did to an array by node: drops what came in, writes the values of what was removed back.
@@ -111,6 +112,7 @@ impl Organ {
         before
             .fixed
             .extend(change.nodes.removed.iter().map(|n| n.index() < change.nodes.n_before && self.fixed[*n]));
+        before.topology_version = self.topology_version;
         let held = self.held_of_new(change);
         self.fixed.follow(change);
         for (node, is_held) in change.nodes.added.ids().iter().zip(held) {
@@ -167,6 +169,11 @@ impl Organ {
         };
         self.display.follow(self.body.topology(), &self.capsule, &back);
         self.topology_version += 1;
+    }
+
+    /// The edit that was just taken back is not to be seen.
+    pub(super) fn forget_edit(&mut self, before: &OrganBefore) {
+        self.topology_version = before.topology_version;
     }
 
     /// Puts the nodes that an edit brought in or moved where the model has them.

@@ -11,6 +11,7 @@ mod contact_response;
 mod cut_scalpel;
 mod cut_subdivision;
 mod detection;
+mod edit_faults;
 mod haptic_energy;
 mod haptic_law;
 mod haptic_models;

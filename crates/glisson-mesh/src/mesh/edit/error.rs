@@ -1,11 +1,15 @@
 //! Why an edit was refused.
 
+use crate::fault::OrderedFault;
 use crate::math::DVec3;
 use crate::mesh::{EdgeId, NodeId, TetId};
 
 /// Why an edit was refused. Nothing changed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EditError {
+    /// Only in tests.
+    #[error(transparent)]
+    Ordered(#[from] OrderedFault),
     /// There is no such tetrahedron.
     #[error("there is no tetrahedron {tet}: the mesh has {n_tets}, numbered from 0")]
     NoSuchTet {

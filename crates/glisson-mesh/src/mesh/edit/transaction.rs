@@ -5,6 +5,7 @@ use std::borrow::Borrow;
 use super::plan::Plan;
 use super::replace::Exchange;
 use super::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
+use crate::fault;
 use crate::mesh::remap::MeshEntity;
 use crate::mesh::{NodeId, TetId};
 
@@ -23,6 +24,12 @@ impl EditableMesh {
         self.begin(change);
         undo.start(&self.topology);
         self.carry_out(edit, change, undo)?;
+        if let Err(fault) = fault::check("mesh: after an edit") {
+            self.take_back(undo);
+            self.begin(change);
+            undo.start(&self.topology);
+            return Err(fault.into());
+        }
         self.close(change);
         undo.close(&self.topology);
         Ok(())
@@ -62,7 +69,9 @@ impl EditableMesh {
         let mut at = 0;
         while let Some(edit) = next(self, at) {
             let edit = edit.borrow();
-            if let Err(cause) = self.carry_out(edit, change, undo) {
+            let done = self.carry_out(edit, change, undo);
+            let done = done.and_then(|()| Ok(fault::check("mesh: after an edit of a list")?));
+            if let Err(cause) = done {
                 self.take_back(undo);
                 self.begin(change);
                 undo.start(&self.topology);
@@ -83,6 +92,7 @@ impl EditableMesh {
         change: &mut TopologyChange,
         undo: &mut MeshUndo,
     ) -> Result<(), EditError> {
+        fault::check("mesh: before an edit")?;
         if let MeshEdit::Remove { tets } = edit {
             self.topology.check_removable(tets)?;
             for &tet in tets {

@@ -5,18 +5,24 @@ use super::ligaments::Ligaments;
 use super::newton::Scratch;
 use super::{Attachment, ImplicitEuler, ImplicitLaw, TopologyRefusal};
 use crate::model::growth::{Growth, blend_tets};
+use glisson_mesh::fault;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::remap::follow;
 use glisson_mesh::mesh::{NodeId, TetMesh};
 
+const NAME: &str = "implicit";
+
+fn refused(reason: &'static str) -> TopologyRefusal {
+    TopologyRefusal::Frozen { model: NAME, reason }
+}
+
 impl ImplicitEuler {
-    /// Follows all edits; all allocate.
+    /// Follows all edits; all allocate. What refuses is half changed: the model is copied whole for undo.
     pub(super) fn follow(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        assert_eq!(change.tets.n_before, self.tet_is_live.len(), "the model missed a change of the mesh");
-        assert_eq!(change.nodes.n_before, self.n_nodes(), "the model missed a change of the mesh");
+        TopologyRefusal::of_other_mesh(NAME, change, [self.tet_is_live.len(), self.n_nodes()])?;
         let live = self.mesh.tetrahedra.iter().enumerate().filter(|(t, _)| self.tet_is_live[*t]);
-        let growth = Growth::of("implicit", mesh, change, &self.mesh.positions_m, live)?;
+        let growth = Growth::of(NAME, mesh, change, &self.mesh.positions_m, live)?;
         if let Some(growth) = &growth {
             self.grow(mesh, change, growth);
         }
@@ -27,7 +33,7 @@ impl ImplicitEuler {
             self.compact(change);
         }
         let before = self.elements.recovery();
-        self.elements = Elements::new(&ElementsParams {
+        let elements = Elements::new(&ElementsParams {
             mesh: &self.mesh,
             live: &self.tet_is_live,
             law: &self.law,
@@ -35,12 +41,14 @@ impl ImplicitEuler {
             volume: self.volume,
             rest_stress_pa: &self.rest_stress_pa,
             is_viscous: self.relaxation.is_some(),
-        })
-        .expect("the tetrahedra were usable when the model was built");
+        });
+        fault::check("implicit: elements")?;
+        self.elements = elements.map_err(|_| refused("a tetrahedron that is left cannot bear the law; undo the last edit"))?;
         self.is_suspect = true;
         self.elements.quarantine(&self.displacement_m, before);
         self.n_reanalyses += 1;
-        let refusal = self.analyse().is_err();
+        fault::check("implicit: factor")?;
+        self.analyse().map_err(|_| refused("the remaining mesh could not be factored; build the model anew"))?;
         // A held or loaded node that lost its last tetrahedron has nothing to pull on.
         for n in 0..self.n_nodes() {
             if !self.moves[n] {
@@ -54,12 +62,6 @@ impl ImplicitEuler {
         self.held.retain(|held| is_held[held.node as usize]);
         self.update_mask();
         self.publish();
-        if refusal {
-            return Err(TopologyRefusal::Frozen {
-                model: "implicit",
-                reason: "the remaining mesh could not be factored; build the model anew",
-            });
-        }
         Ok(())
     }
 

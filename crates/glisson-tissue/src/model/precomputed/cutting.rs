@@ -17,6 +17,7 @@ use super::{NONE, Precomputed};
 use crate::model::kind::ModelKind;
 use crate::model::{ImposedDisplacement, ModelReport, NodalForce, TopologyRefusal};
 use crate::solve::SolveError;
+use glisson_mesh::fault;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::{EditableMesh, TopologyChange};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
@@ -236,9 +237,13 @@ impl Precomputed {
                 reason: "it follows removals of tetrahedra only; pre-compute the new mesh",
             });
         }
+        let n_tets = self.cuts.as_ref().map_or(change.tets.n_before, |cuts| cuts.bears.len());
+        let name = ModelKind::Precomputed.name();
+        TopologyRefusal::of_other_mesh(name, change, [n_tets, self.rest_m.len()])?;
         if change.tets.removed.is_empty() {
             return Ok(());
         }
+        fault::check("precomputed: before the factor")?;
         self.prepare_cutting(mesh).map_err(|_| TopologyRefusal::Frozen {
             model: ModelKind::Precomputed.name(),
             reason: "its stiffness matrix cannot be factored in the memory that there is",

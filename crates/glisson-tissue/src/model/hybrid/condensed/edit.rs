@@ -4,6 +4,7 @@ use super::{CondensedHybrid, ZoneLaw};
 use crate::model::TopologyRefusal;
 use crate::model::explicit::{follows, keep};
 use crate::solve::{BoundaryConditions, MeshEdges, SolveError};
+use glisson_mesh::fault;
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetMesh};
 
@@ -15,8 +16,7 @@ impl CondensedHybrid {
     /// nothing that a built body can lead to is refused (see `bring_together_again`).
     pub(super) fn follow_change(&mut self, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         follows(NAME, change)?;
-        assert_eq!(change.tets.n_before, self.is_live.len(), "the model missed a change of the mesh");
-        assert_eq!(change.nodes.n_before, self.positions_m.len(), "the model missed a change of the mesh");
+        TopologyRefusal::of_other_mesh(NAME, change, [self.is_live.len(), self.positions_m.len()])?;
         let removed = &change.tets.removed[..];
         let mut is_new = self.dynamic.as_ref().is_some_and(|d| d.would_strand(removed));
         let mut is_cut = false;
@@ -37,6 +37,7 @@ impl CondensedHybrid {
         }
         if is_new {
             self.bring_together_again()?;
+            fault::check("hybrid: after the zones were brought together")?;
         } else if is_cut && let Some(mut dynamic) = self.dynamic.take() {
             removed.iter().for_each(|&t| dynamic.remove_tet(t, &self.whole()));
             dynamic.after_removals();
@@ -81,6 +82,7 @@ impl CondensedHybrid {
         keep(&mut self.zones, &is_kept);
         keep(&mut self.ages, &is_kept);
         keep(&mut self.zone_numbers, &is_kept);
+        fault::check("hybrid: before the zones are brought together")?;
         if self.bring_together(Some(&composed)).is_err() {
             // Tissue that hangs by so little that no equilibrium can be computed: everything is dynamic.
             let cut_law = self.cut_law;

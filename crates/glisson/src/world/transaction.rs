@@ -1,0 +1,209 @@
+//! One edit of the organ as a transaction: mesh, model, the model that waits to take over, surface, supports, loads,
+//! hands, vessels, self-contact and blades follow in this order. Each keeps what the edit overwrites; a refusal at any
+//! place takes back what was done before it, in the opposite order, so that every bit is as before. Undo takes the same
+//! way back.
+
+use super::active::{ActiveBefore, ActiveTip};
+use super::edits::EditRefusal;
+use super::hand::Hand;
+use super::loads::LoadsBefore;
+use super::organ::OrganBefore;
+use super::vessels::Vessels;
+use super::{QueuedSwap, World, own_contact_of};
+use crate::mesh::edit::{MeshEdit, MeshUndo, TopologyChange};
+use crate::model::{ModelUndo, follow_edit};
+use glisson_mesh::fault;
+
+/// What it takes to take one edit back. Buffers are used again.
+#[derive(Default)]
+pub(super) struct EditRecord {
+    pub(super) change: TopologyChange,
+    mesh: MeshUndo,
+    pub(super) model: ModelUndo,
+    /// Of the model that was delivered but had not taken over.
+    pub(super) waiting: Option<ModelUndo>,
+    organ: OrganBefore,
+    loads: LoadsBefore,
+    hands: Vec<Hand>,
+    active: Vec<ActiveBefore>,
+    vessels: Option<Vessels>,
+    /// Steps made when the edit was.
+    step: u64,
+    /// Tetrahedra that it removed before any other kind of edit was made.
+    pub(super) n_removed_first: usize,
+}
+
+/// How far an edit has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+enum Stage {
+    #[default]
+    Nothing,
+    Mesh,
+    Model,
+    WaitingModel,
+    Surface,
+    Loads,
+    Hands,
+    Vessels,
+}
+
+/// An edit under way.
+#[derive(Default)]
+struct Progress {
+    stage: Stage,
+    /// The ordered model that could not follow: it is dropped when all others have.
+    left_behind: Option<QueuedSwap>,
+}
+
+impl World {
+    /// Carries edits out as one, with what it takes to take them back in `record`.
+    ///
+    /// # Errors
+    /// [`EditRefusal`]; every bit is as before then.
+    pub(super) fn transact(
+        &mut self,
+        edits: &[MeshEdit],
+        record: &mut EditRecord,
+    ) -> Result<(), EditRefusal> {
+        let mut progress = Progress::default();
+        let done = self.carry_out(edits, record, &mut progress);
+        if done.is_err() {
+            self.roll_back(record, progress);
+        }
+        done
+    }
+
+    fn carry_out(
+        &mut self,
+        edits: &[MeshEdit],
+        record: &mut EditRecord,
+        progress: &mut Progress,
+    ) -> Result<(), EditRefusal> {
+        self.keep_what_follows(record);
+        let EditRecord { change, mesh, model, waiting, .. } = record;
+        let body = self.organ.body_mut();
+        match edits {
+            [edit] => body.apply_saving(edit, change, mesh)?,
+            _ => body.apply_all_saving(edits, change, mesh)?,
+        }
+        progress.stage = Stage::Mesh;
+        follow_edit(&mut self.model, self.organ.mesh(), change, model)?;
+        progress.stage = Stage::Model;
+        if let Some(awaited) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
+            let mut saved = ModelUndo::default();
+            match follow_edit(awaited, self.organ.mesh(), change, &mut saved) {
+                Ok(()) => *waiting = Some(saved),
+                // The present model has followed: it goes on.
+                Err(_) => progress.left_behind = self.swap.take(),
+            }
+        }
+        progress.stage = Stage::WaitingModel;
+        self.let_all_follow(record, progress)
+    }
+
+    /// What the edit may overwrite and does not keep itself.
+    fn keep_what_follows(&self, record: &mut EditRecord) {
+        record.step = self.step;
+        record.waiting = None;
+        record.hands.clone_from(&self.hands);
+        record.active.clear();
+        record.active.extend(self.active.iter().map(ActiveTip::before_edit));
+        record.vessels.clone_from(&self.vessels);
+    }
+
+    fn let_all_follow(
+        &mut self,
+        record: &mut EditRecord,
+        progress: &mut Progress,
+    ) -> Result<(), EditRefusal> {
+        let EditRecord { change, organ, loads, .. } = record;
+        fault::check("world: surface")?;
+        self.organ.follow_edit(change, organ);
+        self.organ.place_nodes(change, self.model.state().positions_m);
+        progress.stage = Stage::Surface;
+        fault::check("world: loads")?;
+        self.loads.follow(change, loads);
+        progress.stage = Stage::Loads;
+        fault::check("world: hands")?;
+        let topology = self.organ.body().topology();
+        self.hands.iter_mut().for_each(|hand| hand.follow(topology, change));
+        progress.stage = Stage::Hands;
+        fault::check("world: vessels")?;
+        if let Some(vessels) = &mut self.vessels {
+            vessels.follow(self.organ.body(), change, |triangle| self.organ.is_cut(triangle));
+        }
+        progress.stage = Stage::Vessels;
+        fault::check("world: self-contact")?;
+        let own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
+        fault::check("world: journal")?;
+        // From here on nothing can fail.
+        self.own_contact = own_contact;
+        self.active.iter_mut().for_each(|active| active.follow(self.organ.body(), change));
+        self.constraints.forces.reserve(self.organ.mesh().positions_m.len());
+        Ok(())
+    }
+
+    /// Takes back what an edit did that came so far and no further.
+    fn roll_back(&mut self, record: &mut EditRecord, progress: Progress) {
+        let Progress { stage, left_behind } = progress;
+        if stage >= Stage::Vessels {
+            self.vessels.clone_from(&record.vessels);
+        }
+        if stage >= Stage::Hands {
+            self.hands.clone_from(&record.hands);
+        }
+        if stage >= Stage::Loads {
+            self.loads.undo(&record.change, &record.loads);
+            self.loads.forget_edit(&record.loads);
+        }
+        if stage >= Stage::Model {
+            record.model.put_back(&mut self.model);
+        }
+        if let Some(swap) = left_behind {
+            self.swap = Some(swap);
+        } else if let (Some(waiting), Some(saved)) =
+            (self.swap.as_mut().and_then(|swap| swap.model.as_mut()), &mut record.waiting)
+        {
+            saved.put_back(waiting);
+        }
+        record.waiting = None;
+        if stage >= Stage::Surface {
+            self.organ.undo_edit(&record.mesh, &record.change, &record.organ);
+            self.organ.forget_edit(&record.organ);
+        } else if stage >= Stage::Mesh {
+            self.organ.body_mut().undo(&record.mesh);
+        }
+    }
+
+    /// Takes back an edit that was made, the last one that stands.
+    pub(super) fn take_back(&mut self, record: &mut EditRecord) {
+        record.model.put_back(&mut self.model);
+        // It was saved with the effort of its time.
+        self.keep_effort();
+        // A model that is still being made may be made from the organ with this cut.
+        self.swap.take_if(|swap| swap.model.is_none());
+        if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
+            match &mut record.waiting {
+                Some(saved) => saved.put_back(waiting),
+                // It came after the edit, which it cannot take back.
+                None => self.swap = None,
+            }
+        }
+        self.organ.undo_edit(&record.mesh, &record.change, &record.organ);
+        self.loads.undo(&record.change, &record.loads);
+        self.vessels.clone_from(&record.vessels);
+        if record.step == self.step {
+            self.hands.clone_from(&record.hands);
+        } else {
+            self.hands.iter_mut().for_each(Hand::let_go);
+            self.organ.rest_at(self.model.state().positions_m);
+        }
+        for (active, before) in self.active.iter_mut().zip(&record.active) {
+            active.go_back_to(before);
+        }
+        self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
+        self.owners.clear();
+        self.constraints.displacements.clear();
+        self.constraints.forces.clear();
+    }
+}

@@ -35,4 +35,4 @@ pub mod steering;
 pub mod devices;
 
 pub use incidents::Notice;
-pub use simulation::{OpenScene, Simulation};
+pub use simulation::{Broken, OpenScene, Simulation};

@@ -1,6 +1,9 @@
 //! A world with a clock, a session being recorded, and models that are made in the background.
 
+mod guard;
 mod scripted;
+
+pub use guard::Broken;
 
 use crate::incidents::{Incidents, Notice, Notices, Once};
 use crate::recorder::Recorder;
@@ -70,6 +73,8 @@ pub struct Simulation {
     is_live: bool,
     /// Tetrahedra that tore.
     n_torn: usize,
+    /// Why nothing more can be done with the world.
+    broken: Option<Broken>,
     /// What instruments follow that nobody has taken into the hand.
     script: Option<scripted::Run>,
 }
@@ -98,6 +103,7 @@ impl Simulation {
             orders_recomputations: true,
             is_live: true,
             n_torn: 0,
+            broken: None,
             script: None,
         })
     }
@@ -125,7 +131,14 @@ impl Simulation {
     }
 
     /// One step; first waits for a model that takes over at it.
+    ///
+    /// # Errors
+    /// [`Broken`] when the world cannot go on; when the session cannot be written or an input is not finite.
     pub fn advance(&mut self, input: &StepInput) -> anyhow::Result<StepReport> {
+        self.guarded(|simulation| simulation.make_step(input))
+    }
+
+    fn make_step(&mut self, input: &StepInput) -> anyhow::Result<StepReport> {
         if let Some(kind) = self.world.awaited_model() {
             self.take_delivery(kind)?;
         }
@@ -142,11 +155,8 @@ impl Simulation {
         let report = self.world.step(input);
         self.cut_with_tools();
         if report.n_non_finite_nodes > 0 {
-            bail!(
-                "step {}: {} nodes have no finite position; the session up to here is kept",
-                report.step,
-                report.n_non_finite_nodes
-            );
+            let reason = format!("{} nodes have no finite position", report.n_non_finite_nodes);
+            return Err(self.break_off(reason).into());
         }
         self.incidents.of_step(&report).into_iter().for_each(|incident| self.tell(incident));
         let is_asked = report.model.wants_recomputation && self.builder.is_none();
@@ -254,15 +264,18 @@ impl Simulation {
 
     /// What the haptic loop evaluates for an instrument until the next step.
     pub fn haptic_model(&mut self, tool: usize) -> HapticModel {
-        self.world.haptic_model(tool)
+        // Without a world there is nothing to feel.
+        self.guarded(|simulation| Ok(simulation.world.haptic_model(tool))).unwrap_or_default()
     }
 
     /// Everything back to rest.
     pub(crate) fn reset(&mut self) -> anyhow::Result<()> {
-        self.record(&SessionEvent::Reset { step: self.world.steps_made() })?;
-        self.script = None;
-        self.world.reset();
-        Ok(())
+        self.guarded(|simulation| {
+            simulation.record(&SessionEvent::Reset { step: simulation.world.steps_made() })?;
+            simulation.script = None;
+            simulation.world.reset();
+            Ok(())
+        })
     }
 
     /// Gravity from now on.
@@ -281,6 +294,10 @@ impl Simulation {
     /// Takes tetrahedra out of the organ. A model that cannot follow is no reason to stop: nothing changes, and the
     /// reason is told.
     pub fn remove_tetrahedra(&mut self, tets: Vec<TetId>) -> anyhow::Result<()> {
+        self.guarded(|simulation| simulation.remove_tetrahedra_now(tets))
+    }
+
+    fn remove_tetrahedra_now(&mut self, tets: Vec<TetId>) -> anyhow::Result<()> {
         self.record(&SessionEvent::Remove { step: self.world.steps_made(), tets: tets.clone() })?;
         if let Err(refusal) = self.world.remove_and_part(tets) {
             self.tell(format!("nothing was cut: {refusal}"));
@@ -290,6 +307,10 @@ impl Simulation {
 
     /// Makes the mesh finer around an instrument's tip; where that cannot be, the reason is told.
     pub(crate) fn refine_around(&mut self, tool: usize) -> anyhow::Result<()> {
+        self.guarded(|simulation| simulation.refine_around_now(tool))
+    }
+
+    fn refine_around_now(&mut self, tool: usize) -> anyhow::Result<()> {
         let n_tools = self.world.tools().len();
         if tool >= n_tools {
             self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
@@ -306,6 +327,10 @@ impl Simulation {
 
     /// Makes the mesh finer in a region.
     pub(crate) fn refine(&mut self, region: FineRegion) -> anyhow::Result<()> {
+        self.guarded(|simulation| simulation.refine_now(region))
+    }
+
+    fn refine_now(&mut self, region: FineRegion) -> anyhow::Result<()> {
         let FineRegion { center_m, radius_m, edge_m } = region;
         self.record(&SessionEvent::Refine { step: self.world.steps_made(), center_m, radius_m, edge_m })?;
         match self.world.refine(&region) {
@@ -318,6 +343,10 @@ impl Simulation {
 
     /// Takes the last cut back, if there is one that can be.
     pub(crate) fn undo_edit(&mut self) -> anyhow::Result<()> {
+        self.guarded(|simulation| simulation.undo_edit_now())
+    }
+
+    fn undo_edit_now(&mut self) -> anyhow::Result<()> {
         self.record(&SessionEvent::UndoEdit { step: self.world.steps_made() })?;
         if !self.world.undo_edit() {
             self.tell("there is no cut that could be taken back".to_owned());
@@ -330,6 +359,10 @@ impl Simulation {
 
     /// An instrument sets a clip on the vessel nearest to its tip; where there is none, the reason is told.
     pub(crate) fn clip_vessel(&mut self, tool: usize) -> anyhow::Result<()> {
+        self.guarded(|simulation| simulation.clip_vessel_now(tool))
+    }
+
+    fn clip_vessel_now(&mut self, tool: usize) -> anyhow::Result<()> {
         let n_tools = self.world.tools().len();
         if tool >= n_tools {
             self.tell(format!("there is no instrument {tool}: the scene has {n_tools}, numbered from 0"));
@@ -348,6 +381,10 @@ impl Simulation {
 
     /// Takes out what an instrument's tip touches.
     pub fn cut_at_tip(&mut self, tool: usize) -> anyhow::Result<()> {
+        self.guarded(|simulation| simulation.cut_at_tip_now(tool))
+    }
+
+    fn cut_at_tip_now(&mut self, tool: usize) -> anyhow::Result<()> {
         let tets = self.world.touched_tetrahedra(tool);
         if tets.is_empty() {
             self.tell("nothing was cut: the instrument's tip does not touch the organ".to_owned());
@@ -376,7 +413,13 @@ impl Simulation {
     }
 
     /// Ends the recording, if there is one.
+    ///
+    /// # Errors
+    /// [`Broken`] when it broke off before, and when the session cannot be written.
     pub fn finish(mut self) -> anyhow::Result<StateHash> {
+        if let Some(broken) = self.broken {
+            return Err(broken.into());
+        }
         let state_hash = self.world.state_hash();
         self.record(&SessionEvent::End { step: self.world.steps_made(), state_hash })?;
         if let Some(recorder) = self.recorder {

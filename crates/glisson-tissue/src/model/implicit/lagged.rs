@@ -26,6 +26,18 @@ pub(super) struct LaggedState {
     pub(super) viscous_share: f64,
 }
 
+impl LaggedState {
+    /// The same step of a body in its rest shape, held by nobody.
+    pub(super) fn at_rest(&self) -> Self {
+        Self {
+            displacement_m: vec![DVec3::ZERO; self.displacement_m.len()],
+            held: vec![false; self.held.len()],
+            strays: vec![false; self.strays.len()],
+            ..*self
+        }
+    }
+}
+
 /// A sparse factor of per_mass M + per_stiffness K at a [`LaggedState`].
 #[derive(Clone)]
 pub(super) struct Lagged {

@@ -274,7 +274,11 @@ impl ImplicitEuler {
                 ligaments: &self.ligaments,
             },
         };
-        self.lagged = Some(Lagged::new(&params, &self.elements, state)?);
+        // Where the present shape is too wild for a factor, that of the rest shape preconditions.
+        let of_rest = state.at_rest();
+        let lagged = Lagged::new(&params, &self.elements, state)
+            .or_else(|_| Lagged::new(&params, &self.elements, of_rest))?;
+        self.lagged = Some(lagged);
         Ok(())
     }
 

@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use anyhow::{Context, bail};
 use glisson_lab::bench::haptics::{self, HapticsRequest};
 use glisson_lab::bench::link::{self, LinkRequest};
+use glisson_lab::bench::scene::{self, SceneRequest};
 use glisson_lab::bench::{MachineBudget, Request, cases, measure};
 use glisson_net::link_address::LinkAddress;
 use glisson_runtime::realtime::CoreKept;
@@ -17,7 +18,8 @@ use glisson_runtime::realtime::CoreKept;
     after_help = "Examples:\n  glisson bench                                  every benchmark at its own sizes\n  \
                   glisson bench collision --json                 one benchmark, for a program to read\n  \
                   glisson bench precompute --sizes 6300 --threads 2\n  \
-                  glisson bench haptics --seconds 60 --json      the haptic loop, with and without stalls\n  glisson bench --list\n\n\
+                  glisson bench haptics --seconds 60 --json      the haptic loop, with and without stalls\n  glisson bench scene --motion push --model implicit --sizes 6300
+  glisson bench --list\n\n\
                   How to read the result: docs/bench.md."
 )]
 pub(crate) struct Args {
@@ -26,7 +28,7 @@ pub(crate) struct Args {
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
-    /// Time for each benchmark and size [s]; 1 when left out, 10 for each of the two runs of haptics and for link
+    /// Time for each benchmark and size [s]; 1 when left out, 10 for each of the two runs of haptics and for link; the most for each scene of scene, 60 when left out
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
     /// Ticks a second of the benchmarks haptics and link [Hz]: 100 to 4000
@@ -45,6 +47,12 @@ pub(crate) struct Args {
     /// Sizes instead of the benchmark's own, in tetrahedra unless it says otherwise
     #[arg(long, value_name = "N,N", value_delimiter = ',')]
     sizes: Option<Vec<usize>>,
+    /// One motion of the benchmark scene: rest, push, drag, cut or grasp; all when left out
+    #[arg(long, value_name = "NAME")]
+    motion: Option<String>,
+    /// One model of the benchmark scene; all when left out
+    #[arg(long, value_name = "NAME")]
+    model: Option<String>,
     /// List the benchmarks and what they time
     #[arg(long)]
     list: bool,
@@ -53,6 +61,9 @@ pub(crate) struct Args {
 /// Not cases: they do not time a closure.
 const LINK: &str = "link";
 const HAPTICS: &str = "haptics";
+const SCENE: &str = "scene";
+/// Livers of the benchmark scene, in tetrahedra.
+const SCENE_SIZES: [usize; 3] = [2_000, 6_300, 20_000];
 /// The liver of the demo.
 const HAPTICS_TETS: usize = 6_300;
 
@@ -80,6 +91,30 @@ fn run_haptics(args: &Args) -> anyhow::Result<()> {
         println!("{answer:#}");
     } else {
         print!("{}", haptics::to_text(&answer));
+    }
+    Ok(())
+}
+
+fn run_scenes(args: &Args) -> anyhow::Result<()> {
+    let request = SceneRequest {
+        motion: args.motion.clone(),
+        model: args.model.clone(),
+        sizes: args.sizes.clone().unwrap_or(SCENE_SIZES.to_vec()),
+        threads: args.threads,
+        seconds: args.seconds.unwrap_or(60.0),
+    };
+    let bar = progress_bar();
+    let report = scene::measure(&request, &|text, done, total| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+        bar.set_message(text.to_owned());
+    });
+    bar.finish_and_clear();
+    let report = report?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        print!("{}", report.to_table());
     }
     Ok(())
 }
@@ -118,11 +153,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
             "{HAPTICS:width$}  the haptic loop beside a simulation and a viewer, with stalls and without (not in all)"
         );
         println!("{LINK:width$}  what a link between two machines adds (not in all)");
+        println!(
+            "{SCENE:width$}  whole scenes on a liver: rest, push, drag, cut, grasp with every model (not in all)"
+        );
         return Ok(());
     }
     match args.name.as_deref() {
         Some(HAPTICS) => return run_haptics(args),
         Some(LINK) => return run_link(args),
+        Some(SCENE) => return run_scenes(args),
         _ => {}
     }
     let request = Request {

@@ -33,6 +33,7 @@ mod core_use;
 mod empty_loop;
 pub mod haptics;
 pub mod link;
+pub mod scene;
 
 pub use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;

@@ -32,8 +32,8 @@ pub use explicit::{ExplicitError, Inertia, Integration};
 pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
 pub use state_hash::StateHash;
-pub use undo::{ModelUndo, follow_edit};
 use undo::UndoReader;
+pub use undo::{ModelUndo, follow_edit};
 
 use glisson_mesh::fault::OrderedFault;
 use glisson_mesh::math::DVec3;

@@ -113,10 +113,7 @@ fn edits(world: &World) -> Vec<(&'static str, Vec<MeshEdit>)> {
         ("split", vec![MeshEdit::Split { edges: vec![split(near[4])] }]),
         (
             "split and removal",
-            vec![
-                MeshEdit::Split { edges: vec![split(near[4])] },
-                MeshEdit::Remove { tets: vec![near[11]] },
-            ],
+            vec![MeshEdit::Split { edges: vec![split(near[4])] }, MeshEdit::Remove { tets: vec![near[11]] }],
         ),
         (
             "copy of a node",
@@ -181,7 +178,8 @@ fn a_fault_at_any_place_of_an_edit_leaves_every_bit_as_it_was_in_every_model() {
         println!("{name}: {} faults", places.len());
         places.sort_unstable();
         places.dedup();
-        for place in ["mesh: before an edit", "model: before it follows", "world: surface", "world: journal"] {
+        for place in ["mesh: before an edit", "model: before it follows", "world: surface", "world: journal"]
+        {
             assert!(places.contains(&place), "{name}: {place} was not among {places:?}");
         }
         // The way back is whole, too.
@@ -196,11 +194,9 @@ fn a_fault_at_any_place_of_an_edit_leaves_every_bit_as_it_was_in_every_model() {
 /// With a model that was delivered and waits to take over: it follows, is put back with the rest, and takes over.
 #[test]
 fn a_model_that_waits_to_take_over_is_put_back_with_the_rest() {
-    for (case, kind) in [
-        (CASES[1], ModelKind::Implicit),
-        (CASES[6], ModelKind::TensorMass),
-        (CASES[0], ModelKind::Explicit),
-    ] {
+    for (case, kind) in
+        [(CASES[1], ModelKind::Implicit), (CASES[6], ModelKind::TensorMass), (CASES[0], ModelKind::Explicit)]
+    {
         let name = format!("{} before {kind:?}", case.0);
         let prepared = || {
             let (mut world, body) = touched_world(case);

@@ -43,12 +43,14 @@ impl ImplicitEuler {
             is_viscous: self.relaxation.is_some(),
         });
         fault::check("implicit: elements")?;
-        self.elements = elements.map_err(|_| refused("a tetrahedron that is left cannot bear the law; undo the last edit"))?;
+        self.elements = elements
+            .map_err(|_| refused("a tetrahedron that is left cannot bear the law; undo the last edit"))?;
         self.is_suspect = true;
         self.elements.quarantine(&self.displacement_m, before);
         self.n_reanalyses += 1;
         fault::check("implicit: factor")?;
-        self.analyse().map_err(|_| refused("the remaining mesh could not be factored; build the model anew"))?;
+        self.analyse()
+            .map_err(|_| refused("the remaining mesh could not be factored; build the model anew"))?;
         // A held or loaded node that lost its last tetrahedron has nothing to pull on.
         for n in 0..self.n_nodes() {
             if !self.moves[n] {

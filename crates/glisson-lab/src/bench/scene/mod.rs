@@ -1,0 +1,344 @@
+//! `glisson bench scene`: whole scenes on the synthetic patient's liver, as `glisson run` makes them. The benchmarks of
+//! parts say what a part costs; these say whether what a hand does is in real time.
+
+mod motions;
+
+pub use motions::{MOTIONS, Motion};
+
+use super::timing::{quantile, thread_cpu_ns};
+use super::{Machine, MachineBudget};
+use crate::scratch::ScratchFolder;
+use crate::validate::bodies::liver;
+use anyhow::{Context, bail, ensure};
+use glisson::mesh::files::write_mesh;
+use glisson::scene::Scene;
+use glisson_runtime::{OpenScene, Simulation};
+use motions::Place;
+use serde::Serialize;
+use std::time::Instant;
+
+/// A model with a law, and the time step with which its scenes run.
+#[derive(Clone, Copy)]
+struct Subject {
+    model: &'static str,
+    /// None: the model's own.
+    law: Option<&'static str>,
+    /// The longest step that is tried [s]; halved until the model takes it.
+    step_s: f64,
+    /// Whether an edit of the mesh is followed.
+    follows_cuts: bool,
+}
+
+const fn subject(model: &'static str, law: Option<&'static str>, step_s: f64) -> Subject {
+    Subject { model, law, step_s, follows_cuts: true }
+}
+
+/// Every model of scenes but `quasi_nonlinear`, which needs measured curves.
+const SUBJECTS: &[Subject] = &[
+    subject("precomputed", None, 1e-3),
+    subject("hybrid", None, 1e-3),
+    Subject { follows_cuts: false, ..subject("reduced", None, 1e-3) },
+    subject("tensor_mass", None, 1e-3),
+    subject("explicit", Some("st_venant_kirchhoff"), 1e-3),
+    subject("explicit", Some("stable_neo_hooke"), 1e-3),
+    subject("implicit", Some("neo_hooke_log"), 2e-3),
+    subject("implicit", Some("stable_neo_hooke"), 2e-3),
+    subject("mass_spring", None, 1e-3),
+    subject("extended_mass_spring", None, 1e-3),
+    subject("nonlinear_tensor_mass", None, 1e-3),
+];
+/// Steps shorter than this [s] are not tried.
+const SHORTEST_STEP_S: f64 = 1e-5;
+
+/// What to measure.
+#[derive(Clone, Debug)]
+pub struct SceneRequest {
+    /// One motion; all for none.
+    pub motion: Option<String>,
+    /// One model; all for none.
+    pub model: Option<String>,
+    /// Wanted tetrahedra.
+    pub sizes: Vec<usize>,
+    /// Threads of the models that use several.
+    pub threads: usize,
+    /// A scene is broken off after so much processor time [s].
+    pub seconds: f64,
+}
+
+/// Times of steps, in microseconds of processor time (of wall time with several threads).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct StepMicroseconds {
+    /// Median.
+    pub p50: f64,
+    /// 99 of 100 take no longer.
+    pub p99: f64,
+    /// The longest.
+    pub max: f64,
+}
+
+/// One scene.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SceneOutcome {
+    /// The motion's name.
+    pub case: &'static str,
+    /// Tetrahedra at the start.
+    pub size: usize,
+    /// Threads of the model.
+    pub threads: usize,
+    /// The model's scene name.
+    pub model: &'static str,
+    /// The law that it followed.
+    pub law: &'static str,
+    /// Simulated time over time taken.
+    pub real_time_factor: f64,
+    /// A step with its contacts and cuts.
+    pub step_us: StepMicroseconds,
+    /// The time step: what a step may take in real time.
+    pub budget_us: f64,
+    /// The greatest force on an instrument [N].
+    pub greatest_force_n: Option<f64>,
+    /// The most tetrahedra that were inverted, or without finite numbers, in one step.
+    pub inverted: u32,
+    /// How thoroughly steps were computed at the end.
+    pub effort: &'static str,
+    /// Simulated time [s].
+    pub simulated_s: f64,
+    /// Why it ended before the motion's end, if it did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub broken_off: Option<String>,
+}
+
+/// The answer to a request.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SceneReport {
+    /// `scene`.
+    pub bench: &'static str,
+    /// The machine's peaks.
+    pub machine: Machine,
+    /// One for each motion, size and model.
+    pub results: Vec<SceneOutcome>,
+}
+
+/// Runs what `request` asks for; `tell` hears before each scene what comes (name, number done, number in all).
+///
+/// # Errors
+/// For an unknown motion or model and a bad setting, or when a scene cannot be set up.
+pub fn measure(request: &SceneRequest, tell: &dyn Fn(&str, usize, usize)) -> anyhow::Result<SceneReport> {
+    ensure!(request.seconds > 0.0 && request.seconds.is_finite(), "--seconds must be above 0");
+    ensure!((1..=64).contains(&request.threads), "--threads {}: must be 1 to 64", request.threads);
+    let motions = chosen(request.motion.as_deref(), MOTIONS, "motion", |motion| motion.name)?;
+    let subjects = chosen(request.model.as_deref(), SUBJECTS, "model", |subject| subject.model)?;
+    let mut jobs = Vec::new();
+    for &size in &request.sizes {
+        ensure!(size > 0, "--sizes: a size must be above 0");
+        for motion in &motions {
+            let follow = |subject: &&Subject| subject.follows_cuts || !motion.cuts;
+            jobs.extend(subjects.iter().filter(follow).map(|subject| (size, *motion, *subject)));
+        }
+    }
+    tell("machine", 0, jobs.len());
+    let machine = Machine::measure(MachineBudget::default())?;
+    let mut results = Vec::new();
+    for (done, (size, motion, subject)) in jobs.iter().enumerate() {
+        let name = format!("{}, {} at {size}", motion.name, subject.model);
+        tell(&name, done, jobs.len());
+        results.push(run_scene(motion, *size, subject, request).with_context(|| name)?);
+    }
+    Ok(SceneReport { bench: "scene", machine, results })
+}
+
+fn chosen<T: Copy>(
+    name: Option<&str>,
+    all: &[T],
+    what: &str,
+    name_of: impl Fn(&T) -> &'static str,
+) -> anyhow::Result<Vec<T>> {
+    let Some(name) = name else { return Ok(all.to_vec()) };
+    let found: Vec<T> = all.iter().filter(|one| name_of(one) == name).copied().collect();
+    if found.is_empty() {
+        let mut names: Vec<&str> = all.iter().map(name_of).collect();
+        names.dedup();
+        let hint = glisson::text::did_you_mean(name, &names);
+        bail!("bench scene has no {what} {name:?}{hint}\nknown: {}", names.join(", "));
+    }
+    Ok(found)
+}
+
+/// A scene that is set up.
+struct Opened {
+    simulation: Simulation,
+    scene: Scene,
+    step_s: f64,
+    end_s: f64,
+    size: usize,
+}
+
+/// Sets a scene up, with the longest time step that the model takes.
+fn open(motion: &Motion, size: usize, subject: &Subject, threads: usize) -> anyhow::Result<Opened> {
+    let mesh = liver(size)?;
+    let folder = ScratchFolder::new()?;
+    write_mesh(&folder.path().join("liver.vtu"), &mesh)?;
+    let (tool, end_s) = (motion.write)(&Place::of(&mesh));
+    let path = folder.path().join("scene.toml");
+    let mut step_s = subject.step_s;
+    loop {
+        std::fs::write(&path, scene_text(subject, step_s, &tool))?;
+        let source = OpenScene { n_threads: threads, ..OpenScene::read(&path)? };
+        let scene = source.scene.clone();
+        match Simulation::open(source, None) {
+            Ok(simulation) => {
+                return Ok(Opened { simulation, scene, step_s, end_s, size: mesh.tetrahedra.len() });
+            }
+            Err(error) if step_s < 2.0 * SHORTEST_STEP_S || !is_step_too_long(&error) => return Err(error),
+            Err(_) => step_s *= 0.5,
+        }
+    }
+}
+
+fn is_step_too_long(error: &anyhow::Error) -> bool {
+    format!("{error:#}").contains("is above the stable one")
+}
+
+fn scene_text(subject: &Subject, step_s: f64, tool: &str) -> String {
+    let law = subject.law.map_or(String::new(), |law| format!("law = \"{law}\"\n"));
+    format!(
+        "glisson_scene = 1\n[simulation]\ntime_step = \"{} us\"\n\
+         [organ]\nmesh = \"liver.vtu\"\ntissue = \"liver\"\nmodel = \"{}\"\n{law}damping = \"20 1/s\"\n\
+         [[organ.fixed]]\nfurthest = {{ direction = [0, 1, 0.4], fraction = 0.1 }}\n{tool}",
+        step_s * 1e6,
+        subject.model
+    )
+}
+
+fn run_scene(
+    motion: &Motion,
+    size: usize,
+    subject: &Subject,
+    request: &SceneRequest,
+) -> anyhow::Result<SceneOutcome> {
+    let Opened { mut simulation, scene, step_s, end_s, size } = open(motion, size, subject, request.threads)?;
+    let n_steps = (end_s / step_s).ceil() as u64;
+    let mut step_us = Vec::with_capacity(n_steps as usize);
+    let (mut greatest_force_n, mut inverted, mut taken_s) = (0.0_f64, 0, 0.0);
+    let mut broken_off = None;
+    for step in 1..=n_steps {
+        let input = scene.input_at(step as f64 * step_s);
+        let (wall, cpu_ns) = (Instant::now(), thread_cpu_ns());
+        let made = simulation.advance(&input);
+        let step_taken_s = if request.threads == 1 {
+            (thread_cpu_ns() - cpu_ns) as f64 * 1e-9
+        } else {
+            wall.elapsed().as_secs_f64()
+        };
+        taken_s += step_taken_s;
+        step_us.push(step_taken_s * 1e6);
+        let report = match made {
+            Ok(report) => report,
+            Err(error) => {
+                broken_off = Some(format!("{error:#}"));
+                break;
+            }
+        };
+        let felt = report.tools.iter().map(|tool| tool.force_on_tool_n.length());
+        // NaN is the greatest of all.
+        greatest_force_n =
+            felt.fold(greatest_force_n, |most, n| if n > most || n.is_nan() { n } else { most });
+        inverted = inverted.max(report.model.n_quarantined_tets);
+        if taken_s > request.seconds {
+            broken_off = Some(format!("it took longer than {} s", request.seconds));
+            break;
+        }
+    }
+    let simulated_s = step_us.len() as f64 * step_s;
+    step_us.sort_unstable_by(f64::total_cmp);
+    let percentiles = StepMicroseconds {
+        p50: quantile(&step_us, 0.5),
+        p99: quantile(&step_us, 0.99),
+        max: step_us.last().copied().unwrap_or(0.0),
+    };
+    let kind = simulation.world().model_kind();
+    Ok(SceneOutcome {
+        case: motion.name,
+        size,
+        threads: request.threads,
+        model: subject.model,
+        law: subject.law.or(kind.laws().first().copied()).unwrap_or("springs"),
+        real_time_factor: simulated_s / taken_s.max(1e-12),
+        step_us: percentiles,
+        budget_us: step_s * 1e6,
+        greatest_force_n: greatest_force_n.is_finite().then_some(greatest_force_n),
+        inverted,
+        effort: simulation.world().effort().name(),
+        simulated_s,
+        broken_off,
+    })
+}
+
+impl SceneReport {
+    /// A table for people.
+    pub fn to_table(&self) -> String {
+        let mut text = format!(
+            "machine: {}, one core: FMA {:.1} GFLOP/s f64\n{:<6} {:>6} {:<22} {:<20} {:>9} {:>9} {:>9} {:>9} {:>9} {:>10} {:>8}\n",
+            self.machine.cpu,
+            self.machine.fma_gflops_f64,
+            "case",
+            "size",
+            "model",
+            "law",
+            "real time",
+            "p50 us",
+            "p99 us",
+            "max us",
+            "budget us",
+            "force N",
+            "inverted"
+        );
+        for r in &self.results {
+            let force = r
+                .greatest_force_n
+                .map_or("none".to_owned(), |n| if n < 1e4 { format!("{n:.3}") } else { format!("{n:.1e}") });
+            text += &format!(
+                "{:<6} {:>6} {:<22} {:<20} {:>9.2} {:>9.0} {:>9.0} {:>9.0} {:>9.0} {force:>10} {:>8}{}\n",
+                r.case,
+                r.size,
+                r.model,
+                r.law,
+                r.real_time_factor,
+                r.step_us.p50,
+                r.step_us.p99,
+                r.step_us.max,
+                r.budget_us,
+                r.inverted,
+                r.broken_off.as_ref().map_or(String::new(), |why| format!("  broken off: {why}")),
+            );
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_motion_runs_with_a_model_and_what_it_meets_is_told() {
+        let request = SceneRequest {
+            motion: None,
+            model: Some("tensor_mass".into()),
+            sizes: vec![500],
+            threads: 1,
+            seconds: 60.0,
+        };
+        for motion in MOTIONS {
+            let outcome = run_scene(motion, 500, &SUBJECTS[3], &request).unwrap();
+            assert_eq!(outcome.broken_off, None, "{}", motion.name);
+            let force_n = outcome.greatest_force_n.unwrap();
+            assert_eq!(force_n > 0.0, !matches!(motion.name, "rest"), "{}: {force_n} N", motion.name);
+            assert!(outcome.step_us.p50 <= outcome.step_us.p99 && outcome.step_us.p99 <= outcome.step_us.max);
+            assert!(outcome.budget_us <= 1e3 && outcome.real_time_factor > 0.0);
+        }
+        let wrong = SceneRequest { motion: Some("pusch".into()), ..request };
+        let error = measure(&wrong, &|_, _, _| {}).unwrap_err().to_string();
+        assert!(error.contains("did you mean \"push\""), "{error}");
+    }
+}

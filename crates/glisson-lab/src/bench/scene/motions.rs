@@ -1,0 +1,192 @@
+//! What the instruments of `bench scene` do: scene text of a tool and its path, from the organ's own shape.
+
+use glam::DVec3;
+use glisson::math::SeededRandom;
+use glisson::mesh::TetMesh;
+use std::fmt::Write as _;
+
+/// Depths of push and drag, ways of drag and lift [m].
+const PUSH_DEPTH_M: f64 = 0.015;
+const DRAG_DEPTH_M: f64 = 0.020;
+const DRAG_WAY_M: f64 = 0.040;
+const LIFT_M: f64 = 0.030;
+/// How far above the organ an instrument waits [m].
+const ABOVE_M: f64 = 0.03;
+/// Speed of an instrument [m/s]: that of a careful hand.
+const SPEED_M_PER_S: f64 = 0.05;
+/// A stroke of the scalpel goes as fast [m/s], so deep [m] and so far [m].
+const STROKE_SPEED_M_PER_S: f64 = 0.1;
+const STROKE_DEPTH_M: f64 = 0.012;
+const STROKE_M: f64 = 0.05;
+const N_STROKES: usize = 8;
+/// Seed of the strokes' places.
+const SEED: u64 = 26;
+
+/// A motion: what the scene calls it, and how its tool and path are written.
+#[derive(Clone, Copy)]
+pub struct Motion {
+    /// Name on the command line and in the result.
+    pub name: &'static str,
+    /// One line: what happens.
+    pub about: &'static str,
+    /// Whether it edits the mesh.
+    pub cuts: bool,
+    /// Scene text of the instrument, and how long it takes [s].
+    pub(super) write: fn(&Place) -> (String, f64),
+}
+
+/// Every motion, in the order in which they run.
+pub const MOTIONS: &[Motion] = &[
+    Motion { name: "rest", about: "nothing touches the organ for half a second", cuts: false, write: rest },
+    Motion {
+        name: "push",
+        about: "a ball of 6 mm goes 15 mm into the organ and out again",
+        cuts: false,
+        write: push,
+    },
+    Motion {
+        name: "drag",
+        about: "a tip of 3 mm with friction 0.05 goes 20 mm in, 40 mm along and out again",
+        cuts: false,
+        write: drag,
+    },
+    Motion {
+        name: "cut",
+        about: "eight strokes of a scalpel, 12 mm deep and 50 mm long",
+        cuts: true,
+        write: cut,
+    },
+    Motion {
+        name: "grasp",
+        about: "jaws close on the organ, lift it by 30 mm and let go",
+        cuts: false,
+        write: grasp,
+    },
+];
+
+/// Where the organ is touched: the patient lies on the back, the instruments come from the front (-y).
+pub(super) struct Place {
+    /// The organ's foremost node near its middle, at rest [m].
+    top_m: DVec3,
+    /// Half sizes of the organ [m].
+    half_m: DVec3,
+}
+
+impl Place {
+    pub(super) fn of(mesh: &TetMesh) -> Self {
+        let start = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+        let [min_m, max_m] =
+            mesh.positions_m.iter().fold(start, |[low, high], p| [low.min(*p), high.max(*p)]);
+        let (middle_m, half_m) = (0.5 * (min_m + max_m), 0.5 * (max_m - min_m));
+        // Within a quarter of the organ around its middle.
+        let is_near = |p: &&DVec3| {
+            let way = (**p - middle_m) / half_m;
+            way.x.abs() < 0.25 && way.z.abs() < 0.25
+        };
+        let foremost = mesh.positions_m.iter().filter(is_near).min_by(|a, b| a.y.total_cmp(&b.y));
+        Self { top_m: foremost.copied().unwrap_or(middle_m), half_m }
+    }
+
+    /// A place so far in from the touched one [m], and to the side along x and z.
+    fn at(&self, depth_m: f64, x_m: f64, z_m: f64) -> DVec3 {
+        self.top_m + DVec3::new(x_m, depth_m, z_m)
+    }
+}
+
+/// Writes a path, point by point at a given speed.
+struct Path {
+    text: String,
+    time_s: f64,
+    last_m: DVec3,
+}
+
+impl Path {
+    /// An instrument `tool` (scene lines) that begins at `home_m`.
+    fn new(tool: &str, home_m: DVec3) -> Self {
+        let text = format!("[[tool]]\n{tool}home_tip = {}\nhome_shaft = [0, -1, 0.2]\n", place(home_m));
+        let mut path = Self { text, time_s: 0.0, last_m: home_m };
+        path.point(0.0, home_m, "");
+        path
+    }
+
+    fn point(&mut self, wait_s: f64, tip_m: DVec3, more: &str) {
+        self.time_s += wait_s;
+        self.last_m = tip_m;
+        // Writing to a text does not fail.
+        let _ = write!(
+            self.text,
+            "[[tool.path]]\ntime = \"{:.6} s\"\ntip = {}\n{more}",
+            self.time_s,
+            place(tip_m)
+        );
+    }
+
+    fn go(&mut self, tip_m: DVec3, speed_m_per_s: f64, more: &str) {
+        let way_m = self.last_m.distance(tip_m);
+        self.point((way_m / speed_m_per_s).max(1e-3), tip_m, more);
+    }
+
+    fn done(self) -> (String, f64) {
+        (self.text, self.time_s)
+    }
+}
+
+fn place(p_m: DVec3) -> String {
+    format!("[\"{:.6} m\", \"{:.6} m\", \"{:.6} m\"]", p_m.x, p_m.y, p_m.z)
+}
+
+fn rest(at: &Place) -> (String, f64) {
+    let home_m = at.at(-0.1, 0.0, 0.0);
+    let mut path = Path::new("kind = \"probe\"\ntip_radius = \"6 mm\"\n", home_m);
+    path.point(0.5, home_m, "");
+    path.done()
+}
+
+fn push(at: &Place) -> (String, f64) {
+    let home_m = at.at(-ABOVE_M, 0.0, 0.0);
+    let mut path = Path::new("kind = \"probe\"\ntip_radius = \"6 mm\"\n", home_m);
+    path.go(at.at(PUSH_DEPTH_M - 6e-3, 0.0, 0.0), SPEED_M_PER_S, "");
+    path.go(home_m, SPEED_M_PER_S, "");
+    path.done()
+}
+
+fn drag(at: &Place) -> (String, f64) {
+    let home_m = at.at(-ABOVE_M, 0.0, 0.0);
+    let mut path = Path::new("kind = \"probe\"\ntip_radius = \"3 mm\"\nfriction = 0.05\n", home_m);
+    path.go(at.at(DRAG_DEPTH_M - 3e-3, 0.0, 0.0), SPEED_M_PER_S, "");
+    path.go(at.at(DRAG_DEPTH_M - 3e-3, DRAG_WAY_M, 0.0), SPEED_M_PER_S, "");
+    path.go(at.at(-ABOVE_M, DRAG_WAY_M, 0.0), SPEED_M_PER_S, "");
+    path.done()
+}
+
+fn cut(at: &Place) -> (String, f64) {
+    let home_m = at.at(-ABOVE_M, 0.0, 0.0);
+    let mut path = Path::new("kind = \"scalpel\"\ntip_radius = \"1 mm\"\nblade_length = \"20 mm\"\n", home_m);
+    let mut random = SeededRandom::new(SEED);
+    let (on, off) = ("trigger = 1\n", "trigger = 0\n");
+    for _ in 0..N_STROKES {
+        let x_m = random.uniform_in(-0.3, 0.3) * at.half_m.x;
+        let z_m = random.uniform_in(-0.3, 0.3) * at.half_m.z;
+        let angle_rad = random.uniform_in(0.0, std::f64::consts::PI);
+        let (along_x_m, along_z_m) = (STROKE_M * angle_rad.cos(), STROKE_M * angle_rad.sin());
+        path.go(at.at(-ABOVE_M, x_m, z_m), 1.0, off);
+        path.go(at.at(STROKE_DEPTH_M, x_m, z_m), STROKE_SPEED_M_PER_S, on);
+        path.go(at.at(STROKE_DEPTH_M, x_m + along_x_m, z_m + along_z_m), STROKE_SPEED_M_PER_S, on);
+        path.go(at.at(-ABOVE_M, x_m + along_x_m, z_m + along_z_m), STROKE_SPEED_M_PER_S, off);
+    }
+    path.done()
+}
+
+fn grasp(at: &Place) -> (String, f64) {
+    let home_m = at.at(-ABOVE_M, 0.0, 0.0);
+    let tool = "kind = \"grasper\"\ntip_radius = \"3 mm\"\njaw_length = \"20 mm\"\nhome_jaw = 1\n";
+    let mut path = Path::new(tool, home_m);
+    let (open, closed) = ("jaw = 1\n", "jaw = 0\n");
+    let held_m = at.at(6e-3, 0.0, 0.0);
+    path.go(held_m, SPEED_M_PER_S, open);
+    path.point(0.2, held_m, closed);
+    path.go(held_m - DVec3::Y * LIFT_M, SPEED_M_PER_S, closed);
+    path.point(0.1, held_m - DVec3::Y * LIFT_M, closed);
+    path.point(0.1, held_m - DVec3::Y * LIFT_M, open);
+    path.done()
+}

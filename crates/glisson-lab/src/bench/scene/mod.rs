@@ -99,6 +99,8 @@ pub struct SceneOutcome {
     pub greatest_force_n: Option<f64>,
     /// The most tetrahedra that were inverted, or without finite numbers, in one step.
     pub inverted: u32,
+    /// Edits of the mesh.
+    pub edits: usize,
     /// How thoroughly steps were computed at the end.
     pub effort: &'static str,
     /// Simulated time [s].
@@ -268,6 +270,7 @@ fn run_scene(
         budget_us: step_s * 1e6,
         greatest_force_n: greatest_force_n.is_finite().then_some(greatest_force_n),
         inverted,
+        edits: simulation.world().organ().topology_version() as usize - 1,
         effort: simulation.world().effort().name(),
         simulated_s,
         broken_off,
@@ -278,7 +281,7 @@ impl SceneReport {
     /// A table for people.
     pub fn to_table(&self) -> String {
         let mut text = format!(
-            "machine: {}, one core: FMA {:.1} GFLOP/s f64\n{:<6} {:>6} {:<22} {:<20} {:>9} {:>9} {:>9} {:>9} {:>9} {:>10} {:>8}\n",
+            "machine: {}, one core: FMA {:.1} GFLOP/s f64\n{:<6} {:>6} {:<22} {:<20} {:>9} {:>9} {:>9} {:>9} {:>9} {:>10} {:>8} {:>6}\n",
             self.machine.cpu,
             self.machine.fma_gflops_f64,
             "case",
@@ -291,14 +294,15 @@ impl SceneReport {
             "max us",
             "budget us",
             "force N",
-            "inverted"
+            "inverted",
+            "edits"
         );
         for r in &self.results {
             let force = r
                 .greatest_force_n
                 .map_or("none".to_owned(), |n| if n < 1e4 { format!("{n:.3}") } else { format!("{n:.1e}") });
             text += &format!(
-                "{:<6} {:>6} {:<22} {:<20} {:>9.2} {:>9.0} {:>9.0} {:>9.0} {:>9.0} {force:>10} {:>8}{}\n",
+                "{:<6} {:>6} {:<22} {:<20} {:>9.2} {:>9.0} {:>9.0} {:>9.0} {:>9.0} {force:>10} {:>8} {:>6}{}\n",
                 r.case,
                 r.size,
                 r.model,
@@ -309,6 +313,7 @@ impl SceneReport {
                 r.step_us.max,
                 r.budget_us,
                 r.inverted,
+                r.edits,
                 r.broken_off.as_ref().map_or(String::new(), |why| format!("  broken off: {why}")),
             );
         }
@@ -335,6 +340,7 @@ mod tests {
             let force_n = outcome.greatest_force_n.unwrap();
             assert_eq!(force_n > 0.0, !matches!(motion.name, "rest"), "{}: {force_n} N", motion.name);
             assert!(outcome.step_us.p50 <= outcome.step_us.p99 && outcome.step_us.p99 <= outcome.step_us.max);
+            assert_eq!(outcome.edits > 0, motion.cuts, "{}", motion.name);
             assert!(outcome.budget_us <= 1e3 && outcome.real_time_factor > 0.0);
         }
         let wrong = SceneRequest { motion: Some("pusch".into()), ..request };

@@ -19,6 +19,9 @@ const STROKE_SPEED_M_PER_S: f64 = 0.1;
 const STROKE_DEPTH_M: f64 = 0.012;
 const STROKE_M: f64 = 0.05;
 const N_STROKES: usize = 8;
+/// Points of a stroke, which follows the organ's front; nodes so near [m] tell where that is.
+const N_POINTS: usize = 6;
+const COLUMN_M: f64 = 0.012;
 /// Seed of the strokes' places.
 const SEED: u64 = 26;
 
@@ -70,6 +73,7 @@ pub(super) struct Place {
     top_m: DVec3,
     /// Half sizes of the organ [m].
     half_m: DVec3,
+    positions_m: Vec<DVec3>,
 }
 
 impl Place {
@@ -84,12 +88,24 @@ impl Place {
             way.x.abs() < 0.25 && way.z.abs() < 0.25
         };
         let foremost = mesh.positions_m.iter().filter(is_near).min_by(|a, b| a.y.total_cmp(&b.y));
-        Self { top_m: foremost.copied().unwrap_or(middle_m), half_m }
+        let top_m = foremost.copied().unwrap_or(middle_m);
+        Self { top_m, half_m, positions_m: mesh.positions_m.clone() }
     }
 
     /// A place so far in from the touched one [m], and to the side along x and z.
     fn at(&self, depth_m: f64, x_m: f64, z_m: f64) -> DVec3 {
         self.top_m + DVec3::new(x_m, depth_m, z_m)
+    }
+}
+
+impl Place {
+    /// A place `depth_m` under the front of the organ, to the side along x and z [m].
+    fn under(&self, depth_m: f64, x_m: f64, z_m: f64) -> DVec3 {
+        let at = self.at(0.0, x_m, z_m);
+        let aside_m = |p: &DVec3| (p.x - at.x).hypot(p.z - at.z);
+        let near = self.positions_m.iter().filter(|p| aside_m(p) < COLUMN_M);
+        let front_m = near.map(|p| p.y).min_by(f64::total_cmp).unwrap_or(at.y);
+        DVec3::new(at.x, front_m + depth_m, at.z)
     }
 }
 
@@ -170,8 +186,11 @@ fn cut(at: &Place) -> (String, f64) {
         let angle_rad = random.uniform_in(0.0, std::f64::consts::PI);
         let (along_x_m, along_z_m) = (STROKE_M * angle_rad.cos(), STROKE_M * angle_rad.sin());
         path.go(at.at(-ABOVE_M, x_m, z_m), 1.0, off);
-        path.go(at.at(STROKE_DEPTH_M, x_m, z_m), STROKE_SPEED_M_PER_S, on);
-        path.go(at.at(STROKE_DEPTH_M, x_m + along_x_m, z_m + along_z_m), STROKE_SPEED_M_PER_S, on);
+        for i in 0..N_POINTS {
+            let share = i as f64 / (N_POINTS - 1) as f64;
+            let (x_m, z_m) = (x_m + share * along_x_m, z_m + share * along_z_m);
+            path.go(at.under(STROKE_DEPTH_M, x_m, z_m), STROKE_SPEED_M_PER_S, on);
+        }
         path.go(at.at(-ABOVE_M, x_m + along_x_m, z_m + along_z_m), STROKE_SPEED_M_PER_S, off);
     }
     path.done()

@@ -8,6 +8,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 pub struct ScratchFolder(PathBuf);
 
 impl ScratchFolder {
+    /// A new, empty folder.
+    ///
+    /// # Errors
+    /// When it cannot be made.
     pub fn new() -> anyhow::Result<Self> {
         static MADE: AtomicUsize = AtomicUsize::new(0);
         let number = MADE.fetch_add(1, Ordering::Relaxed);
@@ -16,6 +20,7 @@ impl ScratchFolder {
         Ok(Self(path))
     }
 
+    /// Where it is.
     pub fn path(&self) -> &Path {
         &self.0
     }

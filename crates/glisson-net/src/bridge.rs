@@ -50,7 +50,9 @@ impl HapticsScene {
 
 /// The haptics machine's end.
 pub struct HapticsSide {
+    /// The exchange of messages.
     pub conversation: Conversation,
+    /// Where touches are looked for.
     pub detection: Detection,
     pub(crate) news: Vec<DeviceNews>,
 }

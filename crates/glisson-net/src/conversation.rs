@@ -24,10 +24,13 @@ pub(crate) const CUT_NS: u64 = 50_000_000;
 /// Who talks.
 #[derive(Clone)]
 pub struct Identity {
+    /// Which of the two machines this one is.
     pub role: Role,
+    /// Hash of the scene, which both must share.
     pub scene: SceneHash,
     /// Instruments of the scene.
     pub n_tools: usize,
+    /// How messages are sealed.
     pub seal: Seal,
 }
 
@@ -125,6 +128,7 @@ impl Shared {
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkReport {
     pub(crate) n_sent: u64,
+    /// Messages that came, were lost or refused.
     pub counts: Counts,
     /// Messages that were not for us or damaged, and why the last one was.
     pub(crate) n_refused: u64,

@@ -66,7 +66,7 @@ pub struct Link {
 
 /// How a zenoh session is set up.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum ZenohAddress {
+pub enum ZenohAddress {
     /// By multicast on the local network.
     Scouting,
     /// The simulation listens there, the haptics machine connects.

@@ -83,6 +83,7 @@ enum Ros2Over {
 
 /// A link as asked for on the command line.
 pub struct LinkOptions {
+    /// Which of the two machines this one is.
     pub role: Role,
     address: LinkAddress,
     seal: Seal,

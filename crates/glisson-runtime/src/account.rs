@@ -18,6 +18,7 @@ pub struct Account {
 }
 
 impl Account {
+    /// That of a world as it is now.
     pub fn of(world: &World) -> Self {
         let (removed_m3, blades) = (world.removed_volume_m3(), *world.blades());
         let Some(vessels) = world.vessels() else { return Self { removed_m3, blades, ..Self::default() } };

@@ -94,6 +94,7 @@ impl Control {
         self.controller.borrow().is_some_and(|controller| controller != viewer)
     }
 
+    /// Tells who controls whenever that changes.
     pub fn watch(&self) -> watch::Receiver<Option<Viewer>> {
         self.controller.subscribe()
     }

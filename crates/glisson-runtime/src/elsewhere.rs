@@ -23,15 +23,19 @@ pub const MOST_NODES: usize = 64;
 /// Where a node is; 32 bits are 0.06 um in half a metre.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NodePlace {
+    /// The node's number.
     pub node: u32,
+    /// Where it is [m].
     pub position_m: [f32; 3],
 }
 
 impl NodePlace {
+    /// That of a node at this place [m].
     pub fn of(node: NodeId, position_m: DVec3) -> Self {
         Self { node: node.0, position_m: position_m.as_vec3().to_array() }
     }
 
+    /// Where it is [m].
     pub fn position_m(&self) -> DVec3 {
         DVec3::from_array(self.position_m.map(f64::from))
     }

@@ -6,8 +6,11 @@ use glisson::haptics::{EnergyControl, ForceEstimate, GainShares, LawSettings};
 /// How forces are made from models and motions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceChoices {
+    /// How the force between two models is estimated.
     pub estimate: ForceEstimate,
+    /// Whether the energy given to the hand is limited.
     pub control: EnergyControl,
+    /// Shares of the device's gains that are used.
     pub shares: GainShares,
 }
 

@@ -52,6 +52,7 @@ impl Default for HapticSettings {
 /// A model and when the simulation made it, on the clock of [`now_ns`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PublishedModel {
+    /// What the loop evaluates.
     pub model: HapticModel,
     /// 0: none was made yet.
     pub made_ns: u64,
@@ -60,6 +61,7 @@ pub struct PublishedModel {
 /// Where a device has its instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
+    /// Where the instrument is.
     pub pose: ToolInput,
     /// Whether the device holds it now; otherwise it stays where it was.
     pub is_held: bool,
@@ -79,6 +81,7 @@ impl Motion {
 pub enum DeviceStatus {
     /// Nothing was heard yet.
     Waiting,
+    /// It answers.
     Works,
     /// With an instrument that was put into it.
     WorksWith(InsertedInstrument),
@@ -111,8 +114,11 @@ pub struct ToolLink {
     pub tool: usize,
     /// What the user calls the device.
     pub device_name: String,
+    /// To the loop: the newest models.
     pub models: Publisher<PublishedModel>,
+    /// From the loop: where the hand has the instrument.
     pub motions: Latest<Motion>,
+    /// From the loop: whether the device answers.
     pub statuses: Latest<DeviceStatus>,
     /// For a machine that looks where it touches: what it has to be told of the surface.
     pub nearby: Option<Publisher<Nearby>>,
@@ -328,6 +334,7 @@ pub struct FeltForces {
 pub struct HapticReport {
     /// Ticks a second, measured.
     pub rate_hz: f64,
+    /// Deadlines since the loop was warm.
     pub n_deadlines: u64,
     /// Deadlines whose tick began more than two periods late.
     pub n_missed: u64,
@@ -347,6 +354,7 @@ pub struct HapticReport {
     pub work: Percentiles,
     /// The most that hands ever got from a device beyond what they put in, as a negative number [J].
     pub least_energy_j: f64,
+    /// How the loop's thread is scheduled; none before it started.
     pub scheduling: Option<Scheduling>,
     /// How the loop was to run; the default before it started.
     pub settings: HapticSettings,
@@ -376,6 +384,7 @@ impl Meters {
         counter.store(counter.load(Ordering::Relaxed) + n, Ordering::Relaxed);
     }
 
+    /// How the loop did so far.
     pub fn report(&self) -> HapticReport {
         let of = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let counted_s = of(&self.counted_ns) as f64 * 1e-9;
@@ -550,6 +559,7 @@ impl HapticLoop {
         Ok(Self { stop, meters, thread: Some(thread) })
     }
 
+    /// What the loop measures about itself.
     pub fn meters(&self) -> &Arc<Meters> {
         &self.meters
     }

@@ -18,10 +18,15 @@ pub struct Histogram {
 /// Figures of a histogram [ns].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Percentiles {
+    /// Values counted.
     pub n: u64,
+    /// Median [ns].
     pub p50_ns: u64,
+    /// 99 of 100 are no larger [ns].
     pub p99_ns: u64,
+    /// 999 of 1000 are no larger [ns].
     pub p999_ns: u64,
+    /// The largest [ns].
     pub greatest_ns: u64,
 }
 
@@ -99,6 +104,7 @@ impl Histogram {
 pub struct GreatestValue(AtomicU64);
 
 impl GreatestValue {
+    /// The largest so far; 0 before the first.
     pub fn get(&self) -> f64 {
         f64::from_bits(self.0.load(Ordering::Relaxed))
     }

@@ -22,6 +22,7 @@ pub(crate) enum Once {
 /// What the user should know.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Notice {
+    /// In words.
     pub text: String,
     /// Whether something is wrong or was not done; otherwise all goes as it should.
     pub is_problem: bool,

@@ -34,8 +34,11 @@ pub enum Command {
         /// Where.
         pose: ToolInput,
     },
+    /// Time stands still, or goes on.
     Pause(bool),
+    /// One step, then a pause.
     SingleStep,
+    /// Everything back to rest.
     Reset,
     /// Another model should take over.
     Model(ModelKind),
@@ -65,16 +68,23 @@ pub enum Command {
 /// The latest displayed state.
 #[derive(Clone, Debug)]
 pub struct Published {
+    /// What is displayed.
     pub snapshot: Snapshot,
     /// The triangles that the snapshot's vertices belong to.
     pub topology: Arc<DisplayTopology>,
+    /// How the simulation keeps up with the clock.
     pub pace: Pace,
+    /// Hash of the world's state.
     pub state_hash: StateHash,
+    /// Which model moves the organ.
     pub model: ModelKind,
     /// What the user should know, in order: the newest, and how many there were altogether.
     pub notices: Vec<Notice>,
+    /// How many notices there were altogether.
     pub n_notices: usize,
+    /// How far the simulation fell behind.
     pub lateness: Lateness,
+    /// How thoroughly steps are computed.
     pub effort: Effort,
     /// How long steps take, up to now and not only up to this state.
     pub meters: Arc<StepMeters>,
@@ -103,13 +113,17 @@ pub struct Stalls {
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ended {
+    /// Hash of the world's state at the end.
     pub state_hash: StateHash,
+    /// Steps made.
     pub steps: u64,
     /// Stalls that were made.
     pub n_stalls: u64,
     /// What they took together.
     pub stalled: Duration,
+    /// How far the simulation fell behind.
     pub lateness: Lateness,
+    /// How long steps took.
     pub times: StepTimes,
 }
 

@@ -10,6 +10,7 @@ use glisson::tool::pose::ToolFrame;
 
 /// An open device, and how its motion becomes an instrument's.
 pub struct OpenDevice {
+    /// The driver.
     pub device: Box<dyn HapticDevice>,
     /// What the user calls it.
     pub name: String,

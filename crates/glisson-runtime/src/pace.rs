@@ -64,6 +64,7 @@ impl StepMeters {
         self.frame.record(ns(interval));
     }
 
+    /// How it did so far.
     pub fn times(&self) -> StepTimes {
         StepTimes {
             step: self.step.percentiles(),

@@ -13,6 +13,7 @@ impl RemoteFigures {
         self.0.lock().ok().and_then(|report| report.clone())
     }
 
+    /// Takes a report over; none when the link was cut.
     pub fn put(&self, report: Option<HapticReport>) {
         // The lock is held for a copy only.
         if let Ok(mut kept) = self.0.lock() {

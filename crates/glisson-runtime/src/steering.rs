@@ -24,6 +24,7 @@ pub struct Seat {
 }
 
 impl Steering {
+    /// The controls of a simulation that listens to `commands`.
     pub fn new(control: Arc<Control>, commands: Sender<Command>) -> Self {
         Self { control, commands }
     }

@@ -30,6 +30,7 @@ const PATIENCE: Duration = Duration::from_secs(30);
 
 /// What to measure.
 pub struct LinkRequest {
+    /// How long to measure [s].
     pub seconds: f64,
     /// Moves a second.
     pub rate_hz: f64,

@@ -118,7 +118,9 @@ pub struct Figure {
 /// What came out of a group.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
+    /// Claims and what came out.
     pub experiments: Vec<Experiment>,
+    /// Plots.
     pub figures: Vec<Figure>,
     /// Markdown below the table: tables of figures that are no pass or fail, and what they say.
     pub notes: String,
@@ -132,9 +134,11 @@ impl From<Vec<Experiment>> for Outcome {
 
 /// A group of experiments that share their set-up.
 pub struct Group {
+    /// Name on the command line.
     pub name: &'static str,
     /// What it is about, one sentence.
     pub about: &'static str,
+    /// Runs it.
     pub run: fn() -> anyhow::Result<Outcome>,
 }
 

@@ -24,7 +24,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// What is asked for.
 #[derive(Clone, Copy, Debug)]
 pub struct LeadRequest<'a> {
+    /// The device whose hand leads.
     pub leader: &'a DeviceName,
+    /// The device that follows.
     pub follower: &'a DeviceName,
     /// How long [s]; until it is stopped for none.
     pub seconds: Option<f64>,

@@ -30,16 +30,21 @@ pub enum DeviceName {
     Simulated,
     /// An instrument of a recorded session.
     Replay {
+        /// Its file.
         session: PathBuf,
+        /// Number of the instrument, from 0.
         tool: usize,
     },
     /// Haply Inverse3 behind the service at `host:port`.
     Haply {
+        /// `HOST:PORT` of the service.
         address: String,
     },
+    /// A device of Force Dimension's library.
     ForceDimension,
     /// By its name in the maker's configuration; the default one for none.
     OpenHaptics {
+        /// Name in the maker's configuration.
         name: Option<String>,
     },
     /// An active trocar behind its board, or a simulated one.
@@ -143,6 +148,10 @@ impl std::str::FromStr for DeviceName {
     }
 }
 
+/// Checks that a text is `HOST:PORT`.
+///
+/// # Errors
+/// In words, when it is not.
 pub fn host_and_port(text: &str) -> Result<String, String> {
     let is_sound = text
         .rsplit_once(':')
@@ -249,6 +258,7 @@ pub fn open_standing(
 /// Which device holds which instrument, as on the command line: `NAME` or `NAME@TOOL`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Assignment {
+    /// Which device.
     pub name: DeviceName,
     /// Number of the instrument, from 0; the next free one for none.
     pub(crate) tool: Option<usize>,
@@ -299,8 +309,11 @@ pub fn tools_of(assignments: &[Assignment], n_tools: usize) -> anyhow::Result<Ve
 
 /// A maker's library or service, for `glisson devices doctor`.
 pub struct Finding {
+    /// What was looked for.
     pub what: String,
+    /// Whether it can be used.
     pub is_good: bool,
+    /// What was found, or what to do.
     pub text: String,
 }
 

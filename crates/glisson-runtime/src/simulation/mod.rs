@@ -39,7 +39,9 @@ type BuiltModel = anyhow::Result<(Box<dyn DeformableModel>, ModelKind)>;
 
 /// A scene and the folder that its files are relative to.
 pub struct OpenScene {
+    /// What it says.
     pub scene: Scene,
+    /// Folder that its files are relative to.
     pub folder: PathBuf,
     /// Where the text comes from, for messages.
     pub origin: String,
@@ -114,14 +116,17 @@ impl Simulation {
         self.is_live = false;
     }
 
+    /// The world as it is now.
     pub fn world(&self) -> &World {
         &self.world
     }
 
+    /// The organ's mesh at the start.
     pub fn mesh(&self) -> &TetMesh {
         &self.body.mesh
     }
 
+    /// What models of the organ are made from.
     pub fn body(&self) -> &OrganBody {
         &self.body
     }

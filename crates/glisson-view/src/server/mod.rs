@@ -59,9 +59,11 @@ struct Shared {
 
 /// What is served beside the simulation.
 pub struct Service {
+    /// Who may connect.
     pub access: Access,
     /// The haptic loop's and the simulation's ends of the instruments that devices hold.
     pub held: Vec<(HeldTool, ToolLink)>,
+    /// How the haptic loop runs.
     pub haptics: HapticSettings,
     /// Instruments that are held elsewhere.
     pub remote: Vec<ToolLink>,
@@ -96,6 +98,7 @@ impl Service {
 
 /// How a service ended.
 pub struct Served {
+    /// How the simulation ended.
     pub ended: Ended,
     /// Without a device there is no haptic loop.
     pub haptics: Option<HapticReport>,

@@ -47,6 +47,10 @@ pub struct TcpLine {
 }
 
 impl TcpLine {
+    /// A line over a connected socket.
+    ///
+    /// # Errors
+    /// When the socket cannot be set up.
     pub fn new(stream: TcpStream) -> std::io::Result<Self> {
         stream.set_nodelay(true)?;
         stream.set_nonblocking(true)?;
@@ -97,7 +101,9 @@ pub struct BoardSettings {
     pub profile: TrocarProfile,
     /// Its number on the line.
     pub trocar: u8,
+    /// How forces become motor efforts.
     pub mapping: Mapping,
+    /// What is done where a motor saturates.
     pub saturation: Saturation,
     /// Ticks a second of the loop that drives it [Hz]: a slower one than the board's renders less stiffness.
     pub loop_rate_hz: f64,

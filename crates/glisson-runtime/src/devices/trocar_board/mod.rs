@@ -29,7 +29,9 @@ const LOOK: Duration = Duration::from_millis(5);
 
 /// A line to a board, wherever it is.
 pub enum BoardLine {
+    /// A board behind TCP.
     Tcp(Box<TcpLine>),
+    /// A board in memory.
     Simulated(Box<SimulatedLine>),
 }
 

@@ -23,6 +23,7 @@ const OUT_BYTES: usize = 8 * MOST_FRAME_BYTES;
 
 /// A board, its trocar, and whoever holds the instrument.
 pub struct SimulatedBoard {
+    /// Masses, springs and friction of the trocar.
     pub mechanism: Mechanism,
     /// What else acts on the axes: the surroundings of a remote instrument.
     pub outside: AxisEfforts,
@@ -264,6 +265,7 @@ pub struct SoftWall {
 
 /// A board in memory: it moves on by a tick whenever the host looks for what has come.
 pub struct SimulatedLine {
+    /// The board.
     pub board: SimulatedBoard,
     has_ticked: bool,
     /// Ticks of the board for a look of the host, and what is left of one.

@@ -3,8 +3,8 @@
 //! Exit codes: 0 done, 1 the work failed (bad input, a check that does not hold), 2 the command line is wrong.
 #![allow(clippy::print_stdout, reason = "a command-line program answers on standard output")]
 
-mod commands;
 mod demo;
+mod commands;
 
 use clap::Parser;
 

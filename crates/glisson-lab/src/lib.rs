@@ -8,5 +8,6 @@
 //! The modules stand in data-flow order; a module uses only modules above it (`xtask/tests/layering.rs`).
 
 pub mod scratch;
+mod bodies;
 pub mod bench;
 pub mod validate;

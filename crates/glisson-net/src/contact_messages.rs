@@ -1,7 +1,7 @@
 //! What detection adds to the messages (`docs/network.md`): touches with the hands, nodes near the instruments with the
 //! tissues, the surface after a cut in pieces, and the haptic loop's figures.
 
-use super::messages::{MOST, MessageError, Reader, put};
+use super::wire::{MOST, MessageError, Reader, put};
 use glisson::haptics::{EnergyControl, ForceEstimate};
 use glisson::mesh::{NodeId, TriangleId};
 use glisson::tool::found::{Detected, FoundTouch, N_TOUCHING_PARTS, TouchingPoint};

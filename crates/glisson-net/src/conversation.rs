@@ -3,8 +3,9 @@
 
 use super::inbox::{Arrival, Counts, Inbox};
 use super::link::{Link, ReceiveHalf, Role, SendHalf};
-use super::messages::{Content, Head, MOST_BYTES, MessageError, SceneHash, decode, encode_into};
+use super::messages::{Content, Head, MOST_BYTES, SceneHash, decode, encode_into};
 use super::seal::Seal;
+use super::wire::MessageError;
 use glisson_runtime::histogram::{Histogram, Percentiles};
 use glisson_runtime::realtime::{make_prompt, now_ns};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

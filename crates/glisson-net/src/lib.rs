@@ -9,12 +9,17 @@
 
 pub(crate) mod crc64;
 pub mod seal;
-pub mod messages;
+mod wire;
 pub(crate) mod contact_messages;
+pub mod messages;
 pub(crate) mod surface;
 pub(crate) mod detector;
 pub(crate) mod inbox;
 pub mod link;
+#[cfg(feature = "net")]
+mod zenoh_log;
+#[cfg(feature = "net")]
+mod zenoh_link;
 pub mod link_address;
 pub mod conversation;
 pub mod bridge;
@@ -27,10 +32,6 @@ pub(crate) mod player;
 )]
 pub(crate) mod ros2;
 pub mod options;
-#[cfg(feature = "net")]
-mod zenoh_log;
-#[cfg(feature = "net")]
-mod zenoh_link;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

@@ -10,6 +10,7 @@ use super::contact_messages::{
     SurfaceName, SurfacePiece, put_detected, put_figures, put_held, put_name, put_nodes, put_piece,
 };
 use super::seal::{Seal, TAG_BYTES};
+use super::wire::{MOST, MessageError, Reader, VERSION, put};
 use glisson::haptics::{AxesModel, HapticModel, Touch, TouchedPart};
 use glisson::math::{DMat3, DVec3};
 use glisson::tool::found::Detected;
@@ -17,8 +18,6 @@ use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson_runtime::elsewhere::NodePlace;
 use glisson_runtime::haptic_loop::HapticReport;
 
-/// Version of the messages; another one is refused.
-pub(crate) const VERSION: u16 = 2;
 const MAGIC: [u8; 4] = *b"GLNK";
 /// Bytes of a head.
 pub(crate) const HEAD_BYTES: usize = 72;
@@ -36,8 +35,6 @@ const _: () = assert!(
     "the longest message is one of models"
 );
 
-/// Beyond it no number is taken: metres, newtons and seconds of an operation are far below, stiffnesses (times this) too.
-pub(super) const MOST: f64 = 1e6;
 /// How far the length of a shaft may be from 1: rounding, and no more.
 const SHAFT_TOLERANCE: f64 = 1e-6;
 
@@ -112,27 +109,6 @@ pub(crate) enum Content {
     Tissues { tissues: Vec<Tissue>, surface: SurfaceName },
     /// From the machine that simulates: a part of its surface.
     Piece(SurfacePiece),
-}
-
-/// Why bytes are not a message for us.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum MessageError {
-    #[error("{0} bytes are too few or too many for a message")]
-    Length(usize),
-    #[error("it does not begin like a message of Glisson")]
-    Magic,
-    #[error(
-        "it is of version {0}, this program speaks version {VERSION}: use the same release on both machines"
-    )]
-    Version(u16),
-    #[error("its tag is wrong: damaged on the way, or the two machines do not have the same --link-key")]
-    Tag,
-    #[error("content {0} is unknown")]
-    Kind(u8),
-    #[error("{0} instruments: a scene has 1 to {MAX_TOOLS}")]
-    Tools(u8),
-    #[error("{0} is out of its range or not a number")]
-    Number(&'static str),
 }
 
 const KIND_HANDS: u8 = 1;
@@ -246,10 +222,6 @@ fn read(reader: &mut Reader<'_>) -> Option<Result<(Head, Content), MessageError>
     Some(content.map(|content| (head, content)))
 }
 
-pub(super) fn put(bytes: &mut Vec<u8>, numbers: &[f64]) {
-    bytes.extend(numbers.iter().flat_map(|x| x.to_le_bytes()));
-}
-
 fn put_hand(bytes: &mut Vec<u8>, hand: &Hand) {
     let ToolInput { tip_in_world_m, shaft_in_world, roll_rad, jaw_opening, trigger } = hand.pose;
     put(bytes, &tip_in_world_m.to_array());
@@ -308,28 +280,7 @@ fn touch_of(code: u8) -> Result<Touch, MessageError> {
         .ok_or(MessageError::Number("the kind of touch"))
 }
 
-/// Takes from the front; None where too little is left.
-pub(super) struct Reader<'a>(&'a [u8]);
-
 impl Reader<'_> {
-    pub(super) fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (taken, rest) = self.0.split_first_chunk()?;
-        self.0 = rest;
-        Some(*taken)
-    }
-
-    pub(super) fn u64(&mut self) -> Option<u64> {
-        self.take().map(u64::from_le_bytes)
-    }
-
-    pub(super) fn f64(&mut self) -> Option<f64> {
-        self.take().map(f64::from_le_bytes)
-    }
-
-    pub(super) fn vector(&mut self) -> Option<DVec3> {
-        Some(DVec3::new(self.f64()?, self.f64()?, self.f64()?))
-    }
-
     fn matrix(&mut self) -> Option<DMat3> {
         Some(DMat3::from_cols(self.vector()?, self.vector()?, self.vector()?))
     }

@@ -4,7 +4,7 @@
 //! never does: it leaves what it publishes in an [`exchange`], of which a thread of its own takes the newest and sends it on.
 
 use crate::exchange::{Latest, Publisher, exchange};
-use crate::live::Published;
+use crate::published::Published;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;

@@ -1,7 +1,8 @@
 //! A place at the controls for what is no viewer: CRTK's clients. The same rule holds for it: one controls, all may watch.
 
 use crate::control::{Control, Viewer};
-use crate::live::{Command, Published};
+use crate::live::Command;
+use crate::published::Published;
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
 use std::thread::JoinHandle;

@@ -9,7 +9,7 @@ use glisson_runtime::devices::trocar_choice::stand;
 use glisson_runtime::devices::{self, Assignment, DeviceName, tools_of};
 use glisson_runtime::force_choices::ForceArgs;
 use glisson_runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink, check_rate, join};
-use glisson_runtime::live::Lateness;
+use glisson_runtime::published::Lateness;
 use glisson_runtime::realtime::{CoreKept, OwnCore, make_punctual};
 use glisson_runtime::remote_figures::RemoteFigures;
 use glisson_runtime::workers::allowed_cores;

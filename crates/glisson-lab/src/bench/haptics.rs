@@ -3,8 +3,8 @@
 
 use super::core_use::{CoreUse, Moment};
 use super::empty_loop;
+use crate::bodies::liver;
 use crate::scratch::ScratchFolder;
-use crate::validate::bodies::liver;
 use anyhow::{Context, bail, ensure};
 use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 use glisson::math::DVec3;

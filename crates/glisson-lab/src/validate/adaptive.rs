@@ -6,13 +6,14 @@
 //! have no energy, do not sum to zero, and jump where a node crosses the threshold. Light damping does not bring it
 //! to rest, so it is damped five times as much as the slowest motion needs.
 
-use super::bodies::{
+use super::resection::{self, DAMPING};
+use super::volume::{CYLINDER_ROWS, Case, LIVER_ROW, RADIUS_M, bent_cylinder, liver_case};
+use super::{Experiment, Figure, Outcome};
+use crate::bench::timing::{Clock, time_of};
+use crate::bodies::{
     constraints, displaced, displacements, isotropic, largest, linear_model, material, most,
     nonlinear_equilibrium, nonlinear_model, slow_frequency_per_s, volume_change,
 };
-use super::volume::{CYLINDER_ROWS, Case, LIVER_ROW, RADIUS_M, bent_cylinder, liver_case};
-use super::{Experiment, Figure, Outcome, resection};
-use crate::bench::timing::{Clock, time_of};
 use glisson::material::LinearElastic;
 use glisson::math::DVec3;
 use glisson::mesh::{NodeId, TetMesh};
@@ -34,8 +35,6 @@ const THRESHOLDS: [f64; 4] = [0.02, 0.1, 0.3, 0.6];
 const SEED_THRESHOLD_M: f64 = 0.02;
 /// Tolerances of the force bound, over the whole load.
 const TOLERANCES: [f64; 3] = [0.1, 1.0, 10.0];
-/// Damping over the lowest frequency. Twice it brings a linear body to rest fastest.
-pub(super) const DAMPING: f64 = 10.0;
 const LIGHT_DAMPING: f64 = 2.0;
 /// The threshold that is tried with light damping, over the largest displacement.
 const LIGHT_THRESHOLD: f64 = 0.3;

@@ -4,8 +4,8 @@
 //! What needs a minute of simulated time is coarse (320 and 1,080 tetrahedra a block, 600 a liver); the acceleration is
 //! measured on a block of 5,000 tetrahedra as well. Two livers of 6,300 tetrahedra are a group of their own, which is slow.
 
-use super::bodies::liver;
 use super::{Experiment, Figure, Outcome};
+use crate::bodies::liver;
 use glisson::contact::bodies::{BodyParams, CollidingBodies, ContactParams, Obstacle};
 use glisson::contact::broad_phase::BroadPhaseKind;
 use glisson::contact::self_collision::{PairSearch, PairSearchParams};

@@ -1,7 +1,7 @@
 //! Cutting along a swept blade: what opens against what was swept, shapes, volumes, pieces.
 
-use super::bodies::liver;
 use super::{Experiment, Figure, Outcome};
+use crate::bodies::liver;
 use glisson::math::{Aabb, DVec3, SeededRandom};
 use glisson::mesh::TetMesh;
 use glisson::mesh::box_mesh::box_of_five;

@@ -1,10 +1,10 @@
 //! Removal equals rebuild on an organ of full size, and tearing (seeds `002` s. 3.2 and appendix A, `003` s. 3.5).
 
-use super::bodies::{
+use super::{Experiment, Figure, Outcome};
+use crate::bodies::{
     LAMBDA_PA, MU_PA, constraints, displacements, isotropic, largest, linear_model, liver, material, most,
     nodes_where, nonlinear_equilibrium, nonlinear_model, relax,
 };
-use super::{Experiment, Figure, Outcome};
 use glisson::material::LinearElastic;
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::box_mesh::box_of_five;

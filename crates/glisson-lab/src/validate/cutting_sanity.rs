@@ -4,8 +4,8 @@
 //! shape, undamped but for a little of stiffness damping, and is cut and loses tetrahedra while it vibrates. Energy is that of
 //! deformation (ln J neo-Hookean) and of motion, with the mass of each tetrahedron at its corners.
 
-use super::bodies::{material, nodes_where};
 use super::{Experiment, Figure, Outcome};
+use crate::bodies::{material, nodes_where};
 use glisson::material::{Material, NeoHookeLog};
 use glisson::math::{DMat3, DVec3, SeededRandom};
 use glisson::mesh::TetId;

@@ -1,7 +1,7 @@
 //! Linear, St Venant-Kirchhoff and ln J neo-Hooke elasticity against finite-element solutions.
 
-use super::bodies::most;
 use super::{Experiment, Outcome};
+use crate::bodies::most;
 use anyhow::Context;
 use glisson::material::{MaterialSpec, NeoHookeLog, StVenantKirchhoff};
 use glisson::math::DVec3;

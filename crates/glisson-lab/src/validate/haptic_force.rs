@@ -10,8 +10,8 @@
 //! St Venant-Kirchhoff tissue is no reference here: under a tip that presses single nodes 10 mm into a mesh of 12 mm it softens
 //! and collapses, as the law does under large compression.
 
-use super::bodies::liver;
 use super::{Experiment, Figure, Outcome};
+use crate::bodies::liver;
 use glisson::haptics::{ForceEstimate, Handover, HapticModel};
 use glisson::material::LinearElastic;
 use glisson::math::DVec3;

@@ -9,11 +9,11 @@
 //! k |d|: d is the motion of the handle that the device told, k the stiffness of coupling and published tissue along d, one
 //! after the other. The rest is what is judged.
 
-use super::bodies::liver;
 use super::{Experiment, Figure, Outcome};
+use crate::bodies::liver;
 use crate::scratch::ScratchFolder;
 use anyhow::{Context, anyhow, ensure};
-use glisson::haptics::handover::SPREAD_S;
+use glisson::haptics::spread::SPREAD_S;
 use glisson::haptics::{
     ForceCommand, HandPath, HandSettings, HapticDevice, HapticLaw, HapticModel, LawSettings, SimulatedDevice,
     SimulatedDeviceSettings,

@@ -5,11 +5,11 @@
 //! mesh, see Euler); one end is fixed, one node of the other is loaded or moved. Load, material and loaded node are
 //! not given there: the solution's largest displacement is one edge here, and errors are over the edge.
 
-use super::bodies::{
-    constraints, displacements, linear_equilibrium, linear_model, liver, nodes_where, slow_frequency_per_s,
-};
 use super::{Experiment, Figure, Outcome};
 use crate::bench::thread_cpu_ns;
+use crate::bodies::{
+    constraints, displacements, linear_equilibrium, linear_model, liver, nodes_where, slow_frequency_per_s,
+};
 use glisson::material::LinearElastic;
 use glisson::math::DVec3;
 use glisson::mesh::box_mesh::box_of_five;

@@ -1,7 +1,7 @@
 //! Shape of tetrahedra, repair by collapse and by remeshing, and cuts by vertex displacement (seed `000` s. 4.4.2).
 
-use super::bodies::liver;
 use super::{Experiment, Figure, Outcome};
+use crate::bodies::liver;
 use anyhow::Context;
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::box_mesh::{box_of_five, irregular_cube};

@@ -3,7 +3,6 @@
 mod active_trocar;
 mod adaptive;
 mod benchmarks;
-pub(crate) mod bodies;
 mod contact_physics;
 mod contact_response;
 mod cut_subdivision;

@@ -1,10 +1,10 @@
 //! The pre-computation of the synthetic patient's liver: against direct solutions, against the Lagrange multipliers
 //! of seed `001`, in its two forms, and beside the conjugate gradients that the papers used.
 
-use super::bodies::{cylinder, liver, most};
 use super::elasticity::relative_difference;
 use super::{Experiment, Outcome};
 use crate::bench::thread_cpu_ns;
+use crate::bodies::{cylinder, liver, most};
 use crate::scratch::ScratchFolder;
 use anyhow::Context;
 use glisson::material::LinearElastic;

@@ -2,9 +2,9 @@
 //!
 //! Seeds `001` and `003` (s. 1) call cutting of the pre-computed model impossible in real time.
 
-use super::bodies::{liver, material, nodes_where};
 use super::{Experiment, Figure, Outcome};
 use crate::bench::thread_cpu_ns;
+use crate::bodies::{liver, material, nodes_where};
 use glisson::math::{DMat3, DVec3};
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit};

@@ -5,11 +5,11 @@
 //! The seed shows pictures only. What must hold: the body comes to rest in the equilibrium of the tetrahedra that
 //! are left, with less energy than before.
 
-use super::bodies::{
+use super::{Experiment, Figure, Outcome};
+use crate::bodies::{
     TissuePoints, constraints, cylinder, displaced, displacements, isotropic, largest, linear_equilibrium,
     linear_model, material, most, nodes_where, nonlinear_equilibrium, nonlinear_model, relax,
 };
-use super::{Experiment, Figure, Outcome};
 use glisson::material::LinearElastic;
 use glisson::math::DVec3;
 use glisson::mesh::box_mesh::box_of_five;

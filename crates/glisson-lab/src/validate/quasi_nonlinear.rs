@@ -128,10 +128,10 @@ struct Reading {
 impl Bench {
     fn new() -> Self {
         let mesh = ringed_cylinder(N_RINGS, N_LAYERS);
-        let top = super::bodies::nodes_where(&mesh, |p| p.z > HEIGHT_M - 1e-9);
+        let top = crate::bodies::nodes_where(&mesh, |p| p.z > HEIGHT_M - 1e-9);
         let is_on_circle =
             |p: DVec3| (p.z - 0.5 * HEIGHT_M).abs() < 1e-9 && p.truncate().length() > RADIUS_M - 1e-9;
-        let circle = super::bodies::nodes_where(&mesh, is_on_circle);
+        let circle = crate::bodies::nodes_where(&mesh, is_on_circle);
         Self { mesh, top, circle }
     }
 
@@ -217,7 +217,7 @@ fn compressed(
 ) -> anyhow::Result<()> {
     let bench = Bench::new();
     let material = LinearElastic::from_young_poisson(YOUNG_MODULUS_PA, POISSON_RATIO, DENSITY_KG_PER_M3)?;
-    let fixed_nodes = super::bodies::nodes_where(&bench.mesh, |p| p.z < 1e-9);
+    let fixed_nodes = crate::bodies::nodes_where(&bench.mesh, |p| p.z < 1e-9);
     ensure!(bench.top.len() <= Precomputed::MAX_IMPOSED, "{} nodes on the top", bench.top.len());
     let mut linear = Precomputed::build(&PrecomputedParams {
         mesh: &bench.mesh,

@@ -1,7 +1,7 @@
 //! The reduced non-linear model against the full non-linear solution of the same law, beside the linear model.
 
-use super::bodies::{largest, linear_equilibrium, liver, nodes_where, spread_over};
 use super::{Experiment, Figure, Outcome};
+use crate::bodies::{largest, linear_equilibrium, liver, nodes_where, spread_over};
 use anyhow::Context;
 use glisson::material::{LinearElastic, StVenantKirchhoff};
 use glisson::math::{Aabb, DVec3};
@@ -123,7 +123,7 @@ impl Case {
             most_iterations =
                 most_iterations.max(if solution.converged { solution.n_iterations } else { u32::MAX });
         }
-        let displacement_m = super::bodies::displacements(&self.mesh, model);
+        let displacement_m = crate::bodies::displacements(&self.mesh, model);
         let force_n = self.force_along(|i, _| model.constraint_forces_n()[i]);
         (Answer { displacement_m, force_n }, most_iterations)
     }

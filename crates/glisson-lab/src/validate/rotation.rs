@@ -4,11 +4,11 @@
 //! turned and let go therefore swells until it has the displacements of the infinitesimal rotation of the same
 //! moment, sin theta k x X: its volume has grown by sin^2 theta. Both are exact, whatever the mesh.
 
-use super::bodies::{
+use super::{Experiment, Figure, Outcome};
+use crate::bodies::{
     LAMBDA_PA, MU_PA, displacements, isotropic, largest, linear_model, material, most, nonlinear_model,
     relax, volume_change,
 };
-use super::{Experiment, Figure, Outcome};
 use glisson::math::{DMat3, DVec3};
 use glisson::mesh::box_mesh::cube_of_five;
 use glisson::model::DeformableModel;

@@ -4,11 +4,11 @@
 //! Uniaxial tension along a fibre: S = E_L e a (x) a with E_L = E + 2 kappa and e the Green-St Venant strain along
 //! it, at any stretch, because the lateral strains are those of the isotropic tube.
 
-use super::bodies::{
+use super::{Experiment, Figure, Outcome};
+use crate::bodies::{
     LAMBDA_PA, MU_PA, TissuePoints, cylinder, displaced, isotropic, material, most, nodes_where,
     nonlinear_equilibrium, spread_over,
 };
-use super::{Experiment, Figure, Outcome};
 use glisson::material::LinearElastic;
 use glisson::math::DVec3;
 use glisson::mesh::TetMesh;

@@ -5,12 +5,12 @@
 //! gradient W + e, W skew, has the volume change tr e + |w|^2 + ..., which grows as the square of the load where
 //! the body mainly turns. 7, 28 and 63 % are 1, 4 and 9 times 7 %: the three loads are F, 2 F and 3 F.
 
-use super::bodies::{
+use super::{Experiment, Figure, Outcome};
+use crate::bodies::{
     MU_PA, TissuePoints, constraints, cylinder, displaced, displacements, isotropic, largest,
     linear_equilibrium, liver, local_volume_change, material, nodes_where, nonlinear_equilibrium,
     nonlinear_model, relax, slow_frequency_per_s, spread_over, volume_change,
 };
-use super::{Experiment, Figure, Outcome};
 use glisson::material::LinearElastic;
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::topology::Topology;

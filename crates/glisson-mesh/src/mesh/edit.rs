@@ -9,7 +9,6 @@
 //! New entities continue the numbering. A tetrahedron whose corners change is removed and a new one comes in
 //! with the old one as its parent. Edges and triangles that keep their nodes through an edit keep their ids.
 
-mod change;
 mod collapse;
 mod duplicate;
 mod error;
@@ -25,7 +24,9 @@ mod split;
 mod transaction;
 mod undo;
 
-pub use change::{Additions, EntityChange, NodeWeights, PieceChange, PieceChanges, TopologyChange};
+pub use crate::mesh::change::{
+    Additions, EntityChange, NodeWeights, PieceChange, PieceChanges, TopologyChange,
+};
 pub use error::EditError;
 pub use replace::{MovedNode, NewTet, Replacement};
 pub use undo::MeshUndo;
@@ -264,7 +265,7 @@ impl EditableMesh {
             return;
         }
         self.topology.compact(change);
-        change.set_counts_after(&self.topology);
+        change.set_counts_after(self.topology.lengths());
         crate::mesh::remap::follow::<NodeId, DVec3>(&mut self.mesh.positions_m, change);
         self.mesh.tetrahedra.clear();
         let topology = &self.topology;
@@ -281,6 +282,6 @@ impl EditableMesh {
     /// Empties `change` and notes the counts from before the edit.
     fn begin(&self, change: &mut TopologyChange) {
         change.clear();
-        change.set_counts_before(&self.topology);
+        change.set_counts_before(self.topology.lengths());
     }
 }

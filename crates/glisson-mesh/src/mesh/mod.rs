@@ -1,5 +1,6 @@
 //! Tetrahedral meshes.
 
+mod change;
 pub mod topology;
 pub mod edit;
 pub mod quality;

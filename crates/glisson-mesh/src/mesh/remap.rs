@@ -4,47 +4,12 @@
 //! For an array with one value an entity: a new entity takes the weighted blend of its parents' old values,
 //! an entity that is gone is cleared, and after a compaction the values stand at their new places.
 
-use std::fmt;
 use std::ops::{Index, IndexMut};
 
 use crate::math::{DMat3, DVec3};
-use crate::mesh::edit::{EntityChange, TopologyChange};
-use crate::mesh::{EdgeId, NodeId, TetId, TriangleId};
-
-/// A kind of entity, known by its id type: node, edge, triangle or tetrahedron.
-pub trait MeshEntity: Copy + Ord + fmt::Debug {
-    /// The id as a place in an array.
-    fn index(self) -> usize;
-
-    /// The id of a place in an array.
-    fn from_index(index: usize) -> Self;
-
-    /// What `change` did to the entities of this kind.
-    fn changed_in(change: &TopologyChange) -> &EntityChange<Self>;
-}
-
-macro_rules! mesh_entity {
-    ($id:ident, $field:ident) => {
-        impl MeshEntity for $id {
-            fn index(self) -> usize {
-                $id::index(self)
-            }
-
-            fn from_index(index: usize) -> Self {
-                $id::from_index(index)
-            }
-
-            fn changed_in(change: &TopologyChange) -> &EntityChange<Self> {
-                &change.$field
-            }
-        }
-    };
-}
-
-mesh_entity!(NodeId, nodes);
-mesh_entity!(EdgeId, edges);
-mesh_entity!(TriangleId, triangles);
-mesh_entity!(TetId, tets);
+use crate::mesh::NodeId;
+pub use crate::mesh::change::MeshEntity;
+use crate::mesh::change::{EntityChange, TopologyChange};
 
 /// A value that a mesh entity can carry through an edit.
 pub trait Carried: Clone {

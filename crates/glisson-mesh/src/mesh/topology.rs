@@ -20,14 +20,14 @@ mod rows;
 mod singular;
 mod surface;
 
-pub(in crate::mesh) use addition::{Lengths, Waiting};
+pub(in crate::mesh) use addition::Waiting;
 pub use build::TopologyError;
 pub use pieces::{Pieces, Through};
 pub use singular::{SingularEntities, StarGroups};
 pub use surface::{Pinches, surface_of};
 
 use self::rows::{IdSet, Rows};
-use crate::mesh::remap::MeshEntity;
+use crate::mesh::change::MeshEntity;
 use crate::mesh::{EdgeId, NodeId, TetId, TriangleId};
 
 /// Local nodes of the six edges of a tetrahedron.

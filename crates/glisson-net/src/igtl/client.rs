@@ -4,7 +4,7 @@ use super::frame::{Frame, message, span, timestamp};
 use super::messages::{Axes, StatusCode, answer, capability, polydata, status, transform};
 use glisson::math::DVec3;
 use glisson::tool::ToolInput;
-use glisson_runtime::live::Published;
+use glisson_runtime::published::Published;
 use std::time::{Duration, Instant, SystemTime};
 
 /// The server's own device name.

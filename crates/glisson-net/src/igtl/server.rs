@@ -4,7 +4,7 @@ use super::client::{Client, Described, INTERVAL, View, status_message};
 use super::frame::{FrameError, FrameReader};
 use super::messages::StatusCode;
 use anyhow::{Context, anyhow};
-use glisson_runtime::live::Published;
+use glisson_runtime::published::Published;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::thread::JoinHandle;

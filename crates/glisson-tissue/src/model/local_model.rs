@@ -19,7 +19,7 @@
 
 use super::Rayleigh;
 use super::kernel::{Eight, EightWork, KernelPath};
-use super::nonlinear_tensor_mass::{TetLaw, linear_stiffness};
+use super::tet_law::{TetLaw, linear_stiffness};
 use crate::material::Material;
 use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, TetStiffness, stress_tensor_pa};
 use glisson_mesh::math::{DMat3, DVec3, outer};

@@ -10,6 +10,7 @@ mod growth;
 pub mod extended_mass_spring;
 pub mod implicit;
 pub mod kind;
+mod tet_law;
 pub mod kernel;
 pub mod mass_spring;
 pub(crate) mod explicit;

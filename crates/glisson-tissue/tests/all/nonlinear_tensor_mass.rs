@@ -8,8 +8,8 @@ use glisson_mesh::mesh::edit::{EditableMesh, MeshEdit};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use glisson_tissue::material::LinearElastic;
 use glisson_tissue::model::nonlinear_tensor_mass::{
-    DirectBody, Fibre, NonlinearElasticity, NonlinearPart, NonlinearTensorMass, NonlinearTensorMassError,
-    NonlinearTensorMassParams, TetLaw,
+    DirectBody, Fibre, FibreError, NonlinearElasticity, NonlinearPart, NonlinearTensorMass,
+    NonlinearTensorMassError, NonlinearTensorMassParams, TetLaw,
 };
 use glisson_tissue::model::tensor_mass::{TensorMass, TensorMassError, TensorMassParams};
 use glisson_tissue::model::{Constraints, DeformableModel, DynamicBody, ImposedDisplacement, Rayleigh};
@@ -519,11 +519,14 @@ fn energy_stays_and_an_unstable_step_is_refused() {
         .unwrap_err()
     };
     let few = refused(NonlinearElasticity { fibres: &fibres[1..], ..elasticity });
-    assert!(matches!(few, NonlinearTensorMassError::FibreCount { .. }));
+    assert!(matches!(few, NonlinearTensorMassError::Fibre(FibreError::Count { .. })));
     let mut bad = fibres.clone();
     bad[17].direction *= 2.0;
     let long = refused(NonlinearElasticity { fibres: &bad, ..elasticity });
-    assert!(matches!(long, NonlinearTensorMassError::Fibre { tet: TetId(17), .. }), "{long}");
+    assert!(
+        matches!(long, NonlinearTensorMassError::Fibre(FibreError::Impossible { tet: TetId(17), .. })),
+        "{long}"
+    );
     let negative = refused(NonlinearElasticity { volume_penalty_pa: -1.0, ..elasticity });
     assert!(matches!(negative, NonlinearTensorMassError::Explicit(TensorMassError::Parameter { .. })));
 }

@@ -7,7 +7,8 @@ use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, To
 use glisson::tool::{Tool, ToolInput};
 use glisson_runtime::devices::viewer::GREATEST_FORCE_N;
 use glisson_runtime::haptic_loop::HapticReport;
-use glisson_runtime::live::{Command, Published};
+use glisson_runtime::live::Command;
+use glisson_runtime::published::Published;
 use glisson_runtime::{Notice, Simulation};
 use serde::Deserialize;
 use serde_json::{Value, json};

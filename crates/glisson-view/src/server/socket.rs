@@ -9,7 +9,8 @@ use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use glisson_runtime::control::Viewer;
-use glisson_runtime::live::{Command, Published};
+use glisson_runtime::live::Command;
+use glisson_runtime::published::Published;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::{MissedTickBehavior, interval, timeout};

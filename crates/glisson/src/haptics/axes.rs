@@ -5,7 +5,7 @@
 //! a of the places r_i that turn with it, and J = sum of f_i . dr_i/du for jaws that open by the share u of their way. Near the
 //! published place they fall along straight lines, M - k (turn - turn_0) and J - s (u - u_0).
 
-use super::handover::{MOST_RATE_N_PER_S, SPREAD_S};
+use super::spread::{MOST_RATE_N_PER_S, SPREAD_S};
 
 /// Moment about the shaft and work on the jaws as functions of turn and opening. Plain data; nothing by default.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -12,14 +12,9 @@
 
 use super::extrapolation::ForceEstimate;
 use super::slide::Slide;
+use super::spread::{MOST_RATE_N_PER_S, SPREAD_S};
 use super::tissue::HapticModel;
 use crate::math::DVec3;
-
-/// Time [s] over which a change is spread at least: a requirement.
-pub const SPREAD_S: f64 = 0.02;
-/// Fastest change of force [N/s] that no motion explains: 0.04 N in a millisecond. The requirement is 0.05; the rest is left
-/// to motion of the surface and rounding.
-pub const MOST_RATE_N_PER_S: f64 = 40.0;
 
 /// The force that a hand feels, from the models that the simulation publishes.
 #[derive(Clone, Debug, PartialEq)]

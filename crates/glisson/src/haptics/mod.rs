@@ -9,6 +9,7 @@ pub mod axes;
 pub mod tissue;
 pub mod extrapolation;
 pub mod slide;
+pub mod spread;
 pub mod handover;
 pub mod patch;
 pub mod coupling;

@@ -3,6 +3,7 @@
 //! A scene is a TOML file in which every quantity names its unit. Unknown keys and units are refused with the
 //! line, what was found, what is allowed, and what was probably meant.
 
+mod body;
 mod build;
 mod contact;
 mod instrument;
@@ -11,7 +12,8 @@ mod organ;
 mod reader;
 mod spec;
 
-pub use build::{BuildError, OrganBody, build_world, mesh_hash, read_organ, read_tools};
+pub use body::{BuildError, OrganBody};
+pub use build::{build_world, mesh_hash, read_organ, read_tools};
 pub use instrument::{PathPoint, tool_on_path};
 pub use models::{build_model, build_model_as_cut};
 pub use organ::{MaterialSource, MeasuredSample, OrganSource, OrganZone};

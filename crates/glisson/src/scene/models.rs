@@ -1,6 +1,6 @@
 //! From an organ's description to the models that move it.
 
-use super::build::{BuildError, OrganBody};
+use super::body::{BuildError, OrganBody};
 use crate::material::{LawChoice, PronySeries};
 use crate::math::Aabb;
 use crate::mesh::TetId;

@@ -1,8 +1,7 @@
 //! Edges and hot tips: what an instrument keeps of its cut from step to step.
 
-use super::edits::EditRefusal;
 use super::parts::ToolPart;
-use super::tear::edge_cuts;
+use super::refusal::EditRefusal;
 use super::{BladeReport, ToolCuts, World};
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, MeshEdit, TopologyChange};
@@ -215,7 +214,7 @@ impl World {
     }
 
     fn edge_is_on(&self, tool: usize) -> bool {
-        edge_cuts(&self.spec.tools[tool], &self.hands[tool], self.spec.tearing.as_ref())
+        self.hands[tool].edge_cuts(&self.spec.tools[tool], self.spec.tearing.as_ref())
     }
 
     /// An edit by an edge, which feels what it cost.

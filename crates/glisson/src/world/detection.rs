@@ -8,7 +8,6 @@
 
 use super::World;
 use super::parts::{ToolPart, ToolPoint, capsule, mesh_of, motion, rigid_pose};
-use super::touch::FROM_INSIDE;
 use crate::contact::broad_phase::BroadPhaseKind;
 use crate::contact::continuous::FirstContact;
 use crate::contact::shapes::MeshShape;
@@ -21,6 +20,9 @@ use crate::mesh::{NodeId, TetMesh, TriangleId};
 use crate::tool::found::{Detected, FoundTouch, N_TOUCHING_PARTS, TouchingPoint};
 use crate::tool::{Tool, ToolInput};
 use std::cell::Cell;
+
+/// Below this cosine between the way from tissue to tool and the outward normal, the tool comes from inside.
+pub(super) const FROM_INSIDE: f64 = -0.2;
 
 /// A mesh touches when it is this near [m]: far below what is seen, far above rounding, so that there is a direction
 /// from tissue to tool.

@@ -2,54 +2,18 @@
 //! vessels follow together, or nothing changes. The last edits can be taken back, last in, first out; every number has
 //! its bits from before.
 
+use super::refusal::EditRefusal;
 use super::transaction::EditRecord;
 use super::{QueuedSwap, World};
-use crate::mesh::edit::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
+use crate::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::refine::{FineRegion, refining};
 use crate::mesh::repair::{MendParams, mending};
-use crate::mesh::topology::TopologyError;
 use crate::mesh::{NodeId, TetId, TetMesh};
-use crate::model::{DeformableModel, TopologyRefusal};
-use crate::tool::cut::scalpel::ScalpelRefusal;
-use crate::tool::cut::subdivision::CutRefusal;
-use glisson_mesh::fault::OrderedFault;
+use crate::model::DeformableModel;
 use std::collections::VecDeque;
 
 /// Radius of a region that is made finer around a tool, in edges as they are there: a choice.
 const EDGES_TO_REFINE: f64 = 2.0;
-
-/// Why an edit of the organ was refused. Nothing changed.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum EditRefusal {
-    /// The model cannot follow.
-    #[error(transparent)]
-    Model(#[from] TopologyRefusal),
-    /// The mesh cannot be edited so.
-    #[error(transparent)]
-    Mesh(#[from] EditError),
-    /// The mesh is no mesh.
-    #[error(transparent)]
-    Topology(#[from] TopologyError),
-    /// A blade's step makes no cut that the mesh can bear.
-    #[error(transparent)]
-    Cut(#[from] CutRefusal),
-    /// Scissors that do not close hard enough for the tissue.
-    #[error(
-        "the jaws close with {found_n} N; to part this tissue they need {needed_n:.2} N (closing_force, jaw_length)"
-    )]
-    TooWeak {
-        /// Force of the jaws [N].
-        found_n: f64,
-        /// Force that the crack takes [N].
-        needed_n: f64,
-    },
-    /// A scalpel cannot be followed.
-    #[error(transparent)]
-    Scalpel(#[from] ScalpelRefusal),
-    /// Only in tests.
-    #[error(transparent)]
-    Ordered(#[from] OrderedFault),
-}
 
 /// Edits that can be taken back, unless told otherwise: a choice.
 const UNDO_DEPTH: usize = 32;

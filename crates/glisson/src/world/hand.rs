@@ -4,9 +4,9 @@ use super::StepInput;
 use super::detection::{FirstTouch, Meeting, first_touch, touching_radius_m};
 use super::grasp::Grasp;
 use super::organ::Organ;
+use super::overload::Overload;
 use super::parts::{ToolPart, ToolPoint, capsule};
 use super::skin::SurfacePlace;
-use super::tear::{Overload, edge_cuts};
 use super::touch::{ContactBegin, HeldContact};
 use crate::contact::continuous::{CONTACT_TOLERANCE_M, FirstContact};
 use crate::contact::tool_contact::ToolContact;
@@ -16,7 +16,7 @@ use crate::mesh::edit::TopologyChange;
 use crate::mesh::topology::Topology;
 use crate::tool::found::{Detected, FoundTouch};
 use crate::tool::fracture::Tearing;
-use crate::tool::{Tool, ToolInput};
+use crate::tool::{Tool, ToolInput, ToolKind};
 
 /// What was found elsewhere counts while the part is no further from the touched place [m]: a choice, as far as a hand may come
 /// while a simulation stalls.
@@ -115,6 +115,12 @@ impl Hand {
         }
     }
 
+    /// Whether the tool cuts with its edge: for a long scalpel that is on, and has broken in where tissue has strength.
+    pub(super) fn edge_cuts(&self, tool: &Tool, tearing: Option<&Tearing>) -> bool {
+        let is_on = matches!(tool.kind, ToolKind::Scalpel(_)) && self.now.is_triggered();
+        is_on && (tearing.is_none() || self.overload.edge_is_in)
+    }
+
     /// Lets go of everything.
     pub(super) fn let_go(&mut self) {
         self.contacts = [const { None }; 3];
@@ -154,7 +160,7 @@ impl Hand {
         for part in ToolPart::ALL {
             let holds = self.grasp.is_some() && part != ToolPart::Shaft;
             // An edge that cuts does not push.
-            if edge_cuts(tool, self, tearing) && part == ToolPart::Tip {
+            if self.edge_cuts(tool, tearing) && part == ToolPart::Tip {
                 self.contacts[part.index()] = None;
                 continue;
             }

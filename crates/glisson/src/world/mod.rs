@@ -15,6 +15,8 @@ mod haptic;
 mod loads;
 pub mod organ;
 mod parts;
+mod overload;
+mod refusal;
 pub mod saved;
 mod skin;
 mod capsule;
@@ -26,9 +28,9 @@ mod transaction;
 pub mod vessels;
 
 pub use cut::{BladeReport, ToolCuts};
-pub use edits::EditRefusal;
 pub use hand::ToolReport;
 pub use parts::ToolPart;
+pub use refusal::EditRefusal;
 
 use crate::contact::response::bodies::ResponseReport;
 use crate::contact::response::itself::OwnContact;

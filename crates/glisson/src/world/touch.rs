@@ -4,6 +4,7 @@
 //! measures position, so the model is driven by displacements). Sticky tissue stays at the tool while the contact lasts;
 //! other tissue slides on it where the pull along the surface is more than Coulomb's friction bears ([`super::slide`]).
 
+use super::detection::FROM_INSIDE;
 use super::organ::Organ;
 use super::parts::ToolPoint;
 use super::skin::SurfacePlace;
@@ -18,9 +19,6 @@ const RELEASE_PULL_N: f64 = 1e-3;
 /// Tissue that a tool overlaps when it begins to touch is pushed out no faster than this [m/s]: a choice, a hand's calm
 /// motion.
 const PUSH_OUT_M_PER_S: f64 = 0.2;
-
-/// Below this cosine between the way from tissue to tool and the outward normal, the tool comes from inside.
-pub(super) const FROM_INSIDE: f64 = -0.2;
 
 /// One touched triangle, the force on it and where the tool presses it.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,10 +4,10 @@
 //! way back.
 
 use super::active::{ActiveBefore, ActiveTip};
-use super::edits::EditRefusal;
 use super::hand::Hand;
 use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
+use super::refusal::EditRefusal;
 use super::vessels::Vessels;
 use super::{QueuedSwap, World, own_contact_of};
 use crate::mesh::edit::{MeshEdit, MeshUndo, TopologyChange};

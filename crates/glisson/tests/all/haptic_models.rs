@@ -1,7 +1,7 @@
 //! What the haptic loop is told: forces between publications without jumps, and a world's own answer nearby.
 
 use crate::model_meshes::block;
-use glisson::haptics::handover::{MOST_RATE_N_PER_S, SPREAD_S};
+use glisson::haptics::spread::{MOST_RATE_N_PER_S, SPREAD_S};
 use glisson::haptics::{ForceEstimate, Handover, HapticModel, Touch, TouchedPart};
 use glisson::material::LinearElastic;
 use glisson::math::{DMat3, DVec3, SeededRandom, outer};

@@ -7,8 +7,8 @@ pub use motions::{MOTIONS, Motion};
 
 use super::timing::{quantile, thread_cpu_ns};
 use super::{Machine, MachineBudget};
+use crate::bodies::liver;
 use crate::scratch::ScratchFolder;
-use crate::validate::bodies::liver;
 use anyhow::{Context, bail, ensure};
 use glisson::mesh::files::write_mesh;
 use glisson::scene::Scene;

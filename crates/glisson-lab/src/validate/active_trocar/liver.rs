@@ -4,7 +4,7 @@
 use super::closed_loop::{Station, TICK_S, TIP_RADIUS_M, fault};
 use super::{OWN, PROTOTYPE, THESIS, dashed, figure, line};
 use crate::bench::thread_cpu_ns;
-use crate::validate::bodies::liver;
+use crate::bodies::liver;
 use crate::validate::{Experiment, Outcome};
 use anyhow::Context;
 use glam::{DQuat, DVec3};

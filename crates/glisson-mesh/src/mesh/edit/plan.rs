@@ -1,8 +1,8 @@
 //! What an edit is going to do, worked out before anything changes, and the one way in which it is done.
 
-use super::change::sum_repeated;
 use super::{EditError, EditableMesh, MeshUndo, NodeWeights, TopologyChange};
 use crate::math::{DVec3, is_inverted, tetrahedron_volume_m3};
+use crate::mesh::change::sum_repeated;
 use crate::mesh::edit::Additions;
 use crate::mesh::topology::Waiting;
 use crate::mesh::{NodeId, TetId, TetMesh};

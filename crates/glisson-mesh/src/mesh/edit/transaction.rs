@@ -6,7 +6,7 @@ use super::plan::Plan;
 use super::replace::Exchange;
 use super::{EditError, EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::fault;
-use crate::mesh::remap::MeshEntity;
+use crate::mesh::change::MeshEntity;
 use crate::mesh::{NodeId, TetId};
 
 impl EditableMesh {
@@ -168,7 +168,7 @@ impl EditableMesh {
             change.reshaped_tets.sort_unstable();
             change.reshaped_tets.dedup();
         }
-        change.set_counts_after(&self.topology);
+        change.set_counts_after(self.topology.lengths());
     }
 
     /// Takes everything new out and what is left of it in again, under ids without gaps.

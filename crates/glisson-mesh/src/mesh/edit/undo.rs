@@ -6,7 +6,8 @@
 
 use super::EditableMesh;
 use crate::math::DVec3;
-use crate::mesh::topology::{EntityCounts, Lengths, Topology};
+use crate::mesh::change::Lengths;
+use crate::mesh::topology::{EntityCounts, Topology};
 use crate::mesh::{NodeId, TetId};
 
 /// What it takes to take an edit back. Its buffers are used again.

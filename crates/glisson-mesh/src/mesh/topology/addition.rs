@@ -1,7 +1,7 @@
 //! Putting tetrahedra in: the inverse of taking them out. Called by `mesh::edit` alone.
 
 use super::{OptionalTetId, TET_EDGES, TET_TRIANGLES, Topology, local_edge};
-use crate::mesh::edit::TopologyChange;
+use crate::mesh::change::{Lengths, TopologyChange};
 use crate::mesh::{EdgeId, NodeId, TetId, TriangleId};
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
@@ -79,15 +79,6 @@ impl Waiting {
     fn triangle(&self, key: u128) -> Option<TriangleId> {
         self.triangles.binary_search_by_key(&key, |t| t.0).ok().map(|at| self.triangles[at].1)
     }
-}
-
-/// How many entities of each kind there are, dead ones included.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(in crate::mesh) struct Lengths {
-    pub(in crate::mesh) nodes: usize,
-    pub(in crate::mesh) edges: usize,
-    pub(in crate::mesh) triangles: usize,
-    pub(in crate::mesh) tets: usize,
 }
 
 fn ascending(mut nodes: [NodeId; 3]) -> [NodeId; 3] {

@@ -1,7 +1,8 @@
 //! Taking a tetrahedron out, and renumbering what is left. Called by `mesh::edit` alone.
 
 use super::{IdSet, MeshEntity, OptionalTetId, Rows, TET_EDGES, Topology};
-use crate::mesh::edit::{EditError, TopologyChange};
+use crate::mesh::change::TopologyChange;
+use crate::mesh::edit::EditError;
 use crate::mesh::{EdgeId, NodeId, TetId, TriangleId};
 
 /// Number of groups that `n` things form when `joined(i, j)` says which pairs hang together; things for

@@ -2,7 +2,7 @@
 
 use std::marker::PhantomData;
 
-use crate::mesh::remap::MeshEntity;
+use crate::mesh::change::MeshEntity;
 
 /// Row `i` holds the ids next to entity `i`, ascending, so that it depends on what is there and not on how it
 /// came about. A row shrinks in place: a removal allocates nothing. A row that grows beyond its room moves to

@@ -10,7 +10,7 @@ use crate::model::kernel::{
     FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, Sequential, SharedMaterial,
 };
 use crate::model::local_model::TangentLaw;
-use crate::model::nonlinear_tensor_mass::{Fibre, TetLaw, linear_stiffness};
+use crate::model::tet_law::{Fibre, TetLaw, linear_stiffness};
 use crate::model::{DynamicBody, RestStress};
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
 use glisson_mesh::mesh::edit::TopologyChange;

@@ -21,7 +21,7 @@ use super::{ExplicitKernelParams, StableStep};
 use crate::material::{LinearElastic, NeoHookeLog, StableNeoHooke, largest_tangent_eigenvalue_pa};
 use crate::model::explicit::{Stability as ElasticStability, StiffTet, keep};
 use crate::model::kernel::{FastKernel, KernelLaw};
-use crate::model::nonlinear_tensor_mass::{TetLaw, linear_stiffness};
+use crate::model::tet_law::{TetLaw, linear_stiffness};
 use crate::model::{ModelUndo, UndoReader};
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
 use glisson_mesh::mesh::edit::TopologyChange;

@@ -30,7 +30,7 @@ use super::explicit::{
 };
 use super::growth::{Growth, blend_tets};
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
-use super::nonlinear_tensor_mass::TetLaw;
+use super::tet_law::TetLaw;
 use super::{
     Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
     NodalForce, RestStress, StepAnswer, TopologyRefusal,

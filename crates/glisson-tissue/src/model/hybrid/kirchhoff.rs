@@ -6,7 +6,7 @@
 //!
 //! A stress at rest S0 makes P = F (S + S0). Its constant part V S0 alpha_j is kept elsewhere, as in the linear zones.
 
-use crate::model::nonlinear_tensor_mass::TetLaw;
+use crate::model::tet_law::TetLaw;
 use crate::solve::{P1Gradients, RestStress, stress_tensor_pa};
 use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer};
 

@@ -15,6 +15,7 @@ use std::borrow::Cow;
 
 use fearless_simd::Level;
 
+use super::evaluation::Evaluation;
 use super::general::{General, stiffness_of};
 use super::lanes::{Group, LANES, SYMMETRIC, Shape, SymmetricLanes};
 use super::law::ImplicitLaw;
@@ -34,24 +35,6 @@ const RETURN_SQUARES: f64 = 4.5;
 const TANGLE: usize = 20;
 /// Inside out: a law with an energy there has no barrier.
 const MIRROR: DMat3 = DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
-
-/// What one evaluation says besides the forces.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Evaluation {
-    /// Energy [J]; meaningless when not upright.
-    pub(super) energy_j: f64,
-    /// Whether the law allows every F.
-    pub(super) is_upright: bool,
-    /// Whether a tetrahedron is inside out under a law that allows it.
-    pub(super) has_inverted: bool,
-}
-
-impl Evaluation {
-    /// Whether the law allows every F and the energy is finite.
-    pub(super) fn is_usable(&self) -> bool {
-        self.is_upright && self.energy_j.is_finite()
-    }
-}
 
 /// Which tetrahedra follow the stand-in law.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

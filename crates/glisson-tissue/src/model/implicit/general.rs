@@ -5,7 +5,7 @@
 
 use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 
-use super::elements::Evaluation;
+use super::evaluation::Evaluation;
 use super::lanes::{
     Group, LANES, Lanes, Shape, add_turned, added_density, gradient, load, load_matrix, scatter,
 };

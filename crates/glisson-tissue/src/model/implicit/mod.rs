@@ -25,6 +25,7 @@
 
 mod correction;
 mod elements;
+mod evaluation;
 mod general;
 mod lagged;
 mod lanes;

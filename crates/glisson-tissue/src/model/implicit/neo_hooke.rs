@@ -20,7 +20,7 @@
 use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 
 use super::VolumeResistance;
-use super::elements::Evaluation;
+use super::evaluation::Evaluation;
 use super::lanes::{
     Group, LANES, Lanes, Matrix, Shape, add_to_corners, add_turned, added_density, corner_mean,
     corner_mean_matrix, deformation, gradient, load, load_matrix, scatter,

@@ -1,31 +1,13 @@
 //! Central differences on the nodes of a part, two nodes in a vector, with the energies of the step.
 
 use super::lanes::Lanes;
-use super::motion::StepFactors;
 use super::part::PartNodes;
 use super::rows::{LaneNumbers, N_LANES, Row};
+use super::step::{ROW_LANES, StepFactors, StepSums};
 
 /// Displacements and increments below this many metres are none. A damped body would else come to rest through
 /// subnormal numbers, its strains' cubes first, and processors compute slowly with these.
 const LEAST_M: f64 = 1e-90;
-
-/// Numbers in a row.
-const ROW_LANES: usize = size_of::<Row>() / size_of::<f64>();
-/// Rows that are advanced together; a part's rows are padded to whole groups.
-pub(super) const GROUP_ROWS: usize = N_LANES / ROW_LANES;
-
-/// What a step did to the nodes that move.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct StepSums {
-    /// Kinetic energy of the half step before [J].
-    pub kinetic_before_j: f64,
-    /// Kinetic energy of the half step after [J].
-    pub kinetic_after_j: f64,
-    /// Work of the outer forces along half of both increments [J].
-    pub outer_work_j: f64,
-    /// Nodes that stayed where they were, at standstill, because their new place was not finite.
-    pub n_recovered: u32,
-}
 
 impl PartNodes {
     /// Moves the nodes by the forces that were summed, some rows at a time. Each of the eight lanes has sums of its own:

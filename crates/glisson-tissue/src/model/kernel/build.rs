@@ -3,7 +3,6 @@
 use super::element::{ElementLaw, Linear, StVenantKirchhoff};
 use super::extras::{ExtraKinds, Extras};
 use super::general::{General, SharedMaterial};
-use super::motion::StepFactors;
 use super::neo_hooke::{NeoHookeLog, StableNeoHooke};
 use super::order::{PartPlan, Place, partition};
 use super::part::{
@@ -11,11 +10,12 @@ use super::part::{
 };
 use super::quarantine::NO_TET;
 use super::rows::{Block, N_LANES, offset_of};
+use super::step::StepFactors;
 use super::{FastKernel, KernelError, KernelLaw, KernelParams, TetPlace};
 use crate::material::{LinearElastic, PronySeries};
 use crate::model::RestStress;
-use crate::model::nonlinear_tensor_mass::{Fibre, TetLaw};
 use crate::model::roomy::Roomy;
+use crate::model::tet_law::{Fibre, TetLaw};
 use crate::solve::{P1Gradients, SolveError};
 use glisson_mesh::mesh::TetId;
 

@@ -5,11 +5,11 @@
 //! have one order on every path and for any number of threads. Undoing takes back in the opposite order, so that lanes
 //! and rows are those from before.
 
-use super::advance::GROUP_ROWS;
 use super::build::{of_tet, share_row};
 use super::order::Place;
 use super::part::{Elements, Part, PartNodes, borrowed_row, write};
 use super::rows::{Block, MOST_ROWS, N_LANES, offset_of};
+use super::step::GROUP_ROWS;
 use super::{FastKernel, KernelExtras, KernelParams, TetPlace};
 use crate::solve::P1Gradients;
 use glisson_mesh::mesh::{NodeId, TetId};

@@ -20,6 +20,7 @@ mod extras;
 mod general;
 mod growth;
 mod lanes;
+mod step;
 mod motion;
 mod neo_hooke;
 mod order;
@@ -31,16 +32,15 @@ mod workers;
 
 use std::sync::Arc;
 
-use self::motion::StepFactors;
 use self::order::Place;
 use self::part::{ForceMode, Part, PartNodes, Parts};
-use super::nonlinear_tensor_mass::NonlinearTensorMassError;
+use self::step::StepFactors;
+use super::tet_law::FibreError;
 use crate::material::LinearElastic;
 use crate::solve::SolveError;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
-pub use advance::StepSums;
 pub use build::KernelExtras;
 pub(in crate::model) use eights::{Eight, EightWork};
 pub use general::SharedMaterial;
@@ -48,6 +48,7 @@ pub(in crate::model) use growth::{KernelCounts, NodeMass};
 pub use motion::NodeMotion;
 pub use paths::KernelPath;
 pub use quarantine::{Quarantine, QuarantineReport};
+pub use step::StepSums;
 pub use workers::{Sequential, Task, Workers};
 
 /// The kernel's laws.
@@ -117,7 +118,7 @@ pub enum KernelError {
     },
     /// A fibre's direction or moduli.
     #[error(transparent)]
-    Fibre(#[from] NonlinearTensorMassError),
+    Fibre(#[from] FibreError),
 }
 
 /// What a kernel is made from.

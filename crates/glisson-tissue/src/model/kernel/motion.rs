@@ -3,46 +3,12 @@
 
 use std::sync::{Arc, RwLock};
 
-use super::advance::StepSums;
 use super::part::{ForceMode, Part, PartNodes, Parts, read};
 use super::rows::{Row, Rows};
-use super::{ExplicitStep, FastKernel, KernelLaw, KernelPath, padded, task};
+use super::step::{StepFactors, StepSums};
+use super::{FastKernel, KernelLaw, KernelPath, padded, task};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::NodeId;
-
-/// Factors of a step of central differences: the new increment is `keep` times the last one plus `push_s2` times
-/// force over mass.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct StepFactors {
-    pub(super) keep: f64,
-    pub(super) push_s2: f64,
-    /// Length of the step over that of the last one.
-    pub(super) stretch: f64,
-    /// 1/h^2 of the last step and of this one [1/s2].
-    pub(super) per_square_s2: [f64; 2],
-    /// Elastic forces are those at u plus so much of the last increment; none for the plain ones.
-    lead: Option<f64>,
-}
-
-impl StepFactors {
-    /// Stiffness damping takes forces at u + beta v, v the velocity of the last half step.
-    pub(super) fn new(step: ExplicitStep, last_s: f64, stiffness_damping_s: f64) -> Self {
-        let ExplicitStep { step_s: h, damping_per_s: d } = step;
-        let inverse = 1.0 / (1.0 / (h * h) + 0.5 * d / h);
-        let stretch = h / last_s;
-        Self {
-            keep: (1.0 / (h * h) - 0.5 * d / h) * inverse * stretch,
-            push_s2: inverse,
-            stretch,
-            per_square_s2: [1.0 / (last_s * last_s), 1.0 / (h * h)],
-            lead: (stiffness_damping_s > 0.0).then(|| stiffness_damping_s / last_s),
-        }
-    }
-
-    pub(super) fn leads(&self) -> bool {
-        self.lead.is_some()
-    }
-}
 
 /// What moves of a node, and its inertia.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -10,16 +10,15 @@
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use super::KernelLaw;
-use super::advance::{GROUP_ROWS, StepSums};
 use super::element::{ElementLaw, Linear, StVenantKirchhoff};
 use super::extras::{Extras, Full, Guarded, Plain, Viscous};
 use super::general::{General, SharedMaterial};
 use super::lanes::Lanes;
-use super::motion::StepFactors;
 use super::neo_hooke::{NeoHookeLog, StableNeoHooke};
 use super::paths::{KernelPath, LaneWork};
 use super::quarantine::{Guard, LaneTets, NO_TET, Quarantine, QuarantineReport};
 use super::rows::{Block, LaneNumbers, MOST_ROWS, N_LANES, Row, Rows};
+use super::step::{GROUP_ROWS, StepFactors, StepSums};
 use crate::material::PronySeries;
 use crate::model::roomy::Roomy;
 use glisson_mesh::mesh::NodeId;

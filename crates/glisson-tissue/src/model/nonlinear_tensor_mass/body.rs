@@ -3,7 +3,6 @@
 use super::adaptive::{Adaptivity, Bound, NonlinearPart, edge_bounds, tet_bound, triangle_bounds};
 use super::forces::{Entities, Everywhere, NonlinearStiffness};
 use super::incompressibility::VolumePenalty;
-use super::law::{TetLaw, TetShape, stressed_stiffness};
 use super::numbers::{
     EdgeStiffness, LOCAL_TRIANGLES, MeshTriangles, Summed, TetScalars, TriangleStiffness, VertexStiffness,
     ascending,
@@ -11,6 +10,7 @@ use super::numbers::{
 use crate::model::explicit::{LiveTets, Padded, Quarantine, keep, renumbered, unpadded};
 use crate::model::growth::{Growth, blend_tets};
 use crate::model::tensor_mass::VertexEdgeTensors;
+use crate::model::tet_law::{TetLaw, TetShape, stressed_stiffness};
 use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, SolveError, stress_tensor_pa};
 use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer, tetrahedron_volume_m3};
 use glisson_mesh::mesh::edit::TopologyChange;

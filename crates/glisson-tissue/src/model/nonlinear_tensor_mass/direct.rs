@@ -5,7 +5,7 @@
 //! at corner j is V P alpha_j. The penalty of the volume (see [`super::incompressibility`]) is
 //! gamma theta |theta| times the inward area vector of the opposite face, theta = V/V_0 - 1.
 
-use super::law::TetLaw;
+use crate::model::tet_law::TetLaw;
 use crate::solve::P1Gradients;
 use glisson_mesh::math::{DMat3, DVec3, outer, tetrahedron_volume_m3};
 use glisson_mesh::mesh::{TetId, TetMesh};

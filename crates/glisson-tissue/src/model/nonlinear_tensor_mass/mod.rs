@@ -25,26 +25,24 @@ mod body;
 mod direct;
 mod forces;
 mod incompressibility;
-mod law;
 mod numbers;
 mod tearing;
 
+pub use super::tet_law::{Fibre, FibreError, TetLaw};
 pub use adaptive::{AdaptiveReport, NonlinearPart};
 pub use direct::DirectBody;
 pub use forces::OperationCounts;
-pub use law::{Fibre, TetLaw};
 pub use numbers::{EdgeStiffness, TetScalars, TriangleStiffness, VertexStiffness};
 
 use self::adaptive::Adaptivity;
 use self::body::Body;
-pub(super) use self::law::linear_stiffness;
-use self::law::stressed_stiffness;
 use super::explicit::{
     Cuttable, ExplicitError, ExplicitMotion, ExplicitSnapshot, LiveTets, Padded, Stability, StableStep,
     StiffTet, check_body, follow, padded, unpadded,
 };
 use super::growth::Growth;
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
+use super::tet_law::stressed_stiffness;
 use super::{
     Constraints, Correction, DeformableModel, DynamicBody, Effort, LocalModel, LocalWork, ModelReport,
     ModelState, NodalForce, RestStress, StepAnswer, TopologyRefusal,
@@ -61,26 +59,9 @@ pub enum NonlinearTensorMassError {
     /// The mesh, the time step, damping or gravity.
     #[error(transparent)]
     Explicit(#[from] ExplicitError),
-    /// A fibre's direction or moduli.
-    #[error("the fibre of tetrahedron {tet}: {what} is {found}; allowed: {allowed}")]
-    Fibre {
-        /// Which tetrahedron.
-        tet: TetId,
-        /// Which quantity, with its unit.
-        what: &'static str,
-        /// What was given.
-        found: f64,
-        /// What may be given.
-        allowed: &'static str,
-    },
-    /// Fibres are given for another number of tetrahedra.
-    #[error("there are {n_fibres} fibres for {n_tets} tetrahedra; allowed: none, or one for each")]
-    FibreCount {
-        /// How many were given.
-        n_fibres: usize,
-        /// How many tetrahedra there are.
-        n_tets: usize,
-    },
+    /// The fibres.
+    #[error(transparent)]
+    Fibre(#[from] FibreError),
 }
 
 impl From<SolveError> for NonlinearTensorMassError {
@@ -140,10 +121,10 @@ impl NonlinearElasticity<'_> {
             return Ok(vec![TetLaw::isotropic(self.material); n_tets]);
         }
         if self.fibres.len() != n_tets {
-            return Err(NonlinearTensorMassError::FibreCount { n_fibres: self.fibres.len(), n_tets });
+            return Err(FibreError::Count { n_fibres: self.fibres.len(), n_tets }.into());
         }
         let with_fibre = |(t, fibre)| TetLaw::with_fibre(self.material, fibre, TetId::from_index(t));
-        self.fibres.iter().enumerate().map(with_fibre).collect()
+        Ok(self.fibres.iter().enumerate().map(with_fibre).collect::<Result<_, FibreError>>()?)
     }
 }
 

@@ -13,8 +13,8 @@
 //! kept, as the report has them, so that a removal takes out 4 (9 + 3 + 1) + 6 (9 + 12 + 5) + 4 (9 + 9) = 280
 //! numbers, the tensors B included.
 
-use super::law::TetShape;
 use crate::model::explicit::{Insertions, LiveTets, place_of};
+use crate::model::tet_law::TetShape;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::Compliance;
-use super::cutting::CutReport;
+use super::cut_report::CutReport;
 use super::loose::{LoosePiece, MOST_PULL_SHARE, Owners};
 use super::low_rank::{History, NodeColumns, NodeWeight, RemovedTet};
 use super::response::Load;

@@ -30,12 +30,14 @@ mod low_rank;
 mod growth;
 mod following;
 mod loose;
+mod cut_report;
 mod cuts;
 mod cutting;
 
 pub use check::{ComplianceCheck, check_compliance};
 pub use contact_system::ContactReport;
-pub use cutting::{CutReport, RECOMPUTATION_COLUMNS, RECOMPUTATION_ERROR, RecomputationLimits};
+pub use cut_report::CutReport;
+pub use cutting::{RECOMPUTATION_COLUMNS, RECOMPUTATION_ERROR, RecomputationLimits};
 pub use error::PrecomputedError;
 pub use file::{PrecomputedExpectation, mesh_hash};
 pub use point::PointConstraint;

@@ -15,8 +15,8 @@ use crate::model::explicit::{
     ExplicitError, ExplicitMotion, Padded, Quarantine, Stability, StiffTet, unpadded,
 };
 use crate::model::hybrid::kirchhoff::KirchhoffTet;
-use crate::model::nonlinear_tensor_mass::TetLaw;
 use crate::model::tensor_mass::VertexEdgeTensors;
+use crate::model::tet_law::TetLaw;
 use crate::model::{Attachment, DynamicBody, FixedNode, ModelReport};
 use crate::solve::P1Gradients;
 use glisson_mesh::math::DVec3;

@@ -7,8 +7,8 @@ use super::{
     Settings, ZoneLaw, edge_tensor, room_for_constraints,
 };
 use crate::model::hybrid::kirchhoff::KirchhoffTet;
-use crate::model::nonlinear_tensor_mass::TetLaw;
 use crate::model::tensor_mass::TensorMass;
+use crate::model::tet_law::TetLaw;
 use crate::solve::{
     BoundaryConditions, FreeSystem, MeshEdges, SolveError, StiffnessTensors, TetStiffness, boundary_nodes,
     solve_columns_into,

@@ -9,7 +9,7 @@
 use super::ExchangeCount;
 use super::zone::{Lists, Shared};
 use crate::model::hybrid::kirchhoff::KirchhoffTet;
-use crate::model::nonlinear_tensor_mass::TetLaw;
+use crate::model::tet_law::TetLaw;
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::{NodeId, TetId};
 

@@ -27,9 +27,9 @@ use glisson::surface::extract::{SurfaceParams, surface_of_mask};
 use std::sync::{Mutex, PoisonError};
 
 /// Shear modulus [Pa].
-pub(super) const MU_PA: f64 = 1_000.0;
+pub(crate) const MU_PA: f64 = 1_000.0;
 /// lambda = 4 mu (seed `002`, s. 5): a Poisson's ratio of 0.4.
-pub(super) const LAMBDA_PA: f64 = 4.0 * MU_PA;
+pub(crate) const LAMBDA_PA: f64 = 4.0 * MU_PA;
 /// Only the time that motions take depends on it [kg/m3].
 const DENSITY_KG_PER_M3: f64 = 1_000.0;
 /// Share of the stable step that the models take.
@@ -40,7 +40,7 @@ const LARGEST_STRETCH: f64 = 1.5;
 const N_AROUND: u32 = 96;
 
 /// The seeds' material.
-pub(super) fn material() -> anyhow::Result<LinearElastic> {
+pub(crate) fn material() -> anyhow::Result<LinearElastic> {
     Ok(LinearElastic::from_lame(LAMBDA_PA, MU_PA, DENSITY_KG_PER_M3)?)
 }
 
@@ -64,7 +64,7 @@ fn cylinder_surface(radius_m: f64, height_m: f64) -> TriMesh {
 }
 
 /// A standing cylinder in about `n_tets` tetrahedra.
-pub(super) fn cylinder(radius_m: f64, height_m: f64, n_tets: usize) -> anyhow::Result<TetMesh> {
+pub(crate) fn cylinder(radius_m: f64, height_m: f64, n_tets: usize) -> anyhow::Result<TetMesh> {
     let params = MeshParams { size: WantedSize::Tetrahedra(n_tets), volume_m3: None };
     let (mesh, _) = generate(&cylinder_surface(radius_m, height_m), &params).context("meshing a cylinder")?;
     Ok(mesh)
@@ -88,14 +88,14 @@ pub(crate) fn liver(n_tets: usize) -> anyhow::Result<TetMesh> {
 }
 
 /// Nodes whose rest place `is_wanted`, ascending.
-pub(super) fn nodes_where(mesh: &TetMesh, is_wanted: impl Fn(DVec3) -> bool) -> Vec<NodeId> {
+pub(crate) fn nodes_where(mesh: &TetMesh, is_wanted: impl Fn(DVec3) -> bool) -> Vec<NodeId> {
     let places = mesh.positions_m.iter().enumerate();
     places.filter(|(_, p)| is_wanted(**p)).map(|(n, _)| NodeId::from_index(n)).collect()
 }
 
 /// A force [N] on each node of the mesh: `total_n` over the surface triangles all of whose nodes are among `nodes`
 /// (ascending), evenly by area.
-pub(super) fn spread_over(mesh: &TetMesh, nodes: &[NodeId], total_n: DVec3) -> anyhow::Result<Vec<DVec3>> {
+pub(crate) fn spread_over(mesh: &TetMesh, nodes: &[NodeId], total_n: DVec3) -> anyhow::Result<Vec<DVec3>> {
     let topology = Topology::build(mesh)?;
     let mut area_m2 = vec![0.0; mesh.positions_m.len()];
     let mut whole_m2 = 0.0;
@@ -112,24 +112,24 @@ pub(super) fn spread_over(mesh: &TetMesh, nodes: &[NodeId], total_n: DVec3) -> a
 }
 
 /// Place of each node under displacements [m].
-pub(super) fn displaced(mesh: &TetMesh, displacement_m: &[DVec3]) -> Vec<DVec3> {
+pub(crate) fn displaced(mesh: &TetMesh, displacement_m: &[DVec3]) -> Vec<DVec3> {
     mesh.positions_m.iter().zip(displacement_m).map(|(p, u)| *p + *u).collect()
 }
 
 /// Displacement of each node of a model [m].
-pub(super) fn displacements(mesh: &TetMesh, model: &dyn DeformableModel) -> Vec<DVec3> {
+pub(crate) fn displacements(mesh: &TetMesh, model: &dyn DeformableModel) -> Vec<DVec3> {
     model.state().positions_m.iter().zip(&mesh.positions_m).map(|(p, rest)| *p - *rest).collect()
 }
 
 /// Change of the volume over the volume, of the whole body.
-pub(super) fn volume_change(mesh: &TetMesh, displacement_m: &[DVec3]) -> f64 {
+pub(crate) fn volume_change(mesh: &TetMesh, displacement_m: &[DVec3]) -> f64 {
     let deformed =
         TetMesh { positions_m: displaced(mesh, displacement_m), tetrahedra: mesh.tetrahedra.clone() };
     deformed.volume_m3() / mesh.volume_m3() - 1.0
 }
 
 /// Mean over the rest volume of the size of each tetrahedron's volume change, over its volume.
-pub(super) fn local_volume_change(mesh: &TetMesh, displacement_m: &[DVec3]) -> f64 {
+pub(crate) fn local_volume_change(mesh: &TetMesh, displacement_m: &[DVec3]) -> f64 {
     let places_m = displaced(mesh, displacement_m);
     let mut changed_m3 = 0.0;
     for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
@@ -140,27 +140,27 @@ pub(super) fn local_volume_change(mesh: &TetMesh, displacement_m: &[DVec3]) -> f
 }
 
 /// Largest of some values from 0; one that is no number stays, which `f64::max` would lose.
-pub(super) fn most(values: impl IntoIterator<Item = f64>) -> f64 {
+pub(crate) fn most(values: impl IntoIterator<Item = f64>) -> f64 {
     values.into_iter().fold(0.0, |most, x| if x > most || x.is_nan() { x } else { most })
 }
 
 /// Largest length of a vector.
-pub(super) fn largest(vectors: &[DVec3]) -> f64 {
+pub(crate) fn largest(vectors: &[DVec3]) -> f64 {
     most(vectors.iter().map(|v| v.length()))
 }
 
 /// The non-linear tensor-mass law as static solutions want it: St Venant-Kirchhoff with a fibre, and the penalty
 /// gamma |J - 1|^3 of volume changes (seeds `002` and `004`).
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PenalizedLaw {
-    pub(super) law: TetLaw,
+pub(crate) struct PenalizedLaw {
+    pub(crate) law: TetLaw,
     /// gamma [Pa].
-    pub(super) volume_penalty_pa: f64,
+    pub(crate) volume_penalty_pa: f64,
 }
 
 impl PenalizedLaw {
     /// The laws of a body's tetrahedra.
-    pub(super) fn of(elasticity: &NonlinearElasticity<'_>, n_tets: usize) -> anyhow::Result<Vec<Self>> {
+    pub(crate) fn of(elasticity: &NonlinearElasticity<'_>, n_tets: usize) -> anyhow::Result<Vec<Self>> {
         let volume_penalty_pa = elasticity.volume_penalty_pa;
         let laws = elasticity.laws(n_tets)?;
         Ok(laws.into_iter().map(|law| Self { law, volume_penalty_pa }).collect())
@@ -207,7 +207,7 @@ impl Material for PenalizedLaw {
 }
 
 /// Displacements [m] of linear elasticity in equilibrium.
-pub(super) fn linear_equilibrium(
+pub(crate) fn linear_equilibrium(
     mesh: &TetMesh,
     material: &LinearElastic,
     conditions: &BoundaryConditions,
@@ -217,7 +217,7 @@ pub(super) fn linear_equilibrium(
 }
 
 /// The non-linear law in equilibrium.
-pub(super) fn nonlinear_equilibrium(
+pub(crate) fn nonlinear_equilibrium(
     mesh: &TetMesh,
     elasticity: &NonlinearElasticity<'_>,
     conditions: &BoundaryConditions,
@@ -230,12 +230,12 @@ pub(super) fn nonlinear_equilibrium(
 }
 
 /// Isotropic elasticity without penalty.
-pub(super) fn isotropic(material: &LinearElastic) -> NonlinearElasticity<'_> {
+pub(crate) fn isotropic(material: &LinearElastic) -> NonlinearElasticity<'_> {
     NonlinearElasticity { material, fibres: &[], volume_penalty_pa: 0.0, largest_stretch: LARGEST_STRETCH }
 }
 
 /// The linear tensor-mass model of a mesh.
-pub(super) fn linear_model(
+pub(crate) fn linear_model(
     mesh: &TetMesh,
     material: &LinearElastic,
     fixed_nodes: &[NodeId],
@@ -263,7 +263,7 @@ fn dynamic_body<'a>(
 }
 
 /// The non-linear tensor-mass model of a mesh.
-pub(super) fn nonlinear_model(
+pub(crate) fn nonlinear_model(
     mesh: &TetMesh,
     elasticity: NonlinearElasticity<'_>,
     fixed_nodes: &[NodeId],
@@ -276,7 +276,7 @@ pub(super) fn nonlinear_model(
 }
 
 /// Constraints of these forces [N], one a node of the mesh, and displacements of held nodes (ascending).
-pub(super) fn constraints(nodal_force_n: &[DVec3], held: &[ImposedDisplacement]) -> Constraints {
+pub(crate) fn constraints(nodal_force_n: &[DVec3], held: &[ImposedDisplacement]) -> Constraints {
     let forces = nodal_force_n.iter().enumerate().filter(|(_, f)| **f != DVec3::ZERO);
     Constraints {
         displacements: held.to_vec(),
@@ -285,7 +285,7 @@ pub(super) fn constraints(nodal_force_n: &[DVec3], held: &[ImposedDisplacement])
 }
 
 /// The lowest frequency [rad/s] by Rayleigh's quotient: of displacements [m] in equilibrium with forces [N].
-pub(super) fn slow_frequency_per_s(mesh: &TetMesh, force_n: &[DVec3], displacement_m: &[DVec3]) -> f64 {
+pub(crate) fn slow_frequency_per_s(mesh: &TetMesh, force_n: &[DVec3], displacement_m: &[DVec3]) -> f64 {
     let work_j: f64 = force_n.iter().zip(displacement_m).map(|(f, u)| f.dot(*u)).sum();
     let mut inertia = 0.0;
     for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
@@ -300,7 +300,7 @@ const LOOK_STEPS: usize = 100;
 
 /// Brings a damped model to rest under its constraints: until no node moves by more than `tolerance_m` in
 /// [`LOOK_STEPS`] steps. The damping that is fastest is twice the lowest frequency. Returns the number of steps.
-pub(super) fn relax(
+pub(crate) fn relax(
     model: &mut dyn DeformableModel,
     step_s: f64,
     tolerance_m: f64,
@@ -322,14 +322,14 @@ pub(super) fn relax(
 }
 
 /// Points of the tissue, to follow through deformations.
-pub(super) struct TissuePoints {
+pub(crate) struct TissuePoints {
     /// Tetrahedron and barycentric coordinates of each.
     places: Vec<(TetId, [f64; 4])>,
 }
 
 impl TissuePoints {
     /// The points that lie at `points_m` at rest; those outside go with the nearest tetrahedron.
-    pub(super) fn new(mesh: &TetMesh, points_m: &[DVec3]) -> Self {
+    pub(crate) fn new(mesh: &TetMesh, points_m: &[DVec3]) -> Self {
         let place = |p: &DVec3| {
             let of_tet = |t: usize| {
                 let [a, b, c, d] = mesh.corners_m(TetId::from_index(t));
@@ -345,7 +345,7 @@ impl TissuePoints {
     }
 
     /// Where they are when the nodes are at `nodes_m`.
-    pub(super) fn at(&self, mesh: &TetMesh, nodes_m: &[DVec3]) -> Vec<DVec3> {
+    pub(crate) fn at(&self, mesh: &TetMesh, nodes_m: &[DVec3]) -> Vec<DVec3> {
         let of = |(tet, weights): &(TetId, [f64; 4])| {
             let nodes = mesh.tetrahedra[tet.index()];
             nodes.iter().zip(weights).fold(DVec3::ZERO, |sum, (n, w)| sum + nodes_m[n.index()] * *w)

@@ -17,7 +17,6 @@
 //! Differences from the report: it leaves the volume V out; its B is half of ours, which is the one of
 //! [`crate::solve::P1Gradients::stiffness`], so that the linear force is B u and not 2 B u.
 
-use super::NonlinearTensorMassError;
 use crate::material::LinearElastic;
 use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, TetStiffness};
 use glisson_mesh::math::{DMat3, DVec3, outer};
@@ -25,6 +24,31 @@ use glisson_mesh::mesh::TetId;
 
 /// How far the length of a fibre's direction may be from 1.
 const UNIT_LENGTH_TOLERANCE: f64 = 1e-6;
+
+/// Why fibres cannot be followed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FibreError {
+    /// A fibre's direction or moduli.
+    #[error("the fibre of tetrahedron {tet}: {what} is {found}; allowed: {allowed}")]
+    Impossible {
+        /// Which tetrahedron.
+        tet: TetId,
+        /// Which quantity, with its unit.
+        what: &'static str,
+        /// What was given.
+        found: f64,
+        /// What may be given.
+        allowed: &'static str,
+    },
+    /// Fibres are given for another number of tetrahedra.
+    #[error("there are {n_fibres} fibres for {n_tets} tetrahedra; allowed: none, or one for each")]
+    Count {
+        /// How many were given.
+        n_fibres: usize,
+        /// How many tetrahedra there are.
+        n_tets: usize,
+    },
+}
 
 /// What makes a tetrahedron stiffer (or softer) along one direction: transverse isotropy (seed `002`, eq. 7).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,15 +84,10 @@ impl TetLaw {
     /// A tetrahedron with a fibre.
     ///
     /// # Errors
-    /// [`NonlinearTensorMassError::Fibre`] unless the direction has length 1 and the moduli make the energy of
+    /// [`FibreError::Impossible`] unless the direction has length 1 and the moduli make the energy of
     /// every small strain positive: kappa > -E/2.
-    pub fn with_fibre(
-        material: &LinearElastic,
-        fibre: &Fibre,
-        tet: TetId,
-    ) -> Result<Self, NonlinearTensorMassError> {
-        let refuse =
-            |what, found, allowed| Err(NonlinearTensorMassError::Fibre { tet, what, found, allowed });
+    pub fn with_fibre(material: &LinearElastic, fibre: &Fibre, tet: TetId) -> Result<Self, FibreError> {
+        let refuse = |what, found, allowed| Err(FibreError::Impossible { tet, what, found, allowed });
         let length = fibre.direction.length();
         if !(length.is_finite() && (length - 1.0).abs() <= UNIT_LENGTH_TOLERANCE) {
             return refuse("length of the direction", length, "1");
@@ -122,7 +141,7 @@ impl TetLaw {
 }
 
 /// A tetrahedron at rest with its law: the source of all its stiffness numbers. Indices are local nodes.
-pub(super) struct TetShape {
+pub(in crate::model) struct TetShape {
     law: TetLaw,
     volume_m3: f64,
     alpha_per_m: [DVec3; 4],
@@ -133,7 +152,7 @@ pub(super) struct TetShape {
 }
 
 impl TetShape {
-    pub(super) fn new(law: TetLaw, gradients: &P1Gradients) -> Self {
+    pub(in crate::model) fn new(law: TetLaw, gradients: &P1Gradients) -> Self {
         let alpha = gradients.alpha_per_m;
         Self {
             law,
@@ -145,7 +164,7 @@ impl TetShape {
     }
 
     /// C_jkl [N/m2].
-    pub(super) fn c(&self, j: usize, k: usize, l: usize) -> DVec3 {
+    pub(in crate::model) fn c(&self, j: usize, k: usize, l: usize) -> DVec3 {
         let (alpha, g, s) = (&self.alpha_per_m, &self.dot, &self.along);
         let volumetric = alpha[j] * (0.5 * self.law.lambda_pa * g[k][l]);
         let shear = (alpha[l] * g[j][k] + alpha[k] * g[j][l]) * (0.5 * self.law.mu_pa);
@@ -154,7 +173,7 @@ impl TetShape {
     }
 
     /// D_jklm [N/m3].
-    pub(super) fn d(&self, j: usize, k: usize, l: usize, m: usize) -> f64 {
+    pub(in crate::model) fn d(&self, j: usize, k: usize, l: usize, m: usize) -> f64 {
         let (g, s) = (&self.dot, &self.along);
         let volumetric = 0.125 * self.law.lambda_pa * (g[j][k] * g[l][m]);
         let shear = 0.25 * self.law.mu_pa * (g[j][m] * g[k][l]);
@@ -165,7 +184,7 @@ impl TetShape {
 
 /// The tensors B of a tetrahedron [N/m] with a stress at rest S0: S = S_elastic + S0 adds (alpha_j . S0 alpha_k) V Id
 /// (and constant forces, which are kept elsewhere).
-pub(super) fn stressed_stiffness(
+pub(in crate::model) fn stressed_stiffness(
     law: &TetLaw,
     gradients: &P1Gradients,
     rest_stress_pa: Option<&RestStress>,

@@ -1,9 +1,52 @@
 //! What an edit did, in buffers that are used again.
 
 use crate::math::DVec3;
-use crate::mesh::remap::MeshEntity;
-use crate::mesh::topology::{Lengths, Topology};
 use crate::mesh::{EdgeId, NodeId, TetId, TriangleId};
+use std::fmt;
+
+/// A kind of entity, known by its id type: node, edge, triangle or tetrahedron.
+pub trait MeshEntity: Copy + Ord + fmt::Debug {
+    /// The id as a place in an array.
+    fn index(self) -> usize;
+
+    /// The id of a place in an array.
+    fn from_index(index: usize) -> Self;
+
+    /// What `change` did to the entities of this kind.
+    fn changed_in(change: &TopologyChange) -> &EntityChange<Self>;
+}
+
+macro_rules! mesh_entity {
+    ($id:ident, $field:ident) => {
+        impl MeshEntity for $id {
+            fn index(self) -> usize {
+                $id::index(self)
+            }
+
+            fn from_index(index: usize) -> Self {
+                $id::from_index(index)
+            }
+
+            fn changed_in(change: &TopologyChange) -> &EntityChange<Self> {
+                &change.$field
+            }
+        }
+    };
+}
+
+mesh_entity!(NodeId, nodes);
+mesh_entity!(EdgeId, edges);
+mesh_entity!(TriangleId, triangles);
+mesh_entity!(TetId, tets);
+
+/// How many entities of each kind there are, dead ones included.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in crate::mesh) struct Lengths {
+    pub(in crate::mesh) nodes: usize,
+    pub(in crate::mesh) edges: usize,
+    pub(in crate::mesh) triangles: usize,
+    pub(in crate::mesh) tets: usize,
+}
 
 /// New entities of one kind, each with its parents.
 #[derive(Clone, Debug, PartialEq)]
@@ -145,7 +188,7 @@ impl<I: MeshEntity> EntityChange<I> {
     }
 }
 
-/// What an edit may have done to the number of pieces. Exact counts: [`Topology::pieces_into`].
+/// What an edit may have done to the number of pieces. Exact counts: [`crate::mesh::topology::Topology::pieces_into`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PieceChange {
     /// Pieces that vanished because their last tetrahedron was removed, those that the edit itself had split
@@ -253,18 +296,18 @@ impl TopologyChange {
         self.pieces = PieceChanges::default();
     }
 
-    pub(super) fn set_counts_before(&mut self, topology: &Topology) {
-        self.nodes.start_with(topology.n_nodes());
-        self.edges.start_with(topology.n_edges());
-        self.triangles.start_with(topology.n_triangles());
-        self.tets.start_with(topology.n_tets());
+    pub(super) fn set_counts_before(&mut self, lengths: Lengths) {
+        self.nodes.start_with(lengths.nodes);
+        self.edges.start_with(lengths.edges);
+        self.triangles.start_with(lengths.triangles);
+        self.tets.start_with(lengths.tets);
     }
 
-    pub(super) fn set_counts_after(&mut self, topology: &Topology) {
-        self.nodes.n_after = topology.n_nodes();
-        self.edges.n_after = topology.n_edges();
-        self.triangles.n_after = topology.n_triangles();
-        self.tets.n_after = topology.n_tets();
+    pub(super) fn set_counts_after(&mut self, lengths: Lengths) {
+        self.nodes.n_after = lengths.nodes;
+        self.edges.n_after = lengths.edges;
+        self.triangles.n_after = lengths.triangles;
+        self.tets.n_after = lengths.tets;
     }
 
     pub(super) fn lengths_before(&self) -> Lengths {

@@ -1,0 +1,19 @@
+//! What evaluating the elements at a shape tells.
+
+/// What one evaluation says besides the forces.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Evaluation {
+    /// Energy [J]; meaningless when not upright.
+    pub(super) energy_j: f64,
+    /// Whether the law allows every F.
+    pub(super) is_upright: bool,
+    /// Whether a tetrahedron is inside out under a law that allows it.
+    pub(super) has_inverted: bool,
+}
+
+impl Evaluation {
+    /// Whether the law allows every F and the energy is finite.
+    pub(super) fn is_usable(&self) -> bool {
+        self.is_upright && self.energy_j.is_finite()
+    }
+}

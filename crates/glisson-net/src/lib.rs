@@ -31,6 +31,7 @@ pub(crate) mod player;
     allow(dead_code, unused_imports, reason = "without zenoh only the tests use it")
 )]
 pub(crate) mod ros2;
+#[allow(clippy::print_stdout, reason = "the options of `glisson serve` tell the user what they do")]
 pub mod options;
 #[cfg(test)]
 mod tests;

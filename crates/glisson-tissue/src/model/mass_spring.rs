@@ -13,15 +13,12 @@
 //! length of the links, exactly F S0 of the tetrahedra; it balances the weight of volume-weighted masses.
 
 use super::explicit::{
-    Cuttable, ExplicitBody, ExplicitError, Integration, InternalForces, LiveEdges, LiveTets, RestTensions,
-    check_body, check_number, follow, keep,
+    Cuttable, ExplicitBody, ExplicitDynamics, ExplicitError, Integration, InternalForces, LiveEdges,
+    LiveTets, RestTensions, check_body, check_number, follow, keep,
 };
 use super::growth::{Growth, blend_tets};
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame};
-use super::{
-    Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
-    NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
-};
+use super::{DynamicBody, Rayleigh, RestStress, TopologyRefusal};
 use crate::solve::{MeshEdges, P1Gradients};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -419,65 +416,22 @@ impl LocalBody for MassSpring {
     }
 }
 
-impl DeformableModel for MassSpring {
-    fn apply(&mut self, constraints: &Constraints) {
-        self.body.apply(constraints);
+impl ExplicitDynamics for MassSpring {
+    type Mover = ExplicitBody;
+
+    fn mover(&self) -> &ExplicitBody {
+        &self.body
     }
 
-    /// Advances by `dt_s` in the fewest equal parts not longer than the time step and the stable step.
-    fn step(&mut self, dt_s: f64) {
+    fn mover_mut(&mut self) -> &mut ExplicitBody {
+        &mut self.body
+    }
+
+    fn advance(&mut self, dt_s: f64) {
         self.body.step(dt_s, &mut self.springs);
     }
 
-    fn state(&self) -> ModelState<'_> {
-        self.body.state()
-    }
-
-    fn constraint_forces_n(&self) -> &[DVec3] {
-        self.body.constraint_forces_n()
-    }
-
-    fn take_over(&mut self, positions_m: &[DVec3]) {
-        self.body.take_over(positions_m);
-    }
-
-    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
-        self.body.set_gravity(gravity_m_per_s2);
-    }
-
-    fn report(&self) -> ModelReport {
-        self.body.report()
-    }
-
-    fn local_model_into(
-        &mut self,
-        patch: &[NodeId],
-        period_s: f64,
-        work: &mut LocalWork,
-        out: &mut LocalModel,
-    ) {
-        out.start(patch, period_s, self.state().positions_m);
-        local_model::compute(self, work, out);
-    }
-
-    fn step_answer(&self) -> StepAnswer {
-        StepAnswer::NodeByNode
-    }
-
-    fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
-        self.body.node_answer_m_per_n(node, dt_s)
-    }
-
-    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
-        self.body.correct(forces, dt_s, correction);
-    }
-
-    fn duplicate(&self) -> Box<dyn DeformableModel> {
-        Box::new(self.clone())
-    }
-
-    /// Follows all edits. Removals allocate nothing.
-    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+    fn follow_change(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         follow(self, mesh, change)
     }
 }

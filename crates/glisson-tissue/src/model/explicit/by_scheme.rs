@@ -11,6 +11,7 @@
 //! them with. A mode then has the further damping over mass b omega^2, which the bounds of the schemes count as
 //! viscosity.
 
+use super::dynamics::Mover;
 use super::frame::{Frame, Quarantine, Sliding};
 use super::stable::{MARGIN, Stability, StiffTet};
 use super::{ExplicitError, keep};
@@ -282,14 +283,6 @@ impl ExplicitBody {
         self.frame.parts_of_step(dt_s)
     }
 
-    pub(in crate::model) fn report(&self) -> ModelReport {
-        self.frame.report(self.kinetic_energy_j())
-    }
-
-    pub(in crate::model) fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
-        self.frame.set_gravity(gravity_m_per_s2);
-    }
-
     /// Makes inertias and flags follow the masses.
     pub(in crate::model) fn masses_changed(&mut self) {
         let masses_kg = &self.frame.mass_kg;
@@ -316,12 +309,6 @@ impl ExplicitBody {
         for held in self.frame.held.iter() {
             self.moves[held.node as usize] = false;
         }
-    }
-
-    pub(in crate::model) fn apply(&mut self, constraints: &Constraints) {
-        self.frame.apply(constraints);
-        // A node that is let go keeps its velocity.
-        self.update_moves();
     }
 
     /// Holds a node where it is from now on.
@@ -421,63 +408,6 @@ impl ExplicitBody {
         limited.unwrap_or(free_j)
     }
 
-    /// Displacement of a node for a unit force along each axis in a step [m/N].
-    pub(in crate::model) fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
-        let n = node.index();
-        if n >= self.n_nodes() || !self.moves[n] || self.inertia_kg[n] <= 0.0 {
-            return DVec3::ZERO;
-        }
-        let free = self.frame.free_axes(n).map(|is_free| f64::from(u8::from(is_free)));
-        DVec3::from_array(free) * (dt_s * dt_s / self.inertia_kg[n])
-    }
-
-    /// What further forces would have done in the last step.
-    pub(in crate::model) fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
-        for force in forces {
-            let n = force.node.index();
-            let move_m = self.node_answer_m_per_n(force.node, dt_s) * force.force_n;
-            if move_m != DVec3::ZERO && move_m.is_finite() {
-                self.positions_m[n] += move_m;
-                if correction == Correction::Motion {
-                    self.velocities_m_per_s[n] += move_m / dt_s;
-                }
-            }
-        }
-    }
-
-    pub(in crate::model) fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocities_m_per_s,
-            history: self.integrator.history(),
-        }
-    }
-
-    pub(in crate::model) fn constraint_forces_n(&self) -> &[DVec3] {
-        &self.frame.constraint_forces_n
-    }
-
-    /// Starts at standstill; fixed nodes stay where they are, those whose place is no number where they rest.
-    pub(in crate::model) fn take_over(&mut self, positions_m: &[DVec3]) {
-        assert_eq!(positions_m.len(), self.n_nodes(), "one position a node");
-        for (n, &position_m) in positions_m.iter().enumerate() {
-            if !self.frame.is_fixed[n] {
-                let rest_m = self.frame.rest_m[n];
-                let mut at_m = if position_m.is_finite() { position_m } else { rest_m };
-                if let Ok(at) = self.frame.sliding.binary_search_by_key(&(n as u32), |s| s.node) {
-                    let supported = self.frame.sliding[at].supported;
-                    for axis in (0..3).filter(|&axis| supported[axis]) {
-                        at_m[axis] = self.positions_m[n][axis];
-                    }
-                }
-                self.positions_m[n] = at_m;
-            }
-        }
-        self.velocities_m_per_s.fill(DVec3::ZERO);
-        self.frame.constraint_forces_n.fill(DVec3::ZERO);
-        self.integrator.restart();
-    }
-
     /// Sets the velocities of nodes that move freely [m/s].
     pub(in crate::model) fn set_velocities(&mut self, velocities_m_per_s: &[DVec3]) {
         for (n, &v) in velocities_m_per_s.iter().enumerate() {
@@ -575,6 +505,79 @@ impl ExplicitBody {
             .collect();
         kept.extend(history.last());
         self.integrator.set_history(&kept);
+    }
+}
+
+impl Mover for ExplicitBody {
+    fn apply(&mut self, constraints: &Constraints) {
+        self.frame.apply(constraints);
+        // A node that is let go keeps its velocity.
+        self.update_moves();
+    }
+
+    fn state(&self) -> ModelState<'_> {
+        ModelState {
+            positions_m: &self.positions_m,
+            velocities_m_per_s: &self.velocities_m_per_s,
+            history: self.integrator.history(),
+        }
+    }
+
+    fn constraint_forces_n(&self) -> &[DVec3] {
+        &self.frame.constraint_forces_n
+    }
+
+    /// Starts at standstill; fixed nodes stay where they are, those whose place is no number where they rest.
+    fn take_over(&mut self, positions_m: &[DVec3]) {
+        assert_eq!(positions_m.len(), self.n_nodes(), "one position a node");
+        for (n, &position_m) in positions_m.iter().enumerate() {
+            if !self.frame.is_fixed[n] {
+                let rest_m = self.frame.rest_m[n];
+                let mut at_m = if position_m.is_finite() { position_m } else { rest_m };
+                if let Ok(at) = self.frame.sliding.binary_search_by_key(&(n as u32), |s| s.node) {
+                    let supported = self.frame.sliding[at].supported;
+                    for axis in (0..3).filter(|&axis| supported[axis]) {
+                        at_m[axis] = self.positions_m[n][axis];
+                    }
+                }
+                self.positions_m[n] = at_m;
+            }
+        }
+        self.velocities_m_per_s.fill(DVec3::ZERO);
+        self.frame.constraint_forces_n.fill(DVec3::ZERO);
+        self.integrator.restart();
+    }
+
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        self.frame.set_gravity(gravity_m_per_s2);
+    }
+
+    fn report(&self) -> ModelReport {
+        self.frame.report(self.kinetic_energy_j())
+    }
+
+    /// Displacement of a node for a unit force along each axis in a step [m/N].
+    fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
+        let n = node.index();
+        if n >= self.n_nodes() || !self.moves[n] || self.inertia_kg[n] <= 0.0 {
+            return DVec3::ZERO;
+        }
+        let free = self.frame.free_axes(n).map(|is_free| f64::from(u8::from(is_free)));
+        DVec3::from_array(free) * (dt_s * dt_s / self.inertia_kg[n])
+    }
+
+    /// What further forces would have done in the last step.
+    fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        for force in forces {
+            let n = force.node.index();
+            let move_m = self.node_answer_m_per_n(force.node, dt_s) * force.force_n;
+            if move_m != DVec3::ZERO && move_m.is_finite() {
+                self.positions_m[n] += move_m;
+                if correction == Correction::Motion {
+                    self.velocities_m_per_s[n] += move_m / dt_s;
+                }
+            }
+        }
     }
 }
 

@@ -14,6 +14,7 @@
 //! B = b h omega^2; its roots stay in the unit circle for A + 2 B <= 4 (Jury's conditions; d drops out), so for
 //! h <= sqrt(b^2 + (2/omega)^2) - b.
 
+use super::dynamics::Mover;
 use super::frame::{Frame, Quarantine};
 use super::stable::{MARGIN, Stability, StableStep, StiffTet};
 use super::{ExplicitError, Padded, keep, padded, unpadded};
@@ -227,18 +228,6 @@ impl ExplicitMotion {
         self.inertia_kg.iter().zip(&self.velocities_m_per_s).map(of_node).sum()
     }
 
-    pub(in crate::model) fn report(&self) -> ModelReport {
-        self.frame.report(self.kinetic_energy_j())
-    }
-
-    pub(in crate::model) fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
-        self.frame.set_gravity(gravity_m_per_s2);
-    }
-
-    pub(in crate::model) fn apply(&mut self, constraints: &Constraints) {
-        self.frame.apply(constraints);
-    }
-
     /// Holds a node where it is from now on.
     pub(in crate::model) fn fix_in_place(&mut self, node: NodeId) {
         if self.frame.fix(node) {
@@ -444,80 +433,6 @@ impl ExplicitMotion {
         self.publish();
     }
 
-    /// Displacement of a node for a unit force along each axis in a step [m/N].
-    pub(in crate::model) fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
-        let n = node.index();
-        if n >= self.n_nodes() || self.frame.is_held(n) {
-            return DVec3::ZERO;
-        }
-        let free = self.frame.free_axes(n).map(|is_free| f64::from(u8::from(is_free)));
-        DVec3::from_array(free) * (dt_s * dt_s * self.inverse_inertia_per_kg[n])
-    }
-
-    /// What further forces would have done in the last step. u(t-h) follows u(t) so far that the velocity changes by
-    /// the move over the whole step, not over its last part.
-    pub(in crate::model) fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
-        let n_nodes = self.n_nodes();
-        let last_s = self.last_step_s();
-        let share = match correction {
-            Correction::Motion => 1.0 - last_s / dt_s,
-            Correction::Places => 1.0,
-        };
-        let mut gained_j = 0.0;
-        for force in forces {
-            let move_m = self.node_answer_m_per_n(force.node, dt_s) * force.force_n;
-            if move_m == DVec3::ZERO || !move_m.is_finite() {
-                continue;
-            }
-            let n = force.node.index();
-            let now_m = unpadded(&self.motion[n]) + move_m;
-            self.motion[n] = padded(now_m);
-            self.positions_m[n] = self.frame.rest_m[n] + now_m;
-            let previous_m = unpadded(&self.motion[n_nodes + n]) + move_m * share;
-            self.motion[n_nodes + n] = padded(previous_m);
-            if correction == Correction::Motion {
-                let velocity_m_per_s = (now_m - previous_m) / last_s;
-                let before_m_per_s = std::mem::replace(&mut self.velocities_m_per_s[n], velocity_m_per_s);
-                let gained = velocity_m_per_s.length_squared() - before_m_per_s.length_squared();
-                gained_j += 0.5 * self.inertia_kg[n] * gained;
-            }
-        }
-        self.set_last_kinetic_j((self.last_kinetic_j() + gained_j).max(0.0));
-    }
-
-    pub(in crate::model) fn state(&self) -> ModelState<'_> {
-        ModelState {
-            positions_m: &self.positions_m,
-            velocities_m_per_s: &self.velocities_m_per_s,
-            history: self.motion.as_flattened(),
-        }
-    }
-
-    pub(in crate::model) fn constraint_forces_n(&self) -> &[DVec3] {
-        &self.frame.constraint_forces_n
-    }
-
-    /// Starts at standstill; fixed nodes stay where they are, those whose place is no number where they rest.
-    pub(in crate::model) fn take_over(&mut self, positions_m: &[DVec3]) {
-        let n = self.n_nodes();
-        assert_eq!(positions_m.len(), n, "one position a node");
-        for p in 0..n {
-            if !self.frame.is_fixed[p] {
-                let u_m = positions_m[p] - self.frame.rest_m[p];
-                self.motion[p] = padded(if u_m.is_finite() { u_m } else { DVec3::ZERO });
-            }
-        }
-        for slides in &self.frame.sliding {
-            for axis in (0..3).filter(|&axis| slides.supported[axis]) {
-                self.motion[slides.node as usize][axis] = self.motion[n + slides.node as usize][axis];
-            }
-        }
-        self.motion.copy_within(..n, n);
-        self.set_last_kinetic_j(0.0);
-        self.frame.constraint_forces_n.fill(DVec3::ZERO);
-        self.publish();
-    }
-
     /// Takes other damping from the next step on.
     pub(in crate::model) fn set_mass_damping(&mut self, mass_per_s: f64) {
         self.frame.damping.mass_per_s = mass_per_s;
@@ -672,5 +587,93 @@ impl ExplicitMotion {
         if !self.ahead_m.is_empty() {
             keep(&mut self.ahead_m, &stays);
         }
+    }
+}
+
+impl Mover for ExplicitMotion {
+    fn apply(&mut self, constraints: &Constraints) {
+        self.frame.apply(constraints);
+    }
+
+    fn state(&self) -> ModelState<'_> {
+        ModelState {
+            positions_m: &self.positions_m,
+            velocities_m_per_s: &self.velocities_m_per_s,
+            history: self.motion.as_flattened(),
+        }
+    }
+
+    fn constraint_forces_n(&self) -> &[DVec3] {
+        &self.frame.constraint_forces_n
+    }
+
+    /// Starts at standstill; fixed nodes stay where they are, those whose place is no number where they rest.
+    fn take_over(&mut self, positions_m: &[DVec3]) {
+        let n = self.n_nodes();
+        assert_eq!(positions_m.len(), n, "one position a node");
+        for p in 0..n {
+            if !self.frame.is_fixed[p] {
+                let u_m = positions_m[p] - self.frame.rest_m[p];
+                self.motion[p] = padded(if u_m.is_finite() { u_m } else { DVec3::ZERO });
+            }
+        }
+        for slides in &self.frame.sliding {
+            for axis in (0..3).filter(|&axis| slides.supported[axis]) {
+                self.motion[slides.node as usize][axis] = self.motion[n + slides.node as usize][axis];
+            }
+        }
+        self.motion.copy_within(..n, n);
+        self.set_last_kinetic_j(0.0);
+        self.frame.constraint_forces_n.fill(DVec3::ZERO);
+        self.publish();
+    }
+
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        self.frame.set_gravity(gravity_m_per_s2);
+    }
+
+    fn report(&self) -> ModelReport {
+        self.frame.report(self.kinetic_energy_j())
+    }
+
+    /// Displacement of a node for a unit force along each axis in a step [m/N].
+    fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
+        let n = node.index();
+        if n >= self.n_nodes() || self.frame.is_held(n) {
+            return DVec3::ZERO;
+        }
+        let free = self.frame.free_axes(n).map(|is_free| f64::from(u8::from(is_free)));
+        DVec3::from_array(free) * (dt_s * dt_s * self.inverse_inertia_per_kg[n])
+    }
+
+    /// What further forces would have done in the last step. u(t-h) follows u(t) so far that the velocity changes by
+    /// the move over the whole step, not over its last part.
+    fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        let n_nodes = self.n_nodes();
+        let last_s = self.last_step_s();
+        let share = match correction {
+            Correction::Motion => 1.0 - last_s / dt_s,
+            Correction::Places => 1.0,
+        };
+        let mut gained_j = 0.0;
+        for force in forces {
+            let move_m = self.node_answer_m_per_n(force.node, dt_s) * force.force_n;
+            if move_m == DVec3::ZERO || !move_m.is_finite() {
+                continue;
+            }
+            let n = force.node.index();
+            let now_m = unpadded(&self.motion[n]) + move_m;
+            self.motion[n] = padded(now_m);
+            self.positions_m[n] = self.frame.rest_m[n] + now_m;
+            let previous_m = unpadded(&self.motion[n_nodes + n]) + move_m * share;
+            self.motion[n_nodes + n] = padded(previous_m);
+            if correction == Correction::Motion {
+                let velocity_m_per_s = (now_m - previous_m) / last_s;
+                let before_m_per_s = std::mem::replace(&mut self.velocities_m_per_s[n], velocity_m_per_s);
+                let gained = velocity_m_per_s.length_squared() - before_m_per_s.length_squared();
+                gained_j += 0.5 * self.inertia_kg[n] * gained;
+            }
+        }
+        self.set_last_kinetic_j((self.last_kinetic_j() + gained_j).max(0.0));
     }
 }

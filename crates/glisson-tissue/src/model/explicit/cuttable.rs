@@ -43,14 +43,13 @@ pub(in crate::model) trait Cuttable {
 /// Follows all edits. Removals allocate nothing.
 ///
 /// # Errors
-/// [`TopologyRefusal`] of [`Growth::of`]; nothing changed then.
+/// [`TopologyRefusal`]: the change of another mesh, and those of [`Growth::of`]; nothing changed then.
 pub(in crate::model) fn follow<M: Cuttable>(
     model: &mut M,
     mesh: &TetMesh,
     change: &TopologyChange,
 ) -> Result<(), TopologyRefusal> {
-    assert_eq!(change.tets.n_before, model.tets().nodes.len(), "the model missed a change of the mesh");
-    assert_eq!(change.nodes.n_before, model.rest_m().len(), "the model missed a change of the mesh");
+    TopologyRefusal::of_other_mesh(M::NAME, change, [model.tets().nodes.len(), model.rest_m().len()])?;
     let growth = Growth::of(M::NAME, mesh, change, model.rest_m(), model.tets().iter())?;
     let mut is_cut = false;
     for t in change.tets.removed.iter().map(|tet| tet.index()) {

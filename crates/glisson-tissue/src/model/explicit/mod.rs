@@ -5,6 +5,7 @@
 //! padded layout of the tensor-mass forces, and `by_scheme`, any scheme of [`crate::solve::integrators`] for forces of
 //! positions and velocities.
 
+mod dynamics;
 mod by_scheme;
 mod central;
 mod cuttable;
@@ -19,6 +20,7 @@ pub use central::ExplicitSnapshot;
 pub(in crate::model) use cuttable::{
     Cuttable, Insertions, LiveEdges, LiveTets, follow, follows, place_of, renumbered,
 };
+pub(in crate::model) use dynamics::{ExplicitDynamics, Mover};
 pub(in crate::model) use frame::{Quarantine, check_body};
 pub(in crate::model) use rest_tensions::RestTensions;
 pub use stable::{MOST_NODES_PROVEN, StableStep};

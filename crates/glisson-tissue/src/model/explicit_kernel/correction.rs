@@ -16,7 +16,7 @@ impl ExplicitKernel {
     }
 
     /// An increment is that of the last part of the step, its velocity that of the whole.
-    pub(super) fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+    pub(super) fn correct_nodes(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
         let n_nodes = self.rest.positions_m.len();
         let last_s = self.kernel.last_step_s().unwrap_or(dt_s);
         let per_step = 1.0 / self.kernel.last_step_s().unwrap_or(self.time_step_s);

@@ -40,13 +40,13 @@ use std::sync::Arc;
 
 use self::loads::Loads;
 use self::stability::Stability;
+use super::explicit::{ExplicitDynamics, Mover};
 use super::growth::Growth;
 use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine, Workers};
 use super::kind::ModelKind;
 use super::roomy::Roomy;
 use super::{
-    Constraints, Correction, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, ModelUndo,
-    NodalForce, Rayleigh, StepAnswer, TopologyRefusal, local_model,
+    Constraints, Correction, ModelReport, ModelState, ModelUndo, NodalForce, Rayleigh, TopologyRefusal,
 };
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -405,7 +405,7 @@ fn known(step_s: f64) -> Option<f64> {
     (step_s > 0.0).then_some(step_s)
 }
 
-impl DeformableModel for ExplicitKernel {
+impl Mover for ExplicitKernel {
     /// A displacement of a node that is fixed along some axes holds along the others.
     fn apply(&mut self, constraints: &Constraints) {
         self.report.n_ignored_constraints = 0;
@@ -440,59 +440,6 @@ impl DeformableModel for ExplicitKernel {
         // Room was made for every node; more is a list with repetitions.
         self.constraint_forces_n.clear();
         self.constraint_forces_n.resize(constraints.displacements.len(), DVec3::ZERO);
-    }
-
-    /// Advances by `dt_s` in the fewest equal parts that are not longer than [`ExplicitKernel::time_step_s`] and
-    /// [`ExplicitKernel::stable_step_s`].
-    /// Held nodes move evenly to where they are held; the constraint force is the one that balances them at
-    /// the last part: elastic force, weight, ligaments and forces, without the held node's own inertia. Along a
-    /// fixed axis it is the support's, and zero here.
-    fn step(&mut self, dt_s: f64) {
-        if !(dt_s.is_finite() && dt_s > 0.0) {
-            return;
-        }
-        let mut n_parts = self.parts_of_step(dt_s);
-        if self.careful_steps > 0 {
-            n_parts = n_parts.max(u64::from(self.most_parts));
-        }
-        let mut is_strained = false;
-        let parts = n_parts as f64;
-        // Only a step of more than the most parts is cut off.
-        let step_s = (dt_s / parts).min(self.time_step_s);
-        let step = ExplicitStep { step_s, damping_per_s: self.damping.mass_per_s };
-        self.report.n_parts = n_parts as u32;
-        self.report.n_recovered_nodes = 0;
-        self.report.energy_was_limited = false;
-        for held in self.held.iter_mut() {
-            held.start_m = self.kernel.displacement_m(held.node);
-        }
-        for part in 1..=n_parts {
-            self.move_held(if part == n_parts { 1.0 } else { part as f64 / parts }, step_s);
-            self.loads.refresh_attachments(&mut self.kernel);
-            self.kernel.step(self.workers.as_ref(), step);
-            self.watch_energy();
-            if self.stiffens && self.kernel.is_strained() {
-                is_strained = true;
-                let furthest_m = MOST_WAVE_SPEEDS * self.stability.fastest_wave_m_per_s * step_s;
-                self.report.energy_was_limited |= self.kernel.limit_last_increments(furthest_m);
-            }
-        }
-        self.careful_steps = if is_strained || self.report.energy_was_limited {
-            CAREFUL_STEPS
-        } else {
-            self.careful_steps.saturating_sub(1)
-        };
-        for held in self.held.iter() {
-            let supports = self.supports[held.node.index()];
-            let mut force_n = self.kernel.force_n(held.node) - self.kernel.outer_force_n(held.node);
-            for (axis, is_fixed) in supports.into_iter().enumerate() {
-                if is_fixed {
-                    force_n[axis] = 0.0;
-                }
-            }
-            self.constraint_forces_n[held.place] = force_n;
-        }
-        self.publish();
     }
 
     fn state(&self) -> ModelState<'_> {
@@ -552,45 +499,86 @@ impl DeformableModel for ExplicitKernel {
         }
     }
 
-    fn local_model_into(
-        &mut self,
-        patch: &[NodeId],
-        period_s: f64,
-        work: &mut LocalWork,
-        out: &mut LocalModel,
-    ) {
-        out.start(patch, period_s, self.state().positions_m);
-        local_model::compute(self, work, out);
-    }
-
-    fn step_answer(&self) -> StepAnswer {
-        StepAnswer::NodeByNode
-    }
-
     fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
         self.answer_of_node(node, dt_s)
     }
 
-    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
-        self.correct(forces, dt_s, correction);
+    fn correct(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        self.correct_nodes(forces, dt_s, correction);
+    }
+}
+
+impl ExplicitDynamics for ExplicitKernel {
+    type Mover = Self;
+
+    fn mover(&self) -> &Self {
+        self
     }
 
-    /// Shares the workers, nothing else.
-    fn duplicate(&self) -> Box<dyn DeformableModel> {
-        Box::new(self.clone())
+    fn mover_mut(&mut self) -> &mut Self {
+        self
+    }
+
+    /// Advances by `dt_s` in the fewest equal parts that are not longer than [`ExplicitKernel::time_step_s`] and
+    /// [`ExplicitKernel::stable_step_s`].
+    /// Held nodes move evenly to where they are held; the constraint force is the one that balances them at
+    /// the last part: elastic force, weight, ligaments and forces, without the held node's own inertia. Along a
+    /// fixed axis it is the support's, and zero here.
+    fn advance(&mut self, dt_s: f64) {
+        if !(dt_s.is_finite() && dt_s > 0.0) {
+            return;
+        }
+        let mut n_parts = self.parts_of_step(dt_s);
+        if self.careful_steps > 0 {
+            n_parts = n_parts.max(u64::from(self.most_parts));
+        }
+        let mut is_strained = false;
+        let parts = n_parts as f64;
+        // Only a step of more than the most parts is cut off.
+        let step_s = (dt_s / parts).min(self.time_step_s);
+        let step = ExplicitStep { step_s, damping_per_s: self.damping.mass_per_s };
+        self.report.n_parts = n_parts as u32;
+        self.report.n_recovered_nodes = 0;
+        self.report.energy_was_limited = false;
+        for held in self.held.iter_mut() {
+            held.start_m = self.kernel.displacement_m(held.node);
+        }
+        for part in 1..=n_parts {
+            self.move_held(if part == n_parts { 1.0 } else { part as f64 / parts }, step_s);
+            self.loads.refresh_attachments(&mut self.kernel);
+            self.kernel.step(self.workers.as_ref(), step);
+            self.watch_energy();
+            if self.stiffens && self.kernel.is_strained() {
+                is_strained = true;
+                let furthest_m = MOST_WAVE_SPEEDS * self.stability.fastest_wave_m_per_s * step_s;
+                self.report.energy_was_limited |= self.kernel.limit_last_increments(furthest_m);
+            }
+        }
+        self.careful_steps = if is_strained || self.report.energy_was_limited {
+            CAREFUL_STEPS
+        } else {
+            self.careful_steps.saturating_sub(1)
+        };
+        for held in self.held.iter() {
+            let supports = self.supports[held.node.index()];
+            let mut force_n = self.kernel.force_n(held.node) - self.kernel.outer_force_n(held.node);
+            for (axis, is_fixed) in supports.into_iter().enumerate() {
+                if is_fixed {
+                    force_n[axis] = 0.0;
+                }
+            }
+            self.constraint_forces_n[held.place] = force_n;
+        }
+        self.publish();
     }
 
     /// Follows all edits; removals allocate nothing.
-    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        assert_eq!(change.tets.n_before, self.rest.tetrahedra.len(), "the model missed a change of the mesh");
-        assert_eq!(
-            change.nodes.n_before,
-            self.rest.positions_m.len(),
-            "the model missed a change of the mesh"
-        );
+    fn follow_change(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        let name = ModelKind::Explicit.name();
+        let counts = [self.rest.tetrahedra.len(), self.rest.positions_m.len()];
+        TopologyRefusal::of_other_mesh(name, change, counts)?;
         let tets = self.rest.tetrahedra.iter().enumerate();
         let live = tets.filter(|(t, _)| self.kernel.is_live(TetId::from_index(*t)));
-        let name = ModelKind::Explicit.name();
         match Growth::of(name, mesh, change, &self.rest.positions_m, live)? {
             Some(growth) => self.grow(mesh, change, &growth),
             None => {
@@ -612,11 +600,11 @@ impl DeformableModel for ExplicitKernel {
 
     /// Short, but for edits after which the kernel may be laid out anew; those of removals allocate nothing in buffers that
     /// were used before.
-    fn save_for_undo(&self, change: &TopologyChange, undo: &mut ModelUndo) {
+    fn save_before(&self, change: &TopologyChange, undo: &mut ModelUndo) {
         self.save(change, undo);
     }
 
-    fn undo(&mut self, undo: &ModelUndo) {
-        self.put_back(undo);
+    fn put_back(&mut self, undo: &ModelUndo) {
+        self.put_edit_back(undo);
     }
 }

@@ -89,7 +89,7 @@ impl ExplicitKernel {
         }
     }
 
-    pub(super) fn put_back(&mut self, undo: &ModelUndo) {
+    pub(super) fn put_edit_back(&mut self, undo: &ModelUndo) {
         let mut from = undo.reader();
         self.release();
         self.loads.clear(&mut self.kernel);

@@ -37,16 +37,13 @@ pub use numbers::{EdgeStiffness, TetScalars, TriangleStiffness, VertexStiffness}
 use self::adaptive::Adaptivity;
 use self::body::Body;
 use super::explicit::{
-    Cuttable, ExplicitError, ExplicitMotion, ExplicitSnapshot, LiveTets, Padded, Stability, StableStep,
-    StiffTet, check_body, follow, padded, unpadded,
+    Cuttable, ExplicitDynamics, ExplicitError, ExplicitMotion, ExplicitSnapshot, LiveTets, Padded, Stability,
+    StableStep, StiffTet, check_body, follow, padded, unpadded,
 };
 use super::growth::Growth;
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::tet_law::stressed_stiffness;
-use super::{
-    Constraints, Correction, DeformableModel, DynamicBody, Effort, LocalModel, LocalWork, ModelReport,
-    ModelState, NodalForce, RestStress, StepAnswer, TopologyRefusal,
-};
+use super::{DynamicBody, Effort, RestStress, TopologyRefusal};
 use crate::material::LinearElastic;
 use crate::solve::SolveError;
 use glisson_mesh::math::{DMat3, DVec3};
@@ -410,16 +407,18 @@ impl LocalBody for NonlinearTensorMass {
 const REDUCED_TOLERANCE_N: f64 = 1e-3;
 const LEAST_TOLERANCE_N: f64 = 1e-2;
 
-impl DeformableModel for NonlinearTensorMass {
-    fn apply(&mut self, constraints: &Constraints) {
-        self.motion.apply(constraints);
+impl ExplicitDynamics for NonlinearTensorMass {
+    type Mover = ExplicitMotion;
+
+    fn mover(&self) -> &ExplicitMotion {
+        &self.motion
     }
 
-    /// Advances by `dt_s` in the fewest equal parts that are not longer than
-    /// [`NonlinearTensorMass::time_step_s`] and [`NonlinearTensorMass::stable_step_s`].
-    /// Held nodes move evenly to where they are held; the constraint force is the one that balances them at
-    /// the last part: elastic force and weight, without the held node's own inertia.
-    fn step(&mut self, dt_s: f64) {
+    fn mover_mut(&mut self) -> &mut ExplicitMotion {
+        &mut self.motion
+    }
+
+    fn advance(&mut self, dt_s: f64) {
         let (body, adaptivity) = (&self.body, &mut self.adaptivity);
         self.motion.step(dt_s, |u, force| {
             body.add_forces(adaptivity, u, force);
@@ -427,24 +426,8 @@ impl DeformableModel for NonlinearTensorMass {
         });
     }
 
-    fn state(&self) -> ModelState<'_> {
-        self.motion.state()
-    }
-
-    fn constraint_forces_n(&self) -> &[DVec3] {
-        self.motion.constraint_forces_n()
-    }
-
-    fn take_over(&mut self, positions_m: &[DVec3]) {
-        self.motion.take_over(positions_m);
-    }
-
-    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
-        self.motion.set_gravity(gravity_m_per_s2);
-    }
-
     /// Leaves the non-linear part of the force out where it is small (seed `002`, s. 6).
-    fn set_effort(&mut self, effort: Effort) -> bool {
+    fn choose_effort(&mut self, effort: Effort) -> bool {
         self.adaptivity.part = match effort {
             Effort::Full => NonlinearPart::Everywhere,
             Effort::Reduced => NonlinearPart::AboveErrorBound { tolerance_n: REDUCED_TOLERANCE_N },
@@ -453,39 +436,7 @@ impl DeformableModel for NonlinearTensorMass {
         true
     }
 
-    fn report(&self) -> ModelReport {
-        self.motion.report()
-    }
-
-    fn local_model_into(
-        &mut self,
-        patch: &[NodeId],
-        period_s: f64,
-        work: &mut LocalWork,
-        out: &mut LocalModel,
-    ) {
-        out.start(patch, period_s, self.state().positions_m);
-        local_model::compute(self, work, out);
-    }
-
-    fn step_answer(&self) -> StepAnswer {
-        StepAnswer::NodeByNode
-    }
-
-    fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
-        self.motion.node_answer_m_per_n(node, dt_s)
-    }
-
-    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
-        self.motion.correct(forces, dt_s, correction);
-    }
-
-    fn duplicate(&self) -> Box<dyn DeformableModel> {
-        Box::new(self.clone())
-    }
-
-    /// Follows all edits. Removals allocate nothing.
-    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+    fn follow_change(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         follow(self, mesh, change)
     }
 }

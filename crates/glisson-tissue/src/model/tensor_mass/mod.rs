@@ -18,14 +18,12 @@ pub use super::explicit::{
 pub(super) use tensors::VertexEdgeTensors;
 
 use super::explicit::{
-    Cuttable, ExplicitMotion, LiveTets, Quarantine, Stability, StiffTet, check_body, follow, keep, unpadded,
+    Cuttable, ExplicitDynamics, ExplicitMotion, LiveTets, Quarantine, Stability, StiffTet, check_body,
+    follow, keep, unpadded,
 };
 use super::growth::{Growth, blend_tets, grows};
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
-use super::{
-    Constraints, Correction, DeformableModel, DynamicBody, LocalModel, LocalWork, ModelReport, ModelState,
-    ModelUndo, NodalForce, RestStress, StepAnswer, TopologyRefusal,
-};
+use super::{DynamicBody, ModelUndo, RestStress, TopologyRefusal};
 use crate::material::LinearElastic;
 use crate::solve::{P1Gradients, SolveError};
 use glisson_mesh::math::{DMat3, DVec3};
@@ -274,16 +272,18 @@ impl LocalBody for TensorMass {
     }
 }
 
-impl DeformableModel for TensorMass {
-    fn apply(&mut self, constraints: &Constraints) {
-        self.motion.apply(constraints);
+impl ExplicitDynamics for TensorMass {
+    type Mover = ExplicitMotion;
+
+    fn mover(&self) -> &ExplicitMotion {
+        &self.motion
     }
 
-    /// Advances by `dt_s` in the fewest equal parts that are not longer than [`TensorMass::time_step_s`] and
-    /// [`TensorMass::stable_step_s`].
-    /// Held nodes move evenly to where they are held; the constraint force is the one that balances them at
-    /// the last part: elastic force and weight, without the held node's own inertia.
-    fn step(&mut self, dt_s: f64) {
+    fn mover_mut(&mut self) -> &mut ExplicitMotion {
+        &mut self.motion
+    }
+
+    fn advance(&mut self, dt_s: f64) {
         let tensors = &self.tensors;
         self.motion.step(dt_s, |u, force| {
             tensors.add_forces(u, force);
@@ -291,63 +291,15 @@ impl DeformableModel for TensorMass {
         });
     }
 
-    fn state(&self) -> ModelState<'_> {
-        self.motion.state()
-    }
-
-    fn constraint_forces_n(&self) -> &[DVec3] {
-        self.motion.constraint_forces_n()
-    }
-
-    fn take_over(&mut self, positions_m: &[DVec3]) {
-        self.motion.take_over(positions_m);
-    }
-
-    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
-        self.motion.set_gravity(gravity_m_per_s2);
-    }
-
-    fn report(&self) -> ModelReport {
-        self.motion.report()
-    }
-
-    fn local_model_into(
-        &mut self,
-        patch: &[NodeId],
-        period_s: f64,
-        work: &mut LocalWork,
-        out: &mut LocalModel,
-    ) {
-        out.start(patch, period_s, self.state().positions_m);
-        local_model::compute(self, work, out);
-    }
-
-    fn step_answer(&self) -> StepAnswer {
-        StepAnswer::NodeByNode
-    }
-
-    fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
-        self.motion.node_answer_m_per_n(node, dt_s)
-    }
-
-    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
-        self.motion.correct(forces, dt_s, correction);
-    }
-
-    fn duplicate(&self) -> Box<dyn DeformableModel> {
-        Box::new(self.clone())
-    }
-
-    /// Follows all edits. Removals allocate nothing.
-    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+    fn follow_change(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         follow(self, mesh, change)
     }
 
     /// Short for removals, which allocate nothing in buffers that were used before; else the whole model.
-    fn save_for_undo(&self, change: &TopologyChange, undo: &mut ModelUndo) {
+    fn save_before(&self, change: &TopologyChange, undo: &mut ModelUndo) {
         undo.clear();
         if grows(change) || change.is_renumbering() {
-            undo.keep_whole(self.duplicate());
+            undo.keep_whole(Box::new(self.clone()));
             return;
         }
         self.motion.save(undo);
@@ -357,7 +309,7 @@ impl DeformableModel for TensorMass {
         }
     }
 
-    fn undo(&mut self, undo: &ModelUndo) {
+    fn put_back(&mut self, undo: &ModelUndo) {
         let mut from = undo.reader();
         self.motion.put_back(undo, &mut from);
         while from.has_places() {

@@ -12,7 +12,7 @@ use super::ZoneLaw;
 use super::columns::SymmetricTiles;
 use super::zone::Whole;
 use crate::model::explicit::{
-    ExplicitError, ExplicitMotion, Padded, Quarantine, Stability, StiffTet, unpadded,
+    ExplicitError, ExplicitMotion, Mover, Padded, Quarantine, Stability, StiffTet, unpadded,
 };
 use crate::model::hybrid::kirchhoff::KirchhoffTet;
 use crate::model::tensor_mass::VertexEdgeTensors;

@@ -43,7 +43,7 @@ use self::dynamic::{DynamicPart, DynamicSource};
 use self::interface::{Composed, Interface};
 use self::zone::{N_CONSTANT, PrecomputedZone, Whole};
 use crate::material::LinearElastic;
-use crate::model::explicit::{ExplicitError, check_body};
+use crate::model::explicit::{ExplicitError, Mover, check_body};
 use crate::model::roomy::Roomy;
 use crate::model::{
     Attachment, Constraints, DeformableModel, DynamicBody, ImposedDisplacement, LocalModel, LocalWork,

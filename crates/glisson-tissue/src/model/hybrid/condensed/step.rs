@@ -5,6 +5,7 @@ use super::contact::ContactSystem;
 use super::interface::Interface;
 use super::zone::PrecomputedZone;
 use super::{Ages, CondensedHybrid, Held, Place, Updated, ZoneWork};
+use crate::model::explicit::Mover;
 use glisson_mesh::math::{DMat3, DVec3};
 
 /// The columns of a node of a pre-computed zone or of their frontier, and the first of its three.

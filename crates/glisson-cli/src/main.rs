@@ -1,6 +1,7 @@
 //! The program `glisson`. Each verb is a file in `commands/`.
 //!
-//! Exit codes: 0 done, 1 the work failed (bad input, a check that does not hold), 2 the command line is wrong.
+//! Exit codes: 0 done, 1 the work failed (bad input, a check that does not hold), 2 the command line is wrong, 3 the
+//! simulation broke by a fault of the program; its session is kept.
 #![allow(clippy::print_stdout, reason = "a command-line program answers on standard output")]
 
 mod demo;
@@ -27,7 +28,8 @@ fn main() -> std::process::ExitCode {
         Ok(()) => std::process::ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
-            std::process::ExitCode::from(1)
+            let is_broken = error.downcast_ref::<glisson_runtime::Broken>().is_some();
+            std::process::ExitCode::from(if is_broken { 3 } else { 1 })
         }
     }
 }

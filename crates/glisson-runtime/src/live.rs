@@ -1,6 +1,5 @@
 //! The simulation loop of `glisson serve`: keeps pace with the clock, takes commands, publishes what is displayed.
 
-use crate::Simulation;
 use crate::display::DisplayFeed;
 use crate::effort::{EffortControl, Load};
 use crate::elsewhere::NearbyMaker;
@@ -9,6 +8,7 @@ use crate::pace::Pace;
 use crate::pace::{FRAME, StepMeters, StepTimes};
 use crate::published::{Lateness, Published};
 use crate::realtime::now_ns;
+use crate::simulation::{Broken, Simulation, panic_text};
 use anyhow::Context;
 use glisson::haptics::InsertedInstrument;
 use glisson::math::DVec3;
@@ -18,6 +18,7 @@ use glisson::model::kind::ModelKind;
 use glisson::tool::found::Detected;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -356,107 +357,203 @@ impl Shown {
 }
 
 /// Runs until [`Command::Stop`] or until all senders are gone, then ends the recording. The instruments of `links` are
-/// moved by devices.
+/// moved by devices. A simulation that broke stands still from then on: its session is kept, displays are told, and the
+/// loop goes on until it is stopped.
 ///
 /// # Errors
-/// What stopped the simulation; the recording up to there is kept.
+/// What stopped the simulation; the recording up to there is kept. [`Broken`] at the end of one that broke.
 pub fn run(
     simulation: Simulation,
     commands: &Receiver<Command>,
-    Shown { mut feed, first }: Shown,
+    shown: Shown,
     links: Vec<ToolLink>,
     stalls: Option<&Stalls>,
 ) -> anyhow::Result<Ended> {
-    let Published { mut topology, meters, .. } = first;
-    let dt_s = simulation.world().spec().time_step_s;
-    let tools = homes(&simulation);
-    let mut live = Live {
-        simulation,
-        targets: tools.clone(),
-        tools,
-        links,
-        detected: [None; MAX_TOOLS],
-        elsewhere: NearbyMaker::default(),
-        published_ns: 0,
-        publishing_ns: 0,
-        paused: false,
-        dt_s,
-    };
-    let mut meter =
-        PaceMeter { since: Instant::now(), steps: 0, busy: Duration::ZERO, pace: Pace::default() };
-    let mut control = EffortControl::default();
-    let mut lateness = Lateness::default();
-    let mut next_frame = Instant::now();
-    let mut last_shown = None;
-    let mut simulated_until = Instant::now();
-    let mut next_stall = stalls.map(|stalls| Instant::now() + stalls.every);
-    let (mut n_stalls, mut stalled) = (0, Duration::ZERO);
-    let step = Duration::from_secs_f64(dt_s);
+    let mut timed = Timed::start(simulation, shown, links, stalls);
     loop {
-        let now = Instant::now();
-        let wait =
-            if live.paused { FRAME } else { simulated_until.min(next_frame).saturating_duration_since(now) };
-        let mut refresh = false;
-        match commands.recv_timeout(wait) {
-            Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => {
-                let steps = live.simulation.world().steps_made();
-                let state_hash = live.simulation.finish()?;
-                return Ok(Ended { state_hash, steps, n_stalls, stalled, lateness, times: meters.times() });
-            }
-            Ok(command) => refresh = live.obey(command)?,
+        match commands.recv_timeout(timed.wait()) {
+            Ok(Command::Stop) | Err(RecvTimeoutError::Disconnected) => return timed.end(),
+            Ok(command) => timed.unless_broken(|timed| {
+                timed.wants_refresh = timed.live.obey(command)?;
+                Ok(())
+            })?,
             Err(RecvTimeoutError::Timeout) => {}
         }
-        if let (Some(stalls), Some(begin)) = (stalls, next_stall)
-            && Instant::now() >= begin
-        {
-            stalls.is_on.store(true, Ordering::Relaxed);
-            let begun = Instant::now();
-            while begun.elapsed() < stalls.length {
-                std::hint::spin_loop();
-            }
-            stalls.is_on.store(false, Ordering::Relaxed);
-            stalled += begun.elapsed();
-            n_stalls += 1;
-            next_stall = Some(begin + stalls.every);
-        }
+        timed.stall();
+        timed.unless_broken(Timed::keep_pace)?;
+        timed.unless_broken(Timed::show)?;
+    }
+}
+
+/// The simulation against the clock.
+struct Timed<'a> {
+    live: Live,
+    feed: DisplayFeed,
+    /// What displays were told last.
+    latest: Published,
+    meters: Arc<StepMeters>,
+    pace: PaceMeter,
+    control: EffortControl,
+    lateness: Lateness,
+    step: Duration,
+    simulated_until: Instant,
+    next_frame: Instant,
+    last_shown: Option<Instant>,
+    wants_refresh: bool,
+    stalls: Option<&'a Stalls>,
+    next_stall: Option<Instant>,
+    n_stalls: u64,
+    stalled: Duration,
+}
+
+impl<'a> Timed<'a> {
+    fn start(
+        simulation: Simulation,
+        Shown { feed, first }: Shown,
+        links: Vec<ToolLink>,
+        stalls: Option<&'a Stalls>,
+    ) -> Self {
+        let dt_s = simulation.world().spec().time_step_s;
+        let tools = homes(&simulation);
+        let live = Live {
+            simulation,
+            targets: tools.clone(),
+            tools,
+            links,
+            detected: [None; MAX_TOOLS],
+            elsewhere: NearbyMaker::default(),
+            published_ns: 0,
+            publishing_ns: 0,
+            paused: false,
+            dt_s,
+        };
         let now = Instant::now();
-        if live.paused {
-            simulated_until = now;
-            meter.restart();
-        } else {
-            let lag = now.saturating_duration_since(simulated_until);
-            if lag > MAX_LAG {
-                lateness.n_given_up += 1;
-                lateness.left_out_s += lag.as_secs_f64();
-                simulated_until = now;
-            }
-            let mut steps = 0;
-            while simulated_until <= Instant::now() && Instant::now() < next_frame.max(now + step) {
-                let begun = Instant::now();
-                live.advance()?;
-                meters.count_step(begun.elapsed());
-                simulated_until += step;
-                steps += 1;
-            }
-            if let Some(load) = meter.count(steps, now.elapsed(), dt_s)
-                && let Some(effort) = control.look(load)
-            {
-                live.choose_effort(effort, load)?;
-            }
+        Self {
+            live,
+            feed,
+            meters: Arc::clone(&first.meters),
+            latest: first,
+            pace: PaceMeter { since: now, steps: 0, busy: Duration::ZERO, pace: Pace::default() },
+            control: EffortControl::default(),
+            lateness: Lateness::default(),
+            step: Duration::from_secs_f64(dt_s),
+            simulated_until: now,
+            next_frame: now,
+            last_shown: None,
+            wants_refresh: false,
+            stalls,
+            next_stall: stalls.map(|stalls| now + stalls.every),
+            n_stalls: 0,
+            stalled: Duration::ZERO,
         }
-        if refresh || (!live.paused && Instant::now() >= next_frame) {
-            next_frame = Instant::now() + FRAME;
-            let pace = Pace { paused: live.paused, ..meter.pace };
-            let latest = Published::of(&live.simulation, Some(&topology), pace, &meters);
-            topology = Arc::clone(&latest.topology);
-            feed.publish(Published { lateness, ..latest });
-            // A pause is no interval of a display.
-            let shown = Instant::now();
-            if let Some(before) = last_shown.replace(shown).filter(|_| !live.paused) {
-                meters.count_frame(shown - before);
-            }
-            last_shown = last_shown.filter(|_| !live.paused);
+    }
+
+    /// How long there is nothing to do.
+    fn wait(&self) -> Duration {
+        if self.live.paused {
+            return FRAME;
         }
+        self.simulated_until.min(self.next_frame).saturating_duration_since(Instant::now())
+    }
+
+    /// Does something with the simulation; nothing with one that broke, whose end displays are told.
+    fn unless_broken(&mut self, act: impl FnOnce(&mut Self) -> anyhow::Result<()>) -> anyhow::Result<()> {
+        if self.live.simulation.broken().is_some() {
+            return Ok(());
+        }
+        // Showing a world reads it, too: what is wrong with it may come up there.
+        let done = match catch_unwind(AssertUnwindSafe(|| act(self))) {
+            Ok(done) => done,
+            Err(panic) => Err(self.live.simulation.break_off(panic_text(panic.as_ref())).into()),
+        };
+        match done {
+            Err(error) if error.is::<Broken>() => {
+                self.live.paused = true;
+                let simulation = &self.live.simulation;
+                self.latest.notices = simulation.notices().to_vec();
+                self.latest.n_notices = simulation.n_notices();
+                self.latest.pace = Pace { paused: true, ..self.pace.pace };
+                self.feed.publish(self.latest.clone());
+                Ok(())
+            }
+            done => done,
+        }
+    }
+
+    /// Stands still where that was asked for and is due.
+    fn stall(&mut self) {
+        let (Some(stalls), Some(begin)) = (self.stalls, self.next_stall) else { return };
+        if Instant::now() < begin {
+            return;
+        }
+        stalls.is_on.store(true, Ordering::Relaxed);
+        let begun = Instant::now();
+        while begun.elapsed() < stalls.length {
+            std::hint::spin_loop();
+        }
+        stalls.is_on.store(false, Ordering::Relaxed);
+        self.stalled += begun.elapsed();
+        self.n_stalls += 1;
+        self.next_stall = Some(begin + stalls.every);
+    }
+
+    /// Steps until the clock is reached or a frame is due.
+    fn keep_pace(&mut self) -> anyhow::Result<()> {
+        let now = Instant::now();
+        if self.live.paused {
+            self.simulated_until = now;
+            self.pace.restart();
+            return Ok(());
+        }
+        let lag = now.saturating_duration_since(self.simulated_until);
+        if lag > MAX_LAG {
+            self.lateness.n_given_up += 1;
+            self.lateness.left_out_s += lag.as_secs_f64();
+            self.simulated_until = now;
+        }
+        let mut steps = 0;
+        while self.simulated_until <= Instant::now() && Instant::now() < self.next_frame.max(now + self.step)
+        {
+            let begun = Instant::now();
+            self.live.advance()?;
+            self.meters.count_step(begun.elapsed());
+            self.simulated_until += self.step;
+            steps += 1;
+        }
+        if let Some(load) = self.pace.count(steps, now.elapsed(), self.live.dt_s)
+            && let Some(effort) = self.control.look(load)
+        {
+            self.live.choose_effort(effort, load)?;
+        }
+        Ok(())
+    }
+
+    /// Publishes the state where a frame is due or a command changed something.
+    fn show(&mut self) -> anyhow::Result<()> {
+        let wants_refresh = std::mem::take(&mut self.wants_refresh);
+        if !wants_refresh && (self.live.paused || Instant::now() < self.next_frame) {
+            return Ok(());
+        }
+        self.next_frame = Instant::now() + FRAME;
+        let pace = Pace { paused: self.live.paused, ..self.pace.pace };
+        let known = Some(&self.latest.topology);
+        let latest = Published::of(&self.live.simulation, known, pace, &self.meters);
+        self.latest = Published { lateness: self.lateness, ..latest };
+        self.feed.publish(self.latest.clone());
+        // A pause is no interval of a display.
+        let shown = Instant::now();
+        if let Some(before) = self.last_shown.replace(shown).filter(|_| !self.live.paused) {
+            self.meters.count_frame(shown - before);
+        }
+        self.last_shown = self.last_shown.filter(|_| !self.live.paused);
+        Ok(())
+    }
+
+    fn end(self) -> anyhow::Result<Ended> {
+        let steps = self.live.simulation.world().steps_made();
+        let state_hash = self.live.simulation.finish()?;
+        let Self { n_stalls, stalled, lateness, meters, .. } = self;
+        Ok(Ended { state_hash, steps, n_stalls, stalled, lateness, times: meters.times() })
     }
 }
 

@@ -2,6 +2,8 @@
 
 use anyhow::{Context, bail};
 use glisson::files::write_atomically;
+use glisson::scene::Scene;
+use glisson::world::{StepInput, StepReport};
 use glisson_runtime::account::Account;
 use glisson_runtime::{OpenScene, Simulation};
 use serde_json::json;
@@ -37,56 +39,86 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let source = OpenScene { n_threads: usize::from(args.threads), ..OpenScene::read(&args.scene)? };
-    let time_step_s = source.scene.world.time_step_s;
     let scene = source.scene.clone();
     let steps = match (args.steps, scene.end_of_paths_s()) {
         (Some(steps), _) => steps,
-        (None, Some(end_s)) => (end_s / time_step_s).ceil() as u64,
+        (None, Some(end_s)) => (end_s / scene.world.time_step_s).ceil() as u64,
         (None, None) => bail!("the scene has no [[tool.path]] to follow; say how long with --steps"),
     };
     let mut simulation = Simulation::open(source, args.record.as_deref())?;
-    let mut rows = String::from("time_s,tip_x_m,tip_y_m,tip_z_m,force_x_n,force_y_n,force_z_n,contact");
-    // Those of further tools follow in the same line.
-    for tool in 2..=scene.world.tools.len() {
-        let columns = ["tip_x_m", "tip_y_m", "tip_z_m", "force_x_n", "force_y_n", "force_z_n", "contact"];
-        columns.iter().for_each(|column| rows += &format!(",{column}_{tool}"));
-    }
-    rows += "\n";
-    let mut greatest_force_n = 0.0_f64;
-    let mut contact_steps = 0_u64;
+    let mut done = Done::new(&scene, args.csv.is_some());
     let start = Instant::now();
-    for step in 1..=steps {
-        let time_s = step as f64 * time_step_s;
-        let input = scene.input_at(time_s);
+    let made = (1..=steps).try_for_each(|step| {
+        let input = scene.input_at(step as f64 * scene.world.time_step_s);
         let report = simulation.advance(&input)?;
-        let felt = &report.tools[..scene.world.tools.len()];
-        greatest_force_n =
-            felt.iter().map(|tool| tool.force_on_tool_n.length()).fold(greatest_force_n, f64::max);
-        contact_steps += u64::from(report.in_contact());
-        if args.csv.is_some() {
-            rows += &time_s.to_string();
-            for (tool, felt) in input.tools.iter().zip(felt) {
-                let (tip, force) = (tool.tip_in_world_m, felt.force_on_tool_n);
-                for number in [tip.x, tip.y, tip.z, force.x, force.y, force.z] {
-                    rows += &format!(",{number}");
-                }
-                rows += &format!(",{}", u8::from(felt.in_contact));
-            }
-            rows += "\n";
-        }
-    }
+        done.add(step, &input, &report);
+        Ok(())
+    });
     let elapsed_s = start.elapsed().as_secs_f64();
+    // What there is up to a step that broke is told, too.
     if let Some(csv) = &args.csv {
-        write_atomically(csv, |out| out.write_all(rows.as_bytes()))
+        write_atomically(csv, |out| out.write_all(done.rows.as_bytes()))
             .with_context(|| format!("{}: cannot write", csv.display()))?;
     }
     for notice in simulation.notices() {
         eprintln!("{}", notice.text);
     }
+    made.and_then(|()| tell(args, simulation, &done, elapsed_s))
+}
+
+/// What a run felt.
+struct Done {
+    n_tools: usize,
+    time_step_s: f64,
+    steps: u64,
+    greatest_force_n: f64,
+    contact_steps: u64,
+    wants_rows: bool,
+    /// A line of the CSV file for each step.
+    rows: String,
+}
+
+impl Done {
+    fn new(scene: &Scene, wants_rows: bool) -> Self {
+        let mut rows = String::from("time_s,tip_x_m,tip_y_m,tip_z_m,force_x_n,force_y_n,force_z_n,contact");
+        // Those of further tools follow in the same line.
+        for tool in 2..=scene.world.tools.len() {
+            let columns = ["tip_x_m", "tip_y_m", "tip_z_m", "force_x_n", "force_y_n", "force_z_n", "contact"];
+            columns.iter().for_each(|column| rows += &format!(",{column}_{tool}"));
+        }
+        rows += "\n";
+        let (n_tools, time_step_s) = (scene.world.tools.len(), scene.world.time_step_s);
+        Self { n_tools, time_step_s, steps: 0, greatest_force_n: 0.0, contact_steps: 0, wants_rows, rows }
+    }
+
+    fn add(&mut self, step: u64, input: &StepInput, report: &StepReport) {
+        self.steps = step;
+        let felt = &report.tools[..self.n_tools];
+        let forces_n = felt.iter().map(|tool| tool.force_on_tool_n.length());
+        self.greatest_force_n = forces_n.fold(self.greatest_force_n, f64::max);
+        self.contact_steps += u64::from(report.in_contact());
+        if !self.wants_rows {
+            return;
+        }
+        self.rows += &(step as f64 * self.time_step_s).to_string();
+        for (tool, felt) in input.tools.iter().zip(felt) {
+            let (tip, force) = (tool.tip_in_world_m, felt.force_on_tool_n);
+            for number in [tip.x, tip.y, tip.z, force.x, force.y, force.z] {
+                self.rows += &format!(",{number}");
+            }
+            self.rows += &format!(",{}", u8::from(felt.in_contact));
+        }
+        self.rows += "\n";
+    }
+}
+
+/// Ends the recording and tells how it went.
+fn tell(args: &Args, simulation: Simulation, done: &Done, elapsed_s: f64) -> anyhow::Result<()> {
+    let Done { steps, greatest_force_n, contact_steps, .. } = *done;
     let model = simulation.world().model_kind().name();
     let account = Account::of(simulation.world());
     let state_hash = simulation.finish()?;
-    let simulated_s = steps as f64 * time_step_s;
+    let simulated_s = steps as f64 * done.time_step_s;
     if args.json {
         println!(
             "{}",

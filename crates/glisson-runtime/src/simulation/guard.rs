@@ -36,7 +36,7 @@ impl Simulation {
     }
 
     /// Ends the simulation and keeps its session.
-    pub(super) fn break_off(&mut self, reason: String) -> Broken {
+    pub(crate) fn break_off(&mut self, reason: String) -> Broken {
         let kept = match self.recorder.take().map(|recorder| recorder.finish()) {
             None => "no session was recorded".to_owned(),
             Some(Ok(())) => "the session up to here is kept".to_owned(),
@@ -54,7 +54,15 @@ impl Simulation {
     }
 }
 
-fn panic_text(panic: &(dyn Any + Send)) -> String {
+/// What a panic said.
+pub(crate) fn panic_text(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words").to_owned()
+}
+
+/// Panics at the step that the environment orders: how tests see what comes of a fault of the program.
+#[cfg(debug_assertions)]
+pub(super) fn break_if_ordered(step: u64) {
+    let ordered = std::env::var("GLISSON_BREAK_AT_STEP").ok().and_then(|text| text.parse().ok());
+    assert!(ordered != Some(step), "a fault was ordered for this step");
 }

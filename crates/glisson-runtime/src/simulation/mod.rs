@@ -4,6 +4,7 @@ mod guard;
 mod scripted;
 
 pub use guard::Broken;
+pub(crate) use guard::panic_text;
 
 use crate::incidents::{Incidents, Notice, Notices, Once};
 use crate::recorder::Recorder;
@@ -144,6 +145,8 @@ impl Simulation {
     }
 
     fn make_step(&mut self, input: &StepInput) -> anyhow::Result<StepReport> {
+        #[cfg(debug_assertions)]
+        guard::break_if_ordered(self.world.steps_made());
         if let Some(kind) = self.world.awaited_model() {
             self.take_delivery(kind)?;
         }
@@ -166,7 +169,8 @@ impl Simulation {
         self.incidents.of_step(&report).into_iter().for_each(|incident| self.tell(incident));
         let is_asked = report.model.wants_recomputation && self.builder.is_none();
         if is_asked && std::mem::take(&mut self.orders_recomputations) {
-            self.order_model(self.world.model_kind(), report.step + self.recomputation_steps())?;
+            let at_step = report.step.saturating_add(self.recomputation_steps());
+            self.order_model_now(self.world.model_kind(), at_step)?;
         }
         if report.step.is_multiple_of(CHECKPOINT_STEPS) && self.recorder.is_some() {
             let state_hash = self.world.state_hash();
@@ -218,7 +222,8 @@ impl Simulation {
     /// reason to stop: the present one goes on, as it does in a replay, and the reason is told.
     fn take_delivery(&mut self, kind: ModelKind) -> anyhow::Result<()> {
         let builder = self.builder.take().with_context(|| format!("nobody makes the {kind} model"))?;
-        match builder.join().map_err(|_| anyhow!("the {kind} model's maker panicked"))? {
+        let made = builder.join().unwrap_or_else(|panic| Err(anyhow!("{}", panic_text(panic.as_ref()))));
+        match made {
             Ok((model, made)) => match self.world.deliver_model(model, made) {
                 // The new one may ask in its turn; where none could be made it is not tried again.
                 Ok(true) => self.orders_recomputations = self.is_live,
@@ -285,15 +290,20 @@ impl Simulation {
 
     /// Gravity from now on.
     pub(crate) fn set_gravity(&mut self, gravity_m_per_s2: DVec3) -> anyhow::Result<()> {
-        self.record(&SessionEvent::Gravity { step: self.world.steps_made(), gravity_m_per_s2 })?;
-        self.world.set_gravity(gravity_m_per_s2);
-        Ok(())
+        self.guarded(|simulation| {
+            let step = simulation.world.steps_made();
+            simulation.record(&SessionEvent::Gravity { step, gravity_m_per_s2 })?;
+            simulation.world.set_gravity(gravity_m_per_s2);
+            Ok(())
+        })
     }
 
     /// How thoroughly steps are computed from now on; answers whether that makes a difference to the present model.
     pub(crate) fn set_effort(&mut self, effort: Effort) -> anyhow::Result<bool> {
-        self.record(&SessionEvent::Effort { step: self.world.steps_made(), effort })?;
-        Ok(self.world.set_effort(effort))
+        self.guarded(|simulation| {
+            simulation.record(&SessionEvent::Effort { step: simulation.world.steps_made(), effort })?;
+            Ok(simulation.world.set_effort(effort))
+        })
     }
 
     /// Takes tetrahedra out of the organ. A model that cannot follow is no reason to stop: nothing changes, and the
@@ -400,6 +410,10 @@ impl Simulation {
 
     /// Starts making another model; it takes over before step `at_step`, whenever it is ready.
     pub(crate) fn order_model(&mut self, kind: ModelKind, at_step: u64) -> anyhow::Result<()> {
+        self.guarded(|simulation| simulation.order_model_now(kind, at_step))
+    }
+
+    fn order_model_now(&mut self, kind: ModelKind, at_step: u64) -> anyhow::Result<()> {
         let step = self.world.steps_made();
         let at_step = at_step.max(step);
         self.record(&SessionEvent::QueueModelSwap { step, at_step, model: kind })?;

@@ -120,6 +120,17 @@ pub enum TopologyRefusal {
         /// Nodes of the mesh before the edit.
         n_nodes_before: usize,
     },
+    /// The change is of a mesh with another number of nodes.
+    #[error(
+        "the model cannot follow the edit: it has {n_nodes} nodes, the edit was made in a mesh of {n_nodes_before}; make \
+         the model anew"
+    )]
+    OtherNodes {
+        /// Nodes of the model, dead ones included.
+        n_nodes: usize,
+        /// Nodes of the mesh before the edit.
+        n_nodes_before: usize,
+    },
     /// Only in tests.
     #[error(transparent)]
     Ordered(#[from] OrderedFault),

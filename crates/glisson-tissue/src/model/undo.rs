@@ -80,6 +80,11 @@ pub fn follow_edit(
 ) -> Result<(), TopologyRefusal> {
     undo.clear();
     fault::check("model: before it follows")?;
+    let n_nodes = model.state().positions_m.len();
+    if n_nodes != change.nodes.n_before {
+        // Before anything is saved by the numbers of another mesh.
+        return Err(TopologyRefusal::OtherNodes { n_nodes, n_nodes_before: change.nodes.n_before });
+    }
     model.save_for_undo(change, undo);
     let followed = model.topology_changed(mesh, change);
     if followed.is_err() && undo.keeps_whole() {

@@ -13,9 +13,7 @@
 //! 1e-8 m, which is far within the tolerance.
 
 use super::shapes::CapsuleMotion;
-use super::triangles::{
-    Closest, at_weights, closest_on_segment_and_triangle, closest_on_triangles, closest_weights,
-};
+use super::triangles::{Closest, closest_on_segment_and_triangle, closest_on_triangles, closest_weights};
 use crate::math::DVec3;
 
 /// Distance at which bodies count as touching [m]: far above rounding, far below any tissue's geometry.
@@ -116,6 +114,5 @@ pub fn corners_at(start_m: [DVec3; 3], end_m: [DVec3; 3], time: f64) -> [DVec3; 
 pub fn weights_at(contact: &FirstContact, start_m: [DVec3; 3], end_m: [DVec3; 3]) -> [f64; 3] {
     let corners = corners_at(start_m, end_m, contact.time);
     let weights = closest_weights(contact.points_m[1], corners);
-    debug_assert!(at_weights(corners, weights).distance(contact.points_m[1]) <= CONTACT_TOLERANCE_M);
     weights
 }

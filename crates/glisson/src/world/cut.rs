@@ -140,7 +140,9 @@ impl World {
     /// The live tetrahedra that the tip of a tool touches in their present shape, ascending: those under the surface that
     /// it stands on, and those within its radius behind them.
     pub fn touched_tetrahedra(&self, tool: usize) -> Vec<TetId> {
-        let (hand, spec) = (&self.hands[tool], &self.spec.tools[tool]);
+        let Some((hand, spec)) = self.hands.get(tool).zip(self.spec.tools.get(tool)) else {
+            return Vec::new();
+        };
         self.tetrahedra_near(hand.now.tip_in_world_m, spec.tip_radius_m)
     }
 
@@ -159,7 +161,9 @@ impl World {
     /// The live tetrahedra whose middle lies between the jaws of a tool, as far as these were open, ascending; if there is
     /// none, those that the tips of the jaws touch.
     pub fn tetrahedra_between_jaws(&self, tool: usize) -> Vec<TetId> {
-        let (hand, spec) = (&self.hands[tool], &self.spec.tools[tool]);
+        let Some((hand, spec)) = self.hands.get(tool).zip(self.spec.tools.get(tool)) else {
+            return Vec::new();
+        };
         let Some(jaws) = spec.kind.jaws() else { return Vec::new() };
         let (frame, opening) = (ToolFrame::of(&hand.now), hand.opened_to);
         let Some(mut around) = capsule(spec, ToolPart::Tip, &hand.now) else { return Vec::new() };

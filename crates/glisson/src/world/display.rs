@@ -197,7 +197,7 @@ mod tests {
             organ.follow_edit(&change, &mut overwritten);
             check(&organ);
             if at % 5 == 0 {
-                organ.undo_edit(&undo, &change, &overwritten);
+                organ.undo_edit(&undo, &change, &mut overwritten);
                 check(&organ);
                 let after = organ.display_topology();
                 assert_eq!((after.nodes, after.triangles), (before.nodes, before.triangles));

@@ -9,7 +9,7 @@ use crate::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::refine::{FineRegion, refining};
 use crate::mesh::repair::{MendParams, mending};
 use crate::mesh::{NodeId, TetId, TetMesh};
-use crate::model::DeformableModel;
+use crate::model::{DeformableModel, TopologyRefusal};
 use std::collections::VecDeque;
 
 /// Radius of a region that is made finer around a tool, in edges as they are there: a choice.
@@ -60,6 +60,11 @@ impl Journal {
     /// No edit so far can be taken back any more.
     pub(super) fn forget_undo(&mut self) {
         self.spare.extend(self.records.drain(..));
+    }
+
+    /// What was saved of a model that waits belongs to one that does not wait any more.
+    pub(super) fn forget_waiting(&mut self) {
+        self.records.iter_mut().for_each(|record| record.waiting = None);
     }
 
     /// Notes an edit that was made; answers how many tetrahedra joined those that were removed first.
@@ -217,9 +222,9 @@ impl World {
     }
 
     /// A region at rest around the tissue that is nearest to a tool's tip, with edges half as long as they are there now;
-    /// `None` if the tip is further from the surface than that region is wide.
+    /// `None` if the tip is further from the surface than that region is wide, or there is no such tool.
     pub fn finer_region_at(&self, tool: usize) -> Option<FineRegion> {
-        let tip_m = self.hands[tool].now.tip_in_world_m;
+        let tip_m = self.hands.get(tool)?.now.tip_in_world_m;
         let (topology, positions_m) = (self.organ.body().topology(), self.organ.positions_m());
         let rest_m = &self.organ.mesh().positions_m;
         let away_m = |node: NodeId| positions_m[node.index()].distance(tip_m);
@@ -297,6 +302,11 @@ impl World {
     /// Lets a model that was made from the organ of the start follow all edits that stand.
     pub(super) fn bring_up_to_date(&self, model: &mut dyn DeformableModel) -> Result<(), EditRefusal> {
         let Journal { removed, later, .. } = &self.journal;
+        let (n_nodes, n_nodes_before) =
+            (model.state().positions_m.len(), self.mesh_of_the_start.positions_m.len());
+        if n_nodes != n_nodes_before {
+            return Err(TopologyRefusal::OtherNodes { n_nodes, n_nodes_before }.into());
+        }
         if removed.is_empty() && later.is_empty() {
             return Ok(());
         }

@@ -174,7 +174,8 @@ impl World {
     /// A world at rest, the tools at their homes.
     ///
     /// # Errors
-    /// [`OrganError`] when the mesh is not a body with a surface, and when there is no tool or too many.
+    /// [`OrganError`] when the mesh is not a body with a surface, the model is of another mesh, and when there is no tool or
+    /// too many.
     pub fn new(
         spec: WorldSpec,
         mesh: TetMesh,
@@ -183,6 +184,10 @@ impl World {
     ) -> Result<Self, OrganError> {
         if !(1..=MAX_TOOLS).contains(&spec.tools.len()) {
             return Err(OrganError::Tools { n_tools: spec.tools.len() });
+        }
+        let (n_nodes, expected) = (model.state().positions_m.len(), mesh.positions_m.len());
+        if n_nodes != expected {
+            return Err(OrganError::Model { n_nodes, expected });
         }
         let mesh_of_the_start = Arc::new(mesh.clone());
         let anchored_at_start = spec.anchored_nodes(&mesh.positions_m).into();
@@ -279,6 +284,7 @@ impl World {
     /// Orders another model: it takes over before step `at_step` (index from 0, not before the next one), and
     /// that step waits until [`World::deliver_model`] brought it. An order that was not carried out is replaced.
     pub fn queue_model_swap(&mut self, at_step: u64, kind: ModelKind) {
+        self.journal.forget_waiting();
         self.swap = Some(QueuedSwap { at_step: at_step.max(self.step), kind, model: None });
     }
 
@@ -297,6 +303,8 @@ impl World {
         }
         self.bring_up_to_date(model.as_mut())?;
         if let Some(swap) = &mut self.swap {
+            // What was saved of one that was delivered before is not this one's.
+            self.journal.forget_waiting();
             swap.model = Some(model);
         }
         Ok(true)
@@ -304,6 +312,7 @@ impl World {
 
     /// Takes an order back: the model could not be made, and the present one goes on.
     pub fn cancel_model_swap(&mut self) {
+        self.journal.forget_waiting();
         self.swap = None;
     }
 
@@ -481,8 +490,8 @@ impl World {
 
     /// Sets a clip on the vessel nearest to the tip of a tool, if one is within its reach; answers whether one was.
     pub fn clip_vessel(&mut self, tool: usize) -> bool {
-        let tip_m = self.hands[tool].now.tip_in_world_m;
-        let spec = &self.spec.tools[tool];
+        let Some((hand, spec)) = self.hands.get(tool).zip(self.spec.tools.get(tool)) else { return false };
+        let tip_m = hand.now.tip_in_world_m;
         let reach_m = spec.tip_radius_m + spec.kind.jaws().map_or(0.0, |jaws| jaws.length_m);
         let positions_m = self.model.state().positions_m;
         let Some(vessels) = &mut self.vessels else { return false };

@@ -30,6 +30,14 @@ pub enum OrganError {
         /// What is wrong.
         error: TubeError,
     },
+    /// A model of another mesh.
+    #[error("the model has {n_nodes} nodes, the mesh {expected}; make the model from this mesh")]
+    Model {
+        /// Nodes of the model.
+        n_nodes: usize,
+        /// Nodes of the mesh.
+        expected: usize,
+    },
     /// No tool, or too many.
     #[error("{n_tools} instruments; a world has 1 to {MAX_TOOLS}")]
     Tools {
@@ -46,6 +54,8 @@ pub(super) struct OrganBefore {
     /// Where the nodes that moved were at the start and at the end of the last step [m].
     ways_m: Vec<(NodeId, [DVec3; 2])>,
     topology_version: u32,
+    /// The surface, where it had to be made anew.
+    skin: Option<Box<Skin>>,
 }
 
 /// Takes back what an edit did to an array by node: drops what came in, writes the values of what was removed back.
@@ -125,7 +135,7 @@ impl Organ {
         before.ways_m.clear();
         before.ways_m.extend(change.moved_nodes.iter().filter_map(|&n| Some((n, self.skin.way_m(n)?))));
         self.capsule.follow(&self.body, change, |triangle| self.skin.nodes_of(triangle));
-        self.skin.follow(&self.body, &triangles);
+        before.skin = self.skin.follow(&self.body, &triangles).map(Box::new);
         let display = DisplayChange {
             nodes_added: &change.surface_nodes_added,
             nodes_removed: &change.surface_nodes_removed,
@@ -151,14 +161,17 @@ impl Organ {
     }
 
     /// Takes the last edit back.
-    pub(super) fn undo_edit(&mut self, undo: &MeshUndo, change: &TopologyChange, before: &OrganBefore) {
+    pub(super) fn undo_edit(&mut self, undo: &MeshUndo, change: &TopologyChange, before: &mut OrganBefore) {
         self.body.undo(undo);
         put_back(&mut self.fixed, change, before.fixed.iter().copied());
         let triangles = SurfaceChange {
             added: &change.surface_triangles_added,
             removed: &change.surface_triangles_removed,
         };
-        self.skin.unfollow(&self.body, &triangles);
+        match before.skin.take() {
+            Some(skin) => self.skin = *skin,
+            None => self.skin.unfollow(&self.body, &triangles),
+        }
         for &(node, way_m) in &before.ways_m {
             self.skin.place(node, way_m);
         }

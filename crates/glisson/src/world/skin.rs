@@ -95,16 +95,18 @@ impl Skin {
     }
 
     /// Follows an edit. Nodes that it brought in start at their places at rest, until [`Skin::place`] is told better.
-    /// Without room left everything is made anew.
-    pub(super) fn follow(&mut self, body: &EditableMesh, change: &SurfaceChange<'_>) {
+    /// Without room left everything is made anew; then the surface as it was comes back.
+    pub(super) fn follow(&mut self, body: &EditableMesh, change: &SurfaceChange<'_>) -> Option<Self> {
         let n_nodes = body.topology().n_nodes();
         let has_room = change.added.len() <= self.empty.len() + change.removed.len();
         if !has_room || n_nodes > self.end_m.len() {
             let n_known = self.end_m.len().min(n_nodes);
             let new_m = &body.mesh().positions_m[n_known..];
             let positions_m: Vec<DVec3> = self.end_m[..n_known].iter().chain(new_m).copied().collect();
-            *self = Self::new(body, &positions_m);
-            return;
+            let mut new = Self::new(body, &positions_m);
+            new.start_m[..n_known].copy_from_slice(&self.start_m[..n_known]);
+            new.is_stale = true;
+            return Some(std::mem::replace(self, new));
         }
         self.slots.resize(self.slots.len().max(body.topology().n_triangles()), NONE);
         for &triangle in change.removed {
@@ -124,6 +126,7 @@ impl Skin {
             self.adjacency.set_triangle(slot, Some(nodes.map(|n| n.0)));
         }
         self.is_stale = true;
+        None
     }
 
     /// Nodes of a triangle of the surface, counter-clockwise from outside; none for others.
@@ -137,6 +140,7 @@ impl Skin {
         // The opposite order: the slots are emptied and filled as a stack.
         let backwards = |triangles: &[TriangleId]| triangles.iter().rev().copied().collect::<Vec<_>>();
         let (added, removed) = (backwards(change.removed), backwards(change.added));
+        // The slots that the edit took are free again: nothing is made anew.
         self.follow(body, &SurfaceChange { added: &added, removed: &removed });
     }
 

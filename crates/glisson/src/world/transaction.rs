@@ -168,7 +168,7 @@ impl World {
         }
         record.waiting = None;
         if stage >= Stage::Surface {
-            self.organ.undo_edit(&record.mesh, &record.change, &record.organ);
+            self.organ.undo_edit(&record.mesh, &record.change, &mut record.organ);
             self.organ.forget_edit(&record.organ);
         } else if stage >= Stage::Mesh {
             self.organ.body_mut().undo(&record.mesh);
@@ -189,7 +189,7 @@ impl World {
                 None => self.swap = None,
             }
         }
-        self.organ.undo_edit(&record.mesh, &record.change, &record.organ);
+        self.organ.undo_edit(&record.mesh, &record.change, &mut record.organ);
         self.loads.undo(&record.change, &record.loads);
         self.vessels.clone_from(&record.vessels);
         if record.step == self.step {

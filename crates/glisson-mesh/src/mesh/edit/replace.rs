@@ -12,6 +12,10 @@ const VOLUME_TOLERANCE: f64 = 1e-9;
 /// How much the sum of weights may differ from 1.
 const WEIGHT_TOLERANCE: f64 = 1e-9;
 
+/// A parent's weight is no larger: beyond it a place is no mean any more, and sums lose their digits. A choice; places just
+/// outside of a flat tetrahedron have weights of a few units.
+const MOST_WEIGHT: f64 = 1e3;
+
 /// Tetrahedra that make room for others in the same place. Unlike in a retetrahedralisation the parents are
 /// given, nodes may move, triangles of the surface may be divided, and triangles within may open (their nodes come
 /// twice). The live tetrahedra at a node that moves are reshaped where they do not make room: these together fill the
@@ -123,7 +127,8 @@ impl EditableMesh {
     fn check_parents(&self, parents: &[(NodeId, f64)]) -> (f64, bool) {
         let sum: f64 = parents.iter().map(|p| p.1).sum();
         let is_sum_right = (sum - 1.0).abs() <= WEIGHT_TOLERANCE;
-        (sum, is_sum_right && parents.iter().all(|p| self.is_there(p.0)))
+        let is_parent = |(node, weight): &(NodeId, f64)| self.is_there(*node) && weight.abs() <= MOST_WEIGHT;
+        (sum, is_sum_right && parents.iter().all(is_parent))
     }
 
     /// The new tetrahedra with the ids that their corners will have.

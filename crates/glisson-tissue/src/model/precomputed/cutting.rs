@@ -197,11 +197,9 @@ impl Precomputed {
         model.compliance.mesh_hash = super::mesh_hash(mesh);
         let mut cuts = Cuts::new(mesh, bears, &model.compliance)?;
         cuts.body = body;
+        model.let_loose(&mut cuts, &loose);
+        model.join_pieces(&mut cuts);
         model.cuts = Some(Box::new(cuts));
-        model.change_cuts(|model, cuts| {
-            model.let_loose(cuts, &loose);
-            model.join_pieces(cuts);
-        });
         Ok(model)
     }
 
@@ -225,7 +223,7 @@ impl Precomputed {
             model: ModelKind::Precomputed.name(),
             reason: "its stiffness matrix cannot be factored in the memory that there is",
         })?;
-        self.change_cuts(|model, cuts| model.remove(cuts, &change.tets.removed));
+        self.change_cuts(|model, cuts| model.remove(cuts, &change.tets.removed))?;
         // Rows came and went; those to spare are not shown.
         self.displacement_m.clear();
         self.displacement_m.resize(n_displacements(self.compliance.rows.len()), 0.0);
@@ -239,17 +237,22 @@ impl Precomputed {
         Ok(())
     }
 
-    fn change_cuts(&mut self, change: impl FnOnce(&mut Self, &mut Cuts)) {
-        let Some(mut cuts) = self.cuts.take() else { return };
-        change(self, &mut cuts);
+    fn change_cuts(
+        &mut self,
+        change: impl FnOnce(&mut Self, &mut Cuts) -> Result<(), TopologyRefusal>,
+    ) -> Result<(), TopologyRefusal> {
+        let Some(mut cuts) = self.cuts.take() else { return Ok(()) };
+        let changed = change(self, &mut cuts);
         self.cuts = Some(cuts);
+        changed
     }
 
-    fn remove(&mut self, cuts: &mut Cuts, tets: &[TetId]) {
+    /// After a refusal the model is of no use: it is put back from its copy.
+    fn remove(&mut self, cuts: &mut Cuts, tets: &[TetId]) -> Result<(), TopologyRefusal> {
         let live: Vec<TetId> =
             tets.iter().copied().filter(|&t| cuts.body.topology().is_live_tet(t)).collect();
         if live.is_empty() {
-            return;
+            return Ok(());
         }
         let old_rows = self.compliance.rows.clone();
 
@@ -258,7 +261,7 @@ impl Precomputed {
         cuts.body.remove_into(&live, &mut TopologyChange::default()).expect("live tetrahedra, each once");
         for piece in &mut cuts.pieces {
             let own: Vec<TetId> = of_pieces.iter().copied().filter(|&t| piece.has_tet(t)).collect();
-            piece.remove(&own);
+            piece.remove(&own)?;
         }
         for tet in &taken {
             cuts.bears[tet.index()] = false;
@@ -297,6 +300,7 @@ impl Precomputed {
         self.join_pieces(cuts);
 
         self.follow_rows(&old_rows);
+        Ok(())
     }
 
     /// Makes hinges between the pieces and what is held, and says how fast the held body feels their pull.

@@ -11,7 +11,7 @@ use crate::model::explicit_kernel::{ExplicitKernel, ExplicitKernelError, Explici
 use crate::model::kernel::KernelLaw;
 use crate::model::{
     Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, LocalModel, LocalWork,
-    ModelReport, NodalForce, Rayleigh,
+    ModelReport, NodalForce, Rayleigh, TopologyRefusal,
 };
 use crate::solve::{BoundaryConditions, StaticProblem, solve_static};
 use glisson_mesh::math::DVec3;
@@ -185,16 +185,22 @@ impl LoosePiece {
     }
 
     /// Takes tetrahedra of the piece out.
-    pub(super) fn remove(&mut self, tets: &[TetId]) {
+    ///
+    /// # Errors
+    /// [`TopologyRefusal`] when its model cannot follow; the piece is of no use then.
+    pub(super) fn remove(&mut self, tets: &[TetId]) -> Result<(), TopologyRefusal> {
         let local: Vec<TetId> = tets
             .iter()
             .filter_map(|t| self.tets.binary_search(t).ok())
             .map(TetId::from_index)
             .filter(|&t| self.body.topology().is_live_tet(t))
             .collect();
+        if local.is_empty() {
+            return Ok(());
+        }
         let mut change = TopologyChange::default();
         self.body.remove_into(&local, &mut change).expect("live tetrahedra, each once");
-        self.kernel.topology_changed(self.body.mesh(), &change).expect("the kernel follows removals");
+        self.kernel.topology_changed(self.body.mesh(), &change)
     }
 
     /// Whether a node still has a tetrahedron of the piece.

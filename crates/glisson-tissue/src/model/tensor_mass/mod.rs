@@ -303,7 +303,13 @@ impl ExplicitDynamics for TensorMass {
             return;
         }
         self.motion.save(undo);
-        for t in change.tets.removed.iter().map(|tet| tet.index()).filter(|&t| self.tets.is_live[t]) {
+        for t in change
+            .tets
+            .removed
+            .iter()
+            .map(|tet| tet.index())
+            .filter(|&t| self.tets.is_live.get(t) == Some(&true))
+        {
             undo.push_place(t);
             self.tensors.save_tet(t, self.tets.nodes[t], undo);
         }

@@ -192,7 +192,7 @@ impl ScalpelCut {
             let from_m = self.blade_m.unwrap_or(blade_m);
             let way_m = from_m[0].distance(blade_m[0]).max(from_m[1].distance(blade_m[1]));
             let edge_m = self.stroke.as_ref().map_or_else(|| mean_edge_m(body, positions_m), |s| s.edge_m);
-            let n_parts = (way_m / (PART_OF_EDGE * edge_m)).ceil().clamp(1.0, MOST_PARTS as f64) as usize;
+            let n_parts = parts_of_way(way_m, edge_m);
             self.motion = Some(Motion { from_m, to_m: blade_m, n_parts, n_done: 0 });
         }
         loop {
@@ -368,8 +368,7 @@ impl ScalpelCut {
         [from_m, to_m]: [DVec3; 2],
     ) {
         let edge_m = mean_edge_of(topology, positions_m, self.last_entry.map(|(t, _)| t));
-        let n =
-            (from_m.distance(to_m) / (PART_OF_EDGE * edge_m)).ceil().clamp(1.0, MOST_PARTS as f64) as usize;
+        let n = parts_of_way(from_m.distance(to_m), edge_m);
         for k in 1..=n {
             let point_m = from_m.lerp(to_m, k as f64 / n as f64);
             let at = PathPoint { point_m, is_on_side: true, ..like };
@@ -398,6 +397,12 @@ fn side(
     let leaves = first_crossing(topology, positions_m, [inside_m[0], below_m], STEEP);
     let met = leaves.or_else(|| first_crossing(topology, positions_m, [outside_m[0], inside_m[0]], STEEP))?;
     is_well_below(met.point_m).then_some(met)
+}
+
+/// Into how many parts a way is divided, at least 1; also where a length is no number.
+fn parts_of_way(way_m: f64, edge_m: f64) -> usize {
+    // Not `clamp`, which leaves what is no number as it is.
+    (way_m / (PART_OF_EDGE * edge_m)).ceil().max(1.0).min(MOST_PARTS as f64) as usize
 }
 
 /// Mean edge [m] of a surface triangle now.

@@ -94,6 +94,10 @@ pub(super) fn way_around(
         }
     }
     let [start, end] = [place(ends[0])?, place(ends[1])?];
+    if start == end {
+        // The cut's front comes back to itself: there is no way from one end to the other.
+        return None;
+    }
     let mut cost = vec![f64::INFINITY; around.len()];
     let mut before = vec![usize::MAX; around.len()];
     let mut done = vec![false; around.len()];

@@ -472,6 +472,7 @@ impl<'a> Timed<'a> {
                 let simulation = &self.live.simulation;
                 self.latest.notices = simulation.notices().to_vec();
                 self.latest.n_notices = simulation.n_notices();
+                self.latest.is_broken = true;
                 self.latest.pace = Pace { paused: true, ..self.pace.pace };
                 self.feed.publish(self.latest.clone());
                 Ok(())

@@ -24,6 +24,8 @@ pub struct Published {
     pub notices: Vec<Notice>,
     /// How many notices there were altogether.
     pub n_notices: usize,
+    /// Whether the simulation broke and goes no further; the notices say why.
+    pub is_broken: bool,
     /// How far the simulation fell behind.
     pub lateness: Lateness,
     /// How thoroughly steps are computed.
@@ -63,6 +65,7 @@ impl Published {
             model: world.model_kind(),
             notices,
             n_notices,
+            is_broken: simulation.broken().is_some(),
             lateness: Lateness::default(),
             effort: world.effort(),
             meters: Arc::clone(meters),

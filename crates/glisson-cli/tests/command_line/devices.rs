@@ -173,10 +173,16 @@ fn the_loop_has_its_core_for_itself(process: u32) {
 
 /// Stops a served process as Ctrl-C does; answers what it said to the end.
 fn stop(mut serve: Child, lines: impl Iterator<Item = String>) -> Vec<String> {
-    let stopped = Command::new("kill").args(["-INT", &serve.id().to_string()]).status().unwrap();
+    interrupt(&serve);
     let rest: Vec<String> = lines.collect();
-    assert!(stopped.success() && serve.wait().unwrap().success(), "{rest:?}");
+    assert!(serve.wait().unwrap().success(), "{rest:?}");
     rest
+}
+
+/// As a user who presses Ctrl-C.
+pub(crate) fn interrupt(process: &Child) {
+    let stopped = Command::new("kill").args(["-INT", &process.id().to_string()]).status().unwrap();
+    assert!(stopped.success());
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The program as a careless user meets it: bad input gets exit code 1, a message that names file, place, found and
 //! allowed value, and leaves no half-written file; a wrong command line gets exit code 2.
 
+mod broken;
 mod devices;
 mod link;
 mod precompute;

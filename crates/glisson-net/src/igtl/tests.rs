@@ -47,6 +47,7 @@ pub(crate) fn published(step: u64) -> Arc<Published> {
         effort: Default::default(),
         notices: Vec::new(),
         n_notices: 0,
+        is_broken: false,
         lateness: Lateness::default(),
         meters: Arc::default(),
     })

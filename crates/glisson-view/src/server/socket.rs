@@ -99,7 +99,9 @@ impl Connection {
         let mut published = shared.published.clone();
         let mut controller = shared.control.watch();
         let first = Arc::clone(&published.borrow());
-        let (mut model, mut n_told, mut version) = (first.model, first.n_notices, first.topology.version);
+        let (mut model, mut version) = (first.model, first.topology.version);
+        // Who comes after the end is told what happened.
+        let mut n_told = if first.is_broken { 0 } else { first.n_notices };
         self.greet(&first).await?;
         published.mark_changed();
         controller.mark_changed();

@@ -14,6 +14,9 @@ use crate::tool::{MAX_TOOLS, ToolInput};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 
+/// Parts that a step is divided into at most: more would stall for minutes. A choice.
+pub const MOST_SUBSTEPS: u32 = 1000;
+
 /// Format version written and read. Version 1 had one instrument, whose contact was found otherwise.
 pub const SESSION_VERSION: u32 = 2;
 const FORMAT: &str = "glisson-session";
@@ -252,8 +255,9 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
                 if let Some(at) = detected.iter().position(|d| d.is_some_and(|d| !d.is_plausible())) {
                     return Err(wrong(line, format!("what was detected for instrument {at} is no touch")));
                 }
-                if *n_substeps == 0 {
-                    return Err(wrong(line, "n_substeps is 0; it must be at least 1".into()));
+                if !(1..=MOST_SUBSTEPS).contains(n_substeps) {
+                    let allowed = format!("n_substeps is {n_substeps}; allowed: 1 to {MOST_SUBSTEPS}");
+                    return Err(wrong(line, allowed));
                 }
             }
             SessionEvent::Clip { tool, .. } if usize::from(*tool) >= MAX_TOOLS => {

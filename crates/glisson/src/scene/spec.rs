@@ -117,10 +117,17 @@ impl Default for Simulation {
 /// A step that would be divided further is made by a wrong scene.
 const MOST_PARTS_ALLOWED: f64 = 1000.0;
 
+/// Time steps that a scene may have [s]: a shorter one is below what any device or tissue asks for, a longer one no motion of
+/// a hand survives. A choice.
+const TIME_STEPS_S: std::ops::RangeInclusive<f64> = 1e-6..=1.0;
+
 fn read_simulation(section: Option<Section<'_>>) -> Result<Simulation, SceneError> {
     let mut simulation = Simulation::default();
     let Some(mut section) = section else { return Ok(simulation) };
-    if let Some(time_step_s) = section.positive("time_step", Dimension::Time)? {
+    if let Some((time_step_s, at)) = section.quantity("time_step", Dimension::Time)? {
+        if !TIME_STEPS_S.contains(&time_step_s) {
+            return Err(section.wrong_value(at, "time_step", format!("{time_step_s} s"), "1 us to 1 s"));
+        }
         simulation.time_step_s = time_step_s;
     }
     if let Some(gravity_m_per_s2) = section.vector("gravity", Dimension::Acceleration)? {

@@ -40,6 +40,7 @@ use crate::mesh::TetMesh;
 use crate::model::StateHash;
 use crate::model::kind::ModelKind;
 use crate::model::{Constraints, DeformableModel, Effort, ModelReport, ModelState, NodalForce};
+pub use crate::record::session::MOST_SUBSTEPS;
 use crate::record::snapshot::{BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
 use crate::tool::found::Detected;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
@@ -61,7 +62,7 @@ use vessels::Vessels;
 pub struct StepInput {
     /// Where the tools are at the end of the step, in the scene's order; those beyond the last one do not count.
     pub tools: [ToolInput; MAX_TOOLS],
-    /// Equal parts that the time step is divided into; at least 1. Decided outside, because it may depend on
+    /// Equal parts that the time step is divided into, 1 to [`MOST_SUBSTEPS`]. Decided outside, because it may depend on
     /// time that a clock measured.
     pub n_substeps: u32,
     /// Tools that were put there without touching anything between: contacts are let go, the way is not searched.
@@ -381,7 +382,7 @@ impl World {
             return self.report;
         }
         self.move_hands(input);
-        let n_substeps = input.n_substeps.max(1);
+        let n_substeps = input.n_substeps.clamp(1, MOST_SUBSTEPS);
         self.constrain(n_substeps);
         self.move_organ(n_substeps);
         self.read_forces();

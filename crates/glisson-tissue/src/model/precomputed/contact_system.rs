@@ -113,6 +113,81 @@ pub(super) struct ContactSystem {
     report: ContactReport,
 }
 
+/// The points that take the place of those before.
+struct Update<'a> {
+    wanted: &'a [ContactPoint],
+    /// Points at the start that stay, and their rows.
+    n_kept: usize,
+    kept_rows: usize,
+    /// Whether the table is symmetric to the bit.
+    is_symmetric: bool,
+}
+
+impl Update<'_> {
+    /// Brings the tensors of the points that do not stay into the cache.
+    fn fetch(&self, pairs: &Pairs) {
+        let mut nodes = [0; 3 * MOST_POINTS];
+        let (mut n_nodes, mut n_old) = (0, 0);
+        for (i, point) in self.wanted.iter().enumerate() {
+            for (node, _) in point.nodes() {
+                nodes[n_nodes] = node;
+                n_nodes += 1;
+            }
+            if i < self.n_kept {
+                n_old = n_nodes;
+            }
+        }
+        pairs.fetch(&nodes[..n_nodes], n_old);
+    }
+}
+
+/// Place before of a point that is new.
+const NEW: (usize, usize) = (usize::MAX, 0);
+
+/// Entries of the matrix between two points: first row and column, numbers of rows and columns.
+struct Block {
+    first: [usize; 2],
+    size: [usize; 2],
+}
+
+impl Block {
+    /// Copies the entries, and those across the diagonal, from where they were.
+    #[inline]
+    fn copy_from(&self, was: [usize; 2], from: &[f64], to: &mut [f64]) {
+        let [row, column] = self.first;
+        for s in 0..self.size[1] {
+            for r in 0..self.size[0] {
+                let (new, old) = ((row + r, column + s), (was[0] + r, was[1] + s));
+                to[entry(new.0, new.1)] = from[entry(old.0, old.1)];
+                to[entry(new.1, new.0)] = from[entry(old.1, old.0)];
+            }
+        }
+    }
+
+    /// Writes the entries, and those across the diagonal.
+    #[inline]
+    fn write(&self, block: &DMat3, back: &DMat3, to: &mut [f64]) {
+        let [row, column] = self.first;
+        for s in 0..self.size[1] {
+            for r in 0..self.size[0] {
+                to[entry(column + s, row + r)] = back.col(r)[s];
+                to[entry(row + r, column + s)] = block.col(s)[r];
+            }
+        }
+    }
+
+    /// Takes the lower triangle of a point's block with itself for its upper one.
+    #[inline]
+    fn mirror_lower(&self, block: &DMat3, to: &mut [f64]) {
+        let [row, column] = self.first;
+        for (r, s) in [(1, 0), (2, 0), (2, 1)] {
+            if r < self.size[0] {
+                to[entry(column + s, row + r)] = block.col(s)[r];
+            }
+        }
+    }
+}
+
 impl ContactSystem {
     pub(super) fn new() -> Self {
         let matrix = || vec![[0.0; 8]; COLUMN_GROUPS * MOST_ROWS];
@@ -163,7 +238,7 @@ impl ContactSystem {
             return;
         }
         let is_symmetric = matches!(table.numbers, Numbers::F64(_));
-        self.read_rows((table, pairs), wanted, n_kept, kept_rows, is_symmetric);
+        self.read_rows((table, pairs), &Update { wanted, n_kept, kept_rows, is_symmetric });
         self.points.clear();
         for point in wanted {
             self.points.try_push(*point);
@@ -179,24 +254,47 @@ impl ContactSystem {
         });
     }
 
-    /// Compliances of the points from `n_kept` on with all others.
-    fn read_rows(
-        &mut self,
-        tensors: (&Table, &Pairs),
-        wanted: &[ContactPoint],
-        n_kept: usize,
-        kept_rows: usize,
-        is_symmetric: bool,
-    ) {
-        // Where the later points were before: place among the points, first row.
-        let mut was = [(usize::MAX, 0); MOST_POINTS];
-        let mut moves = false;
+    /// Reads the compliances of the points that do not keep their place with all others.
+    fn read_rows(&mut self, tensors: (&Table, &Pairs), update: &Update<'_>) {
+        let Update { wanted, n_kept, kept_rows, is_symmetric } = *update;
+        let was = self.places_before(update);
+        if was[n_kept..].iter().any(|was| was.0 != NEW.0) {
+            self.set_aside(kept_rows);
+        }
+        update.fetch(tensors.1);
+        let (actual, spare) = (self.actual.as_flattened_mut(), self.spare.as_flattened());
+        let mut first = kept_rows;
+        for (i, a) in wanted.iter().enumerate().skip(n_kept) {
+            let mut column = 0;
+            for (j, b) in wanted[..=i].iter().enumerate() {
+                let to = Block { first: [first, column], size: [a.n_directions, b.n_directions] };
+                let (was_a, was_b) = (was[i], was[j]);
+                // Not of two points that changed their order: the two halves of the table differ by rounding.
+                if was_a.0 != NEW.0 && (i == j || was_b.0 < was_a.0) {
+                    to.copy_from([was_a.1, was_b.1], spare, actual);
+                } else {
+                    let block = compliance(tensors, a, b);
+                    let back = if is_symmetric { block.transpose() } else { compliance(tensors, b, a) };
+                    to.write(&block, &back, actual);
+                    if is_symmetric && i == j {
+                        to.mirror_lower(&block, actual);
+                    }
+                }
+                column += b.n_directions;
+            }
+            first += a.n_directions;
+        }
+    }
+
+    /// Where each wanted point was before: its place among the points and its first row, [`NEW`] for a new one.
+    fn places_before(&self, update: &Update<'_>) -> [(usize, usize); MOST_POINTS] {
+        let Update { wanted, n_kept, kept_rows, .. } = *update;
+        let mut was = [NEW; MOST_POINTS];
         for (point, was) in wanted[n_kept..].iter().zip(&mut was[n_kept..]) {
             let mut row = kept_rows;
             for (i, old) in self.points.iter().enumerate().skip(n_kept) {
                 if old == point {
                     *was = (i, row);
-                    moves = true;
                     break;
                 }
                 row += old.n_directions;
@@ -207,61 +305,15 @@ impl ContactSystem {
             *was = (i, row);
             row += point.n_directions;
         }
-        if moves {
-            std::mem::swap(&mut self.actual, &mut self.spare);
-            for j in 0..kept_rows {
-                let column = COLUMN_GROUPS * j..COLUMN_GROUPS * j + kept_rows.div_ceil(8);
-                self.actual[column.clone()].copy_from_slice(&self.spare[column]);
-            }
-        }
-        let mut nodes = [0; 3 * MOST_POINTS];
-        let (mut n_nodes, mut n_old) = (0, 0);
-        for (i, point) in wanted.iter().enumerate() {
-            for (node, _) in point.nodes() {
-                nodes[n_nodes] = node;
-                n_nodes += 1;
-            }
-            if i < n_kept {
-                n_old = n_nodes;
-            }
-        }
-        tensors.1.fetch(&nodes[..n_nodes], n_old);
-        let (actual, spare) = (self.actual.as_flattened_mut(), self.spare.as_flattened());
-        let mut first = kept_rows;
-        for (i, a) in wanted.iter().enumerate().skip(n_kept) {
-            let mut column = 0;
-            for (j, b) in wanted[..=i].iter().enumerate() {
-                let (was_a, was_b) = (was[i], was[j]);
-                // Not of two points that changed their order: the two halves of the table differ by rounding.
-                if was_a.0 != usize::MAX && (i == j || was_b.0 < was_a.0) {
-                    for s in 0..b.n_directions {
-                        for r in 0..a.n_directions {
-                            let (new, old) = ((first + r, column + s), (was_a.1 + r, was_b.1 + s));
-                            actual[entry(new.0, new.1)] = spare[entry(old.0, old.1)];
-                            actual[entry(new.1, new.0)] = spare[entry(old.1, old.0)];
-                        }
-                    }
-                } else {
-                    let block = compliance(tensors, a, b);
-                    let back = if is_symmetric { block.transpose() } else { compliance(tensors, b, a) };
-                    for s in 0..b.n_directions {
-                        for r in 0..a.n_directions {
-                            actual[entry(column + s, first + r)] = back.col(r)[s];
-                            actual[entry(first + r, column + s)] = block.col(s)[r];
-                        }
-                    }
-                    if is_symmetric && i == j {
-                        // The lower triangle of the point's own block counts.
-                        for (r, s) in [(1, 0), (2, 0), (2, 1)] {
-                            if r < a.n_directions {
-                                actual[entry(first + s, first + r)] = block.col(s)[r];
-                            }
-                        }
-                    }
-                }
-                column += b.n_directions;
-            }
-            first += a.n_directions;
+        was
+    }
+
+    /// Puts the matrix into `spare`, from where its entries come back in new places, all but the rows that are kept.
+    fn set_aside(&mut self, kept_rows: usize) {
+        std::mem::swap(&mut self.actual, &mut self.spare);
+        for j in 0..kept_rows {
+            let column = COLUMN_GROUPS * j..COLUMN_GROUPS * j + kept_rows.div_ceil(8);
+            self.actual[column.clone()].copy_from_slice(&self.spare[column]);
         }
     }
 

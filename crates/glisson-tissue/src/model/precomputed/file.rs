@@ -136,6 +136,86 @@ pub(super) enum Extent {
     Head,
 }
 
+/// Errors of a file of `length` bytes.
+struct Faults<'a> {
+    path: &'a Path,
+    length: u64,
+}
+
+impl Faults<'_> {
+    fn io(&self, cause: io::Error) -> PrecomputedError {
+        PrecomputedError::Io { file: self.path.to_owned(), cause }
+    }
+
+    fn length(&self, expected: u128) -> PrecomputedError {
+        PrecomputedError::Length { file: self.path.to_owned(), found: self.length, expected }
+    }
+
+    fn contents(&self, what: &'static str) -> PrecomputedError {
+        PrecomputedError::Contents { file: self.path.to_owned(), what }
+    }
+}
+
+/// What stands at the start of a file, before the lists of the head.
+struct Opening {
+    precision: Precision,
+    mesh_hash: [u8; 32],
+    /// Young's modulus [Pa], Poisson's ratio, density [kg/m3].
+    material: [f64; 3],
+    /// Numbers of nodes of the mesh, fixed nodes, stored nodes, loadable nodes.
+    counts: [u64; 4],
+}
+
+impl Opening {
+    /// Reads the first bytes of a file, which remain in `bytes`.
+    fn read(
+        faults: &Faults<'_>,
+        from: &mut impl Read,
+        bytes: &mut Vec<u8>,
+    ) -> Result<Self, PrecomputedError> {
+        let file = || faults.path.to_owned();
+        from.by_ref().take(FIXED_BYTES as u64).read_to_end(bytes).map_err(|cause| faults.io(cause))?;
+        if MAGIC.starts_with(bytes) && !bytes.is_empty() {
+            // Cut off before anything was said.
+            return Err(faults.length((FIXED_BYTES + CHECKSUM_BYTES) as u128));
+        }
+        if !bytes.starts_with(MAGIC) {
+            let found = bytes.iter().take(8).copied().collect();
+            return Err(PrecomputedError::Kind { file: file(), found });
+        }
+        if bytes.len() < FIXED_BYTES {
+            return Err(faults.length((FIXED_BYTES + CHECKSUM_BYTES) as u128));
+        }
+        let mut cursor = Cursor(&bytes[MAGIC.len()..]);
+        let version = u32::from_le_bytes(cursor.array());
+        if version != VERSION {
+            return Err(PrecomputedError::Version { file: file(), found: version, expected: VERSION });
+        }
+        let number_bytes = u32::from_le_bytes(cursor.array());
+        let mesh_hash = cursor.array();
+        let material = std::array::from_fn(|_| f64::from_le_bytes(cursor.array()));
+        let counts = std::array::from_fn(|_| u64::from_le_bytes(cursor.array()));
+        let precision = [Precision::F64, Precision::F32]
+            .into_iter()
+            .find(|p| p.bytes() as u32 == number_bytes)
+            .ok_or_else(|| faults.contents("number of bytes of a compliance"))?;
+        Ok(Self { precision, mesh_hash, material, counts })
+    }
+
+    /// Bytes of the head; refuses a file of another length.
+    fn check_length(&self, faults: &Faults<'_>, extent: Extent) -> Result<u128, PrecomputedError> {
+        let [_, n_fixed, n_rows, n_loadable] = self.counts;
+        let [head_bytes, file_bytes] =
+            extents(self.precision, [n_fixed, n_rows, n_loadable]).unwrap_or([u128::MAX; 2]);
+        let length = u128::from(faults.length);
+        match extent {
+            Extent::Whole if file_bytes != length => Err(faults.length(file_bytes)),
+            Extent::Head if head_bytes > length => Err(faults.length(head_bytes)),
+            Extent::Whole | Extent::Head => Ok(head_bytes),
+        }
+    }
+}
+
 impl Head {
     /// Numbers in a whole block.
     pub(super) fn numbers_in_block(&self) -> usize {
@@ -185,81 +265,50 @@ impl Head {
         length: u64,
         extent: Extent,
     ) -> Result<(Self, BlockKey), PrecomputedError> {
-        let file = || path.to_owned();
-        let io_error = |cause| PrecomputedError::Io { file: file(), cause };
-        let length_error = |expected| PrecomputedError::Length { file: file(), found: length, expected };
-        let contents_error = |what| PrecomputedError::Contents { file: file(), what };
-
+        let faults = Faults { path, length };
         let mut bytes = Vec::new();
-        from.by_ref().take(FIXED_BYTES as u64).read_to_end(&mut bytes).map_err(io_error)?;
-        if MAGIC.starts_with(&bytes) && !bytes.is_empty() {
-            // Cut off before anything was said.
-            return Err(length_error((FIXED_BYTES + CHECKSUM_BYTES) as u128));
-        }
-        if !bytes.starts_with(MAGIC) {
-            return Err(PrecomputedError::Kind {
-                file: file(),
-                found: bytes.iter().take(8).copied().collect(),
-            });
-        }
-        if bytes.len() < FIXED_BYTES {
-            return Err(length_error((FIXED_BYTES + CHECKSUM_BYTES) as u128));
-        }
-        let mut cursor = Cursor(&bytes[MAGIC.len()..]);
-        let version = u32::from_le_bytes(cursor.array());
-        if version != VERSION {
-            return Err(PrecomputedError::Version { file: file(), found: version, expected: VERSION });
-        }
-        let number_bytes = u32::from_le_bytes(cursor.array());
-        let mesh_hash = cursor.array();
-        let [young_modulus_pa, poisson_ratio, density_kg_per_m3] =
-            std::array::from_fn(|_| f64::from_le_bytes(cursor.array()));
-        let [n_nodes, n_fixed, n_rows, n_loadable] =
-            std::array::from_fn(|_| u64::from_le_bytes(cursor.array()));
-        let precision = [Precision::F64, Precision::F32]
-            .into_iter()
-            .find(|p| p.bytes() as u32 == number_bytes)
-            .ok_or_else(|| contents_error("number of bytes of a compliance"))?;
-        let [head_bytes, file_bytes] =
-            extents(precision, [n_fixed, n_rows, n_loadable]).unwrap_or([u128::MAX; 2]);
-        let is_there = match extent {
-            Extent::Whole => file_bytes == u128::from(length),
-            Extent::Head => head_bytes <= u128::from(length),
-        };
-        if !is_there {
-            return Err(length_error(if extent == Extent::Whole { file_bytes } else { head_bytes }));
-        }
+        let opening = Opening::read(&faults, from, &mut bytes)?;
+        let head_bytes = opening.check_length(&faults, extent)?;
         // Not more than the file has, as was just checked.
-        let (n_fixed, n_rows, stride) = (n_fixed as usize, n_rows as usize, Table::stride(n_rows as usize));
-        from.take(head_bytes as u64 - FIXED_BYTES as u64).read_to_end(&mut bytes).map_err(io_error)?;
+        from.take(head_bytes as u64 - FIXED_BYTES as u64)
+            .read_to_end(&mut bytes)
+            .map_err(|cause| faults.io(cause))?;
         if (bytes.len() as u128) < head_bytes {
-            return Err(length_error(head_bytes));
+            return Err(faults.length(head_bytes));
         }
         let (contents, checksum) = bytes.split_at(bytes.len() - CHECKSUM_BYTES);
         let found = *blake3::hash(contents).as_bytes();
         check(path, found, checksum)?;
+        Ok((Self::of(&opening, &contents[FIXED_BYTES..], &faults)?, BlockKey(found)))
+    }
 
-        let mut cursor = Cursor(&contents[FIXED_BYTES..]);
+    /// The head with the lists that follow its opening.
+    fn of(opening: &Opening, lists: &[u8], faults: &Faults<'_>) -> Result<Self, PrecomputedError> {
+        let [n_nodes, n_fixed, n_rows, n_loadable] = opening.counts;
+        let (n_fixed, stride) = (n_fixed as usize, Table::stride(n_rows as usize));
+        let mut cursor = Cursor(lists);
         let fixed_nodes = cursor.nodes(n_fixed);
-        let rows = cursor.nodes(n_rows);
+        let rows = cursor.nodes(n_rows as usize);
         let weight_response_s2: Vec<f64> = (0..stride).map(|_| f64::from_le_bytes(cursor.array())).collect();
-        if n_loadable == 0 || n_loadable > n_rows as u64 {
-            return Err(contents_error("number of loadable nodes"));
+        if n_loadable == 0 || n_loadable > n_rows {
+            return Err(faults.contents("number of loadable nodes"));
         }
         let n_loadable = n_loadable as usize;
         let ascends = |nodes: &[NodeId]| {
             nodes.windows(2).all(|w| w[0] < w[1]) && nodes.last().is_none_or(|n| u64::from(n.0) < n_nodes)
         };
         if !(ascends(&fixed_nodes) && ascends(&rows[..n_loadable]) && ascends(&rows[n_loadable..])) {
-            return Err(contents_error("node numbers"));
+            return Err(faults.contents("node numbers"));
         }
         if !weight_response_s2.iter().all(|x| x.is_finite()) {
-            return Err(contents_error("a response to weight that is not finite"));
+            return Err(faults.contents("a response to weight that is not finite"));
         }
+        let [young_modulus_pa, poisson_ratio, density_kg_per_m3] = opening.material;
         let material = LinearElastic::from_young_poisson(young_modulus_pa, poisson_ratio, density_kg_per_m3)
-            .map_err(|_| contents_error("material"))?;
-        let n_nodes = usize::try_from(n_nodes).map_err(|_| contents_error("number of nodes"))?;
-        let head = Self {
+            .map_err(|_| faults.contents("material"))?;
+        let n_nodes = usize::try_from(n_nodes).map_err(|_| faults.contents("number of nodes"))?;
+        let (precision, mesh_hash) = (opening.precision, opening.mesh_hash);
+        Ok(Self {
             precision,
             mesh_hash,
             material,
@@ -268,8 +317,7 @@ impl Head {
             rows,
             n_loadable,
             weight_response_s2,
-        };
-        Ok((head, BlockKey(found)))
+        })
     }
 
     /// What differs from a body: what, found, expected. The density is not looked at.

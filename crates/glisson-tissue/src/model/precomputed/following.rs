@@ -258,43 +258,71 @@ impl Precomputed {
     /// hiding in one another: the sum over columns j of D_ij with random signs is seldom less than a third of the
     /// largest of them (it has their root sum of squares as its deviation), and hardly ever in each of the probes.
     pub(super) fn probe(&self, cuts: &mut Cuts, taken: &[TetId]) {
-        let compliance = &self.compliance;
-        let n_loadable = compliance.n_loadable;
-        if n_loadable == 0 {
+        if self.compliance.n_loadable == 0 {
             return;
         }
+        let (softest, largest) = self.softest();
+        let mut random = SeededRandom::new(cuts.report.n_edits as u64);
+        let probed = self.probed_nodes(cuts, taken, softest);
+        let (mut right, responses) = self.probing_loads(cuts, &probed, &mut random);
+        solve_twice(cuts, &mut right);
+        let error = self.largest_error(cuts, &probed, &right, &responses);
+        let report = &mut cuts.report;
+        report.error = report.error.max(error / largest.max(f64::MIN_POSITIVE));
+        let limits = self.recomputation_limits;
+        report.wants_recomputation = report.error > limits.error || report.n_columns > limits.n_columns;
+    }
+
+    /// The loadable node that yields most to a force along an axis, and by how much [m/N].
+    fn softest(&self) -> (usize, f64) {
         let diagonal = |m: usize| {
-            let tensor = compliance.table.tensor(m, m);
+            let tensor = self.compliance.table.tensor(m, m);
             [0, 1, 2].map(|d| tensor.col(d)[d]).into_iter().fold(f64::MIN_POSITIVE, f64::max)
         };
         let (mut softest, mut largest) = (0, 0.0);
-        for m in 0..n_loadable {
+        for m in 0..self.compliance.n_loadable {
             let yields = diagonal(m);
             if yields > largest {
                 (softest, largest) = (m, yields);
             }
         }
-        let mut random = SeededRandom::new(cuts.report.n_edits as u64);
+        (softest, largest)
+    }
+
+    /// The loadable nodes that this edit's probes load, ascending.
+    fn probed_nodes(&self, cuts: &Cuts, taken: &[TetId], softest: usize) -> Vec<usize> {
         let mut probed: Vec<usize> = vec![softest];
         let corners = taken.iter().flat_map(|&t| cuts.corners(t)).filter_map(|n| self.loadable_index(n));
         probed.extend(corners.take(MOST_PROBED_CORNERS).map(|m| m as usize));
         // A prime step goes round all loadable nodes.
         let first = cuts.report.n_edits * PROBED_IN_TURN;
-        probed.extend((first..first + PROBED_IN_TURN).map(|i| i * 7919 % n_loadable));
+        probed.extend((first..first + PROBED_IN_TURN).map(|i| i * 7919 % self.compliance.n_loadable));
         probed.sort_unstable();
         probed.dedup();
+        probed
+    }
 
+    /// x of a node, zero for one without a row.
+    fn of_row(&self, x: &[DVec3], node: NodeId) -> DVec3 {
+        let row = self.row_of[node.index()];
+        if row == NONE { DVec3::ZERO } else { x[row as usize] }
+    }
+
+    /// g + U U^T x of each probe in the uncut body's unknowns, and x, the table's response to g.
+    fn probing_loads(
+        &self,
+        cuts: &Cuts,
+        probed: &[usize],
+        random: &mut SeededRandom,
+    ) -> (Vec<f64>, Vec<Vec<DVec3>>) {
+        let compliance = &self.compliance;
         let system = &cuts.origin.system;
         let n_free = system.n_free();
         let mut right = vec![0.0; N_PROBES * n_free];
         let mut responses = vec![vec![DVec3::ZERO; compliance.rows.len()]; N_PROBES];
-        let of_row = |x: &[DVec3], n: NodeId| {
-            let row = self.row_of[n.index()];
-            if row == NONE { DVec3::ZERO } else { x[row as usize] }
-        };
         for (right, x) in right.chunks_exact_mut(n_free.max(1)).zip(&mut responses) {
             let mut right_n = vec![DVec3::ZERO; self.rest_m.len()];
-            for &m in &probed {
+            for &m in probed {
                 let mut sign = || if random.next_u64() >> 63 == 0 { 1.0 } else { -1.0 };
                 let force_n = DVec3::new(sign(), sign(), sign());
                 right_n[compliance.rows[m].index()] = force_n;
@@ -302,38 +330,35 @@ impl Precomputed {
                     *x += compliance.table.tensor(row, m) * force_n;
                 }
             }
-            add_taken_out(cuts, |n| of_row(x, n), &mut right_n);
+            add_taken_out(cuts, |n| self.of_row(x, n), &mut right_n);
             system.gather_into(&right_n, right);
         }
-        // Twice: the table came from the same factor, whose own error would not be seen otherwise.
-        let factor = &cuts.origin.factor;
-        let mut scratch = factor.scratch(N_PROBES);
-        let mut left = right.clone();
-        factor.solve_in_place(&mut right, N_PROBES, &mut scratch);
-        for (x, left) in right.chunks_exact(n_free.max(1)).zip(left.chunks_exact_mut(n_free.max(1))) {
-            system.subtract_product(x, left);
-        }
-        factor.solve_in_place(&mut left, N_PROBES, &mut scratch);
-        right.iter_mut().zip(&left).for_each(|(x, more)| *x += more);
+        (right, responses)
+    }
+
+    /// The largest component [m] of the probes' errors. `exact`: C0 (g + U U^T x) of each probe; `responses`: x.
+    fn largest_error(&self, cuts: &Cuts, probed: &[usize], exact: &[f64], responses: &[Vec<DVec3>]) -> f64 {
+        let compliance = &self.compliance;
+        let system = &cuts.origin.system;
         let mut error = 0.0_f64;
         // A number that is not finite is an error beyond every bound.
         let mut note = |off: DVec3| {
             let off = off.abs().max_element();
             error = if off.is_finite() { error.max(off) } else { f64::INFINITY };
         };
-        for (solution, x) in right.chunks_exact(n_free.max(1)).zip(&responses) {
+        let mut pulled: Vec<NodeId> = cuts.taken_out.iter().flat_map(|tet| tet.nodes).collect();
+        pulled.sort_unstable();
+        pulled.dedup();
+        pulled.retain(|n| self.row_of[n.index()] != NONE);
+        for (solution, x) in exact.chunks_exact(system.n_free().max(1)).zip(responses) {
             let exact = |n: NodeId| {
                 DVec3::from_array([0, 1, 2].map(|d| system.row_of(n, d).map_or(0.0, |row| solution[row])))
             };
-            let y = |n: NodeId| of_row(x, n) - exact(n);
+            let y = |n: NodeId| self.of_row(x, n) - exact(n);
             compliance.rows.iter().for_each(|&n| note(y(n)));
             let mut force_n = vec![DVec3::ZERO; self.rest_m.len()];
             add_taken_out(cuts, y, &mut force_n);
-            let mut pulled: Vec<NodeId> = cuts.taken_out.iter().flat_map(|tet| tet.nodes).collect();
-            pulled.sort_unstable();
-            pulled.dedup();
-            pulled.retain(|n| self.row_of[n.index()] != NONE);
-            for &m in &probed {
+            for &m in probed {
                 // The table is symmetric, and a loaded node's columns stand together.
                 let follows = |n: &NodeId| {
                     let row = self.row_of[n.index()] as usize;
@@ -342,11 +367,23 @@ impl Precomputed {
                 note(y(compliance.rows[m]) + pulled.iter().map(follows).sum::<DVec3>());
             }
         }
-        let report = &mut cuts.report;
-        report.error = report.error.max(error / largest.max(f64::MIN_POSITIVE));
-        let limits = self.recomputation_limits;
-        report.wants_recomputation = report.error > limits.error || report.n_columns > limits.n_columns;
+        error
     }
+}
+
+/// Solves with the uncut body's factor for all probes, and refines once: the table came from the same factor, whose
+/// own error would not be seen otherwise.
+fn solve_twice(cuts: &Cuts, right: &mut [f64]) {
+    let (system, factor) = (&cuts.origin.system, &cuts.origin.factor);
+    let n_free = system.n_free().max(1);
+    let mut scratch = factor.scratch(N_PROBES);
+    let mut left = right.to_vec();
+    factor.solve_in_place(right, N_PROBES, &mut scratch);
+    for (x, left) in right.chunks_exact(n_free).zip(left.chunks_exact_mut(n_free)) {
+        system.subtract_product(x, left);
+    }
+    factor.solve_in_place(&mut left, N_PROBES, &mut scratch);
+    right.iter_mut().zip(&left).for_each(|(x, more)| *x += more);
 }
 
 /// Adds U U^T x over all that was taken out, for displacements x [m]: forces [N].

@@ -9,6 +9,7 @@ use faer::linalg::cholesky::llt;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
 use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
+use glisson_mesh::math::DMat3;
 use rayon::prelude::*;
 
 use crate::model::precomputed::Precision;
@@ -108,6 +109,26 @@ impl Columns {
     pub(super) fn column_mut(&mut self, column: usize) -> &mut [f64] {
         let n = self.n_rows;
         &mut self.numbers_mut()[n * column..n * (column + 1)]
+    }
+
+    /// Adds a block of a matrix of nodes, in f64, at row block `p` and column block `q`.
+    pub(super) fn add_block(&mut self, p: usize, q: usize, block: DMat3) {
+        for axis in 0..3 {
+            let column = &mut self.column_mut(3 * q + axis)[3 * p..3 * p + 3];
+            column.iter_mut().zip(block.col(axis).to_array()).for_each(|(to, x)| *to += x);
+        }
+    }
+
+    /// Replaces the entries of a square matrix in f64 by the means of those across its diagonal: takes out what
+    /// rounding made unequal.
+    pub(super) fn symmetrize(&mut self) {
+        for j in 0..self.n_columns {
+            for i in 0..j {
+                let mean = 0.5 * (self.entry(i, j) + self.entry(j, i));
+                self.column_mut(j)[i] = mean;
+                self.column_mut(i)[j] = mean;
+            }
+        }
     }
 
     /// Adds the first rows of `columns` times their factors to `sums`, as many rows as there are sums.

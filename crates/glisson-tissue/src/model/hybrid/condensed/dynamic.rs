@@ -10,7 +10,7 @@
 
 use super::ZoneLaw;
 use super::columns::SymmetricTiles;
-use super::zone::Whole;
+use super::zone::{SubMesh, Whole};
 use crate::model::explicit::{
     ExplicitError, ExplicitMotion, Padded, Quarantine, Stability, StiffTet, unpadded,
 };
@@ -66,59 +66,58 @@ pub(super) struct DynamicSource<'a> {
     pub(super) is_dynamic: &'a [bool],
 }
 
-impl DynamicPart {
-    /// The live dynamic tetrahedra as a body at rest, or nothing when there are none.
-    ///
-    /// # Errors
-    /// [`ExplicitError`] for impossible supports and loads.
-    pub(super) fn build(source: &DynamicSource<'_>) -> Result<Option<Self>, ExplicitError> {
-        let DynamicSource { whole, body, law_of_tet, is_live_tet, is_dynamic, .. } = *source;
+/// The tetrahedra of the dynamic part, and the mesh that they make.
+struct CutOut {
+    /// Linear ones, other dynamic ones, those around.
+    tets: Vec<usize>,
+    n_linear_tets: usize,
+    n_dynamic_tets: usize,
+    part: SubMesh,
+}
+
+impl CutOut {
+    fn of(source: &DynamicSource<'_>) -> Self {
+        let DynamicSource { whole, law_of_tet, is_live_tet, is_dynamic, .. } = *source;
         let live = |t: &usize| is_live_tet[*t];
-        let corners = |t: usize| whole.mesh.tetrahedra[t];
         let n_tets = whole.mesh.tetrahedra.len();
         let of = |law: ZoneLaw| (0..n_tets).filter(live).filter(move |&t| law_of_tet[t] == law);
         let mut tets: Vec<usize> = of(ZoneLaw::TensorMass).collect();
         let n_linear_tets = tets.len();
         tets.extend(of(ZoneLaw::NonlinearTensorMass));
         let n_dynamic_tets = tets.len();
-        if n_dynamic_tets == 0 {
-            return Ok(None);
-        }
-        let beside =
-            |t: &usize| !law_of_tet[*t].is_dynamic() && corners(*t).iter().any(|n| is_dynamic[n.index()]);
-        tets.extend((0..n_tets).filter(live).filter(beside));
-        let mut nodes: Vec<NodeId> = tets.iter().flat_map(|&t| corners(t)).collect();
-        nodes.sort_unstable();
-        nodes.dedup();
-        let local = |n: NodeId| nodes.binary_search(&n).ok().map(NodeId::from_index);
-        let mesh = TetMesh {
-            positions_m: nodes.iter().map(|n| whole.mesh.positions_m[n.index()]).collect(),
-            tetrahedra: tets
-                .iter()
-                .map(|&t| corners(t).map(|n| local(n).expect("a node of its tetrahedron")))
-                .collect(),
+        let beside = |t: &usize| {
+            !law_of_tet[*t].is_dynamic() && whole.mesh.tetrahedra[*t].iter().any(|n| is_dynamic[n.index()])
         };
-        let fixed: Vec<FixedNode> = nodes
-            .iter()
-            .enumerate()
-            .map(|(l, n)| {
-                let axes = if is_dynamic[n.index()] { whole.held[n.index()] } else { [true; 3] };
-                FixedNode { node: NodeId::from_index(l), axes }
-            })
+        tets.extend((0..n_tets).filter(live).filter(beside));
+        let part = SubMesh::of(whole.mesh, tets.iter().map(|&t| TetId::from_index(t)));
+        Self { tets, n_linear_tets, n_dynamic_tets, part }
+    }
+
+    /// The part's supports; nodes that are not dynamic are held wholly.
+    fn fixed_nodes(&self, source: &DynamicSource<'_>) -> Vec<FixedNode> {
+        let axes_of = |n: &NodeId| {
+            if source.is_dynamic[n.index()] { source.whole.held[n.index()] } else { [true; 3] }
+        };
+        let nodes = self.part.nodes.iter().enumerate();
+        nodes
+            .map(|(l, n)| FixedNode { node: NodeId::from_index(l), axes: axes_of(n) })
             .filter(|f| f.axes.contains(&true))
-            .collect();
-        let attachments: Vec<Attachment> = body
-            .attachments
-            .iter()
-            .filter_map(|a| local(a.node).map(|node| Attachment { node, ..*a }))
-            .collect();
+            .collect()
+    }
+
+    /// Masses, supports, ligaments and stable step of the part. `stiffening`: by how much St Venant-Kirchhoff
+    /// tetrahedra may stiffen.
+    fn motion(&self, source: &DynamicSource<'_>, stiffening: f64) -> Result<ExplicitMotion, ExplicitError> {
+        let DynamicSource { whole, body, .. } = *source;
+        let mesh = &self.part.mesh;
+        let fixed = self.fixed_nodes(source);
+        let local = |a: &Attachment| self.part.local(a.node).map(|node| Attachment { node, ..*a });
+        let attachments: Vec<Attachment> = body.attachments.iter().filter_map(local).collect();
         let (lambda_pa, mu_pa) = (whole.material.lambda_pa(), whole.material.mu_pa());
-        let law = TetLaw::isotropic(whole.material);
-        let stiffening = law.stiffening(source.largest_stretch, 0.0);
-        let is_kirchhoff = |t: TetId| (n_linear_tets..n_dynamic_tets).contains(&t.index());
-        let stability = Stability::of_stiffness(&mesh, whole.density_kg_per_m3, |t, g| {
+        let is_kirchhoff = |t: TetId| (self.n_linear_tets..self.n_dynamic_tets).contains(&t.index());
+        let stability = Stability::of_stiffness(mesh, whole.density_kg_per_m3, |t, g| {
             let mut at_rest = g.stiffness(lambda_pa, mu_pa);
-            let stress_pa = whole.rest_stress_pa.get(tets[t.index()]).filter(|_| is_kirchhoff(t));
+            let stress_pa = whole.rest_stress_pa.get(self.tets[t.index()]).filter(|_| is_kirchhoff(t));
             if let Some(&stress_pa) = stress_pa {
                 at_rest.add_multiples(g.stress_stiffness_n_per_m(stress_pa));
             }
@@ -126,20 +125,42 @@ impl DynamicPart {
         })?;
         let strained_j = 0.5 * (lambda_pa + 2.0 * mu_pa) * mesh.volume_m3();
         let again = stability.clone();
-        let own = DynamicBody {
-            mesh: &mesh,
-            fixed: &fixed,
-            attachments: &attachments,
-            rest_stress_pa: &[],
-            ..*body
-        };
-        let mut motion = match ExplicitMotion::new(&own, stability, strained_j) {
+        let own =
+            DynamicBody { mesh, fixed: &fixed, attachments: &attachments, rest_stress_pa: &[], ..*body };
+        match ExplicitMotion::new(&own, stability, strained_j) {
             // Shorter steps instead of a refusal: the dynamic zone may not have been there when the step was chosen.
             Err(ExplicitError::UnstableStep { allowed_s, .. }) => {
                 ExplicitMotion::new(&DynamicBody { time_step_s: allowed_s, ..own }, again, strained_j)
             }
             made => made,
-        }?;
+        }
+    }
+}
+
+/// Number of these tetrahedra at each node.
+fn count_tets(tetrahedra: &[[NodeId; 4]], n_nodes: usize) -> Vec<u32> {
+    let mut n_tets = vec![0; n_nodes];
+    tetrahedra.iter().flatten().for_each(|n| n_tets[n.index()] += 1);
+    n_tets
+}
+
+impl DynamicPart {
+    /// The live dynamic tetrahedra as a body at rest, or nothing when there are none.
+    ///
+    /// # Errors
+    /// [`ExplicitError`] for impossible supports and loads.
+    pub(super) fn build(source: &DynamicSource<'_>) -> Result<Option<Self>, ExplicitError> {
+        let cut_out = CutOut::of(source);
+        let CutOut { tets, n_linear_tets, n_dynamic_tets, .. } = &cut_out;
+        let (n_linear_tets, n_dynamic_tets) = (*n_linear_tets, *n_dynamic_tets);
+        if n_dynamic_tets == 0 {
+            return Ok(None);
+        }
+        let whole = source.whole;
+        let (nodes, mesh) = (&cut_out.part.nodes, &cut_out.part.mesh);
+        let (lambda_pa, mu_pa) = (whole.material.lambda_pa(), whole.material.mu_pa());
+        let law = TetLaw::isotropic(whole.material);
+        let mut motion = cut_out.motion(source, law.stiffening(source.largest_stretch, 0.0))?;
         let linear = TetMesh {
             positions_m: mesh.positions_m.clone(),
             tetrahedra: mesh.tetrahedra[..n_linear_tets].to_vec(),
@@ -154,13 +175,6 @@ impl DynamicPart {
                 KirchhoffTet::new(corners_m, whole.rest_stress_pa.get(tets[l]))
             })
             .collect();
-        let count = |tetrahedra: &[[NodeId; 4]]| {
-            let mut n_tets = vec![0; nodes.len()];
-            tetrahedra.iter().flatten().for_each(|n| n_tets[n.index()] += 1);
-            n_tets
-        };
-        let dynamic_tets: Vec<u32> = count(&mesh.tetrahedra[..n_dynamic_tets]);
-        let linear_tets = count(&linear.tetrahedra);
         for (l, &t) in tets[..n_dynamic_tets].iter().enumerate() {
             if let Some(&stress_pa) = whole.rest_stress_pa.get(t) {
                 let gradients = P1Gradients::new(mesh.corners_m(TetId::from_index(l)));
@@ -171,11 +185,10 @@ impl DynamicPart {
             nodes: nodes.iter().map(|n| n.0).collect(),
             tets: tets.iter().map(|&t| t as u32).collect(),
             is_live: vec![true; tets.len()],
-            mesh,
+            dynamic_tets: count_tets(&mesh.tetrahedra[..n_dynamic_tets], nodes.len()),
+            linear_tets: count_tets(&linear.tetrahedra, nodes.len()),
             n_linear_tets,
             n_dynamic_tets,
-            dynamic_tets,
-            linear_tets,
             tensors,
             kirchhoff,
             law,
@@ -183,6 +196,7 @@ impl DynamicPart {
             frontier: Vec::new(),
             frontier_m: Vec::new(),
             frontier_n: Vec::new(),
+            mesh: cut_out.part.mesh,
         }))
     }
 

@@ -46,6 +46,102 @@ pub(super) struct Interface {
 /// How each zone's compliance was composed before: to be taken out of it.
 pub(super) type Composed = Vec<Columns>;
 
+/// The frontier's nodes in the interface's order.
+struct FrontierNodes {
+    nodes: Vec<NodeId>,
+    n_condensed: usize,
+    places: Vec<Vec<u32>>,
+}
+
+impl FrontierNodes {
+    fn of(zones: &[PrecomputedZone], is_dynamic: &[bool]) -> Self {
+        let mut all: Vec<NodeId> = zones.iter().flat_map(|z| z.frontier.iter().copied()).collect();
+        all.sort_unstable();
+        all.dedup();
+        let (mut nodes, dynamic): (Vec<NodeId>, Vec<NodeId>) =
+            all.into_iter().partition(|n| !is_dynamic[n.index()]);
+        let n_condensed = nodes.len();
+        nodes.extend(dynamic);
+        let mut place_of = vec![0; is_dynamic.len()];
+        for (k, n) in nodes.iter().enumerate() {
+            place_of[n.index()] = k as u32;
+        }
+        let places = zones.iter().map(|z| z.frontier.iter().map(|n| place_of[n.index()]).collect()).collect();
+        Self { nodes, n_condensed, places }
+    }
+}
+
+/// S of all zones. A held component has a row and a column of its own.
+fn summed_stiffness(zones: &[PrecomputedZone], places: &[Vec<u32>], is_held: &[bool]) -> Columns {
+    let n_all = is_held.len();
+    let mut sum = Columns::zeros(n_all, n_all);
+    let component = |places: &[u32], c: usize| 3 * places[c / 3] as usize + c % 3;
+    for (zone, places) in zones.iter().zip(places) {
+        for j in 0..zone.frontier_stiffness.n_columns() {
+            let to = sum.column_mut(component(places, j));
+            for (i, x) in zone.frontier_stiffness.column(j).iter().enumerate() {
+                to[component(places, i)] += x;
+            }
+        }
+    }
+    let largest = (0..n_all).map(|i| sum.entry(i, i)).fold(0.0, f64::max);
+    for i in (0..n_all).filter(|&i| is_held[i]) {
+        sum.column_mut(i).fill(0.0);
+        (0..n_all).for_each(|j| sum.column_mut(j)[i] = 0.0);
+        sum.column_mut(i)[i] = largest;
+    }
+    sum
+}
+
+/// A part of a matrix times a factor.
+fn part_of(
+    matrix: &Columns,
+    rows: std::ops::Range<usize>,
+    columns: std::ops::Range<usize>,
+    factor: f64,
+) -> Columns {
+    let (n_rows, n_columns) = (rows.len(), columns.len());
+    let numbers = columns.flat_map(|j| matrix.column(j)[rows.clone()].iter().map(move |x| factor * x));
+    Columns::of(n_rows, n_columns, numbers.collect())
+}
+
+/// S with the components of p eliminated.
+struct Condensation {
+    /// S_pp^-1 above Q^T.
+    of_condensed: Columns,
+    /// S'.
+    on_dynamic: Columns,
+}
+
+impl Condensation {
+    /// Eliminates the first `n_p` components of `sum`.
+    ///
+    /// # Errors
+    /// [`SolveError::Singular`] when S_pp is not positive definite.
+    fn of(sum: &Columns, n_p: usize, is_held: &[bool]) -> Result<Self, SolveError> {
+        let n_all = sum.n_rows();
+        let mut inverse = part_of(sum, 0..n_p, 0..n_p, 1.0).inverse().ok_or(SolveError::Singular)?;
+        for i in (0..n_p).filter(|&i| is_held[i]) {
+            inverse.column_mut(i)[i] = 0.0;
+        }
+        let mut gathered = Columns::zeros(n_all - n_p, n_p);
+        gathered.add_product(&part_of(sum, n_p..n_all, 0..n_p, -1.0), &inverse);
+        let mut on_dynamic = part_of(sum, n_p..n_all, n_p..n_all, 1.0);
+        on_dynamic.add_product(&gathered, &part_of(sum, 0..n_p, n_p..n_all, 1.0));
+        on_dynamic.symmetrize();
+        for i in (0..n_all - n_p).filter(|i| is_held[n_p + i]) {
+            on_dynamic.column_mut(i)[i] = 0.0;
+        }
+        let mut of_condensed = Columns::zeros(n_all, n_p);
+        for j in 0..n_p {
+            let column = of_condensed.column_mut(j);
+            column[..n_p].copy_from_slice(inverse.column(j));
+            column[n_p..].copy_from_slice(gathered.column(j));
+        }
+        Ok(Self { of_condensed, on_dynamic })
+    }
+}
+
 impl Interface {
     /// Brings the zones together and adds to each one's compliance what the others give way. `before`: what was in
     /// there from an earlier interface, one a zone.
@@ -59,70 +155,12 @@ impl Interface {
         before: Option<&Composed>,
         precision: Precision,
     ) -> Result<Self, SolveError> {
-        let mut all: Vec<NodeId> = zones.iter().flat_map(|z| z.frontier.iter().copied()).collect();
-        all.sort_unstable();
-        all.dedup();
-        let (mut nodes, dynamic): (Vec<NodeId>, Vec<NodeId>) =
-            all.into_iter().partition(|n| !is_dynamic[n.index()]);
-        let n_condensed = nodes.len();
-        nodes.extend(dynamic);
-        let mut place_of = vec![0; is_dynamic.len()];
-        for (k, n) in nodes.iter().enumerate() {
-            place_of[n.index()] = k as u32;
-        }
-        let places: Vec<Vec<u32>> =
-            zones.iter().map(|z| z.frontier.iter().map(|n| place_of[n.index()]).collect()).collect();
-
-        let (n_all, n_p) = (3 * nodes.len(), 3 * n_condensed);
-        let mut sum = Columns::zeros(n_all, n_all);
-        let component = |places: &[u32], c: usize| 3 * places[c / 3] as usize + c % 3;
-        for (zone, places) in zones.iter().zip(&places) {
-            for j in 0..zone.frontier_stiffness.n_columns() {
-                let to = sum.column_mut(component(places, j));
-                for (i, x) in zone.frontier_stiffness.column(j).iter().enumerate() {
-                    to[component(places, i)] += x;
-                }
-            }
-        }
-        // A held component is left out: a row and a column of its own.
+        let FrontierNodes { nodes, n_condensed, places } = FrontierNodes::of(zones, is_dynamic);
         let is_held: Vec<bool> = nodes.iter().flat_map(|n| held[n.index()]).collect();
-        let largest = (0..n_all).map(|i| sum.entry(i, i)).fold(0.0, f64::max);
-        for i in (0..n_all).filter(|&i| is_held[i]) {
-            sum.column_mut(i).fill(0.0);
-            (0..n_all).for_each(|j| sum.column_mut(j)[i] = 0.0);
-            sum.column_mut(i)[i] = largest;
-        }
-        let part = |rows: std::ops::Range<usize>, columns: std::ops::Range<usize>, sign: f64| {
-            let (n_rows, n_columns) = (rows.len(), columns.len());
-            let numbers = columns.flat_map(|j| sum.column(j)[rows.clone()].iter().map(move |x| sign * x));
-            Columns::of(n_rows, n_columns, numbers.collect())
-        };
-        let mut inverse = part(0..n_p, 0..n_p, 1.0).inverse().ok_or(SolveError::Singular)?;
-        for i in (0..n_p).filter(|&i| is_held[i]) {
-            inverse.column_mut(i)[i] = 0.0;
-        }
-        let mut gathered = Columns::zeros(n_all - n_p, n_p);
-        gathered.add_product(&part(n_p..n_all, 0..n_p, -1.0), &inverse);
-        let mut on_dynamic = part(n_p..n_all, n_p..n_all, 1.0);
-        on_dynamic.add_product(&gathered, &part(0..n_p, n_p..n_all, 1.0));
-        for i in 0..n_all - n_p {
-            for j in 0..i {
-                let mean = 0.5 * (on_dynamic.entry(i, j) + on_dynamic.entry(j, i));
-                on_dynamic.column_mut(j)[i] = mean;
-                on_dynamic.column_mut(i)[j] = mean;
-            }
-            if is_held[n_p + i] {
-                on_dynamic.column_mut(i)[i] = 0.0;
-            }
-        }
-        let mut of_condensed = Columns::zeros(n_all, n_p);
-        for j in 0..n_p {
-            let column = of_condensed.column_mut(j);
-            column[..n_p].copy_from_slice(inverse.column(j));
-            column[n_p..].copy_from_slice(gathered.column(j));
-        }
-
+        let sum = summed_stiffness(zones, &places, &is_held);
+        let Condensation { of_condensed, on_dynamic } = Condensation::of(&sum, 3 * n_condensed, &is_held)?;
         let mut interface = Self {
+            constant: Columns::zeros(3 * nodes.len(), N_CONSTANT),
             nodes,
             n_condensed,
             places,
@@ -130,7 +168,6 @@ impl Interface {
             of_loadable: Vec::new(),
             stiffness_tiles: SymmetricTiles::of(&on_dynamic, precision),
             stiffness_on_dynamic: on_dynamic,
-            constant: Columns::zeros(n_all, N_CONSTANT),
             in_compliance: Vec::new(),
         };
         for z in 0..zones.len() {

@@ -25,6 +25,7 @@
 //!
 //! After any edit the model is the one that would be built from what is left, with these laws.
 
+mod build;
 mod columns;
 mod contact;
 mod dynamic;
@@ -39,20 +40,17 @@ pub use self::params::{CondensedError, CondensedParams, CondensedSize, Loadable,
 pub use crate::model::precomputed::{Precision, StoredNodes};
 
 use self::contact::ContactSystem;
-use self::dynamic::{DynamicPart, DynamicSource};
-use self::interface::{Composed, Interface};
-use self::zone::{N_CONSTANT, PrecomputedZone, Whole};
+use self::dynamic::DynamicPart;
+use self::interface::Interface;
+use self::zone::{PrecomputedZone, Whole};
 use crate::material::LinearElastic;
-use crate::model::explicit::{ExplicitError, check_body};
 use crate::model::roomy::Roomy;
 use crate::model::{
-    Attachment, Constraints, DeformableModel, DynamicBody, ImposedDisplacement, LocalModel, LocalWork,
-    ModelReport, ModelState, NodalForce, Rayleigh, RestStress, TopologyRefusal,
+    Attachment, Constraints, DeformableModel, ImposedDisplacement, LocalModel, LocalWork, ModelReport,
+    ModelState, NodalForce, Rayleigh, RestStress, TopologyRefusal,
 };
-use crate::solve::{MeshEdges, SolveError, boundary_nodes};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
-use glisson_mesh::mesh::zones::ZonesError;
 use glisson_mesh::mesh::{NodeId, TetMesh};
 
 /// Loads on a pre-computed zone from which on its factor is used instead of stored columns.
@@ -207,129 +205,6 @@ impl CondensedHybrid {
     /// Most nodes of pre-computed zones that tools can hold at once.
     pub const MAX_HELD: usize = 64;
 
-    /// Pre-computes the zones, over the threads of the rayon pool.
-    ///
-    /// # Errors
-    /// [`CondensedError`] naming the fault.
-    pub fn build(params: &CondensedParams<'_>) -> Result<Self, CondensedError> {
-        let CondensedParams { body, material, zones, laws, stored, precision, .. } = *params;
-        check_body(&body)?;
-        let mesh = body.mesh;
-        let (n_nodes, n_tets) = (mesh.positions_m.len(), mesh.tetrahedra.len());
-        if zones.of_tets().len() != n_tets {
-            return Err(ZonesError::Length { found: zones.of_tets().len(), expected: n_tets }.into());
-        }
-        if laws.len() != zones.n_zones() {
-            return Err(CondensedError::Laws { found: laws.len(), n_zones: zones.n_zones() });
-        }
-        if !params.cut_law.is_dynamic() {
-            return Err(CondensedError::CutLaw { found: params.cut_law });
-        }
-        let largest = params.largest_stretch;
-        if !(largest.is_finite() && largest >= 1.0) {
-            let (what, allowed) = ("largest stretch", "a finite number from 1");
-            return Err(ExplicitError::Parameter { what, found: largest, allowed }.into());
-        }
-        MeshEdges::of_mesh(mesh)?;
-        let mut held_axes = vec![[false; 3]; n_nodes];
-        for fixed in body.fixed {
-            let axes = &mut held_axes[fixed.node.index()];
-            axes.iter_mut().zip(fixed.axes).for_each(|(held, also)| *held |= also);
-        }
-        let mut is_loadable = vec![matches!(params.loadable, Loadable::All); n_nodes];
-        let surface = boundary_nodes(mesh);
-        let mut is_surface = vec![false; n_nodes];
-        surface.iter().for_each(|n| is_surface[n.index()] = true);
-        let some = match params.loadable {
-            Loadable::All => &[][..],
-            Loadable::Nodes(nodes) => nodes,
-            Loadable::Surface => &surface[..],
-        };
-        if let Some(&node) = some.iter().find(|n| n.index() >= n_nodes) {
-            return Err(SolveError::ConditionOutOfRange { node, n_nodes }.into());
-        }
-        some.iter().for_each(|n| is_loadable[n.index()] = true);
-        let mut is_frontier = vec![false; n_nodes];
-        zones.frontier_nodes().iter().for_each(|n| is_frontier[n.index()] = true);
-
-        let whole = Whole {
-            mesh,
-            material,
-            density_kg_per_m3: body.density_kg_per_m3,
-            rest_stress_pa: body.rest_stress_pa,
-            held: &held_axes,
-            is_loadable: &is_loadable,
-            is_surface: &is_surface,
-            is_frontier: &is_frontier,
-            stored,
-            precision,
-        };
-        let zone_numbers: Vec<u32> =
-            (0..laws.len()).filter(|&z| laws[z] == ZoneLaw::Precomputed).map(|z| z as u32).collect();
-        let mut tables = Vec::with_capacity(zone_numbers.len());
-        for &z in &zone_numbers {
-            tables.push(PrecomputedZone::build(&whole, &zones.tets(z as usize).collect::<Vec<_>>())?);
-        }
-        let is_dynamic = vec![false; n_nodes];
-        let interface = Interface::build(&mut [], &is_dynamic, &held_axes, None, precision)?;
-        let mut model = Self {
-            mesh: mesh.clone(),
-            material: *material,
-            density_kg_per_m3: body.density_kg_per_m3,
-            rest_stress_pa: body.rest_stress_pa.to_vec(),
-            attachments: body.attachments.to_vec(),
-            gravity_m_per_s2: body.gravity_m_per_s2,
-            damping: body.damping,
-            time_step_s: body.time_step_s,
-            most_parts: body.most_parts,
-            stored,
-            precision,
-            is_live: vec![true; n_tets],
-            zone_of_tet: zones.of_tets().to_vec(),
-            laws: laws.to_vec(),
-            cut_law: params.cut_law,
-            largest_stretch: params.largest_stretch,
-            zones: tables,
-            zone_numbers,
-            interface,
-            dynamic: None,
-            place: vec![Place::Nowhere; n_nodes],
-            is_dynamic,
-            positions_m: mesh.positions_m.clone(),
-            velocities_m_per_s: vec![DVec3::ZERO; n_nodes],
-            ages: Vec::new(),
-            condensed_age: Age::GIVEN,
-            constraints: Constraints::default(),
-            loads: Roomy::with_room(n_nodes),
-            held: Roomy::with_room(Self::MAX_HELD),
-            dynamic_constraints: Constraints::default(),
-            dynamic_places: Roomy::with_room(n_nodes),
-            constraint_forces_n: Roomy::with_room(n_nodes),
-            n_ignored: 0,
-            n_dropped: 0,
-            n_rebuilt: 0,
-            updated: Updated::default(),
-            work: Vec::new(),
-            constant: Vec::new(),
-            reduced: Vec::new(),
-            row: Vec::new(),
-            system: ContactSystem::with_room_for(3 * Self::MAX_HELD),
-            local: LocalModel::new(),
-            held_axes,
-        };
-        model.ages = vec![[Age::GIVEN; 3]; model.zones.len()];
-        model.make_room();
-        model.find_dynamic_nodes();
-        if let Some(a) = model.attachments.iter().find(|a| !model.is_dynamic[a.node.index()]) {
-            return Err(CondensedError::Ligament { node: a.node });
-        }
-        if let Some((_, error)) = model.unsupported_zones().into_iter().next() {
-            return Err(error.into());
-        }
-        model.bring_together(None)?;
-        Ok(model)
-    }
-
     /// Room in the lists, which a copy of a list has not.
     fn make_room(&mut self) {
         self.local = LocalModel::new();
@@ -357,71 +232,6 @@ impl CondensedHybrid {
         self.laws[self.zone_of_tet[tet] as usize]
     }
 
-    /// The interface and the dynamic part for the laws as they are. `before`: how the zones' compliances are composed.
-    fn bring_together(&mut self, before: Option<&Composed>) -> Result<(), CondensedError> {
-        self.interface =
-            Interface::build(&mut self.zones, &self.is_dynamic, &self.held_axes, before, self.precision)?;
-        let law_of_tet: Vec<ZoneLaw> = (0..self.mesh.tetrahedra.len()).map(|t| self.law_of(t)).collect();
-        let body = DynamicBody {
-            mesh: &self.mesh,
-            density_kg_per_m3: self.density_kg_per_m3,
-            fixed: &[],
-            attachments: &self.attachments,
-            rest_stress_pa: &[],
-            gravity_m_per_s2: self.gravity_m_per_s2,
-            damping: self.damping,
-            time_step_s: self.time_step_s,
-            most_parts: self.most_parts,
-        };
-        let mut dynamic = DynamicPart::build(&DynamicSource {
-            whole: &self.whole(),
-            body: &body,
-            law_of_tet: &law_of_tet,
-            is_live_tet: &self.is_live,
-            largest_stretch: self.largest_stretch,
-            is_dynamic: &self.is_dynamic,
-        })?;
-        if let Some(dynamic) = &mut dynamic {
-            let nodes = &self.interface.nodes[self.interface.n_condensed..];
-            dynamic.set_frontier(nodes, self.interface.stiffness_tiles.padded_len());
-        }
-        self.dynamic = dynamic;
-
-        self.place.clear();
-        self.place.resize(self.mesh.positions_m.len(), Place::Nowhere);
-        for (z, zone) in self.zones.iter().enumerate() {
-            for (own, n) in zone.nodes.iter().enumerate() {
-                self.place[n.index()] = Place::Own { zone: z as u32, own: own as u32 };
-            }
-        }
-        for (p, n) in self.interface.nodes[..self.interface.n_condensed].iter().enumerate() {
-            self.place[n.index()] = Place::Condensed(p as u32);
-        }
-        if let Some(dynamic) = &self.dynamic {
-            for (local, n) in dynamic.moving().filter(|&(_, n)| self.is_dynamic[n]) {
-                self.place[n] = Place::Dynamic(local as u32);
-            }
-        }
-        let n_p = 3 * self.interface.n_condensed;
-        self.work = self
-            .zones
-            .iter()
-            .map(|zone| ZoneWork {
-                constant_m: vec![0.0; 3 * zone.nodes.len()],
-                base_m: vec![0.0; 3 * zone.n_stored],
-                rows_m: vec![0.0; 3 * zone.n_stored],
-                own_m: vec![0.0; n_p],
-                frontier: vec![0.0; 3 * zone.frontier.len()],
-                ..ZoneWork::default()
-            })
-            .collect();
-        self.constant = vec![0.0; 3 * self.interface.nodes.len()];
-        self.reduced = self.constant.clone();
-        self.row = vec![0.0; n_p];
-        self.combine_constant_loads();
-        Ok(())
-    }
-
     fn whole(&self) -> Whole<'_> {
         Whole {
             mesh: &self.mesh,
@@ -434,27 +244,6 @@ impl CondensedHybrid {
             is_frontier: &[],
             stored: self.stored,
             precision: self.precision,
-        }
-    }
-
-    /// Brings together what weight and stress at rest do to the pre-computed zones.
-    fn combine_constant_loads(&mut self) {
-        let [x, y, z] = self.gravity_m_per_s2.to_array();
-        let factors: [f64; N_CONSTANT] = [x, y, z, 1.0];
-        self.constant.fill(0.0);
-        self.interface.constant.add_times(&factors, &mut self.constant);
-        let n_p = 3 * self.interface.n_condensed;
-        for (z, (zone, work)) in self.zones.iter().zip(&mut self.work).enumerate() {
-            work.constant_m.fill(0.0);
-            zone.constant_response.add_times(&factors, &mut work.constant_m);
-            work.base_m.copy_from_slice(&work.constant_m[..3 * zone.n_stored]);
-            let constant = &self.constant;
-            let places = &self.interface.places[z];
-            let of_condensed = (0..3 * zone.frontier.len())
-                .map(|c| (c, 3 * places[c / 3] as usize + c % 3))
-                .filter(|&(_, at)| at < n_p)
-                .map(|(c, at)| (c, constant[at]));
-            zone.extension.add_weighted(of_condensed, &mut work.base_m);
         }
     }
 

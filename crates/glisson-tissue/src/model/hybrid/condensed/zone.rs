@@ -82,6 +82,110 @@ pub(super) struct PrecomputedZone {
     free: Vec<f64>,
 }
 
+/// Some tetrahedra of a mesh as a mesh of their own.
+pub(super) struct SubMesh {
+    /// Their nodes in the whole mesh, ascending.
+    pub(super) nodes: Vec<NodeId>,
+    pub(super) mesh: TetMesh,
+}
+
+impl SubMesh {
+    pub(super) fn of(whole: &TetMesh, tets: impl Iterator<Item = TetId> + Clone) -> Self {
+        let corners = |t: TetId| whole.tetrahedra[t.index()];
+        let mut nodes: Vec<NodeId> = tets.clone().flat_map(corners).collect();
+        nodes.sort_unstable();
+        nodes.dedup();
+        let positions_m = nodes.iter().map(|n| whole.positions_m[n.index()]).collect();
+        let local = |n: NodeId| NodeId::from_index(nodes.binary_search(&n).expect("a corner"));
+        let tetrahedra = tets.map(|t| corners(t).map(local)).collect();
+        Self { nodes, mesh: TetMesh { positions_m, tetrahedra } }
+    }
+
+    /// The number here of a node of the whole mesh.
+    pub(super) fn local(&self, node: NodeId) -> Option<NodeId> {
+        self.nodes.binary_search(&node).ok().map(NodeId::from_index)
+    }
+}
+
+/// The supports of a zone with its frontier held; `nodes`: its nodes in the whole mesh.
+fn frontier_held(whole: &Whole<'_>, nodes: &[NodeId]) -> BoundaryConditions {
+    let mut conditions = BoundaryConditions::new();
+    for (l, node) in nodes.iter().enumerate() {
+        for axis in 0..3 {
+            if whole.is_frontier[node.index()] || whole.held[node.index()][axis] {
+                conditions.impose(NodeId::from_index(l), axis, 0.0);
+            }
+        }
+    }
+    conditions
+}
+
+/// The nodes of a zone that move, in the order of its tables.
+struct ZoneNodes {
+    /// Its own: loadable ones, others of the surface, inner ones.
+    own: Vec<NodeId>,
+    n_loadable: usize,
+    /// Loadable ones and the others of the surface.
+    n_shown: usize,
+    frontier: Vec<NodeId>,
+}
+
+impl ZoneNodes {
+    fn of(whole: &Whole<'_>, nodes: &[NodeId]) -> Self {
+        let moves = |n: &NodeId| whole.held[n.index()] != [true; 3];
+        let is_frontier = |n: &NodeId| whole.is_frontier[n.index()];
+        let (mut own, others): (Vec<NodeId>, Vec<NodeId>) =
+            nodes.iter().filter(|n| moves(n) && !is_frontier(n)).partition(|n| whole.is_loadable[n.index()]);
+        let n_loadable = own.len();
+        let (shown, inner): (Vec<NodeId>, Vec<NodeId>) =
+            others.into_iter().partition(|n| whole.is_surface[n.index()]);
+        own.extend(shown);
+        let n_shown = own.len();
+        own.extend(inner);
+        let frontier = nodes.iter().copied().filter(|n| moves(n) && is_frontier(n)).collect();
+        Self { own, n_loadable, n_shown, frontier }
+    }
+}
+
+/// K between the frontier nodes, and its blocks between a frontier node and one of the zone's own.
+fn frontier_blocks(
+    part: &SubMesh,
+    own: &[NodeId],
+    frontier: &[NodeId],
+    (edges, tensors): (&MeshEdges, &StiffnessTensors),
+) -> (Columns, Vec<Bond>) {
+    let local = |n: NodeId| part.local(n).expect("a node of the zone").index();
+    // Where each of the zone's nodes stands among its own or its frontier nodes.
+    let mut own_at = vec![None; part.nodes.len()];
+    for (i, &n) in own.iter().enumerate() {
+        own_at[local(n)] = Some(i as u32);
+    }
+    let frontier_at = |l: NodeId| frontier.binary_search(&part.nodes[l.index()]).ok();
+    let mut stiffness = Columns::zeros(3 * frontier.len(), 3 * frontier.len());
+    for (k, &n) in frontier.iter().enumerate() {
+        stiffness.add_block(k, k, tensors.vertex[local(n)]);
+    }
+    let mut bonds = Vec::new();
+    for (&[p, q], &block) in edges.nodes.iter().zip(&tensors.edge) {
+        let bond = |frontier: usize, own: u32, stiffness_n_per_m| Bond {
+            frontier: frontier as u32,
+            own,
+            stiffness_n_per_m,
+        };
+        match (frontier_at(p), frontier_at(q)) {
+            (Some(p), Some(q)) => {
+                stiffness.add_block(p, q, block);
+                stiffness.add_block(q, p, block.transpose());
+            }
+            (Some(p), None) => bonds.extend(own_at[q.index()].map(|q| bond(p, q, block))),
+            (None, Some(q)) => bonds.extend(own_at[p.index()].map(|p| bond(q, p, block.transpose()))),
+            (None, None) => (),
+        }
+    }
+    bonds.sort_by_key(|b| (b.frontier, b.own));
+    (stiffness, bonds)
+}
+
 impl PrecomputedZone {
     /// Pre-computes the zone of these tetrahedra.
     ///
@@ -89,92 +193,30 @@ impl PrecomputedZone {
     /// [`SolveError`]: a part of the zone that neither its frontier nor a support holds; nodes are those of the
     /// whole mesh.
     pub(super) fn build(whole: &Whole<'_>, tets: &[TetId]) -> Result<Self, SolveError> {
-        let mut ids: Vec<NodeId> = tets.iter().flat_map(|t| whole.mesh.tetrahedra[t.index()]).collect();
-        ids.sort_unstable();
-        ids.dedup();
-        let local = |n: NodeId| NodeId::from_index(ids.binary_search(&n).expect("a node of the zone"));
-        let mesh = TetMesh {
-            positions_m: ids.iter().map(|n| whole.mesh.positions_m[n.index()]).collect(),
-            tetrahedra: tets.iter().map(|t| whole.mesh.tetrahedra[t.index()].map(local)).collect(),
-        };
-        let edges = MeshEdges::of_mesh(&mesh)?;
-        let tensors = StiffnessTensors::assemble(&mesh, &edges, whole.material)?;
-        let mut conditions = BoundaryConditions::new();
-        for (l, node) in ids.iter().enumerate() {
-            for axis in 0..3 {
-                if whole.is_frontier[node.index()] || whole.held[node.index()][axis] {
-                    conditions.impose(NodeId::from_index(l), axis, 0.0);
-                }
-            }
-        }
+        let part = SubMesh::of(whole.mesh, tets.iter().copied());
+        let edges = MeshEdges::of_mesh(&part.mesh)?;
+        let tensors = StiffnessTensors::assemble(&part.mesh, &edges, whole.material)?;
+        let conditions = frontier_held(whole, &part.nodes);
         let of_whole = |error| match error {
             SolveError::Floating { piece_nodes, node, rigid_modes, named } => {
-                SolveError::Floating { piece_nodes, node: ids[node.index()], rigid_modes, named }
+                SolveError::Floating { piece_nodes, node: part.nodes[node.index()], rigid_modes, named }
             }
             other => other,
         };
-        conditions.check(&mesh, &edges).map_err(of_whole)?;
+        conditions.check(&part.mesh, &edges).map_err(of_whole)?;
         let system = FreeSystem::new(&edges, &tensors, &conditions)?;
         let factor = system.factorize()?;
 
-        let moves = |n: &NodeId| whole.held[n.index()] != [true; 3];
-        let is_own = |n: &NodeId| moves(n) && !whole.is_frontier[n.index()];
-        let (mut nodes, inner): (Vec<NodeId>, Vec<NodeId>) =
-            ids.iter().filter(|n| is_own(n)).partition(|n| whole.is_loadable[n.index()]);
-        let n_loadable = nodes.len();
-        let (shown, inner): (Vec<NodeId>, Vec<NodeId>) =
-            inner.into_iter().partition(|n| whole.is_surface[n.index()]);
-        nodes.extend(shown);
-        let n_shown = nodes.len();
-        nodes.extend(inner);
+        let ZoneNodes { own, n_loadable, n_shown, frontier } = ZoneNodes::of(whole, &part.nodes);
         let n_stored = match whole.stored {
             StoredNodes::Surface => n_shown,
-            StoredNodes::All => nodes.len(),
+            StoredNodes::All => own.len(),
         };
-        let frontier: Vec<NodeId> =
-            ids.iter().copied().filter(|n| moves(n) && whole.is_frontier[n.index()]).collect();
-        let free_of = nodes
-            .iter()
-            .map(|&n| [0, 1, 2].map(|axis| system.row_of(local(n), axis).map(|row| row as u32)))
-            .collect();
-
-        // Where each of the zone's nodes stands among its own or its frontier nodes.
-        let mut own_at = vec![None; ids.len()];
-        for (i, &n) in nodes.iter().enumerate() {
-            own_at[local(n).index()] = Some(i as u32);
-        }
-        let frontier_at = |l: NodeId| frontier.binary_search(&ids[l.index()]).ok();
-        let n_frontier = frontier.len();
-        let mut stiffness = Columns::zeros(3 * n_frontier, 3 * n_frontier);
-        let mut add = |p: usize, q: usize, block: DMat3| {
-            for axis in 0..3 {
-                let column = &mut stiffness.column_mut(3 * q + axis)[3 * p..3 * p + 3];
-                column.iter_mut().zip(block.col(axis).to_array()).for_each(|(to, x)| *to += x);
-            }
-        };
-        for (k, &n) in frontier.iter().enumerate() {
-            add(k, k, tensors.vertex[local(n).index()]);
-        }
-        let mut bonds = Vec::new();
-        for (&[p, q], &block) in edges.nodes.iter().zip(&tensors.edge) {
-            let bond = |frontier: usize, own: u32, stiffness_n_per_m| Bond {
-                frontier: frontier as u32,
-                own,
-                stiffness_n_per_m,
-            };
-            match (frontier_at(p), frontier_at(q)) {
-                (Some(p), Some(q)) => {
-                    add(p, q, block);
-                    add(q, p, block.transpose());
-                }
-                (Some(p), None) => bonds.extend(own_at[q.index()].map(|q| bond(p, q, block))),
-                (None, Some(q)) => bonds.extend(own_at[p.index()].map(|p| bond(q, p, block.transpose()))),
-                (None, None) => (),
-            }
-        }
-        bonds.sort_by_key(|b| (b.frontier, b.own));
-
-        let n_free = factor.n_rows();
+        let local = |n: NodeId| part.local(n).expect("a node of the zone");
+        let row_of = |n: NodeId, axis: usize| system.row_of(local(n), axis).map(|row| row as u32);
+        let free_of = own.iter().map(|&n| [0, 1, 2].map(|axis| row_of(n, axis))).collect();
+        let (stiffness, bonds) = frontier_blocks(&part, &own, &frontier, (&edges, &tensors));
+        let (n_free, n_frontier) = (factor.n_rows(), frontier.len());
         let mut zone = Self {
             n_loadable,
             n_shown,
@@ -182,12 +224,12 @@ impl PrecomputedZone {
             frontier_stiffness: Columns::zeros(0, 0),
             extension: Columns::zeros(0, 0),
             compliance: Columns::zeros(0, 0),
-            constant_response: Columns::zeros(3 * nodes.len(), N_CONSTANT),
+            constant_response: Columns::zeros(3 * own.len(), N_CONSTANT),
             constant_transfer: Columns::zeros(3 * n_frontier, N_CONSTANT),
             constant_on_frontier: Columns::zeros(3 * n_frontier, N_CONSTANT),
             scratch: factor.scratch(1),
             free: vec![0.0; n_free],
-            nodes,
+            nodes: own,
             frontier,
             bonds,
             factor,
@@ -236,14 +278,7 @@ impl PrecomputedZone {
             extension.extend_from_slice(&out[..n_rows]);
             stiffness.column_mut(j).iter_mut().zip(&out[n_rows..]).for_each(|(to, x)| *to += x);
         }
-        // What rounding made unequal.
-        for j in 0..3 * n_frontier {
-            for i in 0..j {
-                let mean = 0.5 * (stiffness.entry(i, j) + stiffness.entry(j, i));
-                stiffness.column_mut(j)[i] = mean;
-                stiffness.column_mut(i)[j] = mean;
-            }
-        }
+        stiffness.symmetrize();
         self.frontier_stiffness = stiffness;
         self.extension = Columns::of(n_rows, 3 * n_frontier, extension).kept_in(precision);
     }

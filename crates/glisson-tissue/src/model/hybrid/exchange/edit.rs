@@ -155,6 +155,36 @@ impl HybridExchange {
     }
 }
 
+/// What a zone's part of K lost [N/m] in an edit: by edges between rows of the zone, and by rows.
+struct Loss {
+    of_edges: Vec<([u32; 2], DMat3)>,
+    of_nodes: Vec<(u32, DMat3)>,
+}
+
+impl Loss {
+    fn between(
+        zone: &PrecomputedZone,
+        body: &Body,
+        before: &StiffnessTensors,
+        now: &StiffnessTensors,
+    ) -> Self {
+        let edges = body.edges.nodes.iter().enumerate().filter(|(e, [p, q])| {
+            let is_in = zone.row_of[p.index()] != NONE && zone.row_of[q.index()] != NONE;
+            is_in && before.edge[*e] != now.edge[*e]
+        });
+        let nodes = zone.nodes.iter().enumerate();
+        Self {
+            of_edges: edges
+                .map(|(e, nodes)| (nodes.map(|node| zone.row_of[node.index()]), before.edge[e] - now.edge[e]))
+                .collect(),
+            of_nodes: nodes
+                .filter(|(_, node)| before.vertex[node.index()] != now.vertex[node.index()])
+                .map(|(row, node)| (row as u32, before.vertex[node.index()] - now.vertex[node.index()]))
+                .collect(),
+        }
+    }
+}
+
 /// Loadable nodes of a zone whose part of K changed, those corrected before among them, and what they lost [N/m]
 /// since the table was made; `None` when nothing changed.
 fn lost_stiffness(
@@ -163,29 +193,12 @@ fn lost_stiffness(
     before: &StiffnessTensors,
     now: &StiffnessTensors,
 ) -> Option<(Vec<u32>, Vec<f64>)> {
-    let changed_edges: Vec<([u32; 2], DMat3)> = body
-        .edges
-        .nodes
-        .iter()
-        .enumerate()
-        .filter(|(e, [p, q])| {
-            let is_in = zone.row_of[p.index()] != NONE && zone.row_of[q.index()] != NONE;
-            is_in && before.edge[*e] != now.edge[*e]
-        })
-        .map(|(e, nodes)| (nodes.map(|node| zone.row_of[node.index()]), before.edge[e] - now.edge[e]))
-        .collect();
-    let changed_nodes: Vec<(u32, DMat3)> = zone
-        .nodes
-        .iter()
-        .enumerate()
-        .filter(|(_, node)| before.vertex[node.index()] != now.vertex[node.index()])
-        .map(|(row, node)| (row as u32, before.vertex[node.index()] - now.vertex[node.index()]))
-        .collect();
-    if changed_nodes.is_empty() {
+    let loss = Loss::between(zone, body, before, now);
+    if loss.of_nodes.is_empty() {
         return None;
     }
     let earlier = zone.correction.as_ref();
-    let mut nodes: Vec<u32> = changed_nodes.iter().map(|&(row, _)| row).collect();
+    let mut nodes: Vec<u32> = loss.of_nodes.iter().map(|&(row, _)| row).collect();
     nodes.extend(earlier.iter().flat_map(|c| &c.nodes));
     nodes.sort_unstable();
     nodes.dedup();
@@ -200,21 +213,17 @@ fn lost_stiffness(
             }
         }
     };
-    for (row, tensor) in changed_nodes {
+    for (row, tensor) in loss.of_nodes {
         add(row, row, tensor);
     }
-    for ([p, q], tensor) in changed_edges {
+    for ([p, q], tensor) in loss.of_edges {
         add(p, q, tensor);
         add(q, p, tensor.transpose());
     }
     if let Some(earlier) = earlier {
-        let m = 3 * earlier.nodes.len();
         for (i, &p) in earlier.nodes.iter().enumerate() {
             for (j, &q) in earlier.nodes.iter().enumerate() {
-                let column = |b: usize| {
-                    DVec3::from_array([0, 1, 2].map(|a| earlier.lost[(3 * i + a) * m + 3 * j + b]))
-                };
-                add(p, q, DMat3::from_cols(column(0), column(1), column(2)));
+                add(p, q, earlier.lost_between(i, j));
             }
         }
     }

@@ -79,7 +79,7 @@ pub(super) struct Correction {
     /// Loadable nodes D, ascending.
     pub(super) nodes: Vec<u32>,
     /// Delta [N/m] by rows, three a node.
-    pub(super) lost: Vec<f64>,
+    lost: Vec<f64>,
     /// W [N/m] by rows.
     pub(super) weight: Vec<f64>,
     before_m: Vec<f64>,
@@ -93,6 +93,13 @@ impl Correction {
         let n = 3 * self.nodes.len();
         let row = |a: usize| DVec3::from_slice(&self.weight[(3 * i + a) * n + 3 * j..][..3]);
         DMat3::from_cols(row(0), row(1), row(2)).transpose()
+    }
+
+    /// Delta between two nodes of D [N/m].
+    pub(super) fn lost_between(&self, i: usize, j: usize) -> DMat3 {
+        let n = 3 * self.nodes.len();
+        let column = |b: usize| DVec3::from_array([0, 1, 2].map(|a| self.lost[(3 * i + a) * n + 3 * j + b]));
+        DMat3::from_cols(column(0), column(1), column(2))
     }
 }
 

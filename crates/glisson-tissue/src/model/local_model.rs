@@ -640,12 +640,52 @@ impl EightWork for Columns<'_> {
 #[inline(always)]
 fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> Solved {
     let LocalWork { row_start, columns, entries, inverse_diagonal, vectors, tolerance, .. } = work;
-    let n = inverse_diagonal.len();
+    let matrix = Matrix { row_start, columns, entries };
+    let mut rho = start_eight(inverse_diagonal, vectors, first, n_lanes);
+    let least = rho.map(|rho| *tolerance * *tolerance * rho);
+    let is_done = |rho: &[f64; 8]| (0..8).all(|lane| rho[lane] <= least[lane]);
+    for _ in 0..MOST_ITERATIONS {
+        if is_done(&rho) {
+            return Solved::Wholly;
+        }
+        let [_, _, p, q] = vectors;
+        let curvature = matrix.product_into(zero, p, q);
+        let mut alpha = [0.0; 8];
+        for lane in 0..8 {
+            if rho[lane] > least[lane] {
+                alpha[lane] = rho[lane] / curvature[lane];
+                if !(curvature[lane] > 0.0 && alpha[lane].is_finite()) {
+                    return Solved::Never;
+                }
+            }
+        }
+        let next = go_along(zero, &alpha, inverse_diagonal, vectors);
+        let beta = std::array::from_fn(|lane| if rho[lane] > 0.0 { next[lane] / rho[lane] } else { 0.0 });
+        let beta = zero.load(&beta);
+        let [_, r, p, _] = vectors;
+        for (i, inverse) in inverse_diagonal.iter().enumerate() {
+            let z = zero.load(&r[i]).times(zero.constant(*inverse));
+            zero.load(&p[i]).fused(beta, z).store(&mut p[i]);
+        }
+        rho = next;
+    }
+    if is_done(&rho) { Solved::Wholly } else { Solved::Partly }
+}
+
+/// Sets x = 0, unit residuals r on the unknowns from `first` on, and the directions p = z for the inverse diagonal
+/// times r; r . z of each lane.
+#[inline(always)]
+fn start_eight(
+    inverse_diagonal: &[f64],
+    vectors: &mut [Vec<[f64; 8]>; 4],
+    first: usize,
+    n_lanes: usize,
+) -> [f64; 8] {
     for vector in vectors.iter_mut() {
         vector.clear();
-        vector.resize(n, [0.0; 8]);
+        vector.resize(inverse_diagonal.len(), [0.0; 8]);
     }
-    let [x, r, p, q] = vectors;
+    let [_, r, p, _] = vectors;
     // Unknowns that are not free have a zero in the preconditioner, and no part in anything.
     for lane in 0..n_lanes {
         let unknown = first + lane;
@@ -660,11 +700,21 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
             rho[lane] += r[i][lane] * p[i][lane];
         }
     }
-    let least = rho.map(|rho| *tolerance * *tolerance * rho);
-    for _ in 0..MOST_ITERATIONS {
-        if (0..8).all(|lane| rho[lane] <= least[lane]) {
-            return Solved::Wholly;
-        }
+    rho
+}
+
+/// The region's matrix by rows of blocks.
+struct Matrix<'a> {
+    row_start: &'a [u32],
+    columns: &'a [u32],
+    entries: &'a [[f64; 9]],
+}
+
+impl Matrix<'_> {
+    /// Overwrites `q` with the matrix times `p`; p . q of each lane.
+    #[inline(always)]
+    fn product_into<V: Eight>(&self, zero: V, p: &[[f64; 8]], q: &mut [[f64; 8]]) -> [f64; 8] {
+        let Self { row_start, columns, entries } = self;
         let mut curvature = zero;
         for (row, q) in q.as_chunks_mut::<3>().0.iter_mut().enumerate() {
             let mut sums = [zero; 3];
@@ -684,34 +734,30 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
         }
         let mut of_lane = [0.0; 8];
         curvature.store(&mut of_lane);
-        let mut alpha = [0.0; 8];
-        for lane in 0..8 {
-            if rho[lane] > least[lane] {
-                alpha[lane] = rho[lane] / of_lane[lane];
-                if !(of_lane[lane] > 0.0 && alpha[lane].is_finite()) {
-                    return Solved::Never;
-                }
-            }
-        }
-        let (forth, back) = (zero.load(&alpha), zero.load(&alpha.map(|a| -a)));
-        let mut sum = zero;
-        for i in 0..n {
-            zero.load(&p[i]).fused(forth, zero.load(&x[i])).store(&mut x[i]);
-            // A row that is not free has a residual that does not count.
-            let left = zero.load(&q[i]).fused(back, zero.load(&r[i]));
-            left.store(&mut r[i]);
-            let z = left.times(zero.constant(inverse_diagonal[i]));
-            sum = z.fused(left, sum);
-        }
-        let mut next = [0.0; 8];
-        sum.store(&mut next);
-        let beta = std::array::from_fn(|lane| if rho[lane] > 0.0 { next[lane] / rho[lane] } else { 0.0 });
-        let beta = zero.load(&beta);
-        for i in 0..n {
-            let z = zero.load(&r[i]).times(zero.constant(inverse_diagonal[i]));
-            zero.load(&p[i]).fused(beta, z).store(&mut p[i]);
-        }
-        rho = next;
+        of_lane
     }
-    if (0..8).all(|lane| rho[lane] <= least[lane]) { Solved::Wholly } else { Solved::Partly }
+}
+
+/// Adds `alpha` times p to x and takes `alpha` times q from r; the new r . z of each lane.
+#[inline(always)]
+fn go_along<V: Eight>(
+    zero: V,
+    alpha: &[f64; 8],
+    inverse_diagonal: &[f64],
+    vectors: &mut [Vec<[f64; 8]>; 4],
+) -> [f64; 8] {
+    let [x, r, p, q] = vectors;
+    let (forth, back) = (zero.load(alpha), zero.load(&alpha.map(|a| -a)));
+    let mut sum = zero;
+    for (i, inverse) in inverse_diagonal.iter().enumerate() {
+        zero.load(&p[i]).fused(forth, zero.load(&x[i])).store(&mut x[i]);
+        // A row that is not free has a residual that does not count.
+        let left = zero.load(&q[i]).fused(back, zero.load(&r[i]));
+        left.store(&mut r[i]);
+        let z = left.times(zero.constant(*inverse));
+        sum = z.fused(left, sum);
+    }
+    let mut next = [0.0; 8];
+    sum.store(&mut next);
+    next
 }

@@ -53,6 +53,102 @@ struct Cut {
     separator: Vec<u32>,
 }
 
+/// The edges between two sides, as a bipartite graph of places in the lists of their nodes.
+struct Bipartite {
+    left: Vec<u32>,
+    right: Vec<u32>,
+    /// Where the edges of each node on the left begin.
+    begin: Vec<usize>,
+    /// Places on the right.
+    edges: Vec<u32>,
+}
+
+/// The partner of each node of a bipartite graph, or [`NONE`].
+struct Matching {
+    of_left: Vec<u32>,
+    of_right: Vec<u32>,
+}
+
+impl Bipartite {
+    fn edges_of(&self, v: u32) -> &[u32] {
+        &self.edges[self.begin[v as usize]..self.begin[v as usize + 1]]
+    }
+
+    /// A matching with as many edges as possible: from each free node on the left, breadth first, to a free one on the
+    /// right.
+    fn largest_matching(&self) -> Matching {
+        let mut matching =
+            Matching { of_left: vec![NONE; self.left.len()], of_right: vec![NONE; self.right.len()] };
+        let mut reached_from = vec![NONE; self.right.len()];
+        let mut reached = Vec::new();
+        let mut queue = Vec::new();
+        for root in 0..self.left.len() as u32 {
+            queue.clear();
+            queue.push(root);
+            let mut at = 0;
+            let mut free = None;
+            while free.is_none() && at < queue.len() {
+                let v = queue[at];
+                at += 1;
+                for &u in self.edges_of(v) {
+                    if reached_from[u as usize] != NONE {
+                        continue;
+                    }
+                    reached_from[u as usize] = v;
+                    reached.push(u);
+                    match matching.of_right[u as usize] {
+                        NONE => {
+                            free = Some(u);
+                            break;
+                        }
+                        partner => queue.push(partner),
+                    }
+                }
+            }
+            matching.turn_path(free, &reached_from);
+            reached.drain(..).for_each(|u| reached_from[u as usize] = NONE);
+        }
+        matching
+    }
+
+    /// The fewest nodes that touch every edge, by Koenig's theorem: left nodes that no alternating path from a free
+    /// left node reaches, and right ones that one does.
+    fn smallest_cover(&self, matching: &Matching) -> Vec<u32> {
+        let n_left = self.left.len();
+        let mut queue: Vec<u32> =
+            (0..n_left as u32).filter(|&v| matching.of_left[v as usize] == NONE).collect();
+        let (mut left_reached, mut right_reached) = (vec![false; n_left], vec![false; self.right.len()]);
+        queue.iter().for_each(|&v| left_reached[v as usize] = true);
+        while let Some(v) = queue.pop() {
+            for &u in self.edges_of(v) {
+                if std::mem::replace(&mut right_reached[u as usize], true) {
+                    continue;
+                }
+                let partner = matching.of_right[u as usize];
+                if partner != NONE && !std::mem::replace(&mut left_reached[partner as usize], true) {
+                    queue.push(partner);
+                }
+            }
+        }
+        let of_left = self.left.iter().zip(&left_reached).filter(|(_, reached)| !**reached);
+        let of_right = self.right.iter().zip(&right_reached).filter(|(_, reached)| **reached);
+        of_left.chain(of_right).map(|(&node, _)| node).collect()
+    }
+}
+
+impl Matching {
+    /// Exchanges the matched and the other edges of an alternating path that ends at `free` on the right.
+    fn turn_path(&mut self, free: Option<u32>, reached_from: &[u32]) {
+        let mut step = free;
+        while let Some(u) = step {
+            let v = reached_from[u as usize];
+            self.of_right[u as usize] = v;
+            let before = std::mem::replace(&mut self.of_left[v as usize], u);
+            step = (before != NONE).then_some(before);
+        }
+    }
+}
+
 /// Nodes in elimination order.
 pub(super) fn nested_dissection(positions_m: &[DVec3], edges: &MeshEdges) -> Vec<u32> {
     let n = positions_m.len();
@@ -144,7 +240,12 @@ impl Dissection<'_> {
 
     /// The fewest nodes that touch every edge between the two sides.
     fn separator(&mut self, first: &[(f64, u32)]) -> Vec<u32> {
-        // The edges between them, as a bipartite graph of lists' places.
+        let between = self.edges_between(first);
+        between.smallest_cover(&between.largest_matching())
+    }
+
+    /// The edges from the nodes of the first side to the second.
+    fn edges_between(&mut self, first: &[(f64, u32)]) -> Bipartite {
         let (mut left, mut right, mut edges) = (Vec::new(), Vec::new(), Vec::new());
         let mut begin = vec![0];
         for &(_, node) in first {
@@ -167,66 +268,7 @@ impl Dissection<'_> {
             }
         }
         right.iter().for_each(|&q: &u32| self.place[q as usize] = NONE);
-        let of = |v: u32| &edges[begin[v as usize]..begin[v as usize + 1]];
-
-        // Largest matching: from each free node on the left, breadth first, to a free one on the right.
-        let mut partner_of_left = vec![NONE; left.len()];
-        let mut partner_of_right = vec![NONE; right.len()];
-        let mut reached_from = vec![NONE; right.len()];
-        let mut reached = Vec::new();
-        let mut queue = Vec::new();
-        for root in 0..left.len() as u32 {
-            queue.clear();
-            queue.push(root);
-            let mut at = 0;
-            let mut free = None;
-            while free.is_none() && at < queue.len() {
-                let v = queue[at];
-                at += 1;
-                for &u in of(v) {
-                    if reached_from[u as usize] != NONE {
-                        continue;
-                    }
-                    reached_from[u as usize] = v;
-                    reached.push(u);
-                    match partner_of_right[u as usize] {
-                        NONE => {
-                            free = Some(u);
-                            break;
-                        }
-                        partner => queue.push(partner),
-                    }
-                }
-            }
-            let mut step = free;
-            while let Some(u) = step {
-                let v = reached_from[u as usize];
-                partner_of_right[u as usize] = v;
-                let before = std::mem::replace(&mut partner_of_left[v as usize], u);
-                step = (before != NONE).then_some(before);
-            }
-            reached.drain(..).for_each(|u| reached_from[u as usize] = NONE);
-        }
-
-        // Koenig: left nodes that no alternating path from a free left node reaches, and right ones that one does.
-        queue.clear();
-        queue.extend((0..left.len() as u32).filter(|&v| partner_of_left[v as usize] == NONE));
-        let (mut left_reached, mut right_reached) = (vec![false; left.len()], vec![false; right.len()]);
-        queue.iter().for_each(|&v| left_reached[v as usize] = true);
-        while let Some(v) = queue.pop() {
-            for &u in of(v) {
-                if std::mem::replace(&mut right_reached[u as usize], true) {
-                    continue;
-                }
-                let partner = partner_of_right[u as usize];
-                if partner != NONE && !std::mem::replace(&mut left_reached[partner as usize], true) {
-                    queue.push(partner);
-                }
-            }
-        }
-        let of_left = left.iter().zip(&left_reached).filter(|(_, reached)| !**reached);
-        let of_right = right.iter().zip(&right_reached).filter(|(_, reached)| **reached);
-        of_left.chain(of_right).map(|(&node, _)| node).collect()
+        Bipartite { left, right, begin, edges }
     }
 
     /// Orders a part by minimum degree; nodes of separators beside it have edges, and stay. Rows of bits are the

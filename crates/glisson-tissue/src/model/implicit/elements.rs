@@ -107,44 +107,66 @@ fn of_live<'a, T: Clone>(list: &'a [T], tets: &[TetId]) -> Cow<'a, [T]> {
     }
 }
 
+/// The tetrahedra in groups of eight, and a quarter of the volumes around each node [m3].
+fn groups_of(mesh: &TetMesh, tets: &[TetId]) -> Result<(Vec<Group>, Vec<f64>), SolveError> {
+    let mut node_volume_m3 = vec![0.0; mesh.positions_m.len()];
+    let mut groups = Vec::with_capacity(tets.len().div_ceil(LANES));
+    for part in tets.chunks(LANES) {
+        let mut group = Group {
+            nodes: [[0; LANES]; 4],
+            gradient_per_m: [[0.0; LANES]; 9],
+            volume_m3: [0.0; LANES],
+            left_out: 0,
+        };
+        for lane in 0..LANES {
+            // Lanes beyond the end repeat the last tetrahedron with volume zero.
+            let tet = part[lane.min(part.len() - 1)];
+            let gradients = P1Gradients::of_tet(mesh, tet)?;
+            let nodes = mesh.tetrahedra[tet.index()];
+            for k in 0..4 {
+                group.nodes[k][lane] = nodes[k].0;
+            }
+            for k in 0..3 {
+                for i in 0..3 {
+                    group.gradient_per_m[3 * k + i][lane] = gradients.alpha_per_m[k + 1][i];
+                }
+            }
+            if lane < part.len() {
+                group.volume_m3[lane] = gradients.volume_m3;
+                for node in nodes {
+                    node_volume_m3[node.index()] += 0.25 * gradients.volume_m3;
+                }
+            }
+        }
+        groups.push(group);
+    }
+    Ok((groups, node_volume_m3))
+}
+
+/// The stress at rest [Pa] in groups of eight, and its parts without negative eigenvalues; empty lists for none.
+fn rest_stresses(tets: &[TetId], of_tet_pa: &[RestStress]) -> (Vec<SymmetricLanes>, Vec<DMat3>) {
+    let (mut rest_pa, mut tensile_pa) = (Vec::new(), Vec::new());
+    if !of_tet_pa.is_empty() {
+        rest_pa = vec![[[0.0; LANES]; 6]; tets.len().div_ceil(LANES)];
+        for (t, tet) in tets.iter().enumerate() {
+            let s = of_tet_pa[tet.index()];
+            for k in 0..6 {
+                rest_pa[t / LANES][k][t % LANES] = s[k];
+            }
+            tensile_pa.push(super::projected::without_negative_eigenvalues(symmetric(&s)));
+        }
+    }
+    (rest_pa, tensile_pa)
+}
+
 impl Elements {
     pub(super) fn new(params: &ElementsParams<'_>) -> Result<Self, SolveError> {
         let ElementsParams { mesh, live, law, stand_ins, volume, rest_stress_pa, is_viscous } = *params;
         let n_nodes = mesh.positions_m.len();
         let tets: Vec<TetId> =
             (0..mesh.tetrahedra.len()).filter(|&t| live[t]).map(TetId::from_index).collect();
-        let mut node_volume_m3 = vec![0.0; n_nodes];
-        let n_groups = tets.len().div_ceil(LANES);
-        let mut groups = Vec::with_capacity(n_groups);
-        for part in tets.chunks(LANES) {
-            let mut group = Group {
-                nodes: [[0; LANES]; 4],
-                gradient_per_m: [[0.0; LANES]; 9],
-                volume_m3: [0.0; LANES],
-                left_out: 0,
-            };
-            for lane in 0..LANES {
-                // Lanes beyond the end repeat the last tetrahedron with volume zero.
-                let tet = part[lane.min(part.len() - 1)];
-                let gradients = P1Gradients::of_tet(mesh, tet)?;
-                let nodes = mesh.tetrahedra[tet.index()];
-                for k in 0..4 {
-                    group.nodes[k][lane] = nodes[k].0;
-                }
-                for k in 0..3 {
-                    for i in 0..3 {
-                        group.gradient_per_m[3 * k + i][lane] = gradients.alpha_per_m[k + 1][i];
-                    }
-                }
-                if lane < part.len() {
-                    group.volume_m3[lane] = gradients.volume_m3;
-                    for node in nodes {
-                        node_volume_m3[node.index()] += 0.25 * gradients.volume_m3;
-                    }
-                }
-            }
-            groups.push(group);
-        }
+        let (groups, node_volume_m3) = groups_of(mesh, &tets)?;
+        let n_groups = groups.len();
         let own = match law {
             ImplicitLaw::NeoHookeLog(law) => {
                 let lame_pa = [law.lambda_pa(), law.mu_pa()];
@@ -154,18 +176,7 @@ impl Elements {
                 OwnLaw::General(General::new(of_live(laws, &tets).into_owned(), n_groups))
             }
         };
-        let mut rest_pa = Vec::new();
-        let mut tensile_rest_pa = Vec::new();
-        if !rest_stress_pa.is_empty() {
-            rest_pa = vec![[[0.0; LANES]; 6]; n_groups];
-            for (t, tet) in tets.iter().enumerate() {
-                let s = rest_stress_pa[tet.index()];
-                for k in 0..6 {
-                    rest_pa[t / LANES][k][t % LANES] = s[k];
-                }
-                tensile_rest_pa.push(super::projected::without_negative_eigenvalues(symmetric(&s)));
-            }
-        }
+        let (rest_pa, tensile_rest_pa) = rest_stresses(&tets, rest_stress_pa);
         let added_pa = if is_viscous && rest_pa.is_empty() {
             vec![[[0.0; LANES]; 6]; n_groups]
         } else {

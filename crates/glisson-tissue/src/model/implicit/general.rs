@@ -7,7 +7,7 @@ use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 
 use super::evaluation::Evaluation;
 use super::lanes::{
-    Group, LANES, Lanes, Shape, add_turned, added_density, gradient, load, load_matrix, scatter,
+    Group, LANES, Lanes, Shape, add_turned, added_density, gradient, load, load_matrix, scale, scatter,
 };
 use super::law::SharedLaw;
 use crate::material::{Material, Tangent};
@@ -163,9 +163,7 @@ fn evaluate<S: Simd>(
             energy_j += lanes.iter().sum::<f64>();
             add_turned(simd, group, &f, added_pa, &mut stress);
         }
-        for x in stress.iter_mut().flatten() {
-            *x *= volume;
-        }
+        scale(&mut stress, volume);
         scatter(group, &alpha, &stress, force_n);
     }
     Evaluation { energy_j, is_upright, has_inverted }
@@ -199,9 +197,7 @@ fn product<S: Simd>(
             add_turned(simd, group, &df, added_pa, &mut stress);
         }
         let volume = load(simd, &group.volume_m3);
-        for x in stress.iter_mut().flatten() {
-            *x *= volume;
-        }
+        scale(&mut stress, volume);
         scatter(group, &alpha, &stress, force_n);
     }
 }

@@ -179,6 +179,14 @@ impl ImplicitEuler {
     /// stiffness at rest, a combination of law, volume resistance and relaxation that there is not.
     pub fn build(params: &ImplicitParams<'_>) -> Result<Self, ImplicitError> {
         params.check()?;
+        let mut model = Self::at_rest(params)?;
+        model.analyse()?;
+        model.publish();
+        Ok(model)
+    }
+
+    /// The body at rest, without masses and factor.
+    fn at_rest(params: &ImplicitParams<'_>) -> Result<Self, ImplicitError> {
         let DynamicBody { mesh, .. } = params.body;
         let n_nodes = mesh.positions_m.len();
         let n_tets = mesh.tetrahedra.len();
@@ -194,7 +202,7 @@ impl ImplicitEuler {
             is_viscous: params.relaxation.is_some(),
         })?;
         let zero = vec![DVec3::ZERO; n_nodes];
-        let mut model = Self {
+        Ok(Self {
             law: params.law.clone(),
             stand_ins,
             volume: params.volume,
@@ -235,10 +243,7 @@ impl ImplicitEuler {
             scratch: Scratch::new(n_nodes),
             step_report: ImplicitReport::default(),
             report: ModelReport::default(),
-        };
-        model.analyse()?;
-        model.publish();
-        Ok(model)
+        })
     }
 
     /// Masses, pattern and factor of the live tetrahedra at the present state.

@@ -23,7 +23,7 @@ use super::VolumeResistance;
 use super::evaluation::Evaluation;
 use super::lanes::{
     Group, LANES, Lanes, Matrix, Shape, add_to_corners, add_turned, added_density, corner_mean,
-    corner_mean_matrix, deformation, gradient, load, load_matrix, scatter,
+    corner_mean_matrix, deformation, gradient, load, load_matrix, scale, scatter,
 };
 use super::projected::projected_stiffness;
 use crate::solve::{NodeAveraging, TetStiffness};
@@ -296,19 +296,8 @@ fn evaluate<S: Simd, const AVERAGED: u8>(
         let inverse = f64x8::splat(simd, 1.0) / j;
         let mut lanes = [0.0; LANES];
         j.store_slice(&mut lanes);
-        let mut log = [0.0; LANES];
-        for lane in 0..LANES {
-            log[lane] = libm::log(lanes[lane]);
-        }
-        let log = load(simd, &log);
-        // |F|^2 - 3 = 2 tr H + |H|^2 keeps its digits near rest.
-        let mut stretch = (h[0][0] + h[1][1] + h[2][2]) * 2.0;
-        for row in &h {
-            for x in row {
-                stretch += *x * *x;
-            }
-        }
-        let mut density = stretch * (0.5 * mu) - log * mu;
+        let log = logarithm(simd, &lanes);
+        let mut density = stretch(&h) * (0.5 * mu) - log * mu;
         let p_j = if AVERAGED != IN_ELEMENTS {
             corner_mean(simd, group, &law.node_pressure_pa) * j
         } else {
@@ -343,11 +332,37 @@ fn evaluate<S: Simd, const AVERAGED: u8>(
         if let Some(added_pa) = added_pa {
             add_turned(simd, group, &f, added_pa, &mut stress);
         }
-        for x in stress.iter_mut().flatten() {
-            *x *= volume;
-        }
+        scale(&mut stress, volume);
         scatter(group, &alpha, &stress, force_n);
     }
+    evaluation(energy, least)
+}
+
+/// ln of each lane.
+#[inline(always)]
+fn logarithm<S: Simd>(simd: S, lanes: &Lanes) -> f64x8<S> {
+    let mut log = [0.0; LANES];
+    for lane in 0..LANES {
+        log[lane] = libm::log(lanes[lane]);
+    }
+    load(simd, &log)
+}
+
+/// |F|^2 - 3 as 2 tr H + |H|^2, which keeps its digits near rest.
+#[inline(always)]
+fn stretch<S: Simd>(h: &Matrix<S>) -> f64x8<S> {
+    let mut stretch = (h[0][0] + h[1][1] + h[2][2]) * 2.0;
+    for row in h {
+        for x in row {
+            stretch += *x * *x;
+        }
+    }
+    stretch
+}
+
+/// What the lanes' energies [J] and smallest J tell.
+#[inline(always)]
+fn evaluation<S: Simd>(energy: f64x8<S>, least: f64x8<S>) -> Evaluation {
     let (mut energy_lanes, mut least_lanes) = ([0.0; LANES], [0.0; LANES]);
     energy.store_slice(&mut energy_lanes);
     least.store_slice(&mut least_lanes);
@@ -400,9 +415,7 @@ fn product<S: Simd, const AVERAGED: u8>(
         if let Some(added_pa) = shape.added_pa.get(g) {
             add_turned(simd, group, &df, added_pa, &mut stress);
         }
-        for x in stress.iter_mut().flatten() {
-            *x *= volume;
-        }
+        scale(&mut stress, volume);
         scatter(group, &alpha, &stress, force_n);
     }
 }

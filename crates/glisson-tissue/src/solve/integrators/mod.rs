@@ -344,20 +344,38 @@ impl Integrator {
         motion: &mut Motion<'_>,
         h_s: f64,
     ) -> Effort {
-        let n = self.n_nodes;
         let weights = self.scheme.backward_weights().expect("called for backward differences only");
         let mut evaluations = 0;
         if self.past.last() != Some(&h_s) {
             equations.accelerations_into(
                 motion.positions_m,
                 motion.velocities_m_per_s,
-                &mut self.stages[..n],
+                &mut self.stages[..self.n_nodes],
             );
             evaluations += 1;
             self.imagine_past(motion, h_s);
         }
+        self.sum_up_past(weights, motion, h_s);
+        let mut missed_fixed_point = true;
+        for _ in 0..self.fixed_point.most_iterations {
+            let a = &mut self.stages[..self.n_nodes];
+            equations.accelerations_into(&self.stage_positions_m, &self.stage_velocities_m_per_s, a);
+            evaluations += 1;
+            if self.iterate(weights, motion, h_s) <= self.fixed_point.tolerance_m {
+                missed_fixed_point = false;
+                break;
+            }
+        }
+        self.remember(motion, h_s);
+        motion.positions_m.copy_from_slice(&self.stage_positions_m);
+        motion.velocities_m_per_s.copy_from_slice(&self.stage_velocities_m_per_s);
+        Effort { evaluations, missed_fixed_point }
+    }
+
+    /// Overwrites known_v and known_a, and makes free flight the first guess.
+    fn sum_up_past(&mut self, weights: BackwardWeights, motion: &Motion<'_>, h_s: f64) {
+        let n = self.n_nodes;
         let (known_v, known_a) = self.known.split_at_mut(n);
-        let (x, v) = (&mut self.stage_positions_m, &mut self.stage_velocities_m_per_s);
         for i in 0..n {
             let now = motion.positions_m[i];
             known_v[i] = weights.first[1] * now;
@@ -369,34 +387,36 @@ impl Integrator {
                     known_v[i] += alpha * earlier;
                 }
             }
-            // Free flight is the first guess.
-            let moves = motion.moves[i];
-            v[i] = motion.velocities_m_per_s[i];
-            x[i] = if moves { now + h_s * v[i] } else { now };
+            let v = motion.velocities_m_per_s[i];
+            self.stage_velocities_m_per_s[i] = v;
+            self.stage_positions_m[i] = if motion.moves[i] { now + h_s * v } else { now };
         }
-        let mut missed_fixed_point = true;
-        for _ in 0..self.fixed_point.most_iterations {
-            let a = &mut self.stages[..n];
-            equations.accelerations_into(x, v, a);
-            evaluations += 1;
-            let mut change_m: f64 = 0.0;
-            for i in 0..n {
-                if !motion.moves[i] {
-                    continue;
-                }
-                let d = motion.damping_per_s[i];
-                let right = a[i] - known_a[i] / (h_s * h_s) - d / h_s * known_v[i];
-                let next = right / (weights.second[0] / (h_s * h_s) + d * weights.first[0] / h_s);
-                change_m = change_m.max((next - x[i]).abs().max_element());
-                x[i] = next;
-                v[i] = (weights.first[0] * next + known_v[i]) / h_s;
+    }
+
+    /// One iteration of the fixed point with the accelerations in `stages`; the largest change of a position [m].
+    fn iterate(&mut self, weights: BackwardWeights, motion: &Motion<'_>, h_s: f64) -> f64 {
+        let n = self.n_nodes;
+        let (known_v, known_a) = self.known.split_at(n);
+        let (x, v) = (&mut self.stage_positions_m, &mut self.stage_velocities_m_per_s);
+        let a = &self.stages[..n];
+        let mut change_m: f64 = 0.0;
+        for i in 0..n {
+            if !motion.moves[i] {
+                continue;
             }
-            if change_m <= self.fixed_point.tolerance_m {
-                missed_fixed_point = false;
-                break;
-            }
+            let d = motion.damping_per_s[i];
+            let right = a[i] - known_a[i] / (h_s * h_s) - d / h_s * known_v[i];
+            let next = right / (weights.second[0] / (h_s * h_s) + d * weights.first[0] / h_s);
+            change_m = change_m.max((next - x[i]).abs().max_element());
+            x[i] = next;
+            v[i] = (weights.first[0] * next + known_v[i]) / h_s;
         }
-        // The past moves on by one step.
+        change_m
+    }
+
+    /// Moves the past on by one step.
+    fn remember(&mut self, motion: &Motion<'_>, h_s: f64) {
+        let n = self.n_nodes;
         for s in (1..self.scheme.n_past()).rev() {
             self.past.copy_within(3 * n * (s - 1)..3 * n * s, 3 * n * s);
         }
@@ -408,9 +428,6 @@ impl Integrator {
             };
             set_past_position(&mut self.past, n, 0, i, before);
         }
-        motion.positions_m.copy_from_slice(x);
-        motion.velocities_m_per_s.copy_from_slice(v);
-        Effort { evaluations, missed_fixed_point }
     }
 
     /// A past that fits position, velocity and acceleration (in `stages`): x - s h v + (s h)^2/2 a.

@@ -296,77 +296,92 @@ fn an_equilibrated_body_stays_at_rest_and_answers_to_another_gravity() {
     }
 }
 
+/// A body with all features: supports, stress at rest, a ligament, relaxation and damping.
+struct LoadedBody {
+    mesh: TetMesh,
+    fixed: Vec<FixedNode>,
+    stress: Vec<RestStress>,
+    ligament: Attachment,
+    series: PronySeries,
+    law: ImplicitLaw,
+}
+
+impl LoadedBody {
+    fn new(law: &ImplicitLaw) -> Self {
+        let mesh = shaken_block([4, 3, 3], DVec3::new(0.12, 0.08, 0.06), 0.15, 9);
+        let fixed = clamped(&nodes_below(&mesh, 0, 0.02));
+        let stress = equilibrating(&mesh, &linear(0.4), &fixed, GRAVITY);
+        let anchored = mesh.positions_m.iter().position(|p| (0.03..0.045).contains(&p.x)).unwrap();
+        let ligament = Attachment {
+            node: NodeId::from_index(anchored),
+            anchor_m: mesh.positions_m[anchored] + DVec3::Z * 0.1,
+            slack_length_m: 0.0999,
+            stiffness_n_per_m: 50.0,
+        };
+        let series = PronySeries::new(&[PronyTerm { share: 0.3, time_s: 0.05 }]).unwrap();
+        Self { mesh, fixed, stress, ligament, series, law: law.clone() }
+    }
+
+    /// Whether a tetrahedron lies between the support and the piece that is cut loose.
+    fn is_between(&self, t: usize) -> bool {
+        let corners_m = self.mesh.corners_m(TetId::from_index(t));
+        corners_m.iter().any(|p| (0.055..0.07).contains(&p.x))
+    }
+
+    fn model(&self) -> ImplicitEuler {
+        // The general ones as one law a tetrahedron.
+        let law = match &self.law {
+            ImplicitLaw::General(one) => {
+                ImplicitLaw::General(vec![one[0].clone(); self.mesh.tetrahedra.len()])
+            }
+            fast => fast.clone(),
+        };
+        let loaded = DynamicBody {
+            gravity_m_per_s2: GRAVITY,
+            damping: Rayleigh { mass_per_s: 0.0, stiffness_s: 0.001 },
+            rest_stress_pa: &self.stress,
+            attachments: &[self.ligament],
+            ..body(&self.mesh, &self.fixed)
+        };
+        ImplicitEuler::build(&ImplicitParams { relaxation: Some(&self.series), ..tight(loaded, &law) })
+            .unwrap()
+    }
+
+    /// The model after the cut and a compaction, and the body of what remains.
+    fn cut(self) -> (ImplicitEuler, Self) {
+        let mut model = self.model();
+        let mut editable = EditableMesh::new(self.mesh.clone()).unwrap();
+        let (tets, kept): (Vec<usize>, Vec<usize>) =
+            (0..self.mesh.tetrahedra.len()).partition(|&t| self.is_between(t));
+        let tets = tets.into_iter().map(TetId::from_index).collect();
+        let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
+        model.topology_changed(editable.mesh(), &change).unwrap();
+        let change = editable.compact();
+        model.topology_changed(editable.mesh(), &change).unwrap();
+        let mesh = editable.mesh().clone();
+        let anchored_m = self.mesh.positions_m[self.ligament.node.index()];
+        let node = NodeId::from_index(mesh.positions_m.iter().position(|p| *p == anchored_m).unwrap());
+        let rest = Self {
+            fixed: clamped(&nodes_below(&mesh, 0, 0.02)),
+            stress: kept.into_iter().map(|t| self.stress[t]).collect(),
+            ligament: Attachment { node, ..self.ligament },
+            mesh,
+            ..self
+        };
+        (model, rest)
+    }
+}
+
 /// All features at once: a piece cut loose falls with its full weight, and the model is then the one of the
 /// remaining mesh, to the bit.
 #[test]
 fn after_a_cut_a_loaded_body_is_the_one_of_the_remaining_mesh() {
-    let mesh = shaken_block([4, 3, 3], DVec3::new(0.12, 0.08, 0.06), 0.15, 9);
-    let fixed = clamped(&nodes_below(&mesh, 0, 0.02));
-    let stress = equilibrating(&mesh, &linear(0.4), &fixed, GRAVITY);
-    let laws = [5, 3, 2].map(|k| ImplicitLaw::from(&specs()[k]));
-    let series = PronySeries::new(&[PronyTerm { share: 0.3, time_s: 0.05 }]).unwrap();
-    let is_between =
-        |t: usize| mesh.corners_m(TetId::from_index(t)).iter().any(|p| (0.055..0.07).contains(&p.x));
-    for law in laws {
-        // The general ones as one law a tetrahedron.
-        let law_of = |mesh: &TetMesh| match &law {
-            ImplicitLaw::General(one) => ImplicitLaw::General(vec![one[0].clone(); mesh.tetrahedra.len()]),
-            fast => fast.clone(),
-        };
-        let law_before = law_of(&mesh);
-        let anchored = NodeId::from_index(
-            (0..mesh.positions_m.len()).find(|&n| (0.03..0.045).contains(&mesh.positions_m[n].x)).unwrap(),
-        );
-        let attachment = Attachment {
-            node: anchored,
-            anchor_m: mesh.positions_m[anchored.index()] + DVec3::Z * 0.1,
-            slack_length_m: 0.0999,
-            stiffness_n_per_m: 50.0,
-        };
-        let mut editable = EditableMesh::new(mesh.clone()).unwrap();
-        let loaded = DynamicBody {
-            gravity_m_per_s2: GRAVITY,
-            damping: Rayleigh { mass_per_s: 0.0, stiffness_s: 0.001 },
-            ..body(&mesh, &fixed)
-        };
-        let mut cut = ImplicitEuler::build(&ImplicitParams {
-            relaxation: Some(&series),
-            ..tight(
-                DynamicBody { rest_stress_pa: &stress, attachments: &[attachment], ..loaded },
-                &law_before,
-            )
-        })
-        .unwrap();
-        let tets = (0..mesh.tetrahedra.len()).filter(|&t| is_between(t)).map(TetId::from_index).collect();
-        let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
-        cut.topology_changed(editable.mesh(), &change).unwrap();
-        let change = editable.compact();
-        cut.topology_changed(editable.mesh(), &change).unwrap();
-        let rest = editable.mesh().clone();
-        let kept_stress: Vec<RestStress> =
-            (0..mesh.tetrahedra.len()).filter(|&t| !is_between(t)).map(|t| stress[t]).collect();
-        let node = NodeId::from_index(
-            rest.positions_m.iter().position(|p| *p == mesh.positions_m[anchored.index()]).unwrap(),
-        );
-        let kept_fixed = clamped(&nodes_below(&rest, 0, 0.02));
-        let kept_law = law_of(&rest);
-        let mut built = ImplicitEuler::build(&ImplicitParams {
-            relaxation: Some(&series),
-            ..tight(
-                DynamicBody {
-                    mesh: &rest,
-                    fixed: &kept_fixed,
-                    rest_stress_pa: &kept_stress,
-                    attachments: &[Attachment { node, ..attachment }],
-                    ..loaded
-                },
-                &kept_law,
-            )
-        })
-        .unwrap();
-        let loose: Vec<NodeId> = (0..rest.positions_m.len())
+    for law in [5, 3, 2].map(|k| ImplicitLaw::from(&specs()[k])) {
+        let (mut cut, rest) = LoadedBody::new(&law).cut();
+        let mut built = rest.model();
+        let loose: Vec<NodeId> = (0..rest.mesh.positions_m.len())
             .map(NodeId::from_index)
-            .filter(|n| rest.positions_m[n.index()].x > 0.07)
+            .filter(|n| rest.mesh.positions_m[n.index()].x > 0.07)
             .collect();
         for step in 1..=10 {
             cut.step(0.01);

@@ -14,7 +14,7 @@ use glisson_mesh::math::DMat3;
 pub type Tangent = [[f64; 9]; 9];
 
 /// A hyperelastic law with its parameters; a fibre direction is one of them. A body whose parameters vary has
-/// one law value a tetrahedron.
+/// one law value per tetrahedron.
 pub trait Material: Sync {
     /// W(F) [J/m3]: zero at rest, infinite outside the valid range.
     fn energy_density_j_per_m3(&self, f: &DMat3) -> f64;

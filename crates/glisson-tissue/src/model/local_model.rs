@@ -131,7 +131,7 @@ impl LocalModel {
     }
 
     /// Where the patch's nodes are after the period if these forces [N] act instead of `force_n`, as far as the
-    /// answer is linear. Overwrites `positions_m`; all three lists are one a node.
+    /// answer is linear. Overwrites `positions_m`; all three lists are one per node.
     pub fn predict_into(&self, force_n: &[DVec3], positions_m: &mut [DVec3]) {
         for (i, position_m) in positions_m.iter_mut().enumerate().take(self.nodes.len()) {
             *position_m = self.position_m[i];

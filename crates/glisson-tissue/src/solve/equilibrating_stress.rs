@@ -111,7 +111,7 @@ pub fn is_stable_under(
 /// Overwrites `force_n` with V S0 alpha_j summed on the nodes: the forces [N] that balance stresses in the rest shape.
 ///
 /// # Panics
-/// When there is not one stress a tetrahedron.
+/// When there is not one stress per tetrahedron.
 pub fn stress_forces_into(mesh: &TetMesh, stress_pa: &[RestStress], force_n: &mut [DVec3]) {
     assert_eq!(stress_pa.len(), mesh.tetrahedra.len(), "one stress a tetrahedron");
     force_n.fill(DVec3::ZERO);

@@ -5,7 +5,7 @@
 //! | C   0   |  | l | = | u* |
 //! ```
 //!
-//! with K the stiffness, f the forces and C u = u* the constraints, one a row. The seed has rows of a single 1 (one
+//! with K the stiffness, f the forces and C u = u* the constraints, one per row. The seed has rows of a single 1 (one
 //! displacement component each); here a row is any sum, so that points inside a triangle can be held too. -l is the
 //! force that the constraints exert along their rows, C^T (-l) on the nodes.
 //!
@@ -110,7 +110,7 @@ fn check_constraints(
 /// [`LagrangeError`]; [`LagrangeError::Singular`] for whatever has no single solution.
 ///
 /// # Panics
-/// When the forces are not one a node, or an axis is not 0, 1 or 2.
+/// When there is not one force per node, or an axis is not 0, 1 or 2.
 pub fn solve_lagrange_densely(
     problem: &StaticProblem<'_>,
     constraints: &[LinearConstraint],
@@ -169,7 +169,7 @@ pub fn solve_lagrange_densely(
 /// constraint.
 ///
 /// # Panics
-/// When the forces are not one a node, or an axis is not 0, 1 or 2.
+/// When there is not one force per node, or an axis is not 0, 1 or 2.
 pub fn solve_lagrange(
     problem: &StaticProblem<'_>,
     constraints: &[LinearConstraint],

@@ -185,7 +185,7 @@ fn add_element_shear(
 /// [`SolveError`]: an unusable mesh, conditions on missing nodes, a piece that floats, a singular matrix.
 ///
 /// # Panics
-/// When the forces are not one a node.
+/// When there is not one force per node.
 pub fn solve_static_node_averaged(
     problem: &StaticProblem<'_>,
     averaging: NodeAveraging,
@@ -200,7 +200,7 @@ pub fn solve_static_node_averaged(
 /// [`SolveError::Volume`] for a flat or inverted tetrahedron.
 ///
 /// # Panics
-/// When the displacements are not one a node.
+/// When there is not one displacement per node.
 pub fn node_pressures_pa(
     mesh: &TetMesh,
     material: &LinearElastic,

@@ -131,7 +131,7 @@ pub(super) fn check_laws<M: Material>(laws: &[M], n_tets: usize) -> Result<(), N
 }
 
 impl<'a, M: Material> ElasticBody<'a, M> {
-    /// The body of one law (`laws` of length 1) or of one law a tetrahedron.
+    /// The body of one law (`laws` of length 1) or of one law per tetrahedron.
     ///
     /// # Errors
     /// [`NonlinearError::LawCount`], or [`SolveError::Volume`] for a flat or inverted tetrahedron.
@@ -265,7 +265,7 @@ pub(crate) fn contracted_columns(rows: &[[f64; 9]; 3], a: DVec3) -> DMat3 {
 pub struct NonlinearProblem<'a, M> {
     /// The body at rest.
     pub mesh: &'a TetMesh,
-    /// One law, or one a tetrahedron.
+    /// One law, or one per tetrahedron.
     pub laws: &'a [M],
     /// What is held where.
     pub conditions: &'a BoundaryConditions,
@@ -332,7 +332,7 @@ const ROUNDING: f64 = 4.0 * f64::EPSILON;
 /// on the way, with the load reached and the residual.
 ///
 /// # Panics
-/// When the forces are not one a node.
+/// When there is not one force per node.
 pub fn solve_nonlinear<M: Material>(
     problem: &NonlinearProblem<'_, M>,
 ) -> Result<NonlinearSolution, NonlinearError> {

@@ -1,7 +1,7 @@
 //! Linear tetrahedra that lock neither in volume nor in bending: selective strain smoothing, for any law.
 //!
 //! A deformation gradient that is constant in each tetrahedron is averaged over smoothing domains d, an edge's or
-//! a node's share of the tetrahedra around it (a sixth of V an edge, a quarter a node):
+//! a node's share of the tetrahedra around it (a sixth of V per edge, a quarter per node):
 //!
 //! F_d = 1/V_d sum over the tetrahedra t around d of v_td F_t,   V_d = sum of v_td.
 //!
@@ -93,7 +93,7 @@ pub struct SmoothedBody<'a, M> {
 }
 
 impl<'a, M: Material> SmoothedBody<'a, M> {
-    /// The body of one law (`laws` of length 1) or of one law a tetrahedron.
+    /// The body of one law (`laws` of length 1) or of one law per tetrahedron.
     ///
     /// # Errors
     /// [`NonlinearError`]: an unusable mesh, a wrong number of laws, a law without finite stiffness at rest.
@@ -510,7 +510,7 @@ impl<M: Material> StaticBody for SmoothedBody<'_, M> {
 /// As [`super::solve_nonlinear`].
 ///
 /// # Panics
-/// When the forces are not one a node, or the shares do not add up to 1.
+/// When there is not one force per node, or the shares do not add up to 1.
 pub fn solve_nonlinear_smoothed<M: Material>(
     problem: &NonlinearProblem<'_, M>,
     smoothing: Smoothing,
@@ -524,7 +524,7 @@ pub fn solve_nonlinear_smoothed<M: Material>(
 /// As [`super::solve_static`].
 ///
 /// # Panics
-/// When the forces are not one a node, or the shares do not add up to 1.
+/// When there is not one force per node, or the shares do not add up to 1.
 pub fn solve_static_smoothed(
     problem: &StaticProblem<'_>,
     smoothing: Smoothing,
@@ -550,7 +550,7 @@ pub fn solve_static_smoothed(
 /// [`SolveError::Volume`] for a flat or inverted tetrahedron at rest.
 ///
 /// # Panics
-/// When the displacements are not one a node.
+/// When there is not one displacement per node.
 pub fn node_deformation_gradients(
     mesh: &TetMesh,
     displacement_m: &[DVec3],

@@ -68,7 +68,7 @@ impl FreeSystem {
     /// [`SolveError::Factorization`] when the ordering fails.
     ///
     /// # Panics
-    /// When there is not one position a node.
+    /// When there is not one position per node.
     pub fn for_many_solutions(
         positions_m: &[DVec3],
         edges: &MeshEdges,

@@ -70,7 +70,7 @@ pub(super) struct Elements {
     /// Numbers in the mesh of the live tetrahedra.
     tets: Vec<TetId>,
     own: OwnLaw,
-    /// One, or one a live tetrahedron.
+    /// One, or one per live tetrahedron.
     stand_ins: Vec<StableNeoHooke>,
     factor: f64,
     /// Stress at rest [Pa]; empty for none.
@@ -89,16 +89,16 @@ pub(super) struct ElementsParams<'a> {
     pub(super) mesh: &'a TetMesh,
     pub(super) live: &'a [bool],
     pub(super) law: &'a ImplicitLaw,
-    /// One, or one a tetrahedron.
+    /// One, or one per tetrahedron.
     pub(super) stand_ins: &'a [StableNeoHooke],
     pub(super) volume: VolumeResistance,
-    /// One a tetrahedron, or none.
+    /// One per tetrahedron, or none.
     pub(super) rest_stress_pa: &'a [RestStress],
     /// Whether [`Elements::set_viscous`] will be used.
     pub(super) is_viscous: bool,
 }
 
-/// The values of the live tetrahedra, of a list with one value or one a tetrahedron.
+/// The values of the live tetrahedra, of a list with one value or one per tetrahedron.
 fn of_live<'a, T: Clone>(list: &'a [T], tets: &[TetId]) -> Cow<'a, [T]> {
     if list.len() == 1 {
         Cow::Borrowed(list)
@@ -350,7 +350,7 @@ impl Elements {
         }
     }
 
-    /// Overwrites one flag a live tetrahedron: whether it follows the stand-in law.
+    /// Overwrites one flag per live tetrahedron: whether it follows the stand-in law.
     pub(super) fn strays_into(&self, follows_stand_in: &mut [bool]) {
         follows_stand_in.fill(false);
         for stray in self.strays.iter() {

@@ -21,7 +21,7 @@ const N_ENTRIES: usize = 45;
 /// Law, deformation and tangent of all tetrahedra.
 #[derive(Clone)]
 pub(super) struct General {
-    /// One, or one a live tetrahedron.
+    /// One, or one per live tetrahedron.
     laws: Vec<SharedLaw>,
     /// F by rows at the last evaluation.
     f: Vec<[Lanes; 9]>,

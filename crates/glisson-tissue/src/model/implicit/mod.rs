@@ -101,7 +101,7 @@ const LEAST_ITERATIONS: u32 = 2;
 #[derive(Clone)]
 pub struct ImplicitEuler {
     law: ImplicitLaw,
-    /// One, or one a tetrahedron.
+    /// One, or one per tetrahedron.
     stand_ins: Vec<StableNeoHooke>,
     volume: VolumeResistance,
     density_kg_per_m3: f64,
@@ -381,7 +381,7 @@ impl ImplicitEuler {
     /// Sets all velocities [m/s]; nodes that do not move keep zero.
     ///
     /// # Panics
-    /// When they are not one a node.
+    /// When they are not one per node.
     pub fn set_velocities(&mut self, velocities_m_per_s: &[DVec3]) {
         assert_eq!(velocities_m_per_s.len(), self.n_nodes(), "one velocity a node");
         for n in 0..self.n_nodes() {

@@ -22,15 +22,15 @@ use glisson_mesh::mesh::TetId;
 /// What a body may have beside its law. A body without costs nothing.
 #[derive(Clone, Copy, Default)]
 pub struct KernelExtras<'a> {
-    /// Stress in the rest shape [Pa], none or one a tetrahedron. Adds V P = V F S_0, for [`KernelLaw::Linear`]
+    /// Stress in the rest shape [Pa], none or one per tetrahedron. Adds V P = V F S_0, for [`KernelLaw::Linear`]
     /// V S_0: at rest it balances the weight that it was computed for.
     pub rest_stress_pa: &'a [RestStress],
-    /// Stiffness along a direction, none or one a tetrahedron, beside lambda and mu of its
+    /// Stiffness along a direction, none or one per tetrahedron, beside lambda and mu of its
     /// [`KernelParams::materials`] (seed `002`, eq. 7).
     pub fibres: &'a [Fibre],
     /// gamma of the signed penalty of volume changes [Pa]; from 0, which is none (seed `004`, s. 3.2).
     pub volume_penalty_pa: f64,
-    /// The laws of [`KernelLaw::General`], one or one a tetrahedron; none for other laws.
+    /// The laws of [`KernelLaw::General`], one or one per tetrahedron; none for other laws.
     pub laws: &'a [SharedMaterial],
     /// How the stress of law and fibres relaxes.
     pub relaxation: Option<&'a PronySeries>,

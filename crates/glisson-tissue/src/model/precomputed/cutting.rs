@@ -155,7 +155,7 @@ impl Precomputed {
     /// As [`Precomputed::build`]; [`SolveError::EmptyMesh`] when nothing that is held is left.
     ///
     /// # Panics
-    /// When `live` has not one flag a tetrahedron.
+    /// When `live` has not one flag per tetrahedron.
     pub fn build_cut(
         params: &super::PrecomputedParams<'_>,
         live: &[bool],

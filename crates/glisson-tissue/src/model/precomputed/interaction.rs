@@ -187,7 +187,7 @@ impl Precomputed {
         }
     }
 
-    /// Reactions as forces on nodes, one a node.
+    /// Reactions as forces on nodes, one per node.
     fn spread_reactions(&mut self) {
         self.reactions.clear();
         for (point, target) in self.wanted.iter().zip(self.targets.iter()) {

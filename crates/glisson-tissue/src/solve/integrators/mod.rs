@@ -27,7 +27,7 @@ use glisson_mesh::math::DVec3;
 
 /// How to advance in time.
 ///
-/// - [`Scheme::SemiImplicitEuler`]: the usual choice for soft bodies with contacts; one evaluation a step.
+/// - [`Scheme::SemiImplicitEuler`]: the usual choice for soft bodies with contacts; one evaluation per step.
 /// - [`Scheme::CentralDifferences`]: the same cost and step, order 2, and damping takes nothing from the step.
 /// - [`Scheme::RungeKutta4`]: smooth motions to many digits; per evaluation its step is a third.
 /// - [`Scheme::RungeKutta2`]: amplifies undamped oscillations; for comparison.
@@ -123,7 +123,7 @@ pub trait EquationsOfMotion {
     );
 }
 
-/// What a step changes, one entry a node.
+/// What a step changes, one entry per node.
 #[derive(Debug)]
 pub struct Motion<'a> {
     /// Positions [m].

@@ -48,14 +48,14 @@ fn held_axes_of(fixed: &[FixedNode], n_nodes: usize) -> Vec<[bool; 3]> {
     held_axes
 }
 
-/// One flag a node: whether it is in the list.
+/// One flag per node: whether it is in the list.
 fn marked(nodes: &[NodeId], n_nodes: usize) -> Vec<bool> {
     let mut is_marked = vec![false; n_nodes];
     nodes.iter().for_each(|n| is_marked[n.index()] = true);
     is_marked
 }
 
-/// One flag a node: whether tools can hold it.
+/// One flag per node: whether tools can hold it.
 ///
 /// # Errors
 /// [`SolveError::ConditionOutOfRange`] for a node that the mesh does not have.

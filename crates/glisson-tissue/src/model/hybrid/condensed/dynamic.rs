@@ -1,12 +1,11 @@
 //! The dynamic zones as one body: tensor-mass with the other zones condensed onto its nodes.
 //!
-//! Linear zones have tensors on vertices and edges, St Venant-Kirchhoff ones their tetrahedra ([`KirchhoffTet`]); both
-//! are differences from the same rest shape, so that they add up at the nodes they share. What the other zones bear
-//! stays linear.
+//! Linear zones use tensors on vertices and edges, St Venant-Kirchhoff zones their tetrahedra ([`KirchhoffTet`]). Both
+//! start from the same rest shape, so their forces add up at shared nodes. The other zones stay linear.
 //!
-//! All dynamic zones are one body, so that zones that touch are merged without more ado (seed `003` s. 4.3.2.1). It is
-//! the frame and the central differences of the tensor-mass model on the dynamic tetrahedra; the pre-computed
-//! tetrahedra around them are there for their mass and for the stable step, their corners elsewhere are held.
+//! All dynamic zones are one body, so zones that touch need no coupling (seed `003` s. 4.3.2.1). It moves by the
+//! central differences of the tensor-mass model on the dynamic tetrahedra. The pre-computed tetrahedra around them
+//! count for the masses and the stable step; their other corners are held.
 
 use super::ZoneLaw;
 use super::columns::SymmetricTiles;
@@ -22,7 +21,7 @@ use crate::solve::P1Gradients;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
-/// Marks a node or tetrahedron that the mesh has no more.
+/// Marks a node or tetrahedron that is no longer in the mesh.
 const GONE: u32 = u32::MAX;
 
 /// The dynamic zones.
@@ -30,25 +29,26 @@ const GONE: u32 = u32::MAX;
 pub(super) struct DynamicPart {
     /// Node of the mesh for each of the body's.
     nodes: Vec<u32>,
-    /// Tetrahedron of the mesh for each of the body's: linear ones, other dynamic ones, those around; each group ascends.
+    /// Tetrahedron of the mesh for each of the body's: linear dynamic ones, non-linear dynamic ones, those around them.
+    /// Each group ascends.
     tets: Vec<u32>,
     mesh: TetMesh,
     is_live: Vec<bool>,
     n_linear_tets: usize,
     n_dynamic_tets: usize,
-    /// Live dynamic tetrahedra at each node; a node moves by itself while it has some.
+    /// Number of live dynamic tetrahedra at each node; a node with any is dynamic.
     dynamic_tets: Vec<u32>,
-    /// Live linear dynamic ones.
+    /// Number of live linear dynamic tetrahedra at each node.
     linear_tets: Vec<u32>,
-    /// Of the linear zones, if there are any.
+    /// Tensors of the linear zones, if there are any.
     tensors: Option<VertexEdgeTensors>,
-    /// The other dynamic tetrahedra, in their order, and their law.
+    /// The non-linear dynamic tetrahedra in order, and their law.
     kirchhoff: Vec<KirchhoffTet>,
     law: TetLaw,
     pub(super) motion: ExplicitMotion,
-    /// Nodes of the body that hang on pre-computed zones, in the interface's order.
+    /// Nodes of the body on the frontier with pre-computed zones, in the interface's order.
     frontier: Vec<u32>,
-    /// Their displacements, and forces on them, padded to whole tiles.
+    /// Their displacements [m], and the forces [N] on them, padded to whole tiles.
     frontier_m: Vec<f64>,
     frontier_n: Vec<f64>,
 }
@@ -57,7 +57,7 @@ pub(super) struct DynamicPart {
 pub(super) struct DynamicSource<'a> {
     pub(super) whole: &'a Whole<'a>,
     pub(super) body: &'a DynamicBody<'a>,
-    /// The law of each tetrahedron, and whether it is there.
+    /// The law of each tetrahedron, and whether it is live.
     pub(super) law_of_tet: &'a [ZoneLaw],
     pub(super) is_live_tet: &'a [bool],
     /// The stable step holds while the principal stretches of St Venant-Kirchhoff zones stay within [1/s, s] for this s.
@@ -68,7 +68,7 @@ pub(super) struct DynamicSource<'a> {
 
 /// The tetrahedra of the dynamic part, and the mesh that they make.
 struct CutOut {
-    /// Linear ones, other dynamic ones, those around.
+    /// Linear dynamic ones, non-linear dynamic ones, those around them.
     tets: Vec<usize>,
     n_linear_tets: usize,
     n_dynamic_tets: usize,
@@ -93,7 +93,7 @@ impl CutOut {
         Self { tets, n_linear_tets, n_dynamic_tets, part }
     }
 
-    /// The part's supports; nodes that are not dynamic are held wholly.
+    /// The part's supports; nodes that are not dynamic are held along all axes.
     fn fixed_nodes(&self, source: &DynamicSource<'_>) -> Vec<FixedNode> {
         let axes_of = |n: &NodeId| {
             if source.is_dynamic[n.index()] { source.whole.held[n.index()] } else { [true; 3] }
@@ -105,7 +105,7 @@ impl CutOut {
             .collect()
     }
 
-    /// Masses, supports, ligaments and stable step of the part. `stiffening`: by how much St Venant-Kirchhoff
+    /// Masses, supports, ligaments and stable step of the part. `stiffening`: the factor by which St Venant-Kirchhoff
     /// tetrahedra may stiffen.
     fn motion(&self, source: &DynamicSource<'_>, stiffening: f64) -> Result<ExplicitMotion, ExplicitError> {
         let DynamicSource { whole, body, .. } = *source;
@@ -128,7 +128,7 @@ impl CutOut {
         let own =
             DynamicBody { mesh, fixed: &fixed, attachments: &attachments, rest_stress_pa: &[], ..*body };
         match ExplicitMotion::new(&own, stability, strained_j) {
-            // Shorter steps instead of a refusal: the dynamic zone may not have been there when the step was chosen.
+            // Take shorter steps instead of refusing: a zone can become dynamic after the step was chosen.
             Err(ExplicitError::UnstableStep { allowed_s, .. }) => {
                 ExplicitMotion::new(&DynamicBody { time_step_s: allowed_s, ..own }, again, strained_j)
             }
@@ -200,7 +200,7 @@ impl DynamicPart {
         }))
     }
 
-    /// Takes the dynamic nodes of the interface, in its order.
+    /// Sets the dynamic nodes of the interface, in its order.
     pub(super) fn set_frontier(&mut self, nodes: &[NodeId], padded_len: usize) {
         let local = |n: &NodeId| self.local(*n).expect("a dynamic node").0;
         self.frontier = nodes.iter().map(local).collect();
@@ -210,7 +210,7 @@ impl DynamicPart {
 
     /// The body's node for one of the mesh.
     pub(super) fn local(&self, node: NodeId) -> Option<NodeId> {
-        // Those that are gone are no numbers of nodes, but the others still ascend.
+        // Removed nodes are marked, so the list is not sorted as a whole.
         let found = self.nodes.iter().position(|&n| n == node.0)?;
         Some(NodeId::from_index(found))
     }
@@ -252,13 +252,13 @@ impl DynamicPart {
         self.frontier.iter().position(|&n| n == local.0)
     }
 
-    /// Nodes that move by themselves: the body's and the mesh's.
+    /// Dynamic nodes: their numbers in the body and in the mesh.
     pub(super) fn moving(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let moves = |&(l, n): &(usize, &u32)| *n != GONE && self.dynamic_tets[l] > 0;
         self.nodes.iter().enumerate().filter(moves).map(|(l, &n)| (l, n as usize))
     }
 
-    /// Starts the moving nodes from these places of the mesh's nodes [m], at standstill without velocities.
+    /// Starts the dynamic nodes from these positions of the mesh's nodes [m]; at rest when no velocities are given.
     pub(super) fn start(&mut self, rest_m: &[DVec3], positions_m: &[DVec3], velocities: Option<&[DVec3]>) {
         for l in 0..self.nodes.len() {
             if self.nodes[l] != GONE && self.dynamic_tets[l] > 0 {
@@ -275,13 +275,13 @@ impl DynamicPart {
         self.last_frontier_m()
     }
 
-    /// The same as they were found last.
+    /// The displacements [m] found last.
     pub(super) fn last_frontier_m(&self) -> &[f64] {
         &self.frontier_m[..3 * self.frontier.len()]
     }
 
-    /// Advances by `dt_s`. What the pre-computed zones bear: `stiffness` times the frontier's displacements, less
-    /// `force_n`, and less what `add_contact(displacements, forces)` adds for the tools in them.
+    /// Advances by `dt_s`. The pre-computed zones bear `stiffness` times the frontier's displacements, minus `force_n`,
+    /// minus the forces that `add_contact(displacements, forces)` adds for tools in these zones.
     pub(super) fn step(
         &mut self,
         dt_s: f64,
@@ -329,7 +329,7 @@ impl DynamicPart {
         });
     }
 
-    /// Whether taking these tetrahedra of the mesh out, which ascend, leaves a frontier node without a dynamic one.
+    /// Whether a frontier node has no dynamic tetrahedron left after these removals, which ascend.
     pub(super) fn would_strand(&self, removed: &[TetId]) -> bool {
         let goes = |t: &usize| self.is_live[*t] && removed.binary_search(&TetId(self.tets[*t])).is_ok();
         (0..self.n_dynamic_tets).filter(goes).any(|t| {
@@ -341,7 +341,7 @@ impl DynamicPart {
         })
     }
 
-    /// Takes a tetrahedron of the mesh out.
+    /// Removes a tetrahedron of the mesh.
     pub(super) fn remove_tet(&mut self, tet: TetId, whole: &Whole<'_>) {
         let dynamic = &self.tets[..self.n_dynamic_tets];
         let Some(t) = dynamic.iter().position(|&t| t == tet.0) else { return };
@@ -366,7 +366,7 @@ impl DynamicPart {
         }
     }
 
-    /// After all removals of an edit.
+    /// Updates the bounds of the step after all removals of an edit.
     pub(super) fn after_removals(&mut self) {
         self.motion.after_removals(&self.mesh.tetrahedra, &self.is_live);
     }

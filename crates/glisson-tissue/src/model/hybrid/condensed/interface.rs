@@ -1,18 +1,18 @@
 //! The frontier of the pre-computed zones, solved exactly.
 //!
-//! Frontier nodes come in two kinds: p, between pre-computed zones alone, and d, at which a dynamic zone hangs too.
-//! With S the sum of the zones' Schur complements and g the forces on the frontier (those inside a zone brought there
-//! by B^T):
+//! There are two kinds of frontier nodes: p, between pre-computed zones alone, and d, which a dynamic zone shares.
+//! Let S be the sum of the zones' Schur complements and g the forces on the frontier, with those inside a zone
+//! transferred by B^T:
 //!
 //! u_p = S_pp^-1 (g_p - S_pd u_d), so that the dynamic nodes feel
 //! S' u_d - (g_d + Q^T g_p) with Q = -S_pp^-1 S_pd and S' = S_dd + S_dp Q.
 //!
 //! S' is at most the frontier's assembled stiffness (a Schur complement of a positive semi-definite matrix), and the
-//! frontier nodes keep the mass of all their tetrahedra: the largest frequency is at most that of the whole
-//! tensor-mass body, of which it is a sub-matrix with something taken off, so the stable step does not fall.
+//! frontier nodes keep the mass of all their tetrahedra. So the highest frequency is at most that of the whole
+//! tensor-mass body, and the stable step is not shorter.
 //!
-//! For every component that can be loaded, a column says what a unit force on it does to the frontier: how far it
-//! moves p (with d held), and with what force it pulls on d.
+//! For every loadable component, a column holds the effect of a unit force on the frontier: the displacement of p
+//! (with d held) and the force on d.
 
 use crate::model::precomputed::Precision;
 use crate::solve::SolveError;
@@ -34,16 +34,16 @@ pub(super) struct Interface {
     pub(super) of_condensed: Columns,
     /// Columns of each zone's loadable components: S_pp^-1 B_p^T above B_d^T + Q^T B_p^T.
     pub(super) of_loadable: Vec<Columns>,
-    /// S' [N/m], and the same in the form of the steps.
+    /// S' [N/m], and the same in the form that the steps use.
     pub(super) stiffness_on_dynamic: Columns,
     pub(super) stiffness_tiles: SymmetricTiles,
-    /// What each constant load does, like a loadable component.
+    /// A column per constant load, like that of a loadable component.
     pub(super) constant: Columns,
-    /// S_pp^-1 B_p^T on each zone's own frontier, as it is in the zones' compliance.
+    /// S_pp^-1 B_p^T on each zone's own frontier, as added to the zone's compliance.
     in_compliance: Vec<Columns>,
 }
 
-/// How each zone's compliance was composed before: to be taken out of it.
+/// What an earlier interface added to each zone's compliance, to be subtracted from it.
 pub(super) type Composed = Vec<Columns>;
 
 /// The frontier's nodes in the interface's order.
@@ -143,8 +143,8 @@ impl Condensation {
 }
 
 impl Interface {
-    /// Brings the zones together and adds to each one's compliance what the others give way. `before`: what was in
-    /// there from an earlier interface, one a zone.
+    /// Couples the zones, and adds to each zone's compliance that of the others. `before`: what an earlier interface
+    /// added, one per zone.
     ///
     /// # Errors
     /// [`SolveError::Singular`] when the pre-computed zones can move with the dynamic nodes held.
@@ -177,12 +177,12 @@ impl Interface {
         Ok(interface)
     }
 
-    /// How the zones' compliances were composed; for the interface that comes after this one.
+    /// What was added to the zones' compliances, for the interface that replaces this one.
     pub(super) fn take_composed(&mut self) -> Composed {
         std::mem::take(&mut self.in_compliance)
     }
 
-    /// The columns of a zone's loadable components, and its compliance in the whole.
+    /// Computes the columns of a zone's loadable components, and completes its compliance.
     fn bring_in(
         &mut self,
         z: usize,
@@ -228,7 +228,7 @@ impl Interface {
         self.in_compliance.push(on_own);
     }
 
-    /// Dynamic nodes bear their own weight themselves, of all their tetrahedra.
+    /// The dynamic part has the weight of its nodes itself, from all their tetrahedra.
     fn fill_constants(&mut self, zones: &[PrecomputedZone]) {
         let n_p = 3 * self.n_condensed;
         for load in 0..N_CONSTANT {
@@ -248,7 +248,7 @@ impl Interface {
         }
     }
 
-    /// Adds forces [N] on a zone's frontier to what moves p and pulls on d.
+    /// Adds the effect of forces [N] on a zone's frontier: displacements of p and forces on d.
     pub(super) fn add_frontier_forces(&self, z: usize, frontier_n: &[f64], reduced: &mut [f64]) {
         let n_p = 3 * self.n_condensed;
         let at = |c: usize| 3 * self.places[z][c / 3] as usize + c % 3;

@@ -1,11 +1,12 @@
-//! What a patch of pre-computed and dynamic nodes does for a haptic loop.
+//! The local model of a patch of pre-computed and dynamic nodes, for a haptic loop.
 //!
-//! With T the static compliance of the patch's pre-computed nodes, the dynamic nodes held, H^T how they follow the
-//! patch's nodes between the zones, and C_d the compliance of the patch's dynamic nodes over the period:
+//! Let T be the static compliance of the patch's pre-computed nodes while the dynamic nodes are held, H^T how they
+//! follow the patch's dynamic nodes on the frontier, and C_d the compliance of the patch's dynamic nodes over the
+//! period:
 //!
 //! C = [T 0; 0 0] + [H^T; 1] C_d [H 1],
 //!
-//! symmetric, and positive because T and C_d are.
+//! C is symmetric, and positive because T and C_d are.
 
 use super::dynamic::DynamicPart;
 use super::interface::Interface;
@@ -25,7 +26,7 @@ use glisson_mesh::mesh::NodeId;
 struct DynamicTissue<'a> {
     part: &'a DynamicPart,
     material: &'a LinearElastic,
-    /// One a tetrahedron of the mesh, or none.
+    /// One per tetrahedron of the mesh, or none.
     rest_stress_pa: &'a [RestStress],
 }
 
@@ -55,13 +56,13 @@ impl LocalBody for DynamicTissue<'_> {
     }
 }
 
-/// What the patch's answer is made of.
+/// What the compliance of a patch is computed from.
 struct Patch<'a> {
     interface: &'a Interface,
     zones: &'a [PrecomputedZone],
     dynamic: Option<&'a DynamicPart>,
     place: &'a [Place],
-    /// Of the patch's dynamic nodes, by the dynamic part's numbers.
+    /// The local model of the patch's dynamic nodes, in the dynamic part's numbering.
     local: &'a LocalModel,
 }
 
@@ -89,7 +90,7 @@ impl Patch<'_> {
                     let pull = |d: usize| {
                         DVec3::from_slice(&columns.column(first + d)[n_p + 3 * at..n_p + 3 * at + 3])
                     };
-                    // The columns tell the force on the dynamic node: their transpose is the way.
+                    // The columns are the force on the dynamic node; the transpose is the displacement that follows it.
                     DMat3::from_cols(pull(0), pull(1), pull(2)).transpose()
                 })
             }
@@ -109,7 +110,7 @@ impl Patch<'_> {
         }
     }
 
-    /// Fills the compliance of the patch's nodes. `row`: room for a row over p.
+    /// Fills the compliance of the patch's nodes. `row`: scratch for a row over p.
     fn fill_compliance(&self, row: &mut [f64], out: &mut LocalModel) {
         let mut half = [DMat3::ZERO; LocalModel::MOST_NODES];
         let half = &mut half[..self.local.nodes.len()];
@@ -131,7 +132,7 @@ impl Patch<'_> {
     }
 }
 
-/// Whether the node answers at once.
+/// Whether the node responds statically.
 fn is_static(place: Place) -> bool {
     matches!(place, Place::Own { .. } | Place::Condensed(_))
 }
@@ -173,7 +174,7 @@ impl CondensedHybrid {
         out.symmetrize();
     }
 
-    /// Fills the local model of the dynamic nodes of a patch, by the dynamic part's numbers.
+    /// Fills the local model of the dynamic nodes of a patch, in the dynamic part's numbering.
     fn fill_dynamic_local_model(&mut self, patch: &[NodeId], period_s: f64, work: &mut LocalWork) {
         let Self { local, dynamic, place, material, rest_stress_pa, .. } = self;
         local.start(&[], period_s, &[]);

@@ -1,13 +1,13 @@
-//! What a pre-computed zone knows of itself, from its own tetrahedra alone.
+//! The tables of a pre-computed zone, from its own tetrahedra alone.
 //!
-//! With I its own nodes and G its frontier, and K of its own tetrahedra:
+//! Let I be its own nodes, G its frontier, and K the stiffness of its own tetrahedra:
 //! - the extension B = -K_II^-1 K_IG: how its nodes follow the frontier;
-//! - the compliance T = K_II^-1 with the frontier held, for the nodes that can be loaded;
+//! - the compliance T = K_II^-1 with the frontier held, for the loadable nodes;
 //! - the Schur complement S = K_GG + K_GI B: the stiffness that the frontier feels
 //!   (Bro-Nielsen and Cotin 1996, doi 10.1111/1467-8659.1530057; seed `003`, eq. 4.6);
 //! - the factor of K_II, for loads on any node and for nodes whose rows are not stored.
 //!
-//! A load f_I moves the frontier like the force B^T f_I = -K_GI K_II^-1 f_I on it.
+//! A load f_I acts on the frontier like the force B^T f_I = -K_GI K_II^-1 f_I.
 
 use crate::material::LinearElastic;
 use crate::model::RestStress;
@@ -21,15 +21,15 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
 use super::columns::Columns;
 
-/// Loads that are always there: the weight under unit acceleration along x, y and z, and the stress at rest.
+/// Number of constant loads: the weight under unit acceleration along x, y and z, and the stress at rest.
 pub(super) const N_CONSTANT: usize = 4;
 
-/// What of the whole body a zone is cut from.
+/// The whole body, as far as the tables of a zone depend on it.
 pub(super) struct Whole<'a> {
     pub(super) mesh: &'a TetMesh,
     pub(super) material: &'a LinearElastic,
     pub(super) density_kg_per_m3: f64,
-    /// One a tetrahedron, or none.
+    /// One per tetrahedron, or none.
     pub(super) rest_stress_pa: &'a [RestStress],
     /// Axes along which each node is held.
     pub(super) held: &'a [[bool; 3]],
@@ -50,16 +50,16 @@ struct Bond {
     stiffness_n_per_m: DMat3,
 }
 
-/// A zone that follows its frontier and its loads at once.
+/// A zone that follows its frontier and its loads statically.
 #[derive(Clone)]
 pub(super) struct PrecomputedZone {
-    /// Nodes of this zone alone that move: the loadable ones, then the others of the surface, then the inner ones;
-    /// each group ascends.
+    /// Nodes that move and belong to this zone alone: loadable ones, other surface nodes, inner nodes. Each group
+    /// ascends.
     pub(super) nodes: Vec<NodeId>,
     pub(super) n_loadable: usize,
-    /// Loadable ones and the others of the surface.
+    /// Number of loadable and other surface nodes.
     pub(super) n_shown: usize,
-    /// Nodes whose rows are in the tables: the first ones.
+    /// Number of nodes, from the first on, whose rows are in the tables.
     pub(super) n_stored: usize,
     /// Ascending.
     pub(super) frontier: Vec<NodeId>,
@@ -67,16 +67,16 @@ pub(super) struct PrecomputedZone {
     pub(super) frontier_stiffness: Columns,
     /// B, the rows of the stored nodes.
     pub(super) extension: Columns,
-    /// T of the stored rows [m/N]; the interface adds what the rest of the body gives way.
+    /// T of the stored rows [m/N]; the interface adds the compliance of the rest of the body.
     pub(super) compliance: Columns,
     /// Response to each constant load, for all own nodes [m].
     pub(super) constant_response: Columns,
-    /// Each constant load's force on the frontier [N]: what comes from inside, and the frontier nodes' own share.
+    /// Force of each constant load on the frontier [N]: from the own nodes, and the frontier nodes' own share.
     pub(super) constant_transfer: Columns,
     pub(super) constant_on_frontier: Columns,
     bonds: Vec<Bond>,
     factor: Factorization,
-    /// Place of each own node's components in the factored system.
+    /// Row of each own node's components in the factored system.
     free_of: Vec<[Option<u32>; 3]>,
     scratch: FactorScratch,
     free: Vec<f64>,
@@ -125,7 +125,7 @@ struct ZoneNodes {
     /// Its own: loadable ones, others of the surface, inner ones.
     own: Vec<NodeId>,
     n_loadable: usize,
-    /// Loadable ones and the others of the surface.
+    /// Number of loadable and other surface nodes.
     n_shown: usize,
     frontier: Vec<NodeId>,
 }
@@ -241,7 +241,7 @@ impl PrecomputedZone {
         Ok(zone)
     }
 
-    /// B and S: the zone for a unit displacement of each frontier component.
+    /// Computes B and S: the response to a unit displacement of each frontier component.
     fn extend_over_frontier(&mut self, mut stiffness: Columns, precision: Precision) {
         let (n_frontier, n_rows) = (self.frontier.len(), 3 * self.n_stored);
         let n_out = n_rows + 3 * n_frontier;
@@ -283,7 +283,7 @@ impl PrecomputedZone {
         self.extension = Columns::of(n_rows, 3 * n_frontier, extension).kept_in(precision);
     }
 
-    /// T: the zone for a unit force on each loadable component, its frontier held.
+    /// Computes T: the response to a unit force on each loadable component, with the frontier held.
     fn fill_compliance(&mut self) {
         let (n_rows, n_columns) = (3 * self.n_stored, 3 * self.n_loadable);
         let mut out = vec![0.0; n_rows * n_columns];
@@ -304,7 +304,7 @@ impl PrecomputedZone {
         self.compliance = Columns::of(n_rows, n_columns, out);
     }
 
-    /// The loads that are always there.
+    /// Fills the tables of the constant loads.
     fn fill_constants(&mut self, whole: &Whole<'_>, tets: &[TetId]) {
         let mut loads = vec![[DVec3::ZERO; N_CONSTANT]; whole.mesh.positions_m.len()];
         for t in tets {
@@ -351,7 +351,7 @@ impl PrecomputedZone {
         DVec3::from_array(self.free_of[own].map(|row| row.map_or(0.0, |row| free[row as usize])))
     }
 
-    /// Begins a load on any of the own nodes.
+    /// Starts a load on the own nodes.
     pub(super) fn start_load(&mut self) {
         self.free.fill(0.0);
     }
@@ -365,7 +365,7 @@ impl PrecomputedZone {
         }
     }
 
-    /// Adds -K_IG u: how the frontier's displacements [m] pull on the own nodes.
+    /// Adds -K_IG u, the pull of the frontier's displacements [m] on the own nodes.
     pub(super) fn add_pull_of_frontier(&mut self, frontier_m: &[f64]) {
         for b in 0..self.bonds.len() {
             let Bond { frontier, own, stiffness_n_per_m } = self.bonds[b];
@@ -374,7 +374,7 @@ impl PrecomputedZone {
         }
     }
 
-    /// Solves with the frontier held, and adds the forces [N] that come through to the frontier.
+    /// Solves with the frontier held, and adds the forces [N] that the load exerts on the frontier.
     pub(super) fn solve_load(&mut self, frontier_n: &mut [f64]) {
         self.factor.solve_in_place(&mut self.free, 1, &mut self.scratch);
         for bond in &self.bonds {

@@ -1,4 +1,4 @@
-//! Making the zones: their matrices, tensors, and who tells whom.
+//! Set-up of the zones: their matrices, their tensors, and their links to neighbours.
 
 use super::dynamic::{DynamicZones, Rates};
 use super::zone::{Incoming, Lists, NONE, PrecomputedZone, Shared};
@@ -18,7 +18,7 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use std::sync::Arc;
 
 /// # Errors
-/// [`ExchangeError::Parameter`] for none.
+/// [`ExchangeError::Parameter`] for zero sweeps.
 pub(super) fn check_sweeps(sweeps_per_step: u32) -> Result<(), ExchangeError> {
     check("the number of sweeps in a step", f64::from(sweeps_per_step), sweeps_per_step > 0, "at least 1")
 }
@@ -65,14 +65,14 @@ fn check_params(params: &ExchangeParams<'_>) -> Result<(), ExchangeError> {
                 n >= 2,
                 "at least 2, or OneNode with its relaxation",
             )?;
-            // A wider one reads nodes inside the neighbour.
+            // A wider overlap reads inner nodes of the neighbour.
             let has_all = n == 2 || params.method == Method::AllNodes;
             check("the overlap in nodes", f64::from(n), has_all, "2 with method A, more with all nodes kept")
         }
     }
 }
 
-/// Non-linear zones stiffen as they are stretched: their step is for principal stretches up to this one. A choice.
+/// Non-linear zones stiffen as they stretch: their step is stable for principal stretches up to this one. A choice.
 const LARGEST_STRETCH: f64 = 1.3;
 
 const NOTHING: TetStiffness = TetStiffness { vertex: [DMat3::ZERO; 4], edge: [DMat3::ZERO; 6] };
@@ -108,7 +108,7 @@ impl Body {
         })
     }
 
-    /// K of the tetrahedra that count, summed in their order.
+    /// K of the tetrahedra for which `counts` is true, summed in their order.
     pub(super) fn tensors(&self, counts: impl Fn(TetId) -> bool) -> Result<StiffnessTensors, SolveError> {
         let (lambda_pa, mu_pa) = (self.material.lambda_pa(), self.material.mu_pa());
         StiffnessTensors::assemble_with(&self.mesh, &self.edges, |tet, g| {
@@ -116,7 +116,7 @@ impl Body {
         })
     }
 
-    /// A quarter of the mass of each live tetrahedron to each corner [kg].
+    /// Lumped masses [kg]: each live tetrahedron gives a quarter to each corner.
     pub(super) fn masses_kg(&self, is_live: &[bool]) -> Vec<f64> {
         let mut mass_kg = vec![0.0; self.mesh.positions_m.len()];
         for (t, nodes) in self.mesh.tetrahedra.iter().enumerate().filter(|(t, _)| is_live[*t]) {
@@ -130,7 +130,7 @@ impl Body {
         self.zones.zones_of_node(node).len() > 1
     }
 
-    /// The free rows of K of some nodes.
+    /// The system of K on the nodes for which `is_in` is true.
     ///
     /// # Errors
     /// [`SolveError`] when the ordering fails.
@@ -217,7 +217,7 @@ impl PrecomputedZone {
         Ok(table)
     }
 
-    /// Method A: for each frontier node the zone's own nodes that act on it, as rows of the zone, with their tensors.
+    /// Method A: for each frontier node, the rows of the zone's own nodes that act on it, with their tensors.
     fn inner_neighbours(&self, body: &Body, tensors: &StiffnessTensors) -> Lists<(u32, DMat3)> {
         let row_of = &self.row_of;
         Lists::of(self.nodes[..self.n_force_rows].iter().map(|&p| {
@@ -229,8 +229,7 @@ impl PrecomputedZone {
 }
 
 impl HybridExchange {
-    /// Makes the zones. Runs on the threads of the rayon pool it is called in; the bits do not depend on their
-    /// number.
+    /// Computes the zones on the threads of the current rayon pool; the bits do not depend on their number.
     ///
     /// # Errors
     /// [`ExchangeError`] for a mesh or support without solution, impossible settings, a zone that nothing holds.
@@ -290,7 +289,7 @@ impl HybridExchange {
         })
     }
 
-    /// Makes the table of each pre-computed zone.
+    /// Computes the table of each pre-computed zone.
     fn compute_zones(&mut self) -> Result<(), ExchangeError> {
         let mass_kg = self.body.masses_kg(&self.is_live);
         let n_nodes = self.positions_m.len();
@@ -303,7 +302,7 @@ impl HybridExchange {
         Ok(())
     }
 
-    /// Free nodes of a zone: on frontiers, on the surface, inside.
+    /// Free nodes of a zone: those on frontiers, other ones on the surface, inner ones.
     fn nodes_of_zone(&self, zone: usize) -> [Vec<NodeId>; 3] {
         let body = &self.body;
         let mut nodes = [const { Vec::new() }; 3];
@@ -318,8 +317,8 @@ impl HybridExchange {
         nodes
     }
 
-    /// What the pre-computed zones have in their matrices: all live tetrahedra, or with an overlap of one node those
-    /// of pre-computed zones alone.
+    /// K in the matrices of the pre-computed zones: of all live tetrahedra, or with an overlap of one node of those of
+    /// pre-computed zones alone.
     pub(super) fn compliant_tensors(&self) -> Result<Arc<StiffnessTensors>, ExchangeError> {
         match self.settings.overlap {
             Overlap::Nodes(_) => Ok(Arc::clone(&self.all)),
@@ -329,7 +328,7 @@ impl HybridExchange {
         }
     }
 
-    /// Makes everything that depends on which zones are pre-computed and on K, but for the tables.
+    /// Updates everything except the tables that depends on K and on which zones are pre-computed.
     pub(super) fn link(&mut self) -> Result<(), ExchangeError> {
         let body = Arc::clone(&self.body);
         let n_nodes = body.mesh.positions_m.len();
@@ -471,8 +470,8 @@ impl HybridExchange {
         tets.map(|t| (t, mesh.tetrahedra[t.index()], KirchhoffTet::new(mesh.corners_m(t), None))).collect()
     }
 
-    /// Stable step [s] of the tetrahedra around nodes that move, as a body of its own: with all else held, the
-    /// frequencies are lower and the masses larger.
+    /// Stable step [s] of the tetrahedra around nodes that move, as a body of its own. It is a lower bound: with all
+    /// other nodes held the frequencies are lower and the masses larger.
     fn stable_step_of(&self, moves: &[bool]) -> Result<f64, ExchangeError> {
         let body = &self.body;
         let mut mesh = TetMesh::default();

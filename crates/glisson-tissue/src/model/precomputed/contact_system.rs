@@ -5,18 +5,18 @@
 //!
 //! sum over points j, directions s: d_r . (sum_kl w_k w_l T^kl) d_s x_s = d_r . (U - displacement without reactions).
 //!
-//! (Seed `003` eq. 2.12 for whole nodes; seed `001` s. 5 spreads a contact over the corners of a triangle.) Symmetric
-//! positive definite but for rows that repeat others: their pivots vanish, and their reactions are set to zero.
+//! (Seed `003` eq. 2.12 for whole nodes; seed `001` s. 5 spreads a contact over the corners of a triangle.) The system is
+//! symmetric and positive definite, except for rows that repeat others: their pivots vanish, and their reactions are set
+//! to zero.
 //!
-//! Kept factored: the rows up to the first point that differs from the last call's keep their factor; later ones are
-//! bordered to it. A new point at the end costs O(n^2), one taken out of the middle the
-//! rows behind it. Compliances between points that were there before are not read again. Each entry of
-//! the factor is computed by the same operations in the same order whether it is bordered or factored anew
-//! (left-looking, products in the order of the columns): **the bits depend on the list of points alone, not on how it
-//! came about**, and nothing of this is part of a model's history.
+//! The rows up to the first point that differs from the last call keep their factor; later rows are bordered to it. A new
+//! point at the end costs O(n^2); a point removed from the middle costs the rows behind it. Compliances between points
+//! that were there before are not read again. Each entry of the factor is computed by the same operations in the same
+//! order, whether it is bordered or factored anew (left-looking, products in the order of the columns): **the bits depend
+//! on the list of points alone, not on its history**, so none of this is part of a model's state.
 //!
-//! A table in `f32` is symmetric only to its rounding. The factor is that of its symmetric part; refinement with the table's
-//! own numbers then makes the points meet their targets as closely as with `f64`.
+//! A table in `f32` is symmetric only up to rounding. The factor is that of its symmetric part; iterative refinement with
+//! the table's own entries then meets the targets as closely as with `f64`.
 
 use super::pairs::Pairs;
 use super::table::{Numbers, Table};
@@ -33,12 +33,12 @@ const COLUMN_GROUPS: usize = MOST_ROWS / 8;
 /// Columns that are factored together.
 const PANEL: usize = 4;
 
-/// A pivot below this share of its diagonal entry is a row that repeats others: its unknown is zero. Chosen: rounding
-/// leaves 1e-14 in `f64`, and points 1e-4 of a triangle apart about 1e-8 to 1e-9.
+/// A pivot below this share of its diagonal entry marks a row that repeats others: its unknown is zero. A choice: rounding
+/// leaves 1e-14 in `f64`, and points 1e-4 of a triangle apart leave about 1e-8 to 1e-9.
 const LEAST_PIVOT: f64 = 1e-10;
 
-/// Refinements of the solution at most: with `f64` against rounding, with `f32` against the table's asymmetry of 6e-8;
-/// none when the largest miss is this share of the largest target.
+/// Refinement stops when the largest residual is this share of the largest target. At most so many refinements: with
+/// `f64` against rounding, with `f32` against the table's asymmetry of 6e-8.
 const ENOUGH: f64 = 1e-13;
 const REFINEMENTS_F64: usize = 1;
 const REFINEMENTS_F32: usize = 3;
@@ -78,16 +78,16 @@ impl ContactPoint {
     }
 }
 
-/// How the last solution went.
+/// Report on the last solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContactReport {
     /// Rows of the system: held directions of all points.
     pub n_rows: usize,
-    /// Rows that repeat others (a node twice, more points than a triangle has freedom): they exert nothing. Where they
-    /// ask for the same as those that they repeat, they are met all the same.
+    /// Rows that repeat others (a node twice, more points on a triangle than it has degrees of freedom). They exert no
+    /// force; where they do not contradict the others, their targets are met all the same.
     pub n_repeated: usize,
-    /// The farthest that a point is from its target along a held direction [m]: rounding, unless targets contradict
-    /// each other.
+    /// Largest distance of a point from its target along a held direction [m]: rounding, unless targets contradict each
+    /// other.
     pub largest_miss_m: f64,
     /// Rows that kept their factor from the step before.
     pub n_kept: usize,
@@ -100,7 +100,7 @@ pub(super) struct ContactSystem {
     n_rows: usize,
     /// Column by column: displacement along the row's direction for a unit reaction of the column.
     actual: Vec<[f64; 8]>,
-    /// For points that change places.
+    /// Scratch for points that change places.
     spare: Vec<[f64; 8]>,
     /// Lower triangle L of the symmetric part, column by column; zero above the diagonal in its groups of eight and below
     /// the last row.
@@ -141,7 +141,7 @@ impl Update<'_> {
     }
 }
 
-/// Place before of a point that is new.
+/// Former place of a point that is new.
 const NEW: (usize, usize) = (usize::MAX, 0);
 
 /// Entries of the matrix between two points: first row and column, numbers of rows and columns.
@@ -151,7 +151,7 @@ struct Block {
 }
 
 impl Block {
-    /// Copies the entries, and those across the diagonal, from where they were.
+    /// Copies the entries, and those across the diagonal, from their former place.
     #[inline]
     fn copy_from(&self, was: [usize; 2], from: &[f64], to: &mut [f64]) {
         let [row, column] = self.first;
@@ -176,7 +176,7 @@ impl Block {
         }
     }
 
-    /// Takes the lower triangle of a point's block with itself for its upper one.
+    /// Mirrors the lower triangle of a point's block with itself to the upper one.
     #[inline]
     fn mirror_lower(&self, block: &DMat3, to: &mut [f64]) {
         let [row, column] = self.first;
@@ -227,7 +227,7 @@ impl ContactSystem {
         &self.solution.as_flattened()[..self.n_rows]
     }
 
-    /// Takes other points: reads the compliances that are new, and factors from the first point that differs.
+    /// Changes the points: reads the new compliances, and factors from the first point that differs.
     pub(super) fn update(&mut self, path: KernelPath, table: &Table, pairs: &Pairs, wanted: &[ContactPoint]) {
         let is_same = |(a, b): &(&ContactPoint, &ContactPoint)| a == b;
         let n_kept = self.points.iter().zip(wanted).take_while(is_same).count();
@@ -254,7 +254,7 @@ impl ContactSystem {
         });
     }
 
-    /// Reads the compliances of the points that do not keep their place with all others.
+    /// Reads the compliances between the points that do not keep their place and all others.
     fn read_rows(&mut self, tensors: (&Table, &Pairs), update: &Update<'_>) {
         let Update { wanted, n_kept, kept_rows, is_symmetric } = *update;
         let was = self.places_before(update);
@@ -308,7 +308,7 @@ impl ContactSystem {
         was
     }
 
-    /// Puts the matrix into `spare`, from where its entries come back in new places, all but the rows that are kept.
+    /// Moves the matrix to `spare`, to be copied back in its new order, except for the rows that are kept.
     fn set_aside(&mut self, kept_rows: usize) {
         std::mem::swap(&mut self.actual, &mut self.spare);
         for j in 0..kept_rows {
@@ -317,7 +317,7 @@ impl ContactSystem {
         }
     }
 
-    /// Writes what is to be factored, from the group of eight of `first_row` on.
+    /// Writes the matrix to be factored, from the group of eight of `first_row` on.
     fn fill_factor(&mut self, first_row: usize, is_symmetric: bool) {
         let n = self.n_rows;
         let (n_groups, kept_groups) = (n.div_ceil(8), first_row / 8);
@@ -338,7 +338,7 @@ impl ContactSystem {
         }
     }
 
-    /// Reactions for the right-hand side.
+    /// Solves for the reactions.
     pub(super) fn solve(&mut self, path: KernelPath, table: &Table) {
         let n = self.n_rows;
         let n_groups = n.div_ceil(8);
@@ -447,7 +447,7 @@ impl EightWork for Factor<'_> {
     }
 }
 
-/// Solves with the factor and refines with the matrix itself; answers the largest residual.
+/// Solves with the factor and refines with the matrix itself; returns the largest residual.
 struct Solve<'a> {
     n: usize,
     actual: &'a [[f64; 8]],
@@ -492,8 +492,7 @@ impl EightWork for Solve<'_> {
     }
 }
 
-/// Overwrites `right` with the factored matrix' inverse times it, four unknowns at a time so that their sums run side
-/// by side.
+/// Solves with the factor in place, four unknowns at a time, so that their sums are independent.
 #[inline(always)]
 fn solve_factored<V: Eight>(zero: V, n: usize, factor: &[[f64; 8]], inverse: &[f64], right: &mut [[f64; 8]]) {
     let n_groups = right.len();

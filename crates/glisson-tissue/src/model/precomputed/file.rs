@@ -11,14 +11,15 @@
 //! | 8 each | response to weight [m per m/s2] (f64): block of eight stored nodes, gravity axis, displacement axis, stored node |
 //! | 32 | BLAKE3 of everything before: the head's checksum |
 //!
-//! then for every 16 loadable nodes, and what remains of them,
+//! then for every 16 loadable nodes, and for the remaining ones,
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 8 or 4 each | compliances [m/N] (f64 or f32): loadable node, block of eight stored nodes, force axis, displacement axis, stored node |
 //! | 32 | BLAKE3 of the number of the sixteen (u64, from 0) and the compliances, keyed with the head's checksum |
 //!
-//! So an unfinished file can be trusted up to its last whole sixteen, and no part of another file fits in.
+//! So an unfinished file is valid up to its last whole block of sixteen, and no part of another file passes for a part
+//! of this one.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -69,11 +70,11 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
-/// A number of a compliance as a file has it.
+/// An entry of a compliance as stored in a file.
 pub(super) trait Stored: Copy + Send + Sync + bytemuck::Pod {
     fn narrow(x: f64) -> Self;
     fn is_finite(self) -> bool;
-    /// From little-endian to the machine's order, and back.
+    /// The same with its bytes swapped between little-endian and the machine's order.
     fn swapped(self) -> Self;
 }
 
@@ -101,7 +102,7 @@ impl Stored for f32 {
     }
 }
 
-/// What stands before the compliances.
+/// The head of a file: everything before the compliances.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Head {
     pub(super) precision: Precision,
@@ -115,7 +116,7 @@ pub(super) struct Head {
     pub(super) weight_response_s2: Vec<f64>,
 }
 
-/// Checksums blocks of one file.
+/// The key of the checksums of a file's blocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct BlockKey([u8; 32]);
 
@@ -176,7 +177,7 @@ impl Opening {
         let file = || faults.path.to_owned();
         from.by_ref().take(FIXED_BYTES as u64).read_to_end(bytes).map_err(|cause| faults.io(cause))?;
         if MAGIC.starts_with(bytes) && !bytes.is_empty() {
-            // Cut off before anything was said.
+            // Cut off within the magic number.
             return Err(faults.length((FIXED_BYTES + CHECKSUM_BYTES) as u128));
         }
         if !bytes.starts_with(MAGIC) {
@@ -237,7 +238,7 @@ impl Head {
         (self.precision.bytes() * self.numbers_in_block() + CHECKSUM_BYTES) as u64
     }
 
-    /// The head's bytes, and what blocks are checked with.
+    /// The head's bytes, and the key of its blocks.
     pub(super) fn to_bytes(&self) -> (Vec<u8>, BlockKey) {
         let mut bytes = Vec::new();
         bytes.extend(MAGIC);
@@ -269,7 +270,7 @@ impl Head {
         let mut bytes = Vec::new();
         let opening = Opening::read(&faults, from, &mut bytes)?;
         let head_bytes = opening.check_length(&faults, extent)?;
-        // Not more than the file has, as was just checked.
+        // At most the file's length, which was checked just now.
         from.take(head_bytes as u64 - FIXED_BYTES as u64)
             .read_to_end(&mut bytes)
             .map_err(|cause| faults.io(cause))?;
@@ -320,7 +321,7 @@ impl Head {
         })
     }
 
-    /// What differs from a body: what, found, expected. The density is not looked at.
+    /// The first difference from a body: its name, what was found, what was expected. The density is not compared.
     pub(super) fn difference(
         &self,
         expected: &PrecomputedExpectation<'_>,
@@ -420,7 +421,7 @@ pub(super) fn read_block<T: Stored>(
 }
 
 impl Precomputed {
-    /// Writes the compliance; answers the number of bytes. Same bytes as [`super::precompute_to_file`].
+    /// Writes the compliance; returns the number of bytes. Same bytes as [`super::precompute_to_file`].
     ///
     /// # Errors
     /// [`PrecomputedError::Io`], [`PrecomputedError::Cut`]; an old file of that name then remains untouched.
@@ -453,8 +454,8 @@ impl Precomputed {
         Ok(std::fs::metadata(path).map_err(io_error)?.len())
     }
 
-    /// Reads a compliance and refuses one of another mesh, material or support. The numbers are read to where they
-    /// stay: a file takes no more memory than its compliance.
+    /// Reads a compliance, and refuses one of another mesh, material or support. Takes no more memory than the compliance:
+    /// the numbers are read in place.
     ///
     /// # Errors
     /// [`PrecomputedError`] naming the file, what was found and what was expected.
@@ -465,7 +466,7 @@ impl Precomputed {
         read(path, &mut file, length, expected)
     }
 
-    /// What a file keeps and how, from its head alone: a re-computation keeps the same.
+    /// Which nodes a file stores and in which precision, from its head alone; for a re-computation with the same settings.
     ///
     /// # Errors
     /// [`PrecomputedError`] when its head cannot be read.
@@ -517,7 +518,7 @@ fn read(
         Numbers::F64(numbers) => read_blocks(path, from, &key, numbers_in_block, numbers)?,
         Numbers::F32(numbers) => read_blocks(path, from, &key, numbers_in_block, numbers)?,
     }
-    // The density may differ: all that it enters is the response to weight, in proportion.
+    // The density may differ: only the response to weight depends on it, in proportion.
     let heavier = expected.material.density_kg_per_m3() / head.material.density_kg_per_m3();
     let mut weight_response_s2 = head.weight_response_s2;
     weight_response_s2.iter_mut().for_each(|u| *u *= heavier);

@@ -1,4 +1,5 @@
-//! The table follows a removal: rows and loaded nodes come and go, changes of low rank are added, the error is probed.
+//! Follows a removal in the table: rows and loaded nodes are added and removed, low-rank updates are added, and the error
+//! is estimated.
 
 use super::cuts::Cuts;
 use super::growth::{LowRankChange, RANK, add_low_rank_to, swap_rows_of};
@@ -12,12 +13,12 @@ use glisson_mesh::mesh::{NodeId, TetId};
 /// number, the passes over the table with their number alone.
 const MOST_TETS_IN_CHANGE: usize = 16;
 
-/// Loads of one estimate of the error: a choice. That all of four miss by more than a factor of three happens once in some
-/// hundred edits, and an estimate is the largest so far.
+/// Number of random loads in one estimate of the error: a choice. All four are too small by more than a factor of three
+/// about once in a hundred edits, and the largest estimate so far counts.
 const N_PROBES: usize = 4;
 
-/// Nodes of a probe that change from edit to edit, and the most corners of what an edit took out: choices, such that
-/// an estimate costs less than the edit.
+/// Nodes of a probe that change from edit to edit, and the largest number of corners of removed tetrahedra: choices, so
+/// that an estimate costs less than the edit.
 const PROBED_IN_TURN: usize = 12;
 const MOST_PROBED_CORNERS: usize = 16;
 
@@ -25,7 +26,7 @@ const MOST_PROBED_CORNERS: usize = 16;
 const SPARE_SHARE: usize = 8;
 
 impl Precomputed {
-    /// Takes the stiffness and weight of `taken` out of the compliance, with the nodes `held` held for good.
+    /// Removes the stiffness and weight of `taken` from the compliance, and holds the nodes `held` for good.
     pub(super) fn change_compliance(
         &mut self,
         cuts: &mut Cuts,
@@ -83,7 +84,7 @@ impl Precomputed {
         cuts.report.n_taken_out = cuts.taken_out.len();
     }
 
-    /// Gives nodes rows and columns that they lack.
+    /// Adds missing rows and columns of nodes.
     fn make_loadable(&mut self, cuts: &mut Cuts, nodes: &[NodeId]) {
         let bare: Vec<NodeId> = nodes.iter().copied().filter(|&n| !self.is_loadable(n)).collect();
         if bare.is_empty() {
@@ -132,7 +133,7 @@ impl Precomputed {
         }
     }
 
-    /// Takes a node out of the table, if it is there.
+    /// Removes a node from the table, if it is there.
     pub(super) fn drop_node(&mut self, node: NodeId) {
         let row = self.row_of[node.index()];
         if row == NONE {
@@ -168,14 +169,14 @@ impl Precomputed {
         self.row_of[node.index()] = NONE;
     }
 
-    /// Room for so many rows and loaded nodes.
+    /// Makes room for so many rows and loaded nodes.
     fn make_room(&mut self, n_rows: usize, n_loaded: usize) {
         if n_rows > self.compliance.table.room() {
             self.grow(n_rows, n_loaded);
         }
     }
 
-    /// Room for so many rows and loaded nodes, and some to spare.
+    /// Makes room for so many rows and loaded nodes, and some to spare.
     pub(super) fn grow(&mut self, n_rows: usize, n_loaded: usize) {
         let compliance = &mut self.compliance;
         let with_spare = |n: usize| n + (n / SPARE_SHARE).max(32);
@@ -187,7 +188,7 @@ impl Precomputed {
     /// Columns and responses to weight of nodes that are loadable.
     fn working(&self, cuts: &mut Cuts, nodes: &[NodeId]) -> Working {
         let is_exact = self.compliance.table.precision() == Precision::F64;
-        // Numbers of four bytes would not tell a mechanism from a thin bridge: the factor gives all digits.
+        // Single precision would not tell a mechanism from a thin bridge, so the columns come from the factor.
         let from_factor = if is_exact { Vec::new() } else { cuts.columns_from_factor(nodes) };
         let mut from_factor = from_factor.into_iter();
         let of_node = |&node: &NodeId| {
@@ -249,14 +250,14 @@ impl Precomputed {
         }
     }
 
-    /// Estimates the error with the responses to [`N_PROBES`] loads: forces of 1 N, their signs by chance, on the softest
-    /// node, the corners of what was `taken` and [`PROBED_IN_TURN`] others, other ones after each edit.
+    /// Estimates the error from the responses to [`N_PROBES`] loads: forces of 1 N with random signs on the softest node, on
+    /// the corners of the `taken` tetrahedra and on [`PROBED_IN_TURN`] other nodes, which change from edit to edit.
     ///
-    /// With x the table's response to a load g, C the exact compliance, C0 and U those of the uncut body and of what was
-    /// taken out: y = x - C0 (g + U U^T x) is C0 K times the error, which is small where the cuts made the body soft. The
-    /// error itself is y + C U U^T y; C is read from the table here. The signs keep errors of several columns from
-    /// hiding in one another: the sum over columns j of D_ij with random signs is seldom less than a third of the
-    /// largest of them (it has their root sum of squares as its deviation), and hardly ever in each of the probes.
+    /// Let x be the table's response to a load g, C the exact compliance, C0 that of the uncut body, and U U^T the stiffness
+    /// of the removed tetrahedra. Then y = x - C0 (g + U U^T x) is C0 K times the error, which is small where the cuts made
+    /// the body soft. The error itself is y + C U U^T y; here C is read from the table. Random signs keep the errors of
+    /// several columns from cancelling: the sum over columns j of D_ij with random signs is seldom less than a third of the
+    /// largest of them (its standard deviation is their root sum of squares), and hardly ever in each of the probes.
     pub(super) fn probe(&self, cuts: &mut Cuts, taken: &[TetId]) {
         if self.compliance.n_loadable == 0 {
             return;
@@ -273,7 +274,7 @@ impl Precomputed {
         report.wants_recomputation = report.error > limits.error || report.n_columns > limits.n_columns;
     }
 
-    /// The loadable node that yields most to a force along an axis, and by how much [m/N].
+    /// The loadable node with the largest diagonal compliance, and this compliance [m/N].
     fn softest(&self) -> (usize, f64) {
         let diagonal = |m: usize| {
             let tensor = self.compliance.table.tensor(m, m);
@@ -294,7 +295,7 @@ impl Precomputed {
         let mut probed: Vec<usize> = vec![softest];
         let corners = taken.iter().flat_map(|&t| cuts.corners(t)).filter_map(|n| self.loadable_index(n));
         probed.extend(corners.take(MOST_PROBED_CORNERS).map(|m| m as usize));
-        // A prime step goes round all loadable nodes.
+        // A step by a prime number visits all loadable nodes in turn.
         let first = cuts.report.n_edits * PROBED_IN_TURN;
         probed.extend((first..first + PROBED_IN_TURN).map(|i| i * 7919 % self.compliance.n_loadable));
         probed.sort_unstable();
@@ -341,7 +342,7 @@ impl Precomputed {
         let compliance = &self.compliance;
         let system = &cuts.origin.system;
         let mut error = 0.0_f64;
-        // A number that is not finite is an error beyond every bound.
+        // A value that is not finite counts as an infinite error.
         let mut note = |off: DVec3| {
             let off = off.abs().max_element();
             error = if off.is_finite() { error.max(off) } else { f64::INFINITY };
@@ -359,7 +360,7 @@ impl Precomputed {
             let mut force_n = vec![DVec3::ZERO; self.rest_m.len()];
             add_taken_out(cuts, y, &mut force_n);
             for &m in probed {
-                // The table is symmetric, and a loaded node's columns stand together.
+                // The table is symmetric, and the columns of a loaded node are adjacent in memory.
                 let follows = |n: &NodeId| {
                     let row = self.row_of[n.index()] as usize;
                     compliance.table.tensor(row, m).transpose() * force_n[n.index()]
@@ -371,8 +372,8 @@ impl Precomputed {
     }
 }
 
-/// Solves with the uncut body's factor for all probes, and refines once: the table came from the same factor, whose
-/// own error would not be seen otherwise.
+/// Solves with the uncut body's factor for all probes, with one refinement: the table came from the same factor, whose
+/// rounding would not show otherwise.
 fn solve_twice(cuts: &Cuts, right: &mut [f64]) {
     let (system, factor) = (&cuts.origin.system, &cuts.origin.factor);
     let n_free = system.n_free().max(1);
@@ -386,7 +387,7 @@ fn solve_twice(cuts: &Cuts, right: &mut [f64]) {
     right.iter_mut().zip(&left).for_each(|(x, more)| *x += more);
 }
 
-/// Adds U U^T x over all that was taken out, for displacements x [m]: forces [N].
+/// Adds the forces [N] U U^T x of all removed tetrahedra for displacements x [m].
 fn add_taken_out(cuts: &Cuts, x_m: impl Fn(NodeId) -> DVec3, force_n: &mut [DVec3]) {
     for tet in &cuts.taken_out {
         for (node, f) in tet.nodes.into_iter().zip(tet.forces_n(tet.nodes.map(&x_m))) {

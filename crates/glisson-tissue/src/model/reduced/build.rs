@@ -1,4 +1,4 @@
-//! Set-up: the basis, the coefficients, and what the basis leaves of the linear compliance.
+//! Set-up: the basis, the coefficients, and the rest of the linear compliance.
 
 use rayon::prelude::*;
 
@@ -109,7 +109,7 @@ impl Constants {
     }
 }
 
-/// The nodes that move, as far as they are stored, and how many of them can be loaded: those come first.
+/// The stored nodes that move, loadable ones first, and the number of loadable ones.
 fn rows_of(body: &HeldBody<'_>, stored: StoredNodes) -> Result<(Vec<NodeId>, usize), ReducedError> {
     let surface = boundary_nodes(body.mesh);
     let n_free_axes = |n: NodeId| (0..3).filter(|&a| body.system.row_of(n, a).is_some()).count();
@@ -120,7 +120,7 @@ fn rows_of(body: &HeldBody<'_>, stored: StoredNodes) -> Result<(Vec<NodeId>, usi
     }
     let others = (0..body.mesh.positions_m.len()).map(NodeId::from_index).filter(|&n| {
         let is_surface = surface.binary_search(&n).is_ok();
-        // Nodes that slide on a support move too, but cannot be pushed.
+        // Nodes that slide on a support move too, but cannot be loaded.
         n_free_axes(n) > 0
             && !(is_surface && n_free_axes(n) == 3)
             && (is_surface || stored == StoredNodes::All)

@@ -1,15 +1,14 @@
-//! All live tetrahedra: forces and tangent products of their law, of added stress, and of those that are inside
-//! out.
+//! All live tetrahedra: forces and tangent products of their law, of added stress, and of inverted ones.
 //!
-//! The stress is P = factor * P_elastic(F) + F S. S holds the stress at rest and what viscosity remembers, and
-//! `factor` is the share of the elastic stress that viscosity leaves to this step ([`super::relaxation`]); both
-//! are constant during a step, so that a potential exists.
+//! The stress is P = factor * P_elastic(F) + F S. S is the stress at rest plus the viscous memory, and `factor` is the
+//! share of the elastic stress in this step ([`super::relaxation`]). Both are constant during a step, so that a potential
+//! exists.
 //!
-//! Quarantine: a tetrahedron in which the law has no energy (inside out for a law with ln J), and all that share
-//! a node with one, follow for one step the stable neo-Hookean law of the same stiffness at rest. It is finite
-//! and restoring for every F; the neighbours take part so that none of them bars the way back. While a body
-//! recovers, the same goes for tetrahedra that are still far from their shape at rest, and where they are many, for
-//! the whole body until none is left: the law's own barrier would keep a tangle.
+//! Quarantine: a tetrahedron in which the law has no energy (an inverted one for a law with ln J), and all that share a node
+//! with it, follow for one step the stable neo-Hookean law of the same stiffness at rest. This law is finite and restoring
+//! for every F; the neighbours take part so that none of them blocks the way back. While a body recovers, the same applies
+//! to tetrahedra that are still far from their shape at rest. Where these are many, it applies to the whole body until none
+//! is left: the energy barrier of the law itself would preserve a tangle.
 
 use std::borrow::Cow;
 
@@ -31,9 +30,9 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 const RETURN_RATIO: f64 = 0.6;
 /// ... and below this |F|^2, which is 3 at rest. A tangle whose tetrahedra are all upright is stretched more.
 const RETURN_SQUARES: f64 = 4.5;
-/// One in so many tetrahedra in trouble is a tangle, not an accident.
+/// When one in so many tetrahedra is in trouble, the body counts as tangled.
 const TANGLE: usize = 20;
-/// Inside out: a law with an energy there has no barrier.
+/// An inverted F: a law with an energy there has no barrier.
 const MIRROR: DMat3 = DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
 
 /// Which tetrahedra follow the stand-in law.
@@ -75,7 +74,7 @@ pub(super) struct Elements {
     factor: f64,
     /// Stress at rest [Pa]; empty for none.
     rest_pa: Vec<SymmetricLanes>,
-    /// Its part without negative eigenvalues, for the preconditioner.
+    /// The stress at rest without its negative eigenvalues [Pa], for the preconditioner.
     tensile_rest_pa: Vec<DMat3>,
     node_volume_m3: Vec<f64>,
     strays: Roomy<Stray>,
@@ -84,7 +83,7 @@ pub(super) struct Elements {
     meets_bad: Vec<bool>,
 }
 
-/// What [`Elements::new`] needs; lists are by the mesh's tetrahedra.
+/// Parameters of [`Elements::new`]; lists have the mesh's tetrahedra.
 pub(super) struct ElementsParams<'a> {
     pub(super) mesh: &'a TetMesh,
     pub(super) live: &'a [bool],
@@ -227,8 +226,7 @@ impl Elements {
         outer(v[1] - v[0], alpha[0]) + outer(v[2] - v[0], alpha[1]) + outer(v[3] - v[0], alpha[2])
     }
 
-    /// Sets this step's viscous factor; the added stress is the one at rest plus, for each live tetrahedron, what
-    /// `remembered_pa` gives.
+    /// Sets this step's viscous factor and the added stress: for each live tetrahedron the one at rest plus `remembered_pa`.
     pub(super) fn set_viscous(&mut self, factor: f64, remembered_pa: impl Fn(TetId) -> DMat3) {
         self.factor = factor;
         for (t, &tet) in self.tets.iter().enumerate() {
@@ -241,7 +239,7 @@ impl Elements {
         }
     }
 
-    /// Share of the elastic stress that viscosity leaves to this step.
+    /// Share of the elastic stress in this step.
     pub(super) fn factor(&self) -> f64 {
         self.factor
     }
@@ -293,9 +291,9 @@ impl Elements {
         }
     }
 
-    /// Finds the tetrahedra in which the law has no energy or, when the body recovers already, that are far from
-    /// rest. These and their neighbours follow the stand-in law from now on, until this is called again: how many
-    /// do, and the first in trouble.
+    /// Finds the tetrahedra in which the law has no energy and, when the body is recovering already, those far from rest. They
+    /// and their neighbours follow the stand-in law until the next call. Returns their number and the first tetrahedron in
+    /// trouble.
     pub(super) fn quarantine(&mut self, displacement_m: &[DVec3], before: Recovery) -> (u32, Option<TetId>) {
         self.strays.clear();
         for group in &mut self.shape.groups {
@@ -370,7 +368,7 @@ impl Elements {
             OwnLaw::NeoHooke(own) => own.second_piola_pa(group, t % LANES, self.factor, &f),
             OwnLaw::General(own) => f.inverse() * own.law(t).first_piola_pa(&f),
         };
-        // What is passed on is symmetric to the bit.
+        // The result must be symmetric to the bit.
         Some(symmetric(&components(&stress_pa))).filter(DMat3::is_finite)
     }
 

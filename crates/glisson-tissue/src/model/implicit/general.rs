@@ -1,6 +1,6 @@
-//! Any law: stress and tangent tetrahedron by tetrahedron, gathering and products eight at a time.
+//! Any law: stress and tangent one tetrahedron at a time, gathering and products eight at a time.
 //!
-//! The tangent d2W/dF2 is symmetric: 45 numbers a tetrahedron, made when a product first asks for them after an
+//! The tangent d2W/dF2 is symmetric, with 45 numbers per tetrahedron. It is computed at the first product after an
 //! evaluation, so that a rejected line search step does not pay for it.
 
 use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};

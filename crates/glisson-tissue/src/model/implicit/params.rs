@@ -1,4 +1,4 @@
-//! What an implicit model is made from, and what is checked of it.
+//! Parameters of an implicit model, and their checks.
 
 use super::law::ImplicitLaw;
 use super::{DynamicBody, VolumeResistance};
@@ -7,13 +7,13 @@ use crate::solve::SolveError;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetId};
 
-/// Why there is no implicit model.
+/// Why an implicit model cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ImplicitError {
     /// The mesh is unusable.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// A parameter that is negative or no number.
+    /// A parameter that is out of its range or not a number.
     #[error("{what} is {found}; allowed: {allowed}")]
     Parameter {
         /// Which one, with its unit.
@@ -23,7 +23,7 @@ pub enum ImplicitError {
         /// What may be given.
         allowed: &'static str,
     },
-    /// Neither one law nor one for each tetrahedron.
+    /// The number of laws is neither one nor that of the tetrahedra.
     #[error("{found} laws for {n_tets} tetrahedra; allowed: 1 or {n_tets}")]
     LawCount {
         /// Number of laws given.
@@ -31,7 +31,7 @@ pub enum ImplicitError {
         /// Number of tetrahedra.
         n_tets: usize,
     },
-    /// Rest stress neither for none nor for each tetrahedron.
+    /// The number of rest stresses is neither zero nor that of the tetrahedra.
     #[error("{found} rest stresses for {n_tets} tetrahedra; allowed: 0 or {n_tets}")]
     RestStressCount {
         /// Number of stresses given.
@@ -39,7 +39,7 @@ pub enum ImplicitError {
         /// Number of tetrahedra.
         n_tets: usize,
     },
-    /// A rest stress that is no number.
+    /// A rest stress that is not finite.
     #[error("the rest stress of tetrahedron {tet} is not finite")]
     RestStress {
         /// Which tetrahedron.
@@ -67,7 +67,7 @@ pub enum ImplicitError {
         /// The first tetrahedron with this law.
         tet: TetId,
     },
-    /// Node-averaging with a law whose volume term is not known apart.
+    /// Node-averaging with a law whose volume term is not separate.
     #[error(
         "node-averaged resistance is there for the ln J neo-Hookean law only (`ImplicitLaw::NeoHookeLog`): other laws \
          do not tell their volume term apart. Take that law, or `VolumeResistance::Element`"
@@ -87,7 +87,7 @@ pub enum ImplicitError {
     },
 }
 
-/// What an implicit model is made from.
+/// Parameters of an implicit model.
 #[derive(Clone, Copy, Debug)]
 pub struct ImplicitParams<'a> {
     /// Mesh, supports, loads and damping. `time_step_s` is the usual step: the first factor is made for it. The
@@ -95,7 +95,7 @@ pub struct ImplicitParams<'a> {
     pub body: DynamicBody<'a>,
     /// The law.
     pub law: &'a ImplicitLaw,
-    /// How its stress relaxes, if it does. The law is then the instantaneous one.
+    /// Relaxation of the stress, if any. The law is then the instantaneous one.
     pub relaxation: Option<&'a PronySeries>,
     /// Where the volume change is resisted.
     pub volume: VolumeResistance,
@@ -105,7 +105,7 @@ pub struct ImplicitParams<'a> {
 
 /// A tenth of a per cent of the forces: below what linear tetrahedra of organ size can promise.
 pub const DEFAULT_TOLERANCE: f64 = 1e-3;
-/// Newton's iteration cannot promise less than this in double precision.
+/// Newton's method cannot reach less than this in double precision.
 const LEAST_TOLERANCE: f64 = 1e-12;
 
 fn refuse(what: &'static str, found: f64, allowed: &'static str) -> Result<(), ImplicitError> {
@@ -117,12 +117,12 @@ fn from_zero(what: &'static str, found: f64) -> Result<(), ImplicitError> {
 }
 
 impl<'a> ImplicitParams<'a> {
-    /// An elastic body, volume resisted in each tetrahedron, the usual tolerance.
+    /// An elastic body with volume resisted in each tetrahedron and the default tolerance.
     pub fn new(body: DynamicBody<'a>, law: &'a ImplicitLaw) -> Self {
         Self { body, law, relaxation: None, volume: VolumeResistance::Element, tolerance: DEFAULT_TOLERANCE }
     }
 
-    /// All that can be said without building anything; [`ImplicitLaw::stand_ins`] checks the laws.
+    /// Checks everything that needs no building; [`ImplicitLaw::stand_ins`] checks the laws.
     pub(super) fn check(&self) -> Result<(), ImplicitError> {
         self.check_numbers()?;
         self.check_mesh()?;
@@ -193,7 +193,7 @@ impl<'a> ImplicitParams<'a> {
         }
     }
 
-    /// Refuses combinations of law, volume resistance and relaxation that there are not.
+    /// Refuses unsupported combinations of law, volume resistance and relaxation.
     fn check_combination(&self) -> Result<(), ImplicitError> {
         if self.volume != VolumeResistance::Element && matches!(self.law, ImplicitLaw::General(_)) {
             return Err(ImplicitError::NotAveraged);
@@ -209,7 +209,7 @@ impl<'a> ImplicitParams<'a> {
         Ok(())
     }
 
-    /// One for each axis along which a node may move, zero for the others.
+    /// 1 for each axis along which a node may move, 0 for the others.
     pub(super) fn free_axes(&self) -> Result<Vec<DVec3>, ImplicitError> {
         let n_nodes = self.body.mesh.positions_m.len();
         let mut free = vec![DVec3::ONE; n_nodes];

@@ -1,4 +1,4 @@
-//! Laying out a body's memory.
+//! The layout of a body's memory.
 
 use super::element::{ElementLaw, Linear, StVenantKirchhoff};
 use super::extras::{ExtraKinds, Extras};
@@ -19,7 +19,7 @@ use crate::model::tet_law::{Fibre, TetLaw};
 use crate::solve::{P1Gradients, SolveError};
 use glisson_mesh::mesh::TetId;
 
-/// What a body may have beside its law. A body without costs nothing.
+/// Optional parts of the stress besides the law. Those that are not used cost nothing.
 #[derive(Clone, Copy, Default)]
 pub struct KernelExtras<'a> {
     /// Stress in the rest shape [Pa], none or one per tetrahedron. Adds V P = V F S_0, for [`KernelLaw::Linear`]
@@ -32,7 +32,7 @@ pub struct KernelExtras<'a> {
     pub volume_penalty_pa: f64,
     /// The laws of [`KernelLaw::General`], one or one per tetrahedron; none for other laws.
     pub laws: &'a [SharedMaterial],
-    /// How the stress of law and fibres relaxes.
+    /// Relaxation of the stress of law and fibres.
     pub relaxation: Option<&'a PronySeries>,
 }
 
@@ -113,7 +113,7 @@ impl Elements {
         }
     }
 
-    /// Puts a tetrahedron of this shape into a lane that is empty or its own.
+    /// Writes a tetrahedron of this shape to a lane that is empty or its own.
     pub(super) fn put(
         &mut self,
         [block, lane]: [usize; 2],
@@ -157,7 +157,7 @@ impl Elements {
     }
 }
 
-/// The one of all, or the one of this tetrahedron.
+/// The common value, or that of this tetrahedron.
 pub(super) fn of_tet<T>(values: &[T], t: usize) -> &T {
     &values[if values.len() == 1 { 0 } else { t }]
 }
@@ -171,7 +171,7 @@ impl FastKernel {
         Self::with_extras(params, &KernelExtras::default())
     }
 
-    /// [`FastKernel::new`] for a body that has more than a law.
+    /// [`FastKernel::new`] for a body with extras.
     ///
     /// # Errors
     /// [`KernelError`] as of [`FastKernel::new`], and for wrong numbers of extras or impossible ones.
@@ -179,7 +179,7 @@ impl FastKernel {
         Self::of_live(params, extras, &vec![true; params.mesh.tetrahedra.len()])
     }
 
-    /// [`FastKernel::with_extras`] without the tetrahedra that do not live.
+    /// [`FastKernel::with_extras`] of the live tetrahedra alone.
     ///
     /// # Errors
     /// [`KernelError`] as of [`FastKernel::with_extras`].
@@ -218,7 +218,7 @@ impl FastKernel {
     }
 }
 
-/// Lays out the memory of a body part by part, and notes where each tetrahedron went.
+/// Lays out the memory of a body part by part, and records the place of each tetrahedron.
 struct BodyLayout<'a> {
     params: &'a KernelParams<'a>,
     extras: &'a KernelExtras<'a>,
@@ -270,7 +270,7 @@ impl<'a> BodyLayout<'a> {
         let n_blocks = plan.tets.len().div_ceil(N_LANES);
         let mut elements = Elements::zero(n_blocks, law, self.kinds);
         for (i, &tet) in plan.tets.iter().enumerate() {
-            // Each lane walks a stretch of its own.
+            // Each lane has its own consecutive stretch of tetrahedra.
             let (lane, block) = (i / n_blocks, i % n_blocks);
             let gradients = P1Gradients::of_tet(mesh, tet)?;
             elements.blocks[block].offsets[lane] =
@@ -289,7 +289,7 @@ impl<'a> BodyLayout<'a> {
     }
 }
 
-/// Who borrows which rows from whom.
+/// Connects borrowed rows with their owners.
 fn connect(parts: &[Part], plans: &[PartPlan], node_places: &[Option<Place>]) {
     for (p, plan) in plans.iter().enumerate() {
         for (i, node) in plan.borrowed.iter().enumerate() {
@@ -299,7 +299,7 @@ fn connect(parts: &[Part], plans: &[PartPlan], node_places: &[Option<Place>]) {
     }
 }
 
-/// A row of one part is borrowed from that of another, given as part and row.
+/// Connects a borrowed row with its owner's row, each given as part and row.
 pub(super) fn share_row(parts: &[Part], [p, here]: [usize; 2], [owner, there]: [usize; 2]) {
     let row = |i: usize| u16::try_from(i).expect("parts are small");
     let (here, there) = (row(here), row(there));

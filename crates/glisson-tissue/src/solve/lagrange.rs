@@ -9,9 +9,9 @@
 //! displacement component each); here a row is any sum, so that points inside a triangle can be held too. -l is the
 //! force that the constraints exert along their rows, C^T (-l) on the nodes.
 //!
-//! [`solve_lagrange_densely`] is this system as it stands, supports included as rows of C: the reference, for bodies
-//! of a few hundred nodes. [`solve_lagrange`] takes the supports out, factors K once and solves the Schur complement
-//! C K^-1 C^T of the constraints.
+//! [`solve_lagrange_densely`] solves this system directly, with the supports as rows of C: the reference, for bodies of a few
+//! hundred nodes. [`solve_lagrange`] eliminates the supports, factors K once and solves the Schur complement C K^-1 C^T of
+//! the constraints.
 
 use super::{
     Factorization, FreeSystem, MeshEdges, SolveError, StaticProblem, StiffnessTensors, solve_columns_into,
@@ -45,7 +45,7 @@ impl LinearConstraint {
     }
 }
 
-/// Why a constrained body has no solution.
+/// Why a body with constraints has no solution.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LagrangeError {
     /// The body without the constraints.
@@ -77,7 +77,7 @@ pub struct LagrangeSolution {
     pub multiplier_n: Vec<f64>,
 }
 
-/// A pivot below this share of the largest entry is rounding.
+/// A pivot below this share of the largest entry counts as zero.
 const LEAST_PIVOT: f64 = 1e-13;
 
 fn check_constraints(

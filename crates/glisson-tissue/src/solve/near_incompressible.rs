@@ -71,7 +71,7 @@ impl NodeDivergence {
     }
 }
 
-/// What is averaged over the nodes besides the pressure.
+/// The share of the shear that is averaged over the nodes besides the pressure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodeAveraging {
     /// s, the share of the shear term that stays in each tetrahedron: above 0, at most 1.
@@ -79,9 +79,9 @@ pub struct NodeAveraging {
 }
 
 impl NodeAveraging {
-    /// Only the pressure.
+    /// Averages the pressure only.
     pub const PRESSURE: Self = Self { element_shear: 1.0 };
-    /// Pressure and most of the shear.
+    /// Averages the pressure and most of the shear.
     pub const STRAIN: Self = Self { element_shear: 0.2 };
 }
 
@@ -127,7 +127,7 @@ pub fn assemble_node_averaged(
     Ok((edges, tensors))
 }
 
-/// Every two nodes around a common node, ascending.
+/// The pairs of nodes around a common node, ascending.
 struct Pairs(Vec<[NodeId; 2]>);
 
 impl Pairs {

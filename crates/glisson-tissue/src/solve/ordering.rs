@@ -1,11 +1,11 @@
-//! Elimination order of large bodies: geometric nested dissection (George 1973, doi 10.1137/0710032), its parts
-//! ordered by minimum degree with their surroundings in view.
+//! Elimination order of large bodies: geometric nested dissection (George 1973, doi 10.1137/0710032), with parts ordered by
+//! minimum degree including their surroundings.
 //!
-//! Nodes are cut in two by a plane, for which many directions and places are tried; the fewest nodes that hold the
-//! halves apart (a smallest vertex cover of the edges between them, by Koenig's theorem from a largest matching) are
-//! eliminated after both halves. So on, until parts are small. In a part the node of least degree goes first; degrees
-//! count the separators around it, which stay (the halo of Pellegrini, Roman and Amestoy 2000, Concurrency: Practice
-//! and Experience 12, 69-84). A separator's nodes are all neighbours of one another once its halves are gone: their
+//! A plane divides the nodes in two; many directions and positions are tried. The separator is a smallest vertex cover of the
+//! edges between the halves (by Koenig's theorem from a maximum matching) and is eliminated after both halves. This is
+//! repeated until the parts are small. In a part the node of least degree goes first; degrees count the adjacent
+//! separators, which are eliminated later (the halo of Pellegrini, Roman and Amestoy 2000, Concurrency: Practice and
+//! Experience 12, 69-84). After its halves are eliminated, a separator's nodes are all neighbours of one another, so their
 //! order does not matter.
 //!
 //! Livers of 8,000 and 20,000 nodes have 28 and 44 % fewer entries in L than by approximate minimum degree, one of
@@ -14,14 +14,14 @@
 use super::MeshEdges;
 use glisson_mesh::math::DVec3;
 
-/// Parts of at most so many nodes are not cut: below it the entries of L hardly change.
+/// Parts of at most so many nodes are not divided: smaller parts hardly change the number of entries of L.
 const LARGEST_PART: usize = 100;
-/// Shares of the nodes on one side of the planes that are tried.
+/// The planes that are tried have these shares of the nodes on one side.
 const SHARES: [f64; 5] = [0.4, 0.45, 0.5, 0.55, 0.6];
-/// What a larger half costs: a separator may be longer by twice the share that it is nearer to the middle.
+/// Cost of an imbalance: a separator may be larger by twice the share by which its larger half is smaller.
 const IMBALANCE: f64 = 2.0;
 
-/// Where a node is while its part is being cut.
+/// Side of a node while its part is being divided.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Side {
     Elsewhere,
@@ -30,7 +30,7 @@ enum Side {
     Separator,
 }
 
-/// Marks a node that has no place in a list.
+/// Marks a node without a place in a list.
 const NONE: u32 = u32::MAX;
 
 struct Dissection<'a> {
@@ -39,14 +39,14 @@ struct Dissection<'a> {
     start: Vec<u32>,
     neighbour: Vec<u32>,
     side: Vec<Side>,
-    /// Whether a node is in a separator that waits for its halves.
+    /// Whether a node is in a separator whose halves are not eliminated yet.
     waits: Vec<bool>,
-    /// Places in lists made for a moment.
+    /// Places in temporary lists.
     place: Vec<u32>,
     order: Vec<u32>,
 }
 
-/// A part cut in two.
+/// A part divided in two.
 struct Cut {
     cost: f64,
     halves: [Vec<u32>; 2],
@@ -74,8 +74,7 @@ impl Bipartite {
         &self.edges[self.begin[v as usize]..self.begin[v as usize + 1]]
     }
 
-    /// A matching with as many edges as possible: from each free node on the left, breadth first, to a free one on the
-    /// right.
+    /// A maximum matching, by augmenting paths: from each free node on the left, breadth first, to a free one on the right.
     fn largest_matching(&self) -> Matching {
         let mut matching =
             Matching { of_left: vec![NONE; self.left.len()], of_right: vec![NONE; self.right.len()] };
@@ -111,8 +110,8 @@ impl Bipartite {
         matching
     }
 
-    /// The fewest nodes that touch every edge, by Koenig's theorem: left nodes that no alternating path from a free
-    /// left node reaches, and right ones that one does.
+    /// A minimum vertex cover, by Koenig's theorem: the left nodes that no alternating path from a free left node reaches, and
+    /// the right nodes that one reaches.
     fn smallest_cover(&self, matching: &Matching) -> Vec<u32> {
         let n_left = self.left.len();
         let mut queue: Vec<u32> =
@@ -137,7 +136,7 @@ impl Bipartite {
 }
 
 impl Matching {
-    /// Exchanges the matched and the other edges of an alternating path that ends at `free` on the right.
+    /// Augments the matching along the alternating path that ends at `free` on the right.
     fn turn_path(&mut self, free: Option<u32>, reached_from: &[u32]) {
         let mut step = free;
         while let Some(u) = step {
@@ -180,7 +179,7 @@ pub(super) fn nested_dissection(positions_m: &[DVec3], edges: &MeshEdges) -> Vec
     dissection.order
 }
 
-/// Half of the directions to a cube's neighbours: the planes that are tried.
+/// Normals of the planes that are tried: half of the directions to a cube's neighbours.
 fn directions() -> impl Iterator<Item = DVec3> {
     let steps = [-1.0, 0.0, 1.0];
     let all = steps.into_iter().flat_map(move |x| steps.map(|y| [x, y]));
@@ -207,7 +206,7 @@ impl Dissection<'_> {
         self.order.extend(separator);
     }
 
-    /// The best cut of a part; none where every node is needed to hold it apart.
+    /// The best division of a part; none where one half would be empty.
     fn cut(&mut self, part: &[u32]) -> Option<Cut> {
         let mut best: Option<Cut> = None;
         for direction in directions() {
@@ -238,7 +237,7 @@ impl Dissection<'_> {
         best
     }
 
-    /// The fewest nodes that touch every edge between the two sides.
+    /// A smallest set of nodes that touches every edge between the two sides.
     fn separator(&mut self, first: &[(f64, u32)]) -> Vec<u32> {
         let between = self.edges_between(first);
         between.smallest_cover(&between.largest_matching())
@@ -271,8 +270,8 @@ impl Dissection<'_> {
         Bipartite { left, right, begin, edges }
     }
 
-    /// Orders a part by minimum degree; nodes of separators beside it have edges, and stay. Rows of bits are the
-    /// adjacency: parts are small.
+    /// Orders a part by minimum degree. Nodes of adjacent separators count in the degrees and are not eliminated. The adjacency
+    /// is stored as rows of bits, since parts are small.
     fn eliminate(&mut self, part: &[u32]) {
         let mut nodes = part.to_vec();
         for (i, &n) in part.iter().enumerate() {

@@ -59,7 +59,7 @@ pub fn solve_static(problem: &StaticProblem<'_>) -> Result<StaticSolution, Solve
     solve_assembled(problem, &edges, &tensors)
 }
 
-/// [`solve_static`] with stiffness tensors made elsewhere, on edges that join the same pieces.
+/// [`solve_static`] with given stiffness tensors, on edges that connect the same pieces.
 pub(super) fn solve_assembled(
     problem: &StaticProblem<'_>,
     edges: &MeshEdges,

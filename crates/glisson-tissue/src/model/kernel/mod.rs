@@ -271,7 +271,7 @@ impl FastKernel {
         self.tet_places.len()
     }
 
-    /// Number of parts: as many threads can work at the same time.
+    /// Number of parts, which is the largest number of threads that can work at the same time.
     pub fn n_parts(&self) -> usize {
         self.parts.all.len()
     }

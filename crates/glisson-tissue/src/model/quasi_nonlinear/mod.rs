@@ -339,10 +339,10 @@ impl DeformableModel for QuasiNonlinear {
     /// at the linear force on a node's group. For a node that is not constrained, the group is that of the nodes moving along
     /// d.
     ///
-    /// Along d, C is the linear one over Q', as in equation 6 while the nodes of a group share its force as they do now; across
-    /// d it is the linear one. C stays symmetric: the entries between the two have the factor 1/sqrt(Q'), where equation 6 has
-    /// 1. P changes positions only. Without an imposed displacement Q does not act, and C is the linear one: a tool feels
-    /// linear tissue at the first touch, until its nodes are constrained.
+    /// Along d, C is the linear one over Q', as in equation 6 while the nodes of a group share its force as they do now;
+    /// across d it is the linear one. C stays symmetric: the entries between the two have the factor 1/sqrt(Q'), where
+    /// equation 6 has a factor of one. P changes positions only. Without an imposed displacement Q does not act, and C is
+    /// the linear one: a tool feels linear tissue at the first touch, until its nodes are constrained.
     fn local_model_into(
         &mut self,
         patch: &[NodeId],

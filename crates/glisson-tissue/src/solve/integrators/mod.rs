@@ -17,7 +17,7 @@
 //! so that central and backward differences take it implicitly, in closed form.
 //! Central differences have order 2 as long as a does not depend on v, else 1.
 //!
-//! Where to use which: [`Scheme`]. How long a step may be: [`Scheme::stable_step_s`].
+//! [`Scheme`] tells where to use which; [`Scheme::stable_step_s`] gives the longest stable step.
 
 mod stability;
 
@@ -25,7 +25,7 @@ pub use stability::ModeBounds;
 
 use glisson_mesh::math::DVec3;
 
-/// How to advance in time.
+/// A time integration scheme.
 ///
 /// - [`Scheme::SemiImplicitEuler`]: the usual choice for soft bodies with contacts; one evaluation per step.
 /// - [`Scheme::CentralDifferences`]: the same cost and step, order 2, and damping takes nothing from the step.
@@ -99,7 +99,7 @@ impl Scheme {
         }
     }
 
-    /// How many positions before the present one have to be kept.
+    /// Number of positions before the present one that the scheme needs.
     fn n_past(self) -> usize {
         self.backward_weights().map_or(0, |w| w.second.len() - 2)
     }
@@ -111,7 +111,7 @@ struct BackwardWeights {
     second: &'static [f64],
 }
 
-/// What moves the nodes.
+/// The equations of motion of the nodes.
 pub trait EquationsOfMotion {
     /// Overwrites `accelerations_m_per_s2` with a(x, v) of every node, without [`Motion::damping_per_s`]. Values
     /// of nodes that do not move freely are not used.
@@ -123,7 +123,7 @@ pub trait EquationsOfMotion {
     );
 }
 
-/// What a step changes, one entry per node.
+/// The state that a step changes, one entry per node.
 #[derive(Debug)]
 pub struct Motion<'a> {
     /// Positions [m].
@@ -137,7 +137,7 @@ pub struct Motion<'a> {
     pub damping_per_s: &'a [f64],
 }
 
-/// When the fixed point of an implicit step is found.
+/// When the fixed-point iteration of an implicit step ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FixedPoint {
     /// The largest change of a coordinate in the last iteration [m].
@@ -154,7 +154,7 @@ impl Default for FixedPoint {
     }
 }
 
-/// What a step took.
+/// Report on the effort of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Effort {
     /// Evaluations of the accelerations.
@@ -179,7 +179,7 @@ pub struct Integrator {
 }
 
 impl Integrator {
-    /// An integrator at its start for so many nodes.
+    /// An integrator without a past for so many nodes.
     pub fn new(scheme: Scheme, fixed_point: FixedPoint, n_nodes: usize) -> Self {
         let mut integrator = Self {
             scheme,
@@ -195,7 +195,7 @@ impl Integrator {
         integrator
     }
 
-    /// Starts anew with another number of nodes: the next step begins from positions and velocities alone.
+    /// Resets the integrator for another number of nodes: the next step starts from positions and velocities alone.
     pub fn resize(&mut self, n_nodes: usize) {
         self.n_nodes = n_nodes;
         self.past = vec![0.0; 3 * n_nodes * self.scheme.n_past() + 1];
@@ -208,7 +208,7 @@ impl Integrator {
         self.stages = vec![DVec3::ZERO; if needs_stages { 3 * n_nodes } else { n_nodes }];
     }
 
-    /// Forgets the past: the next step begins from positions and velocities alone. Allocates nothing.
+    /// Forgets the past: the next step starts from positions and velocities alone. Allocates nothing.
     pub fn restart(&mut self) {
         self.past.fill(0.0);
     }
@@ -218,12 +218,12 @@ impl Integrator {
         self.scheme
     }
 
-    /// What the next step depends on beside positions and velocities.
+    /// State that the next step depends on besides positions and velocities.
     pub fn history(&self) -> &[f64] {
         &self.past
     }
 
-    /// Comes back to a [`Integrator::history`] of the same scheme and number of nodes.
+    /// Restores a [`Integrator::history`] of the same scheme and number of nodes.
     ///
     /// # Panics
     /// When the length differs.
@@ -414,7 +414,7 @@ impl Integrator {
         change_m
     }
 
-    /// Moves the past on by one step.
+    /// Shifts the past by one step.
     fn remember(&mut self, motion: &Motion<'_>, h_s: f64) {
         let n = self.n_nodes;
         for s in (1..self.scheme.n_past()).rev() {
@@ -430,7 +430,7 @@ impl Integrator {
         }
     }
 
-    /// A past that fits position, velocity and acceleration (in `stages`): x - s h v + (s h)^2/2 a.
+    /// Fills a past consistent with position, velocity and acceleration (in `stages`): x - s h v + (s h)^2/2 a.
     fn imagine_past(&mut self, motion: &Motion<'_>, h_s: f64) {
         let n = self.n_nodes;
         for s in 0..self.scheme.n_past() {
@@ -463,7 +463,7 @@ fn set_past_position(past: &mut [f64], n_nodes: usize, age: usize, node: usize, 
 struct Stage {
     /// Share of this stage's slope in the step.
     weight: f64,
-    /// How far along its slope the next stage stands, in steps.
+    /// Distance along its slope to the next stage, in steps.
     reach_of_next: f64,
 }
 

@@ -22,7 +22,7 @@ pub struct HolzapfelGasserOgdenParameters {
     pub matrix_shear_pa: f64,
     /// k1: stiffness of the fibres [Pa].
     pub fibre_stiffness_pa: f64,
-    /// k2: how fast they stiffen.
+    /// k2: exponent of their stiffening.
     pub fibre_exponent: f64,
     /// kappa: dispersion about the family's direction, 0 to 1/3.
     pub dispersion: f64,
@@ -61,7 +61,7 @@ pub struct HolzapfelGasserOgden {
     fibres: Vec<DVec3>,
 }
 
-/// How a family stores energy: dW/dE and d2W/dE2 [Pa], and dE/dF.
+/// Derivatives of a family's energy: dW/dE and d2W/dE2 [Pa], and dE/dF.
 struct FamilyState {
     first_pa: f64,
     second_pa: f64,
@@ -118,7 +118,7 @@ impl HolzapfelGasserOgden {
         self.dispersion * (contraction(f, f) - 3.0) + self.alignment() * ((*f * fibre).length_squared() - 1.0)
     }
 
-    /// The state of a family that pulls.
+    /// The state of a family that is under tension.
     fn family(&self, f: &DMat3, fibre: DVec3) -> Option<FamilyState> {
         let strain = self.family_strain(f, fibre);
         (strain > 0.0).then(|| {

@@ -1,4 +1,4 @@
-//! What a hyperelastic law is: three functions of the deformation gradient F = dx/dX.
+//! A hyperelastic law: three functions of the deformation gradient F = dx/dX.
 //!
 //! W(F) is the energy stored per rest volume [J/m3], P = dW/dF the first Piola-Kirchhoff stress [Pa], and
 //! dP = (d2W/dF2) : dF its differential. A rotation invariant law has W(QF) = W(F).
@@ -14,7 +14,7 @@ use glisson_mesh::math::DMat3;
 pub type Tangent = [[f64; 9]; 9];
 
 /// A hyperelastic law with its parameters; a fibre direction is one of them. A body whose parameters vary has
-/// one law value a tetrahedron.
+/// one law value per tetrahedron.
 pub trait Material: Sync {
     /// W(F) [J/m3]: zero at rest, infinite outside the valid range.
     fn energy_density_j_per_m3(&self, f: &DMat3) -> f64;
@@ -35,16 +35,15 @@ pub trait Material: Sync {
         })
     }
 
-    /// The symmetric matrix [Pa] nearest to [`Material::tangent_pa`] (Frobenius norm) without negative
-    /// eigenvalue: descent is then certain in Newton's method (Teran, Sifakis, Irving and Fedkiw 2005,
-    /// doi 10.1145/1073368.1073394). Isotropic laws have it in closed form, see
-    /// [`super::principal`].
+    /// The symmetric positive semi-definite matrix [Pa] nearest to [`Material::tangent_pa`] (Frobenius norm). With it,
+    /// Newton's method always has a descent direction (Teran, Sifakis, Irving and Fedkiw 2005,
+    /// doi 10.1145/1073368.1073394). Isotropic laws have it in closed form, see [`super::principal`].
     fn projected_tangent_pa(&self, f: &DMat3) -> Tangent {
         projected(&self.tangent_pa(f))
     }
 }
 
-/// A borrowed law is a law: `&[&dyn Material]` serves where laws are mixed.
+/// A borrowed law is a law: use `&[&dyn Material]` for mixed laws.
 impl<M: Material + ?Sized> Material for &M {
     fn energy_density_j_per_m3(&self, f: &DMat3) -> f64 {
         (**self).energy_density_j_per_m3(f)
@@ -67,7 +66,7 @@ impl<M: Material + ?Sized> Material for &M {
     }
 }
 
-/// The nearest symmetric matrix without negative eigenvalue; of a matrix that is not finite, that matrix.
+/// The nearest symmetric matrix without negative eigenvalues; a matrix that is not finite is returned as it is.
 pub fn projected(tangent: &Tangent) -> Tangent {
     if !tangent.iter().flatten().all(|x| x.is_finite()) {
         return *tangent;
@@ -85,9 +84,9 @@ pub fn projected(tangent: &Tangent) -> Tangent {
 /// Principal stretches at which [`largest_tangent_eigenvalue_pa`] looks, from the smallest to the largest.
 const STRETCHES_SEEN: i32 = 5;
 
-/// The largest eigenvalue of d2W/dF2 [Pa] for principal stretches within [1/s, s]: of a grid of stretches, along the
-/// axes and along three other frames, so that fibres are met. An estimate from below that is exact for laws whose
-/// stiffest state lies at the ends of the range.
+/// The largest eigenvalue of d2W/dF2 [Pa] for principal stretches within [1/s, s], on a grid of stretches along the axes and
+/// along three other frames, so that some lie along fibres. A lower estimate, exact for laws whose stiffest state is at the
+/// ends of the range.
 pub fn largest_tangent_eigenvalue_pa(law: &dyn Material, largest_stretch: f64) -> f64 {
     let stretch = |i: i32| largest_stretch.powf(2.0 * f64::from(i) / f64::from(STRETCHES_SEEN - 1) - 1.0);
     let frames = [

@@ -10,7 +10,7 @@ use super::law::contraction;
 use super::{Material, Tangent};
 use glisson_mesh::math::{DMat3, DVec3};
 
-/// Why numbers are no material.
+/// Why a material is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MaterialError {
     /// Young's modulus is not a positive finite number.

@@ -1,8 +1,8 @@
 //! Constitutive laws and tissue parameters.
 //!
-//! [`Material`] is what every law is; each law has its file; [`MaterialSpec`] is the closed set that scenes and
-//! the command line know by name. Code that loops over elements is generic in the law (`M: Material`), so that
-//! the law is chosen outside the loop.
+//! Every law implements [`Material`] and has its own file. [`MaterialSpec`] is the closed set of laws that scenes and the
+//! command line know by name. Loops over elements are generic in the law (`M: Material`), so that the law is chosen
+//! outside the loop.
 
 mod law;
 mod eigen;

@@ -1,21 +1,21 @@
-//! What a touched patch does in the next moments, small enough for a haptic loop of its own: positions, forces and
+//! The response of a touched patch over a short period, small enough for a separate haptic loop: positions, forces and
 //! compliance of some nodes.
 //!
-//! Over a period h the nodes of the patch answer to a change of their forces by C df. For a pre-computed (static) model C
+//! Over a period h the nodes of the patch respond to a change of their forces by C df. For a pre-computed (static) model C
 //! is the patch's part of the compliance. For a dynamic one it is the patch's part of
 //!
 //! (M/h^2 + D/h + K)^-1,
 //!
-//! the displacement at the end of one implicit step for a force that acts all along it; K is the tangent at the present
-//! shape and D the damping. It is computed on the tetrahedra within some rings around the patch; what lies
-//! beyond is held. The entries of such an inverse fall off exponentially with the distance in the graph of the matrix,
-//! by q = (sqrt(kappa) - 1)/(sqrt(kappa) + 1) a ring for a condition number kappa (S. Demko, W. F. Moss and P. W. Smith
-//! 1984, Decay rates for inverses of band matrices, doi 10.1090/S0025-5718-1984-0758197-9); what is held comes
-//! back to the patch over twice the number of rings. kappa is bounded by 1 + h^2 omega^2 with Gershgorin's bound of
+//! the displacement at the end of one implicit step for a force that acts throughout it; K is the tangent at the present
+//! shape and D the damping. It is computed on the tetrahedra within some rings around the patch; the nodes beyond are
+//! held. The entries of such an inverse decay exponentially with the distance in the graph of the matrix, by
+//! q = (sqrt(kappa) - 1)/(sqrt(kappa) + 1) per ring for a condition number kappa (S. Demko, W. F. Moss and P. W. Smith
+//! 1984, Decay rates for inverses of band matrices, doi 10.1090/S0025-5718-1984-0758197-9). The effect of the held nodes
+//! reaches the patch over twice the number of rings. kappa is bounded by 1 + h^2 omega^2, with Gershgorin's bound of
 //! omega^2 in the tetrahedra at the patch.
 //!
-//! Columns are solved eight at a time by conjugate gradients with a diagonal preconditioner, in a fixed order: same bits
-//! on every path and at any number of threads. Ligaments do not count.
+//! Columns are solved eight at a time by conjugate gradients with a diagonal preconditioner, in a fixed order: the bits are
+//! the same on every path and at any number of threads. Ligaments do not count.
 
 use super::Rayleigh;
 use super::kernel::{Eight, EightWork, KernelPath};
@@ -25,39 +25,38 @@ use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, TetStiffness, stress_te
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::NodeId;
 
-/// Rings at least and at most, and what may come back from beyond them as a share of the compliance: chosen.
+/// Smallest and largest number of rings, and the effect allowed from beyond them as a share of the compliance: choices.
 const LEAST_RINGS: u32 = 2;
 const MOST_RINGS: u32 = 12;
 const ECHO: f64 = 2e-2;
-/// Nodes of a region, of which whole rings are left out beyond it.
+/// Largest number of nodes of a region; rings that do not fit wholly are left out.
 const MOST_REGION: usize = 2048;
-/// Conjugate gradients end when each column's residual has fallen by this, or after so many iterations.
+/// Conjugate gradients end when each column's residual has fallen by this factor, or after so many iterations.
 const TOLERANCE: f64 = 1e-7;
 const MOST_ITERATIONS: usize = 400;
-/// Neighbours of a node, itself included, for which room is made.
+/// Neighbours of a node, itself included, for which capacity is reserved.
 const NEIGHBOURS: usize = 32;
 
-/// The answer of a patch to forces, for a haptic loop.
+/// The response of a patch to forces, for a haptic loop.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalModel {
-    /// The nodes of the patch, in the order in which they were asked for.
+    /// The nodes of the patch, in the requested order.
     pub nodes: Vec<NodeId>,
-    /// Where they are [m].
+    /// Their positions [m].
     pub position_m: Vec<DVec3>,
-    /// Force [N] that the outside exerts on each of them there: of constraints and outer forces, without weight.
+    /// External force [N] on each of them there: of constraints and outer forces, without weight.
     pub force_n: Vec<DVec3>,
     /// C [m/N], 3n x 3n, symmetric, row 3 i + a for axis a of node i. Rows of fixed axes are zero.
     pub compliance_m_per_n: Vec<f64>,
     /// The period [s] that C is for.
     pub period_s: f64,
-    /// Rings of tetrahedra around the patch that C counts; none when it is exact.
+    /// Rings of tetrahedra around the patch that C takes into account; none when it is exact.
     pub n_rings: Option<u32>,
-    /// The tissue is about to buckle or torn apart here: C is that of the masses alone.
+    /// Whether the tissue is about to buckle or torn apart here: C is that of the masses alone.
     pub is_inertial: bool,
-    /// The equations were not solved to their tolerance within the iterations that a step has: C is an estimate, too
-    /// stiff.
+    /// Whether the solution did not reach its tolerance within the iterations of a step: C is an estimate, too stiff.
     pub missed_tolerance: bool,
-    /// Nodes that were asked for and are not among `nodes`: they do not exist, repeat others or are too many.
+    /// Number of requested nodes that are not among `nodes`: they do not exist, repeat others or are too many.
     pub n_left_out: u32,
 }
 
@@ -71,7 +70,7 @@ impl LocalModel {
     /// Most nodes of a patch.
     pub const MOST_NODES: usize = 32;
 
-    /// Empty, with room for the largest patch.
+    /// An empty model with capacity for the largest patch.
     pub fn new() -> Self {
         let n = Self::MOST_NODES;
         Self {
@@ -87,7 +86,7 @@ impl LocalModel {
         }
     }
 
-    /// Begins with a patch that does not yield.
+    /// Starts with a patch that does not move under forces.
     pub(in crate::model) fn start(&mut self, patch: &[NodeId], period_s: f64, positions_m: &[DVec3]) {
         self.nodes.clear();
         self.position_m.clear();
@@ -130,8 +129,8 @@ impl LocalModel {
         }
     }
 
-    /// Where the patch's nodes are after the period if these forces [N] act instead of `force_n`, as far as the
-    /// answer is linear. Overwrites `positions_m`; all three lists are one a node.
+    /// Overwrites `positions_m` with the positions of the patch's nodes after the period if these forces [N] act instead of
+    /// `force_n`, as far as the response is linear. All three lists have one entry per node.
     pub fn predict_into(&self, force_n: &[DVec3], positions_m: &mut [DVec3]) {
         for (i, position_m) in positions_m.iter_mut().enumerate().take(self.nodes.len()) {
             *position_m = self.position_m[i];
@@ -141,7 +140,7 @@ impl LocalModel {
         }
     }
 
-    /// The mean of C and its transpose.
+    /// Replaces C by the mean of C and its transpose.
     pub(in crate::model) fn symmetrize(&mut self) {
         let n = 3 * self.nodes.len();
         let c = &mut self.compliance_m_per_n;
@@ -155,7 +154,7 @@ impl LocalModel {
     }
 }
 
-/// What the computation of local models writes in; may serve several models in turn.
+/// Scratch of the computation of local models; may serve several models in turn.
 #[derive(Clone, Debug)]
 pub struct LocalWork {
     path: KernelPath,
@@ -172,7 +171,7 @@ pub struct LocalWork {
     head: Vec<u32>,
     /// Next in the list plus one, column, block.
     blocks: Vec<(u32, u32, [f64; 9])>,
-    /// The same, row after row.
+    /// The same by rows.
     row_start: Vec<u32>,
     columns: Vec<u32>,
     entries: Vec<[f64; 9]>,
@@ -182,7 +181,7 @@ pub struct LocalWork {
 }
 
 impl LocalWork {
-    /// With room for a body of so many nodes; a larger one makes it grow at its first use, as do nodes of many
+    /// Scratch with capacity for a body of so many nodes; it grows at its first use with a larger body or with nodes of many
     /// neighbours.
     pub fn with_room_for(n_nodes: usize) -> Self {
         let n = n_nodes.min(MOST_REGION);
@@ -205,8 +204,8 @@ impl LocalWork {
         }
     }
 
-    /// For an estimate that costs less: so many rings at most, and columns solved to this share of their residual. Beyond
-    /// the rings the body is taken to be held, so that the patch seems stiffer. Exact models do not count rings.
+    /// Settings for a cheaper estimate: at most so many rings, and columns solved to this share of their residual. The body
+    /// counts as held beyond the rings, so that the patch seems stiffer. Exact models do not use rings.
     #[must_use]
     pub fn estimating(self, most_rings: u32, tolerance: f64) -> Self {
         Self {
@@ -216,20 +215,20 @@ impl LocalWork {
         }
     }
 
-    /// One ring where it is enough for what may come back from beyond it: steps that are short for the tissue, as those of
-    /// explicit models are.
+    /// Allows a single ring where the effect from beyond it is small enough: for steps that are short for the tissue, as those
+    /// of explicit models.
     #[must_use]
     pub fn from_one_ring(self) -> Self {
         Self { least_rings: 1, ..self }
     }
 
-    /// Computes on this path from now on, with the same bits.
+    /// Sets the instruction set to compute with; the bits are the same on every one.
     pub fn set_path(&mut self, path: KernelPath) {
         self.path = path;
     }
 }
 
-/// Tetrahedra or edges of a body, with those that count.
+/// The elements of a body: tetrahedra or edges.
 #[derive(Clone, Copy)]
 pub(in crate::model) enum LocalElements<'a> {
     /// Corners, and which are live.
@@ -250,11 +249,11 @@ impl LocalElements<'_> {
 /// Stiffness of an element between its nodes [N/m].
 pub(in crate::model) type ElementStiffness = [[DMat3; 4]; 4];
 
-/// What a dynamic model tells about itself for its local models.
+/// A dynamic model, as its local models see it.
 pub(in crate::model) trait LocalBody {
     fn elements(&self) -> LocalElements<'_>;
     fn is_live(&self, element: usize) -> bool;
-    /// K of an element at the present shape, with the dampers' part over the period.
+    /// K of an element at the present shape, with the contribution of dampers over the period.
     fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness;
     /// Masses, supports and constraints.
     fn frame(&self) -> &dyn LocalFrame;
@@ -264,14 +263,14 @@ pub(in crate::model) trait LocalBody {
     }
 }
 
-/// What holds and moves the nodes of a body.
+/// Masses, supports and loads of a body's nodes.
 pub(in crate::model) trait LocalFrame {
     fn inertia_kg(&self, n: usize) -> f64;
-    /// Axes along which a node moves freely but for a tool's hold.
+    /// Axes along which a node moves freely when no tool holds it.
     fn free_axes(&self, n: usize) -> [bool; 3];
     /// Whether a tool holds a node.
     fn is_held(&self, n: usize) -> bool;
-    /// Force [N] of constraints and from outside on a node, without weight.
+    /// Force [N] of constraints and outer forces on a node, without weight.
     fn load_on_n(&self, n: usize) -> DVec3;
     /// Damping of masses and stiffness.
     fn damping(&self) -> Rayleigh;
@@ -330,7 +329,7 @@ pub(in crate::model) fn tet_tangent(
     stiffness
 }
 
-/// Adds what a stress in the rest shape stiffens, whatever the present shape.
+/// Adds the stiffness of a stress in the rest shape, which does not depend on the present shape.
 pub(in crate::model) fn add_rest_stress(
     gradients: &P1Gradients,
     stress_pa: &RestStress,
@@ -345,7 +344,7 @@ pub(in crate::model) fn add_rest_stress(
     }
 }
 
-/// Stiffness of a link whose ends are pulled together by the tensor times their distance.
+/// Stiffness of a link that pulls its ends together by the tensor times their distance.
 pub(in crate::model) fn of_edge(tensor: DMat3) -> ElementStiffness {
     let mut square = [[DMat3::ZERO; 4]; 4];
     (square[0][0], square[1][1]) = (tensor, tensor);
@@ -366,7 +365,7 @@ fn between(stiffness: &TetStiffness) -> ElementStiffness {
     square
 }
 
-/// Fills in C of a patch that [`LocalModel::start`] began. A period that is no positive number leaves it at zero.
+/// Computes C of a patch after [`LocalModel::start`]. Without a positive period it stays zero.
 pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out: &mut LocalModel) {
     let h_s = out.period_s;
     for (node, force_n) in out.nodes.iter().zip(&mut out.force_n) {
@@ -376,7 +375,7 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
         return;
     }
     work.start(out);
-    // The tetrahedra at the patch first: they tell how many rings are needed.
+    // First the tetrahedra at the patch: they determine how many rings are needed.
     work.add_ring(body, true);
     let wanted = rings_for(work.condition_bound(body, h_s)).clamp(work.least_rings, work.most_rings);
     let mut n_rings = 1;
@@ -640,13 +639,53 @@ impl EightWork for Columns<'_> {
 #[inline(always)]
 fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> Solved {
     let LocalWork { row_start, columns, entries, inverse_diagonal, vectors, tolerance, .. } = work;
-    let n = inverse_diagonal.len();
+    let matrix = Matrix { row_start, columns, entries };
+    let mut rho = start_eight(inverse_diagonal, vectors, first, n_lanes);
+    let least = rho.map(|rho| *tolerance * *tolerance * rho);
+    let is_done = |rho: &[f64; 8]| (0..8).all(|lane| rho[lane] <= least[lane]);
+    for _ in 0..MOST_ITERATIONS {
+        if is_done(&rho) {
+            return Solved::Wholly;
+        }
+        let [_, _, p, q] = vectors;
+        let curvature = matrix.product_into(zero, p, q);
+        let mut alpha = [0.0; 8];
+        for lane in 0..8 {
+            if rho[lane] > least[lane] {
+                alpha[lane] = rho[lane] / curvature[lane];
+                if !(curvature[lane] > 0.0 && alpha[lane].is_finite()) {
+                    return Solved::Never;
+                }
+            }
+        }
+        let next = go_along(zero, &alpha, inverse_diagonal, vectors);
+        let beta = std::array::from_fn(|lane| if rho[lane] > 0.0 { next[lane] / rho[lane] } else { 0.0 });
+        let beta = zero.load(&beta);
+        let [_, r, p, _] = vectors;
+        for (i, inverse) in inverse_diagonal.iter().enumerate() {
+            let z = zero.load(&r[i]).times(zero.constant(*inverse));
+            zero.load(&p[i]).fused(beta, z).store(&mut p[i]);
+        }
+        rho = next;
+    }
+    if is_done(&rho) { Solved::Wholly } else { Solved::Partly }
+}
+
+/// Sets x = 0, unit residuals r on the unknowns from `first` on, and the directions p = z for the inverse diagonal
+/// times r; r . z of each lane.
+#[inline(always)]
+fn start_eight(
+    inverse_diagonal: &[f64],
+    vectors: &mut [Vec<[f64; 8]>; 4],
+    first: usize,
+    n_lanes: usize,
+) -> [f64; 8] {
     for vector in vectors.iter_mut() {
         vector.clear();
-        vector.resize(n, [0.0; 8]);
+        vector.resize(inverse_diagonal.len(), [0.0; 8]);
     }
-    let [x, r, p, q] = vectors;
-    // Unknowns that are not free have a zero in the preconditioner, and no part in anything.
+    let [_, r, p, _] = vectors;
+    // Unknowns that are not free have a zero in the preconditioner, and so stay zero.
     for lane in 0..n_lanes {
         let unknown = first + lane;
         if inverse_diagonal[unknown] > 0.0 {
@@ -660,11 +699,21 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
             rho[lane] += r[i][lane] * p[i][lane];
         }
     }
-    let least = rho.map(|rho| *tolerance * *tolerance * rho);
-    for _ in 0..MOST_ITERATIONS {
-        if (0..8).all(|lane| rho[lane] <= least[lane]) {
-            return Solved::Wholly;
-        }
+    rho
+}
+
+/// The region's matrix by rows of blocks.
+struct Matrix<'a> {
+    row_start: &'a [u32],
+    columns: &'a [u32],
+    entries: &'a [[f64; 9]],
+}
+
+impl Matrix<'_> {
+    /// Overwrites `q` with the matrix times `p`; p . q of each lane.
+    #[inline(always)]
+    fn product_into<V: Eight>(&self, zero: V, p: &[[f64; 8]], q: &mut [[f64; 8]]) -> [f64; 8] {
+        let Self { row_start, columns, entries } = self;
         let mut curvature = zero;
         for (row, q) in q.as_chunks_mut::<3>().0.iter_mut().enumerate() {
             let mut sums = [zero; 3];
@@ -684,34 +733,30 @@ fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: u
         }
         let mut of_lane = [0.0; 8];
         curvature.store(&mut of_lane);
-        let mut alpha = [0.0; 8];
-        for lane in 0..8 {
-            if rho[lane] > least[lane] {
-                alpha[lane] = rho[lane] / of_lane[lane];
-                if !(of_lane[lane] > 0.0 && alpha[lane].is_finite()) {
-                    return Solved::Never;
-                }
-            }
-        }
-        let (forth, back) = (zero.load(&alpha), zero.load(&alpha.map(|a| -a)));
-        let mut sum = zero;
-        for i in 0..n {
-            zero.load(&p[i]).fused(forth, zero.load(&x[i])).store(&mut x[i]);
-            // A row that is not free has a residual that does not count.
-            let left = zero.load(&q[i]).fused(back, zero.load(&r[i]));
-            left.store(&mut r[i]);
-            let z = left.times(zero.constant(inverse_diagonal[i]));
-            sum = z.fused(left, sum);
-        }
-        let mut next = [0.0; 8];
-        sum.store(&mut next);
-        let beta = std::array::from_fn(|lane| if rho[lane] > 0.0 { next[lane] / rho[lane] } else { 0.0 });
-        let beta = zero.load(&beta);
-        for i in 0..n {
-            let z = zero.load(&r[i]).times(zero.constant(inverse_diagonal[i]));
-            zero.load(&p[i]).fused(beta, z).store(&mut p[i]);
-        }
-        rho = next;
+        of_lane
     }
-    if (0..8).all(|lane| rho[lane] <= least[lane]) { Solved::Wholly } else { Solved::Partly }
+}
+
+/// Adds `alpha` times p to x and takes `alpha` times q from r; the new r . z of each lane.
+#[inline(always)]
+fn go_along<V: Eight>(
+    zero: V,
+    alpha: &[f64; 8],
+    inverse_diagonal: &[f64],
+    vectors: &mut [Vec<[f64; 8]>; 4],
+) -> [f64; 8] {
+    let [x, r, p, q] = vectors;
+    let (forth, back) = (zero.load(alpha), zero.load(&alpha.map(|a| -a)));
+    let mut sum = zero;
+    for (i, inverse) in inverse_diagonal.iter().enumerate() {
+        zero.load(&p[i]).fused(forth, zero.load(&x[i])).store(&mut x[i]);
+        // A row that is not free has a residual that does not count.
+        let left = zero.load(&q[i]).fused(back, zero.load(&r[i]));
+        left.store(&mut r[i]);
+        let z = left.times(zero.constant(*inverse));
+        sum = z.fused(left, sum);
+    }
+    let mut next = [0.0; 8];
+    sum.store(&mut next);
+    next
 }

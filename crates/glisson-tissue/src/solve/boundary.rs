@@ -1,4 +1,4 @@
-//! Supports: which displacement components are prescribed, and whether a body held so can still float.
+//! Supports: prescribed displacement components, and the check that they leave no rigid motion.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ pub struct BoundaryConditions {
 }
 
 impl BoundaryConditions {
-    /// No condition at all.
+    /// An empty list of conditions.
     pub fn new() -> Self {
         Self::default()
     }
@@ -27,7 +27,7 @@ impl BoundaryConditions {
         conditions
     }
 
-    /// Holds a node where it rests.
+    /// Holds a node at its rest position.
     pub fn fix_node(&mut self, node: NodeId) {
         self.impose_node(node, DVec3::ZERO);
     }
@@ -125,8 +125,8 @@ fn pieces(n_nodes: usize, edges: &MeshEdges) -> Vec<Vec<usize>> {
     pieces
 }
 
-/// A direction is held when its pivot in the Gram matrix of the rigid motions exceeds this share of the
-/// number of held components: a lever of 1e-5 of the piece's size.
+/// A direction counts as held when its pivot in the Gram matrix of the rigid motions exceeds this share of the number of
+/// held components: a lever arm of 1e-5 of the piece's size.
 const LEAST_PIVOT: f64 = 1e-10;
 
 /// Refuses a piece whose held components leave a rigid motion free: the six rigid motions, restricted to the

@@ -1,6 +1,6 @@
 //! A static case as a folder of files, SI units: `nodes.csv` (x,y,z; the row is the node), `tets.csv` (four
 //! nodes from 0), `dirichlet.csv` (node, component 0/1/2, displacement), `load.json` (E, nu, rho, gravity;
-//! further keys are ignored). Results: `u.csv` and `reactions.csv`, one row of x,y,z a node, with as many
+//! further keys are ignored). Results: `u.csv` and `reactions.csv`, one row of x,y,z per node, with as many
 //! digits as the numbers have. Lines that start with `#` and empty lines are comments.
 
 use std::io::Write;

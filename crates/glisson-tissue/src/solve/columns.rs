@@ -1,4 +1,4 @@
-//! Many right-hand sides: blocks of them over the threads of the rayon pool.
+//! Solutions for many right-hand sides, in blocks on the threads of the rayon pool.
 
 use rayon::prelude::*;
 
@@ -8,9 +8,9 @@ use super::Factorization;
 /// on the number of threads, so neither do the bits.
 const COLUMNS_IN_BLOCK: usize = 48;
 
-/// Solves for `out.len() / out_per_group` groups of `columns_in_group` right-hand sides each. `fill(column, right)`
-/// writes a right-hand side, which is zero before; `take(group, solutions, out)` gets a group's solutions, one after
-/// the other, and its part of `out`. Both are called from any thread, each column and group once.
+/// Solves for `out.len() / out_per_group` groups of `columns_in_group` right-hand sides each. `fill(column, right)` writes a
+/// right-hand side that is zero before. `take(group, solutions, out)` receives a group's solutions, one after the other,
+/// and its part of `out`. Both are called from any thread, once for each column or group.
 ///
 /// # Panics
 /// When `out` is not a whole number of groups, or a group is empty or longer than 48 columns.

@@ -1,5 +1,5 @@
-//! Conjugate gradients preconditioned by an incomplete Cholesky factor: how the papers pre-computed (seed `001`
-//! s. 4.1; seed `003` s. 2.1), kept as the baseline that the sparse factor is compared with.
+//! Conjugate gradients preconditioned by an incomplete Cholesky factor: the pre-computation of the papers (seed `001` s. 4.1;
+//! seed `003` s. 2.1), kept as a baseline for the sparse factor.
 //!
 //! The factor has the pattern of the lower triangle of K and no more (Meijerink and van der Vorst 1977, doi
 //! 10.1090/S0025-5718-1977-0438681-4). It need not exist for elasticity; then a share of the diagonal is added until
@@ -7,9 +7,9 @@
 
 use super::{FreeSystem, SolveError};
 
-/// First share of the diagonal that is added when the factor does not exist; doubled as often as needed.
+/// Share of the diagonal that is added first when the factor does not exist; doubled as often as needed.
 const FIRST_SHIFT: f64 = 1e-3;
-/// From here on the diagonal of any stiffness outweighs its rows: there are some hundred entries in one.
+/// With this share the diagonal of any stiffness dominates its row, which has some hundred entries.
 const MOST_SHIFT: f64 = 1e3;
 /// A pivot below this share of its diagonal entry counts as none: its inverse would spoil the preconditioner.
 const LEAST_PIVOT: f64 = 1e-6;
@@ -31,7 +31,7 @@ pub struct CgScratch {
     image: Vec<f64>,
 }
 
-/// How a solution went.
+/// Report on a solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CgReport {
     /// Iterations done.
@@ -43,7 +43,7 @@ pub struct CgReport {
 }
 
 impl<'a> IncompleteCholesky<'a> {
-    /// Factors the free part of K incompletely.
+    /// Computes an incomplete factor of the free part of K.
     ///
     /// # Errors
     /// [`SolveError::Singular`] when no shift helps: a diagonal entry is not positive.

@@ -1,4 +1,4 @@
-//! Gaussian elimination: the plain solution of small dense systems that references are made from.
+//! Gaussian elimination for small dense systems, for reference solutions.
 
 /// Replaces the columns of `right` (each of `n` rows, one after the other) by the solutions of A x = b, with rows
 /// exchanged for the largest pivot. `matrix` is A by columns and is overwritten.

@@ -1,12 +1,13 @@
 //! The stress with which a body carries its weight in the shape in which it was imaged.
 //!
-//! An image shows the organ loaded. The stress S0 of the linear static solution under the rest gravity, the supports
-//! and the ligaments, kept while its displacements are dropped, balances the weight in that shape:
+//! An image shows the organ under load. Let S0 be the stress of the linear static solution under the rest gravity, the
+//! supports and the ligaments. Without the displacements of that solution, S0 balances the weight in the imaged shape:
 //!
 //! sum over tetrahedra of V S0 alpha_j = m_j g + ligaments, at every component that is not held.
 //!
-//! A second Piola-Kirchhoff stress added to any law's at F = Id adds just these forces, so the shape is one of rest
-//! for every law. S0 is one of many such stresses (a body can hold itself in tension); an image does not tell which.
+//! Adding S0 to the second Piola-Kirchhoff stress of any law adds just these forces at F = Id, so that the shape is at rest
+//! under every law. S0 is one of many such stresses, because a body can be in self-equilibrated tension; an image does not
+//! tell which one it is.
 
 use super::{
     Attachment, BoundaryConditions, FixedNode, FreeSystem, LOCAL_EDGES, MeshEdges, P1Gradients, RestStress,
@@ -16,8 +17,8 @@ use crate::material::LinearElastic;
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
-/// The first round solves; the others correct the stress by what its own nodal forces leave unbalanced, which takes
-/// the rounding of the factorization out.
+/// The first round solves; the others correct the stress by its unbalanced nodal forces, which removes the rounding of the
+/// factorization.
 const ROUNDS: usize = 4;
 
 /// Stress of each tetrahedron [Pa] that balances the weight of the rest shape, with a density of `material`, and the
@@ -80,10 +81,9 @@ fn conditions_of(fixed: &[FixedNode]) -> BoundaryConditions {
     conditions
 }
 
-/// Whether a body with this stress in its rest shape comes back to it when it is disturbed a little, by a law that is
-/// right under rotations: K plus the stiffness of the stress, V (alpha_j . S0 alpha_k) Id, is positive definite. Where
-/// tissue is too soft for its weight, stress of compression makes it buckle. Ligaments are not counted: they can only
-/// help.
+/// Whether the rest shape with this stress is stable under a law that is rotation invariant: whether K plus the stiffness of
+/// the stress, V (alpha_j . S0 alpha_k) Id, is positive definite. Tissue that is too soft for its weight buckles under
+/// compressive stress. Ligaments are not counted: they can only stabilize.
 ///
 /// # Errors
 /// [`SolveError`]: an unusable mesh, supports at nodes that do not exist, floating pieces, too little memory.
@@ -111,7 +111,7 @@ pub fn is_stable_under(
 /// Overwrites `force_n` with V S0 alpha_j summed on the nodes: the forces [N] that balance stresses in the rest shape.
 ///
 /// # Panics
-/// When there is not one stress a tetrahedron.
+/// When there is not one stress per tetrahedron.
 pub fn stress_forces_into(mesh: &TetMesh, stress_pa: &[RestStress], force_n: &mut [DVec3]) {
     assert_eq!(stress_pa.len(), mesh.tetrahedra.len(), "one stress a tetrahedron");
     force_n.fill(DVec3::ZERO);

@@ -5,16 +5,16 @@
 //! | C   0   |  | l | = | u* |
 //! ```
 //!
-//! with K the stiffness, f the forces and C u = u* the constraints, one a row. The seed has rows of a single 1 (one
+//! with K the stiffness, f the forces and C u = u* the constraints, one per row. The seed has rows of a single 1 (one
 //! displacement component each); here a row is any sum, so that points inside a triangle can be held too. -l is the
 //! force that the constraints exert along their rows, C^T (-l) on the nodes.
 //!
-//! [`solve_lagrange_densely`] is this system as it stands, supports included as rows of C: the reference, for bodies
-//! of a few hundred nodes. [`solve_lagrange`] takes the supports out, factors K once and solves the Schur complement
-//! C K^-1 C^T of the constraints.
+//! [`solve_lagrange_densely`] solves this system directly, with the supports as rows of C: the reference, for bodies of a few
+//! hundred nodes. [`solve_lagrange`] eliminates the supports, factors K once and solves the Schur complement C K^-1 C^T of
+//! the constraints.
 
 use super::{
-    FreeSystem, MeshEdges, SolveError, StaticProblem, StiffnessTensors, solve_columns_into,
+    Factorization, FreeSystem, MeshEdges, SolveError, StaticProblem, StiffnessTensors, solve_columns_into,
     solve_dense_in_place,
 };
 use glisson_mesh::math::DVec3;
@@ -45,7 +45,7 @@ impl LinearConstraint {
     }
 }
 
-/// Why a constrained body has no solution.
+/// Why a body with constraints has no solution.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LagrangeError {
     /// The body without the constraints.
@@ -77,7 +77,7 @@ pub struct LagrangeSolution {
     pub multiplier_n: Vec<f64>,
 }
 
-/// A pivot below this share of the largest entry is rounding.
+/// A pivot below this share of the largest entry counts as zero.
 const LEAST_PIVOT: f64 = 1e-13;
 
 fn check_constraints(
@@ -110,7 +110,7 @@ fn check_constraints(
 /// [`LagrangeError`]; [`LagrangeError::Singular`] for whatever has no single solution.
 ///
 /// # Panics
-/// When the forces are not one a node, or an axis is not 0, 1 or 2.
+/// When there is not one force per node, or an axis is not 0, 1 or 2.
 pub fn solve_lagrange_densely(
     problem: &StaticProblem<'_>,
     constraints: &[LinearConstraint],
@@ -169,7 +169,7 @@ pub fn solve_lagrange_densely(
 /// constraint.
 ///
 /// # Panics
-/// When the forces are not one a node, or an axis is not 0, 1 or 2.
+/// When there is not one force per node, or an axis is not 0, 1 or 2.
 pub fn solve_lagrange(
     problem: &StaticProblem<'_>,
     constraints: &[LinearConstraint],
@@ -181,31 +181,8 @@ pub fn solve_lagrange(
     conditions.check(mesh, &edges)?;
     let system = FreeSystem::new(&edges, &tensors, conditions)?;
     let factor = system.factorize()?;
-    let (n_free, m) = (system.n_free(), constraints.len());
-
-    // C over the free components, K^-1 C^T and the complement.
-    let rows: Vec<Vec<(usize, f64)>> = constraints
-        .iter()
-        .map(|c| c.terms.iter().filter_map(|&(n, a, w)| Some((system.row_of(n, a)?, w))).collect())
-        .collect();
-    let times_row = |row: &[(usize, f64)], x: &[f64]| row.iter().map(|&(i, w)| w * x[i]).sum::<f64>();
-    if n_free == 0 && m > 0 {
-        return Err(LagrangeError::Dependent { constraint: 0 });
-    }
-    let mut influence = vec![0.0; n_free * m];
-    solve_columns_into(
-        &factor,
-        1,
-        &mut influence,
-        n_free.max(1),
-        |column, right| rows[column].iter().for_each(|&(i, w)| right[i] += w),
-        |_, solution, out| out.copy_from_slice(solution),
-    );
-    let columns = || influence.chunks_exact(n_free.max(1));
-    let schur: Vec<f64> = columns().flat_map(|x| rows.iter().map(move |row| times_row(row, x))).collect();
-    if let Some(constraint) = first_dependent(m, &schur) {
-        return Err(LagrangeError::Dependent { constraint });
-    }
+    let m = constraints.len();
+    let complement = Complement::of(&system, &factor, constraints)?;
 
     let mut displacement_m = vec![DVec3::ZERO; mesh.positions_m.len()];
     for (node, axis, value_m) in conditions.iter() {
@@ -213,7 +190,7 @@ pub fn solve_lagrange(
     }
     let mut multiplier_n = vec![0.0; m];
     let mut balance_n = vec![DVec3::ZERO; mesh.positions_m.len()];
-    let mut free = vec![0.0; n_free];
+    let mut free = vec![0.0; system.n_free()];
     let mut scratch = factor.scratch(1);
     // The first round solves, the second refines.
     for _ in 0..2 {
@@ -222,24 +199,81 @@ pub fn solve_lagrange(
             *b = *f - *b;
         }
         system.gather_into(&balance_n, &mut free);
-        for (row, l) in rows.iter().zip(&multiplier_n) {
+        for (row, l) in complement.rows.iter().zip(&multiplier_n) {
             row.iter().for_each(|&(i, w)| free[i] -= w * l);
         }
         factor.solve_in_place(&mut free, 1, &mut scratch);
-        let mut change: Vec<f64> = rows
+        let mut change: Vec<f64> = complement
+            .rows
             .iter()
             .zip(constraints)
             .map(|(row, c)| times_row(row, &free) - (c.value_m - c.of(&displacement_m)))
             .collect();
-        solve_dense_in_place(m, &mut schur.clone(), &mut change, 0.0)
+        solve_dense_in_place(m, &mut complement.schur.clone(), &mut change, 0.0)
             .map_err(|constraint| LagrangeError::Dependent { constraint })?;
-        for ((l, dl), x) in multiplier_n.iter_mut().zip(&change).zip(columns()) {
+        for ((l, dl), x) in multiplier_n.iter_mut().zip(&change).zip(complement.columns()) {
             *l += dl;
             free.iter_mut().zip(x).for_each(|(u, x)| *u -= dl * x);
         }
         system.add_scattered(&free, &mut displacement_m);
     }
     Ok(LagrangeSolution { displacement_m, multiplier_n })
+}
+
+/// The constraints on the free components.
+struct Complement {
+    n_free: usize,
+    /// C: free component and weight of each term.
+    rows: Vec<Vec<(usize, f64)>>,
+    /// K^-1 C^T, column after column.
+    influence: Vec<f64>,
+    /// C K^-1 C^T.
+    schur: Vec<f64>,
+}
+
+impl Complement {
+    /// # Errors
+    /// [`LagrangeError::Dependent`].
+    fn of(
+        system: &FreeSystem,
+        factor: &Factorization,
+        constraints: &[LinearConstraint],
+    ) -> Result<Self, LagrangeError> {
+        let (n_free, m) = (system.n_free(), constraints.len());
+        let rows: Vec<Vec<(usize, f64)>> = constraints
+            .iter()
+            .map(|c| c.terms.iter().filter_map(|&(n, a, w)| Some((system.row_of(n, a)?, w))).collect())
+            .collect();
+        if n_free == 0 && m > 0 {
+            return Err(LagrangeError::Dependent { constraint: 0 });
+        }
+        let mut influence = vec![0.0; n_free * m];
+        solve_columns_into(
+            factor,
+            1,
+            &mut influence,
+            n_free.max(1),
+            |column, right| rows[column].iter().for_each(|&(i, w)| right[i] += w),
+            |_, solution, out| out.copy_from_slice(solution),
+        );
+        let mut complement = Self { n_free, rows, influence, schur: Vec::new() };
+        let rows = &complement.rows;
+        let schur: Vec<f64> =
+            complement.columns().flat_map(|x| rows.iter().map(move |row| times_row(row, x))).collect();
+        if let Some(constraint) = first_dependent(m, &schur) {
+            return Err(LagrangeError::Dependent { constraint });
+        }
+        complement.schur = schur;
+        Ok(complement)
+    }
+
+    fn columns(&self) -> impl Iterator<Item = &[f64]> {
+        self.influence.chunks_exact(self.n_free.max(1))
+    }
+}
+
+fn times_row(row: &[(usize, f64)], x: &[f64]) -> f64 {
+    row.iter().map(|&(i, w)| w * x[i]).sum()
 }
 
 /// The first constraint whose pivot in the Cholesky factor of the complement is rounding.

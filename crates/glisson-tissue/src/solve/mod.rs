@@ -1,12 +1,12 @@
 //! Finite elements: shape gradients, stiffness on vertices and edges, boundary conditions, sparse
 //! Cholesky, static solutions, and the files of a static case.
 //!
-//! The way of a solution: [`MeshEdges`] and [`StiffnessTensors`] (K as 3x3 blocks on vertices and edges, the
-//! form that the tensor-mass model keeps), [`BoundaryConditions`], [`FreeSystem`] (the free rows of K in a
-//! fixed sparse pattern with a slot for every block), [`Factorization`], [`solve_static`];
-//! with constraints on any components [`solve_lagrange`]; as the papers did it, [`IncompleteCholesky`];
-//! for any law [`ElasticBody`] and [`solve_nonlinear`]; without locking [`SmoothedBody`] and
-//! [`solve_nonlinear_smoothed`]. [`equilibrating_stress`] is what a body imaged under load has in it.
+//! A linear static solution uses [`MeshEdges`] and [`StiffnessTensors`] (K as 3x3 blocks on vertices and edges, the form
+//! that the tensor-mass model keeps), [`BoundaryConditions`], [`FreeSystem`] (the free rows of K in a fixed sparse pattern
+//! with a slot for every block), [`Factorization`] and [`solve_static`]. Further solvers: [`solve_lagrange`] with
+//! constraints on any components; [`IncompleteCholesky`] as in the papers; [`ElasticBody`] and [`solve_nonlinear`] for any
+//! law; [`SmoothedBody`] and [`solve_nonlinear_smoothed`] without locking. [`equilibrating_stress`] is the stress in a body
+//! that was imaged under load.
 
 mod p1;
 mod tensors;
@@ -74,10 +74,10 @@ pub enum SolveError {
     NonFinitePosition {
         /// Which node.
         node: NodeId,
-        /// Where [m].
+        /// Its position [m].
         position_m: [f64; 3],
     },
-    /// A tetrahedron is flat or inside out.
+    /// A tetrahedron is flat or inverted.
     #[error(
         "tetrahedron {tet} has volume {volume_m3} m3; allowed: above {least_m3:e} m3 (1e-12 of its longest edge \
          cubed). Check the mesh with `glisson check`"

@@ -71,7 +71,7 @@ impl NodeDivergence {
     }
 }
 
-/// What is averaged over the nodes besides the pressure.
+/// The share of the shear that is averaged over the nodes besides the pressure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodeAveraging {
     /// s, the share of the shear term that stays in each tetrahedron: above 0, at most 1.
@@ -79,9 +79,9 @@ pub struct NodeAveraging {
 }
 
 impl NodeAveraging {
-    /// Only the pressure.
+    /// Averages the pressure only.
     pub const PRESSURE: Self = Self { element_shear: 1.0 };
-    /// Pressure and most of the shear.
+    /// Averages the pressure and most of the shear.
     pub const STRAIN: Self = Self { element_shear: 0.2 };
 }
 
@@ -98,52 +98,19 @@ pub fn assemble_node_averaged(
     let node_mu_pa = material.mu_pa() - element_mu_pa;
     let mut edges = MeshEdges::of_mesh(mesh)?;
     let divergence = NodeDivergence::of_mesh(mesh)?;
-    let rows = &divergence.gradient_per_m;
-    let mut pairs: Vec<[NodeId; 2]> = Vec::new();
-    for p in 0..rows.len() {
-        // Two nodes meet when one is around a neighbour of the other.
-        let start = pairs.len();
-        for (a, _) in &rows[p] {
-            pairs.extend(
-                rows[a.index()]
-                    .iter()
-                    .filter(|(q, _)| q.index() > p)
-                    .map(|(q, _)| [NodeId::from_index(p), *q]),
-            );
-        }
-        pairs[start..].sort_unstable();
-        let mut kept = start;
-        for i in start..pairs.len() {
-            if kept == start || pairs[i] != pairs[kept - 1] {
-                pairs[kept] = pairs[i];
-                kept += 1;
-            }
-        }
-        pairs.truncate(kept);
-    }
-    let place =
-        |p: NodeId, q: NodeId| pairs.binary_search(&[p, q]).expect("nodes around a common node make a pair");
-    for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
+    let pairs = Pairs::around(&divergence);
+    for (nodes, of_tet) in mesh.tetrahedra.iter().zip(&mut edges.of_tet) {
         for (e, [j, k]) in LOCAL_EDGES.into_iter().enumerate() {
             let (p, q) = (nodes[j].min(nodes[k]), nodes[j].max(nodes[k]));
-            edges.of_tet[t][e] = u32::try_from(place(p, q)).expect("fewer than 2^32 pairs");
+            of_tet[e] = u32::try_from(pairs.place(p, q)).expect("fewer than 2^32 pairs");
         }
     }
     let mut tensors = StiffnessTensors {
         vertex: vec![DMat3::ZERO; mesh.positions_m.len()],
-        edge: vec![DMat3::ZERO; pairs.len()],
+        edge: vec![DMat3::ZERO; pairs.0.len()],
     };
-    for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-        let shear = P1Gradients::of_tet(mesh, TetId::from_index(t))?.stiffness(0.0, element_mu_pa);
-        for j in 0..4 {
-            tensors.vertex[nodes[j].index()] += shear.vertex[j];
-        }
-        for (e, [j, k]) in LOCAL_EDGES.into_iter().enumerate() {
-            let along = if nodes[j] < nodes[k] { shear.edge[e] } else { shear.edge[e].transpose() };
-            tensors.edge[edges.of_tet[t][e] as usize] += along;
-        }
-    }
-    for (row, volume_m3) in rows.iter().zip(&divergence.volume_m3) {
+    add_element_shear(mesh, element_mu_pa, &edges, &mut tensors)?;
+    for (row, volume_m3) in divergence.gradient_per_m.iter().zip(&divergence.volume_m3) {
         let bulk = material.lambda_pa() * volume_m3;
         let shear = node_mu_pa * volume_m3;
         let tensor = |g: DVec3, h: DVec3| {
@@ -152,12 +119,64 @@ pub fn assemble_node_averaged(
         for (i, &(p, g)) in row.iter().enumerate() {
             tensors.vertex[p.index()] += tensor(g, g);
             for &(q, h) in &row[i + 1..] {
-                tensors.edge[place(p, q)] += tensor(g, h);
+                tensors.edge[pairs.place(p, q)] += tensor(g, h);
             }
         }
     }
-    edges.nodes = pairs;
+    edges.nodes = pairs.0;
     Ok((edges, tensors))
+}
+
+/// The pairs of nodes around a common node, ascending.
+struct Pairs(Vec<[NodeId; 2]>);
+
+impl Pairs {
+    fn around(divergence: &NodeDivergence) -> Self {
+        let rows = &divergence.gradient_per_m;
+        let mut pairs: Vec<[NodeId; 2]> = Vec::new();
+        for p in 0..rows.len() {
+            // Two nodes meet when one is around a neighbour of the other.
+            let start = pairs.len();
+            for (a, _) in &rows[p] {
+                let later = rows[a.index()].iter().filter(|(q, _)| q.index() > p);
+                pairs.extend(later.map(|(q, _)| [NodeId::from_index(p), *q]));
+            }
+            pairs[start..].sort_unstable();
+            let mut kept = start;
+            for i in start..pairs.len() {
+                if kept == start || pairs[i] != pairs[kept - 1] {
+                    pairs[kept] = pairs[i];
+                    kept += 1;
+                }
+            }
+            pairs.truncate(kept);
+        }
+        Self(pairs)
+    }
+
+    fn place(&self, p: NodeId, q: NodeId) -> usize {
+        self.0.binary_search(&[p, q]).expect("nodes around a common node make a pair")
+    }
+}
+
+/// Adds the shear that stays in each tetrahedron.
+fn add_element_shear(
+    mesh: &TetMesh,
+    mu_pa: f64,
+    edges: &MeshEdges,
+    tensors: &mut StiffnessTensors,
+) -> Result<(), SolveError> {
+    for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
+        let shear = P1Gradients::of_tet(mesh, TetId::from_index(t))?.stiffness(0.0, mu_pa);
+        for j in 0..4 {
+            tensors.vertex[nodes[j].index()] += shear.vertex[j];
+        }
+        for (e, [j, k]) in LOCAL_EDGES.into_iter().enumerate() {
+            let along = if nodes[j] < nodes[k] { shear.edge[e] } else { shear.edge[e].transpose() };
+            tensors.edge[edges.of_tet[t][e] as usize] += along;
+        }
+    }
+    Ok(())
 }
 
 /// Displacements and reactions of a linear static case with node-averaged strain.
@@ -166,7 +185,7 @@ pub fn assemble_node_averaged(
 /// [`SolveError`]: an unusable mesh, conditions on missing nodes, a piece that floats, a singular matrix.
 ///
 /// # Panics
-/// When the forces are not one a node.
+/// When there is not one force per node.
 pub fn solve_static_node_averaged(
     problem: &StaticProblem<'_>,
     averaging: NodeAveraging,
@@ -181,7 +200,7 @@ pub fn solve_static_node_averaged(
 /// [`SolveError::Volume`] for a flat or inverted tetrahedron.
 ///
 /// # Panics
-/// When the displacements are not one a node.
+/// When there is not one displacement per node.
 pub fn node_pressures_pa(
     mesh: &TetMesh,
     material: &LinearElastic,

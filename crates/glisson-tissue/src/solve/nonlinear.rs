@@ -19,13 +19,13 @@ use crate::material::{Material, Tangent};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
-/// Why a non-linear static case has no solution here.
+/// Why no solution of a non-linear static case was found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NonlinearError {
     /// The mesh, its supports or the stiffness at rest are unusable.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// Neither one law nor one for each tetrahedron.
+    /// The number of laws is neither one nor that of the tetrahedra.
     #[error("{found} laws for {n_tets} tetrahedra; allowed: 1 or {n_tets}")]
     LawCount {
         /// Number of laws given.
@@ -74,7 +74,7 @@ pub enum StepFailure {
     /// The prediction left the law's range.
     #[error("the predicted state has no finite energy")]
     Prediction,
-    /// Equilibrium with a tetrahedron inside out.
+    /// Equilibrium with an inverted tetrahedron.
     #[error("tetrahedron {0} turns inside out")]
     Inverted(TetId),
     /// The stiffness has no factor.
@@ -91,7 +91,7 @@ pub struct ElasticBody<'a, M> {
     gradients: Vec<P1Gradients>,
 }
 
-/// Which second derivative of the energy.
+/// The kind of second derivative of the energy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TangentKind {
     /// The true one.
@@ -131,7 +131,7 @@ pub(super) fn check_laws<M: Material>(laws: &[M], n_tets: usize) -> Result<(), N
 }
 
 impl<'a, M: Material> ElasticBody<'a, M> {
-    /// The body of one law (`laws` of length 1) or of one law a tetrahedron.
+    /// The body of one law (`laws` of length 1) or of one law per tetrahedron.
     ///
     /// # Errors
     /// [`NonlinearError::LawCount`], or [`SolveError::Volume`] for a flat or inverted tetrahedron.
@@ -265,7 +265,7 @@ pub(crate) fn contracted_columns(rows: &[[f64; 9]; 3], a: DVec3) -> DMat3 {
 pub struct NonlinearProblem<'a, M> {
     /// The body at rest.
     pub mesh: &'a TetMesh,
-    /// One law, or one a tetrahedron.
+    /// One law, or one per tetrahedron.
     pub laws: &'a [M],
     /// What is held where.
     pub conditions: &'a BoundaryConditions,
@@ -318,7 +318,7 @@ pub struct NonlinearSolution {
 
 /// Share of the predicted decrease that a step must bring.
 const ARMIJO: f64 = 1e-4;
-/// Shortest Newton step tried: shorter ones only crawl.
+/// Shortest Newton step that is tried; shorter ones make no useful progress.
 const LEAST_STEP: f64 = 1e-4;
 /// A load step that took at most this many iterations lets the next one be twice as long.
 const FEW_ITERATIONS: usize = 8;
@@ -332,7 +332,7 @@ const ROUNDING: f64 = 4.0 * f64::EPSILON;
 /// on the way, with the load reached and the residual.
 ///
 /// # Panics
-/// When the forces are not one a node.
+/// When there is not one force per node.
 pub fn solve_nonlinear<M: Material>(
     problem: &NonlinearProblem<'_, M>,
 ) -> Result<NonlinearSolution, NonlinearError> {
@@ -514,7 +514,7 @@ impl<'a, B: StaticBody> Newton<'a, B> {
         self.body.energy_j(u) - load * work_j
     }
 
-    /// Residual and what is allowed, at the current state.
+    /// The residual and its allowed value at the current state.
     fn measure(&mut self, load: f64) {
         self.body.force_into(&self.displacement_m, &mut self.force_n);
         self.measure_forces(load);
@@ -542,7 +542,7 @@ impl<'a, B: StaticBody> Newton<'a, B> {
         self.allowed_n = (self.settings.residual_tolerance * applied.max(reactions).sqrt()).max(rounding_n);
     }
 
-    /// Goes along `change` as far as energy or residual tell; returns the energy there.
+    /// Moves along `change` as far as the energy or the residual decreases; returns the energy there.
     fn line_search(&mut self, load: f64, energy_j: f64, slope_j: f64) -> Result<f64, StepFailure> {
         self.change_m.fill(DVec3::ZERO);
         self.system.add_scattered(&self.change, &mut self.change_m);

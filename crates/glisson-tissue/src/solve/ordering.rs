@@ -1,11 +1,11 @@
-//! Elimination order of large bodies: geometric nested dissection (George 1973, doi 10.1137/0710032), its parts
-//! ordered by minimum degree with their surroundings in view.
+//! Elimination order of large bodies: geometric nested dissection (George 1973, doi 10.1137/0710032), with parts ordered by
+//! minimum degree including their surroundings.
 //!
-//! Nodes are cut in two by a plane, for which many directions and places are tried; the fewest nodes that hold the
-//! halves apart (a smallest vertex cover of the edges between them, by Koenig's theorem from a largest matching) are
-//! eliminated after both halves. So on, until parts are small. In a part the node of least degree goes first; degrees
-//! count the separators around it, which stay (the halo of Pellegrini, Roman and Amestoy 2000, Concurrency: Practice
-//! and Experience 12, 69-84). A separator's nodes are all neighbours of one another once its halves are gone: their
+//! A plane divides the nodes in two; many directions and positions are tried. The separator is a smallest vertex cover of the
+//! edges between the halves (by Koenig's theorem from a maximum matching) and is eliminated after both halves. This is
+//! repeated until the parts are small. In a part the node of least degree goes first; degrees count the adjacent
+//! separators, which are eliminated later (the halo of Pellegrini, Roman and Amestoy 2000, Concurrency: Practice and
+//! Experience 12, 69-84). After its halves are eliminated, a separator's nodes are all neighbours of one another, so their
 //! order does not matter.
 //!
 //! Livers of 8,000 and 20,000 nodes have 28 and 44 % fewer entries in L than by approximate minimum degree, one of
@@ -14,14 +14,14 @@
 use super::MeshEdges;
 use glisson_mesh::math::DVec3;
 
-/// Parts of at most so many nodes are not cut: below it the entries of L hardly change.
+/// Parts of at most so many nodes are not divided: smaller parts hardly change the number of entries of L.
 const LARGEST_PART: usize = 100;
-/// Shares of the nodes on one side of the planes that are tried.
+/// The planes that are tried have these shares of the nodes on one side.
 const SHARES: [f64; 5] = [0.4, 0.45, 0.5, 0.55, 0.6];
-/// What a larger half costs: a separator may be longer by twice the share that it is nearer to the middle.
+/// Cost of an imbalance: a separator may be larger by twice the share by which its larger half is smaller.
 const IMBALANCE: f64 = 2.0;
 
-/// Where a node is while its part is being cut.
+/// Side of a node while its part is being divided.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Side {
     Elsewhere,
@@ -30,7 +30,7 @@ enum Side {
     Separator,
 }
 
-/// Marks a node that has no place in a list.
+/// Marks a node without a place in a list.
 const NONE: u32 = u32::MAX;
 
 struct Dissection<'a> {
@@ -39,18 +39,113 @@ struct Dissection<'a> {
     start: Vec<u32>,
     neighbour: Vec<u32>,
     side: Vec<Side>,
-    /// Whether a node is in a separator that waits for its halves.
+    /// Whether a node is in a separator whose halves are not eliminated yet.
     waits: Vec<bool>,
-    /// Places in lists made for a moment.
+    /// Places in temporary lists.
     place: Vec<u32>,
     order: Vec<u32>,
 }
 
-/// A part cut in two.
+/// A part divided in two.
 struct Cut {
     cost: f64,
     halves: [Vec<u32>; 2],
     separator: Vec<u32>,
+}
+
+/// The edges between two sides, as a bipartite graph of places in the lists of their nodes.
+struct Bipartite {
+    left: Vec<u32>,
+    right: Vec<u32>,
+    /// Where the edges of each node on the left begin.
+    begin: Vec<usize>,
+    /// Places on the right.
+    edges: Vec<u32>,
+}
+
+/// The partner of each node of a bipartite graph, or [`NONE`].
+struct Matching {
+    of_left: Vec<u32>,
+    of_right: Vec<u32>,
+}
+
+impl Bipartite {
+    fn edges_of(&self, v: u32) -> &[u32] {
+        &self.edges[self.begin[v as usize]..self.begin[v as usize + 1]]
+    }
+
+    /// A maximum matching, by augmenting paths: from each free node on the left, breadth first, to a free one on the right.
+    fn largest_matching(&self) -> Matching {
+        let mut matching =
+            Matching { of_left: vec![NONE; self.left.len()], of_right: vec![NONE; self.right.len()] };
+        let mut reached_from = vec![NONE; self.right.len()];
+        let mut reached = Vec::new();
+        let mut queue = Vec::new();
+        for root in 0..self.left.len() as u32 {
+            queue.clear();
+            queue.push(root);
+            let mut at = 0;
+            let mut free = None;
+            while free.is_none() && at < queue.len() {
+                let v = queue[at];
+                at += 1;
+                for &u in self.edges_of(v) {
+                    if reached_from[u as usize] != NONE {
+                        continue;
+                    }
+                    reached_from[u as usize] = v;
+                    reached.push(u);
+                    match matching.of_right[u as usize] {
+                        NONE => {
+                            free = Some(u);
+                            break;
+                        }
+                        partner => queue.push(partner),
+                    }
+                }
+            }
+            matching.turn_path(free, &reached_from);
+            reached.drain(..).for_each(|u| reached_from[u as usize] = NONE);
+        }
+        matching
+    }
+
+    /// A minimum vertex cover, by Koenig's theorem: the left nodes that no alternating path from a free left node reaches, and
+    /// the right nodes that one reaches.
+    fn smallest_cover(&self, matching: &Matching) -> Vec<u32> {
+        let n_left = self.left.len();
+        let mut queue: Vec<u32> =
+            (0..n_left as u32).filter(|&v| matching.of_left[v as usize] == NONE).collect();
+        let (mut left_reached, mut right_reached) = (vec![false; n_left], vec![false; self.right.len()]);
+        queue.iter().for_each(|&v| left_reached[v as usize] = true);
+        while let Some(v) = queue.pop() {
+            for &u in self.edges_of(v) {
+                if std::mem::replace(&mut right_reached[u as usize], true) {
+                    continue;
+                }
+                let partner = matching.of_right[u as usize];
+                if partner != NONE && !std::mem::replace(&mut left_reached[partner as usize], true) {
+                    queue.push(partner);
+                }
+            }
+        }
+        let of_left = self.left.iter().zip(&left_reached).filter(|(_, reached)| !**reached);
+        let of_right = self.right.iter().zip(&right_reached).filter(|(_, reached)| **reached);
+        of_left.chain(of_right).map(|(&node, _)| node).collect()
+    }
+}
+
+impl Matching {
+    /// Augments the matching along the alternating path that ends at `free` on the right.
+    fn turn_path(&mut self, free: Option<u32>, reached_from: &[u32]) {
+        let mut step = free;
+        while let Some(u) = step {
+            let v = reached_from[u as usize];
+            self.of_right[u as usize] = v;
+            let before = std::mem::replace(&mut self.of_left[v as usize], u);
+            step = (before != NONE).then_some(before);
+        }
+    }
 }
 
 /// Nodes in elimination order.
@@ -84,7 +179,7 @@ pub(super) fn nested_dissection(positions_m: &[DVec3], edges: &MeshEdges) -> Vec
     dissection.order
 }
 
-/// Half of the directions to a cube's neighbours: the planes that are tried.
+/// Normals of the planes that are tried: half of the directions to a cube's neighbours.
 fn directions() -> impl Iterator<Item = DVec3> {
     let steps = [-1.0, 0.0, 1.0];
     let all = steps.into_iter().flat_map(move |x| steps.map(|y| [x, y]));
@@ -111,7 +206,7 @@ impl Dissection<'_> {
         self.order.extend(separator);
     }
 
-    /// The best cut of a part; none where every node is needed to hold it apart.
+    /// The best division of a part; none where one half would be empty.
     fn cut(&mut self, part: &[u32]) -> Option<Cut> {
         let mut best: Option<Cut> = None;
         for direction in directions() {
@@ -142,9 +237,14 @@ impl Dissection<'_> {
         best
     }
 
-    /// The fewest nodes that touch every edge between the two sides.
+    /// A smallest set of nodes that touches every edge between the two sides.
     fn separator(&mut self, first: &[(f64, u32)]) -> Vec<u32> {
-        // The edges between them, as a bipartite graph of lists' places.
+        let between = self.edges_between(first);
+        between.smallest_cover(&between.largest_matching())
+    }
+
+    /// The edges from the nodes of the first side to the second.
+    fn edges_between(&mut self, first: &[(f64, u32)]) -> Bipartite {
         let (mut left, mut right, mut edges) = (Vec::new(), Vec::new(), Vec::new());
         let mut begin = vec![0];
         for &(_, node) in first {
@@ -167,70 +267,11 @@ impl Dissection<'_> {
             }
         }
         right.iter().for_each(|&q: &u32| self.place[q as usize] = NONE);
-        let of = |v: u32| &edges[begin[v as usize]..begin[v as usize + 1]];
-
-        // Largest matching: from each free node on the left, breadth first, to a free one on the right.
-        let mut partner_of_left = vec![NONE; left.len()];
-        let mut partner_of_right = vec![NONE; right.len()];
-        let mut reached_from = vec![NONE; right.len()];
-        let mut reached = Vec::new();
-        let mut queue = Vec::new();
-        for root in 0..left.len() as u32 {
-            queue.clear();
-            queue.push(root);
-            let mut at = 0;
-            let mut free = None;
-            while free.is_none() && at < queue.len() {
-                let v = queue[at];
-                at += 1;
-                for &u in of(v) {
-                    if reached_from[u as usize] != NONE {
-                        continue;
-                    }
-                    reached_from[u as usize] = v;
-                    reached.push(u);
-                    match partner_of_right[u as usize] {
-                        NONE => {
-                            free = Some(u);
-                            break;
-                        }
-                        partner => queue.push(partner),
-                    }
-                }
-            }
-            let mut step = free;
-            while let Some(u) = step {
-                let v = reached_from[u as usize];
-                partner_of_right[u as usize] = v;
-                let before = std::mem::replace(&mut partner_of_left[v as usize], u);
-                step = (before != NONE).then_some(before);
-            }
-            reached.drain(..).for_each(|u| reached_from[u as usize] = NONE);
-        }
-
-        // Koenig: left nodes that no alternating path from a free left node reaches, and right ones that one does.
-        queue.clear();
-        queue.extend((0..left.len() as u32).filter(|&v| partner_of_left[v as usize] == NONE));
-        let (mut left_reached, mut right_reached) = (vec![false; left.len()], vec![false; right.len()]);
-        queue.iter().for_each(|&v| left_reached[v as usize] = true);
-        while let Some(v) = queue.pop() {
-            for &u in of(v) {
-                if std::mem::replace(&mut right_reached[u as usize], true) {
-                    continue;
-                }
-                let partner = partner_of_right[u as usize];
-                if partner != NONE && !std::mem::replace(&mut left_reached[partner as usize], true) {
-                    queue.push(partner);
-                }
-            }
-        }
-        let of_left = left.iter().zip(&left_reached).filter(|(_, reached)| !**reached);
-        let of_right = right.iter().zip(&right_reached).filter(|(_, reached)| **reached);
-        of_left.chain(of_right).map(|(&node, _)| node).collect()
+        Bipartite { left, right, begin, edges }
     }
 
-    /// Orders a part by minimum degree; nodes of separators beside it have edges, and stay. Rows of bits are the
-    /// adjacency: parts are small.
+    /// Orders a part by minimum degree. Nodes of adjacent separators count in the degrees and are not eliminated. The adjacency
+    /// is stored as rows of bits, since parts are small.
     fn eliminate(&mut self, part: &[u32]) {
         let mut nodes = part.to_vec();
         for (i, &n) in part.iter().enumerate() {

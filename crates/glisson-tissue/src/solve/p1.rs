@@ -48,7 +48,7 @@ impl P1Gradients {
     /// Gradients of a tetrahedron of a mesh.
     ///
     /// # Errors
-    /// [`SolveError::Volume`] when it is flat or inside out.
+    /// [`SolveError::Volume`] when it is flat or inverted.
     pub fn of_tet(mesh: &TetMesh, tet: TetId) -> Result<Self, SolveError> {
         let p_m = mesh.corners_m(tet);
         let volume_m3 = tetrahedron_volume_m3(p_m);

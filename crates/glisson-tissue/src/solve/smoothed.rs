@@ -1,7 +1,7 @@
 //! Linear tetrahedra that lock neither in volume nor in bending: selective strain smoothing, for any law.
 //!
 //! A deformation gradient that is constant in each tetrahedron is averaged over smoothing domains d, an edge's or
-//! a node's share of the tetrahedra around it (a sixth of V an edge, a quarter a node):
+//! a node's share of the tetrahedra around it (a sixth of V per edge, a quarter per node):
 //!
 //! F_d = 1/V_d sum over the tetrahedra t around d of v_td F_t,   V_d = sum of v_td.
 //!
@@ -13,7 +13,8 @@
 //!
 //! W_body = sum over kinds k of s_k sum over domains d of V_d [W(F_d) - U(det F_d)] + sum over nodes a of V_a U(J_a).
 //!
-//! J_a rather than det F_a: it adds up to the true volume, so that an even pressure does no work inside the body.
+//! J_a is used instead of det F_a because it adds up to the true volume, so that a uniform pressure does no work inside the
+//! body.
 //!
 //! Node-based domains do not lock in volume and are too soft in shape, with spurious modes; edge-based ones have no
 //! spurious modes and are a little too stiff (Liu 2019, doi 10.1007/s11709-019-0519-5, a review of the smoothed
@@ -39,15 +40,15 @@ use crate::material::{Material, Tangent, cofactor, cofactor_differential, projec
 use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
-/// Shares of the energy of shape that are taken from tetrahedra, edge domains and node domains: each from 0, together
-/// 1. The energy of volume is always taken from the node domains.
+/// Shares of the energy of shape in tetrahedra, edge domains and node domains: none negative, sum 1. The energy of volume is
+/// always in the node domains.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Smoothing {
-    /// What stays in the tetrahedra.
+    /// Share in the tetrahedra.
     pub element: f64,
-    /// What is averaged over edges.
+    /// Share averaged over edges.
     pub edge: f64,
-    /// What is averaged over nodes.
+    /// Share averaged over nodes.
     pub node: f64,
 }
 
@@ -80,7 +81,7 @@ pub struct SmoothedBody<'a, M> {
     pairs: MeshEdges,
     gradients: Vec<P1Gradients>,
     domains: Vec<Domain>,
-    /// Of all domains in a row; ascending in each.
+    /// Nodes of all domains, one after the other; ascending in each.
     node: Vec<NodeId>,
     /// The gradient of F_d by each node's displacement [1/m].
     gradient_per_m: Vec<DVec3>,
@@ -93,7 +94,7 @@ pub struct SmoothedBody<'a, M> {
 }
 
 impl<'a, M: Material> SmoothedBody<'a, M> {
-    /// The body of one law (`laws` of length 1) or of one law a tetrahedron.
+    /// The body of one law (`laws` of length 1) or of one law per tetrahedron.
     ///
     /// # Errors
     /// [`NonlinearError`]: an unusable mesh, a wrong number of laws, a law without finite stiffness at rest.
@@ -202,7 +203,7 @@ impl<'a, M: Material> SmoothedBody<'a, M> {
 
     fn mean_deformation_gradient(&self, domain: &Domain, displacement_m: &[DVec3]) -> DMat3 {
         let (nodes, gradients) = self.members(domain);
-        // Relative to one node: a translation of the body changes no bit that matters.
+        // Relative to one node, so that a translation of the body does not cost digits.
         let first_m = displacement_m[nodes[0].index()];
         nodes.iter().zip(gradients).fold(DMat3::IDENTITY, |f, (n, &gradient)| {
             f + outer(displacement_m[n.index()] - first_m, gradient)
@@ -265,7 +266,7 @@ impl<'a, M: Material> SmoothedBody<'a, M> {
             for (law, share) in self.laws_of(domain) {
                 let swelling = swelling_energy(law, f.determinant());
                 if !swelling.is_finite() {
-                    // Infinite minus infinite would be no number.
+                    // Infinity minus infinity would not be a number.
                     return f64::INFINITY;
                 }
                 let shape = law.energy_density_j_per_m3(&f) - swelling;
@@ -510,7 +511,7 @@ impl<M: Material> StaticBody for SmoothedBody<'_, M> {
 /// As [`super::solve_nonlinear`].
 ///
 /// # Panics
-/// When the forces are not one a node, or the shares do not add up to 1.
+/// When there is not one force per node, or the shares do not add up to 1.
 pub fn solve_nonlinear_smoothed<M: Material>(
     problem: &NonlinearProblem<'_, M>,
     smoothing: Smoothing,
@@ -524,7 +525,7 @@ pub fn solve_nonlinear_smoothed<M: Material>(
 /// As [`super::solve_static`].
 ///
 /// # Panics
-/// When the forces are not one a node, or the shares do not add up to 1.
+/// When there is not one force per node, or the shares do not add up to 1.
 pub fn solve_static_smoothed(
     problem: &StaticProblem<'_>,
     smoothing: Smoothing,
@@ -550,7 +551,7 @@ pub fn solve_static_smoothed(
 /// [`SolveError::Volume`] for a flat or inverted tetrahedron at rest.
 ///
 /// # Panics
-/// When the displacements are not one a node.
+/// When there is not one displacement per node.
 pub fn node_deformation_gradients(
     mesh: &TetMesh,
     displacement_m: &[DVec3],

@@ -52,14 +52,14 @@ pub fn add_gravity_forces(
 /// [`SolveError`]: an unusable mesh, conditions on missing nodes, a piece that floats, a singular matrix.
 ///
 /// # Panics
-/// When the forces are not one a node.
+/// When there is not one force per node.
 pub fn solve_static(problem: &StaticProblem<'_>) -> Result<StaticSolution, SolveError> {
     let edges = MeshEdges::of_mesh(problem.mesh)?;
     let tensors = StiffnessTensors::assemble(problem.mesh, &edges, problem.material)?;
     solve_assembled(problem, &edges, &tensors)
 }
 
-/// [`solve_static`] with stiffness tensors made elsewhere, on edges that join the same pieces.
+/// [`solve_static`] with given stiffness tensors, on edges that connect the same pieces.
 pub(super) fn solve_assembled(
     problem: &StaticProblem<'_>,
     edges: &MeshEdges,

@@ -1,4 +1,4 @@
-//! How a body is held and what stress it has at rest, for statics and dynamics alike.
+//! Supports, ligaments and stress at rest, for statics and dynamics.
 
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::NodeId;
@@ -25,7 +25,7 @@ impl FixedNode {
 pub struct Attachment {
     /// Which node.
     pub node: NodeId,
-    /// Where it begins in the surroundings [m].
+    /// Its fixed end in the surroundings [m].
     pub anchor_m: DVec3,
     /// Length up to which it is slack [m].
     pub slack_length_m: f64,

@@ -1,9 +1,10 @@
 //! The free rows and columns of K in a fixed sparse pattern, and their Cholesky factor.
 //!
-//! The pattern is made once: every tensor entry has its slot, so new stiffness numbers are written without a
-//! search and without allocation. Factor: faer's supernodal L L^T on one thread; the fill-reducing order is
-//! approximate minimum degree (Amestoy, Davis and Duff 1996, doi 10.1137/S0895479894278952) of the node
-//! graph, or nested dissection where it pays (`ordering`). The node graph is nine times smaller than that of the components and keeps a node's components together.
+//! The pattern is computed once: every tensor entry has its slot, so new stiffness values are written without a search and
+//! without allocation. The factor is faer's supernodal L L^T on one thread. The fill-reducing order is approximate minimum
+//! degree (Amestoy, Davis and Duff 1996, doi 10.1137/S0895479894278952) of the node graph, or nested dissection where it
+//! pays (`ordering`). The node graph is nine times smaller than that of the components, and keeps a node's components
+//! together.
 
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
@@ -25,8 +26,8 @@ use glisson_mesh::mesh::NodeId;
 /// Marks a prescribed component and a slot that does not exist.
 const NONE: u32 = u32::MAX;
 
-/// Bodies of at least so many nodes are ordered by nested dissection: below it a factor hardly gains, and does not
-/// make up for the time of the ordering.
+/// Bodies of at least so many nodes are ordered by nested dissection: smaller ones gain too little to make up for the time
+/// of the ordering.
 const DISSECTED_NODES: usize = 3_000;
 
 /// The free part of K: upper triangle by columns, components in node order.
@@ -68,7 +69,7 @@ impl FreeSystem {
     /// [`SolveError::Factorization`] when the ordering fails.
     ///
     /// # Panics
-    /// When there is not one position a node.
+    /// When there is not one position per node.
     pub fn for_many_solutions(
         positions_m: &[DVec3],
         edges: &MeshEdges,
@@ -161,7 +162,7 @@ impl FreeSystem {
         }
     }
 
-    /// Takes over new stiffness numbers on the same mesh and supports, without allocation.
+    /// Sets new stiffness values on the same mesh and supports, without allocation.
     pub fn refill(&mut self, tensors: &StiffnessTensors) {
         let entry = |m: &DMat3, a: usize, b: usize| m.col(b)[a];
         for (slots, m) in self.edge_slots.iter().zip(&tensors.edge) {
@@ -215,7 +216,7 @@ impl FreeSystem {
         }
     }
 
-    /// Takes K x from `from`, both of the free components: what is left of a load after a solution.
+    /// Subtracts K x from `from`, both over the free components: the residual of a solution.
     pub(crate) fn subtract_product(&self, x: &[f64], from: &mut [f64]) {
         for (c, range) in self.column_start.windows(2).enumerate() {
             for at in range[0] as usize..range[1] as usize {
@@ -298,7 +299,7 @@ pub struct FactorScratch {
     n_columns: usize,
 }
 
-/// Scratch of the same size; what is in it does not matter.
+/// Scratch of the same size; its contents do not matter.
 fn same_size(memory: &MemBuffer) -> MemBuffer {
     MemBuffer::new(StackReq::new_aligned::<u8>(memory.len(), CACHE_LINE_BYTES))
 }
@@ -312,7 +313,7 @@ impl Clone for FactorScratch {
     }
 }
 
-/// L L^T of a [`FreeSystem`]: its pattern is kept for further numbers.
+/// L L^T of a [`FreeSystem`]; its pattern is kept for new values.
 pub struct Factorization {
     symbolic: Arc<SymbolicCholesky<u32>>,
     value: Vec<f64>,
@@ -326,13 +327,12 @@ impl Clone for Factorization {
     }
 }
 
-/// Growth of a right-hand side through K^-1, times the largest diagonal entry, from which on K counts as
-/// singular: pivots of a true mechanism are rounding errors, 1e-16 of the diagonal; the worst organ meshes
-/// reach 1e9.
+/// K counts as singular when the growth of a right-hand side through K^-1, times the largest diagonal entry, exceeds this:
+/// the pivots of a true mechanism are rounding errors, 1e-16 of the diagonal; the worst organ meshes reach 1e9.
 const SINGULAR_GROWTH: f64 = 1e13;
 
 impl Factorization {
-    /// Factors new numbers of the same system and checks that they are not singular.
+    /// Factors new values of the same system and checks that K is not singular.
     ///
     /// # Errors
     /// [`SolveError::Singular`] when they are not positive definite in floating point.
@@ -341,8 +341,8 @@ impl Factorization {
         self.check_growth(system)
     }
 
-    /// Factors new numbers of a system that cannot be nearly singular, because a mass stands on its diagonal:
-    /// [`Factorization::refactor`] without the check for it. No allocation.
+    /// Factors new values of a system that cannot be nearly singular because its diagonal contains masses: like
+    /// [`Factorization::refactor`] without that check. No allocation.
     ///
     /// # Errors
     /// [`SolveError::Singular`] when a pivot is not positive.

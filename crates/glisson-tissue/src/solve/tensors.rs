@@ -71,7 +71,7 @@ impl StiffnessTensors {
         Self::assemble_with(mesh, edges, |_, g| g.stiffness(material.lambda_pa(), material.mu_pa()))
     }
 
-    /// Accumulates what `stiffness_of` says of each tetrahedron, in their order.
+    /// Accumulates the stiffness `stiffness_of` of each tetrahedron, in their order.
     ///
     /// # Errors
     /// [`SolveError::Volume`] for a flat or inverted tetrahedron.

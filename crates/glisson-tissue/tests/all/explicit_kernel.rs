@@ -210,96 +210,130 @@ fn steps_and_removals_allocate_nothing_in_the_model_and_its_copies() {
     }
 }
 
-#[test]
-fn after_removals_it_equals_a_model_of_the_remaining_mesh() {
-    let mesh = shaken_block([7, 5, 4], SIZE_M, 0.12, 10);
-    let n_nodes = mesh.positions_m.len();
-    let mut random = SeededRandom::new(11);
-    let moved: Vec<DVec3> = mesh
-        .positions_m
-        .iter()
-        .map(|p| *p + DVec3::from_array(std::array::from_fn(|_| random.uniform_in(-1e-3, 1e-3))))
-        .collect();
-    let ligaments: Vec<Attachment> = (0..n_nodes)
-        .step_by(5)
-        .map(|n| Attachment {
+/// A block with ligaments and supports, of which every seventh tetrahedron and all at one node go.
+struct CutBlock {
+    mesh: TetMesh,
+    removed: Vec<TetId>,
+    /// What remains, on the same nodes.
+    rest: TetMesh,
+    /// The node that is left without a tetrahedron.
+    bare: NodeId,
+    fixed: Vec<FixedNode>,
+    ligaments: Vec<Attachment>,
+    step_s: f64,
+}
+
+impl CutBlock {
+    fn new() -> Self {
+        let mesh = shaken_block([7, 5, 4], SIZE_M, 0.12, 10);
+        let ligament = |n: usize| Attachment {
             node: NodeId::from_index(n),
             anchor_m: mesh.positions_m[n] + DVec3::splat(0.01),
             slack_length_m: 0.002,
             stiffness_n_per_m: 3.0,
-        })
-        .collect();
-    let fixed: Vec<FixedNode> = nodes_below(&mesh, 0, 0.01)
-        .into_iter()
-        .map(|node| FixedNode { node, axes: [true, false, true] })
-        .collect();
-    let bare = mesh.tetrahedra[0][0];
-    let goes = |t: usize| t % 7 == 3 || mesh.tetrahedra[t].contains(&bare);
-    let (removed, kept): (Vec<usize>, Vec<usize>) = (0..mesh.tetrahedra.len()).partition(|&t| goes(t));
-    let rest = TetMesh {
-        positions_m: mesh.positions_m.clone(),
-        tetrahedra: kept.iter().map(|&t| mesh.tetrahedra[t]).collect(),
-    };
-    let step_s = 0.3 * time_step_s(&mesh);
-    let on = |mesh: &TetMesh, law| {
-        build(
-            DynamicBody { attachments: &ligaments, time_step_s: step_s, ..body_of(mesh, &fixed, step_s) },
-            law,
-        )
-    };
-    for law in LAWS {
-        let mut cut = on(&mesh, law);
-        let mut editable = EditableMesh::new(mesh.clone()).unwrap();
-        let tets = removed.iter().map(|&t| TetId::from_index(t)).collect();
-        let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
-        cut.topology_changed(editable.mesh(), &change).unwrap();
-        let mut fresh = on(&rest, law);
-        cut.take_over(&moved);
-        fresh.take_over(&moved);
-        cut.step(step_s);
-        fresh.step(step_s);
-        let forces = |model: &ExplicitKernel| {
-            let mut force_n = vec![DVec3::ZERO; n_nodes];
-            model.kernel().forces_into(&mut force_n);
-            let outer = (0..n_nodes).map(|n| model.kernel().outer_force_n(NodeId::from_index(n)));
-            (force_n, outer.collect::<Vec<_>>())
         };
-        let (found, expected) = (forces(&cut), forces(&fresh));
-        assert!(relative_difference(&found.0, &expected.0) < 1e-12, "{law:?}");
-        assert_eq!(found.0[bare.index()], DVec3::ZERO);
-        let live = |n: &usize| cut.kernel().has_tets(NodeId::from_index(*n));
-        for n in (0..n_nodes).filter(live) {
-            assert!((found.1[n] - expected.1[n]).length() < 1e-14 * 10.0, "{n}");
+        let bare = mesh.tetrahedra[0][0];
+        let goes = |t: usize| t % 7 == 3 || mesh.tetrahedra[t].contains(&bare);
+        let (removed, kept): (Vec<usize>, Vec<usize>) = (0..mesh.tetrahedra.len()).partition(|&t| goes(t));
+        let slides = |node| FixedNode { node, axes: [true, false, true] };
+        Self {
+            removed: removed.iter().map(|&t| TetId::from_index(t)).collect(),
+            rest: TetMesh {
+                positions_m: mesh.positions_m.clone(),
+                tetrahedra: kept.iter().map(|&t| mesh.tetrahedra[t]).collect(),
+            },
+            bare,
+            fixed: nodes_below(&mesh, 0, 0.01).into_iter().map(slides).collect(),
+            ligaments: (0..mesh.positions_m.len()).step_by(5).map(ligament).collect(),
+            step_s: 0.3 * time_step_s(&mesh),
+            mesh,
         }
-        // And compacted in the middle of a motion.
-        let mut compacted = cut.clone();
-        let change = editable.compact();
-        compacted.topology_changed(editable.mesh(), &change).unwrap();
-        assert_eq!(compacted.report().n_reanalyses, 1);
-        for _ in 0..200 {
-            cut.step(step_s);
-            compacted.step(step_s);
-        }
-        let pick = |vectors: &[DVec3]| -> Vec<DVec3> {
-            let stays = change.nodes.new_ids.iter().map(Option::is_some);
-            vectors.iter().zip(stays).filter(|(_, stays)| *stays).map(|(v, _)| *v).collect()
-        };
-        let found = compacted.state();
-        let off = relative_difference(found.velocities_m_per_s, &pick(cut.state().velocities_m_per_s));
-        assert!(off < 1e-9, "{law:?}: {off:e}");
-        let off = relative_difference(found.positions_m, &pick(cut.state().positions_m));
-        assert!(off < 1e-12, "{law:?}: {off:e}");
-        // Down to nothing.
-        let tets = editable.topology().live_tets().collect();
-        let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
-        compacted.topology_changed(editable.mesh(), &change).unwrap();
-        compacted.step(step_s);
-        let change = editable.compact();
-        compacted.topology_changed(editable.mesh(), &change).unwrap();
-        compacted.step(step_s);
-        assert!(compacted.state().positions_m.is_empty());
-        assert_eq!(compacted.duplicate().report().kinetic_energy_j, 0.0);
     }
+
+    fn model(&self, mesh: &TetMesh, law: KernelLaw) -> ExplicitKernel {
+        let (attachments, time_step_s) = (&self.ligaments[..], self.step_s);
+        let body = body_of(mesh, &self.fixed, time_step_s);
+        build(DynamicBody { attachments, time_step_s, ..body }, law)
+    }
+}
+
+#[test]
+fn after_removals_it_equals_a_model_of_the_remaining_mesh() {
+    let block = CutBlock::new();
+    let mut random = SeededRandom::new(11);
+    let moved: Vec<DVec3> = block
+        .mesh
+        .positions_m
+        .iter()
+        .map(|p| *p + DVec3::from_array(std::array::from_fn(|_| random.uniform_in(-1e-3, 1e-3))))
+        .collect();
+    for law in LAWS {
+        let mut cut = block.model(&block.mesh, law);
+        let mut editable = EditableMesh::new(block.mesh.clone()).unwrap();
+        let change = editable.apply(&MeshEdit::Remove { tets: block.removed.clone() }).unwrap();
+        cut.topology_changed(editable.mesh(), &change).unwrap();
+        let mut fresh = block.model(&block.rest, law);
+        for model in [&mut cut, &mut fresh] {
+            model.take_over(&moved);
+            model.step(block.step_s);
+        }
+        assert_same_kernel_forces(&cut, &fresh, block.bare);
+        let mut compacted = compacted_in_motion(&mut cut, &mut editable, block.step_s);
+        remove_the_rest(&mut compacted, &mut editable, block.step_s);
+    }
+}
+
+fn assert_same_kernel_forces(cut: &ExplicitKernel, fresh: &ExplicitKernel, bare: NodeId) {
+    let (law, n_nodes) = (cut.kernel().law(), cut.state().positions_m.len());
+    let forces = |model: &ExplicitKernel| {
+        let mut force_n = vec![DVec3::ZERO; n_nodes];
+        model.kernel().forces_into(&mut force_n);
+        let outer = (0..n_nodes).map(|n| model.kernel().outer_force_n(NodeId::from_index(n)));
+        (force_n, outer.collect::<Vec<_>>())
+    };
+    let (found, expected) = (forces(cut), forces(fresh));
+    assert!(relative_difference(&found.0, &expected.0) < 1e-12, "{law:?}");
+    assert_eq!(found.0[bare.index()], DVec3::ZERO);
+    let live = |n: &usize| cut.kernel().has_tets(NodeId::from_index(*n));
+    for n in (0..n_nodes).filter(live) {
+        assert!((found.1[n] - expected.1[n]).length() < 1e-14 * 10.0, "{n}");
+    }
+}
+
+/// A copy that is compacted in the middle of a motion and moves on with the model.
+fn compacted_in_motion(cut: &mut ExplicitKernel, editable: &mut EditableMesh, step_s: f64) -> ExplicitKernel {
+    let law = cut.kernel().law();
+    let mut compacted = cut.clone();
+    let change = editable.compact();
+    compacted.topology_changed(editable.mesh(), &change).unwrap();
+    assert_eq!(compacted.report().n_reanalyses, 1);
+    for _ in 0..200 {
+        cut.step(step_s);
+        compacted.step(step_s);
+    }
+    let pick = |vectors: &[DVec3]| -> Vec<DVec3> {
+        let stays = change.nodes.new_ids.iter().map(Option::is_some);
+        vectors.iter().zip(stays).filter(|(_, stays)| *stays).map(|(v, _)| *v).collect()
+    };
+    let found = compacted.state();
+    let off = relative_difference(found.velocities_m_per_s, &pick(cut.state().velocities_m_per_s));
+    assert!(off < 1e-9, "{law:?}: {off:e}");
+    let off = relative_difference(found.positions_m, &pick(cut.state().positions_m));
+    assert!(off < 1e-12, "{law:?}: {off:e}");
+    compacted
+}
+
+/// Cuts down to nothing.
+fn remove_the_rest(model: &mut ExplicitKernel, editable: &mut EditableMesh, step_s: f64) {
+    let tets = editable.topology().live_tets().collect();
+    let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
+    model.topology_changed(editable.mesh(), &change).unwrap();
+    model.step(step_s);
+    let change = editable.compact();
+    model.topology_changed(editable.mesh(), &change).unwrap();
+    model.step(step_s);
+    assert!(model.state().positions_m.is_empty());
+    assert_eq!(model.duplicate().report().kinetic_energy_j, 0.0);
 }
 
 fn body_of<'a>(mesh: &'a TetMesh, fixed: &'a [FixedNode], time_step_s: f64) -> DynamicBody<'a> {

@@ -1,8 +1,9 @@
 //! Implicit Euler with any law: static limit, supports along single axes, ligaments, stress at rest, relaxation,
 //! quarantine, copies.
 
+mod cut;
+
 use glisson_mesh::math::{DMat3, DVec3, SeededRandom, outer};
-use glisson_mesh::mesh::edit::{EditableMesh, MeshEdit};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use glisson_tissue::material::{
     HolzapfelGasserOgden, HolzapfelGasserOgdenParameters, LinearElastic, Material, MaterialSpec,
@@ -293,95 +294,6 @@ fn an_equilibrated_body_stays_at_rest_and_answers_to_another_gravity() {
         model.set_gravity(GRAVITY);
         settle(&mut model, &Constraints::default(), 8);
         assert!(farthest_m(&model) < 1e-8 * SIZE_M.x, "{}: {:e}", spec.name(), farthest_m(&model));
-    }
-}
-
-/// All features at once: a piece cut loose falls with its full weight, and the model is then the one of the
-/// remaining mesh, to the bit.
-#[test]
-fn after_a_cut_a_loaded_body_is_the_one_of_the_remaining_mesh() {
-    let mesh = shaken_block([4, 3, 3], DVec3::new(0.12, 0.08, 0.06), 0.15, 9);
-    let fixed = clamped(&nodes_below(&mesh, 0, 0.02));
-    let stress = equilibrating(&mesh, &linear(0.4), &fixed, GRAVITY);
-    let laws = [5, 3, 2].map(|k| ImplicitLaw::from(&specs()[k]));
-    let series = PronySeries::new(&[PronyTerm { share: 0.3, time_s: 0.05 }]).unwrap();
-    let is_between =
-        |t: usize| mesh.corners_m(TetId::from_index(t)).iter().any(|p| (0.055..0.07).contains(&p.x));
-    for law in laws {
-        // The general ones as one law a tetrahedron.
-        let law_of = |mesh: &TetMesh| match &law {
-            ImplicitLaw::General(one) => ImplicitLaw::General(vec![one[0].clone(); mesh.tetrahedra.len()]),
-            fast => fast.clone(),
-        };
-        let law_before = law_of(&mesh);
-        let anchored = NodeId::from_index(
-            (0..mesh.positions_m.len()).find(|&n| (0.03..0.045).contains(&mesh.positions_m[n].x)).unwrap(),
-        );
-        let attachment = Attachment {
-            node: anchored,
-            anchor_m: mesh.positions_m[anchored.index()] + DVec3::Z * 0.1,
-            slack_length_m: 0.0999,
-            stiffness_n_per_m: 50.0,
-        };
-        let mut editable = EditableMesh::new(mesh.clone()).unwrap();
-        let loaded = DynamicBody {
-            gravity_m_per_s2: GRAVITY,
-            damping: Rayleigh { mass_per_s: 0.0, stiffness_s: 0.001 },
-            ..body(&mesh, &fixed)
-        };
-        let mut cut = ImplicitEuler::build(&ImplicitParams {
-            relaxation: Some(&series),
-            ..tight(
-                DynamicBody { rest_stress_pa: &stress, attachments: &[attachment], ..loaded },
-                &law_before,
-            )
-        })
-        .unwrap();
-        let tets = (0..mesh.tetrahedra.len()).filter(|&t| is_between(t)).map(TetId::from_index).collect();
-        let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
-        cut.topology_changed(editable.mesh(), &change).unwrap();
-        let change = editable.compact();
-        cut.topology_changed(editable.mesh(), &change).unwrap();
-        let rest = editable.mesh().clone();
-        let kept_stress: Vec<RestStress> =
-            (0..mesh.tetrahedra.len()).filter(|&t| !is_between(t)).map(|t| stress[t]).collect();
-        let node = NodeId::from_index(
-            rest.positions_m.iter().position(|p| *p == mesh.positions_m[anchored.index()]).unwrap(),
-        );
-        let kept_fixed = clamped(&nodes_below(&rest, 0, 0.02));
-        let kept_law = law_of(&rest);
-        let mut built = ImplicitEuler::build(&ImplicitParams {
-            relaxation: Some(&series),
-            ..tight(
-                DynamicBody {
-                    mesh: &rest,
-                    fixed: &kept_fixed,
-                    rest_stress_pa: &kept_stress,
-                    attachments: &[Attachment { node, ..attachment }],
-                    ..loaded
-                },
-                &kept_law,
-            )
-        })
-        .unwrap();
-        let loose: Vec<NodeId> = (0..rest.positions_m.len())
-            .map(NodeId::from_index)
-            .filter(|n| rest.positions_m[n.index()].x > 0.07)
-            .collect();
-        for step in 1..=10 {
-            cut.step(0.01);
-            built.step(0.01);
-            assert!(!cut.report().missed_tolerance, "{:?}", cut.step_report());
-            assert_eq!(bits(&cut), bits(&built));
-            // Free fall of the centre of mass, whatever the released stress does to the shape.
-            let mass_kg: f64 = loose.iter().map(|&n| cut.mass_kg(n)).sum();
-            let fallen_m: DVec3 =
-                loose.iter().map(|&n| cut.displacements_m()[n.index()] * (cut.mass_kg(n) / mass_kg)).sum();
-            let n = f64::from(step);
-            let expected_m = GRAVITY * (0.01 * 0.01 * n * (n + 1.0) / 2.0);
-            assert!((fallen_m - expected_m).length() < 1e-8 * expected_m.length(), "{fallen_m} {expected_m}");
-        }
-        assert_eq!(cut.report().n_reanalyses, 2);
     }
 }
 

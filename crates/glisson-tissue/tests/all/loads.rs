@@ -20,7 +20,9 @@ use glisson_tissue::solve::{
     stress_forces_into,
 };
 
-use crate::model_meshes::{block, held, nodes_below, relative_difference, rounded_block, shaken_block};
+use crate::model_meshes::{
+    block, held, nodes_below, random_live_tets, relative_difference, rounded_block, shaken_block,
+};
 
 pub(crate) const GRAVITY_M_PER_S2: DVec3 = DVec3::new(0.0, 0.0, -9.81);
 
@@ -535,27 +537,44 @@ fn damping_of_the_stiffness_shortens_the_stable_step_as_derived() {
     assert!(model.report().kinetic_energy_j < 0.1 * start_j);
 }
 
+/// One model of each kind, of the same body.
+struct FourModels {
+    linear: TensorMass,
+    nonlinear: NonlinearTensorMass,
+    springs: MassSpring,
+    extended: ExtendedMassSpring,
+}
+
+impl FourModels {
+    fn of(body: DynamicBody<'_>) -> Self {
+        Self {
+            linear: linear(body),
+            nonlinear: nonlinear(body, 1.3),
+            springs: springs(body),
+            extended: extended(body),
+        }
+    }
+
+    fn each_mut(&mut self) -> [&mut dyn DeformableModel; 4] {
+        [&mut self.linear, &mut self.nonlinear, &mut self.springs, &mut self.extended]
+    }
+}
+
 /// Forces of a model that was cut and of one built from what remained, both with their stress at rest.
 #[test]
 fn cut_models_with_a_stress_at_rest_equal_ones_built_anew() {
     let mesh = shaken_block([6, 5, 4], DVec3::new(0.12, 0.10, 0.08), 0.15, 8);
     let fixed = held(&nodes_below(&mesh, 0, 0.015));
     let stress = equilibrating_stress(&mesh, &material(), &fixed, &[], GRAVITY_M_PER_S2 * 10.0).unwrap();
-    let stressed = DynamicBody { fixed: &fixed, rest_stress_pa: &stress, ..body(&mesh) };
-    let mut cut = (linear(stressed), nonlinear(stressed, 1.3), springs(stressed), extended(stressed));
+    let mut cut = FourModels::of(DynamicBody { fixed: &fixed, rest_stress_pa: &stress, ..body(&mesh) });
     let mut editable = EditableMesh::new(mesh.clone()).unwrap();
     let mut random = SeededRandom::new(9);
     let mut stays = vec![true; mesh.tetrahedra.len()];
     for _ in 0..30 {
-        let live: Vec<TetId> = editable.topology().live_tets().collect();
-        let mut tets: Vec<TetId> =
-            (0..12).map(|_| live[(random.next_u64() % live.len() as u64) as usize]).collect();
-        tets.sort_unstable();
-        tets.dedup();
+        let tets = random_live_tets(&editable, &mut random, 12);
         tets.iter().for_each(|t| stays[t.index()] = false);
         let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
-        let models: [&mut dyn DeformableModel; 4] = [&mut cut.0, &mut cut.1, &mut cut.2, &mut cut.3];
-        for model in models {
+        for model in cut.each_mut() {
             let count = allocation_counter::measure(|| {
                 model.topology_changed(editable.mesh(), &change).unwrap();
                 model.step(STEP_S);
@@ -564,8 +583,7 @@ fn cut_models_with_a_stress_at_rest_equal_ones_built_anew() {
         }
     }
     let change = editable.compact();
-    let models: [&mut dyn DeformableModel; 4] = [&mut cut.0, &mut cut.1, &mut cut.2, &mut cut.3];
-    for model in models {
+    for model in cut.each_mut() {
         model.topology_changed(editable.mesh(), &change).unwrap();
         model.step(STEP_S);
     }
@@ -575,46 +593,75 @@ fn cut_models_with_a_stress_at_rest_equal_ones_built_anew() {
     let new_stress: Vec<RestStress> =
         stress.iter().zip(&stays).filter(|(_, stays)| **stays).map(|(s, _)| *s).collect();
     let anew_body = DynamicBody { fixed: &new_fixed, rest_stress_pa: &new_stress, ..body(&rest) };
-    let mut anew = (linear(anew_body), nonlinear(anew_body, 1.3), springs(anew_body), extended(anew_body));
+    let mut anew = FourModels::of(anew_body);
+    let u: Vec<DVec3> = (0..rest.positions_m.len()).map(|_| random_vector(&mut random) * 1e-3).collect();
+    assert_same_forces(&mut cut, &mut anew, &rest, &u);
+    let mut unstressed = FourModels::of(DynamicBody { rest_stress_pa: &[], ..anew_body });
+    assert_stress_adds_the_same(&mut anew, &mut unstressed, &rest, &u);
+}
+
+fn nonlinear_forces(model: &mut NonlinearTensorMass, u: &[DVec3]) -> Vec<DVec3> {
+    let mut force_n = vec![DVec3::ZERO; u.len()];
+    model.elastic_forces_into(u, &mut force_n);
+    force_n
+}
+
+fn spring_forces(model: &mut MassSpring, x: &[DVec3]) -> Vec<DVec3> {
+    let v = vec![DVec3::ZERO; x.len()];
+    let mut force_n = v.clone();
+    model.internal_forces_into(x, &v, &mut force_n);
+    force_n
+}
+
+fn extended_forces(model: &mut ExtendedMassSpring, x: &[DVec3]) -> Vec<DVec3> {
+    let v = vec![DVec3::ZERO; x.len()];
+    let mut force_n = v.clone();
+    model.internal_forces_into(x, &v, &mut force_n);
+    force_n
+}
+
+fn shifted(mesh: &TetMesh, u: &[DVec3]) -> Vec<DVec3> {
+    mesh.positions_m.iter().zip(u).map(|(p, u)| *p + *u).collect()
+}
+
+fn assert_same_forces(cut: &mut FourModels, anew: &mut FourModels, rest: &TetMesh, u: &[DVec3]) {
     let close = |name: &str, found: &[DVec3], expected: &[DVec3]| {
         let off = relative_difference(found, expected);
         assert!(off <= 1e-12, "{name}: {off:e}");
     };
-    let n = rest.positions_m.len();
     let rest_force = |model: &TensorMass| -> Vec<DVec3> {
-        (0..n).map(|n| model.rest_force_n(NodeId::from_index(n))).collect()
+        (0..u.len()).map(|n| model.rest_force_n(NodeId::from_index(n))).collect()
     };
-    close("linear", &rest_force(&cut.0), &rest_force(&anew.0));
-    let u: Vec<DVec3> = (0..n).map(|_| random_vector(&mut random) * 1e-3).collect();
-    let forces_of = |model: &mut NonlinearTensorMass| {
-        let mut force_n = vec![DVec3::ZERO; n];
-        model.elastic_forces_into(&u, &mut force_n);
-        force_n
-    };
-    close("non-linear", &forces_of(&mut cut.1), &forces_of(&mut anew.1));
-    let x: Vec<DVec3> = rest.positions_m.iter().zip(&u).map(|(p, u)| *p + *u).collect();
-    let v = vec![DVec3::ZERO; n];
-    let (mut a, mut b) = (v.clone(), v.clone());
-    cut.2.internal_forces_into(&x, &v, &mut a);
-    anew.2.internal_forces_into(&x, &v, &mut b);
-    close("springs", &a, &b);
-    cut.3.internal_forces_into(&x, &v, &mut a);
-    anew.3.internal_forces_into(&x, &v, &mut b);
-    close("extended", &a, &b);
-    // The three ways of F S0 are one: what the stress adds to the forces is the same for all laws.
-    let unstressed = DynamicBody { rest_stress_pa: &[], ..anew_body };
-    let mut added = [vec![DVec3::ZERO; n], vec![DVec3::ZERO; n], vec![DVec3::ZERO; n]];
-    let mut plain = vec![DVec3::ZERO; n];
-    nonlinear(unstressed, 1.3).elastic_forces_into(&u, &mut plain);
-    let stressed_forces = forces_of(&mut anew.1);
-    added[0].iter_mut().zip(&stressed_forces).zip(&plain).for_each(|((a, s), p)| *a = *p - *s);
-    springs(unstressed).internal_forces_into(&x, &v, &mut plain);
-    anew.2.internal_forces_into(&x, &v, &mut a);
-    added[1].iter_mut().zip(&a).zip(&plain).for_each(|((d, s), p)| *d = *s - *p);
-    extended(unstressed).internal_forces_into(&x, &v, &mut plain);
-    added[2].iter_mut().zip(&b).zip(&plain).for_each(|((d, s), p)| *d = *s - *p);
-    for other in &added[1..] {
-        let off = relative_difference(other, &added[0]);
+    let x = shifted(rest, u);
+    close("linear", &rest_force(&cut.linear), &rest_force(&anew.linear));
+    close("non-linear", &nonlinear_forces(&mut cut.nonlinear, u), &nonlinear_forces(&mut anew.nonlinear, u));
+    close("springs", &spring_forces(&mut cut.springs, &x), &spring_forces(&mut anew.springs, &x));
+    close("extended", &extended_forces(&mut cut.extended, &x), &extended_forces(&mut anew.extended, &x));
+}
+
+/// The three ways of F S0 are one: what the stress adds to the forces is the same for all laws.
+fn assert_stress_adds_the_same(
+    stressed: &mut FourModels,
+    unstressed: &mut FourModels,
+    rest: &TetMesh,
+    u: &[DVec3],
+) {
+    let difference =
+        |a: &[DVec3], b: &[DVec3]| -> Vec<DVec3> { a.iter().zip(b).map(|(a, b)| *a - *b).collect() };
+    let x = shifted(rest, u);
+    // Elastic forces of the non-linear model have the opposite sign.
+    let expected = difference(
+        &nonlinear_forces(&mut unstressed.nonlinear, u),
+        &nonlinear_forces(&mut stressed.nonlinear, u),
+    );
+    for added in [
+        difference(&spring_forces(&mut stressed.springs, &x), &spring_forces(&mut unstressed.springs, &x)),
+        difference(
+            &extended_forces(&mut stressed.extended, &x),
+            &extended_forces(&mut unstressed.extended, &x),
+        ),
+    ] {
+        let off = relative_difference(&added, &expected);
         assert!(off < 1e-9, "{off:e}");
     }
 }

@@ -17,7 +17,7 @@ use crate::loads::{
     GRAVITY_M_PER_S2, KINDS, Kind, STEP_S, body, build, displacements, extended, extended_with, largest,
     ligament, linear, material, nonlinear, organ, random_vector, springs, supports,
 };
-use crate::model_meshes::{block, held, nodes_below, shaken_block};
+use crate::model_meshes::{block, held, nodes_below, random_live_tets, shaken_block};
 
 /// The law with logarithms is left out: its forces near flat tetrahedra ask for a shorter step than that of the rest
 /// shape.
@@ -208,11 +208,7 @@ fn mass_scaling_keeps_the_scenes_step_stable_after_an_edit() {
         let mut editable = EditableMesh::new(mesh.clone()).unwrap();
         let mut random = SeededRandom::new(5);
         for round in 0..20 {
-            let live: Vec<TetId> = editable.topology().live_tets().collect();
-            let mut tets: Vec<TetId> =
-                (0..12).map(|_| live[(random.next_u64() % live.len() as u64) as usize]).collect();
-            tets.sort_unstable();
-            tets.dedup();
+            let tets = random_live_tets(&editable, &mut random, 12);
             let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
             model.topology_changed(editable.mesh(), &change).unwrap();
             model.step(h_s);

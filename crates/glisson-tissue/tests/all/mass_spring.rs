@@ -460,30 +460,17 @@ fn after_removals_the_models_equal_ones_built_from_what_remains() {
     let dynamics = Dynamics { fixed: held(&fixed), ..dynamics };
     for (model, before) in models.iter_mut().zip(before) {
         model.topology_changed(&rest, &change).unwrap();
-        let mut anew = extended(&rest, model.law(), 500.0, &dynamics);
-        for (found, expected) in model.mechanics().iter().zip(&anew.mechanics()) {
-            assert!(close(found, expected), "{}", model.law().name());
-        }
         for (n, new) in change.nodes.new_ids.iter().enumerate() {
             if let Some(new) = new {
                 assert_eq!(model.state().positions_m[new.index()], before[n]);
             }
         }
-        let x = deformed(&rest, 1.0);
-        let off = relative_difference(&forces(model, &x), &forces(&mut anew, &x));
-        assert!(off < 1e-12, "{off:e}");
+        assert_extended_as_built_anew(model, &rest, &dynamics);
         model.step(1e-3);
     }
     for (model, masses) in both.iter_mut().zip([NodalMasses::VolumeWeighted, NodalMasses::Equal]) {
         model.topology_changed(&rest, &change).unwrap();
-        let anew = springs(&rest, masses, &dynamics);
-        assert!(close(model.masses_kg(), anew.masses_kg()), "{masses:?}");
-        let (found, expected): (Vec<_>, Vec<_>) =
-            (model.springs_n_per_m().collect(), anew.springs_n_per_m().collect());
-        assert!(found.iter().map(|s| s.0).eq(expected.iter().map(|s| s.0)));
-        let stiffness = |springs: &[([NodeId; 2], f64)]| springs.iter().map(|s| s.1).collect::<Vec<_>>();
-        assert!(close(&stiffness(&found), &stiffness(&expected)));
-        assert!((model.stable_step_s() / anew.stable_step_s() - 1.0).abs() < 1e-9);
+        assert_springs_as_built_anew(model, &springs(&rest, masses, &dynamics), masses);
         model.step(1e-3);
     }
     let moved =
@@ -491,6 +478,26 @@ fn after_removals_the_models_equal_ones_built_from_what_remains() {
     if let Ok(change) = editable.apply(&moved) {
         models[0].topology_changed(editable.mesh(), &change).unwrap();
     }
+}
+
+fn assert_extended_as_built_anew(model: &mut ExtendedMassSpring, rest: &TetMesh, dynamics: &Dynamics) {
+    let mut anew = extended(rest, model.law(), 500.0, dynamics);
+    for (found, expected) in model.mechanics().iter().zip(&anew.mechanics()) {
+        assert!(close(found, expected), "{}", model.law().name());
+    }
+    let x = deformed(rest, 1.0);
+    let off = relative_difference(&forces(model, &x), &forces(&mut anew, &x));
+    assert!(off < 1e-12, "{off:e}");
+}
+
+fn assert_springs_as_built_anew(model: &MassSpring, anew: &MassSpring, masses: NodalMasses) {
+    assert!(close(model.masses_kg(), anew.masses_kg()), "{masses:?}");
+    let (found, expected): (Vec<_>, Vec<_>) =
+        (model.springs_n_per_m().collect(), anew.springs_n_per_m().collect());
+    assert!(found.iter().map(|s| s.0).eq(expected.iter().map(|s| s.0)));
+    let stiffness = |springs: &[([NodeId; 2], f64)]| springs.iter().map(|s| s.1).collect::<Vec<_>>();
+    assert!(close(&stiffness(&found), &stiffness(&expected)));
+    assert!((model.stable_step_s() / anew.stable_step_s() - 1.0).abs() < 1e-9);
 }
 
 #[test]

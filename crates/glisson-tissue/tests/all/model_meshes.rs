@@ -1,7 +1,8 @@
 //! Meshes for the tests of solver and models.
 
 use glisson_mesh::math::{DVec3, SeededRandom};
-use glisson_mesh::mesh::{NodeId, TetMesh};
+use glisson_mesh::mesh::edit::EditableMesh;
+use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use glisson_tissue::model::FixedNode;
 
 /// The six tetrahedra of a cube cut along its diagonal (Kuhn): paths from corner 0 to corner 7 of the corner
@@ -117,4 +118,14 @@ fn the_meshes_fill_their_volume() {
             assert!(mesh.tet_volume_m3(glisson_mesh::mesh::TetId::from_index(t)) > 0.0);
         }
     }
+}
+
+/// Up to `n` live tetrahedra at random, ascending.
+pub(crate) fn random_live_tets(editable: &EditableMesh, random: &mut SeededRandom, n: usize) -> Vec<TetId> {
+    let live: Vec<TetId> = editable.topology().live_tets().collect();
+    let mut tets: Vec<TetId> =
+        (0..n).map(|_| live[(random.next_u64() % live.len() as u64) as usize]).collect();
+    tets.sort_unstable();
+    tets.dedup();
+    tets
 }

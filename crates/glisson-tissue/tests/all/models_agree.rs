@@ -17,7 +17,7 @@ use glisson_tissue::model::{
 use glisson_tissue::solve::{BoundaryConditions, SolveError, StaticProblem, solve_static};
 use proptest::prelude::*;
 
-use crate::model_meshes::{block, held, nodes_below, relative_difference, shaken_block};
+use crate::model_meshes::{block, held, nodes_below, random_live_tets, relative_difference, shaken_block};
 
 fn material() -> LinearElastic {
     LinearElastic::from_young_poisson(5000.0, 0.45, 1060.0).unwrap()
@@ -581,11 +581,7 @@ fn removal_equals_a_model_of_the_remaining_mesh() {
     // A third of the tetrahedra, in batches, at random: leaves nodes and edges alone.
     let mut random = SeededRandom::new(6);
     for _ in 0..10 {
-        let live: Vec<TetId> = editable.topology().live_tets().collect();
-        let mut tets: Vec<TetId> =
-            (0..9).map(|_| live[(random.next_u64() % live.len() as u64) as usize]).collect();
-        tets.sort_unstable();
-        tets.dedup();
+        let tets = random_live_tets(&editable, &mut random, 9);
         let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
         model.topology_changed(editable.mesh(), &change).unwrap();
         model.step(0.002);

@@ -17,7 +17,7 @@ use glisson_tissue::solve::add_gravity_forces;
 use glisson_tissue::solve::case::{parse_vectors, read_case};
 use proptest::prelude::*;
 
-use crate::model_meshes::{block, held, nodes_below, relative_difference, shaken_block};
+use crate::model_meshes::{block, held, nodes_below, random_live_tets, relative_difference, shaken_block};
 
 fn material() -> LinearElastic {
     LinearElastic::from_young_poisson(5000.0, 0.45, 1060.0).unwrap()
@@ -308,6 +308,32 @@ fn model_difference(found: &NonlinearTensorMass, expected: &NonlinearTensorMass,
     })
 }
 
+/// Removes at most `n_batches` batches of tetrahedra, never the last ones, with a step after each.
+fn cut_at_random(
+    model: &mut NonlinearTensorMass,
+    editable: &mut EditableMesh,
+    random: &mut SeededRandom,
+    n_batches: usize,
+) {
+    for _ in 0..n_batches {
+        // All around a node go together at times: that node is left alone.
+        let tets = if random.uniform() < 0.3 {
+            let node = editable.topology().live_nodes().nth(5).unwrap();
+            let mut tets = editable.topology().node_tets(node).to_vec();
+            tets.sort_unstable();
+            tets
+        } else {
+            random_live_tets(editable, random, 9)
+        };
+        if tets.len() == editable.topology().live_tets().count() {
+            break;
+        }
+        let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
+        model.topology_changed(editable.mesh(), &change).unwrap();
+        model.step(0.002);
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
@@ -321,25 +347,7 @@ proptest! {
         let mut cut = model(&mesh, &fixed, elasticity);
         cut.set_nonlinear_part(NonlinearPart::AboveErrorBound { tolerance_n: 1e-6 });
         let mut editable = EditableMesh::new(mesh.clone()).unwrap();
-        let mut random = SeededRandom::new(seed);
-        for _ in 0..n_batches {
-            let live: Vec<TetId> = editable.topology().live_tets().collect();
-            // All around a node go together at times: that node is left alone.
-            let mut tets = if random.uniform() < 0.3 {
-                let node = editable.topology().live_nodes().nth(5).unwrap();
-                editable.topology().node_tets(node).to_vec()
-            } else {
-                (0..9).map(|_| live[(random.next_u64() % live.len() as u64) as usize]).collect()
-            };
-            tets.sort_unstable();
-            tets.dedup();
-            if tets.len() == live.len() {
-                break;
-            }
-            let change = editable.apply(&MeshEdit::Remove { tets }).unwrap();
-            cut.topology_changed(editable.mesh(), &change).unwrap();
-            cut.step(0.002);
-        }
+        cut_at_random(&mut cut, &mut editable, &mut SeededRandom::new(seed), n_batches);
         let remaining: Vec<TetId> = editable.topology().live_tets().collect();
         let mesh_left = TetMesh {
             positions_m: mesh.positions_m.clone(),
@@ -531,26 +539,10 @@ fn energy_stays_and_an_unstable_step_is_refused() {
     assert!(matches!(negative, NonlinearTensorMassError::Explicit(TensorMassError::Parameter { .. })));
 }
 
-#[test]
-fn held_nodes_report_the_force_that_holds_them_and_runs_repeat() {
+/// A beam held at one end, and a node at the other end that a tool holds away from its place.
+fn bent_beam() -> (TetMesh, Vec<NodeId>, ImposedDisplacement) {
     let mesh = shaken_block([5, 2, 2], DVec3::new(0.1, 0.04, 0.04), 0.1, 12);
     let fixed = nodes_below(&mesh, 0, 0.012);
-    let material = material();
-    let elasticity = NonlinearElasticity { largest_stretch: 1.5, ..isotropic(&material) };
-    let stable = NonlinearTensorMass::stable_step(&mesh, &elasticity).unwrap();
-    let build = || {
-        NonlinearTensorMass::build(&NonlinearTensorMassParams {
-            body: DynamicBody {
-                fixed: &held(&fixed),
-                damping: Rayleigh::of_mass(60.0),
-                time_step_s: stable.step_s,
-                ..DynamicBody::new(&mesh, elasticity.material.density_kg_per_m3())
-            },
-            elasticity,
-        })
-        .unwrap()
-    };
-    let mut body = build();
     let far = (0..mesh.positions_m.len())
         .max_by(|&a, &b| mesh.positions_m[a].x.total_cmp(&mesh.positions_m[b].x))
         .unwrap();
@@ -558,7 +550,33 @@ fn held_nodes_report_the_force_that_holds_them_and_runs_repeat() {
         node: NodeId::from_index(far),
         displacement_m: DVec3::new(-0.002, 0.012, 0.004),
     };
-    body.apply(&Constraints { displacements: vec![held], forces: Vec::new() });
+    (mesh, fixed, held)
+}
+
+/// The model of [`bent_beam`] with the tool in place, at rest otherwise.
+fn bent_model(mesh: &TetMesh, fixed: &[NodeId], tool: ImposedDisplacement) -> NonlinearTensorMass {
+    let material = material();
+    let elasticity = NonlinearElasticity { largest_stretch: 1.5, ..isotropic(&material) };
+    let stable = NonlinearTensorMass::stable_step(mesh, &elasticity).unwrap();
+    let mut model = NonlinearTensorMass::build(&NonlinearTensorMassParams {
+        body: DynamicBody {
+            fixed: &held(fixed),
+            damping: Rayleigh::of_mass(60.0),
+            time_step_s: stable.step_s,
+            ..DynamicBody::new(mesh, elasticity.material.density_kg_per_m3())
+        },
+        elasticity,
+    })
+    .unwrap();
+    model.apply(&Constraints { displacements: vec![tool], forces: Vec::new() });
+    model
+}
+
+#[test]
+fn held_nodes_report_the_force_that_holds_them() {
+    let (mesh, fixed, held) = bent_beam();
+    let far = held.node.index();
+    let mut body = bent_model(&mesh, &fixed, held);
     for _ in 0..250 {
         body.step(0.01);
     }
@@ -566,7 +584,7 @@ fn held_nodes_report_the_force_that_holds_them_and_runs_repeat() {
         body.state().positions_m.iter().zip(&mesh.positions_m).map(|(x, p)| *x - *p).collect();
     assert!((u_m[far] - held.displacement_m).length() <= 1e-15);
     // At rest all other free nodes are in balance by the definition, and the held one by the reported force.
-    let laws = vec![TetLaw::isotropic(&material); mesh.tetrahedra.len()];
+    let laws = vec![TetLaw::isotropic(&material()); mesh.tetrahedra.len()];
     let mut force_n = vec![DVec3::ZERO; u_m.len()];
     DirectBody { mesh: &mesh, laws: &laws, gamma_pa: 0.0 }.forces_into(&u_m, &mut force_n);
     let reaction_n = body.constraint_forces_n()[0];
@@ -580,8 +598,11 @@ fn held_nodes_report_the_force_that_holds_them_and_runs_repeat() {
     for n in (0..u_m.len()).filter(|n| *n != far && !fixed.contains(&NodeId::from_index(*n))) {
         assert!(force_n[n].length() <= 1e-6 * reaction_n.length(), "{n}: {}", force_n[n]);
     }
+}
 
-    // Snapshots come back, and runs repeat, to the last bit.
+#[test]
+fn snapshots_come_back_and_runs_repeat_to_the_last_bit() {
+    let (mesh, fixed, held) = bent_beam();
     let bits = |body: &NonlinearTensorMass| -> Vec<u64> {
         body.state().history.iter().map(|x| x.to_bits()).collect()
     };
@@ -589,15 +610,13 @@ fn held_nodes_report_the_force_that_holds_them_and_runs_repeat() {
         (0..7).for_each(|_| body.step(0.01));
         bits(body)
     };
-    let mut a = build();
-    a.apply(&Constraints { displacements: vec![held], forces: Vec::new() });
+    let mut a = bent_model(&mesh, &fixed, held);
     run(&mut a);
     let snapshot = a.snapshot();
     let first = run(&mut a);
     a.restore(&snapshot);
     assert_eq!(run(&mut a), first);
-    let mut b = build();
-    b.apply(&Constraints { displacements: vec![held], forces: Vec::new() });
+    let mut b = bent_model(&mesh, &fixed, held);
     run(&mut b);
     assert_eq!(run(&mut b), first);
 }

@@ -60,6 +60,23 @@ enum Elements {
     NeoHooke(Vec<NeoHookeTet>),
 }
 
+impl Elements {
+    /// The tetrahedra of a mesh at rest, of which these are the gradients.
+    fn at_rest(law: EdgeLaw, material: &LinearElastic, mesh: &TetMesh, gradients: &[P1Gradients]) -> Self {
+        let lame = Lame { lambda_pa: material.lambda_pa(), mu_pa: material.mu_pa() };
+        let rests = mesh.tetrahedra.iter().map(|&nodes| rest_squares_m2(&mesh.positions_m, nodes));
+        let with_rests = gradients.iter().zip(rests);
+        match law {
+            EdgeLaw::StVenantKirchhoff => Self::StVenantKirchhoff(
+                with_rests.map(|(g, rest)| StVenantKirchhoffTet::new(g, rest, lame)).collect(),
+            ),
+            EdgeLaw::NeoHooke => {
+                Self::NeoHooke(with_rests.map(|(g, rest)| NeoHookeTet::new(g, rest, lame)).collect())
+            }
+        }
+    }
+}
+
 /// The links of the body.
 #[derive(Clone, Debug)]
 struct Links {
@@ -226,17 +243,7 @@ impl ExtendedMassSpring {
             }
             gradients.push(of_rest);
         }
-        let lame = Lame { lambda_pa: material.lambda_pa(), mu_pa: material.mu_pa() };
-        let rests = mesh.tetrahedra.iter().map(|&nodes| rest_squares_m2(&mesh.positions_m, nodes));
-        let with_rests = gradients.iter().zip(rests);
-        let elements = match law {
-            EdgeLaw::StVenantKirchhoff => Elements::StVenantKirchhoff(
-                with_rests.map(|(g, rest)| StVenantKirchhoffTet::new(g, rest, lame)).collect(),
-            ),
-            EdgeLaw::NeoHooke => {
-                Elements::NeoHooke(with_rests.map(|(g, rest)| NeoHookeTet::new(g, rest, lame)).collect())
-            }
-        };
+        let elements = Elements::at_rest(law, material, mesh, &gradients);
         let rest_m2 = edges
             .nodes
             .iter()

@@ -1,8 +1,8 @@
-//! St Venant-Kirchhoff tetrahedra of dynamic zones, force by force from the definition.
+//! St Venant-Kirchhoff tetrahedra of dynamic zones, evaluated directly from the definition.
 //!
 //! F = Id + sum_j u_j alpha_j^T, E = (F^T F - Id)/2, P = F S(E); the force that balances the deformation at corner j is
 //! V P alpha_j ([`TetLaw`], seeds `002` and `004`). For the few tetrahedra of a zone this takes fewer operations than
-//! the traversal of accumulated numbers in [`crate::model::nonlinear_tensor_mass`], of which it is the same physics.
+//! the accumulated tensors of [`crate::model::nonlinear_tensor_mass`]; the physics is the same.
 //!
 //! A stress at rest S0 makes P = F (S + S0). Its constant part V S0 alpha_j is kept elsewhere, as in the linear zones.
 
@@ -23,9 +23,9 @@ impl KirchhoffTet {
         Self { gradients: P1Gradients::new(corners_m), rest_stress_pa }
     }
 
-    /// Forces [N] that balance the corners' displacements [m] beyond the constant ones of the stress at rest, and
-    /// whether the tetrahedron is inverted: then it bears nothing, because St Venant-Kirchhoff tissue rests in its mirror
-    /// image too, and the forces are the opposites of the constant ones.
+    /// Forces [N] that balance the corners' displacements [m], without the constant forces of the stress at rest, and
+    /// whether the tetrahedron is inverted. An inverted one bears nothing, because St Venant-Kirchhoff tissue is also
+    /// at rest in its mirror image: the forces are then the constant ones with the opposite sign.
     pub(super) fn forces_n(&self, law: &TetLaw, u_m: [DVec3; 4]) -> ([DVec3; 4], bool) {
         let P1Gradients { alpha_per_m, volume_m3 } = self.gradients;
         let f = (0..4).fold(DMat3::IDENTITY, |f, k| f + outer(u_m[k], alpha_per_m[k]));
@@ -39,8 +39,8 @@ impl KirchhoffTet {
         (alpha_per_m.map(|alpha| piola_pa * alpha * volume_m3), is_inverted)
     }
 
-    /// Forces [N] of linear elasticity less those of [`KirchhoffTet::forces_n`], without a stress at rest: what a linear
-    /// system has to be loaded with so that it bears the non-linear tetrahedron.
+    /// Forces [N] of linear elasticity minus those of [`KirchhoffTet::forces_n`], without a stress at rest. A linear
+    /// system with this load has the forces of the non-linear tetrahedron.
     pub(super) fn linear_surplus_n(&self, law: &TetLaw, u_m: [DVec3; 4]) -> ([DVec3; 4], bool) {
         let P1Gradients { alpha_per_m, volume_m3 } = self.gradients;
         let gradient = (0..4).fold(DMat3::ZERO, |g, k| g + outer(u_m[k], alpha_per_m[k]));

@@ -1,7 +1,7 @@
-//! Hybrid models: zones of one mesh with different ways of solving (seed `003` ch. 4).
+//! Hybrid models: zones of one mesh, each solved by its own method (seed `003` ch. 4).
 //!
 //! [`exchange`] is the report's own model, in which zones pass forces and positions to each other until they agree.
-//! [`condensed`] couples them exactly, by condensation onto their frontiers; it is the one that scenes use.
+//! [`condensed`] couples them exactly, by static condensation onto their frontiers; scenes use this one.
 
 pub mod condensed;
 pub mod exchange;

@@ -1,15 +1,15 @@
-//! Corrections of a step by contact, through the factor at hand.
+//! Corrections of a step by contact, with the present factor.
 
 use super::ImplicitEuler;
 use crate::model::{Correction, NodalForce};
 use glisson_mesh::math::DVec3;
 
 impl ImplicitEuler {
-    /// Forces on nodes that do not move or are held do nothing.
+    /// Forces on nodes that do not move or are held have no effect.
     pub(super) fn answer(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
         moves_m.fill(DVec3::ZERO);
         let Some(lagged) = &mut self.lagged else { return };
-        // The residual is what the supports bear: it is asked for between steps.
+        // The residual holds the supports' forces, which are read between steps.
         let right = &mut self.scratch.product_n;
         right.fill(DVec3::ZERO);
         for force in forces {
@@ -32,7 +32,7 @@ impl ImplicitEuler {
                     self.velocities_m_per_s[n] += *move_m / dt_s;
                 }
             }
-            // The law may have no energy in the corrected shape: the next step looks.
+            // The law may have no energy in the corrected shape: the next step checks.
             self.is_suspect = true;
         }
         self.scratch.before_m = moves_m;

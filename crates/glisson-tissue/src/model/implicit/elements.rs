@@ -1,15 +1,14 @@
-//! All live tetrahedra: forces and tangent products of their law, of added stress, and of those that are inside
-//! out.
+//! All live tetrahedra: forces and tangent products of their law, of added stress, and of inverted ones.
 //!
-//! The stress is P = factor * P_elastic(F) + F S. S holds the stress at rest and what viscosity remembers, and
-//! `factor` is the share of the elastic stress that viscosity leaves to this step ([`super::relaxation`]); both
-//! are constant during a step, so that a potential exists.
+//! The stress is P = factor * P_elastic(F) + F S. S is the stress at rest plus the viscous memory, and `factor` is the
+//! share of the elastic stress in this step ([`super::relaxation`]). Both are constant during a step, so that a potential
+//! exists.
 //!
-//! Quarantine: a tetrahedron in which the law has no energy (inside out for a law with ln J), and all that share
-//! a node with one, follow for one step the stable neo-Hookean law of the same stiffness at rest. It is finite
-//! and restoring for every F; the neighbours take part so that none of them bars the way back. While a body
-//! recovers, the same goes for tetrahedra that are still far from their shape at rest, and where they are many, for
-//! the whole body until none is left: the law's own barrier would keep a tangle.
+//! Quarantine: a tetrahedron in which the law has no energy (an inverted one for a law with ln J), and all that share a node
+//! with it, follow for one step the stable neo-Hookean law of the same stiffness at rest. This law is finite and restoring
+//! for every F; the neighbours take part so that none of them blocks the way back. While a body recovers, the same applies
+//! to tetrahedra that are still far from their shape at rest. Where these are many, it applies to the whole body until none
+//! is left: the energy barrier of the law itself would preserve a tangle.
 
 use std::borrow::Cow;
 
@@ -31,9 +30,9 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 const RETURN_RATIO: f64 = 0.6;
 /// ... and below this |F|^2, which is 3 at rest. A tangle whose tetrahedra are all upright is stretched more.
 const RETURN_SQUARES: f64 = 4.5;
-/// One in so many tetrahedra in trouble is a tangle, not an accident.
+/// When one in so many tetrahedra is in trouble, the body counts as tangled.
 const TANGLE: usize = 20;
-/// Inside out: a law with an energy there has no barrier.
+/// An inverted F: a law with an energy there has no barrier.
 const MIRROR: DMat3 = DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0));
 
 /// Which tetrahedra follow the stand-in law.
@@ -70,12 +69,12 @@ pub(super) struct Elements {
     /// Numbers in the mesh of the live tetrahedra.
     tets: Vec<TetId>,
     own: OwnLaw,
-    /// One, or one a live tetrahedron.
+    /// One, or one per live tetrahedron.
     stand_ins: Vec<StableNeoHooke>,
     factor: f64,
     /// Stress at rest [Pa]; empty for none.
     rest_pa: Vec<SymmetricLanes>,
-    /// Its part without negative eigenvalues, for the preconditioner.
+    /// The stress at rest without its negative eigenvalues [Pa], for the preconditioner.
     tensile_rest_pa: Vec<DMat3>,
     node_volume_m3: Vec<f64>,
     strays: Roomy<Stray>,
@@ -84,21 +83,21 @@ pub(super) struct Elements {
     meets_bad: Vec<bool>,
 }
 
-/// What [`Elements::new`] needs; lists are by the mesh's tetrahedra.
+/// Parameters of [`Elements::new`]; lists have the mesh's tetrahedra.
 pub(super) struct ElementsParams<'a> {
     pub(super) mesh: &'a TetMesh,
     pub(super) live: &'a [bool],
     pub(super) law: &'a ImplicitLaw,
-    /// One, or one a tetrahedron.
+    /// One, or one per tetrahedron.
     pub(super) stand_ins: &'a [StableNeoHooke],
     pub(super) volume: VolumeResistance,
-    /// One a tetrahedron, or none.
+    /// One per tetrahedron, or none.
     pub(super) rest_stress_pa: &'a [RestStress],
     /// Whether [`Elements::set_viscous`] will be used.
     pub(super) is_viscous: bool,
 }
 
-/// The values of the live tetrahedra, of a list with one value or one a tetrahedron.
+/// The values of the live tetrahedra, of a list with one value or one per tetrahedron.
 fn of_live<'a, T: Clone>(list: &'a [T], tets: &[TetId]) -> Cow<'a, [T]> {
     if list.len() == 1 {
         Cow::Borrowed(list)
@@ -107,44 +106,66 @@ fn of_live<'a, T: Clone>(list: &'a [T], tets: &[TetId]) -> Cow<'a, [T]> {
     }
 }
 
+/// The tetrahedra in groups of eight, and a quarter of the volumes around each node [m3].
+fn groups_of(mesh: &TetMesh, tets: &[TetId]) -> Result<(Vec<Group>, Vec<f64>), SolveError> {
+    let mut node_volume_m3 = vec![0.0; mesh.positions_m.len()];
+    let mut groups = Vec::with_capacity(tets.len().div_ceil(LANES));
+    for part in tets.chunks(LANES) {
+        let mut group = Group {
+            nodes: [[0; LANES]; 4],
+            gradient_per_m: [[0.0; LANES]; 9],
+            volume_m3: [0.0; LANES],
+            left_out: 0,
+        };
+        for lane in 0..LANES {
+            // Lanes beyond the end repeat the last tetrahedron with volume zero.
+            let tet = part[lane.min(part.len() - 1)];
+            let gradients = P1Gradients::of_tet(mesh, tet)?;
+            let nodes = mesh.tetrahedra[tet.index()];
+            for k in 0..4 {
+                group.nodes[k][lane] = nodes[k].0;
+            }
+            for k in 0..3 {
+                for i in 0..3 {
+                    group.gradient_per_m[3 * k + i][lane] = gradients.alpha_per_m[k + 1][i];
+                }
+            }
+            if lane < part.len() {
+                group.volume_m3[lane] = gradients.volume_m3;
+                for node in nodes {
+                    node_volume_m3[node.index()] += 0.25 * gradients.volume_m3;
+                }
+            }
+        }
+        groups.push(group);
+    }
+    Ok((groups, node_volume_m3))
+}
+
+/// The stress at rest [Pa] in groups of eight, and its parts without negative eigenvalues; empty lists for none.
+fn rest_stresses(tets: &[TetId], of_tet_pa: &[RestStress]) -> (Vec<SymmetricLanes>, Vec<DMat3>) {
+    let (mut rest_pa, mut tensile_pa) = (Vec::new(), Vec::new());
+    if !of_tet_pa.is_empty() {
+        rest_pa = vec![[[0.0; LANES]; 6]; tets.len().div_ceil(LANES)];
+        for (t, tet) in tets.iter().enumerate() {
+            let s = of_tet_pa[tet.index()];
+            for k in 0..6 {
+                rest_pa[t / LANES][k][t % LANES] = s[k];
+            }
+            tensile_pa.push(super::projected::without_negative_eigenvalues(symmetric(&s)));
+        }
+    }
+    (rest_pa, tensile_pa)
+}
+
 impl Elements {
     pub(super) fn new(params: &ElementsParams<'_>) -> Result<Self, SolveError> {
         let ElementsParams { mesh, live, law, stand_ins, volume, rest_stress_pa, is_viscous } = *params;
         let n_nodes = mesh.positions_m.len();
         let tets: Vec<TetId> =
             (0..mesh.tetrahedra.len()).filter(|&t| live[t]).map(TetId::from_index).collect();
-        let mut node_volume_m3 = vec![0.0; n_nodes];
-        let n_groups = tets.len().div_ceil(LANES);
-        let mut groups = Vec::with_capacity(n_groups);
-        for part in tets.chunks(LANES) {
-            let mut group = Group {
-                nodes: [[0; LANES]; 4],
-                gradient_per_m: [[0.0; LANES]; 9],
-                volume_m3: [0.0; LANES],
-                left_out: 0,
-            };
-            for lane in 0..LANES {
-                // Lanes beyond the end repeat the last tetrahedron with volume zero.
-                let tet = part[lane.min(part.len() - 1)];
-                let gradients = P1Gradients::of_tet(mesh, tet)?;
-                let nodes = mesh.tetrahedra[tet.index()];
-                for k in 0..4 {
-                    group.nodes[k][lane] = nodes[k].0;
-                }
-                for k in 0..3 {
-                    for i in 0..3 {
-                        group.gradient_per_m[3 * k + i][lane] = gradients.alpha_per_m[k + 1][i];
-                    }
-                }
-                if lane < part.len() {
-                    group.volume_m3[lane] = gradients.volume_m3;
-                    for node in nodes {
-                        node_volume_m3[node.index()] += 0.25 * gradients.volume_m3;
-                    }
-                }
-            }
-            groups.push(group);
-        }
+        let (groups, node_volume_m3) = groups_of(mesh, &tets)?;
+        let n_groups = groups.len();
         let own = match law {
             ImplicitLaw::NeoHookeLog(law) => {
                 let lame_pa = [law.lambda_pa(), law.mu_pa()];
@@ -154,18 +175,7 @@ impl Elements {
                 OwnLaw::General(General::new(of_live(laws, &tets).into_owned(), n_groups))
             }
         };
-        let mut rest_pa = Vec::new();
-        let mut tensile_rest_pa = Vec::new();
-        if !rest_stress_pa.is_empty() {
-            rest_pa = vec![[[0.0; LANES]; 6]; n_groups];
-            for (t, tet) in tets.iter().enumerate() {
-                let s = rest_stress_pa[tet.index()];
-                for k in 0..6 {
-                    rest_pa[t / LANES][k][t % LANES] = s[k];
-                }
-                tensile_rest_pa.push(super::projected::without_negative_eigenvalues(symmetric(&s)));
-            }
-        }
+        let (rest_pa, tensile_rest_pa) = rest_stresses(&tets, rest_stress_pa);
         let added_pa = if is_viscous && rest_pa.is_empty() {
             vec![[[0.0; LANES]; 6]; n_groups]
         } else {
@@ -216,8 +226,7 @@ impl Elements {
         outer(v[1] - v[0], alpha[0]) + outer(v[2] - v[0], alpha[1]) + outer(v[3] - v[0], alpha[2])
     }
 
-    /// Sets this step's viscous factor; the added stress is the one at rest plus, for each live tetrahedron, what
-    /// `remembered_pa` gives.
+    /// Sets this step's viscous factor and the added stress: for each live tetrahedron the one at rest plus `remembered_pa`.
     pub(super) fn set_viscous(&mut self, factor: f64, remembered_pa: impl Fn(TetId) -> DMat3) {
         self.factor = factor;
         for (t, &tet) in self.tets.iter().enumerate() {
@@ -230,7 +239,7 @@ impl Elements {
         }
     }
 
-    /// Share of the elastic stress that viscosity leaves to this step.
+    /// Share of the elastic stress in this step.
     pub(super) fn factor(&self) -> f64 {
         self.factor
     }
@@ -282,9 +291,9 @@ impl Elements {
         }
     }
 
-    /// Finds the tetrahedra in which the law has no energy or, when the body recovers already, that are far from
-    /// rest. These and their neighbours follow the stand-in law from now on, until this is called again: how many
-    /// do, and the first in trouble.
+    /// Finds the tetrahedra in which the law has no energy and, when the body is recovering already, those far from rest. They
+    /// and their neighbours follow the stand-in law until the next call. Returns their number and the first tetrahedron in
+    /// trouble.
     pub(super) fn quarantine(&mut self, displacement_m: &[DVec3], before: Recovery) -> (u32, Option<TetId>) {
         self.strays.clear();
         for group in &mut self.shape.groups {
@@ -339,7 +348,7 @@ impl Elements {
         }
     }
 
-    /// Overwrites one flag a live tetrahedron: whether it follows the stand-in law.
+    /// Overwrites one flag per live tetrahedron: whether it follows the stand-in law.
     pub(super) fn strays_into(&self, follows_stand_in: &mut [bool]) {
         follows_stand_in.fill(false);
         for stray in self.strays.iter() {
@@ -359,7 +368,7 @@ impl Elements {
             OwnLaw::NeoHooke(own) => own.second_piola_pa(group, t % LANES, self.factor, &f),
             OwnLaw::General(own) => f.inverse() * own.law(t).first_piola_pa(&f),
         };
-        // What is passed on is symmetric to the bit.
+        // The result must be symmetric to the bit.
         Some(symmetric(&components(&stress_pa))).filter(DMat3::is_finite)
     }
 

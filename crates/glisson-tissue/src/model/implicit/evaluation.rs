@@ -1,13 +1,13 @@
-//! What evaluating the elements at a shape tells.
+//! The result of evaluating the elements at a shape.
 
-/// What one evaluation says besides the forces.
+/// The result of one evaluation besides the forces.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Evaluation {
-    /// Energy [J]; meaningless when not upright.
+    /// Energy [J]; meaningless unless `is_upright`.
     pub(super) energy_j: f64,
     /// Whether the law allows every F.
     pub(super) is_upright: bool,
-    /// Whether a tetrahedron is inside out under a law that allows it.
+    /// Whether a tetrahedron is inverted under a law that allows it.
     pub(super) has_inverted: bool,
 }
 

@@ -1,13 +1,13 @@
-//! Any law: stress and tangent tetrahedron by tetrahedron, gathering and products eight at a time.
+//! Any law: stress and tangent one tetrahedron at a time, gathering and products eight at a time.
 //!
-//! The tangent d2W/dF2 is symmetric: 45 numbers a tetrahedron, made when a product first asks for them after an
+//! The tangent d2W/dF2 is symmetric, with 45 numbers per tetrahedron. It is computed at the first product after an
 //! evaluation, so that a rejected line search step does not pay for it.
 
 use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 
 use super::evaluation::Evaluation;
 use super::lanes::{
-    Group, LANES, Lanes, Shape, add_turned, added_density, gradient, load, load_matrix, scatter,
+    Group, LANES, Lanes, Shape, add_turned, added_density, gradient, load, load_matrix, scale, scatter,
 };
 use super::law::SharedLaw;
 use crate::material::{Material, Tangent};
@@ -21,7 +21,7 @@ const N_ENTRIES: usize = 45;
 /// Law, deformation and tangent of all tetrahedra.
 #[derive(Clone)]
 pub(super) struct General {
-    /// One, or one a live tetrahedron.
+    /// One, or one per live tetrahedron.
     laws: Vec<SharedLaw>,
     /// F by rows at the last evaluation.
     f: Vec<[Lanes; 9]>,
@@ -163,9 +163,7 @@ fn evaluate<S: Simd>(
             energy_j += lanes.iter().sum::<f64>();
             add_turned(simd, group, &f, added_pa, &mut stress);
         }
-        for x in stress.iter_mut().flatten() {
-            *x *= volume;
-        }
+        scale(&mut stress, volume);
         scatter(group, &alpha, &stress, force_n);
     }
     Evaluation { energy_j, is_upright, has_inverted }
@@ -199,9 +197,7 @@ fn product<S: Simd>(
             add_turned(simd, group, &df, added_pa, &mut stress);
         }
         let volume = load(simd, &group.volume_m3);
-        for x in stress.iter_mut().flatten() {
-            *x *= volume;
-        }
+        scale(&mut stress, volume);
         scatter(group, &alpha, &stress, force_n);
     }
 }

@@ -9,12 +9,12 @@ use crate::solve::{
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::{NodeId, TetMesh};
 
-/// What the factored matrix depends on, besides the mesh and the material.
+/// The state that the factored matrix depends on, besides the mesh and the material.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct LaggedState {
     /// Displacements at which it was made [m].
     pub(super) displacement_m: Vec<DVec3>,
-    /// Nodes that were held by a tool then: they are cut off from their neighbours.
+    /// Nodes that a tool held then: they are decoupled from their neighbours.
     pub(super) held: Vec<bool>,
     /// Live tetrahedra that followed the stand-in law then.
     pub(super) strays: Vec<bool>,
@@ -27,7 +27,7 @@ pub(super) struct LaggedState {
 }
 
 impl LaggedState {
-    /// The same step of a body in its rest shape, held by nobody.
+    /// The same step for the rest shape without tools.
     pub(super) fn at_rest(&self) -> Self {
         Self {
             displacement_m: vec![DVec3::ZERO; self.displacement_m.len()],
@@ -55,15 +55,15 @@ pub(super) struct Lagged {
 pub(super) struct LaggedParams<'a> {
     /// The live tetrahedra with all nodes.
     pub(super) mesh: &'a TetMesh,
-    /// One for each axis along which a node can move, zero elsewhere.
+    /// 1 for each axis along which a node can move, 0 for the others.
     pub(super) free_axes: &'a [DVec3],
     pub(super) nodes: NodeTerms<'a>,
 }
 
-/// What stands on the nodes themselves.
+/// Terms of the single nodes.
 #[derive(Clone, Copy)]
 pub(super) struct NodeTerms<'a> {
-    /// Places at rest [m].
+    /// Rest positions [m].
     pub(super) rest_m: &'a [DVec3],
     /// Mass of each node [kg].
     pub(super) mass_kg: &'a [f64],
@@ -97,7 +97,7 @@ impl Lagged {
         Ok(Self { state, edges, tensors, system, factor, scratch, free })
     }
 
-    /// Makes the factor anew at `self.state`, without allocation. False when the numbers are not usable.
+    /// Recomputes the factor at `self.state`, without allocation. False when the matrix has no factor.
     pub(super) fn refresh(&mut self, elements: &Elements, nodes: NodeTerms<'_>) -> bool {
         assemble(&mut self.tensors, &self.edges, elements, &self.state);
         nodes.add_to(&mut self.tensors, &self.state);
@@ -105,7 +105,7 @@ impl Lagged {
         self.factor.refactor_definite(&self.system).is_ok()
     }
 
-    /// Overwrites `solution` with the factored matrix' inverse times `right`, zero where nothing is free.
+    /// Overwrites `solution` with the inverse of the factored matrix times `right`, zero for components that are not free.
     pub(super) fn solve_into(&mut self, right: &[DVec3], solution: &mut [DVec3]) {
         self.system.gather_into(right, &mut self.free);
         self.factor.solve_in_place(&mut self.free, 1, &mut self.scratch);
@@ -129,7 +129,7 @@ fn assemble(tensors: &mut StiffnessTensors, edges: &MeshEdges, elements: &Elemen
             if !state.held[nodes[j].index()] {
                 tensors.vertex[nodes[j].index()] += stiffness.vertex[j];
             } else {
-                // Cut off from its neighbours, a held node only has to stay definite.
+                // A held node is decoupled; its block only has to be positive definite.
                 let size = stiffness.vertex[j].col(0).x.abs();
                 tensors.vertex[nodes[j].index()] += DMat3::from_diagonal(DVec3::splat(size));
             }

@@ -148,6 +148,14 @@ pub(super) fn deformation<S: Simd>(h: &Matrix<S>) -> (Matrix<S>, Matrix<S>, f64x
     (f, cofactor, j)
 }
 
+/// Multiplies every entry.
+#[inline(always)]
+pub(super) fn scale<S: Simd>(matrix: &mut Matrix<S>, factor: f64x8<S>) {
+    for x in matrix.iter_mut().flatten() {
+        *x *= factor;
+    }
+}
+
 /// Adds V P alpha_k to the nodes k = 1, 2, 3 and the opposite sum to node 0, lane after lane.
 #[inline(always)]
 pub(super) fn scatter<S: Simd>(

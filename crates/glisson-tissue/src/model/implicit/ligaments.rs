@@ -1,4 +1,4 @@
-//! Ligaments: springs that pull when taut and are not there when slack.
+//! Ligaments: springs that pull when taut and exert no force when slack.
 //!
 //! With d the unit vector from node to anchor, l the distance and l0 the slack length, a taut one has the energy
 //! k/2 (l - l0)^2 and the tangent k [ d d^T + (1 - l0/l) (Id - d d^T) ], without negative eigenvalue. Energy and
@@ -24,7 +24,7 @@ impl Ligaments {
         self.list.is_empty()
     }
 
-    /// Overwrites the forces [N] on the attached nodes; keeps the tangents there; their energy [J].
+    /// Overwrites the forces [N] on the attached nodes and keeps the tangents there; returns the energy [J].
     pub(super) fn pull_into(
         &mut self,
         rest_m: &[DVec3],

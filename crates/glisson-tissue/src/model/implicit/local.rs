@@ -9,7 +9,7 @@ use crate::solve::P1Gradients;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::NodeId;
 
-/// How far a factor's step may be from the period, as a share of the mass term.
+/// Largest difference between a factor's step and the period, as a share of the mass term.
 const SAME_STEP: f64 = 1e-9;
 
 /// A body with the share of its stiffness that viscosity leaves to the period.
@@ -19,8 +19,8 @@ struct Relaxing<'a> {
 }
 
 impl ImplicitEuler {
-    /// The factor serves when it was made for steps of the period and no node of the patch is held: held nodes are cut
-    /// off from their neighbours in it. It is that of the shape at which it was made.
+    /// The factor is used when it was made for steps of the period and no node of the patch is held, since held nodes are
+    /// decoupled from their neighbours in it. It is that of the shape at which it was made.
     pub(super) fn fill_local_model(
         &mut self,
         patch: &[NodeId],
@@ -59,7 +59,7 @@ impl ImplicitEuler {
                 }
             }
         }
-        // The residual is what the supports bear: it is asked for between steps.
+        // The residual holds the supports' forces, which are read between steps.
         right.copy_from_slice(kept);
         out.symmetrize();
     }
@@ -79,7 +79,7 @@ impl LocalBody for Relaxing<'_> {
         self.body.tet_is_live[element]
     }
 
-    /// Of the law in each tetrahedron, also where volume or strain are averaged over nodes.
+    /// The stiffness of the law in each tetrahedron, also where volume or strain are averaged over nodes.
     fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
         let body = self.body;
         let nodes = body.mesh.tetrahedra[element].map(NodeId::index);

@@ -1,27 +1,26 @@
 //! Implicit Euler for a body of any law: large steps, stable at any stiffness.
 //!
 //! With u the displacements, x = u(t) + h v(t), f(u) the forces that balance the deformation, C = alpha M and
-//! Rayleigh's second term beta K v written as beta (f(u) - f(u(t)))/h (equal to it to first order, and zero for
-//! a body that only turns), one step solves
+//! Rayleigh's second term beta K v written as beta (f(u) - f(u(t)))/h (equal to first order, and zero for a body that
+//! only rotates), one step solves
 //!
 //! r(u) = M (u - x)/h^2 + alpha M (u - u(t))/h + f(u) + beta (f(u) - f(u(t)))/h - F - L(u) = 0,
 //! v = (u - u(t))/h,
 //!
 //! with gravity and outer forces F and the pull L of the ligaments, which is the minimum of an incremental
 //! potential (Martin et al. 2011, doi 10.1145/2010324.1964967). f holds the law's stress, the stress at rest
-//! ([`super::RestStress`]) and what viscosity remembers. Newton's
-//! method with conjugate gradients on the exact tangent, element by element; the preconditioner is the factor
-//! of the tangent at an earlier state, its negative eigenvalues removed. It is made anew when
-//! the iterations since then have cost about as much as a factor, never by a clock. Where the exact tangent has
-//! a negative direction, the projected one is factored at once and gives the direction. A direction is
-//! shortened until the law allows every tetrahedron (ln J needs J > 0) and the potential has fallen.
+//! ([`super::RestStress`]) and the viscous memory. The solver is Newton's method with conjugate gradients on the exact
+//! tangent, element by element. The preconditioner is the factor of the tangent at an earlier state, with its negative
+//! eigenvalues removed. It is recomputed when the iterations since then have cost about as much as a factor, never by a
+//! clock. Where the exact tangent has a direction of negative curvature, the projected one is factored at once and gives
+//! the direction. A direction is shortened until the law allows every tetrahedron (ln J needs J > 0) and the potential
+//! has decreased.
 //!
-//! In a step that starts with a tetrahedron inside out, beta does not count: the forces there are no measure of
-//! motion.
+//! In a step that starts with an inverted tetrahedron, beta is zero: the forces there are no measure of motion.
 //!
-//! A step ends when |r| <= tolerance (|F| + |M a| + |forces of the held nodes|), F without what the stress at rest
-//! balances; what else can happen is in [`ImplicitReport`]. A shape in which the law has no energy, which only
-//! [`DeformableModel::take_over`] can bring, is recovered by the stable neo-Hookean law (quarantine).
+//! A step ends when |r| <= tolerance (|F| + |M a| + |forces of the held nodes|), with F without the part that the stress at
+//! rest balances; [`ImplicitReport`] lists the other endings. Only [`DeformableModel::take_over`] can give a shape in which
+//! the law has no energy; the body then recovers by the stable neo-Hookean law (quarantine).
 
 mod correction;
 mod elements;
@@ -68,8 +67,8 @@ pub enum VolumeResistance {
     /// In the volume of all tetrahedra around each node: does not lock when nearly incompressible. The ln J
     /// neo-Hookean law only.
     NodeAveraged,
-    /// As [`Self::NodeAveraged`], and four fifths of the shear are averaged too: does not lock in bending either.
-    /// The ln J neo-Hookean law only, without relaxation.
+    /// As [`Self::NodeAveraged`], with four fifths of the shear averaged too: does not lock in bending either. The ln J
+    /// neo-Hookean law only, without relaxation.
     NodeAveragedStrain,
 }
 
@@ -81,7 +80,7 @@ struct Held {
     target_m: DVec3,
 }
 
-/// How the lagged factor has served so far.
+/// Use of the lagged factor so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct FactorAge {
     /// Steps with this factor.
@@ -92,8 +91,8 @@ struct FactorAge {
     excess_iterations: u32,
 }
 
-/// Newton iterations with reduced effort, and with the least: choices. A single one is the linearly implicit Euler step of
-/// D. Baraff and A. Witkin (Large steps in cloth simulation, 1998, doi 10.1145/280814.280821); two leave less behind.
+/// Newton iterations with reduced and with least effort: choices. A single one is the linearly implicit Euler step of
+/// D. Baraff and A. Witkin (Large steps in cloth simulation, 1998, doi 10.1145/280814.280821); two leave a smaller residual.
 const REDUCED_ITERATIONS: u32 = 5;
 const LEAST_ITERATIONS: u32 = 2;
 
@@ -101,14 +100,14 @@ const LEAST_ITERATIONS: u32 = 2;
 #[derive(Clone)]
 pub struct ImplicitEuler {
     law: ImplicitLaw,
-    /// One, or one a tetrahedron.
+    /// One, or one per tetrahedron.
     stand_ins: Vec<StableNeoHooke>,
     volume: VolumeResistance,
     density_kg_per_m3: f64,
     damping: Rayleigh,
     gravity_m_per_s2: DVec3,
     tolerance: f64,
-    /// Newton iterations of a step once all held nodes are where they should be.
+    /// Limit of the Newton iterations of a step once all held nodes are at their targets.
     most_iterations: u32,
     time_step_s: f64,
     /// Forces [N] below this are rounding.
@@ -118,7 +117,7 @@ pub struct ImplicitEuler {
     mesh: TetMesh,
     tet_is_live: Vec<bool>,
     rest_stress_pa: Vec<RestStress>,
-    /// One along the axes that no support holds, zero along the others.
+    /// 1 along the axes that no support holds, 0 along the others.
     free_axes: Vec<DVec3>,
     mass_kg: Vec<f64>,
     /// Nodes with a tetrahedron and a free axis.
@@ -133,7 +132,7 @@ pub struct ImplicitEuler {
     // State.
     displacement_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
-    /// Velocities before the last step: they make the next first guess.
+    /// Velocities before the last step, for the next first guess.
     earlier_velocities_m_per_s: Vec<DVec3>,
     relaxation: Option<Relaxation>,
     age: FactorAge,
@@ -159,7 +158,7 @@ pub struct ImplicitEuler {
     report: ModelReport,
 }
 
-/// A copy of the moving state, for [`ImplicitEuler::restore`]. It holds for the same mesh and removals.
+/// A copy of the dynamic state, for [`ImplicitEuler::restore`]. It is valid for the same mesh and removals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImplicitSnapshot {
     displacement_m: Vec<DVec3>,
@@ -172,13 +171,21 @@ pub struct ImplicitSnapshot {
 }
 
 impl ImplicitEuler {
-    /// Masses, sparse pattern and first factor. Every tetrahedron of the mesh counts as live.
+    /// Computes masses, sparse pattern and first factor. Every tetrahedron of the mesh counts as live.
     ///
     /// # Errors
     /// [`ImplicitError`]: an unusable mesh, impossible supports, loads, damping, step or tolerance, a law without
     /// stiffness at rest, a combination of law, volume resistance and relaxation that there is not.
     pub fn build(params: &ImplicitParams<'_>) -> Result<Self, ImplicitError> {
         params.check()?;
+        let mut model = Self::at_rest(params)?;
+        model.analyse()?;
+        model.publish();
+        Ok(model)
+    }
+
+    /// The body at rest, without masses and factor.
+    fn at_rest(params: &ImplicitParams<'_>) -> Result<Self, ImplicitError> {
         let DynamicBody { mesh, .. } = params.body;
         let n_nodes = mesh.positions_m.len();
         let n_tets = mesh.tetrahedra.len();
@@ -194,7 +201,7 @@ impl ImplicitEuler {
             is_viscous: params.relaxation.is_some(),
         })?;
         let zero = vec![DVec3::ZERO; n_nodes];
-        let mut model = Self {
+        Ok(Self {
             law: params.law.clone(),
             stand_ins,
             volume: params.volume,
@@ -235,13 +242,10 @@ impl ImplicitEuler {
             scratch: Scratch::new(n_nodes),
             step_report: ImplicitReport::default(),
             report: ModelReport::default(),
-        };
-        model.analyse()?;
-        model.publish();
-        Ok(model)
+        })
     }
 
-    /// Masses, pattern and factor of the live tetrahedra at the present state.
+    /// Computes masses, pattern and factor of the live tetrahedra at the present state.
     fn analyse(&mut self) -> Result<(), SolveError> {
         let density = self.density_kg_per_m3;
         self.mass_kg = self.elements.node_volume_m3().iter().map(|v| density * v).collect();
@@ -275,7 +279,7 @@ impl ImplicitEuler {
                 ligaments: &self.ligaments,
             },
         };
-        // Where the present shape is too wild for a factor, that of the rest shape preconditions.
+        // Where the present shape has no factor, that of the rest shape is the preconditioner.
         let of_rest = state.at_rest();
         let lagged = Lagged::new(&params, &self.elements, state)
             .or_else(|_| Lagged::new(&params, &self.elements, of_rest))?;
@@ -283,7 +287,7 @@ impl ImplicitEuler {
         Ok(())
     }
 
-    /// What the stress at rest carries, and what counts as rounding.
+    /// Computes the load that the stress at rest carries, and the force below which a residual is rounding.
     fn balance_rest(&mut self) {
         let volume_m3: f64 = self.elements.node_volume_m3().iter().sum();
         self.least_force_n = ROUNDING * self.law.modulus_pa() * libm::cbrt(volume_m3 * volume_m3);
@@ -292,7 +296,7 @@ impl ImplicitEuler {
             return;
         }
         let at_rest = vec![DVec3::ZERO; self.n_nodes()];
-        // New elements: viscosity has nothing to add yet.
+        // The elements are new: there is no viscous memory yet.
         self.elements.evaluate(&at_rest, &mut self.rest_load_n);
         self.ligaments.pull_into(&self.mesh.positions_m, &at_rest, &mut self.scratch.ligament_n);
         for (load_n, pull_n) in self.rest_load_n.iter_mut().zip(&self.scratch.ligament_n) {
@@ -302,7 +306,7 @@ impl ImplicitEuler {
             REST_ROUNDING * self.rest_load_n.iter().map(|f| f.length_squared()).sum::<f64>().sqrt();
     }
 
-    /// What a factor made now for steps of `h_s` would depend on.
+    /// The state on which a factor made now for steps of `h_s` would depend.
     fn lagged_state(&mut self, h_s: f64) -> LaggedState {
         let mut strays = vec![false; self.elements.tets().len()];
         self.elements.strays_into(&mut strays);
@@ -327,7 +331,7 @@ impl ImplicitEuler {
         self.displacement_m.len()
     }
 
-    /// How Newton's method went in the last step.
+    /// Report on Newton's method in the last step.
     pub fn step_report(&self) -> &ImplicitReport {
         &self.step_report
     }
@@ -347,8 +351,8 @@ impl ImplicitEuler {
         &self.displacement_m
     }
 
-    /// What the last step left over at each node [N]: the support's force on fixed nodes, the tool's on held
-    /// ones, the residual elsewhere.
+    /// Unbalanced force at each node after the last step [N]: the support's force on fixed nodes, the tool's on held ones, the
+    /// residual elsewhere.
     pub fn support_forces_n(&self) -> &[DVec3] {
         &self.scratch.residual_n
     }
@@ -376,7 +380,7 @@ impl ImplicitEuler {
     /// Sets all velocities [m/s]; nodes that do not move keep zero.
     ///
     /// # Panics
-    /// When they are not one a node.
+    /// When there is not one velocity per node.
     pub fn set_velocities(&mut self, velocities_m_per_s: &[DVec3]) {
         assert_eq!(velocities_m_per_s.len(), self.n_nodes(), "one velocity a node");
         for n in 0..self.n_nodes() {
@@ -388,7 +392,7 @@ impl ImplicitEuler {
         self.publish();
     }
 
-    /// The moving state, to come back to.
+    /// A copy of the dynamic state.
     pub fn snapshot(&self) -> ImplicitSnapshot {
         ImplicitSnapshot {
             displacement_m: self.displacement_m.clone(),
@@ -401,8 +405,8 @@ impl ImplicitEuler {
         }
     }
 
-    /// Comes back to a state of the same mesh and removals; constraints stay as they are. The factor is made
-    /// anew where it was made then, so that the next steps have the same bits.
+    /// Returns to a state of the same mesh and removals; constraints stay as they are. The factor is recomputed at the state
+    /// at which it was made then, so that the next steps have the same bits.
     ///
     /// # Panics
     /// When the snapshot has another number of nodes.
@@ -431,7 +435,7 @@ impl ImplicitEuler {
         self.publish();
     }
 
-    /// Positions from displacements, and the rest of the state as numbers.
+    /// Updates the positions from the displacements, and the history from the rest of the state.
     fn publish(&mut self) {
         for n in 0..self.n_nodes() {
             self.positions_m[n] = self.mesh.positions_m[n] + self.displacement_m[n];
@@ -468,7 +472,7 @@ impl ImplicitEuler {
 
 /// A residual below this share of modulus times area is rounding.
 const ROUNDING: f64 = 1e-14;
-/// Share of the load at rest below which a residual is the rounding of its many terms.
+/// Share of the load at rest below which a residual is rounding.
 const REST_ROUNDING: f64 = 1e-11;
 
 impl DeformableModel for ImplicitEuler {

@@ -23,13 +23,13 @@ use super::VolumeResistance;
 use super::evaluation::Evaluation;
 use super::lanes::{
     Group, LANES, Lanes, Matrix, Shape, add_to_corners, add_turned, added_density, corner_mean,
-    corner_mean_matrix, deformation, gradient, load, load_matrix, scatter,
+    corner_mean_matrix, deformation, gradient, load, load_matrix, scale, scatter,
 };
 use super::projected::projected_stiffness;
 use crate::solve::{NodeAveraging, TetStiffness};
 use glisson_mesh::math::{DMat3, DVec3};
 
-/// What the tangent of eight tetrahedra needs.
+/// Data of the tangent of eight tetrahedra.
 #[derive(Clone, Debug)]
 struct GroupTangent {
     /// Q by rows.
@@ -48,7 +48,7 @@ const NO_TANGENT: GroupTangent = GroupTangent {
     volume_ratio: [1.0; LANES],
 };
 
-/// A tetrahedron counts as inverted below this share of its volume: ln J is still harmless here.
+/// A tetrahedron counts as inverted below this volume ratio: ln J is still finite and moderate here.
 pub(super) const LEAST_VOLUME_RATIO: f64 = 1e-6;
 /// lambda over mu of nu = 0.4.
 const SOFTENED_LAMBDA_OVER_MU: f64 = 4.0;
@@ -197,8 +197,8 @@ impl NeoHooke {
         DMat3::from_diagonal(DVec3::splat(self.mu_pa)) + inverse_c * (p_j - self.mu_pa)
     }
 
-    /// For the preconditioner. Node-averaged pressure is softer than the tetrahedra's own: a smaller lambda comes
-    /// closer.
+    /// Projected stiffness for the preconditioner. Node-averaged pressure is softer than that of single tetrahedra, so a smaller
+    /// lambda approximates it better.
     pub(super) fn projected_stiffness(
         &self,
         f: DMat3,
@@ -214,7 +214,7 @@ impl NeoHooke {
         projected_stiffness(f, alpha_per_m, volume_m3, [lambda_pa, self.mu_pa])
     }
 
-    /// Pressures and their slopes from the nodes' volumes; the energy of all volume changes [J].
+    /// Updates the nodes' pressures and their slopes from the volumes; returns the energy of all volume changes [J].
     fn update_node_pressures(&mut self, lambda_pa: f64) -> f64 {
         let mut energy_j = 0.0;
         for n in 0..self.node_sum.len() {
@@ -232,8 +232,8 @@ impl NeoHooke {
 }
 
 impl NeoHooke {
-    /// Stresses of the nodes' mean deformation from the summed gradients; its energy [J], not finite where a mean
-    /// is inside out.
+    /// Updates the stresses of the nodes' mean deformation from the summed gradients; returns its energy [J], not finite where
+    /// a mean is inverted.
     fn update_node_shear(&mut self, mu_pa: f64) -> f64 {
         let mut energy_j = 0.0;
         for (node, &volume_m3) in self.node_shear.iter_mut().zip(&self.node_volume_m3) {
@@ -251,7 +251,7 @@ impl NeoHooke {
         energy_j
     }
 
-    /// The change of these stresses with the summed gradients of a direction.
+    /// Updates the change of these stresses from the summed gradients of a direction.
     fn update_node_shear_change(&mut self, mu_pa: f64) {
         for (node, &volume_m3) in self.node_shear.iter_mut().zip(&self.node_volume_m3) {
             if volume_m3 > 0.0 {
@@ -296,19 +296,8 @@ fn evaluate<S: Simd, const AVERAGED: u8>(
         let inverse = f64x8::splat(simd, 1.0) / j;
         let mut lanes = [0.0; LANES];
         j.store_slice(&mut lanes);
-        let mut log = [0.0; LANES];
-        for lane in 0..LANES {
-            log[lane] = libm::log(lanes[lane]);
-        }
-        let log = load(simd, &log);
-        // |F|^2 - 3 = 2 tr H + |H|^2 keeps its digits near rest.
-        let mut stretch = (h[0][0] + h[1][1] + h[2][2]) * 2.0;
-        for row in &h {
-            for x in row {
-                stretch += *x * *x;
-            }
-        }
-        let mut density = stretch * (0.5 * mu) - log * mu;
+        let log = logarithm(simd, &lanes);
+        let mut density = stretch(&h) * (0.5 * mu) - log * mu;
         let p_j = if AVERAGED != IN_ELEMENTS {
             corner_mean(simd, group, &law.node_pressure_pa) * j
         } else {
@@ -343,11 +332,37 @@ fn evaluate<S: Simd, const AVERAGED: u8>(
         if let Some(added_pa) = added_pa {
             add_turned(simd, group, &f, added_pa, &mut stress);
         }
-        for x in stress.iter_mut().flatten() {
-            *x *= volume;
-        }
+        scale(&mut stress, volume);
         scatter(group, &alpha, &stress, force_n);
     }
+    evaluation(energy, least)
+}
+
+/// ln of each lane.
+#[inline(always)]
+fn logarithm<S: Simd>(simd: S, lanes: &Lanes) -> f64x8<S> {
+    let mut log = [0.0; LANES];
+    for lane in 0..LANES {
+        log[lane] = libm::log(lanes[lane]);
+    }
+    load(simd, &log)
+}
+
+/// |F|^2 - 3 as 2 tr H + |H|^2, which keeps its digits near rest.
+#[inline(always)]
+fn stretch<S: Simd>(h: &Matrix<S>) -> f64x8<S> {
+    let mut stretch = (h[0][0] + h[1][1] + h[2][2]) * 2.0;
+    for row in h {
+        for x in row {
+            stretch += *x * *x;
+        }
+    }
+    stretch
+}
+
+/// The evaluation from the lanes' energies [J] and smallest J.
+#[inline(always)]
+fn evaluation<S: Simd>(energy: f64x8<S>, least: f64x8<S>) -> Evaluation {
     let (mut energy_lanes, mut least_lanes) = ([0.0; LANES], [0.0; LANES]);
     energy.store_slice(&mut energy_lanes);
     least.store_slice(&mut least_lanes);
@@ -400,14 +415,12 @@ fn product<S: Simd, const AVERAGED: u8>(
         if let Some(added_pa) = shape.added_pa.get(g) {
             add_turned(simd, group, &df, added_pa, &mut stress);
         }
-        for x in stress.iter_mut().flatten() {
-            *x *= volume;
-        }
+        scale(&mut stress, volume);
         scatter(group, &alpha, &stress, force_n);
     }
 }
 
-/// Sums J V/4 at the nodes; the smallest J.
+/// Sums J V/4 at the nodes; returns the smallest J.
 #[inline(always)]
 fn sum_node_volumes<S: Simd>(simd: S, law: &mut NeoHooke, shape: &Shape, displacement_m: &[DVec3]) -> f64 {
     let node_sum = &mut law.node_sum;

@@ -9,19 +9,19 @@ use glisson_mesh::mesh::TetId;
 /// How a step ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImplicitStatus {
-    /// The residual is below the tolerance and every held node is where it is held.
+    /// The residual is below the tolerance and every held node is at its target.
     #[default]
     Converged,
     /// The residual stayed above the tolerance, or rounding hid any further progress.
     NotConverged,
-    /// Held nodes could not go all the way without bringing a tetrahedron to where its law has no energy.
+    /// Held nodes could not reach their targets without a tetrahedron in which the law has no energy.
     HeldNodesStopped,
-    /// The shape at the start has no finite energy under any law (its numbers are too large): the body does not
-    /// move until it is given another.
+    /// The shape at the start has no finite energy under any law (its numbers are too large): the body does not move until it
+    /// gets another shape.
     Unusable,
 }
 
-/// What a step did.
+/// Report on a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ImplicitReport {
     /// How it ended.
@@ -34,10 +34,10 @@ pub struct ImplicitReport {
     pub cg_iterations: u32,
     /// Factors made.
     pub n_factors: u32,
-    /// Share of their way that the held nodes went.
+    /// Share of their displacement that the held nodes moved.
     pub held_share: f64,
-    /// Tetrahedra on which the stable neo-Hookean law pulled: those in which the law had no energy at the start,
-    /// and their neighbours.
+    /// Tetrahedra that followed the stable neo-Hookean law: those in which the law had no energy at the start, and their
+    /// neighbours.
     pub n_quarantined_tets: u32,
     /// The first in which it had none.
     pub first_quarantined: Option<TetId>,
@@ -54,7 +54,7 @@ pub(super) struct Scratch {
     start_force_n: Vec<DVec3>,
     force_n: Vec<DVec3>,
     direction_m: Vec<DVec3>,
-    /// Displacements before a search along a line; free between steps, when others work with it.
+    /// Displacements before a line search; unused between steps, when others use it as scratch.
     pub(super) before_m: Vec<DVec3>,
     right_n: Vec<DVec3>,
     search_m: Vec<DVec3>,
@@ -81,7 +81,7 @@ impl Scratch {
     }
 }
 
-/// What stays the same during a step.
+/// Constants of a step.
 #[derive(Clone, Copy, Debug)]
 struct StepFactors {
     /// 1/h^2
@@ -103,11 +103,11 @@ struct Balance {
     potential_j: f64,
 }
 
-/// What a step starts from.
+/// The kind of shape a step starts from.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Start {
     Upright,
-    /// With a tetrahedron inside out.
+    /// With an inverted tetrahedron.
     Inverted,
     /// No energy.
     Unusable,
@@ -115,7 +115,7 @@ enum Start {
 
 enum Direction {
     Found,
-    /// The exact tangent has a negative direction here, or the factor is too old.
+    /// The exact tangent has negative curvature here, or the factor is too old.
     NeedsFactor,
 }
 
@@ -128,13 +128,13 @@ const FORCING: f64 = 0.02;
 const FINAL_SHARE: f64 = 0.4;
 /// Sufficient decrease (Armijo 1966, doi 10.2140/pjm.1966.16.1).
 const ARMIJO: f64 = 1e-4;
-/// Iterations in excess that cost about as much as a factor with its projected tangent.
+/// Extra iterations that cost about as much as a factor with its projected tangent.
 const EXCESS_FOR_REFRESH: u32 = 48;
-/// A factor made for another length of step serves while its mass is within this ratio.
+/// A factor made for another step length is used while its mass term is within this ratio.
 const MASS_RATIO: f64 = 3.0;
 
 impl ImplicitEuler {
-    /// One step of `h_s`.
+    /// Advances by one step of `h_s`.
     pub(super) fn advance(&mut self, h_s: f64) {
         let mut factors = StepFactors {
             inertia: 1.0 / (h_s * h_s),
@@ -187,7 +187,7 @@ impl ImplicitEuler {
         self.note_age();
     }
 
-    /// Looks for tetrahedra in which the law has no energy, where there can be any: steps bring none.
+    /// Looks for tetrahedra in which the law has no energy, where there can be any: steps do not produce them.
     fn quarantine(&mut self) {
         if self.is_suspect || self.elements.recovery() != Recovery::None {
             self.is_suspect = false;
@@ -197,7 +197,7 @@ impl ImplicitEuler {
         }
     }
 
-    /// Where inertia alone leads, and the forces before the step where damping needs them.
+    /// Computes the inertial positions, and the forces before the step where damping needs them.
     fn start(&mut self, h_s: f64) -> Start {
         for n in 0..self.n_nodes() {
             let start_m = self.scratch.start_m[n];
@@ -254,7 +254,7 @@ impl ImplicitEuler {
                 return;
             }
             let n_iterations = self.step_report.newton_iterations;
-            // Held nodes always arrive; what is left out is what the tissue's answer lacks.
+            // Held nodes always reach their targets; what is missing is the response of the tissue.
             if n_iterations == MOST_NEWTON_ITERATIONS || !pending && n_iterations >= self.most_iterations {
                 self.stop(pending);
                 return;
@@ -270,7 +270,7 @@ impl ImplicitEuler {
                 balance = next;
                 continue;
             }
-            // The direction was no good: the projected tangent of this very state gives a better one.
+            // The direction did not serve: the projected tangent of this state gives a better one.
             self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
             self.refresh_here(factors);
             self.prepare_right_side(factors, pending);
@@ -338,8 +338,8 @@ impl ImplicitEuler {
         }
     }
 
-    /// Right-hand side of the free nodes: minus the residual, minus the tangent times what the held nodes
-    /// still have to go; the held part of the direction.
+    /// Computes the right-hand side of the free nodes (minus the residual, minus the tangent times the remaining displacement
+    /// of the held nodes), and the held part of the direction.
     fn prepare_right_side(&mut self, factors: StepFactors, pending: bool) {
         let s = &mut self.scratch;
         s.direction_m.fill(DVec3::ZERO);
@@ -406,7 +406,7 @@ impl ImplicitEuler {
             }
             remaining = square.sqrt();
         }
-        // Far from the state of the factor: one here is cheaper than going on.
+        // Far from the state of the factor: a factor at this state is cheaper than further iterations.
         self.prepare_right_side(factors, !self.held.is_empty());
         Direction::NeedsFactor
     }
@@ -423,9 +423,9 @@ impl ImplicitEuler {
         }
     }
 
-    /// Goes along the direction as far as the law allows all tetrahedra and the potential falls, or the residual. While
-    /// held nodes are on their way only the first counts. None when no length serves: nothing changed but the
-    /// forces.
+    /// Moves along the direction as far as the law allows all tetrahedra and the potential, or the residual, decreases. While
+    /// held nodes have not reached their targets only the law counts. `None` when no length serves: only the forces changed
+    /// then.
     fn search_line(&mut self, factors: StepFactors, from: Balance, pending: bool) -> Option<Balance> {
         self.scratch.before_m.copy_from_slice(&self.displacement_m);
         let slope: f64 = dot(&self.scratch.residual_n, &self.scratch.direction_m);
@@ -455,7 +455,7 @@ impl ImplicitEuler {
         None
     }
 
-    /// Makes the factor anew when the iterations since it was made have cost as much, or the step is another.
+    /// Recomputes the factor when the iterations since it was made have cost as much, or when the step length changed.
     fn refresh_if_due(&mut self, factors: StepFactors) {
         let lagged = self.lagged.as_ref().expect("a body with tetrahedra has a factor");
         let ratio = (factors.inertia + factors.mass_damping) / lagged.state.per_mass;
@@ -465,7 +465,7 @@ impl ImplicitEuler {
         }
     }
 
-    /// Makes the factor anew at the present displacements.
+    /// Recomputes the factor at the present displacements.
     fn refresh_here(&mut self, factors: StepFactors) {
         let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
         lagged.state.displacement_m.copy_from_slice(&self.displacement_m);

@@ -1,4 +1,4 @@
-//! What an implicit model is made from, and what is checked of it.
+//! Parameters of an implicit model, and their checks.
 
 use super::law::ImplicitLaw;
 use super::{DynamicBody, VolumeResistance};
@@ -7,13 +7,13 @@ use crate::solve::SolveError;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetId};
 
-/// Why there is no implicit model.
+/// Why an implicit model cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ImplicitError {
     /// The mesh is unusable.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// A parameter that is negative or no number.
+    /// A parameter that is out of its range or not a number.
     #[error("{what} is {found}; allowed: {allowed}")]
     Parameter {
         /// Which one, with its unit.
@@ -23,7 +23,7 @@ pub enum ImplicitError {
         /// What may be given.
         allowed: &'static str,
     },
-    /// Neither one law nor one for each tetrahedron.
+    /// The number of laws is neither one nor that of the tetrahedra.
     #[error("{found} laws for {n_tets} tetrahedra; allowed: 1 or {n_tets}")]
     LawCount {
         /// Number of laws given.
@@ -31,7 +31,7 @@ pub enum ImplicitError {
         /// Number of tetrahedra.
         n_tets: usize,
     },
-    /// Rest stress neither for none nor for each tetrahedron.
+    /// The number of rest stresses is neither zero nor that of the tetrahedra.
     #[error("{found} rest stresses for {n_tets} tetrahedra; allowed: 0 or {n_tets}")]
     RestStressCount {
         /// Number of stresses given.
@@ -39,7 +39,7 @@ pub enum ImplicitError {
         /// Number of tetrahedra.
         n_tets: usize,
     },
-    /// A rest stress that is no number.
+    /// A rest stress that is not finite.
     #[error("the rest stress of tetrahedron {tet} is not finite")]
     RestStress {
         /// Which tetrahedron.
@@ -67,7 +67,7 @@ pub enum ImplicitError {
         /// The first tetrahedron with this law.
         tet: TetId,
     },
-    /// Node-averaging with a law whose volume term is not known apart.
+    /// Node-averaging with a law whose volume term is not separate.
     #[error(
         "node-averaged resistance is there for the ln J neo-Hookean law only (`ImplicitLaw::NeoHookeLog`): other laws \
          do not tell their volume term apart. Take that law, or `VolumeResistance::Element`"
@@ -87,7 +87,7 @@ pub enum ImplicitError {
     },
 }
 
-/// What an implicit model is made from.
+/// Parameters of an implicit model.
 #[derive(Clone, Copy, Debug)]
 pub struct ImplicitParams<'a> {
     /// Mesh, supports, loads and damping. `time_step_s` is the usual step: the first factor is made for it. The
@@ -95,7 +95,7 @@ pub struct ImplicitParams<'a> {
     pub body: DynamicBody<'a>,
     /// The law.
     pub law: &'a ImplicitLaw,
-    /// How its stress relaxes, if it does. The law is then the instantaneous one.
+    /// Relaxation of the stress, if any. The law is then the instantaneous one.
     pub relaxation: Option<&'a PronySeries>,
     /// Where the volume change is resisted.
     pub volume: VolumeResistance,
@@ -105,77 +105,96 @@ pub struct ImplicitParams<'a> {
 
 /// A tenth of a per cent of the forces: below what linear tetrahedra of organ size can promise.
 pub const DEFAULT_TOLERANCE: f64 = 1e-3;
-/// Newton's iteration cannot promise less than this in double precision.
+/// Newton's method cannot reach less than this in double precision.
 const LEAST_TOLERANCE: f64 = 1e-12;
 
+fn refuse(what: &'static str, found: f64, allowed: &'static str) -> Result<(), ImplicitError> {
+    Err(ImplicitError::Parameter { what, found, allowed })
+}
+
+fn from_zero(what: &'static str, found: f64) -> Result<(), ImplicitError> {
+    if found.is_finite() && found >= 0.0 { Ok(()) } else { refuse(what, found, "a finite number from 0") }
+}
+
 impl<'a> ImplicitParams<'a> {
-    /// An elastic body, volume resisted in each tetrahedron, the usual tolerance.
+    /// An elastic body with volume resisted in each tetrahedron and the default tolerance.
     pub fn new(body: DynamicBody<'a>, law: &'a ImplicitLaw) -> Self {
         Self { body, law, relaxation: None, volume: VolumeResistance::Element, tolerance: DEFAULT_TOLERANCE }
     }
 
-    /// All that can be said without building anything; [`ImplicitLaw::stand_ins`] checks the laws.
+    /// Checks everything that needs no building; [`ImplicitLaw::stand_ins`] checks the laws.
     pub(super) fn check(&self) -> Result<(), ImplicitError> {
-        let parameter = |what, found, allowed| Err(ImplicitError::Parameter { what, found, allowed });
+        self.check_numbers()?;
+        self.check_mesh()?;
+        self.check_ligaments()?;
+        self.check_rest_stress()?;
+        self.check_combination()?;
+        self.free_axes().map(|_| ())
+    }
+
+    fn check_numbers(&self) -> Result<(), ImplicitError> {
         let body = &self.body;
-        for (what, found) in [
-            ("mass damping [1/s]", body.damping.mass_per_s),
-            ("stiffness damping [s]", body.damping.stiffness_s),
-        ] {
-            if !(found.is_finite() && found >= 0.0) {
-                return parameter(what, found, "a finite number from 0");
-            }
-        }
+        from_zero("mass damping [1/s]", body.damping.mass_per_s)?;
+        from_zero("stiffness damping [s]", body.damping.stiffness_s)?;
         for (what, found) in
             [("density [kg/m3]", body.density_kg_per_m3), ("time step [s]", body.time_step_s)]
         {
             if !(found.is_finite() && found > 0.0) {
-                return parameter(what, found, "a finite number above 0");
+                return refuse(what, found, "a finite number above 0");
             }
         }
         if !body.gravity_m_per_s2.is_finite() {
-            return parameter("gravity [m/s2]", body.gravity_m_per_s2.length(), "finite numbers");
+            return refuse("gravity [m/s2]", body.gravity_m_per_s2.length(), "finite numbers");
         }
         if !(self.tolerance >= LEAST_TOLERANCE && self.tolerance <= 0.1) {
-            return parameter("tolerance", self.tolerance, "1e-12 to 0.1");
+            return refuse("tolerance", self.tolerance, "1e-12 to 0.1");
         }
-        let n_nodes = body.mesh.positions_m.len();
-        let n_tets = body.mesh.tetrahedra.len();
-        if n_tets == 0 {
-            return Err(SolveError::EmptyMesh.into());
+        Ok(())
+    }
+
+    fn check_mesh(&self) -> Result<(), SolveError> {
+        let mesh = self.body.mesh;
+        let n_nodes = mesh.positions_m.len();
+        if mesh.tetrahedra.is_empty() {
+            return Err(SolveError::EmptyMesh);
         }
-        for (t, nodes) in body.mesh.tetrahedra.iter().enumerate() {
+        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
             if let Some(&node) = nodes.iter().find(|n| n.index() >= n_nodes) {
-                return Err(SolveError::NodeOutOfRange { tet: TetId::from_index(t), node, n_nodes }.into());
+                return Err(SolveError::NodeOutOfRange { tet: TetId::from_index(t), node, n_nodes });
             }
         }
-        let out_of_range = |node| Err(SolveError::ConditionOutOfRange { node, n_nodes }.into());
-        for ligament in body.attachments {
+        Ok(())
+    }
+
+    fn check_ligaments(&self) -> Result<(), ImplicitError> {
+        let n_nodes = self.body.mesh.positions_m.len();
+        for ligament in self.body.attachments {
             if ligament.node.index() >= n_nodes {
-                return out_of_range(ligament.node);
+                return Err(SolveError::ConditionOutOfRange { node: ligament.node, n_nodes }.into());
             }
-            for (what, found) in [
-                ("stiffness of an attachment [N/m]", ligament.stiffness_n_per_m),
-                ("slack length of an attachment [m]", ligament.slack_length_m),
-            ] {
-                if !(found.is_finite() && found >= 0.0) {
-                    return parameter(what, found, "a finite number from 0");
-                }
-            }
+            from_zero("stiffness of an attachment [N/m]", ligament.stiffness_n_per_m)?;
+            from_zero("slack length of an attachment [m]", ligament.slack_length_m)?;
             if !ligament.anchor_m.is_finite() {
-                return parameter(
-                    "anchor of an attachment [m]",
-                    ligament.anchor_m.length(),
-                    "finite numbers",
-                );
+                return refuse("anchor of an attachment [m]", ligament.anchor_m.length(), "finite numbers");
             }
         }
-        if !(body.rest_stress_pa.is_empty() || body.rest_stress_pa.len() == n_tets) {
-            return Err(ImplicitError::RestStressCount { found: body.rest_stress_pa.len(), n_tets });
+        Ok(())
+    }
+
+    fn check_rest_stress(&self) -> Result<(), ImplicitError> {
+        let rest_stress_pa = self.body.rest_stress_pa;
+        let n_tets = self.body.mesh.tetrahedra.len();
+        if !(rest_stress_pa.is_empty() || rest_stress_pa.len() == n_tets) {
+            return Err(ImplicitError::RestStressCount { found: rest_stress_pa.len(), n_tets });
         }
-        if let Some(t) = body.rest_stress_pa.iter().position(|s| !s.iter().all(|x| x.is_finite())) {
-            return Err(ImplicitError::RestStress { tet: TetId::from_index(t) });
+        match rest_stress_pa.iter().position(|s| !s.iter().all(|x| x.is_finite())) {
+            Some(t) => Err(ImplicitError::RestStress { tet: TetId::from_index(t) }),
+            None => Ok(()),
         }
+    }
+
+    /// Refuses unsupported combinations of law, volume resistance and relaxation.
+    fn check_combination(&self) -> Result<(), ImplicitError> {
         if self.volume != VolumeResistance::Element && matches!(self.law, ImplicitLaw::General(_)) {
             return Err(ImplicitError::NotAveraged);
         }
@@ -187,10 +206,10 @@ impl<'a> ImplicitParams<'a> {
         {
             return Err(ImplicitError::DoesNotTurn { tet: TetId::from_index(t) });
         }
-        self.free_axes().map(|_| ())
+        Ok(())
     }
 
-    /// One for each axis along which a node may move, zero for the others.
+    /// 1 for each axis along which a node may move, 0 for the others.
     pub(super) fn free_axes(&self) -> Result<Vec<DVec3>, ImplicitError> {
         let n_nodes = self.body.mesh.positions_m.len();
         let mut free = vec![DVec3::ONE; n_nodes];

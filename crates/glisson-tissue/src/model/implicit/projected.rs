@@ -66,7 +66,7 @@ pub(super) fn projected_stiffness(
     }
 }
 
-/// The nearest symmetric matrix without negative eigenvalue.
+/// The nearest symmetric matrix without negative eigenvalues.
 pub(super) fn without_negative_eigenvalues(matrix: DMat3) -> DMat3 {
     let (values, vectors) = symmetric_eigen(matrix);
     let clamped = DMat3::from_diagonal(DVec3::from_array(values.map(|x| x.max(0.0))));

@@ -1,8 +1,8 @@
 //! Prony viscoelasticity in a step.
 //!
-//! The recursion of [`crate::material::PronySeries`] on the second Piola-Kirchhoff stress: S at the end of a step
-//! is a S_e + C, with S_e the law's stress there, one number a for all tetrahedra, and C what each remembers. So a
-//! step has the law's potential times a plus that of a constant stress ([`super::elements`]).
+//! The recursion of [`crate::material::PronySeries`] on the second Piola-Kirchhoff stress: S at the end of a step is
+//! a S_e + C, with S_e the law's stress there, one factor a for all tetrahedra, and C the memory of each. So a step has
+//! the law's potential times a, plus that of a constant stress ([`super::elements`]).
 //!
 //! The pressure relaxes with the rest. A tetrahedron in quarantine keeps its last elastic stress.
 
@@ -47,7 +47,7 @@ impl Relaxation {
         elements.set_viscous(factor, |tet: TetId| step.stress_pa(&histories[tet.index()], &DMat3::ZERO));
     }
 
-    /// Takes the histories to the end of the step, which is the elements' last evaluation.
+    /// Advances the histories to the end of the step, which is the elements' last evaluation.
     pub(super) fn end(&mut self, elements: &Elements, displacement_m: &[DVec3]) {
         for (t, tet) in elements.tets().iter().enumerate() {
             let history = &mut self.histories[tet.index()];
@@ -56,7 +56,7 @@ impl Relaxation {
         }
     }
 
-    /// Starts anew, as a body that has been at rest for ever.
+    /// Resets the histories, as for a body that was always at rest.
     pub(super) fn forget(&mut self) {
         for history in &mut self.histories {
             history.elastic_pa = DMat3::ZERO;
@@ -64,7 +64,7 @@ impl Relaxation {
         }
     }
 
-    /// New tetrahedra remember the mean of what their parents do.
+    /// New tetrahedra get the mean history of their parents.
     pub(super) fn grow(&mut self, change: &TopologyChange) {
         self.histories.resize(change.tets.n_after, self.series.rest());
         for (tet, parents) in change.tets.added.iter() {

@@ -1,4 +1,4 @@
-//! Edits: the element list, masses and the sparse pattern are made anew.
+//! Edits: the element list, masses and the sparse pattern are rebuilt.
 
 use super::elements::{Elements, ElementsParams};
 use super::ligaments::Ligaments;
@@ -18,7 +18,7 @@ fn refused(reason: &'static str) -> TopologyRefusal {
 }
 
 impl ImplicitEuler {
-    /// Follows all edits; all allocate. What refuses is half changed: the model is copied whole for undo.
+    /// Follows all edits; all allocate. A refused edit leaves the model half changed: undo copies the whole model.
     pub(super) fn follow(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         TopologyRefusal::of_other_mesh(NAME, change, [self.tet_is_live.len(), self.n_nodes()])?;
         let live = self.mesh.tetrahedra.iter().enumerate().filter(|(t, _)| self.tet_is_live[*t]);
@@ -51,7 +51,7 @@ impl ImplicitEuler {
         fault::check("implicit: factor")?;
         self.analyse()
             .map_err(|_| refused("the remaining mesh could not be factored; build the model anew"))?;
-        // A held or loaded node that lost its last tetrahedron has nothing to pull on.
+        // A held or loaded node that lost its last tetrahedron is released.
         for n in 0..self.n_nodes() {
             if !self.moves[n] {
                 self.is_held[n] = false;
@@ -67,7 +67,7 @@ impl ImplicitEuler {
         Ok(())
     }
 
-    /// Makes room for what an edit brings in, and puts new and moved nodes in their places.
+    /// Grows the lists for an edit, and places new and moved nodes.
     fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
         let (n_before, n_nodes) = (change.nodes.n_before, growth.n_nodes);
         let axes = |free: DVec3| free.to_array().map(|free| free == 0.0);
@@ -86,7 +86,7 @@ impl ImplicitEuler {
         self.displacement_m.resize(n_nodes, DVec3::ZERO);
         placed.into_iter().for_each(|(n, u_m)| self.displacement_m[n] = u_m);
         for held in self.held.iter_mut() {
-            // A tool goes on holding a moved node at its place in space.
+            // A tool keeps holding a moved node at its position in space.
             let n = held.node as usize;
             held.target_m -= (mesh.positions_m[n] - self.mesh.positions_m[n]) * self.free_axes[n];
         }
@@ -116,7 +116,7 @@ impl ImplicitEuler {
         self.scratch = Scratch::new(n_nodes);
     }
 
-    /// Drops dead entities; the order of the others stays. Constraints are dropped with their node numbers.
+    /// Drops dead entities; the others keep their order. Constraints are dropped, because their node numbers change.
     fn compact(&mut self, change: &TopologyChange) {
         self.release_all();
         follow::<NodeId, DVec3>(&mut self.mesh.positions_m, change);

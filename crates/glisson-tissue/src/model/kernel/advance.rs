@@ -1,17 +1,17 @@
-//! Central differences on the nodes of a part, two nodes in a vector, with the energies of the step.
+//! Central differences on the nodes of a part, two nodes per vector, with the energies of the step.
 
 use super::lanes::Lanes;
 use super::part::PartNodes;
 use super::rows::{LaneNumbers, N_LANES, Row};
 use super::step::{ROW_LANES, StepFactors, StepSums};
 
-/// Displacements and increments below this many metres are none. A damped body would else come to rest through
-/// subnormal numbers, its strains' cubes first, and processors compute slowly with these.
+/// Displacements and increments below this [m] are set to zero. Otherwise a damped body would come to rest through
+/// subnormal numbers (the cubes of its strains first), with which processors compute slowly.
 const LEAST_M: f64 = 1e-90;
 
 impl PartNodes {
-    /// Moves the nodes by the forces that were summed, some rows at a time. Each of the eight lanes has sums of its own:
-    /// they are the same for any number of lanes at a time.
+    /// Moves the nodes by the summed forces, some rows at a time. Each of the eight lanes has its own sums, so the result does
+    /// not depend on the number of lanes of a path.
     #[inline(always)]
     pub(super) fn advance<V: Lanes>(&mut self, factors: &StepFactors, any: V) {
         let n_groups = self.displacement_m.len() * ROW_LANES / N_LANES;
@@ -66,7 +66,7 @@ impl Groups<'_> {
         let (zero, least_m) = (any.constant(0.0), any.constant(LEAST_M));
         let infinity = any.constant(f64::INFINITY);
         let all = (1 << V::COUNT) - 1;
-        // Twice the energies without their common factors, lane by lane.
+        // Twice the energies, without their common factors, lane by lane.
         let (mut before, mut after, mut work) = ([zero; N_LANES], [zero; N_LANES], [zero; N_LANES]);
         let mut n_recovered = 0;
         for i in 0..n {
@@ -80,7 +80,7 @@ impl Groups<'_> {
                 let old = load(&increment_m[i]).chosen(moves, zero);
                 let net_n = load(&outer_n[i]).minus(load(&balance_n[i]));
                 let moved = push_s2.times(inverse_mass).fused(net_n, keep.times(old));
-                // Not `above`: what is no number stays so, and is found below.
+                // Not `above`: a value that is not a number stays so, and is found below.
                 let new = moved.chosen(moves & !least_m.above_bits(moved.magnitude()), zero);
                 let place = load(&u[i]).plus(new);
                 let distance = place.magnitude();
@@ -128,7 +128,7 @@ fn lanes_of<V: Lanes>(vectors: &[V; N_LANES]) -> LaneNumbers {
     numbers
 }
 
-/// Leaves nodes whose new place is not finite where they were, at standstill; answers how many.
+/// Leaves nodes whose new position is not finite where they were, at rest; returns their number.
 #[inline(always)]
 fn recover<V: Lanes>(news: &mut [V; N_LANES], places: &mut [V; N_LANES], u: &LaneNumbers) -> u32 {
     let (mut new, mut place) = (lanes_of(news), lanes_of(places));

@@ -1,4 +1,4 @@
-//! Laying out a body's memory.
+//! The layout of a body's memory.
 
 use super::element::{ElementLaw, Linear, StVenantKirchhoff};
 use super::extras::{ExtraKinds, Extras};
@@ -19,20 +19,20 @@ use crate::model::tet_law::{Fibre, TetLaw};
 use crate::solve::{P1Gradients, SolveError};
 use glisson_mesh::mesh::TetId;
 
-/// What a body may have beside its law. A body without costs nothing.
+/// Optional parts of the stress besides the law. Those that are not used cost nothing.
 #[derive(Clone, Copy, Default)]
 pub struct KernelExtras<'a> {
-    /// Stress in the rest shape [Pa], none or one a tetrahedron. Adds V P = V F S_0, for [`KernelLaw::Linear`]
+    /// Stress in the rest shape [Pa], none or one per tetrahedron. Adds V P = V F S_0, for [`KernelLaw::Linear`]
     /// V S_0: at rest it balances the weight that it was computed for.
     pub rest_stress_pa: &'a [RestStress],
-    /// Stiffness along a direction, none or one a tetrahedron, beside lambda and mu of its
+    /// Stiffness along a direction, none or one per tetrahedron, beside lambda and mu of its
     /// [`KernelParams::materials`] (seed `002`, eq. 7).
     pub fibres: &'a [Fibre],
     /// gamma of the signed penalty of volume changes [Pa]; from 0, which is none (seed `004`, s. 3.2).
     pub volume_penalty_pa: f64,
-    /// The laws of [`KernelLaw::General`], one or one a tetrahedron; none for other laws.
+    /// The laws of [`KernelLaw::General`], one or one per tetrahedron; none for other laws.
     pub laws: &'a [SharedMaterial],
-    /// How the stress of law and fibres relaxes.
+    /// Relaxation of the stress of law and fibres.
     pub relaxation: Option<&'a PronySeries>,
 }
 
@@ -113,7 +113,7 @@ impl Elements {
         }
     }
 
-    /// Puts a tetrahedron of this shape into a lane that is empty or its own.
+    /// Writes a tetrahedron of this shape to a lane that is empty or its own.
     pub(super) fn put(
         &mut self,
         [block, lane]: [usize; 2],
@@ -157,7 +157,7 @@ impl Elements {
     }
 }
 
-/// The one of all, or the one of this tetrahedron.
+/// The common value, or that of this tetrahedron.
 pub(super) fn of_tet<T>(values: &[T], t: usize) -> &T {
     &values[if values.len() == 1 { 0 } else { t }]
 }
@@ -171,7 +171,7 @@ impl FastKernel {
         Self::with_extras(params, &KernelExtras::default())
     }
 
-    /// [`FastKernel::new`] for a body that has more than a law.
+    /// [`FastKernel::new`] for a body with extras.
     ///
     /// # Errors
     /// [`KernelError`] as of [`FastKernel::new`], and for wrong numbers of extras or impossible ones.
@@ -179,7 +179,7 @@ impl FastKernel {
         Self::of_live(params, extras, &vec![true; params.mesh.tetrahedra.len()])
     }
 
-    /// [`FastKernel::with_extras`] without the tetrahedra that do not live.
+    /// [`FastKernel::with_extras`] of the live tetrahedra alone.
     ///
     /// # Errors
     /// [`KernelError`] as of [`FastKernel::with_extras`].
@@ -189,64 +189,25 @@ impl FastKernel {
         is_live: &[bool],
     ) -> Result<Self, KernelError> {
         check(params, extras)?;
-        let KernelParams { mesh, law, materials, path } = *params;
-        let n_tets = mesh.tetrahedra.len();
-        let kinds = ExtraKinds {
-            rest_stress: !extras.rest_stress_pa.is_empty(),
-            fibres: !extras.fibres.is_empty(),
-            penalty: extras.volume_penalty_pa > 0.0,
-        };
-        let n_histories = extras.relaxation.map_or(0, |series| 1 + series.terms().len());
+        let mesh = params.mesh;
         let (plans, node_places) = partition(mesh, is_live);
-        let dead = TetPlace { part: 0, block: 0, lane: 0, is_live: false };
-        let mut tet_places = vec![dead; n_tets];
-        let mut mass_share_kg = vec![0.0; n_tets];
-        // Row of each node in the part under construction.
-        let mut row_of = vec![0_usize; mesh.positions_m.len()];
+        let mut layout = BodyLayout::new(params, extras);
         let mut parts = Vec::with_capacity(plans.len());
         for (p, plan) in plans.iter().enumerate() {
-            for (row, node) in plan.own.iter().enumerate() {
-                row_of[node.index()] = row;
-            }
-            for (i, node) in plan.borrowed.iter().enumerate() {
-                row_of[node.index()] = borrowed_row(i);
-            }
-            let n_blocks = plan.tets.len().div_ceil(N_LANES);
-            let mut elements = Elements::zero(n_blocks, law, kinds);
-            for (i, &tet) in plan.tets.iter().enumerate() {
-                // Each lane walks a stretch of its own.
-                let (lane, block) = (i / n_blocks, i % n_blocks);
-                let gradients = P1Gradients::of_tet(mesh, tet)?;
-                elements.blocks[block].offsets[lane] =
-                    mesh.tetrahedra[tet.index()].map(|n| offset_of(row_of[n.index()]));
-                elements.put([block, lane], tet, &gradients, params, extras)?;
-                let density_kg_per_m3 = of_tet(materials, tet.index()).density_kg_per_m3();
-                mass_share_kg[tet.index()] = 0.25 * density_kg_per_m3 * gradients.volume_m3;
-                let number = |i: usize| u32::try_from(i).expect("fewer than 2^32 tetrahedra");
-                tet_places[tet.index()] =
-                    TetPlace { part: number(p), block: number(block), lane: lane as u8, is_live: true };
-            }
-            for empty in (plan.tets.len()..N_LANES * n_blocks).rev() {
-                elements.spare.push([(empty % n_blocks) as u32, (empty / n_blocks) as u32]);
-            }
-            let history = vec![[0.0; N_LANES]; 6 * n_histories * n_blocks];
-            let progress = Progress { history, ..Progress::default() };
-            let nodes = PartNodes::at_rest(plan.own.len());
-            let layout =
-                Layout { own: plan.own.clone(), n_borrowed: plan.borrowed.len(), ..Layout::default() };
-            parts.push(Part::new(layout, elements, progress, nodes));
+            parts.push(layout.part(p, plan)?);
         }
         connect(&parts, &plans, &node_places);
         let parts = Parts {
-            law,
+            law: params.law,
             laws: extras.laws.to_vec().into(),
             relaxation: extras.relaxation.map(|series| Relaxation::new(series.clone()).into()),
             mode: ForceMode::default().into(),
-            path: path.into(),
+            path: params.path.into(),
             all: parts,
             step: StepFactors::default().into(),
         };
         let n_laid_out = is_live.iter().filter(|live| **live).count();
+        let BodyLayout { tet_places, mass_share_kg, .. } = layout;
         let kernel = Self { node_places, tet_places, mass_share_kg, n_laid_out, ..Self::of_parts(parts) };
         for (t, nodes) in mesh.tetrahedra.iter().enumerate().filter(|(t, _)| is_live[*t]) {
             for node in nodes {
@@ -257,7 +218,78 @@ impl FastKernel {
     }
 }
 
-/// Who borrows which rows from whom.
+/// Lays out the memory of a body part by part, and records the place of each tetrahedron.
+struct BodyLayout<'a> {
+    params: &'a KernelParams<'a>,
+    extras: &'a KernelExtras<'a>,
+    kinds: ExtraKinds,
+    n_histories: usize,
+    tet_places: Vec<TetPlace>,
+    mass_share_kg: Vec<f64>,
+    /// Row of each node in the part under construction.
+    row_of: Vec<usize>,
+}
+
+impl<'a> BodyLayout<'a> {
+    fn new(params: &'a KernelParams<'a>, extras: &'a KernelExtras<'a>) -> Self {
+        let n_tets = params.mesh.tetrahedra.len();
+        Self {
+            params,
+            extras,
+            kinds: ExtraKinds {
+                rest_stress: !extras.rest_stress_pa.is_empty(),
+                fibres: !extras.fibres.is_empty(),
+                penalty: extras.volume_penalty_pa > 0.0,
+            },
+            n_histories: extras.relaxation.map_or(0, |series| 1 + series.terms().len()),
+            tet_places: vec![TetPlace { part: 0, block: 0, lane: 0, is_live: false }; n_tets],
+            mass_share_kg: vec![0.0; n_tets],
+            row_of: vec![0; params.mesh.positions_m.len()],
+        }
+    }
+
+    /// Part `p` at rest.
+    fn part(&mut self, p: usize, plan: &PartPlan) -> Result<Part, KernelError> {
+        for (row, node) in plan.own.iter().enumerate() {
+            self.row_of[node.index()] = row;
+        }
+        for (i, node) in plan.borrowed.iter().enumerate() {
+            self.row_of[node.index()] = borrowed_row(i);
+        }
+        let elements = self.elements(p, plan)?;
+        let history = vec![[0.0; N_LANES]; 6 * self.n_histories * elements.blocks.len()];
+        let progress = Progress { history, ..Progress::default() };
+        let nodes = PartNodes::at_rest(plan.own.len());
+        let layout = Layout { own: plan.own.clone(), n_borrowed: plan.borrowed.len(), ..Layout::default() };
+        Ok(Part::new(layout, elements, progress, nodes))
+    }
+
+    /// The tetrahedra of part `p`, whose nodes have their rows.
+    fn elements(&mut self, p: usize, plan: &PartPlan) -> Result<Elements, KernelError> {
+        let KernelParams { mesh, law, materials, .. } = *self.params;
+        let n_blocks = plan.tets.len().div_ceil(N_LANES);
+        let mut elements = Elements::zero(n_blocks, law, self.kinds);
+        for (i, &tet) in plan.tets.iter().enumerate() {
+            // Each lane has its own consecutive stretch of tetrahedra.
+            let (lane, block) = (i / n_blocks, i % n_blocks);
+            let gradients = P1Gradients::of_tet(mesh, tet)?;
+            elements.blocks[block].offsets[lane] =
+                mesh.tetrahedra[tet.index()].map(|n| offset_of(self.row_of[n.index()]));
+            elements.put([block, lane], tet, &gradients, self.params, self.extras)?;
+            let density_kg_per_m3 = of_tet(materials, tet.index()).density_kg_per_m3();
+            self.mass_share_kg[tet.index()] = 0.25 * density_kg_per_m3 * gradients.volume_m3;
+            let number = |i: usize| u32::try_from(i).expect("fewer than 2^32 tetrahedra");
+            self.tet_places[tet.index()] =
+                TetPlace { part: number(p), block: number(block), lane: lane as u8, is_live: true };
+        }
+        for empty in (plan.tets.len()..N_LANES * n_blocks).rev() {
+            elements.spare.push([(empty % n_blocks) as u32, (empty / n_blocks) as u32]);
+        }
+        Ok(elements)
+    }
+}
+
+/// Connects borrowed rows with their owners.
 fn connect(parts: &[Part], plans: &[PartPlan], node_places: &[Option<Place>]) {
     for (p, plan) in plans.iter().enumerate() {
         for (i, node) in plan.borrowed.iter().enumerate() {
@@ -267,7 +299,7 @@ fn connect(parts: &[Part], plans: &[PartPlan], node_places: &[Option<Place>]) {
     }
 }
 
-/// A row of one part is borrowed from that of another, given as part and row.
+/// Connects a borrowed row with its owner's row, each given as part and row.
 pub(super) fn share_row(parts: &[Part], [p, here]: [usize; 2], [owner, there]: [usize; 2]) {
     let row = |i: usize| u16::try_from(i).expect("parts are small");
     let (here, there) = (row(here), row(there));

@@ -1,11 +1,12 @@
-//! Eight numbers worked on together, with the same bits on every path: for the loops over rows outside the kernel.
+//! Arithmetic on eight numbers at once, with the same bits on every path: for loops over rows outside the kernel.
 //!
-//! As in `lanes`, a product with a sum is one fused operation, rounded once. Sums over the lanes have one fixed order.
+//! As in `lanes`, a multiplication followed by an addition is one fused operation, rounded once. Sums over the lanes have a
+//! fixed order.
 
 #[cfg(target_arch = "x86_64")]
 use fearless_simd::{Simd, f64x8, prelude::*};
 
-/// Eight numbers; lanes never mix but in [`Eight::sum`].
+/// Eight numbers; lanes mix only in [`Eight::sum`].
 pub(in crate::model) trait Eight: Copy {
     /// `value` in every lane; `self` says only on which path.
     fn constant(self, value: f64) -> Self;
@@ -82,8 +83,8 @@ impl<S: Simd> Eight for f64x8<S> {
 
 /// Work that is written once for all paths.
 pub(in crate::model) trait EightWork {
-    /// What comes back.
+    /// The result.
     type Output;
-    /// Does it; `zero` is eight zeros of the path. To be inlined always.
+    /// Runs the work; `zero` is eight zeros of the path. Must always be inlined.
     fn run<V: Eight>(self, zero: V) -> Self::Output;
 }

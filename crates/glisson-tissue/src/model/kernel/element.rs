@@ -5,8 +5,8 @@
 //! the forces that balance the deformation are f_k = V P alpha_k and f_0 = -(f_1 + f_2 + f_3)
 //! (seed `002`, eq. 5 to 9, before its expansion into tensors).
 //!
-//! The material comes as two numbers, see [`ElementLaw::numbers`]. From displacements rather than positions: nothing
-//! cancels at small strain, and a body at rest has forces that are exactly zero.
+//! The material is given by two numbers, see [`ElementLaw::numbers`]. The input is displacements, not positions: nothing
+//! cancels at small strain, and the forces of a body at rest are exactly zero.
 
 use super::lanes::Lanes;
 
@@ -15,7 +15,7 @@ pub(super) type Matrix<V> = [[V; 3]; 3];
 /// A symmetric matrix: xx, yy, zz, xy, xz, yz.
 pub(super) type Symmetric<V> = [V; 6];
 
-/// Which tetrahedra of a part are computed: the lanes of `block` from `lane` on.
+/// The tetrahedra that are computed: the lanes of `block` from `lane` on.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct At {
     pub(super) block: usize,
@@ -24,19 +24,19 @@ pub(super) struct At {
 
 /// A stress-strain law, chosen outside the loop over the elements.
 pub(super) trait ElementLaw {
-    /// Whether the stress is that of the small strain, which knows no difference between P and S.
+    /// Whether the stress is that of small strain, for which P and S are the same.
     const IS_SMALL_STRAIN: bool = false;
 
-    /// The two numbers [N m] that a tetrahedron of this volume, lambda and mu has.
+    /// The two numbers [N m] of a tetrahedron of this volume, lambda and mu.
     fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2];
 
     /// V P for the displacement gradient `g`.
     fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V>;
 
-    /// Whether P is finite wherever [`ElementLaw::squared_strain`] is; else P is looked at.
+    /// Whether P is finite wherever [`ElementLaw::squared_strain`] is; otherwise P is checked too.
     const IS_FINITE_WITH_STRAIN: bool = false;
 
-    /// |2 E|^2, a size of the strain that the stiffness grows with: no principal stretch s has |s^2 - 1| above its root.
+    /// |2 E|^2, a measure of the strain with which the stiffness grows: no principal stretch s has |s^2 - 1| above its root.
     #[inline(always)]
     fn squared_strain<V: Lanes>(g: &Matrix<V>) -> V {
         let entry = |i: usize, j: usize| twice_strain(g, i, j);
@@ -69,7 +69,7 @@ pub(super) struct Linear;
 impl ElementLaw for Linear {
     const IS_SMALL_STRAIN: bool = true;
 
-    /// None: its stiffness is the same everywhere.
+    /// Zero: the stiffness is constant.
     #[inline(always)]
     fn squared_strain<V: Lanes>(g: &Matrix<V>) -> V {
         g[0][0].constant(0.0)

@@ -1,5 +1,5 @@
-//! What a tetrahedron may have beside its law: stress at rest, a fibre, a penalty of volume changes, viscous
-//! memory. Each lives in blocks of its own, so that bodies without it read nothing of it.
+//! Optional parts of the stress besides the law: stress at rest, a fibre, a penalty of volume changes, viscous memory. Each
+//! has its own blocks, so that bodies without it do not read them.
 //!
 //! V P = V P_law + F (V S_0 + V S_fibre) + V P_penalty, where
 //!
@@ -16,7 +16,7 @@ use super::lanes::Lanes;
 use super::quarantine::Guard;
 use super::rows::{LaneNumbers, N_LANES};
 
-/// A stress of the kernel's loops: a law with or without what is beside it.
+/// A stress of the kernel's loops: a law, with or without extras.
 pub(super) trait Stress {
     /// V P for the displacement gradient `g`.
     fn scaled_stress<V: Lanes>(&mut self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V>;
@@ -32,7 +32,7 @@ impl<L: ElementLaw> Stress for Plain<L> {
     }
 }
 
-/// The law, leaving out what is inverted or no number.
+/// The law, without tetrahedra that are inverted or not finite.
 pub(super) struct Guarded<'a, L> {
     pub(super) law: L,
     pub(super) guard: Guard<'a>,
@@ -60,7 +60,7 @@ impl FibreBlock {
     const EMPTY: Self = Self { direction: [[0.0; N_LANES]; 3], stiffness: [0.0; N_LANES] };
 }
 
-/// What the tetrahedra of a part have beside their law; each list is empty or has an entry a block.
+/// The extras of the tetrahedra of a part; each list is empty or has one entry per block.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Extras {
     /// V S_0 [N m]: xx, yy, zz, xy, xz, yz.
@@ -99,7 +99,7 @@ impl Extras {
             + size_of_val(self.penalty.as_slice())
     }
 
-    /// A block more, empty.
+    /// Adds an empty block.
     pub(super) fn append_block(&mut self) {
         if !self.rest_stress.is_empty() {
             self.rest_stress.push([[0.0; N_LANES]; 6]);
@@ -172,7 +172,7 @@ impl Viscous<'_> {
         relaxed
     }
 
-    /// Takes the memory of the lanes of `sound` to the end of that step.
+    /// Advances the memory of the lanes of `sound` to the end of that step.
     #[inline(always)]
     fn advance<V: Lanes>(&mut self, elastic: &Symmetric<V>, at: At, sound: u32) {
         let terms = self.terms;
@@ -197,7 +197,7 @@ fn advanced<V: Lanes>(h: V, change: V, &[_, kept, gained]: &[f64; 3]) -> V {
     h.fused(h.constant(kept), change.times(h.constant(gained)))
 }
 
-/// The law with everything beside it.
+/// The law with all extras.
 pub(super) struct Full<'a, L> {
     pub(super) law: L,
     pub(super) extras: &'a Extras,

@@ -1,5 +1,5 @@
-//! Any law of [`crate::material`], lane after lane: the layout, the exchange and the threads of the kernel, with
-//! the law's own stress.
+//! Any law of [`crate::material`], one lane after the other: the layout, exchange and threads of the kernel with the stress
+//! of the law itself.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ pub(super) struct General<'a> {
 }
 
 impl ElementLaw for General<'_> {
-    /// V and nothing.
+    /// V and zero.
     fn numbers(volume_m3: f64, _: f64, _: f64) -> [f64; 2] {
         [volume_m3, 0.0]
     }
@@ -45,7 +45,7 @@ impl ElementLaw for General<'_> {
 }
 
 impl General<'_> {
-    /// Puts V P in place of G. A lane without a tetrahedron has no stress.
+    /// Replaces G by V P. A lane without a tetrahedron has no stress.
     #[inline(never)]
     fn stresses(&self, numbers: &mut [[[f64; N_LANES]; 3]; 3], volumes_m3: &[f64], at: At) {
         for (lane, &volume_m3) in volumes_m3.iter().enumerate() {

@@ -1,9 +1,8 @@
-//! Tetrahedra and nodes that come in after the memory was laid out.
+//! Tetrahedra and nodes that are added after the memory was laid out.
 //!
-//! A new tetrahedron takes a spare lane of the part of the one that it takes after, or opens a block; a new node gets a row
-//! of the part of its first tetrahedron. Where everything goes depends on the edits alone, so that the sums of forces
-//! have one order on every path and for any number of threads. Undoing takes back in the opposite order, so that lanes
-//! and rows are those from before.
+//! A new tetrahedron takes a spare lane of its parent's part, or a new block; a new node gets a row of the part of its first
+//! tetrahedron. The places depend on the edits alone, so that the sums of forces have one order on every path and for any
+//! number of threads. Undo removes in the opposite order, so that lanes and rows are those from before.
 
 use super::build::{of_tet, share_row};
 use super::order::Place;
@@ -14,7 +13,7 @@ use super::{FastKernel, KernelExtras, KernelParams, TetPlace};
 use crate::solve::P1Gradients;
 use glisson_mesh::mesh::{NodeId, TetId};
 
-/// What a node weighs.
+/// Masses of a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::model) struct NodeMass {
     pub(in crate::model) mass_kg: f64,
@@ -22,7 +21,7 @@ pub(in crate::model) struct NodeMass {
     pub(in crate::model) n_tets: u32,
 }
 
-/// How much a kernel had before an edit.
+/// Sizes of a kernel before an edit.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::model) struct KernelCounts {
     pub(in crate::model) n_nodes: usize,
@@ -31,7 +30,7 @@ pub(in crate::model) struct KernelCounts {
 }
 
 impl Elements {
-    /// A block more, all of its lanes spare.
+    /// Adds a block, all of its lanes spare.
     fn append_block(&mut self) {
         let block = self.blocks.len();
         self.blocks.push(Block::EMPTY);
@@ -57,7 +56,7 @@ impl Elements {
 }
 
 impl PartNodes {
-    /// A node more, without anything.
+    /// Adds a node without tetrahedra, mass or support.
     fn push(&mut self) {
         let n = self.mass_kg.len();
         let has_led = !self.led_m.is_empty();
@@ -75,7 +74,7 @@ impl PartNodes {
         self.n_tets.push(0);
     }
 
-    /// Drops the nodes beyond the first `n`.
+    /// Removes the nodes beyond the first `n`.
     fn truncate(&mut self, n: usize) {
         let n_rows = n.next_multiple_of(GROUP_ROWS);
         for rows in self.rows_mut() {
@@ -102,7 +101,7 @@ impl PartNodes {
 }
 
 impl FastKernel {
-    /// Knows so many nodes and tetrahedra from now on; new ones have no place yet.
+    /// Grows to so many nodes and tetrahedra; new ones have no place yet.
     pub(in crate::model) fn grow(&mut self, n_nodes: usize, extras: &KernelExtras<'_>, n_tets: usize) {
         self.node_places.resize(n_nodes, None);
         let nowhere = TetPlace { part: 0, block: 0, lane: 0, is_live: false };
@@ -112,18 +111,18 @@ impl FastKernel {
         laws.extend_from_slice(extras.laws.get(laws.len()..).unwrap_or_default());
     }
 
-    /// Whether so much has come in that the memory should be laid out anew: half of what was there.
+    /// Whether the memory should be laid out anew: when the added tetrahedra are half of the former ones.
     pub(in crate::model) fn is_outgrown_by(&self, n_tets: usize) -> bool {
         2 * (self.n_added + n_tets) > self.n_laid_out
     }
 
-    /// Whether all parts surely have rows for `n_tets` more tetrahedra.
+    /// Whether all parts have rows for `n_tets` more tetrahedra in any case.
     pub(in crate::model) fn has_rows_for(&self, n_tets: usize) -> bool {
         self.parts.all.iter().all(|part| part.layout().n_rows() + 4 * n_tets <= MOST_ROWS)
     }
 
-    /// Adds a tetrahedron that has no place, near to another one; false when there are no rows for its nodes: the memory
-    /// must be laid out anew.
+    /// Adds a tetrahedron without a place, near another one. False when there are no rows for its nodes: the memory must then be
+    /// laid out anew.
     pub(in crate::model) fn add_tet(
         &mut self,
         params: &KernelParams<'_>,
@@ -197,7 +196,7 @@ impl FastKernel {
         numbers
     }
 
-    /// Comes back to a memory of [`FastKernel::tet_history`].
+    /// Restores a memory of [`FastKernel::tet_history`].
     pub(in crate::model) fn set_tet_history(&mut self, tet: TetId, numbers: &[f64]) {
         self.for_each_memory_of(tet, |i, number| *number = numbers[i]);
     }
@@ -248,7 +247,7 @@ impl FastKernel {
         row
     }
 
-    /// What a node weighs.
+    /// Masses of a node.
     pub(in crate::model) fn node_mass(&self, node: NodeId) -> NodeMass {
         self.place(node).map_or(NodeMass { mass_kg: 0.0, added_kg: 0.0, n_tets: 0 }, |(part, n)| {
             let nodes = part.nodes();
@@ -256,7 +255,7 @@ impl FastKernel {
         })
     }
 
-    /// Comes back to what a node weighed.
+    /// Restores the masses of a node.
     pub(in crate::model) fn set_node_mass(&mut self, node: NodeId, mass: &NodeMass) {
         if let Some((part, n)) = self.place(node) {
             let mut nodes = part.nodes_mut();
@@ -267,7 +266,7 @@ impl FastKernel {
         }
     }
 
-    /// How much there is now.
+    /// The present sizes.
     pub(in crate::model) fn counts(&self) -> KernelCounts {
         KernelCounts { n_nodes: self.n_nodes(), n_tets: self.n_tets(), n_added: self.n_added }
     }
@@ -280,8 +279,8 @@ impl FastKernel {
         })
     }
 
-    /// Takes out of their lanes, the last one first, the tetrahedra beyond `counts`, and drops them with the nodes
-    /// beyond: back to a kernel from before an edit, but for masses and tetrahedra that were removed.
+    /// Removes the tetrahedra beyond `counts` from their lanes, the last one first, and the nodes beyond. The kernel is then as
+    /// before an edit, except for masses and removed tetrahedra.
     pub(in crate::model) fn shrink(
         &mut self,
         counts: &KernelCounts,
@@ -325,8 +324,8 @@ impl FastKernel {
         }
     }
 
-    /// Puts a removed tetrahedron back into the lane that it had, which is the last one that became spare; its masses are
-    /// put back apart.
+    /// Puts a removed tetrahedron back into its former lane, which is the last one that became spare. Its masses are restored
+    /// separately.
     pub(in crate::model) fn put_back_tet(
         &mut self,
         params: &KernelParams<'_>,

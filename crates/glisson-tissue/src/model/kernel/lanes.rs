@@ -1,4 +1,4 @@
-//! The arithmetic that all paths share: numbers of one or several lanes.
+//! The arithmetic of all paths: numbers of one or several lanes.
 //!
 //! Every multiplication followed by an addition is written as one fused operation, so that a lane gives the
 //! same bits whether it is a `f64` or a part of a vector, and whether the processor fuses in hardware or not.
@@ -8,9 +8,9 @@ use fearless_simd::{Simd, f64x4, f64x8, prelude::*};
 
 use super::rows::{LaneNumbers, N_LANES};
 
-/// Numbers computed side by side; lanes never mix.
+/// Numbers in lanes, which never mix.
 pub(super) trait Lanes: Copy {
-    /// How many.
+    /// Number of lanes.
     const COUNT: usize;
     /// `value` in every lane.
     fn constant(self, value: f64) -> Self;
@@ -18,7 +18,7 @@ pub(super) trait Lanes: Copy {
     fn plus(self, other: Self) -> Self;
     /// Difference.
     fn minus(self, other: Self) -> Self;
-    /// The other sign.
+    /// Negation.
     fn negative(self) -> Self;
     /// Product.
     fn times(self, other: Self) -> Self;
@@ -30,7 +30,7 @@ pub(super) trait Lanes: Copy {
     fn fused(self, factor: Self, term: Self) -> Self;
     /// `self` in the lanes whose bit is set, `otherwise` elsewhere.
     fn chosen(self, bits: u32, otherwise: Self) -> Self;
-    /// A bit for each lane, the first lane's lowest: whether `self > limit`.
+    /// One bit per lane, the first lane's lowest: whether `self > limit`.
     fn above_bits(self, limit: Self) -> u32;
     /// The lanes of `numbers` from `first` on; `self` says only how many and on which path.
     fn load(self, numbers: &LaneNumbers, first: usize) -> Self;

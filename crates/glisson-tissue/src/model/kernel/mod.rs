@@ -1,16 +1,17 @@
 //! The fast kernel: elastic forces, tetrahedron by tetrahedron, eight at a time, and central differences on top of
 //! them.
 //!
-//! The physics is that of the tensor-mass models (seeds `002` to `004`), with further laws; `element` has the
-//! formula, `extras` what a tetrahedron may have beside its law ([`KernelExtras`]). What makes it
-//! fast: tetrahedra sorted along a Hilbert curve and cut into parts whose nodes fit a first-level cache;
-//! nodes as padded rows of four numbers, loaded and transposed; offsets multiplied beforehand; the material in
-//! two numbers a tetrahedron; and eight lanes that each walk a stretch of the part of their own, so that they
-//! seldom wait for each other's nodes.
+//! The physics is that of the tensor-mass models (seeds `002` to `004`), with further laws. `element` has the formula,
+//! `extras` the optional parts of the stress ([`KernelExtras`]). The speed comes from
+//! - tetrahedra sorted along a Hilbert curve and divided into parts whose nodes fit a first-level cache;
+//! - nodes as padded rows of four numbers, which are loaded and transposed;
+//! - byte offsets that are computed beforehand;
+//! - two material numbers per tetrahedron;
+//! - eight lanes, each with its own stretch of the part, so that they seldom wait for each other's nodes.
 //!
-//! Same bits on every path ([`KernelPath`]) and for any number of threads: every lane computes with the same fused
-//! operations, forces are added lane after lane, and the parts and the order of their sums depend on the mesh
-//! alone. Ids are the caller's throughout; the order inside shows nowhere.
+//! The bits are the same on every path ([`KernelPath`]) and for any number of threads: every lane computes with the same
+//! fused operations, forces are added lane after lane, and the parts and the order of their sums depend on the mesh alone.
+//! Ids are always the caller's; the internal order is not visible.
 
 mod advance;
 mod build;
@@ -59,22 +60,21 @@ pub enum KernelLaw {
     /// St Venant-Kirchhoff: Hooke's law with the Green-Lagrange strain; large rotations, moderate strains.
     /// Softens when compressed to less than about 0.6 of its length, and does not resist inversion.
     StVenantKirchhoff,
-    /// [`crate::material::NeoHookeLog`], stiff against vanishing volume; a force that is no number once inverted.
+    /// [`crate::material::NeoHookeLog`], stiff against vanishing volume; the force of an inverted tetrahedron is not a number.
     NeoHookeLog,
-    /// [`crate::material::StableNeoHooke`], which pushes inverted tetrahedra back: with
-    /// [`Quarantine::NotFinite`] it may.
+    /// [`crate::material::StableNeoHooke`], which pushes inverted tetrahedra back where [`Quarantine::NotFinite`] allows it.
     StableNeoHooke,
     /// Any laws, [`KernelExtras::laws`], one tetrahedron at a time; of the materials only the density counts.
     General,
 }
 
-/// Why there is no kernel.
+/// Why a kernel cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum KernelError {
     /// The mesh is unusable.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// Neither one material nor one for each tetrahedron.
+    /// The number of materials is neither one nor that of the tetrahedra.
     #[error("{found} materials for {n_tets} tetrahedra; allowed: one, or one for each tetrahedron")]
     Materials {
         /// How many were given.
@@ -94,7 +94,7 @@ pub enum KernelError {
         /// Tetrahedra of the mesh.
         n_tets: usize,
     },
-    /// Neither none nor one for each tetrahedron.
+    /// The number of extras is neither zero nor that of the tetrahedra.
     #[error("{found} {what} for {n_tets} tetrahedra; allowed: none, or one for each")]
     ExtraCount {
         /// Of what.
@@ -104,7 +104,7 @@ pub enum KernelError {
         /// Tetrahedra of the mesh.
         n_tets: usize,
     },
-    /// A stress in the rest shape that is no number.
+    /// A stress in the rest shape that is not finite.
     #[error("the stress of tetrahedron {tet} in the rest shape is not finite")]
     RestStress {
         /// Which tetrahedron.
@@ -121,20 +121,20 @@ pub enum KernelError {
     Fibre(#[from] FibreError),
 }
 
-/// What a kernel is made from.
+/// Parameters of a kernel.
 #[derive(Clone, Copy, Debug)]
 pub struct KernelParams<'a> {
     /// The body at rest; all its tetrahedra count.
     pub mesh: &'a TetMesh,
     /// The law of every tetrahedron.
     pub law: KernelLaw,
-    /// One material, or one for each tetrahedron. Densities make the masses.
+    /// One material, or one per tetrahedron. Their densities give the masses.
     pub materials: &'a [LinearElastic],
-    /// How to compute; [`KernelPath::fastest`] unless paths are compared.
+    /// The instruction set; [`KernelPath::fastest`] unless paths are compared.
     pub path: KernelPath,
 }
 
-/// The stretch up to which tissue is calm, unless set. A choice: the largest that soft organs bear for long.
+/// Default stretch up to which tissue counts as calm. A choice: the largest that soft organs bear for long.
 const CALM_STRETCH: f64 = 1.3;
 
 /// A step of central differences.
@@ -181,7 +181,7 @@ pub struct FastKernel {
     tet_places: Vec<TetPlace>,
     /// rho V / 4 of each tetrahedron.
     mass_share_kg: Vec<f64>,
-    /// Tetrahedra that came in since the layout was made, and how many there were then.
+    /// Tetrahedra added since the layout was made, and their number then.
     n_added: usize,
     n_laid_out: usize,
     quarantine: Quarantine,
@@ -226,7 +226,7 @@ impl FastKernel {
         self.node_places[node.index()].map(|p| (&self.parts.all[p.part as usize], p.index as usize))
     }
 
-    /// Adds or subtracts a tetrahedron's share; a node that loses its last one has exactly none left.
+    /// Adds or subtracts a tetrahedron's share of mass; a node that loses its last tetrahedron has exactly zero.
     fn change_mass(&self, node: NodeId, share_kg: f64, change: i32) {
         let Some((part, n)) = self.place(node) else { return };
         let mut nodes = part.nodes_mut();
@@ -236,7 +236,8 @@ impl FastKernel {
         nodes.update_inverse_mass(n);
     }
 
-    /// A tetrahedron at `node` weighs `after_kg` there in place of `before_kg`. The node goes on moving, also where it has no other.
+    /// Replaces the mass `before_kg` of a tetrahedron at `node` by `after_kg`. The node keeps moving, also when it has no other
+    /// tetrahedron.
     fn exchange_mass(&self, node: NodeId, before_kg: f64, after_kg: f64) {
         let Some((part, n)) = self.place(node) else { return };
         let mut nodes = part.nodes_mut();
@@ -250,12 +251,12 @@ impl FastKernel {
         self.parts.law
     }
 
-    /// How it computes.
+    /// The instruction set in use.
     pub fn path(&self) -> KernelPath {
         self.parts.path()
     }
 
-    /// Computes another way from now on, with the same results.
+    /// Sets the instruction set; the results are the same.
     pub fn set_path(&mut self, path: KernelPath) {
         self.parts.set_path(path);
     }
@@ -270,7 +271,7 @@ impl FastKernel {
         self.tet_places.len()
     }
 
-    /// Number of parts: as many threads can work at the same time.
+    /// Number of parts, which is the largest number of threads that can work at the same time.
     pub fn n_parts(&self) -> usize {
         self.parts.all.len()
     }
@@ -365,8 +366,8 @@ impl FastKernel {
         self.forces_into(force_n);
     }
 
-    /// Takes a tetrahedron out: from now on it adds exact zeros, and its nodes lose their shares of its mass.
-    /// In constant time; a second time it does nothing.
+    /// Removes a tetrahedron in constant time: it adds exact zeros from now on, and its nodes lose their shares of its mass. A
+    /// second call has no effect.
     pub fn remove_tet(&mut self, mesh: &TetMesh, tet: TetId) {
         let place = &mut self.tet_places[tet.index()];
         if !std::mem::replace(&mut place.is_live, false) {
@@ -387,7 +388,7 @@ impl FastKernel {
         }
     }
 
-    /// Whether a tetrahedron was not removed.
+    /// Whether a tetrahedron is live.
     pub fn is_live(&self, tet: TetId) -> bool {
         self.tet_places[tet.index()].is_live
     }
@@ -397,7 +398,7 @@ impl FastKernel {
         self.place(node).map_or(0.0, |(part, n)| part.nodes().mass_kg[n])
     }
 
-    /// Holds a node, at standstill, or lets it go: a step leaves a held node where it is.
+    /// Holds a node at rest, or releases it: a step leaves a held node where it is.
     pub fn hold(&mut self, node: NodeId, is_held: bool) {
         self.hold_axes(node, [is_held; 3]);
     }
@@ -409,18 +410,18 @@ impl FastKernel {
         }
     }
 
-    /// What steps leave out from now on.
+    /// Sets what steps leave out.
     pub fn set_quarantine(&mut self, quarantine: Quarantine) {
         self.quarantine = quarantine;
     }
 
-    /// Tells of strain from now on where |2 E| = |F^T F - Id| exceeds that of one principal stretch s, s^2 - 1; no
-    /// stretch is larger where it is told of none. 1.3 at first.
+    /// Sets the stretch s beyond which strain is reported: where |2 E| = |F^T F - Id| exceeds s^2 - 1, its value for a single
+    /// principal stretch. Without a report no principal stretch is larger. The default is 1.3.
     pub fn set_calm_stretch(&mut self, stretch: f64) {
         self.calm_stretch = stretch;
     }
 
-    /// The stretch beyond which it tells of strain.
+    /// The stretch beyond which strain is reported.
     pub fn calm_stretch(&self) -> f64 {
         self.calm_stretch
     }
@@ -435,14 +436,13 @@ impl FastKernel {
     }
 
     /// Whether a tetrahedron of the last step was strained beyond what a step is made for: near to inversion or torn apart
-    /// (det F below 0.5 or above 1.8), stretched beyond the stretch of [`FastKernel::set_calm_stretch`], or no number.
-    /// Not told with [`Quarantine::Off`]; [`KernelLaw::Linear`], as stiff at any stretch, tells of volumes only.
+    /// (det F below 0.5 or above 1.8), stretched beyond the stretch of [`FastKernel::set_calm_stretch`], or not finite. Not
+    /// reported with [`Quarantine::Off`]; [`KernelLaw::Linear`] has the same stiffness at any stretch and reports volumes only.
     pub fn is_strained(&self) -> bool {
         self.parts.all.iter().any(|part| part.progress().is_strained)
     }
 
-    /// How many numbers the memory of the relaxing stress has: six, and six for each term, a tetrahedron; none
-    /// without a series.
+    /// Length of the memory of the relaxing stress: six numbers, and six for each term, per tetrahedron; zero without a series.
     pub fn history_len(&self) -> usize {
         let numbers_of_term = 6 * self.n_tets();
         self.parts.n_relaxation_terms().map_or(0, |n_terms| numbers_of_term * (1 + n_terms))
@@ -460,7 +460,7 @@ impl FastKernel {
         self.for_each_history(|i, number| history[i] = *number);
     }
 
-    /// Comes back to a memory of [`FastKernel::history_into`].
+    /// Restores a memory of [`FastKernel::history_into`].
     ///
     /// # Panics
     /// When there are not [`FastKernel::history_len`] numbers.
@@ -469,14 +469,14 @@ impl FastKernel {
         self.for_each_history(|i, number| *number = history[i]);
     }
 
-    /// The stress relaxes from here on as if the body had always been at rest.
+    /// Resets the memory of the relaxing stress, as for a body that was always at rest.
     pub fn forget_history(&mut self) {
         for part in &self.parts.all {
             part.progress_mut().history.as_flattened_mut().fill(0.0);
         }
     }
 
-    /// `visit` sees each number of live tetrahedra with its place in [`FastKernel::history_into`].
+    /// Calls `visit` with each number of live tetrahedra and its place in [`FastKernel::history_into`].
     fn for_each_history(&self, mut visit: impl FnMut(usize, &mut f64)) {
         if self.history_len() == 0 {
             return;
@@ -491,7 +491,7 @@ impl FastKernel {
         }
     }
 
-    /// Brings all nodes to standstill where they are.
+    /// Stops all nodes where they are.
     pub fn stop(&mut self) {
         for part in &self.parts.all {
             part.nodes_mut().increment_m.fill([0.0; 4]);
@@ -502,7 +502,7 @@ impl FastKernel {
     /// the forces: u(t+h) - u(t) = [ (1/h^2 - d/(2h)) (u(t) - u(t-h)) + F/m ] / (1/h^2 + d/(2h)), F the
     /// outer force less the balancing one. After another step length, the last increment counts in proportion.
     ///
-    /// A step that is too long diverges: the caller keeps to the stable one.
+    /// A step that is too long diverges: the caller must not exceed the stable one.
     pub fn step(&mut self, workers: &dyn Workers, step: ExplicitStep) {
         let last_s = self.last_step_s.replace(step.step_s).unwrap_or(step.step_s);
         self.parts.set_relaxation_step(step.step_s);

@@ -1,5 +1,5 @@
-//! How nodes move: supports along single axes, masses, the factors of a step, and what goes in and out of it. A
-//! kernel's copy is here too, for it is made of what moves.
+//! The motion of nodes: supports along single axes, masses, the factors of a step, and its input and output. Copies of a
+//! kernel are here too.
 
 use std::sync::{Arc, RwLock};
 
@@ -10,7 +10,7 @@ use super::{FastKernel, KernelLaw, KernelPath, padded, task};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::NodeId;
 
-/// What moves of a node, and its inertia.
+/// Motion and inertia of a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodeMotion {
     /// Displacement u(t) [m].
@@ -22,7 +22,7 @@ pub struct NodeMotion {
 }
 
 impl PartNodes {
-    /// After a change of mass or support. An axis that is held stands still.
+    /// Updates a node after a change of mass or support. A held axis stops.
     pub(super) fn update_inverse_mass(&mut self, n: usize) {
         let inertia_kg = self.inertia_kg(n);
         for axis in 0..3 {
@@ -85,7 +85,7 @@ impl Clone for Parts {
     }
 }
 
-/// A copy of its own: nothing is shared. It computes the same bits.
+/// An independent copy, which computes the same bits.
 impl Clone for FastKernel {
     fn clone(&self) -> Self {
         let parts = Arc::new(self.parts.as_ref().clone());
@@ -109,7 +109,7 @@ impl Clone for FastKernel {
 }
 
 impl FastKernel {
-    /// A body without nodes and tetrahedra: what is left when all are removed.
+    /// A body without nodes and tetrahedra, for when all are removed.
     pub fn empty(law: KernelLaw, path: KernelPath) -> Self {
         Self::of_parts(Parts {
             law,
@@ -122,7 +122,7 @@ impl FastKernel {
         })
     }
 
-    /// Holds a node along some of x, y, z, at standstill, and lets it go along the others.
+    /// Holds a node at rest along some of x, y, z, and releases it along the others.
     pub fn hold_axes(&mut self, node: NodeId, is_held: [bool; 3]) {
         self.change_node(node, |nodes, n| {
             nodes.is_held[n] = is_held;
@@ -130,7 +130,7 @@ impl FastKernel {
         });
     }
 
-    /// Sets the inertia [kg] that a node has beyond its mass.
+    /// Sets the added mass [kg] of a node.
     pub fn set_added_mass(&mut self, node: NodeId, added_kg: f64) {
         self.change_node(node, |nodes, n| {
             nodes.added_mass_kg[n] = added_kg;
@@ -204,7 +204,7 @@ impl FastKernel {
         self.last_step_s = last_step_s;
     }
 
-    /// Tells every node that has or had a tetrahedron how it moves.
+    /// Updates every node that has or had a tetrahedron.
     pub fn for_each_node(&self, mut tell: impl FnMut(NodeId, NodeMotion)) {
         for part in &self.parts.all {
             let nodes = part.nodes();
@@ -219,7 +219,7 @@ impl FastKernel {
         }
     }
 
-    /// What the last step did; the sums do not depend on the number of threads.
+    /// Report on the last step; the sums do not depend on the number of threads.
     pub fn step_sums(&self) -> StepSums {
         self.parts.all.iter().map(|part| part.nodes().sums).fold(StepSums::default(), |sum, part| StepSums {
             kinetic_before_j: sum.kinetic_before_j + part.kinetic_before_j,
@@ -229,7 +229,7 @@ impl FastKernel {
         })
     }
 
-    /// Shortens what the last step added to a node's displacement to `most_m` where it is longer; answers whether any was.
+    /// Limits what the last step added to each node's displacement to the length `most_m`; returns whether any was longer.
     pub fn limit_last_increments(&mut self, most_m: f64) -> bool {
         let mut is_any_longer = false;
         for part in &self.parts.all {
@@ -245,7 +245,7 @@ impl FastKernel {
         is_any_longer
     }
 
-    /// Scales what the last step added to the displacements, as if it had been so much shorter.
+    /// Scales what the last step added to the displacements, as for a step shorter by this factor.
     pub fn scale_last_increments(&mut self, factor: f64) {
         for part in &self.parts.all {
             let PartNodes { displacement_m, increment_m, .. } = &mut *part.nodes_mut();

@@ -10,7 +10,7 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 const CURVE_BITS: u32 = 16;
 /// Tetrahedra in a part at most: displacements and forces of its nodes together stay in a first-level cache.
 const MOST_TETS: usize = 2048;
-/// Smaller meshes are cut into this many parts all the same, so that several threads have work ...
+/// Smaller meshes are also divided into this many parts, so that several threads have work ...
 const LEAST_PARTS: usize = 4;
 /// ... unless parts would become smaller than this.
 const LEAST_TETS: usize = 128;
@@ -68,7 +68,7 @@ fn sorted_tets(mesh: &TetMesh, is_live: &[bool]) -> Vec<TetId> {
     keyed.into_iter().map(|(_, t)| t).collect()
 }
 
-/// Where a node or a tetrahedron's row is: a part and a place in it.
+/// Place of a node's row or a tetrahedron: a part and an index in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Place {
     pub(super) part: u32,

@@ -1,11 +1,11 @@
 //! A part of the mesh with its memory, and the two phases of a force computation.
 //!
-//! First each part collects the displacements of the nodes that it touches and adds up its tetrahedra's forces
-//! in rows of its own. Then each part sums, for the nodes that it owns, its own rows and those of the other parts
-//! that borrow the node, in the order in which they came to do so. Neither depends on who computes which part when.
+//! First each part collects the displacements of the nodes that it touches, and sums its tetrahedra's forces in its own
+//! rows. Then each part sums, for the nodes that it owns, its own rows and those of the other parts that borrow the node,
+//! in the order in which they began to borrow it. Neither depends on which thread computes a part, or when.
 //!
-//! The locks are there to share memory between threads without `unsafe`. Nobody ever waits for one: in a phase,
-//! what one part writes no other reads.
+//! The locks share memory between threads without `unsafe`. No thread ever waits for one: within a phase, no part reads
+//! what another writes.
 
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
@@ -23,7 +23,7 @@ use crate::material::PronySeries;
 use crate::model::roomy::Roomy;
 use glisson_mesh::mesh::NodeId;
 
-/// A panic elsewhere leaves numbers behind, no broken memory.
+/// A panic elsewhere leaves valid memory.
 pub(super) fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
     lock.read().unwrap_or_else(PoisonError::into_inner)
 }
@@ -41,7 +41,7 @@ pub(super) struct Exchange {
     pub(super) rows: Vec<[u16; 2]>,
 }
 
-/// What moves on the nodes that a part owns. Rows are padded to whole groups ([`GROUP_ROWS`]).
+/// State of the nodes that a part owns. Rows are padded to whole groups ([`GROUP_ROWS`]).
 #[derive(Clone, Debug)]
 pub(super) struct PartNodes {
     pub(super) displacement_m: Vec<Row>,
@@ -52,16 +52,16 @@ pub(super) struct PartNodes {
     /// Force from outside.
     pub(super) outer_n: Vec<Row>,
     pub(super) mass_kg: Vec<f64>,
-    /// Inertia without weight.
+    /// Added mass, which has no weight.
     pub(super) added_mass_kg: Vec<f64>,
     /// Zero for axes that the step does not move.
     pub(super) inverse_mass_per_kg: Vec<Row>,
     /// Mass and added mass; zero for axes that the step does not move.
     pub(super) moving_inertia_kg: Vec<Row>,
     pub(super) is_held: Vec<[bool; 3]>,
-    /// Tetrahedra that a node has left.
+    /// Number of live tetrahedra at a node.
     pub(super) n_tets: Vec<u32>,
-    /// Displacements ahead by the stiffness damping; empty without.
+    /// Displacements plus beta times the velocities, for stiffness damping; empty without it.
     pub(super) led_m: Vec<Row>,
     /// Of the last step.
     pub(super) sums: StepSums,
@@ -94,14 +94,14 @@ pub(super) struct Elements {
     pub(super) extras: Extras,
     /// Which law of [`Parts::laws`], for each lane of each block; empty for laws of the kernel's own.
     pub(super) law_of: Vec<[u32; N_LANES]>,
-    /// Whose lane it is.
+    /// The tetrahedron of each lane.
     pub(super) tets: Vec<LaneTets>,
-    /// Blocks and lanes without a tetrahedron; the last one is filled first. With room for all.
+    /// Blocks and lanes without a tetrahedron; the last one is filled first. With capacity for all.
     pub(super) spare: Roomy<[u32; 2]>,
 }
 
 impl Elements {
-    /// Takes a tetrahedron out of its lane.
+    /// Removes a tetrahedron from its lane.
     pub(super) fn clear(&mut self, block: usize, lane: usize) {
         self.blocks[block].clear(lane);
         self.extras.clear(block, lane);
@@ -116,7 +116,7 @@ impl Elements {
     }
 }
 
-/// What a step changes of a part's tetrahedra.
+/// State of a part's tetrahedra that a step changes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Progress {
     /// The memory of the relaxing stress, see [`Viscous::history`].
@@ -161,13 +161,13 @@ impl Relaxation {
 pub(super) struct ForceMode {
     /// What is left out.
     pub(super) quarantine: Option<Quarantine>,
-    /// Whether the computation belongs to a step, which takes viscous memory further.
+    /// Whether the computation belongs to a step, which advances the viscous memory.
     pub(super) in_step: bool,
     /// See [`Guard::calm_squared_strain`].
     pub(super) calm_squared_strain: f64,
 }
 
-/// Whose rows a part has. Own ones are the first of all, borrowed ones the last, backwards: both can become more.
+/// The rows of a part. Own ones start at the front, borrowed ones at the end, backwards, so that both can grow.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Layout {
     pub(super) own: Vec<NodeId>,

@@ -1,7 +1,7 @@
 //! One loop over a part's tetrahedra for each instruction set, all with the same bits.
 //!
-//! Lanes of a block are independent until the forces are added up; that happens lane after lane, in each lane
-//! corner after corner, on every path. So two lanes may even share a node.
+//! Lanes of a block are independent until the forces are added, which happens lane after lane, and in each lane corner after
+//! corner, on every path. So two lanes may share a node.
 
 #[cfg(target_arch = "x86_64")]
 use fearless_simd::{Avx2, Avx512, Level, Simd, f64x4, f64x8, prelude::*, u8x32, u8x64};
@@ -14,13 +14,13 @@ use super::rows::{Block, LaneNumbers, N_LANES, Rows};
 
 /// Work on rows of numbers, written once for any number of lanes.
 pub(super) trait LaneWork {
-    /// Does it; `any` only names the lanes. Must be inlined.
+    /// Runs the work; `any` only selects the lanes. Must be inlined.
     fn run<V: Lanes>(self, any: V);
 }
 
 /// Work on each instruction set.
 trait PathWork {
-    /// What comes back.
+    /// The result.
     type Output;
     #[cfg(target_arch = "x86_64")]
     fn in_eights(self, simd: Avx512) -> Self::Output;
@@ -76,7 +76,7 @@ impl<W: EightWork> PathWork for ByEight<W> {
     }
 }
 
-/// How the kernel computes. The result is the same on each path.
+/// An instruction set of the kernel. The result is the same on each path.
 #[derive(Clone, Copy, Debug)]
 pub struct KernelPath(Path);
 
@@ -133,19 +133,19 @@ impl KernelPath {
         }
     }
 
-    /// Does `work` in this path's lanes, compiled for its processor.
+    /// Runs `work` in this path's lanes, compiled for its processor.
     #[inline(always)]
     pub(super) fn run(self, work: impl LaneWork) {
         self.run_in(InLanes(work));
     }
 
-    /// Does work that is written for any path, on eight numbers at a time.
+    /// Runs work on eight numbers at a time on this path.
     #[inline]
     pub(in crate::model) fn run_by_eight<W: EightWork>(self, work: W) -> W::Output {
         self.run_in(ByEight(work))
     }
 
-    /// The one place where work meets the instruction sets.
+    /// The only place that dispatches work to the instruction sets.
     #[inline(always)]
     fn run_in<W: PathWork>(self, work: W) -> W::Output {
         match self.0 {

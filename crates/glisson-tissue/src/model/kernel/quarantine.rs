@@ -1,28 +1,28 @@
-//! Leaving out what is inverted or no number, so that one bad tetrahedron does not spoil a step.
+//! Leaves out tetrahedra that are inverted or not finite, so that one bad tetrahedron does not spoil a step.
 
 use super::element::{At, ElementLaw, Matrix};
 use super::lanes::Lanes;
 use super::rows::N_LANES;
 use glisson_mesh::mesh::TetId;
 
-/// Which tetrahedra a step leaves out: they add exact zeros and come back by themselves. Inverted ones (det F <= 0)
-/// are counted either way.
+/// Which tetrahedra a step leaves out: they add exact zeros, and count again once they are sound. Inverted ones
+/// (det F <= 0) are counted in either case.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Quarantine {
-    /// None: a force that is no number spreads. Nothing is counted.
+    /// None: a force that is not a number spreads. Nothing is counted.
     Off,
-    /// Those whose deformation or stress is not finite. For laws that are finite in every shape: what they store in an
-    /// inverted tetrahedron they give back, while leaving it out would make energy from nothing.
+    /// Those whose deformation or stress is not finite. For laws that are finite in every shape: an inverted tetrahedron gives
+    /// back its energy, whereas leaving it out would create energy.
     NotFinite,
-    /// Those, and the inverted ones: for laws that are no numbers there.
+    /// Those, and the inverted ones: for laws that are not finite there.
     #[default]
     Inverted,
 }
 
-/// What the last step found inverted or not finite.
+/// Tetrahedra that the last step found inverted or not finite.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct QuarantineReport {
-    /// How many tetrahedra.
+    /// Number of tetrahedra.
     pub n_tets: u32,
     /// The one with the lowest id.
     pub first: Option<TetId>,
@@ -35,13 +35,13 @@ impl QuarantineReport {
     }
 }
 
-/// Whose lane it is; [`NO_TET`] where there is none.
+/// The tetrahedron of each lane; [`NO_TET`] where there is none.
 pub(super) type LaneTets = [TetId; N_LANES];
 pub(super) const NO_TET: TetId = TetId(u32::MAX);
 
-/// The watch over a part's tetrahedra.
+/// The checks of a part's tetrahedra.
 pub(super) struct Guard<'a> {
-    /// Whether inverted tetrahedra are left out, or only those that are no numbers.
+    /// Whether inverted tetrahedra are left out, or only those that are not finite.
     pub(super) leaves_out_inverted: bool,
     /// Tetrahedra of each block.
     pub(super) tets: &'a [LaneTets],
@@ -64,8 +64,8 @@ impl Guard<'_> {
         (1 << V::COUNT) - 1
     }
 
-    /// A bit for each lane whose tetrahedron counts; the others are noted. `p` is V P of law `L`, or with what is beside
-    /// it (`is_law_alone` is false). Two comparisons where all is calm.
+    /// One bit per lane whose tetrahedron counts; the others are recorded. `p` is V P of law `L`, with extras unless
+    /// `is_law_alone`. Costs two comparisons where all is calm.
     #[inline(always)]
     pub(super) fn sound_bits<L: ElementLaw, V: Lanes>(
         &mut self,
@@ -85,7 +85,7 @@ impl Guard<'_> {
         };
         let squared_strain = L::squared_strain(g);
         let strain_tells = L::IS_FINITE_WITH_STRAIN && is_law_alone;
-        // Zero, or no number where the stress is not finite.
+        // Zero, or not a number where the stress is not finite.
         let row = |i: usize| p[i][0].fused(zero, p[i][1].fused(zero, p[i][2].times(zero)));
         let nothing = if strain_tells { zero } else { row(0).plus(row(1)).plus(row(2)) };
         let from_centre = ratio_and(nothing.plus(zero.constant(-CALM_CENTRE)));

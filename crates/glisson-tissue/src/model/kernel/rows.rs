@@ -1,25 +1,25 @@
 //! The memory of a part: padded rows of its nodes, blocks of eight tetrahedra.
 
-/// Rows that a part may have.
+/// Largest number of rows of a part.
 pub(super) const MOST_ROWS: usize = 1024;
-/// Tetrahedra worked on side by side.
+/// Tetrahedra in one block.
 pub(super) const N_LANES: usize = 8;
-/// A number of each of eight tetrahedra.
+/// One number for each of eight tetrahedra.
 pub(super) type LaneNumbers = [f64; N_LANES];
 
 const ROW_BYTES: usize = size_of::<Row>();
-/// A node's two rows: one line of a cache.
+/// A node's two rows: one cache line.
 const NODE_BYTES: usize = 2 * ROW_BYTES;
 const ROWS_BYTES: usize = MOST_ROWS * NODE_BYTES;
 
 /// One padded vector: x, y, z and a zero, so that one load fetches it.
 pub(super) type Row = [f64; 4];
 
-/// Displacement and force on the nodes of a part, side by side: its own nodes, then the borrowed ones.
+/// Displacements and forces of the nodes of a part, side by side: own nodes, then borrowed ones.
 ///
-/// As bytes, and a little longer than its rows: then no offset of 16 bits can miss, which the compiler sees, so that
-/// an access costs no check. A displacement and a force never lie a multiple of 4096 bytes apart, which would
-/// make a load wait for an unrelated store.
+/// Stored as bytes, and a little longer than its rows, so that every offset of 16 bits is valid: the compiler then omits
+/// bounds checks. A displacement and a force are never a multiple of 4096 bytes apart, which would make a load wait for
+/// an unrelated store.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub(super) struct Rows([u8; ROWS_BYTES + NODE_BYTES]);
@@ -67,7 +67,7 @@ pub(super) fn offset_of(index: usize) -> u16 {
     u16::try_from(index * NODE_BYTES).expect("a part has at most 1024 nodes")
 }
 
-/// Eight tetrahedra, one a lane, in the order in which the kernel reads them: 96 bytes a tetrahedron.
+/// Eight tetrahedra, one per lane, in the order in which the kernel reads them: 96 bytes per tetrahedron.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub(super) struct Block {
@@ -80,14 +80,14 @@ pub(super) struct Block {
 }
 
 impl Block {
-    /// Lanes without a tetrahedron: they add zeros to the first row.
+    /// A block without tetrahedra: its lanes add zeros to the first row.
     pub(super) const EMPTY: Self = Self {
         offsets: [[0; 4]; N_LANES],
         alpha_per_m: [[[0.0; N_LANES]; 3]; 3],
         material: [[0.0; N_LANES]; 2],
     };
 
-    /// Empties a lane. Its nodes stay named: they receive zeros.
+    /// Empties a lane. It keeps its node offsets, to which it adds zeros.
     pub(super) fn clear(&mut self, lane: usize) {
         for number in self.alpha_per_m.iter_mut().flatten().chain(&mut self.material) {
             number[lane] = 0.0;

@@ -1,4 +1,4 @@
-//! What a step is given and what it adds up, for each part.
+//! The input of a step and the sums that it returns, for each part.
 
 use super::ExplicitStep;
 use super::rows::{N_LANES, Row};
@@ -9,7 +9,7 @@ pub(super) const ROW_LANES: usize = size_of::<Row>() / size_of::<f64>();
 /// Rows that are advanced together; a part's rows are padded to whole groups.
 pub(super) const GROUP_ROWS: usize = N_LANES / ROW_LANES;
 
-/// What a step did to the nodes that move.
+/// Report on the moving nodes of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepSums {
     /// Kinetic energy of the half step before [J].
@@ -18,7 +18,7 @@ pub struct StepSums {
     pub kinetic_after_j: f64,
     /// Work of the outer forces along half of both increments [J].
     pub outer_work_j: f64,
-    /// Nodes that stayed where they were, at standstill, because their new place was not finite.
+    /// Number of nodes that stayed where they were, at rest, because their new position was not finite.
     pub n_recovered: u32,
 }
 
@@ -32,12 +32,12 @@ pub(super) struct StepFactors {
     pub(super) stretch: f64,
     /// 1/h^2 of the last step and of this one [1/s2].
     pub(super) per_square_s2: [f64; 2],
-    /// Elastic forces are those at u plus so much of the last increment; none for the plain ones.
+    /// Elastic forces are taken at u plus this multiple of the last increment; zero without stiffness damping.
     pub(super) lead: Option<f64>,
 }
 
 impl StepFactors {
-    /// Stiffness damping takes forces at u + beta v, v the velocity of the last half step.
+    /// With stiffness damping, forces are taken at u + beta v, with v the velocity of the last half step.
     pub(super) fn new(step: ExplicitStep, last_s: f64, stiffness_damping_s: f64) -> Self {
         let ExplicitStep { step_s: h, damping_per_s: d } = step;
         let inverse = 1.0 / (1.0 / (h * h) + 0.5 * d / h);

@@ -1,11 +1,11 @@
-//! Who computes: the library starts no threads, it is given some.
+//! Threads: the library starts none, the caller provides them.
 
 use std::sync::Arc;
 
 /// Work in numbered tasks that may run in any order and at the same time.
 pub type Task = Arc<dyn Fn(usize) + Send + Sync>;
 
-/// Something that runs tasks.
+/// A runner of tasks.
 pub trait Workers {
     /// Calls `task` once with each of `0..n_tasks`; returns when all are done.
     fn run(&self, n_tasks: usize, task: &Task);

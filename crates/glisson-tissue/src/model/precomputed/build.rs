@@ -15,7 +15,7 @@ use glisson_mesh::mesh::NodeId;
 /// 48 that are solved at once, so that whole blocks have the same bits in memory and in a file, resumed or not.
 pub(super) const NODES_IN_BLOCK: usize = 16;
 
-/// What is known before anything is solved: the system, and which nodes are loaded and stored.
+/// The system, and which nodes are loaded and stored: all that is known before the first solution.
 pub(super) struct Plan {
     pub(super) system: FreeSystem,
     /// Ascending.
@@ -35,7 +35,7 @@ pub(super) struct Solver {
 }
 
 impl Plan {
-    /// Refuses what has no solution.
+    /// The plan for a body; refuses a body without a solution.
     pub(super) fn new(params: &PrecomputedParams<'_>) -> Result<Self, PrecomputedError> {
         let PrecomputedParams { mesh, material, stored, .. } = *params;
         let mut fixed_nodes = params.fixed_nodes.to_vec();
@@ -95,7 +95,7 @@ impl Plan {
 }
 
 impl Solver {
-    /// `n` nodes need no work any more.
+    /// Reports `n` more nodes as done.
     pub(super) fn skip(&self, n: usize, params: &PrecomputedParams<'_>) {
         self.done.fetch_add(n, Ordering::Relaxed);
         if let Some(progress) = params.progress {
@@ -103,8 +103,8 @@ impl Solver {
         }
     }
 
-    /// Fills the numbers of some loadable nodes, from `first` on, which begins a block: their unit forces along each
-    /// axis. Loadable nodes are the first of the rows.
+    /// Fills the columns of some loadable nodes, from `first` on, which starts a block: the responses to unit forces along
+    /// each axis. Loadable nodes are the first of the rows.
     pub(super) fn fill<T: Send>(
         &self,
         params: &PrecomputedParams<'_>,

@@ -1,4 +1,4 @@
-//! A compliance compared with what it stands for.
+//! Comparison of a compliance with direct solutions.
 
 use super::{Precomputed, PrecomputedError};
 use crate::solve::{BoundaryConditions, FreeSystem, MeshEdges, StiffnessTensors};
@@ -22,19 +22,19 @@ pub struct ComplianceCheck {
 const REFINEMENTS: usize = 2;
 
 fn largest_of(tensor: DMat3) -> f64 {
-    // What is no number counts as largest.
+    // A value that is not a number counts as the largest.
     tensor.to_cols_array().into_iter().fold(0.0, |most, x| if x.abs() <= most { most } else { x.abs() })
 }
 
-/// Compares the columns of about `n_compared` loadable nodes, evenly chosen, with solutions one by one, refined with
-/// the stiffness itself; and the whole with its transpose.
+/// Compares the columns of about `n_compared` evenly spaced loadable nodes with direct solutions, iteratively refined,
+/// and the whole compliance with its transpose.
 ///
 /// # Errors
 /// [`PrecomputedError::Solve`] when the mesh has no solution.
 ///
 /// # Panics
-/// When the mesh has another number of nodes than that of the model, or the model was cut. Of a mesh that differs in
-/// shape nothing agrees.
+/// When the mesh has another number of nodes than that of the model, or the model was cut. For a mesh of another shape
+/// the differences are large.
 pub fn check_compliance(
     model: &Precomputed,
     mesh: &TetMesh,

@@ -5,18 +5,18 @@
 //!
 //! sum over points j, directions s: d_r . (sum_kl w_k w_l T^kl) d_s x_s = d_r . (U - displacement without reactions).
 //!
-//! (Seed `003` eq. 2.12 for whole nodes; seed `001` s. 5 spreads a contact over the corners of a triangle.) Symmetric
-//! positive definite but for rows that repeat others: their pivots vanish, and their reactions are set to zero.
+//! (Seed `003` eq. 2.12 for whole nodes; seed `001` s. 5 spreads a contact over the corners of a triangle.) The system is
+//! symmetric and positive definite, except for rows that repeat others: their pivots vanish, and their reactions are set
+//! to zero.
 //!
-//! Kept factored: the rows up to the first point that differs from the last call's keep their factor; later ones are
-//! bordered to it. A new point at the end costs O(n^2), one taken out of the middle the
-//! rows behind it. Compliances between points that were there before are not read again. Each entry of
-//! the factor is computed by the same operations in the same order whether it is bordered or factored anew
-//! (left-looking, products in the order of the columns): **the bits depend on the list of points alone, not on how it
-//! came about**, and nothing of this is part of a model's history.
+//! The rows up to the first point that differs from the last call keep their factor; later rows are bordered to it. A new
+//! point at the end costs O(n^2); a point removed from the middle costs the rows behind it. Compliances between points
+//! that were there before are not read again. Each entry of the factor is computed by the same operations in the same
+//! order, whether it is bordered or factored anew (left-looking, products in the order of the columns): **the bits depend
+//! on the list of points alone, not on its history**, so none of this is part of a model's state.
 //!
-//! A table in `f32` is symmetric only to its rounding. The factor is that of its symmetric part; refinement with the table's
-//! own numbers then makes the points meet their targets as closely as with `f64`.
+//! A table in `f32` is symmetric only up to rounding. The factor is that of its symmetric part; iterative refinement with
+//! the table's own entries then meets the targets as closely as with `f64`.
 
 use super::pairs::Pairs;
 use super::table::{Numbers, Table};
@@ -33,12 +33,12 @@ const COLUMN_GROUPS: usize = MOST_ROWS / 8;
 /// Columns that are factored together.
 const PANEL: usize = 4;
 
-/// A pivot below this share of its diagonal entry is a row that repeats others: its unknown is zero. Chosen: rounding
-/// leaves 1e-14 in `f64`, and points 1e-4 of a triangle apart about 1e-8 to 1e-9.
+/// A pivot below this share of its diagonal entry marks a row that repeats others: its unknown is zero. A choice: rounding
+/// leaves 1e-14 in `f64`, and points 1e-4 of a triangle apart leave about 1e-8 to 1e-9.
 const LEAST_PIVOT: f64 = 1e-10;
 
-/// Refinements of the solution at most: with `f64` against rounding, with `f32` against the table's asymmetry of 6e-8;
-/// none when the largest miss is this share of the largest target.
+/// Refinement stops when the largest residual is this share of the largest target. At most so many refinements: with
+/// `f64` against rounding, with `f32` against the table's asymmetry of 6e-8.
 const ENOUGH: f64 = 1e-13;
 const REFINEMENTS_F64: usize = 1;
 const REFINEMENTS_F32: usize = 3;
@@ -78,16 +78,16 @@ impl ContactPoint {
     }
 }
 
-/// How the last solution went.
+/// Report on the last solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContactReport {
     /// Rows of the system: held directions of all points.
     pub n_rows: usize,
-    /// Rows that repeat others (a node twice, more points than a triangle has freedom): they exert nothing. Where they
-    /// ask for the same as those that they repeat, they are met all the same.
+    /// Rows that repeat others (a node twice, more points on a triangle than it has degrees of freedom). They exert no
+    /// force; where they do not contradict the others, their targets are met all the same.
     pub n_repeated: usize,
-    /// The farthest that a point is from its target along a held direction [m]: rounding, unless targets contradict
-    /// each other.
+    /// Largest distance of a point from its target along a held direction [m]: rounding, unless targets contradict each
+    /// other.
     pub largest_miss_m: f64,
     /// Rows that kept their factor from the step before.
     pub n_kept: usize,
@@ -100,7 +100,7 @@ pub(super) struct ContactSystem {
     n_rows: usize,
     /// Column by column: displacement along the row's direction for a unit reaction of the column.
     actual: Vec<[f64; 8]>,
-    /// For points that change places.
+    /// Scratch for points that change places.
     spare: Vec<[f64; 8]>,
     /// Lower triangle L of the symmetric part, column by column; zero above the diagonal in its groups of eight and below
     /// the last row.
@@ -111,6 +111,81 @@ pub(super) struct ContactSystem {
     solution: Vec<[f64; 8]>,
     work: Vec<[f64; 8]>,
     report: ContactReport,
+}
+
+/// The points that take the place of those before.
+struct Update<'a> {
+    wanted: &'a [ContactPoint],
+    /// Points at the start that stay, and their rows.
+    n_kept: usize,
+    kept_rows: usize,
+    /// Whether the table is symmetric to the bit.
+    is_symmetric: bool,
+}
+
+impl Update<'_> {
+    /// Brings the tensors of the points that do not stay into the cache.
+    fn fetch(&self, pairs: &Pairs) {
+        let mut nodes = [0; 3 * MOST_POINTS];
+        let (mut n_nodes, mut n_old) = (0, 0);
+        for (i, point) in self.wanted.iter().enumerate() {
+            for (node, _) in point.nodes() {
+                nodes[n_nodes] = node;
+                n_nodes += 1;
+            }
+            if i < self.n_kept {
+                n_old = n_nodes;
+            }
+        }
+        pairs.fetch(&nodes[..n_nodes], n_old);
+    }
+}
+
+/// Former place of a point that is new.
+const NEW: (usize, usize) = (usize::MAX, 0);
+
+/// Entries of the matrix between two points: first row and column, numbers of rows and columns.
+struct Block {
+    first: [usize; 2],
+    size: [usize; 2],
+}
+
+impl Block {
+    /// Copies the entries, and those across the diagonal, from their former place.
+    #[inline]
+    fn copy_from(&self, was: [usize; 2], from: &[f64], to: &mut [f64]) {
+        let [row, column] = self.first;
+        for s in 0..self.size[1] {
+            for r in 0..self.size[0] {
+                let (new, old) = ((row + r, column + s), (was[0] + r, was[1] + s));
+                to[entry(new.0, new.1)] = from[entry(old.0, old.1)];
+                to[entry(new.1, new.0)] = from[entry(old.1, old.0)];
+            }
+        }
+    }
+
+    /// Writes the entries, and those across the diagonal.
+    #[inline]
+    fn write(&self, block: &DMat3, back: &DMat3, to: &mut [f64]) {
+        let [row, column] = self.first;
+        for s in 0..self.size[1] {
+            for r in 0..self.size[0] {
+                to[entry(column + s, row + r)] = back.col(r)[s];
+                to[entry(row + r, column + s)] = block.col(s)[r];
+            }
+        }
+    }
+
+    /// Mirrors the lower triangle of a point's block with itself to the upper one.
+    #[inline]
+    fn mirror_lower(&self, block: &DMat3, to: &mut [f64]) {
+        let [row, column] = self.first;
+        for (r, s) in [(1, 0), (2, 0), (2, 1)] {
+            if r < self.size[0] {
+                to[entry(column + s, row + r)] = block.col(s)[r];
+            }
+        }
+    }
 }
 
 impl ContactSystem {
@@ -152,7 +227,7 @@ impl ContactSystem {
         &self.solution.as_flattened()[..self.n_rows]
     }
 
-    /// Takes other points: reads the compliances that are new, and factors from the first point that differs.
+    /// Changes the points: reads the new compliances, and factors from the first point that differs.
     pub(super) fn update(&mut self, path: KernelPath, table: &Table, pairs: &Pairs, wanted: &[ContactPoint]) {
         let is_same = |(a, b): &(&ContactPoint, &ContactPoint)| a == b;
         let n_kept = self.points.iter().zip(wanted).take_while(is_same).count();
@@ -163,7 +238,7 @@ impl ContactSystem {
             return;
         }
         let is_symmetric = matches!(table.numbers, Numbers::F64(_));
-        self.read_rows((table, pairs), wanted, n_kept, kept_rows, is_symmetric);
+        self.read_rows((table, pairs), &Update { wanted, n_kept, kept_rows, is_symmetric });
         self.points.clear();
         for point in wanted {
             self.points.try_push(*point);
@@ -179,24 +254,47 @@ impl ContactSystem {
         });
     }
 
-    /// Compliances of the points from `n_kept` on with all others.
-    fn read_rows(
-        &mut self,
-        tensors: (&Table, &Pairs),
-        wanted: &[ContactPoint],
-        n_kept: usize,
-        kept_rows: usize,
-        is_symmetric: bool,
-    ) {
-        // Where the later points were before: place among the points, first row.
-        let mut was = [(usize::MAX, 0); MOST_POINTS];
-        let mut moves = false;
+    /// Reads the compliances between the points that do not keep their place and all others.
+    fn read_rows(&mut self, tensors: (&Table, &Pairs), update: &Update<'_>) {
+        let Update { wanted, n_kept, kept_rows, is_symmetric } = *update;
+        let was = self.places_before(update);
+        if was[n_kept..].iter().any(|was| was.0 != NEW.0) {
+            self.set_aside(kept_rows);
+        }
+        update.fetch(tensors.1);
+        let (actual, spare) = (self.actual.as_flattened_mut(), self.spare.as_flattened());
+        let mut first = kept_rows;
+        for (i, a) in wanted.iter().enumerate().skip(n_kept) {
+            let mut column = 0;
+            for (j, b) in wanted[..=i].iter().enumerate() {
+                let to = Block { first: [first, column], size: [a.n_directions, b.n_directions] };
+                let (was_a, was_b) = (was[i], was[j]);
+                // Not of two points that changed their order: the two halves of the table differ by rounding.
+                if was_a.0 != NEW.0 && (i == j || was_b.0 < was_a.0) {
+                    to.copy_from([was_a.1, was_b.1], spare, actual);
+                } else {
+                    let block = compliance(tensors, a, b);
+                    let back = if is_symmetric { block.transpose() } else { compliance(tensors, b, a) };
+                    to.write(&block, &back, actual);
+                    if is_symmetric && i == j {
+                        to.mirror_lower(&block, actual);
+                    }
+                }
+                column += b.n_directions;
+            }
+            first += a.n_directions;
+        }
+    }
+
+    /// Where each wanted point was before: its place among the points and its first row, [`NEW`] for a new one.
+    fn places_before(&self, update: &Update<'_>) -> [(usize, usize); MOST_POINTS] {
+        let Update { wanted, n_kept, kept_rows, .. } = *update;
+        let mut was = [NEW; MOST_POINTS];
         for (point, was) in wanted[n_kept..].iter().zip(&mut was[n_kept..]) {
             let mut row = kept_rows;
             for (i, old) in self.points.iter().enumerate().skip(n_kept) {
                 if old == point {
                     *was = (i, row);
-                    moves = true;
                     break;
                 }
                 row += old.n_directions;
@@ -207,65 +305,19 @@ impl ContactSystem {
             *was = (i, row);
             row += point.n_directions;
         }
-        if moves {
-            std::mem::swap(&mut self.actual, &mut self.spare);
-            for j in 0..kept_rows {
-                let column = COLUMN_GROUPS * j..COLUMN_GROUPS * j + kept_rows.div_ceil(8);
-                self.actual[column.clone()].copy_from_slice(&self.spare[column]);
-            }
-        }
-        let mut nodes = [0; 3 * MOST_POINTS];
-        let (mut n_nodes, mut n_old) = (0, 0);
-        for (i, point) in wanted.iter().enumerate() {
-            for (node, _) in point.nodes() {
-                nodes[n_nodes] = node;
-                n_nodes += 1;
-            }
-            if i < n_kept {
-                n_old = n_nodes;
-            }
-        }
-        tensors.1.fetch(&nodes[..n_nodes], n_old);
-        let (actual, spare) = (self.actual.as_flattened_mut(), self.spare.as_flattened());
-        let mut first = kept_rows;
-        for (i, a) in wanted.iter().enumerate().skip(n_kept) {
-            let mut column = 0;
-            for (j, b) in wanted[..=i].iter().enumerate() {
-                let (was_a, was_b) = (was[i], was[j]);
-                // Not of two points that changed their order: the two halves of the table differ by rounding.
-                if was_a.0 != usize::MAX && (i == j || was_b.0 < was_a.0) {
-                    for s in 0..b.n_directions {
-                        for r in 0..a.n_directions {
-                            let (new, old) = ((first + r, column + s), (was_a.1 + r, was_b.1 + s));
-                            actual[entry(new.0, new.1)] = spare[entry(old.0, old.1)];
-                            actual[entry(new.1, new.0)] = spare[entry(old.1, old.0)];
-                        }
-                    }
-                } else {
-                    let block = compliance(tensors, a, b);
-                    let back = if is_symmetric { block.transpose() } else { compliance(tensors, b, a) };
-                    for s in 0..b.n_directions {
-                        for r in 0..a.n_directions {
-                            actual[entry(column + s, first + r)] = back.col(r)[s];
-                            actual[entry(first + r, column + s)] = block.col(s)[r];
-                        }
-                    }
-                    if is_symmetric && i == j {
-                        // The lower triangle of the point's own block counts.
-                        for (r, s) in [(1, 0), (2, 0), (2, 1)] {
-                            if r < a.n_directions {
-                                actual[entry(first + s, first + r)] = block.col(s)[r];
-                            }
-                        }
-                    }
-                }
-                column += b.n_directions;
-            }
-            first += a.n_directions;
+        was
+    }
+
+    /// Moves the matrix to `spare`, to be copied back in its new order, except for the rows that are kept.
+    fn set_aside(&mut self, kept_rows: usize) {
+        std::mem::swap(&mut self.actual, &mut self.spare);
+        for j in 0..kept_rows {
+            let column = COLUMN_GROUPS * j..COLUMN_GROUPS * j + kept_rows.div_ceil(8);
+            self.actual[column.clone()].copy_from_slice(&self.spare[column]);
         }
     }
 
-    /// Writes what is to be factored, from the group of eight of `first_row` on.
+    /// Writes the matrix to be factored, from the group of eight of `first_row` on.
     fn fill_factor(&mut self, first_row: usize, is_symmetric: bool) {
         let n = self.n_rows;
         let (n_groups, kept_groups) = (n.div_ceil(8), first_row / 8);
@@ -286,7 +338,7 @@ impl ContactSystem {
         }
     }
 
-    /// Reactions for the right-hand side.
+    /// Solves for the reactions.
     pub(super) fn solve(&mut self, path: KernelPath, table: &Table) {
         let n = self.n_rows;
         let n_groups = n.div_ceil(8);
@@ -395,7 +447,7 @@ impl EightWork for Factor<'_> {
     }
 }
 
-/// Solves with the factor and refines with the matrix itself; answers the largest residual.
+/// Solves with the factor and refines with the matrix itself; returns the largest residual.
 struct Solve<'a> {
     n: usize,
     actual: &'a [[f64; 8]],
@@ -440,8 +492,7 @@ impl EightWork for Solve<'_> {
     }
 }
 
-/// Overwrites `right` with the factored matrix' inverse times it, four unknowns at a time so that their sums run side
-/// by side.
+/// Solves with the factor in place, four unknowns at a time, so that their sums are independent.
 #[inline(always)]
 fn solve_factored<V: Eight>(zero: V, n: usize, factor: &[[f64; 8]], inverse: &[f64], right: &mut [[f64; 8]]) {
     let n_groups = right.len();

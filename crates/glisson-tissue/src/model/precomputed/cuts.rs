@@ -1,4 +1,4 @@
-//! What following cuts needs beside the table: the factor of the uncut body, the history of changes, loose pieces.
+//! State that following cuts needs besides the table: the factor of the uncut body, the history of changes, loose pieces.
 
 use std::sync::Arc;
 
@@ -17,10 +17,10 @@ use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::{EditableMesh, TopologyChange};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
-/// Nodes that are solved for at once.
+/// Nodes in one block of right-hand sides.
 const NODES_IN_BLOCK: usize = 16;
 
-/// What stays of the uncut body.
+/// Data of the uncut body.
 pub(super) struct Origin {
     pub(super) system: FreeSystem,
     pub(super) factor: Factorization,
@@ -28,7 +28,7 @@ pub(super) struct Origin {
     pub(super) weight_s2: Arc<[Vec<DVec3>; 3]>,
 }
 
-/// Everything that following a cut needs.
+/// State that following cuts needs.
 #[derive(Clone)]
 pub(super) struct Cuts {
     pub(super) origin: Arc<Origin>,
@@ -46,12 +46,12 @@ pub(super) struct Cuts {
     pub(super) hinge_rows: Vec<(u32, u32, u32)>,
     pub(super) pull_share: f64,
     pub(super) numbers: Vec<f64>,
-    /// Of all nodes, zero but for those that pieces move; empty without pieces.
+    /// Of all nodes; zero except for those that pieces move; empty without pieces.
     velocities_m_per_s: Vec<DVec3>,
     /// Response of each node of the whole body to unit gravity along each axis [m per m/s2].
     pub(super) whole_weight_s2: Arc<[Vec<DVec3>; 3]>,
-    /// What the whole body's own weight does to the rows [m], in blocks: it is in the rest shape already, where that
-    /// is the loaded one. Empty while nothing is cut.
+    /// Displacement of the rows under the whole body's own weight [m], in blocks. A rest shape under gravity contains it
+    /// already. Empty while nothing is cut.
     pub(super) carried_m: Vec<f64>,
     pub(super) report: CutReport,
 }
@@ -95,7 +95,7 @@ impl Origin {
 }
 
 impl Cuts {
-    /// Before the first cut of `mesh`, of which the tetrahedra that `bears` counts are in the compliance.
+    /// The state before the first cut of `mesh`; `bears` tells which tetrahedra are in the compliance.
     pub(super) fn new(mesh: &TetMesh, bears: Vec<bool>, compliance: &Compliance) -> Result<Self, SolveError> {
         let n_nodes = mesh.positions_m.len();
         let mut is_fixed = vec![false; n_nodes];
@@ -138,8 +138,7 @@ impl Cuts {
         })
     }
 
-    /// Columns of nodes of the uncut body over the known unknowns, brought up to date. Nodes that are not known are
-    /// admitted.
+    /// Columns of nodes over the known unknowns, with all changes so far. Nodes that are not known yet become known.
     pub(super) fn columns_from_factor(&mut self, nodes: &[NodeId]) -> Vec<(NodeColumns, NodeWeight)> {
         let Origin { system, factor, weight_s2 } = &*self.origin;
         let n_free = system.n_free();
@@ -190,7 +189,7 @@ impl Cuts {
         borne
     }
 
-    /// Nodes to be held so that what is left of loose pieces and nodes stays regular, ascending: all of `leaving`
+    /// Nodes to be held so that the rest of loose pieces and nodes does not make K singular, ascending: all of `leaving`
     /// without a tetrahedron in `left`, and three points of each cluster of `left`.
     pub(super) fn to_hold(
         &self,
@@ -215,7 +214,7 @@ impl Cuts {
             if span(&already, rest_m).is_some() {
                 continue;
             }
-            // Nodes that have a column cost nothing.
+            // Prefer nodes that have a column already.
             let with_row: Vec<NodeId> = nodes.iter().copied().filter(|&n| has_row(n)).collect();
             let chosen = span(&with_row, rest_m).or_else(|| span(&nodes, rest_m));
             held.extend(chosen.into_iter().flatten().filter(|n| !self.is_fixed[n.index()]));
@@ -226,7 +225,7 @@ impl Cuts {
         held
     }
 
-    /// Who moves a tool's node, if a piece does.
+    /// The piece that moves a tool's node, if one does.
     pub(super) fn piece_of(&mut self, node: NodeId) -> Option<(&mut LoosePiece, u32)> {
         let piece = &mut self.pieces[self.owners.of(node)?];
         let local = piece.local(node)?;
@@ -240,7 +239,7 @@ impl Cuts {
         })
     }
 
-    /// Moves the pieces, the latest first, since earlier ones can hang on it.
+    /// Moves the pieces, the latest first, because earlier ones can hang on later ones.
     pub(super) fn step_pieces(
         &mut self,
         dt_s: f64,
@@ -284,14 +283,14 @@ impl Cuts {
         }
     }
 
-    /// Makes hinges, and the lists that steps use, after an edit.
+    /// Updates the hinges, and the lists that steps use, after an edit.
     pub(super) fn join_pieces(&mut self, loadable: impl Fn(NodeId) -> Option<u32>) {
         let borne = self.borne();
         for (p, piece) in self.pieces.iter().enumerate().rev() {
             for (local, &node) in piece.nodes.iter().enumerate() {
                 let owner = self.owners.of(node).map(|owner| &self.pieces[owner]);
                 let has_owner = owner.is_some_and(|own| own.local(node).is_some_and(|l| own.moves(l)));
-                // A hinge that its owner lost is the piece's own from now on.
+                // A hinge that its owner lost belongs to the piece from now on.
                 if !borne[node.index()] && !has_owner && piece.moves(local as u32) {
                     self.owners.set(node, p);
                 }
@@ -322,12 +321,12 @@ impl Cuts {
         self.write_numbers();
     }
 
-    /// What the whole body's own weight does to the rows [m], in blocks; `None` while nothing is cut.
+    /// Displacement of the rows under the whole body's own weight [m], in blocks; `None` while nothing is cut.
     pub(super) fn carried_m(&self) -> Option<&[f64]> {
         (!self.carried_m.is_empty()).then_some(&self.carried_m)
     }
 
-    /// Fills in the answers of nodes that pieces move.
+    /// Fills the compliances of nodes that pieces move.
     pub(super) fn add_pieces_to(&mut self, period_s: f64, work: &mut LocalWork, out: &mut LocalModel) {
         for (p, piece) in self.pieces.iter_mut().enumerate() {
             // Place among the patch's nodes and number in the piece of those that it moves.
@@ -360,7 +359,7 @@ impl Cuts {
         }
     }
 
-    /// Pieces move with these velocities [m/s] of the nodes.
+    /// Sets the velocities [m/s] of the pieces' nodes.
     pub(super) fn start_with(&mut self, velocities_m_per_s: &[DVec3]) {
         for piece in &mut self.pieces {
             piece.start_with(velocities_m_per_s);

@@ -1,13 +1,16 @@
 //! Cutting a pre-computed body: its compliance follows the removal of tetrahedra.
 //!
-//! An edit goes so: tetrahedra that no longer bear a load are found (`rigid`) and leave the compliance with those
-//! that were removed; nodes that they lay bare get rows and columns from the factor of the uncut body; nodes that are
-//! left without a bearing tetrahedron are held for good, which does not touch the rest, and leave the table; the
-//! removal is one change of low rank (`low_rank`) on the table and the response to weight. Of a loose piece only the
-//! tetrahedra at its hinges are taken out of the stiffness: what is left of it does not touch the held body, and
-//! three held points of each of its clusters keep the whole regular. The pieces go on by themselves (`loose`).
+//! The steps of an edit:
+//! - Tetrahedra that no longer bear a load are found (`rigid`); they leave the compliance with the removed ones.
+//! - Nodes that are exposed get rows and columns from the factor of the uncut body.
+//! - Nodes without a bearing tetrahedron are held for good, which does not change the rest, and leave the table.
+//! - The removal is one low-rank update (`low_rank`) of the table and of the response to weight.
 //!
-//! A running estimate of the error is made after each edit (`following`).
+//! Of a loose piece only the tetrahedra at its hinges are taken out of the stiffness: the rest of it does not touch the
+//! held body, and three held points of each of its clusters keep K regular. Loose pieces move as bodies of their own
+//! (`loose`).
+//!
+//! The error is estimated after each edit (`following`).
 
 use super::cut_report::CutReport;
 use super::cuts::Cuts;
@@ -23,19 +26,18 @@ use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::{EditableMesh, TopologyChange};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
-/// Iterations for the largest stiffness of the pieces over that of the held body at the hinges.
+/// Power iterations for the largest ratio of the pieces' stiffness to that of the held body at the hinges.
 const POWER_ITERATIONS: usize = 30;
 
-/// Estimated error of the compliance, relative to its largest entry, from which on a fresh pre-computation is asked
-/// for. A choice: well below what anyone sees or feels (1e-6 of the softest point's displacement), well above
-/// rounding.
+/// Estimated error of the compliance, relative to its largest entry, above which a new pre-computation is requested. A
+/// choice: well below what anyone sees or feels (1e-6 of the softest point's displacement), well above rounding.
 pub const RECOMPUTATION_ERROR: f64 = 1e-6;
 
-/// Columns in the history from which on a fresh pre-computation is asked for: that of 400 tetrahedra, which takes about
-/// the memory of a table of 614 nodes. A choice.
+/// Columns in the history above which a new pre-computation is requested: those of 400 tetrahedra, which take about the
+/// memory of a table of 614 nodes. A choice.
 pub const RECOMPUTATION_COLUMNS: usize = 2400;
 
-/// From when on a fresh pre-computation is asked for.
+/// Limits above which a new pre-computation is requested.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RecomputationLimits {
     /// Estimated error of the compliance, relative to its largest entry.
@@ -50,22 +52,22 @@ impl Default for RecomputationLimits {
     }
 }
 
-/// What the model hands on to its loose pieces, and what they tell.
+/// What passes between the model and its loose pieces.
 impl Precomputed {
-    /// Pieces forget what acts on them.
+    /// Clears the loads and tools on the pieces.
     pub(super) fn release_pieces(&mut self) {
         for piece in self.cuts.iter_mut().flat_map(|cuts| &mut cuts.pieces) {
             piece.release();
         }
     }
 
-    /// A force on a node that a piece may move; answers whether it does.
+    /// Applies a force to a node; returns whether a piece moves this node.
     pub(super) fn push_piece(&mut self, force: &NodalForce) -> bool {
         let piece = self.cuts.as_mut().and_then(|cuts| cuts.piece_of(force.node));
         force.force_n.is_finite() && piece.is_some_and(|(piece, local)| piece.push(local, force.force_n))
     }
 
-    /// A displacement of a node that a piece may move; answers whether it does.
+    /// Imposes a displacement on a node; returns whether a piece moves this node.
     pub(super) fn move_piece(&mut self, place: usize, imposed: &ImposedDisplacement) -> bool {
         let u_m = imposed.displacement_m;
         let piece = self.cuts.as_mut().and_then(|cuts| cuts.piece_of(imposed.node));
@@ -83,17 +85,17 @@ impl Precomputed {
         });
     }
 
-    /// What the next step of the pieces depends on beside positions.
+    /// State of the pieces that the next step depends on besides positions.
     pub(super) fn piece_numbers(&self) -> &[f64] {
         self.cuts.as_ref().map_or(&[], |cuts| cuts.numbers())
     }
 
-    /// Velocities of all nodes, zero but for those of pieces; empty without pieces.
+    /// Velocities of all nodes; zero except for those of pieces; empty without pieces.
     pub(super) fn piece_velocities_m_per_s(&self) -> &[DVec3] {
         self.cuts.as_ref().map_or(&[], |cuts| cuts.velocities_m_per_s())
     }
 
-    /// Adds what the cuts and the pieces tell. Stuck tetrahedra count as quarantined: no force moves them.
+    /// Adds the report of the cuts and the pieces. Stuck tetrahedra count as quarantined: no force moves them.
     pub(super) fn add_cuts_to(&self, report: &mut ModelReport) {
         let Some(cuts) = &self.cuts else { return };
         report.n_reanalyses = cuts.report.n_edits as u32;
@@ -113,8 +115,8 @@ impl Precomputed {
 }
 
 impl Precomputed {
-    /// Gets ready for cuts: factors K of the uncut body. Without this call the first cut does it. `mesh` is the one
-    /// that the model was computed for.
+    /// Prepares for cuts: factors K of the uncut body. Without this call the first cut does it. `mesh` is the one that the
+    /// model was computed for.
     ///
     /// # Errors
     /// [`SolveError`] when memory is short.
@@ -126,12 +128,12 @@ impl Precomputed {
         Ok(())
     }
 
-    /// When a fresh pre-computation is asked for, after the next edit.
+    /// Sets the limits above which a new pre-computation is requested, from the next edit on.
     pub fn set_recomputation_limits(&mut self, limits: RecomputationLimits) {
         self.recomputation_limits = limits;
     }
 
-    /// How far the cuts have brought the compliance from the pre-computed one.
+    /// Report on the cuts so far.
     pub fn cut_report(&self) -> CutReport {
         self.cuts.as_ref().map_or(CutReport { least_pivot: 1.0, ..CutReport::default() }, |c| c.report())
     }
@@ -148,14 +150,14 @@ impl Precomputed {
         all.filter(|&n| cuts.owners.of(n).is_some()).collect()
     }
 
-    /// A model of the mesh as it was cut: `live` says which tetrahedra are there. Pieces that nothing holds start as
-    /// loose ones at rest.
+    /// The model of a mesh with cuts: `live` tells which tetrahedra are there. Pieces that nothing holds start as loose
+    /// pieces at rest.
     ///
     /// # Errors
     /// As [`Precomputed::build`]; [`SolveError::EmptyMesh`] when nothing that is held is left.
     ///
     /// # Panics
-    /// When `live` has not one flag a tetrahedron.
+    /// When `live` has not one flag per tetrahedron.
     pub fn build_cut(
         params: &super::PrecomputedParams<'_>,
         live: &[bool],
@@ -224,7 +226,7 @@ impl Precomputed {
             reason: "its stiffness matrix cannot be factored in the memory that there is",
         })?;
         self.change_cuts(|model, cuts| model.remove(cuts, &change.tets.removed))?;
-        // Rows came and went; those to spare are not shown.
+        // Rows were added and removed; spare rows are not shown.
         self.displacement_m.clear();
         self.displacement_m.resize(n_displacements(self.compliance.rows.len()), 0.0);
         for (row, node) in self.compliance.rows.iter().enumerate() {
@@ -272,7 +274,7 @@ impl Precomputed {
             cuts.bears[tet.index()] = false;
         }
         let borne = cuts.borne();
-        // The stiffness of a loose piece at its hinges must go; the rest of it does not touch what is held.
+        // The stiffness of a loose piece at its hinges must be removed; the rest of it does not touch the held body.
         let is_at_hinge = |t: &&TetId| {
             let is_hinge = |n: NodeId| borne[n.index()] && !cuts.is_fixed[n.index()];
             cuts.corners(**t).into_iter().any(is_hinge)
@@ -303,7 +305,7 @@ impl Precomputed {
         Ok(())
     }
 
-    /// Makes hinges between the pieces and what is held, and says how fast the held body feels their pull.
+    /// Creates the hinges between the pieces and the held body, and computes the share of a new pull that acts per step.
     fn join_pieces(&self, cuts: &mut Cuts) {
         cuts.join_pieces(|node| self.loadable_index(node));
         if cuts.hinge_rows.is_empty() {
@@ -338,11 +340,11 @@ impl Precomputed {
             }
             ratio = x.iter().map(|x| x.length_squared()).sum::<f64>().sqrt();
         }
-        // Half of what is stable at rest: a stretched piece is stiffer.
+        // Half of the share that is stable at rest: a stretched piece is stiffer.
         cuts.pull_share = MOST_PULL_SHARE.min(1.0 / (1.0 + ratio));
     }
 
-    /// Makes a dynamic body of tetrahedra that came loose.
+    /// Creates a dynamic body from tetrahedra that came loose.
     fn let_loose(&mut self, cuts: &mut Cuts, loose: &[TetId]) {
         if loose.is_empty() {
             return;
@@ -376,7 +378,7 @@ impl Precomputed {
         cuts.report.n_loose += loose.len();
     }
 
-    /// After an edit, or when another gravity is carried at rest.
+    /// Updates the rows' weight after an edit, or when the gravity of the rest shape changes.
     pub(super) fn carry_weight(&mut self) {
         let n = n_displacements(self.compliance.rows.len());
         let g = self.rest_gravity_m_per_s2;

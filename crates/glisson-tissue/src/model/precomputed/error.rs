@@ -1,10 +1,10 @@
-//! Why there is no pre-computed model, or no file of it.
+//! Errors of the pre-computed model and its file.
 
 use std::path::PathBuf;
 
 use crate::solve::SolveError;
 
-/// Why there is no pre-computed model.
+/// Why a pre-computed model cannot be built or read.
 #[derive(Debug, thiserror::Error)]
 pub enum PrecomputedError {
     /// The mesh with its fixed nodes has no solution.
@@ -86,7 +86,7 @@ pub enum PrecomputedError {
         /// What is wanted.
         expected: String,
     },
-    /// A compliance that followed cuts is of no mesh that a file could name.
+    /// The compliance followed cuts: it belongs to no mesh that a file could name.
     #[error("{}: not written: the compliance followed cuts; pre-compute the cut mesh and save that", file.display())]
     Cut {
         /// Which file.
@@ -100,7 +100,7 @@ pub enum PrecomputedError {
         /// Which number.
         what: &'static str,
     },
-    /// The file grew only so far: the disk is full, or the like.
+    /// The file could not be written to its end: the disk is full, for example.
     #[error(
         "{}: {cause}. {done} of {total} nodes are kept there: make room and do the same again to go on", partial.display()
     )]
@@ -114,7 +114,7 @@ pub enum PrecomputedError {
         /// What the system says.
         cause: std::io::Error,
     },
-    /// It was asked to stop.
+    /// The pre-computation was stopped on request.
     #[error(
         "stopped after {done} of {total} nodes, which are kept in {}: do the same again to go on", partial.display()
     )]
@@ -126,7 +126,7 @@ pub enum PrecomputedError {
         /// Loadable nodes in all.
         total: usize,
     },
-    /// What an interrupted pre-computation left is for something else.
+    /// An unfinished file is there, of another body.
     #[error(
         "{}: left by an interrupted pre-computation with {what} {found}; asked for now: {expected}. Do that one again \
          to go on with it, or start over (--restart), which overwrites it", partial.display()
@@ -141,7 +141,7 @@ pub enum PrecomputedError {
         /// What is wanted.
         expected: String,
     },
-    /// What an interrupted pre-computation left cannot be read.
+    /// An unfinished file is there, and cannot be read.
     #[error(
         "{cause}. It is the rest of an interrupted pre-computation: start over (--restart), which overwrites it"
     )]
@@ -149,7 +149,7 @@ pub enum PrecomputedError {
         /// Why.
         cause: Box<PrecomputedError>,
     },
-    /// Two programs write one file.
+    /// Another program is writing the same file.
     #[error("{}: another program is writing it; wait for it, or choose another file", partial.display())]
     Busy {
         /// The unfinished file.

@@ -11,14 +11,15 @@
 //! | 8 each | response to weight [m per m/s2] (f64): block of eight stored nodes, gravity axis, displacement axis, stored node |
 //! | 32 | BLAKE3 of everything before: the head's checksum |
 //!
-//! then for every 16 loadable nodes, and what remains of them,
+//! then for every 16 loadable nodes, and for the remaining ones,
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 8 or 4 each | compliances [m/N] (f64 or f32): loadable node, block of eight stored nodes, force axis, displacement axis, stored node |
 //! | 32 | BLAKE3 of the number of the sixteen (u64, from 0) and the compliances, keyed with the head's checksum |
 //!
-//! So an unfinished file can be trusted up to its last whole sixteen, and no part of another file fits in.
+//! So an unfinished file is valid up to its last whole block of sixteen, and no part of another file passes for a part
+//! of this one.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -69,11 +70,11 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
-/// A number of a compliance as a file has it.
+/// An entry of a compliance as stored in a file.
 pub(super) trait Stored: Copy + Send + Sync + bytemuck::Pod {
     fn narrow(x: f64) -> Self;
     fn is_finite(self) -> bool;
-    /// From little-endian to the machine's order, and back.
+    /// The same with its bytes swapped between little-endian and the machine's order.
     fn swapped(self) -> Self;
 }
 
@@ -101,7 +102,7 @@ impl Stored for f32 {
     }
 }
 
-/// What stands before the compliances.
+/// The head of a file: everything before the compliances.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Head {
     pub(super) precision: Precision,
@@ -115,7 +116,7 @@ pub(super) struct Head {
     pub(super) weight_response_s2: Vec<f64>,
 }
 
-/// Checksums blocks of one file.
+/// The key of the checksums of a file's blocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct BlockKey([u8; 32]);
 
@@ -134,6 +135,86 @@ pub(super) enum Extent {
     Whole,
     /// At least the head.
     Head,
+}
+
+/// Errors of a file of `length` bytes.
+struct Faults<'a> {
+    path: &'a Path,
+    length: u64,
+}
+
+impl Faults<'_> {
+    fn io(&self, cause: io::Error) -> PrecomputedError {
+        PrecomputedError::Io { file: self.path.to_owned(), cause }
+    }
+
+    fn length(&self, expected: u128) -> PrecomputedError {
+        PrecomputedError::Length { file: self.path.to_owned(), found: self.length, expected }
+    }
+
+    fn contents(&self, what: &'static str) -> PrecomputedError {
+        PrecomputedError::Contents { file: self.path.to_owned(), what }
+    }
+}
+
+/// What stands at the start of a file, before the lists of the head.
+struct Opening {
+    precision: Precision,
+    mesh_hash: [u8; 32],
+    /// Young's modulus [Pa], Poisson's ratio, density [kg/m3].
+    material: [f64; 3],
+    /// Numbers of nodes of the mesh, fixed nodes, stored nodes, loadable nodes.
+    counts: [u64; 4],
+}
+
+impl Opening {
+    /// Reads the first bytes of a file, which remain in `bytes`.
+    fn read(
+        faults: &Faults<'_>,
+        from: &mut impl Read,
+        bytes: &mut Vec<u8>,
+    ) -> Result<Self, PrecomputedError> {
+        let file = || faults.path.to_owned();
+        from.by_ref().take(FIXED_BYTES as u64).read_to_end(bytes).map_err(|cause| faults.io(cause))?;
+        if MAGIC.starts_with(bytes) && !bytes.is_empty() {
+            // Cut off within the magic number.
+            return Err(faults.length((FIXED_BYTES + CHECKSUM_BYTES) as u128));
+        }
+        if !bytes.starts_with(MAGIC) {
+            let found = bytes.iter().take(8).copied().collect();
+            return Err(PrecomputedError::Kind { file: file(), found });
+        }
+        if bytes.len() < FIXED_BYTES {
+            return Err(faults.length((FIXED_BYTES + CHECKSUM_BYTES) as u128));
+        }
+        let mut cursor = Cursor(&bytes[MAGIC.len()..]);
+        let version = u32::from_le_bytes(cursor.array());
+        if version != VERSION {
+            return Err(PrecomputedError::Version { file: file(), found: version, expected: VERSION });
+        }
+        let number_bytes = u32::from_le_bytes(cursor.array());
+        let mesh_hash = cursor.array();
+        let material = std::array::from_fn(|_| f64::from_le_bytes(cursor.array()));
+        let counts = std::array::from_fn(|_| u64::from_le_bytes(cursor.array()));
+        let precision = [Precision::F64, Precision::F32]
+            .into_iter()
+            .find(|p| p.bytes() as u32 == number_bytes)
+            .ok_or_else(|| faults.contents("number of bytes of a compliance"))?;
+        Ok(Self { precision, mesh_hash, material, counts })
+    }
+
+    /// Bytes of the head; refuses a file of another length.
+    fn check_length(&self, faults: &Faults<'_>, extent: Extent) -> Result<u128, PrecomputedError> {
+        let [_, n_fixed, n_rows, n_loadable] = self.counts;
+        let [head_bytes, file_bytes] =
+            extents(self.precision, [n_fixed, n_rows, n_loadable]).unwrap_or([u128::MAX; 2]);
+        let length = u128::from(faults.length);
+        match extent {
+            Extent::Whole if file_bytes != length => Err(faults.length(file_bytes)),
+            Extent::Head if head_bytes > length => Err(faults.length(head_bytes)),
+            Extent::Whole | Extent::Head => Ok(head_bytes),
+        }
+    }
 }
 
 impl Head {
@@ -157,7 +238,7 @@ impl Head {
         (self.precision.bytes() * self.numbers_in_block() + CHECKSUM_BYTES) as u64
     }
 
-    /// The head's bytes, and what blocks are checked with.
+    /// The head's bytes, and the key of its blocks.
     pub(super) fn to_bytes(&self) -> (Vec<u8>, BlockKey) {
         let mut bytes = Vec::new();
         bytes.extend(MAGIC);
@@ -185,81 +266,50 @@ impl Head {
         length: u64,
         extent: Extent,
     ) -> Result<(Self, BlockKey), PrecomputedError> {
-        let file = || path.to_owned();
-        let io_error = |cause| PrecomputedError::Io { file: file(), cause };
-        let length_error = |expected| PrecomputedError::Length { file: file(), found: length, expected };
-        let contents_error = |what| PrecomputedError::Contents { file: file(), what };
-
+        let faults = Faults { path, length };
         let mut bytes = Vec::new();
-        from.by_ref().take(FIXED_BYTES as u64).read_to_end(&mut bytes).map_err(io_error)?;
-        if MAGIC.starts_with(&bytes) && !bytes.is_empty() {
-            // Cut off before anything was said.
-            return Err(length_error((FIXED_BYTES + CHECKSUM_BYTES) as u128));
-        }
-        if !bytes.starts_with(MAGIC) {
-            return Err(PrecomputedError::Kind {
-                file: file(),
-                found: bytes.iter().take(8).copied().collect(),
-            });
-        }
-        if bytes.len() < FIXED_BYTES {
-            return Err(length_error((FIXED_BYTES + CHECKSUM_BYTES) as u128));
-        }
-        let mut cursor = Cursor(&bytes[MAGIC.len()..]);
-        let version = u32::from_le_bytes(cursor.array());
-        if version != VERSION {
-            return Err(PrecomputedError::Version { file: file(), found: version, expected: VERSION });
-        }
-        let number_bytes = u32::from_le_bytes(cursor.array());
-        let mesh_hash = cursor.array();
-        let [young_modulus_pa, poisson_ratio, density_kg_per_m3] =
-            std::array::from_fn(|_| f64::from_le_bytes(cursor.array()));
-        let [n_nodes, n_fixed, n_rows, n_loadable] =
-            std::array::from_fn(|_| u64::from_le_bytes(cursor.array()));
-        let precision = [Precision::F64, Precision::F32]
-            .into_iter()
-            .find(|p| p.bytes() as u32 == number_bytes)
-            .ok_or_else(|| contents_error("number of bytes of a compliance"))?;
-        let [head_bytes, file_bytes] =
-            extents(precision, [n_fixed, n_rows, n_loadable]).unwrap_or([u128::MAX; 2]);
-        let is_there = match extent {
-            Extent::Whole => file_bytes == u128::from(length),
-            Extent::Head => head_bytes <= u128::from(length),
-        };
-        if !is_there {
-            return Err(length_error(if extent == Extent::Whole { file_bytes } else { head_bytes }));
-        }
-        // Not more than the file has, as was just checked.
-        let (n_fixed, n_rows, stride) = (n_fixed as usize, n_rows as usize, Table::stride(n_rows as usize));
-        from.take(head_bytes as u64 - FIXED_BYTES as u64).read_to_end(&mut bytes).map_err(io_error)?;
+        let opening = Opening::read(&faults, from, &mut bytes)?;
+        let head_bytes = opening.check_length(&faults, extent)?;
+        // At most the file's length, which was checked just now.
+        from.take(head_bytes as u64 - FIXED_BYTES as u64)
+            .read_to_end(&mut bytes)
+            .map_err(|cause| faults.io(cause))?;
         if (bytes.len() as u128) < head_bytes {
-            return Err(length_error(head_bytes));
+            return Err(faults.length(head_bytes));
         }
         let (contents, checksum) = bytes.split_at(bytes.len() - CHECKSUM_BYTES);
         let found = *blake3::hash(contents).as_bytes();
         check(path, found, checksum)?;
+        Ok((Self::of(&opening, &contents[FIXED_BYTES..], &faults)?, BlockKey(found)))
+    }
 
-        let mut cursor = Cursor(&contents[FIXED_BYTES..]);
+    /// The head with the lists that follow its opening.
+    fn of(opening: &Opening, lists: &[u8], faults: &Faults<'_>) -> Result<Self, PrecomputedError> {
+        let [n_nodes, n_fixed, n_rows, n_loadable] = opening.counts;
+        let (n_fixed, stride) = (n_fixed as usize, Table::stride(n_rows as usize));
+        let mut cursor = Cursor(lists);
         let fixed_nodes = cursor.nodes(n_fixed);
-        let rows = cursor.nodes(n_rows);
+        let rows = cursor.nodes(n_rows as usize);
         let weight_response_s2: Vec<f64> = (0..stride).map(|_| f64::from_le_bytes(cursor.array())).collect();
-        if n_loadable == 0 || n_loadable > n_rows as u64 {
-            return Err(contents_error("number of loadable nodes"));
+        if n_loadable == 0 || n_loadable > n_rows {
+            return Err(faults.contents("number of loadable nodes"));
         }
         let n_loadable = n_loadable as usize;
         let ascends = |nodes: &[NodeId]| {
             nodes.windows(2).all(|w| w[0] < w[1]) && nodes.last().is_none_or(|n| u64::from(n.0) < n_nodes)
         };
         if !(ascends(&fixed_nodes) && ascends(&rows[..n_loadable]) && ascends(&rows[n_loadable..])) {
-            return Err(contents_error("node numbers"));
+            return Err(faults.contents("node numbers"));
         }
         if !weight_response_s2.iter().all(|x| x.is_finite()) {
-            return Err(contents_error("a response to weight that is not finite"));
+            return Err(faults.contents("a response to weight that is not finite"));
         }
+        let [young_modulus_pa, poisson_ratio, density_kg_per_m3] = opening.material;
         let material = LinearElastic::from_young_poisson(young_modulus_pa, poisson_ratio, density_kg_per_m3)
-            .map_err(|_| contents_error("material"))?;
-        let n_nodes = usize::try_from(n_nodes).map_err(|_| contents_error("number of nodes"))?;
-        let head = Self {
+            .map_err(|_| faults.contents("material"))?;
+        let n_nodes = usize::try_from(n_nodes).map_err(|_| faults.contents("number of nodes"))?;
+        let (precision, mesh_hash) = (opening.precision, opening.mesh_hash);
+        Ok(Self {
             precision,
             mesh_hash,
             material,
@@ -268,11 +318,10 @@ impl Head {
             rows,
             n_loadable,
             weight_response_s2,
-        };
-        Ok((head, BlockKey(found)))
+        })
     }
 
-    /// What differs from a body: what, found, expected. The density is not looked at.
+    /// The first difference from a body: its name, what was found, what was expected. The density is not compared.
     pub(super) fn difference(
         &self,
         expected: &PrecomputedExpectation<'_>,
@@ -372,7 +421,7 @@ pub(super) fn read_block<T: Stored>(
 }
 
 impl Precomputed {
-    /// Writes the compliance; answers the number of bytes. Same bytes as [`super::precompute_to_file`].
+    /// Writes the compliance; returns the number of bytes. Same bytes as [`super::precompute_to_file`].
     ///
     /// # Errors
     /// [`PrecomputedError::Io`], [`PrecomputedError::Cut`]; an old file of that name then remains untouched.
@@ -405,8 +454,8 @@ impl Precomputed {
         Ok(std::fs::metadata(path).map_err(io_error)?.len())
     }
 
-    /// Reads a compliance and refuses one of another mesh, material or support. The numbers are read to where they
-    /// stay: a file takes no more memory than its compliance.
+    /// Reads a compliance, and refuses one of another mesh, material or support. Takes no more memory than the compliance:
+    /// the numbers are read in place.
     ///
     /// # Errors
     /// [`PrecomputedError`] naming the file, what was found and what was expected.
@@ -417,7 +466,7 @@ impl Precomputed {
         read(path, &mut file, length, expected)
     }
 
-    /// What a file keeps and how, from its head alone: a re-computation keeps the same.
+    /// Which nodes a file stores and in which precision, from its head alone; for a re-computation with the same settings.
     ///
     /// # Errors
     /// [`PrecomputedError`] when its head cannot be read.
@@ -469,7 +518,7 @@ fn read(
         Numbers::F64(numbers) => read_blocks(path, from, &key, numbers_in_block, numbers)?,
         Numbers::F32(numbers) => read_blocks(path, from, &key, numbers_in_block, numbers)?,
     }
-    // The density may differ: all that it enters is the response to weight, in proportion.
+    // The density may differ: only the response to weight depends on it, in proportion.
     let heavier = expected.material.density_kg_per_m3() / head.material.density_kg_per_m3();
     let mut weight_response_s2 = head.weight_response_s2;
     weight_response_s2.iter_mut().for_each(|u| *u *= heavier);

@@ -1,4 +1,5 @@
-//! The table follows a removal: rows and loaded nodes come and go, changes of low rank are added, the error is probed.
+//! Follows a removal in the table: rows and loaded nodes are added and removed, low-rank updates are added, and the error
+//! is estimated.
 
 use super::cuts::Cuts;
 use super::growth::{LowRankChange, RANK, add_low_rank_to, swap_rows_of};
@@ -12,12 +13,12 @@ use glisson_mesh::mesh::{NodeId, TetId};
 /// number, the passes over the table with their number alone.
 const MOST_TETS_IN_CHANGE: usize = 16;
 
-/// Loads of one estimate of the error: a choice. That all of four miss by more than a factor of three happens once in some
-/// hundred edits, and an estimate is the largest so far.
+/// Number of random loads in one estimate of the error: a choice. All four are too small by more than a factor of three
+/// about once in a hundred edits, and the largest estimate so far counts.
 const N_PROBES: usize = 4;
 
-/// Nodes of a probe that change from edit to edit, and the most corners of what an edit took out: choices, such that
-/// an estimate costs less than the edit.
+/// Nodes of a probe that change from edit to edit, and the largest number of corners of removed tetrahedra: choices, so
+/// that an estimate costs less than the edit.
 const PROBED_IN_TURN: usize = 12;
 const MOST_PROBED_CORNERS: usize = 16;
 
@@ -25,7 +26,7 @@ const MOST_PROBED_CORNERS: usize = 16;
 const SPARE_SHARE: usize = 8;
 
 impl Precomputed {
-    /// Takes the stiffness and weight of `taken` out of the compliance, with the nodes `held` held for good.
+    /// Removes the stiffness and weight of `taken` from the compliance, and holds the nodes `held` for good.
     pub(super) fn change_compliance(
         &mut self,
         cuts: &mut Cuts,
@@ -83,7 +84,7 @@ impl Precomputed {
         cuts.report.n_taken_out = cuts.taken_out.len();
     }
 
-    /// Gives nodes rows and columns that they lack.
+    /// Adds missing rows and columns of nodes.
     fn make_loadable(&mut self, cuts: &mut Cuts, nodes: &[NodeId]) {
         let bare: Vec<NodeId> = nodes.iter().copied().filter(|&n| !self.is_loadable(n)).collect();
         if bare.is_empty() {
@@ -132,7 +133,7 @@ impl Precomputed {
         }
     }
 
-    /// Takes a node out of the table, if it is there.
+    /// Removes a node from the table, if it is there.
     pub(super) fn drop_node(&mut self, node: NodeId) {
         let row = self.row_of[node.index()];
         if row == NONE {
@@ -168,14 +169,14 @@ impl Precomputed {
         self.row_of[node.index()] = NONE;
     }
 
-    /// Room for so many rows and loaded nodes.
+    /// Makes room for so many rows and loaded nodes.
     fn make_room(&mut self, n_rows: usize, n_loaded: usize) {
         if n_rows > self.compliance.table.room() {
             self.grow(n_rows, n_loaded);
         }
     }
 
-    /// Room for so many rows and loaded nodes, and some to spare.
+    /// Makes room for so many rows and loaded nodes, and some to spare.
     pub(super) fn grow(&mut self, n_rows: usize, n_loaded: usize) {
         let compliance = &mut self.compliance;
         let with_spare = |n: usize| n + (n / SPARE_SHARE).max(32);
@@ -187,7 +188,7 @@ impl Precomputed {
     /// Columns and responses to weight of nodes that are loadable.
     fn working(&self, cuts: &mut Cuts, nodes: &[NodeId]) -> Working {
         let is_exact = self.compliance.table.precision() == Precision::F64;
-        // Numbers of four bytes would not tell a mechanism from a thin bridge: the factor gives all digits.
+        // Single precision would not tell a mechanism from a thin bridge, so the columns come from the factor.
         let from_factor = if is_exact { Vec::new() } else { cuts.columns_from_factor(nodes) };
         let mut from_factor = from_factor.into_iter();
         let of_node = |&node: &NodeId| {
@@ -249,52 +250,80 @@ impl Precomputed {
         }
     }
 
-    /// Estimates the error with the responses to [`N_PROBES`] loads: forces of 1 N, their signs by chance, on the softest
-    /// node, the corners of what was `taken` and [`PROBED_IN_TURN`] others, other ones after each edit.
+    /// Estimates the error from the responses to [`N_PROBES`] loads: forces of 1 N with random signs on the softest node, on
+    /// the corners of the `taken` tetrahedra and on [`PROBED_IN_TURN`] other nodes, which change from edit to edit.
     ///
-    /// With x the table's response to a load g, C the exact compliance, C0 and U those of the uncut body and of what was
-    /// taken out: y = x - C0 (g + U U^T x) is C0 K times the error, which is small where the cuts made the body soft. The
-    /// error itself is y + C U U^T y; C is read from the table here. The signs keep errors of several columns from
-    /// hiding in one another: the sum over columns j of D_ij with random signs is seldom less than a third of the
-    /// largest of them (it has their root sum of squares as its deviation), and hardly ever in each of the probes.
+    /// Let x be the table's response to a load g, C the exact compliance, C0 that of the uncut body, and U U^T the stiffness
+    /// of the removed tetrahedra. Then y = x - C0 (g + U U^T x) is C0 K times the error, which is small where the cuts made
+    /// the body soft. The error itself is y + C U U^T y; here C is read from the table. Random signs keep the errors of
+    /// several columns from cancelling: the sum over columns j of D_ij with random signs is seldom less than a third of the
+    /// largest of them (its standard deviation is their root sum of squares), and hardly ever in each of the probes.
     pub(super) fn probe(&self, cuts: &mut Cuts, taken: &[TetId]) {
-        let compliance = &self.compliance;
-        let n_loadable = compliance.n_loadable;
-        if n_loadable == 0 {
+        if self.compliance.n_loadable == 0 {
             return;
         }
+        let (softest, largest) = self.softest();
+        let mut random = SeededRandom::new(cuts.report.n_edits as u64);
+        let probed = self.probed_nodes(cuts, taken, softest);
+        let (mut right, responses) = self.probing_loads(cuts, &probed, &mut random);
+        solve_twice(cuts, &mut right);
+        let error = self.largest_error(cuts, &probed, &right, &responses);
+        let report = &mut cuts.report;
+        report.error = report.error.max(error / largest.max(f64::MIN_POSITIVE));
+        let limits = self.recomputation_limits;
+        report.wants_recomputation = report.error > limits.error || report.n_columns > limits.n_columns;
+    }
+
+    /// The loadable node with the largest diagonal compliance, and this compliance [m/N].
+    fn softest(&self) -> (usize, f64) {
         let diagonal = |m: usize| {
-            let tensor = compliance.table.tensor(m, m);
+            let tensor = self.compliance.table.tensor(m, m);
             [0, 1, 2].map(|d| tensor.col(d)[d]).into_iter().fold(f64::MIN_POSITIVE, f64::max)
         };
         let (mut softest, mut largest) = (0, 0.0);
-        for m in 0..n_loadable {
+        for m in 0..self.compliance.n_loadable {
             let yields = diagonal(m);
             if yields > largest {
                 (softest, largest) = (m, yields);
             }
         }
-        let mut random = SeededRandom::new(cuts.report.n_edits as u64);
+        (softest, largest)
+    }
+
+    /// The loadable nodes that this edit's probes load, ascending.
+    fn probed_nodes(&self, cuts: &Cuts, taken: &[TetId], softest: usize) -> Vec<usize> {
         let mut probed: Vec<usize> = vec![softest];
         let corners = taken.iter().flat_map(|&t| cuts.corners(t)).filter_map(|n| self.loadable_index(n));
         probed.extend(corners.take(MOST_PROBED_CORNERS).map(|m| m as usize));
-        // A prime step goes round all loadable nodes.
+        // A step by a prime number visits all loadable nodes in turn.
         let first = cuts.report.n_edits * PROBED_IN_TURN;
-        probed.extend((first..first + PROBED_IN_TURN).map(|i| i * 7919 % n_loadable));
+        probed.extend((first..first + PROBED_IN_TURN).map(|i| i * 7919 % self.compliance.n_loadable));
         probed.sort_unstable();
         probed.dedup();
+        probed
+    }
 
+    /// x of a node, zero for one without a row.
+    fn of_row(&self, x: &[DVec3], node: NodeId) -> DVec3 {
+        let row = self.row_of[node.index()];
+        if row == NONE { DVec3::ZERO } else { x[row as usize] }
+    }
+
+    /// g + U U^T x of each probe in the uncut body's unknowns, and x, the table's response to g.
+    fn probing_loads(
+        &self,
+        cuts: &Cuts,
+        probed: &[usize],
+        random: &mut SeededRandom,
+    ) -> (Vec<f64>, Vec<Vec<DVec3>>) {
+        let compliance = &self.compliance;
         let system = &cuts.origin.system;
         let n_free = system.n_free();
         let mut right = vec![0.0; N_PROBES * n_free];
         let mut responses = vec![vec![DVec3::ZERO; compliance.rows.len()]; N_PROBES];
-        let of_row = |x: &[DVec3], n: NodeId| {
-            let row = self.row_of[n.index()];
-            if row == NONE { DVec3::ZERO } else { x[row as usize] }
-        };
         for (right, x) in right.chunks_exact_mut(n_free.max(1)).zip(&mut responses) {
             let mut right_n = vec![DVec3::ZERO; self.rest_m.len()];
-            for &m in &probed {
+            for &m in probed {
                 let mut sign = || if random.next_u64() >> 63 == 0 { 1.0 } else { -1.0 };
                 let force_n = DVec3::new(sign(), sign(), sign());
                 right_n[compliance.rows[m].index()] = force_n;
@@ -302,39 +331,36 @@ impl Precomputed {
                     *x += compliance.table.tensor(row, m) * force_n;
                 }
             }
-            add_taken_out(cuts, |n| of_row(x, n), &mut right_n);
+            add_taken_out(cuts, |n| self.of_row(x, n), &mut right_n);
             system.gather_into(&right_n, right);
         }
-        // Twice: the table came from the same factor, whose own error would not be seen otherwise.
-        let factor = &cuts.origin.factor;
-        let mut scratch = factor.scratch(N_PROBES);
-        let mut left = right.clone();
-        factor.solve_in_place(&mut right, N_PROBES, &mut scratch);
-        for (x, left) in right.chunks_exact(n_free.max(1)).zip(left.chunks_exact_mut(n_free.max(1))) {
-            system.subtract_product(x, left);
-        }
-        factor.solve_in_place(&mut left, N_PROBES, &mut scratch);
-        right.iter_mut().zip(&left).for_each(|(x, more)| *x += more);
+        (right, responses)
+    }
+
+    /// The largest component [m] of the probes' errors. `exact`: C0 (g + U U^T x) of each probe; `responses`: x.
+    fn largest_error(&self, cuts: &Cuts, probed: &[usize], exact: &[f64], responses: &[Vec<DVec3>]) -> f64 {
+        let compliance = &self.compliance;
+        let system = &cuts.origin.system;
         let mut error = 0.0_f64;
-        // A number that is not finite is an error beyond every bound.
+        // A value that is not finite counts as an infinite error.
         let mut note = |off: DVec3| {
             let off = off.abs().max_element();
             error = if off.is_finite() { error.max(off) } else { f64::INFINITY };
         };
-        for (solution, x) in right.chunks_exact(n_free.max(1)).zip(&responses) {
+        let mut pulled: Vec<NodeId> = cuts.taken_out.iter().flat_map(|tet| tet.nodes).collect();
+        pulled.sort_unstable();
+        pulled.dedup();
+        pulled.retain(|n| self.row_of[n.index()] != NONE);
+        for (solution, x) in exact.chunks_exact(system.n_free().max(1)).zip(responses) {
             let exact = |n: NodeId| {
                 DVec3::from_array([0, 1, 2].map(|d| system.row_of(n, d).map_or(0.0, |row| solution[row])))
             };
-            let y = |n: NodeId| of_row(x, n) - exact(n);
+            let y = |n: NodeId| self.of_row(x, n) - exact(n);
             compliance.rows.iter().for_each(|&n| note(y(n)));
             let mut force_n = vec![DVec3::ZERO; self.rest_m.len()];
             add_taken_out(cuts, y, &mut force_n);
-            let mut pulled: Vec<NodeId> = cuts.taken_out.iter().flat_map(|tet| tet.nodes).collect();
-            pulled.sort_unstable();
-            pulled.dedup();
-            pulled.retain(|n| self.row_of[n.index()] != NONE);
-            for &m in &probed {
-                // The table is symmetric, and a loaded node's columns stand together.
+            for &m in probed {
+                // The table is symmetric, and the columns of a loaded node are adjacent in memory.
                 let follows = |n: &NodeId| {
                     let row = self.row_of[n.index()] as usize;
                     compliance.table.tensor(row, m).transpose() * force_n[n.index()]
@@ -342,14 +368,26 @@ impl Precomputed {
                 note(y(compliance.rows[m]) + pulled.iter().map(follows).sum::<DVec3>());
             }
         }
-        let report = &mut cuts.report;
-        report.error = report.error.max(error / largest.max(f64::MIN_POSITIVE));
-        let limits = self.recomputation_limits;
-        report.wants_recomputation = report.error > limits.error || report.n_columns > limits.n_columns;
+        error
     }
 }
 
-/// Adds U U^T x over all that was taken out, for displacements x [m]: forces [N].
+/// Solves with the uncut body's factor for all probes, with one refinement: the table came from the same factor, whose
+/// rounding would not show otherwise.
+fn solve_twice(cuts: &Cuts, right: &mut [f64]) {
+    let (system, factor) = (&cuts.origin.system, &cuts.origin.factor);
+    let n_free = system.n_free().max(1);
+    let mut scratch = factor.scratch(N_PROBES);
+    let mut left = right.to_vec();
+    factor.solve_in_place(right, N_PROBES, &mut scratch);
+    for (x, left) in right.chunks_exact(n_free).zip(left.chunks_exact_mut(n_free)) {
+        system.subtract_product(x, left);
+    }
+    factor.solve_in_place(&mut left, N_PROBES, &mut scratch);
+    right.iter_mut().zip(&left).for_each(|(x, more)| *x += more);
+}
+
+/// Adds the forces [N] U U^T x of all removed tetrahedra for displacements x [m].
 fn add_taken_out(cuts: &Cuts, x_m: impl Fn(NodeId) -> DVec3, force_n: &mut [DVec3]) {
     for tet in &cuts.taken_out {
         for (node, f) in tet.nodes.into_iter().zip(tet.forces_n(tet.nodes.map(&x_m))) {

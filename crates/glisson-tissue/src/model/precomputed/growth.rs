@@ -1,6 +1,6 @@
-//! Changes of a compliance table after cuts: rows and loaded nodes come and go, low-rank changes are added.
+//! Changes of a compliance table after cuts: rows and loaded nodes are added and removed, low-rank updates are added.
 //!
-//! The layout stays that of `table`; a table that grows has rows to spare, which are zero.
+//! The layout stays that of `table`; a table that grows has spare rows, which are zero.
 
 use fearless_simd::{Level, dispatch};
 
@@ -13,7 +13,7 @@ pub(super) const RANK: usize = 6;
 /// Displacements of a block of rows.
 const BLOCK_ROWS: usize = 3 * LANES;
 
-/// Blocks of rows in a tile, whose columns stay in the first cache while all loaded nodes pass.
+/// Blocks of rows in a tile; its columns stay in the first-level cache while all loaded nodes are updated.
 const TILE_BLOCKS: usize = 16;
 
 /// A stored number.
@@ -62,7 +62,7 @@ pub(super) struct LowRankChange {
 }
 
 impl LowRankChange {
-    /// Up to [`RANK`] columns, each told by its number at (row, axis), over `n_rows` rows.
+    /// The blocks of up to [`RANK`] columns over `n_rows` rows; each column is given by its value at (row, axis).
     pub(super) fn blocks_of(n_rows: usize, columns: &[impl Fn(usize, usize) -> f64]) -> Vec<f64> {
         let n_blocks = n_rows.div_ceil(LANES);
         let mut blocks = vec![0.0; RANK * BLOCK_ROWS * n_blocks];
@@ -79,7 +79,7 @@ impl LowRankChange {
 }
 
 impl Table {
-    /// Rows that there is room for.
+    /// Number of rows for which there is room.
     pub(super) fn room(&self) -> usize {
         self.n_rows.div_ceil(LANES) * LANES
     }
@@ -124,7 +124,7 @@ impl Table {
         with_numbers!(&mut self.numbers, numbers => push(numbers, stride));
     }
 
-    /// Drops the last loaded node.
+    /// Removes the last loaded node.
     pub(super) fn pop_loaded(&mut self) {
         let stride = Self::stride(self.n_rows);
         with_numbers!(&mut self.numbers, numbers => numbers.truncate(numbers.len() - stride));
@@ -204,7 +204,7 @@ pub(super) fn swap_rows_of<T>(node: &mut [T], a: usize, b: usize) {
     }
 }
 
-/// A response in the layout of a loaded node with the same change: `factors` are those of its three columns.
+/// Adds the same change to a response in the layout of a loaded node; `factors` are those of its three columns.
 pub(super) fn add_low_rank_to(response: &mut [f64], blocks: &[f64], factors: &[[f64; 3]; RANK]) {
     add_to_node(response, blocks, factors);
 }

@@ -1,4 +1,4 @@
-//! What acts on the model between set-up and display: constraints in, forces and displacements out.
+//! Constraints in, forces and displacements out: the steps of the model.
 
 use super::contact_system::{ContactPoint, ContactReport, MOST_POINTS};
 use super::pairs::Pairs;
@@ -11,7 +11,7 @@ use crate::model::{Constraints, LocalModel, NodalForce};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::NodeId;
 
-/// Where a held point is to be, and which constraint it comes from.
+/// The target of a held point, and the constraint that it comes from.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Target {
     place: u32,
@@ -19,11 +19,11 @@ pub(super) struct Target {
 }
 
 impl Precomputed {
-    /// Takes over held points and forces from the next step on, in place of all constraints before. At most
-    /// [`Precomputed::MAX_IMPOSED`] points count; what cannot is told by [`Precomputed::response_report`]: points
-    /// of nodes that cannot be pushed, numbers that are not finite, forces beyond a number of the loadable nodes.
+    /// Sets held points and forces from the next step on, in place of all earlier constraints. At most
+    /// [`Precomputed::MAX_IMPOSED`] points count. [`Precomputed::response_report`] counts those left out: points of nodes
+    /// that cannot be pushed, values that are not finite, more forces than there are loadable nodes.
     ///
-    /// Put new points at the end and keep the order of the others: then the small system is not factored anew.
+    /// Put new points at the end and keep the order of the others: then the small system is not factored again.
     pub fn impose_points(&mut self, points: &[PointConstraint], forces: &[NodalForce]) {
         self.release_pieces();
         self.take_forces(forces);
@@ -72,8 +72,8 @@ impl Precomputed {
         }
     }
 
-    /// One entry a constraint. Room was made for as many as there are loadable nodes: the entries of a longer list,
-    /// which holds repetitions, have none at its end.
+    /// One entry per constraint, for as many as there are loadable nodes. A longer list has repetitions; its end has no
+    /// entries.
     fn start_constraint_forces(&mut self, n: usize) {
         self.constraint_forces_n.clear();
         let n = n.min(self.constraint_forces_n.capacity());
@@ -81,7 +81,7 @@ impl Precomputed {
         self.reactions.clear();
     }
 
-    /// The point as the small system has it, if something of it can move.
+    /// The point in the form of the small system, if any of its nodes can move.
     fn contact_point(&self, point: &PointConstraint) -> Option<ContactPoint> {
         let mut contact = ContactPoint { n_nodes: 0, n_directions: 0, ..ContactPoint::node(0) };
         contact.weights = [0.0; 3];
@@ -121,9 +121,9 @@ impl Precomputed {
         }
     }
 
-    /// What the outer forces and the weight beyond that at rest do, for all rows.
+    /// Computes the displacements of all rows from the outer forces and from the weight minus that at rest.
     fn respond_to_forces(&mut self) {
-        // Taken out for the time being, so that the rest can be read.
+        // Taken out for the time being, so that the other fields can be borrowed.
         let mut displacement_m = std::mem::take(&mut self.displacement_m);
         let (weight_m_per_s2, carried_m) = self.weight();
         let has_weight = weight_m_per_s2 != DVec3::ZERO || !carried_m.is_empty();
@@ -187,7 +187,7 @@ impl Precomputed {
         }
     }
 
-    /// Reactions as forces on nodes, one a node.
+    /// Reactions as forces on nodes, one per node.
     fn spread_reactions(&mut self) {
         self.reactions.clear();
         for (point, target) in self.wanted.iter().zip(self.targets.iter()) {
@@ -203,7 +203,7 @@ impl Precomputed {
         }
     }
 
-    /// Forces first, then what holds the points against their response, then the positions.
+    /// Computes the response to the forces, then the reactions that hold the points, then the positions.
     pub(super) fn respond(&mut self) {
         self.respond_to_forces();
         if !self.wanted.is_empty() {
@@ -215,8 +215,8 @@ impl Precomputed {
         place_rows(&self.compliance.rows, &self.rest_m, &self.displacement_m, &mut self.positions_m);
     }
 
-    /// The forces that hold the constraints of the last `apply` or [`Precomputed::impose_points`], without moving
-    /// anything: what a haptic loop asks for between two steps. In their order; the same as a step gives to rounding.
+    /// Forces that hold the constraints of the last `apply` or [`Precomputed::impose_points`], in their order, without a
+    /// step: for a haptic loop between two steps. They equal those of a step up to rounding.
     pub fn update_reactions(&mut self) -> &[DVec3] {
         if !self.wanted.is_empty() {
             self.solve_points(Self::response_to_forces_m);
@@ -224,19 +224,18 @@ impl Precomputed {
         &self.constraint_forces_n
     }
 
-    /// How the small system of the held points did at its last solution.
+    /// Report on the last solution of the small system of the held points.
     pub fn contact_report(&self) -> ContactReport {
         if self.wanted.is_empty() { ContactReport::default() } else { self.contacts.report() }
     }
 
-    /// To be called when the compliance has changed: kept factors are dropped, and contacts are read from the table.
+    /// Drops kept factors after a change of the compliance; contacts are read from the table again.
     pub(super) fn compliance_changed(&mut self) {
         self.pairs = Pairs::None;
         self.contacts.forget();
     }
 
-    /// Loads and held points by the places of `old_rows`; now by their present ones. What has no place any more is
-    /// dropped.
+    /// Renumbers loads and held points from the places of `old_rows` to the present ones. Drops those without a place.
     pub(super) fn follow_rows(&mut self, old_rows: &[NodeId]) {
         let find = |row_of: &[u32], n_loadable: usize, m: u32| {
             let row = row_of[old_rows[m as usize].index()];
@@ -269,7 +268,7 @@ impl Precomputed {
         self.compliance_changed();
     }
 
-    /// Computes on this path from now on, with the same bits.
+    /// Sets the instruction set to compute with; the bits are the same on every one.
     pub fn set_path(&mut self, path: KernelPath) {
         self.path = path;
     }
@@ -291,8 +290,8 @@ impl Precomputed {
         Some(u_m)
     }
 
-    /// The patch's part of the compliance: exact, and the same for any period. What other tools hold yields as if they
-    /// were not there.
+    /// The patch's part of the compliance: exact, and the same for any period. Nodes that other tools hold respond as if
+    /// these were not there.
     pub(super) fn fill_local_model(&self, patch: &[NodeId], period_s: f64, out: &mut LocalModel) {
         out.start(patch, period_s, &self.positions_m);
         for j in 0..out.nodes.len() {
@@ -313,6 +312,6 @@ impl Precomputed {
         of(&self.forces) + of(&self.reactions)
     }
 
-    /// Most rows that a point has nodes for.
+    /// Largest number of nodal reactions: three nodes for each point.
     pub(super) const MOST_REACTIONS: usize = 3 * MOST_POINTS;
 }

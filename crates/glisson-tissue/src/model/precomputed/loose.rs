@@ -1,8 +1,8 @@
-//! A piece that was cut loose from a pre-computed body: it falls, swings and gives way by explicit dynamics.
+//! A piece that was cut loose from a pre-computed body: it falls, swings and deforms by explicit dynamics.
 //!
-//! The piece is a body of its own on the explicit kernel, of stable Neo-Hookean tissue with the same moduli at small
-//! strain, because it turns far. Its hinges (nodes that the held body or another piece moves, too) are driven; the
-//! force that this takes is handed to the held body with a delay ([`MOST_PULL_SHARE`]). Another piece does not feel it.
+//! The piece is a body of its own on the explicit kernel. It can rotate far, so its law is stable neo-Hookean with the
+//! same moduli at small strain. Its hinges (nodes that the held body or another piece moves) are driven; the force that
+//! this takes acts on the held body with a delay ([`MOST_PULL_SHARE`]). It does not act on other pieces.
 
 use super::NONE;
 use super::low_rank::RemovedTet;
@@ -18,25 +18,25 @@ use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::{EditableMesh, TopologyChange};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
-/// Largest share of a new pull that the held body feels in each step: a choice. The held body answers at once and has
-/// no mass, so that the whole pull of a piece k times stiffer than it at the hinge would swing up for k > 1; with a
-/// share s it does not for s < 2/(1 + k). Where k is large, the share is smaller.
+/// Largest share of a new pull that acts on the held body in each step: a choice. The held body responds at once and has
+/// no mass. The whole pull of a piece that is k times stiffer at the hinge would oscillate with growing amplitude for
+/// k > 1; with a share s it does not for s < 2/(1 + k). For a large k the share is smaller.
 pub(super) const MOST_PULL_SHARE: f64 = 1.0 / 32.0;
 
-/// Damping of a loose piece over its mass [1/s]: a choice, a swing fades within seconds.
+/// Mass damping of a loose piece [1/s]: a choice, so that a swing fades within seconds.
 const DAMPING_PER_S: f64 = 1.0;
 
-/// Damping over stiffness as a share of the stable step: a choice, motions too fast to be seen fade within a few steps.
+/// Stiffness damping as a share of the stable step: a choice, so that motions too fast to be seen fade within a few steps.
 const STIFFNESS_DAMPING_SHARE: f64 = 0.5;
 
-/// Share of the largest stable step that a piece makes.
+/// The piece's step as a share of the largest stable one.
 const STEP_SHARE: f64 = 0.9;
 
 /// Shortest internal step [s]: where tetrahedra of a piece would ask for shorter ones, they become heavier instead. A
 /// choice: twenty parts of a millisecond, enough for soft tissue of tetrahedra above about 0.2 mm.
 const SHORTEST_STEP_S: f64 = 5e-5;
 
-/// Into how many parts a step may be divided once the piece itself is cut, if they stay that long.
+/// Number of parts into which a step may be divided once the piece itself is cut, if each stays that long.
 const MOST_PARTS: f64 = 64.0;
 
 /// What moves a node of a piece in a step.
@@ -53,7 +53,7 @@ enum Mover {
 pub(super) struct Hinge {
     pub(super) node: NodeId,
     local: u32,
-    /// What the owner feels [N].
+    /// Force on the owner [N].
     pub(super) pull_n: DVec3,
 }
 
@@ -76,7 +76,7 @@ pub(super) struct LoosePiece {
 }
 
 impl Clone for LoosePiece {
-    /// With the same room, so that a copy allocates as little in a step.
+    /// A copy with the same capacity, so that it allocates as little in a step.
     fn clone(&self) -> Self {
         let mut movers = Vec::with_capacity(self.movers.capacity());
         movers.extend_from_slice(&self.movers);
@@ -102,7 +102,7 @@ fn room_for(n_nodes: usize) -> Constraints {
     Constraints { displacements: Vec::with_capacity(n_nodes), forces: Vec::with_capacity(n_nodes) }
 }
 
-/// What a piece is made from.
+/// Parameters of a piece.
 pub(super) struct LooseParams<'a> {
     pub(super) mesh: &'a TetMesh,
     pub(super) material: &'a LinearElastic,
@@ -110,13 +110,13 @@ pub(super) struct LooseParams<'a> {
     pub(super) tets: &'a [TetId],
     pub(super) is_fixed: &'a [bool],
     pub(super) positions_m: &'a [DVec3],
-    /// Nodes whose position counts; the others go where the tissue between them puts them.
+    /// Nodes whose position is given; the others follow by linear elasticity.
     pub(super) is_placed: &'a dyn Fn(NodeId) -> bool,
     pub(super) gravity_m_per_s2: DVec3,
 }
 
 impl LoosePiece {
-    /// A piece with the present shape, at standstill, without hinges.
+    /// A piece with the present shape, at rest, without hinges.
     pub(super) fn new(params: &LooseParams<'_>) -> Result<Self, ExplicitKernelError> {
         let mesh = params.mesh;
         let of_tet = |t: &TetId| mesh.tetrahedra[t.index()];
@@ -152,7 +152,7 @@ impl LoosePiece {
             kernel_params.body.time_step_s = step_s;
             ExplicitKernel::build(&kernel_params)?
         } else {
-            // Made for a step that needs no scaling of its own, then slowed down.
+            // Build with a step that needs no mass scaling, then lengthen the step.
             kernel_params.body.time_step_s = stable.after_cuts_s;
             let mut kernel = ExplicitKernel::build(&kernel_params)?;
             let (density, stretch) = (material.density_kg_per_m3(), kernel_params.largest_stretch);
@@ -184,7 +184,7 @@ impl LoosePiece {
         self.tets.binary_search(&tet).is_ok()
     }
 
-    /// Takes tetrahedra of the piece out.
+    /// Removes tetrahedra of the piece.
     ///
     /// # Errors
     /// [`TopologyRefusal`] when its model cannot follow; the piece is of no use then.
@@ -208,7 +208,7 @@ impl LoosePiece {
         self.body.topology().is_live_node(NodeId(local))
     }
 
-    /// Says which nodes are driven by others; hinges that stay keep their pull.
+    /// Sets the nodes that others drive; hinges that stay keep their pull.
     pub(super) fn set_hinges(&mut self, is_driven: impl Fn(NodeId) -> bool) {
         let old = std::mem::take(&mut self.hinges);
         for (local, &node) in self.nodes.iter().enumerate() {
@@ -222,13 +222,13 @@ impl LoosePiece {
         self.movers.retain(|(local, _, _)| hinges.iter().all(|h| h.local != *local));
     }
 
-    /// Forgets what acts from outside.
+    /// Clears the loads and tools.
     pub(super) fn release(&mut self) {
         self.movers.clear();
         self.constraints.forces.clear();
     }
 
-    /// A tool moves a node in the coming steps; answers whether that can be.
+    /// Lets a tool move a node in the coming steps; returns whether the node can be moved.
     pub(super) fn impose(&mut self, local: u32, place: u32, displacement_m: DVec3) -> bool {
         let is_free = self.moves(local) && self.hinges.iter().all(|h| h.local != local);
         if is_free && self.movers.len() < self.movers.capacity() {
@@ -238,7 +238,7 @@ impl LoosePiece {
         false
     }
 
-    /// A force acts on a node in the coming steps; answers whether that can be.
+    /// Applies a force to a node in the coming steps; returns whether it can act.
     pub(super) fn push(&mut self, local: u32, force_n: DVec3) -> bool {
         let has_room = self.constraints.forces.len() < self.constraints.forces.capacity();
         let moves = self.moves(local) && has_room;
@@ -248,8 +248,8 @@ impl LoosePiece {
         moves
     }
 
-    /// One step: `displacement_m` tells where the hinges are [m from rest], `pull_share` is the share of a new pull
-    /// that the held body feels, `feel` hears the force of a tool (place, force [N]).
+    /// Advances by one step. `displacement_m` gives the hinges' displacements from rest [m], `pull_share` is the share of a
+    /// new pull that acts on the held body, `feel` is called with the force of each tool (place, force [N]).
     pub(super) fn step(
         &mut self,
         dt_s: f64,
@@ -323,7 +323,7 @@ impl LoosePiece {
         self.kernel.set_gravity(gravity_m_per_s2);
     }
 
-    /// What some of its nodes do in a period, its hinges held where no patch lets them go.
+    /// The local model of some of its nodes over a period; hinges that are not in the patch are held.
     pub(super) fn local_model(
         &mut self,
         locals: impl Iterator<Item = NodeId>,
@@ -340,7 +340,7 @@ impl LoosePiece {
         &self.local
     }
 
-    /// Moves on with these velocities [m/s] of all nodes of the whole body.
+    /// Sets its velocities [m/s] from those of all nodes of the whole body.
     pub(super) fn start_with(&mut self, velocities_m_per_s: &[DVec3]) {
         let nodes = &self.nodes;
         self.kernel.start_with(|local| velocities_m_per_s[nodes[local.index()].index()]);
@@ -362,7 +362,7 @@ impl LoosePiece {
         3 * state.velocities_m_per_s.len() + state.history.len() + 3 * self.hinges.len()
     }
 
-    /// Writes what the next step depends on beside the positions.
+    /// Writes the state that the next step depends on besides the positions.
     pub(super) fn write_history(&self, numbers: &mut [f64]) {
         let state = self.kernel.state();
         let of_vectors = state.velocities_m_per_s.iter().copied().chain(self.hinges.iter().map(|h| h.pull_n));
@@ -397,12 +397,12 @@ fn shape(params: &LooseParams<'_>, nodes: &[NodeId], own: &TetMesh) -> Vec<DVec3
         Ok(solution) => {
             own.positions_m.iter().zip(&solution.displacement_m).map(|(rest, u)| *rest + *u).collect()
         }
-        // Too few of its nodes are placed: it starts as it is shown.
+        // Too few of its nodes are given: it starts with its published shape.
         Err(_) => now,
     }
 }
 
-/// Which piece moves each node, if one does.
+/// The piece that moves each node, if one does.
 #[derive(Clone, Debug)]
 pub(super) struct Owners(Vec<u32>);
 

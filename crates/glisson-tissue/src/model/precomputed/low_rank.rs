@@ -1,4 +1,4 @@
-//! The compliance of a body from which tetrahedra were taken, as a history of changes of low rank.
+//! The compliance of a body from which tetrahedra were removed, as a history of low-rank updates.
 //!
 //! Removing a tetrahedron takes U U^T from K, where U has 12 rows that are not zero and 6 columns: U = sqrt(V) B^T R
 //! with the strain-displacement matrix B and R R^T = the elasticity matrix. With S = I - U^T C U (the capacitance
@@ -9,9 +9,9 @@
 //!
 //! Holding unknowns E for good is the same with S = E^T C E, q = E G^-T and a minus sign.
 //!
-//! q stands on the unknowns of few nodes, which all have had a column of the compliance by then. So the columns w are
-//! kept only over the nodes that ever had one ("known" nodes), and the column of a further node is found from the
-//! factor of the uncut body: for each change in turn, a = q^T c, then c += w a; a is that node's part of w.
+//! q is nonzero only on the unknowns of few nodes, which then all have a column of the compliance. So the columns w are
+//! stored only over the nodes that ever had one ("known" nodes). The column c of another node starts from the factor of
+//! the uncut body; for each change in turn, a = q^T c, then c += w a. a is that node's part of w.
 
 use crate::solve::P1Gradients;
 use glisson_mesh::math::DVec3;
@@ -23,7 +23,7 @@ const NONE: u32 = u32::MAX;
 /// Pivots of a capacitance below this are raised to it: the removal left a mechanism, or nearly.
 const LEAST_PIVOT: f64 = 1e-12;
 
-/// Three columns over the known unknowns: what unit forces on a node do.
+/// Three columns over the known unknowns: the responses to unit forces on a node.
 pub(super) type NodeColumns = [Vec<f64>; 3];
 
 /// Displacement of one node along each axis (first index) for unit gravity along each axis (second).
@@ -60,7 +60,7 @@ impl Change {
 #[derive(Clone, Debug)]
 enum Event {
     Change(Change),
-    /// These masses [kg] at known nodes are gone.
+    /// Removed masses [kg] at known nodes.
     Lighter(Vec<(u32, f64)>),
 }
 
@@ -74,7 +74,7 @@ pub(super) struct History {
 }
 
 impl History {
-    /// None yet; `known` are the nodes whose columns are in the table.
+    /// A history without changes; `known` are the nodes whose columns are in the table.
     pub(super) fn new(known: Vec<NodeId>, n_nodes: usize) -> Self {
         let mut place_of = vec![NONE; n_nodes];
         for (place, node) in known.iter().enumerate() {
@@ -101,7 +101,7 @@ impl History {
         (place != NONE).then_some(place as usize)
     }
 
-    /// Makes room for a node; answers whether it was not known.
+    /// Makes a node known; returns whether it was not.
     pub(super) fn admit(&mut self, node: NodeId) -> bool {
         let is_new = self.place(node).is_none();
         if is_new {
@@ -111,8 +111,8 @@ impl History {
         is_new
     }
 
-    /// Brings a node's columns and response to weight of the uncut body up to date. `is_new`: the node was just
-    /// admitted, and is the last of the known ones.
+    /// Applies all changes to a node's columns and response to weight of the uncut body. `is_new`: the node just became
+    /// known and is the last one.
     pub(super) fn bring_up_to_date(
         &mut self,
         columns: &mut NodeColumns,
@@ -123,7 +123,7 @@ impl History {
             match event {
                 Event::Change(change) => {
                     let n = change.unknowns.len();
-                    // Every column of a change holds for the compliance from before it.
+                    // Every column of a change refers to the compliance before this change.
                     let part = |i: usize| -> [f64; 3] {
                         let q = &change.q[n * i..n * (i + 1)];
                         std::array::from_fn(|d| {
@@ -162,7 +162,7 @@ impl History {
         self.events.push(Event::Change(change));
     }
 
-    /// These masses [kg] at known nodes are gone.
+    /// Removed masses [kg] at known nodes.
     pub(super) fn push_lighter(&mut self, masses: Vec<(u32, f64)>) {
         self.events.push(Event::Lighter(masses));
     }
@@ -183,12 +183,12 @@ pub(super) struct Working {
 }
 
 impl Working {
-    /// Where a node is, if it is touched.
+    /// Place of a node, if it is touched.
     pub(super) fn find(&self, node: NodeId) -> Option<usize> {
         self.nodes.binary_search_by_key(&node, |n| n.node).ok()
     }
 
-    /// Holds these touched nodes for good; their rows become exactly zero, and they are touched no more.
+    /// Holds these touched nodes for good; their rows become exactly zero, and they leave the touched ones.
     ///
     /// # Panics
     /// When one of them is not touched.
@@ -216,8 +216,8 @@ impl Working {
         change
     }
 
-    /// Takes tetrahedra out; answers the least pivot of the capacitance (1 for a removal that is not felt, 0 for a
-    /// mechanism). Corners that are not touched do not move; where none is, nothing changes.
+    /// Removes tetrahedra; returns the smallest pivot of the capacitance (1 for a removal without effect, 0 for a mechanism).
+    /// Corners that are not touched do not move; without any touched corner nothing changes.
     pub(super) fn remove(&mut self, tets: &[RemovedTet]) -> Option<(Change, f64)> {
         let mut touched: Vec<usize> =
             tets.iter().flat_map(|t| t.nodes).filter_map(|node| self.find(node)).collect();
@@ -280,7 +280,7 @@ impl Working {
         c
     }
 
-    /// Makes a change of `u` (rows of `rank` numbers) and the capacitance `s`, and applies it to all touched nodes.
+    /// Computes the change of `u` (rows of `rank` numbers) and the capacitance `s`, and applies it to all touched nodes.
     fn change(
         &mut self,
         sign: f64,
@@ -341,7 +341,7 @@ impl Working {
     }
 }
 
-/// A tetrahedron that is taken out: its corners and the rows of U.
+/// A removed tetrahedron: its corners and the rows of U.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RemovedTet {
     pub(super) nodes: [NodeId; 4],
@@ -389,8 +389,8 @@ impl RemovedTet {
     }
 }
 
-/// Lower Cholesky factor in place (rows of `n`); answers the least pivot over its scale. Smaller pivots than the least
-/// are raised to it.
+/// Computes the lower Cholesky factor in place (rows of `n`); returns the smallest pivot over its scale. Pivots below the
+/// threshold are raised to it.
 fn cholesky(a: &mut [f64], n: usize, scale_of_diagonal: impl Fn(f64) -> f64) -> f64 {
     let mut least = f64::INFINITY;
     for k in 0..n {

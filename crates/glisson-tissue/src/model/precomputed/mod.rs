@@ -1,17 +1,17 @@
 //! The pre-computed quasi-static model (seed `001` s. 4 and seed `003` ch. 2, in compliance form).
 //!
-//! Set-up: with K u = f and the fixed nodes taken out, a unit force along each axis on each loadable node m
-//! gives the columns of the compliance tensors T^lm [m/N]: u_l = T^lm f_m. Loadable are the free nodes on the
-//! surface; stored are those nodes alone, or all free nodes.
+//! Set-up: K u = f is solved without the fixed nodes. A unit force along each axis on each loadable node m gives the
+//! columns of the compliance tensors T^lm [m/N]: u_l = T^lm f_m. The free nodes on the surface are loadable; the
+//! displacements of these nodes alone, or of all free nodes, are stored.
 //!
 //! Use: forces f at loadable nodes give u_l = sum_m T^lm f_m (eq. 2.8). Displacements U*_i imposed on n nodes
 //! need the forces r with sum_j T^ij r_j = U*_i - sum_m T^im f_m, a dense symmetric system of 3n rows
 //! (eq. 2.12, where the report forgets the second term); then u_l += sum_j T^lj r_j (eq. 2.13). r is the
 //! force that the tool exerts; the tool feels -r.
 //!
-//! Cuts: `cutting` follows removals of tetrahedra by changes of low rank.
+//! Cuts: `cutting` follows removals of tetrahedra by low-rank updates.
 //!
-//! The tensors lie in `table` in the order in which a response reads them.
+//! `table` stores the tensors in the order in which a response reads them.
 
 mod error;
 mod table;
@@ -59,17 +59,17 @@ use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetMesh};
 
-/// Which nodes get their displacement in a response.
+/// Which nodes get a displacement in a response.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StoredNodes {
-    /// Free nodes on the surface: what one sees and touches. Inner nodes stay at rest.
+    /// Free nodes on the surface, which one sees and touches. Inner nodes stay at rest.
     #[default]
     Surface,
     /// All free nodes.
     All,
 }
 
-/// What a pre-computed model is made from.
+/// Parameters of a pre-computed model.
 #[derive(Clone, Copy)]
 pub struct PrecomputedParams<'a> {
     /// The body at rest.
@@ -78,15 +78,15 @@ pub struct PrecomputedParams<'a> {
     pub material: &'a LinearElastic,
     /// Nodes that never move.
     pub fixed_nodes: &'a [NodeId],
-    /// Which displacements to keep.
+    /// Which displacements to store.
     pub stored: StoredNodes,
-    /// How to keep them.
+    /// In which precision to store them.
     pub precision: Precision,
-    /// Called with the number of loadable nodes done and their total, from any thread, in any order.
+    /// Progress: called with the number of finished loadable nodes and their total, from any thread, in any order.
     pub progress: Option<&'a (dyn Fn(usize, usize) + Sync)>,
 }
 
-/// What a step had to leave out.
+/// Constraints that a step left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ResponseReport {
     /// Forces on nodes that cannot be loaded, or that are not finite.
@@ -99,7 +99,7 @@ pub struct ResponseReport {
 /// Marks a node that is not in a list.
 const NONE: u32 = u32::MAX;
 
-/// The columns T^lm, and what they were computed for.
+/// The columns T^lm, and the body that they were computed for.
 #[derive(Clone, Debug, PartialEq)]
 struct Compliance {
     material: LinearElastic,
@@ -127,7 +127,7 @@ pub struct Precomputed {
     path: KernelPath,
     /// Outer forces.
     forces: Roomy<Load>,
-    /// Held points and where they are to be.
+    /// Held points and their targets.
     wanted: Roomy<ContactPoint>,
     targets: Roomy<Target>,
     contacts: ContactSystem,
@@ -138,9 +138,9 @@ pub struct Precomputed {
     report: ResponseReport,
     /// Gravity that the rest shape carries [m/s2].
     rest_gravity_m_per_s2: DVec3,
-    /// Gravity beyond it [m/s2].
+    /// Gravity minus that one [m/s2].
     pull_m_per_s2: DVec3,
-    /// What following cuts needs; made at the first one.
+    /// State that following cuts needs; created at the first one.
     cuts: Option<Box<Cuts>>,
     recomputation_limits: RecomputationLimits,
 }
@@ -176,7 +176,7 @@ impl Precomputed {
         }
     }
 
-    /// The rest shape is the one under this gravity [m/s2]; without a call it is the weightless one.
+    /// Declares that the rest shape is the one under this gravity [m/s2]; by default it is the weightless one.
     pub fn carry_at_rest(&mut self, gravity_m_per_s2: DVec3) {
         self.rest_gravity_m_per_s2 = gravity_m_per_s2;
         self.pull_m_per_s2 = DVec3::ZERO;
@@ -223,12 +223,12 @@ impl Precomputed {
         (row != NONE).then(|| self.compliance.table.tensor(row as usize, loaded as usize))
     }
 
-    /// What the constraints of the last [`DeformableModel::apply`] lost.
+    /// Constraints of the last [`DeformableModel::apply`] that were left out.
     pub fn response_report(&self) -> ResponseReport {
         self.report
     }
 
-    /// Back to the rest shape, without constraints.
+    /// Returns to the rest shape, without constraints.
     pub fn reset(&mut self) {
         self.forces.clear();
         self.wanted.clear();
@@ -269,7 +269,7 @@ impl DeformableModel for Precomputed {
     }
 
     fn take_over(&mut self, positions_m: &[DVec3]) {
-        // Nodes that a response does not move stay at rest, whatever they were in another model.
+        // Nodes that a response does not move stay at rest, wherever another model had them.
         for node in &self.compliance.rows {
             self.positions_m[node.index()] = positions_m[node.index()];
         }
@@ -279,7 +279,7 @@ impl DeformableModel for Precomputed {
         }
     }
 
-    /// Loose pieces go on with their velocities.
+    /// Loose pieces keep their velocities.
     fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
         self.take_over(state.positions_m);
         if let Some(cuts) = &mut self.cuts
@@ -304,8 +304,8 @@ impl DeformableModel for Precomputed {
         report
     }
 
-    /// Nodes of the held body answer with their static compliance, those of loose pieces as the piece does in the period,
-    /// its hinges held.
+    /// Nodes of the held body respond with their static compliance, those of loose pieces with that of the piece over the
+    /// period, its hinges held.
     fn local_model_into(
         &mut self,
         patch: &[NodeId],

@@ -1,7 +1,7 @@
-//! The compliance of pairs of loadable nodes, each with its nine numbers side by side.
+//! The compliance of pairs of loadable nodes, with the nine entries of each pair adjacent in memory.
 //!
-//! A copy of a part of the table for the small system of the contacts: there a tensor lies across nine cache lines, here
-//! in two. Kept beside tables up to a size; without it the table is read.
+//! A copy of a part of the table, for the small system of the contacts: a tensor lies in nine cache lines of the table,
+//! here in two at most. Made for tables up to a size; larger ones are read directly.
 
 use std::sync::Arc;
 
@@ -14,11 +14,11 @@ const MOST_BYTES: usize = 64 << 20;
 /// A copy, shared by copies of a model.
 #[derive(Clone, Debug)]
 pub(super) enum Pairs {
-    /// None: the table is too large, or has changed since.
+    /// No copy: the table is too large, or has changed since.
     None,
-    /// Of `f64`, the tensors of row >= column, row after row; the others are their transposes.
+    /// In `f64`: the tensors of row >= column, row after row; the others are their transposes.
     Half(Arc<[[f64; 9]]>),
-    /// Of `f32`, which is symmetric to its rounding only, all.
+    /// In `f32`, which is symmetric only up to rounding: all tensors.
     All(usize, Arc<[[f32; 9]]>),
 }
 
@@ -38,8 +38,8 @@ impl Pairs {
         }
     }
 
-    /// Reads something of every pair of the nodes from the `first`-th on with those before and among them. Pairs lie far
-    /// apart: fetched one after the other by the work on them, each would wait for the memory by itself.
+    /// Reads from every pair of a node from the `first`-th on with a node before it, to bring them into the cache. Pairs lie
+    /// far apart; the work on them would wait for the memory at each one.
     pub(super) fn fetch(&self, nodes: &[u32], first: usize) {
         let mut sum = 0.0;
         for (i, &a) in nodes.iter().enumerate().skip(first) {

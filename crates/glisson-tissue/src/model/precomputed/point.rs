@@ -5,18 +5,18 @@ use glisson_mesh::mesh::NodeId;
 
 /// A point of the surface that is held at a displacement, along some directions.
 ///
-/// The point is a weighted mean of up to three nodes: a node by itself, or a place on a surface triangle. Fixed nodes
-/// may be among them; they do not move and bear no part of the load.
+/// The point is a weighted mean of up to three nodes: a single node, or a point on a surface triangle. Fixed nodes may be
+/// among them; they do not move, and no part of the load acts on them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointConstraint {
     /// The nodes; those of weight zero do not count.
     pub nodes: [NodeId; 3],
-    /// Their weights; the barycentric coordinates of a place on a triangle.
+    /// Their weights: the barycentric coordinates of a point on a triangle.
     pub weights: [f64; 3],
-    /// Displacement of the point from its place at rest [m]; only its components along `directions` count.
+    /// Displacement of the point from its rest position [m]; only its components along `directions` count.
     pub displacement_m: DVec3,
-    /// What is held: directions of any length above zero that are independent of each other. One that is zero is
-    /// free: a point that slides on a plane is held along its normal alone.
+    /// Held directions, linearly independent and of any length above zero. A zero vector is no direction: a point that slides
+    /// on a plane is held along the normal alone.
     pub directions: [DVec3; 3],
 }
 
@@ -26,7 +26,7 @@ impl PointConstraint {
         Self { nodes: [node; 3], weights: [1.0, 0.0, 0.0], displacement_m, directions: DVec3::AXES }
     }
 
-    /// A place on a triangle held along all axes.
+    /// A point on a triangle, held along all axes.
     pub fn on_triangle(nodes: [NodeId; 3], weights: [f64; 3], displacement_m: DVec3) -> Self {
         Self { nodes, weights, displacement_m, directions: DVec3::AXES }
     }

@@ -1,4 +1,4 @@
-//! Displacements of all stored nodes for some forces: the part of a step that reads the whole columns.
+//! Displacements of all stored nodes for some forces: the part of a step that reads whole columns.
 //!
 //! u_l = sum_m T^lm f_m (seed `003`, eq. 2.8 and 2.13). A call reads the three columns of each loaded node once, from
 //! first to last, several loaded nodes side by side for each block of rows, so that the displacements are loaded and
@@ -11,7 +11,7 @@ use crate::model::kernel::{Eight, EightWork, KernelPath};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::NodeId;
 
-/// A force [N] on a loadable node, by its place among them.
+/// A force [N] on a loadable node, given by its place among them.
 pub(super) type Load = (u32, DVec3);
 
 /// Numbers of a block of displacements.
@@ -64,9 +64,9 @@ pub(super) fn set_to_columns(path: KernelPath, columns: &[f64], factors: DVec3, 
 }
 
 struct Respond<'a, T> {
-    /// Of all loadable nodes, one after the other.
+    /// The blocks of all loadable nodes, one after the other.
     numbers: &'a [T],
-    /// Of each of them.
+    /// Numbers of each loadable node.
     n_blocks: usize,
     loads: &'a [Load],
     from_zero: bool,

@@ -1,10 +1,10 @@
 //! Which parts of a cut body still bear a load: rigid clusters and what holds them.
 //!
-//! Linear tetrahedra that hang together by faces have no motion without strain but the six rigid ones: they form a
-//! cluster. A cluster is held when three of its points that do not lie on a line are fixed or belong to held
-//! clusters; that is iterated. What is left may still be held jointly (a closed ring of hinged clusters, say): the
-//! rigid motions of all of them that agree in their common points and vanish in held points are computed, and a
-//! cluster that takes part in none is held. This is exact up to rounding: K of what is held is not singular.
+//! Linear tetrahedra connected by faces have no motion without strain except the six rigid ones: they form a cluster. A
+//! cluster is held when three of its points that do not lie on a line are fixed or belong to held clusters; this is
+//! iterated. The remaining clusters may still be held jointly, as in a closed ring of hinged clusters. So the rigid
+//! motions of all of them that agree in their common points and vanish in held points are computed, and a cluster that
+//! takes part in none is held. This is exact up to rounding: K of the held clusters is not singular.
 
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::topology::Topology;
@@ -12,15 +12,15 @@ use glisson_mesh::mesh::{NodeId, TetId};
 
 const NONE: u32 = u32::MAX;
 
-/// Points lie on a line when their triangle's height is below this share of its base: a choice. A lever that short
-/// makes the stiffness against turning smaller by the square of it.
+/// Points count as collinear when the height of their triangle is below this share of its base: a choice. The stiffness
+/// against rotation falls with the square of this ratio.
 const LEAST_HEIGHT: f64 = 1e-3;
 
-/// Jointly held clusters are looked for among this many at most (a dense elimination of six times as many unknowns);
-/// of more, those that are not held one by one count as loose.
+/// Largest number of clusters among which jointly held ones are looked for (a dense elimination of six times as many
+/// unknowns). With more, clusters that are not held one by one count as loose.
 const MOST_JOINT: usize = 40;
 
-/// A combination of rigid motions below this share of its largest part counts as none.
+/// A combination of rigid motions below this share of its largest part counts as zero.
 const LEAST_ROW: f64 = 1e-9;
 
 /// Clusters of the tetrahedra that count.
@@ -31,7 +31,7 @@ pub(super) struct Clusters {
 }
 
 impl Clusters {
-    /// Groups of counting tetrahedra that hang together by faces, numbered by their first tetrahedron.
+    /// Groups of counting tetrahedra connected by faces, numbered by their first tetrahedron.
     pub(super) fn of(topology: &Topology, counts: &[bool]) -> Self {
         let mut of_tet = vec![NONE; counts.len()];
         let mut count = 0;

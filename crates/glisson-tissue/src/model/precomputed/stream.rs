@@ -1,9 +1,9 @@
-//! A compliance written while it is computed: for bodies whose compliance would fill the memory, and so that an
+//! Writes a compliance to a file while it is computed: for bodies whose compliance does not fit in memory, and so that an
 //! interruption loses nothing.
 //!
-//! The file grows beside its final place as `FILE.partial`, block after block in order. While some blocks are being
-//! computed, those before them are written; no more than these two lots are in memory. At the end it is renamed.
-//! What an interruption leaves is checked block by block and gone on with, to the same bits.
+//! The file grows as `FILE.partial`, block after block in order. While some blocks are computed, those before them are
+//! written; only these two batches are in memory. At the end the file is renamed. After an interruption the unfinished
+//! file is checked block by block and continued, to the same bits.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, BufReader, Seek, SeekFrom, Write};
@@ -17,12 +17,12 @@ use super::table::{Precision, Table};
 use super::{PrecomputedError, PrecomputedParams};
 use crate::material::LinearElastic;
 
-/// How to write.
+/// Options of writing.
 #[derive(Clone, Copy, Default)]
 pub struct StreamOptions<'a> {
-    /// Overwrites what an interrupted pre-computation left, rather than going on with it.
+    /// Whether to overwrite an unfinished file instead of continuing it.
     pub restart: bool,
-    /// Asked between blocks whether to stop; what is done stays in the unfinished file.
+    /// Called between blocks: whether to stop. Finished blocks stay in the unfinished file.
     pub stop: Option<&'a (dyn Fn() -> bool + Sync)>,
 }
 
@@ -39,10 +39,10 @@ pub struct StreamSummary {
     pub n_bytes: u64,
 }
 
-/// Blocks that a thread has in one of the two lots in memory: enough for threads to finish together.
+/// Blocks per thread in one of the two batches in memory: enough for threads to finish together.
 const BLOCKS_PER_THREAD: usize = 2;
 
-/// Where the file grows until it is complete.
+/// Path of the unfinished file.
 pub fn partial_path(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".partial");
@@ -95,7 +95,7 @@ struct Growing<'a> {
 }
 
 impl<'a> Growing<'a> {
-    /// Opens what is there, cut off after its last good block; or an empty file.
+    /// Opens the unfinished file, truncated after its last good block, or an empty one.
     fn open(
         params: &PrecomputedParams<'_>,
         plan: &Plan,
@@ -160,7 +160,7 @@ impl<'a> Growing<'a> {
         })
     }
 
-    /// Removes what is beyond the last good block, and goes there.
+    /// Truncates the file after the last good block, and seeks to its end.
     fn cut_off(&mut self) -> io::Result<()> {
         let n_bytes = self.n_bytes();
         if self.file.metadata()?.len() > n_bytes {
@@ -179,10 +179,10 @@ impl<'a> Growing<'a> {
         PrecomputedError::Unfinished { partial, done, total, cause }
     }
 
-    /// Removes a file in which nothing is.
+    /// Removes an empty file.
     fn leave_nothing_empty(&self) {
         if self.head.is_none() {
-            // The error that led here is the one to report.
+            // The error that led here is the one that is reported.
             let _ = std::fs::remove_file(self.partial);
         }
     }
@@ -214,7 +214,7 @@ impl<'a> Growing<'a> {
         Ok(())
     }
 
-    /// Computes and writes the blocks that are missing: one lot is written while the next is computed.
+    /// Computes and writes the missing blocks: one batch is written while the next is computed.
     fn compute<T: Stored>(
         &mut self,
         params: &PrecomputedParams<'_>,
@@ -237,7 +237,7 @@ impl<'a> Growing<'a> {
             lot.resize(n_numbers, zero);
         }
         let [mut ready, mut next] = lots;
-        // Numbers in `ready` that wait to be written.
+        // Numbers in `ready` that are not written yet.
         let mut n_ready = 0;
         let mut first_node = self.n_nodes();
         loop {
@@ -292,7 +292,7 @@ fn good_blocks<T: Stored>(
     Ok(head.n_blocks())
 }
 
-/// Refuses a head that this pre-computation would not write.
+/// Refuses a head that differs from that of this pre-computation.
 fn refuse_other(
     head: &Head,
     params: &PrecomputedParams<'_>,

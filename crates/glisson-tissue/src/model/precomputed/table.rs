@@ -5,7 +5,7 @@
 //! force along axis d. A response reads a loaded node's numbers from first to last; the tensor of a pair of nodes
 //! lies within nine neighbouring cache lines. Rows that fill the last block up are zero.
 //!
-//! Displacements of the rows are kept alike: blocks of eight rows, all x, all y, all z.
+//! Displacements of the rows have the same layout: blocks of eight rows, all x, all y, all z.
 
 use glisson_mesh::math::{DMat3, DVec3};
 
@@ -15,13 +15,13 @@ pub(super) const LANES: usize = 8;
 /// Numbers of a block: nine components of its rows.
 pub(super) const BLOCK_NUMBERS: usize = 9 * LANES;
 
-/// How the numbers of a compliance are kept.
+/// Precision of a stored compliance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
-    /// Eight bytes each.
+    /// Eight bytes per number.
     #[default]
     F64,
-    /// Four bytes each: half the memory, relative errors of 6e-8. Sums are still `f64`.
+    /// Four bytes per number: half the memory, relative errors of 6e-8. Sums are still `f64`.
     F32,
 }
 

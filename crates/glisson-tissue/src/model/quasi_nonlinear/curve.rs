@@ -1,13 +1,13 @@
 //! Measured curves as text: comma-separated columns under a line of names, `#` before comments.
 //!
-//! `axial_displacement_mm` (or `_m`), and `force_n` (or `_mn`), `radial_displacement_mm` (or `_m`), or both; any
-//! order. Compression, the force against it and the bulging out are positive.
+//! `axial_displacement_mm` (or `_m`), and `force_n` (or `_mn`), `radial_displacement_mm` (or `_m`), or both, in any order.
+//! Compression, the force against it and outward bulging are positive.
 
 use std::path::{Path, PathBuf};
 
 use glisson_mesh::text::did_you_mean;
 
-/// Why a file is no curve.
+/// Why a file cannot be read as a curve.
 #[derive(Debug, thiserror::Error)]
 pub enum CurveError {
     /// The file cannot be read.
@@ -98,7 +98,7 @@ pub enum CurveError {
     },
 }
 
-/// What messages list.
+/// The column names that messages list.
 const NAMES: &str =
     "axial_displacement_mm (or _m) with force_n (or _mn), radial_displacement_mm (or _m), or both";
 
@@ -129,14 +129,14 @@ impl Quantity {
     }
 }
 
-/// A sample's measured answer to being compressed. A list that was not measured is empty.
+/// A sample's measured response to compression. A list that was not measured is empty.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MeasuredCurve {
-    /// By how much the sample is shorter [m].
+    /// Shortening of the sample [m].
     pub axial_displacement_m: Vec<f64>,
-    /// Force on its top [N]; one each, or none.
+    /// Force on its top [N]; one per shortening, or none.
     pub force_n: Vec<f64>,
-    /// By how much its radius at mid-height is larger [m]; one each, or none.
+    /// Increase of its radius at mid-height [m]; one per shortening, or none.
     pub radial_displacement_m: Vec<f64>,
 }
 

@@ -6,7 +6,7 @@
 
 use super::polynomial::{CurvePolynomial, GREATEST_DEGREE, LEAST_DEGREE, chebyshev};
 
-/// Why points have no polynomial.
+/// Why no polynomial can be fitted.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FitError {
     /// The degree is out of the range of the method.
@@ -15,7 +15,7 @@ pub enum FitError {
         /// What was asked for.
         found: usize,
     },
-    /// Not as many arguments as values.
+    /// The numbers of arguments and values differ.
     #[error("{n_x} arguments but {n_y} values")]
     Lengths {
         /// Number of arguments.
@@ -79,8 +79,8 @@ const LEAST_PIVOT: f64 = 1e-12;
 
 /// The polynomial of `degree` through the origin that is nearest to the points (x, y) in least squares.
 ///
-/// Points on one side of zero make it odd (points with negative x are mirrored through the origin); on both sides it
-/// follows both.
+/// Points on one side of zero give an odd polynomial (points with negative x are mirrored through the origin); points on
+/// both sides are fitted as they are.
 ///
 /// # Errors
 /// [`FitError`]: a degree out of 4 to 10, too few points, values that are not finite or run against their arguments.

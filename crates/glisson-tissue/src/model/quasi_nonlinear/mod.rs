@@ -7,9 +7,9 @@
 //! u_n = u_n^t + P(|u_n^r|) u_n^r/|u_n^r|,   f_n = f_n^r + Q(|f_n^t|) f_n^t/|f_n^t|.
 //!
 //! P and Q are polynomials through the origin ([`CurvePolynomial`]), so that the quotients are continuous at zero, where
-//! the printed ones are 0/0. They take the *linear* magnitudes as arguments: a curve measured over the axial
-//! displacement is expressed so by the linear answer of the same sample ([`LinearSample`], the paper's
-//! d_r^L = nu r x/h and f^L = s E x/h).
+//! the printed ones are 0/0. Their arguments are the *linear* magnitudes: a curve measured over the axial displacement is
+//! converted by the linear response of the same sample ([`LinearSample`], the paper's d_r^L = nu r x/h and
+//! f^L = s E x/h).
 //!
 //! Where the paper is silent, chosen here:
 //! - Several constrained nodes: d is the line along which their displacements are largest (principal axis of
@@ -21,8 +21,9 @@
 //! - Curves measured in compression and traction both: compression where the constraint moves against the outward
 //!   normal of the surface. A curve of one kind serves both.
 //!
-//! It is a change of magnitudes, no elasticity: forces and displacements are no longer in equilibrium inside the body,
-//! and away from the places where the curves were measured the paper itself calls the result an assumption.
+//! The correction changes magnitudes and is not an elastic law: forces and displacements are no longer in equilibrium
+//! inside the body, and away from the places where the curves were measured the paper itself calls the result an
+//! assumption.
 
 mod curve;
 mod fit;
@@ -42,7 +43,7 @@ use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::topology::Topology;
 use glisson_mesh::mesh::{NodeId, TetMesh};
 
-/// What a linear sample answers to each metre by which it is pressed together.
+/// Linear response of a sample per metre of compression.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinearSample {
     /// Force on its top [N/m].
@@ -54,7 +55,7 @@ pub struct LinearSample {
 impl LinearSample {
     /// A cylinder between plates without friction: s E/h and nu r/h (seed `001`, s. 3.4).
     ///
-    /// A mesh whose ends are held is stiffer than this; take what the mesh itself answers instead.
+    /// A mesh whose ends are held is stiffer than this; use the response of the mesh itself then.
     pub fn cylinder(height_m: f64, radius_m: f64, material: &LinearElastic) -> Self {
         let area_m2 = std::f64::consts::PI * radius_m * radius_m;
         Self {
@@ -74,11 +75,11 @@ pub struct Correction {
 }
 
 impl Correction {
-    /// From curves fitted over the axial displacement [m] of a sample whose linear answer is known.
+    /// The correction from curves fitted over the axial displacement [m] of a sample with a known linear response.
     ///
     /// # Errors
-    /// [`ScaleError`] where there is a curve and the sample's linear answer is not finite and above 0: a material with
-    /// a Poisson ratio of 0 or less has no bulging to which a measured one could be put in proportion.
+    /// [`ScaleError`] where there is a curve and the sample's linear response is not finite and above 0: a material with a
+    /// Poisson's ratio of 0 or less has no bulging to which a measured one could be related.
     pub fn of_sample(
         force_n: Option<&CurvePolynomial>,
         radial_m: Option<&CurvePolynomial>,
@@ -94,8 +95,8 @@ impl Correction {
         })
     }
 
-    /// For a body whose displacements are `length_ratio` times and whose forces are `force_ratio` times those of the
-    /// sample at the same strain.
+    /// The correction for a body whose displacements are `length_ratio` times, and whose forces are `force_ratio` times, those
+    /// of the sample at the same strain.
     ///
     /// # Panics
     /// When a ratio that is used is not finite and above 0.
@@ -108,8 +109,8 @@ impl Correction {
     }
 }
 
-/// The local model's slope of Q is at least this share of Q(f)/f: where a fit is level or falls, a tool would find no
-/// bottom. A choice.
+/// The local model's slope of Q is at least this share of Q(f)/f: where a fit is level or falls, the tissue would not
+/// resist a tool at all. A choice.
 const LEAST_SLOPE: f64 = 0.05;
 
 /// A linear model with corrected magnitudes.
@@ -121,14 +122,14 @@ pub struct QuasiNonlinear {
     outward_m2: Vec<DVec3>,
     positions_m: Vec<DVec3>,
     constraint_forces_n: Roomy<DVec3>,
-    /// Constrained nodes, and whether each moves along the axis (or against it, or not at all).
+    /// Constrained nodes, and whether each moves along the axis, against it, or not at all.
     imposed: Roomy<(NodeId, bool)>,
     /// Unit vector of the line d; zero without a constraint.
     axis: DVec3,
 }
 
 impl QuasiNonlinear {
-    /// `linear` on `mesh` with this correction. Right for a linear quasi-static model: `Precomputed`.
+    /// The model `linear` on `mesh` with this correction. It must be a linear quasi-static model: `Precomputed`.
     ///
     /// # Errors
     /// [`glisson_mesh::mesh::topology::TopologyError`] when the mesh is no body.
@@ -201,12 +202,12 @@ impl QuasiNonlinear {
         }
     }
 
-    /// What multiplies the compliance along the axis for each node of a group, as its square root.
+    /// Square root of the factor of the compliance along the axis, for each node of a group.
     fn softening(&self, q: &CurvePolynomial, is_along: bool) -> f64 {
         let (sum_n, is_outward) = self.group(is_along);
         let linear_n = signed(sum_n.abs(), is_outward);
         let slope = q.slope(linear_n).max(LEAST_SLOPE * q.ratio(linear_n));
-        // Where Q is level at zero there is nothing to go by.
+        // Where Q is level at zero, its slope tells nothing.
         if slope > 0.0 { 1.0 / slope.sqrt() } else { 1.0 }
     }
 
@@ -257,7 +258,7 @@ fn signed(magnitude: f64, is_outward: bool) -> f64 {
     if is_outward { -magnitude } else { magnitude }
 }
 
-/// Squarings of the power iteration: the 256th power tells apart axes whose shares differ by a few per cent.
+/// Squarings of the power iteration: the 256th power separates axes whose shares differ by a few per cent.
 const SQUARINGS: u32 = 8;
 
 /// Unit vector of the line along which vectors with this sum of v v^T are largest; zero for the zero matrix.
@@ -334,13 +335,14 @@ impl DeformableModel for QuasiNonlinear {
         self.linear.report()
     }
 
-    /// At the corrected places and forces; C = B C_linear B with B = 1 + (1/sqrt(Q') - 1) d d^T, Q' the slope of Q at
-    /// the linear force on a node's group (that of the nodes which move along d for one that is not constrained).
+    /// Positions and forces are the corrected ones; C = B C_linear B with B = 1 + (1/sqrt(Q') - 1) d d^T, and Q' the slope of Q
+    /// at the linear force on a node's group. For a node that is not constrained, the group is that of the nodes moving along
+    /// d.
     ///
-    /// So along d, C is the linear one over Q', as equation 6 has it while the nodes of a group share its force as they
-    /// do now; across d it is the linear one; and it stays symmetric, which costs the factor 1/sqrt(Q') between the two
-    /// where equation 6 has 1. P changes the places alone. Without an imposed displacement Q does not act, and C is the
-    /// linear one: a tool that touches first feels the linear tissue until its nodes are constrained.
+    /// Along d, C is the linear one over Q', as in equation 6 while the nodes of a group share its force as they do now;
+    /// across d it is the linear one. C stays symmetric: the entries between the two have the factor 1/sqrt(Q'), where
+    /// equation 6 has a factor of one. P changes positions only. Without an imposed displacement Q does not act, and C is
+    /// the linear one: a tool feels linear tissue at the first touch, until its nodes are constrained.
     fn local_model_into(
         &mut self,
         patch: &[NodeId],

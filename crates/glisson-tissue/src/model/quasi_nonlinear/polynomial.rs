@@ -4,8 +4,8 @@
 //! Chebyshev's polynomials T_k: well conditioned on the range, and p(x)/x needs no division. Values and derivatives by
 //! Clenshaw's recurrence (1955, Mathematics of Computation 9, 118).
 //!
-//! Beyond the range p goes straight on with its slope at the end, or level where that slope is negative: a fit says
-//! nothing there, and a polynomial of degree 10 would say anything.
+//! Beyond the range p continues as a straight line with its slope at the end, or level where that slope is negative: the
+//! measurement says nothing there, and a polynomial of degree 10 would diverge.
 
 /// Least degree of a fit (seed `001`, s. 3.4).
 pub const LEAST_DEGREE: usize = 4;
@@ -43,7 +43,7 @@ impl CurvePolynomial {
         Self { coefficient, degree, range, is_odd }
     }
 
-    /// The straight line of this slope, up to `high`: what a linear body does.
+    /// The straight line of this slope, up to `high`: the response of a linear body.
     ///
     /// # Panics
     /// When `high` is not finite and above 0.
@@ -79,7 +79,7 @@ impl CurvePolynomial {
         x * self.ratio(x)
     }
 
-    /// p(x)/x, continuous at zero and never negative: by what the linear magnitude is multiplied.
+    /// p(x)/x, continuous at zero and never negative: the factor of the linear magnitude.
     pub fn ratio(&self, x: f64) -> f64 {
         let x = if self.is_odd { x.abs() } else { x };
         let end = x.clamp(self.range[0], self.range[1]);
@@ -97,7 +97,7 @@ impl CurvePolynomial {
         if end == x { slope } else { slope.max(0.0) }
     }
 
-    /// Whether p rises at every one of 1,000 places of the range: more push, more force.
+    /// Whether p increases at each of 1,000 points of the range.
     pub fn is_rising(&self) -> bool {
         let [low, high] = self.range;
         (0..=1_000).all(|i| self.slope(low + (high - low) * f64::from(i) / 1_000.0) > 0.0)
@@ -133,7 +133,7 @@ impl CurvePolynomial {
         Self { range: self.range.map(|x| x * ratio), ..*self }
     }
 
-    /// Coefficients a_1 to a_degree of p = sum_k a_k (x/high)^k: to read and to copy; evaluate [`Self::value`].
+    /// Coefficients a_1 to a_degree of p = sum_k a_k (x/high)^k, for display; evaluate with [`Self::value`].
     pub fn powers(&self) -> Vec<f64> {
         // T_k in powers of t = x/high: s = alpha t + beta.
         let [low, high] = self.range;

@@ -1,13 +1,13 @@
-//! The reduced basis: lowest free vibrations, answers to given loads, and their static modal derivatives.
+//! The reduced basis: lowest free vibrations, responses to given loads, and their static modal derivatives.
 //!
-//! Vibrations by subspace iteration with K^-1 M (Bathe, Finite Element Procedures, 2nd edition 2014, s. 11.6), masses in
-//! the nodes. The derivative of mode i along mode j is how the linear answer turns when the body is already deformed:
-//! K psi_ij = -f_2(phi_i, phi_j), with f_2 the symmetric bilinear form of the quadratic part of the forces (Idelsohn and
-//! Cardona 1985, Computer Methods in Applied Mechanics and Engineering 49; Barbic and James 2005,
-//! doi 10.1145/1073204.1073300, s. 3.2). Vibration i enters them scaled by lambda_1/lambda_i (there too), the answer to
-//! a load with the elastic energy of the first vibration (a choice), and their principal directions in the mass metric
-//! are kept. All modes are then mass-orthonormal and diagonalize K. Of more than [`Reduced::MAX_DERIVATIVES`] pairs those
-//! count whose scaled energies have the largest product.
+//! Vibrations come from subspace iteration with K^-1 M (Bathe, Finite Element Procedures, 2nd edition 2014, s. 11.6) and
+//! lumped masses. The derivative of mode i along mode j tells how the linear response changes when the body is already
+//! deformed: K psi_ij = -f_2(phi_i, phi_j), with f_2 the symmetric bilinear form of the quadratic part of the forces
+//! (Idelsohn and Cardona 1985, Computer Methods in Applied Mechanics and Engineering 49; Barbic and James 2005,
+//! doi 10.1145/1073204.1073300, s. 3.2). For the derivatives, vibration i is scaled by lambda_1/lambda_i (as in s. 3.2),
+//! and the response to a load to the elastic energy of the first vibration (a choice). The principal directions of the
+//! derivatives in the mass metric are kept. All modes are then mass-orthonormal and diagonalize K. Of more than
+//! [`Reduced::MAX_DERIVATIVES`] pairs, those whose scaled energies have the largest product are used.
 
 use super::Reduced;
 use super::dense::{dot, eigen_symmetric};
@@ -35,12 +35,12 @@ pub(super) struct Modes {
     pub(super) squared_frequency_per_s2: Vec<f64>,
 }
 
-/// Further vectors that the subspace iteration carries along: the wanted ones converge faster.
+/// Extra vectors in the subspace iteration: the wanted ones converge faster.
 const N_GUARDS: usize = 8;
 const MOST_ITERATIONS: usize = 40;
-/// Relative change of the wanted eigenvalues that ends the iteration: a basis needs no more.
+/// Relative change of the wanted eigenvalues that ends the iteration: accurate enough for a basis.
 const ENOUGH: f64 = 1e-6;
-/// A vector of which less than this share is left is a combination of the others.
+/// A vector with less than this share left after projection is a combination of the others.
 const LEAST_SHARE: f64 = 1e-8;
 
 impl HeldBody<'_> {
@@ -66,7 +66,7 @@ impl HeldBody<'_> {
         product
     }
 
-    /// Replaces columns over the free components by K^-1 of them.
+    /// Multiplies columns over the free components by K^-1, in place.
     pub(super) fn solve(&self, columns: &mut [f64]) {
         let n_columns = columns.len() / self.system.n_free();
         self.factor.solve_in_place(columns, n_columns, &mut self.factor.scratch(n_columns));
@@ -80,8 +80,8 @@ impl HeldBody<'_> {
         free
     }
 
-    /// The basis of `n_modes` vibrations, the answers to `loads`, and their derivatives up to `n_reduced` vectors;
-    /// fewer where these depend on each other.
+    /// The basis of `n_modes` vibrations, the responses to `loads`, and their derivatives, up to `n_reduced` vectors; fewer
+    /// where these are linearly dependent.
     pub(super) fn basis(&self, n_modes: usize, loads: &[Vec<DVec3>], n_reduced: usize) -> Modes {
         let n = self.system.n_free();
         let mass = self.free_masses();
@@ -196,7 +196,7 @@ impl HeldBody<'_> {
     }
 }
 
-/// Pairs i <= j, row by row; of more than `most` those with the largest product of energies, earlier ones first.
+/// Pairs i <= j, row by row; at most `most`, those with the largest product of energies, earlier ones first.
 fn strongest_pairs(energies: &[f64], most: usize) -> Vec<[usize; 2]> {
     let n = energies.len();
     let mut pairs: Vec<[usize; 2]> = (0..n).flat_map(|i| (i..n).map(move |j| [i, j])).collect();
@@ -210,7 +210,7 @@ fn strongest_pairs(energies: &[f64], most: usize) -> Vec<[usize; 2]> {
     pairs
 }
 
-/// Mass-orthonormal columns with the same span; the first `n_kept` are so already. Gram and Schmidt, twice.
+/// Mass-orthonormal columns with the same span, by Gram-Schmidt applied twice; the first `n_kept` are so already.
 fn orthonormal(columns: &[f64], n: usize, mass: &[f64], n_kept: usize) -> Vec<f64> {
     let mut done = columns[..n * n_kept].to_vec();
     let mut weighted = vec![0.0; n];
@@ -233,7 +233,7 @@ fn orthonormal(columns: &[f64], n: usize, mass: &[f64], n_kept: usize) -> Vec<f6
     done
 }
 
-/// Takes the parts along mass-orthonormal columns out of `x`.
+/// Subtracts the components of `x` along mass-orthonormal columns.
 fn remove(columns: &[f64], n: usize, mass: &[f64], x: &mut [f64]) {
     let mut weighted = vec![0.0; n];
     for column in columns.chunks_exact(n) {
@@ -243,7 +243,7 @@ fn remove(columns: &[f64], n: usize, mass: &[f64], x: &mut [f64]) {
     }
 }
 
-/// Up to `n_wanted` principal directions, in the mass metric, of what `candidates` have beyond `done`.
+/// Up to `n_wanted` principal directions, in the mass metric, of the parts of `candidates` orthogonal to `done`.
 fn principal(done: &[f64], mut candidates: Vec<f64>, n: usize, mass: &[f64], n_wanted: usize) -> Vec<f64> {
     let n_candidates = candidates.len() / n;
     candidates.chunks_exact_mut(n).for_each(|x| remove(done, n, mass, x));

@@ -1,4 +1,4 @@
-//! Set-up: the basis, the coefficients, and what the basis leaves of the linear compliance.
+//! Set-up: the basis, the coefficients, and the rest of the linear compliance.
 
 use rayon::prelude::*;
 
@@ -67,21 +67,7 @@ impl Constants {
     ) -> Result<Self, ReducedError> {
         let mesh = body.mesh;
         let n_nodes = mesh.positions_m.len();
-        let surface = boundary_nodes(mesh);
-        let n_free_axes = |n: NodeId| (0..3).filter(|&a| body.system.row_of(n, a).is_some()).count();
-        let mut rows: Vec<NodeId> = surface.iter().copied().filter(|&n| n_free_axes(n) == 3).collect();
-        let n_loadable = rows.len();
-        if n_loadable == 0 {
-            return Err(ReducedError::NothingLoadable { n_surface: surface.len() });
-        }
-        let others = (0..n_nodes).map(NodeId::from_index).filter(|&n| {
-            let is_surface = surface.binary_search(&n).is_ok();
-            // Nodes that slide on a support move too, but cannot be pushed.
-            n_free_axes(n) > 0
-                && !(is_surface && n_free_axes(n) == 3)
-                && (is_surface || stored == StoredNodes::All)
-        });
-        rows.extend(others);
+        let (rows, n_loadable) = rows_of(body, stored)?;
         let mut row_of = vec![NONE; n_nodes];
         rows.iter().enumerate().for_each(|(row, node)| row_of[node.index()] = row as u32);
 
@@ -121,6 +107,26 @@ impl Constants {
             weight_remainder,
         })
     }
+}
+
+/// The stored nodes that move, loadable ones first, and the number of loadable ones.
+fn rows_of(body: &HeldBody<'_>, stored: StoredNodes) -> Result<(Vec<NodeId>, usize), ReducedError> {
+    let surface = boundary_nodes(body.mesh);
+    let n_free_axes = |n: NodeId| (0..3).filter(|&a| body.system.row_of(n, a).is_some()).count();
+    let mut rows: Vec<NodeId> = surface.iter().copied().filter(|&n| n_free_axes(n) == 3).collect();
+    let n_loadable = rows.len();
+    if n_loadable == 0 {
+        return Err(ReducedError::NothingLoadable { n_surface: surface.len() });
+    }
+    let others = (0..body.mesh.positions_m.len()).map(NodeId::from_index).filter(|&n| {
+        let is_surface = surface.binary_search(&n).is_ok();
+        // Nodes that slide on a support move too, but cannot be loaded.
+        n_free_axes(n) > 0
+            && !(is_surface && n_free_axes(n) == 3)
+            && (is_surface || stored == StoredNodes::All)
+    });
+    rows.extend(others);
+    Ok((rows, n_loadable))
 }
 
 /// Displacements of the rows: all x, all y, all z.

@@ -1,4 +1,4 @@
-//! St Venant and Kirchhoff's forces in reduced coordinates: a cubic polynomial with pre-computed coefficients.
+//! St Venant-Kirchhoff forces in reduced coordinates: a cubic polynomial with pre-computed coefficients.
 //!
 //! With u = sum_i q_i phi_i the strain is E = sum_i q_i e_i + 1/2 sum_ij q_i q_j g_ij, where H_i = grad phi_i,
 //! e_i = sym H_i and g_ij = sym(H_i^T H_j), all constant in a tetrahedron. The energy 1/2 c(E, E) is a polynomial of
@@ -28,7 +28,7 @@ pub(super) struct ReducedForces {
     cubic: Vec<f64>,
 }
 
-/// Energy, forces and stiffness at one place, with what is computed on the way.
+/// Energy, forces and stiffness at one point, and intermediate results.
 #[derive(Clone, Debug)]
 pub(super) struct ReducedState {
     /// Elastic energy [J].
@@ -41,7 +41,7 @@ pub(super) struct ReducedState {
     of_cubic: Vec<f64>,
 }
 
-/// Tetrahedra whose strains are multiplied at once.
+/// Tetrahedra in one block of the products of strains.
 const TETS_IN_BLOCK: usize = 128;
 /// Components of a symmetric tensor: xx, yy, zz, xy, xz, yz.
 const N_COMPONENTS: usize = 6;
@@ -144,7 +144,7 @@ impl ReducedForces {
     }
 }
 
-/// c of every two among e_i and g_jk, one matrix by columns.
+/// c of every two of the e_i and g_jk, as one matrix by columns.
 fn strain_products(body: &HeldBody<'_>, modes: &[Vec<DVec3>]) -> Vec<f64> {
     let r = modes.len();
     let n_rows = r + n_pairs(r);
@@ -214,7 +214,7 @@ mod tests {
     use crate::solve::ElasticBody;
     use glisson_mesh::math::SeededRandom;
 
-    /// The forces of the law itself, projected on the modes; the stiffness by differences.
+    /// Checks against the forces of the law itself, projected on the modes, and the stiffness by differences.
     #[test]
     fn the_polynomial_is_the_law_in_reduced_coordinates() {
         with_body(|body| {

@@ -1,8 +1,8 @@
-//! Small dense matrices by columns, in memory that was set aside.
+//! Small dense matrices by columns, without allocation.
 
-/// Replaces the lower triangle of a symmetric matrix of `n` rows by its Cholesky factor, with the inverse of each
-/// pivot on the diagonal. A pivot at or below `least_share` of its diagonal entry gets the inverse 0, which drops its
-/// unknown. Answers whether all were larger.
+/// Replaces the lower triangle of a symmetric matrix of `n` rows by its Cholesky factor, with the inverse of each pivot on
+/// the diagonal. A pivot at or below `least_share` of its diagonal entry gets the inverse 0, which sets its unknown to
+/// zero. Returns whether all pivots were larger.
 pub(super) fn cholesky(entry: &mut [f64], n: usize, least_share: f64) -> bool {
     let mut is_definite = true;
     for k in 0..n {
@@ -24,7 +24,7 @@ pub(super) fn cholesky(entry: &mut [f64], n: usize, least_share: f64) -> bool {
     is_definite
 }
 
-/// Replaces `right` by L^-1 of it.
+/// Multiplies `right` by L^-1, in place.
 pub(super) fn solve_lower(factor: &[f64], n: usize, right: &mut [f64]) {
     for k in 0..n {
         right[k] *= factor[k * n + k];
@@ -34,7 +34,7 @@ pub(super) fn solve_lower(factor: &[f64], n: usize, right: &mut [f64]) {
     }
 }
 
-/// Replaces `right` by L^-T of it.
+/// Multiplies `right` by L^-T, in place.
 pub(super) fn solve_upper(factor: &[f64], n: usize, right: &mut [f64]) {
     for k in (0..n).rev() {
         let column = &factor[k * n + k + 1..(k + 1) * n];
@@ -43,7 +43,7 @@ pub(super) fn solve_upper(factor: &[f64], n: usize, right: &mut [f64]) {
     }
 }
 
-/// Sum of products, in eight partial sums of fixed order.
+/// Dot product, by eight partial sums in fixed order.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;
     let mut sum = [0.0; LANES];

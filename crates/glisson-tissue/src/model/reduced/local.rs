@@ -1,4 +1,4 @@
-//! What a touched patch does for a haptic loop: the tangent of the reduced equilibrium.
+//! The local model of a touched patch, for a haptic loop: the tangent of the reduced equilibrium.
 
 use super::Reduced;
 use super::dense::dot;
@@ -6,7 +6,7 @@ use crate::model::LocalModel;
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::NodeId;
 
-/// A patch's components have room in Newton's method.
+/// There is room for a patch's components in Newton's method.
 const _: () = assert!(LocalModel::MOST_NODES <= Reduced::MAX_IMPOSED);
 
 impl Reduced {

@@ -1,22 +1,22 @@
-//! The pre-computed model made non-linear: St Venant and Kirchhoff's law in a few reduced coordinates, the linear
-//! compliance for everything else.
+//! The pre-computed model with a non-linear part: the St Venant-Kirchhoff law in a few reduced coordinates, and the linear
+//! compliance for the rest.
 //!
-//! Displacements are u = V q + C_r f. V holds r modes (lowest vibrations, answers to given loads, and their static
-//! modal derivatives), q are in non-linear equilibrium, f(q) = V^T f, with forces that are cubic polynomials of
-//! pre-computed coefficients (Barbic and James 2005, doi 10.1145/1073204.1073300; modal derivatives: Idelsohn and Cardona
-//! 1985). C_r = K^-1 - V diag(1/omega^2) V^T is what the modes leave of the linear compliance, so that under a small
-//! load the model *is* the pre-computed linear one, a poked dent included, whatever r; under a large load the modes
-//! follow bending and rotation. With r = all free components it is the full non-linear solution.
+//! Displacements are u = V q + C_r f. V holds r modes (lowest vibrations, responses to given loads, and their static modal
+//! derivatives). q is in non-linear equilibrium, f(q) = V^T f, with forces that are cubic polynomials with pre-computed
+//! coefficients (Barbic and James 2005, doi 10.1145/1073204.1073300; modal derivatives: Idelsohn and Cardona 1985).
+//! C_r = K^-1 - V diag(1/omega^2) V^T is the part of the linear compliance outside the modes. So under a small load the
+//! model *is* the pre-computed linear one for any r, local dents included; under a large load the modes follow bending
+//! and rotation. With r = all free components it is the full non-linear solution.
 //!
-//! Imposed displacements are met exactly, without penalty: the forces that hold them are unknowns beside q (`newton`).
-//! What the modes do not hold stays linear. C_r neither stiffens nor turns with the tissue: a deep dent, or one in a part
-//! that has turned far, is no better than in the linear model (measured: `glisson validate reduced`). Put the answers
-//! to forces at the places that matter into the basis (`loads`). As St Venant and Kirchhoff's law it can turn tetrahedra
-//! inside out under strong compression, and does not notice.
+//! Imposed displacements are met exactly, without penalty: the forces that hold them are unknowns besides q (`newton`).
+//! Deformation outside the modes stays linear. C_r neither stiffens nor rotates with the tissue: a deep dent, or one in a
+//! part that has rotated far, is no better than in the linear model (measured: `glisson validate reduced`). Put the
+//! responses to forces at the places that matter into the basis (`loads`). As with any St Venant-Kirchhoff model,
+//! tetrahedra can invert under strong compression; this is not detected.
 //!
-//! Quasi-static: each step goes to equilibrium, starting from the last one. Where several equilibria exist (buckling), it
-//! stays with the one that Newton's method finds from there. A rest shape under gravity is carried as in the linear
-//! model: the answer is to the difference, without the stiffness of the stress at rest.
+//! The model is quasi-static: each step solves for equilibrium, starting from the last one. Where several equilibria exist
+//! (buckling), it takes the one that Newton's method finds from there. A rest shape under gravity is treated as in the
+//! linear model: the response is to the difference of gravity, without the stiffness of the stress at rest.
 
 mod basis;
 mod build;
@@ -43,7 +43,7 @@ use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetMesh};
 
-/// Why there is no reduced model.
+/// Why a reduced model cannot be built.
 #[derive(Debug, thiserror::Error)]
 pub enum ReducedError {
     /// The mesh with its supports has no solution.
@@ -83,23 +83,23 @@ pub enum ReducedError {
     },
 }
 
-/// What a reduced model is made from.
+/// Parameters of a reduced model.
 #[derive(Clone, Copy, Debug)]
 pub struct ReducedParams<'a> {
     /// The body at rest.
     pub mesh: &'a TetMesh,
-    /// Its moduli (St Venant and Kirchhoff's law has the same) and density.
+    /// Its moduli, which are also those of the St Venant-Kirchhoff law, and its density.
     pub material: &'a LinearElastic,
     /// Nodes that are held along some or all axes.
     pub fixed: &'a [FixedNode],
     /// Lowest vibrations in the basis, at least 1.
     pub n_modes: usize,
-    /// Reduced coordinates r, vibrations and loads included; at most [`Reduced::MAX_REDUCED`]. Derivatives that depend on
-    /// each other are left out, and of more than [`Reduced::MAX_DERIVATIVES`] the weakest.
+    /// Number r of reduced coordinates, vibrations and loads included; at most [`Reduced::MAX_REDUCED`]. Linearly dependent
+    /// derivatives are left out, and of more than [`Reduced::MAX_DERIVATIVES`] the weakest.
     pub n_reduced: usize,
-    /// Forces on every node [N] whose answers belong to the basis too; only their directions matter.
+    /// Loads, each a force on every node [N], whose responses belong to the basis too; only their directions matter.
     pub loads: &'a [Vec<DVec3>],
-    /// Where the compliance beyond the modes is kept; the modes move all nodes.
+    /// Nodes for which the compliance outside the modes is stored; the modes move all nodes.
     pub stored: StoredNodes,
 }
 
@@ -113,7 +113,7 @@ impl<'a> ReducedParams<'a> {
 /// Marks a node that is not in a list.
 const NONE: u32 = u32::MAX;
 
-/// What does not change.
+/// The data that do not change.
 struct Constants {
     rest_m: Vec<DVec3>,
     mass_kg: Vec<f64>,
@@ -144,7 +144,7 @@ impl Constants {
         &self.remainder_m_per_n[n * loaded as usize..n * (loaded as usize + 1)]
     }
 
-    /// What the modes do at a component of a loadable node.
+    /// The modes' values at a component of a loadable node.
     fn modes_at(&self, loaded: u32, axis: usize) -> impl Iterator<Item = f64> {
         let at = 3 * self.rows[loaded as usize].index() + axis;
         self.mode_m.chunks_exact(3 * self.rest_m.len()).map(move |mode| mode[at])
@@ -174,19 +174,19 @@ pub struct Reduced {
     pull_m_per_s2: DVec3,
 }
 
-/// Share of the body's size whose linear energy does not matter.
+/// Displacement, as a share of the body's size, whose linear energy is negligible.
 const NEGLIGIBLE_SHARE: f64 = 1e-12;
 
 impl Reduced {
     /// Most reduced coordinates: the coefficients grow with the fourth power (60: 13 MB, 100: 100 MB).
     pub const MAX_REDUCED: usize = 100;
-    /// Most modal derivatives among which the basis is sought, those of 30 vibrations and loads with each other: the time
-    /// for their principal directions grows with the third power of their number. A choice.
+    /// Largest number of modal derivatives from which the basis is chosen: those of 30 vibrations and loads with each other.
+    /// The time for their principal directions grows with the third power of their number. A choice.
     pub const MAX_DERIVATIVES: usize = 465;
     /// Most nodes whose displacement can be imposed at once.
     pub const MAX_IMPOSED: usize = 64;
-    /// Newton iterations of a step unless [`Reduced::set_most_iterations`] says otherwise: two or three are enough from
-    /// one frame to the next, the rest is for jumps.
+    /// Default limit of the Newton iterations in a step ([`Reduced::set_most_iterations`]): two or three are enough from one
+    /// frame to the next, the rest is for jumps.
     pub const MOST_ITERATIONS: u32 = 20;
 
     fn new(constants: Constants) -> Self {
@@ -211,13 +211,13 @@ impl Reduced {
         }
     }
 
-    /// The rest shape is the one under this gravity [m/s2]; without a call it is the weightless one.
+    /// Declares that the rest shape is the one under this gravity [m/s2]; by default it is the weightless one.
     pub fn carry_at_rest(&mut self, gravity_m_per_s2: DVec3) {
         self.rest_gravity_m_per_s2 = gravity_m_per_s2;
         self.pull_m_per_s2 = DVec3::ZERO;
     }
 
-    /// Newton iterations that one step may take, at least 1.
+    /// Sets the limit of the Newton iterations in a step, at least 1.
     pub fn set_most_iterations(&mut self, most_iterations: u32) {
         self.most_iterations = most_iterations.max(1);
     }
@@ -242,12 +242,12 @@ impl Reduced {
         &self.constants.rows[..self.constants.n_loadable]
     }
 
-    /// How the last step went.
+    /// Report on the last step.
     pub fn solution(&self) -> ReducedSolution {
         self.solution
     }
 
-    /// b = V^T f and C_r f of the applied forces and the weight.
+    /// Computes b = V^T f and C_r f of the applied forces and the weight.
     fn add_loads(&mut self) {
         let Self { constants, newton, remainder_m, .. } = self;
         newton.load.fill(0.0);
@@ -269,7 +269,7 @@ impl Reduced {
         }
     }
 
-    /// V_c, C_c and U - u_0 of the imposed displacements.
+    /// Computes V_c, C_c and U - u_0 of the imposed displacements.
     fn set_imposed(&mut self) {
         let Self { constants, newton, imposed, remainder_m, .. } = self;
         let (s, r, m) = (constants.rows.len(), newton.q.len(), 3 * imposed.len());
@@ -369,7 +369,7 @@ impl DeformableModel for Reduced {
 
     fn take_over(&mut self, positions_m: &[DVec3]) {
         let constants = &self.constants;
-        // The modes are mass-orthonormal: a projection. A node that is not at a finite place starts at rest.
+        // The modes are mass-orthonormal, so this is a projection. A node whose position is not finite starts at rest.
         for (q, mode) in
             self.newton.q.iter_mut().zip(constants.mode_m.chunks_exact(3 * constants.rest_m.len()))
         {
@@ -381,7 +381,7 @@ impl DeformableModel for Reduced {
                 }
             }
         }
-        // Finite places may still be too far away for a sum.
+        // Finite positions may still be too large for a sum.
         if !self.newton.q.iter().all(|q| q.is_finite()) {
             self.newton.q.fill(0.0);
         }
@@ -414,9 +414,9 @@ impl DeformableModel for Reduced {
         }
     }
 
-    /// V A^-1 V^T + C_r with A the reduced stiffness at the present coordinates, exact for this model and the same for
-    /// any period. Where A is not positive definite, multiples of the stiffness at rest are added, as in a step. What
-    /// other tools hold yields, and nodes that cannot be loaded do not.
+    /// V A^-1 V^T + C_r with A the reduced stiffness at the present coordinates: exact for this model, and the same for any
+    /// period. Where A is not positive definite, multiples of the stiffness at rest are added, as in a step. Nodes that other
+    /// tools hold respond too; nodes that cannot be loaded do not.
     fn local_model_into(&mut self, patch: &[NodeId], period_s: f64, _: &mut LocalWork, out: &mut LocalModel) {
         self.fill_local_model(patch, period_s, out);
     }

@@ -1,19 +1,19 @@
 //! Equilibrium in reduced coordinates with imposed displacements: Newton's method with a line search.
 //!
-//! Unknowns are q and the forces lambda that hold the m imposed components (V_c: rows of the modes there, C_c: what the
-//! basis leaves of the compliance there, u_0: displacement there from the other loads through it):
+//! The unknowns are q and the forces lambda that hold the m imposed components. V_c are the rows of the modes there, C_c is
+//! the part of C_r there, and u_0 the displacement there from the other loads through C_r:
 //!
 //! f(q) = b + V_c^T lambda,   V_c q + C_c lambda + u_0 = U.
 //!
-//! With J = df/dq = L L^T the forces follow from (V_c J^-1 V_c^T + C_c) lambda = U - u_0 - V_c (q + J^-1 (b - f)), at
-//! rest the compliance matrix of the pre-computed model. Where J is not positive definite, multiples of the stiffness at
-//! rest are added. A step is halved until the residual, measured as the linear body's energy, falls, or the potential
-//! W(q) - b q - lambda V_c q does, along which every step leads down while lambda is kept.
+//! With J = df/dq = L L^T the forces follow from (V_c J^-1 V_c^T + C_c) lambda = U - u_0 - V_c (q + J^-1 (b - f)). At rest
+//! this matrix is the compliance of the pre-computed model. Where J is not positive definite, multiples of the stiffness
+//! at rest are added. A step is halved until the residual, measured as an energy of the linear body, decreases, or the
+//! potential W(q) - b q - lambda V_c q does; every step is a descent direction of the latter for fixed lambda.
 
 use super::cubic::{ReducedForces, ReducedState};
 use super::dense::{cholesky, dot, solve_lower, solve_upper};
 
-/// Everything that a solution needs, set aside.
+/// The memory of a solution.
 #[derive(Clone, Debug)]
 pub(super) struct Newton {
     /// q, the start of the next solution.
@@ -37,16 +37,16 @@ pub(super) struct Newton {
     gap: Vec<f64>,
 }
 
-/// How a solution went.
+/// Report on a solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReducedSolution {
     /// Newton iterations.
     pub n_iterations: u32,
-    /// Whether the residual became small enough.
+    /// Whether the residual reached the tolerance.
     pub converged: bool,
 }
 
-/// Share of the energy of the forces that act below which the residual's energy ends the iteration: 1e-10 in forces.
+/// The iteration ends when the energy of the residual is below this share of that of the acting forces: 1e-10 in forces.
 const TOLERANCE: f64 = 1e-20;
 /// Share of the full decrease that a step must bring (Armijo).
 const ARMIJO: f64 = 1e-4;
@@ -75,7 +75,7 @@ impl Newton {
         }
     }
 
-    /// Solves for `m` imposed components; `negligible_j` is an energy that does not matter.
+    /// Solves for `m` imposed components; `negligible_j` is a negligible energy [J].
     pub(super) fn solve(
         &mut self,
         forces: &ReducedForces,
@@ -93,7 +93,7 @@ impl Newton {
             }
             let scale_j = self.energy_of_forces_j(forces);
             if before_j <= TOLERANCE * scale_j + negligible_j {
-                // The last step costs nothing and meets the constraints to rounding.
+                // The last step is free and meets the constraints up to rounding.
                 self.q.iter_mut().zip(&self.step).for_each(|(q, d)| *q += d);
                 return ReducedSolution { n_iterations, converged: true };
             }
@@ -123,8 +123,8 @@ impl Newton {
         }
     }
 
-    /// L^-1 of `m` columns of r that `fill` writes, with L of the stiffness at the present q: the products of two of them
-    /// are their compliance. What a solution needs is computed anew by each one, so nothing is lost.
+    /// L^-1 times the `m` columns of r numbers that `fill` writes, with L of the stiffness at the present q: the dot product of
+    /// two of them is their compliance. Overwrites the scratch of a solution, which each solution computes anew.
     pub(super) fn half_solve(
         &mut self,
         forces: &ReducedForces,
@@ -141,7 +141,7 @@ impl Newton {
         &self.half_solved[..r * m]
     }
 
-    /// The Newton step and the forces at its end.
+    /// Computes the Newton step and the forces at its end.
     fn find_step(&mut self, m: usize) {
         let r = self.q.len();
         for i in 0..r {
@@ -172,7 +172,7 @@ impl Newton {
         }
     }
 
-    /// Energy [J] of the forces that are not in balance and, `share` of it, of the gaps at the imposed components.
+    /// Energy [J] of the unbalanced forces, plus `share` of that of the gaps at the imposed components.
     fn residual_energy_j(&self, forces: &ReducedForces, m: usize, share: f64) -> f64 {
         let r = self.q.len();
         let mut sum = 0.0;
@@ -212,7 +212,7 @@ impl Newton {
         dot(&self.state.force, &self.step) - dot(&self.load, &self.step) - held
     }
 
-    /// Takes the step, or as much of it as lowers the residual or the potential; answers whether any did.
+    /// Takes as much of the step as lowers the residual or the potential; returns whether any part did.
     fn search(&mut self, forces: &ReducedForces, m: usize, before_j: f64) -> bool {
         let (potential_j, slope_j) = (self.potential_j(m), self.slope_j(m));
         let mut share = 1.0;

@@ -35,13 +35,13 @@ pub const VISCOSITY_KG_PER_M3_S: f64 = 1000.0;
 /// Why an experiment could not be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum ExperimentError {
-    /// No such body.
+    /// The body is impossible.
     #[error(transparent)]
     Body(#[from] ExplicitError),
-    /// No such material.
+    /// The material is impossible.
     #[error(transparent)]
     Material(#[from] crate::material::MaterialError),
-    /// The mesh is no mesh.
+    /// The mesh is not a valid body.
     #[error(transparent)]
     Topology(#[from] TopologyError),
     /// The mesh cannot be edited.
@@ -55,7 +55,7 @@ pub enum ExperimentError {
 /// The seed's material.
 ///
 /// # Errors
-/// Never for the constants above.
+/// None for the constants above.
 pub fn seed_material() -> Result<LinearElastic, ExperimentError> {
     Ok(LinearElastic::from_young_poisson(YOUNG_MODULUS_PA, POISSON_RATIO, DENSITY_KG_PER_M3)?)
 }
@@ -69,7 +69,7 @@ pub fn uniaxial_force_n(stretch: f64) -> f64 {
 /// Uniaxial compression or traction of the cube between sliding plates (seed `000` s. 3.5.2 and 3.6.2).
 #[derive(Clone, Copy, Debug)]
 pub struct UniaxialParams {
-    /// Nodes a side.
+    /// Nodes per side.
     pub n_nodes: usize,
     /// Viscosity c [kg/(m3 s)].
     pub viscosity_kg_per_m3_s: f64,
@@ -77,14 +77,14 @@ pub struct UniaxialParams {
     pub speed_m_per_s: f64,
     /// Stretch at the end.
     pub last_stretch: f64,
-    /// Readings between rest and the end, evenly.
+    /// Evenly spaced readings between rest and the end.
     pub n_readings: usize,
 }
 
-/// Against the exact curve.
+/// Comparison with the exact curve.
 #[derive(Clone, Debug)]
 pub struct UniaxialOutcome {
-    /// What the bench read.
+    /// The readings of the bench.
     pub plates: PlateOutcome,
     /// Step [s].
     pub step_s: f64,
@@ -203,7 +203,7 @@ pub fn mass_spring_cube(
                 integration: Integration::default(),
             })
         };
-        // The thesis' step is 0.1 ms: sure to be stable for these meshes, and its model tells the longest.
+        // The thesis' step is 0.1 ms, which is stable for these meshes; the model knows the longest stable one.
         let step_s = (0.5 * build(1e-4)?.stable_step_s()).min(1e-3);
         let mut model = build(step_s)?;
         n_springs = model.springs_n_per_m().count();
@@ -231,7 +231,7 @@ pub fn mass_spring_cube(
     Ok(MassSpringCube { name, published_pa, counts, measured_pa, n_inverted: inverted })
 }
 
-/// How a dropped cube fell.
+/// Report on a dropped cube.
 #[derive(Clone, Copy, Debug)]
 pub struct Drop {
     /// Largest slope of the cube's upper side against the ground after the impact [rad].
@@ -328,7 +328,7 @@ fn tilt_rad(positions_m: &[DVec3], nodes: &[usize]) -> f64 {
     libm::atan(libm::sqrt(slope_x * slope_x + slope_y * slope_y))
 }
 
-/// Force [N] and half-space modulus [Pa] of a punch of 14 mm radius, 1 mm deep, in the cube of 5 nodes a side; extended
+/// Force [N] and half-space modulus [Pa] of a punch of 14 mm radius, 1 mm deep, in the cube of 5 nodes per side; extended
 /// mass-spring. (The thesis announces indentation and shows no result.)
 ///
 /// # Errors
@@ -358,7 +358,7 @@ pub fn indentation_of_cube() -> Result<[f64; 2], ExperimentError> {
 /// half of a fused pair count one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ForceOperations {
-    /// What the mesh has.
+    /// Sizes of the mesh.
     pub counts: EntityCounts,
     /// Linear tensor-mass: 3x3 products on vertices and edges.
     pub linear_tensor_mass: usize,
@@ -369,7 +369,7 @@ pub struct ForceOperations {
     pub extended_mass_spring: usize,
 }
 
-/// Operations an entity, as [`ForceOperations`] counts them.
+/// Operations per entity, as [`ForceOperations`] counts them.
 ///
 /// Linear tensor-mass: a vertex has one 3x3 product (15) added to a force (3), an edge two (36).
 /// Non-linear part on a vertex: u.u and u.C (10), two factors (4), two scaled vectors and three sums (12): 26. Edge: three

@@ -1,9 +1,9 @@
 //! A virtual rheology bench (seed `000` s. 2.3.4): plates and punches that act on any [`DeformableModel`] through
 //! imposed displacements, and the sum of the reactions.
 //!
-//! A plate holds its nodes along its axis. Where it lets them slide, the bench moves them across the axis itself,
-//! by semi-implicit Euler with their lumped masses and the reactions that the model reports: the model sees plain
-//! imposed displacements.
+//! A plate holds its nodes along its axis. Where the nodes slide, the bench moves them across the axis itself, by
+//! semi-implicit Euler with their lumped masses and the reactions that the model reports. The model sees ordinary imposed
+//! displacements.
 
 pub mod experiments;
 
@@ -11,12 +11,12 @@ use super::{Constraints, DeformableModel, ImposedDisplacement};
 use glisson_mesh::math::{Aabb, DVec3, is_inverted, tetrahedron_volume_m3};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
-/// What a plate does to its nodes across its axis.
+/// How a plate holds its nodes across its axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlateContact {
-    /// They stick.
+    /// The nodes stick to the plate.
     Sticking,
-    /// They slide without friction.
+    /// The nodes slide without friction.
     Sliding,
 }
 
@@ -35,17 +35,17 @@ pub struct PlateTest<'a> {
     pub damping_per_s: f64,
     /// Speed of the upper plate [m/s], positive.
     pub speed_m_per_s: f64,
-    /// Time in which the plate comes to its speed [s]: a jolt would ring.
+    /// Time in which the plate reaches its speed [s]: a jolt would excite vibrations.
     pub ramp_s: f64,
     /// Step [s].
     pub step_s: f64,
-    /// Length over rest length at which to read the force, running away from 1; the last one ends the motion.
+    /// Stretches (length over rest length) at which to read the force, moving away from 1; the last one ends the motion.
     pub stretches: &'a [f64],
     /// How long the plate rests afterwards before the last reading [s].
     pub hold_s: f64,
 }
 
-/// What was read at one position of the upper plate.
+/// The readings at one position of the upper plate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlateReading {
     /// Length over rest length.
@@ -56,7 +56,7 @@ pub struct PlateReading {
     pub n_inverted: usize,
 }
 
-/// What came out of a plate test.
+/// Result of a plate test.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlateOutcome {
     /// A reading for each of [`PlateTest::stretches`] and one after the hold.
@@ -71,7 +71,7 @@ pub fn measured_modulus_pa(reading: PlateReading, area_m2: f64) -> f64 {
     reading.force_n / area_m2 / (reading.stretch - 1.0)
 }
 
-/// How often inversions are looked for, in steps.
+/// Steps between checks for inversions.
 const INVERSION_INTERVAL: u64 = 20;
 
 /// Runs a plate test on a model of the test's mesh, at rest and without supports of its own on the plates.
@@ -102,7 +102,7 @@ pub fn press_between_plates(model: &mut dyn DeformableModel, test: &PlateTest<'_
             time_s += test.step_s;
             let share = (time_s / test.ramp_s).min(1.0);
             let way_m = direction * test.speed_m_per_s * share * test.step_s;
-            // The last step before a reading is shorter, so that it is read at the stretch asked for.
+            // The last step before a reading is shorter, so that the reading is at the requested stretch.
             driven_m =
                 if direction > 0.0 { target_m.min(driven_m + way_m) } else { target_m.max(driven_m + way_m) };
             rig.advance(model, driven_m, test.step_s);
@@ -140,7 +140,7 @@ pub struct IndentationTest<'a> {
     pub radius_m: f64,
     /// Depth [m].
     pub depth_m: f64,
-    /// Time to come down, smoothly [s].
+    /// Time of the descent, which is smooth [s].
     pub press_s: f64,
     /// Time to wait before the reading [s].
     pub hold_s: f64,
@@ -148,7 +148,7 @@ pub struct IndentationTest<'a> {
     pub step_s: f64,
 }
 
-/// What came out of an indentation.
+/// Result of an indentation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IndentationOutcome {
     /// Force of the punch into the body [N].
@@ -160,9 +160,9 @@ pub struct IndentationOutcome {
 }
 
 impl IndentationOutcome {
-    /// Young's modulus [Pa] of the half space that would resist a flat punch so: F (1 - nu^2)/(2 a d) (I. N. Sneddon
-    /// 1965, doi 10.1016/0020-7225(65)90019-4). A body that is not deep against the punch seems stiffer,
-    /// a mesh with few nodes under the punch softer.
+    /// Young's modulus [Pa] of a half space with the same resistance to a flat punch: F (1 - nu^2)/(2 a d) (I. N. Sneddon 1965,
+    /// doi 10.1016/0020-7225(65)90019-4). A body that is shallow compared with the punch seems stiffer, a mesh with few nodes
+    /// under the punch softer.
     pub fn half_space_modulus_pa(&self, test: &IndentationTest<'_>, poisson_ratio: f64) -> f64 {
         self.force_n * (1.0 - poisson_ratio * poisson_ratio) / (2.0 * test.radius_m * test.depth_m)
     }
@@ -224,10 +224,10 @@ pub fn lumped_masses_kg(mesh: &TetMesh, density_kg_per_m3: f64) -> Vec<f64> {
     masses_kg
 }
 
-/// The nodes that the bench holds, with what they do across the axis.
+/// The nodes that the bench holds, and how they are held across the axis.
 struct Rig {
     axis: usize,
-    /// Share of the driven way that each node makes: 0 for the support, 1 for the tool.
+    /// Share of the driven displacement of each node: 0 for the support, 1 for the tool.
     shares: Vec<f64>,
     masses_kg: Vec<f64>,
     slides: bool,

@@ -17,7 +17,7 @@
 //! so that central and backward differences take it implicitly, in closed form.
 //! Central differences have order 2 as long as a does not depend on v, else 1.
 //!
-//! Where to use which: [`Scheme`]. How long a step may be: [`Scheme::stable_step_s`].
+//! [`Scheme`] tells where to use which; [`Scheme::stable_step_s`] gives the longest stable step.
 
 mod stability;
 
@@ -25,9 +25,9 @@ pub use stability::ModeBounds;
 
 use glisson_mesh::math::DVec3;
 
-/// How to advance in time.
+/// A time integration scheme.
 ///
-/// - [`Scheme::SemiImplicitEuler`]: the usual choice for soft bodies with contacts; one evaluation a step.
+/// - [`Scheme::SemiImplicitEuler`]: the usual choice for soft bodies with contacts; one evaluation per step.
 /// - [`Scheme::CentralDifferences`]: the same cost and step, order 2, and damping takes nothing from the step.
 /// - [`Scheme::RungeKutta4`]: smooth motions to many digits; per evaluation its step is a third.
 /// - [`Scheme::RungeKutta2`]: amplifies undamped oscillations; for comparison.
@@ -99,7 +99,7 @@ impl Scheme {
         }
     }
 
-    /// How many positions before the present one have to be kept.
+    /// Number of positions before the present one that the scheme needs.
     fn n_past(self) -> usize {
         self.backward_weights().map_or(0, |w| w.second.len() - 2)
     }
@@ -111,7 +111,7 @@ struct BackwardWeights {
     second: &'static [f64],
 }
 
-/// What moves the nodes.
+/// The equations of motion of the nodes.
 pub trait EquationsOfMotion {
     /// Overwrites `accelerations_m_per_s2` with a(x, v) of every node, without [`Motion::damping_per_s`]. Values
     /// of nodes that do not move freely are not used.
@@ -123,7 +123,7 @@ pub trait EquationsOfMotion {
     );
 }
 
-/// What a step changes, one entry a node.
+/// The state that a step changes, one entry per node.
 #[derive(Debug)]
 pub struct Motion<'a> {
     /// Positions [m].
@@ -137,7 +137,7 @@ pub struct Motion<'a> {
     pub damping_per_s: &'a [f64],
 }
 
-/// When the fixed point of an implicit step is found.
+/// When the fixed-point iteration of an implicit step ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FixedPoint {
     /// The largest change of a coordinate in the last iteration [m].
@@ -154,7 +154,7 @@ impl Default for FixedPoint {
     }
 }
 
-/// What a step took.
+/// Report on the effort of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Effort {
     /// Evaluations of the accelerations.
@@ -179,7 +179,7 @@ pub struct Integrator {
 }
 
 impl Integrator {
-    /// An integrator at its start for so many nodes.
+    /// An integrator without a past for so many nodes.
     pub fn new(scheme: Scheme, fixed_point: FixedPoint, n_nodes: usize) -> Self {
         let mut integrator = Self {
             scheme,
@@ -195,7 +195,7 @@ impl Integrator {
         integrator
     }
 
-    /// Starts anew with another number of nodes: the next step begins from positions and velocities alone.
+    /// Resets the integrator for another number of nodes: the next step starts from positions and velocities alone.
     pub fn resize(&mut self, n_nodes: usize) {
         self.n_nodes = n_nodes;
         self.past = vec![0.0; 3 * n_nodes * self.scheme.n_past() + 1];
@@ -208,7 +208,7 @@ impl Integrator {
         self.stages = vec![DVec3::ZERO; if needs_stages { 3 * n_nodes } else { n_nodes }];
     }
 
-    /// Forgets the past: the next step begins from positions and velocities alone. Allocates nothing.
+    /// Forgets the past: the next step starts from positions and velocities alone. Allocates nothing.
     pub fn restart(&mut self) {
         self.past.fill(0.0);
     }
@@ -218,12 +218,12 @@ impl Integrator {
         self.scheme
     }
 
-    /// What the next step depends on beside positions and velocities.
+    /// State that the next step depends on besides positions and velocities.
     pub fn history(&self) -> &[f64] {
         &self.past
     }
 
-    /// Comes back to a [`Integrator::history`] of the same scheme and number of nodes.
+    /// Restores a [`Integrator::history`] of the same scheme and number of nodes.
     ///
     /// # Panics
     /// When the length differs.
@@ -344,20 +344,38 @@ impl Integrator {
         motion: &mut Motion<'_>,
         h_s: f64,
     ) -> Effort {
-        let n = self.n_nodes;
         let weights = self.scheme.backward_weights().expect("called for backward differences only");
         let mut evaluations = 0;
         if self.past.last() != Some(&h_s) {
             equations.accelerations_into(
                 motion.positions_m,
                 motion.velocities_m_per_s,
-                &mut self.stages[..n],
+                &mut self.stages[..self.n_nodes],
             );
             evaluations += 1;
             self.imagine_past(motion, h_s);
         }
+        self.sum_up_past(weights, motion, h_s);
+        let mut missed_fixed_point = true;
+        for _ in 0..self.fixed_point.most_iterations {
+            let a = &mut self.stages[..self.n_nodes];
+            equations.accelerations_into(&self.stage_positions_m, &self.stage_velocities_m_per_s, a);
+            evaluations += 1;
+            if self.iterate(weights, motion, h_s) <= self.fixed_point.tolerance_m {
+                missed_fixed_point = false;
+                break;
+            }
+        }
+        self.remember(motion, h_s);
+        motion.positions_m.copy_from_slice(&self.stage_positions_m);
+        motion.velocities_m_per_s.copy_from_slice(&self.stage_velocities_m_per_s);
+        Effort { evaluations, missed_fixed_point }
+    }
+
+    /// Overwrites known_v and known_a, and makes free flight the first guess.
+    fn sum_up_past(&mut self, weights: BackwardWeights, motion: &Motion<'_>, h_s: f64) {
+        let n = self.n_nodes;
         let (known_v, known_a) = self.known.split_at_mut(n);
-        let (x, v) = (&mut self.stage_positions_m, &mut self.stage_velocities_m_per_s);
         for i in 0..n {
             let now = motion.positions_m[i];
             known_v[i] = weights.first[1] * now;
@@ -369,34 +387,36 @@ impl Integrator {
                     known_v[i] += alpha * earlier;
                 }
             }
-            // Free flight is the first guess.
-            let moves = motion.moves[i];
-            v[i] = motion.velocities_m_per_s[i];
-            x[i] = if moves { now + h_s * v[i] } else { now };
+            let v = motion.velocities_m_per_s[i];
+            self.stage_velocities_m_per_s[i] = v;
+            self.stage_positions_m[i] = if motion.moves[i] { now + h_s * v } else { now };
         }
-        let mut missed_fixed_point = true;
-        for _ in 0..self.fixed_point.most_iterations {
-            let a = &mut self.stages[..n];
-            equations.accelerations_into(x, v, a);
-            evaluations += 1;
-            let mut change_m: f64 = 0.0;
-            for i in 0..n {
-                if !motion.moves[i] {
-                    continue;
-                }
-                let d = motion.damping_per_s[i];
-                let right = a[i] - known_a[i] / (h_s * h_s) - d / h_s * known_v[i];
-                let next = right / (weights.second[0] / (h_s * h_s) + d * weights.first[0] / h_s);
-                change_m = change_m.max((next - x[i]).abs().max_element());
-                x[i] = next;
-                v[i] = (weights.first[0] * next + known_v[i]) / h_s;
+    }
+
+    /// One iteration of the fixed point with the accelerations in `stages`; the largest change of a position [m].
+    fn iterate(&mut self, weights: BackwardWeights, motion: &Motion<'_>, h_s: f64) -> f64 {
+        let n = self.n_nodes;
+        let (known_v, known_a) = self.known.split_at(n);
+        let (x, v) = (&mut self.stage_positions_m, &mut self.stage_velocities_m_per_s);
+        let a = &self.stages[..n];
+        let mut change_m: f64 = 0.0;
+        for i in 0..n {
+            if !motion.moves[i] {
+                continue;
             }
-            if change_m <= self.fixed_point.tolerance_m {
-                missed_fixed_point = false;
-                break;
-            }
+            let d = motion.damping_per_s[i];
+            let right = a[i] - known_a[i] / (h_s * h_s) - d / h_s * known_v[i];
+            let next = right / (weights.second[0] / (h_s * h_s) + d * weights.first[0] / h_s);
+            change_m = change_m.max((next - x[i]).abs().max_element());
+            x[i] = next;
+            v[i] = (weights.first[0] * next + known_v[i]) / h_s;
         }
-        // The past moves on by one step.
+        change_m
+    }
+
+    /// Shifts the past by one step.
+    fn remember(&mut self, motion: &Motion<'_>, h_s: f64) {
+        let n = self.n_nodes;
         for s in (1..self.scheme.n_past()).rev() {
             self.past.copy_within(3 * n * (s - 1)..3 * n * s, 3 * n * s);
         }
@@ -408,12 +428,9 @@ impl Integrator {
             };
             set_past_position(&mut self.past, n, 0, i, before);
         }
-        motion.positions_m.copy_from_slice(x);
-        motion.velocities_m_per_s.copy_from_slice(v);
-        Effort { evaluations, missed_fixed_point }
     }
 
-    /// A past that fits position, velocity and acceleration (in `stages`): x - s h v + (s h)^2/2 a.
+    /// Fills a past consistent with position, velocity and acceleration (in `stages`): x - s h v + (s h)^2/2 a.
     fn imagine_past(&mut self, motion: &Motion<'_>, h_s: f64) {
         let n = self.n_nodes;
         for s in 0..self.scheme.n_past() {
@@ -446,7 +463,7 @@ fn set_past_position(past: &mut [f64], n_nodes: usize, age: usize, node: usize, 
 struct Stage {
     /// Share of this stage's slope in the step.
     weight: f64,
-    /// How far along its slope the next stage stands, in steps.
+    /// Distance along its slope to the next stage, in steps.
     reach_of_next: f64,
 }
 

@@ -1,4 +1,4 @@
-//! How long a step may be.
+//! The longest stable step of each scheme.
 //!
 //! A linear body moves in modes x'' = -omega^2 x - d x' - c x', with omega up to the highest frequency, d the
 //! nodes' damping and c that of the accelerations.
@@ -12,7 +12,7 @@
 
 use super::Scheme;
 
-/// Kept below each bound, where a mode would grow by rounding.
+/// Safety factor below each bound, at which a mode would grow by rounding.
 const MARGIN: f64 = 0.999;
 
 /// Half of the distance to the solution is lost in each iteration of a fixed point, or more.
@@ -74,11 +74,11 @@ fn runge_kutta_bound_s(n_stages: u32, omega: f64, [least, largest]: [f64; 2]) ->
         let middle = 0.5 * (stable + unstable);
         if is_stable(middle) { stable = middle } else { unstable = middle }
     }
-    // What rounding lets pass as stable is none.
+    // A step that passes by rounding alone counts as unstable.
     if stable * fastest < 1e-2 { 0.0 } else { stable }
 }
 
-/// An amplification above one by so much is rounding.
+/// An amplification above one by this much counts as rounding.
 const ROUNDING: f64 = 1e-12;
 
 /// Largest absolute value of the stability polynomial at the two roots of a mode.

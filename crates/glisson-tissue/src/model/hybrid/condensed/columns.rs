@@ -1,14 +1,15 @@
 //! Dense matrices by columns, and the products that a step makes with them.
 //!
-//! A step reads a matrix once from memory, which is what it costs: eight columns are added in one sweep, so that the
-//! sums are read and written an eighth as often. Every sum has one order, so the bits are the same at any number of
-//! threads; a processor without fused multiply-add rounds the tiles' products once more.
+//! Memory bandwidth limits a step. A matrix is read once, and eight columns are added in one sweep, so that the sums
+//! are read and written an eighth as often. Every sum has a fixed order, so the bits do not depend on the number of
+//! threads. A processor without fused multiply-add rounds the tiles' products once more.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
 use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
+use glisson_mesh::math::DMat3;
 use rayon::prelude::*;
 
 use crate::model::precomputed::Precision;
@@ -16,10 +17,10 @@ use crate::model::precomputed::Precision;
 /// Columns added in one sweep.
 const SWEEP: usize = 8;
 
-/// Columns of a product that one task makes. The partition does not depend on the number of threads.
+/// Columns of a product that one task computes. The partition does not depend on the number of threads.
 const PRODUCT_COLUMNS: usize = 96;
 
-/// The numbers of a matrix, column after column.
+/// The entries of a matrix in column-major order.
 #[derive(Clone, Debug, PartialEq)]
 enum Numbers {
     F64(Vec<f64>),
@@ -46,7 +47,7 @@ impl Columns {
         Self::of(n_rows, n_columns, vec![0.0; n_rows * n_columns])
     }
 
-    /// The same with rounded numbers, if that is asked for.
+    /// The same matrix with its entries stored in this precision.
     pub(super) fn kept_in(self, precision: Precision) -> Self {
         match (precision, self.numbers) {
             (Precision::F32, Numbers::F64(numbers)) => {
@@ -110,7 +111,27 @@ impl Columns {
         &mut self.numbers_mut()[n * column..n * (column + 1)]
     }
 
-    /// Adds the first rows of `columns` times their factors to `sums`, as many rows as there are sums.
+    /// Adds a 3 x 3 block to a matrix in f64, at row block `p` and column block `q`.
+    pub(super) fn add_block(&mut self, p: usize, q: usize, block: DMat3) {
+        for axis in 0..3 {
+            let column = &mut self.column_mut(3 * q + axis)[3 * p..3 * p + 3];
+            column.iter_mut().zip(block.col(axis).to_array()).for_each(|(to, x)| *to += x);
+        }
+    }
+
+    /// Makes a square matrix in f64 symmetric: replaces each pair of entries across the diagonal by its mean. They
+    /// differ by rounding.
+    pub(super) fn symmetrize(&mut self) {
+        for j in 0..self.n_columns {
+            for i in 0..j {
+                let mean = 0.5 * (self.entry(i, j) + self.entry(j, i));
+                self.column_mut(j)[i] = mean;
+                self.column_mut(i)[j] = mean;
+            }
+        }
+    }
+
+    /// Adds the weighted columns to `sums`; uses the first rows when there are fewer sums than rows.
     pub(super) fn add_weighted(&self, weighted: impl Iterator<Item = (usize, f64)>, sums: &mut [f64]) {
         assert!(sums.len() <= self.n_rows, "no more sums than rows");
         let level = Level::new();
@@ -131,7 +152,7 @@ impl Columns {
         }
     }
 
-    /// Adds the matrix times `x` to `sums`, the first rows of it where there are fewer sums.
+    /// Adds the matrix times `x` to `sums`; uses the first rows when there are fewer sums than rows.
     pub(super) fn add_times(&self, x: &[f64], sums: &mut [f64]) {
         assert_eq!(x.len(), self.n_columns, "one factor a column");
         self.add_weighted(x.iter().copied().enumerate(), sums);
@@ -152,7 +173,7 @@ impl Columns {
         }
     }
 
-    /// Adds `left` times `right` to a matrix, `right` in f64; over the threads of the pool.
+    /// Adds `left` times `right` (in f64) to the matrix, on the threads of the pool.
     pub(super) fn add_product(&mut self, left: &Columns, right: &Columns) {
         assert_eq!(left.n_columns, right.n_rows, "inner sizes");
         assert_eq!((self.n_rows, self.n_columns), (left.n_rows, right.n_columns), "outer sizes");
@@ -194,7 +215,7 @@ impl Columns {
         }
     }
 
-    /// The inverse of a symmetric positive definite matrix in f64, or `None` when it is not one.
+    /// The inverse of a symmetric matrix in f64, or `None` when it is not positive definite.
     pub(super) fn inverse(&self) -> Option<Self> {
         let n = self.n_rows;
         assert_eq!(n, self.n_columns, "a square matrix");
@@ -223,7 +244,7 @@ impl Columns {
         inverse.numbers().iter().all(|x| x.is_finite()).then_some(inverse)
     }
 
-    /// The columns of the rows given.
+    /// The transpose of these rows.
     pub(super) fn transpose_of_rows(&self, rows: std::ops::Range<usize>) -> Self {
         let mut transposed = Self::zeros(self.n_columns, rows.len());
         for (to, row) in rows.enumerate() {
@@ -269,12 +290,12 @@ enum Tiles {
     F32(Vec<Tile<f32>>),
 }
 
-/// A symmetric matrix by its lower triangle: half the memory to read, so that a frontier of some hundred nodes stays in
-/// the second-level cache from step to step. Tiles of eight by eight, down each block of columns.
+/// The lower triangle of a symmetric matrix, in tiles of eight by eight, down each block of columns. It takes half the
+/// memory, so that a frontier of some hundred nodes stays in the second-level cache from step to step.
 ///
-/// The large numbers stand in the tiles on the diagonal, which are always f64. The others may be kept in f32: memory is
-/// what the product waits for. Each is then off by a share of 6e-8 at most, the same in every step, and is worked
-/// with in f64; the matrix stays symmetric, so that no energy comes from it.
+/// The tiles on the diagonal hold the large entries and are always f64. The others may be stored in f32, because memory
+/// bandwidth limits the product; the arithmetic is in f64. The relative error of an entry is at most 6e-8 and the
+/// same in every step. The matrix stays symmetric, so that it adds no energy.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct SymmetricTiles {
     n: usize,
@@ -303,12 +324,12 @@ impl SymmetricTiles {
         Self { n, diagonal: (0..n_blocks).map(|j| tile(j, j)).collect(), below }
     }
 
-    /// Numbers that a vector takes: whole blocks.
+    /// Length of a vector padded to whole tiles.
     pub(super) fn padded_len(&self) -> usize {
         TILE * self.n.div_ceil(TILE)
     }
 
-    /// Adds the matrix times `x` to `sums`, both of whole blocks.
+    /// Adds the matrix times `x` to `sums`; both are padded to whole tiles.
     pub(super) fn add_times(&self, x: &[f64], sums: &mut [f64]) {
         assert_eq!((x.len(), sums.len()), (self.padded_len(), self.padded_len()), "whole blocks");
         let (x, sums) = (x.as_chunks().0, sums.as_chunks_mut().0);
@@ -338,7 +359,7 @@ fn add_tiles<S: Simd, T: Copy + Into<f64>>(
         let (panel, later) = rest.split_at(x.len() - j - 1);
         rest = later;
         let factors: [f64x8<S>; TILE] = std::array::from_fn(|k| f64x8::splat(simd, x[j][k]));
-        // The tile on the diagonal is whole; the others stand for their mirror image too.
+        // The tile on the diagonal is complete; each other one also acts transposed.
         let mut sum = f64x8::from_slice(simd, &sums[j]);
         for k in 0..TILE {
             sum = f64x8::from_slice(simd, &diagonal[j][k]).mul_add(factors[k], sum);
@@ -365,7 +386,7 @@ fn add_tiles<S: Simd, T: Copy + Into<f64>>(
     }
 }
 
-/// Dot product in eight partial sums.
+/// Dot product by eight partial sums.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (a_blocks, a_rest) = a.as_chunks::<8>();
     let (b_blocks, b_rest) = b[..a.len()].as_chunks::<8>();

@@ -1,8 +1,8 @@
-//! Nodes of pre-computed zones that tools hold: a small dense system, factored once a step.
+//! Nodes of pre-computed zones that tools hold: a small dense system, factored once per step.
 //!
-//! With A their compliance while the dynamic nodes are held, a where they would be without the tools and H how they
-//! follow the dynamic nodes, the tools' forces r are those with A r = u* - a - H u_d. The dynamic nodes feel H^T r: a
-//! tool makes what they feel stiffer, but still at most as stiff as the assembled frontier.
+//! Let A be their compliance while the dynamic nodes are held, a their displacement without the tools, and H how they
+//! follow the dynamic nodes. The tools' forces r solve A r = u* - a - H u_d, and the dynamic nodes feel H^T r. A tool
+//! makes the stiffness that they feel larger, but not larger than that of the assembled frontier.
 
 use glisson_mesh::math::{DMat3, DVec3};
 
@@ -13,7 +13,7 @@ const LEAST_PIVOT: f64 = 1e-13;
 #[derive(Clone, Debug)]
 pub(super) struct ContactSystem {
     n: usize,
-    /// Lower triangle by columns; afterwards L, its diagonal inverted.
+    /// Lower triangle by columns; after the factorization L with its diagonal inverted.
     entry: Vec<f64>,
     right: Vec<f64>,
 }
@@ -24,12 +24,12 @@ impl ContactSystem {
         Self { n: 0, entry: vec![0.0; n * n], right: vec![0.0; n] }
     }
 
-    /// Begins a system of `n` rows.
+    /// Starts a system of `n` rows.
     pub(super) fn start(&mut self, n: usize) {
         self.n = n;
     }
 
-    /// Sets the tensor of two held nodes, the first not before the second.
+    /// Sets the compliance between two held nodes; the first must not come before the second.
     pub(super) fn set(&mut self, i: usize, j: usize, tensor: DMat3) {
         for axis in 0..3 {
             let at = self.n * (3 * j + axis) + 3 * i;

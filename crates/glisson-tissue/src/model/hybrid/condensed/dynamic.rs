@@ -1,16 +1,15 @@
 //! The dynamic zones as one body: tensor-mass with the other zones condensed onto its nodes.
 //!
-//! Linear zones have tensors on vertices and edges, St Venant-Kirchhoff ones their tetrahedra ([`KirchhoffTet`]); both
-//! are differences from the same rest shape, so that they add up at the nodes they share. What the other zones bear
-//! stays linear.
+//! Linear zones use tensors on vertices and edges, St Venant-Kirchhoff zones their tetrahedra ([`KirchhoffTet`]). Both
+//! start from the same rest shape, so their forces add up at shared nodes. The other zones stay linear.
 //!
-//! All dynamic zones are one body, so that zones that touch are merged without more ado (seed `003` s. 4.3.2.1). It is
-//! the frame and the central differences of the tensor-mass model on the dynamic tetrahedra; the pre-computed
-//! tetrahedra around them are there for their mass and for the stable step, their corners elsewhere are held.
+//! All dynamic zones are one body, so zones that touch need no coupling (seed `003` s. 4.3.2.1). It moves by the
+//! central differences of the tensor-mass model on the dynamic tetrahedra. The pre-computed tetrahedra around them
+//! count for the masses and the stable step; their other corners are held.
 
 use super::ZoneLaw;
 use super::columns::SymmetricTiles;
-use super::zone::Whole;
+use super::zone::{SubMesh, Whole};
 use crate::model::explicit::{
     ExplicitError, ExplicitMotion, Mover, Padded, Quarantine, Stability, StiffTet, unpadded,
 };
@@ -22,7 +21,7 @@ use crate::solve::P1Gradients;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
-/// Marks a node or tetrahedron that the mesh has no more.
+/// Marks a node or tetrahedron that is no longer in the mesh.
 const GONE: u32 = u32::MAX;
 
 /// The dynamic zones.
@@ -30,25 +29,26 @@ const GONE: u32 = u32::MAX;
 pub(super) struct DynamicPart {
     /// Node of the mesh for each of the body's.
     nodes: Vec<u32>,
-    /// Tetrahedron of the mesh for each of the body's: linear ones, other dynamic ones, those around; each group ascends.
+    /// Tetrahedron of the mesh for each of the body's: linear dynamic ones, non-linear dynamic ones, those around them.
+    /// Each group ascends.
     tets: Vec<u32>,
     mesh: TetMesh,
     is_live: Vec<bool>,
     n_linear_tets: usize,
     n_dynamic_tets: usize,
-    /// Live dynamic tetrahedra at each node; a node moves by itself while it has some.
+    /// Number of live dynamic tetrahedra at each node; a node with any is dynamic.
     dynamic_tets: Vec<u32>,
-    /// Live linear dynamic ones.
+    /// Number of live linear dynamic tetrahedra at each node.
     linear_tets: Vec<u32>,
-    /// Of the linear zones, if there are any.
+    /// Tensors of the linear zones, if there are any.
     tensors: Option<VertexEdgeTensors>,
-    /// The other dynamic tetrahedra, in their order, and their law.
+    /// The non-linear dynamic tetrahedra in order, and their law.
     kirchhoff: Vec<KirchhoffTet>,
     law: TetLaw,
     pub(super) motion: ExplicitMotion,
-    /// Nodes of the body that hang on pre-computed zones, in the interface's order.
+    /// Nodes of the body on the frontier with pre-computed zones, in the interface's order.
     frontier: Vec<u32>,
-    /// Their displacements, and forces on them, padded to whole tiles.
+    /// Their displacements [m], and the forces [N] on them, padded to whole tiles.
     frontier_m: Vec<f64>,
     frontier_n: Vec<f64>,
 }
@@ -57,7 +57,7 @@ pub(super) struct DynamicPart {
 pub(super) struct DynamicSource<'a> {
     pub(super) whole: &'a Whole<'a>,
     pub(super) body: &'a DynamicBody<'a>,
-    /// The law of each tetrahedron, and whether it is there.
+    /// The law of each tetrahedron, and whether it is live.
     pub(super) law_of_tet: &'a [ZoneLaw],
     pub(super) is_live_tet: &'a [bool],
     /// The stable step holds while the principal stretches of St Venant-Kirchhoff zones stay within [1/s, s] for this s.
@@ -66,59 +66,58 @@ pub(super) struct DynamicSource<'a> {
     pub(super) is_dynamic: &'a [bool],
 }
 
-impl DynamicPart {
-    /// The live dynamic tetrahedra as a body at rest, or nothing when there are none.
-    ///
-    /// # Errors
-    /// [`ExplicitError`] for impossible supports and loads.
-    pub(super) fn build(source: &DynamicSource<'_>) -> Result<Option<Self>, ExplicitError> {
-        let DynamicSource { whole, body, law_of_tet, is_live_tet, is_dynamic, .. } = *source;
+/// The tetrahedra of the dynamic part, and the mesh that they make.
+struct CutOut {
+    /// Linear dynamic ones, non-linear dynamic ones, those around them.
+    tets: Vec<usize>,
+    n_linear_tets: usize,
+    n_dynamic_tets: usize,
+    part: SubMesh,
+}
+
+impl CutOut {
+    fn of(source: &DynamicSource<'_>) -> Self {
+        let DynamicSource { whole, law_of_tet, is_live_tet, is_dynamic, .. } = *source;
         let live = |t: &usize| is_live_tet[*t];
-        let corners = |t: usize| whole.mesh.tetrahedra[t];
         let n_tets = whole.mesh.tetrahedra.len();
         let of = |law: ZoneLaw| (0..n_tets).filter(live).filter(move |&t| law_of_tet[t] == law);
         let mut tets: Vec<usize> = of(ZoneLaw::TensorMass).collect();
         let n_linear_tets = tets.len();
         tets.extend(of(ZoneLaw::NonlinearTensorMass));
         let n_dynamic_tets = tets.len();
-        if n_dynamic_tets == 0 {
-            return Ok(None);
-        }
-        let beside =
-            |t: &usize| !law_of_tet[*t].is_dynamic() && corners(*t).iter().any(|n| is_dynamic[n.index()]);
-        tets.extend((0..n_tets).filter(live).filter(beside));
-        let mut nodes: Vec<NodeId> = tets.iter().flat_map(|&t| corners(t)).collect();
-        nodes.sort_unstable();
-        nodes.dedup();
-        let local = |n: NodeId| nodes.binary_search(&n).ok().map(NodeId::from_index);
-        let mesh = TetMesh {
-            positions_m: nodes.iter().map(|n| whole.mesh.positions_m[n.index()]).collect(),
-            tetrahedra: tets
-                .iter()
-                .map(|&t| corners(t).map(|n| local(n).expect("a node of its tetrahedron")))
-                .collect(),
+        let beside = |t: &usize| {
+            !law_of_tet[*t].is_dynamic() && whole.mesh.tetrahedra[*t].iter().any(|n| is_dynamic[n.index()])
         };
-        let fixed: Vec<FixedNode> = nodes
-            .iter()
-            .enumerate()
-            .map(|(l, n)| {
-                let axes = if is_dynamic[n.index()] { whole.held[n.index()] } else { [true; 3] };
-                FixedNode { node: NodeId::from_index(l), axes }
-            })
+        tets.extend((0..n_tets).filter(live).filter(beside));
+        let part = SubMesh::of(whole.mesh, tets.iter().map(|&t| TetId::from_index(t)));
+        Self { tets, n_linear_tets, n_dynamic_tets, part }
+    }
+
+    /// The part's supports; nodes that are not dynamic are held along all axes.
+    fn fixed_nodes(&self, source: &DynamicSource<'_>) -> Vec<FixedNode> {
+        let axes_of = |n: &NodeId| {
+            if source.is_dynamic[n.index()] { source.whole.held[n.index()] } else { [true; 3] }
+        };
+        let nodes = self.part.nodes.iter().enumerate();
+        nodes
+            .map(|(l, n)| FixedNode { node: NodeId::from_index(l), axes: axes_of(n) })
             .filter(|f| f.axes.contains(&true))
-            .collect();
-        let attachments: Vec<Attachment> = body
-            .attachments
-            .iter()
-            .filter_map(|a| local(a.node).map(|node| Attachment { node, ..*a }))
-            .collect();
+            .collect()
+    }
+
+    /// Masses, supports, ligaments and stable step of the part. `stiffening`: the factor by which St Venant-Kirchhoff
+    /// tetrahedra may stiffen.
+    fn motion(&self, source: &DynamicSource<'_>, stiffening: f64) -> Result<ExplicitMotion, ExplicitError> {
+        let DynamicSource { whole, body, .. } = *source;
+        let mesh = &self.part.mesh;
+        let fixed = self.fixed_nodes(source);
+        let local = |a: &Attachment| self.part.local(a.node).map(|node| Attachment { node, ..*a });
+        let attachments: Vec<Attachment> = body.attachments.iter().filter_map(local).collect();
         let (lambda_pa, mu_pa) = (whole.material.lambda_pa(), whole.material.mu_pa());
-        let law = TetLaw::isotropic(whole.material);
-        let stiffening = law.stiffening(source.largest_stretch, 0.0);
-        let is_kirchhoff = |t: TetId| (n_linear_tets..n_dynamic_tets).contains(&t.index());
-        let stability = Stability::of_stiffness(&mesh, whole.density_kg_per_m3, |t, g| {
+        let is_kirchhoff = |t: TetId| (self.n_linear_tets..self.n_dynamic_tets).contains(&t.index());
+        let stability = Stability::of_stiffness(mesh, whole.density_kg_per_m3, |t, g| {
             let mut at_rest = g.stiffness(lambda_pa, mu_pa);
-            let stress_pa = whole.rest_stress_pa.get(tets[t.index()]).filter(|_| is_kirchhoff(t));
+            let stress_pa = whole.rest_stress_pa.get(self.tets[t.index()]).filter(|_| is_kirchhoff(t));
             if let Some(&stress_pa) = stress_pa {
                 at_rest.add_multiples(g.stress_stiffness_n_per_m(stress_pa));
             }
@@ -126,20 +125,42 @@ impl DynamicPart {
         })?;
         let strained_j = 0.5 * (lambda_pa + 2.0 * mu_pa) * mesh.volume_m3();
         let again = stability.clone();
-        let own = DynamicBody {
-            mesh: &mesh,
-            fixed: &fixed,
-            attachments: &attachments,
-            rest_stress_pa: &[],
-            ..*body
-        };
-        let mut motion = match ExplicitMotion::new(&own, stability, strained_j) {
-            // Shorter steps instead of a refusal: the dynamic zone may not have been there when the step was chosen.
+        let own =
+            DynamicBody { mesh, fixed: &fixed, attachments: &attachments, rest_stress_pa: &[], ..*body };
+        match ExplicitMotion::new(&own, stability, strained_j) {
+            // Take shorter steps instead of refusing: a zone can become dynamic after the step was chosen.
             Err(ExplicitError::UnstableStep { allowed_s, .. }) => {
                 ExplicitMotion::new(&DynamicBody { time_step_s: allowed_s, ..own }, again, strained_j)
             }
             made => made,
-        }?;
+        }
+    }
+}
+
+/// Number of these tetrahedra at each node.
+fn count_tets(tetrahedra: &[[NodeId; 4]], n_nodes: usize) -> Vec<u32> {
+    let mut n_tets = vec![0; n_nodes];
+    tetrahedra.iter().flatten().for_each(|n| n_tets[n.index()] += 1);
+    n_tets
+}
+
+impl DynamicPart {
+    /// The live dynamic tetrahedra as a body at rest, or nothing when there are none.
+    ///
+    /// # Errors
+    /// [`ExplicitError`] for impossible supports and loads.
+    pub(super) fn build(source: &DynamicSource<'_>) -> Result<Option<Self>, ExplicitError> {
+        let cut_out = CutOut::of(source);
+        let CutOut { tets, n_linear_tets, n_dynamic_tets, .. } = &cut_out;
+        let (n_linear_tets, n_dynamic_tets) = (*n_linear_tets, *n_dynamic_tets);
+        if n_dynamic_tets == 0 {
+            return Ok(None);
+        }
+        let whole = source.whole;
+        let (nodes, mesh) = (&cut_out.part.nodes, &cut_out.part.mesh);
+        let (lambda_pa, mu_pa) = (whole.material.lambda_pa(), whole.material.mu_pa());
+        let law = TetLaw::isotropic(whole.material);
+        let mut motion = cut_out.motion(source, law.stiffening(source.largest_stretch, 0.0))?;
         let linear = TetMesh {
             positions_m: mesh.positions_m.clone(),
             tetrahedra: mesh.tetrahedra[..n_linear_tets].to_vec(),
@@ -154,13 +175,6 @@ impl DynamicPart {
                 KirchhoffTet::new(corners_m, whole.rest_stress_pa.get(tets[l]))
             })
             .collect();
-        let count = |tetrahedra: &[[NodeId; 4]]| {
-            let mut n_tets = vec![0; nodes.len()];
-            tetrahedra.iter().flatten().for_each(|n| n_tets[n.index()] += 1);
-            n_tets
-        };
-        let dynamic_tets: Vec<u32> = count(&mesh.tetrahedra[..n_dynamic_tets]);
-        let linear_tets = count(&linear.tetrahedra);
         for (l, &t) in tets[..n_dynamic_tets].iter().enumerate() {
             if let Some(&stress_pa) = whole.rest_stress_pa.get(t) {
                 let gradients = P1Gradients::new(mesh.corners_m(TetId::from_index(l)));
@@ -171,11 +185,10 @@ impl DynamicPart {
             nodes: nodes.iter().map(|n| n.0).collect(),
             tets: tets.iter().map(|&t| t as u32).collect(),
             is_live: vec![true; tets.len()],
-            mesh,
+            dynamic_tets: count_tets(&mesh.tetrahedra[..n_dynamic_tets], nodes.len()),
+            linear_tets: count_tets(&linear.tetrahedra, nodes.len()),
             n_linear_tets,
             n_dynamic_tets,
-            dynamic_tets,
-            linear_tets,
             tensors,
             kirchhoff,
             law,
@@ -183,10 +196,11 @@ impl DynamicPart {
             frontier: Vec::new(),
             frontier_m: Vec::new(),
             frontier_n: Vec::new(),
+            mesh: cut_out.part.mesh,
         }))
     }
 
-    /// Takes the dynamic nodes of the interface, in its order.
+    /// Sets the dynamic nodes of the interface, in its order.
     pub(super) fn set_frontier(&mut self, nodes: &[NodeId], padded_len: usize) {
         let local = |n: &NodeId| self.local(*n).expect("a dynamic node").0;
         self.frontier = nodes.iter().map(local).collect();
@@ -196,7 +210,7 @@ impl DynamicPart {
 
     /// The body's node for one of the mesh.
     pub(super) fn local(&self, node: NodeId) -> Option<NodeId> {
-        // Those that are gone are no numbers of nodes, but the others still ascend.
+        // Removed nodes are marked, so the list is not sorted as a whole.
         let found = self.nodes.iter().position(|&n| n == node.0)?;
         Some(NodeId::from_index(found))
     }
@@ -238,13 +252,13 @@ impl DynamicPart {
         self.frontier.iter().position(|&n| n == local.0)
     }
 
-    /// Nodes that move by themselves: the body's and the mesh's.
+    /// Dynamic nodes: their numbers in the body and in the mesh.
     pub(super) fn moving(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let moves = |&(l, n): &(usize, &u32)| *n != GONE && self.dynamic_tets[l] > 0;
         self.nodes.iter().enumerate().filter(moves).map(|(l, &n)| (l, n as usize))
     }
 
-    /// Starts the moving nodes from these places of the mesh's nodes [m], at standstill without velocities.
+    /// Starts the dynamic nodes from these positions of the mesh's nodes [m]; at rest when no velocities are given.
     pub(super) fn start(&mut self, rest_m: &[DVec3], positions_m: &[DVec3], velocities: Option<&[DVec3]>) {
         for l in 0..self.nodes.len() {
             if self.nodes[l] != GONE && self.dynamic_tets[l] > 0 {
@@ -261,13 +275,13 @@ impl DynamicPart {
         self.last_frontier_m()
     }
 
-    /// The same as they were found last.
+    /// The displacements [m] found last.
     pub(super) fn last_frontier_m(&self) -> &[f64] {
         &self.frontier_m[..3 * self.frontier.len()]
     }
 
-    /// Advances by `dt_s`. What the pre-computed zones bear: `stiffness` times the frontier's displacements, less
-    /// `force_n`, and less what `add_contact(displacements, forces)` adds for the tools in them.
+    /// Advances by `dt_s`. The pre-computed zones bear `stiffness` times the frontier's displacements, minus `force_n`,
+    /// minus the forces that `add_contact(displacements, forces)` adds for tools in these zones.
     pub(super) fn step(
         &mut self,
         dt_s: f64,
@@ -315,7 +329,7 @@ impl DynamicPart {
         });
     }
 
-    /// Whether taking these tetrahedra of the mesh out, which ascend, leaves a frontier node without a dynamic one.
+    /// Whether a frontier node has no dynamic tetrahedron left after these removals, which ascend.
     pub(super) fn would_strand(&self, removed: &[TetId]) -> bool {
         let goes = |t: &usize| self.is_live[*t] && removed.binary_search(&TetId(self.tets[*t])).is_ok();
         (0..self.n_dynamic_tets).filter(goes).any(|t| {
@@ -327,7 +341,7 @@ impl DynamicPart {
         })
     }
 
-    /// Takes a tetrahedron of the mesh out.
+    /// Removes a tetrahedron of the mesh.
     pub(super) fn remove_tet(&mut self, tet: TetId, whole: &Whole<'_>) {
         let dynamic = &self.tets[..self.n_dynamic_tets];
         let Some(t) = dynamic.iter().position(|&t| t == tet.0) else { return };
@@ -352,7 +366,7 @@ impl DynamicPart {
         }
     }
 
-    /// After all removals of an edit.
+    /// Updates the bounds of the step after all removals of an edit.
     pub(super) fn after_removals(&mut self) {
         self.motion.after_removals(&self.mesh.tetrahedra, &self.is_live);
     }

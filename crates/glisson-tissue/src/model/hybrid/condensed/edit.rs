@@ -1,4 +1,4 @@
-//! Cuts: zones that become dynamic, tensors that are taken out, pieces that come loose.
+//! Cuts: zones that become dynamic, tensors that are subtracted, pieces that come loose.
 
 use super::{CondensedHybrid, ZoneLaw};
 use crate::model::TopologyRefusal;
@@ -49,7 +49,7 @@ impl CondensedHybrid {
         Ok(())
     }
 
-    /// Makes pre-computed zones dynamic that nothing holds any more; whether there were any.
+    /// Makes pre-computed zones dynamic that nothing holds any more; true if there were any.
     fn let_go(&mut self) -> bool {
         let mut is_new = false;
         loop {
@@ -65,16 +65,16 @@ impl CondensedHybrid {
         }
     }
 
-    /// Anew for the laws as they are; what moves goes on from where it is.
+    /// Rebuilds interface and dynamic part for the present laws; dynamic nodes keep their state.
     ///
-    /// Where that fails, every zone becomes dynamic. That can be refused only for faults of the body that
+    /// Where that fails, every zone becomes dynamic. This in turn fails only for faults of the body that
     /// [`CondensedHybrid::build`] refuses too (supports, ligaments, numbers, tetrahedra without volume), so not for a
-    /// part of a body that was built; if it were, the zones would be gone and the model has to be replaced.
+    /// part of a body that was built. If it failed, the zones would be lost and the model would have to be replaced.
     fn bring_together_again(&mut self) -> Result<(), TopologyRefusal> {
         self.find_dynamic_nodes();
         let is_kept: Vec<bool> =
             self.zone_numbers.iter().map(|&z| self.laws[z as usize] == ZoneLaw::Precomputed).collect();
-        // All zones, not those that turn alone: below, every zone may have to.
+        // All zones, not only those that become dynamic here: below, every zone may have to.
         self.catch_up();
         self.n_rebuilt += 1;
         let mut composed = self.interface.take_composed();
@@ -84,7 +84,7 @@ impl CondensedHybrid {
         keep(&mut self.zone_numbers, &is_kept);
         fault::check("hybrid: before the zones are brought together")?;
         if self.bring_together(Some(&composed)).is_err() {
-            // Tissue that hangs by so little that no equilibrium can be computed: everything is dynamic.
+            // The tissue is held by so little that no equilibrium can be computed: make everything dynamic.
             let cut_law = self.cut_law;
             self.laws.iter_mut().filter(|law| !law.is_dynamic()).for_each(|law| *law = cut_law);
             self.zones.clear();
@@ -104,8 +104,8 @@ impl CondensedHybrid {
         Ok(())
     }
 
-    /// Pre-computed zones that could move without deforming, with what is wrong: those that neither supports nor dynamic
-    /// nodes hold, and those of pieces that nothing holds at all.
+    /// Pre-computed zones that could move as rigid bodies, with the fault: those that neither supports nor dynamic nodes
+    /// hold, and those of pieces that nothing holds.
     pub(super) fn unsupported_zones(&self) -> Vec<(u32, SolveError)> {
         let is_precomputed = |t: usize| self.law_of(t) == ZoneLaw::Precomputed;
         let is_tied = |n: NodeId| self.attachments.iter().any(|a| a.node == n);
@@ -120,7 +120,7 @@ impl CondensedHybrid {
         [among_zones, among_all].concat()
     }
 
-    /// Pre-computed zones in pieces of these tetrahedra that float when these axes of the nodes are held.
+    /// Pre-computed zones in those pieces of these tetrahedra that float with these axes of the nodes held.
     fn unsupported(
         &self,
         has: impl Fn(usize) -> bool,
@@ -182,7 +182,7 @@ impl CondensedHybrid {
         })
     }
 
-    /// Drops what is gone; the order of the others stays.
+    /// Drops removed nodes and tetrahedra; the others keep their order.
     fn renumber(&mut self, change: &TopologyChange) {
         let (nodes, tets) = (&change.nodes.new_ids, &change.tets.new_ids);
         let stays: Vec<bool> = nodes.iter().map(Option::is_some).collect();

@@ -1,18 +1,18 @@
 //! The frontier of the pre-computed zones, solved exactly.
 //!
-//! Frontier nodes come in two kinds: p, between pre-computed zones alone, and d, at which a dynamic zone hangs too.
-//! With S the sum of the zones' Schur complements and g the forces on the frontier (those inside a zone brought there
-//! by B^T):
+//! There are two kinds of frontier nodes: p, between pre-computed zones alone, and d, which a dynamic zone shares.
+//! Let S be the sum of the zones' Schur complements and g the forces on the frontier, with those inside a zone
+//! transferred by B^T:
 //!
 //! u_p = S_pp^-1 (g_p - S_pd u_d), so that the dynamic nodes feel
 //! S' u_d - (g_d + Q^T g_p) with Q = -S_pp^-1 S_pd and S' = S_dd + S_dp Q.
 //!
 //! S' is at most the frontier's assembled stiffness (a Schur complement of a positive semi-definite matrix), and the
-//! frontier nodes keep the mass of all their tetrahedra: the largest frequency is at most that of the whole
-//! tensor-mass body, of which it is a sub-matrix with something taken off, so the stable step does not fall.
+//! frontier nodes keep the mass of all their tetrahedra. So the highest frequency is at most that of the whole
+//! tensor-mass body, and the stable step is not shorter.
 //!
-//! For every component that can be loaded, a column says what a unit force on it does to the frontier: how far it
-//! moves p (with d held), and with what force it pulls on d.
+//! For every loadable component, a column holds the effect of a unit force on the frontier: the displacement of p
+//! (with d held) and the force on d.
 
 use crate::model::precomputed::Precision;
 use crate::solve::SolveError;
@@ -34,31 +34,27 @@ pub(super) struct Interface {
     pub(super) of_condensed: Columns,
     /// Columns of each zone's loadable components: S_pp^-1 B_p^T above B_d^T + Q^T B_p^T.
     pub(super) of_loadable: Vec<Columns>,
-    /// S' [N/m], and the same in the form of the steps.
+    /// S' [N/m], and the same in the form that the steps use.
     pub(super) stiffness_on_dynamic: Columns,
     pub(super) stiffness_tiles: SymmetricTiles,
-    /// What each constant load does, like a loadable component.
+    /// A column per constant load, like that of a loadable component.
     pub(super) constant: Columns,
-    /// S_pp^-1 B_p^T on each zone's own frontier, as it is in the zones' compliance.
+    /// S_pp^-1 B_p^T on each zone's own frontier, as added to the zone's compliance.
     in_compliance: Vec<Columns>,
 }
 
-/// How each zone's compliance was composed before: to be taken out of it.
+/// What an earlier interface added to each zone's compliance, to be subtracted from it.
 pub(super) type Composed = Vec<Columns>;
 
-impl Interface {
-    /// Brings the zones together and adds to each one's compliance what the others give way. `before`: what was in
-    /// there from an earlier interface, one a zone.
-    ///
-    /// # Errors
-    /// [`SolveError::Singular`] when the pre-computed zones can move with the dynamic nodes held.
-    pub(super) fn build(
-        zones: &mut [PrecomputedZone],
-        is_dynamic: &[bool],
-        held: &[[bool; 3]],
-        before: Option<&Composed>,
-        precision: Precision,
-    ) -> Result<Self, SolveError> {
+/// The frontier's nodes in the interface's order.
+struct FrontierNodes {
+    nodes: Vec<NodeId>,
+    n_condensed: usize,
+    places: Vec<Vec<u32>>,
+}
+
+impl FrontierNodes {
+    fn of(zones: &[PrecomputedZone], is_dynamic: &[bool]) -> Self {
         let mut all: Vec<NodeId> = zones.iter().flat_map(|z| z.frontier.iter().copied()).collect();
         all.sort_unstable();
         all.dedup();
@@ -70,50 +66,71 @@ impl Interface {
         for (k, n) in nodes.iter().enumerate() {
             place_of[n.index()] = k as u32;
         }
-        let places: Vec<Vec<u32>> =
-            zones.iter().map(|z| z.frontier.iter().map(|n| place_of[n.index()]).collect()).collect();
+        let places = zones.iter().map(|z| z.frontier.iter().map(|n| place_of[n.index()]).collect()).collect();
+        Self { nodes, n_condensed, places }
+    }
+}
 
-        let (n_all, n_p) = (3 * nodes.len(), 3 * n_condensed);
-        let mut sum = Columns::zeros(n_all, n_all);
-        let component = |places: &[u32], c: usize| 3 * places[c / 3] as usize + c % 3;
-        for (zone, places) in zones.iter().zip(&places) {
-            for j in 0..zone.frontier_stiffness.n_columns() {
-                let to = sum.column_mut(component(places, j));
-                for (i, x) in zone.frontier_stiffness.column(j).iter().enumerate() {
-                    to[component(places, i)] += x;
-                }
+/// S of all zones. A held component has a row and a column of its own.
+fn summed_stiffness(zones: &[PrecomputedZone], places: &[Vec<u32>], is_held: &[bool]) -> Columns {
+    let n_all = is_held.len();
+    let mut sum = Columns::zeros(n_all, n_all);
+    let component = |places: &[u32], c: usize| 3 * places[c / 3] as usize + c % 3;
+    for (zone, places) in zones.iter().zip(places) {
+        for j in 0..zone.frontier_stiffness.n_columns() {
+            let to = sum.column_mut(component(places, j));
+            for (i, x) in zone.frontier_stiffness.column(j).iter().enumerate() {
+                to[component(places, i)] += x;
             }
         }
-        // A held component is left out: a row and a column of its own.
-        let is_held: Vec<bool> = nodes.iter().flat_map(|n| held[n.index()]).collect();
-        let largest = (0..n_all).map(|i| sum.entry(i, i)).fold(0.0, f64::max);
-        for i in (0..n_all).filter(|&i| is_held[i]) {
-            sum.column_mut(i).fill(0.0);
-            (0..n_all).for_each(|j| sum.column_mut(j)[i] = 0.0);
-            sum.column_mut(i)[i] = largest;
-        }
-        let part = |rows: std::ops::Range<usize>, columns: std::ops::Range<usize>, sign: f64| {
-            let (n_rows, n_columns) = (rows.len(), columns.len());
-            let numbers = columns.flat_map(|j| sum.column(j)[rows.clone()].iter().map(move |x| sign * x));
-            Columns::of(n_rows, n_columns, numbers.collect())
-        };
-        let mut inverse = part(0..n_p, 0..n_p, 1.0).inverse().ok_or(SolveError::Singular)?;
+    }
+    let largest = (0..n_all).map(|i| sum.entry(i, i)).fold(0.0, f64::max);
+    for i in (0..n_all).filter(|&i| is_held[i]) {
+        sum.column_mut(i).fill(0.0);
+        (0..n_all).for_each(|j| sum.column_mut(j)[i] = 0.0);
+        sum.column_mut(i)[i] = largest;
+    }
+    sum
+}
+
+/// A part of a matrix times a factor.
+fn part_of(
+    matrix: &Columns,
+    rows: std::ops::Range<usize>,
+    columns: std::ops::Range<usize>,
+    factor: f64,
+) -> Columns {
+    let (n_rows, n_columns) = (rows.len(), columns.len());
+    let numbers = columns.flat_map(|j| matrix.column(j)[rows.clone()].iter().map(move |x| factor * x));
+    Columns::of(n_rows, n_columns, numbers.collect())
+}
+
+/// S with the components of p eliminated.
+struct Condensation {
+    /// S_pp^-1 above Q^T.
+    of_condensed: Columns,
+    /// S'.
+    on_dynamic: Columns,
+}
+
+impl Condensation {
+    /// Eliminates the first `n_p` components of `sum`.
+    ///
+    /// # Errors
+    /// [`SolveError::Singular`] when S_pp is not positive definite.
+    fn of(sum: &Columns, n_p: usize, is_held: &[bool]) -> Result<Self, SolveError> {
+        let n_all = sum.n_rows();
+        let mut inverse = part_of(sum, 0..n_p, 0..n_p, 1.0).inverse().ok_or(SolveError::Singular)?;
         for i in (0..n_p).filter(|&i| is_held[i]) {
             inverse.column_mut(i)[i] = 0.0;
         }
         let mut gathered = Columns::zeros(n_all - n_p, n_p);
-        gathered.add_product(&part(n_p..n_all, 0..n_p, -1.0), &inverse);
-        let mut on_dynamic = part(n_p..n_all, n_p..n_all, 1.0);
-        on_dynamic.add_product(&gathered, &part(0..n_p, n_p..n_all, 1.0));
-        for i in 0..n_all - n_p {
-            for j in 0..i {
-                let mean = 0.5 * (on_dynamic.entry(i, j) + on_dynamic.entry(j, i));
-                on_dynamic.column_mut(j)[i] = mean;
-                on_dynamic.column_mut(i)[j] = mean;
-            }
-            if is_held[n_p + i] {
-                on_dynamic.column_mut(i)[i] = 0.0;
-            }
+        gathered.add_product(&part_of(sum, n_p..n_all, 0..n_p, -1.0), &inverse);
+        let mut on_dynamic = part_of(sum, n_p..n_all, n_p..n_all, 1.0);
+        on_dynamic.add_product(&gathered, &part_of(sum, 0..n_p, n_p..n_all, 1.0));
+        on_dynamic.symmetrize();
+        for i in (0..n_all - n_p).filter(|i| is_held[n_p + i]) {
+            on_dynamic.column_mut(i)[i] = 0.0;
         }
         let mut of_condensed = Columns::zeros(n_all, n_p);
         for j in 0..n_p {
@@ -121,8 +138,29 @@ impl Interface {
             column[..n_p].copy_from_slice(inverse.column(j));
             column[n_p..].copy_from_slice(gathered.column(j));
         }
+        Ok(Self { of_condensed, on_dynamic })
+    }
+}
 
+impl Interface {
+    /// Couples the zones, and adds to each zone's compliance that of the others. `before`: what an earlier interface
+    /// added, one per zone.
+    ///
+    /// # Errors
+    /// [`SolveError::Singular`] when the pre-computed zones can move with the dynamic nodes held.
+    pub(super) fn build(
+        zones: &mut [PrecomputedZone],
+        is_dynamic: &[bool],
+        held: &[[bool; 3]],
+        before: Option<&Composed>,
+        precision: Precision,
+    ) -> Result<Self, SolveError> {
+        let FrontierNodes { nodes, n_condensed, places } = FrontierNodes::of(zones, is_dynamic);
+        let is_held: Vec<bool> = nodes.iter().flat_map(|n| held[n.index()]).collect();
+        let sum = summed_stiffness(zones, &places, &is_held);
+        let Condensation { of_condensed, on_dynamic } = Condensation::of(&sum, 3 * n_condensed, &is_held)?;
         let mut interface = Self {
+            constant: Columns::zeros(3 * nodes.len(), N_CONSTANT),
             nodes,
             n_condensed,
             places,
@@ -130,7 +168,6 @@ impl Interface {
             of_loadable: Vec::new(),
             stiffness_tiles: SymmetricTiles::of(&on_dynamic, precision),
             stiffness_on_dynamic: on_dynamic,
-            constant: Columns::zeros(n_all, N_CONSTANT),
             in_compliance: Vec::new(),
         };
         for z in 0..zones.len() {
@@ -140,12 +177,12 @@ impl Interface {
         Ok(interface)
     }
 
-    /// How the zones' compliances were composed; for the interface that comes after this one.
+    /// What was added to the zones' compliances, for the interface that replaces this one.
     pub(super) fn take_composed(&mut self) -> Composed {
         std::mem::take(&mut self.in_compliance)
     }
 
-    /// The columns of a zone's loadable components, and its compliance in the whole.
+    /// Computes the columns of a zone's loadable components, and completes its compliance.
     fn bring_in(
         &mut self,
         z: usize,
@@ -191,7 +228,7 @@ impl Interface {
         self.in_compliance.push(on_own);
     }
 
-    /// Dynamic nodes bear their own weight themselves, of all their tetrahedra.
+    /// The dynamic part has the weight of its nodes itself, from all their tetrahedra.
     fn fill_constants(&mut self, zones: &[PrecomputedZone]) {
         let n_p = 3 * self.n_condensed;
         for load in 0..N_CONSTANT {
@@ -211,7 +248,7 @@ impl Interface {
         }
     }
 
-    /// Adds forces [N] on a zone's frontier to what moves p and pulls on d.
+    /// Adds the effect of forces [N] on a zone's frontier: displacements of p and forces on d.
     pub(super) fn add_frontier_forces(&self, z: usize, frontier_n: &[f64], reduced: &mut [f64]) {
         let n_p = 3 * self.n_condensed;
         let at = |c: usize| 3 * self.places[z][c / 3] as usize + c % 3;

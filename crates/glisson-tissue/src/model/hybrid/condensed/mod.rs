@@ -1,30 +1,30 @@
 //! The hybrid model by exact condensation: pre-computed zones that follow at once, dynamic ones that can be cut.
 //!
-//! Each zone of a mesh is pre-computed (quasi-static, linear) or dynamic (tensor-mass, linear or of St Venant-Kirchhoff
-//! tissue). A pre-computed zone keeps
-//! what follows from its own tetrahedra alone (`zone`), so cutting or switching one zone leaves the others' data
-//! valid. Their common frontier is solved exactly in every step (`interface`); the iterations of seed `003`
-//! (s. 4.3.2.2) are not needed. All dynamic zones move as one body (`dynamic`) that feels the rest through a dense
-//! stiffness on its frontier. Seed `003` weighs condensation and puts it aside for its storage (s. 4.3.2.2); the
-//! tables are what makes a step cheap here.
+//! Each zone of a mesh is pre-computed (quasi-static, linear) or dynamic (tensor-mass, linear or St Venant-Kirchhoff).
+//! The tables of a pre-computed zone depend on its own tetrahedra alone (`zone`), so cutting or switching one zone
+//! leaves those of the others valid. The common frontier is solved exactly in every step (`interface`), without the
+//! iterations of seed `003` (s. 4.3.2.2). All dynamic zones move as one body (`dynamic`), which feels the rest through
+//! a dense stiffness on its frontier. Seed `003` rejects condensation for its memory (s. 4.3.2.2); here the tables make
+//! a step cheap.
 //!
-//! What a step reads: for every loaded node three columns of its zone's compliance, composed beforehand with what
-//! the rest of the body gives way, so that a zone with the only load needs nothing else; the extension of a zone, when
-//! something outside it moves its frontier; for more than [`MANY_LOADS`] loads on a zone, or one on a node whose
-//! columns are not stored, one solution with the zone's factor instead of the columns.
+//! **What a step reads.** For every loaded node, three columns of its zone's compliance. They include the compliance of
+//! the rest of the body, so that a zone with the only load needs nothing else. When something outside a zone moves its
+//! frontier: the zone's extension. With more than [`MANY_LOADS`] loads on a zone, or a load on a node whose columns are
+//! not stored: one solution with the zone's factor instead of the columns.
 //!
-//! **Cuts.** Removing a tetrahedron of a dynamic zone subtracts its tensors. Removing one of a pre-computed zone makes
-//! the zone dynamic first ([`CondensedParams::cut_law`]), from where it is, with the velocity of its last step. A pre-computed zone that nothing
-//! holds any more, or that hangs on a piece cut loose, becomes dynamic too, because only dynamic tissue has inertia:
-//! the piece falls.
+//! **Cuts.** Removing a tetrahedron of a dynamic zone subtracts its tensors. Removing one of a pre-computed zone first
+//! makes the zone dynamic ([`CondensedParams::cut_law`]), at its present position and with the velocity of its last
+//! step. A pre-computed zone also becomes dynamic when nothing holds it any more or when it belongs to a piece cut
+//! loose: only dynamic tissue has inertia, and the piece has to fall.
 //!
-//! **Non-linear zones** turn and stretch as St Venant-Kirchhoff tissue does, the rest stays linear: the exact interface
-//! holds the zone by the rest's small-strain stiffness. It equals a wholly non-linear body as far as the pre-computed
-//! zones turn and strain little. Where a pre-computed zone that is much deformed becomes non-linear, its forces jump from
-//! those of the one law to those of the other.
+//! **Non-linear zones** rotate and stretch as St Venant-Kirchhoff tissue; the rest stays linear and holds them by its
+//! small-strain stiffness. The result is that of a fully non-linear body as long as the pre-computed zones rotate and
+//! strain little. When a strongly deformed pre-computed zone becomes non-linear, its forces jump from one law to the
+//! other.
 //!
-//! After any edit the model is the one that would be built from what is left, with these laws.
+//! After any edit the model is the one that would be built from the remaining mesh with the present laws.
 
+mod build;
 mod columns;
 mod contact;
 mod dynamic;
@@ -39,31 +39,29 @@ pub use self::params::{CondensedError, CondensedParams, CondensedSize, Loadable,
 pub use crate::model::precomputed::{Precision, StoredNodes};
 
 use self::contact::ContactSystem;
-use self::dynamic::{DynamicPart, DynamicSource};
-use self::interface::{Composed, Interface};
-use self::zone::{N_CONSTANT, PrecomputedZone, Whole};
+use self::dynamic::DynamicPart;
+use self::interface::Interface;
+use self::zone::{PrecomputedZone, Whole};
 use crate::material::LinearElastic;
-use crate::model::explicit::{ExplicitError, Mover, check_body};
+use crate::model::explicit::Mover;
 use crate::model::roomy::Roomy;
 use crate::model::{
-    Attachment, Constraints, DeformableModel, DynamicBody, ImposedDisplacement, LocalModel, LocalWork,
-    ModelReport, ModelState, NodalForce, Rayleigh, RestStress, TopologyRefusal,
+    Attachment, Constraints, DeformableModel, ImposedDisplacement, LocalModel, LocalWork, ModelReport,
+    ModelState, NodalForce, Rayleigh, RestStress, TopologyRefusal,
 };
-use crate::solve::{MeshEdges, SolveError, boundary_nodes};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
-use glisson_mesh::mesh::zones::ZonesError;
 use glisson_mesh::mesh::{NodeId, TetMesh};
 
-/// Loads on a pre-computed zone from which on its factor is used instead of stored columns.
+/// Number of loads on a pre-computed zone above which its factor is used instead of the stored columns.
 pub const MANY_LOADS: usize = 64;
 
 /// What a node belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Place {
-    /// Does not move: held wholly, or without a tetrahedron.
+    /// Does not move: held along all axes, or without a tetrahedron.
     Nowhere,
-    /// A pre-computed zone, and which of its own nodes.
+    /// A pre-computed zone; `own` is the node's number among the zone's own nodes.
     Own { zone: u32, own: u32 },
     /// The frontier between pre-computed zones.
     Condensed(u32),
@@ -85,7 +83,7 @@ struct Held {
     at: u32,
     place: Place,
     target_m: DVec3,
-    /// Where it would be without the tools, with the dynamic nodes at rest.
+    /// Its displacement [m] without the tools, with the dynamic nodes at rest.
     without_m: DVec3,
     force_n: DVec3,
 }
@@ -93,28 +91,28 @@ struct Held {
 /// Numbers of a pre-computed zone that change from step to step.
 #[derive(Clone, Default)]
 struct ZoneWork {
-    /// Response to the constant loads, the frontier held, of all own nodes [m].
+    /// Response of all own nodes to the constant loads, the frontier held [m].
     constant_m: Vec<f64>,
-    /// The same of the stored rows, with what the rest gives way.
+    /// The same of the stored rows, with the compliance of the rest of the body.
     base_m: Vec<f64>,
     /// Displacements of the stored rows [m].
     rows_m: Vec<f64>,
-    /// Displacements of p through the zone's own loads [m].
+    /// Displacements of p from the zone's own loads [m].
     own_m: Vec<f64>,
     /// Displacements or forces of its frontier.
     frontier: Vec<f64>,
-    /// Its loads go through the factor.
+    /// Whether its loads are solved with the factor.
     is_solved: bool,
-    /// It has loads or tools.
+    /// Whether it has loads or tools.
     is_loaded: bool,
 }
 
-/// How old the shown positions of some nodes are.
+/// Age of the published positions of some nodes.
 #[derive(Clone, Copy)]
 struct Age {
-    /// Time [s] of the steps since they were written.
+    /// Simulated time [s] since they were written.
     since_s: f64,
-    /// They were given, at rest or by a model before, so that they tell nothing about the velocity.
+    /// Whether they were given, at rest or by another model: then they tell nothing about the velocity.
     was_given: bool,
 }
 
@@ -125,8 +123,8 @@ impl Age {
         self.since_s > 0.0
     }
 
-    /// One over the time that a way to the places of now has taken [1/s], 0 when that is not known; the places are
-    /// those of now afterwards.
+    /// One over the time since the positions were written [1/s], or 0 when a velocity cannot be told from them. Marks
+    /// the positions as current.
     fn renew(&mut self) -> f64 {
         let per_s = if self.was_given || self.since_s <= 0.0 { 0.0 } else { 1.0 / self.since_s };
         *self = Self { since_s: 0.0, was_given: false };
@@ -140,7 +138,7 @@ type Ages = [Age; 3];
 /// One organ of pre-computed and dynamic zones.
 #[derive(Clone)]
 pub struct CondensedHybrid {
-    // Description; tetrahedra that are gone stay in the lists until a compaction.
+    // Description; removed tetrahedra stay in the lists until a compaction.
     mesh: TetMesh,
     material: LinearElastic,
     density_kg_per_m3: f64,
@@ -171,7 +169,7 @@ pub struct CondensedHybrid {
     // State: that of the dynamic part, and these.
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
-    /// One a pre-computed zone.
+    /// One per pre-computed zone.
     ages: Vec<Ages>,
     /// Of the frontier nodes between pre-computed zones.
     condensed_age: Age,
@@ -181,13 +179,13 @@ pub struct CondensedHybrid {
     loads: Roomy<Load>,
     held: Roomy<Held>,
     dynamic_constraints: Constraints,
-    /// Place among the constraints of each that the dynamic part has.
+    /// Place among the constraints of each constraint of the dynamic part.
     dynamic_places: Roomy<u32>,
     constraint_forces_n: Roomy<DVec3>,
     n_ignored: u32,
-    /// Constraints beyond one a node, which have no room.
+    /// Constraints beyond one per node, for which there is no room.
     n_dropped: u32,
-    /// How often an edit made the interface anew.
+    /// How often an edit rebuilt the interface.
     n_rebuilt: u32,
     updated: Updated,
 
@@ -199,7 +197,7 @@ pub struct CondensedHybrid {
     reduced: Vec<f64>,
     row: Vec<f64>,
     system: ContactSystem,
-    /// Of the dynamic nodes of a patch, by the dynamic part's numbers.
+    /// Local model of the dynamic nodes of a patch, in the dynamic part's numbering.
     local: LocalModel,
 }
 
@@ -207,130 +205,7 @@ impl CondensedHybrid {
     /// Most nodes of pre-computed zones that tools can hold at once.
     pub const MAX_HELD: usize = 64;
 
-    /// Pre-computes the zones, over the threads of the rayon pool.
-    ///
-    /// # Errors
-    /// [`CondensedError`] naming the fault.
-    pub fn build(params: &CondensedParams<'_>) -> Result<Self, CondensedError> {
-        let CondensedParams { body, material, zones, laws, stored, precision, .. } = *params;
-        check_body(&body)?;
-        let mesh = body.mesh;
-        let (n_nodes, n_tets) = (mesh.positions_m.len(), mesh.tetrahedra.len());
-        if zones.of_tets().len() != n_tets {
-            return Err(ZonesError::Length { found: zones.of_tets().len(), expected: n_tets }.into());
-        }
-        if laws.len() != zones.n_zones() {
-            return Err(CondensedError::Laws { found: laws.len(), n_zones: zones.n_zones() });
-        }
-        if !params.cut_law.is_dynamic() {
-            return Err(CondensedError::CutLaw { found: params.cut_law });
-        }
-        let largest = params.largest_stretch;
-        if !(largest.is_finite() && largest >= 1.0) {
-            let (what, allowed) = ("largest stretch", "a finite number from 1");
-            return Err(ExplicitError::Parameter { what, found: largest, allowed }.into());
-        }
-        MeshEdges::of_mesh(mesh)?;
-        let mut held_axes = vec![[false; 3]; n_nodes];
-        for fixed in body.fixed {
-            let axes = &mut held_axes[fixed.node.index()];
-            axes.iter_mut().zip(fixed.axes).for_each(|(held, also)| *held |= also);
-        }
-        let mut is_loadable = vec![matches!(params.loadable, Loadable::All); n_nodes];
-        let surface = boundary_nodes(mesh);
-        let mut is_surface = vec![false; n_nodes];
-        surface.iter().for_each(|n| is_surface[n.index()] = true);
-        let some = match params.loadable {
-            Loadable::All => &[][..],
-            Loadable::Nodes(nodes) => nodes,
-            Loadable::Surface => &surface[..],
-        };
-        if let Some(&node) = some.iter().find(|n| n.index() >= n_nodes) {
-            return Err(SolveError::ConditionOutOfRange { node, n_nodes }.into());
-        }
-        some.iter().for_each(|n| is_loadable[n.index()] = true);
-        let mut is_frontier = vec![false; n_nodes];
-        zones.frontier_nodes().iter().for_each(|n| is_frontier[n.index()] = true);
-
-        let whole = Whole {
-            mesh,
-            material,
-            density_kg_per_m3: body.density_kg_per_m3,
-            rest_stress_pa: body.rest_stress_pa,
-            held: &held_axes,
-            is_loadable: &is_loadable,
-            is_surface: &is_surface,
-            is_frontier: &is_frontier,
-            stored,
-            precision,
-        };
-        let zone_numbers: Vec<u32> =
-            (0..laws.len()).filter(|&z| laws[z] == ZoneLaw::Precomputed).map(|z| z as u32).collect();
-        let mut tables = Vec::with_capacity(zone_numbers.len());
-        for &z in &zone_numbers {
-            tables.push(PrecomputedZone::build(&whole, &zones.tets(z as usize).collect::<Vec<_>>())?);
-        }
-        let is_dynamic = vec![false; n_nodes];
-        let interface = Interface::build(&mut [], &is_dynamic, &held_axes, None, precision)?;
-        let mut model = Self {
-            mesh: mesh.clone(),
-            material: *material,
-            density_kg_per_m3: body.density_kg_per_m3,
-            rest_stress_pa: body.rest_stress_pa.to_vec(),
-            attachments: body.attachments.to_vec(),
-            gravity_m_per_s2: body.gravity_m_per_s2,
-            damping: body.damping,
-            time_step_s: body.time_step_s,
-            most_parts: body.most_parts,
-            stored,
-            precision,
-            is_live: vec![true; n_tets],
-            zone_of_tet: zones.of_tets().to_vec(),
-            laws: laws.to_vec(),
-            cut_law: params.cut_law,
-            largest_stretch: params.largest_stretch,
-            zones: tables,
-            zone_numbers,
-            interface,
-            dynamic: None,
-            place: vec![Place::Nowhere; n_nodes],
-            is_dynamic,
-            positions_m: mesh.positions_m.clone(),
-            velocities_m_per_s: vec![DVec3::ZERO; n_nodes],
-            ages: Vec::new(),
-            condensed_age: Age::GIVEN,
-            constraints: Constraints::default(),
-            loads: Roomy::with_room(n_nodes),
-            held: Roomy::with_room(Self::MAX_HELD),
-            dynamic_constraints: Constraints::default(),
-            dynamic_places: Roomy::with_room(n_nodes),
-            constraint_forces_n: Roomy::with_room(n_nodes),
-            n_ignored: 0,
-            n_dropped: 0,
-            n_rebuilt: 0,
-            updated: Updated::default(),
-            work: Vec::new(),
-            constant: Vec::new(),
-            reduced: Vec::new(),
-            row: Vec::new(),
-            system: ContactSystem::with_room_for(3 * Self::MAX_HELD),
-            local: LocalModel::new(),
-            held_axes,
-        };
-        model.ages = vec![[Age::GIVEN; 3]; model.zones.len()];
-        model.make_room();
-        model.find_dynamic_nodes();
-        if let Some(a) = model.attachments.iter().find(|a| !model.is_dynamic[a.node.index()]) {
-            return Err(CondensedError::Ligament { node: a.node });
-        }
-        if let Some((_, error)) = model.unsupported_zones().into_iter().next() {
-            return Err(error.into());
-        }
-        model.bring_together(None)?;
-        Ok(model)
-    }
-
-    /// Room in the lists, which a copy of a list has not.
+    /// Reserves capacity in the lists; a copy of a list has none.
     fn make_room(&mut self) {
         self.local = LocalModel::new();
         let n_nodes = self.mesh.positions_m.len();
@@ -340,7 +215,7 @@ impl CondensedHybrid {
         }
     }
 
-    /// Nodes of live tetrahedra in dynamic zones that are not held wholly.
+    /// Marks the nodes of live dynamic tetrahedra that are not held along all axes.
     fn find_dynamic_nodes(&mut self) {
         self.is_dynamic.clear();
         self.is_dynamic.resize(self.mesh.positions_m.len(), false);
@@ -355,71 +230,6 @@ impl CondensedHybrid {
 
     fn law_of(&self, tet: usize) -> ZoneLaw {
         self.laws[self.zone_of_tet[tet] as usize]
-    }
-
-    /// The interface and the dynamic part for the laws as they are. `before`: how the zones' compliances are composed.
-    fn bring_together(&mut self, before: Option<&Composed>) -> Result<(), CondensedError> {
-        self.interface =
-            Interface::build(&mut self.zones, &self.is_dynamic, &self.held_axes, before, self.precision)?;
-        let law_of_tet: Vec<ZoneLaw> = (0..self.mesh.tetrahedra.len()).map(|t| self.law_of(t)).collect();
-        let body = DynamicBody {
-            mesh: &self.mesh,
-            density_kg_per_m3: self.density_kg_per_m3,
-            fixed: &[],
-            attachments: &self.attachments,
-            rest_stress_pa: &[],
-            gravity_m_per_s2: self.gravity_m_per_s2,
-            damping: self.damping,
-            time_step_s: self.time_step_s,
-            most_parts: self.most_parts,
-        };
-        let mut dynamic = DynamicPart::build(&DynamicSource {
-            whole: &self.whole(),
-            body: &body,
-            law_of_tet: &law_of_tet,
-            is_live_tet: &self.is_live,
-            largest_stretch: self.largest_stretch,
-            is_dynamic: &self.is_dynamic,
-        })?;
-        if let Some(dynamic) = &mut dynamic {
-            let nodes = &self.interface.nodes[self.interface.n_condensed..];
-            dynamic.set_frontier(nodes, self.interface.stiffness_tiles.padded_len());
-        }
-        self.dynamic = dynamic;
-
-        self.place.clear();
-        self.place.resize(self.mesh.positions_m.len(), Place::Nowhere);
-        for (z, zone) in self.zones.iter().enumerate() {
-            for (own, n) in zone.nodes.iter().enumerate() {
-                self.place[n.index()] = Place::Own { zone: z as u32, own: own as u32 };
-            }
-        }
-        for (p, n) in self.interface.nodes[..self.interface.n_condensed].iter().enumerate() {
-            self.place[n.index()] = Place::Condensed(p as u32);
-        }
-        if let Some(dynamic) = &self.dynamic {
-            for (local, n) in dynamic.moving().filter(|&(_, n)| self.is_dynamic[n]) {
-                self.place[n] = Place::Dynamic(local as u32);
-            }
-        }
-        let n_p = 3 * self.interface.n_condensed;
-        self.work = self
-            .zones
-            .iter()
-            .map(|zone| ZoneWork {
-                constant_m: vec![0.0; 3 * zone.nodes.len()],
-                base_m: vec![0.0; 3 * zone.n_stored],
-                rows_m: vec![0.0; 3 * zone.n_stored],
-                own_m: vec![0.0; n_p],
-                frontier: vec![0.0; 3 * zone.frontier.len()],
-                ..ZoneWork::default()
-            })
-            .collect();
-        self.constant = vec![0.0; 3 * self.interface.nodes.len()];
-        self.reduced = self.constant.clone();
-        self.row = vec![0.0; n_p];
-        self.combine_constant_loads();
-        Ok(())
     }
 
     fn whole(&self) -> Whole<'_> {
@@ -437,33 +247,12 @@ impl CondensedHybrid {
         }
     }
 
-    /// Brings together what weight and stress at rest do to the pre-computed zones.
-    fn combine_constant_loads(&mut self) {
-        let [x, y, z] = self.gravity_m_per_s2.to_array();
-        let factors: [f64; N_CONSTANT] = [x, y, z, 1.0];
-        self.constant.fill(0.0);
-        self.interface.constant.add_times(&factors, &mut self.constant);
-        let n_p = 3 * self.interface.n_condensed;
-        for (z, (zone, work)) in self.zones.iter().zip(&mut self.work).enumerate() {
-            work.constant_m.fill(0.0);
-            zone.constant_response.add_times(&factors, &mut work.constant_m);
-            work.base_m.copy_from_slice(&work.constant_m[..3 * zone.n_stored]);
-            let constant = &self.constant;
-            let places = &self.interface.places[z];
-            let of_condensed = (0..3 * zone.frontier.len())
-                .map(|c| (c, 3 * places[c / 3] as usize + c % 3))
-                .filter(|&(_, at)| at < n_p)
-                .map(|(c, at)| (c, constant[at]));
-            zone.extension.add_weighted(of_condensed, &mut work.base_m);
-        }
-    }
-
     /// Which positions the next steps bring up to date.
     pub fn set_updated(&mut self, updated: Updated) {
         self.updated = updated;
     }
 
-    /// Other damping of the mass of dynamic zones [1/s], a finite number from 0; any other is left out.
+    /// Sets the mass damping of dynamic zones [1/s]; ignores a value that is negative or not finite.
     pub fn set_mass_damping(&mut self, mass_per_s: f64) {
         if mass_per_s.is_finite() && mass_per_s >= 0.0 {
             self.damping.mass_per_s = mass_per_s;
@@ -487,7 +276,7 @@ impl CondensedHybrid {
         }
     }
 
-    /// Into how many equal parts the dynamic zones divide a step of `dt_s` now.
+    /// Number of equal parts into which the dynamic zones divide a step of `dt_s` now.
     pub fn parts_of_step(&self, dt_s: f64) -> u64 {
         self.dynamic.as_ref().map_or(1, |d| d.motion.parts_of_step(dt_s))
     }
@@ -497,13 +286,13 @@ impl CondensedHybrid {
         self.dynamic.as_ref().map(|d| d.motion.stable_step_s())
     }
 
-    /// Stiffness [N/m] of the pre-computed zones that the nodes they share with dynamic ones feel, these nodes
-    /// ascending: 3 x 3 times their number, by columns, symmetric.
+    /// Stiffness [N/m] of the pre-computed zones on the nodes that they share with dynamic zones, these nodes in
+    /// ascending order: three rows and columns per node, by columns, symmetric.
     pub fn condensed_stiffness_n_per_m(&self) -> (&[NodeId], &[f64]) {
         (&self.interface.nodes[self.interface.n_condensed..], self.interface.stiffness_on_dynamic.numbers())
     }
 
-    /// How large it is.
+    /// Sizes of the model.
     pub fn size(&self) -> CondensedSize {
         let n_condensed_nodes = self.interface.n_condensed;
         CondensedSize {
@@ -579,7 +368,7 @@ impl CondensedHybrid {
 impl DeformableModel for CondensedHybrid {
     fn apply(&mut self, constraints: &Constraints) {
         let n_nodes = self.mesh.positions_m.len();
-        // Room was made for every node; more is a list with repetitions, whose rest counts as ignored.
+        // There is room for one constraint per node; a longer list has repetitions, and the rest counts as ignored.
         let fill = |from: usize| from.min(n_nodes);
         let beyond = |len: usize| len.saturating_sub(n_nodes) as u32;
         self.n_dropped = beyond(constraints.forces.len()) + beyond(constraints.displacements.len());
@@ -592,8 +381,8 @@ impl DeformableModel for CondensedHybrid {
         self.note_constraints();
     }
 
-    /// Advances the dynamic zones by `dt_s`, divided as the tensor-mass model does; the pre-computed ones follow in
-    /// every part, tools in them are where they are held from the first part on.
+    /// Advances the dynamic zones by `dt_s`, divided as the tensor-mass model does. The pre-computed zones follow in
+    /// every part; nodes of theirs that tools hold are at their targets from the first part on.
     fn step(&mut self, dt_s: f64) {
         if dt_s.is_finite() && dt_s > 0.0 {
             self.advance(dt_s);
@@ -650,12 +439,12 @@ impl DeformableModel for CondensedHybrid {
         }
     }
 
-    /// Pre-computed nodes answer with their exact static compliance. What they pull on is felt at the dynamic nodes of
-    /// the patch only, the other nodes between pre-computed and dynamic zones being held: over a period that is short for
-    /// those, or without dynamic zones, it is exact, else too stiff. Dynamic nodes answer over the period
-    /// ([`crate::model::local_model`]), with the pre-computed tetrahedra around them, of which the corners elsewhere
-    /// are held. What tools hold in pre-computed tissue yields. Nodes that tools cannot hold do not yield. Positions of
-    /// nodes that [`Updated`] leaves out are the shown ones.
+    /// Pre-computed nodes respond with their exact static compliance. Their pull acts on the dynamic nodes of the patch
+    /// only; the other nodes between pre-computed and dynamic zones are held. This is exact without dynamic zones or
+    /// over a period that is short for those nodes, and too stiff otherwise. Dynamic nodes respond over the period
+    /// ([`crate::model::local_model`]), with the pre-computed tetrahedra around them, whose other corners are held.
+    /// Nodes that tools hold in pre-computed tissue respond too; nodes that tools cannot hold do not. Nodes that
+    /// [`Updated`] leaves out are at their published positions.
     fn local_model_into(
         &mut self,
         patch: &[NodeId],

@@ -1,4 +1,4 @@
-//! What a hybrid model is made from, and why there may be none.
+//! The parameters and errors of the hybrid model.
 
 use super::{Precision, StoredNodes};
 use crate::material::LinearElastic;
@@ -15,34 +15,34 @@ pub enum ZoneLaw {
     Precomputed,
     /// Linear explicit dynamics; can be cut.
     TensorMass,
-    /// Explicit dynamics of St Venant-Kirchhoff tissue, right under large rotations of the zone; can be cut.
+    /// Explicit dynamics of St Venant-Kirchhoff tissue, correct under large rotations; can be cut.
     NonlinearTensorMass,
 }
 
 impl ZoneLaw {
-    /// Whether such a zone moves by itself.
+    /// Whether zones of this law have inertia.
     pub fn is_dynamic(self) -> bool {
         self != Self::Precomputed
     }
 }
 
-/// Largest principal stretch of non-linear zones that [`CondensedParams::new`] takes steps for: a choice, well beyond
-/// the strains for which St Venant-Kirchhoff's law is meant.
+/// Largest principal stretch of non-linear zones in [`CondensedParams::new`]: a choice, well beyond the strains for
+/// which St Venant-Kirchhoff's law is meant.
 const LARGEST_STRETCH: f64 = 1.3;
 
 /// Which nodes of pre-computed zones tools can hold. Forces can act on all nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Loadable<'a> {
-    /// Those on the surface.
+    /// Nodes on the surface.
     #[default]
     Surface,
-    /// All.
+    /// All nodes.
     All,
-    /// These.
+    /// These nodes.
     Nodes(&'a [NodeId]),
 }
 
-/// Which positions a step brings up to date, beside those of dynamic and frontier nodes.
+/// Which positions a step updates, besides those of dynamic and frontier nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Updated {
     /// All of them.
@@ -50,23 +50,23 @@ pub enum Updated {
     All,
     /// Those on the surface.
     Surface,
-    /// The stored ones of zones with loads or tools: what the haptic loop needs. The others stay where they are shown.
+    /// The stored ones of zones with loads or tools, which the haptic loop needs. The others keep their positions.
     LoadedZones,
 }
 
-/// Why there is no hybrid model.
+/// Why a hybrid model cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CondensedError {
-    /// The body or its dynamic zones.
+    /// A fault of the body or of its dynamic zones.
     #[error(transparent)]
     Body(#[from] ExplicitError),
-    /// The partition.
+    /// A fault of the partition.
     #[error(transparent)]
     Zones(#[from] ZonesError),
-    /// A pre-computed zone, or all of them together.
+    /// A fault of a pre-computed zone, or of all of them together.
     #[error("pre-computed zones: {0}")]
     Solve(#[from] SolveError),
-    /// Not one law a zone.
+    /// The number of laws is not that of the zones.
     #[error("{found} laws given for {n_zones} zones")]
     Laws {
         /// Laws given.
@@ -74,13 +74,13 @@ pub enum CondensedError {
         /// Zones there are.
         n_zones: usize,
     },
-    /// The law of cut zones.
+    /// The law of cut zones cannot be cut.
     #[error("cut_law is {found:?}; allowed: TensorMass or NonlinearTensorMass, which can be cut")]
     CutLaw {
         /// What was given.
         found: ZoneLaw,
     },
-    /// A ligament where nothing is dynamic.
+    /// A ligament at a node of a pre-computed zone.
     #[error(
         "the ligament at node {node} lies in a pre-computed zone, which is linear and ligaments are not; make the zone \
          around it a tensor_mass one"
@@ -91,31 +91,31 @@ pub enum CondensedError {
     },
 }
 
-/// What a hybrid model is made from.
+/// Parameters of the hybrid model.
 #[derive(Clone, Copy, Debug)]
 pub struct CondensedParams<'a> {
-    /// The body, its supports and loads. Dynamic zones take shorter steps than its time step where they have to.
+    /// The body, its supports and loads. Dynamic zones take shorter steps than its time step where stability asks for it.
     pub body: DynamicBody<'a>,
-    /// Lame's numbers; the density is the body's.
+    /// Lame's coefficients; the density is the body's.
     pub material: &'a LinearElastic,
     /// The zones of the body's mesh.
     pub zones: &'a Zones,
     /// The law of each.
     pub laws: &'a [ZoneLaw],
-    /// What a pre-computed zone becomes when it is cut, or when nothing holds it any more.
+    /// The law of a pre-computed zone after a cut, or when nothing holds it any more.
     pub cut_law: ZoneLaw,
-    /// The stable step holds while all principal stretches of non-linear zones stay within [1/s, s] for this s, from 1.
+    /// The step is stable while all principal stretches of non-linear zones stay within [1/s, s] for this s, at least 1.
     pub largest_stretch: f64,
     /// Where tools can hold pre-computed tissue.
     pub loadable: Loadable<'a>,
-    /// Which nodes have rows in the tables, beside the loadable ones; the others are computed with the factor when they are asked for.
+    /// Which nodes have rows in the tables besides the loadable ones; the others are solved with the factor on demand.
     pub stored: StoredNodes,
-    /// How the tables are kept. The frontier's own stiffness is `f64`; a step reads a copy of it in this precision.
+    /// Precision of the tables. The frontier's own stiffness is `f64`; a step reads a copy of it in this precision.
     pub precision: Precision,
 }
 
 impl<'a> CondensedParams<'a> {
-    /// Surface nodes loadable, everything stored in `f64`; what is cut becomes linear tensor-mass.
+    /// Loadable surface nodes, all rows stored in `f64`; zones that are cut become linear tensor-mass.
     pub fn new(
         body: DynamicBody<'a>,
         material: &'a LinearElastic,
@@ -146,7 +146,7 @@ pub struct CondensedSize {
     pub n_condensed_nodes: usize,
     /// Frontier nodes between pre-computed and dynamic zones.
     pub n_dynamic_frontier_nodes: usize,
-    /// Nodes that move by themselves, those of the frontier included.
+    /// Dynamic nodes, those of the frontier included.
     pub n_dynamic_nodes: usize,
     /// Nodes of pre-computed zones that tools can hold, those of the frontier included.
     pub n_loadable_nodes: usize,

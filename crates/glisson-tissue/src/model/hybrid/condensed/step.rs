@@ -8,7 +8,7 @@ use super::{Ages, CondensedHybrid, Held, Place, Updated, ZoneWork};
 use crate::model::explicit::Mover;
 use glisson_mesh::math::{DMat3, DVec3};
 
-/// The columns of a node of a pre-computed zone or of their frontier, and the first of its three.
+/// The matrix with the columns of a node of a pre-computed zone or of their frontier, and the first of its three.
 pub(super) fn columns_of(interface: &Interface, place: Place) -> (&Columns, usize) {
     match place {
         Place::Own { zone, own } => (&interface.of_loadable[zone as usize], 3 * own as usize),
@@ -43,7 +43,8 @@ impl CondensedHybrid {
         self.show(dt_s);
     }
 
-    /// What the loads do to p and d, the dynamic nodes at rest and no tools there.
+    /// Computes the displacements of p and the forces on d from the loads, with the dynamic nodes at rest and without
+    /// tools.
     fn reduce_loads(&mut self) {
         let Self { interface, zones, work, loads, reduced, constant, .. } = self;
         reduced.copy_from_slice(constant);
@@ -79,7 +80,7 @@ impl CondensedHybrid {
             || self.held.iter().any(|held| own_in(held.place, z).is_none())
     }
 
-    /// The compliance of the held nodes, factored, and where they would be without the tools.
+    /// Factors the compliance of the held nodes, and computes their displacements without the tools.
     fn prepare_tools(&mut self) {
         if self.held.is_empty() {
             return;
@@ -144,7 +145,7 @@ impl CondensedHybrid {
         }
     }
 
-    /// The tools' forces and the displacements of p for where the dynamic nodes are now.
+    /// Computes the tools' forces and the displacements of p for the present dynamic nodes.
     fn close_interface(&mut self) {
         let Self { dynamic, interface, held, system, reduced, work, constraint_forces_n, .. } = self;
         let dynamic_m = dynamic.as_mut().map_or(&[][..], |d| d.frontier_displacements());
@@ -166,7 +167,7 @@ impl CondensedHybrid {
         interface.add_following(dynamic_m, condensed_m);
     }
 
-    /// Positions and velocities of what is asked for.
+    /// Updates positions and velocities as far as [`Updated`] asks for.
     fn show(&mut self, dt_s: f64) {
         if let Some(dynamic) = &self.dynamic {
             for (local, n) in dynamic.moving() {
@@ -193,8 +194,8 @@ impl CondensedHybrid {
         }
     }
 
-    /// Brings the pre-computed zones some of whose nodes the last steps did not show to where the loads and tools of
-    /// now hold them, the dynamic nodes where they are. Their velocity is that of the way since they were shown.
+    /// Updates the positions of pre-computed zones that the last steps left out, for the present loads, tools and
+    /// dynamic nodes. Their velocity is the mean since their last update.
     pub(super) fn catch_up(&mut self) {
         let is_stale = |ages: &Ages| ages.iter().any(|age| age.is_stale());
         if !self.ages.iter().any(is_stale) {
@@ -203,7 +204,7 @@ impl CondensedHybrid {
         self.reduce_loads();
         self.prepare_tools();
         self.close_interface();
-        // What was shown keeps its velocity: a load that came since the last step moves it in no time.
+        // Current nodes keep their velocity: a load since the last step moves them in no time.
         for p in 0..self.interface.n_condensed {
             let n = self.interface.nodes[p].index();
             self.positions_m[n] = self.mesh.positions_m[n] + node_at(&self.reduced, p);
@@ -215,7 +216,7 @@ impl CondensedHybrid {
         }
     }
 
-    /// Brings the first `n_groups` of a zone's groups of nodes up to date.
+    /// Updates the first `n_groups` of a zone's groups of nodes.
     fn show_zone(&mut self, z: usize, n_groups: usize) {
         let zone = &self.zones[z];
         let ends = [zone.n_shown, zone.n_stored, zone.nodes.len()];
@@ -270,7 +271,7 @@ impl CondensedHybrid {
         }
     }
 
-    /// Nodes without rows: solved with the zone's factor.
+    /// Updates the nodes without rows, by a solution with the zone's factor.
     fn show_inner(&mut self, z: usize, from: usize, per_s: f64) {
         let Self { zones, work, loads, held, interface, reduced, dynamic, .. } = self;
         let (zone, work) = (&mut zones[z], &mut work[z]);
@@ -306,8 +307,8 @@ impl CondensedHybrid {
     }
 }
 
-/// Displacements of a zone's frontier [m] beyond those that its own loads' columns contain; without displacements of
-/// the dynamic nodes these are at rest.
+/// Writes the displacements of a zone's frontier [m], without those in the columns of its own loads, to `work.frontier`.
+/// With an empty `dynamic_m` the dynamic nodes are at rest.
 fn gather_from_outside(
     interface: &Interface,
     reduced: &[f64],
@@ -329,7 +330,7 @@ fn gather_from_outside(
     }
 }
 
-/// Forces of the tools for these displacements of the dynamic frontier nodes.
+/// Solves for the tools' forces at these displacements of the dynamic frontier nodes.
 fn solve_tools(interface: &Interface, system: &mut ContactSystem, held: &[Held], dynamic_m: &[f64]) {
     if held.is_empty() {
         return;
@@ -350,7 +351,7 @@ fn tensor(matrix: &Columns, row: usize, column: usize) -> DMat3 {
     DMat3::from_cols(of_axis(0), of_axis(1), of_axis(2))
 }
 
-/// An own node's displacement without tools and without its zone's loads in columns.
+/// Displacement [m] of an own node without the tools and without those loads of its zone that act through columns.
 fn without_tools(zone: &PrecomputedZone, work: &ZoneWork, own: usize, outside: Option<&[f64]>) -> DVec3 {
     let mut u_m = node_at(&work.base_m, own);
     if work.is_solved {
@@ -364,7 +365,7 @@ fn without_tools(zone: &PrecomputedZone, work: &ZoneWork, own: usize, outside: O
     u_m
 }
 
-/// Displacement of one held node for a unit force on another, the dynamic nodes held. `row`: room for a row over p.
+/// Displacement [m/N] of one held node for a unit force on another, the dynamic nodes held. `row`: scratch over p.
 pub(super) fn compliance(
     interface: &Interface,
     zones: &[PrecomputedZone],

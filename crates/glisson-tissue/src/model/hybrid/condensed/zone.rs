@@ -1,13 +1,13 @@
-//! What a pre-computed zone knows of itself, from its own tetrahedra alone.
+//! The tables of a pre-computed zone, from its own tetrahedra alone.
 //!
-//! With I its own nodes and G its frontier, and K of its own tetrahedra:
+//! Let I be its own nodes, G its frontier, and K the stiffness of its own tetrahedra:
 //! - the extension B = -K_II^-1 K_IG: how its nodes follow the frontier;
-//! - the compliance T = K_II^-1 with the frontier held, for the nodes that can be loaded;
+//! - the compliance T = K_II^-1 with the frontier held, for the loadable nodes;
 //! - the Schur complement S = K_GG + K_GI B: the stiffness that the frontier feels
 //!   (Bro-Nielsen and Cotin 1996, doi 10.1111/1467-8659.1530057; seed `003`, eq. 4.6);
 //! - the factor of K_II, for loads on any node and for nodes whose rows are not stored.
 //!
-//! A load f_I moves the frontier like the force B^T f_I = -K_GI K_II^-1 f_I on it.
+//! A load f_I acts on the frontier like the force B^T f_I = -K_GI K_II^-1 f_I.
 
 use crate::material::LinearElastic;
 use crate::model::RestStress;
@@ -21,15 +21,15 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
 use super::columns::Columns;
 
-/// Loads that are always there: the weight under unit acceleration along x, y and z, and the stress at rest.
+/// Number of constant loads: the weight under unit acceleration along x, y and z, and the stress at rest.
 pub(super) const N_CONSTANT: usize = 4;
 
-/// What of the whole body a zone is cut from.
+/// The whole body, as far as the tables of a zone depend on it.
 pub(super) struct Whole<'a> {
     pub(super) mesh: &'a TetMesh,
     pub(super) material: &'a LinearElastic,
     pub(super) density_kg_per_m3: f64,
-    /// One a tetrahedron, or none.
+    /// One per tetrahedron, or none.
     pub(super) rest_stress_pa: &'a [RestStress],
     /// Axes along which each node is held.
     pub(super) held: &'a [[bool; 3]],
@@ -50,16 +50,16 @@ struct Bond {
     stiffness_n_per_m: DMat3,
 }
 
-/// A zone that follows its frontier and its loads at once.
+/// A zone that follows its frontier and its loads statically.
 #[derive(Clone)]
 pub(super) struct PrecomputedZone {
-    /// Nodes of this zone alone that move: the loadable ones, then the others of the surface, then the inner ones;
-    /// each group ascends.
+    /// Nodes that move and belong to this zone alone: loadable ones, other surface nodes, inner nodes. Each group
+    /// ascends.
     pub(super) nodes: Vec<NodeId>,
     pub(super) n_loadable: usize,
-    /// Loadable ones and the others of the surface.
+    /// Number of loadable and other surface nodes.
     pub(super) n_shown: usize,
-    /// Nodes whose rows are in the tables: the first ones.
+    /// Number of nodes, from the first on, whose rows are in the tables.
     pub(super) n_stored: usize,
     /// Ascending.
     pub(super) frontier: Vec<NodeId>,
@@ -67,19 +67,123 @@ pub(super) struct PrecomputedZone {
     pub(super) frontier_stiffness: Columns,
     /// B, the rows of the stored nodes.
     pub(super) extension: Columns,
-    /// T of the stored rows [m/N]; the interface adds what the rest of the body gives way.
+    /// T of the stored rows [m/N]; the interface adds the compliance of the rest of the body.
     pub(super) compliance: Columns,
     /// Response to each constant load, for all own nodes [m].
     pub(super) constant_response: Columns,
-    /// Each constant load's force on the frontier [N]: what comes from inside, and the frontier nodes' own share.
+    /// Force of each constant load on the frontier [N]: from the own nodes, and the frontier nodes' own share.
     pub(super) constant_transfer: Columns,
     pub(super) constant_on_frontier: Columns,
     bonds: Vec<Bond>,
     factor: Factorization,
-    /// Place of each own node's components in the factored system.
+    /// Row of each own node's components in the factored system.
     free_of: Vec<[Option<u32>; 3]>,
     scratch: FactorScratch,
     free: Vec<f64>,
+}
+
+/// Some tetrahedra of a mesh as a mesh of their own.
+pub(super) struct SubMesh {
+    /// Their nodes in the whole mesh, ascending.
+    pub(super) nodes: Vec<NodeId>,
+    pub(super) mesh: TetMesh,
+}
+
+impl SubMesh {
+    pub(super) fn of(whole: &TetMesh, tets: impl Iterator<Item = TetId> + Clone) -> Self {
+        let corners = |t: TetId| whole.tetrahedra[t.index()];
+        let mut nodes: Vec<NodeId> = tets.clone().flat_map(corners).collect();
+        nodes.sort_unstable();
+        nodes.dedup();
+        let positions_m = nodes.iter().map(|n| whole.positions_m[n.index()]).collect();
+        let local = |n: NodeId| NodeId::from_index(nodes.binary_search(&n).expect("a corner"));
+        let tetrahedra = tets.map(|t| corners(t).map(local)).collect();
+        Self { nodes, mesh: TetMesh { positions_m, tetrahedra } }
+    }
+
+    /// The number here of a node of the whole mesh.
+    pub(super) fn local(&self, node: NodeId) -> Option<NodeId> {
+        self.nodes.binary_search(&node).ok().map(NodeId::from_index)
+    }
+}
+
+/// The supports of a zone with its frontier held; `nodes`: its nodes in the whole mesh.
+fn frontier_held(whole: &Whole<'_>, nodes: &[NodeId]) -> BoundaryConditions {
+    let mut conditions = BoundaryConditions::new();
+    for (l, node) in nodes.iter().enumerate() {
+        for axis in 0..3 {
+            if whole.is_frontier[node.index()] || whole.held[node.index()][axis] {
+                conditions.impose(NodeId::from_index(l), axis, 0.0);
+            }
+        }
+    }
+    conditions
+}
+
+/// The nodes of a zone that move, in the order of its tables.
+struct ZoneNodes {
+    /// Its own: loadable ones, others of the surface, inner ones.
+    own: Vec<NodeId>,
+    n_loadable: usize,
+    /// Number of loadable and other surface nodes.
+    n_shown: usize,
+    frontier: Vec<NodeId>,
+}
+
+impl ZoneNodes {
+    fn of(whole: &Whole<'_>, nodes: &[NodeId]) -> Self {
+        let moves = |n: &NodeId| whole.held[n.index()] != [true; 3];
+        let is_frontier = |n: &NodeId| whole.is_frontier[n.index()];
+        let (mut own, others): (Vec<NodeId>, Vec<NodeId>) =
+            nodes.iter().filter(|n| moves(n) && !is_frontier(n)).partition(|n| whole.is_loadable[n.index()]);
+        let n_loadable = own.len();
+        let (shown, inner): (Vec<NodeId>, Vec<NodeId>) =
+            others.into_iter().partition(|n| whole.is_surface[n.index()]);
+        own.extend(shown);
+        let n_shown = own.len();
+        own.extend(inner);
+        let frontier = nodes.iter().copied().filter(|n| moves(n) && is_frontier(n)).collect();
+        Self { own, n_loadable, n_shown, frontier }
+    }
+}
+
+/// K between the frontier nodes, and its blocks between a frontier node and one of the zone's own.
+fn frontier_blocks(
+    part: &SubMesh,
+    own: &[NodeId],
+    frontier: &[NodeId],
+    (edges, tensors): (&MeshEdges, &StiffnessTensors),
+) -> (Columns, Vec<Bond>) {
+    let local = |n: NodeId| part.local(n).expect("a node of the zone").index();
+    // Where each of the zone's nodes stands among its own or its frontier nodes.
+    let mut own_at = vec![None; part.nodes.len()];
+    for (i, &n) in own.iter().enumerate() {
+        own_at[local(n)] = Some(i as u32);
+    }
+    let frontier_at = |l: NodeId| frontier.binary_search(&part.nodes[l.index()]).ok();
+    let mut stiffness = Columns::zeros(3 * frontier.len(), 3 * frontier.len());
+    for (k, &n) in frontier.iter().enumerate() {
+        stiffness.add_block(k, k, tensors.vertex[local(n)]);
+    }
+    let mut bonds = Vec::new();
+    for (&[p, q], &block) in edges.nodes.iter().zip(&tensors.edge) {
+        let bond = |frontier: usize, own: u32, stiffness_n_per_m| Bond {
+            frontier: frontier as u32,
+            own,
+            stiffness_n_per_m,
+        };
+        match (frontier_at(p), frontier_at(q)) {
+            (Some(p), Some(q)) => {
+                stiffness.add_block(p, q, block);
+                stiffness.add_block(q, p, block.transpose());
+            }
+            (Some(p), None) => bonds.extend(own_at[q.index()].map(|q| bond(p, q, block))),
+            (None, Some(q)) => bonds.extend(own_at[p.index()].map(|p| bond(q, p, block.transpose()))),
+            (None, None) => (),
+        }
+    }
+    bonds.sort_by_key(|b| (b.frontier, b.own));
+    (stiffness, bonds)
 }
 
 impl PrecomputedZone {
@@ -89,92 +193,30 @@ impl PrecomputedZone {
     /// [`SolveError`]: a part of the zone that neither its frontier nor a support holds; nodes are those of the
     /// whole mesh.
     pub(super) fn build(whole: &Whole<'_>, tets: &[TetId]) -> Result<Self, SolveError> {
-        let mut ids: Vec<NodeId> = tets.iter().flat_map(|t| whole.mesh.tetrahedra[t.index()]).collect();
-        ids.sort_unstable();
-        ids.dedup();
-        let local = |n: NodeId| NodeId::from_index(ids.binary_search(&n).expect("a node of the zone"));
-        let mesh = TetMesh {
-            positions_m: ids.iter().map(|n| whole.mesh.positions_m[n.index()]).collect(),
-            tetrahedra: tets.iter().map(|t| whole.mesh.tetrahedra[t.index()].map(local)).collect(),
-        };
-        let edges = MeshEdges::of_mesh(&mesh)?;
-        let tensors = StiffnessTensors::assemble(&mesh, &edges, whole.material)?;
-        let mut conditions = BoundaryConditions::new();
-        for (l, node) in ids.iter().enumerate() {
-            for axis in 0..3 {
-                if whole.is_frontier[node.index()] || whole.held[node.index()][axis] {
-                    conditions.impose(NodeId::from_index(l), axis, 0.0);
-                }
-            }
-        }
+        let part = SubMesh::of(whole.mesh, tets.iter().copied());
+        let edges = MeshEdges::of_mesh(&part.mesh)?;
+        let tensors = StiffnessTensors::assemble(&part.mesh, &edges, whole.material)?;
+        let conditions = frontier_held(whole, &part.nodes);
         let of_whole = |error| match error {
             SolveError::Floating { piece_nodes, node, rigid_modes, named } => {
-                SolveError::Floating { piece_nodes, node: ids[node.index()], rigid_modes, named }
+                SolveError::Floating { piece_nodes, node: part.nodes[node.index()], rigid_modes, named }
             }
             other => other,
         };
-        conditions.check(&mesh, &edges).map_err(of_whole)?;
+        conditions.check(&part.mesh, &edges).map_err(of_whole)?;
         let system = FreeSystem::new(&edges, &tensors, &conditions)?;
         let factor = system.factorize()?;
 
-        let moves = |n: &NodeId| whole.held[n.index()] != [true; 3];
-        let is_own = |n: &NodeId| moves(n) && !whole.is_frontier[n.index()];
-        let (mut nodes, inner): (Vec<NodeId>, Vec<NodeId>) =
-            ids.iter().filter(|n| is_own(n)).partition(|n| whole.is_loadable[n.index()]);
-        let n_loadable = nodes.len();
-        let (shown, inner): (Vec<NodeId>, Vec<NodeId>) =
-            inner.into_iter().partition(|n| whole.is_surface[n.index()]);
-        nodes.extend(shown);
-        let n_shown = nodes.len();
-        nodes.extend(inner);
+        let ZoneNodes { own, n_loadable, n_shown, frontier } = ZoneNodes::of(whole, &part.nodes);
         let n_stored = match whole.stored {
             StoredNodes::Surface => n_shown,
-            StoredNodes::All => nodes.len(),
+            StoredNodes::All => own.len(),
         };
-        let frontier: Vec<NodeId> =
-            ids.iter().copied().filter(|n| moves(n) && whole.is_frontier[n.index()]).collect();
-        let free_of = nodes
-            .iter()
-            .map(|&n| [0, 1, 2].map(|axis| system.row_of(local(n), axis).map(|row| row as u32)))
-            .collect();
-
-        // Where each of the zone's nodes stands among its own or its frontier nodes.
-        let mut own_at = vec![None; ids.len()];
-        for (i, &n) in nodes.iter().enumerate() {
-            own_at[local(n).index()] = Some(i as u32);
-        }
-        let frontier_at = |l: NodeId| frontier.binary_search(&ids[l.index()]).ok();
-        let n_frontier = frontier.len();
-        let mut stiffness = Columns::zeros(3 * n_frontier, 3 * n_frontier);
-        let mut add = |p: usize, q: usize, block: DMat3| {
-            for axis in 0..3 {
-                let column = &mut stiffness.column_mut(3 * q + axis)[3 * p..3 * p + 3];
-                column.iter_mut().zip(block.col(axis).to_array()).for_each(|(to, x)| *to += x);
-            }
-        };
-        for (k, &n) in frontier.iter().enumerate() {
-            add(k, k, tensors.vertex[local(n).index()]);
-        }
-        let mut bonds = Vec::new();
-        for (&[p, q], &block) in edges.nodes.iter().zip(&tensors.edge) {
-            let bond = |frontier: usize, own: u32, stiffness_n_per_m| Bond {
-                frontier: frontier as u32,
-                own,
-                stiffness_n_per_m,
-            };
-            match (frontier_at(p), frontier_at(q)) {
-                (Some(p), Some(q)) => {
-                    add(p, q, block);
-                    add(q, p, block.transpose());
-                }
-                (Some(p), None) => bonds.extend(own_at[q.index()].map(|q| bond(p, q, block))),
-                (None, Some(q)) => bonds.extend(own_at[p.index()].map(|p| bond(q, p, block.transpose()))),
-                (None, None) => (),
-            }
-        }
-        bonds.sort_by_key(|b| (b.frontier, b.own));
-
-        let n_free = factor.n_rows();
+        let local = |n: NodeId| part.local(n).expect("a node of the zone");
+        let row_of = |n: NodeId, axis: usize| system.row_of(local(n), axis).map(|row| row as u32);
+        let free_of = own.iter().map(|&n| [0, 1, 2].map(|axis| row_of(n, axis))).collect();
+        let (stiffness, bonds) = frontier_blocks(&part, &own, &frontier, (&edges, &tensors));
+        let (n_free, n_frontier) = (factor.n_rows(), frontier.len());
         let mut zone = Self {
             n_loadable,
             n_shown,
@@ -182,12 +224,12 @@ impl PrecomputedZone {
             frontier_stiffness: Columns::zeros(0, 0),
             extension: Columns::zeros(0, 0),
             compliance: Columns::zeros(0, 0),
-            constant_response: Columns::zeros(3 * nodes.len(), N_CONSTANT),
+            constant_response: Columns::zeros(3 * own.len(), N_CONSTANT),
             constant_transfer: Columns::zeros(3 * n_frontier, N_CONSTANT),
             constant_on_frontier: Columns::zeros(3 * n_frontier, N_CONSTANT),
             scratch: factor.scratch(1),
             free: vec![0.0; n_free],
-            nodes,
+            nodes: own,
             frontier,
             bonds,
             factor,
@@ -199,7 +241,7 @@ impl PrecomputedZone {
         Ok(zone)
     }
 
-    /// B and S: the zone for a unit displacement of each frontier component.
+    /// Computes B and S: the response to a unit displacement of each frontier component.
     fn extend_over_frontier(&mut self, mut stiffness: Columns, precision: Precision) {
         let (n_frontier, n_rows) = (self.frontier.len(), 3 * self.n_stored);
         let n_out = n_rows + 3 * n_frontier;
@@ -236,19 +278,12 @@ impl PrecomputedZone {
             extension.extend_from_slice(&out[..n_rows]);
             stiffness.column_mut(j).iter_mut().zip(&out[n_rows..]).for_each(|(to, x)| *to += x);
         }
-        // What rounding made unequal.
-        for j in 0..3 * n_frontier {
-            for i in 0..j {
-                let mean = 0.5 * (stiffness.entry(i, j) + stiffness.entry(j, i));
-                stiffness.column_mut(j)[i] = mean;
-                stiffness.column_mut(i)[j] = mean;
-            }
-        }
+        stiffness.symmetrize();
         self.frontier_stiffness = stiffness;
         self.extension = Columns::of(n_rows, 3 * n_frontier, extension).kept_in(precision);
     }
 
-    /// T: the zone for a unit force on each loadable component, its frontier held.
+    /// Computes T: the response to a unit force on each loadable component, with the frontier held.
     fn fill_compliance(&mut self) {
         let (n_rows, n_columns) = (3 * self.n_stored, 3 * self.n_loadable);
         let mut out = vec![0.0; n_rows * n_columns];
@@ -269,7 +304,7 @@ impl PrecomputedZone {
         self.compliance = Columns::of(n_rows, n_columns, out);
     }
 
-    /// The loads that are always there.
+    /// Fills the tables of the constant loads.
     fn fill_constants(&mut self, whole: &Whole<'_>, tets: &[TetId]) {
         let mut loads = vec![[DVec3::ZERO; N_CONSTANT]; whole.mesh.positions_m.len()];
         for t in tets {
@@ -316,7 +351,7 @@ impl PrecomputedZone {
         DVec3::from_array(self.free_of[own].map(|row| row.map_or(0.0, |row| free[row as usize])))
     }
 
-    /// Begins a load on any of the own nodes.
+    /// Starts a load on the own nodes.
     pub(super) fn start_load(&mut self) {
         self.free.fill(0.0);
     }
@@ -330,7 +365,7 @@ impl PrecomputedZone {
         }
     }
 
-    /// Adds -K_IG u: how the frontier's displacements [m] pull on the own nodes.
+    /// Adds -K_IG u, the pull of the frontier's displacements [m] on the own nodes.
     pub(super) fn add_pull_of_frontier(&mut self, frontier_m: &[f64]) {
         for b in 0..self.bonds.len() {
             let Bond { frontier, own, stiffness_n_per_m } = self.bonds[b];
@@ -339,7 +374,7 @@ impl PrecomputedZone {
         }
     }
 
-    /// Solves with the frontier held, and adds the forces [N] that come through to the frontier.
+    /// Solves with the frontier held, and adds the forces [N] that the load exerts on the frontier.
     pub(super) fn solve_load(&mut self, frontier_n: &mut [f64]) {
         self.factor.solve_in_place(&mut self.free, 1, &mut self.scratch);
         for bond in &self.bonds {

@@ -1,4 +1,4 @@
-//! Making the zones: their matrices, tensors, and who tells whom.
+//! Set-up of the zones: their matrices, their tensors, and their links to neighbours.
 
 use super::dynamic::{DynamicZones, Rates};
 use super::zone::{Incoming, Lists, NONE, PrecomputedZone, Shared};
@@ -18,7 +18,7 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use std::sync::Arc;
 
 /// # Errors
-/// [`ExchangeError::Parameter`] for none.
+/// [`ExchangeError::Parameter`] for zero sweeps.
 pub(super) fn check_sweeps(sweeps_per_step: u32) -> Result<(), ExchangeError> {
     check("the number of sweeps in a step", f64::from(sweeps_per_step), sweeps_per_step > 0, "at least 1")
 }
@@ -65,20 +65,50 @@ fn check_params(params: &ExchangeParams<'_>) -> Result<(), ExchangeError> {
                 n >= 2,
                 "at least 2, or OneNode with its relaxation",
             )?;
-            // A wider one reads nodes inside the neighbour.
+            // A wider overlap reads inner nodes of the neighbour.
             let has_all = n == 2 || params.method == Method::AllNodes;
             check("the overlap in nodes", f64::from(n), has_all, "2 with method A, more with all nodes kept")
         }
     }
 }
 
-/// Non-linear zones stiffen as they are stretched: their step is for principal stretches up to this one. A choice.
+/// Non-linear zones stiffen as they stretch: their step is stable for principal stretches up to this one. A choice.
 const LARGEST_STRETCH: f64 = 1.3;
 
 const NOTHING: TetStiffness = TetStiffness { vertex: [DMat3::ZERO; 4], edge: [DMat3::ZERO; 6] };
 
 impl Body {
-    /// K of the tetrahedra that count, summed in their order.
+    /// The body of these parameters.
+    ///
+    /// # Errors
+    /// [`SolveError`] for a mesh or support without solution.
+    fn of(params: &ExchangeParams<'_>) -> Result<Self, SolveError> {
+        let mesh = params.mesh;
+        let n_nodes = mesh.positions_m.len();
+        let edges = MeshEdges::of_mesh(mesh)?;
+        BoundaryConditions::fixed(params.fixed_nodes).check(mesh, &edges)?;
+        let flags = |nodes: &[NodeId]| {
+            let mut is_marked = vec![false; n_nodes];
+            nodes.iter().for_each(|node| is_marked[node.index()] = true);
+            is_marked
+        };
+        let mut around = vec![Vec::new(); n_nodes];
+        for (e, &[p, q]) in edges.nodes.iter().enumerate() {
+            around[p.index()].push((q, e as u32));
+            around[q.index()].push((p, e as u32));
+        }
+        Ok(Self {
+            mesh: mesh.clone(),
+            material: *params.material,
+            zones: params.zones.clone(),
+            neighbours: Lists::of(around.into_iter()),
+            is_fixed: flags(params.fixed_nodes),
+            is_on_surface: flags(&boundary_nodes(mesh)),
+            edges,
+        })
+    }
+
+    /// K of the tetrahedra for which `counts` is true, summed in their order.
     pub(super) fn tensors(&self, counts: impl Fn(TetId) -> bool) -> Result<StiffnessTensors, SolveError> {
         let (lambda_pa, mu_pa) = (self.material.lambda_pa(), self.material.mu_pa());
         StiffnessTensors::assemble_with(&self.mesh, &self.edges, |tet, g| {
@@ -86,7 +116,7 @@ impl Body {
         })
     }
 
-    /// A quarter of the mass of each live tetrahedron to each corner [kg].
+    /// Lumped masses [kg]: each live tetrahedron gives a quarter to each corner.
     pub(super) fn masses_kg(&self, is_live: &[bool]) -> Vec<f64> {
         let mut mass_kg = vec![0.0; self.mesh.positions_m.len()];
         for (t, nodes) in self.mesh.tetrahedra.iter().enumerate().filter(|(t, _)| is_live[*t]) {
@@ -100,7 +130,7 @@ impl Body {
         self.zones.zones_of_node(node).len() > 1
     }
 
-    /// The free rows of K of some nodes.
+    /// The system of K on the nodes for which `is_in` is true.
     ///
     /// # Errors
     /// [`SolveError`] when the ordering fails.
@@ -130,12 +160,7 @@ impl PrecomputedZone {
         mass_kg: &[f64],
     ) -> Result<(), ExchangeError> {
         let zone = self.zone;
-        let n_numbers = self.stride() * (self.n_loadable + 1);
-        let mut table = Vec::new();
-        table
-            .try_reserve_exact(n_numbers)
-            .map_err(|_| ExchangeError::Memory { zone, bytes: 8 * n_numbers as u128 })?;
-        table.resize(n_numbers, 0.0);
+        let mut table = self.empty_table()?;
         let row_of = &self.row_of;
         let system = body.system_of(tensors, |node| row_of[node.index()] != NONE)?;
         let factor = system.factorize().map_err(|error| match error {
@@ -147,12 +172,7 @@ impl PrecomputedZone {
             .iter()
             .map(|&node| [0, 1, 2].map(|axis| system.row_of(node, axis).expect("the zone's nodes are free")))
             .collect();
-        // Method A: which of the zone's own nodes act on each frontier node.
-        let inner = Lists::of(self.nodes[..self.n_force_rows].iter().map(|&p| {
-            let own = |&&(j, _): &&(NodeId, u32)| row_of[j.index()] != NONE && !body.is_shared(j);
-            let entry = |&(j, edge): &(NodeId, u32)| (row_of[j.index()], edge_tensor(tensors, p, j, edge));
-            body.neighbours.get(p.index()).iter().filter(own).map(entry).collect()
-        }));
+        let inner = self.inner_neighbours(body, tensors);
         let (n_rows, n_loadable, n_free) = (self.n_rows, self.n_loadable, factor.n_rows());
         let (stride, third) = (self.stride(), self.stride() / 3);
         let nodes = &self.nodes;
@@ -185,41 +205,50 @@ impl PrecomputedZone {
         self.renew();
         Ok(())
     }
+
+    /// A table of zeros of the zone's size.
+    fn empty_table(&self) -> Result<Vec<f64>, ExchangeError> {
+        let n_numbers = self.stride() * (self.n_loadable + 1);
+        let mut table = Vec::new();
+        table
+            .try_reserve_exact(n_numbers)
+            .map_err(|_| ExchangeError::Memory { zone: self.zone, bytes: 8 * n_numbers as u128 })?;
+        table.resize(n_numbers, 0.0);
+        Ok(table)
+    }
+
+    /// Method A: for each frontier node, the rows of the zone's own nodes that act on it, with their tensors.
+    fn inner_neighbours(&self, body: &Body, tensors: &StiffnessTensors) -> Lists<(u32, DMat3)> {
+        let row_of = &self.row_of;
+        Lists::of(self.nodes[..self.n_force_rows].iter().map(|&p| {
+            let own = |&&(j, _): &&(NodeId, u32)| row_of[j.index()] != NONE && !body.is_shared(j);
+            let entry = |&(j, edge): &(NodeId, u32)| (row_of[j.index()], edge_tensor(tensors, p, j, edge));
+            body.neighbours.get(p.index()).iter().filter(own).map(entry).collect()
+        }))
+    }
 }
 
 impl HybridExchange {
-    /// Makes the zones. Runs on the threads of the rayon pool it is called in; the bits do not depend on their
-    /// number.
+    /// Computes the zones on the threads of the current rayon pool; the bits do not depend on their number.
     ///
     /// # Errors
     /// [`ExchangeError`] for a mesh or support without solution, impossible settings, a zone that nothing holds.
     pub fn build(params: &ExchangeParams<'_>) -> Result<Self, ExchangeError> {
         check_params(params)?;
+        let mut model = Self::without_zones(params)?;
+        model.compliant = model.compliant_tensors()?;
+        model.compute_zones()?;
+        model.link()?;
+        Ok(model)
+    }
+
+    /// The body at rest, without loads and without the zones' tables.
+    fn without_zones(params: &ExchangeParams<'_>) -> Result<Self, ExchangeError> {
         let mesh = params.mesh;
         let n_nodes = mesh.positions_m.len();
-        let edges = MeshEdges::of_mesh(mesh)?;
-        BoundaryConditions::fixed(params.fixed_nodes).check(mesh, &edges)?;
-        let flags = |nodes: &[NodeId]| {
-            let mut is_marked = vec![false; n_nodes];
-            nodes.iter().for_each(|node| is_marked[node.index()] = true);
-            is_marked
-        };
-        let mut around = vec![Vec::new(); n_nodes];
-        for (e, &[p, q]) in edges.nodes.iter().enumerate() {
-            around[p.index()].push((q, e as u32));
-            around[q.index()].push((p, e as u32));
-        }
-        let body = Body {
-            mesh: mesh.clone(),
-            material: *params.material,
-            zones: params.zones.clone(),
-            neighbours: Lists::of(around.into_iter()),
-            is_fixed: flags(params.fixed_nodes),
-            is_on_surface: flags(&boundary_nodes(mesh)),
-            edges,
-        };
+        let body = Body::of(params)?;
         let all = Arc::new(body.tensors(|_| true)?);
-        let mut model = Self {
+        Ok(Self {
             body: Arc::new(body),
             settings: Settings {
                 method: params.method,
@@ -257,21 +286,23 @@ impl HybridExchange {
             n_parts: 0,
             count: ExchangeCount::default(),
             n_rebuilt: 0,
-        };
-        model.compliant = model.compliant_tensors()?;
-        let mass_kg = model.body.masses_kg(&model.is_live);
-        for zone in 0..params.zones.n_zones() {
-            if model.laws[zone] == ZoneLaw::Precomputed {
-                let mut made = PrecomputedZone::new(zone, model.nodes_of_zone(zone), n_nodes, params.method);
-                made.compute(&model.body, &model.compliant, &mass_kg)?;
-                model.zones.push(made);
-            }
-        }
-        model.link()?;
-        Ok(model)
+        })
     }
 
-    /// Free nodes of a zone: on frontiers, on the surface, inside.
+    /// Computes the table of each pre-computed zone.
+    fn compute_zones(&mut self) -> Result<(), ExchangeError> {
+        let mass_kg = self.body.masses_kg(&self.is_live);
+        let n_nodes = self.positions_m.len();
+        for zone in (0..self.laws.len()).filter(|&zone| self.laws[zone] == ZoneLaw::Precomputed) {
+            let nodes = self.nodes_of_zone(zone);
+            let mut made = PrecomputedZone::new(zone, nodes, n_nodes, self.settings.method);
+            made.compute(&self.body, &self.compliant, &mass_kg)?;
+            self.zones.push(made);
+        }
+        Ok(())
+    }
+
+    /// Free nodes of a zone: those on frontiers, other ones on the surface, inner ones.
     fn nodes_of_zone(&self, zone: usize) -> [Vec<NodeId>; 3] {
         let body = &self.body;
         let mut nodes = [const { Vec::new() }; 3];
@@ -286,8 +317,8 @@ impl HybridExchange {
         nodes
     }
 
-    /// What the pre-computed zones have in their matrices: all live tetrahedra, or with an overlap of one node those
-    /// of pre-computed zones alone.
+    /// K in the matrices of the pre-computed zones: of all live tetrahedra, or with an overlap of one node of those of
+    /// pre-computed zones alone.
     pub(super) fn compliant_tensors(&self) -> Result<Arc<StiffnessTensors>, ExchangeError> {
         match self.settings.overlap {
             Overlap::Nodes(_) => Ok(Arc::clone(&self.all)),
@@ -297,7 +328,7 @@ impl HybridExchange {
         }
     }
 
-    /// Makes everything that depends on which zones are pre-computed and on K, but for the tables.
+    /// Updates everything except the tables that depends on K and on which zones are pre-computed.
     pub(super) fn link(&mut self) -> Result<(), ExchangeError> {
         let body = Arc::clone(&self.body);
         let n_nodes = body.mesh.positions_m.len();
@@ -439,8 +470,8 @@ impl HybridExchange {
         tets.map(|t| (t, mesh.tetrahedra[t.index()], KirchhoffTet::new(mesh.corners_m(t), None))).collect()
     }
 
-    /// Stable step [s] of the tetrahedra around nodes that move, as a body of its own: with all else held, the
-    /// frequencies are lower and the masses larger.
+    /// Stable step [s] of the tetrahedra around nodes that move, as a body of its own. It is a lower bound: with all
+    /// other nodes held the frequencies are lower and the masses larger.
     fn stable_step_of(&self, moves: &[bool]) -> Result<f64, ExchangeError> {
         let body = &self.body;
         let mut mesh = TetMesh::default();

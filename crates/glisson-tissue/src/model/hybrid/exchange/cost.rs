@@ -1,16 +1,16 @@
-//! What the two methods store and compute, by the formulas of seed `003` s. 4.4.
+//! Memory and operations of the two methods, by the formulas of seed `003` s. 4.4.
 //!
 //! A zone has N nodes, F of them on frontiers and S on the surface but not on frontiers; fixed nodes do not count.
 //! The unit is a tensor (nine numbers), or its product with a vector.
 //!
-//! | | stored tensors | products a sweep without outer force |
+//! | | stored tensors | products per sweep without outer force |
 //! |---|---|---|
 //! | A, surface | (2 F + S)(F + S) | F (2 F + S) |
 //! | B, all nodes | N (F + S) | F N + products of edges that leave the zone at frontier nodes |
 //! | tensor-mass | vertices and edges | nodes times mean number of neighbours |
 //!
-//! For the edges the report's text takes half of 20 neighbours, F N + 10 F; its table 5.2 has 2.7 to 2.9 a frontier
-//! node. The products of neighbour forces in method A for edges between frontier nodes of two other zones, which
+//! For the edges the report's text takes half of 20 neighbours, F N + 10 F; its table 5.2 has 2.7 to 2.9 per
+//! frontier node. The products of neighbour forces in method A for edges between frontier nodes of two other zones, which
 //! exist only where more than two zones meet, are beyond the report's formula.
 
 /// Numbers of nodes of a zone.
@@ -35,25 +35,25 @@ impl ZoneSize {
         self.n_nodes * (self.n_frontier + self.n_surface)
     }
 
-    /// Products of method A a sweep, without outer force.
+    /// Products of method A per sweep, without outer force.
     pub fn surface_products(self) -> u64 {
         self.n_frontier * (2 * self.n_frontier + self.n_surface)
     }
 
-    /// Products of method B a sweep, without outer force and without those of the edges that leave the zone.
+    /// Products of method B per sweep, without outer force and without those of the edges that leave the zone.
     pub fn all_nodes_products(self) -> u64 {
         self.n_frontier * self.n_nodes
     }
 }
 
-/// What a step did, all zones together.
+/// Operations of a step, over all zones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ExchangeCount {
     /// Sweeps over the zones.
     pub n_sweeps: u64,
     /// Products of pre-computed tensors with forces.
     pub response_products: u64,
-    /// Products of stiffness tensors with neighbours' displacements, for the forces that zones hand on.
+    /// Products of stiffness tensors with neighbours' displacements, for the forces that zones pass on.
     pub edge_products: u64,
     /// Products of stiffness tensors in tensor-mass zones.
     pub dynamic_products: u64,

@@ -1,5 +1,5 @@
-//! Small dense systems of imposed displacements and of corrections: elimination with row exchange in memory that
-//! was set aside.
+//! Small dense systems of imposed displacements and of corrections: Gaussian elimination with row exchange, without
+//! allocation.
 
 /// A square system of up to a fixed size, by rows.
 #[derive(Debug)]
@@ -12,7 +12,7 @@ pub(super) struct SmallLu {
 }
 
 impl Clone for SmallLu {
-    /// With the same room.
+    /// A copy with the same capacity.
     fn clone(&self) -> Self {
         let mut copy = Self::with_room_for(self.room);
         copy.n = self.n;
@@ -23,12 +23,12 @@ impl Clone for SmallLu {
 }
 
 impl SmallLu {
-    /// Room for `room` rows.
+    /// A system with capacity for `room` rows.
     pub(super) fn with_room_for(room: usize) -> Self {
         Self { n: 0, room, entry: vec![0.0; room * room], row_of: vec![0; room], solved: vec![0.0; room] }
     }
 
-    /// Begins a system of `n` rows; the entries, by rows, are then written and factored.
+    /// Starts a system of `n` rows; returns its entries, by rows, to be written and then factored.
     pub(super) fn start(&mut self, n: usize) -> &mut [f64] {
         assert!(n <= self.room, "room was made for {} rows", self.room);
         self.n = n;

@@ -1,10 +1,10 @@
-//! The tensor-mass zones, all as one: neighbours among them are merged (seed `003` s. 4.3.2.1).
+//! All tensor-mass zones as one body: neighbours among them are merged (seed `003` s. 4.3.2.1).
 //!
 //! Their nodes move by central differences (eq. 3.3) with lumped masses and damping of the mass; the nodes around
-//! them, which pre-computed zones have, stand still during a sweep.
+//! them, which belong to pre-computed zones, do not move during a sweep.
 //!
-//! Everything is linear in the tensors; what non-linear (St Venant-Kirchhoff) tetrahedra bear less than these is added
-//! as a force, to the nodes that move here and to the frontier nodes of pre-computed zones.
+//! The tensors are linear. The forces by which they exceed those of non-linear (St Venant-Kirchhoff) tetrahedra are
+//! added as loads, on the nodes that move here and on the frontier nodes of pre-computed zones.
 
 use super::ExchangeCount;
 use super::zone::{Lists, Shared};
@@ -25,20 +25,20 @@ pub(super) struct Imposed {
     reaction_n: DVec3,
 }
 
-/// What a stretch of time is divided into.
+/// How a step is divided.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Parts {
     /// Step [s].
     pub(super) h_s: f64,
-    /// Parts to go now.
+    /// Parts to advance now.
     pub(super) n_now: u64,
-    /// Parts already gone of the whole step, over which imposed displacements are reached.
+    /// Parts of the whole step that are done; imposed displacements are reached over the whole step.
     pub(super) n_gone: u64,
     /// Parts of the whole step.
     pub(super) n_all: u64,
 }
 
-/// How fast what moves is damped, and how fast the interface follows.
+/// Damping, and relaxation of the interface.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Rates {
     /// d of C = d M [1/s].
@@ -51,17 +51,17 @@ pub(super) struct Rates {
 pub(super) struct DynamicZones {
     /// Nodes that move, ascending.
     pub(super) nodes: Vec<NodeId>,
-    /// Whether a node is in no pre-computed zone.
+    /// Whether each node is in no pre-computed zone.
     pub(super) is_owner: Vec<bool>,
     pub(super) mass_kg: Vec<f64>,
     /// B^pj of each moving node p and all nodes j that are not fixed, itself first.
     pub(super) rows: Lists<(u32, DMat3)>,
-    /// Nodes of pre-computed zones that the moving ones see.
+    /// Nodes of pre-computed zones next to the moving ones.
     pub(super) interface: Vec<NodeId>,
     /// Live tetrahedra of non-linear zones, ascending, and their law.
     pub(super) kirchhoff: Vec<(TetId, [NodeId; 4], KirchhoffTet)>,
     pub(super) law: Option<TetLaw>,
-    /// Inverted ones at the last part.
+    /// Inverted tetrahedra in the last part.
     pub(super) n_inverted: u32,
     pub(super) first_inverted: Option<TetId>,
     /// Largest stable step [s].
@@ -93,7 +93,7 @@ impl Clone for DynamicZones {
 }
 
 impl DynamicZones {
-    /// Room for the constraints and forces of the nodes.
+    /// Reserves capacity for the constraints and forces of the nodes.
     pub(super) fn make_room(&mut self) {
         self.outer_n = vec![DVec3::ZERO; self.nodes.len()];
         self.force_n = vec![DVec3::ZERO; self.nodes.len()];
@@ -133,11 +133,11 @@ impl DynamicZones {
         if self.nodes.is_empty() && self.kirchhoff.is_empty() {
             return 0;
         }
-        // The share is the margin of the explicit models' own steps.
+        // The factor is the safety margin of the explicit models' own steps.
         (dt_s / (0.999 * self.stable_step_s)).ceil().clamp(1.0, 1e6) as u64
     }
 
-    /// Puts the held nodes where they are after a share of the step.
+    /// Moves the held nodes to their positions after a share of the step.
     fn hold(&self, share: f64, view_m: &mut [DVec3]) {
         for imposed in &self.imposed {
             view_m[self.nodes[imposed.moving as usize].index()] =
@@ -145,7 +145,7 @@ impl DynamicZones {
         }
     }
 
-    /// Overwrites what linear elasticity bears too much at each node of a non-linear zone.
+    /// Overwrites the force by which linear elasticity exceeds the non-linear one at each node of a non-linear zone.
     fn find_surplus(&mut self, view_m: &[DVec3], surplus_n: &mut [DVec3]) {
         let Some(law) = &self.law else { return };
         (self.n_inverted, self.first_inverted) = (0, None);
@@ -162,7 +162,7 @@ impl DynamicZones {
         }
     }
 
-    /// Takes the interface over and moves by `parts`.
+    /// Updates the interface nodes and advances by `parts`.
     pub(super) fn advance(&mut self, shared: &mut Shared, velocity_m_per_s: &mut [DVec3], parts: Parts) {
         let Shared { displacement_m, dynamic_view_m: view_m, surplus_n, pull_m_per_s2, .. } = shared;
         for node in &self.interface {
@@ -183,7 +183,7 @@ impl DynamicZones {
         let (of_velocity, of_acceleration) = (1.0 / parts.h_s - 0.5 * d, 1.0 / (1.0 / parts.h_s + 0.5 * d));
         let duration_s = parts.n_all as f64 * parts.h_s;
         for part in 1..=parts.n_now {
-            // Held nodes move first, the others answer to where these are.
+            // Held nodes move first; the others respond to their new positions.
             let share = (parts.n_gone + part) as f64 / parts.n_all as f64;
             self.hold(share, view_m);
             self.find_surplus(view_m, surplus_n);

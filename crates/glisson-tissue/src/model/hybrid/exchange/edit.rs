@@ -1,4 +1,4 @@
-//! A pre-computed zone turns into tensor-mass, and tetrahedra are removed, while the other zones stay.
+//! Edits: a pre-computed zone becomes tensor-mass, tetrahedra are removed, and the other zones stay.
 
 use super::zone::{NONE, PrecomputedZone};
 use super::{Body, ExchangeError, HybridExchange, Method, ZoneLaw};
@@ -7,26 +7,26 @@ use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::{NodeId, TetId};
 use std::sync::Arc;
 
-/// A correction of more than this share of a zone's frontier nodes costs more in each sweep than it saves: then the
-/// table is computed anew. A choice.
+/// A correction of more than this share of a zone's frontier nodes costs more in each sweep than it saves; the table
+/// is then recomputed. A choice.
 const MOST_CORRECTED_SHARE: f64 = 0.25;
-/// Below this smallest pivot of a correction the zone has lost its hold.
+/// Below this smallest pivot of a correction, nothing holds the zone any more.
 const LEAST_PIVOT: f64 = 1e-9;
 
 /// What an edit did to the zones.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct EditReport {
-    /// Zones that turned from pre-computed into tensor-mass.
+    /// Pre-computed zones that became tensor-mass.
     pub turned: Vec<usize>,
     /// Pre-computed zones whose tensors were corrected.
     pub corrected: Vec<usize>,
-    /// Pre-computed zones whose tensors were computed anew.
+    /// Pre-computed zones whose tensors were recomputed.
     pub recomputed: Vec<usize>,
 }
 
 impl HybridExchange {
-    /// Turns a pre-computed zone into tensor-mass at its present shape and velocity, that of the last step. The
-    /// other zones stay as they are.
+    /// Makes a pre-computed zone tensor-mass, with its present shape and its velocity of the last step. The other zones
+    /// stay as they are.
     ///
     /// # Errors
     /// [`ExchangeError::NoSuchZone`]; with an overlap of one node [`ExchangeError::WithoutSupport`].
@@ -41,7 +41,7 @@ impl HybridExchange {
         Ok(report)
     }
 
-    /// Removes tetrahedra; those removed before count for nothing. A pre-computed zone that loses one turns into
+    /// Removes tetrahedra and ignores those that were removed before. A pre-computed zone that loses one becomes
     /// tensor-mass first; zones next to it are corrected.
     ///
     /// # Errors
@@ -91,8 +91,8 @@ impl HybridExchange {
         Ok(())
     }
 
-    /// Method A: displacements of a zone's inner nodes, now and before the last step. They follow from those of
-    /// surface and frontier, K_II u_I = weight - K_IG u_G.
+    /// Method A: computes the displacements of a zone's inner nodes, now and before the last step, from those of surface
+    /// and frontier: K_II u_I = weight - K_IG u_G.
     fn show_inner_nodes(&mut self, at: usize) -> Result<(), ExchangeError> {
         let (zone, body) = (&self.zones[at], &self.body);
         let is_inner = |node: NodeId| zone.row_of[node.index()] != NONE && zone.loadable_of(node).is_none();
@@ -118,7 +118,7 @@ impl HybridExchange {
         Ok(())
     }
 
-    /// Brings the remaining pre-computed zones up to date with K and with who their neighbours are.
+    /// Updates the remaining pre-computed zones for the present K and their present neighbours.
     fn follow(&mut self, report: &mut EditReport) -> Result<(), ExchangeError> {
         let body = Arc::clone(&self.body);
         loop {
@@ -146,12 +146,42 @@ impl HybridExchange {
                 }
             }
             let Some(zone) = unheld else { break };
-            // What holds by tensor-mass alone moves by itself.
+            // A zone that only tensor-mass zones hold becomes tensor-mass too.
             report.corrected.retain(|&z| z != zone);
             report.recomputed.retain(|&z| z != zone);
             self.turn(zone, report)?;
         }
         self.link()
+    }
+}
+
+/// What a zone's part of K lost [N/m] in an edit: by edges between rows of the zone, and by rows.
+struct Loss {
+    of_edges: Vec<([u32; 2], DMat3)>,
+    of_nodes: Vec<(u32, DMat3)>,
+}
+
+impl Loss {
+    fn between(
+        zone: &PrecomputedZone,
+        body: &Body,
+        before: &StiffnessTensors,
+        now: &StiffnessTensors,
+    ) -> Self {
+        let edges = body.edges.nodes.iter().enumerate().filter(|(e, [p, q])| {
+            let is_in = zone.row_of[p.index()] != NONE && zone.row_of[q.index()] != NONE;
+            is_in && before.edge[*e] != now.edge[*e]
+        });
+        let nodes = zone.nodes.iter().enumerate();
+        Self {
+            of_edges: edges
+                .map(|(e, nodes)| (nodes.map(|node| zone.row_of[node.index()]), before.edge[e] - now.edge[e]))
+                .collect(),
+            of_nodes: nodes
+                .filter(|(_, node)| before.vertex[node.index()] != now.vertex[node.index()])
+                .map(|(row, node)| (row as u32, before.vertex[node.index()] - now.vertex[node.index()]))
+                .collect(),
+        }
     }
 }
 
@@ -163,29 +193,12 @@ fn lost_stiffness(
     before: &StiffnessTensors,
     now: &StiffnessTensors,
 ) -> Option<(Vec<u32>, Vec<f64>)> {
-    let changed_edges: Vec<([u32; 2], DMat3)> = body
-        .edges
-        .nodes
-        .iter()
-        .enumerate()
-        .filter(|(e, [p, q])| {
-            let is_in = zone.row_of[p.index()] != NONE && zone.row_of[q.index()] != NONE;
-            is_in && before.edge[*e] != now.edge[*e]
-        })
-        .map(|(e, nodes)| (nodes.map(|node| zone.row_of[node.index()]), before.edge[e] - now.edge[e]))
-        .collect();
-    let changed_nodes: Vec<(u32, DMat3)> = zone
-        .nodes
-        .iter()
-        .enumerate()
-        .filter(|(_, node)| before.vertex[node.index()] != now.vertex[node.index()])
-        .map(|(row, node)| (row as u32, before.vertex[node.index()] - now.vertex[node.index()]))
-        .collect();
-    if changed_nodes.is_empty() {
+    let loss = Loss::between(zone, body, before, now);
+    if loss.of_nodes.is_empty() {
         return None;
     }
     let earlier = zone.correction.as_ref();
-    let mut nodes: Vec<u32> = changed_nodes.iter().map(|&(row, _)| row).collect();
+    let mut nodes: Vec<u32> = loss.of_nodes.iter().map(|&(row, _)| row).collect();
     nodes.extend(earlier.iter().flat_map(|c| &c.nodes));
     nodes.sort_unstable();
     nodes.dedup();
@@ -200,21 +213,17 @@ fn lost_stiffness(
             }
         }
     };
-    for (row, tensor) in changed_nodes {
+    for (row, tensor) in loss.of_nodes {
         add(row, row, tensor);
     }
-    for ([p, q], tensor) in changed_edges {
+    for ([p, q], tensor) in loss.of_edges {
         add(p, q, tensor);
         add(q, p, tensor.transpose());
     }
     if let Some(earlier) = earlier {
-        let m = 3 * earlier.nodes.len();
         for (i, &p) in earlier.nodes.iter().enumerate() {
             for (j, &q) in earlier.nodes.iter().enumerate() {
-                let column = |b: usize| {
-                    DVec3::from_array([0, 1, 2].map(|a| earlier.lost[(3 * i + a) * m + 3 * j + b]))
-                };
-                add(p, q, DMat3::from_cols(column(0), column(1), column(2)));
+                add(p, q, earlier.lost_between(i, j));
             }
         }
     }

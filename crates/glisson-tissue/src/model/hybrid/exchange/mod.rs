@@ -1,7 +1,7 @@
 //! The hybrid model of seed `003` ch. 4: zones that exchange forces until they agree.
 //!
-//! Each zone is pre-computed or moves as tensor-mass. A sweep visits the zones. A pre-computed one takes the forces
-//! of its neighbours on the frontier nodes, which both have, then answers them and the outer forces by its own
+//! Each zone is pre-computed or moves as tensor-mass. A sweep visits the zones. A pre-computed zone takes the forces
+//! of its neighbours on the shared frontier nodes, then responds to them and to the outer forces with its own
 //! compliance (`zone`; eq. 4.16). Its matrix K_zz is a principal submatrix of K, so that K_zz is definite also where
 //! the zone is held by its neighbours alone, and a sweep in turn (Gauss-Seidel) is a minimization of the energy over
 //! the zone's nodes: it always converges to the solution of K u = F, from any start.
@@ -59,13 +59,13 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Why there is no hybrid model, or an edit of it failed.
+/// Why a hybrid model cannot be built, or an edit of it failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ExchangeError {
     /// The mesh with its fixed nodes has no solution.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// A law for each zone.
+    /// The number of laws is not that of the zones.
     #[error("{found} laws are given for {n_zones} zones; allowed: one for each")]
     LawCount {
         /// Laws given.
@@ -100,7 +100,7 @@ pub enum ExchangeError {
         /// What they take.
         bytes: u128,
     },
-    /// The law of cut zones.
+    /// The law of cut zones cannot be cut.
     #[error("cut_law is Precomputed; allowed: TensorMass or NonlinearTensorMass, which can be cut")]
     CutLaw,
     /// No such zone.
@@ -128,14 +128,14 @@ pub enum ZoneLaw {
     Precomputed,
     /// Explicit linear dynamics, which can be cut.
     TensorMass,
-    /// The same of St Venant-Kirchhoff tissue, right under large rotations of the zone.
+    /// The same of St Venant-Kirchhoff tissue, correct under large rotations.
     NonlinearTensorMass,
 }
 
-/// What is kept of the pre-computed zones.
+/// What the pre-computed zones store.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
-    /// A: displacements of surface and frontier, and frontier forces. Inner nodes stay at rest for the eye.
+    /// A: displacements of surface and frontier, and frontier forces. Inner nodes are published at rest.
     Surface,
     /// B: displacements of all nodes.
     #[default]
@@ -145,14 +145,14 @@ pub enum Method {
 /// In which order a sweep visits the pre-computed zones; tensor-mass zones have moved before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SweepOrder {
-    /// One after the other, each with the latest of the others.
+    /// One after the other, each with the latest values of the others.
     #[default]
     GaussSeidel,
-    /// All at once, with what was there before the sweep.
+    /// All at once, with the values from before the sweep.
     Jacobi,
 }
 
-/// How much is passed on in a sweep. The solution stays the same: what is not passed on now is passed on later.
+/// Which forces are passed on in a sweep. The solution stays the same: the others are passed on later.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum ExchangeAmount {
     /// Every frontier node's force.
@@ -170,7 +170,7 @@ pub enum ExchangeAmount {
     },
 }
 
-/// What tensor-mass and pre-computed zones have in common.
+/// The overlap of tensor-mass and pre-computed zones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Overlap {
     /// The frontier nodes: displacements one way, forces the other way.
@@ -189,7 +189,7 @@ impl Default for Overlap {
     }
 }
 
-/// What a hybrid model is made from.
+/// Parameters of the hybrid model.
 #[derive(Clone, Copy, Debug)]
 pub struct ExchangeParams<'a> {
     /// The body at rest.
@@ -200,26 +200,26 @@ pub struct ExchangeParams<'a> {
     pub fixed_nodes: &'a [NodeId],
     /// The zones.
     pub zones: &'a Zones,
-    /// How each is solved.
+    /// The law of each zone.
     pub laws: &'a [ZoneLaw],
-    /// What is kept of pre-computed zones.
+    /// What pre-computed zones store.
     pub method: Method,
     /// Order of the visits.
     pub order: SweepOrder,
     /// What is passed on in a sweep.
     pub amount: ExchangeAmount,
-    /// Between tensor-mass and pre-computed zones.
+    /// Overlap of tensor-mass and pre-computed zones.
     pub overlap: Overlap,
     /// Sweeps in a step, at least 1; tensor-mass zones move by an equal part of the step in each.
     pub sweeps_per_step: u32,
     /// d of the damping C = d M of tensor-mass zones [1/s].
     pub damping_per_s: f64,
-    /// What a pre-computed zone turns into when it is cut.
+    /// The law of a pre-computed zone after a cut.
     pub cut_law: ZoneLaw,
 }
 
 impl<'a> ExchangeParams<'a> {
-    /// Method B, in turn, all forces, one sweep a step, no damping.
+    /// Method B, one zone after the other, all forces, one sweep per step, no damping.
     pub fn new(
         mesh: &'a TetMesh,
         material: &'a LinearElastic,
@@ -244,7 +244,7 @@ impl<'a> ExchangeParams<'a> {
     }
 }
 
-/// What never changes.
+/// The parts of the model that never change.
 #[derive(Debug)]
 struct Body {
     mesh: TetMesh,
@@ -257,7 +257,7 @@ struct Body {
     is_on_surface: Vec<bool>,
 }
 
-/// How it is run.
+/// How the model is run.
 #[derive(Clone, Copy, Debug)]
 struct Settings {
     method: Method,
@@ -277,7 +277,7 @@ pub struct HybridExchange {
     laws: Vec<ZoneLaw>,
     is_live: Vec<bool>,
     is_cut: bool,
-    /// K of all live tetrahedra, and of those whose stiffness the pre-computed zones have in them.
+    /// K of all live tetrahedra, and K in the matrices of the pre-computed zones.
     all: Arc<StiffnessTensors>,
     compliant: Arc<StiffnessTensors>,
 
@@ -340,7 +340,7 @@ fn edge_tensor(tensors: &StiffnessTensors, p: NodeId, j: NodeId, edge: u32) -> D
 }
 
 impl HybridExchange {
-    /// Displacements of all nodes [m], the latest of each. Inner nodes of pre-computed zones stay zero with method A.
+    /// Latest displacements of all nodes [m]. Inner nodes of pre-computed zones stay zero with method A.
     pub fn displacements_m(&self) -> &[DVec3] {
         &self.shared.displacement_m
     }
@@ -367,7 +367,7 @@ impl HybridExchange {
         self.zones.iter().map(|z| z.table.len() / 9 - z.stride() / 9).sum()
     }
 
-    /// Edges, seen from a frontier node, that leave its pre-computed zone: products a sweep for neighbours' forces.
+    /// Edges, seen from a frontier node, that leave its pre-computed zone: products per sweep for neighbours' forces.
     pub fn n_leaving_edges(&self) -> usize {
         self.zones.iter().map(|z| z.incoming.nodes.n_items() + z.incoming.dynamic.n_items()).sum()
     }
@@ -387,30 +387,30 @@ impl HybridExchange {
         self.dynamic.stable_step_s
     }
 
-    /// The rest shape is the one under this gravity [m/s2].
+    /// Declares that the rest shape is the one under this gravity [m/s2].
     pub fn carry_at_rest(&mut self, gravity_m_per_s2: DVec3) {
         self.rest_gravity_m_per_s2 = gravity_m_per_s2;
         self.shared.pull_m_per_s2 = DVec3::ZERO;
         self.zones.iter_mut().for_each(PrecomputedZone::renew);
     }
 
-    /// Other numbers of sweeps a step, from now on.
+    /// Sets the number of sweeps per step.
     ///
     /// # Errors
-    /// [`ExchangeError::Parameter`] for none.
+    /// [`ExchangeError::Parameter`] for zero.
     pub fn set_sweeps_per_step(&mut self, sweeps_per_step: u32) -> Result<(), ExchangeError> {
         build::check_sweeps(sweeps_per_step)?;
         self.settings.sweeps_per_step = sweeps_per_step;
         Ok(())
     }
 
-    /// At rest without constraints; what was removed stays removed.
+    /// Returns to rest without constraints; removed tetrahedra stay removed.
     pub fn reset(&mut self) {
         self.constraints.displacements.clear();
         self.constraints.forces.clear();
         self.constraint_forces_n.clear();
         (self.n_without_room, self.n_ignored) = (0, 0);
-        // Sets in turn and renewals go by the number of sweeps.
+        // The sets of an exchange in turn, and the renewals, depend on the number of sweeps.
         (self.n_sweeps, self.n_parts, self.last_dt_s) = (0, 0, 0.0);
         self.count = ExchangeCount::default();
         self.zones.iter_mut().for_each(PrecomputedZone::reset);
@@ -425,8 +425,8 @@ impl HybridExchange {
         self.positions_m.copy_from_slice(&self.body.mesh.positions_m);
     }
 
-    /// [`DeformableModel::step`] with the pre-computed zones of a Jacobi sweep shared out over the threads of the
-    /// rayon pool it is called in, a zone a task. The bits are those of one thread.
+    /// [`DeformableModel::step`] with the pre-computed zones of a Jacobi sweep as tasks of the current rayon pool. The
+    /// bits are those of one thread.
     pub fn step_in_pool(&mut self, dt_s: f64) {
         self.step_with(dt_s, true);
     }
@@ -478,7 +478,7 @@ impl HybridExchange {
         }
     }
 
-    /// Positions and constraint forces of what was computed.
+    /// Publishes positions and constraint forces.
     fn collect(&mut self) {
         let rest_m = &self.body.mesh.positions_m;
         for (n, position_m) in self.positions_m.iter_mut().enumerate() {
@@ -487,13 +487,13 @@ impl HybridExchange {
         for (place, force_n) in self.dynamic.reactions_n() {
             self.constraint_forces_n[place as usize] = force_n;
         }
-        // The lowest zone of a frontier node comes last.
+        // The lowest zone of a frontier node writes last.
         for (place, force_n) in self.zones.iter().rev().flat_map(PrecomputedZone::reactions_n) {
             self.constraint_forces_n[place as usize] = force_n;
         }
     }
 
-    /// Shares the constraints out.
+    /// Distributes the constraints to the zones.
     fn distribute(&mut self) {
         self.n_ignored = self.n_without_room;
         self.zones.iter_mut().for_each(PrecomputedZone::clear_constraints);
@@ -535,7 +535,7 @@ impl HybridExchange {
     }
 }
 
-/// Writes what a zone found where the others read it; `as_owner`: only what no lower zone has.
+/// Publishes a zone's results to the others; `as_owner`: only those of nodes that no lower zone has.
 fn publish(zone: &PrecomputedZone, shared: &mut Shared, as_owner: bool) {
     for (row, node) in zone.nodes[..zone.n_rows].iter().enumerate() {
         if !as_owner || zone.is_owner[row] {
@@ -549,7 +549,7 @@ fn publish(zone: &PrecomputedZone, shared: &mut Shared, as_owner: bool) {
 
 impl DeformableModel for HybridExchange {
     fn apply(&mut self, constraints: &Constraints) {
-        // Room was made for one a node; more is a list with repetitions, of which the end is left out.
+        // There is room for one constraint per node; a longer list has repetitions, and its end is left out.
         let n = self.positions_m.len();
         self.constraints.displacements.clear();
         self.constraints.forces.clear();
@@ -577,7 +577,7 @@ impl DeformableModel for HybridExchange {
         &self.constraint_forces_n
     }
 
-    /// A node whose place is not finite stays where it is.
+    /// A node whose position is not finite stays where it is.
     fn take_over(&mut self, positions_m: &[DVec3]) {
         let rest_m = &self.body.mesh.positions_m;
         assert_eq!(positions_m.len(), rest_m.len(), "one position a node");
@@ -598,7 +598,7 @@ impl DeformableModel for HybridExchange {
         self.constraint_forces_n.fill(DVec3::ZERO);
     }
 
-    /// Gravity that is not finite changes nothing.
+    /// Ignores a gravity that is not finite.
     fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
         if gravity_m_per_s2.is_finite() {
             self.shared.pull_m_per_s2 = gravity_m_per_s2 - self.rest_gravity_m_per_s2;
@@ -625,7 +625,7 @@ impl DeformableModel for HybridExchange {
         Box::new(self.clone())
     }
 
-    /// Follows removals; zones that lose a tetrahedron turn into tensor-mass.
+    /// Follows removals; zones that lose a tetrahedron become tensor-mass.
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         let refused = |reason| Err(TopologyRefusal::Frozen { model: "hybrid", reason });
         let has_new = !change.tets.added.ids().is_empty() || !change.nodes.added.ids().is_empty();

@@ -1,13 +1,13 @@
-//! One pre-computed zone: its tensors, the forces on it, and its answer to them.
+//! One pre-computed zone: its tensors, the forces on it, and its response.
 //!
-//! With K_zz the rows and columns of K of the zone's free nodes, frontier nodes included with all that other zones
-//! add to them, K_zz u = f where f_p = F_p - sum over neighbours j outside the zone of B^pj u_j (seed `003` eq. 4.13
+//! Let K_zz be the rows and columns of K of the zone's free nodes, where frontier nodes include the stiffness of other
+//! zones. Then K_zz u = f where f_p = F_p - sum over neighbours j outside the zone of B^pj u_j (seed `003` eq. 4.13
 //! and 4.16; exact also for nodes of more than two zones). T = K_zz^-1 is kept for unit forces on the loadable
 //! nodes: those of frontier and surface.
 //!
 //! After a removal next to the zone K_zz has lost Delta on some frontier nodes D. Then T' = T + T_D W T_D^T with
-//! W = Delta (I - T_DD Delta)^-1 (Sherman and Morrison 1950, doi 10.1214/aoms/1177729893; Woodbury 1950): the same
-//! tensors, and the further forces W u_D on D.
+//! W = Delta (I - T_DD Delta)^-1 (Sherman and Morrison 1950, doi 10.1214/aoms/1177729893; Woodbury 1950): the tensors
+//! stay, and the forces W u_D act on D in addition.
 
 use super::dense::SmallLu;
 use super::{ExchangeAmount, ExchangeCount, Method};
@@ -18,25 +18,25 @@ use glisson_mesh::mesh::NodeId;
 pub(super) const MAX_IMPOSED: usize = 64;
 /// Marks a node that is not in a zone.
 pub(super) const NONE: u32 = u32::MAX;
-/// After so many sweeps with partial exchange the answer is summed up anew, so that rounding does not add up.
+/// After so many sweeps with partial exchange the response is summed anew, so that rounding does not accumulate.
 const SWEEPS_TO_RENEW: u64 = 256;
 
-/// What all zones read.
+/// State that all zones read.
 #[derive(Clone, Debug)]
 pub(super) struct Shared {
-    /// Displacement of each node [m], the latest.
+    /// Latest displacement of each node [m].
     pub(super) displacement_m: Vec<DVec3>,
-    /// What the tensor-mass zones see and have: displacement of each node [m].
+    /// Displacement of each node [m] as the tensor-mass zones see it.
     pub(super) dynamic_view_m: Vec<DVec3>,
-    /// Force [N] by which linear elasticity exceeds non-linear tetrahedra at each node; empty when there are none.
+    /// Force [N] by which linear elasticity exceeds the non-linear tetrahedra at each node; empty without such.
     pub(super) surplus_n: Vec<DVec3>,
     /// Method A: forces [N] that hold a zone's inner nodes' displacements at its frontier nodes, for each zone.
     pub(super) outgoing_n: Vec<Vec<DVec3>>,
-    /// Gravity beyond the one at rest [m/s2].
+    /// Gravity minus the one at rest [m/s2].
     pub(super) pull_m_per_s2: DVec3,
 }
 
-/// Lists one after the other.
+/// Lists in one array, one after the other.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Lists<T> {
     start: Vec<u32>,
@@ -62,7 +62,7 @@ impl<T> Lists<T> {
     }
 }
 
-/// What neighbours do to each frontier node of a zone.
+/// What acts from neighbours on each frontier node of a zone.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Incoming {
     /// Nodes outside the zone and their tensors B^pj, on [`Shared::displacement_m`].
@@ -73,17 +73,17 @@ pub(super) struct Incoming {
     pub(super) forces: Lists<(u32, u32)>,
 }
 
-/// A correction of the tensors for what was removed around the zone.
+/// A correction of the tensors for tetrahedra removed around the zone.
 #[derive(Clone, Debug)]
 pub(super) struct Correction {
     /// Loadable nodes D, ascending.
     pub(super) nodes: Vec<u32>,
-    /// Delta [N/m] by rows, three a node.
-    pub(super) lost: Vec<f64>,
+    /// Delta [N/m] by rows, three per node.
+    lost: Vec<f64>,
     /// W [N/m] by rows.
     pub(super) weight: Vec<f64>,
     before_m: Vec<f64>,
-    /// W T_D^j of one loadable node j: a tensor a node of D.
+    /// W T_D^j of one loadable node j: a tensor per node of D.
     spread: Vec<DMat3>,
 }
 
@@ -93,6 +93,13 @@ impl Correction {
         let n = 3 * self.nodes.len();
         let row = |a: usize| DVec3::from_slice(&self.weight[(3 * i + a) * n + 3 * j..][..3]);
         DMat3::from_cols(row(0), row(1), row(2)).transpose()
+    }
+
+    /// Delta between two nodes of D [N/m].
+    pub(super) fn lost_between(&self, i: usize, j: usize) -> DMat3 {
+        let n = 3 * self.nodes.len();
+        let column = |b: usize| DVec3::from_array([0, 1, 2].map(|a| self.lost[(3 * i + a) * n + 3 * j + b]));
+        DMat3::from_cols(column(0), column(1), column(2))
     }
 }
 
@@ -112,9 +119,9 @@ pub(super) struct PrecomputedZone {
     pub(super) nodes: Vec<NodeId>,
     pub(super) n_frontier: usize,
     pub(super) n_loadable: usize,
-    /// Nodes whose displacement is kept: the loadable ones (A) or all (B).
+    /// Number of nodes whose displacement is stored: the loadable ones (A) or all (B).
     pub(super) n_rows: usize,
-    /// Frontier forces that are kept (A).
+    /// Number of frontier forces that are stored (A).
     pub(super) n_force_rows: usize,
     /// Row of each node of the mesh.
     pub(super) row_of: Vec<u32>,
@@ -139,7 +146,7 @@ pub(super) struct PrecomputedZone {
 }
 
 impl Clone for PrecomputedZone {
-    /// A copy with the same room, so that its steps allocate nothing either.
+    /// A copy with the same capacity, so that its steps allocate nothing either.
     fn clone(&self) -> Self {
         let mut copy = Self {
             table: self.table.clone(),
@@ -179,7 +186,7 @@ fn vector(of: &[f64], place: usize) -> DVec3 {
 }
 
 impl PrecomputedZone {
-    /// A zone at rest whose table is still to be made.
+    /// A zone at rest without its table.
     pub(super) fn new(
         zone: usize,
         [frontier, surface, inner]: [Vec<NodeId>; 3],
@@ -265,7 +272,7 @@ impl PrecomputedZone {
         self.correction = Some(correction);
     }
 
-    /// Makes W of what was lost; how far it is from singular.
+    /// Computes W from Delta; returns the smallest pivot, which tells how far the system is from singular.
     pub(super) fn correct(&mut self, nodes: Vec<u32>, lost: Vec<f64>) -> f64 {
         let n = 3 * nodes.len();
         let mut compliance = vec![0.0; n * n];
@@ -309,7 +316,7 @@ impl PrecomputedZone {
         self.must_renew = true;
     }
 
-    /// As it was made.
+    /// Returns to the state after set-up.
     pub(super) fn reset(&mut self) {
         self.clear_constraints();
         self.reaction_n.clear();
@@ -373,7 +380,7 @@ impl PrecomputedZone {
         }
     }
 
-    /// Adds the answer to a force on a loadable node (or, the last, to gravity), without correction.
+    /// Adds the response to a force on a loadable node (or, for the last number, to gravity), without correction.
     fn add_answer(&mut self, loadable: usize, factors: DVec3) {
         let stride = self.stride();
         add_columns(&self.table[stride * loadable..stride * (loadable + 1)], factors, &mut self.answer);
@@ -388,7 +395,7 @@ impl PrecomputedZone {
         }
     }
 
-    /// Adds W times what the correction's nodes moved since [`Self::start_correction`].
+    /// Adds W times the displacement of the correction's nodes since [`Self::start_correction`].
     fn end_correction(&mut self) {
         let Some(mut correction) = self.correction.take() else { return };
         let n = correction.before_m.len();
@@ -407,7 +414,7 @@ impl PrecomputedZone {
         self.correction = Some(correction);
     }
 
-    /// Gathers what the neighbours' latest state asks of frontier node `p` [N].
+    /// Force [N] of the neighbours' latest state on frontier node `p`.
     fn gather(&self, p: usize, shared: &Shared) -> DVec3 {
         let mut force_n = DVec3::ZERO;
         for &(j, b) in self.incoming.nodes.get(p) {
@@ -487,7 +494,7 @@ impl PrecomputedZone {
         self.must_renew = false;
     }
 
-    /// Adds the forces that bring the imposed nodes to where they belong.
+    /// Adds the forces that bring the imposed nodes to their targets.
     fn hold_imposed(&mut self) {
         let mut right = std::mem::take(&mut self.right);
         right.clear();

@@ -2,13 +2,15 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
-use glisson::material::{LawChoice, LinearElastic, MaterialSpec};
+use anyhow::{Context, anyhow, bail};
+use clap::builder::{PossibleValue, PossibleValuesParser};
+use glisson::material::{LAWS, LawEntry, LawKeyKind, LinearElastic, MaterialSpec, law_named};
 use glisson::math::DVec3;
 use glisson::solve::case::{StaticCase, read_case, write_vectors};
 use glisson::solve::{
     NonlinearProblem, NonlinearSettings, StaticProblem, add_gravity_forces, solve_nonlinear, solve_static,
 };
+use glisson::units::parse_quantity;
 
 /// Solve a static case given as files.
 ///
@@ -23,59 +25,29 @@ use glisson::solve::{
 #[command(after_help = "Examples:
   glisson solve crates/glisson-tissue/tests/data/reference/beam --law linear --out out/beam
   glisson solve crates/glisson-tissue/tests/data/reference/cylinder --law neo_hooke_log --out out/cylinder
-  glisson solve CASE --law ogden --alpha=-4.7 --out out/brain
-  glisson solve CASE --law holzapfel_gasser_ogden --fibre 1,0,0 --k1 20 --k2 5 --kappa 0.1 --out out/fibres")]
+  glisson solve CASE --law ogden --set exponent=-4.7 --out out/brain
+  glisson solve CASE --law holzapfel_gasser_ogden --set fibre=1,0,0 --set 'k1=20 kPa' --set k2=5 --out out/fibres")]
 pub(crate) struct Args {
     /// Folder with the four files.
     #[arg(value_name = "DIR")]
     folder: PathBuf,
     /// Constitutive law.
-    #[arg(long, value_enum, default_value_t = Law::Linear)]
-    law: Law,
+    #[arg(long, value_name = "NAME", default_value = "linear", value_parser = PossibleValuesParser::new(law_values()))]
+    law: String,
     /// Folder to write u.csv and reactions.csv into; made when missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Share of the load of the first load step, above 0 and at most 1 (laws other than `linear`).
     #[arg(long, value_name = "SHARE", default_value_t = NonlinearSettings::default().first_load_step)]
     first_load_step: f64,
-    /// mooney_rivlin: C01 as a share of C10 + C01, 0 to 1.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.5)]
-    c01_share: f64,
-    /// ogden: the exponent (no default: it belongs to the tissue).
-    #[arg(long, value_name = "NUMBER", allow_hyphen_values = true)]
-    alpha: Option<f64>,
-    /// holzapfel_gasser_ogden: direction of a fibre family at rest; give it again for a second family.
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
-    fibre: Vec<DVec3>,
-    /// holzapfel_gasser_ogden: fibre stiffness k1 in kPa.
-    #[arg(long, value_name = "KPA")]
-    k1: Option<f64>,
-    /// holzapfel_gasser_ogden: fibre exponent k2.
-    #[arg(long, value_name = "NUMBER")]
-    k2: Option<f64>,
-    /// holzapfel_gasser_ogden: dispersion kappa, 0 (parallel) to 0.333 (isotropic).
-    #[arg(long, value_name = "NUMBER", default_value_t = 0.0)]
-    kappa: f64,
+    /// A parameter of the law, as in scenes: exponent=-4.7, k1="20 kPa", fibre=1,0,0 (again for a second family).
+    #[arg(long = "set", value_name = "KEY=VALUE", allow_hyphen_values = true)]
+    parameters: Vec<String>,
 }
 
-/// The names of [`MaterialSpec::NAMES`].
-#[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
-#[value(rename_all = "snake_case")]
-enum Law {
-    /// Isotropic linear elasticity at small strain.
-    Linear,
-    /// Linear in the Green-Lagrange strain.
-    StVenantKirchhoff,
-    /// mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2.
-    NeoHookeLog,
-    /// Smith, de Goes and Kim 2018: bears inverted elements.
-    StableNeoHooke,
-    /// Two isochoric invariants (--c01-share).
-    MooneyRivlin,
-    /// A power of the principal stretches (--alpha).
-    Ogden,
-    /// Fibres in a soft matrix (--fibre, --k1, --k2, --kappa).
-    HolzapfelGasserOgden,
+/// The laws of the library, each with what it is.
+fn law_values() -> Vec<PossibleValue> {
+    LAWS.iter().map(|entry| PossibleValue::new(entry.name).help(entry.about)).collect()
 }
 
 fn parse_direction(text: &str) -> Result<DVec3, String> {
@@ -86,32 +58,41 @@ fn parse_direction(text: &str) -> Result<DVec3, String> {
     }
 }
 
+/// The law with the parameters that were given.
 fn law_of(args: &Args, linear: &LinearElastic) -> anyhow::Result<MaterialSpec> {
-    let choice = match args.law {
-        Law::Linear => LawChoice::Linear,
-        Law::StVenantKirchhoff => LawChoice::StVenantKirchhoff,
-        Law::NeoHookeLog => LawChoice::NeoHookeLog,
-        Law::StableNeoHooke => LawChoice::StableNeoHooke,
-        Law::MooneyRivlin => LawChoice::MooneyRivlin { second_share: args.c01_share },
-        Law::Ogden => LawChoice::Ogden {
-            exponent: args
-                .alpha
-                .context("the law ogden needs its exponent: --alpha (brain: --alpha=-4.7)")?,
-        },
-        Law::HolzapfelGasserOgden => {
-            if args.fibre.is_empty() {
-                bail!("the law holzapfel_gasser_ogden needs a fibre direction: --fibre x,y,z");
+    let mut law = law_named(&args.law).with_context(|| format!("{} is no law", args.law))?;
+    let keys = law.entry().keys;
+    for given in &args.parameters {
+        let (name, value) = given
+            .split_once('=')
+            .with_context(|| format!("--set {given}: write KEY=VALUE, such as exponent=-4.7"))?;
+        let key = keys.iter().find(|key| key.name == name).with_context(|| {
+            let allowed: Vec<&str> = keys.iter().map(|key| key.name).collect();
+            let allowed = if allowed.is_empty() { "none".to_owned() } else { allowed.join(", ") };
+            format!("--set {given}: the law {} has no parameter {name}; allowed: {allowed}", law.name())
+        })?;
+        law = match key.kind {
+            LawKeyKind::Number(_) => {
+                let number: f64 = value.parse().with_context(|| format!("--set {given}: not a number"))?;
+                law.with_number(key.name, number)
             }
-            let k1_kpa = args.k1.context("the law holzapfel_gasser_ogden needs --k1 (kPa)")?;
-            LawChoice::HolzapfelGasserOgden {
-                fibre_stiffness_pa: 1e3 * k1_kpa,
-                fibre_exponent: args.k2.context("the law holzapfel_gasser_ogden needs --k2")?,
-                dispersion: args.kappa,
-                fibre_directions: args.fibre.clone(),
+            LawKeyKind::Positive(dimension) => {
+                let quantity = parse_quantity(value, dimension).with_context(|| format!("--set {given}"))?;
+                if quantity <= 0.0 {
+                    bail!("--set {given}: allowed: more than zero");
+                }
+                law.with_number(key.name, quantity)
             }
-        }
-    };
-    Ok(choice.with_moduli_of(linear)?)
+            LawKeyKind::Directions => {
+                law.with_direction(parse_direction(value).map_err(|e| anyhow!("--set {given}: {e}"))?)
+            }
+        };
+    }
+    if let Some(key) = law.missing() {
+        let LawEntry { name, example, .. } = law.entry();
+        bail!("the law {name} needs --set {}=VALUE ({}); in a scene: {example}", key.name, key.about);
+    }
+    Ok(law.with_moduli_of(linear)?)
 }
 
 /// A solution of either solver, and what the non-linear one has to say about itself.
@@ -124,7 +105,7 @@ struct Solved {
 fn solve_case(args: &Args, case: &StaticCase) -> anyhow::Result<Solved> {
     let mut nodal_force_n = vec![DVec3::ZERO; case.mesh.positions_m.len()];
     add_gravity_forces(&case.mesh, &case.material, case.gravity_m_per_s2, &mut nodal_force_n);
-    if args.law == Law::Linear {
+    if args.law == "linear" {
         let solution = solve_static(&StaticProblem {
             mesh: &case.mesh,
             material: &case.material,
@@ -186,17 +167,39 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use clap::ValueEnum;
-
     use super::*;
 
+    fn args(law: &str, parameters: &[&str]) -> Args {
+        let parameters = parameters.iter().map(|&p| p.to_owned()).collect();
+        let (folder, out, law) = (PathBuf::new(), PathBuf::new(), law.to_owned());
+        Args { folder, law, out, first_load_step: 0.25, parameters }
+    }
+
     #[test]
-    fn every_law_of_the_library_is_offered_under_its_name() {
-        let offered: Vec<String> = Law::value_variants()
-            .iter()
-            .map(|law| law.to_possible_value().expect("no law is hidden").get_name().to_owned())
-            .collect();
-        assert_eq!(offered, MaterialSpec::NAMES);
+    fn every_law_of_the_library_can_be_chosen_and_says_what_it_lacks() {
+        let linear = LinearElastic::from_young_poisson(5000.0, 0.45, 1000.0).unwrap();
+        for entry in LAWS {
+            let made = law_of(&args(entry.name, &[]), &linear);
+            match entry.keys.iter().find(|key| key.kind != LawKeyKind::Number(Some(0.0))) {
+                None => assert_eq!(made.unwrap().name(), entry.name),
+                Some(key) => {
+                    let message = format!("{:#}", made.unwrap_err());
+                    assert!(message.contains(&format!("--set {}=", key.name)), "{message}");
+                }
+            }
+        }
+        let fibres = ["k1=20 kPa", "k2=5", "fibre=1,0,0", "fibre=0,1,0"];
+        assert!(law_of(&args("holzapfel_gasser_ogden", &fibres), &linear).is_ok());
+        for (law, wrong, part) in [
+            ("ogden", "alpha=2", "allowed: exponent"),
+            ("ogden", "exponent=much", "not a number"),
+            ("linear", "exponent=2", "allowed: none"),
+            ("holzapfel_gasser_ogden", "k1=20", "k1=20"),
+            ("holzapfel_gasser_ogden", "fibre=1,0", "three numbers"),
+        ] {
+            let message = format!("{:#}", law_of(&args(law, &[wrong]), &linear).unwrap_err());
+            assert!(message.contains(part), "{message}");
+        }
     }
 
     #[test]

@@ -65,8 +65,8 @@ fn solve(case: &StaticCase, law: usize) -> anyhow::Result<Fields> {
         return Ok([solution.displacement_m, solution.reaction_n]);
     }
     let spec = match law {
-        1 => MaterialSpec::StVenantKirchhoff(StVenantKirchhoff::from(&case.material)),
-        _ => MaterialSpec::NeoHookeLog(NeoHookeLog::from(&case.material)),
+        1 => MaterialSpec::from(StVenantKirchhoff::from(&case.material)),
+        _ => MaterialSpec::from(NeoHookeLog::from(&case.material)),
     };
     let (laws, settings) = (&[spec.material()][..], NonlinearSettings::default());
     let solution = solve_nonlinear(&NonlinearProblem { mesh, laws, conditions, nodal_force_n, settings })?;

@@ -12,8 +12,46 @@
 
 use super::law::{add_square, contraction};
 use super::linear_elastic::check_bulk;
-use super::{Material, MaterialError, MooneyRivlin, Tangent};
+use super::{
+    LawEntry, LawKey, LawKeyKind, Material, MaterialError, MaterialSpec, MooneyRivlin, NamedLaw, Tangent,
+};
 use glisson_mesh::math::{DMat3, DVec3, outer};
+use glisson_mesh::units::Dimension;
+
+/// The law's line in the table of laws.
+pub(super) const LAW: LawEntry = LawEntry {
+    name: "holzapfel_gasser_ogden",
+    about: "fibres in a soft matrix, which has the moduli of small strain",
+    keys: &[
+        LawKey {
+            name: "k1",
+            about: "stiffness of the fibres",
+            kind: LawKeyKind::Positive(Dimension::Pressure),
+        },
+        LawKey { name: "k2", about: "how fast they stiffen", kind: LawKeyKind::Number(None) },
+        LawKey {
+            name: "kappa",
+            about: "dispersion about the direction, 0 (parallel) to 1/3 (isotropic)",
+            kind: LawKeyKind::Number(Some(0.0)),
+        },
+        LawKey { name: "fibre", about: "direction of a family at rest", kind: LawKeyKind::Directions },
+    ],
+    example: "law = { name = \"holzapfel_gasser_ogden\", k1 = \"20 kPa\", k2 = 5, fibre = [1, 0, 0] }",
+    make: |linear, own| {
+        Ok(MaterialSpec::from(HolzapfelGasserOgden::new(&HolzapfelGasserOgdenParameters {
+            matrix_shear_pa: linear.mu_pa(),
+            fibre_stiffness_pa: own.number("k1"),
+            fibre_exponent: own.number("k2"),
+            dispersion: own.number("kappa"),
+            fibre_directions: own.directions().to_vec(),
+            bulk_pa: linear.bulk_modulus_pa(),
+        })?))
+    },
+};
+
+impl NamedLaw for HolzapfelGasserOgden {
+    const ENTRY: &'static LawEntry = &LAW;
+}
 
 /// Parameters of [`HolzapfelGasserOgden`].
 #[derive(Clone, Debug, PartialEq)]

@@ -7,8 +7,21 @@
 //! swells.
 
 use super::law::contraction;
-use super::{Material, Tangent};
+use super::{LawEntry, Material, MaterialSpec, NamedLaw, Tangent};
 use glisson_mesh::math::{DMat3, DVec3};
+
+/// The law's line in the table of laws.
+pub(super) const LAW: LawEntry = LawEntry {
+    name: "linear",
+    about: "isotropic linear elasticity at small strain",
+    keys: &[],
+    example: "",
+    make: |linear, _| Ok(MaterialSpec::from(*linear)),
+};
+
+impl NamedLaw for LinearElastic {
+    const ENTRY: &'static LawEntry = &LAW;
+}
 
 /// Why a material is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -1,10 +1,11 @@
 //! Constitutive laws and tissue parameters.
 //!
-//! Every law implements [`Material`] and has its own file. [`MaterialSpec`] is the closed set of laws that scenes and the
-//! command line know by name. Loops over elements are generic in the law (`M: Material`), so that the law is chosen
+//! Every law implements [`Material`] and has its own file. [`LAWS`] is the table of those that scenes and
+//! the command line know by name. Loops over elements are generic in the law (`M: Material`), so that the law is chosen
 //! outside the loop.
 
 mod law;
+mod named;
 mod eigen;
 pub mod principal;
 mod linear_elastic;
@@ -15,7 +16,7 @@ mod mooney_rivlin;
 mod ogden;
 mod holzapfel_gasser_ogden;
 mod prony;
-mod spec;
+mod table;
 pub mod tissues;
 
 pub use eigen::eigen_symmetric;
@@ -24,9 +25,10 @@ pub use law::{Material, Tangent, largest_tangent_eigenvalue_pa, projected};
 pub(crate) use law::{cofactor, cofactor_differential};
 pub use linear_elastic::{LinearElastic, MaterialError};
 pub use mooney_rivlin::MooneyRivlin;
+pub use named::{LawChoice, LawEntry, LawKey, LawKeyKind, MaterialSpec, NamedLaw};
 pub use neo_hooke_log::NeoHookeLog;
 pub use ogden::{Ogden, OgdenTerm};
 pub use prony::{PronyHistory, PronySeries, PronyStep, PronyTerm};
-pub use spec::{LawChoice, MaterialSpec};
 pub use st_venant_kirchhoff::StVenantKirchhoff;
 pub use stable_neo_hooke::StableNeoHooke;
+pub use table::{LAWS, law_named, law_names};

@@ -8,8 +8,27 @@
 
 use super::linear_elastic::check_bulk;
 use super::principal::{self, PAIRS, PrincipalDerivatives};
-use super::{LinearElastic, Material, MaterialError, Tangent};
+use super::{
+    LawEntry, LawKey, LawKeyKind, LinearElastic, Material, MaterialError, MaterialSpec, NamedLaw, Tangent,
+};
 use glisson_mesh::math::DMat3;
+
+/// The law's line in the table of laws.
+pub(super) const LAW: LawEntry = LawEntry {
+    name: "mooney_rivlin",
+    about: "two isochoric invariants",
+    keys: &[LawKey {
+        name: "c01_share",
+        about: "C01 as a share of C10 + C01, 0 to 1",
+        kind: LawKeyKind::Number(None),
+    }],
+    example: "law = { name = \"mooney_rivlin\", c01_share = 0.4 }",
+    make: |linear, own| Ok(MaterialSpec::from(MooneyRivlin::from_linear(linear, own.number("c01_share"))?)),
+};
+
+impl NamedLaw for MooneyRivlin {
+    const ENTRY: &'static LawEntry = &LAW;
+}
 
 /// Mooney and Rivlin's law.
 ///

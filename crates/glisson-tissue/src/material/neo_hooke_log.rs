@@ -9,8 +9,21 @@
 use super::law::{cofactor, contraction};
 use super::linear_elastic::check_lame;
 use super::principal::{self, PAIRS, PrincipalDerivatives};
-use super::{LinearElastic, Material, MaterialError, Tangent};
+use super::{LawEntry, LinearElastic, Material, MaterialError, MaterialSpec, NamedLaw, Tangent};
 use glisson_mesh::math::DMat3;
+
+/// The law's line in the table of laws.
+pub(super) const LAW: LawEntry = LawEntry {
+    name: "neo_hooke_log",
+    about: "mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2",
+    keys: &[],
+    example: "",
+    make: |linear, _| Ok(MaterialSpec::from(NeoHookeLog::from(linear))),
+};
+
+impl NamedLaw for NeoHookeLog {
+    const ENTRY: &'static LawEntry = &LAW;
+}
 
 /// The ln J neo-Hookean law.
 ///

@@ -9,8 +9,27 @@
 use super::eigen::signed_singular_values;
 use super::linear_elastic::check_bulk;
 use super::principal::{self, PAIRS, PrincipalDerivatives};
-use super::{LinearElastic, Material, MaterialError, Tangent};
+use super::{
+    LawEntry, LawKey, LawKeyKind, LinearElastic, Material, MaterialError, MaterialSpec, NamedLaw, Tangent,
+};
 use glisson_mesh::math::DMat3;
+
+/// The law's line in the table of laws.
+pub(super) const LAW: LawEntry = LawEntry {
+    name: "ogden",
+    about: "a power of the principal stretches",
+    keys: &[LawKey {
+        name: "exponent",
+        about: "the exponent alpha, not 0: it belongs to the tissue",
+        kind: LawKeyKind::Number(None),
+    }],
+    example: "law = { name = \"ogden\", exponent = -4.7 }",
+    make: |linear, own| Ok(MaterialSpec::from(Ogden::from_linear(linear, own.number("exponent"))?)),
+};
+
+impl NamedLaw for Ogden {
+    const ENTRY: &'static LawEntry = &LAW;
+}
 
 /// One power of Ogden's law.
 #[derive(Clone, Copy, Debug, PartialEq)]

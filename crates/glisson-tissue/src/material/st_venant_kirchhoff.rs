@@ -9,8 +9,21 @@
 use super::law::contraction;
 use super::linear_elastic::check_lame;
 use super::principal::{self, PAIRS, PrincipalDerivatives};
-use super::{LinearElastic, Material, MaterialError, Tangent};
+use super::{LawEntry, LinearElastic, Material, MaterialError, MaterialSpec, NamedLaw, Tangent};
 use glisson_mesh::math::{DMat3, DVec3};
+
+/// The law's line in the table of laws.
+pub(super) const LAW: LawEntry = LawEntry {
+    name: "st_venant_kirchhoff",
+    about: "linear in the Green-Lagrange strain",
+    keys: &[],
+    example: "",
+    make: |linear, _| Ok(MaterialSpec::from(StVenantKirchhoff::from(linear))),
+};
+
+impl NamedLaw for StVenantKirchhoff {
+    const ENTRY: &'static LawEntry = &LAW;
+}
 
 /// St Venant and Kirchhoff's law.
 ///

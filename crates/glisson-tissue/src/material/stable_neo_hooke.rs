@@ -10,8 +10,21 @@
 use super::law::{cofactor, cofactor_differential, contraction};
 use super::linear_elastic::check_lame;
 use super::principal::{self, PAIRS, PrincipalDerivatives};
-use super::{LinearElastic, Material, MaterialError, Tangent};
+use super::{LawEntry, LinearElastic, Material, MaterialError, MaterialSpec, NamedLaw, Tangent};
 use glisson_mesh::math::DMat3;
+
+/// The law's line in the table of laws.
+pub(super) const LAW: LawEntry = LawEntry {
+    name: "stable_neo_hooke",
+    about: "Smith, de Goes and Kim 2018: bears inverted elements",
+    keys: &[],
+    example: "",
+    make: |linear, _| Ok(MaterialSpec::from(StableNeoHooke::from(linear))),
+};
+
+impl NamedLaw for StableNeoHooke {
+    const ENTRY: &'static LawEntry = &LAW;
+}
 
 /// The stable neo-Hookean law.
 ///

@@ -39,13 +39,13 @@ fn specs() -> Vec<MaterialSpec> {
         bulk_pa: 20_000.0,
     };
     vec![
-        MaterialSpec::Linear(linear),
-        MaterialSpec::StVenantKirchhoff(StVenantKirchhoff::from(&linear)),
-        MaterialSpec::NeoHookeLog(NeoHookeLog::from(&linear)),
-        MaterialSpec::StableNeoHooke(StableNeoHooke::from(&linear)),
-        MaterialSpec::MooneyRivlin(MooneyRivlin::from_linear(&linear, 0.4).unwrap()),
-        MaterialSpec::Ogden(Ogden::from_linear(&linear, -4.7).unwrap()),
-        MaterialSpec::HolzapfelGasserOgden(HolzapfelGasserOgden::new(&fibres).unwrap()),
+        MaterialSpec::from(linear),
+        MaterialSpec::from(StVenantKirchhoff::from(&linear)),
+        MaterialSpec::from(NeoHookeLog::from(&linear)),
+        MaterialSpec::from(StableNeoHooke::from(&linear)),
+        MaterialSpec::from(MooneyRivlin::from_linear(&linear, 0.4).unwrap()),
+        MaterialSpec::from(Ogden::from_linear(&linear, -4.7).unwrap()),
+        MaterialSpec::from(HolzapfelGasserOgden::new(&fibres).unwrap()),
     ]
 }
 

@@ -5,7 +5,7 @@ use glisson_mesh::math::{DMat3, DVec3, SeededRandom, outer};
 use glisson_tissue::material::{
     HolzapfelGasserOgden, HolzapfelGasserOgdenParameters, LinearElastic, Material, MaterialSpec,
     MooneyRivlin, NeoHookeLog, Ogden, OgdenTerm, PronySeries, PronyTerm, StVenantKirchhoff, StableNeoHooke,
-    Tangent, projected,
+    Tangent, law_names, projected,
 };
 
 /// A law and where it is checked.
@@ -49,18 +49,18 @@ fn cases() -> Vec<Case> {
         bulk_pa: 20_000.0,
     });
     vec![
-        Case { rotation_invariant: false, inverts: true, ..case(MaterialSpec::Linear(linear)) },
-        Case { inverts: true, ..case(MaterialSpec::StVenantKirchhoff(StVenantKirchhoff::from(&linear))) },
-        case(MaterialSpec::NeoHookeLog(NeoHookeLog::from(&linear))),
-        Case { inverts: true, ..case(MaterialSpec::StableNeoHooke(StableNeoHooke::from(&linear))) },
-        case(MaterialSpec::MooneyRivlin(MooneyRivlin::from_linear(&linear, 0.4).unwrap())),
-        case(MaterialSpec::Ogden(Ogden::from_linear(&linear, -4.7).unwrap())),
-        Case { from_liver: false, ..case(MaterialSpec::Ogden(Ogden::new(&two_terms, 20_000.0).unwrap())) },
+        Case { rotation_invariant: false, inverts: true, ..case(MaterialSpec::from(linear)) },
+        Case { inverts: true, ..case(MaterialSpec::from(StVenantKirchhoff::from(&linear))) },
+        case(MaterialSpec::from(NeoHookeLog::from(&linear))),
+        Case { inverts: true, ..case(MaterialSpec::from(StableNeoHooke::from(&linear))) },
+        case(MaterialSpec::from(MooneyRivlin::from_linear(&linear, 0.4).unwrap())),
+        case(MaterialSpec::from(Ogden::from_linear(&linear, -4.7).unwrap())),
+        Case { from_liver: false, ..case(MaterialSpec::from(Ogden::new(&two_terms, 20_000.0).unwrap())) },
         Case {
             jumps_at_rest: true,
             nearest: false,
             from_liver: false,
-            ..case(MaterialSpec::HolzapfelGasserOgden(fibres.unwrap()))
+            ..case(MaterialSpec::from(fibres.unwrap()))
         },
     ]
 }
@@ -202,10 +202,10 @@ fn every_law_passes_the_derivative_check() {
 #[test]
 fn every_name_is_a_law_and_every_law_has_a_name() {
     let found: Vec<&str> = cases().iter().map(|c| c.spec.name()).collect();
-    for name in MaterialSpec::NAMES {
+    for name in law_names() {
         assert!(found.contains(&name), "{name} is not checked");
     }
-    assert!(found.iter().all(|name| MaterialSpec::NAMES.contains(name)));
+    assert!(found.iter().all(|name| law_names().any(|known| known == *name)));
 }
 
 #[test]

@@ -33,13 +33,13 @@ fn laws() -> Vec<MaterialSpec> {
         bulk_pa: soft.bulk_modulus_pa(),
     };
     vec![
-        MaterialSpec::Linear(soft),
-        MaterialSpec::StVenantKirchhoff(StVenantKirchhoff::from(&linear(0.3))),
-        MaterialSpec::NeoHookeLog(NeoHookeLog::from(&soft)),
-        MaterialSpec::StableNeoHooke(StableNeoHooke::from(&soft)),
-        MaterialSpec::MooneyRivlin(MooneyRivlin::from_linear(&soft, 0.4).unwrap()),
-        MaterialSpec::Ogden(Ogden::from_linear(&soft, -4.7).unwrap()),
-        MaterialSpec::HolzapfelGasserOgden(HolzapfelGasserOgden::new(&fibres).unwrap()),
+        MaterialSpec::from(soft),
+        MaterialSpec::from(StVenantKirchhoff::from(&linear(0.3))),
+        MaterialSpec::from(NeoHookeLog::from(&soft)),
+        MaterialSpec::from(StableNeoHooke::from(&soft)),
+        MaterialSpec::from(MooneyRivlin::from_linear(&soft, 0.4).unwrap()),
+        MaterialSpec::from(Ogden::from_linear(&soft, -4.7).unwrap()),
+        MaterialSpec::from(HolzapfelGasserOgden::new(&fibres).unwrap()),
     ]
 }
 
@@ -290,8 +290,8 @@ fn small_loads_give_the_linear_solution() {
     let beam = Beam::new([2, 2, 10], 1e-3);
     let expected = solve_static_smoothed(&beam.linear(), Smoothing::BENDING).unwrap();
     for spec in [
-        MaterialSpec::NeoHookeLog(NeoHookeLog::from(&beam.material)),
-        MaterialSpec::MooneyRivlin(MooneyRivlin::from_linear(&beam.material, 0.3).unwrap()),
+        MaterialSpec::from(NeoHookeLog::from(&beam.material)),
+        MaterialSpec::from(MooneyRivlin::from_linear(&beam.material, 0.3).unwrap()),
     ] {
         let laws = [spec.material()];
         // Forces of this beam are rounded at 1e-8 of so small a weight.

@@ -113,6 +113,5 @@ pub fn corners_at(start_m: [DVec3; 3], end_m: [DVec3; 3], time: f64) -> [DVec3; 
 /// Barycentric weights of a touched point in its triangle at the time of the contact.
 pub fn weights_at(contact: &FirstContact, start_m: [DVec3; 3], end_m: [DVec3; 3]) -> [f64; 3] {
     let corners = corners_at(start_m, end_m, contact.time);
-    let weights = closest_weights(contact.points_m[1], corners);
-    weights
+    closest_weights(contact.points_m[1], corners)
 }

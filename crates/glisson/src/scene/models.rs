@@ -73,7 +73,7 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
         ModelKind::Explicit => Box::new(explicit(body, law)?),
         ModelKind::Implicit => {
             let law = match law {
-                None | Some(LawChoice::NeoHookeLog) => ImplicitLaw::neo_hooke(material),
+                None => ImplicitLaw::neo_hooke(material),
                 Some(law) => ImplicitLaw::from(&law.with_moduli_of(material)?),
             };
             let relaxation = body.relaxation()?;
@@ -93,8 +93,8 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
         })?),
         ModelKind::ExtendedMassSpring => Box::new(ExtendedMassSpring::build(&ExtendedMassSpringParams {
             body: body.dynamic(),
-            law: match law {
-                Some(LawChoice::NeoHookeLog) => EdgeLaw::NeoHooke,
+            law: match law.map(LawChoice::name) {
+                Some("neo_hooke_log") => EdgeLaw::NeoHooke,
                 _ => EdgeLaw::StVenantKirchhoff,
             },
             material,
@@ -180,14 +180,14 @@ fn explicit(body: &OrganBody, law: Option<&LawChoice>) -> Result<ExplicitKernel,
     let material = &body.material;
     let mut laws: Vec<SharedMaterial> = Vec::new();
     let law = match law {
-        None | Some(LawChoice::StVenantKirchhoff) => KernelLaw::StVenantKirchhoff,
-        Some(LawChoice::Linear) => KernelLaw::Linear,
-        Some(LawChoice::NeoHookeLog) => KernelLaw::NeoHookeLog,
-        Some(LawChoice::StableNeoHooke) => KernelLaw::StableNeoHooke,
-        Some(law) => {
-            laws.push(law.with_moduli_of(material)?.into_shared());
-            KernelLaw::General
-        }
+        None => KernelLaw::StVenantKirchhoff,
+        Some(law) => match KernelLaw::named(law.name()) {
+            Some(fast) => fast,
+            None => {
+                laws.push(law.with_moduli_of(material)?.into_shared());
+                KernelLaw::General
+            }
+        },
     };
     let relaxation = body.relaxation()?;
     let params = ExplicitKernelParams {
@@ -246,7 +246,7 @@ fn hybrid(body: &OrganBody, law: Option<&LawChoice>) -> Result<CondensedHybrid, 
     let mut params = CondensedParams::new(dynamic, &body.material, &zones, &laws);
     // Inner nodes are not seen; the factor gives their places.
     params.stored = StoredNodes::Surface;
-    if let Some(LawChoice::StVenantKirchhoff) = law {
+    if law.map(LawChoice::name) == Some("st_venant_kirchhoff") {
         params.cut_law = ZoneLaw::NonlinearTensorMass;
     }
     params.largest_stretch = LARGEST_STRETCH;

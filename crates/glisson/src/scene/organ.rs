@@ -1,7 +1,7 @@
 //! `[organ]`: mesh, material, law, model, supports and loads.
 
 use super::reader::{SceneError, Section};
-use crate::material::{LawChoice, MaterialSpec, PronyTerm};
+use crate::material::{LawChoice, LawKeyKind, PronyTerm, law_named, law_names};
 use crate::math::{Aabb, DVec3};
 use crate::model::Rayleigh;
 use crate::model::hybrid::condensed::ZoneLaw;
@@ -241,48 +241,30 @@ fn law_by_name(
     name: &str,
     at: super::reader::Value<'_>,
 ) -> Result<LawChoice, SceneError> {
-    Ok(match name {
-        "linear" => LawChoice::Linear,
-        "st_venant_kirchhoff" => LawChoice::StVenantKirchhoff,
-        "neo_hooke_log" => LawChoice::NeoHookeLog,
-        "stable_neo_hooke" => LawChoice::StableNeoHooke,
-        "mooney_rivlin" => LawChoice::MooneyRivlin {
-            second_share: required_number(
-                section,
-                "c01_share",
-                "law = { name = \"mooney_rivlin\", c01_share = 0.4 }",
-            )?,
-        },
-        "ogden" => LawChoice::Ogden {
-            exponent: required_number(section, "exponent", "law = { name = \"ogden\", exponent = -4.7 }")?,
-        },
-        "holzapfel_gasser_ogden" => {
-            let example =
-                "law = { name = \"holzapfel_gasser_ogden\", k1 = \"20 kPa\", k2 = 5, fibre = [1, 0, 0] }";
-            LawChoice::HolzapfelGasserOgden {
-                fibre_stiffness_pa: section
-                    .positive("k1", Dimension::Pressure)?
-                    .ok_or_else(|| section.missing("k1", example))?,
-                fibre_exponent: required_number(section, "k2", example)?,
-                dispersion: section.number("kappa")?.map_or(0.0, |k| k.0),
-                fibre_directions: vec![
-                    section.direction("fibre")?.ok_or_else(|| section.missing("fibre", example))?,
-                ],
-            }
-        }
-        _ => {
-            let allowed = MaterialSpec::NAMES.join(", ");
-            return Err(section.wrong_value(at, "law", format!("\"{name}\""), &allowed));
-        }
-    })
-}
-
-fn required_number(
-    section: &mut Section<'_>,
-    key: &'static str,
-    example: &'static str,
-) -> Result<f64, SceneError> {
-    section.number(key)?.map(|n| n.0).ok_or_else(|| section.missing(key, example))
+    let Some(mut law) = law_named(name) else {
+        let allowed = law_names().collect::<Vec<_>>().join(", ");
+        return Err(section.wrong_value(at, "law", format!("\"{name}\""), &allowed));
+    };
+    for key in law.entry().keys {
+        law = match key.kind {
+            LawKeyKind::Number(_) => match section.number(key.name)? {
+                Some((number, _)) => law.with_number(key.name, number),
+                None => law,
+            },
+            LawKeyKind::Positive(dimension) => match section.positive(key.name, dimension)? {
+                Some(quantity) => law.with_number(key.name, quantity),
+                None => law,
+            },
+            LawKeyKind::Directions => match section.direction(key.name)? {
+                Some(direction) => law.with_direction(direction),
+                None => law,
+            },
+        };
+    }
+    match law.missing() {
+        Some(key) => Err(section.missing(key.name, law.entry().example)),
+        None => Ok(law),
+    }
 }
 
 fn read_relaxation(section: &mut Section<'_>) -> Result<Vec<PronyTerm>, SceneError> {

@@ -148,7 +148,7 @@ fn read_simulation(section: Option<Section<'_>>) -> Result<Simulation, SceneErro
 mod tests {
     use super::super::organ::MaterialSource;
     use super::*;
-    use crate::material::LawChoice;
+    use crate::material::law_named;
     use crate::tool::ToolKind;
     use crate::world::spec::LoadTime;
     use proptest::prelude::*;
@@ -296,7 +296,7 @@ axes = ["x", "z"]
                 "time_step = \"1 ms\"\ngravity = [0, \"9.81 m/s2\", 0]\nmost_parts = 8",
             );
         let scene = Scene::parse(&text).unwrap();
-        assert_eq!(scene.organ.law, Some(LawChoice::Ogden { exponent: -4.7 }));
+        assert_eq!(scene.organ.law, law_named("ogden").map(|law| law.with_number("exponent", -4.7)));
         assert_eq!(scene.organ.damping.stiffness_s, 1e-4);
         assert_eq!(scene.organ.relaxation[0].time_s, 0.5);
         assert_eq!(scene.organ.fibre.unwrap().direction, DVec3::Z);

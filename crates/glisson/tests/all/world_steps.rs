@@ -2,7 +2,7 @@
 //! number of threads, and a saved moment comes back whole.
 
 use crate::model_meshes::block;
-use glisson::material::{LawChoice, LinearElastic, PronyTerm};
+use glisson::material::{law_named, LinearElastic, PronyTerm};
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{NodeId, TetId};
@@ -234,7 +234,7 @@ fn tissue_too_soft_for_its_weight_is_refused_by_models_that_would_buckle() {
         body.rest_stress_pa =
             equilibrating_stress(&body.mesh, &body.material, &body.fixed, &[], gravity).unwrap();
         assert!(build_model(&body, ModelKind::TensorMass).is_ok());
-        let linear = OrganBody { law: Some(LawChoice::Linear), ..body.clone() };
+        let linear = OrganBody { law: law_named("linear"), ..body.clone() };
         assert!(build_model(&linear, ModelKind::Explicit).is_ok());
         // It has a law of its own.
         assert_eq!(build_model(&linear, ModelKind::NonlinearTensorMass).is_ok(), is_stiff);

@@ -620,7 +620,7 @@ mod tests {
     #[test]
     fn named_laws_become_the_law_of_a_body() {
         let law = MooneyRivlin::new(100.0, 200.0, 1e4).unwrap();
-        let general = ImplicitLaw::from(&MaterialSpec::MooneyRivlin(law));
+        let general = ImplicitLaw::from(&MaterialSpec::from(law));
         assert!(matches!(&general, ImplicitLaw::General(laws) if laws.len() == 1));
         assert!(general.modulus_pa() > 1e4);
     }

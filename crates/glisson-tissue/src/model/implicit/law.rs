@@ -18,7 +18,7 @@ pub type SharedLaw = Arc<dyn Material + Send + Sync>;
 /// use glisson_tissue::model::implicit::ImplicitLaw;
 /// let liver = LinearElastic::from_young_poisson(5000.0, 0.45, 1060.0)?;
 /// assert!(matches!(ImplicitLaw::neo_hooke(&liver), ImplicitLaw::NeoHookeLog(_)));
-/// let stable = MaterialSpec::StableNeoHooke(StableNeoHooke::from(&liver));
+/// let stable = MaterialSpec::from(StableNeoHooke::from(&liver));
 /// assert!(matches!(ImplicitLaw::from(&stable), ImplicitLaw::General(_)));
 /// # Ok::<(), glisson_tissue::material::MaterialError>(())
 /// ```
@@ -117,14 +117,9 @@ impl From<NeoHookeLog> for ImplicitLaw {
 
 impl From<&MaterialSpec> for ImplicitLaw {
     fn from(spec: &MaterialSpec) -> Self {
-        match spec {
-            MaterialSpec::NeoHookeLog(law) => Self::NeoHookeLog(*law),
-            MaterialSpec::Linear(law) => Self::shared(*law),
-            MaterialSpec::StVenantKirchhoff(law) => Self::shared(*law),
-            MaterialSpec::StableNeoHooke(law) => Self::shared(*law),
-            MaterialSpec::MooneyRivlin(law) => Self::shared(*law),
-            MaterialSpec::Ogden(law) => Self::shared(law.clone()),
-            MaterialSpec::HolzapfelGasserOgden(law) => Self::shared(law.clone()),
+        match spec.as_law::<NeoHookeLog>() {
+            Some(law) => Self::NeoHookeLog(*law),
+            None => Self::General(vec![spec.clone().into_shared()]),
         }
     }
 }

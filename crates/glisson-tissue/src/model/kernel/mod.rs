@@ -68,6 +68,19 @@ pub enum KernelLaw {
     General,
 }
 
+impl KernelLaw {
+    /// The fast code of the law of this name, if there is some.
+    pub fn named(name: &str) -> Option<Self> {
+        match name {
+            "linear" => Some(Self::Linear),
+            "st_venant_kirchhoff" => Some(Self::StVenantKirchhoff),
+            "neo_hooke_log" => Some(Self::NeoHookeLog),
+            "stable_neo_hooke" => Some(Self::StableNeoHooke),
+            _ => None,
+        }
+    }
+}
+
 /// Why a kernel cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum KernelError {

@@ -40,10 +40,10 @@ enum Task {
         #[arg(long)]
         require_ct: bool,
     },
-    /// The long runs: palpation (a million steps with each model, replayed) and edits (100,000 random cuts, grasps and
-    /// tears); they write docs/soak.md and docs/soak_edits.md. With GLISSON_SOAK_EDITS_LOG=FILE the seeds of edits that ended
+    /// The long runs: palpation (a million steps with each model, replayed) and edits (20,000 random cuts, grasps and
+    /// tears: 200 seeds over all models that can be cut, their laws and scenes); they write docs/soak.md and docs/soak_edits.md. With GLISSON_SOAK_EDITS_LOG=FILE the seeds of edits that ended
     /// are kept there, and a run that was stopped goes on after them; a log of other seeds, or of a version that made
-    /// other edits, is refused. GLISSON_SOAK_EDITS_SEED=N runs one seed alone
+    /// other edits, is refused. GLISSON_SOAK_EDITS_SEEDS=N spreads the edits over N seeds, GLISSON_SOAK_EDITS_SEED=N runs one alone
     Soak {
         /// Which one
         #[arg(value_enum, default_value_t = test::LongRun::Palpation)]

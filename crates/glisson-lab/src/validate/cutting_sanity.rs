@@ -290,7 +290,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
             size: [900, 440],
         },
     });
-    outcome.notes = "100,000 random cuts: `cargo xtask soak edits`.".into();
+    outcome.notes = "20,000 random cuts, with every model: `cargo xtask soak edits`.".into();
     Ok(outcome)
 }
 

@@ -5,7 +5,9 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glisson_mesh::math::{DMat3, DVec3, SeededRandom};
-use glisson_mesh::mesh::{NodeId, TetMesh};
+use glisson_mesh::mesh::box_mesh::box_of_five;
+use glisson_mesh::mesh::edit::{EditableMesh, MeshEdit};
+use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use glisson_tissue::material::LinearElastic;
 use glisson_tissue::model::ImposedDisplacement;
 use glisson_tissue::model::precomputed::{
@@ -503,4 +505,58 @@ fn a_large_body_is_dissected_and_solved_all_the_same() {
         x.chunks_exact(3).map(DVec3::from_slice).collect::<Vec<_>>()
     });
     assert!(relative_difference(&solved[1], &solved[0]) < 1e-10);
+}
+
+/// A slender column that is held below, and of a layer of which one tetrahedron is left: what is above hangs at an edge.
+fn hanging_at_an_edge() -> (TetMesh, Precomputed) {
+    let edge_m = 5e-3;
+    let mesh = box_of_five([1, 1, 8], DVec3::new(edge_m, edge_m, 8.0 * edge_m));
+    let low_m = mesh.positions_m.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+    let layer_of = |n: NodeId| ((mesh.positions_m[n.index()].z - low_m) / edge_m).round() as usize;
+    let nodes = (0..mesh.positions_m.len()).map(NodeId::from_index);
+    let fixed: Vec<NodeId> = nodes.filter(|&n| layer_of(n) == 0).collect();
+    let count = |t: &[NodeId; 4], layer: usize| t.iter().filter(|&&n| layer_of(n) == layer).count();
+    let is_hinge = |t: &[NodeId; 4]| count(t, 6) == 2 && count(t, 7) == 2;
+    let hinge = mesh.tetrahedra.iter().position(is_hinge).expect("one in the middle of the cell");
+    let is_in_layer = |t: usize| count(&mesh.tetrahedra[t], 6) > 0 && count(&mesh.tetrahedra[t], 7) > 0;
+    let tets = (0..mesh.tetrahedra.len()).filter(|&t| t != hinge && is_in_layer(t));
+    let tets = tets.map(TetId::from_index).collect();
+    let mut model = Precomputed::build(&PrecomputedParams {
+        mesh: &mesh,
+        material: &material(),
+        fixed_nodes: &fixed,
+        stored: StoredNodes::Surface,
+        precision: Precision::F64,
+        progress: None,
+    })
+    .unwrap();
+    let mut body = EditableMesh::new(mesh.clone()).unwrap();
+    let change = body.apply(&MeshEdit::Remove { tets }).unwrap();
+    model.topology_changed(body.mesh(), &change).unwrap();
+    (mesh, model)
+}
+
+/// The soak of edits found it: tissue at a hinge that is stretched to many times its length is stiffer than the share of its
+/// pull was made for, and column and piece threw each other further in every step, to places that are no numbers.
+#[test]
+fn a_piece_that_is_pulled_far_from_its_hinge_does_not_swing_up() {
+    let (mesh, model) = hanging_at_an_edge();
+    let high_m = mesh.positions_m.iter().map(|p| p.z).fold(f64::NEG_INFINITY, f64::max);
+    for way_m in [DVec3::new(0.1, 0.0, 0.0), DVec3::new(-0.05, 0.03, -0.08)] {
+        let mut model = model.duplicate();
+        let pulled_m: Vec<DVec3> =
+            mesh.positions_m.iter().map(|p| if p.z > high_m - 7e-3 { *p + way_m } else { *p }).collect();
+        model.take_over(&pulled_m);
+        model.apply(&Constraints::default());
+        let mut furthest_m = 0.0_f64;
+        for _ in 0..200 {
+            model.step(1e-2);
+            let now_m = model.state().positions_m;
+            let away_m = now_m.iter().zip(&mesh.positions_m).map(|(a, b)| a.distance(*b));
+            furthest_m = away_m.fold(furthest_m, f64::max);
+        }
+        let kinetic_j = model.report().kinetic_energy_j;
+        assert!(furthest_m < 2.0, "{way_m}: {furthest_m} m");
+        assert!(kinetic_j < 1e-2, "{way_m}: {kinetic_j} J");
+    }
 }

@@ -357,7 +357,8 @@ axes = ["x", "z"]
             ("furthest = {", "furthest = [", "line 16: "),
             ("glisson_scene = 1", "glisson_scene = 2", "line 1: \"glisson_scene\" is 2; allowed: 1"),
             ("[simulation]\ntime_step", "[simulation]\ntimestep", "did you mean \"time_step\"?"),
-            ("time_step = \"1 ms\"", "time_step = \"-1 ms\"", "more than zero"),
+            ("time_step = \"1 ms\"", "time_step = \"-1 ms\"", "allowed: 1 us to 1 s"),
+            ("time_step = \"1 ms\"", "time_step = \"1e20 s\"", "allowed: 1 us to 1 s"),
         ] {
             let found = message(from, to);
             assert!(found.contains(expected), "{to}: {found}");

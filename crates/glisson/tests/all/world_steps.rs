@@ -2,7 +2,7 @@
 //! number of threads, and a saved moment comes back whole.
 
 use crate::model_meshes::block;
-use glisson::material::{law_named, LinearElastic, PronyTerm};
+use glisson::material::{LinearElastic, PronyTerm, law_named};
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{NodeId, TetId};

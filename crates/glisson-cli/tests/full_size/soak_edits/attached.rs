@@ -2,7 +2,7 @@
 //! plain computation of the forces that follow from it.
 
 use super::skin::OwnSkin;
-use glisson::material::{LinearElastic, Material, StableNeoHooke};
+use super::substance::{DENSITY_KG_PER_M3, Substance};
 use glisson::math::{DMat3, DVec3, tetrahedron_volume_m3};
 use glisson::mesh::edit::{EditableMesh, TopologyChange};
 use glisson::mesh::{NodeId, TetId};
@@ -193,11 +193,10 @@ impl Attached {
         &self,
         body: &EditableMesh,
         now_m: &[DVec3],
-        materials: &[LinearElastic],
+        substance: &Substance,
     ) -> (Vec<DVec3>, Vec<f64>) {
         let rest_m = &body.mesh().positions_m;
         let place_m = |n: NodeId| if self.is_fixed[n.index()] { rest_m[n.index()] } else { now_m[n.index()] };
-        let laws: Vec<StableNeoHooke> = materials.iter().map(StableNeoHooke::from).collect();
         let (mut forces_n, mut masses_kg) = (vec![DVec3::ZERO; rest_m.len()], vec![0.0; rest_m.len()]);
         let edges = |c: [DVec3; 4]| DMat3::from_cols(c[1] - c[0], c[2] - c[0], c[3] - c[0]);
         for tet in body.topology().live_tets() {
@@ -206,14 +205,15 @@ impl Attached {
             let inverse = rest.inverse();
             let volume_m3 = rest.determinant() / 6.0;
             let number = usize::from(self.material[tet.index()]);
-            let stress_pa = laws[number].first_piola_pa(&(edges(nodes.map(place_m)) * inverse));
+            let stress_pa =
+                substance.laws[number].material().first_piola_pa(&(edges(nodes.map(place_m)) * inverse));
             let of_corners = stress_pa * inverse.transpose() * volume_m3;
             let others = [of_corners.x_axis, of_corners.y_axis, of_corners.z_axis];
             forces_n[nodes[0].index()] -= others[0] + others[1] + others[2];
             for (node, force_n) in nodes[1..].iter().zip(others) {
                 forces_n[node.index()] += force_n;
             }
-            let share_kg = 0.25 * volume_m3 * materials[number].density_kg_per_m3();
+            let share_kg = 0.25 * volume_m3 * DENSITY_KG_PER_M3;
             nodes.iter().for_each(|n| masses_kg[n.index()] += share_kg);
         }
         let places_m: Vec<DVec3> = (0..rest_m.len()).map(|n| place_m(NodeId::from_index(n))).collect();

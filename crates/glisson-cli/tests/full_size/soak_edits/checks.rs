@@ -1,6 +1,8 @@
 //! What an edit must not break: adjacency, surface and what is shown against a recount; the model against a fresh one.
 
-use glisson::math::DVec3;
+use super::draw::Limit;
+use super::substance::AT_ONCE_S;
+use glisson::math::{DMat3, DVec3};
 use glisson::mesh::edit::EditableMesh;
 use glisson::mesh::topology::{EntityCounts, TET_EDGES, TET_TRIANGLES};
 use glisson::mesh::{NodeId, TetId};
@@ -145,8 +147,6 @@ pub(super) struct Difference {
 const STRAIN: f64 = 0.1;
 /// Weights are measured under a gravity [m/s2] beside which rounding of other forces counts for nothing.
 const HEAVY_M_PER_S2: f64 = 1e3;
-/// A step that no model divides.
-pub(super) const AT_ONCE_S: f64 = 1e-12;
 
 /// What holds all nodes of a model where they are told to be, elastic forces and weights, and how many of the nodes it holds
 /// itself.
@@ -216,26 +216,78 @@ pub(super) fn within_measure(body: &EditableMesh, now_m: &[DVec3]) -> (Vec<DVec3
     }
 }
 
+/// Places with the nodes of tetrahedra beyond a limit at rest, and how many these are.
+fn within_limit(body: &EditableMesh, places_m: &[DVec3], limit: Limit) -> (Vec<DVec3>, usize) {
+    let (rest_m, topology) = (&body.mesh().positions_m, body.topology());
+    let edges = |c: [DVec3; 4]| DMat3::from_cols(c[1] - c[0], c[2] - c[0], c[3] - c[0]);
+    let (mut places_m, mut is_put_back) = (places_m.to_vec(), vec![false; places_m.len()]);
+    loop {
+        let is_beyond = |places_m: &[DVec3], t: TetId| {
+            let of_tet = |all_m: &[DVec3]| edges(topology.tet_nodes(t).map(|n| all_m[n.index()]));
+            let f = of_tet(places_m) * of_tet(rest_m).inverse();
+            let squares: f64 = f.to_cols_array().iter().map(|x| x * x).sum();
+            f.determinant() < limit.least_ratio || squares > limit.most_squares
+        };
+        let beyond: Vec<TetId> = topology.live_tets().filter(|&t| is_beyond(&places_m, t)).collect();
+        let nodes = beyond.into_iter().flat_map(|t| topology.tet_nodes(t)).map(NodeId::index);
+        let away: Vec<usize> = nodes.filter(|&n| !is_put_back[n]).collect();
+        // With all its nodes at rest a tetrahedron is within any limit, so that it ends.
+        if away.is_empty() {
+            return (places_m, is_put_back.iter().filter(|b| **b).count());
+        }
+        for n in away {
+            (places_m[n], is_put_back[n]) = (rest_m[n], true);
+        }
+    }
+}
+
+/// Places now, moved a little, and how many nodes were put back at rest: those of tetrahedra beyond a limit. Then supports are
+/// at rest as well, as they are in models.
+pub(super) fn measured(world: &World, now_m: &[DVec3], limit: Option<Limit>) -> (Vec<DVec3>, usize) {
+    let (organ, mut all_m) = (world.organ(), bent(now_m));
+    let Some(limit) = limit else { return (all_m, 0) };
+    for n in (0..all_m.len()).filter(|&n| organ.is_fixed(NodeId::from_index(n))) {
+        all_m[n] = organ.mesh().positions_m[n];
+    }
+    within_limit(organ.body(), &all_m, limit)
+}
+
 /// Compares `edited`, the model of `body`, with `fresh`, that of its live nodes and tetrahedra alone: the forces that hold
-/// all nodes where they are now, moved a little.
+/// all nodes at `all_m`.
 pub(super) fn difference(
     body: &EditableMesh,
-    now_m: &[DVec3],
+    all_m: &[DVec3],
     mut edited: Box<dyn DeformableModel>,
     mut fresh: Box<dyn DeformableModel>,
     label: &str,
 ) -> Difference {
     let live: Vec<NodeId> = body.topology().live_nodes().collect();
-    let (rest_m, all_m) = (&body.mesh().positions_m, bent(now_m));
+    let rest_m = &body.mesh().positions_m;
     let of_live = |all: &[DVec3]| live.iter().map(|n| all[n.index()]).collect::<Vec<_>>();
     let new: Vec<NodeId> = (0..live.len()).map(NodeId::from_index).collect();
-    let found = HeldForces::of(edited.as_mut(), rest_m, &all_m, &live);
-    let expected = HeldForces::of(fresh.as_mut(), &of_live(rest_m), &of_live(&all_m), &new);
+    let found = HeldForces::of(edited.as_mut(), rest_m, all_m, &live);
+    let expected = HeldForces::of(fresh.as_mut(), &of_live(rest_m), &of_live(all_m), &new);
     assert_eq!(found.n_fixed, expected.n_fixed, "{label}: nodes that are supported");
     Difference {
         forces: apart(&found.elastic_n, &expected.elastic_n),
         weights: apart(&found.weights_n, &expected.weights_n),
     }
+}
+
+/// How far the forces that hold some nodes out of a body at rest are apart, in shares of the largest.
+pub(super) fn compliance_difference(
+    rest_m: &[DVec3],
+    held: &[ImposedDisplacement],
+    mut edited: Box<dyn DeformableModel>,
+    mut fresh: Box<dyn DeformableModel>,
+) -> f64 {
+    let forces_n = |model: &mut dyn DeformableModel| {
+        model.take_over(rest_m);
+        model.apply(&Constraints { displacements: held.to_vec(), forces: Vec::new() });
+        model.step(AT_ONCE_S);
+        model.constraint_forces_n().to_vec()
+    };
+    apart(&forces_n(edited.as_mut()), &forces_n(fresh.as_mut()))
 }
 
 /// What a plain computation says of each live node.
@@ -248,20 +300,20 @@ pub(super) struct Plain {
     pub(super) is_fixed: Vec<bool>,
 }
 
-/// Compares `edited`, the model of `body`, with a plain computation for given places of all nodes: those at rest, moved a
+/// Compares `edited`, the model of `body`, with a plain computation where all nodes are at `all_m`: rest places moved a
 /// little, where every tetrahedron counts and none hides behind crumbs that fly. Answers also the sum of the model's
 /// masses [kg], in which fixed nodes, whose weight nobody feels, stand with their plain ones.
 pub(super) fn against_plain(
     body: &EditableMesh,
     mut edited: Box<dyn DeformableModel>,
+    all_m: &[DVec3],
     plain: impl Fn(&[DVec3]) -> Plain,
     label: &str,
 ) -> (Difference, f64) {
     let live: Vec<NodeId> = body.topology().live_nodes().collect();
     let rest_m = &body.mesh().positions_m;
-    let all_m = bent(rest_m);
-    let found = HeldForces::of(edited.as_mut(), rest_m, &all_m, &live);
-    let plain = plain(&all_m);
+    let found = HeldForces::of(edited.as_mut(), rest_m, all_m, &live);
+    let plain = plain(all_m);
     let n_fixed = plain.is_fixed.iter().filter(|f| **f).count();
     assert_eq!(found.n_fixed as usize, n_fixed, "{label}: nodes that are supported");
     let n = live.len();

@@ -1,14 +1,14 @@
 //! What happened: counts and worst figures of a seed, kept line by line so that a long run can go on where it was
-//! stopped, and their report.
+//! stopped.
 
-use super::checks::GREATEST_STRETCH;
 use serde::{Deserialize, Serialize};
-use std::fmt::Write as _;
+use std::collections::BTreeMap;
+use std::fmt::Debug;
 use std::io::Write as _;
 use std::path::PathBuf;
 
 /// What happened on one body.
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Tally {
     /// Removals by themselves.
@@ -44,49 +44,36 @@ pub(super) struct Tally {
     pub(super) tears: u64,
     /// Edits that were taken back.
     pub(super) undone: u64,
+    /// Calls that took the last edit back after more steps.
+    pub(super) undone_late: u64,
     pub(super) grasps: u64,
     pub(super) held: u64,
-    pub(super) refused: u64,
+    /// Refusals by reason.
+    pub(super) refused: BTreeMap<String, u64>,
+    /// Panics that no check made.
+    pub(super) panics: u64,
+    /// Positions, velocities, numbers of the history, forces on tools and energies that were not finite.
+    pub(super) non_finite: u64,
+    /// Steps in which a tool felt more than a wild force, and the most that one felt [N].
+    pub(super) wild_steps: u64,
+    pub(super) greatest_force_n: f64,
+    /// Nodes that models brought back to their last finite place, and steps in which they took energy from nowhere out.
+    pub(super) recovered_nodes: u64,
+    pub(super) limited_steps: u64,
+    /// Time in the world, and of the computer for everything, checks included [s].
+    pub(super) simulated_s: f64,
+    pub(super) computed_s: f64,
     /// With a model made afresh.
     pub(super) comparisons: u64,
+    /// Pre-computed models that asked for a fresh pre-computation and were replaced by it.
+    pub(super) renewed: u64,
     /// Nodes that were compared at rest, because what hangs at them was stretched beyond measure.
     pub(super) put_back: u64,
-    pub(super) worst_dihedral_deg: f64,
+    /// None without a new tetrahedron.
+    pub(super) worst_dihedral_deg: Option<f64>,
     pub(super) worst_forces: f64,
     pub(super) worst_weights: f64,
-}
-
-impl Default for Tally {
-    fn default() -> Self {
-        Self {
-            removals: 0,
-            partings: 0,
-            blade_edits: 0,
-            blade_strokes: 0,
-            scalpel_edits: 0,
-            scalpel_strokes: 0,
-            refinements: 0,
-            burns: 0,
-            snips: 0,
-            tool_blade_edits: 0,
-            stroke_partings: 0,
-            singular_left: 0,
-            bad_tets: 0,
-            mendings: 0,
-            mended_places: 0,
-            tool_uses: 0,
-            tears: 0,
-            undone: 0,
-            grasps: 0,
-            held: 0,
-            refused: 0,
-            comparisons: 0,
-            put_back: 0,
-            worst_dihedral_deg: 180.0,
-            worst_forces: 0.0,
-            worst_weights: 0.0,
-        }
-    }
+    pub(super) worst_compliance: f64,
 }
 
 impl Tally {
@@ -102,7 +89,36 @@ impl Tally {
         direct + self.tool_uses + self.grasps
     }
 
-    fn add(&mut self, other: &Self) {
+    /// Counts a refusal.
+    pub(super) fn refuse(&mut self, reason: &str) {
+        *self.refused.entry(reason.to_string()).or_default() += 1;
+    }
+
+    pub(super) fn n_refused(&self) -> u64 {
+        self.refused.values().sum()
+    }
+
+    /// Notes the least dihedral angle of a new tetrahedron.
+    pub(super) fn note_dihedral(&mut self, angle_deg: f64) {
+        self.worst_dihedral_deg = self.worst_dihedral_deg.into_iter().chain([angle_deg]).reduce(f64::min);
+    }
+
+    pub(super) fn add(&mut self, other: &Self) {
+        self.add_edits(other);
+        self.add_findings(other);
+        for (reason, n) in &other.refused {
+            *self.refused.entry(reason.clone()).or_default() += n;
+        }
+        self.greatest_force_n = self.greatest_force_n.max(other.greatest_force_n);
+        self.simulated_s += other.simulated_s;
+        self.computed_s += other.computed_s;
+        other.worst_dihedral_deg.into_iter().for_each(|angle_deg| self.note_dihedral(angle_deg));
+        self.worst_forces = self.worst_forces.max(other.worst_forces);
+        self.worst_weights = self.worst_weights.max(other.worst_weights);
+        self.worst_compliance = self.worst_compliance.max(other.worst_compliance);
+    }
+
+    fn add_edits(&mut self, other: &Self) {
         self.removals += other.removals;
         self.partings += other.partings;
         self.blade_edits += other.blade_edits;
@@ -118,18 +134,35 @@ impl Tally {
         self.bad_tets += other.bad_tets;
         self.mendings += other.mendings;
         self.mended_places += other.mended_places;
+    }
+
+    fn add_findings(&mut self, other: &Self) {
         self.tool_uses += other.tool_uses;
         self.tears += other.tears;
         self.undone += other.undone;
+        self.undone_late += other.undone_late;
         self.grasps += other.grasps;
         self.held += other.held;
-        self.refused += other.refused;
+        self.panics += other.panics;
+        self.non_finite += other.non_finite;
+        self.wild_steps += other.wild_steps;
+        self.recovered_nodes += other.recovered_nodes;
+        self.limited_steps += other.limited_steps;
         self.comparisons += other.comparisons;
+        self.renewed += other.renewed;
         self.put_back += other.put_back;
-        self.worst_dihedral_deg = self.worst_dihedral_deg.min(other.worst_dihedral_deg);
-        self.worst_forces = self.worst_forces.max(other.worst_forces);
-        self.worst_weights = self.worst_weights.max(other.worst_weights);
     }
+}
+
+/// Why something was refused, in short: the names of an error, and the reason that a model gives.
+pub(super) fn reason(refusal: &impl Debug) -> String {
+    let text = format!("{refusal:?}");
+    let is_name = |c: char| c.is_alphanumeric() || c == '_' || c == '(';
+    let names = text.split(|c| !is_name(c)).next().unwrap_or_default();
+    let names = names.trim_end_matches('(').split('(').filter(|name| *name != "Model").collect::<Vec<_>>();
+    let told =
+        text.split_once("reason: \"").map(|(_, told)| told.split([';', '"']).next().unwrap_or_default());
+    names.join(" ") + &told.map(|told| format!(": {told}")).unwrap_or_default()
 }
 
 /// A seed that ended.
@@ -137,6 +170,11 @@ impl Tally {
 pub(super) struct SeedResult {
     pub(super) body: String,
     pub(super) tetrahedra: usize,
+    /// Scene names of model and law, and what else the seed drew.
+    pub(super) model: String,
+    pub(super) law: String,
+    pub(super) touches_itself: bool,
+    pub(super) tears_tissue: bool,
     pub(super) seed: u64,
     /// Edits asked for.
     pub(super) asked: u64,
@@ -158,7 +196,7 @@ struct LogHeader {
 }
 
 /// Version of what a seed does.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
 /// The seeds that ended, in a file if one is told.
 pub(super) struct Results {
@@ -208,93 +246,18 @@ impl Results {
     }
 
     pub(super) fn all(&self) -> Tally {
-        self.of_seeds.iter().fold(Tally::default(), |mut sum, r| {
-            sum.add(&r.tally);
-            sum
-        })
+        sum_of(&self.of_seeds)
     }
 
     pub(super) fn broken(&self) -> impl Iterator<Item = &SeedResult> {
         self.of_seeds.iter().filter(|r| r.broken.is_some())
     }
+}
 
-    /// The text of docs/soak_edits.md.
-    pub(super) fn report(&self, n_seeds: u64, asked: u64, compared_every: u64) -> String {
-        let all = self.all();
-        let mut report = format!(
-            "# Random edits\n{} edits in {} operations: {} of {n_seeds} seeds, at least {asked} edits each, on the explicit model (stable \
-             neo-Hooke, three materials by place, relaxing stress) of a body with ligaments, loads and vessels.\n\n\
-             An edit is one transaction that changed the mesh: a stroke of a blade is several, and each is checked. One that is taken \
-             back and made again counts once. An operation is a removal around a place, a stroke of a blade that divides \
-             tetrahedra (\"blade\") or of a scalpel that moves vertices (\"scalpel\"), a region made finer, or the use of a real tool through steps of the \
-             world: hook or cautery (\"burns\"), scissors (\"snips\"), a scalpel of either kind (\"tool blade\"), a grasper that pulls until tissue tears.\n\n\
-             After each edit (after each call of the tools, most of which make one): orientation of all tetrahedra, all adjacency, surface and Euler characteristics against a \
-             recount; volume, and the sum of the model's masses (kept, or less by what was taken out; 1e-9); what touches and what is shown \
-             against that recount; of all free nodes elastic forces with ligaments, and weights, against a plain loop over the live tetrahedra with \
-             each one's own material (1e-9 of the largest); supports and loads by node, vessels by place at rest and against a search of all cut faces; skin and cut faces against the skin at the start, where no node of it moved; \
-             stress memory of each tetrahedron (the same bits, or its parents'); new and moved nodes where their parents were, and new tetrahedra in edits that move no node and pull none onto another; finite numbers in the next three steps. \
-             One edit in ten is taken back and made again, with the same bits. What a removal or tear leaves hanging together by a node or an edge alone is parted in the same edit, what a stroke leaves when the edge is lifted: then no node or edge holds parts together alone. \
-             Every {compared_every} edits and at the end: forces, weights and supports against a model made afresh from the edited mesh, where the nodes are then; nodes of tetrahedra with an edge more than {GREATEST_STRETCH} times its \
-             length are first put back at rest, since forces there are differences of much larger numbers.\n\nMade by `cargo xtask soak edits`.\n\n\
-             | body | tetrahedra | seeds | removals | blade (strokes) | scalpel (strokes) | finer | burns | snips | tool blade | tears | removals and tears that parted singular places | strokes that did | places mended at strokes' ends, of bad tetrahedra | taken back | grasps | that held | refused | worst dihedral of a new or reshaped tetrahedron [deg] | comparisons | largest difference of forces | of weights |\n\
-             |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
-            all.edits(),
-            all.operations(),
-            self.of_seeds.len(),
-        );
-        let mut bodies: Vec<(&str, usize)> =
-            self.of_seeds.iter().map(|r| (r.body.as_str(), r.tetrahedra)).collect();
-        bodies.sort_unstable();
-        bodies.dedup();
-        let rows = bodies.into_iter().map(|(body, tetrahedra)| {
-            let of_body: Vec<_> = self.of_seeds.iter().filter(|r| r.body == body).cloned().collect();
-            (body, tetrahedra.to_string(), Self { file: None, of_seeds: of_body })
-        });
-        let whole = Self { file: None, of_seeds: self.of_seeds.clone() };
-        for (name, tetrahedra, results) in rows.chain([("all", String::new(), whole)]) {
-            let t = results.all();
-            writeln!(
-                report,
-                "| {name} | {tetrahedra} | {} | {} | {} ({}) | {} ({}) | {} | {} | {} | {} | {} | {} | {} | {} of {} | {} | {} | {} | {} | {:.2} | {} | {:.1e} | {:.1e} |",
-                results.of_seeds.len(),
-                t.removals,
-                t.blade_edits,
-                t.blade_strokes,
-                t.scalpel_edits,
-                t.scalpel_strokes,
-                t.refinements,
-                t.burns,
-                t.snips,
-                t.tool_blade_edits,
-                t.tears,
-                t.partings,
-                t.stroke_partings,
-                t.mended_places,
-                t.bad_tets,
-                t.undone,
-                t.grasps,
-                t.held,
-                t.refused,
-                t.worst_dihedral_deg,
-                t.comparisons,
-                t.worst_forces,
-                t.worst_weights,
-            )
-            .unwrap();
-        }
-        let n_broken = self.broken().count();
-        writeln!(
-            report,
-            "\nSingular places that could not be parted at the ends of strokes, because an edge is too short to be divided: {}.",
-            all.singular_left
-        )
-        .unwrap();
-        writeln!(report, "\nNodes put back at rest before comparisons: {}.", all.put_back).unwrap();
-        writeln!(report, "\nSeeds that broke something: {n_broken}.").unwrap();
-        for broken in self.broken() {
-            writeln!(report, "- {}, seed {}: {}", broken.body, broken.seed, broken.broken.as_ref().unwrap())
-                .unwrap();
-        }
-        report
-    }
+/// All seeds together.
+pub(super) fn sum_of(of_seeds: &[SeedResult]) -> Tally {
+    of_seeds.iter().fold(Tally::default(), |mut sum, r| {
+        sum.add(&r.tally);
+        sum
+    })
 }

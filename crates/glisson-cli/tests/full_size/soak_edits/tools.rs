@@ -1,41 +1,14 @@
 //! The real tools, driven through steps of the world: what they cut is found, cut and torn by the world itself.
 
-use super::patient::{Patient, Volume};
+use super::before::Volume;
+use super::instruments::{GRASPER, HOT, SCALPEL, SCISSORS, TIP_RADIUS_M};
+use super::patient::Patient;
+use super::tally::reason;
 use glisson::math::DVec3;
-use glisson::tool::{Blade, BladeCuts, CutRule, Grip, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind, ToolShape};
+use glisson::tool::ToolInput;
 
-const JAWS: Jaws = Jaws { length_m: 0.02, width_m: 6e-3, greatest_opening_rad: 1.0, closing_force_n: 20.0 };
-const TIP_RADIUS_M: f64 = 1.5e-3;
 /// Share of the calls that cut and are then taken back.
 const TAKEN_BACK: f64 = 0.1;
-
-const GRASPER: usize = 0;
-const HOT: usize = 1;
-const SCISSORS: usize = 2;
-const SCALPEL: usize = 3;
-
-/// A grasper, a hook or cautery, scissors and a scalpel of one of two kinds; all pairs of these come up with all bodies.
-pub(super) fn tools(seed: u64, mean_edge_m: f64, home: ToolInput) -> [Tool; MAX_TOOLS] {
-    let turn = seed + seed / 4;
-    let at_once = CutRule { least_force_n: 1e-4, least_time_s: 2e-3, power_w: 0.0 };
-    // A power that parts a tetrahedron within some steps: no device's.
-    let hot = CutRule { power_w: 4e3, ..at_once };
-    let burns = if turn.is_multiple_of(2) { ToolKind::Hook(at_once) } else { ToolKind::Cautery(JAWS, hot) };
-    let cuts = if (turn / 2).is_multiple_of(2) { BladeCuts::Subdivision } else { BladeCuts::Displacement };
-    let scalpel = ToolKind::Scalpel(Blade { length_m: 4.0 * mean_edge_m, cuts });
-    let tool = |name: &str, kind: ToolKind, tip_radius_m: f64| Tool {
-        kind,
-        shape: ToolShape::Capsules,
-        grip: Grip { friction_coefficient: 1.0, is_sticky: true },
-        ..Tool::probe(name, tip_radius_m, home)
-    };
-    [
-        tool("grasper", ToolKind::Grasper(JAWS), 3e-3),
-        tool("hot tip", burns, TIP_RADIUS_M),
-        tool("scissors", ToolKind::Scissors(JAWS), TIP_RADIUS_M),
-        tool("scalpel", scalpel, 2e-4),
-    ]
-}
 
 impl Patient<'_> {
     /// A step with one tool there and the others away, and what the tools then cut.
@@ -49,7 +22,8 @@ impl Patient<'_> {
         let live = self.world.organ().live_tetrahedra().to_vec();
         self.world.take_changes();
         let cuts = self.world.cut_with_tools();
-        self.tally.refused += cuts.refusals.len() as u64 + u64::from(cuts.tear_refusal.is_some());
+        let refusals = cuts.refusals.iter().map(|(_, refusal)| refusal).chain(&cuts.tear_refusal);
+        refusals.for_each(|refusal| self.tally.refuse(&reason(refusal)));
         let changes = self.world.take_changes();
         let n_edits = changes.len();
         if n_edits == 0 {
@@ -86,13 +60,12 @@ impl Patient<'_> {
             SCISSORS => self.tally.snips += by_tip,
             _ => self.tally.burns += by_tip,
         }
+        self.keep_last(before, n_edits);
         true
     }
 
     fn put_away(&mut self) {
-        for _ in 0..3 {
-            self.step(&self.away.clone(), true);
-        }
+        self.rest_after_edit();
     }
 
     /// Grasps, pulls until tissue tears, lets go.

@@ -16,12 +16,17 @@ use crate::model::{
 use crate::solve::{BoundaryConditions, StaticProblem, solve_static};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::{EditableMesh, TopologyChange};
+use glisson_mesh::mesh::topology::TET_TRIANGLES;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
 /// Largest share of a new pull that acts on the held body in each step: a choice. The held body responds at once and has
 /// no mass. The whole pull of a piece that is k times stiffer at the hinge would oscillate with growing amplitude for
 /// k > 1; with a share s it does not for s < 2/(1 + k). For a large k the share is smaller.
 pub(super) const MOST_PULL_SHARE: f64 = 1.0 / 32.0;
+
+/// A hinge pulls no harder than tissue as stiff as at rest that is stretched to so many times its length: a choice, beyond
+/// what tissue bears.
+const MOST_REACH: f64 = 4.0;
 
 /// Mass damping of a loose piece [1/s]: a choice, so that a swing fades within seconds.
 const DAMPING_PER_S: f64 = 1.0;
@@ -66,6 +71,8 @@ pub(super) struct LoosePiece {
     tets: Vec<TetId>,
     body: EditableMesh,
     kernel: ExplicitKernel,
+    /// Lambda + 2 mu: stiffness at rest against a plane stretch [Pa].
+    stiffness_pa: f64,
     local: LocalModel,
     /// Nodes that are heavier than their tissue from the start.
     n_heavier: u32,
@@ -88,6 +95,7 @@ impl Clone for LoosePiece {
             tets: self.tets.clone(),
             body: self.body.clone(),
             kernel: self.kernel.clone(),
+            stiffness_pa: self.stiffness_pa,
             local: LocalModel::new(),
             n_heavier: self.n_heavier,
             hinges: self.hinges.clone(),
@@ -166,6 +174,7 @@ impl LoosePiece {
             tets: params.tets.to_vec(),
             body,
             kernel,
+            stiffness_pa: material.lambda_pa() + 2.0 * material.mu_pa(),
             local: LocalModel::new(),
             n_heavier,
             hinges: Vec::new(),
@@ -275,11 +284,37 @@ impl LoosePiece {
             match mover {
                 Mover::Tool(place) => feel(place, force_n),
                 Mover::Owner(h) => {
+                    let most_n = self.most_pull_n(self.hinges[h as usize].local);
                     let pull_n = &mut self.hinges[h as usize].pull_n;
-                    *pull_n += (-force_n - *pull_n) * pull_share;
+                    *pull_n += ((-force_n).clamp_length_max(most_n) - *pull_n) * pull_share;
                 }
             }
         }
+    }
+
+    /// The most that the held body feels of a hinge [N]: what its tetrahedra, as stiff as at rest, would do if it were as far
+    /// from its place between their other nodes as the furthest of these is, [`MOST_REACH`] edges at most. The share of a new pull
+    /// is made for that stiffness; tissue that is stretched further is stiffer by orders, and would swing up without end.
+    ///
+    /// A node's own stiffness in a tetrahedron of volume V is at most V (lambda + 2 mu) / h^2 = (lambda + 2 mu) A^2 / (9 V), h
+    /// its height over the opposite face, A that face's area.
+    fn most_pull_n(&self, local: u32) -> f64 {
+        let (topology, mesh) = (self.body.topology(), self.body.mesh());
+        let now_m = self.positions_m();
+        let (mut stiffness_n_per_m, mut furthest_m, mut edge_m) = (0.0, 0.0_f64, 0.0_f64);
+        let away_m = |all_m: &[DVec3], n: NodeId| all_m[n.index()].distance(all_m[local as usize]);
+        for &tet in topology.node_tets(NodeId(local)) {
+            let nodes = topology.tet_nodes(tet);
+            let own = nodes.iter().position(|n| n.0 == local).unwrap_or(0);
+            let [a, b, c] = TET_TRIANGLES[own].map(|i| mesh.positions_m[nodes[i].index()]);
+            let area_m2 = 0.5 * (b - a).cross(c - a).length();
+            stiffness_n_per_m += self.stiffness_pa * area_m2 * area_m2 / (9.0 * mesh.tet_volume_m3(tet));
+            for n in nodes {
+                furthest_m = furthest_m.max(away_m(now_m, n));
+                edge_m = edge_m.max(away_m(&mesh.positions_m, n));
+            }
+        }
+        stiffness_n_per_m * furthest_m.min(MOST_REACH * edge_m)
     }
 
     /// Adds K x over the hinges to `force_n`, for displacements x of the hinges and K of the uncut rest shape: the

@@ -11,6 +11,8 @@ use std::time::{Duration, Instant};
 pub(crate) const SERVER_START: Duration = Duration::from_secs(120);
 /// The optional network, from the workspace's root.
 pub(crate) const NET: &str = "glisson-cli/net";
+/// Every feature there is.
+const EVERYTHING: &str = "glisson-cli/net,glisson-cli/full-size-tests";
 
 /// Stages that ran, and how long each took [s].
 #[derive(Default)]
@@ -57,12 +59,17 @@ pub(crate) fn all(require_ct: bool) -> anyhow::Result<()> {
         }
     })?;
     stages.run("viewer: types, lint, unit tests, build", viewer)?;
+    // One build with everything in it; without the network only `glisson-net` and its users are other code.
     stages.run("lint", || {
-        run("cargo", &["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"])
+        let all =
+            ["--workspace", "--all-targets", "--features", EVERYTHING, "--locked", "--", "-D", "warnings"];
+        run("cargo", &[&["clippy"], &all[..]].concat())
     })?;
-    stages.run("lint of the feature net", || {
-        let package = ["--package", "glisson-cli", "--features", "net", "--all-targets", "--locked"];
-        run("cargo", &[&["clippy"], &package[..], &["--", "-D", "warnings"]].concat())
+    stages.run("lint without the network", || {
+        run(
+            "cargo",
+            &["clippy", "--package", "glisson-net", "--all-targets", "--locked", "--", "-D", "warnings"],
+        )
     })?;
     // With zenoh and ROS 2. The release program below is the one without.
     stages.run("unit and integration tests", || tests(&["--workspace", "--features", NET]))?;

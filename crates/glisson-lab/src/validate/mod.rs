@@ -114,7 +114,7 @@ enum Expected {
     Within([f64; 2]),
 }
 
-/// A row of a table of experiments: a claim about what was measured, a `M`.
+/// A row of a table of experiments: a claim about what was measured, an `M`.
 struct Claim<'a, M> {
     name: &'a str,
     source: &'a str,
@@ -142,17 +142,13 @@ impl<'a, M> Claim<'a, M> {
 
     /// What came out.
     fn check(&self, measured: &M) -> Experiment {
-        self.expected.check(self.name, self.source, (self.value)(measured))
-    }
-}
-
-impl Expected {
-    /// What came out of a claim of this name.
-    fn check(self, name: &str, source: &str, obtained: f64) -> Experiment {
-        match self {
-            Self::AtMost(limit) => Experiment::at_most(name, source, obtained, limit),
-            Self::Near(expected, tolerance) => Experiment::near(name, source, obtained, expected, tolerance),
-            Self::Within(range) => Experiment::within(name, source, obtained, range),
+        let (Self { name, source, .. }, obtained) = (self, (self.value)(measured));
+        match self.expected {
+            Expected::AtMost(limit) => Experiment::at_most(name, source, obtained, limit),
+            Expected::Near(expected, tolerance) => {
+                Experiment::near(name, source, obtained, expected, tolerance)
+            }
+            Expected::Within(range) => Experiment::within(name, source, obtained, range),
         }
     }
 }

@@ -43,6 +43,7 @@ const GREATEST_RISE_PERCENT: f64 = 0.1;
 const LEAST_RATE_SHARE: f64 = 0.8;
 /// Name of the loop's thread.
 const HAPTIC_THREAD: &str = "haptics";
+
 /// What to measure.
 pub struct HapticsRequest {
     /// Time of each of the two runs [s].
@@ -131,55 +132,84 @@ pub fn measure(request: &HapticsRequest, tell: &dyn Fn(&str, usize, usize)) -> a
     let folder = ScratchFolder::new()?;
     write_mesh(&folder.path().join("liver.vtu"), &mesh)?;
     let scene = folder.path().join("scene.toml");
-    let (mut plain, mut stalled) = (Run::default(), Run::default());
-    let empty_jitter = Histogram::default();
-    let n_blocks = (request.seconds / BLOCK_S).ceil() as usize;
-    let block_s = request.seconds / n_blocks as f64;
-    let stalls = Stalls { every: STALL_EVERY, length: STALL, is_on: Arc::clone(&stalled.is_stalled) };
-    let time_step = write_scene(&scene, front_m)?;
-    for block in 0..n_blocks {
-        // Now one first, now the other.
-        let mut order = [(&mut plain, None), (&mut stalled, Some(&stalls))];
-        if block % 2 == 1 {
-            order.reverse();
-        }
-        for (number, (run, stalls)) in order.into_iter().enumerate() {
-            let text = if stalls.is_some() { "with stalls" } else { "without stalls" };
-            tell(text, 2 * block + number, 2 * n_blocks);
-            empty_loop::measure(request.rate_hz, request.core, EMPTY_SHARE * block_s, &empty_jitter);
-            let block = Block { scene: &scene, seconds: block_s, stalls, core: request.core };
-            measure_block(request, &block, run)?;
-        }
-    }
-    let n_tets = mesh.tetrahedra.len();
-    let (plain_report, stalled_report) = (plain.meters.report(), stalled.meters.report());
-    let rise = stalled_report.missed_percent() - plain_report.missed_percent();
-    let n_in_stalls = stalled.forces.n_in_stalls.load(Ordering::Relaxed) as f64;
-    let rate_in_stalls_hz = (stalled.n_stalls > 0).then(|| n_in_stalls / stalled.stalled_s);
-    let is_felt = |hz: f64| hz < LEAST_RATE_SHARE * stalled_report.rate_hz;
-    let empty = empty_jitter.percentiles();
-    let mut answer = plain.to_json(&plain_report);
-    let facts = json!({
+    let mut runs = Runs::default();
+    let time_step_s = write_scene(&scene, front_m)?;
+    runs.measure(request, &scene, tell)?;
+    let mut answer = runs.plain.to_json(&runs.plain.meters.report());
+    let about_all = json!({
         "bench": "haptics",
         "seconds": request.seconds,
         "body": "liver of the synthetic patient",
-        "tetrahedra": n_tets,
+        "tetrahedra": mesh.tetrahedra.len(),
         "model": "explicit, st_venant_kirchhoff",
-        "time_step_s": time_step,
-        "with_stalls": stalled.to_json(&stalled_report),
-        "stall_ms": STALL.as_millis() as u64,
-        "empty_loop_jitter_us": empty.to_json(1e3),
-        "machine_is_punctual": (empty.p999_ns as f64) < 1e3 * GREATEST_JITTER_US,
-        "missed_percent_rise": rise,
-        "greatest_rise_percent": GREATEST_RISE_PERCENT,
-        "rise_is_small": rise <= GREATEST_RISE_PERCENT,
-        "rate_in_stalls_hz": rate_in_stalls_hz,
-        "stalls_are_not_felt": rate_in_stalls_hz.map(|hz| !is_felt(hz)),
+        "time_step_s": time_step_s,
     });
-    if let (Value::Object(answer), Value::Object(facts)) = (&mut answer, facts) {
-        answer.extend(facts);
+    for facts in [about_all, runs.compared()] {
+        if let (Value::Object(answer), Value::Object(facts)) = (&mut answer, facts) {
+            answer.extend(facts);
+        }
     }
     Ok(answer)
+}
+
+/// The two runs, without stalls and with them, and an empty loop beside both.
+#[derive(Default)]
+struct Runs {
+    plain: Run,
+    stalled: Run,
+    empty_jitter: Histogram,
+}
+
+impl Runs {
+    /// Measures the blocks of both in turn.
+    fn measure(
+        &mut self,
+        request: &HapticsRequest,
+        scene: &Path,
+        tell: &dyn Fn(&str, usize, usize),
+    ) -> anyhow::Result<()> {
+        let n_blocks = (request.seconds / BLOCK_S).ceil() as usize;
+        let block_s = request.seconds / n_blocks as f64;
+        let stalls =
+            Stalls { every: STALL_EVERY, length: STALL, is_on: Arc::clone(&self.stalled.is_stalled) };
+        for block in 0..n_blocks {
+            // Now one first, now the other.
+            let mut order = [(&mut self.plain, None), (&mut self.stalled, Some(&stalls))];
+            if block % 2 == 1 {
+                order.reverse();
+            }
+            for (number, (run, stalls)) in order.into_iter().enumerate() {
+                let text = if stalls.is_some() { "with stalls" } else { "without stalls" };
+                tell(text, 2 * block + number, 2 * n_blocks);
+                empty_loop::measure(request.rate_hz, request.core, EMPTY_SHARE * block_s, &self.empty_jitter);
+                let block = Block { scene, seconds: block_s, stalls, core: request.core };
+                measure_block(request, &block, run)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The run with stalls, and what they do.
+    fn compared(&self) -> Value {
+        let stalled = &self.stalled;
+        let (plain_report, stalled_report) = (self.plain.meters.report(), stalled.meters.report());
+        let rise = stalled_report.missed_percent() - plain_report.missed_percent();
+        let n_in_stalls = stalled.forces.n_in_stalls.load(Ordering::Relaxed) as f64;
+        let rate_in_stalls_hz = (stalled.n_stalls > 0).then(|| n_in_stalls / stalled.stalled_s);
+        let is_felt = |hz: f64| hz < LEAST_RATE_SHARE * stalled_report.rate_hz;
+        let empty = self.empty_jitter.percentiles();
+        json!({
+            "with_stalls": stalled.to_json(&stalled_report),
+            "stall_ms": STALL.as_millis() as u64,
+            "empty_loop_jitter_us": empty.to_json(1e3),
+            "machine_is_punctual": (empty.p999_ns as f64) < 1e3 * GREATEST_JITTER_US,
+            "missed_percent_rise": rise,
+            "greatest_rise_percent": GREATEST_RISE_PERCENT,
+            "rise_is_small": rise <= GREATEST_RISE_PERCENT,
+            "rate_in_stalls_hz": rate_in_stalls_hz,
+            "stalls_are_not_felt": rate_in_stalls_hz.map(|hz| !is_felt(hz)),
+        })
+    }
 }
 
 impl Run {

@@ -63,6 +63,9 @@ const STEP_S: f64 = 0.01;
 const LOAD_N: f64 = 1.0;
 /// The load goes round once in this time, on an ellipse of half the body's half axes.
 const ROUND_S: f64 = 4.0;
+/// Steps of a round, and those beyond it before the timed ones.
+const N_ROUND: usize = (ROUND_S / STEP_S) as usize;
+const N_BEYOND: usize = 50;
 /// Radius over which it is spread.
 const SPOT_M: f64 = 0.03;
 
@@ -99,6 +102,59 @@ fn with_poisson_ratio(settings: Settings, poisson_ratio: f64) -> anyhow::Result<
     Ok(LinearElastic::from_young_poisson(young_pa, poisson_ratio, density)?)
 }
 
+/// The load at each step of one round.
+fn round_of_loads(body: &StandardBody) -> anyhow::Result<Vec<Constraints>> {
+    let topology = Topology::build(&body.mesh)?;
+    let top: Vec<NodeId> =
+        topology.surface_nodes().filter(|n| body.mesh.positions_m[n.index()].z > 0.0).collect();
+    let load = |step: usize| spot_load(body, &top, std::f64::consts::TAU * step as f64 / N_ROUND as f64);
+    Ok((0..N_ROUND).map(load).collect())
+}
+
+/// The load at one place of its way round, spread over the nodes near it.
+fn spot_load(body: &StandardBody, top: &[NodeId], angle: f64) -> Constraints {
+    let centre = DVec3::new(0.075 * angle.cos(), 0.05 * angle.sin(), 0.0);
+    let weights: Vec<(NodeId, f64)> = top
+        .iter()
+        .map(|&n| {
+            let away = (body.mesh.positions_m[n.index()] - centre).truncate().length() / SPOT_M;
+            (n, (1.0 - away * away).max(0.0))
+        })
+        .filter(|(_, w)| *w > 0.0)
+        .collect();
+    let sum: f64 = weights.iter().map(|(_, w)| w).sum();
+    let force = |(node, w): &(NodeId, f64)| NodalForce {
+        node: *node,
+        force_n: DVec3::new(0.0, 0.0, -LOAD_N * w / sum),
+    };
+    Constraints { displacements: Vec::new(), forces: weights.iter().map(force).collect() }
+}
+
+/// Runs one round of the load and a little more, so that a timed step costs nothing but the step; says what the steps needed.
+fn warm_up(model: &mut ImplicitEuler, loads: &[Constraints]) -> anyhow::Result<String> {
+    let (mut worst, mut newton, mut cg, mut factors) = (0.0_f64, 0, 0, 0);
+    for load in loads.iter().cycle().take(N_ROUND + N_BEYOND) {
+        model.apply(load);
+        model.step(STEP_S);
+        let report = model.step_report();
+        ensure!(report.status == ImplicitStatus::Converged, "a step ended with {report:?}");
+        worst = worst.max(report.residual_share);
+        newton += report.newton_iterations;
+        cg += report.cg_iterations;
+        factors += report.n_factors;
+    }
+    let deepest_m = model.displacements_m().iter().map(|u| u.length()).fold(0.0, f64::max);
+    let per_step = |n: u32| f64::from(n) / (N_ROUND + N_BEYOND) as f64;
+    Ok(format!(
+        "{:.1} Newton, {:.1} CG iterations, {:.4} factors a step; residual at most {worst:.1e}; \
+         displacement {:.1} mm",
+        per_step(newton),
+        per_step(cg),
+        per_step(factors),
+        1e3 * deepest_m
+    ))
+}
+
 fn prepare(
     settings: Settings,
     law: &ImplicitLaw,
@@ -114,59 +170,15 @@ fn prepare(
     };
     let mut model =
         ImplicitEuler::build(&ImplicitParams { volume, relaxation, ..ImplicitParams::new(dynamic, law) })?;
-    // One round of the load in advance: a step costs nothing but the step.
-    let topology = Topology::build(&body.mesh)?;
-    let top: Vec<NodeId> =
-        topology.surface_nodes().filter(|n| body.mesh.positions_m[n.index()].z > 0.0).collect();
-    let n_steps = (ROUND_S / STEP_S) as usize;
-    let loads: Vec<Constraints> = (0..n_steps)
-        .map(|step| {
-            let angle = std::f64::consts::TAU * step as f64 / n_steps as f64;
-            let centre = DVec3::new(0.075 * angle.cos(), 0.05 * angle.sin(), 0.0);
-            let weights: Vec<(NodeId, f64)> = top
-                .iter()
-                .map(|&n| {
-                    let away = (body.mesh.positions_m[n.index()] - centre).truncate().length() / SPOT_M;
-                    (n, (1.0 - away * away).max(0.0))
-                })
-                .filter(|(_, w)| *w > 0.0)
-                .collect();
-            let sum: f64 = weights.iter().map(|(_, w)| w).sum();
-            let force = |(node, w): &(NodeId, f64)| NodalForce {
-                node: *node,
-                force_n: DVec3::new(0.0, 0.0, -LOAD_N * w / sum),
-            };
-            Constraints { displacements: Vec::new(), forces: weights.iter().map(force).collect() }
-        })
-        .collect();
-    let (mut worst, mut newton, mut cg, mut factors) = (0.0_f64, 0, 0, 0);
-    for load in loads.iter().cycle().take(n_steps + 50) {
-        model.apply(load);
-        model.step(STEP_S);
-        let report = model.step_report();
-        ensure!(report.status == ImplicitStatus::Converged, "a step ended with {report:?}");
-        worst = worst.max(report.residual_share);
-        newton += report.newton_iterations;
-        cg += report.cg_iterations;
-        factors += report.n_factors;
-    }
-    let deepest_m = model.displacements_m().iter().map(|u| u.length()).fold(0.0, f64::max);
-    let per_step = |n: u32| f64::from(n) / (n_steps + 50) as f64;
-    let mut turn = 50;
+    let loads = round_of_loads(&body)?;
+    let needed = warm_up(&mut model, &loads)?;
+    let mut turn = N_BEYOND;
     Ok(Prepared {
         size: body.mesh.tetrahedra.len(),
         isa: isa_name(Level::new()),
         precision: "f64",
         work: None,
-        note: format!(
-            "{} nodes; {:.1} Newton, {:.1} CG iterations, {:.4} factors a step; residual at most {worst:.1e}; \
-             displacement {:.1} mm",
-            body.mesh.positions_m.len(),
-            per_step(newton),
-            per_step(cg),
-            per_step(factors),
-            1e3 * deepest_m
-        ),
+        note: format!("{} nodes; {needed}", body.mesh.positions_m.len()),
         run: Box::new(move || {
             model.apply(&loads[turn]);
             model.step(STEP_S);

@@ -19,7 +19,7 @@ use glisson_runtime::remote_figures::RemoteFigures;
 use serde_json::{Value, json};
 use std::io::Read;
 use std::net::UdpSocket;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -88,12 +88,41 @@ pub fn answer(link: &LinkAddress) -> anyhow::Result<()> {
 /// Ends with the benchmark, however that ends.
 struct Other(Child);
 
+impl Other {
+    fn start(program: &Path, address: &str) -> anyhow::Result<Self> {
+        let child = Command::new(program)
+            .args(["bench", "link", "--answer", "--link", address])
+            .stdin(Stdio::piped())
+            .spawn()
+            .with_context(|| format!("{}: cannot start", program.display()))?;
+        Ok(Self(child))
+    }
+}
+
 impl Drop for Other {
     fn drop(&mut self) {
         // It may have ended by itself.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
+}
+
+/// The link with its name: that asked for, or a free port of this machine.
+fn address_of(link: Option<&LinkAddress>) -> anyhow::Result<(String, LinkAddress)> {
+    if let Some(link) = link {
+        return Ok((link.to_string(), link.clone()));
+    }
+    let free = UdpSocket::bind("127.0.0.1:0")?.local_addr()?;
+    Ok((format!("udp://{free}"), LinkAddress::Udp(free.to_string())))
+}
+
+fn wait_until_up(conversation: &Conversation, address: &str) -> anyhow::Result<()> {
+    let found = Instant::now();
+    while !conversation.report().is_up {
+        ensure!(found.elapsed() < PATIENCE, "{address}: the other process did not answer for 30 s");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    Ok(())
 }
 
 /// Sends moves and times their answers.
@@ -111,19 +140,8 @@ pub fn measure(request: &LinkRequest) -> anyhow::Result<Value> {
         "--rate {}: must be from 100 to 4000 Hz",
         request.rate_hz
     );
-    let (address, link) = match &request.link {
-        Some(link) => (link.to_string(), link.clone()),
-        None => {
-            let free = UdpSocket::bind("127.0.0.1:0")?.local_addr()?;
-            (format!("udp://{free}"), LinkAddress::Udp(free.to_string()))
-        }
-    };
-    let child = Command::new(&request.program)
-        .args(["bench", "link", "--answer", "--link", &address])
-        .stdin(Stdio::piped())
-        .spawn()
-        .with_context(|| format!("{}: cannot start", request.program.display()))?;
-    let _other = Other(child);
+    let (address, link) = address_of(request.link.as_ref())?;
+    let _other = Other::start(&request.program, &address)?;
     let opened = link.open(Role::Haptics, false)?;
     let (models_in, models) = exchange(PublishedModel::default());
     let (motions, motions_out) = exchange(Motion::of(home(), false));
@@ -139,11 +157,7 @@ pub fn measure(request: &LinkRequest) -> anyhow::Result<Value> {
     let scene = HapticsScene::without_organ(vec![Tool::probe("bench", 5e-3, home())]);
     let HapticsSide { conversation, detection: _detection, .. } =
         start_haptics(opened, identity(Role::Haptics), scene, vec![held])?;
-    let found = Instant::now();
-    while !conversation.report().is_up {
-        ensure!(found.elapsed() < PATIENCE, "{address}: the other process did not answer for 30 s");
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    wait_until_up(&conversation, &address)?;
     // As the haptic loop's thread would be.
     let is_real_time = make_prompt();
     // Caches and, with zenoh, sessions settle.

@@ -1,7 +1,7 @@
 //! Benchmarks: what a part of the program costs, beside what the machine could do at most.
 //!
-//! A [`Case`] has a name, sizes and a function that sets up and returns the closure to time; adding one is an
-//! entry in a `CASES` list of the file it belongs to. `docs/bench.md` says how to read the result.
+//! A [`Case`] has a name, sizes and a function that sets up and returns the closure to time. Adding one is an entry in the
+//! `CASES` of the file it belongs to, or a new file with its line in the table of this one. `docs/bench.md` says how to read the result.
 
 mod machine;
 mod model_edits;
@@ -97,32 +97,35 @@ pub struct Case {
     pub(crate) prepare: fn(Settings) -> anyhow::Result<Prepared>,
 }
 
+/// The benchmarks, in the order in which they run. A new one is a file (and its `mod` above) and a line here; the file's
+/// `CASES` say name, what is timed and the function that sets up.
+const CASES: &[&[Case]] = &[
+    meshing::CASES,
+    models::CASES,
+    precomputed::CASES,
+    hybrid::CASES,
+    precomputed_cutting::CASES,
+    kernel::CASES,
+    reference::CASES,
+    model_edits::CASES,
+    implicit::CASES,
+    reduced::CASES,
+    contact::CASES,
+    collision::CASES,
+    colliding_bodies::CASES,
+    response::CASES,
+    drawing::CASES,
+    hybrid_exchange::CASES,
+    scalpel::CASES,
+    mesh_edits::CASES,
+    world::CASES,
+    haptic_model::CASES,
+    cut_subdivision::CASES,
+];
+
 /// Every case, in the order in which they run.
 pub fn cases() -> Vec<Case> {
-    [
-        meshing::CASES,
-        models::CASES,
-        precomputed::CASES,
-        hybrid::CASES,
-        precomputed_cutting::CASES,
-        kernel::CASES,
-        reference::CASES,
-        model_edits::CASES,
-        implicit::CASES,
-        reduced::CASES,
-        contact::CASES,
-        collision::CASES,
-        colliding_bodies::CASES,
-        response::CASES,
-        drawing::CASES,
-        hybrid_exchange::CASES,
-        scalpel::CASES,
-        mesh_edits::CASES,
-        world::CASES,
-        haptic_model::CASES,
-        cut_subdivision::CASES,
-    ]
-    .concat()
+    CASES.concat()
 }
 
 /// Names for several cases at once.

@@ -17,71 +17,113 @@ const DEPTH: f64 = 0.36;
 /// A cube with one corner in the origin. Below the middle of each side is a node, to which all triangles of that side lead;
 /// between two sides there is a tetrahedron at each piece of their edge, at a corner one between three, and inside four.
 pub(crate) fn thesis_cube(cells: [usize; 3], side_m: f64) -> TetMesh {
-    let mut mesh = TetMesh::default();
-    let mut nodes = BTreeMap::new();
-    let mut node = |place: [usize; 3], mesh: &mut TetMesh| {
-        *nodes.entry(place).or_insert_with(|| {
-            let share = [0, 1, 2].map(|axis| place[axis] as f64 / cells[axis] as f64);
-            mesh.positions_m.push(DVec3::from_array(share) * side_m);
-            NodeId::from_index(mesh.positions_m.len() - 1)
-        })
-    };
-    let mut tets: Vec<[NodeId; 4]> = Vec::new();
-    // The node below each side, by axis and by which of the two.
-    let inner = [0, 1, 2].map(|axis| {
-        [DEPTH, 1.0 - DEPTH].map(|depth| {
-            let mut share = [0.5; 3];
-            share[axis] = depth;
-            mesh.positions_m.push(DVec3::from_array(share) * side_m);
-            NodeId::from_index(mesh.positions_m.len() - 1)
-        })
-    });
+    let mut cube = Cube::new(cells, side_m);
     for axis in 0..3 {
+        cube.fill_under_sides(axis);
+        cube.fill_along_edges(axis);
+    }
+    cube.fill_corners();
+    cube.fill_inside();
+    cube.into_mesh()
+}
+
+/// A cube that is being built.
+struct Cube {
+    cells: [usize; 3],
+    side_m: f64,
+    positions_m: Vec<DVec3>,
+    /// Of the nodes on the surface, by their places in cells.
+    nodes: BTreeMap<[usize; 3], NodeId>,
+    /// The node below each side, by axis and by which of the two.
+    inner: [[NodeId; 2]; 3],
+    /// Of either orientation.
+    tets: Vec<[NodeId; 4]>,
+}
+
+impl Cube {
+    fn new(cells: [usize; 3], side_m: f64) -> Self {
+        let mut positions_m = Vec::new();
+        let inner = [0, 1, 2].map(|axis| {
+            [DEPTH, 1.0 - DEPTH].map(|depth| {
+                let mut share = [0.5; 3];
+                share[axis] = depth;
+                positions_m.push(DVec3::from_array(share) * side_m);
+                NodeId::from_index(positions_m.len() - 1)
+            })
+        });
+        Self { cells, side_m, positions_m, nodes: BTreeMap::new(), inner, tets: Vec::new() }
+    }
+
+    /// The node of the surface at a place in cells.
+    fn node(&mut self, place: [usize; 3]) -> NodeId {
+        *self.nodes.entry(place).or_insert_with(|| {
+            let share = [0, 1, 2].map(|axis| place[axis] as f64 / self.cells[axis] as f64);
+            self.positions_m.push(DVec3::from_array(share) * self.side_m);
+            NodeId::from_index(self.positions_m.len() - 1)
+        })
+    }
+
+    /// Under the triangles of the two sides across this axis.
+    fn fill_under_sides(&mut self, axis: usize) {
         let [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
         for end in 0..2 {
-            let mut at = |i: usize, j: usize, mesh: &mut TetMesh| {
-                let mut place = [0; 3];
-                (place[axis], place[u], place[v]) = (end * cells[axis], i, j);
-                node(place, mesh)
-            };
-            for i in 0..cells[u] {
-                for j in 0..cells[v] {
+            for i in 0..self.cells[u] {
+                for j in 0..self.cells[v] {
                     let corners = [(0, 0), (1, 0), (1, 1), (0, 1)];
-                    let [a, b, c, d] = corners.map(|(k, l)| at(i + k, j + l, &mut mesh));
-                    let apex = inner[axis][end];
-                    tets.extend([[a, b, c, apex], [a, c, d, apex]]);
+                    let [a, b, c, d] = corners.map(|(k, l)| {
+                        let mut place = [0; 3];
+                        (place[axis], place[u], place[v]) = (end * self.cells[axis], i + k, j + l);
+                        self.node(place)
+                    });
+                    let apex = self.inner[axis][end];
+                    self.tets.extend([[a, b, c, apex], [a, c, d, apex]]);
                 }
             }
         }
-        // Along the edges that run this way.
+    }
+
+    /// Along the four edges that run this way.
+    fn fill_along_edges(&mut self, axis: usize) {
+        let [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
         for (end_u, end_v) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-            for k in 0..cells[axis] {
+            for k in 0..self.cells[axis] {
                 let [a, b] = [k, k + 1].map(|along| {
                     let mut place = [0; 3];
-                    (place[axis], place[u], place[v]) = (along, end_u * cells[u], end_v * cells[v]);
-                    node(place, &mut mesh)
+                    (place[axis], place[u], place[v]) = (along, end_u * self.cells[u], end_v * self.cells[v]);
+                    self.node(place)
                 });
-                tets.push([a, b, inner[u][end_u], inner[v][end_v]]);
+                self.tets.push([a, b, self.inner[u][end_u], self.inner[v][end_v]]);
             }
         }
     }
-    for corner in 0..8 {
-        let ends = [corner & 1, (corner >> 1) & 1, (corner >> 2) & 1];
-        let place = [0, 1, 2].map(|axis| ends[axis] * cells[axis]);
-        let [a, b, c] = [0, 1, 2].map(|axis| inner[axis][ends[axis]]);
-        tets.push([node(place, &mut mesh), a, b, c]);
+
+    fn fill_corners(&mut self) {
+        for corner in 0..8 {
+            let ends = [corner & 1, (corner >> 1) & 1, (corner >> 2) & 1];
+            let place = [0, 1, 2].map(|axis| ends[axis] * self.cells[axis]);
+            let [a, b, c] = [0, 1, 2].map(|axis| self.inner[axis][ends[axis]]);
+            let node = self.node(place);
+            self.tets.push([node, a, b, c]);
+        }
     }
-    // The octahedron around one of its diagonals.
-    let [x, y, z] = inner;
-    for [a, b] in [[y[0], z[0]], [z[0], y[1]], [y[1], z[1]], [z[1], y[0]]] {
-        tets.push([x[0], x[1], a, b]);
+
+    /// The octahedron around one of its diagonals.
+    fn fill_inside(&mut self) {
+        let [x, y, z] = self.inner;
+        for [a, b] in [[y[0], z[0]], [z[0], y[1]], [y[1], z[1]], [z[1], y[0]]] {
+            self.tets.push([x[0], x[1], a, b]);
+        }
     }
-    for tet in tets {
-        let volume_m3 = tetrahedron_volume_m3(tet.map(|n| mesh.positions_m[n.index()]));
-        let [p, q, r, s] = tet;
-        mesh.tetrahedra.push(if volume_m3 > 0.0 { tet } else { [p, r, q, s] });
+
+    fn into_mesh(self) -> TetMesh {
+        let mut mesh = TetMesh { positions_m: self.positions_m, ..TetMesh::default() };
+        for tet in self.tets {
+            let volume_m3 = tetrahedron_volume_m3(tet.map(|n| mesh.positions_m[n.index()]));
+            let [p, q, r, s] = tet;
+            mesh.tetrahedra.push(if volume_m3 > 0.0 { tet } else { [p, r, q, s] });
+        }
+        mesh
     }
-    mesh
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 use anyhow::Context;
 
 use super::elasticity::{cylinder_case, relative_difference};
-use super::{Experiment, Outcome};
+use super::{Claim, Outcome, check_all};
 use glisson::math::{Aabb, DMat3, DVec3, SeededRandom};
 use glisson::mesh::NodeId;
 use glisson::model::StateHash;
@@ -59,6 +59,19 @@ impl Body {
         })?)
     }
 
+    fn tensor_mass(&self, damping: Rayleigh) -> anyhow::Result<TensorMass> {
+        let fixed: Vec<FixedNode> = self.fixed.iter().map(|&node| FixedNode::all_axes(node)).collect();
+        Ok(TensorMass::build(&TensorMassParams {
+            body: DynamicBody {
+                fixed: &fixed,
+                damping,
+                time_step_s: TIME_STEP_S,
+                ..DynamicBody::new(&self.case.mesh, self.case.material.density_kg_per_m3())
+            },
+            material: &self.case.material,
+        })?)
+    }
+
     /// Positions at rest under a force on two nodes of the top, scaled.
     fn loaded(&self, model: &mut dyn DeformableModel, scale: [f64; 2], steps: usize) -> Vec<DVec3> {
         let (first, last) = (self.top[0], self.top[self.top.len() - 1]);
@@ -80,97 +93,112 @@ impl Body {
     }
 }
 
+/// What the experiments judge.
+struct Measured {
+    superposition: f64,
+    asymmetry: f64,
+    held_f64: Held,
+    held_f32: Held,
+    different_changes: f64,
+    local_model: f64,
+    tensor_mass: f64,
+    following_m: f64,
+    different_hashes: f64,
+}
+
+/// The claims; `name_of_changes` names that of the changes of contacts.
+fn claims(name_of_changes: &str) -> [Claim<'_, Measured>; 11] {
+    [
+        Claim::at_most(
+            "pre-computed: superposition of two forces, relative",
+            "linearity; Checoury 2002 fig. 2.1",
+            |m| m.superposition,
+            1e-12,
+        ),
+        Claim::at_most(
+            "pre-computed: compliance symmetric, relative",
+            "Maxwell-Betti",
+            |m| m.asymmetry,
+            1e-12,
+        ),
+        Claim::at_most(
+            "pre-computed: displacements imposed on 1 to 50 points of triangles, some sliding: miss, relative",
+            "Cotin 1998 s. 4.2 and 5",
+            |m| m.held_f64.miss,
+            1e-12,
+        ),
+        Claim::at_most(
+            "pre-computed, stored in f32: the same miss, relative",
+            OWN,
+            |m| m.held_f32.miss,
+            1e-12,
+        ),
+        Claim::at_most(
+            "pre-computed: shape under these reactions against a direct static solution, relative",
+            "Checoury 2002 eq. 2.12 and 2.13",
+            |m| m.held_f64.off_static,
+            1e-10,
+        ),
+        Claim::at_most(
+            "pre-computed, stored in f32: the same difference, relative",
+            OWN,
+            |m| m.held_f32.off_static,
+            1e-5,
+        ),
+        Claim::at_most(name_of_changes, OWN, |m| m.different_changes, 0.0),
+        Claim::at_most(
+            "local model: compliance of 3 to 20 nodes over 1 ms on rings of tetrahedra against the whole body, relative",
+            "Demko, Moss and Smith 1984: exponential decay",
+            |m| m.local_model,
+            1e-2,
+        ),
+        Claim::at_most(
+            "tensor-mass run to rest against pre-computed, relative",
+            OWN,
+            |m| m.tensor_mass,
+            1e-6,
+        ),
+        Claim::at_most("contact: the touched point follows the tool [m]", RR_3511, |m| m.following_m, 1e-12),
+        Claim::at_most("the same session twice: different state hashes", OWN, |m| m.different_hashes, 0.0),
+    ]
+}
+
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let body = Body::new()?;
     let mut precomputed = body.precomputed()?;
     let both = body.loaded(&mut precomputed, [1.0, 1.0], 1);
-    let first = body.loaded(&mut precomputed, [1.0, 0.0], 1);
-    let second = body.loaded(&mut precomputed, [0.0, 1.0], 1);
-    let sum: Vec<DVec3> = first.iter().zip(&second).map(|(a, b)| *a + *b).collect();
-
-    let fixed: Vec<FixedNode> = body.fixed.iter().map(|&node| FixedNode::all_axes(node)).collect();
-    let mut tensor_mass = TensorMass::build(&TensorMassParams {
-        body: DynamicBody {
-            fixed: &fixed,
-            damping: Rayleigh::of_mass(60.0),
-            time_step_s: TIME_STEP_S,
-            ..DynamicBody::new(&body.case.mesh, body.case.material.density_kg_per_m3())
-        },
-        material: &body.case.material,
-    })?;
-    let at_rest = body.loaded(&mut tensor_mass, [1.0, 1.0], 20_000);
-
-    let asymmetry = asymmetry(&precomputed);
-    let [held_f64, held_f32] =
-        [Precision::F64, Precision::F32].map(|precision| body.stored(precision).and_then(|m| hold(&body, m)));
-    let (held_f64, held_f32) = (held_f64?, held_f32?);
     let (different_changes, n_kept) = change_contacts(&body)?;
-    let local = local_model_error(&body)?;
-
-    let (following, hash) = palpate(&body)?;
+    let (following_m, hash) = palpate(&body)?;
     let (_, hash_again) = palpate(&body)?;
-    let different = f64::from(u8::from(hash != hash_again));
-    Ok(Outcome::from(vec![
-        Experiment::at_most(
-            "pre-computed: superposition of two forces, relative",
-            "linearity; Checoury 2002 fig. 2.1",
-            relative_difference(&sum, &both),
-            1e-12,
-        ),
-        Experiment::at_most(
-            "pre-computed: compliance symmetric, relative",
-            "Maxwell-Betti",
-            asymmetry,
-            1e-12,
-        ),
-        Experiment::at_most(
-            "pre-computed: displacements imposed on 1 to 50 points of triangles, some sliding: miss, relative",
-            "Cotin 1998 s. 4.2 and 5",
-            held_f64.miss,
-            1e-12,
-        ),
-        Experiment::at_most(
-            "pre-computed, stored in f32: the same miss, relative",
-            OWN,
-            held_f32.miss,
-            1e-12,
-        ),
-        Experiment::at_most(
-            "pre-computed: shape under these reactions against a direct static solution, relative",
-            "Checoury 2002 eq. 2.12 and 2.13",
-            held_f64.off_static,
-            1e-10,
-        ),
-        Experiment::at_most(
-            "pre-computed, stored in f32: the same difference, relative",
-            OWN,
-            held_f32.off_static,
-            1e-5,
-        ),
-        Experiment::at_most(
-            &format!(
-                "pre-computed: 10000 changes of the contacts ({n_kept} rows kept their factor), every 25th compared: \
-                 reactions with other bits than those of a model without a past"
-            ),
-            OWN,
-            different_changes,
-            0.0,
-        ),
-        Experiment::at_most(
-            "local model: compliance of 3 to 20 nodes over 1 ms on rings of tetrahedra against the whole body, relative",
-            "Demko, Moss and Smith 1984: exponential decay",
-            local,
-            1e-2,
-        ),
-        Experiment::at_most(
-            "tensor-mass run to rest against pre-computed, relative",
-            OWN,
-            relative_difference(&at_rest, &both),
-            1e-6,
-        ),
-        Experiment::at_most("contact: the touched point follows the tool [m]", RR_3511, following, 1e-12),
-        Experiment::at_most("the same session twice: different state hashes", OWN, different, 0.0),
-    ]))
+    let measured = Measured {
+        superposition: relative_difference(&sum_of_two(&body, &mut precomputed), &both),
+        asymmetry: asymmetry(&precomputed),
+        held_f64: hold(&body, body.stored(Precision::F64)?)?,
+        held_f32: hold(&body, body.stored(Precision::F32)?)?,
+        different_changes,
+        local_model: local_model_error(&body)?,
+        tensor_mass: relative_difference(&tensor_mass_at_rest(&body)?, &both),
+        following_m,
+        different_hashes: f64::from(u8::from(hash != hash_again)),
+    };
+    let name_of_changes = format!(
+        "pre-computed: 10000 changes of the contacts ({n_kept} rows kept their factor), every 25th compared: \
+         reactions with other bits than those of a model without a past"
+    );
+    Ok(Outcome::from(check_all(&claims(&name_of_changes), &measured)))
+}
+
+/// Displacements under each of the two forces alone, added [m].
+fn sum_of_two(body: &Body, model: &mut Precomputed) -> Vec<DVec3> {
+    let first = body.loaded(model, [1.0, 0.0], 1);
+    let second = body.loaded(model, [0.0, 1.0], 1);
+    first.iter().zip(&second).map(|(a, b)| *a + *b).collect()
+}
+
+/// Displacements of the tensor-mass under both forces, at rest [m].
+fn tensor_mass_at_rest(body: &Body) -> anyhow::Result<Vec<DVec3>> {
+    let mut model = body.tensor_mass(Rayleigh::of_mass(60.0))?;
+    Ok(body.loaded(&mut model, [1.0, 1.0], 20_000))
 }
 
 /// Largest entry of T^lm - (T^ml)^T of all pairs of loadable nodes, over the largest entry.
@@ -289,15 +317,7 @@ fn change_contacts(body: &Body) -> anyhow::Result<(f64, usize)> {
 fn local_model_error(body: &Body) -> anyhow::Result<f64> {
     const PERIOD_S: f64 = 1e-3;
     let mesh = &body.case.mesh;
-    let fixed: Vec<FixedNode> = body.fixed.iter().map(|&node| FixedNode::all_axes(node)).collect();
-    let mut model = TensorMass::build(&TensorMassParams {
-        body: DynamicBody {
-            fixed: &fixed,
-            time_step_s: TIME_STEP_S,
-            ..DynamicBody::new(mesh, body.case.material.density_kg_per_m3())
-        },
-        material: &body.case.material,
-    })?;
+    let mut model = body.tensor_mass(Rayleigh::default())?;
     let edges = MeshEdges::of_mesh(mesh)?;
     let mut tensors = StiffnessTensors::assemble(mesh, &edges, &body.case.material)?;
     for (n, tensor) in tensors.vertex.iter_mut().enumerate() {

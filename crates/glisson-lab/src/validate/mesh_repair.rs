@@ -1,6 +1,6 @@
 //! Shape of tetrahedra, repair by collapse and by remeshing, and cuts by vertex displacement (seed `000` s. 4.4.2).
 
-use super::{Experiment, Figure, Outcome};
+use super::{Claim, Experiment, Figure, Outcome, check_all, series};
 use crate::bodies::liver;
 use anyhow::Context;
 use glisson::math::{DVec3, SeededRandom};
@@ -14,7 +14,7 @@ use glisson::mesh::repair::{
 use glisson::mesh::topology::Through;
 use glisson::mesh::{NodeId, TetMesh};
 use glisson::tool::cut::scalpel::{ScalpelCut, ScalpelParams};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_view::plot::{LinePlot, SeriesStyle};
 
 const SEED: &str = "Chendeb 2007, NNT 2007ENMP1614, s. 4.4.2";
 const FIGURE: &str = "Chendeb 2007, NNT 2007ENMP1614, fig. 4.21: remeshing disperses less";
@@ -141,89 +141,123 @@ fn remeshed(mut body: EditableMesh, mended: &mut Mended) -> anyhow::Result<Edita
     Ok(body)
 }
 
-/// Fig. 4.21 anew: the same cuts mended in both ways.
-fn repair(outcome: &mut Outcome) -> anyhow::Result<()> {
-    let [mut as_cut, mut flat, mut anew] = [const { Vec::new() }; 3];
-    let (mut n_flat, mut mended_anew) = (0, Mended::default());
-    let (mut lost_flat, mut lost_anew) = (0.0_f64, 0.0_f64);
-    for seed in 0..N_CUBES {
+/// The same cuts mended in both ways.
+#[derive(Default)]
+struct Mending {
+    /// Of all tetrahedra of all cubes.
+    as_cut: Vec<[f64; 2]>,
+    flat: Vec<[f64; 2]>,
+    anew: Vec<[f64; 2]>,
+    n_flattened: usize,
+    remeshing: Mended,
+    /// Largest relative changes of a cube's volume.
+    lost_flat: f64,
+    lost_anew: f64,
+}
+
+impl Mending {
+    /// A cube is cut and mended.
+    fn add(&mut self, seed: u64) -> anyhow::Result<()> {
         let mut body = EditableMesh::new(irregular_cube(SIDE_M, seed))?;
         let mut random = SeededRandom::new(seed);
         let [from, to] = [-0.4, 1.4].map(|y| SIDE_M * DVec3::new(random.uniform_in(0.2, 0.8), y, 0.6));
         // Hardly watched, so that there is something to mend.
         let limits = MoveLimits { min_radius_ratio: 1e-3, ..MoveLimits::default() };
         cut(&mut body, [from, to], 0.1 * DVec3::Z, limits)?;
-        as_cut.extend(shapes(&body));
+        self.as_cut.extend(shapes(&body));
         let volume_m3 = body.volume_m3();
         let (mended, n) = flattened(body.clone())?;
-        n_flat += n;
-        lost_flat = lost_flat.max((mended.volume_m3() / volume_m3 - 1.0).abs());
-        flat.extend(shapes(&mended));
-        let mended = remeshed(body, &mut mended_anew)?;
-        lost_anew = lost_anew.max((mended.volume_m3() / volume_m3 - 1.0).abs());
-        anew.extend(shapes(&mended));
+        self.n_flattened += n;
+        self.lost_flat = self.lost_flat.max((mended.volume_m3() / volume_m3 - 1.0).abs());
+        self.flat.extend(shapes(&mended));
+        let mended = remeshed(body, &mut self.remeshing)?;
+        self.lost_anew = self.lost_anew.max((mended.volume_m3() / volume_m3 - 1.0).abs());
+        self.anew.extend(shapes(&mended));
+        Ok(())
     }
-    let share = |which| spread(&anew, which) / spread(&flat, which);
-    outcome.experiments.extend([
-        Experiment::within("Spread of RRS, remeshed over flattened", FIGURE, share(0), [0.0, 1.0]),
-        Experiment::within("Spread of volumes, remeshed over flattened", FIGURE, share(1), [0.0, 1.0]),
-        Experiment::within(
-            "Worst RRS, remeshed over cut",
-            OWN,
-            worst(&anew) / worst(&as_cut),
-            [1.0, f64::INFINITY],
-        ),
-        Experiment::within(
-            "Tetrahedra with an RRS below 0.05, remeshed over cut: no more than before (why they stay: below)",
-            OWN,
-            mended_anew.n_bad_after as f64 / mended_anew.n_bad_before.max(1) as f64,
-            [0.0, 1.0],
-        ),
-        Experiment::at_most("Change of volume by remeshing, relative", OWN, lost_anew, 1e-9),
-        // One node's place cannot keep the volume under an uneven surface.
-        Experiment::at_most("Change of volume by collapse, relative", OWN, lost_flat, 1e-3),
-    ]);
-    outcome.notes.push_str(&format!(
-        "Repair: {N_CUBES} irregular cubes of 400 tetrahedra are cut by vertex displacement; {n_flat} short surface edges \
-         pulled together against {} places remeshed and {} corners slid along the surface where that did not help. Of {} \
-         tetrahedra with an RRS below {LEFT_BAD} {} are left: {} have all corners on the surface, between outer triangles that \
-         remeshing keeps, {} of them corners that may not move.\n\n| | worst RRS | spread of RRS | spread of volume over its mean \
-         | tetrahedra |\n|---|---|---|---|---|\n",
-        mended_anew.n_remeshed,
-        mended_anew.n_slid,
-        mended_anew.n_bad_before,
-        mended_anew.n_bad_after,
-        mended_anew.n_between_surfaces,
-        mended_anew.n_fixed,
-    ));
-    for (name, shapes) in [("cut", &as_cut), ("flattened", &flat), ("remeshed", &anew)] {
-        outcome.notes.push_str(&format!(
-            "| {name} | {:.3} | {:.3} | {:.3} | {} |\n",
-            worst(shapes),
-            spread(shapes, 0),
-            spread(shapes, 1),
-            shapes.len()
-        ));
+
+    /// Of one of the two numbers.
+    fn spread_share(&self, which: usize) -> f64 {
+        spread(&self.anew, which) / spread(&self.flat, which)
     }
-    let points = |shapes: &[[f64; 2]]| shapes.iter().map(|&[ratio, volume]| [volume, ratio]).collect();
-    let series = [("flattened", flat), ("remeshed", anew)].map(|(name, shapes)| Series {
-        name: name.into(),
-        points: points(&shapes),
-        style: SeriesStyle::Points,
-    });
-    outcome.figures.push(Figure {
-        file: "mesh_repair_scatter.svg",
-        caption: "RRS against volume of each tetrahedron of the cut cubes, mended by collapse of short surface edges \
-                  and by local remeshing (fig. 4.21 of seed 000)."
-            .into(),
-        plot: LinePlot {
-            title: "Two ways of mending a cut mesh".into(),
-            x_label: "volume over the mean volume".into(),
-            y_label: "RRS".into(),
-            series: series.into(),
-            size: [720, 480],
-        },
-    });
+
+    fn notes(&self) -> String {
+        let mut notes = format!(
+            "Repair: {N_CUBES} irregular cubes of 400 tetrahedra are cut by vertex displacement; {} short surface edges \
+             pulled together against {} places remeshed and {} corners slid along the surface where that did not help. Of {} \
+             tetrahedra with an RRS below {LEFT_BAD} {} are left: {} have all corners on the surface, between outer triangles that \
+             remeshing keeps, {} of them corners that may not move.\n\n| | worst RRS | spread of RRS | spread of volume over its mean \
+             | tetrahedra |\n|---|---|---|---|---|\n",
+            self.n_flattened,
+            self.remeshing.n_remeshed,
+            self.remeshing.n_slid,
+            self.remeshing.n_bad_before,
+            self.remeshing.n_bad_after,
+            self.remeshing.n_between_surfaces,
+            self.remeshing.n_fixed,
+        );
+        for (name, shapes) in [("cut", &self.as_cut), ("flattened", &self.flat), ("remeshed", &self.anew)] {
+            notes += &format!(
+                "| {name} | {:.3} | {:.3} | {:.3} | {} |\n",
+                worst(shapes),
+                spread(shapes, 0),
+                spread(shapes, 1),
+                shapes.len()
+            );
+        }
+        notes
+    }
+
+    fn figure(&self) -> Figure {
+        let points = |shapes: &[[f64; 2]]| shapes.iter().map(|&[ratio, volume]| [volume, ratio]).collect();
+        Figure {
+            file: "mesh_repair_scatter.svg",
+            caption: "RRS against volume of each tetrahedron of the cut cubes, mended by collapse of short surface edges \
+                      and by local remeshing (fig. 4.21 of seed 000)."
+                .into(),
+            plot: LinePlot {
+                title: "Two ways of mending a cut mesh".into(),
+                x_label: "volume over the mean volume".into(),
+                y_label: "RRS".into(),
+                series: vec![
+                    series("flattened", points(&self.flat), SeriesStyle::Points),
+                    series("remeshed", points(&self.anew), SeriesStyle::Points),
+                ],
+                size: [720, 480],
+            },
+        }
+    }
+}
+
+const MENDED: &[Claim<'_, Mending>] = &[
+    Claim::within("Spread of RRS, remeshed over flattened", FIGURE, |m| m.spread_share(0), [0.0, 1.0]),
+    Claim::within("Spread of volumes, remeshed over flattened", FIGURE, |m| m.spread_share(1), [0.0, 1.0]),
+    Claim::within(
+        "Worst RRS, remeshed over cut",
+        OWN,
+        |m| worst(&m.anew) / worst(&m.as_cut),
+        [1.0, f64::INFINITY],
+    ),
+    Claim::within(
+        "Tetrahedra with an RRS below 0.05, remeshed over cut: no more than before (why they stay: below)",
+        OWN,
+        |m| m.remeshing.n_bad_after as f64 / m.remeshing.n_bad_before.max(1) as f64,
+        [0.0, 1.0],
+    ),
+    Claim::at_most("Change of volume by remeshing, relative", OWN, |m| m.lost_anew, 1e-9),
+    // One node's place cannot keep the volume under an uneven surface.
+    Claim::at_most("Change of volume by collapse, relative", OWN, |m| m.lost_flat, 1e-3),
+];
+
+/// Fig. 4.21 anew.
+fn repair(outcome: &mut Outcome) -> anyhow::Result<()> {
+    let mut mending = Mending::default();
+    for seed in 0..N_CUBES {
+        mending.add(seed)?;
+    }
+    outcome.experiments.extend(check_all(MENDED, &mending));
+    outcome.notes += &mending.notes();
+    outcome.figures.push(mending.figure());
     Ok(())
 }
 

@@ -35,7 +35,7 @@ mod tubes;
 mod unit;
 mod volume;
 
-use glisson_view::plot::LinePlot;
+use glisson_view::plot::{LinePlot, Series, SeriesStyle};
 use serde::Serialize;
 
 /// One claim, reproduced.
@@ -103,6 +103,66 @@ impl Experiment {
     }
 }
 
+/// Which values a claim allows.
+#[derive(Clone, Copy)]
+enum Expected {
+    /// See [`Experiment::at_most`].
+    AtMost(f64),
+    /// The value and the tolerance of [`Experiment::near`].
+    Near(f64, f64),
+    /// See [`Experiment::within`].
+    Within([f64; 2]),
+}
+
+/// A row of a table of experiments: a claim about what was measured, an `M`.
+struct Claim<'a, M> {
+    name: &'a str,
+    source: &'a str,
+    expected: Expected,
+    /// The value in question.
+    value: fn(&M) -> f64,
+}
+
+impl<'a, M> Claim<'a, M> {
+    /// A value that may not exceed `limit`.
+    const fn at_most(name: &'a str, source: &'a str, value: fn(&M) -> f64, limit: f64) -> Self {
+        Self { name, source, expected: Expected::AtMost(limit), value }
+    }
+
+    /// A value near the first number; the second is the tolerance as a share of it.
+    const fn near(name: &'a str, source: &'a str, value: fn(&M) -> f64, near: [f64; 2]) -> Self {
+        let [expected, tolerance] = near;
+        Self { name, source, expected: Expected::Near(expected, tolerance), value }
+    }
+
+    /// A value that has to lie in a range.
+    const fn within(name: &'a str, source: &'a str, value: fn(&M) -> f64, range: [f64; 2]) -> Self {
+        Self { name, source, expected: Expected::Within(range), value }
+    }
+
+    /// What came out.
+    fn check(&self, measured: &M) -> Experiment {
+        let (Self { name, source, .. }, obtained) = (self, (self.value)(measured));
+        match self.expected {
+            Expected::AtMost(limit) => Experiment::at_most(name, source, obtained, limit),
+            Expected::Near(expected, tolerance) => {
+                Experiment::near(name, source, obtained, expected, tolerance)
+            }
+            Expected::Within(range) => Experiment::within(name, source, obtained, range),
+        }
+    }
+}
+
+/// What came out of the rows of a table, in their order.
+fn check_all<M>(claims: &[Claim<'_, M>], measured: &M) -> Vec<Experiment> {
+    claims.iter().map(|claim| claim.check(measured)).collect()
+}
+
+/// A series of a plot.
+fn series(name: &str, points: Vec<[f64; 2]>, style: SeriesStyle) -> Series {
+    Series { name: name.into(), points, style }
+}
+
 /// A picture that belongs to some experiments.
 #[derive(Clone, Debug)]
 pub struct Figure {
@@ -141,170 +201,53 @@ pub struct Group {
     pub run: fn() -> anyhow::Result<Outcome>,
 }
 
-/// All groups, quick ones first.
+impl Group {
+    const fn new(name: &'static str, about: &'static str, run: fn() -> anyhow::Result<Outcome>) -> Self {
+        Self { name, about, run }
+    }
+}
+
+/// All groups, quick ones first. A new one is a file (and its `mod` above) and a row here.
+// A row a group, however long.
+#[rustfmt::skip]
 pub const GROUPS: &[Group] = &[
-    Group {
-        name: "elasticity",
-        about: "Linear and non-linear statics against finite-element solutions.",
-        run: elasticity::experiments,
-    },
-    Group {
-        name: "interaction",
-        about: "The touched organ: pre-computed and dynamic.",
-        run: interaction::experiments,
-    },
-    Group {
-        name: "precompute",
-        about: "The pre-computation against direct solutions, Lagrange multipliers and the papers' conjugate gradients.",
-        run: precompute::experiments,
-    },
-    Group {
-        name: "detection",
-        about: "Contact detection: fast tools that must not pass through, pairs of triangles against brute force.",
-        run: detection::experiments,
-    },
-    Group {
-        name: "contact_response",
-        about: "Local responses to contact: the cubes of seed 000 by penalty, impulse and geometric alteration.",
-        run: contact_response::experiments,
-    },
-    Group {
-        name: "self_contact",
-        about: "An organ that touches itself: lobes driven together, a piece cut loose that falls on the rest.",
-        run: self_contact::experiments,
-    },
-    Group {
-        name: "active_trocar",
-        about: "The active trocar: statics over its workspace, saturation, encoders, and its board palpating an organ.",
-        run: active_trocar::experiments,
-    },
-    Group {
-        name: "indentation",
-        about: "A sphere and a flat punch on a bonded layer: graded tetrahedra against an axisymmetric solution.",
-        run: indentation::experiments,
-    },
-    Group {
-        name: "palpation",
-        about: "A stiff nodule under the surface, felt with a flat tip: commands to the device against static solutions.",
-        run: palpation::experiments,
-    },
-    Group {
-        name: "haptic_force",
-        about: "The force between two steps of a simulation at 30 Hz against the full model stepped at 1 kHz.",
-        run: haptic_force::experiments,
-    },
-    Group {
-        name: "haptic_jumps",
-        about: "From a tearing liver to the hand: start, lost device, standstill, cut and rupture without jumps of force.",
-        run: haptic_jumps::experiments,
-    },
-    Group {
-        name: "passivity",
-        about: "Energy of the haptic loop: a simulated device with a hand, delays, slow steps, with control and without.",
-        run: passivity::experiments,
-    },
-    Group {
-        name: "contact_physics",
-        about: "Contact by constraints with friction: an incline, stacks at rest, a bounce.",
-        run: contact_physics::experiments,
-    },
-    Group {
-        name: "unit",
-        about: "Elements and laws one by one: patch, rigid motions, derivatives, uniaxial stress, recovery, fibres.",
-        run: unit::experiments,
-    },
-    Group {
-        name: "tissue",
-        about: "Viscoelastic tissue: relaxation, and brain under unconfined compression.",
-        run: tissue::experiments,
-    },
-    Group {
-        name: "quasi_nonlinear",
-        about: "The pre-computed model with magnitudes from measured curves: a compressed cylinder of brain.",
-        run: quasi_nonlinear::experiments,
-    },
-    Group {
-        name: "rheology",
-        about: "Springs: the cubes of seed 000 dropped, pressed and pulled, and what a step costs.",
-        run: rheology::experiments,
-    },
-    Group {
-        name: "model_rheology",
-        about: "Every dynamic model on the virtual rheology bench: plates and a punch.",
-        run: model_rheology::experiments,
-    },
-    Group {
-        name: "benchmarks",
-        about: "Structural benchmarks of the field, on plain and smoothed tetrahedra.",
-        run: benchmarks::experiments,
-    },
-    Group {
-        name: "rotation",
-        about: "A cube that is turned as a whole, by linear and non-linear tensor-mass.",
-        run: rotation::experiments,
-    },
-    Group {
-        name: "tubes",
-        about: "Three tubes under the same load: isotropic, with fibres along the axis, with stiffer ones.",
-        run: tubes::experiments,
-    },
-    Group {
-        name: "prestress",
-        about: "Stretched bodies that relax after tetrahedra are removed.",
-        run: prestress::experiments,
-    },
-    Group {
-        name: "precomputed_cutting",
-        about: "Cutting the pre-computed liver: errors against fresh pre-computations, time of a removal, hinges.",
-        run: precomputed_cutting::experiments,
-    },
-    Group {
-        name: "mesh_repair",
-        about: "Shape of tetrahedra, cuts by vertex displacement, and their repair by collapse and by remeshing.",
-        run: mesh_repair::experiments,
-    },
-    Group {
-        name: "cut_subdivision",
-        about: "Cutting along the swept blade: areas, shapes, volumes, pieces.",
-        run: cut_subdivision::experiments,
-    },
-    Group { name: "cutting", about: "Removal equals rebuild, and tearing.", run: cutting::experiments },
-    Group {
-        name: "cutting_sanity",
-        about: "A moving body that is cut: area, mass, volume, energy, Euler characteristics.",
-        run: cutting_sanity::experiments,
-    },
-    Group {
-        name: "volume",
-        about: "Changes of volume of a bent cylinder and a pulled liver: linear, non-linear, with penalty.",
-        run: volume::experiments,
-    },
-    Group {
-        name: "adaptive",
-        about: "Non-linear forces only where they matter: error against rate, and the cost of non-linear to linear.",
-        run: adaptive::experiments,
-    },
-    Group {
-        name: "reduced",
-        about: "The pre-computed model made non-linear in reduced coordinates, against the full non-linear solution.",
-        run: reduced::experiments,
-    },
-    Group {
-        name: "hybrid",
-        about: "Zones that exchange forces: convergence, cost, frontiers with tensor-mass, cuts.",
-        run: hybrid::experiments,
-    },
-    Group {
-        name: "hybrid_condensed",
-        about: "Pre-computed and dynamic zones, exactly coupled: error against processor time.",
-        run: hybrid_condensed::experiments,
-    },
-    Group { name: "image", about: "From the image to the organ.", run: image::experiments },
+    Group::new("elasticity", "Linear and non-linear statics against finite-element solutions.", elasticity::experiments),
+    Group::new("interaction", "The touched organ: pre-computed and dynamic.", interaction::experiments),
+    Group::new("precompute", "The pre-computation against direct solutions, Lagrange multipliers and the papers' conjugate gradients.", precompute::experiments),
+    Group::new("detection", "Contact detection: fast tools that must not pass through, pairs of triangles against brute force.", detection::experiments),
+    Group::new("contact_response", "Local responses to contact: the cubes of seed 000 by penalty, impulse and geometric alteration.", contact_response::experiments),
+    Group::new("self_contact", "An organ that touches itself: lobes driven together, a piece cut loose that falls on the rest.", self_contact::experiments),
+    Group::new("active_trocar", "The active trocar: statics over its workspace, saturation, encoders, and its board palpating an organ.", active_trocar::experiments),
+    Group::new("indentation", "A sphere and a flat punch on a bonded layer: graded tetrahedra against an axisymmetric solution.", indentation::experiments),
+    Group::new("palpation", "A stiff nodule under the surface, felt with a flat tip: commands to the device against static solutions.", palpation::experiments),
+    Group::new("haptic_force", "The force between two steps of a simulation at 30 Hz against the full model stepped at 1 kHz.", haptic_force::experiments),
+    Group::new("haptic_jumps", "From a tearing liver to the hand: start, lost device, standstill, cut and rupture without jumps of force.", haptic_jumps::experiments),
+    Group::new("passivity", "Energy of the haptic loop: a simulated device with a hand, delays, slow steps, with control and without.", passivity::experiments),
+    Group::new("contact_physics", "Contact by constraints with friction: an incline, stacks at rest, a bounce.", contact_physics::experiments),
+    Group::new("unit", "Elements and laws one by one: patch, rigid motions, derivatives, uniaxial stress, recovery, fibres.", unit::experiments),
+    Group::new("tissue", "Viscoelastic tissue: relaxation, and brain under unconfined compression.", tissue::experiments),
+    Group::new("quasi_nonlinear", "The pre-computed model with magnitudes from measured curves: a compressed cylinder of brain.", quasi_nonlinear::experiments),
+    Group::new("rheology", "Springs: the cubes of seed 000 dropped, pressed and pulled, and what a step costs.", rheology::experiments),
+    Group::new("model_rheology", "Every dynamic model on the virtual rheology bench: plates and a punch.", model_rheology::experiments),
+    Group::new("benchmarks", "Structural benchmarks of the field, on plain and smoothed tetrahedra.", benchmarks::experiments),
+    Group::new("rotation", "A cube that is turned as a whole, by linear and non-linear tensor-mass.", rotation::experiments),
+    Group::new("tubes", "Three tubes under the same load: isotropic, with fibres along the axis, with stiffer ones.", tubes::experiments),
+    Group::new("prestress", "Stretched bodies that relax after tetrahedra are removed.", prestress::experiments),
+    Group::new("precomputed_cutting", "Cutting the pre-computed liver: errors against fresh pre-computations, time of a removal, hinges.", precomputed_cutting::experiments),
+    Group::new("mesh_repair", "Shape of tetrahedra, cuts by vertex displacement, and their repair by collapse and by remeshing.", mesh_repair::experiments),
+    Group::new("cut_subdivision", "Cutting along the swept blade: areas, shapes, volumes, pieces.", cut_subdivision::experiments),
+    Group::new("cutting", "Removal equals rebuild, and tearing.", cutting::experiments),
+    Group::new("cutting_sanity", "A moving body that is cut: area, mass, volume, energy, Euler characteristics.", cutting_sanity::experiments),
+    Group::new("volume", "Changes of volume of a bent cylinder and a pulled liver: linear, non-linear, with penalty.", volume::experiments),
+    Group::new("adaptive", "Non-linear forces only where they matter: error against rate, and the cost of non-linear to linear.", adaptive::experiments),
+    Group::new("reduced", "The pre-computed model made non-linear in reduced coordinates, against the full non-linear solution.", reduced::experiments),
+    Group::new("hybrid", "Zones that exchange forces: convergence, cost, frontiers with tensor-mass, cuts.", hybrid::experiments),
+    Group::new("hybrid_condensed", "Pre-computed and dynamic zones, exactly coupled: error against processor time.", hybrid_condensed::experiments),
+    Group::new("image", "From the image to the organ.", image::experiments),
 ];
 
 /// Groups of some minutes each, which run only when they are asked for.
-pub const SLOW_GROUPS: &[Group] = &[Group {
-    name: "contact_physics_full_size",
-    about: "Two phantom livers of 6,300 tetrahedra, one on the other, for more than a minute.",
-    run: contact_physics::full_size_experiments,
-}];
+#[rustfmt::skip]
+pub const SLOW_GROUPS: &[Group] = &[
+    Group::new("contact_physics_full_size", "Two phantom livers of 6,300 tetrahedra, one on the other, for more than a minute.", contact_physics::full_size_experiments),
+];

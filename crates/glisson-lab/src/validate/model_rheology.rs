@@ -1,7 +1,7 @@
 //! Every dynamic model on the virtual rheology bench (seed `000` s. 2.3.4): a cube between sliding plates, and a
 //! flat punch.
 
-use super::{Experiment, Figure, Outcome};
+use super::{Experiment, Figure, Outcome, series};
 use glam::{DMat3, DVec3};
 use glisson::material::{LinearElastic, Material, NeoHookeLog, StVenantKirchhoff};
 use glisson::mesh::TetMesh;
@@ -223,50 +223,78 @@ fn press(which: BenchModel, mesh: &TetMesh) -> anyhow::Result<PlateOutcome> {
     Ok(press_between_plates(&mut *model, &test))
 }
 
+/// A cube between plates in one model.
+struct Pressed {
+    which: BenchModel,
+    /// Modulus at `SMALL` and at `LARGE` [Pa]: measured, and that of the model's law if it has one.
+    measured_pa: [f64; 2],
+    expected_pa: [Option<f64>; 2],
+    plates: PlateOutcome,
+}
+
+impl Pressed {
+    fn new(which: BenchModel, mesh: &TetMesh, material: &LinearElastic) -> anyhow::Result<Self> {
+        let plates = press(which, mesh)?;
+        let (first, last) = (plates.readings[0], plates.readings[plates.readings.len() - 1]);
+        let measured_pa = [first, last].map(|r| measured_modulus_pa(r, AREA_M2));
+        let own =
+            |stretch: f64| which.law().map(|law| law.nominal_stress_pa(material, stretch) / (stretch - 1.0));
+        Ok(Self { which, measured_pa, expected_pa: [own(SMALL), own(LARGE)], plates })
+    }
+
+    fn check(&self) -> Vec<Experiment> {
+        let mut experiments = Vec::new();
+        // On the way the plate's waves are in the reading, and viscosity of all nodes.
+        for (i, (what, tolerance)) in [("1 %", 0.02), ("24 %", 0.005)].into_iter().enumerate() {
+            let Some(expected_pa) = self.expected_pa[i] else { continue };
+            experiments.push(Experiment::near(
+                &format!("plates, {}: measured modulus at {what} [Pa]", self.which.name()),
+                "exact: the law in uniaxial stress",
+                self.measured_pa[i],
+                expected_pa,
+                tolerance,
+            ));
+        }
+        experiments
+    }
+
+    /// Its line of the table.
+    fn row(&self) -> String {
+        let kpa = |pa: Option<f64>| pa.map_or("-".to_owned(), |pa| format!("{:.3}", 1e-3 * pa));
+        let readings = &self.plates.readings;
+        format!(
+            "| {} | {} | {} | {} | {} | {} |\n",
+            self.which.name(),
+            kpa(Some(self.measured_pa[0])),
+            kpa(self.expected_pa[0]),
+            kpa(Some(self.measured_pa[1])),
+            kpa(self.expected_pa[1]),
+            readings[readings.len() - 1].n_inverted
+        )
+    }
+
+    /// Force over compression on the way.
+    fn curve(&self) -> Series {
+        let readings = &self.plates.readings;
+        let moving = readings[..readings.len() - 1].iter();
+        let points = moving.map(|r| [100.0 * (1.0 - r.stretch), -r.force_n]).collect();
+        series(self.which.name(), points, SeriesStyle::Line)
+    }
+}
+
 fn plates(outcome: &mut Outcome) -> anyhow::Result<()> {
     let mesh = cube_of_five(N_NODES, SIDE_M);
     let material = seed_material()?;
     outcome.notes += "### Plane compression\n\nThe 50 mm cube of 320 tetrahedra (E 20 kPa, nu 0.3) between sliding plates at 5 mm/s. The measured modulus is \
                       (force/area)/(displacement/length) [kPa], at 1 % on the way and at 24 % after a rest; beside it that of \
                       the law itself in uniaxial stress.\n\n| model | at 1 % | law | at 24 % | law | inverted |\n|---|---|---|---|---|---|\n";
-    let mut series = Vec::new();
+    let mut curves = Vec::new();
     for which in BenchModel::ALL {
-        let pressed = press(which, &mesh)?;
-        let (first, last) = (pressed.readings[0], pressed.readings[pressed.readings.len() - 1]);
-        let measured_pa = [first, last].map(|r| measured_modulus_pa(r, AREA_M2));
-        let own =
-            |stretch: f64| which.law().map(|law| law.nominal_stress_pa(&material, stretch) / (stretch - 1.0));
-        let expected_pa = [own(SMALL), own(LARGE)];
-        for ((measured_pa, expected_pa), what) in
-            measured_pa.into_iter().zip(expected_pa).zip(["1 %", "24 %"])
-        {
-            let Some(expected_pa) = expected_pa else { continue };
-            outcome.experiments.push(Experiment::near(
-                &format!("plates, {}: measured modulus at {what} [Pa]", which.name()),
-                "exact: the law in uniaxial stress",
-                measured_pa,
-                expected_pa,
-                // On the way the plate's waves are in the reading, and viscosity of all nodes.
-                if what == "1 %" { 0.02 } else { 0.005 },
-            ));
-        }
-        let kpa = |pa: Option<f64>| pa.map_or("-".to_owned(), |pa| format!("{:.3}", 1e-3 * pa));
-        outcome.notes += &format!(
-            "| {} | {} | {} | {} | {} | {} |\n",
-            which.name(),
-            kpa(Some(measured_pa[0])),
-            kpa(expected_pa[0]),
-            kpa(Some(measured_pa[1])),
-            kpa(expected_pa[1]),
-            last.n_inverted
-        );
-        let moving = &pressed.readings[..pressed.readings.len() - 1];
+        let pressed = Pressed::new(which, &mesh, &material)?;
+        outcome.experiments.extend(pressed.check());
+        outcome.notes += &pressed.row();
         if which != BenchModel::ExtendedMassSpring && which != BenchModel::ExtendedMassSpringNeoHooke {
-            series.push(Series {
-                name: which.name().into(),
-                points: moving.iter().map(|r| [100.0 * (1.0 - r.stretch), -r.force_n]).collect(),
-                style: SeriesStyle::Line,
-            });
+            curves.push(pressed.curve());
         }
     }
     outcome.notes += "\nMass-spring has no law of its own to compare with. The two extended mass-spring models are other arithmetic for the \
@@ -279,7 +307,7 @@ fn plates(outcome: &mut Outcome) -> anyhow::Result<()> {
             title: "Plane compression in each model".into(),
             x_label: "compression [%]".into(),
             y_label: "force [N]".into(),
-            series,
+            series: curves,
             size: [960, 540],
         },
     });

@@ -10,7 +10,7 @@
 
 use super::indentation::axisymmetric::{Layer, Nodule};
 use super::indentation::block::{Grading, quarter_block};
-use super::{Experiment, Figure, Outcome};
+use super::{Claim, Figure, Outcome, check_all, series};
 use anyhow::{Context, anyhow};
 use glisson::haptics::{
     HandPath, HandSettings, HapticDevice, HapticLaw, HapticModel, LawSettings, PatchStiffness,
@@ -27,7 +27,7 @@ use glisson::model::{
     Rayleigh,
 };
 use glisson::solve::{BoundaryConditions, NonlinearProblem, NonlinearSettings, solve_nonlinear};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_view::plot::{LinePlot, SeriesStyle};
 use std::fmt::Write as _;
 use std::sync::Arc;
 
@@ -305,85 +305,137 @@ fn axisymmetric_rise() -> anyhow::Result<f64> {
     Ok(force_n(Some(NODULE))? / force_n(None)? - 1.0)
 }
 
+/// One organ under one press.
+struct Trial {
+    has_nodule: bool,
+    is_deep: bool,
+    felt: Palpation,
+    static_n: f64,
+    wanted_m: f64,
+}
+
+impl Trial {
+    fn new(organ: &Organ, has_nodule: bool, is_deep: bool) -> anyhow::Result<Self> {
+        let press = if is_deep { &DEEP } else { &SHALLOW };
+        let felt = organ.palpate(if is_deep { organ.implicit()? } else { organ.explicit()? }, press)?;
+        let static_n = organ.static_force_n(press.depth_m)?;
+        Ok(Self { has_nodule, is_deep, felt, static_n, wanted_m: press.depth_m })
+    }
+
+    fn name(&self) -> &'static str {
+        if self.has_nodule { "with" } else { "without" }
+    }
+}
+
+/// What the experiments judge.
+struct Measured {
+    trials: Vec<Trial>,
+    axisymmetric_rise: f64,
+}
+
+impl Measured {
+    /// How much more force the device commands over the nodule.
+    fn rise(&self, is_deep: bool) -> f64 {
+        let force_n = |has_nodule: bool| {
+            let found = self.trials.iter().find(|t| t.has_nodule == has_nodule && t.is_deep == is_deep);
+            found.map_or(f64::NAN, |t| t.felt.at_rest_n)
+        };
+        force_n(true) / force_n(false) - 1.0
+    }
+
+    /// From the static solution, the worse of two.
+    fn worst_off(&self, is_deep: bool) -> f64 {
+        let trials = self.trials.iter().filter(|t| t.is_deep == is_deep);
+        trials.map(|t| (t.felt.at_rest_n / t.static_n - 1.0).abs()).fold(0.0, f64::max)
+    }
+
+    fn worst_depth(&self) -> f64 {
+        self.trials.iter().map(|t| (t.felt.depth_m / t.wanted_m - 1.0).abs()).fold(0.0, f64::max)
+    }
+}
+
+const CLAIMS: &[Claim<'_, Measured>] = &[
+    Claim::within(
+        "nodule of 20 mm, twice as stiff, 2 mm under the surface, flat tip of 5 mm: greater command to the device at 1 mm",
+        ISSUE,
+        |m| m.rise(false),
+        [0.2, 0.4],
+    ),
+    Claim::within(
+        "the same at 5 mm, implicit body: greater command to the device",
+        ISSUE,
+        |m| m.rise(true),
+        [0.2, 0.6],
+    ),
+    Claim::at_most(
+        "command to the device against the static solution at 1 mm, relative, the worse of two",
+        OWN,
+        |m| m.worst_off(false),
+        0.05,
+    ),
+    Claim::at_most("the same at 5 mm, implicit body", OWN, |m| m.worst_off(true), 0.01),
+    Claim::at_most(
+        "depth of the tip against what the hand wants, relative, the worst of four",
+        "equal depths",
+        Measured::worst_depth,
+        DEPTH_TOLERANCE,
+    ),
+    Claim::near(
+        "the rise by the own axisymmetric solution, linear and without friction",
+        ISSUE,
+        |m| m.axisymmetric_rise,
+        [0.28, 0.05],
+    ),
+];
+
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let organs = [Organ::new(None), Organ::new(Some(&NODULE))];
+    let mut trials = Vec::new();
+    for (organ, has_nodule) in organs.iter().zip([false, true]) {
+        for is_deep in [false, true] {
+            trials.push(Trial::new(organ, has_nodule, is_deep)?);
+        }
+    }
+    let notes = notes(&organs[0], &trials)?;
+    let measured = Measured { trials, axisymmetric_rise: axisymmetric_rise()? };
+    let experiments = check_all(CLAIMS, &measured);
+    Ok(Outcome { experiments, figures: vec![figure(measured.trials)], notes })
+}
+
+fn notes(organ: &Organ, trials: &[Trial]) -> anyhow::Result<String> {
     let mut notes = format!(
         "{} tetrahedra in a quarter of the block, {} nodes under the quarter of the tip; E = {YOUNG_MODULUS_PA} Pa, nu = {POISSON_RATIO}.\n\n\
          | depth of the tip [mm] | nodule | command to the device [mN] | static solution [mN] |\n|---|---|---|---|\n",
-        organs[0].mesh.tetrahedra.len(),
-        organs[0].tip.len(),
+        organ.mesh.tetrahedra.len(),
+        organ.tip.len(),
     );
-    let (mut worst_off, mut worst_depth) = ([0.0_f64; 2], 0.0_f64);
-    let mut felt_n = [[0.0; 2]; 2];
-    let mut series = Vec::new();
-    for (with, organ) in organs.iter().enumerate() {
-        let name = ["without", "with"][with];
-        for (deep, press) in [&SHALLOW, &DEEP].into_iter().enumerate() {
-            let felt = organ.palpate(if deep == 0 { organ.explicit()? } else { organ.implicit()? }, press)?;
-            let static_n = organ.static_force_n(press.depth_m)?;
-            felt_n[deep][with] = felt.at_rest_n;
-            worst_off[deep] = worst_off[deep].max((felt.at_rest_n / static_n - 1.0).abs());
-            worst_depth = worst_depth.max((felt.depth_m / press.depth_m - 1.0).abs());
-            writeln!(
-                notes,
-                "| {:.3} | {name} | {:.2} | {:.2} |",
-                1e3 * felt.depth_m,
-                1e3 * felt.at_rest_n,
-                1e3 * static_n
-            )?;
-            if deep == 0 {
-                let (name, points) = (format!("{name} nodule"), felt.curve);
-                series.push(Series { name, points, style: SeriesStyle::Line });
-            }
-        }
+    for trial in trials {
+        writeln!(
+            notes,
+            "| {:.3} | {} | {:.2} | {:.2} |",
+            1e3 * trial.felt.depth_m,
+            trial.name(),
+            1e3 * trial.felt.at_rest_n,
+            1e3 * trial.static_n
+        )?;
     }
-    let rise = |force_n: [f64; 2]| force_n[1] / force_n[0] - 1.0;
-    let axisymmetric = axisymmetric_rise()?;
-    let experiments = vec![
-        Experiment::within(
-            "nodule of 20 mm, twice as stiff, 2 mm under the surface, flat tip of 5 mm: greater command to the device at 1 mm",
-            ISSUE,
-            rise(felt_n[0]),
-            [0.2, 0.4],
-        ),
-        Experiment::within(
-            "the same at 5 mm, implicit body: greater command to the device",
-            ISSUE,
-            rise(felt_n[1]),
-            [0.2, 0.6],
-        ),
-        Experiment::at_most(
-            "command to the device against the static solution at 1 mm, relative, the worse of two",
-            OWN,
-            worst_off[0],
-            0.05,
-        ),
-        Experiment::at_most("the same at 5 mm, implicit body", OWN, worst_off[1], 0.01),
-        Experiment::at_most(
-            "depth of the tip against what the hand wants, relative, the worst of four",
-            "equal depths",
-            worst_depth,
-            DEPTH_TOLERANCE,
-        ),
-        Experiment::near(
-            "the rise by the own axisymmetric solution, linear and without friction",
-            ISSUE,
-            axisymmetric,
-            0.28,
-            0.05,
-        ),
-    ];
+    Ok(notes)
+}
+
+fn figure(trials: Vec<Trial>) -> Figure {
+    let shallow = trials.into_iter().filter(|trial| !trial.is_deep);
+    let curve =
+        |trial: Trial| series(&format!("{} nodule", trial.name()), trial.felt.curve, SeriesStyle::Line);
     let plot = LinePlot {
         title: "Palpation of a nodule at 1 mm".into(),
         x_label: "time [ms]".into(),
         y_label: "command to the device [N]".into(),
-        series,
+        series: shallow.map(curve).collect(),
         size: [720, 420],
     };
     let caption =
         "Command to the device as a hand presses a flat tip in by 1 mm, over tissue with and without a nodule.".into();
-    let figures = vec![Figure { file: "palpation_force.svg", caption, plot }];
-    Ok(Outcome { experiments, figures, notes })
+    Figure { file: "palpation_force.svg", caption, plot }
 }
 
 #[cfg(test)]

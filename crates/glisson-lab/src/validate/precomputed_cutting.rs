@@ -2,7 +2,7 @@
 //!
 //! Seeds `001` and `003` (s. 1) call cutting of the pre-computed model impossible in real time.
 
-use super::{Experiment, Figure, Outcome};
+use super::{Claim, Experiment, Figure, Outcome, check_all, series};
 use crate::bench::thread_cpu_ns;
 use crate::bodies::{liver, material, nodes_where};
 use glisson::math::{DMat3, DVec3};
@@ -10,8 +10,8 @@ use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit};
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::DeformableModel;
-use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson::model::precomputed::{CutReport, Precision, Precomputed, PrecomputedParams, StoredNodes};
+use glisson_view::plot::{LinePlot, SeriesStyle};
 
 const SEED: &str = "Checoury 2002, s. 1: the pre-computed model cannot be cut";
 const OWN: &str = "requirement";
@@ -73,91 +73,114 @@ fn incision(mesh: &TetMesh) -> Vec<TetId> {
     tets
 }
 
-pub(super) fn experiments() -> anyhow::Result<Outcome> {
-    let mesh = liver(LIVER_TETS)?;
-    let (low, high) =
-        mesh.positions_m.iter().fold((f64::MAX, f64::MIN), |(a, b), p| (a.min(p.x), b.max(p.x)));
-    let fixed = nodes_where(&mesh, |p| p.x < low + HELD_SHARE * (high - low));
-    let mut model = built(&mesh, &fixed)?;
-    model.prepare_cutting(&mesh)?;
-    let n_surface = model.loadable_nodes().len();
-    let mut body = EditableMesh::new(mesh.clone())?;
-    let (mut times_ms, mut errors, mut estimates) = (Vec::new(), Vec::new(), Vec::new());
-    for (i, tet) in incision(&mesh).into_iter().take(COMPARED_AFTER[3]).enumerate() {
-        let change = body.apply(&MeshEdit::Remove { tets: vec![tet] })?;
-        let before = thread_cpu_ns();
-        model.topology_changed(body.mesh(), &change)?;
-        times_ms.push([(i + 1) as f64, (thread_cpu_ns() - before) as f64 * 1e-6]);
-        estimates.push([(i + 1) as f64, model.cut_report().error]);
-        if COMPARED_AFTER.contains(&(i + 1)) {
-            errors.push([(i + 1) as f64, difference(&model, &body)?]);
+/// What came of the removals, one after the other.
+struct Course {
+    n_surface: usize,
+    /// Over the number of removals: processor time [ms], running estimate of the error.
+    times_ms: Vec<[f64; 2]>,
+    estimates: Vec<[f64; 2]>,
+    /// Over some of these numbers: difference from a fresh pre-computation.
+    errors: Vec<[f64; 2]>,
+    report: CutReport,
+}
+
+impl Course {
+    fn new(mesh: &TetMesh) -> anyhow::Result<Self> {
+        let (low, high) =
+            mesh.positions_m.iter().fold((f64::MAX, f64::MIN), |(a, b), p| (a.min(p.x), b.max(p.x)));
+        let fixed = nodes_where(mesh, |p| p.x < low + HELD_SHARE * (high - low));
+        let mut model = built(mesh, &fixed)?;
+        model.prepare_cutting(mesh)?;
+        let n_surface = model.loadable_nodes().len();
+        let mut body = EditableMesh::new(mesh.clone())?;
+        let (mut times_ms, mut errors, mut estimates) = (Vec::new(), Vec::new(), Vec::new());
+        for (i, tet) in incision(mesh).into_iter().take(COMPARED_AFTER[3]).enumerate() {
+            let change = body.apply(&MeshEdit::Remove { tets: vec![tet] })?;
+            let before = thread_cpu_ns();
+            model.topology_changed(body.mesh(), &change)?;
+            times_ms.push([(i + 1) as f64, (thread_cpu_ns() - before) as f64 * 1e-6]);
+            estimates.push([(i + 1) as f64, model.cut_report().error]);
+            if COMPARED_AFTER.contains(&(i + 1)) {
+                errors.push([(i + 1) as f64, difference(&model, &body)?]);
+            }
+        }
+        Ok(Self { n_surface, times_ms, estimates, errors, report: model.cut_report() })
+    }
+
+    fn notes(&self, mesh: &TetMesh) -> String {
+        let mut sorted: Vec<f64> = self.times_ms.iter().map(|t| t[1]).collect();
+        sorted.sort_by(f64::total_cmp);
+        format!(
+            "Cutting the liver of {} tetrahedra and {} loadable surface nodes: median {:.1} ms of \
+             processor time a removal, longest {:.1} ms; {} nodes were laid bare; least pivot of a capacitance matrix \
+             {:.1e}.\n\n| removals | difference from fresh | estimate |\n|---|---|---|\n{}",
+            mesh.tetrahedra.len(),
+            self.n_surface,
+            sorted[sorted.len() / 2],
+            sorted[sorted.len() - 1],
+            self.report.n_laid_bare,
+            self.report.least_pivot,
+            self.errors
+                .iter()
+                .map(|[n, e]| format!("| {n} | {e:.1e} | {:.1e} |\n", self.estimates[*n as usize - 1][1]))
+                .collect::<String>(),
+        )
+    }
+
+    fn error_figure(&self) -> Figure {
+        let digits = |points: &[[f64; 2]]| points.iter().map(|[n, e]| [*n, e.max(1e-18).log10()]).collect();
+        Figure {
+            file: "precomputed_cutting_error.svg",
+            caption: "Error of the compliance of a cut liver, relative to its largest entry, over removals."
+                .into(),
+            plot: LinePlot {
+                title: "Cutting the pre-computed liver".into(),
+                x_label: "removed tetrahedra".into(),
+                y_label: "log10 of the error".into(),
+                series: vec![
+                    series("running estimate", digits(&self.estimates), SeriesStyle::Line),
+                    series("against fresh pre-computations", digits(&self.errors), SeriesStyle::Points),
+                ],
+                size: [720, 400],
+            },
         }
     }
-    let report = model.cut_report();
-    let worst = errors.iter().map(|e| e[1]).fold(0.0, f64::max);
-    let mut sorted: Vec<f64> = times_ms.iter().map(|t| t[1]).collect();
-    sorted.sort_by(f64::total_cmp);
-    let median_ms = sorted[sorted.len() / 2];
 
-    let mut outcome = Outcome::from(vec![
-        Experiment::at_most(
-            "liver, 100 removals in a row: compliance against fresh pre-computations, of the largest entry",
-            SEED,
-            worst,
-            1e-8,
-        ),
-        Experiment::at_most("the same: running estimate of the error", OWN, report.error, 1e-8),
-    ]);
-    outcome.experiments.extend(hinges()?);
-    outcome.notes = format!(
-        "Cutting the liver of {} tetrahedra and {n_surface} loadable surface nodes: median {median_ms:.1} ms of \
-         processor time a removal, longest {:.1} ms; {} nodes were laid bare; least pivot of a capacitance matrix \
-         {:.1e}.\n\n| removals | difference from fresh | estimate |\n|---|---|---|\n{}",
-        mesh.tetrahedra.len(),
-        sorted[sorted.len() - 1],
-        report.n_laid_bare,
-        report.least_pivot,
-        errors
-            .iter()
-            .map(|[n, e]| format!("| {n} | {e:.1e} | {:.1e} |\n", estimates[*n as usize - 1][1]))
-            .collect::<String>(),
-    );
-    let digits = |points: &[[f64; 2]]| points.iter().map(|[n, e]| [*n, e.max(1e-18).log10()]).collect();
-    outcome.figures.push(Figure {
-        file: "precomputed_cutting_error.svg",
-        caption: "Error of the compliance of a cut liver, relative to its largest entry, over removals."
-            .into(),
-        plot: LinePlot {
-            title: "Cutting the pre-computed liver".into(),
-            x_label: "removed tetrahedra".into(),
-            y_label: "log10 of the error".into(),
-            series: vec![
-                Series {
-                    name: "running estimate".into(),
-                    points: digits(&estimates),
-                    style: SeriesStyle::Line,
-                },
-                Series {
-                    name: "against fresh pre-computations".into(),
-                    points: digits(&errors),
-                    style: SeriesStyle::Points,
-                },
-            ],
-            size: [720, 400],
-        },
-    });
-    outcome.figures.push(Figure {
-        file: "precomputed_cutting_time.svg",
-        caption: "Processor time of each removal.".into(),
-        plot: LinePlot {
-            title: "Time of a removal".into(),
-            x_label: "removed tetrahedra".into(),
-            y_label: "processor time [ms]".into(),
-            series: vec![Series { name: String::new(), points: times_ms, style: SeriesStyle::Line }],
-            size: [720, 400],
-        },
-    });
-    Ok(outcome)
+    fn time_figure(&self) -> Figure {
+        Figure {
+            file: "precomputed_cutting_time.svg",
+            caption: "Processor time of each removal.".into(),
+            plot: LinePlot {
+                title: "Time of a removal".into(),
+                x_label: "removed tetrahedra".into(),
+                y_label: "processor time [ms]".into(),
+                series: vec![series("", self.times_ms.clone(), SeriesStyle::Line)],
+                size: [720, 400],
+            },
+        }
+    }
+}
+
+const CLAIMS: &[Claim<'_, Course>] = &[
+    Claim::at_most(
+        "liver, 100 removals in a row: compliance against fresh pre-computations, of the largest entry",
+        SEED,
+        |c| c.errors.iter().map(|e| e[1]).fold(0.0, f64::max),
+        1e-8,
+    ),
+    Claim::at_most("the same: running estimate of the error", OWN, |c| c.report.error, 1e-8),
+];
+
+pub(super) fn experiments() -> anyhow::Result<Outcome> {
+    let mesh = liver(LIVER_TETS)?;
+    let course = Course::new(&mesh)?;
+    let mut experiments = check_all(CLAIMS, &course);
+    experiments.extend(hinges()?);
+    Ok(Outcome {
+        experiments,
+        figures: vec![course.error_figure(), course.time_figure()],
+        notes: course.notes(&mesh),
+    })
 }
 
 /// Two blocks that hang together by a vertex or by an edge: what counts as loose once the rest between them is gone.

@@ -5,7 +5,7 @@
 //! The seed shows pictures only. What must hold: the body comes to rest in the equilibrium of the tetrahedra that
 //! are left, with less energy than before.
 
-use super::{Experiment, Figure, Outcome};
+use super::{Experiment, Figure, Outcome, series};
 use crate::bodies::{
     TissuePoints, constraints, cylinder, displaced, displacements, isotropic, largest, linear_equilibrium,
     linear_model, material, most, nodes_where, nonlinear_equilibrium, nonlinear_model, relax,
@@ -279,93 +279,119 @@ fn outline(stretched: &Stretched, before_m: &[DVec3]) -> Vec<[f64; 2]> {
     places_m.iter().map(|p| [1e3 * p.x, 1e3 * p.y]).collect()
 }
 
-fn plate_figure(file: &'static str, stretched: &Stretched, relaxed: &Relaxed) -> Figure {
+fn plate_figure(file: &'static str, trial: &Trial<'_>) -> Figure {
+    let Trial { body, relaxed, .. } = trial;
     let plot = LinePlot {
-        title: format!("The {}", stretched.name),
+        title: format!("The {}", body.name),
         x_label: "x [mm]".into(),
         y_label: "y [mm]".into(),
         series: vec![
-            Series {
-                name: "before the cut".into(),
-                points: outline(stretched, &relaxed.before_m),
-                style: SeriesStyle::Dashed,
-            },
-            Series { name: "at rest after it".into(), points: grid_lines(relaxed), style: SeriesStyle::Line },
+            series("before the cut", outline(body, &relaxed.before_m), SeriesStyle::Dashed),
+            series("at rest after it", grid_lines(relaxed), SeriesStyle::Line),
         ],
         size: [820, 620],
     };
-    let caption = format!(
-        "The {}, pulled at the upper left and held at the right (linear tensor-mass).",
-        stretched.name
-    );
+    let caption =
+        format!("The {}, pulled at the upper left and held at the right (linear tensor-mass).", body.name);
     Figure { file, caption, plot }
+}
+
+/// A body under one law, relaxed.
+struct Trial<'a> {
+    body: &'a Stretched,
+    law: &'static str,
+    relaxed: Relaxed,
 }
 
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let material = material()?;
     let bodies = [notched_cylinder()?, plate(true), plate(false)];
-    let mut outcome = Outcome::default();
-    let mut rows = String::new();
-    let mut courses = Vec::new();
-    for (i, body) in bodies.iter().enumerate() {
-        for (law, relaxed) in
-            [("linear", body.relax_linear(&material)?), ("non-linear", body.relax_nonlinear(&material)?)]
-        {
-            let title = |what: &str| format!("{law} {}: {what}", body.name);
-            outcome.experiments.push(Experiment::at_most(
+    let mut trials = Vec::new();
+    for body in &bodies {
+        trials.push(Trial { body, law: "linear", relaxed: body.relax_linear(&material)? });
+        trials.push(Trial { body, law: "non-linear", relaxed: body.relax_nonlinear(&material)? });
+    }
+    // The trials of a body stand in the order of the laws.
+    let [cylinder, edge, inside] = [0, 2, 4].map(|first| &trials[first..first + 2]);
+    Ok(Outcome {
+        experiments: trials.iter().flat_map(Trial::check).collect(),
+        figures: vec![
+            gape_figure(cylinder),
+            plate_figure("prestress_plate_edge.svg", &edge[0]),
+            plate_figure("prestress_plate_inside.svg", &inside[0]),
+        ],
+        notes: notes(&trials),
+    })
+}
+
+impl Trial<'_> {
+    fn check(&self) -> [Experiment; 2] {
+        let title = |what: &str| format!("{} {}: {what}", self.law, self.body.name);
+        let [_, cut_j, after_j] = self.relaxed.energies_j;
+        [
+            Experiment::at_most(
                 &title("at rest against the equilibrium of what is left, relative"),
                 "requirement",
-                most(relaxed.errors),
+                most(self.relaxed.errors),
                 1e-6,
-            ));
-            let [before_j, cut_j, after_j] = relaxed.energies_j;
-            outcome.experiments.push(Experiment::within(
+            ),
+            Experiment::within(
                 &title("energy at rest over energy right after the cut"),
                 SEED,
                 after_j / cut_j,
                 [0.0, 0.999],
-            ));
-            rows += &format!(
-                "| {} | {law} | {} of {} | {:.3} / {:.3} / {:.3} | {:.2} / {:.2} |\n",
-                body.name,
-                relaxed.n_removed,
-                body.mesh.tetrahedra.len(),
-                1e3 * before_j,
-                1e3 * cut_j,
-                1e3 * after_j,
-                1e3 * relaxed.gape_m[0],
-                1e3 * relaxed.gape_m[1],
-            );
-            if i == 0 {
-                let last_ms = relaxed.course.last().map_or(0.0, |p| p[0]);
-                let rest_mm = 1e3 * relaxed.gape_m[1];
-                courses.push(Series {
-                    name: law.into(),
-                    points: relaxed.course.clone(),
-                    style: SeriesStyle::Line,
-                });
-                courses.push(Series {
-                    name: format!("{law}, at rest"),
-                    points: vec![[0.0, rest_mm], [last_ms, rest_mm]],
-                    style: SeriesStyle::Dashed,
-                });
-            } else if law == "linear" {
-                let file = if i == 1 { "prestress_plate_edge.svg" } else { "prestress_plate_inside.svg" };
-                outcome.figures.push(plate_figure(file, body, &relaxed));
-            }
-        }
+            ),
+        ]
     }
+
+    /// Its line of the table.
+    fn row(&self) -> String {
+        let Relaxed { n_removed, energies_j: [before_j, cut_j, after_j], gape_m, .. } = &self.relaxed;
+        format!(
+            "| {} | {} | {n_removed} of {} | {:.3} / {:.3} / {:.3} | {:.2} / {:.2} |\n",
+            self.body.name,
+            self.law,
+            self.body.mesh.tetrahedra.len(),
+            1e3 * before_j,
+            1e3 * cut_j,
+            1e3 * after_j,
+            1e3 * gape_m[0],
+            1e3 * gape_m[1],
+        )
+    }
+
+    /// How far the lips are apart in time, and at rest.
+    fn gape_series(&self) -> [Series; 2] {
+        let course = &self.relaxed.course;
+        let last_ms = course.last().map_or(0.0, |p| p[0]);
+        let rest_mm = 1e3 * self.relaxed.gape_m[1];
+        [
+            series(self.law, course.clone(), SeriesStyle::Line),
+            series(
+                &format!("{}, at rest", self.law),
+                vec![[0.0, rest_mm], [last_ms, rest_mm]],
+                SeriesStyle::Dashed,
+            ),
+        ]
+    }
+}
+
+fn gape_figure(trials: &[Trial<'_>]) -> Figure {
     let plot = LinePlot {
         title: "The notch of the pre-stressed cylinder opens".into(),
         x_label: "time since the cut [ms]".into(),
         y_label: "distance of the lips [mm]".into(),
-        series: courses,
+        series: trials.iter().flat_map(Trial::gape_series).collect(),
         size: [720, 440],
     };
     let caption =
         "Distance between two points above and below the notch of the stretched cylinder.".to_owned();
-    outcome.figures.insert(0, Figure { file: "prestress_gape.svg", caption, plot });
-    outcome.notes = format!(
+    Figure { file: "prestress_gape.svg", caption, plot }
+}
+
+fn notes(trials: &[Trial<'_>]) -> String {
+    let rows: String = trials.iter().map(Trial::row).collect();
+    format!(
         "The cylinder ({} mm radius, {} mm high) is held below, its top moved by {} mm upwards and {} mm aside; then a \
          notch is cut from the side to the axis. The plate ({} x {} x {} mm) is held at its right edge, the upper part of \
          the left one moved by {} mm to the left and {} mm upwards.\n\n\
@@ -382,6 +408,5 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         1e3 * PLATE_M.z,
         -1e3 * EDGE_M.x,
         1e3 * EDGE_M.y,
-    );
-    Ok(outcome)
+    )
 }

@@ -1,6 +1,6 @@
 //! The reduced non-linear model against the full non-linear solution of the same law, beside the linear model.
 
-use super::{Experiment, Figure, Outcome};
+use super::{Experiment, Figure, Outcome, series};
 use crate::bodies::{largest, linear_equilibrium, liver, nodes_where, spread_over};
 use anyhow::Context;
 use glisson::material::{LinearElastic, StVenantKirchhoff};
@@ -14,7 +14,7 @@ use glisson::solve::StaticProblem;
 use glisson::solve::{
     BoundaryConditions, NonlinearProblem, NonlinearSettings, solve_nonlinear, solve_static,
 };
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_view::plot::{LinePlot, SeriesStyle};
 
 const SOURCE: &str = "full Newton solution of St Venant and Kirchhoff's law (part B)";
 const YOUNG_MODULUS_PA: f64 = 5_000.0;
@@ -37,8 +37,10 @@ enum Load {
 }
 
 struct Case {
-    pub name: &'static str,
-    pub about: String,
+    name: &'static str,
+    /// Of its figure.
+    file: &'static str,
+    about: String,
     mesh: TetMesh,
     fixed: Vec<NodeId>,
     load: Load,
@@ -57,6 +59,17 @@ struct Answer {
 }
 
 impl Case {
+    fn is_moved(&self) -> bool {
+        matches!(self.load, Load::Moved(..))
+    }
+
+    /// Largest displacement of the linear body under a unit of the load [m].
+    fn unit_m(&self, material: &LinearElastic) -> anyhow::Result<f64> {
+        let Load::Force(force_n) = &self.load else { return Ok(1.0) };
+        let fixed = BoundaryConditions::fixed(&self.fixed);
+        Ok(largest(&linear_equilibrium(&self.mesh, material, &fixed, force_n)?))
+    }
+
     fn conditions(&self, moved_m: f64) -> BoundaryConditions {
         let mut conditions = BoundaryConditions::fixed(&self.fixed);
         if let Load::Moved(nodes, direction) = &self.load {
@@ -138,6 +151,7 @@ fn bar() -> anyhow::Result<Case> {
     let load = Load::Force(spread_over(&mesh, &end, DVec3::X)?);
     Ok(Case {
         name: "bar",
+        file: "reduced_bar.svg",
         about: "A bar of 20 x 20 x 120 mm, held at one end, the other end pulled aside".into(),
         mesh,
         fixed,
@@ -164,6 +178,7 @@ fn bent_liver() -> anyhow::Result<Case> {
     let load = Load::Force(spread_over(&mesh, &front, DVec3::new(0.3, 0.0, -1.0).normalize())?);
     Ok(Case {
         name: "liver",
+        file: "reduced_liver.svg",
         about: format!(
             "The synthetic liver in {} tetrahedra, held behind, its front pulled down",
             mesh.tetrahedra.len()
@@ -195,6 +210,7 @@ fn poked_liver() -> anyhow::Result<Case> {
     let known_loads = DVec3::AXES.map(unit_n).to_vec();
     Ok(Case {
         name: "poke",
+        file: "reduced_poke.svg",
         about: format!(
             "The same liver, {} nodes of its foremost edge moved up and back by a tool",
             spot.len()
@@ -223,109 +239,157 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
 
 fn compare(outcome: &mut Outcome, case: &Case) -> anyhow::Result<()> {
     let material = LinearElastic::from_young_poisson(YOUNG_MODULUS_PA, POISSON_RATIO, DENSITY_KG_PER_M3)?;
-    let fixed: Vec<FixedNode> = case.fixed.iter().copied().map(FixedNode::all_axes).collect();
-    let mut models = Vec::new();
-    for [n_modes, n_reduced] in SIZES {
-        let stored = StoredNodes::All;
-        let params = ReducedParams::new(&case.mesh, &material, &fixed);
-        let model = Reduced::build(&ReducedParams { n_modes, n_reduced, stored, ..params })?;
-        models.push((format!("r = {}", model.n_reduced()), model));
-    }
-    let mut judged = JUDGED;
-    if !case.known_loads.is_empty() {
-        let [n_modes, n_reduced] = SIZE_WITH_LOADS;
-        let params = ReducedParams {
-            n_modes,
-            n_reduced,
-            loads: &case.known_loads,
-            stored: StoredNodes::All,
-            ..ReducedParams::new(&case.mesh, &material, &fixed)
-        };
-        let model = Reduced::build(&params)?;
-        judged = models.len();
-        models.push((format!("r = {}, place in the basis", model.n_reduced()), model));
-    }
-    // What the linear body does under a unit of the load.
-    let unit_m = match &case.load {
-        Load::Force(force_n) => {
-            let fixed = BoundaryConditions::fixed(&case.fixed);
-            largest(&linear_equilibrium(&case.mesh, &material, &fixed, force_n)?)
-        }
-        Load::Moved(..) => 1.0,
-    };
-    let is_moved = matches!(case.load, Load::Moved(..));
-    outcome.notes += &format!(
-        "\n### {}: {}\n\n| largest displacement, full [mm] | error of the linear model [%] |",
-        case.name, case.about
-    );
-    let of_force = if is_moved { " (of the force [%])" } else { "" };
-    for (name, _) in &models {
-        outcome.notes += &format!(" {name}{of_force} |");
-    }
-    outcome.notes += &format!(" Newton iterations a step, {}, at most |\n|---|---|", models[judged].0);
-    outcome.notes += &"---|".repeat(models.len() + 1);
-    outcome.notes += "\n";
-    let mut lines: Vec<Vec<[f64; 2]>> = vec![vec![[0.0; 2]]; models.len() + 1];
-    let mut last = [0.0; 2];
+    let mut models = Models::build(case, &material)?;
+    let unit_m = case.unit_m(&material)?;
+    outcome.notes += &table_head(case, &models);
+    let mut compared = Vec::new();
     for linear_m in case.linear_m {
         let size = linear_m / unit_m;
-        let full = case.full(&material, size)?;
-        let largest_m = largest(&full.displacement_m);
-        let off = |answer: &Answer| {
-            let apart = answer.displacement_m.iter().zip(&full.displacement_m).map(|(a, b)| *a - *b);
-            let of_force = if is_moved { (answer.force_n / full.force_n - 1.0).abs() } else { 0.0 };
-            [largest(&apart.collect::<Vec<_>>()) / largest_m, of_force]
-        };
-        let cell = |[error, of_force]: [f64; 2]| {
-            let force = if is_moved { format!(" ({:.2})", 100.0 * of_force) } else { String::new() };
-            format!("{:.3}{force} |", 100.0 * error)
-        };
-        let linear_off = off(&case.linear(&material, size)?);
-        outcome.notes += &format!("| {:.1} | {}", 1e3 * largest_m, cell(linear_off));
-        lines[0].push([1e3 * largest_m, 100.0 * linear_off[0]]);
-        let mut iterations = 0;
-        for (place, (_, model)) in models.iter_mut().enumerate() {
-            let (answer, most_iterations) = case.reduced(model, size);
-            let error = off(&answer);
-            outcome.notes += &format!(" {}", cell(error));
-            lines[place + 1].push([1e3 * largest_m, 100.0 * error[0]]);
-            if place == judged {
-                iterations = most_iterations;
-                last = [linear_off[0], error[0]];
-            }
-        }
-        outcome.notes +=
-            &if iterations == u32::MAX { " not converged |\n".into() } else { format!(" {iterations} |\n") };
+        let found = Compared::new(case, &material, &mut models, size)?;
         anyhow::ensure!(
-            iterations != u32::MAX,
+            found.most_iterations != u32::MAX,
             "{}: the reduced model did not converge at {size}",
             case.name
         );
+        outcome.notes += &found.row();
+        compared.push(found);
     }
+    let last = compared.last().context("a case without loads")?;
     outcome.experiments.push(Experiment::at_most(
         &format!(
             "{}, largest load: error of the reduced model ({}) over the linear one's",
-            case.name, models[judged].0
+            case.name,
+            models.judged_name()
         ),
         SOURCE,
-        last[1] / last[0],
+        last.reduced[models.judged].shape / last.linear.shape,
         1.0 / case.least_gain,
     ));
-    let mut series = Vec::new();
-    for (place, points) in lines.into_iter().enumerate() {
-        let (name, style) = match place {
-            0 => ("linear".to_owned(), SeriesStyle::Dashed),
-            _ => (models[place - 1].0.clone(), SeriesStyle::Line),
+    outcome.figures.push(figure(case, &models, &compared));
+    Ok(())
+}
+
+/// The reduced models of a case with their names, and which of them is judged.
+struct Models {
+    models: Vec<(String, Reduced)>,
+    judged: usize,
+}
+
+impl Models {
+    fn build(case: &Case, material: &LinearElastic) -> anyhow::Result<Self> {
+        let fixed: Vec<FixedNode> = case.fixed.iter().copied().map(FixedNode::all_axes).collect();
+        let params = |[n_modes, n_reduced]: [usize; 2]| ReducedParams {
+            n_modes,
+            n_reduced,
+            stored: StoredNodes::All,
+            ..ReducedParams::new(&case.mesh, material, &fixed)
         };
-        series.push(Series { name, points, style });
+        let mut models = Vec::new();
+        for size in SIZES {
+            let model = Reduced::build(&params(size))?;
+            models.push((format!("r = {}", model.n_reduced()), model));
+        }
+        let mut judged = JUDGED;
+        if !case.known_loads.is_empty() {
+            let model =
+                Reduced::build(&ReducedParams { loads: &case.known_loads, ..params(SIZE_WITH_LOADS) })?;
+            judged = models.len();
+            models.push((format!("r = {}, place in the basis", model.n_reduced()), model));
+        }
+        Ok(Self { models, judged })
     }
-    let file = match case.name {
-        "bar" => "reduced_bar.svg",
-        "liver" => "reduced_liver.svg",
-        _ => "reduced_poke.svg",
+
+    fn judged_name(&self) -> &str {
+        &self.models[self.judged].0
+    }
+}
+
+/// How far a model is from the full solution: of shapes, and of the force on moved nodes where there are any.
+#[derive(Clone, Copy)]
+struct Off {
+    shape: f64,
+    force: Option<f64>,
+}
+
+impl Off {
+    fn cell(&self) -> String {
+        let force = self.force.map_or(String::new(), |off| format!(" ({:.2})", 100.0 * off));
+        format!("{:.3}{force} |", 100.0 * self.shape)
+    }
+}
+
+/// A load by all models.
+struct Compared {
+    /// Of the full solution.
+    largest_m: f64,
+    linear: Off,
+    reduced: Vec<Off>,
+    /// Of the judged model in one of its steps.
+    most_iterations: u32,
+}
+
+impl Compared {
+    fn new(case: &Case, material: &LinearElastic, models: &mut Models, size: f64) -> anyhow::Result<Self> {
+        let full = case.full(material, size)?;
+        let largest_m = largest(&full.displacement_m);
+        let off = |answer: &Answer| {
+            let apart = answer.displacement_m.iter().zip(&full.displacement_m).map(|(a, b)| *a - *b);
+            let force = case.is_moved().then(|| (answer.force_n / full.force_n - 1.0).abs());
+            Off { shape: largest(&apart.collect::<Vec<_>>()) / largest_m, force }
+        };
+        let linear = off(&case.linear(material, size)?);
+        let (mut reduced, mut most_iterations) = (Vec::new(), 0);
+        for (place, (_, model)) in models.models.iter_mut().enumerate() {
+            let (answer, n_iterations) = case.reduced(model, size);
+            reduced.push(off(&answer));
+            if place == models.judged {
+                most_iterations = n_iterations;
+            }
+        }
+        Ok(Self { largest_m, linear, reduced, most_iterations })
+    }
+
+    fn row(&self) -> String {
+        let reduced: String = self.reduced.iter().map(|off| format!(" {}", off.cell())).collect();
+        format!(
+            "| {:.1} | {}{reduced} {} |\n",
+            1e3 * self.largest_m,
+            self.linear.cell(),
+            self.most_iterations
+        )
+    }
+}
+
+fn table_head(case: &Case, models: &Models) -> String {
+    let mut head = format!(
+        "\n### {}: {}\n\n| largest displacement, full [mm] | error of the linear model [%] |",
+        case.name, case.about
+    );
+    let of_force = if case.is_moved() { " (of the force [%])" } else { "" };
+    for (name, _) in &models.models {
+        head += &format!(" {name}{of_force} |");
+    }
+    head += &format!(" Newton iterations a step, {}, at most |\n|---|---|", models.judged_name());
+    head += &"---|".repeat(models.models.len() + 1);
+    head += "\n";
+    head
+}
+
+fn figure(case: &Case, models: &Models, compared: &[Compared]) -> Figure {
+    let line = |off: &dyn Fn(&Compared) -> Off| -> Vec<[f64; 2]> {
+        let points = compared.iter().map(|c| [1e3 * c.largest_m, 100.0 * off(c).shape]);
+        std::iter::once([0.0; 2]).chain(points).collect()
     };
-    outcome.figures.push(Figure {
-        file,
+    let mut all = vec![series("linear", line(&|c| c.linear), SeriesStyle::Dashed)];
+    all.extend(
+        models
+            .models
+            .iter()
+            .enumerate()
+            .map(|(place, (name, _))| series(name, line(&|c| c.reduced[place]), SeriesStyle::Line)),
+    );
+    Figure {
+        file: case.file,
         caption: format!(
             "{}: error of the linear and the reduced non-linear model against the full one.",
             case.about
@@ -334,9 +398,8 @@ fn compare(outcome: &mut Outcome, case: &Case) -> anyhow::Result<()> {
             title: format!("Error against the full non-linear solution: {}", case.name),
             x_label: "largest displacement [mm]".into(),
             y_label: "largest error [% of it]".into(),
-            series,
+            series: all,
             size: [720, 440],
         },
-    });
-    Ok(())
+    }
 }

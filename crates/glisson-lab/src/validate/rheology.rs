@@ -2,7 +2,7 @@
 //! measured modulus of four mass-spring cubes, indentation, and what extended mass-spring costs.
 
 use super::model_rheology::{BENCH_DAMPING_PER_S, BenchModel};
-use super::{Experiment, Figure, Outcome};
+use super::{Claim, Experiment, Figure, Outcome, check_all, series};
 use crate::bench::thread_cpu_ns;
 use glisson::mesh::box_mesh::cube_of_five;
 use glisson::model::mass_spring::NodalMasses;
@@ -68,10 +68,6 @@ fn exact(stretches: impl Iterator<Item = f64>) -> Vec<[f64; 2]> {
     stretches.map(|f| [f, uniaxial_force_n(f)]).collect()
 }
 
-fn series(name: &str, points: Vec<[f64; 2]>, style: SeriesStyle) -> Series {
-    Series { name: name.into(), points, style }
-}
-
 fn force_plot(title: &str, series: Vec<Series>) -> LinePlot {
     LinePlot {
         title: title.into(),
@@ -82,49 +78,101 @@ fn force_plot(title: &str, series: Vec<Series>) -> LinePlot {
     }
 }
 
+/// The cubes between plates.
+struct Runs {
+    /// One cell, pressed and pulled.
+    unit: UniaxialOutcome,
+    unit_pulled: UniaxialOutcome,
+    /// 320 tetrahedra, pressed and pulled.
+    fast: UniaxialOutcome,
+    slow: UniaxialOutcome,
+    pulled: UniaxialOutcome,
+    /// 3645 tetrahedra.
+    fine: UniaxialOutcome,
+}
+
+impl Runs {
+    fn new() -> anyhow::Result<Self> {
+        let cell = UniaxialParams { n_nodes: 2, ..COMPRESSION };
+        Ok(Self {
+            unit: uniaxial(&UniaxialParams { last_stretch: 0.1, n_readings: 45, ..cell })?,
+            unit_pulled: uniaxial(&UniaxialParams { last_stretch: 2.0, n_readings: 50, ..cell })?,
+            fast: uniaxial(&COMPRESSION)?,
+            slow: uniaxial(&UniaxialParams { speed_m_per_s: 1e-3, ..COMPRESSION })?,
+            pulled: uniaxial(&UniaxialParams { last_stretch: 1.92, n_readings: 46, ..COMPRESSION })?,
+            fine: uniaxial(&UniaxialParams { n_nodes: 10, ..COMPRESSION })?,
+        })
+    }
+
+    /// Lines of the table.
+    fn rows(&self) -> String {
+        let runs = [
+            ("one cell, 5 mm/s", &self.unit),
+            ("5 nodes a side, 1 mm/s", &self.slow),
+            ("5 nodes a side, 5 mm/s", &self.fast),
+            ("10 nodes a side, 5 mm/s", &self.fine),
+            ("one cell, traction", &self.unit_pulled),
+            ("5 nodes a side, traction", &self.pulled),
+        ];
+        let mut rows = String::new();
+        for (name, run) in runs {
+            let inversion = run.plates.first_inversion.map_or("none".to_owned(), |f| format!("{f:.3}"));
+            rows +=
+                &format!("| {name} | {:.3} | {:.2} | {inversion} |\n", 1e3 * run.step_s, run.agrees_to(0.01));
+        }
+        rows
+    }
+}
+
+const CURVES: &[Claim<'_, Runs>] = &[
+    Claim::at_most(
+        "uniaxial: one cell pressed to F = 0.1, largest error [N]",
+        UNIAXIAL,
+        |r| r.unit.largest_error_to_n(0.1),
+        0.01,
+    ),
+    Claim::at_most(
+        "uniaxial: one cell pulled to F = 2, largest error [N]",
+        UNIAXIAL,
+        |r| r.unit_pulled.largest_error_to_n(2.0),
+        0.03,
+    ),
+    Claim::at_most(
+        "uniaxial: 320 tetrahedra at 1 mm/s pressed to F = 0.78, largest error [N]",
+        UNIAXIAL,
+        |r| r.slow.largest_error_to_n(0.78),
+        0.01,
+    ),
+    Claim::at_most(
+        "uniaxial: 320 tetrahedra at 5 mm/s pressed to F = 0.7, largest error [N]",
+        UNIAXIAL,
+        |r| r.fast.largest_error_to_n(0.7),
+        0.01,
+    ),
+    Claim::at_most(
+        "uniaxial: 3645 tetrahedra at 5 mm/s pressed to F = 0.7, largest error [N]",
+        UNIAXIAL,
+        |r| r.fine.largest_error_to_n(0.7),
+        0.03,
+    ),
+    Claim::at_most(
+        "uniaxial: 320 tetrahedra at 5 mm/s pulled to F = 1.92, largest error [N]",
+        UNIAXIAL,
+        |r| r.pulled.largest_error_to_n(1.92),
+        0.03,
+    ),
+];
+
 fn uniaxial_curves(outcome: &mut Outcome) -> anyhow::Result<()> {
-    let unit = uniaxial(&UniaxialParams { n_nodes: 2, last_stretch: 0.1, n_readings: 45, ..COMPRESSION })?;
-    let unit_pulled =
-        uniaxial(&UniaxialParams { n_nodes: 2, last_stretch: 2.0, n_readings: 50, ..COMPRESSION })?;
-    let fast = uniaxial(&COMPRESSION)?;
-    let slow = uniaxial(&UniaxialParams { speed_m_per_s: 1e-3, ..COMPRESSION })?;
-    let pulled = uniaxial(&UniaxialParams { last_stretch: 1.92, n_readings: 46, ..COMPRESSION })?;
-    let fine = uniaxial(&UniaxialParams { n_nodes: 10, ..COMPRESSION })?;
-    let error = |name: &str, outcome: &UniaxialOutcome, to: f64, limit_n: f64| {
-        Experiment::at_most(name, UNIAXIAL, outcome.largest_error_to_n(to), limit_n)
-    };
-    outcome.experiments.extend([
-        error("uniaxial: one cell pressed to F = 0.1, largest error [N]", &unit, 0.1, 0.01),
-        error("uniaxial: one cell pulled to F = 2, largest error [N]", &unit_pulled, 2.0, 0.03),
-        error("uniaxial: 320 tetrahedra at 1 mm/s pressed to F = 0.78, largest error [N]", &slow, 0.78, 0.01),
-        error("uniaxial: 320 tetrahedra at 5 mm/s pressed to F = 0.7, largest error [N]", &fast, 0.7, 0.01),
-        error("uniaxial: 3645 tetrahedra at 5 mm/s pressed to F = 0.7, largest error [N]", &fine, 0.7, 0.03),
-        error(
-            "uniaxial: 320 tetrahedra at 5 mm/s pulled to F = 1.92, largest error [N]",
-            &pulled,
-            1.92,
-            0.03,
-        ),
-    ]);
-    let runs = [
-        ("one cell, 5 mm/s", &unit),
-        ("5 nodes a side, 1 mm/s", &slow),
-        ("5 nodes a side, 5 mm/s", &fast),
-        ("10 nodes a side, 5 mm/s", &fine),
-        ("one cell, traction", &unit_pulled),
-        ("5 nodes a side, traction", &pulled),
-    ];
+    let runs = Runs::new()?;
+    outcome.experiments.extend(check_all(CURVES, &runs));
     outcome.notes += "### Compression and traction\n\nExtended mass-spring, St Venant-Kirchhoff, 50 mm cube, E 0.02 MPa, nu 0.3, c 1e-3 \
                       g/(mm3 s).\n\n| cube | step [ms] | within 0.01 N of the exact curve from F = 1 to | first inversion at F |\n|---|---|---|---|\n";
-    for (name, run) in runs {
-        let inversion = run.plates.first_inversion.map_or("none".to_owned(), |f| format!("{f:.3}"));
-        outcome.notes +=
-            &format!("| {name} | {:.3} | {:.2} | {inversion} |\n", 1e3 * run.step_s, run.agrees_to(0.01));
-    }
+    outcome.notes += &runs.rows();
     outcome.notes += "\nA single cell has no freedom to buckle and follows the curve to nearly nothing. A meshed cube leaves it where \
                       the material itself becomes unstable: its tetrahedra invert (the thesis' \"flambage numerique\"), the later \
                       the faster it is pressed.\n\n";
-    if let Some(first) = slow.plates.first_inversion {
+    if let Some(first) = runs.slow.plates.first_inversion {
         outcome.experiments.push(Experiment::within(
             "uniaxial: 320 tetrahedra at 1 mm/s, stretch at the first inversion",
             LIMIT_POINT,
@@ -135,12 +183,16 @@ fn uniaxial_curves(outcome: &mut Outcome) -> anyhow::Result<()> {
     outcome.experiments.push(Experiment::at_most(
         "uniaxial: tetrahedra of one cell that invert before F = 0.1, or in traction to 2",
         "seed 000 fig. 3.3: \"perfect match\"",
-        [&unit, &unit_pulled].iter().filter(|r| r.plates.first_inversion.is_some()).count() as f64,
+        [&runs.unit, &runs.unit_pulled].iter().filter(|r| r.plates.first_inversion.is_some()).count() as f64,
         0.0,
     ));
+    outcome.figures.extend([compression_figure(&runs), traction_figure(&runs)]);
+    Ok(())
+}
+
+fn compression_figure(runs: &Runs) -> Figure {
     let pressed = exact((0..=100).map(|i| 0.1 + 0.009 * f64::from(i)));
-    let stretched = exact((0..=100).map(|i| 1.0 + 0.01 * f64::from(i)));
-    outcome.figures.push(Figure {
+    Figure {
         file: "rheology_compression.svg",
         caption: "Extended mass-spring cubes in compression against the exact force (seed 000 figs 3.3, 3.4 and 3.10). \
                   Beyond the first inversion the meshed cubes leave the curve."
@@ -149,26 +201,29 @@ fn uniaxial_curves(outcome: &mut Outcome) -> anyhow::Result<()> {
             "Compression of the 50 mm cube",
             vec![
                 series("exact", pressed, SeriesStyle::Dashed),
-                series("one cell", points(&unit), SeriesStyle::Points),
-                series("5 nodes, 1 mm/s", points(&slow), SeriesStyle::Line),
-                series("5 nodes, 5 mm/s", points(&fast), SeriesStyle::Line),
-                series("10 nodes, 5 mm/s", points(&fine), SeriesStyle::Line),
+                series("one cell", points(&runs.unit), SeriesStyle::Points),
+                series("5 nodes, 1 mm/s", points(&runs.slow), SeriesStyle::Line),
+                series("5 nodes, 5 mm/s", points(&runs.fast), SeriesStyle::Line),
+                series("10 nodes, 5 mm/s", points(&runs.fine), SeriesStyle::Line),
             ],
         ),
-    });
-    outcome.figures.push(Figure {
+    }
+}
+
+fn traction_figure(runs: &Runs) -> Figure {
+    let stretched = exact((0..=100).map(|i| 1.0 + 0.01 * f64::from(i)));
+    Figure {
         file: "rheology_traction.svg",
         caption: "The same in traction (seed 000 fig. 3.5).".into(),
         plot: force_plot(
             "Traction of the 50 mm cube",
             vec![
                 series("exact", stretched, SeriesStyle::Dashed),
-                series("one cell", points(&unit_pulled), SeriesStyle::Points),
-                series("5 nodes, 5 mm/s", points(&pulled), SeriesStyle::Line),
+                series("one cell", points(&runs.unit_pulled), SeriesStyle::Points),
+                series("5 nodes, 5 mm/s", points(&runs.pulled), SeriesStyle::Line),
             ],
         ),
-    });
-    Ok(())
+    }
 }
 
 /// Fig. 3.9: much viscosity moves the curve.

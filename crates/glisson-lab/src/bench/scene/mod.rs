@@ -212,19 +212,24 @@ fn scene_text(subject: &Subject, step_s: f64, tool: &str) -> String {
     )
 }
 
-fn run_scene(
-    motion: &Motion,
-    size: usize,
-    subject: &Subject,
-    request: &SceneRequest,
-) -> anyhow::Result<SceneOutcome> {
-    let Opened { mut simulation, scene, step_s, end_s, size } = open(motion, size, subject, request.threads)?;
-    let n_steps = (end_s / step_s).ceil() as u64;
-    let mut step_us = Vec::with_capacity(n_steps as usize);
-    let (mut greatest_force_n, mut inverted, mut taken_s) = (0.0_f64, 0, 0.0);
-    let mut broken_off = None;
+/// What came of the steps of a scene.
+#[derive(Default)]
+struct Course {
+    /// Of each step.
+    step_us: Vec<f64>,
+    taken_s: f64,
+    greatest_force_n: f64,
+    inverted: u32,
+    broken_off: Option<String>,
+}
+
+/// Steps through a scene, to its end or until it is broken off.
+fn run_through(opened: &mut Opened, request: &SceneRequest) -> Course {
+    let Opened { simulation, scene, step_s, end_s, .. } = opened;
+    let n_steps = (*end_s / *step_s).ceil() as u64;
+    let mut course = Course { step_us: Vec::with_capacity(n_steps as usize), ..Course::default() };
     for step in 1..=n_steps {
-        let input = scene.input_at(step as f64 * step_s);
+        let input = scene.input_at(step as f64 * *step_s);
         let (wall, cpu_ns) = (Instant::now(), thread_cpu_ns());
         let made = simulation.advance(&input);
         let step_taken_s = if request.threads == 1 {
@@ -232,32 +237,50 @@ fn run_scene(
         } else {
             wall.elapsed().as_secs_f64()
         };
-        taken_s += step_taken_s;
-        step_us.push(step_taken_s * 1e6);
+        course.taken_s += step_taken_s;
+        course.step_us.push(step_taken_s * 1e6);
         let report = match made {
             Ok(report) => report,
             Err(error) => {
-                broken_off = Some(format!("{error:#}"));
+                course.broken_off = Some(format!("{error:#}"));
                 break;
             }
         };
         let felt = report.tools.iter().map(|tool| tool.force_on_tool_n.length());
         // NaN is the greatest of all.
-        greatest_force_n =
-            felt.fold(greatest_force_n, |most, n| if n > most || n.is_nan() { n } else { most });
-        inverted = inverted.max(report.model.n_quarantined_tets);
-        if taken_s > request.seconds {
-            broken_off = Some(format!("it took longer than {} s", request.seconds));
+        course.greatest_force_n =
+            felt.fold(course.greatest_force_n, |most, n| if n > most || n.is_nan() { n } else { most });
+        course.inverted = course.inverted.max(report.model.n_quarantined_tets);
+        if course.taken_s > request.seconds {
+            course.broken_off = Some(format!("it took longer than {} s", request.seconds));
             break;
         }
     }
+    course
+}
+
+impl StepMicroseconds {
+    fn of(mut step_us: Vec<f64>) -> Self {
+        step_us.sort_unstable_by(f64::total_cmp);
+        Self {
+            p50: quantile(&step_us, 0.5),
+            p99: quantile(&step_us, 0.99),
+            max: step_us.last().copied().unwrap_or(0.0),
+        }
+    }
+}
+
+fn run_scene(
+    motion: &Motion,
+    size: usize,
+    subject: &Subject,
+    request: &SceneRequest,
+) -> anyhow::Result<SceneOutcome> {
+    let mut opened = open(motion, size, subject, request.threads)?;
+    let Course { step_us, taken_s, greatest_force_n, inverted, broken_off } =
+        run_through(&mut opened, request);
+    let Opened { simulation, step_s, size, .. } = opened;
     let simulated_s = step_us.len() as f64 * step_s;
-    step_us.sort_unstable_by(f64::total_cmp);
-    let percentiles = StepMicroseconds {
-        p50: quantile(&step_us, 0.5),
-        p99: quantile(&step_us, 0.99),
-        max: step_us.last().copied().unwrap_or(0.0),
-    };
     let kind = simulation.world().model_kind();
     Ok(SceneOutcome {
         case: motion.name,
@@ -266,7 +289,7 @@ fn run_scene(
         model: subject.model,
         law: subject.law.or(kind.laws().first().copied()).unwrap_or("springs"),
         real_time_factor: simulated_s / taken_s.max(1e-12),
-        step_us: percentiles,
+        step_us: StepMicroseconds::of(step_us),
         budget_us: step_s * 1e6,
         greatest_force_n: greatest_force_n.is_finite().then_some(greatest_force_n),
         inverted,

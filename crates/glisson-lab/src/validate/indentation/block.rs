@@ -125,6 +125,27 @@ impl Grading {
             }
             Elements::Averaged(averaging) => assemble_node_averaged(&mesh, material, averaging)?,
         };
+        let conditions = self.conditions(&mesh);
+        conditions.check(&mesh, &edges)?;
+        let system = FreeSystem::for_many_solutions(&mesh.positions_m, &edges, &tensors, &conditions)?;
+        let radius_m = |p: &DVec3| p.x.hypot(p.y);
+        let candidates: Vec<usize> = (0..mesh.positions_m.len())
+            .filter(|n| {
+                let p = &mesh.positions_m[*n];
+                p.z == 0.0 && radius_m(p) <= reach_m * (1.0 + 1e-9)
+            })
+            .collect();
+        let rows: Vec<usize> =
+            candidates.iter().filter_map(|n| system.row_of(NodeId::from_index(*n), 2)).collect();
+        Ok(BlockTop {
+            radii_m: candidates.iter().map(|n| radius_m(&mesh.positions_m[*n])).collect(),
+            compliance_m_per_n: compliance(&system, &rows)?,
+            n_tets: mesh.tetrahedra.len(),
+        })
+    }
+
+    /// Bonded to the base, held along the planes of symmetry.
+    fn conditions(&self, mesh: &TetMesh) -> BoundaryConditions {
         let base_m = -self.depths_m[self.depths_m.len() - 1];
         let mut conditions = BoundaryConditions::new();
         for (n, p) in mesh.positions_m.iter().enumerate() {
@@ -139,40 +160,30 @@ impl Grading {
                 }
             }
         }
-        conditions.check(&mesh, &edges)?;
-        let system = FreeSystem::for_many_solutions(&mesh.positions_m, &edges, &tensors, &conditions)?;
-        let factor = system.factorize()?;
-        let radius_m = |p: &DVec3| p.x.hypot(p.y);
-        let candidates: Vec<usize> = (0..mesh.positions_m.len())
-            .filter(|n| {
-                let p = &mesh.positions_m[*n];
-                p.z == 0.0 && radius_m(p) <= reach_m * (1.0 + 1e-9)
-            })
-            .collect();
-        let rows: Vec<usize> =
-            candidates.iter().filter_map(|n| system.row_of(NodeId::from_index(*n), 2)).collect();
-        let n = rows.len();
-        let mut columns = vec![0.0; n * n];
-        solve_columns_into(
-            &factor,
-            1,
-            &mut columns,
-            n,
-            |column, right| right[rows[column]] = 1.0,
-            |_, solution, out| rows.iter().zip(out).for_each(|(row, c)| *c = solution[*row]),
-        );
-        let mut compliance_m_per_n = Dense::zero(n);
-        for j in 0..n {
-            for i in 0..n {
-                compliance_m_per_n.set(i, j, 0.5 * (columns[n * j + i] + columns[n * i + j]));
-            }
-        }
-        Ok(BlockTop {
-            radii_m: candidates.iter().map(|n| radius_m(&mesh.positions_m[*n])).collect(),
-            compliance_m_per_n,
-            n_tets: mesh.tetrahedra.len(),
-        })
+        conditions
     }
+}
+
+/// Displacements of these rows under unit forces on them [m/N], made symmetric.
+fn compliance(system: &FreeSystem, rows: &[usize]) -> anyhow::Result<Dense> {
+    let factor = system.factorize()?;
+    let n = rows.len();
+    let mut columns = vec![0.0; n * n];
+    solve_columns_into(
+        &factor,
+        1,
+        &mut columns,
+        n,
+        |column, right| right[rows[column]] = 1.0,
+        |_, solution, out| rows.iter().zip(out).for_each(|(row, c)| *c = solution[*row]),
+    );
+    let mut compliance_m_per_n = Dense::zero(n);
+    for j in 0..n {
+        for i in 0..n {
+            compliance_m_per_n.set(i, j, 0.5 * (columns[n * j + i] + columns[n * i + j]));
+        }
+    }
+    Ok(compliance_m_per_n)
 }
 
 #[cfg(test)]

@@ -12,7 +12,6 @@ use contact::{by_constraints, unilateral};
 use glisson::material::LinearElastic;
 use glisson::solve::NodeAveraging;
 use std::f64::consts::PI;
-use std::fmt::Write as _;
 
 const YOUNG_MODULUS_PA: f64 = 3000.0;
 const POISSON_RATIOS: [f64; 2] = [0.45, 0.49];
@@ -182,69 +181,101 @@ fn dimitriadis(nu: f64, x: f64) -> f64 {
         + 16.0 * alpha / pi.powi(4) * (alpha.powi(3) + 3.0 * pi.powi(2) / 5.0 * beta) * x.powi(4)
 }
 
+/// An indenter on tissue of one Poisson's ratio: forces [N] by every solution.
+struct Measured {
+    indenter: Indenter,
+    nu: f64,
+    half_space_n: f64,
+    /// Axisymmetric, on a layer 200 radii deep, and on the bonded one.
+    deep_n: f64,
+    layer_n: f64,
+    block: OnBlock,
+}
+
+impl Measured {
+    fn new(indenter: Indenter, nu: f64) -> anyhow::Result<Self> {
+        Ok(Self {
+            indenter,
+            nu,
+            half_space_n: indenter.half_space_n(nu),
+            deep_n: indenter.on_layer_n(nu, FINE, [200.0, 200.0])?,
+            layer_n: indenter.on_layer_n(nu, FINE, [LAYER_RADII, WIDTH_RADII])?,
+            block: indenter.on_block(nu, Elements::Averaged(NodeAveraging::STRAIN))?,
+        })
+    }
+
+    fn check(&self) -> Vec<Experiment> {
+        let Self { indenter, nu, half_space_n, deep_n, layer_n, block } = self;
+        let title = |what: &str| format!("{}, nu {nu}: {what}", indenter.name());
+        let source = if *indenter == Indenter::Sphere { HERTZ } else { SNEDDON };
+        let mut experiments = vec![Experiment::near(
+            &title("axisymmetric solution on a layer 200 radii deep [mN]"),
+            source,
+            1e3 * deep_n,
+            1e3 * half_space_n,
+            0.015,
+        )];
+        if *indenter == Indenter::Sphere {
+            experiments.push(Experiment::near(
+                &title("axisymmetric bonded layer over half-space"),
+                SERIES,
+                layer_n / half_space_n,
+                dimitriadis(*nu, 1.0 / LAYER_RADII),
+                0.015,
+            ));
+        }
+        experiments.extend([
+            Experiment::near(
+                &title("force on the block of tetrahedra [mN]"),
+                FINITE,
+                1e3 * block.force_n,
+                1e3 * layer_n,
+                0.05,
+            ),
+            Experiment::at_most(
+                &title("contact::constraint::solve against an active-set iteration, worst node"),
+                "own active-set iteration (validate/indentation/contact.rs)",
+                block.off_share,
+                1e-6,
+            ),
+        ]);
+        experiments
+    }
+
+    /// Its line of the table; `plain_n` is the force on the block of plain tetrahedra [N].
+    fn row(&self, plain_n: f64) -> String {
+        format!(
+            "| {} | {} | {:.3} | {:.3} | {:.3} | {} | {} | {} | {:.3} |\n",
+            self.indenter.name(),
+            self.nu,
+            1e3 * self.half_space_n,
+            1e3 * self.layer_n,
+            1e3 * self.block.force_n,
+            4 * self.block.top.n_tets,
+            self.block.n_in_contact,
+            self.block.n_sweeps,
+            1e3 * plain_n,
+        )
+    }
+}
+
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
-    let mut outcome = Outcome::default();
-    let mut notes = format!(
+    let notes = format!(
         "E = {YOUNG_MODULUS_PA} Pa, indenters of 5 mm radius pressed in by 1 mm without friction, linear. The layer is {LAYER_RADII} contact \
          radii deep and bonded to its base; the block is square and eight times as wide as deep, its sides free. The tetrahedra under the indenter \
          have edges of a sixth of the contact radius.\n\n\
          | indenter | nu | half-space [mN] | bonded layer [mN] | block [mN] | tetrahedra | nodes of a quarter in contact | sweeps | block of plain tetrahedra [mN] |\n\
          |---|---|---|---|---|---|---|---|---|\n"
     );
+    let mut outcome = Outcome { notes, ..Outcome::default() };
     for indenter in [Indenter::Sphere, Indenter::FlatPunch] {
         for nu in POISSON_RATIOS {
-            let name = indenter.name();
-            let half_space_n = indenter.half_space_n(nu);
-            let deep_n = indenter.on_layer_n(nu, FINE, [200.0, 200.0])?;
-            let source = if indenter == Indenter::Sphere { HERTZ } else { SNEDDON };
-            outcome.experiments.push(Experiment::near(
-                &format!("{name}, nu {nu}: axisymmetric solution on a layer 200 radii deep [mN]"),
-                source,
-                1e3 * deep_n,
-                1e3 * half_space_n,
-                0.015,
-            ));
-            let layer_n = indenter.on_layer_n(nu, FINE, [LAYER_RADII, WIDTH_RADII])?;
-            if indenter == Indenter::Sphere {
-                outcome.experiments.push(Experiment::near(
-                    &format!("{name}, nu {nu}: axisymmetric bonded layer over half-space"),
-                    SERIES,
-                    layer_n / half_space_n,
-                    dimitriadis(nu, 1.0 / LAYER_RADII),
-                    0.015,
-                ));
-            }
-            let block = indenter.on_block(nu, Elements::Averaged(NodeAveraging::STRAIN))?;
-            outcome.experiments.push(Experiment::near(
-                &format!("{name}, nu {nu}: force on the block of tetrahedra [mN]"),
-                FINITE,
-                1e3 * block.force_n,
-                1e3 * layer_n,
-                0.05,
-            ));
-            outcome.experiments.push(Experiment::at_most(
-                &format!(
-                    "{name}, nu {nu}: contact::constraint::solve against an active-set iteration, worst node"
-                ),
-                "own active-set iteration (validate/indentation/contact.rs)",
-                block.off_share,
-                1e-6,
-            ));
+            let measured = Measured::new(indenter, nu)?;
+            outcome.experiments.extend(measured.check());
             let plain_n = indenter.on_block(nu, Elements::Plain)?.force_n;
-            writeln!(
-                notes,
-                "| {name} | {nu} | {:.3} | {:.3} | {:.3} | {} | {} | {} | {:.3} |",
-                1e3 * half_space_n,
-                1e3 * layer_n,
-                1e3 * block.force_n,
-                4 * block.top.n_tets,
-                block.n_in_contact,
-                block.n_sweeps,
-                1e3 * plain_n,
-            )?;
+            outcome.notes += &measured.row(plain_n);
         }
     }
-    outcome.notes = notes;
     Ok(outcome)
 }
 

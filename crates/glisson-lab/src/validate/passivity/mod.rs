@@ -1,15 +1,16 @@
 //! Passivity of the haptic loop: a simulated device with a hand against soft and stiff tissue, with delays and slow steps, with
 //! energy control and without.
 
+mod random;
 mod run;
 
-use super::{Experiment, Figure, Outcome};
+use super::{Claim, Experiment, Figure, Outcome, check_all};
 use anyhow::Context;
 use glisson::haptics::{
     EnergyControl, ForceEstimate, HandSettings, HapticModel, SimulatedDeviceSettings, TankSettings,
 };
 use glisson::material::LinearElastic;
-use glisson::math::{DVec3, SeededRandom};
+use glisson::math::DVec3;
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
@@ -31,7 +32,6 @@ const STIFF_N_PER_M: f64 = 2000.0;
 const UNSTABLE_M: f64 = 1e-3;
 /// Rounding [J].
 const ROUNDING_J: f64 = 1e-9;
-const N_RANDOM: usize = 150;
 
 /// A line of the table.
 #[derive(Clone, Copy, Debug, Default)]
@@ -52,6 +52,10 @@ impl Summary {
         self.n_unstable += usize::from(run.swing_m > UNSTABLE_M);
         self.n += 1;
         self.acceleration_m_per_s2 = self.acceleration_m_per_s2.max(run.acceleration_m_per_s2);
+    }
+
+    fn unstable_share(&self) -> f64 {
+        self.n_unstable as f64 / self.n as f64
     }
 
     fn join(&mut self, other: &Self) {
@@ -87,7 +91,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let bound_j = -TankSettings::default().reserve_j;
     grid(&mut outcome, bound_j);
     sliding_loops(&mut outcome, bound_j);
-    random_loops(&mut outcome, bound_j);
+    random::random_loops(&mut outcome, bound_j);
     on_organ(&mut outcome, bound_j)?;
     figures(&mut outcome, bound_j);
     Ok(outcome)
@@ -100,99 +104,173 @@ fn name_of(control: EnergyControl) -> &'static str {
     }
 }
 
-/// Every delay, rate, tissue, hand and way from models to forces, with control and without.
-fn grid(outcome: &mut Outcome, bound_j: f64) {
-    let mut totals = [Summary::default(); 2];
-    let mut local = [Summary::default(); 2];
-    let mut held = Summary::default();
-    outcome.notes += "### Spring and mass\n\nDelays of 0, 10, 20, 30, 40 and 50 ms and 20, 30, 45 and 60 steps a second: 24 runs a line. The hand \
-                      goes 10 mm deep, wants to rest, and leaves. Unstable: the handle swings by more than 1 mm while the hand wants to \
-                      rest.\n\n| hand | tissue [N/m] | force from | | least observed energy [mJ] | the same in truth [mJ] | widest swing at rest [mm] | \
-                      unstable |\n|---|---|---|---|---|---|---|---|\n";
-    for (hand_name, hand) in [("firm", HandSettings::default()), ("loose", HandSettings::loose())] {
-        for stiffness_n_per_m in [SOFT_N_PER_M, STIFF_N_PER_M] {
-            for estimate in ForceEstimate::ALL {
-                for (i, control) in [EnergyControl::ObserveOnly, EnergyControl::Tank].into_iter().enumerate()
-                {
-                    let mut line = Summary::default();
-                    for delay_s in DELAYS_S {
-                        for rate_hz in RATES_HZ {
-                            let one = Case { hand, delay_s, rate_hz, ..case(estimate, control) };
-                            line.add(&on_spring(&one, stiffness_n_per_m));
-                        }
-                    }
-                    outcome.notes += &format!(
-                        "| {hand_name} | {stiffness_n_per_m} | {} | {} | {:.2} | {:.2} | {:.2} | {} of {} |\n",
-                        estimate.name(),
-                        name_of(control),
-                        1e3 * line.least_j,
-                        1e3 * line.least_true_j,
-                        1e3 * line.swing_m,
-                        line.n_unstable,
-                        line.n
-                    );
-                    totals[i].join(&line);
-                    match estimate {
-                        ForceEstimate::LocalModel => local[i].join(&line),
-                        ForceEstimate::Hold if i == 0 => held.join(&line),
-                        _ => {}
-                    }
+/// Runs with every delay and rate.
+fn over_delays_and_rates(mut run_one: impl FnMut(f64, f64) -> Run) -> Summary {
+    let mut line = Summary::default();
+    for delay_s in DELAYS_S {
+        for rate_hz in RATES_HZ {
+            line.add(&run_one(delay_s, rate_hz));
+        }
+    }
+    line
+}
+
+/// Totals of the loops on spring and mass.
+#[derive(Default)]
+struct Grid {
+    with: Summary,
+    without: Summary,
+    /// Of the latter: by the local model, and by held forces.
+    local: Summary,
+    held: Summary,
+}
+
+impl Grid {
+    fn add(&mut self, estimate: ForceEstimate, control: EnergyControl, line: &Summary) {
+        match control {
+            EnergyControl::Tank => self.with.join(line),
+            EnergyControl::ObserveOnly => {
+                self.without.join(line);
+                match estimate {
+                    ForceEstimate::LocalModel => self.local.join(line),
+                    ForceEstimate::Hold => self.held.join(line),
+                    _ => {}
                 }
             }
         }
     }
-    let [without, with] = &totals;
-    outcome.experiments.extend([
-        Experiment::within(
-            &format!("{} loops with control: least observed energy [J]", with.n),
-            PASSIVE,
-            with.least_j,
-            [bound_j - ROUNDING_J, 0.0],
-        ),
-        Experiment::within(
+}
+
+/// The claims about them; `name` is the first one's.
+fn grid_claims(name: &str, bound_j: f64) -> [Claim<'_, Grid>; 6] {
+    [
+        Claim::within(name, PASSIVE, |g| g.with.least_j, [bound_j - ROUNDING_J, 0.0]),
+        Claim::within(
             "the same: least energy that the actuator in truth had taken [J]",
             "the bound and the rounding of positions to 55 um at up to 3.3 N: 0.18 mJ",
-            with.least_true_j,
+            |g| g.with.least_true_j,
             [bound_j - 0.18e-3, 0.0],
         ),
-        Experiment::at_most(
+        Claim::at_most(
             "the same: widest swing of a handle that the hand wants to rest [m]",
             OWN,
-            with.swing_m,
+            |g| g.with.swing_m,
             UNSTABLE_M,
         ),
-        Experiment::within(
+        Claim::within(
             "the same loops without control: share that is unstable",
             "requirement: the test can fail",
-            without.n_unstable as f64 / without.n as f64,
+            |g| g.without.unstable_share(),
             [0.2, 1.0],
         ),
-        Experiment::within(
+        Claim::within(
             "held force without control: share that is unstable",
             "Colgate and Schenkel 1997: delay and stiffness beyond the device's damping",
-            held.n_unstable as f64 / held.n as f64,
+            |g| g.held.unstable_share(),
             [0.5, 1.0],
         ),
-        Experiment::within(
+        Claim::within(
             "local model without control: least observed energy [J]",
             "own: a local stiffness leaves little to control",
-            local[0].least_j,
+            |g| g.local.least_j,
             [0.1 * bound_j, 0.0],
         ),
-    ]);
+    ]
+}
+
+/// Every delay, rate, tissue, hand and way from models to forces, with control and without.
+fn grid(outcome: &mut Outcome, bound_j: f64) {
+    outcome.notes += "### Spring and mass\n\nDelays of 0, 10, 20, 30, 40 and 50 ms and 20, 30, 45 and 60 steps a second: 24 runs a line. The hand \
+                      goes 10 mm deep, wants to rest, and leaves. Unstable: the handle swings by more than 1 mm while the hand wants to \
+                      rest.\n\n| hand | tissue [N/m] | force from | | least observed energy [mJ] | the same in truth [mJ] | widest swing at rest [mm] | \
+                      unstable |\n|---|---|---|---|---|---|---|---|\n";
+    let mut grid = Grid::default();
+    for (hand_name, hand) in [("firm", HandSettings::default()), ("loose", HandSettings::loose())] {
+        for stiffness_n_per_m in [SOFT_N_PER_M, STIFF_N_PER_M] {
+            for (estimate, control) in ways() {
+                let line = over_delays_and_rates(|delay_s, rate_hz| {
+                    let one = Case { hand, delay_s, rate_hz, ..case(estimate, control) };
+                    on_spring(&one, stiffness_n_per_m)
+                });
+                outcome.notes += &format!(
+                    "| {hand_name} | {stiffness_n_per_m} | {} | {} | {:.2} | {:.2} | {:.2} | {} of {} |\n",
+                    estimate.name(),
+                    name_of(control),
+                    1e3 * line.least_j,
+                    1e3 * line.least_true_j,
+                    1e3 * line.swing_m,
+                    line.n_unstable,
+                    line.n
+                );
+                grid.add(estimate, control, &line);
+            }
+        }
+    }
+    let name = format!("{} loops with control: least observed energy [J]", grid.with.n);
+    outcome.experiments.extend(check_all(&grid_claims(&name, bound_j), &grid));
     outcome.notes += &format!(
         "\nThe handle's greatest acceleration with control is {:.0} m/s2; the tank reckons with {:.0}. The local model is passive by \
          itself, whatever the delay: it answers to the handle at once, and what a delay makes wrong is only how the tissue's shape \
          follows.\n\n",
-        with.acceleration_m_per_s2,
+        grid.with.acceleration_m_per_s2,
         TankSettings::default().acceleration_m_per_s2
     );
 }
 
+/// Every way from models to forces, without control and with it.
+fn ways() -> impl Iterator<Item = (ForceEstimate, EnergyControl)> {
+    let controls = [EnergyControl::ObserveOnly, EnergyControl::Tank];
+    ForceEstimate::ALL.into_iter().flat_map(move |estimate| controls.map(|control| (estimate, control)))
+}
+
+/// How far a hand slides, and over which length the stiffness rises and falls [m].
+const SLIDE_M: f64 = 40e-3;
+const WAVE_M: f64 = 20e-3;
+
+/// A run on tissue whose stiffness changes along the slide.
+fn on_waves(case: &Case, stiffness_n_per_m: f64) -> Run {
+    let mut tissue = SpringMass::new(stiffness_n_per_m);
+    run(case, &mut |tool, period_s| {
+        let phase = std::f64::consts::TAU * tool.tip_in_world_m.x / WAVE_M;
+        tissue.yields(stiffness_n_per_m * (1.0 + 0.5 * phase.sin()));
+        tissue.step(tool, period_s)
+    })
+}
+
+/// Totals of the loops that slide: with control, and by the local model without.
+#[derive(Default)]
+struct Slides {
+    with: Summary,
+    local: Summary,
+}
+
+/// The claims about them; `name` is the first one's.
+fn slide_claims(name: &str, bound_j: f64) -> [Claim<'_, Slides>; 4] {
+    [
+        Claim::within(name, PASSIVE, |s| s.with.least_j, [bound_j - ROUNDING_J, 0.0]),
+        Claim::at_most(
+            "the same: loops whose handle swings by more than 1 mm while the hand wants to rest",
+            "as measured, by extrapolation in time: passivity bounds energy, not swings",
+            |s| s.with.n_unstable as f64,
+            1.0,
+        ),
+        Claim::at_most(
+            "the same by the local model without control: widest swing at rest [m]",
+            OWN,
+            |s| s.local.swing_m,
+            UNSTABLE_M,
+        ),
+        Claim::within(
+            "the same: least observed energy [J]",
+            "own: what a slide adds leaves little to control",
+            |s| s.local.least_j,
+            [bound_j, 0.0],
+        ),
+    ]
+}
+
 /// A hand that slides over tissue of changing stiffness, as over the nodes of a coarse mesh or over a nodule.
 fn sliding_loops(outcome: &mut Outcome, bound_j: f64) {
-    const SLIDE_M: f64 = 40e-3;
-    const WAVE_M: f64 = 20e-3;
     outcome.notes += &format!(
         "### A slide over tissue of changing stiffness\n\nThe same delays, rates and hands; deep in the tissue the hand slides by {} mm over stiffness that \
          rises and falls by a half over {} mm, and rests.\n\n| tissue [N/m] | force from | | least observed energy [mJ] | widest swing at rest [mm] | \
@@ -200,178 +278,35 @@ fn sliding_loops(outcome: &mut Outcome, bound_j: f64) {
         1e3 * SLIDE_M,
         1e3 * WAVE_M
     );
-    let (mut with, mut local) = (Summary::default(), Summary::default());
+    let mut slides = Slides::default();
     for stiffness_n_per_m in [SOFT_N_PER_M, STIFF_N_PER_M] {
-        for estimate in ForceEstimate::ALL {
-            for control in [EnergyControl::ObserveOnly, EnergyControl::Tank] {
-                let mut line = Summary::default();
-                for hand in [HandSettings::default(), HandSettings::loose()] {
-                    for delay_s in DELAYS_S {
-                        for rate_hz in RATES_HZ {
-                            let one =
-                                Case { hand, delay_s, rate_hz, slide_m: SLIDE_M, ..case(estimate, control) };
-                            let mut tissue = SpringMass::new(stiffness_n_per_m);
-                            line.add(&run(&one, &mut |tool, period_s| {
-                                let phase = std::f64::consts::TAU * tool.tip_in_world_m.x / WAVE_M;
-                                tissue.yields(stiffness_n_per_m * (1.0 + 0.5 * phase.sin()));
-                                tissue.step(tool, period_s)
-                            }));
-                        }
-                    }
-                }
-                outcome.notes += &format!(
-                    "| {stiffness_n_per_m} | {} | {} | {:.2} | {:.2} | {} of {} |\n",
-                    estimate.name(),
-                    name_of(control),
-                    1e3 * line.least_j,
-                    1e3 * line.swing_m,
-                    line.n_unstable,
-                    line.n
-                );
-                match (control, estimate) {
-                    (EnergyControl::Tank, _) => with.join(&line),
-                    (_, ForceEstimate::LocalModel) => local.join(&line),
-                    _ => {}
-                }
+        for (estimate, control) in ways() {
+            let mut line = Summary::default();
+            for hand in [HandSettings::default(), HandSettings::loose()] {
+                line.join(&over_delays_and_rates(|delay_s, rate_hz| {
+                    let one = Case { hand, delay_s, rate_hz, slide_m: SLIDE_M, ..case(estimate, control) };
+                    on_waves(&one, stiffness_n_per_m)
+                }));
+            }
+            outcome.notes += &format!(
+                "| {stiffness_n_per_m} | {} | {} | {:.2} | {:.2} | {} of {} |\n",
+                estimate.name(),
+                name_of(control),
+                1e3 * line.least_j,
+                1e3 * line.swing_m,
+                line.n_unstable,
+                line.n
+            );
+            match (control, estimate) {
+                (EnergyControl::Tank, _) => slides.with.join(&line),
+                (_, ForceEstimate::LocalModel) => slides.local.join(&line),
+                _ => {}
             }
         }
     }
     outcome.notes += "\n";
-    outcome.experiments.extend([
-        Experiment::within(
-            &format!("{} loops that slide, with control: least observed energy [J]", with.n),
-            PASSIVE,
-            with.least_j,
-            [bound_j - ROUNDING_J, 0.0],
-        ),
-        Experiment::at_most(
-            "the same: loops whose handle swings by more than 1 mm while the hand wants to rest",
-            "as measured, by extrapolation in time: passivity bounds energy, not swings",
-            with.n_unstable as f64,
-            1.0,
-        ),
-        Experiment::at_most(
-            "the same by the local model without control: widest swing at rest [m]",
-            OWN,
-            local.swing_m,
-            UNSTABLE_M,
-        ),
-        Experiment::within(
-            "the same: least observed energy [J]",
-            "own: what a slide adds leaves little to control",
-            local.least_j,
-            [bound_j, 0.0],
-        ),
-    ]);
-}
-
-/// Loops with settings drawn at random.
-fn random_loops(outcome: &mut Outcome, bound_j: f64) {
-    let mut random = SeededRandom::new(6);
-    let mut with = Summary::default();
-    let mut without = Summary::default();
-    let mut moving = String::new();
-    let mut most_given_j = 0.0_f64;
-    let mut widest_of_bound = 0.0_f64;
-    for index in 0..N_RANDOM {
-        let device = SimulatedDeviceSettings {
-            mass_kg: random.uniform_in(0.04, 0.2),
-            damping_n_s_per_m: random.uniform_in(0.3, 2.0),
-            friction_n: random.uniform_in(0.0, 0.3),
-            force_n: random.uniform_in(2.0, 10.0),
-            force_rate_n_per_s: random.uniform_in(500.0, 10_000.0),
-            resolution_m: random.uniform_in(0.0, 1e-4),
-            noise_m: random.uniform_in(0.0, 1e-5),
-            position_latency_ticks: (random.next_u64() % 4) as usize,
-            force_latency_ticks: (random.next_u64() % 3) as usize,
-            ..SimulatedDeviceSettings::default()
-        };
-        let hand = HandSettings {
-            mass_kg: random.uniform_in(0.05, 0.5),
-            grip_stiffness_n_per_m: random.uniform_in(200.0, 2000.0),
-            grip_damping_n_s_per_m: random.uniform_in(0.5, 8.0),
-            arm_stiffness_n_per_m: random.uniform_in(100.0, 800.0),
-            arm_damping_n_s_per_m: random.uniform_in(0.5, 20.0),
-        };
-        let estimate = ForceEstimate::ALL[index % ForceEstimate::ALL.len()];
-        let (delay_s, rate_hz) = (random.uniform_in(0.0, 0.05), random.uniform_in(20.0, 60.0));
-        let stiffness_n_per_m = random.uniform_in(50.0, 5000.0);
-        let one = |control| Case { device, hand, delay_s, rate_hz, ..case(estimate, control) };
-        let controlled = on_spring(&one(EnergyControl::Tank), stiffness_n_per_m);
-        with.add(&controlled);
-        most_given_j = most_given_j.max(controlled.given_at_rest_j);
-        if controlled.swing_m > UNSTABLE_M {
-            // A spring that holds the reserve is so far from rest, to both sides.
-            let spring_n_per_m = series(hand.grip_stiffness_n_per_m, hand.arm_stiffness_n_per_m);
-            let bound_m = 2.0 * (-2.0 * bound_j / spring_n_per_m).sqrt();
-            widest_of_bound = widest_of_bound.max(controlled.swing_m / bound_m);
-            moving += &format!(
-                "| {} | {stiffness_n_per_m:.0} | {spring_n_per_m:.0} | {:.0} | {} | {:.2} | {:.2} | {:.2} | {:.2} |\n",
-                estimate.name(),
-                1e3 * delay_s,
-                device.limits().loop_delay_ticks,
-                1e3 * controlled.swing_m,
-                1e3 * controlled.late_swing_m,
-                1e3 * controlled.given_at_rest_j,
-                1e3 * bound_m,
-            );
-        }
-        without.add(&on_spring(&one(EnergyControl::ObserveOnly), stiffness_n_per_m));
-    }
-    outcome.experiments.push(Experiment::within(
-        &format!(
-            "{N_RANDOM} loops of random devices, hands and tissues with control: least observed energy [J]"
-        ),
-        PASSIVE,
-        with.least_j,
-        [bound_j - ROUNDING_J, 0.0],
-    ));
-    outcome.experiments.extend([
-        Experiment::at_most(
-            "the same: loops whose handle swings by more than 1 mm while the hand wants to rest",
-            "as measured: passivity bounds energy, not swings",
-            with.n_unstable as f64,
-            3.0,
-        ),
-        Experiment::at_most(
-            "the same: widest of these swings over that of the hand's springs with the reserve in them",
-            "2 sqrt(2 E_0/k), k of grip and arm in series",
-            widest_of_bound,
-            1.0,
-        ),
-        Experiment::at_most(
-            "the same: most energy that a hand got while it wanted to rest [J]",
-            "requirement: no more than the reserve and what was stored: 20 mJ",
-            most_given_j,
-            -2.0 * bound_j,
-        ),
-        Experiment::within(
-            "the same: least energy that the actuator in truth had taken [J]",
-            "the bound, and what steps and noise of positions (0.16 mm at 10 N: 1.6 mJ) hide when force comes and goes",
-            with.least_true_j,
-            [1.25 * bound_j, 0.0],
-        ),
-    ]);
-    outcome.notes += &format!(
-        "### Random loops\n\n{N_RANDOM} devices (up to 10 N, 0.1 mm, 5 ticks late), hands, tissues (50 to 5000 N/m), delays and rates. With \
-         control: least energy {:.2} mJ, {} unstable, greatest acceleration {:.0} m/s2. Without: {:.0} mJ, {} unstable.\n\n",
-        1e3 * with.least_j,
-        with.n_unstable,
-        with.acceleration_m_per_s2,
-        1e3 * without.least_j,
-        without.n_unstable
-    );
-    outcome.notes += &format!(
-        "What is left of swings with control is fed by the reserve: passivity bounds the energy that a hand gets, and a hand that \
-         holds loosely swings wide on little. It dies away. Those above 1 mm, none of them with the local model:\n\n| force from | tissue [N/m] | hand [N/m] | delay [ms] | late by \
-         [ticks] | swing at rest [mm] | in the last 0.16 s [mm] | most given at rest [mJ] | swing of the hand's springs with 10 mJ in \
-         them [mm] |\n|---|---|---|---|---|---|---|---|---|\n{moving}\n"
-    );
-}
-
-/// Stiffness of two springs in series [N/m].
-fn series(a_n_per_m: f64, b_n_per_m: f64) -> f64 {
-    a_n_per_m * b_n_per_m / (a_n_per_m + b_n_per_m)
+    let name = format!("{} loops that slide, with control: least observed energy [J]", slides.with.n);
+    outcome.experiments.extend(check_all(&slide_claims(&name, bound_j), &slides));
 }
 
 /// A block of tissue on a table under a round tip: a world of its own.

@@ -73,52 +73,23 @@ pub(super) struct Run {
 
 /// Runs it: `simulate` takes the tool and the time [s] since the last step, and publishes.
 pub(super) fn run(case: &Case, simulate: &mut dyn FnMut(&ToolInput, f64) -> HapticModel) -> Run {
-    let above_m = DVec3::Z * (case.surface_m + ABOVE_M);
-    let deep_m = DVec3::Z * (case.surface_m - DEPTH_M);
-    let side_m = DVec3::X * case.slide_m;
-    let reach = |from_m: DVec3, to_m: DVec3, start_s: f64| HandPath::Reach {
-        from_m,
-        to_m,
-        start_s,
-        duration_s: REACH_S,
-    };
-    let mut device = SimulatedDevice::new(&case.device, &case.hand, reach(above_m, deep_m, START_S), 1);
+    let way = Way::of(case);
+    let mut device = SimulatedDevice::new(&case.device, &case.hand, way.down(), 1);
     let settings = LawSettings { estimate: case.estimate, control: case.control, ..LawSettings::default() };
     let mut law = HapticLaw::new(&settings, &device.limits());
-    let (tick_s, period_s) = (1.0 / TICKS_PER_S, 1.0 / case.rate_hz);
-    let one_way = (0.5 * case.delay_s * TICKS_PER_S).round() as usize;
-    let mut tools: VecDeque<ToolInput> =
-        std::iter::repeat_n(ToolInput::at(above_m, DVec3::Z), one_way + 1).collect();
-    let mut on_their_way: VecDeque<(usize, usize, HapticModel)> = VecDeque::new();
-    let (mut latest, mut made) = (HapticModel::default(), 0);
-    let mut n_steps = 0;
+    let tick_s = 1.0 / TICKS_PER_S;
+    let mut far = FarSimulation::new(case, ToolInput::at(way.above_m, DVec3::Z));
     let mut out = Run::default();
     let mut velocity = DVec3::ZERO;
     for tick in 0..(END_S * TICKS_PER_S) as usize {
-        if case.slide_m > 0.0 && tick == (SLIDE_FROM_S * TICKS_PER_S) as usize {
-            device.set_path(HandPath::Reach {
-                from_m: deep_m,
-                to_m: deep_m + side_m,
-                start_s: SLIDE_FROM_S,
-                duration_s: SLIDE_S,
-            });
+        if let Some(path) = way.begins_at(tick) {
+            device.set_path(path);
         }
-        if tick == (LEAVE_S * TICKS_PER_S) as usize {
-            device.set_path(reach(deep_m + side_m, above_m + side_m, LEAVE_S));
-        }
-        if tick as f64 * tick_s >= f64::from(n_steps) * period_s {
-            n_steps += 1;
-            on_their_way.push_back((tick, tick + one_way, simulate(&tools[0], period_s)));
-        }
-        while on_their_way.front().is_some_and(|(_, arrives, _)| *arrives <= tick) {
-            if let Some((made_at, _, model)) = on_their_way.pop_front() {
-                (latest, made) = (model, made_at);
-            }
-        }
+        far.tick(tick, simulate);
         let Ok(state) = device.read() else { continue };
-        let answer = law.tick(&state, &latest, (tick - made) as f64 * tick_s, tick_s);
-        tools.pop_front();
-        tools.push_back(answer.tool);
+        let answer = law.tick(&state, &far.latest, (tick - far.made) as f64 * tick_s, tick_s);
+        far.tools.pop_front();
+        far.tools.push_back(answer.tool);
         if device.write(&answer.command).is_err() {
             continue;
         }
@@ -133,15 +104,108 @@ pub(super) fn run(case: &Case, simulate: &mut dyn FnMut(&ToolInput, f64) -> Hapt
         out.forces_n.push(answer.command.force_n.z);
         out.energies_j.push(law.observed_energy_j());
     }
-    let (rest, leave) = ((REST_FROM_S * TICKS_PER_S) as usize, (LEAVE_S * TICKS_PER_S) as usize);
-    out.swing_m = width(&out.heights_m[rest..leave]);
-    out.late_swing_m = width(&out.heights_m[leave - (leave - rest) / 5..leave]);
-    let mut most_j = f64::NEG_INFINITY;
-    for energy_j in &out.energies_j[rest..leave] {
-        most_j = most_j.max(*energy_j);
-        out.given_at_rest_j = out.given_at_rest_j.max(most_j - energy_j);
-    }
+    out.look_at_rest();
     out
+}
+
+/// Where the hand goes.
+struct Way {
+    above_m: DVec3,
+    deep_m: DVec3,
+    side_m: DVec3,
+}
+
+impl Way {
+    fn of(case: &Case) -> Self {
+        Self {
+            above_m: DVec3::Z * (case.surface_m + ABOVE_M),
+            deep_m: DVec3::Z * (case.surface_m - DEPTH_M),
+            side_m: DVec3::X * case.slide_m,
+        }
+    }
+
+    fn down(&self) -> HandPath {
+        HandPath::Reach { from_m: self.above_m, to_m: self.deep_m, start_s: START_S, duration_s: REACH_S }
+    }
+
+    /// The path that begins at this tick, if one does.
+    fn begins_at(&self, tick: usize) -> Option<HandPath> {
+        let Self { above_m, deep_m, side_m } = *self;
+        let is_at = |time_s: f64| tick == (time_s * TICKS_PER_S) as usize;
+        if side_m.x > 0.0 && is_at(SLIDE_FROM_S) {
+            return Some(HandPath::Reach {
+                from_m: deep_m,
+                to_m: deep_m + side_m,
+                start_s: SLIDE_FROM_S,
+                duration_s: SLIDE_S,
+            });
+        }
+        is_at(LEAVE_S).then_some(HandPath::Reach {
+            from_m: deep_m + side_m,
+            to_m: above_m + side_m,
+            start_s: LEAVE_S,
+            duration_s: REACH_S,
+        })
+    }
+}
+
+/// The simulation at the other end of the delay.
+struct FarSimulation {
+    period_s: f64,
+    /// Ticks that a tool or a model takes.
+    one_way: usize,
+    n_steps: u32,
+    /// Tools on their way; the first has arrived.
+    tools: VecDeque<ToolInput>,
+    /// Models on their way: when they were made, when they arrive.
+    on_their_way: VecDeque<(usize, usize, HapticModel)>,
+    /// What has arrived here last, and when it was made.
+    latest: HapticModel,
+    made: usize,
+}
+
+impl FarSimulation {
+    fn new(case: &Case, tool: ToolInput) -> Self {
+        let one_way = (0.5 * case.delay_s * TICKS_PER_S).round() as usize;
+        Self {
+            period_s: 1.0 / case.rate_hz,
+            one_way,
+            n_steps: 0,
+            tools: std::iter::repeat_n(tool, one_way + 1).collect(),
+            on_their_way: VecDeque::new(),
+            latest: HapticModel::default(),
+            made: 0,
+        }
+    }
+
+    /// Steps when it is time, and receives what arrives.
+    fn tick(&mut self, tick: usize, simulate: &mut dyn FnMut(&ToolInput, f64) -> HapticModel) {
+        let tick_s = 1.0 / TICKS_PER_S;
+        if tick as f64 * tick_s >= f64::from(self.n_steps) * self.period_s {
+            self.n_steps += 1;
+            let model = simulate(&self.tools[0], self.period_s);
+            self.on_their_way.push_back((tick, tick + self.one_way, model));
+        }
+        while self.on_their_way.front().is_some_and(|(_, arrives, _)| *arrives <= tick) {
+            if let Some((made_at, _, model)) = self.on_their_way.pop_front() {
+                (self.latest, self.made) = (model, made_at);
+            }
+        }
+    }
+}
+
+impl Run {
+    /// Whether the handle and its energy came to rest where the hand wants to rest.
+    fn look_at_rest(&mut self) {
+        let (rest, leave) = ((REST_FROM_S * TICKS_PER_S) as usize, (LEAVE_S * TICKS_PER_S) as usize);
+        self.swing_m = width(&self.heights_m[rest..leave]);
+        self.late_swing_m = width(&self.heights_m[leave - (leave - rest) / 5..leave]);
+        let mut most_j = f64::NEG_INFINITY;
+        for energy_j in &self.energies_j[rest..leave] {
+            most_j = most_j.max(*energy_j);
+            self.given_at_rest_j = self.given_at_rest_j.max(most_j - energy_j);
+        }
+    }
 }
 
 /// From the least to the greatest.

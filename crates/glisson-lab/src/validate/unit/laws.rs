@@ -2,7 +2,7 @@
 
 use super::{all_laws, settings};
 use crate::validate::model_rheology::free_sided_stress_pa;
-use crate::validate::{Experiment, Figure, Outcome};
+use crate::validate::{Experiment, Figure, Outcome, series};
 use anyhow::Context;
 use glam::{DMat3, DVec3};
 use glisson::material::{
@@ -13,7 +13,7 @@ use glisson::math::SeededRandom;
 use glisson::mesh::NodeId;
 use glisson::mesh::box_mesh::cube_of_five;
 use glisson::solve::{BoundaryConditions, NonlinearProblem, solve_nonlinear};
-use glisson_view::plot::{LinePlot, Series, SeriesStyle};
+use glisson_view::plot::{LinePlot, SeriesStyle};
 
 /// M3: P = dW/dF and dP by central differences; the projected tangent has no negative eigenvalue.
 pub(super) fn derivatives(outcome: &mut Outcome) -> anyhow::Result<()> {
@@ -94,61 +94,77 @@ fn is_positive(tangent: &Tangent, shift: f64) -> bool {
 /// Stretches of M5.
 const STRETCHES: [f64; 7] = [0.5, 0.7, 0.8, 0.9, 1.1, 1.25, 1.5];
 
-/// M5: nearly incompressible bars, by the law alone and by equilibrium of elements.
-pub(super) fn uniaxial(outcome: &mut Outcome) -> anyhow::Result<()> {
-    let nearly_incompressible =
-        |mu_pa: f64| LinearElastic::from_young_poisson(2.0 * 1.4999 * mu_pa, 0.4999, 1000.0);
+/// A nearly incompressible bar.
+struct Bar {
+    name: &'static str,
+    law: Box<dyn Material>,
+    /// Nominal stress [Pa] at a stretch by the closed incompressible form.
+    closed_pa: fn(f64) -> f64,
+}
+
+fn nearly_incompressible(mu_pa: f64) -> anyhow::Result<LinearElastic> {
+    Ok(LinearElastic::from_young_poisson(2.0 * 1.4999 * mu_pa, 0.4999, 1000.0)?)
+}
+
+fn closed_ogden_pa(l: f64) -> f64 {
+    -2.0 * 842.0 / 4.7 * (l.powf(-5.7) - l.powf(1.35))
+}
+
+fn closed_neo_hooke_pa(l: f64) -> f64 {
+    1000.0 * (l - l.powi(-2))
+}
+
+fn closed_mooney_rivlin_pa(l: f64) -> f64 {
+    2.0 * (263.0 + 263.0 / l) * (l - l.powi(-2))
+}
+
+fn bars() -> anyhow::Result<[Bar; 4]> {
     let (brain, gel, rubber) =
         (nearly_incompressible(842.0)?, nearly_incompressible(1000.0)?, nearly_incompressible(4.0 * 263.0)?);
-    let ogden = Ogden::from_linear(&brain, -4.7)?;
-    let neo_hooke = NeoHookeLog::from(&gel);
-    let isochoric = MooneyRivlin::from_linear(&gel, 0.0)?;
-    let mooney_rivlin = MooneyRivlin::from_linear(&rubber, 0.5)?;
-    let stable = StableNeoHooke::from(&gel);
-    let of_ogden = |l: f64| -2.0 * 842.0 / 4.7 * (l.powf(-5.7) - l.powf(1.35));
-    let of_neo_hooke = |l: f64| 1000.0 * (l - l.powi(-2));
-    let of_mooney_rivlin = |l: f64| 2.0 * (263.0 + 263.0 / l) * (l - l.powi(-2));
-    type Closed<'a> = &'a dyn Fn(f64) -> f64;
-    let cases: [(&str, &dyn Material, Closed<'_>); 4] = [
-        ("ogden 842 Pa, -4.7", &ogden, &of_ogden),
-        ("neo_hooke_log 1000 Pa", &neo_hooke, &of_neo_hooke),
-        ("mooney_rivlin, C01 = 0", &isochoric, &of_neo_hooke),
-        ("mooney_rivlin 263, 263 Pa", &mooney_rivlin, &of_mooney_rivlin),
-    ];
+    Ok([
+        Bar {
+            name: "ogden 842 Pa, -4.7",
+            law: Box::new(Ogden::from_linear(&brain, -4.7)?),
+            closed_pa: closed_ogden_pa,
+        },
+        Bar {
+            name: "neo_hooke_log 1000 Pa",
+            law: Box::new(NeoHookeLog::from(&gel)),
+            closed_pa: closed_neo_hooke_pa,
+        },
+        Bar {
+            name: "mooney_rivlin, C01 = 0",
+            law: Box::new(MooneyRivlin::from_linear(&gel, 0.0)?),
+            closed_pa: closed_neo_hooke_pa,
+        },
+        Bar {
+            name: "mooney_rivlin 263, 263 Pa",
+            law: Box::new(MooneyRivlin::from_linear(&rubber, 0.5)?),
+            closed_pa: closed_mooney_rivlin_pa,
+        },
+    ])
+}
+
+/// M5: nearly incompressible bars, by the law alone and by equilibrium of elements.
+pub(super) fn uniaxial(outcome: &mut Outcome) -> anyhow::Result<()> {
     outcome.notes += "### Uniaxial nominal stress (M5)\n\nBars of Poisson's ratio 0.4999 [Pa]: the closed incompressible form, the law with free sides, and equilibrium of a cube \
                       of five tetrahedra.\n\n| law | stretch | closed form | law | elements |\n|---|---|---|---|---|\n";
     let (mut plotted, mut dots) = (Vec::new(), Vec::new());
-    for (name, law, closed) in cases {
-        let solved_pa = pressed_bar_pa(law, &STRETCHES)?;
-        let mut worst = [0.0_f64; 2];
-        for (&stretch, solved_pa) in STRETCHES.iter().zip(&solved_pa) {
-            let (closed_pa, law_pa) = (closed(stretch), free_sided_stress_pa(law, stretch));
-            outcome.notes +=
-                &format!("| {name} | {stretch} | {closed_pa:.1} | {law_pa:.1} | {solved_pa:.1} |\n");
-            for (worst, found_pa) in worst.iter_mut().zip([law_pa, *solved_pa]) {
-                *worst = worst.max(((found_pa - closed_pa) / closed_pa).abs());
-            }
-        }
-        let source = "incompressible closed form (Ogden 1972, doi 10.1098/rspa.1972.0026; Rivlin 1948, \
-                      doi 10.1098/rsta.1948.0024)";
-        for (worst, what) in worst.into_iter().zip(["law", "elements"]) {
-            let title =
-                format!("M5 uniaxial stress, {name}, {what}: error over stretches 0.5 to 1.5, relative");
-            outcome.experiments.push(Experiment::at_most(&title, source, worst, 0.005));
-        }
+    for bar in bars()? {
+        let solved_pa = pressed_bar_pa(&*bar.law, &STRETCHES)?;
+        judge_bar(outcome, &bar, &solved_pa);
         // Without C01 the curve is the neo-Hookean one.
-        if !name.ends_with("C01 = 0") {
-            plotted.push(Series {
-                name: name.into(),
-                points: (0..=100).map(|i| 0.65 + 0.0085 * f64::from(i)).map(|l| [l, closed(l)]).collect(),
-                style: SeriesStyle::Line,
-            });
+        if !bar.name.ends_with("C01 = 0") {
+            let stretches = (0..=100).map(|i| 0.65 + 0.0085 * f64::from(i));
+            let points = stretches.map(|l| [l, (bar.closed_pa)(l)]).collect();
+            plotted.push(series(bar.name, points, SeriesStyle::Line));
         }
         let in_view = STRETCHES.iter().zip(&solved_pa).filter(|(l, _)| **l > 0.6);
         dots.extend(in_view.map(|(&l, &pa)| [l, pa]));
     }
-    plotted.push(Series { name: "elements".into(), points: dots, style: SeriesStyle::Points });
-    let off = STRETCHES.map(|l| (free_sided_stress_pa(&stable, l) / of_neo_hooke(l) - 1.0).abs());
+    plotted.push(series("elements", dots, SeriesStyle::Points));
+    let stable = StableNeoHooke::from(&nearly_incompressible(1000.0)?);
+    let off = STRETCHES.map(|l| (free_sided_stress_pa(&stable, l) / closed_neo_hooke_pa(l) - 1.0).abs());
     outcome.notes += &format!(
         "\nStable neo-Hooke is another law of the same small strain: its bar differs from the neo-Hookean one by up to {:.0} %.\n\n",
         100.0 * off.into_iter().fold(0.0, f64::max)
@@ -167,6 +183,25 @@ pub(super) fn uniaxial(outcome: &mut Outcome) -> anyhow::Result<()> {
         },
     });
     Ok(())
+}
+
+/// Compares a bar's law and its elements (stresses at `STRETCHES`) with the closed form.
+fn judge_bar(outcome: &mut Outcome, bar: &Bar, solved_pa: &[f64]) {
+    let name = bar.name;
+    let mut worst = [0.0_f64; 2];
+    for (&stretch, solved_pa) in STRETCHES.iter().zip(solved_pa) {
+        let (closed_pa, law_pa) = ((bar.closed_pa)(stretch), free_sided_stress_pa(&*bar.law, stretch));
+        outcome.notes += &format!("| {name} | {stretch} | {closed_pa:.1} | {law_pa:.1} | {solved_pa:.1} |\n");
+        for (worst, found_pa) in worst.iter_mut().zip([law_pa, *solved_pa]) {
+            *worst = worst.max(((found_pa - closed_pa) / closed_pa).abs());
+        }
+    }
+    let source = "incompressible closed form (Ogden 1972, doi 10.1098/rspa.1972.0026; Rivlin 1948, \
+                  doi 10.1098/rsta.1948.0024)";
+    for (worst, what) in worst.into_iter().zip(["law", "elements"]) {
+        let title = format!("M5 uniaxial stress, {name}, {what}: error over stretches 0.5 to 1.5, relative");
+        outcome.experiments.push(Experiment::at_most(&title, source, worst, 0.005));
+    }
 }
 
 /// Nominal stress [Pa] of a cube of five tetrahedra at these stretches, by equilibrium: plates that slide, sides free.

@@ -73,71 +73,109 @@ pub(super) fn recovery(outcome: &mut Outcome) -> anyhow::Result<()> {
 /// Pseudo-time steps that a collapsed shape gets to come back.
 const MOST_RECOVERY_STEPS: usize = 200;
 
-/// Lets a body of the stable neo-Hookean law, its base held, go from any shape, by implicit steps that forget their
-/// velocity: (K + M/h^2) du = -f with the projected tangent; h doubles after a step that lowers the energy. The laws of
-/// `stages` follow each other, the next one as soon as no tetrahedron is inside out. Returns the number of steps and the largest distance from rest [m].
+/// Lets a body of the stable neo-Hookean law, its base held, go from any shape. The laws of `stages` follow each other, the
+/// next one as soon as no tetrahedron is inside out. Returns the number of steps and the largest distance from rest [m].
 fn recover(mesh: &TetMesh, stages: &[LinearElastic], start_m: &[DVec3]) -> anyhow::Result<(usize, f64)> {
-    let edges = MeshEdges::of_mesh(mesh)?;
-    let mut conditions = BoundaryConditions::new();
-    let base = mesh.positions_m.iter().enumerate().filter(|(_, p)| p.z == 0.0);
-    base.for_each(|(n, _)| conditions.fix_node(NodeId::from_index(n)));
-    let mut u: Vec<DVec3> = start_m.iter().zip(&mesh.positions_m).map(|(x, p)| *x - *p).collect();
-    for (node, axis, value) in conditions.iter() {
-        u[node.index()][axis] = value;
-    }
-    let mut tensors =
-        StiffnessTensors { vertex: vec![DMat3::ZERO; u.len()], edge: vec![DMat3::ZERO; edges.nodes.len()] };
-    let mut force_n = vec![DVec3::ZERO; u.len()];
-    let distance_m = |u: &[DVec3]| u.iter().map(|u| u.length()).fold(0.0, f64::max);
-    let mut n_steps = 0;
+    let mut recovery = Recovery::new(mesh, start_m)?;
     for (stage, material) in stages.iter().enumerate() {
+        let until = if stage + 1 < stages.len() { Until::Upright } else { Until::AtRest };
+        if recovery.follow(material, until)? {
+            break;
+        }
+    }
+    Ok((recovery.n_steps, recovery.distance_m()))
+}
+
+/// When the next law takes over.
+#[derive(Clone, Copy, PartialEq)]
+enum Until {
+    /// As soon as no tetrahedron is inside out.
+    Upright,
+    AtRest,
+}
+
+/// A body on its way to rest.
+struct Recovery<'a> {
+    mesh: &'a TetMesh,
+    edges: MeshEdges,
+    conditions: BoundaryConditions,
+    displacement_m: Vec<DVec3>,
+    n_steps: usize,
+}
+
+impl<'a> Recovery<'a> {
+    fn new(mesh: &'a TetMesh, start_m: &[DVec3]) -> anyhow::Result<Self> {
+        let edges = MeshEdges::of_mesh(mesh)?;
+        let mut conditions = BoundaryConditions::new();
+        let base = mesh.positions_m.iter().enumerate().filter(|(_, p)| p.z == 0.0);
+        base.for_each(|(n, _)| conditions.fix_node(NodeId::from_index(n)));
+        let mut displacement_m: Vec<DVec3> =
+            start_m.iter().zip(&mesh.positions_m).map(|(x, p)| *x - *p).collect();
+        for (node, axis, value) in conditions.iter() {
+            displacement_m[node.index()][axis] = value;
+        }
+        Ok(Self { mesh, edges, conditions, displacement_m, n_steps: 0 })
+    }
+
+    fn distance_m(&self) -> f64 {
+        self.displacement_m.iter().map(|u| u.length()).fold(0.0, f64::max)
+    }
+
+    /// Takes implicit steps of one law that forget their velocity: (K + M/h^2) du = -f with the projected tangent; h doubles
+    /// after a step that lowers the energy. Whether the body came to the rest shape.
+    fn follow(&mut self, material: &LinearElastic, until: Until) -> anyhow::Result<bool> {
         let law = [StableNeoHooke::from(material)];
-        let body = ElasticBody::new(mesh, &edges, &law)?;
-        let masses_kg = lumped_masses_kg(mesh, material.density_kg_per_m3());
-        let tangent = |u: &[DVec3], h_s: f64, tensors: &mut StiffnessTensors| {
-            body.stiffness_into(u, TangentKind::Projected, tensors);
+        let body = ElasticBody::new(self.mesh, &self.edges, &law)?;
+        let masses_kg = lumped_masses_kg(self.mesh, material.density_kg_per_m3());
+        let tangent = |u_m: &[DVec3], h_s: f64, tensors: &mut StiffnessTensors| {
+            body.stiffness_into(u_m, TangentKind::Projected, tensors);
             for (block, mass_kg) in tensors.vertex.iter_mut().zip(&masses_kg) {
                 *block += DMat3::from_diagonal(DVec3::splat(mass_kg / (h_s * h_s)));
             }
         };
+        let zero = vec![DVec3::ZERO; self.displacement_m.len()];
+        let mut tensors = StiffnessTensors {
+            vertex: vec![DMat3::ZERO; zero.len()],
+            edge: vec![DMat3::ZERO; self.edges.nodes.len()],
+        };
         let mut h_s = 1e-3;
         // The pattern is made at rest, where nothing is singular.
-        tangent(&vec![DVec3::ZERO; u.len()], h_s, &mut tensors);
-        let mut system = FreeSystem::new(&edges, &tensors, &conditions)?;
+        tangent(&zero, h_s, &mut tensors);
+        let mut system = FreeSystem::new(&self.edges, &tensors, &self.conditions)?;
         let mut factor = system.factorize()?;
-        let mut change = vec![0.0; system.n_free()];
-        let mut energy_j = body.energy_j(&u);
+        let (mut force_n, mut change) = (zero, vec![0.0; system.n_free()]);
+        let mut energy_j = body.energy_j(&self.displacement_m);
         for _ in 0..MOST_RECOVERY_STEPS {
             // Below, energies are rounding.
-            if distance_m(&u) < 1e-9 {
-                return Ok((n_steps, distance_m(&u)));
+            if self.distance_m() < 1e-9 {
+                return Ok(true);
             }
-            n_steps += 1;
-            tangent(&u, h_s, &mut tensors);
+            self.n_steps += 1;
+            tangent(&self.displacement_m, h_s, &mut tensors);
             system.refill(&tensors);
             if factor.refactor_definite(&system).is_err() {
                 h_s *= 0.25;
                 continue;
             }
-            body.force_into(&u, &mut force_n);
+            body.force_into(&self.displacement_m, &mut force_n);
             system.gather_into(&force_n, &mut change);
             change.iter_mut().for_each(|x| *x = -*x);
             factor.solve_in_place(&mut change, 1, &mut factor.scratch(1));
-            let mut trial = u.clone();
-            system.add_scattered(&change, &mut trial);
-            let trial_energy_j = body.energy_j(&trial);
+            let mut trial_m = self.displacement_m.clone();
+            system.add_scattered(&change, &mut trial_m);
+            let trial_energy_j = body.energy_j(&trial_m);
             if trial_energy_j < energy_j {
-                (u, energy_j) = (trial, trial_energy_j);
+                (self.displacement_m, energy_j) = (trial_m, trial_energy_j);
                 h_s = (2.0 * h_s).min(1.0);
             } else {
                 h_s *= 0.25;
             }
-            let is_upright = body.first_inverted(&u).is_none();
+            let is_upright = body.first_inverted(&self.displacement_m).is_none();
             // Or at rest in a shape that is not the rest shape.
-            if is_upright && stage + 1 < stages.len() || h_s < 1e-12 {
+            if is_upright && until == Until::Upright || h_s < 1e-12 {
                 break;
             }
         }
+        Ok(false)
     }
-    Ok((n_steps, distance_m(&u)))
 }

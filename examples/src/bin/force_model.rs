@@ -153,7 +153,6 @@ const RELAXATION_TIME_S: f64 = 0.1;
 const TIP_RADIUS_M: f64 = 3e-3;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    // 5 kPa and 0.45, the numbers that the library's own tests use for liver.
     let material = LinearElastic::from_young_poisson(5e3, 0.45, 1_060.0)?;
     let mesh = box_of_five([8, 8, 1], DVec3::new(0.04, 0.04, THICKNESS_M));
     let model = Foundation::new(&mesh, &material, THICKNESS_M, RELAXATION_TIME_S);
@@ -188,10 +187,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         let expected_n = stiffness_n_per_m * dent_m;
         println!("dent {:.3} mm: force {force_n:.5} N, foundation {expected_n:.5} N", dent_m * 1e3);
     }
-    // Away at once; the dent is left to itself.
     world.step(&StepInput::of(&[above(0.1)]).placed());
     let dent_m = |world: &World| THICKNESS_M - world.state().positions_m[middle].z;
     let first_m = dent_m(&world);
+    // The probe went away at once; the dent is left to itself.
     for _ in 0..100 {
         world.step(&StepInput::of(&[above(0.1)]));
     }

@@ -71,22 +71,21 @@ fn law_of(args: &Args, linear: &LinearElastic) -> anyhow::Result<MaterialSpec> {
             let allowed = if allowed.is_empty() { "none".to_owned() } else { allowed.join(", ") };
             format!("--set {given}: the law {} has no parameter {name}; allowed: {allowed}", law.name())
         })?;
-        law = match key.kind {
-            LawKeyKind::Number(_) => {
-                let number: f64 = value.parse().with_context(|| format!("--set {given}: not a number"))?;
-                law.with_number(key.name, number)
-            }
+        let number = match key.kind {
+            LawKeyKind::Number(_) => value.parse().with_context(|| format!("--set {given}: not a number"))?,
             LawKeyKind::Positive(dimension) => {
-                let quantity = parse_quantity(value, dimension).with_context(|| format!("--set {given}"))?;
-                if quantity <= 0.0 {
-                    bail!("--set {given}: allowed: more than zero");
-                }
-                law.with_number(key.name, quantity)
+                parse_quantity(value, dimension).with_context(|| format!("--set {given}"))?
             }
             LawKeyKind::Directions => {
-                law.with_direction(parse_direction(value).map_err(|e| anyhow!("--set {given}: {e}"))?)
+                let direction = parse_direction(value).map_err(|e| anyhow!("--set {given}: {e}"))?;
+                law = law.with_direction(direction);
+                continue;
             }
         };
+        if !(key.range.holds)(number) {
+            bail!("--set {given}: allowed: {}", key.range.allowed);
+        }
+        law = law.with_number(key.name, number);
     }
     if let Some(key) = law.missing() {
         let LawEntry { name, example, .. } = law.entry();
@@ -193,6 +192,9 @@ mod tests {
         for (law, wrong, part) in [
             ("ogden", "alpha=2", "allowed: exponent"),
             ("ogden", "exponent=much", "not a number"),
+            ("ogden", "exponent=0", "allowed: a finite number other than 0"),
+            ("holzapfel_gasser_ogden", "k1=-1 kPa", "allowed: a finite number above 0"),
+            ("holzapfel_gasser_ogden", "kappa=0.4", "allowed: 0 (parallel fibres) to 1/3 (isotropic)"),
             ("linear", "exponent=2", "allowed: none"),
             ("holzapfel_gasser_ogden", "k1=20", "k1=20"),
             ("holzapfel_gasser_ogden", "fibre=1,0", "three numbers"),

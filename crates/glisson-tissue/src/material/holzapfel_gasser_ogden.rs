@@ -13,28 +13,53 @@
 use super::law::{add_square, contraction};
 use super::linear_elastic::check_bulk;
 use super::{
-    LawEntry, LawKey, LawKeyKind, Material, MaterialError, MaterialSpec, MooneyRivlin, NamedLaw, Tangent,
+    LawEntry, LawKey, LawKeyKind, Material, MaterialError, MaterialSpec, MooneyRivlin, NamedLaw, NumberRange,
+    Tangent, Typical,
 };
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::units::Dimension;
+
+/// kappa.
+const DISPERSION: NumberRange = NumberRange {
+    allowed: "0 (parallel fibres) to 1/3 (isotropic)",
+    // The decimal 0.333... that people write for 1/3 may be above it by rounding.
+    holds: |x| (0.0..=1.0 / 3.0 + 1e-9).contains(&x),
+};
 
 /// The law's line in the table of laws.
 pub(super) const LAW: LawEntry = LawEntry {
     name: "holzapfel_gasser_ogden",
     about: "fibres in a soft matrix, which has the moduli of small strain",
+    source: "Gasser, Ogden and Holzapfel 2006, doi 10.1098/rsif.2005.0073",
     keys: &[
         LawKey {
             name: "k1",
             about: "stiffness of the fibres",
             kind: LawKeyKind::Positive(Dimension::Pressure),
+            range: NumberRange::ABOVE_ZERO,
+            typical: Typical::Number(3000.0),
         },
-        LawKey { name: "k2", about: "how fast they stiffen", kind: LawKeyKind::Number(None) },
+        LawKey {
+            name: "k2",
+            about: "how fast they stiffen",
+            kind: LawKeyKind::Number(None),
+            range: NumberRange::ABOVE_ZERO,
+            typical: Typical::Number(1.5),
+        },
         LawKey {
             name: "kappa",
             about: "dispersion about the direction, 0 (parallel) to 1/3 (isotropic)",
             kind: LawKeyKind::Number(Some(0.0)),
+            range: DISPERSION,
+            typical: Typical::Number(0.1),
         },
-        LawKey { name: "fibre", about: "direction of a family at rest", kind: LawKeyKind::Directions },
+        LawKey {
+            name: "fibre",
+            about: "direction of a family at rest",
+            kind: LawKeyKind::Directions,
+            range: NumberRange::ANY,
+            typical: Typical::Directions(&[DVec3::new(1.0, 2.0, -0.5), DVec3::new(1.0, -1.0, 0.3)]),
+        },
     ],
     example: "law = { name = \"holzapfel_gasser_ogden\", k1 = \"20 kPa\", k2 = 5, fibre = [1, 0, 0] }",
     make: |linear, own| {
@@ -114,27 +139,21 @@ impl HolzapfelGasserOgden {
     /// length.
     pub fn new(parameters: &HolzapfelGasserOgdenParameters) -> Result<Self, MaterialError> {
         let p = parameters;
-        let refuse = |name, found, allowed| {
-            Err(MaterialError::Parameter { law: "holzapfel_gasser_ogden", name, found, allowed })
-        };
+        let law = LAW.name;
         for (name, found) in
             [("c", p.matrix_shear_pa), ("k1", p.fibre_stiffness_pa), ("k2", p.fibre_exponent)]
         {
-            if !(found.is_finite() && found > 0.0) {
-                return refuse(name, found, "a finite number above 0");
-            }
+            NumberRange::ABOVE_ZERO.check(law, name, found)?;
         }
-        // The decimal 0.333... that people write for 1/3 may be above it by rounding.
-        if !(0.0..=1.0 / 3.0 + 1e-9).contains(&p.dispersion) {
-            return refuse("kappa", p.dispersion, "0 (parallel fibres) to 1/3 (isotropic)");
-        }
-        check_bulk("holzapfel_gasser_ogden", p.bulk_pa)?;
+        DISPERSION.check(law, "kappa", p.dispersion)?;
+        check_bulk(law, p.bulk_pa)?;
         let mut fibres = Vec::with_capacity(p.fibre_directions.len());
         for direction in &p.fibre_directions {
             match direction.try_normalize() {
                 Some(unit) => fibres.push(unit),
                 None => {
-                    return refuse("length of a fibre direction", direction.length(), "above 0 and finite");
+                    let (name, allowed) = ("length of a fibre direction", "above 0 and finite");
+                    return Err(MaterialError::Parameter { law, name, found: direction.length(), allowed });
                 }
             }
         }

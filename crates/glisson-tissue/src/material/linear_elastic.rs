@@ -14,6 +14,7 @@ use glisson_mesh::math::{DMat3, DVec3};
 pub(super) const LAW: LawEntry = LawEntry {
     name: "linear",
     about: "isotropic linear elasticity at small strain",
+    source: "seed 003, eq. 1.1 and 1.2",
     keys: &[],
     example: "",
     make: |linear, _| Ok(MaterialSpec::from(*linear)),

@@ -1,13 +1,14 @@
 //! Constitutive laws and tissue parameters.
 //!
 //! Every law implements [`Material`] and has its own file. [`LAWS`] is the table of those that scenes and
-//! the command line know by name. Loops over elements are generic in the law (`M: Material`), so that the law is chosen
+//! the command line know by name: a new law is a file and a line there (docs/extending.md). Loops over elements are generic in the law (`M: Material`), so that the law is chosen
 //! outside the loop.
 
 mod law;
 mod named;
 mod eigen;
 pub mod principal;
+pub mod check;
 mod linear_elastic;
 mod st_venant_kirchhoff;
 mod neo_hooke_log;
@@ -25,10 +26,10 @@ pub use law::{Material, Tangent, largest_tangent_eigenvalue_pa, projected};
 pub(crate) use law::{cofactor, cofactor_differential};
 pub use linear_elastic::{LinearElastic, MaterialError};
 pub use mooney_rivlin::MooneyRivlin;
-pub use named::{LawChoice, LawEntry, LawKey, LawKeyKind, MaterialSpec, NamedLaw};
+pub use named::{LawChoice, LawEntry, LawKey, LawKeyKind, MaterialSpec, NamedLaw, NumberRange, Typical};
 pub use neo_hooke_log::NeoHookeLog;
 pub use ogden::{Ogden, OgdenTerm};
 pub use prony::{PronyHistory, PronySeries, PronyStep, PronyTerm};
 pub use st_venant_kirchhoff::StVenantKirchhoff;
 pub use stable_neo_hooke::StableNeoHooke;
-pub use table::{LAWS, law_named, law_names};
+pub use table::{LAWS, every_law, law_named, law_names};

@@ -9,18 +9,25 @@
 use super::linear_elastic::check_bulk;
 use super::principal::{self, PAIRS, PrincipalDerivatives};
 use super::{
-    LawEntry, LawKey, LawKeyKind, LinearElastic, Material, MaterialError, MaterialSpec, NamedLaw, Tangent,
+    LawEntry, LawKey, LawKeyKind, LinearElastic, Material, MaterialError, MaterialSpec, NamedLaw,
+    NumberRange, Tangent, Typical,
 };
 use glisson_mesh::math::DMat3;
+
+/// C01 as a share of C10 + C01.
+const SECOND_SHARE: NumberRange = NumberRange { allowed: "0 to 1", holds: |x| (0.0..=1.0).contains(&x) };
 
 /// The law's line in the table of laws.
 pub(super) const LAW: LawEntry = LawEntry {
     name: "mooney_rivlin",
     about: "two isochoric invariants",
+    source: "Rivlin 1948, doi 10.1098/rsta.1948.0024",
     keys: &[LawKey {
         name: "c01_share",
         about: "C01 as a share of C10 + C01, 0 to 1",
         kind: LawKeyKind::Number(None),
+        range: SECOND_SHARE,
+        typical: Typical::Number(0.4),
     }],
     example: "law = { name = \"mooney_rivlin\", c01_share = 0.4 }",
     make: |linear, own| Ok(MaterialSpec::from(MooneyRivlin::from_linear(linear, own.number("c01_share"))?)),
@@ -74,14 +81,7 @@ impl MooneyRivlin {
     /// # Errors
     /// [`MaterialError::Parameter`] unless the share is in [0, 1], or when lambda + 2/3 mu is not positive.
     pub fn from_linear(linear: &LinearElastic, second_share: f64) -> Result<Self, MaterialError> {
-        if !(0.0..=1.0).contains(&second_share) {
-            return Err(MaterialError::Parameter {
-                law: "mooney_rivlin",
-                name: "share of C01",
-                found: second_share,
-                allowed: "0 to 1",
-            });
-        }
+        SECOND_SHARE.check(LAW.name, "share of C01", second_share)?;
         let half_pa = 0.5 * linear.mu_pa();
         Self::new(half_pa * (1.0 - second_share), half_pa * second_share, linear.bulk_modulus_pa())
     }

@@ -15,6 +15,8 @@ pub struct LawEntry {
     pub name: &'static str,
     /// What it is, in a few words.
     pub about: &'static str,
+    /// Where its formula stands: authors, year and DOI, or the seed.
+    pub source: &'static str,
     /// What it needs beside the moduli of small strain.
     pub keys: &'static [LawKey],
     /// How a scene writes it, for messages; empty for a law without keys.
@@ -32,6 +34,53 @@ pub struct LawKey {
     pub about: &'static str,
     /// What kind of value it is.
     pub kind: LawKeyKind,
+    /// Which numbers it may be, in SI; [`NumberRange::ANY`] for directions.
+    pub range: NumberRange,
+    /// A value to try the law with, for tests and validation.
+    pub typical: Typical,
+}
+
+/// Which numbers a parameter may be. The law's constructor checks with the same one.
+#[derive(Clone, Copy)]
+pub struct NumberRange {
+    /// In words, for messages.
+    pub allowed: &'static str,
+    /// Whether a number is one of them.
+    pub holds: fn(f64) -> bool,
+}
+
+impl NumberRange {
+    /// Every number.
+    pub const ANY: Self = Self { allowed: "any number", holds: |_| true };
+    /// Every finite number above 0.
+    pub const ABOVE_ZERO: Self =
+        Self { allowed: "a finite number above 0", holds: |x| x.is_finite() && x > 0.0 };
+
+    /// Refuses a number that is not one of them; `law` is the law's name, `name` the parameter's.
+    ///
+    /// # Errors
+    /// [`MaterialError::Parameter`].
+    pub fn check(&self, law: &'static str, name: &'static str, found: f64) -> Result<(), MaterialError> {
+        if (self.holds)(found) {
+            return Ok(());
+        }
+        Err(MaterialError::Parameter { law, name, found, allowed: self.allowed })
+    }
+}
+
+impl fmt::Debug for NumberRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.allowed)
+    }
+}
+
+/// A value to try a law with.
+#[derive(Clone, Copy, Debug)]
+pub enum Typical {
+    /// A number, in SI.
+    Number(f64),
+    /// Directions.
+    Directions(&'static [DVec3]),
 }
 
 /// Kinds of parameters.
@@ -69,6 +118,14 @@ impl LawChoice {
             LawKeyKind::Positive(_) | LawKeyKind::Directions => None,
         });
         Self { entry, numbers: defaults.collect(), directions: Vec::new() }
+    }
+
+    /// A law with values to try it with: for tests and validation, which go through the whole table.
+    pub fn typical(entry: &'static LawEntry) -> Self {
+        entry.keys.iter().fold(Self::of(entry), |law, key| match key.typical {
+            Typical::Number(number) => law.with_number(key.name, number),
+            Typical::Directions(directions) => directions.iter().copied().fold(law, Self::with_direction),
+        })
     }
 
     /// Its line in the table.

@@ -16,6 +16,7 @@ use glisson_mesh::math::DMat3;
 pub(super) const LAW: LawEntry = LawEntry {
     name: "neo_hooke_log",
     about: "mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2",
+    source: "Bonet and Wood 2008, Nonlinear Continuum Mechanics for Finite Element Analysis, s. 6.4.3",
     keys: &[],
     example: "",
     make: |linear, _| Ok(MaterialSpec::from(NeoHookeLog::from(linear))),

@@ -10,18 +10,26 @@ use super::eigen::signed_singular_values;
 use super::linear_elastic::check_bulk;
 use super::principal::{self, PAIRS, PrincipalDerivatives};
 use super::{
-    LawEntry, LawKey, LawKeyKind, LinearElastic, Material, MaterialError, MaterialSpec, NamedLaw, Tangent,
+    LawEntry, LawKey, LawKeyKind, LinearElastic, Material, MaterialError, MaterialSpec, NamedLaw,
+    NumberRange, Tangent, Typical,
 };
 use glisson_mesh::math::DMat3;
+
+/// The exponent alpha.
+const EXPONENT: NumberRange =
+    NumberRange { allowed: "a finite number other than 0", holds: |x| x.is_finite() && x != 0.0 };
 
 /// The law's line in the table of laws.
 pub(super) const LAW: LawEntry = LawEntry {
     name: "ogden",
     about: "a power of the principal stretches",
+    source: "Ogden 1972, doi 10.1098/rspa.1972.0026",
     keys: &[LawKey {
         name: "exponent",
         about: "the exponent alpha, not 0: it belongs to the tissue",
         kind: LawKeyKind::Number(None),
+        range: EXPONENT,
+        typical: Typical::Number(-4.7),
     }],
     example: "law = { name = \"ogden\", exponent = -4.7 }",
     make: |linear, own| Ok(MaterialSpec::from(Ogden::from_linear(linear, own.number("exponent"))?)),
@@ -73,14 +81,7 @@ impl Ogden {
             if !(term.mu_pa.is_finite() && term.mu_pa > 0.0) {
                 return Err(MaterialError::ShearModulus { found_pa: term.mu_pa });
             }
-            if !(term.exponent.is_finite() && term.exponent != 0.0) {
-                return Err(MaterialError::Parameter {
-                    law: "ogden",
-                    name: "alpha",
-                    found: term.exponent,
-                    allowed: "a finite number other than 0",
-                });
-            }
+            EXPONENT.check(LAW.name, "alpha", term.exponent)?;
         }
         check_bulk("ogden", bulk_pa)?;
         Ok(Self { terms: terms.to_vec(), bulk_pa })

@@ -16,6 +16,7 @@ use glisson_mesh::math::{DMat3, DVec3};
 pub(super) const LAW: LawEntry = LawEntry {
     name: "st_venant_kirchhoff",
     about: "linear in the Green-Lagrange strain",
+    source: "seed 002, eq. 5",
     keys: &[],
     example: "",
     make: |linear, _| Ok(MaterialSpec::from(StVenantKirchhoff::from(linear))),

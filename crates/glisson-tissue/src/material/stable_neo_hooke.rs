@@ -17,6 +17,7 @@ use glisson_mesh::math::DMat3;
 pub(super) const LAW: LawEntry = LawEntry {
     name: "stable_neo_hooke",
     about: "Smith, de Goes and Kim 2018: bears inverted elements",
+    source: "Smith, de Goes and Kim 2018, doi 10.1145/3180491",
     keys: &[],
     example: "",
     make: |linear, _| Ok(MaterialSpec::from(StableNeoHooke::from(linear))),

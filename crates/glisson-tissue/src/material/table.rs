@@ -3,8 +3,8 @@
 //! A law's own file has its [`LawEntry`]. Whoever reads laws (scenes, `glisson solve`, tests) goes through this table.
 
 use super::{
-    LawChoice, LawEntry, holzapfel_gasser_ogden, linear_elastic, mooney_rivlin, neo_hooke_log, ogden,
-    st_venant_kirchhoff, stable_neo_hooke,
+    LawChoice, LawEntry, LinearElastic, MaterialError, MaterialSpec, holzapfel_gasser_ogden, linear_elastic,
+    mooney_rivlin, neo_hooke_log, ogden, st_venant_kirchhoff, stable_neo_hooke,
 };
 
 /// Every law, in the order in which they are listed to people.
@@ -26,4 +26,13 @@ pub fn law_named(name: &str) -> Option<LawChoice> {
 /// The names of all laws, as scenes write them.
 pub fn law_names() -> impl Iterator<Item = &'static str> {
     LAWS.iter().map(|entry| entry.name)
+}
+
+/// Every law of the table with values to try it with and the moduli of `linear` at small strain (a fibre law: without its
+/// fibres): for tests and validation.
+///
+/// # Errors
+/// [`MaterialError`] where the moduli are out of a law's range.
+pub fn every_law(linear: &LinearElastic) -> Result<Vec<MaterialSpec>, MaterialError> {
+    LAWS.iter().map(|entry| LawChoice::typical(entry).with_moduli_of(linear)).collect()
 }

@@ -1,5 +1,6 @@
 //! The models by their scene names.
 
+use crate::material::law_names;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -67,33 +68,28 @@ impl ModelKind {
     }
 
     /// Names of the laws that the model can follow; the first is its own. None for springs without a law.
-    pub fn laws(self) -> &'static [&'static str] {
+    pub fn laws(self) -> Vec<&'static str> {
         match self {
-            Self::Precomputed | Self::QuasiNonlinear | Self::TensorMass => &["linear"],
-            Self::Hybrid => &["linear", "st_venant_kirchhoff"],
-            Self::NonlinearTensorMass | Self::Reduced => &["st_venant_kirchhoff"],
-            Self::Explicit => &[
-                "st_venant_kirchhoff",
-                "linear",
-                "neo_hooke_log",
-                "stable_neo_hooke",
-                "mooney_rivlin",
-                "ogden",
-                "holzapfel_gasser_ogden",
-            ],
-            Self::Implicit => &[
-                "neo_hooke_log",
-                "stable_neo_hooke",
-                "st_venant_kirchhoff",
-                "linear",
-                "mooney_rivlin",
-                "ogden",
-                "holzapfel_gasser_ogden",
-            ],
-            Self::MassSpring => &[],
-            Self::ExtendedMassSpring => &["st_venant_kirchhoff", "neo_hooke_log"],
+            Self::Precomputed | Self::QuasiNonlinear | Self::TensorMass => vec!["linear"],
+            Self::Hybrid => vec!["linear", "st_venant_kirchhoff"],
+            Self::NonlinearTensorMass | Self::Reduced => vec!["st_venant_kirchhoff"],
+            Self::Explicit => every_law_after(&["st_venant_kirchhoff"]),
+            Self::Implicit => every_law_after(&["neo_hooke_log", "stable_neo_hooke", "st_venant_kirchhoff"]),
+            Self::MassSpring => Vec::new(),
+            Self::ExtendedMassSpring => vec!["st_venant_kirchhoff", "neo_hooke_log"],
         }
     }
+
+    /// Whether the model can follow a law of this name. [`Self::Explicit`] and [`Self::Implicit`] follow any, also one that
+    /// is not in the table of laws.
+    pub fn follows(self, law: &str) -> bool {
+        matches!(self, Self::Explicit | Self::Implicit) || self.laws().contains(&law)
+    }
+}
+
+/// The names of all laws: those `first`, the others in the order of the table.
+fn every_law_after(first: &[&'static str]) -> Vec<&'static str> {
+    first.iter().copied().chain(law_names().filter(|name| !first.contains(name))).collect()
 }
 
 impl fmt::Display for ModelKind {

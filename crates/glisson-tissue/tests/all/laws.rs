@@ -3,9 +3,9 @@
 
 use glisson_mesh::math::{DMat3, DVec3, SeededRandom, outer};
 use glisson_tissue::material::{
-    HolzapfelGasserOgden, HolzapfelGasserOgdenParameters, LinearElastic, Material, MaterialSpec,
-    MooneyRivlin, NeoHookeLog, Ogden, OgdenTerm, PronySeries, PronyTerm, StVenantKirchhoff, StableNeoHooke,
-    Tangent, law_names, projected,
+    HolzapfelGasserOgden, HolzapfelGasserOgdenParameters, LAWS, LawChoice, LawKeyKind, LinearElastic,
+    Material, MaterialSpec, MooneyRivlin, NeoHookeLog, Ogden, OgdenTerm, PronySeries, PronyTerm,
+    StableNeoHooke, Tangent, Typical, every_law, law_names, projected,
 };
 
 /// A law and where it is checked.
@@ -48,21 +48,18 @@ fn cases() -> Vec<Case> {
         fibre_directions: vec![DVec3::new(1.0, 2.0, -0.5), DVec3::new(1.0, -1.0, 0.3)],
         bulk_pa: 20_000.0,
     });
-    vec![
-        Case { rotation_invariant: false, inverts: true, ..case(MaterialSpec::from(linear)) },
-        Case { inverts: true, ..case(MaterialSpec::from(StVenantKirchhoff::from(&linear))) },
-        case(MaterialSpec::from(NeoHookeLog::from(&linear))),
-        Case { inverts: true, ..case(MaterialSpec::from(StableNeoHooke::from(&linear))) },
-        case(MaterialSpec::from(MooneyRivlin::from_linear(&linear, 0.4).unwrap())),
-        case(MaterialSpec::from(Ogden::from_linear(&linear, -4.7).unwrap())),
-        Case { from_liver: false, ..case(MaterialSpec::from(Ogden::new(&two_terms, 20_000.0).unwrap())) },
-        Case {
-            jumps_at_rest: true,
-            nearest: false,
-            from_liver: false,
-            ..case(MaterialSpec::from(fibres.unwrap()))
-        },
-    ]
+    let with_fibres = |spec| Case { jumps_at_rest: true, nearest: false, from_liver: false, ..case(spec) };
+    // A law of the table that is not named here is taken to be isotropic, free to turn, and infinite when inverted.
+    let of_table = every_law(&linear).unwrap().into_iter().map(|spec| match spec.name() {
+        "linear" => Case { rotation_invariant: false, inverts: true, ..case(spec) },
+        "st_venant_kirchhoff" | "stable_neo_hooke" => Case { inverts: true, ..case(spec) },
+        "holzapfel_gasser_ogden" => with_fibres(spec),
+        _ => case(spec),
+    });
+    let two_terms = MaterialSpec::from(Ogden::new(&two_terms, 20_000.0).unwrap());
+    let others =
+        [Case { from_liver: false, ..case(two_terms) }, with_fibres(MaterialSpec::from(fibres.unwrap()))];
+    of_table.chain(others).collect()
 }
 
 /// Shears, stretches and swellings of up to about 50 %, in no special direction; equal and nearly equal
@@ -206,6 +203,83 @@ fn every_name_is_a_law_and_every_law_has_a_name() {
         assert!(found.contains(&name), "{name} is not checked");
     }
     assert!(found.iter().all(|name| law_names().any(|known| known == *name)));
+}
+
+/// Names and keys are there once, every law has its source, and every default and example value is allowed.
+#[test]
+fn the_table_of_laws_is_sound() {
+    let is_name = |text: &str| {
+        let is_part = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_';
+        !text.is_empty() && text.bytes().all(is_part)
+    };
+    for (place, law) in LAWS.iter().enumerate() {
+        let name = law.name;
+        assert!(is_name(name) && law_names().position(|other| other == name) == Some(place), "{name}");
+        assert!(!law.about.is_empty() && law.source.bytes().any(|b| b.is_ascii_digit()), "{name}");
+        assert_eq!(law.keys.is_empty(), law.example.is_empty(), "{name}");
+        for (place, key) in law.keys.iter().enumerate() {
+            let first = law.keys.iter().position(|other| other.name == key.name);
+            assert!(is_name(key.name) && first == Some(place), "{name} {}", key.name);
+            let is_directions = key.kind == LawKeyKind::Directions;
+            assert_eq!(matches!(key.typical, Typical::Directions(_)), is_directions, "{name} {}", key.name);
+            if let LawKeyKind::Number(Some(default)) = key.kind {
+                assert!((key.range.holds)(default), "{name} {}", key.name);
+            }
+        }
+        let typical = LawChoice::typical(law);
+        assert!(typical.missing().is_none(), "{name}");
+        assert_eq!(typical.with_moduli_of(&liver()).unwrap().name(), name);
+    }
+}
+
+/// The table and the law itself allow the same numbers.
+#[test]
+fn the_ranges_of_the_table_are_those_of_the_laws() {
+    let tried = [
+        -1e9,
+        -4.7,
+        -1.0,
+        -1e-9,
+        0.0,
+        1e-9,
+        0.2,
+        1.0 / 3.0,
+        0.34,
+        1.0,
+        1.1,
+        4.7,
+        1e9,
+        f64::NAN,
+        f64::INFINITY,
+    ];
+    let mut n_refused = 0;
+    for law in LAWS {
+        for key in law.keys.iter().filter(|key| key.kind != LawKeyKind::Directions) {
+            for number in tried {
+                let made = LawChoice::typical(law).with_number(key.name, number).with_moduli_of(&liver());
+                let is_allowed = (key.range.holds)(number);
+                assert_eq!(made.is_ok(), is_allowed, "{} {} {number}: {:?}", law.name, key.name, made.err());
+                n_refused += u32::from(!is_allowed);
+            }
+        }
+    }
+    assert!(n_refused > 20);
+}
+
+/// docs/models.md and docs/scene.md name every law, docs/scene.md every key.
+#[test]
+fn the_documentation_names_every_law_and_key() {
+    let read = |name: &str| {
+        std::fs::read_to_string(format!("{}/../../docs/{name}", env!("CARGO_MANIFEST_DIR"))).unwrap()
+    };
+    let (models, scene) = (read("models.md"), read("scene.md"));
+    for law in LAWS {
+        assert!(models.contains(&format!("| `{}` |", law.name)), "{} in docs/models.md", law.name);
+        assert!(scene.contains(&format!("`{}`", law.name)), "{} in docs/scene.md", law.name);
+        for key in law.keys {
+            assert!(scene.contains(key.name), "{} of {} in docs/scene.md", key.name, law.name);
+        }
+    }
 }
 
 #[test]

@@ -7,6 +7,7 @@ mod body;
 mod build;
 mod contact;
 mod instrument;
+mod law;
 mod models;
 mod organ;
 mod reader;

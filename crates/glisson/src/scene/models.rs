@@ -42,7 +42,7 @@ const FREQUENCY_RESERVE: f64 = LARGEST_STRETCH;
 /// that the model cannot do.
 pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn DeformableModel>, BuildError> {
     let material = &body.material;
-    let law = body.law.as_ref().filter(|law| kind.laws().contains(&law.name()));
+    let law = body.law.as_ref().filter(|law| kind.follows(law.name()));
     let integration = Integration { frequency_reserve: FREQUENCY_RESERVE, ..Integration::default() };
     body.refuse_what_it_lacks(kind)?;
     let is_linear = law.map(LawChoice::name).or(kind.laws().first().copied()) == Some("linear");

@@ -1,7 +1,8 @@
 //! `[organ]`: mesh, material, law, model, supports and loads.
 
+use super::law::read_law;
 use super::reader::{SceneError, Section};
-use crate::material::{LawChoice, LawKeyKind, PronyTerm, law_named, law_names};
+use crate::material::{LawChoice, PronyTerm};
 use crate::math::{Aabb, DVec3};
 use crate::model::Rayleigh;
 use crate::model::hybrid::condensed::ZoneLaw;
@@ -205,65 +206,6 @@ fn not_negative(
             Err(section.wrong_value(at, key, format!("{quantity} {unit}"), "zero or more"))
         }
         found => Ok(found.map_or(0.0, |f| f.0)),
-    }
-}
-
-/// `law = "neo_hooke_log"`, or a table with the law's own numbers.
-fn read_law(section: &mut Section<'_>, model: ModelKind) -> Result<Option<LawChoice>, SceneError> {
-    let (law, at) = if section.is_table("law") {
-        let at = section.get("law");
-        let Some(mut table) = section.section("law")? else { return Ok(None) };
-        let (name, at_name) =
-            table.string("name")?.ok_or_else(|| table.missing("name", "name = \"ogden\""))?;
-        let law = law_by_name(&mut table, &name, at_name)?;
-        table.finish()?;
-        (law, at)
-    } else {
-        let Some((name, at)) = section.string("law")? else { return Ok(None) };
-        (law_by_name(section, &name, at)?, Some(at))
-    };
-    let allowed = model.laws();
-    match at {
-        Some(at) if !allowed.contains(&law.name()) => {
-            let allowed = if allowed.is_empty() {
-                format!("none: the model \"{model}\" follows no law; leave the key out")
-            } else {
-                format!("{} (the laws of the model \"{model}\")", allowed.join(", "))
-            };
-            Err(section.wrong_value(at, "law", format!("\"{}\"", law.name()), &allowed))
-        }
-        _ => Ok(Some(law)),
-    }
-}
-
-fn law_by_name(
-    section: &mut Section<'_>,
-    name: &str,
-    at: super::reader::Value<'_>,
-) -> Result<LawChoice, SceneError> {
-    let Some(mut law) = law_named(name) else {
-        let allowed = law_names().collect::<Vec<_>>().join(", ");
-        return Err(section.wrong_value(at, "law", format!("\"{name}\""), &allowed));
-    };
-    for key in law.entry().keys {
-        law = match key.kind {
-            LawKeyKind::Number(_) => match section.number(key.name)? {
-                Some((number, _)) => law.with_number(key.name, number),
-                None => law,
-            },
-            LawKeyKind::Positive(dimension) => match section.positive(key.name, dimension)? {
-                Some(quantity) => law.with_number(key.name, quantity),
-                None => law,
-            },
-            LawKeyKind::Directions => match section.direction(key.name)? {
-                Some(direction) => law.with_direction(direction),
-                None => law,
-            },
-        };
-    }
-    match law.missing() {
-        Some(key) => Err(section.missing(key.name, law.entry().example)),
-        None => Ok(law),
     }
 }
 

@@ -7,13 +7,13 @@ use anyhow::{Context, bail, ensure};
 use glisson::image::LabelMap;
 use glisson::image::labels::{Parts, mask_volume_m3};
 use glisson::image::nifti::read_label_map;
-use glisson::mesh::files::write_mesh;
+use glisson::mesh::files::{MeshFormat, extensions_of, write_mesh};
 use glisson::mesh::generate::{MAX_TETRAHEDRA, MIN_TETRAHEDRA, MeshParams, MeshPlan, MeshReport, WantedSize};
 use glisson::mesh::thin::ThinKind;
 use glisson::surface::TriMesh;
 use glisson::surface::check::check_closed;
 use glisson::surface::extract::{SurfaceParams, surface_of_mask};
-use glisson::surface::files::{read_surface, write_surface};
+use glisson::surface::files::{read_surface, surface_extensions, write_surface};
 
 /// Number of tetrahedra when neither a number nor a size is given.
 const DEFAULT_TETRAHEDRA: usize = 6_300;
@@ -126,9 +126,9 @@ fn check_arguments(args: &Args) -> anyhow::Result<()> {
         ensure!(known, "{}: found the extension `{found}`, allowed: .{listed}", path.display());
         Ok(())
     };
-    has_extension(&args.output, &["vtu", "vtk", "msh"])?;
+    has_extension(&args.output, &extensions_of(MeshFormat::is_written))?;
     if let Some(path) = &args.surface_out {
-        has_extension(path, &["stl", "obj", "ply", "vtk"])?;
+        has_extension(path, &surface_extensions())?;
     }
     if let Some(n) = args.tetrahedra {
         let allowed = MIN_TETRAHEDRA..=MAX_TETRAHEDRA;

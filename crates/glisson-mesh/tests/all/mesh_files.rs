@@ -8,8 +8,8 @@ use glisson_mesh::mesh::faults::{
     FaultAction, ImportPolicy, LengthUnit, LooseNodes, MeshError, find_faults, fix_winding,
 };
 use glisson_mesh::mesh::files::{
-    FieldPlace, FieldValues, GmshVersion, MeshBytes, MeshFileError, VtuField, mesh_from_bytes, read_mesh,
-    read_mesh_with, write_gmsh, write_mesh, write_vtu_with,
+    FORMATS, FieldPlace, FieldValues, GmshVersion, MeshFileError, MeshFormat, VtuField, extensions_of,
+    format_of_extension, mesh_from_bytes, read_mesh, read_mesh_with, write_gmsh, write_mesh, write_vtu_with,
 };
 use glisson_mesh::mesh::topology::Topology;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
@@ -43,17 +43,37 @@ enum Kind {
 }
 
 fn read_as(kind: Kind, bytes: &[u8], policy: &ImportPolicy) -> Result<TetMesh, MeshFileError> {
-    let bytes = match kind {
-        Kind::Vtk => MeshBytes::VtkLegacy(bytes),
-        Kind::Vtu => MeshBytes::Vtu(bytes),
-        Kind::Gmsh => MeshBytes::Gmsh(bytes),
-        Kind::Plain => MeshBytes::PlainList(bytes),
-        Kind::TetGen => {
-            let at = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
-            MeshBytes::TetGen { node: &bytes[..at], ele: bytes.get(at + 1..).unwrap_or_default() }
-        }
+    let extension = match kind {
+        Kind::Vtk => "vtk",
+        Kind::Vtu => "vtu",
+        Kind::Gmsh => "msh",
+        Kind::Plain => "tet",
+        Kind::TetGen => "node",
     };
-    mesh_from_bytes(bytes, policy, "sample").map(|(mesh, _)| mesh)
+    let format = format_of_extension(extension).unwrap();
+    let at = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
+    let pair = [&bytes[..at], bytes.get(at + 1..).unwrap_or_default()];
+    let files: &[&[u8]] = if kind == Kind::TetGen { &pair } else { &[bytes] };
+    mesh_from_bytes(format, files, policy, "sample").map(|(mesh, _)| mesh)
+}
+
+/// Every row has extensions of its own, is read from empty files without a panic, and is a kind of [`Kind`].
+#[test]
+fn the_table_of_formats_is_sound() {
+    let all = extensions_of(|_| true);
+    for format in FORMATS {
+        assert!(!format.name.is_empty() && !format.extensions.is_empty(), "{}", format.name);
+        assert!(format.n_files == 1 || format.n_files == format.extensions.len(), "{}", format.name);
+        for extension in format.extensions {
+            assert_eq!(all.iter().filter(|other| *other == extension).count(), 1, "{extension}");
+        }
+        assert!(mesh_from_bytes(format, &[], &ImportPolicy::default(), "x").is_err(), "{}", format.name);
+    }
+    assert_eq!(FORMATS.len(), 5, "a new format has its flavours in `samples`");
+}
+
+fn vtk_format() -> &'static MeshFormat {
+    format_of_extension("vtk").unwrap()
 }
 
 fn error_of(kind: Kind, text: &str) -> String {
@@ -365,7 +385,7 @@ fn every_flavour_gives_the_same_mesh() {
 fn skipped_cells_are_counted_and_the_unit_is_asked_for() {
     let text = vtk_ascii();
     let policy = ImportPolicy { unit: LengthUnit::Metre, ..ImportPolicy::default() };
-    let (mesh, report) = mesh_from_bytes(MeshBytes::VtkLegacy(text.as_bytes()), &policy, "x").unwrap();
+    let (mesh, report) = mesh_from_bytes(vtk_format(), &[text.as_bytes()], &policy, "x").unwrap();
     assert_eq!(report.skipped_cells, [("triangle", 1), ("vertex", 1)]);
     assert_eq!(mesh.positions_m[4], DVec3::splat(10.0));
     let policy = ImportPolicy { unit: LengthUnit::Centimetre, ..ImportPolicy::default() };
@@ -640,7 +660,7 @@ fn files_are_told_by_their_extension() {
 fn winding_is_fixed_and_said() {
     let text = vtk_ascii().replace("4 1 2 3 4", "4 2 1 3 4");
     let (mesh, report) =
-        mesh_from_bytes(MeshBytes::VtkLegacy(text.as_bytes()), &ImportPolicy::default(), "x").unwrap();
+        mesh_from_bytes(vtk_format(), &[text.as_bytes()], &ImportPolicy::default(), "x").unwrap();
     assert_eq!(report.winding_fixed, [TetId(1)]);
     let lines = [
         "1 cell(s) passed over: triangle",

@@ -7,6 +7,7 @@ use std::io::{self, Write};
 
 use super::GmshVersion;
 use super::cells::{CellKind, Frame, RawMesh, gmsh_element_kind, refused_volume};
+use super::format::{MeshFormat, file};
 use super::text::{ByteOrder, FormatError, NumberType, Scanner, millimetres, quoted};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
@@ -22,8 +23,17 @@ struct GmshReader<'a> {
     places: Vec<(i64, usize)>,
 }
 
+/// The format's row of the table.
+pub(super) const FORMAT: MeshFormat = MeshFormat {
+    name: "Gmsh",
+    extensions: &["msh"],
+    n_files: 1,
+    read: |files, unit| read(file(files, 0), unit),
+    write: Some(|mesh, out| write(mesh, GmshVersion::V2_2, out)),
+};
+
 /// The mesh in the bytes of a file.
-pub(super) fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
+fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
     let mut reader = GmshReader {
         scanner: Scanner::new(bytes),
         binary: None,

@@ -6,7 +6,7 @@
 //! | VTK XML | `.vtu` | ASCII, base64, appended raw or base64, zlib | positions ASCII, the rest base64 + zlib |
 //! | Gmsh | `.msh` | 2.x and 4.1, ASCII and binary | ASCII 2.2 (and 4.1) |
 //! | TetGen | `.node` + `.ele` | numbered from 0 or 1 | |
-//! | plain list | `.tet`, `.txt` | [the list](self::MeshBytes::PlainList) | |
+//! | plain list | `.tet`, `.txt` | words separated by blanks, see `plain_list` | |
 //!
 //! No format says its length unit: [`ImportPolicy::unit`] does, millimetres unless told otherwise, and
 //! millimetres are written. Axes are LPS unless a title or comment says `SPACE=RAS`; `SPACE=LPS` is written.
@@ -18,6 +18,7 @@
 
 mod base64;
 mod cells;
+mod format;
 mod gmsh;
 mod plain_list;
 mod tetgen;
@@ -26,6 +27,7 @@ mod vtk_legacy;
 mod vtu;
 mod vtu_write;
 
+pub use format::MeshFormat;
 pub use text::{FormatError, Place};
 pub use vtu_write::{FieldPlace, FieldValues, VtuField};
 
@@ -51,7 +53,7 @@ pub enum MeshFileError {
         /// Its extension.
         found: String,
         /// Those that can be read, or written.
-        allowed: &'static str,
+        allowed: String,
     },
     /// The file system refused.
     #[error("{}: {source}", path.display())]
@@ -84,44 +86,37 @@ pub enum MeshFileError {
     },
 }
 
-/// The bytes of a mesh file, and what they are.
-#[derive(Clone, Copy, Debug)]
-pub enum MeshBytes<'a> {
-    /// VTK legacy.
-    VtkLegacy(&'a [u8]),
-    /// VTK XML unstructured grid.
-    Vtu(&'a [u8]),
-    /// Gmsh.
-    Gmsh(&'a [u8]),
-    /// TetGen's pair of files.
-    TetGen {
-        /// Content of the `.node` file.
-        node: &'a [u8],
-        /// Content of the `.ele` file.
-        ele: &'a [u8],
-    },
-    /// Words separated by blanks: the number of vertices and of tetrahedra, then x y z of each vertex, then
-    /// the four vertices of each tetrahedron. `#` starts a comment. Vertices are numbered from 0, or from 1
-    /// if a tetrahedron names a vertex of the number of vertices itself.
-    PlainList(&'a [u8]),
+/// Every format, in the order of messages: one line a format, whose description is in its own file (docs/extending.md).
+pub const FORMATS: &[MeshFormat] =
+    &[vtk_legacy::FORMAT, vtu::FORMAT, gmsh::FORMAT, tetgen::FORMAT, plain_list::FORMAT];
+
+/// The format that an extension names, in lower case and without its dot.
+pub fn format_of_extension(extension: &str) -> Option<&'static MeshFormat> {
+    FORMATS.iter().find(|format| format.extensions.contains(&extension))
 }
 
-/// A mesh from bytes; `source_name` names them in errors.
+/// The extensions of all formats that `is_meant` picks, without their dots, in the order of the table.
+pub fn extensions_of(is_meant: impl Fn(&MeshFormat) -> bool) -> Vec<&'static str> {
+    let meant = FORMATS.iter().filter(|format| is_meant(format));
+    meant.flat_map(|format| format.extensions.iter().copied()).collect()
+}
+
+fn unknown_extension(path: &Path, is_meant: impl Fn(&MeshFormat) -> bool) -> MeshFileError {
+    let allowed = format!(".{}", extensions_of(is_meant).join(", ."));
+    MeshFileError::UnknownExtension { path: path.to_owned(), found: lower_extension(path), allowed }
+}
+
+/// A mesh from the bytes of its files, in the order of the format's extensions; `source_name` names them in errors.
 ///
 /// # Errors
 /// [`MeshFileError`] as for [`read_mesh_with`].
 pub fn mesh_from_bytes(
-    bytes: MeshBytes<'_>,
+    format: &MeshFormat,
+    files: &[&[u8]],
     policy: &ImportPolicy,
     source_name: &str,
 ) -> Result<(TetMesh, ImportReport), MeshFileError> {
-    let raw = match bytes {
-        MeshBytes::VtkLegacy(bytes) => vtk_legacy::read(bytes, policy.unit),
-        MeshBytes::Vtu(bytes) => vtu::read(bytes, policy.unit),
-        MeshBytes::Gmsh(bytes) => gmsh::read(bytes, policy.unit),
-        MeshBytes::TetGen { node, ele } => tetgen::read(node, ele, policy.unit),
-        MeshBytes::PlainList(bytes) => plain_list::read(bytes, policy.unit),
-    };
+    let raw = (format.read)(files, policy.unit);
     let mut raw =
         raw.map_err(|error| MeshFileError::Format { source_name: source_name.to_owned(), error })?;
     if raw.frame == Frame::Ras {
@@ -154,32 +149,16 @@ pub fn read_mesh(path: &Path) -> Result<(TetMesh, ImportReport), MeshFileError> 
 pub fn read_mesh_with(path: &Path, policy: &ImportPolicy) -> Result<(TetMesh, ImportReport), MeshFileError> {
     let load =
         |path: &Path| fs::read(path).map_err(|source| MeshFileError::Io { path: path.to_owned(), source });
-    let extension = lower_extension(path);
-    let second;
-    let first;
-    let mut source_name = path.display().to_string();
-    let bytes = match extension.as_str() {
-        "vtk" | "vtu" | "msh" | "tet" | "txt" => {
-            first = load(path)?;
-            match extension.as_str() {
-                "vtk" => MeshBytes::VtkLegacy(&first),
-                "vtu" => MeshBytes::Vtu(&first),
-                "msh" => MeshBytes::Gmsh(&first),
-                _ => MeshBytes::PlainList(&first),
-            }
-        }
-        "node" | "ele" => {
-            first = load(&path.with_extension("node"))?;
-            second = load(&path.with_extension("ele"))?;
-            source_name = path.with_extension("{node,ele}").display().to_string();
-            MeshBytes::TetGen { node: &first, ele: &second }
-        }
-        _ => {
-            let allowed = ".vtk, .vtu, .msh, .node, .ele, .tet, .txt";
-            return Err(MeshFileError::UnknownExtension { path: path.to_owned(), found: extension, allowed });
-        }
-    };
-    mesh_from_bytes(bytes, policy, &source_name)
+    let format =
+        format_of_extension(&lower_extension(path)).ok_or_else(|| unknown_extension(path, |_| true))?;
+    if format.n_files == 1 {
+        return mesh_from_bytes(format, &[&load(path)?], policy, &path.display().to_string());
+    }
+    let files: Vec<Vec<u8>> =
+        format.extensions.iter().map(|e| load(&path.with_extension(e))).collect::<Result<_, _>>()?;
+    let files: Vec<&[u8]> = files.iter().map(Vec::as_slice).collect();
+    let all = format!("{{{}}}", format.extensions.join(","));
+    mesh_from_bytes(format, &files, policy, &path.with_extension(all).display().to_string())
 }
 
 fn lower_extension(path: &Path) -> String {
@@ -201,16 +180,9 @@ pub enum GmshVersion {
 /// # Errors
 /// [`MeshFileError`]: another extension, or the file cannot be written; then the old one is untouched.
 pub fn write_mesh(path: &Path, mesh: &TetMesh) -> Result<(), MeshFileError> {
-    let extension = lower_extension(path);
-    match extension.as_str() {
-        "vtk" => written(path, write_atomically(path, |out| vtk_legacy::write(mesh, out))),
-        "vtu" => write_vtu_with(path, mesh, &[]),
-        "msh" => write_gmsh(path, mesh, GmshVersion::V2_2),
-        _ => {
-            let allowed = ".vtk, .vtu, .msh";
-            Err(MeshFileError::UnknownExtension { path: path.to_owned(), found: extension, allowed })
-        }
-    }
+    let write = format_of_extension(&lower_extension(path)).and_then(|format| format.write);
+    let write = write.ok_or_else(|| unknown_extension(path, MeshFormat::is_written))?;
+    written(path, write_atomically(path, |out| write(mesh, out)))
 }
 
 /// Writes `mesh` as a VTK XML file with values on its nodes and tetrahedra.

@@ -5,12 +5,22 @@
 //! vertices itself must count from 1; any other is read as counting from 0.
 
 use super::cells::{Frame, RawMesh};
+use super::format::{MeshFormat, file};
 use super::text::{FormatError, Scanner, quoted};
 use crate::math::DVec3;
 use crate::mesh::faults::LengthUnit;
 
+/// The format's row of the table.
+pub(super) const FORMAT: MeshFormat = MeshFormat {
+    name: "plain list",
+    extensions: &["tet", "txt"],
+    n_files: 1,
+    read: |files, unit| read(file(files, 0), unit),
+    write: None,
+};
+
 /// The mesh in the bytes of a list.
-pub(super) fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
+fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
     let mut scanner = Scanner::with_comments(bytes);
     let mut raw = RawMesh { frame: Frame::named_in(bytes), ..RawMesh::default() };
     let n_nodes = scanner.count("vertices", 6)?;

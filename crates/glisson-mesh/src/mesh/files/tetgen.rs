@@ -4,12 +4,22 @@
 //! Source: H. Si, TetGen manual, "File formats" (wias-berlin.de/software/tetgen).
 
 use super::cells::{Frame, RawMesh};
+use super::format::{MeshFormat, file};
 use super::text::{FormatError, Place, Scanner, quoted};
 use crate::math::DVec3;
 use crate::mesh::faults::LengthUnit;
 
+/// The format's row of the table.
+pub(super) const FORMAT: MeshFormat = MeshFormat {
+    name: "TetGen",
+    extensions: &["node", "ele"],
+    n_files: 2,
+    read: |files, unit| read(file(files, 0), file(files, 1), unit),
+    write: None,
+};
+
 /// The mesh in the bytes of the two files.
-pub(super) fn read(node: &[u8], ele: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
+fn read(node: &[u8], ele: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
     let mut raw = RawMesh { frame: Frame::named_in(node), ..RawMesh::default() };
     let first = read_nodes(node, unit, &mut raw).map_err(|e| in_file(e, ".node"))?;
     read_tetrahedra(ele, first, &mut raw).map_err(|e| in_file(e, ".ele"))?;

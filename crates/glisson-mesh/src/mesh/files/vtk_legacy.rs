@@ -7,6 +7,7 @@
 use std::io::{self, Write};
 
 use super::cells::{Frame, RawMesh, VtkCells};
+use super::format::{MeshFormat, file};
 use super::text::{ByteOrder, FormatError, NumberType, Scanner, millimetres, quoted};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
@@ -36,8 +37,17 @@ fn number_type(name: &str) -> Option<NumberType> {
     })
 }
 
+/// The format's row of the table.
+pub(super) const FORMAT: MeshFormat = MeshFormat {
+    name: "VTK legacy",
+    extensions: &["vtk"],
+    n_files: 1,
+    read: |files, unit| read(file(files, 0), unit),
+    write: Some(|mesh, out| write(mesh, out)),
+};
+
 /// The mesh in the bytes of a legacy file.
-pub(super) fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
+fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
     let mut scanner = Scanner::new(bytes);
     let first = scanner.line().unwrap_or_default();
     let version = std::str::from_utf8(first)
@@ -246,7 +256,7 @@ fn split_cells(entries: &[i64], n_cells: usize, cells: &mut VtkCells) -> Result<
 }
 
 /// Writes `mesh` as ASCII, version 3.0, in millimetres: reading it gives the same bits.
-pub(super) fn write(mesh: &TetMesh, out: &mut impl Write) -> io::Result<()> {
+fn write(mesh: &TetMesh, out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "# vtk DataFile Version 3.0")?;
     writeln!(out, "Glisson tetrahedral mesh; millimetres; SPACE=LPS")?;
     writeln!(out, "ASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS {} double", mesh.positions_m.len())?;

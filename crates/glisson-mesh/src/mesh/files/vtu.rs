@@ -12,7 +12,9 @@ use roxmltree::{Document, Node};
 
 use super::base64::Base64Reader;
 use super::cells::{Frame, RawMesh, VtkCells};
+use super::format::{MeshFormat, file};
 use super::text::{ByteOrder, FormatError, NumberType, Place, Scanner, find, quoted};
+use super::vtu_write;
 use crate::math::DVec3;
 use crate::mesh::faults::LengthUnit;
 
@@ -60,8 +62,17 @@ impl Source<'_> {
     }
 }
 
+/// The format's row of the table.
+pub(super) const FORMAT: MeshFormat = MeshFormat {
+    name: "VTK XML",
+    extensions: &["vtu"],
+    n_files: 1,
+    read: |files, unit| read(file(files, 0), unit),
+    write: Some(|mesh, out| vtu_write::write(mesh, &[], out)),
+};
+
 /// The mesh in the bytes of a file.
-pub(super) fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
+fn read(bytes: &[u8], unit: LengthUnit) -> Result<RawMesh, FormatError> {
     let (xml, appended) = split_appended(bytes)?;
     let document = Document::parse(&xml).map_err(|error| FormatError {
         place: Place::Line(error.pos().row as usize),

@@ -16,7 +16,8 @@ mod stl;
 mod vtk;
 
 use std::fmt;
-use std::io;
+use std::fs::File;
+use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
 use super::TriMesh;
@@ -48,18 +49,6 @@ pub enum SurfaceFormat {
     VtkBinary,
 }
 
-impl SurfaceFormat {
-    /// What [`write_surface`] takes for a path's extension: the compact form where there are two.
-    fn of_path(path: &Path) -> Result<Self, SurfaceFileError> {
-        match FileKind::of_path(path)? {
-            FileKind::Stl => Ok(Self::StlBinary),
-            FileKind::Obj => Ok(Self::Obj),
-            FileKind::Ply => Ok(Self::PlyLittleEndian),
-            FileKind::Vtk => Ok(Self::VtkBinary),
-        }
-    }
-}
-
 /// The families of formats, told by extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
@@ -73,20 +62,98 @@ pub enum FileKind {
     Vtk,
 }
 
+/// A way to write surfaces, and how its files are read.
+struct FormatRow {
+    format: SurfaceFormat,
+    kind: FileKind,
+    extension: &'static str,
+    parse: fn(Cursor<'_>) -> Result<RawSurface, SurfaceFileError>,
+    write: fn(&mut BufWriter<File>, &Written<'_>) -> io::Result<()>,
+}
+
+/// Every format. Of those of one extension the first is what [`write_surface`] writes: the compact one.
+const FORMATS: &[FormatRow] = &[
+    FormatRow {
+        format: SurfaceFormat::StlBinary,
+        kind: FileKind::Stl,
+        extension: "stl",
+        parse: |cursor| stl::parse(cursor),
+        write: |out, surface| stl::write_binary(out, surface),
+    },
+    FormatRow {
+        format: SurfaceFormat::StlAscii,
+        kind: FileKind::Stl,
+        extension: "stl",
+        parse: |cursor| stl::parse(cursor),
+        write: |out, surface| stl::write_ascii(out, surface),
+    },
+    FormatRow {
+        format: SurfaceFormat::Obj,
+        kind: FileKind::Obj,
+        extension: "obj",
+        parse: |cursor| obj::parse(cursor),
+        write: |out, surface| obj::write(out, surface),
+    },
+    FormatRow {
+        format: SurfaceFormat::PlyLittleEndian,
+        kind: FileKind::Ply,
+        extension: "ply",
+        parse: |cursor| ply::parse(cursor),
+        write: |out, surface| ply::write(out, surface, ply::Encoding::LittleEndian),
+    },
+    FormatRow {
+        format: SurfaceFormat::PlyBigEndian,
+        kind: FileKind::Ply,
+        extension: "ply",
+        parse: |cursor| ply::parse(cursor),
+        write: |out, surface| ply::write(out, surface, ply::Encoding::BigEndian),
+    },
+    FormatRow {
+        format: SurfaceFormat::PlyAscii,
+        kind: FileKind::Ply,
+        extension: "ply",
+        parse: |cursor| ply::parse(cursor),
+        write: |out, surface| ply::write(out, surface, ply::Encoding::Ascii),
+    },
+    FormatRow {
+        format: SurfaceFormat::VtkBinary,
+        kind: FileKind::Vtk,
+        extension: "vtk",
+        parse: |cursor| vtk::parse(cursor),
+        write: |out, surface| vtk::write(out, surface, true),
+    },
+    FormatRow {
+        format: SurfaceFormat::VtkAscii,
+        kind: FileKind::Vtk,
+        extension: "vtk",
+        parse: |cursor| vtk::parse(cursor),
+        write: |out, surface| vtk::write(out, surface, false),
+    },
+];
+
+/// The extensions of surface files, without their dots, in the order of the table.
+pub fn surface_extensions() -> Vec<&'static str> {
+    let mut extensions: Vec<&'static str> = FORMATS.iter().map(|row| row.extension).collect();
+    extensions.dedup();
+    extensions
+}
+
+/// The first row of the extension of a path, in upper or lower case.
+fn row_of_path(path: &Path) -> Result<&'static FormatRow, SurfaceFileError> {
+    let found = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    FORMATS
+        .iter()
+        .find(|row| row.extension == found)
+        .ok_or_else(|| SurfaceFileError::UnknownExtension { path: path.to_owned(), found })
+}
+
 impl FileKind {
     /// The kind that a path's extension names, in upper or lower case.
     ///
     /// # Errors
     /// [`SurfaceFileError::UnknownExtension`].
     pub fn of_path(path: &Path) -> Result<Self, SurfaceFileError> {
-        let found = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        match found.as_str() {
-            "stl" => Ok(Self::Stl),
-            "obj" => Ok(Self::Obj),
-            "ply" => Ok(Self::Ply),
-            "vtk" => Ok(Self::Vtk),
-            _ => Err(SurfaceFileError::UnknownExtension { path: path.to_owned(), found }),
-        }
+        Ok(row_of_path(path)?.kind)
     }
 }
 
@@ -155,7 +222,7 @@ pub enum SurfaceFileError {
         source: io::Error,
     },
     /// A file name that says nothing about the format.
-    #[error("{}: extension '{found}' is no surface format; allowed: .stl, .obj, .ply, .vtk", path.display())]
+    #[error("{}: extension '{found}' is no surface format; allowed: .{}", path.display(), surface_extensions().join(", ."))]
     UnknownExtension {
         /// Which file.
         path: PathBuf,
@@ -216,12 +283,8 @@ pub fn read_surface(path: &Path) -> Result<TriMesh, SurfaceFileError> {
 /// [`SurfaceFileError`].
 pub fn parse_surface(path: &Path, bytes: &[u8], kind: FileKind) -> Result<TriMesh, SurfaceFileError> {
     let cursor = Cursor::new(path, bytes);
-    let raw = match kind {
-        FileKind::Stl => stl::parse(cursor),
-        FileKind::Obj => obj::parse(cursor),
-        FileKind::Ply => ply::parse(cursor),
-        FileKind::Vtk => vtk::parse(cursor),
-    }?;
+    let row = FORMATS.iter().find(|row| row.kind == kind).expect("every kind has a row");
+    let raw = (row.parse)(cursor)?;
     if raw.triangles.is_empty() {
         let path = path.to_owned();
         return Err(SurfaceFileError::Surface { path, source: SurfaceError::Empty });
@@ -296,7 +359,7 @@ fn drop_unused_vertices(mesh: &mut TriMesh) -> usize {
 /// # Errors
 /// [`SurfaceFileError`]; then no file is left.
 pub fn write_surface(path: &Path, mesh: &TriMesh) -> Result<(), SurfaceFileError> {
-    write_surface_as(path, mesh, SurfaceFormat::of_path(path)?, Space::Lps)
+    write_surface_as(path, mesh, row_of_path(path)?.format, Space::Lps)
 }
 
 /// Writes `mesh` in millimetres in the given format and frame, whatever the path's extension is.
@@ -324,16 +387,8 @@ pub fn write_surface_as(
     if let Some(source) = vertex_out_of_range() {
         return Err(SurfaceFileError::Surface { path: path.to_owned(), source });
     }
-    let result = write_atomically(path, |out| match format {
-        SurfaceFormat::StlAscii => stl::write_ascii(out, &written),
-        SurfaceFormat::StlBinary => stl::write_binary(out, &written),
-        SurfaceFormat::Obj => obj::write(out, &written),
-        SurfaceFormat::PlyAscii => ply::write(out, &written, ply::Encoding::Ascii),
-        SurfaceFormat::PlyLittleEndian => ply::write(out, &written, ply::Encoding::LittleEndian),
-        SurfaceFormat::PlyBigEndian => ply::write(out, &written, ply::Encoding::BigEndian),
-        SurfaceFormat::VtkAscii => vtk::write(out, &written, false),
-        SurfaceFormat::VtkBinary => vtk::write(out, &written, true),
-    });
+    let row = FORMATS.iter().find(|row| row.format == format).expect("every format has a row");
+    let result = write_atomically(path, |out| (row.write)(out, &written));
     result.map_err(|source| SurfaceFileError::Write { path: path.to_owned(), source })
 }
 

@@ -6,7 +6,7 @@ use glisson::tool::Tool;
 use glisson_net::link::Role;
 use glisson_net::options::NetArgs;
 use glisson_runtime::devices::trocar_choice::stand;
-use glisson_runtime::devices::{self, Assignment, DeviceName, tools_of};
+use glisson_runtime::devices::{self, Assignment, tools_of};
 use glisson_runtime::force_choices::ForceArgs;
 use glisson_runtime::haptic_loop::{HapticSettings, HeldTool, ToolLink, check_rate, join};
 use glisson_runtime::published::Lateness;
@@ -210,7 +210,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         if args.record.is_some() || args.network.has_shows() {
             bail!("--record, --igtl and --ros2 belong to the machine with --role simulation");
         }
-        if args.devices.iter().any(|device| device.name == DeviceName::Viewer) {
+        if args.devices.iter().any(|device| device.name.is("viewer")) {
             bail!("--device viewer with --role haptics: the page is at the machine with --role simulation");
         }
         let source = OpenScene::read(&args.scene)?;

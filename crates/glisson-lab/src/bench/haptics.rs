@@ -9,7 +9,7 @@ use anyhow::{Context, bail, ensure};
 use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 use glisson::math::DVec3;
 use glisson::mesh::files::write_mesh;
-use glisson_runtime::devices::{self, DeviceName};
+use glisson_runtime::devices;
 use glisson_runtime::haptic_loop::{HapticReport, HapticSettings, Meters, WARM_UP_S, check_rate, join};
 use glisson_runtime::histogram::{GreatestValue, Histogram};
 use glisson_runtime::live::Stalls;
@@ -327,7 +327,8 @@ fn measure_block(request: &HapticsRequest, block: &Block<'_>, run: &mut Run) -> 
     let listener = server::bind("127.0.0.1", 0)?;
     let address = listener.local_addr()?;
     let home = simulation.world().tools()[0].home;
-    let mut device = devices::open(&DeviceName::Simulated, &home, request.rate_hz)?;
+    let name = "simulated".parse().map_err(anyhow::Error::msg)?;
+    let mut device = devices::open(&name, &home, request.rate_hz)?;
     device.device = Box::new(Counting {
         device: device.device,
         forces: Arc::clone(&run.forces),

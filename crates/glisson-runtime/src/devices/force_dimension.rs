@@ -3,15 +3,54 @@
 #![allow(unsafe_code, reason = "a C library's functions")]
 
 use super::driver::{Line, ThreadedDevice};
+use super::kind::{DeviceChoice, DeviceKind, OpenRequest, nothing_after};
 use super::vendor::{VendorLibrary, function};
+use crate::open_device::OpenDevice;
 use anyhow::{Context, ensure};
+use glam::DQuat;
 use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 use glisson::math::{DMat3, DVec3};
 use libloading::Library;
 use std::ffi::{CStr, c_char, c_double, c_int, c_uint};
 use std::path::Path;
+use std::sync::Arc;
 
-pub(super) const LIBRARY: VendorLibrary = VendorLibrary {
+/// The kind's row of the table.
+pub(super) const KIND: DeviceKind = DeviceKind {
+    name: "force-dimension",
+    pattern: "force-dimension",
+    about: "omega, delta, sigma, lambda, Falcon through Force Dimension's library",
+    parse: |rest| {
+        nothing_after("force-dimension", rest).map(|()| Arc::new(ForceDimension) as Arc<dyn DeviceChoice>)
+    },
+    examine: Some(|_| LIBRARY.finding()),
+};
+
+#[derive(Debug)]
+struct ForceDimension;
+
+impl DeviceChoice for ForceDimension {
+    fn text(&self) -> String {
+        "Force Dimension's device".into()
+    }
+
+    fn open(&self, _: &OpenRequest<'_>) -> anyhow::Result<OpenDevice> {
+        let (device, name) = open(None)?;
+        Ok(OpenDevice {
+            world_from_device: patient_from_force_dimension(),
+            has_clutch: true,
+            ..OpenDevice::new(device, &format!("Force Dimension {name}"))
+        })
+    }
+}
+
+/// Axes of patients from those of Force Dimension's devices: their +x to the user is inferior, +y to his right is the
+/// patient's left, +z up is anterior, for a user who looks at a supine patient from the feet.
+pub(super) fn patient_from_force_dimension() -> DQuat {
+    DQuat::from_mat3(&DMat3::from_cols(DVec3::NEG_Z, DVec3::X, DVec3::NEG_Y))
+}
+
+const LIBRARY: VendorLibrary = VendorLibrary {
     name: "Force Dimension (dhd)",
     variable: "GLISSON_DHD_LIBRARY",
     file_names: &["libdhd.so.3", "libdhd.so", "libdrd.so.3", "libdrd.so"],
@@ -118,7 +157,7 @@ struct DhdLine {
 }
 
 /// Opens the first device that is free.
-pub(super) fn open(library: Option<&Path>) -> anyhow::Result<(Box<dyn HapticDevice>, String)> {
+fn open(library: Option<&Path>) -> anyhow::Result<(Box<dyn HapticDevice>, String)> {
     let dhd = Dhd::load(library)?;
     // SAFETY: takes nothing; answers a number of the device, or below zero.
     let id = unsafe { (dhd.open)() };

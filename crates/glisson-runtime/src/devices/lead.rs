@@ -6,6 +6,7 @@
 //! same work. Springs are weaker then where the device renders less.
 
 use super::trocar_board::{BoardLine, TrocarDevice};
+use super::trocar_choice::TrocarChoice;
 use super::{DeviceName, OpenDevice, open};
 use crate::haptic_loop::check_rate;
 use crate::histogram::{Histogram, Percentiles};
@@ -156,29 +157,27 @@ impl Lead {
         let LeadRequest { leader, follower, scale, rate_hz, .. } = *request;
         check_rate(rate_hz)?;
         ensure!((0.1..=3.0).contains(&scale), "--scale {scale}: must be 0.1 to 3");
-        let DeviceName::Trocar(choice) = follower else {
+        let Some(choice) = follower.as_choice::<TrocarChoice>() else {
             bail!("only an active trocar can follow: name it trocar[:HOST:PORT][,KEY=VALUE ...]");
         };
-        if let DeviceName::Trocar(other) = leader
-            && other.is_same_as(choice)
-        {
-            bail!("{} cannot lead itself", choice.text());
+        let leading = leader.as_choice::<TrocarChoice>();
+        if leading.is_some_and(|other| other.is_same_as(choice)) {
+            bail!("{} cannot lead itself", choice.description());
         }
         ensure!(
-            *leader != DeviceName::Viewer,
+            !leader.is("viewer"),
             "the viewer cannot lead: its page is there in `glisson serve` alone; name another device"
         );
         let follower = choice.open_follower(rate_hz)?;
-        let leader = match leader {
-            DeviceName::Trocar(choice) => Leader::Trocar(Box::new(choice.open(
-                rate_hz,
-                super::trocar_board::START_INSERTION_M,
-                None,
-            )?)),
-            other => {
+        let leader = match leading {
+            Some(choice) => {
+                let device = choice.open_device(rate_hz, super::trocar_board::START_INSERTION_M, None)?;
+                Leader::Trocar(Box::new(device))
+            }
+            None => {
                 // A simulated hand pushes along the instrument: down.
                 let home = ToolInput::at(DVec3::ZERO, DVec3::NEG_Y);
-                Leader::Other(Handle::new(open(other, &home, rate_hz)?))
+                Leader::Other(Handle::new(open(leader, &home, rate_hz)?))
             }
         };
         Ok(Self::new(leader, follower, choice.profile(), scale, 1.0 / rate_hz))

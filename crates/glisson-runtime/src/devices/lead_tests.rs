@@ -90,7 +90,7 @@ fn a_stop_lets_both_go_slowly_and_they_are_coupled_anew_where_they_are() {
 #[test]
 fn another_device_leads_the_tip_and_gets_what_it_can_render() {
     let home = ToolInput::at(DVec3::ZERO, DVec3::NEG_Y);
-    let opened = open(&DeviceName::Simulated, &home, 1.0 / TICK_S).unwrap();
+    let opened = open(&"simulated".parse().unwrap(), &home, 1.0 / TICK_S).unwrap();
     let limits = opened.device.limits();
     let mut lead = lead_of(Leader::Other(Handle::new(opened)), 1.0);
     // Its hand goes 10 mm down and up again, once a second: the wall is met and left.

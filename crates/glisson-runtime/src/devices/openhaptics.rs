@@ -3,15 +3,55 @@
 #![allow(unsafe_code, reason = "a C library's functions")]
 
 use super::driver::{Line, ThreadedDevice};
+use super::kind::{DeviceChoice, DeviceKind, OpenRequest, after_colon, nothing_after};
 use super::vendor::{VendorLibrary, function};
+use crate::open_device::OpenDevice;
 use anyhow::{Context, ensure};
+use glisson::haptics::mapping::patient_from_desk;
 use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
 use glisson::math::{DMat3, DVec3};
 use libloading::Library;
 use std::ffi::{CStr, CString, c_char, c_double, c_int, c_uint, c_ushort, c_void};
 use std::path::Path;
+use std::sync::Arc;
 
-pub(super) const LIBRARY: VendorLibrary = VendorLibrary {
+/// The kind's row of the table.
+pub(super) const KIND: DeviceKind = DeviceKind {
+    name: "openhaptics",
+    pattern: "openhaptics[:NAME]",
+    about: "3D Systems Touch, Phantom through the OpenHaptics library",
+    parse: |rest| {
+        let name = after_colon(rest);
+        if name.is_none() {
+            nothing_after("openhaptics", rest)?;
+        }
+        Ok(Arc::new(OpenHapticsChoice { name: name.map(str::to_owned) }))
+    },
+    examine: Some(|_| LIBRARY.finding()),
+};
+
+/// A device by its name in the maker's configuration; the default one for none.
+#[derive(Debug)]
+struct OpenHapticsChoice {
+    name: Option<String>,
+}
+
+impl DeviceChoice for OpenHapticsChoice {
+    fn text(&self) -> String {
+        format!("OpenHaptics {}", self.name.as_deref().unwrap_or("default device"))
+    }
+
+    fn open(&self, _: &OpenRequest<'_>) -> anyhow::Result<OpenDevice> {
+        let (device, name) = open(self.name.as_deref(), None)?;
+        Ok(OpenDevice {
+            world_from_device: patient_from_desk(),
+            has_clutch: true,
+            ..OpenDevice::new(device, &format!("OpenHaptics {name}"))
+        })
+    }
+}
+
+const LIBRARY: VendorLibrary = VendorLibrary {
     name: "3D Systems OpenHaptics (HD)",
     variable: "GLISSON_HD_LIBRARY",
     file_names: &["libHD.so.3.4", "libHD.so.3", "libHD.so"],
@@ -118,10 +158,7 @@ struct HdLine {
 }
 
 /// Opens the device with this name in the maker's configuration; the default one for none.
-pub(super) fn open(
-    name: Option<&str>,
-    library: Option<&Path>,
-) -> anyhow::Result<(Box<dyn HapticDevice>, String)> {
+fn open(name: Option<&str>, library: Option<&Path>) -> anyhow::Result<(Box<dyn HapticDevice>, String)> {
     let (library, path) = LIBRARY.load(library)?;
     let functions = functions(&library).with_context(|| path.display().to_string())?;
     let c_name = name.map(CString::new).transpose().context("the device's name")?;

@@ -1,5 +1,7 @@
 //! An instrument of a recorded session as a device: its handle goes where the instrument went; forces are not felt.
 
+use super::kind::{DeviceChoice, DeviceKind, OpenRequest, after_colon};
+use crate::open_device::OpenDevice;
 use crate::replay::read_session;
 use anyhow::{Context, anyhow, ensure};
 use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
@@ -8,7 +10,44 @@ use glisson::record::session::{Session, SessionEvent};
 use glisson::scene::Scene;
 use glisson::tool::ToolInput;
 use glisson::tool::pose::ToolFrame;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// The kind's row of the table.
+pub(super) const KIND: DeviceKind = DeviceKind {
+    name: "replay",
+    pattern: "replay:FILE[:TOOL]",
+    about: "an instrument of a recorded session (TOOL from 0; default 0)",
+    parse: |rest| {
+        let rest =
+            after_colon(rest).filter(|rest| !rest.is_empty()).ok_or("replay needs a session: replay:FILE")?;
+        let (file, tool) = match rest.rsplit_once(':') {
+            Some((file, tool)) if tool.parse::<usize>().is_ok() => (file, tool.parse().unwrap_or(0)),
+            _ => (rest, 0),
+        };
+        Ok(Arc::new(ReplayChoice { session: file.into(), tool }))
+    },
+    examine: None,
+};
+
+/// An instrument of a session.
+#[derive(Debug)]
+struct ReplayChoice {
+    session: PathBuf,
+    /// Number of the instrument, from 0.
+    tool: usize,
+}
+
+impl DeviceChoice for ReplayChoice {
+    fn text(&self) -> String {
+        format!("replay of {}", self.session.display())
+    }
+
+    fn open(&self, request: &OpenRequest<'_>) -> anyhow::Result<OpenDevice> {
+        let device = ReplayedDevice::open(&self.session, self.tool, request.rate_hz)?;
+        Ok(OpenDevice::new(Box::new(device), &self.text()))
+    }
+}
 
 /// Its button 0 is the trigger.
 pub(super) struct ReplayedDevice {

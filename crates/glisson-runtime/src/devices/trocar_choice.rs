@@ -1,16 +1,54 @@
 //! How an active trocar is named on the command line, and where several of them stand.
 
+use super::kind::{DeviceChoice, DeviceKind, DeviceName, Finding, OpenRequest, host_and_port};
 use super::trocar_board::{
     BoardLine, BoardSettings, HandMotion, MOST_TROCARS, START_INSERTION_M, SimulatedLine, SoftWall,
     TrocarDevice, connect, simulated_line,
 };
-use super::{DeviceName, host_and_port};
-use anyhow::{Context, bail, ensure};
+use super::{simulated, trocar_board};
+use crate::open_device::OpenDevice;
+use anyhow::{Context, anyhow, bail, ensure};
+use glam::DQuat;
 use glisson::haptics::trocar::placement::ArrangementError;
 use glisson::haptics::trocar::{
     Arrangement, InstrumentTag, InstrumentType, Mapping, Placement, Saturation, TrocarProfile,
 };
+use glisson::math::DVec3;
 use glisson::tool::Tool;
+use std::sync::Arc;
+
+/// The kind's row of the table.
+pub(super) const KIND: DeviceKind = DeviceKind {
+    name: "trocar",
+    pattern: "trocar[:HOST:PORT][,KEY=VALUE ...]",
+    about: "the active trocar behind its board; without an address a simulated one in a hand that pushes",
+    parse: |rest| TrocarChoice::parse(rest).map(|choice| Arc::new(choice) as Arc<dyn DeviceChoice>),
+    examine: Some(|address| {
+        let not_looked_for =
+            || Err(anyhow!("not looked for: --trocar HOST:PORT; `trocar` alone is simulated"));
+        Finding::of("active trocar's board", address.map_or_else(not_looked_for, trocar_board::examine))
+    }),
+};
+
+impl DeviceChoice for TrocarChoice {
+    fn text(&self) -> String {
+        self.description()
+    }
+
+    fn open(&self, request: &OpenRequest<'_>) -> anyhow::Result<OpenDevice> {
+        let OpenRequest { home, tool_kind, stands, rate_hz } = *request;
+        let outward = home.shaft_in_world.normalize();
+        let deepest_m = self.profile().insertion_limit_m;
+        let insertion_m = stands.map_or(START_INSERTION_M, |stands| {
+            stands.pivot_in_world_m.distance(home.tip_in_world_m).min(deepest_m)
+        });
+        let device = Box::new(self.open_device(rate_hz, insertion_m, tool_kind)?);
+        // Its axis at rest is the instrument's, into the body.
+        let axes = stands.unwrap_or_else(|| Placement::facing(DVec3::ZERO, -outward)).world_from_device;
+        let world_from_device = DQuat::from_mat3(&axes);
+        Ok(OpenDevice { world_from_device, stands, ..OpenDevice::new(device, &self.description()) })
+    }
+}
 
 /// An active trocar as the user names it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,7 +98,7 @@ pub const OPTIONS: &str = "profile=built|specified, mapping=thesis|virtual-work,
                                   instrument=none|palpation-probe|atraumatic-grasper|...";
 /// A hand that holds a simulated trocar pushes as that of the simulated device does; how far it sways is a choice.
 const MOTION: HandMotion =
-    HandMotion { push_m: super::PUSH_M, sway_rad: 0.05, frequency_hz: super::PUSHES_HZ };
+    HandMotion { push_m: simulated::PUSH_M, sway_rad: 0.05, frequency_hz: simulated::PUSHES_HZ };
 /// What a simulated follower meets: 5 mm before its tip, as soft as an organ under a probe. Choices.
 const WALL_AHEAD_M: f64 = 0.005;
 const WALL_N_PER_M: f64 = 300.0;
@@ -133,7 +171,7 @@ impl TrocarChoice {
     }
 
     /// For messages.
-    pub(crate) fn text(&self) -> String {
+    pub(crate) fn description(&self) -> String {
         let mapping = MAPPINGS.iter().find(|(_, mapping)| *mapping == self.mapping).map_or("", |m| m.0);
         let saturation = SATURATIONS.iter().find(|(_, s)| *s == self.saturation).map_or("", |s| s.0);
         let where_it_is = self.address.as_ref().map(|address| format!(" at {address}")).unwrap_or_default();
@@ -150,7 +188,7 @@ impl TrocarChoice {
     ///
     /// # Errors
     /// When its board is not there or not what it should be, or the instrument in it does not act as the scene's.
-    pub(super) fn open(
+    pub(super) fn open_device(
         &self,
         loop_rate_hz: f64,
         insertion_m: f64,
@@ -163,14 +201,14 @@ impl TrocarChoice {
         let line = self.simulated_line(&settings, insertion_m).looked_at(loop_rate_hz).moved_by(MOTION);
         let mut device = TrocarDevice::new(BoardLine::Simulated(Box::new(line)), settings);
         device.hear()?;
-        device.check_instrument().with_context(|| self.text())?;
+        device.check_instrument().with_context(|| self.description())?;
         Ok(device)
     }
 
     /// Opens it to be driven by another device. A simulated one is in nobody's hand and before something soft.
     pub(super) fn open_follower(&self, loop_rate_hz: f64) -> anyhow::Result<TrocarDevice<BoardLine>> {
         if self.address.is_some() {
-            return self.open(loop_rate_hz, START_INSERTION_M, None);
+            return self.open_device(loop_rate_hz, START_INSERTION_M, None);
         }
         let settings = self.settings(loop_rate_hz, None);
         let wall = SoftWall { from_m: START_INSERTION_M + WALL_AHEAD_M, stiffness_n_per_m: WALL_N_PER_M };
@@ -246,7 +284,7 @@ pub fn stand(
     let mut base: Option<Placement> = None;
     let mut standing: Vec<(usize, &TrocarChoice, Placement)> = Vec::new();
     for (i, (name, tool)) in devices.iter().enumerate() {
-        let DeviceName::Trocar(choice) = name else { continue };
+        let Some(choice) = name.as_choice::<TrocarChoice>() else { continue };
         let instrument = &instruments[*tool];
         let own = own_placement(instrument);
         let placement = match choice.place {
@@ -278,7 +316,7 @@ pub fn stand(
             }
         };
         if let Some((_, other, _)) = standing.iter().find(|(_, other, _)| other.is_same_as(choice)) {
-            bail!("{} is given twice: each trocar of a line has its own number=0..3", other.text());
+            bail!("{} is given twice: each trocar of a line has its own number=0..3", other.description());
         }
         if choice.place.is_some() || instrument.trocar_m.is_some() {
             stands[i] = Some(placement);

@@ -11,6 +11,10 @@ fn named(text: &str) -> DeviceName {
     text.parse().unwrap()
 }
 
+fn trocar(text: &str) -> TrocarChoice {
+    named(text).as_choice::<TrocarChoice>().expect("a trocar").clone()
+}
+
 fn refusal(text: &str) -> String {
     text.parse::<DeviceName>().unwrap_err()
 }
@@ -18,18 +22,18 @@ fn refusal(text: &str) -> String {
 #[test]
 fn a_trocar_takes_options_after_its_address() {
     let plain = TrocarChoice::default();
-    assert_eq!(named("trocar"), DeviceName::Trocar(plain.clone()));
+    assert_eq!(trocar("trocar"), plain);
     let text = "trocar:10.0.0.7:4000,profile=specified,mapping=virtual-work,saturation=keep-direction,number=3,place=2";
-    let DeviceName::Trocar(choice) = named(text) else { panic!("no trocar") };
+    let choice = trocar(text);
     assert_eq!(choice.address.as_deref(), Some("10.0.0.7:4000"));
     let settings = choice.settings(1000.0, None);
     assert_eq!((settings.profile.name, settings.trocar, choice.place), ("specified", 3, Some(2)));
     assert_eq!((settings.mapping, settings.saturation), (Mapping::VirtualWork, Saturation::KeepDirection));
     assert_eq!(
-        choice.text(),
+        choice.description(),
         "active trocar at 10.0.0.7:4000 (specified, number 3, mapping virtual-work, saturation keep-direction)"
     );
-    let DeviceName::Trocar(choice) = named("trocar,place=4") else { panic!("no trocar") };
+    let choice = trocar("trocar,place=4");
     assert_eq!((choice.address, choice.place), (None, Some(4)));
 }
 
@@ -122,8 +126,8 @@ fn more_than_four_and_one_of_a_line_twice_are_refused() {
 /// 1,500 states a second for a loop of 1,000 ticks: its hand takes a second for a push all the same.
 #[test]
 fn a_simulated_one_answers_by_its_number_and_keeps_the_time_of_its_loop() {
-    let DeviceName::Trocar(choice) = named("trocar,profile=specified,number=2") else { panic!("no trocar") };
-    let mut device = choice.open(1000.0, 0.08, Some("probe")).unwrap();
+    let choice = trocar("trocar,profile=specified,number=2");
+    let mut device = choice.open_device(1000.0, 0.08, Some("probe")).unwrap();
     assert!((device.limits().stiffness_n_per_m - 2000.0).abs() < 1e-9, "what 1000 Hz can render");
     let insertion_m = |device: &mut TrocarDevice<BoardLine>, n_ticks| {
         (0..n_ticks).map(|_| device.read().unwrap().position_m.length()).last().unwrap()
@@ -157,10 +161,10 @@ fn a_doctor_tells_what_a_board_is_whatever_its_profile() {
 #[test]
 fn a_scene_refuses_a_device_with_another_instrument_in_it() {
     let open = |text: &str, kind: Option<&'static str>| {
-        let DeviceName::Trocar(choice) = named(text) else { panic!("no trocar") };
-        choice.open(1000.0, 0.1, kind).map_err(|error| format!("{error:#}"))
+        let choice = trocar(text);
+        choice.open_device(1000.0, 0.1, kind).map_err(|error| format!("{error:#}"))
     };
-    for kind in glisson::tool::ToolKind::NAMES {
+    for kind in glisson::tool::instrument_names() {
         let mut device = open("trocar", Some(kind)).unwrap();
         assert!(device.read().is_ok(), "{kind}");
         assert_eq!(device.instrument().unwrap().instrument.tool_kind(), Some(kind));

@@ -1,6 +1,7 @@
 //! Libraries of device makers, loaded when the program runs if they are there. They are not part of the program and their
 //! terms are their makers'.
 
+use super::kind::Finding;
 use anyhow::{Context, bail};
 use libloading::Library;
 use std::path::{Path, PathBuf};
@@ -19,6 +20,12 @@ pub(super) struct VendorLibrary {
 }
 
 impl VendorLibrary {
+    /// Whether it can be loaded.
+    pub(super) fn finding(&self) -> Finding {
+        let loaded = self.load(None).map(|(_, path)| format!("{} can be loaded", path.display()));
+        Finding::of(self.name, loaded)
+    }
+
     /// Files to try, in order: what the variable names, and nothing else then; otherwise the usual names.
     pub(super) fn candidates(&self) -> Vec<PathBuf> {
         match std::env::var_os(self.variable) {

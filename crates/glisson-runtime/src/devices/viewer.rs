@@ -4,13 +4,42 @@
 //! The page speaks some 60 times a second, the loop reads a thousand times. In between the handle goes to where it was last
 //! said to be as the simulation's own instruments do ([`approach`]), and stays there. Its frame is the world's.
 
+use super::kind::{DeviceChoice, DeviceKind, OpenRequest, nothing_after};
 use crate::live::{JUMP_M, approach};
+use crate::open_device::OpenDevice;
 use crate::page_hand::{Felt, PageDeviceEnd, PageHand};
 use crate::realtime::now_ns;
+use glisson::haptics::trocar::Placement;
 use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
-use glisson::math::DVec3;
+use glisson::math::{DMat3, DVec3};
 use glisson::tool::ToolInput;
 use glisson::tool::pose::ToolFrame;
+use std::sync::Arc;
+
+/// The kind's row of the table.
+pub(super) const KIND: DeviceKind = DeviceKind {
+    name: "viewer",
+    pattern: "viewer",
+    about: "mouse, keyboard and gamepad of the page; its force is shown there, and shakes the gamepad",
+    parse: |rest| nothing_after("viewer", rest).map(|()| Arc::new(Viewer) as Arc<dyn DeviceChoice>),
+    examine: None,
+};
+
+#[derive(Debug)]
+struct Viewer;
+
+impl DeviceChoice for Viewer {
+    fn text(&self) -> String {
+        "viewer".into()
+    }
+
+    fn open(&self, request: &OpenRequest<'_>) -> anyhow::Result<OpenDevice> {
+        let (device, page) = open(request.home, request.rate_hz);
+        // Its places are the world's own.
+        let stands = Some(Placement { pivot_in_world_m: DVec3::ZERO, world_from_device: DMat3::IDENTITY });
+        Ok(OpenDevice { stands, page: Some(page), ..OpenDevice::new(Box::new(device), "viewer") })
+    }
+}
 
 /// Nobody holds a mouse so that it could push: nothing vibrates, and the instrument can stay close to the handle, as that of a
 /// replay does.

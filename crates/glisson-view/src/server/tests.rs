@@ -3,7 +3,7 @@
 use super::*;
 use glisson::tool::Tool;
 use glisson_runtime::OpenScene;
-use glisson_runtime::devices::{DeviceName, open_standing};
+use glisson_runtime::devices::open_standing;
 use glisson_runtime::haptic_loop::join;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -299,7 +299,7 @@ fn a_reset_waits_for_a_slow_haptic_loop_to_see_the_hand_at_home() {
     const RATE_HZ: f64 = 100.0;
     let server = Server::start_with(None, RATE_HZ, |tools| {
         let home = tools[0].home;
-        let device = open_standing(&DeviceName::Viewer, &home, None, None, RATE_HZ).unwrap();
+        let device = open_standing(&"viewer".parse().unwrap(), &home, None, None, RATE_HZ).unwrap();
         vec![join(device, 0, home)]
     });
     let mut viewer = server.connect();

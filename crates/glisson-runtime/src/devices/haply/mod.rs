@@ -3,16 +3,60 @@
 mod messages;
 
 use super::driver::{Line, ThreadedDevice};
+use super::kind::{DeviceChoice, DeviceKind, Finding, OpenRequest, after_colon, host_and_port};
+use crate::open_device::OpenDevice;
 use anyhow::Context;
+use glam::DQuat;
 use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, HapticDevice};
-use glisson::math::DVec3;
+use glisson::math::{DMat3, DVec3};
 use messages::{Generation, GripTold, Update, Wanted, force_command, full_state_request, parse};
 use std::io::{Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{Message, WebSocket};
+
+/// The kind's row of the table.
+pub(super) const KIND: DeviceKind = DeviceKind {
+    name: "haply",
+    pattern: "haply[:HOST:PORT]",
+    about: "Haply Inverse3 through Haply's Inverse Service (default 127.0.0.1:10001)",
+    parse: |rest| {
+        let address =
+            host_and_port(after_colon(rest).unwrap_or(if rest.is_empty() { ADDRESS } else { rest }))?;
+        Ok(Arc::new(HaplyChoice { address }))
+    },
+    examine: Some(|address| Finding::of("Haply Inverse Service", examine(address.unwrap_or(ADDRESS)))),
+};
+
+/// A device behind the service at an address.
+#[derive(Debug)]
+struct HaplyChoice {
+    /// `HOST:PORT` of the service.
+    address: String,
+}
+
+impl DeviceChoice for HaplyChoice {
+    fn text(&self) -> String {
+        format!("Haply Inverse3 at {}", self.address)
+    }
+
+    fn open(&self, _: &OpenRequest<'_>) -> anyhow::Result<OpenDevice> {
+        Ok(OpenDevice {
+            world_from_device: patient_from_haply(),
+            has_clutch: true,
+            ..OpenDevice::new(open(&self.address)?, "Haply Inverse3")
+        })
+    }
+}
+
+/// Axes of patients from those of an Inverse3 as its maker ships it: +x to the user's right, +y away from him, +z up; the
+/// user looks at a supine patient from the feet.
+pub(super) fn patient_from_haply() -> DQuat {
+    DQuat::from_mat3(&DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y))
+}
 
 /// Where the service listens unless told otherwise.
 pub(super) const ADDRESS: &str = "127.0.0.1:10001";
@@ -43,7 +87,7 @@ const GRIP_IS_SILENT: &str = "its grip says nothing: switch it on, or begin agai
 const LONGEST_FRAME_BYTES: usize = 1 << 17;
 
 /// Opens the device behind the service at `address`, `host:port`. The service need not run yet.
-pub(super) fn open(address: &str) -> anyhow::Result<Box<dyn HapticDevice>> {
+fn open(address: &str) -> anyhow::Result<Box<dyn HapticDevice>> {
     let line = HaplyLine {
         address: address.to_owned(),
         session: None,
@@ -219,7 +263,7 @@ impl Session {
 }
 
 /// What the service says about its device, or what is wrong: for people.
-pub(super) fn examine(address: &str) -> anyhow::Result<String> {
+fn examine(address: &str) -> anyhow::Result<String> {
     let version = service_version(address)?;
     let line = HaplyLine {
         address: address.to_owned(),

@@ -107,7 +107,7 @@ pub struct BoardSettings {
     pub saturation: Saturation,
     /// Ticks a second of the loop that drives it [Hz]: a slower one than the board's renders less stiffness.
     pub loop_rate_hz: f64,
-    /// The kind of the scene's tool ([`glisson::tool::ToolKind::NAMES`]) that the instrument has to act as; any for none.
+    /// The kind of the scene's tool ([`glisson::tool::INSTRUMENTS`]) that the instrument has to act as; any for none.
     pub tool_kind: Option<&'static str>,
 }
 

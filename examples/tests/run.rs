@@ -30,6 +30,7 @@ fn the_law_has_its_derivatives_and_a_bar_of_it_the_stretch_of_the_closed_form() 
     for error in &numbers(&text, "stress against")[0] {
         assert!(*error < 1e-7, "{text}");
     }
+    assert_eq!(numbers(&text, "projected tangents")[0], [0.0], "{text}");
     let loads = numbers(&text, "load ");
     assert_eq!(loads.len(), 4, "{text}");
     for line in &loads {

@@ -10,7 +10,7 @@ use glisson::haptics::{HapticModel, Touch};
 use glisson::math::{DMat3, DVec3};
 use glisson::mesh::NodeId;
 use glisson::tool::found::Detected;
-use glisson::tool::{MAX_TOOLS, Tool, ToolInput, ToolKind};
+use glisson::tool::{MAX_TOOLS, Tool, ToolInput};
 use glisson::world::detection::{SurfaceCopy, ToolDetector};
 use glisson_runtime::elsewhere::{MOST_NODES, NodePlace};
 use glisson_runtime::exchange::{Latest, Publisher};
@@ -105,7 +105,7 @@ impl Watched {
         Self {
             detector: ToolDetector::new(tool),
             stiffness_n_per_m,
-            has_blade: matches!(tool.kind, ToolKind::Scalpel(_)),
+            has_blade: tool.kind.blade().is_some(),
             told: Told::default(),
             pose: tool.home,
             is_held: false,

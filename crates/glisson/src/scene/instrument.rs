@@ -3,7 +3,10 @@
 use super::organ::required_point;
 use super::reader::{SceneError, Section};
 use crate::math::DVec3;
-use crate::tool::{Blade, BladeCuts, CutRule, Grip, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind, ToolShape};
+use crate::tool::{
+    Blade, BladeCuts, CutRule, Grip, INSTRUMENTS, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind, ToolParts,
+    ToolShape, instrument_names,
+};
 use crate::units::Dimension;
 use std::path::PathBuf;
 
@@ -32,7 +35,7 @@ const DEFAULT_SHAFT_LENGTH_M: f64 = 0.3;
 /// instruments.
 const DEFAULT_JAWS: Jaws =
     Jaws { length_m: 0.02, width_m: 5e-3, greatest_opening_rad: 1.0, closing_force_n: 5.0 };
-const DEFAULT_BLADE_M: f64 = 0.02;
+const DEFAULT_BLADE: Blade = Blade { length_m: 0.02, cuts: BladeCuts::Subdivision };
 const DEFAULT_CUT: CutRule = CutRule { least_force_n: 0.05, least_time_s: 0.05, power_w: 0.0 };
 
 /// Friction of tissue on an instrument whose table does not say otherwise: a choice.
@@ -56,7 +59,7 @@ pub(super) fn tool_sections<'a>(root: &mut Section<'a>) -> Result<Vec<Section<'a
 }
 
 pub(super) fn read_tool(mut section: Section<'_>) -> Result<InstrumentSource, SceneError> {
-    let kind = read_kind(&mut section)?;
+    let (kind, sticks) = read_kind(&mut section)?;
     let name = section.string("name")?.map_or_else(|| kind.name().to_string(), |n| n.0);
     let tip_radius_m = section
         .positive("tip_radius", Dimension::Length)?
@@ -74,7 +77,7 @@ pub(super) fn read_tool(mut section: Section<'_>) -> Result<InstrumentSource, Sc
         return Err(section.wrong_value(at, "friction", coefficient.to_string(), allowed));
     }
     // A probe sticks unless the scene knows how it slides.
-    let sticks = friction.is_none() && kind == ToolKind::Probe;
+    let sticks = friction.is_none() && sticks;
     let grip = Grip {
         friction_coefficient: friction.map_or(DEFAULT_FRICTION, |(coefficient, _)| coefficient),
         is_sticky: section.flag("sticky")?.unwrap_or(sticks),
@@ -106,32 +109,32 @@ pub(super) fn read_tool(mut section: Section<'_>) -> Result<InstrumentSource, Sc
     Ok(InstrumentSource { tool, path, shape })
 }
 
-fn read_kind(section: &mut Section<'_>) -> Result<ToolKind, SceneError> {
-    let Some((name, at)) = section.string("kind")? else { return Ok(ToolKind::Probe) };
-    Ok(match name.as_str() {
-        "probe" => ToolKind::Probe,
-        "grasper" => ToolKind::Grasper(read_jaws(section)?),
-        "scissors" => ToolKind::Scissors(read_jaws(section)?),
-        "scalpel" => {
-            let length_m = section.positive("blade_length", Dimension::Length)?.unwrap_or(DEFAULT_BLADE_M);
-            let cuts = match section.string("blade_cuts")? {
-                None => BladeCuts::Subdivision,
-                Some((way, _)) if way == "subdivision" => BladeCuts::Subdivision,
-                Some((way, _)) if way == "displacement" => BladeCuts::Displacement,
-                Some((way, at)) => {
-                    let allowed = "subdivision, displacement";
-                    return Err(section.wrong_value(at, "blade_cuts", format!("\"{way}\""), allowed));
-                }
-            };
-            ToolKind::Scalpel(Blade { length_m, cuts })
+/// The kind of an instrument, and whether tissue sticks to such unless the scene knows how it slides.
+fn read_kind(section: &mut Section<'_>) -> Result<(ToolKind, bool), SceneError> {
+    let Some((name, at)) = section.string("kind")? else { return Ok((ToolKind::PROBE, true)) };
+    let Some(kind) = INSTRUMENTS.iter().find(|kind| kind.name == name) else {
+        let allowed = instrument_names().collect::<Vec<_>>().join(", ");
+        return Err(section.wrong_value(at, "kind", format!("\"{name}\""), &allowed));
+    };
+    // Keys of parts that the kind does not have are unknown.
+    let jaws = if kind.jaws.is_some() { read_jaws(section)? } else { DEFAULT_JAWS };
+    let blade = if kind.has_blade { read_blade(section)? } else { DEFAULT_BLADE };
+    let burning = if kind.burns { read_cut(section)? } else { DEFAULT_CUT };
+    Ok((ToolKind::of(kind, &ToolParts { jaws, blade, burning }), kind.sticks))
+}
+
+fn read_blade(section: &mut Section<'_>) -> Result<Blade, SceneError> {
+    let length_m = section.positive("blade_length", Dimension::Length)?.unwrap_or(DEFAULT_BLADE.length_m);
+    let cuts = match section.string("blade_cuts")? {
+        None => DEFAULT_BLADE.cuts,
+        Some((way, _)) if way == "subdivision" => BladeCuts::Subdivision,
+        Some((way, _)) if way == "displacement" => BladeCuts::Displacement,
+        Some((way, at)) => {
+            let allowed = "subdivision, displacement";
+            return Err(section.wrong_value(at, "blade_cuts", format!("\"{way}\""), allowed));
         }
-        "hook" => ToolKind::Hook(read_cut(section)?),
-        "cautery" => ToolKind::Cautery(read_jaws(section)?, read_cut(section)?),
-        _ => {
-            let allowed = ToolKind::NAMES.join(", ");
-            return Err(section.wrong_value(at, "kind", format!("\"{name}\""), &allowed));
-        }
-    })
+    };
+    Ok(Blade { length_m, cuts })
 }
 
 fn read_jaws(section: &mut Section<'_>) -> Result<Jaws, SceneError> {

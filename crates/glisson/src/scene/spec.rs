@@ -190,7 +190,7 @@ tip = ["0 mm", "-100 mm", "0 mm"]
         assert_eq!(scene.organ.damping.mass_per_s, 20.0);
         assert_eq!(scene.world.supports.len(), 2);
         let tool = &scene.world.tools[0];
-        assert_eq!((tool.tip_radius_m, tool.kind, tool.grip.is_sticky), (6.0 * 1e-3, ToolKind::Probe, true));
+        assert_eq!((tool.tip_radius_m, tool.kind, tool.grip.is_sticky), (6.0 * 1e-3, ToolKind::PROBE, true));
         assert_eq!(tool.home.shaft_in_world, DVec3::new(0.0, -1.0, 0.0));
         let halfway = scene.input_at(0.5).tools[0];
         assert!((halfway.tip_in_world_m.y + 0.15).abs() < 1e-15);
@@ -221,7 +221,8 @@ trigger = 1
         let scene = Scene::parse(&two).unwrap();
         assert_eq!((scene.world.tools.len(), scene.paths[0].len(), scene.paths[1].len()), (2, 1, 1));
         let tool = &scene.world.tools[1];
-        let ToolKind::Grasper(jaws) = tool.kind else { panic!("{:?}", tool.kind) };
+        let jaws = tool.kind.jaws().unwrap();
+        assert_eq!((tool.kind.name(), tool.kind.holds()), ("grasper", true));
         assert_eq!((jaws.length_m, jaws.closing_force_n), (0.015, 8.0));
         assert_eq!((tool.grip.is_sticky, tool.grip.friction_coefficient), (false, 0.4));
         let to_trocar = (tool.trocar_m.unwrap() - tool.home.tip_in_world_m).normalize();

@@ -1,11 +1,14 @@
 //! Instruments: what they are, where they are, and what they take to cut.
 
+mod kind;
 pub mod cautery;
 pub mod fracture;
 pub mod cut;
 pub mod pose;
 pub mod trocar;
 pub mod found;
+
+pub use kind::{INSTRUMENTS, InstrumentKind, JawUse, ToolKind, ToolParts, instrument_names};
 
 use crate::contact::shapes::MeshShape;
 use crate::math::DVec3;
@@ -35,23 +38,6 @@ pub struct Tool {
     pub trocar_m: Option<DVec3>,
     /// Where the tool is when nobody holds it.
     pub home: ToolInput,
-}
-
-/// What an instrument is made for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum ToolKind {
-    /// Pushes.
-    Probe,
-    /// Holds tissue between its jaws.
-    Grasper(Jaws),
-    /// Cuts what its jaws close on.
-    Scissors(Jaws),
-    /// Cuts along its edge.
-    Scalpel(Blade),
-    /// Monopolar: burns away what its tip touches.
-    Hook(CutRule),
-    /// Bipolar: burns away what its closed jaws hold.
-    Cautery(Jaws, CutRule),
 }
 
 /// Two jaws that turn about a hinge behind the tip; closed they end at the tip.
@@ -116,42 +102,12 @@ pub struct Grip {
     pub is_sticky: bool,
 }
 
-impl ToolKind {
-    /// All names.
-    pub const NAMES: [&'static str; 6] = ["probe", "grasper", "scissors", "scalpel", "hook", "cautery"];
-
-    /// The name in scene files.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::Probe => Self::NAMES[0],
-            Self::Grasper(_) => Self::NAMES[1],
-            Self::Scissors(_) => Self::NAMES[2],
-            Self::Scalpel(_) => Self::NAMES[3],
-            Self::Hook(_) => Self::NAMES[4],
-            Self::Cautery(..) => Self::NAMES[5],
-        }
-    }
-
-    /// Its jaws, if it has some.
-    pub fn jaws(&self) -> Option<&Jaws> {
-        match self {
-            Self::Grasper(jaws) | Self::Scissors(jaws) | Self::Cautery(jaws, _) => Some(jaws),
-            Self::Probe | Self::Scalpel(_) | Self::Hook(_) => None,
-        }
-    }
-
-    /// Whether its jaws hold what they close on; scissors part it instead.
-    pub fn holds(&self) -> bool {
-        matches!(self, Self::Grasper(_) | Self::Cautery(..))
-    }
-}
-
 impl Tool {
     /// A ball on a shaft to which tissue sticks: a probe for palpation.
     pub fn probe(name: &str, tip_radius_m: f64, home: ToolInput) -> Self {
         Self {
             name: name.into(),
-            kind: ToolKind::Probe,
+            kind: ToolKind::PROBE,
             tip_radius_m,
             shaft_radius_m: tip_radius_m.min(2.5e-3),
             shaft_length_m: 0.3,

@@ -10,7 +10,7 @@ use crate::mesh::{NodeId, TetId};
 use crate::tool::cautery::{HeatedTissue, TissueHeat};
 use crate::tool::cut::scalpel::{ScalpelCut, ScalpelParams};
 use crate::tool::cut::subdivision::{SubdivisionCut, SubdivisionParams};
-use crate::tool::{Blade, BladeCuts, CutRule, Tool, ToolKind};
+use crate::tool::{Blade, BladeCuts, CutRule, Tool};
 
 /// Transactions of one blade in one step at most; what is left is done after the next one.
 const MOST_EDITS: usize = 64;
@@ -67,18 +67,17 @@ pub(super) struct ActiveBefore {
 
 impl ActiveTip {
     pub(super) fn new(tool: &Tool, body: &EditableMesh) -> Self {
-        let edge = match &tool.kind {
-            ToolKind::Scalpel(Blade { cuts: BladeCuts::Subdivision, .. }) => {
+        let edge = match tool.kind.blade().map(|blade| blade.cuts) {
+            Some(BladeCuts::Subdivision) => {
                 let params = SubdivisionParams::for_mean_edge(mean_edge_m(body));
                 Some(Edge::Subdivision(Box::new(SubdivisionCut::new(params))))
             }
-            ToolKind::Scalpel(Blade { cuts: BladeCuts::Displacement, .. }) => {
+            Some(BladeCuts::Displacement) => {
                 Some(Edge::Displacement(Box::new(ScalpelCut::new(ScalpelParams::default()))))
             }
-            _ => None,
+            None => None,
         };
-        let n_warm =
-            if matches!(tool.kind, ToolKind::Hook(_) | ToolKind::Cautery(..)) { MOST_WARM } else { 0 };
+        let n_warm = if tool.kind.burning().is_some() { MOST_WARM } else { 0 };
         let heat = TissueHeat::with_room_for(n_warm);
         Self { edge, is_in_stroke: false, heat, touched: Vec::new(), stroke: BladeReport::default() }
     }
@@ -369,12 +368,13 @@ fn mean_edge_m(body: &EditableMesh) -> f64 {
 mod tests {
     use super::*;
     use crate::mesh::box_mesh::box_of_five;
+    use crate::tool::ToolKind;
 
     #[test]
     fn an_edit_that_is_taken_back_leaves_the_places_of_the_others_to_the_strokes_end() {
         let body = EditableMesh::new(box_of_five([1, 1, 1], DVec3::ONE)).unwrap();
         let home = crate::tool::ToolInput::at(DVec3::ZERO, DVec3::Z);
-        let kind = ToolKind::Scalpel(Blade { length_m: 0.1, cuts: BladeCuts::Subdivision });
+        let kind = ToolKind::scalpel(Blade { length_m: 0.1, cuts: BladeCuts::Subdivision });
         let mut active = ActiveTip::new(&Tool { kind, ..Tool::probe("scalpel", 1e-3, home) }, &body);
         active.touched.push(NodeId(3));
         let before = active.before_edit();

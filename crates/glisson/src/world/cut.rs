@@ -13,7 +13,7 @@ use crate::mesh::TetId;
 use crate::mesh::topology::TET_TRIANGLES;
 use crate::tool::fracture::scissors_force_n;
 use crate::tool::pose::ToolFrame;
-use crate::tool::{Jaws, Tool, ToolKind};
+use crate::tool::{Jaws, Tool};
 
 /// A tip that stands on the surface touches it but for rounding: this share of its radius is added to it.
 const REACH: f64 = 1.01;
@@ -75,15 +75,12 @@ impl BladeReport {
 impl Hand {
     /// Counts how long the active tip has been at work; called in every step.
     pub(super) fn count_activity(&mut self, tool: &Tool, dt_s: f64) {
-        let works = match &tool.kind {
-            ToolKind::Hook(rule) | ToolKind::Cautery(_, rule) => {
-                // What closed jaws hold is pressed by the jaws themselves.
-                let is_pressed = self.contacts[ToolPart::Tip.index()].is_some()
-                    && self.report.force_on_tool_n.length() >= rule.least_force_n;
-                self.now.is_triggered() && (self.grasp.is_some() || is_pressed)
-            }
-            ToolKind::Probe | ToolKind::Grasper(_) | ToolKind::Scissors(_) | ToolKind::Scalpel(_) => false,
-        };
+        let works = tool.kind.burning().is_some_and(|rule| {
+            // What closed jaws hold is pressed by the jaws themselves.
+            let is_pressed = self.contacts[ToolPart::Tip.index()].is_some()
+                && self.report.force_on_tool_n.length() >= rule.least_force_n;
+            self.now.is_triggered() && (self.grasp.is_some() || is_pressed)
+        });
         self.active_s = if works { self.active_s + dt_s } else { 0.0 };
     }
 }
@@ -95,20 +92,22 @@ impl World {
         let mut cuts = ToolCuts::default();
         for tool in 0..self.hands.len() {
             let hand = &self.hands[tool];
-            let tets = match &self.spec.tools[tool].kind {
-                &(ToolKind::Hook(rule) | ToolKind::Cautery(_, rule)) => self.burnt(tool, &rule),
-                &ToolKind::Scalpel(blade) => {
-                    self.cut_with_blade(tool, &blade, &mut cuts);
-                    continue;
-                }
-                ToolKind::Scissors(jaws) if hand.just_closed => match self.scissors_refusal(jaws) {
+            let kind = self.spec.tools[tool].kind;
+            let tets = if let Some(rule) = kind.burning() {
+                self.burnt(tool, rule)
+            } else if let Some(blade) = kind.blade() {
+                self.cut_with_blade(tool, blade, &mut cuts);
+                continue;
+            } else if let Some(jaws) = kind.parting_jaws().filter(|_| hand.just_closed) {
+                match self.scissors_refusal(jaws) {
                     None => self.tetrahedra_between_jaws(tool),
                     Some(refusal) => {
                         cuts.refusals.push((tool, refusal));
                         Vec::new()
                     }
-                },
-                _ => continue,
+                }
+            } else {
+                continue;
             };
             self.hands[tool].just_closed = false;
             if tets.is_empty() {

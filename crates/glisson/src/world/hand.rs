@@ -16,7 +16,7 @@ use crate::mesh::edit::TopologyChange;
 use crate::mesh::topology::Topology;
 use crate::tool::found::{Detected, FoundTouch};
 use crate::tool::fracture::Tearing;
-use crate::tool::{Tool, ToolInput, ToolKind};
+use crate::tool::{Tool, ToolInput};
 
 /// What was found elsewhere counts while the part is no further from the touched place [m]: a choice, as far as a hand may come
 /// while a simulation stalls.
@@ -117,7 +117,7 @@ impl Hand {
 
     /// Whether the tool cuts with its edge: for a long scalpel that is on, and has broken in where tissue has strength.
     pub(super) fn edge_cuts(&self, tool: &Tool, tearing: Option<&Tearing>) -> bool {
-        let is_on = matches!(tool.kind, ToolKind::Scalpel(_)) && self.now.is_triggered();
+        let is_on = tool.kind.blade().is_some() && self.now.is_triggered();
         is_on && (tearing.is_none() || self.overload.edge_is_in)
     }
 

@@ -12,7 +12,7 @@ use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::NodeId;
 use crate::model::{LocalModel, LocalWork};
 use crate::tool::pose::ToolFrame;
-use crate::tool::{Tool, ToolInput, ToolKind};
+use crate::tool::{Tool, ToolInput};
 
 /// How near tissue has to be to be told of [m]: beyond what the tool's speed may cover, which is added. A choice.
 const REACH_M: f64 = 5e-3;
@@ -275,7 +275,7 @@ impl World {
         model: &mut HapticModel,
     ) {
         let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
-        let is_cutting = matches!(tool.kind, ToolKind::Scalpel(_)) && hand.now.is_triggered();
+        let is_cutting = tool.kind.blade().is_some() && hand.now.is_triggered();
         let reach_m = REACH_M + model.tip_velocity_m_per_s.length() * PERIODS_AHEAD * model.period_s;
         model.gap_m = reach_m;
         if is_cutting || !reach_m.is_finite() {

@@ -5,7 +5,7 @@ use crate::math::DVec3;
 use crate::tool::found::TouchingPoint;
 use crate::tool::pose::ToolFrame;
 use crate::tool::trocar::trocar_pose;
-use crate::tool::{Tool, ToolInput, ToolKind, ToolShape};
+use crate::tool::{Tool, ToolInput, ToolShape};
 
 /// Which part of an instrument touches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,20 +53,20 @@ pub(super) fn capsule(tool: &Tool, part: ToolPart, pose: &ToolInput) -> Option<C
         })
     };
     match part {
-        ToolPart::Tip => Some(match &tool.kind {
+        ToolPart::Tip => Some(match tool.kind.blade() {
             // An edge touches along its length.
-            ToolKind::Scalpel(blade) => Capsule {
+            Some(blade) => Capsule {
                 from_m: pose.tip_in_world_m,
                 to_m: behind_m(blade.length_m),
                 radius_m: tool.tip_radius_m,
             },
-            _ => jaw(0).unwrap_or(Capsule::ball(pose.tip_in_world_m, tool.tip_radius_m)),
+            None => jaw(0).unwrap_or(Capsule::ball(pose.tip_in_world_m, tool.tip_radius_m)),
         }),
         ToolPart::SecondJaw => jaw(1),
         ToolPart::Shaft => {
-            let effector_m = match &tool.kind {
-                ToolKind::Scalpel(blade) => blade.length_m,
-                kind => kind.jaws().map_or(0.0, |jaws| jaws.length_m),
+            let effector_m = match tool.kind.blade() {
+                Some(blade) => blade.length_m,
+                None => tool.kind.jaws().map_or(0.0, |jaws| jaws.length_m),
             };
             let first_m = effector_m.max(SHAFT_BEGINS * tool.tip_radius_m);
             (first_m < tool.shaft_length_m).then(|| Capsule {

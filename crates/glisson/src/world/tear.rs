@@ -18,7 +18,7 @@ use crate::mesh::TetId;
 use crate::mesh::edit::TopologyChange;
 use crate::tool::cautery::HeatedTissue;
 use crate::tool::fracture::{CrackFront, Tearing};
-use crate::tool::{Jaws, Tool, ToolInput, ToolKind};
+use crate::tool::{Jaws, Tool, ToolInput};
 
 /// Every tetrahedron is looked at once in so many steps, those that jaws hold after a step with too much pull: a choice.
 const STEPS_FOR_ALL: u64 = 16;
@@ -28,7 +28,7 @@ const LEAVES_BEYOND: f64 = 0.5;
 
 /// Motion of the middle of the edge in the last step [m].
 pub(super) fn edge_motion_m(tool: &Tool, before: &ToolInput, now: &ToolInput) -> DVec3 {
-    let ToolKind::Scalpel(blade) = &tool.kind else { return DVec3::ZERO };
+    let Some(blade) = tool.kind.blade() else { return DVec3::ZERO };
     let middle = |pose: &ToolInput| pose.tip_in_world_m + pose.shaft_in_world * (0.5 * blade.length_m);
     middle(now) - middle(before)
 }
@@ -42,7 +42,7 @@ fn front_of_part(
     near: &mut Vec<ToolContact>,
 ) -> CrackFront {
     let radius_m = tool.tip_radius_m;
-    let is_edge = part == ToolPart::Tip && matches!(tool.kind, ToolKind::Scalpel(_)) && pose.is_triggered();
+    let is_edge = part == ToolPart::Tip && tool.kind.blade().is_some() && pose.is_triggered();
     if !is_edge {
         return CrackFront::blunt(if part == ToolPart::Shaft { tool.shaft_radius_m } else { radius_m });
     }
@@ -132,7 +132,7 @@ impl World {
     fn break_through(&mut self, tool: usize, part: ToolPart, cuts: &mut ToolCuts) {
         let (hand, spec) = (&mut self.hands[tool], &self.spec.tools[tool]);
         let Some(contact) = hand.contacts[part.index()].take() else { return };
-        let is_edge = matches!(spec.kind, ToolKind::Scalpel(_)) && part == ToolPart::Tip;
+        let is_edge = spec.kind.blade().is_some() && part == ToolPart::Tip;
         if is_edge && hand.now.is_triggered() {
             hand.overload.edge_is_in = true;
             let inward_m = contact.normal() * -contact.depth_m();

@@ -259,7 +259,7 @@ fn a_published_model_says_what_the_next_step_answers() {
     // What a linear model answers at once is exact but for the symmetric part; over a step of a dynamic one it is a prediction:
     // 26 % off at most where this was written, too stiff because what is beyond five rings is held.
     for (kind, tolerance) in [(ModelKind::Precomputed, 0.01), (ModelKind::Implicit, 0.3)] {
-        let mut world = world(kind, tool(ToolKind::Probe, STICKY));
+        let mut world = world(kind, tool(ToolKind::PROBE, STICKY));
         let at = press(&mut world, 5e-3);
         // The next step is as short as the world's.
         let model = world.haptic_model_over(0, step_s(kind));
@@ -283,7 +283,7 @@ fn a_published_model_says_what_the_next_step_answers() {
 #[test]
 fn free_tissue_is_felt_before_the_simulation_knows_of_the_touch() {
     for kind in [ModelKind::Precomputed, ModelKind::Implicit] {
-        let mut world = world(kind, tool(ToolKind::Probe, STICKY));
+        let mut world = world(kind, tool(ToolKind::PROBE, STICKY));
         let near = above(0.052, SIZE_M + RADIUS_M + 3e-4);
         world.step(&StepInput::of(&[near]).placed());
         let model = world.haptic_model_over(0, step_s(kind));
@@ -303,7 +303,7 @@ fn free_tissue_is_felt_before_the_simulation_knows_of_the_touch() {
 fn held_tissue_pulls_and_what_is_told_allocates_nothing() {
     for kind in [ModelKind::Precomputed, ModelKind::Explicit, ModelKind::Implicit] {
         let grip = Grip { friction_coefficient: 0.8, is_sticky: false };
-        let mut world = world(kind, tool(ToolKind::Grasper(JAWS), grip));
+        let mut world = world(kind, tool(ToolKind::grasper(JAWS), grip));
         let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, SIZE_M - 2e-3) };
         world.step(&StepInput::of(&[open]).placed().divided(parts(kind)));
         let mut closed = open;
@@ -334,7 +334,7 @@ fn held_tissue_pulls_and_what_is_told_allocates_nothing() {
 /// A hand's own path at 1 kHz over models that come every fifth tick: what the tissue did is felt without jumps.
 #[test]
 fn a_cut_under_the_tip_is_no_jump_and_the_lost_force_is_gone_in_the_end() {
-    let mut world = world(ModelKind::Explicit, tool(ToolKind::Probe, STICKY));
+    let mut world = world(ModelKind::Explicit, tool(ToolKind::PROBE, STICKY));
     let at = press(&mut world, 8e-3);
     let mut handover = Handover::default();
     let mut felt_n = DVec3::ZERO;
@@ -370,7 +370,7 @@ const TROCAR_M: DVec3 = DVec3::new(-0.03, 0.047, SIZE_M);
 fn a_shaft_and_a_tip_together_are_felt_with_the_moment_of_both() {
     let smooth = Grip { friction_coefficient: 0.0, is_sticky: false };
     for (grip, tolerance) in [(smooth, 0.02), (STICKY, 0.05)] {
-        let rod = Tool { trocar_m: Some(TROCAR_M), ..tool(ToolKind::Probe, grip) };
+        let rod = Tool { trocar_m: Some(TROCAR_M), ..tool(ToolKind::PROBE, grip) };
         let mut world = world(ModelKind::Precomputed, rod);
         let lying = |z_m: f64| ToolInput::at(DVec3::new(0.09, 0.047, z_m), DVec3::NEG_X);
         world.step(&StepInput::of(&[lying(0.12)]).placed());
@@ -418,7 +418,7 @@ fn a_shaft_and_a_tip_together_are_felt_with_the_moment_of_both() {
 #[test]
 fn jaws_that_hold_are_turned_back_and_pushed_open() {
     let grip = Grip { friction_coefficient: 1.0, is_sticky: true };
-    let mut world = world(ModelKind::Precomputed, tool(ToolKind::Grasper(JAWS), grip));
+    let mut world = world(ModelKind::Precomputed, tool(ToolKind::grasper(JAWS), grip));
     let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, SIZE_M - 2e-3) };
     world.step(&StepInput::of(&[open]).placed());
     let mut closed = open;

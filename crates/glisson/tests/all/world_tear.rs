@@ -92,13 +92,13 @@ fn a_tip_that_is_pushed_too_hard_breaks_through_and_its_force_stays_bounded() {
     let energy = 40.0;
     let critical_n =
         FractureEnergy { energy_j_per_m2: energy }.cutting_force_n(CrackFront::blunt(RADIUS_M).length_m);
-    let whole = push(&mut world(ModelKind::Explicit, ToolKind::Probe, None), 0.05);
-    let torn = push(&mut world(ModelKind::Explicit, ToolKind::Probe, Some(energy)), 0.05);
+    let whole = push(&mut world(ModelKind::Explicit, ToolKind::PROBE, None), 0.05);
+    let torn = push(&mut world(ModelKind::Explicit, ToolKind::PROBE, Some(energy)), 0.05);
     assert_eq!((whole.cuts.n_torn, whole.cuts.n_removed), (0, 0));
     assert!(whole.greatest_n > 3.0 * critical_n, "{whole:?}, critical {critical_n} N");
     assert!(torn.cuts.n_torn > 0 && torn.greatest_n < 3.0 * critical_n, "{torn:?}, critical {critical_n} N");
     // A push that tissue stands leaves it whole.
-    let gentle = push(&mut world(ModelKind::Explicit, ToolKind::Probe, Some(energy)), 2.5e-3);
+    let gentle = push(&mut world(ModelKind::Explicit, ToolKind::PROBE, Some(energy)), 2.5e-3);
     assert!(
         gentle.cuts.n_torn == 0 && gentle.greatest_n > 0.1 * critical_n,
         "{gentle:?}, critical {critical_n} N"
@@ -110,7 +110,7 @@ fn tissue_of_a_model_that_cannot_be_cut_lets_the_tip_through() {
     let energy = 40.0;
     let critical_n =
         FractureEnergy { energy_j_per_m2: energy }.cutting_force_n(CrackFront::blunt(RADIUS_M).length_m);
-    let mut world = world(ModelKind::Reduced, ToolKind::Probe, Some(energy));
+    let mut world = world(ModelKind::Reduced, ToolKind::PROBE, Some(energy));
     let motion = push(&mut world, 0.05);
     assert!(motion.greatest_n < 5.0 * critical_n, "{} N, critical {critical_n} N", motion.greatest_n);
     assert!(matches!(motion.cuts.refusals[0].1, EditRefusal::Model(_)));
@@ -120,7 +120,7 @@ fn tissue_of_a_model_that_cannot_be_cut_lets_the_tip_through() {
 #[test]
 fn tissue_that_is_pulled_too_hard_tears_out_of_jaws_that_do_not_slip() {
     let energy = 20.0;
-    let mut world = world(ModelKind::Explicit, ToolKind::Grasper(JAWS), Some(energy));
+    let mut world = world(ModelKind::Explicit, ToolKind::grasper(JAWS), Some(energy));
     let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, 0.04, SIZE_M - 2e-3) };
     world.step(&StepInput::of(&[open]).placed());
     let closed = ToolInput { jaw_opening: 0.0, ..open };
@@ -161,7 +161,7 @@ fn surface_m2(world: &World) -> f64 {
 fn an_edge_needs_force_before_it_cuts_and_work_for_what_it_cuts() {
     for cuts in [BladeCuts::Subdivision, BladeCuts::Displacement] {
         let energy = 20.0;
-        let blade = ToolKind::Scalpel(Blade { length_m: 0.06, cuts });
+        let blade = ToolKind::scalpel(Blade { length_m: 0.06, cuts });
         let mut world = world(ModelKind::Explicit, blade, Some(energy));
         world.set_undo_depth(1000);
         let (volume_m3, area_m2) = (world.organ().body().volume_m3(), surface_m2(&world));
@@ -236,10 +236,10 @@ fn cuts_and_is_taken_back(kind: ToolKind, energy_j_per_m2: Option<f64>, steps: u
 
 #[test]
 fn scissors_cut_are_taken_back_and_refuse() {
-    cuts_and_is_taken_back(ToolKind::Scissors(JAWS), None, 1);
-    cuts_and_is_taken_back(ToolKind::Scissors(JAWS), Some(164.0), 1);
+    cuts_and_is_taken_back(ToolKind::scissors(JAWS), None, 1);
+    cuts_and_is_taken_back(ToolKind::scissors(JAWS), Some(164.0), 1);
     let weak = Jaws { closing_force_n: 1.0, ..JAWS };
-    let mut world = world(ModelKind::Explicit, ToolKind::Scissors(weak), Some(164.0));
+    let mut world = world(ModelKind::Explicit, ToolKind::scissors(weak), Some(164.0));
     let motion = close_on_edge(&mut world, 1.0, 1);
     let [(0, EditRefusal::TooWeak { found_n, needed_n })] = motion.cuts.refusals[..] else {
         panic!("{motion:?}")
@@ -250,18 +250,18 @@ fn scissors_cut_are_taken_back_and_refuse() {
 #[test]
 fn cautery_burns_is_taken_back_and_refuses() {
     let by_time = CutRule { least_force_n: 0.05, least_time_s: 0.01, power_w: 0.0 };
-    cuts_and_is_taken_back(ToolKind::Cautery(JAWS, by_time), None, 100);
+    cuts_and_is_taken_back(ToolKind::cautery(JAWS, by_time), None, 100);
     // A hundred kilowatts, because the block's tetrahedra are as large as a hazelnut.
     let by_heat = CutRule { power_w: 1e5, ..by_time };
-    cuts_and_is_taken_back(ToolKind::Cautery(JAWS, by_heat), Some(164.0), 250);
-    let mut world = world(ModelKind::Explicit, ToolKind::Cautery(JAWS, by_time), None);
+    cuts_and_is_taken_back(ToolKind::cautery(JAWS, by_heat), Some(164.0), 250);
+    let mut world = world(ModelKind::Explicit, ToolKind::cautery(JAWS, by_time), None);
     assert_eq!(close_on_edge(&mut world, 0.0, 100).cuts.n_removed, 0, "without current it only holds");
 }
 
 /// Bipolar jaws hold the edge, warm it for so many steps, and pull at it. Answers when they parted something and what tore.
 fn pulled_with_warm_jaws(warm_steps: u32) -> (Option<u32>, Motion) {
     let by_heat = CutRule { least_force_n: 0.05, least_time_s: 0.01, power_w: 1e5 };
-    let mut world = world(ModelKind::Explicit, ToolKind::Cautery(JAWS, by_heat), Some(60.0));
+    let mut world = world(ModelKind::Explicit, ToolKind::cautery(JAWS, by_heat), Some(60.0));
     let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, 0.04, SIZE_M - 2e-3) };
     world.step(&StepInput::of(&[open]).placed());
     let closed = ToolInput { jaw_opening: 0.0, ..open };
@@ -286,7 +286,7 @@ fn heat_between_jaws_weakens_what_they_hold() {
 
 #[test]
 fn what_tears_is_the_same_after_coming_back_and_steps_allocate_nothing() {
-    let mut first = world(ModelKind::Explicit, ToolKind::Probe, Some(40.0));
+    let mut first = world(ModelKind::Explicit, ToolKind::PROBE, Some(40.0));
     let start = above(0.047, 0.053, SIZE_M + RADIUS_M + 1e-3);
     let (middle, deep) = (above(0.047, 0.053, SIZE_M - 0.012), above(0.047, 0.053, SIZE_M - 0.05));
     first.step(&StepInput::of(&[start]).placed());

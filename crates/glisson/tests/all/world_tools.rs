@@ -76,7 +76,7 @@ fn grasp_edge(world: &mut World) -> ToolInput {
 
 #[test]
 fn closed_jaws_hold_tissue_that_follows_the_tool_and_opening_lets_go() {
-    let mut world = world(vec![tool(ToolKind::Grasper(JAWS), 10.0)]);
+    let mut world = world(vec![tool(ToolKind::grasper(JAWS), 10.0)]);
     let closed = grasp_edge(&mut world);
     let held = world.held_nodes(0);
     assert!((1..=14).contains(&held.len()), "{held:?}");
@@ -106,7 +106,7 @@ fn closed_jaws_hold_tissue_that_follows_the_tool_and_opening_lets_go() {
 #[test]
 fn tissue_that_is_pulled_too_hard_slips_out_and_the_pull_never_grows_much_beyond_friction() {
     let weak = Jaws { closing_force_n: 1.0, ..JAWS };
-    let mut world = world(vec![tool(ToolKind::Grasper(weak), 0.2)]);
+    let mut world = world(vec![tool(ToolKind::grasper(weak), 0.2)]);
     let closed = grasp_edge(&mut world);
     assert!(!world.held_nodes(0).is_empty());
     let (mut greatest_n, mut slipped_m) = (0.0_f64, 0.0);
@@ -126,7 +126,7 @@ fn tissue_that_is_pulled_too_hard_slips_out_and_the_pull_never_grows_much_beyond
 
 #[test]
 fn two_hands_work_at_once_and_fixed_nodes_stay() {
-    let tools = vec![tool(ToolKind::Grasper(JAWS), 10.0), tool(ToolKind::Probe, 0.3)];
+    let tools = vec![tool(ToolKind::grasper(JAWS), 10.0), tool(ToolKind::PROBE, 0.3)];
     let mut world = world(tools);
     let fixed = world.organ().fixed_nodes();
     let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, 0.04, SIZE_M - 2e-3) };
@@ -152,7 +152,7 @@ fn two_hands_work_at_once_and_fixed_nodes_stay() {
 
 #[test]
 fn a_shaft_that_sweeps_sideways_touches_and_pushes() {
-    let mut world = world(vec![tool(ToolKind::Probe, 0.0)]);
+    let mut world = world(vec![tool(ToolKind::PROBE, 0.0)]);
     // The tip hangs beside the block, below its middle; the shaft stands beside it up to far above.
     let beside = ToolInput::at(DVec3::new(SIZE_M + 0.01, 0.05, 0.06), DVec3::new(-0.6, 0.0, 0.8));
     world.step(&StepInput::of(&[beside]).placed());
@@ -171,7 +171,7 @@ fn a_shaft_that_sweeps_sideways_touches_and_pushes() {
 fn a_fast_tip_never_comes_through_a_thin_wall() {
     let mut random = SeededRandom::new(11);
     for _ in 0..40 {
-        let mut world = world(vec![tool(ToolKind::Probe, 0.3)]);
+        let mut world = world(vec![tool(ToolKind::PROBE, 0.3)]);
         let target = DVec3::new(random.uniform_in(0.03, 0.07), random.uniform_in(0.03, 0.07), SIZE_M);
         let slope = DVec3::new(random.uniform_in(-2.0, 2.0), random.uniform_in(-2.0, 2.0), 1.0).normalize();
         // 30 mm in a step: a hundred metres a second.
@@ -186,7 +186,7 @@ fn a_fast_tip_never_comes_through_a_thin_wall() {
 #[test]
 fn a_tool_with_friction_sticks_inside_the_cone_and_slides_outside() {
     let run = |friction: f64| {
-        let mut world = world(vec![tool(ToolKind::Probe, friction)]);
+        let mut world = world(vec![tool(ToolKind::PROBE, friction)]);
         let start = above(0.045, 0.05, SIZE_M + 4e-3);
         world.step(&StepInput::of(&[start]).placed());
         let deep = above(0.045, 0.05, SIZE_M - 2e-3);
@@ -233,7 +233,7 @@ fn glide_at(world: &mut World, pose: &ToolInput, steps: u32) -> DVec3 {
 #[test]
 fn a_hook_burns_away_what_it_presses_on_and_only_when_it_is_on() {
     let rule = CutRule { least_force_n: 0.02, least_time_s: 0.01, power_w: 0.0 };
-    let mut world = world(vec![tool(ToolKind::Hook(rule), 0.3)]);
+    let mut world = world(vec![tool(ToolKind::hook(rule), 0.3)]);
     let start = above(0.05, 0.05, SIZE_M + 4e-3);
     world.step(&StepInput::of(&[start]).placed());
     let deep = above(0.05, 0.05, SIZE_M - 4e-3);
@@ -255,7 +255,7 @@ fn a_hook_burns_away_what_it_presses_on_and_only_when_it_is_on() {
 
 #[test]
 fn scissors_part_what_they_close_on() {
-    let mut world = world(vec![tool(ToolKind::Scissors(JAWS), 0.3)]);
+    let mut world = world(vec![tool(ToolKind::scissors(JAWS), 0.3)]);
     let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, 0.04, SIZE_M - 5e-3) };
     world.step(&StepInput::of(&[open]).placed());
     let mut n_removed = 0;
@@ -301,7 +301,7 @@ fn edit_much(world: &mut World, n_rounds: usize) -> usize {
 #[test]
 fn edits_are_taken_back_bit_for_bit() {
     for kind in [ModelKind::Explicit, ModelKind::TensorMass, ModelKind::Implicit] {
-        let tools = vec![tool(ToolKind::Grasper(JAWS), 10.0), tool(ToolKind::Probe, 0.3)];
+        let tools = vec![tool(ToolKind::grasper(JAWS), 10.0), tool(ToolKind::PROBE, 0.3)];
         let (mut edited, mut whole) = (world_of(kind, tools.clone()), world_of(kind, tools));
         let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, 0.04, SIZE_M - 2e-3) };
         let closed = ToolInput { jaw_opening: 0.0, ..open };
@@ -334,7 +334,7 @@ fn edits_are_taken_back_bit_for_bit() {
 
 #[test]
 fn the_journal_is_bounded_and_a_refused_edit_is_not_in_it() {
-    let mut world = world(vec![tool(ToolKind::Probe, 0.3)]);
+    let mut world = world(vec![tool(ToolKind::PROBE, 0.3)]);
     world.set_undo_depth(3);
     for t in 0..5 {
         world.edit(&MeshEdit::Remove { tets: vec![TetId::from_index(7 * t)] }).unwrap();
@@ -354,7 +354,7 @@ fn the_journal_is_bounded_and_a_refused_edit_is_not_in_it() {
 
 #[test]
 fn a_contact_outlasts_an_edit_elsewhere_and_ends_when_its_triangle_goes() {
-    let mut world = world(vec![tool(ToolKind::Probe, 0.3)]);
+    let mut world = world(vec![tool(ToolKind::PROBE, 0.3)]);
     let start = above(0.05, 0.05, SIZE_M + 4e-3);
     world.step(&StepInput::of(&[start]).placed());
     let deep = above(0.05, 0.05, SIZE_M - 2e-3);
@@ -386,7 +386,7 @@ fn a_tip_of_any_shape_touches() {
     let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     let triangles = faces.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
     let shape = MeshShape::new((0..8).map(corner).collect(), triangles);
-    let cube = Tool { shape: ToolShape::Mesh(shape), ..tool(ToolKind::Probe, 0.3) };
+    let cube = Tool { shape: ToolShape::Mesh(shape), ..tool(ToolKind::PROBE, 0.3) };
     let mut world = world(vec![cube]);
     let start = above(0.05, 0.05, SIZE_M + 6e-3);
     world.step(&StepInput::of(&[start]).placed());
@@ -399,10 +399,10 @@ fn a_tip_of_any_shape_touches() {
 #[test]
 fn steps_with_four_tools_that_touch_hold_and_slide_allocate_nothing() {
     let tools = vec![
-        tool(ToolKind::Grasper(JAWS), 10.0),
-        tool(ToolKind::Probe, 0.2),
-        tool(ToolKind::Scissors(JAWS), 0.2),
-        tool(ToolKind::Probe, 0.0),
+        tool(ToolKind::grasper(JAWS), 10.0),
+        tool(ToolKind::PROBE, 0.2),
+        tool(ToolKind::scissors(JAWS), 0.2),
+        tool(ToolKind::PROBE, 0.0),
     ];
     let mut world = world(tools);
     let mut snapshot = world.snapshot();
@@ -433,7 +433,7 @@ fn steps_with_four_tools_that_touch_hold_and_slide_allocate_nothing() {
 #[test]
 fn a_tool_in_a_trocar_points_to_it() {
     let trocar_m = DVec3::new(0.05, 0.05, 0.3);
-    let mut world = world(vec![Tool { trocar_m: Some(trocar_m), ..tool(ToolKind::Probe, 0.3) }]);
+    let mut world = world(vec![Tool { trocar_m: Some(trocar_m), ..tool(ToolKind::PROBE, 0.3) }]);
     let wrong = ToolInput::at(DVec3::new(0.08, 0.05, 0.15), DVec3::X);
     world.step(&StepInput::of(&[wrong]));
     let pose = world.snapshot().tools[0].pose;
@@ -445,7 +445,7 @@ fn a_tool_in_a_trocar_points_to_it() {
 fn a_scalpel_parts_the_block_along_its_sweep_and_every_step_can_be_taken_back() {
     for cuts in [BladeCuts::Subdivision, BladeCuts::Displacement] {
         let blade = Blade { length_m: 0.06, cuts };
-        let mut world = world(vec![tool(ToolKind::Scalpel(blade), 0.3)]);
+        let mut world = world(vec![tool(ToolKind::scalpel(blade), 0.3)]);
         world.set_undo_depth(1000);
         let whole_m3 = world.organ().body().volume_m3();
         // From outside the block through half of it, 30 mm deep.
@@ -474,7 +474,7 @@ fn a_scalpel_parts_the_block_along_its_sweep_and_every_step_can_be_taken_back() 
 
 #[test]
 fn a_model_that_takes_over_follows_edits_of_all_kinds() {
-    let mut world = world(vec![tool(ToolKind::Probe, 0.3)]);
+    let mut world = world(vec![tool(ToolKind::PROBE, 0.3)]);
     let far = above(0.05, 0.05, 0.2);
     let n_edits = edit_much(&mut world, 12);
     assert!(n_edits >= 8 && !world.has_only_removals());

@@ -19,8 +19,8 @@ pub(super) const SCALPEL: usize = 3;
 pub(super) fn tools(draw: &Draw, mean_edge_m: f64, time_step_s: f64, home: ToolInput) -> [Tool; MAX_TOOLS] {
     let at_once = CutRule { least_force_n: 1e-4, least_time_s: STEPS_TO_CUT * time_step_s, power_w: 0.0 };
     let hot = CutRule { power_w: ENERGY_OF_STEP_J / time_step_s, ..at_once };
-    let burns = if draw.burns_with_hook { ToolKind::Hook(at_once) } else { ToolKind::Cautery(JAWS, hot) };
-    let scalpel = ToolKind::Scalpel(Blade { length_m: 4.0 * mean_edge_m, cuts: draw.blade_cuts });
+    let burns = if draw.burns_with_hook { ToolKind::hook(at_once) } else { ToolKind::cautery(JAWS, hot) };
+    let scalpel = ToolKind::scalpel(Blade { length_m: 4.0 * mean_edge_m, cuts: draw.blade_cuts });
     let tool = |name: &str, kind: ToolKind, tip_radius_m: f64| Tool {
         kind,
         shape: ToolShape::Capsules,
@@ -28,9 +28,9 @@ pub(super) fn tools(draw: &Draw, mean_edge_m: f64, time_step_s: f64, home: ToolI
         ..Tool::probe(name, tip_radius_m, home)
     };
     [
-        tool("grasper", ToolKind::Grasper(JAWS), 3e-3),
+        tool("grasper", ToolKind::grasper(JAWS), 3e-3),
         tool("hot tip", burns, TIP_RADIUS_M),
-        tool("scissors", ToolKind::Scissors(JAWS), TIP_RADIUS_M),
+        tool("scissors", ToolKind::scissors(JAWS), TIP_RADIUS_M),
         tool("scalpel", scalpel, 2e-4),
     ]
 }

@@ -75,7 +75,7 @@ impl InstrumentType {
         Self::ALL.into_iter().filter(move |instrument| instrument.tool_kind() == Some(tool_kind))
     }
 
-    /// The kind of a scene's tool that it acts as ([`crate::tool::ToolKind::NAMES`]); none for the camera.
+    /// The kind of a scene's tool that it acts as ([`crate::tool::INSTRUMENTS`]); none for the camera.
     pub fn tool_kind(self) -> Option<&'static str> {
         match self {
             Self::PalpationProbe => Some("probe"),

@@ -1,0 +1,177 @@
+//! What an instrument is made for: the table of kinds, each of which says what parts it has.
+
+use super::{Blade, CutRule, Jaws};
+
+/// A kind of instrument: a row of the table [`INSTRUMENTS`]. What it does follows from the parts that it has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InstrumentKind {
+    /// Its name in scenes.
+    pub name: &'static str,
+    /// What it does.
+    pub about: &'static str,
+    /// What its jaws do with what they close on; none for an instrument without jaws.
+    pub jaws: Option<JawUse>,
+    /// Whether it cuts along an edge.
+    pub has_blade: bool,
+    /// Whether it burns away what its tip touches, or what its closed jaws hold.
+    pub burns: bool,
+    /// Whether tissue sticks to it unless the scene knows how it slides.
+    pub sticks: bool,
+}
+
+/// What jaws do with what they close on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JawUse {
+    /// They hold it.
+    Hold,
+    /// They part it.
+    Part,
+}
+
+/// An instrument without parts that tissue slides on: to begin a row with.
+const PLAIN: InstrumentKind =
+    InstrumentKind { name: "", about: "", jaws: None, has_blade: false, burns: false, sticks: false };
+
+const PROBE: InstrumentKind = InstrumentKind { name: "probe", about: "pushes", sticks: true, ..PLAIN };
+const GRASPER: InstrumentKind = InstrumentKind {
+    name: "grasper",
+    about: "holds tissue between its jaws",
+    jaws: Some(JawUse::Hold),
+    ..PLAIN
+};
+const SCISSORS: InstrumentKind = InstrumentKind {
+    name: "scissors",
+    about: "cuts what its jaws close on",
+    jaws: Some(JawUse::Part),
+    ..PLAIN
+};
+const SCALPEL: InstrumentKind =
+    InstrumentKind { name: "scalpel", about: "cuts along its edge", has_blade: true, ..PLAIN };
+const HOOK: InstrumentKind = InstrumentKind {
+    name: "hook",
+    about: "monopolar: burns away what its tip touches",
+    burns: true,
+    ..PLAIN
+};
+const CAUTERY: InstrumentKind = InstrumentKind {
+    name: "cautery",
+    about: "bipolar: burns away what its closed jaws hold",
+    jaws: Some(JawUse::Hold),
+    burns: true,
+    ..PLAIN
+};
+
+/// Every kind, in the order of lists: one line a kind (docs/extending.md).
+pub const INSTRUMENTS: &[InstrumentKind] = &[PROBE, GRASPER, SCISSORS, SCALPEL, HOOK, CAUTERY];
+
+/// The names of all kinds, in the order of the table.
+pub fn instrument_names() -> impl Iterator<Item = &'static str> {
+    INSTRUMENTS.iter().map(|kind| kind.name)
+}
+
+/// What an instrument is made for, with the sizes of its parts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToolKind {
+    kind: InstrumentKind,
+    jaws: Option<Jaws>,
+    blade: Option<Blade>,
+    burning: Option<CutRule>,
+}
+
+/// Sizes of the parts that instruments may have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToolParts {
+    /// Of jaws.
+    pub jaws: Jaws,
+    /// Of an edge.
+    pub blade: Blade,
+    /// When an active tip takes away what it touches.
+    pub burning: CutRule,
+}
+
+impl ToolKind {
+    /// A probe: it pushes.
+    pub const PROBE: Self = Self { kind: PROBE, jaws: None, blade: None, burning: None };
+
+    /// An instrument of a kind, with those of the parts that the kind has.
+    pub fn of(kind: &InstrumentKind, parts: &ToolParts) -> Self {
+        Self {
+            kind: *kind,
+            jaws: kind.jaws.map(|_| parts.jaws),
+            blade: kind.has_blade.then_some(parts.blade),
+            burning: kind.burns.then_some(parts.burning),
+        }
+    }
+
+    /// A grasper with these jaws.
+    pub const fn grasper(jaws: Jaws) -> Self {
+        Self { kind: GRASPER, jaws: Some(jaws), ..Self::PROBE }
+    }
+
+    /// Scissors with these jaws.
+    pub const fn scissors(jaws: Jaws) -> Self {
+        Self { kind: SCISSORS, jaws: Some(jaws), ..Self::PROBE }
+    }
+
+    /// A scalpel with this edge.
+    pub const fn scalpel(blade: Blade) -> Self {
+        Self { kind: SCALPEL, blade: Some(blade), ..Self::PROBE }
+    }
+
+    /// A monopolar hook.
+    pub const fn hook(burning: CutRule) -> Self {
+        Self { kind: HOOK, burning: Some(burning), ..Self::PROBE }
+    }
+
+    /// A bipolar forceps with these jaws.
+    pub const fn cautery(jaws: Jaws, burning: CutRule) -> Self {
+        Self { kind: CAUTERY, jaws: Some(jaws), burning: Some(burning), ..Self::PROBE }
+    }
+
+    /// The name in scene files.
+    pub fn name(&self) -> &'static str {
+        self.kind.name
+    }
+
+    /// Its jaws, if it has some.
+    pub fn jaws(&self) -> Option<&Jaws> {
+        self.jaws.as_ref()
+    }
+
+    /// Its edge, if it cuts along one.
+    pub fn blade(&self) -> Option<&Blade> {
+        self.blade.as_ref()
+    }
+
+    /// When it takes away what it touches or holds, if it burns.
+    pub fn burning(&self) -> Option<&CutRule> {
+        self.burning.as_ref()
+    }
+
+    /// Whether its jaws hold what they close on.
+    pub fn holds(&self) -> bool {
+        self.kind.jaws == Some(JawUse::Hold)
+    }
+
+    /// The jaws with which it parts what they close on, if it does.
+    pub fn parting_jaws(&self) -> Option<&Jaws> {
+        self.jaws.as_ref().filter(|_| self.kind.jaws == Some(JawUse::Part))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_of_instruments_is_sound() {
+        for (place, kind) in INSTRUMENTS.iter().enumerate() {
+            assert_eq!(instrument_names().position(|name| name == kind.name), Some(place), "{}", kind.name);
+            assert!(
+                !kind.about.is_empty() && kind.name.bytes().all(|b| b.is_ascii_lowercase()),
+                "{}",
+                kind.name
+            );
+        }
+    }
+}

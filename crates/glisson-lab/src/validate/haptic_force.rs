@@ -25,7 +25,6 @@ use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{StepInput, World};
 use glisson_view::plot::{LinePlot, Series, SeriesStyle};
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
 
 const ISSUE: &str = "requirement: local model below 10 %";
 const SLIDES: &str = "requirement: slides calmly under Coulomb's law";
@@ -195,96 +194,133 @@ fn title(estimate: ForceEstimate) -> &'static str {
     }
 }
 
-pub(super) fn experiments() -> anyhow::Result<Outcome> {
-    let mesh = liver(N_TETS)?;
-    let front = mesh.positions_m.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y));
-    let path = Path::over(front.unwrap_or(DVec3::ZERO));
-    let Reference { forces_n: reference_n, slid_m, beyond_cone, jump } = reference(&mesh, &path)?;
-    let models = published(&mesh, &path)?;
-    let peak_n = reference_n.iter().map(|f| f.length()).fold(0.0, f64::max);
-    let mut notes = format!(
+/// What a hand feels by one estimate of the force, and its distance from the full model.
+struct Felt {
+    estimate: ForceEstimate,
+    /// Force at every tick [N].
+    forces_n: Vec<DVec3>,
+    /// Root mean square of the difference over the largest force: of the whole path, and of each phase.
+    whole: f64,
+    parts: [f64; 3],
+}
+
+impl Felt {
+    fn worst(&self) -> f64 {
+        self.parts.into_iter().fold(0.0, f64::max)
+    }
+
+    fn table_line(&self, late: &str) -> String {
+        let [a, b, c] = self.parts.map(|e| 100.0 * e);
+        format!(
+            "| {late} | {} | {:.2} | {a:.2} | {b:.2} | {c:.2} |\n",
+            title(self.estimate),
+            100.0 * self.whole
+        )
+    }
+}
+
+/// All estimates when each model is felt `late_s` after its moment.
+fn felt_by_all(models: &[HapticModel], path: &Path, reference_n: &[DVec3], late_s: f64) -> Vec<Felt> {
+    let by = |estimate: ForceEstimate| {
+        let forces_n = felt(models, path, estimate, late_s);
+        let [whole, parts @ ..] = errors(path, &forces_n, reference_n);
+        Felt { estimate, forces_n, whole, parts }
+    };
+    ForceEstimate::ALL.into_iter().map(by).collect()
+}
+
+/// What is claimed of the full model.
+fn of_reference(reference: &Reference) -> [Experiment; 3] {
+    [
+        Experiment::near(
+            "full model at 1 kHz, 10 mm deep, friction 0.05: slip over the way sideways",
+            SLIDES,
+            reference.slid_m / SLIDE_M,
+            1.0,
+            0.2,
+        ),
+        Experiment::at_most(
+            "the same: force along the surface beyond what friction bears, over the largest force",
+            SLIDES,
+            reference.beyond_cone,
+            0.05,
+        ),
+        Experiment::at_most(
+            "the same: largest change of the force in a millisecond of sliding, over the largest force",
+            SLIDES,
+            reference.jump,
+            0.05,
+        ),
+    ]
+}
+
+/// What is claimed of the local model, by itself and beside the best extrapolation.
+fn of_local_model(all: &[Felt], late: &str) -> Vec<Experiment> {
+    let least = |error: fn(&Felt) -> f64| {
+        let is_extrapolation = |f: &&Felt| {
+            matches!(f.estimate, ForceEstimate::ExtrapolateInTime | ForceEstimate::ExtrapolateInPosition)
+        };
+        all.iter().filter(is_extrapolation).map(error).fold(f64::INFINITY, f64::min)
+    };
+    let of_local = |error: fn(&Felt) -> f64| {
+        all.iter().find(|f| f.estimate == ForceEstimate::LocalModel).map_or(f64::NAN, error)
+    };
+    let errors: [(&str, fn(&Felt) -> f64); 2] = [("whole path", |f| f.whole), ("worst part", Felt::worst)];
+    let names = [
+        format!(
+            "local model at 30 Hz, felt {late}, against the full model at 1 kHz: force error, RMS over peak"
+        ),
+        format!("the same of the worst of {}", PHASES.join(", ")),
+    ];
+    let small = names
+        .iter()
+        .zip(errors)
+        .map(|(name, (_, error))| Experiment::at_most(name, ISSUE, of_local(error), 0.1));
+    let smaller = errors.into_iter().map(|(what, error)| {
+        Experiment::within(
+            &format!("local model's error over that of the best extrapolation, felt {late}, {what}"),
+            BETTER,
+            of_local(error) / least(error),
+            [0.0, 1.0],
+        )
+    });
+    small.chain(smaller).collect()
+}
+
+fn heading(mesh: &TetMesh, reference: &Reference) -> String {
+    let peak_n = reference.forces_n.iter().map(|f| f.length()).fold(0.0, f64::max);
+    format!(
         "{} tetrahedra, E = {YOUNG_MODULUS_PA} Pa, nu = {POISSON_RATIO}; friction {FRICTION}; largest force of the full model {peak_n:.3} N; going \
          sideways the tip slid by {:.1} mm of {:.1} mm on the tissue. Root mean square of the error over the largest force [%]:\n\n\
          | felt | estimate | whole path | {} | {} | {} |\n|---|---|---|---|---|---|\n",
         mesh.tetrahedra.len(),
-        1e3 * slid_m,
+        1e3 * reference.slid_m,
         1e3 * SLIDE_M,
         PHASES[0],
         PHASES[1],
         PHASES[2],
-    );
-    let mut outcome = Outcome::default();
-    outcome.experiments.push(Experiment::near(
-        "full model at 1 kHz, 10 mm deep, friction 0.05: slip over the way sideways",
-        SLIDES,
-        slid_m / SLIDE_M,
-        1.0,
-        0.2,
-    ));
-    for (what, found) in [
-        ("force along the surface beyond what friction bears, over the largest force", beyond_cone),
-        ("largest change of the force in a millisecond of sliding, over the largest force", jump),
-    ] {
-        let name = format!("the same: {what}");
-        outcome.experiments.push(Experiment::at_most(&name, SLIDES, found, 0.05));
-    }
-    let curve = |forces_n: &[DVec3]| -> Vec<[f64; 2]> {
-        forces_n.iter().enumerate().map(|(tick, f)| [tick as f64 * TICK_S, f.length()]).collect()
-    };
-    let mut forces = vec![Series {
-        name: "full model at 1 kHz".into(),
-        points: curve(&reference_n),
-        style: SeriesStyle::Dashed,
-    }];
-    let mut differences = Vec::new();
-    for (late_s, late) in [(0.0, "at once"), (STEP_S, "one period later")] {
-        // Of the whole path and of its worst part: by the best extrapolation, and by the local model.
-        let (mut extrapolated, mut local) = ([f64::INFINITY; 2], [0.0; 2]);
-        for estimate in ForceEstimate::ALL {
-            let felt_n = felt(&models, &path, estimate, late_s);
-            let [whole, parts @ ..] = errors(&path, &felt_n, &reference_n);
-            let [a, b, c] = parts.map(|e| 100.0 * e);
-            let name = title(estimate);
-            writeln!(notes, "| {late} | {name} | {:.2} | {a:.2} | {b:.2} | {c:.2} |", 100.0 * whole)?;
-            let worst = parts.into_iter().fold(0.0, f64::max);
-            match estimate {
-                ForceEstimate::LocalModel => local = [whole, worst],
-                ForceEstimate::Hold => {}
-                _ => extrapolated = [extrapolated[0].min(whole), extrapolated[1].min(worst)],
-            }
-            if estimate == ForceEstimate::LocalModel {
-                outcome.experiments.push(Experiment::at_most(
-                    &format!("local model at 30 Hz, felt {late}, against the full model at 1 kHz: force error, RMS over peak"),
-                    ISSUE,
-                    whole,
-                    0.1,
-                ));
-                outcome.experiments.push(Experiment::at_most(
-                    &format!("the same of the worst of {}", PHASES.join(", ")),
-                    ISSUE,
-                    worst,
-                    0.1,
-                ));
-            }
-            if late_s > 0.0 {
-                let off = felt_n.iter().zip(&reference_n).enumerate();
-                let points = off.map(|(tick, (f, r))| [tick as f64 * TICK_S, f.distance(*r)]).collect();
-                differences.push(Series { name: name.into(), points, style: SeriesStyle::Line });
-                if matches!(estimate, ForceEstimate::Hold | ForceEstimate::LocalModel) {
-                    let (name, points) = (format!("{name}, 30 Hz"), curve(&felt_n));
-                    forces.push(Series { name, points, style: SeriesStyle::Line });
-                }
-            }
-        }
-        for (i, what) in ["whole path", "worst part"].into_iter().enumerate() {
-            outcome.experiments.push(Experiment::within(
-                &format!("local model's error over that of the best extrapolation, felt {late}, {what}"),
-                BETTER,
-                local[i] / extrapolated[i],
-                [0.0, 1.0],
-            ));
-        }
-    }
+    )
+}
+
+/// A value of every tick over time.
+fn curve(name: String, values: &[f64], style: SeriesStyle) -> Series {
+    let points = values.iter().enumerate().map(|(tick, value)| [tick as f64 * TICK_S, *value]).collect();
+    Series { name, points, style }
+}
+
+/// Forces and their differences, of models that are felt a period late.
+fn figures(reference_n: &[DVec3], all: &[Felt]) -> Vec<Figure> {
+    let lengths = |forces_n: &[DVec3]| -> Vec<f64> { forces_n.iter().map(|f| f.length()).collect() };
+    let full = curve("full model at 1 kHz".into(), &lengths(reference_n), SeriesStyle::Dashed);
+    let is_shown = |f: &&Felt| matches!(f.estimate, ForceEstimate::Hold | ForceEstimate::LocalModel);
+    let shown = all
+        .iter()
+        .filter(is_shown)
+        .map(|f| curve(format!("{}, 30 Hz", title(f.estimate)), &lengths(&f.forces_n), SeriesStyle::Line));
+    let differences = all.iter().map(|felt| {
+        let off: Vec<f64> = felt.forces_n.iter().zip(reference_n).map(|(f, r)| f.distance(*r)).collect();
+        curve(title(felt.estimate).into(), &off, SeriesStyle::Line)
+    });
     let plot = |title: &str, y_label: &str, series: Vec<Series>| LinePlot {
         title: title.into(),
         x_label: "time [s]".into(),
@@ -292,18 +328,33 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         series,
         size: [820, 440],
     };
-    outcome.figures = vec![
+    vec![
         Figure {
             file: "haptic_force_curves.svg",
             caption: "Force on the hand: the full model at 1 kHz, and from a simulation at 30 Hz that is felt a period late.".into(),
-            plot: plot("Force on the hand", "force [N]", forces),
+            plot: plot("Force on the hand", "force [N]", std::iter::once(full).chain(shown).collect()),
         },
         Figure {
             file: "haptic_force_errors.svg",
             caption: "Difference from the full model, of four ways to get from 30 Hz to 1 kHz, felt a period late.".into(),
-            plot: plot("Difference from the full model at 1 kHz", "difference [N]", differences),
+            plot: plot("Difference from the full model at 1 kHz", "difference [N]", differences.collect()),
         },
-    ];
-    outcome.notes = notes;
-    Ok(outcome)
+    ]
+}
+
+pub(super) fn experiments() -> anyhow::Result<Outcome> {
+    let mesh = liver(N_TETS)?;
+    let front = mesh.positions_m.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y));
+    let path = Path::over(front.unwrap_or(DVec3::ZERO));
+    let reference = reference(&mesh, &path)?;
+    let models = published(&mesh, &path)?;
+    let by_all = |late_s: f64| felt_by_all(&models, &path, &reference.forces_n, late_s);
+    let (at_once, late) = (by_all(0.0), by_all(STEP_S));
+    let mut experiments = of_reference(&reference).to_vec();
+    let mut notes = heading(&mesh, &reference);
+    for (all, when) in [(&at_once, "at once"), (&late, "one period later")] {
+        experiments.extend(of_local_model(all, when));
+        notes.extend(all.iter().map(|felt| felt.table_line(when)));
+    }
+    Ok(Outcome { experiments, figures: figures(&reference.forces_n, &late), notes })
 }

@@ -8,9 +8,9 @@ use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::model::{Constraints, DeformableModel, NodalForce};
 use glisson::solve::{BoundaryConditions, StaticProblem, solve_static};
 
+use super::hybrid::timed_s;
 use super::{Experiment, Figure, Outcome};
 use crate::bench::hybrid::ZonedBody;
-use crate::bench::thread_cpu_ns;
 use glisson_view::plot::{LinePlot, Series, SeriesStyle};
 
 const SEED_003: &str = "Checoury 2002, s. 5.2 and fig. 5.9";
@@ -162,13 +162,6 @@ impl Case {
 /// Far below the error asked for, for some looks.
 fn has_settled(run: &Run) -> bool {
     run.points.len() > 5 && run.points[run.points.len() - 5..].iter().all(|p| p[1] < 0.1 * ARRIVED)
-}
-
-/// Processor time of a piece of work on this thread [s]; nothing in it uses another one.
-fn timed_s(work: impl FnOnce()) -> f64 {
-    let before = thread_cpu_ns();
-    work();
-    (thread_cpu_ns() - before) as f64 * 1e-9
 }
 
 /// The first to arrive of runs with every damping.

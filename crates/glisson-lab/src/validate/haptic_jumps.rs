@@ -9,6 +9,7 @@
 //! k |d|: d is the motion of the handle that the device told, k the stiffness of coupling and published tissue along d, one
 //! after the other. The rest is what is judged.
 
+use super::haptic_force::front_m;
 use super::{Experiment, Figure, Outcome};
 use crate::bodies::liver;
 use crate::scratch::ScratchFolder;
@@ -511,8 +512,7 @@ fn figures(trials: &[Trial]) -> Vec<Figure> {
 
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let mesh = liver(N_TETS)?;
-    let front = mesh.positions_m.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y));
-    let surface_m = front.context("a liver without nodes")?;
+    let surface_m = front_m(&mesh)?;
     let mut notes = format!(
         "{} tetrahedra, 5 kPa, ln J neo-Hookean, G = 76 J/m2, a probe of {} mm; {MODELS_PER_S} models a second, each felt a period after \
          its moment; a device of 3.3 N with a hand. Changes are those in a tick of 1 ms.\n\n| model | event | unexplained change [mN] | \

@@ -6,26 +6,14 @@ use super::law_loop::{Loop, PRESS_S, TICKS_PER_STEP};
 use super::{OWN, PROTOTYPE, dashed, figure, line, tilted};
 use crate::bench::thread_cpu_ns;
 use crate::bodies::liver;
+use crate::validate::haptic_force::{N_TETS, front_m, world};
 use crate::validate::{Experiment, Figure, Outcome};
-use anyhow::Context;
 use glam::DVec3;
 use glisson::haptics::trocar::{Mapping, N_AXES, Placement, TrocarJoints, TrocarProfile};
-use glisson::material::LinearElastic;
 use glisson::mesh::TetMesh;
-use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
-use glisson::model::kernel::KernelLaw;
-use glisson::model::kind::ModelKind;
-use glisson::model::{DynamicBody, Rayleigh};
 use glisson::tool::Tool;
-use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
-use glisson::world::{StepInput, World};
+use glisson::world::StepInput;
 
-/// As in the group `haptic_force`: St Venant-Kirchhoff tissue would collapse under a tip.
-const N_TETS: usize = 6_300;
-const YOUNG_MODULUS_PA: f64 = 5e3;
-const POISSON_RATIO: f64 = 0.45;
-const DENSITY_KG_PER_M3: f64 = 1060.0;
-const DAMPING_PER_S: f64 = 60.0;
 /// From the trocar to the place that is touched [m].
 const ABOVE_M: f64 = 0.1;
 /// From where the tip comes, and how deep the hand wants it [m].
@@ -49,29 +37,7 @@ struct Patient {
 impl Patient {
     fn new() -> anyhow::Result<Self> {
         let mesh = liver(N_TETS)?;
-        let front = mesh.positions_m.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y));
-        Ok(Self { front_m: front.context("a liver has nodes")?, mesh })
-    }
-
-    /// A world of this liver, held at its back, and into how many parts a step is divided.
-    fn world(&self, tool: Tool, step_s: f64) -> anyhow::Result<(World, u32)> {
-        let supports = vec![Support::all_axes(Region::Furthest { direction: DVec3::Y, fraction: 0.2 })];
-        let fixed = fixed_nodes(&supports, &self.mesh.positions_m);
-        let body = DynamicBody {
-            fixed: &fixed,
-            damping: Rayleigh::of_mass(DAMPING_PER_S),
-            ..DynamicBody::new(&self.mesh, DENSITY_KG_PER_M3)
-        };
-        let materials =
-            &[LinearElastic::from_young_poisson(YOUNG_MODULUS_PA, POISSON_RATIO, DENSITY_KG_PER_M3)?];
-        let params = ExplicitKernelParams::new(body, KernelLaw::NeoHookeLog, materials);
-        let parts_of_tick = (TICK_S / (0.7 * ExplicitKernel::stable_step(&params)?.step_s)).ceil();
-        let body = DynamicBody { time_step_s: TICK_S / parts_of_tick, ..body };
-        let model = Box::new(ExplicitKernel::build(&ExplicitKernelParams { body, ..params })?);
-        let mut spec = WorldSpec::new("liver", step_s, tool);
-        spec.supports = supports;
-        let n_parts = (parts_of_tick * step_s / TICK_S).round() as u32;
-        Ok((World::new(spec, self.mesh.clone(), model, ModelKind::Explicit)?, n_parts))
+        Ok(Self { front_m: front_m(&mesh)?, mesh })
     }
 
     /// A trocar in front whose instrument, tilted so, points to the foremost place.
@@ -141,7 +107,7 @@ impl Palpated {
 fn palpate(patient: &Patient, tilt_rad: [f64; 2], mapping: Mapping, time_s: f64) -> anyhow::Result<Palpated> {
     let start = pressed(tilt_rad, 0.0);
     let mut station = Station::new(patient.before(tilt_rad), &start, mapping)?;
-    let (mut world, n_parts) = patient.world(probe(&station.placement, &start), TICK_S)?;
+    let (mut world, n_parts) = world(&patient.mesh, probe(&station.placement, &start), TICK_S)?;
     let (mut rows, mut bits, mut cpu_ns) = (Vec::new(), Vec::new(), 0);
     let n_ticks = (time_s / TICK_S).round() as u32;
     for k in 0..n_ticks {
@@ -290,7 +256,7 @@ fn through_the_law(patient: &Patient, outcome: &mut Outcome) -> anyhow::Result<(
     let start = pressed(TILTED, 0.0);
     let station = Station::new(patient.before(TILTED), &start, Mapping::VirtualWork)?;
     let step_s = TICK_S * f64::from(TICKS_PER_STEP);
-    let (mut world, n_parts) = patient.world(probe(&station.placement, &start), step_s)?;
+    let (mut world, n_parts) = world(&patient.mesh, probe(&station.placement, &start), step_s)?;
     let mut run = Loop::new(station);
     let (mut tissue_n, mut hand_n, mut n) = (DVec3::ZERO, DVec3::ZERO, 0.0);
     for k in 0..1500_u32 {

@@ -17,6 +17,10 @@ const CRATES: [&str; 8] = [
     "glisson-cli",
 ];
 
+/// The examples stand last, in a folder of their own: they use these crates, as a user would, and no crate uses them.
+const EXAMPLES: &str = "glisson-examples";
+const USED_BY_EXAMPLES: [&str; 2] = ["glisson", "glisson-runtime"];
+
 fn workspace() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
@@ -183,6 +187,11 @@ fn source_of(name: &str) -> PathBuf {
     workspace().join("crates").join(name).join("src")
 }
 
+/// The first word of each line of a manifest: of those below `[dependencies]` the crate's name.
+fn first_words(manifest: &str) -> impl Iterator<Item = &str> {
+    manifest.lines().filter_map(|line| line.split(['.', ' ', '=']).next()).filter(|word| !word.is_empty())
+}
+
 #[test]
 fn crates_use_only_crates_above_them() {
     let mut folders: Vec<String> = fs::read_dir(workspace().join("crates"))
@@ -195,13 +204,23 @@ fn crates_use_only_crates_above_them() {
     assert_eq!(folders, known, "a crate has a place in this list");
     for (rank, name) in CRATES.iter().enumerate() {
         let manifest = fs::read_to_string(workspace().join("crates").join(name).join("Cargo.toml")).unwrap();
-        for line in manifest.lines() {
-            let used = line.split(['.', ' ', '=']).next().unwrap_or_default();
+        for used in first_words(&manifest) {
+            assert!(used != EXAMPLES, "{name} depends on {used}, which stands last");
             if let Some(other) = CRATES.iter().position(|known| *known == used) {
                 assert!(other < rank, "{name} depends on {used}, which stands below it");
             }
         }
     }
+}
+
+#[test]
+fn examples_use_the_library_alone() {
+    let manifest = fs::read_to_string(workspace().join("examples/Cargo.toml")).unwrap();
+    assert!(manifest.contains(&format!("name = \"{EXAMPLES}\"\n")), "{manifest}");
+    let (_, dependencies) = manifest.split_once("[dependencies]\n").unwrap();
+    let used: Vec<&str> = first_words(dependencies.split("\n[").next().unwrap()).collect();
+    assert_eq!(used, USED_BY_EXAMPLES);
+    assert_eq!(manifest.matches("dependencies]").count(), 1, "of one kind only: {manifest}");
 }
 
 #[test]

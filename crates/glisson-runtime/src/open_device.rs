@@ -25,6 +25,18 @@ pub struct OpenDevice {
 }
 
 impl OpenDevice {
+    /// A device whose axes are the patient's and whose handle, where it is at the start, holds the instrument at its home.
+    pub fn new(device: Box<dyn HapticDevice>, name: &str) -> Self {
+        Self {
+            device,
+            name: name.to_owned(),
+            world_from_device: DQuat::IDENTITY,
+            has_clutch: false,
+            stands: None,
+            page: None,
+        }
+    }
+
     /// The mapping that has the handle where it is now, `start_m` in its own frame, hold the instrument at its home; of a
     /// device that stands somewhere the one that has its place there. A device that does not tell its orientation has the
     /// home's.

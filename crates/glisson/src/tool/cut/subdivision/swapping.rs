@@ -188,7 +188,8 @@ fn stays_on_cut(patch: &Patch, [gone, kept]: [u32; 2], leaving: &Leaving, max_ar
         };
         area_change_m2 += after - patch.face_area_m2(face);
     }
-    area_change_m2.abs() <= max_area_change_m2 || area_change_m2.is_nan()
+    let is_too_much = area_change_m2.abs() > max_area_change_m2;
+    !is_too_much
 }
 
 /// Pulls `gone` onto `kept`. Nodes inside may go anywhere, those on flat skin along the skin, those on the cut along

@@ -237,18 +237,7 @@ fn send_all(
             },
         };
         sequence += 1;
-        let heard = shared.heard.lock().map_or_else(|_| Heard::default(), |heard| *heard);
-        let sent_ns = now_ns();
-        let head = Head {
-            scene: identity.scene.short(),
-            session: shared.session,
-            sequence,
-            sent_ns,
-            heard_session: heard.session,
-            heard_sequence: heard.sequence,
-            heard_sent_ns: heard.sent_ns,
-            heard_ago_ns: sent_ns.saturating_sub(heard.at_ns),
-        };
+        let head = next_head(shared, identity, sequence);
         encode_into(&head, &content, &identity.seal, &mut bytes);
         match sender.send(&bytes) {
             Ok(()) => {
@@ -260,6 +249,22 @@ fn send_all(
                 std::thread::sleep(PATIENCE);
             }
         }
+    }
+}
+
+/// The head of what is sent now.
+fn next_head(shared: &Shared, identity: &Identity, sequence: u64) -> Head {
+    let heard = shared.heard.lock().map_or_else(|_| Heard::default(), |heard| *heard);
+    let sent_ns = now_ns();
+    Head {
+        scene: identity.scene.short(),
+        session: shared.session,
+        sequence,
+        sent_ns,
+        heard_session: heard.session,
+        heard_sequence: heard.sequence,
+        heard_sent_ns: heard.sent_ns,
+        heard_ago_ns: sent_ns.saturating_sub(heard.at_ns),
     }
 }
 

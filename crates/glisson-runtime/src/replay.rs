@@ -2,7 +2,7 @@
 
 use crate::account::Account;
 use crate::{OpenScene, Simulation};
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow, bail, ensure};
 use glisson::mesh::refine::FineRegion;
 use glisson::model::StateHash;
 use glisson::record::session::{Session, SessionEvent, parse_session};
@@ -33,12 +33,8 @@ pub fn read_session(path: &Path) -> anyhow::Result<Session> {
     parse_session(&text).map_err(|e| anyhow!("{}: {e}", path.display()))
 }
 
-/// Replays `session` with the scene's files in `folder`; `after_step` sees the simulation after every step.
-pub fn replay(
-    session: &Session,
-    folder: &Path,
-    mut after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
-) -> anyhow::Result<ReplayReport> {
+/// The simulation of the session's scene, with the mesh of the recording.
+fn open_recorded(session: &Session, folder: &Path) -> anyhow::Result<Simulation> {
     let scene =
         Scene::parse(&session.header.scene).map_err(|e| anyhow!("the scene in the session's header: {e}"))?;
     let origin = "the session's scene".to_string();
@@ -52,6 +48,16 @@ pub fn replay(
             session.header.mesh_hash
         );
     }
+    Ok(simulation)
+}
+
+/// Replays `session` with the scene's files in `folder`; `after_step` sees the simulation after every step.
+pub fn replay(
+    session: &Session,
+    folder: &Path,
+    mut after_step: impl FnMut(&Simulation) -> anyhow::Result<()>,
+) -> anyhow::Result<ReplayReport> {
+    let mut simulation = open_recorded(session, folder)?;
     let homes: Vec<_> = simulation.world().tools().iter().map(|tool| tool.home).collect();
     let mut input = StepInput::of(&homes);
     let mut report = ReplayReport {
@@ -69,14 +75,13 @@ pub fn replay(
         }
         match *event {
             SessionEvent::Input { ref tools, n_substeps, ref placed, ref detected, .. } => {
-                if tools.len() != homes.len() {
-                    bail!(
-                        "step {}: the session has {} instruments, its scene {}",
-                        event.step(),
-                        tools.len(),
-                        homes.len()
-                    );
-                }
+                ensure!(
+                    tools.len() == homes.len(),
+                    "step {}: the session has {} instruments, its scene {}",
+                    event.step(),
+                    tools.len(),
+                    homes.len()
+                );
                 input = StepInput::of(tools).divided(n_substeps);
                 placed.iter().for_each(|&tool| input.placed[usize::from(tool)] = true);
                 input.detected[..detected.len()].copy_from_slice(detected);

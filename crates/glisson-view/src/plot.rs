@@ -6,6 +6,8 @@
 use std::path::Path;
 
 use anyhow::{Context, anyhow, ensure};
+use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -268,30 +270,7 @@ impl Frame<'_> {
         let centred = Pos::new(HPos::Center, VPos::Center);
         let title = font(TITLE_PIXELS).pos(centred);
         root.draw(&Text::new(self.title, (middle, SCALE * TITLE_ROW_PIXELS / 2 + SCALE), title))?;
-        let entry_pixels = |shape: &Shape| {
-            KEY_PIXELS + KEY_GAP_PIXELS + text_pixels(shape.name, TICK_PIXELS) + 3 * KEY_GAP_PIXELS
-        };
-        let mut x = middle - SCALE * named.iter().map(|shape| entry_pixels(shape)).sum::<i32>() / 2;
-        let y = SCALE * (TITLE_ROW_PIXELS + LEGEND_ROW_PIXELS / 2 - 4);
-        for shape in named {
-            let end = x + SCALE * KEY_PIXELS;
-            let stroke = shape.stroke();
-            match shape.kind {
-                ShapeKind::Line | ShapeKind::Bar => {
-                    root.draw(&PathElement::new(vec![(x, y), (end, y)], stroke))?;
-                }
-                ShapeKind::Dashed => {
-                    let [dash, gap] = DASH_PIXELS.map(|length| SCALE * length);
-                    root.draw(&DashedPathElement::new([(x, y), (end, y)], dash, gap, stroke))?;
-                }
-                ShapeKind::Points => {
-                    root.draw(&Circle::new(((x + end) / 2, y), 3 * SCALE, shape.colour.filled()))?;
-                }
-            }
-            let label = font(TICK_PIXELS).pos(Pos::new(HPos::Left, VPos::Center));
-            root.draw(&Text::new(shape.name, (end + SCALE * KEY_GAP_PIXELS, y), label))?;
-            x += SCALE * entry_pixels(shape);
-        }
+        draw_legend(&root, &named, middle)?;
         let mut chart = ChartBuilder::on(&root)
             .margin_top(SCALE * top)
             .margin_right(SCALE * 24)
@@ -315,26 +294,68 @@ impl Frame<'_> {
             .label_style(font(TICK_PIXELS))
             .axis_desc_style(font(LABEL_PIXELS))
             .draw()?;
-        for shape in shapes {
-            let points = shape.points.iter().copied();
-            match shape.kind {
-                ShapeKind::Line => chart.draw_series(LineSeries::new(points, shape.stroke()))?,
-                ShapeKind::Dashed => {
-                    let [dash, gap] = DASH_PIXELS.map(|length| SCALE * length);
-                    chart.draw_series(DashedLineSeries::new(points, dash, gap, shape.stroke()))?
-                }
-                ShapeKind::Points => {
-                    let filled = shape.colour.filled();
-                    chart.draw_series(points.map(|p| Circle::new(p, 3 * SCALE, filled)))?
-                }
-                ShapeKind::Bar => {
-                    let corners = [shape.points[0], shape.points[1]];
-                    chart.draw_series([Rectangle::new(corners, shape.colour.mix(0.82).filled())])?
-                }
-            };
-        }
+        draw_series(&mut chart, shapes)?;
         root.present()
     }
+}
+
+/// Draws the names of the series in a row around `middle`, each behind its sign.
+fn draw_legend<'b>(
+    root: &DrawingArea<SVGBackend<'b>, Shift>,
+    named: &[&Shape],
+    middle: i32,
+) -> Result<(), DrawError<'b>> {
+    let entry_pixels = |shape: &Shape| {
+        KEY_PIXELS + KEY_GAP_PIXELS + text_pixels(shape.name, TICK_PIXELS) + 3 * KEY_GAP_PIXELS
+    };
+    let mut x = middle - SCALE * named.iter().map(|shape| entry_pixels(shape)).sum::<i32>() / 2;
+    let y = SCALE * (TITLE_ROW_PIXELS + LEGEND_ROW_PIXELS / 2 - 4);
+    for &shape in named {
+        let end = x + SCALE * KEY_PIXELS;
+        let stroke = shape.stroke();
+        match shape.kind {
+            ShapeKind::Line | ShapeKind::Bar => {
+                root.draw(&PathElement::new(vec![(x, y), (end, y)], stroke))?;
+            }
+            ShapeKind::Dashed => {
+                let [dash, gap] = DASH_PIXELS.map(|length| SCALE * length);
+                root.draw(&DashedPathElement::new([(x, y), (end, y)], dash, gap, stroke))?;
+            }
+            ShapeKind::Points => {
+                root.draw(&Circle::new(((x + end) / 2, y), 3 * SCALE, shape.colour.filled()))?;
+            }
+        }
+        let label = font(TICK_PIXELS).pos(Pos::new(HPos::Left, VPos::Center));
+        root.draw(&Text::new(shape.name, (end + SCALE * KEY_GAP_PIXELS, y), label))?;
+        x += SCALE * entry_pixels(shape);
+    }
+    Ok(())
+}
+
+/// Draws the shapes between the axes.
+fn draw_series<'b>(
+    chart: &mut ChartContext<'_, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>,
+    shapes: &[Shape],
+) -> Result<(), DrawError<'b>> {
+    for shape in shapes {
+        let points = shape.points.iter().copied();
+        match shape.kind {
+            ShapeKind::Line => chart.draw_series(LineSeries::new(points, shape.stroke()))?,
+            ShapeKind::Dashed => {
+                let [dash, gap] = DASH_PIXELS.map(|length| SCALE * length);
+                chart.draw_series(DashedLineSeries::new(points, dash, gap, shape.stroke()))?
+            }
+            ShapeKind::Points => {
+                let filled = shape.colour.filled();
+                chart.draw_series(points.map(|p| Circle::new(p, 3 * SCALE, filled)))?
+            }
+            ShapeKind::Bar => {
+                let corners = [shape.points[0], shape.points[1]];
+                chart.draw_series([Rectangle::new(corners, shape.colour.mix(0.82).filled())])?
+            }
+        };
+    }
+    Ok(())
 }
 
 impl Shape<'_> {

@@ -1,6 +1,6 @@
 //! A force model of one's own: it implements [`DeformableModel`] from outside, a [`World`] is made with it, a tool pushes it.
 //!
-//! A thin layer of tissue bonded to bone, as an elastic foundation (K. L. Johnson, Contact Mechanics, 1985, s. 4.3, after
+//! A thin layer of tissue bonded to bone, as an elastic foundation (K. L. Johnson, Contact Mechanics, 1985, after
 //! Winkler 1867): a place of the surface answers to the load on itself alone, with `E (1 - nu)/((1 + nu)(1 - 2 nu) h)` per area
 //! along the normal, the stiffness of a layer of thickness h that cannot widen, and `G/h` along the surface, that of its shear.
 //! Each spring has a dashpot of `tau` times its stiffness beside it (Kelvin and Voigt; Y. C. Fung, Biomechanics: mechanical

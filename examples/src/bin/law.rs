@@ -1,7 +1,7 @@
 //! A constitutive law of one's own: it implements [`Material`], is checked by differences, and deforms a body.
 //!
-//! Demiray's law (H. Demiray, A note on the elasticity of soft biological tissues, Journal of Biomechanics 5, 1972,
-//! doi 10.1016/0021-9290(72)90047-4), made compressible as [`glisson::material::MooneyRivlin`] is:
+//! Demiray's law (H. Demiray, A note on the elasticity of soft biological tissues, Journal of Biomechanics 5, 1972),
+//! made compressible as [`glisson::material::MooneyRivlin`] is:
 //!
 //! `W = mu/(2 b) (exp(b (I - 3)) - 1) + K/2 (J - 1)^2`, I = J^(-2/3) tr(F^T F), J = det F, mu and K in Pa, b a number.
 //!

@@ -5,6 +5,7 @@ use crate::demo::{operation, report, resection, scenery};
 use anyhow::Context;
 use clap::Parser;
 use glisson_runtime::{OpenScene, Simulation};
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -91,29 +92,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     )?;
     verb(&mut stages, &["check", mesh, "--svg", text(&files.quality_plot)?])?;
     if args.task == Task::Resection {
-        resection::write_scene(&files)?;
-        let scene = resection::scene_file(&files);
-        if let Some(listener) = listener {
-            println!("\n$ glisson serve {}", scene.display());
-            let simulation = resection::begin(&files)?;
-            return args.address.serve(simulation, listener);
-        }
-        println!("\nscripted resection");
-        let resection = resection::operate(&files)?;
-        anyhow::ensure!(
-            resection.tumour_in_specimen == 1.0,
-            "the piece that was lifted holds {:.2} % of the tumour only",
-            100.0 * resection.tumour_in_specimen
-        );
-        if resection.margin_m <= 0.0 {
-            println!("the cut comes to the tumour: its least distance is {:.1} mm", 1e3 * resection.margin_m);
-        }
-        println!(
-            "written to {}: look at resection.md and the pictures; state {}",
-            args.out.display(),
-            resection.state_hash
-        );
-        return Ok(());
+        return resect(args, &files, listener);
     }
     scenery::write_scene(&files)?;
     verb(&mut stages, &["precompute", text(&files.scene)?, "-o", text(&files.precomputed)?])?;
@@ -126,5 +105,32 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let palpation = operation::palpate(&files)?;
     report::write(&files, &stages, &palpation)?;
     println!("\nwritten to {}: look at report.md and the pictures", args.out.display());
+    Ok(())
+}
+
+/// Serves the resection, or operates without a window.
+fn resect(args: &Args, files: &scenery::Files, listener: Option<TcpListener>) -> anyhow::Result<()> {
+    resection::write_scene(files)?;
+    let scene = resection::scene_file(files);
+    if let Some(listener) = listener {
+        println!("\n$ glisson serve {}", scene.display());
+        let simulation = resection::begin(files)?;
+        return args.address.serve(simulation, listener);
+    }
+    println!("\nscripted resection");
+    let resection = resection::operate(files)?;
+    anyhow::ensure!(
+        resection.tumour_in_specimen == 1.0,
+        "the piece that was lifted holds {:.2} % of the tumour only",
+        100.0 * resection.tumour_in_specimen
+    );
+    if resection.margin_m <= 0.0 {
+        println!("the cut comes to the tumour: its least distance is {:.1} mm", 1e3 * resection.margin_m);
+    }
+    println!(
+        "written to {}: look at resection.md and the pictures; state {}",
+        args.out.display(),
+        resection.state_hash
+    );
     Ok(())
 }

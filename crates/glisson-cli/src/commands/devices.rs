@@ -2,13 +2,14 @@
 
 use super::device_page::DevicePage;
 use anyhow::ensure;
-use glisson::haptics::{DeviceFault, ForceCommand, InsertedInstrument};
+use glisson::haptics::{DeviceFault, DeviceLimits, DeviceState, ForceCommand, InsertedInstrument};
 use glisson::math::DVec3;
 use glisson::tool::ToolInput;
 use glisson_runtime::devices::lead::{self, LeadRequest};
 use glisson_runtime::devices::trocar_choice::OPTIONS;
 use glisson_runtime::devices::{self, DeviceName, HAPLY_ADDRESS, KINDS, host_and_port};
 use glisson_runtime::histogram::Histogram;
+use glisson_runtime::open_device::OpenDevice;
 use glisson_runtime::realtime::{OwnCore, make_punctual, now_ns, wait_until};
 use glisson_view::server::{has_page, stop_signal};
 use serde_json::json;
@@ -154,6 +155,30 @@ fn test(name: &DeviceName, seconds: f64, rate_hz: f64, as_json: bool) -> anyhow:
         page.wait_for(opened.device.as_mut())?;
     }
     let scheduling = make_punctual(OwnCore::Last);
+    let readings = read_for(&mut opened, seconds, rate_hz);
+    let findings = Findings {
+        device: &opened.name,
+        readings: &readings,
+        limits: opened.device.limits(),
+        inserted: opened.device.inserted(),
+        scheduling: &scheduling.text,
+    };
+    if as_json {
+        println!("{:#}", findings.to_json());
+    } else {
+        findings.print();
+    }
+    ensure!(
+        readings.n_good > 0,
+        "the device {} never told where it is: {}",
+        opened.name,
+        first_reason(&readings)
+    );
+    Ok(())
+}
+
+/// Reads a device at a fixed rate, without any force.
+fn read_for(opened: &mut OpenDevice, seconds: f64, rate_hz: f64) -> Readings {
     let mut readings = Readings::default();
     let period_ns = (1e9 / rate_hz) as u64;
     let mut last = None;
@@ -161,20 +186,7 @@ fn test(name: &DeviceName, seconds: f64, rate_hz: f64, as_json: bool) -> anyhow:
     for tick in 1..=(seconds * rate_hz) as u64 {
         let begun_ns = now_ns();
         match opened.device.read() {
-            Ok(state) => {
-                readings.n_good += 1;
-                readings.n_changes += u64::from(last.is_some_and(|last| last != state.position_m));
-                last = Some(state.position_m);
-                readings.least_m =
-                    Some(readings.least_m.map_or(state.position_m, |m| m.min(state.position_m)));
-                readings.greatest_m = if readings.n_good == 1 {
-                    state.position_m
-                } else {
-                    readings.greatest_m.max(state.position_m)
-                };
-                readings.fastest_m_per_s = readings.fastest_m_per_s.max(state.velocity_m_per_s.length());
-                readings.buttons_seen |= state.buttons;
-            }
+            Ok(state) => readings.add(&state, &mut last),
             Err(DeviceFault::Lost(why) | DeviceFault::Failed(why)) => {
                 match readings.faults.iter_mut().find(|(text, _)| *text == why) {
                     Some((_, n)) => *n += 1,
@@ -187,60 +199,78 @@ fn test(name: &DeviceName, seconds: f64, rate_hz: f64, as_json: bool) -> anyhow:
         let _ = opened.device.write(&ForceCommand::default());
         wait_until(start_ns + tick * period_ns);
     }
-    let limits = opened.device.limits();
-    let inserted = opened.device.inserted();
-    let least_m = readings.least_m.unwrap_or_default();
-    let read_us = readings.read.percentiles().to_json(1e3);
-    if as_json {
+    readings
+}
+
+impl Readings {
+    /// Counts a good reading; `last` is the place of the one before.
+    fn add(&mut self, state: &DeviceState, last: &mut Option<DVec3>) {
+        self.n_good += 1;
+        self.n_changes += u64::from(last.is_some_and(|last| last != state.position_m));
+        *last = Some(state.position_m);
+        self.least_m = Some(self.least_m.map_or(state.position_m, |m| m.min(state.position_m)));
+        self.greatest_m =
+            if self.n_good == 1 { state.position_m } else { self.greatest_m.max(state.position_m) };
+        self.fastest_m_per_s = self.fastest_m_per_s.max(state.velocity_m_per_s.length());
+        self.buttons_seen |= state.buttons;
+    }
+}
+
+/// What a test found.
+struct Findings<'a> {
+    device: &'a str,
+    readings: &'a Readings,
+    limits: DeviceLimits,
+    inserted: Option<InsertedInstrument>,
+    scheduling: &'a str,
+}
+
+impl Findings<'_> {
+    fn to_json(&self) -> serde_json::Value {
         let faults: Vec<_> =
-            readings.faults.iter().map(|(why, n)| json!({ "reason": why, "ticks": n })).collect();
-        println!(
-            "{:#}",
-            json!({
-                "device": opened.name, "good_ticks": readings.n_good, "changes": readings.n_changes, "faults": faults,
-                "least_m": least_m.to_array(), "greatest_m": readings.greatest_m.to_array(),
-                "fastest_m_per_s": readings.fastest_m_per_s, "buttons_seen": readings.buttons_seen, "read_us": read_us,
-                "limits": {
-                    "force_n": limits.force_n, "torque_n_m": limits.torque_n_m,
-                    "jaw_force_n": limits.jaw_force_n,
-                    "stiffness_n_per_m": limits.stiffness_n_per_m, "resolution_m": limits.resolution_m,
-                    "loop_delay_ticks": limits.loop_delay_ticks,
-                },
-                "instrument": inserted.map(|i| json!({ "name": i.name, "number": i.serial })),
-                "scheduling": scheduling.text,
-            })
-        );
-    } else {
-        println!("device       {}", opened.name);
-        if let Some(InsertedInstrument { name, serial }) = inserted {
+            self.readings.faults.iter().map(|(why, n)| json!({ "reason": why, "ticks": n })).collect();
+        json!({
+            "device": self.device, "good_ticks": self.readings.n_good, "changes": self.readings.n_changes, "faults": faults,
+            "least_m": self.readings.least_m.unwrap_or_default().to_array(), "greatest_m": self.readings.greatest_m.to_array(),
+            "fastest_m_per_s": self.readings.fastest_m_per_s, "buttons_seen": self.readings.buttons_seen, "read_us": self.readings.read.percentiles().to_json(1e3),
+            "limits": {
+                "force_n": self.limits.force_n, "torque_n_m": self.limits.torque_n_m,
+                "jaw_force_n": self.limits.jaw_force_n,
+                "stiffness_n_per_m": self.limits.stiffness_n_per_m, "resolution_m": self.limits.resolution_m,
+                "loop_delay_ticks": self.limits.loop_delay_ticks,
+            },
+            "instrument": self.inserted.map(|i| json!({ "name": i.name, "number": i.serial })),
+            "scheduling": self.scheduling,
+        })
+    }
+
+    fn print(&self) {
+        println!("device       {}", self.device);
+        if let Some(InsertedInstrument { name, serial }) = self.inserted {
             println!("instrument   {name}, number {serial}");
         }
-        println!("ticks        {} good; its place changed {} times", readings.n_good, readings.n_changes);
-        for (why, n) in &readings.faults {
+        println!(
+            "ticks        {} good; its place changed {} times",
+            self.readings.n_good, self.readings.n_changes
+        );
+        for (why, n) in &self.readings.faults {
             println!("lost         {n} ticks: {why}");
         }
-        let range_mm = (readings.greatest_m - least_m) * 1e3;
+        let range_mm = (self.readings.greatest_m - self.readings.least_m.unwrap_or_default()) * 1e3;
         println!(
             "moved        over {:.2} x {:.2} x {:.2} mm, at most {:.3} m/s",
-            range_mm.x, range_mm.y, range_mm.z, readings.fastest_m_per_s
+            range_mm.x, range_mm.y, range_mm.z, self.readings.fastest_m_per_s
         );
-        println!("buttons      seen pressed: {:#b}", readings.buttons_seen);
-        println!("a read       {read_us} us");
+        println!("buttons      seen pressed: {:#b}", self.readings.buttons_seen);
+        println!("a read       {} us", self.readings.read.percentiles().to_json(1e3));
         println!(
             "limits       {} N, {} N/m, sees {} mm",
-            limits.force_n,
-            limits.stiffness_n_per_m,
-            limits.resolution_m * 1e3
+            self.limits.force_n,
+            self.limits.stiffness_n_per_m,
+            self.limits.resolution_m * 1e3
         );
-        println!("scheduling   {}", scheduling.text);
+        println!("scheduling   {}", self.scheduling);
     }
-    ensure!(
-        readings.n_good > 0,
-        "the device {} never told where it is: {}",
-        opened.name,
-        first_reason(&readings)
-    );
-    Ok(())
 }
 
 fn first_reason(readings: &Readings) -> &str {

@@ -162,6 +162,42 @@ fn plot(quantity: &Quantity, x_m: &[f64], y: &[f64], fit: &Fit, linear_slope: Op
     }
 }
 
+/// Tells how well a curve is fitted.
+fn print_fit(quantity: &Quantity, fit: &Fit) {
+    let p = &fit.polynomial;
+    println!("{} over axial displacement, {} points", quantity.name, fit.n_points);
+    println!("  degree           {}", p.degree());
+    println!("  r                {:.8}", fit.correlation);
+    println!(
+        "  residual         rms {:.3e} {}, largest {:.3e} {}",
+        fit.rms_residual, quantity.unit, fit.largest_residual, quantity.unit
+    );
+    println!(
+        "  range            {:.4} to {:.4} mm{}",
+        1e3 * p.range()[0],
+        1e3 * p.range()[1],
+        if p.is_odd() { ", mirrored through 0" } else { "" }
+    );
+    let powers: Vec<String> = p.powers().iter().map(|a| format!("{a:.6e}")).collect();
+    println!("  powers of x/high {}", powers.join(" "));
+    if !p.is_rising() {
+        println!("  warning          the polynomial falls somewhere in its range: try another degree");
+    }
+}
+
+fn curve_report(quantity: &Quantity, fit: &Fit, over: Option<&CurvePolynomial>) -> CurveReport {
+    CurveReport {
+        quantity: quantity.name,
+        unit: quantity.unit,
+        r: fit.correlation,
+        rms_residual: fit.rms_residual,
+        largest_residual: fit.largest_residual,
+        n_points: fit.n_points,
+        over_axial_displacement_m: Numbers::from(&fit.polynomial),
+        over_linear_magnitude: over.map(Numbers::from),
+    }
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let curve = MeasuredCurve::read(&args.curve)?;
     let sample = sample(args)?;
@@ -192,36 +228,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         let path = args.out.join(quantity.file);
         write_atomically(&path, |w| w.write_all(picture.as_bytes()))
             .with_context(|| format!("writing {}", path.display()))?;
-        let p = &fit.polynomial;
-        println!("{} over axial displacement, {} points", quantity.name, fit.n_points);
-        println!("  degree           {}", p.degree());
-        println!("  r                {:.8}", fit.correlation);
-        println!(
-            "  residual         rms {:.3e} {}, largest {:.3e} {}",
-            fit.rms_residual, quantity.unit, fit.largest_residual, quantity.unit
-        );
-        println!(
-            "  range            {:.4} to {:.4} mm{}",
-            1e3 * p.range()[0],
-            1e3 * p.range()[1],
-            if p.is_odd() { ", mirrored through 0" } else { "" }
-        );
-        let powers: Vec<String> = p.powers().iter().map(|a| format!("{a:.6e}")).collect();
-        println!("  powers of x/high {}", powers.join(" "));
-        if !p.is_rising() {
-            println!("  warning          the polynomial falls somewhere in its range: try another degree");
-        }
+        print_fit(quantity, &fit);
         println!("  plot             {}", path.display());
-        report.curves.push(CurveReport {
-            quantity: quantity.name,
-            unit: quantity.unit,
-            r: fit.correlation,
-            rms_residual: fit.rms_residual,
-            largest_residual: fit.largest_residual,
-            n_points: fit.n_points,
-            over_axial_displacement_m: Numbers::from(p),
-            over_linear_magnitude: over.as_ref().map(Numbers::from),
-        });
+        report.curves.push(curve_report(quantity, &fit, over.as_ref()));
     }
     let path = args.out.join("fit.json");
     write_atomically(&path, |w| {

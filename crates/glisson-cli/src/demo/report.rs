@@ -104,83 +104,120 @@ fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
         .with_context(|| format!("{}: cannot write", path.display()))
 }
 
+/// What the report tells.
+struct DemoReport<'a> {
+    stages: &'a [Stage],
+    images: ImageFigures,
+    quality: MeshQuality,
+    palpation: &'a Palpation,
+    deepest_m: f64,
+    simulated_s: f64,
+}
+
+impl DemoReport<'_> {
+    fn real_time_factor(&self) -> f64 {
+        self.simulated_s / self.palpation.elapsed_s
+    }
+
+    fn to_json(&self) -> serde_json::Value {
+        json!({
+            "stages": self.stages.iter().map(|s| json!({"command": s.command, "elapsed_s": s.elapsed_s})).collect::<Vec<_>>(),
+            "segmentation": {
+                "dice": self.images.dice,
+                "true_volume_m3": self.images.true_volume_m3,
+                "segmented_volume_m3": self.images.segmented_volume_m3,
+            },
+            "mesh": &self.quality,
+            "palpation": {
+                "model": self.palpation.model,
+                "material": self.palpation.material,
+                "steps": self.palpation.steps,
+                "simulated_s": self.simulated_s,
+                "real_time_factor": self.real_time_factor(),
+                "greatest_force_n": self.palpation.greatest_force_n(),
+                "deepest_indentation_m": self.deepest_m,
+                "state_hash": self.palpation.state_hash.to_string(),
+                "replayed_state_hash": self.palpation.replayed_hash.to_string(),
+            },
+        })
+    }
+
+    /// The rows of the table: what, and its value.
+    fn rows(&self) -> Vec<(&'static str, String)> {
+        let ml = |volume_m3: f64| volume_m3 * 1e6;
+        vec![
+            ("liver in the true label map", format!("{:.1} ml", ml(self.images.true_volume_m3))),
+            ("liver as segmented", format!("{:.1} ml", ml(self.images.segmented_volume_m3))),
+            ("Dice of the two", format!("{:.4}", self.images.dice)),
+            (
+                "mesh",
+                format!(
+                    "{} tetrahedra, {} nodes, {:.1} ml",
+                    self.quality.tetrahedra,
+                    self.quality.nodes,
+                    ml(self.quality.volume_m3)
+                ),
+            ),
+            (
+                "dihedral angles",
+                format!(
+                    "{:.1} to {:.1} degrees",
+                    self.quality.min_dihedral_deg, self.quality.max_dihedral_deg
+                ),
+            ),
+            ("surface's Euler characteristic", self.quality.surface_euler_characteristic.to_string()),
+            ("material", self.palpation.material.clone()),
+            ("model", self.palpation.model.to_string()),
+            ("greatest force on the probe", format!("{:.2} N", self.palpation.greatest_force_n())),
+            ("deepest indentation", format!("{:.1} mm", self.deepest_m * 1e3)),
+            (
+                "simulated",
+                format!(
+                    "{} steps, {:.2} s, {:.0} x real time",
+                    self.palpation.steps,
+                    self.simulated_s,
+                    self.real_time_factor()
+                ),
+            ),
+            ("state hash", format!("`{}`", self.palpation.state_hash)),
+            ("state hash of the replay", format!("`{}`", self.palpation.replayed_hash)),
+        ]
+    }
+
+    fn to_markdown(&self) -> String {
+        let mut text = String::from("# From a synthetic patient's image to a palpated liver\n\n");
+        text += "![The patient's organs](0_patient.png)\n![CT and segmentation, axial](0_ct_axial.png)\n![CT and segmentation, coronal](0_ct_coronal.png)\n![CT and segmentation, sagittal](0_ct_sagittal.png)\n\n";
+        text += "| what | value |\n|---|---|\n";
+        for (what, value) in self.rows() {
+            text += &format!("| {what} | {value} |\n");
+        }
+        text += "\n";
+        for picture in &self.palpation.pictures {
+            let name = picture.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+            text += &format!("![{name}]({name})\n");
+        }
+        text += "\n![Force](force_time.svg)\n![Mesh quality](quality.svg)\n\n## Commands\n\n```\n";
+        for stage in self.stages {
+            text += &format!("{}   # {:.1} s\n", stage.command, stage.elapsed_s);
+        }
+        text += "```\n";
+        text
+    }
+}
+
 /// Writes plot, slices, `report.md` and `report.json`.
 pub(crate) fn write(files: &Files, stages: &[Stage], palpation: &Palpation) -> anyhow::Result<()> {
     let images = images(files)?;
     force_plot(palpation).write_svg(&files.force_plot)?;
     let (mesh, _) = read_mesh(&files.mesh)?;
-    let quality = MeshQuality::of(&mesh);
-    let deepest_m = palpation.samples.iter().map(|s| s.indentation_m).fold(0.0, f64::max);
-    let simulated_s = palpation.samples.last().map_or(0.0, |s| s.time_s);
-    let real_time_factor = simulated_s / palpation.elapsed_s;
-    let ml = |volume_m3: f64| volume_m3 * 1e6;
-
-    let report = json!({
-        "stages": stages.iter().map(|s| json!({"command": s.command, "elapsed_s": s.elapsed_s})).collect::<Vec<_>>(),
-        "segmentation": {
-            "dice": images.dice,
-            "true_volume_m3": images.true_volume_m3,
-            "segmented_volume_m3": images.segmented_volume_m3,
-        },
-        "mesh": quality,
-        "palpation": {
-            "model": palpation.model,
-            "material": palpation.material,
-            "steps": palpation.steps,
-            "simulated_s": simulated_s,
-            "real_time_factor": real_time_factor,
-            "greatest_force_n": palpation.greatest_force_n(),
-            "deepest_indentation_m": deepest_m,
-            "state_hash": palpation.state_hash.to_string(),
-            "replayed_state_hash": palpation.replayed_hash.to_string(),
-        },
-    });
-    write_text(&files.report_json, &(serde_json::to_string_pretty(&report)? + "\n"))?;
-
-    let mut text = String::from("# From a synthetic patient's image to a palpated liver\n\n");
-    text += "![The patient's organs](0_patient.png)\n![CT and segmentation, axial](0_ct_axial.png)\n![CT and segmentation, coronal](0_ct_coronal.png)\n![CT and segmentation, sagittal](0_ct_sagittal.png)\n\n";
-    text += "| what | value |\n|---|---|\n";
-    let rows = [
-        ("liver in the true label map", format!("{:.1} ml", ml(images.true_volume_m3))),
-        ("liver as segmented", format!("{:.1} ml", ml(images.segmented_volume_m3))),
-        ("Dice of the two", format!("{:.4}", images.dice)),
-        (
-            "mesh",
-            format!(
-                "{} tetrahedra, {} nodes, {:.1} ml",
-                quality.tetrahedra,
-                quality.nodes,
-                ml(quality.volume_m3)
-            ),
-        ),
-        (
-            "dihedral angles",
-            format!("{:.1} to {:.1} degrees", quality.min_dihedral_deg, quality.max_dihedral_deg),
-        ),
-        ("surface's Euler characteristic", quality.surface_euler_characteristic.to_string()),
-        ("material", palpation.material.clone()),
-        ("model", palpation.model.to_string()),
-        ("greatest force on the probe", format!("{:.2} N", palpation.greatest_force_n())),
-        ("deepest indentation", format!("{:.1} mm", deepest_m * 1e3)),
-        (
-            "simulated",
-            format!("{} steps, {simulated_s:.2} s, {real_time_factor:.0} x real time", palpation.steps),
-        ),
-        ("state hash", format!("`{}`", palpation.state_hash)),
-        ("state hash of the replay", format!("`{}`", palpation.replayed_hash)),
-    ];
-    for (what, value) in rows {
-        text += &format!("| {what} | {value} |\n");
-    }
-    text += "\n";
-    for picture in &palpation.pictures {
-        let name = picture.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        text += &format!("![{name}]({name})\n");
-    }
-    text += "\n![Force](force_time.svg)\n![Mesh quality](quality.svg)\n\n## Commands\n\n```\n";
-    for stage in stages {
-        text += &format!("{}   # {:.1} s\n", stage.command, stage.elapsed_s);
-    }
-    text += "```\n";
-    write_text(&files.report_md, &text)
+    let report = DemoReport {
+        stages,
+        images,
+        quality: MeshQuality::of(&mesh),
+        palpation,
+        deepest_m: palpation.samples.iter().map(|s| s.indentation_m).fold(0.0, f64::max),
+        simulated_s: palpation.samples.last().map_or(0.0, |s| s.time_s),
+    };
+    write_text(&files.report_json, &(serde_json::to_string_pretty(&report.to_json())? + "\n"))?;
+    write_text(&files.report_md, &report.to_markdown())
 }

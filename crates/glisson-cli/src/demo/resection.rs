@@ -16,7 +16,7 @@ use glisson::model::StateHash;
 use glisson::tool::ToolInput;
 use glisson::world::World;
 use glisson_runtime::replay::{self, read_session};
-use glisson_runtime::script::bleeding_ml_per_min;
+use glisson_runtime::script::{Clip, bleeding_ml_per_min};
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::picture::{
     Arrow, Camera, Caption, CaptionPlace, Instrument, Look, Picture, PictureScene, ShadedSurface, View,
@@ -51,6 +51,30 @@ fn session_file(files: &Files) -> PathBuf {
 /// The mesh that is finer on the hook's way.
 fn fine_mesh_file(files: &Files) -> PathBuf {
     files.folder.join("resection.vtu")
+}
+
+/// Adds the hook with its way: times [s] and poses.
+fn write_hook(text: &mut String, plan: &Plan, way: &[(f64, ToolInput)]) -> std::fmt::Result {
+    let [u, _] = plan.across();
+    write!(
+        text,
+        "\n# The operating hand burns around it.\n\
+         [[tool]]\nname = \"hook\"\nkind = \"hook\"\ntip_radius = \"{} mm\"\ncut_force = \"1 mN\"\ncut_time = \"4 ms\"\n\
+         home_tip = {}\nhome_shaft = {}\n",
+        TIP_RADIUS_M * 1e3,
+        quoted_mm(plan.entry_m + plan.out * 0.1 + u * 0.05),
+        direction(plan.out),
+    )?;
+    for (time_s, pose) in way {
+        write!(
+            text,
+            "\n[[tool.path]]\ntime = \"{time_s:.4} s\"\ntip = {}\nshaft = {}\ntrigger = {}\n",
+            quoted_mm(pose.tip_in_world_m),
+            direction(pose.shaft_in_world),
+            pose.trigger
+        )?;
+    }
+    Ok(())
 }
 
 /// Writes the finer mesh and the scene with both hands' ways.
@@ -90,24 +114,7 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
     for (time_s, tip_m, jaw) in plan.grasper(end_s) {
         write!(text, "\n[[tool.path]]\ntime = \"{time_s:.4} s\"\ntip = {}\njaw = {jaw}\n", quoted_mm(tip_m))?;
     }
-    write!(
-        text,
-        "\n# The operating hand burns around it.\n\
-         [[tool]]\nname = \"hook\"\nkind = \"hook\"\ntip_radius = \"{} mm\"\ncut_force = \"1 mN\"\ncut_time = \"4 ms\"\n\
-         home_tip = {}\nhome_shaft = {}\n",
-        TIP_RADIUS_M * 1e3,
-        quoted_mm(plan.entry_m + plan.out * 0.1 + u * 0.05),
-        direction(plan.out),
-    )?;
-    for (time_s, pose) in hook {
-        write!(
-            text,
-            "\n[[tool.path]]\ntime = \"{time_s:.4} s\"\ntip = {}\nshaft = {}\ntrigger = {}\n",
-            quoted_mm(pose.tip_in_world_m),
-            direction(pose.shaft_in_world),
-            pose.trigger
-        )?;
-    }
+    write_hook(&mut text, &plan, &hook)?;
     write!(
         text,
         "\n# An assistant closes vessels with it.\n\
@@ -203,84 +210,132 @@ fn follow_script(files: &Files, plan: &Plan, simulation: &mut Simulation) -> any
     Ok(course)
 }
 
+/// What came of the operation, in numbers.
+struct Account {
+    course: Course,
+    specimen: Specimen,
+    tumour_radius_m: f64,
+    time_step_s: f64,
+    n_tets: usize,
+    n_removed: usize,
+    n_torn: usize,
+    burnt_ml: f64,
+    lost_ml: f64,
+    end_ml_per_min: f64,
+    open_ends: usize,
+    clips: Vec<Clip>,
+    notices: Vec<String>,
+    /// Of the operation and of its replay.
+    state_hash: StateHash,
+}
+
+impl Account {
+    fn specimen_ml(&self) -> f64 {
+        1e6 * self.specimen.volume_m3
+    }
+
+    fn to_json(&self) -> serde_json::Value {
+        json!({
+            "steps": self.course.steps, "simulated_s": self.course.steps as f64 * self.time_step_s, "tetrahedra": self.n_tets,
+            "tetrahedra_removed": self.n_removed, "tetrahedra_torn": self.n_torn, "burnt_ml": self.burnt_ml,
+            "pieces": self.specimen.n_pieces, "specimen_ml": self.specimen_ml(),
+            "specimen_is_free": self.specimen.is_free, "tumour_in_specimen": self.specimen.tumour_share,
+            "tumour_radius_m": self.tumour_radius_m, "least_margin_m": self.specimen.margin_m,
+            "blood_lost_ml": self.lost_ml, "open_vessel_ends": self.open_ends, "clips": self.clips,
+            "greatest_bleeding_ml_per_min": self.course.greatest_ml_per_min, "bleeding_at_the_end_ml_per_min": self.end_ml_per_min,
+            "greatest_force_grasper_n": self.course.greatest_n[GRASPER], "greatest_force_hook_n": self.course.greatest_n[HOOK],
+            "steps_held_by_grasper": self.course.held_steps, "notices": self.notices,
+            "state_hash": self.state_hash.to_string(), "replayed_state_hash": self.state_hash.to_string(),
+        })
+    }
+
+    fn to_markdown(&self) -> Result<String, std::fmt::Error> {
+        let specimen_ml = self.specimen_ml();
+        let Self { time_step_s, n_tets, n_removed, n_torn, burnt_ml, .. } = self;
+        let Self { lost_ml, end_ml_per_min, open_ends, state_hash, specimen, .. } = self;
+        let Course { steps, greatest_n, greatest_ml_per_min, pictures, .. } = &self.course;
+        let mut text = String::from(
+            "# A tumour is taken out of the liver with two hands\n\nThe grasper holds the tissue over the tumour and pulls; the hook burns a cone \
+             around and beneath it; now and then an assistant sets clips on what bleeds; then the piece is lifted out.\n\n",
+        );
+        for file in pictures {
+            let name = file.file_name().unwrap_or_default().to_string_lossy();
+            writeln!(text, "![{name}]({name})")?;
+        }
+        text += "\n| what | value |\n|---|---|\n";
+        for (what, value) in [
+            ("steps", format!("{steps} of {} ms, {} tetrahedra", time_step_s * 1e3, n_tets)),
+            (
+                "tissue burnt away or torn",
+                format!("{n_removed} tetrahedra, {burnt_ml:.1} ml; {n_torn} of them torn"),
+            ),
+            ("pieces of the organ", specimen.n_pieces.to_string()),
+            (
+                "piece with the tumour",
+                format!("{specimen_ml:.1} ml, {}", if specimen.is_free { "free" } else { "still held" }),
+            ),
+            ("of the tumour in it", format!("{:.1} %", 100.0 * specimen.tumour_share)),
+            ("least distance of the cut from the tumour", format!("{:.1} mm", 1e3 * specimen.margin_m)),
+            (
+                "blood lost",
+                format!(
+                    "{lost_ml:.1} ml; at most {greatest_ml_per_min:.0} ml/min, {end_ml_per_min:.0} at the end"
+                ),
+            ),
+            ("clips", format!("{}, {open_ends} vessels open at the end", self.clips.len())),
+            (
+                "greatest forces",
+                format!("grasper {:.2} N, hook {:.2} N", greatest_n[GRASPER], greatest_n[HOOK]),
+            ),
+            ("state hash, also of the replay", format!("`{state_hash}`")),
+        ] {
+            writeln!(text, "| {what} | {value} |")?;
+        }
+        Ok(text)
+    }
+}
+
 /// Runs the operation without a window, takes pictures, replays it, and writes `resection.md` and `resection.json`.
 pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     let (coarse, _) = read_mesh(&files.mesh)?;
     let plan = Plan::new(files, &coarse)?;
     let mut simulation = begin(files)?;
     let n_tets = simulation.world().organ().mesh().tetrahedra.len();
-    let time_step_s = simulation.world().spec().time_step_s;
     let course = follow_script(files, &plan, &mut simulation)?;
     let specimen = Specimen::of(simulation.world(), &plan.tumour)?;
     let world = simulation.world();
     let (lost_ml, open_ends) = world.vessels().map_or((0.0, 0), |v| (1e6 * v.lost_m3(), v.open_ends().len()));
-    let (burnt_ml, end_ml_per_min) = (1e6 * world.removed_volume_m3(), bleeding_ml_per_min(world));
-    let n_removed = n_tets - world.organ().body().topology().live_counts().tets;
-    let clips = simulation.scripted_clips().to_vec();
-    let notices: Vec<_> = simulation.notices().iter().map(|notice| notice.text.clone()).collect();
-    let n_torn = simulation.n_torn();
-    let state_hash = simulation.finish()?;
+    let account = Account {
+        course,
+        specimen,
+        tumour_radius_m: plan.tumour.radius_m,
+        time_step_s: world.spec().time_step_s,
+        n_tets,
+        n_removed: n_tets - world.organ().body().topology().live_counts().tets,
+        n_torn: simulation.n_torn(),
+        burnt_ml: 1e6 * world.removed_volume_m3(),
+        lost_ml,
+        end_ml_per_min: bleeding_ml_per_min(world),
+        open_ends,
+        clips: simulation.scripted_clips().to_vec(),
+        notices: simulation.notices().iter().map(|notice| notice.text.clone()).collect(),
+        state_hash: simulation.finish()?,
+    };
     let session = read_session(&session_file(files))?;
     let replayed = replay::replay(&session, &files.folder, |_| Ok(()))?;
     ensure!(
-        replayed.state_hash == state_hash && replayed.first_difference.is_none(),
+        replayed.state_hash == account.state_hash && replayed.first_difference.is_none(),
         "the replay differs from the recording"
     );
-    let Course { steps, greatest_n, held_steps, greatest_ml_per_min, pictures, .. } = course;
-    let specimen_ml = 1e6 * specimen.volume_m3;
-    let report = json!({
-        "steps": steps, "simulated_s": steps as f64 * time_step_s, "tetrahedra": n_tets,
-        "tetrahedra_removed": n_removed, "tetrahedra_torn": n_torn, "burnt_ml": burnt_ml,
-        "pieces": specimen.n_pieces, "specimen_ml": specimen_ml,
-        "specimen_is_free": specimen.is_free, "tumour_in_specimen": specimen.tumour_share,
-        "tumour_radius_m": plan.tumour.radius_m, "least_margin_m": specimen.margin_m,
-        "blood_lost_ml": lost_ml, "open_vessel_ends": open_ends, "clips": clips,
-        "greatest_bleeding_ml_per_min": greatest_ml_per_min, "bleeding_at_the_end_ml_per_min": end_ml_per_min,
-        "greatest_force_grasper_n": greatest_n[GRASPER], "greatest_force_hook_n": greatest_n[HOOK],
-        "steps_held_by_grasper": held_steps, "notices": notices,
-        "state_hash": state_hash.to_string(), "replayed_state_hash": replayed.state_hash.to_string(),
-    });
-    let json_text = serde_json::to_string_pretty(&report)? + "\n";
-    let mut text = String::from(
-        "# A tumour is taken out of the liver with two hands\n\nThe grasper holds the tissue over the tumour and pulls; the hook burns a cone \
-         around and beneath it; now and then an assistant sets clips on what bleeds; then the piece is lifted out.\n\n",
-    );
-    for file in &pictures {
-        let name = file.file_name().unwrap_or_default().to_string_lossy();
-        writeln!(text, "![{name}]({name})")?;
-    }
-    text += "\n| what | value |\n|---|---|\n";
-    for (what, value) in [
-        ("steps", format!("{steps} of {} ms, {} tetrahedra", time_step_s * 1e3, n_tets)),
-        (
-            "tissue burnt away or torn",
-            format!("{n_removed} tetrahedra, {burnt_ml:.1} ml; {n_torn} of them torn"),
-        ),
-        ("pieces of the organ", specimen.n_pieces.to_string()),
-        (
-            "piece with the tumour",
-            format!("{specimen_ml:.1} ml, {}", if specimen.is_free { "free" } else { "still held" }),
-        ),
-        ("of the tumour in it", format!("{:.1} %", 100.0 * specimen.tumour_share)),
-        ("least distance of the cut from the tumour", format!("{:.1} mm", 1e3 * specimen.margin_m)),
-        (
-            "blood lost",
-            format!(
-                "{lost_ml:.1} ml; at most {greatest_ml_per_min:.0} ml/min, {end_ml_per_min:.0} at the end"
-            ),
-        ),
-        ("clips", format!("{}, {open_ends} vessels open at the end", clips.len())),
-        ("greatest forces", format!("grasper {:.2} N, hook {:.2} N", greatest_n[GRASPER], greatest_n[HOOK])),
-        ("state hash, also of the replay", format!("`{state_hash}`")),
-    ] {
-        writeln!(text, "| {what} | {value} |")?;
-    }
+    let json_text = serde_json::to_string_pretty(&account.to_json())? + "\n";
+    let text = account.to_markdown()?;
     for (name, contents) in [("resection.json", &json_text), ("resection.md", &text)] {
         let file = files.folder.join(name);
         write_atomically(&file, |out| out.write_all(contents.as_bytes()))
             .with_context(|| format!("{}: cannot write", file.display()))?;
     }
     println!("{text}");
+    let Account { specimen, state_hash, .. } = account;
     let tumour_in_specimen = if specimen.is_free { specimen.tumour_share } else { 0.0 };
     Ok(Resection { state_hash, tumour_in_specimen, margin_m: specimen.margin_m })
 }

@@ -3,6 +3,7 @@
 use super::{glisson, refuses, small_scene};
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -78,24 +79,7 @@ fn a_simulated_trocar_leads_another_one_without_hardware() {
 fn a_served_device_moves_its_instrument_and_a_watching_program_sees_it() {
     let folder = tempfile::tempdir().unwrap();
     small_scene(folder.path());
-    refuses(
-        folder.path(),
-        &["serve", "scene.toml", "--port", "0", "--device", "simulated@1"],
-        &["no instrument 1"],
-    );
-    refuses(
-        folder.path(),
-        &["serve", "scene.toml", "--port", "0", "--token", "short"],
-        &["allowed: 16 to 128"],
-    );
-
-    for (bad, part) in [
-        (&["--coupling-stiffness", "0.9"][..], "a device renders at most 1"),
-        (&["--haptic-rate", "9000"], "allowed: 100 to 4000 Hz"),
-    ] {
-        let arguments = [&["serve", "scene.toml", "--port", "0", "--device", "simulated"], bad].concat();
-        refuses(folder.path(), &arguments, &[part]);
-    }
+    wrong_devices_are_refused(folder.path());
     let mut serve = Command::new(env!("CARGO_BIN_EXE_glisson"))
         .args(["serve", "scene.toml", "--port", "0", "--no-open", "--device", "simulated"])
         .args(["--record", "s.jsonl", "--force-estimate", "hold", "--energy-control", "off"])
@@ -128,7 +112,29 @@ fn a_served_device_moves_its_instrument_and_a_watching_program_sees_it() {
     ] {
         assert!(rest.iter().any(|line| line.contains(part)), "{part}: {rest:?}");
     }
-    let watched: serde_json::Value = serde_json::from_slice(&watched.stdout).unwrap();
+    the_loop_kept_its_pace(&serde_json::from_slice(&watched.stdout).unwrap());
+    // The session has what the hand did, and makes the same bits.
+    let session = std::fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
+    assert!(session.lines().filter(|line| line.contains("\"input\"")).count() > 100);
+    let replay = glisson(folder.path(), &["replay", "s.jsonl"]);
+    assert!(String::from_utf8_lossy(&replay.stdout).contains("same bits"));
+}
+
+fn wrong_devices_are_refused(folder: &Path) {
+    refuses(folder, &["serve", "scene.toml", "--port", "0", "--device", "simulated@1"], &["no instrument 1"]);
+    refuses(folder, &["serve", "scene.toml", "--port", "0", "--token", "short"], &["allowed: 16 to 128"]);
+
+    for (bad, part) in [
+        (&["--coupling-stiffness", "0.9"][..], "a device renders at most 1"),
+        (&["--haptic-rate", "9000"], "allowed: 100 to 4000 Hz"),
+    ] {
+        let arguments = [&["serve", "scene.toml", "--port", "0", "--device", "simulated"], bad].concat();
+        refuses(folder, &arguments, &[part]);
+    }
+}
+
+/// What a watching program was told of the times of simulation and haptic loop.
+fn the_loop_kept_its_pace(watched: &serde_json::Value) {
     assert!(watched["frames"].as_u64().unwrap() > 5, "{watched}");
     let steps = &watched["timing"]["simulation"];
     assert!(
@@ -140,11 +146,6 @@ fn a_served_device_moves_its_instrument_and_a_watching_program_sees_it() {
     assert!(haptics["deadlines"].as_u64().unwrap() > 100, "{watched}");
     assert_eq!(haptics["force_estimate"], "hold");
     assert_eq!((&haptics["period_us"], &watched["timing"]["haptics_at"]), (&1000.0.into(), &"here".into()));
-    // The session has what the hand did, and makes the same bits.
-    let session = std::fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
-    assert!(session.lines().filter(|line| line.contains("\"input\"")).count() > 100);
-    let replay = glisson(folder.path(), &["replay", "s.jsonl"]);
-    assert!(String::from_utf8_lossy(&replay.stdout).contains("same bits"));
 }
 
 /// Of all threads of a process only the haptic loop may use its core, where there are two.

@@ -420,35 +420,44 @@ fn livers(outcome: &mut Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn pair_of_livers(pair: &Pair, outcome: &mut Outcome) -> anyhow::Result<()> {
-    let mesh = liver(pair.n_tets)?;
-    let low_m = mesh.positions_m.iter().fold(DVec3::INFINITY, |a, b| a.min(*b));
-    let high_m = mesh.positions_m.iter().fold(DVec3::NEG_INFINITY, |a, b| a.max(*b));
-    // On its back: its longest sides lie down.
-    let placed = |offset_m: DVec3| {
-        let mut mesh = mesh.clone();
-        for p in &mut mesh.positions_m {
-            *p = DVec3::new(p.x - low_m.x, high_m.z - p.z, p.y - low_m.y + LIFT_M) + offset_m;
+impl Pair {
+    /// Both livers, the second one at `offset_m` from the first.
+    fn at(&self, liver: &TetMesh, offset_m: DVec3) -> anyhow::Result<Scene> {
+        let low_m = liver.positions_m.iter().fold(DVec3::INFINITY, |a, b| a.min(*b));
+        let high_m = liver.positions_m.iter().fold(DVec3::NEG_INFINITY, |a, b| a.max(*b));
+        // On its back: its longest sides lie down.
+        let placed = |offset_m: DVec3| {
+            let mut mesh = liver.clone();
+            for p in &mut mesh.positions_m {
+                *p = DVec3::new(p.x - low_m.x, high_m.z - p.z, p.y - low_m.y + LIFT_M) + offset_m;
+            }
+            mesh
+        };
+        let matter = Matter {
+            young_modulus_pa: LIVER_PA,
+            damping: Rayleigh { mass_per_s: self.damping_per_s, stiffness_s: STIFFNESS_DAMPING_S },
+            is_implicit: false,
+        };
+        Scene::new(self.name, vec![placed(DVec3::ZERO), placed(offset_m)], matter, FRICTION, 2.0)
+    }
+
+    /// Both livers where they begin.
+    fn scene(&self) -> anyhow::Result<Scene> {
+        let liver = liver(self.n_tets)?;
+        if !self.drops {
+            return self.at(&liver, self.offset_m);
         }
-        mesh
-    };
-    let matter = Matter {
-        young_modulus_pa: LIVER_PA,
-        damping: Rayleigh { mass_per_s: pair.damping_per_s, stiffness_s: STIFFNESS_DAMPING_S },
-        is_implicit: false,
-    };
-    let at = |offset_m: DVec3| {
-        Scene::new(pair.name, vec![placed(DVec3::ZERO), placed(offset_m)], matter, FRICTION, 2.0)
-    };
-    let mut scene = at(pair.offset_m)?;
-    if pair.drops {
         // By millimetres down to the first that meets the other, and one back.
-        let mut offset_m = pair.offset_m;
-        while at(offset_m - DVec3::Z * 1e-3)?.n_meeting()? == 0 {
+        let mut offset_m = self.offset_m;
+        while self.at(&liver, offset_m - DVec3::Z * 1e-3)?.n_meeting()? == 0 {
             offset_m.z -= 1e-3;
         }
-        scene = at(offset_m)?;
+        self.at(&liver, offset_m)
     }
+}
+
+fn pair_of_livers(pair: &Pair, outcome: &mut Outcome) -> anyhow::Result<()> {
+    let mut scene = pair.scene()?;
     scene.load(DVec3::Z * -0.2 * G);
     scene.run(pair.settling_s);
     let drift_m = scene.drift_in_a_minute_m(0.5);
@@ -462,26 +471,26 @@ fn pair_of_livers(pair: &Pair, outcome: &mut Outcome) -> anyhow::Result<()> {
     let weight_n = scene.mass_kg(1) * 0.2 * G;
     let n_meeting = scene.n_meeting()?;
     let name = pair.name;
-    let of_scene = |what: &str| format!("{name}: {what}");
     // Within the penetration that is allowed, surfaces may cross; told, and no requirement.
     outcome.notes += &format!("\n{name}: {n_meeting} pairs of triangles meet at the end.\n");
-    let mut push = |what: &str, obtained: f64, limit: f64| {
-        outcome.experiments.push(Experiment::at_most(&of_scene(what), OWN, obtained, limit));
-    };
-    push("drift in 60 s [mm]", drift_m * 1e3, 0.1);
-    if name.contains("leaning") {
-        push("pairs of triangles that meet", n_meeting as f64, 0.0);
-    }
-    push("deepest penetration, the fall included [mm]", scene.penetration_m * 1e3, 0.5);
-    let mut within = |what: &str, obtained: f64, range: [f64; 2]| {
-        outcome.experiments.push(Experiment::within(&of_scene(what), OWN, obtained, range));
-    };
-    within(
-        "what carries the second one over its weight",
-        scene.world.force_on_n(1).z / weight_n,
-        [0.98, 1.02],
-    );
-    within("force between them over the weight of one", between_n.length() / weight_n, pair.share_of_weight);
+    let meeting = name.contains("leaning").then_some(("pairs of triangles that meet", n_meeting as f64, 0.0));
+    let penetration_mm = scene.penetration_m * 1e3;
+    let limits = [("drift in 60 s [mm]", drift_m * 1e3, 0.1)].into_iter().chain(meeting).chain([(
+        "deepest penetration, the fall included [mm]",
+        penetration_mm,
+        0.5,
+    )]);
+    let ranges = [
+        ("what carries the second one over its weight", scene.world.force_on_n(1).z / weight_n, [0.98, 1.02]),
+        ("force between them over the weight of one", between_n.length() / weight_n, pair.share_of_weight),
+    ];
+    let of_scene = |what: &str| format!("{name}: {what}");
+    outcome
+        .experiments
+        .extend(limits.map(|(what, found, limit)| Experiment::at_most(&of_scene(what), OWN, found, limit)));
+    outcome
+        .experiments
+        .extend(ranges.map(|(what, found, range)| Experiment::within(&of_scene(what), OWN, found, range)));
     Ok(())
 }
 

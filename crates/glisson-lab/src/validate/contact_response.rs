@@ -1,7 +1,7 @@
 //! Local responses to contact: what a step of the thesis' cubes costs, and what each response leaves of a lasting contact.
 
 use super::{Experiment, Outcome};
-use crate::bench::colliding::{N_FRAMES, rocking_cubes};
+use crate::bench::colliding::{Moving, N_FRAMES, rocking_cubes};
 use crate::bench::contact::collision;
 use crate::bench::response::{
     CUBES_STEP_S, CubeMesh, GEOMETRIC, IMPULSE, PENALTY, PressedCubes, contact_and_response,
@@ -118,19 +118,7 @@ struct Detection {
 }
 
 impl Detection {
-    fn pairs(&mut self, positions_m: &[glisson::math::DVec3]) -> &[[u32; 2]] {
-        self.search.update(positions_m);
-        self.search.meeting_into(&mut self.found);
-        &self.found
-    }
-}
-
-/// Detection in the thread of the mechanics against a thread of its own. The cubes' motion is given, so that the true pairs
-/// of every step are known; the mechanics' work is that of four explicit models.
-fn beside(outcome: &mut Outcome) -> anyhow::Result<()> {
-    let surface = rocking_cubes(4);
-    let frames_m = &surface.frames_m;
-    let detection = || {
+    fn of(surface: &Moving) -> Self {
         let pair_capacity = 64 * surface.triangles.len();
         let params = PairSearchParams {
             kind: BroadPhaseKind::Hierarchy,
@@ -138,35 +126,73 @@ fn beside(outcome: &mut Outcome) -> anyhow::Result<()> {
             margin_m: 0.0,
             pair_capacity,
         };
-        let search = PairSearch::new(&params, &frames_m[0], &surface.triangles, &surface.body_of);
-        Detection { search, found: Vec::with_capacity(pair_capacity) }
-    };
-    let mut in_thread = detection();
-    let true_pairs: Vec<Vec<[u32; 2]>> = frames_m.iter().map(|f| in_thread.pairs(f).to_vec()).collect();
-    let material = LinearElastic::from_young_poisson(20e3, 0.3, 1000.0)?;
-    let mesh = cube_of_five(5, 0.05);
-    let body = DynamicBody { time_step_s: 1e-4, ..DynamicBody::new(&mesh, 1000.0) };
-    let materials = [material];
-    let params = ExplicitKernelParams::new(body, KernelLaw::StVenantKirchhoff, &materials);
-    let mut models: Vec<ExplicitKernel> =
-        (0..4).map(|_| ExplicitKernel::build(&params)).collect::<Result<_, _>>()?;
-    let mut deform = || models.iter_mut().for_each(|model| model.step(1e-4));
-
-    let start = Instant::now();
-    for step in 0..N_WATCHED {
-        deform();
-        in_thread.pairs(&frames_m[step % N_FRAMES]);
+        let search = PairSearch::new(&params, &surface.frames_m[0], &surface.triangles, &surface.body_of);
+        Self { search, found: Vec::with_capacity(pair_capacity) }
     }
-    let together_hz = N_WATCHED as f64 / start.elapsed().as_secs_f64();
 
-    let (step_now, is_over) = (AtomicUsize::new(0), AtomicBool::new(false));
-    let mut other = detection();
-    let (alone_hz, lags, n_missed, n_true) = std::thread::scope(|scope| {
-        let watcher = scope.spawn(|| {
+    fn pairs(&mut self, positions_m: &[glisson::math::DVec3]) -> &[[u32; 2]] {
+        self.search.update(positions_m);
+        self.search.meeting_into(&mut self.found);
+        &self.found
+    }
+}
+
+/// Four rocking cubes, whose motion is given, so that the true pairs of every step are known; the mechanics' work is that of
+/// four explicit models.
+struct Watched {
+    surface: Moving,
+    /// Detection in the thread of the mechanics.
+    in_thread: Detection,
+    true_pairs: Vec<Vec<[u32; 2]>>,
+    models: Vec<ExplicitKernel>,
+}
+
+/// What a thread that watches beside the mechanics came to.
+struct Beside {
+    /// Steps a second of the mechanics.
+    steps_hz: f64,
+    /// Detections a second.
+    found_hz: f64,
+    /// How much older than the step their pairs are [steps].
+    mean_lag: f64,
+    missed_percent: f64,
+}
+
+impl Watched {
+    fn new() -> anyhow::Result<Self> {
+        let surface = rocking_cubes(4);
+        let mut in_thread = Detection::of(&surface);
+        let true_pairs = surface.frames_m.iter().map(|f| in_thread.pairs(f).to_vec()).collect();
+        let material = LinearElastic::from_young_poisson(20e3, 0.3, 1000.0)?;
+        let mesh = cube_of_five(5, 0.05);
+        let body = DynamicBody { time_step_s: 1e-4, ..DynamicBody::new(&mesh, 1000.0) };
+        let materials = [material];
+        let params = ExplicitKernelParams::new(body, KernelLaw::StVenantKirchhoff, &materials);
+        let models = (0..4).map(|_| ExplicitKernel::build(&params)).collect::<Result<_, _>>()?;
+        Ok(Self { surface, in_thread, true_pairs, models })
+    }
+
+    /// Steps a second with detection in the thread of the mechanics.
+    fn in_thread_hz(&mut self) -> f64 {
+        let start = Instant::now();
+        for step in 0..N_WATCHED {
+            self.models.iter_mut().for_each(|model| model.step(1e-4));
+            self.in_thread.pairs(&self.surface.frames_m[step % N_FRAMES]);
+        }
+        N_WATCHED as f64 / start.elapsed().as_secs_f64()
+    }
+
+    /// Detection in a thread of its own.
+    fn beside(&mut self) -> Beside {
+        let (step_now, is_over) = (AtomicUsize::new(0), AtomicBool::new(false));
+        let Self { surface, true_pairs, models, .. } = self;
+        let (surface, true_pairs) = (&*surface, &*true_pairs);
+        let mut detection = Detection::of(surface);
+        let watch = || {
             let (mut lags, mut n_missed, mut n_true) = (Vec::new(), 0, 0);
             while !is_over.load(Ordering::Acquire) {
                 let of = step_now.load(Ordering::Acquire);
-                let found = other.pairs(&frames_m[of % N_FRAMES]);
+                let found = detection.pairs(&surface.frames_m[of % N_FRAMES]);
                 let now = step_now.load(Ordering::Acquire);
                 let wanted = &true_pairs[now % N_FRAMES];
                 n_missed += wanted.iter().filter(|pair| found.binary_search(pair).is_err()).count();
@@ -174,38 +200,48 @@ fn beside(outcome: &mut Outcome) -> anyhow::Result<()> {
                 lags.push(now - of);
             }
             (lags, n_missed, n_true)
+        };
+        let (steps_hz, (lags, n_missed, n_true)) = std::thread::scope(|scope| {
+            let watcher = scope.spawn(watch);
+            let start = Instant::now();
+            for step in 0..4 * N_WATCHED {
+                models.iter_mut().for_each(|model| model.step(1e-4));
+                step_now.store(step, Ordering::Release);
+            }
+            let steps_hz = 4.0 * N_WATCHED as f64 / start.elapsed().as_secs_f64();
+            is_over.store(true, Ordering::Release);
+            (steps_hz, watcher.join().expect("the watcher does not panic"))
         });
-        let start = Instant::now();
-        for step in 0..4 * N_WATCHED {
-            deform();
-            step_now.store(step, Ordering::Release);
+        Beside {
+            steps_hz,
+            found_hz: steps_hz * lags.len() as f64 / (4 * N_WATCHED) as f64,
+            mean_lag: lags.iter().sum::<usize>() as f64 / lags.len().max(1) as f64,
+            missed_percent: 100.0 * n_missed as f64 / n_true.max(1) as f64,
         }
-        let alone_hz = 4.0 * N_WATCHED as f64 / start.elapsed().as_secs_f64();
-        is_over.store(true, Ordering::Release);
-        let (lags, n_missed, n_true) = watcher.join().expect("the watcher does not panic");
-        (alone_hz, lags, n_missed, n_true)
-    });
-    let mean_lag = lags.iter().sum::<usize>() as f64 / lags.len().max(1) as f64;
-    let found_hz = alone_hz * lags.len() as f64 / (4 * N_WATCHED) as f64;
-    let missed_percent = 100.0 * n_missed as f64 / n_true.max(1) as f64;
+    }
+}
+
+/// Detection in the thread of the mechanics against a thread of its own.
+fn beside(outcome: &mut Outcome) -> anyhow::Result<()> {
+    let mut watched = Watched::new()?;
+    let together_hz = watched.in_thread_hz();
+    let Beside { steps_hz, found_hz, mean_lag, missed_percent } = watched.beside();
     writeln!(
         outcome.notes,
         "\n### Detection in the mechanics' thread or beside it\n\nFour rocking cubes, 1200 triangles, the mechanics of four cubes of 625 \
          tetrahedra; wall time. The thesis (s. 4.2.2) had a thread of its own first, whose pairs lag behind, and kept one thread.\n\n\
          | | steps a second | detections a second | pairs are older by [steps] | true pairs that are missing [%] |\n|---|---|---|---|---|\n\
          | one thread | {together_hz:.0} | {together_hz:.0} | 0 | 0 |\n\
-         | two threads | {alone_hz:.0} | {found_hz:.0} | {mean_lag:.1} | {missed_percent:.1} |"
+         | two threads | {steps_hz:.0} | {found_hz:.0} | {mean_lag:.1} | {missed_percent:.1} |"
     )?;
-    outcome.experiments.push(
+    outcome.experiments.extend([
         Experiment::within(
             "detection beside the mechanics: steps a second over those of one thread",
             "seed 000 s. 4.2.2: two threads or one",
-            alone_hz / together_hz,
+            steps_hz / together_hz,
             [1.0, 1e3],
         )
         .of_times(),
-    );
-    outcome.experiments.push(
         Experiment::within(
             "detection beside the mechanics: age of its pairs [steps]",
             "seed 000 s. 4.2.2: detection lags behind",
@@ -213,7 +249,7 @@ fn beside(outcome: &mut Outcome) -> anyhow::Result<()> {
             [0.5, 1e6],
         )
         .of_times(),
-    );
+    ]);
     Ok(())
 }
 

@@ -1,7 +1,7 @@
 //! Cutting along a swept blade: what opens against what was swept, shapes, volumes, pieces.
 
 use super::{Experiment, Figure, Outcome};
-use crate::bodies::liver;
+use crate::bodies::{liver, most};
 use glisson::math::{Aabb, DVec3, SeededRandom};
 use glisson::mesh::TetMesh;
 use glisson::mesh::box_mesh::box_of_five;
@@ -87,6 +87,75 @@ impl Body {
     }
 }
 
+/// The worst of some strokes, and what is claimed of it.
+struct Worst {
+    /// Difference of the area opened from the area swept, relative.
+    area: f64,
+    angle_deg: f64,
+    /// Difference of the volume, relative.
+    volume: f64,
+    smallest_m3: f64,
+    n_refused: usize,
+}
+
+impl Worst {
+    fn new() -> Self {
+        Self { area: 0.0, angle_deg: 180.0, volume: 0.0, smallest_m3: f64::INFINITY, n_refused: 0 }
+    }
+
+    fn add_area(&mut self, report: &CutReport) {
+        self.area = self.area.max((report.cut_area_m2 / report.swept_area_m2 - 1.0).abs());
+    }
+
+    fn add_shapes(&mut self, report: &CutReport) {
+        self.angle_deg = self.angle_deg.min(report.min_dihedral_deg);
+        self.n_refused += report.n_refused;
+    }
+
+    /// A body that had `volume_m3` before.
+    fn add_body(&mut self, body: &Body, volume_m3: f64) {
+        let (volume, smallest_m3) = body.volumes(volume_m3);
+        self.volume = most([self.volume, volume]);
+        self.smallest_m3 = self.smallest_m3.min(smallest_m3);
+    }
+
+    fn of_area(&self, what: &str) -> Experiment {
+        let name = format!("{what}: area opened against area swept, worst difference");
+        Experiment::at_most(&name, REQUIREMENT, self.area, 0.02)
+    }
+
+    fn of_new_angles(&self, what: &str) -> Experiment {
+        of_angles(&format!("{what}: smallest dihedral angle of what is new [deg]"), self.angle_deg)
+    }
+
+    fn of_bodies(&self, what: &str) -> [Experiment; 2] {
+        [
+            Experiment::at_most(
+                &format!("{what}: change of volume, relative"),
+                REQUIREMENT,
+                self.volume,
+                1e-9,
+            ),
+            Experiment::at_most(
+                &format!("{what}: tetrahedra inside out (0 or 1), steps refused"),
+                REQUIREMENT,
+                f64::from(u8::from(self.smallest_m3 <= 0.0)) + self.n_refused as f64,
+                0.0,
+            ),
+        ]
+    }
+
+    /// All of them.
+    fn experiments(&self, what: &str) -> [Experiment; 4] {
+        let [volume, inside_out] = self.of_bodies(what);
+        [self.of_area(what), self.of_new_angles(what), volume, inside_out]
+    }
+}
+
+fn of_angles(name: &str, smallest_deg: f64) -> Experiment {
+    Experiment::within(name, REQUIREMENT, smallest_deg, [3.0, 70.6])
+}
+
 pub(super) fn experiments() -> anyhow::Result<Outcome> {
     let mut outcome = Outcome::default();
     single_strokes("box", &box_of_five([16, 12, 8], DVec3::new(0.08, 0.06, 0.04)), &mut outcome)?;
@@ -106,9 +175,7 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
 fn single_strokes(name: &str, mesh: &TetMesh, outcome: &mut Outcome) -> anyhow::Result<()> {
     let volume_m3 = mesh.volume_m3();
     let mut random = SeededRandom::new(7);
-    let (mut worst_share, mut worst_deg, mut worst_volume, mut smallest_m3) =
-        (0.0f64, 180.0f64, 0.0f64, f64::INFINITY);
-    let mut n_refused = 0;
+    let mut worst = Worst::new();
     for stroke in 0..N_STROKES {
         let mut body = Body::new(mesh.clone())?;
         let size_m = body.bounds.size_m();
@@ -118,41 +185,14 @@ fn single_strokes(name: &str, mesh: &TetMesh, outcome: &mut Outcome) -> anyhow::
         let from_m = body.blade(body.bounds.min_m.x - 0.005, y_m, depth_m, lean);
         let to_m = body.blade(body.bounds.min_m.x + 0.7 * size_m.x, y_m + turn, depth_m, lean);
         let (report, opened) = body.stroke(from_m, to_m)?;
-        worst_share = worst_share.max((report.cut_area_m2 / report.swept_area_m2 - 1.0).abs());
-        worst_deg = worst_deg.min(report.min_dihedral_deg);
-        n_refused += report.n_refused;
-        let (volume, smallest) = body.volumes(volume_m3);
-        (worst_volume, smallest_m3) = (worst_volume.max(volume), smallest_m3.min(smallest));
+        worst.add_area(&report);
+        worst.add_shapes(&report);
+        worst.add_body(&body, volume_m3);
         if stroke == 0 && name == "liver" {
             outcome.figures.push(figure(&opened, from_m, to_m, &report));
         }
     }
-    outcome.experiments.extend([
-        Experiment::at_most(
-            &format!("{N_STROKES} strokes into a {name}: area opened against area swept, worst difference"),
-            REQUIREMENT,
-            worst_share,
-            0.02,
-        ),
-        Experiment::within(
-            &format!("{N_STROKES} strokes into a {name}: smallest dihedral angle of what is new [deg]"),
-            REQUIREMENT,
-            worst_deg,
-            [3.0, 70.6],
-        ),
-        Experiment::at_most(
-            &format!("{N_STROKES} strokes into a {name}: change of volume, relative"),
-            REQUIREMENT,
-            worst_volume,
-            1e-9,
-        ),
-        Experiment::at_most(
-            &format!("{N_STROKES} strokes into a {name}: tetrahedra inside out (0 or 1), steps refused"),
-            REQUIREMENT,
-            f64::from(u8::from(smallest_m3 <= 0.0)) + n_refused as f64,
-            0.0,
-        ),
-    ]);
+    outcome.experiments.extend(worst.experiments(&format!("{N_STROKES} strokes into a {name}")));
     Ok(())
 }
 
@@ -161,11 +201,11 @@ fn crossing_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
     let mesh = box_of_five([12, 12, 6], DVec3::new(0.06, 0.06, 0.03));
     let volume_m3 = mesh.volume_m3();
     let mut body = Body::new(mesh)?;
-    let mut table = String::from(
+    outcome.notes.push_str(
         "Strokes that cross: area opened over area swept, smallest dihedral angle, steps with more snapping.\n\n\
          | stroke | area | angle [deg] | coarser |\n|---|---|---|---|\n",
     );
-    let (mut swept_m2, mut cut_m2, mut worst_deg, mut n_refused) = (0.0, 0.0, 180.0f64, 0);
+    let (mut swept_m2, mut cut_m2, mut worst) = (0.0, 0.0, Worst::new());
     for i in 0..N_CROSSING {
         let y_m = 0.0093 + 0.0101 * i as f64;
         let along_x = [body.blade(-0.004, y_m, 0.015, 0.1), body.blade(0.064, y_m, 0.015, 0.1)];
@@ -174,9 +214,8 @@ fn crossing_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
             let (report, _) = body.stroke(from_m, to_m)?;
             swept_m2 += report.swept_area_m2;
             cut_m2 += report.cut_area_m2;
-            worst_deg = worst_deg.min(report.min_dihedral_deg);
-            n_refused += report.n_refused;
-            table.push_str(&format!(
+            worst.add_shapes(&report);
+            outcome.notes.push_str(&format!(
                 "| {i} along {axis} | {:.4} | {:.2} | {} of {} |\n",
                 report.cut_area_m2 / report.swept_area_m2,
                 report.min_dihedral_deg,
@@ -185,37 +224,23 @@ fn crossing_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
             ));
         }
     }
-    let (volume, smallest_m3) = body.volumes(volume_m3);
+    worst.add_body(&body, volume_m3);
     let worst_live_deg = dihedral_angles_deg(&body.mesh.live_mesh()).into_iter().fold(180.0, f64::min);
-    let n = 2 * N_CROSSING;
+    let what = format!("{} crossing strokes", 2 * N_CROSSING);
     outcome.experiments.extend([
         Experiment::near(
-            &format!("{n} crossing strokes: area opened over area swept"),
+            &format!("{what}: area opened over area swept"),
             REQUIREMENT,
             cut_m2 / swept_m2,
             1.0,
             0.02,
         ),
-        Experiment::within(
-            &format!("{n} crossing strokes: smallest dihedral angle of the whole mesh [deg]"),
-            REQUIREMENT,
-            worst_deg.min(worst_live_deg),
-            [3.0, 70.6],
-        ),
-        Experiment::at_most(
-            &format!("{n} crossing strokes: change of volume, relative"),
-            REQUIREMENT,
-            volume,
-            1e-9,
-        ),
-        Experiment::at_most(
-            &format!("{n} crossing strokes: tetrahedra inside out (0 or 1), steps refused"),
-            REQUIREMENT,
-            f64::from(u8::from(smallest_m3 <= 0.0)) + n_refused as f64,
-            0.0,
+        of_angles(
+            &format!("{what}: smallest dihedral angle of the whole mesh [deg]"),
+            worst.angle_deg.min(worst_live_deg),
         ),
     ]);
-    outcome.notes.push_str(&table);
+    outcome.experiments.extend(worst.of_bodies(&what));
     Ok(())
 }
 
@@ -224,7 +249,7 @@ fn short_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
     let mesh = box_of_five([16, 12, 8], DVec3::new(0.08, 0.06, 0.04));
     let edge_m = MeshQuality::of(&mesh).mean_edge_m;
     let mut random = SeededRandom::new(1);
-    let (mut worst_share, mut worst_deg, mut n_refused) = (0.0f64, 180.0f64, 0);
+    let mut worst = Worst::new();
     for _ in 0..N_SHORT {
         let mut body = Body::new(mesh.clone())?;
         let size_m = body.bounds.size_m();
@@ -237,30 +262,15 @@ fn short_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
         let (report, _) = body.stroke(from_m, from_m.map(|p| p + way_m))?;
         // Along itself the blade sweeps little, which says nothing.
         if report.swept_area_m2 > edge_m * edge_m {
-            worst_share = worst_share.max((report.cut_area_m2 / report.swept_area_m2 - 1.0).abs());
+            worst.add_area(&report);
         }
-        worst_deg = worst_deg.min(report.min_dihedral_deg);
-        n_refused += report.n_refused;
+        worst.add_shapes(&report);
     }
+    let what = format!("{N_SHORT} strokes of 1.5 to 5 edges");
     outcome.experiments.extend([
-        Experiment::at_most(
-            &format!("{N_SHORT} strokes of 1.5 to 5 edges: area opened against area swept, worst difference"),
-            REQUIREMENT,
-            worst_share,
-            0.02,
-        ),
-        Experiment::within(
-            &format!("{N_SHORT} strokes of 1.5 to 5 edges: smallest dihedral angle of what is new [deg]"),
-            REQUIREMENT,
-            worst_deg,
-            [3.0, 70.6],
-        ),
-        Experiment::at_most(
-            &format!("{N_SHORT} strokes of 1.5 to 5 edges: steps refused"),
-            REQUIREMENT,
-            n_refused as f64,
-            0.0,
-        ),
+        worst.of_area(&what),
+        worst.of_new_angles(&what),
+        Experiment::at_most(&format!("{what}: steps refused"), REQUIREMENT, worst.n_refused as f64, 0.0),
     ]);
     Ok(())
 }
@@ -269,10 +279,8 @@ fn short_strokes(outcome: &mut Outcome) -> anyhow::Result<()> {
 struct ManyStrokes {
     /// Difference of the area opened from the area swept, relative, and whether faces were told to be merged.
     shares: Vec<(f64, bool)>,
-    worst_deg: f64,
-    worst_volume: f64,
-    smallest_m3: f64,
-    n_refused: usize,
+    /// Of shapes and bodies.
+    worst: Worst,
     /// Strokes that were left out because they did not meet the body.
     n_missed: usize,
 }
@@ -320,14 +328,7 @@ fn many_strokes(mesh: &TetMesh) -> anyhow::Result<ManyStrokes> {
         topology.surface_triangles().map(places).collect()
     };
     let mut random = SeededRandom::new(11);
-    let mut many = ManyStrokes {
-        shares: Vec::with_capacity(N_RANDOM),
-        worst_deg: 180.0,
-        worst_volume: 0.0,
-        smallest_m3: f64::INFINITY,
-        n_refused: 0,
-        n_missed: 0,
-    };
+    let mut many = ManyStrokes { shares: Vec::with_capacity(N_RANDOM), worst: Worst::new(), n_missed: 0 };
     while many.shares.len() < N_RANDOM {
         let at = (random.uniform_in(0.0, skin.len() as f64) as usize).min(skin.len() - 1);
         let [a, b, c] = skin[at];
@@ -349,11 +350,8 @@ fn many_strokes(mesh: &TetMesh) -> anyhow::Result<ManyStrokes> {
         }
         let off = (report.cut_area_m2 / report.swept_area_m2 - 1.0).abs();
         many.shares.push((off, report.n_merged > 0));
-        many.worst_deg = many.worst_deg.min(report.min_dihedral_deg);
-        many.n_refused += report.n_refused;
-        let (volume, smallest_m3) = body.volumes(volume_m3);
-        many.worst_volume = many.worst_volume.max(volume);
-        many.smallest_m3 = many.smallest_m3.min(smallest_m3);
+        many.worst.add_shapes(&report);
+        many.worst.add_body(&body, volume_m3);
     }
     Ok(many)
 }
@@ -382,25 +380,9 @@ fn random_strokes(mesh: &TetMesh, outcome: &mut Outcome) -> anyhow::Result<()> {
             many.n_merged() as f64 / N_RANDOM as f64,
             0.01,
         ),
-        Experiment::within(
-            &format!("{what}: smallest dihedral angle of what is new [deg]"),
-            REQUIREMENT,
-            many.worst_deg,
-            [3.0, 70.6],
-        ),
-        Experiment::at_most(
-            &format!("{what}: change of volume, relative"),
-            REQUIREMENT,
-            many.worst_volume,
-            1e-9,
-        ),
-        Experiment::at_most(
-            &format!("{what}: tetrahedra inside out (0 or 1), steps refused"),
-            REQUIREMENT,
-            f64::from(u8::from(many.smallest_m3 <= 0.0)) + many.n_refused as f64,
-            0.0,
-        ),
+        many.worst.of_new_angles(&what),
     ]);
+    outcome.experiments.extend(many.worst.of_bodies(&what));
     Ok(())
 }
 
@@ -442,31 +424,35 @@ impl Swept {
     }
 }
 
+/// Blades of a stroke in some direction through the upper side of a body, at its begin and its end.
+fn random_oblique(random: &mut SeededRandom, bounds: &Aabb) -> [[DVec3; 2]; 2] {
+    let (low_m, size_m) = (bounds.min_m, bounds.size_m());
+    let angle = random.uniform_in(0.0, std::f64::consts::TAU);
+    let along = DVec3::new(angle.cos(), angle.sin(), 0.0);
+    let lean = random.uniform_in(-0.5, 0.5);
+    let down = DVec3::new(-along.y * lean, along.x * lean, 1.0).normalize();
+    let [x_m, y_m] = [size_m.x, size_m.y].map(|s| random.uniform_in(0.2, 0.8) * s);
+    let middle_m = DVec3::new(low_m.x + x_m, low_m.y + y_m, bounds.max_m.z);
+    let depth_m = random.uniform_in(0.3, 0.7) * size_m.z;
+    let half_m = 0.5 * random.uniform_in(0.3, 0.9) * size_m.x * along;
+    [middle_m - half_m, middle_m + half_m].map(|p| [p - depth_m * down, p + 0.02 * down])
+}
+
 /// Strokes in all directions in one body, as near each other and at as small angles as the requirement has it.
 fn oblique_strokes(name: &str, mesh: TetMesh, outcome: &mut Outcome) -> anyhow::Result<()> {
     let volume_m3 = mesh.volume_m3();
     let edge_m = MeshQuality::of(&mesh).mean_edge_m;
     let mut body = Body::new(mesh)?;
-    let (low_m, size_m) = (body.bounds.min_m, body.bounds.size_m());
     let mut random = SeededRandom::new(2);
     let mut done: Vec<Swept> = Vec::new();
-    let mut table = format!(
+    outcome.notes.push_str(&format!(
         "\nStrokes in all directions in one {name}, each at {LEAST_ANGLE_DEG} degrees or more to those that it crosses \
          and {LEAST_DISTANCE} mean edges or more from the others.\n\n\
          | stroke | swept [mm2] | area | angle [deg] | coarser |\n|---|---|---|---|---|\n",
-    );
-    let (mut worst_share, mut worst_deg, mut n_refused) = (0.0f64, 180.0f64, 0);
+    ));
+    let mut worst = Worst::new();
     while done.len() < N_OBLIQUE {
-        let angle = random.uniform_in(0.0, std::f64::consts::TAU);
-        let along = DVec3::new(angle.cos(), angle.sin(), 0.0);
-        let lean = random.uniform_in(-0.5, 0.5);
-        let down = DVec3::new(-along.y * lean, along.x * lean, 1.0).normalize();
-        let [x_m, y_m] = [size_m.x, size_m.y].map(|s| random.uniform_in(0.2, 0.8) * s);
-        let middle_m = DVec3::new(low_m.x + x_m, low_m.y + y_m, body.bounds.max_m.z);
-        let depth_m = random.uniform_in(0.3, 0.7) * size_m.z;
-        let half_m = 0.5 * random.uniform_in(0.3, 0.9) * size_m.x * along;
-        let at = |p: DVec3| [p - depth_m * down, p + 0.02 * down];
-        let (from_m, to_m) = (at(middle_m - half_m), at(middle_m + half_m));
+        let [from_m, to_m] = random_oblique(&mut random, &body.bounds);
         let swept = Swept([from_m[0], from_m[1], to_m[1], to_m[0]]);
         if !done.iter().all(|other| swept.is_apart(other, &body.bounds, edge_m)) {
             continue;
@@ -477,43 +463,21 @@ fn oblique_strokes(name: &str, mesh: TetMesh, outcome: &mut Outcome) -> anyhow::
             continue;
         }
         done.push(swept);
-        let share = report.cut_area_m2 / report.swept_area_m2;
-        worst_share = worst_share.max((share - 1.0).abs());
-        worst_deg = worst_deg.min(report.min_dihedral_deg);
-        n_refused += report.n_refused;
-        table.push_str(&format!(
-            "| {} | {:.1} | {share:.4} | {:.2} | {} of {} |\n",
+        worst.add_area(&report);
+        worst.add_shapes(&report);
+        outcome.notes.push_str(&format!(
+            "| {} | {:.1} | {:.4} | {:.2} | {} of {} |\n",
             done.len(),
             1e6 * report.swept_area_m2,
+            report.cut_area_m2 / report.swept_area_m2,
             report.min_dihedral_deg,
             report.n_coarser,
             report.n_edits
         ));
     }
-    let (volume, smallest_m3) = body.volumes(volume_m3);
+    worst.add_body(&body, volume_m3);
     let what = format!("{N_OBLIQUE} strokes in all directions in one {name}");
-    outcome.experiments.extend([
-        Experiment::at_most(
-            &format!("{what}: area opened against area swept, worst difference"),
-            REQUIREMENT,
-            worst_share,
-            0.02,
-        ),
-        Experiment::within(
-            &format!("{what}: smallest dihedral angle of what is new [deg]"),
-            REQUIREMENT,
-            worst_deg,
-            [3.0, 70.6],
-        ),
-        Experiment::at_most(&format!("{what}: change of volume, relative"), REQUIREMENT, volume, 1e-9),
-        Experiment::at_most(
-            &format!("{what}: tetrahedra inside out (0 or 1), steps refused"),
-            REQUIREMENT,
-            f64::from(u8::from(smallest_m3 <= 0.0)) + n_refused as f64,
-            0.0,
-        ),
-    ]);
-    outcome.notes.push_str(&table);
+    outcome.experiments.extend(worst.experiments(&what));
     Ok(())
 }
 

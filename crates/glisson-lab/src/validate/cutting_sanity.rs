@@ -26,6 +26,8 @@ const STRETCH: f64 = 1.15;
 /// Steps of the blade in a stroke, and steps of the body after each.
 const BLADE_STEPS: usize = 20;
 const STEPS_BETWEEN: usize = 8;
+/// The stroke half way in: its y, and the tip's place above the bottom [m].
+const HALF_WAY_M: [f64; 2] = [0.0213, 0.021];
 const REMOVALS: usize = 15;
 const TETS_A_REMOVAL: usize = 4;
 /// Share of the longest stable step: the energy of central differences is as good as its square.
@@ -184,51 +186,69 @@ impl Body {
     }
 }
 
-pub(super) fn experiments() -> anyhow::Result<Outcome> {
-    let mut outcome = Outcome::default();
-    let list = &mut outcome.experiments;
+/// What is claimed of a stroke into the body at rest.
+struct StrokeClaim {
+    name: &'static str,
+    /// Where it goes, and the tip's place above the bottom [m].
+    y_m: f64,
+    depth_m: f64,
+    /// Euler characteristics of the body and of its surface after it.
+    euler: [f64; 2],
+}
+
+const STROKES: [StrokeClaim; 2] = [
+    StrokeClaim { name: "half way in", y_m: HALF_WAY_M[0], depth_m: HALF_WAY_M[1], euler: [1.0, 2.0] },
+    StrokeClaim { name: "through", y_m: 0.0413, depth_m: -0.01, euler: [2.0, 4.0] },
+];
+
+fn relative(found: f64, expected: f64, whole: f64) -> f64 {
+    ((found - expected) / whole).abs()
+}
+
+/// A body at rest that is cut half way in, then through.
+fn at_rest() -> anyhow::Result<Vec<Experiment>> {
     let mut body = Body::new(1.0)?;
     let (volume_m3, mass_kg) = (body.mesh.volume_m3(), body.mass_kg());
-    let half_way = body.stroke(0.0213, 0.021, 0)?;
-    let of_half_way = body.euler();
-    let through = body.stroke(0.0413, -0.01, 0)?;
-    let of_through = body.euler();
-    let strokes =
-        [("half way in", half_way, of_half_way, [1.0, 2.0]), ("through", through, of_through, [2.0, 4.0])];
-    for (name, (area, angle_deg), euler, expected) in strokes {
+    let mut list = Vec::new();
+    for StrokeClaim { name, y_m, depth_m, euler: expected } in STROKES {
+        let (area, angle_deg) = body.stroke(y_m, depth_m, 0)?;
+        let found = body.euler();
         let about = |what: &str| format!("a stroke {name}: {what}");
-        list.push(Experiment::near(&about("area opened over area swept"), BENCHMARK, area, 1.0, 0.02));
-        list.push(Experiment::within(
-            &about("smallest dihedral angle of what is new [deg]"),
-            BENCHMARK,
-            angle_deg,
-            [3.0, 70.6],
-        ));
-        for (what, found, expected) in
-            [("Euler characteristic", euler[0], expected[0]), ("that of its surface", euler[1], expected[1])]
-        {
-            list.push(Experiment::near(&about(what), BENCHMARK, found, expected, 0.0));
-        }
+        let euler =
+            |what: &str, i: usize| Experiment::near(&about(what), BENCHMARK, found[i], expected[i], 0.0);
+        list.extend([
+            Experiment::near(&about("area opened over area swept"), BENCHMARK, area, 1.0, 0.02),
+            Experiment::within(
+                &about("smallest dihedral angle of what is new [deg]"),
+                BENCHMARK,
+                angle_deg,
+                [3.0, 70.6],
+            ),
+            euler("Euler characteristic", 0),
+            euler("that of its surface", 1),
+        ]);
     }
     let n_pieces = body.mesh.topology().pieces(Through::Faces).count();
-    list.push(Experiment::near("pieces after both", BENCHMARK, n_pieces as f64, 2.0, 0.0));
-    let relative = |found: f64, expected: f64, whole: f64| ((found - expected) / whole).abs();
-    list.push(Experiment::at_most(
-        "both strokes: change of volume, relative",
-        BENCHMARK,
-        relative(body.mesh.volume_m3(), volume_m3, volume_m3),
-        1e-9,
-    ));
-    list.push(Experiment::at_most(
-        "both strokes: change of the nodes' mass, relative",
-        BENCHMARK,
-        relative(body.mass_kg(), mass_kg, mass_kg),
-        1e-9,
-    ));
+    list.extend([
+        Experiment::near("pieces after both", BENCHMARK, n_pieces as f64, 2.0, 0.0),
+        Experiment::at_most(
+            "both strokes: change of volume, relative",
+            BENCHMARK,
+            relative(body.mesh.volume_m3(), volume_m3, volume_m3),
+            1e-9,
+        ),
+        Experiment::at_most(
+            "both strokes: change of the nodes' mass, relative",
+            BENCHMARK,
+            relative(body.mass_kg(), mass_kg, mass_kg),
+            1e-9,
+        ),
+    ]);
+    Ok(list)
+}
 
-    let mut body = Body::new(STRETCH)?;
-    body.run(20);
-    body.stroke(0.0213, 0.021, STEPS_BETWEEN)?;
+/// Takes tetrahedra out at random, with steps of the body in between; their volume [m3].
+fn remove_at_random(body: &mut Body) -> anyhow::Result<f64> {
     let mut random = SeededRandom::new(3);
     let mut removed_m3 = 0.0;
     for _ in 0..REMOVALS {
@@ -242,42 +262,58 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         body.removal_j = body.removal_j.max(change_j);
         body.run(STEPS_BETWEEN);
     }
-    list.push(Experiment::at_most(
-        "removals: volume that is left against that taken out, relative",
-        BENCHMARK,
-        relative(body.mesh.volume_m3(), volume_m3 - removed_m3, volume_m3),
-        1e-9,
-    ));
-    list.push(Experiment::at_most(
-        "removals: the nodes' mass against that taken out, relative",
-        BENCHMARK,
-        relative(body.mass_kg(), mass_kg - body.density_kg_per_m3 * removed_m3, mass_kg),
-        1e-9,
-    ));
-    let of_energy = [
-        (
+    Ok(removed_m3)
+}
+
+/// A body that vibrates while it is cut and loses tetrahedra; also its energy over time.
+fn moving() -> anyhow::Result<([Experiment; 6], Vec<[f64; 2]>)> {
+    let mut body = Body::new(STRETCH)?;
+    let (volume_m3, mass_kg) = (body.mesh.volume_m3(), body.mass_kg());
+    body.run(20);
+    body.stroke(HALF_WAY_M[0], HALF_WAY_M[1], STEPS_BETWEEN)?;
+    let removed_m3 = remove_at_random(&mut body)?;
+    let experiments = [
+        Experiment::at_most(
+            "removals: volume that is left against that taken out, relative",
+            BENCHMARK,
+            relative(body.mesh.volume_m3(), volume_m3 - removed_m3, volume_m3),
+            1e-9,
+        ),
+        Experiment::at_most(
+            "removals: the nodes' mass against that taken out, relative",
+            BENCHMARK,
+            relative(body.mass_kg(), mass_kg - body.density_kg_per_m3 * removed_m3, mass_kg),
+            1e-9,
+        ),
+        Experiment::at_most(
             "body moving, cuts of the blade: largest growth of energy in one (nodes near it snap), over all",
-            body.cut_j,
+            BENCHMARK,
+            body.cut_j / body.start_j,
             0.01,
         ),
-        ("body moving, removals: largest growth of energy in one, over all", body.removal_j, 1e-9),
-        (
+        Experiment::at_most(
+            "body moving, removals: largest growth of energy in one, over all",
+            BENCHMARK,
+            body.removal_j / body.start_j,
+            1e-9,
+        ),
+        Experiment::at_most(
             "body moving, steps before, between and after cuts: growth of energy beyond the least, over all",
-            body.growth_j,
+            BENCHMARK,
+            body.growth_j / body.start_j,
             0.02,
         ),
+        Experiment::at_most("nodes that had to be made heavier", BENCHMARK, f64::from(body.n_heavier), 0.0),
     ];
-    for (name, found_j, limit) in of_energy {
-        list.push(Experiment::at_most(name, BENCHMARK, found_j / body.start_j, limit));
-    }
-    list.push(Experiment::at_most(
-        "nodes that had to be made heavier",
-        BENCHMARK,
-        f64::from(body.n_heavier),
-        0.0,
-    ));
-    holes(list)?;
-    outcome.figures.push(Figure {
+    Ok((experiments, body.curve))
+}
+
+pub(super) fn experiments() -> anyhow::Result<Outcome> {
+    let mut experiments = at_rest()?;
+    let (of_moving, points) = moving()?;
+    experiments.extend(of_moving);
+    holes(&mut experiments)?;
+    let figure = Figure {
         file: "cutting_sanity_energy.svg",
         caption:
             "Energy of a vibrating block while a blade cuts it half way in and tetrahedra are taken out."
@@ -286,12 +322,12 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
             title: "Energy of a body that is cut".into(),
             x_label: "time [ms]".into(),
             y_label: "energy over that at the start".into(),
-            series: vec![Series { name: "energy".into(), points: body.curve, style: SeriesStyle::Line }],
+            series: vec![Series { name: "energy".into(), points, style: SeriesStyle::Line }],
             size: [900, 440],
         },
-    });
-    outcome.notes = "20,000 random cuts, with every model: `cargo xtask soak edits`.".into();
-    Ok(outcome)
+    };
+    let notes = "20,000 random cuts, with every model: `cargo xtask soak edits`.".into();
+    Ok(Outcome { experiments, figures: vec![figure], notes })
 }
 
 /// What removals leave: a cavity and a tunnel.

@@ -12,6 +12,7 @@
 
 use super::{Experiment, Figure, Outcome};
 use crate::bodies::liver;
+use anyhow::Context;
 use glisson::haptics::{ForceEstimate, Handover, HapticModel};
 use glisson::material::LinearElastic;
 use glisson::math::DVec3;
@@ -25,13 +26,12 @@ use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{StepInput, World};
 use glisson_view::plot::{LinePlot, Series, SeriesStyle};
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
 
 const ISSUE: &str = "requirement: local model below 10 %";
 const SLIDES: &str = "requirement: slides calmly under Coulomb's law";
 const BETTER: &str = "requirement: better than the extrapolation of seed 002";
 
-const N_TETS: usize = 6300;
+pub(super) const N_TETS: usize = 6300;
 const YOUNG_MODULUS_PA: f64 = 5e3;
 const POISSON_RATIO: f64 = 0.45;
 const DENSITY_KG_PER_M3: f64 = 1060.0;
@@ -88,8 +88,21 @@ impl Path {
     }
 }
 
-/// A world with steps of `step_s` of the liver, and into how many parts each is divided.
-fn world(mesh: &TetMesh, step_s: f64) -> anyhow::Result<(World, u32)> {
+/// The place of a liver that is foremost: -y is the patient's front.
+pub(super) fn front_m(liver: &TetMesh) -> anyhow::Result<DVec3> {
+    let front = liver.positions_m.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y));
+    front.context("a liver without nodes")
+}
+
+/// The probe of this group, away from the liver.
+fn probe() -> Tool {
+    let home = ToolInput::at(DVec3::NEG_Y * 0.3, DVec3::NEG_Y);
+    let grip = Grip { friction_coefficient: FRICTION, is_sticky: false };
+    Tool { grip, ..Tool::probe("probe", TIP_RADIUS_M, home) }
+}
+
+/// A world with steps of `step_s` of the liver, held at its back, and into how many parts each is divided.
+pub(super) fn world(mesh: &TetMesh, tool: Tool, step_s: f64) -> anyhow::Result<(World, u32)> {
     let back = Region::Furthest { direction: DVec3::Y, fraction: 0.2 };
     let supports = vec![Support::all_axes(back)];
     let fixed = fixed_nodes(&supports, &mesh.positions_m);
@@ -100,13 +113,11 @@ fn world(mesh: &TetMesh, step_s: f64) -> anyhow::Result<(World, u32)> {
     };
     let materials = &[LinearElastic::from_young_poisson(YOUNG_MODULUS_PA, POISSON_RATIO, DENSITY_KG_PER_M3)?];
     let params = ExplicitKernelParams::new(body, KernelLaw::NeoHookeLog, materials);
-    // Both worlds make the same steps inside, so that their difference is that of the tool alone.
+    // Worlds with other steps make the same ones inside, so that their difference is that of the tool alone.
     let parts_of_tick = (TICK_S / (0.7 * ExplicitKernel::stable_step(&params)?.step_s)).ceil();
     let body = DynamicBody { time_step_s: TICK_S / parts_of_tick, ..body };
     let model = Box::new(ExplicitKernel::build(&ExplicitKernelParams { body, ..params })?);
-    let home = ToolInput::at(DVec3::NEG_Y * 0.3, DVec3::NEG_Y);
-    let grip = Grip { friction_coefficient: FRICTION, is_sticky: false };
-    let mut spec = WorldSpec::new("liver", step_s, Tool { grip, ..Tool::probe("probe", TIP_RADIUS_M, home) });
+    let mut spec = WorldSpec::new("liver", step_s, tool);
     spec.supports = supports;
     let n_parts = (parts_of_tick * step_s / TICK_S).round() as u32;
     Ok((World::new(spec, mesh.clone(), model, ModelKind::Explicit)?, n_parts))
@@ -125,7 +136,7 @@ struct Reference {
 }
 
 fn reference(mesh: &TetMesh, path: &Path) -> anyhow::Result<Reference> {
-    let (mut world, n_parts) = world(mesh, TICK_S)?;
+    let (mut world, n_parts) = world(mesh, probe(), TICK_S)?;
     let mut made = Reference { forces_n: Vec::new(), slid_m: 0.0, beyond_cone: 0.0, jump: 0.0 };
     for tick in 0..path.n_ticks() {
         let report = world.step(&path.input(tick as f64 * TICK_S, n_parts)).tools[0];
@@ -148,7 +159,7 @@ fn reference(mesh: &TetMesh, path: &Path) -> anyhow::Result<Reference> {
 
 /// What the slow simulation publishes.
 fn published(mesh: &TetMesh, path: &Path) -> anyhow::Result<Vec<HapticModel>> {
-    let (mut world, n_parts) = world(mesh, STEP_S)?;
+    let (mut world, n_parts) = world(mesh, probe(), STEP_S)?;
     let n_steps = (path.ends_s[2] / STEP_S) as usize;
     Ok((0..=n_steps)
         .map(|step| {
@@ -195,96 +206,129 @@ fn title(estimate: ForceEstimate) -> &'static str {
     }
 }
 
-pub(super) fn experiments() -> anyhow::Result<Outcome> {
-    let mesh = liver(N_TETS)?;
-    let front = mesh.positions_m.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y));
-    let path = Path::over(front.unwrap_or(DVec3::ZERO));
-    let Reference { forces_n: reference_n, slid_m, beyond_cone, jump } = reference(&mesh, &path)?;
-    let models = published(&mesh, &path)?;
-    let peak_n = reference_n.iter().map(|f| f.length()).fold(0.0, f64::max);
-    let mut notes = format!(
+/// What a hand feels by one estimate of the force, and its distance from the full model.
+struct Felt {
+    estimate: ForceEstimate,
+    /// Force at every tick [N].
+    forces_n: Vec<DVec3>,
+    /// Root mean square of the difference over the largest force: of the whole path, and of each phase.
+    whole: f64,
+    parts: [f64; 3],
+}
+
+impl Felt {
+    /// Of the whole path and of its worst part.
+    fn errors(&self) -> [f64; 2] {
+        [self.whole, self.parts.into_iter().fold(0.0, f64::max)]
+    }
+
+    fn table_line(&self, late: &str) -> String {
+        let [a, b, c] = self.parts.map(|e| 100.0 * e);
+        format!(
+            "| {late} | {} | {:.2} | {a:.2} | {b:.2} | {c:.2} |\n",
+            title(self.estimate),
+            100.0 * self.whole
+        )
+    }
+}
+
+/// All estimates when each model is felt `late_s` after its moment.
+fn felt_by_all(models: &[HapticModel], path: &Path, reference_n: &[DVec3], late_s: f64) -> Vec<Felt> {
+    let by = |estimate: ForceEstimate| {
+        let forces_n = felt(models, path, estimate, late_s);
+        let [whole, parts @ ..] = errors(path, &forces_n, reference_n);
+        Felt { estimate, forces_n, whole, parts }
+    };
+    ForceEstimate::ALL.into_iter().map(by).collect()
+}
+
+/// What is claimed of the full model.
+fn of_reference(reference: &Reference) -> [Experiment; 3] {
+    [
+        Experiment::near(
+            "full model at 1 kHz, 10 mm deep, friction 0.05: slip over the way sideways",
+            SLIDES,
+            reference.slid_m / SLIDE_M,
+            1.0,
+            0.2,
+        ),
+        Experiment::at_most(
+            "the same: force along the surface beyond what friction bears, over the largest force",
+            SLIDES,
+            reference.beyond_cone,
+            0.05,
+        ),
+        Experiment::at_most(
+            "the same: largest change of the force in a millisecond of sliding, over the largest force",
+            SLIDES,
+            reference.jump,
+            0.05,
+        ),
+    ]
+}
+
+/// What is claimed of the local model, by itself and beside the best extrapolation.
+fn of_local_model(all: &[Felt], late: &str) -> Vec<Experiment> {
+    let is_extrapolation = |f: &&Felt| {
+        matches!(f.estimate, ForceEstimate::ExtrapolateInTime | ForceEstimate::ExtrapolateInPosition)
+    };
+    let of_extrapolations = all.iter().filter(is_extrapolation).map(Felt::errors);
+    let best = of_extrapolations.fold([f64::INFINITY; 2], |[a, b], [c, d]| [a.min(c), b.min(d)]);
+    let local = all.iter().find(|f| f.estimate == ForceEstimate::LocalModel);
+    let local = local.map_or([f64::NAN; 2], Felt::errors);
+    let names = [
+        format!(
+            "local model at 30 Hz, felt {late}, against the full model at 1 kHz: force error, RMS over peak"
+        ),
+        format!("the same of the worst of {}", PHASES.join(", ")),
+    ];
+    let small = names.iter().zip(local).map(|(name, error)| Experiment::at_most(name, ISSUE, error, 0.1));
+    let smaller = ["whole path", "worst part"].into_iter().zip(local.into_iter().zip(best));
+    let smaller = smaller.map(|(what, (local, best))| {
+        Experiment::within(
+            &format!("local model's error over that of the best extrapolation, felt {late}, {what}"),
+            BETTER,
+            local / best,
+            [0.0, 1.0],
+        )
+    });
+    small.chain(smaller).collect()
+}
+
+fn heading(mesh: &TetMesh, reference: &Reference) -> String {
+    let peak_n = reference.forces_n.iter().map(|f| f.length()).fold(0.0, f64::max);
+    format!(
         "{} tetrahedra, E = {YOUNG_MODULUS_PA} Pa, nu = {POISSON_RATIO}; friction {FRICTION}; largest force of the full model {peak_n:.3} N; going \
          sideways the tip slid by {:.1} mm of {:.1} mm on the tissue. Root mean square of the error over the largest force [%]:\n\n\
          | felt | estimate | whole path | {} | {} | {} |\n|---|---|---|---|---|---|\n",
         mesh.tetrahedra.len(),
-        1e3 * slid_m,
+        1e3 * reference.slid_m,
         1e3 * SLIDE_M,
         PHASES[0],
         PHASES[1],
         PHASES[2],
-    );
-    let mut outcome = Outcome::default();
-    outcome.experiments.push(Experiment::near(
-        "full model at 1 kHz, 10 mm deep, friction 0.05: slip over the way sideways",
-        SLIDES,
-        slid_m / SLIDE_M,
-        1.0,
-        0.2,
-    ));
-    for (what, found) in [
-        ("force along the surface beyond what friction bears, over the largest force", beyond_cone),
-        ("largest change of the force in a millisecond of sliding, over the largest force", jump),
-    ] {
-        let name = format!("the same: {what}");
-        outcome.experiments.push(Experiment::at_most(&name, SLIDES, found, 0.05));
-    }
-    let curve = |forces_n: &[DVec3]| -> Vec<[f64; 2]> {
-        forces_n.iter().enumerate().map(|(tick, f)| [tick as f64 * TICK_S, f.length()]).collect()
-    };
-    let mut forces = vec![Series {
-        name: "full model at 1 kHz".into(),
-        points: curve(&reference_n),
-        style: SeriesStyle::Dashed,
-    }];
-    let mut differences = Vec::new();
-    for (late_s, late) in [(0.0, "at once"), (STEP_S, "one period later")] {
-        // Of the whole path and of its worst part: by the best extrapolation, and by the local model.
-        let (mut extrapolated, mut local) = ([f64::INFINITY; 2], [0.0; 2]);
-        for estimate in ForceEstimate::ALL {
-            let felt_n = felt(&models, &path, estimate, late_s);
-            let [whole, parts @ ..] = errors(&path, &felt_n, &reference_n);
-            let [a, b, c] = parts.map(|e| 100.0 * e);
-            let name = title(estimate);
-            writeln!(notes, "| {late} | {name} | {:.2} | {a:.2} | {b:.2} | {c:.2} |", 100.0 * whole)?;
-            let worst = parts.into_iter().fold(0.0, f64::max);
-            match estimate {
-                ForceEstimate::LocalModel => local = [whole, worst],
-                ForceEstimate::Hold => {}
-                _ => extrapolated = [extrapolated[0].min(whole), extrapolated[1].min(worst)],
-            }
-            if estimate == ForceEstimate::LocalModel {
-                outcome.experiments.push(Experiment::at_most(
-                    &format!("local model at 30 Hz, felt {late}, against the full model at 1 kHz: force error, RMS over peak"),
-                    ISSUE,
-                    whole,
-                    0.1,
-                ));
-                outcome.experiments.push(Experiment::at_most(
-                    &format!("the same of the worst of {}", PHASES.join(", ")),
-                    ISSUE,
-                    worst,
-                    0.1,
-                ));
-            }
-            if late_s > 0.0 {
-                let off = felt_n.iter().zip(&reference_n).enumerate();
-                let points = off.map(|(tick, (f, r))| [tick as f64 * TICK_S, f.distance(*r)]).collect();
-                differences.push(Series { name: name.into(), points, style: SeriesStyle::Line });
-                if matches!(estimate, ForceEstimate::Hold | ForceEstimate::LocalModel) {
-                    let (name, points) = (format!("{name}, 30 Hz"), curve(&felt_n));
-                    forces.push(Series { name, points, style: SeriesStyle::Line });
-                }
-            }
-        }
-        for (i, what) in ["whole path", "worst part"].into_iter().enumerate() {
-            outcome.experiments.push(Experiment::within(
-                &format!("local model's error over that of the best extrapolation, felt {late}, {what}"),
-                BETTER,
-                local[i] / extrapolated[i],
-                [0.0, 1.0],
-            ));
-        }
-    }
+    )
+}
+
+/// A value of every tick over time.
+fn curve(name: String, values: &[f64], style: SeriesStyle) -> Series {
+    let points = values.iter().enumerate().map(|(tick, value)| [tick as f64 * TICK_S, *value]).collect();
+    Series { name, points, style }
+}
+
+/// Forces and their differences, of models that are felt a period late.
+fn figures(reference_n: &[DVec3], all: &[Felt]) -> Vec<Figure> {
+    let lengths = |forces_n: &[DVec3]| -> Vec<f64> { forces_n.iter().map(|f| f.length()).collect() };
+    let full = curve("full model at 1 kHz".into(), &lengths(reference_n), SeriesStyle::Dashed);
+    let is_shown = |f: &&Felt| matches!(f.estimate, ForceEstimate::Hold | ForceEstimate::LocalModel);
+    let shown = all
+        .iter()
+        .filter(is_shown)
+        .map(|f| curve(format!("{}, 30 Hz", title(f.estimate)), &lengths(&f.forces_n), SeriesStyle::Line));
+    let differences = all.iter().map(|felt| {
+        let off: Vec<f64> = felt.forces_n.iter().zip(reference_n).map(|(f, r)| f.distance(*r)).collect();
+        curve(title(felt.estimate).into(), &off, SeriesStyle::Line)
+    });
     let plot = |title: &str, y_label: &str, series: Vec<Series>| LinePlot {
         title: title.into(),
         x_label: "time [s]".into(),
@@ -292,18 +336,32 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         series,
         size: [820, 440],
     };
-    outcome.figures = vec![
+    vec![
         Figure {
             file: "haptic_force_curves.svg",
             caption: "Force on the hand: the full model at 1 kHz, and from a simulation at 30 Hz that is felt a period late.".into(),
-            plot: plot("Force on the hand", "force [N]", forces),
+            plot: plot("Force on the hand", "force [N]", std::iter::once(full).chain(shown).collect()),
         },
         Figure {
             file: "haptic_force_errors.svg",
             caption: "Difference from the full model, of four ways to get from 30 Hz to 1 kHz, felt a period late.".into(),
-            plot: plot("Difference from the full model at 1 kHz", "difference [N]", differences),
+            plot: plot("Difference from the full model at 1 kHz", "difference [N]", differences.collect()),
         },
-    ];
-    outcome.notes = notes;
-    Ok(outcome)
+    ]
+}
+
+pub(super) fn experiments() -> anyhow::Result<Outcome> {
+    let mesh = liver(N_TETS)?;
+    let path = Path::over(front_m(&mesh)?);
+    let reference = reference(&mesh, &path)?;
+    let models = published(&mesh, &path)?;
+    let by_all = |late_s: f64| felt_by_all(&models, &path, &reference.forces_n, late_s);
+    let (at_once, late) = (by_all(0.0), by_all(STEP_S));
+    let mut experiments = of_reference(&reference).to_vec();
+    let mut notes = heading(&mesh, &reference);
+    for (all, when) in [(&at_once, "at once"), (&late, "one period later")] {
+        experiments.extend(of_local_model(all, when));
+        notes.extend(all.iter().map(|felt| felt.table_line(when)));
+    }
+    Ok(Outcome { experiments, figures: figures(&reference.forces_n, &late), notes })
 }

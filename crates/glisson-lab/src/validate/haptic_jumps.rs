@@ -9,6 +9,7 @@
 //! k |d|: d is the motion of the handle that the device told, k the stiffness of coupling and published tissue along d, one
 //! after the other. The rest is what is judged.
 
+use super::haptic_force::front_m;
 use super::{Experiment, Figure, Outcome};
 use crate::bodies::liver;
 use crate::scratch::ScratchFolder;
@@ -25,7 +26,6 @@ use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::plot::{LinePlot, Series, SeriesStyle};
-use std::fmt::Write as _;
 use std::path::Path;
 
 const ISSUE: &str = "requirement";
@@ -432,61 +432,53 @@ fn plot(title: &str, series: Vec<Series>) -> LinePlot {
     LinePlot { title: title.into(), x_label, y_label, series, size: [960, 440] }
 }
 
-pub(super) fn experiments() -> anyhow::Result<Outcome> {
-    let mesh = liver(N_TETS)?;
-    let front = mesh.positions_m.iter().copied().min_by(|a, b| a.y.total_cmp(&b.y));
-    let surface_m = front.context("a liver without nodes")?;
-    let notes = format!(
-        "{} tetrahedra, 5 kPa, ln J neo-Hookean, G = 76 J/m2, a probe of {} mm; {MODELS_PER_S} models a second, each felt a period after \
-         its moment; a device of 3.3 N with a hand. Changes are those in a tick of 1 ms.\n\n| model | event | unexplained change [mN] | \
-         whole change [mN] | change that the models ask for [mN] | greatest force [N] | force before and after [N] | the same by the models [N] \
-         | falls for [ms] |\n|---|---|---|---|---|---|---|---|---|\n",
-        mesh.tetrahedra.len(),
-        1e3 * TIP_RADIUS_M,
-    );
-    let mut outcome = Outcome { notes, ..Outcome::default() };
-    let mut sessions = Vec::new();
-    let mut ruptures = Vec::new();
-    for kind in &KINDS {
-        let (mut events, trace) = session(&mesh, kind, surface_m)?;
-        let (torn, torn_trace) = rupture(&mesh, kind, surface_m)?;
-        sessions.push((kind.name, trace));
-        ruptures.push((kind.name, torn.clone(), torn_trace));
-        events.push(torn);
-        for event in &events {
-            outcome.experiments.push(Experiment::at_most(
+/// What happened to the liver of one kind: the session and the rupture.
+struct Trial {
+    kind: &'static Kind,
+    events: Vec<Event>,
+    trace: Vec<Tick>,
+    rupture: Event,
+    rupture_trace: Vec<Tick>,
+}
+
+impl Trial {
+    fn new(mesh: &TetMesh, kind: &'static Kind, surface_m: DVec3) -> anyhow::Result<Self> {
+        let (events, trace) = session(mesh, kind, surface_m)?;
+        let (rupture, rupture_trace) = rupture(mesh, kind, surface_m)?;
+        Ok(Self { kind, events, trace, rupture, rupture_trace })
+    }
+
+    fn events(&self) -> impl Iterator<Item = &Event> {
+        self.events.iter().chain([&self.rupture])
+    }
+
+    fn experiments(&self) -> Vec<Experiment> {
+        let mut experiments = Vec::new();
+        for event in self.events() {
+            experiments.push(Experiment::at_most(
                 &format!(
                     "{}, {}: greatest change of force in a tick beyond stiffness times motion [N]",
-                    kind.name, event.name
+                    self.kind.name, event.name
                 ),
                 ISSUE,
                 event.unexplained_n,
                 MOST_JUMP_N,
             ));
             if event.drop_s != 0.0 {
-                outcome.experiments.extend(of_loss(kind, event));
+                experiments.extend(of_loss(self.kind, event));
             }
-            write!(outcome.notes, "{}", table_line(kind, event))?;
         }
+        experiments
     }
-    let asked_n = ruptures.iter().map(|(_, event, _)| event.said_change_n).fold(0.0, f64::max);
-    outcome.experiments.push(Experiment::within(
-        "greatest change in a tick that the models ask for at a rupture [N]",
-        "requirement: the test can fail",
-        asked_n,
-        [4.0 * MOST_JUMP_N, 10.0],
-    ));
-    let of_session = |(name, trace): &(&str, Vec<Tick>)| {
-        curve(&format!("{name} dynamics"), trace, 0.0, |tick| tick.force_n.length())
-    };
-    outcome.figures.push(Figure {
-        file: "haptic_jumps_session.svg",
-        caption: "Force on the hand that starts in contact, loses its device for 40 and for 100 ms, by silence and by power, has its simulation stand still for 0.3 \
-                  s, and feels the tissue under the tip cut away."
-            .into(),
-        plot: plot("Start, loss of the device, standstill, cut", sessions.iter().map(of_session).collect()),
-    });
-    let of_rupture = |(name, _, trace): &(&str, Event, Vec<Tick>)| {
+
+    /// Force on the hand during the session.
+    fn session_series(&self) -> Series {
+        curve(&format!("{} dynamics", self.kind.name), &self.trace, 0.0, |tick| tick.force_n.length())
+    }
+
+    /// Force by the models and on the hand around the rupture.
+    fn rupture_series(&self) -> [Series; 2] {
+        let (name, trace) = (self.kind.name, &self.rupture_trace);
         let torn = trace.iter().position(|tick| tick.n_torn > 0).unwrap_or(0);
         let from_s = trace[torn].time_s;
         let near = &trace[torn.saturating_sub(100)..(torn + 250).min(trace.len())];
@@ -495,11 +487,52 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
             Series { style: SeriesStyle::Dashed, ..said },
             curve(&format!("{name}: on the hand"), near, from_s, |tick| tick.force_n.length()),
         ]
-    };
-    outcome.figures.push(Figure {
-        file: "haptic_jumps_rupture.svg",
-        caption: "A probe breaks through: what the published models say where the tool is, and what the hand feels.".into(),
-        plot: plot("Rupture", ruptures.iter().flat_map(of_rupture).collect()),
-    });
-    Ok(outcome)
+    }
+}
+
+fn figures(trials: &[Trial]) -> Vec<Figure> {
+    vec![
+        Figure {
+            file: "haptic_jumps_session.svg",
+            caption: "Force on the hand that starts in contact, loses its device for 40 and for 100 ms, by silence and by power, has its simulation stand still for 0.3 \
+                      s, and feels the tissue under the tip cut away."
+                .into(),
+            plot: plot(
+                "Start, loss of the device, standstill, cut",
+                trials.iter().map(Trial::session_series).collect(),
+            ),
+        },
+        Figure {
+            file: "haptic_jumps_rupture.svg",
+            caption: "A probe breaks through: what the published models say where the tool is, and what the hand feels.".into(),
+            plot: plot("Rupture", trials.iter().flat_map(Trial::rupture_series).collect()),
+        },
+    ]
+}
+
+pub(super) fn experiments() -> anyhow::Result<Outcome> {
+    let mesh = liver(N_TETS)?;
+    let surface_m = front_m(&mesh)?;
+    let mut notes = format!(
+        "{} tetrahedra, 5 kPa, ln J neo-Hookean, G = 76 J/m2, a probe of {} mm; {MODELS_PER_S} models a second, each felt a period after \
+         its moment; a device of 3.3 N with a hand. Changes are those in a tick of 1 ms.\n\n| model | event | unexplained change [mN] | \
+         whole change [mN] | change that the models ask for [mN] | greatest force [N] | force before and after [N] | the same by the models [N] \
+         | falls for [ms] |\n|---|---|---|---|---|---|---|---|---|\n",
+        mesh.tetrahedra.len(),
+        1e3 * TIP_RADIUS_M,
+    );
+    let trials: Vec<Trial> =
+        KINDS.iter().map(|kind| Trial::new(&mesh, kind, surface_m)).collect::<anyhow::Result<_>>()?;
+    let mut experiments: Vec<Experiment> = trials.iter().flat_map(Trial::experiments).collect();
+    let asked_n = trials.iter().map(|trial| trial.rupture.said_change_n).fold(0.0, f64::max);
+    experiments.push(Experiment::within(
+        "greatest change in a tick that the models ask for at a rupture [N]",
+        "requirement: the test can fail",
+        asked_n,
+        [4.0 * MOST_JUMP_N, 10.0],
+    ));
+    for trial in &trials {
+        notes.extend(trial.events().map(|event| table_line(trial.kind, event)));
+    }
+    Ok(Outcome { experiments, figures: figures(&trials), notes })
 }

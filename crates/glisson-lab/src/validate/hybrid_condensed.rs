@@ -8,9 +8,9 @@ use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::model::{Constraints, DeformableModel, NodalForce};
 use glisson::solve::{BoundaryConditions, StaticProblem, solve_static};
 
+use super::hybrid::timed_s;
 use super::{Experiment, Figure, Outcome};
 use crate::bench::hybrid::ZonedBody;
-use crate::bench::thread_cpu_ns;
 use glisson_view::plot::{LinePlot, Series, SeriesStyle};
 
 const SEED_003: &str = "Checoury 2002, s. 5.2 and fig. 5.9";
@@ -164,13 +164,6 @@ fn has_settled(run: &Run) -> bool {
     run.points.len() > 5 && run.points[run.points.len() - 5..].iter().all(|p| p[1] < 0.1 * ARRIVED)
 }
 
-/// Processor time of a piece of work on this thread [s]; nothing in it uses another one.
-fn timed_s(work: impl FnOnce()) -> f64 {
-    let before = thread_cpu_ns();
-    work();
-    (thread_cpu_ns() - before) as f64 * 1e-9
-}
-
 /// The first to arrive of runs with every damping.
 fn best(mut run: impl FnMut(f64, f64) -> Run) -> anyhow::Result<Run> {
     let mut best: Option<Run> = None;
@@ -198,82 +191,75 @@ fn precomputed(case: &Case) -> anyhow::Result<(f64, f64)> {
     Ok((spent_s, case.error(&model)))
 }
 
-pub(super) fn experiments() -> anyhow::Result<Outcome> {
-    let [two, top, tip] = ZonedBody::all(N_TETS)?;
-    let n_nodes = two.mesh.positions_m.len();
-    let (two, top, tip) = (Case::new(two, 1)?, Case::new(top, 1)?, Case::new(tip, 1)?);
-    let (precomputed_s, precomputed_error) = precomputed(&two)?;
-    let alone = two.best_tensor_mass()?;
-    let mut zones = Vec::new();
-    for (name, case) in [("top", &top), ("tip", &tip)] {
-        let (run, size) = case.best_hybrid()?;
-        zones.push((name, run, size, case.best_tensor_mass()?));
+/// A dynamic zone around a cut beside tensor-mass alone.
+struct ZoneRuns {
+    name: &'static str,
+    hybrid: Run,
+    size: CondensedSize,
+    alone: Run,
+}
+
+impl ZoneRuns {
+    fn new(name: &'static str, case: &Case) -> anyhow::Result<Self> {
+        let (hybrid, size) = case.best_hybrid()?;
+        Ok(Self { name, hybrid, size, alone: case.best_tensor_mass()? })
     }
 
-    let sooner = alone.arrival_s() / precomputed_s;
-    let mut experiments = vec![
-        Experiment::at_most(
-            "two pre-computed zones against the direct solution, every node, relative",
-            OWN,
-            precomputed_error,
-            1e-10,
-        ),
-        Experiment::within(
-            "error 1e-3 sooner than tensor-mass alone, processor time: two pre-computed zones",
-            SEED_003,
-            sooner,
-            [SOONER, f64::INFINITY],
-        )
-        .of_times(),
-    ];
-    let line = |name: String, points: &[[f64; 2]], style| Series {
-        name,
-        points: points.iter().filter(|p| p[1] > 0.0).map(|p| [1e3 * p[0], p[1].log10()]).collect(),
-        style,
-    };
-    let row = |name: &str, run: &Run| {
-        let Run { damping_per_s, steps_per_s, .. } = run;
-        format!("| {name} | {damping_per_s:.0} | {steps_per_s:.0} | {:.2} |\n", 1e3 * run.arrival_s())
-    };
-    let mut series = vec![line("tensor-mass alone, uncut".into(), &alone.points, SeriesStyle::Dashed)];
-    let mut rows = row("tensor-mass alone, uncut", &alone);
-    rows += &format!(
-        "| two pre-computed zones | - | {:.0} | {:.2} |\n",
-        1.0 / precomputed_s,
-        1e3 * precomputed_s
-    );
-    let mut words = format!("two pre-computed zones {sooner:.0}");
-    for (name, run, size, alone) in &zones {
-        let rest_error = run.points.iter().map(|p| p[1]).fold(f64::INFINITY, f64::min);
-        experiments.push(Experiment::at_most(
-            &format!(
-                "dynamic zone around a cut in the {name} against the direct solution, every node, relative"
-            ),
-            OWN,
-            rest_error,
-            ARRIVED,
-        ));
-        let sooner = alone.arrival_s() / run.arrival_s();
-        let claim = Experiment::within(
-            &format!("error 1e-3 sooner than tensor-mass alone, processor time: dynamic zone, {name}"),
-            SEED_003,
-            sooner,
-            [SOONER, f64::INFINITY],
-        );
-        experiments.push(claim.of_times());
-        series.push(line(format!("tensor-mass alone, {name}"), &alone.points, SeriesStyle::Dashed));
-        series.push(line(format!("dynamic zone, {name}"), &run.points, SeriesStyle::Line));
-        rows += &row(&format!("tensor-mass alone, cut in the {name}"), alone);
-        let nodes =
-            format!("{} nodes, {} on the frontier", size.n_dynamic_nodes, size.n_dynamic_frontier_nodes);
-        rows += &row(&format!("dynamic zone of 5 % around it ({nodes})"), run);
-        words += &format!(", dynamic zone around a cut in the {name} {sooner:.1}");
+    fn sooner(&self) -> f64 {
+        self.alone.arrival_s() / self.hybrid.arrival_s()
     }
-    series.push(line(
-        "two pre-computed zones".into(),
-        &[[precomputed_s, precomputed_error]],
-        SeriesStyle::Points,
-    ));
+
+    fn experiments(&self) -> [Experiment; 2] {
+        let name = self.name;
+        let rest_error = self.hybrid.points.iter().map(|p| p[1]).fold(f64::INFINITY, f64::min);
+        [
+            Experiment::at_most(
+                &format!(
+                    "dynamic zone around a cut in the {name} against the direct solution, every node, relative"
+                ),
+                OWN,
+                rest_error,
+                ARRIVED,
+            ),
+            sooner(&format!("dynamic zone, {name}"), self.sooner()),
+        ]
+    }
+
+    fn series(&self) -> [Series; 2] {
+        let name = self.name;
+        [
+            curve(&format!("tensor-mass alone, {name}"), &self.alone.points, SeriesStyle::Dashed),
+            curve(&format!("dynamic zone, {name}"), &self.hybrid.points, SeriesStyle::Line),
+        ]
+    }
+
+    fn table_lines(&self) -> String {
+        let CondensedSize { n_dynamic_nodes, n_dynamic_frontier_nodes, .. } = self.size;
+        let nodes = format!("{n_dynamic_nodes} nodes, {n_dynamic_frontier_nodes} on the frontier");
+        table_line(&format!("tensor-mass alone, cut in the {}", self.name), &self.alone)
+            + &table_line(&format!("dynamic zone of 5 % around it ({nodes})"), &self.hybrid)
+    }
+}
+
+fn sooner(what: &str, factor: f64) -> Experiment {
+    let name = format!("error 1e-3 sooner than tensor-mass alone, processor time: {what}");
+    Experiment::within(&name, SEED_003, factor, [SOONER, f64::INFINITY]).of_times()
+}
+
+fn curve(name: &str, points: &[[f64; 2]], style: SeriesStyle) -> Series {
+    let points = points.iter().filter(|p| p[1] > 0.0).map(|p| [1e3 * p[0], p[1].log10()]).collect();
+    Series { name: name.into(), points, style }
+}
+
+fn table_line(name: &str, run: &Run) -> String {
+    let Run { damping_per_s, steps_per_s, .. } = run;
+    format!("| {name} | {damping_per_s:.0} | {steps_per_s:.0} | {:.2} |\n", 1e3 * run.arrival_s())
+}
+
+fn figure(series: Vec<Series>) -> Figure {
+    let caption = "Largest error of all nodes against the direct solution, over processor time: pre-computed zones are \
+                   there at once, a dynamic zone moves little mass."
+        .into();
     let plot = LinePlot {
         title: "Error against processor time".into(),
         x_label: "processor time of all threads [ms]".into(),
@@ -281,6 +267,43 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
         series,
         size: [820, 480],
     };
+    Figure { file: "hybrid_condensed_error.svg", caption, plot }
+}
+
+pub(super) fn experiments() -> anyhow::Result<Outcome> {
+    let [two, top, tip] = ZonedBody::all(N_TETS)?;
+    let n_nodes = two.mesh.positions_m.len();
+    let (two, top, tip) = (Case::new(two, 1)?, Case::new(top, 1)?, Case::new(tip, 1)?);
+    let (precomputed_s, precomputed_error) = precomputed(&two)?;
+    let alone = two.best_tensor_mass()?;
+    let zones = [ZoneRuns::new("top", &top)?, ZoneRuns::new("tip", &tip)?];
+
+    let factor = alone.arrival_s() / precomputed_s;
+    let mut experiments = vec![
+        Experiment::at_most(
+            "two pre-computed zones against the direct solution, every node, relative",
+            OWN,
+            precomputed_error,
+            1e-10,
+        ),
+        sooner("two pre-computed zones", factor),
+    ];
+    experiments.extend(zones.iter().flat_map(ZoneRuns::experiments));
+    let mut series = vec![curve("tensor-mass alone, uncut", &alone.points, SeriesStyle::Dashed)];
+    series.extend(zones.iter().flat_map(ZoneRuns::series));
+    let at_once = [[precomputed_s, precomputed_error]];
+    series.push(curve("two pre-computed zones", &at_once, SeriesStyle::Points));
+    let mut rows = table_line("tensor-mass alone, uncut", &alone);
+    rows += &format!(
+        "| two pre-computed zones | - | {:.0} | {:.2} |\n",
+        1.0 / precomputed_s,
+        1e3 * precomputed_s
+    );
+    rows.extend(zones.iter().map(ZoneRuns::table_lines));
+    let mut words = format!("two pre-computed zones {factor:.0}");
+    for zone in &zones {
+        words += &format!(", dynamic zone around a cut in the {} {:.1}", zone.name, zone.sooner());
+    }
     let notes = format!(
         "Body of {n_nodes} nodes like a liver, 20 surface nodes of a zone pressed with 1 N altogether; every dynamic side \
          at its largest stable step, with the damping of {DAMPINGS_PER_S:?} 1/s with which it arrives first. A hybrid's \
@@ -288,9 +311,5 @@ pub(super) fn experiments() -> anyhow::Result<Outcome> {
          1e-3 after [ms] |\n|---|---|---|---|\n{rows}\nTimes sooner than tensor-mass alone: {words}. Seed `003` \
          reports a hybrid no faster than tensor-mass a refresh.\n"
     );
-    let caption = "Largest error of all nodes against the direct solution, over processor time: pre-computed zones are \
-                   there at once, a dynamic zone moves little mass."
-        .into();
-    let figures = vec![Figure { file: "hybrid_condensed_error.svg", caption, plot }];
-    Ok(Outcome { experiments, figures, notes })
+    Ok(Outcome { experiments, figures: vec![figure(series)], notes })
 }

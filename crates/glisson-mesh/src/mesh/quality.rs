@@ -298,7 +298,6 @@ impl MeshQuality {
         let n_bins = (180.0 / DIHEDRAL_BIN_DEG) as usize;
         let mut dihedral_histogram = vec![0; n_bins];
         let mut radius_ratio_histogram = vec![0; RADIUS_RATIO_BINS];
-        let mut edges: Vec<[u32; 2]> = Vec::with_capacity(6 * mesh.tetrahedra.len());
         for angle_deg in dihedral_angles_deg(mesh) {
             dihedral.add(angle_deg);
             dihedral_histogram[((angle_deg / DIHEDRAL_BIN_DEG) as usize).min(n_bins - 1)] += 1;
@@ -308,20 +307,10 @@ impl MeshQuality {
             let bin = (this_ratio * RADIUS_RATIO_BINS as f64) as usize;
             radius_ratio_histogram[bin.min(RADIUS_RATIO_BINS - 1)] += 1;
         }
-        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
+        for t in 0..mesh.tetrahedra.len() {
             volume.add(mesh.tet_volume_m3(TetId::from_index(t)));
-            for i in 0..4 {
-                for j in i + 1..4 {
-                    edges.push([nodes[i].0.min(nodes[j].0), nodes[i].0.max(nodes[j].0)]);
-                }
-            }
         }
-        edges.sort_unstable();
-        edges.dedup();
-        let mut edge = Range::new();
-        for [a, b] in edges {
-            edge.add(mesh.positions_m[a as usize].distance(mesh.positions_m[b as usize]));
-        }
+        let edge = edge_lengths_m(mesh);
         let bounds_m = match mesh.positions_m[..] {
             [] => Aabb { min_m: DVec3::ZERO, max_m: DVec3::ZERO },
             _ => Aabb::of_points(&mesh.positions_m),
@@ -353,6 +342,25 @@ impl MeshQuality {
             radius_ratio_histogram,
         }
     }
+}
+
+/// Lengths [m] of the edges, each counted once.
+fn edge_lengths_m(mesh: &TetMesh) -> Range {
+    let mut edges: Vec<[u32; 2]> = Vec::with_capacity(6 * mesh.tetrahedra.len());
+    for nodes in &mesh.tetrahedra {
+        for i in 0..4 {
+            for j in i + 1..4 {
+                edges.push([nodes[i].0.min(nodes[j].0), nodes[i].0.max(nodes[j].0)]);
+            }
+        }
+    }
+    edges.sort_unstable();
+    edges.dedup();
+    let mut lengths = Range::new();
+    for [a, b] in edges {
+        lengths.add(mesh.positions_m[a as usize].distance(mesh.positions_m[b as usize]));
+    }
+    lengths
 }
 
 struct Range {

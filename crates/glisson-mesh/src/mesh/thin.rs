@@ -7,7 +7,7 @@
 //! Distances to the centres are exact Euclidean ones between grid nodes (Felzenszwalb and Huttenlocher 2012,
 //! doi 10.4086/toc.2012.v008a019); a slack of one grid spacing covers the rounding of centres to nodes.
 
-use crate::math::DVec3;
+use crate::math::{Aabb, DVec3};
 use crate::surface::signed_distance::SignedDistance;
 
 /// Which side of the surface is thin.
@@ -68,35 +68,11 @@ fn thin_of_kind(field: &SignedDistance, radius_m: f64, kind: ThinKind) -> Vec<Th
         .collect();
     let least_volume_m3 = 4.0 / 3.0 * std::f64::consts::PI * (0.125 * radius_m * radius_m * radius_m);
     let mut features = Vec::new();
-    let mut stack = Vec::new();
     for seed in 0..n_nodes {
         if !std::mem::take(&mut thin[seed]) {
             continue;
         }
-        stack.push(seed);
-        let (mut count, mut deepest) = (0usize, seed);
-        let mut bounds_m = crate::math::Aabb::EMPTY;
-        while let Some(node) = stack.pop() {
-            count += 1;
-            let (row, i) = (node / nx, node % nx);
-            let (j, k) = (row % ny, row / ny);
-            bounds_m = bounds_m.including(field.node_position_m([i, j, k]));
-            let is_deeper = depth_m(node) > depth_m(deepest);
-            if is_deeper || (depth_m(node) == depth_m(deepest) && node < deepest) {
-                deepest = node;
-            }
-            let mut visit = |exists: bool, other: usize| {
-                if exists && std::mem::take(&mut thin[other]) {
-                    stack.push(other);
-                }
-            };
-            visit(i > 0, node.wrapping_sub(1));
-            visit(i + 1 < nx, node + 1);
-            visit(j > 0, node.wrapping_sub(nx));
-            visit(j + 1 < ny, node + nx);
-            visit(k > 0, node.wrapping_sub(nx * ny));
-            visit(k + 1 < nz, node + nx * ny);
-        }
+        let Region { count, deepest, bounds_m } = region_from(seed, field, &mut thin, depth_m);
         let volume_m3 = count as f64 * (spacing_m * spacing_m * spacing_m);
         if volume_m3 >= least_volume_m3 {
             let (row, i) = (deepest / nx, deepest % nx);
@@ -111,6 +87,49 @@ fn thin_of_kind(field: &SignedDistance, radius_m: f64, kind: ThinKind) -> Vec<Th
         }
     }
     features
+}
+
+/// Thin nodes that hang together.
+struct Region {
+    count: usize,
+    /// The deepest node, of several the one with the lowest number.
+    deepest: usize,
+    bounds_m: Aabb,
+}
+
+/// The region around `seed`, which is taken out of `thin`.
+fn region_from(
+    seed: usize,
+    field: &SignedDistance,
+    thin: &mut [bool],
+    depth_m: impl Fn(usize) -> f64,
+) -> Region {
+    let [nx, ny, nz] = field.dims();
+    let mut stack = vec![seed];
+    let (mut count, mut deepest) = (0usize, seed);
+    let mut bounds_m = Aabb::EMPTY;
+    while let Some(node) = stack.pop() {
+        count += 1;
+        let (row, i) = (node / nx, node % nx);
+        let (j, k) = (row % ny, row / ny);
+        bounds_m = bounds_m.including(field.node_position_m([i, j, k]));
+        let is_deeper = depth_m(node) > depth_m(deepest);
+        if is_deeper || (depth_m(node) == depth_m(deepest) && node < deepest) {
+            deepest = node;
+        }
+        let mut visit = |exists: bool, other: usize| {
+            if exists && std::mem::take(&mut thin[other]) {
+                stack.push(other);
+            }
+        };
+        visit(i > 0, node.wrapping_sub(1));
+        visit(i + 1 < nx, node + 1);
+        visit(j > 0, node.wrapping_sub(nx));
+        visit(j + 1 < ny, node + nx);
+        visit(k > 0, node.wrapping_sub(nx * ny));
+        visit(k + 1 < nz, node + nx * ny);
+    }
+    Region { count, deepest, bounds_m }
 }
 
 /// Replaces zeros and infinities on a grid by the squared distances [cells^2] to the nearest zero.

@@ -129,10 +129,9 @@ struct Side {
     ascending: bool,
 }
 
-fn check_manifold(mesh: &TriMesh) -> Result<Pieces, SurfaceError> {
-    check_triangles(mesh)?;
-    let n_triangles = mesh.triangles.len();
-    let mut sides = Vec::with_capacity(3 * n_triangles);
+/// Every side of every triangle, in ascending order, so that those of one edge stand together.
+fn sorted_sides(mesh: &TriMesh) -> Vec<Side> {
+    let mut sides = Vec::with_capacity(3 * mesh.triangles.len());
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         for c in 0..3 {
             let (from, to) = (triangle[c], triangle[(c + 1) % 3]);
@@ -141,47 +140,36 @@ fn check_manifold(mesh: &TriMesh) -> Result<Pieces, SurfaceError> {
         }
     }
     sides.sort_unstable();
-    let edges = || sides.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high));
-    let mut corner_sets = DisjointSets::new(3 * n_triangles);
-    let mut triangle_sets = DisjointSets::new(n_triangles);
-    let corner = |triangle: u32, vertex: u32| {
-        let place = mesh.triangles[triangle as usize].iter().position(|&v| v == vertex);
-        3 * triangle as usize + place.expect("a side's vertices are its triangle's")
-    };
-    for edge in edges() {
-        let first = edge[0];
-        let vertices = [first.low, first.high];
-        let place = Place(0.5 * vertices.map(|v| mesh.positions_m[v as usize]).into_iter().sum::<DVec3>());
-        match *edge {
-            [a] => {
-                let n_open = edges().filter(|e| e.len() == 1).count();
-                return Err(SurfaceError::OpenEdge {
-                    vertices,
-                    triangle: a.triangle as usize,
-                    place,
-                    n_open,
-                });
-            }
-            [a, b] if a.ascending != b.ascending => {
-                triangle_sets.join(a.triangle as usize, b.triangle as usize);
-                for vertex in vertices {
-                    corner_sets.join(corner(a.triangle, vertex), corner(b.triangle, vertex));
-                }
-            }
-            [a, b] => {
-                let triangles = [a.triangle as usize, b.triangle as usize];
-                return Err(SurfaceError::InconsistentOrientation { vertices, triangles, place });
-            }
-            [a, b, ..] => {
-                let triangles = [a.triangle as usize, b.triangle as usize];
-                let n_triangles = edge.len();
-                return Err(SurfaceError::NonManifoldEdge { vertices, triangles, n_triangles, place });
-            }
-            [] => unreachable!("chunk_by gives no empty chunk"),
+    sides
+}
+
+/// The two sides of an edge when exactly two triangles meet there with the same orientation. `n_open` counts the open
+/// edges of the mesh.
+fn check_edge(mesh: &TriMesh, edge: &[Side], n_open: impl Fn() -> usize) -> Result<[Side; 2], SurfaceError> {
+    let first = edge[0];
+    let vertices = [first.low, first.high];
+    let place = Place(0.5 * vertices.map(|v| mesh.positions_m[v as usize]).into_iter().sum::<DVec3>());
+    match *edge {
+        [a] => {
+            Err(SurfaceError::OpenEdge { vertices, triangle: a.triangle as usize, place, n_open: n_open() })
         }
+        [a, b] if a.ascending != b.ascending => Ok([a, b]),
+        [a, b] => {
+            let triangles = [a.triangle as usize, b.triangle as usize];
+            Err(SurfaceError::InconsistentOrientation { vertices, triangles, place })
+        }
+        [a, b, ..] => {
+            let triangles = [a.triangle as usize, b.triangle as usize];
+            let n_triangles = edge.len();
+            Err(SurfaceError::NonManifoldEdge { vertices, triangles, n_triangles, place })
+        }
+        [] => unreachable!("chunk_by gives no empty chunk"),
     }
-    let n_used = check_fans(mesh, &mut corner_sets)?;
-    let n_edges = edges().count();
+}
+
+/// The pieces whose triangles `triangle_sets` joins, and the label of each triangle.
+fn label_pieces(mesh: &TriMesh, triangle_sets: &mut DisjointSets) -> (Vec<u32>, Vec<Piece>) {
+    let n_triangles = mesh.triangles.len();
     let mut labels = vec![u32::MAX; n_triangles];
     let mut list: Vec<Piece> = Vec::new();
     for t in 0..n_triangles {
@@ -199,6 +187,30 @@ fn check_manifold(mesh: &TriMesh) -> Result<Pieces, SurfaceError> {
         piece.volume_m3 += a.dot(b.cross(c)) / 6.0;
         piece.bounds = corners.iter().fold(piece.bounds, |bounds, &p| bounds.including(p));
     }
+    (labels, list)
+}
+
+fn check_manifold(mesh: &TriMesh) -> Result<Pieces, SurfaceError> {
+    check_triangles(mesh)?;
+    let n_triangles = mesh.triangles.len();
+    let sides = sorted_sides(mesh);
+    let edges = || sides.chunk_by(|a, b| (a.low, a.high) == (b.low, b.high));
+    let mut corner_sets = DisjointSets::new(3 * n_triangles);
+    let mut triangle_sets = DisjointSets::new(n_triangles);
+    let corner = |triangle: u32, vertex: u32| {
+        let place = mesh.triangles[triangle as usize].iter().position(|&v| v == vertex);
+        3 * triangle as usize + place.expect("a side's vertices are its triangle's")
+    };
+    for edge in edges() {
+        let [a, b] = check_edge(mesh, edge, || edges().filter(|e| e.len() == 1).count())?;
+        triangle_sets.join(a.triangle as usize, b.triangle as usize);
+        for vertex in [a.low, a.high] {
+            corner_sets.join(corner(a.triangle, vertex), corner(b.triangle, vertex));
+        }
+    }
+    let n_used = check_fans(mesh, &mut corner_sets)?;
+    let n_edges = edges().count();
+    let (labels, list) = label_pieces(mesh, &mut triangle_sets);
     let topology = SurfaceTopology {
         n_vertices: n_used,
         n_unused_vertices: mesh.positions_m.len() - n_used,

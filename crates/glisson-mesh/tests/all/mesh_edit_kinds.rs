@@ -204,6 +204,25 @@ fn flip_and_back() {
     assert!(matches!(two(&[5, 6], repeated), EditError::BadCorners { place: 2, .. }));
 }
 
+/// The first tetrahedron becomes four around a new node.
+fn first_divided_at(whole: &EditableMesh, parents: &[(u32, f64)], position_m: DVec3) -> MeshEdit {
+    let corners = whole.topology().tet_nodes(TetId(0));
+    MeshEdit::Retetrahedralise {
+        tets: vec![TetId(0)],
+        new_nodes: vec![NewNode {
+            position_m,
+            parents: parents.iter().map(|&(n, w)| (NodeId(n), w)).collect(),
+        }],
+        new_tets: (0..4)
+            .map(|at| {
+                let mut part = corners.map(CavityNode::Old);
+                part[at] = CavityNode::New(0);
+                part
+            })
+            .collect(),
+    }
+}
+
 #[test]
 fn unfit_edits_are_refused_with_the_reason() {
     let whole = EditableMesh::new(grid([2, 2, 2], |_| true)).unwrap();
@@ -240,23 +259,7 @@ fn unfit_edits_are_refused_with_the_reason() {
     let away = whole.topology().live_tets().find(|t| !star.contains(t)).unwrap();
     assert_eq!(refused(copy(&[away])), EditError::NotAtNode { tet: away, node });
 
-    let cavity = |parents: &[(u32, f64)], position_m: DVec3| {
-        let corners = whole.topology().tet_nodes(TetId(0));
-        MeshEdit::Retetrahedralise {
-            tets: vec![TetId(0)],
-            new_nodes: vec![NewNode {
-                position_m,
-                parents: parents.iter().map(|&(n, w)| (NodeId(n), w)).collect(),
-            }],
-            new_tets: (0..4)
-                .map(|at| {
-                    let mut part = corners.map(CavityNode::Old);
-                    part[at] = CavityNode::New(0);
-                    part
-                })
-                .collect(),
-        }
-    };
+    let cavity = |parents: &[(u32, f64)], position_m: DVec3| first_divided_at(&whole, parents, position_m);
     let middle = whole.mesh().corners_m(TetId(0)).iter().sum::<DVec3>() * 0.25;
     assert_eq!(refused(cavity(&[], middle)), EditError::BadNewNode { place: 0, sum: 0.0 });
     assert_eq!(refused(cavity(&[(0, 0.5)], middle)), EditError::BadNewNode { place: 0, sum: 0.5 });

@@ -59,15 +59,8 @@ fn random_edit(random: &mut SeededRandom, body: &EditableMesh) -> MeshEdit {
             MeshEdit::MoveVertex { node, position_m: place(node) + 0.3 * by }
         }
         4 | 5 => {
-            let mut splits: Vec<EdgeSplit> = Vec::new();
             let around = t.tet_edges(pick(random, &tets));
-            for _ in 0..1 + random.next_u64() % 5 {
-                let edge = if random.uniform() < 0.7 { pick(random, &around) } else { pick(random, &edges) };
-                if splits.iter().all(|s| s.edge != edge) {
-                    splits.push(EdgeSplit { edge, fraction: 0.2 + 0.6 * random.uniform() });
-                }
-            }
-            MeshEdit::Split { edges: splits }
+            random_splits(random, &around, &edges)
         }
         6 => {
             let edge = pick(random, &edges);
@@ -77,23 +70,36 @@ fn random_edit(random: &mut SeededRandom, body: &EditableMesh) -> MeshEdit {
                 if random.uniform() < 0.5 { place(kept) } else { 0.5 * (place(ends[0]) + place(ends[1])) };
             MeshEdit::Collapse { edge, kept, position_m }
         }
-        7 => {
-            // A node inside: one tetrahedron becomes four.
-            let tet = pick(random, &tets);
-            let corners = t.tet_nodes(tet);
-            let parents = corners.map(|n| (n, 0.25));
-            let position_m = corners.map(place).iter().sum::<DVec3>() * 0.25;
-            let new_tets = (0..4).map(|at| {
-                let mut part = corners.map(CavityNode::Old);
-                part[at] = CavityNode::New(0);
-                part
-            });
-            let new_nodes = vec![NewNode { position_m, parents: parents.to_vec() }];
-            MeshEdit::Retetrahedralise { tets: vec![tet], new_nodes, new_tets: new_tets.collect() }
-        }
+        7 => divided_in_four(body, pick(random, &tets)),
         8 => moved_and_divided(body, pick(random, &tets)),
         _ => flip(random, t, &tets),
     }
+}
+
+/// Up to five splits, most of them of edges of one tetrahedron.
+fn random_splits(random: &mut SeededRandom, around: &[EdgeId], edges: &[EdgeId]) -> MeshEdit {
+    let mut splits: Vec<EdgeSplit> = Vec::new();
+    for _ in 0..1 + random.next_u64() % 5 {
+        let edge = if random.uniform() < 0.7 { pick(random, around) } else { pick(random, edges) };
+        if splits.iter().all(|s| s.edge != edge) {
+            splits.push(EdgeSplit { edge, fraction: 0.2 + 0.6 * random.uniform() });
+        }
+    }
+    MeshEdit::Split { edges: splits }
+}
+
+/// A node inside: one tetrahedron becomes four.
+fn divided_in_four(body: &EditableMesh, tet: TetId) -> MeshEdit {
+    let corners = body.topology().tet_nodes(tet);
+    let parents = corners.map(|n| (n, 0.25));
+    let position_m = corners.map(|n| body.mesh().positions_m[n.index()]).iter().sum::<DVec3>() * 0.25;
+    let new_tets = (0..4).map(|at| {
+        let mut part = corners.map(CavityNode::Old);
+        part[at] = CavityNode::New(0);
+        part
+    });
+    let new_nodes = vec![NewNode { position_m, parents: parents.to_vec() }];
+    MeshEdit::Retetrahedralise { tets: vec![tet], new_nodes, new_tets: new_tets.collect() }
 }
 
 /// Two neighbours become three tetrahedra around the line between their far corners.
@@ -196,6 +202,62 @@ fn is_conservative(edit: &MeshEdit) -> bool {
     )
 }
 
+/// Applies one edit. Whether it is conservative; `None` when it is refused, which changes nothing.
+fn apply_one(
+    random: &mut SeededRandom,
+    editable: &mut EditableMesh,
+    change: &mut TopologyChange,
+    undo: &mut MeshUndo,
+) -> Result<Option<bool>, TestCaseError> {
+    let before = editable.clone();
+    let edit = random_edit(random, editable);
+    let euler = before.topology().euler_characteristic();
+    if editable.apply_saving(&edit, change, undo).is_err() {
+        prop_assert!(*editable == before);
+        return Ok(None);
+    }
+    let keeps_euler = !matches!(
+        edit,
+        MeshEdit::Remove { .. } | MeshEdit::DuplicateVertex { .. } | MeshEdit::DuplicateVertices { .. }
+    );
+    if keeps_euler {
+        prop_assert_eq!(editable.topology().euler_characteristic(), euler, "{:?}", edit);
+    }
+    Ok(Some(is_conservative(&edit)))
+}
+
+/// Applies a list, each edit made for what those before it left. Whether all are conservative.
+fn apply_list(
+    random: &mut SeededRandom,
+    editable: &mut EditableMesh,
+    change: &mut TopologyChange,
+    undo: &mut MeshUndo,
+) -> Result<bool, TestCaseError> {
+    let mut ahead = editable.clone();
+    let mut edits = Vec::new();
+    for _ in 0..4 {
+        if ahead.topology().live_counts().tets == 0 {
+            break;
+        }
+        let edit = random_edit(random, &ahead);
+        if ahead.apply(&edit).is_ok() {
+            edits.push(edit);
+        }
+    }
+    editable.apply_all_saving(&edits, change, undo).unwrap();
+    prop_assert_eq!(editable.topology().live_counts(), ahead.topology().live_counts());
+    prop_assert!((editable.volume_m3() - ahead.volume_m3()).abs() < 1e-12);
+    // Provisional ids lead to the same tetrahedra.
+    for (at, id) in change.tets.provisional_ids.iter().enumerate() {
+        let provisional = TetId::from_index(change.tets.n_before + at);
+        prop_assert_eq!(ahead.topology().is_live_tet(provisional), id.is_some());
+        if let Some(id) = id {
+            prop_assert_eq!(editable.mesh().corners_m(*id), ahead.mesh().corners_m(provisional));
+        }
+    }
+    Ok(edits.iter().all(is_conservative))
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 16, ..ProptestConfig::default() })]
 
@@ -211,48 +273,14 @@ proptest! {
             }
             let before = editable.clone();
             let mut undo = MeshUndo::default();
-            let conservative;
-            if random.uniform() < 0.5 {
-                let edit = random_edit(&mut random, &editable);
-                conservative = is_conservative(&edit);
-                let euler = before.topology().euler_characteristic();
-                match editable.apply_saving(&edit, &mut change, &mut undo) {
-                    Ok(()) => {
-                        if !matches!(edit, MeshEdit::Remove { .. } | MeshEdit::DuplicateVertex { .. } | MeshEdit::DuplicateVertices { .. }) {
-                            prop_assert_eq!(editable.topology().euler_characteristic(), euler, "{:?}", edit);
-                        }
-                    }
-                    Err(_) => {
-                        prop_assert!(editable == before);
-                        continue;
-                    }
+            let conservative = if random.uniform() < 0.5 {
+                match apply_one(&mut random, &mut editable, &mut change, &mut undo)? {
+                    Some(conservative) => conservative,
+                    None => continue,
                 }
             } else {
-                // A list: each edit made for what those before it left.
-                let mut ahead = editable.clone();
-                let mut edits = Vec::new();
-                for _ in 0..4 {
-                    if ahead.topology().live_counts().tets == 0 {
-                        break;
-                    }
-                    let edit = random_edit(&mut random, &ahead);
-                    if ahead.apply(&edit).is_ok() {
-                        edits.push(edit);
-                    }
-                }
-                conservative = edits.iter().all(is_conservative);
-                editable.apply_all_saving(&edits, &mut change, &mut undo).unwrap();
-                prop_assert_eq!(editable.topology().live_counts(), ahead.topology().live_counts());
-                prop_assert!((editable.volume_m3() - ahead.volume_m3()).abs() < 1e-12);
-                // Provisional ids lead to the same tetrahedra.
-                for (at, id) in change.tets.provisional_ids.iter().enumerate() {
-                    let provisional = TetId::from_index(change.tets.n_before + at);
-                    prop_assert_eq!(ahead.topology().is_live_tet(provisional), id.is_some());
-                    if let Some(id) = id {
-                        prop_assert_eq!(editable.mesh().corners_m(*id), ahead.mesh().corners_m(provisional));
-                    }
-                }
-            }
+                apply_list(&mut random, &mut editable, &mut change, &mut undo)?
+            };
             check_shape(&editable);
             check_change(before.topology(), editable.topology(), &change);
             check_parents(&before, &editable, &change, conservative);

@@ -223,13 +223,7 @@ pub(crate) fn check_against_recount(t: &Topology) {
     assert_eq!(live.tets, t.live_tets().count());
     let nodes: Vec<NodeId> = t.live_nodes().collect();
     assert_eq!((live.nodes, &nodes), (r.nodes.len(), &r.nodes.keys().copied().collect()));
-    for (&n, tets) in &r.nodes {
-        assert_eq!(t.node_tets(n), &tets[..]);
-        let at_node = r.edges.keys().filter(|e| e.contains(&n)).count();
-        assert_eq!(t.node_edges(n).len(), at_node);
-        assert!(t.node_edges(n).is_sorted());
-        assert!(t.node_edges(n).iter().all(|&e| t.is_live_edge(e) && t.edge_nodes(e).contains(&n)));
-    }
+    check_nodes(t, &r);
     let edges: BTreeMap<_, _> = t.live_edges().map(|e| (t.edge_nodes(e), t.edge_tets(e).to_vec())).collect();
     assert_eq!((live.edges, &edges), (r.edges.len(), &r.edges));
     let triangles: BTreeMap<_, _> = t
@@ -240,6 +234,24 @@ pub(crate) fn check_against_recount(t: &Topology) {
         })
         .collect();
     assert_eq!((live.triangles, &triangles), (r.triangles.len(), &r.triangles));
+    check_local_numbering(t, &r);
+    check_surface(t, &r);
+    let euler = r.nodes.len() as i64 - r.edges.len() as i64 + r.triangles.len() as i64 - live.tets as i64;
+    assert_eq!(t.euler_characteristic(), euler);
+}
+
+fn check_nodes(t: &Topology, r: &Recount) {
+    for (&n, tets) in &r.nodes {
+        assert_eq!(t.node_tets(n), &tets[..]);
+        let at_node = r.edges.keys().filter(|e| e.contains(&n)).count();
+        assert_eq!(t.node_edges(n).len(), at_node);
+        assert!(t.node_edges(n).is_sorted());
+        assert!(t.node_edges(n).iter().all(|&e| t.is_live_edge(e) && t.edge_nodes(e).contains(&n)));
+    }
+}
+
+/// What tetrahedra and triangles say of their own faces, edges and neighbours.
+fn check_local_numbering(t: &Topology, r: &Recount) {
     for tet in t.live_tets() {
         for i in 0..4 {
             let mut nodes = TET_TRIANGLES[i].map(|k| t.tet_nodes(tet)[k]);
@@ -262,6 +274,9 @@ pub(crate) fn check_against_recount(t: &Topology) {
             assert_eq!(t.edge_nodes(t.triangle_edges(f)[k])[..], opposite[..]);
         }
     }
+}
+
+fn check_surface(t: &Topology, r: &Recount) {
     let surface: Vec<[NodeId; 3]> = r.surface().copied().collect();
     let mut ours: Vec<[NodeId; 3]> = t.surface_triangles().map(|s| t.triangle_nodes(s)).collect();
     ours.sort();
@@ -275,6 +290,14 @@ pub(crate) fn check_against_recount(t: &Topology) {
         }
     }
     assert_eq!(t.n_surface_edges(), at_edge.len());
+    check_pinches(t, &surface, &at_edge);
+    let surface_euler = surface_nodes.len() as i64 - at_edge.len() as i64 + surface.len() as i64;
+    assert_eq!(t.surface_euler_characteristic(), surface_euler);
+}
+
+/// Pinched edges have more than two of the surface's triangles; `at_edge` counts them.
+fn check_pinches(t: &Topology, surface: &[[NodeId; 3]], at_edge: &BTreeMap<[NodeId; 2], usize>) {
+    let surface_nodes: BTreeSet<NodeId> = surface.iter().flatten().copied().collect();
     let pinched: Vec<[NodeId; 2]> = at_edge.iter().filter(|(_, n)| **n > 2).map(|(e, _)| *e).collect();
     let pinches = t.pinches();
     let mut found: Vec<[NodeId; 2]> = pinches.edges.iter().map(|&e| t.edge_nodes(e)).collect();
@@ -299,10 +322,6 @@ pub(crate) fn check_against_recount(t: &Topology) {
         let simple = !pinched.iter().any(|e| e.contains(&n));
         assert_eq!(pinches.nodes.contains(&n), !(whole && simple), "node {n}");
     }
-    let euler = r.nodes.len() as i64 - r.edges.len() as i64 + r.triangles.len() as i64 - live.tets as i64;
-    assert_eq!(t.euler_characteristic(), euler);
-    let surface_euler = surface_nodes.len() as i64 - at_edge.len() as i64 + surface.len() as i64;
-    assert_eq!(t.surface_euler_characteristic(), surface_euler);
 }
 
 /// Every query of two topologies with the same numbering.
@@ -396,6 +415,22 @@ pub(crate) fn check_change(before: &Topology, after: &Topology, change: &Topolog
     }
 }
 
+/// Up to six live tetrahedra, ascending.
+fn pick_some(topology: &Topology, random: &mut SeededRandom) -> Vec<TetId> {
+    let live: Vec<TetId> = topology.live_tets().collect();
+    let n = 1 + (random.next_u64() % 6) as usize;
+    let first = (random.next_u64() % live.len() as u64) as usize;
+    // Half the time neighbours in number, which share faces; else anywhere.
+    let together = random.uniform() < 0.5;
+    let picked: BTreeSet<TetId> = (0..n)
+        .map(|i| {
+            let at = if together { first + i } else { random.next_u64() as usize };
+            live[at % live.len()]
+        })
+        .collect();
+    picked.into_iter().collect()
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
@@ -411,19 +446,8 @@ proptest! {
         let mut by_edge: EntityArray<EdgeId, f64> = EntityArray::new(edges.map(|e| 1.0 + e as f64).collect());
         let mut by_tet = EntityArray::<TetId, u32>::new((1..).take(n_tets).collect());
         while editable.topology().live_counts().tets > 0 {
-            let live: Vec<TetId> = editable.topology().live_tets().collect();
-            let n = 1 + (random.next_u64() % 6) as usize;
-            let first = (random.next_u64() % live.len() as u64) as usize;
-            // Half the time neighbours in number, which share faces; else anywhere.
-            let together = random.uniform() < 0.5;
-            let picked: BTreeSet<TetId> = (0..n)
-                .map(|i| {
-                    let at = if together { first + i } else { random.next_u64() as usize };
-                    live[at % live.len()]
-                })
-                .collect();
             let before = editable.clone();
-            let edit = MeshEdit::Remove { tets: picked.into_iter().collect() };
+            let edit = MeshEdit::Remove { tets: pick_some(editable.topology(), &mut random) };
             editable.apply_into(&edit, &mut change).unwrap();
             check_change(before.topology(), editable.topology(), &change);
             check_against_recount(editable.topology());

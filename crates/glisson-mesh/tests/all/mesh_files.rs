@@ -188,58 +188,88 @@ const VTU_STYLES: [VtuStyle; 9] = [
     VtuStyle::BigEndian64,
 ];
 
-fn vtu(style: VtuStyle) -> Vec<u8> {
-    use VtuStyle::*;
-    let big = style == BigEndian64;
-    let zipped = matches!(style, InlineZlib | AppendedRawZlib | AppendedBase64Zlib);
-    let word = |x: usize| {
-        if big { (x as u64).to_be_bytes().to_vec() } else { (x as u32).to_le_bytes().to_vec() }
-    };
-    let bytes8 = |x: u64| if big { x.to_be_bytes() } else { x.to_le_bytes() };
-    let floats: Vec<u8> = POINTS_MM.as_flattened().iter().flat_map(|x| bytes8(x.to_bits())).collect();
-    let ints = |list: &[u32]| list.iter().flat_map(|&x| bytes8(u64::from(x))).collect::<Vec<u8>>();
-    let mut appended = Vec::new();
-    let mut array = |attributes: &str, text: String, data: Vec<u8>| {
+/// The data arrays of a file of one style, and what is appended at its end.
+struct VtuArrays {
+    style: VtuStyle,
+    appended: Vec<u8>,
+}
+
+impl VtuArrays {
+    fn is_big_endian(&self) -> bool {
+        self.style == VtuStyle::BigEndian64
+    }
+
+    fn is_zipped(&self) -> bool {
+        use VtuStyle::*;
+        matches!(self.style, InlineZlib | AppendedRawZlib | AppendedBase64Zlib)
+    }
+
+    fn bytes8(&self, x: u64) -> [u8; 8] {
+        if self.is_big_endian() { x.to_be_bytes() } else { x.to_le_bytes() }
+    }
+
+    fn ints(&self, list: &[u32]) -> Vec<u8> {
+        list.iter().flat_map(|&x| self.bytes8(u64::from(x))).collect()
+    }
+
+    fn header_and_payload(&self, data: Vec<u8>) -> (Vec<u8>, Vec<u8>) {
+        let word = |x: usize| {
+            if self.is_big_endian() {
+                (x as u64).to_be_bytes().to_vec()
+            } else {
+                (x as u32).to_le_bytes().to_vec()
+            }
+        };
+        if !self.is_zipped() {
+            return (word(data.len()), data);
+        }
         // Compressed in two blocks, the second one shorter.
         let half = data.len() / 2 + 1;
-        let (header, payload) = if zipped {
-            let blocks: Vec<Vec<u8>> = data.chunks(half).map(zlib).collect();
-            let sizes =
-                [blocks.len(), half, data.len() % half].into_iter().chain(blocks.iter().map(Vec::len));
-            (sizes.flat_map(word).collect::<Vec<u8>>(), blocks.concat())
-        } else {
-            (word(data.len()), data)
-        };
-        let (format, content) = match style {
+        let blocks: Vec<Vec<u8>> = data.chunks(half).map(zlib).collect();
+        let sizes = [blocks.len(), half, data.len() % half].into_iter().chain(blocks.iter().map(Vec::len));
+        (sizes.flat_map(word).collect::<Vec<u8>>(), blocks.concat())
+    }
+
+    /// The element of an array that is `text` in ASCII and `data` in binary.
+    fn array(&mut self, attributes: &str, text: String, data: Vec<u8>) -> String {
+        use VtuStyle::*;
+        let (header, payload) = self.header_and_payload(data);
+        let (format, content) = match self.style {
             Ascii => ("format=\"ascii\"".into(), text),
             Inline | BigEndian64 => ("format=\"binary\"".into(), base64(&[header, payload].concat())),
             InlineSplit | InlineZlib => {
                 ("format=\"binary\"".into(), format!("\n  {}{}\n", base64(&header), base64(&payload)))
             }
             AppendedRaw | AppendedRawZlib | AppendedBase64 | AppendedBase64Zlib => {
-                let offset = appended.len();
-                match style {
-                    AppendedBase64 => appended.extend(base64(&[header, payload].concat()).bytes()),
+                let offset = self.appended.len();
+                match self.style {
+                    AppendedBase64 => self.appended.extend(base64(&[header, payload].concat()).bytes()),
                     AppendedBase64Zlib => {
-                        appended.extend(format!("{}{}", base64(&header), base64(&payload)).bytes());
+                        self.appended.extend(format!("{}{}", base64(&header), base64(&payload)).bytes());
                     }
-                    _ => appended.extend([header, payload].concat()),
+                    _ => self.appended.extend([header, payload].concat()),
                 }
                 (format!("format=\"appended\" offset=\"{offset}\""), String::new())
             }
         };
         format!("<DataArray {attributes} {format}>{content}</DataArray>\n")
-    };
-    let points = array("type=\"Float64\" NumberOfComponents=\"3\"", points_text(), floats);
-    let connectivity = array(
-        "type=\"Int64\" Name=\"connectivity\"",
-        "0 1 2 3 0 1 2 1 2 3 4".into(),
-        ints(&[0, 1, 2, 3, 0, 1, 2, 1, 2, 3, 4]),
-    );
-    let offsets = array("type=\"Int64\" Name=\"offsets\"", "4 7 11".into(), ints(&[4, 7, 11]));
-    let types = array("type=\"UInt8\" Name=\"types\"", "10 5 10".into(), vec![10, 5, 10]);
-    let order = if big { "BigEndian\" header_type=\"UInt64" } else { "LittleEndian" };
-    let compressor = if zipped { " compressor=\"vtkZLibDataCompressor\"" } else { "" };
+    }
+}
+
+fn vtu(style: VtuStyle) -> Vec<u8> {
+    use VtuStyle::*;
+    let mut arrays = VtuArrays { style, appended: Vec::new() };
+    let floats: Vec<u8> = POINTS_MM.as_flattened().iter().flat_map(|x| arrays.bytes8(x.to_bits())).collect();
+    let points = arrays.array("type=\"Float64\" NumberOfComponents=\"3\"", points_text(), floats);
+    let corners = arrays.ints(&[0, 1, 2, 3, 0, 1, 2, 1, 2, 3, 4]);
+    let connectivity =
+        arrays.array("type=\"Int64\" Name=\"connectivity\"", "0 1 2 3 0 1 2 1 2 3 4".into(), corners);
+    let ends = arrays.ints(&[4, 7, 11]);
+    let offsets = arrays.array("type=\"Int64\" Name=\"offsets\"", "4 7 11".into(), ends);
+    let types = arrays.array("type=\"UInt8\" Name=\"types\"", "10 5 10".into(), vec![10, 5, 10]);
+    let order = if arrays.is_big_endian() { "BigEndian\" header_type=\"UInt64" } else { "LittleEndian" };
+    let compressor = if arrays.is_zipped() { " compressor=\"vtkZLibDataCompressor\"" } else { "" };
+    let appended = arrays.appended;
     let mut out = format!(
         "<?xml version=\"1.0\"?>\n<VTKFile type=\"UnstructuredGrid\" version=\"0.1\" byte_order=\"{order}\"{compressor}>\n\
          <UnstructuredGrid>\n<Piece NumberOfPoints=\"5\" NumberOfCells=\"3\">\n<Points>{points}</Points>\n\
@@ -519,38 +549,50 @@ fn every_truncation_is_refused_or_whole() {
 
 #[test]
 fn messages_name_place_found_and_expected() {
-    let cases = [
+    for (text, expected) in vtk_mistakes() {
+        assert_tells(Kind::Vtk, &text, expected);
+    }
+    for (kind, text, expected) in mistakes_of_lists() {
+        assert_tells(kind, &text, expected);
+    }
+    for (text, expected) in vtu_mistakes() {
+        assert_tells(Kind::Vtu, &text, expected);
+    }
+}
+
+fn assert_tells(kind: Kind, text: &str, expected: &str) {
+    let message = error_of(kind, text);
+    assert!(message.contains(expected), "{message}\n  should contain: {expected}");
+}
+
+fn vtk_mistakes() -> Vec<(String, &'static str)> {
+    vec![
         (
-            Kind::Vtk,
             vtk_ascii().replace("Version 3.0", "Version 6.0"),
             "sample, line 1: found `# vtk DataFile Version 6.0`, expected `# vtk DataFile Version` 2.0 to 5.1",
         ),
-        (Kind::Vtk, vtk_ascii().replace("UNSTRUCTURED_GRID", "POLYDATA"), "line 4: found dataset `POLYDATA`"),
+        (vtk_ascii().replace("UNSTRUCTURED_GRID", "POLYDATA"), "line 4: found dataset `POLYDATA`"),
+        (vtk_ascii().replace("POINTS 5", "POINTS 99999999999"), "found 99999999999 points, expected 0 to"),
         (
-            Kind::Vtk,
-            vtk_ascii().replace("POINTS 5", "POINTS 99999999999"),
-            "found 99999999999 points, expected 0 to",
-        ),
-        (
-            Kind::Vtk,
             vtk_ascii().replace("\n10 10 10\n", "\n10 ten 10\n"),
             "line 10: found `ten`, expected a coordinate (a finite number)",
         ),
-        (Kind::Vtk, vtk_ascii().replace("\n10 10 10\n", "\n10 nan 10\n"), "found `nan`"),
+        (vtk_ascii().replace("\n10 10 10\n", "\n10 nan 10\n"), "found `nan`"),
+        (vtk_ascii().replace("4 1 2 3 4", "4 1 2 3 5"), "cell 3: found node 5, expected a node from 0 to 4"),
+        (vtk_ascii().replace("4 1 2 3 4", "4 1 2 3 -1"), "cell 3: found node -1"),
         (
-            Kind::Vtk,
-            vtk_ascii().replace("4 1 2 3 4", "4 1 2 3 5"),
-            "cell 3: found node 5, expected a node from 0 to 4",
-        ),
-        (Kind::Vtk, vtk_ascii().replace("4 1 2 3 4", "4 1 2 3 -1"), "cell 3: found node -1"),
-        (
-            Kind::Vtk,
             vtk_ascii().replace("10\n1\n5\n10", "10\n1\n5\n12"),
             "cell 3: found a hexahedron, expected 4-node tetrahedra",
         ),
-        (Kind::Vtk, vtk_ascii().replace("10\n1\n5\n10", "10\n1\n5\n24"), "found a quadratic tetrahedron"),
-        (Kind::Vtk, vtk_ascii().replace("10\n1\n5\n10", "10\n1\n5\n1"), "cell 3: found a vertex of 4 nodes"),
-        (Kind::Vtk, vtk_5_ascii().replace("0 4 8", "0 8 4"), "found a tetrahedron of 8 nodes"),
+        (vtk_ascii().replace("10\n1\n5\n10", "10\n1\n5\n24"), "found a quadratic tetrahedron"),
+        (vtk_ascii().replace("10\n1\n5\n10", "10\n1\n5\n1"), "cell 3: found a vertex of 4 nodes"),
+        (vtk_5_ascii().replace("0 4 8", "0 8 4"), "found a tetrahedron of 8 nodes"),
+    ]
+}
+
+/// Of the formats that are lists of numbers.
+fn mistakes_of_lists() -> Vec<(Kind, String, &'static str)> {
+    vec![
         (Kind::Gmsh, gmsh_2().replace("2.2 0 8", "4.0 0 8"), "found version `4.0`, expected 2.2 or 4.1"),
         (
             Kind::Gmsh,
@@ -576,13 +618,12 @@ fn messages_name_place_found_and_expected() {
             "found `1`, expected the end of the list after 5 vertices and 1 tetrahedra",
         ),
         (Kind::Plain, "0 0".into(), "sample: found no tetrahedron"),
-    ];
-    for (kind, text, expected) in cases {
-        let message = error_of(kind, &text);
-        assert!(message.contains(expected), "{message}\n  should contain: {expected}");
-    }
+    ]
+}
+
+fn vtu_mistakes() -> Vec<(String, &'static str)> {
     let xml = String::from_utf8(vtu(VtuStyle::Ascii)).unwrap();
-    let cases = [
+    vec![
         (xml.replace("10 5 10", "10 5 13"), "piece 0, cell 2: found a wedge"),
         (xml.replace("\"5\"", "\"6\""), "piece 0: found 5 points, expected NumberOfPoints = 6"),
         (xml.replace("UnstructuredGrid\"", "PolyData\""), "expected `VTKFile` of type UnstructuredGrid"),
@@ -592,11 +633,7 @@ fn messages_name_place_found_and_expected() {
         ),
         (xml.replace("</Piece>", "</Pice>"), "line "),
         (xml.replace("4 7 11", "4 x 11"), "piece 0, array offsets, line 1 of the array: found `x`"),
-    ];
-    for (text, expected) in cases {
-        let message = error_of(Kind::Vtu, &text);
-        assert!(message.contains(expected), "{message}\n  should contain: {expected}");
-    }
+    ]
 }
 
 #[test]

@@ -133,15 +133,8 @@ fn wrong_frames_end_the_connection_with_a_reason_and_nobody_else_is_disturbed() 
     server.join().unwrap();
 }
 
-#[test]
-fn any_bytes_are_frames_or_an_error_and_never_a_panic() {
-    let mut random = 77_u64;
-    let mut next = || {
-        random ^= random << 13;
-        random ^= random >> 7;
-        random ^= random << 17;
-        random
-    };
+/// One to four messages of random kinds, some of them with a wrong byte.
+fn some_frames(next: &mut impl FnMut() -> u64) -> Vec<u8> {
     let kinds = [
         "GET_TRANS",
         "GET_POLYDATA",
@@ -156,6 +149,30 @@ fn any_bytes_are_frames_or_an_error_and_never_a_panic() {
         "STT_IMAGE",
         "",
     ];
+    let mut bytes = Vec::new();
+    for _ in 0..1 + next() % 4 {
+        let body: Vec<u8> = (0..next() % 40).map(|_| next() as u8).collect();
+        let device = ["", "grasper", "device"][next() as usize % 3];
+        let mut frame = message(kinds[next() as usize % kinds.len()], device, next(), &body);
+        if next().is_multiple_of(3) {
+            let at = next() as usize % frame.len();
+            frame[at] = next() as u8;
+        }
+        frame[1] = 1 + (next() % 2) as u8;
+        bytes.extend(frame);
+    }
+    bytes
+}
+
+#[test]
+fn any_bytes_are_frames_or_an_error_and_never_a_panic() {
+    let mut random = 77_u64;
+    let mut next = || {
+        random ^= random << 13;
+        random ^= random >> 7;
+        random ^= random << 17;
+        random
+    };
     let described = || Described {
         axes: Axes::Ras,
         tool_names: vec!["grasper".into(), "hook".into()],
@@ -165,18 +182,7 @@ fn any_bytes_are_frames_or_an_error_and_never_a_panic() {
     let mut view = View::of(&published(1));
     let (mut n_frames, mut n_errors, mut n_answers) = (0, 0, 0);
     for step in 0..3_000 {
-        let mut bytes = Vec::new();
-        for _ in 0..1 + next() % 4 {
-            let body: Vec<u8> = (0..next() % 40).map(|_| next() as u8).collect();
-            let device = ["", "grasper", "device"][next() as usize % 3];
-            let mut frame = message(kinds[next() as usize % kinds.len()], device, next(), &body);
-            if next().is_multiple_of(3) {
-                let at = next() as usize % frame.len();
-                frame[at] = next() as u8;
-            }
-            frame[1] = 1 + (next() % 2) as u8;
-            bytes.extend(frame);
-        }
+        let bytes = some_frames(&mut next);
         let mut reader = FrameReader::default();
         let mut client = Client::new(described());
         view.step = step;

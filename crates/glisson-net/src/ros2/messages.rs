@@ -259,7 +259,28 @@ mod tests {
         assert_eq!(twist_stamped(stamp("lps"), None)[4..12], [0; 8]);
     }
 
-    /// What a type's fields are made of: numbers of REP 2016's field types.
+    // Numbers of REP 2016's field types.
+    const NESTED: u8 = 1;
+    const UINT8: u8 = 3;
+    const INT32: u8 = 6;
+    const UINT32: u8 = 7;
+    const FLOAT64: u8 = 11;
+    const BOOLEAN: u8 = 15;
+    const STRING: u8 = 17;
+    /// Added to the type of the elements.
+    const SEQUENCE: u8 = 144;
+
+    const TIME: &str = "builtin_interfaces/msg/Time";
+    const HEADER: &str = "std_msgs/msg/Header";
+    const POINT: &str = "geometry_msgs/msg/Point";
+    const VECTOR: &str = "geometry_msgs/msg/Vector3";
+    const QUATERNION: &str = "geometry_msgs/msg/Quaternion";
+    const POSE: &str = "geometry_msgs/msg/Pose";
+    const WRENCH: &str = "geometry_msgs/msg/Wrench";
+    const TWIST: &str = "geometry_msgs/msg/Twist";
+    const POINT_FIELD: &str = "sensor_msgs/msg/PointField";
+
+    /// A field's description.
     fn field(name: &str, type_id: u8, nested: &str) -> String {
         format!(
             "{{\"name\": \"{name}\", \"type\": {{\"type_id\": {type_id}, \"capacity\": 0, \
@@ -280,89 +301,50 @@ mod tests {
         format!("RIHS01_{hash}")
     }
 
-    /// The hashes of the types again from their descriptions, by the rule of REP 2016.
-    #[test]
-    fn the_hashes_are_those_of_the_types_as_written_here() {
-        const NESTED: u8 = 1;
-        const INT32: u8 = 6;
-        const UINT32: u8 = 7;
-        const UINT8: u8 = 3;
-        const FLOAT64: u8 = 11;
-        const BOOLEAN: u8 = 15;
-        const STRING: u8 = 17;
-        const SEQUENCE: u8 = 144;
-        let time = described(
-            "builtin_interfaces/msg/Time",
-            &[field("sec", INT32, ""), field("nanosec", UINT32, "")],
-        );
-        let header = described(
-            "std_msgs/msg/Header",
-            &[field("stamp", NESTED, "builtin_interfaces/msg/Time"), field("frame_id", STRING, "")],
-        );
-        let head = field("header", NESTED, "std_msgs/msg/Header");
+    /// The description of a type that messages refer to.
+    fn described_part(name: &str) -> String {
         let numbers = |names: &[&str]| names.iter().map(|name| field(name, FLOAT64, "")).collect::<Vec<_>>();
-        let point = described("geometry_msgs/msg/Point", &numbers(&["x", "y", "z"]));
-        let vector = described("geometry_msgs/msg/Vector3", &numbers(&["x", "y", "z"]));
-        // The quaternion's fields have default values, which do not count.
-        let quaternion = described("geometry_msgs/msg/Quaternion", &numbers(&["x", "y", "z", "w"]));
-        let pose = described(
-            "geometry_msgs/msg/Pose",
-            &[
-                field("position", NESTED, "geometry_msgs/msg/Point"),
-                field("orientation", NESTED, "geometry_msgs/msg/Quaternion"),
-            ],
-        );
-        let wrench = described(
-            "geometry_msgs/msg/Wrench",
-            &[
-                field("force", NESTED, "geometry_msgs/msg/Vector3"),
-                field("torque", NESTED, "geometry_msgs/msg/Vector3"),
-            ],
-        );
-        let twist = described(
-            "geometry_msgs/msg/Twist",
-            &[
-                field("linear", NESTED, "geometry_msgs/msg/Vector3"),
-                field("angular", NESTED, "geometry_msgs/msg/Vector3"),
-            ],
-        );
-        let point_field = described(
-            "sensor_msgs/msg/PointField",
-            &[
+        let fields = match name {
+            TIME => vec![field("sec", INT32, ""), field("nanosec", UINT32, "")],
+            HEADER => vec![field("stamp", NESTED, TIME), field("frame_id", STRING, "")],
+            POINT | VECTOR => numbers(&["x", "y", "z"]),
+            // The quaternion's fields have default values, which do not count.
+            QUATERNION => numbers(&["x", "y", "z", "w"]),
+            POSE => vec![field("position", NESTED, POINT), field("orientation", NESTED, QUATERNION)],
+            WRENCH => vec![field("force", NESTED, VECTOR), field("torque", NESTED, VECTOR)],
+            TWIST => vec![field("linear", NESTED, VECTOR), field("angular", NESTED, VECTOR)],
+            POINT_FIELD => vec![
                 field("name", STRING, ""),
                 field("offset", UINT32, ""),
                 field("datatype", UINT8, ""),
                 field("count", UINT32, ""),
             ],
-        );
-        let of = |message: MessageType, fields: &[String], referenced: &[&String]| {
-            let name = format!("{}/msg/{}", message.package, message.name);
-            let fields = [std::slice::from_ref(&head), fields].concat();
-            let referenced: Vec<String> = referenced.iter().map(|text| (*text).clone()).collect();
-            assert_eq!(rihs01(&described(&name, &fields), &referenced), message.hash, "{name}");
+            _ => panic!("{name} is not described"),
         };
-        of(
-            POSE_STAMPED,
-            &[field("pose", NESTED, "geometry_msgs/msg/Pose")],
-            &[&time, &point, &pose, &quaternion, &header],
-        );
-        of(
-            TWIST_STAMPED,
-            &[field("twist", NESTED, "geometry_msgs/msg/Twist")],
-            &[&time, &twist, &vector, &header],
-        );
-        of(
+        described(name, &fields)
+    }
+
+    /// Checks a message's hash against its fields after the header and the types that it refers to.
+    fn assert_hash(message: MessageType, fields: &[String], referenced: &[&str]) {
+        let name = format!("{}/msg/{}", message.package, message.name);
+        let fields = [&[field("header", NESTED, HEADER)], fields].concat();
+        let referenced: Vec<String> = referenced.iter().map(|name| described_part(name)).collect();
+        assert_eq!(rihs01(&described(&name, &fields), &referenced), message.hash, "{name}");
+    }
+
+    /// The hashes of the types again from their descriptions, by the rule of REP 2016.
+    #[test]
+    fn the_hashes_are_those_of_the_types_as_written_here() {
+        assert_hash(POSE_STAMPED, &[field("pose", NESTED, POSE)], &[TIME, POINT, POSE, QUATERNION, HEADER]);
+        assert_hash(TWIST_STAMPED, &[field("twist", NESTED, TWIST)], &[TIME, TWIST, VECTOR, HEADER]);
+        assert_hash(
             OPERATING_STATE,
             &[field("state", STRING, ""), field("is_homed", BOOLEAN, ""), field("is_busy", BOOLEAN, "")],
-            &[&time, &header],
+            &[TIME, HEADER],
         );
-        of(STRING_STAMPED, &[field("string", STRING, "")], &[&time, &header]);
-        of(
-            WRENCH_STAMPED,
-            &[field("wrench", NESTED, "geometry_msgs/msg/Wrench")],
-            &[&time, &vector, &wrench, &header],
-        );
-        of(
+        assert_hash(STRING_STAMPED, &[field("string", STRING, "")], &[TIME, HEADER]);
+        assert_hash(WRENCH_STAMPED, &[field("wrench", NESTED, WRENCH)], &[TIME, VECTOR, WRENCH, HEADER]);
+        assert_hash(
             JOINT_STATE,
             &[
                 field("name", STRING + SEQUENCE, ""),
@@ -370,21 +352,21 @@ mod tests {
                 field("velocity", FLOAT64 + SEQUENCE, ""),
                 field("effort", FLOAT64 + SEQUENCE, ""),
             ],
-            &[&time, &header],
+            &[TIME, HEADER],
         );
-        of(
+        assert_hash(
             POINT_CLOUD2,
             &[
                 field("height", UINT32, ""),
                 field("width", UINT32, ""),
-                field("fields", NESTED + SEQUENCE, "sensor_msgs/msg/PointField"),
+                field("fields", NESTED + SEQUENCE, POINT_FIELD),
                 field("is_bigendian", BOOLEAN, ""),
                 field("point_step", UINT32, ""),
                 field("row_step", UINT32, ""),
                 field("data", UINT8 + SEQUENCE, ""),
                 field("is_dense", BOOLEAN, ""),
             ],
-            &[&time, &point_field, &header],
+            &[TIME, POINT_FIELD, HEADER],
         );
     }
 }

@@ -270,59 +270,30 @@ fn own_placement(instrument: &Tool) -> Placement {
 /// A place and the scene's point of the same instrument are the same up to this [m].
 const SAME_PLACE_M: f64 = 1e-3;
 
-/// Where the active trocars among `devices` (name and number of the instrument) stand, in the same order: in the scene's
-/// trocar points, or in the places that were asked for, of which the first one is its instrument's own. None where neither is
-/// given: the instrument's home is then where the device is at the start.
-///
-/// # Errors
-/// For more than four, for cradles that overlap, for one that is named twice.
-pub fn stand(
-    devices: &[(&DeviceName, usize)],
-    instruments: &[Tool],
-) -> anyhow::Result<Vec<Option<Placement>>> {
-    let mut stands = vec![None; devices.len()];
-    let mut base: Option<Placement> = None;
-    let mut standing: Vec<(usize, &TrocarChoice, Placement)> = Vec::new();
-    for (i, (name, tool)) in devices.iter().enumerate() {
-        let Some(choice) = name.as_choice::<TrocarChoice>() else { continue };
-        let instrument = &instruments[*tool];
-        let own = own_placement(instrument);
-        let placement = match choice.place {
-            None => own,
-            Some(place) => {
-                let at = |first| -> anyhow::Result<Placement> {
-                    let four = Arrangement::adjacent(choice.profile(), first, MOST_TROCARS.into())?;
-                    Ok(four.placements()[usize::from(place) - 1])
-                };
-                let first = match base {
-                    Some(first) => first,
-                    None => {
-                        let back_m = own.pivot_in_world_m - at(own)?.pivot_in_world_m;
-                        Placement { pivot_in_world_m: own.pivot_in_world_m + back_m, ..own }
-                    }
-                };
-                base = Some(first);
-                let found = at(first)?;
-                let off_m =
-                    instrument.trocar_m.map_or(0.0, |trocar_m| found.pivot_in_world_m.distance(trocar_m));
-                ensure!(
-                    off_m <= SAME_PLACE_M,
-                    "place={place} of the trocar for instrument {tool} ({}) is {:.1} mm from its `trocar` in the scene: \
-                     leave the place out, or take `trocar` out of the scene",
-                    instrument.name,
-                    off_m * 1e3
-                );
-                found
-            }
-        };
-        if let Some((_, other, _)) = standing.iter().find(|(_, other, _)| other.is_same_as(choice)) {
-            bail!("{} is given twice: each trocar of a line has its own number=0..3", other.description());
-        }
-        if choice.place.is_some() || instrument.trocar_m.is_some() {
-            stands[i] = Some(placement);
-        }
-        standing.push((*tool, choice, placement));
-    }
+/// A trocar that stands somewhere: number of its instrument, what was asked for, and where.
+type Standing<'a> = (usize, &'a TrocarChoice, Placement);
+
+/// Where the trocar at `place` (from 1) of a row stands that begins at `first`.
+fn place_of(choice: &TrocarChoice, place: u8, first: Placement) -> anyhow::Result<Placement> {
+    let four = Arrangement::adjacent(choice.profile(), first, MOST_TROCARS.into())?;
+    Ok(four.placements()[usize::from(place) - 1])
+}
+
+/// Checks that a place of the row is the scene's trocar point of the instrument, where the scene gives one.
+fn check_place(found: &Placement, place: u8, tool: usize, instrument: &Tool) -> anyhow::Result<()> {
+    let off_m = instrument.trocar_m.map_or(0.0, |trocar_m| found.pivot_in_world_m.distance(trocar_m));
+    ensure!(
+        off_m <= SAME_PLACE_M,
+        "place={place} of the trocar for instrument {tool} ({}) is {:.1} mm from its `trocar` in the scene: \
+         leave the place out, or take `trocar` out of the scene",
+        instrument.name,
+        off_m * 1e3
+    );
+    Ok(())
+}
+
+/// Checks that the cradles of the widest trocar do not overlap.
+fn check_distances(standing: &[Standing<'_>], instruments: &[Tool]) -> anyhow::Result<()> {
     if let Some((_, widest, _)) = standing
         .iter()
         .max_by(|a, b| a.1.profile().cradle_diameter_m.total_cmp(&b.1.profile().cradle_diameter_m))
@@ -340,6 +311,52 @@ pub fn stand(
         }
         checked.context("active trocars")?;
     }
+    Ok(())
+}
+
+/// Where the active trocars among `devices` (name and number of the instrument) stand, in the same order: in the scene's
+/// trocar points, or in the places that were asked for, of which the first one is its instrument's own. None where neither is
+/// given: the instrument's home is then where the device is at the start.
+///
+/// # Errors
+/// For more than four, for cradles that overlap, for one that is named twice.
+pub fn stand(
+    devices: &[(&DeviceName, usize)],
+    instruments: &[Tool],
+) -> anyhow::Result<Vec<Option<Placement>>> {
+    let mut stands = vec![None; devices.len()];
+    let mut base: Option<Placement> = None;
+    let mut standing: Vec<Standing<'_>> = Vec::new();
+    for (i, (name, tool)) in devices.iter().enumerate() {
+        let Some(choice) = name.as_choice::<TrocarChoice>() else { continue };
+        let instrument = &instruments[*tool];
+        let own = own_placement(instrument);
+        let placement = match choice.place {
+            None => own,
+            Some(place) => {
+                let at = |first| place_of(choice, place, first);
+                let first = match base {
+                    Some(first) => first,
+                    None => {
+                        let back_m = own.pivot_in_world_m - at(own)?.pivot_in_world_m;
+                        Placement { pivot_in_world_m: own.pivot_in_world_m + back_m, ..own }
+                    }
+                };
+                base = Some(first);
+                let found = at(first)?;
+                check_place(&found, place, *tool, instrument)?;
+                found
+            }
+        };
+        if let Some((_, other, _)) = standing.iter().find(|(_, other, _)| other.is_same_as(choice)) {
+            bail!("{} is given twice: each trocar of a line has its own number=0..3", other.description());
+        }
+        if choice.place.is_some() || instrument.trocar_m.is_some() {
+            stands[i] = Some(placement);
+        }
+        standing.push((*tool, choice, placement));
+    }
+    check_distances(&standing, instruments)?;
     Ok(stands)
 }
 

@@ -17,6 +17,8 @@ const SAMPLES: usize = 3;
 const BAND_ROWS: usize = 48;
 /// Snapping grid: parts of a sample.
 const SUBSAMPLES: i64 = 16;
+/// From a sample's corner to its middle, in parts of a sample.
+const HALF_SAMPLE: i64 = SUBSAMPLES / 2;
 /// Coordinates beyond this many samples are cut off, so that products of two stay below 2^63.
 const MAX_COORDINATE: f32 = 1e6;
 /// No triangle.
@@ -42,14 +44,54 @@ struct Band {
     triangle: Vec<u32>,
 }
 
+/// Twice the area of the triangle of three points, positive when they turn one way.
+#[inline]
+fn cross(a: [i64; 2], b: [i64; 2], p: [i64; 2]) -> i64 {
+    (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+}
+
+/// The samples of a row that a triangle covers.
+struct Covered {
+    first: i64,
+    last: i64,
+    /// Values of the three edges at the leftmost sample that was looked at.
+    at_left: [i64; 3],
+}
+
+/// What the triangle of `corner` covers of a row between two samples; `None` for nothing.
+#[inline]
+fn covered(corner: &[[i64; 2]; 3], row: i64, [left, right]: [i64; 2]) -> Option<Covered> {
+    let start = [left * SUBSAMPLES + HALF_SAMPLE, row * SUBSAMPLES + HALF_SAMPLE];
+    let (mut first, mut last) = (left, right);
+    let mut at_left = [0i64; 3];
+    for edge in 0..3 {
+        // Edge `edge` is opposite to corner `edge`.
+        let (a, b) = (corner[(edge + 1) % 3], corner[(edge + 2) % 3]);
+        let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+        let value = cross(a, b, start);
+        at_left[edge] = value;
+        let owned = dy < 0 || (dy == 0 && dx > 0);
+        let least = i64::from(!owned);
+        let step = -dy * SUBSAMPLES;
+        // value + step * k >= least
+        if step > 0 {
+            let k = (least - value + step - 1).div_euclid(step);
+            first = first.max(left + k);
+        } else if step < 0 {
+            let k = (value - least).div_euclid(-step);
+            last = last.min(left + k);
+        } else if value < least {
+            last = first - 1;
+        }
+    }
+    (first <= last).then_some(Covered { first, last, at_left })
+}
+
 impl Band {
     fn draw(&mut self, triangle: &ScreenTriangle) {
         let snap = |c: f32| (c.clamp(-MAX_COORDINATE, MAX_COORDINATE) * SUBSAMPLES as f32).round() as i64;
         let mut corner = triangle.corners.map(|[x, y]| [snap(x), snap(y)]);
         let mut near = triangle.nearness.map(f64::from);
-        let cross = |a: [i64; 2], b: [i64; 2], p: [i64; 2]| {
-            (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
-        };
         let mut area = cross(corner[0], corner[1], corner[2]);
         if area == 0 {
             return;
@@ -59,7 +101,7 @@ impl Band {
             near.swap(1, 2);
             area = -area;
         }
-        let half = SUBSAMPLES / 2;
+        let half = HALF_SAMPLE;
         let sample_at_or_after = |c: i64| (c - half + SUBSAMPLES - 1).div_euclid(SUBSAMPLES);
         let span = |axis: usize| {
             let [a, b, c] = corner.map(|p| p[axis]);
@@ -73,33 +115,9 @@ impl Band {
             return;
         }
         for row in top..=bottom {
-            let y = row * SUBSAMPLES + half;
-            let start = [left * SUBSAMPLES + half, y];
-            let (mut first, mut last) = (left, right);
-            let mut at_left = [0i64; 3];
-            for edge in 0..3 {
-                // Edge `edge` is opposite to corner `edge`.
-                let (a, b) = (corner[(edge + 1) % 3], corner[(edge + 2) % 3]);
-                let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-                let value = cross(a, b, start);
-                at_left[edge] = value;
-                let owned = dy < 0 || (dy == 0 && dx > 0);
-                let least = i64::from(!owned);
-                let step = -dy * SUBSAMPLES;
-                // value + step * k >= least
-                if step > 0 {
-                    let k = (least - value + step - 1).div_euclid(step);
-                    first = first.max(left + k);
-                } else if step < 0 {
-                    let k = (value - least).div_euclid(-step);
-                    last = last.min(left + k);
-                } else if value < least {
-                    last = first - 1;
-                }
-            }
-            if first > last {
+            let Some(Covered { first, last, at_left }) = covered(&corner, row, [left, right]) else {
                 continue;
-            }
+            };
             let share = |edge: usize| at_left[edge] as f64 / area as f64;
             let step_of = |edge: usize| {
                 (corner[(edge + 1) % 3][1] - corner[(edge + 2) % 3][1]) as f64 * SUBSAMPLES as f64

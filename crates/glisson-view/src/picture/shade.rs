@@ -211,15 +211,7 @@ impl<'a> Shading<'a> {
                 hits.into_iter().find(|hit| !hit.part.overlay).map(|hit| (hit.position, hit.normal))
             })
             .collect();
-        let pattern: Vec<Vec2> = (0..OBSCURANCE_ROTATIONS * OBSCURANCE_SAMPLES)
-            .map(|i| {
-                const GOLDEN_ANGLE_RAD: f32 = 2.399_963_2;
-                let (rotation, sample) = (i / OBSCURANCE_SAMPLES, i % OBSCURANCE_SAMPLES);
-                let turn = std::f32::consts::TAU * rotation as f32 / OBSCURANCE_ROTATIONS as f32;
-                let radius = ((sample as f32 + 0.5) / OBSCURANCE_SAMPLES as f32).sqrt();
-                radius * Vec2::from_angle(turn + GOLDEN_ANGLE_RAD * sample as f32)
-            })
-            .collect();
+        let pattern = obscurance_pattern();
         // An order of the rotations in which neighbours differ much.
         const DITHER: [usize; 16] = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5];
         let raw: Vec<f32> = (0..width * height)
@@ -247,27 +239,50 @@ impl<'a> Shading<'a> {
                 (1.0 - OBSCURANCE_STRENGTH * sum / OBSCURANCE_SAMPLES as f32).max(0.0)
             })
             .collect();
-        (0..width * height)
-            .into_par_iter()
-            .map(|pixel| {
-                let Some((position, normal)) = nearest[pixel] else { return 1.0 };
-                let (x, y) = (pixel % width, pixel / width);
-                let (mut sum, mut total) = (0.0, 0.0);
-                for v in y.saturating_sub(OBSCURANCE_BLUR)..(y + OBSCURANCE_BLUR).min(height) {
-                    for u in x.saturating_sub(OBSCURANCE_BLUR)..(x + OBSCURANCE_BLUR).min(width) {
-                        let other = u + width * v;
-                        if let Some((place, _)) = nearest[other] {
-                            let off = (place - position).dot(normal).abs() / reach_m;
-                            let weight = (1.0 - 8.0 * off).max(0.0);
-                            sum += weight * raw[other];
-                            total += weight;
-                        }
+        smoothed(&raw, &nearest, [width, height], reach_m)
+    }
+}
+
+/// Places around a pixel, in the unit circle, for every rotation in turn.
+fn obscurance_pattern() -> Vec<Vec2> {
+    (0..OBSCURANCE_ROTATIONS * OBSCURANCE_SAMPLES)
+        .map(|i| {
+            const GOLDEN_ANGLE_RAD: f32 = 2.399_963_2;
+            let (rotation, sample) = (i / OBSCURANCE_SAMPLES, i % OBSCURANCE_SAMPLES);
+            let turn = std::f32::consts::TAU * rotation as f32 / OBSCURANCE_ROTATIONS as f32;
+            let radius = ((sample as f32 + 0.5) / OBSCURANCE_SAMPLES as f32).sqrt();
+            radius * Vec2::from_angle(turn + GOLDEN_ANGLE_RAD * sample as f32)
+        })
+        .collect()
+}
+
+/// Values averaged over a small window of similar depth; `nearest` are place [m] and normal of each pixel.
+fn smoothed(
+    raw: &[f32],
+    nearest: &[Option<(Vec3, Vec3)>],
+    [width, height]: [usize; 2],
+    reach_m: f32,
+) -> Vec<f32> {
+    (0..width * height)
+        .into_par_iter()
+        .map(|pixel| {
+            let Some((position, normal)) = nearest[pixel] else { return 1.0 };
+            let (x, y) = (pixel % width, pixel / width);
+            let (mut sum, mut total) = (0.0, 0.0);
+            for v in y.saturating_sub(OBSCURANCE_BLUR)..(y + OBSCURANCE_BLUR).min(height) {
+                for u in x.saturating_sub(OBSCURANCE_BLUR)..(x + OBSCURANCE_BLUR).min(width) {
+                    let other = u + width * v;
+                    if let Some((place, _)) = nearest[other] {
+                        let off = (place - position).dot(normal).abs() / reach_m;
+                        let weight = (1.0 - 8.0 * off).max(0.0);
+                        sum += weight * raw[other];
+                        total += weight;
                     }
                 }
-                if total > 0.0 { sum / total } else { raw[pixel] }
-            })
-            .collect()
-    }
+            }
+            if total > 0.0 { sum / total } else { raw[pixel] }
+        })
+        .collect()
 }
 
 /// Openness as seen after many bounces between walls of colour `albedo` (cubic fit of Jimenez, Wu, Pesce

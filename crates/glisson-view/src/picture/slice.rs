@@ -56,15 +56,8 @@ pub struct SliceSpec {
     pub caption: String,
 }
 
-/// A slice through `volume`, with `labels` over it where they are not 0.
-///
-/// # Errors
-/// When the grid is empty, the values do not match it, or the picture would be absurdly large.
-pub fn slice_picture<T: Copy + Into<f64> + Sync>(
-    volume: &Volume<T>,
-    labels: Option<&LabelMap>,
-    spec: &SliceSpec,
-) -> anyhow::Result<Picture> {
+/// Checks that there are as many values and labels as voxels.
+fn check_values<T>(volume: &Volume<T>, labels: Option<&LabelMap>) -> anyhow::Result<()> {
     let grid = &volume.grid;
     ensure!(
         grid.n_voxels() > 0 && volume.values.len() == grid.n_voxels(),
@@ -80,6 +73,32 @@ pub fn slice_picture<T: Copy + Into<f64> + Sync>(
             map.labels.len()
         );
     }
+    Ok(())
+}
+
+/// Writes the letters of the directions at the sides, and the caption below.
+fn write_captions(picture: &mut Picture, letters: [&str; 4], caption: &str) {
+    let places = [CaptionPlace::Left, CaptionPlace::Right, CaptionPlace::Top, CaptionPlace::Bottom];
+    for (letter, place) in letters.into_iter().zip(places) {
+        draw_caption(picture, &Caption { text: letter.to_owned(), place });
+    }
+    if !caption.is_empty() {
+        let caption = Caption { text: caption.to_owned(), place: CaptionPlace::BottomLeft };
+        draw_caption(picture, &caption);
+    }
+}
+
+/// A slice through `volume`, with `labels` over it where they are not 0.
+///
+/// # Errors
+/// When the grid is empty, the values do not match it, or the picture would be absurdly large.
+pub fn slice_picture<T: Copy + Into<f64> + Sync>(
+    volume: &Volume<T>,
+    labels: Option<&LabelMap>,
+    spec: &SliceSpec,
+) -> anyhow::Result<Picture> {
+    let grid = &volume.grid;
+    check_values(volume, labels)?;
     let bounds = grid.bounds_m();
     let ([right, down], letters) = spec.plane.directions();
     let extent = [right, down].map(|d| d.abs().dot(bounds.size_m()).max(1e-6));
@@ -120,14 +139,7 @@ pub fn slice_picture<T: Copy + Into<f64> + Sync>(
             }
         }
     }
-    let places = [CaptionPlace::Left, CaptionPlace::Right, CaptionPlace::Top, CaptionPlace::Bottom];
-    for (letter, place) in letters.into_iter().zip(places) {
-        draw_caption(&mut picture, &Caption { text: letter.to_owned(), place });
-    }
-    if !spec.caption.is_empty() {
-        let caption = Caption { text: spec.caption.clone(), place: CaptionPlace::BottomLeft };
-        draw_caption(&mut picture, &caption);
-    }
+    write_captions(&mut picture, letters, &spec.caption);
     Ok(picture)
 }
 

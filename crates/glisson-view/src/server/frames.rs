@@ -91,8 +91,41 @@ mod tests {
     use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
     use glisson::tool::ToolInput;
 
+    const PACE: Pace = Pace { rate_hz: 1000.0, real_time_factor: 1.0, paused: true };
+    /// Bytes of the frame of [`snapshot`] as long as nothing bleeds.
+    const WITHOUT_BLOOD: usize = 64 + 2 * 128 + 9 * 4;
+
+    /// Two instruments, one of which touches and holds.
+    fn snapshot() -> Snapshot {
+        let contact = ContactReport {
+            point_m: DVec3::new(7.0, 8.0, 9.0),
+            normal: DVec3::Z,
+            nodes: [NodeId(0); 3],
+            weights: [1.0, 0.0, 0.0],
+        };
+        let tool = ToolSnapshot {
+            pose: ToolInput {
+                roll_rad: 0.5,
+                jaw_opening: 0.25,
+                trigger: 1.0,
+                ..ToolInput::at(DVec3::X, DVec3::Y)
+            },
+            force_n: DVec3::new(1.0, 2.0, 3.0),
+            contacts: [None, Some(contact), None],
+            n_held_nodes: 6,
+        };
+        Snapshot {
+            step: 5,
+            time_s: 0.25,
+            topology_version: 3,
+            positions_m: vec![DVec3::ONE; 3],
+            tools: vec![tool, ToolSnapshot { contacts: [None; 3], n_held_nodes: 0, ..tool }],
+            bleeding: BleedingSnapshot::default(),
+        }
+    }
+
     #[test]
-    fn frames_have_the_documented_layout() {
+    fn topology_frames_have_the_documented_layout() {
         let topology = DisplayTopology {
             version: 3,
             nodes: vec![NodeId(7), NodeId(9), NodeId(11)],
@@ -115,34 +148,11 @@ mod tests {
         for i in 0..n {
             assert_eq!(many[first + i / 8] >> (i % 8) & 1 == 1, i % 3 == 0, "{i}");
         }
+    }
 
-        let contact = ContactReport {
-            point_m: DVec3::new(7.0, 8.0, 9.0),
-            normal: DVec3::Z,
-            nodes: [NodeId(0); 3],
-            weights: [1.0, 0.0, 0.0],
-        };
-        let tool = ToolSnapshot {
-            pose: ToolInput {
-                roll_rad: 0.5,
-                jaw_opening: 0.25,
-                trigger: 1.0,
-                ..ToolInput::at(DVec3::X, DVec3::Y)
-            },
-            force_n: DVec3::new(1.0, 2.0, 3.0),
-            contacts: [None, Some(contact), None],
-            n_held_nodes: 6,
-        };
-        let snapshot = Snapshot {
-            step: 5,
-            time_s: 0.25,
-            topology_version: 3,
-            positions_m: vec![DVec3::ONE; 3],
-            tools: vec![tool, ToolSnapshot { contacts: [None; 3], n_held_nodes: 0, ..tool }],
-            bleeding: BleedingSnapshot::default(),
-        };
-        let pace = Pace { rate_hz: 1000.0, real_time_factor: 1.0, paused: true };
-        let frame = snapshot_frame(&snapshot, &pace);
+    #[test]
+    fn snapshot_frames_have_the_documented_layout() {
+        let frame = snapshot_frame(&snapshot(), &PACE);
         let double = |at: usize| f64::from_le_bytes(frame[at..at + 8].try_into().unwrap());
         assert_eq!(frame[16], 5);
         let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
@@ -152,18 +162,20 @@ mod tests {
         assert_eq!(first, [1.0, 1.0, 0.5, 0.25, 1.0, 1.0, 3.0, 7.0, 9.0]);
         assert_eq!([184, 188].map(word), [5, 6]);
         assert_eq!([192 + 120, 192 + 124].map(word), [0, 0]);
-        let without_blood = 64 + 2 * 128 + 9 * 4;
-        assert_eq!(frame.len(), without_blood);
+        assert_eq!(frame.len(), WITHOUT_BLOOD);
+    }
 
+    #[test]
+    fn bleeding_follows_a_snapshot_as_documented() {
         let end = BleedingEnd { position_m: DVec3::new(1.0, 2.0, 3.0), rate_m3_per_s: 0.5 };
         let ends = vec![end; 2];
         let bleeding =
             BleedingSnapshot { has_vessels: true, lost_m3: 0.25, rate_m3_per_s: 1.0, n_clips: 3, ends };
-        let frame = snapshot_frame(&Snapshot { bleeding, ..snapshot }, &pace);
+        let frame = snapshot_frame(&Snapshot { bleeding, ..snapshot() }, &PACE);
         assert_eq!(frame[60], 3, "a sum and two ends");
-        assert_eq!(frame.len(), without_blood + 3 * 16);
+        assert_eq!(frame.len(), WITHOUT_BLOOD + 3 * 16);
         let single = |at: usize| f32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
-        let tail: Vec<f32> = (0..8).map(|i| single(without_blood + 4 * i)).collect();
+        let tail: Vec<f32> = (0..8).map(|i| single(WITHOUT_BLOOD + 4 * i)).collect();
         assert_eq!(tail, [0.25, 1.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.5]);
     }
 }

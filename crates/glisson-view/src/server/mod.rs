@@ -160,18 +160,7 @@ pub fn serve(
         homing,
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let served = runtime.block_on(async {
-        let mut alive = shared.published.clone();
-        tokio::spawn(tell_hands(Arc::clone(&shared)));
-        let listener = tokio::net::TcpListener::from_std(listener)?;
-        let server = axum::serve(Places::new(listener), router(shared, access)).into_future();
-        tokio::select! {
-            result = server => result.context("the server stopped"),
-            () = stop => Ok(()),
-            // The channel closes when the simulation ends by itself: with an error.
-            () = async { while alive.changed().await.is_ok() {} } => Ok(()),
-        }
-    });
+    let served = runtime.block_on(serve_pages(listener, shared, access, stop));
     // The hand is let go before the tissue.
     let haptics = haptics.map(|haptics| haptics.meters().report());
     // The simulation may have ended already; then nobody listens.
@@ -182,6 +171,25 @@ pub fn serve(
         let _ = show.join();
     }
     served.and(ended).map(|ended| Served { ended, haptics })
+}
+
+/// Answers requests until `stop` comes or the simulation ends.
+async fn serve_pages(
+    listener: TcpListener,
+    shared: Arc<Shared>,
+    access: Access,
+    stop: impl Future<Output = ()>,
+) -> anyhow::Result<()> {
+    let mut alive = shared.published.clone();
+    tokio::spawn(tell_hands(Arc::clone(&shared)));
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    let server = axum::serve(Places::new(listener), router(shared, access)).into_future();
+    tokio::select! {
+        result = server => result.context("the server stopped"),
+        () = stop => Ok(()),
+        // The channel closes when the simulation ends by itself: with an error.
+        () = async { while alive.changed().await.is_ok() {} } => Ok(()),
+    }
 }
 
 /// Tells the hands who controls, until the program ends.

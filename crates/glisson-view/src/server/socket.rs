@@ -8,11 +8,13 @@ use axum::extract::State;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
+use glisson::model::kind::ModelKind;
 use glisson_runtime::control::Viewer;
 use glisson_runtime::live::Command;
 use glisson_runtime::published::Published;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
 /// Longest message of a viewer: a pose has some 200 bytes.
@@ -76,6 +78,14 @@ struct Connection {
     told: Option<Instant>,
 }
 
+/// What a viewer was last told.
+struct Told {
+    model: ModelKind,
+    /// Of the topology.
+    version: u32,
+    n_notices: usize,
+}
+
 impl Connection {
     async fn send(&mut self, message: Message) -> Result<(), End> {
         match timeout(LONGEST_SILENCE, self.socket.send(message)).await {
@@ -94,14 +104,41 @@ impl Connection {
         self.send(Message::Binary(topology_frame(&published.topology).into())).await
     }
 
+    /// Sends what is new since `told`: notices, another model or topology, and the snapshot.
+    async fn show(&mut self, latest: &Published, told: &mut Told) -> Result<(), End> {
+        for notice in latest.notices_after(told.n_notices) {
+            self.say(messages::notice(notice)).await?;
+        }
+        told.n_notices = latest.n_notices;
+        if latest.model != told.model {
+            told.model = latest.model;
+            self.greet(latest).await?;
+        } else if latest.topology.version != told.version {
+            self.send(Message::Binary(topology_frame(&latest.topology).into())).await?;
+        }
+        told.version = latest.topology.version;
+        self.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace).into())).await
+    }
+
+    async fn say_timing(&mut self, published: &watch::Receiver<Arc<Published>>) -> Result<(), End> {
+        let shared = Arc::clone(&self.seat.shared);
+        let own = shared.meters.as_ref().map(|meters| meters.report());
+        let haptics = own.or_else(|| shared.remote_figures.as_ref()?.report());
+        let latest = Arc::clone(&published.borrow());
+        self.say(messages::timing(&latest, shared.haptics_at, haptics.as_ref())).await
+    }
+
     async fn talk(&mut self) -> Result<(), End> {
         let shared = Arc::clone(&self.seat.shared);
         let mut published = shared.published.clone();
         let mut controller = shared.control.watch();
         let first = Arc::clone(&published.borrow());
-        let (mut model, mut version) = (first.model, first.topology.version);
-        // Who comes after the end is told what happened.
-        let mut n_told = if first.is_broken { 0 } else { first.n_notices };
+        let mut told = Told {
+            model: first.model,
+            version: first.topology.version,
+            // Who comes after the end is told what happened.
+            n_notices: if first.is_broken { 0 } else { first.n_notices },
+        };
         self.greet(&first).await?;
         published.mark_changed();
         controller.mark_changed();
@@ -117,18 +154,7 @@ impl Connection {
                         return self.say(messages::error("the simulation stopped; see the program's output")).await;
                     }
                     let latest = Arc::clone(&published.borrow_and_update());
-                    for notice in latest.notices_after(n_told) {
-                        self.say(messages::notice(notice)).await?;
-                    }
-                    n_told = latest.n_notices;
-                    if latest.model != model {
-                        model = latest.model;
-                        self.greet(&latest).await?;
-                    } else if latest.topology.version != version {
-                        self.send(Message::Binary(topology_frame(&latest.topology).into())).await?;
-                    }
-                    version = latest.topology.version;
-                    self.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace).into())).await?;
+                    self.show(&latest, &mut told).await?;
                 }
                 changed = controller.changed() => {
                     if changed.is_ok() {
@@ -140,10 +166,7 @@ impl Connection {
                     if self.last_heard.elapsed() > LONGEST_SILENCE {
                         return Err(End::Gone);
                     }
-                    let own = shared.meters.as_ref().map(|meters| meters.report());
-                    let haptics = own.or_else(|| shared.remote_figures.as_ref()?.report());
-                    let latest = Arc::clone(&published.borrow());
-                    self.say(messages::timing(&latest, shared.haptics_at, haptics.as_ref())).await?;
+                    self.say_timing(&published).await?;
                     self.send(Message::Ping(Vec::new().into())).await?;
                 }
                 _ = feel.tick(), if !shared.hands.is_empty() => {

@@ -272,11 +272,7 @@ impl HapticLaw {
         let along = turn.normalize() * DVec3::Z;
 
         let open = self.mapped.to_device(force_n, handle.arm_m);
-        let shortage = match self.settings.control {
-            EnergyControl::Tank => self.tank.shortage(),
-            EnergyControl::ObserveOnly => 0.0,
-        };
-        let injected = self.gains.injected_damping_n_s_per_m * shortage;
+        let injected = self.injected_damping_n_s_per_m();
         let velocity =
             if device.velocity_m_per_s.is_finite() { device.velocity_m_per_s } else { DVec3::ZERO };
         let share = self.gate.share();
@@ -298,6 +294,16 @@ impl HapticLaw {
             ..self.report(1.0)
         };
         LawTick { command, tool: self.tool, report }
+    }
+
+    /// What is added to the device's own damping while the tank is short of energy.
+    #[inline]
+    fn injected_damping_n_s_per_m(&self) -> f64 {
+        let shortage = match self.settings.control {
+            EnergyControl::Tank => self.tank.shortage(),
+            EnergyControl::ObserveOnly => 0.0,
+        };
+        self.gains.injected_damping_n_s_per_m * shortage
     }
 
     /// A late tick says little about the next one.

@@ -230,66 +230,70 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
             Err(e) if lines.next().is_none() && e.is_eof() => break,
             Err(e) => return Err(wrong(line, e.to_string())),
         };
-        let (step, last) = (event.step(), events.last().map_or(0, SessionEvent::step));
-        if step < last {
-            return Err(wrong(line, format!("step {step} comes after step {last}; steps only go up")));
-        }
-        match &event {
-            SessionEvent::Input { tools, n_substeps, placed, detected, .. } => {
-                if let Some(at) = tools.iter().position(|tool| !tool.is_finite()) {
-                    return Err(wrong(line, format!("the place of instrument {at} is not finite")));
-                }
-                if tools.is_empty() || tools.len() > MAX_TOOLS {
-                    return Err(wrong(
-                        line,
-                        format!("{} instruments; allowed: 1 to {MAX_TOOLS}", tools.len()),
-                    ));
-                }
-                if let Some(place) = placed.iter().find(|&&place| usize::from(place) >= tools.len()) {
-                    return Err(wrong(line, format!("placed names instrument {place} of {}", tools.len())));
-                }
-                if !detected.is_empty() && detected.len() != tools.len() {
-                    let (n, n_tools) = (detected.len(), tools.len());
-                    return Err(wrong(line, format!("detected has {n} entries for {n_tools} instruments")));
-                }
-                if let Some(at) = detected.iter().position(|d| d.is_some_and(|d| !d.is_plausible())) {
-                    return Err(wrong(line, format!("what was detected for instrument {at} is no touch")));
-                }
-                if !(1..=MOST_SUBSTEPS).contains(n_substeps) {
-                    let allowed = format!("n_substeps is {n_substeps}; allowed: 1 to {MOST_SUBSTEPS}");
-                    return Err(wrong(line, allowed));
-                }
+        let last_step = events.last().map_or(0, SessionEvent::step);
+        check_event(&event, last_step).map_err(|reason| wrong(line, reason))?;
+        if let SessionEvent::End { .. } = event {
+            if lines.next().is_some() {
+                return Err(wrong(line + 1, "there is a line after the end".into()));
             }
-            SessionEvent::Clip { tool, .. } if usize::from(*tool) >= MAX_TOOLS => {
-                return Err(wrong(line, format!("instrument {tool}; allowed: below {MAX_TOOLS}")));
-            }
-            SessionEvent::Refine { center_m, radius_m, edge_m, .. }
-                if !(center_m.is_finite() && radius_m.is_finite() && *edge_m > 0.0) =>
-            {
-                return Err(wrong(
-                    line,
-                    format!(
-                        "a ball of {radius_m} m around {center_m} with edges of {edge_m} m; allowed: finite numbers, edges above 0"
-                    ),
-                ));
-            }
-            SessionEvent::Gravity { gravity_m_per_s2, .. } if !gravity_m_per_s2.is_finite() => {
-                return Err(wrong(line, "gravity is not finite".into()));
-            }
-            SessionEvent::QueueModelSwap { at_step, .. } if *at_step < step => {
-                return Err(wrong(line, format!("at_step {at_step} lies before step {step}")));
-            }
-            SessionEvent::End { .. } => {
-                if lines.next().is_some() {
-                    return Err(wrong(line + 1, "there is a line after the end".into()));
-                }
-                cut_off = false;
-            }
-            _ => {}
+            cut_off = false;
         }
         events.push(event);
     }
     Ok(Session { header, events, cut_off })
+}
+
+/// The reason why an event cannot follow one of `last_step`, or cannot be.
+fn check_event(event: &SessionEvent, last_step: u64) -> Result<(), String> {
+    let step = event.step();
+    if step < last_step {
+        return Err(format!("step {step} comes after step {last_step}; steps only go up"));
+    }
+    match event {
+        SessionEvent::Input { .. } => check_input(event),
+        SessionEvent::Clip { tool, .. } if usize::from(*tool) >= MAX_TOOLS => {
+            Err(format!("instrument {tool}; allowed: below {MAX_TOOLS}"))
+        }
+        SessionEvent::Refine { center_m, radius_m, edge_m, .. }
+            if !(center_m.is_finite() && radius_m.is_finite() && *edge_m > 0.0) =>
+        {
+            Err(format!(
+                "a ball of {radius_m} m around {center_m} with edges of {edge_m} m; allowed: finite numbers, edges above 0"
+            ))
+        }
+        SessionEvent::Gravity { gravity_m_per_s2, .. } if !gravity_m_per_s2.is_finite() => {
+            Err("gravity is not finite".into())
+        }
+        SessionEvent::QueueModelSwap { at_step, .. } if *at_step < step => {
+            Err(format!("at_step {at_step} lies before step {step}"))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The reason why an input cannot be.
+fn check_input(event: &SessionEvent) -> Result<(), String> {
+    let SessionEvent::Input { tools, n_substeps, placed, detected, .. } = event else { return Ok(()) };
+    if let Some(at) = tools.iter().position(|tool| !tool.is_finite()) {
+        return Err(format!("the place of instrument {at} is not finite"));
+    }
+    if tools.is_empty() || tools.len() > MAX_TOOLS {
+        return Err(format!("{} instruments; allowed: 1 to {MAX_TOOLS}", tools.len()));
+    }
+    if let Some(place) = placed.iter().find(|&&place| usize::from(place) >= tools.len()) {
+        return Err(format!("placed names instrument {place} of {}", tools.len()));
+    }
+    if !detected.is_empty() && detected.len() != tools.len() {
+        let (n, n_tools) = (detected.len(), tools.len());
+        return Err(format!("detected has {n} entries for {n_tools} instruments"));
+    }
+    if let Some(at) = detected.iter().position(|d| d.is_some_and(|d| !d.is_plausible())) {
+        return Err(format!("what was detected for instrument {at} is no touch"));
+    }
+    if !(1..=MOST_SUBSTEPS).contains(n_substeps) {
+        return Err(format!("n_substeps is {n_substeps}; allowed: 1 to {MOST_SUBSTEPS}"));
+    }
+    Ok(())
 }
 
 /// Instruments, parts of the step, those that were put somewhere, and what was found for them.

@@ -42,6 +42,21 @@ pub fn read_tools(scene: &Scene, folder: &Path) -> Result<Vec<Tool>, BuildError>
     Ok(tools)
 }
 
+/// The material at rest, and the tissue's name with a space after it when it is one of the table's.
+fn read_material(source: &MaterialSource) -> Result<(LinearElastic, String), BuildError> {
+    match source {
+        MaterialSource::Tissue(name) => {
+            let tissue = Tissue::by_name(name)?;
+            Ok((tissue.linear_elastic()?, format!("{} ", tissue.name)))
+        }
+        &MaterialSource::Given { young_modulus_pa, poisson_ratio, density_kg_per_m3 } => {
+            let material =
+                LinearElastic::from_young_poisson(young_modulus_pa, poisson_ratio, density_kg_per_m3)?;
+            Ok((material, String::new()))
+        }
+    }
+}
+
 /// Reads an organ's mesh and material; the mesh's path is relative to `folder`.
 ///
 /// # Errors
@@ -50,17 +65,7 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
     let file = folder.join(&scene.organ.mesh);
     let policy = ImportPolicy { faults: FaultAction::Refuse, ..ImportPolicy::default() };
     let (mesh, _) = read_mesh_with(&file, &policy)?;
-    let (material, name) = match &scene.organ.material {
-        MaterialSource::Tissue(name) => {
-            let tissue = Tissue::by_name(name)?;
-            (tissue.linear_elastic()?, format!("{} ", tissue.name))
-        }
-        &MaterialSource::Given { young_modulus_pa, poisson_ratio, density_kg_per_m3 } => {
-            let material =
-                LinearElastic::from_young_poisson(young_modulus_pa, poisson_ratio, density_kg_per_m3)?;
-            (material, String::new())
-        }
-    };
+    let (material, name) = read_material(&scene.organ.material)?;
     let WorldSpec { supports, ligaments, gravity_m_per_s2, time_step_s, .. } = &scene.world;
     let fixed = fixed_nodes(supports, &mesh.positions_m);
     let attachments = attachments(ligaments, &mesh.positions_m);

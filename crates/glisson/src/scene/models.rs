@@ -60,29 +60,9 @@ pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn Deformab
         ModelKind::TensorMass => {
             Box::new(TensorMass::build(&TensorMassParams { body: body.dynamic(), material })?)
         }
-        ModelKind::NonlinearTensorMass => {
-            let elasticity = NonlinearElasticity {
-                material,
-                fibres: &body.fibres(),
-                volume_penalty_pa: body.volume_penalty_pa,
-                largest_stretch: LARGEST_STRETCH,
-            };
-            let params = NonlinearTensorMassParams { body: body.dynamic(), elasticity };
-            Box::new(NonlinearTensorMass::build(&params)?)
-        }
+        ModelKind::NonlinearTensorMass => Box::new(nonlinear_tensor_mass(body)?),
         ModelKind::Explicit => Box::new(explicit(body, law)?),
-        ModelKind::Implicit => {
-            let law = match law {
-                None => ImplicitLaw::neo_hooke(material),
-                Some(law) => ImplicitLaw::from(&law.with_moduli_of(material)?),
-            };
-            let relaxation = body.relaxation()?;
-            let params = ImplicitParams {
-                relaxation: relaxation.as_ref(),
-                ..ImplicitParams::new(body.dynamic(), &law)
-            };
-            Box::new(ImplicitEuler::build(&params)?)
-        }
+        ModelKind::Implicit => Box::new(implicit(body, law)?),
         ModelKind::MassSpring => Box::new(MassSpring::build(&MassSpringParams {
             body: body.dynamic(),
             young_modulus_pa: material.young_modulus_pa(),
@@ -174,6 +154,27 @@ impl OrganBody {
             None => Ok(()),
         }
     }
+}
+
+fn nonlinear_tensor_mass(body: &OrganBody) -> Result<NonlinearTensorMass, BuildError> {
+    let elasticity = NonlinearElasticity {
+        material: &body.material,
+        fibres: &body.fibres(),
+        volume_penalty_pa: body.volume_penalty_pa,
+        largest_stretch: LARGEST_STRETCH,
+    };
+    Ok(NonlinearTensorMass::build(&NonlinearTensorMassParams { body: body.dynamic(), elasticity })?)
+}
+
+fn implicit(body: &OrganBody, law: Option<&LawChoice>) -> Result<ImplicitEuler, BuildError> {
+    let law = match law {
+        None => ImplicitLaw::neo_hooke(&body.material),
+        Some(law) => ImplicitLaw::from(&law.with_moduli_of(&body.material)?),
+    };
+    let relaxation = body.relaxation()?;
+    let params =
+        ImplicitParams { relaxation: relaxation.as_ref(), ..ImplicitParams::new(body.dynamic(), &law) };
+    Ok(ImplicitEuler::build(&params)?)
 }
 
 fn explicit(body: &OrganBody, law: Option<&LawChoice>) -> Result<ExplicitKernel, BuildError> {

@@ -260,8 +260,8 @@ trigger = 1
         assert!(mixed.unwrap_err().to_string().contains("[organ] lacks \"lame_lambda\""));
     }
 
-    #[test]
-    fn laws_loads_and_supports_are_read() {
+    /// The scene with one table of each kind that the short one does without.
+    fn scene_with_more() -> String {
         let more = r#"model = "implicit"
 law = { name = "ogden", exponent = -4.7 }
 stiffness_damping = "0.1 ms"
@@ -290,12 +290,15 @@ at = "0.5 s"
 [[organ.fixed]]
 axes = ["x", "z"]
 "#;
-        let text = SCENE
-            .replace("model = \"tensor_mass\"\ndamping = \"20 1/s\"\n\n[[organ.fixed]]\n", more)
-            .replace(
-                "time_step = \"1 ms\"",
-                "time_step = \"1 ms\"\ngravity = [0, \"9.81 m/s2\", 0]\nmost_parts = 8",
-            );
+        SCENE.replace("model = \"tensor_mass\"\ndamping = \"20 1/s\"\n\n[[organ.fixed]]\n", more).replace(
+            "time_step = \"1 ms\"",
+            "time_step = \"1 ms\"\ngravity = [0, \"9.81 m/s2\", 0]\nmost_parts = 8",
+        )
+    }
+
+    #[test]
+    fn laws_loads_and_supports_are_read() {
+        let text = scene_with_more();
         let scene = Scene::parse(&text).unwrap();
         assert_eq!(scene.organ.law, law_named("ogden").map(|law| law.with_number("exponent", -4.7)));
         assert_eq!(scene.organ.damping.stiffness_s, 1e-4);

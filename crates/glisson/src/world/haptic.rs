@@ -124,6 +124,37 @@ impl HapticScratch {
     }
 }
 
+/// What the tool is found to touch and hold, while its parts are gone through.
+struct TouchedSoFar<'a> {
+    scratch: &'a mut HapticScratch,
+    model: &'a mut HapticModel,
+    axes: AxesForces,
+    n_parts: usize,
+}
+
+impl TouchedSoFar<'_> {
+    fn add(&mut self, part: TouchedPart) {
+        self.model.parts[self.n_parts] = part;
+        self.n_parts += 1;
+    }
+}
+
+/// Gives each part its share of the patch's stiffness, and the model the sums at the tip.
+fn share_stiffness(scratch: &HapticScratch, n_parts: usize, model: &mut HapticModel) {
+    let points = &scratch.points;
+    for (i, part) in model.parts[..n_parts].iter_mut().enumerate() {
+        let at_tip_n_per_m = scratch.patch.stiffness_n_per_m(|point| points[point].part == i);
+        model.stiffness_n_per_m += at_tip_n_per_m;
+        model.force_n += part.at_tip_n(part.force_n);
+        part.stiffness_n_per_m = if part.lever == DMat3::IDENTITY {
+            at_tip_n_per_m
+        } else {
+            let back = part.lever.inverse();
+            back.transpose() * at_tip_n_per_m * back
+        };
+    }
+}
+
 impl World {
     /// Makes room for [`World::haptic_model`], which then allocates nothing.
     pub fn prepare_haptics(&mut self) {
@@ -168,82 +199,21 @@ impl World {
         scratch: &mut HapticScratch,
         model: &mut HapticModel,
     ) {
-        let dt_s = self.spec.time_step_s;
-        let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
-        let pose = hand.now;
-        model.tip_m = pose.tip_in_world_m;
-        model.tip_velocity_m_per_s = (pose.tip_in_world_m - hand.before.tip_in_world_m) / dt_s;
-        if !tool.grip.is_sticky {
-            model.friction_coefficient = tool.grip.friction_coefficient;
-            model.hold_n = tool.kind.jaws().map_or(f64::INFINITY, |jaws| pull_limit_n(tool, jaws, &pose));
-        }
-        let positions_m = self.organ.positions_m();
+        self.tell_motion(place, model);
         scratch.clear();
-        let mut n_parts = 0;
-        let mut axes = AxesForces::default();
-        if let Some(grasp) = &hand.grasp {
-            let mut touched = Touching::default();
-            for (node, place_m) in grasp.places_m(ToolFrame::of(&pose)) {
-                let point = PressedPoint {
-                    motion: lever(tool, &pose, place_m),
-                    part: n_parts,
-                    by_axes: DMat3::from_cols(DVec3::ZERO, turn_m_per_rad(&pose, place_m), DVec3::ZERO),
-                };
-                scratch.follow([node], [1.0], point);
-                let force_n = -self.force_on_node_n(place, node);
-                touched.add(force_n, place_m, &point.motion);
-                axes.add(force_n, &point);
-            }
-            model.parts[n_parts] = touched.part(Touch::Grasp, tool, &pose);
-            n_parts += 1;
-        }
-        for part in ToolPart::ALL {
-            let Some(contact) = &hand.contacts[part.index()] else { continue };
-            let place_m = contact.at.in_world_m(tool, &pose);
-            let (opening, turn) = (opening_m(tool, &pose, contact.at), turn_m_per_rad(&pose, place_m));
-            let point = PressedPoint {
-                motion: lever(tool, &pose, place_m),
-                part: n_parts,
-                by_axes: DMat3::from_cols(opening, turn, DVec3::ZERO),
-            };
-            scratch.follow(contact.nodes, self.free_weights(contact.nodes, contact.weights), point);
-            let force_n = -self.force_on_organ_n(place, Some(part));
-            let mut touched = Touching::default();
-            touched.add(force_n, place_m, &point.motion);
-            axes.add(force_n, &point);
-            let mut touched =
-                TouchedPart { normal: contact.normal, ..touched.part(Touch::Contact, tool, &pose) };
-            touched.friction_coefficient = friction_now(tool, touched.force_n, contact.normal);
-            model.parts[n_parts] = touched;
-            if model.normal == DVec3::ZERO {
-                model.friction_coefficient = touched.friction_coefficient;
-                model.normal = contact.normal;
-                model.surface_m = contact.point_m(positions_m);
-                model.surface_velocity_m_per_s =
-                    self.organ.skin().velocity_m_per_s(contact.nodes, contact.weights, dt_s);
-            }
-            n_parts += 1;
-        }
+        let mut touched = TouchedSoFar { scratch, model, axes: AxesForces::default(), n_parts: 0 };
+        self.add_grasp(place, &mut touched);
+        self.add_contacts(place, &mut touched);
+        let TouchedSoFar { axes, n_parts, .. } = touched;
         if n_parts == 0 {
             self.meet_surface(place, response_s, scratch, model);
             return;
         }
         self.solve_patch(scratch, response_s);
-        let tool = &self.spec.tools[place];
-        let points = &scratch.points;
-        for (i, part) in model.parts[..n_parts].iter_mut().enumerate() {
-            let at_tip_n_per_m = scratch.patch.stiffness_n_per_m(|point| points[point].part == i);
-            model.stiffness_n_per_m += at_tip_n_per_m;
-            model.force_n += part.at_tip_n(part.force_n);
-            part.stiffness_n_per_m = if part.lever == DMat3::IDENTITY {
-                at_tip_n_per_m
-            } else {
-                let back = part.lever.inverse();
-                back.transpose() * at_tip_n_per_m * back
-            };
-        }
+        share_stiffness(scratch, n_parts, model);
         model.touch = model.parts[0].touch;
-        let closing = ToolFrame::of(&pose).world_from_tool.x_axis;
+        let (tool, pose) = (&self.spec.tools[place], &self.hands[place].now);
+        let closing = ToolFrame::of(pose).world_from_tool.x_axis;
         let held =
             (model.touch == Touch::Grasp).then(|| closing.dot(model.parts[0].stiffness_n_per_m * closing));
         if n_parts > 1 || model.parts[0].lever != DMat3::IDENTITY {
@@ -253,7 +223,7 @@ impl World {
         }
         let [slope_j, slope_n_m_per_rad] = axes.slopes(scratch);
         let squeezed_j = match (tool.kind.jaws(), held) {
-            (Some(jaws), Some(tissue_n_per_m)) => squeeze_j(jaws, &pose, tissue_n_per_m),
+            (Some(jaws), Some(tissue_n_per_m)) => squeeze_j(jaws, pose, tissue_n_per_m),
             _ => [0.0; 2],
         };
         model.axes = AxesModel {
@@ -264,6 +234,73 @@ impl World {
             jaw_opening: pose.jaw_opening,
             jaw_stiffness_j: slope_j + squeezed_j[1],
         };
+    }
+
+    /// Where the tip is, how fast it moves, and how well the instrument grips.
+    fn tell_motion(&self, place: usize, model: &mut HapticModel) {
+        let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
+        let pose = hand.now;
+        model.tip_m = pose.tip_in_world_m;
+        model.tip_velocity_m_per_s =
+            (pose.tip_in_world_m - hand.before.tip_in_world_m) / self.spec.time_step_s;
+        if !tool.grip.is_sticky {
+            model.friction_coefficient = tool.grip.friction_coefficient;
+            model.hold_n = tool.kind.jaws().map_or(f64::INFINITY, |jaws| pull_limit_n(tool, jaws, &pose));
+        }
+    }
+
+    /// Adds what the tool holds, if it holds anything.
+    fn add_grasp(&self, place: usize, told: &mut TouchedSoFar<'_>) {
+        let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
+        let Some(grasp) = &hand.grasp else { return };
+        let pose = hand.now;
+        let mut touched = Touching::default();
+        for (node, place_m) in grasp.places_m(ToolFrame::of(&pose)) {
+            let point = PressedPoint {
+                motion: lever(tool, &pose, place_m),
+                part: told.n_parts,
+                by_axes: DMat3::from_cols(DVec3::ZERO, turn_m_per_rad(&pose, place_m), DVec3::ZERO),
+            };
+            told.scratch.follow([node], [1.0], point);
+            let force_n = -self.force_on_node_n(place, node);
+            touched.add(force_n, place_m, &point.motion);
+            told.axes.add(force_n, &point);
+        }
+        told.add(touched.part(Touch::Grasp, tool, &pose));
+    }
+
+    /// Adds what the parts of the tool touch. The first contact gives the surface.
+    fn add_contacts(&self, place: usize, told: &mut TouchedSoFar<'_>) {
+        let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
+        let pose = hand.now;
+        for part in ToolPart::ALL {
+            let Some(contact) = &hand.contacts[part.index()] else { continue };
+            let place_m = contact.at.in_world_m(tool, &pose);
+            let (opening, turn) = (opening_m(tool, &pose, contact.at), turn_m_per_rad(&pose, place_m));
+            let point = PressedPoint {
+                motion: lever(tool, &pose, place_m),
+                part: told.n_parts,
+                by_axes: DMat3::from_cols(opening, turn, DVec3::ZERO),
+            };
+            let weights = self.free_weights(contact.nodes, contact.weights);
+            told.scratch.follow(contact.nodes, weights, point);
+            let force_n = -self.force_on_organ_n(place, Some(part));
+            let mut touched = Touching::default();
+            touched.add(force_n, place_m, &point.motion);
+            told.axes.add(force_n, &point);
+            let mut touched =
+                TouchedPart { normal: contact.normal, ..touched.part(Touch::Contact, tool, &pose) };
+            touched.friction_coefficient = friction_now(tool, touched.force_n, contact.normal);
+            told.add(touched);
+            if told.model.normal == DVec3::ZERO {
+                let dt_s = self.spec.time_step_s;
+                told.model.friction_coefficient = touched.friction_coefficient;
+                told.model.normal = contact.normal;
+                told.model.surface_m = contact.point_m(self.organ.positions_m());
+                told.model.surface_velocity_m_per_s =
+                    self.organ.skin().velocity_m_per_s(contact.nodes, contact.weights, dt_s);
+            }
+        }
     }
 
     /// The place that a free tool will touch, and how stiff it is.

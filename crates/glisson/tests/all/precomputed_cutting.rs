@@ -188,6 +188,16 @@ fn a_batch_is_the_same_as_one_by_one() {
     assert_eq!(at_once.model.cut_report().n_edits, 1);
 }
 
+/// Checks the stored nodes against the displacements [m] that are expected.
+fn assert_displaced(cut: &Cut, rest_m: &[DVec3], expected_m: &[DVec3], stored: StoredNodes) {
+    let largest_m = expected_m.iter().map(|u| u.length()).fold(0.0, f64::max);
+    for &node in cut.model.stored_nodes() {
+        let found_m = cut.model.state().positions_m[node.index()] - rest_m[node.index()];
+        let off_m = found_m.distance(expected_m[node.index()]);
+        assert!(off_m < 1e-10 * largest_m, "{stored:?} {node}: {off_m:e} of {largest_m}");
+    }
+}
+
 #[test]
 fn forces_displacements_and_weight_after_cuts_act_as_in_the_static_solver() {
     for stored in [StoredNodes::Surface, StoredNodes::All] {
@@ -235,12 +245,7 @@ fn forces_displacements_and_weight_after_cuts_act_as_in_the_static_solver() {
         cut.model.apply(&constraints);
         cut.model.step(1e-3);
         assert_eq!(cut.model.report().n_ignored_constraints, 0);
-        let largest_m = solution.displacement_m.iter().map(|u| u.length()).fold(0.0, f64::max);
-        for &node in cut.model.stored_nodes() {
-            let found_m = cut.model.state().positions_m[node.index()] - mesh.positions_m[node.index()];
-            let off_m = found_m.distance(solution.displacement_m[node.index()]);
-            assert!(off_m < 1e-10 * largest_m, "{stored:?} {node}: {off_m:e} of {largest_m}");
-        }
+        assert_displaced(&cut, &mesh.positions_m, &solution.displacement_m, stored);
         for (felt_n, node) in cut.model.constraint_forces_n().iter().zip(pushed) {
             let expected_n = solution.reaction_n[node.index()];
             assert!(felt_n.distance(expected_n) < 1e-9 * expected_n.length(), "{felt_n} {expected_n}");

@@ -1,15 +1,16 @@
 //! The simulated board in a closed loop with a world: the trocar's pose drives a tool, the tissue's force goes back.
 
-use super::{EXACT, OWN, PROTOTYPE, figure, line};
+use super::{EXACT, OWN, PROTOTYPE, figure, line, tilted};
 use crate::bench::body::StandardBody;
 use crate::validate::{Experiment, Outcome};
 use anyhow::{Context, anyhow};
 use glam::DVec3;
 use glisson::haptics::trocar::mechanism::Mechanism;
-use glisson::haptics::trocar::statics::felt;
+use glisson::haptics::trocar::statics::{efforts, felt};
 use glisson::haptics::trocar::teleoperation::{End, Teleoperation};
 use glisson::haptics::trocar::{
     Arrangement, AxisEfforts, InstrumentTag, InstrumentType, Mapping, Placement, TrocarJoints, TrocarProfile,
+    Wrench,
 };
 use glisson::haptics::{DeviceFault, ForceCommand, HapticDevice};
 use glisson::model::kind::ModelKind;
@@ -123,15 +124,14 @@ impl Station {
 
 /// The tip at `share` of its way in: from 10 mm above the organ to 15 mm deep, if the hand did not yield.
 fn pressed(tilt_rad: [f64; 2], share: f64) -> TrocarJoints {
-    let [pitch_rad, roll_rad] = tilt_rad;
-    let upright = TrocarJoints { pitch_rad, roll_rad, ..TrocarJoints::default() };
+    let joints = tilted(tilt_rad);
     // Where the axis meets the ellipsoid of half axes 15, 10 and 6 cm, seen from above its middle.
-    let d = upright.direction();
+    let d = joints.direction();
     let half = DVec3::new(0.15, 0.10, TOP_M);
     let (o, v) = (DVec3::new(0.0, 0.0, TOP_M + ABOVE_M) / half, DVec3::new(d.x, d.y, -d.z) / half);
     let (a, b, c) = (v.dot(v), o.dot(v), o.dot(o) - 1.0);
     let surface_m = (-b - (b * b - a * c).max(0.0).sqrt()) / a;
-    TrocarJoints { insertion_m: surface_m - TIP_RADIUS_M - 0.01 + 0.025 * share, ..upright }
+    TrocarJoints { insertion_m: surface_m - TIP_RADIUS_M - 0.01 + 0.025 * share, ..joints }
 }
 
 fn above() -> Placement {
@@ -250,21 +250,29 @@ fn instruments(outcome: &mut Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The leader's pose drives a second trocar, whose instrument palpates; its forces come back.
-fn remote_palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
-    let tilt_rad = [0.0, 0.2];
-    let start = pressed(tilt_rad, 0.0);
-    let mut leader = Station::new(above(), &start, Mapping::VirtualWork)?;
-    let mut follower = Station::new(above(), &start, Mapping::VirtualWork)?;
-    follower.device.line_mut().board.mechanism.hand_target = None;
-    let mut world = world(&[follower.placement], &[start], TICK_S)?;
-    let link = Teleoperation::couple(TrocarProfile::built(), [&start, &start], 1.0);
-    let mut rows = Vec::new();
-    let (mut mean_tissue_n, mut mean_hand_n, n_mean) = (0.0, 0.0, 500);
-    let n_ticks = 3000;
-    for k in 0..n_ticks {
-        let t = f64::from(k) * TICK_S;
-        leader.hand(pressed(tilt_rad, (0.5 * t).min(1.0)));
+/// Two trocars that are coupled; the second one's instrument palpates.
+struct Teleoperated {
+    leader: Station,
+    follower: Station,
+    link: Teleoperation,
+    world: World,
+}
+
+impl Teleoperated {
+    fn new(start: &TrocarJoints) -> anyhow::Result<Self> {
+        let leader = Station::new(above(), start, Mapping::VirtualWork)?;
+        let mut follower = Station::new(above(), start, Mapping::VirtualWork)?;
+        follower.device.line_mut().board.mechanism.hand_target = None;
+        let world = world(&[follower.placement], &[*start], TICK_S)?;
+        let link = Teleoperation::couple(TrocarProfile::built(), [start, start], 1.0);
+        Ok(Self { leader, follower, link, world })
+    }
+
+    /// Insertion of leader and follower [mm], then the force of the tissue and the one on the leader's hand, along the
+    /// instrument [N], after a tick with the leader's hand there.
+    fn tick(&mut self, target: TrocarJoints) -> anyhow::Result<[f64; 4]> {
+        let Self { leader, follower, link, world } = self;
+        leader.hand(target);
         leader.read()?;
         let tool = follower.read()?;
         let report = world.step(&StepInput::of(&[tool]));
@@ -273,23 +281,36 @@ fn remote_palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
             let reading = station.device.reading()?;
             Ok(End { joints: reading.joints, rates: reading.rates })
         };
-        let exchange = link.tick(&at(&leader)?, &at(&follower)?);
+        let exchange = link.tick(&at(leader)?, &at(follower)?);
         leader.device.write_efforts(&exchange.leader).map_err(fault)?;
         follower.device.write_efforts(&exchange.follower).map_err(fault)?;
         // The remote tissue acts on the remote instrument itself.
         let contact = follower.placement.contact(tool.tip_in_world_m, force_in_world_n);
-        let wrench = glisson::haptics::trocar::Wrench::of(&[contact]);
         let joints = follower.mechanism().joints;
-        let outside = glisson::haptics::trocar::statics::efforts(Mapping::VirtualWork, &joints, &wrench, 0.0);
+        let outside = efforts(Mapping::VirtualWork, &joints, &Wrench::of(&[contact]), 0.0);
         follower.device.line_mut().board.outside = outside;
         let inward = -tool.shaft_in_world;
         let (tissue_n, hand_n) = (-force_in_world_n.dot(inward), -leader.on_hand_n().dot(inward));
+        let [lead_mm, follow_mm] =
+            [leader, follower].map(|station| 1e3 * station.mechanism().joints.insertion_m);
+        Ok([lead_mm, follow_mm, tissue_n, hand_n])
+    }
+}
+
+/// The leader's pose drives a second trocar, whose instrument palpates; its forces come back.
+fn remote_palpation(outcome: &mut Outcome) -> anyhow::Result<()> {
+    let tilt_rad = [0.0, 0.2];
+    let mut pair = Teleoperated::new(&pressed(tilt_rad, 0.0))?;
+    let mut rows = Vec::new();
+    let (mut mean_tissue_n, mut mean_hand_n, n_mean) = (0.0, 0.0, 500);
+    let n_ticks = 3000;
+    for k in 0..n_ticks {
+        let t = f64::from(k) * TICK_S;
+        let [lead_mm, follow_mm, tissue_n, hand_n] = pair.tick(pressed(tilt_rad, (0.5 * t).min(1.0)))?;
         if k >= n_ticks - n_mean {
             mean_tissue_n += tissue_n / f64::from(n_mean);
             mean_hand_n += hand_n / f64::from(n_mean);
         }
-        let [lead_mm, follow_mm] =
-            [&mut leader, &mut follower].map(|station| 1e3 * station.mechanism().joints.insertion_m);
         rows.push([t, lead_mm, follow_mm, tissue_n, hand_n]);
     }
     outcome.experiments.extend([

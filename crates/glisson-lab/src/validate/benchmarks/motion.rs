@@ -21,6 +21,13 @@ struct Free<'a> {
     displacement_m: Vec<DVec3>,
 }
 
+impl<'a> Free<'a> {
+    fn new(mesh: &'a TetMesh, material: &LinearElastic, forces: Forces<'a>) -> Self {
+        let displacement_m = vec![DVec3::ZERO; mesh.positions_m.len()];
+        Self { rest_m: &mesh.positions_m, mass_kg: lumped_kg(mesh, material), forces, displacement_m }
+    }
+}
+
 impl EquationsOfMotion for Free<'_> {
     fn accelerations_into(&mut self, positions_m: &[DVec3], _: &[DVec3], accelerations: &mut [DVec3]) {
         for (u, (x, rest)) in self.displacement_m.iter_mut().zip(positions_m.iter().zip(self.rest_m)) {
@@ -30,6 +37,54 @@ impl EquationsOfMotion for Free<'_> {
         for (a, m) in accelerations.iter_mut().zip(&self.mass_kg) {
             *a /= -m;
         }
+    }
+}
+
+/// A body in motion by central differences, undamped.
+struct Moving<'a> {
+    equations: Free<'a>,
+    integrator: Integrator,
+    /// Whether each node is free.
+    moves: Vec<bool>,
+    damping_per_s: Vec<f64>,
+    positions_m: Vec<DVec3>,
+    velocities_m_per_s: Vec<DVec3>,
+}
+
+impl<'a> Moving<'a> {
+    /// At rest and free.
+    fn new(equations: Free<'a>) -> Self {
+        let n_nodes = equations.rest_m.len();
+        Self {
+            integrator: Integrator::new(Scheme::CentralDifferences, FixedPoint::default(), n_nodes),
+            moves: vec![true; n_nodes],
+            damping_per_s: vec![0.0; n_nodes],
+            positions_m: equations.rest_m.to_vec(),
+            velocities_m_per_s: vec![DVec3::ZERO; n_nodes],
+            equations,
+        }
+    }
+
+    fn step(&mut self, step_s: f64) {
+        let mut motion = Motion {
+            positions_m: &mut self.positions_m,
+            velocities_m_per_s: &mut self.velocities_m_per_s,
+            moves: &self.moves,
+            damping_per_s: &self.damping_per_s,
+        };
+        self.integrator.step(&mut self.equations, &mut motion, step_s);
+    }
+
+    /// Kinetic energy at such velocities [J].
+    fn kinetic_j(&self, velocities_m_per_s: &[DVec3]) -> f64 {
+        let nodes = self.equations.mass_kg.iter().zip(velocities_m_per_s);
+        nodes.map(|(m, v)| 0.5 * m * v.length_squared()).sum::<f64>()
+    }
+
+    /// Angular momentum about the origin at such positions and velocities [kg m2/s].
+    fn angular_momentum(&self, positions_m: &[DVec3], velocities_m_per_s: &[DVec3]) -> DVec3 {
+        let nodes = self.equations.mass_kg.iter().zip(positions_m.iter().zip(velocities_m_per_s));
+        nodes.map(|(m, (x, v))| x.cross(*v) * *m).sum()
     }
 }
 
@@ -54,6 +109,37 @@ pub(super) struct Twist {
     pub(super) any_inverted: bool,
 }
 
+/// How far a corner of the column's top has turned about the axis.
+struct Turn {
+    corner: usize,
+    /// Of the corner at the last look, between -pi and pi, and in all [rad].
+    last_rad: f64,
+    angle_rad: f64,
+}
+
+impl Turn {
+    fn of(rest_m: &[DVec3]) -> Self {
+        let corner = rest_m.iter().position(|p| p.y > 5.999 && p.x > 0.499 && p.z > 0.499);
+        let corner = corner.expect("a corner on top");
+        Self { corner, last_rad: std::f64::consts::FRAC_PI_4, angle_rad: 0.0 }
+    }
+
+    /// The whole angle now [rad].
+    fn follow(&mut self, positions_m: &[DVec3]) -> f64 {
+        let at_rad = positions_m[self.corner].z.atan2(positions_m[self.corner].x);
+        let turn = at_rad - self.last_rad;
+        self.angle_rad += turn - std::f64::consts::TAU * (turn / std::f64::consts::TAU).round();
+        self.last_rad = at_rad;
+        self.angle_rad
+    }
+}
+
+/// Velocity of the twisting column where it begins [m/s].
+fn twisting_m_per_s(p: &DVec3) -> DVec3 {
+    let rate_per_s = 105.0 * (std::f64::consts::PI * p.y / 12.0).sin();
+    DVec3::new(p.z, 0.0, -p.x) * rate_per_s
+}
+
 /// B9: the column of 1 x 6 x 1 m with `n` cells across, its foot held or free, twisting for `end_s`.
 pub(super) fn twisting_column(
     n: usize,
@@ -66,7 +152,6 @@ pub(super) fn twisting_column(
     let laws = [NeoHookeLog::from(&material)];
     let edges = MeshEdges::of_mesh(&mesh)?;
     let plain = ElasticBody::new(&mesh, &edges, &laws)?;
-    let n_nodes = mesh.positions_m.len();
     let smoothed = match kind {
         Tetrahedra::Smoothed(smoothing) => Some(SmoothedBody::new(&mesh, &laws, smoothing)?),
         Tetrahedra::Plain => None,
@@ -76,59 +161,28 @@ pub(super) fn twisting_column(
         None => Box::new(|u, f| plain.force_into(u, f)),
     };
     let energy_j = |u: &[DVec3]| smoothed.as_ref().map_or_else(|| plain.energy_j(u), |body| body.energy_j(u));
-    let mass_kg = lumped_kg(&mesh, &material);
-    let mut equations = Free {
-        rest_m: &mesh.positions_m,
-        mass_kg: mass_kg.clone(),
-        forces,
-        displacement_m: vec![DVec3::ZERO; n_nodes],
-    };
     // Averaging only lowers frequencies at rest; half of the step leaves room for stiffening.
     let h_s = 0.5 * TensorMass::stable_step(&mesh, &material)?.step_s;
     let n_steps = (end_s / h_s).ceil() as usize;
-    let mut integrator = Integrator::new(Scheme::CentralDifferences, FixedPoint::default(), n_nodes);
-    let moves: Vec<bool> = mesh.positions_m.iter().map(|p| !(is_held && p.y == 0.0)).collect();
-    let mut positions_m = mesh.positions_m.clone();
-    let mut velocities: Vec<DVec3> = mesh
-        .positions_m
-        .iter()
-        .map(|p| {
-            let rate_per_s = 105.0 * (std::f64::consts::PI * p.y / 12.0).sin();
-            DVec3::new(p.z, 0.0, -p.x) * rate_per_s
-        })
-        .collect();
-    let damping_per_s = vec![0.0; n_nodes];
-    let kinetic_j =
-        |v: &[DVec3]| mass_kg.iter().zip(v).map(|(m, v)| 0.5 * m * v.length_squared()).sum::<f64>();
-    let momentum = |x: &[DVec3], v: &[DVec3]| -> DVec3 {
-        mass_kg.iter().zip(x.iter().zip(v)).map(|(m, (x, v))| x.cross(*v) * *m).sum()
-    };
-    let (initial_j, initial_momentum) = (kinetic_j(&velocities), momentum(&positions_m, &velocities));
-    let corner = mesh.positions_m.iter().position(|p| p.y > 5.999 && p.x > 0.499 && p.z > 0.499);
-    let corner = corner.expect("a corner on top");
-    let mut twist = Twist { n_nodes, n_steps, ..Twist::default() };
-    let (mut angle_rad, mut last_rad) = (0.0_f64, std::f64::consts::FRAC_PI_4);
+    let mut column = Moving::new(Free::new(&mesh, &material, forces));
+    column.moves = mesh.positions_m.iter().map(|p| !(is_held && p.y == 0.0)).collect();
+    column.velocities_m_per_s = mesh.positions_m.iter().map(twisting_m_per_s).collect();
+    let initial_j = column.kinetic_j(&column.velocities_m_per_s);
+    let initial_momentum = column.angular_momentum(&column.positions_m, &column.velocities_m_per_s);
+    let mut turn = Turn::of(&mesh.positions_m);
+    let mut twist = Twist { n_nodes: mesh.positions_m.len(), n_steps, ..Twist::default() };
     for step in 0..n_steps {
-        let (before_m, before) = (positions_m.clone(), velocities.clone());
-        let mut motion = Motion {
-            positions_m: &mut positions_m,
-            velocities_m_per_s: &mut velocities,
-            moves: &moves,
-            damping_per_s: &damping_per_s,
-        };
-        integrator.step(&mut equations, &mut motion, h_s);
-        let at_rad = positions_m[corner].z.atan2(positions_m[corner].x);
-        let turn = at_rad - last_rad;
-        angle_rad += turn - std::f64::consts::TAU * (turn / std::f64::consts::TAU).round();
-        last_rad = at_rad;
-        twist.largest_rad = twist.largest_rad.max(angle_rad.abs());
+        let (before_m, before) = (column.positions_m.clone(), column.velocities_m_per_s.clone());
+        column.step(h_s);
+        twist.largest_rad = twist.largest_rad.max(turn.follow(&column.positions_m).abs());
         if step > 0 && step % SAMPLE == 0 {
             // Velocities stand between the steps: their mean belongs to the positions before this one.
-            let mean: Vec<DVec3> = before.iter().zip(&velocities).map(|(a, b)| (*a + *b) * 0.5).collect();
+            let pairs = before.iter().zip(&column.velocities_m_per_s);
+            let mean: Vec<DVec3> = pairs.map(|(a, b)| (*a + *b) * 0.5).collect();
             let u_m: Vec<DVec3> = before_m.iter().zip(&mesh.positions_m).map(|(x, r)| *x - *r).collect();
-            let now_j = kinetic_j(&mean) + energy_j(&u_m);
+            let now_j = column.kinetic_j(&mean) + energy_j(&u_m);
             twist.energy_drift = twist.energy_drift.max((now_j / initial_j - 1.0).abs());
-            let change = momentum(&before_m, &before) - initial_momentum;
+            let change = column.angular_momentum(&before_m, &before) - initial_momentum;
             twist.momentum_drift = twist.momentum_drift.max(change.length() / initial_momentum.length());
             twist.any_inverted |= plain.first_inverted(&u_m).is_some();
         }
@@ -162,35 +216,20 @@ pub(super) fn critical_step() -> anyhow::Result<CriticalStep> {
     let stable_s = TensorMass::stable_step(&mesh, &material)?.step_s;
     let modulus_pa = material.lambda_pa() + 2.0 * material.mu_pa();
     let speed_m_per_s = (modulus_pa / material.density_kg_per_m3()).sqrt();
-    let n_nodes = mesh.positions_m.len();
     let growth = [0.9, 1.2].map(|factor| {
-        let mut equations = Free {
-            rest_m: &mesh.positions_m,
-            mass_kg: lumped_kg(&mesh, &material),
-            forces: Box::new(|u, f| tensors.force_into(&edges, u, f)),
-            displacement_m: vec![DVec3::ZERO; n_nodes],
-        };
+        let forces: Forces<'_> = Box::new(|u, f| tensors.force_into(&edges, u, f));
+        let mut block = Moving::new(Free::new(&mesh, &material, forces));
         let mut random = glisson::math::SeededRandom::new(1);
-        let start: Vec<DVec3> = (0..n_nodes)
-            .map(|_| DVec3::new(random.normal(), random.normal(), random.normal()) * 1e-6)
-            .collect();
-        let mut positions_m: Vec<DVec3> = mesh.positions_m.iter().zip(&start).map(|(p, u)| *p + *u).collect();
-        let mut velocities = vec![DVec3::ZERO; n_nodes];
-        let (moves, damping_per_s) = (vec![true; n_nodes], vec![0.0; n_nodes]);
-        let mut integrator = Integrator::new(Scheme::CentralDifferences, FixedPoint::default(), n_nodes);
+        for p in &mut block.positions_m {
+            *p += DVec3::new(random.normal(), random.normal(), random.normal()) * 1e-6;
+        }
         let largest_m =
             |x: &[DVec3]| x.iter().zip(&mesh.positions_m).map(|(x, r)| x.distance(*r)).fold(0.0, f64::max);
-        let initial_m = largest_m(&positions_m);
+        let initial_m = largest_m(&block.positions_m);
         let mut growth: f64 = 1.0;
         for _ in 0..GROWTH_STEPS {
-            let mut motion = Motion {
-                positions_m: &mut positions_m,
-                velocities_m_per_s: &mut velocities,
-                moves: &moves,
-                damping_per_s: &damping_per_s,
-            };
-            integrator.step(&mut equations, &mut motion, factor * stable_s);
-            growth = growth.max(largest_m(&positions_m) / initial_m);
+            block.step(factor * stable_s);
+            growth = growth.max(largest_m(&block.positions_m) / initial_m);
             if growth > BLOWN_UP {
                 break;
             }

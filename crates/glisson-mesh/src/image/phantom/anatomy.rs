@@ -74,6 +74,56 @@ pub(super) struct Anatomy {
     rib_offset_m: f64,
 }
 
+/// Right, middle and left lobe, visceral hollow and fissure. `about` gives a value within a share of the one asked for.
+fn liver_lobes(about: &mut impl FnMut(f64, f64) -> f64, inner_x_m: f64) -> [Lobe; 5] {
+    let right_half = mm(about(74.0, 0.03), about(40.5, 0.03), about(79.0, 0.03));
+    // The right lobe rests on the body wall.
+    let right_center =
+        mm(0.0, about(-10.0, 0.15), about(2.0, 0.5)) - DVec3::X * (inner_x_m + 2e-3 - right_half.x);
+    let right_lobe = Lobe { center_m: right_center, half_m: right_half };
+    let middle_lobe = Lobe {
+        center_m: mm(about(-18.0, 0.2), about(-20.0, 0.1), about(11.0, 0.2)),
+        half_m: mm(about(62.0, 0.04), about(31.0, 0.04), about(57.0, 0.04)),
+    };
+    let left_lobe = Lobe {
+        center_m: mm(about(35.0, 0.05), about(-27.0, 0.08), about(24.0, 0.1)),
+        half_m: mm(about(96.0, 0.03), about(25.0, 0.04), about(40.0, 0.04)),
+    };
+    let visceral_hollow = Lobe {
+        center_m: mm(about(5.0, 0.5), about(50.0, 0.06), about(-55.0, 0.08)),
+        half_m: mm(about(70.0, 0.04), about(48.0, 0.04), about(62.0, 0.04)),
+    };
+    let fissure = Lobe {
+        center_m: mm(about(16.0, 0.25), about(-34.0, 0.08), about(-27.0, 0.08)),
+        half_m: mm(about(8.0, 0.12), about(40.0, 0.05), about(36.0, 0.08)),
+    };
+    [right_lobe, middle_lobe, left_lobe, visceral_hollow, fissure]
+}
+
+/// Both kidneys.
+fn kidney_lobes(about: &mut impl FnMut(f64, f64) -> f64) -> [Lobe; 2] {
+    let kidney_half = mm(about(26.0, 0.04), about(23.0, 0.04), about(54.0, 0.04));
+    [
+        Lobe { center_m: mm(about(-66.0, 0.04), about(38.0, 0.03), about(-45.0, 0.08)), half_m: kidney_half },
+        Lobe { center_m: mm(about(64.0, 0.04), about(44.0, 0.03), about(-38.0, 0.08)), half_m: kidney_half },
+    ]
+}
+
+fn stomach(about: &mut impl FnMut(f64, f64) -> f64) -> (Lobe, Tube) {
+    let fundus = Lobe {
+        center_m: mm(about(66.0, 0.04), about(17.0, 0.1), about(30.0, 0.1)),
+        half_m: mm(about(34.0, 0.05), about(27.0, 0.05), about(36.0, 0.05)),
+    };
+    let antrum = mm(about(34.0, 0.1), about(-16.0, 0.1), about(-44.0, 0.06));
+    let gastric_body = Tube { ends_m: [mm(66.0, 6.0, 8.0), antrum], radii_m: [0.028, 0.019] };
+    (fundus, gastric_body)
+}
+
+fn gall_bladder(about: &mut impl FnMut(f64, f64) -> f64) -> Tube {
+    let fundus_of_gall_bladder = mm(about(-38.0, 0.06), about(-36.0, 0.06), about(-58.0, 0.04));
+    Tube { ends_m: [mm(-22.0, -10.0, -36.0), fundus_of_gall_bladder], radii_m: [0.008, about(0.015, 0.1)] }
+}
+
 impl Anatomy {
     /// The patient of `seed`.
     pub(super) fn new(seed: u64) -> Self {
@@ -83,53 +133,15 @@ impl Anatomy {
         let subcutaneous_fat_m = about(0.011, 0.15);
         let inner_x_m = body_half_m[0] - SKIN_M - subcutaneous_fat_m - WALL_M;
 
-        let right_half = mm(about(74.0, 0.03), about(40.5, 0.03), about(79.0, 0.03));
-        // The right lobe rests on the body wall.
-        let right_center =
-            mm(0.0, about(-10.0, 0.15), about(2.0, 0.5)) - DVec3::X * (inner_x_m + 2e-3 - right_half.x);
-        let right_lobe = Lobe { center_m: right_center, half_m: right_half };
-        let middle_lobe = Lobe {
-            center_m: mm(about(-18.0, 0.2), about(-20.0, 0.1), about(11.0, 0.2)),
-            half_m: mm(about(62.0, 0.04), about(31.0, 0.04), about(57.0, 0.04)),
-        };
-        let left_lobe = Lobe {
-            center_m: mm(about(35.0, 0.05), about(-27.0, 0.08), about(24.0, 0.1)),
-            half_m: mm(about(96.0, 0.03), about(25.0, 0.04), about(40.0, 0.04)),
-        };
-        let visceral_hollow = Lobe {
-            center_m: mm(about(5.0, 0.5), about(50.0, 0.06), about(-55.0, 0.08)),
-            half_m: mm(about(70.0, 0.04), about(48.0, 0.04), about(62.0, 0.04)),
-        };
-        let fissure = Lobe {
-            center_m: mm(about(16.0, 0.25), about(-34.0, 0.08), about(-27.0, 0.08)),
-            half_m: mm(about(8.0, 0.12), about(40.0, 0.05), about(36.0, 0.08)),
-        };
-        let kidney_half = mm(about(26.0, 0.04), about(23.0, 0.04), about(54.0, 0.04));
-        let kidneys = [
-            Lobe {
-                center_m: mm(about(-66.0, 0.04), about(38.0, 0.03), about(-45.0, 0.08)),
-                half_m: kidney_half,
-            },
-            Lobe {
-                center_m: mm(about(64.0, 0.04), about(44.0, 0.03), about(-38.0, 0.08)),
-                half_m: kidney_half,
-            },
-        ];
-        let fundus = Lobe {
-            center_m: mm(about(66.0, 0.04), about(17.0, 0.1), about(30.0, 0.1)),
-            half_m: mm(about(34.0, 0.05), about(27.0, 0.05), about(36.0, 0.05)),
-        };
-        let antrum = mm(about(34.0, 0.1), about(-16.0, 0.1), about(-44.0, 0.06));
-        let gastric_body = Tube { ends_m: [mm(66.0, 6.0, 8.0), antrum], radii_m: [0.028, 0.019] };
+        let [right_lobe, middle_lobe, left_lobe, visceral_hollow, fissure] =
+            liver_lobes(&mut about, inner_x_m);
+        let kidneys = kidney_lobes(&mut about);
+        let (fundus, gastric_body) = stomach(&mut about);
         let spleen = Lobe {
             center_m: mm(about(113.0, 0.01), about(17.0, 0.1), about(18.0, 0.1)),
             half_m: mm(about(24.0, 0.04), about(40.0, 0.04), about(50.0, 0.04)),
         };
-        let fundus_of_gall_bladder = mm(about(-38.0, 0.06), about(-36.0, 0.06), about(-58.0, 0.04));
-        let gall_bladder = Tube {
-            ends_m: [mm(-22.0, -10.0, -36.0), fundus_of_gall_bladder],
-            radii_m: [0.008, about(0.015, 0.1)],
-        };
+        let gall_bladder = gall_bladder(&mut about);
         let vena_cava =
             Tube { ends_m: [mm(-23.0, 22.0, -140.0), mm(-20.0, 18.0, 140.0)], radii_m: [0.011, 0.012] };
         let aorta = Tube { ends_m: [mm(8.0, 22.0, -140.0), mm(4.0, 24.0, 140.0)], radii_m: [0.010, 0.011] };

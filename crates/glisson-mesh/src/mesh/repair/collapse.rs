@@ -115,27 +115,7 @@ pub fn collapse(
     }
     check_links(body, edge, [a, b])?;
     let [at_a_m, at_b_m] = [a, b].map(|n| body.mesh().positions_m[n.index()]);
-    let middle_m = 0.5 * (at_a_m + at_b_m);
-    let sharp_cosine = MoveLimits::default().sharp_cosine;
-    // The node with less freedom stays where it is.
-    let places: Vec<(NodeId, DVec3)> = match [a, b].map(|n| freedom(body, n, sharp_cosine)) {
-        [Freedom::Fixed, Freedom::Fixed] => return Err(CollapseRefusal::BothFixed { edge }),
-        [Freedom::Ridge { towards: of_a, .. }, Freedom::Ridge { .. }] => {
-            if !of_a.contains(&b) {
-                return Err(CollapseRefusal::BothFixed { edge });
-            }
-            vec![(a, middle_m), (a, at_a_m), (b, at_b_m)]
-        }
-        [Freedom::Fixed, Freedom::Ridge { towards, .. }] if !towards.contains(&a) => {
-            return Err(CollapseRefusal::BothFixed { edge });
-        }
-        [Freedom::Ridge { towards, .. }, Freedom::Fixed] if !towards.contains(&b) => {
-            return Err(CollapseRefusal::BothFixed { edge });
-        }
-        [of_a, of_b] if rank(&of_a) == rank(&of_b) => vec![(a, middle_m), (a, at_a_m), (b, at_b_m)],
-        [of_a, of_b] if rank(&of_a) > rank(&of_b) => vec![(a, at_a_m)],
-        _ => vec![(b, at_b_m)],
-    };
+    let places = kept_places(body, edge)?;
     let (stay, before_m3, worst_before) = survivors(body, edge, [a, b]);
     let limit = params.min_radius_ratio.min(worst_before);
     let mut best: Option<(f64, NodeId, DVec3)> = None;
@@ -163,6 +143,33 @@ pub fn collapse(
             Err(CollapseRefusal::Quality { edge, radius_ratio, limit })
         }
     }
+}
+
+/// The nodes that may be kept and the places [m] to try for them.
+fn kept_places(body: &EditableMesh, edge: EdgeId) -> Result<Vec<(NodeId, DVec3)>, CollapseRefusal> {
+    let [a, b] = body.topology().edge_nodes(edge);
+    let [at_a_m, at_b_m] = [a, b].map(|n| body.mesh().positions_m[n.index()]);
+    let middle_m = 0.5 * (at_a_m + at_b_m);
+    let sharp_cosine = MoveLimits::default().sharp_cosine;
+    // The node with less freedom stays where it is.
+    Ok(match [a, b].map(|n| freedom(body, n, sharp_cosine)) {
+        [Freedom::Fixed, Freedom::Fixed] => return Err(CollapseRefusal::BothFixed { edge }),
+        [Freedom::Ridge { towards: of_a, .. }, Freedom::Ridge { .. }] => {
+            if !of_a.contains(&b) {
+                return Err(CollapseRefusal::BothFixed { edge });
+            }
+            vec![(a, middle_m), (a, at_a_m), (b, at_b_m)]
+        }
+        [Freedom::Fixed, Freedom::Ridge { towards, .. }] if !towards.contains(&a) => {
+            return Err(CollapseRefusal::BothFixed { edge });
+        }
+        [Freedom::Ridge { towards, .. }, Freedom::Fixed] if !towards.contains(&b) => {
+            return Err(CollapseRefusal::BothFixed { edge });
+        }
+        [of_a, of_b] if rank(&of_a) == rank(&of_b) => vec![(a, middle_m), (a, at_a_m), (b, at_b_m)],
+        [of_a, of_b] if rank(&of_a) > rank(&of_b) => vec![(a, at_a_m)],
+        _ => vec![(b, at_b_m)],
+    })
 }
 
 fn rank(freedom: &Freedom) -> u8 {

@@ -150,6 +150,74 @@ fn check_group(mesh: &TetMesh, group: &[FaceRecord]) -> Result<(), TopologyError
     }
 }
 
+/// Nodes of every edge, in ascending order, and the edges of every tetrahedron.
+fn number_edges(tetrahedra: &[[NodeId; 4]]) -> (Vec<[NodeId; 2]>, Vec<[EdgeId; 6]>) {
+    let mut edge_nodes: Vec<[NodeId; 2]> = Vec::new();
+    let mut tet_edges = vec![[EdgeId(0); 6]; tetrahedra.len()];
+    for (nodes, owner) in sorted_edges(tetrahedra) {
+        let nodes = nodes.map(NodeId);
+        if edge_nodes.last() != Some(&nodes) {
+            edge_nodes.push(nodes);
+        }
+        let edge = EdgeId::from_index(edge_nodes.len() - 1);
+        tet_edges[(owner / 6) as usize][(owner % 6) as usize] = edge;
+    }
+    (edge_nodes, tet_edges)
+}
+
+/// The triangles of a mesh, in ascending order of their nodes.
+struct Triangles {
+    nodes: Vec<[NodeId; 3]>,
+    edges: Vec<[EdgeId; 3]>,
+    tets: Vec<[OptionalTetId; 2]>,
+    of_tet: Vec<[TriangleId; 4]>,
+    /// Tetrahedra behind the triangles of every tetrahedron.
+    tet_neighbours: Vec<[OptionalTetId; 4]>,
+}
+
+impl Triangles {
+    fn number(mesh: &TetMesh, tet_edges: &[[EdgeId; 6]]) -> Result<Self, TopologyError> {
+        let n_tets = mesh.tetrahedra.len();
+        let mut triangles = Self {
+            nodes: Vec::new(),
+            edges: Vec::new(),
+            tets: Vec::new(),
+            of_tet: vec![[TriangleId(0); 4]; n_tets],
+            tet_neighbours: vec![[OptionalTetId::NONE; 4]; n_tets],
+        };
+        for group in sorted_faces(&mesh.tetrahedra).chunk_by(|a, b| a.0 == b.0) {
+            check_group(mesh, group)?;
+            triangles.push(group, mesh, tet_edges);
+        }
+        Ok(triangles)
+    }
+
+    /// Adds the triangle of one or two faces.
+    fn push(&mut self, group: &[FaceRecord], mesh: &TetMesh, tet_edges: &[[EdgeId; 6]]) {
+        let triangle = TriangleId::from_index(self.nodes.len());
+        let nodes = group[0].0.map(NodeId);
+        let place = |g: &FaceRecord| ((g.1 / 4) as usize, (g.1 % 4) as usize);
+        let (tet, _) = place(&group[0]);
+        let local = nodes.map(|n| {
+            mesh.tetrahedra[tet].iter().position(|&m| m == n).expect("the face is of the tetrahedron")
+        });
+        self.nodes.push(nodes);
+        self.edges
+            .push([(1, 2), (0, 2), (0, 1)].map(|(a, b)| tet_edges[tet][local_edge(local[a], local[b])]));
+        let mut tets = [OptionalTetId::NONE; 2];
+        for (slot, (tet, face)) in group.iter().map(place).enumerate() {
+            self.of_tet[tet][face] = triangle;
+            tets[slot] = TetId::from_index(tet).into();
+        }
+        self.tets.push(tets);
+        if let [first, second] = group {
+            let ((t0, f0), (t1, f1)) = (place(first), place(second));
+            self.tet_neighbours[t0][f0] = tets[1];
+            self.tet_neighbours[t1][f1] = tets[0];
+        }
+    }
+}
+
 impl Topology {
     /// The adjacency of `mesh`. Nodes without a tetrahedron are dead.
     ///
@@ -161,47 +229,9 @@ impl Topology {
         let n_tets = mesh.tetrahedra.len();
         let n_nodes = mesh.positions_m.len();
 
-        let edge_records = sorted_edges(&mesh.tetrahedra);
-        let mut edge_nodes: Vec<[NodeId; 2]> = Vec::new();
-        let mut tet_edges = vec![[EdgeId(0); 6]; n_tets];
-        for &(nodes, owner) in &edge_records {
-            let nodes = nodes.map(NodeId);
-            if edge_nodes.last() != Some(&nodes) {
-                edge_nodes.push(nodes);
-            }
-            let edge = EdgeId::from_index(edge_nodes.len() - 1);
-            tet_edges[(owner / 6) as usize][(owner % 6) as usize] = edge;
-        }
-
-        let mut triangle_nodes: Vec<[NodeId; 3]> = Vec::new();
-        let mut triangle_edges: Vec<[EdgeId; 3]> = Vec::new();
-        let mut triangle_tets: Vec<[OptionalTetId; 2]> = Vec::new();
-        let mut tet_triangles = vec![[TriangleId(0); 4]; n_tets];
-        let mut tet_neighbours = vec![[OptionalTetId::NONE; 4]; n_tets];
-        for group in sorted_faces(&mesh.tetrahedra).chunk_by(|a, b| a.0 == b.0) {
-            check_group(mesh, group)?;
-            let triangle = TriangleId::from_index(triangle_nodes.len());
-            let nodes = group[0].0.map(NodeId);
-            let place = |g: &FaceRecord| ((g.1 / 4) as usize, (g.1 % 4) as usize);
-            let (tet, _) = place(&group[0]);
-            let local = nodes.map(|n| {
-                mesh.tetrahedra[tet].iter().position(|&m| m == n).expect("the face is of the tetrahedron")
-            });
-            triangle_nodes.push(nodes);
-            triangle_edges
-                .push([(1, 2), (0, 2), (0, 1)].map(|(a, b)| tet_edges[tet][local_edge(local[a], local[b])]));
-            let mut tets = [OptionalTetId::NONE; 2];
-            for (slot, (tet, face)) in group.iter().map(place).enumerate() {
-                tet_triangles[tet][face] = triangle;
-                tets[slot] = TetId::from_index(tet).into();
-            }
-            triangle_tets.push(tets);
-            if let [first, second] = group {
-                let ((t0, f0), (t1, f1)) = (place(first), place(second));
-                tet_neighbours[t0][f0] = tets[1];
-                tet_neighbours[t1][f1] = tets[0];
-            }
-        }
+        let (edge_nodes, tet_edges) = number_edges(&mesh.tetrahedra);
+        let triangles = Triangles::number(mesh, &tet_edges)?;
+        let n_triangles = triangles.nodes.len();
 
         let node_tets = Rows::from_pairs(
             n_nodes,
@@ -227,23 +257,23 @@ impl Topology {
         let live = EntityCounts {
             nodes: (0..n_nodes).filter(|&n| !node_tets.row(n).is_empty()).count(),
             edges: edge_nodes.len(),
-            triangles: triangle_nodes.len(),
+            triangles: n_triangles,
             tets: n_tets,
         };
         let mut topology = Self {
             tet_nodes: mesh.tetrahedra.clone(),
             tet_edges,
-            tet_triangles,
-            tet_neighbours,
+            tet_triangles: triangles.of_tet,
+            tet_neighbours: triangles.tet_neighbours,
             tet_live: vec![true; n_tets],
-            surface_triangles: IdSet::with_room_for(triangle_nodes.len()),
+            surface_triangles: IdSet::with_room_for(n_triangles),
             surface_nodes: IdSet::with_room_for(n_nodes),
             edge_n_surface: vec![0; edge_nodes.len()],
             node_n_surface: vec![0; n_nodes],
             n_surface_edges: 0,
-            triangle_nodes,
-            triangle_edges,
-            triangle_tets,
+            triangle_nodes: triangles.nodes,
+            triangle_edges: triangles.edges,
+            triangle_tets: triangles.tets,
             edge_nodes,
             edge_tets,
             node_edges,

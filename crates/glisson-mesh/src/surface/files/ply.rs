@@ -178,17 +178,7 @@ fn parse_header<'a>(cursor: &mut Cursor<'a>) -> Result<Header<'a>, SurfaceFileEr
             }
             ["property", rest @ ..] => {
                 let Some(element) = elements.last_mut() else { return unexpected("an element first") };
-                let property = match *rest {
-                    ["list", length, scalar, name] => Scalar::of_name(length)
-                        .filter(|l| l.is_integer())
-                        .zip(Scalar::of_name(scalar))
-                        .map(|(length, scalar)| Property { name, length: Some(length), scalar }),
-                    [scalar, name] => {
-                        Scalar::of_name(scalar).map(|scalar| Property { name, length: None, scalar })
-                    }
-                    _ => None,
-                };
-                let Some(property) = property else {
+                let Some(property) = property_of(rest) else {
                     return unexpected("'property TYPE NAME' or 'property list INTEGER_TYPE TYPE NAME'");
                 };
                 element.properties.push(property);
@@ -198,6 +188,24 @@ fn parse_header<'a>(cursor: &mut Cursor<'a>) -> Result<Header<'a>, SurfaceFileEr
     }
     let Some(encoding) = encoding else { return Err(cursor.error("a 'format' line in the header", "none")) };
     let header = Header { encoding, space, elements };
+    check_elements(cursor, &header)?;
+    Ok(header)
+}
+
+/// What the words after `property` describe, if they describe one.
+fn property_of<'a>(words: &[&'a str]) -> Option<Property<'a>> {
+    match *words {
+        ["list", length, scalar, name] => Scalar::of_name(length)
+            .filter(|l| l.is_integer())
+            .zip(Scalar::of_name(scalar))
+            .map(|(length, scalar)| Property { name, length: Some(length), scalar }),
+        [scalar, name] => Scalar::of_name(scalar).map(|scalar| Property { name, length: None, scalar }),
+        _ => None,
+    }
+}
+
+/// Checks that the header promises places and faces.
+fn check_elements(cursor: &Cursor<'_>, header: &Header<'_>) -> Result<(), SurfaceFileError> {
     let has = |element: &str, test: &dyn Fn(&Property<'_>) -> bool| {
         header.elements.iter().any(|e| e.name == element && e.properties.iter().any(test))
     };
@@ -211,7 +219,7 @@ fn parse_header<'a>(cursor: &mut Cursor<'a>) -> Result<Header<'a>, SurfaceFileEr
             "an element 'face' with an integer list 'vertex_indices' (a cloud of points is no surface)";
         return Err(cursor.error(expected, "none"));
     }
-    Ok(header)
+    Ok(())
 }
 
 fn read(cursor: &mut Cursor<'_>, encoding: Encoding, scalar: Scalar) -> Result<f64, SurfaceFileError> {

@@ -22,7 +22,7 @@ use crate::material::{LinearElastic, NeoHookeLog, StableNeoHooke, largest_tangen
 use crate::model::explicit::{Stability as ElasticStability, StiffTet, keep};
 use crate::model::kernel::{FastKernel, KernelLaw};
 use crate::model::tet_law::{TetLaw, linear_stiffness};
-use crate::model::{ModelUndo, UndoReader};
+use crate::model::{DynamicBody, ModelUndo, UndoReader};
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
@@ -82,16 +82,35 @@ fn wave_pa(material: &LinearElastic) -> f64 {
     (material.lambda_pa() + 2.0 * material.mu_pa()).max(material.mu_pa())
 }
 
-impl Stability {
-    /// Of a mesh whose tetrahedra are sound.
-    pub(super) fn of(params: &ExplicitKernelParams<'_>) -> Result<Self, SolveError> {
-        let body = &params.body;
-        let mesh = body.mesh;
+/// The largest stiffness of a node's ligaments over its mass [1/s2].
+fn largest_per_mass(body: &DynamicBody<'_>, ligaments_n_per_m: &[f64]) -> f64 {
+    let mesh = body.mesh;
+    let mut mass_kg = vec![0.0; mesh.positions_m.len()];
+    for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
+        let corner_kg = 0.25 * body.density_kg_per_m3 * mesh.tet_volume_m3(TetId::from_index(t));
+        for node in nodes {
+            mass_kg[node.index()] += corner_kg;
+        }
+    }
+    let per_mass = ligaments_n_per_m.iter().zip(&mass_kg).filter(|(_, m)| **m > 0.0).map(|(k, m)| k / m);
+    per_mass.fold(0.0, f64::max)
+}
+
+/// The largest eigenvalues of the laws' tangents up to the largest stretch [Pa].
+struct Tangents {
+    /// Of the general laws, in their order.
+    general_pa: Vec<f64>,
+    /// Of the laws with code of their own, by material: the search over stretches costs more than everything else about a
+    /// tetrahedron.
+    by_material_pa: BTreeMap<[u64; 2], f64>,
+}
+
+impl Tangents {
+    fn of(params: &ExplicitKernelParams<'_>) -> Self {
         let stretch = params.largest_stretch;
-        let tangents_pa: Vec<f64> =
+        let general =
             params.laws.iter().map(|law| largest_tangent_eigenvalue_pa(law.as_ref(), stretch)).collect();
-        // The search over stretches costs more than everything else about a tetrahedron: once for each material.
-        let mut tangents_by_material_pa = BTreeMap::new();
+        let mut by_material_pa = BTreeMap::new();
         for material in params.materials {
             let searched = || match params.law {
                 KernelLaw::NeoHookeLog => {
@@ -103,40 +122,49 @@ impl Stability {
                 // Known without a search.
                 KernelLaw::Linear | KernelLaw::StVenantKirchhoff | KernelLaw::General => 0.0,
             };
-            tangents_by_material_pa.entry(bits_of(material)).or_insert_with(searched);
+            by_material_pa.entry(bits_of(material)).or_insert_with(searched);
         }
-        let stiff = |tet: TetId, gradients: &P1Gradients| -> StiffTet {
-            let material = params.material(tet);
-            let law = match params.fibres.get(tet.index()) {
-                Some(fibre) => TetLaw::with_fibre(material, fibre, tet).expect("the kernel was made of it"),
-                None => TetLaw::isotropic(material),
-            };
-            // K(F) is at most the largest tangent times the scalar Laplacian, and that at most K at rest over
-            // lambda + 2 mu.
-            let wave_pa = wave_pa(material);
-            let of_tangent = |tangent_pa: f64| (tangent_pa / wave_pa).max(1.0);
-            let stiffening = match params.law {
-                KernelLaw::Linear if params.volume_penalty_pa == 0.0 => 1.0,
-                KernelLaw::Linear | KernelLaw::StVenantKirchhoff => {
-                    law.stiffening(stretch, params.volume_penalty_pa)
-                }
-                KernelLaw::NeoHookeLog | KernelLaw::StableNeoHooke => {
-                    of_tangent(tangents_by_material_pa[&bits_of(material)])
-                }
-                KernelLaw::General => {
-                    of_tangent(tangents_pa[if tangents_pa.len() == 1 { 0 } else { tet.index() }])
-                }
-            };
-            let rest_pa = body.rest_stress_pa.get(tet.index()).map_or(0.0, |s| {
-                // Largest row sum: at least the largest principal stress.
-                let [xx, yy, zz, xy, xz, yz] = s.map(f64::abs);
-                (xx + xy + xz).max(xy + yy + yz).max(xz + yz + zz)
-            });
-            StiffTet {
-                at_rest: linear_stiffness(&law, gradients),
-                stiffening: stiffening + rest_pa / wave_pa,
-            }
+        Self { general_pa: general, by_material_pa }
+    }
+
+    /// A tetrahedron at rest, and how many times stiffer it may become.
+    fn stiffness(&self, params: &ExplicitKernelParams<'_>, tet: TetId, gradients: &P1Gradients) -> StiffTet {
+        let (stretch, general_pa) = (params.largest_stretch, &self.general_pa);
+        let material = params.material(tet);
+        let law = match params.fibres.get(tet.index()) {
+            Some(fibre) => TetLaw::with_fibre(material, fibre, tet).expect("the kernel was made of it"),
+            None => TetLaw::isotropic(material),
         };
+        // K(F) is at most the largest tangent times the scalar Laplacian, and that at most K at rest over
+        // lambda + 2 mu.
+        let wave_pa = wave_pa(material);
+        let of_tangent = |tangent_pa: f64| (tangent_pa / wave_pa).max(1.0);
+        let stiffening = match params.law {
+            KernelLaw::Linear if params.volume_penalty_pa == 0.0 => 1.0,
+            KernelLaw::Linear | KernelLaw::StVenantKirchhoff => {
+                law.stiffening(stretch, params.volume_penalty_pa)
+            }
+            KernelLaw::NeoHookeLog | KernelLaw::StableNeoHooke => {
+                of_tangent(self.by_material_pa[&bits_of(material)])
+            }
+            KernelLaw::General => of_tangent(general_pa[if general_pa.len() == 1 { 0 } else { tet.index() }]),
+        };
+        let rest_pa = params.body.rest_stress_pa.get(tet.index()).map_or(0.0, |s| {
+            // Largest row sum: at least the largest principal stress.
+            let [xx, yy, zz, xy, xz, yz] = s.map(f64::abs);
+            (xx + xy + xz).max(xy + yy + yz).max(xz + yz + zz)
+        });
+        StiffTet { at_rest: linear_stiffness(&law, gradients), stiffening: stiffening + rest_pa / wave_pa }
+    }
+}
+
+impl Stability {
+    /// Of a mesh whose tetrahedra are sound.
+    pub(super) fn of(params: &ExplicitKernelParams<'_>) -> Result<Self, SolveError> {
+        let body = &params.body;
+        let mesh = body.mesh;
+        let tangents = Tangents::of(params);
+        let stiff = |tet: TetId, gradients: &P1Gradients| tangents.stiffness(params, tet, gradients);
         let elastic = ElasticStability::of_stiffness(mesh, body.density_kg_per_m3, stiff)?;
         let mut ligaments_n_per_m = vec![0.0; mesh.positions_m.len()];
         for ligament in body.attachments {
@@ -156,14 +184,8 @@ impl Stability {
         let tangent_pa = |(tet, stiffening): (TetId, &f64)| stiffening * wave_pa(params.material(tet));
         let stiffest_pa = tets().zip(&stiffening).map(tangent_pa).fold(0.0, f64::max);
 
-        let mut mass_kg = vec![0.0; mesh.positions_m.len()];
-        for tet in tets() {
-            for node in mesh.tetrahedra[tet.index()] {
-                mass_kg[node.index()] += corner_kg(tet);
-            }
-        }
-        let per_mass = ligaments_n_per_m.iter().zip(&mass_kg).filter(|(_, m)| **m > 0.0).map(|(k, m)| k / m);
-        let uncut = SQUARED_LIMIT / (elastic.step_s * elastic.step_s) + per_mass.fold(0.0, f64::max);
+        let of_nodes = largest_per_mass(body, &ligaments_n_per_m);
+        let uncut = SQUARED_LIMIT / (elastic.step_s * elastic.step_s) + of_nodes;
         let mut after_cuts = SQUARED_LIMIT / (elastic.after_cuts_s * elastic.after_cuts_s);
         let mut limiting = elastic.tet;
         for tet in tets().filter(|tet| of_ligaments(*tet) > 0.0) {

@@ -113,32 +113,7 @@ impl ExplicitKernel {
             .collect();
         let n_reanalyses = self.report.n_reanalyses;
 
-        if !std::mem::replace(&mut self.is_cut, true) {
-            self.stability.scaling.apply(&self.rest, &mut self.kernel);
-        }
-        for &tet in &change.tets.removed {
-            if tet.index() < change.tets.n_before && self.kernel.is_live(tet) {
-                self.remove_tet(tet);
-            }
-        }
-        for held in self.held.iter_mut() {
-            // A tool goes on holding a moved node at its place in space.
-            let n = held.node.index();
-            let moved_m = mesh.positions_m[n] - self.rest.positions_m[n];
-            held.start_m -= moved_m;
-            held.target_m -= moved_m;
-        }
-        for tet in &growth.reshaped {
-            self.stability.scaling.remove_tet(&self.rest, *tet, &mut self.kernel);
-        }
-        self.rest.tetrahedra.extend_from_slice(&mesh.tetrahedra[change.tets.n_before..growth.n_tets]);
-        for node in change.moved_nodes.iter().filter(|node| node.index() < n_before) {
-            self.rest.positions_m[node.index()] = mesh.positions_m[node.index()];
-        }
-        self.rest.positions_m.extend_from_slice(&mesh.positions_m[n_before..n_nodes]);
-        self.substance.grow(change, growth);
-        self.stability.grow(change);
-        self.add_tets(change, growth);
+        self.take_over_mesh(mesh, change, growth);
         for (tet, memory) in memories {
             self.kernel.set_tet_history(tet, &memory);
         }
@@ -165,25 +140,61 @@ impl ExplicitKernel {
         }
         self.stability.estimate(&self.kernel);
         self.loads.grow(&self.rest.positions_m);
-        if self.report.n_reanalyses != n_reanalyses {
+        if self.report.n_reanalyses == n_reanalyses {
+            self.publish_changed(growth, &at_removed);
+        } else {
             self.loads.refresh_all(&mut self.kernel);
             self.publish();
+        }
+    }
+
+    /// Brings mesh at rest, kernel, substance and stable step from before an edit to after it.
+    fn take_over_mesh(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+        let (n_before, n_nodes) = (change.nodes.n_before, growth.n_nodes);
+        if !std::mem::replace(&mut self.is_cut, true) {
+            self.stability.scaling.apply(&self.rest, &mut self.kernel);
+        }
+        for &tet in &change.tets.removed {
+            if tet.index() < change.tets.n_before && self.kernel.is_live(tet) {
+                self.remove_tet(tet);
+            }
+        }
+        for held in self.held.iter_mut() {
+            // A tool goes on holding a moved node at its place in space.
+            let n = held.node.index();
+            let moved_m = mesh.positions_m[n] - self.rest.positions_m[n];
+            held.start_m -= moved_m;
+            held.target_m -= moved_m;
+        }
+        for tet in &growth.reshaped {
+            self.stability.scaling.remove_tet(&self.rest, *tet, &mut self.kernel);
+        }
+        self.rest.tetrahedra.extend_from_slice(&mesh.tetrahedra[change.tets.n_before..growth.n_tets]);
+        for node in change.moved_nodes.iter().filter(|node| node.index() < n_before) {
+            self.rest.positions_m[node.index()] = mesh.positions_m[node.index()];
+        }
+        self.rest.positions_m.extend_from_slice(&mesh.positions_m[n_before..n_nodes]);
+        self.substance.grow(change, growth);
+        self.stability.grow(change);
+        self.add_tets(change, growth);
+    }
+
+    /// Loads and shown state of the nodes that an edit changed.
+    fn publish_changed(&mut self, growth: &Growth, at_removed: &[(NodeId, DVec3)]) {
+        // Weight changes with the mass, and ligaments are as long as they are now.
+        let attached = growth.attached().flat_map(|tet| self.rest.tetrahedra[tet.index()]);
+        let removed = at_removed.iter().map(|(node, _)| *node);
+        let mut changed: Vec<NodeId> = growth.placed_nodes().chain(attached).chain(removed).collect();
+        changed.sort_unstable();
+        changed.dedup();
+        for &node in &changed {
+            self.loads.refresh(&mut self.kernel, node);
+        }
+        self.loads.refresh_attachments(&mut self.kernel);
+        if self.kernel.history_len() == 0 {
+            self.publish_nodes(changed.into_iter());
         } else {
-            // Weight changes with the mass, and ligaments are as long as they are now.
-            let attached = growth.attached().flat_map(|tet| self.rest.tetrahedra[tet.index()]);
-            let removed = at_removed.iter().map(|(node, _)| *node);
-            let mut changed: Vec<NodeId> = growth.placed_nodes().chain(attached).chain(removed).collect();
-            changed.sort_unstable();
-            changed.dedup();
-            for &node in &changed {
-                self.loads.refresh(&mut self.kernel, node);
-            }
-            self.loads.refresh_attachments(&mut self.kernel);
-            if self.kernel.history_len() == 0 {
-                self.publish_nodes(changed.into_iter());
-            } else {
-                self.publish();
-            }
+            self.publish();
         }
     }
 

@@ -474,7 +474,11 @@ impl SubdivisionCut {
             let reached_m = [0, 1].map(|i| from_m[i].lerp(blade_m[i], extent));
             return Ok(self.accept(body, reached_m, report));
         }
-        let report = tried.report;
+        Err(self.refuse(blade_m, &tried.report))
+    }
+
+    /// Goes on at `blade_m` as after a new beginning, without the part of the stroke that `report` tells of.
+    fn refuse(&mut self, blade_m: [DVec3; 2], report: &CutReport) -> CutRefusal {
         self.stroke.blade_m = Some(blade_m);
         self.stroke.front.clear();
         self.stroke.wake.clear();
@@ -486,7 +490,7 @@ impl SubdivisionCut {
             ..CutReport::default()
         });
         let limit_deg = self.params.min_dihedral_deg.min(report.min_dihedral_before_deg);
-        Err(CutRefusal::BadShape { found_deg: report.min_dihedral_deg, limit_deg })
+        CutRefusal::BadShape { found_deg: report.min_dihedral_deg, limit_deg }
     }
 
     /// By how much [m2] the faces of the cut would exceed what the stroke swept.

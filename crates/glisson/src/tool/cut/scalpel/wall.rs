@@ -61,11 +61,35 @@ pub(super) fn way_around(
     plane: &Plane,
 ) -> Option<Vec<NodeId>> {
     let topology = body.topology();
+    let around = prices_around(topology, positions_m, (node, ends), plane);
+    let place = |n: NodeId| around.iter().position(|&(other, _)| other == n);
+    let links = links_around(topology, positions_m, node, place)?;
+    let [start, end] = [place(ends[0])?, place(ends[1])?];
+    if start == end {
+        // The cut's front comes back to itself: there is no way from one end to the other.
+        return None;
+    }
+    let before = cheapest_before(&around, &links, [start, end])?;
+    let mut way = Vec::new();
+    let mut at = before[end];
+    while at != start {
+        way.push(around[at].0);
+        at = before[at];
+    }
+    way.reverse();
+    Some(way)
+}
+
+/// The neighbours of the node, and the price of each for a way between the ends: infinite where it may not pass.
+fn prices_around(
+    topology: &Topology,
+    positions_m: &[DVec3],
+    (node, ends): (NodeId, [NodeId; 2]),
+    plane: &Plane,
+) -> Vec<(NodeId, f64)> {
     let at_m = |n: NodeId| positions_m[n.index()];
     let center_m = at_m(node);
-    // Neighbours and, for each, whether the way may pass there.
     let mut around: Vec<(NodeId, f64)> = Vec::new();
-    let mut links: Vec<[usize; 2]> = Vec::new();
     for &edge in topology.node_edges(node) {
         let other = topology.other_node(edge, node);
         let is_end = ends.contains(&other);
@@ -77,7 +101,20 @@ pub(super) fn way_around(
         };
         around.push((other, price));
     }
-    let place = |n: NodeId| around.iter().position(|&(other, _)| other == n);
+    around
+}
+
+/// The pairs of neighbours, by their `place`, that an inner face at `node` joins and that are not seen from it too far
+/// apart. `None` when a neighbour has no place.
+fn links_around(
+    topology: &Topology,
+    positions_m: &[DVec3],
+    node: NodeId,
+    place: impl Fn(NodeId) -> Option<usize>,
+) -> Option<Vec<[usize; 2]>> {
+    let at_m = |n: NodeId| positions_m[n.index()];
+    let center_m = at_m(node);
+    let mut links: Vec<[usize; 2]> = Vec::new();
     for &tet in topology.node_tets(node) {
         for triangle in topology.tet_triangles(tet) {
             let [first, second] = topology.triangle_tets(triangle);
@@ -93,11 +130,16 @@ pub(super) fn way_around(
             }
         }
     }
-    let [start, end] = [place(ends[0])?, place(ends[1])?];
-    if start == end {
-        // The cut's front comes back to itself: there is no way from one end to the other.
-        return None;
-    }
+    Some(links)
+}
+
+/// For each neighbour the one before it on the cheapest way from `start`, as far as it takes to reach `end`. `None` if
+/// there is no way.
+fn cheapest_before(
+    around: &[(NodeId, f64)],
+    links: &[[usize; 2]],
+    [start, end]: [usize; 2],
+) -> Option<Vec<usize>> {
     let mut cost = vec![f64::INFINITY; around.len()];
     let mut before = vec![usize::MAX; around.len()];
     let mut done = vec![false; around.len()];
@@ -111,10 +153,10 @@ pub(super) fn way_around(
         }
         let here = here?;
         if here == end {
-            break;
+            return Some(before);
         }
         done[here] = true;
-        for &[a, b] in &links {
+        for &[a, b] in links {
             let next = if a == here {
                 b
             } else if b == here {
@@ -129,14 +171,6 @@ pub(super) fn way_around(
             }
         }
     }
-    let mut way = Vec::new();
-    let mut at = before[end];
-    while at != start {
-        way.push(around[at].0);
-        at = before[at];
-    }
-    way.reverse();
-    Some(way)
 }
 
 /// The groups of tetrahedra at `node` that hang together through faces at `node` which are not in `wall`; each

@@ -148,8 +148,19 @@ pub(super) fn open(patch: &mut Patch, body: Body<'_>, is_front: impl Fn(u32) -> 
         }
     }
     (patch.parting, patch.parted) = (starts, stars);
+    what_opened(patch, &sides, &origin, is_front)
+}
+
+/// What came of the faces of the cut: those whose two sides still share all nodes stay closed, the others count as area.
+/// `origin` is the node that each one is a copy of.
+fn what_opened(
+    patch: &Patch,
+    sides: &[([u32; 3], [Option<u32>; 2])],
+    origin: &[u32],
+    is_front: impl Fn(u32) -> bool,
+) -> Opened {
     let mut opened = Opened::default();
-    for (face, tets) in sides {
+    for &(face, tets) in sides {
         let [Some(a), Some(b)] = tets else { continue };
         if face.into_iter().any(&is_front) {
             for tet in [a, b] {

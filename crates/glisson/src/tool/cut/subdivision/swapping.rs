@@ -168,6 +168,30 @@ fn are_joined(patch: &Patch, a: u32, b: u32) -> bool {
     patch.star(a).iter().any(|&t| patch.tets[t as usize].nodes.contains(&b))
 }
 
+/// Whether pulling `gone` onto `kept` leaves the cut where it is: along it, along its rim for a node there, and with about
+/// its area.
+#[inline]
+fn stays_on_cut(patch: &Patch, [gone, kept]: [u32; 2], leaving: &Leaving, max_area_change_m2: f64) -> bool {
+    if leaving.faces.is_empty() {
+        return true;
+    }
+    let n_common = leaving.faces.iter().filter(|f| f.contains(&kept)).count();
+    if n_common == 0 || (leaving.is_on_rim && n_common != 1) {
+        return false;
+    }
+    let mut area_change_m2 = 0.0;
+    for &face in &leaving.faces {
+        let after = if face.contains(&kept) {
+            0.0
+        } else {
+            patch.face_area_m2(face.map(|n| if n == gone { kept } else { n }))
+        };
+        area_change_m2 += after - patch.face_area_m2(face);
+    }
+    let is_too_much = area_change_m2.abs() > max_area_change_m2;
+    !is_too_much
+}
+
 /// Pulls `gone` onto `kept`. Nodes inside may go anywhere, those on flat skin along the skin, those on the cut along
 /// the cut, and those on the rim of the cut along the rim.
 fn collapse(
@@ -180,23 +204,8 @@ fn collapse(
     if patch.nodes[gone as usize].is_front || patch.is_still(gone) {
         return false;
     }
-    let n_common = leaving.faces.iter().filter(|f| f.contains(&kept)).count();
-    if !leaving.faces.is_empty() {
-        if n_common == 0 || (leaving.is_on_rim && n_common != 1) {
-            return false;
-        }
-        let mut area_change_m2 = 0.0;
-        for &face in &leaving.faces {
-            let after = if face.contains(&kept) {
-                0.0
-            } else {
-                patch.face_area_m2(face.map(|n| if n == gone { kept } else { n }))
-            };
-            area_change_m2 += after - patch.face_area_m2(face);
-        }
-        if area_change_m2.abs() > max_area_change_m2 {
-            return false;
-        }
+    if !stays_on_cut(patch, [gone, kept], leaving, max_area_change_m2) {
+        return false;
     }
     let LeavingStar { sides, is_flat, max_cosine } =
         leaving.star.get_or_insert_with(|| LeavingStar::of(patch, body, gone));

@@ -7,7 +7,8 @@ use std::io::{self, Write};
 
 use super::GmshVersion;
 use super::cells::{CellKind, Frame, RawMesh, gmsh_element_kind, refused_volume};
-use super::text::{ByteOrder, FormatError, NumberType, Scanner, millimetres, quoted};
+use super::text::{FormatError, Scanner, millimetres, quoted};
+use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::mesh::faults::LengthUnit;

@@ -7,7 +7,8 @@
 use std::io::{self, Write};
 
 use super::cells::{Frame, RawMesh, VtkCells};
-use super::text::{ByteOrder, FormatError, NumberType, Scanner, millimetres, quoted};
+use super::text::{FormatError, Scanner, millimetres, quoted};
+use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::mesh::faults::LengthUnit;

@@ -152,7 +152,7 @@ fn session(apart: &Apart, program: &Path, scene: &Path, link: &str, key: &Path) 
         rest[..end].parse().with_context(|| format!("{name}: {felt}"))
     };
     ensure!(number("greatest_force_n")? > 0.05, "nothing was felt: {felt}");
-    ensure!(number("taken_back_ticks")? > 500.0, "the force was not taken back: {felt}");
+    ensure!(number("taken_back_ticks")? > 500.0, "the force was not undone: {felt}");
     ensure!(number("greatest_force_taken_back_n")? < 1e-3, "a force without a simulation: {felt}");
     ensure!(number("greatest_force_given_again_n")? > 0.05, "nothing was felt after it: {felt}");
     ensure!(number("ramp_ticks")? > 150.0, "no ramps: {felt}");

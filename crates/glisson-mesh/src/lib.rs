@@ -13,6 +13,8 @@ pub mod fault;
 pub mod text;
 pub mod units;
 pub mod files;
+mod binary;
+mod disjoint_sets;
 pub mod image;
 pub mod surface;
 pub mod mesh;

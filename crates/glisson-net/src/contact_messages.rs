@@ -4,7 +4,7 @@
 use super::wire::{MOST, MessageError, Reader, put};
 use glisson::haptics::{EnergyControl, ForceEstimate};
 use glisson::mesh::{NodeId, TriangleId};
-use glisson::tool::found::{Detected, FoundTouch, N_TOUCHING_PARTS, TouchingPoint};
+use glisson::tool::external_detection::{ExternalDetection, ExternalTouch, N_TOUCHING_PARTS, TouchingPoint};
 use glisson_runtime::elsewhere::{MOST_NODES, NodePlace};
 use glisson_runtime::force_choices::ForceChoices;
 use glisson_runtime::haptic_loop::{HapticReport, HapticSettings};
@@ -91,13 +91,13 @@ pub(crate) enum PieceItems {
     Nodes(Vec<NodePlace>),
 }
 
-pub(super) fn put_detected(bytes: &mut Vec<u8>, detected: Option<&Detected>) {
+pub(super) fn put_detected(bytes: &mut Vec<u8>, detected: Option<&ExternalDetection>) {
     let Some(detected) = detected else { return bytes.push(0) };
     bytes.push(1);
     bytes.extend(detected.surface_version.to_le_bytes());
     bytes.push(detected.touches.iter().flatten().count() as u8);
     for (part, touch) in detected.touches.iter().enumerate() {
-        let Some(FoundTouch { triangle, weights, normal, at, gap_m }) = touch else { continue };
+        let Some(ExternalTouch { triangle, weights, normal, at, gap_m }) = touch else { continue };
         bytes.push(part as u8);
         bytes.extend(triangle.0.to_le_bytes());
         put(bytes, weights);
@@ -188,14 +188,14 @@ impl Reader<'_> {
         self.take().map(f32::from_le_bytes)
     }
 
-    pub(super) fn detected(&mut self) -> Read<Option<Detected>> {
+    pub(super) fn detected(&mut self) -> Read<Option<ExternalDetection>> {
         let wrong = |what: &'static str| Some(Err(MessageError::Number(what)));
         match self.take()? {
             [0] => return Some(Ok(None)),
             [1] => {}
             _ => return wrong("whether anything was looked for"),
         }
-        let mut detected = Detected { surface_version: self.u32()?, ..Detected::default() };
+        let mut detected = ExternalDetection { surface_version: self.u32()?, ..ExternalDetection::default() };
         let [n_touches] = self.take()?;
         if usize::from(n_touches) > N_TOUCHING_PARTS {
             return wrong("the number of touches");
@@ -209,7 +209,7 @@ impl Reader<'_> {
             let [kind] = self.take()?;
             let point = self.vector()?;
             let at = if kind == 0 { TouchingPoint::OnAxis(point.x) } else { TouchingPoint::Fixed(point) };
-            let touch = FoundTouch { triangle, weights, normal, at, gap_m: self.f64()? };
+            let touch = ExternalTouch { triangle, weights, normal, at, gap_m: self.f64()? };
             // On an axis only the share counts: what else is said is nothing.
             let is_one = match kind {
                 0 => point.y.to_bits() == 0 && point.z.to_bits() == 0,

@@ -9,7 +9,7 @@ use super::messages::Hand;
 use glisson::haptics::{HapticModel, Touch};
 use glisson::math::{DMat3, DVec3};
 use glisson::mesh::NodeId;
-use glisson::tool::found::Detected;
+use glisson::tool::external_detection::ExternalDetection;
 use glisson::tool::{MAX_TOOLS, Tool, ToolInput};
 use glisson::world::detection::{SurfaceCopy, ToolDetector};
 use glisson_runtime::elsewhere::{MOST_NODES, NodePlace};
@@ -156,8 +156,9 @@ impl Watched {
                     (self.touches_since_ns, self.is_felt_alone) = (Some(begun_ns), false);
                     Counts::add(&counts.n_touches);
                 }
-                // A cut that was taken back has a new number, and the surface of before.
-                hand.detected = Some(Detected { surface_version: self.told.surface.version, ..detected });
+                // A cut that was undone has a new number, and the surface of before.
+                hand.detected =
+                    Some(ExternalDetection { surface_version: self.told.surface.version, ..detected });
             }
             None => {
                 self.detector.lift();

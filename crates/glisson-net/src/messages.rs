@@ -13,7 +13,7 @@ use super::seal::{Seal, TAG_BYTES};
 use super::wire::{MOST, MessageError, Reader, VERSION, put};
 use glisson::haptics::{AxesModel, HapticModel, Touch, TouchedPart};
 use glisson::math::{DMat3, DVec3};
-use glisson::tool::found::Detected;
+use glisson::tool::external_detection::ExternalDetection;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson_runtime::elsewhere::NodePlace;
 use glisson_runtime::haptic_loop::HapticReport;
@@ -83,7 +83,7 @@ pub(crate) struct Hand {
     /// Whether a device holds it; otherwise it stays where it was.
     pub(crate) is_held: bool,
     /// What was found on the way there; none where nothing was looked for.
-    pub(crate) detected: Option<Detected>,
+    pub(crate) detected: Option<ExternalDetection>,
 }
 
 /// What the tissue does to an instrument, how old that was when it was sent, and where the tissue is.
@@ -416,7 +416,7 @@ mod tests {
     use super::*;
     use crate::contact_messages::{PIECE_ITEMS, PieceItems};
     use glisson::mesh::{NodeId, TriangleId};
-    use glisson::tool::found::{FoundTouch, TouchingPoint};
+    use glisson::tool::external_detection::{ExternalTouch, TouchingPoint};
     use glisson_runtime::elsewhere::MOST_NODES;
     use glisson_runtime::haptic_loop::Meters;
     use glisson_runtime::realtime::Scheduling;
@@ -451,16 +451,16 @@ mod tests {
                 trigger: self.number().abs(),
                 ..ToolInput::at(self.vector(), self.vector().normalize())
             };
-            let touch = FoundTouch {
+            let touch = ExternalTouch {
                 triangle: TriangleId(self.next() as u32),
                 weights: [0.5, 0.25, 0.25],
                 normal: self.vector().normalize(),
                 at: TouchingPoint::OnAxis(self.number().abs()),
                 gap_m: self.number(),
             };
-            let on_mesh = FoundTouch { at: TouchingPoint::Fixed(self.vector()), ..touch };
+            let on_mesh = ExternalTouch { at: TouchingPoint::Fixed(self.vector()), ..touch };
             let touches = [touch, on_mesh, touch].map(|touch| self.next().is_multiple_of(2).then_some(touch));
-            let detected = Detected { surface_version: self.next() as u32, touches };
+            let detected = ExternalDetection { surface_version: self.next() as u32, touches };
             let detected = self.next().is_multiple_of(2).then_some(detected);
             Hand { pose, is_held: self.next().is_multiple_of(2), detected }
         }

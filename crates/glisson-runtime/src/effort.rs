@@ -1,6 +1,6 @@
 //! When the simulation cannot keep pace with the clock it computes less thoroughly, and more again when it has time to spare.
 
-use glisson::model::Effort;
+use glisson::model::LevelOfDetail;
 
 /// How the last while went.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,13 +21,13 @@ const CALM_LOOKS: u32 = 10;
 /// Decides from one look to the next.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct EffortControl {
-    effort: Effort,
+    effort: LevelOfDetail,
     n_calm: u32,
 }
 
 impl EffortControl {
     /// Another effort, if there should be one.
-    pub(crate) fn look(&mut self, load: Load) -> Option<Effort> {
+    pub(crate) fn look(&mut self, load: Load) -> Option<LevelOfDetail> {
         let is_calm = load.real_time_factor >= LATE_BELOW && load.busy_share < IDLE_BELOW;
         self.n_calm = if is_calm { self.n_calm + 1 } else { 0 };
         let wanted = if load.real_time_factor < LATE_BELOW {
@@ -57,7 +57,7 @@ mod tests {
         assert_eq!(control.look(even), None);
         assert_eq!(
             [late, late, late].map(|load| control.look(load)),
-            [Some(Effort::Reduced), Some(Effort::Least), None]
+            [Some(LevelOfDetail::Reduced), Some(LevelOfDetail::Least), None]
         );
         // What is just enough stays.
         assert!((0..50).all(|_| control.look(even).is_none()));
@@ -65,9 +65,9 @@ mod tests {
         // One busy look begins the wait anew.
         assert_eq!(control.look(even), None);
         assert!((0..9).all(|_| control.look(calm).is_none()));
-        assert_eq!(control.look(calm), Some(Effort::Reduced));
+        assert_eq!(control.look(calm), Some(LevelOfDetail::Reduced));
         assert!((0..9).all(|_| control.look(calm).is_none()));
-        assert_eq!(control.look(calm), Some(Effort::Full));
+        assert_eq!(control.look(calm), Some(LevelOfDetail::Full));
         assert!((0..50).all(|_| control.look(calm).is_none()));
     }
 }

@@ -14,7 +14,7 @@ use glisson::haptics::{
     TickReport,
 };
 use glisson::tool::ToolInput;
-use glisson::tool::found::Detected;
+use glisson::tool::external_detection::ExternalDetection;
 use std::borrow::Cow;
 use std::ops::RangeInclusive;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -66,7 +66,7 @@ pub struct Motion {
     /// Whether the device holds it now; otherwise it stays where it was.
     pub is_held: bool,
     /// What was found on the way there, if somebody else than the simulation looked.
-    pub detected: Option<Detected>,
+    pub detected: Option<ExternalDetection>,
 }
 
 impl Motion {
@@ -281,7 +281,7 @@ pub struct Meters {
 /// What hands felt, and that nothing is felt while the simulation does not answer.
 #[derive(Debug, Default)]
 struct FeltMeters {
-    /// Of all ticks, of those at which the force was taken back because the model was old, and of those after such a time at
+    /// Of all ticks, of those at which the force was withdrawn because the model was old, and of those after such a time at
     /// which all of it was given again.
     all_n: GreatestValue,
     taken_back_n: GreatestValue,
@@ -320,7 +320,7 @@ impl FeltMeters {
 pub struct FeltForces {
     /// The greatest force [N].
     pub(crate) greatest_n: f64,
-    /// The same of the ticks at which all of it was taken back because the model was old, and how many these were.
+    /// The same of the ticks at which all of it was withdrawn because the model was old, and how many these were.
     pub(crate) greatest_taken_back_n: f64,
     pub(crate) n_taken_back: u64,
     /// The same of the ticks at which all of it was given, after such a time.
@@ -340,7 +340,7 @@ pub struct HapticReport {
     pub n_missed: u64,
     /// Ticks at which more than the device's largest force was wanted.
     pub n_saturated: u64,
-    /// Ticks at which the model was so old that the force was taken back.
+    /// Ticks at which the model was so old that the force was withdrawn.
     pub n_stale: u64,
     /// Interval between two ticks less the period, without its sign.
     pub jitter: Percentiles,
@@ -450,7 +450,7 @@ impl HapticReport {
         text += &line(
             "forces",
             format!(
-                "{}; limited in {} ticks, taken back in {} because the model was old; a hand never got more than {:.2} mJ",
+                "{}; limited in {} ticks, undone in {} because the model was old; a hand never got more than {:.2} mJ",
                 self.settings.forces.text(),
                 self.n_saturated,
                 self.n_stale,

@@ -12,10 +12,10 @@ use crate::simulation::{Broken, Simulation, panic_text};
 use anyhow::Context;
 use glisson::haptics::InsertedInstrument;
 use glisson::math::DVec3;
-use glisson::model::Effort;
+use glisson::model::LevelOfDetail;
 use glisson::model::StateHash;
 use glisson::model::kind::ModelKind;
-use glisson::tool::found::Detected;
+use glisson::tool::external_detection::ExternalDetection;
 use glisson::tool::{MAX_TOOLS, ToolInput};
 use glisson::world::StepInput;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -60,7 +60,7 @@ pub enum Command {
         /// Its number.
         tool: usize,
     },
-    /// The last cut is taken back.
+    /// The last cut is undone.
     Undo,
     /// The program ends.
     Stop,
@@ -169,7 +169,7 @@ struct Live {
     /// Instruments in the hand of a device.
     links: Vec<ToolLink>,
     /// What was found elsewhere for each of them.
-    detected: [Option<Detected>; MAX_TOOLS],
+    detected: [Option<ExternalDetection>; MAX_TOOLS],
     elsewhere: NearbyMaker,
     /// When the last models were published, and how long that took [ns].
     published_ns: u64,
@@ -261,18 +261,18 @@ impl Live {
         Ok(())
     }
 
-    fn choose_effort(&mut self, effort: Effort, load: Load) -> anyhow::Result<()> {
+    fn choose_level_of_detail(&mut self, effort: LevelOfDetail, load: Load) -> anyhow::Result<()> {
         let before = self.simulation.world().effort();
-        let matters = self.simulation.set_effort(effort)?;
+        let matters = self.simulation.set_level_of_detail(effort)?;
         let (name, is_less) = (effort.name(), effort < before);
         if matters && is_less {
             self.simulation.tell(format!("the simulation is late: it computes with {name} effort now"));
         } else if matters {
             self.simulation
                 .tell_news(format!("the simulation keeps pace again: it computes with {name} effort"));
-        } else if is_less && before == Effort::Full {
+        } else if is_less && before == LevelOfDetail::Full {
             self.simulation.tell_slow_time(load.real_time_factor);
-        } else if effort == Effort::Full {
+        } else if effort == LevelOfDetail::Full {
             self.simulation.tell_news("the simulation keeps pace again".to_owned());
         }
         Ok(())
@@ -524,7 +524,7 @@ impl<'a> Timed<'a> {
         if let Some(load) = self.pace.count(steps, now.elapsed(), self.live.dt_s)
             && let Some(effort) = self.control.look(load)
         {
-            self.live.choose_effort(effort, load)?;
+            self.live.choose_level_of_detail(effort, load)?;
         }
         Ok(())
     }
@@ -583,7 +583,7 @@ mod tests {
 
     /// Runs in a computer that has three quarters of its time for something else, while an instrument presses on the body,
     /// until a viewer is told `notice`; answers what was told, how it ended and the recording.
-    fn overloaded(model: &str, notice: &str) -> (Vec<String>, Effort, Ended, tempfile::TempDir) {
+    fn overloaded(model: &str, notice: &str) -> (Vec<String>, LevelOfDetail, Ended, tempfile::TempDir) {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("body.tet"), MESH).unwrap();
         let scene = SCENE.replace("[organ]\n", &format!("[organ]\nmodel = \"{model}\"\n"));
@@ -630,7 +630,7 @@ mod tests {
             told.iter().any(|notice| notice.contains("is late") && notice.contains("reduced")),
             "{told:?}"
         );
-        assert_eq!(effort, Effort::Least);
+        assert_eq!(effort, LevelOfDetail::Least);
         assert!(ended.n_stalls > 2 && ended.lateness.n_given_up > 0, "{ended:?}");
         assert!(ended.stalled >= Duration::from_millis(150) * ended.n_stalls as u32, "{ended:?}");
         let text = std::fs::read_to_string(folder.path().join("session.jsonl")).unwrap();

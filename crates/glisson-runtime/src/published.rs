@@ -3,7 +3,7 @@
 use crate::pace::{Pace, StepMeters};
 use crate::{Notice, Simulation};
 use glisson::model::kind::ModelKind;
-use glisson::model::{Effort, StateHash};
+use glisson::model::{LevelOfDetail, StateHash};
 use glisson::record::snapshot::{DisplayTopology, Snapshot};
 use std::sync::Arc;
 
@@ -29,7 +29,7 @@ pub struct Published {
     /// How far the simulation fell behind.
     pub lateness: Lateness,
     /// How thoroughly steps are computed.
-    pub effort: Effort,
+    pub effort: LevelOfDetail,
     /// How long steps take, up to now and not only up to this state.
     pub meters: Arc<StepMeters>,
 }

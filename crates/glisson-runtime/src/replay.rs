@@ -91,7 +91,7 @@ pub fn replay(
             SessionEvent::Refine { center_m, radius_m, edge_m, .. } => {
                 simulation.refine(FineRegion { center_m, radius_m, edge_m })?;
             }
-            SessionEvent::Effort { effort, .. } => drop(simulation.set_effort(effort)?),
+            SessionEvent::Effort { effort, .. } => drop(simulation.set_level_of_detail(effort)?),
             SessionEvent::Reset { .. } => simulation.reset()?,
             SessionEvent::Gravity { gravity_m_per_s2, .. } => simulation.set_gravity(gravity_m_per_s2)?,
             SessionEvent::Remove { ref tets, .. } => simulation.remove_tetrahedra(tets.clone())?,

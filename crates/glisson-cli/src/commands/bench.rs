@@ -79,14 +79,7 @@ fn run_haptics(args: &Args) -> anyhow::Result<()> {
     // As `glisson serve` does, before any thread is started; the viewer's process keeps away, too.
     let kept = CoreKept::keep(None);
     let request = HapticsRequest { seconds, rate_hz: args.rate, n_tets, core: kept.core(), program };
-    let bar = progress_bar();
-    let answer = haptics::measure(&request, &|text, done, total| {
-        bar.set_length(total as u64);
-        bar.set_position(done as u64);
-        bar.set_message(text.to_owned());
-    });
-    bar.finish_and_clear();
-    let answer = answer?;
+    let answer = with_progress(|tell| haptics::measure(&request, tell))?;
     if args.json {
         println!("{answer:#}");
     } else {
@@ -103,14 +96,7 @@ fn run_scenes(args: &Args) -> anyhow::Result<()> {
         threads: args.threads,
         seconds: args.seconds.unwrap_or(60.0),
     };
-    let bar = progress_bar();
-    let report = scene::measure(&request, &|text, done, total| {
-        bar.set_length(total as u64);
-        bar.set_position(done as u64);
-        bar.set_message(text.to_owned());
-    });
-    bar.finish_and_clear();
-    let report = report?;
+    let report = with_progress(|tell| scene::measure(&request, tell))?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
     } else {
@@ -134,12 +120,21 @@ fn run_link(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn progress_bar() -> ProgressBar {
+/// What `work` answers; what it tells (text, done, total) is shown meanwhile.
+fn with_progress<T>(
+    work: impl FnOnce(&dyn Fn(&str, usize, usize)) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
     let bar = ProgressBar::no_length().with_style(
         ProgressStyle::with_template("{spinner} {pos}/{len} {msg}").expect("the template is well-formed"),
     );
     bar.enable_steady_tick(Duration::from_millis(200));
-    bar
+    let answer = work(&|text, done, total| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+        bar.set_message(text.to_owned());
+    });
+    bar.finish_and_clear();
+    answer
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
@@ -171,14 +166,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         threads: args.threads,
         machine: MachineBudget::default(),
     };
-    let bar = progress_bar();
-    let report = measure(&request, &|name, size, done, total| {
-        bar.set_length(total as u64);
-        bar.set_position(done as u64);
-        bar.set_message(if size == 0 { name.to_owned() } else { format!("{name} at {size}") });
-    });
-    bar.finish_and_clear();
-    let report = report?;
+    let report = with_progress(|tell| {
+        measure(&request, &|name, size, done, total| {
+            let text = if size == 0 { name.to_owned() } else { format!("{name} at {size}") };
+            tell(&text, done, total);
+        })
+    })?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
     } else {

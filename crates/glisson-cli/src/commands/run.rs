@@ -1,13 +1,12 @@
 //! `glisson run`.
 
-use anyhow::{Context, bail};
-use glisson::files::write_atomically;
+use crate::text_file::write_text;
+use anyhow::bail;
 use glisson::scene::Scene;
 use glisson::world::{StepInput, StepReport};
 use glisson_runtime::account::Account;
 use glisson_runtime::{OpenScene, Simulation};
 use serde_json::json;
-use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -57,8 +56,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let elapsed_s = start.elapsed().as_secs_f64();
     // What there is up to a step that broke is told, too.
     if let Some(csv) = &args.csv {
-        write_atomically(csv, |out| out.write_all(done.rows.as_bytes()))
-            .with_context(|| format!("{}: cannot write", csv.display()))?;
+        write_text(csv, &done.rows)?;
     }
     for notice in simulation.notices() {
         eprintln!("{}", notice.text);

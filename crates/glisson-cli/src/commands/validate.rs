@@ -1,11 +1,10 @@
 //! `glisson validate`.
 
+use crate::text_file::write_text;
 use anyhow::{Context, bail};
-use glisson::files::write_atomically;
 use glisson_lab::validate::{Experiment, Figure, GROUPS, Group, Outcome, SLOW_GROUPS};
 use serde_json::json;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Reproduce the claims: every experiment with expected and obtained values.
 ///
@@ -68,11 +67,6 @@ fn page(outcomes: &[(&Group, Outcome)]) -> String {
     text
 }
 
-fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    write_atomically(path, |out| out.write_all(text.as_bytes()))
-        .with_context(|| format!("{}: cannot write", path.display()))
-}
-
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let names: Vec<&str> = GROUPS.iter().chain(SLOW_GROUPS).map(|g| g.name).collect();
     if let Some(group) = &args.group
@@ -98,8 +92,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let page = page(&outcomes);
     print!("{}", if args.json { &document } else { &page });
     if let Some(folder) = &args.out {
-        write(&folder.join("validation.json"), &document)?;
-        write(&folder.join("validation.md"), &page)?;
+        write_text(&folder.join("validation.json"), &document)?;
+        write_text(&folder.join("validation.md"), &page)?;
         for figure in outcomes.iter().flat_map(|(_, o)| &o.figures) {
             figure.plot.write_svg(&folder.join(figure.file))?;
         }

@@ -2,8 +2,7 @@
 
 use super::operation::Palpation;
 use super::scenery::Files;
-use anyhow::Context;
-use glisson::files::write_atomically;
+use crate::text_file::write_text;
 use glisson::image::labels::{Parts, dice, mask_volume_m3};
 use glisson::image::nifti::{read_label_map, read_volume};
 use glisson::mesh::files::read_mesh;
@@ -11,8 +10,6 @@ use glisson::mesh::quality::MeshQuality;
 use glisson_view::picture::{SlicePlane, SliceSpec, slice_picture};
 use glisson_view::plot::{LinePlot, Series, SeriesStyle};
 use serde_json::json;
-use std::io::Write;
-use std::path::Path;
 
 /// One command of the demo.
 pub(crate) struct Stage {
@@ -97,11 +94,6 @@ fn force_plot(palpation: &Palpation) -> LinePlot {
         ],
         size: [900, 500],
     }
-}
-
-fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
-    write_atomically(path, |out| out.write_all(text.as_bytes()))
-        .with_context(|| format!("{}: cannot write", path.display()))
 }
 
 /// What the report tells.

@@ -8,8 +8,8 @@ use super::plan::{Plan, TIP_RADIUS_M};
 use super::scenery::Files;
 use super::script::{GRASPER, HOOK, Operation};
 use super::specimen::Specimen;
+use crate::text_file::write_text;
 use anyhow::{Context, ensure};
-use glisson::files::write_atomically;
 use glisson::math::DVec3;
 use glisson::mesh::files::{read_mesh, write_mesh};
 use glisson::model::StateHash;
@@ -23,7 +23,6 @@ use glisson_view::picture::{
 };
 use serde_json::json;
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 const PICTURE_SIZE: [usize; 2] = [1280, 800];
@@ -123,9 +122,7 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
         quoted_mm(plan.entry_m + plan.out * CLIPS_HOME_M - u * 0.05),
         direction(plan.out - 0.3 * u),
     )?;
-    let file = scene_file(files);
-    write_atomically(&file, |out| out.write_all(text.as_bytes()))
-        .with_context(|| format!("{}: cannot write", file.display()))
+    write_text(&scene_file(files), &text)
 }
 
 fn direction(d: DVec3) -> String {
@@ -330,9 +327,7 @@ pub(crate) fn operate(files: &Files) -> anyhow::Result<Resection> {
     let json_text = serde_json::to_string_pretty(&account.to_json())? + "\n";
     let text = account.to_markdown()?;
     for (name, contents) in [("resection.json", &json_text), ("resection.md", &text)] {
-        let file = files.folder.join(name);
-        write_atomically(&file, |out| out.write_all(contents.as_bytes()))
-            .with_context(|| format!("{}: cannot write", file.display()))?;
+        write_text(&files.folder.join(name), contents)?;
     }
     println!("{text}");
     let Account { specimen, state_hash, .. } = account;

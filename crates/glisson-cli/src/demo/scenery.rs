@@ -1,14 +1,13 @@
 //! The demo's files and its scene: where the liver is held, and where the probe pushes.
 
+use crate::text_file::write_text;
 use anyhow::Context;
-use glisson::files::write_atomically;
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::files::read_mesh;
 use glisson::mesh::topology::{Topology, surface_of};
 use glisson::surface::TriMesh;
 use glisson::surface::normals::{NormalWeight, vertex_normals};
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Where everything that the demo makes lies.
@@ -128,6 +127,5 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
             write!(text, "\n[[tool.path]]\ntime = \"{time_s:.2} s\"\ntip = {tip}\n")?;
         }
     }
-    write_atomically(&files.scene, |out| out.write_all(text.as_bytes()))
-        .with_context(|| format!("{}: cannot write", files.scene.display()))
+    write_text(&files.scene, &text)
 }

@@ -94,23 +94,19 @@ fn real_ct() -> Option<PathBuf> {
     None
 }
 
+/// Fills the real liver with about so many tetrahedra.
+fn mesh_real_liver(ct: &Path, tetrahedra: &str, out: &str) {
+    let mask = ct.join("mask.nii.gz");
+    glisson(&["mesh", mask.to_str().unwrap(), "--label", "5", "--tetrahedra", tetrahedra, "-o", out]);
+}
+
 #[test]
 fn a_real_liver_keeps_its_volume_and_has_no_holes() {
     let Some(ct) = real_ct() else { return };
     let folder = tempfile::tempdir().unwrap();
     for tetrahedra in ["6300", "50000"] {
         let mesh = folder.path().join(format!("liver_{tetrahedra}.vtu"));
-        let mask = ct.join("mask.nii.gz");
-        glisson(&[
-            "mesh",
-            mask.to_str().unwrap(),
-            "--label",
-            "5",
-            "--tetrahedra",
-            tetrahedra,
-            "-o",
-            mesh.to_str().unwrap(),
-        ]);
+        mesh_real_liver(&ct, tetrahedra, mesh.to_str().unwrap());
         check_mesh(&mesh, tetrahedra.parse().unwrap(), 1023.0, 0.02);
     }
 }
@@ -120,17 +116,7 @@ fn a_real_liver_can_be_pushed() {
     let Some(ct) = real_ct() else { return };
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
-    let mask = ct.join("mask.nii.gz");
-    glisson(&[
-        "mesh",
-        mask.to_str().unwrap(),
-        "--label",
-        "5",
-        "--tetrahedra",
-        "6300",
-        "-o",
-        &at("liver.vtu"),
-    ]);
+    mesh_real_liver(&ct, "6300", &at("liver.vtu"));
     let (min_mm, max_mm) = bounds_mm(&quality(Path::new(&at("liver.vtu"))));
     // From the front, through the middle of the box, to its centre.
     let middle = |axis: usize| 0.5 * (min_mm[axis] + max_mm[axis]);

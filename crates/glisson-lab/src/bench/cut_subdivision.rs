@@ -1,4 +1,4 @@
-//! A step of a blade that divides tetrahedra: worked out and carried out in the mesh. It is taken back, untimed, so
+//! A step of a blade that divides tetrahedra: worked out and carried out in the mesh. It is undone, untimed, so
 //! that the next call finds the same body.
 
 use std::hint::black_box;

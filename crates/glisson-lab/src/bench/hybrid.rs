@@ -284,7 +284,7 @@ fn refresh(settings: Settings, setup: &Setup, updated: Updated) -> anyhow::Resul
     let zones: Vec<usize> = (0..body.laws.len())
         .filter(|&z| (body.laws[z] == ZoneLaw::TensorMass) == (setup.touched == Touched::Dynamic))
         .collect();
-    // Eight places, in turn in each of the zones.
+    // LaneBlock places, in turn in each of the zones.
     let constraints: Vec<Constraints> = (0..8)
         .map(|i| {
             let nodes = body.patch(zones[i % zones.len()], (i as f64 + 0.5) / 8.0, N_HELD);

@@ -1,4 +1,4 @@
-//! Edits of the mesh alone, each taken back at once so that the next call finds the same body.
+//! Edits of the mesh alone, each undone at once so that the next call finds the same body.
 
 use std::hint::black_box;
 
@@ -21,7 +21,7 @@ pub(super) const CASES: &[Case] = &[
     },
     Case {
         name: "split_and_undo",
-        about: "the edges that a plane crosses in 20 neighbouring tetrahedra are split, and the split taken back",
+        about: "the edges that a plane crosses in 20 neighbouring tetrahedra are split, and the split undone",
         per: "edit and undo",
         sizes: &[6_300],
         parallel: false,

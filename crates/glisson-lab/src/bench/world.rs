@@ -54,7 +54,7 @@ pub(super) const CASES: &[Case] = &[
     },
     Case {
         name: "edit_undo",
-        about: "the same, taken back again at once",
+        about: "the same, undone again at once",
         per: "removal and undo",
         sizes: &[2_000, 6_300],
         parallel: false,

@@ -4,7 +4,7 @@
 use super::{Experiment, Outcome};
 use crate::bench::thread_cpu_ns;
 use glisson::contact::crossing;
-use glisson::contact::response::itself::{OwnContactParams, OwnResponse};
+use glisson::contact::response::self_contact::{SelfContactParams, SelfContactResponse};
 use glisson::material::LinearElastic;
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::box_mesh::cells_of_five;
@@ -28,7 +28,7 @@ struct Setting {
     kind: ModelKind,
     time_step_s: f64,
     name: &'static str,
-    response: Option<OwnResponse>,
+    response: Option<SelfContactResponse>,
 }
 
 fn settings() -> Vec<Setting> {
@@ -38,8 +38,8 @@ fn settings() -> Vec<Setting> {
     {
         for (name, response) in [
             ("none", None),
-            ("geometric", Some(OwnContactParams::geometric(FRICTION))),
-            ("penalty", Some(OwnContactParams::penalty(STIFFNESS_N_PER_M, FRICTION))),
+            ("geometric", Some(SelfContactParams::geometric(FRICTION))),
+            ("penalty", Some(SelfContactParams::penalty(STIFFNESS_N_PER_M, FRICTION))),
         ] {
             all.push(Setting { kind, time_step_s, name, response });
         }
@@ -69,8 +69,8 @@ fn world(
     spec.supports = vec![Support::all_axes(Region::Box(bottom))];
     spec.gravity_m_per_s2 = gravity_m_per_s2;
     spec.loads = loads;
-    spec.own_contact = setting.response.map(|response| OwnContactParams {
-        margin_m: OwnContactParams::default_margin_m(setting.time_step_s),
+    spec.self_contact = setting.response.map(|response| SelfContactParams {
+        margin_m: SelfContactParams::default_margin_m(setting.time_step_s),
         response,
     });
     let material = LinearElastic::from_young_poisson(5e3, 0.4, 1000.0)?;
@@ -105,7 +105,7 @@ fn run(world: &mut World, setting: &Setting, time_s: f64, part: &Part) -> Run {
         let start_ns = thread_cpu_ns();
         let report = world.step(&idle);
         found.step_ms += 1e-6 * (thread_cpu_ns() - start_ns) as f64 / n_steps as f64;
-        found.n_contacts = found.n_contacts.max(report.own_contact.n_contacts);
+        found.n_contacts = found.n_contacts.max(report.self_contact.n_contacts);
         if step % looks == 0 {
             found.crossing_m = found.crossing_m.max(crossing_m(world, part));
         }

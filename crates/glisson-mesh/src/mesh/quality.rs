@@ -14,6 +14,7 @@ pub use criteria::{
 };
 
 use super::{TetId, TetMesh};
+use crate::disjoint_sets::DisjointSets;
 use crate::math::{Aabb, DVec3, tetrahedron_volume_m3};
 use std::collections::BTreeSet;
 
@@ -56,11 +57,11 @@ impl SurfaceShape {
     pub fn of(n_vertices: usize, triangles: &[[u32; 3]]) -> Self {
         // Each side of a triangle: edge with its lower vertex first, whether it runs upwards, the corner where
         // it starts and the corner where it ends.
-        let mut sides: Vec<([u32; 2], bool, u32, u32)> = Vec::with_capacity(3 * triangles.len());
+        let mut sides: Vec<([u32; 2], bool, usize, usize)> = Vec::with_capacity(3 * triangles.len());
         for (t, corners) in triangles.iter().enumerate() {
             for side in 0..3 {
                 let (a, b) = (corners[side], corners[(side + 1) % 3]);
-                let (from, to) = ((3 * t + side) as u32, (3 * t + (side + 1) % 3) as u32);
+                let (from, to) = (3 * t + side, 3 * t + (side + 1) % 3);
                 sides.push(([a.min(b), a.max(b)], a < b, from, to));
             }
         }
@@ -79,26 +80,26 @@ impl SurfaceShape {
                 fans.join(edge[0].3, edge[1].2);
             }
         }
-        let mut fan_of_vertex = vec![u32::MAX; n_vertices];
+        let mut fan_of_vertex = vec![usize::MAX; n_vertices];
         let mut pieces = DisjointSets::new(n_vertices);
         let mut pinched = BTreeSet::new();
         for (corner, &vertex) in triangles.iter().flatten().enumerate() {
-            let fan = fans.root(corner as u32);
+            let fan = fans.root(corner);
             let known = &mut fan_of_vertex[vertex as usize];
-            if *known == u32::MAX {
+            if *known == usize::MAX {
                 *known = fan;
                 shape.n_vertices += 1;
             } else if *known != fan {
                 pinched.insert(vertex);
             }
-            pieces.join(vertex, triangles[corner / 3][0]);
+            pieces.join(vertex as usize, triangles[corner / 3][0] as usize);
         }
         // The ends of open and pinched edges have more fans, too, but they are told by their edges.
         for end in shape.open_edges.iter().chain(&shape.pinched_edges).flatten() {
             pinched.remove(end);
         }
         shape.pinched_vertices = pinched.into_iter().collect();
-        let used = (0..n_vertices as u32).filter(|&v| fan_of_vertex[v as usize] != u32::MAX);
+        let used = (0..n_vertices).filter(|&v| fan_of_vertex[v] != usize::MAX);
         shape.pieces = used.map(|v| pieces.root(v)).collect::<BTreeSet<_>>().len();
         shape.euler_characteristic =
             shape.n_vertices as i64 - shape.n_edges as i64 + shape.n_triangles as i64;
@@ -117,14 +118,14 @@ impl SurfaceShape {
         for triangle in triangles {
             for &v in triangle {
                 used[v as usize] = true;
-                sets.join(v, triangle[0]);
+                sets.join(v as usize, triangle[0] as usize);
             }
         }
         let mut number = vec![u32::MAX; n_vertices];
         let mut n_pieces = 0;
         let mut piece = vec![u32::MAX; n_vertices];
         for v in (0..n_vertices).filter(|&v| used[v]) {
-            let root = sets.root(v as u32) as usize;
+            let root = sets.root(v);
             if number[root] == u32::MAX {
                 number[root] = n_pieces;
                 n_pieces += 1;
@@ -132,29 +133,6 @@ impl SurfaceShape {
             piece[v] = number[root];
         }
         piece
-    }
-}
-
-/// Disjoint sets with path halving; the lower root wins, so that roots do not depend on the order of joins.
-struct DisjointSets(Vec<u32>);
-
-impl DisjointSets {
-    fn new(n: usize) -> Self {
-        Self((0..n as u32).collect())
-    }
-
-    fn root(&mut self, mut at: u32) -> u32 {
-        while self.0[at as usize] != at {
-            let up = self.0[self.0[at as usize] as usize];
-            self.0[at as usize] = up;
-            at = up;
-        }
-        at
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.0[a.max(b) as usize] = a.min(b);
     }
 }
 

@@ -4,6 +4,7 @@ use super::TriMesh;
 use super::error::{Place, SurfaceError};
 use super::intersect::self_intersections;
 use super::normals::area_m2;
+use crate::disjoint_sets::DisjointSets;
 use crate::math::{Aabb, DVec3};
 
 /// A triangle whose smallest height is below this share of its longest edge has no area: its normal is
@@ -275,30 +276,4 @@ fn check_fans(mesh: &TriMesh, corner_sets: &mut DisjointSets) -> Result<usize, S
         triangles: [first_corner[vertex] / 3, other / 3],
         place: Place(mesh.positions_m[vertex]),
     })
-}
-
-/// Disjoint sets whose root is their smallest member.
-struct DisjointSets {
-    parent: Vec<u32>,
-}
-
-impl DisjointSets {
-    fn new(n: usize) -> Self {
-        Self { parent: (0..u32::try_from(n).expect("fewer than 2^32 corners")).collect() }
-    }
-
-    fn root(&mut self, member: usize) -> usize {
-        let mut at = member;
-        while self.parent[at] as usize != at {
-            self.parent[at] = self.parent[self.parent[at] as usize];
-            at = self.parent[at] as usize;
-        }
-        at
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        let (low, high) = (a.min(b), a.max(b));
-        self.parent[high] = low as u32;
-    }
 }

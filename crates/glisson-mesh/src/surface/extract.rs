@@ -254,7 +254,7 @@ struct Smoothed {
 }
 
 /// Restores the volume by an offset within [`LARGEST_MOVE_SPACINGS`]. A body that is all edges, smaller than
-/// the filter's wavelength, loses too much for that: then half of the smoothing is taken back, and again.
+/// the filter's wavelength, loses too much for that: then half of the smoothing is undone, and again.
 /// Answers the share of the smoothing that is left.
 fn keep_volume(
     mesh: &mut TriMesh,

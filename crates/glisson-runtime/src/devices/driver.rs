@@ -16,7 +16,7 @@ const LONGEST_SILENCE_NS: u64 = 20_000_000;
 const THREAD_DELAY_TICKS: usize = 2;
 /// When the answer before the first one was given.
 const NOT_YET_NS: u64 = 0;
-/// A force that nobody renewed for so long is taken back: the haptic loop has stopped [ns].
+/// A force that nobody renewed for so long is withdrawn: the haptic loop has stopped [ns].
 const LONGEST_FORCE_NS: u64 = 50_000_000;
 
 /// One turn of talking to a device. It may wait for as long as the device takes.

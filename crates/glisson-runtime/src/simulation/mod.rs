@@ -18,7 +18,7 @@ use glisson::model::StateHash;
 use glisson::model::explicit_kernel::SharedWorkers;
 use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
-use glisson::model::{DeformableModel, Effort};
+use glisson::model::{DeformableModel, LevelOfDetail};
 use glisson::record::session::SessionEvent;
 use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
 use glisson::tool::MAX_TOOLS;
@@ -299,10 +299,10 @@ impl Simulation {
     }
 
     /// How thoroughly steps are computed from now on; answers whether that makes a difference to the present model.
-    pub(crate) fn set_effort(&mut self, effort: Effort) -> anyhow::Result<bool> {
+    pub(crate) fn set_level_of_detail(&mut self, effort: LevelOfDetail) -> anyhow::Result<bool> {
         self.guarded(|simulation| {
             simulation.record(&SessionEvent::Effort { step: simulation.world.steps_made(), effort })?;
-            Ok(simulation.world.set_effort(effort))
+            Ok(simulation.world.set_level_of_detail(effort))
         })
     }
 
@@ -364,7 +364,7 @@ impl Simulation {
     fn undo_edit_now(&mut self) -> anyhow::Result<()> {
         self.record(&SessionEvent::UndoEdit { step: self.world.steps_made() })?;
         if !self.world.undo_edit() {
-            self.tell("there is no cut that could be taken back".to_owned());
+            self.tell("there is no cut that could be undone".to_owned());
         } else if self.builder.is_some() && self.world.ordered_model().is_none() {
             self.builder = None;
             self.orders_recomputations = self.is_live;

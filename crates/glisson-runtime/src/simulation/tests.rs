@@ -477,9 +477,9 @@ fn a_session_with_less_effort_and_a_change_of_model_replays_to_the_same_bits() {
     // what is not linear is small enough to be left out.
     for step in 0..800 {
         match step {
-            10 => assert!(simulation.set_effort(Effort::Least).unwrap()),
+            10 => assert!(simulation.set_level_of_detail(LevelOfDetail::Least).unwrap()),
             770 => simulation.order_model(ModelKind::Implicit, 790).unwrap(),
-            795 => simulation.set_effort(Effort::Full).map(|_| ()).unwrap(),
+            795 => simulation.set_level_of_detail(LevelOfDetail::Full).map(|_| ()).unwrap(),
             _ => {}
         }
         simulation.advance(&input(step.min(314))).unwrap();

@@ -18,7 +18,7 @@
 //! the same on every path and at any number of threads. Ligaments do not count.
 
 use super::Rayleigh;
-use super::kernel::{Eight, EightWork, KernelPath};
+use super::kernel::{KernelPath, LaneBlock, LaneBlockWork};
 use super::tet_law::{TetLaw, linear_stiffness};
 use crate::material::Material;
 use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, TetStiffness, stress_tensor_pa};
@@ -609,11 +609,11 @@ struct Columns<'a> {
     out: &'a mut LocalModel,
 }
 
-impl EightWork for Columns<'_> {
+impl LaneBlockWork for Columns<'_> {
     type Output = Solved;
 
     #[inline(always)]
-    fn run<V: Eight>(self, zero: V) -> Solved {
+    fn run<V: LaneBlock>(self, zero: V) -> Solved {
         let Self { work, out } = self;
         let n_columns = 3 * out.nodes.len();
         let mut solved = Solved::Wholly;
@@ -637,7 +637,7 @@ impl EightWork for Columns<'_> {
 
 /// Conjugate gradients for unit forces on the unknowns from `first` on, into the first of the vectors.
 #[inline(always)]
-fn solve_eight<V: Eight>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> Solved {
+fn solve_eight<V: LaneBlock>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> Solved {
     let LocalWork { row_start, columns, entries, inverse_diagonal, vectors, tolerance, .. } = work;
     let matrix = Matrix { row_start, columns, entries };
     let mut rho = start_eight(inverse_diagonal, vectors, first, n_lanes);
@@ -712,7 +712,7 @@ struct Matrix<'a> {
 impl Matrix<'_> {
     /// Overwrites `q` with the matrix times `p`; p . q of each lane.
     #[inline(always)]
-    fn product_into<V: Eight>(&self, zero: V, p: &[[f64; 8]], q: &mut [[f64; 8]]) -> [f64; 8] {
+    fn product_into<V: LaneBlock>(&self, zero: V, p: &[[f64; 8]], q: &mut [[f64; 8]]) -> [f64; 8] {
         let Self { row_start, columns, entries } = self;
         let mut curvature = zero;
         for (row, q) in q.as_chunks_mut::<3>().0.iter_mut().enumerate() {
@@ -739,7 +739,7 @@ impl Matrix<'_> {
 
 /// Adds `alpha` times p to x and takes `alpha` times q from r; the new r . z of each lane.
 #[inline(always)]
-fn go_along<V: Eight>(
+fn go_along<V: LaneBlock>(
     zero: V,
     alpha: &[f64; 8],
     inverse_diagonal: &[f64],

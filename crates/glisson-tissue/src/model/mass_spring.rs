@@ -16,8 +16,8 @@ use super::explicit::{
     Cuttable, ExplicitBody, ExplicitDynamics, ExplicitError, Integration, InternalForces, LiveEdges,
     LiveTets, RestTensions, check_body, check_number, follow, keep,
 };
-use super::growth::{Growth, blend_tets};
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame};
+use super::topology_update::{TopologyUpdate, blend_tets};
 use super::{DynamicBody, Rayleigh, RestStress, TopologyRefusal};
 use crate::solve::{MeshEdges, P1Gradients};
 use glisson_mesh::math::{DMat3, DVec3, outer};
@@ -324,7 +324,7 @@ impl Cuttable for MassSpring {
         );
     }
 
-    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
         self.body.grow(mesh, change, growth);
         self.at_node.resize(growth.n_nodes, [0.0; 2]);
         blend_tets(&mut self.rest_stress_pa, change);

@@ -4,9 +4,9 @@ mod body;
 mod correction;
 mod report;
 mod state_hash;
-mod effort;
-pub mod roomy;
-mod growth;
+mod level_of_detail;
+pub mod bounded_vec;
+mod topology_update;
 pub mod extended_mass_spring;
 pub mod implicit;
 pub mod kind;
@@ -28,8 +28,8 @@ mod undo;
 pub use crate::solve::{Attachment, FixedNode, RestStress};
 pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};
 pub use correction::{Correction, StepAnswer};
-pub use effort::Effort;
 pub use explicit::{ExplicitError, Inertia, Integration};
+pub use level_of_detail::LevelOfDetail;
 pub use local_model::{LocalModel, LocalWork};
 pub use report::ModelReport;
 pub use state_hash::StateHash;
@@ -184,7 +184,7 @@ pub trait DeformableModel: Send {
     fn set_gravity(&mut self, gravity_m_per_s2: DVec3);
 
     /// How thoroughly it computes from the next step on; answers whether that makes a difference to this model.
-    fn set_effort(&mut self, _effort: Effort) -> bool {
+    fn set_level_of_detail(&mut self, _effort: LevelOfDetail) -> bool {
         false
     }
 

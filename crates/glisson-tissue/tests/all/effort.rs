@@ -8,7 +8,7 @@ use glisson_tissue::model::nonlinear_tensor_mass::{
     NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
 };
 use glisson_tissue::model::{
-    Constraints, DeformableModel, DynamicBody, Effort, FixedNode, ImposedDisplacement,
+    Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, LevelOfDetail,
 };
 
 /// A row of cubes of five tetrahedra each, 1 cm wide.
@@ -65,7 +65,7 @@ fn implicit_steps_take_fewer_iterations_with_less_effort_and_held_nodes_still_ar
     let start = ImplicitEuler::build(&params).unwrap();
     let iterations = |effort| {
         let mut model = start.clone();
-        assert!(model.set_effort(effort));
+        assert!(model.set_level_of_detail(effort));
         let mut most = 0;
         for step in 1..=15 {
             push(&mut model, last, 2e-3 * f64::from(step));
@@ -75,7 +75,7 @@ fn implicit_steps_take_fewer_iterations_with_less_effort_and_held_nodes_still_ar
         }
         most
     };
-    let (full, least) = (iterations(Effort::Full), iterations(Effort::Least));
+    let (full, least) = (iterations(LevelOfDetail::Full), iterations(LevelOfDetail::Least));
     assert!(least <= 2 && full > least, "{full} and {least} iterations");
 }
 
@@ -90,17 +90,23 @@ fn nonlinear_tensor_mass_leaves_small_forces_out_and_takes_them_back() {
     };
     let body = DynamicBody { fixed: &fixed, time_step_s: 2e-4, ..DynamicBody::new(&mesh, 1_000.0) };
     let mut model = NonlinearTensorMass::build(&NonlinearTensorMassParams { body, elasticity }).unwrap();
-    let share = |effort: Effort| {
-        assert!(model.set_effort(effort));
+    let share = |effort: LevelOfDetail| {
+        assert!(model.set_level_of_detail(effort));
         push(&mut model, last, 1e-4);
         model.adaptive_report().nonlinear_share()
     };
-    assert_eq!([Effort::Full, Effort::Least, Effort::Full].map(share), [1.0, 0.0, 1.0]);
+    assert_eq!([LevelOfDetail::Full, LevelOfDetail::Least, LevelOfDetail::Full].map(share), [1.0, 0.0, 1.0]);
 }
 
 #[test]
 fn efforts_go_down_and_up_and_end() {
-    let all = [Effort::Full, Effort::Reduced, Effort::Least];
-    assert_eq!(all.map(Effort::less), [Effort::Reduced, Effort::Least, Effort::Least]);
-    assert_eq!(all.map(Effort::more), [Effort::Full, Effort::Full, Effort::Reduced]);
+    let all = [LevelOfDetail::Full, LevelOfDetail::Reduced, LevelOfDetail::Least];
+    assert_eq!(
+        all.map(LevelOfDetail::less),
+        [LevelOfDetail::Reduced, LevelOfDetail::Least, LevelOfDetail::Least]
+    );
+    assert_eq!(
+        all.map(LevelOfDetail::more),
+        [LevelOfDetail::Full, LevelOfDetail::Full, LevelOfDetail::Reduced]
+    );
 }

@@ -109,10 +109,7 @@ impl SurfaceSearch {
                 keep_first(&mut best, t, found);
             }
         });
-        let (triangle, contact) = best?;
-        let vertices = self.triangles[triangle as usize]?;
-        let weights = weights_at(&contact, corners(vertices, start_m), corners(vertices, end_m));
-        Some(ToolContact { triangle, weights, contact })
+        self.with_weights(best?, start_m, end_m)
     }
 
     /// First contact of the step of one triangle of a moving tool mesh, corners at the start and at the end, grown by
@@ -160,7 +157,17 @@ impl SurfaceSearch {
                 keep_first(&mut best, t, found);
             }
         });
-        let (triangle, contact) = best?;
+        self.with_weights(best?, start_m, end_m)
+    }
+
+    /// The contact with the weights of its triangle's corners.
+    #[inline]
+    fn with_weights(
+        &self,
+        (triangle, contact): (u32, FirstContact),
+        start_m: &[DVec3],
+        end_m: &[DVec3],
+    ) -> Option<ToolContact> {
         let vertices = self.triangles[triangle as usize]?;
         let weights = weights_at(&contact, corners(vertices, start_m), corners(vertices, end_m));
         Some(ToolContact { triangle, weights, contact })

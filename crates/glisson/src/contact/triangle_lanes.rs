@@ -1,4 +1,4 @@
-//! Eight pairs of triangles at a time: which of them certainly do not meet.
+//! LaneBlock pairs of triangles at a time: which of them certainly do not meet.
 //!
 //! The same tests, with the same bounds, that [`super::triangles::triangles_meet`] begins with: the plane of one triangle has the
 //! other one on one side, or the pieces of the planes' line in both are apart. Nearly all pairs that do not meet end

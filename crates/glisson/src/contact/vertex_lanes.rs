@@ -1,4 +1,4 @@
-//! Eight vertices and triangles at a time: the place of each triangle that is nearest to the vertex.
+//! LaneBlock vertices and triangles at a time: the place of each triangle that is nearest to the vertex.
 //!
 //! The same operations in the same order as [`super::triangles::closest_weights`], so that the bits are the same; where that
 //! one jumps, this one selects. Triangles that are slivers go there.
@@ -12,7 +12,7 @@ use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 pub(super) const BLOCK: usize = LANES * GROUPS;
 
 #[derive(Clone, Copy)]
-struct Eight {
+struct LaneBlock {
     /// The vertex, then the triangle's corners [m].
     points_m: [EightVectors; 4],
     weights: EightVectors,
@@ -22,7 +22,7 @@ struct Eight {
 
 /// The nearest places of up to [`BLOCK`] triangles.
 pub(super) struct NearestPlaces {
-    groups: [Eight; GROUPS],
+    groups: [LaneBlock; GROUPS],
 }
 
 /// A place of a triangle.
@@ -40,7 +40,8 @@ impl NearestPlaces {
     /// Room for them.
     pub(super) fn new() -> Self {
         let zero = [[0.0; LANES]; 3];
-        let nothing = Eight { points_m: [zero; 4], weights: zero, offset_m: zero, distance_m: [0.0; LANES] };
+        let nothing =
+            LaneBlock { points_m: [zero; 4], weights: zero, offset_m: zero, distance_m: [0.0; LANES] };
         Self { groups: [nothing; GROUPS] }
     }
 
@@ -84,7 +85,7 @@ impl NearestPlaces {
 }
 
 #[inline(always)]
-fn find_all<S: Simd>(simd: S, groups: &mut [Eight], n: usize) {
+fn find_all<S: Simd>(simd: S, groups: &mut [LaneBlock], n: usize) {
     for (g, group) in groups.iter_mut().enumerate() {
         let n_here = (n - g * LANES).min(LANES);
         let mut slivers = find_eight(simd, group) & ((1 << n_here) - 1);
@@ -95,7 +96,7 @@ fn find_all<S: Simd>(simd: S, groups: &mut [Eight], n: usize) {
     }
 }
 
-impl Eight {
+impl LaneBlock {
     #[cold]
     fn find_one(&mut self, lane: usize) {
         let [point_m, a, b, c] = self.points_m.map(|p| DVec3::from_array(p.map(|x| x[lane])));
@@ -112,7 +113,7 @@ impl Eight {
 /// Writes the places; answers the bits of the lanes whose triangle is a sliver or broken, where they are no good. The names
 /// are those of [`crate::math::closest_point_barycentric`].
 #[inline(always)]
-fn find_eight<S: Simd>(simd: S, group: &mut Eight) -> u64 {
+fn find_eight<S: Simd>(simd: S, group: &mut LaneBlock) -> u64 {
     let (zero, one) = (f64x8::splat(simd, 0.0), f64x8::splat(simd, 1.0));
     let p = load(simd, &group.points_m[0]);
     let a = load(simd, &group.points_m[1]);

@@ -6,10 +6,10 @@
 
 use crate::math::DVec3;
 use crate::mesh::TetId;
-use crate::model::Effort;
+use crate::model::LevelOfDetail;
 use crate::model::StateHash;
 use crate::model::kind::ModelKind;
-use crate::tool::found::Detected;
+use crate::tool::external_detection::ExternalDetection;
 use crate::tool::{MAX_TOOLS, ToolInput};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
@@ -68,7 +68,7 @@ pub enum SessionEvent {
         /// What was found outside of the world for instruments, by their place in `tools`; empty when the world looked for
         /// all of them.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
-        detected: Vec<Option<Detected>>,
+        detected: Vec<Option<ExternalDetection>>,
     },
     /// Before this step everything went back to rest.
     Reset {
@@ -89,7 +89,7 @@ pub enum SessionEvent {
         /// Which ones.
         tets: Vec<TetId>,
     },
-    /// Before this step the last cut was taken back.
+    /// Before this step the last cut was undone.
     UndoEdit {
         /// Index of the step to be made.
         step: u64,
@@ -117,7 +117,7 @@ pub enum SessionEvent {
         /// Index of the step to be made.
         step: u64,
         /// How thoroughly.
-        effort: Effort,
+        effort: LevelOfDetail,
     },
     /// Another model was ordered; it takes over before step `at_step`, which waits for it.
     QueueModelSwap {
@@ -297,7 +297,7 @@ fn check_input(event: &SessionEvent) -> Result<(), String> {
 }
 
 /// Instruments, parts of the step, those that were put somewhere, and what was found for them.
-type LastInput = (Vec<ToolInput>, u32, Vec<u8>, Vec<Option<Detected>>);
+type LastInput = (Vec<ToolInput>, u32, Vec<u8>, Vec<Option<ExternalDetection>>);
 
 /// Writes a session line by line while it happens.
 #[derive(Debug)]
@@ -346,7 +346,7 @@ mod tests {
     use super::*;
     use crate::math::DVec3;
     use crate::mesh::TriangleId;
-    use crate::tool::found::{FoundTouch, TouchingPoint};
+    use crate::tool::external_detection::{ExternalTouch, TouchingPoint};
     use proptest::prelude::*;
 
     fn sample() -> (Vec<SessionEvent>, String) {
@@ -357,15 +357,15 @@ mod tests {
         };
         let tools = vec![tool, ToolInput::at(DVec3::ZERO, DVec3::Z)];
         let hash = StateHash::try_from("0f".repeat(32)).unwrap();
-        let touch = FoundTouch {
+        let touch = ExternalTouch {
             triangle: TriangleId(7),
             weights: [0.25, 0.5, 0.25],
             normal: DVec3::Z,
             at: TouchingPoint::OnAxis(1.0 / 3.0),
             gap_m: -1e-7,
         };
-        let on_mesh = FoundTouch { at: TouchingPoint::Fixed(DVec3::X), ..touch };
-        let found = Detected { surface_version: 3, touches: [Some(touch), None, Some(on_mesh)] };
+        let on_mesh = ExternalTouch { at: TouchingPoint::Fixed(DVec3::X), ..touch };
+        let found = ExternalDetection { surface_version: 3, touches: [Some(touch), None, Some(on_mesh)] };
         let events = vec![
             SessionEvent::Input {
                 step: 0,
@@ -380,7 +380,7 @@ mod tests {
             SessionEvent::UndoEdit { step: 12 },
             SessionEvent::Clip { step: 12, tool: 1 },
             SessionEvent::Refine { step: 12, center_m: DVec3::X, radius_m: 0.02, edge_m: 4e-3 },
-            SessionEvent::Effort { step: 13, effort: Effort::Reduced },
+            SessionEvent::Effort { step: 13, effort: LevelOfDetail::Reduced },
             SessionEvent::End { step: 20, state_hash: hash },
         ];
         let header = SessionHeader::new("name = \"x\"\n".into(), "ab".into());

@@ -1,7 +1,7 @@
 //! `[contact]`: whether the organ touches itself, and how.
 
 use super::reader::{SceneError, Section};
-use crate::contact::response::itself::OwnContactParams;
+use crate::contact::response::self_contact::SelfContactParams;
 use crate::model::kind::ModelKind;
 use crate::units::Dimension;
 
@@ -20,7 +20,7 @@ pub(super) fn read_contact(
     mut section: Section<'_>,
     model: ModelKind,
     time_step_s: f64,
-) -> Result<Option<OwnContactParams>, SceneError> {
+) -> Result<Option<SelfContactParams>, SceneError> {
     let touches_itself = section.flag("self")?.unwrap_or(false);
     let response = section.string("response")?;
     let name = response.as_ref().map_or("geometric", |r| r.0.as_str());
@@ -45,25 +45,25 @@ pub(super) fn read_contact(
         Some((friction, at)) if friction < 0.0 => {
             return Err(section.wrong_value(at, "friction", friction.to_string(), "zero or more"));
         }
-        found => found.map_or(OwnContactParams::DEFAULT_FRICTION, |f| f.0),
+        found => found.map_or(SelfContactParams::DEFAULT_FRICTION, |f| f.0),
     };
     // Asked for with springs only: elsewhere it is an unknown key.
     let stiffness_n_per_m =
         if is_penalty { section.positive("stiffness", Dimension::Stiffness)? } else { None };
     let response = match (is_penalty, stiffness_n_per_m) {
-        (false, _) => OwnContactParams::geometric(friction),
-        (true, Some(stiffness_n_per_m)) => OwnContactParams::penalty(stiffness_n_per_m, friction),
+        (false, _) => SelfContactParams::geometric(friction),
+        (true, Some(stiffness_n_per_m)) => SelfContactParams::penalty(stiffness_n_per_m, friction),
         (true, None) => return Err(section.missing("stiffness", "stiffness = \"50 N/m\"")),
     };
     section.finish()?;
-    let margin_m = margin_m.unwrap_or(OwnContactParams::default_margin_m(time_step_s));
-    Ok(touches_itself.then_some(OwnContactParams { margin_m, response }))
+    let margin_m = margin_m.unwrap_or(SelfContactParams::default_margin_m(time_step_s));
+    Ok(touches_itself.then_some(SelfContactParams { margin_m, response }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::contact::response::itself::OwnResponse;
+    use crate::contact::response::self_contact::SelfContactResponse;
     use crate::scene::Scene;
 
     const SCENE: &str = r#"glisson_scene = 1
@@ -88,24 +88,24 @@ home_tip = ["0 mm", "-200 mm", "0 mm"]
 home_shaft = [0, -2, 0]
 "#;
 
-    fn own_contact(text: &str) -> Option<OwnContactParams> {
-        Scene::parse(text).unwrap().world.own_contact
+    fn self_contact(text: &str) -> Option<SelfContactParams> {
+        Scene::parse(text).unwrap().world.self_contact
     }
 
     #[test]
     fn an_organ_touches_itself_when_the_scene_says_so() {
-        let found = own_contact(SCENE).unwrap();
+        let found = self_contact(SCENE).unwrap();
         assert_eq!(found.margin_m, 1e-3);
-        assert_eq!(found.response, OwnContactParams::penalty(20.0, 0.3));
+        assert_eq!(found.response, SelfContactParams::penalty(20.0, 0.3));
         let keys = "response = \"penalty\"\nmargin = \"1 mm\"\nfriction = 0.3\nstiffness = \"20 N/m\"\n";
-        let short = own_contact(&SCENE.replace(keys, "")).unwrap();
+        let short = self_contact(&SCENE.replace(keys, "")).unwrap();
         assert_eq!(short.margin_m, 2e-3);
         let coarse =
             SCENE.replace("[organ]", "[simulation]\ntime_step = \"5 ms\"\n\n[organ]").replace(keys, "");
-        assert_eq!(own_contact(&coarse).unwrap().margin_m, 5e-3);
-        assert!(matches!(short.response, OwnResponse::Geometric(_)));
-        assert_eq!(own_contact(&SCENE.replace("self = true", "self = false")), None);
-        assert_eq!(own_contact(&SCENE.replace("[contact]\nself = true\n", "").replace(keys, "")), None);
+        assert_eq!(self_contact(&coarse).unwrap().margin_m, 5e-3);
+        assert!(matches!(short.response, SelfContactResponse::Geometric(_)));
+        assert_eq!(self_contact(&SCENE.replace("self = true", "self = false")), None);
+        assert_eq!(self_contact(&SCENE.replace("[contact]\nself = true\n", "").replace(keys, "")), None);
     }
 
     #[test]
@@ -124,7 +124,7 @@ home_shaft = [0, -2, 0]
             assert!(found.contains(expected), "{to}: {found}");
         }
         let hybrid = SCENE.replace("\"implicit\"", "\"hybrid\"");
-        assert!(own_contact(&hybrid).is_some());
+        assert!(self_contact(&hybrid).is_some());
         let silent = hybrid.replace("response = \"penalty\"\n", "").replace("stiffness = \"20 N/m\"\n", "");
         let found = Scene::parse(&silent).unwrap_err().to_string();
         assert!(found.contains("\"penalty\" with the model \"hybrid\""), "{found}");

@@ -111,10 +111,9 @@ mod tests {
     fn with_value(law: &LawEntry, key: &str, value: &str) -> String {
         let at = law.example.find(&format!("{key} = ")).unwrap() + key.len() + " = ".len();
         let rest = &law.example[at..];
-        let end = if rest.starts_with('"') {
-            rest[1..].find('"').unwrap() + 2
-        } else {
-            rest.find([',', ' ', '}']).unwrap()
+        let end = match rest.strip_prefix('"') {
+            Some(quoted) => quoted.find('"').unwrap() + 2,
+            None => rest.find([',', ' ', '}']).unwrap(),
         };
         format!("{}{value}{}", &law.example[..at], &rest[end..])
     }

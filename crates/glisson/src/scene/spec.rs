@@ -56,7 +56,7 @@ impl Scene {
 
         let simulation = read_simulation(simulation)?;
         let (organ, surroundings) = read_organ(organ)?;
-        let own_contact = contact
+        let self_contact = contact
             .map(|section| read_contact(section, organ.model, simulation.time_step_s))
             .transpose()?
             .flatten();
@@ -78,7 +78,7 @@ impl Scene {
             // Its material comes with the mesh.
             tearing: None,
             mends_cuts: organ.mends_cuts,
-            own_contact,
+            self_contact,
             vessels: Vec::new(),
             tools: scripted,
         };

@@ -6,7 +6,7 @@ pub mod fracture;
 pub mod cut;
 pub mod pose;
 pub mod trocar;
-pub mod found;
+pub mod external_detection;
 
 pub use kind::{INSTRUMENTS, InstrumentKind, JawUse, ToolKind, ToolParts, instrument_names};
 

@@ -92,12 +92,12 @@ impl ActiveTip {
         self.heat.of(tet)
     }
 
-    /// What an edit that is taken back puts back.
+    /// What an edit that is undone puts back.
     pub(super) fn before_edit(&self) -> ActiveBefore {
         ActiveBefore { heat: self.heat.clone(), n_touched: self.touched.len() }
     }
 
-    /// An edit was taken back: what was warm then is warm again, and the next stroke begins anew, because the front of
+    /// An edit was undone: what was warm then is warm again, and the next stroke begins anew, because the front of
     /// the last one may be gone. What is left of its cut is still looked at when the edge is lifted.
     pub(super) fn go_back_to(&mut self, before: &ActiveBefore) {
         let mut touched = std::mem::take(&mut self.touched);
@@ -135,13 +135,13 @@ impl ActiveTip {
 impl World {
     /// Cuts along an edge while the trigger is pressed, and ends the stroke when it is not.
     pub(super) fn cut_with_blade(&mut self, tool: usize, blade: &Blade, cuts: &mut ToolCuts) {
-        let pose = self.hands[tool].now;
+        let pose = self.tool_states[tool].now;
         let is_on = self.edge_is_on(tool);
         if !is_on && !self.active[tool].is_in_stroke {
-            if self.hands[tool].now.is_triggered() {
+            if self.tool_states[tool].now.is_triggered() {
                 return;
             }
-            // Of a stroke whose last edit was taken back, the rest is still looked at.
+            // Of a stroke whose last edit was undone, the rest is still looked at.
             let mut step = BladeReport::default();
             self.finish_stroke(tool, &mut step, cuts);
             cuts.blades.add(&step);
@@ -149,7 +149,7 @@ impl World {
         }
         let mut blade_m = [pose.tip_in_world_m, pose.tip_in_world_m + pose.shaft_in_world * blade.length_m];
         let Some(mut edge) = self.active[tool].edge.take() else { return };
-        if let Some([outward_m, inward_m]) = self.hands[tool].overload.entry_m.take() {
+        if let Some([outward_m, inward_m]) = self.tool_states[tool].overload.entry_m.take() {
             // The tissue that the edge pressed in will spring back over it: so deep is the first cut.
             let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
             edge.begin(body, positions_m, blade_m.map(|p| p + outward_m));
@@ -183,7 +183,7 @@ impl World {
     }
 
     /// The edge is lifted: parts what the stroke left hanging together by a node or an edge alone, and mends what it spoilt.
-    /// Either is an edit of its own, taken back before the stroke's.
+    /// Either is an edit of its own, undone before the stroke's.
     fn finish_stroke(&mut self, tool: usize, step: &mut BladeReport, cuts: &mut ToolCuts) {
         let mut touched = std::mem::take(&mut self.active[tool].touched);
         touched.sort_unstable();
@@ -213,7 +213,7 @@ impl World {
     }
 
     fn edge_is_on(&self, tool: usize) -> bool {
-        self.hands[tool].edge_cuts(&self.spec.tools[tool], self.spec.tearing.as_ref())
+        self.tool_states[tool].edge_cuts(&self.spec.tools[tool], self.spec.tearing.as_ref())
     }
 
     /// An edit by an edge, which feels what it cost.
@@ -298,7 +298,7 @@ impl World {
     /// What a hot tip takes away: all that it touches once it has been at work for long enough, or, for a rule with a
     /// power, what has taken up enough heat. The time is seed `000`'s rule (s. 4.4.2): it counts no energy.
     pub(super) fn burnt(&mut self, tool: usize, rule: &CutRule) -> Vec<TetId> {
-        let (hand, dt_s) = (&self.hands[tool], self.spec.time_step_s);
+        let (hand, dt_s) = (&self.tool_states[tool], self.spec.time_step_s);
         let tissue = HeatedTissue::LIVER;
         let is_hot = rule.power_w > 0.0;
         let is_at_work = hand.active_s > 0.0;
@@ -309,15 +309,15 @@ impl World {
         let is_looked_at =
             if is_at_work { is_hot || hand.active_s >= rule.least_time_s } else { self.presses_warm(tool) };
         if !is_looked_at {
-            self.hands[tool].overload.strength_left = 1.0;
+            self.tool_states[tool].overload.strength_left = 1.0;
             return Vec::new();
         }
-        let touched = match self.hands[tool].grasp {
+        let touched = match self.tool_states[tool].grasp {
             Some(_) => self.tetrahedra_between_jaws(tool),
             None => self.touched_tetrahedra(tool),
         };
         if !is_hot {
-            self.hands[tool].active_s = 0.0;
+            self.tool_states[tool].active_s = 0.0;
             return touched;
         }
         let mut parted = Vec::new();
@@ -328,13 +328,13 @@ impl World {
             heat.heat_up(&tissue, rule.power_w, with_volumes, dt_s, &mut parted);
         }
         let left = touched.iter().map(|&tet| tissue.strength_left(heat.of(tet)));
-        self.hands[tool].overload.strength_left = left.fold(1.0, f64::min);
+        self.tool_states[tool].overload.strength_left = left.fold(1.0, f64::min);
         parted
     }
 
     /// Whether a tip that is off loads tissue, and some is warm.
     fn presses_warm(&self, tool: usize) -> bool {
-        let hand = &self.hands[tool];
+        let hand = &self.tool_states[tool];
         let touches = |part: ToolPart| hand.contacts[part.index()].is_some();
         let loads = hand.grasp.is_some() || touches(ToolPart::Tip) || touches(ToolPart::SecondJaw);
         loads && !self.active[tool].heat.warm().is_empty()

@@ -30,7 +30,7 @@ const AS_IT_WAS: Bounds = Bounds { least_cosine: 1.0 - 1e-9, greatest_height: 1e
 /// Triangles in cuts. At the start there are none.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Capsule {
-    /// By triangle; those beyond the end are skin. Of triangles inside it means nothing, and an edit that is taken back
+    /// By triangle; those beyond the end are skin. Of triangles inside it means nothing, and an edit that is undone
     /// finds those that it took away as they were: their numbers are used by nobody else before that.
     is_cut: Vec<bool>,
 }
@@ -100,7 +100,7 @@ impl Capsule {
         self.is_cut.get(triangle.index()).copied().unwrap_or(false)
     }
 
-    /// Follows an edit; `nodes_before` are those of a triangle of the surface before it. An edit that is taken back needs
+    /// Follows an edit; `nodes_before` are those of a triangle of the surface before it. An edit that is undone needs
     /// nothing: the triangles that come back are as they were.
     pub(super) fn follow(
         &mut self,

@@ -1,12 +1,12 @@
 //! The stages of a step around the model: what the hands do to it, and what they feel of it.
 
 use super::grasp::{Grasp, HOLDS_BELOW, Hold};
-use super::hand::{ContactSearch, Hand};
 use super::parts::ToolPart;
 use super::slide::{Follow, PatchAnswer};
 use super::tear::edge_motion_m;
+use super::tool_state::{ContactSearch, ToolState};
 use super::{StepInput, World};
-use crate::contact::response::itself::{OwnContact, OwnResponse};
+use crate::contact::response::self_contact::{SelfContact, SelfContactResponse};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::model::{ImposedDisplacement, NodalForce};
@@ -41,7 +41,7 @@ impl World {
     /// Moves the tools and finds what they begin to touch and hold.
     pub(super) fn move_hands(&mut self, input: &StepInput) {
         self.organ.refresh();
-        for (place, (hand, tool)) in self.hands.iter_mut().zip(&self.spec.tools).enumerate() {
+        for (place, (hand, tool)) in self.tool_states.iter_mut().zip(&self.spec.tools).enumerate() {
             hand.move_to(tool, place, input);
             if let Some(jaws) = tool.kind.jaws() {
                 let pose = hand.now;
@@ -101,17 +101,18 @@ impl World {
     /// The loads, and the springs where the organ touches itself.
     fn gather_forces(&mut self, n_substeps: u32) {
         let dt_s = self.spec.time_step_s / f64::from(n_substeps);
-        let springs = match &mut self.own_contact {
-            Some(own_contact) => own_contact.forces(self.model.as_ref(), dt_s),
+        let springs = match &mut self.self_contact {
+            Some(self_contact) => self_contact.forces(self.model.as_ref(), dt_s),
             None => &[],
         };
         merge_into(self.loads.forces_in_step(self.step), springs, &mut self.constraints.forces);
     }
 
     /// The springs' forces for the next part of a step.
-    pub(super) fn push_own_contacts(&mut self, n_substeps: u32) {
-        let has_springs = |own: &OwnContact| matches!(own.params().response, OwnResponse::Penalty(_));
-        if self.own_contact.as_deref().is_some_and(has_springs) {
+    pub(super) fn push_self_contacts(&mut self, n_substeps: u32) {
+        let has_springs =
+            |own: &SelfContact| matches!(own.params().response, SelfContactResponse::Penalty(_));
+        if self.self_contact.as_deref().is_some_and(has_springs) {
             self.gather_forces(n_substeps);
             self.model.apply(&self.constraints);
         }
@@ -120,7 +121,7 @@ impl World {
     /// What jaws hold, the first hand's first: a node that two hold follows the first.
     fn impose_grasps(&mut self) {
         let rest_m = &self.organ.mesh().positions_m;
-        for (place, hand) in self.hands.iter().enumerate() {
+        for (place, hand) in self.tool_states.iter().enumerate() {
             let Some(grasp) = &hand.grasp else { continue };
             for (node, place_m) in grasp.places_m(ToolFrame::of(&hand.now)) {
                 let displacements = &mut self.constraints.displacements;
@@ -137,7 +138,7 @@ impl World {
     /// What one part of every tool touches, but for nodes that something else moves already.
     fn impose_contacts(&mut self, part: ToolPart) {
         let response_s = self.spec.time_step_s;
-        for (place, (hand, tool)) in self.hands.iter_mut().zip(&self.spec.tools).enumerate() {
+        for (place, (hand, tool)) in self.tool_states.iter_mut().zip(&self.spec.tools).enumerate() {
             let Some(contact) = &mut hand.contacts[part.index()] else { continue };
             let displacements = &mut self.constraints.displacements;
             let follow = Follow {
@@ -210,18 +211,18 @@ impl World {
     /// What the hands feel; contacts that would pull end.
     pub(super) fn read_forces(&mut self) {
         let dt_s = self.spec.time_step_s;
-        for place in 0..self.hands.len() {
+        for place in 0..self.tool_states.len() {
             let mut force_on_tool_n = DVec3::ZERO;
             let mut in_contact = false;
             let mut slip_m = 0.0;
             for part in ToolPart::ALL {
-                let Some(contact) = &self.hands[place].contacts[part.index()] else {
+                let Some(contact) = &self.tool_states[place].contacts[part.index()] else {
                     self.load_part(place, part, None);
                     continue;
                 };
                 let forces_n = self.forces_on_nodes_n(place, part, contact.nodes);
                 let force_on_organ_n: DVec3 = forces_n.into_iter().sum();
-                let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
+                let (hand, tool) = (&mut self.tool_states[place], &self.spec.tools[place]);
                 let Some(contact) = &mut hand.contacts[part.index()] else { continue };
                 contact.feel(&self.organ, forces_n);
                 slip_m += contact.slip_m;
@@ -238,10 +239,10 @@ impl World {
             }
             let force_of_jaws_n = -self.force_on_organ_n(place, None);
             if let Some(jaws) = self.spec.tools[place].kind.jaws().copied() {
-                let holds = self.hands[place].grasp.is_some() && force_of_jaws_n.is_finite();
+                let holds = self.tool_states[place].grasp.is_some() && force_of_jaws_n.is_finite();
                 self.load_jaws(place, &jaws, holds.then_some(force_of_jaws_n));
             }
-            let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
+            let (hand, tool) = (&mut self.tool_states[place], &self.spec.tools[place]);
             let pose = hand.now;
             if let (Some(grasp), Some(jaws)) = (&mut hand.grasp, tool.kind.jaws()) {
                 if force_of_jaws_n.is_finite() {
@@ -271,8 +272,9 @@ impl World {
 
     /// The nodes that the jaws of a tool hold, ascending.
     pub fn held_nodes(&self, tool: usize) -> Vec<NodeId> {
-        let grasp = self.hands.get(tool).and_then(|hand: &Hand| hand.grasp.as_ref());
-        let nodes = grasp.map(|g| g.places_m(ToolFrame::of(&self.hands[tool].now)).map(|(n, _)| n).collect());
+        let grasp = self.tool_states.get(tool).and_then(|hand: &ToolState| hand.grasp.as_ref());
+        let nodes =
+            grasp.map(|g| g.places_m(ToolFrame::of(&self.tool_states[tool].now)).map(|(n, _)| n).collect());
         nodes.unwrap_or_default()
     }
 }

@@ -4,8 +4,8 @@
 //! s. 4.4.2) and the current has been on for long enough, or has heated them enough; scissors those between their jaws
 //! when these close; a scalpel parts the mesh along its edge.
 
-use super::hand::Hand;
 use super::parts::{ToolPart, capsule};
+use super::tool_state::ToolState;
 use super::{EditRefusal, World};
 use crate::contact::tool_contact::ToolContact;
 use crate::math::{DVec3, closest_point_barycentric, tetrahedron_volume_m3};
@@ -40,7 +40,7 @@ pub struct ToolCuts {
     pub tear_refusal: Option<EditRefusal>,
 }
 
-/// What blades did: in a call, in a stroke, or since the start. An edit that is taken back later still counts.
+/// What blades did: in a call, in a stroke, or since the start. An edit that is undone later still counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BladeReport {
     /// Area that blades which divide tetrahedra swept inside the organ, in its deformed shape [m2].
@@ -72,7 +72,7 @@ impl BladeReport {
     }
 }
 
-impl Hand {
+impl ToolState {
     /// Counts how long the active tip has been at work; called in every step.
     pub(super) fn count_activity(&mut self, tool: &Tool, dt_s: f64) {
         let works = tool.kind.burning().is_some_and(|rule| {
@@ -90,8 +90,8 @@ impl World {
     /// every step makes the same bits. Allocates when something is cut.
     pub fn cut_with_tools(&mut self) -> ToolCuts {
         let mut cuts = ToolCuts::default();
-        for tool in 0..self.hands.len() {
-            let hand = &self.hands[tool];
+        for tool in 0..self.tool_states.len() {
+            let hand = &self.tool_states[tool];
             let kind = self.spec.tools[tool].kind;
             let tets = if let Some(rule) = kind.burning() {
                 self.burnt(tool, rule)
@@ -109,7 +109,7 @@ impl World {
             } else {
                 continue;
             };
-            self.hands[tool].just_closed = false;
+            self.tool_states[tool].just_closed = false;
             if tets.is_empty() {
                 continue;
             }
@@ -139,7 +139,7 @@ impl World {
     /// The live tetrahedra that the tip of a tool touches in their present shape, ascending: those under the surface that
     /// it stands on, and those within its radius behind them.
     pub fn touched_tetrahedra(&self, tool: usize) -> Vec<TetId> {
-        let Some((hand, spec)) = self.hands.get(tool).zip(self.spec.tools.get(tool)) else {
+        let Some((hand, spec)) = self.tool_states.get(tool).zip(self.spec.tools.get(tool)) else {
             return Vec::new();
         };
         self.tetrahedra_near(hand.now.tip_in_world_m, spec.tip_radius_m)
@@ -160,7 +160,7 @@ impl World {
     /// The live tetrahedra whose middle lies between the jaws of a tool, as far as these were open, ascending; if there is
     /// none, those that the tips of the jaws touch.
     pub fn tetrahedra_between_jaws(&self, tool: usize) -> Vec<TetId> {
-        let Some((hand, spec)) = self.hands.get(tool).zip(self.spec.tools.get(tool)) else {
+        let Some((hand, spec)) = self.tool_states.get(tool).zip(self.spec.tools.get(tool)) else {
             return Vec::new();
         };
         let Some(jaws) = spec.kind.jaws() else { return Vec::new() };

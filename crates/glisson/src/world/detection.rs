@@ -2,7 +2,7 @@
 //!
 //! The same search serves both ([`first_touch`]): a part of an instrument moves on a known path while the surface moves on
 //! another, and their first contact is found without a gap (`contact::continuous`). A machine that has the devices holds a
-//! [`SurfaceCopy`] and one [`ToolDetector`] for each instrument; what they find ([`Detected`]) goes to the world with the
+//! [`SurfaceCopy`] and one [`ToolDetector`] for each instrument; what they find ([`ExternalDetection`]) goes to the world with the
 //! hand's pose ([`super::StepInput::detected`]). Cotin, Delingette and Ayache 1998 (RR-3511), s. 5 and 6.2, fig. 14.
 //! Looking allocates nothing.
 
@@ -17,7 +17,7 @@ use crate::math::DVec3;
 use crate::mesh::edit::EditableMesh;
 use crate::mesh::topology::{Topology, TopologyError};
 use crate::mesh::{NodeId, TetMesh, TriangleId};
-use crate::tool::found::{Detected, FoundTouch, N_TOUCHING_PARTS, TouchingPoint};
+use crate::tool::external_detection::{ExternalDetection, ExternalTouch, N_TOUCHING_PARTS, TouchingPoint};
 use crate::tool::{Tool, ToolInput};
 use std::cell::Cell;
 
@@ -343,7 +343,7 @@ impl SurfaceCopy {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LastingTouch {
     /// What is told of it.
-    pub found: FoundTouch,
+    pub found: ExternalTouch,
     /// Where the tip was when the part touched [m].
     pub tip_m: DVec3,
     /// The touched point then [m].
@@ -421,7 +421,7 @@ impl ToolDetector {
 
     /// Looks at the way from the last look to `pose`, over which the surface made its last move if that look did not see it.
     /// Allocates nothing.
-    pub fn look(&mut self, surface: &SurfaceCopy, pose: &ToolInput) -> Detected {
+    pub fn look(&mut self, surface: &SurfaceCopy, pose: &ToolInput) -> ExternalDetection {
         if !pose.is_finite() {
             self.lift();
             return self.detected(surface);
@@ -487,7 +487,7 @@ impl ToolDetector {
         };
         let contact = found.contact;
         PartState::Touches(LastingTouch {
-            found: FoundTouch {
+            found: ExternalTouch {
                 triangle: surface.triangles[found.triangle as usize],
                 weights: found.weights,
                 normal: contact.normal,
@@ -500,8 +500,9 @@ impl ToolDetector {
         })
     }
 
-    fn detected(&self, surface: &SurfaceCopy) -> Detected {
-        let mut detected = Detected { surface_version: surface.version, ..Detected::default() };
+    fn detected(&self, surface: &SurfaceCopy) -> ExternalDetection {
+        let mut detected =
+            ExternalDetection { surface_version: surface.version, ..ExternalDetection::default() };
         for (part, touch) in self.touches() {
             detected.touches[part.index()] = Some(touch.found);
         }
@@ -544,7 +545,9 @@ impl World {
     /// Finds up to `most` nodes of the surface that are nearest to an instrument's end. Allocates nothing.
     pub fn nodes_near_into(&self, tool: usize, most: usize, found: &mut NearbyNodes) {
         found.nodes.clear();
-        let (Some(hand), Some(spec)) = (self.hands.get(tool), self.spec.tools.get(tool)) else { return };
+        let (Some(hand), Some(spec)) = (self.tool_states.get(tool), self.spec.tools.get(tool)) else {
+            return;
+        };
         let Some(shape) = capsule(spec, ToolPart::Tip, &hand.now) else { return };
         self.organ.skin().nearest_into(&shape, NEAR_M, &mut found.near);
         for near in &found.near {

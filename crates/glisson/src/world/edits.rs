@@ -1,5 +1,5 @@
 //! Edits of the organ's mesh, as transactions: the mesh, the model, the supports, the surface, loads, contacts, grasps and
-//! vessels follow together, or nothing changes. The last edits can be taken back, last in, first out; every number has
+//! vessels follow together, or nothing changes. The last edits can be undone, last in, first out; every number has
 //! its bits from before.
 
 use super::refusal::EditRefusal;
@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 /// Radius of a region that is made finer around a tool, in edges as they are there: a choice.
 const EDGES_TO_REFINE: f64 = 2.0;
 
-/// Edits that can be taken back, unless told otherwise: a choice.
+/// Edits that can be undone, unless told otherwise: a choice.
 const UNDO_DEPTH: usize = 32;
 /// Of these, edits for which the model had to be copied whole, which can take a hundred megabytes each: a choice.
 const MOST_WHOLE_COPIES: usize = 2;
@@ -50,14 +50,14 @@ impl Journal {
         }
     }
 
-    /// The same edits, of which none can be taken back: their saved values belong to another world.
+    /// The same edits, of which none can be undone: their saved values belong to another world.
     pub(super) fn without_undo(&self) -> Self {
         let (removed, later) = (self.removed.clone(), self.later.clone());
         let changes = self.changes.as_ref().map(|_| Vec::new());
         Self { depth: self.depth, removed, later, changes, ..Self::new() }
     }
 
-    /// No edit so far can be taken back any more.
+    /// No edit so far can be undone any more.
     pub(super) fn forget_undo(&mut self) {
         self.spare.extend(self.records.drain(..));
     }
@@ -96,7 +96,7 @@ impl Journal {
         last.map_or(&self.nothing, |record| &record.change)
     }
 
-    /// The last edit was taken back.
+    /// The last edit was undone.
     fn forget_last(&mut self, record: &EditRecord) {
         if self.later.pop().is_none() {
             let n_left = self.removed.len().saturating_sub(record.n_removed_first);
@@ -169,7 +169,7 @@ impl World {
         self.edit_in_place(&edits).map(|_| true)
     }
 
-    /// Those that the mesh has now; an edit that was taken back may have taken some with it.
+    /// Those that the mesh has now; an edit that was undone may have taken some with it.
     fn live_among(&self, nodes: &[NodeId]) -> Vec<NodeId> {
         let topology = self.organ.body().topology();
         let is_live = |n: &NodeId| n.index() < topology.n_nodes() && topology.is_live_node(*n);
@@ -224,7 +224,7 @@ impl World {
     /// A region at rest around the tissue that is nearest to a tool's tip, with edges half as long as they are there now;
     /// `None` if the tip is further from the surface than that region is wide, or there is no such tool.
     pub fn finer_region_at(&self, tool: usize) -> Option<FineRegion> {
-        let tip_m = self.hands.get(tool)?.now.tip_in_world_m;
+        let tip_m = self.tool_states.get(tool)?.now.tip_in_world_m;
         let (topology, positions_m) = (self.organ.body().topology(), self.organ.positions_m());
         let rest_m = &self.organ.mesh().positions_m;
         let away_m = |node: NodeId| positions_m[node.index()].distance(tip_m);
@@ -263,20 +263,20 @@ impl World {
         Ok(self.journal.keep(edits, record))
     }
 
-    /// Takes the last edit back, and an order of a model that was not delivered yet: mesh, model, supports, loads and vessels are what they were just before it, bit for bit,
+    /// Undoes the last edit, and an order of a model that was not delivered yet: mesh, model, supports, loads and vessels are what they were just before it, bit for bit,
     /// and so are contacts and grasps if no step was made since; else they are let go, because the organ is back where
     /// it was and the tools are not. Answers whether there was one to take back: as many as
     /// [`World::n_edits_to_undo`] says.
     pub fn undo_edit(&mut self) -> bool {
         let Some(mut record) = self.journal.records.pop_back() else { return false };
-        self.take_back(&mut record);
+        self.undo_record(&mut record);
         self.journal.forget_last(&record);
         self.journal.spare.push(record);
         self.journal.shorten();
         true
     }
 
-    /// How many edits can be taken back.
+    /// How many edits can be undone.
     pub fn n_edits_to_undo(&self) -> usize {
         self.journal.records.len()
     }
@@ -292,7 +292,7 @@ impl World {
         self.journal.changes.as_mut().map(std::mem::take).unwrap_or_default()
     }
 
-    /// How many edits can be taken back from now on at most. An edit of a model that has to be copied for it costs its
+    /// How many edits can be undone from now on at most. An edit of a model that has to be copied for it costs its
     /// memory; of these only the last two are kept.
     pub fn set_undo_depth(&mut self, depth: usize) {
         self.journal.depth = depth;

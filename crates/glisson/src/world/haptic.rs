@@ -185,7 +185,7 @@ impl World {
             ..HapticModel::default()
         };
         let Some(mut scratch) = self.haptics.take() else { return model };
-        if tool < self.hands.len() {
+        if tool < self.tool_states.len() {
             self.fill_haptic_model(tool, response_s, &mut scratch, &mut model);
         }
         self.haptics = Some(scratch);
@@ -212,7 +212,7 @@ impl World {
         self.solve_patch(scratch, response_s);
         share_stiffness(scratch, n_parts, model);
         model.touch = model.parts[0].touch;
-        let (tool, pose) = (&self.spec.tools[place], &self.hands[place].now);
+        let (tool, pose) = (&self.spec.tools[place], &self.tool_states[place].now);
         let closing = ToolFrame::of(pose).world_from_tool.x_axis;
         let held =
             (model.touch == Touch::Grasp).then(|| closing.dot(model.parts[0].stiffness_n_per_m * closing));
@@ -238,7 +238,7 @@ impl World {
 
     /// Where the tip is, how fast it moves, and how well the instrument grips.
     fn tell_motion(&self, place: usize, model: &mut HapticModel) {
-        let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
+        let (hand, tool) = (&self.tool_states[place], &self.spec.tools[place]);
         let pose = hand.now;
         model.tip_m = pose.tip_in_world_m;
         model.tip_velocity_m_per_s =
@@ -251,7 +251,7 @@ impl World {
 
     /// Adds what the tool holds, if it holds anything.
     fn add_grasp(&self, place: usize, told: &mut TouchedSoFar<'_>) {
-        let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
+        let (hand, tool) = (&self.tool_states[place], &self.spec.tools[place]);
         let Some(grasp) = &hand.grasp else { return };
         let pose = hand.now;
         let mut touched = Touching::default();
@@ -271,7 +271,7 @@ impl World {
 
     /// Adds what the parts of the tool touch. The first contact gives the surface.
     fn add_contacts(&self, place: usize, told: &mut TouchedSoFar<'_>) {
-        let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
+        let (hand, tool) = (&self.tool_states[place], &self.spec.tools[place]);
         let pose = hand.now;
         for part in ToolPart::ALL {
             let Some(contact) = &hand.contacts[part.index()] else { continue };
@@ -311,7 +311,7 @@ impl World {
         scratch: &mut HapticScratch,
         model: &mut HapticModel,
     ) {
-        let (hand, tool) = (&self.hands[place], &self.spec.tools[place]);
+        let (hand, tool) = (&self.tool_states[place], &self.spec.tools[place]);
         let is_cutting = tool.kind.blade().is_some() && hand.now.is_triggered();
         let reach_m = REACH_M + model.tip_velocity_m_per_s.length() * PERIODS_AHEAD * model.period_s;
         model.gap_m = reach_m;

@@ -7,7 +7,7 @@ use crate::mesh::NodeId;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::remap::EntityArray;
 use crate::model::NodalForce;
-use crate::model::roomy::Roomy;
+use crate::model::bounded_vec::BoundedVec;
 
 /// The nodes of a load and the force on each.
 #[derive(Clone, Debug)]
@@ -35,7 +35,7 @@ pub(super) struct Loads {
     time_step_s: f64,
     /// Step from which times count.
     start: u64,
-    forces: Roomy<NodalForce>,
+    forces: BoundedVec<NodalForce>,
     is_stale: bool,
 }
 
@@ -64,7 +64,7 @@ impl Loads {
             fields: spec.fields.clone(),
             time_step_s: spec.time_step_s,
             start: 0,
-            forces: Roomy::with_room(n_most),
+            forces: BoundedVec::with_capacity(n_most),
             is_stale: true,
         }
     }
@@ -110,7 +110,7 @@ impl Loads {
         self.is_stale = true;
     }
 
-    /// Takes the last edit back.
+    /// Undoes the last edit.
     pub(super) fn undo(&mut self, change: &TopologyChange, before: &LoadsBefore) {
         let n_removed = change.nodes.removed.len();
         for (i, load) in self.nodes.iter_mut().enumerate() {
@@ -121,7 +121,7 @@ impl Loads {
         self.is_stale = true;
     }
 
-    /// The edit that was just taken back is not to be seen.
+    /// The edit that was just undone is not to be seen.
     pub(super) fn forget_edit(&mut self, before: &LoadsBefore) {
         self.forces.extend_from_slice(&before.forces);
         self.is_stale = before.is_stale;

@@ -10,7 +10,7 @@ pub mod detection;
 mod display;
 mod edits;
 mod grasp;
-mod hand;
+mod tool_state;
 mod haptic;
 mod loads;
 pub mod organ;
@@ -28,32 +28,32 @@ mod transaction;
 pub mod vessels;
 
 pub use cut::{BladeReport, ToolCuts};
-pub use hand::ToolReport;
 pub use parts::ToolPart;
 pub use refusal::EditRefusal;
+pub use tool_state::ToolReport;
 
 use crate::contact::response::bodies::ResponseReport;
-use crate::contact::response::itself::OwnContact;
+use crate::contact::response::self_contact::SelfContact;
 use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::model::StateHash;
 use crate::model::kind::ModelKind;
-use crate::model::{Constraints, DeformableModel, Effort, ModelReport, ModelState, NodalForce};
+use crate::model::{Constraints, DeformableModel, LevelOfDetail, ModelReport, ModelState, NodalForce};
 pub use crate::record::session::MOST_SUBSTEPS;
 use crate::record::snapshot::{BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
-use crate::tool::found::Detected;
+use crate::tool::external_detection::ExternalDetection;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use active::ActiveTip;
 use constrain::{MOST_IMPOSED, Owner};
 use edits::Journal;
-use hand::Hand;
 use haptic::HapticScratch;
 use loads::Loads;
 use organ::{Organ, OrganError};
 use slide::SlideScratch;
 use spec::WorldSpec;
 use std::sync::Arc;
+use tool_state::ToolState;
 use touch::HeldContact;
 use vessels::Vessels;
 
@@ -69,7 +69,7 @@ pub struct StepInput {
     pub placed: [bool; MAX_TOOLS],
     /// What was found for each tool outside of this world, on a copy of its surface; for `None`, and on another surface,
     /// the world searches by itself.
-    pub detected: [Option<Detected>; MAX_TOOLS],
+    pub detected: [Option<ExternalDetection>; MAX_TOOLS],
 }
 
 impl StepInput {
@@ -90,7 +90,7 @@ impl StepInput {
     }
 
     /// What was found for a tool on the surface of this version, if it makes sense.
-    fn detected_on(&self, tool: usize, surface_version: u32) -> Option<&Detected> {
+    fn detected_on(&self, tool: usize, surface_version: u32) -> Option<&ExternalDetection> {
         let detected = self.detected[tool].as_ref();
         detected.filter(|d| d.surface_version == surface_version && d.is_plausible())
     }
@@ -114,7 +114,7 @@ pub struct StepReport {
     /// Nodes whose position is not finite, which only a broken model can bring about.
     pub n_non_finite_nodes: u32,
     /// How the organ touched itself; of several sub-steps the last one.
-    pub own_contact: ResponseReport,
+    pub self_contact: ResponseReport,
     /// What the model says about the step; of several sub-steps the last one, with the internal steps of all.
     pub model: ModelReport,
 }
@@ -140,7 +140,7 @@ pub struct World {
     model: Box<dyn DeformableModel>,
     model_kind: ModelKind,
     swap: Option<QueuedSwap>,
-    hands: Vec<Hand>,
+    tool_states: Vec<ToolState>,
     active: Vec<ActiveTip>,
     /// Of all steps; no step depends on it.
     blades: BladeReport,
@@ -160,7 +160,7 @@ pub struct World {
     /// Scratch of what touched patches answer.
     slide: Box<SlideScratch>,
     /// How the organ touches itself, if the scene wants it.
-    own_contact: Option<Box<OwnContact>>,
+    self_contact: Option<Box<SelfContact>>,
     loads: Loads,
     gravity_m_per_s2: DVec3,
     /// Gravity and force fields of the last step.
@@ -168,7 +168,7 @@ pub struct World {
     step: u64,
     report: StepReport,
     /// None until somebody chose one.
-    effort: Option<Effort>,
+    effort: Option<LevelOfDetail>,
 }
 
 impl World {
@@ -200,8 +200,8 @@ impl World {
         }
         let loads = Loads::new(&spec, &organ);
         let slide = Box::new(SlideScratch::for_nodes(organ.mesh().positions_m.len()));
-        let own_contact = own_contact_of(&spec, &organ, model.as_ref());
-        let hands = spec.tools.iter().map(Hand::at_home).collect();
+        let self_contact = self_contact_of(&spec, &organ, model.as_ref());
+        let hands = spec.tools.iter().map(ToolState::at_home).collect();
         let active = spec.tools.iter().map(|tool| ActiveTip::new(tool, organ.body())).collect();
         let mut constraints = Constraints::default();
         constraints.displacements.reserve(MOST_IMPOSED);
@@ -213,7 +213,7 @@ impl World {
             model,
             model_kind: kind,
             swap: None,
-            hands,
+            tool_states: hands,
             active,
             blades: BladeReport::default(),
             vessels,
@@ -225,7 +225,7 @@ impl World {
             between_jaws: grasp::room_for_search(),
             haptics: None,
             slide,
-            own_contact,
+            self_contact,
             loads,
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,
@@ -265,7 +265,7 @@ impl World {
     pub fn state_hash(&self) -> StateHash {
         let gravity = self.gravity_m_per_s2.to_array();
         let active = self.active.iter().flat_map(ActiveTip::numbers);
-        let hands = self.hands.iter().flat_map(Hand::numbers).chain(active);
+        let hands = self.tool_states.iter().flat_map(ToolState::numbers).chain(active);
         let vessels = self.vessels.iter().flat_map(Vessels::numbers);
         let clock = self.loads.clock(self.step);
         let surroundings: Vec<f64> = gravity.into_iter().chain(clock).chain(hands).chain(vessels).collect();
@@ -329,8 +329,8 @@ impl World {
 
     /// Everything back to rest; the count of steps and the model stay.
     pub fn reset(&mut self) {
-        for (hand, tool) in self.hands.iter_mut().zip(&self.spec.tools) {
-            *hand = Hand::at_home(tool);
+        for (hand, tool) in self.tool_states.iter_mut().zip(&self.spec.tools) {
+            *hand = ToolState::at_home(tool);
         }
         self.active.iter_mut().for_each(ActiveTip::lift);
         self.owners.clear();
@@ -360,18 +360,18 @@ impl World {
 
     /// How thoroughly steps are computed from the next one on, also by models that take over later; answers whether that
     /// makes a difference to the present one.
-    pub fn set_effort(&mut self, effort: Effort) -> bool {
+    pub fn set_level_of_detail(&mut self, effort: LevelOfDetail) -> bool {
         self.effort = Some(effort);
-        self.keep_effort()
+        self.keep_level_of_detail()
     }
 
     /// How thoroughly steps are computed.
-    pub fn effort(&self) -> Effort {
+    pub fn effort(&self) -> LevelOfDetail {
         self.effort.unwrap_or_default()
     }
 
-    fn keep_effort(&mut self) -> bool {
-        self.effort.is_some_and(|effort| self.model.set_effort(effort))
+    fn keep_level_of_detail(&mut self) -> bool {
+        self.effort.is_some_and(|effort| self.model.set_level_of_detail(effort))
     }
 
     /// One step of the scene's time step.
@@ -391,7 +391,7 @@ impl World {
         }
         self.step += 1;
         self.report.step = self.step;
-        for (report, hand) in self.report.tools.iter_mut().zip(&self.hands) {
+        for (report, hand) in self.report.tools.iter_mut().zip(&self.tool_states) {
             *report = hand.report;
         }
         self.report
@@ -408,7 +408,7 @@ impl World {
             model.take_over_in_motion(&self.model.state());
             model.set_gravity(self.pull_m_per_s2);
             self.model = model;
-            self.keep_effort();
+            self.keep_level_of_detail();
             self.model_kind = swap.kind;
             // What was saved belongs to the model before.
             self.journal.forget_undo();
@@ -421,12 +421,12 @@ impl World {
         let mut n_parts = 0;
         for part in 0..n_substeps {
             if part > 0 {
-                self.push_own_contacts(n_substeps);
+                self.push_self_contacts(n_substeps);
             }
             self.model.step(dt_s);
-            if let Some(own_contact) = &mut self.own_contact {
-                own_contact.respond_to_step(self.model.as_mut(), dt_s);
-                self.report.own_contact = own_contact.report();
+            if let Some(self_contact) = &mut self.self_contact {
+                self_contact.respond_to_step(self.model.as_mut(), dt_s);
+                self.report.self_contact = self_contact.report();
             }
             n_parts += self.model.report().n_parts;
         }
@@ -460,7 +460,7 @@ impl World {
         snapshot.positions_m.clear();
         snapshot.positions_m.extend(self.organ.surface_nodes().iter().map(|n| positions_m[n.index()]));
         snapshot.tools.clear();
-        snapshot.tools.extend(self.hands.iter().map(|hand| {
+        snapshot.tools.extend(self.tool_states.iter().map(|hand| {
             ToolSnapshot {
                 pose: hand.now,
                 force_n: hand.report.force_on_tool_n,
@@ -491,7 +491,9 @@ impl World {
 
     /// Sets a clip on the vessel nearest to the tip of a tool, if one is within its reach; answers whether one was.
     pub fn clip_vessel(&mut self, tool: usize) -> bool {
-        let Some((hand, spec)) = self.hands.get(tool).zip(self.spec.tools.get(tool)) else { return false };
+        let Some((hand, spec)) = self.tool_states.get(tool).zip(self.spec.tools.get(tool)) else {
+            return false;
+        };
         let tip_m = hand.now.tip_in_world_m;
         let reach_m = spec.tip_radius_m + spec.kind.jaws().map_or(0.0, |jaws| jaws.length_m);
         let positions_m = self.model.state().positions_m;
@@ -510,10 +512,10 @@ impl World {
     }
 }
 
-fn own_contact_of(spec: &WorldSpec, organ: &Organ, model: &dyn DeformableModel) -> Option<Box<OwnContact>> {
-    let params = spec.own_contact.as_ref()?;
+fn self_contact_of(spec: &WorldSpec, organ: &Organ, model: &dyn DeformableModel) -> Option<Box<SelfContact>> {
+    let params = spec.self_contact.as_ref()?;
     let positions_m = model.state().positions_m;
-    Some(Box::new(OwnContact::new(params, organ.body().topology(), organ.mesh(), positions_m)))
+    Some(Box::new(SelfContact::new(params, organ.body().topology(), organ.mesh(), positions_m)))
 }
 
 fn contact_report(contact: &HeldContact, positions_m: &[DVec3]) -> ContactReport {

@@ -160,7 +160,7 @@ impl Organ {
         held
     }
 
-    /// Takes the last edit back.
+    /// Undoes the last edit.
     pub(super) fn undo_edit(&mut self, undo: &MeshUndo, change: &TopologyChange, before: &mut OrganBefore) {
         self.body.undo(undo);
         put_back(&mut self.fixed, change, before.fixed.iter().copied());
@@ -184,7 +184,7 @@ impl Organ {
         self.topology_version += 1;
     }
 
-    /// The edit that was just taken back is not to be seen.
+    /// The edit that was just undone is not to be seen.
     pub(super) fn forget_edit(&mut self, before: &OrganBefore) {
         self.topology_version = before.topology_version;
     }

@@ -2,7 +2,7 @@
 
 use crate::contact::shapes::{Capsule, CapsuleMotion, RigidPose};
 use crate::math::DVec3;
-use crate::tool::found::TouchingPoint;
+use crate::tool::external_detection::TouchingPoint;
 use crate::tool::pose::ToolFrame;
 use crate::tool::trocar::trocar_pose;
 use crate::tool::{Tool, ToolInput, ToolShape};

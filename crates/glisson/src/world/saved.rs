@@ -10,7 +10,7 @@ use std::sync::Arc;
 pub struct SavedWorld(World);
 
 impl World {
-    /// A copy of everything that the next steps depend on; its edits cannot be taken back. Allocates.
+    /// A copy of everything that the next steps depend on; its edits cannot be undone. Allocates.
     pub fn save(&self) -> SavedWorld {
         SavedWorld(self.duplicate())
     }
@@ -34,7 +34,7 @@ impl World {
             model: self.model.duplicate(),
             model_kind: self.model_kind,
             swap,
-            hands: self.hands.clone(),
+            tool_states: self.tool_states.clone(),
             active: self.active.clone(),
             blades: self.blades,
             vessels: self.vessels.clone(),
@@ -46,7 +46,7 @@ impl World {
             between_jaws: grasp::room_for_search(),
             haptics: None,
             slide: Box::new(SlideScratch::for_nodes(self.organ.mesh().positions_m.len())),
-            own_contact: self.own_contact.clone(),
+            self_contact: self.self_contact.clone(),
             loads: self.loads.clone(),
             gravity_m_per_s2: self.gravity_m_per_s2,
             pull_m_per_s2: self.pull_m_per_s2,

@@ -1,6 +1,6 @@
 //! What a world is made from, in SI.
 
-use crate::contact::response::itself::OwnContactParams;
+use crate::contact::response::self_contact::SelfContactParams;
 use crate::image::vessels::Tube;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::NodeId;
@@ -30,7 +30,7 @@ pub struct WorldSpec {
     /// Whether the worst tetrahedra at a cut are mended when the blade is lifted.
     pub mends_cuts: bool,
     /// How the organ touches itself, and pieces cut loose each other; they pass through when absent.
-    pub own_contact: Option<OwnContactParams>,
+    pub self_contact: Option<SelfContactParams>,
     /// Blood vessels inside the organ, in its rest shape.
     pub vessels: Vec<Tube>,
     /// The instruments: one to [`crate::tool::MAX_TOOLS`].
@@ -50,7 +50,7 @@ impl WorldSpec {
             fields: Vec::new(),
             tearing: None,
             mends_cuts: false,
-            own_contact: None,
+            self_contact: None,
             vessels: Vec::new(),
             tools: vec![tool],
         }

@@ -5,10 +5,10 @@
 //! A step only measures; what tears is taken out between steps ([`World::cut_with_tools`]). It depends on the world
 //! alone: a replay tears the same tetrahedra without being told.
 
-use super::hand::Hand;
 use super::organ::Organ;
 use super::overload::{Load, OF_JAWS};
 use super::parts::{ToolPart, capsule};
+use super::tool_state::ToolState;
 use super::touch::HeldContact;
 use super::{ToolCuts, World};
 use crate::contact::shapes::Capsule;
@@ -66,7 +66,7 @@ impl World {
     /// After a step: whether what a part did breaks the tissue; `force_on_tool_n` is none for a part that does not touch.
     pub(super) fn load_part(&mut self, place: usize, part: ToolPart, force_on_tool_n: Option<DVec3>) {
         let Some(tearing) = self.spec.tearing else { return };
-        let (hand, tool) = (&mut self.hands[place], &self.spec.tools[place]);
+        let (hand, tool) = (&mut self.tool_states[place], &self.spec.tools[place]);
         let contact = hand.contacts[part.index()].as_ref();
         let load = contact.zip(force_on_tool_n).map(|(contact, force_on_tool_n)| {
             let at_m = |pose: &ToolInput| contact.at.in_world_m(tool, pose);
@@ -80,7 +80,7 @@ impl World {
     /// The same of jaws that hold.
     pub(super) fn load_jaws(&mut self, place: usize, jaws: &Jaws, force_on_tool_n: Option<DVec3>) {
         let Some(tearing) = self.spec.tearing else { return };
-        let hand = &mut self.hands[place];
+        let hand = &mut self.tool_states[place];
         let motion_m = hand.now.tip_in_world_m - hand.before.tip_in_world_m;
         let front = CrackFront::around(jaws.length_m, jaws.width_m);
         let load = force_on_tool_n.map(|force_on_tool_n| Load { force_on_tool_n, motion_m, front });
@@ -90,13 +90,13 @@ impl World {
     /// Between steps: takes out what the last step broke and what is stretched too far.
     pub(super) fn tear(&mut self, cuts: &mut ToolCuts) {
         let Some(tearing) = self.spec.tearing else { return };
-        for tool in 0..self.hands.len() {
+        for tool in 0..self.tool_states.len() {
             for part in ToolPart::ALL {
-                if std::mem::take(&mut self.hands[tool].overload.breaks[part.index()]) {
+                if std::mem::take(&mut self.tool_states[tool].overload.breaks[part.index()]) {
                     self.break_through(tool, part, cuts);
                 }
             }
-            if std::mem::take(&mut self.hands[tool].overload.breaks[OF_JAWS]) {
+            if std::mem::take(&mut self.tool_states[tool].overload.breaks[OF_JAWS]) {
                 let held = self.held_nodes(tool);
                 let topology = self.organ.body().topology();
                 let mut tets: Vec<TetId> =
@@ -104,7 +104,7 @@ impl World {
                 tets.sort_unstable();
                 tets.dedup();
                 tets.retain(|&tet| self.is_torn(&tearing, tet));
-                self.hands[tool].grasp = None;
+                self.tool_states[tool].grasp = None;
                 self.take_out(Some(tool), tets, cuts);
             }
         }
@@ -130,7 +130,7 @@ impl World {
 
     /// A part came through the tissue that it touched: an edge is in it from now on, anything else has torn it.
     fn break_through(&mut self, tool: usize, part: ToolPart, cuts: &mut ToolCuts) {
-        let (hand, spec) = (&mut self.hands[tool], &self.spec.tools[tool]);
+        let (hand, spec) = (&mut self.tool_states[tool], &self.spec.tools[tool]);
         let Some(contact) = hand.contacts[part.index()].take() else { return };
         let is_edge = spec.kind.blade().is_some() && part == ToolPart::Tip;
         if is_edge && hand.now.is_triggered() {
@@ -142,13 +142,13 @@ impl World {
         let tets = self.tetrahedra_under(tool, part, &contact);
         if !self.take_out(Some(tool), tets, cuts) {
             // It cannot be torn: it lets the tool through.
-            self.hands[tool].bury(part);
+            self.tool_states[tool].bury(part);
         }
     }
 
     /// Live tetrahedra that a part touches at a contact, at least that behind the touched triangle.
     fn tetrahedra_under(&self, tool: usize, part: ToolPart, contact: &HeldContact) -> Vec<TetId> {
-        let (hand, spec) = (&self.hands[tool], &self.spec.tools[tool]);
+        let (hand, spec) = (&self.tool_states[tool], &self.spec.tools[tool]);
         let at_m = contact.at.in_world_m(spec, &hand.now);
         let tets = self.tetrahedra_near(at_m, part.radius_m(spec));
         if !tets.is_empty() {
@@ -183,7 +183,7 @@ impl World {
     /// An edge made a cut: the hand owes its price.
     pub(super) fn owe_for_cut(&mut self, tool: usize, area_m2: f64) {
         let Some(tearing) = self.spec.tearing else { return };
-        self.hands[tool].overload.owed_j += tearing.energy.energy_j_per_m2 * area_m2;
+        self.tool_states[tool].overload.owed_j += tearing.energy.energy_j_per_m2 * area_m2;
     }
 
     /// Area that a cut laid open, at rest [m2]: half of what the surface gained.
@@ -201,7 +201,7 @@ impl World {
     }
 }
 
-impl Hand {
+impl ToolState {
     /// In a step: follows an edge that cuts, and ends its stroke where it has left the tissue. Allocates nothing.
     pub(super) fn follow_edge(&mut self, tool: &Tool, organ: &Organ) {
         if !self.now.is_triggered() || !self.overload.edge_is_in {

@@ -4,12 +4,12 @@
 //! way back.
 
 use super::active::{ActiveBefore, ActiveTip};
-use super::hand::Hand;
 use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
 use super::refusal::EditRefusal;
+use super::tool_state::ToolState;
 use super::vessels::Vessels;
-use super::{QueuedSwap, World, own_contact_of};
+use super::{QueuedSwap, World, self_contact_of};
 use crate::mesh::edit::{MeshEdit, MeshUndo, TopologyChange};
 use crate::model::{ModelUndo, follow_edit};
 use glisson_mesh::fault;
@@ -24,7 +24,7 @@ pub(super) struct EditRecord {
     pub(super) waiting: Option<ModelUndo>,
     organ: OrganBefore,
     loads: LoadsBefore,
-    hands: Vec<Hand>,
+    tool_states: Vec<ToolState>,
     active: Vec<ActiveBefore>,
     vessels: Option<Vessels>,
     /// Steps made when the edit was.
@@ -105,7 +105,7 @@ impl World {
     fn keep_what_follows(&self, record: &mut EditRecord) {
         record.step = self.step;
         record.waiting = None;
-        record.hands.clone_from(&self.hands);
+        record.tool_states.clone_from(&self.tool_states);
         record.active.clear();
         record.active.extend(self.active.iter().map(ActiveTip::before_edit));
         record.vessels.clone_from(&self.vessels);
@@ -126,7 +126,7 @@ impl World {
         progress.stage = Stage::Loads;
         fault::check("world: hands")?;
         let topology = self.organ.body().topology();
-        self.hands.iter_mut().for_each(|hand| hand.follow(topology, change));
+        self.tool_states.iter_mut().for_each(|hand| hand.follow(topology, change));
         progress.stage = Stage::Hands;
         fault::check("world: vessels")?;
         if let Some(vessels) = &mut self.vessels {
@@ -134,10 +134,10 @@ impl World {
         }
         progress.stage = Stage::Vessels;
         fault::check("world: self-contact")?;
-        let own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
+        let self_contact = self_contact_of(&self.spec, &self.organ, self.model.as_ref());
         fault::check("world: journal")?;
         // From here on nothing can fail.
-        self.own_contact = own_contact;
+        self.self_contact = self_contact;
         self.active.iter_mut().for_each(|active| active.follow(self.organ.body(), change));
         self.constraints.forces.reserve(self.organ.mesh().positions_m.len());
         Ok(())
@@ -150,7 +150,7 @@ impl World {
             self.vessels.clone_from(&record.vessels);
         }
         if stage >= Stage::Hands {
-            self.hands.clone_from(&record.hands);
+            self.tool_states.clone_from(&record.tool_states);
         }
         if stage >= Stage::Loads {
             self.loads.undo(&record.change, &record.loads);
@@ -175,11 +175,11 @@ impl World {
         }
     }
 
-    /// Takes back an edit that was made, the last one that stands.
-    pub(super) fn take_back(&mut self, record: &mut EditRecord) {
+    /// Undoes an edit that was made, the last one that stands.
+    pub(super) fn undo_record(&mut self, record: &mut EditRecord) {
         record.model.put_back(&mut self.model);
         // It was saved with the effort of its time.
-        self.keep_effort();
+        self.keep_level_of_detail();
         // A model that is still being made may be made from the organ with this cut.
         self.swap.take_if(|swap| swap.model.is_none());
         if let Some(waiting) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
@@ -193,15 +193,15 @@ impl World {
         self.loads.undo(&record.change, &record.loads);
         self.vessels.clone_from(&record.vessels);
         if record.step == self.step {
-            self.hands.clone_from(&record.hands);
+            self.tool_states.clone_from(&record.tool_states);
         } else {
-            self.hands.iter_mut().for_each(Hand::let_go);
+            self.tool_states.iter_mut().for_each(ToolState::let_go);
             self.organ.rest_at(self.model.state().positions_m);
         }
         for (active, before) in self.active.iter_mut().zip(&record.active) {
             active.go_back_to(before);
         }
-        self.own_contact = own_contact_of(&self.spec, &self.organ, self.model.as_ref());
+        self.self_contact = self_contact_of(&self.spec, &self.organ, self.model.as_ref());
         self.owners.clear();
         self.constraints.displacements.clear();
         self.constraints.forces.clear();

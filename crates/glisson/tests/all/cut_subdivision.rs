@@ -357,7 +357,7 @@ fn impossible_steps_are_refused_with_a_reason() {
     // Along itself, a blade sweeps nothing.
     let down = place(-0.01).map(|p| p - 0.02 * DVec3::Z);
     assert_eq!(cut.advance(&body.mesh, &body.positions_m, down), Ok(None));
-    // What is not carried out is taken back, and comes again.
+    // What is not carried out is undone, and comes again.
     let first = cut.advance(&body.mesh, &body.positions_m, place(0.012));
     assert!(matches!(first, Ok(Some(_))));
     cut.take_back();

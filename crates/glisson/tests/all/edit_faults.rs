@@ -186,7 +186,7 @@ fn a_fault_at_any_place_of_an_edit_leaves_every_bit_as_it_was_in_every_model() {
         // The way back is whole, too.
         while world.n_edits_to_undo() > 0 {
             assert!(world.undo_edit() && twin.undo_edit());
-            assert_same(&format!("{name}, taken back"), &world, &twin);
+            assert_same(&format!("{name}, undone"), &world, &twin);
         }
         assert!(!twin.undo_edit());
     }

@@ -8,7 +8,7 @@ use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{NodeId, TetMesh, TriangleId};
 use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
-use glisson::tool::found::{Detected, FoundTouch, TouchingPoint};
+use glisson::tool::external_detection::{ExternalDetection, ExternalTouch, TouchingPoint};
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::detection::{SurfaceCopy, SurfaceList, SurfaceListError, ToolDetector};
 use glisson::world::spec::WorldSpec;
@@ -159,7 +159,7 @@ fn what_the_world_ended_is_told_again_only_after_the_part_was_out() {
 }
 
 /// A touch of the top that is right.
-fn good_touch(world: &World, pose: &ToolInput) -> Detected {
+fn good_touch(world: &World, pose: &ToolInput) -> ExternalDetection {
     let copy = SurfaceCopy::new(&world.surface_list()).unwrap();
     let mut detector = ToolDetector::new(&probe());
     detector.look(&copy, &at(pose.tip_in_world_m.x, SIZE_M + 0.02));
@@ -170,7 +170,7 @@ fn good_touch(world: &World, pose: &ToolInput) -> Detected {
 fn a_world_takes_only_what_can_be() {
     let deep = at(0.05, SIZE_M + RADIUS_M - 1e-3);
     let above = at(0.05, SIZE_M + RADIUS_M + 1e-3);
-    let step = |pose: ToolInput, change: &dyn Fn(&mut Detected)| {
+    let step = |pose: ToolInput, change: &dyn Fn(&mut ExternalDetection)| {
         let mut world = world(ModelKind::Precomputed);
         world.step(&StepInput::of(&[at(0.05, SIZE_M + 0.02)]).placed());
         let mut detected = good_touch(&world, &deep);
@@ -179,8 +179,8 @@ fn a_world_takes_only_what_can_be() {
         let input = StepInput { detected: [Some(detected), None, None, None], ..StepInput::of(&[pose]) };
         world.step(&input).in_contact()
     };
-    let of_tip = |change: &'static dyn Fn(&mut FoundTouch)| {
-        move |detected: &mut Detected| change(detected.touches[0].as_mut().unwrap())
+    let of_tip = |change: &'static dyn Fn(&mut ExternalTouch)| {
+        move |detected: &mut ExternalDetection| change(detected.touches[0].as_mut().unwrap())
     };
     assert!(step(deep, &|_| {}));
     // Told that nothing touches, it does not look.

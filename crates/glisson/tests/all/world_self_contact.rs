@@ -1,7 +1,7 @@
 //! An organ that touches itself: lobes driven together, a piece cut loose, and what does not count as contact.
 
 use glisson::contact::crossing;
-use glisson::contact::response::itself::{OwnContactParams, OwnResponse};
+use glisson::contact::response::self_contact::{SelfContactParams, SelfContactResponse};
 use glisson::material::LinearElastic;
 use glisson::math::{Aabb, DVec3};
 use glisson::mesh::box_mesh::cells_of_five;
@@ -18,17 +18,17 @@ use glisson::world::{StepInput, World};
 const CELL_M: f64 = 8e-3;
 /// How far surfaces may go into each other [m]: what users see.
 const MOST_CROSSING_M: f64 = 0.5e-3;
-const GEOMETRIC: OwnResponse = OwnContactParams::geometric(0.2);
-const SPRINGS: OwnResponse = OwnContactParams::penalty(100.0, 0.2);
+const GEOMETRIC: SelfContactResponse = SelfContactParams::geometric(0.2);
+const SPRINGS: SelfContactResponse = SelfContactParams::penalty(100.0, 0.2);
 
 struct Setting {
     kind: ModelKind,
     time_step_s: f64,
-    response: Option<OwnResponse>,
+    response: Option<SelfContactResponse>,
 }
 
 impl Setting {
-    fn of(kind: ModelKind, response: Option<OwnResponse>) -> Self {
+    fn of(kind: ModelKind, response: Option<SelfContactResponse>) -> Self {
         let time_step_s = if kind == ModelKind::Implicit { 2e-3 } else { 5e-4 };
         Self { kind, time_step_s, response }
     }
@@ -40,7 +40,7 @@ impl Setting {
         spec.supports = vec![Support::all_axes(Region::Box(bottom))];
         spec.gravity_m_per_s2 = gravity_m_per_s2;
         spec.loads = loads;
-        spec.own_contact = self.response.map(|response| OwnContactParams { margin_m: 2e-3, response });
+        spec.self_contact = self.response.map(|response| SelfContactParams { margin_m: 2e-3, response });
         let material = LinearElastic::from_young_poisson(5e3, 0.4, 1000.0).unwrap();
         let mut body = OrganBody::new(mesh, material, self.time_step_s);
         body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
@@ -185,7 +185,7 @@ fn a_piece_that_is_cut_loose_falls_on_the_rest_and_stays_there() {
             assert!(moved_m.z > -4.5e-3 && moved_m.z < -3.2e-3, "{kind}: it fell {moved_m} m");
             assert!(moved_m.truncate().length() < 0.3e-3, "{kind}: it drifted {moved_m} m");
             assert!(speed_m_per_s < 0.05, "{kind}: {speed_m_per_s} m/s");
-            assert!(world.report().own_contact.n_contacts > 10, "{kind}");
+            assert!(world.report().self_contact.n_contacts > 10, "{kind}");
         }
     }
 }
@@ -197,7 +197,7 @@ fn hash_after(setting: &Setting) -> StateHash {
     (0..setting.steps(0.05)).for_each(|_| {
         world.step(&idle.divided(2));
     });
-    assert!(world.report().own_contact.n_contacts > 10);
+    assert!(world.report().self_contact.n_contacts > 10);
     world.state_hash()
 }
 
@@ -243,7 +243,7 @@ fn a_saved_moment_and_an_undone_cut_bring_the_contact_back() {
     run(&mut world, 0.02);
     assert_eq!(world.state_hash(), uncut);
     world.reset();
-    assert_eq!(world.report().own_contact.n_contacts, 0);
+    assert_eq!(world.report().self_contact.n_contacts, 0);
 }
 
 #[test]
@@ -261,7 +261,7 @@ fn a_step_of_an_organ_that_touches_itself_allocates_nothing() {
             let steps = setting.steps(0.06);
             allocation_counter::measure(|| {
                 for _ in 0..steps {
-                    most = most.max(world.step(&idle).own_contact.n_contacts);
+                    most = most.max(world.step(&idle).self_contact.n_contacts);
                 }
             })
             .count_total
@@ -280,7 +280,7 @@ fn a_step_of_an_organ_that_touches_itself_allocates_nothing() {
 #[test]
 fn a_wall_thinner_than_the_margin_does_not_touch_itself() {
     // A sheet of 1.6 mm that stands on edge and is bent; and its two faces are a cell's share apart.
-    let hash = |response: Option<OwnResponse>| {
+    let hash = |response: Option<SelfContactResponse>| {
         let setting = Setting { kind: ModelKind::Implicit, time_step_s: 2e-3, response };
         let mut mesh = cells_of_five([1, 5, 5], CELL_M, |_| true);
         mesh.positions_m.iter_mut().for_each(|p| p.x *= 0.2);
@@ -294,7 +294,7 @@ fn a_wall_thinner_than_the_margin_does_not_touch_itself() {
         });
         let bent_m = world.state().positions_m.iter().zip(&world.organ().mesh().positions_m);
         assert!(bent_m.map(|(p, rest)| p.distance(*rest)).fold(0.0, f64::max) > 2e-3);
-        (world.state_hash(), world.report().own_contact.n_contacts)
+        (world.state_hash(), world.report().self_contact.n_contacts)
     };
     assert_eq!(hash(Some(GEOMETRIC)), hash(None));
 }

@@ -157,7 +157,7 @@ fn mended_cuts_have_better_tetrahedra_and_the_same_surface() {
     assert_eq!(places(&cut), places(&mended));
     let [a_m3, b_m3] = [&cut, &mended].map(|w| w.organ().body().volume_m3());
     assert!((a_m3 / b_m3 - 1.0).abs() < 1e-12);
-    // An edit of its own, taken back first.
+    // An edit of its own, undone first.
     assert!(mended.undo_edit());
     assert_eq!(worst_ratio(mended.organ().body()), before);
 }

@@ -201,7 +201,7 @@ fn close_on_edge(world: &mut World, trigger: f64, steps: u32) -> Motion {
     motion
 }
 
-/// An instrument with jaws cuts, bleeds, is taken back bit for bit, and does the same again; it refuses where the model
+/// An instrument with jaws cuts, bleeds, is undone bit for bit, and does the same again; it refuses where the model
 /// cannot follow.
 fn cuts_and_is_taken_back(kind: ToolKind, energy_j_per_m2: Option<f64>, steps: u32) {
     let mut world = world(ModelKind::Explicit, kind, energy_j_per_m2);

@@ -489,5 +489,5 @@ fn a_model_that_takes_over_follows_edits_of_all_kinds() {
         assert_eq!(world.step(&StepInput::of(&[far])).n_non_finite_nodes, 0);
     }
     assert_eq!(world.model_kind(), ModelKind::TensorMass);
-    assert!(!world.undo_edit(), "edits of the model before cannot be taken back");
+    assert!(!world.undo_edit(), "edits of the model before cannot be undone");
 }

@@ -1,6 +1,6 @@
 //! What a seed is about: body, model, law and everything else that a scene can say of an organ that is cut.
 
-use glisson::contact::response::itself::OwnContactParams;
+use glisson::contact::response::self_contact::SelfContactParams;
 use glisson::material::{LawChoice, law_named};
 use glisson::math::{DVec3, SeededRandom};
 use glisson::model::kind::ModelKind;
@@ -155,15 +155,15 @@ impl Draw {
     }
 
     /// How it touches itself in steps of `time_step_s`.
-    pub(super) fn own_contact(&self, time_step_s: f64) -> Option<OwnContactParams> {
-        let friction = OwnContactParams::DEFAULT_FRICTION;
+    pub(super) fn self_contact(&self, time_step_s: f64) -> Option<SelfContactParams> {
+        let friction = SelfContactParams::DEFAULT_FRICTION;
         let response = if self.follows_all() {
-            OwnContactParams::geometric(friction)
+            SelfContactParams::geometric(friction)
         } else {
-            OwnContactParams::penalty(OWN_CONTACT_N_PER_M, friction)
+            SelfContactParams::penalty(OWN_CONTACT_N_PER_M, friction)
         };
-        let margin_m = OwnContactParams::default_margin_m(time_step_s);
-        self.touches_itself.then_some(OwnContactParams { margin_m, response })
+        let margin_m = SelfContactParams::default_margin_m(time_step_s);
+        self.touches_itself.then_some(SelfContactParams { margin_m, response })
     }
 }
 
@@ -205,7 +205,7 @@ fn every_model_law_and_body_has_its_turn() {
         assert!(own().any(|draw| draw.touches_itself) && own().any(|draw| !draw.touches_itself), "{kind}");
         assert!(own().any(|draw| draw.tears) && own().any(|draw| !draw.tears), "{kind}");
         for law in kind.laws() {
-            assert!(own().any(|draw| draw.law_name() == *law), "{kind}, {law}");
+            assert!(own().any(|draw| draw.law_name() == law), "{kind}, {law}");
         }
         for body in 0..4 {
             assert!(own().any(|draw| draw.body == body), "{kind}, body {body}");

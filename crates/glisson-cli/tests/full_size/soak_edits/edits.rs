@@ -1,4 +1,4 @@
-//! Edits with what is checked after each, and how they are taken back.
+//! Edits with what is checked after each, and how they are undone.
 
 use super::attached::{Memory, check_parents};
 use super::before::{Before, LastEdit, Volume};
@@ -31,7 +31,7 @@ impl Patient<'_> {
         }
     }
 
-    /// As if what came since had not been: it was taken back.
+    /// As if what came since had not been: it was undone.
     pub(super) fn go_back_to(&mut self, before: Before) {
         self.attached = before.attached;
         self.mass_kg = before.mass_kg;
@@ -48,7 +48,7 @@ impl Patient<'_> {
         self.last_edit = Some(LastEdit { before, n_edits });
     }
 
-    /// Takes the last edit back, steps after it was made: rest shape, tetrahedra and everything attached are as before it.
+    /// Undoes the last edit, steps after it was made: rest shape, tetrahedra and everything attached are as before it.
     pub(super) fn take_back_late(&mut self) {
         let Some(LastEdit { before, n_edits }) = self.last_edit.take() else { return };
         if self.world.n_edits_to_undo() < n_edits {

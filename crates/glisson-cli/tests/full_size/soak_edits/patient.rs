@@ -18,7 +18,7 @@ use glisson::world::{StepInput, StepReport, World};
 
 /// Soft, so that pulling tears within reach of the jaws: a choice of the test, a quarter of liver's.
 const BRITTLE: FractureEnergy = FractureEnergy { energy_j_per_m2: 41.0 };
-/// Edits that can be taken back: more than one call of the tools can make.
+/// Edits that can be undone: more than one call of the tools can make.
 const UNDO_DEPTH: usize = 512;
 /// A force that pieces which come loose do not fly away under.
 const LOAD_N: f64 = 1e-5;
@@ -63,7 +63,7 @@ pub(super) struct Patient<'a> {
     pub(super) touched: Vec<NodeId>,
     /// Ends of the edges that were too short to be divided when strokes ended.
     pub(super) left: Vec<[NodeId; 2]>,
-    /// Whether an edge of a tool was lifted since its stroke began, for want of tissue, and what that parted was taken back.
+    /// Whether an edge of a tool was lifted since its stroke began, for want of tissue, and what that parted was undone.
     pub(super) is_parting_taken_back: bool,
     /// What it takes to take the last edit back in the oracle.
     pub(super) last_edit: Option<LastEdit>,
@@ -151,7 +151,7 @@ impl<'a> Patient<'a> {
         let on = Held { mesh, material: &material, fixed: &fixed, ligaments: &ligaments };
         let (model, time_step_s) = model_in_step(&draw, &substance, &on);
         spec.time_step_s = time_step_s;
-        spec.own_contact = draw.own_contact(time_step_s);
+        spec.self_contact = draw.self_contact(time_step_s);
         spec.tools = tools(&draw, shape.mean_edge_m, time_step_s, shape.away).into();
         let mut world = World::new(spec, mesh.clone(), model, draw.kind).unwrap();
         world.set_undo_depth(UNDO_DEPTH);

@@ -47,7 +47,7 @@ impl Run<'_> {
     /// A table by model and law.
     fn add_models(&self, report: &mut String) {
         report.push_str(
-            "\n## Models and laws\n| model | law | seeds | with self-contact | with tearing | edits | taken back (later) | refused | panics | checks failed | not finite | \
+            "\n## Models and laws\n| model | law | seeds | with self-contact | with tearing | edits | undone (later) | refused | panics | checks failed | not finite | \
              steps with a wild force | greatest force on a tool [N] | nodes recovered | steps with energy taken out | comparisons | largest difference of forces | of weights | simulated [s] | computed [s] |\n\
              |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
         );
@@ -85,7 +85,7 @@ impl Run<'_> {
     fn add_bodies(&self, report: &mut String) {
         report.push_str(
             "\n## Bodies\n| body | tetrahedra | seeds | removals | blade (strokes) | scalpel (strokes) | finer | burns | snips | tool blade | tears | \
-             removals and tears that parted singular places | strokes that did | places mended at strokes' ends, of bad tetrahedra | taken back | grasps | that held | refused | \
+             removals and tears that parted singular places | strokes that did | places mended at strokes' ends, of bad tetrahedra | undone | grasps | that held | refused | \
              worst dihedral of a new or reshaped tetrahedron [deg] |\n\
              |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
         );
@@ -140,7 +140,7 @@ fn checks_of_all() -> String {
          characteristics against a recount; volume (kept, or less by what was taken out; 1e-9); what touches and what is shown \
          against that recount; supports and loads by node, vessels by place at rest and against a search of all cut faces; skin and cut faces against the skin at the \
          start, where no node of it moved; new and moved nodes where their parents were, and new tetrahedra in edits that move no node and pull none onto another. \
-         A refused edit changes no bit. One edit in ten is taken back and made again, with the same bits; some are taken back after more steps. In each step all positions, velocities, \
+         A refused edit changes no bit. One edit in ten is undone and made again, with the same bits; some are undone after more steps. In each step all positions, velocities, \
          numbers of the history, forces on tools and kinetic energies are finite; a force on a tool above {WILD_N} N is wild, counted and not failed."
     )
 }

@@ -42,7 +42,7 @@ pub(super) struct Tally {
     pub(super) tool_uses: u64,
     /// Removals because tissue tore.
     pub(super) tears: u64,
-    /// Edits that were taken back.
+    /// Edits that were undone.
     pub(super) undone: u64,
     /// Calls that took the last edit back after more steps.
     pub(super) undone_late: u64,

@@ -7,7 +7,7 @@ use super::tally::reason;
 use glisson::math::DVec3;
 use glisson::tool::ToolInput;
 
-/// Share of the calls that cut and are then taken back.
+/// Share of the calls that cut and are then undone.
 const TAKEN_BACK: f64 = 0.1;
 
 impl Patient<'_> {
@@ -33,7 +33,7 @@ impl Patient<'_> {
         let n_changes_before = if tool == SCALPEL { cuts.n_edits } else { 0 };
         let volume = Volume::Taken { n_tets, n_changes_before };
         self.check(&before, volume, &changes, cuts.blades.n_mended > 0);
-        // Edits for which the model was copied whole cannot all be taken back.
+        // Edits for which the model was copied whole cannot all be undone.
         if self.random.uniform() < TAKEN_BACK && self.world.n_edits_to_undo() >= n_edits {
             let label = self.label();
             for _ in 0..n_edits {

@@ -6,35 +6,8 @@
 
 use super::plan::Plan;
 use super::{EditableMesh, TopologyChange};
+use crate::disjoint_sets::DisjointSets;
 use crate::mesh::{NodeId, TetId};
-
-/// Sets that grow together.
-struct Unions {
-    parent: Vec<u32>,
-    count: usize,
-}
-
-impl Unions {
-    fn new(n: usize) -> Self {
-        Self { parent: (0..).take(n).collect(), count: n }
-    }
-
-    fn root(&mut self, mut at: usize) -> usize {
-        while self.parent[at] as usize != at {
-            self.parent[at] = self.parent[self.parent[at] as usize];
-            at = self.parent[at] as usize;
-        }
-        at
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        if a != b {
-            self.parent[a.max(b)] = a.min(b) as u32;
-            self.count -= 1;
-        }
-    }
-}
 
 /// A set of ids in ascending order, as bits: the places of all of them in it are found without a search.
 struct Ranks {
@@ -115,7 +88,7 @@ impl EditableMesh {
         if self.hang_together(&patch) {
             return;
         }
-        let mut pieces = Unions::new(patch.n_members);
+        let mut pieces = DisjointSets::new(patch.n_members);
         let members = || patch.members().map(TetId::from_index).enumerate();
         for (at, tet) in members() {
             for next in topology.tet_neighbours(tet).into_iter().filter_map(|n| n.get()) {
@@ -124,8 +97,8 @@ impl EditableMesh {
                 }
             }
         }
-        change.pieces.through_faces.may_have_split |= opened && pieces.count > 1;
-        if pieces.count == 1 {
+        change.pieces.through_faces.may_have_split |= opened && pieces.n_sets() > 1;
+        if pieces.n_sets() == 1 {
             return;
         }
         for (at, tet) in members() {
@@ -136,6 +109,6 @@ impl EditableMesh {
                 }
             }
         }
-        change.pieces.through_nodes.may_have_split |= pieces.count > 1;
+        change.pieces.through_nodes.may_have_split |= pieces.n_sets() > 1;
     }
 }

@@ -60,7 +60,7 @@ impl EditableMesh {
     /// If `undo` is not of the last edit, or the mesh was compacted since.
     pub fn undo(&mut self, undo: &MeshUndo) {
         let now = (self.topology.lengths(), self.topology.live_counts());
-        assert_eq!((undo.after, undo.live_after), now, "edits are taken back last in, first out");
+        assert_eq!((undo.after, undo.live_after), now, "edits are undone last in, first out");
         self.take_back(undo);
     }
 

@@ -9,6 +9,9 @@ use super::text::FormatError;
 use crate::mesh::TetMesh;
 use crate::mesh::faults::LengthUnit;
 
+/// Writes a mesh into a file.
+pub(super) type WriteMesh = fn(&TetMesh, &mut BufWriter<File>) -> io::Result<()>;
+
 /// A format of tetrahedral meshes: a row of the table [`super::FORMATS`].
 #[derive(Clone, Copy, Debug)]
 pub struct MeshFormat {
@@ -21,7 +24,7 @@ pub struct MeshFormat {
     /// Reads the mesh in the bytes of its files, in the order of the extensions.
     pub(super) read: fn(&[&[u8]], LengthUnit) -> Result<RawMesh, FormatError>,
     /// Writes a mesh in millimetres; none for a format that is only read.
-    pub(super) write: Option<fn(&TetMesh, &mut BufWriter<File>) -> io::Result<()>>,
+    pub(super) write: Option<WriteMesh>,
 }
 
 impl MeshFormat {

@@ -36,7 +36,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use self::cells::{Frame, RawMesh};
-use self::text::{ByteOrder, NumberType};
+use crate::binary::{ByteOrder, NumberType};
 use crate::files::write_atomically;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;

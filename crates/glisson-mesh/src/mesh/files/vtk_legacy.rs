@@ -8,7 +8,8 @@ use std::io::{self, Write};
 
 use super::cells::{Frame, RawMesh, VtkCells};
 use super::format::{MeshFormat, file};
-use super::text::{ByteOrder, FormatError, NumberType, Scanner, millimetres, quoted};
+use super::text::{FormatError, Scanner, millimetres, quoted};
+use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::mesh::faults::LengthUnit;
@@ -43,7 +44,7 @@ pub(super) const FORMAT: MeshFormat = MeshFormat {
     extensions: &["vtk"],
     n_files: 1,
     read: |files, unit| read(file(files, 0), unit),
-    write: Some(|mesh, out| write(mesh, out)),
+    write: Some(write),
 };
 
 /// The mesh in the bytes of a legacy file.

@@ -13,8 +13,9 @@ use roxmltree::{Document, Node};
 use super::base64::Base64Reader;
 use super::cells::{Frame, RawMesh, VtkCells};
 use super::format::{MeshFormat, file};
-use super::text::{ByteOrder, FormatError, NumberType, Place, Scanner, find, quoted};
+use super::text::{FormatError, Place, Scanner, find, quoted};
 use super::vtu_write;
+use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
 use crate::mesh::faults::LengthUnit;
 

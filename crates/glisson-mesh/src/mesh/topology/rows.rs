@@ -64,7 +64,7 @@ impl<I: MeshEntity> Rows<I> {
         let start = self.starts[row] as usize;
         let length = self.lengths[row] as usize;
         let items = &mut self.items[start..start + length];
-        // What came last goes first when an edit is taken back.
+        // What came last goes first when an edit is undone.
         let at = items.iter().rposition(|&i| i == item).expect("the row holds every live neighbour");
         // Rows are short: a loop is quicker than a call to move memory.
         for i in at + 1..length {

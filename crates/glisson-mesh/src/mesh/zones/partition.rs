@@ -210,7 +210,7 @@ impl Cut {
         }
     }
 
-    /// One pass: every cell moves at most once, the best gain first; what came after the best cut is taken back.
+    /// One pass: every cell moves at most once, the best gain first; what came after the best cut is undone.
     /// Returns the number of cut nets won.
     fn pass(&self, is_upper: &mut [bool], least: [usize; 2], patience: usize) -> i32 {
         let mut on_side = vec![[0_u32; 2]; self.cells_start.len() - 1];

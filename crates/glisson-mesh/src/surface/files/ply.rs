@@ -4,6 +4,7 @@ use std::io::{self, Write};
 
 use super::cursor::{Cursor, quote};
 use super::{RawSurface, SurfaceFileError, Written};
+use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
 
 /// How the numbers are stored.
@@ -14,66 +15,25 @@ pub(super) enum Encoding {
     BigEndian,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn of_name(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    fn is_integer(self) -> bool {
-        !matches!(self, Self::F32 | Self::F64)
-    }
-
-    /// From bytes in little-endian order; every integer here is exact in `f64`.
-    fn value(self, b: [u8; 8]) -> f64 {
-        match self {
-            Self::I8 => f64::from(b[0] as i8),
-            Self::U8 => f64::from(b[0]),
-            Self::I16 => f64::from(i16::from_le_bytes([b[0], b[1]])),
-            Self::U16 => f64::from(u16::from_le_bytes([b[0], b[1]])),
-            Self::I32 => f64::from(i32::from_le_bytes([b[0], b[1], b[2], b[3]])),
-            Self::U32 => f64::from(u32::from_le_bytes([b[0], b[1], b[2], b[3]])),
-            Self::F32 => f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])),
-            Self::F64 => f64::from_le_bytes(b),
-        }
-    }
+fn number_type(name: &str) -> Option<NumberType> {
+    Some(match name {
+        "char" | "int8" => NumberType::I8,
+        "uchar" | "uint8" => NumberType::U8,
+        "short" | "int16" => NumberType::I16,
+        "ushort" | "uint16" => NumberType::U16,
+        "int" | "int32" => NumberType::I32,
+        "uint" | "uint32" => NumberType::U32,
+        "float" | "float32" => NumberType::F32,
+        "double" | "float64" => NumberType::F64,
+        _ => return None,
+    })
 }
 
 struct Property<'a> {
     name: &'a str,
     /// Type of the length, if it is a list.
-    length: Option<Scalar>,
-    scalar: Scalar,
+    length: Option<NumberType>,
+    scalar: NumberType,
 }
 
 struct Element<'a> {
@@ -85,7 +45,7 @@ struct Element<'a> {
 impl Element<'_> {
     /// Least bytes that one takes.
     fn least_bytes(&self, encoding: Encoding) -> usize {
-        let sizes = self.properties.iter().map(|p| p.length.unwrap_or(p.scalar).size());
+        let sizes = self.properties.iter().map(|p| p.length.unwrap_or(p.scalar).n_bytes());
         match encoding {
             Encoding::Ascii => self.properties.len(),
             _ => sizes.sum(),
@@ -123,7 +83,8 @@ pub(super) fn parse(mut cursor: Cursor<'_>) -> Result<RawSurface, SurfaceFileErr
                 if length < 0.0 {
                     return Err(cursor.error("a list's length from 0", length.to_string()));
                 }
-                let bytes_each = if header.encoding == Encoding::Ascii { 1 } else { property.scalar.size() };
+                let bytes_each =
+                    if header.encoding == Encoding::Ascii { 1 } else { property.scalar.n_bytes() };
                 let length = cursor.check_count(length as u64, bytes_each, "list entries")?;
                 list.clear();
                 for _ in 0..length {
@@ -195,11 +156,11 @@ fn parse_header<'a>(cursor: &mut Cursor<'a>) -> Result<Header<'a>, SurfaceFileEr
 /// What the words after `property` describe, if they describe one.
 fn property_of<'a>(words: &[&'a str]) -> Option<Property<'a>> {
     match *words {
-        ["list", length, scalar, name] => Scalar::of_name(length)
+        ["list", length, scalar, name] => number_type(length)
             .filter(|l| l.is_integer())
-            .zip(Scalar::of_name(scalar))
+            .zip(number_type(scalar))
             .map(|(length, scalar)| Property { name, length: Some(length), scalar }),
-        [scalar, name] => Scalar::of_name(scalar).map(|scalar| Property { name, length: None, scalar }),
+        [scalar, name] => number_type(scalar).map(|scalar| Property { name, length: None, scalar }),
         _ => None,
     }
 }
@@ -222,20 +183,15 @@ fn check_elements(cursor: &Cursor<'_>, header: &Header<'_>) -> Result<(), Surfac
     Ok(())
 }
 
-fn read(cursor: &mut Cursor<'_>, encoding: Encoding, scalar: Scalar) -> Result<f64, SurfaceFileError> {
+fn read(cursor: &mut Cursor<'_>, encoding: Encoding, scalar: NumberType) -> Result<f64, SurfaceFileError> {
     if encoding == Encoding::Ascii {
         if scalar.is_integer() {
             return cursor.number::<i64>("an integer").map(|i| i as f64);
         }
         return cursor.number("a number");
     }
-    let size = scalar.size();
-    let mut bytes = [0; 8];
-    bytes[..size].copy_from_slice(cursor.take(size, "bytes of a number")?);
-    if encoding == Encoding::BigEndian {
-        bytes[..size].reverse();
-    }
-    Ok(scalar.value(bytes))
+    let order = if encoding == Encoding::BigEndian { ByteOrder::Big } else { ByteOrder::Little };
+    Ok(scalar.float(cursor.take(scalar.n_bytes(), "bytes of a number")?, order))
 }
 
 pub(super) fn write(out: &mut impl Write, surface: &Written<'_>, encoding: Encoding) -> io::Result<()> {

@@ -5,65 +5,23 @@ use std::io::{self, Write};
 
 use super::cursor::{Cursor, quote};
 use super::{RawSurface, SurfaceFileError, Written};
+use crate::binary::{ByteOrder, NumberType};
 use crate::math::DVec3;
 
-#[derive(Clone, Copy)]
-enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    I64,
-    U64,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn of_name(name: &str) -> Option<Self> {
-        Some(match name.to_ascii_lowercase().as_str() {
-            "char" | "signed_char" => Self::I8,
-            "unsigned_char" => Self::U8,
-            "short" => Self::I16,
-            "unsigned_short" => Self::U16,
-            "int" | "vtkidtype" => Self::I32,
-            "unsigned_int" => Self::U32,
-            "long" | "vtktypeint64" => Self::I64,
-            "unsigned_long" | "vtktypeuint64" => Self::U64,
-            "float" => Self::F32,
-            "double" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::I64 | Self::U64 | Self::F64 => 8,
-        }
-    }
-
-    /// From big-endian bytes, `size` of them.
-    fn value(self, b: &[u8]) -> Number {
-        let mut wide = [0; 8];
-        wide[8 - b.len()..].copy_from_slice(b);
-        let bits = u64::from_be_bytes(wide);
-        match self {
-            Self::I8 => Number::Integer(i64::from(bits as i8)),
-            Self::I16 => Number::Integer(i64::from(bits as i16)),
-            Self::I32 => Number::Integer(i64::from(bits as i32)),
-            // Above i64::MAX there is no such count or index: -1 is refused like them.
-            Self::U8 | Self::U16 | Self::U32 | Self::I64 | Self::U64 => {
-                Number::Integer(i64::from_ne_bytes(bits.to_ne_bytes()))
-            }
-            Self::F32 => Number::Real(f64::from(f32::from_bits(bits as u32))),
-            Self::F64 => Number::Real(f64::from_bits(bits)),
-        }
-    }
+fn number_type(name: &str) -> Option<NumberType> {
+    Some(match name.to_ascii_lowercase().as_str() {
+        "char" | "signed_char" => NumberType::I8,
+        "unsigned_char" => NumberType::U8,
+        "short" => NumberType::I16,
+        "unsigned_short" => NumberType::U16,
+        "int" | "vtkidtype" => NumberType::I32,
+        "unsigned_int" => NumberType::U32,
+        "long" | "vtktypeint64" => NumberType::I64,
+        "unsigned_long" | "vtktypeuint64" => NumberType::U64,
+        "float" => NumberType::F32,
+        "double" => NumberType::F64,
+        _ => return None,
+    })
 }
 
 #[derive(Clone, Copy)]
@@ -73,6 +31,16 @@ enum Number {
 }
 
 impl Number {
+    /// From big-endian bytes.
+    fn of_bytes(bytes: &[u8], kind: NumberType) -> Self {
+        // Above i64::MAX there is no such count or index: what it is as an i64 is below 0 and refused.
+        let signed = if kind == NumberType::U64 { NumberType::I64 } else { kind };
+        match signed.integer(bytes, ByteOrder::Big) {
+            Some(integer) => Self::Integer(integer),
+            None => Self::Real(kind.float(bytes, ByteOrder::Big)),
+        }
+    }
+
     fn real(self) -> f64 {
         match self {
             Self::Integer(i) => i as f64,
@@ -145,23 +113,28 @@ impl Reader<'_> {
         Err(self.cursor.error(word, quote(found.as_bytes())))
     }
 
-    fn scalar(&mut self) -> Result<Scalar, SurfaceFileError> {
+    fn scalar(&mut self) -> Result<NumberType, SurfaceFileError> {
         let name = self.cursor.token("a number type")?;
-        Scalar::of_name(name).ok_or_else(|| {
+        number_type(name).ok_or_else(|| {
             self.cursor.error("a number type (float, double, int, vtktypeint64, ...)", quote(name.as_bytes()))
         })
     }
 
     /// `count` numbers; in binary files the line must end before them.
-    fn numbers(&mut self, count: u64, scalar: Scalar, what: &str) -> Result<Vec<Number>, SurfaceFileError> {
+    fn numbers(
+        &mut self,
+        count: u64,
+        scalar: NumberType,
+        what: &str,
+    ) -> Result<Vec<Number>, SurfaceFileError> {
         if self.binary {
             self.cursor.skip_line_end();
-            let count = self.cursor.check_count(count, scalar.size(), what)?;
-            let bytes = self.cursor.take(count * scalar.size(), what)?;
-            return Ok(bytes.chunks_exact(scalar.size()).map(|b| scalar.value(b)).collect());
+            let count = self.cursor.check_count(count, scalar.n_bytes(), what)?;
+            let bytes = self.cursor.take(count * scalar.n_bytes(), what)?;
+            return Ok(bytes.chunks_exact(scalar.n_bytes()).map(|b| Number::of_bytes(b, scalar)).collect());
         }
         let count = self.cursor.check_text_count(count, what)?;
-        let is_real = matches!(scalar, Scalar::F32 | Scalar::F64);
+        let is_real = !scalar.is_integer();
         (0..count)
             .map(|_| match is_real {
                 true => self.cursor.number(what).map(Number::Real),
@@ -170,7 +143,7 @@ impl Reader<'_> {
             .collect()
     }
 
-    fn integers(&mut self, count: u64, scalar: Scalar, what: &str) -> Result<Vec<i64>, SurfaceFileError> {
+    fn integers(&mut self, count: u64, scalar: NumberType, what: &str) -> Result<Vec<i64>, SurfaceFileError> {
         let numbers = self.numbers(count, scalar, what)?;
         numbers
             .into_iter()
@@ -221,7 +194,7 @@ impl Reader<'_> {
             }
             return Ok(());
         }
-        let list = self.integers(size, Scalar::I32, "corners and their numbers")?;
+        let list = self.integers(size, NumberType::I32, "corners and their numbers")?;
         let mut rest = list.as_slice();
         for _ in 0..count {
             let cell = rest.split_first().and_then(|(&n, tail)| {

@@ -15,8 +15,8 @@ use super::dynamics::Mover;
 use super::frame::{Frame, Quarantine, Sliding};
 use super::stable::{MARGIN, Stability, StiffTet};
 use super::{ExplicitError, keep};
-use crate::model::growth::Growth;
 use crate::model::local_model::LocalFrame;
+use crate::model::topology_update::TopologyUpdate;
 use crate::model::{
     Attachment, Constraints, Correction, DynamicBody, ModelReport, ModelState, NodalForce, Rayleigh,
 };
@@ -450,7 +450,12 @@ impl ExplicitBody {
 
     /// Room for what an edit brings in; new and moved nodes are at their places afterwards. A scheme of several steps
     /// begins anew: earlier positions do not fit any more.
-    pub(in crate::model) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    pub(in crate::model) fn grow(
+        &mut self,
+        mesh: &TetMesh,
+        change: &TopologyChange,
+        growth: &TopologyUpdate,
+    ) {
         let n_nodes = growth.n_nodes;
         let displaced: Vec<DVec3> =
             self.positions_m.iter().zip(&self.frame.rest_m).map(|(x, rest)| *x - *rest).collect();

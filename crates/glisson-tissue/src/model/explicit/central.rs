@@ -18,7 +18,7 @@ use super::dynamics::Mover;
 use super::frame::{Frame, Quarantine};
 use super::stable::{MARGIN, Stability, StableStep, StiffTet};
 use super::{ExplicitError, Padded, keep, padded, unpadded};
-use crate::model::growth::Growth;
+use crate::model::topology_update::TopologyUpdate;
 use crate::model::{
     Constraints, Correction, DynamicBody, ModelReport, ModelState, ModelUndo, NodalForce, UndoReader,
 };
@@ -498,7 +498,12 @@ impl ExplicitMotion {
     }
 
     /// Room for what an edit brings in; new and moved nodes are at their places afterwards.
-    pub(in crate::model) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    pub(in crate::model) fn grow(
+        &mut self,
+        mesh: &TetMesh,
+        change: &TopologyChange,
+        growth: &TopologyUpdate,
+    ) {
         let (n_before, n_nodes) = (self.n_nodes(), growth.n_nodes);
         self.frame.grow(mesh, change, growth);
         let supports = |n: usize| self.frame.supports(n);

@@ -2,7 +2,7 @@
 
 use super::keep;
 use crate::model::TopologyRefusal;
-use crate::model::growth::{Growth, grows};
+use crate::model::topology_update::{TopologyUpdate, grows};
 use crate::solve::{LOCAL_EDGES, MeshEdges};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -28,7 +28,7 @@ pub(in crate::model) trait Cuttable {
 
     /// Makes room for what an edit brings in, and puts new and moved nodes in their places. The tetrahedra know all
     /// corners; new and reshaped ones are in no sum yet.
-    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth);
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate);
 
     /// Adds a tetrahedron up, new or taken out before.
     fn add_tet(&mut self, t: usize);
@@ -43,14 +43,14 @@ pub(in crate::model) trait Cuttable {
 /// Follows all edits. Removals allocate nothing.
 ///
 /// # Errors
-/// [`TopologyRefusal`]: the change of another mesh, and those of [`Growth::of`]; nothing changed then.
+/// [`TopologyRefusal`]: the change of another mesh, and those of [`TopologyUpdate::of`]; nothing changed then.
 pub(in crate::model) fn follow<M: Cuttable>(
     model: &mut M,
     mesh: &TetMesh,
     change: &TopologyChange,
 ) -> Result<(), TopologyRefusal> {
     TopologyRefusal::of_other_mesh(M::NAME, change, [model.tets().nodes.len(), model.rest_m().len()])?;
-    let growth = Growth::of(M::NAME, mesh, change, model.rest_m(), model.tets().iter())?;
+    let growth = TopologyUpdate::of(M::NAME, mesh, change, model.rest_m(), model.tets().iter())?;
     let mut is_cut = false;
     for t in change.tets.removed.iter().map(|tet| tet.index()) {
         if model.tets().is_live.get(t) == Some(&true) {

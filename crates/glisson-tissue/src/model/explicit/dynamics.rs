@@ -6,7 +6,7 @@
 
 use crate::model::local_model::{self, LocalBody};
 use crate::model::{
-    Constraints, Correction, DeformableModel, Effort, LocalModel, LocalWork, ModelReport, ModelState,
+    Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport, ModelState,
     ModelUndo, NodalForce, StepAnswer, TopologyRefusal,
 };
 use glisson_mesh::math::DVec3;
@@ -60,7 +60,7 @@ pub(in crate::model) trait ExplicitDynamics: LocalBody + Clone + Send + 'static 
     fn advance(&mut self, dt_s: f64);
 
     /// How thoroughly it computes from the next step on; answers whether that makes a difference.
-    fn choose_effort(&mut self, _effort: Effort) -> bool {
+    fn choose_level_of_detail(&mut self, _effort: LevelOfDetail) -> bool {
         false
     }
 
@@ -104,8 +104,8 @@ impl<M: ExplicitDynamics> DeformableModel for M {
         self.mover_mut().set_gravity(gravity_m_per_s2);
     }
 
-    fn set_effort(&mut self, effort: Effort) -> bool {
-        self.choose_effort(effort)
+    fn set_level_of_detail(&mut self, effort: LevelOfDetail) -> bool {
+        self.choose_level_of_detail(effort)
     }
 
     fn report(&self) -> ModelReport {

@@ -9,14 +9,14 @@
 //! Energy watch. In one part the kinetic energy cannot grow by more than the work of weight, outer forces, ligaments
 //! and tools in it, and the elastic energy that was there. The latter is taken to be less than that of a body in which
 //! every tetrahedron is strained by 1, half the modulus times the volume, summed: tissue tears long before, and waves
-//! give up the energy of a tetrahedron over several parts. Growth beyond the sum comes from an unstable step; the
+//! give up the energy of a tetrahedron over several parts. TopologyUpdate beyond the sum comes from an unstable step; the
 //! velocities are then cut down to the energy before, or to that bound.
 
 use super::stable::Stability;
 use super::{ExplicitError, keep};
-use crate::model::growth::Growth;
+use crate::model::bounded_vec::BoundedVec;
 use crate::model::local_model::LocalFrame;
-use crate::model::roomy::Roomy;
+use crate::model::topology_update::TopologyUpdate;
 use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, ModelUndo, Rayleigh, UndoReader};
 use crate::solve::SolveError;
 use glisson_mesh::math::{DVec3, tetrahedron_volume_m3};
@@ -116,9 +116,9 @@ pub(in crate::model) struct Frame {
     /// What a node is heavier than its tissue, so that the step stays stable.
     extra_kg: Vec<f64>,
 
-    pub(super) outer_forces: Roomy<(u32, DVec3)>,
-    pub(super) held: Roomy<Held>,
-    pub(super) constraint_forces_n: Roomy<DVec3>,
+    pub(super) outer_forces: BoundedVec<(u32, DVec3)>,
+    pub(super) held: BoundedVec<Held>,
+    pub(super) constraint_forces_n: BoundedVec<DVec3>,
     report: ModelReport,
 }
 
@@ -206,9 +206,9 @@ impl Frame {
             node_tets,
             mass_kg,
             extra_kg: vec![0.0; n_nodes],
-            outer_forces: Roomy::with_room(n_nodes),
-            held: Roomy::with_room(n_nodes),
-            constraint_forces_n: Roomy::with_room(n_nodes),
+            outer_forces: BoundedVec::with_capacity(n_nodes),
+            held: BoundedVec::with_capacity(n_nodes),
+            constraint_forces_n: BoundedVec::with_capacity(n_nodes),
             report: ModelReport::default(),
         })
     }
@@ -431,7 +431,7 @@ impl Frame {
     }
 
     /// Room for what an edit brings in. A tool goes on holding a moved node at its place in space.
-    pub(super) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    pub(super) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
         let (n_before, n_nodes) = (self.n_nodes(), growth.n_nodes);
         for held in self.held.iter_mut() {
             let n = held.node as usize;

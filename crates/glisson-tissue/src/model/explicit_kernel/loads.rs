@@ -1,8 +1,8 @@
 //! What acts on the nodes from outside: weight, ligaments, forces of the step.
 
 use crate::model::Attachment;
+use crate::model::bounded_vec::BoundedVec;
 use crate::model::kernel::FastKernel;
-use crate::model::roomy::Roomy;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::NodeId;
 
@@ -16,7 +16,7 @@ pub(super) struct Loads {
     /// Forces of the constraints [N], zero but on the nodes of `loaded`.
     nodal_n: Vec<DVec3>,
     /// With room for every node.
-    loaded: Roomy<NodeId>,
+    loaded: BoundedVec<NodeId>,
 }
 
 impl Loads {
@@ -28,7 +28,7 @@ impl Loads {
             attachments,
             rest_m: rest_m.to_vec(),
             nodal_n: vec![DVec3::ZERO; rest_m.len()],
-            loaded: Roomy::with_room(rest_m.len()),
+            loaded: BoundedVec::with_capacity(rest_m.len()),
         }
     }
 

@@ -40,11 +40,11 @@ use std::sync::Arc;
 
 use self::loads::Loads;
 use self::stability::Stability;
+use super::bounded_vec::BoundedVec;
 use super::explicit::{ExplicitDynamics, Mover};
-use super::growth::Growth;
 use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine, Workers};
 use super::kind::ModelKind;
-use super::roomy::Roomy;
+use super::topology_update::TopologyUpdate;
 use super::{
     Constraints, Correction, ModelReport, ModelState, ModelUndo, NodalForce, Rayleigh, TopologyRefusal,
 };
@@ -145,8 +145,8 @@ pub struct ExplicitKernel {
     careful_steps: u32,
 
     loads: Loads,
-    held: Roomy<Held>,
-    constraint_forces_n: Roomy<DVec3>,
+    held: BoundedVec<Held>,
+    constraint_forces_n: BoundedVec<DVec3>,
     report: ModelReport,
 
     // State: displacements, last increments, an entry of the last step's length and the careful steps, and the memory
@@ -232,8 +232,8 @@ impl ExplicitKernel {
             most_parts: body.most_parts,
             careful_steps: 0,
             loads: Loads::new(body.gravity_m_per_s2, body.attachments, &mesh.positions_m),
-            held: Roomy::with_room(n_nodes),
-            constraint_forces_n: Roomy::with_room(n_nodes),
+            held: BoundedVec::with_capacity(n_nodes),
+            constraint_forces_n: BoundedVec::with_capacity(n_nodes),
             report: ModelReport::default(),
             history: vec![[0.0; 3]; 2 * n_nodes + 1 + n_memory / 3],
             positions_m: mesh.positions_m.clone(),
@@ -579,7 +579,7 @@ impl ExplicitDynamics for ExplicitKernel {
         TopologyRefusal::of_other_mesh(name, change, counts)?;
         let tets = self.rest.tetrahedra.iter().enumerate();
         let live = tets.filter(|(t, _)| self.kernel.is_live(TetId::from_index(*t)));
-        match Growth::of(name, mesh, change, &self.rest.positions_m, live)? {
+        match TopologyUpdate::of(name, mesh, change, &self.rest.positions_m, live)? {
             Some(growth) => self.grow(mesh, change, &growth),
             None => {
                 for &tet in &change.tets.removed {

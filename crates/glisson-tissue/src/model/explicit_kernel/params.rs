@@ -5,12 +5,12 @@ use std::sync::Arc;
 use super::{ExplicitError, SharedWorkers};
 use crate::material::{LinearElastic, MaterialError, NeoHookeLog, PronySeries, StableNeoHooke};
 use crate::model::explicit::keep;
-use crate::model::growth::{Growth, blend_tets};
 use crate::model::kernel::{
     FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, Sequential, SharedMaterial,
 };
 use crate::model::local_model::TangentLaw;
 use crate::model::tet_law::{Fibre, TetLaw, linear_stiffness};
+use crate::model::topology_update::{TopologyUpdate, blend_tets};
 use crate::model::{DynamicBody, RestStress};
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -232,7 +232,7 @@ impl Substance {
 
     /// New tetrahedra take material, fibre and law of the one that they take after most, and the mean stress of their
     /// parents.
-    pub(super) fn grow(&mut self, change: &TopologyChange, growth: &Growth) {
+    pub(super) fn grow(&mut self, change: &TopologyChange, growth: &TopologyUpdate) {
         growth.take_over(&mut self.materials);
         growth.take_over(&mut self.fibres);
         growth.take_over(&mut self.laws);

@@ -2,8 +2,8 @@
 
 use super::{ExplicitKernel, quarantine_of};
 use crate::model::explicit::keep;
-use crate::model::growth::Growth;
 use crate::model::kernel::FastKernel;
+use crate::model::topology_update::TopologyUpdate;
 use crate::solve::P1Gradients;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -95,7 +95,7 @@ impl ExplicitKernel {
     }
 
     /// Follows an edit that adds or moves something.
-    pub(super) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    pub(super) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
         let (n_before, n_nodes) = (change.nodes.n_before, growth.n_nodes);
         self.supports.resize(n_nodes, [false; 3]);
         for (n, axes) in growth.new_supports(|n| self.supports[n]) {
@@ -149,7 +149,7 @@ impl ExplicitKernel {
     }
 
     /// Brings mesh at rest, kernel, substance and stable step from before an edit to after it.
-    fn take_over_mesh(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    fn take_over_mesh(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
         let (n_before, n_nodes) = (change.nodes.n_before, growth.n_nodes);
         if !std::mem::replace(&mut self.is_cut, true) {
             self.stability.scaling.apply(&self.rest, &mut self.kernel);
@@ -180,7 +180,7 @@ impl ExplicitKernel {
     }
 
     /// Loads and shown state of the nodes that an edit changed.
-    fn publish_changed(&mut self, growth: &Growth, at_removed: &[(NodeId, DVec3)]) {
+    fn publish_changed(&mut self, growth: &TopologyUpdate, at_removed: &[(NodeId, DVec3)]) {
         // Weight changes with the mass, and ligaments are as long as they are now.
         let attached = growth.attached().flat_map(|tet| self.rest.tetrahedra[tet.index()]);
         let removed = at_removed.iter().map(|(node, _)| *node);
@@ -199,7 +199,7 @@ impl ExplicitKernel {
     }
 
     /// Memory of relaxing stress of the new tetrahedra: that of their parents, for their volumes.
-    fn memories_of_new(&self, change: &TopologyChange, growth: &Growth) -> Vec<(TetId, Vec<f64>)> {
+    fn memories_of_new(&self, change: &TopologyChange, growth: &TopologyUpdate) -> Vec<(TetId, Vec<f64>)> {
         if self.kernel.history_len() == 0 {
             return Vec::new();
         }
@@ -217,7 +217,7 @@ impl ExplicitKernel {
     }
 
     /// Puts new and reshaped tetrahedra into the kernel, or lays it out anew where they do not fit.
-    fn add_tets(&mut self, change: &TopologyChange, growth: &Growth) {
+    fn add_tets(&mut self, change: &TopologyChange, growth: &TopologyUpdate) {
         let (law, path) = (self.kernel.law(), self.kernel.path());
         let Self { kernel, substance, rest, .. } = self;
         let (params, extras) = (substance.kernel_params(rest, law, path), substance.extras());
@@ -237,7 +237,7 @@ impl ExplicitKernel {
         }
     }
 
-    fn lay_out_anew(&mut self, change: &TopologyChange, growth: &Growth) {
+    fn lay_out_anew(&mut self, change: &TopologyChange, growth: &TopologyUpdate) {
         let n_before = change.nodes.n_before;
         let mut is_live: Vec<bool> =
             (0..growth.n_tets).map(|t| self.kernel.is_live(TetId::from_index(t))).collect();

@@ -6,8 +6,8 @@
 //! edit after which the kernel may be laid out anew is kept as a copy of the whole model.
 
 use super::{ExplicitKernel, Held, known};
-use crate::model::growth::grows;
 use crate::model::kernel::{KernelCounts, NodeMass};
+use crate::model::topology_update::grows;
 use crate::model::{DeformableModel, ModelUndo, UndoReader};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;

@@ -28,9 +28,9 @@ use super::explicit::{
     Cuttable, ExplicitBody, ExplicitDynamics, ExplicitError, Integration, InternalForces, LiveEdges,
     LiveTets, Quarantine, RestTensions, Stability, StiffTet, check_body, check_number, follow, keep,
 };
-use super::growth::{Growth, blend_tets};
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::tet_law::TetLaw;
+use super::topology_update::{TopologyUpdate, blend_tets};
 use super::{DynamicBody, RestStress, TopologyRefusal};
 use crate::material::{LinearElastic, NeoHookeLog};
 use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients};
@@ -425,7 +425,7 @@ impl Cuttable for ExtendedMassSpring {
         );
     }
 
-    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
         self.body.grow(mesh, change, growth);
         blend_tets(&mut self.rest_stress_pa, change);
         let links = &mut self.links;

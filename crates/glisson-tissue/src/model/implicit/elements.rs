@@ -21,7 +21,7 @@ use super::law::ImplicitLaw;
 use super::neo_hooke::NeoHooke;
 use super::{RestStress, VolumeResistance};
 use crate::material::{Material, StableNeoHooke};
-use crate::model::roomy::Roomy;
+use crate::model::bounded_vec::BoundedVec;
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
@@ -77,7 +77,7 @@ pub(super) struct Elements {
     /// The stress at rest without its negative eigenvalues [Pa], for the preconditioner.
     tensile_rest_pa: Vec<DMat3>,
     node_volume_m3: Vec<f64>,
-    strays: Roomy<Stray>,
+    strays: BoundedVec<Stray>,
     // Scratch of the quarantine.
     is_bad: Vec<bool>,
     meets_bad: Vec<bool>,
@@ -190,7 +190,7 @@ impl Elements {
             rest_pa,
             tensile_rest_pa,
             node_volume_m3,
-            strays: Roomy::with_room(tets.len()),
+            strays: BoundedVec::with_capacity(tets.len()),
             is_bad: vec![false; tets.len()],
             meets_bad: vec![false; n_nodes],
             tets,

@@ -1,4 +1,4 @@
-//! Eight tetrahedra at a time: gathering, deformation, scattering, and the stress that is there at rest.
+//! LaneBlock tetrahedra at a time: gathering, deformation, scattering, and the stress that is there at rest.
 //!
 //! With F = I + H, H = sum_k (u_k - u_0) (x) alpha_k (k = 1, 2, 3). Displacements enter, not positions: at rest
 //! F = I and elastic forces are zero to the bit. Lanes only add and multiply, without fused operations, so that
@@ -25,7 +25,7 @@ pub(super) struct Shape {
     pub(super) added_pa: Vec<SymmetricLanes>,
 }
 
-/// Eight tetrahedra: nodes, gradients alpha_1..alpha_3 (component i of alpha_k in row 3 (k-1) + i), volumes.
+/// LaneBlock tetrahedra: nodes, gradients alpha_1..alpha_3 (component i of alpha_k in row 3 (k-1) + i), volumes.
 #[derive(Clone, Debug)]
 pub(super) struct Group {
     pub(super) nodes: [[u32; LANES]; 4],

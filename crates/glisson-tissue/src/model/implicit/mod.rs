@@ -47,9 +47,9 @@ use self::lagged::{Lagged, LaggedParams, LaggedState, NodeTerms};
 use self::ligaments::Ligaments;
 use self::newton::{MOST_NEWTON_ITERATIONS, Scratch};
 use self::relaxation::Relaxation;
-use super::roomy::Roomy;
+use super::bounded_vec::BoundedVec;
 use super::{
-    Attachment, Constraints, Correction, DeformableModel, DynamicBody, Effort, LocalModel, LocalWork,
+    Attachment, Constraints, Correction, DeformableModel, DynamicBody, LevelOfDetail, LocalModel, LocalWork,
     ModelReport, ModelState, NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::material::{PronyHistory, StableNeoHooke};
@@ -139,15 +139,15 @@ pub struct ImplicitEuler {
     /// Factors made so far.
     factor_version: u64,
     positions_m: Vec<DVec3>,
-    history: Roomy<f64>,
+    history: BoundedVec<f64>,
 
     // Constraints and scratch.
     outer_n: Vec<DVec3>,
-    held: Roomy<Held>,
+    held: BoundedVec<Held>,
     is_held: Vec<bool>,
     /// [`Self::free_axes`], zero for nodes that a tool holds and for those without a tetrahedron.
     mask: Vec<DVec3>,
-    constraint_forces_n: Roomy<DVec3>,
+    constraint_forces_n: BoundedVec<DVec3>,
     ignored_constraints: usize,
     /// Whether the shape may hold tetrahedra in which the law has no energy.
     is_suspect: bool,
@@ -229,12 +229,12 @@ impl ImplicitEuler {
             age: FactorAge::default(),
             factor_version: 0,
             positions_m: mesh.positions_m.clone(),
-            history: Roomy::with_room(0),
+            history: BoundedVec::with_capacity(0),
             outer_n: zero.clone(),
-            held: Roomy::with_room(n_nodes),
+            held: BoundedVec::with_capacity(n_nodes),
             is_held: vec![false; n_nodes],
             mask: zero,
-            constraint_forces_n: Roomy::with_room(n_nodes),
+            constraint_forces_n: BoundedVec::with_capacity(n_nodes),
             ignored_constraints: 0,
             is_suspect: false,
             n_recovered_nodes: 0,
@@ -566,11 +566,11 @@ impl DeformableModel for ImplicitEuler {
         }
     }
 
-    fn set_effort(&mut self, effort: Effort) -> bool {
+    fn set_level_of_detail(&mut self, effort: LevelOfDetail) -> bool {
         self.most_iterations = match effort {
-            Effort::Full => MOST_NEWTON_ITERATIONS,
-            Effort::Reduced => REDUCED_ITERATIONS,
-            Effort::Least => LEAST_ITERATIONS,
+            LevelOfDetail::Full => MOST_NEWTON_ITERATIONS,
+            LevelOfDetail::Reduced => REDUCED_ITERATIONS,
+            LevelOfDetail::Least => LEAST_ITERATIONS,
         };
         true
     }

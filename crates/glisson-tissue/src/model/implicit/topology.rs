@@ -4,7 +4,7 @@ use super::elements::{Elements, ElementsParams};
 use super::ligaments::Ligaments;
 use super::newton::Scratch;
 use super::{Attachment, ImplicitEuler, ImplicitLaw, TopologyRefusal};
-use crate::model::growth::{Growth, blend_tets};
+use crate::model::topology_update::{TopologyUpdate, blend_tets};
 use glisson_mesh::fault;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -22,7 +22,7 @@ impl ImplicitEuler {
     pub(super) fn follow(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
         TopologyRefusal::of_other_mesh(NAME, change, [self.tet_is_live.len(), self.n_nodes()])?;
         let live = self.mesh.tetrahedra.iter().enumerate().filter(|(t, _)| self.tet_is_live[*t]);
-        let growth = Growth::of(NAME, mesh, change, &self.mesh.positions_m, live)?;
+        let growth = TopologyUpdate::of(NAME, mesh, change, &self.mesh.positions_m, live)?;
         if let Some(growth) = &growth {
             self.grow(mesh, change, growth);
         }
@@ -68,7 +68,7 @@ impl ImplicitEuler {
     }
 
     /// Grows the lists for an edit, and places new and moved nodes.
-    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
         let (n_before, n_nodes) = (change.nodes.n_before, growth.n_nodes);
         let axes = |free: DVec3| free.to_array().map(|free| free == 0.0);
         let new_supports = growth.new_supports(|n| axes(self.free_axes[n]));

@@ -14,7 +14,7 @@ use super::step::StepFactors;
 use super::{FastKernel, KernelError, KernelLaw, KernelParams, TetPlace};
 use crate::material::{LinearElastic, PronySeries};
 use crate::model::RestStress;
-use crate::model::roomy::Roomy;
+use crate::model::bounded_vec::BoundedVec;
 use crate::model::tet_law::{Fibre, TetLaw};
 use crate::solve::{P1Gradients, SolveError};
 use glisson_mesh::mesh::TetId;
@@ -105,7 +105,7 @@ impl Elements {
     fn zero(n_blocks: usize, law: KernelLaw, kinds: ExtraKinds) -> Self {
         let n_laws = if law == KernelLaw::General { n_blocks } else { 0 };
         Self {
-            spare: Roomy::with_room(N_LANES * n_blocks),
+            spare: BoundedVec::with_capacity(N_LANES * n_blocks),
             blocks: vec![Block::EMPTY; n_blocks],
             extras: Extras::zero(n_blocks, kinds),
             law_of: vec![[0; N_LANES]; n_laws],

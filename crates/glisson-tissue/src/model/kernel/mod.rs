@@ -15,11 +15,11 @@
 
 mod advance;
 mod build;
-mod eights;
+mod lane_block;
 mod element;
 mod extras;
 mod general;
-mod growth;
+mod topology_update;
 mod lanes;
 mod step;
 mod motion;
@@ -43,13 +43,13 @@ use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
 pub use build::KernelExtras;
-pub(in crate::model) use eights::{Eight, EightWork};
 pub use general::SharedMaterial;
-pub(in crate::model) use growth::{KernelCounts, NodeMass};
+pub(in crate::model) use lane_block::{LaneBlock, LaneBlockWork};
 pub use motion::NodeMotion;
 pub use paths::KernelPath;
 pub use quarantine::{Quarantine, QuarantineReport};
 pub use step::StepSums;
+pub(in crate::model) use topology_update::{KernelCounts, NodeMass};
 pub use workers::{Sequential, Task, Workers};
 
 /// The kernel's laws.

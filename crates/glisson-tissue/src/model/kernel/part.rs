@@ -20,7 +20,7 @@ use super::quarantine::{Guard, LaneTets, NO_TET, Quarantine, QuarantineReport};
 use super::rows::{Block, LaneNumbers, MOST_ROWS, N_LANES, Row, Rows};
 use super::step::{GROUP_ROWS, StepFactors, StepSums};
 use crate::material::PronySeries;
-use crate::model::roomy::Roomy;
+use crate::model::bounded_vec::BoundedVec;
 use glisson_mesh::mesh::NodeId;
 
 /// A panic elsewhere leaves valid memory.
@@ -97,7 +97,7 @@ pub(super) struct Elements {
     /// The tetrahedron of each lane.
     pub(super) tets: Vec<LaneTets>,
     /// Blocks and lanes without a tetrahedron; the last one is filled first. With capacity for all.
-    pub(super) spare: Roomy<[u32; 2]>,
+    pub(super) spare: BoundedVec<[u32; 2]>,
 }
 
 impl Elements {

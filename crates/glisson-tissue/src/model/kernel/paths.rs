@@ -6,9 +6,9 @@
 #[cfg(target_arch = "x86_64")]
 use fearless_simd::{Avx2, Avx512, Level, Simd, f64x4, f64x8, prelude::*, u8x32, u8x64};
 
-use super::eights::EightWork;
 use super::element::{At, corner_forces, displacement_gradient};
 use super::extras::Stress;
+use super::lane_block::LaneBlockWork;
 use super::lanes::Lanes;
 use super::rows::{Block, LaneNumbers, N_LANES, Rows};
 
@@ -54,7 +54,7 @@ impl<W: LaneWork> PathWork for InLanes<W> {
 
 struct ByEight<W>(W);
 
-impl<W: EightWork> PathWork for ByEight<W> {
+impl<W: LaneBlockWork> PathWork for ByEight<W> {
     type Output = W::Output;
 
     #[cfg(target_arch = "x86_64")]
@@ -63,7 +63,7 @@ impl<W: EightWork> PathWork for ByEight<W> {
         self.0.run(f64x8::splat(simd, 0.0))
     }
 
-    /// Eight numbers in two vectors.
+    /// LaneBlock numbers in two vectors.
     #[cfg(target_arch = "x86_64")]
     #[inline(always)]
     fn in_fours(self, simd: Avx2) -> W::Output {
@@ -141,7 +141,7 @@ impl KernelPath {
 
     /// Runs work on eight numbers at a time on this path.
     #[inline]
-    pub(in crate::model) fn run_by_eight<W: EightWork>(self, work: W) -> W::Output {
+    pub(in crate::model) fn run_by_eight<W: LaneBlockWork>(self, work: W) -> W::Output {
         self.run_in(ByEight(work))
     }
 
@@ -213,7 +213,7 @@ impl<S: Stress> PathWork for AddForces<'_, S> {
     }
 }
 
-/// Eight lanes in one vector.
+/// LaneBlock lanes in one vector.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 fn add_by_eight(simd: Avx512, stress: &mut impl Stress, blocks: &[Block], rows: &mut Rows) {
@@ -443,7 +443,7 @@ fn add_lane<S: Simd>(simd: S, rows: &mut Rows, at: &[u16; 4], [sum, f1, f2, f3]:
     }
 }
 
-/// Eight lanes in two vectors, one after the other.
+/// LaneBlock lanes in two vectors, one after the other.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 fn add_by_four(simd: Avx2, stress: &mut impl Stress, blocks: &[Block], rows: &mut Rows) {

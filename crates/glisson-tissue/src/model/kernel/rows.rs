@@ -67,7 +67,7 @@ pub(super) fn offset_of(index: usize) -> u16 {
     u16::try_from(index * NODE_BYTES).expect("a part has at most 1024 nodes")
 }
 
-/// Eight tetrahedra, one per lane, in the order in which the kernel reads them: 96 bytes per tetrahedron.
+/// LaneBlock tetrahedra, one per lane, in the order in which the kernel reads them: 96 bytes per tetrahedron.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub(super) struct Block {

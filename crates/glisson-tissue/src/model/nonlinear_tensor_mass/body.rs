@@ -8,9 +8,9 @@ use super::numbers::{
     ascending,
 };
 use crate::model::explicit::{LiveTets, Padded, Quarantine, keep, renumbered, unpadded};
-use crate::model::growth::{Growth, blend_tets};
 use crate::model::tensor_mass::VertexEdgeTensors;
 use crate::model::tet_law::{TetLaw, TetShape, stressed_stiffness};
+use crate::model::topology_update::{TopologyUpdate, blend_tets};
 use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, SolveError, stress_tensor_pa};
 use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer, tetrahedron_volume_m3};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -97,7 +97,7 @@ impl Body {
 
     /// Room for what an edit brings in; new and moved nodes are at their places afterwards, and the tetrahedra at them
     /// have their shapes.
-    pub(super) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    pub(super) fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
         let n_before = self.rest_m.len();
         for node in change.moved_nodes.iter().filter(|node| node.index() < n_before) {
             self.rest_m[node.index()] = mesh.positions_m[node.index()];

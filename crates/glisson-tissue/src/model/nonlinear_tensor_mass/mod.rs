@@ -40,10 +40,10 @@ use super::explicit::{
     Cuttable, ExplicitDynamics, ExplicitError, ExplicitMotion, ExplicitSnapshot, LiveTets, Padded, Stability,
     StableStep, StiffTet, check_body, follow, padded, unpadded,
 };
-use super::growth::Growth;
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::tet_law::stressed_stiffness;
-use super::{DynamicBody, Effort, RestStress, TopologyRefusal};
+use super::topology_update::TopologyUpdate;
+use super::{DynamicBody, LevelOfDetail, RestStress, TopologyRefusal};
 use crate::material::LinearElastic;
 use crate::solve::SolveError;
 use glisson_mesh::math::{DMat3, DVec3};
@@ -348,7 +348,7 @@ impl Cuttable for NonlinearTensorMass {
         self.motion.after_removals(&self.body.tets.nodes, &self.body.tets.is_live);
     }
 
-    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
         self.motion.grow(mesh, change, growth);
         self.body.grow(mesh, change, growth);
         self.adaptivity.resize(growth.n_nodes);
@@ -427,11 +427,11 @@ impl ExplicitDynamics for NonlinearTensorMass {
     }
 
     /// Leaves the non-linear part of the force out where it is small (seed `002`, s. 6).
-    fn choose_effort(&mut self, effort: Effort) -> bool {
+    fn choose_level_of_detail(&mut self, effort: LevelOfDetail) -> bool {
         self.adaptivity.part = match effort {
-            Effort::Full => NonlinearPart::Everywhere,
-            Effort::Reduced => NonlinearPart::AboveErrorBound { tolerance_n: REDUCED_TOLERANCE_N },
-            Effort::Least => NonlinearPart::AboveErrorBound { tolerance_n: LEAST_TOLERANCE_N },
+            LevelOfDetail::Full => NonlinearPart::Everywhere,
+            LevelOfDetail::Reduced => NonlinearPart::AboveErrorBound { tolerance_n: REDUCED_TOLERANCE_N },
+            LevelOfDetail::Least => NonlinearPart::AboveErrorBound { tolerance_n: LEAST_TOLERANCE_N },
         };
         true
     }

@@ -20,8 +20,8 @@
 
 use super::pairs::Pairs;
 use super::table::{Numbers, Table};
-use crate::model::kernel::{Eight, EightWork, KernelPath};
-use crate::model::roomy::Roomy;
+use crate::model::bounded_vec::BoundedVec;
+use crate::model::kernel::{KernelPath, LaneBlock, LaneBlockWork};
 use glisson_mesh::math::{DMat3, DVec3};
 
 /// Points at most.
@@ -96,7 +96,7 @@ pub struct ContactReport {
 /// The system of the points.
 #[derive(Clone, Debug)]
 pub(super) struct ContactSystem {
-    points: Roomy<ContactPoint>,
+    points: BoundedVec<ContactPoint>,
     n_rows: usize,
     /// Column by column: displacement along the row's direction for a unit reaction of the column.
     actual: Vec<[f64; 8]>,
@@ -193,7 +193,7 @@ impl ContactSystem {
         let matrix = || vec![[0.0; 8]; COLUMN_GROUPS * MOST_ROWS];
         let column = || vec![[0.0; 8]; COLUMN_GROUPS];
         Self {
-            points: Roomy::with_room(MOST_POINTS),
+            points: BoundedVec::with_capacity(MOST_POINTS),
             n_rows: 0,
             actual: matrix(),
             spare: matrix(),
@@ -398,11 +398,11 @@ struct Factor<'a> {
     inverse: &'a mut [f64],
 }
 
-impl EightWork for Factor<'_> {
+impl LaneBlockWork for Factor<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<V: Eight>(self, zero: V) {
+    fn run<V: LaneBlock>(self, zero: V) {
         let Self { n, first_row, actual, factor, inverse } = self;
         let (n_groups, kept_groups) = (n.div_ceil(8), first_row / 8);
         let minus_one = zero.constant(-1.0);
@@ -459,11 +459,11 @@ struct Solve<'a> {
     refinements: usize,
 }
 
-impl EightWork for Solve<'_> {
+impl LaneBlockWork for Solve<'_> {
     type Output = f64;
 
     #[inline(always)]
-    fn run<V: Eight>(self, zero: V) -> f64 {
+    fn run<V: LaneBlock>(self, zero: V) -> f64 {
         let Self { n, actual, factor, inverse, right, solution, work, refinements } = self;
         solution.as_flattened_mut().fill(0.0);
         work.copy_from_slice(right);
@@ -494,7 +494,13 @@ impl EightWork for Solve<'_> {
 
 /// Solves with the factor in place, four unknowns at a time, so that their sums are independent.
 #[inline(always)]
-fn solve_factored<V: Eight>(zero: V, n: usize, factor: &[[f64; 8]], inverse: &[f64], right: &mut [[f64; 8]]) {
+fn solve_factored<V: LaneBlock>(
+    zero: V,
+    n: usize,
+    factor: &[[f64; 8]],
+    inverse: &[f64],
+    right: &mut [[f64; 8]],
+) {
     let n_groups = right.len();
     let column = |j: usize| &factor[COLUMN_GROUPS * j..][..n_groups];
     for j0 in (0..n).step_by(PANEL) {
@@ -525,7 +531,7 @@ fn solve_factored<V: Eight>(zero: V, n: usize, factor: &[[f64; 8]], inverse: &[f
                 sums[t] = zero.load(&column(j0 + t)[g]).fused(x, sums[t]);
             }
         }
-        let sums = sums.map(Eight::sum);
+        let sums = sums.map(LaneBlock::sum);
         for t in (0..width).rev() {
             let (of_column, lane) = (&column(j0 + t)[own], j0 % 8 + t);
             let mut left = right[own][lane] - sums[t];

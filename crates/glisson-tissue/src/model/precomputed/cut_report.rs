@@ -7,9 +7,9 @@ pub struct CutReport {
     pub n_edits: usize,
     /// Tetrahedra that left the compliance, loose ones at hinges included.
     pub n_taken_out: usize,
-    /// Tetrahedra of loose pieces that became dynamic bodies.
+    /// Tetrahedra of fragments that became dynamic bodies.
     pub n_loose: usize,
-    /// Tetrahedra of loose pieces from which no dynamic body could be made: they stay where they are.
+    /// Tetrahedra of fragments from which no dynamic body could be made: they stay where they are.
     pub n_stuck: usize,
     /// Columns of the low-rank updates in the history.
     pub n_columns: usize,

@@ -1,10 +1,10 @@
-//! State that following cuts needs besides the table: the factor of the uncut body, the history of changes, loose pieces.
+//! State that following cuts needs besides the table: the factor of the uncut body, the history of changes, fragments.
 
 use std::sync::Arc;
 
 use super::Compliance;
 use super::cut_report::CutReport;
-use super::loose::{LoosePiece, MOST_PULL_SHARE, Owners};
+use super::fragments::{Fragment, MOST_PULL_SHARE, Owners};
 use super::low_rank::{History, NodeColumns, NodeWeight, RemovedTet};
 use super::response::Load;
 use super::rigid::{Clusters, span};
@@ -40,7 +40,7 @@ pub(super) struct Cuts {
     pub(super) is_out: Vec<bool>,
     pub(super) history: History,
     pub(super) taken_out: Vec<RemovedTet>,
-    pub(super) pieces: Vec<LoosePiece>,
+    pub(super) pieces: Vec<Fragment>,
     pub(super) owners: Owners,
     /// Pulls of the hinges on the held body: piece, hinge, loadable node.
     pub(super) hinge_rows: Vec<(u32, u32, u32)>,
@@ -189,7 +189,7 @@ impl Cuts {
         borne
     }
 
-    /// Nodes to be held so that the rest of loose pieces and nodes does not make K singular, ascending: all of `leaving`
+    /// Nodes to be held so that the rest of fragments and nodes does not make K singular, ascending: all of `leaving`
     /// without a tetrahedron in `left`, and three points of each cluster of `left`.
     pub(super) fn to_hold(
         &self,
@@ -226,13 +226,13 @@ impl Cuts {
     }
 
     /// The piece that moves a tool's node, if one does.
-    pub(super) fn piece_of(&mut self, node: NodeId) -> Option<(&mut LoosePiece, u32)> {
+    pub(super) fn piece_of(&mut self, node: NodeId) -> Option<(&mut Fragment, u32)> {
         let piece = &mut self.pieces[self.owners.of(node)?];
         let local = piece.local(node)?;
         Some((piece, local))
     }
 
-    /// Pulls of loose pieces on the held body: loadable node, force [N].
+    /// Pulls of fragments on the held body: loadable node, force [N].
     pub(super) fn pulls(&self) -> impl Iterator<Item = Load> + '_ {
         self.hinge_rows.iter().map(|&(piece, hinge, loadable)| {
             (loadable, self.pieces[piece as usize].hinges[hinge as usize].pull_n)
@@ -312,7 +312,7 @@ impl Cuts {
                 }
             }
         }
-        let n = self.pieces.iter().map(LoosePiece::n_history).sum();
+        let n = self.pieces.iter().map(Fragment::n_history).sum();
         self.numbers.clear();
         self.numbers.resize(n, 0.0);
         if !self.pieces.is_empty() {

@@ -6,7 +6,7 @@
 //! - Nodes without a bearing tetrahedron are held for good, which does not change the rest, and leave the table.
 //! - The removal is one low-rank update (`low_rank`) of the table and of the response to weight.
 //!
-//! Of a loose piece only the tetrahedra at its hinges are taken out of the stiffness: the rest of it does not touch the
+//! Of a fragment only the tetrahedra at its hinges are taken out of the stiffness: the rest of it does not touch the
 //! held body, and three held points of each of its clusters keep K regular. Loose pieces move as bodies of their own
 //! (`loose`).
 //!
@@ -14,8 +14,8 @@
 
 use super::cut_report::CutReport;
 use super::cuts::Cuts;
-use super::loose::{LooseParams, LoosePiece, MOST_PULL_SHARE};
-use super::rigid::loose_tets;
+use super::fragments::{Fragment, FragmentParams, MOST_PULL_SHARE};
+use super::rigid::fragment_tets;
 use super::table::{n_displacements, place_of_displacement};
 use super::{NONE, Precomputed};
 use crate::model::kind::ModelKind;
@@ -52,7 +52,7 @@ impl Default for RecomputationLimits {
     }
 }
 
-/// What passes between the model and its loose pieces.
+/// What passes between the model and its fragments.
 impl Precomputed {
     /// Clears the loads and tools on the pieces.
     pub(super) fn release_pieces(&mut self) {
@@ -143,7 +143,7 @@ impl Precomputed {
         self.cuts.as_ref().is_some_and(|cuts| cuts.body.topology().has_dead())
     }
 
-    /// Nodes that loose pieces move.
+    /// Nodes that fragments move.
     pub fn loose_nodes(&self) -> Vec<NodeId> {
         let Some(cuts) = &self.cuts else { return Vec::new() };
         let all = (0..cuts.is_out.len()).map(NodeId::from_index);
@@ -175,7 +175,7 @@ impl Precomputed {
         let mut body = EditableMesh::new(mesh.clone()).map_err(|_| SolveError::EmptyMesh)?;
         let dead: Vec<TetId> = (0..live.len()).filter(|&t| !live[t]).map(TetId::from_index).collect();
         body.remove_into(&dead, &mut TopologyChange::default()).map_err(|_| SolveError::EmptyMesh)?;
-        let loose = loose_tets(body.topology(), &mesh.positions_m, live, &is_fixed);
+        let loose = fragment_tets(body.topology(), &mesh.positions_m, live, &is_fixed);
         let mut bears = live.to_vec();
         for tet in &loose {
             bears[tet.index()] = false;
@@ -199,7 +199,7 @@ impl Precomputed {
         model.compliance.mesh_hash = super::mesh_hash(mesh);
         let mut cuts = Cuts::new(mesh, bears, &model.compliance)?;
         cuts.body = body;
-        model.let_loose(&mut cuts, &loose);
+        model.free_fragments(&mut cuts, &loose);
         model.join_pieces(&mut cuts);
         model.cuts = Some(Box::new(cuts));
         Ok(model)
@@ -269,12 +269,12 @@ impl Precomputed {
             cuts.bears[tet.index()] = false;
         }
         let rest_m = &cuts.body.mesh().positions_m;
-        let loose = loose_tets(cuts.body.topology(), rest_m, &cuts.bears, &cuts.is_fixed);
+        let loose = fragment_tets(cuts.body.topology(), rest_m, &cuts.bears, &cuts.is_fixed);
         for tet in &loose {
             cuts.bears[tet.index()] = false;
         }
         let borne = cuts.borne();
-        // The stiffness of a loose piece at its hinges must be removed; the rest of it does not touch the held body.
+        // The stiffness of a fragment at its hinges must be removed; the rest of it does not touch the held body.
         let is_at_hinge = |t: &&TetId| {
             let is_hinge = |n: NodeId| borne[n.index()] && !cuts.is_fixed[n.index()];
             cuts.corners(**t).into_iter().any(is_hinge)
@@ -288,7 +288,7 @@ impl Precomputed {
             .collect();
         let held = cuts.to_hold(&leaving, &left, |n| self.is_loadable(n));
         if !loose.is_empty() {
-            self.let_loose(cuts, &loose);
+            self.free_fragments(cuts, &loose);
         }
         if !taken.is_empty() {
             self.change_compliance(cuts, &taken, &held, &borne);
@@ -345,11 +345,11 @@ impl Precomputed {
     }
 
     /// Creates a dynamic body from tetrahedra that came loose.
-    fn let_loose(&mut self, cuts: &mut Cuts, loose: &[TetId]) {
+    fn free_fragments(&mut self, cuts: &mut Cuts, loose: &[TetId]) {
         if loose.is_empty() {
             return;
         }
-        let made = LoosePiece::new(&LooseParams {
+        let made = Fragment::new(&FragmentParams {
             mesh: cuts.body.mesh(),
             material: &self.compliance.material,
             tets: loose,

@@ -2,9 +2,9 @@
 //! is estimated.
 
 use super::cuts::Cuts;
-use super::growth::{LowRankChange, RANK, add_low_rank_to, swap_rows_of};
 use super::low_rank::{Change, NodeColumns, NodeWeight, RemovedTet, Working, WorkingNode};
 use super::table::{Table, place};
+use super::table_rows::{LowRankChange, RANK, add_low_rank_to, swap_rows_of};
 use super::{Compliance, NONE, Precision, Precomputed};
 use glisson_mesh::math::{DMat3, DVec3, SeededRandom};
 use glisson_mesh::mesh::{NodeId, TetId};

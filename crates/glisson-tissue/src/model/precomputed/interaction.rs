@@ -5,8 +5,8 @@ use super::pairs::Pairs;
 use super::response::{place_rows, respond_into, set_to_columns};
 use super::table::place_of_displacement;
 use super::{Load, PointConstraint, Precomputed, ResponseReport};
+use crate::model::bounded_vec::BoundedVec;
 use crate::model::kernel::KernelPath;
-use crate::model::roomy::Roomy;
 use crate::model::{Constraints, LocalModel, NodalForce};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::NodeId;
@@ -242,13 +242,13 @@ impl Precomputed {
             ((row as usize) < n_loadable).then_some(row)
         };
         let (row_of, n_loadable) = (&self.row_of, self.compliance.n_loadable);
-        let mut forces = Roomy::with_room(n_loadable);
+        let mut forces = BoundedVec::with_capacity(n_loadable);
         forces.extend(
             self.forces.iter().filter_map(|&(m, f)| Some((find(row_of, n_loadable, m)?, f))).take(n_loadable),
         );
         self.forces = forces;
         let (mut wanted, mut targets) =
-            (Roomy::with_room(Self::MAX_IMPOSED), Roomy::with_room(Self::MAX_IMPOSED));
+            (BoundedVec::with_capacity(Self::MAX_IMPOSED), BoundedVec::with_capacity(Self::MAX_IMPOSED));
         for (point, target) in self.wanted.iter().zip(self.targets.iter()) {
             let mut point = *point;
             let own = &mut point.loaded[..point.n_nodes];
@@ -258,7 +258,7 @@ impl Precomputed {
             }
         }
         (self.wanted, self.targets) = (wanted, targets);
-        let mut reactions = Roomy::with_room(Self::MOST_REACTIONS);
+        let mut reactions = BoundedVec::with_capacity(Self::MOST_REACTIONS);
         let kept = self.reactions.iter().filter_map(|&(m, f)| Some((find(row_of, n_loadable, m)?, f)));
         reactions.extend(kept.take(Self::MOST_REACTIONS));
         self.reactions = reactions;

@@ -27,9 +27,9 @@ mod response;
 mod interaction;
 mod rigid;
 mod low_rank;
-mod growth;
+mod table_rows;
 mod following;
-mod loose;
+mod fragments;
 mod cut_report;
 mod cuts;
 mod cutting;
@@ -51,8 +51,8 @@ use self::interaction::Target;
 use self::pairs::Pairs;
 use self::response::Load;
 use self::table::{Table, n_displacements};
+use super::bounded_vec::BoundedVec;
 use super::kernel::KernelPath;
-use super::roomy::Roomy;
 use super::{Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, TopologyRefusal};
 use crate::material::LinearElastic;
 use glisson_mesh::math::{DMat3, DVec3};
@@ -126,15 +126,15 @@ pub struct Precomputed {
     displacement_m: Vec<f64>,
     path: KernelPath,
     /// Outer forces.
-    forces: Roomy<Load>,
+    forces: BoundedVec<Load>,
     /// Held points and their targets.
-    wanted: Roomy<ContactPoint>,
-    targets: Roomy<Target>,
+    wanted: BoundedVec<ContactPoint>,
+    targets: BoundedVec<Target>,
     contacts: ContactSystem,
     pairs: Pairs,
     /// Forces of the held points on their nodes.
-    reactions: Roomy<Load>,
-    constraint_forces_n: Roomy<DVec3>,
+    reactions: BoundedVec<Load>,
+    constraint_forces_n: BoundedVec<DVec3>,
     report: ResponseReport,
     /// Gravity that the rest shape carries [m/s2].
     rest_gravity_m_per_s2: DVec3,
@@ -160,13 +160,13 @@ impl Precomputed {
             positions_m: mesh.positions_m.clone(),
             displacement_m: vec![0.0; n_displacements(compliance.rows.len())],
             path: KernelPath::fastest(),
-            forces: Roomy::with_room(compliance.n_loadable),
-            wanted: Roomy::with_room(Self::MAX_IMPOSED),
-            targets: Roomy::with_room(Self::MAX_IMPOSED),
+            forces: BoundedVec::with_capacity(compliance.n_loadable),
+            wanted: BoundedVec::with_capacity(Self::MAX_IMPOSED),
+            targets: BoundedVec::with_capacity(Self::MAX_IMPOSED),
             contacts: ContactSystem::new(),
             pairs: Pairs::of_table(&compliance.table, compliance.n_loadable),
-            reactions: Roomy::with_room(Self::MOST_REACTIONS),
-            constraint_forces_n: Roomy::with_room(compliance.n_loadable.max(Self::MAX_IMPOSED)),
+            reactions: BoundedVec::with_capacity(Self::MOST_REACTIONS),
+            constraint_forces_n: BoundedVec::with_capacity(compliance.n_loadable.max(Self::MAX_IMPOSED)),
             report: ResponseReport::default(),
             rest_gravity_m_per_s2: DVec3::ZERO,
             pull_m_per_s2: DVec3::ZERO,
@@ -304,7 +304,7 @@ impl DeformableModel for Precomputed {
         report
     }
 
-    /// Nodes of the held body respond with their static compliance, those of loose pieces with that of the piece over the
+    /// Nodes of the held body respond with their static compliance, those of fragments with that of the piece over the
     /// period, its hinges held.
     fn local_model_into(
         &mut self,

@@ -7,7 +7,7 @@
 //! on every path and for every grouping.
 
 use super::table::{BLOCK_NUMBERS, LANES, Numbers, Table};
-use crate::model::kernel::{Eight, EightWork, KernelPath};
+use crate::model::kernel::{KernelPath, LaneBlock, LaneBlockWork};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::NodeId;
 
@@ -19,19 +19,19 @@ const BLOCK_ROWS_NUMBERS: usize = 3 * LANES;
 
 /// A number of a table.
 trait Kept: Copy {
-    fn load<V: Eight>(path: V, numbers: &[Self; LANES]) -> V;
+    fn load<V: LaneBlock>(path: V, numbers: &[Self; LANES]) -> V;
 }
 
 impl Kept for f64 {
     #[inline(always)]
-    fn load<V: Eight>(path: V, numbers: &[Self; LANES]) -> V {
+    fn load<V: LaneBlock>(path: V, numbers: &[Self; LANES]) -> V {
         path.load(numbers)
     }
 }
 
 impl Kept for f32 {
     #[inline(always)]
-    fn load<V: Eight>(path: V, numbers: &[Self; LANES]) -> V {
+    fn load<V: LaneBlock>(path: V, numbers: &[Self; LANES]) -> V {
         path.load_narrow(numbers)
     }
 }
@@ -73,11 +73,11 @@ struct Respond<'a, T> {
     displacement_m: &'a mut [f64],
 }
 
-impl<T: Kept> EightWork for Respond<'_, T> {
+impl<T: Kept> LaneBlockWork for Respond<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn run<V: Eight>(self, zero: V) {
+    fn run<V: LaneBlock>(self, zero: V) {
         let Self { numbers, n_blocks: n, loads, mut from_zero, displacement_m } = self;
         let rows = displacement_m.as_chunks_mut::<BLOCK_ROWS_NUMBERS>().0;
         let blocks = numbers.as_chunks::<BLOCK_NUMBERS>().0;
@@ -99,7 +99,7 @@ impl<T: Kept> EightWork for Respond<'_, T> {
 
 /// Adds the response to the forces on `G` loaded nodes, each with its blocks.
 #[inline(always)]
-fn add_group<V: Eight, T: Kept, const G: usize>(
+fn add_group<V: LaneBlock, T: Kept, const G: usize>(
     zero: V,
     loaded: [(&[[T; BLOCK_NUMBERS]], [f64; 3]); G],
     from_zero: bool,

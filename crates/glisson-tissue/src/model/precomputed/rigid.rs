@@ -89,7 +89,7 @@ pub(super) fn span(points: &[NodeId], rest_m: &[DVec3]) -> Option<[NodeId; 3]> {
 }
 
 /// The counting tetrahedra whose clusters are not held, ascending.
-pub(super) fn loose_tets(
+pub(super) fn fragment_tets(
     topology: &Topology,
     rest_m: &[DVec3],
     counts: &[bool],
@@ -238,7 +238,7 @@ mod tests {
         }
         let topology = Topology::build(&mesh).unwrap();
         let is_fixed = [false, true, true, false, true, true, false];
-        loose_tets(&topology, &mesh.positions_m, &[true; 2], &is_fixed).len()
+        fragment_tets(&topology, &mesh.positions_m, &[true; 2], &is_fixed).len()
     }
 
     #[test]
@@ -260,6 +260,6 @@ mod tests {
         }
         let topology = Topology::build(&mesh).unwrap();
         let is_fixed = [false, true, true, false, true, true, false];
-        assert_eq!(loose_tets(&topology, &mesh.positions_m, &[true; 2], &is_fixed).len(), 2);
+        assert_eq!(fragment_tets(&topology, &mesh.positions_m, &[true; 2], &is_fixed).len(), 2);
     }
 }

@@ -18,7 +18,7 @@ pub(super) const BLOCK_NUMBERS: usize = 9 * LANES;
 /// Precision of a stored compliance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
-    /// Eight bytes per number.
+    /// LaneBlock bytes per number.
     #[default]
     F64,
     /// Four bytes per number: half the memory, relative errors of 6e-8. Sums are still `f64`.

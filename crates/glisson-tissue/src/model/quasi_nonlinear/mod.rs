@@ -33,7 +33,7 @@ pub use curve::{CurveError, MeasuredCurve};
 pub use fit::{Fit, FitError, fit_curve};
 pub use polynomial::{CurvePolynomial, GREATEST_DEGREE, LEAST_DEGREE, ScaleError};
 
-use super::roomy::Roomy;
+use super::bounded_vec::BoundedVec;
 use super::{
     Constraints, DeformableModel, LocalModel, LocalWork, ModelReport, ModelState, NodalForce, TopologyRefusal,
 };
@@ -48,7 +48,7 @@ use glisson_mesh::mesh::{NodeId, TetMesh};
 pub struct LinearSample {
     /// Force on its top [N/m].
     pub force_n_per_m: f64,
-    /// Growth of its radius at mid-height [m/m].
+    /// TopologyUpdate of its radius at mid-height [m/m].
     pub radial_m_per_m: f64,
 }
 
@@ -121,9 +121,9 @@ pub struct QuasiNonlinear {
     /// Outward area vector of the surface at each node [m2].
     outward_m2: Vec<DVec3>,
     positions_m: Vec<DVec3>,
-    constraint_forces_n: Roomy<DVec3>,
+    constraint_forces_n: BoundedVec<DVec3>,
     /// Constrained nodes, and whether each moves along the axis, against it, or not at all.
-    imposed: Roomy<(NodeId, bool)>,
+    imposed: BoundedVec<(NodeId, bool)>,
     /// Unit vector of the line d; zero without a constraint.
     axis: DVec3,
 }
@@ -151,8 +151,8 @@ impl QuasiNonlinear {
             correction,
             rest_m: mesh.positions_m.clone(),
             outward_m2,
-            constraint_forces_n: Roomy::with_room(n_nodes),
-            imposed: Roomy::with_room(n_nodes),
+            constraint_forces_n: BoundedVec::with_capacity(n_nodes),
+            imposed: BoundedVec::with_capacity(n_nodes),
             axis: DVec3::ZERO,
         })
     }

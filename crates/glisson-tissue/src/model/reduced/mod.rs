@@ -31,9 +31,9 @@ use std::sync::Arc;
 
 use self::cubic::ReducedForces;
 use self::newton::Newton;
-use super::roomy::Roomy;
+use super::bounded_vec::BoundedVec;
 use super::{
-    Constraints, DeformableModel, Effort, FixedNode, LocalModel, LocalWork, ModelReport, ModelState,
+    Constraints, DeformableModel, FixedNode, LevelOfDetail, LocalModel, LocalWork, ModelReport, ModelState,
     TopologyRefusal,
 };
 use crate::material::LinearElastic;
@@ -160,11 +160,11 @@ pub struct Reduced {
     most_iterations: u32,
     negligible_j: f64,
     /// Loadable node and force [N].
-    forces: Roomy<(u32, DVec3)>,
+    forces: BoundedVec<(u32, DVec3)>,
     /// Place among the constraints, loadable node, displacement [m].
-    imposed: Roomy<(u32, u32, DVec3)>,
+    imposed: BoundedVec<(u32, u32, DVec3)>,
     n_ignored: u32,
-    constraint_forces_n: Roomy<DVec3>,
+    constraint_forces_n: BoundedVec<DVec3>,
     /// C_r f over the rows: all x, all y, all z [m].
     remainder_m: Vec<f64>,
     /// V q: node, axis [m].
@@ -198,10 +198,10 @@ impl Reduced {
             solution: ReducedSolution { n_iterations: 0, converged: true },
             most_iterations: Self::MOST_ITERATIONS,
             negligible_j: lowest * constants.mass_kg.iter().sum::<f64>() * still_m * still_m,
-            forces: Roomy::with_room(constants.n_loadable),
-            imposed: Roomy::with_room(Self::MAX_IMPOSED),
+            forces: BoundedVec::with_capacity(constants.n_loadable),
+            imposed: BoundedVec::with_capacity(Self::MAX_IMPOSED),
             n_ignored: 0,
-            constraint_forces_n: Roomy::with_room(constants.rest_m.len()),
+            constraint_forces_n: BoundedVec::with_capacity(constants.rest_m.len()),
             remainder_m: vec![0.0; 3 * constants.rows.len()],
             modes_m: vec![0.0; 3 * constants.rest_m.len()],
             positions_m: constants.rest_m.clone(),
@@ -395,12 +395,12 @@ impl DeformableModel for Reduced {
         self.pull_m_per_s2 = gravity_m_per_s2 - self.rest_gravity_m_per_s2;
     }
 
-    fn set_effort(&mut self, effort: Effort) -> bool {
+    fn set_level_of_detail(&mut self, effort: LevelOfDetail) -> bool {
         // Choices: two or three are enough from one frame to the next.
         self.most_iterations = match effort {
-            Effort::Full => Self::MOST_ITERATIONS,
-            Effort::Reduced => 4,
-            Effort::Least => 2,
+            LevelOfDetail::Full => Self::MOST_ITERATIONS,
+            LevelOfDetail::Reduced => 4,
+            LevelOfDetail::Least => 2,
         };
         true
     }

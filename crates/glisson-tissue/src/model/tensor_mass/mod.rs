@@ -21,8 +21,8 @@ use super::explicit::{
     Cuttable, ExplicitDynamics, ExplicitMotion, LiveTets, Quarantine, Stability, StiffTet, check_body,
     follow, keep, unpadded,
 };
-use super::growth::{Growth, blend_tets, grows};
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
+use super::topology_update::{TopologyUpdate, blend_tets, grows};
 use super::{DynamicBody, ModelUndo, RestStress, TopologyRefusal};
 use crate::material::LinearElastic;
 use crate::solve::{P1Gradients, SolveError};
@@ -221,7 +221,7 @@ impl Cuttable for TensorMass {
         self.motion.after_removals(&self.tets.nodes, &self.tets.is_live);
     }
 
-    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &Growth) {
+    fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
         self.motion.grow(mesh, change, growth);
         self.tensors.grow(&self.tets, growth);
         blend_tets(&mut self.rest_stress_pa, change);

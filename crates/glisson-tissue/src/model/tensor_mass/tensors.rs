@@ -1,7 +1,7 @@
 //! Stiffness tensors on vertices and edges: accumulated, applied, and taken out again.
 
 use crate::model::explicit::{Insertions, LiveEdges, LiveTets, Padded, keep, padded, unpadded};
-use crate::model::growth::Growth;
+use crate::model::topology_update::TopologyUpdate;
 use crate::model::{ModelUndo, UndoReader};
 use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients, SolveError, StiffnessTensors, TetStiffness};
 use glisson_mesh::math::DMat3;
@@ -156,7 +156,7 @@ impl VertexEdgeTensors {
 
     /// Room for the nodes, edges and tetrahedra that an edit brings in, with nothing in them. Where new edges come into
     /// the lists by edge.
-    pub(in crate::model) fn grow(&mut self, tets: &LiveTets, growth: &Growth) -> Insertions {
+    pub(in crate::model) fn grow(&mut self, tets: &LiveTets, growth: &TopologyUpdate) -> Insertions {
         self.vertex.resize(growth.n_nodes, [[0.0; 4]; 3]);
         let insertions = self.edges.grow(tets, &growth.added);
         insertions.spread(&mut self.edge, [[0.0; 4]; 3]);

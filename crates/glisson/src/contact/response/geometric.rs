@@ -15,7 +15,7 @@ use crate::math::DVec3;
 pub struct GeometricParams {
     /// Gap that is kept [m].
     pub rest_gap_m: f64,
-    /// alpha, the share of the depth that is taken back in a step: above 0, at most 1.
+    /// alpha, the share of the depth that is undone in a step: above 0, at most 1.
     pub share: f64,
     /// Coulomb's coefficient; the thesis wants it high.
     pub friction: f64,

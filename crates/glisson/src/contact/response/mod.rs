@@ -24,7 +24,7 @@ pub mod geometric;
 pub mod impulse;
 pub mod penalty;
 mod coupled;
-pub mod itself;
+pub mod self_contact;
 
 use crate::math::DVec3;
 

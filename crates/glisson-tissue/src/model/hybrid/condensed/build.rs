@@ -7,8 +7,8 @@ use super::zone::{N_CONSTANT, PrecomputedZone, Whole};
 use super::{
     Age, CondensedError, CondensedHybrid, CondensedParams, Loadable, Place, Updated, ZoneLaw, ZoneWork,
 };
+use crate::model::bounded_vec::BoundedVec;
 use crate::model::explicit::{ExplicitError, check_body};
-use crate::model::roomy::Roomy;
 use crate::model::{Constraints, DynamicBody, LocalModel};
 use crate::solve::{FixedNode, MeshEdges, SolveError, boundary_nodes};
 use glisson_mesh::math::DVec3;
@@ -165,11 +165,11 @@ impl CondensedHybrid {
             velocities_m_per_s: vec![DVec3::ZERO; n_nodes],
             condensed_age: Age::GIVEN,
             constraints: Constraints::default(),
-            loads: Roomy::with_room(n_nodes),
-            held: Roomy::with_room(Self::MAX_HELD),
+            loads: BoundedVec::with_capacity(n_nodes),
+            held: BoundedVec::with_capacity(Self::MAX_HELD),
             dynamic_constraints: Constraints::default(),
-            dynamic_places: Roomy::with_room(n_nodes),
-            constraint_forces_n: Roomy::with_room(n_nodes),
+            dynamic_places: BoundedVec::with_capacity(n_nodes),
+            constraint_forces_n: BoundedVec::with_capacity(n_nodes),
             n_ignored: 0,
             n_dropped: 0,
             n_rebuilt: 0,

@@ -280,7 +280,7 @@ fn add_narrow_columns<S: Simd>(_: S, c: [&[f32]; SWEEP], f: [f64; SWEEP], sums: 
 /// Rows and columns of a tile.
 const TILE: usize = 8;
 
-/// Eight columns of eight numbers.
+/// LaneBlock columns of eight numbers.
 type Tile<T> = [[T; TILE]; TILE];
 
 /// Tiles in one of the precisions.

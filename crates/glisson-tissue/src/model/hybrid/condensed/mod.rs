@@ -43,8 +43,8 @@ use self::dynamic::DynamicPart;
 use self::interface::Interface;
 use self::zone::{PrecomputedZone, Whole};
 use crate::material::LinearElastic;
+use crate::model::bounded_vec::BoundedVec;
 use crate::model::explicit::Mover;
-use crate::model::roomy::Roomy;
 use crate::model::{
     Attachment, Constraints, DeformableModel, ImposedDisplacement, LocalModel, LocalWork, ModelReport,
     ModelState, NodalForce, Rayleigh, RestStress, TopologyRefusal,
@@ -176,12 +176,12 @@ pub struct CondensedHybrid {
 
     // Constraints.
     constraints: Constraints,
-    loads: Roomy<Load>,
-    held: Roomy<Held>,
+    loads: BoundedVec<Load>,
+    held: BoundedVec<Held>,
     dynamic_constraints: Constraints,
     /// Place among the constraints of each constraint of the dynamic part.
-    dynamic_places: Roomy<u32>,
-    constraint_forces_n: Roomy<DVec3>,
+    dynamic_places: BoundedVec<u32>,
+    constraint_forces_n: BoundedVec<DVec3>,
     n_ignored: u32,
     /// Constraints beyond one per node, for which there is no room.
     n_dropped: u32,

@@ -2,7 +2,7 @@
 //!
 //! In fig. 14 of Cotin, Delingette and Ayache 1998 (RR-3511, s. 6.2) the machine that has the force-feedback device also
 //! detects collisions; what crosses to the machine that deforms the organ are the instrument's degrees of freedom and
-//! what detection found. A world that is given a [`Detected`] for an instrument searches nothing for it.
+//! what detection found. A world that is given a [`ExternalDetection`] for an instrument searches nothing for it.
 
 use crate::math::DVec3;
 use crate::mesh::TriangleId;
@@ -27,7 +27,7 @@ pub enum TouchingPoint {
 /// A part of an instrument that meets the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct FoundTouch {
+pub struct ExternalTouch {
     /// Triangle of the organ's mesh that is touched.
     pub triangle: TriangleId,
     /// Barycentric weights of the touched point, in the order of the triangle's nodes as seen from outside.
@@ -43,14 +43,14 @@ pub struct FoundTouch {
 /// What was found for an instrument on the surface of one version.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Detected {
+pub struct ExternalDetection {
     /// Version of the surface that was searched; a world whose surface has another one searches by itself.
     pub surface_version: u32,
     /// Part by part; `None` for one that touches nothing.
-    pub touches: [Option<FoundTouch>; N_TOUCHING_PARTS],
+    pub touches: [Option<ExternalTouch>; N_TOUCHING_PARTS],
 }
 
-impl FoundTouch {
+impl ExternalTouch {
     /// Whether every number is one that a touch can have.
     pub fn is_plausible(&self) -> bool {
         let is_point = match self.at {
@@ -66,10 +66,10 @@ impl FoundTouch {
     }
 }
 
-impl Detected {
+impl ExternalDetection {
     /// Whether every touch is plausible.
     pub fn is_plausible(&self) -> bool {
-        self.touches.iter().flatten().all(FoundTouch::is_plausible)
+        self.touches.iter().flatten().all(ExternalTouch::is_plausible)
     }
 
     /// Whether nothing touches.

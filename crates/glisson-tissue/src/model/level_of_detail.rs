@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// How thoroughly steps are computed. Decided outside, because it depends on time that a clock measured; a session records it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Effort {
+pub enum LevelOfDetail {
     /// As little as still follows the instruments.
     Least,
     /// Less than it should be.
@@ -15,7 +15,7 @@ pub enum Effort {
     Full,
 }
 
-impl Effort {
+impl LevelOfDetail {
     /// For people: the name that sessions write.
     pub fn name(self) -> &'static str {
         match self {

@@ -14,7 +14,7 @@ use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::topology::Topology;
-use crate::tool::found::{Detected, FoundTouch};
+use crate::tool::external_detection::{ExternalDetection, ExternalTouch};
 use crate::tool::fracture::Tearing;
 use crate::tool::{Tool, ToolInput};
 
@@ -29,7 +29,7 @@ pub(super) struct ContactSearch<'a> {
     pub(super) tearing: Option<&'a Tearing>,
     pub(super) is_placed: bool,
     /// What was found elsewhere; then nothing is searched here.
-    pub(super) detected: Option<&'a Detected>,
+    pub(super) detected: Option<&'a ExternalDetection>,
 }
 
 /// What a tool felt and did in a step.
@@ -51,7 +51,7 @@ pub struct ToolReport {
 
 /// A tool and its contacts.
 #[derive(Clone, Debug)]
-pub(super) struct Hand {
+pub(super) struct ToolState {
     pub(super) now: ToolInput,
     /// Where it was at the end of the last step.
     pub(super) before: ToolInput,
@@ -70,7 +70,7 @@ pub(super) struct Hand {
     pub(super) report: ToolReport,
 }
 
-impl Hand {
+impl ToolState {
     /// A tool at its home.
     pub(super) fn at_home(tool: &Tool) -> Self {
         let home = tool.home.through(tool.trocar_m);
@@ -208,7 +208,7 @@ impl Hand {
     fn touch_as_told(
         &self,
         (tool, part): (&Tool, ToolPart),
-        told: &FoundTouch,
+        told: &ExternalTouch,
         organ: &Organ,
         is_placed: bool,
     ) -> Option<ContactBegin> {

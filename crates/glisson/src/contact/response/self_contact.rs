@@ -24,7 +24,7 @@ use crate::model::{Correction, DeformableModel, NodalForce, StepAnswer};
 
 /// Which response.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum OwnResponse {
+pub enum SelfContactResponse {
     /// Places and velocities of the step just made are altered.
     Geometric(GeometricParams),
     /// Springs and dampers act in the next step.
@@ -33,14 +33,14 @@ pub enum OwnResponse {
 
 /// How a body touches itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OwnContactParams {
+pub struct SelfContactParams {
     /// Distance up to which a vertex counts, outside and inside [m]: more than it moves in a step.
     pub margin_m: f64,
     /// What keeps the surfaces apart.
-    pub response: OwnResponse,
+    pub response: SelfContactResponse,
 }
 
-impl OwnContactParams {
+impl SelfContactParams {
     /// Margin when none is given [m], in steps of `dt_s`: 2 mm, or the way at 1 m/s if that is more. Choices.
     pub fn default_margin_m(dt_s: f64) -> f64 {
         (FASTEST_M_PER_S * dt_s).max(LEAST_MARGIN_M)
@@ -49,15 +49,15 @@ impl OwnContactParams {
     /// Friction of wet tissue on itself when none is given: a choice.
     pub const DEFAULT_FRICTION: f64 = 0.2;
 
-    /// The geometric response: all of the depth is taken back in a step, in four rounds (choices).
-    pub const fn geometric(friction: f64) -> OwnResponse {
-        OwnResponse::Geometric(GeometricParams { rest_gap_m: 0.0, share: 1.0, friction, n_sweeps: 4 })
+    /// The geometric response: all of the depth is undone in a step, in four rounds (choices).
+    pub const fn geometric(friction: f64) -> SelfContactResponse {
+        SelfContactResponse::Geometric(GeometricParams { rest_gap_m: 0.0, share: 1.0, friction, n_sweeps: 4 })
     }
 
     /// A linear spring on each vertex that gives back a quarter of its force when the surfaces recede (a choice).
-    pub const fn penalty(stiffness_n_per_m: f64, friction: f64) -> OwnResponse {
+    pub const fn penalty(stiffness_n_per_m: f64, friction: f64) -> SelfContactResponse {
         let elastic = PenaltyParams::linear(stiffness_n_per_m, 0.0);
-        OwnResponse::Penalty(PenaltyParams { receding_share: 0.25, friction, ..elastic })
+        SelfContactResponse::Penalty(PenaltyParams { receding_share: 0.25, friction, ..elastic })
     }
 }
 
@@ -74,8 +74,8 @@ const MOST_OF_DEPTH: f64 = 0.5;
 
 /// The search and the response. Steps allocate nothing; made anew after each edit of the mesh.
 #[derive(Debug)]
-pub struct OwnContact {
-    params: OwnContactParams,
+pub struct SelfContact {
+    params: SelfContactParams,
     /// The node of each vertex, ascending.
     nodes: Vec<NodeId>,
     n_nodes: usize,
@@ -91,7 +91,7 @@ pub struct OwnContact {
     report: ResponseReport,
 }
 
-impl Clone for OwnContact {
+impl Clone for SelfContact {
     /// A copy with all its room.
     fn clone(&self) -> Self {
         let n = self.nodes.len();
@@ -113,10 +113,10 @@ impl Clone for OwnContact {
     }
 }
 
-impl OwnContact {
+impl SelfContact {
     /// For a body with this mesh at rest whose nodes are at `positions_m`.
     pub fn new(
-        params: &OwnContactParams,
+        params: &SelfContactParams,
         topology: &Topology,
         mesh: &TetMesh,
         positions_m: &[DVec3],
@@ -153,7 +153,7 @@ impl OwnContact {
     }
 
     /// How it is done.
-    pub fn params(&self) -> &OwnContactParams {
+    pub fn params(&self) -> &SelfContactParams {
         &self.params
     }
 
@@ -162,7 +162,7 @@ impl OwnContact {
         self.report
     }
 
-    /// The contacts of the last step, over vertices ([`OwnContact::nodes`]).
+    /// The contacts of the last step, over vertices ([`SelfContact::nodes`]).
     pub fn contacts(&self) -> &[NodeContact] {
         &self.contacts
     }
@@ -189,7 +189,7 @@ impl OwnContact {
     /// Forces of the springs in the next step of `dt_s`, ascending by node; none with the geometric response. Allocates nothing.
     pub fn forces(&mut self, model: &dyn DeformableModel, dt_s: f64) -> &[NodalForce] {
         self.list.clear();
-        let OwnResponse::Penalty(params) = self.params.response else { return &self.list };
+        let SelfContactResponse::Penalty(params) = self.params.response else { return &self.list };
         if model.state().positions_m.len() != self.n_nodes {
             return &self.list;
         }
@@ -214,7 +214,7 @@ impl OwnContact {
 
     /// Answers to the contacts that a step of `dt_s` brought about; springs have done so before it. Allocates nothing.
     pub fn respond_to_step(&mut self, model: &mut dyn DeformableModel, dt_s: f64) {
-        let OwnResponse::Geometric(params) = self.params.response else { return };
+        let SelfContactResponse::Geometric(params) = self.params.response else { return };
         let answer = model.step_answer();
         let is_told = matches!(answer, StepAnswer::NodeByNode | StepAnswer::Coupled { .. });
         if !is_told || model.state().positions_m.len() != self.n_nodes {

@@ -28,7 +28,7 @@ pub(super) const MOST_PULL_SHARE: f64 = 1.0 / 32.0;
 /// what tissue bears.
 const MOST_REACH: f64 = 4.0;
 
-/// Mass damping of a loose piece [1/s]: a choice, so that a swing fades within seconds.
+/// Mass damping of a fragment [1/s]: a choice, so that a swing fades within seconds.
 const DAMPING_PER_S: f64 = 1.0;
 
 /// Stiffness damping as a share of the stable step: a choice, so that motions too fast to be seen fade within a few steps.
@@ -64,7 +64,7 @@ pub(super) struct Hinge {
 
 /// One piece, or several that came loose in the same edit.
 #[derive(Debug)]
-pub(super) struct LoosePiece {
+pub(super) struct Fragment {
     /// Ascending; local numbers are the places in it.
     pub(super) nodes: Vec<NodeId>,
     /// Ascending.
@@ -82,7 +82,7 @@ pub(super) struct LoosePiece {
     scratch_m: Vec<DVec3>,
 }
 
-impl Clone for LoosePiece {
+impl Clone for Fragment {
     /// A copy with the same capacity, so that it allocates as little in a step.
     fn clone(&self) -> Self {
         let mut movers = Vec::with_capacity(self.movers.capacity());
@@ -111,7 +111,7 @@ fn room_for(n_nodes: usize) -> Constraints {
 }
 
 /// Parameters of a piece.
-pub(super) struct LooseParams<'a> {
+pub(super) struct FragmentParams<'a> {
     pub(super) mesh: &'a TetMesh,
     pub(super) material: &'a LinearElastic,
     /// Ascending.
@@ -123,9 +123,9 @@ pub(super) struct LooseParams<'a> {
     pub(super) gravity_m_per_s2: DVec3,
 }
 
-impl LoosePiece {
+impl Fragment {
     /// A piece with the present shape, at rest, without hinges.
-    pub(super) fn new(params: &LooseParams<'_>) -> Result<Self, ExplicitKernelError> {
+    pub(super) fn new(params: &FragmentParams<'_>) -> Result<Self, ExplicitKernelError> {
         let mesh = params.mesh;
         let of_tet = |t: &TetId| mesh.tetrahedra[t.index()];
         let mut nodes: Vec<NodeId> = params.tets.iter().flat_map(of_tet).collect();
@@ -391,7 +391,7 @@ impl LoosePiece {
         ModelReport { n_mass_scaled_nodes, ..report }
     }
 
-    /// Numbers that [`LoosePiece::write_history`] writes.
+    /// Numbers that [`Fragment::write_history`] writes.
     pub(super) fn n_history(&self) -> usize {
         let state = self.kernel.state();
         3 * state.velocities_m_per_s.len() + state.history.len() + 3 * self.hinges.len()
@@ -407,7 +407,7 @@ impl LoosePiece {
 }
 
 /// Present positions of the piece's nodes [m]: those that are not placed follow by linear elasticity.
-fn shape(params: &LooseParams<'_>, nodes: &[NodeId], own: &TetMesh) -> Vec<DVec3> {
+fn shape(params: &FragmentParams<'_>, nodes: &[NodeId], own: &TetMesh) -> Vec<DVec3> {
     let now: Vec<DVec3> = nodes.iter().map(|n| params.positions_m[n.index()]).collect();
     let mut conditions = BoundaryConditions::new();
     let mut n_open = 0;

@@ -6,8 +6,8 @@
 #[cfg(target_arch = "x86_64")]
 use fearless_simd::{Simd, f64x8, prelude::*};
 
-/// Eight numbers; lanes mix only in [`Eight::sum`].
-pub(in crate::model) trait Eight: Copy {
+/// LaneBlock numbers; lanes mix only in [`LaneBlock::sum`].
+pub(in crate::model) trait LaneBlock: Copy {
     /// `value` in every lane; `self` says only on which path.
     fn constant(self, value: f64) -> Self;
     /// The lanes of `numbers`.
@@ -34,7 +34,7 @@ pub(in crate::model) trait Eight: Copy {
     }
 }
 
-impl Eight for [f64; 8] {
+impl LaneBlock for [f64; 8] {
     #[inline(always)]
     fn constant(self, value: f64) -> Self {
         [value; 8]
@@ -58,7 +58,7 @@ impl Eight for [f64; 8] {
 }
 
 #[cfg(target_arch = "x86_64")]
-impl<S: Simd> Eight for f64x8<S> {
+impl<S: Simd> LaneBlock for f64x8<S> {
     #[inline(always)]
     fn constant(self, value: f64) -> Self {
         Self::splat(self.simd, value)
@@ -82,9 +82,9 @@ impl<S: Simd> Eight for f64x8<S> {
 }
 
 /// Work that is written once for all paths.
-pub(in crate::model) trait EightWork {
+pub(in crate::model) trait LaneBlockWork {
     /// The result.
     type Output;
     /// Runs the work; `zero` is eight zeros of the path. Must always be inlined.
-    fn run<V: Eight>(self, zero: V) -> Self::Output;
+    fn run<V: LaneBlock>(self, zero: V) -> Self::Output;
 }

@@ -43,7 +43,7 @@ struct Placed {
 }
 
 /// What an edit brings in and moves, worked out before anything follows it.
-pub(super) struct Growth {
+pub(super) struct TopologyUpdate {
     n_nodes_before: usize,
     /// Nodes afterwards, dead ones included.
     pub(super) n_nodes: usize,
@@ -62,7 +62,7 @@ pub(super) struct Growth {
     sources: Vec<Option<TetId>>,
 }
 
-impl Growth {
+impl TopologyUpdate {
     /// None for an edit that only takes out or renumbers. `rest_m` and `tets` (those that live): as they were before.
     ///
     /// # Errors

@@ -4,11 +4,11 @@ use std::ops::{Deref, DerefMut};
 
 /// A vector whose copies have its capacity.
 #[derive(Debug)]
-pub struct Roomy<T>(Vec<T>);
+pub struct BoundedVec<T>(Vec<T>);
 
-impl<T> Roomy<T> {
+impl<T> BoundedVec<T> {
     /// Empty, with room for `n`.
-    pub fn with_room(n: usize) -> Self {
+    pub fn with_capacity(n: usize) -> Self {
         Self(Vec::with_capacity(n))
     }
 
@@ -29,15 +29,15 @@ impl<T> Roomy<T> {
     }
 }
 
-impl<T: Clone> Clone for Roomy<T> {
+impl<T: Clone> Clone for BoundedVec<T> {
     fn clone(&self) -> Self {
-        let mut copy = Self::with_room(self.0.capacity());
+        let mut copy = Self::with_capacity(self.0.capacity());
         copy.0.extend_from_slice(&self.0);
         copy
     }
 }
 
-impl<T> Deref for Roomy<T> {
+impl<T> Deref for BoundedVec<T> {
     type Target = Vec<T>;
 
     fn deref(&self) -> &Vec<T> {
@@ -45,7 +45,7 @@ impl<T> Deref for Roomy<T> {
     }
 }
 
-impl<T> DerefMut for Roomy<T> {
+impl<T> DerefMut for BoundedVec<T> {
     fn deref_mut(&mut self) -> &mut Vec<T> {
         &mut self.0
     }

@@ -142,7 +142,7 @@ pub struct Request {
     pub seconds: f64,
     /// Threads of the parallel cases.
     pub threads: usize,
-    /// LevelOfDetail for the machine's peaks.
+    /// Effort for the machine's peaks.
     pub machine: MachineBudget,
 }
 

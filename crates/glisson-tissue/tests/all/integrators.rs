@@ -2,7 +2,7 @@
 
 use glisson_mesh::math::DVec3;
 use glisson_tissue::solve::integrators::{
-    EquationsOfMotion, FixedPoint, Integrator, LevelOfDetail, ModeBounds, Motion, Scheme,
+    Effort, EquationsOfMotion, FixedPoint, Integrator, ModeBounds, Motion, Scheme,
 };
 
 /// Three oscillators in the components of one node: a = -omega^2 x.
@@ -41,7 +41,7 @@ impl Run {
         }
     }
 
-    fn step(&mut self, h_s: f64) -> LevelOfDetail {
+    fn step(&mut self, h_s: f64) -> Effort {
         let mut motion = Motion {
             positions_m: &mut self.x,
             velocities_m_per_s: &mut self.v,

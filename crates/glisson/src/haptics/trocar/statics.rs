@@ -44,7 +44,7 @@ impl Wrench {
     }
 }
 
-/// LevelOfDetail at each axis, on the instrument.
+/// Effort at each axis, on the instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AxisEfforts {
     /// About e_X [N m].

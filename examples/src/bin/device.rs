@@ -98,6 +98,10 @@ impl HapticDevice for Paddle {
     fn write(&mut self, command: &ForceCommand) -> Result<(), DeviceFault> {
         let most_n = self.limits().force_n;
         self.motor_n = command.force_n.x.clamp(-most_n, most_n);
+        // Of the last write, after which nobody reads any more, too.
+        if let Ok(mut seen) = self.seen.lock() {
+            seen.motor_n = self.motor_n;
+        }
         Ok(())
     }
 }

@@ -35,8 +35,8 @@ impl DisplayFeed {
     }
 
     /// Makes that the newest state; waits for nobody.
-    pub(crate) fn publish(&mut self, state: Published) {
-        self.newest.publish(Arc::new(state));
+    pub(crate) fn publish(&mut self, state: Arc<Published>) {
+        self.newest.publish(state);
     }
 }
 
@@ -106,7 +106,7 @@ mod tests {
         let (done_in, done) = mpsc::channel();
         let publishing = std::thread::spawn(move || {
             for step in 1..=20 {
-                feed.publish(at_step(&first, step));
+                feed.publish(Arc::new(at_step(&first, step)));
             }
             done_in.send(()).unwrap();
             feed
@@ -122,7 +122,7 @@ mod tests {
         // The end is told, after the last state.
         let mut feed = publishing.join().unwrap();
         let last = at_step(&shown.borrow(), 21);
-        feed.publish(last);
+        feed.publish(Arc::new(last));
         drop(feed);
         assert_eq!(shown.borrow_and_update().snapshot.step, 21);
         assert!(shown.has_changed().is_err(), "closed");

@@ -390,7 +390,7 @@ struct Timed<'a> {
     live: Live,
     feed: DisplayFeed,
     /// What displays were told last.
-    latest: Published,
+    latest: Arc<Published>,
     meters: Arc<StepMeters>,
     pace: PaceMeter,
     control: EffortControl,
@@ -432,7 +432,7 @@ impl<'a> Timed<'a> {
             live,
             feed,
             meters: Arc::clone(&first.meters),
-            latest: first,
+            latest: Arc::new(first),
             pace: PaceMeter { since: now, steps: 0, busy: Duration::ZERO, pace: Pace::default() },
             control: EffortControl::default(),
             lateness: Lateness::default(),
@@ -470,11 +470,12 @@ impl<'a> Timed<'a> {
             Err(error) if error.is::<Broken>() => {
                 self.live.paused = true;
                 let simulation = &self.live.simulation;
-                self.latest.notices = simulation.notices().to_vec();
-                self.latest.n_notices = simulation.n_notices();
-                self.latest.is_broken = true;
-                self.latest.pace = Pace { paused: true, ..self.pace.pace };
-                self.feed.publish(self.latest.clone());
+                let last = Arc::make_mut(&mut self.latest);
+                last.notices = simulation.notices().to_vec();
+                last.n_notices = simulation.n_notices();
+                last.is_broken = true;
+                last.pace = Pace { paused: true, ..self.pace.pace };
+                self.feed.publish(Arc::clone(&self.latest));
                 Ok(())
             }
             done => done,
@@ -539,8 +540,8 @@ impl<'a> Timed<'a> {
         let pace = Pace { paused: self.live.paused, ..self.pace.pace };
         let known = Some(&self.latest.topology);
         let latest = Published::of(&self.live.simulation, known, pace, &self.meters);
-        self.latest = Published { lateness: self.lateness, ..latest };
-        self.feed.publish(self.latest.clone());
+        self.latest = Arc::new(Published { lateness: self.lateness, ..latest });
+        self.feed.publish(Arc::clone(&self.latest));
         // A pause is no interval of a display.
         let shown = Instant::now();
         if let Some(before) = self.last_shown.replace(shown).filter(|_| !self.live.paused) {

@@ -48,6 +48,11 @@ pub struct LocalModel {
     pub force_n: Vec<DVec3>,
     /// C [m/N], 3n x 3n, symmetric, row 3 i + a for axis a of node i. Rows of fixed axes are zero.
     pub compliance_m_per_n: Vec<f64>,
+    /// Mass [kg] of each node; zero in a static model.
+    pub mass_kg: Vec<f64>,
+    /// Where the momentum of the tissue alone takes each node in the period [m]: C M v/h, with the rings' nodes. Zero unless
+    /// [`LocalWork::telling_drift`] asks for it, and in a static model.
+    pub drift_m: Vec<DVec3>,
     /// The period [s] that C is for.
     pub period_s: f64,
     /// Rings of tetrahedra around the patch that C takes into account; none when it is exact.
@@ -78,6 +83,8 @@ impl LocalModel {
             position_m: Vec::with_capacity(n),
             force_n: Vec::with_capacity(n),
             compliance_m_per_n: Vec::with_capacity(9 * n * n),
+            mass_kg: Vec::with_capacity(n),
+            drift_m: Vec::with_capacity(n),
             period_s: 0.0,
             n_rings: None,
             is_inertial: false,
@@ -105,6 +112,10 @@ impl LocalModel {
         let n = 3 * self.nodes.len();
         self.compliance_m_per_n.clear();
         self.compliance_m_per_n.resize(n * n, 0.0);
+        self.mass_kg.clear();
+        self.mass_kg.resize(self.nodes.len(), 0.0);
+        self.drift_m.clear();
+        self.drift_m.resize(self.nodes.len(), DVec3::ZERO);
         self.period_s = period_s;
         self.n_rings = None;
         self.is_inertial = false;
@@ -161,6 +172,7 @@ pub struct LocalWork {
     least_rings: u32,
     most_rings: u32,
     tolerance: f64,
+    tells_drift: bool,
     /// Place in the region of each node plus one; zero outside.
     place: Vec<u32>,
     /// Nodes, those of the patch first.
@@ -177,6 +189,8 @@ pub struct LocalWork {
     entries: Vec<[f64; 9]>,
     /// Of each unknown.
     inverse_diagonal: Vec<f64>,
+    /// M v/h of each unknown, with mass damping.
+    momentum_n: Vec<f64>,
     vectors: [Vec<[f64; 8]>; 4],
 }
 
@@ -190,6 +204,7 @@ impl LocalWork {
             least_rings: LEAST_RINGS,
             most_rings: MOST_RINGS,
             tolerance: TOLERANCE,
+            tells_drift: false,
             place: vec![0; n_nodes],
             region: Vec::with_capacity(n),
             n_patch: 0,
@@ -200,6 +215,7 @@ impl LocalWork {
             columns: Vec::with_capacity(NEIGHBOURS * n),
             entries: Vec::with_capacity(NEIGHBOURS * n),
             inverse_diagonal: Vec::with_capacity(3 * n),
+            momentum_n: Vec::with_capacity(3 * n),
             vectors: std::array::from_fn(|_| Vec::with_capacity(3 * n)),
         }
     }
@@ -220,6 +236,17 @@ impl LocalWork {
     #[must_use]
     pub fn from_one_ring(self) -> Self {
         Self { least_rings: 1, ..self }
+    }
+
+    /// Computes [`LocalModel::drift_m`] as well.
+    #[must_use]
+    pub fn telling_drift(self) -> Self {
+        Self { tells_drift: true, ..self }
+    }
+
+    /// Whether [`LocalModel::drift_m`] is asked for.
+    pub(in crate::model) fn tells_drift(&self) -> bool {
+        self.tells_drift
     }
 
     /// Sets the instruction set to compute with; the bits are the same on every one.
@@ -257,6 +284,7 @@ pub(in crate::model) trait LocalBody {
     fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness;
     /// Masses, supports and constraints.
     fn frame(&self) -> &dyn LocalFrame;
+    fn velocity_m_per_s(&self, n: usize) -> DVec3;
     /// Damping of masses and stiffness.
     fn damping(&self) -> Rayleigh {
         self.frame().damping()
@@ -368,8 +396,9 @@ fn between(stiffness: &TetStiffness) -> ElementStiffness {
 /// Computes C of a patch after [`LocalModel::start`]. Without a positive period it stays zero.
 pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out: &mut LocalModel) {
     let h_s = out.period_s;
-    for (node, force_n) in out.nodes.iter().zip(&mut out.force_n) {
-        *force_n = body.frame().load_on_n(node.index());
+    for (i, node) in out.nodes.iter().enumerate() {
+        out.force_n[i] = body.frame().load_on_n(node.index());
+        out.mass_kg[i] = body.frame().inertia_kg(node.index());
     }
     if !(h_s.is_finite() && h_s > 0.0) || out.nodes.is_empty() {
         return;
@@ -387,6 +416,7 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
         work.assemble(body, h_s);
     }
     out.n_rings = Some(n_rings);
+    work.gather_momentum(body, h_s);
     match work.path.run_by_eight(Columns { work, out }) {
         Solved::Never => inertial(body, h_s, out),
         solved => {
@@ -412,11 +442,26 @@ fn inertial(body: &dyn LocalBody, h_s: f64, out: &mut LocalModel) {
         let stiffness = body.frame().inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s) / h_s;
         let free =
             body.frame().free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
-        out.set_tensor(i, i, DMat3::from_diagonal(DVec3::from_array(free)));
+        let free = DVec3::from_array(free);
+        out.set_tensor(i, i, DMat3::from_diagonal(free));
+        out.drift_m[i] = free * momentum_n(body, n, h_s);
     }
 }
 
+/// M v/h of a node [N]: what its momentum does in a step, as a force. Mass damping asks for its share of it.
+fn momentum_n(body: &dyn LocalBody, n: usize, h_s: f64) -> DVec3 {
+    body.velocity_m_per_s(n) * (body.frame().inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s))
+}
+
 impl LocalWork {
+    fn gather_momentum(&mut self, body: &dyn LocalBody, h_s: f64) {
+        self.momentum_n.clear();
+        if self.tells_drift {
+            let of_region = self.region.iter().map(|n| momentum_n(body, *n as usize, h_s));
+            self.momentum_n.extend(of_region.flat_map(|m| m.to_array()));
+        }
+    }
+
     fn start(&mut self, out: &LocalModel) {
         let n_nodes = out.nodes.iter().map(|n| n.index() + 1).max().unwrap_or(0);
         if self.place.len() < n_nodes {
@@ -616,9 +661,10 @@ impl LaneBlockWork for Columns<'_> {
     fn run<V: LaneBlock>(self, zero: V) -> Solved {
         let Self { work, out } = self;
         let n_columns = 3 * out.nodes.len();
+        let n_right = n_columns + usize::from(!work.momentum_n.is_empty());
         let mut solved = Solved::Wholly;
-        for first in (0..n_columns).step_by(8) {
-            let n_lanes = (n_columns - first).min(8);
+        for first in (0..n_right).step_by(8) {
+            let n_lanes = (n_right - first).min(8);
             match solve_eight(zero, work, first, n_lanes) {
                 Solved::Wholly => {}
                 Solved::Partly => solved = Solved::Partly,
@@ -626,8 +672,15 @@ impl LaneBlockWork for Columns<'_> {
             }
             let solution = &work.vectors[0];
             for row in 0..n_columns {
-                for lane in 0..n_lanes {
+                for lane in 0..n_lanes.min(n_columns.saturating_sub(first)) {
                     out.compliance_m_per_n[n_columns * row + first + lane] = solution[row][lane];
+                }
+            }
+            if let Some(lane) = (n_right > n_columns).then(|| n_columns.checked_sub(first)).flatten()
+                && lane < n_lanes
+            {
+                for (row, lanes) in solution[..n_columns].iter().enumerate() {
+                    out.drift_m[row / 3][row % 3] = lanes[lane];
                 }
             }
         }
@@ -638,9 +691,20 @@ impl LaneBlockWork for Columns<'_> {
 /// Conjugate gradients for unit forces on the unknowns from `first` on, into the first of the vectors.
 #[inline(always)]
 fn solve_eight<V: LaneBlock>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> Solved {
-    let LocalWork { row_start, columns, entries, inverse_diagonal, vectors, tolerance, .. } = work;
+    let LocalWork {
+        row_start,
+        columns,
+        entries,
+        inverse_diagonal,
+        momentum_n,
+        vectors,
+        tolerance,
+        n_patch,
+        ..
+    } = work;
     let matrix = Matrix { row_start, columns, entries };
-    let mut rho = start_eight(inverse_diagonal, vectors, first, n_lanes);
+    let n_columns = 3 * *n_patch;
+    let mut rho = start_eight((inverse_diagonal, momentum_n), n_columns, vectors, first..first + n_lanes);
     let least = rho.map(|rho| *tolerance * *tolerance * rho);
     let is_done = |rho: &[f64; 8]| (0..8).all(|lane| rho[lane] <= least[lane]);
     for _ in 0..MOST_ITERATIONS {
@@ -671,14 +735,14 @@ fn solve_eight<V: LaneBlock>(zero: V, work: &mut LocalWork, first: usize, n_lane
     if is_done(&rho) { Solved::Wholly } else { Solved::Partly }
 }
 
-/// Sets x = 0, unit residuals r on the unknowns from `first` on, and the directions p = z for the inverse diagonal
-/// times r; r . z of each lane.
+/// Sets x = 0, unit residuals r on the unknowns of `right` (after the patch's the momentum instead), and the directions
+/// p = z for the inverse diagonal times r; r . z of each lane.
 #[inline(always)]
 fn start_eight(
-    inverse_diagonal: &[f64],
+    (inverse_diagonal, momentum_n): (&[f64], &[f64]),
+    n_columns: usize,
     vectors: &mut [Vec<[f64; 8]>; 4],
-    first: usize,
-    n_lanes: usize,
+    right: std::ops::Range<usize>,
 ) -> [f64; 8] {
     for vector in vectors.iter_mut() {
         vector.clear();
@@ -686,9 +750,12 @@ fn start_eight(
     }
     let [_, r, p, _] = vectors;
     // Unknowns that are not free have a zero in the preconditioner, and so stay zero.
-    for lane in 0..n_lanes {
-        let unknown = first + lane;
-        if inverse_diagonal[unknown] > 0.0 {
+    for (lane, unknown) in right.enumerate() {
+        if unknown >= n_columns {
+            for ((r, force_n), inverse) in r.iter_mut().zip(momentum_n).zip(inverse_diagonal) {
+                r[lane] = if *inverse > 0.0 { *force_n } else { 0.0 };
+            }
+        } else if inverse_diagonal[unknown] > 0.0 {
             r[unknown][lane] = 1.0;
         }
     }

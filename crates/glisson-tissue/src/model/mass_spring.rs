@@ -19,6 +19,7 @@ use super::explicit::{
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame};
 use super::topology_update::{TopologyUpdate, blend_tets};
 use super::{DynamicBody, Rayleigh, RestStress, TopologyRefusal};
+use crate::model::explicit::Mover;
 use crate::solve::{MeshEdges, P1Gradients};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -406,6 +407,10 @@ impl LocalBody for MassSpring {
 
     fn frame(&self) -> &dyn LocalFrame {
         &self.body
+    }
+
+    fn velocity_m_per_s(&self, n: usize) -> DVec3 {
+        self.body.state().velocities_m_per_s[n]
     }
 
     fn damping(&self) -> Rayleigh {

@@ -6,6 +6,7 @@
 mod body;
 mod build;
 mod contact;
+mod hand;
 mod instrument;
 mod law;
 mod models;

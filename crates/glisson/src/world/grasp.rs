@@ -111,6 +111,11 @@ impl Grasp {
         self.held[..self.n_held].iter().map(move |held| (held.node, frame.to_world_m(held.in_tool_m)))
     }
 
+    /// Whether it holds a node.
+    pub(super) fn has(&self, node: NodeId) -> bool {
+        self.held[..self.n_held].iter().any(|held| held.node == node)
+    }
+
     /// Whether the jaws still hold.
     pub(super) fn holds(&self, pose: &ToolInput) -> bool {
         self.n_held > 0 && pose.jaw_opening < LETS_GO_ABOVE

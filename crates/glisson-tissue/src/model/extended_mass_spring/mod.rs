@@ -33,6 +33,7 @@ use super::tet_law::TetLaw;
 use super::topology_update::{TopologyUpdate, blend_tets};
 use super::{DynamicBody, RestStress, TopologyRefusal};
 use crate::material::{LinearElastic, NeoHookeLog};
+use crate::model::explicit::Mover;
 use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients};
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -539,6 +540,10 @@ impl LocalBody for ExtendedMassSpring {
 
     fn frame(&self) -> &dyn LocalFrame {
         &self.body
+    }
+
+    fn velocity_m_per_s(&self, n: usize) -> DVec3 {
+        self.body.state().velocities_m_per_s[n]
     }
 }
 

@@ -45,6 +45,7 @@ use super::tet_law::stressed_stiffness;
 use super::topology_update::TopologyUpdate;
 use super::{DynamicBody, LevelOfDetail, RestStress, TopologyRefusal};
 use crate::material::LinearElastic;
+use crate::model::explicit::Mover;
 use crate::solve::SolveError;
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -399,6 +400,10 @@ impl LocalBody for NonlinearTensorMass {
 
     fn frame(&self) -> &dyn LocalFrame {
         self.motion.frame()
+    }
+
+    fn velocity_m_per_s(&self, n: usize) -> DVec3 {
+        self.motion.state().velocities_m_per_s[n]
     }
 }
 

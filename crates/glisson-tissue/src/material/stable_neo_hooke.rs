@@ -96,6 +96,10 @@ impl From<&LinearElastic> for StableNeoHooke {
 }
 
 impl Material for StableNeoHooke {
+    fn returns_from_inversion(&self) -> bool {
+        true
+    }
+
     fn energy_density_j_per_m3(&self, f: &DMat3) -> f64 {
         let squares = contraction(f, f);
         let away = f.determinant() - self.rest_ratio;

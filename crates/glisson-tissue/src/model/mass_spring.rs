@@ -19,7 +19,8 @@ use super::explicit::{
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame};
 use super::topology_update::{TopologyUpdate, blend_tets};
 use super::{DynamicBody, Rayleigh, RestStress, TopologyRefusal};
-use crate::model::explicit::Mover;
+use crate::material::StableNeoHooke;
+use crate::model::explicit::{Mover, Quarantine, StandIns};
 use crate::solve::{MeshEdges, P1Gradients};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -59,7 +60,23 @@ struct Springs {
     stiffness_n_per_m: Vec<f64>,
     link_damping_n_s_per_m: f64,
     node_damping_n_s_per_m: f64,
+    tets: LiveTets,
+    stand_ins: StandIns,
 }
+
+/// What tetrahedra that are inside out do beside their springs, which rest in the mirror image too.
+fn stand_in(young_modulus_pa: f64) -> Result<StableNeoHooke, ExplicitError> {
+    let lame_pa = STAND_IN_SHARE * young_modulus_pa;
+    StableNeoHooke::new(lame_pa, lame_pa).map_err(|_| ExplicitError::Parameter {
+        what: "Young's modulus [Pa]",
+        found: young_modulus_pa,
+        allowed: "a finite number above 0",
+    })
+}
+
+/// Lame's coefficients of the stand-in over Young's modulus: half of those of the springs, whose Poisson's ratio is near 1/4, so
+/// that a step which is made for the springs bears both.
+const STAND_IN_SHARE: f64 = 0.2;
 
 impl InternalForces for Springs {
     fn add_forces(&mut self, positions_m: &[DVec3], velocities_m_per_s: &[DVec3], force_n: &mut [DVec3]) {
@@ -84,6 +101,11 @@ impl InternalForces for Springs {
                 *force -= self.node_damping_n_s_per_m * *v;
             }
         }
+        self.stand_ins.add_forces(positions_m, force_n);
+    }
+
+    fn quarantine(&mut self, positions_m: &[DVec3], rest_m: &[DVec3]) -> Quarantine {
+        self.stand_ins.find(&self.tets, positions_m, rest_m, |_| ())
     }
 }
 
@@ -95,7 +117,6 @@ pub struct MassSpring {
     masses: NodalMasses,
     body: ExplicitBody,
     springs: Springs,
-    tets: LiveTets,
     /// One a tetrahedron, or none.
     rest_stress_pa: Vec<RestStress>,
     /// For [`NodalMasses::Equal`].
@@ -152,8 +173,9 @@ impl MassSpring {
                 stiffness_n_per_m,
                 link_damping_n_s_per_m: params.link_damping_n_s_per_m,
                 node_damping_n_s_per_m: params.node_damping_n_s_per_m,
+                stand_ins: StandIns::new(stand_in(young_modulus_pa)?, mesh.tetrahedra.len()),
+                tets: LiveTets::of_mesh(mesh),
             },
-            tets: LiveTets::of_mesh(mesh),
             rest_stress_pa: body.rest_stress_pa.to_vec(),
             total_kg,
             at_node: vec![[0.0; 2]; mesh.positions_m.len()],
@@ -272,7 +294,7 @@ impl MassSpring {
 
 impl MassSpring {
     fn gradients(&self, t: usize) -> P1Gradients {
-        P1Gradients::new(self.tets.nodes[t].map(|n| self.body.rest_m()[n.index()]))
+        P1Gradients::new(self.springs.tets.nodes[t].map(|n| self.body.rest_m()[n.index()]))
     }
 }
 
@@ -280,11 +302,11 @@ impl Cuttable for MassSpring {
     const NAME: &'static str = "mass_spring";
 
     fn tets(&self) -> &LiveTets {
-        &self.tets
+        &self.springs.tets
     }
 
     fn tets_mut(&mut self) -> &mut LiveTets {
-        &mut self.tets
+        &mut self.springs.tets
     }
 
     fn rest_m(&self) -> &[DVec3] {
@@ -292,7 +314,7 @@ impl Cuttable for MassSpring {
     }
 
     fn remove_tet(&mut self, t: usize) {
-        let nodes = self.tets.nodes[t];
+        let nodes = self.springs.tets.nodes[t];
         // The rest positions are those from when it was added, so these are the numbers that were added then.
         let volume_m3 = self.gradients(t).volume_m3;
         self.total_kg -= self.density_kg_per_m3 * volume_m3;
@@ -330,7 +352,8 @@ impl Cuttable for MassSpring {
         self.at_node.resize(growth.n_nodes, [0.0; 2]);
         blend_tets(&mut self.rest_stress_pa, change);
         let springs = &mut self.springs;
-        let insertions = springs.edges.grow(&self.tets, &growth.added);
+        springs.stand_ins.make_room(growth.n_tets);
+        let insertions = springs.edges.grow(&springs.tets, &growth.added);
         insertions.spread(&mut springs.rest_m, 0.0);
         insertions.spread(&mut springs.stiffness_n_per_m, 0.0);
         springs.rest_tensions.grow(&insertions, growth.n_tets);
@@ -344,7 +367,7 @@ impl Cuttable for MassSpring {
     }
 
     fn add_tet(&mut self, t: usize) {
-        let (nodes, gradients) = (self.tets.nodes[t], self.gradients(t));
+        let (nodes, gradients) = (self.springs.tets.nodes[t], self.gradients(t));
         let volume_m3 = gradients.volume_m3;
         self.total_kg += self.density_kg_per_m3 * volume_m3;
         self.body.add_tet(t, nodes, volume_m3, None);
@@ -365,7 +388,7 @@ impl Cuttable for MassSpring {
     }
 
     fn compact(&mut self, new_ids: &[Option<NodeId>]) {
-        let live_tets = &self.tets.is_live;
+        let live_tets = &self.springs.tets.is_live;
         if !self.rest_stress_pa.is_empty() {
             keep(&mut self.rest_stress_pa, live_tets);
         }

@@ -44,9 +44,9 @@ impl World {
     /// Moves the tools and finds what they begin to touch and hold.
     pub(super) fn move_hands(&mut self, input: &StepInput) {
         self.organ.refresh();
-        let left = self.spec.hand.map_or(0.0, |hand| hand.left_after_step(self.spec.time_step_s));
+        let held = self.spec.hand.as_ref().map(|hand| (hand, self.spec.time_step_s));
         for (place, (hand, tool)) in self.tool_states.iter_mut().zip(&self.spec.tools).enumerate() {
-            hand.move_to(tool, place, input, left);
+            hand.move_to(tool, place, input, held);
             if let Some(jaws) = tool.kind.jaws() {
                 let pose = hand.now;
                 if hand.grasp.as_ref().is_some_and(|grasp| !grasp.holds(&pose)) {
@@ -90,7 +90,6 @@ impl World {
         self.owners.clear();
         if self.spec.hand.is_some() {
             self.press();
-            self.impose_grasps();
         } else {
             self.impose_grasps();
             for part in ToolPart::ALL {
@@ -193,9 +192,14 @@ impl World {
 
     /// Force that a hand exerts on the organ in the last step [N]: with one part, or with what its jaws hold.
     pub(super) fn force_on_organ_n(&self, hand: usize, part: Option<ToolPart>) -> DVec3 {
-        if let (true, Some(part)) = (self.spec.hand.is_some(), part) {
-            let contact = self.tool_states[hand].contacts[part.index()].as_ref();
-            return contact.map_or(DVec3::ZERO, HeldContact::force_on_organ_n);
+        if self.spec.hand.is_some() {
+            let state = &self.tool_states[hand];
+            return match part {
+                Some(part) => {
+                    state.contacts[part.index()].as_ref().map_or(DVec3::ZERO, HeldContact::force_on_organ_n)
+                }
+                None => state.grasp.as_ref().map_or(DVec3::ZERO, Grasp::force_on_organ_n),
+            };
         }
         let owner = Owner { hand: hand as u8, part };
         let forces = self.model.constraint_forces_n().iter().zip(&self.owners);
@@ -204,6 +208,10 @@ impl World {
 
     /// Force of a hand on one of the nodes that its jaws hold in the last step [N].
     pub(super) fn force_on_node_n(&self, hand: usize, node: NodeId) -> DVec3 {
+        if self.spec.hand.is_some() {
+            let grasp = self.tool_states[hand].grasp.as_ref();
+            return grasp.map_or(DVec3::ZERO, |grasp| grasp.force_on_node_n(node));
+        }
         let owner = Owner { hand: hand as u8, part: None };
         let imposed = self.constraints.displacements.iter().zip(&self.owners);
         let mut forces = imposed.zip(self.model.constraint_forces_n());
@@ -258,9 +266,6 @@ impl World {
                 }
             }
             let force_of_jaws_n = -self.force_on_organ_n(place, None);
-            if self.spec.hand.is_some() {
-                self.tool_states[place].note_grasp(force_of_jaws_n);
-            }
             if let Some(jaws) = self.spec.tools[place].kind.jaws().copied() {
                 let holds = self.tool_states[place].grasp.is_some() && force_of_jaws_n.is_finite();
                 self.load_jaws(place, &jaws, holds.then_some(force_of_jaws_n));

@@ -97,9 +97,11 @@ impl Hand {
         self.stiffness_n_per_m * (1.0 + self.return_time_s / dt_s)
     }
 
-    /// What of a tip's distance from the hand the damper leaves after a step in which nothing touches it.
-    pub(super) fn left_after_step(&self, dt_s: f64) -> f64 {
-        self.return_time_s / (dt_s + self.return_time_s)
+    /// What of a tip's way behind the hand the damper leaves after a step of `dt_s` in which nothing touches it [m]. A hand that
+    /// gave way has its grip further along: what was beyond the greatest force does not count.
+    pub(super) fn left_behind_m(&self, behind_m: DVec3, dt_s: f64) -> DVec3 {
+        let felt_m = behind_m.clamp_length_max(self.greatest_force_n / self.stiffness_n_per_m);
+        felt_m * (self.return_time_s / (dt_s + self.return_time_s))
     }
 
     /// How far the tip may stay behind the hand before the hand gives way [m].

@@ -7,6 +7,7 @@ use super::organ::Organ;
 use super::overload::Overload;
 use super::parts::{ToolPart, ToolPoint, capsule};
 use super::skin::SurfacePlace;
+use super::spec::Hand;
 use super::touch::{ContactBegin, HeldContact};
 use crate::contact::continuous::{CONTACT_TOLERANCE_M, FirstContact};
 use crate::contact::tool_contact::ToolContact;
@@ -21,11 +22,6 @@ use crate::tool::{Tool, ToolInput};
 /// What was found elsewhere counts while the part is no further from the touched place [m]: a choice, as far as a hand may come
 /// while a simulation stalls.
 const MOST_DEEP_M: f64 = 0.03;
-
-/// A shorter way of a tool says nothing of the stiffness of what it holds [m].
-const LEAST_WAY_M: f64 = 1e-6;
-/// Share of an estimate of that stiffness that is left after a step in which less was seen: a choice.
-const KEPT_STIFFNESS: f64 = 0.9;
 
 /// What contacts are looked for with.
 #[derive(Clone, Copy)]
@@ -67,9 +63,6 @@ pub(super) struct ToolState {
     pub(super) hand_before_m: DVec3,
     /// Share of this step's way that the tip made before it touched anything new.
     pub(super) free_share: f64,
-    /// Force of what the jaws hold on the tool in the last step [N], and how it grows as the tool moves [N/m]: an estimate.
-    pub(super) grasp_force_n: DVec3,
-    pub(super) grasp_n_per_m: f64,
     pub(super) contacts: [Option<HeldContact>; 3],
     /// Parts that were put into tissue: they touch nothing until they have come out of it.
     is_buried: [bool; 3],
@@ -95,8 +88,6 @@ impl ToolState {
             hand_tip_m: home.tip_in_world_m,
             hand_before_m: home.tip_in_world_m,
             free_share: 1.0,
-            grasp_force_n: DVec3::ZERO,
-            grasp_n_per_m: 0.0,
             contacts: [const { None }; 3],
             is_buried: [false; 3],
             grasp: None,
@@ -116,16 +107,19 @@ impl ToolState {
         let buried = ToolPart::ALL.into_iter().filter(|part| self.is_buried[part.index()]);
         let buried = buried.map(|part| part.index() as f64);
         let behind_m = self.hand_tip_m - self.now.tip_in_world_m;
-        let is_behind = behind_m != DVec3::ZERO || self.grasp_n_per_m > 0.0;
-        let behind = is_behind.then(|| behind_m.to_array().into_iter().chain(self.grasp_force_n.to_array()));
-        let behind =
-            behind.into_iter().flatten().chain((self.grasp_n_per_m > 0.0).then_some(self.grasp_n_per_m));
+        let behind = (behind_m != DVec3::ZERO).then(|| behind_m.to_array()).into_iter().flatten();
         contacts.chain(grasp).chain(active).chain(buried).chain(self.overload.numbers()).chain(behind)
     }
 
-    /// Takes the input of tool number `place` over: the tip goes where the hand wants it, but for what of its distance from
-    /// the hand is `left` after a step.
-    pub(super) fn move_to(&mut self, tool: &Tool, place: usize, input: &StepInput, left: f64) {
+    /// Takes the input of tool number `place` over. The tip goes where a hand that imposes its motion wants it; from one that
+    /// gives way it is as far as that says it is after a step of `dt_s`.
+    pub(super) fn move_to(
+        &mut self,
+        tool: &Tool,
+        place: usize,
+        input: &StepInput,
+        hand: Option<(&Hand, f64)>,
+    ) {
         self.report = ToolReport::default();
         self.before = self.now;
         self.hand_before_m = self.hand_tip_m;
@@ -137,9 +131,11 @@ impl ToolState {
             self.now = tool.held(*asked, before);
             self.now.jaw_opening = asked.jaw_opening.clamp(0.0, 1.0);
             self.hand_tip_m = self.now.tip_in_world_m;
-            let behind_m = (self.before.tip_in_world_m - self.hand_before_m) * left;
-            if before.is_some() && behind_m != DVec3::ZERO {
-                self.put_tip(tool, self.hand_tip_m + behind_m);
+            let behind_m = self.before.tip_in_world_m - self.hand_before_m;
+            if let (Some((hand, dt_s)), Some(_)) = (hand, before)
+                && behind_m != DVec3::ZERO
+            {
+                self.put_tip(tool, self.hand_tip_m + hand.left_behind_m(behind_m, dt_s));
             }
         } else if input.placed[place] {
             self.hand_tip_m = self.now.tip_in_world_m;
@@ -148,20 +144,6 @@ impl ToolState {
             self.let_go();
             self.before = self.now;
         }
-    }
-
-    /// After a step: what the held tissue did, and how it grew with the way that the tool went.
-    pub(super) fn note_grasp(&mut self, force_on_tool_n: DVec3) {
-        if self.grasp.is_none() || !force_on_tool_n.is_finite() {
-            (self.grasp_force_n, self.grasp_n_per_m) = (DVec3::ZERO, 0.0);
-            return;
-        }
-        let way_m = self.now.tip_in_world_m.distance(self.before.tip_in_world_m);
-        if way_m > LEAST_WAY_M {
-            let seen_n_per_m = force_on_tool_n.distance(self.grasp_force_n) / way_m;
-            self.grasp_n_per_m = seen_n_per_m.max(self.grasp_n_per_m * KEPT_STIFFNESS);
-        }
-        self.grasp_force_n = force_on_tool_n;
     }
 
     /// Share of this step's way that the tip made before it touched: none where it touched already.
@@ -185,7 +167,6 @@ impl ToolState {
         self.contacts = [const { None }; 3];
         self.is_buried = [false; 3];
         self.grasp = None;
-        (self.grasp_force_n, self.grasp_n_per_m) = (DVec3::ZERO, 0.0);
         self.active_s = 0.0;
         self.overload = Overload::default();
     }

@@ -69,7 +69,7 @@ fn world(subject: &Subject, friction: f64) -> Result<(World, TetMesh), String> {
         let mut body = OrganBody::new(mesh.clone(), material, step_s);
         body.law = subject.law.map(|law| LawChoice::typical(law_named(law).unwrap().entry()));
         body.fixed = fixed_nodes(&supports, &mesh.positions_m);
-        body.damping = Rayleigh::of_mass(20.0);
+        body.damping = Rayleigh::of_mass(60.0);
         match build_model(&body, subject.kind) {
             Ok(model) => {
                 let world = World::new(spec, mesh.clone(), model, subject.kind).unwrap();
@@ -95,7 +95,6 @@ struct Hands<'a> {
 struct Outcome {
     greatest_force_n: f64,
     non_finite: u32,
-    greatest_move_m: f64,
 }
 
 impl Hands<'_> {
@@ -108,6 +107,15 @@ impl Hands<'_> {
             }
         }
         self.outcome.non_finite += report.n_non_finite_nodes;
+        if std::env::var("GLISSON_ROUGH_SHOW").is_ok() {
+            let positions_m = self.world.state().positions_m;
+            let most_m = positions_m.iter().map(|p| p.length()).fold(0.0, f64::max);
+            let v = self.world.state().velocities_m_per_s.iter().map(|p| p.length()).fold(0.0, f64::max);
+            println!(
+                "{} tip {:?} force {:?} far {most_m:.4} fast {v:.3} {:?}",
+                report.step, self.tools[1].tip_in_world_m, report.tools[1].force_on_tool_n, report.model
+            );
+        }
     }
 
     /// One tool goes to a place at a speed.
@@ -171,7 +179,7 @@ fn pull(hands: &mut Hands<'_>) {
     hands.go(1, at_m - DVec3::Z * 4e-3, 0.2);
     for opening in [0.7, 0.4, 0.2, 0.0] {
         hands.tools[1].jaw_opening = opening;
-        hands.rest(5e-3);
+        hands.rest(20e-3);
     }
     hands.go(1, at_m + DVec3::Z * 0.5, FAST_M_PER_S);
     hands.rest(0.1);

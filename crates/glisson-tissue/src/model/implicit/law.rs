@@ -103,10 +103,7 @@ const TURNING_TOLERANCE: f64 = 1e-6;
 
 /// Lame's coefficients [Pa] nearest to a law's stiffness at rest: means over the axes.
 fn lame_at_rest_pa(law: &dyn Material) -> [f64; 2] {
-    let tangent = law.tangent_pa(&DMat3::IDENTITY);
-    let lambda_pa = (tangent[0][4] + tangent[0][8] + tangent[4][8]) / 3.0;
-    let mu_pa = (tangent[1][1] + tangent[2][2] + tangent[5][5]) / 3.0;
-    [lambda_pa, mu_pa]
+    law.lame_at_rest_pa()
 }
 
 impl From<NeoHookeLog> for ImplicitLaw {

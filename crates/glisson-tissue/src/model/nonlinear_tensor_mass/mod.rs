@@ -427,7 +427,7 @@ impl ExplicitDynamics for NonlinearTensorMass {
         let (body, adaptivity) = (&self.body, &mut self.adaptivity);
         self.motion.step(dt_s, |u, force| {
             body.add_forces(adaptivity, u, force);
-            body.leave_out_inverted(adaptivity, u, force)
+            body.replace_inverted(adaptivity, u, force)
         });
     }
 

@@ -98,6 +98,7 @@ impl LocalBody for Relaxing<'_> {
         let u_m = nodes.map(|n| body.displacement_m[n]);
         let law = match &body.law {
             ImplicitLaw::NeoHookeLog(law) => TangentLaw::Any(law),
+            ImplicitLaw::StableNeoHooke(law) => TangentLaw::Any(law),
             ImplicitLaw::General(laws) => TangentLaw::Any(&*laws[if laws.len() == 1 { 0 } else { element }]),
         };
         let mut stiffness = tet_tangent(&gradients, u_m, &law, None);

@@ -18,13 +18,30 @@ use super::explicit::{
 };
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame};
 use super::topology_update::{TopologyUpdate, blend_tets};
-use super::{DynamicBody, Rayleigh, RestStress, TopologyRefusal};
-use crate::material::StableNeoHooke;
+use super::{
+    DeformableModel, DynamicBody, ModelError, ModelRow, OrganBody, Rayleigh, RestStress, TopologyRefusal,
+};
+use crate::material::{LawChoice, StableNeoHooke};
 use crate::model::explicit::{Mover, Quarantine, StandIns};
 use crate::solve::{MeshEdges, P1Gradients};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
+
+pub(super) const ROW: ModelRow =
+    ModelRow::explicit("mass_spring", "masses and springs on the edges: explicit dynamics", &[], make);
+
+fn make(body: &OrganBody, _: Option<&LawChoice>) -> Result<Box<dyn DeformableModel>, ModelError> {
+    let params = MassSpringParams {
+        body: body.dynamic(),
+        young_modulus_pa: body.material.young_modulus_pa(),
+        masses: NodalMasses::VolumeWeighted,
+        link_damping_n_s_per_m: 0.0,
+        node_damping_n_s_per_m: 0.0,
+        integration: body.integration(),
+    };
+    Ok(Box::new(MassSpring::build(&params).map_err(ModelError::of_numbers)?))
+}
 
 /// How a body's mass is divided among its nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -299,7 +316,7 @@ impl MassSpring {
 }
 
 impl Cuttable for MassSpring {
-    const NAME: &'static str = "mass_spring";
+    const NAME: &'static str = ROW.name;
 
     fn tets(&self) -> &LiveTets {
         &self.springs.tets

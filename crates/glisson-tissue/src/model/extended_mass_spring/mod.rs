@@ -19,6 +19,7 @@
 
 mod law;
 mod tuning;
+pub(super) mod row;
 
 pub use law::EdgeLaw;
 pub use tuning::tuned_damping_per_s;

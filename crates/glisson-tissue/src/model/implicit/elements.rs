@@ -285,7 +285,7 @@ impl Elements {
     pub(super) fn needs_stand_in(&self) -> bool {
         let returns = |t: usize| match &self.own {
             OwnLaw::NeoHooke(_) => false,
-            OwnLaw::StableNeoHooke(_) => true,
+            OwnLaw::Stable(_) => true,
             OwnLaw::General(own) => own.law(t).returns_from_inversion(),
         };
         self.has_inverted && !self.tets.is_empty() && !returns(0)

@@ -27,6 +27,7 @@ mod forces;
 mod incompressibility;
 mod numbers;
 mod tearing;
+pub(super) mod row;
 
 pub use super::tet_law::{Fibre, FibreError, TetLaw};
 pub use adaptive::{AdaptiveReport, NonlinearPart};

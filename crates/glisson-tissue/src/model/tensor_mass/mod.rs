@@ -10,6 +10,7 @@
 //! brings a tetrahedron back from every shape, also an inverted one: nothing is put in quarantine.
 
 mod tensors;
+pub(super) mod row;
 
 pub use super::explicit::{
     ExplicitError as TensorMassError, ExplicitSnapshot as TensorMassSnapshot, MOST_NODES_PROVEN, StableStep,

@@ -9,7 +9,8 @@
 //!
 //! It has no Poisson's ratio (what comes out is near 1/4) and resists no change of volume: a platform for tests and
 //! a thing to compare with, not a model of tissue (seed `000` s. 2.3.5). Links know no inverted tetrahedron, and their
-//! forces are finite in every shape: nothing is put in quarantine. A stress at rest is a further constant tension per
+//! forces are finite in every shape: nothing is put in quarantine. They rest in the mirror image too, from which a stand-in
+//! beside them brings tetrahedra back. A stress at rest is a further constant tension per
 //! length of the links, exactly F S0 of the tetrahedra; it balances the weight of volume-weighted masses.
 
 use super::explicit::{
@@ -122,7 +123,9 @@ impl InternalForces for Springs {
     }
 
     fn quarantine(&mut self, positions_m: &[DVec3], rest_m: &[DVec3]) -> Quarantine {
-        self.stand_ins.find(&self.tets, positions_m, rest_m, |_| ())
+        self.stand_ins.find(&self.tets, positions_m, rest_m, |_| ());
+        // The springs count as ever: nothing is left out.
+        Quarantine::default()
     }
 }
 
@@ -293,6 +296,7 @@ impl MassSpring {
         force_n: &mut [DVec3],
     ) {
         force_n.fill(DVec3::ZERO);
+        self.springs.stand_ins.clear();
         self.springs.add_forces(positions_m, velocities_m_per_s, force_n);
     }
 

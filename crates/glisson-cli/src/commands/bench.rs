@@ -51,6 +51,9 @@ pub(crate) struct Args {
     /// One model of the benchmark scene; all when left out
     #[arg(long, value_name = "NAME")]
     model: Option<String>,
+    /// Hands of the benchmark scene give way ([hand] in its scenes) instead of imposing their motion
+    #[arg(long)]
+    hand: bool,
     /// List the benchmarks and what they time
     #[arg(long)]
     list: bool,
@@ -102,6 +105,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 link: args.link.clone(),
                 motion: args.motion.clone(),
                 model: args.model.clone(),
+                hand_gives_way: args.hand,
             };
             with_progress(|tell| (trial.measure)(&request, tell))?
         }

@@ -164,6 +164,8 @@ pub struct TrialRequest {
     pub motion: Option<String>,
     /// One model; all for none.
     pub model: Option<String>,
+    /// Whether hands give way instead of imposing their motion.
+    pub hand_gives_way: bool,
 }
 
 /// What a [`Trial`] found.

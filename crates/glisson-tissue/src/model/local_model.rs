@@ -50,8 +50,9 @@ pub struct LocalModel {
     pub compliance_m_per_n: Vec<f64>,
     /// Mass [kg] of each node; zero in a static model.
     pub mass_kg: Vec<f64>,
-    /// Where the momentum of the tissue alone takes each node in the period [m]: C M v/h, with the rings' nodes. Zero unless
-    /// [`LocalWork::telling_drift`] asks for it, and in a static model.
+    /// Where the motion of the tissue takes each node in the period [m] under forces that would hold it as it is: C (M/h + D) v =
+    /// h v - C h K v, with the velocities v of the nodes beyond the rings too. Zero unless [`LocalWork::telling_drift`] asks
+    /// for it, and in a static model.
     pub drift_m: Vec<DVec3>,
     /// The period [s] that C is for.
     pub period_s: f64,
@@ -189,8 +190,8 @@ pub struct LocalWork {
     entries: Vec<[f64; 9]>,
     /// Of each unknown.
     inverse_diagonal: Vec<f64>,
-    /// M v/h of each unknown, with mass damping.
-    momentum_n: Vec<f64>,
+    /// -h K v of each unknown [N]: what the elements answer to a motion that goes on for a period.
+    braking_n: Vec<f64>,
     vectors: [Vec<[f64; 8]>; 4],
 }
 
@@ -215,7 +216,7 @@ impl LocalWork {
             columns: Vec::with_capacity(NEIGHBOURS * n),
             entries: Vec::with_capacity(NEIGHBOURS * n),
             inverse_diagonal: Vec::with_capacity(3 * n),
-            momentum_n: Vec::with_capacity(3 * n),
+            braking_n: Vec::with_capacity(3 * n),
             vectors: std::array::from_fn(|_| Vec::with_capacity(3 * n)),
         }
     }
@@ -416,9 +417,13 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
         work.assemble(body, h_s);
     }
     out.n_rings = Some(n_rings);
-    work.gather_momentum(body, h_s);
+    if work.tells_drift {
+        for (node, drift_m) in out.nodes.iter().zip(&mut out.drift_m) {
+            *drift_m = body.velocity_m_per_s(node.index()) * h_s;
+        }
+    }
     match work.path.run_by_eight(Columns { work, out }) {
-        Solved::Never => inertial(body, h_s, out),
+        Solved::Never => inertial(body, h_s, work.tells_drift, out),
         solved => {
             out.missed_tolerance = solved == Solved::Partly;
             out.symmetrize();
@@ -434,7 +439,7 @@ fn rings_for(condition: f64) -> u32 {
 }
 
 /// C of the masses alone.
-fn inertial(body: &dyn LocalBody, h_s: f64, out: &mut LocalModel) {
+fn inertial(body: &dyn LocalBody, h_s: f64, tells_drift: bool, out: &mut LocalModel) {
     out.compliance_m_per_n.fill(0.0);
     out.is_inertial = true;
     for i in 0..out.nodes.len() {
@@ -442,26 +447,14 @@ fn inertial(body: &dyn LocalBody, h_s: f64, out: &mut LocalModel) {
         let stiffness = body.frame().inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s) / h_s;
         let free =
             body.frame().free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
-        let free = DVec3::from_array(free);
-        out.set_tensor(i, i, DMat3::from_diagonal(free));
-        out.drift_m[i] = free * momentum_n(body, n, h_s);
+        out.set_tensor(i, i, DMat3::from_diagonal(DVec3::from_array(free)));
+        if tells_drift {
+            out.drift_m[i] = body.velocity_m_per_s(n) * h_s;
+        }
     }
-}
-
-/// M v/h of a node [N]: what its momentum does in a step, as a force. Mass damping asks for its share of it.
-fn momentum_n(body: &dyn LocalBody, n: usize, h_s: f64) -> DVec3 {
-    body.velocity_m_per_s(n) * (body.frame().inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s))
 }
 
 impl LocalWork {
-    fn gather_momentum(&mut self, body: &dyn LocalBody, h_s: f64) {
-        self.momentum_n.clear();
-        if self.tells_drift {
-            let of_region = self.region.iter().map(|n| momentum_n(body, *n as usize, h_s));
-            self.momentum_n.extend(of_region.flat_map(|m| m.to_array()));
-        }
-    }
-
     fn start(&mut self, out: &LocalModel) {
         let n_nodes = out.nodes.iter().map(|n| n.index() + 1).max().unwrap_or(0);
         if self.place.len() < n_nodes {
@@ -571,6 +564,8 @@ impl LocalWork {
             self.add_block(i, i, DMat3::from_diagonal(DVec3::splat(of_mass)));
         }
         let per_stiffness = 1.0 + damping.stiffness_s / h_s;
+        self.braking_n.clear();
+        self.braking_n.resize(if self.tells_drift { 3 * n } else { 0 }, 0.0);
         let elements = body.elements();
         for e in 0..self.elements.len() {
             let e = self.elements[e] as usize;
@@ -583,6 +578,13 @@ impl LocalWork {
             }
             for (j, &row) in nodes.iter().enumerate() {
                 let Some(row) = self.place(row) else { continue };
+                if self.tells_drift {
+                    let way = |(k, node): (usize, &NodeId)| {
+                        stiffness[j][k] * (body.velocity_m_per_s(node.index()) * h_s)
+                    };
+                    let braking_n: DVec3 = nodes.iter().enumerate().map(way).sum();
+                    (0..3).for_each(|axis| self.braking_n[3 * row + axis] -= braking_n[axis]);
+                }
                 for (k, &column) in nodes.iter().enumerate() {
                     if let Some(column) = self.place(column) {
                         self.add_block(row, column, stiffness[j][k] * per_stiffness);
@@ -661,7 +663,7 @@ impl LaneBlockWork for Columns<'_> {
     fn run<V: LaneBlock>(self, zero: V) -> Solved {
         let Self { work, out } = self;
         let n_columns = 3 * out.nodes.len();
-        let n_right = n_columns + usize::from(!work.momentum_n.is_empty());
+        let n_right = n_columns + usize::from(!work.braking_n.is_empty());
         let mut solved = Solved::Wholly;
         for first in (0..n_right).step_by(8) {
             let n_lanes = (n_right - first).min(8);
@@ -680,7 +682,7 @@ impl LaneBlockWork for Columns<'_> {
                 && lane < n_lanes
             {
                 for (row, lanes) in solution[..n_columns].iter().enumerate() {
-                    out.drift_m[row / 3][row % 3] = lanes[lane];
+                    out.drift_m[row / 3][row % 3] += lanes[lane];
                 }
             }
         }
@@ -696,7 +698,7 @@ fn solve_eight<V: LaneBlock>(zero: V, work: &mut LocalWork, first: usize, n_lane
         columns,
         entries,
         inverse_diagonal,
-        momentum_n,
+        braking_n,
         vectors,
         tolerance,
         n_patch,
@@ -704,7 +706,7 @@ fn solve_eight<V: LaneBlock>(zero: V, work: &mut LocalWork, first: usize, n_lane
     } = work;
     let matrix = Matrix { row_start, columns, entries };
     let n_columns = 3 * *n_patch;
-    let mut rho = start_eight((inverse_diagonal, momentum_n), n_columns, vectors, first..first + n_lanes);
+    let mut rho = start_eight((inverse_diagonal, braking_n), n_columns, vectors, first..first + n_lanes);
     let least = rho.map(|rho| *tolerance * *tolerance * rho);
     let is_done = |rho: &[f64; 8]| (0..8).all(|lane| rho[lane] <= least[lane]);
     for _ in 0..MOST_ITERATIONS {
@@ -735,11 +737,11 @@ fn solve_eight<V: LaneBlock>(zero: V, work: &mut LocalWork, first: usize, n_lane
     if is_done(&rho) { Solved::Wholly } else { Solved::Partly }
 }
 
-/// Sets x = 0, unit residuals r on the unknowns of `right` (after the patch's the momentum instead), and the directions
+/// Sets x = 0, unit residuals r on the unknowns of `right` (after the patch's the braking instead), and the directions
 /// p = z for the inverse diagonal times r; r . z of each lane.
 #[inline(always)]
 fn start_eight(
-    (inverse_diagonal, momentum_n): (&[f64], &[f64]),
+    (inverse_diagonal, braking_n): (&[f64], &[f64]),
     n_columns: usize,
     vectors: &mut [Vec<[f64; 8]>; 4],
     right: std::ops::Range<usize>,
@@ -752,7 +754,7 @@ fn start_eight(
     // Unknowns that are not free have a zero in the preconditioner, and so stay zero.
     for (lane, unknown) in right.enumerate() {
         if unknown >= n_columns {
-            for ((r, force_n), inverse) in r.iter_mut().zip(momentum_n).zip(inverse_diagonal) {
+            for ((r, force_n), inverse) in r.iter_mut().zip(braking_n).zip(inverse_diagonal) {
                 r[lane] = if *inverse > 0.0 { *force_n } else { 0.0 };
             }
         } else if inverse_diagonal[unknown] > 0.0 {

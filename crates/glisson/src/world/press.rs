@@ -56,6 +56,9 @@ const KEPT_SOFTNESS: f64 = 0.9;
 const SOFT_HOLD: f64 = 4.0;
 const MOST_NODES: usize = LocalModel::MOST_NODES;
 const MOST_CONTACTS: usize = (3 + MOST_HELD_NODES) * MAX_TOOLS;
+/// Tissue further than this from where its tool would have it [m] is no longer touched by it: it went another way, as tissue that
+/// was let go does. A choice, above the way of a step at 5 m/s.
+const MOST_APART_M: f64 = 0.05;
 /// An instrument that turns about a point nearer than this share of its way to the tip does not give way there.
 const LEAST_LEVER: f64 = 0.05;
 
@@ -76,6 +79,8 @@ struct TouchedNode {
     /// Where it was expected to be after the step [m], and what of the way there was its answer to the change of the forces.
     expected_m: DVec3,
     answer_m: DVec3,
+    /// The whole way there [m].
+    way_m: DVec3,
 }
 
 /// The contacts of a step and what they need, with room for the most.
@@ -127,7 +132,7 @@ impl Press {
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let forces = self.forces.iter().map(|force| (force.node, force.force_n));
         let touched = self.touched.iter().flat_map(|touched| {
-            let vectors = [touched.velocity_m_per_s, touched.expected_m, touched.answer_m];
+            let vectors = [touched.velocity_m_per_s, touched.expected_m, touched.answer_m, touched.way_m];
             vectors.map(|vector| (touched.node, vector))
         });
         let numbers = forces.chain(touched).flat_map(|(node, v)| [f64::from(node.0), v.x, v.y, v.z]);
@@ -151,7 +156,8 @@ impl Press {
         for touched in &self.touched {
             let Some(now_m) = positions_m.get(touched.node.index()) else { continue };
             further_m2 += (*now_m - touched.expected_m).dot(touched.answer_m);
-            answered_m2 += touched.answer_m.length_squared();
+            // Where the way is not the forces' doing, how far it led says little of them.
+            answered_m2 += touched.answer_m.length_squared() + touched.way_m.length_squared();
         }
         let times = (1.0 + further_m2 / answered_m2).min(MOST_SOFTER_A_STEP);
         let kept = 1.0 + (self.softness - 1.0) * KEPT_SOFTNESS;
@@ -229,6 +235,7 @@ impl Press {
     fn set_response(&mut self, local: &LocalModel, is_free: impl Fn(NodeId) -> bool, dt_s: f64) {
         let n = self.nodes.len();
         self.response.set_group(0, 0..n as u32);
+        self.response.group_mut(0).compliance_m_per_n.clear();
         for j in 0..n {
             for i in 0..n {
                 let both = i < local.nodes.len() && j < local.nodes.len();
@@ -294,6 +301,7 @@ impl Press {
                 velocity_m_per_s: velocities_m_per_s.get(node.index()).copied().unwrap_or(DVec3::ZERO),
                 expected_m: positions_m[node.index()] + self.moves_m[i],
                 answer_m: self.answers_m[i],
+                way_m: self.moves_m[i],
             });
         }
     }
@@ -437,7 +445,12 @@ impl World {
         let dt_s = self.spec.time_step_s;
         let (state, tool) = (&mut self.tool_states[place], &self.spec.tools[place]);
         for part in ToolPart::ALL {
-            let Some(contact) = &mut state.contacts[part.index()] else { continue };
+            let contact = &mut state.contacts[part.index()];
+            contact.take_if(|contact| {
+                let target_m = contact.at.in_world_m(tool, &state.now) + contact.offset_m;
+                target_m.distance(contact.point_m(self.organ.positions_m())) > MOST_APART_M
+            });
+            let Some(contact) = contact else { continue };
             let follow = Follow {
                 organ: &self.organ,
                 point_m: contact.at.in_world_m(tool, &state.now),

@@ -32,6 +32,7 @@ fn run(request: &TrialRequest, tell: Tell<'_>) -> anyhow::Result<Answer> {
     let request = SceneRequest {
         motion: request.motion.clone(),
         model: request.model.clone(),
+        hand_gives_way: request.hand_gives_way,
         sizes: request.sizes.clone().unwrap_or(USUAL_SIZES.to_vec()),
         threads: request.threads,
         seconds: request.seconds.unwrap_or(USUAL_SECONDS),
@@ -76,6 +77,8 @@ struct SceneRequest {
     motion: Option<String>,
     /// One model; all for none.
     model: Option<String>,
+    /// Whether the hand gives way (`[hand]`) instead of imposing its motion.
+    hand_gives_way: bool,
     /// Wanted tetrahedra.
     sizes: Vec<usize>,
     /// Threads of the models that use several.
@@ -100,6 +103,8 @@ struct StepMicroseconds {
 struct SceneOutcome {
     /// The motion's name.
     case: &'static str,
+    /// Whether the hand gave way.
+    hand_gives_way: bool,
     /// Tetrahedra at the start.
     size: usize,
     /// Threads of the model.
@@ -195,16 +200,19 @@ struct Opened {
 }
 
 /// Sets a scene up, with the longest time step that the model takes.
-fn open(motion: &Motion, size: usize, subject: &Subject, threads: usize) -> anyhow::Result<Opened> {
+fn open(motion: &Motion, size: usize, subject: &Subject, request: &SceneRequest) -> anyhow::Result<Opened> {
     let mesh = liver(size)?;
     let folder = ScratchFolder::new()?;
     write_mesh(&folder.path().join("liver.vtu"), &mesh)?;
-    let (tool, end_s) = (motion.write)(&Place::of(&mesh));
+    let (mut tool, end_s) = (motion.write)(&Place::of(&mesh));
+    if request.hand_gives_way {
+        tool.insert_str(0, "[hand]\n");
+    }
     let path = folder.path().join("scene.toml");
     let mut step_s = subject.step_s;
     loop {
         std::fs::write(&path, scene_text(subject, step_s, &tool))?;
-        let source = OpenScene { n_threads: threads, ..OpenScene::read(&path)? };
+        let source = OpenScene { n_threads: request.threads, ..OpenScene::read(&path)? };
         let scene = source.scene.clone();
         match Simulation::open(source, None) {
             Ok(simulation) => {
@@ -295,13 +303,14 @@ fn run_scene(
     subject: &Subject,
     request: &SceneRequest,
 ) -> anyhow::Result<SceneOutcome> {
-    let mut opened = open(motion, size, subject, request.threads)?;
+    let mut opened = open(motion, size, subject, request)?;
     let Course { step_us, taken_s, greatest_force_n, inverted, broken_off } =
         run_through(&mut opened, request);
     let Opened { simulation, step_s, size, .. } = opened;
     let simulated_s = step_us.len() as f64 * step_s;
     Ok(SceneOutcome {
         case: motion.name,
+        hand_gives_way: request.hand_gives_way,
         size,
         threads: request.threads,
         model: subject.kind.name(),
@@ -371,6 +380,7 @@ mod tests {
         let request = SceneRequest {
             motion: None,
             model: Some("tensor_mass".into()),
+            hand_gives_way: false,
             sizes: vec![500],
             threads: 1,
             seconds: 60.0,

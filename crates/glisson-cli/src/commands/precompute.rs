@@ -349,7 +349,7 @@ impl Answer {
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let is_scene = args.input.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
     let body = if is_scene { body_of_scene(args)? } else { body_of_mesh(args)? };
-    let fixed_nodes = body.nodes_fixed_wholly(ModelKind::Precomputed)?;
+    let fixed_nodes = ModelKind::Precomputed.row().nodes_fixed_wholly(&body)?;
     let OrganBody { mesh, material, .. } = body;
 
     let progress = Progress::new()?;

@@ -2,7 +2,7 @@
 //! simulation stands still now and then. `docs/bench.md` says how to read the result.
 
 use super::core_use::{CoreUse, Moment};
-use super::empty_loop;
+use super::{Answer, Tell, Trial, TrialRequest, empty_loop};
 use crate::bodies::liver;
 use crate::scratch::ScratchFolder;
 use anyhow::{Context, bail, ensure};
@@ -14,7 +14,7 @@ use glisson_runtime::haptic_loop::{HapticReport, HapticSettings, Meters, WARM_UP
 use glisson_runtime::histogram::{GreatestValue, Histogram};
 use glisson_runtime::live::Stalls;
 use glisson_runtime::pace::StepTimes;
-use glisson_runtime::realtime::OwnCore;
+use glisson_runtime::realtime::{CoreKept, OwnCore};
 use glisson_runtime::{OpenScene, Simulation};
 use glisson_view::server::access::Access;
 use glisson_view::server::{self, Served, Service};
@@ -44,18 +44,45 @@ const LEAST_RATE_SHARE: f64 = 0.8;
 /// Name of the loop's thread.
 const HAPTIC_THREAD: &str = "haptics";
 
+pub(super) const TRIAL: Trial = Trial {
+    name: "haptics",
+    about: "the haptic loop beside a simulation and a viewer, with stalls and without",
+    measure: run,
+};
+
+/// The liver of the demo.
+const USUAL_TETS: usize = 6_300;
+/// Time of each of the two runs [s].
+const USUAL_SECONDS: f64 = 10.0;
+
+fn run(request: &TrialRequest, tell: Tell<'_>) -> anyhow::Result<Answer> {
+    let n_tets = match request.sizes.as_deref() {
+        None => USUAL_TETS,
+        Some(&[n_tets]) if n_tets > 0 => n_tets,
+        Some(sizes) => bail!("--sizes {sizes:?}: the benchmark haptics takes one size above 0"),
+    };
+    let program =
+        std::env::current_exe().context("finding this program, whose verb `watch` is the viewer")?;
+    // As `glisson serve` does, before any thread is started; the viewer's process keeps away, too.
+    let kept = CoreKept::keep(None);
+    let seconds = request.seconds.unwrap_or(USUAL_SECONDS);
+    let request = HapticsRequest { seconds, rate_hz: request.rate_hz, n_tets, core: kept.core(), program };
+    let answer = measure(&request, tell)?;
+    Ok(Answer { json: format!("{answer:#}"), text: to_text(&answer) })
+}
+
 /// What to measure.
-pub struct HapticsRequest {
+struct HapticsRequest {
     /// Time of each of the two runs [s].
-    pub seconds: f64,
+    seconds: f64,
     /// Ticks a second.
-    pub rate_hz: f64,
+    rate_hz: f64,
     /// Size of the body.
-    pub n_tets: usize,
+    n_tets: usize,
     /// Where the loop stays.
-    pub core: OwnCore,
+    core: OwnCore,
     /// The program whose verb `watch` is the viewer.
-    pub program: PathBuf,
+    program: PathBuf,
 }
 
 /// One of the two runs.
@@ -119,7 +146,7 @@ impl HapticDevice for Counting {
 ///
 /// # Errors
 /// For a bad setting, and when something cannot be set up.
-pub fn measure(request: &HapticsRequest, tell: &dyn Fn(&str, usize, usize)) -> anyhow::Result<Value> {
+fn measure(request: &HapticsRequest, tell: Tell<'_>) -> anyhow::Result<Value> {
     ensure!(
         request.seconds >= 1.0 && request.seconds <= 3_600.0,
         "--seconds {}: must be 1 to 3600 for the benchmark haptics",
@@ -240,7 +267,7 @@ impl Run {
 }
 
 /// As text: the figures that matter.
-pub fn to_text(answer: &Value) -> String {
+fn to_text(answer: &Value) -> String {
     let mut text = format!(
         "haptic loop beside {} tetrahedra ({}) and a viewer, {} s each; {}\n",
         answer["tetrahedra"], answer["model"], answer["seconds"], answer["scheduling"]

@@ -42,8 +42,16 @@ pub(super) const CASES: &[Case] = &[
         prepare: averaged,
     },
     Case {
+        name: "implicit_step_stable",
+        about: "as implicit_step with the stable neo-Hookean law",
+        per: "step",
+        sizes: &[6_300],
+        parallel: false,
+        prepare: stable,
+    },
+    Case {
         name: "implicit_step_general",
-        about: "as implicit_step with the stable neo-Hookean law through the general path",
+        about: "the same through the path for any law",
         per: "step",
         sizes: &[6_300],
         parallel: false,
@@ -82,6 +90,11 @@ fn nu_049(settings: Settings) -> anyhow::Result<Prepared> {
 fn averaged(settings: Settings) -> anyhow::Result<Prepared> {
     let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.49)?);
     prepare(settings, &law, VolumeResistance::NodeAveraged, None)
+}
+
+fn stable(settings: Settings) -> anyhow::Result<Prepared> {
+    let law = ImplicitLaw::from(StableNeoHooke::from(&with_poisson_ratio(settings, 0.45)?));
+    prepare(settings, &law, VolumeResistance::Element, None)
 }
 
 fn general(settings: Settings) -> anyhow::Result<Prepared> {

@@ -1,6 +1,7 @@
 //! What a link between two machines adds: this process has the hands, another one (the same program) answers each of their
 //! moves, as a simulation would that needs no time.
 
+use super::{Answer, Tell, Trial, TrialRequest};
 use anyhow::{Context, ensure};
 use glisson::haptics::HapticModel;
 use glisson::math::DVec3;
@@ -28,16 +29,30 @@ use std::time::{Duration, Instant};
 /// How long the two processes may take to find each other.
 const PATIENCE: Duration = Duration::from_secs(30);
 
+pub(super) const TRIAL: Trial =
+    Trial { name: "link", about: "what a link between two machines adds", measure: run };
+
+/// How long to measure [s].
+const USUAL_SECONDS: f64 = 10.0;
+
+/// Says nothing meanwhile, so that no thread takes the cores that it measures on.
+fn run(request: &TrialRequest, _: Tell<'_>) -> anyhow::Result<Answer> {
+    let program = std::env::current_exe().context("finding this program, whose second process answers")?;
+    let (seconds, link) = (request.seconds.unwrap_or(USUAL_SECONDS), request.link.clone());
+    let answer = measure(&LinkRequest { seconds, rate_hz: request.rate_hz, link, program })?;
+    Ok(Answer { json: format!("{answer:#}"), text: to_text(&answer) })
+}
+
 /// What to measure.
-pub struct LinkRequest {
+struct LinkRequest {
     /// How long to measure [s].
-    pub seconds: f64,
+    seconds: f64,
     /// Moves a second.
-    pub rate_hz: f64,
+    rate_hz: f64,
     /// A free port of this machine for none.
-    pub link: Option<LinkAddress>,
+    link: Option<LinkAddress>,
     /// This program, which is started once more.
-    pub program: PathBuf,
+    program: PathBuf,
 }
 
 fn home() -> ToolInput {
@@ -129,7 +144,7 @@ fn wait_until_up(conversation: &Conversation, address: &str) -> anyhow::Result<(
 ///
 /// # Errors
 /// When the other process cannot be started or does not answer.
-pub fn measure(request: &LinkRequest) -> anyhow::Result<Value> {
+fn measure(request: &LinkRequest) -> anyhow::Result<Value> {
     ensure!(
         request.seconds > 0.0 && request.seconds <= 600.0,
         "--seconds {}: must be above 0 and at most 600",
@@ -239,7 +254,7 @@ fn time_answers(
 }
 
 /// For people.
-pub fn to_text(answer: &Value) -> String {
+fn to_text(answer: &Value) -> String {
     let of = |name: &str| {
         let p = &answer[name];
         format!(

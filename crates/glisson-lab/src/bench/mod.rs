@@ -1,7 +1,8 @@
 //! Benchmarks: what a part of the program costs, beside what the machine could do at most.
 //!
 //! A [`Case`] has a name, sizes and a function that sets up and returns the closure to time. Adding one is an entry in the
-//! `CASES` of the file it belongs to, or a new file with its line in the table of this one. `docs/bench.md` says how to read the result.
+//! `CASES` of the file it belongs to, or a new file with its line in the table of this one. A [`Trial`] is a benchmark that
+//! is more than a closure; it has its line in a table, too. `docs/bench.md` says how to read the result.
 
 mod machine;
 mod model_edits;
@@ -31,9 +32,9 @@ mod mesh_edits;
 mod cut_subdivision;
 mod core_use;
 mod empty_loop;
-pub mod haptics;
+mod haptics;
 pub mod link;
-pub mod scene;
+mod scene;
 
 pub use machine::{Machine, MachineBudget};
 pub(crate) use timing::thread_cpu_ns;
@@ -41,6 +42,7 @@ pub(crate) use timing::thread_cpu_ns;
 use machine::isa_name;
 
 use anyhow::{Context, bail, ensure};
+use glisson_net::link_address::LinkAddress;
 use timing::{Clock, time_of};
 
 /// What a case is set up for.
@@ -128,13 +130,67 @@ pub fn cases() -> Vec<Case> {
     CASES.concat()
 }
 
+/// A benchmark that times no closure, but a whole program at work. It takes its own time, and does not run with all.
+pub struct Trial {
+    /// Name on the command line and in the result.
+    pub name: &'static str,
+    /// One line: what is measured.
+    pub about: &'static str,
+    /// Measures; hears what comes next with `tell` (name, number done, number in all). Called while the program has no other
+    /// thread, which the first call of `tell` may start.
+    pub measure: fn(&TrialRequest, Tell<'_>) -> anyhow::Result<Answer>,
+}
+
+/// Hears what comes next: its name, the number done, the number in all.
+pub type Tell<'a> = &'a dyn Fn(&str, usize, usize);
+
+/// The benchmarks that are no cases. A new one is a file (and its `mod` above) and its name here.
+pub const TRIALS: &[Trial] = &[haptics::TRIAL, link::TRIAL, scene::TRIAL];
+
+/// What a [`Trial`] may be asked; each says in `docs/bench.md` what it takes.
+#[derive(Clone, Debug)]
+pub struct TrialRequest {
+    /// Sizes instead of its own.
+    pub sizes: Option<Vec<usize>>,
+    /// Time instead of its own [s].
+    pub seconds: Option<f64>,
+    /// Threads of models that can use several.
+    pub threads: usize,
+    /// Ticks a second [Hz].
+    pub rate_hz: f64,
+    /// How two processes reach each other; a free port of this machine for none.
+    pub link: Option<LinkAddress>,
+    /// One motion; all for none.
+    pub motion: Option<String>,
+    /// One model; all for none.
+    pub model: Option<String>,
+    /// Whether hands give way instead of imposing their motion.
+    pub hand_gives_way: bool,
+}
+
+/// What a [`Trial`] found.
+pub struct Answer {
+    /// For programs.
+    pub json: String,
+    /// For people.
+    pub text: String,
+}
+
+/// What a name stands for.
+pub enum Chosen {
+    /// These cases.
+    Cases(Vec<Case>),
+    /// This benchmark that is no case.
+    Trial(&'static Trial),
+}
+
 /// Names for several cases at once.
 const GROUPS: &[(&str, &[&str])] = &[("precomputed_response", precomputed::RESPONSES)];
 
-/// What to measure.
+/// How to measure cases.
 #[derive(Clone, Debug)]
 pub struct Request {
-    /// A case's name; all for none.
+    /// What was asked for; all for none.
     pub name: Option<String>,
     /// Sizes instead of the case's own.
     pub sizes: Option<Vec<usize>>,
@@ -192,32 +248,33 @@ pub struct Report {
     pub(crate) results: Vec<Outcome>,
 }
 
-/// The cases that `request` asks for.
+/// What the name of a benchmark stands for; every case for none.
 ///
 /// # Errors
-/// For a name that is no case, with the list and the probable meaning.
-pub(crate) fn chosen(name: Option<&str>) -> anyhow::Result<Vec<Case>> {
+/// For a name that is no benchmark, with the list and the probable meaning.
+pub fn chosen(name: Option<&str>) -> anyhow::Result<Chosen> {
     let all = cases();
-    let Some(name) = name else { return Ok(all) };
+    let Some(name) = name else { return Ok(Chosen::Cases(all)) };
     if let Some(case) = all.iter().find(|case| case.name == name) {
-        return Ok(vec![*case]);
+        return Ok(Chosen::Cases(vec![*case]));
     }
     if let Some((_, of_group)) = GROUPS.iter().find(|(group, _)| *group == name) {
-        return Ok(all.into_iter().filter(|case| of_group.contains(&case.name)).collect());
+        return Ok(Chosen::Cases(all.into_iter().filter(|case| of_group.contains(&case.name)).collect()));
     }
-    let groups = GROUPS.iter().map(|(group, _)| *group);
-    let names: Vec<&str> = all.iter().map(|case| case.name).chain(groups).collect();
+    if let Some(trial) = TRIALS.iter().find(|trial| trial.name == name) {
+        return Ok(Chosen::Trial(trial));
+    }
+    let others = GROUPS.iter().map(|(group, _)| *group).chain(TRIALS.iter().map(|trial| trial.name));
+    let names: Vec<&str> = all.iter().map(|case| case.name).chain(others).collect();
     let hint = glisson::text::did_you_mean(name, &names);
     bail!("there is no benchmark {name:?}{hint}\nknown: {}", names.join(", "))
 }
 
-/// Measures the machine and what `request` asks for; `tell` hears before each case what comes
-/// (name, size, number done, number in all).
+/// Measures the machine and the cases; `tell` hears before each what comes.
 ///
 /// # Errors
-/// For an unknown name or a bad setting, or when a case cannot be set up.
-pub fn measure(request: &Request, tell: &dyn Fn(&str, usize, usize, usize)) -> anyhow::Result<Report> {
-    let cases = chosen(request.name.as_deref())?;
+/// For a bad setting, or when a case cannot be set up.
+pub fn measure(cases: &[Case], request: &Request, tell: Tell<'_>) -> anyhow::Result<Report> {
     ensure!(
         request.seconds > 0.0 && request.seconds.is_finite(),
         "--seconds {}: must be above 0",
@@ -228,11 +285,11 @@ pub fn measure(request: &Request, tell: &dyn Fn(&str, usize, usize, usize)) -> a
     let jobs: Vec<(Case, usize)> =
         cases.iter().flat_map(|case| sizes_of(case).into_iter().map(move |size| (*case, size))).collect();
     ensure!(jobs.iter().all(|(_, size)| *size > 0), "--sizes: a size must be above 0");
-    tell("machine", 0, 0, jobs.len());
+    tell("machine", 0, jobs.len());
     let machine = Machine::measure(request.machine)?;
     let mut results = Vec::new();
     for (done, (case, size)) in jobs.iter().enumerate() {
-        tell(case.name, *size, done, jobs.len());
+        tell(&format!("{} at {size}", case.name), done, jobs.len());
         let outcome = measure_case(case, *size, request, &machine)
             .with_context(|| format!("benchmark {} at size {size}", case.name))?;
         results.push(outcome);
@@ -342,9 +399,9 @@ fn readable(ns: f64) -> String {
 mod tests {
     use super::*;
 
-    fn tiny(name: Option<&str>, size: usize) -> Request {
+    fn tiny(size: usize) -> Request {
         Request {
-            name: name.map(str::to_owned),
+            name: None,
             sizes: Some(vec![size]),
             seconds: 1e-3,
             threads: 2,
@@ -354,7 +411,7 @@ mod tests {
 
     #[test]
     fn every_case_gives_a_result_of_the_promised_shape() {
-        let report = measure(&tiny(None, 1_000), &|_, _, _, _| {}).unwrap();
+        let report = measure(&cases(), &tiny(1_000), &|_, _, _| {}).unwrap();
         let json = serde_json::to_value(&report).unwrap();
         assert_eq!(json["bench"], "all");
         for field in ["fma_gflops_f64", "fma_gflops_f32"] {
@@ -382,20 +439,32 @@ mod tests {
 
     #[test]
     fn an_unknown_name_gets_the_list_and_a_guess() {
-        let message = chosen(Some("colision")).err().unwrap().to_string();
-        assert!(message.contains("did you mean \"collision\"?") && message.contains("known: "), "{message}");
-        assert!(chosen(Some("picture")).is_ok());
+        for (wrong, meant) in [("colision", "collision"), ("haptic", "haptics")] {
+            let message = chosen(Some(wrong)).err().unwrap().to_string();
+            assert!(message.contains(&format!("did you mean \"{meant}\"?")), "{message}");
+            assert!(message.contains("known: "), "{message}");
+        }
+        let n_cases = |name| match chosen(name).unwrap() {
+            Chosen::Cases(cases) => cases.len(),
+            Chosen::Trial(_) => 0,
+        };
+        assert_eq!([None, Some("picture")].map(n_cases), [cases().len(), 1]);
+        for trial in TRIALS {
+            let found = chosen(Some(trial.name)).unwrap();
+            assert!(matches!(found, Chosen::Trial(found) if found.name == trial.name));
+        }
     }
 
     #[test]
     fn names_are_unique_and_bad_settings_are_refused() {
-        let mut names: Vec<&str> = cases().iter().map(|case| case.name).collect();
+        let others = GROUPS.iter().map(|group| group.0).chain(TRIALS.iter().map(|trial| trial.name));
+        let mut names: Vec<&str> = cases().iter().map(|case| case.name).chain(others).collect();
         names.sort_unstable();
         assert!(names.windows(2).all(|pair| pair[0] != pair[1]));
-        let refused = |request: Request| measure(&request, &|_, _, _, _| {}).unwrap_err().to_string();
-        assert!(refused(Request { seconds: 0.0, ..tiny(None, 300) }).contains("--seconds"));
-        assert!(refused(Request { threads: 0, ..tiny(None, 300) }).contains("--threads"));
-        assert!(refused(tiny(None, 0)).contains("--sizes"));
+        let refused = |request: Request| measure(&cases(), &request, &|_, _, _| {}).unwrap_err().to_string();
+        assert!(refused(Request { seconds: 0.0, ..tiny(300) }).contains("--seconds"));
+        assert!(refused(Request { threads: 0, ..tiny(300) }).contains("--threads"));
+        assert!(refused(tiny(0)).contains("--sizes"));
     }
 
     #[test]

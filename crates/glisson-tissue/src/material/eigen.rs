@@ -53,16 +53,16 @@ pub fn eigen_symmetric<const N: usize>(matrix: &[[f64; N]; N]) -> ([f64; N], [[f
 }
 
 /// F = U diag(stretches) V^T with rotations U and V.
-pub(super) struct SignedSingularValues {
-    pub(super) u: DMat3,
+pub(crate) struct SignedSingularValues {
+    pub(crate) u: DMat3,
     /// Principal stretches; the one of least magnitude carries the sign of det F.
-    pub(super) stretches: [f64; 3],
-    pub(super) v: DMat3,
+    pub(crate) stretches: [f64; 3],
+    pub(crate) v: DMat3,
 }
 
 /// The decomposition with rotations on both sides (Irving, Teran and Fedkiw 2004,
 /// doi 10.1145/1028523.1028541), by one-sided Jacobi: columns of F V are made orthogonal.
-pub(super) fn signed_singular_values(f: &DMat3) -> SignedSingularValues {
+pub(crate) fn signed_singular_values(f: &DMat3) -> SignedSingularValues {
     let mut a = [f.x_axis, f.y_axis, f.z_axis];
     let mut v = DVec3::AXES;
     for _ in 0..MOST_SWEEPS {

@@ -41,6 +41,20 @@ pub trait Material: Sync {
     fn projected_tangent_pa(&self, f: &DMat3) -> Tangent {
         projected(&self.tangent_pa(f))
     }
+
+    /// Lame's lambda and mu [Pa] nearest to the stiffness at rest: means over the axes.
+    fn lame_at_rest_pa(&self) -> [f64; 2] {
+        let tangent = self.tangent_pa(&DMat3::IDENTITY);
+        let lambda_pa = (tangent[0][4] + tangent[0][8] + tangent[4][8]) / 3.0;
+        let mu_pa = (tangent[1][1] + tangent[2][2] + tangent[5][5]) / 3.0;
+        [lambda_pa, mu_pa]
+    }
+
+    /// Whether the stress brings tissue that was turned inside out back to its shape. A law in which it has no number there, or
+    /// rests in its mirror image, does not: models let another law bring it back.
+    fn returns_from_inversion(&self) -> bool {
+        false
+    }
 }
 
 /// A borrowed law is a law: use `&[&dyn Material]` for mixed laws.
@@ -59,6 +73,14 @@ impl<M: Material + ?Sized> Material for &M {
 
     fn tangent_pa(&self, f: &DMat3) -> Tangent {
         (**self).tangent_pa(f)
+    }
+
+    fn lame_at_rest_pa(&self) -> [f64; 2] {
+        (**self).lame_at_rest_pa()
+    }
+
+    fn returns_from_inversion(&self) -> bool {
+        (**self).returns_from_inversion()
     }
 
     fn projected_tangent_pa(&self, f: &DMat3) -> Tangent {

@@ -179,6 +179,10 @@ impl LinearElastic {
 
 /// W as a function of F, with e = (F + F^T)/2 - Id: not rotation invariant.
 impl Material for LinearElastic {
+    fn returns_from_inversion(&self) -> bool {
+        true
+    }
+
     fn energy_density_j_per_m3(&self, f: &DMat3) -> f64 {
         let change = *f - DMat3::IDENTITY;
         0.5 * contraction(&self.first_piola_differential_pa(f, &change), &change)

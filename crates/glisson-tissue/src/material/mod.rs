@@ -21,6 +21,7 @@ mod table;
 pub mod tissues;
 
 pub use eigen::eigen_symmetric;
+pub(crate) use eigen::{SignedSingularValues, signed_singular_values};
 pub use holzapfel_gasser_ogden::{HolzapfelGasserOgden, HolzapfelGasserOgdenParameters};
 pub use law::{Material, Tangent, largest_tangent_eigenvalue_pa, projected};
 pub(crate) use law::{cofactor, cofactor_differential};

@@ -12,7 +12,7 @@ use super::law::{Tangent, add_square};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 
 /// The pairs of [`PrincipalDerivatives`]: pair k is the two stretches other than k.
-pub(super) const PAIRS: [[usize; 2]; 3] = [[1, 2], [2, 0], [0, 1]];
+pub(crate) const PAIRS: [[usize; 2]; 3] = [[1, 2], [2, 0], [0, 1]];
 
 /// Derivatives of W(s_0, s_1, s_2) [Pa].
 #[derive(Clone, Copy, Debug, PartialEq)]

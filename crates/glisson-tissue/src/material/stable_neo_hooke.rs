@@ -63,8 +63,23 @@ impl StableNeoHooke {
         Self { own_mu_pa, own_lambda_pa, rest_ratio: 1.0 + 0.75 * own_mu_pa / own_lambda_pa }
     }
 
+    /// Lame's first coefficient [Pa] at small strain.
+    pub fn lambda_pa(&self) -> f64 {
+        self.own_lambda_pa - 5.0 / 6.0 * self.mu_pa()
+    }
+
+    /// Shear modulus [Pa] at small strain.
+    pub fn mu_pa(&self) -> f64 {
+        0.75 * self.own_mu_pa
+    }
+
+    /// The law's own l and m [Pa].
+    pub(crate) fn own_pa(&self) -> [f64; 2] {
+        [self.own_lambda_pa, self.own_mu_pa]
+    }
+
     /// With k = 1 - 1/(I1 + 1), g = l (J - a) and c_i = dJ/ds_i, W_i = m k s_i + g c_i.
-    fn principal(&self, s: [f64; 3]) -> PrincipalDerivatives {
+    pub(crate) fn principal(&self, s: [f64; 3]) -> PrincipalDerivatives {
         let (mu, lambda) = (self.own_mu_pa, self.own_lambda_pa);
         let share = 1.0 / (s[0] * s[0] + s[1] * s[1] + s[2] * s[2] + 1.0);
         let shear = mu * (1.0 - share);
@@ -96,6 +111,10 @@ impl From<&LinearElastic> for StableNeoHooke {
 }
 
 impl Material for StableNeoHooke {
+    fn returns_from_inversion(&self) -> bool {
+        true
+    }
+
     fn energy_density_j_per_m3(&self, f: &DMat3) -> f64 {
         let squares = contraction(f, f);
         let away = f.determinant() - self.rest_ratio;

@@ -1,65 +1,58 @@
-//! The models by their scene names.
+//! The table of the models that scenes know: one line a model. A model's own file has its [`ModelRow`]; whoever reads models
+//! (scenes, sessions, contact, the viewer, tests) goes through this table.
 
-use crate::material::law_names;
+use super::{DeformableModel, ModelError, ModelRow, OrganBody};
+use super::{
+    explicit_kernel, extended_mass_spring, hybrid, implicit_row, mass_spring, nonlinear_tensor_mass,
+    precomputed, quasi_nonlinear, reduced, tensor_mass,
+};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Which model moves an organ.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ModelKind {
-    /// Linear elasticity through a pre-computed compliance: quasi-static, follows cuts.
-    Precomputed,
-    /// The pre-computed model with forces and displacements that follow measured curves; cannot be cut.
-    QuasiNonlinear,
-    /// St Venant-Kirchhoff in reduced coordinates: quasi-static, right under bending and turning, cannot be cut.
-    Reduced,
-    /// Linear tensor-mass: explicit dynamics, can be cut.
-    TensorMass,
-    /// St Venant-Kirchhoff tensor-mass as in the papers, the reference implementation: explicit dynamics, right
-    /// under large rotations, can be cut.
-    NonlinearTensorMass,
-    /// The fast kernel with any law, total Lagrangian explicit dynamics: can be cut, on several threads.
-    Explicit,
-    /// Implicit Euler with any law: large steps, can be cut.
-    Implicit,
-    /// Masses and springs on the edges: explicit dynamics, can be cut, no law of elasticity behind it.
-    MassSpring,
-    /// Forces from squared edge lengths, with viscosity: explicit dynamics, can be cut.
-    ExtendedMassSpring,
-    /// Pre-computed zones and tensor-mass ones, linear or of St Venant-Kirchhoff tissue, coupled exactly: can be cut.
-    Hybrid,
+macro_rules! models {
+    ($($kind:ident: $row:path,)+) => {
+        /// Which model moves an organ: its place in the table [`MODELS`].
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum ModelKind {
+            $(
+                #[doc = concat!("`", stringify!($row), "` says what it is.")]
+                $kind,
+            )+
+        }
+
+        impl ModelKind {
+            /// All kinds, in the order that messages list them.
+            pub const ALL: [Self; MODELS.len()] = [$(Self::$kind),+];
+        }
+
+        /// Every model, in the order of [`ModelKind::ALL`].
+        pub const MODELS: &[&ModelRow] = &[$(&$row),+];
+    };
+}
+
+models! {
+    Precomputed: precomputed::row::ROW,
+    TensorMass: tensor_mass::row::ROW,
+    NonlinearTensorMass: nonlinear_tensor_mass::row::ROW,
+    Explicit: explicit_kernel::row::ROW,
+    Implicit: implicit_row::ROW,
+    MassSpring: mass_spring::ROW,
+    ExtendedMassSpring: extended_mass_spring::row::ROW,
+    Hybrid: hybrid::row::ROW,
+    Reduced: reduced::row::ROW,
+    QuasiNonlinear: quasi_nonlinear::row::ROW,
 }
 
 impl ModelKind {
-    /// All kinds, in the order that messages list them.
-    pub const ALL: [Self; 10] = [
-        Self::Precomputed,
-        Self::TensorMass,
-        Self::NonlinearTensorMass,
-        Self::Explicit,
-        Self::Implicit,
-        Self::MassSpring,
-        Self::ExtendedMassSpring,
-        Self::Hybrid,
-        Self::Reduced,
-        Self::QuasiNonlinear,
-    ];
+    /// What the model tells about itself.
+    pub const fn row(self) -> &'static ModelRow {
+        MODELS[self as usize]
+    }
 
     /// The name in scene files.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Precomputed => "precomputed",
-            Self::TensorMass => "tensor_mass",
-            Self::NonlinearTensorMass => "nonlinear_tensor_mass",
-            Self::Explicit => "explicit",
-            Self::Implicit => "implicit",
-            Self::MassSpring => "mass_spring",
-            Self::ExtendedMassSpring => "extended_mass_spring",
-            Self::Hybrid => "hybrid",
-            Self::Reduced => "reduced",
-            Self::QuasiNonlinear => "quasi_nonlinear",
-        }
+        self.row().name
     }
 
     /// The kind with this scene name.
@@ -69,31 +62,37 @@ impl ModelKind {
 
     /// Names of the laws that the model can follow; the first is its own. None for springs without a law.
     pub fn laws(self) -> Vec<&'static str> {
-        match self {
-            Self::Precomputed | Self::QuasiNonlinear | Self::TensorMass => vec!["linear"],
-            Self::Hybrid => vec!["linear", "st_venant_kirchhoff"],
-            Self::NonlinearTensorMass | Self::Reduced => vec!["st_venant_kirchhoff"],
-            Self::Explicit => every_law_after(&["st_venant_kirchhoff"]),
-            Self::Implicit => every_law_after(&["neo_hooke_log", "stable_neo_hooke", "st_venant_kirchhoff"]),
-            Self::MassSpring => Vec::new(),
-            Self::ExtendedMassSpring => vec!["st_venant_kirchhoff", "neo_hooke_log"],
-        }
+        self.row().all_laws()
     }
 
-    /// Whether the model can follow a law of this name. [`Self::Explicit`] and [`Self::Implicit`] follow any, also one that
-    /// is not in the table of laws.
+    /// Whether the model can follow a law of this name.
     pub fn follows(self, law: &str) -> bool {
-        matches!(self, Self::Explicit | Self::Implicit) || self.laws().contains(&law)
+        self.row().follows(law)
     }
-}
-
-/// The names of all laws: those `first`, the others in the order of the table.
-fn every_law_after(first: &[&'static str]) -> Vec<&'static str> {
-    first.iter().copied().chain(law_names().filter(|name| !first.contains(name))).collect()
 }
 
 impl fmt::Display for ModelKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
+}
+
+/// Makes a model of an organ at rest: [`ModelRow::build`].
+///
+/// # Errors
+/// [`ModelError`] of the model.
+pub fn build_model(body: &OrganBody, kind: ModelKind) -> Result<Box<dyn DeformableModel>, ModelError> {
+    kind.row().build(body)
+}
+
+/// Makes a model of an organ from which tetrahedra are already gone: [`ModelRow::build_as_cut`].
+///
+/// # Errors
+/// As [`build_model`].
+pub fn build_model_as_cut(
+    body: &OrganBody,
+    kind: ModelKind,
+    live: &[bool],
+) -> Result<Box<dyn DeformableModel>, ModelError> {
+    kind.row().build_as_cut(body, live)
 }

@@ -48,6 +48,12 @@ pub struct LocalModel {
     pub force_n: Vec<DVec3>,
     /// C [m/N], 3n x 3n, symmetric, row 3 i + a for axis a of node i. Rows of fixed axes are zero.
     pub compliance_m_per_n: Vec<f64>,
+    /// Mass [kg] of each node; zero in a static model.
+    pub mass_kg: Vec<f64>,
+    /// Where the motion of the tissue takes each node in the period [m] under forces that would hold it as it is: C (M/h + D) v =
+    /// h v - C h K v, with the velocities v of the nodes beyond the rings too. Zero unless [`LocalWork::telling_drift`] asks
+    /// for it, and in a static model.
+    pub drift_m: Vec<DVec3>,
     /// The period [s] that C is for.
     pub period_s: f64,
     /// Rings of tetrahedra around the patch that C takes into account; none when it is exact.
@@ -78,6 +84,8 @@ impl LocalModel {
             position_m: Vec::with_capacity(n),
             force_n: Vec::with_capacity(n),
             compliance_m_per_n: Vec::with_capacity(9 * n * n),
+            mass_kg: Vec::with_capacity(n),
+            drift_m: Vec::with_capacity(n),
             period_s: 0.0,
             n_rings: None,
             is_inertial: false,
@@ -105,6 +113,10 @@ impl LocalModel {
         let n = 3 * self.nodes.len();
         self.compliance_m_per_n.clear();
         self.compliance_m_per_n.resize(n * n, 0.0);
+        self.mass_kg.clear();
+        self.mass_kg.resize(self.nodes.len(), 0.0);
+        self.drift_m.clear();
+        self.drift_m.resize(self.nodes.len(), DVec3::ZERO);
         self.period_s = period_s;
         self.n_rings = None;
         self.is_inertial = false;
@@ -161,6 +173,7 @@ pub struct LocalWork {
     least_rings: u32,
     most_rings: u32,
     tolerance: f64,
+    tells_drift: bool,
     /// Place in the region of each node plus one; zero outside.
     place: Vec<u32>,
     /// Nodes, those of the patch first.
@@ -177,6 +190,8 @@ pub struct LocalWork {
     entries: Vec<[f64; 9]>,
     /// Of each unknown.
     inverse_diagonal: Vec<f64>,
+    /// -h K v of each unknown [N]: what the elements answer to a motion that goes on for a period.
+    braking_n: Vec<f64>,
     vectors: [Vec<[f64; 8]>; 4],
 }
 
@@ -190,6 +205,7 @@ impl LocalWork {
             least_rings: LEAST_RINGS,
             most_rings: MOST_RINGS,
             tolerance: TOLERANCE,
+            tells_drift: false,
             place: vec![0; n_nodes],
             region: Vec::with_capacity(n),
             n_patch: 0,
@@ -200,6 +216,7 @@ impl LocalWork {
             columns: Vec::with_capacity(NEIGHBOURS * n),
             entries: Vec::with_capacity(NEIGHBOURS * n),
             inverse_diagonal: Vec::with_capacity(3 * n),
+            braking_n: Vec::with_capacity(3 * n),
             vectors: std::array::from_fn(|_| Vec::with_capacity(3 * n)),
         }
     }
@@ -220,6 +237,17 @@ impl LocalWork {
     #[must_use]
     pub fn from_one_ring(self) -> Self {
         Self { least_rings: 1, ..self }
+    }
+
+    /// Computes [`LocalModel::drift_m`] as well.
+    #[must_use]
+    pub fn telling_drift(self) -> Self {
+        Self { tells_drift: true, ..self }
+    }
+
+    /// Whether [`LocalModel::drift_m`] is asked for.
+    pub(in crate::model) fn tells_drift(&self) -> bool {
+        self.tells_drift
     }
 
     /// Sets the instruction set to compute with; the bits are the same on every one.
@@ -257,6 +285,7 @@ pub(in crate::model) trait LocalBody {
     fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness;
     /// Masses, supports and constraints.
     fn frame(&self) -> &dyn LocalFrame;
+    fn velocity_m_per_s(&self, n: usize) -> DVec3;
     /// Damping of masses and stiffness.
     fn damping(&self) -> Rayleigh {
         self.frame().damping()
@@ -368,8 +397,9 @@ fn between(stiffness: &TetStiffness) -> ElementStiffness {
 /// Computes C of a patch after [`LocalModel::start`]. Without a positive period it stays zero.
 pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out: &mut LocalModel) {
     let h_s = out.period_s;
-    for (node, force_n) in out.nodes.iter().zip(&mut out.force_n) {
-        *force_n = body.frame().load_on_n(node.index());
+    for (i, node) in out.nodes.iter().enumerate() {
+        out.force_n[i] = body.frame().load_on_n(node.index());
+        out.mass_kg[i] = body.frame().inertia_kg(node.index());
     }
     if !(h_s.is_finite() && h_s > 0.0) || out.nodes.is_empty() {
         return;
@@ -387,8 +417,13 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
         work.assemble(body, h_s);
     }
     out.n_rings = Some(n_rings);
+    if work.tells_drift {
+        for (node, drift_m) in out.nodes.iter().zip(&mut out.drift_m) {
+            *drift_m = body.velocity_m_per_s(node.index()) * h_s;
+        }
+    }
     match work.path.run_by_eight(Columns { work, out }) {
-        Solved::Never => inertial(body, h_s, out),
+        Solved::Never => inertial(body, h_s, work.tells_drift, out),
         solved => {
             out.missed_tolerance = solved == Solved::Partly;
             out.symmetrize();
@@ -404,7 +439,7 @@ fn rings_for(condition: f64) -> u32 {
 }
 
 /// C of the masses alone.
-fn inertial(body: &dyn LocalBody, h_s: f64, out: &mut LocalModel) {
+fn inertial(body: &dyn LocalBody, h_s: f64, tells_drift: bool, out: &mut LocalModel) {
     out.compliance_m_per_n.fill(0.0);
     out.is_inertial = true;
     for i in 0..out.nodes.len() {
@@ -413,6 +448,9 @@ fn inertial(body: &dyn LocalBody, h_s: f64, out: &mut LocalModel) {
         let free =
             body.frame().free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
         out.set_tensor(i, i, DMat3::from_diagonal(DVec3::from_array(free)));
+        if tells_drift {
+            out.drift_m[i] = body.velocity_m_per_s(n) * h_s;
+        }
     }
 }
 
@@ -526,6 +564,8 @@ impl LocalWork {
             self.add_block(i, i, DMat3::from_diagonal(DVec3::splat(of_mass)));
         }
         let per_stiffness = 1.0 + damping.stiffness_s / h_s;
+        self.braking_n.clear();
+        self.braking_n.resize(if self.tells_drift { 3 * n } else { 0 }, 0.0);
         let elements = body.elements();
         for e in 0..self.elements.len() {
             let e = self.elements[e] as usize;
@@ -538,6 +578,13 @@ impl LocalWork {
             }
             for (j, &row) in nodes.iter().enumerate() {
                 let Some(row) = self.place(row) else { continue };
+                if self.tells_drift {
+                    let way = |(k, node): (usize, &NodeId)| {
+                        stiffness[j][k] * (body.velocity_m_per_s(node.index()) * h_s)
+                    };
+                    let braking_n: DVec3 = nodes.iter().enumerate().map(way).sum();
+                    (0..3).for_each(|axis| self.braking_n[3 * row + axis] -= braking_n[axis]);
+                }
                 for (k, &column) in nodes.iter().enumerate() {
                     if let Some(column) = self.place(column) {
                         self.add_block(row, column, stiffness[j][k] * per_stiffness);
@@ -616,9 +663,10 @@ impl LaneBlockWork for Columns<'_> {
     fn run<V: LaneBlock>(self, zero: V) -> Solved {
         let Self { work, out } = self;
         let n_columns = 3 * out.nodes.len();
+        let n_right = n_columns + usize::from(!work.braking_n.is_empty());
         let mut solved = Solved::Wholly;
-        for first in (0..n_columns).step_by(8) {
-            let n_lanes = (n_columns - first).min(8);
+        for first in (0..n_right).step_by(8) {
+            let n_lanes = (n_right - first).min(8);
             match solve_eight(zero, work, first, n_lanes) {
                 Solved::Wholly => {}
                 Solved::Partly => solved = Solved::Partly,
@@ -626,8 +674,15 @@ impl LaneBlockWork for Columns<'_> {
             }
             let solution = &work.vectors[0];
             for row in 0..n_columns {
-                for lane in 0..n_lanes {
+                for lane in 0..n_lanes.min(n_columns.saturating_sub(first)) {
                     out.compliance_m_per_n[n_columns * row + first + lane] = solution[row][lane];
+                }
+            }
+            if let Some(lane) = (n_right > n_columns).then(|| n_columns.checked_sub(first)).flatten()
+                && lane < n_lanes
+            {
+                for (row, lanes) in solution[..n_columns].iter().enumerate() {
+                    out.drift_m[row / 3][row % 3] += lanes[lane];
                 }
             }
         }
@@ -638,9 +693,20 @@ impl LaneBlockWork for Columns<'_> {
 /// Conjugate gradients for unit forces on the unknowns from `first` on, into the first of the vectors.
 #[inline(always)]
 fn solve_eight<V: LaneBlock>(zero: V, work: &mut LocalWork, first: usize, n_lanes: usize) -> Solved {
-    let LocalWork { row_start, columns, entries, inverse_diagonal, vectors, tolerance, .. } = work;
+    let LocalWork {
+        row_start,
+        columns,
+        entries,
+        inverse_diagonal,
+        braking_n,
+        vectors,
+        tolerance,
+        n_patch,
+        ..
+    } = work;
     let matrix = Matrix { row_start, columns, entries };
-    let mut rho = start_eight(inverse_diagonal, vectors, first, n_lanes);
+    let n_columns = 3 * *n_patch;
+    let mut rho = start_eight((inverse_diagonal, braking_n), n_columns, vectors, first..first + n_lanes);
     let least = rho.map(|rho| *tolerance * *tolerance * rho);
     let is_done = |rho: &[f64; 8]| (0..8).all(|lane| rho[lane] <= least[lane]);
     for _ in 0..MOST_ITERATIONS {
@@ -671,14 +737,14 @@ fn solve_eight<V: LaneBlock>(zero: V, work: &mut LocalWork, first: usize, n_lane
     if is_done(&rho) { Solved::Wholly } else { Solved::Partly }
 }
 
-/// Sets x = 0, unit residuals r on the unknowns from `first` on, and the directions p = z for the inverse diagonal
-/// times r; r . z of each lane.
+/// Sets x = 0, unit residuals r on the unknowns of `right` (after the patch's the braking instead), and the directions
+/// p = z for the inverse diagonal times r; r . z of each lane.
 #[inline(always)]
 fn start_eight(
-    inverse_diagonal: &[f64],
+    (inverse_diagonal, braking_n): (&[f64], &[f64]),
+    n_columns: usize,
     vectors: &mut [Vec<[f64; 8]>; 4],
-    first: usize,
-    n_lanes: usize,
+    right: std::ops::Range<usize>,
 ) -> [f64; 8] {
     for vector in vectors.iter_mut() {
         vector.clear();
@@ -686,9 +752,12 @@ fn start_eight(
     }
     let [_, r, p, _] = vectors;
     // Unknowns that are not free have a zero in the preconditioner, and so stay zero.
-    for lane in 0..n_lanes {
-        let unknown = first + lane;
-        if inverse_diagonal[unknown] > 0.0 {
+    for (lane, unknown) in right.enumerate() {
+        if unknown >= n_columns {
+            for ((r, force_n), inverse) in r.iter_mut().zip(braking_n).zip(inverse_diagonal) {
+                r[lane] = if *inverse > 0.0 { *force_n } else { 0.0 };
+            }
+        } else if inverse_diagonal[unknown] > 0.0 {
             r[unknown][lane] = 1.0;
         }
     }

@@ -9,7 +9,8 @@
 //!
 //! It has no Poisson's ratio (what comes out is near 1/4) and resists no change of volume: a platform for tests and
 //! a thing to compare with, not a model of tissue (seed `000` s. 2.3.5). Links know no inverted tetrahedron, and their
-//! forces are finite in every shape: nothing is put in quarantine. A stress at rest is a further constant tension per
+//! forces are finite in every shape: nothing is put in quarantine. They rest in the mirror image too, from which a stand-in
+//! beside them brings tetrahedra back. A stress at rest is a further constant tension per
 //! length of the links, exactly F S0 of the tetrahedra; it balances the weight of volume-weighted masses.
 
 use super::explicit::{
@@ -18,11 +19,30 @@ use super::explicit::{
 };
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame};
 use super::topology_update::{TopologyUpdate, blend_tets};
-use super::{DynamicBody, Rayleigh, RestStress, TopologyRefusal};
+use super::{
+    DeformableModel, DynamicBody, ModelError, ModelRow, OrganBody, Rayleigh, RestStress, TopologyRefusal,
+};
+use crate::material::{LawChoice, StableNeoHooke};
+use crate::model::explicit::{Mover, Quarantine, StandIns};
 use crate::solve::{MeshEdges, P1Gradients};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
+
+pub(super) const ROW: ModelRow =
+    ModelRow::explicit("mass_spring", "masses and springs on the edges: explicit dynamics", &[], make);
+
+fn make(body: &OrganBody, _: Option<&LawChoice>) -> Result<Box<dyn DeformableModel>, ModelError> {
+    let params = MassSpringParams {
+        body: body.dynamic(),
+        young_modulus_pa: body.material.young_modulus_pa(),
+        masses: NodalMasses::VolumeWeighted,
+        link_damping_n_s_per_m: 0.0,
+        node_damping_n_s_per_m: 0.0,
+        integration: body.integration(),
+    };
+    Ok(Box::new(MassSpring::build(&params).map_err(ModelError::of_numbers)?))
+}
 
 /// How a body's mass is divided among its nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,7 +78,23 @@ struct Springs {
     stiffness_n_per_m: Vec<f64>,
     link_damping_n_s_per_m: f64,
     node_damping_n_s_per_m: f64,
+    tets: LiveTets,
+    stand_ins: StandIns,
 }
+
+/// What tetrahedra that are inside out do beside their springs, which rest in the mirror image too.
+fn stand_in(young_modulus_pa: f64) -> Result<StableNeoHooke, ExplicitError> {
+    let lame_pa = STAND_IN_SHARE * young_modulus_pa;
+    StableNeoHooke::new(lame_pa, lame_pa).map_err(|_| ExplicitError::Parameter {
+        what: "Young's modulus [Pa]",
+        found: young_modulus_pa,
+        allowed: "a finite number above 0",
+    })
+}
+
+/// Lame's coefficients of the stand-in over Young's modulus: half of those of the springs, whose Poisson's ratio is near 1/4, so
+/// that a step which is made for the springs bears both.
+const STAND_IN_SHARE: f64 = 0.2;
 
 impl InternalForces for Springs {
     fn add_forces(&mut self, positions_m: &[DVec3], velocities_m_per_s: &[DVec3], force_n: &mut [DVec3]) {
@@ -83,6 +119,13 @@ impl InternalForces for Springs {
                 *force -= self.node_damping_n_s_per_m * *v;
             }
         }
+        self.stand_ins.add_forces(positions_m, force_n);
+    }
+
+    fn quarantine(&mut self, positions_m: &[DVec3], rest_m: &[DVec3]) -> Quarantine {
+        self.stand_ins.find(&self.tets, positions_m, rest_m, |_| ());
+        // The springs count as ever: nothing is left out.
+        Quarantine::default()
     }
 }
 
@@ -94,7 +137,6 @@ pub struct MassSpring {
     masses: NodalMasses,
     body: ExplicitBody,
     springs: Springs,
-    tets: LiveTets,
     /// One a tetrahedron, or none.
     rest_stress_pa: Vec<RestStress>,
     /// For [`NodalMasses::Equal`].
@@ -151,8 +193,9 @@ impl MassSpring {
                 stiffness_n_per_m,
                 link_damping_n_s_per_m: params.link_damping_n_s_per_m,
                 node_damping_n_s_per_m: params.node_damping_n_s_per_m,
+                stand_ins: StandIns::new(stand_in(young_modulus_pa)?, mesh.tetrahedra.len()),
+                tets: LiveTets::of_mesh(mesh),
             },
-            tets: LiveTets::of_mesh(mesh),
             rest_stress_pa: body.rest_stress_pa.to_vec(),
             total_kg,
             at_node: vec![[0.0; 2]; mesh.positions_m.len()],
@@ -253,6 +296,7 @@ impl MassSpring {
         force_n: &mut [DVec3],
     ) {
         force_n.fill(DVec3::ZERO);
+        self.springs.stand_ins.clear();
         self.springs.add_forces(positions_m, velocities_m_per_s, force_n);
     }
 
@@ -271,19 +315,19 @@ impl MassSpring {
 
 impl MassSpring {
     fn gradients(&self, t: usize) -> P1Gradients {
-        P1Gradients::new(self.tets.nodes[t].map(|n| self.body.rest_m()[n.index()]))
+        P1Gradients::new(self.springs.tets.nodes[t].map(|n| self.body.rest_m()[n.index()]))
     }
 }
 
 impl Cuttable for MassSpring {
-    const NAME: &'static str = "mass_spring";
+    const NAME: &'static str = ROW.name;
 
     fn tets(&self) -> &LiveTets {
-        &self.tets
+        &self.springs.tets
     }
 
     fn tets_mut(&mut self) -> &mut LiveTets {
-        &mut self.tets
+        &mut self.springs.tets
     }
 
     fn rest_m(&self) -> &[DVec3] {
@@ -291,7 +335,7 @@ impl Cuttable for MassSpring {
     }
 
     fn remove_tet(&mut self, t: usize) {
-        let nodes = self.tets.nodes[t];
+        let nodes = self.springs.tets.nodes[t];
         // The rest positions are those from when it was added, so these are the numbers that were added then.
         let volume_m3 = self.gradients(t).volume_m3;
         self.total_kg -= self.density_kg_per_m3 * volume_m3;
@@ -329,7 +373,8 @@ impl Cuttable for MassSpring {
         self.at_node.resize(growth.n_nodes, [0.0; 2]);
         blend_tets(&mut self.rest_stress_pa, change);
         let springs = &mut self.springs;
-        let insertions = springs.edges.grow(&self.tets, &growth.added);
+        springs.stand_ins.make_room(growth.n_tets);
+        let insertions = springs.edges.grow(&springs.tets, &growth.added);
         insertions.spread(&mut springs.rest_m, 0.0);
         insertions.spread(&mut springs.stiffness_n_per_m, 0.0);
         springs.rest_tensions.grow(&insertions, growth.n_tets);
@@ -343,7 +388,7 @@ impl Cuttable for MassSpring {
     }
 
     fn add_tet(&mut self, t: usize) {
-        let (nodes, gradients) = (self.tets.nodes[t], self.gradients(t));
+        let (nodes, gradients) = (self.springs.tets.nodes[t], self.gradients(t));
         let volume_m3 = gradients.volume_m3;
         self.total_kg += self.density_kg_per_m3 * volume_m3;
         self.body.add_tet(t, nodes, volume_m3, None);
@@ -364,7 +409,7 @@ impl Cuttable for MassSpring {
     }
 
     fn compact(&mut self, new_ids: &[Option<NodeId>]) {
-        let live_tets = &self.tets.is_live;
+        let live_tets = &self.springs.tets.is_live;
         if !self.rest_stress_pa.is_empty() {
             keep(&mut self.rest_stress_pa, live_tets);
         }
@@ -406,6 +451,10 @@ impl LocalBody for MassSpring {
 
     fn frame(&self) -> &dyn LocalFrame {
         &self.body
+    }
+
+    fn velocity_m_per_s(&self, n: usize) -> DVec3 {
+        self.body.state().velocities_m_per_s[n]
     }
 
     fn damping(&self) -> Rayleigh {

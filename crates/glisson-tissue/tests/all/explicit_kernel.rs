@@ -376,7 +376,9 @@ fn limiting_tetrahedra_become_heavier_when_the_body_is_cut_and_no_step_is_divide
             model.apply(&inputs);
             model.step(whole.time_step_s);
             let report = model.report();
-            assert!(!report.energy_was_limited && report.n_parts == 1, "step {step}: {report:?}");
+            // Tissue that turns inside out changes its law, which may cost energy that has to be taken out.
+            let is_calm = !report.energy_was_limited || report.n_quarantined_tets > 0;
+            assert!(is_calm && report.n_parts == 1, "step {step}: {report:?}");
         }
         // Everything gone: nothing is heavier.
         let tets = editable.topology().live_tets().collect();

@@ -50,10 +50,9 @@ fn a_node_thrown_through_its_neighbours_comes_back() {
     }
 }
 
-/// Turned inside out, a tetrahedron exerts nothing, whatever its law and its stress at rest; pushed back through its base it
-/// is one again.
+/// Turned inside out, a tetrahedron whose law rests in the mirror image, or knows nothing there, is brought back through its base.
 #[test]
-fn an_inverted_tetrahedron_exerts_no_force_until_it_is_upright() {
+fn an_inverted_tetrahedron_is_brought_back() {
     let mesh = TetMesh {
         positions_m: vec![
             DVec3::ZERO,
@@ -80,11 +79,6 @@ fn an_inverted_tetrahedron_exerts_no_force_until_it_is_upright() {
         model.step(STEP_S);
         let report = model.report();
         assert_eq!((report.n_quarantined_tets, report.first_quarantined), (1, Some(TetId(0))), "{kind:?}");
-        // Weight alone, with the drag of the first step.
-        let fallen_m = (model.state().positions_m[3] - inverted[3]) / (STEP_S * STEP_S);
-        assert!((fallen_m - GRAVITY_M_PER_S2).length() < 0.01 * 9.81, "{kind:?}: {fallen_m}");
-        let lifted = NodalForce { node: NodeId(3), force_n: DVec3::Z * 0.05 };
-        model.apply(&Constraints { displacements: Vec::new(), forces: vec![lifted] });
         let mut n_steps = 0;
         while model.report().n_quarantined_tets > 0 {
             model.step(STEP_S);

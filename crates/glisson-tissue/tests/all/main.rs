@@ -19,6 +19,7 @@ mod local_model;
 mod mass_spring;
 mod model_edits;
 mod model_meshes;
+mod model_table;
 mod models_agree;
 mod near_incompressible;
 mod nonlinear_reference;

@@ -13,7 +13,7 @@ use glisson_tissue::model::{Constraints, DeformableModel, ImposedDisplacement};
 
 use crate::model_meshes::{relative_difference, rounded_block, shaken_block};
 use crate::sample_edits::moved_and_divided;
-use bodies::{Body, KINDS, Kind};
+use bodies::{Body, Kind, kinds};
 
 /// A block, a slab one cell thick, or a rounded body.
 fn mesh_of(kind: usize, seed: u64) -> TetMesh {
@@ -125,7 +125,7 @@ fn check_equal_to_fresh(
     context: &str,
 ) {
     let rest_m = &mesh.mesh().positions_m;
-    let fresh = (kind.build)(&body.live(mesh));
+    let fresh = kind.build(&body.live(mesh));
     let bent =
         |x: DVec3| x + DVec3::new(0.8 * x.z * x.z, 0.1 * x.x - 0.5 * x.y * x.z, 0.15 * x.z - x.x * x.x);
     let present_m = model.state().positions_m.to_vec();
@@ -149,14 +149,14 @@ fn check_equal_to_fresh(
 
 #[test]
 fn after_any_edits_models_equal_fresh_ones() {
-    for (at, kind) in KINDS.iter().enumerate() {
+    for (at, kind) in kinds().iter().enumerate() {
         for shape in 0..3 {
             let mut random = SeededRandom::new(100 * at as u64 + shape as u64);
             let is_parted = shape == 2 && kind.has_short_undo[1];
             let whole = if is_parted { large_mesh() } else { mesh_of(shape, random.next_u64()) };
             let mut mesh = EditableMesh::new(whole).unwrap();
             let mut body = Body::of(mesh.mesh().clone(), &mut random);
-            let mut model = (kind.build)(&body);
+            let mut model = kind.build(&body);
             let moved: Vec<DVec3> =
                 mesh.mesh().positions_m.iter().map(|x| *x + 0.1 * x.z * DVec3::X).collect();
             model.take_over(&moved);
@@ -184,12 +184,12 @@ fn after_any_edits_models_equal_fresh_ones() {
 fn new_and_moved_nodes_stand_in_the_deformed_tissue() {
     let gradient =
         DMat3::from_cols(DVec3::new(1.1, 0.2, 0.0), DVec3::new(-0.1, 0.95, 0.1), DVec3::new(0.05, 0.0, 1.2));
-    for kind in KINDS {
+    for kind in kinds() {
         let mut random = SeededRandom::new(3);
         let mut mesh = EditableMesh::new(mesh_of(0, 5)).unwrap();
         let mut body = Body::of(mesh.mesh().clone(), &mut random);
         body.fixed.clear();
-        let mut model = (kind.build)(&body);
+        let mut model = kind.build(&body);
         let at_m: Vec<DVec3> = mesh.mesh().positions_m.iter().map(|x| gradient * *x).collect();
         model.take_over(&at_m);
         for turn in 0..18 {
@@ -206,11 +206,11 @@ fn new_and_moved_nodes_stand_in_the_deformed_tissue() {
 
 #[test]
 fn unsound_edits_are_refused_and_change_nothing() {
-    for kind in KINDS {
+    for kind in kinds() {
         let mut random = SeededRandom::new(8);
         let mut mesh = EditableMesh::new(mesh_of(0, 5)).unwrap();
         let body = Body::of(mesh.mesh().clone(), &mut random);
-        let mut model = (kind.build)(&body);
+        let mut model = kind.build(&body);
         let before = model.duplicate();
         let (change, _) = next_edit(&mut random, &mut mesh, 3);
         let mut bad = mesh.mesh().clone();

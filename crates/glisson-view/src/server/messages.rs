@@ -2,7 +2,7 @@
 
 use super::hands::FeltBy;
 use glisson::math::{Aabb, DVec3};
-use glisson::model::kind::ModelKind;
+use glisson::model::kind::{MODELS, ModelKind};
 use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
 use glisson::tool::{Tool, ToolInput};
 use glisson_runtime::devices::viewer::GREATEST_FORCE_N;
@@ -35,10 +35,10 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
         },
         "bounds": { "min_m": bounds.min_m.to_array(), "max_m": bounds.max_m.to_array() },
         "tools": spec.tools.iter().map(described).collect::<Vec<_>>(),
-        "models": ModelKind::ALL
-            .into_iter()
-            .filter(|kind| *kind != ModelKind::QuasiNonlinear || simulation.body().measured.is_some())
-            .map(ModelKind::name)
+        "models": MODELS
+            .iter()
+            .filter(|row| !row.follows_curves || simulation.body().measured.is_some())
+            .map(|row| row.name)
             .collect::<Vec<_>>(),
         "fixed_nodes": organ.fixed_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
     })

@@ -49,6 +49,8 @@ pub struct Contact {
     pub moved_m: DVec3,
     /// Coefficient of friction.
     pub friction: f64,
+    /// Whether it may pull, and never slips.
+    pub sticks: bool,
     /// Force on the first partner [N].
     pub force_n: DVec3,
     /// 1/compliance along the normal and across it [N/m]; zero where nothing yields.
@@ -68,6 +70,7 @@ impl Contact {
             slack_m: gap_m.max(0.0),
             moved_m: DVec3::ZERO,
             friction: 0.0,
+            sticks: false,
             force_n: DVec3::ZERO,
             stiffness_n_per_m: [0.0; 2],
         }
@@ -138,6 +141,16 @@ impl Response {
             slots: vec![[NO_SLOT; 2]; n_vertices],
             groups: vec![CoupledVertices::default(); n_groups],
         }
+    }
+
+    /// Makes room for groups of so many vertices: later calls allocate nothing.
+    #[must_use]
+    pub fn with_room_for_groups_of(mut self, n: usize) -> Self {
+        for group in &mut self.groups {
+            group.vertices.reserve(n);
+            group.compliance_m_per_n.reserve(n * n);
+        }
+        self
     }
 
     /// Sets how a vertex answers alone.
@@ -255,8 +268,9 @@ fn relax(contact: &mut Contact, response: &Response, moves_m: &mut [DVec3]) {
     let normal = contact.normal;
     let u = contact.relative_m(moves_m);
     let before_n = contact.force_n.dot(normal);
-    let normal_n = (before_n - along * (u.dot(normal) + contact.slack_m)).max(0.0);
-    if contact.friction == 0.0 {
+    let wanted_n = before_n - along * (u.dot(normal) + contact.slack_m);
+    let normal_n = if contact.sticks { wanted_n } else { wanted_n.max(0.0) };
+    if contact.friction == 0.0 && !contact.sticks {
         change(contact, normal * (normal_n - before_n), response, moves_m);
         contact.force_n = normal * normal_n;
         return;
@@ -265,7 +279,7 @@ fn relax(contact: &mut Contact, response: &Response, moves_m: &mut [DVec3]) {
     let u = contact.relative_m(moves_m);
     let across_n = contact.force_n - normal * before_n;
     let wanted_n = across_n - (u - normal * u.dot(normal)) * across;
-    let friction_n = limited(wanted_n, contact.friction * normal_n);
+    let friction_n = if contact.sticks { wanted_n } else { limited(wanted_n, contact.friction * normal_n) };
     change(contact, friction_n - across_n, response, moves_m);
     contact.force_n = normal * normal_n + friction_n;
 }

@@ -1,26 +1,89 @@
 //! From a scene to a world at rest: reads the mesh, finds the material, makes the model.
 
-use super::body::{BuildError, OrganBody, material_text};
-use super::models::build_model;
-use super::organ::{MaterialSource, MeasuredSample};
+use super::organ::MaterialSource;
 use super::spec::Scene;
 use crate::contact::shapes::MeshShape;
-use crate::image::vessels::read_vessels;
-use crate::material::LinearElastic;
-use crate::material::tissues::Tissue;
+use crate::image::vessels::{VesselFileError, read_vessels};
+use crate::material::tissues::{Tissue, TissueError};
+use crate::material::{LinearElastic, MaterialError};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::mesh::faults::{FaultAction, ImportPolicy};
-use crate::mesh::files::read_mesh_with;
+use crate::mesh::files::{MeshFileError, read_mesh_with};
 use crate::model::explicit_kernel::SharedWorkers;
+use crate::model::kind::build_model;
 use crate::model::precomputed::{self};
+use crate::model::{BodyZone, MeasuredSample, ModelError, OrganBody};
 use crate::solve::equilibrating_stress;
-use crate::surface::files::import_closed_surface;
+use crate::surface::files::{SurfaceFileError, import_closed_surface};
 use crate::tool::fracture::Tearing;
 use crate::tool::{Tool, ToolShape};
 use crate::world::World;
+use crate::world::organ::OrganError;
 use crate::world::spec::{Region, WorldSpec, attachments, fixed_nodes, nodes_in};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// Why a scene gives no world.
+#[derive(Debug, thiserror::Error)]
+pub enum BuildError {
+    /// The mesh file.
+    #[error(transparent)]
+    MeshFile(#[from] MeshFileError),
+    /// The mesh is no body.
+    #[error("{}: {error}", file.display())]
+    Organ {
+        /// The mesh file.
+        file: PathBuf,
+        /// What is wrong with it.
+        error: OrganError,
+    },
+    /// The surface of an instrument's tip.
+    #[error(transparent)]
+    ToolShape(#[from] SurfaceFileError),
+    /// The organ's vessels.
+    #[error(transparent)]
+    Vessels(#[from] VesselFileError),
+    /// The tissue's name or numbers.
+    #[error(transparent)]
+    Tissue(#[from] TissueError),
+    /// The material's numbers.
+    #[error(transparent)]
+    Material(#[from] MaterialError),
+    /// Nothing holds the organ.
+    #[error(
+        "no node of {} lies in the scene's fixed regions ({n_regions} given): the organ would float; \
+         add [[organ.fixed]] with a region that holds some of it (the mesh spans {min_mm} to {max_mm} mm)",
+        file.display()
+    )]
+    NothingFixed {
+        /// The mesh file.
+        file: PathBuf,
+        /// Regions in the scene.
+        n_regions: usize,
+        /// Smallest corner of the mesh [mm].
+        min_mm: DVec3,
+        /// Largest corner of the mesh [mm].
+        max_mm: DVec3,
+    },
+    /// A part of the scene that no node of the mesh belongs to.
+    #[error(
+        "no node of {} lies in the region of {what}: it would do nothing (the mesh spans {min_mm:.1} to {max_mm:.1} mm)",
+        file.display()
+    )]
+    EmptyRegion {
+        /// The mesh file.
+        file: PathBuf,
+        /// Which table, with its number from 1.
+        what: String,
+        /// Smallest corner of the mesh [mm].
+        min_mm: DVec3,
+        /// Largest corner of the mesh [mm].
+        max_mm: DVec3,
+    },
+    /// The model that the scene asks for.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+}
 
 /// A closed surface as the shape of a tip, in the frame of the tool.
 fn read_tool_shape(file: &Path) -> Result<MeshShape, BuildError> {
@@ -87,7 +150,7 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
         return Err(BuildError::NothingFixed { file, n_regions: supports.len(), min_mm, max_mm });
     }
     let mut body = OrganBody::new(mesh, material, *time_step_s);
-    body.material_text = material_text(&name, &material);
+    body.material_text.insert_str(0, &name);
     body.law.clone_from(&scene.organ.law);
     body.relaxation.clone_from(&scene.organ.relaxation);
     body.fibre = scene.organ.fibre;
@@ -100,11 +163,14 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
         let (fixed, attachments) = (&body.fixed, &body.attachments);
         body.rest_stress_pa =
             equilibrating_stress(&body.mesh, &body.material, fixed, attachments, body.gravity_m_per_s2)
-                .map_err(BuildError::RestStress)?;
+                .map_err(ModelError::RestStress)?;
     }
     body.damping = scene.organ.damping;
     body.most_parts = scene.most_parts;
-    body.zones.clone_from(&scene.organ.zones);
+    let zones = scene.organ.zones.iter();
+    body.zones = zones
+        .map(|zone| BodyZone { nodes: nodes_in(&[zone.region], &body.mesh.positions_m), law: zone.law })
+        .collect();
     body.measured = scene
         .organ
         .measured

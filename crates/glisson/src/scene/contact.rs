@@ -2,18 +2,8 @@
 
 use super::reader::{SceneError, Section};
 use crate::contact::response::self_contact::SelfContactParams;
-use crate::model::kind::ModelKind;
+use crate::model::kind::{MODELS, ModelKind};
 use crate::units::Dimension;
-
-/// Models that tell how the result of a step answers to further forces, which the geometric response asks.
-const TELLS_ITS_ANSWER: [ModelKind; 6] = [
-    ModelKind::TensorMass,
-    ModelKind::NonlinearTensorMass,
-    ModelKind::Explicit,
-    ModelKind::Implicit,
-    ModelKind::MassSpring,
-    ModelKind::ExtendedMassSpring,
-];
 
 /// None when the organ does not touch itself; what else the table says has to be right all the same.
 pub(super) fn read_contact(
@@ -33,8 +23,10 @@ pub(super) fn read_contact(
         }
         (_, None) => false,
     };
-    if touches_itself && !is_penalty && !TELLS_ITS_ANSWER.contains(&model) {
-        let names = TELLS_ITS_ANSWER.map(ModelKind::name).join(", ");
+    // The geometric response corrects steps.
+    if touches_itself && !is_penalty && !model.row().corrects_steps {
+        let able = MODELS.iter().filter(|row| row.corrects_steps).map(|row| row.name);
+        let names = able.collect::<Vec<_>>().join(", ");
         let allowed = format!(
             "\"penalty\" with the model \"{model}\" (a stiffness as well), or \"geometric\" with one of {names}"
         );

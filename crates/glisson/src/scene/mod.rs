@@ -3,20 +3,20 @@
 //! A scene is a TOML file in which every quantity names its unit. Unknown keys and units are refused with the
 //! line, what was found, what is allowed, and what was probably meant.
 
-mod body;
 mod build;
 mod contact;
+mod hand;
 mod instrument;
 mod law;
-mod models;
 mod organ;
 mod reader;
 mod spec;
 
-pub use body::{BuildError, OrganBody};
-pub use build::{build_world, mesh_hash, read_organ, read_tools};
+pub use build::{BuildError, build_world, mesh_hash, read_organ, read_tools};
 pub use instrument::{PathPoint, tool_on_path};
-pub use models::{build_model, build_model_as_cut};
-pub use organ::{MaterialSource, MeasuredSample, OrganSource, OrganZone};
+pub use organ::{MaterialSource, OrganSource, OrganZone};
 pub use reader::{SceneError, SceneProblem};
 pub use spec::Scene;
+
+pub use crate::model::kind::{build_model, build_model_as_cut};
+pub use crate::model::{MeasuredSample, ModelError, OrganBody};

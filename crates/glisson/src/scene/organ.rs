@@ -4,11 +4,11 @@ use super::law::read_law;
 use super::reader::{SceneError, Section};
 use crate::material::{LawChoice, PronyTerm};
 use crate::math::{Aabb, DVec3};
-use crate::model::Rayleigh;
 use crate::model::hybrid::condensed::ZoneLaw;
 use crate::model::kind::ModelKind;
 use crate::model::nonlinear_tensor_mass::Fibre;
 use crate::model::quasi_nonlinear::{GREATEST_DEGREE, LEAST_DEGREE};
+use crate::model::{MeasuredSample, Rayleigh};
 use crate::tool::fracture::FractureEnergy;
 use crate::units::Dimension;
 use crate::world::spec::{ForceField, Ligament, Load, LoadTime, Region, Support};
@@ -37,19 +37,6 @@ pub struct OrganZone {
     pub region: Region,
     /// What moves it at first.
     pub law: ZoneLaw,
-}
-
-/// Curves measured on a compressed cylinder of the tissue.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MeasuredSample {
-    /// The curves, relative to the scene's folder.
-    pub curve: PathBuf,
-    /// Height of the cylinder [m].
-    pub height_m: f64,
-    /// Its radius [m].
-    pub radius_m: f64,
-    /// Degree of the polynomials.
-    pub degree: usize,
 }
 
 /// Where an organ comes from and what moves it.
@@ -83,7 +70,7 @@ pub struct OrganSource {
     pub is_imaged_under_gravity: bool,
     /// Zones of the hybrid model; what is in none of them is pre-computed.
     pub zones: Vec<OrganZone>,
-    /// What the quasi non-linear model follows.
+    /// What the quasi non-linear model follows, its file relative to the scene's folder.
     pub measured: Option<MeasuredSample>,
 }
 

@@ -1,6 +1,7 @@
 //! What a scene file says.
 
 use super::contact::read_contact;
+use super::hand::read_hand;
 use super::instrument::{InstrumentSource, PathPoint, read_tool, tool_on_path, tool_sections};
 use super::organ::{OrganSource, read_organ};
 use super::reader::{SceneError, Section, parse_toml};
@@ -50,6 +51,7 @@ impl Scene {
         let name = root.string("name")?.map_or_else(|| "unnamed scene".to_string(), |n| n.0);
         let simulation = root.section("simulation")?;
         let contact = root.section("contact")?;
+        let hand = root.section("hand")?;
         let organ = root.section("organ")?.ok_or_else(|| root.missing("organ", "[organ]"))?;
         let tools = tool_sections(&mut root)?;
         root.finish()?;
@@ -78,6 +80,7 @@ impl Scene {
             // Its material comes with the mesh.
             tearing: None,
             mends_cuts: organ.mends_cuts,
+            hand: hand.map(read_hand).transpose()?,
             self_contact,
             vessels: Vec::new(),
             tools: scripted,

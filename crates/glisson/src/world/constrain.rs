@@ -5,6 +5,7 @@ use super::parts::ToolPart;
 use super::slide::{Follow, PatchAnswer};
 use super::tear::edge_motion_m;
 use super::tool_state::{ContactSearch, ToolState};
+use super::touch::HeldContact;
 use super::{StepInput, World};
 use crate::contact::response::self_contact::{SelfContact, SelfContactResponse};
 use crate::math::DVec3;
@@ -23,26 +24,29 @@ pub(super) struct Owner {
     part: Option<ToolPart>,
 }
 
-/// Both lists, which ascend by node, as one.
-fn merge_into(loads: &[NodalForce], springs: &[NodalForce], forces: &mut Vec<NodalForce>) {
-    let mut loads = loads.iter().copied().peekable();
+/// Lists that ascend by node as one.
+fn merge_into(lists: [&[NodalForce]; 3], forces: &mut Vec<NodalForce>) {
+    let mut left = lists;
     forces.clear();
-    for spring in springs {
-        while let Some(before) = loads.next_if(|load| load.node < spring.node) {
-            forces.push(before);
+    while let Some(node) = left.iter().filter_map(|list| list.first()).map(|force| force.node).min() {
+        let mut force_n = DVec3::ZERO;
+        for list in &mut left {
+            if let Some((force, rest)) = list.split_first().filter(|(force, _)| force.node == node) {
+                force_n += force.force_n;
+                *list = rest;
+            }
         }
-        let also_n = loads.next_if(|load| load.node == spring.node).map_or(DVec3::ZERO, |load| load.force_n);
-        forces.push(NodalForce { node: spring.node, force_n: spring.force_n + also_n });
+        forces.push(NodalForce { node, force_n });
     }
-    forces.extend(loads);
 }
 
 impl World {
     /// Moves the tools and finds what they begin to touch and hold.
     pub(super) fn move_hands(&mut self, input: &StepInput) {
         self.organ.refresh();
+        let held = self.spec.hand.as_ref().map(|hand| (hand, self.spec.time_step_s));
         for (place, (hand, tool)) in self.tool_states.iter_mut().zip(&self.spec.tools).enumerate() {
-            hand.move_to(tool, place, input);
+            hand.move_to(tool, place, input, held);
             if let Some(jaws) = tool.kind.jaws() {
                 let pose = hand.now;
                 if hand.grasp.as_ref().is_some_and(|grasp| !grasp.holds(&pose)) {
@@ -70,6 +74,7 @@ impl World {
                 organ: &self.organ,
                 tearing: self.spec.tearing.as_ref(),
                 is_placed: input.placed[place],
+                fixed_stops: self.spec.hand.is_some(),
                 detected: input.detected_on(place, self.organ.topology_version()),
             };
             hand.find_contacts(tool, &search);
@@ -83,9 +88,13 @@ impl World {
     pub(super) fn constrain(&mut self, n_substeps: u32) {
         self.constraints.displacements.clear();
         self.owners.clear();
-        self.impose_grasps();
-        for part in ToolPart::ALL {
-            self.impose_contacts(part);
+        if self.spec.hand.is_some() {
+            self.press();
+        } else {
+            self.impose_grasps();
+            for part in ToolPart::ALL {
+                self.impose_contacts(part);
+            }
         }
         self.sort_imposed();
         self.gather_forces(n_substeps);
@@ -105,7 +114,8 @@ impl World {
             Some(self_contact) => self_contact.forces(self.model.as_ref(), dt_s),
             None => &[],
         };
-        merge_into(self.loads.forces_in_step(self.step), springs, &mut self.constraints.forces);
+        let lists = [springs, self.loads.forces_in_step(self.step), self.press.forces()];
+        merge_into(lists, &mut self.constraints.forces);
     }
 
     /// The springs' forces for the next part of a step.
@@ -146,6 +156,7 @@ impl World {
                 point_m: contact.at.in_world_m(tool, &hand.now),
                 radius_m: part.radius_m(tool),
                 friction: if tool.grip.is_sticky { f64::INFINITY } else { tool.grip.friction_coefficient },
+                hand_m_per_n: None,
             };
             let (model, slide) = (&mut self.model, &mut self.slide);
             let answer = |nodes: [NodeId; 3]| {
@@ -181,6 +192,15 @@ impl World {
 
     /// Force that a hand exerts on the organ in the last step [N]: with one part, or with what its jaws hold.
     pub(super) fn force_on_organ_n(&self, hand: usize, part: Option<ToolPart>) -> DVec3 {
+        if self.spec.hand.is_some() {
+            let state = &self.tool_states[hand];
+            return match part {
+                Some(part) => {
+                    state.contacts[part.index()].as_ref().map_or(DVec3::ZERO, HeldContact::force_on_organ_n)
+                }
+                None => state.grasp.as_ref().map_or(DVec3::ZERO, Grasp::force_on_organ_n),
+            };
+        }
         let owner = Owner { hand: hand as u8, part };
         let forces = self.model.constraint_forces_n().iter().zip(&self.owners);
         forces.filter(|(_, o)| **o == owner).map(|(force_n, _)| *force_n).sum()
@@ -188,6 +208,10 @@ impl World {
 
     /// Force of a hand on one of the nodes that its jaws hold in the last step [N].
     pub(super) fn force_on_node_n(&self, hand: usize, node: NodeId) -> DVec3 {
+        if self.spec.hand.is_some() {
+            let grasp = self.tool_states[hand].grasp.as_ref();
+            return grasp.map_or(DVec3::ZERO, |grasp| grasp.force_on_node_n(node));
+        }
         let owner = Owner { hand: hand as u8, part: None };
         let imposed = self.constraints.displacements.iter().zip(&self.owners);
         let mut forces = imposed.zip(self.model.constraint_forces_n());
@@ -197,6 +221,10 @@ impl World {
 
     /// Force of one part of a hand on each of three nodes in the last step [N].
     fn forces_on_nodes_n(&self, hand: usize, part: ToolPart, nodes: [NodeId; 3]) -> [DVec3; 3] {
+        if self.spec.hand.is_some() {
+            let contact = self.tool_states[hand].contacts[part.index()].as_ref();
+            return contact.map_or([DVec3::ZERO; 3], |contact| contact.forces_n);
+        }
         let owner = Owner { hand: hand as u8, part: Some(part) };
         let imposed = self.constraints.displacements.iter().zip(&self.owners);
         let mut forces_n = [DVec3::ZERO; 3];

@@ -31,6 +31,8 @@ const SLIP_M_PER_S: f64 = 0.5;
 struct HeldNode {
     node: NodeId,
     in_tool_m: DVec3,
+    /// Force of the jaws on it in the last step [N], where that is known for each.
+    force_n: DVec3,
 }
 
 /// Nodes between jaws. In a list of fixed length, because a step that grasps allocates nothing.
@@ -96,9 +98,18 @@ impl Grasp {
         }
         found[..n_held].sort_unstable_by_key(|&(_, node)| node);
         let place_m = |node: NodeId| positions_m.get(node.index()).copied().unwrap_or(DVec3::ZERO);
-        let held = found.map(|(_, node)| HeldNode { node, in_tool_m: frame.to_tool_m(place_m(node)) });
+        let held = found.map(|(_, node)| HeldNode {
+            node,
+            in_tool_m: frame.to_tool_m(place_m(node)),
+            force_n: DVec3::ZERO,
+        });
         let middle_m = found[..n_held].iter().map(|&(_, n)| place_m(n)).sum::<DVec3>() / n_held as f64;
         Some(Self { held, n_held, opening, free_middle_m: middle_m })
+    }
+
+    /// The nodes, ascending.
+    pub(super) fn nodes(&self) -> impl Iterator<Item = NodeId> + '_ {
+        self.held[..self.n_held].iter().map(|held| held.node)
     }
 
     /// Number of nodes.
@@ -109,6 +120,24 @@ impl Grasp {
     /// The nodes, ascending, and where each has to be [m].
     pub(super) fn places_m(&self, frame: ToolFrame) -> impl Iterator<Item = (NodeId, DVec3)> + '_ {
         self.held[..self.n_held].iter().map(move |held| (held.node, frame.to_world_m(held.in_tool_m)))
+    }
+
+    /// Force on the organ in the last step [N].
+    pub(super) fn force_on_organ_n(&self) -> DVec3 {
+        self.held[..self.n_held].iter().map(|held| held.force_n).sum()
+    }
+
+    /// Force on one of the nodes in the last step [N].
+    pub(super) fn force_on_node_n(&self, node: NodeId) -> DVec3 {
+        let found = self.held[..self.n_held].iter().find(|held| held.node == node);
+        found.map_or(DVec3::ZERO, |held| held.force_n)
+    }
+
+    /// Tells the force on one of the nodes in this step [N].
+    pub(super) fn set_force_n(&mut self, node: NodeId, force_n: DVec3) {
+        if let Some(held) = self.held[..self.n_held].iter_mut().find(|held| held.node == node) {
+            held.force_n = force_n;
+        }
     }
 
     /// Whether the jaws still hold.
@@ -157,7 +186,10 @@ impl Grasp {
     /// Everything that its next steps depend on.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let held = self.held[..self.n_held].iter();
-        let numbers = held.flat_map(|h| [f64::from(h.node.0), h.in_tool_m.x, h.in_tool_m.y, h.in_tool_m.z]);
+        let numbers = held.flat_map(|h| {
+            let force = (h.force_n != DVec3::ZERO).then(|| h.force_n.to_array()).into_iter().flatten();
+            [f64::from(h.node.0), h.in_tool_m.x, h.in_tool_m.y, h.in_tool_m.z].into_iter().chain(force)
+        });
         numbers.chain(self.free_middle_m.to_array()).chain([self.opening])
     }
 }

@@ -5,6 +5,7 @@ use super::World;
 use super::grasp::{pull_limit_n, squeeze_j};
 use super::parts::{ToolPart, ToolPoint, capsule};
 use super::skin::SurfacePlace;
+use super::spec::Hand;
 use crate::contact::spread::motion_weights;
 use crate::contact::tool_contact::ToolContact;
 use crate::haptics::{AxesModel, HapticModel, PatchStiffness, Touch, TouchedPart};
@@ -101,7 +102,10 @@ impl HapticScratch {
 
     /// From the nodes' compliance C to that of the points, sum of w_i w_j C_ij: a force at a point loads its nodes by their
     /// weights, and moves it by the weighted mean of theirs.
-    fn gather(&mut self) {
+    ///
+    /// A hand that gives way adds what its spring does to each of them: with the points' motions M_i and the spring k,
+    /// M_i M_j^T/k.
+    fn gather(&mut self, hand: Option<&Hand>) {
         let (n, n_local) = (3 * self.points.len(), 3 * self.local.nodes.len());
         let (of_points, of_nodes) = (&mut self.pressed, &self.local.compliance_m_per_n);
         of_points.nodes.clear();
@@ -117,6 +121,18 @@ impl HapticScratch {
                     for along in 0..3 {
                         of_points.compliance_m_per_n[n * (3 * of.point + axis) + 3 * by.point + along] +=
                             of.weight * by.weight * of_nodes[n_local * (3 * i + axis) + 3 * j + along];
+                    }
+                }
+            }
+        }
+        let Some(hand) = hand else { return };
+        for (i, of) in self.points.iter().enumerate() {
+            for (j, by) in self.points.iter().enumerate() {
+                let tensor = of.motion * by.motion.transpose() * (1.0 / hand.stiffness_n_per_m);
+                for along in 0..3 {
+                    for axis in 0..3 {
+                        of_points.compliance_m_per_n[n * (3 * i + axis) + 3 * j + along] +=
+                            tensor.col(along)[axis];
                     }
                 }
             }
@@ -240,9 +256,10 @@ impl World {
     fn tell_motion(&self, place: usize, model: &mut HapticModel) {
         let (hand, tool) = (&self.tool_states[place], &self.spec.tools[place]);
         let pose = hand.now;
-        model.tip_m = pose.tip_in_world_m;
-        model.tip_velocity_m_per_s =
-            (pose.tip_in_world_m - hand.before.tip_in_world_m) / self.spec.time_step_s;
+        // A device is where the hand is, which is in front of the tip where the hand gives way.
+        model.tip_m = if self.spec.hand.is_some() { hand.hand_tip_m } else { pose.tip_in_world_m };
+        let before_m = if self.spec.hand.is_some() { hand.hand_before_m } else { hand.before.tip_in_world_m };
+        model.tip_velocity_m_per_s = (model.tip_m - before_m) / self.spec.time_step_s;
         if !tool.grip.is_sticky {
             model.friction_coefficient = tool.grip.friction_coefficient;
             model.hold_n = tool.kind.jaws().map_or(f64::INFINITY, |jaws| pull_limit_n(tool, jaws, &pose));
@@ -350,7 +367,7 @@ impl World {
         scratch.nodes.clear();
         scratch.nodes.extend(scratch.followers.iter().map(|f| f.node));
         self.model.local_model_into(&scratch.nodes, response_s, &mut scratch.work, &mut scratch.local);
-        scratch.gather();
+        scratch.gather(self.spec.hand.as_ref());
         let points = &scratch.points;
         scratch.patch.solve(&scratch.pressed, |point| points[point].motion);
     }

@@ -15,6 +15,7 @@ mod haptic;
 mod loads;
 pub mod organ;
 mod parts;
+mod press;
 mod overload;
 mod refusal;
 pub mod saved;
@@ -50,6 +51,7 @@ use edits::Journal;
 use haptic::HapticScratch;
 use loads::Loads;
 use organ::{Organ, OrganError};
+use press::Press;
 use slide::SlideScratch;
 use spec::WorldSpec;
 use std::sync::Arc;
@@ -159,6 +161,8 @@ pub struct World {
     haptics: Option<Box<HapticScratch>>,
     /// Scratch of what touched patches answer.
     slide: Box<SlideScratch>,
+    /// What touches by force, and with what force it did.
+    press: Box<Press>,
     /// How the organ touches itself, if the scene wants it.
     self_contact: Option<Box<SelfContact>>,
     loads: Loads,
@@ -225,6 +229,7 @@ impl World {
             between_jaws: grasp::room_for_search(),
             haptics: None,
             slide,
+            press: Box::new(Press::new()),
             self_contact,
             loads,
             gravity_m_per_s2,
@@ -268,7 +273,9 @@ impl World {
         let hands = self.tool_states.iter().flat_map(ToolState::numbers).chain(active);
         let vessels = self.vessels.iter().flat_map(Vessels::numbers);
         let clock = self.loads.clock(self.step);
-        let surroundings: Vec<f64> = gravity.into_iter().chain(clock).chain(hands).chain(vessels).collect();
+        let pressed = self.press.numbers();
+        let surroundings = gravity.into_iter().chain(clock).chain(hands).chain(vessels).chain(pressed);
+        let surroundings: Vec<f64> = surroundings.collect();
         StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
     }
 
@@ -334,6 +341,7 @@ impl World {
         }
         self.active.iter_mut().for_each(ActiveTip::lift);
         self.owners.clear();
+        self.press.forget();
         self.constraints.displacements.clear();
         self.constraints.forces.clear();
         self.model.apply(&self.constraints);

@@ -46,6 +46,7 @@ impl World {
             between_jaws: grasp::room_for_search(),
             haptics: None,
             slide: Box::new(SlideScratch::for_nodes(self.organ.mesh().positions_m.len())),
+            press: Box::new(self.press.duplicate()),
             self_contact: self.self_contact.clone(),
             loads: self.loads.clone(),
             gravity_m_per_s2: self.gravity_m_per_s2,

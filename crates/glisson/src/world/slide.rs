@@ -32,7 +32,7 @@ use crate::model::{LocalModel, LocalWork};
 const MOST_RINGS: u32 = 2;
 const TOLERANCE: f64 = 1e-2;
 /// Compliance of a node of a model that does not tell it [m/N]: a choice, stiffer than a probe feels on liver.
-const UNKNOWN_M_PER_N: f64 = 1.0 / 300.0;
+pub(super) const UNKNOWN_M_PER_N: f64 = 1.0 / 300.0;
 /// A shorter slip is none [m]: rounding of positions in a room of metres.
 const LEAST_SLIP_M: f64 = 1e-10;
 /// Beyond the tool's own motion the point slips by this share of an edge in a step, at most, and nodes move by it at most: a
@@ -46,6 +46,8 @@ const LEAST_YIELDING: f64 = 0.2;
 /// Room for the answers of patches.
 pub(super) struct SlideScratch {
     pub(super) work: LocalWork,
+    /// For patches of many contacts, with where their momentum takes them.
+    pub(super) drifting: LocalWork,
     pub(super) local: LocalModel,
 }
 
@@ -54,7 +56,7 @@ impl SlideScratch {
     pub(super) fn for_nodes(n_nodes: usize) -> Self {
         let work = LocalWork::with_room_for(n_nodes + n_nodes / 2).estimating(MOST_RINGS, TOLERANCE);
         let work = work.from_one_ring();
-        Self { work, local: LocalModel::new() }
+        Self { drifting: work.clone().telling_drift(), work, local: LocalModel::new() }
     }
 }
 
@@ -91,6 +93,9 @@ pub(super) struct Follow<'a> {
     pub(super) radius_m: f64,
     /// Coulomb's coefficient; infinite for what sticks.
     pub(super) friction: f64,
+    /// How the hand gives way to a force on the tool [m/N]; none where it imposes its motion, and then tissue that is held
+    /// fixed is not pressed.
+    pub(super) hand_m_per_n: Option<f64>,
 }
 
 /// The conditions of a step in the patch's own terms.
@@ -107,11 +112,22 @@ impl HeldContact {
     pub(super) fn follow(
         &mut self,
         input: &Follow<'_>,
-        mut answer: impl FnMut([NodeId; 3]) -> PatchAnswer,
+        answer: impl FnMut([NodeId; 3]) -> PatchAnswer,
     ) -> [Option<DVec3>; 3] {
+        let Some((patch, force_n, slides)) = self.slide(input, answer) else { return [None; 3] };
+        self.targets_m(input, &patch, force_n, slides)
+    }
+
+    /// Slides as far as friction does not hold: the answer of the nodes that are touched then, the force on the point, and
+    /// whether it slid; none where the tool presses on nodes that do not yield. Allocates nothing.
+    pub(super) fn slide(
+        &mut self,
+        input: &Follow<'_>,
+        mut answer: impl FnMut([NodeId; 3]) -> PatchAnswer,
+    ) -> Option<(PatchAnswer, DVec3, bool)> {
         self.slip_m = 0.0;
         let mut patch = answer(self.nodes);
-        let Some(mut condition) = self.condition(&patch, input) else { return [None; 3] };
+        let mut condition = self.condition(&patch, input)?;
         let mut force_n = condition.stuck_n();
         let mut slides = false;
         if let Some(direction) = self.beyond_cone(force_n, input.friction) {
@@ -122,22 +138,21 @@ impl HeldContact {
                 if self.nodes != nodes {
                     patch = answer(self.nodes);
                 }
-                match self.condition(&patch, input) {
-                    Some(there) => condition = there,
-                    None => return [None; 3],
-                }
+                condition = self.condition(&patch, input)?;
             }
             force_n = condition.sliding_n(self.normal, direction, input.friction);
             slides = true;
         }
-        self.targets_m(input, &patch, force_n, slides)
+        Some((patch, force_n, slides))
     }
 
     /// `None` where the tool presses on nodes that do not yield.
     fn condition(&self, patch: &PatchAnswer, input: &Follow<'_>) -> Option<Condition> {
         let (w, c) = (self.weights, &patch.compliance_m_per_n);
-        motion_weights(w, patch.is_free.map(|is_free| !is_free))?;
-        let mut point_m_per_n = DMat3::ZERO;
+        if input.hand_m_per_n.is_none() {
+            motion_weights(w, patch.is_free.map(|is_free| !is_free))?;
+        }
+        let mut point_m_per_n = DMat3::IDENTITY * input.hand_m_per_n.unwrap_or(0.0);
         for (i, row) in c.iter().enumerate() {
             for (j, tensor) in row.iter().enumerate() {
                 point_m_per_n += *tensor * (w[i] * w[j]);
@@ -184,7 +199,8 @@ impl HeldContact {
         }
         let place = organ.skin().place_in_slot(proxy.slot());
         let weights = proxy.weights();
-        if motion_weights(weights, place.1.map(|n| organ.is_fixed(n))).is_none() {
+        let yields = motion_weights(weights, place.1.map(|n| organ.is_fixed(n))).is_some();
+        if !yields && input.hand_m_per_n.is_none() {
             return false;
         }
         let after_m = proxy.point_m(organ.positions_m());

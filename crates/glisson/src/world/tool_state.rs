@@ -7,6 +7,7 @@ use super::organ::Organ;
 use super::overload::Overload;
 use super::parts::{ToolPart, ToolPoint, capsule};
 use super::skin::SurfacePlace;
+use super::spec::Hand;
 use super::touch::{ContactBegin, HeldContact};
 use crate::contact::continuous::{CONTACT_TOLERANCE_M, FirstContact};
 use crate::contact::tool_contact::ToolContact;
@@ -28,6 +29,8 @@ pub(super) struct ContactSearch<'a> {
     pub(super) organ: &'a Organ,
     pub(super) tearing: Option<&'a Tearing>,
     pub(super) is_placed: bool,
+    /// Whether tissue that is held fixed stops the tool.
+    pub(super) fixed_stops: bool,
     /// What was found elsewhere; then nothing is searched here.
     pub(super) detected: Option<&'a ExternalDetection>,
 }
@@ -55,6 +58,11 @@ pub(super) struct ToolState {
     pub(super) now: ToolInput,
     /// Where it was at the end of the last step.
     pub(super) before: ToolInput,
+    /// Where the hand wants the tip, and wanted it in the step before [m]. The tip is there unless the hand gives way.
+    pub(super) hand_tip_m: DVec3,
+    pub(super) hand_before_m: DVec3,
+    /// Share of this step's way that the tip made before it touched anything new.
+    pub(super) free_share: f64,
     pub(super) contacts: [Option<HeldContact>; 3],
     /// Parts that were put into tissue: they touch nothing until they have come out of it.
     is_buried: [bool; 3],
@@ -77,6 +85,9 @@ impl ToolState {
         Self {
             now: home,
             before: home,
+            hand_tip_m: home.tip_in_world_m,
+            hand_before_m: home.tip_in_world_m,
+            free_share: 1.0,
             contacts: [const { None }; 3],
             is_buried: [false; 3],
             grasp: None,
@@ -95,24 +106,54 @@ impl ToolState {
         let active = (self.active_s > 0.0).then_some(self.active_s);
         let buried = ToolPart::ALL.into_iter().filter(|part| self.is_buried[part.index()]);
         let buried = buried.map(|part| part.index() as f64);
-        contacts.chain(grasp).chain(active).chain(buried).chain(self.overload.numbers())
+        let behind_m = self.hand_tip_m - self.now.tip_in_world_m;
+        let behind = (behind_m != DVec3::ZERO).then(|| behind_m.to_array()).into_iter().flatten();
+        contacts.chain(grasp).chain(active).chain(buried).chain(self.overload.numbers()).chain(behind)
     }
 
-    /// Takes the input of tool number `place` over.
-    pub(super) fn move_to(&mut self, tool: &Tool, place: usize, input: &StepInput) {
+    /// Takes the input of tool number `place` over. The tip goes where a hand that imposes its motion wants it; from one that
+    /// gives way it is as far as that says it is after a step of `dt_s`.
+    pub(super) fn move_to(
+        &mut self,
+        tool: &Tool,
+        place: usize,
+        input: &StepInput,
+        hand: Option<(&Hand, f64)>,
+    ) {
         self.report = ToolReport::default();
         self.before = self.now;
+        self.hand_before_m = self.hand_tip_m;
+        self.free_share = 1.0;
         let asked = &input.tools[place];
         self.report.input_rejected = !asked.is_finite();
         if !self.report.input_rejected {
             let before = (!input.placed[place]).then_some(&self.before);
             self.now = tool.held(*asked, before);
             self.now.jaw_opening = asked.jaw_opening.clamp(0.0, 1.0);
+            self.hand_tip_m = self.now.tip_in_world_m;
+            let behind_m = self.before.tip_in_world_m - self.hand_before_m;
+            if let (Some((hand, dt_s)), Some(_)) = (hand, before)
+                && behind_m != DVec3::ZERO
+            {
+                self.put_tip(tool, self.hand_tip_m + hand.left_behind_m(behind_m, dt_s));
+            }
+        } else if input.placed[place] {
+            self.hand_tip_m = self.now.tip_in_world_m;
         }
         if input.placed[place] {
             self.let_go();
             self.before = self.now;
         }
+    }
+
+    /// Share of this step's way that the tip made before it touched: none where it touched already.
+    pub(super) fn start_share(&self) -> f64 {
+        if self.contacts.iter().flatten().all(HeldContact::is_new) { self.free_share } else { 0.0 }
+    }
+
+    /// The tip elsewhere than asked for, through the trocar if there is one.
+    pub(super) fn put_tip(&mut self, tool: &Tool, tip_m: DVec3) {
+        self.now = tool.held(ToolInput { tip_in_world_m: tip_m, ..self.now }, Some(&self.before));
     }
 
     /// Whether the tool cuts with its edge: for a long scalpel that is on, and has broken in where tissue has strength.
@@ -156,7 +197,7 @@ impl ToolState {
 
     /// Finds what the parts touch that touch nothing yet.
     pub(super) fn find_contacts(&mut self, tool: &Tool, search: &ContactSearch<'_>) {
-        let ContactSearch { organ, tearing, is_placed, detected } = *search;
+        let ContactSearch { organ, tearing, is_placed, fixed_stops, detected } = *search;
         for part in ToolPart::ALL {
             let holds = self.grasp.is_some() && part != ToolPart::Shaft;
             // An edge that cuts does not push.
@@ -178,21 +219,31 @@ impl ToolState {
                 }
             }
             let touch = match detected {
-                Some(detected) => detected.touches[part.index()]
-                    .and_then(|told| self.touch_as_told((tool, part), &told, organ, is_placed)),
-                None => self.touch(tool, part, organ, is_placed),
+                Some(detected) => detected.touches[part.index()].and_then(|told| {
+                    self.touch_as_told((tool, part), &told, (organ, fixed_stops), is_placed)
+                }),
+                None => self.touch(tool, part, (organ, fixed_stops), is_placed),
             };
             match touch {
                 None => {}
                 // Nothing holds it back.
                 Some(ContactBegin::FromInside) => self.bury(part),
                 Some(ContactBegin::OnFixedTissue) => self.report.blocked_by_fixed_tissue = true,
-                Some(ContactBegin::Touches(contact)) => self.contacts[part.index()] = Some(contact),
+                Some(ContactBegin::Touches(contact, share)) => {
+                    self.contacts[part.index()] = Some(contact);
+                    self.free_share = self.free_share.min(share);
+                }
             }
         }
     }
 
-    fn touch(&self, tool: &Tool, part: ToolPart, organ: &Organ, is_placed: bool) -> Option<ContactBegin> {
+    fn touch(
+        &self,
+        tool: &Tool,
+        part: ToolPart,
+        (organ, fixed_stops): (&Organ, bool),
+        is_placed: bool,
+    ) -> Option<ContactBegin> {
         let surface = organ.skin().searched(!is_placed);
         let FirstTouch { found, at } = match first_touch(tool, part, [&self.before, &self.now], &surface)? {
             Meeting::Touch(touch) => touch,
@@ -201,7 +252,7 @@ impl ToolState {
         let place = organ.skin().place_of(found);
         let at = ToolPoint::of(part, at);
         let point_m = at.in_world_m(tool, &self.now);
-        Some(HeldContact::begin(&place, at, (point_m, touching_radius_m(tool, part)), organ))
+        Some(HeldContact::begin(&place, at, (point_m, touching_radius_m(tool, part)), (organ, fixed_stops)))
     }
 
     /// A touch that was found elsewhere, where the part still is at or behind the touched place.
@@ -209,7 +260,7 @@ impl ToolState {
         &self,
         (tool, part): (&Tool, ToolPart),
         told: &ExternalTouch,
-        organ: &Organ,
+        (organ, fixed_stops): (&Organ, bool),
         is_placed: bool,
     ) -> Option<ContactBegin> {
         let slot = organ.skin().slot_of(told.triangle)?;
@@ -234,10 +285,12 @@ impl ToolState {
         if !is_there {
             return None;
         }
-        match HeldContact::begin(&place, at, (point_m, radius_m), organ) {
+        match HeldContact::begin(&place, at, (point_m, radius_m), (organ, fixed_stops)) {
             // The organ turned since the copy was told of it.
-            ContactBegin::FromInside => self.touch(tool, part, organ, is_placed),
-            begun => Some(begun),
+            ContactBegin::FromInside => self.touch(tool, part, (organ, fixed_stops), is_placed),
+            // The part came through it somewhere on its way.
+            ContactBegin::Touches(contact, _) => Some(ContactBegin::Touches(contact, 0.0)),
+            begun @ ContactBegin::OnFixedTissue => Some(begun),
         }
     }
 }

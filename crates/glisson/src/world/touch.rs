@@ -41,16 +41,18 @@ pub struct HeldContact {
     pressed_m: DVec3,
     /// How far the tool slid in this step [m].
     pub(super) slip_m: f64,
+    /// Whether it began in this step.
+    is_new: bool,
 }
 
 impl HeldContact {
     /// The contact that begins at `place` with the tool's point `at`, which is `point_m` from the touched triangle's plane
-    /// by `radius_m` when it just touches; or `None` on tissue that is held fixed, and from inside.
+    /// by `radius_m` when it just touches; or none from inside, and on tissue that is held fixed unless that stops the tool.
     pub(super) fn begin(
         place: &SurfacePlace,
         at: ToolPoint,
         (point_m, radius_m): (DVec3, f64),
-        organ: &Organ,
+        (organ, fixed_stops): (&Organ, bool),
     ) -> ContactBegin {
         let positions_m = organ.positions_m();
         let nodes = place.nodes;
@@ -62,26 +64,48 @@ impl HeldContact {
         if normal.dot(face) < FROM_INSIDE {
             return ContactBegin::FromInside;
         }
-        if motion_weights(weights, nodes.map(|n| organ.is_fixed(n))).is_none() {
+        let yields = motion_weights(weights, nodes.map(|n| organ.is_fixed(n))).is_some();
+        if !yields && !fixed_stops {
             return ContactBegin::OnFixedTissue;
         }
         let touched_m: DVec3 = (0..3).map(|v| corners_m[v] * weights[v]).sum();
         let overlap_m = (-contact.gap_m).max(0.0);
         // As it is where they overlap: that is taken out bit by bit.
         let offset_m = if overlap_m > 0.0 { touched_m - point_m } else { normal * -radius_m };
-        ContactBegin::Touches(Self {
-            triangle: place.triangle,
-            nodes,
-            weights,
-            at,
-            offset_m,
-            normal,
-            overlap_m,
-            forces_n: [DVec3::ZERO; 3],
-            touch_displacement_m: displacement_m(organ, nodes, weights),
-            pressed_m: DVec3::ZERO,
-            slip_m: 0.0,
-        })
+        ContactBegin::Touches(
+            Self {
+                triangle: place.triangle,
+                nodes,
+                weights,
+                at,
+                offset_m,
+                normal,
+                overlap_m,
+                forces_n: [DVec3::ZERO; 3],
+                touch_displacement_m: displacement_m(organ, nodes, weights),
+                pressed_m: DVec3::ZERO,
+                slip_m: 0.0,
+                is_new: true,
+            },
+            contact.time,
+        )
+    }
+
+    /// The tool's point is elsewhere than it was taken to be when the contact began: tissue that it overlaps still is where it was.
+    pub(super) fn anchor_overlap(&mut self, point_m: DVec3, organ: &Organ) {
+        if self.overlap_m > 0.0 {
+            self.offset_m = self.point_m(organ.positions_m()) - point_m;
+        }
+    }
+
+    /// Whether it began in this step.
+    pub(super) fn is_new(&self) -> bool {
+        self.is_new
+    }
+
+    /// Force on the organ in the last step [N].
+    pub(super) fn force_on_organ_n(&self) -> DVec3 {
+        self.forces_n.into_iter().sum()
     }
 
     /// Everything that its next steps depend on.
@@ -107,6 +131,7 @@ impl HeldContact {
     /// After a step in which the tool exerted these forces on the nodes [N].
     pub(super) fn feel(&mut self, organ: &Organ, forces_n: [DVec3; 3]) {
         self.forces_n = forces_n;
+        self.is_new = false;
         self.pressed_m = displacement_m(organ, self.nodes, self.weights) - self.touch_displacement_m;
     }
 
@@ -151,8 +176,8 @@ fn displacement_m(organ: &Organ, nodes: [NodeId; 3], weights: [f64; 3]) -> DVec3
 /// What became of a touch.
 #[allow(clippy::large_enum_variant, reason = "a box would allocate in a step")]
 pub(super) enum ContactBegin {
-    /// A contact.
-    Touches(HeldContact),
+    /// A contact, and the share of the tool's way in the step when it began.
+    Touches(HeldContact, f64),
     /// Tissue that cannot give way.
     OnFixedTissue,
     /// The tool comes out of the organ: nothing holds it back.

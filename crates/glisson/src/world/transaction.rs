@@ -203,6 +203,7 @@ impl World {
         }
         self.self_contact = self_contact_of(&self.spec, &self.organ, self.model.as_ref());
         self.owners.clear();
+        self.press.forget();
         self.constraints.displacements.clear();
         self.constraints.forces.clear();
     }

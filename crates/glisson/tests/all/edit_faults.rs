@@ -6,6 +6,7 @@ use glisson::image::vessels::{Tube, write_vessels};
 use glisson::math::DVec3;
 use glisson::mesh::edit::{EdgeSplit, MeshEdit, VertexCopy};
 use glisson::mesh::{NodeId, TetId, TetMesh};
+use glisson::model::FollowedEdits;
 use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
 use glisson::scene::{OrganBody, Scene, build_model, build_world};
@@ -14,22 +15,27 @@ use glisson_mesh::fault;
 use std::fmt::Write as _;
 use std::sync::Arc;
 
-/// Models and laws that the scene's documentation says can be cut, with whether they bear self-contact.
-const CASES: [(&str, &str, bool); 13] = [
-    ("precomputed", "linear", false),
-    ("tensor_mass", "linear", true),
-    ("nonlinear_tensor_mass", "st_venant_kirchhoff", true),
-    ("explicit", "linear", true),
-    ("explicit", "st_venant_kirchhoff", true),
-    ("explicit", "stable_neo_hooke", true),
-    ("implicit", "neo_hooke_log", true),
-    ("implicit", "stable_neo_hooke", true),
-    ("implicit", "st_venant_kirchhoff", true),
-    ("mass_spring", "", true),
-    ("extended_mass_spring", "st_venant_kirchhoff", true),
-    ("extended_mass_spring", "neo_hooke_log", true),
-    ("hybrid", "linear", false),
-];
+/// Laws that a model of any law is tried with, beside its own.
+const TRIED_LAWS: [&str; 3] = ["linear", "st_venant_kirchhoff", "stable_neo_hooke"];
+
+/// A model that can be cut, and a law of it; empty for springs.
+type Case = (ModelKind, &'static str);
+
+/// Every one, with each law that it names.
+fn cases() -> Vec<Case> {
+    let mut cases = Vec::new();
+    for kind in ModelKind::ALL.into_iter().filter(|kind| kind.row().edits != FollowedEdits::None) {
+        let laws = kind.row().laws;
+        cases.extend(laws.iter().map(|law| (kind, *law)));
+        if laws.is_empty() {
+            cases.push((kind, ""));
+        }
+        let others = TRIED_LAWS.into_iter().filter(|law| kind.row().follows_any_law && !laws.contains(law));
+        cases.extend(others.map(|law| (kind, law)));
+    }
+    cases
+}
+
 /// No edit of these tests passes more places.
 const MOST_PLACES: usize = 200;
 const SIZE_M: DVec3 = DVec3::new(0.09, 0.06, 0.06);
@@ -50,13 +56,13 @@ fn list_file(mesh: &TetMesh) -> String {
     text
 }
 
-fn scene_text((model, law, bears_contact): (&str, &str, bool)) -> String {
+fn scene_text((kind, law): Case) -> String {
     let law = if law.is_empty() { String::new() } else { format!("law = \"{law}\"\n") };
-    let contact = if bears_contact { "[contact]\nself = true\n" } else { "" };
+    let contact = if kind.row().corrects_steps { "[contact]\nself = true\n" } else { "" };
     format!(
         "glisson_scene = 1\n[simulation]\ntime_step = \"0.1 ms\"\n\
          [organ]\nmesh = \"body.tet\"\nyoung_modulus = \"5 kPa\"\npoisson_ratio = 0.4\ndensity = \"1000 kg/m3\"\n\
-         model = \"{model}\"\n{law}damping = \"30 1/s\"\nvessels = \"vessels.csv\"\n\
+         model = \"{kind}\"\n{law}damping = \"30 1/s\"\nvessels = \"vessels.csv\"\n\
          [[organ.fixed]]\nfurthest = {{ direction = [0, 0, -1], fraction = 0.1 }}\n\
          [[organ.load]]\nball = {{ center = [\"90 mm\", \"60 mm\", \"60 mm\"], radius = \"25 mm\" }}\n\
          force = [\"10 mN\", 0, 0]\n{contact}\
@@ -66,7 +72,7 @@ fn scene_text((model, law, bears_contact): (&str, &str, bool)) -> String {
 }
 
 /// A world whose tool presses into the body.
-fn touched_world(case: (&str, &str, bool)) -> (World, OrganBody) {
+fn touched_world(case: Case) -> (World, OrganBody) {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("body.tet"), list_file(&mesh())).unwrap();
     let ends_m = [DVec3::new(0.0, 0.03, 0.03), DVec3::new(0.09, 0.03, 0.03)];
@@ -169,7 +175,7 @@ fn fail_everywhere(name: &str, world: &mut World, twin: &mut World) -> Vec<&'sta
 
 #[test]
 fn a_fault_at_any_place_of_an_edit_leaves_every_bit_as_it_was_in_every_model() {
-    for case in CASES {
+    for case in cases() {
         let name = format!("{} {}", case.0, case.1);
         let (mut world, _) = touched_world(case);
         let (mut twin, _) = touched_world(case);
@@ -195,10 +201,12 @@ fn a_fault_at_any_place_of_an_edit_leaves_every_bit_as_it_was_in_every_model() {
 /// With a model that was delivered and waits to take over: it follows, is put back with the rest, and takes over.
 #[test]
 fn a_model_that_waits_to_take_over_is_put_back_with_the_rest() {
-    for (case, kind) in
-        [(CASES[1], ModelKind::Implicit), (CASES[6], ModelKind::TensorMass), (CASES[0], ModelKind::Explicit)]
-    {
-        let name = format!("{} before {kind:?}", case.0);
+    for (before, kind) in [
+        (ModelKind::TensorMass, ModelKind::Implicit),
+        (ModelKind::Implicit, ModelKind::TensorMass),
+        (ModelKind::Precomputed, ModelKind::Explicit),
+    ] {
+        let (case, name) = ((before, before.row().laws[0]), format!("{before} before {kind}"));
         let prepared = || {
             let (mut world, body) = touched_world(case);
             world.queue_model_swap(world.steps_made() + 3, kind);
@@ -229,7 +237,7 @@ fn a_model_that_waits_to_take_over_is_put_back_with_the_rest() {
 /// A fault while an instrument cuts: the cut is refused with a reason, and the world goes on.
 #[test]
 fn a_fault_under_an_instrument_is_told_and_the_next_cut_works() {
-    for case in CASES {
+    for case in cases() {
         let (mut world, _) = touched_world(case);
         let near = world.touched_tetrahedra(0);
         let hash = world.state_hash();

@@ -19,6 +19,7 @@ mod hybrid_scene;
 mod precomputed_cutting;
 mod proxy;
 mod quasi_nonlinear;
+mod rough_hands;
 mod surface_copy;
 mod tool_contacts;
 mod world_self_contact;

@@ -4,6 +4,7 @@ use glisson::contact::response::self_contact::SelfContactParams;
 use glisson::material::{LawChoice, law_named};
 use glisson::math::{DVec3, SeededRandom};
 use glisson::model::kind::ModelKind;
+use glisson::model::{FollowedEdits, ModelMotion};
 use glisson::tool::BladeCuts;
 
 /// The models that can be cut (docs/scene.md), in the order in which seeds take turns with them.
@@ -91,9 +92,8 @@ impl Draw {
         let mut random = SeededRandom::new(seed + 1_000_000);
         let mut coin = |probability: f64| random.uniform() < probability;
         let (touches_itself, tears, mends_cuts) = (coin(0.4), coin(0.7), coin(0.5));
-        let knows_relaxation = matches!(kind, ModelKind::Explicit | ModelKind::Implicit);
         // The implicit model's memory turns with the tissue, which the linear law does not.
-        let knows_relaxation = knows_relaxation && (kind, law) != (ModelKind::Implicit, Some(&"linear"));
+        let knows_relaxation = kind.row().relaxes && (kind, law) != (ModelKind::Implicit, Some(&"linear"));
         let (relaxes, burns_with_hook, divides) = (coin(0.7) && knows_relaxation, coin(0.5), coin(0.5));
         let damping_per_s = if coin(0.5) { 20.0 } else { 0.0 };
         let steps_s: &[f64] = if has_long_steps(kind) { &LONG_STEPS_S } else { &SHORT_STEPS_S };
@@ -122,7 +122,7 @@ impl Draw {
 
     /// Whether the model follows new nodes and tetrahedra; else it follows removals alone.
     pub(super) fn follows_all(&self) -> bool {
-        !matches!(self.kind, ModelKind::Precomputed | ModelKind::Hybrid)
+        self.kind.row().edits == FollowedEdits::All
     }
 
     pub(super) fn knows_ligaments(&self) -> bool {
@@ -157,7 +157,7 @@ impl Draw {
     /// How it touches itself in steps of `time_step_s`.
     pub(super) fn self_contact(&self, time_step_s: f64) -> Option<SelfContactParams> {
         let friction = SelfContactParams::DEFAULT_FRICTION;
-        let response = if self.follows_all() {
+        let response = if self.kind.row().corrects_steps {
             SelfContactParams::geometric(friction)
         } else {
             SelfContactParams::penalty(OWN_CONTACT_N_PER_M, friction)
@@ -169,7 +169,7 @@ impl Draw {
 
 /// Whether a model takes any time step.
 fn has_long_steps(kind: ModelKind) -> bool {
-    matches!(kind, ModelKind::Implicit | ModelKind::Hybrid | ModelKind::Precomputed)
+    kind.row().motion != ModelMotion::Explicit
 }
 
 /// A law of scenes, with usual numbers of its own.
@@ -197,9 +197,10 @@ fn every_model_law_and_body_has_its_turn() {
     let draws: Vec<Draw> = (0..200).map(|seed| Draw::of(seed, 4)).collect();
     for kind in ModelKind::ALL {
         let own = || draws.iter().filter(move |draw| draw.kind == kind);
-        assert_eq!(own().next().is_some(), MODELS.contains(&kind), "{kind}");
-        if !MODELS.contains(&kind) {
-            assert!(matches!(kind, ModelKind::Reduced | ModelKind::QuasiNonlinear), "{kind} can be cut");
+        let can_be_cut = kind.row().edits != FollowedEdits::None;
+        assert_eq!(MODELS.contains(&kind), can_be_cut, "{kind} belongs in MODELS when it can be cut");
+        assert_eq!(own().next().is_some(), can_be_cut, "{kind}");
+        if !can_be_cut {
             continue;
         }
         assert!(own().any(|draw| draw.touches_itself) && own().any(|draw| !draw.touches_itself), "{kind}");

@@ -7,7 +7,7 @@ use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::{KernelLaw, SharedMaterial};
 use glisson::model::kind::ModelKind;
 use glisson::model::{Attachment, DeformableModel, DynamicBody, FixedNode, Rayleigh};
-use glisson::scene::{BuildError, OrganBody, build_model, build_model_as_cut};
+use glisson::scene::{ModelError, OrganBody, build_model, build_model_as_cut};
 
 pub(super) const DENSITY_KG_PER_M3: f64 = 1060.0;
 /// A step that no model divides.
@@ -83,7 +83,7 @@ impl Substance {
         &self,
         on: &Held<'_>,
         live: &[bool],
-    ) -> Result<Box<dyn DeformableModel>, BuildError> {
+    ) -> Result<Box<dyn DeformableModel>, ModelError> {
         build_model_as_cut(&self.body(on, AT_ONCE_S), self.kind, live)
     }
 

@@ -3,138 +3,162 @@
 
 mod motions;
 
-pub use motions::{MOTIONS, Motion};
-
 use super::timing::{quantile, thread_cpu_ns};
-use super::{Machine, MachineBudget};
+use super::{Answer, Machine, MachineBudget, Tell, Trial, TrialRequest};
 use crate::bodies::liver;
 use crate::scratch::ScratchFolder;
 use anyhow::{Context, bail, ensure};
 use glisson::mesh::files::write_mesh;
+use glisson::model::kind::ModelKind;
+use glisson::model::{FollowedEdits, ModelMotion};
 use glisson::scene::Scene;
 use glisson_runtime::{OpenScene, Simulation};
-use motions::Place;
+use motions::{MOTIONS, Motion, Place};
 use serde::Serialize;
 use std::time::Instant;
+
+pub(super) const TRIAL: Trial = Trial {
+    name: "scene",
+    about: "whole scenes on a liver: rest, push, drag, cut, grasp with every model",
+    measure: run,
+};
+
+/// Livers, in tetrahedra.
+const USUAL_SIZES: [usize; 3] = [2_000, 6_300, 20_000];
+/// A scene is broken off after so much processor time [s].
+const USUAL_SECONDS: f64 = 60.0;
+
+fn run(request: &TrialRequest, tell: Tell<'_>) -> anyhow::Result<Answer> {
+    let request = SceneRequest {
+        motion: request.motion.clone(),
+        model: request.model.clone(),
+        hand_gives_way: request.hand_gives_way,
+        sizes: request.sizes.clone().unwrap_or(USUAL_SIZES.to_vec()),
+        threads: request.threads,
+        seconds: request.seconds.unwrap_or(USUAL_SECONDS),
+    };
+    let report = measure(&request, tell)?;
+    Ok(Answer { json: serde_json::to_string_pretty(&report)?, text: report.to_table() })
+}
 
 /// A model with a law, and the time step with which its scenes run.
 #[derive(Clone, Copy)]
 struct Subject {
-    model: &'static str,
+    kind: ModelKind,
     /// None: the model's own.
     law: Option<&'static str>,
     /// The longest step that is tried [s]; halved until the model takes it.
     step_s: f64,
-    /// Whether an edit of the mesh is followed.
-    follows_cuts: bool,
 }
 
-const fn subject(model: &'static str, law: Option<&'static str>, step_s: f64) -> Subject {
-    Subject { model, law, step_s, follows_cuts: true }
+/// A law that models of any law run with, beside their own.
+const SECOND_LAW: &str = "stable_neo_hooke";
+
+/// Every model of scenes but those that need measured curves.
+fn subjects() -> Vec<Subject> {
+    let mut subjects = Vec::new();
+    for kind in ModelKind::ALL.into_iter().filter(|kind| !kind.row().follows_curves) {
+        let row = kind.row();
+        let step_s = if row.motion == ModelMotion::Implicit { 2e-3 } else { 1e-3 };
+        let laws: &[Option<&str>] =
+            if row.follows_any_law { &[row.laws.first().copied(), Some(SECOND_LAW)] } else { &[None] };
+        subjects.extend(laws.iter().map(|&law| Subject { kind, law, step_s }));
+    }
+    subjects
 }
 
-/// Every model of scenes but `quasi_nonlinear`, which needs measured curves.
-const SUBJECTS: &[Subject] = &[
-    subject("precomputed", None, 1e-3),
-    subject("hybrid", None, 1e-3),
-    Subject { follows_cuts: false, ..subject("reduced", None, 1e-3) },
-    subject("tensor_mass", None, 1e-3),
-    subject("explicit", Some("st_venant_kirchhoff"), 1e-3),
-    subject("explicit", Some("stable_neo_hooke"), 1e-3),
-    subject("implicit", Some("neo_hooke_log"), 2e-3),
-    subject("implicit", Some("stable_neo_hooke"), 2e-3),
-    subject("mass_spring", None, 1e-3),
-    subject("extended_mass_spring", None, 1e-3),
-    subject("nonlinear_tensor_mass", None, 1e-3),
-];
 /// Steps shorter than this [s] are not tried.
 const SHORTEST_STEP_S: f64 = 1e-5;
 
 /// What to measure.
 #[derive(Clone, Debug)]
-pub struct SceneRequest {
+struct SceneRequest {
     /// One motion; all for none.
-    pub motion: Option<String>,
+    motion: Option<String>,
     /// One model; all for none.
-    pub model: Option<String>,
+    model: Option<String>,
+    /// Whether the hand gives way (`[hand]`) instead of imposing its motion.
+    hand_gives_way: bool,
     /// Wanted tetrahedra.
-    pub sizes: Vec<usize>,
+    sizes: Vec<usize>,
     /// Threads of the models that use several.
-    pub threads: usize,
+    threads: usize,
     /// A scene is broken off after so much processor time [s].
-    pub seconds: f64,
+    seconds: f64,
 }
 
 /// Times of steps, in microseconds of processor time (of wall time with several threads).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct StepMicroseconds {
+struct StepMicroseconds {
     /// Median.
-    pub p50: f64,
+    p50: f64,
     /// 99 of 100 take no longer.
-    pub p99: f64,
+    p99: f64,
     /// The longest.
-    pub max: f64,
+    max: f64,
 }
 
 /// One scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SceneOutcome {
+struct SceneOutcome {
     /// The motion's name.
-    pub case: &'static str,
+    case: &'static str,
+    /// Whether the hand gave way.
+    hand_gives_way: bool,
     /// Tetrahedra at the start.
-    pub size: usize,
+    size: usize,
     /// Threads of the model.
-    pub threads: usize,
+    threads: usize,
     /// The model's scene name.
-    pub model: &'static str,
+    model: &'static str,
     /// The law that it followed.
-    pub law: &'static str,
+    law: &'static str,
     /// Simulated time over time taken.
-    pub real_time_factor: f64,
+    real_time_factor: f64,
     /// A step with its contacts and cuts.
-    pub step_us: StepMicroseconds,
+    step_us: StepMicroseconds,
     /// The time step: what a step may take in real time.
-    pub budget_us: f64,
+    budget_us: f64,
     /// The greatest force on an instrument [N].
-    pub greatest_force_n: Option<f64>,
+    greatest_force_n: Option<f64>,
     /// The most tetrahedra that were inverted, or without finite numbers, in one step.
-    pub inverted: u32,
+    inverted: u32,
     /// Edits of the mesh.
-    pub edits: usize,
+    edits: usize,
     /// How thoroughly steps were computed at the end.
-    pub effort: &'static str,
+    effort: &'static str,
     /// Simulated time [s].
-    pub simulated_s: f64,
+    simulated_s: f64,
     /// Why it ended before the motion's end, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub broken_off: Option<String>,
+    broken_off: Option<String>,
 }
 
 /// The answer to a request.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SceneReport {
+struct SceneReport {
     /// `scene`.
-    pub bench: &'static str,
+    bench: &'static str,
     /// The machine's peaks.
-    pub machine: Machine,
+    machine: Machine,
     /// One for each motion, size and model.
-    pub results: Vec<SceneOutcome>,
+    results: Vec<SceneOutcome>,
 }
 
 /// Runs what `request` asks for; `tell` hears before each scene what comes (name, number done, number in all).
 ///
 /// # Errors
 /// For an unknown motion or model and a bad setting, or when a scene cannot be set up.
-pub fn measure(request: &SceneRequest, tell: &dyn Fn(&str, usize, usize)) -> anyhow::Result<SceneReport> {
+fn measure(request: &SceneRequest, tell: Tell<'_>) -> anyhow::Result<SceneReport> {
     ensure!(request.seconds > 0.0 && request.seconds.is_finite(), "--seconds must be above 0");
     ensure!((1..=64).contains(&request.threads), "--threads {}: must be 1 to 64", request.threads);
     let motions = chosen(request.motion.as_deref(), MOTIONS, "motion", |motion| motion.name)?;
-    let subjects = chosen(request.model.as_deref(), SUBJECTS, "model", |subject| subject.model)?;
+    let subjects = chosen(request.model.as_deref(), &subjects(), "model", |subject| subject.kind.name())?;
     let mut jobs = Vec::new();
     for &size in &request.sizes {
         ensure!(size > 0, "--sizes: a size must be above 0");
         for motion in &motions {
-            let follow = |subject: &&Subject| subject.follows_cuts || !motion.cuts;
+            let follow = |subject: &&Subject| !motion.cuts || subject.kind.row().edits != FollowedEdits::None;
             jobs.extend(subjects.iter().filter(follow).map(|subject| (size, *motion, *subject)));
         }
     }
@@ -142,7 +166,7 @@ pub fn measure(request: &SceneRequest, tell: &dyn Fn(&str, usize, usize)) -> any
     let machine = Machine::measure(MachineBudget::default())?;
     let mut results = Vec::new();
     for (done, (size, motion, subject)) in jobs.iter().enumerate() {
-        let name = format!("{}, {} at {size}", motion.name, subject.model);
+        let name = format!("{}, {} at {size}", motion.name, subject.kind);
         tell(&name, done, jobs.len());
         results.push(run_scene(motion, *size, subject, request).with_context(|| name)?);
     }
@@ -176,16 +200,19 @@ struct Opened {
 }
 
 /// Sets a scene up, with the longest time step that the model takes.
-fn open(motion: &Motion, size: usize, subject: &Subject, threads: usize) -> anyhow::Result<Opened> {
+fn open(motion: &Motion, size: usize, subject: &Subject, request: &SceneRequest) -> anyhow::Result<Opened> {
     let mesh = liver(size)?;
     let folder = ScratchFolder::new()?;
     write_mesh(&folder.path().join("liver.vtu"), &mesh)?;
-    let (tool, end_s) = (motion.write)(&Place::of(&mesh));
+    let (mut tool, end_s) = (motion.write)(&Place::of(&mesh));
+    if request.hand_gives_way {
+        tool.insert_str(0, "[hand]\n");
+    }
     let path = folder.path().join("scene.toml");
     let mut step_s = subject.step_s;
     loop {
         std::fs::write(&path, scene_text(subject, step_s, &tool))?;
-        let source = OpenScene { n_threads: threads, ..OpenScene::read(&path)? };
+        let source = OpenScene { n_threads: request.threads, ..OpenScene::read(&path)? };
         let scene = source.scene.clone();
         match Simulation::open(source, None) {
             Ok(simulation) => {
@@ -208,7 +235,7 @@ fn scene_text(subject: &Subject, step_s: f64, tool: &str) -> String {
          [organ]\nmesh = \"liver.vtu\"\ntissue = \"liver\"\nmodel = \"{}\"\n{law}damping = \"20 1/s\"\n\
          [[organ.fixed]]\nfurthest = {{ direction = [0, 1, 0.4], fraction = 0.1 }}\n{tool}",
         step_s * 1e6,
-        subject.model
+        subject.kind
     )
 }
 
@@ -276,18 +303,18 @@ fn run_scene(
     subject: &Subject,
     request: &SceneRequest,
 ) -> anyhow::Result<SceneOutcome> {
-    let mut opened = open(motion, size, subject, request.threads)?;
+    let mut opened = open(motion, size, subject, request)?;
     let Course { step_us, taken_s, greatest_force_n, inverted, broken_off } =
         run_through(&mut opened, request);
     let Opened { simulation, step_s, size, .. } = opened;
     let simulated_s = step_us.len() as f64 * step_s;
-    let kind = simulation.world().model_kind();
     Ok(SceneOutcome {
         case: motion.name,
+        hand_gives_way: request.hand_gives_way,
         size,
         threads: request.threads,
-        model: subject.model,
-        law: subject.law.or(kind.laws().first().copied()).unwrap_or("springs"),
+        model: subject.kind.name(),
+        law: subject.law.or(subject.kind.row().laws.first().copied()).unwrap_or("springs"),
         real_time_factor: simulated_s / taken_s.max(1e-12),
         step_us: StepMicroseconds::of(step_us),
         budget_us: step_s * 1e6,
@@ -302,7 +329,7 @@ fn run_scene(
 
 impl SceneReport {
     /// A table for people.
-    pub fn to_table(&self) -> String {
+    fn to_table(&self) -> String {
         let mut text = format!(
             "machine: {}, one core: FMA {:.1} GFLOP/s f64\n{:<6} {:>6} {:<22} {:<20} {:>9} {:>9} {:>9} {:>9} {:>9} {:>10} {:>8} {:>6}\n",
             self.machine.cpu,
@@ -353,12 +380,14 @@ mod tests {
         let request = SceneRequest {
             motion: None,
             model: Some("tensor_mass".into()),
+            hand_gives_way: false,
             sizes: vec![500],
             threads: 1,
             seconds: 60.0,
         };
+        let subject = Subject { kind: ModelKind::TensorMass, law: None, step_s: 1e-3 };
         for motion in MOTIONS {
-            let outcome = run_scene(motion, 500, &SUBJECTS[3], &request).unwrap();
+            let outcome = run_scene(motion, 500, &subject, &request).unwrap();
             assert_eq!(outcome.broken_off, None, "{}", motion.name);
             let force_n = outcome.greatest_force_n.unwrap();
             assert_eq!(force_n > 0.0, !matches!(motion.name, "rest"), "{}: {force_n} N", motion.name);

@@ -27,44 +27,27 @@ const SEED: u64 = 26;
 
 /// A motion: what the scene calls it, and how its tool and path are written.
 #[derive(Clone, Copy)]
-pub struct Motion {
+pub(super) struct Motion {
     /// Name on the command line and in the result.
-    pub name: &'static str,
-    /// One line: what happens.
-    pub about: &'static str,
+    pub(super) name: &'static str,
     /// Whether it edits the mesh.
-    pub cuts: bool,
+    pub(super) cuts: bool,
     /// Scene text of the instrument, and how long it takes [s].
     pub(super) write: fn(&Place) -> (String, f64),
 }
 
 /// Every motion, in the order in which they run.
-pub const MOTIONS: &[Motion] = &[
-    Motion { name: "rest", about: "nothing touches the organ for half a second", cuts: false, write: rest },
-    Motion {
-        name: "push",
-        about: "a ball of 6 mm goes 15 mm into the organ and out again",
-        cuts: false,
-        write: push,
-    },
-    Motion {
-        name: "drag",
-        about: "a tip of 3 mm with friction 0.05 goes 20 mm in, 40 mm along and out again",
-        cuts: false,
-        write: drag,
-    },
-    Motion {
-        name: "cut",
-        about: "eight strokes of a scalpel, 12 mm deep and 50 mm long",
-        cuts: true,
-        write: cut,
-    },
-    Motion {
-        name: "grasp",
-        about: "jaws close on the organ, lift it by 30 mm and let go",
-        cuts: false,
-        write: grasp,
-    },
+pub(super) const MOTIONS: &[Motion] = &[
+    // Nothing touches the organ for half a second.
+    Motion { name: "rest", cuts: false, write: rest },
+    // A ball of 6 mm goes 15 mm into the organ and out again.
+    Motion { name: "push", cuts: false, write: push },
+    // A tip of 3 mm with friction 0.05 goes 20 mm in, 40 mm along and out again.
+    Motion { name: "drag", cuts: false, write: drag },
+    // Eight strokes of a scalpel, 12 mm deep and 50 mm long.
+    Motion { name: "cut", cuts: true, write: cut },
+    // Jaws close on the organ, lift it by 30 mm and let go.
+    Motion { name: "grasp", cuts: false, write: grasp },
 ];
 
 /// Where the organ is touched: the patient lies on the back, the instruments come from the front (-y).

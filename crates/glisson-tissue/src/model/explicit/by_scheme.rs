@@ -78,12 +78,8 @@ pub(in crate::model) trait InternalForces {
     /// Adds the force [N] that the links exert on each node.
     fn add_forces(&mut self, positions_m: &[DVec3], velocities_m_per_s: &[DVec3], force_n: &mut [DVec3]);
 
-    /// Chooses, at the begin of a part, the tetrahedra that exert no force in it. Links that do not come from
-    /// tetrahedra have none.
-    fn quarantine(&mut self, positions_m: &[DVec3]) -> Quarantine {
-        let _ = positions_m;
-        Quarantine::default()
-    }
+    /// Chooses, at the begin of a part, the tetrahedra that exert other forces in it than their own.
+    fn quarantine(&mut self, positions_m: &[DVec3], rest_m: &[DVec3]) -> Quarantine;
 }
 
 /// Nodes in motion.
@@ -334,7 +330,7 @@ impl ExplicitBody {
                 self.velocities_m_per_s[n] = (at_m - self.positions_m[n]) / h_s;
                 self.positions_m[n] = at_m;
             }
-            self.frame.note_quarantine(forces.quarantine(&self.positions_m));
+            self.frame.note_quarantine(forces.quarantine(&self.positions_m, &self.frame.rest_m));
             let mut equations = Newton {
                 forces,
                 force_n: &mut self.force_n,

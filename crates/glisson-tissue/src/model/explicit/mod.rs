@@ -12,6 +12,7 @@ mod cuttable;
 mod frame;
 mod rest_tensions;
 mod stable;
+mod stand_in;
 
 pub(in crate::model) use by_scheme::{ExplicitBody, InternalForces, check_number};
 pub use by_scheme::{Inertia, Integration};
@@ -25,6 +26,7 @@ pub(in crate::model) use frame::{Quarantine, check_body};
 pub(in crate::model) use rest_tensions::RestTensions;
 pub use stable::{MOST_NODES_PROVEN, StableStep};
 pub(in crate::model) use stable::{Stability, StiffTet};
+pub(in crate::model) use stand_in::{StandIns, stand_in_forces_n};
 
 use crate::solve::SolveError;
 use glisson_mesh::math::DVec3;

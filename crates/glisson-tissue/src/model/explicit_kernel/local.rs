@@ -29,6 +29,10 @@ impl LocalBody for ExplicitKernel {
     fn frame(&self) -> &dyn LocalFrame {
         self
     }
+
+    fn velocity_m_per_s(&self, n: usize) -> DVec3 {
+        self.velocities_m_per_s[n]
+    }
 }
 
 impl LocalFrame for ExplicitKernel {

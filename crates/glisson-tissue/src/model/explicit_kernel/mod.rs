@@ -35,6 +35,7 @@ mod piece;
 mod stability;
 mod topology;
 mod undo;
+pub(super) mod row;
 
 use std::sync::Arc;
 
@@ -43,7 +44,6 @@ use self::stability::Stability;
 use super::bounded_vec::BoundedVec;
 use super::explicit::{ExplicitDynamics, Mover};
 use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine, Workers};
-use super::kind::ModelKind;
 use super::topology_update::TopologyUpdate;
 use super::{
     Constraints, Correction, ModelReport, ModelState, ModelUndo, NodalForce, Rayleigh, TopologyRefusal,
@@ -55,6 +55,9 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 pub use super::explicit::{ExplicitError, StableStep};
 use params::Substance;
 pub use params::{DEFAULT_LARGEST_STRETCH, ExplicitKernelError, ExplicitKernelParams};
+
+/// Scene name.
+const NAME: &str = "explicit";
 
 /// Threads that several models may share.
 pub type SharedWorkers = Arc<dyn Workers + Send + Sync>;
@@ -73,8 +76,8 @@ const MOST_PARTS: f64 = 1e6;
 /// A law that is finite in every shape goes on in inverted tetrahedra.
 fn quarantine_of(law: KernelLaw) -> Quarantine {
     match law {
-        KernelLaw::Linear | KernelLaw::StVenantKirchhoff | KernelLaw::StableNeoHooke => Quarantine::NotFinite,
-        KernelLaw::NeoHookeLog | KernelLaw::General => Quarantine::Inverted,
+        KernelLaw::Linear | KernelLaw::StableNeoHooke => Quarantine::NotFinite,
+        KernelLaw::StVenantKirchhoff | KernelLaw::NeoHookeLog | KernelLaw::General => Quarantine::Inverted,
     }
 }
 
@@ -574,12 +577,11 @@ impl ExplicitDynamics for ExplicitKernel {
 
     /// Follows all edits; removals allocate nothing.
     fn follow_change(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        let name = ModelKind::Explicit.name();
         let counts = [self.rest.tetrahedra.len(), self.rest.positions_m.len()];
-        TopologyRefusal::of_other_mesh(name, change, counts)?;
+        TopologyRefusal::of_other_mesh(NAME, change, counts)?;
         let tets = self.rest.tetrahedra.iter().enumerate();
         let live = tets.filter(|(t, _)| self.kernel.is_live(TetId::from_index(*t)));
-        match TopologyUpdate::of(name, mesh, change, &self.rest.positions_m, live)? {
+        match TopologyUpdate::of(NAME, mesh, change, &self.rest.positions_m, live)? {
             Some(growth) => self.grow(mesh, change, &growth),
             None => {
                 for &tet in &change.tets.removed {

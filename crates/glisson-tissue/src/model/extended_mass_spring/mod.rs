@@ -19,6 +19,7 @@
 
 mod law;
 mod tuning;
+pub(super) mod row;
 
 pub use law::EdgeLaw;
 pub use tuning::tuned_damping_per_s;
@@ -26,13 +27,15 @@ pub use tuning::tuned_damping_per_s;
 use self::law::{EdgeEnergy, Lame, NeoHookeTet, StVenantKirchhoffTet, is_inverted};
 use super::explicit::{
     Cuttable, ExplicitBody, ExplicitDynamics, ExplicitError, Integration, InternalForces, LiveEdges,
-    LiveTets, Quarantine, RestTensions, Stability, StiffTet, check_body, check_number, follow, keep,
+    LiveTets, Quarantine, RestTensions, Stability, StandIns, StiffTet, check_body, check_number, follow,
+    keep,
 };
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::tet_law::TetLaw;
 use super::topology_update::{TopologyUpdate, blend_tets};
 use super::{DynamicBody, RestStress, TopologyRefusal};
-use crate::material::{LinearElastic, NeoHookeLog};
+use crate::material::{LinearElastic, NeoHookeLog, StableNeoHooke};
+use crate::model::explicit::Mover;
 use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients};
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -90,6 +93,8 @@ struct Links {
     /// Tetrahedra that exert no force in the part of the step under way, and how many they are.
     is_left_out: Vec<bool>,
     n_left_out: u32,
+    /// What these do instead.
+    stand_ins: StandIns,
     // Scratch, an entry an edge.
     growth_m2: Vec<f64>,
     tension_n_per_m: Vec<f64>,
@@ -166,20 +171,16 @@ impl InternalForces for Links {
             force_n[a] += pull_n;
             force_n[b] -= pull_n;
         }
+        self.stand_ins.add_forces(positions_m, force_n);
     }
 
-    fn quarantine(&mut self, positions_m: &[DVec3]) -> Quarantine {
-        if self.n_left_out > 0 {
-            self.is_left_out.fill(false);
+    fn quarantine(&mut self, positions_m: &[DVec3], rest_m: &[DVec3]) -> Quarantine {
+        let Self { is_left_out, n_left_out, stand_ins, tets, .. } = self;
+        if *n_left_out > 0 {
+            is_left_out.fill(false);
         }
-        let mut quarantine = Quarantine::default();
-        for (t, nodes) in self.tets.iter() {
-            if is_inverted(nodes.map(|n| positions_m[n.index()])) {
-                self.is_left_out[t] = true;
-                quarantine.add(t);
-            }
-        }
-        self.n_left_out = quarantine.n_tets;
+        let quarantine = stand_ins.find(tets, positions_m, rest_m, |t| is_left_out[t] = true);
+        *n_left_out = quarantine.n_tets;
         quarantine
     }
 }
@@ -265,6 +266,7 @@ impl ExtendedMassSpring {
                 viscosity_n_s_per_m,
                 elements,
                 is_left_out: vec![false; mesh.tetrahedra.len()],
+                stand_ins: StandIns::new(StableNeoHooke::from(material), mesh.tetrahedra.len()),
                 n_left_out: 0,
                 growth_m2: vec![0.0; n_edges],
                 tension_n_per_m: vec![0.0; n_edges],
@@ -337,6 +339,7 @@ impl ExtendedMassSpring {
         force_n.fill(DVec3::ZERO);
         self.links.n_left_out = 0;
         self.links.is_left_out.fill(false);
+        self.links.stand_ins.clear();
         self.links.add_forces(positions_m, velocities_m_per_s, force_n);
     }
 
@@ -430,6 +433,7 @@ impl Cuttable for ExtendedMassSpring {
         blend_tets(&mut self.rest_stress_pa, change);
         let links = &mut self.links;
         links.is_left_out.resize(growth.n_tets, false);
+        links.stand_ins.make_room(growth.n_tets);
         let insertions = links.edges.grow(&links.tets, &growth.added);
         insertions.spread(&mut links.rest_m2, 0.0);
         insertions.spread(&mut links.viscosity_n_s_per_m, 0.0);
@@ -539,6 +543,10 @@ impl LocalBody for ExtendedMassSpring {
 
     fn frame(&self) -> &dyn LocalFrame {
         &self.body
+    }
+
+    fn velocity_m_per_s(&self, n: usize) -> DVec3 {
+        self.body.state().velocities_m_per_s[n]
     }
 }
 

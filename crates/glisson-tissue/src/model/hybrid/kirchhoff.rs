@@ -6,6 +6,7 @@
 //!
 //! A stress at rest S0 makes P = F (S + S0). Its constant part V S0 alpha_j is kept elsewhere, as in the linear zones.
 
+use crate::material::{Material, StableNeoHooke};
 use crate::model::tet_law::TetLaw;
 use crate::solve::{P1Gradients, RestStress, stress_tensor_pa};
 use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer};
@@ -24,14 +25,15 @@ impl KirchhoffTet {
     }
 
     /// Forces [N] that balance the corners' displacements [m], without the constant forces of the stress at rest, and
-    /// whether the tetrahedron is inverted. An inverted one bears nothing, because St Venant-Kirchhoff tissue is also
-    /// at rest in its mirror image: the forces are then the constant ones with the opposite sign.
+    /// whether the tetrahedron is inverted. An inverted one follows the stable neo-Hookean law, without the stress at rest,
+    /// because St Venant-Kirchhoff tissue is also at rest in its mirror image.
     pub(super) fn forces_n(&self, law: &TetLaw, u_m: [DVec3; 4]) -> ([DVec3; 4], bool) {
         let P1Gradients { alpha_per_m, volume_m3 } = self.gradients;
         let f = (0..4).fold(DMat3::IDENTITY, |f, k| f + outer(u_m[k], alpha_per_m[k]));
         let is_inverted = is_inverted(f.determinant());
         let piola_pa = if is_inverted {
-            self.rest_stress_pa * -1.0
+            let stand_in = StableNeoHooke::new(law.lambda_pa, law.mu_pa);
+            stand_in.map_or(DMat3::ZERO, |law| law.first_piola_pa(&f)) - self.rest_stress_pa
         } else {
             let strain = (f.transpose() * f - DMat3::IDENTITY) * 0.5;
             f * law.stress_pa(strain) + (f - DMat3::IDENTITY) * self.rest_stress_pa

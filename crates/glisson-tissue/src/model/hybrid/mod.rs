@@ -6,3 +6,7 @@
 pub mod condensed;
 pub mod exchange;
 mod kirchhoff;
+pub(super) mod row;
+
+/// Scene name.
+const NAME: &str = "hybrid";

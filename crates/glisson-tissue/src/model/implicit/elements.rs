@@ -19,6 +19,7 @@ use super::general::{General, stiffness_of};
 use super::lanes::{Group, LANES, SYMMETRIC, Shape, SymmetricLanes};
 use super::law::ImplicitLaw;
 use super::neo_hooke::NeoHooke;
+use super::stable_neo_hooke::Stable;
 use super::{RestStress, VolumeResistance};
 use crate::material::{Material, StableNeoHooke};
 use crate::model::bounded_vec::BoundedVec;
@@ -49,6 +50,7 @@ pub(super) enum Recovery {
 #[derive(Clone)]
 enum OwnLaw {
     NeoHooke(NeoHooke),
+    Stable(Stable),
     General(General),
 }
 
@@ -72,6 +74,8 @@ pub(super) struct Elements {
     /// One, or one per live tetrahedron.
     stand_ins: Vec<StableNeoHooke>,
     factor: f64,
+    /// Whether the last evaluation found a tetrahedron inside out.
+    has_inverted: bool,
     /// Stress at rest [Pa]; empty for none.
     rest_pa: Vec<SymmetricLanes>,
     /// The stress at rest without its negative eigenvalues [Pa], for the preconditioner.
@@ -171,6 +175,7 @@ impl Elements {
                 let lame_pa = [law.lambda_pa(), law.mu_pa()];
                 OwnLaw::NeoHooke(NeoHooke::new(lame_pa, volume, n_groups, &node_volume_m3))
             }
+            ImplicitLaw::StableNeoHooke(law) => OwnLaw::Stable(Stable::new(*law, n_groups)),
             ImplicitLaw::General(laws) => {
                 OwnLaw::General(General::new(of_live(laws, &tets).into_owned(), n_groups))
             }
@@ -187,6 +192,7 @@ impl Elements {
             own,
             stand_ins: of_live(stand_ins, &tets).into_owned(),
             factor: 1.0,
+            has_inverted: false,
             rest_pa,
             tensile_rest_pa,
             node_volume_m3,
@@ -251,10 +257,14 @@ impl Elements {
             OwnLaw::NeoHooke(own) => {
                 own.evaluate(self.level, &self.shape, self.factor, displacement_m, force_n)
             }
+            OwnLaw::Stable(own) => {
+                own.evaluate(self.level, &self.shape, self.factor, displacement_m, force_n)
+            }
             OwnLaw::General(own) => {
                 own.evaluate(self.level, &self.shape, self.factor, displacement_m, force_n)
             }
         };
+        self.has_inverted = found.has_inverted;
         for s in 0..self.strays.len() {
             let t = self.strays[s].live as usize;
             let f = DMat3::IDENTITY + self.gradient(t, displacement_m);
@@ -271,11 +281,24 @@ impl Elements {
         found
     }
 
+    /// Whether the last evaluation found a tetrahedron inside out that its law may not bring back.
+    pub(super) fn needs_stand_in(&self) -> bool {
+        let returns = |t: usize| match &self.own {
+            OwnLaw::NeoHooke(_) => false,
+            OwnLaw::Stable(_) => true,
+            OwnLaw::General(own) => own.law(t).returns_from_inversion(),
+        };
+        self.has_inverted && !self.tets.is_empty() && !returns(0)
+    }
+
     /// Overwrites `force_n` with K d, K being the tangent of the last evaluation.
     pub(super) fn tangent_product(&mut self, direction_m: &[DVec3], force_n: &mut [DVec3]) {
         force_n.fill(DVec3::ZERO);
         match &mut self.own {
             OwnLaw::NeoHooke(own) => {
+                own.tangent_product(self.level, &self.shape, self.factor, direction_m, force_n);
+            }
+            OwnLaw::Stable(own) => {
                 own.tangent_product(self.level, &self.shape, self.factor, direction_m, force_n);
             }
             OwnLaw::General(own) => {
@@ -304,6 +327,7 @@ impl Elements {
             let f = DMat3::IDENTITY + self.gradient(t, displacement_m);
             let (is_valid, bars) = match &self.own {
                 OwnLaw::NeoHooke(own) => (own.is_valid_at(&f), true),
+                OwnLaw::Stable(own) => (own.is_valid_at(&f), false),
                 OwnLaw::General(own) => (own.is_valid_at(t, &f), !own.is_valid_at(t, &MIRROR)),
             };
             self.is_bad[t] = !is_valid || (bars && is_far_from_rest(&f));
@@ -366,6 +390,7 @@ impl Elements {
         let f = DMat3::IDENTITY + self.gradient(t, displacement_m);
         let stress_pa = match &self.own {
             OwnLaw::NeoHooke(own) => own.second_piola_pa(group, t % LANES, self.factor, &f),
+            OwnLaw::Stable(own) => f.inverse() * own.law().first_piola_pa(&f),
             OwnLaw::General(own) => f.inverse() * own.law(t).first_piola_pa(&f),
         };
         // The result must be symmetric to the bit.
@@ -387,6 +412,7 @@ impl Elements {
                 stiffness_of(&self.stand_in(t).projected_tangent_pa(&f), alpha, per_elastic * volume_m3)
             }
             OwnLaw::NeoHooke(own) => own.projected_stiffness(f, alpha, per_elastic * volume_m3),
+            OwnLaw::Stable(own) => own.projected_stiffness(f, alpha, per_elastic * volume_m3),
             OwnLaw::General(own) => {
                 stiffness_of(&own.law(t).projected_tangent_pa(&f), alpha, per_elastic * volume_m3)
             }
@@ -480,6 +506,7 @@ mod tests {
         let [lambda_pa, mu_pa] = LAME_PA;
         let fast = ImplicitLaw::from(NeoHookeLog::new(lambda_pa, mu_pa).unwrap());
         let ogden = Ogden::new(&[OgdenTerm { mu_pa, exponent: -4.7 }], lambda_pa).unwrap();
+        let stable = StableNeoHooke::new(lambda_pa, mu_pa).unwrap();
         vec![
             (fast.clone(), VolumeResistance::Element),
             (fast.clone(), VolumeResistance::NodeAveraged),
@@ -492,7 +519,8 @@ mod tests {
                 ImplicitLaw::shared(StVenantKirchhoff::new(lambda_pa, mu_pa).unwrap()),
                 VolumeResistance::Element,
             ),
-            (ImplicitLaw::shared(StableNeoHooke::new(lambda_pa, mu_pa).unwrap()), VolumeResistance::Element),
+            (stable.into(), VolumeResistance::Element),
+            (ImplicitLaw::shared(stable), VolumeResistance::Element),
             (ImplicitLaw::shared(ogden), VolumeResistance::Element),
         ]
     }
@@ -569,8 +597,11 @@ mod tests {
         u[5] = DVec3::new(-1.5, 1.5, 0.0);
         let rest = vec![[200.0, -150.0, 80.0, 60.0, -90.0, 30.0]; 6];
         for (law, volume) in laws() {
-            let allows_inversion = matches!(&law, ImplicitLaw::General(laws)
-                if laws[0].energy_density_j_per_m3(&DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0))).is_finite());
+            let allows_inversion = match &law {
+                ImplicitLaw::NeoHookeLog(_) => false,
+                ImplicitLaw::StableNeoHooke(_) => true,
+                ImplicitLaw::General(laws) => laws[0].returns_from_inversion(),
+            };
             let mut elements = elements(&mesh, &law, volume, &rest);
             assert_eq!(elements.quarantine(&[DVec3::ZERO; 8], Recovery::None), (0, None));
             let (n, first) = elements.quarantine(&u, Recovery::None);
@@ -580,41 +611,124 @@ mod tests {
         }
     }
 
-    /// The law through the trait is the fast one.
+    /// What the elements say at a shape, with stress at rest and viscosity.
+    struct Answers {
+        evaluation: Evaluation,
+        /// Forces, and the tangent product.
+        nodal: [Vec<DVec3>; 2],
+        projected: TetStiffness,
+        /// None where the tetrahedron is left out.
+        stress_pa: Option<DMat3>,
+    }
+
+    fn answers(elements: &mut Elements, u: &[DVec3], d: &[DVec3], left_out: u8) -> Answers {
+        elements
+            .set_viscous(0.7, |tet| symmetric(&[50.0, 20.0, -30.0, 10.0 * tet.index() as f64, 5.0, -7.0]));
+        elements.shape.groups[0].left_out = left_out;
+        let mut nodal = [vec![DVec3::ZERO; 8], vec![DVec3::ZERO; 8]];
+        let evaluation = elements.evaluate(u, &mut nodal[0]);
+        elements.tangent_product(d, &mut nodal[1]);
+        let f = DMat3::IDENTITY + elements.gradient(2, u);
+        let projected = elements.projected_stiffness(2, f, false, [0.7, 1.3]);
+        Answers { evaluation, nodal, projected, stress_pa: elements.second_piola_pa(3, u) }
+    }
+
+    /// Largest difference over the largest number.
+    fn off(a: &[f64], b: &[f64]) -> f64 {
+        let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, |m: f64, x| m.max(x.abs()));
+        largest(&mut a.iter().zip(b).map(|(a, b)| a - b)) / largest(&mut a.iter().copied()).max(1e-300)
+    }
+
+    /// The laws eight at a time are those through the trait, also where tetrahedra are left out or inverted.
     #[test]
-    fn the_fast_neo_hooke_law_is_the_general_one() {
+    fn the_fast_neo_hooke_laws_are_the_general_ones() {
         let mut random = SeededRandom::new(10);
         let mesh = cube(&mut random);
         let mut vectors = |scale: f64| -> Vec<DVec3> { (0..8).map(|_| vector(&mut random, scale)).collect() };
         let (u, d) = (vectors(0.05), vectors(1.0));
-        let law = NeoHookeLog::new(LAME_PA[0], LAME_PA[1]).unwrap();
+        let mut inverted = u.clone();
+        inverted[5] = DVec3::new(-1.5, 1.5, 0.0);
         let rest = vec![[200.0, -150.0, 80.0, 60.0, -90.0, 30.0]; 6];
-        let found = [ImplicitLaw::from(law), ImplicitLaw::shared(law)].map(|law| {
-            let mut elements = elements(&mesh, &law, VolumeResistance::Element, &rest);
-            let (mut force, mut product) = (vec![DVec3::ZERO; 8], vec![DVec3::ZERO; 8]);
-            let energy_j = elements.evaluate(&u, &mut force).energy_j;
-            elements.tangent_product(&d, &mut product);
-            let projected = elements.projected_stiffness(
-                2,
-                DMat3::from_diagonal(DVec3::new(0.9, 1.1, 1.2)),
-                false,
-                [0.7, 1.3],
-            );
-            let stress = elements.second_piola_pa(3, &u).unwrap();
-            (energy_j, force, product, projected, stress)
-        });
-        let [fast, general] = &found;
-        assert!((fast.0 - general.0).abs() <= 1e-12 * fast.0.abs());
-        for n in 0..8 {
-            assert!((fast.1[n] - general.1[n]).length() <= 1e-9, "{} {}", fast.1[n], general.1[n]);
-            assert!((fast.2[n] - general.2[n]).length() <= 1e-8, "{} {}", fast.2[n], general.2[n]);
+        let log = NeoHookeLog::new(LAME_PA[0], LAME_PA[1]).unwrap();
+        let stable = StableNeoHooke::new(LAME_PA[0], LAME_PA[1]).unwrap();
+        let logs = [ImplicitLaw::from(log), ImplicitLaw::shared(log)];
+        let stables = [ImplicitLaw::from(stable), ImplicitLaw::shared(stable)];
+        for (laws, u, left_out) in [
+            (&logs, &u, 0),
+            (&logs, &u, 0b1000),
+            (&stables, &u, 0),
+            (&stables, &u, 0b1110_1000),
+            (&stables, &inverted, 0),
+            // All that are inverted.
+            (&stables, &inverted, 0b1111_0000),
+        ] {
+            let [fast, general] = [0, 1].map(|k| {
+                let mut elements = elements(&mesh, &laws[k], VolumeResistance::Element, &rest);
+                answers(&mut elements, u, &d, left_out)
+            });
+            let name = format!("{:?}, left out {left_out:b}", laws[0]);
+            let (a, b) = (fast.evaluation, general.evaluation);
+            assert!(off(&[a.energy_j], &[b.energy_j]) <= 1e-12, "{name}: {a:?} {b:?}");
+            assert_eq!((a.is_upright, a.has_inverted), (b.is_upright, b.has_inverted), "{name}");
+            assert_eq!(a.has_inverted, u == &inverted && left_out == 0, "{name}");
+            let flat = |vectors: &[DVec3]| -> Vec<f64> { vectors.iter().flat_map(DVec3::to_array).collect() };
+            for k in 0..2 {
+                let (a, b) = (flat(&fast.nodal[k]), flat(&general.nodal[k]));
+                assert!(off(&a, &b) <= 1e-12, "{name}: {a:?} {b:?}");
+            }
+            let entries = |k: &TetStiffness| -> Vec<f64> {
+                k.vertex.iter().chain(&k.edge).flat_map(DMat3::to_cols_array).collect()
+            };
+            let (a, b) = (entries(&fast.projected), entries(&general.projected));
+            assert!(off(&a, &b) <= 1e-12, "{name}: {a:?} {b:?}");
+            assert_eq!(fast.stress_pa.is_some(), left_out & 0b1000 == 0);
+            let entries = |s: &Option<DMat3>| s.unwrap_or(DMat3::ZERO).to_cols_array();
+            assert!(off(&entries(&fast.stress_pa), &entries(&general.stress_pa)) <= 1e-12, "{name}");
         }
-        for (a, b) in
-            fast.3.vertex.iter().chain(&fast.3.edge).zip(general.3.vertex.iter().chain(&general.3.edge))
-        {
-            assert!(a.abs_diff_eq(*b, 1e-8), "{a} {b}");
+    }
+
+    /// Vectors of two numbers and those of the processor.
+    #[test]
+    fn each_instruction_set_gives_the_same_bits() {
+        let mut random = SeededRandom::new(11);
+        let mesh = cube(&mut random);
+        let mut vectors = |scale: f64| -> Vec<DVec3> { (0..8).map(|_| vector(&mut random, scale)).collect() };
+        let (u, d) = (vectors(0.05), vectors(1.0));
+        let rest = vec![[200.0, -150.0, 80.0, 60.0, -90.0, 30.0]; 6];
+        for (law, volume) in laws() {
+            let [a, b] = [Level::baseline(), Level::new()].map(|level| {
+                let mut elements = Elements { level, ..elements(&mesh, &law, volume, &rest) };
+                answers(&mut elements, &u, &d, 0)
+            });
+            let name = format!("{law:?} {volume:?}");
+            assert_eq!(a.evaluation, b.evaluation, "{name}");
+            for (a, b) in a.nodal.iter().flatten().zip(b.nodal.iter().flatten()) {
+                assert_eq!(a.to_array().map(f64::to_bits), b.to_array().map(f64::to_bits), "{name}");
+            }
         }
-        assert!(fast.4.abs_diff_eq(general.4, 1e-8), "{} {}", fast.4, general.4);
+    }
+
+    #[test]
+    fn a_stress_that_overflows_is_told_although_the_energy_does_not() {
+        let mut mesh = TetMesh { positions_m: vec![DVec3::ZERO], tetrahedra: vec![[0, 1, 2, 3].map(NodeId)] };
+        mesh.positions_m.extend(DVec3::AXES);
+        let u = [DVec3::ZERO, DVec3::X * 1e83, DVec3::Y * 1e83, DVec3::Z * (f64::EPSILON - 1.0)];
+        let stable = StableNeoHooke::new(LAME_PA[0], LAME_PA[1]).unwrap();
+        for law in [ImplicitLaw::from(stable), ImplicitLaw::shared(stable)] {
+            let found =
+                elements(&mesh, &law, VolumeResistance::Element, &[]).evaluate(&u, &mut [DVec3::ZERO; 4]);
+            assert!(found.energy_j.is_finite() && !found.is_upright, "{law:?}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn the_fast_laws_have_no_energy_and_no_force_at_rest_to_the_bit() {
+        let mesh = cube(&mut SeededRandom::new(13));
+        for (law, volume) in laws().into_iter().filter(|(law, _)| !matches!(law, ImplicitLaw::General(_))) {
+            let mut force_n = vec![DVec3::ONE; 8];
+            let found = elements(&mesh, &law, volume, &[]).evaluate(&[DVec3::ZERO; 8], &mut force_n);
+            assert_eq!((found.energy_j, &force_n), (0.0, &vec![DVec3::ZERO; 8]), "{law:?} {volume:?}");
+        }
     }
 
     #[test]
@@ -623,5 +737,10 @@ mod tests {
         let general = ImplicitLaw::from(&MaterialSpec::from(law));
         assert!(matches!(&general, ImplicitLaw::General(laws) if laws.len() == 1));
         assert!(general.modulus_pa() > 1e4);
+        let stable = StableNeoHooke::new(LAME_PA[0], LAME_PA[1]).unwrap();
+        let fast = ImplicitLaw::from(&MaterialSpec::from(stable));
+        assert!(matches!(fast, ImplicitLaw::StableNeoHooke(law) if law == stable));
+        let [fast_pa, general_pa] = [fast, ImplicitLaw::shared(stable)].map(|law| law.modulus_pa());
+        assert!((fast_pa - general_pa).abs() <= 1e-12 * general_pa, "{fast_pa} {general_pa}");
     }
 }

@@ -74,10 +74,11 @@ impl General {
         dispatch!(level, simd => product(simd, &self.tangent_pa, shape, direction_m, force_n));
     }
 
-    /// Whether the law of tetrahedron `t` has an energy and a stress there.
+    /// Whether the law of tetrahedron `t` has an energy and a stress there, and one that brings it back if it is inside out.
     pub(super) fn is_valid_at(&self, t: usize, f: &DMat3) -> bool {
         let law = self.law(t);
-        law.energy_density_j_per_m3(f).is_finite() && law.first_piola_pa(f).is_finite()
+        let returns = f.determinant() > 0.0 || law.returns_from_inversion();
+        returns && law.energy_density_j_per_m3(f).is_finite() && law.first_piola_pa(f).is_finite()
     }
 
     fn update_tangents(&mut self, shape: &Shape, factor: f64) {

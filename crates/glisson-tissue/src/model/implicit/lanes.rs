@@ -136,7 +136,15 @@ pub(super) fn deformation<S: Simd>(h: &Matrix<S>) -> (Matrix<S>, Matrix<S>, f64x
     for i in 0..3 {
         f[i][i] += 1.0;
     }
-    let mut cofactor = f;
+    let cofactor = cofactor(&f);
+    let j = f[0][0] * cofactor[0][0] + f[0][1] * cofactor[0][1] + f[0][2] * cofactor[0][2];
+    (f, cofactor, j)
+}
+
+/// dJ/dF: the cofactor matrix J F^-T, defined for any F.
+#[inline(always)]
+pub(super) fn cofactor<S: Simd>(f: &Matrix<S>) -> Matrix<S> {
+    let mut cofactor = *f;
     for i in 0..3 {
         let (a, b) = ((i + 1) % 3, (i + 2) % 3);
         for j in 0..3 {
@@ -144,8 +152,19 @@ pub(super) fn deformation<S: Simd>(h: &Matrix<S>) -> (Matrix<S>, Matrix<S>, f64x
             cofactor[i][j] = f[a][c] * f[b][d] - f[a][d] * f[b][c];
         }
     }
-    let j = f[0][0] * cofactor[0][0] + f[0][1] * cofactor[0][1] + f[0][2] * cofactor[0][2];
-    (f, cofactor, j)
+    cofactor
+}
+
+/// |F|^2 - 3 as 2 tr H + |H|^2, which keeps its digits near rest.
+#[inline(always)]
+pub(super) fn stretch<S: Simd>(h: &Matrix<S>) -> f64x8<S> {
+    let mut stretch = (h[0][0] + h[1][1] + h[2][2]) * 2.0;
+    for row in h {
+        for x in row {
+            stretch += *x * *x;
+        }
+    }
+    stretch
 }
 
 /// Multiplies every entry.

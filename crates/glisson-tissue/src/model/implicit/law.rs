@@ -19,14 +19,16 @@ pub type SharedLaw = Arc<dyn Material + Send + Sync>;
 /// let liver = LinearElastic::from_young_poisson(5000.0, 0.45, 1060.0)?;
 /// assert!(matches!(ImplicitLaw::neo_hooke(&liver), ImplicitLaw::NeoHookeLog(_)));
 /// let stable = MaterialSpec::from(StableNeoHooke::from(&liver));
-/// assert!(matches!(ImplicitLaw::from(&stable), ImplicitLaw::General(_)));
+/// assert!(matches!(ImplicitLaw::from(&stable), ImplicitLaw::StableNeoHooke(_)));
 /// # Ok::<(), glisson_tissue::material::MaterialError>(())
 /// ```
 #[derive(Clone)]
 pub enum ImplicitLaw {
-    /// The ln J neo-Hookean law for all tetrahedra, eight at a time: the fast one.
+    /// The ln J neo-Hookean law for all tetrahedra, eight at a time.
     NeoHookeLog(NeoHookeLog),
-    /// Any law: one for all tetrahedra, or one a tetrahedron.
+    /// The stable neo-Hookean law for all tetrahedra, eight at a time.
+    StableNeoHooke(StableNeoHooke),
+    /// Any law, one tetrahedron at a time: one for all, or one a tetrahedron.
     General(Vec<SharedLaw>),
 }
 
@@ -36,7 +38,7 @@ impl ImplicitLaw {
         Self::NeoHookeLog(NeoHookeLog::from(linear))
     }
 
-    /// One law for all tetrahedra.
+    /// One law for all tetrahedra, computed one at a time whichever law it is.
     pub fn shared(law: impl Material + Send + 'static) -> Self {
         Self::General(vec![Arc::new(law)])
     }
@@ -55,6 +57,7 @@ impl ImplicitLaw {
                     .map(|s| vec![s])
                     .map_err(|_| law_error(0, lame_pa))
             }
+            Self::StableNeoHooke(law) => Ok(vec![*law]),
             Self::General(laws) => {
                 if laws.len() != 1 && laws.len() != n_tets {
                     return Err(ImplicitError::LawCount { found: laws.len(), n_tets });
@@ -72,6 +75,7 @@ impl ImplicitLaw {
     pub(super) fn modulus_pa(&self) -> f64 {
         match self {
             Self::NeoHookeLog(law) => law.lambda_pa() + 2.0 * law.mu_pa(),
+            Self::StableNeoHooke(law) => law.lambda_pa() + 2.0 * law.mu_pa(),
             Self::General(laws) => laws
                 .iter()
                 .map(|law| lame_at_rest_pa(&**law))
@@ -103,10 +107,7 @@ const TURNING_TOLERANCE: f64 = 1e-6;
 
 /// Lame's coefficients [Pa] nearest to a law's stiffness at rest: means over the axes.
 fn lame_at_rest_pa(law: &dyn Material) -> [f64; 2] {
-    let tangent = law.tangent_pa(&DMat3::IDENTITY);
-    let lambda_pa = (tangent[0][4] + tangent[0][8] + tangent[4][8]) / 3.0;
-    let mu_pa = (tangent[1][1] + tangent[2][2] + tangent[5][5]) / 3.0;
-    [lambda_pa, mu_pa]
+    law.lame_at_rest_pa()
 }
 
 impl From<NeoHookeLog> for ImplicitLaw {
@@ -115,11 +116,20 @@ impl From<NeoHookeLog> for ImplicitLaw {
     }
 }
 
+impl From<StableNeoHooke> for ImplicitLaw {
+    fn from(law: StableNeoHooke) -> Self {
+        Self::StableNeoHooke(law)
+    }
+}
+
 impl From<&MaterialSpec> for ImplicitLaw {
     fn from(spec: &MaterialSpec) -> Self {
-        match spec.as_law::<NeoHookeLog>() {
-            Some(law) => Self::NeoHookeLog(*law),
-            None => Self::General(vec![spec.clone().into_shared()]),
+        if let Some(law) = spec.as_law::<NeoHookeLog>() {
+            Self::NeoHookeLog(*law)
+        } else if let Some(law) = spec.as_law::<StableNeoHooke>() {
+            Self::StableNeoHooke(*law)
+        } else {
+            Self::General(vec![spec.clone().into_shared()])
         }
     }
 }
@@ -128,6 +138,7 @@ impl fmt::Debug for ImplicitLaw {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NeoHookeLog(law) => law.fmt(f),
+            Self::StableNeoHooke(law) => law.fmt(f),
             Self::General(laws) => write!(f, "General({} laws)", laws.len()),
         }
     }

@@ -39,8 +39,9 @@ impl ImplicitEuler {
             compute(&Relaxing { body: self, share }, work, out);
             return;
         }
-        for (node, force_n) in out.nodes.iter().zip(&mut out.force_n) {
-            *force_n = self.load_on_n(node.index());
+        for (i, node) in out.nodes.iter().enumerate() {
+            out.force_n[i] = self.load_on_n(node.index());
+            out.mass_kg[i] = self.mass_kg[node.index()];
         }
         let Some(lagged) = &mut self.lagged else { return };
         let (right, solution) = (&mut self.scratch.residual_n, &mut self.scratch.product_n);
@@ -57,6 +58,16 @@ impl ImplicitEuler {
                         out.compliance_m_per_n[n * (3 * i + a) + 3 * j + d] = solution[of.index()][a];
                     }
                 }
+            }
+        }
+        if work.tells_drift() {
+            let per_s = 1.0 / period_s + self.damping.mass_per_s;
+            for (n, momentum_n) in right.iter_mut().enumerate() {
+                *momentum_n = self.velocities_m_per_s[n] * (self.mass_kg[n] * per_s) * self.mask[n];
+            }
+            lagged.solve_into(right, solution);
+            for (node, drift_m) in out.nodes.iter().zip(&mut out.drift_m) {
+                *drift_m = solution[node.index()];
             }
         }
         // The residual holds the supports' forces, which are read between steps.
@@ -87,6 +98,7 @@ impl LocalBody for Relaxing<'_> {
         let u_m = nodes.map(|n| body.displacement_m[n]);
         let law = match &body.law {
             ImplicitLaw::NeoHookeLog(law) => TangentLaw::Any(law),
+            ImplicitLaw::StableNeoHooke(law) => TangentLaw::Any(law),
             ImplicitLaw::General(laws) => TangentLaw::Any(&*laws[if laws.len() == 1 { 0 } else { element }]),
         };
         let mut stiffness = tet_tangent(&gradients, u_m, &law, None);
@@ -99,6 +111,10 @@ impl LocalBody for Relaxing<'_> {
 
     fn frame(&self) -> &dyn LocalFrame {
         self
+    }
+
+    fn velocity_m_per_s(&self, n: usize) -> DVec3 {
+        self.body.velocities_m_per_s[n]
     }
 }
 

@@ -36,6 +36,7 @@ mod newton;
 mod params;
 mod projected;
 mod relaxation;
+mod stable_neo_hooke;
 mod topology;
 
 pub use law::{ImplicitLaw, SharedLaw};

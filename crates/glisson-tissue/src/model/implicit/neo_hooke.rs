@@ -23,7 +23,7 @@ use super::VolumeResistance;
 use super::evaluation::Evaluation;
 use super::lanes::{
     Group, LANES, Lanes, Matrix, Shape, add_to_corners, add_turned, added_density, corner_mean,
-    corner_mean_matrix, deformation, gradient, load, load_matrix, scale, scatter,
+    corner_mean_matrix, deformation, gradient, load, load_matrix, scale, scatter, stretch,
 };
 use super::projected::projected_stiffness;
 use crate::solve::{NodeAveraging, TetStiffness};
@@ -346,18 +346,6 @@ fn logarithm<S: Simd>(simd: S, lanes: &Lanes) -> f64x8<S> {
         log[lane] = libm::log(lanes[lane]);
     }
     load(simd, &log)
-}
-
-/// |F|^2 - 3 as 2 tr H + |H|^2, which keeps its digits near rest.
-#[inline(always)]
-fn stretch<S: Simd>(h: &Matrix<S>) -> f64x8<S> {
-    let mut stretch = (h[0][0] + h[1][1] + h[2][2]) * 2.0;
-    for row in h {
-        for x in row {
-            stretch += *x * *x;
-        }
-    }
-    stretch
 }
 
 /// The evaluation from the lanes' energies [J] and smallest J.

@@ -185,6 +185,7 @@ impl ImplicitEuler {
                 (elastic_n - outer_n - self.scratch.ligament_n[n]) * self.free_axes[n];
         }
         self.note_age();
+        self.is_suspect |= self.elements.needs_stand_in();
     }
 
     /// Looks for tetrahedra in which the law has no energy, where there can be any: steps do not produce them.

@@ -195,7 +195,7 @@ impl<'a> ImplicitParams<'a> {
 
     /// Refuses unsupported combinations of law, volume resistance and relaxation.
     fn check_combination(&self) -> Result<(), ImplicitError> {
-        if self.volume != VolumeResistance::Element && matches!(self.law, ImplicitLaw::General(_)) {
+        if self.volume != VolumeResistance::Element && !matches!(self.law, ImplicitLaw::NeoHookeLog(_)) {
             return Err(ImplicitError::NotAveraged);
         }
         if self.relaxation.is_some() && self.volume == VolumeResistance::NodeAveragedStrain {

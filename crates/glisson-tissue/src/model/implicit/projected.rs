@@ -1,19 +1,71 @@
-//! The tangent stiffness of one ln J neo-Hooke tetrahedron without its negative eigenvalues.
+//! The tangent stiffness of one tetrahedron of an isotropic law without its negative eigenvalues.
 //!
 //! For an isotropic energy psi(s1, s2, s3) of the singular values of F = U S V^T the differential of the stress
 //! has nine eigenmatrices (Smith, De Goes and Kim 2019, doi 10.1145/3241041): three stretches, mixed by the
 //! Hessian of psi, and for each pair (i, j) a twist with (psi_i + psi_j)/(s_i + s_j) and a flip with
-//! (psi_i - psi_j)/(s_i - s_j). Here, with c = mu - lambda ln J,
+//! (psi_i - psi_j)/(s_i - s_j). Negative ones are set to zero; the result is symmetric positive semi-definite.
+//!
+//! In the ln J neo-Hookean law, with c = mu - lambda ln J,
 //!
 //! psi_ii = mu + (c + lambda)/s_i^2, psi_ij = lambda/(s_i s_j), twist mu - c/(s_i s_j), flip mu + c/(s_i s_j).
-//!
-//! Negative ones are set to zero; the result is symmetric positive semi-definite.
 
 use crate::solve::{LOCAL_EDGES, TetStiffness};
 use glisson_mesh::math::{DMat3, DVec3};
 
-/// Projected stiffness for the deformation gradient `f`, gradients alpha_1..alpha_3 and the rest volume.
-/// J must be positive.
+/// The pairs of singular values, in the order of [`Modes::twist_pa`] and [`Modes::flip_pa`].
+pub(super) const PAIRS: [[usize; 2]; 3] = [[0, 1], [0, 2], [1, 2]];
+
+/// The tangent of an isotropic law in the frames of F = U S V^T.
+pub(super) struct Modes {
+    pub(super) u: DMat3,
+    pub(super) v: DMat3,
+    /// The Hessian of psi in the singular values [Pa].
+    pub(super) hessian_pa: DMat3,
+    /// Eigenvalues [Pa] of the twists, and of the flips.
+    pub(super) twist_pa: [f64; 3],
+    pub(super) flip_pa: [f64; 3],
+}
+
+impl Modes {
+    /// Stiffness without negative eigenvalues for gradients alpha_1..alpha_3 and the rest volume.
+    pub(super) fn projected_stiffness(&self, alpha_per_m: [DVec3; 3], volume_m3: f64) -> TetStiffness {
+        let u = self.u;
+        let stretch = without_negative_eigenvalues(self.hessian_pa);
+        let inner = self.v.transpose();
+        let first = -(alpha_per_m[0] + alpha_per_m[1] + alpha_per_m[2]);
+        let a = [first, alpha_per_m[0], alpha_per_m[1], alpha_per_m[2]].map(|x| inner * x);
+        let mut sums = [0.0; 3];
+        let mut differences = [0.0; 3];
+        for k in 0..3 {
+            let (twist, flip) = (self.twist_pa[k].max(0.0), self.flip_pa[k].max(0.0));
+            sums[k] = 0.5 * (twist + flip);
+            differences[k] = 0.5 * (flip - twist);
+        }
+        let block = |j: usize, k: usize| {
+            let (x, y) = (a[j], a[k]);
+            let mut local = [[0.0; 3]; 3];
+            for r in 0..3 {
+                for q in 0..3 {
+                    local[q][r] = x[r] * stretch.col(q)[r] * y[q];
+                }
+            }
+            for (m, [p, q]) in PAIRS.into_iter().enumerate() {
+                local[p][p] += sums[m] * x[q] * y[q];
+                local[q][q] += sums[m] * x[p] * y[p];
+                local[q][p] += differences[m] * x[q] * y[p];
+                local[p][q] += differences[m] * x[p] * y[q];
+            }
+            u * DMat3::from_cols_array_2d(&local) * u.transpose() * volume_m3
+        };
+        TetStiffness {
+            vertex: [block(0, 0), block(1, 1), block(2, 2), block(3, 3)],
+            edge: LOCAL_EDGES.map(|[j, k]| block(j, k)),
+        }
+    }
+}
+
+/// Projected stiffness of the ln J neo-Hookean law for the deformation gradient `f`, gradients alpha_1..alpha_3 and the
+/// rest volume. J must be positive.
 pub(super) fn projected_stiffness(
     f: DMat3,
     alpha_per_m: [DVec3; 3],
@@ -28,42 +80,15 @@ pub(super) fn projected_stiffness(
     let hessian = DMat3::from_cols_array_2d(&[0, 1, 2].map(|i| {
         [0, 1, 2].map(|j| lambda_pa / (s[i] * s[j]) + if i == j { mu_pa + c / (s[i] * s[i]) } else { 0.0 })
     }));
-    let (values, modes) = symmetric_eigen(hessian);
-    let clamped = DMat3::from_diagonal(DVec3::from_array(values.map(|x| x.max(0.0))));
-    let stretch = modes * clamped * modes.transpose();
-
-    let inner = v.transpose();
-    let first = -(alpha_per_m[0] + alpha_per_m[1] + alpha_per_m[2]);
-    let a = [first, alpha_per_m[0], alpha_per_m[1], alpha_per_m[2]].map(|x| inner * x);
-    let mut sums = [0.0; 3];
-    let mut differences = [0.0; 3];
-    const PAIRS: [[usize; 2]; 3] = [[0, 1], [0, 2], [1, 2]];
-    for (k, [i, j]) in PAIRS.into_iter().enumerate() {
-        let share = c / (s[i] * s[j]);
-        let (twist, flip) = ((mu_pa - share).max(0.0), (mu_pa + share).max(0.0));
-        sums[k] = 0.5 * (twist + flip);
-        differences[k] = 0.5 * (flip - twist);
-    }
-    let block = |j: usize, k: usize| {
-        let (x, y) = (a[j], a[k]);
-        let mut local = [[0.0; 3]; 3];
-        for r in 0..3 {
-            for q in 0..3 {
-                local[q][r] = x[r] * stretch.col(q)[r] * y[q];
-            }
-        }
-        for (m, [p, q]) in PAIRS.into_iter().enumerate() {
-            local[p][p] += sums[m] * x[q] * y[q];
-            local[q][q] += sums[m] * x[p] * y[p];
-            local[q][p] += differences[m] * x[q] * y[p];
-            local[p][q] += differences[m] * x[p] * y[q];
-        }
-        u * DMat3::from_cols_array_2d(&local) * u.transpose() * volume_m3
+    let shares = PAIRS.map(|[i, j]| c / (s[i] * s[j]));
+    let modes = Modes {
+        u,
+        v,
+        hessian_pa: hessian,
+        twist_pa: shares.map(|share| mu_pa - share),
+        flip_pa: shares.map(|share| mu_pa + share),
     };
-    TetStiffness {
-        vertex: [block(0, 0), block(1, 1), block(2, 2), block(3, 3)],
-        edge: LOCAL_EDGES.map(|[j, k]| block(j, k)),
-    }
+    modes.projected_stiffness(alpha_per_m, volume_m3)
 }
 
 /// The nearest symmetric matrix without negative eigenvalues.

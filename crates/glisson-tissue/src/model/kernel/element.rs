@@ -30,6 +30,9 @@ pub(super) trait ElementLaw {
     /// The two numbers [N m] of a tetrahedron of this volume, lambda and mu.
     fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2];
 
+    /// V lambda and V mu [N m] at rest of a tetrahedron with these numbers.
+    fn lame_of_volume(&self, numbers: [f64; 2], at: At) -> [f64; 2];
+
     /// V P for the displacement gradient `g`.
     fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V>;
 
@@ -80,6 +83,10 @@ impl ElementLaw for Linear {
         [volume_m3 * lambda_pa, volume_m3 * mu_pa]
     }
 
+    fn lame_of_volume(&self, numbers: [f64; 2], _: At) -> [f64; 2] {
+        numbers
+    }
+
     #[inline(always)]
     fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V> {
         full(&self.scaled_second_stress(g, numbers, at))
@@ -110,6 +117,10 @@ impl ElementLaw for StVenantKirchhoff {
     /// V lambda / 2 and V mu.
     fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2] {
         [0.5 * volume_m3 * lambda_pa, volume_m3 * mu_pa]
+    }
+
+    fn lame_of_volume(&self, [half_lambda, mu]: [f64; 2], _: At) -> [f64; 2] {
+        [2.0 * half_lambda, mu]
     }
 
     #[inline(always)]

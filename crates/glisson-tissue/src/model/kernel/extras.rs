@@ -42,8 +42,7 @@ impl<L: ElementLaw> Stress for Guarded<'_, L> {
     #[inline(always)]
     fn scaled_stress<V: Lanes>(&mut self, g: &Matrix<V>, numbers: [V; 2], at: At) -> Matrix<V> {
         let p = self.law.scaled_stress(g, numbers, at);
-        let sound = self.guard.sound_bits::<L, V>(g, &p, true, at);
-        if sound == Guard::all::<V>() { p } else { Guard::zeroed(&p, sound) }
+        self.guard.checked(&self.law, (g, numbers), (p, true), at).0
     }
 }
 
@@ -271,14 +270,16 @@ impl<L: ElementLaw> Stress for Full<'_, L> {
                 }
             }
         }
-        let sound =
-            self.guard.as_mut().map_or(Guard::all::<V>(), |guard| guard.sound_bits::<L, V>(g, &p, false, at));
+        let (p, sound) = match &mut self.guard {
+            Some(guard) => guard.checked(&self.law, (g, numbers), (p, false), at),
+            None => (p, Guard::all::<V>()),
+        };
         if let Some(viscous) = &mut self.viscous
             && viscous.advances
         {
             viscous.advance(&elastic, at, sound);
         }
-        if sound == Guard::all::<V>() { p } else { Guard::zeroed(&p, sound) }
+        p
     }
 }
 

@@ -25,6 +25,11 @@ impl ElementLaw for General<'_> {
         [volume_m3, 0.0]
     }
 
+    fn lame_of_volume(&self, [volume_m3, _]: [f64; 2], at: At) -> [f64; 2] {
+        let law = &self.laws[self.law_of[at.block][at.lane] as usize];
+        law.lame_at_rest_pa().map(|modulus_pa| volume_m3 * modulus_pa)
+    }
+
     #[inline(always)]
     fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, [volume, _]: [V; 2], at: At) -> Matrix<V> {
         let mut numbers = [[[0.0; N_LANES]; 3]; 3];

@@ -15,6 +15,10 @@ impl ElementLaw for NeoHookeLog {
         [volume_m3 * lambda_pa, volume_m3 * mu_pa]
     }
 
+    fn lame_of_volume(&self, numbers: [f64; 2], _: At) -> [f64; 2] {
+        numbers
+    }
+
     #[inline(always)]
     fn scaled_stress<V: Lanes>(&self, g: &Matrix<V>, [lambda, mu]: [V; 2], _: At) -> Matrix<V> {
         let VolumeChange { growth, cofactor_growth: h } = VolumeChange::of(g);
@@ -49,6 +53,10 @@ impl ElementLaw for StableNeoHooke {
     /// V l and V m of l = lambda + 5/6 mu, m = 4/3 mu.
     fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2] {
         [volume_m3 * (lambda_pa + 5.0 / 6.0 * mu_pa), volume_m3 * (4.0 / 3.0 * mu_pa)]
+    }
+
+    fn lame_of_volume(&self, [l, m]: [f64; 2], _: At) -> [f64; 2] {
+        [l - 5.0 / 8.0 * m, 0.75 * m]
     }
 
     #[inline(always)]

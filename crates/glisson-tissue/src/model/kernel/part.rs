@@ -322,7 +322,7 @@ impl Parts {
         *quarantined = QuarantineReport::default();
         *is_strained = false;
         let guard = watch.map(|watch| Guard {
-            leaves_out_inverted: watch == Quarantine::Inverted,
+            replaces_inverted: watch == Quarantine::Inverted,
             tets,
             found: quarantined,
             is_strained,

@@ -1,20 +1,27 @@
-//! Leaves out tetrahedra that are inverted or not finite, so that one bad tetrahedron does not spoil a step.
+//! Tetrahedra that are inverted or not finite, so that one bad tetrahedron does not spoil a step.
+//!
+//! Where the law of a tissue does not bring it back from there (no number, a mirror image in which it rests, a force beyond
+//! what a step can follow), the tetrahedron follows the stable neo-Hookean law with the same stiffness at rest instead (Smith,
+//! De Goes and Kim 2018, doi 10.1145/3180491), which does from every shape. Which law counts depends on the deformation alone:
+//! both have an energy, and a tetrahedron that comes back the way it went gains none.
 
 use super::element::{At, ElementLaw, Matrix};
 use super::lanes::Lanes;
-use super::rows::N_LANES;
+use super::rows::{LaneNumbers, N_LANES};
+use crate::material::{Material, StableNeoHooke};
+use glisson_mesh::math::DMat3;
 use glisson_mesh::mesh::TetId;
 
-/// Which tetrahedra a step leaves out: they add exact zeros, and count again once they are sound. Inverted ones
-/// (det F <= 0) are counted in either case.
+/// Which tetrahedra a step does not trust their law with. Inverted ones (det F <= 0) are counted in either case.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Quarantine {
     /// None: a force that is not a number spreads. Nothing is counted.
     Off,
-    /// Those whose deformation or stress is not finite. For laws that are finite in every shape: an inverted tetrahedron gives
-    /// back its energy, whereas leaving it out would create energy.
+    /// Those whose deformation or stress is not finite: they add exact zeros, and count again once they are sound. For laws
+    /// that bring tissue back from every shape.
     NotFinite,
-    /// Those, and the inverted ones: for laws that are not finite there.
+    /// Those, and the inverted ones and those with a stress beyond [`MOST_STRESS`] times their stiffness: they follow the
+    /// stable neo-Hookean law where their deformation is finite.
     #[default]
     Inverted,
 }
@@ -39,10 +46,14 @@ impl QuarantineReport {
 pub(super) type LaneTets = [TetId; N_LANES];
 pub(super) const NO_TET: TetId = TetId(u32::MAX);
 
+/// A law counts up to a stress of so many times lambda + 2 mu: beyond it, far beyond what tissue bears, it is stiffer than a step
+/// of the rest shape can follow. A choice.
+pub(super) const MOST_STRESS: f64 = 10.0;
+
 /// The checks of a part's tetrahedra.
 pub(super) struct Guard<'a> {
-    /// Whether inverted tetrahedra are left out, or only those that are not finite.
-    pub(super) leaves_out_inverted: bool,
+    /// Whether inverted tetrahedra follow another law; else only those that are not finite do not count.
+    pub(super) replaces_inverted: bool,
     /// Tetrahedra of each block.
     pub(super) tets: &'a [LaneTets],
     pub(super) found: &'a mut QuarantineReport,
@@ -64,16 +75,16 @@ impl Guard<'_> {
         (1 << V::COUNT) - 1
     }
 
-    /// One bit per lane whose tetrahedron counts; the others are recorded. `p` is V P of law `L`, with extras unless
-    /// `is_law_alone`. Costs two comparisons where all is calm.
+    /// V P, and one bit per lane whose tetrahedron follows its own law; the others are recorded. `p` is V P of the law, with
+    /// extras unless `is_law_alone`. Costs two comparisons where all is calm.
     #[inline(always)]
-    pub(super) fn sound_bits<L: ElementLaw, V: Lanes>(
+    pub(super) fn checked<L: ElementLaw, V: Lanes>(
         &mut self,
-        g: &Matrix<V>,
-        p: &Matrix<V>,
-        is_law_alone: bool,
+        law: &L,
+        (g, numbers): (&Matrix<V>, [V; 2]),
+        (p, is_law_alone): (Matrix<V>, bool),
         at: At,
-    ) -> u32 {
+    ) -> (Matrix<V>, u32) {
         let zero = g[0][0].constant(0.0);
         let one = g[0][0].constant(1.0);
         let f = |i: usize, j: usize| if i == j { g[i][j].plus(one) } else { g[i][j] };
@@ -92,21 +103,64 @@ impl Guard<'_> {
         let calm = zero.constant(CALM_REACH).above_bits(from_centre.magnitude())
             & zero.constant(self.calm_squared_strain).above_bits(squared_strain);
         if calm == Self::all::<V>() {
-            return calm;
+            return (p, calm);
+        }
+        *self.is_strained = true;
+        if self.replaces_inverted {
+            return self.replaced(law, (g, numbers), p, at);
         }
         let nothing = if strain_tells { squared_strain.times(zero) } else { nothing };
         let volume_ratio = ratio_and(nothing);
-        *self.is_strained = true;
         let upright = volume_ratio.above_bits(zero);
         if upright == Self::all::<V>() {
-            return upright;
+            return (p, upright);
         }
         self.note(at, Self::all::<V>() & !upright);
-        if self.leaves_out_inverted {
-            upright
-        } else {
-            volume_ratio.above_bits(zero.constant(f64::NEG_INFINITY))
+        let sound = volume_ratio.above_bits(zero.constant(f64::NEG_INFINITY));
+        if sound == Self::all::<V>() { (p, sound) } else { (Self::zeroed(&p, sound), sound) }
+    }
+
+    /// V P with that of the stand-in where the law does not count.
+    #[cold]
+    #[inline(never)]
+    fn replaced<L: ElementLaw, V: Lanes>(
+        &mut self,
+        law: &L,
+        (g, numbers): (&Matrix<V>, [V; 2]),
+        p: Matrix<V>,
+        at: At,
+    ) -> (Matrix<V>, u32) {
+        let (g_rows, mut p_rows) = (stored(g), stored(&p));
+        let mut of_lane = [[0.0; N_LANES]; 2];
+        numbers[0].store(&mut of_lane[0], 0);
+        numbers[1].store(&mut of_lane[1], 0);
+        let mut sound = Self::all::<V>();
+        for lane in 0..V::COUNT {
+            if self.tets[at.block][at.lane + lane] == NO_TET {
+                continue;
+            }
+            let f = DMat3::IDENTITY + of_lane_matrix(&g_rows, lane);
+            let p = of_lane_matrix(&p_rows, lane);
+            let here = At { lane: at.lane + lane, ..at };
+            let lame = || law.lame_of_volume([of_lane[0][lane], of_lane[1][lane]], here);
+            let is_upright = f.determinant() > 0.0;
+            if is_upright && p.is_finite() && greatest(&p) <= MOST_STRESS * modulus(lame()) {
+                continue;
+            }
+            sound &= !(1 << lane);
+            let [lambda, mu] = lame();
+            let stand_in = StableNeoHooke::new(lambda, mu).map(|law| law.first_piola_pa(&f));
+            let stress = stand_in.ok().filter(|p| f.is_finite() && p.is_finite()).unwrap_or(DMat3::ZERO);
+            for (j, column) in stress.to_cols_array_2d().into_iter().enumerate() {
+                (0..3).for_each(|i| p_rows[i][j][lane] = column[i]);
+            }
         }
+        if sound == Self::all::<V>() {
+            return (p, sound);
+        }
+        self.note(at, Self::all::<V>() & !sound);
+        let row = |i: usize| [0, 1, 2].map(|j| p[0][0].load(&p_rows[i][j], 0));
+        ([row(0), row(1), row(2)], sound)
     }
 
     #[cold]
@@ -137,4 +191,25 @@ impl Guard<'_> {
     pub(super) fn chosen<V: Lanes>(bits: u32, then: V, otherwise: V) -> V {
         if bits == Self::all::<V>() { then } else { then.chosen(bits, otherwise) }
     }
+}
+
+fn stored<V: Lanes>(m: &Matrix<V>) -> [[LaneNumbers; 3]; 3] {
+    let mut rows = [[[0.0; N_LANES]; 3]; 3];
+    for (to, from) in rows.as_flattened_mut().iter_mut().zip(m.as_flattened()) {
+        from.store(to, 0);
+    }
+    rows
+}
+
+fn of_lane_matrix(rows: &[[LaneNumbers; 3]; 3], lane: usize) -> DMat3 {
+    let column = |j: usize| [rows[0][j][lane], rows[1][j][lane], rows[2][j][lane]];
+    DMat3::from_cols_array_2d(&[column(0), column(1), column(2)])
+}
+
+fn greatest(m: &DMat3) -> f64 {
+    m.to_cols_array().into_iter().fold(0.0, |most: f64, x| most.max(x.abs()))
+}
+
+fn modulus([lambda, mu]: [f64; 2]) -> f64 {
+    lambda + 2.0 * mu
 }

@@ -7,7 +7,8 @@ use super::numbers::{
     EdgeStiffness, LOCAL_TRIANGLES, MeshTriangles, Summed, TetScalars, TriangleStiffness, VertexStiffness,
     ascending,
 };
-use crate::model::explicit::{LiveTets, Padded, Quarantine, keep, renumbered, unpadded};
+use crate::material::StableNeoHooke;
+use crate::model::explicit::{LiveTets, Padded, Quarantine, keep, renumbered, stand_in_forces_n, unpadded};
 use crate::model::tensor_mass::VertexEdgeTensors;
 use crate::model::tet_law::{TetLaw, TetShape, stressed_stiffness};
 use crate::model::topology_update::{TopologyUpdate, blend_tets};
@@ -201,8 +202,8 @@ impl Body {
     }
 
     /// Takes out of `force` what inverted tetrahedra put in, the constant force of their stress at rest included, but
-    /// for the penalty, which turns them back: St Venant-Kirchhoff tissue rests in its mirror image too.
-    pub(super) fn leave_out_inverted(
+    /// for the penalty, and puts in what turns them back: St Venant-Kirchhoff tissue rests in its mirror image too.
+    pub(super) fn replace_inverted(
         &self,
         adaptivity: &Adaptivity,
         u: &[Padded],
@@ -225,10 +226,14 @@ impl Body {
             let at_rest = self.rest_stress_pa.get(t).map_or(DMat3::ZERO, |s| gradient * stress_tensor_pa(*s));
             let full = gradient * self.laws[t].stress_pa(strain) + at_rest;
             let linear = self.laws[t].stress_pa(symmetric(gradient - DMat3::IDENTITY)) + at_rest;
-            for (node, alpha) in nodes.iter().zip(gradients.alpha_per_m) {
+            let TetLaw { lambda_pa, mu_pa, .. } = self.laws[t];
+            let stand_in = StableNeoHooke::new(lambda_pa, mu_pa);
+            let back_n =
+                stand_in.map_or([DVec3::ZERO; 4], |law| stand_in_forces_n(&law, gradients, corners_m));
+            for ((node, alpha), back_n) in nodes.iter().zip(gradients.alpha_per_m).zip(back_n) {
                 let is_full =
                     adaptivity.part == NonlinearPart::Everywhere || adaptivity.is_nonlinear[node.index()];
-                let f = (if is_full { full } else { linear }) * alpha * gradients.volume_m3;
+                let f = (if is_full { full } else { linear }) * alpha * gradients.volume_m3 - back_n;
                 let at = &mut force[node.index()];
                 at[0] -= f.x;
                 at[1] -= f.y;

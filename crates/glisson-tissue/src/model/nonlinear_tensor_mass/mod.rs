@@ -27,6 +27,7 @@ mod forces;
 mod incompressibility;
 mod numbers;
 mod tearing;
+pub(super) mod row;
 
 pub use super::tet_law::{Fibre, FibreError, TetLaw};
 pub use adaptive::{AdaptiveReport, NonlinearPart};
@@ -45,6 +46,7 @@ use super::tet_law::stressed_stiffness;
 use super::topology_update::TopologyUpdate;
 use super::{DynamicBody, LevelOfDetail, RestStress, TopologyRefusal};
 use crate::material::LinearElastic;
+use crate::model::explicit::Mover;
 use crate::solve::SolveError;
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -400,6 +402,10 @@ impl LocalBody for NonlinearTensorMass {
     fn frame(&self) -> &dyn LocalFrame {
         self.motion.frame()
     }
+
+    fn velocity_m_per_s(&self, n: usize) -> DVec3 {
+        self.motion.state().velocities_m_per_s[n]
+    }
 }
 
 /// What the force on a node may lack with reduced effort, and with the least [N]: choices, a hundredth and a tenth of what a
@@ -422,7 +428,7 @@ impl ExplicitDynamics for NonlinearTensorMass {
         let (body, adaptivity) = (&self.body, &mut self.adaptivity);
         self.motion.step(dt_s, |u, force| {
             body.add_forces(adaptivity, u, force);
-            body.leave_out_inverted(adaptivity, u, force)
+            body.replace_inverted(adaptivity, u, force)
         });
     }
 

@@ -17,8 +17,7 @@ use super::cuts::Cuts;
 use super::fragments::{Fragment, FragmentParams, MOST_PULL_SHARE};
 use super::rigid::fragment_tets;
 use super::table::{n_displacements, place_of_displacement};
-use super::{NONE, Precomputed};
-use crate::model::kind::ModelKind;
+use super::{NAME, NONE, Precomputed};
 use crate::model::{ImposedDisplacement, ModelReport, NodalForce, TopologyRefusal};
 use crate::solve::SolveError;
 use glisson_mesh::fault;
@@ -210,19 +209,18 @@ impl Precomputed {
         let brings_in = !(change.nodes.added.ids().is_empty() && change.tets.added.ids().is_empty());
         if change.is_renumbering() || brings_in || !change.moved_nodes.is_empty() {
             return Err(TopologyRefusal::Frozen {
-                model: ModelKind::Precomputed.name(),
+                model: NAME,
                 reason: "it follows removals of tetrahedra only; pre-compute the new mesh",
             });
         }
         let n_tets = self.cuts.as_ref().map_or(change.tets.n_before, |cuts| cuts.bears.len());
-        let name = ModelKind::Precomputed.name();
-        TopologyRefusal::of_other_mesh(name, change, [n_tets, self.rest_m.len()])?;
+        TopologyRefusal::of_other_mesh(NAME, change, [n_tets, self.rest_m.len()])?;
         if change.tets.removed.is_empty() {
             return Ok(());
         }
         fault::check("precomputed: before the factor")?;
         self.prepare_cutting(mesh).map_err(|_| TopologyRefusal::Frozen {
-            model: ModelKind::Precomputed.name(),
+            model: NAME,
             reason: "its stiffness matrix cannot be factored in the memory that there is",
         })?;
         self.change_cuts(|model, cuts| model.remove(cuts, &change.tets.removed))?;

@@ -33,6 +33,7 @@ mod fragments;
 mod cut_report;
 mod cuts;
 mod cutting;
+pub(super) mod row;
 
 pub use check::{ComplianceCheck, check_compliance};
 pub use contact_system::ContactReport;
@@ -98,6 +99,9 @@ pub struct ResponseReport {
 
 /// Marks a node that is not in a list.
 const NONE: u32 = u32::MAX;
+
+/// Scene name.
+const NAME: &str = "precomputed";
 
 /// The columns T^lm, and the body that they were computed for.
 #[derive(Clone, Debug, PartialEq)]

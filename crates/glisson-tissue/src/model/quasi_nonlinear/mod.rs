@@ -28,6 +28,7 @@
 mod curve;
 mod fit;
 mod polynomial;
+pub(super) mod row;
 
 pub use curve::{CurveError, MeasuredCurve};
 pub use fit::{Fit, FitError, fit_curve};
@@ -42,6 +43,9 @@ use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::topology::Topology;
 use glisson_mesh::mesh::{NodeId, TetMesh};
+
+/// Scene name.
+const NAME: &str = "quasi_nonlinear";
 
 /// Linear response of a sample per metre of compression.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -380,7 +384,7 @@ impl DeformableModel for QuasiNonlinear {
 
     fn topology_refusal(&self) -> Option<TopologyRefusal> {
         Some(TopologyRefusal::Frozen {
-            model: "quasi_nonlinear",
+            model: NAME,
             reason: "the linear model that it corrects holds for the uncut mesh; switch to tensor_mass before cutting",
         })
     }

@@ -24,6 +24,7 @@ mod cubic;
 mod dense;
 mod local;
 mod newton;
+pub(super) mod row;
 
 pub use newton::ReducedSolution;
 
@@ -42,6 +43,9 @@ use crate::solve::SolveError;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetMesh};
+
+/// Scene name.
+const NAME: &str = "reduced";
 
 /// Why a reduced model cannot be built.
 #[derive(Debug, thiserror::Error)]
@@ -442,7 +446,7 @@ impl DeformableModel for Reduced {
 
     fn topology_refusal(&self) -> Option<TopologyRefusal> {
         Some(TopologyRefusal::Frozen {
-            model: "reduced",
+            model: NAME,
             reason: "its modes and compliance hold for the uncut mesh; switch to explicit before cutting",
         })
     }

@@ -10,6 +10,7 @@
 //! brings a tetrahedron back from every shape, also an inverted one: nothing is put in quarantine.
 
 mod tensors;
+pub(super) mod row;
 
 pub use super::explicit::{
     ExplicitError as TensorMassError, ExplicitSnapshot as TensorMassSnapshot, MOST_NODES_PROVEN, StableStep,
@@ -25,6 +26,7 @@ use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, Local
 use super::topology_update::{TopologyUpdate, blend_tets, grows};
 use super::{DynamicBody, ModelUndo, RestStress, TopologyRefusal};
 use crate::material::LinearElastic;
+use crate::model::explicit::Mover;
 use crate::solve::{P1Gradients, SolveError};
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -269,6 +271,10 @@ impl LocalBody for TensorMass {
 
     fn frame(&self) -> &dyn LocalFrame {
         self.motion.frame()
+    }
+
+    fn velocity_m_per_s(&self, n: usize) -> DVec3 {
+        self.motion.state().velocities_m_per_s[n]
     }
 }
 

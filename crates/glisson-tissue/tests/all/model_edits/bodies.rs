@@ -14,13 +14,14 @@ use glisson_tissue::model::implicit::{
     ImplicitEuler, ImplicitLaw, ImplicitParams, SharedLaw, VolumeResistance,
 };
 use glisson_tissue::model::kernel::{KernelLaw, KernelPath, SharedMaterial};
+use glisson_tissue::model::kind::ModelKind;
 use glisson_tissue::model::mass_spring::{MassSpring, MassSpringParams, NodalMasses};
 use glisson_tissue::model::nonlinear_tensor_mass::{
     Fibre, NonlinearElasticity, NonlinearTensorMass, NonlinearTensorMassParams,
 };
-use glisson_tissue::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson_tissue::model::{
-    Attachment, DeformableModel, DynamicBody, FixedNode, Integration, Rayleigh, RestStress,
+    Attachment, DeformableModel, DynamicBody, FixedNode, FollowedEdits, Integration, ModelMotion, ModelRow,
+    OrganBody, Rayleigh, RestStress,
 };
 
 pub(super) const DENSITY_KG_PER_M3: f64 = 1060.0;
@@ -89,6 +90,17 @@ impl Body {
             most_parts: self.most_parts,
             ..DynamicBody::new(&self.mesh, DENSITY_KG_PER_M3)
         }
+    }
+
+    /// The same for the table of models.
+    fn organ(&self) -> OrganBody {
+        let mut organ = OrganBody::new(self.mesh.clone(), self.uniform, self.time_step_s);
+        organ.fixed.clone_from(&self.fixed);
+        organ.attachments.clone_from(&self.attachments);
+        organ.rest_stress_pa.clone_from(&self.rest_stress_pa);
+        organ.damping = self.damping;
+        organ.most_parts = self.most_parts;
+        organ
     }
 
     /// What new entities take from their parents, by the rules of the documents: the material of the parent with the
@@ -175,24 +187,65 @@ impl Body {
     }
 }
 
+type Build = fn(&Body) -> Box<dyn DeformableModel>;
+
 /// A model and how it is made.
 #[derive(Clone, Copy)]
 pub(super) struct Kind {
     pub(super) name: &'static str,
-    pub(super) build: fn(&Body) -> Box<dyn DeformableModel>,
+    /// Which row of the table of models it is.
+    row: &'static ModelRow,
+    /// With what the row does not make it of; the row makes it for none.
+    own: Option<Build>,
     /// Whether removals are undone with few numbers, and whether all edits are.
     pub(super) has_short_undo: [bool; 2],
 }
 
-const fn kind(name: &'static str, build: fn(&Body) -> Box<dyn DeformableModel>) -> Kind {
-    Kind { name, build, has_short_undo: [false; 2] }
+impl Kind {
+    pub(super) fn build(&self, body: &Body) -> Box<dyn DeformableModel> {
+        match self.own {
+            Some(build) => build(body),
+            None => (self.row.make)(&body.organ(), None).unwrap(),
+        }
+    }
+
+    pub(super) fn is_explicit(&self) -> bool {
+        self.row.motion == ModelMotion::Explicit
+    }
+
+    /// Springs know no tetrahedron that a step would have to be shorter for.
+    pub(super) fn has_law(&self) -> bool {
+        !self.row.laws.is_empty()
+    }
 }
 
-const fn kernel(name: &'static str, build: fn(&Body) -> Box<dyn DeformableModel>) -> Kind {
-    Kind { name, build, has_short_undo: [true; 2] }
+const fn kind(name: &'static str, row: ModelKind, build: Build) -> Kind {
+    Kind { name, row: row.row(), own: Some(build), has_short_undo: [false; 2] }
 }
 
-pub(super) const KINDS: [Kind; 15] = [
+const fn kernel(name: &'static str, build: Build) -> Kind {
+    Kind { has_short_undo: [true; 2], ..kind(name, ModelKind::Explicit, build) }
+}
+
+/// Models whose row alone makes them that do not copy themselves whole for an undo: of removals, of all edits.
+const SHORT_UNDO: [(ModelKind, [bool; 2]); 1] = [(ModelKind::TensorMass, [true, false])];
+
+/// Every model that follows all edits: those of [`OWN`], the others as their row makes them.
+pub(super) fn kinds() -> Vec<Kind> {
+    let follows = |kind: &ModelKind| kind.row().edits == FollowedEdits::All;
+    let is_own = |kind: &ModelKind| OWN.iter().any(|own| own.row.name == kind.name());
+    let by_row = |kind: ModelKind| Kind {
+        name: kind.name(),
+        row: kind.row(),
+        own: None,
+        has_short_undo: SHORT_UNDO.iter().find(|short| short.0 == kind).map_or([false; 2], |short| short.1),
+    };
+    let others = ModelKind::ALL.into_iter().filter(|kind| follows(kind) && !is_own(kind)).map(by_row);
+    OWN.into_iter().chain(others).collect()
+}
+
+/// With all that a model can be made of, where that is more than the table of models makes it of.
+const OWN: [Kind; 14] = [
     kernel("explicit linear with fibres", |body| explicit(body, KernelLaw::Linear, false)),
     kernel("explicit St Venant-Kirchhoff with everything", |body| {
         explicit(body, KernelLaw::StVenantKirchhoff, true)
@@ -200,14 +253,7 @@ pub(super) const KINDS: [Kind; 15] = [
     kernel("explicit neo-Hooke", |body| explicit(body, KernelLaw::NeoHookeLog, false)),
     kernel("explicit stable neo-Hooke", |body| explicit(body, KernelLaw::StableNeoHooke, true)),
     kernel("explicit general", |body| explicit(body, KernelLaw::General, false)),
-    Kind {
-        has_short_undo: [true, false],
-        ..kind("tensor-mass", |body| {
-            let params = TensorMassParams { body: body.dynamic(), material: &body.uniform };
-            Box::new(TensorMass::build(&params).unwrap())
-        })
-    },
-    kind("non-linear tensor-mass", |body| {
+    kind("non-linear tensor-mass", ModelKind::NonlinearTensorMass, |body| {
         let elasticity = NonlinearElasticity {
             material: &body.uniform,
             fibres: &body.fibres,
@@ -217,20 +263,24 @@ pub(super) const KINDS: [Kind; 15] = [
         let params = NonlinearTensorMassParams { body: body.dynamic(), elasticity };
         Box::new(NonlinearTensorMass::build(&params).unwrap())
     }),
-    kind("mass-spring by volume", |body| mass_spring(body, NodalMasses::VolumeWeighted)),
-    kind("mass-spring of equal masses", |body| mass_spring(body, NodalMasses::Equal)),
-    kind("extended St Venant-Kirchhoff", |body| extended(body, EdgeLaw::StVenantKirchhoff)),
-    kind("extended neo-Hooke", |body| extended(body, EdgeLaw::NeoHooke)),
-    kind("implicit", |body| {
+    kind("mass-spring by volume", ModelKind::MassSpring, |body| {
+        mass_spring(body, NodalMasses::VolumeWeighted)
+    }),
+    kind("mass-spring of equal masses", ModelKind::MassSpring, |body| mass_spring(body, NodalMasses::Equal)),
+    kind("extended St Venant-Kirchhoff", ModelKind::ExtendedMassSpring, |body| {
+        extended(body, EdgeLaw::StVenantKirchhoff)
+    }),
+    kind("extended neo-Hooke", ModelKind::ExtendedMassSpring, |body| extended(body, EdgeLaw::NeoHooke)),
+    kind("implicit", ModelKind::Implicit, |body| {
         implicit(body, &ImplicitLaw::neo_hooke(&body.uniform), VolumeResistance::Element)
     }),
-    kind("implicit, volume of nodes", |body| {
+    kind("implicit, volume of nodes", ModelKind::Implicit, |body| {
         implicit(body, &ImplicitLaw::neo_hooke(&body.uniform), VolumeResistance::NodeAveraged)
     }),
-    kind("implicit, strain of nodes", |body| {
+    kind("implicit, strain of nodes", ModelKind::Implicit, |body| {
         implicit(body, &ImplicitLaw::neo_hooke(&body.uniform), VolumeResistance::NodeAveragedStrain)
     }),
-    kind("implicit general", |body| {
+    kind("implicit general", ModelKind::Implicit, |body| {
         let laws: Vec<SharedLaw> = body.laws();
         implicit(body, &ImplicitLaw::General(laws), VolumeResistance::Element)
     }),

@@ -5,7 +5,7 @@ use glisson_mesh::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, TopologyChange}
 use glisson_mesh::mesh::{NodeId, TetId};
 use glisson_tissue::model::{Constraints, DeformableModel, ImposedDisplacement, ModelUndo, NodalForce};
 
-use super::bodies::{Body, KINDS, Kind};
+use super::bodies::{Body, Kind, kinds};
 use super::{large_mesh, mesh_of, next_edit};
 
 /// A tool and a force that act on some nodes, some of which an edit may take away.
@@ -39,7 +39,7 @@ fn check_undo(kind: &Kind, shape: usize, turns: &[u64]) {
     let mut mesh = EditableMesh::new(whole).unwrap();
     let mut body = Body::of(mesh.mesh().clone(), &mut random);
     body.damping.stiffness_s = if shape == 0 { 1e-6 } else { 0.0 };
-    let mut model = (kind.build)(&body);
+    let mut model = kind.build(&body);
     model.set_gravity(DVec3::new(0.0, -2.0, 0.5));
     let n_nodes = mesh.mesh().positions_m.len();
     advance(model.as_mut(), 0..33, n_nodes);
@@ -87,7 +87,7 @@ fn check_undo(kind: &Kind, shape: usize, turns: &[u64]) {
 
 #[test]
 fn undone_edits_leave_no_trace() {
-    for kind in KINDS {
+    for kind in kinds() {
         check_undo(&kind, 0, &[0, 1, 2, 3, 4, 5, 0]);
         check_undo(&kind, 1, &[3, 0, 0, 4, 2]);
     }
@@ -98,8 +98,8 @@ fn removals_are_saved_and_undone_without_allocation() {
     let mut random = SeededRandom::new(2);
     let whole = EditableMesh::new(mesh_of(0, 3)).unwrap();
     let body = Body::of(whole.mesh().clone(), &mut random);
-    for kind in KINDS.iter().filter(|kind| kind.has_short_undo[0]) {
-        let mut model = (kind.build)(&body);
+    for kind in kinds().iter().filter(|kind| kind.has_short_undo[0]) {
+        let mut model = kind.build(&body);
         let mut mesh = whole.clone();
         let mut undo = ModelUndo::default();
         let (mut change, mut mesh_undo) =

@@ -1,5 +1,6 @@
 //! Cuts: zones that become dynamic, tensors that are subtracted, pieces that come loose.
 
+use super::super::NAME;
 use super::{CondensedHybrid, ZoneLaw};
 use crate::model::TopologyRefusal;
 use crate::model::explicit::{follows, keep};
@@ -7,9 +8,6 @@ use crate::solve::{BoundaryConditions, MeshEdges, SolveError};
 use glisson_mesh::fault;
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetMesh};
-
-/// Scene name.
-const NAME: &str = "hybrid";
 
 impl CondensedHybrid {
     /// Follows removals and compactions. Additions and moved nodes are refused before anything changes. After that

@@ -14,6 +14,7 @@ use super::step::{columns_of, compliance};
 use super::zone::PrecomputedZone;
 use super::{CondensedHybrid, Place};
 use crate::material::LinearElastic;
+use crate::model::explicit::Mover;
 use crate::model::local_model::{
     ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw, compute, tet_tangent,
 };
@@ -53,6 +54,10 @@ impl LocalBody for DynamicTissue<'_> {
 
     fn frame(&self) -> &dyn LocalFrame {
         self.part.motion.frame()
+    }
+
+    fn velocity_m_per_s(&self, n: usize) -> DVec3 {
+        self.part.motion.state().velocities_m_per_s[n]
     }
 }
 
@@ -110,12 +115,14 @@ impl Patch<'_> {
         }
     }
 
-    /// Fills the compliance of the patch's nodes. `row`: scratch for a row over p.
+    /// Fills the compliance and the drift of the patch's nodes. `row`: scratch for a row over p.
     fn fill_compliance(&self, row: &mut [f64], out: &mut LocalModel) {
         let mut half = [DMat3::ZERO; LocalModel::MOST_NODES];
         let half = &mut half[..self.local.nodes.len()];
         for j in 0..out.nodes.len() {
             let by = self.place_of(out.nodes[j]);
+            let drifts_m = self.local.drift_m.iter().enumerate();
+            out.drift_m[j] = drifts_m.map(|(l, drift_m)| self.follows(by, l) * *drift_m).sum();
             self.half_into(by, half);
             for i in 0..out.nodes.len() {
                 let of = self.place_of(out.nodes[i]);
@@ -161,6 +168,7 @@ impl CondensedHybrid {
             out.force_n[j] = match patch.place_of(out.nodes[j]) {
                 Place::Dynamic(n) => {
                     let at = local.nodes.iter().position(|l| *l == NodeId(n));
+                    out.mass_kg[j] = at.map_or(0.0, |at| local.mass_kg[at]);
                     at.map_or(DVec3::ZERO, |at| local.force_n[at])
                 }
                 by => {

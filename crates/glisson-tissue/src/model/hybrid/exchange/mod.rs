@@ -47,6 +47,7 @@ pub use edit::EditReport;
 
 use self::dynamic::{DynamicZones, Parts};
 use self::zone::{PrecomputedZone, Shared};
+use super::NAME;
 use crate::material::LinearElastic;
 use crate::model::{
     Constraints, DeformableModel, ImposedDisplacement, ModelReport, ModelState, NodalForce, TopologyRefusal,
@@ -627,7 +628,7 @@ impl DeformableModel for HybridExchange {
 
     /// Follows removals; zones that lose a tetrahedron become tensor-mass.
     fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        let refused = |reason| Err(TopologyRefusal::Frozen { model: "hybrid", reason });
+        let refused = |reason| Err(TopologyRefusal::Frozen { model: NAME, reason });
         let has_new = !change.tets.added.ids().is_empty() || !change.nodes.added.ids().is_empty();
         if has_new || !change.moved_nodes.is_empty() || change.is_renumbering() {
             return refused("it follows removals of tetrahedra only: make it anew for other edits");

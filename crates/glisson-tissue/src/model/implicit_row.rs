@@ -1,0 +1,28 @@
+//! The row of [`super::implicit`] in the table of models.
+
+use super::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
+use super::{DeformableModel, ModelError, ModelMotion, ModelRow, OrganBody};
+use crate::material::LawChoice;
+
+pub(super) const ROW: ModelRow = ModelRow {
+    follows_any_law: true,
+    relaxes: true,
+    motion: ModelMotion::Implicit,
+    ..ModelRow::explicit(
+        "implicit",
+        "implicit Euler with any law: large steps",
+        &["neo_hooke_log", "stable_neo_hooke", "st_venant_kirchhoff"],
+        make,
+    )
+};
+
+fn make(body: &OrganBody, law: Option<&LawChoice>) -> Result<Box<dyn DeformableModel>, ModelError> {
+    let law = match law {
+        None => ImplicitLaw::neo_hooke(&body.material),
+        Some(law) => ImplicitLaw::from(&law.with_moduli_of(&body.material)?),
+    };
+    let relaxation = body.series()?;
+    let params =
+        ImplicitParams { relaxation: relaxation.as_ref(), ..ImplicitParams::new(body.dynamic(), &law) };
+    Ok(Box::new(ImplicitEuler::build(&params).map_err(ModelError::of_numbers)?))
+}

@@ -1,0 +1,153 @@
+//! An organ at rest, with all that its models are made from.
+
+use super::explicit_kernel::SharedWorkers;
+use super::hybrid::condensed::ZoneLaw;
+use super::kernel::Sequential;
+use super::tet_law::Fibre;
+use super::{
+    Attachment, DEFAULT_MOST_PARTS, DynamicBody, FixedNode, Integration, ModelError, Rayleigh, RestStress,
+};
+use crate::material::{LawChoice, LinearElastic, PronySeries, PronyTerm};
+use glisson_mesh::math::DVec3;
+use glisson_mesh::mesh::{NodeId, TetMesh};
+use std::iter::repeat_n;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// St Venant-Kirchhoff tissue stiffens as it is stretched: its stable step is computed for principal stretches up
+/// to this one. A choice, not a measurement: the law itself is meant for strains well below it.
+pub(super) const LARGEST_STRETCH: f64 = 1.3;
+
+/// How many times its value at rest the highest frequency of springs may become under deformation: the same
+/// stretch, with the stiffness of a squared length in proportion to it.
+const FREQUENCY_RESERVE: f64 = LARGEST_STRETCH;
+
+/// A zone of the hybrid model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BodyZone {
+    /// It has the tetrahedra with all corners among these nodes that are in no zone before it.
+    pub nodes: Vec<NodeId>,
+    /// What moves it at first.
+    pub law: ZoneLaw,
+}
+
+/// Curves measured on a compressed cylinder of the tissue.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeasuredSample {
+    /// The file of the curves.
+    pub curve: PathBuf,
+    /// Height of the cylinder [m].
+    pub height_m: f64,
+    /// Its radius [m].
+    pub radius_m: f64,
+    /// Degree of the polynomials.
+    pub degree: usize,
+}
+
+/// What the models of one organ are made from.
+#[derive(Clone)]
+pub struct OrganBody {
+    /// The body at rest.
+    pub mesh: TetMesh,
+    /// Its elasticity at small strain, and its density.
+    pub material: LinearElastic,
+    /// The material in words.
+    pub material_text: String,
+    /// The law of the models that have a choice; each its own when absent.
+    pub law: Option<LawChoice>,
+    /// Viscoelastic relaxation.
+    pub relaxation: Vec<PronyTerm>,
+    /// Stiffness along a direction.
+    pub fibre: Option<Fibre>,
+    /// Penalty on changes of volume [Pa].
+    pub volume_penalty_pa: f64,
+    /// Nodes held at rest along some axes, ascending.
+    pub fixed: Vec<FixedNode>,
+    /// Ligaments.
+    pub attachments: Vec<Attachment>,
+    /// Stress of the rest shape, one a tetrahedron or none.
+    pub rest_stress_pa: Vec<RestStress>,
+    /// Gravity of the start [m/s2].
+    pub gravity_m_per_s2: DVec3,
+    /// Whether the rest shape is the one under this gravity; then `rest_stress_pa` balances it.
+    pub is_imaged_under_gravity: bool,
+    /// Damping.
+    pub damping: Rayleigh,
+    /// The world's time step [s].
+    pub time_step_s: f64,
+    /// Into how many internal steps it may be divided after an edit.
+    pub most_parts: u32,
+    /// A saved pre-computation.
+    pub precomputed: Option<PathBuf>,
+    /// Zones of the hybrid model.
+    pub zones: Vec<BodyZone>,
+    /// What the quasi non-linear model follows.
+    pub measured: Option<MeasuredSample>,
+    /// Who computes for models that can use several threads.
+    pub workers: SharedWorkers,
+}
+
+impl OrganBody {
+    /// A body without supports, loads and damping.
+    pub fn new(mesh: TetMesh, material: LinearElastic, time_step_s: f64) -> Self {
+        Self {
+            material_text: format!(
+                "(E {} kPa, nu {}, {} kg/m3)",
+                material.young_modulus_pa() / 1e3,
+                material.poisson_ratio(),
+                material.density_kg_per_m3()
+            ),
+            mesh,
+            material,
+            law: None,
+            relaxation: Vec::new(),
+            fibre: None,
+            volume_penalty_pa: 0.0,
+            fixed: Vec::new(),
+            attachments: Vec::new(),
+            rest_stress_pa: Vec::new(),
+            gravity_m_per_s2: DVec3::ZERO,
+            is_imaged_under_gravity: true,
+            damping: Rayleigh::default(),
+            time_step_s,
+            most_parts: DEFAULT_MOST_PARTS,
+            precomputed: None,
+            zones: Vec::new(),
+            measured: None,
+            workers: Arc::new(Sequential),
+        }
+    }
+
+    /// What every dynamic model takes.
+    pub(super) fn dynamic(&self) -> DynamicBody<'_> {
+        DynamicBody {
+            mesh: &self.mesh,
+            density_kg_per_m3: self.material.density_kg_per_m3(),
+            fixed: &self.fixed,
+            attachments: &self.attachments,
+            rest_stress_pa: &self.rest_stress_pa,
+            gravity_m_per_s2: self.gravity_m_per_s2,
+            damping: self.damping,
+            time_step_s: self.time_step_s,
+            most_parts: self.most_parts,
+        }
+    }
+
+    /// Time integration of springs.
+    pub(super) fn integration(&self) -> Integration {
+        Integration { frequency_reserve: FREQUENCY_RESERVE, ..Integration::default() }
+    }
+
+    /// The fibre of every tetrahedron, or none.
+    pub(super) fn fibres(&self) -> Vec<Fibre> {
+        self.fibre.iter().flat_map(|&fibre| repeat_n(fibre, self.mesh.tetrahedra.len())).collect()
+    }
+
+    /// How the stress relaxes, if it does.
+    pub(super) fn series(&self) -> Result<Option<PronySeries>, ModelError> {
+        if self.relaxation.is_empty() {
+            return Ok(None);
+        }
+        Ok(Some(PronySeries::new(&self.relaxation)?))
+    }
+}

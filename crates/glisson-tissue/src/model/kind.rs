@@ -2,10 +2,6 @@
 //! (scenes, sessions, contact, the viewer, tests) goes through this table.
 
 use super::{DeformableModel, ModelError, ModelRow, OrganBody};
-use super::{
-    explicit_kernel, extended_mass_spring, hybrid, implicit_row, mass_spring, nonlinear_tensor_mass,
-    precomputed, quasi_nonlinear, reduced, tensor_mass,
-};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -32,16 +28,16 @@ macro_rules! models {
 }
 
 models! {
-    Precomputed: precomputed::row::ROW,
-    TensorMass: tensor_mass::row::ROW,
-    NonlinearTensorMass: nonlinear_tensor_mass::row::ROW,
-    Explicit: explicit_kernel::row::ROW,
-    Implicit: implicit_row::ROW,
-    MassSpring: mass_spring::ROW,
-    ExtendedMassSpring: extended_mass_spring::row::ROW,
-    Hybrid: hybrid::row::ROW,
-    Reduced: reduced::row::ROW,
-    QuasiNonlinear: quasi_nonlinear::row::ROW,
+    Precomputed: super::precomputed::row::ROW,
+    TensorMass: super::tensor_mass::row::ROW,
+    NonlinearTensorMass: super::nonlinear_tensor_mass::row::ROW,
+    Explicit: super::explicit_kernel::row::ROW,
+    Implicit: super::implicit_row::ROW,
+    MassSpring: super::mass_spring::ROW,
+    ExtendedMassSpring: super::extended_mass_spring::row::ROW,
+    Hybrid: super::hybrid::row::ROW,
+    Reduced: super::reduced::row::ROW,
+    QuasiNonlinear: super::quasi_nonlinear::row::ROW,
 }
 
 impl ModelKind {

@@ -86,7 +86,13 @@ fn each_model_is_made_with_each_law_that_its_row_names() {
 #[test]
 fn what_a_row_says_that_a_model_lacks_is_refused() {
     let fibre = Fibre { lambda_along_pa: 2e4, mu_along_pa: 8e3, direction: DVec3::X };
+    let sagged_m = |mut model: Box<dyn DeformableModel>| {
+        model.set_gravity(DVec3::new(3.0, 0.0, -9.0));
+        (0..20).for_each(|_| model.step(SHORT_STEP_S));
+        model.state().positions_m.to_vec()
+    };
     for_each_row(|kind, row, body| {
+        let plain_m = sagged_m(build(&body, kind));
         let asked = [
             (row.has_fibres, "fibres", OrganBody { fibre: Some(fibre), ..body.clone() }),
             (
@@ -102,7 +108,10 @@ fn what_a_row_says_that_a_model_lacks_is_refused() {
         ];
         for (knows, what, body) in asked {
             match build_model(&body, kind) {
-                Ok(_) => assert!(knows, "{kind}: {what}"),
+                Ok(model) => {
+                    assert!(knows, "{kind}: {what}");
+                    assert!(sagged_m(model) != plain_m, "{kind} does nothing with {what}");
+                }
                 Err(ModelError::Unsupported { model, what: lacking }) => {
                     assert_eq!((model, lacking, knows), (row.name, what, false));
                 }

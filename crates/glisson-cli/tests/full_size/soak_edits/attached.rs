@@ -205,8 +205,8 @@ impl Attached {
             let inverse = rest.inverse();
             let volume_m3 = rest.determinant() / 6.0;
             let number = usize::from(self.material[tet.index()]);
-            let stress_pa =
-                substance.laws[number].material().first_piola_pa(&(edges(nodes.map(place_m)) * inverse));
+            let f = edges(nodes.map(place_m)) * inverse;
+            let stress_pa = substance.stress_pa(number, &f);
             let of_corners = stress_pa * inverse.transpose() * volume_m3;
             let others = [of_corners.x_axis, of_corners.y_axis, of_corners.z_axis];
             forces_n[nodes[0].index()] -= others[0] + others[1] + others[2];

@@ -136,7 +136,9 @@ impl Draw {
 
     /// How far from rest tetrahedra may be for the model to follow its law in all of them; none where that is no matter.
     pub(super) fn limit(&self) -> Option<Limit> {
-        let leaves_out = matches!(self.kind, ModelKind::NonlinearTensorMass | ModelKind::ExtendedMassSpring);
+        // Tetrahedra that are inside out follow another law there, and near them for a while.
+        let leaves_out = matches!(self.kind, ModelKind::NonlinearTensorMass | ModelKind::ExtendedMassSpring)
+            || self.kind == ModelKind::Implicit && self.law_name() == "st_venant_kirchhoff";
         let is_finite = ["springs", "linear", "st_venant_kirchhoff", "stable_neo_hooke"];
         if !leaves_out && is_finite.contains(&self.law_name()) {
             return None;

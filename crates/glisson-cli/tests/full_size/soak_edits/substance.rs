@@ -1,7 +1,10 @@
 //! What the models of a seed are made from, and how.
 
 use super::draw::Draw;
-use glisson::material::{LawChoice, LinearElastic, MaterialSpec, PronySeries, PronyTerm, law_named};
+use glisson::material::{
+    LawChoice, LinearElastic, Material, MaterialSpec, PronySeries, PronyTerm, StableNeoHooke, law_named,
+};
+use glisson::math::DMat3;
 use glisson::mesh::TetMesh;
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::kernel::{KernelLaw, SharedMaterial};
@@ -44,7 +47,27 @@ pub(super) struct Held<'a> {
     pub(super) ligaments: &'a [Attachment],
 }
 
+/// The explicit kernel lets a law count up to a stress of so many times lambda + 2 mu at rest, its own choice.
+const MOST_STRESS: f64 = 10.0;
+
 impl Substance {
+    /// First Piola-Kirchhoff stress [Pa] of a material at `f`: of its law, or in the explicit kernel of the stable neo-Hookean
+    /// one where the law does not count.
+    pub(super) fn stress_pa(&self, number: usize, f: &DMat3) -> DMat3 {
+        let law = self.laws[number].material();
+        let stress_pa = law.first_piola_pa(f);
+        if self.kind != ModelKind::Explicit || law.returns_from_inversion() {
+            return stress_pa;
+        }
+        let [lambda_pa, mu_pa] = law.lame_at_rest_pa();
+        let greatest_pa = stress_pa.to_cols_array().into_iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        let counts = f.determinant() > 0.0
+            && stress_pa.is_finite()
+            && greatest_pa <= MOST_STRESS * (lambda_pa + 2.0 * mu_pa);
+        let stand_in = StableNeoHooke::new(lambda_pa, mu_pa).expect("the soak's laws are stiff at rest");
+        if counts { stress_pa } else { stand_in.first_piola_pa(f) }
+    }
+
     pub(super) fn of(draw: &Draw) -> Self {
         let all = materials();
         let law = draw.law.clone().or_else(|| law_named("linear")).expect("the linear law is known");

@@ -196,6 +196,7 @@ impl World {
             self.tool_states.clone_from(&record.tool_states);
         } else {
             self.tool_states.iter_mut().for_each(ToolState::let_go);
+            self.press.forget();
             self.organ.rest_at(self.model.state().positions_m);
         }
         for (active, before) in self.active.iter_mut().zip(&record.active) {
@@ -203,7 +204,6 @@ impl World {
         }
         self.self_contact = self_contact_of(&self.spec, &self.organ, self.model.as_ref());
         self.owners.clear();
-        self.press.forget();
         self.constraints.displacements.clear();
         self.constraints.forces.clear();
     }

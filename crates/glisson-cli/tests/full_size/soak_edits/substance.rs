@@ -7,7 +7,7 @@ use glisson::material::{
 use glisson::math::DMat3;
 use glisson::mesh::TetMesh;
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
-use glisson::model::kernel::{KernelLaw, SharedMaterial};
+use glisson::model::kernel::{KernelLaw, MOST_STRESS, SharedMaterial};
 use glisson::model::kind::ModelKind;
 use glisson::model::{Attachment, DeformableModel, DynamicBody, FixedNode, Rayleigh};
 use glisson::scene::{ModelError, OrganBody, build_model, build_model_as_cut};
@@ -46,9 +46,6 @@ pub(super) struct Held<'a> {
     pub(super) fixed: &'a [FixedNode],
     pub(super) ligaments: &'a [Attachment],
 }
-
-/// The explicit kernel lets a law count up to a stress of so many times lambda + 2 mu at rest, its own choice.
-const MOST_STRESS: f64 = 10.0;
 
 impl Substance {
     /// First Piola-Kirchhoff stress [Pa] of a material at `f`: of its law, or in the explicit kernel of the stable neo-Hookean

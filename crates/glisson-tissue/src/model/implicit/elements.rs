@@ -283,12 +283,8 @@ impl Elements {
 
     /// Whether the last evaluation found a tetrahedron inside out that its law may not bring back.
     pub(super) fn needs_stand_in(&self) -> bool {
-        let returns = |t: usize| match &self.own {
-            OwnLaw::NeoHooke(_) => false,
-            OwnLaw::Stable(_) => true,
-            OwnLaw::General(own) => own.law(t).returns_from_inversion(),
-        };
-        self.has_inverted && !self.tets.is_empty() && !returns(0)
+        let OwnLaw::General(own) = &self.own else { return false };
+        self.has_inverted && !self.tets.is_empty() && !own.law(0).returns_from_inversion()
     }
 
     /// Overwrites `force_n` with K d, K being the tangent of the last evaluation.

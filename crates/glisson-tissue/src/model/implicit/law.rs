@@ -63,7 +63,7 @@ impl ImplicitLaw {
                     return Err(ImplicitError::LawCount { found: laws.len(), n_tets });
                 }
                 let stand_in = |(number, law): (usize, &SharedLaw)| {
-                    let lame_pa = lame_at_rest_pa(&**law);
+                    let lame_pa = law.lame_at_rest_pa();
                     StableNeoHooke::new(lame_pa[0], lame_pa[1]).map_err(|_| law_error(number, lame_pa))
                 };
                 laws.iter().enumerate().map(stand_in).collect()
@@ -78,7 +78,7 @@ impl ImplicitLaw {
             Self::StableNeoHooke(law) => law.lambda_pa() + 2.0 * law.mu_pa(),
             Self::General(laws) => laws
                 .iter()
-                .map(|law| lame_at_rest_pa(&**law))
+                .map(|law| law.lame_at_rest_pa())
                 .map(|[lambda_pa, mu_pa]| lambda_pa + 2.0 * mu_pa)
                 .fold(0.0, f64::max),
         }
@@ -104,11 +104,6 @@ impl ImplicitLaw {
 
 /// Far above rounding, far below the error of a law that is linear in the displacements.
 const TURNING_TOLERANCE: f64 = 1e-6;
-
-/// Lame's coefficients [Pa] nearest to a law's stiffness at rest: means over the axes.
-fn lame_at_rest_pa(law: &dyn Material) -> [f64; 2] {
-    law.lame_at_rest_pa()
-}
 
 impl From<NeoHookeLog> for ImplicitLaw {
     fn from(law: NeoHookeLog) -> Self {

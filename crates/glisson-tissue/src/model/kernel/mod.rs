@@ -47,7 +47,7 @@ pub use general::SharedMaterial;
 pub(in crate::model) use lane_block::{LaneBlock, LaneBlockWork};
 pub use motion::NodeMotion;
 pub use paths::KernelPath;
-pub use quarantine::{Quarantine, QuarantineReport};
+pub use quarantine::{MOST_STRESS, Quarantine, QuarantineReport};
 pub use step::StepSums;
 pub(in crate::model) use topology_update::{KernelCounts, NodeMass};
 pub use workers::{Sequential, Task, Workers};

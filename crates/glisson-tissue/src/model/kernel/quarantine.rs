@@ -48,7 +48,7 @@ pub(super) const NO_TET: TetId = TetId(u32::MAX);
 
 /// A law counts up to a stress of so many times lambda + 2 mu: beyond it, far beyond what tissue bears, it is stiffer than a step
 /// of the rest shape can follow. A choice.
-pub(super) const MOST_STRESS: f64 = 10.0;
+pub const MOST_STRESS: f64 = 10.0;
 
 /// The checks of a part's tetrahedra.
 pub(super) struct Guard<'a> {

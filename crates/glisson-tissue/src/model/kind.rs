@@ -32,7 +32,7 @@ models! {
     TensorMass: super::tensor_mass::row::ROW,
     NonlinearTensorMass: super::nonlinear_tensor_mass::row::ROW,
     Explicit: super::explicit_kernel::row::ROW,
-    Implicit: super::implicit_row::ROW,
+    Implicit: super::implicit::row::ROW,
     MassSpring: super::mass_spring::ROW,
     ExtendedMassSpring: super::extended_mass_spring::row::ROW,
     Hybrid: super::hybrid::row::ROW,

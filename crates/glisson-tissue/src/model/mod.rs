@@ -26,7 +26,6 @@ mod undo;
 mod error;
 mod organ_body;
 mod row;
-mod implicit_row;
 pub mod kind;
 
 pub use crate::solve::{Attachment, FixedNode, RestStress};

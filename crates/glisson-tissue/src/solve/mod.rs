@@ -12,6 +12,7 @@ mod p1;
 mod tensors;
 mod boundary;
 mod ordering;
+mod supernodal;
 mod system;
 mod columns;
 mod static_problem;
@@ -47,8 +48,9 @@ pub use smoothed::{
     SmoothedBody, Smoothing, node_deformation_gradients, solve_nonlinear_smoothed, solve_static_smoothed,
 };
 pub use static_problem::{StaticProblem, StaticSolution, add_gravity_forces, solve_static};
+pub use supernodal::FactorScratch;
 pub use supports::{Attachment, FixedNode, RestStress, stress_tensor_pa};
-pub use system::{FactorScratch, Factorization, FreeSystem};
+pub use system::{Factorization, FreeSystem};
 pub use tensors::{MeshEdges, StiffnessTensors, boundary_nodes};
 
 use glisson_mesh::mesh::{NodeId, TetId};

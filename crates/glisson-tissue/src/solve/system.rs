@@ -12,13 +12,14 @@ use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
 use faer::sparse::linalg::amd;
 use faer::sparse::linalg::cholesky::{
-    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+    CholeskySymbolicParams, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Conj, MatMut, Par, Side};
+use faer::{Par, Side};
 use std::sync::Arc;
 
 use super::ordering::nested_dissection;
+use super::supernodal::{self, FactorScratch};
 use super::{BoundaryConditions, MeshEdges, SolveError, StiffnessTensors};
 use glisson_mesh::math::{DMat3, DVec3, SeededRandom};
 use glisson_mesh::mesh::NodeId;
@@ -293,12 +294,6 @@ pub(super) fn minimum_degree(n_nodes: usize, edges: &MeshEdges) -> Result<Vec<u3
     Ok(order)
 }
 
-/// Scratch memory of [`Factorization::solve_in_place`] for one thread.
-pub struct FactorScratch {
-    memory: MemBuffer,
-    n_columns: usize,
-}
-
 /// Scratch of the same size; its contents do not matter.
 fn same_size(memory: &MemBuffer) -> MemBuffer {
     MemBuffer::new(StackReq::new_aligned::<u8>(memory.len(), CACHE_LINE_BYTES))
@@ -306,12 +301,6 @@ fn same_size(memory: &MemBuffer) -> MemBuffer {
 
 /// Aligned enough for every vector instruction.
 const CACHE_LINE_BYTES: usize = 64;
-
-impl Clone for FactorScratch {
-    fn clone(&self) -> Self {
-        Self { memory: same_size(&self.memory), n_columns: self.n_columns }
-    }
-}
 
 /// L L^T of a [`FreeSystem`]; its pattern is kept for new values.
 pub struct Factorization {
@@ -393,8 +382,7 @@ impl Factorization {
 
     /// Scratch for solving up to `n_columns` right-hand sides at once.
     pub fn scratch(&self, n_columns: usize) -> FactorScratch {
-        let request = self.symbolic.solve_in_place_scratch::<f64>(n_columns, Par::Seq);
-        FactorScratch { memory: MemBuffer::new(request), n_columns }
+        FactorScratch::new(&self.symbolic, n_columns)
     }
 
     /// Replaces `n_columns` right-hand sides, one after the other in `columns`, by their solutions; no
@@ -403,14 +391,6 @@ impl Factorization {
     /// # Panics
     /// When the length of `columns` or the scratch does not fit.
     pub fn solve_in_place(&self, columns: &mut [f64], n_columns: usize, scratch: &mut FactorScratch) {
-        let n = self.symbolic.nrows();
-        assert!(n_columns <= scratch.n_columns, "scratch made for fewer columns");
-        assert_eq!(columns.len(), n * n_columns, "columns of {n} rows");
-        if n == 0 {
-            return;
-        }
-        let right = MatMut::from_column_major_slice_mut(columns, n, n_columns);
-        let factor = LltRef::<u32, f64>::new(&self.symbolic, &self.value);
-        factor.solve_in_place_with_conj(Conj::No, right, Par::Seq, MemStack::new(&mut scratch.memory));
+        supernodal::solve_in_place((&self.symbolic, &self.value), columns, n_columns, scratch);
     }
 }

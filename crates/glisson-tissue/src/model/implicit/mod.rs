@@ -36,6 +36,7 @@ mod newton;
 mod params;
 mod projected;
 mod relaxation;
+pub(super) mod row;
 mod stable_neo_hooke;
 mod topology;
 

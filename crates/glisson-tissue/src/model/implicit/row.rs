@@ -1,10 +1,10 @@
-//! The row of [`super::implicit`] in the table of models.
+//! The row of `implicit` in the table of models.
 
-use super::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
-use super::{DeformableModel, ModelError, ModelMotion, ModelRow, OrganBody};
+use super::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use crate::material::LawChoice;
+use crate::model::{DeformableModel, ModelError, ModelMotion, ModelRow, OrganBody};
 
-pub(super) const ROW: ModelRow = ModelRow {
+pub(in crate::model) const ROW: ModelRow = ModelRow {
     follows_any_law: true,
     relaxes: true,
     motion: ModelMotion::Implicit,

@@ -77,7 +77,7 @@ impl Default for LocalModel {
 
 impl LocalModel {
     /// Most nodes of a patch.
-    pub const MOST_NODES: usize = 32;
+    pub const MOST_NODES: usize = 64;
 
     /// An empty model with capacity for the largest patch.
     pub fn new() -> Self {

@@ -204,6 +204,7 @@ pub fn build_world(
         spec.vessels = read_vessels(&folder.join(file))?;
     }
     spec.tearing = scene.organ.tearing.map(|energy| Tearing { energy, material: body.material });
+    spec.tissue = Some(body.material);
     let world = World::new(spec, body.mesh.clone(), model, kind)
         .map_err(|error| BuildError::Organ { file: folder.join(&scene.organ.mesh), error })?;
     Ok((world, body))

@@ -81,6 +81,7 @@ impl Scene {
             tearing: None,
             mends_cuts: organ.mends_cuts,
             hand: hand.map(read_hand).transpose()?,
+            tissue: None,
             self_contact,
             vessels: Vec::new(),
             tools: scripted,

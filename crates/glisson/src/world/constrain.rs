@@ -256,7 +256,10 @@ impl World {
                 slip_m += contact.slip_m;
                 // A force that is no number, which only a broken model can bring about, is none.
                 let is_broken = !force_on_organ_n.is_finite();
-                if is_broken || contact.lets_go(force_on_organ_n, tool.grip.is_sticky) {
+                // With a hand that gives way the contacts' own law decides.
+                let lets_go =
+                    self.spec.hand.is_none() && contact.lets_go(force_on_organ_n, tool.grip.is_sticky);
+                if is_broken || lets_go {
                     hand.contacts[part.index()] = None;
                     self.load_part(place, part, None);
                 } else {

@@ -2,6 +2,7 @@
 
 use crate::contact::response::self_contact::SelfContactParams;
 use crate::image::vessels::Tube;
+use crate::material::LinearElastic;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::NodeId;
 use crate::model::{Attachment, FixedNode};
@@ -32,6 +33,9 @@ pub struct WorldSpec {
     /// How a user's hand holds the instruments; when absent, tissue follows every motion of the hand exactly, whatever force
     /// that takes.
     pub hand: Option<Hand>,
+    /// The tissue at rest: with a hand that gives way, contacts yield as in it where the mesh is too coarse for them. None: they
+    /// yield as the mesh does.
+    pub tissue: Option<LinearElastic>,
     /// How the organ touches itself, and pieces cut loose each other; they pass through when absent.
     pub self_contact: Option<SelfContactParams>,
     /// Blood vessels inside the organ, in its rest shape.
@@ -54,6 +58,7 @@ impl WorldSpec {
             tearing: None,
             mends_cuts: false,
             hand: None,
+            tissue: None,
             self_contact: None,
             vessels: Vec::new(),
             tools: vec![tool],

@@ -121,6 +121,13 @@ impl HeldContact {
             .chain([f64::from(self.triangle.0), self.overlap_m])
     }
 
+    /// Where the tool presses now, with what force; the tissue was touched elsewhere.
+    pub(super) fn sit_on(&mut self, seat: &Seat) {
+        (self.triangle, self.nodes, self.weights) = (seat.triangle, seat.nodes, seat.weights);
+        (self.at, self.normal, self.overlap_m) = (seat.at, seat.normal, 0.0);
+        self.forces_n = seat.weights.map(|weight| seat.force_n * weight);
+    }
+
     /// A step of pushing the tissue out of the tool.
     pub(super) fn push_out(&mut self, dt_s: f64) {
         let out_m = self.overlap_m.min(PUSH_OUT_M_PER_S * dt_s);
@@ -165,6 +172,18 @@ impl HeldContact {
     pub fn weights(&self) -> [f64; 3] {
         self.weights
     }
+}
+
+/// The point that stands for all at which a part touches.
+pub(super) struct Seat {
+    pub(super) triangle: TriangleId,
+    pub(super) nodes: [NodeId; 3],
+    pub(super) weights: [f64; 3],
+    pub(super) at: ToolPoint,
+    /// Unit vector out of the organ.
+    pub(super) normal: DVec3,
+    /// Force of the part on the organ [N].
+    pub(super) force_n: DVec3,
 }
 
 /// Displacement from rest of a place of the surface [m].

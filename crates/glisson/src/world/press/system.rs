@@ -1,0 +1,631 @@
+//! The contacts of a step as one system: what touches, how organ and instruments answer, and the forces that were found.
+
+use super::points::{ContactPoint, Look, PointSearch};
+use super::sub_grid::Indentation;
+use super::{JAWS, VERTICES};
+use crate::contact::constraint::{Contact, ContactKey, Response, Sweeps, solve};
+use crate::contact::shapes::Capsule;
+use crate::math::{DMat3, DVec3};
+use crate::mesh::NodeId;
+use crate::model::{LocalModel, NodalForce};
+use crate::tool::pose::ToolFrame;
+use crate::tool::{MAX_TOOLS, Tool, ToolInput};
+use crate::world::grasp::{Grasp, MOST_HELD_NODES};
+use crate::world::organ::Organ;
+use crate::world::parts::{ToolPart, ToolPoint, capsule};
+use crate::world::slide::UNKNOWN_M_PER_N;
+use crate::world::spec::Hand;
+use crate::world::tool_state::ToolState;
+use crate::world::touch::{HeldContact, Seat};
+use std::ops::Range;
+
+/// Sweeps over all contacts at most, and when they end: choices.
+const SWEEPS: Sweeps = Sweeps { most: 30, tolerance: 1e-4 };
+/// The answer of the touched nodes is taken for at most so many times what the model says, grows by so much in a step at most,
+/// and keeps this share of what it is beyond that: choices.
+const MOST_SOFTER: f64 = 64.0;
+const MOST_SOFTER_A_STEP: f64 = 4.0;
+const KEPT_SOFTNESS: f64 = 0.9;
+/// What jaws hold is taken to be so many times as soft as the model says, each node by itself: no less than what the nodes
+/// around it, which are held with it, add. A choice.
+const SOFT_HOLD: f64 = 4.0;
+const MOST_NODES: usize = LocalModel::MOST_NODES;
+/// Contact points of a part at most, the deepest: a choice.
+const MOST_POINTS: usize = 64;
+const MOST_CONTACTS: usize = 2 * MOST_POINTS + (3 + MOST_HELD_NODES) * MAX_TOOLS;
+/// Points are looked for this share of the part's radius beyond the way that it may go in the step: tissue moves too. A choice.
+const AROUND: f64 = 0.1;
+/// Tissue that was found in a part is pushed out no faster than this [m/s]: a choice, a hand's calm motion.
+const PUSH_OUT_M_PER_S: f64 = 0.2;
+/// Coefficient of friction of what sticks: it does not slide while it is pressed. A choice, beyond any of tissue.
+const STICKY_FRICTION: f64 = 1e3;
+const N_VERTICES: usize = MOST_NODES + VERTICES * MAX_TOOLS;
+/// An instrument that turns about a point nearer than this share of its way to the tip does not give way there.
+const LEAST_LEVER: f64 = 0.05;
+
+/// What of a tool bears a contact.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Bearer {
+    /// A part, at one of its points.
+    Point(ContactPoint),
+    /// A part that follows one place of the tissue.
+    Anchor(ToolPart),
+    /// Jaws, on the node that they hold.
+    Jaws(NodeId),
+}
+
+/// A point that bore a force in the last step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PressedPoint {
+    /// The vertex of its part in the system.
+    vertex: u32,
+    at: ContactPoint,
+    force_n: DVec3,
+}
+
+/// What is kept of a touched node from one step to the next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct TouchedNode {
+    node: NodeId,
+    /// Before the step.
+    velocity_m_per_s: DVec3,
+    /// Where it was expected to be after the step [m], and what of the way there was its answer to the change of the forces.
+    expected_m: DVec3,
+    answer_m: DVec3,
+    /// The whole way there [m].
+    way_m: DVec3,
+}
+
+/// The contacts of a step and what they need, with room for the most.
+#[derive(Debug)]
+pub(in crate::world) struct Press {
+    pub(super) contacts: Vec<Contact>,
+    /// Tool and part of each contact.
+    pub(super) of: Vec<(usize, Bearer)>,
+    pub(super) nodes: Vec<NodeId>,
+    /// Whether jaws hold each of the nodes.
+    is_held: Vec<bool>,
+    response: Response,
+    pub(super) moves_m: Vec<DVec3>,
+    /// Forces on the nodes in the last step, ascending by node.
+    forces: Vec<NodalForce>,
+    touched: Vec<TouchedNode>,
+    /// How many times as soft as the model says the touched nodes are taken to be.
+    softness: f64,
+    /// The points of the last step that bore a force: the first guess in the next.
+    pub(super) pressed: Vec<PressedPoint>,
+    /// How a part's surface on the mesh yields against the part, for what the mesh is too coarse for ([`sub_grid`]) [m/N].
+    sub_grid_m_per_n: [[f64; JAWS]; MAX_TOOLS],
+    /// Scratch: forces of a part on nodes along its way.
+    on_nodes_n: Vec<(NodeId, f64)>,
+    /// Scratch: the answer to the change of the forces.
+    answers_m: Vec<DVec3>,
+    search: PointSearch,
+}
+
+/// The vertex of a tool's part, or of its jaws, in the system.
+pub(super) fn vertex_of(place: usize, part: usize) -> u32 {
+    (MOST_NODES + VERTICES * place + part) as u32
+}
+
+impl Press {
+    pub(in crate::world) fn new() -> Self {
+        Self {
+            contacts: Vec::with_capacity(MOST_CONTACTS),
+            of: Vec::with_capacity(MOST_CONTACTS),
+            nodes: Vec::with_capacity(MOST_NODES),
+            is_held: Vec::with_capacity(MOST_NODES),
+            response: Response::new(N_VERTICES, 1 + MAX_TOOLS).with_room_for_groups_of(MOST_NODES),
+            moves_m: vec![DVec3::ZERO; N_VERTICES],
+            forces: Vec::with_capacity(MOST_NODES),
+            touched: Vec::with_capacity(MOST_NODES),
+            softness: 1.0,
+            pressed: Vec::with_capacity(MOST_CONTACTS),
+            sub_grid_m_per_n: [[0.0; JAWS]; MAX_TOOLS],
+            on_nodes_n: Vec::with_capacity(MOST_NODES),
+            search: PointSearch::new(),
+            answers_m: vec![DVec3::ZERO; N_VERTICES],
+        }
+    }
+
+    /// The same with its room.
+    pub(in crate::world) fn duplicate(&self) -> Self {
+        let mut copy = Self::new();
+        copy.forces.extend_from_slice(&self.forces);
+        copy.touched.extend_from_slice(&self.touched);
+        copy.pressed.extend_from_slice(&self.pressed);
+        copy.sub_grid_m_per_n = self.sub_grid_m_per_n;
+        copy.softness = self.softness;
+        copy
+    }
+
+    /// Everything that the next step depends on.
+    pub(in crate::world) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
+        let forces = self.forces.iter().map(|force| (force.node, force.force_n));
+        let touched = self.touched.iter().flat_map(|touched| {
+            let vectors = [touched.velocity_m_per_s, touched.expected_m, touched.answer_m, touched.way_m];
+            vectors.map(|vector| (touched.node, vector))
+        });
+        let numbers = forces.chain(touched).flat_map(|(node, v)| [f64::from(node.0), v.x, v.y, v.z]);
+        let pressed = self.pressed.iter().flat_map(|point| {
+            let force_n = point.force_n.to_array();
+            let at = point.at.feature.numbers().into_iter().chain(point.at.weights);
+            let at = at.chain(point.at.inward.to_array());
+            [f64::from(point.vertex)].into_iter().chain(at).chain(force_n)
+        });
+        let sub_grid = self.sub_grid_m_per_n.as_flattened().iter().copied().filter(|yields| *yields != 0.0);
+        numbers.chain(pressed).chain(sub_grid).chain((self.softness != 1.0).then_some(self.softness))
+    }
+
+    /// Forces on the nodes in this step, ascending by node.
+    pub(in crate::world) fn forces(&self) -> &[NodalForce] {
+        &self.forces
+    }
+
+    pub(in crate::world) fn forget(&mut self) {
+        self.forces.clear();
+        self.touched.clear();
+        self.pressed.clear();
+        self.sub_grid_m_per_n = [[0.0; JAWS]; MAX_TOOLS];
+        self.softness = 1.0;
+    }
+
+    /// After a step: whether the touched nodes, now at `positions_m`, are softer than they were taken to be.
+    pub(super) fn learn_softness(&mut self, positions_m: &[DVec3]) {
+        let (mut further_m2, mut answered_m2) = (0.0, 0.0);
+        for touched in &self.touched {
+            let Some(now_m) = positions_m.get(touched.node.index()) else { continue };
+            further_m2 += (*now_m - touched.expected_m).dot(touched.answer_m);
+            // Where the way is not the forces' doing, how far it led says little of them.
+            answered_m2 += touched.answer_m.length_squared() + touched.way_m.length_squared();
+        }
+        let times = (1.0 + further_m2 / answered_m2).min(MOST_SOFTER_A_STEP);
+        let kept = 1.0 + (self.softness - 1.0) * KEPT_SOFTNESS;
+        let seen = if times.is_finite() { self.softness * times } else { 1.0 };
+        self.softness = kept.max(seen).clamp(1.0, MOST_SOFTER);
+    }
+
+    /// Forgets the contacts of the step before; lists what jaws hold.
+    pub(super) fn start(&mut self, states: &[ToolState]) {
+        self.contacts.clear();
+        self.of.clear();
+        self.nodes.clear();
+        self.is_held.clear();
+        for node in states.iter().filter_map(|state| state.grasp.as_ref()).flat_map(Grasp::nodes) {
+            self.number(node, true);
+        }
+    }
+
+    /// A node's number in the patch, which it gets where there is room.
+    fn number(&mut self, node: NodeId, is_held: bool) -> Option<usize> {
+        let known = self.number_of(node);
+        if known.is_none() && self.nodes.len() < MOST_NODES {
+            self.nodes.push(node);
+            self.is_held.push(is_held);
+            return Some(self.nodes.len() - 1);
+        }
+        known
+    }
+
+    /// A contact between a place of a triangle and a tool's vertex; none where the patch has no room for its nodes.
+    fn add(
+        &mut self,
+        (place, vertex): (usize, u32),
+        bearer: Bearer,
+        (nodes, weights): ([NodeId; 3], [f64; 3]),
+        mut contact: Contact,
+    ) {
+        let n_before = self.nodes.len();
+        let mut numbers = [0; 3];
+        for v in (0..3).filter(|&v| weights[v] != 0.0) {
+            let Some(number) = self.number(nodes[v], false) else {
+                self.nodes.truncate(n_before);
+                self.is_held.truncate(n_before);
+                return;
+            };
+            numbers[v] = number as u32;
+        }
+        if self.contacts.len() < MOST_CONTACTS {
+            contact.vertices[..3].copy_from_slice(&numbers);
+            contact.vertices[3] = vertex;
+            contact.weights[..3].copy_from_slice(&weights);
+            self.contacts.push(contact);
+            self.of.push((place, bearer));
+        }
+    }
+
+    /// The points at which a part touches, or may in this step: from where it was, `before`, it moves to `now`.
+    pub(super) fn add_points(&mut self, (place, part): (usize, ToolPart), touch: &PartTouch<'_>) {
+        let PartTouch { tool, from, now, organ, dt_s, contact, is_linear } = *touch;
+        let (Some(start), Some(end)) = (capsule(tool, part, from), capsule(tool, part, now)) else { return };
+        let way_m = start.from_m.distance(end.from_m).max(start.to_m.distance(end.to_m));
+        let margin_m = way_m + AROUND * start.radius_m;
+        let turn = ToolFrame::of(now).world_from_tool * ToolFrame::of(from).world_from_tool.transpose();
+        let vertex = vertex_of(place, part.index());
+        let contact = contact.filter(|_| part != ToolPart::Shaft);
+        // As deep as the detail lets it, a part is not in the tissue: it touches from so much further out.
+        let further_out_m = self.further_out_m((place, part), start.radius_m, contact);
+        let touching =
+            Capsule { from_m: start.from_m + further_out_m, to_m: start.to_m + further_out_m, ..start };
+        let look = Look { organ, part: &touching, margin_m, is_linear };
+        let pressed = std::mem::take(&mut self.pressed);
+        let of_part = pressed.iter().filter(|point| point.vertex == vertex);
+        let kept = of_part.clone().map(|point| ContactPoint { is_kept: true, ..point.at });
+        let mut search = std::mem::replace(&mut self.search, PointSearch::none());
+        for point in search.find(&look, &kept).iter().take(MOST_POINTS) {
+            let key = ContactKey::VertexObstacle(vertex, self.contacts.len() as u32);
+            let out_m = further_out_m.dot(point.inward);
+            let mut contact = Contact::new(key, point.inward, point.gap_m);
+            contact.slack_m = point.gap_m.max(-PUSH_OUT_M_PER_S * dt_s) + out_m;
+            let arm_m = point.arm_m;
+            contact.point_m = start.axis_point_m(point.along) + arm_m;
+            contact.moved_m =
+                end.axis_point_m(point.along) - start.axis_point_m(point.along) + turn * arm_m - arm_m;
+            contact.weights[3] = -lever(tool, now, contact.point_m);
+            let coefficient = tool.grip.friction_coefficient;
+            contact.friction = if tool.grip.is_sticky { STICKY_FRICTION } else { coefficient };
+            let is_it = |p: &&PressedPoint| p.at.feature == point.feature && p.at.weights == point.weights;
+            let before = of_part.clone().find(is_it);
+            contact.force_n = before.map_or(DVec3::ZERO, |point| contact.into_cone(point.force_n));
+            self.add((place, vertex), Bearer::Point(*point), (point.nodes, point.weights), contact);
+        }
+        self.search = search;
+        self.pressed = pressed;
+    }
+
+    /// The place that a part follows.
+    pub(super) fn add_anchor(
+        &mut self,
+        (place, part): (usize, ToolPart),
+        held: &HeldContact,
+        (tool, pose): (&Tool, &ToolInput),
+        organ: &Organ,
+    ) {
+        let place_m = held.at.in_world_m(tool, pose);
+        let target_m = place_m + held.offset_m;
+        let key = ContactKey::VertexObstacle(place as u32, part.index() as u32);
+        let mut contact = Contact::new(key, -held.normal, 0.0);
+        contact.weights[3] = -lever(tool, pose, place_m);
+        contact.point_m = target_m;
+        contact.moved_m = target_m - held.point_m(organ.positions_m());
+        contact.friction = tool.grip.friction_coefficient;
+        contact.sticks = tool.grip.is_sticky;
+        contact.force_n = held.force_on_organ_n();
+        let vertex = vertex_of(place, part.index());
+        self.add((place, vertex), Bearer::Anchor(part), (held.nodes, held.weights), contact);
+    }
+
+    /// A node that jaws hold and move, with the force of the step before.
+    pub(super) fn add_held(
+        &mut self,
+        (place, node): (usize, NodeId),
+        [moved_m, force_n]: [DVec3; 2],
+        lever: f64,
+    ) {
+        let mut contact = Contact::new(ContactKey::VertexObstacle(place as u32, node.0), DVec3::Z, 0.0);
+        contact.weights[3] = -lever;
+        contact.moved_m = moved_m;
+        contact.sticks = true;
+        contact.force_n = force_n;
+        let vertex = vertex_of(place, JAWS);
+        self.add((place, vertex), Bearer::Jaws(node), ([node; 3], [1.0, 0.0, 0.0]), contact);
+    }
+
+    /// How far a part is in the surface of the mesh for what that is too coarse for, as the way out [m]. A part that just begins
+    /// to touch yields most.
+    fn further_out_m(
+        &mut self,
+        (place, part): (usize, ToolPart),
+        radius_m: f64,
+        contact: Option<&Indentation>,
+    ) -> DVec3 {
+        let vertex = vertex_of(place, part.index());
+        let yields = &mut self.sub_grid_m_per_n[place][part.index()];
+        let own = self.pressed.iter().filter(|point| point.vertex == vertex);
+        if own.clone().next().is_none() {
+            *yields = contact.map_or(0.0, |contact| contact.at_first_m_per_n(radius_m));
+        }
+        own.map(|point| -point.force_n).sum::<DVec3>() * *yields
+    }
+
+    /// How an instrument answers: its parts move as one, with the hand's compliance.
+    pub(super) fn set_tool(&mut self, place: usize, hand_m_per_n: f64) {
+        self.response.set_group(1 + place, (0..VERTICES).map(|part| vertex_of(place, part)));
+        let compliance = &mut self.response.group_mut(1 + place).compliance_m_per_n;
+        compliance.clear();
+        compliance.resize(VERTICES * VERTICES, DMat3::IDENTITY * hand_m_per_n);
+        for (part, yields) in self.sub_grid_m_per_n[place].into_iter().enumerate() {
+            compliance[part * VERTICES + part] += DMat3::IDENTITY * yields;
+        }
+    }
+
+    /// After contacts were solved: what the mesh is too coarse for, with the forces that were found.
+    pub(super) fn set_sub_grid(
+        &mut self,
+        (place, part): (usize, ToolPart),
+        radius_m: f64,
+        contact: &Indentation,
+        organ: &Organ,
+    ) {
+        let vertex = vertex_of(place, part.index());
+        let outward = self.outward(vertex);
+        self.on_nodes_n.clear();
+        let mut on_tool_n = DVec3::ZERO;
+        let mut is_at_end = true;
+        let (mut further_out_j, mut push_n) = (0.0, 0.0);
+        for (contact, (_, bearer)) in self.contacts.iter().zip(&self.of) {
+            let Bearer::Point(point) = bearer else { continue };
+            if contact.vertices[3] != vertex || contact.force_n == DVec3::ZERO {
+                continue;
+            }
+            is_at_end &= point.along == 0.0 || point.along == 1.0;
+            on_tool_n += contact.force_n * contact.weights[3];
+            let along_n = -contact.force_n.dot(outward);
+            push_n += along_n;
+            further_out_j += along_n * (radius_m + point.arm_m.dot(outward));
+            for (node, weight) in point.nodes.into_iter().zip(point.weights).filter(|(_, w)| *w > 0.0) {
+                match self.on_nodes_n.iter_mut().find(|(n, _)| *n == node) {
+                    Some((_, force_n)) => *force_n += along_n * weight,
+                    None => self.on_nodes_n.push((node, along_n * weight)),
+                }
+            }
+        }
+        if self.on_nodes_n.is_empty() {
+            return;
+        }
+        let missing = if is_at_end {
+            contact.missing_m_per_n(organ, (radius_m, further_out_j / push_n), &self.on_nodes_n)
+        } else {
+            0.0
+        };
+        let known = &mut self.sub_grid_m_per_n[place][part.index()];
+        let further = missing - *known;
+        *known = missing;
+        let part = part.index();
+        let compliance = &mut self.response.group_mut(1 + place).compliance_m_per_n;
+        compliance[part * VERTICES + part] += DMat3::IDENTITY * further;
+        self.moves_m[vertex as usize] += on_tool_n * further;
+    }
+
+    /// The way out of the organ at a part, as its points push; zero where none does.
+    fn outward(&self, vertex: u32) -> DVec3 {
+        let own = self.contacts.iter().filter(|contact| contact.vertices[3] == vertex);
+        let outward: DVec3 = own.map(|contact| contact.normal * -contact.force_n.dot(contact.normal)).sum();
+        outward.normalize_or_zero()
+    }
+
+    /// A node's number in the patch.
+    fn number_of(&self, node: NodeId) -> Option<usize> {
+        self.nodes.iter().position(|n| *n == node)
+    }
+
+    pub(super) fn force_before_n(&self, node: NodeId) -> DVec3 {
+        let found = self.forces.iter().find(|force| force.node == node);
+        found.map_or(DVec3::ZERO, |force| force.force_n)
+    }
+
+    /// What of the patch's answer a model tells, with a guess for nodes of which it tells nothing; none for those that do not
+    /// move under forces.
+    pub(super) fn set_response(&mut self, local: &LocalModel, is_free: impl Fn(NodeId) -> bool, dt_s: f64) {
+        let n = self.nodes.len();
+        self.response.set_group(0, 0..n as u32);
+        self.response.group_mut(0).compliance_m_per_n.clear();
+        for j in 0..n {
+            for i in 0..n {
+                let both = i < local.nodes.len() && j < local.nodes.len();
+                let is_free = both && is_free(self.nodes[i]) && is_free(self.nodes[j]);
+                let tensor = if is_free { self.tensor_m_per_n(local, [i, j], dt_s) } else { DMat3::ZERO };
+                self.response.group_mut(0).compliance_m_per_n.push(tensor);
+            }
+        }
+    }
+
+    /// How node `i` of the patch is taken to answer to a force on node `j`.
+    fn tensor_m_per_n(&self, local: &LocalModel, [i, j]: [usize; 2], dt_s: f64) -> DMat3 {
+        let told = local.tensor_m_per_n(i, j);
+        let held = |k: usize| self.is_held[k] && local.mass_kg[k] > 0.0;
+        if !held(i) && !held(j) {
+            let unknown = i == j && told == DMat3::ZERO;
+            return if unknown { DMat3::IDENTITY * UNKNOWN_M_PER_N } else { told * self.softness };
+        }
+        if i != j {
+            return DMat3::ZERO;
+        }
+        let of_mass = dt_s * dt_s / local.mass_kg[i];
+        let of_patch = told * SOFT_HOLD;
+        let mean = (of_patch.x_axis.x + of_patch.y_axis.y + of_patch.z_axis.z) / 3.0;
+        if mean > 0.0 && mean < of_mass { of_patch } else { DMat3::IDENTITY * of_mass }
+    }
+
+    /// Where the nodes go without what touched them in the last step.
+    pub(super) fn set_free_moves(&mut self, local: &LocalModel, velocities_m_per_s: &[DVec3], dt_s: f64) {
+        self.moves_m.fill(DVec3::ZERO);
+        for (i, drift_m) in local.drift_m.iter().enumerate() {
+            // What jaws hold is taken to answer node by node, to its own momentum too.
+            self.moves_m[i] = if self.is_held[i] { DVec3::ZERO } else { *drift_m };
+        }
+        for j in 0..local.nodes.len() {
+            let node = local.nodes[j];
+            let v = velocities_m_per_s.get(node.index()).copied().unwrap_or(DVec3::ZERO);
+            let before = self.touched.iter().find(|touched| touched.node == node);
+            let change = before.map_or(DVec3::ZERO, |touched| v - touched.velocity_m_per_s);
+            let own = if self.is_held[j] { v } else { DVec3::ZERO };
+            let force_n = (own + change) * (local.mass_kg[j] / dt_s) - self.force_before_n(node);
+            self.response.add(j as u32, force_n, &mut self.moves_m);
+        }
+    }
+
+    /// After contacts were solved: keeps what is known of the touched nodes and what they are expected to do. `before` are the
+    /// forces of the step before, with the nodes in the patch's order.
+    pub(super) fn expect(
+        &mut self,
+        positions_m: &[DVec3],
+        velocities_m_per_s: &[DVec3],
+        before_n: &[DVec3; MOST_NODES],
+    ) {
+        self.answers_m.fill(DVec3::ZERO);
+        self.touched.clear();
+        for (i, &node) in self.nodes.iter().enumerate() {
+            let force_n = self.force_before_n(node) - before_n[i];
+            self.response.add(i as u32, force_n, &mut self.answers_m);
+        }
+        for (i, &node) in self.nodes.iter().enumerate() {
+            self.touched.push(TouchedNode {
+                node,
+                velocity_m_per_s: velocities_m_per_s.get(node.index()).copied().unwrap_or(DVec3::ZERO),
+                expected_m: positions_m[node.index()] + self.moves_m[i],
+                answer_m: self.answers_m[i],
+                way_m: self.moves_m[i],
+            });
+        }
+    }
+
+    /// Solves the contacts, from the forces that they had.
+    pub(super) fn solve(&mut self) {
+        for contact in &self.contacts {
+            for (vertex, weight) in contact.sides() {
+                self.response.add(vertex, contact.force_n * weight, &mut self.moves_m);
+            }
+        }
+        self.sweep();
+    }
+
+    pub(super) fn sweep(&mut self) {
+        solve(&mut self.contacts, &self.response, SWEEPS, &mut self.moves_m);
+    }
+
+    /// Where an instrument whose contacts bear more than the hand's greatest force goes with that force: it stays on what it
+    /// touches.
+    pub(super) fn give_way(&mut self, tool: usize, hand: &Hand) {
+        let of_tool = vertex_of(tool, 0)..vertex_of(tool, VERTICES);
+        let own = |contact: &&Contact| of_tool.contains(&contact.vertices[3]);
+        self.limit_each(&of_tool, hand.greatest_force_n);
+        let on_tool_n = |contact: &Contact| contact.force_n * contact.weights[3];
+        let force_n: DVec3 = self.contacts.iter().filter(own).map(on_tool_n).sum();
+        let share = hand.greatest_force_n / force_n.length();
+        let gives_way = share.is_finite() && share < 1.0;
+        if gives_way {
+            for c in 0..self.contacts.len() {
+                if of_tool.contains(&self.contacts[c].vertices[3]) {
+                    self.lessen(c, share);
+                }
+            }
+        }
+        for c in 0..self.contacts.len() {
+            let contact = self.contacts[c];
+            if !own(&&contact) || contact.sticks || contact.weights[3] >= -LEAST_LEVER {
+                continue;
+            }
+            let opening_m = contact.relative_m(&self.moves_m).dot(contact.normal) + contact.slack_m;
+            if opening_m < 0.0 {
+                self.move_tool(tool, contact.normal * (opening_m / -contact.weights[3]));
+            }
+        }
+        let (mut off_m, mut n) = (DVec3::ZERO, 0);
+        let held = |contact: &&Contact| own(contact) && contact.sticks && contact.weights[3] < -LEAST_LEVER;
+        for contact in self.contacts.iter().filter(held).filter(|_| gives_way) {
+            off_m += contact.relative_m(&self.moves_m) / -contact.weights[3];
+            n += 1;
+        }
+        if n > 0 {
+            self.move_tool(tool, off_m / f64::from(n));
+        }
+    }
+
+    fn move_tool(&mut self, tool: usize, way_m: DVec3) {
+        for part in 0..VERTICES {
+            self.moves_m[vertex_of(tool, part) as usize] += way_m;
+        }
+    }
+
+    /// No contact of a tool bears more than its hand can.
+    fn limit_each(&mut self, of_tool: &Range<u32>, most_n: f64) {
+        for c in 0..self.contacts.len() {
+            let share = most_n / self.contacts[c].force_n.length();
+            if of_tool.contains(&self.contacts[c].vertices[3]) && share < 1.0 {
+                self.lessen(c, share);
+            }
+        }
+    }
+
+    /// Leaves a share of a contact's force.
+    fn lessen(&mut self, c: usize, share: f64) {
+        let contact = self.contacts[c];
+        for (vertex, weight) in contact.sides() {
+            self.response.add(vertex, contact.force_n * ((share - 1.0) * weight), &mut self.moves_m);
+        }
+        self.contacts[c].force_n = contact.force_n * share;
+    }
+
+    /// The contacts' forces by nodes.
+    pub(super) fn gather_forces(&mut self) {
+        self.forces.clear();
+        for contact in &self.contacts {
+            for (vertex, weight) in contact.sides().filter(|(v, _)| (*v as usize) < self.nodes.len()) {
+                let (node, force_n) = (self.nodes[vertex as usize], contact.force_n * weight);
+                match self.forces.iter_mut().find(|force| force.node == node) {
+                    Some(force) => force.force_n += force_n,
+                    None => self.forces.push(NodalForce { node, force_n }),
+                }
+            }
+        }
+        self.forces.sort_unstable_by_key(|force| force.node);
+    }
+
+    /// A part is told of as its point that bears most, with the force of all; none where none bears any.
+    pub(super) fn settle_points(&mut self, (place, part): (usize, ToolPart), held: &mut Option<HeldContact>) {
+        let vertex = vertex_of(place, part.index());
+        let (mut force_n, mut outward, mut most) = (DVec3::ZERO, DVec3::ZERO, None);
+        let mut most_n = 0.0;
+        for (contact, (_, bearer)) in self.contacts.iter().zip(&self.of) {
+            let Bearer::Point(point) = bearer else { continue };
+            if contact.vertices[3] != vertex || contact.force_n == DVec3::ZERO {
+                continue;
+            }
+            let pressed = PressedPoint { vertex, at: *point, force_n: contact.force_n };
+            self.pressed.push(pressed);
+            let push_n = contact.force_n.dot(contact.normal);
+            force_n += contact.force_n;
+            outward -= contact.normal * push_n;
+            if push_n > most_n {
+                most_n = push_n;
+                most = Some(*point);
+            }
+        }
+        match (held.as_mut(), most) {
+            (Some(held), Some(point)) => held.sit_on(&Seat {
+                triangle: point.triangle,
+                nodes: point.nodes,
+                weights: point.weights,
+                at: ToolPoint::OnAxis(part, point.along),
+                normal: outward.normalize_or(-point.inward),
+                force_n,
+            }),
+            _ => {
+                *held = None;
+                self.sub_grid_m_per_n[place][part.index()] = 0.0;
+            }
+        }
+    }
+}
+
+/// How far a point of a tool moves across its shaft when the tip moves: less, nearer to a trocar.
+pub(super) fn lever(tool: &Tool, pose: &ToolInput, point_m: DVec3) -> f64 {
+    let Some(trocar_m) = tool.trocar_m else { return 1.0 };
+    let length_m = trocar_m.distance(pose.tip_in_world_m);
+    let behind_m = pose.shaft_in_world.dot(point_m - pose.tip_in_world_m);
+    if length_m > tool.tip_radius_m { (1.0 - behind_m / length_m).clamp(0.0, 1.0) } else { 1.0 }
+}
+
+/// What of a part is needed for its points.
+#[derive(Clone, Copy)]
+pub(super) struct PartTouch<'a> {
+    pub(super) tool: &'a Tool,
+    /// From where it moves against the tissue, and to where it would alone.
+    pub(super) from: &'a ToolInput,
+    pub(super) now: &'a ToolInput,
+    pub(super) organ: &'a Organ,
+    pub(super) dt_s: f64,
+    pub(super) contact: Option<&'a Indentation>,
+    pub(super) is_linear: bool,
+}

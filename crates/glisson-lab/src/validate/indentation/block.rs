@@ -33,7 +33,7 @@ pub(super) struct BlockTop {
 
 /// Which tetrahedra.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Elements {
+pub(in crate::validate) enum Elements {
     /// Constant strain in each.
     Plain,
     /// Strain averaged over nodes.
@@ -144,14 +144,14 @@ impl Grading {
         })
     }
 
-    /// Force [N] of a rigid frictionless ball on plain tetrahedra, pushed along the axis on the shape at rest.
+    /// Force [N] of a rigid frictionless ball, pushed along the axis on the shape at rest.
     pub(in crate::validate) fn ball_n(
         &self,
         material: &LinearElastic,
-        radius_m: f64,
-        depth_m: f64,
+        elements: Elements,
+        [radius_m, depth_m]: [f64; 2],
     ) -> anyhow::Result<f64> {
-        let top = self.top(material, Elements::Plain, 0.999 * radius_m)?;
+        let top = self.top(material, elements, 0.999 * radius_m)?;
         let foot_m = |r: &f64| depth_m - radius_m + (radius_m * radius_m - r * r).sqrt();
         let wanted_m: Vec<f64> = top.radii_m.iter().map(foot_m).collect();
         // Four quarters.

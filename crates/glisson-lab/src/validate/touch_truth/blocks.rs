@@ -190,3 +190,28 @@ pub(super) fn run(selection: &Selection, tell: &mut dyn FnMut(&Case)) -> anyhow:
     }
     Ok(cases)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ball_comes_to_its_depths_and_stands_still() {
+        let selection = Selection {
+            models: vec!["precomputed".into()],
+            sizes: vec![2_000],
+            balls_m: vec![10e-3],
+            ..Selection::default()
+        };
+        let mut n_told = 0;
+        let cases = run(&selection, &mut |_| n_told += 1).unwrap();
+        assert_eq!((cases.len(), n_told), (DEPTHS.len(), DEPTHS.len()));
+        for case in &cases {
+            let off_m = case.felt.depth_m - case.depth * case.ball_m;
+            assert!(off_m.abs() < 2e-3 * case.ball_m && case.felt.unrest < 0.01, "{case:?}");
+        }
+        assert!(cases[0].felt.force_n > 0.0 && cases.is_sorted_by_key(|case| case.felt.force_n));
+        let wrong = Selection { models: vec!["precomputedd".into()], ..Selection::default() };
+        assert!(run(&wrong, &mut |_| {}).is_err());
+    }
+}

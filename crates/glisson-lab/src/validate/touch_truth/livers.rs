@@ -155,3 +155,25 @@ pub(super) fn worst_ratio(pushes: &[Push], model: &str, size: usize) -> Option<(
     let ratios = of_model().filter(|push| push.size == size).filter_map(|push| Some((*push, ratio(push)?)));
     ratios.max_by(|a, b| (a.1 - 1.0).abs().total_cmp(&(b.1 - 1.0).abs()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_worst_push_is_found_against_the_finest_mesh() {
+        let push = |size: usize, place: usize, force_n: f64| Push {
+            model: "implicit",
+            seed: 51,
+            place,
+            size,
+            n_tets: size,
+            depth_m: DEPTHS_M[0],
+            felt: Felt { depth_m: DEPTHS_M[0], force_n, unrest: 0.0 },
+        };
+        let pushes = [push(100, 0, 1.1), push(100, 1, 1.6), push(900, 0, 1.0), push(900, 1, 2.0)];
+        let (worst, ratio) = worst_ratio(&pushes, "implicit", 100).unwrap();
+        assert!(worst.place == 1 && (ratio - 0.8).abs() < 1e-15);
+        assert!(worst_ratio(&pushes, "explicit", 100).is_none());
+    }
+}

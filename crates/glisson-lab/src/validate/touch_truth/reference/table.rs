@@ -1,7 +1,7 @@
 //! Forces of the reference, stored: F/(E R^2) of a ball of radius R pressed into a bonded block of 100 x 100 x 60 mm with a
 //! Poisson's ratio of 0.45, without friction. Stored are those of 80 nodes on a radius of the ball; those of 40 differ by less
-//! than 0.1 %, those of 20 by less than 0.4 %. The square block is taken as the cylinder of its cross-section's area: 0.1 % of the
-//! force (`validate touch_reference`).
+//! than 0.1 %, those of 20 by less than 0.4 %. The square block is taken as the cylinder of its cross-section's area: less
+//! than 0.5 % of the force (`validate touch_reference`).
 //!
 //! Two linear solutions. The linear theory loads the shape at rest: each force points along the normal of the surface at rest, and
 //! the tissue comes to lie on the ball where it was (Hertz, Sneddon). If the same linear tissue is pushed along the present

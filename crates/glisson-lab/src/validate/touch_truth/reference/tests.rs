@@ -1,6 +1,8 @@
-use super::super::judgement::{sneddon, square_over_round};
+use super::super::judgement::{sneddon, square_and_round};
 use super::table::{DEPTHS, Law, POISSON_RATIO, block, compute, reference_force};
 use super::*;
+use crate::validate::indentation::block::Elements;
+use glisson::solve::NodeAveraging;
 
 #[test]
 fn a_large_body_answers_like_a_half_space() {
@@ -47,6 +49,47 @@ fn nodes_are_hardly_inside_the_ball_and_none_is_pulled() {
 
 #[test]
 fn a_square_block_is_as_stiff_as_the_cylinder_of_its_area() {
-    let ratio = square_over_round().unwrap();
-    assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
+    let [square, round] = square_and_round(Elements::Averaged(NodeAveraging::STRAIN)).unwrap();
+    assert!((square / round - 1.0).abs() < 0.01, "{square} {round}");
+    let stored = reference_force(Law::Linear, 10e-3, 1.0).unwrap();
+    assert!((square / stored - 1.0).abs() < 0.05, "{square} {stored}");
+}
+
+#[test]
+fn what_the_ball_adds_is_differentiated_exactly() {
+    let law = glisson::material::LinearElastic::from_young_poisson(1.0, POISSON_RATIO, 1.0).unwrap();
+    let mut pressed = Pressed::new(&law, Push::OnPresentShape, block(10e-3), 10.0);
+    let depth = 0.8;
+    // Three nodes hardly inside the ball, off the axis.
+    for i in 2..5 {
+        let angle = 0.25 * i as f64;
+        let away = 1.0 - 0.5 * SHALLOW;
+        let rows = [0, 1].map(|c| pressed.unknown(i, 0, c));
+        pressed.displacements[rows[0]] = away * angle.sin() - pressed.r[i];
+        pressed.displacements[rows[1]] = 1.0 - depth - away * angle.cos();
+        pressed.pushed[i] = true;
+    }
+    let slopes = |pressed: &Pressed<'_>| {
+        let mut slopes = Vec::new();
+        pressed.touch(depth, TangentKind::Exact, |_, slope, _| slopes.push(slope));
+        slopes
+    };
+    let mut seconds = Vec::new();
+    pressed.touch(depth, TangentKind::Exact, |_, _, second| seconds.push(second));
+    for (k, second) in seconds.iter().enumerate() {
+        for component in 0..2 {
+            let (row, step) = (pressed.unknown(k + 2, 0, component), 1e-7);
+            let mut moved = |by: f64| {
+                pressed.displacements[row] += by;
+                let found = slopes(&pressed)[k];
+                pressed.displacements[row] -= by;
+                found
+            };
+            let (up, down) = (moved(step), moved(-step));
+            for other in 0..2 {
+                let slope = (up[other] - down[other]) / (2.0 * step);
+                assert!((slope - second[component][other]).abs() < 1e-6 * PENALTY, "{slope} {second:?}");
+            }
+        }
+    }
 }

@@ -70,21 +70,30 @@ pub(crate) fn cylinder(radius_m: f64, height_m: f64, n_tets: usize) -> anyhow::R
     Ok(mesh)
 }
 
+/// The surface of a synthetic patient's liver, and the volume that a mesh of it should hold [m3].
+pub(crate) fn liver_surface(params: &PhantomParams) -> anyhow::Result<(TriMesh, f64)> {
+    let phantom = generate_phantom(params);
+    let mask = phantom.labels.mask(&phantom.labels.select("liver", Parts::Included)?);
+    let grid = &phantom.labels.grid;
+    let (surface, _) = surface_of_mask(grid, &mask, &SurfaceParams::default())?;
+    Ok((surface, mask_volume_m3(grid, &mask)))
+}
+
+/// What such a surface encloses in about `n_tets` tetrahedra.
+pub(crate) fn filled((surface, volume_m3): &(TriMesh, f64), n_tets: usize) -> anyhow::Result<TetMesh> {
+    let params = MeshParams { size: WantedSize::Tetrahedra(n_tets), volume_m3: Some(*volume_m3) };
+    Ok(generate(surface, &params)?.0)
+}
+
 /// The synthetic patient's liver in about `n_tets` tetrahedra.
 pub(crate) fn liver(n_tets: usize) -> anyhow::Result<TetMesh> {
-    /// The surface and the volume that it should hold [m3]: made once.
+    /// Made once.
     static SURFACE: Mutex<Option<(TriMesh, f64)>> = Mutex::new(None);
     let mut made = SURFACE.lock().unwrap_or_else(PoisonError::into_inner);
     if made.is_none() {
-        let phantom = generate_phantom(&PhantomParams::default());
-        let mask = phantom.labels.mask(&phantom.labels.select("liver", Parts::Included)?);
-        let grid = &phantom.labels.grid;
-        let (surface, _) = surface_of_mask(grid, &mask, &SurfaceParams::default())?;
-        *made = Some((surface, mask_volume_m3(grid, &mask)));
+        *made = Some(liver_surface(&PhantomParams::default())?);
     }
-    let (surface, volume_m3) = made.as_ref().context("the surface was made above")?;
-    let params = MeshParams { size: WantedSize::Tetrahedra(n_tets), volume_m3: Some(*volume_m3) };
-    Ok(generate(surface, &params)?.0)
+    filled(made.as_ref().context("the surface was made above")?, n_tets)
 }
 
 /// Nodes whose rest place `is_wanted`, ascending.

@@ -31,6 +31,7 @@ mod rheology;
 mod rotation;
 mod self_contact;
 mod tissue;
+pub mod touch_truth;
 mod tubes;
 mod unit;
 mod volume;
@@ -219,6 +220,7 @@ pub const GROUPS: &[Group] = &[
     Group::new("self_contact", "An organ that touches itself: lobes driven together, a piece cut loose that falls on the rest.", self_contact::experiments),
     Group::new("active_trocar", "The active trocar: statics over its workspace, saturation, encoders, and its board palpating an organ.", active_trocar::experiments),
     Group::new("indentation", "A sphere and a flat punch on a bonded layer: graded tetrahedra against an axisymmetric solution.", indentation::experiments),
+    Group::new("touch_reference", "A ball pressed deep into a bonded block: our own axisymmetric solutions, linear and stable neo-Hookean.", touch_truth::reference_experiments),
     Group::new("palpation", "A stiff nodule under the surface, felt with a flat tip: commands to the device against static solutions.", palpation::experiments),
     Group::new("haptic_force", "The force between two steps of a simulation at 30 Hz against the full model stepped at 1 kHz.", haptic_force::experiments),
     Group::new("haptic_jumps", "From a tearing liver to the hand: start, lost device, standstill, cut and rupture without jumps of force.", haptic_jumps::experiments),
@@ -250,4 +252,6 @@ pub const GROUPS: &[Group] = &[
 #[rustfmt::skip]
 pub const SLOW_GROUPS: &[Group] = &[
     Group::new("contact_physics_full_size", "Two phantom livers of 6,300 tetrahedra, one on the other, for more than a minute.", contact_physics::full_size_experiments),
+    Group::new("touch_truth", "A ball pressed into blocks of 2,000 to 50,000 tetrahedra by every model: forces against the axisymmetric solutions.", touch_truth::block_experiments),
+    Group::new("touch_truth_livers", "A ball pressed into livers of three patients by every model: the forces of meshes of 2,000 to 50,000 tetrahedra agree.", touch_truth::liver_experiments),
 ];

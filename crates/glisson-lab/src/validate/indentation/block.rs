@@ -1,7 +1,7 @@
 //! A square block of tetrahedra, bonded below, graded by hand towards the axis of an indenter: a quarter of it, held along the
 //! two planes of symmetry.
 
-use super::contact::Dense;
+use super::contact::{Dense, unilateral};
 use glisson::material::LinearElastic;
 use glisson::math::{DVec3, tetrahedron_volume_m3};
 use glisson::mesh::{NodeId, TetMesh};
@@ -33,7 +33,7 @@ pub(super) struct BlockTop {
 
 /// Which tetrahedra.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Elements {
+pub(in crate::validate) enum Elements {
     /// Constant strain in each.
     Plain,
     /// Strain averaged over nodes.
@@ -142,6 +142,20 @@ impl Grading {
             compliance_m_per_n: compliance(&system, &rows)?,
             n_tets: mesh.tetrahedra.len(),
         })
+    }
+
+    /// Force [N] of a rigid frictionless ball, pushed along the axis on the shape at rest.
+    pub(in crate::validate) fn ball_n(
+        &self,
+        material: &LinearElastic,
+        elements: Elements,
+        [radius_m, depth_m]: [f64; 2],
+    ) -> anyhow::Result<f64> {
+        let top = self.top(material, elements, 0.999 * radius_m)?;
+        let foot_m = |r: &f64| depth_m - radius_m + (radius_m * radius_m - r * r).sqrt();
+        let wanted_m: Vec<f64> = top.radii_m.iter().map(foot_m).collect();
+        // Four quarters.
+        Ok(4.0 * unilateral(&top.compliance_m_per_n, &wanted_m)?.iter().sum::<f64>())
     }
 
     /// Bonded to the base, held along the planes of symmetry.

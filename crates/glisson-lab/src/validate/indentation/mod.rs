@@ -158,7 +158,7 @@ struct OnBlock {
 }
 
 /// Borders from 0 to exactly `end`, the first step about `first`, each longer by `growth`.
-fn graded(first: f64, growth: f64, end: f64) -> Vec<f64> {
+pub(super) fn graded(first: f64, growth: f64, end: f64) -> Vec<f64> {
     let n = ((1.0 + end / first * (growth - 1.0)).ln() / growth.ln()).ceil().max(1.0);
     let sum = (growth.powf(n) - 1.0) / (growth - 1.0);
     let (mut borders, mut step) = (vec![0.0], end / sum);

@@ -16,10 +16,15 @@
 //!
 //! Columns are solved eight at a time by conjugate gradients with a diagonal preconditioner, in a fixed order: the bits are
 //! the same on every path and at any number of threads. Ligaments do not count.
+//!
+//! A period that is a single step of central differences is another matter: no other node answers within it, and C is
+//! that of the masses alone, exactly ([`inertial`]). [`LocalWork::from_one_ring`] allows it.
 
 mod columns;
+mod inertial;
 
 use self::columns::{Columns, Solved};
+use self::inertial::{of_masses, of_short_step};
 use super::Rayleigh;
 use super::kernel::KernelPath;
 use super::tet_law::{TetLaw, linear_stiffness};
@@ -61,7 +66,8 @@ pub struct LocalModel {
     pub period_s: f64,
     /// Rings of tetrahedra around the patch that C takes into account; none when it is exact.
     pub n_rings: Option<u32>,
-    /// Whether the tissue is about to buckle or torn apart here: C is that of the masses alone.
+    /// Whether C is that of the masses alone: the tissue is about to buckle or torn apart here, or the period is a single
+    /// explicit step.
     pub is_inertial: bool,
     /// Whether the solution did not reach its tolerance within the iterations of a step: C is an estimate, too stiff.
     pub missed_tolerance: bool,
@@ -77,7 +83,7 @@ impl Default for LocalModel {
 
 impl LocalModel {
     /// Most nodes of a patch.
-    pub const MOST_NODES: usize = 64;
+    pub const MOST_NODES: usize = 96;
 
     /// An empty model with capacity for the largest patch.
     pub fn new() -> Self {
@@ -235,8 +241,8 @@ impl LocalWork {
         }
     }
 
-    /// Allows a single ring where the effect from beyond it is small enough: for steps that are short for the tissue, as those
-    /// of explicit models.
+    /// Allows a single ring where the effect from beyond it is small enough, and none where an explicit model answers a period
+    /// by its masses alone: for steps that are short for the tissue.
     #[must_use]
     pub fn from_one_ring(self) -> Self {
         Self { least_rings: 1, ..self }
@@ -251,6 +257,11 @@ impl LocalWork {
     /// Whether [`LocalModel::drift_m`] is asked for.
     pub(in crate::model) fn tells_drift(&self) -> bool {
         self.tells_drift
+    }
+
+    /// The instruction set to compute with.
+    pub(in crate::model) fn path(&self) -> KernelPath {
+        self.path
     }
 
     /// Sets the instruction set to compute with; the bits are the same on every one.
@@ -292,6 +303,11 @@ pub(in crate::model) trait LocalBody {
     /// Damping of masses and stiffness.
     fn damping(&self) -> Rayleigh {
         self.frame().damping()
+    }
+    /// Into how many parts of central differences the next step of `period_s` is divided, if it is no longer than a single
+    /// stable one.
+    fn short_step_parts(&self, _period_s: f64) -> Option<u64> {
+        None
     }
 }
 
@@ -407,6 +423,12 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
     if !(h_s.is_finite() && h_s > 0.0) || out.nodes.is_empty() {
         return;
     }
+    if work.least_rings == 1
+        && let Some(n_parts) = body.short_step_parts(h_s)
+    {
+        of_short_step(body, n_parts, work.tells_drift, out);
+        return;
+    }
     work.start(out);
     // First the tetrahedra at the patch: they determine how many rings are needed.
     work.add_ring(body, true);
@@ -426,7 +448,7 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
         }
     }
     match work.path.run_by_eight(Columns { work, out }) {
-        Solved::Never => inertial(body, h_s, work.tells_drift, out),
+        Solved::Never => of_masses(body, work.tells_drift, out),
         solved => {
             out.missed_tolerance = solved == Solved::Partly;
             out.symmetrize();
@@ -439,22 +461,6 @@ fn rings_for(condition: f64) -> u32 {
     let root = condition.max(1.0 + 1e-9).sqrt();
     let rings = libm::log(ECHO) / (2.0 * libm::log((root - 1.0) / (root + 1.0)));
     if rings.is_finite() { (rings.ceil() as u32).clamp(1, MOST_RINGS) } else { MOST_RINGS }
-}
-
-/// C of the masses alone.
-fn inertial(body: &dyn LocalBody, h_s: f64, tells_drift: bool, out: &mut LocalModel) {
-    out.compliance_m_per_n.fill(0.0);
-    out.is_inertial = true;
-    for i in 0..out.nodes.len() {
-        let n = out.nodes[i].index();
-        let stiffness = body.frame().inertia_kg(n) * (1.0 / h_s + body.damping().mass_per_s) / h_s;
-        let free =
-            body.frame().free_axes(n).map(|free| if free && stiffness > 0.0 { 1.0 / stiffness } else { 0.0 });
-        out.set_tensor(i, i, DMat3::from_diagonal(DVec3::from_array(free)));
-        if tells_drift {
-            out.drift_m[i] = body.velocity_m_per_s(n) * h_s;
-        }
-    }
 }
 
 impl LocalWork {

@@ -50,6 +50,7 @@ pub use smoothed::{
 pub use static_problem::{StaticProblem, StaticSolution, add_gravity_forces, solve_static};
 pub use supernodal::FactorScratch;
 pub use supports::{Attachment, FixedNode, RestStress, stress_tensor_pa};
+pub(crate) use system::Supernode;
 pub use system::{Factorization, FreeSystem};
 pub use tensors::{MeshEdges, StiffnessTensors, boundary_nodes};
 

@@ -81,6 +81,24 @@ pub(super) fn solve_in_place(
     }
 }
 
+/// Replaces a right-hand side in elimination order by L^-1 of it. Allocates nothing.
+///
+/// # Panics
+/// When the scratch does not fit, or the factor is not supernodal.
+pub(super) fn solve_lower_in_place(
+    (symbolic, values): (&SymbolicCholesky<u32>, &[f64]),
+    ordered: &mut [f64],
+    scratch: &mut FactorScratch,
+) {
+    let SymbolicCholeskyRaw::Supernodal(nodes) = symbolic.raw() else {
+        unreachable!("asked of supernodal factors alone");
+    };
+    if !ordered.is_empty() {
+        let n = ordered.len();
+        forward_in_place(&SupernodalLltRef::new(nodes, values), (ordered, n), &mut scratch.below);
+    }
+}
+
 /// L y = b, in columns of `n` rows.
 fn forward_in_place(factor: &SupernodalLltRef<'_, u32, f64>, (x, n): (&mut [f64], usize), below: &mut [f64]) {
     let k = x.len() / n;

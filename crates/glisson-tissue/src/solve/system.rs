@@ -11,8 +11,10 @@ use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
 use faer::sparse::linalg::amd;
+use faer::sparse::linalg::cholesky::supernodal::SymbolicSupernodalCholesky;
 use faer::sparse::linalg::cholesky::{
-    CholeskySymbolicParams, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+    CholeskySymbolicParams, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
+    factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Par, Side};
@@ -393,4 +395,66 @@ impl Factorization {
     pub fn solve_in_place(&self, columns: &mut [f64], n_columns: usize, scratch: &mut FactorScratch) {
         supernodal::solve_in_place((&self.symbolic, &self.value), columns, n_columns, scratch);
     }
+
+    /// Overwrites `solution` with L^-1 P b for one right-hand side b, in the order of elimination; no allocation.
+    ///
+    /// # Panics
+    /// When a length does not fit.
+    pub(crate) fn solve_lower_into(&self, right: &[f64], solution: &mut [f64], scratch: &mut FactorScratch) {
+        let n = self.symbolic.nrows();
+        assert_eq!([right.len(), solution.len()], [n; 2], "columns of {n} rows");
+        let (forward, _) = self.order();
+        for (x, old) in solution.iter_mut().zip(forward) {
+            *x = right[*old as usize];
+        }
+        supernodal::solve_lower_in_place((&self.symbolic, &self.value), solution, scratch);
+    }
+
+    /// Place of a row in the order of elimination.
+    pub(crate) fn place_of_row(&self, row: usize) -> usize {
+        self.order().1[row] as usize
+    }
+
+    /// Whether L is kept by supernodes: always, but for a matrix that is nothing but its diagonal.
+    pub(crate) fn is_supernodal(&self) -> bool {
+        matches!(self.symbolic.raw(), SymbolicCholeskyRaw::Supernodal(_))
+    }
+
+    /// Number of supernodes: runs of columns of L with the same rows below them.
+    pub(crate) fn n_supernodes(&self) -> usize {
+        self.supernodal().n_supernodes()
+    }
+
+    /// A supernode, in the order of elimination.
+    pub(crate) fn supernode(&self, s: usize) -> Supernode<'_> {
+        let symbolic = self.supernodal();
+        let start = symbolic.supernode_begin()[s] as usize;
+        let size = symbolic.supernode_end()[s] as usize - start;
+        let values = symbolic.col_ptr_for_val();
+        let values = &self.value[values[s] as usize..values[s + 1] as usize];
+        Supernode { start, size, rows_below: symbolic.supernode(s).pattern(), values }
+    }
+
+    fn order(&self) -> (&[u32], &[u32]) {
+        self.symbolic.perm().expect("factors are made in an order of their own").arrays()
+    }
+
+    fn supernodal(&self) -> &SymbolicSupernodalCholesky<u32> {
+        match self.symbolic.raw() {
+            SymbolicCholeskyRaw::Supernodal(symbolic) => symbolic,
+            SymbolicCholeskyRaw::Simplicial(_) => unreachable!("asked of supernodal factors alone"),
+        }
+    }
+}
+
+/// Columns of L with the same rows below them.
+pub(crate) struct Supernode<'a> {
+    /// The first column.
+    pub(crate) start: usize,
+    /// Number of columns.
+    pub(crate) size: usize,
+    /// Rows below the triangle of the columns, ascending.
+    pub(crate) rows_below: &'a [u32],
+    /// Columns one after the other: first the rows of the triangle, of which the upper part does not count, then those below.
+    pub(crate) values: &'a [f64],
 }

@@ -9,6 +9,7 @@ mod hybrid_exchange;
 mod hybrid_nonlinear;
 mod implicit;
 mod implicit_loads;
+mod implicit_patches;
 mod integrators;
 mod kernel;
 mod kernel_laws;

@@ -2,6 +2,7 @@
 
 use super::ExplicitKernel;
 use crate::model::Rayleigh;
+use crate::model::kernel::KernelLaw;
 use crate::model::local_model::{ElementStiffness, LocalBody, LocalElements, LocalFrame, tet_tangent};
 use crate::solve::P1Gradients;
 use glisson_mesh::math::DVec3;
@@ -32,6 +33,14 @@ impl LocalBody for ExplicitKernel {
 
     fn velocity_m_per_s(&self, n: usize) -> DVec3 {
         self.velocities_m_per_s[n]
+    }
+
+    /// For laws that bring tissue back from every shape. Under others a touched node is better taken for stiffer than it is:
+    /// a rough hand that overtakes it leaves a tangle.
+    fn short_step_parts(&self, period_s: f64) -> Option<u64> {
+        let is_short = period_s <= self.stable_step_s();
+        let returns = matches!(self.kernel.law(), KernelLaw::Linear | KernelLaw::StableNeoHooke);
+        (is_short && returns).then(|| self.parts_to_come(period_s))
     }
 }
 

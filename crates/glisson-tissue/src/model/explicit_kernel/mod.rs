@@ -67,6 +67,9 @@ const LEAST_ENERGY_STRETCH: f64 = 1.1;
 /// Steps that stay divided after the tissue was strained beyond what the step is made for: some vibrations of a
 /// tetrahedron.
 const CAREFUL_STEPS: u32 = 50;
+/// Parts of divided steps that are no longer than this share of the stable step are enough for the stable neo-Hookean law: a
+/// choice. A tetrahedron that is flattened to half its height bears half of it. Other laws stiffen more when they are stretched.
+const CAREFUL_SHARE: f64 = 1.0 / 3.0;
 /// A strained body's nodes are not let go faster than so many times its fastest wave: a choice; snapping through, tissue
 /// that turned inside out was seen at up to twice that.
 const MOST_WAVE_SPEEDS: f64 = 3.0;
@@ -281,6 +284,20 @@ impl ExplicitKernel {
         let longest_s = self.time_step_s.min(self.stable_step_s());
         // A hair below the whole number: dt = k times the step gives k parts in spite of rounding.
         (dt_s / longest_s - 1e-9).ceil().clamp(1.0, MOST_PARTS) as u64
+    }
+
+    /// Into how many the next one will be: more where the tissue is strained beyond what the step is for.
+    fn parts_to_come(&self, dt_s: f64) -> u64 {
+        let n_parts = self.parts_of_step(dt_s);
+        if self.careful_steps == 0 {
+            return n_parts;
+        }
+        let mut careful = u64::from(self.most_parts);
+        if self.kernel.law() == KernelLaw::StableNeoHooke {
+            let enough = (dt_s / (CAREFUL_SHARE * self.stable_step_s())).ceil();
+            careful = careful.min(enough.clamp(1.0, MOST_PARTS) as u64);
+        }
+        n_parts.max(careful)
     }
 
     /// The moving state, to come back to with [`ExplicitKernel::restore`].
@@ -531,10 +548,7 @@ impl ExplicitDynamics for ExplicitKernel {
         if !(dt_s.is_finite() && dt_s > 0.0) {
             return;
         }
-        let mut n_parts = self.parts_of_step(dt_s);
-        if self.careful_steps > 0 {
-            n_parts = n_parts.max(u64::from(self.most_parts));
-        }
+        let n_parts = self.parts_to_come(dt_s);
         let mut is_strained = false;
         let parts = n_parts as f64;
         // Only a step of more than the most parts is cut off.

@@ -2,6 +2,9 @@
 
 use super::elements::Elements;
 use super::ligaments::Ligaments;
+use super::patch_inverse::{Factored, PatchInverse};
+use crate::model::LocalModel;
+use crate::model::kernel::KernelPath;
 use crate::solve::{
     BoundaryConditions, FactorScratch, Factorization, FreeSystem, LOCAL_EDGES, MeshEdges, SolveError,
     StiffnessTensors,
@@ -49,6 +52,9 @@ pub(super) struct Lagged {
     factor: Factorization,
     scratch: FactorScratch,
     free: Vec<f64>,
+    eliminated: Vec<f64>,
+    /// None for a matrix that is nothing but its diagonal.
+    inverse: Option<PatchInverse>,
 }
 
 /// What [`Lagged::new`] needs.
@@ -94,7 +100,9 @@ impl Lagged {
         let factor = system.factorize()?;
         let scratch = factor.scratch(1);
         let free = vec![0.0; system.n_free()];
-        Ok(Self { state, edges, tensors, system, factor, scratch, free })
+        let n_nodes = params.free_axes.len();
+        let inverse = factor.is_supernodal().then(|| PatchInverse::new(&factor, n_nodes));
+        Ok(Self { state, edges, tensors, system, factor, scratch, eliminated: free.clone(), free, inverse })
     }
 
     /// Recomputes the factor at `self.state`, without allocation. False when the matrix has no factor.
@@ -102,6 +110,9 @@ impl Lagged {
         assemble(&mut self.tensors, &self.edges, elements, &self.state);
         nodes.add_to(&mut self.tensors, &self.state);
         self.system.refill(&self.tensors);
+        if let Some(inverse) = &mut self.inverse {
+            inverse.forget();
+        }
         self.factor.refactor_definite(&self.system).is_ok()
     }
 
@@ -111,6 +122,36 @@ impl Lagged {
         self.factor.solve_in_place(&mut self.free, 1, &mut self.scratch);
         solution.fill(DVec3::ZERO);
         self.system.add_scattered(&self.free, solution);
+    }
+
+    /// Whether it tells entries of the inverse.
+    pub(super) fn tells_entries(&self) -> bool {
+        self.inverse.is_some()
+    }
+
+    /// Overwrites C of a local model with entries of the inverse; the bits are the same on every path.
+    pub(super) fn fill_compliance(&mut self, path: KernelPath, out: &mut LocalModel) {
+        let with = Factored { factor: &self.factor, system: &self.system, path };
+        let Some(inverse) = &mut self.inverse else { return };
+        inverse.hold(&out.nodes, &with);
+        for j in 0..out.nodes.len() {
+            for i in 0..=j {
+                let tensor = inverse.tensor(out.nodes[i], out.nodes[j], &with);
+                out.set_tensor(i, j, tensor);
+                out.set_tensor(j, i, tensor.transpose());
+            }
+        }
+    }
+
+    /// Overwrites the drift of a local model, after its C, with the inverse times `right`.
+    pub(super) fn fill_drift(&mut self, right: &[DVec3], path: KernelPath, out: &mut LocalModel) {
+        let Some(inverse) = &mut self.inverse else { return };
+        self.system.gather_into(right, &mut self.free);
+        self.factor.solve_lower_into(&self.free, &mut self.eliminated, &mut self.scratch);
+        let with = Factored { factor: &self.factor, system: &self.system, path };
+        for (node, drift_m) in out.nodes.iter().zip(&mut out.drift_m) {
+            *drift_m = DVec3::from_array(inverse.product(*node, &self.eliminated, &with));
+        }
     }
 }
 

@@ -20,7 +20,8 @@ struct Relaxing<'a> {
 
 impl ImplicitEuler {
     /// The factor is used when it was made for steps of the period and no node of the patch is held, since held nodes are
-    /// decoupled from their neighbours in it. It is that of the shape at which it was made.
+    /// decoupled from their neighbours in it (fixed nodes have none, and a C of zero). It is that of the shape at which it was
+    /// made. Entries between nodes that were asked for before with the same factor are kept ([`super::patch_inverse`]).
     pub(super) fn fill_local_model(
         &mut self,
         patch: &[NodeId],
@@ -32,7 +33,7 @@ impl ImplicitEuler {
         let per_mass = 1.0 / (period_s * period_s) + self.damping.mass_per_s / period_s;
         let serves = self.lagged.as_ref().is_some_and(|lagged| {
             let is_of_period = (lagged.state.per_mass - per_mass).abs() <= SAME_STEP * per_mass;
-            is_of_period && out.nodes.iter().all(|n| !lagged.state.held[n.index()] && self.moves[n.index()])
+            lagged.tells_entries() && is_of_period && out.nodes.iter().all(|n| !lagged.state.held[n.index()])
         });
         if !serves {
             let share = self.relaxation.as_mut().map_or(1.0, |r| r.stiffness_share(period_s));
@@ -44,35 +45,16 @@ impl ImplicitEuler {
             out.mass_kg[i] = self.mass_kg[node.index()];
         }
         let Some(lagged) = &mut self.lagged else { return };
-        let (right, solution) = (&mut self.scratch.residual_n, &mut self.scratch.product_n);
-        let kept = &mut self.scratch.before_m;
-        kept.copy_from_slice(right);
-        let n = 3 * out.nodes.len();
-        for (j, by) in out.nodes.iter().enumerate() {
-            for d in 0..3 {
-                right.fill(DVec3::ZERO);
-                right[by.index()][d] = 1.0;
-                lagged.solve_into(right, solution);
-                for (i, of) in out.nodes.iter().enumerate() {
-                    for a in 0..3 {
-                        out.compliance_m_per_n[n * (3 * i + a) + 3 * j + d] = solution[of.index()][a];
-                    }
-                }
-            }
-        }
+        lagged.fill_compliance(work.path(), out);
         if work.tells_drift() {
             let per_s = 1.0 / period_s + self.damping.mass_per_s;
-            for (n, momentum_n) in right.iter_mut().enumerate() {
+            // No scratch of a step that is read between steps.
+            let momentum_n = &mut self.scratch.product_n;
+            for (n, momentum_n) in momentum_n.iter_mut().enumerate() {
                 *momentum_n = self.velocities_m_per_s[n] * (self.mass_kg[n] * per_s) * self.mask[n];
             }
-            lagged.solve_into(right, solution);
-            for (node, drift_m) in out.nodes.iter().zip(&mut out.drift_m) {
-                *drift_m = solution[node.index()];
-            }
+            lagged.fill_drift(momentum_n, work.path(), out);
         }
-        // The residual holds the supports' forces, which are read between steps.
-        right.copy_from_slice(kept);
-        out.symmetrize();
     }
 
     fn load_on_n(&self, n: usize) -> DVec3 {

@@ -34,6 +34,7 @@ mod local;
 mod neo_hooke;
 mod newton;
 mod params;
+mod patch_inverse;
 mod projected;
 mod relaxation;
 pub(super) mod row;

@@ -188,7 +188,7 @@ impl Reduced {
     /// The time for their principal directions grows with the third power of their number. A choice.
     pub const MAX_DERIVATIVES: usize = 465;
     /// Most nodes whose displacement can be imposed at once.
-    pub const MAX_IMPOSED: usize = 64;
+    pub const MAX_IMPOSED: usize = 96;
     /// Default limit of the Newton iterations in a step ([`Reduced::set_most_iterations`]): two or three are enough from one
     /// frame to the next, the rest is for jumps.
     pub const MOST_ITERATIONS: u32 = 20;

@@ -42,6 +42,8 @@ struct PressedPoint {
     part: usize,
     /// How it moves when the jaws open by their whole way [m], when the instrument turns about its shaft [m/rad], and not.
     by_axes: DMat3,
+    /// What the mesh is too coarse for yields by itself [m/N].
+    sub_grid_m_per_n: f64,
 }
 
 /// A node that bears a share of the force on a point.
@@ -64,6 +66,8 @@ pub(super) struct HapticScratch {
     nodes: Vec<NodeId>,
     /// The nearest place.
     near: Vec<ToolContact>,
+    /// Nodes that a part bears on, with their shares of its force.
+    shares: Vec<(NodeId, f64)>,
 }
 
 impl HapticScratch {
@@ -77,6 +81,7 @@ impl HapticScratch {
             followers: Vec::with_capacity(LocalModel::MOST_NODES),
             nodes: Vec::with_capacity(LocalModel::MOST_NODES),
             near: Vec::with_capacity(1),
+            shares: Vec::with_capacity(LocalModel::MOST_NODES),
         }
     }
 
@@ -86,10 +91,10 @@ impl HapticScratch {
     }
 
     /// A point that presses on `nodes` by `weights`; nodes that are known already, and those without weight, do not count.
-    fn follow<const N: usize>(&mut self, nodes: [NodeId; N], weights: [f64; N], of: PressedPoint) {
+    fn follow(&mut self, nodes: impl IntoIterator<Item = (NodeId, f64)>, of: PressedPoint) {
         let point = self.points.len();
         let n_before = self.followers.len();
-        for (node, weight) in nodes.into_iter().zip(weights) {
+        for (node, weight) in nodes {
             let is_known = self.followers[..n_before].iter().any(|f| f.node == node);
             if weight > 0.0 && !is_known && self.followers.len() < LocalModel::MOST_NODES {
                 self.followers.push(Follower { node, weight, point });
@@ -123,6 +128,11 @@ impl HapticScratch {
                             of.weight * by.weight * of_nodes[n_local * (3 * i + axis) + 3 * j + along];
                     }
                 }
+            }
+        }
+        for (i, of) in self.points.iter().enumerate() {
+            for axis in 0..3 {
+                of_points.compliance_m_per_n[n * (3 * i + axis) + 3 * i + axis] += of.sub_grid_m_per_n;
             }
         }
         let Some(hand) = hand else { return };
@@ -277,8 +287,9 @@ impl World {
                 motion: lever(tool, &pose, place_m),
                 part: told.n_parts,
                 by_axes: DMat3::from_cols(DVec3::ZERO, turn_m_per_rad(&pose, place_m), DVec3::ZERO),
+                sub_grid_m_per_n: 0.0,
             };
-            told.scratch.follow([node], [1.0], point);
+            told.scratch.follow([(node, 1.0)], point);
             let force_n = -self.force_on_node_n(place, node);
             touched.add(force_n, place_m, &point.motion);
             told.axes.add(force_n, &point);
@@ -298,9 +309,18 @@ impl World {
                 motion: lever(tool, &pose, place_m),
                 part: told.n_parts,
                 by_axes: DMat3::from_cols(opening, turn, DVec3::ZERO),
+                sub_grid_m_per_n: self.press.sub_grid_m_per_n(place, part, contact.normal),
             };
             let weights = self.free_weights(contact.nodes, contact.weights);
-            told.scratch.follow(contact.nodes, weights, point);
+            let mut shares = std::mem::take(&mut told.scratch.shares);
+            self.press.shares_into(place, part, &mut shares);
+            if shares.is_empty() {
+                told.scratch.follow(contact.nodes.into_iter().zip(weights), point);
+            } else {
+                let yields = shares.iter().copied().filter(|(node, _)| !self.organ.is_fixed(*node));
+                told.scratch.follow(yields, point);
+            }
+            told.scratch.shares = shares;
             let force_n = -self.force_on_organ_n(place, Some(part));
             let mut touched = Touching::default();
             touched.add(force_n, place_m, &point.motion);
@@ -357,8 +377,9 @@ impl World {
         model.gap_m = contact.gap_m.max(0.0);
         model.surface_velocity_m_per_s =
             self.organ.skin().velocity_m_per_s(surface.nodes, surface.found.weights, self.spec.time_step_s);
-        let at_tip = PressedPoint { motion: DMat3::IDENTITY, part: 0, by_axes: DMat3::ZERO };
-        scratch.follow(surface.nodes, weights, at_tip);
+        let at_tip =
+            PressedPoint { motion: DMat3::IDENTITY, part: 0, by_axes: DMat3::ZERO, sub_grid_m_per_n: 0.0 };
+        scratch.follow(surface.nodes.into_iter().zip(weights), at_tip);
         self.solve_patch(scratch, response_s);
         model.stiffness_n_per_m = scratch.patch.stiffness_n_per_m(|_| true);
     }

@@ -45,13 +45,15 @@ use crate::tool::pose::ToolFrame;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use sub_grid::Indentation;
 pub(super) use system::Press;
-use system::{Bearer, PartTouch, lever, vertex_of};
+use system::{Bearer, PartTouch, lever, side_of, vertex_of};
 
 /// How often the contacts are solved anew with the compliance that follows from their forces: a choice.
 const SUB_GRID_ROUNDS: u32 = 2;
-/// Vertices of a tool in the system: one for each part, and one for what its jaws hold.
-const VERTICES: usize = 4;
-const JAWS: usize = 3;
+/// Sides of a part that touch by themselves: the two of a fold.
+const SIDES: usize = 2;
+/// Vertices of a tool in the system: one for each side of a part, and one for what its jaws hold.
+const JAWS: usize = 3 * SIDES;
+const VERTICES: usize = JAWS + 1;
 /// Tissue further than this from where its tool would have it [m] is no longer touched by it: it went another way, as tissue that
 /// was let go does. A choice, above the way of a step at 5 m/s.
 const MOST_APART_M: f64 = 0.05;
@@ -86,8 +88,10 @@ impl World {
             for _ in 0..SUB_GRID_ROUNDS {
                 for (place, tool) in self.spec.tools.iter().enumerate() {
                     for part in ToolPart::ALL.into_iter().filter(|part| *part != ToolPart::Shaft) {
-                        let radius_m = part.radius_m(tool);
-                        self.press.set_sub_grid((place, part), radius_m, &contact, &self.organ);
+                        for side in 0..SIDES {
+                            let (at, radius_m) = ((place, side_of(part, side)), part.radius_m(tool));
+                            self.press.set_sub_grid(at, radius_m, &contact, &self.organ);
+                        }
                     }
                 }
                 self.press.sweep();

@@ -169,13 +169,9 @@ impl PointSearch {
         Self { near: Vec::new(), found: Vec::new() }
     }
 
-    /// The points within the margin of a part, the deepest first; those that bore a force in the last step, `kept`, are among
+    /// Finds the points within the margin of a part, the deepest first; those that bore a force in the last step, `kept`, are among
     /// them. Allocates nothing.
-    pub(super) fn find(
-        &mut self,
-        look: &Look<'_>,
-        kept: &(impl Iterator<Item = ContactPoint> + Clone),
-    ) -> &[ContactPoint] {
+    pub(super) fn find(&mut self, look: &Look<'_>, kept: &(impl Iterator<Item = ContactPoint> + Clone)) {
         let organ = look.organ;
         self.near.clear();
         self.found.clear();
@@ -220,6 +216,10 @@ impl PointSearch {
         self.found.sort_unstable_by_key(|point| (point.feature, !point.is_kept, point.triangle));
         self.found.dedup_by_key(|point| (point.feature, point.is_kept));
         self.found.sort_unstable_by(|a, b| a.gap_m.total_cmp(&b.gap_m).then_with(|| a.key().cmp(&b.key())));
+    }
+
+    /// What was found last.
+    pub(super) fn found(&self) -> &[ContactPoint] {
         &self.found
     }
 }

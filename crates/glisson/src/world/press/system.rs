@@ -2,10 +2,10 @@
 
 use super::points::{ContactPoint, Look, PointSearch};
 use super::sub_grid::Indentation;
-use super::{JAWS, VERTICES};
+use super::{JAWS, SIDES, VERTICES};
 use crate::contact::constraint::{Contact, ContactKey, Response, Sweeps, solve};
 use crate::contact::shapes::Capsule;
-use crate::math::{DMat3, DVec3};
+use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::NodeId;
 use crate::model::{LocalModel, NodalForce};
 use crate::tool::pose::ToolFrame;
@@ -96,6 +96,8 @@ pub(in crate::world) struct Press {
     pub(super) pressed: Vec<PressedPoint>,
     /// How a part's surface on the mesh yields against the part, for what the mesh is too coarse for ([`sub_grid`]) [m/N].
     sub_grid_m_per_n: [[f64; JAWS]; MAX_TOOLS],
+    /// The way out of the organ along which it does.
+    outward: [[DVec3; JAWS]; MAX_TOOLS],
     /// Scratch: forces of a part on nodes along its way.
     on_nodes_n: Vec<(NodeId, f64)>,
     /// Scratch: the answer to the change of the forces.
@@ -103,9 +105,14 @@ pub(in crate::world) struct Press {
     search: PointSearch,
 }
 
-/// The vertex of a tool's part, or of its jaws, in the system.
-pub(super) fn vertex_of(place: usize, part: usize) -> u32 {
-    (MOST_NODES + VERTICES * place + part) as u32
+/// The vertex of a side of a tool's part, or of its jaws, in the system.
+pub(super) fn vertex_of(place: usize, side: usize) -> u32 {
+    (MOST_NODES + VERTICES * place + side) as u32
+}
+
+/// Place of a side of a part among a tool's vertices.
+pub(super) fn side_of(part: ToolPart, side: usize) -> usize {
+    SIDES * part.index() + side
 }
 
 impl Press {
@@ -122,6 +129,7 @@ impl Press {
             softness: 1.0,
             pressed: Vec::with_capacity(MOST_CONTACTS),
             sub_grid_m_per_n: [[0.0; JAWS]; MAX_TOOLS],
+            outward: [[DVec3::ZERO; JAWS]; MAX_TOOLS],
             on_nodes_n: Vec::with_capacity(MOST_NODES),
             search: PointSearch::new(),
             answers_m: vec![DVec3::ZERO; N_VERTICES],
@@ -135,6 +143,7 @@ impl Press {
         copy.touched.extend_from_slice(&self.touched);
         copy.pressed.extend_from_slice(&self.pressed);
         copy.sub_grid_m_per_n = self.sub_grid_m_per_n;
+        copy.outward = self.outward;
         copy.softness = self.softness;
         copy
     }
@@ -153,7 +162,9 @@ impl Press {
             let at = at.chain(point.at.inward.to_array());
             [f64::from(point.vertex)].into_iter().chain(at).chain(force_n)
         });
-        let sub_grid = self.sub_grid_m_per_n.as_flattened().iter().copied().filter(|yields| *yields != 0.0);
+        let yields = self.sub_grid_m_per_n.as_flattened().iter().zip(self.outward.as_flattened());
+        let yields = yields.filter(|(yields, _)| **yields != 0.0);
+        let sub_grid = yields.flat_map(|(yields, out)| [*yields, out.x, out.y, out.z]);
         numbers.chain(pressed).chain(sub_grid).chain((self.softness != 1.0).then_some(self.softness))
     }
 
@@ -162,11 +173,48 @@ impl Press {
         &self.forces
     }
 
+    /// How a part yields along a direction for what the mesh is too coarse for [m/N].
+    pub(in crate::world) fn sub_grid_m_per_n(&self, place: usize, part: ToolPart, along: DVec3) -> f64 {
+        let sides = (0..SIDES).map(|side| side_of(part, side));
+        let yields = sides.map(|side| {
+            let cosine = self.outward[place][side].dot(along);
+            self.sub_grid_m_per_n[place][side] * cosine.max(0.0).powi(2)
+        });
+        yields.sum()
+    }
+
+    /// The nodes that a part bears on, with their shares of its push; none for a part that follows one place.
+    pub(in crate::world) fn shares_into(
+        &self,
+        place: usize,
+        part: ToolPart,
+        shares: &mut Vec<(NodeId, f64)>,
+    ) {
+        let vertices = vertex_of(place, side_of(part, 0))..vertex_of(place, side_of(part, SIDES));
+        let of_part = self.pressed.iter().filter(|point| vertices.contains(&point.vertex));
+        let push_n = |point: &PressedPoint| point.force_n.dot(point.at.inward).max(0.0);
+        let total_n: f64 = of_part.clone().map(push_n).sum();
+        shares.clear();
+        for point in of_part {
+            let share = push_n(point) / total_n;
+            for (node, weight) in point.at.nodes.into_iter().zip(point.at.weights).filter(|(_, w)| *w > 0.0) {
+                let Some(known) = shares.iter_mut().find(|(n, _)| *n == node) else {
+                    if shares.len() < shares.capacity() && share > 0.0 {
+                        shares.push((node, share * weight));
+                    }
+                    continue;
+                };
+                known.1 += share * weight;
+            }
+        }
+    }
+
     pub(in crate::world) fn forget(&mut self) {
         self.forces.clear();
         self.touched.clear();
         self.pressed.clear();
         self.sub_grid_m_per_n = [[0.0; JAWS]; MAX_TOOLS];
+        self.outward = [[DVec3::ZERO; JAWS]; MAX_TOOLS];
         self.softness = 1.0;
     }
 
@@ -234,43 +282,91 @@ impl Press {
         }
     }
 
-    /// The points at which a part touches, or may in this step: from where it was, `before`, it moves to `now`.
+    /// The points at which a part touches, or may in this step: from where it was it moves to where it would be alone. Those that
+    /// push against the first side's way are of the second: a part in a fold.
     pub(super) fn add_points(&mut self, (place, part): (usize, ToolPart), touch: &PartTouch<'_>) {
-        let PartTouch { tool, from, now, organ, dt_s, contact, is_linear } = *touch;
-        let (Some(start), Some(end)) = (capsule(tool, part, from), capsule(tool, part, now)) else { return };
-        let way_m = start.from_m.distance(end.from_m).max(start.to_m.distance(end.to_m));
-        let margin_m = way_m + AROUND * start.radius_m;
-        let turn = ToolFrame::of(now).world_from_tool * ToolFrame::of(from).world_from_tool.transpose();
-        let vertex = vertex_of(place, part.index());
-        let contact = contact.filter(|_| part != ToolPart::Shaft);
-        // As deep as the detail lets it, a part is not in the tissue: it touches from so much further out.
-        let further_out_m = self.further_out_m((place, part), start.radius_m, contact);
-        let touching =
-            Capsule { from_m: start.from_m + further_out_m, to_m: start.to_m + further_out_m, ..start };
-        let look = Look { organ, part: &touching, margin_m, is_linear };
+        let sides = [0, 1].map(|side| side_of(part, side));
+        let known = sides.map(|side| self.outward[place][side] != DVec3::ZERO);
         let pressed = std::mem::take(&mut self.pressed);
-        let of_part = pressed.iter().filter(|point| point.vertex == vertex);
-        let kept = of_part.clone().map(|point| ContactPoint { is_kept: true, ..point.at });
         let mut search = std::mem::replace(&mut self.search, PointSearch::none());
-        for point in search.find(&look, &kept).iter().take(MOST_POINTS) {
-            let key = ContactKey::VertexObstacle(vertex, self.contacts.len() as u32);
-            let out_m = further_out_m.dot(point.inward);
-            let mut contact = Contact::new(key, point.inward, point.gap_m);
-            contact.slack_m = point.gap_m.max(-PUSH_OUT_M_PER_S * dt_s) + out_m;
-            let arm_m = point.arm_m;
-            contact.point_m = start.axis_point_m(point.along) + arm_m;
-            contact.moved_m =
-                end.axis_point_m(point.along) - start.axis_point_m(point.along) + turn * arm_m - arm_m;
-            contact.weights[3] = -lever(tool, now, contact.point_m);
-            let coefficient = tool.grip.friction_coefficient;
-            contact.friction = if tool.grip.is_sticky { STICKY_FRICTION } else { coefficient };
-            let is_it = |p: &&PressedPoint| p.at.feature == point.feature && p.at.weights == point.weights;
-            let before = of_part.clone().find(is_it);
-            contact.force_n = before.map_or(DVec3::ZERO, |point| contact.into_cone(point.force_n));
-            self.add((place, vertex), Bearer::Point(*point), (point.nodes, point.weights), contact);
+        for side in [0, 1] {
+            if side == 1 && !known[1] {
+                break;
+            }
+            let at = (place, part, side);
+            let Some(further_out_m) = self.look_from(at, touch, &pressed, &mut search) else { continue };
+            for point in search.found().iter().take(MOST_POINTS) {
+                let first = &mut self.outward[place][sides[0]];
+                if *first == DVec3::ZERO {
+                    *first = -point.inward;
+                }
+                let of = usize::from(point.inward.dot(*first) > 0.0);
+                if of == 1 && !known[1] {
+                    // It shows itself in this step.
+                    let second = &mut self.outward[place][sides[1]];
+                    *second = if *second == DVec3::ZERO { -point.inward } else { *second };
+                    self.add_point((place, part, 1), touch, point, (DVec3::ZERO, &pressed));
+                } else if of == side {
+                    self.add_point(at, touch, point, (further_out_m, &pressed));
+                }
+            }
         }
         self.search = search;
         self.pressed = pressed;
+    }
+
+    /// Looks for points around a part as one of its sides has it; how far that is further out [m], none of a part that the tool
+    /// does not have.
+    fn look_from(
+        &mut self,
+        (place, part, side): (usize, ToolPart, usize),
+        touch: &PartTouch<'_>,
+        pressed: &[PressedPoint],
+        search: &mut PointSearch,
+    ) -> Option<DVec3> {
+        let (start, end) = (capsule(touch.tool, part, touch.from)?, capsule(touch.tool, part, touch.now)?);
+        let way_m = start.from_m.distance(end.from_m).max(start.to_m.distance(end.to_m));
+        let margin_m = way_m + AROUND * start.radius_m;
+        let contact = touch.contact.filter(|_| part != ToolPart::Shaft);
+        // As deep as the detail lets it, a part is not in the tissue: it touches from so much further out.
+        let side = side_of(part, side);
+        let further_out_m = self.further_out_m((place, side), start.radius_m, contact, pressed);
+        let touching =
+            Capsule { from_m: start.from_m + further_out_m, to_m: start.to_m + further_out_m, ..start };
+        let look = Look { organ: touch.organ, part: &touching, margin_m, is_linear: touch.is_linear };
+        let vertex = vertex_of(place, side);
+        let of_side = pressed.iter().filter(|point| point.vertex == vertex);
+        search.find(&look, &of_side.map(|point| ContactPoint { is_kept: true, ..point.at }));
+        Some(further_out_m)
+    }
+
+    fn add_point(
+        &mut self,
+        (place, part, side): (usize, ToolPart, usize),
+        touch: &PartTouch<'_>,
+        point: &ContactPoint,
+        (further_out_m, pressed): (DVec3, &[PressedPoint]),
+    ) {
+        let PartTouch { tool, from, now, dt_s, .. } = *touch;
+        let (Some(start), Some(end)) = (capsule(tool, part, from), capsule(tool, part, now)) else { return };
+        let turn = ToolFrame::of(now).world_from_tool * ToolFrame::of(from).world_from_tool.transpose();
+        let vertex = vertex_of(place, side_of(part, side));
+        let key = ContactKey::VertexObstacle(vertex, self.contacts.len() as u32);
+        let mut contact = Contact::new(key, point.inward, point.gap_m);
+        contact.slack_m = point.gap_m.max(-PUSH_OUT_M_PER_S * dt_s) + further_out_m.dot(point.inward);
+        let arm_m = point.arm_m;
+        contact.point_m = start.axis_point_m(point.along) + arm_m;
+        contact.moved_m =
+            end.axis_point_m(point.along) - start.axis_point_m(point.along) + turn * arm_m - arm_m;
+        contact.weights[3] = -lever(tool, now, contact.point_m);
+        let coefficient = tool.grip.friction_coefficient;
+        contact.friction = if tool.grip.is_sticky { STICKY_FRICTION } else { coefficient };
+        let is_it = |p: &&PressedPoint| {
+            p.vertex == vertex && p.at.feature == point.feature && p.at.weights == point.weights
+        };
+        let before = pressed.iter().find(is_it);
+        contact.force_n = before.map_or(DVec3::ZERO, |point| contact.into_cone(point.force_n));
+        self.add((place, vertex), Bearer::Point(*point), (point.nodes, point.weights), contact);
     }
 
     /// The place that a part follows.
@@ -291,7 +387,7 @@ impl Press {
         contact.friction = tool.grip.friction_coefficient;
         contact.sticks = tool.grip.is_sticky;
         contact.force_n = held.force_on_organ_n();
-        let vertex = vertex_of(place, part.index());
+        let vertex = vertex_of(place, side_of(part, 0));
         self.add((place, vertex), Bearer::Anchor(part), (held.nodes, held.weights), contact);
     }
 
@@ -311,44 +407,47 @@ impl Press {
         self.add((place, vertex), Bearer::Jaws(node), ([node; 3], [1.0, 0.0, 0.0]), contact);
     }
 
-    /// How far a part is in the surface of the mesh for what that is too coarse for, as the way out [m]. A part that just begins
-    /// to touch yields most.
+    /// How far a side of a part is in the surface of the mesh for what that is too coarse for, as the way out [m]. One that just
+    /// begins to touch yields most.
     fn further_out_m(
         &mut self,
-        (place, part): (usize, ToolPart),
+        (place, side): (usize, usize),
         radius_m: f64,
         contact: Option<&Indentation>,
+        pressed: &[PressedPoint],
     ) -> DVec3 {
-        let vertex = vertex_of(place, part.index());
-        let yields = &mut self.sub_grid_m_per_n[place][part.index()];
-        let own = self.pressed.iter().filter(|point| point.vertex == vertex);
+        let vertex = vertex_of(place, side);
+        let yields = &mut self.sub_grid_m_per_n[place][side];
+        let own = pressed.iter().filter(|point| point.vertex == vertex);
         if own.clone().next().is_none() {
             *yields = contact.map_or(0.0, |contact| contact.at_first_m_per_n(radius_m));
         }
-        own.map(|point| -point.force_n).sum::<DVec3>() * *yields
+        let out = self.outward[place][side];
+        out * (own.map(|point| -point.force_n.dot(out)).sum::<f64>() * *yields)
     }
 
     /// How an instrument answers: its parts move as one, with the hand's compliance.
     pub(super) fn set_tool(&mut self, place: usize, hand_m_per_n: f64) {
-        self.response.set_group(1 + place, (0..VERTICES).map(|part| vertex_of(place, part)));
+        self.response.set_group(1 + place, (0..VERTICES).map(|side| vertex_of(place, side)));
         let compliance = &mut self.response.group_mut(1 + place).compliance_m_per_n;
         compliance.clear();
         compliance.resize(VERTICES * VERTICES, DMat3::IDENTITY * hand_m_per_n);
-        for (part, yields) in self.sub_grid_m_per_n[place].into_iter().enumerate() {
-            compliance[part * VERTICES + part] += DMat3::IDENTITY * yields;
+        for (side, yields) in self.sub_grid_m_per_n[place].into_iter().enumerate() {
+            let out = self.outward[place][side];
+            compliance[side * VERTICES + side] += outer(out, out) * yields;
         }
     }
 
     /// After contacts were solved: what the mesh is too coarse for, with the forces that were found.
     pub(super) fn set_sub_grid(
         &mut self,
-        (place, part): (usize, ToolPart),
+        (place, side): (usize, usize),
         radius_m: f64,
         contact: &Indentation,
         organ: &Organ,
     ) {
-        let vertex = vertex_of(place, part.index());
-        let outward = self.outward(vertex);
+        let vertex = vertex_of(place, side);
+        let outward = self.outward[place][side];
         self.on_nodes_n.clear();
         let mut on_tool_n = DVec3::ZERO;
         let mut is_at_end = true;
@@ -378,20 +477,12 @@ impl Press {
         } else {
             0.0
         };
-        let known = &mut self.sub_grid_m_per_n[place][part.index()];
+        let known = &mut self.sub_grid_m_per_n[place][side];
         let further = missing - *known;
         *known = missing;
-        let part = part.index();
         let compliance = &mut self.response.group_mut(1 + place).compliance_m_per_n;
-        compliance[part * VERTICES + part] += DMat3::IDENTITY * further;
-        self.moves_m[vertex as usize] += on_tool_n * further;
-    }
-
-    /// The way out of the organ at a part, as its points push; zero where none does.
-    fn outward(&self, vertex: u32) -> DVec3 {
-        let own = self.contacts.iter().filter(|contact| contact.vertices[3] == vertex);
-        let outward: DVec3 = own.map(|contact| contact.normal * -contact.force_n.dot(contact.normal)).sum();
-        outward.normalize_or_zero()
+        compliance[side * VERTICES + side] += outer(outward, outward) * further;
+        self.moves_m[vertex as usize] += outward * (on_tool_n.dot(outward) * further);
     }
 
     /// A node's number in the patch.
@@ -574,37 +665,44 @@ impl Press {
 
     /// A part is told of as its point that bears most, with the force of all; none where none bears any.
     pub(super) fn settle_points(&mut self, (place, part): (usize, ToolPart), held: &mut Option<HeldContact>) {
-        let vertex = vertex_of(place, part.index());
-        let (mut force_n, mut outward, mut most) = (DVec3::ZERO, DVec3::ZERO, None);
-        let mut most_n = 0.0;
+        let (mut force_n, mut most, mut most_n) = (DVec3::ZERO, None, 0.0);
+        let mut outward = [DVec3::ZERO; SIDES];
+        let first = vertex_of(place, side_of(part, 0));
         for (contact, (_, bearer)) in self.contacts.iter().zip(&self.of) {
             let Bearer::Point(point) = bearer else { continue };
-            if contact.vertices[3] != vertex || contact.force_n == DVec3::ZERO {
+            let side = contact.vertices[3].wrapping_sub(first) as usize;
+            if side >= SIDES || contact.force_n == DVec3::ZERO {
                 continue;
             }
-            let pressed = PressedPoint { vertex, at: *point, force_n: contact.force_n };
-            self.pressed.push(pressed);
+            let vertex = contact.vertices[3];
+            self.pressed.push(PressedPoint { vertex, at: *point, force_n: contact.force_n });
             let push_n = contact.force_n.dot(contact.normal);
             force_n += contact.force_n;
-            outward -= contact.normal * push_n;
+            outward[side] -= contact.normal * push_n;
             if push_n > most_n {
                 most_n = push_n;
                 most = Some(*point);
             }
         }
+        for (side, outward) in outward.iter().enumerate() {
+            let side = side_of(part, side);
+            self.outward[place][side] = outward.normalize_or_zero();
+            if *outward == DVec3::ZERO {
+                self.sub_grid_m_per_n[place][side] = 0.0;
+            }
+        }
+        // A fold is told of as the side that pushes more.
+        let told = outward.into_iter().max_by(|a, b| a.length().total_cmp(&b.length()));
         match (held.as_mut(), most) {
             (Some(held), Some(point)) => held.sit_on(&Seat {
                 triangle: point.triangle,
                 nodes: point.nodes,
                 weights: point.weights,
                 at: ToolPoint::OnAxis(part, point.along),
-                normal: outward.normalize_or(-point.inward),
+                normal: told.unwrap_or_default().normalize_or(-point.inward),
                 force_n,
             }),
-            _ => {
-                *held = None;
-                self.sub_grid_m_per_n[place][part.index()] = 0.0;
-            }
+            _ => *held = None,
         }
     }
 }

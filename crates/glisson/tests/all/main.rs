@@ -22,6 +22,7 @@ mod quasi_nonlinear;
 mod rough_hands;
 mod surface_copy;
 mod tool_contacts;
+mod world_bodies;
 mod world_self_contact;
 mod world_slide;
 mod world_steps;

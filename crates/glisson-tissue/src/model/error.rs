@@ -34,7 +34,7 @@ pub enum ModelError {
     #[error(
         "the tissue is too soft, or held in too few places, to carry its weight in the shape of the mesh: with the {model} \
          model it would buckle from it. Hold more of it ([[organ.fixed]]), lay it on a bed ([[rigid]] bodies or organs below it, as in \
-         `glisson demo`), take a stiffer tissue or less gravity, a model \
+         `glisson demo --task bed`), take a stiffer tissue or less gravity, a model \
          of small displacements (precomputed, tensor_mass), or imaged_under_gravity = false and let it sag"
     )]
     Buckles {

@@ -135,3 +135,74 @@ fn parse_color(text: &str) -> Option<[u8; 3]> {
     let byte = |at: usize| u8::from_str_radix(&digits[at..at + 2], 16).ok();
     Some([byte(0)?, byte(2)?, byte(4)?])
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::scene::{BodySource, RigidShape, Scene};
+
+    const SCENE: &str = r##"glisson_scene = 1
+[[organ]]
+name = "liver"
+color = "#8c3a30"
+mesh = "liver.vtu"
+tissue = "liver"
+model = "implicit"
+[[organ]]
+mesh = "stomach.vtu"
+tissue = "liver"
+model = "explicit"
+[[rigid]]
+name = "spine"
+ball = { center = [0, 0, 0], radius = "20 mm" }
+breathing = { direction = [0, 0, -1], amplitude = "10 mm", period = "4 s" }
+[[attachment]]
+body = "liver"
+to = "spine"
+kind = "ligament"
+reach = "5 mm"
+stiffness = "200 N/m"
+[tool]
+tip_radius = "5 mm"
+home_tip = [0, 0, "200 mm"]
+home_shaft = [0, 0, 1]
+"##;
+
+    #[test]
+    fn bodies_are_read_with_names_and_touch_by_default() {
+        let scene = Scene::parse(SCENE).unwrap();
+        let names: Vec<&str> = scene.bodies.iter().map(|body| body.name.as_str()).collect();
+        assert_eq!(names, ["liver", "organ 2", "spine"]);
+        assert_eq!(scene.bodies[0].color, Some([0x8c, 0x3a, 0x30]));
+        let BodySource::Rigid(rigid) = &scene.bodies[2].source else { panic!("it is rigid") };
+        assert!(matches!(rigid.shape, RigidShape::Ball { .. }));
+        assert!(scene.world.body_contact.is_some() && scene.world.self_contact.is_none());
+        assert_eq!(scene.attachments[0].bodies, [0, 2]);
+        let apart = Scene::parse(&(SCENE.to_owned() + "[contact]\nbodies = false\n")).unwrap();
+        assert_eq!(apart.world.body_contact, None);
+        // One organ alone has the old path, however it is written.
+        let (start, end) = (SCENE.find("[[organ]]\nmesh").unwrap(), SCENE.find("[tool]").unwrap());
+        let alone = Scene::parse(&(SCENE[..start].to_owned() + &SCENE[end..])).unwrap();
+        assert!(alone.bodies.is_empty() && alone.world.body_contact.is_none());
+    }
+
+    #[test]
+    fn mistakes_of_bodies_are_named_with_line_and_remedy() {
+        for (from, to, expected) in [
+            (
+                "\"spine\"\nball",
+                "\"liver\"\nball",
+                "line 13: \"name\" is \"liver\" once more; allowed: a name of its own",
+            ),
+            ("#8c3a30", "#8c3a3", "line 4: \"color\" is \"#8c3a3\"; allowed: red, green and blue"),
+            ("to = \"spine\"", "to = \"spines\"", "\"to\" is \"spines\"; allowed: liver, organ 2, spine"),
+            ("\"ligament\"", "\"nail\"", "allowed: glue, ligament, membrane"),
+            ("amplitude = \"10 mm\", ", "", "lacks \"amplitude\""),
+            ("ball = {", "bald = {", "lacks \"mesh, box, ball, cylinder or slab\""),
+        ] {
+            assert!(SCENE.contains(from), "{from}");
+            let read = Scene::parse(&SCENE.replacen(from, to, 1));
+            let error = read.unwrap_err().to_string();
+            assert!(error.contains(expected), "{to}: {error}");
+        }
+    }
+}

@@ -15,7 +15,7 @@ use crate::mesh::generate::{MeshParams, WantedSize, generate};
 use crate::mesh::topology::Topology;
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::explicit_kernel::SharedWorkers;
-use crate::model::{BodyPart, BodySet, FixedNode, ModelMotion, NodalForce, OrganBody};
+use crate::model::{BodyPart, BodySet, FixedNode, ModelError, ModelMotion, NodalForce, OrganBody};
 use crate::solve::{add_gravity_forces, stress_forces_into};
 use crate::surface::TriMesh;
 use crate::surface::files::{import_closed_surface, surface_extensions};
@@ -59,8 +59,10 @@ pub(super) fn read_bodies(
         BuildError::Organ { file, error }
     })?;
     let body_of = spec.body_of_nodes(joint.positions_m.len());
-    let touching =
-        Touching::find(spec, &BodiesOfSurface { topology: &topology, mesh: &joint, body_of: &body_of });
+    let is_rigid: Vec<bool> = spec.bodies.iter().map(|body| body.is_rigid).collect();
+    let surface =
+        BodiesOfSurface { topology: &topology, mesh: &joint, body_of: &body_of, is_rigid: &is_rigid };
+    let touching = Touching::find(spec, &surface);
 
     for (number, source) in scene.attachments.iter().enumerate() {
         let found = bonds(source, &spec.bodies, &joint, &topology);
@@ -82,6 +84,10 @@ pub(super) fn read_bodies(
             BodySource::Rigid(source) => BodyPart::Rigid { mesh, motion: source.motion.clone() },
             BodySource::Organ(source, own) => {
                 let kind = source.model;
+                if spec.body_contact.is_some() && kind.row().motion == ModelMotion::Mixed {
+                    let (model, what) = (kind.name(), "contact with other bodies ([contact] bodies = false)");
+                    return Err(of_body(&body.name)(ModelError::Unsupported { model, what }.into()));
+                }
                 let carries = source.is_imaged_under_gravity && kind.row().motion != ModelMotion::QuasiStatic;
                 let carried =
                     if carries { touching.nodes_of(first, mesh.positions_m.len()) } else { Vec::new() };

@@ -6,7 +6,6 @@ use super::simulation::Simulation;
 use crate::contact::response::persistent::BodyContactParams;
 use crate::contact::response::self_contact::SelfContactParams;
 use crate::math::DVec3;
-use crate::model::ModelMotion;
 use crate::model::kind::{MODELS, ModelKind};
 use crate::units::Dimension;
 
@@ -98,13 +97,6 @@ pub(super) fn read_body_contact(
             return Err(section.wrong_value(at, "friction", friction.to_string(), "zero or more"));
         }
         found => params.friction = found.map_or(params.friction, |f| f.0),
-    }
-    let cannot = |body: &&SceneBody| matches!(&body.source, BodySource::Organ(organ, _) if organ.model.row().motion == ModelMotion::Mixed);
-    if let Some(body) = bodies.iter().find(cannot).filter(|_| touch) {
-        let found = format!("true with the model of \"{}\"", body.name);
-        let allowed =
-            "false, or another model than hybrid, which does not tell how it answers to contact".into();
-        return Err(section.wrong_table("bodies", found, allowed));
     }
     section.finish()?;
     Ok(touch.then_some(params))

@@ -107,7 +107,9 @@ impl SurfaceContact {
         let (topology, mesh) = (organ.body().topology(), organ.mesh());
         let positions_m = model.state().positions_m;
         if let Some(params) = spec.body_contact.as_ref().filter(|_| !spec.bodies.is_empty()) {
-            let bodies = BodiesOfSurface { topology, mesh, body_of: organ.body_of_nodes() };
+            let is_rigid: Vec<bool> = spec.bodies.iter().map(|body| body.is_rigid).collect();
+            let body_of = organ.body_of_nodes();
+            let bodies = BodiesOfSurface { topology, mesh, body_of, is_rigid: &is_rigid };
             let contact = BodyContact::new(params, &bodies, &spec.bonds, positions_m);
             return Some(Box::new(Self::Bodies(contact)));
         }

@@ -179,3 +179,31 @@ fn a_body_is_cut_while_it_carries_another_and_undo_brings_every_bit_back() {
         assert_eq!(world.state_hash(), before);
     }
 }
+
+#[test]
+fn attachments_carry_a_body_by_their_stiffness() {
+    let folder = tempfile::tempdir().unwrap();
+    // Half a millimetre under the slab.
+    std::fs::write(folder.path().join("cube.tet"), list_file(&cube(2, DVec3::new(-0.02, -0.02, -0.0605))))
+        .unwrap();
+    for (kind, model, step) in [("glue", "implicit", "5 ms"), ("ligament", "explicit", "0.5 ms")] {
+        let text = format!(
+            "glisson_scene = 1\n[simulation]\ntime_step = \"{step}\"\ngravity = [0, 0, \"-9.81 m/s2\"]\n\
+             [[organ]]\nname = \"cube\"\nmesh = \"cube.tet\"\nyoung_modulus = \"100 kPa\"\npoisson_ratio = 0.3\n\
+             density = \"1000 kg/m3\"\nmodel = \"{model}\"\ndamping = \"20 1/s\"\nimaged_under_gravity = false\n\
+             [[rigid]]\nname = \"slab\"\nslab = {{ point = [0, 0, 0], normal = [0, 0, 1], size = \"200 mm\", thickness = \"20 mm\" }}\n\
+             [[attachment]]\nbody = \"cube\"\nto = \"slab\"\nkind = \"{kind}\"\nreach = \"1 mm\"\nstiffness = \"400 N/m\"\ndamping = \"50 ms\"\n\
+             [tool]\ntip_radius = \"5 mm\"\nhome_tip = [0, 0, \"200 mm\"]\nhome_shaft = [0, 0, 1]\n"
+        );
+        let scene = Scene::parse(&text).unwrap();
+        let (mut world, _) = build_world(&scene, folder.path(), Arc::new(Sequential)).unwrap();
+        run(&mut world, 2.0);
+        let (rest_m, now_m) = (&world.organ().mesh().positions_m, world.state().positions_m);
+        let top: Vec<usize> = (0..27).filter(|&n| rest_m[n].z > -0.021).collect();
+        let down_m = top.iter().map(|&n| rest_m[n].z - now_m[n].z).sum::<f64>() / top.len() as f64;
+        let expected_m = WEIGHT_N / 400.0;
+        assert!((down_m / expected_m - 1.0).abs() < 0.05, "{kind}: {down_m} {expected_m}");
+        let pull_n = force_on_body_n(&world, 0);
+        assert!((pull_n.z / WEIGHT_N - 1.0).abs() < 0.02, "{kind}: {pull_n}");
+    }
+}

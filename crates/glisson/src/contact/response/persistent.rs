@@ -89,6 +89,8 @@ pub struct BodyContact {
     params: BodyContactParams,
     /// The node of each vertex, ascending.
     nodes: Vec<NodeId>,
+    /// Whether each vertex is of a rigid body.
+    is_rigid: Vec<bool>,
     n_nodes: usize,
     search: ContactSearch,
     contacts: Vec<NodeContact>,
@@ -127,6 +129,7 @@ impl Clone for BodyContact {
         Self {
             params: self.params,
             nodes: self.nodes.clone(),
+            is_rigid: self.is_rigid.clone(),
             n_nodes: self.n_nodes,
             search: self.search.clone(),
             contacts: Vec::with_capacity(n),
@@ -162,6 +165,8 @@ pub struct BodiesOfSurface<'a> {
     pub mesh: &'a TetMesh,
     /// The body of each node.
     pub body_of: &'a [u32],
+    /// Whether each body is rigid: two such bodies have no contact with each other.
+    pub is_rigid: &'a [bool],
 }
 
 impl BodyContact {
@@ -178,6 +183,11 @@ impl BodyContact {
             |n: &NodeId| bodies.topology.node_tets(*n).first().map_or(0, |t| pieces.of_tet[t.index()]);
         let piece_of: Vec<u32> = nodes.iter().map(piece).collect();
         let body = |t: &[u32; 3]| bodies.body_of[nodes[t[0] as usize].index()];
+        let is_rigid_body = |n: &NodeId| {
+            let body = bodies.body_of[n.index()] as usize;
+            bodies.is_rigid.get(body).copied().unwrap_or(false)
+        };
+        let is_rigid: Vec<bool> = nodes.iter().map(is_rigid_body).collect();
         let body_of: Vec<u32> = surface.triangles.iter().map(body).collect();
         let now_m: Vec<DVec3> = nodes.iter().map(|n| positions_m[n.index()]).collect();
         let search = ContactSearchParams {
@@ -227,6 +237,7 @@ impl BodyContact {
             list: Vec::with_capacity(n),
             report: ResponseReport::default(),
             n_nodes,
+            is_rigid,
             nodes,
         }
     }
@@ -343,6 +354,8 @@ impl BodyContact {
                 if is_moving { state.velocities_m_per_s[node.index()] } else { DVec3::ZERO };
         }
         let n_dropped = self.search.find_into(&self.positions_m, &mut self.contacts) as u32;
+        let is_rigid = &self.is_rigid;
+        self.contacts.retain(|contact| contact.sides().any(|(v, _)| !is_rigid[v]));
         for contact in &mut self.contacts {
             contact.gap_m -= self.rest_gaps_m[contact.vertices[0] as usize];
         }
@@ -543,7 +556,9 @@ pub fn places_in_touch(
 ) -> (Vec<NodeContact>, Vec<NodeId>) {
     let mut contact = BodyContact::new(params, bodies, &[], &bodies.mesh.positions_m);
     contact.search.find_into(&contact.positions_m, &mut contact.contacts);
-    contact.contacts.retain(|contact| contact.gap_m <= params.touch_m);
+    let is_rigid = &contact.is_rigid;
+    let is_soft = |contact: &NodeContact| contact.sides().any(|(v, _)| !is_rigid[v]);
+    contact.contacts.retain(|contact| contact.gap_m <= params.touch_m && is_soft(contact));
     (contact.contacts, contact.nodes)
 }
 

@@ -80,6 +80,7 @@ export class FakeSimulator {
           rest_m: Float32Array.from(this.organ.rest_m.flatMap((p) => p.toArray())),
           triangles: Uint32Array.from(this.organ.triangles),
           isCut: new Uint8Array(this.organ.triangles.length / 3),
+          bodyOf: new Uint8Array(this.organ.nodeIds.length),
         }),
       ),
     );
@@ -169,6 +170,7 @@ export class FakeSimulator {
         n_tetrahedra: 0,
         n_vessels: 0,
       },
+      bodies: [],
       bounds: { min_m: bound(Math.min), max_m: bound(Math.max) },
       tools: [
         {

@@ -17,7 +17,8 @@ import {
 export function encodeTopology(topology: Omit<Topology, "kind">): ArrayBuffer {
   const n = topology.nodeIds.length;
   const flags = TOPOLOGY_HEADER_BYTES + 16 * n + 4 * topology.triangles.length;
-  const buffer = new ArrayBuffer(flags + 4 * Math.ceil(topology.isCut.length / 32));
+  const bodies = flags + 4 * Math.ceil(topology.isCut.length / 32);
+  const buffer = new ArrayBuffer(bodies + 4 * Math.ceil(n / 4));
   const view = new DataView(buffer);
   [MAGIC, KIND_TOPOLOGY, topology.version, topology.organ, n, topology.triangles.length / 3].forEach((word, i) =>
     view.setUint32(4 * i, word, true),
@@ -28,6 +29,7 @@ export function encodeTopology(topology: Omit<Topology, "kind">): ArrayBuffer {
     const at = flags + 4 * Math.floor(i / 32);
     view.setUint32(at, view.getUint32(at, true) | (isCut << (i % 32)), true);
   });
+  new Uint8Array(buffer, bodies, n).set(topology.bodyOf);
   topology.triangles.forEach((v, i) => view.setUint32(TOPOLOGY_HEADER_BYTES + 16 * n + 4 * i, v, true));
   return buffer;
 }

@@ -12,6 +12,7 @@ export type Action =
   | "contacts"
   | "forces"
   | "fixed_nodes"
+  | "bodies"
   | "screenshot"
   | "profiler"
   | "help"
@@ -81,6 +82,7 @@ export const BINDINGS: readonly Binding[] = [
   bind("View", "contacts", "C", "contact point", plain("c")),
   bind("View", "forces", "F", "force arrow", plain("f")),
   bind("View", "fixed_nodes", "T", "fixed nodes", plain("t")),
+  bind("View", "bodies", "Y", "hide one body more (of several); after the last all are shown", plain("y")),
   bind("Instrument", "tool_place", "G", "touch the organ at the middle of the view", plain("g")),
   bind("Instrument", "tool_left", "J", "left by 1 mm (Shift: 5 mm)", both("j"), true),
   bind("Instrument", "tool_right", "L", "right by 1 mm", both("l"), true),

@@ -61,6 +61,8 @@ attribute vec3 restPosition;
 attribute vec3 restNormal;
 attribute float tone;
 attribute float inside;
+attribute vec4 paint;
+varying vec4 vPaint;
 varying vec3 vWorld;
 varying vec3 vNormal;
 varying vec3 vRest;
@@ -74,6 +76,7 @@ void main() {
   vRestNormal = restNormal;
   vTone = tone;
   vInside = inside;
+  vPaint = paint;
   gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0);
 }
 `;
@@ -90,6 +93,7 @@ varying vec3 vRest;
 varying vec3 vRestNormal;
 varying float vTone;
 varying float vInside;
+varying vec4 vPaint;
 ${STUDIO}
 // Light that the instrument's shaft takes away (a capsule from the tip along the shaft).
 float shade(vec3 p, vec3 n) {
@@ -126,6 +130,8 @@ void main() {
   float patches = clamp(0.62 * vTone + 0.38 * detail.a, 0.0, 1.0);
   vec3 albedo = mix(vec3(0.054, 0.0125, 0.0105), vec3(0.128, 0.0315, 0.0225), smoothstep(0.12, 0.88, patches));
   albedo *= 0.80 + 0.40 * detail.b;
+  // A body with a colour of its own keeps the light and dark of the tissue, as far as the paint covers it.
+  albedo = mix(albedo, vPaint.rgb * (0.75 + 0.5 * patches), vPaint.a);
   // Where it was cut there is no capsule: lighter, grainier, bloody.
   float raw = smoothstep(0.05, 0.6, vInside);
   albedo = mix(albedo, vec3(0.23, 0.030, 0.022) * (0.55 + 0.9 * detail.a), raw);

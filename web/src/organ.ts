@@ -14,7 +14,7 @@ import {
 } from "three";
 import { uniqueEdges, vertexNormalsInto } from "./geometry";
 import { fractalNoise } from "./noise";
-import { ProtocolError, type Snapshot, type Topology } from "./protocol";
+import { ProtocolError, type BodyInfo, type Snapshot, type Topology } from "./protocol";
 
 export type SurfaceStyle = "surface" | "surface_with_edges" | "edges";
 export const SURFACE_STYLES: readonly SurfaceStyle[] = ["surface", "surface_with_edges", "edges"];
@@ -41,6 +41,24 @@ export function insideOf({ nodeIds, triangles, isCut }: Topology): Float32Array 
   return inside;
 }
 
+/** A rigid body without a colour of its own: bone. */
+const RIGID_COLOR = "#d8d0bc";
+
+/** Colour of each vertex by its body, and how much of it shows. */
+export function paintOf({ bodyOf }: Topology, bodies: readonly BodyInfo[]): Float32Array {
+  const colors = bodies.map(({ color, is_rigid }) => color ?? (is_rigid ? RIGID_COLOR : null));
+  const paints = colors.map((color) => (color === null ? [0, 0, 0, 0] : [...new Color(color).toArray(), 0.85]));
+  const paint = new Float32Array(4 * bodyOf.length);
+  bodyOf.forEach((body, vertex) => paint.set(paints[body] ?? [0, 0, 0, 0], 4 * vertex));
+  return paint;
+}
+
+/** The triangles of the bodies that are not hidden. */
+export function shownTriangles({ triangles, bodyOf }: Topology, hidden: ReadonlySet<number>): Uint32Array {
+  if (hidden.size === 0) return triangles;
+  return triangles.filter((_, i) => !hidden.has(bodyOf[triangles[i - (i % 3)]]));
+}
+
 export class Organ {
   readonly group = new Group();
   /** xyz of each vertex [m]: the very array that the GPU buffer is filled from. */
@@ -48,6 +66,8 @@ export class Organ {
   private readonly normals: Float32Array;
   private readonly position: BufferAttribute;
   private readonly normal: BufferAttribute;
+  /** Of the bodies that are shown: what can be picked. */
+  triangles: Uint32Array;
   private readonly surface: Mesh;
   private readonly edges: LineSegments;
   private readonly fixed: Points;
@@ -57,6 +77,7 @@ export class Organ {
     readonly topology: Topology,
     fixedNodes: ReadonlySet<number>,
     material: ShaderMaterial,
+    bodies: readonly BodyInfo[] = [],
   ) {
     const { rest_m, triangles, nodeIds } = topology;
     this.positions_m = rest_m.slice();
@@ -72,7 +93,9 @@ export class Organ {
     geometry.setAttribute("restNormal", new BufferAttribute(this.normals.slice(), 3));
     geometry.setAttribute("tone", new BufferAttribute(toneOf(rest_m), 1));
     geometry.setAttribute("inside", new BufferAttribute(insideOf(topology), 1));
+    geometry.setAttribute("paint", new BufferAttribute(paintOf(topology, bodies), 4));
     geometry.setIndex(new BufferAttribute(triangles, 1));
+    this.triangles = triangles;
     this.surface = new Mesh(geometry, material);
 
     const edgeGeometry = new BufferGeometry();
@@ -127,6 +150,13 @@ export class Organ {
     this.surface.visible = style !== "edges";
     this.edges.visible = style !== "surface";
     (this.edges.material as LineBasicMaterial).opacity = style === "edges" ? 0.55 : 0.3;
+  }
+
+  /** Hides bodies by their numbers. */
+  hide(hidden: ReadonlySet<number>): void {
+    this.triangles = shownTriangles(this.topology, hidden);
+    this.surface.geometry.setIndex(new BufferAttribute(this.triangles, 1));
+    this.edges.geometry.setIndex(new BufferAttribute(uniqueEdges(this.triangles, this.nVertices), 1));
   }
 
   showFixed(shown: boolean): void {

@@ -9,6 +9,7 @@ export interface Page {
   readonly messages: HTMLElement;
   readonly profiler: HTMLElement;
   readonly toolbar: HTMLElement;
+  readonly bodies: HTMLElement;
   readonly hint: HTMLElement;
 }
 
@@ -29,6 +30,7 @@ export function findPage(): Page {
     messages: part("messages"),
     profiler: part("profiler"),
     toolbar: part("toolbar"),
+    bodies: part("bodies"),
     hint: part("hint"),
   };
 }

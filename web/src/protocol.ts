@@ -1,5 +1,5 @@
 /**
- * The wire protocol of docs/protocol.md, version 4: decoding of every message, encoding of the viewer's.
+ * The wire protocol of docs/protocol.md, version 6: decoding of every message, encoding of the viewer's.
  *
  * Decoders check every length and index against the bytes really there before anything is allocated,
  * and throw nothing but {@link ProtocolError}. Units: metres, seconds, newtons; frame: LPS.
@@ -10,7 +10,7 @@ import { decodeFeel, type Feel } from "./feel";
 import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
-export const PROTOCOL_VERSION = 5;
+export const PROTOCOL_VERSION = 6;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
@@ -61,6 +61,15 @@ export interface ToolInfo {
   readonly home_jaw: number;
 }
 
+/** One of several bodies. */
+export interface BodyInfo {
+  readonly name: string;
+  /** "#rrggbb"; null for the usual look. */
+  readonly color: string | null;
+  readonly is_rigid: boolean;
+  readonly n_tetrahedra: number;
+}
+
 export interface Hello {
   readonly type: "hello";
   readonly protocol: number;
@@ -68,6 +77,8 @@ export interface Hello {
   /** Names of the models that the `model` message may ask for. */
   readonly models: readonly string[];
   readonly bounds: { readonly min_m: Vec3; readonly max_m: Vec3 };
+  /** Several bodies, by their numbers; none for one organ. */
+  readonly bodies: readonly BodyInfo[];
   readonly tools: readonly ToolInfo[];
   readonly fixed_nodes: readonly number[];
 }
@@ -90,6 +101,8 @@ export interface Topology {
   readonly triangles: Uint32Array;
   /** 1 for each triangle that lies in a cut, 0 for those of the organ's own surface. */
   readonly isCut: Uint8Array;
+  /** The body of each vertex, by its number in the hello's list; 0 for one organ. */
+  readonly bodyOf: Uint8Array;
 }
 
 /** What one instrument does. */
@@ -225,10 +238,29 @@ export function decodeText(text: string): Hello | ServerNotice | Role | Timing |
       n_vessels: numberAt(scene, "n_vessels", "scene", 0),
     },
     bounds: { min_m: vec3At(bounds, "min_m", "bounds"), max_m: vec3At(bounds, "max_m", "bounds") },
+    bodies: bodiesAt(fields),
     tools: toolsAt(fields),
     models: stringsAt(fields, "models", "hello"),
     fixed_nodes: nodeIdsAt(fields, "fixed_nodes", "hello"),
   };
+}
+
+function bodiesAt(fields: Fields): BodyInfo[] {
+  const list = fields.bodies;
+  if (!Array.isArray(list)) return fail("hello: bodies is not a list");
+  return list.map((item, i) => {
+    const body = fieldsOf(item, `bodies[${i}]`);
+    const { color } = body;
+    if (color !== null && (typeof color !== "string" || !/^#[0-9a-f]{6}$/.test(color))) {
+      return fail(`bodies[${i}]: color is no "#rrggbb"`);
+    }
+    return {
+      name: stringAt(body, "name", `bodies[${i}]`),
+      color,
+      is_rigid: body.is_rigid === true,
+      n_tetrahedra: numberAt(body, "n_tetrahedra", `bodies[${i}]`, 0),
+    };
+  });
 }
 
 // ---- binary ----
@@ -276,13 +308,15 @@ function decodeTopology(buffer: ArrayBuffer, view: DataView): Topology {
   const nTriangles = view.getUint32(20, true);
   checkLength(
     buffer.byteLength,
-    TOPOLOGY_HEADER_BYTES + 16 * nVertices + 12 * nTriangles + 4 * Math.ceil(nTriangles / 32),
+    TOPOLOGY_HEADER_BYTES + 16 * nVertices + 12 * nTriangles + 4 * Math.ceil(nTriangles / 32) + 4 * Math.ceil(nVertices / 4),
     `topology with ${nVertices} vertices and ${nTriangles} triangles`,
   );
   const rest_m = floatsAt(buffer, TOPOLOGY_HEADER_BYTES + 4 * nVertices, 3 * nVertices);
   checkFinite(rest_m, "topology: rest position");
   const triangles = wordsAt(buffer, TOPOLOGY_HEADER_BYTES + 16 * nVertices, 3 * nTriangles);
-  const flags = wordsAt(buffer, TOPOLOGY_HEADER_BYTES + 16 * nVertices + 12 * nTriangles, Math.ceil(nTriangles / 32));
+  const nFlags = Math.ceil(nTriangles / 32);
+  const flags = wordsAt(buffer, TOPOLOGY_HEADER_BYTES + 16 * nVertices + 12 * nTriangles, nFlags);
+  const bodyOf = new Uint8Array(buffer, TOPOLOGY_HEADER_BYTES + 16 * nVertices + 12 * nTriangles + 4 * nFlags, nVertices);
   for (let i = 0; i < triangles.length; i++) {
     const vertex = triangles[i];
     if (vertex >= nVertices) fail(`topology: triangle ${Math.floor(i / 3)} uses vertex ${vertex} of ${nVertices}`);
@@ -295,6 +329,7 @@ function decodeTopology(buffer: ArrayBuffer, view: DataView): Topology {
     rest_m,
     triangles,
     isCut: Uint8Array.from({ length: nTriangles }, (_, i) => (flags[i >>> 5] >>> (i & 31)) & 1),
+    bodyOf,
   };
 }
 

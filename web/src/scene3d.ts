@@ -55,6 +55,8 @@ export class Scene3d {
   private hello: Hello | null = null;
   private style: SurfaceStyle = "surface";
   private fixedShown = false;
+  /** Bodies that are not shown, by their numbers. */
+  private hidden: ReadonlySet<number> = new Set();
   private covered_px = 0;
 
   /** @throws Error if the browser gives no WebGL 2. */
@@ -150,7 +152,8 @@ export class Scene3d {
       this.scene.remove(old.group);
       old.dispose();
     }
-    const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), this.material);
+    const organ = new Organ(topology, new Set(this.hello?.fixed_nodes ?? []), this.material, this.hello?.bodies);
+    organ.hide(this.hidden);
     organ.setStyle(this.style);
     organ.showFixed(this.fixedShown);
     this.organs.set(topology.organ, organ);
@@ -212,6 +215,12 @@ export class Scene3d {
     for (const organ of this.organs.values()) organ.setStyle(style);
   }
 
+  /** Hides bodies by their numbers. */
+  hide(hidden: ReadonlySet<number>): void {
+    this.hidden = hidden;
+    for (const organ of this.organs.values()) organ.hide(hidden);
+  }
+
   showFixed(shown: boolean): void {
     this.fixedShown = shown;
     for (const organ of this.organs.values()) organ.showFixed(shown);
@@ -228,8 +237,8 @@ export class Scene3d {
   pick(x: number, y: number): OrganPick | null {
     const { origin, direction } = this.ray(x, y);
     let best: OrganPick | null = null;
-    for (const [organ, { positions_m, topology }] of this.organs) {
-      const pick = pickTriangle(origin, direction, positions_m, topology.triangles);
+    for (const [organ, { positions_m, triangles }] of this.organs) {
+      const pick = pickTriangle(origin, direction, positions_m, triangles);
       if (pick !== null && (best === null || pick.distance_m < best.distance_m)) best = { ...pick, organ };
     }
     return best;

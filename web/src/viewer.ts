@@ -12,6 +12,7 @@ import { SURFACE_STYLES } from "./organ";
 import { Help, Messages, savePicture, showConnection, Toolbar } from "./overlays";
 import type { Page } from "./page";
 import { lengthOf, Panel, panelValues } from "./panel";
+import { BodyList } from "./bodies";
 import { arrowScale_m_per_n, drawPlot, ForceHistory } from "./plot";
 import { Profile, profilerReport } from "./profiler";
 import { GamepadInput } from "./gamepad";
@@ -30,6 +31,7 @@ export class Viewer {
   private readonly toolbar: Toolbar;
   private readonly controls: Controls;
   private readonly connection: Connection;
+  private readonly bodies: BodyList;
   private readonly hands = new Hands();
   private readonly table = new Table();
   private readonly history = new ForceHistory();
@@ -57,6 +59,7 @@ export class Viewer {
     this.scene = new Scene3d(page.scene);
     this.panel = new Panel(page.panel);
     this.help = new Help(document.body);
+    this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
     this.toolbar = new Toolbar(page.toolbar, (action) => this.run(action, false));
     this.controls = new Controls(page.scene, {
       isOnOrgan: (x, y) => this.scene.pick(x, y) !== null,
@@ -99,8 +102,6 @@ export class Viewer {
     setInterval(() => this.shown.profiler && this.showProfiler(), 250);
   }
 
-  // ---- what arrives ----
-
   private connectionState(state: ConnectionState, attempt: number): void {
     this.state = state;
     showConnection(this.page, state, attempt);
@@ -133,6 +134,7 @@ export class Viewer {
     this.history.clear();
     this.hands.begin(hello);
     this.scene.begin(hello);
+    this.bodies.begin(hello.bodies);
     this.scene.choose(this.hands.chosen);
     document.title = `${hello.scene.name} – Glisson`;
     this.redraw();
@@ -166,9 +168,8 @@ export class Viewer {
   }
 
   private resize(): void {
-    const panel = this.page.panel.getBoundingClientRect();
     // On a narrow page the panel lies over the organ instead of beside it.
-    this.scene.setCovered(window.innerWidth > 860 ? panel.right : 0);
+    this.scene.setCovered(window.innerWidth > 860 ? this.page.panel.getBoundingClientRect().right : 0);
     this.scene.resize();
     this.redraw();
   }
@@ -203,6 +204,7 @@ export class Viewer {
     if (direction !== null) return this.nudge(direction, shift ? TOOL_STEP_WITH_SHIFT_M : TOOL_STEP_M);
     const tool = toolNumber(action);
     if (tool !== null) this.choose(tool);
+    if (action === "bodies") this.bodies.hideNext();
     switch (action) {
       case "pause":
       case "single_step":

@@ -19,6 +19,7 @@ const TOPOLOGY: Topology = {
   rest_m: Float32Array.of(0, 0, 0, 0.5, 0, 0, 0, 0.25, 0, 0, 0, 0.125),
   triangles: Uint32Array.of(0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2),
   isCut: Uint8Array.of(0, 1, 1, 1),
+  bodyOf: Uint8Array.of(0, 0, 2, 1),
 };
 
 const SNAPSHOT: Snapshot = {
@@ -57,7 +58,7 @@ const SNAPSHOT: Snapshot = {
 
 const HELLO: Hello = {
   type: "hello",
-  protocol: 5,
+  protocol: 6,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -81,6 +82,10 @@ const HELLO: Hello = {
       home_shaft: [0, -1, 0],
       home_jaw: 1,
     },
+  ],
+  bodies: [
+    { name: "liver", color: "#8c3a30", is_rigid: false, n_tetrahedra: 6200 },
+    { name: "spine", color: null, is_rigid: true, n_tetrahedra: 100 },
   ],
   models: ["precomputed", "tensor_mass"],
   fixed_nodes: [1, 2, 3],
@@ -196,7 +201,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 5/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 6/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(

@@ -9,5 +9,6 @@
 
 pub mod scratch;
 mod bodies;
+pub mod bed;
 pub mod bench;
 pub mod validate;

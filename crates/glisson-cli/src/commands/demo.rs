@@ -1,7 +1,7 @@
 //! `glisson demo`.
 
 use super::serve::Address;
-use crate::demo::{operation, report, resection, scenery};
+use crate::demo::{bed, operation, report, resection, scenery};
 use anyhow::Context;
 use clap::Parser;
 use glisson_runtime::{OpenScene, Simulation};
@@ -16,6 +16,7 @@ use std::time::Instant;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  glisson demo\n  glisson demo --headless --out out/demo\n  \
     glisson demo --task resection --headless\n  \
+    glisson demo --task bed --headless\n  \
     glisson demo --seed 7 --tetrahedra 20000 --port 0")]
 pub(crate) struct Args {
     /// Folder for everything that is made
@@ -44,6 +45,8 @@ enum Task {
     Palpation,
     /// Two hands take a tumour out.
     Resection,
+    /// It lies on its bed among other bodies, and nothing else holds it.
+    Bed,
 }
 
 /// Runs another verb of this program, telling the command line so that the reader can repeat it.
@@ -67,6 +70,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let listener = if args.headless { None } else { Some(args.address.bind()?) };
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("{}: cannot make the folder", args.out.display()))?;
+    if args.task == Task::Bed {
+        return on_bed(args, listener);
+    }
     let files = scenery::Files::in_folder(&args.out);
     let (seed, tetrahedra) = (args.seed.to_string(), args.tetrahedra.to_string());
     let mut stages = Vec::new();
@@ -106,6 +112,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     report::write(&files, &stages, &palpation)?;
     println!("\nwritten to {}: look at report.md and the pictures", args.out.display());
     Ok(())
+}
+
+/// Serves the liver on its bed, or lets it lie without a window.
+fn on_bed(args: &Args, listener: Option<TcpListener>) -> anyhow::Result<()> {
+    let scene = bed::write_scene(&args.out, args.tetrahedra)?;
+    if let Some(listener) = listener {
+        println!("\n$ glisson serve {}", scene.display());
+        return args.address.serve(bed::open(&scene)?, listener);
+    }
+    bed::lie(&scene)
 }
 
 /// Serves the resection, or operates without a window.

@@ -3,7 +3,7 @@
 use crate::text_file::write_text;
 use anyhow::bail;
 use glisson::scene::Scene;
-use glisson::world::{StepInput, StepReport};
+use glisson::world::{StepInput, StepReport, World};
 use glisson_runtime::account::Account;
 use glisson_runtime::{OpenScene, Simulation};
 use serde_json::json;
@@ -71,6 +71,8 @@ struct Done {
     steps: u64,
     greatest_force_n: f64,
     contact_steps: u64,
+    /// Deepest overlap of bodies in any step, before it was undone [m].
+    deepest_overlap_m: f64,
     wants_rows: bool,
     /// A line of the CSV file for each step.
     rows: String,
@@ -86,7 +88,16 @@ impl Done {
         }
         rows += "\n";
         let (n_tools, time_step_s) = (scene.world.tools.len(), scene.world.time_step_s);
-        Self { n_tools, time_step_s, steps: 0, greatest_force_n: 0.0, contact_steps: 0, wants_rows, rows }
+        Self {
+            n_tools,
+            time_step_s,
+            steps: 0,
+            greatest_force_n: 0.0,
+            contact_steps: 0,
+            deepest_overlap_m: 0.0,
+            wants_rows,
+            rows,
+        }
     }
 
     fn add(&mut self, step: u64, input: &StepInput, report: &StepReport) {
@@ -95,6 +106,7 @@ impl Done {
         let forces_n = felt.iter().map(|tool| tool.force_on_tool_n.length());
         self.greatest_force_n = forces_n.fold(self.greatest_force_n, f64::max);
         self.contact_steps += u64::from(report.in_contact());
+        self.deepest_overlap_m = self.deepest_overlap_m.max(report.self_contact.penetration_m);
         if !self.wants_rows {
             return;
         }
@@ -110,11 +122,18 @@ impl Done {
     }
 }
 
+/// Name of each of several bodies, whether it is rigid, and its tetrahedra at the start.
+fn bodies_of(world: &World) -> Vec<(String, bool, usize)> {
+    let bodies = world.spec().bodies.iter();
+    bodies.map(|body| (body.name.clone(), body.is_rigid, body.tetrahedra.len())).collect()
+}
+
 /// Ends the recording and tells how it went.
 fn tell(args: &Args, simulation: Simulation, done: &Done, elapsed_s: f64) -> anyhow::Result<()> {
     let Done { steps, greatest_force_n, contact_steps, .. } = *done;
     let model = simulation.world().model_kind().name();
     let account = Account::of(simulation.world());
+    let bodies = bodies_of(simulation.world());
     let state_hash = simulation.finish()?;
     let simulated_s = steps as f64 * done.time_step_s;
     if args.json {
@@ -125,6 +144,10 @@ fn tell(args: &Args, simulation: Simulation, done: &Done, elapsed_s: f64) -> any
                 "real_time_factor": simulated_s / elapsed_s, "greatest_force_n": greatest_force_n,
                 "contact_steps": contact_steps, "state_hash": state_hash.to_string(),
                 "account": account.to_json(),
+                "bodies": bodies.iter().map(|(name, is_rigid, n_tets)| json!({
+                    "name": name, "is_rigid": is_rigid, "n_tetrahedra": n_tets,
+                })).collect::<Vec<_>>(),
+                "deepest_overlap_m": done.deepest_overlap_m,
             })
         );
     } else {
@@ -132,6 +155,13 @@ fn tell(args: &Args, simulation: Simulation, done: &Done, elapsed_s: f64) -> any
         println!("real-time factor {:.1}", simulated_s / elapsed_s);
         println!("greatest force   {greatest_force_n:.3} N; contact in {contact_steps} steps");
         print!("{}", account.to_text());
+        for (name, is_rigid, n_tets) in &bodies {
+            let sort = if *is_rigid { "rigid" } else { "deforms" };
+            println!("body             {name}: {sort}, {n_tets} tetrahedra");
+        }
+        if !bodies.is_empty() {
+            println!("deepest overlap  {:.3} mm, before it was undone", 1e3 * done.deepest_overlap_m);
+        }
         println!("state hash       {state_hash}");
     }
     Ok(())

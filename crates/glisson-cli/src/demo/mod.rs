@@ -1,5 +1,6 @@
 //! The parts of `glisson demo`: the scene it writes, the scripted operation, the report.
 
+pub(crate) mod bed;
 mod clips;
 pub(crate) mod operation;
 pub(crate) mod patient;

@@ -35,6 +35,7 @@ pub(crate) fn published(step: u64) -> Arc<Published> {
             tools: vec![tool],
         },
         topology: Arc::new(DisplayTopology {
+            body_of: Vec::new(),
             version: 0,
             nodes: vec![NodeId(0), NodeId(1), NodeId(2)],
             rest_positions_m: corners,

@@ -20,7 +20,7 @@ use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
 use glisson::model::{DeformableModel, LevelOfDetail};
 use glisson::record::session::SessionEvent;
-use glisson::scene::{OrganBody, Scene, build_model_as_cut, build_world, mesh_hash};
+use glisson::scene::{BodySet, OrganBody, Scene, build_world, mesh_hash};
 use glisson::tool::MAX_TOOLS;
 use glisson::world::{StepInput, StepReport, World};
 use std::path::{Path, PathBuf};
@@ -64,7 +64,7 @@ impl OpenScene {
 /// A running world: every input goes through here, so that the session holds all of them.
 pub struct Simulation {
     world: World,
-    body: Arc<OrganBody>,
+    bodies: Arc<BodySet>,
     recorder: Option<Recorder>,
     builder: Option<JoinHandle<BuiltModel>>,
     incidents: Incidents,
@@ -90,14 +90,14 @@ impl Simulation {
             0 | 1 => Arc::new(Sequential),
             n => Arc::new(WorkerTeam::new(n).context("starting the worker threads")?),
         };
-        let (world, body) =
+        let (world, bodies) =
             build_world(&source.scene, &source.folder, workers).with_context(|| source.origin.clone())?;
         let recorder = record
-            .map(|path| Recorder::create(path, &source.scene.text, mesh_hash(&body.mesh)))
+            .map(|path| Recorder::create(path, &source.scene.text, mesh_hash(&bodies.joint.mesh)))
             .transpose()?;
         Ok(Self {
             world,
-            body: Arc::new(body),
+            bodies: Arc::new(bodies),
             recorder,
             builder: None,
             incidents: Incidents::default(),
@@ -122,14 +122,14 @@ impl Simulation {
         &self.world
     }
 
-    /// The organ's mesh at the start.
+    /// The mesh at the start: the organ's, or that of all bodies.
     pub fn mesh(&self) -> &TetMesh {
-        &self.body.mesh
+        &self.bodies.joint.mesh
     }
 
-    /// What models of the organ are made from.
+    /// What models of the organ are made from; of several bodies that of the first organ, with the mesh of all.
     pub fn body(&self) -> &OrganBody {
-        &self.body
+        &self.bodies.joint
     }
 
     fn record(&mut self, event: &SessionEvent) -> anyhow::Result<()> {
@@ -418,14 +418,14 @@ impl Simulation {
         let at_step = at_step.max(step);
         self.record(&SessionEvent::QueueModelSwap { step, at_step, model: kind })?;
         self.world.queue_model_swap(at_step, kind);
-        let body = Arc::clone(&self.body);
+        let bodies = Arc::clone(&self.bodies);
         // Of an organ with new tetrahedra the model is made whole, and follows the edits when it is delivered.
         let mut live = self.world.organ().live_tetrahedra().to_vec();
         if !self.world.has_only_removals() {
-            live = vec![true; self.body.mesh.tetrahedra.len()];
+            live = vec![true; self.bodies.joint.mesh.tetrahedra.len()];
         }
         self.builder = Some(std::thread::spawn(move || {
-            let model = build_model_as_cut(&body, kind, &live)?;
+            let model = bodies.build_as_cut(kind, &live)?;
             Ok((model, kind))
         }));
         Ok(())

@@ -33,7 +33,8 @@ pub enum ModelError {
     /// The shape under gravity is one from which the tissue buckles.
     #[error(
         "the tissue is too soft, or held in too few places, to carry its weight in the shape of the mesh: with the {model} \
-         model it would buckle from it. Hold more of it ([[organ.fixed]]), take a stiffer tissue or less gravity, a model \
+         model it would buckle from it. Hold more of it ([[organ.fixed]]), lay it on a bed ([[rigid]] bodies or organs below it, as in \
+         `glisson demo --task bed`), take a stiffer tissue or less gravity, a model \
          of small displacements (precomputed, tensor_mass), or imaged_under_gravity = false and let it sag"
     )]
     Buckles {

@@ -23,13 +23,17 @@ pub mod rheology;
 pub mod tensor_mass;
 pub mod nonlinear_tensor_mass;
 mod undo;
+pub mod rigid;
+pub mod composite;
 mod error;
 mod organ_body;
 mod row;
 pub mod kind;
+mod body_set;
 
 pub use crate::solve::{Attachment, FixedNode, RestStress};
 pub use body::{DEFAULT_MOST_PARTS, DynamicBody, Rayleigh};
+pub use body_set::{BodyPart, BodySet};
 pub use correction::{Correction, StepAnswer};
 pub use error::{ModelCause, ModelError};
 pub use explicit::{ExplicitError, Inertia, Integration};

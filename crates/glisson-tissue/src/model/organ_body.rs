@@ -63,6 +63,9 @@ pub struct OrganBody {
     pub volume_penalty_pa: f64,
     /// Nodes held at rest along some axes, ascending.
     pub fixed: Vec<FixedNode>,
+    /// Nodes at which other bodies carry it in the shape of the mesh, ascending: they count as held for the stress at rest,
+    /// not in steps.
+    pub carried: Vec<FixedNode>,
     /// Ligaments.
     pub attachments: Vec<Attachment>,
     /// Stress of the rest shape, one a tetrahedron or none.
@@ -104,6 +107,7 @@ impl OrganBody {
             fibre: None,
             volume_penalty_pa: 0.0,
             fixed: Vec::new(),
+            carried: Vec::new(),
             attachments: Vec::new(),
             rest_stress_pa: Vec::new(),
             gravity_m_per_s2: DVec3::ZERO,
@@ -116,6 +120,21 @@ impl OrganBody {
             measured: None,
             workers: Arc::new(Sequential),
         }
+    }
+
+    /// What holds the body at rest: supports, and what carries it; ascending.
+    pub fn held_at_rest(&self) -> Vec<FixedNode> {
+        let mut held = self.fixed.clone();
+        held.extend(&self.carried);
+        held.sort_by_key(|held| held.node);
+        held.dedup_by(|next, kept| {
+            let is_same = next.node == kept.node;
+            if is_same {
+                kept.axes = std::array::from_fn(|axis| kept.axes[axis] || next.axes[axis]);
+            }
+            is_same
+        });
+        held
     }
 
     /// What every dynamic model takes.

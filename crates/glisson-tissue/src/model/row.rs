@@ -171,7 +171,7 @@ impl ModelRow {
         if body.rest_stress_pa.is_empty() {
             return Ok(());
         }
-        match is_stable_under(&body.mesh, &body.material, &body.fixed, &body.rest_stress_pa) {
+        match is_stable_under(&body.mesh, &body.material, &body.held_at_rest(), &body.rest_stress_pa) {
             Ok(true) => Ok(()),
             Ok(false) => Err(ModelError::Buckles { model: self.name }),
             Err(error) => Err(ModelError::RestStress(error)),

@@ -19,6 +19,8 @@ pub struct ModelUndo {
     pub places: Vec<u32>,
     /// How the last step before the edit went.
     pub report: ModelReport,
+    /// Of a model of several bodies: that of each.
+    pub(in crate::model) parts: Vec<ModelUndo>,
     whole: Option<Box<dyn DeformableModel>>,
 }
 
@@ -30,6 +32,7 @@ impl ModelUndo {
         self.numbers.clear();
         self.places.clear();
         self.report = ModelReport::default();
+        self.parts.clear();
         self.whole = None;
     }
 
@@ -53,15 +56,23 @@ impl ModelUndo {
         self.whole = Some(model);
     }
 
-    /// Whether it holds a copy of the whole model.
+    /// Whether it holds a copy of the whole model, or of a body's.
     pub fn keeps_whole(&self) -> bool {
-        self.whole.is_some()
+        self.whole.is_some() || self.parts.iter().any(Self::keeps_whole)
     }
 
     /// Brings `model` back to the moment before the edit.
     pub fn put_back(&mut self, model: &mut Box<dyn DeformableModel>) {
         match self.whole.take() {
             Some(whole) => *model = whole,
+            None => model.undo(self),
+        }
+    }
+
+    /// The same where it serves again: a copy of the whole model is copied once more.
+    pub(in crate::model) fn put_back_copy(&self, model: &mut Box<dyn DeformableModel>) {
+        match &self.whole {
+            Some(whole) => *model = whole.duplicate(),
             None => model.undo(self),
         }
     }
@@ -87,7 +98,8 @@ pub fn follow_edit(
     }
     model.save_for_undo(change, undo);
     let followed = model.topology_changed(mesh, change);
-    if followed.is_err() && undo.keeps_whole() {
+    // One of several bodies brings them back itself.
+    if followed.is_err() && undo.whole.is_some() {
         undo.put_back(model);
     }
     followed?;

@@ -1,6 +1,7 @@
 //! Models after random edits of the mesh equal models built afresh from the edited mesh; undone edits leave no trace.
 
 mod bodies;
+mod composite;
 mod steps;
 mod undo;
 

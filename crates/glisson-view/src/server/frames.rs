@@ -16,7 +16,7 @@ struct FrameWriter(Vec<u8>);
 impl FrameWriter {
     fn new(kind: u32, topology_version: u32) -> Self {
         let mut frame = Self(Vec::new());
-        // One organ so far: number 0.
+        // The surface of all bodies is one, with number 0.
         frame.u32s(&[MAGIC, kind, topology_version, 0]);
         frame
     }
@@ -46,6 +46,8 @@ pub fn topology_frame(topology: &DisplayTopology) -> Vec<u8> {
         bits.iter().enumerate().fold(0_u32, |word, (bit, &is_cut)| word | u32::from(is_cut) << bit)
     });
     words.for_each(|word| frame.u32s(&[word]));
+    frame.0.extend_from_slice(&topology.body_of);
+    frame.0.resize(frame.0.len().next_multiple_of(4), 0);
     frame.0
 }
 
@@ -132,19 +134,22 @@ mod tests {
             rest_positions_m: vec![DVec3::X, DVec3::Y, DVec3::Z],
             triangles: vec![[0, 1, 2]],
             is_cut: vec![true],
+            body_of: vec![0, 0, 2],
         };
         let frame = topology_frame(&topology);
         assert_eq!(&frame[..4], b"GLSN");
         let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
         assert_eq!([4, 8, 12, 16, 20, 24, 28, 32].map(word), [1, 3, 0, 3, 1, 7, 9, 11]);
-        assert_eq!(frame.len(), 24 + 3 * 4 + 9 * 4 + 3 * 4 + 4);
-        assert_eq!(word(frame.len() - 4), 1);
+        assert_eq!(frame.len(), 24 + 3 * 4 + 9 * 4 + 3 * 4 + 4 + 4);
+        assert_eq!(word(frame.len() - 8), 1);
+        // A byte for each vertex, filled up to whole words.
+        assert_eq!(frame[frame.len() - 4..], [0, 0, 2, 0]);
         // Bit by bit from the first triangle, 32 to a word.
         let n = 70;
         let is_cut: Vec<bool> = (0..n).map(|i| i % 3 == 0).collect();
         let many = topology_frame(&DisplayTopology { triangles: vec![[0, 1, 2]; n], is_cut, ..topology });
         let first = 24 + 3 * 4 + 9 * 4 + n * 3 * 4;
-        assert_eq!(many.len(), first + 3 * 4);
+        assert_eq!(many.len(), first + 3 * 4 + 4);
         for i in 0..n {
             assert_eq!(many[first + i / 8] >> (i % 8) & 1 == 1, i % 3 == 0, "{i}");
         }

@@ -5,6 +5,7 @@ use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::{MODELS, ModelKind};
 use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
 use glisson::tool::{Tool, ToolInput};
+use glisson::world::spec::BodySpec;
 use glisson_runtime::devices::viewer::GREATEST_FORCE_N;
 use glisson_runtime::haptic_loop::HapticReport;
 use glisson_runtime::live::Command;
@@ -13,7 +14,7 @@ use glisson_runtime::{Notice, Simulation};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 5;
+const PROTOCOL: u32 = 6;
 
 /// The first message on a connection.
 pub(super) fn hello(simulation: &Simulation) -> Value {
@@ -34,6 +35,7 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             "n_vessels": world.vessels().map_or(0, |vessels| vessels.tubes().len()),
         },
         "bounds": { "min_m": bounds.min_m.to_array(), "max_m": bounds.max_m.to_array() },
+        "bodies": spec.bodies.iter().map(body).collect::<Vec<_>>(),
         "tools": spec.tools.iter().map(described).collect::<Vec<_>>(),
         "models": MODELS
             .iter()
@@ -41,6 +43,16 @@ pub(super) fn hello(simulation: &Simulation) -> Value {
             .map(|row| row.name)
             .collect::<Vec<_>>(),
         "fixed_nodes": organ.fixed_nodes().iter().map(|n| n.0).collect::<Vec<_>>(),
+    })
+}
+
+fn body(body: &BodySpec) -> Value {
+    let hex = |[red, green, blue]: [u8; 3]| format!("#{red:02x}{green:02x}{blue:02x}");
+    json!({
+        "name": body.name,
+        "color": body.color.map(hex),
+        "is_rigid": body.is_rigid,
+        "n_tetrahedra": body.tetrahedra.len(),
     })
 }
 

@@ -84,4 +84,6 @@ pub struct DisplayTopology {
     pub triangles: Vec<[u32; 3]>,
     /// Whether each triangle lies in a cut: it is no part of the surface that the organ had at the start.
     pub is_cut: Vec<bool>,
+    /// The body of each displayed vertex; all 0 of one organ.
+    pub body_of: Vec<u8>,
 }

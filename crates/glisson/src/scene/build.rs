@@ -1,26 +1,24 @@
-//! From a scene to a world at rest: reads the mesh, finds the material, makes the model.
+//! From a scene to an organ at rest: reads the mesh, finds the material and what holds it.
 
-use super::organ::MaterialSource;
+use super::bodies::BodySource;
+use super::organ::{MaterialSource, OrganSource};
 use super::spec::Scene;
 use crate::contact::shapes::MeshShape;
-use crate::image::vessels::{VesselFileError, read_vessels};
+use crate::image::vessels::VesselFileError;
 use crate::material::tissues::{Tissue, TissueError};
 use crate::material::{LinearElastic, MaterialError};
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
 use crate::mesh::faults::{FaultAction, ImportPolicy};
 use crate::mesh::files::{MeshFileError, read_mesh_with};
-use crate::model::explicit_kernel::SharedWorkers;
-use crate::model::kind::build_model;
+use crate::mesh::generate::MeshingError;
 use crate::model::precomputed::{self};
-use crate::model::{BodyZone, MeasuredSample, ModelError, OrganBody};
+use crate::model::{BodyZone, FixedNode, MeasuredSample, ModelError, OrganBody};
 use crate::solve::equilibrating_stress;
 use crate::surface::files::{SurfaceFileError, import_closed_surface};
-use crate::tool::fracture::Tearing;
 use crate::tool::{Tool, ToolShape};
-use crate::world::World;
 use crate::world::organ::OrganError;
-use crate::world::spec::{Region, WorldSpec, attachments, fixed_nodes, nodes_in};
+use crate::world::spec::{Ligament, Load, Region, Support, WorldSpec, attachments, fixed_nodes, nodes_in};
 use std::path::{Path, PathBuf};
 
 /// Why a scene gives no world.
@@ -52,7 +50,8 @@ pub enum BuildError {
     /// Nothing holds the organ.
     #[error(
         "no node of {} lies in the scene's fixed regions ({n_regions} given): the organ would float; \
-         add [[organ.fixed]] with a region that holds some of it (the mesh spans {min_mm} to {max_mm} mm)",
+         add [[organ.fixed]] with a region that holds some of it (the mesh spans {min_mm} to {max_mm} mm), or, with a dynamic \
+         model, a [[rigid]] body or another organ that carries it",
         file.display()
     )]
     NothingFixed {
@@ -80,6 +79,29 @@ pub enum BuildError {
         /// Largest corner of the mesh [mm].
         max_mm: DVec3,
     },
+    /// A body among several.
+    #[error("body \"{name}\": {error}")]
+    Body {
+        /// Its name.
+        name: String,
+        /// What is wrong with it.
+        error: Box<BuildError>,
+    },
+    /// Bodies that are too far from each other for an attachment.
+    #[error(
+        "[[attachment]] number {number}: no node of \"{}\" in its region is within {reach_mm} mm of \"{}\"", names[0], names[1]
+    )]
+    NothingAttached {
+        /// Its number from 1.
+        number: usize,
+        /// The bodies.
+        names: [String; 2],
+        /// Its reach [mm].
+        reach_mm: f64,
+    },
+    /// The surface of a rigid body cannot be filled with tetrahedra.
+    #[error("its surface cannot be meshed: {0}; another \"edge\" may help")]
+    Meshing(#[from] MeshingError),
     /// The model that the scene asks for.
     #[error(transparent)]
     Model(#[from] ModelError),
@@ -120,16 +142,55 @@ fn read_material(source: &MaterialSource) -> Result<(LinearElastic, String), Bui
     }
 }
 
-/// Reads an organ's mesh and material; the mesh's path is relative to `folder`.
+/// The mesh of an organ; its path is relative to `folder`.
+pub(super) fn read_organ_mesh(source: &OrganSource, folder: &Path) -> Result<TetMesh, BuildError> {
+    let policy = ImportPolicy { faults: FaultAction::Refuse, ..ImportPolicy::default() };
+    Ok(read_mesh_with(&folder.join(&source.mesh), &policy)?.0)
+}
+
+/// An organ's tables with its mesh.
+pub(super) struct OrganTables<'a> {
+    pub(super) source: &'a OrganSource,
+    pub(super) supports: &'a [Support],
+    pub(super) ligaments: &'a [Ligament],
+    pub(super) loads: &'a [Load],
+    pub(super) mesh: TetMesh,
+    /// Nodes at which other bodies carry it in the shape of the mesh.
+    pub(super) carried: Vec<FixedNode>,
+    /// Whether nothing need hold it.
+    pub(super) may_float: bool,
+}
+
+/// Reads an organ's mesh and material; the mesh's path is relative to `folder`. Of several bodies the first organ, as if it were
+/// alone.
 ///
 /// # Errors
 /// [`BuildError`]: an unreadable mesh, an unknown tissue, nothing that holds the organ.
 pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError> {
-    let file = folder.join(&scene.organ.mesh);
-    let policy = ImportPolicy { faults: FaultAction::Refuse, ..ImportPolicy::default() };
-    let (mesh, _) = read_mesh_with(&file, &policy)?;
-    let (material, name) = read_material(&scene.organ.material)?;
-    let WorldSpec { supports, ligaments, gravity_m_per_s2, time_step_s, .. } = &scene.world;
+    let mesh = read_organ_mesh(&scene.organ, folder)?;
+    let WorldSpec { supports, ligaments, loads, .. } = &scene.world;
+    let (mut supports, mut ligaments, mut loads) = (&supports[..], &ligaments[..], &loads[..]);
+    if let Some(BodySource::Organ(_, own)) = scene.bodies.first().map(|body| &body.source) {
+        (supports, ligaments, loads) = (&own.supports, &own.ligaments, &own.loads);
+    }
+    let (source, carried) = (&scene.organ, Vec::new());
+    organ_at_rest(
+        OrganTables { source, supports, ligaments, loads, mesh, carried, may_float: false },
+        scene,
+        folder,
+    )
+}
+
+/// What an organ's models are made from.
+pub(super) fn organ_at_rest(
+    tables: OrganTables<'_>,
+    scene: &Scene,
+    folder: &Path,
+) -> Result<OrganBody, BuildError> {
+    let OrganTables { source, supports, ligaments, loads, mesh, carried, may_float } = tables;
+    let file = folder.join(&source.mesh);
+    let (material, name) = read_material(&source.material)?;
+    let WorldSpec { gravity_m_per_s2, time_step_s, .. } = &scene.world;
     let fixed = fixed_nodes(supports, &mesh.positions_m);
     let attachments = attachments(ligaments, &mesh.positions_m);
     let bounds = crate::math::Aabb::of_points(&mesh.positions_m);
@@ -139,73 +200,50 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
     };
     let regions = named("[[organ.fixed]]", supports.iter().map(|s| s.region).collect())
         .chain(named("[[organ.ligament]]", ligaments.iter().map(|l| l.region).collect()))
-        .chain(named("[[organ.load]]", scene.world.loads.iter().map(|l| l.region).collect()));
+        .chain(named("[[organ.load]]", loads.iter().map(|l| l.region).collect()));
     for (what, number, region) in regions {
         if nodes_in(&[region], &mesh.positions_m).is_empty() {
             let what = format!("{what} number {number}");
             return Err(BuildError::EmptyRegion { file, what, min_mm, max_mm });
         }
     }
-    if fixed.is_empty() && attachments.is_empty() {
+    if fixed.is_empty() && attachments.is_empty() && !may_float {
         return Err(BuildError::NothingFixed { file, n_regions: supports.len(), min_mm, max_mm });
     }
     let mut body = OrganBody::new(mesh, material, *time_step_s);
     body.material_text.insert_str(0, &name);
-    body.law.clone_from(&scene.organ.law);
-    body.relaxation.clone_from(&scene.organ.relaxation);
-    body.fibre = scene.organ.fibre;
-    body.volume_penalty_pa = scene.organ.volume_penalty_pa;
+    body.law.clone_from(&source.law);
+    body.relaxation.clone_from(&source.relaxation);
+    body.fibre = source.fibre;
+    body.volume_penalty_pa = source.volume_penalty_pa;
     body.fixed = fixed;
+    body.carried = carried;
     body.attachments = attachments;
     body.gravity_m_per_s2 = *gravity_m_per_s2;
-    body.is_imaged_under_gravity = scene.organ.is_imaged_under_gravity;
-    if body.is_imaged_under_gravity && body.gravity_m_per_s2 != DVec3::ZERO {
-        let (fixed, attachments) = (&body.fixed, &body.attachments);
+    body.is_imaged_under_gravity = source.is_imaged_under_gravity;
+    let is_held = !(body.fixed.is_empty() && body.carried.is_empty());
+    if body.is_imaged_under_gravity && body.gravity_m_per_s2 != DVec3::ZERO && (is_held || !may_float) {
+        let attachments = &body.attachments;
+        let held = body.held_at_rest();
         body.rest_stress_pa =
-            equilibrating_stress(&body.mesh, &body.material, fixed, attachments, body.gravity_m_per_s2)
+            equilibrating_stress(&body.mesh, &body.material, &held, attachments, body.gravity_m_per_s2)
                 .map_err(ModelError::RestStress)?;
     }
-    body.damping = scene.organ.damping;
+    body.damping = source.damping;
     body.most_parts = scene.most_parts;
-    let zones = scene.organ.zones.iter();
+    let zones = source.zones.iter();
     body.zones = zones
         .map(|zone| BodyZone { nodes: nodes_in(&[zone.region], &body.mesh.positions_m), law: zone.law })
         .collect();
-    body.measured = scene
-        .organ
+    body.measured = source
         .measured
         .clone()
         .map(|measured| MeasuredSample { curve: folder.join(&measured.curve), ..measured });
-    body.precomputed = scene.organ.precomputed.as_ref().map(|file| folder.join(file));
+    body.precomputed = source.precomputed.as_ref().map(|file| folder.join(file));
     Ok(body)
 }
 
 /// BLAKE3 of a mesh (positions and connectivity), hexadecimal: what a session names its mesh by.
 pub fn mesh_hash(mesh: &TetMesh) -> String {
     precomputed::mesh_hash(mesh).iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-/// A world at rest, and what its models are made from; files are relative to `folder`, models that can use several
-/// threads get `workers`.
-///
-/// # Errors
-/// [`BuildError`] of [`read_organ`] and [`build_model`], and a mesh that is no body.
-pub fn build_world(
-    scene: &Scene,
-    folder: &Path,
-    workers: SharedWorkers,
-) -> Result<(World, OrganBody), BuildError> {
-    let body = OrganBody { workers, ..read_organ(scene, folder)? };
-    let kind = scene.organ.model;
-    let model = build_model(&body, kind)?;
-    let mut spec = scene.world.clone();
-    spec.tools = read_tools(scene, folder)?;
-    if let Some(file) = &scene.organ.vessels {
-        spec.vessels = read_vessels(&folder.join(file))?;
-    }
-    spec.tearing = scene.organ.tearing.map(|energy| Tearing { energy, material: body.material });
-    spec.tissue = Some(body.material);
-    let world = World::new(spec, body.mesh.clone(), model, kind)
-        .map_err(|error| BuildError::Organ { file: folder.join(&scene.organ.mesh), error })?;
-    Ok((world, body))
 }

@@ -1,7 +1,11 @@
 //! `[contact]`: whether the organ touches itself, and how.
 
+use super::bodies::{BodySource, SceneBody};
 use super::reader::{SceneError, Section};
+use super::simulation::Simulation;
+use crate::contact::response::persistent::BodyContactParams;
 use crate::contact::response::self_contact::SelfContactParams;
+use crate::math::DVec3;
 use crate::model::kind::{MODELS, ModelKind};
 use crate::units::Dimension;
 
@@ -50,6 +54,52 @@ pub(super) fn read_contact(
     section.finish()?;
     let margin_m = margin_m.unwrap_or(SelfContactParams::default_margin_m(time_step_s));
     Ok(touches_itself.then_some(SelfContactParams { margin_m, response }))
+}
+
+/// What counts as touching in a shape that was imaged, when the scene does not say so: about the voxel of a CT. A choice.
+const DEFAULT_TOUCH_M: f64 = 1e-3;
+
+/// Between several bodies: on when nothing is said; none when `bodies = false`.
+pub(super) fn read_body_contact(
+    section: Option<Section<'_>>,
+    bodies: &[SceneBody],
+    simulation: &Simulation,
+) -> Result<Option<BodyContactParams>, SceneError> {
+    let is_imaged_organ = |body: &SceneBody| matches!(&body.source, BodySource::Organ(organ, _) if organ.is_imaged_under_gravity);
+    let is_imaged = simulation.gravity_m_per_s2 != DVec3::ZERO && bodies.iter().any(is_imaged_organ);
+    let mut params = BodyContactParams {
+        margin_m: SelfContactParams::default_margin_m(simulation.time_step_s),
+        friction: SelfContactParams::DEFAULT_FRICTION,
+        touches_itself: false,
+        touch_m: if is_imaged { DEFAULT_TOUCH_M } else { 0.0 },
+    };
+    let Some(mut section) = section else { return Ok(Some(params)) };
+    let touch = section.flag("bodies")?.unwrap_or(true);
+    params.touches_itself = section.flag("self")?.unwrap_or(false);
+    if let Some((name, at)) = section.string("response")?
+        && name != "geometric"
+    {
+        let allowed = "\"geometric\" between several bodies";
+        return Err(section.wrong_value(at, "response", format!("\"{name}\""), allowed));
+    }
+    if let Some(margin_m) = section.positive("margin", Dimension::Length)? {
+        params.margin_m = margin_m;
+    }
+    if let Some((touch_m, at)) = section.quantity("touch", Dimension::Length)? {
+        if !(0.0..=params.margin_m).contains(&touch_m) {
+            let allowed = format!("from 0 to the margin, {} m", params.margin_m);
+            return Err(section.wrong_value(at, "touch", format!("{touch_m} m"), &allowed));
+        }
+        params.touch_m = touch_m;
+    }
+    match section.number("friction")? {
+        Some((friction, at)) if friction < 0.0 => {
+            return Err(section.wrong_value(at, "friction", friction.to_string(), "zero or more"));
+        }
+        found => params.friction = found.map_or(params.friction, |f| f.0),
+    }
+    section.finish()?;
+    Ok(touch.then_some(params))
 }
 
 #[cfg(test)]

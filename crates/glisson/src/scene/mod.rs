@@ -10,13 +10,23 @@ mod instrument;
 mod law;
 mod organ;
 mod reader;
+mod rigid;
+mod simulation;
+mod bodies;
+mod attachment;
+mod build_bodies;
+mod build_world;
 mod spec;
 
-pub use build::{BuildError, build_world, mesh_hash, read_organ, read_tools};
+pub use attachment::{AttachmentKind, AttachmentSource};
+pub use bodies::{BodySource, SceneBody};
+pub use build::{BuildError, mesh_hash, read_organ, read_tools};
+pub use build_world::build_world;
 pub use instrument::{PathPoint, tool_on_path};
-pub use organ::{MaterialSource, OrganSource, OrganZone};
+pub use organ::{MaterialSource, OrganSource, OrganSurroundings, OrganZone};
 pub use reader::{SceneError, SceneProblem};
+pub use rigid::{RigidShape, RigidSource};
 pub use spec::Scene;
 
 pub use crate::model::kind::{build_model, build_model_as_cut};
-pub use crate::model::{MeasuredSample, ModelError, OrganBody};
+pub use crate::model::{BodyPart, BodySet, MeasuredSample, ModelError, OrganBody};

@@ -75,11 +75,16 @@ pub struct OrganSource {
 }
 
 /// What `[organ]` says about the world.
-pub(super) struct OrganSurroundings {
-    pub(super) supports: Vec<Support>,
-    pub(super) ligaments: Vec<Ligament>,
-    pub(super) loads: Vec<Load>,
-    pub(super) fields: Vec<ForceField>,
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OrganSurroundings {
+    /// What holds it.
+    pub supports: Vec<Support>,
+    /// What ties it to its surroundings.
+    pub ligaments: Vec<Ligament>,
+    /// Forces on parts of it.
+    pub loads: Vec<Load>,
+    /// Accelerations of the whole.
+    pub fields: Vec<ForceField>,
 }
 
 pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, OrganSurroundings), SceneError> {
@@ -363,7 +368,7 @@ fn read_material(section: &mut Section<'_>) -> Result<MaterialSource, SceneError
     Ok(MaterialSource::Given { young_modulus_pa, poisson_ratio, density_kg_per_m3 })
 }
 
-fn read_region(section: &mut Section<'_>) -> Result<Region, SceneError> {
+pub(super) fn read_region(section: &mut Section<'_>) -> Result<Region, SceneError> {
     let bounds = section.section("box")?;
     let ball = section.section("ball")?;
     let furthest = section.section("furthest")?;

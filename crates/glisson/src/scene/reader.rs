@@ -285,6 +285,11 @@ impl<'a> Section<'a> {
         array.iter().map(name).collect::<Result<_, _>>().map(Some)
     }
 
+    /// Whether `key` is there; it still has to be asked for.
+    pub(super) fn has(&self, key: &str) -> bool {
+        self.table.get(key).is_some()
+    }
+
     /// Whether `key` holds a table.
     pub(super) fn is_table(&self, key: &str) -> bool {
         self.table.get(key).is_some_and(|value| value.get_ref().is_table())

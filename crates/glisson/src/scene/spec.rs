@@ -1,14 +1,14 @@
 //! What a scene file says.
 
-use super::contact::read_contact;
+use super::attachment::{AttachmentSource, read_attachment};
+use super::bodies::{BodySections, SceneBodies, SceneBody};
+use super::contact::{read_body_contact, read_contact};
 use super::hand::read_hand;
 use super::instrument::{InstrumentSource, PathPoint, read_tool, tool_on_path, tool_sections};
-use super::organ::{OrganSource, read_organ};
+use super::organ::OrganSource;
 use super::reader::{SceneError, Section, parse_toml};
-use crate::math::DVec3;
-use crate::model::DEFAULT_MOST_PARTS;
+use super::simulation::read_simulation;
 use crate::tool::MAX_TOOLS;
-use crate::units::Dimension;
 use crate::world::StepInput;
 use crate::world::spec::WorldSpec;
 use std::path::PathBuf;
@@ -18,8 +18,12 @@ use std::path::PathBuf;
 pub struct Scene {
     /// The world without its mesh and model.
     pub world: WorldSpec,
-    /// The organ.
+    /// The organ; of several bodies the first organ.
     pub organ: OrganSource,
+    /// Several bodies, the organs first; none for one organ alone.
+    pub bodies: Vec<SceneBody>,
+    /// What ties them to each other.
+    pub attachments: Vec<AttachmentSource>,
     /// Into how many internal steps a step may be divided after an edit.
     pub most_parts: u32,
     /// Scripted motion of each tool, ascending in time; empty for one that somebody holds.
@@ -52,16 +56,29 @@ impl Scene {
         let simulation = root.section("simulation")?;
         let contact = root.section("contact")?;
         let hand = root.section("hand")?;
-        let organ = root.section("organ")?.ok_or_else(|| root.missing("organ", "[organ]"))?;
+        let bodies = BodySections::of(&mut root)?;
+        let tied = root.sections("attachment")?;
         let tools = tool_sections(&mut root)?;
         root.finish()?;
 
         let simulation = read_simulation(simulation)?;
-        let (organ, surroundings) = read_organ(organ)?;
-        let self_contact = contact
-            .map(|section| read_contact(section, organ.model, simulation.time_step_s))
-            .transpose()?
-            .flatten();
+        let SceneBodies { organ, surroundings, bodies } = bodies.read()?;
+        let time_step_s = simulation.time_step_s;
+        let (mut self_contact, mut body_contact) = (None, None);
+        if bodies.is_empty() {
+            let read = |section| read_contact(section, organ.model, time_step_s);
+            self_contact = contact.map(read).transpose()?.flatten();
+        } else {
+            body_contact = read_body_contact(contact, &bodies, &simulation)?;
+        }
+        let mut attachments = Vec::new();
+        for section in tied {
+            if bodies.is_empty() {
+                let allowed = "two bodies; of one organ to its surroundings: [[organ.ligament]]".into();
+                return Err(section.wrong_table("attachment", "of one organ".into(), allowed));
+            }
+            attachments.push(read_attachment(section, &bodies)?);
+        }
         let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
         for section in tools {
             let InstrumentSource { tool, path, shape } = read_tool(section)?;
@@ -83,11 +100,15 @@ impl Scene {
             hand: hand.map(read_hand).transpose()?,
             tissue: None,
             self_contact,
+            // Their nodes come with their meshes.
+            bodies: Vec::new(),
+            body_contact,
+            bonds: Vec::new(),
             vessels: Vec::new(),
             tools: scripted,
         };
         let (most_parts, text) = (simulation.most_parts, text.to_string());
-        Ok(Self { world, organ, most_parts, paths, tool_shapes, text })
+        Ok(Self { world, organ, bodies, attachments, most_parts, paths, tool_shapes, text })
     }
 
     /// What the scripted tools do at `time_s`; the others stay at home.
@@ -105,54 +126,12 @@ impl Scene {
     }
 }
 
-struct Simulation {
-    time_step_s: f64,
-    gravity_m_per_s2: DVec3,
-    most_parts: u32,
-}
-
-impl Default for Simulation {
-    /// One step a millisecond, the rate of force feedback; weightless.
-    fn default() -> Self {
-        Self { time_step_s: 1e-3, gravity_m_per_s2: DVec3::ZERO, most_parts: DEFAULT_MOST_PARTS }
-    }
-}
-
-/// A step that would be divided further is made by a wrong scene.
-const MOST_PARTS_ALLOWED: f64 = 1000.0;
-
-/// Time steps that a scene may have [s]: a shorter one is below what any device or tissue asks for, a longer one no motion of
-/// a hand survives. A choice.
-const TIME_STEPS_S: std::ops::RangeInclusive<f64> = 1e-6..=1.0;
-
-fn read_simulation(section: Option<Section<'_>>) -> Result<Simulation, SceneError> {
-    let mut simulation = Simulation::default();
-    let Some(mut section) = section else { return Ok(simulation) };
-    if let Some((time_step_s, at)) = section.quantity("time_step", Dimension::Time)? {
-        if !TIME_STEPS_S.contains(&time_step_s) {
-            return Err(section.wrong_value(at, "time_step", format!("{time_step_s} s"), "1 us to 1 s"));
-        }
-        simulation.time_step_s = time_step_s;
-    }
-    if let Some(gravity_m_per_s2) = section.vector("gravity", Dimension::Acceleration)? {
-        simulation.gravity_m_per_s2 = gravity_m_per_s2;
-    }
-    if let Some((parts, at)) = section.number("most_parts")? {
-        if parts.fract() != 0.0 || !(1.0..=MOST_PARTS_ALLOWED).contains(&parts) {
-            let allowed = "a whole number from 1 to 1000";
-            return Err(section.wrong_value(at, "most_parts", parts.to_string(), allowed));
-        }
-        simulation.most_parts = parts as u32;
-    }
-    section.finish()?;
-    Ok(simulation)
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::organ::MaterialSource;
     use super::*;
     use crate::material::law_named;
+    use crate::math::DVec3;
     use crate::tool::ToolKind;
     use crate::world::spec::LoadTime;
     use proptest::prelude::*;

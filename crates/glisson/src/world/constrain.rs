@@ -1,5 +1,6 @@
 //! The stages of a step around the model: what the hands do to it, and what they feel of it.
 
+use super::bodies::SurfaceContact;
 use super::grasp::{Grasp, HOLDS_BELOW, Hold};
 use super::parts::ToolPart;
 use super::slide::{Follow, PatchAnswer};
@@ -7,7 +8,6 @@ use super::tear::edge_motion_m;
 use super::tool_state::{ContactSearch, ToolState};
 use super::touch::HeldContact;
 use super::{StepInput, World};
-use crate::contact::response::self_contact::{SelfContact, SelfContactResponse};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::model::{ImposedDisplacement, NodalForce};
@@ -120,9 +120,7 @@ impl World {
 
     /// The springs' forces for the next part of a step.
     pub(super) fn push_self_contacts(&mut self, n_substeps: u32) {
-        let has_springs =
-            |own: &SelfContact| matches!(own.params().response, SelfContactResponse::Penalty(_));
-        if self.self_contact.as_deref().is_some_and(has_springs) {
+        if self.self_contact.as_deref().is_some_and(SurfaceContact::acts_by_forces) {
             self.gather_forces(n_substeps);
             self.model.apply(&self.constraints);
         }

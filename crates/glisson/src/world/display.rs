@@ -91,14 +91,15 @@ impl DisplaySurface {
         put_in(is_cut, places, false, |new| capsule.is_cut(added[new]));
     }
 
-    /// For a viewer; `rest_m`: places at rest of all nodes [m].
-    pub(super) fn topology(&self, version: u32, rest_m: &[DVec3]) -> DisplayTopology {
+    /// For a viewer; of all nodes the places at rest [m], and the bodies.
+    pub(super) fn topology(&self, version: u32, rest_m: &[DVec3], body_of: &[u32]) -> DisplayTopology {
         DisplayTopology {
             version,
             nodes: self.nodes.clone(),
             rest_positions_m: self.nodes.iter().map(|n| rest_m[n.index()]).collect(),
             triangles: self.triangles.clone(),
             is_cut: self.is_cut.clone(),
+            body_of: self.nodes.iter().map(|n| body_of[n.index()] as u8).collect(),
         }
     }
 }
@@ -174,7 +175,9 @@ mod tests {
 
     #[test]
     fn edits_and_undo_leave_what_would_be_put_together_anew() {
-        let mut organ = Organ::new(box_of_five([3; 3], DVec3::ONE), &[]).unwrap();
+        let mesh = box_of_five([3; 3], DVec3::ONE);
+        let body_of = vec![0; mesh.positions_m.len()];
+        let mut organ = Organ::new(mesh, &[], body_of).unwrap();
         let mut random = SeededRandom::new(3);
         check(&organ);
         for at in 0..120 {

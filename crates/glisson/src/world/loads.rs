@@ -1,7 +1,7 @@
 //! The loads of a scene in time: which nodal forces and which gravity a step has.
 
 use super::organ::{Organ, put_back};
-use super::spec::{ForceField, Load, LoadTime, WorldSpec, nodes_in};
+use super::spec::{ForceField, Load, LoadTime, WorldSpec};
 use crate::math::DVec3;
 use crate::mesh::NodeId;
 use crate::mesh::edit::TopologyChange;
@@ -47,8 +47,7 @@ impl Loads {
         for &node in organ.surface_nodes() {
             can_be_loaded[node.index()] = !organ.is_fixed(node);
         }
-        let of_nodes = |load: &Load| {
-            let mut nodes = nodes_in(&[load.region], rest_m);
+        let of_nodes = |(load, mut nodes): (Load, Vec<NodeId>)| {
             nodes.retain(|node| can_be_loaded[node.index()]);
             let mut is_loaded = vec![false; rest_m.len()];
             for node in &nodes {
@@ -57,7 +56,7 @@ impl Loads {
             let force_n = load.force_n / nodes.len().max(1) as f64;
             NodeLoad { is_loaded: EntityArray::new(is_loaded), force_n, time: load.time, acts: false }
         };
-        let nodes: Vec<NodeLoad> = spec.loads.iter().map(of_nodes).collect();
+        let nodes: Vec<NodeLoad> = spec.loaded_nodes(rest_m).into_iter().map(of_nodes).collect();
         let n_most = if nodes.is_empty() { 0 } else { rest_m.len() };
         Self {
             nodes,

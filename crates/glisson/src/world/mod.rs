@@ -1,9 +1,10 @@
-//! One organ, up to four instruments, and the step that joins them.
+//! One organ or several bodies ([`bodies`]), up to four instruments, and the step that joins them.
 //!
 //! Stages of a step, in order: hands, contacts and grasps, constraints and loads, model, forces. Cuts are made
 //! between steps ([`World::edit`], [`World::cut_with_tools`]). A step never fails, allocates, locks, logs or reads a clock.
 
 mod active;
+pub mod bodies;
 mod constrain;
 mod cut;
 pub mod detection;
@@ -34,7 +35,7 @@ pub use refusal::EditRefusal;
 pub use tool_state::ToolReport;
 
 use crate::contact::response::bodies::ResponseReport;
-use crate::contact::response::self_contact::SelfContact;
+use crate::contact::response::persistent::ContactMemory;
 use crate::contact::tool_contact::ToolContact;
 use crate::math::DVec3;
 use crate::mesh::TetMesh;
@@ -46,6 +47,7 @@ use crate::record::snapshot::{BleedingSnapshot, ContactReport, DisplayTopology, 
 use crate::tool::external_detection::ExternalDetection;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use active::ActiveTip;
+use bodies::SurfaceContact;
 use constrain::{MOST_IMPOSED, Owner};
 use edits::Journal;
 use haptic::HapticScratch;
@@ -115,7 +117,7 @@ pub struct StepReport {
     pub waits_for_model: bool,
     /// Nodes whose position is not finite, which only a broken model can bring about.
     pub n_non_finite_nodes: u32,
-    /// How the organ touched itself; of several sub-steps the last one.
+    /// How the organ touched itself, or bodies each other; of several sub-steps the last one.
     pub self_contact: ResponseReport,
     /// What the model says about the step; of several sub-steps the last one, with the internal steps of all.
     pub model: ModelReport,
@@ -163,8 +165,10 @@ pub struct World {
     slide: Box<SlideScratch>,
     /// What touches by force, and with what force it did.
     press: Box<Press>,
-    /// How the organ touches itself, if the scene wants it.
-    self_contact: Option<Box<SelfContact>>,
+    /// How the organ touches itself, or bodies each other, if the scene wants it.
+    self_contact: Option<Box<SurfaceContact>>,
+    /// Forces between bodies in the rest shape.
+    touch_at_start: ContactMemory,
     loads: Loads,
     gravity_m_per_s2: DVec3,
     /// Gravity and force fields of the last step.
@@ -196,7 +200,9 @@ impl World {
         }
         let mesh_of_the_start = Arc::new(mesh.clone());
         let anchored_at_start = spec.anchored_nodes(&mesh.positions_m).into();
-        let organ = Organ::new(mesh, &spec.supports)?;
+        let body_of = spec.body_of_nodes(mesh.positions_m.len());
+        let fixed = spec.fixed_nodes(&mesh.positions_m);
+        let organ = Organ::new(mesh, &fixed, body_of)?;
         let mut vessels = None;
         if !spec.vessels.is_empty() {
             let found = Vessels::new(spec.vessels.clone(), organ.body());
@@ -204,7 +210,7 @@ impl World {
         }
         let loads = Loads::new(&spec, &organ);
         let slide = Box::new(SlideScratch::for_nodes(organ.mesh().positions_m.len()));
-        let self_contact = self_contact_of(&spec, &organ, model.as_ref());
+        let self_contact = SurfaceContact::of(&spec, &organ, model.as_ref());
         let hands = spec.tools.iter().map(ToolState::at_home).collect();
         let active = spec.tools.iter().map(|tool| ActiveTip::new(tool, organ.body())).collect();
         let mut constraints = Constraints::default();
@@ -231,6 +237,7 @@ impl World {
             slide,
             press: Box::new(Press::new()),
             self_contact,
+            touch_at_start: ContactMemory::default(),
             loads,
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,
@@ -274,7 +281,9 @@ impl World {
         let vessels = self.vessels.iter().flat_map(Vessels::numbers);
         let clock = self.loads.clock(self.step);
         let pressed = self.press.numbers();
+        let between = self.self_contact.iter().flat_map(|contact| contact.numbers());
         let surroundings = gravity.into_iter().chain(clock).chain(hands).chain(vessels).chain(pressed);
+        let surroundings = surroundings.chain(between);
         let surroundings: Vec<f64> = surroundings.collect();
         StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
     }
@@ -342,6 +351,10 @@ impl World {
         self.active.iter_mut().for_each(ActiveTip::lift);
         self.owners.clear();
         self.press.forget();
+        if let Some(contact) = &mut self.self_contact {
+            contact.forget();
+            contact.go_on_with(&self.touch_at_start);
+        }
         self.constraints.displacements.clear();
         self.constraints.forces.clear();
         self.model.apply(&self.constraints);
@@ -518,12 +531,6 @@ impl World {
     pub fn tools(&self) -> &[Tool] {
         &self.spec.tools
     }
-}
-
-fn self_contact_of(spec: &WorldSpec, organ: &Organ, model: &dyn DeformableModel) -> Option<Box<SelfContact>> {
-    let params = spec.self_contact.as_ref()?;
-    let positions_m = model.state().positions_m;
-    Some(Box::new(SelfContact::new(params, organ.body().topology(), organ.mesh(), positions_m)))
 }
 
 fn contact_report(contact: &HeldContact, positions_m: &[DVec3]) -> ContactReport {

@@ -3,13 +3,13 @@
 use super::capsule::Capsule;
 use super::display::{DisplayChange, DisplaySurface};
 use super::skin::{Skin, SurfaceChange};
-use super::spec::{Support, fixed_nodes};
 use crate::image::vessels::TubeError;
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, MeshUndo, TopologyChange};
 use crate::mesh::remap::EntityArray;
 use crate::mesh::topology::TopologyError;
 use crate::mesh::{NodeId, TetId, TetMesh, TriangleId};
+use crate::model::FixedNode;
 use crate::record::snapshot::DisplayTopology;
 use crate::tool::MAX_TOOLS;
 
@@ -74,6 +74,18 @@ pub(super) fn put_back(
     *array = EntityArray::new(values);
 }
 
+/// New nodes are of their parents' body.
+fn follow_bodies(body_of: &mut Vec<u32>, change: &TopologyChange) {
+    for (_, parents) in change.nodes.added.iter() {
+        let parent = parents.first().and_then(|(parent, _)| body_of.get(parent.index()).copied());
+        body_of.push(parent.unwrap_or(0));
+    }
+    if !change.nodes.new_ids.is_empty() {
+        let kept = change.nodes.new_ids.iter().zip(&*body_of).filter(|(id, _)| id.is_some());
+        *body_of = kept.map(|(_, body)| *body).collect();
+    }
+}
+
 /// Tetrahedra that cuts may add before tables have to be moved: a choice.
 const SPARE_TETS: usize = 1000;
 
@@ -83,6 +95,8 @@ pub struct Organ {
     body: EditableMesh,
     /// Held along every axis.
     fixed: EntityArray<NodeId, bool>,
+    /// The body of each node.
+    body_of: Vec<u32>,
     skin: Skin,
     capsule: Capsule,
     display: DisplaySurface,
@@ -90,16 +104,16 @@ pub struct Organ {
 }
 
 impl Organ {
-    /// An organ at rest.
+    /// An organ at rest; `fixed` are the nodes that are held, along some axes or all, and `body_of` the body of each node.
     ///
     /// # Errors
     /// [`OrganError`] when the mesh is not a body.
-    pub fn new(mesh: TetMesh, supports: &[Support]) -> Result<Self, OrganError> {
+    pub fn new(mesh: TetMesh, held: &[FixedNode], body_of: Vec<u32>) -> Result<Self, OrganError> {
         if mesh.tetrahedra.is_empty() {
             return Err(OrganError::Empty);
         }
         let mut fixed = vec![false; mesh.positions_m.len()];
-        for held in fixed_nodes(supports, &mesh.positions_m) {
+        for held in held {
             fixed[held.node.index()] = held.axes == [true; 3];
         }
         let mut body = EditableMesh::new(mesh)?;
@@ -108,7 +122,15 @@ impl Organ {
         let capsule = Capsule::default();
         let display = DisplaySurface::new(body.topology(), &capsule);
         let skin = Skin::new(&body, &body.mesh().positions_m);
-        Ok(Self { body, fixed: EntityArray::new(fixed), skin, capsule, display, topology_version: 1 })
+        Ok(Self {
+            body,
+            fixed: EntityArray::new(fixed),
+            body_of,
+            skin,
+            capsule,
+            display,
+            topology_version: 1,
+        })
     }
 
     /// Mesh and adjacency, to be edited; what follows has to be told.
@@ -124,6 +146,7 @@ impl Organ {
             .extend(change.nodes.removed.iter().map(|n| n.index() < change.nodes.n_before && self.fixed[*n]));
         before.topology_version = self.topology_version;
         let held = self.held_of_new(change);
+        follow_bodies(&mut self.body_of, change);
         self.fixed.follow(change);
         for (node, is_held) in change.nodes.added.ids().iter().zip(held) {
             self.fixed[*node] = is_held && !change.nodes.removed.contains(node);
@@ -164,6 +187,7 @@ impl Organ {
     pub(super) fn undo_edit(&mut self, undo: &MeshUndo, change: &TopologyChange, before: &mut OrganBefore) {
         self.body.undo(undo);
         put_back(&mut self.fixed, change, before.fixed.iter().copied());
+        self.body_of.truncate(change.nodes.n_before);
         let triangles = SurfaceChange {
             added: &change.surface_triangles_added,
             removed: &change.surface_triangles_removed,
@@ -217,6 +241,11 @@ impl Organ {
     /// Mesh and adjacency.
     pub fn body(&self) -> &EditableMesh {
         &self.body
+    }
+
+    /// The body of each node, by its number; all 0 of one organ.
+    pub fn body_of_nodes(&self) -> &[u32] {
+        &self.body_of
     }
 
     /// Whether `node` is held at rest along every axis.
@@ -278,6 +307,6 @@ impl Organ {
 
     /// The surface for a viewer: asked for when the version changed, not in steps.
     pub fn display_topology(&self) -> DisplayTopology {
-        self.display.topology(self.topology_version, &self.body.mesh().positions_m)
+        self.display.topology(self.topology_version, &self.body.mesh().positions_m, &self.body_of)
     }
 }

@@ -48,6 +48,7 @@ impl World {
             slide: Box::new(SlideScratch::for_nodes(self.organ.mesh().positions_m.len())),
             press: Box::new(self.press.duplicate()),
             self_contact: self.self_contact.clone(),
+            touch_at_start: self.touch_at_start.clone(),
             loads: self.loads.clone(),
             gravity_m_per_s2: self.gravity_m_per_s2,
             pull_m_per_s2: self.pull_m_per_s2,

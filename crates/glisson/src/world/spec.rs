@@ -1,5 +1,7 @@
 //! What a world is made from, in SI.
 
+use crate::contact::response::bond::Bond;
+use crate::contact::response::persistent::BodyContactParams;
 use crate::contact::response::self_contact::SelfContactParams;
 use crate::image::vessels::Tube;
 use crate::material::LinearElastic;
@@ -8,6 +10,7 @@ use crate::mesh::NodeId;
 use crate::model::{Attachment, FixedNode};
 use crate::tool::Tool;
 use crate::tool::fracture::Tearing;
+use std::ops::Range;
 
 /// Description of a world; files are read in `scene`.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,10 +41,37 @@ pub struct WorldSpec {
     pub tissue: Option<LinearElastic>,
     /// How the organ touches itself, and pieces cut loose each other; they pass through when absent.
     pub self_contact: Option<SelfContactParams>,
+    /// Several bodies, in the order of the joint mesh; none for one organ, whose supports, ligaments and loads stand above.
+    pub bodies: Vec<BodySpec>,
+    /// How several bodies touch each other; they pass through when absent, or have springs by `self_contact`.
+    pub body_contact: Option<BodyContactParams>,
+    /// What ties bodies to each other.
+    pub bonds: Vec<Bond>,
     /// Blood vessels inside the organ, in its rest shape.
     pub vessels: Vec<Tube>,
     /// The instruments: one to [`crate::tool::MAX_TOOLS`].
     pub tools: Vec<Tool>,
+}
+
+/// One of several bodies.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BodySpec {
+    /// What the user calls it.
+    pub name: String,
+    /// sRGB colour; the look of tissue, or of a rigid body, when absent.
+    pub color: Option<[u8; 3]>,
+    /// Whether it is rigid: its nodes go where its motion puts them.
+    pub is_rigid: bool,
+    /// Its nodes in the joint mesh at the start.
+    pub nodes: Range<u32>,
+    /// Its tetrahedra in the joint mesh at the start.
+    pub tetrahedra: Range<u32>,
+    /// What holds it at rest.
+    pub supports: Vec<Support>,
+    /// What ties it to its surroundings.
+    pub ligaments: Vec<Ligament>,
+    /// Forces on parts of it.
+    pub loads: Vec<Load>,
 }
 
 impl WorldSpec {
@@ -60,6 +90,9 @@ impl WorldSpec {
             hand: None,
             tissue: None,
             self_contact: None,
+            bodies: Vec::new(),
+            body_contact: None,
+            bonds: Vec::new(),
             vessels: Vec::new(),
             tools: vec![tool],
         }
@@ -68,10 +101,10 @@ impl WorldSpec {
     /// Whether each node, at rest at these places [m], is supported, along one axis at least, or at a ligament.
     pub(super) fn anchored_nodes(&self, positions_m: &[DVec3]) -> Vec<bool> {
         let mut is_anchored = vec![false; positions_m.len()];
-        for ligament in &self.ligaments {
-            nodes_in(&[ligament.region], positions_m).into_iter().for_each(|n| is_anchored[n.index()] = true);
-        }
-        fixed_nodes(&self.supports, positions_m).into_iter().for_each(|f| is_anchored[f.node.index()] = true);
+        self.ligament_nodes(positions_m).into_iter().for_each(|n| is_anchored[n.index()] = true);
+        self.fixed_nodes(positions_m).into_iter().for_each(|f| is_anchored[f.node.index()] = true);
+        let bonded = self.bonds.iter().flat_map(|bond| bond.nodes);
+        bonded.for_each(|n| is_anchored[n.index()] = true);
         is_anchored
     }
 }

@@ -219,7 +219,9 @@ fn a_deep_tool_that_drags_sideways_keeps_its_contact() {
 fn a_new_node_is_held_where_all_its_parents_are() {
     use crate::mesh::edit::EdgeSplit;
     let support = Support::all_axes(Region::Furthest { direction: DVec3::Z, fraction: 0.75 });
-    let mut organ = Organ::new(one_tetrahedron(), &[support]).unwrap();
+    let mesh = one_tetrahedron();
+    let held = super::spec::fixed_nodes(&[support], &mesh.positions_m);
+    let mut organ = Organ::new(mesh, &held, vec![0; 4]).unwrap();
     assert_eq!(organ.fixed_nodes(), [1, 2, 3].map(NodeId));
     // Near the held end of an edge whose other end moves, and between two held nodes.
     for ([a, b], is_held) in [([0, 1], false), ([1, 2], true)] {

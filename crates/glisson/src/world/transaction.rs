@@ -4,12 +4,14 @@
 //! way back.
 
 use super::active::{ActiveBefore, ActiveTip};
+use super::bodies::SurfaceContact;
 use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
 use super::refusal::EditRefusal;
 use super::tool_state::ToolState;
 use super::vessels::Vessels;
-use super::{QueuedSwap, World, self_contact_of};
+use super::{QueuedSwap, World};
+use crate::contact::response::persistent::ContactMemory;
 use crate::mesh::edit::{MeshEdit, MeshUndo, TopologyChange};
 use crate::model::{ModelUndo, follow_edit};
 use glisson_mesh::fault;
@@ -27,6 +29,8 @@ pub(super) struct EditRecord {
     tool_states: Vec<ToolState>,
     active: Vec<ActiveBefore>,
     vessels: Option<Vessels>,
+    /// Forces between bodies that last.
+    contact: Option<ContactMemory>,
     /// Steps made when the edit was.
     step: u64,
     /// Tetrahedra that it removed before any other kind of edit was made.
@@ -109,6 +113,7 @@ impl World {
         record.active.clear();
         record.active.extend(self.active.iter().map(ActiveTip::before_edit));
         record.vessels.clone_from(&self.vessels);
+        record.contact = self.self_contact.as_ref().and_then(|contact| contact.memory());
     }
 
     fn let_all_follow(
@@ -116,7 +121,7 @@ impl World {
         record: &mut EditRecord,
         progress: &mut Progress,
     ) -> Result<(), EditRefusal> {
-        let EditRecord { change, organ, loads, .. } = record;
+        let EditRecord { change, organ, loads, contact, .. } = &mut *record;
         fault::check("world: surface")?;
         self.organ.follow_edit(change, organ);
         self.organ.place_nodes(change, self.model.state().positions_m);
@@ -134,13 +139,24 @@ impl World {
         }
         progress.stage = Stage::Vessels;
         fault::check("world: self-contact")?;
-        let self_contact = self_contact_of(&self.spec, &self.organ, self.model.as_ref());
+        let self_contact = self.contact_as_it_is(contact.clone());
         fault::check("world: journal")?;
         // From here on nothing can fail.
         self.self_contact = self_contact;
         self.active.iter_mut().for_each(|active| active.follow(self.organ.body(), change));
         self.constraints.forces.reserve(self.organ.mesh().positions_m.len());
         Ok(())
+    }
+
+    /// How the organ touches itself now, or bodies each other, with the forces that last.
+    fn contact_as_it_is(&self, memory: Option<ContactMemory>) -> Option<Box<SurfaceContact>> {
+        let contact = SurfaceContact::of(&self.spec, &self.organ, self.model.as_ref())?;
+        let mut memory = memory;
+        let topology = self.organ.body().topology();
+        if let Some(memory) = &mut memory {
+            memory.keep(|node| node.index() < topology.n_nodes() && topology.is_live_node(node));
+        }
+        Some(contact.with_memory(memory.as_ref()))
     }
 
     /// Takes back what an edit did that came so far and no further.
@@ -202,7 +218,7 @@ impl World {
         for (active, before) in self.active.iter_mut().zip(&record.active) {
             active.go_back_to(before);
         }
-        self.self_contact = self_contact_of(&self.spec, &self.organ, self.model.as_ref());
+        self.self_contact = self.contact_as_it_is(record.contact.clone());
         self.owners.clear();
         self.constraints.displacements.clear();
         self.constraints.forces.clear();

@@ -84,7 +84,7 @@ fn touched_world(case: Case) -> (World, OrganBody) {
     let (mut world, body) = build_world(&scene, folder.path(), Arc::new(Sequential)).unwrap();
     steps(&mut world, 40);
     assert!(world.report().in_contact(), "{case:?}");
-    (world, body)
+    (world, body.joint)
 }
 
 /// The tool goes down to 4 mm in the surface and stays there.

@@ -41,7 +41,8 @@ fn open(text: &str, folder: &Path) -> (World, OrganBody) {
     let nodes: String = mesh.positions_m.iter().map(node).collect();
     let tets: String = mesh.tetrahedra.iter().map(tet).collect();
     std::fs::write(folder.join("bar.tet"), head + &nodes + &tets).unwrap();
-    build_world(&Scene::parse(text).unwrap(), folder, Arc::new(Sequential)).unwrap()
+    let (world, bodies) = build_world(&Scene::parse(text).unwrap(), folder, Arc::new(Sequential)).unwrap();
+    (world, bodies.joint)
 }
 
 /// Pushes the tool down into the zone by `depth_m` and back, and answers the deepest place of the tissue's top.

@@ -23,6 +23,7 @@ mod rough_hands;
 mod surface_copy;
 mod tool_contacts;
 mod touch;
+mod world_bodies;
 mod world_self_contact;
 mod world_slide;
 mod world_steps;

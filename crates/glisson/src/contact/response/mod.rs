@@ -24,6 +24,8 @@ pub mod geometric;
 pub mod impulse;
 pub mod penalty;
 mod coupled;
+pub mod bond;
+pub mod persistent;
 pub mod self_contact;
 
 use crate::math::DVec3;

@@ -472,8 +472,12 @@ impl Press {
         if self.on_nodes_n.is_empty() {
             return;
         }
-        let missing = if is_at_end {
-            contact.missing_m_per_n(organ, (radius_m, further_out_j / push_n), &self.on_nodes_n)
+        // What is held does not yield, and a rigid body neither.
+        let on_free = self.on_nodes_n.iter().filter(|(node, _)| !organ.is_fixed(*node));
+        let yields = on_free.map(|(_, force_n)| force_n).sum::<f64>() / push_n;
+        let missing = if is_at_end && yields > 0.0 {
+            let of_all = contact.missing_m_per_n(organ, (radius_m, further_out_j / push_n), &self.on_nodes_n);
+            of_all * yields.min(1.0)
         } else {
             0.0
         };

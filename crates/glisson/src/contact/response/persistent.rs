@@ -1,0 +1,577 @@
+//! Contact between the bodies of one model, with forces that last from step to step.
+//!
+//! The bodies share one mesh ([`crate::model::composite`]). Their joint surface is searched after each step ([`super::find`]);
+//! pairs of one body count only where it may touch itself. Sought are forces f of the contacts, which act on the model from
+//! the beginning of the next step on, so that what rests stays at rest. With the forces F of the last solution, which have acted
+//! in the step, and the model's answer A, the places touched move against each other by r = J A (J^T f - F). With the gap g and
+//! the way s that a contact has slid in the step, in every contact
+//!
+//! 0 <= f.n,   g - g0 + n.r >= 0,   f.n (g - g0 + n.r) = 0,   |f_t| <= mu f.n, f_t against s + r_t.
+//!
+//! g0 is zero, or for places that were already behind each other before the step most of that depth: it is pushed out slowly.
+//! The system is solved as in [`super::coupled`], from the forces of the last step on: f = P(f - rho q) with q the left sides
+//! above, P the projection on the friction cone, rho by Barzilai and Borwein (1988, doi 10.1093/imanum/8.1.141). The model is
+//! asked a bounded number of times a step; what is left over is made good in the next ones.
+//!
+//! An attachment between two bodies ([`Bond`]) is a row of the same system: a spring k with a damper d between a node and a place
+//! of the other body, at the end of the step. With its stretch e it asks for e + r + f/(k + d/h) = (d/h)/(k + d/h) e(t), so that
+//! springs of any stiffness are stable.
+
+use super::NodeContact;
+use super::bodies::ResponseReport;
+use super::bond::{Bond, BondRow};
+use super::find::{ContactSearch, ContactSearchParams};
+use crate::contact::broad_phase::BroadPhaseKind;
+use crate::math::DVec3;
+use crate::mesh::topology::{Through, Topology, surface_of};
+use crate::mesh::{NodeId, TetMesh};
+use crate::model::{Correction, DeformableModel, NodalForce};
+
+/// How bodies touch each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodyContactParams {
+    /// Distance up to which a vertex counts, outside and inside [m]: more than it moves in a step.
+    pub margin_m: f64,
+    /// Coulomb's coefficient.
+    pub friction: f64,
+    /// Whether a body touches itself, too.
+    pub touches_itself: bool,
+    /// What is not further apart, or in each other, in the rest shape [m], counts as just touching: meshes made from an image fit
+    /// no better. A body's vertices keep that difference. Zero where shapes are exact.
+    pub touch_m: f64,
+}
+
+/// Of an overlap from before the step so much is pushed out in it, at this speed at most [m/s]: choices.
+const PUSHED_OUT: f64 = 0.2;
+const PUSH_OUT_M_PER_S: f64 = 0.05;
+/// Answers of the model in a step at most: a choice.
+const MOST_ANSWERS: u32 = 8;
+/// The search ends when no row is further from its law than this [m]: what rests must not creep by what is left.
+const TOLERANCE_M: f64 = 1e-9;
+/// A length of a step of the search may change by this factor at once: a choice.
+const MOST_CHANGE: f64 = 10.0;
+
+/// What lasts from step to step.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ContactMemory {
+    /// Force of each node's contact with another body's triangle [N], those that are not zero.
+    of_contacts: Vec<NodalForce>,
+    /// Force of each bond [N].
+    of_bonds: Vec<DVec3>,
+    /// The forces on nodes, ascending.
+    on_nodes: Vec<NodalForce>,
+    rho_n_per_m: f64,
+}
+
+impl ContactMemory {
+    /// Starts with the force of a node's contact, and its sides: nodes with the forces on them.
+    pub fn start_with(&mut self, of_contact: NodalForce, sides: impl Iterator<Item = (NodeId, DVec3)>) {
+        let at = self.of_contacts.partition_point(|force| force.node < of_contact.node);
+        self.of_contacts.insert(at, of_contact);
+        for (node, force_n) in sides {
+            match self.on_nodes.binary_search_by_key(&node, |force| force.node) {
+                Ok(at) => self.on_nodes[at].force_n += force_n,
+                Err(at) => self.on_nodes.insert(at, NodalForce { node, force_n }),
+            }
+        }
+    }
+
+    /// Forgets the forces on nodes that are no longer there.
+    pub fn keep(&mut self, is_live: impl Fn(NodeId) -> bool) {
+        self.of_contacts.retain(|force| is_live(force.node));
+        self.on_nodes.retain(|force| is_live(force.node));
+    }
+}
+
+/// The search, the forces and what a step needs. Steps allocate nothing; made anew after each edit of the mesh.
+#[derive(Debug)]
+pub struct BodyContact {
+    params: BodyContactParams,
+    /// The node of each vertex, ascending.
+    nodes: Vec<NodeId>,
+    /// Whether each vertex is of a rigid body.
+    is_rigid: Vec<bool>,
+    n_nodes: usize,
+    search: ContactSearch,
+    contacts: Vec<NodeContact>,
+    bonds: Vec<Bond>,
+    bond_rows: Vec<BondRow>,
+    /// The gap at rest of each vertex that counts as touching then [m].
+    rest_gaps_m: Vec<f64>,
+    positions_m: Vec<DVec3>,
+    velocities_m_per_s: Vec<DVec3>,
+    // What lasts.
+    of_vertex_n: Vec<DVec3>,
+    of_bond_n: Vec<DVec3>,
+    acted: Vec<NodalForce>,
+    rho_n_per_m: f64,
+    // Rows: contacts, then bonds.
+    openings_m: Vec<DVec3>,
+    forces_n: Vec<DVec3>,
+    moves_m: Vec<DVec3>,
+    before_n: Vec<DVec3>,
+    before_m: Vec<DVec3>,
+    best_n: Vec<DVec3>,
+    // Scratch.
+    sum_n: Vec<DVec3>,
+    acted_n: Vec<DVec3>,
+    of_nodes_m: Vec<DVec3>,
+    list: Vec<NodalForce>,
+    report: ResponseReport,
+}
+
+impl Clone for BodyContact {
+    /// A copy with all its room.
+    fn clone(&self) -> Self {
+        let n = self.nodes.len();
+        let mut acted = Vec::with_capacity(n);
+        acted.extend_from_slice(&self.acted);
+        Self {
+            params: self.params,
+            nodes: self.nodes.clone(),
+            is_rigid: self.is_rigid.clone(),
+            n_nodes: self.n_nodes,
+            search: self.search.clone(),
+            contacts: Vec::with_capacity(n),
+            bonds: self.bonds.clone(),
+            bond_rows: self.bond_rows.clone(),
+            rest_gaps_m: self.rest_gaps_m.clone(),
+            positions_m: self.positions_m.clone(),
+            velocities_m_per_s: self.velocities_m_per_s.clone(),
+            of_vertex_n: self.of_vertex_n.clone(),
+            of_bond_n: self.of_bond_n.clone(),
+            acted,
+            rho_n_per_m: self.rho_n_per_m,
+            openings_m: self.openings_m.clone(),
+            forces_n: self.forces_n.clone(),
+            moves_m: self.moves_m.clone(),
+            before_n: self.before_n.clone(),
+            before_m: self.before_m.clone(),
+            best_n: self.best_n.clone(),
+            sum_n: self.sum_n.clone(),
+            acted_n: self.acted_n.clone(),
+            of_nodes_m: self.of_nodes_m.clone(),
+            list: Vec::with_capacity(n),
+            report: self.report,
+        }
+    }
+}
+
+/// A surface of several bodies.
+pub struct BodiesOfSurface<'a> {
+    /// Adjacency of the joint mesh.
+    pub topology: &'a Topology,
+    /// The joint mesh at rest.
+    pub mesh: &'a TetMesh,
+    /// The body of each node.
+    pub body_of: &'a [u32],
+    /// Whether each body is rigid: two such bodies have no contact with each other.
+    pub is_rigid: &'a [bool],
+}
+
+impl BodyContact {
+    /// For bodies whose nodes are at `positions_m`; bonds of which a node is not on the surface do not count.
+    pub fn new(
+        params: &BodyContactParams,
+        bodies: &BodiesOfSurface<'_>,
+        bonds: &[Bond],
+        positions_m: &[DVec3],
+    ) -> Self {
+        let (surface, nodes) = surface_of(bodies.topology, bodies.mesh);
+        let pieces = bodies.topology.pieces(Through::Nodes);
+        let piece =
+            |n: &NodeId| bodies.topology.node_tets(*n).first().map_or(0, |t| pieces.of_tet[t.index()]);
+        let piece_of: Vec<u32> = nodes.iter().map(piece).collect();
+        let body = |t: &[u32; 3]| bodies.body_of[nodes[t[0] as usize].index()];
+        let is_rigid_body = |n: &NodeId| {
+            let body = bodies.body_of[n.index()] as usize;
+            bodies.is_rigid.get(body).copied().unwrap_or(false)
+        };
+        let is_rigid: Vec<bool> = nodes.iter().map(is_rigid_body).collect();
+        let body_of: Vec<u32> = surface.triangles.iter().map(body).collect();
+        let now_m: Vec<DVec3> = nodes.iter().map(|n| positions_m[n.index()]).collect();
+        let search = ContactSearchParams {
+            kind: BroadPhaseKind::Hierarchy,
+            margin_m: params.margin_m,
+            self_collision: params.touches_itself,
+            pair_capacity: 0,
+        };
+        let rest_m = surface.positions_m;
+        let mut search = ContactSearch::new(&search, &rest_m, &surface.triangles, &body_of)
+            .with_rest_shape(rest_m.clone(), piece_of);
+        let mut contacts = Vec::with_capacity(nodes.len());
+        let mut rest_gaps_m = vec![0.0; nodes.len()];
+        if params.touch_m > 0.0 {
+            search.find_into(&rest_m, &mut contacts);
+            for contact in contacts.iter().filter(|contact| contact.gap_m <= params.touch_m) {
+                rest_gaps_m[contact.vertices[0] as usize] = contact.gap_m.max(-params.touch_m);
+            }
+            contacts.clear();
+        }
+        let bond_rows: Vec<BondRow> = bonds.iter().map(|bond| BondRow::new(bond, &nodes)).collect();
+        let (n, n_nodes) = (nodes.len(), bodies.mesh.positions_m.len());
+        let none = |n: usize| vec![DVec3::ZERO; n];
+        let n_rows = n + bonds.len();
+        Self {
+            params: *params,
+            search,
+            contacts,
+            bonds: bonds.to_vec(),
+            bond_rows,
+            rest_gaps_m,
+            positions_m: now_m,
+            velocities_m_per_s: none(n),
+            of_vertex_n: none(n),
+            of_bond_n: none(bonds.len()),
+            acted: Vec::with_capacity(n),
+            rho_n_per_m: 0.0,
+            openings_m: none(n_rows),
+            forces_n: none(n_rows),
+            moves_m: none(n_rows),
+            before_n: none(n_rows),
+            before_m: none(n_rows),
+            best_n: none(n_rows),
+            sum_n: none(n),
+            acted_n: none(n),
+            of_nodes_m: none(n_nodes),
+            list: Vec::with_capacity(n),
+            report: ResponseReport::default(),
+            n_nodes,
+            is_rigid,
+            nodes,
+        }
+    }
+
+    /// Goes on with forces from before.
+    #[must_use]
+    pub fn with_memory(mut self, memory: &ContactMemory) -> Self {
+        self.go_on_with(memory);
+        self
+    }
+
+    /// Goes on with forces from before, where it had none.
+    pub fn go_on_with(&mut self, memory: &ContactMemory) {
+        let vertex = |nodes: &[NodeId], node: NodeId| nodes.binary_search(&node).ok();
+        for force in &memory.of_contacts {
+            if let Some(v) = vertex(&self.nodes, force.node) {
+                self.of_vertex_n[v] = force.force_n;
+            }
+        }
+        for (force_n, before_n) in self.of_bond_n.iter_mut().zip(&memory.of_bonds) {
+            *force_n = *before_n;
+        }
+        let Self { acted, nodes, .. } = self;
+        acted.extend(memory.on_nodes.iter().filter(|force| vertex(nodes, force.node).is_some()));
+        self.rho_n_per_m = memory.rho_n_per_m;
+    }
+
+    /// What lasts, for one that goes on.
+    pub fn memory(&self) -> ContactMemory {
+        let of_vertex = self.nodes.iter().zip(&self.of_vertex_n);
+        ContactMemory {
+            of_contacts: of_vertex
+                .filter(|(_, force_n)| **force_n != DVec3::ZERO)
+                .map(|(&node, &force_n)| NodalForce { node, force_n })
+                .collect(),
+            of_bonds: self.of_bond_n.clone(),
+            on_nodes: self.acted.clone(),
+            rho_n_per_m: self.rho_n_per_m,
+        }
+    }
+
+    /// Forgets all forces.
+    pub fn forget(&mut self) {
+        self.of_vertex_n.fill(DVec3::ZERO);
+        self.of_bond_n.fill(DVec3::ZERO);
+        self.acted.clear();
+        self.rho_n_per_m = 0.0;
+        self.report = ResponseReport::default();
+    }
+
+    /// Everything that the next step depends on.
+    pub fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
+        let of_vertex = self.nodes.iter().zip(&self.of_vertex_n);
+        let of_contacts = of_vertex.filter(|(_, force_n)| **force_n != DVec3::ZERO);
+        let of_contacts = of_contacts.map(|(node, force_n)| (*node, *force_n));
+        let on_nodes = self.acted.iter().map(|force| (force.node, force.force_n));
+        let of_nodes = of_contacts.chain(on_nodes).flat_map(|(node, f)| [f64::from(node.0), f.x, f.y, f.z]);
+        of_nodes.chain(self.of_bond_n.iter().flat_map(|f| f.to_array())).chain([self.rho_n_per_m])
+    }
+
+    /// How it is done.
+    pub fn params(&self) -> &BodyContactParams {
+        &self.params
+    }
+
+    /// How the last step went; its penetration is that before the response.
+    pub fn report(&self) -> ResponseReport {
+        self.report
+    }
+
+    /// The contacts of the last step, over vertices ([`BodyContact::nodes`]).
+    pub fn contacts(&self) -> &[NodeContact] {
+        &self.contacts
+    }
+
+    /// The node of each vertex.
+    pub fn nodes(&self) -> &[NodeId] {
+        &self.nodes
+    }
+
+    /// Forces of the contacts of the last step, which act in the next one; ascending by node.
+    pub fn forces(&self) -> &[NodalForce] {
+        &self.acted
+    }
+
+    /// The force that the other body exerts on each vertex with a contact [N], in the order of [`BodyContact::contacts`].
+    pub fn contact_forces_n(&self) -> &[DVec3] {
+        &self.forces_n[..self.contacts.len()]
+    }
+
+    /// Answers to what a step of `dt_s` brought about, in which [`BodyContact::forces`] acted. Allocates nothing.
+    pub fn respond_to_step(&mut self, model: &mut dyn DeformableModel, dt_s: f64) {
+        if model.state().positions_m.len() != self.n_nodes {
+            self.report = ResponseReport::default();
+            return;
+        }
+        self.find(model);
+        if self.contacts.is_empty() && self.bonds.is_empty() && self.acted.is_empty() {
+            return;
+        }
+        self.open(dt_s);
+        self.solve(model, dt_s);
+        self.collect(true);
+        model.correct_step(&self.list, dt_s, Correction::Motion);
+        self.remember();
+    }
+
+    fn find(&mut self, model: &dyn DeformableModel) {
+        let state = model.state();
+        let is_moving = state.velocities_m_per_s.len() == state.positions_m.len();
+        for (v, node) in self.nodes.iter().enumerate() {
+            self.positions_m[v] = state.positions_m[node.index()];
+            self.velocities_m_per_s[v] =
+                if is_moving { state.velocities_m_per_s[node.index()] } else { DVec3::ZERO };
+        }
+        let n_dropped = self.search.find_into(&self.positions_m, &mut self.contacts) as u32;
+        let is_rigid = &self.is_rigid;
+        self.contacts.retain(|contact| contact.sides().any(|(v, _)| !is_rigid[v]));
+        for contact in &mut self.contacts {
+            contact.gap_m -= self.rest_gaps_m[contact.vertices[0] as usize];
+        }
+        let penetration_m = self.contacts.iter().fold(0.0, |deepest: f64, c| deepest.max(-c.gap_m));
+        self.report = ResponseReport { n_contacts: self.contacts.len() as u32, penetration_m, n_dropped };
+    }
+
+    /// What each row has left without further forces, and the forces of the last step as a start.
+    fn open(&mut self, dt_s: f64) {
+        self.acted_n.fill(DVec3::ZERO);
+        for force in &self.acted {
+            if let Ok(v) = self.nodes.binary_search(&force.node) {
+                self.acted_n[v] = force.force_n;
+            }
+        }
+        let most_m = PUSH_OUT_M_PER_S * dt_s;
+        for (row, contact) in self.contacts.iter().enumerate() {
+            let n = contact.normal;
+            let way_m = contact.relative_m_per_s(&self.velocities_m_per_s) * dt_s;
+            let along_m = way_m.dot(n);
+            let before_m = (contact.gap_m - along_m).min(0.0);
+            let floor_m = before_m + (PUSHED_OUT * -before_m).min(most_m);
+            self.openings_m[row] = n * (contact.gap_m - floor_m) + (way_m - n * along_m);
+            let force_n = self.of_vertex_n[contact.vertices[0] as usize];
+            self.forces_n[row] = within_cone(n, force_n, self.params.friction);
+        }
+        let first = self.contacts.len();
+        for (b, (bond, row)) in self.bonds.iter().zip(&mut self.bond_rows).enumerate() {
+            row.open(bond, &self.positions_m, &self.velocities_m_per_s, dt_s);
+            self.openings_m[first + b] = row.opening_m;
+            self.forces_n[first + b] = row.project(self.of_bond_n[b]);
+        }
+    }
+
+    /// The sides of a row.
+    fn sides(&self, row: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let n = self.contacts.len();
+        let contact = if row < n { &self.contacts[row] } else { &self.bond_rows[row - n].sides };
+        contact.sides()
+    }
+
+    fn n_rows(&self) -> usize {
+        self.contacts.len() + self.bond_rows.len()
+    }
+
+    fn project(&self, row: usize, force_n: DVec3) -> DVec3 {
+        let n = self.contacts.len();
+        if row < n {
+            within_cone(self.contacts[row].normal, force_n, self.params.friction)
+        } else {
+            self.bond_rows[row - n].project(force_n)
+        }
+    }
+
+    /// What the row misses of its law [m].
+    fn missed_m(&self, row: usize) -> DVec3 {
+        let n = self.contacts.len();
+        let of_spring_m =
+            if row < n { DVec3::ZERO } else { self.forces_n[row] * self.bond_rows[row - n].yields_m_per_n };
+        self.openings_m[row] + self.moves_m[row] + of_spring_m
+    }
+
+    /// The change of the forces on nodes against those that acted, or the forces themselves, in the list.
+    fn collect(&mut self, is_change: bool) {
+        self.sum_n.fill(DVec3::ZERO);
+        for row in 0..self.n_rows() {
+            let force_n = self.forces_n[row];
+            if force_n == DVec3::ZERO {
+                continue;
+            }
+            let n = self.contacts.len();
+            let contact = if row < n { &self.contacts[row] } else { &self.bond_rows[row - n].sides };
+            for (v, w) in contact.sides() {
+                self.sum_n[v] += force_n * w;
+            }
+        }
+        self.list.clear();
+        for (v, &node) in self.nodes.iter().enumerate() {
+            let acted_n = if is_change { self.acted_n[v] } else { DVec3::ZERO };
+            let force_n = self.sum_n[v] - acted_n;
+            if force_n != DVec3::ZERO {
+                self.list.push(NodalForce { node, force_n });
+            }
+        }
+    }
+
+    /// Relative displacements for the present forces.
+    fn answer(&mut self, model: &mut dyn DeformableModel) {
+        self.collect(true);
+        model.answer_into(&self.list, &mut self.of_nodes_m);
+        for row in 0..self.n_rows() {
+            let moved_m = |(v, w): (usize, f64)| self.of_nodes_m[self.nodes[v].index()] * w;
+            self.moves_m[row] = self.sides(row).map(moved_m).sum();
+        }
+    }
+
+    fn solve(&mut self, model: &mut dyn DeformableModel, dt_s: f64) {
+        let n_rows = self.n_rows();
+        if !(self.rho_n_per_m.is_finite() && self.rho_n_per_m > 0.0) {
+            self.rho_n_per_m = self.first_length_n_per_m(model, dt_s);
+        }
+        // The steps of the search do not come nearer each time: the best of all forces counts, measured alike.
+        let measure_n_per_m = self.rho_n_per_m;
+        let mut least_m2 = f64::INFINITY;
+        for turn in 0..MOST_ANSWERS {
+            self.answer(model);
+            if turn > 0 {
+                self.change_length(n_rows);
+            }
+            let rho_n_per_m = self.rho_n_per_m;
+            let (mut worst_m, mut all_m2) = (0.0_f64, 0.0);
+            for row in 0..n_rows {
+                let (now_n, missed_m) = (self.forces_n[row], self.missed_m(row));
+                self.before_n[row] = now_n;
+                self.before_m[row] = missed_m;
+                let is_missed_n = self.project(row, now_n - missed_m * measure_n_per_m) - now_n;
+                let is_missed_m = is_missed_n.length() / measure_n_per_m;
+                worst_m = worst_m.max(is_missed_m);
+                all_m2 += is_missed_m * is_missed_m;
+            }
+            if all_m2 < least_m2 {
+                least_m2 = all_m2;
+                self.best_n[..n_rows].copy_from_slice(&self.forces_n[..n_rows]);
+            }
+            if worst_m <= TOLERANCE_M {
+                break;
+            }
+            for row in 0..n_rows {
+                let next_n = self.project(row, self.before_n[row] - self.before_m[row] * rho_n_per_m);
+                // What is no number, from a body that broke, stays out.
+                if next_n.is_finite() {
+                    self.forces_n[row] = next_n;
+                }
+            }
+        }
+        if least_m2.is_finite() {
+            self.forces_n[..n_rows].copy_from_slice(&self.best_n[..n_rows]);
+        }
+    }
+
+    /// Barzilai and Borwein's length of the next step, from what the last one changed.
+    fn change_length(&mut self, n_rows: usize) {
+        let (mut of_both, mut of_missed) = (0.0, 0.0);
+        for row in 0..n_rows {
+            let changed_n = self.forces_n[row] - self.before_n[row];
+            let yielded_m = self.missed_m(row) - self.before_m[row];
+            of_both += changed_n.dot(yielded_m);
+            of_missed += yielded_m.length_squared();
+        }
+        let length_n_per_m = of_both / of_missed;
+        if length_n_per_m.is_finite() && length_n_per_m > 0.0 {
+            let (least, most) = (self.rho_n_per_m / MOST_CHANGE, self.rho_n_per_m * MOST_CHANGE);
+            self.rho_n_per_m = length_n_per_m.clamp(least, most);
+        }
+    }
+
+    /// The length along the first direction, from one answer of the model to it.
+    fn first_length_n_per_m(&mut self, model: &mut dyn DeformableModel, dt_s: f64) -> f64 {
+        let n_rows = self.n_rows();
+        let mut length_n2 = 0.0;
+        for row in 0..n_rows {
+            self.before_n[row] = self.forces_n[row];
+            self.forces_n[row] = self.project(row, -self.openings_m[row]);
+            length_n2 += self.forces_n[row].length_squared();
+        }
+        self.collect(false);
+        model.answer_into(&self.list, &mut self.of_nodes_m);
+        let mut work = 0.0;
+        for row in 0..n_rows {
+            let moved_m = |(v, w): (usize, f64)| self.of_nodes_m[self.nodes[v].index()] * w;
+            let moved_m: DVec3 = self.sides(row).map(moved_m).sum();
+            work += self.forces_n[row].dot(moved_m);
+            self.forces_n[row] = self.before_n[row];
+        }
+        let length_n_per_m = length_n2 / work;
+        // Nothing is pressed yet: the stiffness of a gram in a step (a choice that the next steps correct).
+        let fallback_n_per_m = 1e-3 / (dt_s * dt_s);
+        if length_n_per_m.is_finite() && length_n_per_m > 0.0 { length_n_per_m } else { fallback_n_per_m }
+    }
+
+    /// Keeps the forces for the next step.
+    fn remember(&mut self) {
+        self.of_vertex_n.fill(DVec3::ZERO);
+        for (contact, force_n) in self.contacts.iter().zip(&self.forces_n) {
+            self.of_vertex_n[contact.vertices[0] as usize] = *force_n;
+        }
+        let first = self.contacts.len();
+        self.of_bond_n.copy_from_slice(&self.forces_n[first..first + self.bonds.len()]);
+        self.collect(false);
+        std::mem::swap(&mut self.acted, &mut self.list);
+    }
+}
+
+/// The places that touch in the rest shape, over the nodes of the surface.
+pub fn places_in_touch(
+    params: &BodyContactParams,
+    bodies: &BodiesOfSurface<'_>,
+) -> (Vec<NodeContact>, Vec<NodeId>) {
+    let mut contact = BodyContact::new(params, bodies, &[], &bodies.mesh.positions_m);
+    contact.search.find_into(&contact.positions_m, &mut contact.contacts);
+    let is_rigid = &contact.is_rigid;
+    let is_soft = |contact: &NodeContact| contact.sides().any(|(v, _)| !is_rigid[v]);
+    contact.contacts.retain(|contact| contact.gap_m <= params.touch_m && is_soft(contact));
+    (contact.contacts, contact.nodes)
+}
+
+impl NodeContact {
+    /// What of a force on the vertex the contact can exert [N].
+    pub fn allowed_force_n(&self, force_n: DVec3, friction: f64) -> DVec3 {
+        within_cone(self.normal, force_n, friction)
+    }
+}
+
+/// The nearest force in Coulomb's cone, along the normal first.
+fn within_cone(normal: DVec3, force_n: DVec3, friction: f64) -> DVec3 {
+    let push_n = force_n.dot(normal).max(0.0);
+    let across_n = force_n - normal * force_n.dot(normal);
+    normal * push_n + across_n.clamp_length_max(friction * push_n)
+}

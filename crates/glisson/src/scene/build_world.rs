@@ -1,0 +1,44 @@
+//! From a scene to a world at rest.
+
+use super::build::{BuildError, read_organ, read_tools};
+use super::build_bodies::read_bodies;
+use super::spec::Scene;
+use crate::image::vessels::read_vessels;
+use crate::model::explicit_kernel::SharedWorkers;
+use crate::model::{BodySet, OrganBody};
+use crate::tool::fracture::Tearing;
+use crate::world::World;
+use std::path::Path;
+
+/// A world at rest, and what its models are made from; files are relative to `folder`, models that can use several
+/// threads get `workers`.
+///
+/// # Errors
+/// [`BuildError`] of [`read_organ`] and of models, a mesh that is no body, a rigid body's shape.
+pub fn build_world(
+    scene: &Scene,
+    folder: &Path,
+    workers: SharedWorkers,
+) -> Result<(World, BodySet), BuildError> {
+    let mut spec = scene.world.clone();
+    spec.tools = read_tools(scene, folder)?;
+    if let Some(file) = &scene.organ.vessels {
+        spec.vessels = read_vessels(&folder.join(file))?;
+    }
+    let kind = scene.organ.model;
+    let (bodies, memory) = if scene.bodies.is_empty() {
+        (BodySet::single(OrganBody { workers, ..read_organ(scene, folder)? }), None)
+    } else {
+        let (bodies, memory) = read_bodies(scene, folder, workers, &mut spec)?;
+        (bodies, Some(memory))
+    };
+    let model = bodies.build_model(kind)?;
+    spec.tissue = Some(bodies.joint.material);
+    spec.tearing = scene.organ.tearing.map(|energy| Tearing { energy, material: bodies.joint.material });
+    let mut world = World::new(spec, bodies.joint.mesh.clone(), model, kind)
+        .map_err(|error| BuildError::Organ { file: folder.join(&scene.organ.mesh), error })?;
+    if let Some(memory) = memory {
+        world.start_in_touch(memory);
+    }
+    Ok((world, bodies))
+}

@@ -1,0 +1,209 @@
+//! Worlds of several bodies: they carry each other, step alike at any number of threads, are cut one by one and come back.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::sync::Arc;
+
+use glisson::math::DVec3;
+use glisson::mesh::box_mesh::box_of_five;
+use glisson::mesh::edit::MeshEdit;
+use glisson::mesh::{TetId, TetMesh};
+use glisson::model::explicit_kernel::SharedWorkers;
+use glisson::model::kernel::{Sequential, Task, Workers};
+use glisson::scene::{BodySet, Scene, build_world};
+use glisson::world::{StepInput, World};
+
+/// Edge of the cubes [m].
+const SIDE_M: f64 = 0.04;
+const DENSITY_KG_PER_M3: f64 = 1000.0;
+/// Weight of a cube [N].
+const WEIGHT_N: f64 = DENSITY_KG_PER_M3 * SIDE_M * SIDE_M * SIDE_M * 9.81;
+
+/// Tasks in the opposite order, each on a thread of its own.
+struct Backwards;
+
+impl Workers for Backwards {
+    fn run(&self, n_tasks: usize, task: &Task) {
+        std::thread::scope(|scope| {
+            for i in (0..n_tasks).rev() {
+                scope.spawn(move || task(i));
+            }
+        });
+    }
+}
+
+fn list_file(mesh: &TetMesh) -> String {
+    let mut text = format!("{} {}\n", mesh.positions_m.len(), mesh.tetrahedra.len());
+    for p in &mesh.positions_m {
+        let mm = *p * 1e3;
+        writeln!(text, "{} {} {}", mm.x, mm.y, mm.z).unwrap();
+    }
+    for [a, b, c, d] in mesh.tetrahedra.iter().map(|tet| tet.map(|n| n.0)) {
+        writeln!(text, "{a} {b} {c} {d}").unwrap();
+    }
+    text
+}
+
+/// A cube with its lower corner there.
+fn cube(cells: usize, corner_m: DVec3) -> TetMesh {
+    let mut mesh = box_of_five([cells; 3], DVec3::splat(SIDE_M));
+    mesh.positions_m.iter_mut().for_each(|p| *p += corner_m);
+    mesh
+}
+
+/// Two cubes, a little apart, one above the other over a slab.
+fn write_meshes(folder: &Path) {
+    let lower = cube(3, DVec3::new(-0.02, -0.02, 0.0005));
+    let upper = cube(2, DVec3::new(-0.017, -0.023, 0.0415));
+    std::fs::write(folder.join("lower.tet"), list_file(&lower)).unwrap();
+    std::fs::write(folder.join("upper.tet"), list_file(&upper)).unwrap();
+}
+
+struct Setting {
+    models: [&'static str; 2],
+    time_step: &'static str,
+    extra: &'static str,
+}
+
+fn scene_text(setting: &Setting) -> String {
+    let organ = |name: &str, model: &str| {
+        format!(
+            "[[organ]]\nname = \"{name}\"\nmesh = \"{name}.tet\"\nyoung_modulus = \"10 kPa\"\npoisson_ratio = 0.3\n\
+             density = \"1000 kg/m3\"\nmodel = \"{model}\"\ndamping = \"10 1/s\"\nimaged_under_gravity = false\n"
+        )
+    };
+    let [lower, upper] = setting.models;
+    format!(
+        "glisson_scene = 1\n[simulation]\ntime_step = \"{}\"\ngravity = [0, 0, \"-9.81 m/s2\"]\n{}{}\
+         [[rigid]]\nname = \"slab\"\nslab = {{ point = [0, 0, 0], normal = [0, 0, 1], size = \"200 mm\", thickness = \"20 mm\" }}\n{}\
+         [tool]\ntip_radius = \"5 mm\"\nhome_tip = [0, 0, \"200 mm\"]\nhome_shaft = [0, 0, 1]\n",
+        setting.time_step,
+        organ("lower", lower),
+        organ("upper", upper),
+        setting.extra,
+    )
+}
+
+fn open(setting: &Setting, workers: SharedWorkers) -> (World, BodySet) {
+    let folder = tempfile::tempdir().unwrap();
+    write_meshes(folder.path());
+    let scene = Scene::parse(&scene_text(setting)).unwrap();
+    build_world(&scene, folder.path(), workers).unwrap()
+}
+
+fn idle(world: &World) -> StepInput {
+    StepInput::of(&[world.tools()[0].home])
+}
+
+fn run(world: &mut World, seconds: f64) -> f64 {
+    let input = idle(world);
+    let mut deepest_m = 0.0_f64;
+    for _ in 0..(seconds / world.spec().time_step_s).round() as usize {
+        deepest_m = deepest_m.max(world.step(&input).self_contact.penetration_m);
+    }
+    deepest_m
+}
+
+/// Sum of the forces between bodies on a body [N].
+fn force_on_body_n(world: &World, body: usize) -> DVec3 {
+    let nodes = world.spec().bodies[body].nodes.clone();
+    let forces = world.body_contact().unwrap().forces().iter();
+    forces.filter(|force| nodes.contains(&force.node.0)).map(|force| force.force_n).sum()
+}
+
+const SETTINGS: [Setting; 3] = [
+    Setting { models: ["implicit", "implicit"], time_step: "5 ms", extra: "" },
+    Setting { models: ["explicit", "explicit"], time_step: "0.5 ms", extra: "" },
+    Setting { models: ["implicit", "explicit"], time_step: "0.5 ms", extra: "" },
+];
+
+#[test]
+fn bodies_fall_on_a_slab_and_rest_on_each_other() {
+    for setting in &SETTINGS {
+        let name = format!("{:?}", setting.models);
+        let (mut world, _) = open(setting, Arc::new(Sequential));
+        let deepest_m = run(&mut world, 1.5);
+        // Found before the response: the way of a step at the blow.
+        assert!(deepest_m < 1e-3, "{name}: {deepest_m}");
+        let before_m = world.state().positions_m.to_vec();
+        let deepest_m = run(&mut world, 0.5);
+        assert!(deepest_m < 1e-4, "{name}: {deepest_m}");
+        let moved_m = before_m.iter().zip(world.state().positions_m).map(|(a, b)| a.distance(*b));
+        let moved_m = moved_m.fold(0.0, f64::max);
+        assert!(moved_m < 1e-4, "{name}: still moves, {moved_m}");
+        let on_slab_n = force_on_body_n(&world, 2);
+        assert!((on_slab_n.z + 2.0 * WEIGHT_N).abs() < 0.02 * WEIGHT_N, "{name}: {on_slab_n} {WEIGHT_N}");
+        let on_upper_n = force_on_body_n(&world, 1);
+        assert!((on_upper_n.z - WEIGHT_N).abs() < 0.02 * WEIGHT_N, "{name}: {on_upper_n} {WEIGHT_N}");
+    }
+}
+
+#[test]
+fn threads_and_restores_in_mid_contact_change_no_bit() {
+    for setting in &SETTINGS {
+        let (mut world, _) = open(setting, Arc::new(Sequential));
+        let (mut other, _) = open(setting, Arc::new(Backwards));
+        run(&mut world, 0.1);
+        run(&mut other, 0.1);
+        assert!(world.report().self_contact.n_contacts > 0);
+        assert_eq!(world.state_hash(), other.state_hash());
+        let saved = other.save();
+        run(&mut world, 0.05);
+        run(&mut other, 0.03);
+        other.restore(&saved);
+        run(&mut other, 0.05);
+        assert_eq!(world.state_hash(), other.state_hash());
+    }
+}
+
+#[test]
+fn a_body_is_cut_while_it_carries_another_and_undo_brings_every_bit_back() {
+    for setting in &SETTINGS {
+        let (mut world, _) = open(setting, Arc::new(Sequential));
+        run(&mut world, 0.2);
+        let before = world.state_hash();
+        let forces = world.body_contact().unwrap().memory();
+        // Of the upper cube: its numbers stand after those of the lower one.
+        let first = world.spec().bodies[1].tetrahedra.start;
+        world.edit(&MeshEdit::Remove { tets: vec![TetId(first), TetId(first + 7)] }).unwrap();
+        assert_ne!(world.state_hash(), before);
+        run(&mut world, 0.02);
+        assert!(world.undo_edit());
+        assert_eq!(world.state_hash(), before, "{:?}", setting.models);
+        assert_eq!(world.body_contact().unwrap().memory(), forces);
+        // The slab is rigid: the whole edit is refused, and changes nothing.
+        let slab = world.spec().bodies[2].tetrahedra.start;
+        let tets = vec![TetId(first), TetId(slab)];
+        let refusal = world.edit(&MeshEdit::Remove { tets }).unwrap_err().to_string();
+        assert!(refusal.contains("rigid body cannot be cut"), "{refusal}");
+        assert_eq!(world.state_hash(), before);
+    }
+}
+
+#[test]
+fn attachments_carry_a_body_by_their_stiffness() {
+    let folder = tempfile::tempdir().unwrap();
+    // Half a millimetre under the slab.
+    std::fs::write(folder.path().join("cube.tet"), list_file(&cube(2, DVec3::new(-0.02, -0.02, -0.0605))))
+        .unwrap();
+    for (kind, model, step) in [("glue", "implicit", "5 ms"), ("ligament", "explicit", "0.5 ms")] {
+        let text = format!(
+            "glisson_scene = 1\n[simulation]\ntime_step = \"{step}\"\ngravity = [0, 0, \"-9.81 m/s2\"]\n\
+             [[organ]]\nname = \"cube\"\nmesh = \"cube.tet\"\nyoung_modulus = \"100 kPa\"\npoisson_ratio = 0.3\n\
+             density = \"1000 kg/m3\"\nmodel = \"{model}\"\ndamping = \"20 1/s\"\nimaged_under_gravity = false\n\
+             [[rigid]]\nname = \"slab\"\nslab = {{ point = [0, 0, 0], normal = [0, 0, 1], size = \"200 mm\", thickness = \"20 mm\" }}\n\
+             [[attachment]]\nbody = \"cube\"\nto = \"slab\"\nkind = \"{kind}\"\nreach = \"1 mm\"\nstiffness = \"400 N/m\"\ndamping = \"50 ms\"\n\
+             [tool]\ntip_radius = \"5 mm\"\nhome_tip = [0, 0, \"200 mm\"]\nhome_shaft = [0, 0, 1]\n"
+        );
+        let scene = Scene::parse(&text).unwrap();
+        let (mut world, _) = build_world(&scene, folder.path(), Arc::new(Sequential)).unwrap();
+        run(&mut world, 2.0);
+        let (rest_m, now_m) = (&world.organ().mesh().positions_m, world.state().positions_m);
+        let top: Vec<usize> = (0..27).filter(|&n| rest_m[n].z > -0.021).collect();
+        let down_m = top.iter().map(|&n| rest_m[n].z - now_m[n].z).sum::<f64>() / top.len() as f64;
+        let expected_m = WEIGHT_N / 400.0;
+        assert!((down_m / expected_m - 1.0).abs() < 0.05, "{kind}: {down_m} {expected_m}");
+        let pull_n = force_on_body_n(&world, 0);
+        assert!((pull_n.z / WEIGHT_N - 1.0).abs() < 0.02, "{kind}: {pull_n}");
+    }
+}

@@ -49,6 +49,8 @@ use system::{Bearer, PartTouch, lever, side_of, vertex_of};
 
 /// How often the contacts are solved anew with the compliance that follows from their forces: a choice.
 const SUB_GRID_ROUNDS: u32 = 2;
+/// What the mesh is too coarse for follows the forces in this time [s]: those of explicit models jump from step to step. A choice.
+const SUB_GRID_S: f64 = 2e-3;
 /// Sides of a part that touch by themselves: the two of a fold.
 const SIDES: usize = 2;
 /// Vertices of a tool in the system: one for each side of a part, and one for what its jaws hold.
@@ -70,7 +72,7 @@ impl World {
         }
         self.gather_contacts(&hand, &from);
         if self.press.contacts.is_empty() {
-            self.press.forget();
+            self.press.forget_forces();
         } else {
             self.solve_contacts(&hand);
         }
@@ -85,12 +87,15 @@ impl World {
     fn solve_contacts(&mut self, hand: &Hand) {
         self.press.solve();
         if let Some(contact) = self.indentation() {
+            let dt_s = self.spec.time_step_s;
+            let share = dt_s / (dt_s + SUB_GRID_S);
             for _ in 0..SUB_GRID_ROUNDS {
                 for (place, tool) in self.spec.tools.iter().enumerate() {
                     for part in ToolPart::ALL.into_iter().filter(|part| *part != ToolPart::Shaft) {
                         for side in 0..SIDES {
-                            let (at, radius_m) = ((place, side_of(part, side)), part.radius_m(tool));
-                            self.press.set_sub_grid(at, radius_m, &contact, &self.organ);
+                            let at = (place, side_of(part, side));
+                            let with = (part.radius_m(tool), share);
+                            self.press.set_sub_grid(at, with, &contact, &self.organ);
                         }
                     }
                 }

@@ -54,6 +54,8 @@ pub(super) struct ContactPoint {
     pub(super) along: f64,
     /// Unit vector along which the part pushes.
     pub(super) inward: DVec3,
+    /// Unit normal of the surface at the place, out of the organ: at rest where it is pushed along that, else now.
+    pub(super) outward: DVec3,
     /// From the axis to the part's surface where it touches the place [m].
     pub(super) arm_m: DVec3,
     /// Distance from the part's surface along the push [m]; negative inside.
@@ -91,8 +93,10 @@ impl ContactPoint {
         let way_m = place_m - part.axis_point_m(self.along);
         let straight = way_m.normalize_or_zero();
         let has_passed = self.is_kept && straight.dot(self.inward) <= 0.0;
+        let shape_m = if is_linear { &organ.mesh().positions_m } else { organ.positions_m() };
+        self.outward = normal_of(organ, shape_m, (self.nodes, self.weights));
         if is_linear {
-            self.inward = -normal_at_rest(organ, self.nodes, self.weights);
+            self.inward = -self.outward;
             let depth_m = way_m.dot(self.inward);
             let beside_m = way_m - self.inward * depth_m;
             let height_m2 = part.radius_m * part.radius_m - beside_m.length_squared();
@@ -133,9 +137,8 @@ pub(super) struct Look<'a> {
 /// Triangles around a node that count, at most.
 const MOST_AROUND: usize = 32;
 
-/// Unit normal out of the organ at a place of its surface in the rest shape, between those of the nodes.
-fn normal_at_rest(organ: &Organ, nodes: [NodeId; 3], weights: [f64; 3]) -> DVec3 {
-    let rest_m = &organ.mesh().positions_m;
+/// Unit normal out of the organ at a place of its surface in a shape, between those of the nodes.
+fn normal_of(organ: &Organ, shape_m: &[DVec3], (nodes, weights): ([NodeId; 3], [f64; 3])) -> DVec3 {
     let of_node = |node: NodeId| {
         let mut slots = [u32::MAX; MOST_AROUND];
         let around = organ.skin().proxy_surface().adjacency.around(node.0);
@@ -143,7 +146,7 @@ fn normal_at_rest(organ: &Organ, nodes: [NodeId; 3], weights: [f64; 3]) -> DVec3
         // The order of the list depends on past edits; the sum shall not.
         slots[..n].sort_unstable_by_key(|slot| organ.skin().place_in_slot(*slot).0);
         let faces = slots[..n].iter().map(|slot| {
-            let [a, b, c] = organ.skin().place_in_slot(*slot).1.map(|node| rest_m[node.index()]);
+            let [a, b, c] = organ.skin().place_in_slot(*slot).1.map(|node| shape_m[node.index()]);
             (b - a).cross(c - a)
         });
         faces.sum::<DVec3>().normalize_or_zero()
@@ -193,6 +196,7 @@ impl PointSearch {
                     weights,
                     along: 0.0,
                     inward: DVec3::ZERO,
+                    outward: DVec3::ZERO,
                     arm_m: DVec3::ZERO,
                     gap_m: 0.0,
                     is_kept: false,

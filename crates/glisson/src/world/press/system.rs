@@ -35,10 +35,15 @@ const MOST_POINTS: usize = 64;
 const MOST_CONTACTS: usize = 2 * MOST_POINTS + (3 + MOST_HELD_NODES) * MAX_TOOLS;
 /// Points are looked for this share of the part's radius beyond the way that it may go in the step: tissue moves too. A choice.
 const AROUND: f64 = 0.1;
-/// Tissue that was found in a part is pushed out no faster than this [m/s]: a choice, a hand's calm motion.
+/// A part that is no further in the surface of the mesh than this touches nothing where it bears no force [m].
+const LEAST_FURTHER_OUT_M: f64 = 1e-6;
+/// Tissue that is in a part is pushed out in about this time [s], and no faster than this [m/s], a hand's calm motion: at once it
+/// would take a force that throws the nodes of explicit models. Choices.
+const PUSH_OUT_S: f64 = 4e-3;
 const PUSH_OUT_M_PER_S: f64 = 0.2;
-/// Coefficient of friction of what sticks: it does not slide while it is pressed. A choice, beyond any of tissue.
-const STICKY_FRICTION: f64 = 1e3;
+/// Coefficient of friction of what sticks: it slides where it is pulled along the surface by more than it is pressed. A choice, beyond
+/// any of tissue; with a much larger one contacts on many sides wedge each other and bear nothing.
+const STICKY_FRICTION: f64 = 1.0;
 const N_VERTICES: usize = MOST_NODES + VERTICES * MAX_TOOLS;
 /// An instrument that turns about a point nearer than this share of its way to the tip does not give way there.
 const LEAST_LEVER: f64 = 0.05;
@@ -98,6 +103,8 @@ pub(in crate::world) struct Press {
     sub_grid_m_per_n: [[f64; JAWS]; MAX_TOOLS],
     /// The way out of the organ along which it does.
     outward: [[DVec3; JAWS]; MAX_TOOLS],
+    /// How far it is in the surface of the mesh for that [m]. It comes out slowly: tissue that springs off for a step is not lost.
+    further_out_m: [[f64; JAWS]; MAX_TOOLS],
     /// Scratch: forces of a part on nodes along its way.
     on_nodes_n: Vec<(NodeId, f64)>,
     /// Scratch: the answer to the change of the forces.
@@ -130,6 +137,7 @@ impl Press {
             pressed: Vec::with_capacity(MOST_CONTACTS),
             sub_grid_m_per_n: [[0.0; JAWS]; MAX_TOOLS],
             outward: [[DVec3::ZERO; JAWS]; MAX_TOOLS],
+            further_out_m: [[0.0; JAWS]; MAX_TOOLS],
             on_nodes_n: Vec::with_capacity(MOST_NODES),
             search: PointSearch::new(),
             answers_m: vec![DVec3::ZERO; N_VERTICES],
@@ -144,6 +152,7 @@ impl Press {
         copy.pressed.extend_from_slice(&self.pressed);
         copy.sub_grid_m_per_n = self.sub_grid_m_per_n;
         copy.outward = self.outward;
+        copy.further_out_m = self.further_out_m;
         copy.softness = self.softness;
         copy
     }
@@ -163,8 +172,9 @@ impl Press {
             [f64::from(point.vertex)].into_iter().chain(at).chain(force_n)
         });
         let yields = self.sub_grid_m_per_n.as_flattened().iter().zip(self.outward.as_flattened());
-        let yields = yields.filter(|(yields, _)| **yields != 0.0);
-        let sub_grid = yields.flat_map(|(yields, out)| [*yields, out.x, out.y, out.z]);
+        let yields = yields.zip(self.further_out_m.as_flattened());
+        let yields = yields.filter(|((_, out), _)| **out != DVec3::ZERO);
+        let sub_grid = yields.flat_map(|((yields, out), further)| [*yields, out.x, out.y, out.z, *further]);
         numbers.chain(pressed).chain(sub_grid).chain((self.softness != 1.0).then_some(self.softness))
     }
 
@@ -210,11 +220,17 @@ impl Press {
     }
 
     pub(in crate::world) fn forget(&mut self) {
+        self.forget_forces();
+        self.sub_grid_m_per_n = [[0.0; JAWS]; MAX_TOOLS];
+        self.outward = [[DVec3::ZERO; JAWS]; MAX_TOOLS];
+        self.further_out_m = [[0.0; JAWS]; MAX_TOOLS];
+    }
+
+    /// Nothing is touched in this step.
+    pub(super) fn forget_forces(&mut self) {
         self.forces.clear();
         self.touched.clear();
         self.pressed.clear();
-        self.sub_grid_m_per_n = [[0.0; JAWS]; MAX_TOOLS];
-        self.outward = [[DVec3::ZERO; JAWS]; MAX_TOOLS];
         self.softness = 1.0;
     }
 
@@ -298,13 +314,13 @@ impl Press {
             for point in search.found().iter().take(MOST_POINTS) {
                 let first = &mut self.outward[place][sides[0]];
                 if *first == DVec3::ZERO {
-                    *first = -point.inward;
+                    *first = point.outward;
                 }
                 let of = usize::from(point.inward.dot(*first) > 0.0);
                 if of == 1 && !known[1] {
                     // It shows itself in this step.
                     let second = &mut self.outward[place][sides[1]];
-                    *second = if *second == DVec3::ZERO { -point.inward } else { *second };
+                    *second = if *second == DVec3::ZERO { point.outward } else { *second };
                     self.add_point((place, part, 1), touch, point, (DVec3::ZERO, &pressed));
                 } else if of == side {
                     self.add_point(at, touch, point, (further_out_m, &pressed));
@@ -330,7 +346,7 @@ impl Press {
         let contact = touch.contact.filter(|_| part != ToolPart::Shaft);
         // As deep as the detail lets it, a part is not in the tissue: it touches from so much further out.
         let side = side_of(part, side);
-        let further_out_m = self.further_out_m((place, side), start.radius_m, contact, pressed);
+        let further_out_m = self.further_out_m((place, side), start.radius_m, contact, (pressed, touch.dt_s));
         let touching =
             Capsule { from_m: start.from_m + further_out_m, to_m: start.to_m + further_out_m, ..start };
         let look = Look { organ: touch.organ, part: &touching, margin_m, is_linear: touch.is_linear };
@@ -353,7 +369,12 @@ impl Press {
         let vertex = vertex_of(place, side_of(part, side));
         let key = ContactKey::VertexObstacle(vertex, self.contacts.len() as u32);
         let mut contact = Contact::new(key, point.inward, point.gap_m);
-        contact.slack_m = point.gap_m.max(-PUSH_OUT_M_PER_S * dt_s) + further_out_m.dot(point.inward);
+        let open_m = if point.gap_m > 0.0 {
+            point.gap_m
+        } else {
+            (point.gap_m * (dt_s / PUSH_OUT_S).min(1.0)).max(-PUSH_OUT_M_PER_S * dt_s)
+        };
+        contact.slack_m = open_m + further_out_m.dot(point.inward);
         let arm_m = point.arm_m;
         contact.point_m = start.axis_point_m(point.along) + arm_m;
         contact.moved_m =
@@ -414,7 +435,7 @@ impl Press {
         (place, side): (usize, usize),
         radius_m: f64,
         contact: Option<&Indentation>,
-        pressed: &[PressedPoint],
+        (pressed, dt_s): (&[PressedPoint], f64),
     ) -> DVec3 {
         let vertex = vertex_of(place, side);
         let yields = &mut self.sub_grid_m_per_n[place][side];
@@ -423,7 +444,10 @@ impl Press {
             *yields = contact.map_or(0.0, |contact| contact.at_first_m_per_n(radius_m));
         }
         let out = self.outward[place][side];
-        out * (own.map(|point| -point.force_n.dot(out)).sum::<f64>() * *yields)
+        let now_m = own.map(|point| -point.force_n.dot(out)).sum::<f64>() * *yields;
+        let further_out_m = &mut self.further_out_m[place][side];
+        *further_out_m = now_m.max(*further_out_m - PUSH_OUT_M_PER_S * dt_s);
+        out * *further_out_m
     }
 
     /// How an instrument answers: its parts move as one, with the hand's compliance.
@@ -438,11 +462,12 @@ impl Press {
         }
     }
 
-    /// After contacts were solved: what the mesh is too coarse for, with the forces that were found.
+    /// After contacts were solved: what the mesh is too coarse for goes this share of the way to what it is with the forces that
+    /// were found.
     pub(super) fn set_sub_grid(
         &mut self,
         (place, side): (usize, usize),
-        radius_m: f64,
+        (radius_m, share): (f64, f64),
         contact: &Indentation,
         organ: &Organ,
     ) {
@@ -482,8 +507,8 @@ impl Press {
             0.0
         };
         let known = &mut self.sub_grid_m_per_n[place][side];
-        let further = missing - *known;
-        *known = missing;
+        let further = (missing - *known) * share;
+        *known += further;
         let compliance = &mut self.response.group_mut(1 + place).compliance_m_per_n;
         compliance[side * VERTICES + side] += outer(outward, outward) * further;
         self.moves_m[vertex as usize] += outward * (on_tool_n.dot(outward) * further);
@@ -670,7 +695,7 @@ impl Press {
     /// A part is told of as its point that bears most, with the force of all; none where none bears any.
     pub(super) fn settle_points(&mut self, (place, part): (usize, ToolPart), held: &mut Option<HeldContact>) {
         let (mut force_n, mut most, mut most_n) = (DVec3::ZERO, None, 0.0);
-        let mut outward = [DVec3::ZERO; SIDES];
+        let (mut outward, mut pushes) = ([DVec3::ZERO; SIDES], [DVec3::ZERO; SIDES]);
         let first = vertex_of(place, side_of(part, 0));
         for (contact, (_, bearer)) in self.contacts.iter().zip(&self.of) {
             let Bearer::Point(point) = bearer else { continue };
@@ -682,21 +707,29 @@ impl Press {
             self.pressed.push(PressedPoint { vertex, at: *point, force_n: contact.force_n });
             let push_n = contact.force_n.dot(contact.normal);
             force_n += contact.force_n;
-            outward[side] -= contact.normal * push_n;
+            // Along the surface's own way: a part's way would turn with where it touches, and that with it.
+            outward[side] += point.outward * push_n;
+            pushes[side] -= contact.normal * push_n;
             if push_n > most_n {
                 most_n = push_n;
                 most = Some(*point);
             }
         }
+        let mut touches = false;
         for (side, outward) in outward.iter().enumerate() {
             let side = side_of(part, side);
-            self.outward[place][side] = outward.normalize_or_zero();
-            if *outward == DVec3::ZERO {
+            let waits = self.further_out_m[place][side] > LEAST_FURTHER_OUT_M;
+            if *outward != DVec3::ZERO {
+                self.outward[place][side] = outward.normalize_or_zero();
+            } else if !waits {
+                self.outward[place][side] = DVec3::ZERO;
                 self.sub_grid_m_per_n[place][side] = 0.0;
+                self.further_out_m[place][side] = 0.0;
             }
+            touches |= self.outward[place][side] != DVec3::ZERO;
         }
         // A fold is told of as the side that pushes more.
-        let told = outward.into_iter().max_by(|a, b| a.length().total_cmp(&b.length()));
+        let told = pushes.into_iter().max_by(|a, b| a.length().total_cmp(&b.length()));
         match (held.as_mut(), most) {
             (Some(held), Some(point)) => held.sit_on(&Seat {
                 triangle: point.triangle,
@@ -706,6 +739,7 @@ impl Press {
                 normal: told.unwrap_or_default().normalize_or(-point.inward),
                 force_n,
             }),
+            (Some(held), None) if touches => held.forces_n = [DVec3::ZERO; 3],
             _ => *held = None,
         }
     }

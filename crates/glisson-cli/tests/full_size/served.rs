@@ -35,8 +35,9 @@ fn u32_at(frame: &[u8], at: usize) -> u32 {
 impl Seen {
     fn look(&mut self, frame: &[u8]) {
         if u32_at(frame, 4) == 1 {
-            let n_triangles = u32_at(frame, 20) as usize;
-            let bits = &frame[frame.len() - 4 * n_triangles.div_ceil(32)..];
+            let [n_vertices, n_triangles] = [16, 20].map(|at| u32_at(frame, at) as usize);
+            let first = 24 + 16 * n_vertices + 12 * n_triangles;
+            let bits = &frame[first..first + 4 * n_triangles.div_ceil(32)];
             self.n_cut = self.n_cut.max(bits.iter().map(|byte| byte.count_ones()).sum());
             return;
         }

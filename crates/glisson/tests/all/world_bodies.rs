@@ -8,6 +8,7 @@ use glisson::math::DVec3;
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
+use glisson::model::LevelOfDetail;
 use glisson::model::explicit_kernel::SharedWorkers;
 use glisson::model::kernel::{Sequential, Task, Workers};
 use glisson::scene::{BodySet, Scene, build_world};
@@ -205,5 +206,33 @@ fn attachments_carry_a_body_by_their_stiffness() {
         assert!((down_m / expected_m - 1.0).abs() < 0.05, "{kind}: {down_m} {expected_m}");
         let pull_n = force_on_body_n(&world, 0);
         assert!((pull_n.z / WEIGHT_N - 1.0).abs() < 0.02, "{kind}: {pull_n}");
+    }
+}
+
+/// A simulation that is late computes less, and divides its steps otherwise: bodies stay on each other all the same.
+#[test]
+fn bodies_rest_at_any_level_of_detail_and_in_parts_of_steps() {
+    let setting = Setting { models: ["implicit", "implicit"], time_step: "5 ms", extra: "" };
+    for (effort, n_parts) in [
+        (LevelOfDetail::Full, 1),
+        (LevelOfDetail::Full, 2),
+        (LevelOfDetail::Least, 1),
+        (LevelOfDetail::Least, 2),
+    ] {
+        let (mut world, _) = open(&setting, Arc::new(Sequential));
+        let input = idle(&world);
+        for step in 0..400 {
+            if step == 100 {
+                world.set_level_of_detail(effort);
+            }
+            let n = if step > 100 && step % 3 == 0 { n_parts } else { 1 };
+            world.step(&input.divided(n));
+        }
+        let rest_m = &world.organ().mesh().positions_m;
+        let ways_m =
+            world.state().positions_m.iter().zip(rest_m).map(|(now_m, rest_m)| now_m.distance(*rest_m));
+        let furthest_m = ways_m.fold(0.0, f64::max);
+        // They fall by 1.5 mm, and their weight presses them by some millimetres.
+        assert!(furthest_m < 8e-3, "{effort:?} {n_parts}: {furthest_m}");
     }
 }

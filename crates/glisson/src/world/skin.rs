@@ -21,6 +21,8 @@ pub(super) fn spare_beside(n: usize) -> usize {
     LEAST_SPARE.max(n / SPARE_SHARE)
 }
 
+/// Triangles around a node that are told, at most.
+const MOST_AROUND: usize = 32;
 /// A slot without a triangle, a triangle without a slot.
 const NONE: u32 = u32::MAX;
 
@@ -211,6 +213,19 @@ impl Skin {
     /// Slot of a triangle of the surface.
     pub(super) fn slot_of(&self, triangle: TriangleId) -> Option<u32> {
         self.slots.get(triangle.index()).copied().filter(|&slot| slot != NONE)
+    }
+
+    /// Nodes of the triangles around a node, ascending by triangle: the order does not depend on past edits. Beyond
+    /// [`MOST_AROUND`] none.
+    pub(super) fn around(&self, node: NodeId) -> impl Iterator<Item = [NodeId; 3]> + '_ {
+        let mut slots = [NONE; MOST_AROUND];
+        let n = slots
+            .iter_mut()
+            .zip(self.adjacency.around(node.0))
+            .map(|(slot, (found, _))| *slot = found)
+            .count();
+        slots[..n].sort_unstable_by_key(|slot| self.triangles[*slot as usize]);
+        slots.into_iter().take(n).map(|slot| self.nodes[slot as usize])
     }
 
     /// Triangle in a filled slot, and its nodes, counter-clockwise from outside.

@@ -44,7 +44,8 @@ fn mesh() -> TetMesh {
     shaken_block([3, 2, 2], SIZE_M, 0.1, 7)
 }
 
-fn list_file(mesh: &TetMesh) -> String {
+/// A mesh as a list of nodes and tetrahedra, as scenes read it.
+pub(crate) fn list_file(mesh: &TetMesh) -> String {
     let mut text = format!("{} {}\n", mesh.positions_m.len(), mesh.tetrahedra.len());
     for p in &mesh.positions_m {
         let mm = *p * 1e3;

@@ -1,9 +1,9 @@
 //! Worlds of several bodies: they carry each other, step alike at any number of threads, are cut one by one and come back.
 
-use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::edit_faults::list_file;
 use glisson::math::DVec3;
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::MeshEdit;
@@ -31,18 +31,6 @@ impl Workers for Backwards {
             }
         });
     }
-}
-
-fn list_file(mesh: &TetMesh) -> String {
-    let mut text = format!("{} {}\n", mesh.positions_m.len(), mesh.tetrahedra.len());
-    for p in &mesh.positions_m {
-        let mm = *p * 1e3;
-        writeln!(text, "{} {} {}", mm.x, mm.y, mm.z).unwrap();
-    }
-    for [a, b, c, d] in mesh.tetrahedra.iter().map(|tet| tet.map(|n| n.0)) {
-        writeln!(text, "{a} {b} {c} {d}").unwrap();
-    }
-    text
 }
 
 /// A cube with its lower corner there.

@@ -45,7 +45,7 @@ use crate::tool::pose::ToolFrame;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use sub_grid::Indentation;
 pub(super) use system::Press;
-use system::{Bearer, PartTouch, lever, side_of, vertex_of};
+use system::{Bearer, PartTouch, PartWay, lever, side_of, vertex_of};
 
 /// How often the contacts are solved anew with the compliance that follows from their forces: a choice.
 const SUB_GRID_ROUNDS: u32 = 2;
@@ -187,8 +187,8 @@ impl World {
                 };
                 if follows_one_place(tool, part) {
                     press.add_anchor((place, part), held, (tool, &state.now), organ);
-                } else {
-                    let touch = PartTouch { tool, from, now: &state.now, organ, dt_s, contact, is_linear };
+                } else if let Some(way) = PartWay::of(tool, part, [from, &state.now]) {
+                    let touch = PartTouch { tool, way, now: &state.now, organ, dt_s, contact, is_linear };
                     press.add_points((place, part), &touch);
                 }
             }

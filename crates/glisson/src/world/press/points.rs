@@ -93,9 +93,8 @@ impl ContactPoint {
         let way_m = place_m - part.axis_point_m(self.along);
         let straight = way_m.normalize_or_zero();
         let has_passed = self.is_kept && straight.dot(self.inward) <= 0.0;
-        let shape_m = if is_linear { &organ.mesh().positions_m } else { organ.positions_m() };
-        self.outward = normal_of(organ, shape_m, (self.nodes, self.weights));
         if is_linear {
+            self.outward = normal_of(organ, &organ.mesh().positions_m, (self.nodes, self.weights));
             self.inward = -self.outward;
             let depth_m = way_m.dot(self.inward);
             let beside_m = way_m - self.inward * depth_m;
@@ -116,7 +115,13 @@ impl ContactPoint {
         }
         let faces = self.is_kept || straight.dot(face) < 0.0 && self.inward.dot(face) < 0.0;
         let is_near = (-MOST_DEEP * part.radius_m..=margin_m).contains(&self.gap_m);
-        (is_near && faces).then_some(self)
+        if !is_near || !faces {
+            return None;
+        }
+        if !is_linear {
+            self.outward = normal_of(organ, organ.positions_m(), (self.nodes, self.weights));
+        }
+        Some(self)
     }
 }
 
@@ -134,19 +139,11 @@ pub(super) struct Look<'a> {
     pub(super) is_linear: bool,
 }
 
-/// Triangles around a node that count, at most.
-const MOST_AROUND: usize = 32;
-
 /// Unit normal out of the organ at a place of its surface in a shape, between those of the nodes.
 fn normal_of(organ: &Organ, shape_m: &[DVec3], (nodes, weights): ([NodeId; 3], [f64; 3])) -> DVec3 {
     let of_node = |node: NodeId| {
-        let mut slots = [u32::MAX; MOST_AROUND];
-        let around = organ.skin().proxy_surface().adjacency.around(node.0);
-        let n = slots.iter_mut().zip(around).map(|(slot, (found, _))| *slot = found).count();
-        // The order of the list depends on past edits; the sum shall not.
-        slots[..n].sort_unstable_by_key(|slot| organ.skin().place_in_slot(*slot).0);
-        let faces = slots[..n].iter().map(|slot| {
-            let [a, b, c] = organ.skin().place_in_slot(*slot).1.map(|node| shape_m[node.index()]);
+        let faces = organ.skin().around(node).map(|nodes| {
+            let [a, b, c] = nodes.map(|node| shape_m[node.index()]);
             (b - a).cross(c - a)
         });
         faces.sum::<DVec3>().normalize_or_zero()

@@ -34,8 +34,6 @@ const LEAST_DEPTH: f64 = 1e-3;
 const MOST_RADIUS: f64 = 1.0 - 1e-9;
 /// Halvings of the interval of the contact's radius.
 const HALVINGS: u32 = 40;
-/// Triangles around a node that count, at most.
-const MOST_AROUND: usize = 32;
 
 /// A ball on an elastic half-space.
 #[derive(Clone, Copy, Debug)]
@@ -118,16 +116,11 @@ impl Indentation {
 /// A third of the area at rest of the triangles around a node of the surface [m2].
 fn area_m2(organ: &Organ, node: NodeId) -> f64 {
     let rest_m = &organ.mesh().positions_m;
-    let mut areas_m2 = [0.0; MOST_AROUND];
-    let mut n = 0;
-    for (slot, _) in organ.skin().proxy_surface().adjacency.around(node.0).take(MOST_AROUND) {
-        let [a, b, c] = organ.skin().place_in_slot(slot).1.map(|node| rest_m[node.index()]);
-        areas_m2[n] = (b - a).cross(c - a).length() / 6.0;
-        n += 1;
-    }
-    // The order of the list depends on past edits; the sum shall not.
-    areas_m2[..n].sort_unstable_by(f64::total_cmp);
-    areas_m2[..n].iter().sum()
+    let areas_m2 = organ.skin().around(node).map(|nodes| {
+        let [a, b, c] = nodes.map(|node| rest_m[node.index()]);
+        (b - a).cross(c - a).length() / 6.0
+    });
+    areas_m2.sum()
 }
 
 #[cfg(test)]

@@ -310,7 +310,7 @@ impl Press {
                 break;
             }
             let at = (place, part, side);
-            let Some(further_out_m) = self.look_from(at, touch, &pressed, &mut search) else { continue };
+            let further_out_m = self.look_from(at, touch, &pressed, &mut search);
             for point in search.found().iter().take(MOST_POINTS) {
                 let first = &mut self.outward[place][sides[0]];
                 if *first == DVec3::ZERO {
@@ -331,16 +331,15 @@ impl Press {
         self.pressed = pressed;
     }
 
-    /// Looks for points around a part as one of its sides has it; how far that is further out [m], none of a part that the tool
-    /// does not have.
+    /// Looks for points around a part as one of its sides has it; how far that is further out [m].
     fn look_from(
         &mut self,
         (place, part, side): (usize, ToolPart, usize),
         touch: &PartTouch<'_>,
         pressed: &[PressedPoint],
         search: &mut PointSearch,
-    ) -> Option<DVec3> {
-        let (start, end) = (capsule(touch.tool, part, touch.from)?, capsule(touch.tool, part, touch.now)?);
+    ) -> DVec3 {
+        let PartWay { start, end, .. } = touch.way;
         let way_m = start.from_m.distance(end.from_m).max(start.to_m.distance(end.to_m));
         let margin_m = way_m + AROUND * start.radius_m;
         let contact = touch.contact.filter(|_| part != ToolPart::Shaft);
@@ -353,7 +352,7 @@ impl Press {
         let vertex = vertex_of(place, side);
         let of_side = pressed.iter().filter(|point| point.vertex == vertex);
         search.find(&look, &of_side.map(|point| ContactPoint { is_kept: true, ..point.at }));
-        Some(further_out_m)
+        further_out_m
     }
 
     fn add_point(
@@ -363,9 +362,7 @@ impl Press {
         point: &ContactPoint,
         (further_out_m, pressed): (DVec3, &[PressedPoint]),
     ) {
-        let PartTouch { tool, from, now, dt_s, .. } = *touch;
-        let (Some(start), Some(end)) = (capsule(tool, part, from), capsule(tool, part, now)) else { return };
-        let turn = ToolFrame::of(now).world_from_tool * ToolFrame::of(from).world_from_tool.transpose();
+        let PartTouch { tool, way: PartWay { start, end, turn }, now, dt_s, .. } = *touch;
         let vertex = vertex_of(place, side_of(part, side));
         let key = ContactKey::VertexObstacle(vertex, self.contacts.len() as u32);
         let mut contact = Contact::new(key, point.inward, point.gap_m);
@@ -753,12 +750,27 @@ pub(super) fn lever(tool: &Tool, pose: &ToolInput, point_m: DVec3) -> f64 {
     if length_m > tool.tip_radius_m { (1.0 - behind_m / length_m).clamp(0.0, 1.0) } else { 1.0 }
 }
 
+/// Where a part moves from against the tissue, where it would be alone, and how the tool turns between.
+#[derive(Clone, Copy)]
+pub(super) struct PartWay {
+    start: Capsule,
+    end: Capsule,
+    turn: DMat3,
+}
+
+impl PartWay {
+    /// None of a part that the tool does not have.
+    pub(super) fn of(tool: &Tool, part: ToolPart, [from, now]: [&ToolInput; 2]) -> Option<Self> {
+        let turn = ToolFrame::of(now).world_from_tool * ToolFrame::of(from).world_from_tool.transpose();
+        Some(Self { start: capsule(tool, part, from)?, end: capsule(tool, part, now)?, turn })
+    }
+}
+
 /// What of a part is needed for its points.
 #[derive(Clone, Copy)]
 pub(super) struct PartTouch<'a> {
     pub(super) tool: &'a Tool,
-    /// From where it moves against the tissue, and to where it would alone.
-    pub(super) from: &'a ToolInput,
+    pub(super) way: PartWay,
     pub(super) now: &'a ToolInput,
     pub(super) organ: &'a Organ,
     pub(super) dt_s: f64,

@@ -3,6 +3,8 @@
  * tested and developed without the simulator.
  */
 import { Triangle, Vector3 } from "three";
+import { CONTACT_KINDS, type ContactPoints } from "../src/contact_points";
+import type { Vec3 } from "../src/fields";
 
 const RADII_M: readonly [number, number, number] = [0.13, 0.075, 0.08];
 /** Width of the dimple (standard deviation of a Gaussian) [m]. */
@@ -146,6 +148,23 @@ export class FakeOrgan {
 
   forceOnTool_n(): Vector3 {
     return this.pull().multiplyScalar(-STIFFNESS_N_PER_M);
+  }
+
+  /** The contact as a point, and a made-up one of the organ with itself; of the latter there are more than are told. */
+  contactPoints(): ContactPoints {
+    const report = this.contactReport();
+    if (this.contact === null || report === null) return { sums: CONTACT_KINDS.map(() => ({ n: 0, force_n: 0 })), points: [] };
+    const own = {
+      kind: "tool_organ" as const,
+      touched: 0,
+      by: 0,
+      place_m: report.point_m as unknown as Vec3,
+      normal: this.contact.outward.toArray(),
+      force_n: this.forceOnTool_n().toArray(),
+    };
+    const fold = { ...own, kind: "itself" as const, place_m: this.rest_m[0].toArray(), force_n: [0.25, 0, 0] as const };
+    const sums = [{ n: 1, force_n: this.forceOnTool_n().length() }, { n: 0, force_n: 0 }, { n: 0, force_n: 0 }, { n: 5, force_n: 0.75 }];
+    return { sums, points: [own, fold] };
   }
 
   contactReport(): { point_m: number[]; node_ids: number[]; weights: number[] } | null {

@@ -27,6 +27,8 @@ export class FakeSimulator {
   paused = false;
   readonly received: string[] = [];
   private readonly sockets = new Set<WebSocket>();
+  /** Who asked for contact points. */
+  private readonly watchers = new Set<WebSocket>();
   private readonly socketServer = new WebSocketServer({ noServer: true });
   private readonly timer: NodeJS.Timeout;
   private last_ms = performance.now();
@@ -62,13 +64,18 @@ export class FakeSimulator {
     for (const socket of this.sockets) socket.send(text);
   }
 
+  /** Ends all connections; pages make new ones. */
+  drop(): void {
+    for (const socket of this.sockets) socket.terminate();
+  }
+
   sayBytes(bytes: Uint8Array): void {
     for (const socket of this.sockets) socket.send(bytes);
   }
 
   private greet(client: WebSocket): void {
     this.sockets.add(client);
-    client.on("close", () => this.sockets.delete(client));
+    client.on("close", () => [this.sockets, this.watchers].forEach((set) => set.delete(client)));
     client.on("message", (data) => this.receive(client, String(data)));
     client.send(JSON.stringify(this.hello()));
     client.send(
@@ -84,14 +91,16 @@ export class FakeSimulator {
         }),
       ),
     );
-    client.send(this.frame());
+    client.send(this.frame(client));
   }
 
   private receive(client: WebSocket, text: string): void {
     this.received.push(text);
-    const message = JSON.parse(text) as { type: string; paused?: boolean; tip_m?: Vec3; shaft?: Vec3 };
+    const message = JSON.parse(text) as { type: string; paused?: boolean; shown?: boolean; tip_m?: Vec3; shaft?: Vec3 };
     if (message.type === "pause") this.paused = message.paused === true;
     else if (message.type === "single_step") this.step += 1;
+    else if (message.type === "contacts" && message.shown === true) this.watchers.add(client);
+    else if (message.type === "contacts") this.watchers.delete(client);
     else if (message.type === "reset") {
       this.step = 0;
       this.organ.reset();
@@ -112,11 +121,10 @@ export class FakeSimulator {
   }
 
   private broadcast(): void {
-    const frame = this.frame();
-    for (const socket of this.sockets) socket.send(frame);
+    for (const socket of this.sockets) socket.send(this.frame(socket));
   }
 
-  private frame(): Uint8Array {
+  private frame(client: WebSocket): Uint8Array {
     const { organ } = this;
     const contact = organ.contactReport();
     return new Uint8Array(
@@ -130,6 +138,7 @@ export class FakeSimulator {
           realTimeFactor: this.paused ? 0 : 1,
           paused: this.paused,
           bleeding: null,
+          contactPoints: this.watchers.has(client) ? organ.contactPoints() : null,
           tools: [
             {
               tip_m: vec3(organ.tip_m),

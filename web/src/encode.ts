@@ -1,7 +1,9 @@
 /** Encoding of the server's frames: for tests and for the test server. */
 import { BLOOD_BYTES, bloodNumbers } from "./blood";
+import { encodeContactPoints } from "./contact_points";
 import {
   FLAG_CONTACT,
+  FLAG_CONTACT_POINTS,
   FLAG_GRASP,
   FLAG_PAUSED,
   KIND_SNAPSHOT,
@@ -39,13 +41,15 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   const first = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * header.tools.length;
   const blood = first + 4 * positions_m.length;
   const bloodRecords = bloodNumbers(header.bleeding);
-  const buffer = new ArrayBuffer(blood + 4 * bloodRecords.length);
+  const contacts = encodeContactPoints(header.contactPoints);
+  const buffer = new ArrayBuffer(blood + 4 * bloodRecords.length + contacts.length);
   const view = new DataView(buffer);
   [MAGIC, KIND_SNAPSHOT, header.version, header.organ].forEach((word, i) => view.setUint32(4 * i, word, true));
   view.setBigUint64(16, BigInt(header.step), true);
   const scalars = [header.time_s, header.rate_steps_per_s, header.realTimeFactor];
   scalars.forEach((x, i) => view.setFloat64(24 + 8 * i, x, true));
-  const words = [header.paused ? FLAG_PAUSED : 0, header.tools.length, positions_m.length / 3, (4 * bloodRecords.length) / BLOOD_BYTES];
+  const flags = (header.paused ? FLAG_PAUSED : 0) | (header.contactPoints === null ? 0 : FLAG_CONTACT_POINTS);
+  const words = [flags, header.tools.length, positions_m.length / 3, (4 * bloodRecords.length) / BLOOD_BYTES];
   words.forEach((word, i) => view.setUint32(48 + 4 * i, word, true));
   header.tools.forEach((tool, n) => {
     const at = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * n;
@@ -57,5 +61,6 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   });
   positions_m.forEach((x, i) => view.setFloat32(first + 4 * i, x, true));
   bloodRecords.forEach((x, i) => view.setFloat32(blood + 4 * i, x, true));
+  new Uint8Array(buffer).set(contacts, blood + 4 * bloodRecords.length);
   return buffer;
 }

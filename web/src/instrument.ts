@@ -49,7 +49,7 @@ export class Instrument {
   private readonly contactMark: Mesh;
   private readonly tipRadius_m: number;
   private showsForces = true;
-  private showsContacts = true;
+  private showsContactMark = true;
   /** Force at the hand that holds it as a device [N]; the simulation's where none does. */
   private felt_n: Vec3 | null = null;
   /** Length of the arrow for a newton [m/N]. */
@@ -151,7 +151,7 @@ export class Instrument {
       this.arrow.position.set(...(header.contact ? header.contactPoint_m : header.tip_m));
       this.arrow.quaternion.copy(new Quaternion().setFromUnitVectors(Z, force.normalize()));
     }
-    this.contactMark.visible = this.showsContacts && header.contact;
+    this.contactMark.visible = this.showsContactMark && header.contact;
     if (this.contactMark.visible) {
       this.contactMark.position.set(...header.contactPoint_m);
       this.contactMark.scale.setScalar(Math.max(0.45 * this.tipRadius_m, 0.0015));
@@ -162,8 +162,8 @@ export class Instrument {
     this.showsForces = shown;
   }
 
-  setContacts(shown: boolean): void {
-    this.showsContacts = shown;
+  setContactMark(shown: boolean): void {
+    this.showsContactMark = shown;
   }
 
   dispose(): void {

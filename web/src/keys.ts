@@ -79,7 +79,7 @@ export const BINDINGS: readonly Binding[] = [
   bind("Simulation", "tilt_right", "Shift →", "table 15° to the patient's right", [{ key: "arrowright", shift: true }], true),
   bind("View", "reset_view", "R or Backspace", "whole organ from the front", plain("r", "backspace")),
   bind("View", "wireframe", "W", "surface, surface with edges, edges", plain("w")),
-  bind("View", "contacts", "C", "contact point", plain("c")),
+  bind("View", "contacts", "C", "all contacts: points, normals, forces", plain("c")),
   bind("View", "forces", "F", "force arrow", plain("f")),
   bind("View", "fixed_nodes", "T", "fixed nodes", plain("t")),
   bind("View", "bodies", "Y", "hide one body more (of several); after the last all are shown", plain("y")),

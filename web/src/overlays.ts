@@ -130,7 +130,7 @@ const BUTTONS: ReadonlyArray<readonly ButtonSpec[]> = [
     button("reset_view", "View", "R"),
     button("wireframe", "Edges", "W"),
     button("fixed_nodes", "Fixed", "T"),
-    button("contacts", "Contact", "C"),
+    button("contacts", "Contacts", "C"),
     button("forces", "Force", "F"),
   ],
   [button("cut", "Cut", "X")],

@@ -10,6 +10,7 @@ export interface Page {
   readonly profiler: HTMLElement;
   readonly toolbar: HTMLElement;
   readonly bodies: HTMLElement;
+  readonly contacts: HTMLElement;
   readonly hint: HTMLElement;
 }
 
@@ -31,6 +32,7 @@ export function findPage(): Page {
     profiler: part("profiler"),
     toolbar: part("toolbar"),
     bodies: part("bodies"),
+    contacts: part("contacts"),
     hint: part("hint"),
   };
 }

@@ -42,9 +42,8 @@ export class ForceHistory {
   }
 }
 
-/** The smallest of 1, 2, 5 times a power of ten that is at least `value`; 0.01 for values below it. */
-export function niceCeiling(value: number): number {
-  const floor = 0.01;
+/** The smallest of 1, 2, 5 times a power of ten that is at least `value`; `floor`, itself such a number, for values below it. */
+export function niceCeiling(value: number, floor = 0.01): number {
   if (!(value > floor)) return floor;
   const power = Math.pow(10, Math.floor(Math.log10(value)));
   for (const factor of [1, 2, 5, 10]) {

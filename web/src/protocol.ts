@@ -1,16 +1,18 @@
 /**
- * The wire protocol of docs/protocol.md, version 6: decoding of every message, encoding of the viewer's.
+ * The wire protocol of docs/protocol.md, version 7: decoding of every message, encoding of the viewer's.
  *
  * Decoders check every length and index against the bytes really there before anything is allocated,
  * and throw nothing but {@link ProtocolError}. Units: metres, seconds, newtons; frame: LPS.
  */
 
 import { BLOOD_BYTES, decodeBlood, type Bleeding } from "./blood";
+import { bodiesAt, type BodyInfo } from "./body_info";
+import { contactPointsBytes, decodeContactPoints, type ContactPoints } from "./contact_points";
 import { decodeFeel, type Feel } from "./feel";
 import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
-export const PROTOCOL_VERSION = 6;
+export const PROTOCOL_VERSION = 7;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
@@ -18,6 +20,7 @@ export const KIND_SNAPSHOT = 2;
 export const FLAG_CONTACT = 1;
 export const FLAG_PAUSED = 2;
 export const FLAG_GRASP = 4;
+export const FLAG_CONTACT_POINTS = 8;
 
 export const TOPOLOGY_HEADER_BYTES = 24;
 export const SNAPSHOT_HEADER_BYTES = 64;
@@ -25,7 +28,7 @@ export const TOOL_BYTES = 128;
 /** Instruments of a scene at most. */
 export const MOST_TOOLS = 4;
 
-export type { Vec3 };
+export type { BodyInfo, Vec3 };
 
 export { ProtocolError };
 
@@ -59,15 +62,6 @@ export interface ToolInfo {
   readonly home_shaft: Vec3;
   /** How far the jaws are open at home: 0 closed, 1 wide open. */
   readonly home_jaw: number;
-}
-
-/** One of several bodies. */
-export interface BodyInfo {
-  readonly name: string;
-  /** "#rrggbb"; null for the usual look. */
-  readonly color: string | null;
-  readonly is_rigid: boolean;
-  readonly n_tetrahedra: number;
 }
 
 export interface Hello {
@@ -131,6 +125,8 @@ export interface SnapshotHeader {
   readonly tools: readonly ToolState[];
   /** Null for an organ without vessels. */
   readonly bleeding: Bleeding | null;
+  /** Null unless the viewer asked for them. */
+  readonly contactPoints: ContactPoints | null;
 }
 
 /** A header with the state of the instrument in the hand at its top. */
@@ -165,6 +161,7 @@ export type ClientMessage =
   | { readonly type: "clip"; readonly tool: number }
   | { readonly type: "refine"; readonly tool: number }
   | { readonly type: "undo" }
+  | { readonly type: "contacts"; readonly shown: boolean }
   | { readonly type: "gravity"; readonly m_per_s2: Vec3 }
   | { readonly type: "model"; readonly name: string };
 
@@ -245,24 +242,6 @@ export function decodeText(text: string): Hello | ServerNotice | Role | Timing |
   };
 }
 
-function bodiesAt(fields: Fields): BodyInfo[] {
-  const list = fields.bodies;
-  if (!Array.isArray(list)) return fail("hello: bodies is not a list");
-  return list.map((item, i) => {
-    const body = fieldsOf(item, `bodies[${i}]`);
-    const { color } = body;
-    if (color !== null && (typeof color !== "string" || !/^#[0-9a-f]{6}$/.test(color))) {
-      return fail(`bodies[${i}]: color is no "#rrggbb"`);
-    }
-    return {
-      name: stringAt(body, "name", `bodies[${i}]`),
-      color,
-      is_rigid: body.is_rigid === true,
-      n_tetrahedra: numberAt(body, "n_tetrahedra", `bodies[${i}]`, 0),
-    };
-  });
-}
-
 // ---- binary ----
 
 const HOST_IS_LITTLE_ENDIAN = new Uint8Array(new Uint32Array([1]).buffer)[0] === 1;
@@ -340,10 +319,13 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
   const nVertices = view.getUint32(56, true);
   const nBlood = view.getUint32(60, true);
   const first = SNAPSHOT_HEADER_BYTES + TOOL_BYTES * nTools;
+  const flags = view.getUint32(48, true);
   const blood = first + 12 * nVertices;
+  const contacts = blood + BLOOD_BYTES * nBlood;
+  const hasContacts = (flags & FLAG_CONTACT_POINTS) !== 0;
   checkLength(
     buffer.byteLength,
-    blood + BLOOD_BYTES * nBlood,
+    contacts + (hasContacts ? contactPointsBytes(view, contacts) : 0),
     `snapshot with ${nVertices} vertices and ${nBlood} records of blood`,
   );
   const step = view.getBigUint64(16, true);
@@ -373,7 +355,6 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
       heldNodes: view.getUint32(at + 124, true),
     };
   };
-  const flags = view.getUint32(48, true);
   const positions_m = floatsAt(buffer, first, 3 * nVertices);
   checkFinite(positions_m, "snapshot: position");
   return {
@@ -388,6 +369,7 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
       paused: (flags & FLAG_PAUSED) !== 0,
       tools: Array.from({ length: nTools }, (_, i) => tool(SNAPSHOT_HEADER_BYTES + TOOL_BYTES * i)),
       bleeding: decodeBlood(view, blood, nBlood),
+      contactPoints: hasContacts ? decodeContactPoints(view, contacts) : null,
     },
     positions_m,
   };

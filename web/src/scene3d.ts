@@ -10,7 +10,8 @@ import {
   type ShaderMaterial,
 } from "three";
 import { BleedingMarks } from "./bleeding";
-import type { Ray } from "./drag";
+import { ContactMarks } from "./contact_marks";
+import type { PushStart, Ray, ToolPose } from "./drag";
 import type { Feel } from "./feel";
 import { pickTriangle, type Pick } from "./geometry";
 import { Instrument } from "./instrument";
@@ -18,7 +19,7 @@ import { organMaterial } from "./materials";
 import { tissueTexture } from "./noise";
 import { cameraPosition, FIELD_OF_VIEW_DEG, orbitThatShows, viewAxes, type Orbit } from "./orbit";
 import { Organ, type SurfaceStyle } from "./organ";
-import { REST_RATIO } from "./resolution";
+import { REST_AFTER_MS, REST_RATIO } from "./resolution";
 import type { Hello, Snapshot, SnapshotHeader, Topology } from "./protocol";
 
 export interface OrganPick extends Pick {
@@ -49,6 +50,7 @@ export class Scene3d {
   /** Number of the instrument in the hand. */
   chosen = 0;
   orbit: Orbit;
+  readonly contactMarks = new ContactMarks();
   private readonly scene = new Scene();
   private readonly bleeding = new BleedingMarks();
   private readonly material: ShaderMaterial;
@@ -58,6 +60,7 @@ export class Scene3d {
   /** Bodies that are not shown, by their numbers. */
   private hidden: ReadonlySet<number> = new Set();
   private covered_px = 0;
+  private restTimer: ReturnType<typeof setTimeout> | undefined;
 
   /** @throws Error if the browser gives no WebGL 2. */
   constructor(readonly canvas: HTMLCanvasElement) {
@@ -73,7 +76,7 @@ export class Scene3d {
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
     this.material = organMaterial(tissueTexture());
-    this.scene.add(this.bleeding.group);
+    this.scene.add(this.bleeding.group, this.contactMarks.group);
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();
@@ -181,11 +184,11 @@ export class Scene3d {
     for (const { tool, force_n } of feel.hands) this.instruments[tool]?.feels(force_n);
   }
 
-  styleTools(arrowScale_m_per_n: number, forces: boolean, contacts: boolean): void {
+  styleTools(arrowScale_m_per_n: number, forces: boolean, contactMark: boolean): void {
     for (const instrument of this.instruments) {
       instrument.arrowScale_m_per_n = arrowScale_m_per_n;
       instrument.setForces(forces);
-      instrument.setContacts(contacts);
+      instrument.setContactMark(contactMark);
     }
   }
 
@@ -244,6 +247,20 @@ export class Scene3d {
     return best;
   }
 
+  /** What a push at a place of the canvas needs to know, and the vertex picked there; null beside the organ. */
+  pushStart(x: number, y: number): (PushStart & { readonly vertex: number }) | null {
+    const pick = this.pick(x, y);
+    const tool = this.hello?.tools[this.chosen];
+    if (pick === null || tool === undefined) return null;
+    return { hit_m: pick.point_m, normal: pick.normal, tipRadius_m: tool.tip_radius_m, view: this.axes(), vertex: pick.vertex };
+  }
+
+  /** Where an instrument is shown; null if there is none of that number. */
+  pose(tool: number): ToolPose | null {
+    const instrument = this.instruments[tool];
+    return instrument === undefined ? null : { tip_m: instrument.tip(), shaft: instrument.shaft() };
+  }
+
   /** Where a point of the scene is on the canvas [CSS pixels from its upper left corner]. */
   project(point_m: Vector3): [number, number] {
     const p = point_m.clone().project(this.camera);
@@ -261,6 +278,15 @@ export class Scene3d {
       this.renderer.setSize(this.width, this.height, false);
     }
     this.renderer.render(this.scene, this.camera);
+  }
+
+  /** When the processor draws: a finer picture once nothing has changed for a while. */
+  renderFinerAtRest(hasChanged: () => boolean): void {
+    if (!this.software) return;
+    clearTimeout(this.restTimer);
+    this.restTimer = setTimeout(() => {
+      if (!hasChanged()) this.render(REST_RATIO);
+    }, REST_AFTER_MS);
   }
 
   /** The picture as PNG: background, scene, and `overlay` in its lower right corner. */

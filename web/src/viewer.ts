@@ -1,8 +1,9 @@
 /** The viewer: joins connection, picture, panel, pointer and keys. One frame does all its work, and only on demand. */
 import { Vector3 } from "three";
 import { Connection, messageOf, socketAddress, type ConnectionState } from "./connection";
+import { Contacts } from "./contacts";
 import { Controls } from "./controls";
-import type { PushStart, ToolPose } from "./drag";
+import type { PushStart } from "./drag";
 import { Hands } from "./hands";
 import { newCounters, type ViewerParts } from "./hook";
 import { actionOf, toolDirection, toolNumber, TOOL_STEP_M, TOOL_STEP_WITH_SHIFT_M, type Action } from "./keys";
@@ -18,7 +19,7 @@ import { Profile, profilerReport } from "./profiler";
 import { GamepadInput } from "./gamepad";
 import { LoopNews } from "./timing";
 import { headerOfHand, ProtocolError, type HandHeader, type Hello, type Snapshot, type SnapshotHeader, type Topology } from "./protocol";
-import { Resolution, REST_AFTER_MS, REST_RATIO } from "./resolution";
+import { Resolution } from "./resolution";
 import { Scene3d } from "./scene3d";
 import { Table } from "./table";
 import type { ToolDriver } from "./tool_driver";
@@ -32,6 +33,7 @@ export class Viewer {
   private readonly controls: Controls;
   private readonly connection: Connection;
   private readonly bodies: BodyList;
+  private readonly contacts: Contacts;
   private readonly hands = new Hands();
   private readonly table = new Table();
   private readonly history = new ForceHistory();
@@ -48,10 +50,9 @@ export class Viewer {
   /** The three-dimensional picture is not what should be shown. */
   private sceneChanged = true;
   private readonly resolution = new Resolution();
-  private restTimer: ReturnType<typeof setTimeout> | undefined;
   private frameAsked = false;
   private lastFrame_ms: number | null = null;
-  private readonly shown = { style: 0, contacts: true, forces: true, fixedNodes: false, profiler: false };
+  private readonly shown = { style: 0, contacts: false, forces: true, fixedNodes: false, profiler: false };
   private readonly counters = newCounters();
 
   constructor(private readonly page: Page) {
@@ -60,6 +61,7 @@ export class Viewer {
     this.panel = new Panel(page.panel);
     this.help = new Help(document.body);
     this.bodies = new BodyList(page.bodies, (hidden) => { this.scene.hide(hidden); this.redraw(); });
+    this.contacts = new Contacts(page.contacts, this.scene.contactMarks);
     this.toolbar = new Toolbar(page.toolbar, (action) => this.run(action, false));
     this.controls = new Controls(page.scene, {
       isOnOrgan: (x, y) => this.scene.pick(x, y) !== null,
@@ -105,8 +107,10 @@ export class Viewer {
   private connectionState(state: ConnectionState, attempt: number): void {
     this.state = state;
     showConnection(this.page, state, attempt);
-    if (state === "open") this.counters.connections += 1;
-    if (state === "lost") {
+    if (state === "open") {
+      this.counters.connections += 1;
+      this.contacts.ask(this.connection);
+    } else if (state === "lost") {
       this.controls.cancel();
       this.hands.forget();
       this.table.level();
@@ -132,6 +136,7 @@ export class Viewer {
     this.waiting.clear();
     this.header = null;
     this.history.clear();
+    this.contacts.forget();
     this.hands.begin(hello);
     this.scene.begin(hello);
     this.bodies.begin(hello.bodies);
@@ -183,12 +188,11 @@ export class Viewer {
 
   /** What a push at a place of the canvas needs to know; null beside the organ. */
   private pushStart(x: number, y: number): PushStart | null {
-    const pick = this.scene.pick(x, y);
-    if (pick === null || this.hello === null) return null;
-    this.pickedVertex = pick.vertex;
+    const start = this.scene.pushStart(x, y);
+    if (start === null) return null;
+    this.pickedVertex = start.vertex;
     this.page.hint.classList.add("gone");
-    const { tip_radius_m: tipRadius_m } = this.hello.tools[this.hands.chosen];
-    return { hit_m: pick.point_m, normal: pick.normal, tipRadius_m, view: this.scene.axes() };
+    return start;
   }
 
   private key(event: KeyboardEvent): void {
@@ -239,8 +243,11 @@ export class Viewer {
         this.scene.setStyle(SURFACE_STYLES[this.shown.style]);
         break;
       case "contacts":
+        this.shown.contacts = !this.shown.contacts;
+        this.contacts.turn(this.shown.contacts, this.connection);
+        break;
       case "forces":
-        this.shown[action] = !this.shown[action];
+        this.shown.forces = !this.shown.forces;
         break;
       case "fixed_nodes":
         this.shown.fixedNodes = !this.shown.fixedNodes;
@@ -275,13 +282,8 @@ export class Viewer {
     else if (this.shown.profiler) this.run("profiler", false);
   }
 
-  private shownPose(tool = this.hands.chosen): ToolPose | null {
-    const instrument = this.scene.instruments[tool];
-    return instrument === undefined ? null : { tip_m: instrument.tip(), shaft: instrument.shaft() };
-  }
-
   private nudge(direction: readonly [number, number, number], step_m: number): void {
-    const current = this.shownPose();
+    const current = this.scene.pose(this.hands.chosen);
     if (current === null) return;
     const { right, up, forward } = this.scene.axes();
     const [x, y, z] = direction;
@@ -317,12 +319,13 @@ export class Viewer {
     const dt_s = Math.min(0.1, Math.max(0, (now_ms - (this.lastFrame_ms ?? now_ms)) / 1000));
     this.lastFrame_ms = now_ms;
 
-    for (const { tool, pose } of this.hands.advance(dt_s, (tool) => this.shownPose(tool))) {
+    for (const { tool, pose } of this.hands.advance(dt_s, (tool) => this.scene.pose(tool))) {
       if (this.connection.send(this.hands.message(tool, pose, this.header))) this.counters.sentToolMessages += 1;
     }
     this.showWaiting();
     if (this.sceneChanged) {
-      this.scene.styleTools(arrowScale_m_per_n(this.history.peak_n), this.shown.forces, this.shown.contacts);
+      this.scene.styleTools(arrowScale_m_per_n(this.history.peak_n), this.shown.forces, !this.shown.contacts);
+      this.contacts.show(this.scene.orbit.distance_m);
       if (this.header !== null) this.scene.showTools(this.header);
     }
     const drawing_ms = performance.now();
@@ -332,7 +335,7 @@ export class Viewer {
       this.sceneChanged = false;
       this.counters.drawnFrames += 1;
       this.profile.frame({ at_ms: now_ms, work_ms: drawn_ms - begun_ms, draw_ms: drawn_ms - drawing_ms });
-      this.drawFinerAtRest();
+      this.scene.renderFinerAtRest(() => this.sceneChanged);
     }
     this.showPanel();
     drawPlot(this.panel.plot, this.history);
@@ -363,18 +366,10 @@ export class Viewer {
   }
 
   private showHeader(header: SnapshotHeader): void {
-    const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify([h.tools, h.bleeding?.ends]));
+    const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify([h.tools, h.bleeding?.ends, h.contactPoints]));
     if (drawn(header) !== drawn(this.header)) this.sceneChanged = true;
+    this.contacts.take(header.contactPoints);
     this.header = headerOfHand(header, this.hands.chosen);
-  }
-
-  /** When the processor draws: a finer picture once nothing has changed for a while. */
-  private drawFinerAtRest(): void {
-    if (!this.scene.software) return;
-    clearTimeout(this.restTimer);
-    this.restTimer = setTimeout(() => {
-      if (!this.sceneChanged) this.scene.render(REST_RATIO);
-    }, REST_AFTER_MS);
   }
 
   private showPanel(): void {

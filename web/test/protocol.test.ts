@@ -1,4 +1,5 @@
 import { describe, expect, it } from "vitest";
+import { leftOut } from "../src/contact_points";
 import { encodeSnapshot, encodeTopology } from "../src/encode";
 import { insideOf } from "../src/organ";
 import {
@@ -38,6 +39,7 @@ const SNAPSHOT: Snapshot = {
       clips: 3,
       ends: [{ position_m: [1, 2, 3], rate_m3_per_s: 0.5 }],
     },
+    contactPoints: null,
     tools: [
       {
         tip_m: [0.01, -0.02, 0.03],
@@ -56,9 +58,23 @@ const SNAPSHOT: Snapshot = {
   positions_m: Float32Array.of(0, 0, 0, 0.5, 0, 0, 0, 0.25, 0.5, 0, 0, 0.125),
 };
 
+const WITH_CONTACTS: Snapshot = {
+  ...SNAPSHOT,
+  header: {
+    ...SNAPSHOT.header,
+    contactPoints: {
+      sums: [{ n: 1, force_n: 0.5 }, { n: 0, force_n: 0 }, { n: 0, force_n: 0 }, { n: 7, force_n: 4 }],
+      points: [
+        { kind: "tool_organ", touched: 0, by: 3, place_m: [0.5, 0.25, 0], normal: [0, 0, 1], force_n: [0.25, 0, 0.5] },
+        { kind: "itself", touched: 2, by: 2, place_m: [1, 2, 3], normal: [0, 0, 0], force_n: [0, -1.5, 0] },
+      ],
+    },
+  },
+};
+
 const HELLO: Hello = {
   type: "hello",
-  protocol: 6,
+  protocol: 7,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -137,6 +153,39 @@ describe("binary frames", () => {
     expect(view.byteLength).toBe(192 + 48 + 32);
   });
 
+  it("snapshot: contact points that were asked for come back, at the end of the same bytes", () => {
+    const [without, whole] = [encodeSnapshot(SNAPSHOT), encodeSnapshot(WITH_CONTACTS)];
+    expect(decodeBinary(whole)).toEqual(WITH_CONTACTS);
+    const view = new DataView(whole);
+    const end = without.byteLength;
+    expect(whole.byteLength).toBe(end + 4 * 8 + 4 + 2 * 40);
+    expect(view.getUint32(48, true)).toBe(2 + 8);
+    view.setUint32(48, 2, true);
+    expect(new Uint8Array(whole, 0, end)).toEqual(new Uint8Array(without));
+    expect([view.getUint32(end + 24, true), view.getFloat32(end + 28, true), view.getUint32(end + 32, true)]).toEqual([7, 4, 2]);
+    expect([36, 37, 38, 76, 77, 78].map((at) => view.getUint8(end + at))).toEqual([0, 0, 3, 3, 2, 2]);
+    expect(view.getFloat32(end + 76 + 32, true)).toBe(-1.5);
+    if (WITH_CONTACTS.header.contactPoints !== null) expect(leftOut(WITH_CONTACTS.header.contactPoints)).toBe(6);
+  });
+
+  it.each([
+    ["a huge number of points", (v: DataView) => v.setUint32(272 + 32, 0xffffffff, true), /needs .* bytes, found/],
+    ["a kind that there is not", (v: DataView) => v.setUint8(272 + 36, 4), /contact of kind 4; allowed: 0 to 3/],
+    ["a force that is no number", (v: DataView) => v.setFloat32(272 + 36 + 28, NaN, true), /force of a contact .* is not finite/],
+    ["a sum that is no number", (v: DataView) => v.setFloat32(272 + 4, Infinity, true), /sum of contact forces .* is not finite/],
+    ["no points although there are", (v: DataView) => v.setUint32(48, 2, true), /needs .* bytes, found/],
+  ])("contact points with %s are refused", (_name, spoil, message) => {
+    const buffer = encodeSnapshot(WITH_CONTACTS);
+    spoil(new DataView(buffer));
+    expect(() => decodeBinary(buffer)).toThrow(message);
+  });
+
+  it("points that are said to follow and do not are refused", () => {
+    const buffer = encodeSnapshot(SNAPSHOT);
+    new DataView(buffer).setUint32(48, 2 + 8, true);
+    expect(() => decodeBinary(buffer)).toThrow(/needs .* bytes, found/);
+  });
+
   it.each([
     ["a huge vertex count", (v: DataView) => v.setUint32(16, 0xffffffff, true), /needs .* bytes, found/],
     ["a huge triangle count", (v: DataView) => v.setUint32(20, 0xffffffff, true), /needs .* bytes, found/],
@@ -168,7 +217,8 @@ describe("binary frames", () => {
     const next = random(2463534242);
     let refused = 0;
     for (let round = 0; round < 20_000; round++) {
-      const whole = new Uint8Array(round % 2 === 0 ? encodeTopology(TOPOLOGY) : encodeSnapshot(SNAPSHOT));
+      const snapshot = round % 4 === 1 ? SNAPSHOT : WITH_CONTACTS;
+      const whole = new Uint8Array(round % 2 === 0 ? encodeTopology(TOPOLOGY) : encodeSnapshot(snapshot));
       const bytes = next() < 0.5 ? whole : whole.slice(0, Math.floor(next() * (whole.length + 1)));
       for (let k = Math.floor(next() * 6); k >= 0 && bytes.length > 0; k--) {
         bytes[Math.floor(next() * bytes.length)] = Math.floor(next() * 256);
@@ -178,7 +228,9 @@ describe("binary frames", () => {
         if (decoded.kind === "topology") {
           expect(decoded.triangles.every((v) => v < decoded.nodeIds.length)).toBe(true);
         } else {
-          expect(decoded.positions_m.every((x) => Number.isFinite(x))).toBe(true);
+          const points = decoded.header.contactPoints?.points ?? [];
+          const numbers = points.flatMap((p) => [...p.place_m, ...p.normal, ...p.force_n]);
+          expect([...decoded.positions_m, ...numbers].every((x) => Number.isFinite(x))).toBe(true);
         }
       } catch (error) {
         if (!(error instanceof ProtocolError)) throw error;
@@ -201,7 +253,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 6/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 7/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(
@@ -247,5 +299,6 @@ describe("text messages", () => {
     expect(encodeClientMessage({ type: "pause", paused: true })).toBe('{"type":"pause","paused":true}');
     expect(encodeClientMessage({ type: "single_step" })).toBe('{"type":"single_step"}');
     expect(encodeClientMessage({ type: "reset" })).toBe('{"type":"reset"}');
+    expect(encodeClientMessage({ type: "contacts", shown: true })).toBe('{"type":"contacts","shown":true}');
   });
 });

@@ -72,7 +72,6 @@ fn send_on(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pace::Pace;
     use crate::{OpenScene, Simulation};
     use std::sync::mpsc;
     use std::time::{Duration, Instant};
@@ -88,7 +87,7 @@ mod tests {
         std::fs::write(folder.path().join("body.tet"), MESH).unwrap();
         std::fs::write(folder.path().join("scene.toml"), SCENE).unwrap();
         let source = OpenScene::read(&folder.path().join("scene.toml")).unwrap();
-        Published::of(&Simulation::open(source, None).unwrap(), None, Pace::default(), &Arc::default())
+        Published::first(&Simulation::open(source, None).unwrap(), &Arc::default())
     }
 
     fn at_step(first: &Published, step: u64) -> Published {

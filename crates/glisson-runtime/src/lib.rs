@@ -27,6 +27,7 @@ pub mod page_hand;
 pub mod open_device;
 pub mod haptic_loop;
 pub mod remote_figures;
+pub mod watchers;
 pub mod published;
 pub mod display;
 mod effort;

@@ -350,7 +350,7 @@ impl Shown {
     pub fn start(simulation: &Simulation) -> anyhow::Result<(Self, watch::Receiver<Arc<Published>>)> {
         let budget = Duration::from_secs_f64(simulation.world().spec().time_step_s);
         let meters = Arc::new(StepMeters::within(budget));
-        let first = Published::of(simulation, None, Pace::default(), &meters);
+        let first = Published::first(simulation, &meters);
         let (feed, published) = DisplayFeed::start(first.clone()).context("starting the display's thread")?;
         Ok((Self { feed, first }, published))
     }
@@ -532,15 +532,14 @@ impl<'a> Timed<'a> {
 
     /// Publishes the state where a frame is due or a command changed something.
     fn show(&mut self) -> anyhow::Result<()> {
-        let wants_refresh = std::mem::take(&mut self.wants_refresh);
+        let lacks = self.live.paused && self.latest.lacks_contact_points();
+        let wants_refresh = std::mem::take(&mut self.wants_refresh) || lacks;
         if !wants_refresh && (self.live.paused || Instant::now() < self.next_frame) {
             return Ok(());
         }
         self.next_frame = Instant::now() + FRAME;
         let pace = Pace { paused: self.live.paused, ..self.pace.pace };
-        let known = Some(&self.latest.topology);
-        let latest = Published::of(&self.live.simulation, known, pace, &self.meters);
-        self.latest = Arc::new(Published { lateness: self.lateness, ..latest });
+        self.latest = Arc::new(self.latest.next(&self.live.simulation, pace, self.lateness));
         self.feed.publish(Arc::clone(&self.latest));
         // A pause is no interval of a display.
         let shown = Instant::now();

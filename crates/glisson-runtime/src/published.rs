@@ -1,10 +1,11 @@
 //! The state of a simulation that displays are shown.
 
 use crate::pace::{Pace, StepMeters};
+use crate::watchers::ContactWatchers;
 use crate::{Notice, Simulation};
 use glisson::model::kind::ModelKind;
 use glisson::model::{LevelOfDetail, StateHash};
-use glisson::record::snapshot::{DisplayTopology, Snapshot};
+use glisson::record::snapshot::{ContactPoints, DisplayTopology, Snapshot};
 use std::sync::Arc;
 
 /// The latest displayed state.
@@ -12,6 +13,8 @@ use std::sync::Arc;
 pub struct Published {
     /// What is displayed.
     pub snapshot: Snapshot,
+    /// Where surfaces bear forces; none while nobody looks at them.
+    pub contact_points: Option<ContactPoints>,
     /// The triangles that the snapshot's vertices belong to.
     pub topology: Arc<DisplayTopology>,
     /// How the simulation keeps up with the clock.
@@ -32,6 +35,8 @@ pub struct Published {
     pub effort: LevelOfDetail,
     /// How long steps take, up to now and not only up to this state.
     pub meters: Arc<StepMeters>,
+    /// Who looks at contact points, now and not only at this state.
+    pub contact_watchers: Arc<ContactWatchers>,
 }
 
 /// How far the simulation fell behind the clock.
@@ -44,32 +49,55 @@ pub struct Lateness {
 }
 
 impl Published {
-    /// `known` is kept as long as it holds.
-    pub(crate) fn of(
+    /// The state of a simulation of which nothing was shown yet.
+    pub(crate) fn first(simulation: &Simulation, meters: &Arc<StepMeters>) -> Self {
+        let topology = Arc::new(simulation.world().display_topology());
+        Self::of(simulation, topology, (meters, &Arc::default()))
+    }
+
+    /// The state now, after this one. What still holds is shared.
+    pub(crate) fn next(&self, simulation: &Simulation, pace: Pace, lateness: Lateness) -> Self {
+        let world = simulation.world();
+        let topology = if world.organ().topology_version() == self.topology.version {
+            Arc::clone(&self.topology)
+        } else {
+            Arc::new(world.display_topology())
+        };
+        let next = Self::of(simulation, topology, (&self.meters, &self.contact_watchers));
+        Self { pace, lateness, ..next }
+    }
+
+    fn of(
         simulation: &Simulation,
-        known: Option<&Arc<DisplayTopology>>,
-        pace: Pace,
-        meters: &Arc<StepMeters>,
+        topology: Arc<DisplayTopology>,
+        (meters, watchers): (&Arc<StepMeters>, &Arc<ContactWatchers>),
     ) -> Self {
         let world = simulation.world();
-        let (snapshot, state_hash) = (world.snapshot(), world.state_hash());
-        let topology = known
-            .filter(|topology| topology.version == snapshot.topology_version)
-            .map_or_else(|| Arc::new(world.display_topology()), Arc::clone);
-        let (notices, n_notices) = (simulation.notices().to_vec(), simulation.n_notices());
+        let contact_points = watchers.are_there().then(|| {
+            let mut points = ContactPoints::default();
+            world.contact_points_into(&mut points);
+            points
+        });
         Self {
-            snapshot,
+            snapshot: world.snapshot(),
+            contact_points,
             topology,
-            pace,
-            state_hash,
+            pace: Pace::default(),
+            state_hash: world.state_hash(),
             model: world.model_kind(),
-            notices,
-            n_notices,
+            notices: simulation.notices().to_vec(),
+            n_notices: simulation.n_notices(),
             is_broken: simulation.broken().is_some(),
             lateness: Lateness::default(),
             effort: world.effort(),
             meters: Arc::clone(meters),
+            contact_watchers: Arc::clone(watchers),
         }
+    }
+
+    /// Whether somebody looks at contact points and this state has none.
+    pub(crate) fn lacks_contact_points(&self) -> bool {
+        self.contact_points.is_none() && self.contact_watchers.are_there()
     }
 
     /// Those that came after the first `n_told` ones, but for what is no longer kept.

@@ -34,6 +34,8 @@ pub(crate) fn published(step: u64) -> Arc<Published> {
             bleeding: Default::default(),
             tools: vec![tool],
         },
+        contact_points: None,
+        contact_watchers: Arc::default(),
         topology: Arc::new(DisplayTopology {
             body_of: Vec::new(),
             version: 0,

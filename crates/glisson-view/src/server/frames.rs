@@ -1,7 +1,7 @@
 //! The binary frames of the viewer's protocol (`docs/protocol.md`), little endian.
 
 use glisson::math::DVec3;
-use glisson::record::snapshot::{DisplayTopology, Snapshot};
+use glisson::record::snapshot::{ContactPoints, DisplayTopology, Snapshot};
 pub use glisson_runtime::pace::Pace;
 
 const MAGIC: u32 = u32::from_le_bytes(*b"GLSN");
@@ -10,6 +10,7 @@ const KIND_SNAPSHOT: u32 = 2;
 const FLAG_CONTACT: u32 = 1;
 const FLAG_PAUSED: u32 = 2;
 const FLAG_GRASPS: u32 = 4;
+const FLAG_CONTACT_POINTS: u32 = 8;
 
 struct FrameWriter(Vec<u8>);
 
@@ -33,6 +34,19 @@ impl FrameWriter {
     fn positions(&mut self, positions_m: &[DVec3]) {
         self.0.extend(positions_m.iter().flat_map(|p| p.as_vec3().to_array()).flat_map(f32::to_le_bytes));
     }
+
+    fn contact_points(&mut self, contacts: &ContactPoints) {
+        self.0.reserve(8 * contacts.sums.len() + 4 + 40 * contacts.points.len());
+        for sum in &contacts.sums {
+            self.u32s(&[sum.n]);
+            self.0.extend((sum.force_n as f32).to_le_bytes());
+        }
+        self.u32s(&[contacts.points.len() as u32]);
+        for point in &contacts.points {
+            self.0.extend([point.kind as u8, point.touched, point.by, 0]);
+            self.positions(&[point.place_m, point.normal, point.force_n]);
+        }
+    }
 }
 
 /// A TOPOLOGY frame.
@@ -51,15 +65,17 @@ pub fn topology_frame(topology: &DisplayTopology) -> Vec<u8> {
     frame.0
 }
 
-/// A SNAPSHOT frame.
-pub fn snapshot_frame(snapshot: &Snapshot, pace: &Pace) -> Vec<u8> {
+/// A SNAPSHOT frame, for those who look at contact points with these.
+pub fn snapshot_frame(snapshot: &Snapshot, pace: &Pace, contacts: Option<&ContactPoints>) -> Vec<u8> {
     let mut frame = FrameWriter::new(KIND_SNAPSHOT, snapshot.topology_version);
     frame.0.extend_from_slice(&snapshot.step.to_le_bytes());
     frame.f64s(&[snapshot.time_s, pace.rate_hz, pace.real_time_factor]);
     let paused = if pace.paused { FLAG_PAUSED } else { 0 };
+    let with_contacts = if contacts.is_some() { FLAG_CONTACT_POINTS } else { 0 };
     let bleeding = &snapshot.bleeding;
     let n_blood = if bleeding.has_vessels { 1 + bleeding.ends.len() as u32 } else { 0 };
-    frame.u32s(&[paused, snapshot.tools.len() as u32, snapshot.positions_m.len() as u32, n_blood]);
+    let (n_tools, n_vertices) = (snapshot.tools.len() as u32, snapshot.positions_m.len() as u32);
+    frame.u32s(&[paused | with_contacts, n_tools, n_vertices, n_blood]);
     for tool in &snapshot.tools {
         let pose = &tool.pose;
         frame.f64s(&pose.tip_in_world_m.to_array());
@@ -83,6 +99,9 @@ pub fn snapshot_frame(snapshot: &Snapshot, pace: &Pace) -> Vec<u8> {
             frame.0.extend(record.into_iter().flat_map(|x| (x as f32).to_le_bytes()));
         }
     }
+    if let Some(contacts) = contacts {
+        frame.contact_points(contacts);
+    }
     frame.0
 }
 
@@ -90,7 +109,9 @@ pub fn snapshot_frame(snapshot: &Snapshot, pace: &Pace) -> Vec<u8> {
 mod tests {
     use super::*;
     use glisson::mesh::NodeId;
-    use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
+    use glisson::record::snapshot::{
+        BleedingEnd, BleedingSnapshot, ContactKind, ContactPoint, ContactReport, ToolSnapshot,
+    };
     use glisson::tool::ToolInput;
 
     const PACE: Pace = Pace { rate_hz: 1000.0, real_time_factor: 1.0, paused: true };
@@ -157,7 +178,7 @@ mod tests {
 
     #[test]
     fn snapshot_frames_have_the_documented_layout() {
-        let frame = snapshot_frame(&snapshot(), &PACE);
+        let frame = snapshot_frame(&snapshot(), &PACE, None);
         let double = |at: usize| f64::from_le_bytes(frame[at..at + 8].try_into().unwrap());
         assert_eq!(frame[16], 5);
         let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
@@ -176,11 +197,45 @@ mod tests {
         let ends = vec![end; 2];
         let bleeding =
             BleedingSnapshot { has_vessels: true, lost_m3: 0.25, rate_m3_per_s: 1.0, n_clips: 3, ends };
-        let frame = snapshot_frame(&Snapshot { bleeding, ..snapshot() }, &PACE);
+        let frame = snapshot_frame(&Snapshot { bleeding, ..snapshot() }, &PACE, None);
         assert_eq!(frame[60], 3, "a sum and two ends");
         assert_eq!(frame.len(), WITHOUT_BLOOD + 3 * 16);
         let single = |at: usize| f32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
         let tail: Vec<f32> = (0..8).map(|i| single(WITHOUT_BLOOD + 4 * i)).collect();
         assert_eq!(tail, [0.25, 1.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.5]);
+    }
+
+    #[test]
+    fn contact_points_are_the_last_part_as_documented_and_change_nothing_before_them() {
+        let mut contacts = ContactPoints::default();
+        let point = |kind: ContactKind, size_n: f64| ContactPoint {
+            kind,
+            touched: 2,
+            by: 1,
+            place_m: DVec3::new(0.5, 0.25, 0.125),
+            normal: DVec3::Y,
+            force_n: DVec3::new(0.0, size_n, 0.0),
+        };
+        contacts.add(point(ContactKind::ToolRigid, 4.0));
+        contacts.add(point(ContactKind::Itself, 2.0));
+        contacts.add(point(ContactKind::Itself, 1.0));
+        contacts.keep_greatest(1, 1);
+        let ends = vec![BleedingEnd { position_m: DVec3::ONE, rate_m3_per_s: 0.5 }];
+        let bleeding = BleedingSnapshot { has_vessels: true, ends, ..BleedingSnapshot::default() };
+        let snapshot = Snapshot { bleeding, ..snapshot() };
+        let without = snapshot_frame(&snapshot, &PACE, None);
+        let with = snapshot_frame(&snapshot, &PACE, Some(&contacts));
+        let n = without.len();
+        assert_eq!(with.len(), n + 4 * 8 + 4 + 2 * 40);
+        assert_eq!((without[48], with[48]), (2, 2 + 8));
+        assert!(with[..48] == without[..48] && with[49..n] == without[49..]);
+        let word = |at: usize| u32::from_le_bytes(with[n + at..n + at + 4].try_into().unwrap());
+        let single = |at: usize| f32::from_bits(word(at));
+        assert_eq!([0, 8, 16, 24, 32].map(word), [0, 1, 0, 2, 2]);
+        assert_eq!([4, 12, 20, 28].map(single), [0.0, 4.0, 0.0, 3.0]);
+        assert_eq!(with[n + 36..n + 40], [1, 2, 1, 0]);
+        assert_eq!(with[n + 76..n + 80], [3, 2, 1, 0]);
+        let numbers: Vec<f32> = (0..9).map(|i| single(80 + 4 * i)).collect();
+        assert_eq!(numbers, [0.5, 0.25, 0.125, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0]);
     }
 }

@@ -14,7 +14,7 @@ use glisson_runtime::{Notice, Simulation};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 6;
+const PROTOCOL: u32 = 7;
 
 /// The first message on a connection.
 pub(super) fn hello(simulation: &Simulation) -> Value {
@@ -198,6 +198,8 @@ pub(super) enum Wish {
     Command(Command),
     /// Somebody else may control.
     ReleaseControl,
+    /// Contact points are looked at, or no longer: for everyone.
+    Contacts(bool),
 }
 
 #[derive(Deserialize)]
@@ -240,6 +242,9 @@ enum ViewerMessage {
     },
     Undo {},
     ReleaseControl {},
+    Contacts {
+        shown: bool,
+    },
 }
 
 /// No patient and no room is so large: more is millimetres taken for metres [m].
@@ -254,6 +259,7 @@ pub(super) fn wish(text: &str) -> Result<Wish, String> {
         serde_json::from_str(text).map_err(|e| format!("message not understood: {e}"))?;
     Ok(Wish::Command(match message {
         ViewerMessage::ReleaseControl {} => return Ok(Wish::ReleaseControl),
+        ViewerMessage::Contacts { shown } => return Ok(Wish::Contacts(shown)),
         ViewerMessage::Tool { tool, tip_m, shaft, roll_rad, jaw, trigger } => {
             let shaft_in_world = DVec3::from_array(shaft)
                 .try_normalize()
@@ -301,17 +307,18 @@ mod tests {
     fn command(text: &str) -> Result<Command, String> {
         match wish(text)? {
             Wish::Command(command) => Ok(command),
-            other @ Wish::ReleaseControl => Err(format!("{other:?}")),
+            other => Err(format!("{other:?}")),
         }
     }
 
-    const MESSAGES: [&str; 6] = [
+    const MESSAGES: [&str; 7] = [
         r#"{"type":"tool","tool":1,"tip_m":[1,-2.5,3e-3],"shaft":[0,0,2],"roll_rad":0.5,"jaw":1,"trigger":0.25}"#,
         r#"{"type":"pause","paused":true}"#,
         r#"{"type":"model","name":"explicit"}"#,
         r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#,
         r#"{"type":"cut","tool":3}"#,
         r#"{"type":"release_control"}"#,
+        r#"{"type":"contacts","shown":true}"#,
     ];
 
     proptest! {
@@ -364,6 +371,7 @@ mod tests {
         assert_eq!(command(r#"{"type":"clip","tool":1}"#), Ok(Command::Clip { tool: 1 }));
         assert_eq!(command(r#"{"type":"refine","tool":1}"#), Ok(Command::Refine { tool: 1 }));
         assert_eq!(command(r#"{"type":"undo"}"#), Ok(Command::Undo));
+        assert_eq!(wish(r#"{"type":"contacts","shown":true}"#), Ok(Wish::Contacts(true)));
         let tilted = command(r#"{"type":"gravity","m_per_s2":[0,9.81,0]}"#);
         assert_eq!(tilted, Ok(Command::Gravity(DVec3::new(0.0, 9.81, 0.0))));
         for bad in [
@@ -376,6 +384,7 @@ mod tests {
             r#"{"type":"tool","tip_m":[1,2,1e999],"shaft":[0,0,1]}"#,
             r#"{"type":"tool","tip_m":[1,2,3],"shaft":[0,0,1],"jaw":2}"#,
             r#"{"type":"model","name":"jelly"}"#,
+            r#"{"type":"contacts"}"#,
             r#"{"type":"gravity","m_per_s2":[0,981,0]}"#,
         ] {
             assert!(command(bad).is_err(), "{bad}");

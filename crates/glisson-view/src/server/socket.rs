@@ -12,6 +12,7 @@ use glisson::model::kind::ModelKind;
 use glisson_runtime::control::Viewer;
 use glisson_runtime::live::Command;
 use glisson_runtime::published::Published;
+use glisson_runtime::watchers::ContactWatcher;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -51,7 +52,8 @@ pub(super) async fn open(State(shared): State<Arc<Shared>>, upgrade: WebSocketUp
         move |socket| async move {
             let now = Instant::now();
             let allowance = Allowance::new(now);
-            let mut connection = Connection { socket, seat, allowance, last_heard: now, told: None };
+            let mut connection =
+                Connection { socket, seat, allowance, last_heard: now, told: None, contacts: None };
             if let Err(End::Refused(reason)) = connection.talk().await {
                 let close = CloseFrame { code: close_code::POLICY, reason: reason.into() };
                 // Who does not take the reason goes without it.
@@ -76,6 +78,8 @@ struct Connection {
     last_heard: Instant,
     /// When it was told that it only watches.
     told: Option<Instant>,
+    /// While it looks at contact points.
+    contacts: Option<ContactWatcher>,
 }
 
 /// What a viewer was last told.
@@ -117,7 +121,8 @@ impl Connection {
             self.send(Message::Binary(topology_frame(&latest.topology).into())).await?;
         }
         told.version = latest.topology.version;
-        self.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace).into())).await
+        let contacts = latest.contact_points.as_ref().filter(|_| self.contacts.is_some());
+        self.send(Message::Binary(snapshot_frame(&latest.snapshot, &latest.pace, contacts).into())).await
     }
 
     async fn say_timing(&mut self, published: &watch::Receiver<Arc<Published>>) -> Result<(), End> {
@@ -178,7 +183,14 @@ impl Connection {
                 }
                 message = self.socket.recv() => {
                     match message {
-                        Some(Ok(message)) => self.hear(message).await?,
+                        Some(Ok(message)) => {
+                            let looked = self.contacts.is_some();
+                            self.hear(message).await?;
+                            // Also while nothing moves.
+                            if self.contacts.is_some() != looked {
+                                published.mark_changed();
+                            }
+                        }
                         // Of who is gone, too: then nobody takes the reason.
                         Some(Err(_)) => return Err(End::Refused("a broken or too long message")),
                         None => return Err(End::Gone),
@@ -206,6 +218,10 @@ impl Connection {
         };
         match messages::wish(&text) {
             Ok(Wish::ReleaseControl) => self.seat.shared.control.release(self.seat.viewer),
+            Ok(Wish::Contacts(shown)) => {
+                let watchers = Arc::clone(&self.seat.shared.published.borrow().contact_watchers);
+                self.contacts = shown.then(|| watchers.enter());
+            }
             Ok(Wish::Command(command)) if self.seat.shared.control.may_control(self.seat.viewer) => {
                 self.obey(command).await;
             }

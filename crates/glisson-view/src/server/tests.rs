@@ -113,6 +113,17 @@ impl Viewer {
         }
     }
 
+    /// The next SNAPSHOT frame.
+    fn snapshot(&mut self) -> Vec<u8> {
+        loop {
+            if let Message::Binary(frame) = self.0.read().unwrap()
+                && frame[4] == 2
+            {
+                return frame.to_vec();
+            }
+        }
+    }
+
     fn role(&mut self) -> String {
         self.hear("role")["role"].as_str().unwrap().to_owned()
     }
@@ -158,6 +169,52 @@ fn one_viewer_controls_and_the_next_one_follows_when_it_leaves() {
     let timing = first.hear("timing");
     assert!(timing["simulation"]["real_time_factor"].is_number() && timing["haptics"].is_null(), "{timing}");
     assert_eq!(timing["haptics_at"], "nowhere");
+}
+
+/// Number of contact points in a snapshot that was sent; none where it has no such part.
+fn contact_points_in(frame: &[u8]) -> Option<u32> {
+    let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+    let [flags, n_tools, n_vertices, n_blood] = [48, 52, 56, 60].map(word);
+    let at = 64 + 128 * n_tools as usize + 12 * n_vertices as usize + 16 * n_blood as usize;
+    if flags & 8 == 0 {
+        assert_eq!(frame.len(), at);
+        return None;
+    }
+    let n = word(at + 32);
+    assert_eq!(frame.len(), at + 36 + 40 * n as usize);
+    Some(n)
+}
+
+#[test]
+fn contact_points_are_sent_to_who_asks_also_in_a_pause_and_to_nobody_else() {
+    let server = Server::start(None);
+    let (mut first, mut second) = (server.connect(), server.connect());
+    assert_eq!(contact_points_in(&first.snapshot()), None);
+    // It comes down on the middle of the slanted face.
+    for z_mm in [27, 21, 17] {
+        first.say(&format!(
+            r#"{{"type":"tool","tip_m":[0.02,0.02,{}],"shaft":[0,0,1]}}"#,
+            f64::from(z_mm) * 1e-3
+        ));
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    // Who only watches may ask.
+    second.say(r#"{"type":"contacts","shown":true}"#);
+    while contact_points_in(&second.snapshot()).is_none_or(|n| n == 0) {}
+    for _ in 0..20 {
+        assert_eq!(contact_points_in(&first.snapshot()), None);
+    }
+    second.say(r#"{"type":"contacts","shown":false}"#);
+    while contact_points_in(&second.snapshot()).is_some() {}
+    first.say(r#"{"type":"pause","paused":true}"#);
+    while first.snapshot()[48] & 2 == 0 {}
+    first.say(r#"{"type":"contacts","shown":true}"#);
+    while contact_points_in(&first.snapshot()).is_none_or(|n| n == 0) {}
+    // Gathered for the first one; the second one gets them at once as well.
+    second.say(r#"{"type":"contacts","shown":true}"#);
+    while contact_points_in(&second.snapshot()).is_none_or(|n| n == 0) {}
+    first.say(r#"{"type":"contacts","shown":false}"#);
+    while contact_points_in(&first.snapshot()).is_some() {}
 }
 
 #[test]

@@ -87,3 +87,167 @@ pub struct DisplayTopology {
     /// The body of each displayed vertex; all 0 of one organ.
     pub body_of: Vec<u8>,
 }
+
+/// What touches what.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ContactKind {
+    /// An instrument and tissue, which it presses or holds.
+    ToolOrgan,
+    /// An instrument and a rigid body.
+    ToolRigid,
+    /// Two bodies.
+    Bodies,
+    /// A body and itself.
+    Itself,
+}
+
+impl ContactKind {
+    /// All kinds, by their numbers.
+    pub const ALL: [Self; 4] = [Self::ToolOrgan, Self::ToolRigid, Self::Bodies, Self::Itself];
+
+    /// Whether an instrument touches.
+    pub fn is_of_tool(self) -> bool {
+        matches!(self, Self::ToolOrgan | Self::ToolRigid)
+    }
+}
+
+/// A place of a surface that bears a force.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactPoint {
+    /// What touches what.
+    pub kind: ContactKind,
+    /// The body that is touched: of two bodies the one with the higher number.
+    pub touched: u8,
+    /// Number of the instrument that touches it, or of the body.
+    pub by: u8,
+    /// Where [m].
+    pub place_m: DVec3,
+    /// Unit normal out of the touched body; zero where jaws hold.
+    pub normal: DVec3,
+    /// Force of the touched body on what touches it [N].
+    pub force_n: DVec3,
+}
+
+impl ContactPoint {
+    /// The same with the two bodies exchanged.
+    pub(crate) fn seen_from_other_side(self) -> Self {
+        let (touched, by) = (self.by, self.touched);
+        Self { touched, by, normal: -self.normal, force_n: -self.force_n, ..self }
+    }
+}
+
+/// All contacts of a kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ContactSum {
+    /// How many bear a force.
+    pub n: u32,
+    /// Sum of the sizes of their forces [N].
+    pub force_n: f64,
+}
+
+/// Where surfaces bear forces. Buffers are reused.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ContactPoints {
+    /// Those of instruments, then the others; of each the greatest force first, and no more than [`ContactPoints::MOST_OF_TOOLS`]
+    /// and [`ContactPoints::MOST_OF_BODIES`].
+    pub points: Vec<ContactPoint>,
+    /// Of each kind, in the order of [`ContactKind::ALL`]: also of those that are left out.
+    pub sums: [ContactSum; ContactKind::ALL.len()],
+}
+
+impl ContactPoints {
+    /// Points of instruments at most: as many as one of their parts has. A choice.
+    pub const MOST_OF_TOOLS: usize = 64;
+    /// Other points at most: a choice, 10 kB of a snapshot.
+    pub const MOST_OF_BODIES: usize = 256;
+
+    /// Forgets all points.
+    pub fn clear(&mut self) {
+        self.points.clear();
+        self.sums = Default::default();
+    }
+
+    /// Adds a point; nothing for one without a force, or with one that is no number, which a broken model brings about.
+    pub fn add(&mut self, point: ContactPoint) {
+        if point.force_n == DVec3::ZERO || !point.force_n.is_finite() || !point.place_m.is_finite() {
+            return;
+        }
+        let sum = &mut self.sums[point.kind as usize];
+        sum.n += 1;
+        sum.force_n += point.force_n.length();
+        self.points.push(point);
+    }
+
+    /// Of the points from number `first` on, leaves the `most` with the greatest forces, the greatest first.
+    pub fn keep_greatest(&mut self, first: usize, most: usize) {
+        let Some(points) = self.points.get_mut(first..) else { return };
+        let place = |point: &ContactPoint| point.place_m.to_array();
+        let by_force = |a: &ContactPoint, b: &ContactPoint| {
+            let force = b.force_n.length().total_cmp(&a.force_n.length());
+            // The same order whatever order they came in.
+            place(a).iter().zip(place(b)).fold(force, |order, (a, b)| order.then_with(|| a.total_cmp(&b)))
+        };
+        if points.len() > most {
+            points.select_nth_unstable_by(most, by_force);
+            points[..most].sort_unstable_by(by_force);
+            self.points.truncate(first + most);
+        } else {
+            points.sort_unstable_by(by_force);
+        }
+    }
+
+    /// Points that bear a force and are not in the list.
+    pub fn n_left_out(&self) -> usize {
+        let n: usize = self.sums.iter().map(|sum| sum.n as usize).sum();
+        n.saturating_sub(self.points.len())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(kind: ContactKind, size_n: f64) -> ContactPoint {
+        let (touched, by) = (0, 1);
+        ContactPoint {
+            kind,
+            touched,
+            by,
+            place_m: DVec3::X * size_n,
+            normal: DVec3::Z,
+            force_n: DVec3::Z * size_n,
+        }
+    }
+
+    #[test]
+    fn the_greatest_forces_are_kept_and_the_others_counted() {
+        let mut all = ContactPoints::default();
+        for i in 1..=100 {
+            all.add(point(ContactKind::ToolOrgan, f64::from(i * 37 % 101)));
+        }
+        all.keep_greatest(0, 10);
+        for i in 1..=5 {
+            all.add(point(ContactKind::Itself, 1000.0 * f64::from(i)));
+        }
+        all.keep_greatest(10, 3);
+        let sizes: Vec<f64> = all.points.iter().map(|point| point.force_n.z).collect();
+        let tools: Vec<f64> = (91..=100).rev().map(f64::from).collect();
+        assert_eq!(sizes[..10], tools);
+        assert_eq!(sizes[10..], [5000.0, 4000.0, 3000.0]);
+        assert_eq!(all.sums.map(|sum| sum.n), [100, 0, 0, 5]);
+        assert_eq!(all.sums.map(|sum| sum.force_n), [5050.0, 0.0, 0.0, 15_000.0]);
+        assert_eq!(all.n_left_out(), 105 - 13);
+        all.keep_greatest(14, 1);
+        all.clear();
+        assert_eq!(all, ContactPoints::default());
+    }
+
+    #[test]
+    fn what_bears_nothing_or_is_broken_is_no_point() {
+        let mut all = ContactPoints::default();
+        for size_n in [0.0, f64::NAN, f64::INFINITY] {
+            all.add(point(ContactKind::Bodies, size_n));
+        }
+        assert_eq!(all, ContactPoints::default());
+    }
+}

@@ -147,10 +147,11 @@ impl SurfaceContact {
         }
     }
 
-    /// Forgets what lasts.
+    /// Forgets what was found, and what lasts.
     pub(super) fn forget(&mut self) {
-        if let Self::Bodies(bodies) = self {
-            bodies.forget();
+        match self {
+            Self::Own(own) => own.forget(),
+            Self::Bodies(bodies) => bodies.forget(),
         }
     }
 

@@ -6,6 +6,7 @@
 mod active;
 pub mod bodies;
 mod constrain;
+mod contact_points;
 mod cut;
 pub mod detection;
 mod display;

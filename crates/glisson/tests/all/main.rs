@@ -7,6 +7,7 @@ mod active_trocar;
 mod bodies;
 mod capsule;
 mod contact_constraint;
+mod contact_points;
 mod contact_response;
 mod cut_scalpel;
 mod cut_subdivision;

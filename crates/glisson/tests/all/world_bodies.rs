@@ -11,6 +11,7 @@ use glisson::mesh::{TetId, TetMesh};
 use glisson::model::LevelOfDetail;
 use glisson::model::explicit_kernel::SharedWorkers;
 use glisson::model::kernel::{Sequential, Task, Workers};
+use glisson::record::snapshot::{ContactKind, ContactPoint, ContactPoints};
 use glisson::scene::{BodySet, Scene, build_world};
 use glisson::world::{StepInput, World};
 
@@ -124,6 +125,24 @@ fn bodies_fall_on_a_slab_and_rest_on_each_other() {
         assert!((on_slab_n.z + 2.0 * WEIGHT_N).abs() < 0.02 * WEIGHT_N, "{name}: {on_slab_n} {WEIGHT_N}");
         let on_upper_n = force_on_body_n(&world, 1);
         assert!((on_upper_n.z - WEIGHT_N).abs() < 0.02 * WEIGHT_N, "{name}: {on_upper_n} {WEIGHT_N}");
+        // Those who look on see the same forces, place by place.
+        let mut found = ContactPoints::default();
+        world.contact_points_into(&mut found);
+        assert_eq!(found.n_left_out(), 0, "{name}");
+        for body in 0..3 {
+            let on_it = found.points.iter().filter(|point| usize::from(point.by) == body);
+            let by_it = found.points.iter().filter(|point| usize::from(point.touched) == body);
+            let sum_n = |points: &mut dyn Iterator<Item = &ContactPoint>| -> DVec3 {
+                points.map(|point| point.force_n).sum()
+            };
+            let (mut on_it, mut by_it) = (on_it, by_it);
+            let seen_n = sum_n(&mut on_it) - sum_n(&mut by_it);
+            assert!(seen_n.distance(force_on_body_n(&world, body)) < 1e-9, "{name}: body {body} {seen_n}");
+        }
+        let is_right = |p: &ContactPoint| {
+            p.kind == ContactKind::Bodies && p.by < p.touched && p.force_n.dot(p.normal) > 0.0
+        };
+        assert!(found.points.iter().all(is_right), "{name}: {found:?}");
     }
 }
 

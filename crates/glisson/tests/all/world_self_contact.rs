@@ -10,6 +10,7 @@ use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::Rayleigh;
 use glisson::model::StateHash;
 use glisson::model::kind::ModelKind;
+use glisson::record::snapshot::{ContactKind, ContactPoints};
 use glisson::scene::{OrganBody, build_model};
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::{Load, LoadTime, Region, Support, WorldSpec, fixed_nodes};
@@ -187,6 +188,50 @@ fn a_piece_that_is_cut_loose_falls_on_the_rest_and_stays_there() {
             assert!(speed_m_per_s < 0.05, "{kind}: {speed_m_per_s} m/s");
             assert!(world.report().self_contact.n_contacts > 10, "{kind}");
         }
+    }
+}
+
+/// The mean of the contacts' forces while a piece lies still is its weight, whatever keeps the surfaces apart.
+#[test]
+fn contact_points_bear_the_weight_of_a_loose_piece() {
+    for (kind, response) in
+        [(ModelKind::Explicit, GEOMETRIC), (ModelKind::Implicit, GEOMETRIC), (ModelKind::Explicit, SPRINGS)]
+    {
+        let setting = Setting::of(kind, Some(response));
+        let mut world = block_on_a_block(&setting);
+        let idle = idle(&world);
+        cut_loose(&mut world);
+        let (organ, density_kg_per_m3) = (world.organ(), 1000.0);
+        let mesh = organ.mesh();
+        let live = mesh.tetrahedra.iter().zip(organ.live_tetrahedra()).filter(|(_, is_live)| **is_live);
+        let above =
+            live.filter(|(tet, _)| tet.iter().all(|n| piece(mesh.positions_m[n.index()]) == Some(true)));
+        let volume_m3: f64 = above
+            .map(|(tet, _)| {
+                let [a, b, c, d] = tet.map(|n| mesh.positions_m[n.index()]);
+                (b - a).cross(c - a).dot(d - a).abs() / 6.0
+            })
+            .sum();
+        let weight_n = volume_m3 * density_kg_per_m3 * 9.81;
+        let (mut borne_n, mut found) = (0.0, ContactPoints::default());
+        let (all, last) = (setting.steps(0.5), setting.steps(0.15));
+        for step in 0..all {
+            world.step(&idle);
+            if step >= all - last {
+                world.contact_points_into(&mut found);
+                // Vertices of either side: what acts on one of the lower body, acts back on the piece.
+                borne_n +=
+                    found.points.iter().map(|p| p.force_n.z * p.normal.z.signum()).sum::<f64>() / last as f64;
+            }
+        }
+        assert!(
+            found.points.len() > 4 && found.points.iter().all(|p| p.kind == ContactKind::Itself),
+            "{kind}"
+        );
+        assert!((borne_n / weight_n - 1.0).abs() < 0.05, "{kind} {response:?}: {borne_n} N of {weight_n} N");
+        world.reset();
+        world.contact_points_into(&mut found);
+        assert_eq!(found, ContactPoints::default());
     }
 }
 

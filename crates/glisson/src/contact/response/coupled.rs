@@ -59,6 +59,11 @@ impl CoupledForces {
         &self.moves_m
     }
 
+    /// The force of each contact on its vertex [N].
+    pub(super) fn forces_n(&self) -> &[DVec3] {
+        &self.forces_n
+    }
+
     /// The forces on the nodes, ascending.
     pub(super) fn nodal_forces(&mut self, contacts: &[NodeContact], nodes: &[NodeId]) -> &[NodalForce] {
         self.of_vertex_n.fill(DVec3::ZERO);

@@ -38,9 +38,21 @@ pub fn respond(
     velocities_m_per_s: &mut [DVec3],
     answer: &mut Answer,
 ) {
+    respond_noting(params, contacts, inverse_mass_per_kg, velocities_m_per_s, answer, |_, _| {});
+}
+
+/// The same; `note` is told each impulse on a contact's vertex [N s], with the contact's place in the list.
+pub(super) fn respond_noting(
+    params: &GeometricParams,
+    contacts: &[NodeContact],
+    inverse_mass_per_kg: &[DVec3],
+    velocities_m_per_s: &mut [DVec3],
+    answer: &mut Answer,
+    mut note: impl FnMut(usize, DVec3),
+) {
     let stop = Blow { restitution: 0.0, friction: params.friction };
     for _ in 0..params.n_sweeps {
-        for contact in contacts {
+        for (place, contact) in contacts.iter().enumerate() {
             let deeper_m = params.rest_gap_m - contact.gap_m;
             let per_kg = contact.inverse_mass_per_kg(contact.normal, inverse_mass_per_kg);
             if !(deeper_m > 0.0 && per_kg > 0.0) {
@@ -54,7 +66,8 @@ pub fn respond(
             for (v, w) in contact.sides() {
                 shifts_kg_m[v] += contact.normal * (shift_kg_m * w);
             }
-            stop.strike(contact, inverse_mass_per_kg, velocities_m_per_s, &mut answer.impulses_n_s);
+            let impulses_n_s = &mut answer.impulses_n_s;
+            note(place, stop.strike(contact, inverse_mass_per_kg, velocities_m_per_s, impulses_n_s));
         }
     }
 }

@@ -115,6 +115,7 @@ pub(crate) struct Blow {
 impl Blow {
     /// One contact: an impulse along the normal that turns an approach at speed v into a retreat at e v, and one across of at
     /// most mu times it that stops sliding. Each takes energy of motion, or none: (1 - e^2) m v^2 / 2 and m v_t^2 / 2 at most.
+    /// Answers their sum [N s].
     #[inline]
     pub(crate) fn strike(
         &self,
@@ -122,16 +123,18 @@ impl Blow {
         inverse_mass_per_kg: &[DVec3],
         velocities_m_per_s: &mut [DVec3],
         impulses_n_s: &mut [DVec3],
-    ) {
+    ) -> DVec3 {
         let n = contact.normal;
         let approach_m_per_s = -contact.relative_m_per_s(velocities_m_per_s).dot(n);
         let per_kg = contact.inverse_mass_per_kg(n, inverse_mass_per_kg);
         // Also false for what is no number.
         if !(approach_m_per_s > 0.0 && per_kg > 0.0) {
-            return;
+            return DVec3::ZERO;
         }
         let normal_n_s = (1.0 + self.restitution) * approach_m_per_s / per_kg;
+        let mut sum_n_s = DVec3::ZERO;
         let mut give = |impulse_n_s: DVec3, velocities_m_per_s: &mut [DVec3]| {
+            sum_n_s += impulse_n_s;
             for (v, w) in contact.sides() {
                 velocities_m_per_s[v] += inverse_mass_per_kg[v] * impulse_n_s * w;
                 impulses_n_s[v] += impulse_n_s * w;
@@ -139,7 +142,7 @@ impl Blow {
         };
         give(n * normal_n_s, velocities_m_per_s);
         if self.friction <= 0.0 {
-            return;
+            return sum_n_s;
         }
         let across = contact.relative_m_per_s(velocities_m_per_s);
         let across = across - n * across.dot(n);
@@ -152,5 +155,6 @@ impl Blow {
                 give(along * -stopping_n_s.min(self.friction * normal_n_s), velocities_m_per_s);
             }
         }
+        sum_n_s
     }
 }

@@ -281,6 +281,7 @@ impl BodyContact {
 
     /// Forgets all forces.
     pub fn forget(&mut self) {
+        self.contacts.clear();
         self.of_vertex_n.fill(DVec3::ZERO);
         self.of_bond_n.fill(DVec3::ZERO);
         self.acted.clear();

@@ -14,7 +14,7 @@ use super::bodies::ResponseReport;
 use super::coupled::{CoupledForces, CoupledParams};
 use super::find::{ContactSearch, ContactSearchParams};
 use super::geometric::{self, GeometricParams};
-use super::penalty::{self, PenaltyLaw, PenaltyParams};
+use super::penalty::{PenaltyLaw, PenaltyParams};
 use super::{Answer, NodeContact};
 use crate::contact::broad_phase::BroadPhaseKind;
 use crate::math::DVec3;
@@ -81,6 +81,8 @@ pub struct SelfContact {
     n_nodes: usize,
     search: ContactSearch,
     contacts: Vec<NodeContact>,
+    /// What each contact bore in the last step, for those who look on.
+    contact_forces_n: Vec<DVec3>,
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
     inverse_mass_per_kg: Vec<DVec3>,
@@ -101,6 +103,7 @@ impl Clone for SelfContact {
             n_nodes: self.n_nodes,
             search: self.search.clone(),
             contacts: Vec::with_capacity(n),
+            contact_forces_n: Vec::with_capacity(n),
             positions_m: self.positions_m.clone(),
             velocities_m_per_s: self.velocities_m_per_s.clone(),
             inverse_mass_per_kg: self.inverse_mass_per_kg.clone(),
@@ -139,6 +142,7 @@ impl SelfContact {
             search: ContactSearch::new(&search, &now_m, &surface.triangles, &body_of)
                 .with_rest_shape(surface.positions_m, piece_of),
             contacts: Vec::with_capacity(n),
+            contact_forces_n: Vec::with_capacity(n),
             positions_m: now_m,
             velocities_m_per_s: vec![DVec3::ZERO; n],
             inverse_mass_per_kg: vec![DVec3::ZERO; n],
@@ -167,9 +171,22 @@ impl SelfContact {
         &self.contacts
     }
 
+    /// Force on the vertex of each of these contacts in the last step [N]: what stopped the two sides, without what put them back
+    /// out of each other.
+    pub fn contact_forces_n(&self) -> &[DVec3] {
+        &self.contact_forces_n
+    }
+
     /// The node of each vertex.
     pub fn nodes(&self) -> &[NodeId] {
         &self.nodes
+    }
+
+    /// Forgets the contacts of the last step.
+    pub fn forget(&mut self) {
+        self.contacts.clear();
+        self.contact_forces_n.clear();
+        self.report = ResponseReport::default();
     }
 
     /// Finds the contacts of the present state.
@@ -182,6 +199,8 @@ impl SelfContact {
                 if is_moving { state.velocities_m_per_s[node.index()] } else { DVec3::ZERO };
         }
         let n_dropped = self.search.find_into(&self.positions_m, &mut self.contacts) as u32;
+        self.contact_forces_n.clear();
+        self.contact_forces_n.resize(self.contacts.len(), DVec3::ZERO);
         let penetration_m = self.contacts.iter().fold(0.0, |deepest: f64, c| deepest.max(-c.gap_m));
         self.report = ResponseReport { n_contacts: self.contacts.len() as u32, penetration_m, n_dropped };
     }
@@ -196,7 +215,7 @@ impl SelfContact {
         self.find(model);
         self.forces_n.fill(DVec3::ZERO);
         let is_explicit = model.step_answer() == StepAnswer::NodeByNode;
-        for contact in &self.contacts {
+        for (contact, contact_force_n) in self.contacts.iter().zip(&mut self.contact_forces_n) {
             let mut params = params;
             if let (true, PenaltyLaw::Linear { stiffness_n_per_m }) = (is_explicit, params.law) {
                 let answers_m_per_n = |v: usize| model.node_answer_m_per_n(self.nodes[v], dt_s);
@@ -205,8 +224,10 @@ impl SelfContact {
                 let most_n_per_m = MOST_OF_DEPTH / yields_m_per_n.max(f64::MIN_POSITIVE);
                 params.law = PenaltyLaw::Linear { stiffness_n_per_m: stiffness_n_per_m.min(most_n_per_m) };
             }
-            let one = std::slice::from_ref(contact);
-            penalty::add_forces(&params, one, &self.velocities_m_per_s, &mut self.forces_n);
+            *contact_force_n = params.force_n(contact, &self.velocities_m_per_s);
+            for (v, w) in contact.sides() {
+                self.forces_n[v] += *contact_force_n * w;
+            }
         }
         list_forces(&self.forces_n, &self.nodes, &mut self.list);
         &self.list
@@ -218,7 +239,7 @@ impl SelfContact {
         let answer = model.step_answer();
         let is_told = matches!(answer, StepAnswer::NodeByNode | StepAnswer::Coupled { .. });
         if !is_told || model.state().positions_m.len() != self.n_nodes {
-            self.report = ResponseReport::default();
+            self.forget();
             return;
         }
         self.find(model);
@@ -240,9 +261,10 @@ impl SelfContact {
             }
         }
         self.answer.clear();
-        let Self { contacts, inverse_mass_per_kg, velocities_m_per_s, answer, forces_n, nodes, list, .. } =
-            self;
-        geometric::respond(params, contacts, inverse_mass_per_kg, velocities_m_per_s, answer);
+        let Self { contacts, contact_forces_n, inverse_mass_per_kg, velocities_m_per_s, answer, .. } = self;
+        let note = |place: usize, impulse_n_s: DVec3| contact_forces_n[place] += impulse_n_s / dt_s;
+        geometric::respond_noting(params, contacts, inverse_mass_per_kg, velocities_m_per_s, answer, note);
+        let Self { answer, forces_n, nodes, list, .. } = self;
         let Answer { impulses_n_s, shifts_kg_m } = &*answer;
         for (force_n, impulse_n_s) in forces_n.iter_mut().zip(impulses_n_s) {
             *force_n = *impulse_n_s / dt_s;
@@ -262,7 +284,7 @@ impl SelfContact {
     }
 
     fn respond_coupled(&mut self, params: &GeometricParams, model: &mut dyn DeformableModel, dt_s: f64) {
-        let Self { contacts, velocities_m_per_s, coupled, nodes, .. } = self;
+        let Self { contacts, contact_forces_n, velocities_m_per_s, coupled, nodes, .. } = self;
         for (contact, opening_m) in contacts.iter().zip(&mut coupled.openings_m) {
             let n = contact.normal;
             let way_m = contact.relative_m_per_s(velocities_m_per_s) * dt_s;
@@ -273,6 +295,7 @@ impl SelfContact {
         let motion = CoupledParams { friction: params.friction, n_answers: ANSWERS_FOR_MOTION };
         if coupled.solve(model, contacts, nodes, &motion) {
             model.correct_step(coupled.nodal_forces(contacts, nodes), dt_s, Correction::Motion);
+            contact_forces_n.copy_from_slice(&coupled.forces_n()[..contacts.len()]);
         }
         let mut narrowest_m = 0.0_f64;
         for (c, contact) in contacts.iter().enumerate() {

@@ -6,7 +6,7 @@ use super::{JAWS, SIDES, VERTICES};
 use crate::contact::constraint::{Contact, ContactKey, Response, Sweeps, solve};
 use crate::contact::shapes::Capsule;
 use crate::math::{DMat3, DVec3, outer};
-use crate::mesh::NodeId;
+use crate::mesh::{NodeId, TriangleId};
 use crate::model::{LocalModel, NodalForce};
 use crate::tool::pose::ToolFrame;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
@@ -66,6 +66,22 @@ pub(super) struct PressedPoint {
     vertex: u32,
     at: ContactPoint,
     force_n: DVec3,
+}
+
+/// Where a part of an instrument pressed on the surface in the last step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::world) struct PressedPlace {
+    /// The instrument's number, and its part's.
+    pub(in crate::world) tool: usize,
+    pub(in crate::world) part: usize,
+    /// The touched triangle, its nodes and their weights at the place.
+    pub(in crate::world) triangle: TriangleId,
+    pub(in crate::world) nodes: [NodeId; 3],
+    pub(in crate::world) weights: [f64; 3],
+    /// Unit vector along which the part pushes.
+    pub(in crate::world) inward: DVec3,
+    /// Force on the organ [N].
+    pub(in crate::world) force_n: DVec3,
 }
 
 /// What is kept of a touched node from one step to the next.
@@ -176,6 +192,22 @@ impl Press {
         let yields = yields.filter(|((_, out), _)| **out != DVec3::ZERO);
         let sub_grid = yields.flat_map(|((yields, out), further)| [*yields, out.x, out.y, out.z, *further]);
         numbers.chain(pressed).chain(sub_grid).chain((self.softness != 1.0).then_some(self.softness))
+    }
+
+    /// Where parts pressed on the surface in the last step; without those that follow one place of it, and without jaws that hold.
+    pub(in crate::world) fn places(&self) -> impl Iterator<Item = PressedPlace> + '_ {
+        self.pressed.iter().map(|PressedPoint { vertex, at, force_n }| {
+            let number = *vertex as usize - MOST_NODES;
+            PressedPlace {
+                tool: number / VERTICES,
+                part: number % VERTICES / SIDES,
+                triangle: at.triangle,
+                nodes: at.nodes,
+                weights: at.weights,
+                inward: at.inward,
+                force_n: *force_n,
+            }
+        })
     }
 
     /// Forces on the nodes in this step, ascending by node.

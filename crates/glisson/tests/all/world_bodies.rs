@@ -130,13 +130,11 @@ fn bodies_fall_on_a_slab_and_rest_on_each_other() {
         world.contact_points_into(&mut found);
         assert_eq!(found.n_left_out(), 0, "{name}");
         for body in 0..3 {
-            let on_it = found.points.iter().filter(|point| usize::from(point.by) == body);
-            let by_it = found.points.iter().filter(|point| usize::from(point.touched) == body);
-            let sum_n = |points: &mut dyn Iterator<Item = &ContactPoint>| -> DVec3 {
-                points.map(|point| point.force_n).sum()
+            let on_it_n = |point: &ContactPoint| {
+                let is = |number: u8| f64::from(u8::from(usize::from(number) == body));
+                point.force_n * (is(point.by) - is(point.touched))
             };
-            let (mut on_it, mut by_it) = (on_it, by_it);
-            let seen_n = sum_n(&mut on_it) - sum_n(&mut by_it);
+            let seen_n: DVec3 = found.points.iter().map(on_it_n).sum();
             assert!(seen_n.distance(force_on_body_n(&world, body)) < 1e-9, "{name}: body {body} {seen_n}");
         }
         let is_right = |p: &ContactPoint| {

@@ -3,7 +3,7 @@
 use glisson::contact::crossing;
 use glisson::contact::response::self_contact::{SelfContactParams, SelfContactResponse};
 use glisson::material::LinearElastic;
-use glisson::math::{Aabb, DVec3};
+use glisson::math::{Aabb, DVec3, tetrahedron_volume_m3};
 use glisson::mesh::box_mesh::cells_of_five;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{NodeId, TetId, TetMesh};
@@ -21,6 +21,9 @@ const CELL_M: f64 = 8e-3;
 const MOST_CROSSING_M: f64 = 0.5e-3;
 const GEOMETRIC: SelfContactResponse = SelfContactParams::geometric(0.2);
 const SPRINGS: SelfContactResponse = SelfContactParams::penalty(100.0, 0.2);
+/// Models with each way that they respond.
+const RESPONDING: [(ModelKind, SelfContactResponse); 3] =
+    [(ModelKind::Explicit, GEOMETRIC), (ModelKind::Implicit, GEOMETRIC), (ModelKind::Explicit, SPRINGS)];
 
 struct Setting {
     kind: ModelKind,
@@ -194,9 +197,7 @@ fn a_piece_that_is_cut_loose_falls_on_the_rest_and_stays_there() {
 /// The mean of the contacts' forces while a piece lies still is its weight, whatever keeps the surfaces apart.
 #[test]
 fn contact_points_bear_the_weight_of_a_loose_piece() {
-    for (kind, response) in
-        [(ModelKind::Explicit, GEOMETRIC), (ModelKind::Implicit, GEOMETRIC), (ModelKind::Explicit, SPRINGS)]
-    {
+    for (kind, response) in RESPONDING {
         let setting = Setting::of(kind, Some(response));
         let mut world = block_on_a_block(&setting);
         let idle = idle(&world);
@@ -206,12 +207,8 @@ fn contact_points_bear_the_weight_of_a_loose_piece() {
         let live = mesh.tetrahedra.iter().zip(organ.live_tetrahedra()).filter(|(_, is_live)| **is_live);
         let above =
             live.filter(|(tet, _)| tet.iter().all(|n| piece(mesh.positions_m[n.index()]) == Some(true)));
-        let volume_m3: f64 = above
-            .map(|(tet, _)| {
-                let [a, b, c, d] = tet.map(|n| mesh.positions_m[n.index()]);
-                (b - a).cross(c - a).dot(d - a).abs() / 6.0
-            })
-            .sum();
+        let volume_m3: f64 =
+            above.map(|(tet, _)| tetrahedron_volume_m3(tet.map(|n| mesh.positions_m[n.index()]))).sum();
         let weight_n = volume_m3 * density_kg_per_m3 * 9.81;
         let (mut borne_n, mut found) = (0.0, ContactPoints::default());
         let (all, last) = (setting.steps(0.5), setting.steps(0.15));
@@ -248,9 +245,7 @@ fn hash_after(setting: &Setting) -> StateHash {
 
 #[test]
 fn contact_with_itself_has_the_same_bits_at_any_number_of_threads() {
-    for (kind, response) in
-        [(ModelKind::Explicit, GEOMETRIC), (ModelKind::Implicit, GEOMETRIC), (ModelKind::Explicit, SPRINGS)]
-    {
+    for (kind, response) in RESPONDING {
         let setting = Setting::of(kind, Some(response));
         let expected = hash_after(&setting);
         for threads in [1, 3] {
@@ -293,9 +288,7 @@ fn a_saved_moment_and_an_undone_cut_bring_the_contact_back() {
 
 #[test]
 fn a_step_of_an_organ_that_touches_itself_allocates_nothing() {
-    for (kind, response) in
-        [(ModelKind::Explicit, GEOMETRIC), (ModelKind::Implicit, GEOMETRIC), (ModelKind::Explicit, SPRINGS)]
-    {
+    for (kind, response) in RESPONDING {
         let setting = Setting::of(kind, Some(response));
         let mut world = block_on_a_block(&setting);
         let idle = idle(&world);

@@ -20,6 +20,7 @@
 //! Gross 1999 (doi 10.1111/1467-8659.00325) divide by templates; Steinemann et al. 2006
 //! ("Hybrid cutting of deformable solids", IEEE VR) snap nodes and divide edges.
 
+mod blend;
 mod opening;
 mod patch;
 mod relaxing;

@@ -35,6 +35,7 @@
 mod points;
 mod sub_grid;
 mod system;
+mod yielding;
 
 use super::World;
 use super::parts::{ToolPart, mesh_of};

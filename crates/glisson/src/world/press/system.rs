@@ -40,7 +40,7 @@ const LEAST_FURTHER_OUT_M: f64 = 1e-6;
 /// Tissue that is in a part is pushed out in about this time [s], and no faster than this [m/s], a hand's calm motion: at once it
 /// would take a force that throws the nodes of explicit models. Choices.
 const PUSH_OUT_S: f64 = 4e-3;
-const PUSH_OUT_M_PER_S: f64 = 0.2;
+pub(super) const PUSH_OUT_M_PER_S: f64 = 0.2;
 /// Coefficient of friction of what sticks: it slides where it is pulled along the surface by more than it is pressed. A choice, beyond
 /// any of tissue; with a much larger one contacts on many sides wedge each other and bear nothing.
 const STICKY_FRICTION: f64 = 1.0;
@@ -63,9 +63,9 @@ pub(super) enum Bearer {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PressedPoint {
     /// The vertex of its part in the system.
-    vertex: u32,
+    pub(super) vertex: u32,
     at: ContactPoint,
-    force_n: DVec3,
+    pub(super) force_n: DVec3,
 }
 
 /// Where a part of an instrument pressed on the surface in the last step.
@@ -106,7 +106,7 @@ pub(in crate::world) struct Press {
     pub(super) nodes: Vec<NodeId>,
     /// Whether jaws hold each of the nodes.
     is_held: Vec<bool>,
-    response: Response,
+    pub(super) response: Response,
     pub(super) moves_m: Vec<DVec3>,
     /// Forces on the nodes in the last step, ascending by node.
     forces: Vec<NodalForce>,
@@ -116,13 +116,13 @@ pub(in crate::world) struct Press {
     /// The points of the last step that bore a force: the first guess in the next.
     pub(super) pressed: Vec<PressedPoint>,
     /// How a part's surface on the mesh yields against the part, for what the mesh is too coarse for ([`sub_grid`]) [m/N].
-    sub_grid_m_per_n: [[f64; JAWS]; MAX_TOOLS],
+    pub(super) sub_grid_m_per_n: [[f64; JAWS]; MAX_TOOLS],
     /// The way out of the organ along which it does.
-    outward: [[DVec3; JAWS]; MAX_TOOLS],
+    pub(super) outward: [[DVec3; JAWS]; MAX_TOOLS],
     /// How far it is in the surface of the mesh for that [m]. It comes out slowly: tissue that springs off for a step is not lost.
-    further_out_m: [[f64; JAWS]; MAX_TOOLS],
+    pub(super) further_out_m: [[f64; JAWS]; MAX_TOOLS],
     /// Scratch: forces of a part on nodes along its way.
-    on_nodes_n: Vec<(NodeId, f64)>,
+    pub(super) on_nodes_n: Vec<(NodeId, f64)>,
     /// Scratch: the answer to the change of the forces.
     answers_m: Vec<DVec3>,
     search: PointSearch,
@@ -213,16 +213,6 @@ impl Press {
     /// Forces on the nodes in this step, ascending by node.
     pub(in crate::world) fn forces(&self) -> &[NodalForce] {
         &self.forces
-    }
-
-    /// How a part yields along a direction for what the mesh is too coarse for [m/N].
-    pub(in crate::world) fn sub_grid_m_per_n(&self, place: usize, part: ToolPart, along: DVec3) -> f64 {
-        let sides = (0..SIDES).map(|side| side_of(part, side));
-        let yields = sides.map(|side| {
-            let cosine = self.outward[place][side].dot(along);
-            self.sub_grid_m_per_n[place][side] * cosine.max(0.0).powi(2)
-        });
-        yields.sum()
     }
 
     /// The nodes that a part bears on, with their shares of its push; none for a part that follows one place.
@@ -457,28 +447,6 @@ impl Press {
         self.add((place, vertex), Bearer::Jaws(node), ([node; 3], [1.0, 0.0, 0.0]), contact);
     }
 
-    /// How far a side of a part is in the surface of the mesh for what that is too coarse for, as the way out [m]. One that just
-    /// begins to touch yields most.
-    fn further_out_m(
-        &mut self,
-        (place, side): (usize, usize),
-        radius_m: f64,
-        contact: Option<&Indentation>,
-        (pressed, dt_s): (&[PressedPoint], f64),
-    ) -> DVec3 {
-        let vertex = vertex_of(place, side);
-        let yields = &mut self.sub_grid_m_per_n[place][side];
-        let own = pressed.iter().filter(|point| point.vertex == vertex);
-        if own.clone().next().is_none() {
-            *yields = contact.map_or(0.0, |contact| contact.at_first_m_per_n(radius_m));
-        }
-        let out = self.outward[place][side];
-        let now_m = own.map(|point| -point.force_n.dot(out)).sum::<f64>() * *yields;
-        let further_out_m = &mut self.further_out_m[place][side];
-        *further_out_m = now_m.max(*further_out_m - PUSH_OUT_M_PER_S * dt_s);
-        out * *further_out_m
-    }
-
     /// How an instrument answers: its parts move as one, with the hand's compliance.
     pub(super) fn set_tool(&mut self, place: usize, hand_m_per_n: f64) {
         self.response.set_group(1 + place, (0..VERTICES).map(|side| vertex_of(place, side)));
@@ -489,58 +457,6 @@ impl Press {
             let out = self.outward[place][side];
             compliance[side * VERTICES + side] += outer(out, out) * yields;
         }
-    }
-
-    /// After contacts were solved: what the mesh is too coarse for goes this share of the way to what it is with the forces that
-    /// were found.
-    pub(super) fn set_sub_grid(
-        &mut self,
-        (place, side): (usize, usize),
-        (radius_m, share): (f64, f64),
-        contact: &Indentation,
-        organ: &Organ,
-    ) {
-        let vertex = vertex_of(place, side);
-        let outward = self.outward[place][side];
-        self.on_nodes_n.clear();
-        let mut on_tool_n = DVec3::ZERO;
-        let mut is_at_end = true;
-        let (mut further_out_j, mut push_n) = (0.0, 0.0);
-        for (contact, (_, bearer)) in self.contacts.iter().zip(&self.of) {
-            let Bearer::Point(point) = bearer else { continue };
-            if contact.vertices[3] != vertex || contact.force_n == DVec3::ZERO {
-                continue;
-            }
-            is_at_end &= point.along == 0.0 || point.along == 1.0;
-            on_tool_n += contact.force_n * contact.weights[3];
-            let along_n = -contact.force_n.dot(outward);
-            push_n += along_n;
-            further_out_j += along_n * (radius_m + point.arm_m.dot(outward));
-            for (node, weight) in point.nodes.into_iter().zip(point.weights).filter(|(_, w)| *w > 0.0) {
-                match self.on_nodes_n.iter_mut().find(|(n, _)| *n == node) {
-                    Some((_, force_n)) => *force_n += along_n * weight,
-                    None => self.on_nodes_n.push((node, along_n * weight)),
-                }
-            }
-        }
-        if self.on_nodes_n.is_empty() {
-            return;
-        }
-        // What is held does not yield, and a rigid body neither.
-        let on_free = self.on_nodes_n.iter().filter(|(node, _)| !organ.is_fixed(*node));
-        let yields = on_free.map(|(_, force_n)| force_n).sum::<f64>() / push_n;
-        let missing = if is_at_end && yields > 0.0 {
-            let of_all = contact.missing_m_per_n(organ, (radius_m, further_out_j / push_n), &self.on_nodes_n);
-            of_all * yields.min(1.0)
-        } else {
-            0.0
-        };
-        let known = &mut self.sub_grid_m_per_n[place][side];
-        let further = (missing - *known) * share;
-        *known += further;
-        let compliance = &mut self.response.group_mut(1 + place).compliance_m_per_n;
-        compliance[side * VERTICES + side] += outer(outward, outward) * further;
-        self.moves_m[vertex as usize] += outward * (on_tool_n.dot(outward) * further);
     }
 
     /// A node's number in the patch.

@@ -1,5 +1,6 @@
 //! The whole path at full size, through the release program's own commands: synthetic patient and real CT.
 
+mod bed;
 mod haptics;
 mod link;
 mod served;

@@ -5,7 +5,8 @@ use super::hybrid::condensed::ZoneLaw;
 use super::kernel::Sequential;
 use super::tet_law::Fibre;
 use super::{
-    Attachment, DEFAULT_MOST_PARTS, DynamicBody, FixedNode, Integration, ModelError, Rayleigh, RestStress,
+    Attachment, DEFAULT_MOST_PARTS, DynamicBody, FixedNode, Integration, ModelError, NodalForce, Rayleigh,
+    RestStress,
 };
 use crate::material::{LawChoice, LinearElastic, PronySeries, PronyTerm};
 use glisson_mesh::math::DVec3;
@@ -63,9 +64,8 @@ pub struct OrganBody {
     pub volume_penalty_pa: f64,
     /// Nodes held at rest along some axes, ascending.
     pub fixed: Vec<FixedNode>,
-    /// Nodes at which other bodies carry it in the shape of the mesh, ascending: they count as held for the stress at rest,
-    /// not in steps.
-    pub carried: Vec<FixedNode>,
+    /// Forces that other bodies exert on it in the shape of the mesh, ascending by node: loads of the stress at rest.
+    pub carried: Vec<NodalForce>,
     /// Ligaments.
     pub attachments: Vec<Attachment>,
     /// Stress of the rest shape, one a tetrahedron or none.
@@ -122,10 +122,10 @@ impl OrganBody {
         }
     }
 
-    /// What holds the body at rest: supports, and what carries it; ascending.
+    /// What keeps the body in its place at rest: supports, and nodes at which others carry it; ascending.
     pub fn held_at_rest(&self) -> Vec<FixedNode> {
         let mut held = self.fixed.clone();
-        held.extend(&self.carried);
+        held.extend(self.carried.iter().map(|force| FixedNode::all_axes(force.node)));
         held.sort_by_key(|held| held.node);
         held.dedup_by(|next, kept| {
             let is_same = next.node == kept.node;

@@ -9,7 +9,7 @@
 ///
 /// # Panics
 /// When the lengths do not fit.
-pub(crate) fn solve_dense_in_place(
+pub fn solve_dense_in_place(
     n: usize,
     matrix: &mut [f64],
     right: &mut [f64],

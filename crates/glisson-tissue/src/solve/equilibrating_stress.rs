@@ -35,10 +35,6 @@ pub fn equilibrating_stress(
     attachments: &[Attachment],
     gravity_m_per_s2: DVec3,
 ) -> Result<Vec<RestStress>, SolveError> {
-    let edges = MeshEdges::of_mesh(mesh)?;
-    let tensors = StiffnessTensors::assemble(mesh, &edges, material)?;
-    let conditions = conditions_of(fixed);
-    conditions.check(mesh, &edges)?;
     let n_nodes = mesh.positions_m.len();
     let mut load_n = vec![DVec3::ZERO; n_nodes];
     add_gravity_forces(mesh, material, gravity_m_per_s2, &mut load_n);
@@ -48,6 +44,25 @@ pub fn equilibrating_stress(
             mesh.positions_m.get(node.index()).ok_or(SolveError::ConditionOutOfRange { node, n_nodes })?;
         load_n[node.index()] += attachment.force_n(*position_m);
     }
+    stress_under_loads(mesh, material, fixed, &load_n)
+}
+
+/// Stress of each tetrahedron [Pa] that balances these loads [N], one for each node, in the rest shape.
+///
+/// # Errors
+/// [`SolveError`]: an unusable mesh, supports at nodes that do not exist, a load that is not finite, a piece that the supports
+/// leave floating.
+pub fn stress_under_loads(
+    mesh: &TetMesh,
+    material: &LinearElastic,
+    fixed: &[FixedNode],
+    load_n: &[DVec3],
+) -> Result<Vec<RestStress>, SolveError> {
+    let edges = MeshEdges::of_mesh(mesh)?;
+    let tensors = StiffnessTensors::assemble(mesh, &edges, material)?;
+    let conditions = conditions_of(fixed);
+    conditions.check(mesh, &edges)?;
+    let n_nodes = mesh.positions_m.len();
     if let Some(n) = load_n.iter().position(|f| !f.is_finite()) {
         return Err(SolveError::NonFiniteCondition { node: NodeId::from_index(n) });
     }

@@ -30,8 +30,10 @@ pub mod integrators;
 pub use boundary::BoundaryConditions;
 pub use columns::solve_columns_into;
 pub use conjugate_gradient::{CgReport, CgScratch, IncompleteCholesky};
-pub(crate) use dense::solve_dense_in_place;
-pub use equilibrating_stress::{equilibrating_stress, is_stable_under, stress_forces_into};
+pub use dense::solve_dense_in_place;
+pub use equilibrating_stress::{
+    equilibrating_stress, is_stable_under, stress_forces_into, stress_under_loads,
+};
 pub use lagrange::{
     LagrangeError, LagrangeSolution, LinearConstraint, solve_lagrange, solve_lagrange_densely,
 };

@@ -13,7 +13,7 @@ use crate::mesh::faults::{FaultAction, ImportPolicy};
 use crate::mesh::files::{MeshFileError, read_mesh_with};
 use crate::mesh::generate::MeshingError;
 use crate::model::precomputed::{self};
-use crate::model::{BodyZone, FixedNode, MeasuredSample, ModelError, OrganBody};
+use crate::model::{BodyZone, MeasuredSample, ModelError, OrganBody};
 use crate::solve::equilibrating_stress;
 use crate::surface::files::{SurfaceFileError, import_closed_surface};
 use crate::tool::{Tool, ToolShape};
@@ -155,8 +155,6 @@ pub(super) struct OrganTables<'a> {
     pub(super) ligaments: &'a [Ligament],
     pub(super) loads: &'a [Load],
     pub(super) mesh: TetMesh,
-    /// Nodes at which other bodies carry it in the shape of the mesh.
-    pub(super) carried: Vec<FixedNode>,
     /// Whether nothing need hold it.
     pub(super) may_float: bool,
 }
@@ -173,21 +171,23 @@ pub fn read_organ(scene: &Scene, folder: &Path) -> Result<OrganBody, BuildError>
     if let Some(BodySource::Organ(_, own)) = scene.bodies.first().map(|body| &body.source) {
         (supports, ligaments, loads) = (&own.supports, &own.ligaments, &own.loads);
     }
-    let (source, carried) = (&scene.organ, Vec::new());
-    organ_at_rest(
-        OrganTables { source, supports, ligaments, loads, mesh, carried, may_float: false },
-        scene,
-        folder,
-    )
+    let tables = OrganTables { source: &scene.organ, supports, ligaments, loads, mesh, may_float: false };
+    let mut body = organ_without_stress(tables, scene, folder)?;
+    if body.is_imaged_under_gravity && body.gravity_m_per_s2 != DVec3::ZERO {
+        let OrganBody { mesh, material, fixed, attachments, gravity_m_per_s2, .. } = &body;
+        body.rest_stress_pa = equilibrating_stress(mesh, material, fixed, attachments, *gravity_m_per_s2)
+            .map_err(ModelError::RestStress)?;
+    }
+    Ok(body)
 }
 
-/// What an organ's models are made from.
-pub(super) fn organ_at_rest(
+/// What an organ's models are made from, but for the stress at rest.
+pub(super) fn organ_without_stress(
     tables: OrganTables<'_>,
     scene: &Scene,
     folder: &Path,
 ) -> Result<OrganBody, BuildError> {
-    let OrganTables { source, supports, ligaments, loads, mesh, carried, may_float } = tables;
+    let OrganTables { source, supports, ligaments, loads, mesh, may_float } = tables;
     let file = folder.join(&source.mesh);
     let (material, name) = read_material(&source.material)?;
     let WorldSpec { gravity_m_per_s2, time_step_s, .. } = &scene.world;
@@ -217,18 +217,9 @@ pub(super) fn organ_at_rest(
     body.fibre = source.fibre;
     body.volume_penalty_pa = source.volume_penalty_pa;
     body.fixed = fixed;
-    body.carried = carried;
     body.attachments = attachments;
     body.gravity_m_per_s2 = *gravity_m_per_s2;
     body.is_imaged_under_gravity = source.is_imaged_under_gravity;
-    let is_held = !(body.fixed.is_empty() && body.carried.is_empty());
-    if body.is_imaged_under_gravity && body.gravity_m_per_s2 != DVec3::ZERO && (is_held || !may_float) {
-        let attachments = &body.attachments;
-        let held = body.held_at_rest();
-        body.rest_stress_pa =
-            equilibrating_stress(&body.mesh, &body.material, &held, attachments, body.gravity_m_per_s2)
-                .map_err(ModelError::RestStress)?;
-    }
     body.damping = source.damping;
     body.most_parts = scene.most_parts;
     let zones = source.zones.iter();

@@ -2,11 +2,11 @@
 
 use super::attachment::bonds;
 use super::bodies::BodySource;
-use super::build::{BuildError, OrganTables, organ_at_rest, read_organ_mesh};
+use super::build::{BuildError, OrganTables, organ_without_stress, read_organ_mesh};
+use super::carried::carry;
 use super::rigid::{RigidShape, RigidSource};
 use super::spec::Scene;
-use crate::contact::response::NodeContact;
-use crate::contact::response::persistent::{BodiesOfSurface, ContactMemory, places_in_touch};
+use crate::contact::response::persistent::{BodiesOfSurface, ContactMemory, PlacesInTouch, places_in_touch};
 use crate::math::{Aabb, DMat3, DVec3};
 use crate::mesh::box_mesh::box_of_five;
 use crate::mesh::faults::{FaultAction, ImportPolicy};
@@ -15,8 +15,7 @@ use crate::mesh::generate::{MeshParams, WantedSize, generate};
 use crate::mesh::topology::Topology;
 use crate::mesh::{NodeId, TetMesh};
 use crate::model::explicit_kernel::SharedWorkers;
-use crate::model::{BodyPart, BodySet, FixedNode, ModelError, ModelMotion, NodalForce, OrganBody};
-use crate::solve::{add_gravity_forces, stress_forces_into};
+use crate::model::{BodyPart, BodySet, ModelError, ModelMotion};
 use crate::surface::TriMesh;
 use crate::surface::files::{import_closed_surface, surface_extensions};
 use crate::world::organ::OrganError;
@@ -29,10 +28,6 @@ const EDGES_ALONG: f64 = 12.0;
 const MOST_CELLS: f64 = 64.0;
 /// Sides of the polygon that stands for the circle of a cylinder, and rings of triangles on a ball.
 const N_AROUND: u32 = 48;
-/// A place carries what stands on it when its normal is not further than this from straight up: the sine of its slope, 0.2 for
-/// slopes of up to 78 degrees, a choice.
-const LEAST_UPWARD: f64 = 0.2;
-
 /// Reads all bodies of a scene and tells `spec` of them. With the forces with which they carry each other.
 pub(super) fn read_bodies(
     scene: &Scene,
@@ -62,8 +57,6 @@ pub(super) fn read_bodies(
     let is_rigid: Vec<bool> = spec.bodies.iter().map(|body| body.is_rigid).collect();
     let surface =
         BodiesOfSurface { topology: &topology, mesh: &joint, body_of: &body_of, is_rigid: &is_rigid };
-    let touching = Touching::find(spec, &surface);
-
     for (number, source) in scene.attachments.iter().enumerate() {
         let found = bonds(source, &spec.bodies, &joint, &topology);
         if found.is_empty() {
@@ -77,9 +70,8 @@ pub(super) fn read_bodies(
         spec.bonds.extend(found);
     }
 
-    let (mut parts, mut memory) = (Vec::new(), ContactMemory::default());
-    for ((number, body), mesh) in (0..).zip(&scene.bodies).zip(meshes) {
-        let first = spec.bodies[number].nodes.start;
+    let mut parts = Vec::new();
+    for (body, mesh) in scene.bodies.iter().zip(meshes) {
         parts.push(match &body.source {
             BodySource::Rigid(source) => BodyPart::Rigid { mesh, motion: source.motion.clone() },
             BodySource::Organ(source, own) => {
@@ -88,24 +80,26 @@ pub(super) fn read_bodies(
                     let (model, what) = (kind.name(), "contact with other bodies ([contact] bodies = false)");
                     return Err(of_body(&body.name)(ModelError::Unsupported { model, what }.into()));
                 }
-                let carries = source.is_imaged_under_gravity && kind.row().motion != ModelMotion::QuasiStatic;
-                let carried =
-                    if carries { touching.nodes_of(first, mesh.positions_m.len()) } else { Vec::new() };
                 let tables = OrganTables {
                     source,
                     supports: &own.supports,
                     ligaments: &own.ligaments,
                     loads: &own.loads,
                     mesh,
-                    carried,
                     may_float: kind.row().motion != ModelMotion::QuasiStatic,
                 };
-                let body = organ_at_rest(tables, scene, folder).map_err(of_body(&body.name))?;
-                touching.add_reactions(&body, first, &mut memory);
+                let body = organ_without_stress(tables, scene, folder).map_err(of_body(&body.name))?;
                 BodyPart::Organ { body: Box::new(body), kind }
             }
         });
     }
+    let places = match &spec.body_contact {
+        Some(params) if params.touch_m > 0.0 => places_in_touch(params, &surface),
+        _ => PlacesInTouch::default(),
+    };
+    let friction = spec.body_contact.as_ref().map_or(0.0, |params| params.friction);
+    let memory = carry(&mut parts, &topology, &joint, &places, friction)
+        .map_err(|(number, error)| of_body(&scene.bodies[number].name)(*error))?;
     Ok((BodySet::of_parts(parts, workers), memory))
 }
 
@@ -140,64 +134,6 @@ fn joined(meshes: &[TetMesh]) -> TetMesh {
         joint.tetrahedra.extend(mesh.tetrahedra.iter().map(moved));
     }
     joint
-}
-
-/// Where bodies stand on each other in the shape of their meshes.
-struct Touching {
-    /// Contacts that carry, over `nodes`, and of those only the ones whose vertex stands on something.
-    contacts: Vec<NodeContact>,
-    nodes: Vec<NodeId>,
-    friction: f64,
-}
-
-impl Touching {
-    fn find(spec: &WorldSpec, bodies: &BodiesOfSurface<'_>) -> Self {
-        let none = Self { contacts: Vec::new(), nodes: Vec::new(), friction: 0.0 };
-        let (Some(params), Some(down)) = (&spec.body_contact, spec.gravity_m_per_s2.try_normalize()) else {
-            return none;
-        };
-        if params.touch_m == 0.0 {
-            return none;
-        }
-        let (mut contacts, nodes) = places_in_touch(params, bodies);
-        contacts.retain(|contact| contact.normal.dot(-down) > LEAST_UPWARD);
-        Self { contacts, nodes, friction: params.friction }
-    }
-
-    fn node(&self, contact: &NodeContact) -> NodeId {
-        self.nodes[contact.vertices[0] as usize]
-    }
-
-    /// The nodes of a body that stand on others, in its own numbers.
-    fn nodes_of(&self, first: u32, n_nodes: usize) -> Vec<FixedNode> {
-        let own = first..first + n_nodes as u32;
-        let nodes =
-            self.contacts.iter().map(|contact| self.node(contact)).filter(|node| own.contains(&node.0));
-        nodes.map(|node| FixedNode { node: NodeId(node.0 - first), axes: [true; 3] }).collect()
-    }
-
-    /// The forces with which others carry a body in its rest shape, as far as contact can exert them.
-    fn add_reactions(&self, body: &OrganBody, first: u32, memory: &mut ContactMemory) {
-        if body.carried.is_empty() || body.rest_stress_pa.is_empty() {
-            return;
-        }
-        let n_nodes = body.mesh.positions_m.len();
-        let (mut weight_n, mut carried_n) = (vec![DVec3::ZERO; n_nodes], vec![DVec3::ZERO; n_nodes]);
-        add_gravity_forces(&body.mesh, &body.material, body.gravity_m_per_s2, &mut weight_n);
-        stress_forces_into(&body.mesh, &body.rest_stress_pa, &mut carried_n);
-        for contact in &self.contacts {
-            let node = self.node(contact);
-            let Some(own) = node.0.checked_sub(first).map(|n| n as usize).filter(|&n| n < n_nodes) else {
-                continue;
-            };
-            let is_fixed = body.fixed.iter().any(|held| held.node.index() == own);
-            let force_n = contact.allowed_force_n(carried_n[own] - weight_n[own], self.friction);
-            if !is_fixed && force_n != DVec3::ZERO {
-                let sides = contact.sides().map(|(v, w)| (self.nodes[v], force_n * w));
-                memory.start_with(NodalForce { node, force_n }, sides);
-            }
-        }
-    }
 }
 
 fn read_rigid_mesh(source: &RigidSource, folder: &Path) -> Result<TetMesh, BuildError> {

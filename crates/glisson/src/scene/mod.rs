@@ -14,6 +14,7 @@ mod rigid;
 mod simulation;
 mod bodies;
 mod attachment;
+mod carried;
 mod build_bodies;
 mod build_world;
 mod spec;

@@ -26,6 +26,7 @@ pub mod penalty;
 mod coupled;
 pub mod bond;
 pub mod persistent;
+mod rest_gaps;
 pub mod self_contact;
 
 use crate::math::DVec3;

@@ -21,6 +21,7 @@ use super::NodeContact;
 use super::bodies::ResponseReport;
 use super::bond::{Bond, BondRow};
 use super::find::{ContactSearch, ContactSearchParams};
+use super::rest_gaps::RestGaps;
 use crate::contact::broad_phase::BroadPhaseKind;
 use crate::math::DVec3;
 use crate::mesh::topology::{Through, Topology, surface_of};
@@ -37,7 +38,7 @@ pub struct BodyContactParams {
     /// Whether a body touches itself, too.
     pub touches_itself: bool,
     /// What is not further apart, or in each other, in the rest shape [m], counts as just touching: meshes made from an image fit
-    /// no better. A body's vertices keep that difference. Zero where shapes are exact.
+    /// no better ([`super::rest_gaps`]). Zero where shapes are exact.
     pub touch_m: f64,
 }
 
@@ -46,8 +47,9 @@ const PUSHED_OUT: f64 = 0.2;
 const PUSH_OUT_M_PER_S: f64 = 0.05;
 /// Answers of the model in a step at most: a choice.
 const MOST_ANSWERS: u32 = 8;
-/// The search ends when no row is further from its law than this [m]: what rests must not creep by what is left.
-const TOLERANCE_M: f64 = 1e-9;
+/// The search ends when no row misses its law by more than the way of this speed in the step: what rests creeps no faster, a choice
+/// of a tenth of a millimetre in three minutes.
+const TOLERANCE_M_PER_S: f64 = 5e-7;
 /// A length of a step of the search may change by this factor at once: a choice.
 const MOST_CHANGE: f64 = 10.0;
 
@@ -96,8 +98,7 @@ pub struct BodyContact {
     contacts: Vec<NodeContact>,
     bonds: Vec<Bond>,
     bond_rows: Vec<BondRow>,
-    /// The gap at rest of each vertex that counts as touching then [m].
-    rest_gaps_m: Vec<f64>,
+    rest: RestGaps,
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
     // What lasts.
@@ -112,6 +113,8 @@ pub struct BodyContact {
     before_n: Vec<DVec3>,
     before_m: Vec<DVec3>,
     best_n: Vec<DVec3>,
+    /// How stiff each row is against the others.
+    stiffness: Vec<f64>,
     // Scratch.
     sum_n: Vec<DVec3>,
     acted_n: Vec<DVec3>,
@@ -135,7 +138,7 @@ impl Clone for BodyContact {
             contacts: Vec::with_capacity(n),
             bonds: self.bonds.clone(),
             bond_rows: self.bond_rows.clone(),
-            rest_gaps_m: self.rest_gaps_m.clone(),
+            rest: self.rest.clone(),
             positions_m: self.positions_m.clone(),
             velocities_m_per_s: self.velocities_m_per_s.clone(),
             of_vertex_n: self.of_vertex_n.clone(),
@@ -148,6 +151,7 @@ impl Clone for BodyContact {
             before_n: self.before_n.clone(),
             before_m: self.before_m.clone(),
             best_n: self.best_n.clone(),
+            stiffness: self.stiffness.clone(),
             sum_n: self.sum_n.clone(),
             acted_n: self.acted_n.clone(),
             of_nodes_m: self.of_nodes_m.clone(),
@@ -200,14 +204,12 @@ impl BodyContact {
         let mut search = ContactSearch::new(&search, &rest_m, &surface.triangles, &body_of)
             .with_rest_shape(rest_m.clone(), piece_of);
         let mut contacts = Vec::with_capacity(nodes.len());
-        let mut rest_gaps_m = vec![0.0; nodes.len()];
         if params.touch_m > 0.0 {
             search.find_into(&rest_m, &mut contacts);
-            for contact in contacts.iter().filter(|contact| contact.gap_m <= params.touch_m) {
-                rest_gaps_m[contact.vertices[0] as usize] = contact.gap_m.max(-params.touch_m);
-            }
-            contacts.clear();
         }
+        let body_of_vertex = nodes.iter().map(|n| bodies.body_of[n.index()]).collect();
+        let rest = RestGaps::new(params.touch_m, rest_m, body_of_vertex, &contacts);
+        contacts.clear();
         let bond_rows: Vec<BondRow> = bonds.iter().map(|bond| BondRow::new(bond, &nodes)).collect();
         let (n, n_nodes) = (nodes.len(), bodies.mesh.positions_m.len());
         let none = |n: usize| vec![DVec3::ZERO; n];
@@ -218,7 +220,7 @@ impl BodyContact {
             contacts,
             bonds: bonds.to_vec(),
             bond_rows,
-            rest_gaps_m,
+            rest,
             positions_m: now_m,
             velocities_m_per_s: none(n),
             of_vertex_n: none(n),
@@ -231,6 +233,7 @@ impl BodyContact {
             before_n: none(n_rows),
             before_m: none(n_rows),
             best_n: none(n_rows),
+            stiffness: vec![1.0; n_rows],
             sum_n: none(n),
             acted_n: none(n),
             of_nodes_m: none(n_nodes),
@@ -342,7 +345,9 @@ impl BodyContact {
         self.open(dt_s);
         self.solve(model, dt_s);
         self.collect(true);
-        model.correct_step(&self.list, dt_s, Correction::Motion);
+        if !self.list.is_empty() {
+            model.correct_step(&self.list, dt_s, Correction::Motion);
+        }
         self.remember();
     }
 
@@ -358,7 +363,7 @@ impl BodyContact {
         let is_rigid = &self.is_rigid;
         self.contacts.retain(|contact| contact.sides().any(|(v, _)| !is_rigid[v]));
         for contact in &mut self.contacts {
-            contact.gap_m -= self.rest_gaps_m[contact.vertices[0] as usize];
+            contact.gap_m -= self.rest.gap_m(contact);
         }
         let penetration_m = self.contacts.iter().fold(0.0, |deepest: f64, c| deepest.max(-c.gap_m));
         self.report = ResponseReport { n_contacts: self.contacts.len() as u32, penetration_m, n_dropped };
@@ -446,6 +451,10 @@ impl BodyContact {
     /// Relative displacements for the present forces.
     fn answer(&mut self, model: &mut dyn DeformableModel) {
         self.collect(true);
+        if self.list.is_empty() {
+            self.moves_m.fill(DVec3::ZERO);
+            return;
+        }
         model.answer_into(&self.list, &mut self.of_nodes_m);
         for row in 0..self.n_rows() {
             let moved_m = |(v, w): (usize, f64)| self.of_nodes_m[self.nodes[v].index()] * w;
@@ -460,6 +469,7 @@ impl BodyContact {
         }
         // The steps of the search do not come nearer each time: the best of all forces counts, measured alike.
         let measure_n_per_m = self.rho_n_per_m;
+        self.weigh(model, dt_s);
         let mut least_m2 = f64::INFINITY;
         for turn in 0..MOST_ANSWERS {
             self.answer(model);
@@ -472,8 +482,9 @@ impl BodyContact {
                 let (now_n, missed_m) = (self.forces_n[row], self.missed_m(row));
                 self.before_n[row] = now_n;
                 self.before_m[row] = missed_m;
-                let is_missed_n = self.project(row, now_n - missed_m * measure_n_per_m) - now_n;
-                let is_missed_m = is_missed_n.length() / measure_n_per_m;
+                let length_n_per_m = measure_n_per_m * self.stiffness[row];
+                let is_missed_n = self.project(row, now_n - missed_m * length_n_per_m) - now_n;
+                let is_missed_m = is_missed_n.length() / length_n_per_m;
                 worst_m = worst_m.max(is_missed_m);
                 all_m2 += is_missed_m * is_missed_m;
             }
@@ -481,11 +492,14 @@ impl BodyContact {
                 least_m2 = all_m2;
                 self.best_n[..n_rows].copy_from_slice(&self.forces_n[..n_rows]);
             }
-            if worst_m <= TOLERANCE_M {
+            if worst_m <= TOLERANCE_M_PER_S * dt_s {
                 break;
             }
             for row in 0..n_rows {
-                let next_n = self.project(row, self.before_n[row] - self.before_m[row] * rho_n_per_m);
+                let next_n = self.project(
+                    row,
+                    self.before_n[row] - self.before_m[row] * (rho_n_per_m * self.stiffness[row]),
+                );
                 // What is no number, from a body that broke, stays out.
                 if next_n.is_finite() {
                     self.forces_n[row] = next_n;
@@ -497,6 +511,26 @@ impl BodyContact {
         }
     }
 
+    /// Rows between light nodes yield more than those between heavy ones: where the model tells how its nodes answer, the lengths of
+    /// the search follow that.
+    fn weigh(&mut self, model: &dyn DeformableModel, dt_s: f64) {
+        let n_rows = self.n_rows();
+        let (mut softest, mut is_known) = (0.0_f64, true);
+        for row in 0..n_rows {
+            let n = self.contacts.len();
+            let contact = if row < n { &self.contacts[row] } else { &self.bond_rows[row - n].sides };
+            let answer =
+                |(v, w): (usize, f64)| w * w * model.node_answer_m_per_n(self.nodes[v], dt_s).element_sum();
+            let yields: f64 = contact.sides().map(answer).sum();
+            self.stiffness[row] = yields;
+            softest = softest.max(yields);
+            is_known &= yields > 0.0;
+        }
+        for stiffness in &mut self.stiffness[..n_rows] {
+            *stiffness = if is_known { softest / *stiffness } else { 1.0 };
+        }
+    }
+
     /// Barzilai and Borwein's length of the next step, from what the last one changed.
     fn change_length(&mut self, n_rows: usize) {
         let (mut of_both, mut of_missed) = (0.0, 0.0);
@@ -504,7 +538,7 @@ impl BodyContact {
             let changed_n = self.forces_n[row] - self.before_n[row];
             let yielded_m = self.missed_m(row) - self.before_m[row];
             of_both += changed_n.dot(yielded_m);
-            of_missed += yielded_m.length_squared();
+            of_missed += yielded_m.length_squared() * self.stiffness[row];
         }
         let length_n_per_m = of_both / of_missed;
         if length_n_per_m.is_finite() && length_n_per_m > 0.0 {
@@ -550,24 +584,31 @@ impl BodyContact {
     }
 }
 
-/// The places that touch in the rest shape, over the nodes of the surface.
-pub fn places_in_touch(
-    params: &BodyContactParams,
-    bodies: &BodiesOfSurface<'_>,
-) -> (Vec<NodeContact>, Vec<NodeId>) {
+/// Where bodies touch each other in the rest shape.
+#[derive(Default)]
+pub struct PlacesInTouch {
+    /// The contacts, over `nodes`.
+    pub contacts: Vec<NodeContact>,
+    /// The node of each vertex of the surface.
+    pub nodes: Vec<NodeId>,
+    /// A third of the triangles around each vertex [m2].
+    pub areas_m2: Vec<f64>,
+}
+
+/// The places that touch in the rest shape: one for each vertex that is near another body.
+pub fn places_in_touch(params: &BodyContactParams, bodies: &BodiesOfSurface<'_>) -> PlacesInTouch {
     let mut contact = BodyContact::new(params, bodies, &[], &bodies.mesh.positions_m);
     contact.search.find_into(&contact.positions_m, &mut contact.contacts);
     let is_rigid = &contact.is_rigid;
     let is_soft = |contact: &NodeContact| contact.sides().any(|(v, _)| !is_rigid[v]);
     contact.contacts.retain(|contact| contact.gap_m <= params.touch_m && is_soft(contact));
-    (contact.contacts, contact.nodes)
-}
-
-impl NodeContact {
-    /// What of a force on the vertex the contact can exert [N].
-    pub fn allowed_force_n(&self, force_n: DVec3, friction: f64) -> DVec3 {
-        within_cone(self.normal, force_n, friction)
+    let mut areas_m2 = vec![0.0; contact.nodes.len()];
+    for corners in contact.search.triangles() {
+        let [a, b, c] = corners.map(|v| contact.positions_m[v as usize]);
+        let third_m2 = (b - a).cross(c - a).length() / 6.0;
+        corners.iter().for_each(|&v| areas_m2[v as usize] += third_m2);
     }
+    PlacesInTouch { contacts: contact.contacts, nodes: contact.nodes, areas_m2 }
 }
 
 /// The nearest force in Coulomb's cone, along the normal first.

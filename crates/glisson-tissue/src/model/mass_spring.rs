@@ -23,7 +23,7 @@ use super::{
     DeformableModel, DynamicBody, ModelError, ModelRow, OrganBody, Rayleigh, RestStress, TopologyRefusal,
 };
 use crate::material::{LawChoice, StableNeoHooke};
-use crate::model::explicit::{Mover, Quarantine, StandIns};
+use crate::model::explicit::{Mover, Quarantine, StandIn, StandIns};
 use crate::solve::{MeshEdges, P1Gradients};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::edit::TopologyChange;
@@ -193,7 +193,7 @@ impl MassSpring {
                 stiffness_n_per_m,
                 link_damping_n_s_per_m: params.link_damping_n_s_per_m,
                 node_damping_n_s_per_m: params.node_damping_n_s_per_m,
-                stand_ins: StandIns::new(stand_in(young_modulus_pa)?, mesh.tetrahedra.len()),
+                stand_ins: StandIns::new(StandIn::Stable(stand_in(young_modulus_pa)?), mesh.tetrahedra.len()),
                 tets: LiveTets::of_mesh(mesh),
             },
             rest_stress_pa: body.rest_stress_pa.to_vec(),

@@ -17,7 +17,7 @@ use glisson::surface::TriMesh;
 use glisson::world::spec::Region;
 
 /// The block [m], its base at z = 0.
-pub(super) const SIZE_M: DVec3 = DVec3::new(0.1, 0.1, 0.06);
+pub(in crate::validate) const SIZE_M: DVec3 = DVec3::new(0.1, 0.1, 0.06);
 /// Where the block is touched, from the middle of its upper side along x and y [m]: near enough for the reference, whose ball
 /// is on the axis, and at no node, edge or plane of symmetry. Choices.
 pub(super) const PLACES_M: [[f64; 2]; 3] = [[1.37e-3, 2.11e-3], [-3.29e-3, 0.83e-3], [2.71e-3, -3.93e-3]];
@@ -98,7 +98,7 @@ fn box_surface(size_m: DVec3) -> TriMesh {
 }
 
 /// The block in about so many tetrahedra.
-pub(super) fn block(n_tets: usize) -> anyhow::Result<TetMesh> {
+pub(in crate::validate) fn block(n_tets: usize) -> anyhow::Result<TetMesh> {
     let params = MeshParams { size: WantedSize::Tetrahedra(n_tets), volume_m3: None };
     Ok(generate(&box_surface(SIZE_M), &params).context("meshing the block")?.0)
 }

@@ -11,6 +11,7 @@ mod skin;
 mod press;
 mod selection;
 mod blocks;
+pub(super) use blocks::{SIZE_M as BLOCK_SIZE_M, block};
 mod livers;
 mod judgement;
 

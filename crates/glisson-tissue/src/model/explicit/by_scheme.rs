@@ -359,11 +359,32 @@ impl ExplicitBody {
                 let force_n = held.on_tool_n(-self.force_n[held.node as usize]);
                 self.frame.constraint_forces_n[held.place as usize] = force_n;
             }
+            if let Some(furthest_m) = self.frame.furthest_m(h_s) {
+                self.limit_ways(furthest_m, h_s);
+            }
             let mut kinetic_j = self.free_kinetic_j();
             if !self.frame.is_plain_growth(last_kinetic_j, kinetic_j) {
                 kinetic_j = self.put_right(last_kinetic_j);
             }
             last_kinetic_j = kinetic_j;
+        }
+    }
+
+    /// No node goes further in a part than that.
+    #[cold]
+    fn limit_ways(&mut self, furthest_m: f64, h_s: f64) {
+        let mut is_any = false;
+        for n in (0..self.moves.len()).filter(|&n| self.moves[n]) {
+            let way_m = self.positions_m[n] - self.before_m[n];
+            if way_m.length_squared() > furthest_m * furthest_m {
+                self.positions_m[n] = self.before_m[n] + way_m.clamp_length_max(furthest_m);
+                self.velocities_m_per_s[n] = self.velocities_m_per_s[n].clamp_length_max(furthest_m / h_s);
+                is_any = true;
+            }
+        }
+        if is_any {
+            self.integrator.restart();
+            self.frame.note_limited_energy();
         }
     }
 

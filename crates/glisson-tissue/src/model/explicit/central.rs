@@ -334,6 +334,25 @@ impl ExplicitMotion {
         }
     }
 
+    /// No node goes further in a part than that.
+    #[cold]
+    fn limit_ways(&mut self, furthest_m: f64, h_s: f64, kinetic_j: &mut f64) {
+        let n = self.n_nodes();
+        let mut is_any = false;
+        for p in (0..n).filter(|&p| self.inverse_inertia_per_kg[p] > 0.0) {
+            let (now_m, before_m) = (unpadded(&self.motion[p]), unpadded(&self.motion[n + p]));
+            let way_m = now_m - before_m;
+            if way_m.length_squared() > furthest_m * furthest_m {
+                self.motion[p] = padded(before_m + way_m.clamp_length_max(furthest_m));
+                is_any = true;
+            }
+        }
+        if is_any {
+            *kinetic_j = self.free_kinetic_j(h_s);
+            self.frame.note_limited_energy();
+        }
+    }
+
     /// What a part may have gone wrong with: places that are no numbers, and energy from nowhere.
     #[cold]
     fn put_right(&mut self, h_s: f64) -> f64 {
@@ -425,6 +444,9 @@ impl ExplicitMotion {
             self.balance_forces(h_s, &mut add_elastic);
             let mut kinetic_j = self.integrate(h_s);
             self.bring_back_held(h_s, &mut kinetic_j);
+            if let Some(furthest_m) = self.frame.furthest_m(h_s) {
+                self.limit_ways(furthest_m, h_s, &mut kinetic_j);
+            }
             if !self.frame.is_plain_growth(self.last_kinetic_j(), kinetic_j) {
                 kinetic_j = self.put_right(h_s);
             }

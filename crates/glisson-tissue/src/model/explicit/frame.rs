@@ -68,6 +68,9 @@ pub(super) struct Sliding {
 
 /// Steps that stay divided after tetrahedra were inverted or the energy was limited: some vibrations of a tetrahedron.
 const CAREFUL_STEPS: u32 = 50;
+/// A strained body's nodes are not let go faster than so many times its fastest wave at rest: a choice, three times that of St
+/// Venant-Kirchhoff tissue stretched by 1.3.
+const MOST_WAVE_SPEEDS: f64 = 4.3;
 
 /// Of the energy of a strain of 1, what a body whose energy is limited may keep moving with.
 const LEAST_SHARE_OF_ENERGY: f64 = 0.01;
@@ -103,6 +106,8 @@ pub(in crate::model) struct Frame {
     tet_squared_frequency_per_s2: Vec<f64>,
     /// Energy of the body with every tetrahedron strained by 1 [J].
     full_strain_energy_j: f64,
+    /// Speed of the fastest wave at rest [m/s].
+    wave_m_per_s: f64,
 
     pub(super) rest_m: Vec<DVec3>,
     pub(super) is_fixed: Vec<bool>,
@@ -188,6 +193,7 @@ impl Frame {
                 node_tets[node.index()] += 1;
             }
         }
+        let wave_m_per_s = (2.0 * full_strain_energy_j / mass_kg.iter().sum::<f64>()).sqrt();
         Ok(Self {
             density_kg_per_m3: body.density_kg_per_m3,
             gravity_m_per_s2: body.gravity_m_per_s2,
@@ -199,6 +205,7 @@ impl Frame {
             stable_step_s: f64::INFINITY,
             tet_squared_frequency_per_s2: Vec::new(),
             full_strain_energy_j,
+            wave_m_per_s,
             rest_m: body.mesh.positions_m.clone(),
             sliding: sliding.map(|(n, &supported)| Sliding { node: n as u32, supported }).collect(),
             is_fixed: supported.iter().map(|axes| *axes == [true; 3]).collect(),
@@ -278,6 +285,18 @@ impl Frame {
         self.report.missed_tolerance = false;
         // Only a step of more than the most parts is cut off.
         Some((n_parts, (dt_s / n_parts as f64).min(self.time_step_s)))
+    }
+
+    /// How far a node may go in a part of `h_s` [m], in a body that is strained beyond what the step is made for: tissue that is
+    /// driven by its own elasticity is not much faster than waves run through it.
+    pub(super) fn furthest_m(&self, h_s: f64) -> Option<f64> {
+        let is_strained = self.careful_steps > 0 || self.report.n_quarantined_tets > 0;
+        let furthest_m = MOST_WAVE_SPEEDS * self.wave_m_per_s * h_s;
+        (is_strained && furthest_m.is_finite()).then_some(furthest_m)
+    }
+
+    pub(super) fn note_limited_energy(&mut self) {
+        self.report.energy_was_limited = true;
     }
 
     /// Takes note of what one part left out: of the part that left out most.

@@ -1,9 +1,14 @@
 //! Tetrahedra that are inside out, in models whose own forces do not bring them back: St Venant-Kirchhoff tissue and springs
 //! rest in their mirror image, others have no force there. They follow the stable neo-Hookean law with the stiffness at rest
 //! (Smith, De Goes and Kim 2018, doi 10.1145/3180491), which does.
+//!
+//! The law with ln J has its own continuation: below a J0 of [`LEAST_J`] the part of its energy that depends on J goes on as its
+//! Taylor polynomial of second degree, which is finite for any J and pushes a mirrored tetrahedron back. Energy and forces are
+//! steady there, so that nothing is gained from one to the other, and the stiffness is bounded: a step stays stable where the
+//! logarithm's would not.
 
 use super::{LiveTets, Quarantine};
-use crate::material::{Material, StableNeoHooke};
+use crate::material::{LinearElastic, Material, StableNeoHooke, cofactor};
 use crate::model::bounded_vec::BoundedVec;
 use crate::solve::P1Gradients;
 use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer, tetrahedron_volume_m3};
@@ -15,30 +20,99 @@ pub(in crate::model) fn stand_in_forces_n(
     gradients: &P1Gradients,
     corners_m: [DVec3; 4],
 ) -> [DVec3; 4] {
+    forces_n(gradients, corners_m, |f| law.first_piola_pa(f))
+}
+
+fn forces_n(
+    gradients: &P1Gradients,
+    corners_m: [DVec3; 4],
+    first_piola_pa: impl Fn(&DMat3) -> DMat3,
+) -> [DVec3; 4] {
     let P1Gradients { alpha_per_m, volume_m3 } = *gradients;
     let f = (1..4).fold(DMat3::ZERO, |f, k| f + outer(corners_m[k] - corners_m[0], alpha_per_m[k]));
-    let stress_pa = law.first_piola_pa(&f);
+    let stress_pa = first_piola_pa(&f);
     alpha_per_m.map(|alpha| stress_pa * alpha * volume_m3)
 }
 
-/// The tetrahedra that are inside out in the part of a step under way.
+/// J below which the law with ln J is continued: its stiffness there is about ten times that of nearly incompressible tissue at
+/// rest, beyond which the kernel's model does not trust a law either. A choice.
+pub(in crate::model) const LEAST_J: f64 = 0.4;
+
+/// The neo-Hookean law with ln J, continued below [`LEAST_J`]: W = mu/2 (I1 - 3) + U(J).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::model) struct ContinuedNeoHookeLog {
+    mu_pa: f64,
+    /// U' and U'' at J0.
+    slope_pa: f64,
+    curvature_pa: f64,
+}
+
+impl From<&LinearElastic> for ContinuedNeoHookeLog {
+    /// U = lambda/2 (ln J)^2 - mu ln J.
+    fn from(material: &LinearElastic) -> Self {
+        let (lambda_pa, mu_pa) = (material.lambda_pa(), material.mu_pa());
+        let ln_j = libm::log(LEAST_J);
+        Self {
+            mu_pa,
+            slope_pa: (lambda_pa * ln_j - mu_pa) / LEAST_J,
+            curvature_pa: (lambda_pa * (1.0 - ln_j) + mu_pa) / (LEAST_J * LEAST_J),
+        }
+    }
+}
+
+impl ContinuedNeoHookeLog {
+    /// First Piola-Kirchhoff stress [Pa] for J below [`LEAST_J`].
+    pub(in crate::model) fn first_piola_pa(&self, f: &DMat3) -> DMat3 {
+        let pressure_pa = self.slope_pa + self.curvature_pa * (f.determinant() - LEAST_J);
+        *f * self.mu_pa + cofactor(f) * pressure_pa
+    }
+}
+
+/// What takes the place of a law.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::model) enum StandIn {
+    /// Another law, where a tetrahedron is inside out.
+    Stable(StableNeoHooke),
+    /// The law's own continuation, below [`LEAST_J`].
+    Continued(ContinuedNeoHookeLog),
+}
+
+impl StandIn {
+    fn first_piola_pa(&self, f: &DMat3) -> DMat3 {
+        match self {
+            Self::Stable(law) => law.first_piola_pa(f),
+            Self::Continued(law) => law.first_piola_pa(f),
+        }
+    }
+
+    /// Whether it stands in for a tetrahedron of these corners; `rest_m`: all nodes at rest.
+    fn takes(&self, nodes: [NodeId; 4], positions_m: &[DVec3], rest_m: &[DVec3]) -> bool {
+        let volume_m3 = |of: &[DVec3]| tetrahedron_volume_m3(nodes.map(|n| of[n.index()]));
+        match self {
+            Self::Stable(_) => is_inverted(volume_m3(positions_m)),
+            Self::Continued(_) => volume_m3(positions_m) < LEAST_J * volume_m3(rest_m),
+        }
+    }
+}
+
+/// The tetrahedra that do not follow the model's law in the part of a step under way.
 #[derive(Clone, Debug)]
 pub(in crate::model) struct StandIns {
-    law: StableNeoHooke,
-    inverted: BoundedVec<([NodeId; 4], P1Gradients)>,
+    law: StandIn,
+    taken: BoundedVec<([NodeId; 4], P1Gradients)>,
 }
 
 impl StandIns {
-    pub(in crate::model) fn new(law: StableNeoHooke, n_tets: usize) -> Self {
-        Self { law, inverted: BoundedVec::with_capacity(n_tets) }
+    pub(in crate::model) fn new(law: StandIn, n_tets: usize) -> Self {
+        Self { law, taken: BoundedVec::with_capacity(n_tets) }
     }
 
     pub(in crate::model) fn make_room(&mut self, n_tets: usize) {
-        self.inverted.make_room(n_tets);
+        self.taken.make_room(n_tets);
     }
 
     pub(in crate::model) fn clear(&mut self) {
-        self.inverted.clear();
+        self.taken.clear();
     }
 
     /// Finds them; `tell` hears the number of each.
@@ -49,12 +123,12 @@ impl StandIns {
         rest_m: &[DVec3],
         mut tell: impl FnMut(usize),
     ) -> Quarantine {
-        self.inverted.clear();
+        self.taken.clear();
         let mut quarantine = Quarantine::default();
         for (t, nodes) in tets.iter() {
-            if is_inverted(tetrahedron_volume_m3(nodes.map(|n| positions_m[n.index()]))) {
+            if self.law.takes(*nodes, positions_m, rest_m) {
                 let gradients = P1Gradients::new(nodes.map(|n| rest_m[n.index()]));
-                self.inverted.try_push((*nodes, gradients));
+                self.taken.try_push((*nodes, gradients));
                 quarantine.add(t);
                 tell(t);
             }
@@ -64,11 +138,37 @@ impl StandIns {
 
     /// Adds the force [N] that they exert on each node.
     pub(in crate::model) fn add_forces(&self, positions_m: &[DVec3], force_n: &mut [DVec3]) {
-        for (nodes, gradients) in self.inverted.iter() {
-            let balance_n = stand_in_forces_n(&self.law, gradients, nodes.map(|n| positions_m[n.index()]));
+        for (nodes, gradients) in self.taken.iter() {
+            let corners_m = nodes.map(|n| positions_m[n.index()]);
+            let balance_n = forces_n(gradients, corners_m, |f| self.law.first_piola_pa(f));
             for (node, f) in nodes.iter().zip(balance_n) {
                 force_n[node.index()] -= f;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::material::NeoHookeLog;
+
+    #[test]
+    fn the_continued_law_joins_the_logarithms_and_pushes_mirrored_tissue_back() {
+        let material = LinearElastic::from_young_poisson(5e3, 0.45, 1060.0).unwrap();
+        let (law, continued) = (NeoHookeLog::from(&material), ContinuedNeoHookeLog::from(&material));
+        let squeezed = |j: f64| DMat3::from_diagonal(DVec3::new(1.1, 0.9, j / (1.1 * 0.9)));
+        let f = squeezed(LEAST_J);
+        assert!((law.first_piola_pa(&f) - continued.first_piola_pa(&f)).abs_diff_eq(DMat3::ZERO, 1e-8));
+        // Its slope too: second-order contact.
+        let h = 1e-6;
+        let slope = |of: &dyn Fn(&DMat3) -> DMat3| {
+            (of(&squeezed(LEAST_J + h)) - of(&squeezed(LEAST_J - h))) * (0.5 / h)
+        };
+        let (a, b) = (slope(&|f| law.first_piola_pa(f)), slope(&|f| continued.first_piola_pa(f)));
+        assert!((a - b).abs_diff_eq(DMat3::ZERO, 1e-3 * a.z_axis.z), "{a} {b}");
+        // Along the axis that is turned round the stress pulls the wall back, the more the further.
+        let stress_pa = |j: f64| continued.first_piola_pa(&squeezed(j)).z_axis.z;
+        assert!(stress_pa(-0.2) < stress_pa(0.0) && stress_pa(0.0) < stress_pa(0.2) && stress_pa(0.3) < 0.0);
     }
 }

@@ -27,8 +27,8 @@ pub use tuning::tuned_damping_per_s;
 use self::law::{EdgeEnergy, Lame, NeoHookeTet, StVenantKirchhoffTet, is_inverted};
 use super::explicit::{
     Cuttable, ExplicitBody, ExplicitDynamics, ExplicitError, Integration, InternalForces, LiveEdges,
-    LiveTets, Quarantine, RestTensions, Stability, StandIns, StiffTet, check_body, check_number, follow,
-    keep,
+    LiveTets, Quarantine, RestTensions, Stability, StandIn, StandIns, StiffTet, check_body, check_number,
+    follow, keep,
 };
 use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw};
 use super::tet_law::TetLaw;
@@ -205,6 +205,14 @@ fn rest_squares_m2(mesh_positions_m: &[DVec3], nodes: [NodeId; 4]) -> [f64; 6] {
     LOCAL_EDGES.map(|[a, b]| (p[b] - p[a]).length_squared())
 }
 
+/// What tetrahedra follow that the law would not bring back.
+fn stand_in(law: EdgeLaw, material: &LinearElastic) -> StandIn {
+    match law {
+        EdgeLaw::StVenantKirchhoff => StandIn::Stable(StableNeoHooke::from(material)),
+        EdgeLaw::NeoHooke => StandIn::Continued(material.into()),
+    }
+}
+
 /// A tetrahedron's share in the stable step.
 fn stiff_tet(
     material: &LinearElastic,
@@ -266,7 +274,7 @@ impl ExtendedMassSpring {
                 viscosity_n_s_per_m,
                 elements,
                 is_left_out: vec![false; mesh.tetrahedra.len()],
-                stand_ins: StandIns::new(StableNeoHooke::from(material), mesh.tetrahedra.len()),
+                stand_ins: StandIns::new(stand_in(law, material), mesh.tetrahedra.len()),
                 n_left_out: 0,
                 growth_m2: vec![0.0; n_edges],
                 tension_n_per_m: vec![0.0; n_edges],

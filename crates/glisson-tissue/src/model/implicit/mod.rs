@@ -23,6 +23,7 @@
 //! the law has no energy; the body then recovers by the stable neo-Hookean law (quarantine).
 
 mod correction;
+mod descent;
 mod elements;
 mod evaluation;
 mod general;
@@ -115,6 +116,8 @@ pub struct ImplicitEuler {
     time_step_s: f64,
     /// Forces [N] below this are rounding.
     least_force_n: f64,
+    /// So are differences of energy [J] below this.
+    least_energy_j: f64,
 
     // The body; changed by edits only.
     mesh: TetMesh,
@@ -158,6 +161,8 @@ pub struct ImplicitEuler {
     n_reanalyses: u32,
     scratch: Scratch,
     step_report: ImplicitReport,
+    /// Whether the velocities of the last step were made smaller.
+    energy_was_limited: bool,
     report: ModelReport,
 }
 
@@ -215,6 +220,7 @@ impl ImplicitEuler {
             most_iterations: MOST_NEWTON_ITERATIONS,
             time_step_s: params.body.time_step_s,
             least_force_n: 0.0,
+            least_energy_j: 0.0,
             elements,
             mesh: mesh.clone(),
             tet_is_live,
@@ -244,6 +250,7 @@ impl ImplicitEuler {
             n_reanalyses: 0,
             scratch: Scratch::new(n_nodes),
             step_report: ImplicitReport::default(),
+            energy_was_limited: false,
             report: ModelReport::default(),
         })
     }
@@ -294,6 +301,7 @@ impl ImplicitEuler {
     fn balance_rest(&mut self) {
         let volume_m3: f64 = self.elements.node_volume_m3().iter().sum();
         self.least_force_n = ROUNDING * self.law.modulus_pa() * libm::cbrt(volume_m3 * volume_m3);
+        self.least_energy_j = ROUNDING * self.law.modulus_pa() * volume_m3;
         self.rest_load_n = vec![DVec3::ZERO; self.n_nodes()];
         if self.rest_stress_pa.is_empty() && self.ligaments.is_empty() {
             return;
@@ -524,6 +532,7 @@ impl DeformableModel for ImplicitEuler {
             n_recovered_nodes: std::mem::take(&mut self.n_recovered_nodes),
             n_ignored_constraints: u32::try_from(self.ignored_constraints).unwrap_or(u32::MAX),
             kinetic_energy_j: self.kinetic_energy_j(),
+            energy_was_limited: self.energy_was_limited,
             missed_tolerance: self.step_report.status != ImplicitStatus::Converged,
             n_reanalyses: self.n_reanalyses,
             ..ModelReport::default()

@@ -49,13 +49,15 @@ pub(super) struct Scratch {
     pub(super) residual_n: Vec<DVec3>,
     pub(super) product_n: Vec<DVec3>,
     pub(super) ligament_n: Vec<DVec3>,
-    start_m: Vec<DVec3>,
+    pub(super) start_m: Vec<DVec3>,
     ballistic_m: Vec<DVec3>,
     start_force_n: Vec<DVec3>,
-    force_n: Vec<DVec3>,
+    pub(super) force_n: Vec<DVec3>,
     direction_m: Vec<DVec3>,
     /// Displacements before a line search; unused between steps, when others use it as scratch.
     pub(super) before_m: Vec<DVec3>,
+    /// The end of a step while another one is tried.
+    pub(super) end_m: Vec<DVec3>,
     right_n: Vec<DVec3>,
     search_m: Vec<DVec3>,
     scaled_m: Vec<DVec3>,
@@ -74,6 +76,7 @@ impl Scratch {
             force_n: zero(),
             direction_m: zero(),
             before_m: zero(),
+            end_m: zero(),
             right_n: zero(),
             search_m: zero(),
             scaled_m: zero(),
@@ -83,24 +86,30 @@ impl Scratch {
 
 /// Constants of a step.
 #[derive(Clone, Copy, Debug)]
-struct StepFactors {
+pub(super) struct StepFactors {
     /// 1/h^2
-    inertia: f64,
+    pub(super) inertia: f64,
     /// alpha/h
-    mass_damping: f64,
+    pub(super) mass_damping: f64,
     /// beta/h
-    stiffness_damping: f64,
+    pub(super) stiffness_damping: f64,
 }
 
 /// State of the minimisation at one displacement.
 #[derive(Clone, Copy, Debug)]
-struct Balance {
+pub(super) struct Balance {
     /// Norm of the residual over the free nodes [N].
     residual_n: f64,
     /// Norms of applied, inertial and holding forces, added [N].
     scale_n: f64,
     /// Incremental potential [J].
-    potential_j: f64,
+    pub(super) potential_j: f64,
+    /// Energy of the tissue and of ligaments [J].
+    pub(super) stored_j: f64,
+    /// Work of gravity and outer forces since the start [J].
+    pub(super) work_j: f64,
+    /// Sizes of the potential's parts, added [J]: what it is rounded by.
+    size_j: f64,
 }
 
 /// The kind of shape a step starts from.
@@ -126,6 +135,8 @@ const MOST_HALVINGS: u32 = 14;
 const FORCING: f64 = 0.02;
 /// ... or at this share of the residual at which the step ends.
 const FINAL_SHARE: f64 = 0.4;
+/// Potentials nearer to each other than this share of their parts are equal.
+const ROUNDING: f64 = 1e-13;
 /// Sufficient decrease (Armijo 1966, doi 10.2140/pjm.1966.16.1).
 const ARMIJO: f64 = 1e-4;
 /// Extra iterations that cost about as much as a factor with its projected tangent.
@@ -142,6 +153,7 @@ impl ImplicitEuler {
             stiffness_damping: self.damping.stiffness_s / h_s,
         };
         self.step_report = ImplicitReport { held_share: 1.0, ..ImplicitReport::default() };
+        self.energy_was_limited = false;
         if self.lagged.is_none() {
             return;
         }
@@ -166,7 +178,8 @@ impl ImplicitEuler {
             self.refresh_if_due(factors);
         }
         let energy_j = self.first_guess(h_s);
-        self.minimise(factors, energy_j);
+        let end = self.minimise(factors, energy_j);
+        let limit = self.keep_to_energy(factors, end);
         if let Some(relaxation) = &mut self.relaxation {
             relaxation.end(&self.elements, &self.displacement_m);
         }
@@ -174,6 +187,9 @@ impl ImplicitEuler {
         std::mem::swap(&mut self.velocities_m_per_s, &mut self.earlier_velocities_m_per_s);
         for n in 0..self.n_nodes() {
             self.velocities_m_per_s[n] = (self.displacement_m[n] - self.scratch.start_m[n]) / h_s;
+        }
+        if let Some(limit) = limit {
+            self.limit_motion(limit);
         }
         let damping = factors.stiffness_damping;
         for held in self.held.iter() {
@@ -238,13 +254,14 @@ impl ImplicitEuler {
     }
 
     /// Newton's iteration from the present displacements, whose forces are known.
-    fn minimise(&mut self, factors: StepFactors, energy_j: f64) {
+    pub(super) fn minimise(&mut self, factors: StepFactors, energy_j: f64) -> Balance {
         let mut balance = self.balance(factors, energy_j);
         if !balance.potential_j.is_finite() {
             self.step_report.status = ImplicitStatus::Unusable;
             self.displacement_m.copy_from_slice(&self.scratch.start_m);
-            return;
+            return balance;
         }
+        let n_before = self.step_report.newton_iterations;
         loop {
             let pending = self.held.iter().any(|h| self.displacement_m[h.node as usize] != h.target_m);
             let limit_n = self.tolerance * balance.scale_n + self.least_force_n;
@@ -252,13 +269,13 @@ impl ImplicitEuler {
                 if balance.scale_n > self.least_force_n { balance.residual_n / balance.scale_n } else { 0.0 };
             if !pending && balance.residual_n <= limit_n {
                 self.step_report.status = ImplicitStatus::Converged;
-                return;
+                return balance;
             }
-            let n_iterations = self.step_report.newton_iterations;
+            let n_iterations = self.step_report.newton_iterations - n_before;
             // Held nodes always reach their targets; what is missing is the response of the tissue.
             if n_iterations == MOST_NEWTON_ITERATIONS || !pending && n_iterations >= self.most_iterations {
                 self.stop(pending);
-                return;
+                return balance;
             }
             self.step_report.newton_iterations += 1;
             self.prepare_right_side(factors, pending);
@@ -278,9 +295,9 @@ impl ImplicitEuler {
             self.solve_directly();
             let Some(next) = self.search_line(factors, balance, pending) else {
                 let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
-                self.balance(factors, found.energy_j);
+                let end = self.balance(factors, found.energy_j);
                 self.stop(pending);
-                return;
+                return end;
             };
             balance = next;
         }
@@ -299,7 +316,7 @@ impl ImplicitEuler {
     }
 
     /// Residual at every node and its norms, from the forces of the last evaluation.
-    fn balance(&mut self, factors: StepFactors, energy_j: f64) -> Balance {
+    pub(super) fn balance(&mut self, factors: StepFactors, energy_j: f64) -> Balance {
         let StepFactors { inertia, mass_damping, stiffness_damping } = factors;
         let s = &mut self.scratch;
         let ligaments_j = if self.ligaments.is_empty() {
@@ -309,6 +326,7 @@ impl ImplicitEuler {
         };
         let (mut residual, mut applied, mut inertial, mut holding) = (0.0, 0.0, 0.0, 0.0);
         let mut potential_j = (1.0 + stiffness_damping) * energy_j + ligaments_j;
+        let (mut work_j, mut size_j) = (0.0, potential_j.abs());
         for n in 0..self.displacement_m.len() {
             let u = self.displacement_m[n];
             let m = self.mass_kg[n];
@@ -329,13 +347,20 @@ impl ImplicitEuler {
                 residual += (r * self.mask[n]).length_squared();
                 applied += ((outer_n - self.rest_load_n[n]) * self.mask[n]).length_squared();
                 inertial += inertia_n.length_squared();
-                potential_j += 0.5 * (inertia_n.dot(off_m) + damping_n.dot(way_m)) - outer_n.dot(way_m);
+                let (motion_j, outer_j) =
+                    (0.5 * (inertia_n.dot(off_m) + damping_n.dot(way_m)), outer_n.dot(way_m));
+                potential_j += motion_j - outer_j;
+                size_j += motion_j + outer_j.abs();
+                work_j += outer_j;
             }
         }
         Balance {
             residual_n: residual.sqrt(),
             scale_n: applied.sqrt() + inertial.sqrt() + holding.sqrt(),
             potential_j,
+            stored_j: energy_j + ligaments_j,
+            work_j,
+            size_j,
         }
     }
 
@@ -444,7 +469,10 @@ impl ImplicitEuler {
             if found.is_usable() {
                 let next = self.balance(factors, found.energy_j);
                 let falls = next.potential_j <= from.potential_j + ARMIJO * length * slope.min(0.0);
-                if pending || falls || next.residual_n < from.residual_n {
+                // Near the minimum rounding hides a fall.
+                let rounding_j = self.least_energy_j + ROUNDING * (from.size_j + next.size_j);
+                let is_level = next.potential_j <= from.potential_j + rounding_j;
+                if pending || falls || is_level && next.residual_n < from.residual_n {
                     return Some(next);
                 }
             }

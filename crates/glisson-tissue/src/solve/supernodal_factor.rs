@@ -5,7 +5,8 @@
 //! L_s = A_s - sum over d of L_d,below L_d,inside^T,
 //!
 //! then its triangle is factored, and the rows below are solved with it (E. G. Ng and B. W. Peyton 1993, Block sparse Cholesky
-//! algorithms on advanced uniprocessor computers, doi 10.1137/0914063). A unit is one contribution, or the end of a supernode.
+//! algorithms on advanced uniprocessor computers, doi 10.1137/0914063). A unit is one contribution, or the end of a supernode; the
+//! last supernode's end is the largest, 0.3 to 1.5 ms for 300 to 700 columns.
 //! Products, triangles and triangular solutions are faer's. Its loop cannot stop midway, permutes A anew each time, and
 //! searches where rows lie; here a plan, made once for a pattern, tells both. Products are computed apart and then
 //! subtracted, which are the same roundings as subtracting in the kernel: a kernel adds up to [`MOST_TERMS`] terms before it
@@ -24,7 +25,12 @@ use super::SolveError;
 /// Aligned enough for every vector instruction.
 const CACHE_LINE_BYTES: usize = 64;
 
-/// Terms that the kernel of faer's products adds up before it adds them to the result.
+/// Scratch of the same size; its contents do not matter.
+pub(super) fn same_size(memory: &MemBuffer) -> MemBuffer {
+    MemBuffer::new(StackReq::new_aligned::<u8>(memory.len(), CACHE_LINE_BYTES))
+}
+
+/// Terms that the kernel of faer's products (private-gemm-x86 0.1.22) adds up before it adds them to the result.
 const MOST_TERMS: usize = 512;
 /// Up to so many columns, a product computes its upper triangle too, which costs less than a second product.
 const WHOLE_COLUMNS: usize = 48;
@@ -81,7 +87,7 @@ impl Clone for LoopScratch {
             local_row: self.local_row.clone(),
             rows: self.rows.clone(),
             product: self.product.clone(),
-            memory: MemBuffer::new(StackReq::new_aligned::<u8>(self.memory.len(), CACHE_LINE_BYTES)),
+            memory: same_size(&self.memory),
         }
     }
 }

@@ -1,12 +1,12 @@
 //! The free rows and columns of K in a fixed sparse pattern, and their Cholesky factor.
 //!
 //! The pattern is computed once: every tensor entry has its slot, so new stiffness values are written without a search and
-//! without allocation. The factor is faer's supernodal L L^T on one thread. The fill-reducing order is approximate minimum
-//! degree (Amestoy, Davis and Duff 1996, doi 10.1137/S0895479894278952) of the node graph, or nested dissection where it
-//! pays (`ordering`). The node graph is nine times smaller than that of the components, and keeps a node's components
-//! together.
+//! without allocation. The factor is faer's supernodal L L^T on one thread, its values by our own loop with the same bits
+//! (`supernodal_factor`). The fill-reducing order is approximate minimum degree (Amestoy, Davis and Duff 1996,
+//! doi 10.1137/S0895479894278952) of the node graph, or nested dissection where it pays (`ordering`). The node graph is nine
+//! times smaller than that of the components, and keeps a node's components together.
 
-use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
+use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
@@ -321,15 +321,10 @@ impl Clone for Making {
             Self::ByUnits { plan, scratch } => {
                 Self::ByUnits { plan: Arc::clone(plan), scratch: scratch.clone() }
             }
-            Self::AtOnce { memory } => Self::AtOnce {
-                memory: MemBuffer::new(StackReq::new_aligned::<u8>(memory.len(), CACHE_LINE_BYTES)),
-            },
+            Self::AtOnce { memory } => Self::AtOnce { memory: supernodal_factor::same_size(memory) },
         }
     }
 }
-
-/// Aligned enough for every vector instruction.
-const CACHE_LINE_BYTES: usize = 64;
 
 /// L L^T of a [`FreeSystem`]; its pattern is kept for new values.
 #[derive(Clone)]

@@ -1,12 +1,12 @@
 //! The free rows and columns of K in a fixed sparse pattern, and their Cholesky factor.
 //!
 //! The pattern is computed once: every tensor entry has its slot, so new stiffness values are written without a search and
-//! without allocation. The factor is faer's supernodal L L^T on one thread. The fill-reducing order is approximate minimum
-//! degree (Amestoy, Davis and Duff 1996, doi 10.1137/S0895479894278952) of the node graph, or nested dissection where it
-//! pays (`ordering`). The node graph is nine times smaller than that of the components, and keeps a node's components
-//! together.
+//! without allocation. The factor is faer's supernodal L L^T on one thread, its values by our own loop with the same bits
+//! (`supernodal_factor`). The fill-reducing order is approximate minimum degree (Amestoy, Davis and Duff 1996,
+//! doi 10.1137/S0895479894278952) of the node graph, or nested dissection where it pays (`ordering`). The node graph is nine
+//! times smaller than that of the components, and keeps a node's components together.
 
-use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
+use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
@@ -22,6 +22,7 @@ use std::sync::Arc;
 
 use super::ordering::nested_dissection;
 use super::supernodal::{self, FactorScratch};
+use super::supernodal_factor::{self, FactorPlan, LoopScratch};
 use super::{BoundaryConditions, MeshEdges, SolveError, StiffnessTensors};
 use glisson_mesh::math::{DMat3, DVec3, SeededRandom};
 use glisson_mesh::mesh::NodeId;
@@ -263,10 +264,19 @@ impl FreeSystem {
         let order = SymmetricOrdering::Custom(PermRef::new_checked(&forward, &inverse, self.n_free));
         let symbolic = factorize_symbolic_cholesky(self.pattern(), Side::Upper, order, parameters)
             .map_err(|e| failed(e.to_string()))?;
-        let request = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
-        let memory = MemBuffer::try_new(request).map_err(|_| failed("out of memory".to_owned()))?;
+        let making = match symbolic.raw() {
+            SymbolicCholeskyRaw::Supernodal(nodes) => {
+                let plan = FactorPlan::new(nodes, (&self.column_start, &self.row), &inverse);
+                Making::ByUnits { scratch: plan.scratch(self.n_free), plan: Arc::new(plan) }
+            }
+            SymbolicCholeskyRaw::Simplicial(_) => {
+                let request = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
+                let memory = MemBuffer::try_new(request).map_err(|_| failed("out of memory".to_owned()))?;
+                Making::AtOnce { memory }
+            }
+        };
         let mut factor =
-            Factorization { value: vec![0.0; symbolic.len_val()], symbolic: Arc::new(symbolic), memory };
+            Factorization { value: vec![0.0; symbolic.len_val()], symbolic: Arc::new(symbolic), making };
         factor.refactor(self)?;
         Ok(factor)
     }
@@ -296,25 +306,46 @@ pub(super) fn minimum_degree(n_nodes: usize, edges: &MeshEdges) -> Result<Vec<u3
     Ok(order)
 }
 
-/// Scratch of the same size; its contents do not matter.
-fn same_size(memory: &MemBuffer) -> MemBuffer {
-    MemBuffer::new(StackReq::new_aligned::<u8>(memory.len(), CACHE_LINE_BYTES))
+/// How new values are factored.
+enum Making {
+    /// By our own loop.
+    ByUnits { plan: Arc<FactorPlan>, scratch: LoopScratch },
+    /// By faer: a matrix that is nothing but its diagonal.
+    AtOnce { memory: MemBuffer },
 }
 
-/// Aligned enough for every vector instruction.
-const CACHE_LINE_BYTES: usize = 64;
+impl Clone for Making {
+    /// Scratch of the same size; its contents do not matter.
+    fn clone(&self) -> Self {
+        match self {
+            Self::ByUnits { plan, scratch } => {
+                Self::ByUnits { plan: Arc::clone(plan), scratch: scratch.clone() }
+            }
+            Self::AtOnce { memory } => Self::AtOnce { memory: supernodal_factor::same_size(memory) },
+        }
+    }
+}
 
 /// L L^T of a [`FreeSystem`]; its pattern is kept for new values.
+#[derive(Clone)]
 pub struct Factorization {
     symbolic: Arc<SymbolicCholesky<u32>>,
     value: Vec<f64>,
-    memory: MemBuffer,
+    making: Making,
 }
 
-impl Clone for Factorization {
-    fn clone(&self) -> Self {
-        let (symbolic, value) = (Arc::clone(&self.symbolic), self.value.clone());
-        Self { symbolic, value, memory: same_size(&self.memory) }
+/// New values of a factor, made in slices while the present ones serve.
+#[derive(Clone)]
+pub(crate) struct NextFactor {
+    value: Vec<f64>,
+    /// The unit of work to go on with.
+    unit: usize,
+}
+
+impl NextFactor {
+    /// Begins anew.
+    pub(crate) fn restart(&mut self) {
+        self.unit = 0;
     }
 }
 
@@ -341,19 +372,85 @@ impl Factorization {
         if system.n_free == 0 {
             return Ok(());
         }
-        let matrix = SparseColMatRef::new(system.pattern(), &system.value[..]);
-        self.symbolic
-            .factorize_numeric_llt(
-                &mut self.value,
-                matrix,
-                Side::Upper,
-                LltRegularization::default(),
-                Par::Seq,
-                MemStack::new(&mut self.memory),
-                Default::default(),
-            )
-            .map(|_| ())
-            .map_err(|_| SolveError::Singular)
+        let mut value = std::mem::take(&mut self.value);
+        let made = self.go_on(system, &mut value, 0, &mut { u64::MAX });
+        self.value = value;
+        made.map(|_| ())
+    }
+
+    /// Room for new values.
+    pub(crate) fn room_for_next(&self) -> NextFactor {
+        NextFactor { value: vec![0.0; self.value.len()], unit: 0 }
+    }
+
+    /// Goes on with new values of the system, which must not change meanwhile, for as long as `work_ns` lasts, but by one
+    /// unit at least; takes what was done from `work_ns`. True when all are there. The bits are those of
+    /// [`Factorization::refactor_definite`] whatever the slices. No allocation.
+    ///
+    /// # Errors
+    /// [`SolveError::Singular`] when a pivot is not positive.
+    pub(crate) fn advance(
+        &mut self,
+        next: &mut NextFactor,
+        system: &FreeSystem,
+        work_ns: &mut u64,
+    ) -> Result<bool, SolveError> {
+        next.unit = self.go_on(system, &mut next.value, next.unit, work_ns)?;
+        Ok(next.unit == self.n_units())
+    }
+
+    /// Exchanges the values for new ones.
+    pub(crate) fn exchange(&mut self, next: &mut NextFactor) {
+        std::mem::swap(&mut self.value, &mut next.value);
+    }
+
+    /// Work of a whole factor [ns]: a fixed estimate from counts ([`supernodal_factor`]), no time that anything took.
+    pub(crate) fn work_ns(&self) -> u64 {
+        match &self.making {
+            Making::ByUnits { plan, .. } => plan.work_ns(),
+            Making::AtOnce { .. } => self.value.len() as u64,
+        }
+    }
+
+    fn n_units(&self) -> usize {
+        match &self.making {
+            Making::ByUnits { plan, .. } => plan.n_units(),
+            Making::AtOnce { .. } => 1,
+        }
+    }
+
+    /// Factors into `value` from a unit on; see [`supernodal_factor::advance`].
+    fn go_on(
+        &mut self,
+        system: &FreeSystem,
+        value: &mut [f64],
+        unit: usize,
+        work_ns: &mut u64,
+    ) -> Result<usize, SolveError> {
+        match (&mut self.making, self.symbolic.raw()) {
+            (Making::ByUnits { plan, scratch }, SymbolicCholeskyRaw::Supernodal(nodes)) => {
+                supernodal_factor::advance((nodes, plan), &system.value, value, unit, work_ns, scratch)
+            }
+            (Making::AtOnce { memory }, _) => {
+                let matrix = SparseColMatRef::new(system.pattern(), &system.value[..]);
+                let stack = MemStack::new(memory);
+                self.symbolic
+                    .factorize_numeric_llt(
+                        value,
+                        matrix,
+                        Side::Upper,
+                        LltRegularization::default(),
+                        Par::Seq,
+                        stack,
+                        Default::default(),
+                    )
+                    .map(|_| 1)
+                    .map_err(|_| SolveError::Singular)
+            }
+            (Making::ByUnits { .. }, SymbolicCholeskyRaw::Simplicial(_)) => {
+                unreachable!("made by units where there are supernodes")
+            }
+        }
     }
 
     fn check_growth(&self, system: &FreeSystem) -> Result<(), SolveError> {

@@ -10,6 +10,7 @@ mod hybrid_nonlinear;
 mod implicit;
 mod implicit_loads;
 mod implicit_patches;
+mod implicit_slices;
 mod integrators;
 mod kernel;
 mod kernel_laws;

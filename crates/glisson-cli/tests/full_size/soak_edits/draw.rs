@@ -54,6 +54,8 @@ pub(super) struct Limit {
 
 /// Laws that end where a tetrahedron is flat have forces near it that are differences of much larger numbers.
 const UPRIGHT: Limit = Limit { least_ratio: 0.1, most_squares: f64::INFINITY };
+/// The extended mass-spring model continues the logarithm's law below 0.4.
+const LOGARITHMIC: Limit = Limit { least_ratio: 0.45, ..UPRIGHT };
 /// The implicit model gives tetrahedra that were inside out their law back only near rest (0.6 and 4.5).
 const NEAR_REST: Limit = Limit { least_ratio: 0.65, most_squares: 4.4 };
 
@@ -143,7 +145,11 @@ impl Draw {
         if !leaves_out && is_finite.contains(&self.law_name()) {
             return None;
         }
-        Some(if self.kind == ModelKind::Implicit { NEAR_REST } else { UPRIGHT })
+        Some(match self.kind {
+            ModelKind::Implicit => NEAR_REST,
+            ModelKind::ExtendedMassSpring if self.law_name() == "neo_hooke_log" => LOGARITHMIC,
+            _ => UPRIGHT,
+        })
     }
 
     /// What is checked of the model.

@@ -213,12 +213,8 @@ impl Elements {
         &self.tets
     }
 
-    /// Every live tetrahedron's nodes, gradients alpha_1..alpha_3 [1/m] and volume [m3].
-    pub(super) fn tetrahedra(&self) -> impl Iterator<Item = ([NodeId; 4], [DVec3; 3], f64)> + '_ {
-        (0..self.tets.len()).map(|t| self.tetrahedron(t))
-    }
-
-    fn tetrahedron(&self, t: usize) -> ([NodeId; 4], [DVec3; 3], f64) {
+    /// Nodes, gradients alpha_1..alpha_3 [1/m] and volume [m3] of live tetrahedron number `t`.
+    pub(super) fn tetrahedron(&self, t: usize) -> ([NodeId; 4], [DVec3; 3], f64) {
         let (group, lane) = (&self.shape.groups[t / LANES], t % LANES);
         let row = |k: usize, i: usize| group.gradient_per_m[3 * k + i][lane];
         let alpha = [0, 1, 2].map(|k| DVec3::new(row(k, 0), row(k, 1), row(k, 2)));
@@ -426,6 +422,14 @@ impl Elements {
             }
         }
         stiffness
+    }
+
+    /// Work of [`Elements::projected_stiffness`] [ns], see [`crate::solve::Factorization::work_ns`].
+    pub(super) fn projection_work_ns(&self) -> u64 {
+        match &self.own {
+            OwnLaw::NeoHooke(_) | OwnLaw::Stable(_) => 1_000,
+            OwnLaw::General(_) => 1_500,
+        }
     }
 
     fn stand_in(&self, t: usize) -> &StableNeoHooke {

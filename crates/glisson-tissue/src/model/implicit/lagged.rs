@@ -1,4 +1,8 @@
 //! The projected tangent at some past state, factored: the preconditioner.
+//!
+//! A new factor is made at once ([`Lagged::refresh`]), or ordered for a state and made in slices of about equal work, one a
+//! step, while the old one serves ([`Lagged::order`], [`Lagged::advance`]). Both have the same bits. What a slice does follows
+//! from counts alone: tetrahedra and the pattern of the factor.
 
 use super::elements::Elements;
 use super::ligaments::Ligaments;
@@ -6,11 +10,20 @@ use super::patch_inverse::{Factored, PatchInverse};
 use crate::model::LocalModel;
 use crate::model::kernel::KernelPath;
 use crate::solve::{
-    BoundaryConditions, FactorScratch, Factorization, FreeSystem, LOCAL_EDGES, MeshEdges, SolveError,
-    StiffnessTensors,
+    BoundaryConditions, FactorScratch, Factorization, FreeSystem, LOCAL_EDGES, MeshEdges, NextFactor,
+    SolveError, StiffnessTensors,
 };
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::{NodeId, TetMesh};
+use std::ops::Range;
+
+/// Work of a slice [ns], see [`Factorization::work_ns`]: half of the 2 ms that scenes give a step. A choice.
+const SLICE_WORK_NS: u64 = 1_000_000;
+/// Slices of a large body's factor do more, so that there are no more than these (but for what units of work leave over):
+/// what is made for a state of long ago does not serve. A choice.
+const MOST_SLICES: u64 = 16;
+/// Work to write the values of a node's tensors into the system [ns].
+const NODE_WORK_NS: u64 = 60;
 
 /// The state that the factored matrix depends on, besides the mesh and the material.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,6 +52,13 @@ impl LaggedState {
             ..*self
         }
     }
+
+    /// All of it as numbers.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
+        let flags = self.held.iter().chain(&self.strays).map(|&flag| f64::from(u8::from(flag)));
+        let vectors = self.displacement_m.iter().flat_map(|u| u.to_array());
+        vectors.chain(flags).chain([self.per_mass, self.per_stiffness, self.viscous_share])
+    }
 }
 
 /// A sparse factor of per_mass M + per_stiffness K at a [`LaggedState`].
@@ -55,6 +75,38 @@ pub(super) struct Lagged {
     eliminated: Vec<f64>,
     /// None for a matrix that is nothing but its diagonal.
     inverse: Option<PatchInverse>,
+    next: Next,
+    slice_work_ns: u64,
+}
+
+/// The factor that is being made in slices.
+#[derive(Clone)]
+struct Next {
+    /// What it depends on; the slices done, zero while none is ordered.
+    of: Pending,
+    /// Tetrahedra whose stiffness is assembled.
+    n_tets: usize,
+    factor: NextFactor,
+}
+
+/// What a factor that is being made depends on.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Pending {
+    /// The state that it was ordered for.
+    pub(super) state: LaggedState,
+    /// Slices done.
+    pub(super) n_slices: u32,
+}
+
+/// What a slice came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Slice {
+    /// More slices are to come.
+    Underway,
+    /// The new factor serves from now on.
+    Serves,
+    /// The matrix has no factor: the old one goes on serving.
+    Failed,
 }
 
 /// What [`Lagged::new`] needs.
@@ -88,7 +140,8 @@ impl Lagged {
             vertex: vec![DMat3::ZERO; params.mesh.positions_m.len()],
             edge: vec![DMat3::ZERO; edges.nodes.len()],
         };
-        assemble(&mut tensors, &edges, elements, &state);
+        let all = 0..elements.tets().len();
+        assemble(&mut tensors, &edges, elements, &state, all);
         params.nodes.add_to(&mut tensors, &state);
         let mut conditions = BoundaryConditions::new();
         for (n, free) in params.free_axes.iter().enumerate() {
@@ -102,18 +155,108 @@ impl Lagged {
         let free = vec![0.0; system.n_free()];
         let n_nodes = params.free_axes.len();
         let inverse = factor.is_supernodal().then(|| PatchInverse::new(&factor, n_nodes));
-        Ok(Self { state, edges, tensors, system, factor, scratch, eliminated: free.clone(), free, inverse })
+        let next = Next {
+            of: Pending { state: state.clone(), n_slices: 0 },
+            n_tets: 0,
+            factor: factor.room_for_next(),
+        };
+        let work_ns = factor.work_ns()
+            + elements.tets().len() as u64 * elements.projection_work_ns()
+            + n_nodes as u64 * NODE_WORK_NS;
+        let slice_work_ns = work_ns.div_ceil(work_ns.div_ceil(SLICE_WORK_NS).clamp(1, MOST_SLICES));
+        Ok(Self {
+            state,
+            edges,
+            tensors,
+            system,
+            factor,
+            scratch,
+            eliminated: free.clone(),
+            free,
+            inverse,
+            next,
+            slice_work_ns,
+        })
     }
 
-    /// Recomputes the factor at `self.state`, without allocation. False when the matrix has no factor.
+    /// Recomputes the factor at `self.state`, without allocation; drops the one that is being made. False when the matrix has
+    /// no factor.
     pub(super) fn refresh(&mut self, elements: &Elements, nodes: NodeTerms<'_>) -> bool {
-        assemble(&mut self.tensors, &self.edges, elements, &self.state);
+        self.drop_pending();
+        let all = 0..elements.tets().len();
+        assemble(&mut self.tensors, &self.edges, elements, &self.state, all);
         nodes.add_to(&mut self.tensors, &self.state);
         self.system.refill(&self.tensors);
         if let Some(inverse) = &mut self.inverse {
             inverse.forget();
         }
         self.factor.refactor_definite(&self.system).is_ok()
+    }
+
+    /// Orders a factor: its first slice is the next call of [`Lagged::advance`]. The caller overwrites the state that it is
+    /// for.
+    pub(super) fn order(&mut self) -> &mut LaggedState {
+        self.drop_pending();
+        &mut self.next.of.state
+    }
+
+    /// The factor that is being made, if there is one.
+    pub(super) fn pending(&self) -> Option<&Pending> {
+        (self.next.of.n_slices > 0).then_some(&self.next.of)
+    }
+
+    /// Gives up the factor that is being made.
+    pub(super) fn drop_pending(&mut self) {
+        self.next.of.n_slices = 0;
+        self.next.n_tets = 0;
+        self.next.factor.restart();
+    }
+
+    /// Makes the next slice of the factor that was ordered, without allocation.
+    pub(super) fn advance(&mut self, elements: &Elements, nodes: NodeTerms<'_>) -> Slice {
+        let next = &mut self.next;
+        next.of.n_slices += 1;
+        let mut work_ns = self.slice_work_ns;
+        let n_tets = elements.tets().len();
+        if next.n_tets < n_tets {
+            let n_affordable = (work_ns / elements.projection_work_ns()).max(1) as usize;
+            let end = n_tets.min(next.n_tets + n_affordable);
+            assemble(&mut self.tensors, &self.edges, elements, &next.of.state, next.n_tets..end);
+            work_ns = work_ns.saturating_sub((end - next.n_tets) as u64 * elements.projection_work_ns());
+            next.n_tets = end;
+            if end < n_tets {
+                return Slice::Underway;
+            }
+            nodes.add_to(&mut self.tensors, &next.of.state);
+            self.system.refill(&self.tensors);
+            work_ns = work_ns.saturating_sub(self.tensors.vertex.len() as u64 * NODE_WORK_NS);
+        }
+        match self.factor.advance(&mut next.factor, &self.system, &mut work_ns) {
+            Ok(false) => return Slice::Underway,
+            Ok(true) => {}
+            Err(_) => {
+                self.drop_pending();
+                return Slice::Failed;
+            }
+        }
+        self.factor.exchange(&mut next.factor);
+        std::mem::swap(&mut self.state, &mut next.of.state);
+        if let Some(inverse) = &mut self.inverse {
+            inverse.forget();
+        }
+        self.drop_pending();
+        Slice::Serves
+    }
+
+    /// Makes the slices of a saved factor again, or gives up what is being made where none was then.
+    pub(super) fn resume(&mut self, saved: Option<&Pending>, elements: &Elements, nodes: NodeTerms<'_>) {
+        self.drop_pending();
+        if let Some(saved) = saved {
+            self.order().clone_from(&saved.state);
+            for _ in 0..saved.n_slices {
+                self.advance(elements, nodes);
+            }
+        }
     }
 
     /// Overwrites `solution` with the inverse of the factored matrix times `right`, zero for components that are not free.
@@ -155,11 +298,21 @@ impl Lagged {
     }
 }
 
-fn assemble(tensors: &mut StiffnessTensors, edges: &MeshEdges, elements: &Elements, state: &LaggedState) {
+/// Adds the stiffness of the tetrahedra of a range; the first range starts from zero.
+fn assemble(
+    tensors: &mut StiffnessTensors,
+    edges: &MeshEdges,
+    elements: &Elements,
+    state: &LaggedState,
+    tets: Range<usize>,
+) {
     let factors = [state.per_stiffness * state.viscous_share, state.per_stiffness];
-    tensors.vertex.fill(DMat3::ZERO);
-    tensors.edge.fill(DMat3::ZERO);
-    for (t, (nodes, alpha, _)) in elements.tetrahedra().enumerate() {
+    if tets.start == 0 {
+        tensors.vertex.fill(DMat3::ZERO);
+        tensors.edge.fill(DMat3::ZERO);
+    }
+    for t in tets {
+        let (nodes, alpha, _) = elements.tetrahedron(t);
         let u = nodes.map(|n| state.displacement_m[n.index()]);
         let mut f = DMat3::IDENTITY;
         for k in 0..3 {

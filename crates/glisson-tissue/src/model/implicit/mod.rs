@@ -12,7 +12,7 @@
 //! ([`super::RestStress`]) and the viscous memory. The solver is Newton's method with conjugate gradients on the exact
 //! tangent, element by element. The preconditioner is the factor of the tangent at an earlier state, with its negative
 //! eigenvalues removed. It is recomputed when the iterations since then have cost about as much as a factor, never by a
-//! clock. Where the exact tangent has a direction of negative curvature, the projected one is factored at once and gives
+//! clock: in slices over the next steps, for the state in which it was found to be due. Where the exact tangent has a direction of negative curvature, the projected one is factored at once and gives
 //! the direction. A direction is shortened until the law allows every tetrahedron (ln J needs J > 0) and the potential
 //! has decreased.
 //!
@@ -47,7 +47,7 @@ pub use newton::{ImplicitReport, ImplicitStatus};
 pub use params::{DEFAULT_TOLERANCE, ImplicitError, ImplicitParams};
 
 use self::elements::{Elements, ElementsParams, Recovery};
-use self::lagged::{Lagged, LaggedParams, LaggedState, NodeTerms};
+use self::lagged::{Lagged, LaggedParams, LaggedState, NodeTerms, Pending};
 use self::ligaments::Ligaments;
 use self::newton::{MOST_NEWTON_ITERATIONS, Scratch};
 use self::relaxation::Relaxation;
@@ -176,6 +176,7 @@ pub struct ImplicitSnapshot {
     recovery: Recovery,
     age: FactorAge,
     lagged: Option<LaggedState>,
+    pending: Option<Pending>,
 }
 
 impl ImplicitEuler {
@@ -413,11 +414,12 @@ impl ImplicitEuler {
             recovery: self.elements.recovery(),
             age: self.age,
             lagged: self.lagged.as_ref().map(|lagged| lagged.state.clone()),
+            pending: self.lagged.as_ref().and_then(|lagged| lagged.pending().cloned()),
         }
     }
 
     /// Returns to a state of the same mesh and removals; constraints stay as they are. The factor is recomputed at the state
-    /// at which it was made then, so that the next steps have the same bits.
+    /// at which it was made then, and so are the slices of one that was being made, so that the next steps have the same bits.
     ///
     /// # Panics
     /// When the snapshot has another number of nodes.
@@ -431,17 +433,18 @@ impl ImplicitEuler {
         self.age = snapshot.age;
         self.is_suspect = true;
         self.elements.quarantine(&self.displacement_m, snapshot.recovery);
-        if let (Some(lagged), Some(state)) = (&mut self.lagged, &snapshot.lagged)
-            && lagged.state != *state
-        {
-            lagged.state = state.clone();
+        if let (Some(lagged), Some(state)) = (&mut self.lagged, &snapshot.lagged) {
             let nodes = NodeTerms {
                 rest_m: &self.mesh.positions_m,
                 mass_kg: &self.mass_kg,
                 ligaments: &self.ligaments,
             };
-            lagged.refresh(&self.elements, nodes);
-            self.factor_version += 1;
+            if lagged.state != *state {
+                lagged.state = state.clone();
+                lagged.refresh(&self.elements, nodes);
+                self.factor_version += 1;
+            }
+            lagged.resume(snapshot.pending.as_ref(), &self.elements, nodes);
         }
         self.publish();
     }
@@ -454,12 +457,16 @@ impl ImplicitEuler {
         let history = &mut self.history;
         history.clear();
         history.extend(self.earlier_velocities_m_per_s.iter().flat_map(|v| v.to_array()));
+        let mut n_spare = 0;
         if let Some(lagged) = &self.lagged {
-            history.extend(lagged.state.displacement_m.iter().flat_map(|u| u.to_array()));
-            history.extend(lagged.state.held.iter().map(|&held| f64::from(u8::from(held))));
-            history.extend(lagged.state.strays.iter().map(|&stray| f64::from(u8::from(stray))));
-            let LaggedState { per_mass, per_stiffness, viscous_share, .. } = lagged.state;
-            history.extend([per_mass, per_stiffness, viscous_share]);
+            let n_before = history.len();
+            history.extend(lagged.state.numbers());
+            // Room for a factor that is being made.
+            n_spare = history.len() - n_before + 1;
+            if let Some(pending) = lagged.pending() {
+                history.extend(pending.state.numbers());
+                history.push(f64::from(pending.n_slices));
+            }
         }
         if let Some(relaxation) = &self.relaxation {
             history.extend(relaxation.numbers());
@@ -467,6 +474,7 @@ impl ImplicitEuler {
         let FactorAge { n_steps, first_iterations, excess_iterations } = self.age;
         let recovery = self.elements.recovery() as u32;
         history.extend([n_steps, first_iterations, excess_iterations, recovery].map(f64::from));
+        history.make_room(history.len() + n_spare);
     }
 
     fn takes_load(&self, node: NodeId) -> bool {
@@ -565,6 +573,10 @@ impl DeformableModel for ImplicitEuler {
         }
         if let Some(relaxation) = &mut self.relaxation {
             relaxation.forget();
+        }
+        if let Some(lagged) = &mut self.lagged {
+            // For a shape that has nothing to do with the new one.
+            lagged.drop_pending();
         }
         self.is_suspect = true;
         self.velocities_m_per_s.fill(DVec3::ZERO);

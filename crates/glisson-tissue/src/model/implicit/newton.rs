@@ -1,7 +1,7 @@
 //! One step: Newton's method, conjugate gradients, line search.
 
-use super::elements::Recovery;
-use super::lagged::NodeTerms;
+use super::elements::{Elements, Recovery};
+use super::lagged::{LaggedState, NodeTerms, Slice};
 use super::{FactorAge, ImplicitEuler};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::TetId;
@@ -32,8 +32,10 @@ pub struct ImplicitReport {
     pub newton_iterations: u32,
     /// Conjugate gradient iterations of all of them.
     pub cg_iterations: u32,
-    /// Factors made.
+    /// Factors that came to serve.
     pub n_factors: u32,
+    /// Whether a factor is being made in slices at the end.
+    pub factor_is_pending: bool,
     /// Share of their displacement that the held nodes moved.
     pub held_share: f64,
     /// Tetrahedra that followed the stable neo-Hookean law: those in which the law had no energy at the start, and their
@@ -93,6 +95,33 @@ pub(super) struct StepFactors {
     pub(super) mass_damping: f64,
     /// beta/h
     pub(super) stiffness_damping: f64,
+}
+
+impl StepFactors {
+    /// Whether a factor made at a state serves for a step of this length.
+    fn fit(&self, state: &LaggedState) -> bool {
+        let ratio = (self.inertia + self.mass_damping) / state.per_mass;
+        ratio < MASS_RATIO && ratio > 1.0 / MASS_RATIO
+    }
+}
+
+/// The present state, for a factor.
+struct Here<'a> {
+    displacement_m: &'a [DVec3],
+    is_held: &'a [bool],
+    elements: &'a Elements,
+    factors: StepFactors,
+}
+
+impl Here<'_> {
+    fn write_into(&self, state: &mut LaggedState) {
+        state.displacement_m.copy_from_slice(self.displacement_m);
+        state.held.copy_from_slice(self.is_held);
+        self.elements.strays_into(&mut state.strays);
+        state.per_mass = self.factors.inertia + self.factors.mass_damping;
+        state.per_stiffness = 1.0 + self.factors.stiffness_damping;
+        state.viscous_share = self.elements.factor();
+    }
 }
 
 /// State of the minimisation at one displacement.
@@ -201,6 +230,8 @@ impl ImplicitEuler {
                 (elastic_n - outer_n - self.scratch.ligament_n[n]) * self.free_axes[n];
         }
         self.note_age();
+        self.step_report.factor_is_pending =
+            self.lagged.as_ref().is_some_and(|lagged| lagged.pending().is_some());
         self.is_suspect |= self.elements.needs_stand_in();
     }
 
@@ -484,28 +515,56 @@ impl ImplicitEuler {
         None
     }
 
-    /// Recomputes the factor when the iterations since it was made have cost as much, or when the step length changed.
+    /// Recomputes the factor at once when the step length changed, and in slices, one a step, when the iterations since it was
+    /// made have cost as much.
     fn refresh_if_due(&mut self, factors: StepFactors) {
-        let lagged = self.lagged.as_ref().expect("a body with tetrahedra has a factor");
-        let ratio = (factors.inertia + factors.mass_damping) / lagged.state.per_mass;
-        let fits = ratio < MASS_RATIO && ratio > 1.0 / MASS_RATIO;
-        if self.age.excess_iterations >= EXCESS_FOR_REFRESH || !fits {
+        let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
+        if !factors.fit(&lagged.state) {
             self.refresh_here(factors);
+            return;
+        }
+        if lagged.pending().is_some_and(|pending| !factors.fit(&pending.state)) {
+            lagged.drop_pending();
+        }
+        if lagged.pending().is_none() {
+            if self.age.excess_iterations < EXCESS_FOR_REFRESH {
+                return;
+            }
+            let here = Here {
+                displacement_m: &self.displacement_m,
+                is_held: &self.is_held,
+                elements: &self.elements,
+                factors,
+            };
+            here.write_into(lagged.order());
+        }
+        let nodes =
+            NodeTerms { rest_m: &self.mesh.positions_m, mass_kg: &self.mass_kg, ligaments: &self.ligaments };
+        match lagged.advance(&self.elements, nodes) {
+            Slice::Underway => {}
+            Slice::Serves => self.note_factor(),
+            Slice::Failed => self.age = FactorAge::default(),
         }
     }
 
-    /// Recomputes the factor at the present displacements.
+    /// Recomputes the factor at the present displacements, at once.
     fn refresh_here(&mut self, factors: StepFactors) {
         let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
-        lagged.state.displacement_m.copy_from_slice(&self.displacement_m);
-        lagged.state.held.copy_from_slice(&self.is_held);
-        self.elements.strays_into(&mut lagged.state.strays);
-        lagged.state.per_mass = factors.inertia + factors.mass_damping;
-        lagged.state.per_stiffness = 1.0 + factors.stiffness_damping;
-        lagged.state.viscous_share = self.elements.factor();
+        let here = Here {
+            displacement_m: &self.displacement_m,
+            is_held: &self.is_held,
+            elements: &self.elements,
+            factors,
+        };
+        here.write_into(&mut lagged.state);
         let nodes =
             NodeTerms { rest_m: &self.mesh.positions_m, mass_kg: &self.mass_kg, ligaments: &self.ligaments };
         lagged.refresh(&self.elements, nodes);
+        self.note_factor();
+    }
+
+    /// Another factor serves from now on.
+    fn note_factor(&mut self) {
         self.factor_version += 1;
         self.age = FactorAge::default();
         self.step_report.n_factors += 1;

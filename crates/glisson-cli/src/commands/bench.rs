@@ -54,6 +54,9 @@ pub(crate) struct Args {
     /// Hands of the benchmark scene give way ([hand] in its scenes) instead of imposing their motion
     #[arg(long)]
     hand: bool,
+    /// Longest time step of the benchmark scene in milliseconds (2 for implicit, 1 for the others), halved until the model takes it
+    #[arg(long, value_name = "MS", value_parser = step_ms)]
+    step_ms: Option<f64>,
     /// List the benchmarks and what they time
     #[arg(long)]
     list: bool,
@@ -106,6 +109,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 motion: args.motion.clone(),
                 model: args.model.clone(),
                 hand_gives_way: args.hand,
+                step_s: args.step_ms.map(|ms| 1e-3 * ms),
             };
             with_progress(|tell| (trial.measure)(&request, tell))?
         }
@@ -127,4 +131,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
         print!("{}", answer.text);
     }
     Ok(())
+}
+
+fn step_ms(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(ms) if (0.01..=100.0).contains(&ms) => Ok(ms),
+        _ => Err(format!("{text:?} is no time step; allowed are 0.01 to 100 ms")),
+    }
 }

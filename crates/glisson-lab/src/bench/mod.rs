@@ -166,6 +166,8 @@ pub struct TrialRequest {
     pub model: Option<String>,
     /// Whether hands give way instead of imposing their motion.
     pub hand_gives_way: bool,
+    /// The longest step of scenes [s]; each model its own for none.
+    pub step_s: Option<f64>,
 }
 
 /// What a [`Trial`] found.

@@ -33,6 +33,7 @@ fn run(request: &TrialRequest, tell: Tell<'_>) -> anyhow::Result<Answer> {
         motion: request.motion.clone(),
         model: request.model.clone(),
         hand_gives_way: request.hand_gives_way,
+        step_s: request.step_s,
         sizes: request.sizes.clone().unwrap_or(USUAL_SIZES.to_vec()),
         threads: request.threads,
         seconds: request.seconds.unwrap_or(USUAL_SECONDS),
@@ -79,6 +80,8 @@ struct SceneRequest {
     model: Option<String>,
     /// Whether the hand gives way (`[hand]`) instead of imposing its motion.
     hand_gives_way: bool,
+    /// The longest step that is tried [s]; the subject's own for none.
+    step_s: Option<f64>,
     /// Wanted tetrahedra.
     sizes: Vec<usize>,
     /// Threads of the models that use several.
@@ -209,7 +212,7 @@ fn open(motion: &Motion, size: usize, subject: &Subject, request: &SceneRequest)
         tool.insert_str(0, "[hand]\n");
     }
     let path = folder.path().join("scene.toml");
-    let mut step_s = subject.step_s;
+    let mut step_s = request.step_s.unwrap_or(subject.step_s);
     loop {
         std::fs::write(&path, scene_text(subject, step_s, &tool))?;
         let source = OpenScene { n_threads: request.threads, ..OpenScene::read(&path)? };
@@ -381,6 +384,7 @@ mod tests {
             motion: None,
             model: Some("tensor_mass".into()),
             hand_gives_way: false,
+            step_s: None,
             sizes: vec![500],
             threads: 1,
             seconds: 60.0,

@@ -248,6 +248,19 @@ impl FreeSystem {
     /// [`SolveError::Singular`] when it is not positive definite in floating point,
     /// [`SolveError::Factorization`] when memory is short.
     pub fn factorize(&self) -> Result<Factorization, SolveError> {
+        self.factorize_by(false)
+    }
+
+    /// [`FreeSystem::factorize`] for a system whose new values are factored in slices ([`Factorization::advance`]): always by our
+    /// own loop, which takes longer than faer's for large systems.
+    ///
+    /// # Errors
+    /// As [`FreeSystem::factorize`].
+    pub(crate) fn factorize_for_slices(&self) -> Result<Factorization, SolveError> {
+        self.factorize_by(true)
+    }
+
+    fn factorize_by(&self, is_for_slices: bool) -> Result<Factorization, SolveError> {
         let failed = |reason: String| SolveError::Factorization { n_rows: self.n_free, reason };
         let mut forward = Vec::with_capacity(self.n_free);
         for &node in &self.node_order {
@@ -265,11 +278,11 @@ impl FreeSystem {
         let symbolic = factorize_symbolic_cholesky(self.pattern(), Side::Upper, order, parameters)
             .map_err(|e| failed(e.to_string()))?;
         let making = match symbolic.raw() {
-            SymbolicCholeskyRaw::Supernodal(nodes) => {
+            SymbolicCholeskyRaw::Supernodal(nodes) if is_for_slices => {
                 let plan = FactorPlan::new(nodes, (&self.column_start, &self.row), &inverse);
                 Making::ByUnits { scratch: plan.scratch(self.n_free), plan: Arc::new(plan) }
             }
-            SymbolicCholeskyRaw::Simplicial(_) => {
+            _ => {
                 let request = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
                 let memory = MemBuffer::try_new(request).map_err(|_| failed("out of memory".to_owned()))?;
                 Making::AtOnce { memory }
@@ -308,9 +321,9 @@ pub(super) fn minimum_degree(n_nodes: usize, edges: &MeshEdges) -> Result<Vec<u3
 
 /// How new values are factored.
 enum Making {
-    /// By our own loop.
+    /// By our own loop, which can stop.
     ByUnits { plan: Arc<FactorPlan>, scratch: LoopScratch },
-    /// By faer: a matrix that is nothing but its diagonal.
+    /// By faer: what is not made in slices, and a matrix that is nothing but its diagonal.
     AtOnce { memory: MemBuffer },
 }
 

@@ -150,7 +150,7 @@ impl Lagged {
             }
         }
         let system = FreeSystem::new(&edges, &tensors, &conditions)?;
-        let factor = system.factorize()?;
+        let factor = system.factorize_for_slices()?;
         let scratch = factor.scratch(1);
         let free = vec![0.0; system.n_free()];
         let n_nodes = params.free_axes.len();

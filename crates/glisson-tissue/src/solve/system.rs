@@ -1,8 +1,8 @@
 //! The free rows and columns of K in a fixed sparse pattern, and their Cholesky factor.
 //!
 //! The pattern is computed once: every tensor entry has its slot, so new stiffness values are written without a search and
-//! without allocation. The factor is faer's supernodal L L^T on one thread, its values by our own loop with the same bits
-//! (`supernodal_factor`). The fill-reducing order is approximate minimum degree (Amestoy, Davis and Duff 1996,
+//! without allocation. The factor is faer's supernodal L L^T on one thread; where its values are made in slices, by our own
+//! loop with the same bits (`supernodal_factor`). The fill-reducing order is approximate minimum degree (Amestoy, Davis and Duff 1996,
 //! doi 10.1137/S0895479894278952) of the node graph, or nested dissection where it pays (`ordering`). The node graph is nine
 //! times smaller than that of the components, and keeps a node's components together.
 

@@ -517,11 +517,9 @@ impl BodyContact {
         let n_rows = self.n_rows();
         let (mut softest, mut is_known) = (0.0_f64, true);
         for row in 0..n_rows {
-            let n = self.contacts.len();
-            let contact = if row < n { &self.contacts[row] } else { &self.bond_rows[row - n].sides };
             let answer =
                 |(v, w): (usize, f64)| w * w * model.node_answer_m_per_n(self.nodes[v], dt_s).element_sum();
-            let yields: f64 = contact.sides().map(answer).sum();
+            let yields: f64 = self.sides(row).map(answer).sum();
             self.stiffness[row] = yields;
             softest = softest.max(yields);
             is_known &= yields > 0.0;

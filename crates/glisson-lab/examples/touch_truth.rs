@@ -1,5 +1,5 @@
-//! Balls pressed into blocks of every model and size, against the axisymmetric reference, or into livers (`--livers`): the
-//! table of `glisson validate touch_truth` or `touch_truth_livers`, or a part of it, a line as soon as it is known.
+//! Balls pressed into blocks of every model and size, against the axisymmetric reference, or into livers (`--livers`),
+//! or drawn over tissue (`--slides`): the table of `glisson validate touch_truth`, `touch_truth_livers` or `touch_sliding`, or a part of it, a line as soon as it is known.
 //!
 //! ```text
 //! cargo run --release -p glisson-lab --example touch_truth -- \
@@ -8,8 +8,10 @@
 #![expect(clippy::print_stdout, reason = "a program that prints a table")]
 
 use anyhow::{Context, bail};
-use glisson_lab::validate::touch_truth::{Selection, write_blocks, write_livers};
+use glisson_lab::validate::touch_truth::{Selection, write_blocks, write_livers, write_slides};
 use std::io::Write as _;
+
+type WriteAll = fn(&Selection, &mut dyn FnMut(&str)) -> anyhow::Result<()>;
 
 fn numbers(list: &str) -> anyhow::Result<Vec<f64>> {
     list.split(',').map(|text| text.parse().with_context(|| format!("{text:?} is no number"))).collect()
@@ -18,10 +20,15 @@ fn numbers(list: &str) -> anyhow::Result<Vec<f64>> {
 fn main() -> anyhow::Result<()> {
     let mut selection = Selection::default();
     let mut arguments = std::env::args().skip(1);
-    let mut on_livers = false;
+    let mut write_all: WriteAll = write_blocks;
     while let Some(name) = arguments.next() {
-        if name == "--livers" {
-            on_livers = true;
+        let other: Option<WriteAll> = match name.as_str() {
+            "--livers" => Some(write_livers),
+            "--slides" => Some(write_slides),
+            _ => None,
+        };
+        if let Some(other) = other {
+            write_all = other;
             continue;
         }
         let value = arguments.next().with_context(|| format!("{name} needs a value"))?;
@@ -32,11 +39,10 @@ fn main() -> anyhow::Result<()> {
             "--places" => selection.n_places = value.parse()?,
             "--most-explicit" => selection.most_explicit = value.parse()?,
             _ => bail!(
-                "{name}: there are --livers, --models, --sizes, --balls [mm], --places, --most-explicit"
+                "{name}: there are --livers, --slides, --models, --sizes, --balls [mm], --places, --most-explicit"
             ),
         }
     }
-    let write_all = if on_livers { write_livers } else { write_blocks };
     write_all(&selection, &mut |text| {
         print!("{text}");
         // A table that cannot be written is nobody's.

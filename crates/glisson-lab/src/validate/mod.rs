@@ -258,4 +258,5 @@ pub const SLOW_GROUPS: &[Group] = &[
     Group::new("rough_hands", "Random violent motions of a hand, every model and law: bounded force, finite numbers, tissue back at rest.", rough_hands::experiments),
     Group::new("touch_truth", "A ball pressed into blocks of 2,000 to 50,000 tetrahedra by every model: forces against the axisymmetric solutions.", touch_truth::block_experiments),
     Group::new("touch_truth_livers", "A ball pressed into livers of three patients by every model: the forces of meshes of 2,000 to 50,000 tetrahedra agree.", touch_truth::liver_experiments),
+    Group::new("touch_sliding", "A ball drawn over flat, curved and deeply pressed tissue by every model: Coulomb's friction, and no energy gained.", touch_truth::sliding_experiments),
 ];

@@ -13,10 +13,12 @@ mod selection;
 mod blocks;
 pub(super) use blocks::{SIZE_M as BLOCK_SIZE_M, block};
 mod livers;
+mod sliding;
 mod judgement;
 
 pub(super) use judgement::{block_experiments, liver_experiments, reference_experiments};
 pub use selection::Selection;
+pub(super) use sliding::sliding_experiments;
 
 /// Runs the block's cases and writes a line a case as soon as it is done.
 ///
@@ -36,4 +38,12 @@ pub fn write_livers(selection: &Selection, write: &mut dyn FnMut(&str)) -> anyho
     write(livers::Push::HEAD);
     livers::run(selection, &mut |push| write(&push.row()))?;
     Ok(())
+}
+
+/// The same for balls that slide.
+///
+/// # Errors
+/// For an unknown model, and what cannot be set up.
+pub fn write_slides(selection: &Selection, write: &mut dyn FnMut(&str)) -> anyhow::Result<()> {
+    sliding::write(selection, write)
 }

@@ -91,7 +91,7 @@ impl ReadyOrgan {
         Ok(Self { mesh: mesh.clone(), supports, kind, model, step_s: body.time_step_s, material })
     }
 
-    fn world(&self, tool: Tool) -> anyhow::Result<World> {
+    pub(super) fn world(&self, tool: Tool) -> anyhow::Result<World> {
         let mut spec = WorldSpec::new("touched organ", self.step_s, tool);
         spec.supports.clone_from(&self.supports);
         spec.hand = Some(Hand::default());

@@ -2,8 +2,9 @@
 //!
 //! Points are every vertex of the surface within a margin of the part, and of every edge and triangle near it the place that is
 //! nearest where that lies inside. Places whose triangles all face away from the part do not count: the other side of thin
-//! tissue, or of a fold. A place within an edge or a triangle that bore a force stays one, while another is nearer: what it held
-//! back would come out again else, and the two would take turns.
+//! tissue, or of a fold. A place within an edge or a triangle that bore a force moves with the part to the place that is nearest
+//! now; where that is further off it stays one beside it: what it held back would come out again else, and the two would take
+//! turns. Places that stayed while the part slides on would be behind it, and push it along.
 //!
 //! Parts push along the shortest way, but for tissue whose displacements are linear in the forces: that is pushed along the normal
 //! which it has at rest, as in the theory that it follows. Pushed along the normals of its present shape, the sides of a crater go
@@ -73,7 +74,7 @@ impl ContactPoint {
     }
 
     /// Whether another point of its feature is at the same place.
-    fn is_at(&self, other: &Self) -> bool {
+    pub(super) fn is_at(&self, other: &Self) -> bool {
         let weight = |point: &Self, node: NodeId| {
             let at = point.nodes.iter().position(|n| *n == node);
             at.map_or(0.0, |v| point.weights[v])
@@ -175,14 +176,15 @@ impl PointSearch {
         let organ = look.organ;
         self.near.clear();
         self.found.clear();
+        organ.skin().near_into(look.part, look.margin_m, &mut self.near);
         for point in kept.clone() {
             let slot = organ.skin().slot_of(point.triangle);
             let is_there = slot.is_some_and(|slot| organ.skin().place_in_slot(slot).1 == point.nodes);
             if is_there && self.found.len() < MOST_NEAR {
+                let point = self.moved_to_nearest(point, slot);
                 self.found.extend(point.seen_from(look));
             }
         }
-        organ.skin().near_into(look.part, look.margin_m, &mut self.near);
         for near in &self.near {
             let place = organ.skin().place_of(*near);
             let mut add = |feature: Feature, weights: [f64; 3]| {
@@ -208,7 +210,7 @@ impl PointSearch {
                 weights[v] = 1.0;
                 add(Feature::Vertex(place.nodes[v]), weights);
             }
-            let weights = near.weights.map(|w| if w > ON_EDGE { w } else { 0.0 });
+            let weights = on_edges(near.weights);
             if let Some(feature) = inside(place.triangle, place.nodes, weights) {
                 add(feature, weights);
             }
@@ -219,10 +221,25 @@ impl PointSearch {
         self.found.sort_unstable_by(|a, b| a.gap_m.total_cmp(&b.gap_m).then_with(|| a.key().cmp(&b.key())));
     }
 
+    /// A place within an edge or a triangle, where that of it is which is nearest now; the same if that is further off.
+    fn moved_to_nearest(&self, point: ContactPoint, slot: Option<u32>) -> ContactPoint {
+        let near = self.near.iter().find(|near| Some(near.triangle) == slot);
+        let Some(near) = near else { return point };
+        let weights = on_edges(near.weights);
+        let moved = ContactPoint { weights, ..point };
+        let is_same = inside(point.triangle, point.nodes, weights) == Some(point.feature);
+        if is_same && moved.is_at(&point) { moved } else { point }
+    }
+
     /// What was found last.
     pub(super) fn found(&self) -> &[ContactPoint] {
         &self.found
     }
+}
+
+/// Weights without what is as good as nothing.
+fn on_edges(weights: [f64; 3]) -> [f64; 3] {
+    weights.map(|w| if w > ON_EDGE { w } else { 0.0 })
 }
 
 /// What a place with these weights lies inside of: an edge or the triangle; none at a vertex.

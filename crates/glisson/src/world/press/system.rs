@@ -402,7 +402,7 @@ impl Press {
         let coefficient = tool.grip.friction_coefficient;
         contact.friction = if tool.grip.is_sticky { STICKY_FRICTION } else { coefficient };
         let is_it = |p: &&PressedPoint| {
-            p.vertex == vertex && p.at.feature == point.feature && p.at.weights == point.weights
+            point.is_kept && p.vertex == vertex && p.at.feature == point.feature && p.at.is_at(point)
         };
         let before = pressed.iter().find(is_it);
         contact.force_n = before.map_or(DVec3::ZERO, |point| contact.into_cone(point.force_n));

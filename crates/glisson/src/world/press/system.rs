@@ -393,11 +393,13 @@ impl Press {
         } else {
             (point.gap_m * (dt_s / PUSH_OUT_S).min(1.0)).max(-PUSH_OUT_M_PER_S * dt_s)
         };
-        contact.slack_m = open_m + further_out_m.dot(point.inward);
+        contact.slack_m = open_m;
         let arm_m = point.arm_m;
         contact.point_m = start.axis_point_m(point.along) + arm_m;
-        contact.moved_m =
-            end.axis_point_m(point.along) - start.axis_point_m(point.along) + turn * arm_m - arm_m;
+        // What the part's surface on the mesh yields comes out of the system whole: what of it was there before is no motion.
+        contact.moved_m = end.axis_point_m(point.along) - start.axis_point_m(point.along) + turn * arm_m
+            - arm_m
+            - further_out_m;
         contact.weights[3] = -lever(tool, now, contact.point_m);
         let coefficient = tool.grip.friction_coefficient;
         contact.friction = if tool.grip.is_sticky { STICKY_FRICTION } else { coefficient };

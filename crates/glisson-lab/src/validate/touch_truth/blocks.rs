@@ -214,4 +214,17 @@ mod tests {
         let wrong = Selection { models: vec!["precomputedd".into()], ..Selection::default() };
         assert!(run(&wrong, &mut |_| {}).is_err());
     }
+
+    #[test]
+    fn a_large_ball_deep_in_explicit_tissue_comes_to_rest() {
+        let selection = Selection {
+            models: vec!["explicit".into()],
+            sizes: vec![6_300],
+            balls_m: vec![10e-3],
+            ..Selection::default()
+        };
+        for case in run(&selection, &mut |_| {}).unwrap() {
+            assert!(case.holds() && case.felt.unrest < 0.01, "{case:?}");
+        }
+    }
 }

@@ -1,9 +1,9 @@
 //! A ball that slides over tissue: the forces along the surface over those across it are the coefficient of friction.
 //!
-//! A ball of a hand that gives way is pressed in at a place, drawn along the undeformed skin at a steady speed, and lifted. Read
-//! over the second half of its way: of all its contact points the forces across their normals over those along them. Coulomb's
-//! law holds at every point that slides, so their sums keep it too, on every shape. And over the whole motion, which begins
-//! and ends away from tissue at rest, the hand takes no work out of the tissue.
+//! A ball of a hand that gives way is pressed in at a place, drawn along the undeformed skin at a steady speed, drawn back, and
+//! lifted where it went in. Read over the second half of its way: of all its contact points the forces across their normals over
+//! those along them. Coulomb's law holds at every point that slides, so their sums keep it too, on every shape. And over the whole
+//! motion, a closed path that begins and ends away from tissue at rest, the hand takes no work out of the tissue.
 
 use super::blocks::{SIZE_M, block};
 use super::press::ReadyOrgan;
@@ -28,6 +28,8 @@ const COEFFICIENTS: [f64; 4] = [0.0, 0.05, 0.3, 0.6];
 const WITHIN: f64 = 0.03;
 /// Frictionless: the ratio at most.
 const FRICTIONLESS: f64 = 1e-9;
+/// What the hand may take out of the tissue, as a share of the work of pressing the ball in: the steps' own error. A choice.
+const GAINED: f64 = 0.01;
 /// The ball goes down, along and up so fast [m/s]: slow beside shear waves in the tissue. A choice.
 const SPEED_M_PER_S: f64 = 0.02;
 /// Where it begins above the skin, and how far it goes along [m].
@@ -104,8 +106,16 @@ struct Slid {
     /// Mean force on the ball against its way, and out of the tissue [N].
     against_n: f64,
     out_n: f64,
-    /// Work of the hand over the whole motion [J].
+    /// Work of the hand until the ball is pressed in, and over the whole motion [J].
+    press_j: f64,
     work_j: f64,
+}
+
+impl Slid {
+    /// What the hand took out of the tissue, as a share of the work of pressing in.
+    fn gained(&self) -> f64 {
+        (-self.work_j / self.press_j).max(0.0)
+    }
 }
 
 /// What is read on the way.
@@ -174,23 +184,29 @@ fn slide(ground: &Ground, organ: &ReadyOrgan, skin: &Skin, friction: f64) -> any
         let share = step as f64 / steps(down_m) as f64;
         read.step(&mut world, &input(centre_m(0.0, -ABOVE_M + share * down_m)?), None);
     }
+    let press_j = read.work_j;
     for step in 1..=steps(WAY_M) {
         let share = step as f64 / steps(WAY_M) as f64;
         let is_steady = share > 0.5;
         read.step(&mut world, &input(centre_m(share * WAY_M, ground.depth_m)?), is_steady.then_some(ground));
     }
+    for step in (0..steps(WAY_M)).rev() {
+        let share = step as f64 / steps(WAY_M) as f64;
+        read.step(&mut world, &input(centre_m(share * WAY_M, ground.depth_m)?), None);
+    }
     for step in 1..=steps(2.0 * down_m) {
         let share = step as f64 / steps(2.0 * down_m) as f64;
-        read.step(&mut world, &input(centre_m(WAY_M, ground.depth_m - share * 2.0 * down_m)?), None);
+        read.step(&mut world, &input(centre_m(0.0, ground.depth_m - share * 2.0 * down_m)?), None);
     }
     for _ in 0..(REST_S / step_s) as usize {
-        read.step(&mut world, &input(centre_m(WAY_M, -ABOVE_M - down_m)?), None);
+        read.step(&mut world, &input(centre_m(0.0, -ABOVE_M - down_m)?), None);
     }
     let n = read.n as f64;
     Ok(Slid {
         ratio: read.across_n / read.normal_n,
         against_n: read.against_n / n,
         out_n: read.out_n / n,
+        press_j,
         work_j: read.work_j,
     })
 }
@@ -205,8 +221,8 @@ struct Case {
 }
 
 impl Case {
-    const HEAD: &'static str = "| model | ground | tetrahedra | mu | across over normal | off | against the way [N] | out of the tissue [N] | work [mJ] | |\n\
-         |---|---|---|---|---|---|---|---|---|---|\n";
+    const HEAD: &'static str = "| model | ground | tetrahedra | mu | across over normal | off | against the way [N] | out of the tissue [N] | work of pressing in [mJ] | work [mJ] | |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|\n";
 
     fn is_near(&self) -> bool {
         (self.slid.ratio - self.friction).abs() <= (WITHIN * self.friction).max(FRICTIONLESS)
@@ -214,16 +230,17 @@ impl Case {
 
     /// Neither ratio nor work is so when it is no number.
     fn holds(&self) -> bool {
-        self.is_near() && self.slid.work_j >= 0.0
+        self.is_near() && self.slid.gained() <= GAINED
     }
 
     fn row(&self) -> String {
         let Self { model, ground, n_tets, friction, slid } = self;
-        let Slid { ratio, against_n, out_n, work_j } = slid;
+        let Slid { ratio, against_n, out_n, press_j, work_j } = slid;
         let off =
             if *friction > 0.0 { format!("{:+.1} %", 100.0 * (ratio / friction - 1.0)) } else { "-".into() };
         format!(
-            "| {model} | {ground} | {n_tets} | {friction} | {ratio:.4} | {off} | {against_n:.4} | {out_n:.4} | {:.3} | {} |\n",
+            "| {model} | {ground} | {n_tets} | {friction} | {ratio:.4} | {off} | {against_n:.4} | {out_n:.4} | {:.3} | {:.3} | {} |\n",
+            press_j * 1e3,
             work_j * 1e3,
             if self.holds() { "pass" } else { "FAIL" },
         )
@@ -282,8 +299,29 @@ pub(crate) fn sliding_experiments() -> anyhow::Result<Outcome> {
             Experiment::at_most(&name, REQUIREMENT, slid.ratio, FRICTIONLESS)
         });
         let name =
-            format!("{model}, {ground}, mu {friction}: work that the hand takes out of the tissue [J]");
-        outcome.experiments.push(Experiment::at_most(&name, REQUIREMENT, -slid.work_j, 0.0));
+            format!("{model}, {ground}, mu {friction}: work taken out of the tissue, of that of pressing in");
+        outcome.experiments.push(Experiment::at_most(&name, REQUIREMENT, slid.gained(), GAINED));
     }
     Ok(outcome)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn friction_of_a_sliding_ball_is_its_coefficient_against_its_way() {
+        let ground = Ground::of_block("flat", 2_000, 5e-3, 2e-3).unwrap();
+        let skin = Skin::of(&ground.mesh).unwrap();
+        let selection =
+            Selection { models: vec!["explicit".into(), "implicit".into()], ..Selection::default() };
+        for subject in selection.subjects().unwrap() {
+            let organ = ReadyOrgan::new(&ground.mesh, ground.material, ground.held, &subject).unwrap();
+            let slid = slide(&ground, &organ, &skin, 0.3).unwrap();
+            assert!((slid.ratio / 0.3 - 1.0).abs() < WITHIN, "{}: {slid:?}", subject.kind);
+            // The way is flat, so that it is the whole force against it.
+            assert!((slid.against_n / slid.out_n / 0.3 - 1.0).abs() < WITHIN, "{}: {slid:?}", subject.kind);
+            assert!(slid.gained() == 0.0, "{}: {slid:?}", subject.kind);
+        }
+    }
 }

@@ -50,8 +50,6 @@ use system::{Bearer, PartTouch, PartWay, lever, side_of, vertex_of};
 
 /// How often the contacts are solved anew with the compliance that follows from their forces: a choice.
 const SUB_GRID_ROUNDS: u32 = 2;
-/// What the mesh is too coarse for follows the forces in this time [s]: those of explicit models jump from step to step. A choice.
-const SUB_GRID_S: f64 = 2e-3;
 /// Sides of a part that touch by themselves: the two of a fold.
 const SIDES: usize = 2;
 /// Vertices of a tool in the system: one for each side of a part, and one for what its jaws hold.
@@ -89,13 +87,12 @@ impl World {
         self.press.solve();
         if let Some(contact) = self.indentation() {
             let dt_s = self.spec.time_step_s;
-            let share = dt_s / (dt_s + SUB_GRID_S);
             for _ in 0..SUB_GRID_ROUNDS {
                 for (place, tool) in self.spec.tools.iter().enumerate() {
                     for part in ToolPart::ALL.into_iter().filter(|part| *part != ToolPart::Shaft) {
                         for side in 0..SIDES {
                             let at = (place, side_of(part, side));
-                            let with = (part.radius_m(tool), share);
+                            let with = (part.radius_m(tool), dt_s);
                             self.press.set_sub_grid(at, with, &contact, &self.organ);
                         }
                     }
@@ -193,7 +190,8 @@ impl World {
                     press.add_points((place, part), &touch);
                 }
             }
-            press.set_tool(place, 1.0 / hand.step_stiffness_n_per_m(dt_s));
+            let followed = |part: ToolPart| contact.map_or(1.0, |c| c.followed(part.radius_m(tool), dt_s));
+            press.set_tool(place, 1.0 / hand.step_stiffness_n_per_m(dt_s), followed);
         }
         if press.nodes.is_empty() {
             return;
@@ -207,6 +205,7 @@ impl World {
     /// After contacts were solved: instruments go where their contacts let them, contacts learn their forces, and those that
     /// bear none end.
     fn settle(&mut self) {
+        let (contact, dt_s) = (self.indentation(), self.spec.time_step_s);
         let press = &mut self.press;
         press.pressed.clear();
         for (place, (state, tool)) in self.tool_states.iter_mut().zip(&self.spec.tools).enumerate() {
@@ -217,7 +216,8 @@ impl World {
             }
             for part in ToolPart::ALL {
                 if !follows_one_place(tool, part) {
-                    press.settle_points((place, part), &mut state.contacts[part.index()]);
+                    let learned = contact.map_or(1.0, |c| c.learned(part.radius_m(tool), dt_s));
+                    press.settle_points((place, part), learned, &mut state.contacts[part.index()]);
                 }
             }
         }

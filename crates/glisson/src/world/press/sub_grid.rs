@@ -35,11 +35,21 @@ const MOST_RADIUS: f64 = 1.0 - 1e-9;
 /// Halvings of the interval of the contact's radius.
 const HALVINGS: u32 = 40;
 
+/// s/F follows the force in so many times what shear waves need across the ball's radius. s/F falls while F rises, the faster the
+/// more of the ball the mesh shows: followed before the tissue has given way, a force would raise itself. A choice.
+const LEARNING: f64 = 2.0;
+/// How far the part is in the surface of the mesh follows s in so many such times, as a spring with a damper beside it: s/F that is
+/// behind the force gives energy to tissue that swings under the part, and the nodes under it, light in the steps of explicit
+/// models, would bounce on a spring alone. A choice.
+const DAMPING: f64 = 1.0;
+
 /// A ball on an elastic half-space.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Indentation {
     /// E* [Pa].
     reduced_modulus_pa: f64,
+    /// Speed of shear waves at rest [m/s].
+    shear_wave_m_per_s: f64,
 }
 
 /// Force over E* R^2 and depth over R of a contact with radius `share` R.
@@ -52,7 +62,23 @@ impl Indentation {
     pub(super) fn of(material: &LinearElastic) -> Self {
         let poisson_ratio = material.poisson_ratio();
         let reduced_modulus_pa = material.young_modulus_pa() / (1.0 - poisson_ratio * poisson_ratio);
-        Self { reduced_modulus_pa }
+        let shear_wave_m_per_s = (material.mu_pa() / material.density_kg_per_m3()).sqrt();
+        Self { reduced_modulus_pa, shear_wave_m_per_s }
+    }
+
+    /// What a ball's damper lets it follow, in a step, of how far it should yield.
+    pub(super) fn followed(&self, radius_m: f64, dt_s: f64) -> f64 {
+        self.share(DAMPING, radius_m, dt_s)
+    }
+
+    /// What of a change of s/F under a ball is taken over in a step.
+    pub(super) fn learned(&self, radius_m: f64, dt_s: f64) -> f64 {
+        self.share(LEARNING, radius_m, dt_s)
+    }
+
+    fn share(&self, crossings: f64, radius_m: f64, dt_s: f64) -> f64 {
+        let time_s = crossings * radius_m / self.shear_wave_m_per_s;
+        if time_s.is_finite() { dt_s / (dt_s + time_s) } else { 1.0 }
     }
 
     /// d_H/F of a ball [m/N].

@@ -36,11 +36,11 @@ const MOST_CONTACTS: usize = 2 * MOST_POINTS + (3 + MOST_HELD_NODES) * MAX_TOOLS
 /// Points are looked for this share of the part's radius beyond the way that it may go in the step: tissue moves too. A choice.
 const AROUND: f64 = 0.1;
 /// A part that is no further in the surface of the mesh than this touches nothing where it bears no force [m].
-const LEAST_FURTHER_OUT_M: f64 = 1e-6;
+pub(super) const LEAST_FURTHER_OUT_M: f64 = 1e-6;
 /// Tissue that is in a part is pushed out in about this time [s], and no faster than this [m/s], a hand's calm motion: at once it
 /// would take a force that throws the nodes of explicit models. Choices.
 const PUSH_OUT_S: f64 = 4e-3;
-pub(super) const PUSH_OUT_M_PER_S: f64 = 0.2;
+const PUSH_OUT_M_PER_S: f64 = 0.2;
 /// Coefficient of friction of what sticks: it slides where it is pulled along the surface by more than it is pressed. A choice, beyond
 /// any of tissue; with a much larger one contacts on many sides wedge each other and bear nothing.
 const STICKY_FRICTION: f64 = 1.0;
@@ -396,10 +396,11 @@ impl Press {
         contact.slack_m = open_m;
         let arm_m = point.arm_m;
         contact.point_m = start.axis_point_m(point.along) + arm_m;
+        let followed = touch.contact.map_or(1.0, |contact| contact.followed(start.radius_m, dt_s));
         // What the part's surface on the mesh yields comes out of the system whole: what of it was there before is no motion.
         contact.moved_m = end.axis_point_m(point.along) - start.axis_point_m(point.along) + turn * arm_m
             - arm_m
-            - further_out_m;
+            - further_out_m * followed;
         contact.weights[3] = -lever(tool, now, contact.point_m);
         let coefficient = tool.grip.friction_coefficient;
         contact.friction = if tool.grip.is_sticky { STICKY_FRICTION } else { coefficient };
@@ -450,14 +451,15 @@ impl Press {
     }
 
     /// How an instrument answers: its parts move as one, with the hand's compliance.
-    pub(super) fn set_tool(&mut self, place: usize, hand_m_per_n: f64) {
+    pub(super) fn set_tool(&mut self, place: usize, hand_m_per_n: f64, followed: impl Fn(ToolPart) -> f64) {
         self.response.set_group(1 + place, (0..VERTICES).map(|side| vertex_of(place, side)));
         let compliance = &mut self.response.group_mut(1 + place).compliance_m_per_n;
         compliance.clear();
         compliance.resize(VERTICES * VERTICES, DMat3::IDENTITY * hand_m_per_n);
         for (side, yields) in self.sub_grid_m_per_n[place].into_iter().enumerate() {
             let out = self.outward[place][side];
-            compliance[side * VERTICES + side] += outer(out, out) * yields;
+            let followed = followed(ToolPart::ALL[side / SIDES]);
+            compliance[side * VERTICES + side] += outer(out, out) * (yields * followed);
         }
     }
 
@@ -639,8 +641,14 @@ impl Press {
         self.forces.sort_unstable_by_key(|force| force.node);
     }
 
-    /// A part is told of as its point that bears most, with the force of all; none where none bears any.
-    pub(super) fn settle_points(&mut self, (place, part): (usize, ToolPart), held: &mut Option<HeldContact>) {
+    /// A part is told of as its point that bears most, with the force of all; none where none bears any. The way out turns by the
+    /// share `learned` towards where its points push: with the points that happen to bear most, what yields along it would shake.
+    pub(super) fn settle_points(
+        &mut self,
+        (place, part): (usize, ToolPart),
+        learned: f64,
+        held: &mut Option<HeldContact>,
+    ) {
         let (mut force_n, mut most, mut most_n) = (DVec3::ZERO, None, 0.0);
         let (mut outward, mut pushes) = ([DVec3::ZERO; SIDES], [DVec3::ZERO; SIDES]);
         let first = vertex_of(place, side_of(part, 0));
@@ -667,7 +675,8 @@ impl Press {
             let side = side_of(part, side);
             let waits = self.further_out_m[place][side] > LEAST_FURTHER_OUT_M;
             if *outward != DVec3::ZERO {
-                self.outward[place][side] = outward.normalize_or_zero();
+                let (known, now) = (self.outward[place][side], outward.normalize_or_zero());
+                self.outward[place][side] = known.lerp(now, learned).normalize_or(now);
             } else if !waits {
                 self.outward[place][side] = DVec3::ZERO;
                 self.sub_grid_m_per_n[place][side] = 0.0;

@@ -1,7 +1,7 @@
 //! How the sides of a part yield for what the mesh is too coarse for ([`super::sub_grid`]), in the system of contacts.
 
 use super::sub_grid::Indentation;
-use super::system::{Bearer, PUSH_OUT_M_PER_S, Press, PressedPoint, side_of, vertex_of};
+use super::system::{Bearer, LEAST_FURTHER_OUT_M, Press, PressedPoint, side_of, vertex_of};
 use super::{SIDES, VERTICES};
 use crate::math::{DVec3, outer};
 use crate::world::organ::Organ;
@@ -30,13 +30,15 @@ impl Press {
         let vertex = vertex_of(place, side);
         let yields = &mut self.sub_grid_m_per_n[place][side];
         let own = pressed.iter().filter(|point| point.vertex == vertex);
-        if own.clone().next().is_none() {
+        if own.clone().next().is_none() && self.further_out_m[place][side] <= LEAST_FURTHER_OUT_M {
             *yields = contact.map_or(0.0, |contact| contact.at_first_m_per_n(radius_m));
         }
         let out = self.outward[place][side];
-        let now_m = own.map(|point| -point.force_n.dot(out)).sum::<f64>() * *yields;
+        let wanted_m = own.map(|point| -point.force_n.dot(out)).sum::<f64>() * *yields;
         let further_out_m = &mut self.further_out_m[place][side];
-        *further_out_m = now_m.max(*further_out_m - PUSH_OUT_M_PER_S * dt_s);
+        let followed = contact.map_or(1.0, |contact| contact.followed(radius_m, dt_s));
+        let now_m = *further_out_m + (wanted_m - *further_out_m) * followed;
+        *further_out_m = now_m.max(0.0);
         out * *further_out_m
     }
 
@@ -45,7 +47,7 @@ impl Press {
     pub(super) fn set_sub_grid(
         &mut self,
         (place, side): (usize, usize),
-        (radius_m, share): (f64, f64),
+        (radius_m, dt_s): (f64, f64),
         contact: &Indentation,
         organ: &Organ,
     ) {
@@ -85,10 +87,11 @@ impl Press {
             0.0
         };
         let known = &mut self.sub_grid_m_per_n[place][side];
-        let further = (missing - *known) * share;
+        let further = (missing - *known) * contact.learned(radius_m, dt_s);
         *known += further;
         let compliance = &mut self.response.group_mut(1 + place).compliance_m_per_n;
-        compliance[side * VERTICES + side] += outer(outward, outward) * further;
-        self.moves_m[vertex as usize] += outward * (on_tool_n.dot(outward) * further);
+        let in_step = further * contact.followed(radius_m, dt_s);
+        compliance[side * VERTICES + side] += outer(outward, outward) * in_step;
+        self.moves_m[vertex as usize] += outward * (on_tool_n.dot(outward) * in_step);
     }
 }

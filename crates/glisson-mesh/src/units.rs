@@ -31,6 +31,10 @@ pub enum Dimension {
     Power,
     /// Joules per square metre inside.
     FractureEnergy,
+    /// Newton metres inside.
+    Torque,
+    /// Newton metres per radian inside.
+    RotationalStiffness,
 }
 
 impl Dimension {
@@ -49,6 +53,8 @@ impl Dimension {
             Self::Stiffness => &[("N/m", 1.0), ("N/mm", 1e3)],
             Self::Power => &[("W", 1.0), ("mW", 1e-3)],
             Self::FractureEnergy => &[("J/m2", 1.0), ("kJ/m2", 1e3)],
+            Self::Torque => &[("N m", 1.0), ("N mm", 1e-3)],
+            Self::RotationalStiffness => &[("N m/rad", 1.0), ("N mm/rad", 1e-3)],
         }
     }
 
@@ -67,6 +73,8 @@ impl Dimension {
             Self::Stiffness => "stiffness",
             Self::Power => "power",
             Self::FractureEnergy => "fracture energy",
+            Self::Torque => "torque",
+            Self::RotationalStiffness => "rotational stiffness",
         }
     }
 }
@@ -167,6 +175,8 @@ mod tests {
             ("-1e-2 m", Dimension::Length, -0.01),
             ("1060 kg/m3", Dimension::Density, 1060.0),
             ("1 ms", Dimension::Time, 1e-3),
+            ("500 N mm", Dimension::Torque, 0.5),
+            ("10 N m/rad", Dimension::RotationalStiffness, 10.0),
             ("180 deg", Dimension::Angle, std::f64::consts::PI),
             ("0", Dimension::Acceleration, 0.0),
         ] {

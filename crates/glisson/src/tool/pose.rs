@@ -40,6 +40,60 @@ impl ToolFrame {
     }
 }
 
+/// The turn by a rotation vector [rad] (Rodrigues' formula).
+pub fn turn_by(rotation_rad: DVec3) -> DMat3 {
+    let angle_rad = rotation_rad.length();
+    let axis = rotation_rad.normalize_or_zero();
+    let (sine, cosine) = libm::sincos(angle_rad);
+    let cross = cross_matrix(axis);
+    DMat3::IDENTITY + cross * sine + cross * cross * (1.0 - cosine)
+}
+
+/// The rotation vector of a turn [rad], of length pi at most.
+pub fn rotation_vector_rad(turn: &DMat3) -> DVec3 {
+    let trace = turn.x_axis.x + turn.y_axis.y + turn.z_axis.z;
+    let skew = DVec3::new(
+        turn.y_axis.z - turn.z_axis.y,
+        turn.z_axis.x - turn.x_axis.z,
+        turn.x_axis.y - turn.y_axis.x,
+    );
+    let angle_rad = libm::atan2(skew.length(), trace - 1.0);
+    if skew.length() > HALF_TURN || trace > 1.0 {
+        return skew.normalize_or_zero() * angle_rad;
+    }
+    // Half a turn: the axis is what it leaves as it is.
+    let both = *turn + DMat3::IDENTITY;
+    let axes = [both.x_axis, both.y_axis, both.z_axis];
+    let longest = axes.into_iter().max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
+    longest.unwrap_or(DVec3::Z).normalize_or_zero() * angle_rad
+}
+
+/// Twice the sine of an angle below which a turn is none, or half of one.
+const HALF_TURN: f64 = 1e-9;
+
+impl ToolInput {
+    /// The same with the instrument turned about its tip by a rotation vector [rad].
+    #[must_use]
+    pub fn turned(self, rotation_rad: DVec3) -> Self {
+        let wanted = turn_by(rotation_rad) * ToolFrame::of(&self).world_from_tool;
+        let shaft_in_world = wanted.z_axis.normalize_or(self.shaft_in_world);
+        let without_roll = ToolFrame::of(&Self { shaft_in_world, roll_rad: 0.0, ..self }).world_from_tool;
+        let across = without_roll.transpose() * wanted.x_axis;
+        let roll_rad = libm::atan2(across.y, across.x);
+        // As many whole turns as it had.
+        let turns = libm::round((self.roll_rad - roll_rad) / TURN_RAD);
+        Self { shaft_in_world, roll_rad: roll_rad + turns * TURN_RAD, ..self }
+    }
+}
+
+/// A whole turn [rad].
+const TURN_RAD: f64 = 2.0 * std::f64::consts::PI;
+
+/// The matrix [v] with [v] x = v x x.
+pub(crate) fn cross_matrix(v: DVec3) -> DMat3 {
+    DMat3::from_cols(DVec3::new(0.0, v.z, -v.y), DVec3::new(-v.z, 0.0, v.x), DVec3::new(v.y, -v.x, 0.0))
+}
+
 /// The shortest turn that brings the unit vector `from` to `to` (Rodrigues' formula without angles).
 fn shortest_turn(from: DVec3, to: DVec3) -> DMat3 {
     let cosine = from.dot(to);
@@ -49,9 +103,7 @@ fn shortest_turn(from: DVec3, to: DVec3) -> DMat3 {
         let outer = DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
         return outer * 2.0 - DMat3::IDENTITY;
     }
-    let v = from.cross(to);
-    let cross =
-        DMat3::from_cols(DVec3::new(0.0, v.z, -v.y), DVec3::new(-v.z, 0.0, v.x), DVec3::new(v.y, -v.x, 0.0));
+    let cross = cross_matrix(from.cross(to));
     DMat3::IDENTITY + cross + cross * cross * (1.0 / (1.0 + cosine))
 }
 
@@ -110,6 +162,33 @@ mod tests {
             assert!(frame.world_from_tool.z_axis.distance(shaft) < 1e-7, "{shaft}");
             let p = DVec3::new(1.0, 2.0, 3.0);
             assert!(frame.to_world_m(frame.to_tool_m(p)).distance(p) < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_turned_pose_has_the_turned_frame_and_its_whole_turns_of_roll() {
+        let mut random = SeededRandom::new(11);
+        for _ in 0..500 {
+            let mut unit = || DVec3::new(random.normal(), random.normal(), random.normal()).normalize();
+            let (shaft, axis) = (unit(), unit());
+            let roll_rad = random.uniform_in(-9.0, 9.0);
+            let pose = ToolInput { roll_rad, ..ToolInput::at(DVec3::ONE, shaft) };
+            let by_rad = axis * random.uniform_in(0.0, 3.1);
+            let turned = pose.turned(by_rad);
+            let (before, after) =
+                (ToolFrame::of(&pose).world_from_tool, ToolFrame::of(&turned).world_from_tool);
+            let off = after - turn_by(by_rad) * before;
+            assert!((0..3).all(|i| off.col(i).length() < 1e-9), "{shaft} {by_rad}");
+            assert!(rotation_vector_rad(&(after * before.transpose())).distance(by_rad) < 1e-6);
+            assert!((turned.roll_rad - pose.roll_rad).abs() <= 3.2, "{} {}", pose.roll_rad, turned.roll_rad);
+        }
+        for axis in [DVec3::X, DVec3::Y, DVec3::Z, DVec3::new(1.0, 2.0, -2.0) / 3.0] {
+            let half = rotation_vector_rad(&turn_by(axis * std::f64::consts::PI));
+            assert!((half.length() - std::f64::consts::PI).abs() < 1e-9 && half.cross(axis).length() < 1e-6);
+            for angle_rad in [0.0, 1e-12, 1e-8, 1e-3, 3.1] {
+                let found = rotation_vector_rad(&turn_by(axis * angle_rad));
+                assert!(found.distance(axis * angle_rad) < 1e-12 + 1e-9 * angle_rad, "{axis} {angle_rad}");
+            }
         }
     }
 

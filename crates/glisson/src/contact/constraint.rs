@@ -6,8 +6,9 @@
 //!
 //! 0 <= n.f, 0 <= n.u + g, (n.f)(n.u + g) = 0, |f_t| <= mu n.f, f_t against u_t where that is reached, u_t = 0 else,
 //!
-//! and d answers to the forces by the compliance C of the bodies ([`crate::model::StepAnswer`]). They are solved
-//! contact by contact, each with its own 3 x 3 block of the Delassus operator, in a fixed order that turns round in every
+//! and d answers to the forces by the compliance C of the bodies ([`crate::model::StepAnswer`]). A partner that turns as a rigid body
+//! has a vertex more: its displacement is a rotation vector t, which adds t x a with the arm a to the contact, and its force is the
+//! torque a x f. All are solved contact by contact, each with its own 3 x 3 block of the Delassus operator, in a fixed order that turns round in every
 //! sweep: the projected Gauss-Seidel form of the non-smooth contact dynamics (M. Jean 1999, The non-smooth contact
 //! dynamics method, doi 10.1016/S0045-7825(98)00383-1). The forces of the step before are the first guess.
 
@@ -28,6 +29,23 @@ pub enum ContactKey {
     EdgeObstacle(u32, u32),
 }
 
+/// How a contact moves with a rigid body that turns.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Turn {
+    /// The vertex whose displacement is a rotation vector [rad], and whose force is a torque [N m].
+    pub vertex: u32,
+    /// From what the body turns about to the contact [m]; of the second partner with the sign turned. None where it is zero.
+    pub arm_m: DVec3,
+}
+
+impl Turn {
+    /// The same of the second partner.
+    #[must_use]
+    pub fn of_second(self) -> Self {
+        Self { arm_m: -self.arm_m, ..self }
+    }
+}
+
 /// A contact of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
@@ -37,6 +55,8 @@ pub struct Contact {
     pub vertices: [u32; 4],
     /// Their weights: positive on the first partner, with sum 1, and negative on the second.
     pub weights: [f64; 4],
+    /// The partners that turn.
+    pub turns: [Turn; 2],
     /// Where it is on the first partner at the start of the step [m].
     pub point_m: DVec3,
     /// Unit normal from the second partner to the first.
@@ -64,6 +84,7 @@ impl Contact {
             key,
             vertices: [0; 4],
             weights: [0.0; 4],
+            turns: [Turn::default(); 2],
             point_m: DVec3::ZERO,
             normal,
             gap_m,
@@ -95,7 +116,33 @@ impl Contact {
                 u += moves_m[self.vertices[i] as usize] * self.weights[i];
             }
         }
+        for turn in &self.turns {
+            if turn.arm_m != DVec3::ZERO {
+                u += moves_m[turn.vertex as usize].cross(turn.arm_m);
+            }
+        }
         u
+    }
+
+    /// Torque of its force on a partner that turns by this vertex [N m].
+    pub fn torque_n_m(&self, vertex: u32) -> DVec3 {
+        let turns = self.turns.iter().filter(|turn| turn.vertex == vertex);
+        turns.map(|turn| turn.arm_m.cross(self.force_n)).sum()
+    }
+
+    /// Adds the answer to a force on the first partner, and the opposite one on the second.
+    #[inline]
+    pub fn push(&self, by_n: DVec3, response: &Response, moves_m: &mut [DVec3]) {
+        for i in 0..4 {
+            if self.weights[i] != 0.0 {
+                response.add(self.vertices[i], by_n * self.weights[i], moves_m);
+            }
+        }
+        for turn in &self.turns {
+            if turn.arm_m != DVec3::ZERO {
+                response.add(turn.vertex, turn.arm_m.cross(by_n), moves_m);
+            }
+        }
     }
 
     /// Brings a force into the cone of friction.
@@ -179,6 +226,10 @@ impl Response {
     /// The compliance of a group, to be filled.
     pub fn group_mut(&mut self, group: usize) -> &mut CoupledVertices {
         &mut self.groups[group]
+    }
+
+    fn answers_alone(&self, vertex: u32) -> bool {
+        self.slots[vertex as usize][0] == NO_SLOT
     }
 
     /// How vertex `of` answers to a force on `by`.
@@ -287,11 +338,7 @@ fn relax(contact: &mut Contact, response: &Response, moves_m: &mut [DVec3]) {
 #[inline]
 fn change(contact: &Contact, by_n: DVec3, response: &Response, moves_m: &mut [DVec3]) {
     if by_n != DVec3::ZERO {
-        for i in 0..4 {
-            if contact.weights[i] != 0.0 {
-                response.add(contact.vertices[i], by_n * contact.weights[i], moves_m);
-            }
-        }
+        contact.push(by_n, response, moves_m);
     }
 }
 
@@ -305,6 +352,21 @@ fn own_stiffness(contact: &Contact, response: &Response) -> [f64; 2] {
         for (b, other) in contact.sides() {
             block += response.block(a, b) * (weight * other);
         }
+    }
+    for turn in contact.turns.iter().filter(|turn| turn.arm_m != DVec3::ZERO) {
+        let of_force = |axis: DVec3| {
+            let torque = turn.arm_m.cross(axis);
+            let mut moved = (response.block(turn.vertex, turn.vertex) * torque).cross(turn.arm_m);
+            if response.answers_alone(turn.vertex) {
+                return moved;
+            }
+            for (v, weight) in contact.sides() {
+                moved += response.block(v, turn.vertex) * torque * weight;
+                moved += (response.block(turn.vertex, v) * axis).cross(turn.arm_m) * weight;
+            }
+            moved
+        };
+        block += DMat3::from_cols(of_force(DVec3::X), of_force(DVec3::Y), of_force(DVec3::Z));
     }
     let trace = block.x_axis.x + block.y_axis.y + block.z_axis.z;
     let n = contact.normal;

@@ -13,7 +13,9 @@
 //! 1e-8 m, which is far within the tolerance.
 
 use super::shapes::CapsuleMotion;
-use super::triangles::{Closest, closest_on_segment_and_triangle, closest_on_triangles, closest_weights};
+use super::triangles::{
+    Closest, closest_on_segment_and_triangle, closest_on_segments, closest_on_triangles, closest_weights,
+};
 use crate::math::DVec3;
 
 /// Distance at which bodies count as touching [m]: far above rounding, far below any tissue's geometry.
@@ -89,6 +91,19 @@ pub fn capsule_and_triangle(
     let moves = [0, 1, 2].map(|v| end_m[v] - start_m[v]);
     let reach_m = capsule.radius_m + capsule.path_error_m;
     first_contact(closest_at, &capsule.moves_m(), &moves, reach_m, latest)
+}
+
+/// First contact, up to the time `latest`, of two moving capsules; the points are on their axes. The gap counts the errors of their
+/// paths as if the capsules were thicker by them.
+pub fn two_capsules(first: &CapsuleMotion, second: &CapsuleMotion, latest: f64) -> Option<FirstContact> {
+    let axis_at = |motion: &CapsuleMotion, time: f64| {
+        let now = motion.at(time);
+        [now.from_m, now.to_m]
+    };
+    let closest_at = |time: f64| closest_on_segments(axis_at(first, time), axis_at(second, time));
+    let path_error_m = first.path_error_m + second.path_error_m;
+    let reach_m = first.radius_m + second.radius_m + path_error_m;
+    first_contact(closest_at, &first.moves_m(), &second.moves_m(), reach_m, latest)
 }
 
 /// First contact, up to the time `latest`, of two triangles whose corners move on straight lines, grown together by

@@ -163,7 +163,7 @@ export class FakeOrgan {
       force_n: this.forceOnTool_n().toArray(),
     };
     const fold = { ...own, kind: "itself" as const, place_m: this.rest_m[0].toArray(), force_n: [0.25, 0, 0] as const };
-    const sums = [{ n: 1, force_n: this.forceOnTool_n().length() }, { n: 0, force_n: 0 }, { n: 0, force_n: 0 }, { n: 5, force_n: 0.75 }];
+    const sums = [{ n: 1, force_n: this.forceOnTool_n().length() }, { n: 0, force_n: 0 }, { n: 0, force_n: 0 }, { n: 5, force_n: 0.75 }, { n: 0, force_n: 0 }];
     return { sums, points: [own, fold] };
   }
 

@@ -20,6 +20,7 @@ export const KIND_COLOURS: Readonly<Record<ContactKind, string>> = {
   tool_rigid: "#c79bff",
   bodies: "#8dff6a",
   itself: "#ff86d0",
+  tool_tool: "#ffd24a",
 };
 const NORMAL_COLOUR = "#ffffff";
 

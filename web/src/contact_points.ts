@@ -2,20 +2,20 @@
 import { fail, type Vec3 } from "./fields";
 
 /** What touches what, by the numbers of the wire. */
-export const CONTACT_KINDS = ["tool_organ", "tool_rigid", "bodies", "itself"] as const;
+export const CONTACT_KINDS = ["tool_organ", "tool_rigid", "bodies", "itself", "tool_tool"] as const;
 export type ContactKind = (typeof CONTACT_KINDS)[number];
 
 /** A place of a surface that bears a force. */
 export interface ContactPoint {
   readonly kind: ContactKind;
-  /** Number of the touched body; of two bodies the higher number. */
+  /** Number of the touched body; of two bodies, and of two instruments, the higher number. */
   readonly touched: number;
-  /** Number of the instrument that touches it, or of the body. */
+  /** Number of the instrument or body that touches it. */
   readonly by: number;
   readonly place_m: Vec3;
-  /** Unit normal out of the touched body; zero where jaws hold. */
+  /** Unit normal out of what is touched; zero where jaws hold. */
   readonly normal: Vec3;
-  /** Force of the touched body on what touches it. */
+  /** Force of what is touched on what touches it. */
   readonly force_n: Vec3;
 }
 

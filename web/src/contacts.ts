@@ -10,6 +10,7 @@ const LABELS: Readonly<Record<ContactKind, string>> = {
   tool_rigid: "instrument, rigid body",
   bodies: "two bodies",
   itself: "a body, itself",
+  tool_tool: "two instruments",
 };
 
 /** The longest arrow, as a share of the distance of the eye. */

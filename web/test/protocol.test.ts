@@ -63,10 +63,11 @@ const WITH_CONTACTS: Snapshot = {
   header: {
     ...SNAPSHOT.header,
     contactPoints: {
-      sums: [{ n: 1, force_n: 0.5 }, { n: 0, force_n: 0 }, { n: 0, force_n: 0 }, { n: 7, force_n: 4 }],
+      sums: [{ n: 1, force_n: 0.5 }, { n: 0, force_n: 0 }, { n: 0, force_n: 0 }, { n: 7, force_n: 4 }, { n: 1, force_n: 2 }],
       points: [
         { kind: "tool_organ", touched: 0, by: 3, place_m: [0.5, 0.25, 0], normal: [0, 0, 1], force_n: [0.25, 0, 0.5] },
         { kind: "itself", touched: 2, by: 2, place_m: [1, 2, 3], normal: [0, 0, 0], force_n: [0, -1.5, 0] },
+        { kind: "tool_tool", touched: 1, by: 0, place_m: [1, 2, 4], normal: [0, 1, 0], force_n: [0, 2, 0] },
       ],
     },
   },
@@ -74,7 +75,7 @@ const WITH_CONTACTS: Snapshot = {
 
 const HELLO: Hello = {
   type: "hello",
-  protocol: 7,
+  protocol: 8,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -158,20 +159,20 @@ describe("binary frames", () => {
     expect(decodeBinary(whole)).toEqual(WITH_CONTACTS);
     const view = new DataView(whole);
     const end = without.byteLength;
-    expect(whole.byteLength).toBe(end + 4 * 8 + 4 + 2 * 40);
+    expect(whole.byteLength).toBe(end + 5 * 8 + 4 + 3 * 40);
     expect(view.getUint32(48, true)).toBe(2 + 8);
     view.setUint32(48, 2, true);
     expect(new Uint8Array(whole, 0, end)).toEqual(new Uint8Array(without));
-    expect([view.getUint32(end + 24, true), view.getFloat32(end + 28, true), view.getUint32(end + 32, true)]).toEqual([7, 4, 2]);
-    expect([36, 37, 38, 76, 77, 78].map((at) => view.getUint8(end + at))).toEqual([0, 0, 3, 3, 2, 2]);
-    expect(view.getFloat32(end + 76 + 32, true)).toBe(-1.5);
+    expect([view.getUint32(end + 24, true), view.getFloat32(end + 28, true), view.getUint32(end + 40, true)]).toEqual([7, 4, 3]);
+    expect([44, 45, 46, 84, 85, 86, 124, 125, 126].map((at) => view.getUint8(end + at))).toEqual([0, 0, 3, 3, 2, 2, 4, 1, 0]);
+    expect(view.getFloat32(end + 84 + 32, true)).toBe(-1.5);
     if (WITH_CONTACTS.header.contactPoints !== null) expect(leftOut(WITH_CONTACTS.header.contactPoints)).toBe(6);
   });
 
   it.each([
-    ["a huge number of points", (v: DataView) => v.setUint32(272 + 32, 0xffffffff, true), /needs .* bytes, found/],
-    ["a kind that there is not", (v: DataView) => v.setUint8(272 + 36, 4), /contact of kind 4; allowed: 0 to 3/],
-    ["a force that is no number", (v: DataView) => v.setFloat32(272 + 36 + 28, NaN, true), /force of a contact .* is not finite/],
+    ["a huge number of points", (v: DataView) => v.setUint32(272 + 40, 0xffffffff, true), /needs .* bytes, found/],
+    ["a kind that there is not", (v: DataView) => v.setUint8(272 + 44, 5), /contact of kind 5; allowed: 0 to 4/],
+    ["a force that is no number", (v: DataView) => v.setFloat32(272 + 44 + 28, NaN, true), /force of a contact .* is not finite/],
     ["a sum that is no number", (v: DataView) => v.setFloat32(272 + 4, Infinity, true), /sum of contact forces .* is not finite/],
     ["no points although there are", (v: DataView) => v.setUint32(48, 2, true), /needs .* bytes, found/],
   ])("contact points with %s are refused", (_name, spoil, message) => {
@@ -253,7 +254,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 7/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 8/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(

@@ -220,22 +220,24 @@ mod tests {
         contacts.add(point(ContactKind::Itself, 2.0));
         contacts.add(point(ContactKind::Itself, 1.0));
         contacts.keep_greatest(1, 1);
+        contacts.add(point(ContactKind::Tools, 8.0));
         let ends = vec![BleedingEnd { position_m: DVec3::ONE, rate_m3_per_s: 0.5 }];
         let bleeding = BleedingSnapshot { has_vessels: true, ends, ..BleedingSnapshot::default() };
         let snapshot = Snapshot { bleeding, ..snapshot() };
         let without = snapshot_frame(&snapshot, &PACE, None);
         let with = snapshot_frame(&snapshot, &PACE, Some(&contacts));
         let n = without.len();
-        assert_eq!(with.len(), n + 4 * 8 + 4 + 2 * 40);
+        assert_eq!(with.len(), n + 5 * 8 + 4 + 3 * 40);
         assert_eq!((without[48], with[48]), (2, 2 + 8));
         assert!(with[..48] == without[..48] && with[49..n] == without[49..]);
         let word = |at: usize| u32::from_le_bytes(with[n + at..n + at + 4].try_into().unwrap());
         let single = |at: usize| f32::from_bits(word(at));
-        assert_eq!([0, 8, 16, 24, 32].map(word), [0, 1, 0, 2, 2]);
-        assert_eq!([4, 12, 20, 28].map(single), [0.0, 4.0, 0.0, 3.0]);
-        assert_eq!(with[n + 36..n + 40], [1, 2, 1, 0]);
-        assert_eq!(with[n + 76..n + 80], [3, 2, 1, 0]);
-        let numbers: Vec<f32> = (0..9).map(|i| single(80 + 4 * i)).collect();
+        assert_eq!([0, 8, 16, 24, 32, 40].map(word), [0, 1, 0, 2, 1, 3]);
+        assert_eq!([4, 12, 20, 28, 36].map(single), [0.0, 4.0, 0.0, 3.0, 8.0]);
+        assert_eq!(with[n + 44..n + 48], [1, 2, 1, 0]);
+        assert_eq!(with[n + 84..n + 88], [3, 2, 1, 0]);
+        assert_eq!(with[n + 124..n + 128], [4, 2, 1, 0]);
+        let numbers: Vec<f32> = (0..9).map(|i| single(88 + 4 * i)).collect();
         assert_eq!(numbers, [0.5, 0.25, 0.125, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0]);
     }
 }

@@ -14,7 +14,7 @@ use glisson_runtime::{Notice, Simulation};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 7;
+const PROTOCOL: u32 = 8;
 
 /// The first message on a connection.
 pub(super) fn hello(simulation: &Simulation) -> Value {

@@ -180,8 +180,8 @@ fn contact_points_in(frame: &[u8]) -> Option<u32> {
         assert_eq!(frame.len(), at);
         return None;
     }
-    let n = word(at + 32);
-    assert_eq!(frame.len(), at + 36 + 40 * n as usize);
+    let n = word(at + 40);
+    assert_eq!(frame.len(), at + 44 + 40 * n as usize);
     Some(n)
 }
 

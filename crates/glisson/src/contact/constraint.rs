@@ -8,9 +8,9 @@
 //!
 //! and d answers to the forces by the compliance C of the bodies ([`crate::model::StepAnswer`]). A partner that turns as a rigid body
 //! has a vertex more: its displacement is a rotation vector t, which adds t x a with the arm a to the contact, and its force is the
-//! torque a x f. All are solved contact by contact, each with its own 3 x 3 block of the Delassus operator, in a fixed order that turns round in every
-//! sweep: the projected Gauss-Seidel form of the non-smooth contact dynamics (M. Jean 1999, The non-smooth contact
-//! dynamics method, doi 10.1016/S0045-7825(98)00383-1). The forces of the step before are the first guess.
+//! torque a x f. All are solved contact by contact, each with its own 3 x 3 block of the Delassus operator, in a fixed order that
+//! turns round in every sweep: the projected Gauss-Seidel form of the non-smooth contact dynamics (M. Jean 1999, The non-smooth
+//! contact dynamics method, doi 10.1016/S0045-7825(98)00383-1). The forces of the step before are the first guess.
 
 use crate::math::{DMat3, DVec3};
 

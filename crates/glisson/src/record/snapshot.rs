@@ -99,15 +99,17 @@ pub enum ContactKind {
     Bodies,
     /// A body and itself.
     Itself,
+    /// Two instruments.
+    Tools,
 }
 
 impl ContactKind {
     /// All kinds, by their numbers.
-    pub const ALL: [Self; 4] = [Self::ToolOrgan, Self::ToolRigid, Self::Bodies, Self::Itself];
+    pub const ALL: [Self; 5] = [Self::ToolOrgan, Self::ToolRigid, Self::Bodies, Self::Itself, Self::Tools];
 
     /// Whether an instrument touches.
     pub fn is_of_tool(self) -> bool {
-        matches!(self, Self::ToolOrgan | Self::ToolRigid)
+        matches!(self, Self::ToolOrgan | Self::ToolRigid | Self::Tools)
     }
 }
 
@@ -116,15 +118,15 @@ impl ContactKind {
 pub struct ContactPoint {
     /// What touches what.
     pub kind: ContactKind,
-    /// The body that is touched: of two bodies the one with the higher number.
+    /// The body that is touched: of two bodies the one with the higher number, of two instruments that one's number.
     pub touched: u8,
     /// Number of the instrument that touches it, or of the body.
     pub by: u8,
     /// Where [m].
     pub place_m: DVec3,
-    /// Unit normal out of the touched body; zero where jaws hold.
+    /// Unit normal out of what is touched; zero where jaws hold.
     pub normal: DVec3,
-    /// Force of the touched body on what touches it [N].
+    /// Force of what is touched on what touches it [N].
     pub force_n: DVec3,
 }
 
@@ -234,8 +236,8 @@ mod tests {
         let tools: Vec<f64> = (91..=100).rev().map(f64::from).collect();
         assert_eq!(sizes[..10], tools);
         assert_eq!(sizes[10..], [5000.0, 4000.0, 3000.0]);
-        assert_eq!(all.sums.map(|sum| sum.n), [100, 0, 0, 5]);
-        assert_eq!(all.sums.map(|sum| sum.force_n), [5050.0, 0.0, 0.0, 15_000.0]);
+        assert_eq!(all.sums.map(|sum| sum.n), [100, 0, 0, 5, 0]);
+        assert_eq!(all.sums.map(|sum| sum.force_n), [5050.0, 0.0, 0.0, 15_000.0, 0.0]);
         assert_eq!(all.n_left_out(), 105 - 13);
         all.keep_greatest(14, 1);
         all.clear();

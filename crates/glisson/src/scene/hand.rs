@@ -11,8 +11,23 @@ pub(super) fn read_hand(mut section: Section<'_>) -> Result<Hand, SceneError> {
     let return_time_s = section.positive("return_time", Dimension::Time)?.unwrap_or(default.return_time_s);
     let greatest_force_n =
         section.positive("greatest_force", Dimension::Force)?.unwrap_or(default.greatest_force_n);
+    let rotational_stiffness_n_m_per_rad = section
+        .positive("rotational_stiffness", Dimension::RotationalStiffness)?
+        .unwrap_or(default.rotational_stiffness_n_m_per_rad);
+    let rotational_return_time_s = section
+        .positive("rotational_return_time", Dimension::Time)?
+        .unwrap_or(default.rotational_return_time_s);
+    let greatest_torque_n_m =
+        section.positive("greatest_torque", Dimension::Torque)?.unwrap_or(default.greatest_torque_n_m);
     section.finish()?;
-    Ok(Hand { stiffness_n_per_m, return_time_s, greatest_force_n })
+    Ok(Hand {
+        stiffness_n_per_m,
+        return_time_s,
+        greatest_force_n,
+        rotational_stiffness_n_m_per_rad,
+        rotational_return_time_s,
+        greatest_torque_n_m,
+    })
 }
 
 #[cfg(test)]
@@ -47,6 +62,21 @@ home_shaft = [0, -1, 0]
         let keys = "stiffness = \"2 N/mm\"\ngreatest_force = \"10 N\"\n";
         assert_eq!(hand(&SCENE.replace(keys, "")), Some(Hand::default()));
         assert_eq!(hand(&SCENE.replace("[hand]\n", "").replace(keys, "")), None);
+    }
+
+    #[test]
+    fn what_a_hand_does_about_the_tip_is_read() {
+        let keys = "rotational_stiffness = \"5 N m/rad\"\nrotational_return_time = \"4 ms\"\ngreatest_torque = \"300 N mm\"\n";
+        let hand = Scene::parse(&SCENE.replace("[hand]\n", &format!("[hand]\n{keys}"))).unwrap().world.hand;
+        let expected = Hand {
+            stiffness_n_per_m: 2000.0,
+            greatest_force_n: 10.0,
+            rotational_stiffness_n_m_per_rad: 5.0,
+            rotational_return_time_s: 4e-3,
+            greatest_torque_n_m: 0.3,
+            ..Hand::default()
+        };
+        assert_eq!(hand, Some(expected));
     }
 
     #[test]

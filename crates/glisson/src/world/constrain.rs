@@ -287,8 +287,10 @@ impl World {
             }
             let edge_motion_m = edge_motion_m(tool, &hand.before, &hand.now);
             force_on_tool_n += hand.overload.pay_for_cuts_n(edge_motion_m, tool.tip_radius_m);
+            force_on_tool_n += self.press.force_of_tools_n(place);
             hand.report.in_contact = in_contact || hand.overload.edge_is_in;
             hand.report.slip_m = slip_m;
+            hand.report.torque_on_tool_n_m = self.press.torque_on_tool_n_m(place);
             hand.report.force_on_tool_n = force_on_tool_n;
             hand.count_activity(tool, dt_s);
         }

@@ -3,6 +3,7 @@
 use super::World;
 use super::bodies::SurfaceContact;
 use super::parts::ToolPart;
+use super::press::PairContact;
 use crate::contact::response::NodeContact;
 use crate::math::DVec3;
 use crate::mesh::{NodeId, TriangleId};
@@ -15,6 +16,7 @@ impl World {
         out.clear();
         self.add_pressed(out);
         self.add_held(out);
+        self.add_between_tools(out);
         out.keep_greatest(0, ContactPoints::MOST_OF_TOOLS);
         let n_of_tools = out.points.len();
         match self.self_contact.as_deref() {
@@ -82,6 +84,15 @@ impl World {
                     force_n,
                 });
             }
+        }
+    }
+
+    /// Where instruments press on each other.
+    fn add_between_tools(&self, out: &mut ContactPoints) {
+        for contact in self.press.pair_contacts() {
+            let [by, touched] = contact.tools().map(|tool| tool as u8);
+            let PairContact { place_m, normal, force_n, .. } = *contact;
+            out.add(ContactPoint { kind: ContactKind::Tools, touched, by, place_m, normal, force_n });
         }
     }
 

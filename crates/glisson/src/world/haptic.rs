@@ -4,6 +4,7 @@
 use super::World;
 use super::grasp::{pull_limit_n, squeeze_j};
 use super::parts::{ToolPart, ToolPoint, capsule};
+use super::press::TOOL_FRICTION;
 use super::skin::SurfacePlace;
 use super::spec::Hand;
 use crate::contact::spread::motion_weights;
@@ -12,7 +13,7 @@ use crate::haptics::{AxesModel, HapticModel, PatchStiffness, Touch, TouchedPart}
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::NodeId;
 use crate::model::{LocalModel, LocalWork};
-use crate::tool::pose::ToolFrame;
+use crate::tool::pose::{ToolFrame, cross_matrix};
 use crate::tool::{Tool, ToolInput};
 
 /// How near tissue has to be to be told of [m]: beyond what the tool's speed may cover, which is added. A choice.
@@ -42,8 +43,10 @@ struct PressedPoint {
     part: usize,
     /// How it moves when the jaws open by their whole way [m], when the instrument turns about its shaft [m/rad], and not.
     by_axes: DMat3,
-    /// What the mesh is too coarse for yields by itself [m/N].
+    /// What the mesh is too coarse for, or another hand, yields by itself [m/N].
     sub_grid_m_per_n: f64,
+    /// From the tip, about which a hand that gives way lets the instrument turn [m]; zero where it turns about a trocar.
+    arm_m: DVec3,
 }
 
 /// A node that bears a share of the force on a point.
@@ -105,11 +108,20 @@ impl HapticScratch {
         }
     }
 
+    /// A point that presses on no node; answers whether there was room.
+    fn add_point(&mut self, of: PressedPoint) -> bool {
+        let has_room = self.points.len() < LocalModel::MOST_NODES;
+        if has_room {
+            self.points.push(of);
+        }
+        has_room
+    }
+
     /// From the nodes' compliance C to that of the points, sum of w_i w_j C_ij: a force at a point loads its nodes by their
     /// weights, and moves it by the weighted mean of theirs.
     ///
     /// A hand that gives way adds what its spring does to each of them: with the points' motions M_i and the spring k,
-    /// M_i M_j^T/k.
+    /// M_i M_j^T/k, and with their arms a_i about the tip and its rotational spring r, [a_i] [a_j]^T/r.
     fn gather(&mut self, hand: Option<&Hand>) {
         let (n, n_local) = (3 * self.points.len(), 3 * self.local.nodes.len());
         let (of_points, of_nodes) = (&mut self.pressed, &self.local.compliance_m_per_n);
@@ -138,7 +150,9 @@ impl HapticScratch {
         let Some(hand) = hand else { return };
         for (i, of) in self.points.iter().enumerate() {
             for (j, by) in self.points.iter().enumerate() {
-                let tensor = of.motion * by.motion.transpose() * (1.0 / hand.stiffness_n_per_m);
+                let turned = cross_matrix(of.arm_m) * cross_matrix(by.arm_m).transpose();
+                let tensor = of.motion * by.motion.transpose() * (1.0 / hand.stiffness_n_per_m)
+                    + turned * (1.0 / hand.rotational_stiffness_n_m_per_rad);
                 for along in 0..3 {
                     for axis in 0..3 {
                         of_points.compliance_m_per_n[n * (3 * i + axis) + 3 * j + along] +=
@@ -230,6 +244,7 @@ impl World {
         let mut touched = TouchedSoFar { scratch, model, axes: AxesForces::default(), n_parts: 0 };
         self.add_grasp(place, &mut touched);
         self.add_contacts(place, &mut touched);
+        self.add_other_tools(place, &mut touched);
         let TouchedSoFar { axes, n_parts, .. } = touched;
         if n_parts == 0 {
             self.meet_surface(place, response_s, scratch, model);
@@ -254,7 +269,11 @@ impl World {
         };
         model.axes = AxesModel {
             twist_n_m: axes.twist_n_m,
-            roll_rad: pose.roll_rad,
+            roll_rad: if self.spec.hand.is_some() {
+                self.tool_states[place].hand_roll_rad
+            } else {
+                pose.roll_rad
+            },
             twist_stiffness_n_m_per_rad: slope_n_m_per_rad,
             jaw_j: axes.jaw_j + squeezed_j[0],
             jaw_opening: pose.jaw_opening,
@@ -288,6 +307,7 @@ impl World {
                 part: told.n_parts,
                 by_axes: DMat3::from_cols(DVec3::ZERO, turn_m_per_rad(&pose, place_m), DVec3::ZERO),
                 sub_grid_m_per_n: 0.0,
+                arm_m: arm_m(tool, &pose, place_m),
             };
             told.scratch.follow([(node, 1.0)], point);
             let force_n = -self.force_on_node_n(place, node);
@@ -310,6 +330,7 @@ impl World {
                 part: told.n_parts,
                 by_axes: DMat3::from_cols(opening, turn, DVec3::ZERO),
                 sub_grid_m_per_n: self.press.sub_grid_m_per_n(place, part, contact.normal),
+                arm_m: arm_m(tool, &pose, place_m),
             };
             let weights = self.free_weights(contact.nodes, contact.weights);
             let mut shares = std::mem::take(&mut told.scratch.shares);
@@ -338,6 +359,65 @@ impl World {
                     self.organ.skin().velocity_m_per_s(contact.nodes, contact.weights, dt_s);
             }
         }
+    }
+
+    /// Adds the other instruments that the tool touches, as one part: each yields as its hand does.
+    fn add_other_tools(&self, place: usize, told: &mut TouchedSoFar<'_>) {
+        let (Some(hand), tool) = (&self.spec.hand, &self.spec.tools[place]) else { return };
+        let pose = self.tool_states[place].now;
+        let (mut touched, mut pushed_n, mut on_tool_n) = (Touching::default(), DVec3::ZERO, DVec3::ZERO);
+        for contact in self.press.pair_contacts() {
+            let tools = contact.tools();
+            let Some(own) = tools.iter().position(|tool| *tool == place) else { continue };
+            let other = tools[1 - own];
+            let yields_m_per_n = self.hand_yields_m_per_n(hand, other, (contact.place_m, contact.normal));
+            let point = PressedPoint {
+                motion: lever(tool, &pose, contact.place_m),
+                part: told.n_parts,
+                by_axes: DMat3::from_cols(DVec3::ZERO, turn_m_per_rad(&pose, contact.place_m), DVec3::ZERO),
+                sub_grid_m_per_n: yields_m_per_n,
+                arm_m: arm_m(tool, &pose, contact.place_m),
+            };
+            let force_n = contact.force_on_n(place);
+            if !told.scratch.add_point(point) {
+                continue;
+            }
+            touched.add(force_n, contact.place_m, &point.motion);
+            told.axes.add(force_n, &point);
+            on_tool_n += force_n;
+            // The first is pushed along the normal, the second against it.
+            let out = if own == 0 { contact.normal } else { -contact.normal };
+            pushed_n += out * force_n.dot(out);
+            if told.model.normal == DVec3::ZERO {
+                self.tell_other_tool(other, (contact.place_m, out), told.model);
+            }
+        }
+        if touched.n == 0 {
+            return;
+        }
+        let normal = pushed_n.normalize_or_zero();
+        let mut part = TouchedPart { normal, ..touched.part(Touch::Contact, tool, &pose) };
+        part.friction_coefficient = TOOL_FRICTION.max(shown_friction(on_tool_n, normal));
+        told.add(part);
+    }
+
+    /// How a place of a tool yields along a direction by its hand [m/N].
+    fn hand_yields_m_per_n(&self, hand: &Hand, tool: usize, (place_m, along): (DVec3, DVec3)) -> f64 {
+        let (spec, pose) = (&self.spec.tools[tool], &self.tool_states[tool].now);
+        let at_tip = lever(spec, pose, place_m).transpose() * along;
+        let turned_m = arm_m(spec, pose, place_m).cross(along);
+        at_tip.length_squared() / hand.stiffness_n_per_m
+            + turned_m.length_squared() / hand.rotational_stiffness_n_m_per_rad
+    }
+
+    /// The surface is that of another instrument, which moves with it.
+    fn tell_other_tool(&self, other: usize, (place_m, normal): (DVec3, DVec3), model: &mut HapticModel) {
+        let state = &self.tool_states[other];
+        let way_m = state.now.tip_in_world_m - state.before.tip_in_world_m;
+        model.normal = normal;
+        model.surface_m = place_m;
+        model.friction_coefficient = TOOL_FRICTION;
+        model.surface_velocity_m_per_s = way_m / self.spec.time_step_s;
     }
 
     /// The place that a free tool will touch, and how stiff it is.
@@ -377,8 +457,13 @@ impl World {
         model.gap_m = contact.gap_m.max(0.0);
         model.surface_velocity_m_per_s =
             self.organ.skin().velocity_m_per_s(surface.nodes, surface.found.weights, self.spec.time_step_s);
-        let at_tip =
-            PressedPoint { motion: DMat3::IDENTITY, part: 0, by_axes: DMat3::ZERO, sub_grid_m_per_n: 0.0 };
+        let at_tip = PressedPoint {
+            motion: DMat3::IDENTITY,
+            part: 0,
+            by_axes: DMat3::ZERO,
+            sub_grid_m_per_n: 0.0,
+            arm_m: DVec3::ZERO,
+        };
         scratch.follow(surface.nodes.into_iter().zip(weights), at_tip);
         self.solve_patch(scratch, response_s);
         model.stiffness_n_per_m = scratch.patch.stiffness_n_per_m(|_| true);
@@ -387,7 +472,12 @@ impl World {
     fn solve_patch(&mut self, scratch: &mut HapticScratch, response_s: f64) {
         scratch.nodes.clear();
         scratch.nodes.extend(scratch.followers.iter().map(|f| f.node));
-        self.model.local_model_into(&scratch.nodes, response_s, &mut scratch.work, &mut scratch.local);
+        if scratch.nodes.is_empty() {
+            scratch.local.nodes.clear();
+        } else {
+            let (work, local) = (&mut scratch.work, &mut scratch.local);
+            self.model.local_model_into(&scratch.nodes, response_s, work, local);
+        }
         scratch.gather(self.spec.hand.as_ref());
         let points = &scratch.points;
         scratch.patch.solve(&scratch.pressed, |point| points[point].motion);
@@ -457,6 +547,11 @@ impl AxesForces {
     }
 }
 
+/// From the tip to a place of a tool that turns about it [m]; zero through a trocar.
+fn arm_m(tool: &Tool, pose: &ToolInput, place_m: DVec3) -> DVec3 {
+    if tool.trocar_m.is_none() { place_m - pose.tip_in_world_m } else { DVec3::ZERO }
+}
+
 /// How a place that is fixed to the tool moves when the instrument turns about its shaft [m/rad].
 fn turn_m_per_rad(pose: &ToolInput, place_m: DVec3) -> DVec3 {
     pose.shaft_in_world.cross(place_m - pose.tip_in_world_m)
@@ -481,10 +576,14 @@ fn friction_now(tool: &Tool, force_n: DVec3, normal: DVec3) -> f64 {
     if tool.grip.is_sticky {
         return f64::INFINITY;
     }
+    tool.grip.friction_coefficient.max(shown_friction(force_n, normal))
+}
+
+/// Coefficient that a force shows.
+fn shown_friction(force_n: DVec3, normal: DVec3) -> f64 {
     let push_n = force_n.dot(normal);
     let along_n = (force_n - normal * push_n).length();
-    let shown = if push_n > 0.0 { along_n / push_n } else { 0.0 };
-    tool.grip.friction_coefficient.max(shown.min(MOST_FRICTION))
+    if push_n > 0.0 { (along_n / push_n).min(MOST_FRICTION) } else { 0.0 }
 }
 
 /// Motion of a point of a tool for motions of its tip: the same, but for a tool that turns about its trocar c. With the

@@ -12,6 +12,7 @@ pub mod detection;
 mod display;
 mod edits;
 mod grasp;
+mod hand;
 mod tool_state;
 mod haptic;
 mod loads;

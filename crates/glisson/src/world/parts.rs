@@ -63,19 +63,35 @@ pub(super) fn capsule(tool: &Tool, part: ToolPart, pose: &ToolInput) -> Option<C
             None => jaw(0).unwrap_or(Capsule::ball(pose.tip_in_world_m, tool.tip_radius_m)),
         }),
         ToolPart::SecondJaw => jaw(1),
-        ToolPart::Shaft => {
-            let effector_m = match tool.kind.blade() {
-                Some(blade) => blade.length_m,
-                None => tool.kind.jaws().map_or(0.0, |jaws| jaws.length_m),
-            };
-            let first_m = effector_m.max(SHAFT_BEGINS * tool.tip_radius_m);
-            (first_m < tool.shaft_length_m).then(|| Capsule {
-                from_m: behind_m(first_m),
-                to_m: behind_m(tool.shaft_length_m),
-                radius_m: tool.shaft_radius_m,
-            })
-        }
+        ToolPart::Shaft => shaft_from(tool, pose, effector_m(tool).max(SHAFT_BEGINS * tool.tip_radius_m)),
     }
+}
+
+/// A part as other instruments meet it: the shaft goes on to the jaws, the blade or the middle of the tip, so that nothing slips
+/// in between; a mesh at the tip is the ball there.
+pub(super) fn capsule_for_tools(tool: &Tool, part: ToolPart, pose: &ToolInput) -> Option<Capsule> {
+    match part {
+        ToolPart::Shaft => shaft_from(tool, pose, effector_m(tool)),
+        ToolPart::Tip | ToolPart::SecondJaw => capsule(tool, part, pose),
+    }
+}
+
+/// Length of jaws or blade [m].
+fn effector_m(tool: &Tool) -> f64 {
+    match tool.kind.blade() {
+        Some(blade) => blade.length_m,
+        None => tool.kind.jaws().map_or(0.0, |jaws| jaws.length_m),
+    }
+}
+
+/// The shaft from so far behind the tip; none where it is not so long.
+fn shaft_from(tool: &Tool, pose: &ToolInput, first_m: f64) -> Option<Capsule> {
+    let behind_m = |distance_m: f64| pose.tip_in_world_m + pose.shaft_in_world * distance_m;
+    (first_m < tool.shaft_length_m).then(|| Capsule {
+        from_m: behind_m(first_m),
+        to_m: behind_m(tool.shaft_length_m),
+        radius_m: tool.shaft_radius_m,
+    })
 }
 
 /// How a part moves from one pose to the next. Its ends move on curves where the tool turns; the motion says how far
@@ -86,7 +102,26 @@ pub(super) fn motion(
     before: &ToolInput,
     now: &ToolInput,
 ) -> Option<CapsuleMotion> {
-    let (start, end) = (capsule(tool, part, before)?, capsule(tool, part, now)?);
+    let capsules = [capsule(tool, part, before)?, capsule(tool, part, now)?];
+    Some(motion_between(tool, part, capsules, [before, now]))
+}
+
+/// How a part moves as other instruments meet it.
+pub(super) fn motion_for_tools(
+    tool: &Tool,
+    part: ToolPart,
+    [before, now]: [&ToolInput; 2],
+) -> Option<CapsuleMotion> {
+    let capsules = [capsule_for_tools(tool, part, before)?, capsule_for_tools(tool, part, now)?];
+    Some(motion_between(tool, part, capsules, [before, now]))
+}
+
+fn motion_between(
+    tool: &Tool,
+    part: ToolPart,
+    [start, end]: [Capsule; 2],
+    [before, now]: [&ToolInput; 2],
+) -> CapsuleMotion {
     if let (ToolPart::Shaft, Some(pivot_m)) = (part, tool.trocar_m) {
         let length_m = start.from_m.distance(start.to_m);
         let behind_m = start.from_m.distance(before.tip_in_world_m);
@@ -95,7 +130,7 @@ pub(super) fn motion(
             crate::contact::shapes::TrocarPose { insertion_m: pose.insertion_m - behind_m, ..pose }
         };
         let (start, end) = (pose(before), pose(now));
-        return Some(CapsuleMotion::through_trocar(pivot_m, &start, &end, length_m, tool.shaft_radius_m));
+        return CapsuleMotion::through_trocar(pivot_m, &start, &end, length_m, tool.shaft_radius_m);
     }
     let straight = CapsuleMotion::straight(&start, &end);
     // About the tip, whose centre moves on a straight line; the jaws turn about their hinge as well.
@@ -107,7 +142,7 @@ pub(super) fn motion(
     let bend_m =
         if part == ToolPart::Shaft || lever_m == 0.0 { 0.0 } else { lever_m * jaws_rad * jaws_rad / 8.0 };
     let turn_m = rigid_pose(before).path_error_m(&rigid_pose(now), lever_m);
-    Some(CapsuleMotion { path_error_m: bend_m + turn_m, ..straight })
+    CapsuleMotion { path_error_m: bend_m + turn_m, ..straight }
 }
 
 /// The frame of a tool as a rigid pose.

@@ -12,6 +12,8 @@ use crate::tool::Tool;
 use crate::tool::fracture::Tearing;
 use std::ops::Range;
 
+pub use super::hand::Hand;
+
 /// Description of a world; files are read in `scene`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorldSpec {
@@ -106,45 +108,6 @@ impl WorldSpec {
         let bonded = self.bonds.iter().flat_map(|bond| bond.nodes);
         bonded.for_each(|n| is_anchored[n.index()] = true);
         is_anchored
-    }
-}
-
-/// How a user's hand holds an instrument: by a spring and a damper between where the hand wants the tip and where it is.
-/// The hand gives way at the greatest force.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Hand {
-    /// Stiffness of the spring [N/m].
-    pub stiffness_n_per_m: f64,
-    /// Damping over stiffness: the time in which a tip that nothing holds comes back to the hand [s].
-    pub return_time_s: f64,
-    /// Greatest force [N].
-    pub greatest_force_n: f64,
-}
-
-impl Default for Hand {
-    /// 30 N; a spring that gives way by 0.1 mm for 1 N, and a damper that brings the tip back to the hand in some milliseconds.
-    /// Choices.
-    fn default() -> Self {
-        Self { stiffness_n_per_m: 1e4, return_time_s: 2e-3, greatest_force_n: 30.0 }
-    }
-}
-
-impl Hand {
-    /// Force that moves the tip by a metre against the hand in a step of `dt_s` [N/m].
-    pub(super) fn step_stiffness_n_per_m(&self, dt_s: f64) -> f64 {
-        self.stiffness_n_per_m * (1.0 + self.return_time_s / dt_s)
-    }
-
-    /// What of a tip's way behind the hand the damper leaves after a step of `dt_s` in which nothing touches it [m]. A hand that
-    /// gave way has its grip further along: what was beyond the greatest force does not count.
-    pub(super) fn left_behind_m(&self, behind_m: DVec3, dt_s: f64) -> DVec3 {
-        let felt_m = behind_m.clamp_length_max(self.greatest_force_n / self.stiffness_n_per_m);
-        felt_m * (self.return_time_s / (dt_s + self.return_time_s))
-    }
-
-    /// How far the tip may stay behind the hand before the hand gives way [m].
-    pub(super) fn most_behind_m(&self, dt_s: f64) -> f64 {
-        self.greatest_force_n / self.step_stiffness_n_per_m(dt_s)
     }
 }
 

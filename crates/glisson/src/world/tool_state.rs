@@ -17,11 +17,15 @@ use crate::mesh::edit::TopologyChange;
 use crate::mesh::topology::Topology;
 use crate::tool::external_detection::{ExternalDetection, ExternalTouch};
 use crate::tool::fracture::Tearing;
+use crate::tool::pose::{ToolFrame, rotation_vector_rad, turn_by};
 use crate::tool::{Tool, ToolInput};
 
 /// What was found elsewhere counts while the part is no further from the touched place [m]: a choice, as far as a hand may come
 /// while a simulation stalls.
 const MOST_DEEP_M: f64 = 0.03;
+
+/// An instrument that is turned from how the hand wants it by less [rad] is as the hand wants it: far above rounding.
+const LEAST_TURNED_RAD: f64 = 1e-9;
 
 /// What contacts are looked for with.
 #[derive(Clone, Copy)]
@@ -38,8 +42,10 @@ pub(super) struct ContactSearch<'a> {
 /// What a tool felt and did in a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ToolReport {
-    /// Force that the organ exerts on the tool [N].
+    /// Force that the organ, and with a hand that gives way other instruments exert on the tool [N].
     pub force_on_tool_n: DVec3,
+    /// Torque of these forces about the tip [N m]; zero where hands impose their motion.
+    pub torque_on_tool_n_m: DVec3,
     /// Whether a part of it touches the organ, or its jaws hold some of it.
     pub in_contact: bool,
     /// Whether it stands on tissue that is held fixed, which cannot give way.
@@ -61,6 +67,11 @@ pub(super) struct ToolState {
     /// Where the hand wants the tip, and wanted it in the step before [m]. The tip is there unless the hand gives way.
     pub(super) hand_tip_m: DVec3,
     pub(super) hand_before_m: DVec3,
+    /// How far the instrument is turned from how the hand wants it, a rotation vector [rad]: zero unless the hand gives way, and
+    /// through a trocar.
+    pub(super) turned_rad: DVec3,
+    /// How the hand wants it turned about its shaft [rad].
+    pub(super) hand_roll_rad: f64,
     /// Share of this step's way that the tip made before it touched anything new.
     pub(super) free_share: f64,
     pub(super) contacts: [Option<HeldContact>; 3],
@@ -87,6 +98,8 @@ impl ToolState {
             before: home,
             hand_tip_m: home.tip_in_world_m,
             hand_before_m: home.tip_in_world_m,
+            turned_rad: DVec3::ZERO,
+            hand_roll_rad: home.roll_rad,
             free_share: 1.0,
             contacts: [const { None }; 3],
             is_buried: [false; 3],
@@ -108,6 +121,8 @@ impl ToolState {
         let buried = buried.map(|part| part.index() as f64);
         let behind_m = self.hand_tip_m - self.now.tip_in_world_m;
         let behind = (behind_m != DVec3::ZERO).then(|| behind_m.to_array()).into_iter().flatten();
+        let is_turned = self.turned_rad != DVec3::ZERO;
+        let behind = behind.chain(is_turned.then(|| self.turned_rad.to_array()).into_iter().flatten());
         contacts.chain(grasp).chain(active).chain(buried).chain(self.overload.numbers()).chain(behind)
     }
 
@@ -127,18 +142,28 @@ impl ToolState {
         let asked = &input.tools[place];
         self.report.input_rejected = !asked.is_finite();
         if !self.report.input_rejected {
-            let before = (!input.placed[place]).then_some(&self.before);
-            self.now = tool.held(*asked, before);
+            let is_placed = input.placed[place];
+            self.now = tool.held(*asked, (!is_placed).then_some(&self.before));
             self.now.jaw_opening = asked.jaw_opening.clamp(0.0, 1.0);
             self.hand_tip_m = self.now.tip_in_world_m;
+            self.hand_roll_rad = self.now.roll_rad;
             let behind_m = self.before.tip_in_world_m - self.hand_before_m;
-            if let (Some((hand, dt_s)), Some(_)) = (hand, before)
+            if let Some((hand, dt_s)) = hand.filter(|_| !is_placed)
                 && behind_m != DVec3::ZERO
             {
                 self.put_tip(tool, self.hand_tip_m + hand.left_behind_m(behind_m, dt_s));
             }
+            let turned_rad = std::mem::take(&mut self.turned_rad);
+            if let Some((hand, dt_s)) = hand.filter(|_| !is_placed) {
+                let left_rad = hand.left_turned_rad(turned_rad, dt_s);
+                if left_rad.length() > LEAST_TURNED_RAD {
+                    self.turn(left_rad);
+                }
+            }
         } else if input.placed[place] {
             self.hand_tip_m = self.now.tip_in_world_m;
+            self.hand_roll_rad = self.now.roll_rad;
+            self.turned_rad = DVec3::ZERO;
         }
         if input.placed[place] {
             self.let_go();
@@ -154,6 +179,24 @@ impl ToolState {
     /// The tip elsewhere than asked for, through the trocar if there is one.
     pub(super) fn put_tip(&mut self, tool: &Tool, tip_m: DVec3) {
         self.now = tool.held(ToolInput { tip_in_world_m: tip_m, ..self.now }, Some(&self.before));
+    }
+
+    /// Turns the instrument about its tip by a rotation vector [rad], away from how the hand wants it.
+    pub(super) fn turn(&mut self, by_rad: DVec3) {
+        self.now = self.now.turned(by_rad);
+        self.turned_rad = rotation_vector_rad(&(turn_by(by_rad) * turn_by(self.turned_rad)));
+    }
+
+    /// Turns the instrument back to where its greatest torque lets a hand turn it in the step: after the share `until` of its way
+    /// no further than `most_rad`.
+    pub(super) fn hold_turn_back(&mut self, until: f64, most_rad: f64) {
+        let [from, to] = [&self.before, &self.now].map(|pose| ToolFrame::of(pose).world_from_tool);
+        let way_rad = rotation_vector_rad(&(to * from.transpose()));
+        let rest_rad = way_rad * (1.0 - until);
+        if rest_rad.length() > most_rad {
+            let wanted = turn_by(way_rad * until + rest_rad.clamp_length_max(most_rad)) * from;
+            self.turn(rotation_vector_rad(&(wanted * to.transpose())));
+        }
     }
 
     /// Whether the tool cuts with its edge: for a long scalpel that is on, and has broken in where tissue has strength.

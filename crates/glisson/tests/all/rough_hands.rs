@@ -19,6 +19,8 @@ const CELL_M: f64 = 13e-3;
 const HALF_M: f64 = 0.5 * CELLS[0] as f64 * CELL_M;
 const HEIGHT_M: f64 = CELLS[2] as f64 * CELL_M;
 const AWAY_M: DVec3 = DVec3::new(0.0, 0.0, 0.25);
+/// Where the second instrument waits: beside the first.
+const ASIDE_M: DVec3 = DVec3::new(0.1, 0.0, 0.25);
 const FAST_M_PER_S: f64 = 5.0;
 /// Tissue is at rest again when no node is further from its place [m].
 const MOST_OFF_M: f64 = 1e-3;
@@ -62,6 +64,7 @@ fn world(subject: &Subject, friction: f64, hand: Option<Hand>) -> Result<(World,
     let jaws = Jaws { length_m: 0.02, width_m: 5e-3, greatest_opening_rad: 1.0, closing_force_n: 50.0 };
     let kind = ToolKind::grasper(jaws);
     let grip = Grip { friction_coefficient: 1.0, is_sticky: false };
+    let home = ToolInput::at(ASIDE_M, DVec3::Z);
     let grasper = Tool { kind, grip, ..Tool::probe("grasper", 2e-3, home) };
     let mut step_s = subject.step_s;
     loop {
@@ -239,16 +242,16 @@ fn most_off_rest_m(world: &World, mesh: &TetMesh) -> f64 {
 /// What a motion does to a subject, and what is wrong with it.
 fn abuse(subject: &Subject, (name, motion): (&str, Motion), seed: u64) -> Result<(), String> {
     let (mut world, mesh) = world(subject, 0.05, Some(Hand::default()))?;
-    let away = ToolInput::at(AWAY_M, DVec3::Z);
+    let away = [AWAY_M, ASIDE_M].map(|tip_m| ToolInput::at(tip_m, DVec3::Z));
     let mut hands = Hands {
         world: &mut world,
-        tools: [away; 2],
+        tools: away,
         random: SeededRandom::new(seed),
         outcome: Outcome::default(),
     };
     motion(&mut hands);
     // Open: jaws that close on their way out may catch tissue that still flies.
-    hands.tools = [ToolInput { jaw_opening: 1.0, ..away }; 2];
+    hands.tools = away.map(|tool| ToolInput { jaw_opening: 1.0, ..tool });
     hands.rest(0.5);
     let inverted = n_inverted(hands.world, &mesh);
     hands.rest(1.5);
@@ -280,8 +283,8 @@ fn no_motion_of_a_hand_makes_more_force_than_the_hand_and_tissue_comes_back() {
 
 /// Presses a probe straight into the middle of the block, and holds it there; the force and where the tip is then.
 fn press(world: &mut World, depth_m: f64) -> (DVec3, DVec3) {
-    let at =
-        |z_m: f64| [ToolInput::at(DVec3::new(2e-3, 1e-3, z_m), DVec3::Z), ToolInput::at(AWAY_M, DVec3::Z)];
+    let aside = ToolInput::at(ASIDE_M, DVec3::Z);
+    let at = |z_m: f64| [ToolInput::at(DVec3::new(2e-3, 1e-3, z_m), DVec3::Z), aside];
     world.step(&StepInput::of(&at(0.03)));
     let n = (0.1 / world.spec().time_step_s) as u32;
     for i in 1..=2 * n {
@@ -341,7 +344,7 @@ fn held_tissue_stops_an_instrument() {
     let (mut world, _) = world(&subject, 0.3, Some(Hand::default())).unwrap();
     // Up from under the table, whose nodes do not move.
     let at = |z_m: f64| {
-        [ToolInput::at(DVec3::new(2e-3, 1e-3, z_m), DVec3::NEG_Z), ToolInput::at(AWAY_M, DVec3::Z)]
+        [ToolInput::at(DVec3::new(2e-3, 1e-3, z_m), DVec3::NEG_Z), ToolInput::at(ASIDE_M, DVec3::Z)]
     };
     world.step(&StepInput::of(&at(-HEIGHT_M - 0.03)).placed());
     for i in 0..200 {
@@ -366,8 +369,10 @@ fn a_saved_touch_goes_on_with_the_same_bits() {
             let mut hashes = Vec::new();
             for i in 0..40 {
                 let tip_m = DVec3::new(2e-3 + 1e-3 * f64::from(i), 1e-3, -12e-3);
-                world
-                    .step(&StepInput::of(&[ToolInput::at(tip_m, DVec3::Z), ToolInput::at(AWAY_M, DVec3::Z)]));
+                world.step(&StepInput::of(&[
+                    ToolInput::at(tip_m, DVec3::Z),
+                    ToolInput::at(ASIDE_M, DVec3::Z),
+                ]));
                 hashes.push(world.state_hash());
             }
             hashes

@@ -21,6 +21,8 @@ const DAMPING_PER_S: f64 = 60.0;
 const SLIPPERY: f64 = 0.05;
 /// Where instruments that are not used are.
 const AWAY_M: DVec3 = DVec3::new(0.0, 0.0, 0.25);
+/// Where the second instrument waits: beside the first.
+const ASIDE_M: DVec3 = DVec3::new(0.1, 0.0, 0.25);
 const FAST_M_PER_S: f64 = 5.0;
 /// After the tools left: when no tetrahedron may be inverted, and when all is at rest [s].
 const UPRIGHT_AFTER_S: f64 = 0.5;
@@ -84,6 +86,7 @@ impl Block {
         let jaws = Jaws { length_m: 0.02, width_m: 5e-3, greatest_opening_rad: 1.0, closing_force_n: 50.0 };
         let kind = ToolKind::grasper(jaws);
         let grip = Grip { friction_coefficient: 1.0, is_sticky: false };
+        let home = ToolInput::at(ASIDE_M, DVec3::Z);
         let grasper = Tool { kind, grip, ..Tool::probe("grasper", 2e-3, home) };
         let material = LinearElastic::from_young_poisson(YOUNG_PA, POISSON_RATIO, DENSITY_KG_PER_M3)
             .map_err(|error| error.to_string())?;
@@ -157,12 +160,17 @@ pub(crate) struct Hands<'a> {
     pub(crate) outcome: Outcome,
 }
 
+/// Both tools where they touch nothing.
+fn waiting() -> [ToolInput; 2] {
+    [AWAY_M, ASIDE_M].map(|tip_m| ToolInput::at(tip_m, DVec3::Z))
+}
+
 impl<'a> Hands<'a> {
     fn new(world: &'a mut World, block: &Block, seed: u64) -> Self {
         Self {
             world,
             half_m: 0.5 * block.size_m,
-            tools: [ToolInput::at(AWAY_M, DVec3::Z); 2],
+            tools: waiting(),
             random: SeededRandom::new(seed),
             outcome: Outcome::default(),
         }
@@ -214,7 +222,7 @@ impl<'a> Hands<'a> {
     /// Both tools are taken out: a hand cannot pull one out that lies under the block. Open: jaws that close on their way out may
     /// catch tissue that still flies.
     fn leave(&mut self) {
-        self.tools = [ToolInput { jaw_opening: 1.0, ..ToolInput::at(AWAY_M, DVec3::Z) }; 2];
+        self.tools = waiting().map(|tool| ToolInput { jaw_opening: 1.0, ..tool });
         let mut input = StepInput::of(&self.tools);
         input.placed[..self.tools.len()].fill(true);
         self.step_with(&input);

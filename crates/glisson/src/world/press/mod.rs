@@ -6,9 +6,12 @@
 //!
 //! x = y + F/(k + d/s),   y = h + (x(t) - h(t)) (d/s)/(k + d/s).
 //!
+//! How it is turned about its tip is held likewise, by a rotational spring and damper up to a greatest torque: a force F at the arm a
+//! turns it by a x F/(k_r + d_r/s) from where it would be alone. Through a trocar it turns with its tip instead ([`turning`]).
+//!
 //! Where it touches, y is no further from the place x(t) (or from where it began to touch) than the greatest force over
 //! k + d/s: the hand gives way, and the instrument follows it at that force. So no motion of a hand can bring about a
-//! greater one.
+//! greater one, and none of its turns a greater torque ([`give_way`]). Instruments touch each other as well ([`tool_pairs`]).
 //!
 //! A part of an instrument touches at many points ([`points`]): where the surface is near it before the step, with the normals and
 //! gaps that it has there. How the part moves from there is the instrument's motion.
@@ -32,9 +35,12 @@
 //! the last step for a change of their forces than they were expected to, if that was further; it comes back to itself in
 //! some steps.
 
+mod give_way;
 mod points;
 mod sub_grid;
 mod system;
+mod tool_pairs;
+mod turning;
 mod yielding;
 
 use super::World;
@@ -46,7 +52,9 @@ use crate::tool::pose::ToolFrame;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use sub_grid::Indentation;
 pub(super) use system::Press;
-use system::{Bearer, PartTouch, PartWay, lever, side_of, vertex_of};
+use system::{Bearer, PartTouch, PartWay, side_of, turn_vertex_of, vertex_of};
+pub(super) use tool_pairs::{FRICTION as TOOL_FRICTION, PairContact};
+use turning::{HandAnswer, Turning};
 
 /// How often the contacts are solved anew with the compliance that follows from their forces: a choice.
 const SUB_GRID_ROUNDS: u32 = 2;
@@ -63,13 +71,15 @@ impl World {
     /// Moves the instruments against what they touch, and finds the forces. Allocates nothing.
     pub(super) fn press(&mut self) {
         let Some(hand) = self.spec.hand else { return };
-        let from = std::array::from_fn(|place| {
+        let mut from = std::array::from_fn(|place| {
             (place < self.tool_states.len()).then(|| self.hold_back(place, &hand))
         });
+        self.hold_apart(&hand, &mut from);
         for place in 0..self.tool_states.len() {
             self.slide_anchors(place, &hand);
         }
         self.gather_contacts(&hand, &from);
+        self.gather_pairs(&hand);
         if self.press.contacts.is_empty() {
             self.press.forget_forces();
         } else {
@@ -100,9 +110,7 @@ impl World {
                 self.press.sweep();
             }
         }
-        for place in 0..self.tool_states.len() {
-            self.press.give_way(place, hand);
-        }
+        self.press.give_way(&self.spec.tools, hand);
         let before_n = std::array::from_fn(|i| {
             self.press.nodes.get(i).map_or(DVec3::ZERO, |node| self.press.force_before_n(*node))
         });
@@ -124,6 +132,9 @@ impl World {
         let from_m = before_m.lerp(alone_m, state.start_share());
         let tip_m = from_m + (alone_m - from_m).clamp_length_max(hand.most_behind_m(dt_s));
         state.put_tip(tool, tip_m);
+        if tool.trocar_m.is_none() {
+            state.hold_turn_back(0.0, hand.most_turned_rad(dt_s));
+        }
         for contact in state.contacts.iter_mut().flatten() {
             if contact.is_new() {
                 contact.anchor_overlap(contact.at.in_world_m(tool, &state.now), &self.organ);
@@ -172,11 +183,12 @@ impl World {
         press.start(&self.tool_states);
         let organ = &self.organ;
         for (place, (state, tool)) in self.tool_states.iter().zip(&self.spec.tools).enumerate() {
+            let turning = Turning::of(place, [&state.before, &state.now]);
             if let Some(grasp) = &state.grasp {
                 for (node, place_m) in grasp.places_m(ToolFrame::of(&state.now)) {
                     let moved_m = place_m - organ.positions_m()[node.index()];
                     let force_n = grasp.force_on_node_n(node);
-                    press.add_held((place, node), [moved_m, force_n], lever(tool, &state.now, place_m));
+                    press.add_held((place, node), [moved_m, force_n], turning.at(place_m, 1.0));
                 }
             }
             for part in ToolPart::ALL {
@@ -184,19 +196,22 @@ impl World {
                     continue;
                 };
                 if follows_one_place(tool, part) {
-                    press.add_anchor((place, part), held, (tool, &state.now), organ);
+                    press.add_anchor((place, part), held, (tool, &state.now, &turning), organ);
                 } else if let Some(way) = PartWay::of(tool, part, [from, &state.now]) {
-                    let touch = PartTouch { tool, way, now: &state.now, organ, dt_s, contact, is_linear };
+                    let turning = &turning;
+                    let touch = PartTouch { tool, way, turning, organ, dt_s, contact, is_linear };
                     press.add_points((place, part), &touch);
                 }
             }
             let followed = |part: ToolPart| contact.map_or(1.0, |c| c.followed(part.radius_m(tool), dt_s));
-            press.set_tool(place, 1.0 / hand.step_stiffness_n_per_m(dt_s), followed);
-        }
-        if press.nodes.is_empty() {
-            return;
+            let answer = HandAnswer::of(hand, tool, [&state.before, &state.now], dt_s);
+            press.set_tool(place, &answer, followed);
         }
         let slide = &mut self.slide;
+        if press.nodes.is_empty() {
+            press.set_no_response();
+            return;
+        }
         self.model.local_model_into(&press.nodes, dt_s, &mut slide.drifting, &mut slide.local);
         press.set_response(&slide.local, |node| !organ.is_fixed(node), dt_s);
         press.set_free_moves(&slide.local, self.model.state().velocities_m_per_s, dt_s);
@@ -208,11 +223,19 @@ impl World {
         let (contact, dt_s) = (self.indentation(), self.spec.time_step_s);
         let press = &mut self.press;
         press.pressed.clear();
+        press.settle_pairs();
+        press.settle_torques(self.tool_states.len());
         for (place, (state, tool)) in self.tool_states.iter_mut().zip(&self.spec.tools).enumerate() {
             let moved_m = press.moves_m[vertex_of(place, JAWS) as usize];
             let touches = !press.contacts.is_empty();
             if touches && moved_m != DVec3::ZERO && moved_m.is_finite() {
                 state.put_tip(tool, state.now.tip_in_world_m + moved_m);
+            }
+            let turned_rad = press.moves_m[turn_vertex_of(place) as usize];
+            // Through a trocar it has turned with its tip.
+            let is_free = tool.trocar_m.is_none();
+            if touches && is_free && turned_rad != DVec3::ZERO && turned_rad.is_finite() {
+                state.turn(turned_rad);
             }
             for part in ToolPart::ALL {
                 if !follows_one_place(tool, part) {
@@ -224,7 +247,7 @@ impl World {
         for (contact, &(place, bearer)) in press.contacts.iter().zip(&press.of) {
             let state = &mut self.tool_states[place];
             match bearer {
-                Bearer::Point(..) => {}
+                Bearer::Point(..) | Bearer::Between(..) => {}
                 Bearer::Anchor(part) => {
                     let held = &mut state.contacts[part.index()];
                     if let Some(held) = held {

@@ -253,7 +253,7 @@ fn inside(triangle: TriangleId, nodes: [NodeId; 3], weights: [f64; 3]) -> Option
 }
 
 /// Share of a part's axis that is nearest to a place.
-fn along_axis(part: &Capsule, place_m: DVec3) -> f64 {
+pub(super) fn along_axis(part: &Capsule, place_m: DVec3) -> f64 {
     let axis_m = part.to_m - part.from_m;
     let along = (place_m - part.from_m).dot(axis_m) / axis_m.length_squared();
     if along.is_finite() { along.clamp(0.0, 1.0) } else { 0.0 }

@@ -2,8 +2,10 @@
 
 use super::points::{ContactPoint, Look, PointSearch};
 use super::sub_grid::Indentation;
+use super::tool_pairs::{MOST_OF_PAIR, Met, PairContact, PairKey};
+use super::turning::{HandAnswer, HandTurns, Turning};
 use super::{JAWS, SIDES, VERTICES};
-use crate::contact::constraint::{Contact, ContactKey, Response, Sweeps, solve};
+use crate::contact::constraint::{Contact, ContactKey, Response, Sweeps, Turn, solve};
 use crate::contact::shapes::Capsule;
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::{NodeId, TriangleId};
@@ -14,10 +16,8 @@ use crate::world::grasp::{Grasp, MOST_HELD_NODES};
 use crate::world::organ::Organ;
 use crate::world::parts::{ToolPart, ToolPoint, capsule};
 use crate::world::slide::UNKNOWN_M_PER_N;
-use crate::world::spec::Hand;
 use crate::world::tool_state::ToolState;
 use crate::world::touch::{HeldContact, Seat};
-use std::ops::Range;
 
 /// Sweeps over all contacts at most, and when they end: choices.
 const SWEEPS: Sweeps = Sweeps { most: 30, tolerance: 1e-4 };
@@ -33,8 +33,10 @@ const MOST_NODES: usize = LocalModel::MOST_NODES;
 /// Contact points of a part at most, the deepest: a choice.
 const MOST_POINTS: usize = 64;
 const MOST_CONTACTS: usize = 2 * MOST_POINTS + (3 + MOST_HELD_NODES) * MAX_TOOLS;
+/// Contacts of instruments with each other, at most.
+const MOST_BETWEEN: usize = MOST_OF_PAIR * MAX_TOOLS * (MAX_TOOLS - 1) / 2;
 /// Points are looked for this share of the part's radius beyond the way that it may go in the step: tissue moves too. A choice.
-const AROUND: f64 = 0.1;
+pub(super) const AROUND: f64 = 0.1;
 /// A part that is no further in the surface of the mesh than this touches nothing where it bears no force [m].
 pub(super) const LEAST_FURTHER_OUT_M: f64 = 1e-6;
 /// Tissue that is in a part is pushed out in about this time [s], and no faster than this [m/s], a hand's calm motion: at once it
@@ -44,9 +46,8 @@ const PUSH_OUT_M_PER_S: f64 = 0.2;
 /// Coefficient of friction of what sticks: it slides where it is pulled along the surface by more than it is pressed. A choice, beyond
 /// any of tissue; with a much larger one contacts on many sides wedge each other and bear nothing.
 const STICKY_FRICTION: f64 = 1.0;
-const N_VERTICES: usize = MOST_NODES + VERTICES * MAX_TOOLS;
-/// An instrument that turns about a point nearer than this share of its way to the tip does not give way there.
-const LEAST_LEVER: f64 = 0.05;
+const FIRST_TURN: usize = MOST_NODES + VERTICES * MAX_TOOLS;
+const N_VERTICES: usize = FIRST_TURN + MAX_TOOLS;
 
 /// What of a tool bears a contact.
 #[derive(Clone, Copy, Debug)]
@@ -57,6 +58,8 @@ pub(super) enum Bearer {
     Anchor(ToolPart),
     /// Jaws, on the node that they hold.
     Jaws(NodeId),
+    /// A place where it touches another instrument.
+    Between(PairKey),
 }
 
 /// A point that bore a force in the last step.
@@ -107,7 +110,12 @@ pub(in crate::world) struct Press {
     /// Whether jaws hold each of the nodes.
     is_held: Vec<bool>,
     pub(super) response: Response,
+    /// How far the vertices go in the step [m]; those by which tools turn, how far these do [rad].
     pub(super) moves_m: Vec<DVec3>,
+    /// How each tool turns when its tip moves [rad/m]: through a trocar.
+    pub(super) turned_by_tip: [DMat3; MAX_TOOLS],
+    /// Torque on each tool about its tip in the last step [N m]. No step depends on it.
+    torques_n_m: [DVec3; MAX_TOOLS],
     /// Forces on the nodes in the last step, ascending by node.
     forces: Vec<NodalForce>,
     touched: Vec<TouchedNode>,
@@ -121,6 +129,10 @@ pub(in crate::world) struct Press {
     pub(super) outward: [[DVec3; JAWS]; MAX_TOOLS],
     /// How far it is in the surface of the mesh for that [m]. It comes out slowly: tissue that springs off for a step is not lost.
     pub(super) further_out_m: [[f64; JAWS]; MAX_TOOLS],
+    /// Where instruments pressed on each other in the last step: the first guess in the next.
+    pub(super) between: Vec<PairContact>,
+    /// Scratch: where two instruments touch.
+    pub(super) met: Vec<Met>,
     /// Scratch: forces of a part on nodes along its way.
     pub(super) on_nodes_n: Vec<(NodeId, f64)>,
     /// Scratch: the answer to the change of the forces.
@@ -133,6 +145,11 @@ pub(super) fn vertex_of(place: usize, side: usize) -> u32 {
     (MOST_NODES + VERTICES * place + side) as u32
 }
 
+/// The vertex by which a tool turns about its tip.
+pub(super) fn turn_vertex_of(place: usize) -> u32 {
+    (FIRST_TURN + place) as u32
+}
+
 /// Place of a side of a part among a tool's vertices.
 pub(super) fn side_of(part: ToolPart, side: usize) -> usize {
     SIDES * part.index() + side
@@ -141,12 +158,14 @@ pub(super) fn side_of(part: ToolPart, side: usize) -> usize {
 impl Press {
     pub(in crate::world) fn new() -> Self {
         Self {
-            contacts: Vec::with_capacity(MOST_CONTACTS),
-            of: Vec::with_capacity(MOST_CONTACTS),
+            contacts: Vec::with_capacity(MOST_CONTACTS + MOST_BETWEEN),
+            of: Vec::with_capacity(MOST_CONTACTS + MOST_BETWEEN),
             nodes: Vec::with_capacity(MOST_NODES),
             is_held: Vec::with_capacity(MOST_NODES),
             response: Response::new(N_VERTICES, 1 + MAX_TOOLS).with_room_for_groups_of(MOST_NODES),
             moves_m: vec![DVec3::ZERO; N_VERTICES],
+            turned_by_tip: [DMat3::ZERO; MAX_TOOLS],
+            torques_n_m: [DVec3::ZERO; MAX_TOOLS],
             forces: Vec::with_capacity(MOST_NODES),
             touched: Vec::with_capacity(MOST_NODES),
             softness: 1.0,
@@ -154,6 +173,8 @@ impl Press {
             sub_grid_m_per_n: [[0.0; JAWS]; MAX_TOOLS],
             outward: [[DVec3::ZERO; JAWS]; MAX_TOOLS],
             further_out_m: [[0.0; JAWS]; MAX_TOOLS],
+            between: Vec::with_capacity(MOST_BETWEEN),
+            met: Self::room_for_met(),
             on_nodes_n: Vec::with_capacity(MOST_NODES),
             search: PointSearch::new(),
             answers_m: vec![DVec3::ZERO; N_VERTICES],
@@ -166,10 +187,12 @@ impl Press {
         copy.forces.extend_from_slice(&self.forces);
         copy.touched.extend_from_slice(&self.touched);
         copy.pressed.extend_from_slice(&self.pressed);
+        copy.between.extend_from_slice(&self.between);
         copy.sub_grid_m_per_n = self.sub_grid_m_per_n;
         copy.outward = self.outward;
         copy.further_out_m = self.further_out_m;
         copy.softness = self.softness;
+        copy.torques_n_m = self.torques_n_m;
         copy
     }
 
@@ -191,7 +214,9 @@ impl Press {
         let yields = yields.zip(self.further_out_m.as_flattened());
         let yields = yields.filter(|((_, out), _)| **out != DVec3::ZERO);
         let sub_grid = yields.flat_map(|((yields, out), further)| [*yields, out.x, out.y, out.z, *further]);
-        numbers.chain(pressed).chain(sub_grid).chain((self.softness != 1.0).then_some(self.softness))
+        let between = self.between.iter().flat_map(PairContact::numbers);
+        let numbers = numbers.chain(pressed).chain(sub_grid).chain(between);
+        numbers.chain((self.softness != 1.0).then_some(self.softness))
     }
 
     /// Where parts pressed on the surface in the last step; without those that follow one place of it, and without jaws that hold.
@@ -253,6 +278,8 @@ impl Press {
         self.forces.clear();
         self.touched.clear();
         self.pressed.clear();
+        self.between.clear();
+        self.torques_n_m = [DVec3::ZERO; MAX_TOOLS];
         self.softness = 1.0;
     }
 
@@ -384,24 +411,19 @@ impl Press {
         point: &ContactPoint,
         (further_out_m, pressed): (DVec3, &[PressedPoint]),
     ) {
-        let PartTouch { tool, way: PartWay { start, end, turn }, now, dt_s, .. } = *touch;
+        let PartTouch { tool, way: PartWay { start, end, turn }, dt_s, .. } = *touch;
         let vertex = vertex_of(place, side_of(part, side));
         let key = ContactKey::VertexObstacle(vertex, self.contacts.len() as u32);
         let mut contact = Contact::new(key, point.inward, point.gap_m);
-        let open_m = if point.gap_m > 0.0 {
-            point.gap_m
-        } else {
-            (point.gap_m * (dt_s / PUSH_OUT_S).min(1.0)).max(-PUSH_OUT_M_PER_S * dt_s)
-        };
-        contact.slack_m = open_m;
+        contact.slack_m = open_m(point.gap_m, dt_s);
         let arm_m = point.arm_m;
         contact.point_m = start.axis_point_m(point.along) + arm_m;
         let followed = touch.contact.map_or(1.0, |contact| contact.followed(start.radius_m, dt_s));
+        let end_m = end.axis_point_m(point.along) + turn * arm_m;
         // What the part's surface on the mesh yields comes out of the system whole: what of it was there before is no motion.
-        contact.moved_m = end.axis_point_m(point.along) - start.axis_point_m(point.along) + turn * arm_m
-            - arm_m
-            - further_out_m * followed;
-        contact.weights[3] = -lever(tool, now, contact.point_m);
+        contact.moved_m = end_m - contact.point_m - further_out_m * followed;
+        contact.weights[3] = -1.0;
+        contact.turns[0] = touch.turning.at(end_m, 1.0).of_second();
         let coefficient = tool.grip.friction_coefficient;
         contact.friction = if tool.grip.is_sticky { STICKY_FRICTION } else { coefficient };
         let is_it = |p: &&PressedPoint| {
@@ -417,14 +439,15 @@ impl Press {
         &mut self,
         (place, part): (usize, ToolPart),
         held: &HeldContact,
-        (tool, pose): (&Tool, &ToolInput),
+        (tool, pose, turning): (&Tool, &ToolInput, &Turning),
         organ: &Organ,
     ) {
         let place_m = held.at.in_world_m(tool, pose);
         let target_m = place_m + held.offset_m;
         let key = ContactKey::VertexObstacle(place as u32, part.index() as u32);
         let mut contact = Contact::new(key, -held.normal, 0.0);
-        contact.weights[3] = -lever(tool, pose, place_m);
+        contact.weights[3] = -1.0;
+        contact.turns[0] = turning.at(place_m, 1.0).of_second();
         contact.point_m = target_m;
         contact.moved_m = target_m - held.point_m(organ.positions_m());
         contact.friction = tool.grip.friction_coefficient;
@@ -439,10 +462,11 @@ impl Press {
         &mut self,
         (place, node): (usize, NodeId),
         [moved_m, force_n]: [DVec3; 2],
-        lever: f64,
+        turn: Turn,
     ) {
         let mut contact = Contact::new(ContactKey::VertexObstacle(place as u32, node.0), DVec3::Z, 0.0);
-        contact.weights[3] = -lever;
+        contact.weights[3] = -1.0;
+        contact.turns[0] = turn.of_second();
         contact.moved_m = moved_m;
         contact.sticks = true;
         contact.force_n = force_n;
@@ -450,16 +474,39 @@ impl Press {
         self.add((place, vertex), Bearer::Jaws(node), ([node; 3], [1.0, 0.0, 0.0]), contact);
     }
 
-    /// How an instrument answers: its parts move as one, with the hand's compliance.
-    pub(super) fn set_tool(&mut self, place: usize, hand_m_per_n: f64, followed: impl Fn(ToolPart) -> f64) {
-        self.response.set_group(1 + place, (0..VERTICES).map(|side| vertex_of(place, side)));
-        let compliance = &mut self.response.group_mut(1 + place).compliance_m_per_n;
+    /// How an instrument answers: its parts move as one and turn about its tip, with the hand's compliances; through a trocar it turns
+    /// with its tip.
+    pub(super) fn set_tool(&mut self, place: usize, answer: &HandAnswer, followed: impl Fn(ToolPart) -> f64) {
+        let HandAnswer { m_per_n, turns } = *answer;
+        let turn = turn_vertex_of(place);
+        let sides = (0..VERTICES).map(|side| vertex_of(place, side));
+        self.turned_by_tip[place] = DMat3::ZERO;
+        match turns {
+            HandTurns::Free { rad_per_n_m } => {
+                self.response.set_group(1 + place, sides);
+                self.response.set_alone(turn, DVec3::splat(rad_per_n_m));
+            }
+            HandTurns::WithTip { rad_per_m } => {
+                self.turned_by_tip[place] = rad_per_m;
+                self.response.set_group(1 + place, sides.chain([turn]));
+            }
+        }
+        let group = self.response.group_mut(1 + place);
+        let n = group.vertices.len();
+        let compliance = &mut group.compliance_m_per_n;
         compliance.clear();
-        compliance.resize(VERTICES * VERTICES, DMat3::IDENTITY * hand_m_per_n);
+        compliance.resize(n * n, DMat3::IDENTITY * m_per_n);
+        if let HandTurns::WithTip { rad_per_m } = turns {
+            for side in 0..VERTICES {
+                compliance[side * n + VERTICES] = rad_per_m * m_per_n;
+                compliance[VERTICES * n + side] = rad_per_m.transpose() * m_per_n;
+            }
+            compliance[VERTICES * n + VERTICES] = rad_per_m * rad_per_m.transpose() * m_per_n;
+        }
         for (side, yields) in self.sub_grid_m_per_n[place].into_iter().enumerate() {
             let out = self.outward[place][side];
             let followed = followed(ToolPart::ALL[side / SIDES]);
-            compliance[side * VERTICES + side] += outer(out, out) * (yields * followed);
+            compliance[side * n + side] += outer(out, out) * (yields * followed);
         }
     }
 
@@ -487,6 +534,14 @@ impl Press {
                 self.response.group_mut(0).compliance_m_per_n.push(tensor);
             }
         }
+    }
+
+    /// No tissue is touched: only instruments move.
+    pub(super) fn set_no_response(&mut self) {
+        self.softness = 1.0;
+        self.response.set_group(0, 0..0);
+        self.response.group_mut(0).compliance_m_per_n.clear();
+        self.moves_m.fill(DVec3::ZERO);
     }
 
     /// How node `i` of the patch is taken to answer to a force on node `j`.
@@ -552,9 +607,7 @@ impl Press {
     /// Solves the contacts, from the forces that they had.
     pub(super) fn solve(&mut self) {
         for contact in &self.contacts {
-            for (vertex, weight) in contact.sides() {
-                self.response.add(vertex, contact.force_n * weight, &mut self.moves_m);
-            }
+            contact.push(contact.force_n, &self.response, &mut self.moves_m);
         }
         self.sweep();
     }
@@ -563,67 +616,21 @@ impl Press {
         solve(&mut self.contacts, &self.response, SWEEPS, &mut self.moves_m);
     }
 
-    /// Where an instrument whose contacts bear more than the hand's greatest force goes with that force: it stays on what it
-    /// touches.
-    pub(super) fn give_way(&mut self, tool: usize, hand: &Hand) {
-        let of_tool = vertex_of(tool, 0)..vertex_of(tool, VERTICES);
-        let own = |contact: &&Contact| of_tool.contains(&contact.vertices[3]);
-        self.limit_each(&of_tool, hand.greatest_force_n);
-        let on_tool_n = |contact: &Contact| contact.force_n * contact.weights[3];
-        let force_n: DVec3 = self.contacts.iter().filter(own).map(on_tool_n).sum();
-        let share = hand.greatest_force_n / force_n.length();
-        let gives_way = share.is_finite() && share < 1.0;
-        if gives_way {
-            for c in 0..self.contacts.len() {
-                if of_tool.contains(&self.contacts[c].vertices[3]) {
-                    self.lessen(c, share);
-                }
-            }
-        }
-        for c in 0..self.contacts.len() {
-            let contact = self.contacts[c];
-            if !own(&&contact) || contact.sticks || contact.weights[3] >= -LEAST_LEVER {
-                continue;
-            }
-            let opening_m = contact.relative_m(&self.moves_m).dot(contact.normal) + contact.slack_m;
-            if opening_m < 0.0 {
-                self.move_tool(tool, contact.normal * (opening_m / -contact.weights[3]));
-            }
-        }
-        let (mut off_m, mut n) = (DVec3::ZERO, 0);
-        let held = |contact: &&Contact| own(contact) && contact.sticks && contact.weights[3] < -LEAST_LEVER;
-        for contact in self.contacts.iter().filter(held).filter(|_| gives_way) {
-            off_m += contact.relative_m(&self.moves_m) / -contact.weights[3];
-            n += 1;
-        }
-        if n > 0 {
-            self.move_tool(tool, off_m / f64::from(n));
-        }
+    /// Torque on a tool about its tip in the last step [N m].
+    pub(in crate::world) fn torque_on_tool_n_m(&self, tool: usize) -> DVec3 {
+        self.torques_n_m.get(tool).copied().unwrap_or(DVec3::ZERO)
     }
 
-    fn move_tool(&mut self, tool: usize, way_m: DVec3) {
-        for part in 0..VERTICES {
-            self.moves_m[vertex_of(tool, part) as usize] += way_m;
-        }
+    /// The torque of all contacts on a tool [N m].
+    pub(super) fn sum_torque_n_m(&self, tool: usize) -> DVec3 {
+        let torques = self.contacts.iter().map(|contact| contact.torque_n_m(turn_vertex_of(tool)));
+        torques.sum()
     }
 
-    /// No contact of a tool bears more than its hand can.
-    fn limit_each(&mut self, of_tool: &Range<u32>, most_n: f64) {
-        for c in 0..self.contacts.len() {
-            let share = most_n / self.contacts[c].force_n.length();
-            if of_tool.contains(&self.contacts[c].vertices[3]) && share < 1.0 {
-                self.lessen(c, share);
-            }
-        }
-    }
-
-    /// Leaves a share of a contact's force.
-    fn lessen(&mut self, c: usize, share: f64) {
-        let contact = self.contacts[c];
-        for (vertex, weight) in contact.sides() {
-            self.response.add(vertex, contact.force_n * ((share - 1.0) * weight), &mut self.moves_m);
-        }
-        self.contacts[c].force_n = contact.force_n * share;
+    /// After contacts were solved.
+    pub(super) fn settle_torques(&mut self, n_tools: usize) {
+        self.torques_n_m =
+            std::array::from_fn(|tool| if tool < n_tools { self.sum_torque_n_m(tool) } else { DVec3::ZERO });
     }
 
     /// The contacts' forces by nodes.
@@ -701,12 +708,12 @@ impl Press {
     }
 }
 
-/// How far a point of a tool moves across its shaft when the tip moves: less, nearer to a trocar.
-pub(super) fn lever(tool: &Tool, pose: &ToolInput, point_m: DVec3) -> f64 {
-    let Some(trocar_m) = tool.trocar_m else { return 1.0 };
-    let length_m = trocar_m.distance(pose.tip_in_world_m);
-    let behind_m = pose.shaft_in_world.dot(point_m - pose.tip_in_world_m);
-    if length_m > tool.tip_radius_m { (1.0 - behind_m / length_m).clamp(0.0, 1.0) } else { 1.0 }
+/// What a gap may close by in a step [m]; with the sign turned, what an overlap has to open by.
+pub(super) fn open_m(gap_m: f64, dt_s: f64) -> f64 {
+    if gap_m > 0.0 {
+        return gap_m;
+    }
+    (gap_m * (dt_s / PUSH_OUT_S).min(1.0)).max(-PUSH_OUT_M_PER_S * dt_s)
 }
 
 /// Where a part moves from against the tissue, where it would be alone, and how the tool turns between.
@@ -730,7 +737,7 @@ impl PartWay {
 pub(super) struct PartTouch<'a> {
     pub(super) tool: &'a Tool,
     pub(super) way: PartWay,
-    pub(super) now: &'a ToolInput,
+    pub(super) turning: &'a Turning,
     pub(super) organ: &'a Organ,
     pub(super) dt_s: f64,
     pub(super) contact: Option<&'a Indentation>,

@@ -1,8 +1,8 @@
 //! How the sides of a part yield for what the mesh is too coarse for ([`super::sub_grid`]), in the system of contacts.
 
+use super::SIDES;
 use super::sub_grid::Indentation;
 use super::system::{Bearer, LEAST_FURTHER_OUT_M, Press, PressedPoint, side_of, vertex_of};
-use super::{SIDES, VERTICES};
 use crate::math::{DVec3, outer};
 use crate::world::organ::Organ;
 use crate::world::parts::ToolPart;
@@ -89,9 +89,10 @@ impl Press {
         let known = &mut self.sub_grid_m_per_n[place][side];
         let further = (missing - *known) * contact.learned(radius_m, dt_s);
         *known += further;
-        let compliance = &mut self.response.group_mut(1 + place).compliance_m_per_n;
         let in_step = further * contact.followed(radius_m, dt_s);
-        compliance[side * VERTICES + side] += outer(outward, outward) * in_step;
+        let group = self.response.group_mut(1 + place);
+        let n = group.vertices.len();
+        group.compliance_m_per_n[side * n + side] += outer(outward, outward) * in_step;
         self.moves_m[vertex as usize] += outward * (on_tool_n.dot(outward) * in_step);
     }
 }

@@ -144,9 +144,7 @@ fn a_turned_instrument_makes_the_same_bits_after_coming_back_and_steps_allocate_
             go_on(&mut world, 0..50);
             let saved = world.save();
             let count = allocation_counter::measure(|| go_on(&mut world, 50..100));
-            // Its own scratch grows with the tissue that is strained.
-            let may_allocate = kind == ModelKind::Explicit;
-            assert!(may_allocate || count.count_total == 0, "{kind}: {count:?}");
+            assert_eq!(count.count_total, 0, "{kind}: {count:?}");
             (saved, world.state_hash())
         };
         let (saved, expected) = run();

@@ -415,9 +415,7 @@ fn instruments_in_contact_make_the_same_bits_at_any_number_of_threads_and_after_
                 first.haptic_model(1);
             }
         });
-        // Others have scratch of their own that grows with the tissue that is strained.
-        let may_allocate = kind != ModelKind::Precomputed;
-        assert!(may_allocate || count.count_total == 0, "{kind}: {count:?}");
+        assert_eq!(count.count_total, 0, "{kind}: {count:?}");
         assert_eq!(first.state_hash(), expected, "{kind}");
         let (mut again, _) = on_tissue(kind);
         again.restore(&saved);

@@ -147,6 +147,8 @@ pub struct ExplicitKernel {
     stiffens: bool,
     most_elastic_j: f64,
     most_parts: u32,
+    /// The stretch that the stable step is made for.
+    made_for_stretch: f64,
     /// Steps that are still divided as far as allowed, because the tissue was strained beyond what the step is for.
     careful_steps: u32,
 
@@ -189,7 +191,6 @@ impl ExplicitKernel {
         let substance = Substance::of(params)?;
         let mut kernel = substance.kernel(params.body.mesh, params.law, params.path)?;
         kernel.set_quarantine(quarantine_of(params.law));
-        kernel.set_calm_stretch(params.largest_stretch.max(LEAST_ENERGY_STRETCH));
         Ok((kernel, substance, Stability::of(params)?))
     }
 
@@ -213,8 +214,8 @@ impl ExplicitKernel {
             let axes = &mut supports[fixed.node.index()];
             *axes = [0, 1, 2].map(|i| axes[i] || fixed.axes[i]);
         }
-        let stretch = params.largest_stretch.max(LEAST_ENERGY_STRETCH);
-        let strain = 0.5 * (stretch * stretch - 1.0);
+        let made_for_stretch = params.largest_stretch.max(LEAST_ENERGY_STRETCH);
+        let strain = 0.5 * (made_for_stretch * made_for_stretch - 1.0);
         let most_elastic_j = (0..mesh.tetrahedra.len())
             .map(TetId::from_index)
             .map(|tet| {
@@ -236,6 +237,7 @@ impl ExplicitKernel {
             stiffens: params.law != KernelLaw::Linear || params.volume_penalty_pa > 0.0,
             most_elastic_j,
             most_parts: body.most_parts,
+            made_for_stretch,
             careful_steps: 0,
             loads: Loads::new(body.gravity_m_per_s2, body.attachments, &mesh.positions_m),
             held: BoundedVec::with_capacity(n_nodes),
@@ -284,6 +286,16 @@ impl ExplicitKernel {
         let longest_s = self.time_step_s.min(self.stable_step_s());
         // A hair below the whole number: dt = k times the step gives k parts in spite of rounding.
         (dt_s / longest_s - 1e-9).ceil().clamp(1.0, MOST_PARTS) as u64
+    }
+
+    /// The stretch beyond which an undivided part of `part_s` is too long. The stable neo-Hookean tangent grows no faster than the
+    /// sixth power of the stretch, and a stable step is as long as one over the root of the tangent: shorter ones bear more.
+    fn calm_stretch(&self, part_s: f64) -> f64 {
+        if self.kernel.law() == KernelLaw::StableNeoHooke {
+            self.made_for_stretch * libm::cbrt((self.stable_step_s() / part_s).max(1.0))
+        } else {
+            self.made_for_stretch
+        }
     }
 
     /// Into how many the next one will be: more where the tissue is strained beyond what the step is for.
@@ -549,6 +561,8 @@ impl ExplicitDynamics for ExplicitKernel {
             return;
         }
         let n_parts = self.parts_to_come(dt_s);
+        let undivided_s = (dt_s / self.parts_of_step(dt_s) as f64).min(self.time_step_s);
+        self.kernel.set_calm_stretch(self.calm_stretch(undivided_s));
         let mut is_strained = false;
         let parts = n_parts as f64;
         // Only a step of more than the most parts is cut off.

@@ -415,3 +415,24 @@ impl MassScaling {
         Self::of_tets(self.tets.iter().filter_map(moved).collect(), n_nodes)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What steps shorter than the stable one are taken to bear.
+    #[test]
+    fn the_stable_neo_hookean_tangent_grows_no_faster_than_the_sixth_power_of_the_stretch() {
+        for poisson_ratio in [0.0, 0.3, 0.45, 0.49, 0.499] {
+            let material = LinearElastic::from_young_poisson(5e3, poisson_ratio, 1060.0).unwrap();
+            let law = StableNeoHooke::from(&material);
+            for from in [1.1, 1.3] {
+                let at_from_pa = largest_tangent_eigenvalue_pa(&law, from);
+                for more in [1.1_f64, 1.3, 1.6, 2.0] {
+                    let grown = largest_tangent_eigenvalue_pa(&law, from * more) / at_from_pa;
+                    assert!(grown <= more.powi(6), "nu {poisson_ratio}, {from} times {more}: {grown}");
+                }
+            }
+        }
+    }
+}

@@ -7,7 +7,8 @@
 //! and of two that touch each other the one that gives way more.
 
 use super::VERTICES;
-use super::system::{Press, turn_vertex_of, vertex_of};
+use super::system::Press;
+use super::vertices::{turn_vertex_of, vertex_of};
 use crate::contact::constraint::Contact;
 use crate::math::DVec3;
 use crate::tool::{MAX_TOOLS, Tool};

@@ -39,8 +39,10 @@ mod give_way;
 mod points;
 mod sub_grid;
 mod system;
+mod meeting;
 mod tool_pairs;
 mod turning;
+mod vertices;
 mod yielding;
 
 use super::World;
@@ -50,11 +52,13 @@ use super::spec::Hand;
 use crate::math::DVec3;
 use crate::tool::pose::ToolFrame;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
+pub(super) use meeting::PairContact;
 use sub_grid::Indentation;
 pub(super) use system::Press;
-use system::{Bearer, PartTouch, PartWay, side_of, turn_vertex_of, vertex_of};
-pub(super) use tool_pairs::{FRICTION as TOOL_FRICTION, PairContact};
+use system::{Bearer, PartTouch, PartWay};
+pub(super) use tool_pairs::FRICTION as TOOL_FRICTION;
 use turning::{HandAnswer, Turning};
+use vertices::{side_of, turn_vertex_of, vertex_of};
 
 /// How often the contacts are solved anew with the compliance that follows from their forces: a choice.
 const SUB_GRID_ROUNDS: u32 = 2;

@@ -20,6 +20,8 @@ use crate::world::organ::Organ;
 const MOST_NEAR: usize = 512;
 /// Points of a part that are looked at, at most.
 const MOST_FOUND: usize = 7 * MOST_NEAR;
+/// Points are looked for this share of the part's radius beyond the way that it may go in the step: tissue moves too. A choice.
+pub(super) const AROUND: f64 = 0.1;
 /// Below this weight a place of a triangle lies on the edge across.
 const ON_EDGE: f64 = 1e-6;
 

@@ -1,9 +1,10 @@
 //! The contacts of a step as one system: what touches, how organ and instruments answer, and the forces that were found.
 
-use super::points::{ContactPoint, Look, PointSearch};
+use super::meeting::{MOST_OF_PAIR, Met, PairContact, PairKey};
+use super::points::{AROUND, ContactPoint, Look, PointSearch};
 use super::sub_grid::Indentation;
-use super::tool_pairs::{MOST_OF_PAIR, Met, PairContact, PairKey};
 use super::turning::{HandAnswer, HandTurns, Turning};
+use super::vertices::{MOST_NODES, N_VERTICES, side_of, turn_vertex_of, vertex_of};
 use super::{JAWS, SIDES, VERTICES};
 use crate::contact::constraint::{Contact, ContactKey, Response, Sweeps, Turn, solve};
 use crate::contact::shapes::Capsule;
@@ -29,14 +30,11 @@ const KEPT_SOFTNESS: f64 = 0.9;
 /// What jaws hold is taken to be so many times as soft as the model says, each node by itself: no less than what the nodes
 /// around it, which are held with it, add. A choice.
 const SOFT_HOLD: f64 = 4.0;
-const MOST_NODES: usize = LocalModel::MOST_NODES;
 /// Contact points of a part at most, the deepest: a choice.
 const MOST_POINTS: usize = 64;
 const MOST_CONTACTS: usize = 2 * MOST_POINTS + (3 + MOST_HELD_NODES) * MAX_TOOLS;
 /// Contacts of instruments with each other, at most.
 const MOST_BETWEEN: usize = MOST_OF_PAIR * MAX_TOOLS * (MAX_TOOLS - 1) / 2;
-/// Points are looked for this share of the part's radius beyond the way that it may go in the step: tissue moves too. A choice.
-pub(super) const AROUND: f64 = 0.1;
 /// A part that is no further in the surface of the mesh than this touches nothing where it bears no force [m].
 pub(super) const LEAST_FURTHER_OUT_M: f64 = 1e-6;
 /// Tissue that is in a part is pushed out in about this time [s], and no faster than this [m/s], a hand's calm motion: at once it
@@ -46,8 +44,6 @@ const PUSH_OUT_M_PER_S: f64 = 0.2;
 /// Coefficient of friction of what sticks: it slides where it is pulled along the surface by more than it is pressed. A choice, beyond
 /// any of tissue; with a much larger one contacts on many sides wedge each other and bear nothing.
 const STICKY_FRICTION: f64 = 1.0;
-const FIRST_TURN: usize = MOST_NODES + VERTICES * MAX_TOOLS;
-const N_VERTICES: usize = FIRST_TURN + MAX_TOOLS;
 
 /// What of a tool bears a contact.
 #[derive(Clone, Copy, Debug)]
@@ -138,21 +134,6 @@ pub(in crate::world) struct Press {
     /// Scratch: the answer to the change of the forces.
     answers_m: Vec<DVec3>,
     search: PointSearch,
-}
-
-/// The vertex of a side of a tool's part, or of its jaws, in the system.
-pub(super) fn vertex_of(place: usize, side: usize) -> u32 {
-    (MOST_NODES + VERTICES * place + side) as u32
-}
-
-/// The vertex by which a tool turns about its tip.
-pub(super) fn turn_vertex_of(place: usize) -> u32 {
-    (FIRST_TURN + place) as u32
-}
-
-/// Place of a side of a part among a tool's vertices.
-pub(super) fn side_of(part: ToolPart, side: usize) -> usize {
-    SIDES * part.index() + side
 }
 
 impl Press {

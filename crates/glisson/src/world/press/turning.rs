@@ -8,7 +8,7 @@
 //! Through a trocar at the distance L from the tip, along the shaft's direction s, a motion d of the tip turns it by -s x d/L: a place
 //! with the arm a moves by d (1 - a.s/L) + s (a.d)/L.
 
-use super::system::turn_vertex_of;
+use super::vertices::turn_vertex_of;
 use crate::contact::constraint::Turn;
 use crate::math::{DMat3, DVec3};
 use crate::tool::pose::{ToolFrame, cross_matrix};

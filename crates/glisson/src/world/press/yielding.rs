@@ -2,7 +2,8 @@
 
 use super::SIDES;
 use super::sub_grid::Indentation;
-use super::system::{Bearer, LEAST_FURTHER_OUT_M, Press, PressedPoint, side_of, vertex_of};
+use super::system::{Bearer, LEAST_FURTHER_OUT_M, Press, PressedPoint};
+use super::vertices::{side_of, vertex_of};
 use crate::math::{DVec3, outer};
 use crate::world::organ::Organ;
 use crate::world::parts::ToolPart;

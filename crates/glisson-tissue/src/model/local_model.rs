@@ -562,7 +562,7 @@ impl LocalWork {
 
     /// The matrix of the region, row after row.
     fn assemble(&mut self, body: &dyn LocalBody, h_s: f64) {
-        let (n, n_patch) = (self.region.len(), self.n_patch);
+        let n = self.region.len();
         let damping = body.damping();
         self.head.clear();
         self.head.resize(n, 0);
@@ -601,15 +601,20 @@ impl LocalWork {
                 }
             }
         }
+        self.list_rows(body);
+    }
+
+    /// The blocks row after row, and what is on the diagonal.
+    fn list_rows(&mut self, body: &dyn LocalBody) {
         self.row_start.clear();
         self.columns.clear();
         self.entries.clear();
         self.inverse_diagonal.clear();
-        for i in 0..n {
+        for i in 0..self.region.len() {
             self.row_start.push(self.columns.len() as u32);
             let node = self.region[i] as usize;
             // What other tools hold stays there; the patch itself is let go.
-            let free = if i >= n_patch && body.frame().is_held(node) {
+            let free = if i >= self.n_patch && body.frame().is_held(node) {
                 [false; 3]
             } else {
                 body.frame().free_axes(node)

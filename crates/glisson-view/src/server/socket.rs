@@ -16,7 +16,7 @@ use glisson_runtime::watchers::ContactWatcher;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
-use tokio::time::{MissedTickBehavior, interval, timeout};
+use tokio::time::{Interval, MissedTickBehavior, interval, timeout};
 
 /// Longest message of a viewer: a pose has some 200 bytes.
 pub(super) const LONGEST_MESSAGE_BYTES: usize = 1 << 14;
@@ -41,6 +41,13 @@ impl Drop for Seat {
     fn drop(&mut self) {
         self.shared.control.leave(self.viewer);
     }
+}
+
+/// A beat that leaves out what it is late for.
+fn unhurried(period: Duration) -> Interval {
+    let mut beat = interval(period);
+    beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    beat
 }
 
 pub(super) async fn open(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -> Response {
@@ -147,10 +154,7 @@ impl Connection {
         self.greet(&first).await?;
         published.mark_changed();
         controller.mark_changed();
-        let mut beat = interval(BEAT);
-        beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut feel = interval(FEEL);
-        feel.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let (mut beat, mut feel) = (unhurried(BEAT), unhurried(FEEL));
         let mut felt = Vec::new();
         loop {
             tokio::select! {

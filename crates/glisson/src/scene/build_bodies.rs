@@ -57,18 +57,7 @@ pub(super) fn read_bodies(
     let is_rigid: Vec<bool> = spec.bodies.iter().map(|body| body.is_rigid).collect();
     let surface =
         BodiesOfSurface { topology: &topology, mesh: &joint, body_of: &body_of, is_rigid: &is_rigid };
-    for (number, source) in scene.attachments.iter().enumerate() {
-        let found = bonds(source, &spec.bodies, &joint, &topology);
-        if found.is_empty() {
-            let names = source.bodies.map(|body| scene.bodies[body].name.clone());
-            return Err(BuildError::NothingAttached {
-                number: number + 1,
-                names,
-                reach_mm: 1e3 * source.reach_m,
-            });
-        }
-        spec.bonds.extend(found);
-    }
+    add_bonds(scene, &joint, &topology, spec)?;
 
     let mut parts = Vec::new();
     for (body, mesh) in scene.bodies.iter().zip(meshes) {
@@ -101,6 +90,28 @@ pub(super) fn read_bodies(
     let memory = carry(&mut parts, &topology, &joint, &places, friction)
         .map_err(|(number, error)| of_body(&scene.bodies[number].name)(*error))?;
     Ok((BodySet::of_parts(parts, workers), memory))
+}
+
+/// What the attachments tie together, in the joint mesh.
+fn add_bonds(
+    scene: &Scene,
+    joint: &TetMesh,
+    topology: &Topology,
+    spec: &mut WorldSpec,
+) -> Result<(), BuildError> {
+    for (number, source) in scene.attachments.iter().enumerate() {
+        let found = bonds(source, &spec.bodies, joint, topology);
+        if found.is_empty() {
+            let names = source.bodies.map(|body| scene.bodies[body].name.clone());
+            return Err(BuildError::NothingAttached {
+                number: number + 1,
+                names,
+                reach_mm: 1e3 * source.reach_m,
+            });
+        }
+        spec.bonds.extend(found);
+    }
+    Ok(())
 }
 
 fn body_specs(scene: &Scene, meshes: &[TetMesh]) -> Vec<BodySpec> {

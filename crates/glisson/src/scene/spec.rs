@@ -45,13 +45,7 @@ impl Scene {
     pub fn parse(text: &str) -> Result<Self, SceneError> {
         let document = parse_toml(text)?;
         let mut root = Section::root(text, &document);
-        match root.number("glisson_scene")? {
-            Some((version, _)) if version == SCENE_VERSION => {}
-            Some((version, at)) => {
-                return Err(root.wrong_value(at, "glisson_scene", version.to_string(), "1"));
-            }
-            None => return Err(root.missing("glisson_scene", "glisson_scene = 1")),
-        }
+        check_version(&mut root)?;
         let name = root.string("name")?.map_or_else(|| "unnamed scene".to_string(), |n| n.0);
         let simulation = root.section("simulation")?;
         let contact = root.section("contact")?;
@@ -123,6 +117,15 @@ impl Scene {
     /// When the last scripted motion ends [s]; none without one.
     pub fn end_of_paths_s(&self) -> Option<f64> {
         self.paths.iter().filter_map(|path| path.last()).map(|point| point.time_s).reduce(f64::max)
+    }
+}
+
+/// Whether the scene is written in the version that is read here.
+fn check_version(root: &mut Section<'_>) -> Result<(), SceneError> {
+    match root.number("glisson_scene")? {
+        Some((version, _)) if version == SCENE_VERSION => Ok(()),
+        Some((version, at)) => Err(root.wrong_value(at, "glisson_scene", version.to_string(), "1")),
+        None => Err(root.missing("glisson_scene", "glisson_scene = 1")),
     }
 }
 

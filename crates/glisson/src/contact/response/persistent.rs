@@ -194,14 +194,8 @@ impl BodyContact {
         let is_rigid: Vec<bool> = nodes.iter().map(is_rigid_body).collect();
         let body_of: Vec<u32> = surface.triangles.iter().map(body).collect();
         let now_m: Vec<DVec3> = nodes.iter().map(|n| positions_m[n.index()]).collect();
-        let search = ContactSearchParams {
-            kind: BroadPhaseKind::Hierarchy,
-            margin_m: params.margin_m,
-            self_collision: params.touches_itself,
-            pair_capacity: 0,
-        };
         let rest_m = surface.positions_m;
-        let mut search = ContactSearch::new(&search, &rest_m, &surface.triangles, &body_of)
+        let mut search = ContactSearch::new(&search_of(params), &rest_m, &surface.triangles, &body_of)
             .with_rest_shape(rest_m.clone(), piece_of);
         let mut contacts = Vec::with_capacity(nodes.len());
         if params.touch_m > 0.0 {
@@ -614,4 +608,14 @@ fn within_cone(normal: DVec3, force_n: DVec3, friction: f64) -> DVec3 {
     let push_n = force_n.dot(normal).max(0.0);
     let across_n = force_n - normal * force_n.dot(normal);
     normal * push_n + across_n.clamp_length_max(friction * push_n)
+}
+
+/// How contacts between bodies are looked for.
+fn search_of(params: &BodyContactParams) -> ContactSearchParams {
+    ContactSearchParams {
+        kind: BroadPhaseKind::Hierarchy,
+        margin_m: params.margin_m,
+        self_collision: params.touches_itself,
+        pair_capacity: 0,
+    }
 }

@@ -86,7 +86,6 @@ pub fn write_liver_on_bed(folder: &Path, n_tets: usize) -> anyhow::Result<PathBu
          damping = \"20 1/s\"\n\n\
          [[rigid]]\nname = \"bed\"\ncolor = \"#b98d77\"\nmesh = \"bed.stl\"\nedge = \"{EDGE_MM} mm\"\n\n{rigid}\
          [contact]\nmargin = \"5 mm\"\ntouch = \"3 mm\"\n\n\
-         [hand]\n\n\
          [tool]\nname = \"palpation probe\"\ntip_radius = \"6 mm\"\nfriction = 0.1\n\
          home_tip = [\"{x:.3} mm\", \"{y:.3} mm\", \"{z:.3} mm\"]\nhome_shaft = [-0.2, -1, 0.3]\n"
     );

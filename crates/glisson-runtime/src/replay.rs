@@ -35,8 +35,8 @@ pub fn read_session(path: &Path) -> anyhow::Result<Session> {
 
 /// The simulation of the session's scene, with the mesh of the recording.
 fn open_recorded(session: &Session, folder: &Path) -> anyhow::Result<Simulation> {
-    let scene =
-        Scene::parse(&session.header.scene).map_err(|e| anyhow!("the scene in the session's header: {e}"))?;
+    let scene = Scene::parse_recorded(&session.header)
+        .map_err(|e| anyhow!("the scene in the session's header: {e}"))?;
     let origin = "the session's scene".to_string();
     let source = OpenScene { scene, folder: folder.to_path_buf(), origin, n_threads: 1 };
     let mut simulation = Simulation::open(source, None)?;

@@ -51,9 +51,9 @@ pub(crate) struct Args {
     /// One model of the benchmark scene; all when left out
     #[arg(long, value_name = "NAME")]
     model: Option<String>,
-    /// Hands of the benchmark scene give way ([hand] in its scenes) instead of imposing their motion
+    /// Hands of the benchmark scene impose their motion (touch = "imposed") instead of giving way
     #[arg(long)]
-    hand: bool,
+    imposed: bool,
     /// Longest time step of the benchmark scene in milliseconds (2 for implicit, 1 for the others), halved until the model takes it
     #[arg(long, value_name = "MS", value_parser = step_ms)]
     step_ms: Option<f64>,
@@ -108,7 +108,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
                 link: args.link.clone(),
                 motion: args.motion.clone(),
                 model: args.model.clone(),
-                hand_gives_way: args.hand,
+                imposed: args.imposed,
                 step_s: args.step_ms.map(|ms| 1e-3 * ms),
             };
             with_progress(|tell| (trial.measure)(&request, tell))?

@@ -164,8 +164,8 @@ pub struct TrialRequest {
     pub motion: Option<String>,
     /// One model; all for none.
     pub model: Option<String>,
-    /// Whether hands give way instead of imposing their motion.
-    pub hand_gives_way: bool,
+    /// Whether hands impose their motion instead of giving way.
+    pub imposed: bool,
     /// The longest step of scenes [s]; each model its own for none.
     pub step_s: Option<f64>,
 }

@@ -67,7 +67,8 @@ impl ReplayedDevice {
     }
 
     fn of(session: &Session, tool: usize, rate_hz: f64) -> anyhow::Result<Self> {
-        let scene = Scene::parse(&session.header.scene).map_err(|e| anyhow!("the session's scene: {e}"))?;
+        let scene =
+            Scene::parse_recorded(&session.header).map_err(|e| anyhow!("the session's scene: {e}"))?;
         let dt_s = scene.world.time_step_s;
         let n_tools = scene.world.tools.len();
         ensure!(tool < n_tools, "there is no instrument {tool}: the session has {n_tools}, numbered from 0");

@@ -312,7 +312,7 @@ fn instruments_that_cut_tear_and_clip_replay_to_the_same_bits() {
             let tip_in_world_m = match kind {
                 "scalpel" => DVec3::new(0.06 - 0.05 * t, 0.017, 0.03),
                 "probe" => DVec3::new(0.033, 0.017, 0.045 - 0.04 * t),
-                _ => DVec3::new(0.04, 0.017, 0.036),
+                _ => DVec3::new(0.04, 0.017, 0.032),
             };
             let pose = ToolInput {
                 jaw_opening: 1.0 - (f64::from(step) / 100.0).min(1.0),

@@ -131,7 +131,7 @@ const LEAST_STICKING: f64 = 5.0;
 const MOST_STICKING: f64 = 20.0;
 
 impl HapticModel {
-    /// Tip, second jaw, shaft, and what jaws hold.
+    /// What jaws hold, or tip and second jaw; the shaft; and other instruments.
     pub const MOST_PARTS: usize = 4;
 
     /// Force [N] of the tissue on the tip at `tip_m` [m], `age_s` [s] after the model was made.

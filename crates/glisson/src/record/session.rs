@@ -17,8 +17,11 @@ use std::io::{self, Write};
 /// Parts that a step is divided into at most: more would stall for minutes. A choice.
 pub const MOST_SUBSTEPS: u32 = 1000;
 
-/// Format version written and read. Version 1 had one instrument, whose contact was found otherwise.
-pub const SESSION_VERSION: u32 = 2;
+/// Format version written. Version 1 had one instrument, whose contact was found otherwise, and is not read.
+pub const SESSION_VERSION: u32 = 3;
+/// The first version whose scenes have a hand that gives way where they say nothing of one.
+pub const FIRST_VERSION_WITH_HAND: u32 = 3;
+const OLDEST_VERSION: u32 = 2;
 const FORMAT: &str = "glisson-session";
 
 /// What a session starts from.
@@ -27,7 +30,7 @@ const FORMAT: &str = "glisson-session";
 pub struct SessionHeader {
     /// Always `glisson-session`.
     pub format: String,
-    /// [`SESSION_VERSION`].
+    /// [`SESSION_VERSION`], or an older one that is read.
     pub version: u32,
     /// Version of the library that recorded it.
     pub glisson: String,
@@ -196,7 +199,7 @@ pub enum SessionError {
     },
     /// A newer or older format.
     #[error(
-        "line 1: session version {found}, recorded by Glisson {glisson}; this program reads version {SESSION_VERSION}: \
+        "line 1: session version {found}, recorded by Glisson {glisson}; this program reads versions {OLDEST_VERSION} to {SESSION_VERSION}: \
          replay it with the program that recorded it"
     )]
     Version {
@@ -219,7 +222,7 @@ pub fn parse_session(text: &str) -> Result<Session, SessionError> {
     if header.format != FORMAT {
         return Err(SessionError::Format { found: header.format });
     }
-    if header.version != SESSION_VERSION {
+    if !(OLDEST_VERSION..=SESSION_VERSION).contains(&header.version) {
         return Err(SessionError::Version { found: header.version, glisson: header.glisson });
     }
     let mut events: Vec<SessionEvent> = Vec::new();
@@ -423,7 +426,7 @@ mod tests {
         let (_, text) = sample();
         let with = |from: &str, to: &str| parse_session(&text.replace(from, to)).unwrap_err().to_string();
         assert!(with("\"step\":10", "\"step\":3").starts_with("line 4: step 3 comes after step 5"));
-        assert!(with("\"version\":2", "\"version\":1").contains("version 1, recorded by Glisson"));
+        assert!(with("\"version\":3", "\"version\":1").contains("version 1, recorded by Glisson"));
         assert!(
             with("\"placed\":[1]", "\"placed\":[2]").starts_with("line 2: placed names instrument 2 of 2")
         );

@@ -8,9 +8,10 @@ use super::instrument::{InstrumentSource, PathPoint, read_tool, tool_on_path, to
 use super::organ::OrganSource;
 use super::reader::{SceneError, Section, parse_toml};
 use super::simulation::read_simulation;
+use crate::record::session::{FIRST_VERSION_WITH_HAND, SessionHeader};
 use crate::tool::MAX_TOOLS;
 use crate::world::StepInput;
-use crate::world::spec::WorldSpec;
+use crate::world::spec::{Hand, WorldSpec};
 use std::path::PathBuf;
 
 /// A scene as its file says.
@@ -43,6 +44,20 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] with the line of the first mistake.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
+        Self::parse_with_default_hand(text, Some(Hand::default()))
+    }
+
+    /// Reads the scene of a recorded session, as it was understood when the session was recorded: before
+    /// [`FIRST_VERSION_WITH_HAND`] instruments of scenes that say nothing of a hand imposed their motion.
+    ///
+    /// # Errors
+    /// [`SceneError`] with the line of the first mistake.
+    pub fn parse_recorded(header: &SessionHeader) -> Result<Self, SceneError> {
+        let hand = (header.version >= FIRST_VERSION_WITH_HAND).then(Hand::default);
+        Self::parse_with_default_hand(&header.scene, hand)
+    }
+
+    fn parse_with_default_hand(text: &str, default_hand: Option<Hand>) -> Result<Self, SceneError> {
         let document = parse_toml(text)?;
         let mut root = Section::root(text, &document);
         check_version(&mut root)?;
@@ -91,7 +106,7 @@ impl Scene {
             // Its material comes with the mesh.
             tearing: None,
             mends_cuts: organ.mends_cuts,
-            hand: hand.map(read_hand).transpose()?,
+            hand: hand.map_or(Ok(default_hand), read_hand)?,
             tissue: None,
             self_contact,
             // Their nodes come with their meshes.

@@ -47,6 +47,9 @@ impl World {
         let held = self.spec.hand.as_ref().map(|hand| (hand, self.spec.time_step_s));
         for (place, (hand, tool)) in self.tool_states.iter_mut().zip(&self.spec.tools).enumerate() {
             hand.move_to(tool, place, input, held);
+            if input.placed[place] {
+                self.press.forget_tool(place);
+            }
             if let Some(jaws) = tool.kind.jaws() {
                 let pose = hand.now;
                 if hand.grasp.as_ref().is_some_and(|grasp| !grasp.holds(&pose)) {
@@ -287,12 +290,13 @@ impl World {
             }
             let edge_motion_m = edge_motion_m(tool, &hand.before, &hand.now);
             force_on_tool_n += hand.overload.pay_for_cuts_n(edge_motion_m, tool.tip_radius_m);
+            // Of the tissue alone: pressing on another instrument is no work on it.
+            hand.count_activity(tool, force_on_tool_n, dt_s);
             force_on_tool_n += self.press.force_of_tools_n(place);
             hand.report.in_contact = in_contact || hand.overload.edge_is_in;
             hand.report.slip_m = slip_m;
             hand.report.torque_on_tool_n_m = self.press.torque_on_tool_n_m(place);
             hand.report.force_on_tool_n = force_on_tool_n;
-            hand.count_activity(tool, dt_s);
         }
     }
 

@@ -73,12 +73,12 @@ impl BladeReport {
 }
 
 impl ToolState {
-    /// Counts how long the active tip has been at work; called in every step.
-    pub(super) fn count_activity(&mut self, tool: &Tool, dt_s: f64) {
+    /// Counts how long the active tip has been at work under the force of the tissue; called in every step.
+    pub(super) fn count_activity(&mut self, tool: &Tool, of_tissue_n: DVec3, dt_s: f64) {
         let works = tool.kind.burning().is_some_and(|rule| {
             // What closed jaws hold is pressed by the jaws themselves.
-            let is_pressed = self.contacts[ToolPart::Tip.index()].is_some()
-                && self.report.force_on_tool_n.length() >= rule.least_force_n;
+            let is_pressed =
+                self.contacts[ToolPart::Tip.index()].is_some() && of_tissue_n.length() >= rule.least_force_n;
             self.now.is_triggered() && (self.grasp.is_some() || is_pressed)
         });
         self.active_s = if works { self.active_s + dt_s } else { 0.0 };

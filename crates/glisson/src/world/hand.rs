@@ -6,6 +6,7 @@
 //! its tip: there the three turning axes have no effect.
 
 use crate::math::DVec3;
+use crate::tool::Tool;
 
 /// How a user's hand holds an instrument: by a spring and a damper between where the hand wants it and where it is. The hand gives
 /// way at the greatest force, and at the greatest torque.
@@ -57,6 +58,12 @@ impl Hand {
     /// How far the tip may stay behind the hand before the hand gives way [m].
     pub(super) fn most_behind_m(&self, dt_s: f64) -> f64 {
         self.greatest_force_n / self.step_stiffness_n_per_m(dt_s)
+    }
+
+    /// How far any place of an instrument can be pushed in a step against its hand [m].
+    pub(super) fn most_pushed_m(&self, tool: &Tool, dt_s: f64) -> f64 {
+        let turns_rad = if tool.trocar_m.is_none() { self.most_turned_rad(dt_s) } else { 0.0 };
+        self.most_behind_m(dt_s) + turns_rad * tool.shaft_length_m
     }
 
     /// Torque that turns the instrument by a radian against the hand in a step of `dt_s` [N m/rad].

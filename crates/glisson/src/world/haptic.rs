@@ -174,8 +174,10 @@ struct TouchedSoFar<'a> {
 
 impl TouchedSoFar<'_> {
     fn add(&mut self, part: TouchedPart) {
-        self.model.parts[self.n_parts] = part;
-        self.n_parts += 1;
+        if let Some(place) = self.model.parts.get_mut(self.n_parts) {
+            *place = part;
+            self.n_parts += 1;
+        }
     }
 }
 
@@ -366,6 +368,7 @@ impl World {
         let (Some(hand), tool) = (&self.spec.hand, &self.spec.tools[place]) else { return };
         let pose = self.tool_states[place].now;
         let (mut touched, mut pushed_n, mut on_tool_n) = (Touching::default(), DVec3::ZERO, DVec3::ZERO);
+        let touches_nothing_else = told.model.normal == DVec3::ZERO;
         for contact in self.press.pair_contacts() {
             let tools = contact.tools();
             let Some(own) = tools.iter().position(|tool| *tool == place) else { continue };
@@ -388,8 +391,8 @@ impl World {
             // The first is pushed along the normal, the second against it.
             let out = if own == 0 { contact.normal } else { -contact.normal };
             pushed_n += out * force_n.dot(out);
-            if told.model.normal == DVec3::ZERO {
-                self.tell_other_tool(other, (contact.place_m, out), told.model);
+            if touches_nothing_else && touched.n == 1 {
+                told.model.surface_m = contact.place_m;
             }
         }
         if touched.n == 0 {
@@ -398,6 +401,11 @@ impl World {
         let normal = pushed_n.normalize_or_zero();
         let mut part = TouchedPart { normal, ..touched.part(Touch::Contact, tool, &pose) };
         part.friction_coefficient = TOOL_FRICTION.max(shown_friction(on_tool_n, normal));
+        if touches_nothing_else {
+            // Of a single part the model itself is what the law takes.
+            told.model.normal = part.normal;
+            told.model.friction_coefficient = part.friction_coefficient;
+        }
         told.add(part);
     }
 
@@ -408,16 +416,6 @@ impl World {
         let turned_m = arm_m(spec, pose, place_m).cross(along);
         at_tip.length_squared() / hand.stiffness_n_per_m
             + turned_m.length_squared() / hand.rotational_stiffness_n_m_per_rad
-    }
-
-    /// The surface is that of another instrument, which moves with it.
-    fn tell_other_tool(&self, other: usize, (place_m, normal): (DVec3, DVec3), model: &mut HapticModel) {
-        let state = &self.tool_states[other];
-        let way_m = state.now.tip_in_world_m - state.before.tip_in_world_m;
-        model.normal = normal;
-        model.surface_m = place_m;
-        model.friction_coefficient = TOOL_FRICTION;
-        model.surface_velocity_m_per_s = way_m / self.spec.time_step_s;
     }
 
     /// The place that a free tool will touch, and how stiff it is.

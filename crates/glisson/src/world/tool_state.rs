@@ -187,6 +187,16 @@ impl ToolState {
         self.turned_rad = rotation_vector_rad(&(turn_by(by_rad) * turn_by(self.turned_rad)));
     }
 
+    /// How the instrument was turned after a share of its way in this step, with the tip there.
+    pub(super) fn on_way(&self, tool: &Tool, share: f64, tip_m: DVec3) -> ToolInput {
+        let pose = ToolInput { tip_in_world_m: tip_m, ..self.before };
+        if tool.trocar_m.is_some() || share == 0.0 {
+            return tool.held(pose, Some(&self.before));
+        }
+        let [from, to] = [&self.before, &self.now].map(|pose| ToolFrame::of(pose).world_from_tool);
+        pose.turned(rotation_vector_rad(&(to * from.transpose())) * share)
+    }
+
     /// Turns the instrument back to where its greatest torque lets a hand turn it in the step: after the share `until` of its way
     /// no further than `most_rad`.
     pub(super) fn hold_turn_back(&mut self, until: f64, most_rad: f64) {

@@ -1,14 +1,17 @@
 //! The torque of a hand: an instrument that is pressed far from its tip turns about it.
 
-use crate::bodies::{TABLE, held_at};
+use crate::bodies::{Backwards, TABLE, held_by};
 use crate::model_meshes::shaken_block;
 use glisson::math::DVec3;
 use glisson::model::Rayleigh;
+use glisson::model::explicit_kernel::SharedWorkers;
+use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
 use glisson::record::snapshot::ContactPoints;
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::{Hand, WorldSpec};
 use glisson::world::{StepInput, World};
+use std::sync::Arc;
 
 const STEP_S: f64 = 5e-4;
 const RADIUS_M: f64 = 2.5e-3;
@@ -22,11 +25,15 @@ fn lying(depth_m: f64) -> ToolInput {
 }
 
 fn world(kind: ModelKind, hand: Hand, trocar_m: Option<DVec3>) -> World {
+    world_by(Arc::new(Sequential), kind, hand, trocar_m)
+}
+
+fn world_by(workers: SharedWorkers, kind: ModelKind, hand: Hand, trocar_m: Option<DVec3>) -> World {
     let tool = Tool { shaft_radius_m: RADIUS_M, trocar_m, ..Tool::probe("rod", RADIUS_M, lying(-0.05)) };
     let mut spec = WorldSpec::new("lever", STEP_S, tool);
     spec.hand = Some(hand);
     let mesh = shaken_block([4, 8, 4], SIZE_M, 0.1, 3);
-    held_at(TABLE, mesh, spec, kind, 0.45, Rayleigh::of_mass(60.0))
+    held_by(workers, TABLE, mesh, spec, kind, 0.45, Rayleigh::of_mass(60.0))
 }
 
 /// Presses the shaft slowly into the block and holds it there.
@@ -138,6 +145,12 @@ fn a_turned_instrument_makes_the_same_bits_after_coming_back_and_steps_allocate_
                 world.step(&StepInput::of(&[tool]));
             }
         };
+        let hash = |workers: SharedWorkers| {
+            let mut world = world_by(workers, kind, Hand::default(), None);
+            press(&mut world, 5e-3);
+            go_on(&mut world, 0..100);
+            world.state_hash()
+        };
         let run = || {
             let mut world = world(kind, Hand::default(), None);
             press(&mut world, 5e-3);
@@ -148,6 +161,7 @@ fn a_turned_instrument_makes_the_same_bits_after_coming_back_and_steps_allocate_
             (saved, world.state_hash())
         };
         let (saved, expected) = run();
+        assert_eq!(hash(Arc::new(Backwards)), expected, "{kind}");
         for threads in [1, 2, 4] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             assert_eq!(pool.install(|| run().1), expected, "{kind} with {threads} threads");

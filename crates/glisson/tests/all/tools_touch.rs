@@ -1,15 +1,18 @@
 //! Two instruments that touch each other, held by hands that give way.
 
-use crate::bodies::{TABLE, held_at};
+use crate::bodies::{Backwards, TABLE, held_at, held_by};
 use crate::model_meshes::{block, shaken_block};
 use glisson::haptics::Touch;
 use glisson::math::DVec3;
+use glisson::model::explicit_kernel::SharedWorkers;
+use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
 use glisson::model::{Rayleigh, StateHash};
 use glisson::record::snapshot::{ContactKind, ContactPoints};
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::{Hand, WorldSpec};
 use glisson::world::{StepInput, World};
+use std::sync::Arc;
 
 const STEP_S: f64 = 1e-3;
 const RADIUS_M: f64 = 2.5e-3;
@@ -295,12 +298,16 @@ fn instruments_in_trocars_push_each_other_aside() {
 
 /// An instrument that lies on tissue is pushed into it by another.
 fn on_tissue(kind: ModelKind) -> (World, impl Fn(f64) -> [ToolInput; 2]) {
+    on_tissue_by(Arc::new(Sequential), kind)
+}
+
+fn on_tissue_by(workers: SharedWorkers, kind: ModelKind) -> (World, impl Fn(f64) -> [ToolInput; 2]) {
     let mut spec = WorldSpec::new("crossed on tissue", 0.5 * STEP_S, rod("below", None));
     spec.tools.push(rod("above", None));
     spec.hand = Some(Hand::default());
     let size_m = DVec3::new(0.06, 0.06, 0.03);
     let mesh = shaken_block([8, 8, 4], size_m, 0.1, 3);
-    let world = held_at(TABLE, mesh, spec, kind, 0.45, Rayleigh::of_mass(60.0));
+    let world = held_by(workers, TABLE, mesh, spec, kind, 0.45, Rayleigh::of_mass(60.0));
     let at = move |gap_m: f64| {
         let below_z_m = size_m.z + RADIUS_M - 1e-3;
         let below = ToolInput::at(DVec3::new(0.03, 0.03, below_z_m), DVec3::new(0.8, 0.0, 0.6));
@@ -371,6 +378,37 @@ fn a_device_feels_the_other_instrument_and_its_hands_spring() {
     assert!((said_n - found_n).length() < 0.02 * (found_n - before_n).length(), "{said_n} {found_n}");
 }
 
+#[test]
+fn an_instrument_that_another_strikes_does_not_go_through_the_tissue_under_it() {
+    // In a step of that length a hand gives way by more than the radius.
+    const STEP_S: f64 = 1e-2;
+    const THIN_M: f64 = 1e-3;
+    for kind in [ModelKind::Precomputed, ModelKind::Implicit] {
+        let thin = Tool { shaft_radius_m: THIN_M, ..rod("below", None) };
+        let mut spec = WorldSpec::new("struck", STEP_S, thin);
+        spec.tools.push(rod("above", None));
+        spec.hand = Some(Hand::default());
+        let size_m = DVec3::new(0.03, 0.03, 0.03);
+        let mut world =
+            held_at(TABLE, shaken_block([5; 3], size_m, 0.1, 3), spec, kind, 0.45, Rayleigh::of_mass(60.0));
+        // Over the block, far from its tip, and a little above it.
+        let below = ToolInput::at(DVec3::new(-ARM_M, 0.015, size_m.z + THIN_M + 1e-3), DVec3::X);
+        let above = |gap_m: f64| {
+            let tip_m = DVec3::new(0.015, -0.02, below.tip_in_world_m.z + THIN_M + RADIUS_M + gap_m);
+            ToolInput::at(tip_m, DVec3::Y)
+        };
+        put(&mut world, &[below, above(5e-3)]);
+        for i in 1..=60 {
+            let gap_m = (5e-3 - 5.0 * STEP_S * f64::from(i)).max(-0.02);
+            world.step(&StepInput::of(&[below, above(gap_m)]));
+            let pose = world.snapshot().tools[0].pose;
+            let over_block_m = pose.tip_in_world_m + pose.shaft_in_world * (ARM_M + 0.015);
+            let on_tissue = points_of(&world).sums[ContactKind::ToolOrgan as usize].n > 0;
+            assert!(i < 3 || on_tissue, "{kind} step {i}: {over_block_m}");
+        }
+    }
+}
+
 /// What two instruments do on tissue and to each other in so many steps.
 fn wander(world: &mut World, at: &dyn Fn(f64) -> [ToolInput; 2], steps: std::ops::Range<u32>) {
     for step in steps {
@@ -386,17 +424,18 @@ fn wander(world: &mut World, at: &dyn Fn(f64) -> [ToolInput; 2], steps: std::ops
 #[test]
 fn instruments_in_contact_make_the_same_bits_at_any_number_of_threads_and_after_coming_back() {
     for kind in [ModelKind::Precomputed, ModelKind::Implicit, ModelKind::Explicit] {
-        let run = || -> StateHash {
-            let (mut world, at) = on_tissue(kind);
+        let run = |workers: SharedWorkers| -> StateHash {
+            let (mut world, at) = on_tissue_by(workers, kind);
             put(&mut world, &at(0.01));
             wander(&mut world, &at, 0..300);
             assert!(points_of(&world).sums[ContactKind::Tools as usize].n > 0, "{kind}");
             world.state_hash()
         };
-        let expected = run();
+        let expected = run(Arc::new(Sequential));
+        assert_eq!(run(Arc::new(Backwards)), expected, "{kind}");
         for threads in [1, 2, 4] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            assert_eq!(pool.install(run), expected, "{kind} with {threads} threads");
+            assert_eq!(pool.install(|| run(Arc::new(Sequential))), expected, "{kind} with {threads} threads");
         }
         let (mut first, at) = on_tissue(kind);
         put(&mut first, &at(0.01));

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::bodies::Backwards;
 use crate::edit_faults::list_file;
 use glisson::math::DVec3;
 use glisson::mesh::box_mesh::box_of_five;
@@ -10,7 +11,7 @@ use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
 use glisson::model::LevelOfDetail;
 use glisson::model::explicit_kernel::SharedWorkers;
-use glisson::model::kernel::{Sequential, Task, Workers};
+use glisson::model::kernel::Sequential;
 use glisson::record::snapshot::{ContactKind, ContactPoint, ContactPoints};
 use glisson::scene::{BodySet, Scene, build_world};
 use glisson::world::{StepInput, World};
@@ -20,19 +21,6 @@ const SIDE_M: f64 = 0.04;
 const DENSITY_KG_PER_M3: f64 = 1000.0;
 /// Weight of a cube [N].
 const WEIGHT_N: f64 = DENSITY_KG_PER_M3 * SIDE_M * SIDE_M * SIDE_M * 9.81;
-
-/// Tasks in the opposite order, each on a thread of its own.
-struct Backwards;
-
-impl Workers for Backwards {
-    fn run(&self, n_tasks: usize, task: &Task) {
-        std::thread::scope(|scope| {
-            for i in (0..n_tasks).rev() {
-                scope.spawn(move || task(i));
-            }
-        });
-    }
-}
 
 /// A cube with its lower corner there.
 fn cube(cells: usize, corner_m: DVec3) -> TetMesh {

@@ -32,7 +32,7 @@ fn run(request: &TrialRequest, tell: Tell<'_>) -> anyhow::Result<Answer> {
     let request = SceneRequest {
         motion: request.motion.clone(),
         model: request.model.clone(),
-        hand_gives_way: request.hand_gives_way,
+        imposed: request.imposed,
         step_s: request.step_s,
         sizes: request.sizes.clone().unwrap_or(USUAL_SIZES.to_vec()),
         threads: request.threads,
@@ -78,8 +78,8 @@ struct SceneRequest {
     motion: Option<String>,
     /// One model; all for none.
     model: Option<String>,
-    /// Whether the hand gives way (`[hand]`) instead of imposing its motion.
-    hand_gives_way: bool,
+    /// Whether the hand imposes its motion (`touch = "imposed"`) instead of giving way.
+    imposed: bool,
     /// The longest step that is tried [s]; the subject's own for none.
     step_s: Option<f64>,
     /// Wanted tetrahedra.
@@ -106,8 +106,8 @@ struct StepMicroseconds {
 struct SceneOutcome {
     /// The motion's name.
     case: &'static str,
-    /// Whether the hand gave way.
-    hand_gives_way: bool,
+    /// Whether the hand imposed its motion.
+    imposed: bool,
     /// Tetrahedra at the start.
     size: usize,
     /// Threads of the model.
@@ -208,8 +208,8 @@ fn open(motion: &Motion, size: usize, subject: &Subject, request: &SceneRequest)
     let folder = ScratchFolder::new()?;
     write_mesh(&folder.path().join("liver.vtu"), &mesh)?;
     let (mut tool, end_s) = (motion.write)(&Place::of(&mesh));
-    if request.hand_gives_way {
-        tool.insert_str(0, "[hand]\n");
+    if request.imposed {
+        tool.insert_str(0, "[hand]\ntouch = \"imposed\"\n");
     }
     let path = folder.path().join("scene.toml");
     let mut step_s = request.step_s.unwrap_or(subject.step_s);
@@ -313,7 +313,7 @@ fn run_scene(
     let simulated_s = step_us.len() as f64 * step_s;
     Ok(SceneOutcome {
         case: motion.name,
-        hand_gives_way: request.hand_gives_way,
+        imposed: request.imposed,
         size,
         threads: request.threads,
         model: subject.kind.name(),
@@ -383,7 +383,7 @@ mod tests {
         let request = SceneRequest {
             motion: None,
             model: Some("tensor_mass".into()),
-            hand_gives_way: false,
+            imposed: false,
             step_s: None,
             sizes: vec![500],
             threads: 1,

@@ -223,7 +223,9 @@ mod tests {
             balls_m: vec![10e-3],
             ..Selection::default()
         };
-        for case in run(&selection, &mut |_| {}).unwrap() {
+        let cases = run(&selection, &mut |_| {}).unwrap();
+        assert!(!cases.is_empty());
+        for case in cases {
             assert!(case.holds() && case.felt.unrest < 0.01, "{case:?}");
         }
     }

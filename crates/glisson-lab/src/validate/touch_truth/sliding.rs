@@ -114,7 +114,9 @@ struct Slid {
 impl Slid {
     /// What the hand took out of the tissue, as a share of the work of pressing in.
     fn gained(&self) -> f64 {
-        (-self.work_j / self.press_j).max(0.0)
+        let gained = -self.work_j / self.press_j;
+        // No work of pressing in is no measure, and what is no number is no pass.
+        if self.press_j > 0.0 && gained.is_finite() { gained.max(0.0) } else { f64::INFINITY }
     }
 }
 
@@ -255,7 +257,7 @@ fn run(selection: &Selection, tell: &mut dyn FnMut(&Case)) -> anyhow::Result<Vec
     for &size in sizes {
         for ground in Ground::all(size)? {
             let skin = Skin::of(&ground.mesh)?;
-            for subject in &subjects {
+            for subject in subjects.iter().filter(|subject| selection.wants(subject, size)) {
                 let organ = ReadyOrgan::new(&ground.mesh, ground.material, ground.held, subject)
                     .with_context(|| format!("{} on {} tissue", subject.kind, ground.name))?;
                 for friction in COEFFICIENTS {

@@ -289,10 +289,14 @@ impl ExplicitKernel {
     }
 
     /// The stretch beyond which an undivided part of `part_s` is too long. The stable neo-Hookean tangent grows no faster than the
-    /// sixth power of the stretch, and a stable step is as long as one over the root of the tangent: shorter ones bear more.
+    /// sixth power of the stretch, and with beta of stiffness damping steps of h are stable up to a tangent of 4/(h (h + 2 beta)):
+    /// shorter ones bear more.
     fn calm_stretch(&self, part_s: f64) -> f64 {
         if self.kernel.law() == KernelLaw::StableNeoHooke {
-            self.made_for_stretch * libm::cbrt((self.stable_step_s() / part_s).max(1.0))
+            let beta_s = self.damping.stiffness_s;
+            let per_tangent = |step_s: f64| step_s * (step_s + 2.0 * beta_s);
+            let share = (per_tangent(self.stable_step_s()) / per_tangent(part_s)).max(1.0);
+            self.made_for_stretch * libm::cbrt(share.sqrt())
         } else {
             self.made_for_stretch
         }

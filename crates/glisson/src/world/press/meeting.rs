@@ -184,7 +184,7 @@ impl PartPair {
         Self { parts, time, is_hit: hit.is_some(), capsules, key }
     }
 
-    /// Shares of both axes of a place; none of an end that has nothing beside it.
+    /// Shares of both axes of a place; an end that has nothing beside it is far from the other's nearest end.
     fn along(&self, place: u8) -> [f64; 2] {
         let [a, b] = &self.capsules;
         let of_end = |end: f64, one: &Capsule, other: &Capsule| along_axis(other, one.axis_point_m(end));

@@ -80,6 +80,7 @@ impl World {
         });
         self.hold_apart(&hand, &mut from);
         for place in 0..self.tool_states.len() {
+            self.anchor_new(place);
             self.slide_anchors(place, &hand);
         }
         self.gather_contacts(&hand, &from);
@@ -118,7 +119,7 @@ impl World {
         let before_n = std::array::from_fn(|i| {
             self.press.nodes.get(i).map_or(DVec3::ZERO, |node| self.press.force_before_n(*node))
         });
-        self.press.gather_forces();
+        self.press.gather_forces(&self.organ);
         let velocities_m_per_s = self.model.state().velocities_m_per_s;
         self.press.expect(self.organ.positions_m(), velocities_m_per_s, &before_n);
     }
@@ -133,18 +134,23 @@ impl World {
             return state.before;
         }
         let (before_m, alone_m) = (state.before.tip_in_world_m, state.now.tip_in_world_m);
-        let from_m = before_m.lerp(alone_m, state.start_share());
+        let start = state.start_share();
+        let from_m = before_m.lerp(alone_m, start);
+        let from = state.on_way(tool, start, from_m);
         let tip_m = from_m + (alone_m - from_m).clamp_length_max(hand.most_behind_m(dt_s));
         state.put_tip(tool, tip_m);
         if tool.trocar_m.is_none() {
-            state.hold_turn_back(0.0, hand.most_turned_rad(dt_s));
+            state.hold_turn_back(start, hand.most_turned_rad(dt_s));
         }
-        for contact in state.contacts.iter_mut().flatten() {
-            if contact.is_new() {
-                contact.anchor_overlap(contact.at.in_world_m(tool, &state.now), &self.organ);
-            }
+        from
+    }
+
+    /// Contacts that are new keep what they overlap where the instrument is now.
+    fn anchor_new(&mut self, place: usize) {
+        let (state, tool) = (&mut self.tool_states[place], &self.spec.tools[place]);
+        for contact in state.contacts.iter_mut().flatten().filter(|contact| contact.is_new()) {
+            contact.anchor_overlap(contact.at.in_world_m(tool, &state.now), &self.organ);
         }
-        tool.held(ToolInput { tip_in_world_m: from_m, ..state.before }, Some(&state.before))
     }
 
     /// Lets the places that parts follow slide where friction does not hold them.

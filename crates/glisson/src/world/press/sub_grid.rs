@@ -35,7 +35,7 @@ const MOST_RADIUS: f64 = 1.0 - 1e-9;
 /// Halvings of the interval of the contact's radius.
 const HALVINGS: u32 = 40;
 
-/// s/F follows the force in so many times what shear waves need across the ball's radius. s/F falls while F rises, the faster the
+/// s/F follows the force in so many times what shear waves need across the ball's radius, twice a step, and its direction once. s/F falls while F rises, the faster the
 /// more of the ball the mesh shows: followed before the tissue has given way, a force would raise itself. A choice.
 const LEARNING: f64 = 2.0;
 /// How far the part is in the surface of the mesh follows s in so many such times, as a spring with a damper beside it: s/F that is
@@ -71,7 +71,7 @@ impl Indentation {
         self.share(DAMPING, radius_m, dt_s)
     }
 
-    /// What of a change of s/F under a ball is taken over in a step.
+    /// What of a change of s/F under a ball is taken over each of the [`super::SUB_GRID_ROUNDS`] times a step that it is found.
     pub(super) fn learned(&self, radius_m: f64, dt_s: f64) -> f64 {
         self.share(LEARNING, radius_m, dt_s)
     }

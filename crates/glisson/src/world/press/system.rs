@@ -602,10 +602,10 @@ impl Press {
         self.torques_n_m.get(tool).copied().unwrap_or(DVec3::ZERO)
     }
 
-    /// The torque of all contacts on a tool [N m].
+    /// The torque of all contacts on a tool [N m]; forces that are no numbers, which only a broken model can bring about, are none.
     pub(super) fn sum_torque_n_m(&self, tool: usize) -> DVec3 {
         let torques = self.contacts.iter().map(|contact| contact.torque_n_m(turn_vertex_of(tool)));
-        torques.sum()
+        torques.filter(|torque_n_m| torque_n_m.is_finite()).sum()
     }
 
     /// After contacts were solved.
@@ -614,12 +614,15 @@ impl Press {
             std::array::from_fn(|tool| if tool < n_tools { self.sum_torque_n_m(tool) } else { DVec3::ZERO });
     }
 
-    /// The contacts' forces by nodes.
-    pub(super) fn gather_forces(&mut self) {
+    /// The contacts' forces by nodes, of those that move under forces.
+    pub(super) fn gather_forces(&mut self, organ: &Organ) {
         self.forces.clear();
         for contact in &self.contacts {
             for (vertex, weight) in contact.sides().filter(|(v, _)| (*v as usize) < self.nodes.len()) {
                 let (node, force_n) = (self.nodes[vertex as usize], contact.force_n * weight);
+                if organ.is_fixed(node) {
+                    continue;
+                }
                 match self.forces.iter_mut().find(|force| force.node == node) {
                     Some(force) => force.force_n += force_n,
                     None => self.forces.push(NodalForce { node, force_n }),
@@ -661,7 +664,8 @@ impl Press {
         let mut touches = false;
         for (side, outward) in outward.iter().enumerate() {
             let side = side_of(part, side);
-            let waits = self.further_out_m[place][side] > LEAST_FURTHER_OUT_M;
+            // What ended otherwise, as by an edit or by letting go, waits for nothing.
+            let waits = held.is_some() && self.further_out_m[place][side] > LEAST_FURTHER_OUT_M;
             if *outward != DVec3::ZERO {
                 let (known, now) = (self.outward[place][side], outward.normalize_or_zero());
                 self.outward[place][side] = known.lerp(now, learned).normalize_or(now);

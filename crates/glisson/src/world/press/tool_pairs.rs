@@ -21,6 +21,11 @@ impl Press {
         Vec::with_capacity(MOST_MET)
     }
 
+    /// An instrument was put elsewhere: what it pressed on counts no more.
+    pub(in crate::world) fn forget_tool(&mut self, tool: usize) {
+        self.between.retain(|contact| !contact.tools().contains(&tool));
+    }
+
     /// Where instruments pressed on each other in the last step.
     pub(in crate::world) fn pair_contacts(&self) -> &[PairContact] {
         &self.between
@@ -73,7 +78,7 @@ impl World {
     /// All pairs of instruments with what they touch of each other on their ways, as `visit` takes it; instruments go where it
     /// leaves them only after all.
     fn visit_tool_pairs(&mut self, hand: &Hand, mut visit: impl FnMut(&mut Press, &[Met], &ToolPair<'_>)) {
-        let margin_m = hand.most_behind_m(self.spec.time_step_s);
+        let dt_s = self.spec.time_step_s;
         let mut met = std::mem::take(&mut self.press.met);
         for first in 0..self.tool_states.len() {
             for second in first + 1..self.tool_states.len() {
@@ -83,6 +88,8 @@ impl World {
                     [&state.before, &state.now]
                 });
                 let pair = ToolPair { tools, specs: tools.map(|tool| &self.spec.tools[tool]), ways };
+                // As far as what else they touch can push them onto each other in the step.
+                let margin_m = pair.specs.map(|tool| hand.most_pushed_m(tool, dt_s)).iter().sum();
                 meet_into(&pair, margin_m, &self.press.between, &mut met);
                 visit(&mut self.press, &met, &pair);
             }
@@ -118,8 +125,7 @@ impl World {
                 from.tip_in_world_m.distance_squared(before_m) > met_m.distance_squared(before_m)
             };
             if let Some(from) = from.as_mut().filter(|from| is_earlier(from)) {
-                let met = ToolInput { tip_in_world_m: met_m, ..state.before };
-                *from = tool.held(met, Some(&state.before));
+                *from = state.on_way(tool, until[place], met_m);
             }
             let rest_m = (state.now.tip_in_world_m - met_m).clamp_length_max(most_m);
             state.put_tip(tool, met_m + rest_m);

@@ -54,7 +54,7 @@ pub(crate) struct Args {
     /// Hands of the benchmark scene impose their motion (touch = "imposed") instead of giving way
     #[arg(long)]
     imposed: bool,
-    /// Longest time step of the benchmark scene in milliseconds (2 for implicit, 1 for the others), halved until the model takes it
+    /// Longest time step of the benchmark scene in milliseconds (2 for implicit, 1 for the others), shortened until the model takes it
     #[arg(long, value_name = "MS", value_parser = step_ms)]
     step_ms: Option<f64>,
     /// List the benchmarks and what they time

@@ -22,7 +22,7 @@ use glisson::model::{DeformableModel, LevelOfDetail};
 use glisson::record::session::SessionEvent;
 use glisson::scene::{BodySet, OrganBody, Scene, build_world, mesh_hash};
 use glisson::tool::MAX_TOOLS;
-use glisson::world::{StepInput, StepReport, World};
+use glisson::world::{StageWatch, StepInput, StepReport, World};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -120,6 +120,11 @@ impl Simulation {
     /// The world as it is now.
     pub fn world(&self) -> &World {
         &self.world
+    }
+
+    /// From now on `watch` hears of the end of each stage of each step, for who times them.
+    pub fn watch_stages(&mut self, watch: Option<StageWatch>) {
+        self.world.watch_stages(watch);
     }
 
     /// The mesh at the start: the organ's, or that of all bodies.

@@ -28,6 +28,10 @@ const PERIOD_SMOOTHING: f64 = 0.02;
 /// Force of the tissue in forces of the device above which it counts no more: no hand could hold it. A choice.
 const MOST_FORCES: f64 = 10.0;
 
+/// Share of a pushing force along the surface's normal below which it pushes along itself: a friction of 1.7, above any of tissue
+/// on steel. A choice.
+const LEAST_PUSH_SHARE: f64 = 0.5;
+
 /// Least stiffness [N/m] by which the energy in touched tissue is estimated: about that of an organ of 4 kPa under a flat tip
 /// of 5 mm, 2 E a/(1 - nu^2).
 const LEAST_STIFFNESS_N_PER_M: f64 = 50.0;
@@ -389,6 +393,11 @@ impl HapticLaw {
             (_, 1) => model.parts[0].at_tip_n(model.parts[0].normal).normalize_or_zero(),
             _ => DVec3::ZERO,
         };
+        // A force along the surface of a fold, or of a model that is just taken over, would be gone at once when what is left of it
+        // along the normal is.
+        let is_along = force_n.dot(pushes_along) >= LEAST_PUSH_SHARE * force_n.length();
+        let pushes_along =
+            if pushes_along == DVec3::ZERO || is_along { pushes_along } else { force_n.normalize_or_zero() };
         TissueTangent { force_n, stiffness_n_per_m, pushes_along }
     }
 

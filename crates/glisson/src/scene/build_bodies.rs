@@ -82,6 +82,9 @@ pub(super) fn read_bodies(
             }
         });
     }
+    for (body, part) in spec.bodies.iter_mut().zip(&parts) {
+        body.tissue = if let BodyPart::Organ { body, .. } = part { Some(body.material) } else { None };
+    }
     let places = match &spec.body_contact {
         Some(params) if params.touch_m > 0.0 => places_in_touch(params, &surface),
         _ => PlacesInTouch::default(),
@@ -126,6 +129,9 @@ fn body_specs(scene: &Scene, meshes: &[TetMesh]) -> Vec<BodySpec> {
             name: body.name.clone(),
             color: body.color,
             is_rigid: own.is_none(),
+            // Its material comes with the body.
+            tissue: None,
+            model: if let BodySource::Organ(source, _) = &body.source { Some(source.model) } else { None },
             nodes: node..n_nodes,
             tetrahedra: tet..n_tets,
             supports: own.map(|own| own.supports.clone()).unwrap_or_default(),

@@ -93,6 +93,7 @@ impl World {
         self.owners.clear();
         if self.spec.hand.is_some() {
             self.press();
+            self.report.n_contact_points = self.press.n_contacts();
         } else {
             self.impose_grasps();
             for part in ToolPart::ALL {

@@ -93,17 +93,24 @@ impl HapticScratch {
         self.followers.clear();
     }
 
-    /// A point that presses on `nodes` by `weights`; nodes that are known already, and those without weight, do not count.
+    /// A point that presses on `nodes` by `weights`; nodes that are known already, and those without weight, do not count: the
+    /// others bear their share. A point that was left with a small share would be as good as held.
     fn follow(&mut self, nodes: impl IntoIterator<Item = (NodeId, f64)>, of: PressedPoint) {
         let point = self.points.len();
         let n_before = self.followers.len();
+        let (mut all, mut own) = (0.0, 0.0);
         for (node, weight) in nodes {
             let is_known = self.followers[..n_before].iter().any(|f| f.node == node);
+            all += weight.max(0.0);
             if weight > 0.0 && !is_known && self.followers.len() < LocalModel::MOST_NODES {
+                own += weight;
                 self.followers.push(Follower { node, weight, point });
             }
         }
         if self.followers.len() > n_before {
+            if own < all {
+                self.followers[n_before..].iter_mut().for_each(|f| f.weight *= all / own);
+            }
             self.points.push(of);
         }
     }
@@ -459,7 +466,7 @@ impl World {
             motion: DMat3::IDENTITY,
             part: 0,
             by_axes: DMat3::ZERO,
-            sub_grid_m_per_n: 0.0,
+            sub_grid_m_per_n: self.first_sub_grid_m_per_n(tool, surface.nodes[0]),
             arm_m: DVec3::ZERO,
         };
         scratch.follow(surface.nodes.into_iter().zip(weights), at_tip);

@@ -26,6 +26,7 @@ mod skin;
 mod capsule;
 mod slide;
 pub mod spec;
+mod stage;
 mod tear;
 pub mod touch;
 mod transaction;
@@ -34,6 +35,7 @@ pub mod vessels;
 pub use cut::{BladeReport, ToolCuts};
 pub use parts::ToolPart;
 pub use refusal::EditRefusal;
+pub use stage::{StageWatch, StepStage};
 pub use tool_state::ToolReport;
 
 use crate::contact::response::bodies::ResponseReport;
@@ -119,6 +121,8 @@ pub struct StepReport {
     pub waits_for_model: bool,
     /// Nodes whose position is not finite, which only a broken model can bring about.
     pub n_non_finite_nodes: u32,
+    /// Places at which instruments touched or held something, or might have in the step: what its contacts were solved for.
+    pub n_contact_points: u32,
     /// How the organ touched itself, or bodies each other; of several sub-steps the last one.
     pub self_contact: ResponseReport,
     /// What the model says about the step; of several sub-steps the last one, with the internal steps of all.
@@ -179,6 +183,7 @@ pub struct World {
     report: StepReport,
     /// None until somebody chose one.
     effort: Option<LevelOfDetail>,
+    stage_watch: Option<StageWatch>,
 }
 
 impl World {
@@ -246,6 +251,7 @@ impl World {
             step: 0,
             report: StepReport::default(),
             effort: None,
+            stage_watch: None,
         })
     }
 
@@ -405,10 +411,14 @@ impl World {
             return self.report;
         }
         self.move_hands(input);
+        self.end_stage(StepStage::Hands);
         let n_substeps = input.n_substeps.clamp(1, MOST_SUBSTEPS);
         self.constrain(n_substeps);
+        self.end_stage(StepStage::Touch);
         self.move_organ(n_substeps);
+        self.end_stage(StepStage::Organ);
         self.read_forces();
+        self.end_stage(StepStage::Forces);
         if let Some(vessels) = &mut self.vessels {
             vessels.advance(self.spec.time_step_s);
         }

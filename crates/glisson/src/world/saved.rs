@@ -17,7 +17,8 @@ impl World {
 
     /// Comes back to a saved moment; `saved` serves again. Allocates.
     pub fn restore(&mut self, saved: &SavedWorld) {
-        *self = saved.0.duplicate();
+        let stage_watch = self.stage_watch.take();
+        *self = Self { stage_watch, ..saved.0.duplicate() };
     }
 
     fn duplicate(&self) -> Self {
@@ -55,6 +56,8 @@ impl World {
             step: self.step,
             report: self.report,
             effort: self.effort,
+            // Whoever listens to this world does not listen to its copy.
+            stage_watch: None,
         }
     }
 }

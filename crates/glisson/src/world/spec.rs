@@ -7,6 +7,7 @@ use crate::image::vessels::Tube;
 use crate::material::LinearElastic;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::NodeId;
+use crate::model::kind::ModelKind;
 use crate::model::{Attachment, FixedNode};
 use crate::tool::Tool;
 use crate::tool::fracture::Tearing;
@@ -38,8 +39,8 @@ pub struct WorldSpec {
     /// How a user's hand holds the instruments; when absent, tissue follows every motion of the hand exactly, whatever force
     /// that takes.
     pub hand: Option<Hand>,
-    /// The tissue at rest: with a hand that gives way, contacts yield as in it where the mesh is too coarse for them. None: they
-    /// yield as the mesh does.
+    /// The tissue at rest, of one organ alone: with a hand that gives way, contacts yield as in it where the mesh is too coarse for
+    /// them. None: they yield as the mesh does.
     pub tissue: Option<LinearElastic>,
     /// How the organ touches itself, and pieces cut loose each other; they pass through when absent.
     pub self_contact: Option<SelfContactParams>,
@@ -64,6 +65,10 @@ pub struct BodySpec {
     pub color: Option<[u8; 3]>,
     /// Whether it is rigid: its nodes go where its motion puts them.
     pub is_rigid: bool,
+    /// The tissue at rest, as [`WorldSpec::tissue`]; none of a rigid body.
+    pub tissue: Option<LinearElastic>,
+    /// The model that it has at the start; none of a rigid body.
+    pub model: Option<ModelKind>,
     /// Its nodes in the joint mesh at the start.
     pub nodes: Range<u32>,
     /// Its tetrahedra in the joint mesh at the start.
@@ -98,6 +103,17 @@ impl WorldSpec {
             vessels: Vec::new(),
             tools: vec![tool],
         }
+    }
+
+    /// The tissue at rest of a body; of the one organ whatever the number.
+    pub(super) fn tissue_of(&self, body: usize) -> Option<&LinearElastic> {
+        if self.bodies.is_empty() { self.tissue.as_ref() } else { self.bodies.get(body)?.tissue.as_ref() }
+    }
+
+    /// Whether a body's displacements are linear in the forces, where the first one has the model `first`, which may have changed.
+    pub(super) fn is_linear(&self, body: usize, first: ModelKind) -> bool {
+        let model = if body == 0 { Some(first) } else { self.bodies.get(body).and_then(|body| body.model) };
+        model.is_some_and(|kind| kind.row().laws.first() == Some(&"linear"))
     }
 
     /// Whether each node, at rest at these places [m], is supported, along one axis at least, or at a ligament.

@@ -14,6 +14,7 @@ use glisson::model::explicit_kernel::SharedWorkers;
 use glisson::model::kernel::Sequential;
 use glisson::record::snapshot::{ContactKind, ContactPoint, ContactPoints};
 use glisson::scene::{BodySet, Scene, build_world};
+use glisson::tool::ToolInput;
 use glisson::world::{StepInput, World};
 
 /// Edge of the cubes [m].
@@ -286,5 +287,46 @@ fn bodies_imaged_on_each_other_are_at_rest_from_the_first_step() {
         assert!((on_upper_n + weight_n).length() < 0.02 * WEIGHT_N, "{model}: {on_upper_n} {weight_n}");
         let on_slab_n = force_on_body_n(&world, 2);
         assert!((on_slab_n - weight_n * 2.0).length() < 0.02 * WEIGHT_N, "{model}: {on_slab_n}");
+    }
+}
+
+/// A ball that is small beside the mesh is borne by what the mesh does not show, which is each body's own tissue; a rigid body has
+/// nothing that yields. Of every model beside a soft quasi-static one, whatever the first body is.
+#[test]
+fn an_instrument_feels_each_bodys_own_tissue() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, x_m) in [("soft", 0.0), ("stiff", 0.1)] {
+        let cube = cube(3, DVec3::new(x_m, 0.0, 0.0));
+        std::fs::write(folder.path().join(format!("{name}.tet")), list_file(&cube)).unwrap();
+    }
+    for model in ["precomputed", "implicit"] {
+        let organ = |name: &str, kpa: f64, model: &str| {
+            format!(
+                "[[organ]]\nname = \"{name}\"\nmesh = \"{name}.tet\"\nyoung_modulus = \"{kpa} kPa\"\npoisson_ratio = 0.3\n\
+                 density = \"1000 kg/m3\"\nmodel = \"{model}\"\ndamping = \"50 1/s\"\n\
+                 [[organ.fixed]]\nfurthest = {{ direction = [0, 0, -1], fraction = 0.1 }}\n"
+            )
+        };
+        let text = format!(
+            "glisson_scene = 1\n[simulation]\ntime_step = \"2 ms\"\n{}{}\
+             [[rigid]]\nname = \"bone\"\nedge = \"10 mm\"\nbox = {{ min = [\"200 mm\", 0, 0], max = [\"240 mm\", \"40 mm\", \"40 mm\"] }}\n\
+             [tool]\ntip_radius = \"3 mm\"\nfriction = 0\nhome_tip = [0, 0, \"200 mm\"]\nhome_shaft = [0, 0, 1]\n",
+            organ("soft", 5.0, "precomputed"),
+            organ("stiff", 20.0, model),
+        );
+        let scene = Scene::parse(&text).unwrap();
+        let (mut world, _) = build_world(&scene, folder.path(), Arc::new(Sequential)).unwrap();
+        let mut press = |x_m: f64| {
+            let at = |depth_m: f64| ToolInput::at(DVec3::new(x_m, 0.0213, 0.043 - depth_m), DVec3::Z);
+            world.step(&StepInput::of(&[at(-5e-3)]).placed());
+            for i in 0..1000 {
+                world.step(&StepInput::of(&[at((f64::from(i) * 1e-5 - 5e-3).min(2e-3))]));
+            }
+            world.report().tools[0].force_on_tool_n.z
+        };
+        let [soft_n, stiff_n, bone_n] = [0.0213, 0.1213, 0.2213].map(&mut press);
+        // 2 mm deep, less what the hand's spring gives way.
+        assert!((stiff_n / soft_n / 4.0 - 1.0).abs() < 0.05, "{model}: {soft_n} {stiff_n}");
+        assert!((bone_n / 20.0 - 1.0).abs() < 0.02, "{model}: {bone_n}");
     }
 }

@@ -12,9 +12,12 @@ use glisson::mesh::files::write_mesh;
 use glisson::model::kind::ModelKind;
 use glisson::model::{FollowedEdits, ModelMotion};
 use glisson::scene::Scene;
+use glisson::world::StepStage;
 use glisson_runtime::{OpenScene, Simulation};
 use motions::{MOTIONS, Motion, Place};
 use serde::Serialize;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 pub(super) const TRIAL: Trial = Trial {
@@ -120,6 +123,10 @@ struct SceneOutcome {
     real_time_factor: f64,
     /// A step with its contacts and cuts.
     step_us: StepMicroseconds,
+    /// Of them, what finding and solving the instruments' contacts takes, in steps that have some.
+    touch_us: StepMicroseconds,
+    /// Most contact points of a step.
+    most_points: u32,
     /// The time step: what a step may take in real time.
     budget_us: f64,
     /// The greatest force on an instrument [N].
@@ -221,10 +228,19 @@ fn open(motion: &Motion, size: usize, subject: &Subject, request: &SceneRequest)
             Ok(simulation) => {
                 return Ok(Opened { simulation, scene, step_s, end_s, size: mesh.tetrahedra.len() });
             }
-            Err(error) if step_s < 2.0 * SHORTEST_STEP_S || !is_step_too_long(&error) => return Err(error),
-            Err(_) => step_s *= 0.5,
+            Err(error) if step_s <= SHORTEST_STEP_S || !is_step_too_long(&error) => return Err(error),
+            Err(_) => step_s = next_shorter_s(step_s),
         }
     }
+}
+
+/// The next shorter of round steps, at most a third shorter.
+fn next_shorter_s(step_s: f64) -> f64 {
+    const ROUND: [f64; 9] = [0.75, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.125, 0.1];
+    // A hair above, so that rounding does not give the same one again.
+    let decade_s = 10_f64.powf((step_s * (1.0 - 1e-9)).log10().ceil());
+    let shorter = ROUND.into_iter().map(|share| share * decade_s).find(|&s| s < step_s * (1.0 - 1e-9));
+    shorter.unwrap_or(0.1 * decade_s)
 }
 
 fn is_step_too_long(error: &anyhow::Error) -> bool {
@@ -247,6 +263,9 @@ fn scene_text(subject: &Subject, step_s: f64, tool: &str) -> String {
 struct Course {
     /// Of each step.
     step_us: Vec<f64>,
+    /// Of each step that had contacts.
+    touch_us: Vec<f64>,
+    most_points: u32,
     taken_s: f64,
     greatest_force_n: f64,
     inverted: u32,
@@ -258,6 +277,7 @@ fn run_through(opened: &mut Opened, request: &SceneRequest) -> Course {
     let Opened { simulation, scene, step_s, end_s, .. } = opened;
     let n_steps = (*end_s / *step_s).ceil() as u64;
     let mut course = Course { step_us: Vec::with_capacity(n_steps as usize), ..Course::default() };
+    let touch_ns = watch_touch(simulation);
     for step in 1..=n_steps {
         let input = scene.input_at(step as f64 * *step_s);
         let (wall, cpu_ns) = (Instant::now(), thread_cpu_ns());
@@ -276,6 +296,10 @@ fn run_through(opened: &mut Opened, request: &SceneRequest) -> Course {
                 break;
             }
         };
+        if report.n_contact_points > 0 {
+            course.touch_us.push(touch_ns.load(Ordering::Relaxed) as f64 * 1e-3);
+            course.most_points = course.most_points.max(report.n_contact_points);
+        }
         let felt = report.tools.iter().map(|tool| tool.force_on_tool_n.length());
         // NaN is the greatest of all.
         course.greatest_force_n =
@@ -289,13 +313,28 @@ fn run_through(opened: &mut Opened, request: &SceneRequest) -> Course {
     course
 }
 
+/// Times the contacts of instruments in each step: processor time of the last step's [ns].
+fn watch_touch(simulation: &mut Simulation) -> Arc<AtomicU64> {
+    let taken_ns = Arc::new(AtomicU64::new(0));
+    let (told_ns, mut begun_ns) = (Arc::clone(&taken_ns), 0);
+    simulation.watch_stages(Some(Box::new(move |stage| match stage {
+        StepStage::Hands => begun_ns = thread_cpu_ns(),
+        StepStage::Touch => told_ns.store(thread_cpu_ns() - begun_ns, Ordering::Relaxed),
+        StepStage::Organ | StepStage::Forces => {}
+    })));
+    taken_ns
+}
+
 impl StepMicroseconds {
     fn of(mut step_us: Vec<f64>) -> Self {
+        if step_us.is_empty() {
+            return Self { p50: 0.0, p99: 0.0, max: 0.0 };
+        }
         step_us.sort_unstable_by(f64::total_cmp);
         Self {
             p50: quantile(&step_us, 0.5),
             p99: quantile(&step_us, 0.99),
-            max: step_us.last().copied().unwrap_or(0.0),
+            max: step_us[step_us.len() - 1],
         }
     }
 }
@@ -307,7 +346,7 @@ fn run_scene(
     request: &SceneRequest,
 ) -> anyhow::Result<SceneOutcome> {
     let mut opened = open(motion, size, subject, request)?;
-    let Course { step_us, taken_s, greatest_force_n, inverted, broken_off } =
+    let Course { step_us, touch_us, most_points, taken_s, greatest_force_n, inverted, broken_off } =
         run_through(&mut opened, request);
     let Opened { simulation, step_s, size, .. } = opened;
     let simulated_s = step_us.len() as f64 * step_s;
@@ -320,6 +359,8 @@ fn run_scene(
         law: subject.law.or(subject.kind.row().laws.first().copied()).unwrap_or("springs"),
         real_time_factor: simulated_s / taken_s.max(1e-12),
         step_us: StepMicroseconds::of(step_us),
+        touch_us: StepMicroseconds::of(touch_us),
+        most_points,
         budget_us: step_s * 1e6,
         greatest_force_n: greatest_force_n.is_finite().then_some(greatest_force_n),
         inverted,
@@ -334,7 +375,7 @@ impl SceneReport {
     /// A table for people.
     fn to_table(&self) -> String {
         let mut text = format!(
-            "machine: {}, one core: FMA {:.1} GFLOP/s f64\n{:<6} {:>6} {:<22} {:<20} {:>9} {:>9} {:>9} {:>9} {:>9} {:>10} {:>8} {:>6}\n",
+            "machine: {}, one core: FMA {:.1} GFLOP/s f64\n{:<6} {:>6} {:<22} {:<20} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9} {:>6} {:>10} {:>8} {:>6}\n",
             self.machine.cpu,
             self.machine.fma_gflops_f64,
             "case",
@@ -346,6 +387,8 @@ impl SceneReport {
             "p99 us",
             "max us",
             "budget us",
+            "touch p99",
+            "points",
             "force N",
             "inverted",
             "edits"
@@ -355,7 +398,7 @@ impl SceneReport {
                 .greatest_force_n
                 .map_or("none".to_owned(), |n| if n < 1e4 { format!("{n:.3}") } else { format!("{n:.1e}") });
             text += &format!(
-                "{:<6} {:>6} {:<22} {:<20} {:>9.2} {:>9.0} {:>9.0} {:>9.0} {:>9.0} {force:>10} {:>8} {:>6}{}\n",
+                "{:<6} {:>6} {:<22} {:<20} {:>9.2} {:>9.0} {:>9.0} {:>9.0} {:>9.0} {:>9.0} {:>6} {force:>10} {:>8} {:>6}{}\n",
                 r.case,
                 r.size,
                 r.model,
@@ -365,6 +408,8 @@ impl SceneReport {
                 r.step_us.p99,
                 r.step_us.max,
                 r.budget_us,
+                r.touch_us.p99,
+                r.most_points,
                 r.inverted,
                 r.edits,
                 r.broken_off.as_ref().map_or(String::new(), |why| format!("  broken off: {why}")),
@@ -402,5 +447,19 @@ mod tests {
         let wrong = SceneRequest { motion: Some("pusch".into()), ..request };
         let error = measure(&wrong, &|_, _, _| {}).unwrap_err().to_string();
         assert!(error.contains("did you mean \"push\""), "{error}");
+    }
+
+    #[test]
+    fn shorter_steps_are_round_and_never_the_same_again() {
+        let mut step_s = 1e-3;
+        let mut found_us = Vec::new();
+        while step_s > 1e-4 {
+            let shorter_s = next_shorter_s(step_s);
+            assert!(shorter_s < step_s && shorter_s > 0.66 * step_s, "{step_s} {shorter_s}");
+            found_us.push((shorter_s * 1e7).round() / 10.0);
+            step_s = shorter_s;
+        }
+        assert_eq!(found_us, [750.0, 500.0, 400.0, 300.0, 250.0, 200.0, 150.0, 125.0, 100.0]);
+        assert!((next_shorter_s(0.6e-3) - 0.5e-3).abs() < 1e-12);
     }
 }

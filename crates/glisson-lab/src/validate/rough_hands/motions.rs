@@ -103,6 +103,7 @@ impl Block {
                     spec.tools.push(grasper);
                     spec.supports = supports;
                     spec.hand = hand;
+                    spec.tissue = Some(material);
                     return World::new(spec, self.mesh.clone(), model, subject.kind)
                         .map_err(|error| error.to_string());
                 }

@@ -48,8 +48,11 @@ mod yielding;
 use super::World;
 use super::parts::{ToolPart, mesh_of};
 use super::slide::{Follow, PatchAnswer};
-use super::spec::Hand;
+use super::organ::Organ;
+use super::spec::{Hand, WorldSpec};
+use super::touch::HeldContact;
 use crate::math::DVec3;
+use crate::mesh::NodeId;
 use crate::tool::pose::ToolFrame;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 pub(super) use meeting::PairContact;
@@ -93,18 +96,23 @@ impl World {
         self.settle();
     }
 
-    /// How balls go into the tissue at rest, where it is known.
-    fn indentation(&self) -> Option<Indentation> {
-        self.spec.tissue.as_ref().map(Indentation::of)
+    /// How a tip that just begins to touch at a node yields for what the mesh is too coarse for [m/N]; not where motions are imposed.
+    pub(super) fn first_sub_grid_m_per_n(&self, tool: &Tool, node: NodeId) -> f64 {
+        let body = self.organ.body_of_nodes()[node.index()] as usize;
+        let tissue = self.spec.tissue_of(body).filter(|_| self.spec.hand.is_some());
+        tissue.map_or(0.0, |tissue| Indentation::of(tissue).at_first_m_per_n(tool.tip_radius_m))
     }
 
     fn solve_contacts(&mut self, hand: &Hand) {
         self.press.solve();
-        if let Some(contact) = self.indentation() {
+        let knows_tissue = (0..self.spec.bodies.len().max(1)).any(|body| self.spec.tissue_of(body).is_some());
+        if knows_tissue {
             let dt_s = self.spec.time_step_s;
             for _ in 0..SUB_GRID_ROUNDS {
                 for (place, tool) in self.spec.tools.iter().enumerate() {
                     for part in ToolPart::ALL.into_iter().filter(|part| *part != ToolPart::Shaft) {
+                        let held = self.tool_states[place].contacts[part.index()].as_ref();
+                        let Some(contact) = indentation(&self.spec, &self.organ, held) else { continue };
                         for side in 0..SIDES {
                             let at = (place, side_of(part, side));
                             let with = (part.radius_m(tool), dt_s);
@@ -185,9 +193,6 @@ impl World {
     /// Puts all contacts into one system, with how organ and instruments answer.
     fn gather_contacts(&mut self, hand: &Hand, from: &[Option<ToolInput>; MAX_TOOLS]) {
         let dt_s = self.spec.time_step_s;
-        let contact = self.indentation();
-        let contact = contact.as_ref();
-        let is_linear = self.model_kind.row().laws.first() == Some(&"linear");
         let press = &mut self.press;
         press.learn_softness(self.organ.positions_m());
         press.start(&self.tool_states);
@@ -208,12 +213,17 @@ impl World {
                 if follows_one_place(tool, part) {
                     press.add_anchor((place, part), held, (tool, &state.now, &turning), organ);
                 } else if let Some(way) = PartWay::of(tool, part, [from, &state.now]) {
-                    let turning = &turning;
+                    let contact = indentation(&self.spec, organ, Some(held));
+                    let is_linear = self.spec.is_linear(body_of(organ, held), self.model_kind);
+                    let (turning, contact) = (&turning, contact.as_ref());
                     let touch = PartTouch { tool, way, turning, organ, dt_s, contact, is_linear };
                     press.add_points((place, part), &touch);
                 }
             }
-            let followed = |part: ToolPart| contact.map_or(1.0, |c| c.followed(part.radius_m(tool), dt_s));
+            let followed = |part: ToolPart| {
+                let contact = indentation(&self.spec, organ, state.contacts[part.index()].as_ref());
+                contact.map_or(1.0, |c| c.followed(part.radius_m(tool), dt_s))
+            };
             let answer = HandAnswer::of(hand, tool, [&state.before, &state.now], dt_s);
             press.set_tool(place, &answer, followed);
         }
@@ -230,7 +240,7 @@ impl World {
     /// After contacts were solved: instruments go where their contacts let them, contacts learn their forces, and those that
     /// bear none end.
     fn settle(&mut self) {
-        let (contact, dt_s) = (self.indentation(), self.spec.time_step_s);
+        let dt_s = self.spec.time_step_s;
         let press = &mut self.press;
         press.pressed.clear();
         press.settle_pairs();
@@ -249,8 +259,10 @@ impl World {
             }
             for part in ToolPart::ALL {
                 if !follows_one_place(tool, part) {
+                    let held = &mut state.contacts[part.index()];
+                    let contact = indentation(&self.spec, &self.organ, held.as_ref());
                     let learned = contact.map_or(1.0, |c| c.learned(part.radius_m(tool), dt_s));
-                    press.settle_points((place, part), learned, &mut state.contacts[part.index()]);
+                    press.settle_points((place, part), learned, held);
                 }
             }
         }
@@ -275,6 +287,17 @@ impl World {
             }
         }
     }
+}
+
+/// The body that a part touches.
+fn body_of(organ: &Organ, held: &HeldContact) -> usize {
+    organ.body_of_nodes()[held.nodes[0].index()] as usize
+}
+
+/// How balls go into the tissue at rest that a part touches, where it is known; of a part that touches nothing the first body's.
+fn indentation(spec: &WorldSpec, organ: &Organ, held: Option<&HeldContact>) -> Option<Indentation> {
+    let body = held.map_or(0, |held| body_of(organ, held));
+    spec.tissue_of(body).map(Indentation::of)
 }
 
 /// Whether a part touches with one point, which the tissue follows.

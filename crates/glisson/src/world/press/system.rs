@@ -597,6 +597,11 @@ impl Press {
         solve(&mut self.contacts, &self.response, SWEEPS, &mut self.moves_m);
     }
 
+    /// Contacts of the last step.
+    pub(in crate::world) fn n_contacts(&self) -> u32 {
+        self.contacts.len() as u32
+    }
+
     /// Torque on a tool about its tip in the last step [N m].
     pub(in crate::world) fn torque_on_tool_n_m(&self, tool: usize) -> DVec3 {
         self.torques_n_m.get(tool).copied().unwrap_or(DVec3::ZERO)
@@ -676,8 +681,10 @@ impl Press {
             }
             touches |= self.outward[place][side] != DVec3::ZERO;
         }
-        // A fold is told of as the side that pushes more.
-        let told = pushes.into_iter().max_by(|a, b| a.length().total_cmp(&b.length()));
+        // Of a fold whose sides push against each other the one that pushes more is told of.
+        let both: DVec3 = pushes.iter().sum();
+        let stronger = pushes.into_iter().max_by(|a, b| a.length().total_cmp(&b.length()));
+        let told = stronger.map(|most| if both.length() >= LEAST_OF_FOLD * most.length() { both } else { most });
         match (held.as_mut(), most) {
             (Some(held), Some(point)) => held.sit_on(&Seat {
                 triangle: point.triangle,
@@ -692,6 +699,9 @@ impl Press {
         }
     }
 }
+
+/// What of the stronger side's push has to be left of both sides' for them to be told of together: a choice.
+const LEAST_OF_FOLD: f64 = 0.5;
 
 /// What a gap may close by in a step [m]; with the sign turned, what an overlap has to open by.
 pub(super) fn open_m(gap_m: f64, dt_s: f64) -> f64 {

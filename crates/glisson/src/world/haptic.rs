@@ -603,3 +603,28 @@ fn lever(tool: &Tool, pose: &ToolInput, point_m: DVec3) -> DMat3 {
     let turned = 1.0 - shaft.dot(from_tip_m) / length_m;
     DMat3::IDENTITY * turned + outer(shaft, from_tip_m) * (1.0 / length_m)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A shaft behind a tip that bears on the same nodes: with a tenth of its share left it would seem a hundred times as stiff.
+    #[test]
+    fn a_point_that_shares_its_nodes_bears_wholly_on_those_that_are_left() {
+        let point = |part| PressedPoint {
+            motion: DMat3::IDENTITY,
+            part,
+            by_axes: DMat3::ZERO,
+            sub_grid_m_per_n: 0.0,
+            arm_m: DVec3::ZERO,
+        };
+        let mut scratch = HapticScratch::for_nodes(8);
+        scratch.follow([(NodeId(0), 0.5), (NodeId(1), 0.5)], point(0));
+        scratch.follow([(NodeId(0), 0.6), (NodeId(1), 0.3), (NodeId(2), 0.1)], point(1));
+        scratch.follow([(NodeId(2), 1.0), (NodeId(0), 0.0)], point(2));
+        let found: Vec<_> = scratch.followers.iter().map(|f| (f.node, f.point)).collect();
+        assert_eq!(found, [(NodeId(0), 0), (NodeId(1), 0), (NodeId(2), 1)]);
+        assert!((scratch.followers[2].weight - 1.0).abs() < 1e-12, "{:?}", scratch.followers);
+        assert_eq!(scratch.points.len(), 2);
+    }
+}

@@ -31,5 +31,9 @@ export async function cutAtTheMiddle(page: Page, picture: string): Promise<CutRe
   });
   await page.keyboard.press("Escape");
   await page.waitForTimeout(300);
+  // The organ is left whole, as it was found.
+  const cut = await page.evaluate(() => window.glisson!.counters.topologyFrames);
+  await page.keyboard.press("z");
+  await page.waitForFunction((n) => window.glisson!.counters.topologyFrames > n, cut, { timeout: TIME_MS });
   return { answered: report.messages.filter((message) => !isOfPace(message)), nodes: report.nodes };
 }

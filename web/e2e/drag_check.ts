@@ -14,6 +14,8 @@ const DISPLACEMENT_TOLERANCE = 0.02;
 const FORCE_TOLERANCE = 0.01;
 /** The vertex must have moved at least so far for the comparison to say anything [m]. */
 const SMALLEST_DISPLACEMENT_M = 0.002;
+/** Millimetres that the wheel pushes deeper before the drag. */
+const NOTCHES = 10;
 /** Tool, solver and display come to rest within this time after the last motion of the hand. */
 const REST_MS = 30_000;
 
@@ -85,6 +87,9 @@ export async function checkDragShowsServerState(page: Page, url: string, picture
   await page.mouse.move(x, y);
   await page.mouse.down();
   try {
+    await page.waitForFunction(() => window.glisson!.tool.settled, undefined, { timeout: REST_MS });
+    // Deeper, so that friction takes the vertex along.
+    for (let i = 0; i < NOTCHES; i++) await page.mouse.wheel(0, -100);
     await page.waitForFunction(() => window.glisson!.tool.settled, undefined, { timeout: REST_MS });
     let at: [number, number] = [x, y];
     for (const [dx, dy] of [[2, 3], [5, 6], [8, 10], [11, 13], [14, 16]]) {

@@ -74,7 +74,7 @@ pub struct Contact {
     /// Force on the first partner [N].
     pub force_n: DVec3,
     /// 1/compliance along the normal and across it [N/m]; zero where nothing yields.
-    stiffness_n_per_m: [f64; 2],
+    pub(super) stiffness_n_per_m: [f64; 2],
 }
 
 impl Contact {
@@ -153,7 +153,7 @@ impl Contact {
     }
 }
 
-fn limited(v: DVec3, most: f64) -> DVec3 {
+pub(super) fn limited(v: DVec3, most: f64) -> DVec3 {
     let length = v.length();
     if length > most { v * (most / length) } else { v }
 }
@@ -232,18 +232,23 @@ impl Response {
         self.slots[vertex as usize][0] == NO_SLOT
     }
 
-    /// How vertex `of` answers to a force on `by`.
-    fn block(&self, of: u32, by: u32) -> DMat3 {
-        let [group, column] = self.slots[by as usize];
-        if of == by && group == NO_SLOT {
-            return DMat3::from_diagonal(self.alone_m_per_n[of as usize]);
+    /// How vertex `of` answers to a force on `by`; none where it does not.
+    #[inline]
+    pub(super) fn answer(&self, of: u32, by: u32) -> Option<DMat3> {
+        let ([group, column], [other, row]) = (self.slots[by as usize], self.slots[of as usize]);
+        if group == NO_SLOT {
+            return (of == by).then(|| DMat3::from_diagonal(self.alone_m_per_n[of as usize]));
         }
-        let [other, row] = self.slots[of as usize];
-        if group == NO_SLOT || other != group {
-            return DMat3::ZERO;
+        if other != group {
+            return None;
         }
         let CoupledVertices { vertices, compliance_m_per_n } = &self.groups[group as usize];
-        compliance_m_per_n[column as usize * vertices.len() + row as usize]
+        Some(compliance_m_per_n[column as usize * vertices.len() + row as usize])
+    }
+
+    /// How vertex `of` answers to a force on `by`.
+    fn block(&self, of: u32, by: u32) -> DMat3 {
+        self.answer(of, by).unwrap_or(DMat3::ZERO)
     }
 
     /// Adds the answer to a force on a vertex.
@@ -346,7 +351,7 @@ fn change(contact: &Contact, by_n: DVec3, response: &Response, moves_m: &mut [DV
 const RIGID_SHARE: f64 = 1e-12;
 
 /// 1/n.W n and 1 over the larger eigenvalue of W across n, W the contact's block of the Delassus operator.
-fn own_stiffness(contact: &Contact, response: &Response) -> [f64; 2] {
+pub(super) fn own_stiffness(contact: &Contact, response: &Response) -> [f64; 2] {
     let mut block = DMat3::ZERO;
     for (a, weight) in contact.sides() {
         for (b, other) in contact.sides() {

@@ -23,4 +23,5 @@ pub mod proxy_surface;
 pub mod proxy;
 pub mod response;
 pub mod constraint;
+pub mod delassus;
 pub mod bodies;

@@ -1,7 +1,7 @@
 //! The frame of an instrument: its tip, the direction of its shaft, the plane in which its jaws open.
 
 use super::{Jaws, ToolInput};
-use crate::math::{DMat3, DVec3};
+use crate::math::{DMat3, DVec3, cross_matrix};
 
 /// Where the axes of a tool point: x the way its jaws open, y along their hinge, z towards the handle.
 ///
@@ -88,11 +88,6 @@ impl ToolInput {
 
 /// A whole turn [rad].
 const TURN_RAD: f64 = 2.0 * std::f64::consts::PI;
-
-/// The matrix [v] with [v] x = v x x.
-pub(crate) fn cross_matrix(v: DVec3) -> DMat3 {
-    DMat3::from_cols(DVec3::new(0.0, v.z, -v.y), DVec3::new(-v.z, 0.0, v.x), DVec3::new(v.y, -v.x, 0.0))
-}
 
 /// The shortest turn that brings the unit vector `from` to `to` (Rodrigues' formula without angles).
 fn shortest_turn(from: DVec3, to: DVec3) -> DMat3 {

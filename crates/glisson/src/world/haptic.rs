@@ -10,10 +10,10 @@ use super::spec::Hand;
 use crate::contact::spread::motion_weights;
 use crate::contact::tool_contact::ToolContact;
 use crate::haptics::{AxesModel, HapticModel, PatchStiffness, Touch, TouchedPart};
-use crate::math::{DMat3, DVec3, outer};
+use crate::math::{DMat3, DVec3, cross_matrix, outer};
 use crate::mesh::NodeId;
 use crate::model::{LocalModel, LocalWork};
-use crate::tool::pose::{ToolFrame, cross_matrix};
+use crate::tool::pose::ToolFrame;
 use crate::tool::{Tool, ToolInput};
 
 /// How near tissue has to be to be told of [m]: beyond what the tool's speed may cover, which is added. A choice.

@@ -54,9 +54,10 @@ pub(super) struct SlideScratch {
 impl SlideScratch {
     /// For a body of so many nodes, with some more from cuts.
     pub(super) fn for_nodes(n_nodes: usize) -> Self {
-        let work = LocalWork::with_room_for(n_nodes + n_nodes / 2).estimating(MOST_RINGS, TOLERANCE);
-        let work = work.from_one_ring();
-        Self { drifting: work.clone().telling_drift(), work, local: LocalModel::new() }
+        // A copy of one would have no room.
+        let room = || LocalWork::with_room_for(n_nodes + n_nodes / 2).estimating(MOST_RINGS, TOLERANCE);
+        let [work, drifting] = [room().from_one_ring(), room().from_one_ring().telling_drift()];
+        Self { work, drifting, local: LocalModel::new() }
     }
 }
 

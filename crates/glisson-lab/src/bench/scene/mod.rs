@@ -331,11 +331,7 @@ impl StepMicroseconds {
             return Self { p50: 0.0, p99: 0.0, max: 0.0 };
         }
         step_us.sort_unstable_by(f64::total_cmp);
-        Self {
-            p50: quantile(&step_us, 0.5),
-            p99: quantile(&step_us, 0.99),
-            max: step_us[step_us.len() - 1],
-        }
+        Self { p50: quantile(&step_us, 0.5), p99: quantile(&step_us, 0.99), max: step_us[step_us.len() - 1] }
     }
 }
 

@@ -46,9 +46,9 @@ mod vertices;
 mod yielding;
 
 use super::World;
+use super::organ::Organ;
 use super::parts::{ToolPart, mesh_of};
 use super::slide::{Follow, PatchAnswer};
-use super::organ::Organ;
 use super::spec::{Hand, WorldSpec};
 use super::touch::HeldContact;
 use crate::math::DVec3;

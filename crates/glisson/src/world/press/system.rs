@@ -6,7 +6,8 @@ use super::sub_grid::Indentation;
 use super::turning::{HandAnswer, HandTurns, Turning};
 use super::vertices::{MOST_NODES, N_VERTICES, side_of, turn_vertex_of, vertex_of};
 use super::{JAWS, SIDES, VERTICES};
-use crate::contact::constraint::{Contact, ContactKey, Response, Sweeps, Turn, solve};
+use crate::contact::constraint::{Contact, ContactKey, Response, Sweeps, Turn};
+use crate::contact::delassus::Delassus;
 use crate::contact::shapes::Capsule;
 use crate::math::{DMat3, DVec3, outer};
 use crate::mesh::{NodeId, TriangleId};
@@ -133,6 +134,7 @@ pub(in crate::world) struct Press {
     pub(super) on_nodes_n: Vec<(NodeId, f64)>,
     /// Scratch: the answer to the change of the forces.
     answers_m: Vec<DVec3>,
+    delassus: Delassus,
     search: PointSearch,
 }
 
@@ -157,6 +159,7 @@ impl Press {
             between: Vec::with_capacity(MOST_BETWEEN),
             met: Self::room_for_met(),
             on_nodes_n: Vec::with_capacity(MOST_NODES),
+            delassus: Delassus::with_room_for(MOST_DENSE),
             search: PointSearch::new(),
             answers_m: vec![DVec3::ZERO; N_VERTICES],
         }
@@ -594,7 +597,7 @@ impl Press {
     }
 
     pub(super) fn sweep(&mut self) {
-        solve(&mut self.contacts, &self.response, SWEEPS, &mut self.moves_m);
+        self.delassus.solve(&mut self.contacts, &self.response, SWEEPS, &mut self.moves_m);
     }
 
     /// Contacts of the last step.
@@ -684,7 +687,8 @@ impl Press {
         // Of a fold whose sides push against each other the one that pushes more is told of.
         let both: DVec3 = pushes.iter().sum();
         let stronger = pushes.into_iter().max_by(|a, b| a.length().total_cmp(&b.length()));
-        let told = stronger.map(|most| if both.length() >= LEAST_OF_FOLD * most.length() { both } else { most });
+        let told =
+            stronger.map(|most| if both.length() >= LEAST_OF_FOLD * most.length() { both } else { most });
         match (held.as_mut(), most) {
             (Some(held), Some(point)) => held.sit_on(&Seat {
                 triangle: point.triangle,
@@ -699,6 +703,9 @@ impl Press {
         }
     }
 }
+
+/// More contacts than this are solved vertex by vertex: their operator would leave the caches. A choice.
+const MOST_DENSE: usize = 128;
 
 /// What of the stronger side's push has to be left of both sides' for them to be told of together: a choice.
 const LEAST_OF_FOLD: f64 = 0.5;

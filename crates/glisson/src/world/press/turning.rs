@@ -10,8 +10,8 @@
 
 use super::vertices::turn_vertex_of;
 use crate::contact::constraint::Turn;
-use crate::math::{DMat3, DVec3};
-use crate::tool::pose::{ToolFrame, cross_matrix};
+use crate::math::{DMat3, DVec3, cross_matrix};
+use crate::tool::pose::ToolFrame;
 use crate::tool::{Tool, ToolInput};
 use crate::world::spec::Hand;
 

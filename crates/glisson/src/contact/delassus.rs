@@ -1,0 +1,255 @@
+//! Contacts solved on their Delassus operator: the same conditions, order and sweeps as [`super::constraint::solve`], with the
+//! bodies' vertices eliminated first.
+//!
+//! A force on contact j moves contact i by `W_ij = sum_ab L_a^T C_ab L_b`, over the vertices a of i and b of j, with C the bodies'
+//! compliance and L what a unit force of the contact does at a vertex: its weight, or the torque of a vertex that turns. Sweeps then
+//! cost nine products for each pair of contacts, whatever the number of vertices, and the vertices are moved once at the end. It
+//! pays where many contacts share bodies that answer as a whole.
+
+use super::constraint::{Contact, Response, SweepReport, Sweeps, limited, own_stiffness, solve};
+use crate::math::{DMat3, DVec3, cross_matrix};
+
+/// The operator of the contacts that are solved, with room for the most.
+#[derive(Debug)]
+pub struct Delassus {
+    most: usize,
+    /// W_ij at j n + i [m/N].
+    blocks_m_per_n: Vec<DMat3>,
+    /// Relative displacement of each contact [m].
+    relative_m: Vec<DVec3>,
+    /// Forces at the start [N].
+    start_n: Vec<DVec3>,
+}
+
+impl Delassus {
+    /// For up to so many contacts; more are solved vertex by vertex.
+    pub fn with_room_for(most: usize) -> Self {
+        Self {
+            most,
+            blocks_m_per_n: Vec::with_capacity(most * most),
+            relative_m: Vec::with_capacity(most),
+            start_n: Vec::with_capacity(most),
+        }
+    }
+
+    /// Finds the forces of `contacts`, starting from those that they have and that `moves_m` already answers to; adds what they
+    /// change to `moves_m` [m]. Never fails, never allocates.
+    pub fn solve(
+        &mut self,
+        contacts: &mut [Contact],
+        response: &Response,
+        sweeps: Sweeps,
+        moves_m: &mut [DVec3],
+    ) -> SweepReport {
+        let n = contacts.len();
+        if n > self.most {
+            return solve(contacts, response, sweeps, moves_m);
+        }
+        self.assemble(contacts, response, moves_m);
+        for contact in contacts.iter_mut() {
+            contact.stiffness_n_per_m = own_stiffness(contact, response);
+        }
+        let mut report = SweepReport::default();
+        while n > 0 && report.n_sweeps < sweeps.most {
+            let (mut most_n, mut change_n) = (0.0_f64, 0.0_f64);
+            let is_forward = report.n_sweeps.is_multiple_of(2);
+            for place in 0..n {
+                let place = if is_forward { place } else { n - 1 - place };
+                let by_n = self.relax(&mut contacts[place], place);
+                most_n = most_n.max(contacts[place].force_n.length_squared());
+                change_n = change_n.max(by_n.length_squared());
+            }
+            report.n_sweeps += 1;
+            report.residual = if most_n > 0.0 { (change_n / most_n).sqrt() } else { 0.0 };
+            if report.residual <= sweeps.tolerance {
+                break;
+            }
+        }
+        for (contact, start_n) in contacts.iter().zip(&self.start_n) {
+            let by_n = contact.force_n - *start_n;
+            if by_n != DVec3::ZERO {
+                contact.push(by_n, response, moves_m);
+            }
+        }
+        report
+    }
+
+    fn assemble(&mut self, contacts: &[Contact], response: &Response, moves_m: &[DVec3]) {
+        let n = contacts.len();
+        self.relative_m.clear();
+        self.relative_m.extend(contacts.iter().map(|contact| contact.relative_m(moves_m)));
+        self.start_n.clear();
+        self.start_n.extend(contacts.iter().map(|contact| contact.force_n));
+        self.blocks_m_per_n.clear();
+        self.blocks_m_per_n.resize(n * n, DMat3::ZERO);
+        for (j, by) in contacts.iter().enumerate() {
+            for (i, of) in contacts.iter().enumerate().take(j + 1) {
+                let block = block(of, by, response);
+                self.blocks_m_per_n[j * n + i] = block;
+                // Bodies are elastic: their compliance is symmetric.
+                self.blocks_m_per_n[i * n + j] = block.transpose();
+            }
+        }
+    }
+
+    /// Solves one contact: along the normal, then across it with what friction allows; answers the change of its force [N].
+    #[inline]
+    fn relax(&mut self, contact: &mut Contact, place: usize) -> DVec3 {
+        let n = self.relative_m.len();
+        let column = &self.blocks_m_per_n[place * n..(place + 1) * n];
+        let [along, across] = contact.stiffness_n_per_m;
+        let normal = contact.normal;
+        let mut u = self.relative_m[place];
+        let before_n = contact.force_n.dot(normal);
+        let wanted_n = before_n - along * (u.dot(normal) + contact.slack_m);
+        let normal_n = if contact.sticks { wanted_n } else { wanted_n.max(0.0) };
+        let mut force_n = normal * normal_n;
+        if contact.friction != 0.0 || contact.sticks {
+            u += column[place] * (normal * (normal_n - before_n));
+            let across_n = contact.force_n - normal * before_n;
+            let wanted_n = across_n - (u - normal * u.dot(normal)) * across;
+            force_n += if contact.sticks { wanted_n } else { limited(wanted_n, contact.friction * normal_n) };
+        }
+        let by_n = force_n - contact.force_n;
+        contact.force_n = force_n;
+        if by_n != DVec3::ZERO {
+            for (relative_m, block) in self.relative_m.iter_mut().zip(column) {
+                *relative_m += *block * by_n;
+            }
+        }
+        by_n
+    }
+}
+
+/// W of one contact's motion by another's force [m/N].
+fn block(of: &Contact, by: &Contact, response: &Response) -> DMat3 {
+    let mut sum = DMat3::ZERO;
+    for (a, weight) in of.sides() {
+        for (b, other) in by.sides() {
+            if let Some(answer) = response.answer(a, b) {
+                sum += answer * (weight * other);
+            }
+        }
+    }
+    // What a unit force does at a vertex that turns.
+    let turns = |contact: &Contact| contact.turns.map(|turn| (turn.vertex, turn.arm_m)).into_iter();
+    let turning = |contact: &Contact| turns(contact).filter(|(_, arm_m)| *arm_m != DVec3::ZERO);
+    for (b, arm_m) in turning(by) {
+        let torque = cross_matrix(arm_m);
+        for (a, weight) in of.sides() {
+            if let Some(answer) = response.answer(a, b) {
+                sum += answer * torque * weight;
+            }
+        }
+        for (a, of_arm_m) in turning(of) {
+            if let Some(answer) = response.answer(a, b) {
+                sum += cross_matrix(of_arm_m).transpose() * answer * torque;
+            }
+        }
+    }
+    for (a, of_arm_m) in turning(of) {
+        for (b, other) in by.sides() {
+            if let Some(answer) = response.answer(a, b) {
+                sum += cross_matrix(of_arm_m).transpose() * answer * other;
+            }
+        }
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::constraint::{ContactKey, Turn};
+    use super::*;
+    use crate::math::{SeededRandom, outer};
+
+    const N_NODES: u32 = 12;
+    /// Of two instruments: how they move, and how they turn.
+    const TOOLS: [[u32; 2]; 2] = [[12, 13], [14, 15]];
+
+    fn vector(random: &mut SeededRandom) -> DVec3 {
+        DVec3::from_array([0; 3].map(|_| random.uniform_in(-1.0, 1.0)))
+    }
+
+    /// Nodes that answer as one body, an instrument whose turning is coupled to its moving, and one that turns by itself.
+    fn response(random: &mut SeededRandom) -> Response {
+        let mut response = Response::new(16, 3);
+        let mut coupled = |group: usize, vertices: std::ops::Range<u32>| {
+            let n = vertices.len();
+            response.set_group(group, vertices);
+            let mut blocks = vec![DMat3::ZERO; n * n];
+            // A sum of squares is symmetric and positive.
+            for _ in 0..4 * n {
+                let v: Vec<DVec3> = (0..n).map(|_| vector(&mut *random)).collect();
+                for column in 0..n {
+                    for row in 0..n {
+                        blocks[column * n + row] += outer(v[row], v[column]) * 1e-3;
+                    }
+                }
+            }
+            response.group_mut(group).compliance_m_per_n = blocks;
+        };
+        coupled(0, 0..N_NODES);
+        coupled(1, TOOLS[0][0]..TOOLS[0][1] + 1);
+        response.set_alone(TOOLS[1][0], DVec3::splat(2e-3));
+        response.set_alone(TOOLS[1][1], DVec3::splat(0.1));
+        response
+    }
+
+    fn contacts(random: &mut SeededRandom) -> Vec<Contact> {
+        let made = (0..10_u32).map(|i| {
+            let normal = vector(&mut *random).normalize();
+            let key = ContactKey::VertexObstacle(i, 0);
+            let mut contact = Contact::new(key, normal, 0.0);
+            let [tip, turn] = TOOLS[i as usize % 2];
+            contact.vertices = [i % N_NODES, (i + 3) % N_NODES, (i + 7) % N_NODES, tip];
+            contact.weights = [0.5, 0.3, 0.2, -1.0];
+            contact.turns[0] = Turn { vertex: turn, arm_m: vector(&mut *random) * 0.1 }.of_second();
+            contact.moved_m = vector(&mut *random) * 1e-3;
+            contact.friction = [0.0, 0.3, 1.0][i as usize % 3];
+            contact.sticks = i == 4;
+            contact.force_n = contact.into_cone(vector(&mut *random));
+            contact
+        });
+        made.collect()
+    }
+
+    #[test]
+    fn forces_and_motions_are_those_of_the_sweeps_over_vertices() {
+        for seed in 0..20 {
+            let mut random = SeededRandom::new(seed);
+            let response = response(&mut random);
+            let mut expected = contacts(&mut random);
+            let mut moves_m = vec![DVec3::ZERO; 16];
+            expected.iter().for_each(|contact| contact.push(contact.force_n, &response, &mut moves_m));
+            let (mut found, mut found_m) = (expected.clone(), moves_m.clone());
+            for sweeps in [Sweeps { most: 1, tolerance: 0.0 }, Sweeps { most: 200, tolerance: 1e-10 }] {
+                let of_vertices = solve(&mut expected, &response, sweeps, &mut moves_m);
+                let of_contacts =
+                    Delassus::with_room_for(10).solve(&mut found, &response, sweeps, &mut found_m);
+                let most_n = expected.iter().map(|c| c.force_n.length()).fold(0.0, f64::max);
+                for (a, b) in expected.iter().zip(&found) {
+                    assert!(a.force_n.distance(b.force_n) < 1e-7 * most_n, "{seed} {sweeps:?}: {a:?} {b:?}");
+                }
+                for (a, b) in moves_m.iter().zip(&found_m) {
+                    assert!(a.distance(*b) < 1e-8, "{seed} {sweeps:?}: {a} {b}");
+                }
+                assert!(of_vertices.n_sweeps.abs_diff(of_contacts.n_sweeps) <= 1, "{seed}");
+            }
+        }
+    }
+
+    #[test]
+    fn more_contacts_than_there_is_room_for_are_solved_all_the_same() {
+        let mut random = SeededRandom::new(3);
+        let response = response(&mut random);
+        let mut expected = contacts(&mut random);
+        let mut found = expected.clone();
+        let mut moves_m = vec![DVec3::ZERO; 16];
+        let mut found_m = moves_m.clone();
+        let sweeps = Sweeps { most: 5, tolerance: 0.0 };
+        solve(&mut expected, &response, sweeps, &mut moves_m);
+        Delassus::with_room_for(3).solve(&mut found, &response, sweeps, &mut found_m);
+        assert_eq!((expected, moves_m), (found, found_m));
+    }
+}

@@ -246,6 +246,23 @@ impl Response {
         Some(compliance_m_per_n[column as usize * vertices.len() + row as usize])
     }
 
+    /// Adds a share of how vertex `of` answers to a force on `by`: the same as [`Response::answer`] without a copy.
+    #[inline]
+    pub(super) fn add_answer(&self, [of, by]: [u32; 2], share: f64, sum: &mut DMat3) {
+        let ([group, column], [other, row]) = (self.slots[by as usize], self.slots[of as usize]);
+        if group == NO_SLOT {
+            if of == by {
+                *sum += DMat3::from_diagonal(self.alone_m_per_n[of as usize] * share);
+            }
+        } else if other == group {
+            let CoupledVertices { vertices, compliance_m_per_n } = &self.groups[group as usize];
+            let block = &compliance_m_per_n[column as usize * vertices.len() + row as usize];
+            sum.x_axis += block.x_axis * share;
+            sum.y_axis += block.y_axis * share;
+            sum.z_axis += block.z_axis * share;
+        }
+    }
+
     /// How vertex `of` answers to a force on `by`.
     fn block(&self, of: u32, by: u32) -> DMat3 {
         self.answer(of, by).unwrap_or(DMat3::ZERO)
@@ -351,7 +368,7 @@ fn change(contact: &Contact, by_n: DVec3, response: &Response, moves_m: &mut [DV
 const RIGID_SHARE: f64 = 1e-12;
 
 /// 1/n.W n and 1 over the larger eigenvalue of W across n, W the contact's block of the Delassus operator.
-pub(super) fn own_stiffness(contact: &Contact, response: &Response) -> [f64; 2] {
+fn own_stiffness(contact: &Contact, response: &Response) -> [f64; 2] {
     let mut block = DMat3::ZERO;
     for (a, weight) in contact.sides() {
         for (b, other) in contact.sides() {
@@ -373,8 +390,13 @@ pub(super) fn own_stiffness(contact: &Contact, response: &Response) -> [f64; 2] 
         };
         block += DMat3::from_cols(of_force(DVec3::X), of_force(DVec3::Y), of_force(DVec3::Z));
     }
+    stiffness_of(&block, contact.normal)
+}
+
+/// The same of a block W and a normal.
+pub(super) fn stiffness_of(block: &DMat3, n: DVec3) -> [f64; 2] {
+    let block = *block;
     let trace = block.x_axis.x + block.y_axis.y + block.z_axis.z;
-    let n = contact.normal;
     let (s, t) = n.any_orthonormal_pair();
     let along = n.dot(block * n);
     let (a, b, c) = (s.dot(block * s), s.dot(block * t), t.dot(block * t));

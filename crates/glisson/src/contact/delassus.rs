@@ -6,17 +6,21 @@
 //! cost nine products for each pair of contacts, whatever the number of vertices, and the vertices are moved once at the end. It
 //! pays where many contacts share bodies that answer as a whole.
 
-use super::constraint::{Contact, Response, SweepReport, Sweeps, limited, own_stiffness, solve};
+use super::constraint::{Contact, Response, SweepReport, Sweeps, limited, solve, stiffness_of};
 use crate::math::{DMat3, DVec3, cross_matrix};
+use fearless_simd::{Level, dispatch};
 
 /// The operator of the contacts that are solved, with room for the most.
 #[derive(Debug)]
 pub struct Delassus {
     most: usize,
-    /// W_ij at j n + i [m/N].
-    blocks_m_per_n: Vec<DMat3>,
-    /// Relative displacement of each contact [m].
-    relative_m: Vec<DVec3>,
+    /// Columns of the operator [m/N]: for each axis of a force on contact j the displacements of all contacts along x, then along y,
+    /// then along z, so that many are changed at once.
+    columns_m_per_n: Vec<f64>,
+    /// The same of contact j on itself.
+    own_m_per_n: Vec<DMat3>,
+    /// Relative displacements of the contacts [m]: along x, along y, along z.
+    relative_m: Vec<f64>,
     /// Forces at the start [N].
     start_n: Vec<DVec3>,
 }
@@ -26,8 +30,9 @@ impl Delassus {
     pub fn with_room_for(most: usize) -> Self {
         Self {
             most,
-            blocks_m_per_n: Vec::with_capacity(most * most),
-            relative_m: Vec::with_capacity(most),
+            columns_m_per_n: Vec::with_capacity(9 * most * most),
+            own_m_per_n: Vec::with_capacity(most),
+            relative_m: Vec::with_capacity(3 * most),
             start_n: Vec::with_capacity(most),
         }
     }
@@ -45,10 +50,24 @@ impl Delassus {
         if n > self.most {
             return solve(contacts, response, sweeps, moves_m);
         }
-        self.assemble(contacts, response, moves_m);
-        for contact in contacts.iter_mut() {
-            contact.stiffness_n_per_m = own_stiffness(contact, response);
+        dispatch!(Level::new(), _simd => self.assemble(contacts, response, moves_m));
+        for (contact, own) in contacts.iter_mut().zip(&self.own_m_per_n) {
+            contact.stiffness_n_per_m = stiffness_of(own, contact.normal);
         }
+        // The same operations in the same order on every processor.
+        let report = dispatch!(Level::new(), _simd => self.sweep(contacts, sweeps));
+        for (contact, start_n) in contacts.iter().zip(&self.start_n) {
+            let by_n = contact.force_n - *start_n;
+            if by_n != DVec3::ZERO {
+                contact.push(by_n, response, moves_m);
+            }
+        }
+        report
+    }
+
+    #[inline(always)]
+    fn sweep(&mut self, contacts: &mut [Contact], sweeps: Sweeps) -> SweepReport {
+        let n = contacts.len();
         let mut report = SweepReport::default();
         while n > 0 && report.n_sweeps < sweeps.most {
             let (mut most_n, mut change_n) = (0.0_f64, 0.0_f64);
@@ -65,47 +84,59 @@ impl Delassus {
                 break;
             }
         }
-        for (contact, start_n) in contacts.iter().zip(&self.start_n) {
-            let by_n = contact.force_n - *start_n;
-            if by_n != DVec3::ZERO {
-                contact.push(by_n, response, moves_m);
-            }
-        }
         report
     }
 
+    #[inline(always)]
     fn assemble(&mut self, contacts: &[Contact], response: &Response, moves_m: &[DVec3]) {
         let n = contacts.len();
         self.relative_m.clear();
-        self.relative_m.extend(contacts.iter().map(|contact| contact.relative_m(moves_m)));
+        self.relative_m.resize(3 * n, 0.0);
+        for (i, contact) in contacts.iter().enumerate() {
+            for (axis, relative_m) in contact.relative_m(moves_m).to_array().into_iter().enumerate() {
+                self.relative_m[axis * n + i] = relative_m;
+            }
+        }
         self.start_n.clear();
         self.start_n.extend(contacts.iter().map(|contact| contact.force_n));
-        self.blocks_m_per_n.clear();
-        self.blocks_m_per_n.resize(n * n, DMat3::ZERO);
+        self.columns_m_per_n.clear();
+        self.columns_m_per_n.resize(9 * n * n, 0.0);
+        self.own_m_per_n.clear();
         for (j, by) in contacts.iter().enumerate() {
             for (i, of) in contacts.iter().enumerate().take(j + 1) {
                 let block = block(of, by, response);
-                self.blocks_m_per_n[j * n + i] = block;
+                self.set_block(n, [i, j], &block);
                 // Bodies are elastic: their compliance is symmetric.
-                self.blocks_m_per_n[i * n + j] = block.transpose();
+                self.set_block(n, [j, i], &block.transpose());
+                if i == j {
+                    self.own_m_per_n.push(block);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn set_block(&mut self, n: usize, [of, by]: [usize; 2], block: &DMat3) {
+        for along in 0..3 {
+            for (axis, entry) in block.col(along).to_array().into_iter().enumerate() {
+                self.columns_m_per_n[(3 * by + along) * 3 * n + axis * n + of] = entry;
             }
         }
     }
 
     /// Solves one contact: along the normal, then across it with what friction allows; answers the change of its force [N].
-    #[inline]
+    #[inline(always)]
     fn relax(&mut self, contact: &mut Contact, place: usize) -> DVec3 {
-        let n = self.relative_m.len();
-        let column = &self.blocks_m_per_n[place * n..(place + 1) * n];
+        let n = self.own_m_per_n.len();
         let [along, across] = contact.stiffness_n_per_m;
         let normal = contact.normal;
-        let mut u = self.relative_m[place];
+        let mut u = DVec3::from_array([0, 1, 2].map(|axis| self.relative_m[axis * n + place]));
         let before_n = contact.force_n.dot(normal);
         let wanted_n = before_n - along * (u.dot(normal) + contact.slack_m);
         let normal_n = if contact.sticks { wanted_n } else { wanted_n.max(0.0) };
         let mut force_n = normal * normal_n;
         if contact.friction != 0.0 || contact.sticks {
-            u += column[place] * (normal * (normal_n - before_n));
+            u += self.own_m_per_n[place] * (normal * (normal_n - before_n));
             let across_n = contact.force_n - normal * before_n;
             let wanted_n = across_n - (u - normal * u.dot(normal)) * across;
             force_n += if contact.sticks { wanted_n } else { limited(wanted_n, contact.friction * normal_n) };
@@ -113,8 +144,11 @@ impl Delassus {
         let by_n = force_n - contact.force_n;
         contact.force_n = force_n;
         if by_n != DVec3::ZERO {
-            for (relative_m, block) in self.relative_m.iter_mut().zip(column) {
-                *relative_m += *block * by_n;
+            let columns = &self.columns_m_per_n[9 * n * place..9 * n * (place + 1)];
+            let (x, yz) = columns.split_at(3 * n);
+            let (y, z) = yz.split_at(3 * n);
+            for (((relative_m, x), y), z) in self.relative_m.iter_mut().zip(x).zip(y).zip(z) {
+                *relative_m += x * by_n.x + y * by_n.y + z * by_n.z;
             }
         }
         by_n
@@ -122,13 +156,12 @@ impl Delassus {
 }
 
 /// W of one contact's motion by another's force [m/N].
+#[inline(always)]
 fn block(of: &Contact, by: &Contact, response: &Response) -> DMat3 {
     let mut sum = DMat3::ZERO;
     for (a, weight) in of.sides() {
         for (b, other) in by.sides() {
-            if let Some(answer) = response.answer(a, b) {
-                sum += answer * (weight * other);
-            }
+            response.add_answer([a, b], weight * other, &mut sum);
         }
     }
     // What a unit force does at a vertex that turns.

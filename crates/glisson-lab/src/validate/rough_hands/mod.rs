@@ -120,7 +120,7 @@ fn write_curve(folder: &Path) -> anyhow::Result<MeasuredSample> {
         writeln!(text, "{},{}", 0.1 * f64::from(i), 0.05 * f64::from(i))?;
     }
     std::fs::write(&curve, text)?;
-    Ok(MeasuredSample { curve, height_m: 0.01, radius_m: 0.01, degree: 3 })
+    Ok(MeasuredSample { curve, height_m: 0.01, radius_m: 0.01, degree: 4 })
 }
 
 /// Runs the selection; `see` hears of each case as soon as it is done.

@@ -102,6 +102,8 @@ pub(crate) fn write_scene(files: &Files) -> anyhow::Result<()> {
          [organ]\nmesh = \"{}\"\ntissue = \"liver\"\nmodel = \"explicit\"\nlaw = \"stable_neo_hooke\"\ndamping = \"20 1/s\"\n\
          vessels = \"vessels.csv\"\ntearing = true\n\n\
          [[organ.fixed]]\nfurthest = {{ direction = {}, fraction = {held_fraction:.5} }}\n\n\
+         # The script knows where its instruments are; hands that give way lag behind it.\n\
+         [hand]\ntouch = \"imposed\"\n\n\
          # The assisting hand holds the tissue over the tumour.\n\
          [[tool]]\nname = \"grasper\"\nkind = \"grasper\"\ntip_radius = \"2.5 mm\"\nclosing_force = \"10 N\"\nfriction = 0.8\n\
          home_tip = {}\nhome_shaft = {}\nhome_jaw = 1.0\n",

@@ -57,10 +57,15 @@ const KEPT_SHARE: f64 = 0.05;
 struct Kind {
     name: &'static str,
     parts: &'static [u32],
+    /// The scene's `[hand]`.
+    hand: &'static str,
 }
 
-const KINDS: [Kind; 2] =
-    [Kind { name: "explicit", parts: &[125, 150, 200] }, Kind { name: "implicit", parts: &[7] }];
+/// In steps of 33 ms a tip that a hand holds among torn tissue does not come to rest: there the motion is imposed.
+const KINDS: [Kind; 2] = [
+    Kind { name: "explicit", parts: &[125, 150, 200], hand: "" },
+    Kind { name: "implicit", parts: &[1], hand: "[hand]\ntouch = \"imposed\"\n" },
+];
 
 /// What happened in a tick.
 #[derive(Clone, Copy, Debug)]
@@ -126,10 +131,11 @@ fn write_scene(path: &Path, kind: &Kind, n_parts: u32, home_m: DVec3) -> anyhow:
          [organ]\nmesh = \"liver.vtu\"\nyoung_modulus = \"5 kPa\"\npoisson_ratio = 0.45\ndensity = \"1060 kg/m3\"\n\
          model = \"{}\"\nlaw = \"neo_hooke_log\"\ndamping = \"30 1/s\"\n\
          tearing = true\nfracture_energy = \"76 J/m2\"\n\
-         [[organ.fixed]]\nfurthest = {{ direction = [0, 1, 0], fraction = 0.2 }}\n\
+         [[organ.fixed]]\nfurthest = {{ direction = [0, 1, 0], fraction = 0.2 }}\n{}\
          [tool]\ntip_radius = \"{} mm\"\nfriction = 0.3\nhome_tip = [{place}]\nhome_shaft = [0, -1, 0]\n",
         1e6 / MODELS_PER_S / f64::from(n_parts),
         kind.name,
+        kind.hand,
         1e3 * TIP_RADIUS_M,
     );
     std::fs::write(path, text).with_context(|| format!("{}: cannot write", path.display()))

@@ -149,10 +149,8 @@ pub struct ExplicitKernel {
     most_parts: u32,
     /// The stretch that the stable step is made for.
     made_for_stretch: f64,
-    /// Steps that are still divided, because the tissue was strained beyond what the step is for.
+    /// Steps that are still divided as far as allowed, because the tissue was strained beyond what the step is for.
     careful_steps: u32,
-    /// Into how many parts these are divided.
-    careful_parts: u32,
 
     loads: Loads,
     held: BoundedVec<Held>,
@@ -241,7 +239,6 @@ impl ExplicitKernel {
             most_parts: body.most_parts,
             made_for_stretch,
             careful_steps: 0,
-            careful_parts: 1,
             loads: Loads::new(body.gravity_m_per_s2, body.attachments, &mesh.positions_m),
             held: BoundedVec::with_capacity(n_nodes),
             constraint_forces_n: BoundedVec::with_capacity(n_nodes),
@@ -308,37 +305,15 @@ impl ExplicitKernel {
     /// Into how many the next one will be: more where the tissue is strained beyond what the step is for.
     fn parts_to_come(&self, dt_s: f64) -> u64 {
         let n_parts = self.parts_of_step(dt_s);
-        if self.careful_steps == 0 { n_parts } else { n_parts.max(u64::from(self.careful_parts)) }
-    }
-
-    /// Parts beyond which strained tissue asks for no more.
-    fn most_careful_parts(&self, dt_s: f64) -> u32 {
-        if self.kernel.law() != KernelLaw::StableNeoHooke {
-            return self.most_parts;
+        if self.careful_steps == 0 {
+            return n_parts;
         }
-        let enough = (dt_s / (CAREFUL_SHARE * self.stable_step_s())).ceil();
-        self.most_parts.min(enough.clamp(1.0, MOST_PARTS) as u32)
-    }
-
-    /// After a step in so many parts: whether the next ones stay divided, and how finely. Tissue that was strained beyond what these
-    /// parts bear asks for one more, of a law whose calm stretch grows with shorter parts, else for all; tissue that was
-    /// strained beyond what one part less would bear keeps them.
-    fn take_care(&mut self, dt_s: f64, n_parts: u64, [more, same]: [bool; 2]) {
-        let n_parts = n_parts.min(MOST_PARTS as u64) as u32;
-        let most = self.most_careful_parts(dt_s);
-        let is_graded = self.kernel.law() == KernelLaw::StableNeoHooke;
-        if more {
-            self.careful_parts = if is_graded { (n_parts + 1).min(most) } else { most };
-            self.careful_steps = CAREFUL_STEPS;
-        } else if same {
-            self.careful_steps = CAREFUL_STEPS;
-        } else if self.careful_steps > 0 {
-            self.careful_steps -= 1;
-            if is_graded && self.careful_steps == 0 && self.careful_parts > 2 {
-                self.careful_parts -= 1;
-                self.careful_steps = CAREFUL_STEPS;
-            }
+        let mut careful = u64::from(self.most_parts);
+        if self.kernel.law() == KernelLaw::StableNeoHooke {
+            let enough = (dt_s / (CAREFUL_SHARE * self.stable_step_s())).ceil();
+            careful = careful.min(enough.clamp(1.0, MOST_PARTS) as u64);
         }
+        n_parts.max(careful)
     }
 
     /// The moving state, to come back to with [`ExplicitKernel::restore`].
@@ -369,7 +344,6 @@ impl ExplicitKernel {
         }
         self.kernel.set_last_step_s(known(self.history[2 * n_nodes][0]));
         self.careful_steps = self.history[2 * n_nodes][1] as u32;
-        self.careful_parts = self.history[2 * n_nodes][2] as u32;
         self.kernel.set_history(self.history[2 * n_nodes + 1..].as_flattened());
     }
 
@@ -419,8 +393,7 @@ impl ExplicitKernel {
         let step_s = self.kernel.last_step_s();
         let per_step = 1.0 / step_s.unwrap_or(self.time_step_s);
         let mut kinetic_j = 0.0;
-        let Self { history, positions_m, velocities_m_per_s, rest, kernel, .. } = self;
-        let care = [self.careful_steps, self.careful_parts].map(f64::from);
+        let Self { history, positions_m, velocities_m_per_s, rest, kernel, careful_steps, .. } = self;
         kernel.for_each_node(|node, motion| {
             let n = node.index();
             history[n] = motion.displacement_m.to_array();
@@ -429,7 +402,7 @@ impl ExplicitKernel {
             velocities_m_per_s[n] = motion.increment_m * per_step;
             kinetic_j += 0.5 * motion.inertia_kg * velocities_m_per_s[n].length_squared();
         });
-        history[2 * n_nodes] = [step_s.unwrap_or(0.0), care[0], care[1]];
+        history[2 * n_nodes] = [step_s.unwrap_or(0.0), f64::from(*careful_steps), 0.0];
         kernel.history_into(history[2 * n_nodes + 1..].as_flattened_mut());
         for held in self.held.iter() {
             let n = held.node.index();
@@ -592,8 +565,9 @@ impl ExplicitDynamics for ExplicitKernel {
             return;
         }
         let n_parts = self.parts_to_come(dt_s);
-        let fewest = self.parts_of_step(dt_s);
-        let (mut asks_for_more, mut keeps) = (false, false);
+        let undivided_s = (dt_s / self.parts_of_step(dt_s) as f64).min(self.time_step_s);
+        self.kernel.set_calm_stretch(self.calm_stretch(undivided_s));
+        let mut is_strained = false;
         let parts = n_parts as f64;
         // Only a step of more than the most parts is cut off.
         let step_s = (dt_s / parts).min(self.time_step_s);
@@ -605,25 +579,21 @@ impl ExplicitDynamics for ExplicitKernel {
             held.start_m = self.kernel.displacement_m(held.node);
         }
         for part in 1..=n_parts {
-            // Of a divided step the last part is asked whether one less would do, those before it whether they are enough.
-            let is_last = part == n_parts && n_parts > fewest;
-            let asked = if is_last { n_parts - 1 } else { n_parts };
-            self.kernel.set_calm_stretch(self.calm_stretch((dt_s / asked as f64).min(self.time_step_s)));
             self.move_held(if part == n_parts { 1.0 } else { part as f64 / parts }, step_s);
             self.loads.refresh_attachments(&mut self.kernel);
             self.kernel.step(self.workers.as_ref(), step);
             self.watch_energy();
             if self.stiffens && self.kernel.is_strained() {
-                if is_last {
-                    keeps = true;
-                } else {
-                    asks_for_more = true;
-                }
+                is_strained = true;
                 let furthest_m = MOST_WAVE_SPEEDS * self.stability.fastest_wave_m_per_s * step_s;
                 self.report.energy_was_limited |= self.kernel.limit_last_increments(furthest_m);
             }
         }
-        self.take_care(dt_s, n_parts, [asks_for_more || self.report.energy_was_limited, keeps]);
+        self.careful_steps = if is_strained || self.report.energy_was_limited {
+            CAREFUL_STEPS
+        } else {
+            self.careful_steps.saturating_sub(1)
+        };
         for held in self.held.iter() {
             let supports = self.supports[held.node.index()];
             let mut force_n = self.kernel.force_n(held.node) - self.kernel.outer_force_n(held.node);

@@ -117,7 +117,6 @@ impl ExplicitKernel {
         let per_step = 1.0 / step_s.unwrap_or(self.time_step_s);
         self.kernel.set_last_step_s(step_s);
         self.careful_steps = self.history[2 * n_nodes][1] as u32;
-        self.careful_parts = self.history[2 * n_nodes][2] as u32;
         for n in 0..n_nodes {
             let node = NodeId::from_index(n);
             let u_m = DVec3::from_array(self.history[n]);

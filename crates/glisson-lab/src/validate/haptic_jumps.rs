@@ -48,8 +48,6 @@ const DEEP_M: f64 = 45e-3;
 const DEEP_S: f64 = 2.0;
 /// How long after the hand hears of it a loss is looked at [ticks]: two models; then the hand may have met more tissue.
 const SOON_TICKS: usize = 66;
-/// What is left of a force is its mean over so long [ticks].
-const LEFT_TICKS: usize = 300;
 /// Up to here the force and what is left of it may differ when all is over, as a share of what was lost.
 const KEPT_SHARE: f64 = 0.05;
 
@@ -308,11 +306,8 @@ impl Event {
     fn of(name: &'static str, trace: &[Tick]) -> Self {
         let most = |value: &dyn Fn(&Tick) -> f64| trace.iter().map(value).fold(0.0, f64::max);
         let said = trace.windows(2).map(|two| two[1].said_n.distance(two[0].said_n));
-        // Tissue that tore, and a tip among it, go on moving: what is left is a mean.
-        let last = &trace[trace.len().saturating_sub(LEFT_TICKS)..];
         let ends = |value: &dyn Fn(&Tick) -> DVec3| {
-            let left_n: f64 = last.iter().map(|tick| value(tick).length()).sum();
-            [trace.first().map_or(0.0, |tick| value(tick).length()), left_n / last.len().max(1) as f64]
+            [trace.first(), trace.last()].map(|tick| tick.map_or(0.0, |tick| value(tick).length()))
         };
         Self {
             name,

@@ -12,7 +12,7 @@
 //! turns round in every sweep: the projected Gauss-Seidel form of the non-smooth contact dynamics (M. Jean 1999, The non-smooth
 //! contact dynamics method, doi 10.1016/S0045-7825(98)00383-1). The forces of the step before are the first guess.
 
-use crate::math::{DMat3, DVec3};
+use crate::math::{DMat3, DVec3, cross_matrix};
 
 /// What touches what, for keeping forces from step to step. Ascending keys are the order of solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -153,7 +153,7 @@ impl Contact {
     }
 }
 
-pub(super) fn limited(v: DVec3, most: f64) -> DVec3 {
+fn limited(v: DVec3, most: f64) -> DVec3 {
     let length = v.length();
     if length > most { v * (most / length) } else { v }
 }
@@ -228,27 +228,9 @@ impl Response {
         &mut self.groups[group]
     }
 
-    fn answers_alone(&self, vertex: u32) -> bool {
-        self.slots[vertex as usize][0] == NO_SLOT
-    }
-
-    /// How vertex `of` answers to a force on `by`; none where it does not.
+    /// Adds a share of how vertex `of` answers to a force on `by`.
     #[inline]
-    pub(super) fn answer(&self, of: u32, by: u32) -> Option<DMat3> {
-        let ([group, column], [other, row]) = (self.slots[by as usize], self.slots[of as usize]);
-        if group == NO_SLOT {
-            return (of == by).then(|| DMat3::from_diagonal(self.alone_m_per_n[of as usize]));
-        }
-        if other != group {
-            return None;
-        }
-        let CoupledVertices { vertices, compliance_m_per_n } = &self.groups[group as usize];
-        Some(compliance_m_per_n[column as usize * vertices.len() + row as usize])
-    }
-
-    /// Adds a share of how vertex `of` answers to a force on `by`: the same as [`Response::answer`] without a copy.
-    #[inline]
-    pub(super) fn add_answer(&self, [of, by]: [u32; 2], share: f64, sum: &mut DMat3) {
+    fn add_answer(&self, [of, by]: [u32; 2], share: f64, sum: &mut DMat3) {
         let ([group, column], [other, row]) = (self.slots[by as usize], self.slots[of as usize]);
         if group == NO_SLOT {
             if of == by {
@@ -265,7 +247,9 @@ impl Response {
 
     /// How vertex `of` answers to a force on `by`.
     fn block(&self, of: u32, by: u32) -> DMat3 {
-        self.answer(of, by).unwrap_or(DMat3::ZERO)
+        let mut block = DMat3::ZERO;
+        self.add_answer([of, by], 1.0, &mut block);
+        block
     }
 
     /// Adds the answer to a force on a vertex.
@@ -313,17 +297,26 @@ pub fn solve(
     for contact in contacts.iter_mut() {
         contact.stiffness_n_per_m = own_stiffness(contact, response);
     }
+    sweep(contacts.len(), sweeps, |place| {
+        let contact = &mut contacts[place];
+        let before_n = contact.force_n;
+        relax(contact, response, moves_m);
+        [contact.force_n, contact.force_n - before_n]
+    })
+}
+
+/// Relaxes so many contacts one after the other, in an order that turns round in every sweep, until that changes little; `relax`
+/// answers a contact's force and its change [N].
+#[inline(always)]
+pub(super) fn sweep(n: usize, sweeps: Sweeps, mut relax: impl FnMut(usize) -> [DVec3; 2]) -> SweepReport {
     let mut report = SweepReport::default();
-    let n = contacts.len();
     while n > 0 && report.n_sweeps < sweeps.most {
         let (mut most_n, mut change_n) = (0.0_f64, 0.0_f64);
         let is_forward = report.n_sweeps.is_multiple_of(2);
         for place in 0..n {
-            let contact = &mut contacts[if is_forward { place } else { n - 1 - place }];
-            let before_n = contact.force_n;
-            relax(contact, response, moves_m);
-            most_n = most_n.max(contact.force_n.length_squared());
-            change_n = change_n.max((contact.force_n - before_n).length_squared());
+            let [force_n, by_n] = relax(if is_forward { place } else { n - 1 - place });
+            most_n = most_n.max(force_n.length_squared());
+            change_n = change_n.max(by_n.length_squared());
         }
         report.n_sweeps += 1;
         report.residual = if most_n > 0.0 { (change_n / most_n).sqrt() } else { 0.0 };
@@ -334,27 +327,33 @@ pub fn solve(
     report
 }
 
-/// Solves one contact: along the normal, then across it with what friction allows.
-#[inline]
-fn relax(contact: &mut Contact, response: &Response, moves_m: &mut [DVec3]) {
+/// Solves one contact: along the normal, then across it with what friction allows. `u` is its relative displacement [m], and `push`
+/// answers what that is after a change of its force; answers the force, and what of its change is across the normal [N].
+#[inline(always)]
+pub(super) fn relaxed_n(contact: &Contact, u: DVec3, push: impl FnOnce(DVec3) -> DVec3) -> [DVec3; 2] {
     let [along, across] = contact.stiffness_n_per_m;
     let normal = contact.normal;
-    let u = contact.relative_m(moves_m);
     let before_n = contact.force_n.dot(normal);
     let wanted_n = before_n - along * (u.dot(normal) + contact.slack_m);
     let normal_n = if contact.sticks { wanted_n } else { wanted_n.max(0.0) };
+    let u = push(normal * (normal_n - before_n));
     if contact.friction == 0.0 && !contact.sticks {
-        change(contact, normal * (normal_n - before_n), response, moves_m);
-        contact.force_n = normal * normal_n;
-        return;
+        return [normal * normal_n, DVec3::ZERO];
     }
-    change(contact, normal * (normal_n - before_n), response, moves_m);
-    let u = contact.relative_m(moves_m);
     let across_n = contact.force_n - normal * before_n;
     let wanted_n = across_n - (u - normal * u.dot(normal)) * across;
     let friction_n = if contact.sticks { wanted_n } else { limited(wanted_n, contact.friction * normal_n) };
-    change(contact, friction_n - across_n, response, moves_m);
-    contact.force_n = normal * normal_n + friction_n;
+    [normal * normal_n + friction_n, friction_n - across_n]
+}
+
+#[inline]
+fn relax(contact: &mut Contact, response: &Response, moves_m: &mut [DVec3]) {
+    let [force_n, across_n] = relaxed_n(contact, contact.relative_m(moves_m), |by_n| {
+        change(contact, by_n, response, moves_m);
+        contact.relative_m(moves_m)
+    });
+    change(contact, across_n, response, moves_m);
+    contact.force_n = force_n;
 }
 
 #[inline]
@@ -367,30 +366,38 @@ fn change(contact: &Contact, by_n: DVec3, response: &Response, moves_m: &mut [DV
 /// Below this share of the trace of its block, a contact does not yield along a direction.
 const RIGID_SHARE: f64 = 1e-12;
 
-/// 1/n.W n and 1 over the larger eigenvalue of W across n, W the contact's block of the Delassus operator.
-fn own_stiffness(contact: &Contact, response: &Response) -> [f64; 2] {
-    let mut block = DMat3::ZERO;
-    for (a, weight) in contact.sides() {
-        for (b, other) in contact.sides() {
-            block += response.block(a, b) * (weight * other);
+/// W of one contact's motion by another's force [m/N].
+#[inline(always)]
+pub(super) fn delassus_block(of: &Contact, by: &Contact, response: &Response) -> DMat3 {
+    let mut sum = DMat3::ZERO;
+    for (a, weight) in of.sides() {
+        for (b, other) in by.sides() {
+            response.add_answer([a, b], weight * other, &mut sum);
         }
     }
-    for turn in contact.turns.iter().filter(|turn| turn.arm_m != DVec3::ZERO) {
-        let of_force = |axis: DVec3| {
-            let torque = turn.arm_m.cross(axis);
-            let mut moved = (response.block(turn.vertex, turn.vertex) * torque).cross(turn.arm_m);
-            if response.answers_alone(turn.vertex) {
-                return moved;
-            }
-            for (v, weight) in contact.sides() {
-                moved += response.block(v, turn.vertex) * torque * weight;
-                moved += (response.block(turn.vertex, v) * axis).cross(turn.arm_m) * weight;
-            }
-            moved
-        };
-        block += DMat3::from_cols(of_force(DVec3::X), of_force(DVec3::Y), of_force(DVec3::Z));
+    // What a unit force does at a vertex that turns.
+    let turns = |contact: &Contact| contact.turns.map(|turn| (turn.vertex, turn.arm_m)).into_iter();
+    let turning = |contact: &Contact| turns(contact).filter(|(_, arm_m)| *arm_m != DVec3::ZERO);
+    for (b, arm_m) in turning(by) {
+        let torque = cross_matrix(arm_m);
+        for (a, weight) in of.sides() {
+            sum += response.block(a, b) * torque * weight;
+        }
+        for (a, of_arm_m) in turning(of) {
+            sum += cross_matrix(of_arm_m).transpose() * response.block(a, b) * torque;
+        }
     }
-    stiffness_of(&block, contact.normal)
+    for (a, of_arm_m) in turning(of) {
+        for (b, other) in by.sides() {
+            sum += cross_matrix(of_arm_m).transpose() * response.block(a, b) * other;
+        }
+    }
+    sum
+}
+
+/// 1/n.W n and 1 over the larger eigenvalue of W across n, W the contact's own block of the Delassus operator.
+fn own_stiffness(contact: &Contact, response: &Response) -> [f64; 2] {
+    stiffness_of(&delassus_block(contact, contact, response), contact.normal)
 }
 
 /// The same of a block W and a normal.

@@ -6,8 +6,10 @@
 //! cost nine products for each pair of contacts, whatever the number of vertices, and the vertices are moved once at the end. It
 //! pays where many contacts share bodies that answer as a whole.
 
-use super::constraint::{Contact, Response, SweepReport, Sweeps, limited, solve, stiffness_of};
-use crate::math::{DMat3, DVec3, cross_matrix};
+use super::constraint::{
+    Contact, Response, SweepReport, Sweeps, delassus_block, relaxed_n, solve, stiffness_of, sweep,
+};
+use crate::math::{DMat3, DVec3};
 use fearless_simd::{Level, dispatch};
 
 /// The operator of the contacts that are solved, with room for the most.
@@ -55,33 +57,11 @@ impl Delassus {
             contact.stiffness_n_per_m = stiffness_of(own, contact.normal);
         }
         // The same operations in the same order on every processor.
-        let report = dispatch!(Level::new(), _simd => self.sweep(contacts, sweeps));
+        let report = dispatch!(Level::new(), _simd => sweep(n, sweeps, |place| self.relax(&mut contacts[place], place)));
         for (contact, start_n) in contacts.iter().zip(&self.start_n) {
             let by_n = contact.force_n - *start_n;
             if by_n != DVec3::ZERO {
                 contact.push(by_n, response, moves_m);
-            }
-        }
-        report
-    }
-
-    #[inline(always)]
-    fn sweep(&mut self, contacts: &mut [Contact], sweeps: Sweeps) -> SweepReport {
-        let n = contacts.len();
-        let mut report = SweepReport::default();
-        while n > 0 && report.n_sweeps < sweeps.most {
-            let (mut most_n, mut change_n) = (0.0_f64, 0.0_f64);
-            let is_forward = report.n_sweeps.is_multiple_of(2);
-            for place in 0..n {
-                let place = if is_forward { place } else { n - 1 - place };
-                let by_n = self.relax(&mut contacts[place], place);
-                most_n = most_n.max(contacts[place].force_n.length_squared());
-                change_n = change_n.max(by_n.length_squared());
-            }
-            report.n_sweeps += 1;
-            report.residual = if most_n > 0.0 { (change_n / most_n).sqrt() } else { 0.0 };
-            if report.residual <= sweeps.tolerance {
-                break;
             }
         }
         report
@@ -104,7 +84,7 @@ impl Delassus {
         self.own_m_per_n.clear();
         for (j, by) in contacts.iter().enumerate() {
             for (i, of) in contacts.iter().enumerate().take(j + 1) {
-                let block = block(of, by, response);
+                let block = delassus_block(of, by, response);
                 self.set_block(n, [i, j], &block);
                 // Bodies are elastic: their compliance is symmetric.
                 self.set_block(n, [j, i], &block.transpose());
@@ -124,23 +104,12 @@ impl Delassus {
         }
     }
 
-    /// Solves one contact: along the normal, then across it with what friction allows; answers the change of its force [N].
+    /// Solves one contact; answers its force and the change of it [N].
     #[inline(always)]
-    fn relax(&mut self, contact: &mut Contact, place: usize) -> DVec3 {
+    fn relax(&mut self, contact: &mut Contact, place: usize) -> [DVec3; 2] {
         let n = self.own_m_per_n.len();
-        let [along, across] = contact.stiffness_n_per_m;
-        let normal = contact.normal;
-        let mut u = DVec3::from_array([0, 1, 2].map(|axis| self.relative_m[axis * n + place]));
-        let before_n = contact.force_n.dot(normal);
-        let wanted_n = before_n - along * (u.dot(normal) + contact.slack_m);
-        let normal_n = if contact.sticks { wanted_n } else { wanted_n.max(0.0) };
-        let mut force_n = normal * normal_n;
-        if contact.friction != 0.0 || contact.sticks {
-            u += self.own_m_per_n[place] * (normal * (normal_n - before_n));
-            let across_n = contact.force_n - normal * before_n;
-            let wanted_n = across_n - (u - normal * u.dot(normal)) * across;
-            force_n += if contact.sticks { wanted_n } else { limited(wanted_n, contact.friction * normal_n) };
-        }
+        let u = DVec3::from_array([0, 1, 2].map(|axis| self.relative_m[axis * n + place]));
+        let [force_n, _] = relaxed_n(contact, u, |by_n| u + self.own_m_per_n[place] * by_n);
         let by_n = force_n - contact.force_n;
         contact.force_n = force_n;
         if by_n != DVec3::ZERO {
@@ -151,43 +120,8 @@ impl Delassus {
                 *relative_m += x * by_n.x + y * by_n.y + z * by_n.z;
             }
         }
-        by_n
+        [force_n, by_n]
     }
-}
-
-/// W of one contact's motion by another's force [m/N].
-#[inline(always)]
-fn block(of: &Contact, by: &Contact, response: &Response) -> DMat3 {
-    let mut sum = DMat3::ZERO;
-    for (a, weight) in of.sides() {
-        for (b, other) in by.sides() {
-            response.add_answer([a, b], weight * other, &mut sum);
-        }
-    }
-    // What a unit force does at a vertex that turns.
-    let turns = |contact: &Contact| contact.turns.map(|turn| (turn.vertex, turn.arm_m)).into_iter();
-    let turning = |contact: &Contact| turns(contact).filter(|(_, arm_m)| *arm_m != DVec3::ZERO);
-    for (b, arm_m) in turning(by) {
-        let torque = cross_matrix(arm_m);
-        for (a, weight) in of.sides() {
-            if let Some(answer) = response.answer(a, b) {
-                sum += answer * torque * weight;
-            }
-        }
-        for (a, of_arm_m) in turning(of) {
-            if let Some(answer) = response.answer(a, b) {
-                sum += cross_matrix(of_arm_m).transpose() * answer * torque;
-            }
-        }
-    }
-    for (a, of_arm_m) in turning(of) {
-        for (b, other) in by.sides() {
-            if let Some(answer) = response.answer(a, b) {
-                sum += cross_matrix(of_arm_m).transpose() * answer * other;
-            }
-        }
-    }
-    sum
 }
 
 #[cfg(test)]

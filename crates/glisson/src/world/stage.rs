@@ -15,11 +15,6 @@ pub enum StepStage {
     Forces,
 }
 
-impl StepStage {
-    /// All, in the order in which they end.
-    pub const ALL: [Self; 4] = [Self::Hands, Self::Touch, Self::Organ, Self::Forces];
-}
-
 /// Hears of the end of each stage of each step.
 pub type StageWatch = Box<dyn FnMut(StepStage) + Send>;
 

@@ -11,7 +11,7 @@ use super::spec::Hand;
 use super::touch::{ContactBegin, HeldContact};
 use crate::contact::continuous::{CONTACT_TOLERANCE_M, FirstContact};
 use crate::contact::tool_contact::ToolContact;
-use crate::math::DVec3;
+use crate::math::{DMat3, DVec3};
 use crate::mesh::NodeId;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::topology::Topology;
@@ -193,15 +193,20 @@ impl ToolState {
         if tool.trocar_m.is_some() || share == 0.0 {
             return tool.held(pose, Some(&self.before));
         }
+        let (_, _, way_rad) = self.turned_way();
+        pose.turned(way_rad * share)
+    }
+
+    /// How the instrument was turned before this step and is now, and the rotation vector between [rad].
+    fn turned_way(&self) -> (DMat3, DMat3, DVec3) {
         let [from, to] = [&self.before, &self.now].map(|pose| ToolFrame::of(pose).world_from_tool);
-        pose.turned(rotation_vector_rad(&(to * from.transpose())) * share)
+        (from, to, rotation_vector_rad(&(to * from.transpose())))
     }
 
     /// Turns the instrument back to where its greatest torque lets a hand turn it in the step: after the share `until` of its way
     /// no further than `most_rad`.
     pub(super) fn hold_turn_back(&mut self, until: f64, most_rad: f64) {
-        let [from, to] = [&self.before, &self.now].map(|pose| ToolFrame::of(pose).world_from_tool);
-        let way_rad = rotation_vector_rad(&(to * from.transpose()));
+        let (from, to, way_rad) = self.turned_way();
         let rest_rad = way_rad * (1.0 - until);
         if rest_rad.length() > most_rad {
             let wanted = turn_by(way_rad * until + rest_rad.clamp_length_max(most_rad)) * from;

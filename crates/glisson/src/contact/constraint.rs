@@ -229,7 +229,7 @@ impl Response {
     }
 
     /// Adds a share of how vertex `of` answers to a force on `by`.
-    #[inline]
+    #[inline(always)]
     fn add_answer(&self, [of, by]: [u32; 2], share: f64, sum: &mut DMat3) {
         let ([group, column], [other, row]) = (self.slots[by as usize], self.slots[of as usize]);
         if group == NO_SLOT {
@@ -246,6 +246,7 @@ impl Response {
     }
 
     /// How vertex `of` answers to a force on `by`.
+    #[inline(always)]
     fn block(&self, of: u32, by: u32) -> DMat3 {
         let mut block = DMat3::ZERO;
         self.add_answer([of, by], 1.0, &mut block);

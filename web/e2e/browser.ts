@@ -46,7 +46,7 @@ export interface OpenPage {
 
 /** What the server tells of its own pace: on a busy machine a browser without a GPU leaves it little. No problem of the page, no answer. */
 export function isOfPace(message: string): boolean {
-  return /^Server: the simulation (is late|keeps pace)/.test(message);
+  return /^(Server: )?the simulation (is late|keeps pace)/.test(message);
 }
 
 export async function openPage(browser: Browser, prepare?: (page: Page) => Promise<void>): Promise<OpenPage> {

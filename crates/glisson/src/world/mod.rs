@@ -16,6 +16,7 @@ mod hand;
 mod tool_state;
 mod haptic;
 mod loads;
+mod node_answer;
 pub mod organ;
 mod parts;
 mod press;
@@ -209,7 +210,10 @@ impl World {
         let anchored_at_start = spec.anchored_nodes(&mesh.positions_m).into();
         let body_of = spec.body_of_nodes(mesh.positions_m.len());
         let fixed = spec.fixed_nodes(&mesh.positions_m);
-        let organ = Organ::new(mesh, &fixed, body_of)?;
+        let mut organ = Organ::new(mesh, &fixed, body_of)?;
+        if spec.hand.is_some() {
+            organ.learn_node_answers(|body| spec.tissue_of(body));
+        }
         let mut vessels = None;
         if !spec.vessels.is_empty() {
             let found = Vessels::new(spec.vessels.clone(), organ.body());

@@ -497,9 +497,10 @@ impl World {
         snapshot.positions_m.clear();
         snapshot.positions_m.extend(self.organ.surface_nodes().iter().map(|n| positions_m[n.index()]));
         snapshot.tools.clear();
-        snapshot.tools.extend(self.tool_states.iter().map(|hand| {
+        snapshot.tools.extend(self.tool_states.iter().enumerate().map(|(place, hand)| {
             ToolSnapshot {
                 pose: hand.now,
+                shown_further_out_m: self.press.tip_further_out_m(place),
                 force_n: hand.report.force_on_tool_n,
                 contacts: hand
                     .contacts

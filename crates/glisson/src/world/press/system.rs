@@ -336,7 +336,8 @@ impl Press {
     pub(super) fn add_points(&mut self, (place, part): (usize, ToolPart), touch: &PartTouch<'_>) {
         let mut touch = *touch;
         if part == ToolPart::Shaft {
-            touch.way = touch.way.without_start(self.tip_further_out_m(place, &touch.way));
+            let axis = (touch.way.start.to_m - touch.way.start.from_m).normalize_or_zero();
+            touch.way = touch.way.without_start(self.tip_further_out_m(place).dot(axis).max(0.0));
         }
         let touch = &touch;
         let sides = [0, 1].map(|side| side_of(part, side));
@@ -369,13 +370,11 @@ impl Press {
         self.pressed = pressed;
     }
 
-    /// How far along the shaft the tip is in the surface of the mesh for what that is too coarse for [m]. The shaft is so much further
-    /// out too: its end would press the tissue that the tip bears, as if there were no detail.
-    fn tip_further_out_m(&self, place: usize, way: &PartWay) -> f64 {
-        let axis = (way.start.to_m - way.start.from_m).normalize_or_zero();
+    /// How far the tip is in the surface of the mesh for what that is too coarse for, as the way out [m]. The shaft is so much
+    /// further out too: its end would press the tissue that the tip bears, as if there were no detail.
+    pub(in crate::world) fn tip_further_out_m(&self, place: usize) -> DVec3 {
         let sides = (0..SIDES).map(|side| side_of(ToolPart::Tip, side));
-        let along_m = sides.map(|side| self.further_out_m[place][side] * self.outward[place][side].dot(axis));
-        along_m.fold(0.0, f64::max)
+        sides.map(|side| self.outward[place][side] * self.further_out_m[place][side]).sum()
     }
 
     /// Looks for points around a part as one of its sides has it; how far that is further out [m].

@@ -129,8 +129,8 @@ mod tests {
     use crate::solve::{BoundaryConditions, StaticProblem, solve_static};
     use crate::surface::TriMesh;
 
-    /// The radius of the spread load [m], and its mean displacement times E* over the force [1/m]: of the pressure
-    /// 1 - r^2/a^2 on a half-space 64/(pi a) times the integral of J2(x)^2/x^4 over x > 0, which is 0.03234.
+    /// The radius a of the spread load [m], and its mean displacement times E* a over the force: of the pressure 1 - r^2/a^2 on a
+    /// half-space 64/pi times the integral of J2(x)^2/x^4 over x > 0, which is 0.03234.
     const LOAD_M: f64 = 25e-3;
     const OF_LOAD: f64 = 64.0 * 0.032_336 / std::f64::consts::PI;
 

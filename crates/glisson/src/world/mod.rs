@@ -16,7 +16,6 @@ mod hand;
 mod tool_state;
 mod haptic;
 mod loads;
-mod node_answer;
 pub mod organ;
 mod parts;
 mod press;
@@ -210,10 +209,7 @@ impl World {
         let anchored_at_start = spec.anchored_nodes(&mesh.positions_m).into();
         let body_of = spec.body_of_nodes(mesh.positions_m.len());
         let fixed = spec.fixed_nodes(&mesh.positions_m);
-        let mut organ = Organ::new(mesh, &fixed, body_of)?;
-        if spec.hand.is_some() {
-            organ.learn_node_answers(|body| spec.tissue_of(body));
-        }
+        let organ = Organ::new(mesh, &fixed, body_of)?;
         let mut vessels = None;
         if !spec.vessels.is_empty() {
             let found = Vessels::new(spec.vessels.clone(), organ.body());
@@ -497,10 +493,9 @@ impl World {
         snapshot.positions_m.clear();
         snapshot.positions_m.extend(self.organ.surface_nodes().iter().map(|n| positions_m[n.index()]));
         snapshot.tools.clear();
-        snapshot.tools.extend(self.tool_states.iter().enumerate().map(|(place, hand)| {
+        snapshot.tools.extend(self.tool_states.iter().map(|hand| {
             ToolSnapshot {
                 pose: hand.now,
-                shown_further_out_m: self.press.tip_further_out_m(place),
                 force_n: hand.report.force_on_tool_n,
                 contacts: hand
                     .contacts

@@ -151,6 +151,7 @@ export class FakeSimulator {
               contact: contact !== null,
               grasps: false,
               heldNodes: 0,
+              shownFurtherOut_m: [0, 0, 0],
             },
           ],
         },

@@ -58,6 +58,7 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
     numbers.forEach((x, i) => view.setFloat64(at + 8 * i, x, true));
     view.setUint32(at + 120, (tool.contact ? FLAG_CONTACT : 0) | (tool.grasps ? FLAG_GRASP : 0), true);
     view.setUint32(at + 124, tool.heldNodes, true);
+    tool.shownFurtherOut_m.forEach((x, i) => view.setFloat64(at + 128 + 8 * i, x, true));
   });
   positions_m.forEach((x, i) => view.setFloat32(first + 4 * i, x, true));
   bloodRecords.forEach((x, i) => view.setFloat32(blood + 4 * i, x, true));

@@ -48,6 +48,7 @@ export class Instrument {
   private readonly arrowHead: Mesh;
   private readonly contactMark: Mesh;
   private readonly tipRadius_m: number;
+  private readonly tip_m = new Vector3();
   private showsForces = true;
   private showsContactMark = true;
   /** Force at the hand that holds it as a device [N]; the simulation's where none does. */
@@ -89,7 +90,7 @@ export class Instrument {
     this.contactMark = new Mesh(new SphereGeometry(1, 20, 14), blue);
     this.group.add(this.probe, this.arrow, this.contactMark);
     for (const part of [this.arrow, this.contactMark]) part.visible = false;
-    this.pose(tool.home_tip_m, tool.home_shaft, 0);
+    this.pose(tool.home_tip_m, tool.home_shaft, 0, [0, 0, 0]);
     this.openJaws(tool.home_jaw);
   }
 
@@ -111,13 +112,15 @@ export class Instrument {
     return Z.clone().applyQuaternion(this.probe.quaternion);
   }
 
+  /** Where the tip is; it is drawn further out where the mesh is too coarse to show its dimple. */
   tip(): Vector3 {
-    return this.probe.position.clone();
+    return this.tip_m.clone();
   }
 
   /** Axes of the tool's frame: those of a shaft to the front (x left, y head), by the shortest turn, rolled. */
-  private pose(tip_m: Vec3, shaft: Vec3, roll_rad: number): void {
-    this.probe.position.set(...tip_m);
+  private pose(tip_m: Vec3, shaft: Vec3, roll_rad: number, furtherOut_m: Vec3): void {
+    this.tip_m.set(...tip_m);
+    this.probe.position.copy(this.tip_m).add(new Vector3(...furtherOut_m));
     const turn = new Quaternion().setFromUnitVectors(FRONT, directed(shaft));
     const roll = new Quaternion().setFromAxisAngle(Z, roll_rad);
     this.probe.quaternion.copy(turn.multiply(FRONT_AXES).multiply(roll));
@@ -136,7 +139,7 @@ export class Instrument {
   }
 
   show(header: ToolState): void {
-    this.pose(header.tip_m, header.shaft, header.roll_rad);
+    this.pose(header.tip_m, header.shaft, header.roll_rad, header.shownFurtherOut_m);
     this.openJaws(header.jaw);
     const force = new Vector3(...(this.felt_n ?? header.forceOnTool_n));
     const length = force.length() * this.arrowScale_m_per_n;

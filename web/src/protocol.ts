@@ -12,7 +12,7 @@ import { decodeFeel, type Feel } from "./feel";
 import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
-export const PROTOCOL_VERSION = 8;
+export const PROTOCOL_VERSION = 9;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
@@ -24,7 +24,7 @@ export const FLAG_CONTACT_POINTS = 8;
 
 export const TOPOLOGY_HEADER_BYTES = 24;
 export const SNAPSHOT_HEADER_BYTES = 64;
-export const TOOL_BYTES = 128;
+export const TOOL_BYTES = 152;
 /** Instruments of a scene at most. */
 export const MOST_TOOLS = 4;
 
@@ -111,6 +111,8 @@ export interface ToolState {
   readonly contact: boolean;
   readonly grasps: boolean;
   readonly heldNodes: number;
+  /** It is drawn so much further out [m]: it is that far in the surface of a mesh that is too coarse to show its dimple. */
+  readonly shownFurtherOut_m: Vec3;
 }
 
 export interface SnapshotHeader {
@@ -353,6 +355,7 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
       contact: (flags & FLAG_CONTACT) !== 0,
       grasps: (flags & FLAG_GRASP) !== 0,
       heldNodes: view.getUint32(at + 124, true),
+      shownFurtherOut_m: vector(at + 128, "way that the tool is shown further out"),
     };
   };
   const positions_m = floatsAt(buffer, first, 3 * nVertices);

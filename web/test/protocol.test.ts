@@ -52,6 +52,7 @@ const SNAPSHOT: Snapshot = {
         contact: true,
         grasps: true,
         heldNodes: 6,
+        shownFurtherOut_m: [0.5, 0.25, 0.125],
       },
     ],
   },
@@ -75,7 +76,7 @@ const WITH_CONTACTS: Snapshot = {
 
 const HELLO: Hello = {
   type: "hello",
-  protocol: 8,
+  protocol: 9,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -148,10 +149,11 @@ describe("binary frames", () => {
     expect(view.getFloat64(136 + 16, true)).toBe(2);
     expect(view.getFloat64(160, true)).toBe(0.011);
     expect([184, 188].map((at) => view.getUint32(at, true))).toEqual([1 + 4, 6]);
-    expect(view.getFloat32(192 + 4 * 3, true)).toBe(0.5);
-    expect(view.getFloat32(240 + 8, true)).toBe(3);
-    expect(view.getFloat32(256 + 12, true)).toBe(0.5);
-    expect(view.byteLength).toBe(192 + 48 + 32);
+    expect([192, 200, 208].map((at) => view.getFloat64(at, true))).toEqual([0.5, 0.25, 0.125]);
+    expect(view.getFloat32(216 + 4 * 3, true)).toBe(0.5);
+    expect(view.getFloat32(264 + 8, true)).toBe(3);
+    expect(view.getFloat32(280 + 12, true)).toBe(0.5);
+    expect(view.byteLength).toBe(216 + 48 + 32);
   });
 
   it("snapshot: contact points that were asked for come back, at the end of the same bytes", () => {
@@ -170,10 +172,10 @@ describe("binary frames", () => {
   });
 
   it.each([
-    ["a huge number of points", (v: DataView) => v.setUint32(272 + 40, 0xffffffff, true), /needs .* bytes, found/],
-    ["a kind that there is not", (v: DataView) => v.setUint8(272 + 44, 5), /contact of kind 5; allowed: 0 to 4/],
-    ["a force that is no number", (v: DataView) => v.setFloat32(272 + 44 + 28, NaN, true), /force of a contact .* is not finite/],
-    ["a sum that is no number", (v: DataView) => v.setFloat32(272 + 4, Infinity, true), /sum of contact forces .* is not finite/],
+    ["a huge number of points", (v: DataView) => v.setUint32(296 + 40, 0xffffffff, true), /needs .* bytes, found/],
+    ["a kind that there is not", (v: DataView) => v.setUint8(296 + 44, 5), /contact of kind 5; allowed: 0 to 4/],
+    ["a force that is no number", (v: DataView) => v.setFloat32(296 + 44 + 28, NaN, true), /force of a contact .* is not finite/],
+    ["a sum that is no number", (v: DataView) => v.setFloat32(296 + 4, Infinity, true), /sum of contact forces .* is not finite/],
     ["no points although there are", (v: DataView) => v.setUint32(48, 2, true), /needs .* bytes, found/],
   ])("contact points with %s are refused", (_name, spoil, message) => {
     const buffer = encodeSnapshot(WITH_CONTACTS);
@@ -203,11 +205,11 @@ describe("binary frames", () => {
   it.each([
     ["a huge vertex count", (v: DataView) => v.setUint32(56, 0xffffffff, true), /needs .* bytes, found/],
     ["a huge count of open vessels", (v: DataView) => v.setUint32(60, 0xffffffff, true), /records of blood needs/],
-    ["blood that is no number", (v: DataView) => v.setFloat32(256, NaN, true), /record 1 of blood is not finite/],
+    ["blood that is no number", (v: DataView) => v.setFloat32(280, NaN, true), /record 1 of blood is not finite/],
     ["five instruments", (v: DataView) => v.setUint32(52, 5, true), /5 instruments; allowed: 1 to 4/],
     ["an infinite force", (v: DataView) => v.setFloat64(144, Infinity, true), /force on the tool \(byte 144\)/],
     ["a step beyond 2^53", (v: DataView) => v.setBigUint64(16, 2n ** 60n, true), /above 2\^53/],
-    ["a position that is no number", (v: DataView) => v.setFloat32(192 + 44, NaN, true), /vertex 3 is not finite/],
+    ["a position that is no number", (v: DataView) => v.setFloat32(216 + 44, NaN, true), /vertex 3 is not finite/],
   ])("snapshot with %s is refused", (_name, spoil, message) => {
     const buffer = encodeSnapshot(SNAPSHOT);
     spoil(new DataView(buffer));
@@ -254,7 +256,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 8/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 9/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(

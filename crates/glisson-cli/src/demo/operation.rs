@@ -5,7 +5,8 @@ use anyhow::{Context, ensure};
 use glisson::files::write_atomically;
 use glisson::math::DVec3;
 use glisson::model::StateHash;
-use glisson::tool::{Tool, ToolInput};
+use glisson::record::snapshot::ToolSnapshot;
+use glisson::tool::Tool;
 use glisson::world::World;
 use glisson_runtime::replay::{self, read_session};
 use glisson_runtime::{OpenScene, Simulation};
@@ -151,10 +152,11 @@ fn camera(world: &World, azimuth_deg: f64) -> Camera {
     Camera::framing_points(&world.snapshot().positions_m, PICTURE_SIZE, view)
 }
 
-fn instrument(tool: &Tool, at: &ToolInput) -> Instrument {
+fn instrument(tool: &Tool, now: &ToolSnapshot) -> Instrument {
+    let tip_m = now.pose.tip_in_world_m + now.shown_further_out_m;
     Instrument {
-        tip_m: at.tip_in_world_m,
-        handle_m: at.tip_in_world_m + at.shaft_in_world * tool.shaft_length_m,
+        tip_m,
+        handle_m: tip_m + now.pose.shaft_in_world * tool.shaft_length_m,
         tip_radius_m: tool.tip_radius_m,
         shaft_radius_m: tool.shaft_radius_m,
     }
@@ -188,7 +190,7 @@ fn picture(path: &std::path::Path, world: &World, azimuth_deg: f64, title: &str)
             .tools()
             .iter()
             .zip(&snapshot.tools)
-            .map(|(tool, now)| instrument(tool, &now.pose))
+            .map(|(tool, now)| instrument(tool, now))
             .collect(),
         arrows: arrows.into_iter().collect(),
         captions: vec![Caption { text, place: CaptionPlace::BottomLeft }],

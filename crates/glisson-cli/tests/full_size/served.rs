@@ -13,7 +13,9 @@ use tungstenite::Message;
 const LONGEST: Duration = Duration::from_secs(3600);
 /// The grasper's place in a snapshot (docs/protocol.md), and how many bytes each tool has.
 const FIRST_TOOL: usize = 64;
-const TOOL_BYTES: usize = 128;
+const TOOL_BYTES: usize = 152;
+/// Of these, where the number of held nodes stands.
+const HELD: usize = 124;
 
 /// What a viewer saw until the script was over.
 #[derive(Debug, Default)]
@@ -41,7 +43,7 @@ impl Seen {
             self.n_cut = self.n_cut.max(bits.iter().map(|byte| byte.count_ones()).sum());
             return;
         }
-        self.n_held = self.n_held.max(u32_at(frame, FIRST_TOOL + TOOL_BYTES - 4));
+        self.n_held = self.n_held.max(u32_at(frame, FIRST_TOOL + HELD));
         let [n_tools, n_vertices, n_blood] = [52, 56, 60].map(|at| u32_at(frame, at) as usize);
         if n_blood > 0 {
             let sum = FIRST_TOOL + TOOL_BYTES * n_tools + 12 * n_vertices;

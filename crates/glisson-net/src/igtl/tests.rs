@@ -20,6 +20,7 @@ use tokio::sync::watch;
 pub(crate) fn published(step: u64) -> Arc<Published> {
     let tool = ToolSnapshot {
         pose: ToolInput::at(DVec3::new(0.01, 0.02, 0.03), DVec3::Z),
+        shown_further_out_m: DVec3::ZERO,
         force_n: DVec3::ZERO,
         contacts: [None; 3],
         n_held_nodes: 0,

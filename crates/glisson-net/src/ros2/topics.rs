@@ -220,7 +220,7 @@ mod tests {
     use glisson::record::snapshot::ToolSnapshot;
 
     fn tool(pose: ToolInput, force_n: DVec3) -> ToolSnapshot {
-        ToolSnapshot { pose, force_n, contacts: [None; 3], n_held_nodes: 0 }
+        ToolSnapshot { pose, shown_further_out_m: DVec3::ZERO, force_n, contacts: [None; 3], n_held_nodes: 0 }
     }
 
     fn snapshot(time_s: f64, tools: Vec<ToolSnapshot>) -> Snapshot {

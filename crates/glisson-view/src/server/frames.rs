@@ -87,6 +87,7 @@ pub fn snapshot_frame(snapshot: &Snapshot, pace: &Pace, contacts: Option<&Contac
         let contact = if first.is_some() { FLAG_CONTACT } else { 0 };
         let grasps = if tool.n_held_nodes > 0 { FLAG_GRASPS } else { 0 };
         frame.u32s(&[contact | grasps, tool.n_held_nodes]);
+        frame.f64s(&tool.shown_further_out_m.to_array());
     }
     frame.positions(&snapshot.positions_m);
     if bleeding.has_vessels {
@@ -116,7 +117,7 @@ mod tests {
 
     const PACE: Pace = Pace { rate_hz: 1000.0, real_time_factor: 1.0, paused: true };
     /// Bytes of the frame of [`snapshot`] as long as nothing bleeds.
-    const WITHOUT_BLOOD: usize = 64 + 2 * 128 + 9 * 4;
+    const WITHOUT_BLOOD: usize = 64 + 2 * 152 + 9 * 4;
 
     /// Two instruments, one of which touches and holds.
     fn snapshot() -> Snapshot {
@@ -133,6 +134,7 @@ mod tests {
                 trigger: 1.0,
                 ..ToolInput::at(DVec3::X, DVec3::Y)
             },
+            shown_further_out_m: DVec3::new(0.5, 0.25, 0.125),
             force_n: DVec3::new(1.0, 2.0, 3.0),
             contacts: [None, Some(contact), None],
             n_held_nodes: 6,
@@ -187,7 +189,8 @@ mod tests {
         let first = [64, 96, 112, 120, 128, 136, 152, 160, 176].map(double);
         assert_eq!(first, [1.0, 1.0, 0.5, 0.25, 1.0, 1.0, 3.0, 7.0, 9.0]);
         assert_eq!([184, 188].map(word), [5, 6]);
-        assert_eq!([192 + 120, 192 + 124].map(word), [0, 0]);
+        assert_eq!([192, 200, 208].map(double), [0.5, 0.25, 0.125]);
+        assert_eq!([216 + 120, 216 + 124].map(word), [0, 0]);
         assert_eq!(frame.len(), WITHOUT_BLOOD);
     }
 

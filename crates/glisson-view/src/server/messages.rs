@@ -14,7 +14,7 @@ use glisson_runtime::{Notice, Simulation};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 8;
+const PROTOCOL: u32 = 9;
 
 /// The first message on a connection.
 pub(super) fn hello(simulation: &Simulation) -> Value {
@@ -130,6 +130,7 @@ fn tool_state(tool: &ToolSnapshot) -> Value {
         "force_on_tool_n": tool.force_n.to_array(),
         "contact": tool.contacts.iter().flatten().next().map(contact),
         "n_held_nodes": tool.n_held_nodes,
+        "shown_further_out_m": tool.shown_further_out_m.to_array(),
     })
 }
 

@@ -175,7 +175,7 @@ fn one_viewer_controls_and_the_next_one_follows_when_it_leaves() {
 fn contact_points_in(frame: &[u8]) -> Option<u32> {
     let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
     let [flags, n_tools, n_vertices, n_blood] = [48, 52, 56, 60].map(word);
-    let at = 64 + 128 * n_tools as usize + 12 * n_vertices as usize + 16 * n_blood as usize;
+    let at = 64 + 152 * n_tools as usize + 12 * n_vertices as usize + 16 * n_blood as usize;
     if flags & 8 == 0 {
         assert_eq!(frame.len(), at);
         return None;

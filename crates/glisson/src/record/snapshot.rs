@@ -22,6 +22,8 @@ pub struct ContactReport {
 pub struct ToolSnapshot {
     /// Where it is.
     pub pose: ToolInput,
+    /// A picture shows it so much further out [m]: it is that far in the surface of a mesh that is too coarse to show its dimple.
+    pub shown_further_out_m: DVec3,
     /// Force that the organ exerts on it [N].
     pub force_n: DVec3,
     /// Where its tip (or first jaw), its second jaw and its shaft touch.

@@ -173,6 +173,11 @@ impl ToolInput {
         Self { tip_in_world_m, shaft_in_world, roll_rad: 0.0, jaw_opening: 0.0, trigger: 0.0 }
     }
 
+    /// The same so far from there.
+    pub fn moved_by(self, way_m: DVec3) -> Self {
+        Self { tip_in_world_m: self.tip_in_world_m + way_m, ..self }
+    }
+
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         self.tip_in_world_m.is_finite()

@@ -65,7 +65,8 @@ impl World {
                 hand.just_closed = pose.jaw_opening <= HOLDS_BELOW && hand.before.jaw_opening > HOLDS_BELOW;
                 if hand.just_closed && hand.grasp.is_none() && tool.kind.holds() {
                     let (opening, near) = (hand.opened_to, &mut self.between_jaws);
-                    hand.grasp = Grasp::close(tool, jaws, &pose, opening, &self.organ, near);
+                    let on_mesh = (&pose, self.press.tip_further_out_m(place));
+                    hand.grasp = Grasp::close(tool, jaws, on_mesh, opening, &self.organ, near);
                     if hand.grasp.is_some() {
                         hand.contacts[ToolPart::Tip.index()] = None;
                         hand.contacts[ToolPart::SecondJaw.index()] = None;

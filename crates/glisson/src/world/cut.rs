@@ -139,10 +139,8 @@ impl World {
     /// The live tetrahedra that the tip of a tool touches in their present shape, ascending: those under the surface that
     /// it stands on, and those within its radius behind them.
     pub fn touched_tetrahedra(&self, tool: usize) -> Vec<TetId> {
-        let Some((hand, spec)) = self.tool_states.get(tool).zip(self.spec.tools.get(tool)) else {
-            return Vec::new();
-        };
-        self.tetrahedra_near(hand.now.tip_in_world_m, spec.tip_radius_m)
+        let Some(spec) = self.spec.tools.get(tool) else { return Vec::new() };
+        self.tetrahedra_near(self.pose_on_mesh(tool).tip_in_world_m, spec.tip_radius_m)
     }
 
     /// The live tetrahedra that a ball touches in their present shape, ascending, as far as they hang together with the
@@ -164,8 +162,9 @@ impl World {
             return Vec::new();
         };
         let Some(jaws) = spec.kind.jaws() else { return Vec::new() };
-        let (frame, opening) = (ToolFrame::of(&hand.now), hand.opened_to);
-        let Some(mut around) = capsule(spec, ToolPart::Tip, &hand.now) else { return Vec::new() };
+        let pose = self.pose_on_mesh(tool);
+        let (frame, opening) = (ToolFrame::of(&pose), hand.opened_to);
+        let Some(mut around) = capsule(spec, ToolPart::Tip, &pose) else { return Vec::new() };
         around.radius_m += jaws.ends_in_tool_m(opening)[0].x + 0.5 * jaws.width_m;
         let positions_m = self.organ.positions_m();
         let topology = self.organ.body().topology();

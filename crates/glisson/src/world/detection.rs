@@ -545,10 +545,8 @@ impl World {
     /// Finds up to `most` nodes of the surface that are nearest to an instrument's end. Allocates nothing.
     pub fn nodes_near_into(&self, tool: usize, most: usize, found: &mut NearbyNodes) {
         found.nodes.clear();
-        let (Some(hand), Some(spec)) = (self.tool_states.get(tool), self.spec.tools.get(tool)) else {
-            return;
-        };
-        let Some(shape) = capsule(spec, ToolPart::Tip, &hand.now) else { return };
+        let Some(spec) = self.spec.tools.get(tool) else { return };
+        let Some(shape) = capsule(spec, ToolPart::Tip, &self.pose_on_mesh(tool)) else { return };
         self.organ.skin().nearest_into(&shape, NEAR_M, &mut found.near);
         for near in &found.near {
             for node in self.organ.skin().place_of(*near).nodes {

@@ -224,7 +224,8 @@ impl World {
     /// A region at rest around the tissue that is nearest to a tool's tip, with edges half as long as they are there now;
     /// `None` if the tip is further from the surface than that region is wide, or there is no such tool.
     pub fn finer_region_at(&self, tool: usize) -> Option<FineRegion> {
-        let tip_m = self.tool_states.get(tool)?.now.tip_in_world_m;
+        self.tool_states.get(tool)?;
+        let tip_m = self.pose_on_mesh(tool).tip_in_world_m;
         let (topology, positions_m) = (self.organ.body().topology(), self.organ.positions_m());
         let rest_m = &self.organ.mesh().positions_m;
         let away_m = |node: NodeId| positions_m[node.index()].distance(tip_m);

@@ -20,6 +20,9 @@ const LETS_GO_ABOVE: f64 = 0.35;
 /// Nodes that one pair of jaws holds at most: some models take 64 imposed nodes in all.
 pub(super) const MOST_HELD_NODES: usize = 14;
 
+/// Jaws reach by so many radii of their ends for tissue: jaws that press on a flat triangle take it. A choice.
+const REACH: f64 = 1.1;
+
 /// Triangles between the jaws that are looked at.
 const MOST_TRIANGLES: usize = 64;
 
@@ -44,6 +47,8 @@ pub(super) struct Grasp {
     opening: f64,
     /// Middle of what is held, where the tissue would be without pull [m].
     free_middle_m: DVec3,
+    /// How far out of the organ the tissue was from the jaws that took it, in the tool's frame [m]: by what the mesh is too coarse for.
+    further_out_in_tool_m: DVec3,
 }
 
 /// How jaws hold.
@@ -56,15 +61,17 @@ pub(super) struct Hold {
 
 impl Grasp {
     /// What jaws that just closed hold: surface nodes between them as far as they were open at `opening`. `None` when
-    /// there is nothing between them that can move.
+    /// there is nothing between them that can move. On the mesh the jaws are `further_out_m` from where they are.
     pub(super) fn close(
         tool: &Tool,
         jaws: &Jaws,
-        pose: &ToolInput,
+        (pose, further_out_m): (&ToolInput, DVec3),
         opening: f64,
         organ: &Organ,
         near: &mut Vec<ToolContact>,
     ) -> Option<Self> {
+        let held_in = ToolFrame::of(pose);
+        let pose = &pose.moved_by(further_out_m);
         let frame = ToolFrame::of(pose);
         let axis = Capsule {
             from_m: pose.tip_in_world_m,
@@ -72,12 +79,12 @@ impl Grasp {
             radius_m: 0.0,
         };
         let [end, _] = jaws.ends_in_tool_m(opening);
-        let reach_m = end.x + 0.5 * jaws.width_m + tool.tip_radius_m;
+        let margin_m = REACH * tool.tip_radius_m;
+        let reach_m = end.x + 0.5 * jaws.width_m + margin_m;
         near.clear();
         organ.skin().near_into(&axis, reach_m, near);
         let positions_m = organ.positions_m();
-        let is_between =
-            |place_m: DVec3| jaws.are_around(frame.to_tool_m(place_m), opening, tool.tip_radius_m);
+        let is_between = |place_m: DVec3| jaws.are_around(frame.to_tool_m(place_m), opening, margin_m);
         let mut found: [(f64, NodeId); MOST_HELD_NODES] =
             [(f64::INFINITY, NodeId(u32::MAX)); MOST_HELD_NODES];
         for place in near.iter().map(|&contact| organ.skin().place_of(contact)) {
@@ -100,11 +107,17 @@ impl Grasp {
         let place_m = |node: NodeId| positions_m.get(node.index()).copied().unwrap_or(DVec3::ZERO);
         let held = found.map(|(_, node)| HeldNode {
             node,
-            in_tool_m: frame.to_tool_m(place_m(node)),
+            in_tool_m: held_in.to_tool_m(place_m(node)),
             force_n: DVec3::ZERO,
         });
         let middle_m = found[..n_held].iter().map(|&(_, n)| place_m(n)).sum::<DVec3>() / n_held as f64;
-        Some(Self { held, n_held, opening, free_middle_m: middle_m })
+        let further_out_in_tool_m = frame.world_from_tool.transpose() * further_out_m;
+        Some(Self { held, n_held, opening, free_middle_m: middle_m, further_out_in_tool_m })
+    }
+
+    /// How far out of the organ what is held is from the jaws, where the tool is so turned [m].
+    pub(super) fn further_out_m(&self, pose: &ToolInput) -> DVec3 {
+        ToolFrame::of(pose).world_from_tool * self.further_out_in_tool_m
     }
 
     /// The nodes, ascending.
@@ -179,7 +192,8 @@ impl Grasp {
             held.in_tool_m += slide_m;
         }
         let (opening, margin_m) = (self.opening, 2.0 * tool.tip_radius_m);
-        self.retain(|held| jaws.are_around(held.in_tool_m, opening, margin_m));
+        let further_out_m = self.further_out_in_tool_m;
+        self.retain(|held| jaws.are_around(held.in_tool_m - further_out_m, opening, margin_m));
         back_m
     }
 
@@ -190,7 +204,9 @@ impl Grasp {
             let force = (h.force_n != DVec3::ZERO).then(|| h.force_n.to_array()).into_iter().flatten();
             [f64::from(h.node.0), h.in_tool_m.x, h.in_tool_m.y, h.in_tool_m.z].into_iter().chain(force)
         });
-        numbers.chain(self.free_middle_m.to_array()).chain([self.opening])
+        let further = self.further_out_in_tool_m;
+        let further = (further != DVec3::ZERO).then(|| further.to_array()).into_iter().flatten();
+        numbers.chain(self.free_middle_m.to_array()).chain([self.opening]).chain(further)
     }
 }
 

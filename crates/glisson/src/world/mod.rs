@@ -16,6 +16,7 @@ mod hand;
 mod tool_state;
 mod haptic;
 mod loads;
+mod node_answer;
 pub mod organ;
 mod parts;
 mod press;
@@ -209,7 +210,10 @@ impl World {
         let anchored_at_start = spec.anchored_nodes(&mesh.positions_m).into();
         let body_of = spec.body_of_nodes(mesh.positions_m.len());
         let fixed = spec.fixed_nodes(&mesh.positions_m);
-        let organ = Organ::new(mesh, &fixed, body_of)?;
+        let mut organ = Organ::new(mesh, &fixed, body_of)?;
+        if spec.hand.is_some() {
+            organ.learn_node_answers(|body| spec.tissue_of(body));
+        }
         let mut vessels = None;
         if !spec.vessels.is_empty() {
             let found = Vessels::new(spec.vessels.clone(), organ.body());
@@ -493,9 +497,10 @@ impl World {
         snapshot.positions_m.clear();
         snapshot.positions_m.extend(self.organ.surface_nodes().iter().map(|n| positions_m[n.index()]));
         snapshot.tools.clear();
-        snapshot.tools.extend(self.tool_states.iter().map(|hand| {
+        snapshot.tools.extend(self.tool_states.iter().enumerate().map(|(place, hand)| {
             ToolSnapshot {
                 pose: hand.now,
+                shown_further_out_m: self.further_out_m(place),
                 force_n: hand.report.force_on_tool_n,
                 contacts: hand
                     .contacts
@@ -522,12 +527,25 @@ impl World {
         (self.mesh_of_the_start.volume_m3() - self.organ.body().volume_m3()).max(0.0)
     }
 
+    /// How far out of the organ a tool is on the mesh, from where it is [m]: by what the mesh is too coarse for. What it does to the
+    /// mesh, as to cut and to grasp, it does from there.
+    fn further_out_m(&self, tool: usize) -> DVec3 {
+        let hand = &self.tool_states[tool];
+        let held = hand.grasp.as_ref().map(|grasp| grasp.further_out_m(&hand.now));
+        held.unwrap_or_else(|| self.press.tip_further_out_m(tool))
+    }
+
+    /// A tool's pose on the mesh.
+    fn pose_on_mesh(&self, tool: usize) -> ToolInput {
+        self.tool_states[tool].now.moved_by(self.further_out_m(tool))
+    }
+
     /// Sets a clip on the vessel nearest to the tip of a tool, if one is within its reach; answers whether one was.
     pub fn clip_vessel(&mut self, tool: usize) -> bool {
         let Some((hand, spec)) = self.tool_states.get(tool).zip(self.spec.tools.get(tool)) else {
             return false;
         };
-        let tip_m = hand.now.tip_in_world_m;
+        let tip_m = hand.now.tip_in_world_m + self.further_out_m(tool);
         let reach_m = spec.tip_radius_m + spec.kind.jaws().map_or(0.0, |jaws| jaws.length_m);
         let positions_m = self.model.state().positions_m;
         let Some(vessels) = &mut self.vessels else { return false };

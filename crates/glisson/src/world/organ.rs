@@ -2,11 +2,13 @@
 
 use super::capsule::Capsule;
 use super::display::{DisplayChange, DisplaySurface};
+use super::node_answer::node_answers_per_m;
 use super::skin::{Skin, SurfaceChange};
 use crate::image::vessels::TubeError;
+use crate::material::LinearElastic;
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, MeshUndo, TopologyChange};
-use crate::mesh::remap::EntityArray;
+use crate::mesh::remap::{Carried, EntityArray};
 use crate::mesh::topology::TopologyError;
 use crate::mesh::{NodeId, TetId, TetMesh, TriangleId};
 use crate::model::FixedNode;
@@ -51,6 +53,8 @@ pub enum OrganError {
 pub(super) struct OrganBefore {
     /// Whether each node that was removed was held, in the order of the change.
     fixed: Vec<bool>,
+    /// How each of them answered [1/m].
+    node_answers_per_m: Vec<f64>,
     /// Where the nodes that moved were at the start and at the end of the last step [m].
     ways_m: Vec<(NodeId, [DVec3; 2])>,
     topology_version: u32,
@@ -59,10 +63,10 @@ pub(super) struct OrganBefore {
 }
 
 /// Takes back what an edit did to an array by node: drops what came in, writes the values of what was removed back.
-pub(super) fn put_back(
-    array: &mut EntityArray<NodeId, bool>,
+pub(super) fn put_back<T: Carried>(
+    array: &mut EntityArray<NodeId, T>,
     change: &TopologyChange,
-    of_removed: impl Iterator<Item = bool>,
+    of_removed: impl Iterator<Item = T>,
 ) {
     let mut values = std::mem::replace(array, EntityArray::new(Vec::new())).into_vec();
     values.truncate(change.nodes.n_before);
@@ -97,6 +101,8 @@ pub struct Organ {
     fixed: EntityArray<NodeId, bool>,
     /// The body of each node.
     body_of: Vec<u32>,
+    /// g E* of each node [1/m] ([`node_answers_per_m`]); not a number where it is not known, as of what edits lay bare.
+    node_answers_per_m: EntityArray<NodeId, f64>,
     skin: Skin,
     capsule: Capsule,
     display: DisplaySurface,
@@ -113,6 +119,7 @@ impl Organ {
             return Err(OrganError::Empty);
         }
         let mut fixed = vec![false; mesh.positions_m.len()];
+        let unknown = vec![f64::NAN; mesh.positions_m.len()];
         for held in held {
             fixed[held.node.index()] = held.axes == [true; 3];
         }
@@ -126,11 +133,19 @@ impl Organ {
             body,
             fixed: EntityArray::new(fixed),
             body_of,
+            node_answers_per_m: EntityArray::new(unknown),
             skin,
             capsule,
             display,
             topology_version: 1,
         })
+    }
+
+    /// Finds how the nodes of the surface answer to forces on them alone, of bodies whose tissue is told by their number.
+    pub(super) fn learn_node_answers<'a>(&mut self, tissue_of: impl Fn(usize) -> Option<&'a LinearElastic>) {
+        let of_node = |node: NodeId| tissue_of(self.body_of[node.index()] as usize);
+        let found = node_answers_per_m(self.body.topology(), self.body.mesh(), of_node);
+        self.node_answers_per_m = EntityArray::new(found);
     }
 
     /// Mesh and adjacency, to be edited; what follows has to be told.
@@ -144,10 +159,16 @@ impl Organ {
         before
             .fixed
             .extend(change.nodes.removed.iter().map(|n| n.index() < change.nodes.n_before && self.fixed[*n]));
+        before.node_answers_per_m.clear();
+        let of_node = self.node_answers_per_m.as_slice();
+        let answers =
+            change.nodes.removed.iter().map(|n| of_node.get(n.index()).copied().unwrap_or(f64::NAN));
+        before.node_answers_per_m.extend(answers);
         before.topology_version = self.topology_version;
         let held = self.held_of_new(change);
         follow_bodies(&mut self.body_of, change);
         self.fixed.follow(change);
+        self.node_answers_per_m.follow(change);
         for (node, is_held) in change.nodes.added.ids().iter().zip(held) {
             self.fixed[*node] = is_held && !change.nodes.removed.contains(node);
         }
@@ -187,6 +208,7 @@ impl Organ {
     pub(super) fn undo_edit(&mut self, undo: &MeshUndo, change: &TopologyChange, before: &mut OrganBefore) {
         self.body.undo(undo);
         put_back(&mut self.fixed, change, before.fixed.iter().copied());
+        put_back(&mut self.node_answers_per_m, change, before.node_answers_per_m.iter().copied());
         self.body_of.truncate(change.nodes.n_before);
         let triangles = SurfaceChange {
             added: &change.surface_triangles_added,
@@ -246,6 +268,11 @@ impl Organ {
     /// The body of each node, by its number; all 0 of one organ.
     pub fn body_of_nodes(&self) -> &[u32] {
         &self.body_of
+    }
+
+    /// g E* [1/m] of a node of the surface, where it is known ([`super::node_answer`]).
+    pub(super) fn node_answer_per_m(&self, node: NodeId) -> Option<f64> {
+        self.node_answers_per_m.as_slice().get(node.index()).copied().filter(|answer| *answer > 0.0)
     }
 
     /// Whether `node` is held at rest along every axis.

@@ -66,12 +66,13 @@ impl World {
     /// After a step: whether what a part did breaks the tissue; `force_on_tool_n` is none for a part that does not touch.
     pub(super) fn load_part(&mut self, place: usize, part: ToolPart, force_on_tool_n: Option<DVec3>) {
         let Some(tearing) = self.spec.tearing else { return };
+        let on_mesh = self.pose_on_mesh(place);
         let (hand, tool) = (&mut self.tool_states[place], &self.spec.tools[place]);
         let contact = hand.contacts[part.index()].as_ref();
         let load = contact.zip(force_on_tool_n).map(|(contact, force_on_tool_n)| {
             let at_m = |pose: &ToolInput| contact.at.in_world_m(tool, pose);
             let motion_m = at_m(&hand.now) - at_m(&hand.before);
-            let front = front_of_part(tool, part, &hand.now, &self.organ, &mut self.between_jaws);
+            let front = front_of_part(tool, part, &on_mesh, &self.organ, &mut self.between_jaws);
             Load { force_on_tool_n, motion_m, front }
         });
         hand.overload.push(part.index(), tearing.energy, load.as_ref());
@@ -149,7 +150,7 @@ impl World {
     /// Live tetrahedra that a part touches at a contact, at least that behind the touched triangle.
     fn tetrahedra_under(&self, tool: usize, part: ToolPart, contact: &HeldContact) -> Vec<TetId> {
         let (hand, spec) = (&self.tool_states[tool], &self.spec.tools[tool]);
-        let at_m = contact.at.in_world_m(spec, &hand.now);
+        let at_m = contact.at.in_world_m(spec, &hand.now) + self.further_out_m(tool);
         let tets = self.tetrahedra_near(at_m, part.radius_m(spec));
         if !tets.is_empty() {
             return tets;

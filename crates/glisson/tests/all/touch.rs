@@ -3,11 +3,11 @@
 use crate::model_meshes::shaken_block;
 use glisson::material::{LawChoice, LinearElastic, law_named};
 use glisson::math::{Aabb, DVec3};
-use glisson::mesh::{NodeId, TetMesh};
+use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
 use glisson::scene::{OrganBody, build_model};
-use glisson::tool::{Grip, Tool, ToolInput};
+use glisson::tool::{Grip, Jaws, Tool, ToolInput, ToolKind};
 use glisson::world::spec::{Hand, Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{StepInput, World};
 
@@ -16,11 +16,15 @@ const RADIUS_M: f64 = 4e-3;
 
 /// A world of tissue that is held where `held` says, touched by a ball.
 fn world(mesh: &TetMesh, kind: ModelKind, held: &[Region], friction: f64) -> World {
+    let grip = Grip { friction_coefficient: friction, is_sticky: false };
+    let ball = |home| Tool { grip, shaft_radius_m: 1e-3, ..Tool::probe("ball", RADIUS_M, home) };
+    world_with(mesh, kind, held, ball)
+}
+
+fn world_with(mesh: &TetMesh, kind: ModelKind, held: &[Region], tool: impl Fn(ToolInput) -> Tool) -> World {
     let supports: Vec<Support> = held.iter().map(|region| Support::all_axes(*region)).collect();
     let home = ToolInput::at(DVec3::new(0.0, 0.0, 0.25), DVec3::Z);
-    let grip = Grip { friction_coefficient: friction, is_sticky: false };
-    let tool = Tool { grip, shaft_radius_m: 1e-3, ..Tool::probe("ball", RADIUS_M, home) };
-    let mut spec = WorldSpec::new("touched", STEP_S, tool);
+    let mut spec = WorldSpec::new("touched", STEP_S, tool(home));
     spec.supports.clone_from(&supports);
     spec.hand = Some(Hand::default());
     let material = LinearElastic::from_young_poisson(5e3, 0.45, 1060.0).unwrap();
@@ -117,4 +121,89 @@ fn sliding_bears_the_coefficient_of_friction() {
             );
         }
     }
+}
+
+/// A ball that is far smaller than the edges of the mesh goes in by many radii. The shaft behind it is as far out of the mesh's surface
+/// as the ball is: its end would press that surface as if there were no detail, with three times the force.
+#[test]
+fn a_small_ball_feels_a_half_space_many_radii_deep() {
+    let radius_m = 1.5e-3;
+    for kind in [ModelKind::Precomputed, ModelKind::Implicit] {
+        let mut world = coarse_block_with(kind, |home| Tool {
+            grip: Grip { friction_coefficient: 0.0, is_sticky: false },
+            shaft_radius_m: 0.25 * radius_m,
+            ..Tool::probe("ball", radius_m, home)
+        });
+        let at = |depth_m: f64| StepInput::of(&[ToolInput::at(DVec3::Z * (radius_m - depth_m), DVec3::Z)]);
+        world.step(&at(-1e-3).placed());
+        for deep in [4.0, 8.0, 12.0] {
+            let (from_m, to_m) = ((deep - 4.0) * 1e-3, deep * 1e-3);
+            for i in 1..=400 {
+                world.step(&at(from_m + (to_m - from_m) * (f64::from(i) / 200.0).min(1.0)));
+            }
+            let force_n = world.report().tools[0].force_on_tool_n.z;
+            // The hand gives way by 1 mm for 10 N.
+            let depth_m = to_m - force_n / Hand::default().stiffness_n_per_m;
+            // Sneddon's ball, so deep that its contact is as wide as it is: F = E* R (2 d - R).
+            let reduced_pa = 5e3 / (1.0 - 0.45 * 0.45);
+            let wanted_n = reduced_pa * radius_m * (2.0 * depth_m - radius_m);
+            let ratio = force_n / wanted_n;
+            assert!((ratio - 1.0).abs() < 0.1, "{kind} {deep} mm: {force_n} N of {wanted_n}");
+            // What it cuts is the tissue that it presses, which is far before it on the mesh.
+            let cut = world.touched_tetrahedra(0);
+            let topology = world.organ().body().topology();
+            let pressed = world.snapshot().tools[0].contacts[0].as_ref().expect("it touches").nodes;
+            let is_pressed = |tet: &TetId| topology.tet_nodes(*tet).iter().any(|node| pressed.contains(node));
+            assert!(cut.iter().any(is_pressed), "{kind} {deep} mm: {cut:?} are cut");
+        }
+    }
+}
+
+/// Jaws that are small beside the edges of the mesh are deep in its surface where they press it. They take what they press, and
+/// neither the tissue nor what is drawn jumps.
+#[test]
+fn small_jaws_take_the_tissue_that_they_press() {
+    let radius_m = 1.5e-3;
+    let jaws = Jaws { length_m: 8e-3, width_m: 3e-3, greatest_opening_rad: 0.3, closing_force_n: 10.0 };
+    for kind in [ModelKind::Precomputed, ModelKind::Implicit] {
+        let mut world = coarse_block_with(kind, |home| Tool {
+            kind: ToolKind::grasper(jaws),
+            shaft_radius_m: 0.25 * radius_m,
+            ..Tool::probe("jaws", radius_m, home)
+        });
+        let at = |depth_m: f64, jaw_opening: f64| {
+            let tip_m = DVec3::Z * (radius_m - depth_m);
+            StepInput::of(&[ToolInput { jaw_opening, ..ToolInput::at(tip_m, DVec3::Z) }])
+        };
+        world.step(&at(-1e-3, 0.4).placed());
+        for i in 1..=400 {
+            world.step(&at(8e-3 * (f64::from(i) / 200.0).min(1.0), 0.4));
+        }
+        let further_m = |world: &World| world.snapshot().tools[0].shown_further_out_m;
+        let before_m = further_m(&world);
+        assert!(before_m.z > 3e-3, "{kind}: {before_m}");
+        let pressed_m = world.state().positions_m.to_vec();
+        for i in 0..20 {
+            world.step(&at(8e-3, 0.4 - 0.02 * f64::from(i + 1)));
+        }
+        assert!(world.report().tools[0].n_held_nodes > 0, "{kind}: nothing is held");
+        let moved_m = pressed_m.iter().zip(world.state().positions_m).map(|(a, b)| a.distance(*b));
+        assert!(moved_m.fold(0.0, f64::max) < 1e-3, "{kind}: the tissue jumps");
+        let after_m = further_m(&world);
+        assert!(after_m.distance(before_m) < 0.3 * before_m.length(), "{kind}: {before_m} to {after_m}");
+        for _ in 0..200 {
+            world.step(&at(8e-3, 0.0));
+        }
+        assert!(further_m(&world).distance(after_m) < 1e-6, "{kind}: what is held moves in the jaws");
+    }
+}
+
+/// A block of edges of 12 mm, its top at z = 0 and its base held, under a tool.
+fn coarse_block_with(kind: ModelKind, tool: impl Fn(ToolInput) -> Tool) -> World {
+    let size_m = DVec3::new(0.1, 0.1, 0.06);
+    let mut mesh = shaken_block([8, 8, 5], size_m, 0.0, 5);
+    let to_top_m = DVec3::new(0.5, 0.5, 1.0) * size_m;
+    mesh.positions_m.iter_mut().for_each(|p| *p -= to_top_m);
+    let base = Region::Box(Aabb { min_m: DVec3::splat(-1.0), max_m: DVec3::new(1.0, 1.0, -size_m.z + 1e-3) });
+    world_with(&mesh, kind, &[base], tool)
 }

@@ -1,5 +1,6 @@
 //! A block of tissue, two instruments, and what a hand should not do with them: random violent motions, each of a seed.
 
+use glisson::contact::response::self_contact::SelfContactParams;
 use glisson::material::{LawChoice, LinearElastic, law_named};
 use glisson::math::{DVec3, SeededRandom, is_inverted, tetrahedron_volume_m3};
 use glisson::mesh::TetMesh;
@@ -104,6 +105,7 @@ impl Block {
                     spec.supports = supports;
                     spec.hand = hand;
                     spec.tissue = Some(material);
+                    spec.self_contact = Self::touches_itself(subject.kind, step_s);
                     return World::new(spec, self.mesh.clone(), model, subject.kind)
                         .map_err(|error| error.to_string());
                 }
@@ -111,6 +113,14 @@ impl Block {
                 Err(_) => step_s *= 0.5,
             }
         }
+    }
+
+    /// The block touches itself where the model can answer that: pressed between two tools it would fold into itself, and such a fold
+    /// is at rest with every tetrahedron upright.
+    fn touches_itself(kind: ModelKind, step_s: f64) -> Option<SelfContactParams> {
+        let response = SelfContactParams::geometric(SelfContactParams::DEFAULT_FRICTION);
+        let margin_m = SelfContactParams::default_margin_m(step_s);
+        kind.row().corrects_steps.then_some(SelfContactParams { margin_m, response })
     }
 
     /// Numbers of the tetrahedra that are inverted or flat.

@@ -334,6 +334,12 @@ impl Press {
     /// The points at which a part touches, or may in this step: from where it was it moves to where it would be alone. Those that
     /// push against the first side's way are of the second: a part in a fold.
     pub(super) fn add_points(&mut self, (place, part): (usize, ToolPart), touch: &PartTouch<'_>) {
+        let mut touch = *touch;
+        if part == ToolPart::Shaft {
+            let axis = (touch.way.start.to_m - touch.way.start.from_m).normalize_or_zero();
+            touch.way = touch.way.without_start(self.tip_further_out_m(place).dot(axis).max(0.0));
+        }
+        let touch = &touch;
         let sides = [0, 1].map(|side| side_of(part, side));
         let known = sides.map(|side| self.outward[place][side] != DVec3::ZERO);
         let pressed = std::mem::take(&mut self.pressed);
@@ -362,6 +368,13 @@ impl Press {
         }
         self.search = search;
         self.pressed = pressed;
+    }
+
+    /// How far the tip is in the surface of the mesh for what that is too coarse for, as the way out [m]. The shaft is so much
+    /// further out too: its end would press the tissue that the tip bears, as if there were no detail.
+    pub(in crate::world) fn tip_further_out_m(&self, place: usize) -> DVec3 {
+        let sides = (0..SIDES).map(|side| side_of(ToolPart::Tip, side));
+        sides.map(|side| self.outward[place][side] * self.further_out_m[place][side]).sum()
     }
 
     /// Looks for points around a part as one of its sides has it; how far that is further out [m].
@@ -731,6 +744,18 @@ impl PartWay {
     pub(super) fn of(tool: &Tool, part: ToolPart, [from, now]: [&ToolInput; 2]) -> Option<Self> {
         let turn = ToolFrame::of(now).world_from_tool * ToolFrame::of(from).world_from_tool.transpose();
         Some(Self { start: capsule(tool, part, from)?, end: capsule(tool, part, now)?, turn })
+    }
+}
+
+impl PartWay {
+    /// Without so much of the part's length at its start.
+    fn without_start(self, length_m: f64) -> Self {
+        let from = |capsule: Capsule| {
+            let way_m = capsule.to_m - capsule.from_m;
+            let off_m = way_m.clamp_length_max(length_m);
+            Capsule { from_m: capsule.from_m + off_m, ..capsule }
+        };
+        Self { start: from(self.start), end: from(self.end), ..self }
     }
 }
 

@@ -557,6 +557,11 @@ impl World {
         self.loads.forces()
     }
 
+    /// Forces of instruments on nodes in the last step, ascending by node; empty where hands impose their motion.
+    pub fn touch_forces(&self) -> &[NodalForce] {
+        self.press.forces()
+    }
+
     /// The instruments.
     pub fn tools(&self) -> &[Tool] {
         &self.spec.tools

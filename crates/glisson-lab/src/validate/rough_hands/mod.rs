@@ -1,6 +1,6 @@
 //! Hands that do what no surgeon does, to every model with every law: random violent motions, each of a seed ([`motions`]).
 //!
-//! Of each motion: the greatest force on the hand beside the hand's limit, numbers that are not finite, tetrahedra that are
+//! Of each motion: the greatest force on the hand beside the hand's limit, how far a step takes an instrument from its hand, numbers that are not finite, tetrahedra that are
 //! inverted half a second after the tools left, and how far the block is from its rest shape after two. With the limit of
 //! [`Hand::default`], and with ten times that: the tissue's side has to hold without the limit's help.
 
@@ -20,6 +20,8 @@ use std::path::Path;
 const OWN: &str = "requirement";
 /// What the hand may bear beyond its limit, by rounding.
 const OF_ROUNDING: f64 = 1e-9;
+/// Tissue pushes an instrument no further from its hand in a step than this [m]: the size of the block's half height.
+const MOST_ASTRAY_M: f64 = 0.03;
 /// Tissue is at rest again when no node is further from its place [m].
 const MOST_OFF_M: f64 = 1e-3;
 
@@ -78,8 +80,8 @@ struct Case {
 }
 
 impl Case {
-    const HEAD: &'static str = "| model | law | limit [N] | seed | motion | force [N] | not finite | inverted | off rest [mm] | steps with a substitute law | with limited energy | |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|---|\n";
+    const HEAD: &'static str = "| model | law | limit [N] | seed | motion | force [N] | astray [mm] | not finite | inverted | off rest [mm] | steps with a substitute law | with limited energy | |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|---|\n";
 
     fn is_bounded(&self) -> bool {
         self.felt.greatest_force_n <= self.limit_n * (1.0 + OF_ROUNDING)
@@ -90,20 +92,30 @@ impl Case {
         self.felt.most_off_m <= MOST_OFF_M
     }
 
+    /// Not so when a place is no number.
+    fn stays_with_hand(&self) -> bool {
+        self.felt.most_astray_m <= MOST_ASTRAY_M
+    }
+
     fn holds(&self) -> bool {
         let Felt { n_non_finite, n_inverted, .. } = self.felt;
-        self.is_bounded() && n_non_finite == 0 && n_inverted == 0 && self.is_at_rest()
+        self.is_bounded()
+            && self.stays_with_hand()
+            && n_non_finite == 0
+            && n_inverted == 0
+            && self.is_at_rest()
     }
 
     fn row(&self) -> String {
-        let Felt { greatest_force_n, n_non_finite, n_inverted, most_off_m, .. } = self.felt;
+        let Felt { greatest_force_n, most_astray_m, n_non_finite, n_inverted, most_off_m, .. } = self.felt;
         format!(
-            "| {} | {} | {} | {} | {} | {greatest_force_n:.3} | {n_non_finite} | {n_inverted} | {:.3} | {} | {} | {} |\n",
+            "| {} | {} | {} | {} | {} | {greatest_force_n:.3} | {:.3} | {n_non_finite} | {n_inverted} | {:.3} | {} | {} | {} |\n",
             self.subject.kind,
             self.subject.law.unwrap_or("-"),
             self.limit_n,
             self.seed,
             motion_name(self.seed),
+            most_astray_m * 1e3,
             most_off_m * 1e3,
             self.felt.n_quarantined_steps,
             self.felt.n_limited_steps,
@@ -161,8 +173,11 @@ fn judge(cases: &[Case], limit_n: f64) -> Vec<Experiment> {
     let of_limit = || cases.iter().filter(|case| case.limit_n == limit_n);
     let count = |is_wrong: IsWrong| of_limit().filter(|case| is_wrong(case)).count() as f64;
     let n = of_limit().count();
-    let claims: [(&str, IsWrong); 4] = [
+    let claims: [(&str, IsWrong); 5] = [
         ("with a greater force on the hand", |case| !case.is_bounded()),
+        ("with an instrument that a step takes more than 30 mm from its hand", |case| {
+            !case.stays_with_hand()
+        }),
         ("with a number that is not finite", |case| case.felt.n_non_finite > 0),
         ("with an inverted tetrahedron 0.5 s after the tools left", |case| case.felt.n_inverted > 0),
         ("further than 1 mm from rest after 2 s", |case| !case.is_at_rest()),

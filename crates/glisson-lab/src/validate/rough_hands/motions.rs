@@ -6,6 +6,7 @@ use glisson::math::{DVec3, SeededRandom, is_inverted, tetrahedron_volume_m3};
 use glisson::mesh::TetMesh;
 use glisson::model::kind::ModelKind;
 use glisson::model::{MeasuredSample, ModelMotion, OrganBody, Rayleigh};
+use glisson::record::snapshot::Snapshot;
 use glisson::scene::build_model;
 use glisson::tool::{Grip, Jaws, Tool, ToolInput, ToolKind};
 use glisson::world::spec::{Hand, Region, Support, WorldSpec, fixed_nodes};
@@ -150,6 +151,9 @@ fn greater(a: f64, b: f64) -> f64 {
 pub(crate) struct Outcome {
     /// On the hand [N].
     pub(crate) greatest_force_n: f64,
+    /// How much further an instrument was from its hand after a step than the hand's way in the step tells [m]; without jaws that
+    /// hold: tissue that is flung carries them along.
+    pub(crate) most_astray_m: f64,
     /// Places, velocities and forces that were not finite, in all steps.
     pub(crate) n_non_finite: usize,
     /// Half a second after the tools left.
@@ -167,6 +171,10 @@ pub(crate) struct Hands<'a> {
     world: &'a mut World,
     half_m: DVec3,
     tools: [ToolInput; 2],
+    /// How far the instruments were from their hands, and where the hands were, after the last step [m].
+    behind_m: [f64; 2],
+    hands_m: [DVec3; 2],
+    snapshot: Snapshot,
     random: SeededRandom,
     pub(crate) outcome: Outcome,
 }
@@ -178,10 +186,14 @@ fn waiting() -> [ToolInput; 2] {
 
 impl<'a> Hands<'a> {
     fn new(world: &'a mut World, block: &Block, seed: u64) -> Self {
+        let snapshot = world.snapshot();
         Self {
             world,
             half_m: 0.5 * block.size_m,
             tools: waiting(),
+            behind_m: [0.0; 2],
+            hands_m: [AWAY_M, ASIDE_M],
+            snapshot,
             random: SeededRandom::new(seed),
             outcome: Outcome::default(),
         }
@@ -198,6 +210,16 @@ impl<'a> Hands<'a> {
             let force_n = tool.force_on_tool_n.length();
             outcome.greatest_force_n = greater(outcome.greatest_force_n, force_n);
             outcome.n_non_finite += usize::from(!force_n.is_finite());
+        }
+        self.world.snapshot_into(&mut self.snapshot);
+        for (tool, now) in self.snapshot.tools.iter().enumerate() {
+            let hand_m = input.tools[tool].tip_in_world_m;
+            let behind_m = now.pose.tip_in_world_m.distance(hand_m);
+            let astray_m = behind_m - self.behind_m[tool] - hand_m.distance(self.hands_m[tool]);
+            if now.n_held_nodes == 0 {
+                outcome.most_astray_m = greater(outcome.most_astray_m, astray_m);
+            }
+            (self.behind_m[tool], self.hands_m[tool]) = (behind_m, hand_m);
         }
         outcome.n_quarantined_steps += usize::from(report.model.n_quarantined_tets > 0);
         outcome.n_limited_steps += usize::from(report.model.energy_was_limited);

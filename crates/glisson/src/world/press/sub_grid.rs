@@ -131,8 +131,10 @@ impl Indentation {
     ) -> f64 {
         let force_n: f64 = forces.iter().map(|(_, force_n)| force_n).sum();
         let of_mesh = self.mesh_m_per_n(organ, forces) + further_out_m / force_n;
-        let missing = self.ball_m_per_n(radius_m, force_n) - of_mesh;
-        if missing.is_finite() { missing.max(0.0) } else { 0.0 }
+        let of_ball = self.ball_m_per_n(radius_m, force_n);
+        // Forces that nearly cancel, as in a fold, tell nothing of the mesh: it yields by nothing or more, not against them.
+        let missing = of_ball - of_mesh;
+        if missing.is_finite() { missing.clamp(0.0, of_ball) } else { 0.0 }
     }
 
     /// s/F [m/N] of a touch that just begins on a node.
@@ -161,6 +163,29 @@ fn area_m2(organ: &Organ, node: NodeId) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::DVec3;
+    use crate::mesh::TetMesh;
+
+    /// Forces of the sides of a fold on one part cancel but for rounding.
+    #[test]
+    fn forces_that_cancel_leave_no_more_missing_than_a_touch_that_begins() {
+        let contact = Indentation::of(&LinearElastic::from_young_poisson(5e3, 0.45, 1060.0).unwrap());
+        let positions_m = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].map(|p| p * 0.01).to_vec();
+        let mesh = TetMesh { positions_m, tetrahedra: vec![[0, 1, 2, 3].map(NodeId)] };
+        let organ = Organ::new(mesh, &[], vec![0; 4]).unwrap();
+        let radius_m = 3e-3;
+        let most = contact.at_first_m_per_n(radius_m);
+        let cancels = |left_n: f64| vec![(NodeId(0), 0.5), (NodeId(1), -0.5 + left_n)];
+        for left_n in [1e-12, 1e-9, 0.0, -1e-12, -1e-9] {
+            for forces in [cancels(left_n), vec![(NodeId(0), left_n)]] {
+                // The places of both sides, weighted by forces of either sign, are in the mean anywhere.
+                for further_out_m in [-1e-3, 0.0, 1e-3] {
+                    let missing = contact.missing_m_per_n(&organ, (radius_m, further_out_m), &forces);
+                    assert!((0.0..=most).contains(&missing), "{forces:?}, {further_out_m} m: {missing} m/N");
+                }
+            }
+        }
+    }
 
     #[test]
     fn a_shallow_contact_is_hertz_and_a_deep_one_sneddon() {

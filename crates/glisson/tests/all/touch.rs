@@ -141,7 +141,10 @@ fn a_small_ball_feels_a_half_space_many_radii_deep() {
             for i in 1..=400 {
                 world.step(&at(from_m + (to_m - from_m) * (f64::from(i) / 200.0).min(1.0)));
             }
-            let force_n = world.report().tools[0].force_on_tool_n.z;
+            let on_tool_n = world.report().tools[0].force_on_tool_n;
+            let on_tissue_n: DVec3 = world.touch_forces().iter().map(|force| force.force_n).sum();
+            assert!(on_tool_n.distance(-on_tissue_n) < 1e-9, "{kind}: {on_tool_n} N, {on_tissue_n} N");
+            let force_n = on_tool_n.z;
             // The hand gives way by 1 mm for 10 N.
             let depth_m = to_m - force_n / Hand::default().stiffness_n_per_m;
             // Sneddon's ball, so deep that its contact is as wide as it is: F = E* R (2 d - R).

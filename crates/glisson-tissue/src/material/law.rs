@@ -143,7 +143,7 @@ pub(super) fn add_square(tangent: &mut Tangent, value: f64, vector: &[f64; 9]) {
 }
 
 /// a : b, the sum of products of entries.
-pub(super) fn contraction(a: &DMat3, b: &DMat3) -> f64 {
+pub(crate) fn contraction(a: &DMat3, b: &DMat3) -> f64 {
     a.x_axis.dot(b.x_axis) + a.y_axis.dot(b.y_axis) + a.z_axis.dot(b.z_axis)
 }
 

@@ -24,7 +24,7 @@ pub use eigen::eigen_symmetric;
 pub(crate) use eigen::{SignedSingularValues, signed_singular_values};
 pub use holzapfel_gasser_ogden::{HolzapfelGasserOgden, HolzapfelGasserOgdenParameters};
 pub use law::{Material, Tangent, largest_tangent_eigenvalue_pa, projected};
-pub(crate) use law::{cofactor, cofactor_differential};
+pub(crate) use law::{cofactor, cofactor_differential, contraction};
 pub use linear_elastic::{LinearElastic, MaterialError};
 pub use mooney_rivlin::MooneyRivlin;
 pub use named::{LawChoice, LawEntry, LawKey, LawKeyKind, MaterialSpec, NamedLaw, NumberRange, Typical};

@@ -62,6 +62,9 @@ pub struct LocalModel {
     /// h v - C h K v, with the velocities v of the nodes beyond the rings too. Zero unless [`LocalWork::telling_drift`] asks
     /// for it, and in a static model.
     pub drift_m: Vec<DVec3>,
+    /// -h K v [N]: by how much the elements' force on each node has changed over the last period, with which an explicit step begins.
+    /// Told by explicit models alone, with the drift where [`LocalWork::set_telling_changes`] asks for it.
+    pub changed_n: Vec<DVec3>,
     /// The period [s] that C is for.
     pub period_s: f64,
     /// Rings of tetrahedra around the patch that C takes into account; none when it is exact.
@@ -95,6 +98,7 @@ impl LocalModel {
             compliance_m_per_n: Vec::with_capacity(9 * n * n),
             mass_kg: Vec::with_capacity(n),
             drift_m: Vec::with_capacity(n),
+            changed_n: Vec::with_capacity(n),
             period_s: 0.0,
             n_rings: None,
             is_inertial: false,
@@ -126,6 +130,8 @@ impl LocalModel {
         self.mass_kg.resize(self.nodes.len(), 0.0);
         self.drift_m.clear();
         self.drift_m.resize(self.nodes.len(), DVec3::ZERO);
+        self.changed_n.clear();
+        self.changed_n.resize(self.nodes.len(), DVec3::ZERO);
         self.period_s = period_s;
         self.n_rings = None;
         self.is_inertial = false;
@@ -183,6 +189,7 @@ pub struct LocalWork {
     most_rings: u32,
     tolerance: f64,
     tells_drift: bool,
+    tells_changes: bool,
     /// Place in the region of each node plus one; zero outside.
     place: Vec<u32>,
     /// Nodes, those of the patch first.
@@ -215,6 +222,7 @@ impl LocalWork {
             most_rings: MOST_RINGS,
             tolerance: TOLERANCE,
             tells_drift: false,
+            tells_changes: false,
             place: vec![0; n_nodes],
             region: Vec::with_capacity(n),
             n_patch: 0,
@@ -252,6 +260,12 @@ impl LocalWork {
     #[must_use]
     pub fn telling_drift(self) -> Self {
         Self { tells_drift: true, ..self }
+    }
+
+    /// Whether [`LocalModel::changed_n`] is told with the drift from now on. In a short step of the kernel's model it costs more than
+    /// all the rest.
+    pub fn set_telling_changes(&mut self, tells_changes: bool) {
+        self.tells_changes = tells_changes;
     }
 
     /// Whether [`LocalModel::drift_m`] is asked for.
@@ -304,11 +318,35 @@ pub(in crate::model) trait LocalBody {
     fn damping(&self) -> Rayleigh {
         self.frame().damping()
     }
+    /// Whether a step acts with the elements' forces in the shape before it.
+    fn is_explicit(&self) -> bool {
+        true
+    }
+    /// -h K v of an element at its nodes [N], over a period h.
+    fn change_n(&self, element: usize, period_s: f64) -> [DVec3; 4] {
+        let elements = self.elements();
+        let nodes = elements.nodes(element);
+        let velocity = |node: &NodeId| self.velocity_m_per_s(node.index());
+        change_of(&self.stiffness(element, period_s), nodes, velocity, period_s)
+    }
     /// Into how many parts of central differences the next step of `period_s` is divided, if it is no longer than a single
     /// stable one.
     fn short_step_parts(&self, _period_s: f64) -> Option<u64> {
         None
     }
+}
+
+/// -h K v [N] of an element with the stiffness K and these nodes, whose velocities [m/s] `velocity` tells.
+fn change_of(
+    stiffness: &ElementStiffness,
+    nodes: &[NodeId],
+    velocity: impl Fn(&NodeId) -> DVec3,
+    period_s: f64,
+) -> [DVec3; 4] {
+    let balance_n = |row: &[DMat3; 4]| {
+        nodes.iter().zip(row).map(|(node, block)| *block * (velocity(node) * period_s)).sum::<DVec3>()
+    };
+    stiffness.each_ref().map(|row| -balance_n(row))
 }
 
 /// Masses, supports and loads of a body's nodes.
@@ -377,6 +415,35 @@ pub(in crate::model) fn tet_tangent(
     stiffness
 }
 
+/// The tangent's product with a motion of the corners, without the tangent: forces [N] that balance the change of the deformation.
+pub(in crate::model) fn tet_tangent_times(
+    gradients: &P1Gradients,
+    [u_m, moves_m]: [[DVec3; 4]; 2],
+    law: &TangentLaw<'_>,
+    rest_stress_pa: Option<&RestStress>,
+) -> [DVec3; 4] {
+    let alpha = gradients.alpha_per_m;
+    let gradient = |of_corners: [DVec3; 4]| (0..4).map(|k| outer(of_corners[k], alpha[k])).sum::<DMat3>();
+    let (f, df) = (DMat3::IDENTITY + gradient(u_m), gradient(moves_m));
+    let symmetric = |m: DMat3| (m + m.transpose()) * 0.5;
+    let mut change_pa = match law {
+        TangentLaw::Linear { lambda_pa, mu_pa } => {
+            let strain = symmetric(df);
+            let trace = strain.x_axis.x + strain.y_axis.y + strain.z_axis.z;
+            strain * (2.0 * mu_pa) + DMat3::from_diagonal(DVec3::splat(lambda_pa * trace))
+        }
+        TangentLaw::Kirchhoff(law) => {
+            let strain = (f.transpose() * f - DMat3::IDENTITY) * 0.5;
+            df * law.stress_pa(strain) + f * law.stress_pa(symmetric(f.transpose() * df))
+        }
+        TangentLaw::Any(law) => law.first_piola_differential_pa(&f, &df),
+    };
+    if let Some(stress_pa) = rest_stress_pa {
+        change_pa += df * stress_tensor_pa(*stress_pa);
+    }
+    alpha.map(|alpha| change_pa * alpha * gradients.volume_m3)
+}
+
 /// Adds the stiffness of a stress in the rest shape, which does not depend on the present shape.
 pub(in crate::model) fn add_rest_stress(
     gradients: &P1Gradients,
@@ -426,6 +493,12 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
     if work.least_rings == 1
         && let Some(n_parts) = body.short_step_parts(h_s)
     {
+        if work.tells_drift && work.tells_changes {
+            work.start(out);
+            work.add_ring(body, true);
+            work.sum_changes(body, out);
+            work.end();
+        }
         of_short_step(body, n_parts, work.tells_drift, out);
         return;
     }
@@ -448,10 +521,16 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
         }
     }
     match work.path.run_by_eight(Columns { work, out }) {
+        // A tangent of such tissue tells nothing of what its forces change by either.
         Solved::Never => of_masses(body, work.tells_drift, out),
         solved => {
             out.missed_tolerance = solved == Solved::Partly;
             out.symmetrize();
+            if work.tells_changes && body.is_explicit() {
+                for (changed_n, of_node) in out.changed_n.iter_mut().zip(work.braking_n.chunks_exact(3)) {
+                    *changed_n = DVec3::from_slice(of_node);
+                }
+            }
         }
     }
     work.end();
@@ -560,6 +639,20 @@ impl LocalWork {
         worst
     }
 
+    /// What the elements of the region do to the patch as they move on for a period.
+    fn sum_changes(&self, body: &dyn LocalBody, out: &mut LocalModel) {
+        let elements = body.elements();
+        for &element in &self.elements {
+            let element = element as usize;
+            let changes_n = body.change_n(element, out.period_s);
+            for (node, change_n) in elements.nodes(element).iter().zip(changes_n) {
+                if let Some(place) = self.place(*node).filter(|_| change_n.is_finite()) {
+                    out.changed_n[place] += change_n;
+                }
+            }
+        }
+    }
+
     /// The matrix of the region, row after row.
     fn assemble(&mut self, body: &dyn LocalBody, h_s: f64) {
         let n = self.region.len();
@@ -585,14 +678,12 @@ impl LocalWork {
             if !is_usable {
                 continue;
             }
+            let velocity = |node: &NodeId| body.velocity_m_per_s(node.index());
+            let braking_n = self.tells_drift.then(|| change_of(&stiffness, nodes, velocity, h_s));
             for (j, &row) in nodes.iter().enumerate() {
                 let Some(row) = self.place(row) else { continue };
-                if self.tells_drift {
-                    let way = |(k, node): (usize, &NodeId)| {
-                        stiffness[j][k] * (body.velocity_m_per_s(node.index()) * h_s)
-                    };
-                    let braking_n: DVec3 = nodes.iter().enumerate().map(way).sum();
-                    (0..3).for_each(|axis| self.braking_n[3 * row + axis] -= braking_n[axis]);
+                if let Some(braking_n) = &braking_n {
+                    (0..3).for_each(|axis| self.braking_n[3 * row + axis] += braking_n[j][axis]);
                 }
                 for (k, &column) in nodes.iter().enumerate() {
                     if let Some(column) = self.place(column) {

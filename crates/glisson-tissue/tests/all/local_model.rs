@@ -316,6 +316,49 @@ fn over_a_short_step_it_is_what_a_small_force_does() {
     }
 }
 
+/// What the elements' forces have changed by is what the next step begins with: with it, where a node goes in a single stable
+/// step is known.
+#[test]
+fn an_explicit_step_is_known_from_the_last_ones_and_the_change_of_forces() {
+    let body = Body::small();
+    let patch = body.patch(6);
+    // Of some laws the tangent is stiffer where they are squeezed.
+    let step_s = 0.4 * body.stable_step_s();
+    let mut models = body.elastic_models(Rayleigh::default(), step_s);
+    models.retain(|(name, _)| !name.starts_with("implicit"));
+    models.push(("mass_spring".into(), Box::new(body.springs(Rayleigh::default(), 0.5 * step_s))));
+    for (name, mut model) in models {
+        let dt_s = if name == "mass_spring" { 0.5 * step_s } else { step_s };
+        let force_n = DVec3::new(0.03, -0.01, -0.05);
+        let forces = patch.iter().map(|&node| NodalForce { node, force_n }).collect();
+        model.apply(&Constraints { displacements: vec![], forces });
+        (0..20).for_each(|_| model.step(dt_s));
+        let before = model.state().velocities_m_per_s.to_vec();
+        model.step(dt_s);
+        let mut work = LocalWork::with_room_for(100).from_one_ring().telling_drift();
+        work.set_telling_changes(true);
+        let mut found = LocalModel::new();
+        model.local_model_into(&patch, dt_s, &mut work, &mut found);
+        let state = model.state();
+        let goes_on = |(i, node): (usize, &NodeId)| {
+            let v = state.velocities_m_per_s[node.index()];
+            let balance_n = (v - before[node.index()]) * (found.mass_kg[i] / dt_s);
+            let there_m = |force_n: DVec3| {
+                state.positions_m[node.index()] + v * dt_s + force_n * (dt_s * dt_s / found.mass_kg[i])
+            };
+            [there_m(balance_n), there_m(balance_n + found.changed_n[i])]
+        };
+        let expected_m: Vec<[DVec3; 2]> = patch.iter().enumerate().map(goes_on).collect();
+        model.step(dt_s);
+        let positions_m = model.state().positions_m;
+        let off_m = |which: usize| {
+            let pairs = patch.iter().zip(&expected_m);
+            pairs.map(|(node, m)| positions_m[node.index()].distance(m[which])).fold(0.0, f64::max)
+        };
+        assert!(off_m(1) < 0.05 * off_m(0), "{name}: {:e}, without the change {:e}", off_m(1), off_m(0));
+    }
+}
+
 /// What touch asks for in short steps: the masses alone, which is all that answers.
 #[test]
 fn a_short_step_of_the_explicit_kernel_is_answered_by_its_masses() {

@@ -104,7 +104,17 @@ struct Outcome {
     non_finite: u32,
 }
 
-impl Hands<'_> {
+/// Both tools where they touch nothing.
+fn waiting() -> [ToolInput; 2] {
+    [AWAY_M, ASIDE_M].map(|tip_m| ToolInput::at(tip_m, DVec3::Z))
+}
+
+impl<'a> Hands<'a> {
+    fn new(world: &'a mut World, seed: u64) -> Self {
+        let random = SeededRandom::new(seed);
+        Self { world, tools: waiting(), random, outcome: Outcome::default() }
+    }
+
     fn step(&mut self) {
         let report = self.world.step(&StepInput::of(&self.tools));
         for tool in &report.tools {
@@ -242,16 +252,10 @@ fn most_off_rest_m(world: &World, mesh: &TetMesh) -> f64 {
 /// What a motion does to a subject, and what is wrong with it.
 fn abuse(subject: &Subject, (name, motion): (&str, Motion), seed: u64) -> Result<(), String> {
     let (mut world, mesh) = world(subject, 0.05, Some(Hand::default()))?;
-    let away = [AWAY_M, ASIDE_M].map(|tip_m| ToolInput::at(tip_m, DVec3::Z));
-    let mut hands = Hands {
-        world: &mut world,
-        tools: away,
-        random: SeededRandom::new(seed),
-        outcome: Outcome::default(),
-    };
+    let mut hands = Hands::new(&mut world, seed);
     motion(&mut hands);
     // Open: jaws that close on their way out may catch tissue that still flies.
-    hands.tools = away.map(|tool| ToolInput { jaw_opening: 1.0, ..tool });
+    hands.tools = waiting().map(|tool| ToolInput { jaw_opening: 1.0, ..tool });
     hands.rest(0.5);
     let inverted = n_inverted(hands.world, &mesh);
     hands.rest(1.5);
@@ -382,5 +386,36 @@ fn a_saved_touch_goes_on_with_the_same_bits() {
         let second = go_on(&mut world);
         assert_eq!(first, second, "{subject:?}");
         assert!(first.windows(2).all(|pair| pair[0] != pair[1]));
+    }
+}
+
+/// What jaws hold still lies still, in every model and at the longest step that each takes: forces between held nodes, which the hand
+/// does not feel, do not grow.
+#[test]
+fn what_jaws_hold_still_lies_still() {
+    for subject in subjects() {
+        let (mut world, _) = world(&subject, 0.3, Some(Hand::default())).unwrap();
+        let mut hands = Hands::new(&mut world, 0);
+        hands.tools[1].jaw_opening = 1.0;
+        let at_m = DVec3::new(-5e-3, 3e-3, -5e-3);
+        hands.tools[1].tip_in_world_m = at_m + DVec3::Z * 0.03;
+        hands.step();
+        hands.go(1, at_m, 0.2);
+        hands.tools[1].jaw_opening = 0.0;
+        hands.rest(20e-3);
+        hands.go(1, at_m + DVec3::Z * 10e-3, 0.1);
+        hands.rest(0.5);
+        let fastest_m_per_s = |world: &World| {
+            let velocities = world.state().velocities_m_per_s;
+            velocities.iter().map(|v| v.length()).fold(0.0, f64::max)
+        };
+        let mut worst_m_per_s = 0.0_f64;
+        for _ in 0..20 {
+            hands.step();
+            worst_m_per_s = worst_m_per_s.max(fastest_m_per_s(hands.world));
+        }
+        let report = &hands.world.report().tools[1];
+        assert!(report.n_held_nodes > 3 && report.force_on_tool_n.z < -2.0, "{subject:?}: {report:?}");
+        assert!(worst_m_per_s < 2e-3, "{subject:?}: {worst_m_per_s} m/s");
     }
 }

@@ -213,6 +213,7 @@ impl Composite {
             out.force_n[of] = local.force_n[i];
             out.mass_kg[of] = local.mass_kg[i];
             out.drift_m[of] = local.drift_m[i];
+            out.changed_n[of] = local.changed_n[i];
             for (j, &by) in at.iter().enumerate().take(local.nodes.len()) {
                 out.set_tensor(of, by, local.tensor_m_per_n(i, j));
             }

@@ -8,7 +8,9 @@
 //! logarithm's would not.
 
 use super::{LiveTets, Quarantine};
-use crate::material::{LinearElastic, Material, StableNeoHooke, cofactor};
+use crate::material::{
+    LinearElastic, Material, StableNeoHooke, cofactor, cofactor_differential, contraction,
+};
 use crate::model::bounded_vec::BoundedVec;
 use crate::solve::P1Gradients;
 use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer, tetrahedron_volume_m3};
@@ -42,7 +44,8 @@ pub(in crate::model) const LEAST_J: f64 = 0.4;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::model) struct ContinuedNeoHookeLog {
     mu_pa: f64,
-    /// U' and U'' at J0.
+    /// U, U' and U'' at J0.
+    energy_pa: f64,
     slope_pa: f64,
     curvature_pa: f64,
 }
@@ -54,6 +57,7 @@ impl From<&LinearElastic> for ContinuedNeoHookeLog {
         let ln_j = libm::log(LEAST_J);
         Self {
             mu_pa,
+            energy_pa: (0.5 * lambda_pa * ln_j - mu_pa) * ln_j,
             slope_pa: (lambda_pa * ln_j - mu_pa) / LEAST_J,
             curvature_pa: (lambda_pa * (1.0 - ln_j) + mu_pa) / (LEAST_J * LEAST_J),
         }
@@ -61,10 +65,29 @@ impl From<&LinearElastic> for ContinuedNeoHookeLog {
 }
 
 impl ContinuedNeoHookeLog {
-    /// First Piola-Kirchhoff stress [Pa] for J below [`LEAST_J`].
-    pub(in crate::model) fn first_piola_pa(&self, f: &DMat3) -> DMat3 {
-        let pressure_pa = self.slope_pa + self.curvature_pa * (f.determinant() - LEAST_J);
-        *f * self.mu_pa + cofactor(f) * pressure_pa
+    /// U' [Pa] at a J below [`LEAST_J`].
+    fn pressure_pa(&self, f: &DMat3) -> f64 {
+        self.slope_pa + self.curvature_pa * (f.determinant() - LEAST_J)
+    }
+}
+
+/// Below [`LEAST_J`].
+impl Material for ContinuedNeoHookeLog {
+    fn energy_density_j_per_m3(&self, f: &DMat3) -> f64 {
+        let below = f.determinant() - LEAST_J;
+        let of_volume_pa = self.energy_pa + (self.slope_pa + 0.5 * self.curvature_pa * below) * below;
+        0.5 * self.mu_pa * (contraction(f, f) - 3.0) + of_volume_pa
+    }
+
+    fn first_piola_pa(&self, f: &DMat3) -> DMat3 {
+        *f * self.mu_pa + cofactor(f) * self.pressure_pa(f)
+    }
+
+    fn first_piola_differential_pa(&self, f: &DMat3, df: &DMat3) -> DMat3 {
+        let cofactor = cofactor(f);
+        *df * self.mu_pa
+            + cofactor * (self.curvature_pa * contraction(&cofactor, df))
+            + cofactor_differential(f, df) * self.pressure_pa(f)
     }
 }
 
@@ -78,15 +101,21 @@ pub(in crate::model) enum StandIn {
 }
 
 impl StandIn {
-    fn first_piola_pa(&self, f: &DMat3) -> DMat3 {
+    /// The law that it is.
+    pub(in crate::model) fn law(&self) -> &dyn Material {
         match self {
-            Self::Stable(law) => law.first_piola_pa(f),
-            Self::Continued(law) => law.first_piola_pa(f),
+            Self::Stable(law) => law,
+            Self::Continued(law) => law,
         }
     }
 
     /// Whether it stands in for a tetrahedron of these corners; `rest_m`: all nodes at rest.
-    fn takes(&self, nodes: [NodeId; 4], positions_m: &[DVec3], rest_m: &[DVec3]) -> bool {
+    pub(in crate::model) fn takes(
+        &self,
+        nodes: [NodeId; 4],
+        positions_m: &[DVec3],
+        rest_m: &[DVec3],
+    ) -> bool {
         let volume_m3 = |of: &[DVec3]| tetrahedron_volume_m3(nodes.map(|n| of[n.index()]));
         match self {
             Self::Stable(_) => is_inverted(volume_m3(positions_m)),
@@ -136,11 +165,16 @@ impl StandIns {
         quarantine
     }
 
+    /// What stands in for tetrahedra.
+    pub(in crate::model) fn stand_in(&self) -> &StandIn {
+        &self.law
+    }
+
     /// Adds the force [N] that they exert on each node.
     pub(in crate::model) fn add_forces(&self, positions_m: &[DVec3], force_n: &mut [DVec3]) {
         for (nodes, gradients) in self.taken.iter() {
             let corners_m = nodes.map(|n| positions_m[n.index()]);
-            let balance_n = forces_n(gradients, corners_m, |f| self.law.first_piola_pa(f));
+            let balance_n = forces_n(gradients, corners_m, |f| self.law.law().first_piola_pa(f));
             for (node, f) in nodes.iter().zip(balance_n) {
                 force_n[node.index()] -= f;
             }
@@ -167,6 +201,15 @@ mod tests {
         };
         let (a, b) = (slope(&|f| law.first_piola_pa(f)), slope(&|f| continued.first_piola_pa(f)));
         assert!((a - b).abs_diff_eq(DMat3::ZERO, 1e-3 * a.z_axis.z), "{a} {b}");
+        // Stress and tangent are the derivatives of the energy.
+        let (f, df) =
+            (squeezed(0.1), DMat3::from_cols_array(&[0.3, -0.1, 0.2, 0.4, -0.5, 0.1, -0.2, 0.3, 0.6]));
+        let energy = |h: f64| continued.energy_density_j_per_m3(&(f + df * h));
+        let work = contraction(&continued.first_piola_pa(&f), &df);
+        assert!(((energy(h) - energy(-h)) * (0.5 / h) - work).abs() < 1e-5 * work.abs(), "{work}");
+        let stress = |h: f64| continued.first_piola_pa(&(f + df * h));
+        let change = (stress(h) - stress(-h)) * (0.5 / h);
+        assert!((change - continued.first_piola_differential_pa(&f, &df)).abs_diff_eq(DMat3::ZERO, 1e-3));
         // Along the axis that is turned round the stress pulls the wall back, the more the further.
         let stress_pa = |j: f64| continued.first_piola_pa(&squeezed(j)).z_axis.z;
         assert!(stress_pa(-0.2) < stress_pa(0.0) && stress_pa(0.0) < stress_pa(0.2) && stress_pa(0.3) < 0.0);

@@ -3,7 +3,9 @@
 use super::ExplicitKernel;
 use crate::model::Rayleigh;
 use crate::model::kernel::KernelLaw;
-use crate::model::local_model::{ElementStiffness, LocalBody, LocalElements, LocalFrame, tet_tangent};
+use crate::model::local_model::{
+    ElementStiffness, LocalBody, LocalElements, LocalFrame, tet_tangent, tet_tangent_times,
+};
 use crate::solve::P1Gradients;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetId};
@@ -19,11 +21,18 @@ impl LocalBody for ExplicitKernel {
 
     /// Without volume penalty, whose stiffness is zero at rest; instantaneous where stress relaxes.
     fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
-        let nodes = self.rest.tetrahedra[element].map(NodeId::index);
-        let gradients = P1Gradients::new(nodes.map(|n| self.rest.positions_m[n]));
-        let u_m = nodes.map(|n| DVec3::from_array(self.history[n]));
+        let (gradients, _, u_m) = self.shape_of(element);
         self.substance.with_law(element, self.kernel.law(), |law, rest_stress_pa| {
             tet_tangent(&gradients, u_m, law, rest_stress_pa)
+        })
+    }
+
+    /// Without the stiffness, which costs many times as much: it is asked for in every step with a contact.
+    fn change_n(&self, element: usize, period_s: f64) -> [DVec3; 4] {
+        let (gradients, nodes, u_m) = self.shape_of(element);
+        let moves_m = nodes.map(|n| self.velocities_m_per_s[n] * period_s);
+        self.substance.with_law(element, self.kernel.law(), |law, rest_stress_pa| {
+            tet_tangent_times(&gradients, [u_m, moves_m], law, rest_stress_pa).map(|balance_n| -balance_n)
         })
     }
 
@@ -41,6 +50,15 @@ impl LocalBody for ExplicitKernel {
         let is_short = period_s <= self.stable_step_s();
         let returns = matches!(self.kernel.law(), KernelLaw::Linear | KernelLaw::StableNeoHooke);
         (is_short && returns).then(|| self.parts_to_come(period_s))
+    }
+}
+
+impl ExplicitKernel {
+    /// Gradients, corners and the corners' displacements [m] of a tetrahedron.
+    fn shape_of(&self, element: usize) -> (P1Gradients, [usize; 4], [DVec3; 4]) {
+        let nodes = self.rest.tetrahedra[element].map(NodeId::index);
+        let gradients = P1Gradients::new(nodes.map(|n| self.rest.positions_m[n]));
+        (gradients, nodes, nodes.map(|n| DVec3::from_array(self.history[n])))
     }
 }
 

@@ -525,7 +525,7 @@ impl LocalBody for ExtendedMassSpring {
         self.links.tets.is_live[element]
     }
 
-    /// The tangent of the law with the same energy, and the viscosity of its edges.
+    /// The tangent of the law with the same energy, or of what stands in for it, and the viscosity of its edges.
     fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness {
         let nodes = self.links.tets.nodes[element];
         let rest_m = nodes.map(|n| self.body.rest_m()[n.index()]);
@@ -533,7 +533,11 @@ impl LocalBody for ExtendedMassSpring {
         let at_m = nodes.map(|n| self.body.positions_m()[n.index()]);
         let u_m = std::array::from_fn(|k| at_m[k] - rest_m[k]);
         let neo_hooke = NeoHookeLog::from(&self.material);
+        let stand_in = self.links.stand_ins.stand_in();
         let law = match self.law {
+            _ if stand_in.takes(nodes, self.body.positions_m(), self.body.rest_m()) => {
+                TangentLaw::Any(stand_in.law())
+            }
             EdgeLaw::StVenantKirchhoff => TangentLaw::Kirchhoff(TetLaw::isotropic(&self.material)),
             EdgeLaw::NeoHooke => TangentLaw::Any(&neo_hooke),
         };

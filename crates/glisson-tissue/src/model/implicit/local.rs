@@ -98,6 +98,10 @@ impl LocalBody for Relaxing<'_> {
     fn velocity_m_per_s(&self, n: usize) -> DVec3 {
         self.body.velocities_m_per_s[n]
     }
+
+    fn is_explicit(&self) -> bool {
+        false
+    }
 }
 
 impl LocalFrame for Relaxing<'_> {

@@ -28,7 +28,7 @@ pub(super) fn of_short_step(body: &dyn LocalBody, n_parts: u64, tells_drift: boo
     fill(body, tells_drift, out, push_s2 * 0.5 * n * (n + 1.0));
 }
 
-/// C = s/m with `per_mass_s2` for s along the free axes of each node, and a drift that goes on as it is.
+/// C = s/m with `per_mass_s2` for s along the free axes of each node, and a drift that goes on with what the elements' forces have changed by.
 fn fill(body: &dyn LocalBody, tells_drift: bool, out: &mut LocalModel, per_mass_s2: f64) {
     out.compliance_m_per_n.fill(0.0);
     out.is_inertial = true;
@@ -37,9 +37,10 @@ fn fill(body: &dyn LocalBody, tells_drift: bool, out: &mut LocalModel, per_mass_
         let inertia_kg = body.frame().inertia_kg(n);
         let free = body.frame().free_axes(n);
         let free = free.map(|free| if free && inertia_kg > 0.0 { per_mass_s2 / inertia_kg } else { 0.0 });
-        out.set_tensor(i, i, DMat3::from_diagonal(DVec3::from_array(free)));
+        let free = DVec3::from_array(free);
+        out.set_tensor(i, i, DMat3::from_diagonal(free));
         if tells_drift {
-            out.drift_m[i] = body.velocity_m_per_s(n) * out.period_s;
+            out.drift_m[i] = body.velocity_m_per_s(n) * out.period_s + free * out.changed_n[i];
         }
     }
 }

@@ -21,7 +21,7 @@ use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 #[derive(Clone, Debug)]
 pub(super) struct Body {
     pub(super) volume_penalty_pa: f64,
-    rest_m: Vec<DVec3>,
+    pub(super) rest_m: Vec<DVec3>,
     node_is_live: Vec<bool>,
     pub(super) tets: LiveTets,
     pub(super) laws: Vec<TetLaw>,
@@ -201,6 +201,13 @@ impl Body {
         }
     }
 
+    /// What stands in for the law of a tetrahedron that is inverted.
+    pub(super) fn stand_in(&self, t: usize, corners_m: [DVec3; 4]) -> Option<StableNeoHooke> {
+        let TetLaw { lambda_pa, mu_pa, .. } = self.laws[t];
+        let is_inverted = is_inverted(tetrahedron_volume_m3(corners_m));
+        is_inverted.then(|| StableNeoHooke::new(lambda_pa, mu_pa).ok()).flatten()
+    }
+
     /// Takes out of `force` what inverted tetrahedra put in, the constant force of their stress at rest included, but
     /// for the penalty, and puts in what turns them back: St Venant-Kirchhoff tissue rests in its mirror image too.
     pub(super) fn replace_inverted(
@@ -216,6 +223,7 @@ impl Body {
                 continue;
             }
             quarantine.add(t);
+            let stand_in = self.stand_in(t, corners_m);
             let gradients = &self.gradients[t];
             let gradient = nodes
                 .iter()
@@ -226,8 +234,6 @@ impl Body {
             let at_rest = self.rest_stress_pa.get(t).map_or(DMat3::ZERO, |s| gradient * stress_tensor_pa(*s));
             let full = gradient * self.laws[t].stress_pa(strain) + at_rest;
             let linear = self.laws[t].stress_pa(symmetric(gradient - DMat3::IDENTITY)) + at_rest;
-            let TetLaw { lambda_pa, mu_pa, .. } = self.laws[t];
-            let stand_in = StableNeoHooke::new(lambda_pa, mu_pa);
             let back_n =
                 stand_in.map_or([DVec3::ZERO; 4], |law| stand_in_forces_n(&law, gradients, corners_m));
             for ((node, alpha), back_n) in nodes.iter().zip(gradients.alpha_per_m).zip(back_n) {

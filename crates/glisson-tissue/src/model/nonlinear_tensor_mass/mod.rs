@@ -394,8 +394,14 @@ impl LocalBody for NonlinearTensorMass {
     /// Without the volume penalty, whose stiffness is zero at rest.
     fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
         let body = &self.body;
-        let u_m = body.tets.nodes[element].map(|n| unpadded(&self.motion.displacements()[n.index()]));
-        let law = TangentLaw::Kirchhoff(body.laws[element]);
+        let nodes = body.tets.nodes[element];
+        let u_m = nodes.map(|n| unpadded(&self.motion.displacements()[n.index()]));
+        let corners_m = std::array::from_fn(|k| body.rest_m[nodes[k].index()] + u_m[k]);
+        let stand_in = body.stand_in(element, corners_m);
+        let law = match &stand_in {
+            Some(stand_in) => TangentLaw::Any(stand_in),
+            None => TangentLaw::Kirchhoff(body.laws[element]),
+        };
         local_model::tet_tangent(&body.gradients[element], u_m, &law, body.rest_stress_pa.get(element))
     }
 

@@ -349,6 +349,7 @@ impl Cuts {
             for (j, &(by, _)) in own.iter().enumerate() {
                 out.force_n[by] = model.force_n[j];
                 (out.mass_kg[by], out.drift_m[by]) = (model.mass_kg[j], model.drift_m[j]);
+                out.changed_n[by] = model.changed_n[j];
                 for (i, &(of, _)) in own.iter().enumerate() {
                     out.set_tensor(of, by, model.tensor_m_per_n(i, j));
                 }

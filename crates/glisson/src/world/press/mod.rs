@@ -28,7 +28,8 @@
 //!
 //! A node that jaws hold is a contact that sticks and may pull. Of many nodes so near to each other C is not known well enough
 //! (tissue that is pulled far has a tangent that is not even positive), so each is taken to answer alone, not softer than its
-//! mass m is in the step, s^2/m: that never overshoots, and is made good in some steps.
+//! mass m is in the step, s^2/m: that never overshoots, and is made good in some steps. Of a single explicit step that is exact once
+//! the change of its elements' forces since the last step counts; without, forces between held nodes grow where s^2 K/m is above a half.
 //!
 //! Tissue may be softer than C says, which is then of a stiffer shape or of too small a region: forces would overshoot, and
 //! grow from step to step where it is more than twice as soft. So C is multiplied by how much further the touched nodes went in
@@ -232,6 +233,8 @@ impl World {
             press.set_no_response();
             return;
         }
+        // What jaws hold is known from what its elements do; what instruments press on, from how it answers.
+        slide.drifting.set_telling_changes(self.tool_states.iter().any(|state| state.grasp.is_some()));
         self.model.local_model_into(&press.nodes, dt_s, &mut slide.drifting, &mut slide.local);
         press.set_response(&slide.local, |node| !organ.is_fixed(node), dt_s);
         press.set_free_moves(&slide.local, self.model.state().velocities_m_per_s, dt_s);

@@ -31,6 +31,8 @@ const KEPT_SOFTNESS: f64 = 0.9;
 /// What jaws hold is taken to be so many times as soft as the model says, each node by itself: no less than what the nodes
 /// around it, which are held with it, add. A choice.
 const SOFT_HOLD: f64 = 4.0;
+/// Elements answer the way of a step by at most so many times that way, turned round: h^2 K/m of a stable explicit step.
+const MOST_ANSWER: f64 = 4.0;
 /// Contact points of a part at most, the deepest: a choice.
 const MOST_POINTS: usize = 64;
 const MOST_CONTACTS: usize = 2 * MOST_POINTS + (3 + MOST_HELD_NODES) * MAX_TOOLS;
@@ -554,7 +556,7 @@ impl Press {
         }
         let of_mass = dt_s * dt_s / local.mass_kg[i];
         let of_patch = told * SOFT_HOLD;
-        let mean = (of_patch.x_axis.x + of_patch.y_axis.y + of_patch.z_axis.z) / 3.0;
+        let mean = mean_of_axes(&of_patch);
         if mean > 0.0 && mean < of_mass { of_patch } else { DMat3::IDENTITY * of_mass }
     }
 
@@ -565,13 +567,23 @@ impl Press {
             // What jaws hold is taken to answer node by node, to its own momentum too.
             self.moves_m[i] = if self.is_held[i] { DVec3::ZERO } else { *drift_m };
         }
+        let velocity = |node: &NodeId| velocities_m_per_s.get(node.index()).copied().unwrap_or(DVec3::ZERO);
+        let fastest_m_per_s = local.nodes.iter().map(|node| velocity(node).length()).fold(0.0, f64::max);
         for j in 0..local.nodes.len() {
             let node = local.nodes[j];
-            let v = velocities_m_per_s.get(node.index()).copied().unwrap_or(DVec3::ZERO);
+            let v = velocity(&node);
             let before = self.touched.iter().find(|touched| touched.node == node);
             let change = before.map_or(DVec3::ZERO, |touched| v - touched.velocity_m_per_s);
-            let own = if self.is_held[j] { v } else { DVec3::ZERO };
-            let force_n = (own + change) * (local.mass_kg[j] / dt_s) - self.force_before_n(node);
+            let momentum_kg_per_s = local.mass_kg[j] / dt_s;
+            let mut force_n = change * momentum_kg_per_s - self.force_before_n(node);
+            if self.is_held[j] {
+                let most_n = MOST_ANSWER * fastest_m_per_s * momentum_kg_per_s;
+                let told = mean_of_axes(&local.tensor_m_per_n(j, j)) * (1.0 + MOST_ANSWER);
+                // Of a longer step the elements' answer is that of all nodes together.
+                let is_stable = dt_s <= told * momentum_kg_per_s;
+                let changed_n = if is_stable { local.changed_n[j] } else { DVec3::ZERO };
+                force_n += v * momentum_kg_per_s + changed_n.clamp_length_max(most_n);
+            }
             self.response.add(j as u32, force_n, &mut self.moves_m);
         }
     }
@@ -729,6 +741,10 @@ pub(super) fn open_m(gap_m: f64, dt_s: f64) -> f64 {
         return gap_m;
     }
     (gap_m * (dt_s / PUSH_OUT_S).min(1.0)).max(-PUSH_OUT_M_PER_S * dt_s)
+}
+
+fn mean_of_axes(tensor: &DMat3) -> f64 {
+    (tensor.x_axis.x + tensor.y_axis.y + tensor.z_axis.z) / 3.0
 }
 
 /// Where a part moves from against the tissue, where it would be alone, and how the tool turns between.

@@ -64,7 +64,7 @@ pub struct LocalModel {
     pub drift_m: Vec<DVec3>,
     /// -h K v [N]: by how much the elements' force on each node has changed over the last period, with which an explicit step begins.
     /// Told by explicit models alone, with the drift where [`LocalWork::set_telling_changes`] asks for it.
-    pub changed_n: Vec<DVec3>,
+    pub changed_n: Vec<Option<DVec3>>,
     /// The period [s] that C is for.
     pub period_s: f64,
     /// Rings of tetrahedra around the patch that C takes into account; none when it is exact.
@@ -131,7 +131,7 @@ impl LocalModel {
         self.drift_m.clear();
         self.drift_m.resize(self.nodes.len(), DVec3::ZERO);
         self.changed_n.clear();
-        self.changed_n.resize(self.nodes.len(), DVec3::ZERO);
+        self.changed_n.resize(self.nodes.len(), None);
         self.period_s = period_s;
         self.n_rings = None;
         self.is_inertial = false;
@@ -528,7 +528,7 @@ pub(in crate::model) fn compute(body: &dyn LocalBody, work: &mut LocalWork, out:
             out.symmetrize();
             if work.tells_changes && body.is_explicit() {
                 for (changed_n, of_node) in out.changed_n.iter_mut().zip(work.braking_n.chunks_exact(3)) {
-                    *changed_n = DVec3::from_slice(of_node);
+                    *changed_n = Some(DVec3::from_slice(of_node));
                 }
             }
         }
@@ -646,8 +646,9 @@ impl LocalWork {
             let element = element as usize;
             let changes_n = body.change_n(element, out.period_s);
             for (node, change_n) in elements.nodes(element).iter().zip(changes_n) {
-                if let Some(place) = self.place(*node).filter(|_| change_n.is_finite()) {
-                    out.changed_n[place] += change_n;
+                let place = self.place(*node).filter(|place| *place < self.n_patch);
+                if let Some(place) = place.filter(|_| change_n.is_finite()) {
+                    *out.changed_n[place].get_or_insert(DVec3::ZERO) += change_n;
                 }
             }
         }

@@ -346,7 +346,7 @@ fn an_explicit_step_is_known_from_the_last_ones_and_the_change_of_forces() {
             let there_m = |force_n: DVec3| {
                 state.positions_m[node.index()] + v * dt_s + force_n * (dt_s * dt_s / found.mass_kg[i])
             };
-            [there_m(balance_n), there_m(balance_n + found.changed_n[i])]
+            [there_m(balance_n), there_m(balance_n + found.changed_n[i].unwrap())]
         };
         let expected_m: Vec<[DVec3; 2]> = patch.iter().enumerate().map(goes_on).collect();
         model.step(dt_s);

@@ -1,12 +1,15 @@
 //! Hands that do what no surgeon does, to every model with every law: random violent motions, each of a seed ([`motions`]).
 //!
-//! Of each motion: the greatest force on the hand beside the hand's limit, how far a step takes an instrument from its hand, numbers that are not finite, tetrahedra that are
-//! inverted half a second after the tools left, and how far the block is from its rest shape after two. With the limit of
-//! [`Hand::default`], and with ten times that: the tissue's side has to hold without the limit's help.
+//! Of each motion: the greatest force on the hand beside the hand's limit, how far a step takes an instrument from its hand, the work of
+//! the hands beside that on the tissue ([`work`]), numbers that are not finite, tetrahedra that are inverted half a second after the tools
+//! left, and how far the block is from its rest shape after two. With the limit of [`Hand::default`], and with ten times that: the
+//! tissue's side has to hold without the limit's help.
 
 mod motions;
+mod work;
 
 use self::motions::{Block, Outcome as Felt, Subject, abuse, motion_name};
+use self::work::Work;
 use super::touch_truth::{BLOCK_SIZE_M, block};
 use super::{Experiment, Outcome};
 use crate::scratch::ScratchFolder;
@@ -22,6 +25,9 @@ const OWN: &str = "requirement";
 const OF_ROUNDING: f64 = 1e-9;
 /// Tissue pushes an instrument no further from its hand in a step than this [m]: the size of the block's half height.
 const MOST_ASTRAY_M: f64 = 0.03;
+/// The tissue is not given more than this share of the hands' work, and so much [J]: what a light touch is.
+const MOST_WORK_SHARE: f64 = 1.05;
+const LEAST_WORK_J: f64 = 1e-3;
 /// Tissue is at rest again when no node is further from its place [m].
 const MOST_OFF_M: f64 = 1e-3;
 
@@ -80,8 +86,8 @@ struct Case {
 }
 
 impl Case {
-    const HEAD: &'static str = "| model | law | limit [N] | seed | motion | force [N] | astray [mm] | not finite | inverted | off rest [mm] | steps with a substitute law | with limited energy | |\n\
-         |---|---|---|---|---|---|---|---|---|---|---|---|---|\n";
+    const HEAD: &'static str = "| model | law | limit [N] | seed | motion | force [N] | astray [mm] | work of the hands [J] | on the tissue [J] | not finite | inverted | off rest [mm] | steps with a substitute law | with limited energy | |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n";
 
     fn is_bounded(&self) -> bool {
         self.felt.greatest_force_n <= self.limit_n * (1.0 + OF_ROUNDING)
@@ -97,10 +103,17 @@ impl Case {
         self.felt.most_astray_m <= MOST_ASTRAY_M
     }
 
+    /// Not so when a work is no number.
+    fn keeps_energy(&self) -> bool {
+        let Work { of_hands_j, on_tissue_j } = self.felt.work;
+        on_tissue_j <= MOST_WORK_SHARE * of_hands_j.max(0.0) + LEAST_WORK_J
+    }
+
     fn holds(&self) -> bool {
         let Felt { n_non_finite, n_inverted, .. } = self.felt;
         self.is_bounded()
             && self.stays_with_hand()
+            && self.keeps_energy()
             && n_non_finite == 0
             && n_inverted == 0
             && self.is_at_rest()
@@ -108,8 +121,9 @@ impl Case {
 
     fn row(&self) -> String {
         let Felt { greatest_force_n, most_astray_m, n_non_finite, n_inverted, most_off_m, .. } = self.felt;
+        let Work { of_hands_j, on_tissue_j } = self.felt.work;
         format!(
-            "| {} | {} | {} | {} | {} | {greatest_force_n:.3} | {:.3} | {n_non_finite} | {n_inverted} | {:.3} | {} | {} | {} |\n",
+            "| {} | {} | {} | {} | {} | {greatest_force_n:.3} | {:.3} | {of_hands_j:.4} | {on_tissue_j:.4} | {n_non_finite} | {n_inverted} | {:.3} | {} | {} | {} |\n",
             self.subject.kind,
             self.subject.law.unwrap_or("-"),
             self.limit_n,
@@ -173,11 +187,12 @@ fn judge(cases: &[Case], limit_n: f64) -> Vec<Experiment> {
     let of_limit = || cases.iter().filter(|case| case.limit_n == limit_n);
     let count = |is_wrong: IsWrong| of_limit().filter(|case| is_wrong(case)).count() as f64;
     let n = of_limit().count();
-    let claims: [(&str, IsWrong); 5] = [
+    let claims: [(&str, IsWrong); 6] = [
         ("with a greater force on the hand", |case| !case.is_bounded()),
         ("with an instrument that a step takes more than 30 mm from its hand", |case| {
             !case.stays_with_hand()
         }),
+        ("with more work on the tissue than the hands did", |case| !case.keeps_energy()),
         ("with a number that is not finite", |case| case.felt.n_non_finite > 0),
         ("with an inverted tetrahedron 0.5 s after the tools left", |case| case.felt.n_inverted > 0),
         ("further than 1 mm from rest after 2 s", |case| !case.is_at_rest()),

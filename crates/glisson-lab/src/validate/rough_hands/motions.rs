@@ -1,5 +1,6 @@
 //! A block of tissue, two instruments, and what a hand should not do with them: random violent motions, each of a seed.
 
+use super::work::{Work, WorkMeter};
 use glisson::contact::response::self_contact::SelfContactParams;
 use glisson::material::{LawChoice, LinearElastic, law_named};
 use glisson::math::{DVec3, SeededRandom, is_inverted, tetrahedron_volume_m3};
@@ -164,6 +165,8 @@ pub(crate) struct Outcome {
     pub(crate) n_quarantined_steps: usize,
     /// Steps in which the energy was limited.
     pub(crate) n_limited_steps: usize,
+    /// Of hands and instruments, until the tissue is at rest.
+    pub(crate) work: Work,
 }
 
 /// Two instruments in a world, and whose hand leads them.
@@ -175,6 +178,7 @@ pub(crate) struct Hands<'a> {
     behind_m: [f64; 2],
     hands_m: [DVec3; 2],
     snapshot: Snapshot,
+    meter: WorkMeter,
     random: SeededRandom,
     pub(crate) outcome: Outcome,
 }
@@ -186,7 +190,7 @@ fn waiting() -> [ToolInput; 2] {
 
 impl<'a> Hands<'a> {
     fn new(world: &'a mut World, block: &Block, seed: u64) -> Self {
-        let snapshot = world.snapshot();
+        let (snapshot, meter) = (world.snapshot(), WorkMeter::new(world));
         Self {
             world,
             half_m: 0.5 * block.size_m,
@@ -194,6 +198,7 @@ impl<'a> Hands<'a> {
             behind_m: [0.0; 2],
             hands_m: [AWAY_M, ASIDE_M],
             snapshot,
+            meter,
             random: SeededRandom::new(seed),
             outcome: Outcome::default(),
         }
@@ -204,6 +209,7 @@ impl<'a> Hands<'a> {
     }
 
     fn step_with(&mut self, input: &StepInput) {
+        self.meter.look(self.world);
         let report = self.world.step(input);
         let outcome = &mut self.outcome;
         for tool in &report.tools {
@@ -221,6 +227,7 @@ impl<'a> Hands<'a> {
             }
             (self.behind_m[tool], self.hands_m[tool]) = (behind_m, hand_m);
         }
+        self.meter.add(self.world, input, &self.snapshot, &mut outcome.work);
         outcome.n_quarantined_steps += usize::from(report.model.n_quarantined_tets > 0);
         outcome.n_limited_steps += usize::from(report.model.energy_was_limited);
         let state = self.world.state();

@@ -40,7 +40,8 @@ fn fill(body: &dyn LocalBody, tells_drift: bool, out: &mut LocalModel, per_mass_
         let free = DVec3::from_array(free);
         out.set_tensor(i, i, DMat3::from_diagonal(free));
         if tells_drift {
-            out.drift_m[i] = body.velocity_m_per_s(n) * out.period_s + free * out.changed_n[i];
+            out.drift_m[i] =
+                body.velocity_m_per_s(n) * out.period_s + free * out.changed_n[i].unwrap_or(DVec3::ZERO);
         }
     }
 }

@@ -27,9 +27,10 @@
 //! closes, and no law of tissue can answer with more than the hand's force.
 //!
 //! A node that jaws hold is a contact that sticks and may pull. Of many nodes so near to each other C is not known well enough
-//! (tissue that is pulled far has a tangent that is not even positive), so each is taken to answer alone, not softer than its
-//! mass m is in the step, s^2/m: that never overshoots, and is made good in some steps. Of a single explicit step that is exact once
-//! the change of its elements' forces since the last step counts; without, forces between held nodes grow where s^2 K/m is above a half.
+//! (tissue that is pulled far has a tangent that is not even positive), so each is taken to answer alone: as soft as all that are held
+//! make it together, a bound of what any motion of theirs meets, and not softer than its mass m is in the step, s^2/m. That never
+//! overshoots, and is made good in some steps. Of a single explicit step s^2/m is exact once the change of the elements' forces since the
+//! last step counts; without, forces between held nodes grow where s^2 K/m is above a half.
 //!
 //! Tissue may be softer than C says, which is then of a stiffer shape or of too small a region: forces would overshoot, and
 //! grow from step to step where it is more than twice as soft. So C is multiplied by how much further the touched nodes went in

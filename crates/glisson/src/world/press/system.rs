@@ -28,9 +28,6 @@ const SWEEPS: Sweeps = Sweeps { most: 30, tolerance: 1e-4 };
 const MOST_SOFTER: f64 = 64.0;
 const MOST_SOFTER_A_STEP: f64 = 4.0;
 const KEPT_SOFTNESS: f64 = 0.9;
-/// What jaws hold is taken to be so many times as soft as the model says, each node by itself: no less than what the nodes
-/// around it, which are held with it, add. A choice.
-const SOFT_HOLD: f64 = 4.0;
 /// Elements answer the way of a step by at most so many times that way, turned round: h^2 K/m of a stable explicit step.
 const MOST_ANSWER: f64 = 4.0;
 /// Contact points of a part at most, the deepest: a choice.
@@ -554,35 +551,31 @@ impl Press {
         if i != j {
             return DMat3::ZERO;
         }
+        let with_others = (0..local.nodes.len()).filter(|&k| held(k));
+        let of_patch = with_others.map(|k| most_of(&local.tensor_m_per_n(i, k))).sum::<f64>() * self.softness;
         let of_mass = dt_s * dt_s / local.mass_kg[i];
-        let of_patch = told * SOFT_HOLD;
-        let mean = mean_of_axes(&of_patch);
-        if mean > 0.0 && mean < of_mass { of_patch } else { DMat3::IDENTITY * of_mass }
+        DMat3::IDENTITY * if of_patch > 0.0 { of_mass.min(of_patch) } else { of_mass }
     }
 
     /// Where the nodes go without what touched them in the last step.
     pub(super) fn set_free_moves(&mut self, local: &LocalModel, velocities_m_per_s: &[DVec3], dt_s: f64) {
-        self.moves_m.fill(DVec3::ZERO);
-        for (i, drift_m) in local.drift_m.iter().enumerate() {
-            // What jaws hold is taken to answer node by node, to its own momentum too.
-            self.moves_m[i] = if self.is_held[i] { DVec3::ZERO } else { *drift_m };
-        }
         let velocity = |node: &NodeId| velocities_m_per_s.get(node.index()).copied().unwrap_or(DVec3::ZERO);
         let fastest_m_per_s = local.nodes.iter().map(|node| velocity(node).length()).fold(0.0, f64::max);
-        for j in 0..local.nodes.len() {
-            let node = local.nodes[j];
-            let v = velocity(&node);
-            let before = self.touched.iter().find(|touched| touched.node == node);
-            let change = before.map_or(DVec3::ZERO, |touched| v - touched.velocity_m_per_s);
+        self.moves_m.fill(DVec3::ZERO);
+        for (j, node) in local.nodes.iter().enumerate() {
             let momentum_kg_per_s = local.mass_kg[j] / dt_s;
-            let mut force_n = change * momentum_kg_per_s - self.force_before_n(node);
-            if self.is_held[j] {
-                let most_n = MOST_ANSWER * fastest_m_per_s * momentum_kg_per_s;
-                let told = mean_of_axes(&local.tensor_m_per_n(j, j)) * (1.0 + MOST_ANSWER);
-                // Of a longer step the elements' answer is that of all nodes together.
-                let is_stable = dt_s <= told * momentum_kg_per_s;
-                let changed_n = if is_stable { local.changed_n[j] } else { DVec3::ZERO };
-                force_n += v * momentum_kg_per_s + changed_n.clamp_length_max(most_n);
+            let v = velocity(node);
+            let before = self.touched.iter().find(|touched| touched.node == *node);
+            let change = before.map_or(DVec3::ZERO, |touched| v - touched.velocity_m_per_s);
+            let mut force_n = change * momentum_kg_per_s - self.force_before_n(*node);
+            // Of a longer step the elements' answer is that of all nodes together.
+            let alone = local.changed_n[j].filter(|_| self.is_held[j] && is_stable(local, j, dt_s));
+            match alone {
+                Some(changed_n) => {
+                    let most_n = MOST_ANSWER * fastest_m_per_s * momentum_kg_per_s;
+                    force_n += v * momentum_kg_per_s + changed_n.clamp_length_max(most_n);
+                }
+                None => self.moves_m[j] += local.drift_m[j],
             }
             self.response.add(j as u32, force_n, &mut self.moves_m);
         }
@@ -743,8 +736,16 @@ pub(super) fn open_m(gap_m: f64, dt_s: f64) -> f64 {
     (gap_m * (dt_s / PUSH_OUT_S).min(1.0)).max(-PUSH_OUT_M_PER_S * dt_s)
 }
 
-fn mean_of_axes(tensor: &DMat3) -> f64 {
-    (tensor.x_axis.x + tensor.y_axis.y + tensor.z_axis.z) / 3.0
+/// What a tensor makes of a vector at most, over the vector: a bound, its largest sum of a row.
+fn most_of(tensor: &DMat3) -> f64 {
+    let rows = tensor.transpose();
+    [rows.x_axis, rows.y_axis, rows.z_axis].map(|row| row.abs().element_sum()).into_iter().fold(0.0, f64::max)
+}
+
+/// Whether a step is a stable one for what an explicit model says of node `j`.
+fn is_stable(local: &LocalModel, j: usize, dt_s: f64) -> bool {
+    let most_m_per_n = most_of(&local.tensor_m_per_n(j, j)) * (1.0 + MOST_ANSWER);
+    dt_s * dt_s <= local.mass_kg[j] * most_m_per_n
 }
 
 /// Where a part moves from against the tissue, where it would be alone, and how the tool turns between.

@@ -169,7 +169,7 @@ impl CondensedHybrid {
                 Place::Dynamic(n) => {
                     let at = local.nodes.iter().position(|l| *l == NodeId(n));
                     out.mass_kg[j] = at.map_or(0.0, |at| local.mass_kg[at]);
-                    out.changed_n[j] = at.map_or(DVec3::ZERO, |at| local.changed_n[at]);
+                    out.changed_n[j] = at.and_then(|at| local.changed_n[at]);
                     at.map_or(DVec3::ZERO, |at| local.force_n[at])
                 }
                 by => {

@@ -20,7 +20,8 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<()> {
     let session = replay::read_session(&args.session)?;
-    let own_folder = args.session.parent().unwrap_or(Path::new("."));
+    let own_folder = args.session.parent().filter(|folder| *folder != Path::new(""));
+    let own_folder = own_folder.unwrap_or(Path::new("."));
     let folder = args.folder.as_deref().unwrap_or(own_folder);
     let report = replay::replay(&session, folder, |_| Ok(()))?;
     println!("steps            {}", report.steps);

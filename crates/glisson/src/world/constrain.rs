@@ -291,10 +291,13 @@ impl World {
                 }
             }
             let edge_motion_m = edge_motion_m(tool, &hand.before, &hand.now);
-            force_on_tool_n += hand.overload.pay_for_cuts_n(edge_motion_m, tool.tip_radius_m);
+            let force_of_tools_n = self.press.force_of_tools_n(place);
+            let most_n = self.spec.hand.map_or(f64::INFINITY, |hand| hand.greatest_force_n);
+            let beside = (force_on_tool_n + force_of_tools_n, most_n);
+            force_on_tool_n += hand.overload.pay_for_cuts_n(edge_motion_m, tool.tip_radius_m, beside);
             // Of the tissue alone: pressing on another instrument is no work on it.
             hand.count_activity(tool, force_on_tool_n, dt_s);
-            force_on_tool_n += self.press.force_of_tools_n(place);
+            force_on_tool_n += force_of_tools_n;
             hand.report.in_contact = in_contact || hand.overload.edge_is_in;
             hand.report.slip_m = slip_m;
             hand.report.torque_on_tool_n_m = self.press.torque_on_tool_n_m(place);

@@ -83,22 +83,53 @@ impl Overload {
         (self.edge_is_in, self.entry_m, self.owed_j) = (false, None, 0.0);
     }
 
-    /// Force on a tool whose edge moved by `motion_m` in a step [N]: it holds the edge back so that the hand's work pays for
-    /// the cracks, the most of what is owed over a way of `over_m`. Cuts come in jumps, the force does not.
-    pub(super) fn pay_for_cuts_n(&mut self, motion_m: DVec3, over_m: f64) -> DVec3 {
+    /// Force on a tool whose edge moved by `motion_m` in a step, beside `others_n` [N]: it holds the edge back so that the hand's work
+    /// pays for the cracks, the most of what is owed over a way of `over_m`. Cuts come in jumps, the force does not. A hand that gives
+    /// way at `most_n` pays the rest later.
+    pub(super) fn pay_for_cuts_n(
+        &mut self,
+        motion_m: DVec3,
+        over_m: f64,
+        (others_n, most_n): (DVec3, f64),
+    ) -> DVec3 {
         let way_m = motion_m.length();
         if !self.edge_is_in || way_m == 0.0 {
             return DVec3::ZERO;
         }
+        let back = -motion_m / way_m;
         let paid_j = self.owed_j * (way_m / over_m).min(1.0);
+        let paid_j = paid_j.min(left_along_n(others_n, back, most_n) * way_m);
         self.owed_j -= paid_j;
-        -motion_m * (paid_j / (way_m * way_m))
+        back * (paid_j / way_m)
     }
+}
+
+/// What a force along a unit vector may add to another until both make `most_n` [N]; none where that is more already.
+fn left_along_n(other_n: DVec3, along: DVec3, most_n: f64) -> f64 {
+    let (aside, behind) = (other_n.reject_from_normalized(along), other_n.dot(along));
+    let whole_n2 = most_n * most_n - aside.length_squared();
+    if whole_n2.is_nan() || whole_n2 <= 0.0 { 0.0 } else { (whole_n2.sqrt() - behind).max(0.0) }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_hand_pays_for_cuts_what_its_limit_leaves_and_the_rest_later() {
+        let mut overload = Overload { edge_is_in: true, owed_j: 1.0, ..Overload::default() };
+        let motion_m = DVec3::X * 1e-3;
+        let free_n = overload.pay_for_cuts_n(motion_m, 1e-2, (DVec3::ZERO, f64::INFINITY));
+        assert!((free_n - DVec3::NEG_X * 100.0).length() < 1e-9 && (overload.owed_j - 0.9).abs() < 1e-12);
+        // Others bear it back, aside, or press it on.
+        for others_n in [DVec3::NEG_X * 20.0, DVec3::Y * 18.0, DVec3::X * 25.0, DVec3::new(20.0, 20.0, 0.0)] {
+            let before_j = overload.owed_j;
+            let paid_n = overload.pay_for_cuts_n(motion_m, 1e-2, (others_n, 30.0));
+            assert!(((others_n + paid_n).length() - 30.0).abs() < 1e-9, "{others_n}: {paid_n}");
+            assert!((before_j - overload.owed_j - paid_n.length() * 1e-3).abs() < 1e-12);
+        }
+        assert_eq!(overload.pay_for_cuts_n(motion_m, 1e-2, (DVec3::Y * 30.1, 30.0)), DVec3::ZERO);
+    }
 
     #[test]
     fn heat_weakens_tip_and_jaws_and_not_the_shaft() {

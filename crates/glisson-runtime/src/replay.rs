@@ -41,7 +41,9 @@ fn open_recorded(session: &Session, folder: &Path) -> anyhow::Result<Simulation>
     let source = OpenScene { scene, folder: folder.to_path_buf(), origin, n_threads: 1 };
     let mut simulation = Simulation::open(source, None).map_err(|e| {
         let folder = folder.display();
-        anyhow!("{e:#}; the scene's files are looked for from {folder}/ on; give the right folder with --folder")
+        anyhow!(
+            "{e:#}; the scene's files are looked for from {folder}/ on; give the right folder with --folder"
+        )
     })?;
     simulation.leave_orders_to_the_session();
     let found = mesh_hash(simulation.mesh());

@@ -281,7 +281,11 @@ impl World {
             if let (Some(grasp), Some(jaws)) = (&mut hand.grasp, tool.kind.jaws()) {
                 if force_of_jaws_n.is_finite() {
                     let hold = Hold { force_on_tool_n: force_of_jaws_n, dt_s };
-                    slip_m += grasp.slip(tool, jaws, &pose, &hold);
+                    slip_m += if self.spec.hand.is_some() {
+                        grasp.slide((tool, jaws), &pose, self.press.slid_in_jaws_m(place), dt_s)
+                    } else {
+                        grasp.slip(tool, jaws, &pose, &hold)
+                    };
                     force_on_tool_n += force_of_jaws_n;
                 }
                 hand.report.n_held_nodes = grasp.n_nodes() as u32;

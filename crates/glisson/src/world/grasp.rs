@@ -174,7 +174,7 @@ impl Grasp {
         self.n_held = n_kept;
     }
 
-    /// After a step: lets the tissue slide where the pull is more than friction bears; answers how far [m].
+    /// After a step with an imposed motion: lets the tissue slide where the pull is more than friction bears; answers how far [m].
     pub(super) fn slip(&mut self, tool: &Tool, jaws: &Jaws, pose: &ToolInput, hold: &Hold) -> f64 {
         let pull_n = hold.force_on_tool_n.length();
         let limit_n = pull_limit_n(tool, jaws, pose);
@@ -186,15 +186,31 @@ impl Grasp {
         let frame = ToolFrame::of(pose);
         let middle_m = self.places_m(frame).map(|(_, p)| p).sum::<DVec3>() / self.n_held as f64;
         let way_m = middle_m.distance(self.free_middle_m);
-        let back_m = (way_m * (1.0 - limit_n / pull_n)).min(SLIP_M_PER_S * hold.dt_s);
-        let slide_m = frame.world_from_tool.transpose() * (hold.force_on_tool_n / pull_n) * back_m;
+        let back_m = hold.force_on_tool_n / pull_n * (way_m * (1.0 - limit_n / pull_n));
+        self.slide((tool, jaws), pose, back_m, hold.dt_s)
+    }
+
+    /// Lets the tissue slide along the jaws; nodes that come out are let go. Answers how far, which is no faster than tissue
+    /// slides [m].
+    pub(super) fn slide(
+        &mut self,
+        (tool, jaws): (&Tool, &Jaws),
+        pose: &ToolInput,
+        way_m: DVec3,
+        dt_s: f64,
+    ) -> f64 {
+        if way_m == DVec3::ZERO || !way_m.is_finite() {
+            return 0.0;
+        }
+        let slide_m =
+            ToolFrame::of(pose).world_from_tool.transpose() * way_m.clamp_length_max(SLIP_M_PER_S * dt_s);
         for held in &mut self.held[..self.n_held] {
             held.in_tool_m += slide_m;
         }
         let (opening, margin_m) = (self.opening, 2.0 * tool.tip_radius_m);
         let further_out_m = self.further_out_in_tool_m;
         self.retain(|held| jaws.are_around(held.in_tool_m - further_out_m, opening, margin_m));
-        back_m
+        slide_m.length()
     }
 
     /// Everything that its next steps depend on.

@@ -52,8 +52,17 @@ fn subjects() -> Vec<Subject> {
     all
 }
 
-/// A block on a table, its top at z = 0, with a probe and a grasper.
+/// A block on a table, its top at z = 0, with a probe and a grasper, whose jaws hold what they have.
 fn world(subject: &Subject, friction: f64, hand: Option<Hand>) -> Result<(World, TetMesh), String> {
+    world_of(subject, [friction, 1.0], hand)
+}
+
+/// With these coefficients of friction of the probe and the jaws.
+fn world_of(
+    subject: &Subject,
+    [friction, of_jaws]: [f64; 2],
+    hand: Option<Hand>,
+) -> Result<(World, TetMesh), String> {
     let size_m = DVec3::from(CELLS.map(|n| n as f64)) * CELL_M;
     let mut mesh = shaken_block(CELLS, size_m, 0.15, 7);
     mesh.positions_m.iter_mut().for_each(|p| *p -= DVec3::new(0.5, 0.5, 1.0) * size_m);
@@ -63,7 +72,7 @@ fn world(subject: &Subject, friction: f64, hand: Option<Hand>) -> Result<(World,
     let probe = Tool { grip, ..Tool::probe("probe", 3e-3, home) };
     let jaws = Jaws { length_m: 0.02, width_m: 5e-3, greatest_opening_rad: 1.0, closing_force_n: 50.0 };
     let kind = ToolKind::grasper(jaws);
-    let grip = Grip { friction_coefficient: 1.0, is_sticky: false };
+    let grip = Grip { friction_coefficient: of_jaws, is_sticky: false };
     let home = ToolInput::at(ASIDE_M, DVec3::Z);
     let grasper = Tool { kind, grip, ..Tool::probe("grasper", 2e-3, home) };
     let mut step_s = subject.step_s;
@@ -142,6 +151,18 @@ impl<'a> Hands<'a> {
             }
             self.step();
         }
+    }
+
+    /// The jaws take tissue; answers where their tip is then [m].
+    fn take(&mut self) -> DVec3 {
+        let at_m = DVec3::new(-5e-3, 3e-3, -5e-3);
+        self.tools[1].jaw_opening = 1.0;
+        self.tools[1].tip_in_world_m = at_m + DVec3::Z * 0.03;
+        self.step();
+        self.go(1, at_m, 0.2);
+        self.tools[1].jaw_opening = 0.0;
+        self.rest(20e-3);
+        at_m
     }
 
     fn rest(&mut self, time_s: f64) {
@@ -396,13 +417,7 @@ fn what_jaws_hold_still_lies_still() {
     for subject in subjects() {
         let (mut world, _) = world(&subject, 0.3, Some(Hand::default())).unwrap();
         let mut hands = Hands::new(&mut world, 0);
-        hands.tools[1].jaw_opening = 1.0;
-        let at_m = DVec3::new(-5e-3, 3e-3, -5e-3);
-        hands.tools[1].tip_in_world_m = at_m + DVec3::Z * 0.03;
-        hands.step();
-        hands.go(1, at_m, 0.2);
-        hands.tools[1].jaw_opening = 0.0;
-        hands.rest(20e-3);
+        let at_m = hands.take();
         hands.go(1, at_m + DVec3::Z * 10e-3, 0.1);
         hands.rest(0.5);
         let fastest_m_per_s = |world: &World| {
@@ -417,5 +432,23 @@ fn what_jaws_hold_still_lies_still() {
         let report = &hands.world.report().tools[1];
         assert!(report.n_held_nodes > 3 && report.force_on_tool_n.z < -2.0, "{subject:?}: {report:?}");
         assert!(worst_m_per_s < 2e-3, "{subject:?}: {worst_m_per_s} m/s");
+    }
+}
+
+/// Tissue that slides out of jaws is felt with their friction: no jolt when a node comes out, in any model.
+#[test]
+fn what_slides_out_of_jaws_is_felt_with_their_friction() {
+    // Of a closing force of 50 N.
+    let (friction, limit_n) = (0.03, 1.5);
+    for subject in subjects() {
+        let (mut world, _) = world_of(&subject, [0.3, friction], Some(Hand::default())).unwrap();
+        let mut hands = Hands::new(&mut world, 0);
+        let at_m = hands.take();
+        hands.outcome = Outcome::default();
+        hands.go(1, at_m + DVec3::Z * 40e-3, 0.1);
+        let most_n = hands.outcome.greatest_force_n;
+        assert!((most_n - limit_n).abs() < 1e-9, "{subject:?}: {most_n} N");
+        let report = &hands.world.report().tools[1];
+        assert!(report.n_held_nodes < 5, "{subject:?}: {report:?}");
     }
 }

@@ -7,7 +7,7 @@
 //! and of two that touch each other the one that gives way more.
 
 use super::VERTICES;
-use super::system::Press;
+use super::system::{Bearer, Press};
 use super::vertices::{turn_vertex_of, vertex_of};
 use crate::contact::constraint::Contact;
 use crate::math::DVec3;
@@ -31,6 +31,10 @@ struct GivesWay {
     share: f64,
     /// Instruments that press on each other have the same number.
     group: usize,
+}
+
+fn is_held_by((place, bearer): (usize, Bearer), tool: usize) -> bool {
+    place == tool && matches!(bearer, Bearer::Jaws(_))
 }
 
 /// The share of something that is not above `most`.
@@ -85,6 +89,32 @@ impl Press {
                 self.stay_on(tool);
             }
         }
+    }
+
+    /// Leaves what jaws hold the share of its pull that their friction bears: beyond it the tissue slides along them.
+    pub(super) fn slip_in_jaws(&mut self, tool: usize, most_n: f64) {
+        let pull_n = self.held_by(tool).map(|contact| contact.force_n).sum::<DVec3>().length();
+        self.slips[tool] = pull_n > most_n;
+        for c in 0..self.contacts.len() {
+            if self.slips[tool] && is_held_by(self.of[c], tool) {
+                self.lessen(c, most_n / pull_n);
+            }
+        }
+    }
+
+    /// The contacts with what the jaws of an instrument hold.
+    fn held_by(&self, tool: usize) -> impl Iterator<Item = &Contact> {
+        let contacts = self.contacts.iter().zip(&self.of);
+        contacts.filter(move |(_, of)| is_held_by(**of, tool)).map(|(contact, _)| contact)
+    }
+
+    /// How far what jaws hold slid along them in the last step [m].
+    pub(in crate::world) fn slid_in_jaws_m(&self, tool: usize) -> DVec3 {
+        let n = self.held_by(tool).count();
+        if !self.slips[tool] || n == 0 {
+            return DVec3::ZERO;
+        }
+        self.held_by(tool).map(|contact| contact.relative_m(&self.moves_m)).sum::<DVec3>() / n as f64
     }
 
     /// The force of all contacts on an instrument, as it is felt at the tip [N].

@@ -48,6 +48,7 @@ mod vertices;
 mod yielding;
 
 use super::World;
+use super::grasp::pull_limit_n;
 use super::organ::Organ;
 use super::parts::{ToolPart, mesh_of};
 use super::slide::{Follow, PatchAnswer};
@@ -124,6 +125,13 @@ impl World {
                 }
                 self.press.sweep();
             }
+        }
+        for (place, (state, tool)) in self.tool_states.iter().zip(&self.spec.tools).enumerate() {
+            let jaws = tool.kind.jaws().filter(|_| state.grasp.is_some() && !tool.grip.is_sticky);
+            let holds_n = jaws.map_or(f64::INFINITY, |jaws| pull_limit_n(tool, jaws, &state.now));
+            // A hand that bears less gives way before the tissue slides.
+            let most_n = if holds_n < hand.greatest_force_n { holds_n } else { f64::INFINITY };
+            self.press.slip_in_jaws(place, most_n);
         }
         self.press.give_way(&self.spec.tools, hand);
         let before_n = std::array::from_fn(|i| {

@@ -112,6 +112,8 @@ pub(in crate::world) struct Press {
     pub(super) turned_by_tip: [DMat3; MAX_TOOLS],
     /// Torque on each tool about its tip in the last step [N m]. No step depends on it.
     torques_n_m: [DVec3; MAX_TOOLS],
+    /// Whether what the jaws of each tool hold slid along them in the last step.
+    pub(super) slips: [bool; MAX_TOOLS],
     /// Forces on the nodes in the last step, ascending by node.
     forces: Vec<NodalForce>,
     touched: Vec<TouchedNode>,
@@ -148,6 +150,7 @@ impl Press {
             moves_m: vec![DVec3::ZERO; N_VERTICES],
             turned_by_tip: [DMat3::ZERO; MAX_TOOLS],
             torques_n_m: [DVec3::ZERO; MAX_TOOLS],
+            slips: [false; MAX_TOOLS],
             forces: Vec::with_capacity(MOST_NODES),
             touched: Vec::with_capacity(MOST_NODES),
             softness: 1.0,
@@ -263,6 +266,7 @@ impl Press {
         self.pressed.clear();
         self.between.clear();
         self.torques_n_m = [DVec3::ZERO; MAX_TOOLS];
+        self.slips = [false; MAX_TOOLS];
         self.softness = 1.0;
     }
 

@@ -32,5 +32,6 @@ pub use neo_hooke_log::NeoHookeLog;
 pub use ogden::{Ogden, OgdenTerm};
 pub use prony::{PronyHistory, PronySeries, PronyStep, PronyTerm};
 pub use st_venant_kirchhoff::StVenantKirchhoff;
+pub(crate) use st_venant_kirchhoff::{GuardedStVenantKirchhoff, SQUEEZED_J, squeeze_guard_pa};
 pub use stable_neo_hooke::StableNeoHooke;
 pub use table::{LAWS, every_law, law_named, law_names};

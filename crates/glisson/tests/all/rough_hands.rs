@@ -452,3 +452,35 @@ fn what_slides_out_of_jaws_is_felt_with_their_friction() {
         assert!(report.n_held_nodes < 5, "{subject:?}: {report:?}");
     }
 }
+
+/// St Venant-Kirchhoff tissue bears no more once it is squeezed to 0.58: a tip pressed deeper rests on it all the same, in every explicit
+/// model that follows the law, with the same force.
+#[test]
+fn a_tip_rests_deep_in_st_venant_kirchhoff_tissue() {
+    let law = Some("st_venant_kirchhoff");
+    let kinds = [
+        (ModelKind::NonlinearTensorMass, None),
+        (ModelKind::ExtendedMassSpring, law),
+        (ModelKind::Explicit, law),
+    ];
+    let felt_n = kinds.map(|(kind, law)| {
+        let subject = Subject { kind, law, step_s: 1e-3 };
+        let (mut world, _) = world(&subject, 0.3, Some(Hand::default())).unwrap();
+        let depth_m = 14e-3;
+        press(&mut world, depth_m);
+        let hand = ToolInput::at(DVec3::new(2e-3, 1e-3, 3e-3 - depth_m), DVec3::Z);
+        let input = StepInput::of(&[hand, ToolInput::at(ASIDE_M, DVec3::Z)]);
+        let n_to_rest = (0.5 / world.spec().time_step_s) as u32;
+        (0..n_to_rest).for_each(|_| {
+            world.step(&input);
+        });
+        let (mut least_n, mut most_n) = (f64::INFINITY, 0.0_f64);
+        for _ in 0..100 {
+            let force_n = world.step(&input).tools[0].force_on_tool_n.length();
+            (least_n, most_n) = (least_n.min(force_n), most_n.max(force_n));
+        }
+        assert!(most_n - least_n < 0.02 * most_n, "{subject:?}: {least_n} to {most_n} N");
+        most_n
+    });
+    assert!(felt_n.iter().all(|n| (n - felt_n[0]).abs() < 0.05 * felt_n[0]), "{felt_n:?}");
+}

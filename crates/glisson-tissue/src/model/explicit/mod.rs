@@ -26,7 +26,7 @@ pub(in crate::model) use frame::{Quarantine, check_body};
 pub(in crate::model) use rest_tensions::RestTensions;
 pub use stable::{MOST_NODES_PROVEN, StableStep};
 pub(in crate::model) use stable::{Stability, StiffTet};
-pub(in crate::model) use stand_in::{StandIn, StandIns, stand_in_forces_n};
+pub(in crate::model) use stand_in::{StandIn, StandIns};
 
 use crate::solve::SolveError;
 use glisson_mesh::math::DVec3;

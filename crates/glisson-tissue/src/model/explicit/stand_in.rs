@@ -1,5 +1,5 @@
-//! Tetrahedra that are inside out, in models whose own forces do not bring them back: St Venant-Kirchhoff tissue and springs
-//! rest in their mirror image, others have no force there. They follow the stable neo-Hookean law with the stiffness at rest
+//! Tetrahedra that are inside out, in models whose own forces do not bring them back: springs rest in their mirror image, others have
+//! no force there. They follow the stable neo-Hookean law with the stiffness at rest
 //! (Smith, De Goes and Kim 2018, doi 10.1145/3180491), which does.
 //!
 //! The law with ln J has its own continuation: below a J0 of [`LEAST_J`] the part of its energy that depends on J goes on as its
@@ -9,22 +9,15 @@
 
 use super::{LiveTets, Quarantine};
 use crate::material::{
-    LinearElastic, Material, StableNeoHooke, cofactor, cofactor_differential, contraction,
+    GuardedStVenantKirchhoff, LinearElastic, Material, SQUEEZED_J, StableNeoHooke, cofactor,
+    cofactor_differential, contraction,
 };
 use crate::model::bounded_vec::BoundedVec;
 use crate::solve::P1Gradients;
 use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer, tetrahedron_volume_m3};
 use glisson_mesh::mesh::NodeId;
 
-/// Forces [N] that balance the deformation of a tetrahedron whose corners are at `corners_m`, by the stand-in's law.
-pub(in crate::model) fn stand_in_forces_n(
-    law: &StableNeoHooke,
-    gradients: &P1Gradients,
-    corners_m: [DVec3; 4],
-) -> [DVec3; 4] {
-    forces_n(gradients, corners_m, |f| law.first_piola_pa(f))
-}
-
+/// Forces [N] that balance the deformation of a tetrahedron whose corners are at `corners_m`.
 fn forces_n(
     gradients: &P1Gradients,
     corners_m: [DVec3; 4],
@@ -98,6 +91,8 @@ pub(in crate::model) enum StandIn {
     Stable(StableNeoHooke),
     /// The law's own continuation, below [`LEAST_J`].
     Continued(ContinuedNeoHookeLog),
+    /// The law with a guard against being squeezed flat, below [`SQUEEZED_J`].
+    Guarded(GuardedStVenantKirchhoff),
 }
 
 impl StandIn {
@@ -106,6 +101,7 @@ impl StandIn {
         match self {
             Self::Stable(law) => law,
             Self::Continued(law) => law,
+            Self::Guarded(law) => law,
         }
     }
 
@@ -120,6 +116,7 @@ impl StandIn {
         match self {
             Self::Stable(_) => is_inverted(volume_m3(positions_m)),
             Self::Continued(_) => volume_m3(positions_m) < LEAST_J * volume_m3(rest_m),
+            Self::Guarded(_) => volume_m3(positions_m) < SQUEEZED_J * volume_m3(rest_m),
         }
     }
 }

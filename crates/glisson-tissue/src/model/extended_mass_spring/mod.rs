@@ -34,7 +34,7 @@ use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, Local
 use super::tet_law::TetLaw;
 use super::topology_update::{TopologyUpdate, blend_tets};
 use super::{DynamicBody, RestStress, TopologyRefusal};
-use crate::material::{LinearElastic, NeoHookeLog, StableNeoHooke};
+use crate::material::{GuardedStVenantKirchhoff, LinearElastic, NeoHookeLog};
 use crate::model::explicit::Mover;
 use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients};
 use glisson_mesh::math::{DMat3, DVec3};
@@ -208,7 +208,9 @@ fn rest_squares_m2(mesh_positions_m: &[DVec3], nodes: [NodeId; 4]) -> [f64; 6] {
 /// What tetrahedra follow that the law would not bring back.
 fn stand_in(law: EdgeLaw, material: &LinearElastic) -> StandIn {
     match law {
-        EdgeLaw::StVenantKirchhoff => StandIn::Stable(StableNeoHooke::from(material)),
+        EdgeLaw::StVenantKirchhoff => {
+            StandIn::Guarded(GuardedStVenantKirchhoff::of_lame(material.lambda_pa(), material.mu_pa()))
+        }
         EdgeLaw::NeoHooke => StandIn::Continued(material.into()),
     }
 }

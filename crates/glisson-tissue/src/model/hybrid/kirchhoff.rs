@@ -6,7 +6,7 @@
 //!
 //! A stress at rest S0 makes P = F (S + S0). Its constant part V S0 alpha_j is kept elsewhere, as in the linear zones.
 
-use crate::material::{Material, StableNeoHooke};
+use crate::material::squeeze_guard_pa;
 use crate::model::tet_law::TetLaw;
 use crate::solve::{P1Gradients, RestStress, stress_tensor_pa};
 use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer};
@@ -25,20 +25,16 @@ impl KirchhoffTet {
     }
 
     /// Forces [N] that balance the corners' displacements [m], without the constant forces of the stress at rest, and
-    /// whether the tetrahedron is inverted. An inverted one follows the stable neo-Hookean law, without the stress at rest,
-    /// because St Venant-Kirchhoff tissue is also at rest in its mirror image.
+    /// whether the tetrahedron is inverted. A squeezed one is guarded ([`squeeze_guard_pa`]), because St Venant-Kirchhoff tissue is also at
+    /// rest in its mirror image.
     pub(super) fn forces_n(&self, law: &TetLaw, u_m: [DVec3; 4]) -> ([DVec3; 4], bool) {
         let P1Gradients { alpha_per_m, volume_m3 } = self.gradients;
         let f = (0..4).fold(DMat3::IDENTITY, |f, k| f + outer(u_m[k], alpha_per_m[k]));
-        let is_inverted = is_inverted(f.determinant());
-        let piola_pa = if is_inverted {
-            let stand_in = StableNeoHooke::new(law.lambda_pa, law.mu_pa);
-            stand_in.map_or(DMat3::ZERO, |law| law.first_piola_pa(&f)) - self.rest_stress_pa
-        } else {
-            let strain = (f.transpose() * f - DMat3::IDENTITY) * 0.5;
-            f * law.stress_pa(strain) + (f - DMat3::IDENTITY) * self.rest_stress_pa
-        };
-        (alpha_per_m.map(|alpha| piola_pa * alpha * volume_m3), is_inverted)
+        let strain = (f.transpose() * f - DMat3::IDENTITY) * 0.5;
+        let own_pa = f * law.stress_pa(strain) + (f - DMat3::IDENTITY) * self.rest_stress_pa;
+        let guard_pa = squeeze_guard_pa(&f, law.lambda_pa, law.mu_pa);
+        let piola_pa = guard_pa.map_or(own_pa, |guard_pa| own_pa + guard_pa);
+        (alpha_per_m.map(|alpha| piola_pa * alpha * volume_m3), is_inverted(f.determinant()))
     }
 
     /// Forces [N] of linear elasticity minus those of [`KirchhoffTet::forces_n`], without a stress at rest. A linear

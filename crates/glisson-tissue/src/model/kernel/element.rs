@@ -39,6 +39,9 @@ pub(super) trait ElementLaw {
     /// Whether P is finite wherever [`ElementLaw::squared_strain`] is; otherwise P is checked too.
     const IS_FINITE_WITH_STRAIN: bool = false;
 
+    /// Whether squeezed tissue is kept from being flat by [`crate::material::squeeze_guard_pa`].
+    const IS_GUARDED: bool = false;
+
     /// |2 E|^2, a measure of the strain with which the stiffness grows: no principal stretch s has |s^2 - 1| above its root.
     #[inline(always)]
     fn squared_strain<V: Lanes>(g: &Matrix<V>) -> V {
@@ -113,6 +116,7 @@ pub(super) struct StVenantKirchhoff;
 impl ElementLaw for StVenantKirchhoff {
     /// F is bounded by E, and P = F S is a polynomial in it: where |2 E|^2 is finite, entries are below 1e77.
     const IS_FINITE_WITH_STRAIN: bool = true;
+    const IS_GUARDED: bool = true;
 
     /// V lambda / 2 and V mu.
     fn numbers(volume_m3: f64, lambda_pa: f64, mu_pa: f64) -> [f64; 2] {

@@ -3,12 +3,13 @@
 //! Where the law of a tissue does not bring it back from there (no number, a mirror image in which it rests, a force beyond
 //! what a step can follow), the tetrahedron follows the stable neo-Hookean law with the same stiffness at rest instead (Smith,
 //! De Goes and Kim 2018, doi 10.1145/3180491), which does from every shape. Which law counts depends on the deformation alone:
-//! both have an energy, and a tetrahedron that comes back the way it went gains none.
+//! both have an energy, and a tetrahedron that comes back the way it went gains none. St Venant-Kirchhoff tissue is guarded against
+//! being squeezed flat instead ([`squeeze_guard_pa`]): where the other law took over it was thrown back, from step to step.
 
 use super::element::{At, ElementLaw, Matrix};
 use super::lanes::Lanes;
 use super::rows::{LaneNumbers, N_LANES};
-use crate::material::{Material, StableNeoHooke};
+use crate::material::{Material, StableNeoHooke, squeeze_guard_pa};
 use glisson_mesh::math::DMat3;
 use glisson_mesh::mesh::TetId;
 
@@ -134,31 +135,38 @@ impl Guard<'_> {
         let mut of_lane = [[0.0; N_LANES]; 2];
         numbers[0].store(&mut of_lane[0], 0);
         numbers[1].store(&mut of_lane[1], 0);
-        let mut sound = Self::all::<V>();
+        let (mut sound, mut inverted, mut is_changed) = (Self::all::<V>(), 0, false);
         for lane in 0..V::COUNT {
             if self.tets[at.block][at.lane + lane] == NO_TET {
                 continue;
             }
             let f = DMat3::IDENTITY + of_lane_matrix(&g_rows, lane);
-            let p = of_lane_matrix(&p_rows, lane);
+            let mut p = of_lane_matrix(&p_rows, lane);
             let here = At { lane: at.lane + lane, ..at };
             let lame = || law.lame_of_volume([of_lane[0][lane], of_lane[1][lane]], here);
             let is_upright = f.determinant() > 0.0;
-            if is_upright && p.is_finite() && greatest(&p) <= MOST_STRESS * modulus(lame()) {
+            let guard = if L::IS_GUARDED { squeeze_guard_pa(&f, lame()[0], lame()[1]) } else { None };
+            if let Some(guard) = guard {
+                p += guard;
+                is_changed = true;
+                set_lane(&mut p_rows, lane, &p);
+            }
+            let counts = is_upright || guard.is_some();
+            if counts && p.is_finite() && greatest(&p) <= MOST_STRESS * modulus(lame()) {
+                inverted |= u32::from(!is_upright) << lane;
                 continue;
             }
             sound &= !(1 << lane);
             let [lambda, mu] = lame();
             let stand_in = StableNeoHooke::new(lambda, mu).map(|law| law.first_piola_pa(&f));
             let stress = stand_in.ok().filter(|p| f.is_finite() && p.is_finite()).unwrap_or(DMat3::ZERO);
-            for (j, column) in stress.to_cols_array_2d().into_iter().enumerate() {
-                (0..3).for_each(|i| p_rows[i][j][lane] = column[i]);
-            }
+            is_changed = true;
+            set_lane(&mut p_rows, lane, &stress);
         }
-        if sound == Self::all::<V>() {
+        if !is_changed {
             return (p, sound);
         }
-        self.note(at, Self::all::<V>() & !sound);
+        self.note(at, Self::all::<V>() & !sound | inverted);
         let row = |i: usize| [0, 1, 2].map(|j| p[0][0].load(&p_rows[i][j], 0));
         ([row(0), row(1), row(2)], sound)
     }
@@ -199,6 +207,12 @@ fn stored<V: Lanes>(m: &Matrix<V>) -> [[LaneNumbers; 3]; 3] {
         from.store(to, 0);
     }
     rows
+}
+
+fn set_lane(rows: &mut [[LaneNumbers; 3]; 3], lane: usize, m: &DMat3) {
+    for (j, column) in m.to_cols_array_2d().into_iter().enumerate() {
+        (0..3).for_each(|i| rows[i][j][lane] = column[i]);
+    }
 }
 
 fn of_lane_matrix(rows: &[[LaneNumbers; 3]; 3], lane: usize) -> DMat3 {

@@ -7,12 +7,12 @@ use super::numbers::{
     EdgeStiffness, LOCAL_TRIANGLES, MeshTriangles, Summed, TetScalars, TriangleStiffness, VertexStiffness,
     ascending,
 };
-use crate::material::StableNeoHooke;
-use crate::model::explicit::{LiveTets, Padded, Quarantine, keep, renumbered, stand_in_forces_n, unpadded};
+use crate::material::{SQUEEZED_J, squeeze_guard_pa};
+use crate::model::explicit::{LiveTets, Padded, Quarantine, keep, renumbered, unpadded};
 use crate::model::tensor_mass::VertexEdgeTensors;
 use crate::model::tet_law::{TetLaw, TetShape, stressed_stiffness};
 use crate::model::topology_update::{TopologyUpdate, blend_tets};
-use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, SolveError, stress_tensor_pa};
+use crate::solve::{LOCAL_EDGES, P1Gradients, RestStress, SolveError};
 use glisson_mesh::math::{DMat3, DVec3, is_inverted, outer, tetrahedron_volume_m3};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
@@ -201,49 +201,31 @@ impl Body {
         }
     }
 
-    /// What stands in for the law of a tetrahedron that is inverted.
-    pub(super) fn stand_in(&self, t: usize, corners_m: [DVec3; 4]) -> Option<StableNeoHooke> {
-        let TetLaw { lambda_pa, mu_pa, .. } = self.laws[t];
-        let is_inverted = is_inverted(tetrahedron_volume_m3(corners_m));
-        is_inverted.then(|| StableNeoHooke::new(lambda_pa, mu_pa).ok()).flatten()
-    }
-
-    /// Takes out of `force` what inverted tetrahedra put in, the constant force of their stress at rest included, but
-    /// for the penalty, and puts in what turns them back: St Venant-Kirchhoff tissue rests in its mirror image too.
-    pub(super) fn replace_inverted(
-        &self,
-        adaptivity: &Adaptivity,
-        u: &[Padded],
-        force: &mut [Padded],
-    ) -> Quarantine {
+    /// Adds what keeps squeezed tetrahedra from being flat ([`squeeze_guard_pa`]), and counts the inverted ones: their law would rest
+    /// in the mirror image.
+    pub(super) fn guard_squeezed(&self, u: &[Padded], force: &mut [Padded]) -> Quarantine {
         let mut quarantine = Quarantine::default();
         for (t, nodes) in self.tets.iter() {
             let corners_m = nodes.map(|n| self.rest_m[n.index()] + unpadded(&u[n.index()]));
-            if !is_inverted(tetrahedron_volume_m3(corners_m)) {
+            let (volume_m3, gradients) = (tetrahedron_volume_m3(corners_m), &self.gradients[t]);
+            if volume_m3 >= SQUEEZED_J * gradients.volume_m3 {
                 continue;
             }
-            quarantine.add(t);
-            let stand_in = self.stand_in(t, corners_m);
-            let gradients = &self.gradients[t];
+            if is_inverted(volume_m3) {
+                quarantine.add(t);
+            }
             let gradient = nodes
                 .iter()
                 .zip(gradients.alpha_per_m)
                 .fold(DMat3::IDENTITY, |f, (n, alpha)| f + outer(unpadded(&u[n.index()]), alpha));
-            let symmetric = |m: DMat3| (m + m.transpose()) * 0.5;
-            let strain = (gradient.transpose() * gradient - DMat3::IDENTITY) * 0.5;
-            let at_rest = self.rest_stress_pa.get(t).map_or(DMat3::ZERO, |s| gradient * stress_tensor_pa(*s));
-            let full = gradient * self.laws[t].stress_pa(strain) + at_rest;
-            let linear = self.laws[t].stress_pa(symmetric(gradient - DMat3::IDENTITY)) + at_rest;
-            let back_n =
-                stand_in.map_or([DVec3::ZERO; 4], |law| stand_in_forces_n(&law, gradients, corners_m));
-            for ((node, alpha), back_n) in nodes.iter().zip(gradients.alpha_per_m).zip(back_n) {
-                let is_full =
-                    adaptivity.part == NonlinearPart::Everywhere || adaptivity.is_nonlinear[node.index()];
-                let f = (if is_full { full } else { linear }) * alpha * gradients.volume_m3 - back_n;
+            let TetLaw { lambda_pa, mu_pa, .. } = self.laws[t];
+            let guard_pa = squeeze_guard_pa(&gradient, lambda_pa, mu_pa).unwrap_or(DMat3::ZERO);
+            for (node, alpha) in nodes.iter().zip(gradients.alpha_per_m) {
+                let f = guard_pa * alpha * gradients.volume_m3;
                 let at = &mut force[node.index()];
-                at[0] -= f.x;
-                at[1] -= f.y;
-                at[2] -= f.z;
+                at[0] += f.x;
+                at[1] += f.y;
+                at[2] += f.z;
             }
         }
         quarantine

@@ -45,10 +45,10 @@ use super::local_model::{self, ElementStiffness, LocalBody, LocalElements, Local
 use super::tet_law::stressed_stiffness;
 use super::topology_update::TopologyUpdate;
 use super::{DynamicBody, LevelOfDetail, RestStress, TopologyRefusal};
-use crate::material::LinearElastic;
+use crate::material::{GuardedStVenantKirchhoff, LinearElastic, SQUEEZED_J};
 use crate::model::explicit::Mover;
 use crate::solve::SolveError;
-use glisson_mesh::math::{DMat3, DVec3};
+use glisson_mesh::math::{DMat3, DVec3, tetrahedron_volume_m3};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
@@ -396,12 +396,12 @@ impl LocalBody for NonlinearTensorMass {
         let body = &self.body;
         let nodes = body.tets.nodes[element];
         let u_m = nodes.map(|n| unpadded(&self.motion.displacements()[n.index()]));
+        let TetLaw { lambda_pa, mu_pa, .. } = body.laws[element];
+        let guarded = GuardedStVenantKirchhoff::of_lame(lambda_pa, mu_pa);
         let corners_m = std::array::from_fn(|k| body.rest_m[nodes[k].index()] + u_m[k]);
-        let stand_in = body.stand_in(element, corners_m);
-        let law = match &stand_in {
-            Some(stand_in) => TangentLaw::Any(stand_in),
-            None => TangentLaw::Kirchhoff(body.laws[element]),
-        };
+        let is_squeezed = tetrahedron_volume_m3(corners_m) < SQUEEZED_J * body.gradients[element].volume_m3;
+        let law =
+            if is_squeezed { TangentLaw::Any(&guarded) } else { TangentLaw::Kirchhoff(body.laws[element]) };
         local_model::tet_tangent(&body.gradients[element], u_m, &law, body.rest_stress_pa.get(element))
     }
 
@@ -434,7 +434,7 @@ impl ExplicitDynamics for NonlinearTensorMass {
         let (body, adaptivity) = (&self.body, &mut self.adaptivity);
         self.motion.step(dt_s, |u, force| {
             body.add_forces(adaptivity, u, force);
-            body.replace_inverted(adaptivity, u, force)
+            body.guard_squeezed(u, force)
         });
     }
 

@@ -27,7 +27,7 @@ impl LocalBody for ExplicitKernel {
         })
     }
 
-    /// Without the stiffness, which costs many times as much: it is asked for in every step with a contact.
+    /// Without the stiffness, which costs many times as much: it is asked for in every step in which jaws hold tissue.
     fn change_n(&self, element: usize, period_s: f64) -> [DVec3; 4] {
         let (gradients, nodes, u_m) = self.shape_of(element);
         let moves_m = nodes.map(|n| self.velocities_m_per_s[n] * period_s);

@@ -132,8 +132,11 @@ pub(crate) fn displacements(mesh: &TetMesh, model: &dyn DeformableModel) -> Vec<
 
 /// Change of the volume over the volume, of the whole body.
 pub(crate) fn volume_change(mesh: &TetMesh, displacement_m: &[DVec3]) -> f64 {
-    let deformed =
-        TetMesh { positions_m: displaced(mesh, displacement_m), tetrahedra: mesh.tetrahedra.clone() };
+    let deformed = TetMesh {
+        positions_m: displaced(mesh, displacement_m),
+        tetrahedra: mesh.tetrahedra.clone(),
+        ..TetMesh::default()
+    };
     deformed.volume_m3() / mesh.volume_m3() - 1.0
 }
 

@@ -24,7 +24,11 @@ fn home() -> ToolInput {
 /// A tetrahedron whose top is at 40 mm above (10 mm, 10 mm).
 fn body() -> TetMesh {
     let positions_m = vec![DVec3::ZERO, DVec3::X * 0.06, DVec3::Y * 0.06, DVec3::Z * 0.06];
-    TetMesh { positions_m, tetrahedra: vec![[NodeId(0), NodeId(1), NodeId(2), NodeId(3)]] }
+    TetMesh {
+        positions_m,
+        tetrahedra: vec![[NodeId(0), NodeId(1), NodeId(2), NodeId(3)]],
+        ..TetMesh::default()
+    }
 }
 
 fn scene() -> HapticsScene {

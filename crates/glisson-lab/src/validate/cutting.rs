@@ -185,6 +185,7 @@ impl<'a> Losing<'a> {
         let rest = TetMesh {
             positions_m: self.mesh.positions_m.clone(),
             tetrahedra: remaining.iter().map(|t| self.mesh.tetrahedra[t.index()]).collect(),
+            ..TetMesh::default()
         };
         let fibres: Vec<Fibre> = remaining.iter().map(|t| self.fibres[t.index()]).collect();
         let elasticity = with_fibres(self.material, &fibres);

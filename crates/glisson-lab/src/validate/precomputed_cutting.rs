@@ -38,6 +38,7 @@ fn difference(model: &Precomputed, body: &EditableMesh) -> anyhow::Result<f64> {
     let part = TetMesh {
         positions_m: body.mesh().positions_m.clone(),
         tetrahedra: topology.live_tets().map(|t| topology.tet_nodes(t)).collect(),
+        ..TetMesh::default()
     };
     let is_held = |n: &NodeId| model.fixed_nodes().contains(n) || !topology.is_live_node(*n);
     let held: Vec<NodeId> = (0..part.positions_m.len()).map(NodeId::from_index).filter(is_held).collect();

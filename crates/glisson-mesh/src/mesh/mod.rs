@@ -3,6 +3,7 @@
 mod change;
 pub mod topology;
 pub mod edit;
+pub mod embedding;
 pub mod quality;
 pub mod repair;
 pub mod refine;
@@ -73,6 +74,9 @@ pub struct TetMesh {
     pub positions_m: Vec<DVec3>,
     /// Nodes of each tetrahedron.
     pub tetrahedra: Vec<[NodeId; 4]>,
+    /// How much of each tetrahedron is material, of its volume (0 to 1); empty where every one is full. Other shares than 1 have
+    /// only the copies of an [`embedding`].
+    pub shares: Vec<f64>,
 }
 
 impl TetMesh {
@@ -81,9 +85,31 @@ impl TetMesh {
         self.tetrahedra[tet.index()].map(|n| self.positions_m[n.index()])
     }
 
-    /// Volume of tetrahedron `tet` [m3].
+    /// How much of tetrahedron `tet` is material.
+    pub fn share(&self, tet: TetId) -> f64 {
+        self.shares.get(tet.index()).copied().unwrap_or(1.0)
+    }
+
+    /// Volume of the material of tetrahedron `tet` [m3].
     pub fn tet_volume_m3(&self, tet: TetId) -> f64 {
-        tetrahedron_volume_m3(self.corners_m(tet))
+        tetrahedron_volume_m3(self.corners_m(tet)) * self.share(tet)
+    }
+
+    /// Adds the nodes and tetrahedra that `longer`, which begins with this one, has more.
+    pub fn grow_to(&mut self, longer: &Self) {
+        if !longer.shares.is_empty() {
+            self.shares.resize(self.tetrahedra.len(), 1.0);
+            self.shares.extend_from_slice(&longer.shares[self.tetrahedra.len()..]);
+        }
+        self.positions_m.extend_from_slice(&longer.positions_m[self.positions_m.len()..]);
+        self.tetrahedra.extend_from_slice(&longer.tetrahedra[self.tetrahedra.len()..]);
+    }
+
+    /// Drops all but the first so many nodes and tetrahedra.
+    pub fn truncate(&mut self, n_nodes: usize, n_tets: usize) {
+        self.positions_m.truncate(n_nodes);
+        self.tetrahedra.truncate(n_tets);
+        self.shares.truncate(n_tets);
     }
 
     /// Sum of the tetrahedra's volumes [m3].

@@ -383,6 +383,7 @@ mod tests {
         TetMesh {
             positions_m: positions_m.map(|(x, y, z)| DVec3::new(x, y, z)).to_vec(),
             tetrahedra: vec![[NodeId(0), NodeId(1), NodeId(3), NodeId(2)]],
+            ..TetMesh::default()
         }
     }
 

@@ -147,6 +147,7 @@ mod tests {
         let mesh = TetMesh {
             positions_m: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z, -DVec3::Z],
             tetrahedra: vec![[0, 1, 2, 3].map(NodeId), [0, 2, 1, 4].map(NodeId)],
+            ..TetMesh::default()
         };
         let zones = Zones::new(&mesh, vec![1, 0]).unwrap();
         assert_eq!(zones.nodes(0), [0, 1, 2, 4].map(NodeId));

@@ -14,6 +14,7 @@ fn one_tet() -> EditableMesh {
     let mesh = TetMesh {
         positions_m: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+        ..TetMesh::default()
     };
     EditableMesh::new(mesh).unwrap()
 }
@@ -170,6 +171,7 @@ fn flip_and_back() {
     let mut mesh = TetMesh {
         positions_m: vec![DVec3::X, DVec3::Y, -DVec3::X - DVec3::Y, DVec3::Z, -DVec3::Z],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId), [0, 2, 1, 4].map(NodeId)],
+        ..TetMesh::default()
     };
     mesh.positions_m.iter_mut().for_each(|p| *p *= 0.01);
     let mut body = EditableMesh::new(mesh).unwrap();

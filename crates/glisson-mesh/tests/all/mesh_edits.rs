@@ -48,6 +48,7 @@ fn one_tetrahedron_has_four_outer_faces() {
     let mesh = TetMesh {
         positions_m: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+        ..TetMesh::default()
     };
     let t = Topology::build(&mesh).unwrap();
     assert_eq!([t.n_nodes(), t.n_edges(), t.n_triangles(), t.n_tets()], [4, 6, 4, 1]);
@@ -147,7 +148,8 @@ fn what_is_no_mesh_is_refused_with_the_place() {
     let mut folded = corner.clone();
     folded.tetrahedra[2].swap(0, 1);
     assert!(matches!(Topology::build(&folded), Err(TopologyError::Folded { .. })));
-    let mut three = TetMesh { positions_m: vec![DVec3::ZERO; 6], tetrahedra: Vec::new() };
+    let mut three =
+        TetMesh { positions_m: vec![DVec3::ZERO; 6], tetrahedra: Vec::new(), ..TetMesh::default() };
     three.tetrahedra.extend([3, 4, 5].map(|n| [0, 1, 2, n].map(NodeId)));
     assert_eq!(
         Topology::build(&three).unwrap_err(),

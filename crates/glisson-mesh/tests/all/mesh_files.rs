@@ -24,6 +24,7 @@ fn two_tets() -> TetMesh {
     TetMesh {
         positions_m: POINTS_MM.iter().map(|p| DVec3::from_array(*p) / 1000.0).collect(),
         tetrahedra: TETS.iter().map(|t| t.map(NodeId)).collect(),
+        ..TetMesh::default()
     }
 }
 
@@ -485,6 +486,7 @@ proptest! {
         let mesh = TetMesh {
             positions_m: coordinates.chunks(3).map(DVec3::from_slice).collect(),
             tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+            ..TetMesh::default()
         };
         let folder = tempfile::tempdir().unwrap();
         for path in write_all(folder.path(), &mesh) {

@@ -85,6 +85,7 @@ fn the_edge_of_three_tetrahedra_flips_away() {
     let mesh = TetMesh {
         positions_m: vec![corner(0.0), corner(1.0), corner(2.0), -0.9 * DVec3::Z, 0.9 * DVec3::Z],
         tetrahedra: [[0, 1], [1, 2], [2, 0]].map(|[a, b]| [3, 4, a, b].map(NodeId)).to_vec(),
+        ..TetMesh::default()
     };
     let mut body = EditableMesh::new(mesh).unwrap();
     let (before, volume_m3) = (worst(&body), body.volume_m3());

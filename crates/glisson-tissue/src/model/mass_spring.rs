@@ -315,7 +315,7 @@ impl MassSpring {
 
 impl MassSpring {
     fn gradients(&self, t: usize) -> P1Gradients {
-        P1Gradients::new(self.springs.tets.nodes[t].map(|n| self.body.rest_m()[n.index()]))
+        self.springs.tets.gradients(t, self.body.rest_m())
     }
 }
 

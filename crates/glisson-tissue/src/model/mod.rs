@@ -25,6 +25,7 @@ pub mod nonlinear_tensor_mass;
 mod undo;
 pub mod rigid;
 pub mod composite;
+pub mod embedded;
 mod error;
 mod organ_body;
 mod row;
@@ -257,6 +258,20 @@ pub trait DeformableModel: Send {
     /// Called between the edit of the mesh and `topology_changed`. A model without a shorter answer is copied whole.
     fn save_for_undo(&self, _change: &TopologyChange, undo: &mut ModelUndo) {
         undo.keep_whole(self.duplicate());
+    }
+
+    /// Both of [`DeformableModel::save_for_undo`] and [`DeformableModel::topology_changed`]: what [`follow_edit`] calls.
+    ///
+    /// # Errors
+    /// As [`DeformableModel::topology_changed`].
+    fn follow_saving(
+        &mut self,
+        mesh: &TetMesh,
+        change: &TopologyChange,
+        undo: &mut ModelUndo,
+    ) -> Result<(), TopologyRefusal> {
+        self.save_for_undo(change, undo);
+        self.topology_changed(mesh, change)
     }
 
     /// Puts back what [`DeformableModel::save_for_undo`] wrote: every number has the bits from before the edit. Edits are

@@ -80,6 +80,8 @@ pub struct OrganBody {
     pub time_step_s: f64,
     /// Into how many internal steps it may be divided after an edit.
     pub most_parts: u32,
+    /// Whether cuts are embedded ([`super::embedded`]), in models that follow all edits.
+    pub embeds_cuts: bool,
     /// A saved pre-computation.
     pub precomputed: Option<PathBuf>,
     /// Zones of the hybrid model.
@@ -115,6 +117,7 @@ impl OrganBody {
             damping: Rayleigh::default(),
             time_step_s,
             most_parts: DEFAULT_MOST_PARTS,
+            embeds_cuts: false,
             precomputed: None,
             zones: Vec::new(),
             measured: None,

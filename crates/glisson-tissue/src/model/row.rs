@@ -1,5 +1,6 @@
 //! What a model tells about itself, so that scenes, contact, edits, benchmarks and tests know it: one row, in the model's file.
 
+use super::embedded::Embedded;
 use super::{DeformableModel, ModelError, OrganBody};
 use crate::material::{LawChoice, law_names};
 use crate::solve::is_stable_under;
@@ -127,7 +128,9 @@ impl ModelRow {
         if law.map(LawChoice::name).or(self.laws.first().copied()) != Some("linear") {
             self.refuse_to_buckle(body)?;
         }
-        (self.make)(body, law)
+        let model = (self.make)(body, law)?;
+        let is_embedded = body.embeds_cuts && self.edits == FollowedEdits::All;
+        Ok(if is_embedded { Box::new(Embedded::new(model, &body.mesh)) } else { model })
     }
 
     /// The model of an organ from which tetrahedra are already gone: of what is left, or of the whole, which then has to

@@ -5,6 +5,7 @@ use glisson_mesh::fault;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::TetMesh;
 use glisson_mesh::mesh::edit::TopologyChange;
+use glisson_mesh::mesh::embedding::EmbeddingUndo;
 
 /// Values from before an edit. Its buffers are used again, so that a journal of edits need not allocate.
 #[derive(Default)]
@@ -19,7 +20,9 @@ pub struct ModelUndo {
     pub places: Vec<u32>,
     /// How the last step before the edit went.
     pub report: ModelReport,
-    /// Of a model of several bodies: that of each.
+    /// Of a model with embedded cuts: that of its copies.
+    pub(in crate::model) embedding: Option<EmbeddingUndo>,
+    /// Of a model of several bodies: that of each; of one with embedded cuts: that of the model of its copies.
     pub(in crate::model) parts: Vec<ModelUndo>,
     whole: Option<Box<dyn DeformableModel>>,
 }
@@ -33,6 +36,7 @@ impl ModelUndo {
         self.places.clear();
         self.report = ModelReport::default();
         self.parts.clear();
+        self.embedding = None;
         self.whole = None;
     }
 
@@ -96,8 +100,7 @@ pub fn follow_edit(
         // Before anything is saved by the numbers of another mesh.
         return Err(TopologyRefusal::OtherNodes { n_nodes, n_nodes_before: change.nodes.n_before });
     }
-    model.save_for_undo(change, undo);
-    let followed = model.topology_changed(mesh, change);
+    let followed = model.follow_saving(mesh, change, undo);
     // One of several bodies brings them back itself.
     if followed.is_err() && undo.whole.is_some() {
         undo.put_back(model);

@@ -197,6 +197,7 @@ mod tests {
         let mesh = TetMesh {
             positions_m: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
             tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+            ..TetMesh::default()
         };
         let edges = MeshEdges::of_mesh(&mesh).unwrap();
         (mesh, edges)

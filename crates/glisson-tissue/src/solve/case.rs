@@ -212,7 +212,12 @@ pub fn parse_case(folder: &Path, bytes: &CaseBytes) -> Result<StaticCase, CaseEr
     if !gravity_m_per_s2.is_finite() {
         return Err(CaseError::Gravity { file });
     }
-    Ok(StaticCase { mesh: TetMesh { positions_m, tetrahedra }, conditions, material, gravity_m_per_s2 })
+    Ok(StaticCase {
+        mesh: TetMesh { positions_m, tetrahedra, ..TetMesh::default() },
+        conditions,
+        material,
+        gravity_m_per_s2,
+    })
 }
 
 /// Rows of three finite numbers.

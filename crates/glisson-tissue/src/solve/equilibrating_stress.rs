@@ -131,7 +131,7 @@ pub fn stress_forces_into(mesh: &TetMesh, stress_pa: &[RestStress], force_n: &mu
     assert_eq!(stress_pa.len(), mesh.tetrahedra.len(), "one stress a tetrahedron");
     force_n.fill(DVec3::ZERO);
     for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-        let gradients = P1Gradients::new(mesh.corners_m(TetId::from_index(t)));
+        let gradients = P1Gradients::in_mesh(mesh, TetId::from_index(t));
         for (node, f) in nodes.iter().zip(gradients.stress_forces_n(stress_pa[t])) {
             force_n[node.index()] += f;
         }
@@ -163,7 +163,7 @@ fn add_stress(
 ) {
     let (lambda_pa, mu_pa) = (material.lambda_pa(), material.mu_pa());
     for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-        let gradients = P1Gradients::new(mesh.corners_m(TetId::from_index(t)));
+        let gradients = P1Gradients::in_mesh(mesh, TetId::from_index(t));
         let of_corner = |j: usize| outer(displacement_m[nodes[j].index()], gradients.alpha_per_m[j]);
         let g = (0..4).map(of_corner).fold(DMat3::ZERO, |sum, m| sum + m);
         let pressure_pa = lambda_pa * (g.col(0).x + g.col(1).y + g.col(2).z);

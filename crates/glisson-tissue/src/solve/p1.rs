@@ -45,7 +45,13 @@ impl P1Gradients {
         Self { alpha_per_m, volume_m3: six_v.abs() / 6.0 }
     }
 
-    /// Gradients of a tetrahedron of a mesh.
+    /// Gradients of a tetrahedron of a mesh that is known to be sound, with the volume of its material.
+    pub fn in_mesh(mesh: &TetMesh, tet: TetId) -> Self {
+        let whole = Self::new(mesh.corners_m(tet));
+        Self { volume_m3: whole.volume_m3 * mesh.share(tet), ..whole }
+    }
+
+    /// Gradients of a tetrahedron of a mesh, with the volume of its material.
     ///
     /// # Errors
     /// [`SolveError::Volume`] when it is flat or inverted.
@@ -56,7 +62,7 @@ impl P1Gradients {
             LOCAL_EDGES.iter().map(|&[a, b]| p_m[a].distance(p_m[b])).fold(0.0, |m: f64, l| m.max(l));
         let least_m3 = LEAST_VOLUME_SHARE * longest_m * longest_m * longest_m;
         if volume_m3 > least_m3 {
-            Ok(Self::new(p_m))
+            Ok(Self::in_mesh(mesh, tet))
         } else {
             Err(SolveError::Volume { tet, volume_m3, least_m3 })
         }

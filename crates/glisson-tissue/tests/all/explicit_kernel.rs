@@ -241,6 +241,7 @@ impl CutBlock {
             rest: TetMesh {
                 positions_m: mesh.positions_m.clone(),
                 tetrahedra: kept.iter().map(|&t| mesh.tetrahedra[t]).collect(),
+                ..TetMesh::default()
             },
             bare,
             fixed: nodes_below(&mesh, 0, 0.01).into_iter().map(slides).collect(),

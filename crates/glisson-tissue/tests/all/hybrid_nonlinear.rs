@@ -20,7 +20,7 @@ use ZoneLaw::{NonlinearTensorMass as Nonlinear, Precomputed, TensorMass};
 
 fn part_of(mesh: &TetMesh, has: impl Fn(usize) -> bool) -> TetMesh {
     let tetrahedra = (0..mesh.tetrahedra.len()).filter(|&t| has(t)).map(|t| mesh.tetrahedra[t]).collect();
-    TetMesh { positions_m: mesh.positions_m.clone(), tetrahedra }
+    TetMesh { positions_m: mesh.positions_m.clone(), tetrahedra, ..TetMesh::default() }
 }
 
 /// Largest unbalanced force at a free node over the largest outer one, the non-linear tetrahedra by their definition and

@@ -94,6 +94,7 @@ fn a_single_node_decays_as_implicit_euler_must() {
     let mesh = TetMesh {
         positions_m: vec![DVec3::ZERO, DVec3::X * a, DVec3::Y * a, DVec3::Z * a],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+        ..TetMesh::default()
     };
     let material = soft(0.3);
     let law = ImplicitLaw::neo_hooke(&material);

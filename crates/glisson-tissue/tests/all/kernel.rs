@@ -147,8 +147,11 @@ fn all_orders_of_the_corners_give_the_same_forces_or_are_inside_out() {
         let orders = (0..256_usize).map(|code| [code & 3, code >> 2 & 3, code >> 4 & 3, code >> 6]);
         let orders = orders.filter(|order| (0..4).all(|corner| order.contains(&corner)));
         for order in orders {
-            let mesh =
-                TetMesh { positions_m: corners.to_vec(), tetrahedra: vec![order.map(NodeId::from_index)] };
+            let mesh = TetMesh {
+                positions_m: corners.to_vec(),
+                tetrahedra: vec![order.map(NodeId::from_index)],
+                ..TetMesh::default()
+            };
             let (materials, path) = (&[material()], KernelPath::fastest());
             let params = KernelParams { mesh: &mesh, law, materials, path };
             let Ok(mut kernel) = FastKernel::new(&params) else {
@@ -274,6 +277,7 @@ fn a_kernel_after_removals_equals_one_of_the_remaining_mesh() {
     let rest = TetMesh {
         positions_m: mesh.positions_m.clone(),
         tetrahedra: kept.iter().map(|&t| mesh.tetrahedra[t]).collect(),
+        ..TetMesh::default()
     };
     let u = random_field(n_nodes, 3e-3, 15);
     for law in LAWS {

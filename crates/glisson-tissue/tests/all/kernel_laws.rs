@@ -217,6 +217,7 @@ fn fibres_and_penalty_agree_with_the_tensor_mass_reference_also_after_removals()
     let rest = TetMesh {
         positions_m: mesh.positions_m.clone(),
         tetrahedra: kept.iter().map(|&t| mesh.tetrahedra[t]).collect(),
+        ..TetMesh::default()
     };
     let laws: Vec<_> = kept.iter().map(|&t| laws[t]).collect();
     DirectBody { mesh: &rest, laws: &laws, gamma_pa: 3e4 }.forces_into(&u, &mut expected);
@@ -509,6 +510,7 @@ fn every_law_relaxes_as_the_recursion_on_its_second_stress_says() {
     let mesh = TetMesh {
         positions_m: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+        ..TetMesh::default()
     };
     let (series, linear) = (brain(), material());
     let general: [SharedMaterial; 1] = [Arc::new(Ogden::from_linear(&linear, 3.0).unwrap())];

@@ -474,6 +474,7 @@ fn rayleigh_damping_decays_a_mode_as_theory_says() {
             DVec3::new(0.005, 0.005, 0.02),
         ],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+        ..TetMesh::default()
     };
     let mut fixed = held(&[0, 1, 2].map(NodeId));
     fixed.push(FixedNode { node: NodeId(3), axes: [true, true, false] });

@@ -61,6 +61,7 @@ fn an_inverted_tetrahedron_is_brought_back() {
             DVec3::new(0.005, 0.005, 0.02),
         ],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+        ..TetMesh::default()
     };
     let fixed = held(&[0, 1, 2].map(NodeId));
     let stress = [[100.0, -50.0, 200.0, 30.0, -20.0, 10.0]];

@@ -217,6 +217,7 @@ fn rotations_rotate_the_forces_and_all_24_node_orders_give_them() {
             DVec3::new(0.004, 0.002, 0.021),
         ],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+        ..TetMesh::default()
     };
     let one_deformed = deformed(&one, 3.0);
     for law in EdgeLaw::ALL {
@@ -238,8 +239,11 @@ fn rotations_rotate_the_forces_and_all_24_node_orders_give_them() {
             n_orders += 1;
             // The nodes get new numbers; orders of negative volume have two corners exchanged in the tetrahedron.
             let place = |v: &[DVec3]| order.map(|i| v[i]).to_vec();
-            let mut mesh =
-                TetMesh { positions_m: place(&one.positions_m), tetrahedra: one.tetrahedra.clone() };
+            let mut mesh = TetMesh {
+                positions_m: place(&one.positions_m),
+                tetrahedra: one.tetrahedra.clone(),
+                ..TetMesh::default()
+            };
             if mesh.tet_volume_m3(TetId(0)) < 0.0 {
                 mesh.tetrahedra[0].swap(2, 3);
             }

@@ -44,7 +44,8 @@ pub(crate) fn shaken_block(cells: [usize; 3], size_m: DVec3, share: f64, seed: u
     let cell_m = size_m / DVec3::new(cells[0] as f64, cells[1] as f64, cells[2] as f64);
     let n = regular.positions_m.len();
     let new_of_old = shuffled(n, &mut random);
-    let mut mesh = TetMesh { positions_m: vec![DVec3::ZERO; n], tetrahedra: Vec::new() };
+    let mut mesh =
+        TetMesh { positions_m: vec![DVec3::ZERO; n], tetrahedra: Vec::new(), ..TetMesh::default() };
     for (old, &p) in regular.positions_m.iter().enumerate() {
         let shift = DVec3::from_array(std::array::from_fn(|_| random.uniform_in(-share, share)));
         mesh.positions_m[new_of_old[old]] = p + shift * cell_m;

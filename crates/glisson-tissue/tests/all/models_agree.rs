@@ -597,6 +597,7 @@ fn removal_equals_a_model_of_the_remaining_mesh() {
     let remaining = TetMesh {
         positions_m: mesh.positions_m.clone(),
         tetrahedra: editable.topology().live_tets().map(|t| editable.topology().tet_nodes(t)).collect(),
+        ..TetMesh::default()
     };
     let fresh = tensor_mass(&remaining, &fixed, 10.0);
     let off = model_difference(&model, &fresh, mesh.positions_m.len());

@@ -190,7 +190,11 @@ fn all_24_node_orders_give_the_same_force() {
         let number = |i: usize| NodeId::from_index(order.iter().position(|&o| o == i).unwrap());
         let displacement_m: Vec<DVec3> = order.iter().map(|&i| u_m[i]).collect();
         for corners in [[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [0, 2, 3, 1], [3, 0, 2, 1], [1, 2, 0, 3]] {
-            let mesh = TetMesh { positions_m: positions_m.clone(), tetrahedra: vec![corners.map(number)] };
+            let mesh = TetMesh {
+                positions_m: positions_m.clone(),
+                tetrahedra: vec![corners.map(number)],
+                ..TetMesh::default()
+            };
             assert!(mesh.tet_volume_m3(TetId(0)) > 0.0);
             let found = forces(&mut model(&mesh, &[], elasticity), &displacement_m);
             let found: [DVec3; 4] = std::array::from_fn(|i| found[number(i).index()]);
@@ -352,6 +356,7 @@ proptest! {
         let mesh_left = TetMesh {
             positions_m: mesh.positions_m.clone(),
             tetrahedra: remaining.iter().map(|&t| mesh.tetrahedra[t.index()]).collect(),
+            ..TetMesh::default()
         };
         let fibres_left: Vec<Fibre> = remaining.iter().map(|t| fibres[t.index()]).collect();
         let mut fresh = model(&mesh_left, &fixed, NonlinearElasticity { fibres: &fibres_left, ..elasticity });

@@ -235,6 +235,7 @@ fn what_has_no_solution_leaves_no_file() {
             .map(|p| DVec3::from_array(p.map(f64::from)) * 0.01)
             .to_vec(),
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId), [0, 1, 5, 4].map(NodeId)],
+        ..TetMesh::default()
     };
     let mesh = if mesh.tet_volume_m3(glisson_mesh::mesh::TetId(1)) > 0.0 {
         mesh

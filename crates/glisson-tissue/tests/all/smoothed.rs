@@ -129,6 +129,7 @@ fn a_single_tetrahedron_is_a_plain_one() {
     let mesh = TetMesh {
         positions_m: vec![DVec3::ZERO, DVec3::X * 0.02, DVec3::Y * 0.01, DVec3::new(0.004, 0.003, 0.015)],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+        ..TetMesh::default()
     };
     let u_m = random_vectors(4, 5e-4, 2);
     let edges = MeshEdges::of_mesh(&mesh).unwrap();

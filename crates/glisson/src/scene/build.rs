@@ -222,6 +222,7 @@ pub(super) fn organ_without_stress(
     body.is_imaged_under_gravity = source.is_imaged_under_gravity;
     body.damping = source.damping;
     body.most_parts = scene.most_parts;
+    body.embeds_cuts = scene.embeds_cuts();
     let zones = source.zones.iter();
     body.zones = zones
         .map(|zone| BodyZone { nodes: nodes_in(&[zone.region], &body.mesh.positions_m), law: zone.law })

@@ -1,6 +1,7 @@
 //! `[tool]` or `[[tool]]`: the instruments and their scripted motion.
 
-use super::organ::required_point;
+use super::bodies::{BodySource, SceneBody};
+use super::organ::{OrganSource, required_point};
 use super::reader::{SceneError, Section};
 use crate::math::DVec3;
 use crate::tool::{
@@ -38,6 +39,13 @@ const DEFAULT_JAWS: Jaws =
 const DEFAULT_BLADE: Blade = Blade { length_m: 0.02, cuts: BladeCuts::Subdivision };
 const DEFAULT_CUT: CutRule = CutRule { least_force_n: 0.05, least_time_s: 0.05, power_w: 0.0 };
 
+/// How blades cut, as scenes write it.
+const BLADE_CUTS: [(&str, BladeCuts); 3] = [
+    ("embedded", BladeCuts::Embedded),
+    ("subdivision", BladeCuts::Subdivision),
+    ("displacement", BladeCuts::Displacement),
+];
+
 /// Friction of tissue on an instrument whose table does not say otherwise: a choice.
 const DEFAULT_FRICTION: f64 = 0.3;
 
@@ -58,8 +66,41 @@ pub(super) fn tool_sections<'a>(root: &mut Section<'a>) -> Result<Vec<Section<'a
     }
 }
 
-pub(super) fn read_tool(mut section: Section<'_>) -> Result<InstrumentSource, SceneError> {
-    let (kind, sticks) = read_kind(&mut section)?;
+/// What ways to cut the blades of a scene may have.
+pub(super) struct BladeRules {
+    /// That of the blades read so far.
+    pub(super) known: Option<BladeCuts>,
+    /// Whether nodes move after cuts, which embedded ones cannot follow.
+    mends_cuts: bool,
+}
+
+impl BladeRules {
+    pub(super) fn of(organ: &OrganSource, bodies: &[SceneBody]) -> Self {
+        let of_bodies = bodies.iter().filter_map(|body| match &body.source {
+            BodySource::Organ(organ, _) => Some(&**organ),
+            BodySource::Rigid(_) => None,
+        });
+        let mends = std::iter::once(organ).chain(of_bodies).any(|organ| organ.mends_cuts);
+        Self { known: None, mends_cuts: mends }
+    }
+
+    fn check(&self, cuts: BladeCuts) -> Result<(), String> {
+        let is_embedded = |cuts| cuts == BladeCuts::Embedded;
+        if is_embedded(cuts) && self.mends_cuts {
+            return Err("subdivision or displacement with mend_cuts, which moves nodes".into());
+        }
+        if self.known.is_some_and(|known| is_embedded(known) != is_embedded(cuts)) {
+            return Err("embedded for all blades of the scene or for none".into());
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn read_tool(
+    mut section: Section<'_>,
+    blades: &BladeRules,
+) -> Result<InstrumentSource, SceneError> {
+    let (kind, sticks) = read_kind(&mut section, blades)?;
     let name = section.string("name")?.map_or_else(|| kind.name().to_string(), |n| n.0);
     let tip_radius_m = section
         .positive("tip_radius", Dimension::Length)?
@@ -110,7 +151,7 @@ pub(super) fn read_tool(mut section: Section<'_>) -> Result<InstrumentSource, Sc
 }
 
 /// The kind of an instrument, and whether tissue sticks to such unless the scene knows how it slides.
-fn read_kind(section: &mut Section<'_>) -> Result<(ToolKind, bool), SceneError> {
+fn read_kind(section: &mut Section<'_>, blades: &BladeRules) -> Result<(ToolKind, bool), SceneError> {
     let Some((name, at)) = section.string("kind")? else { return Ok((ToolKind::PROBE, true)) };
     let Some(kind) = INSTRUMENTS.iter().find(|kind| kind.name == name) else {
         let allowed = instrument_names().collect::<Vec<_>>().join(", ");
@@ -118,23 +159,23 @@ fn read_kind(section: &mut Section<'_>) -> Result<(ToolKind, bool), SceneError> 
     };
     // Keys of parts that the kind does not have are unknown.
     let jaws = if kind.jaws.is_some() { read_jaws(section)? } else { DEFAULT_JAWS };
-    let blade = if kind.has_blade { read_blade(section)? } else { DEFAULT_BLADE };
+    let blade = if kind.has_blade { read_blade(section, blades)? } else { DEFAULT_BLADE };
     let burning = if kind.burns { read_cut(section)? } else { DEFAULT_CUT };
     Ok((ToolKind::of(kind, &ToolParts { jaws, blade, burning }), kind.sticks))
 }
 
-fn read_blade(section: &mut Section<'_>) -> Result<Blade, SceneError> {
+fn read_blade(section: &mut Section<'_>, blades: &BladeRules) -> Result<Blade, SceneError> {
     let length_m = section.positive("blade_length", Dimension::Length)?.unwrap_or(DEFAULT_BLADE.length_m);
-    let cuts = match section.string("blade_cuts")? {
-        None => DEFAULT_BLADE.cuts,
-        Some((way, _)) if way == "subdivision" => BladeCuts::Subdivision,
-        Some((way, _)) if way == "displacement" => BladeCuts::Displacement,
-        Some((way, at)) => {
-            let allowed = "subdivision, displacement";
-            return Err(section.wrong_value(at, "blade_cuts", format!("\"{way}\""), allowed));
-        }
+    let Some((way, at)) = section.string("blade_cuts")? else {
+        return Ok(Blade { length_m, cuts: blades.known.unwrap_or(DEFAULT_BLADE.cuts) });
     };
-    Ok(Blade { length_m, cuts })
+    let named = BLADE_CUTS.into_iter().find(|(name, _)| *name == way).map(|(_, cuts)| cuts);
+    let allowed = || BLADE_CUTS.map(|(name, _)| name).join(", ");
+    let checked = named.ok_or_else(allowed).and_then(|cuts| blades.check(cuts).map(|()| cuts));
+    match checked {
+        Ok(cuts) => Ok(Blade { length_m, cuts }),
+        Err(allowed) => Err(section.wrong_value(at, "blade_cuts", format!("\"{way}\""), &allowed)),
+    }
 }
 
 fn read_jaws(section: &mut Section<'_>) -> Result<Jaws, SceneError> {

@@ -4,12 +4,12 @@ use super::attachment::{AttachmentSource, read_attachment};
 use super::bodies::{BodySections, SceneBodies, SceneBody};
 use super::contact::{read_body_contact, read_contact};
 use super::hand::read_hand;
-use super::instrument::{InstrumentSource, PathPoint, read_tool, tool_on_path, tool_sections};
+use super::instrument::{BladeRules, InstrumentSource, PathPoint, read_tool, tool_on_path, tool_sections};
 use super::organ::OrganSource;
 use super::reader::{SceneError, Section, parse_toml};
 use super::simulation::read_simulation;
 use crate::record::session::{FIRST_VERSION_WITH_HAND, SessionHeader};
-use crate::tool::MAX_TOOLS;
+use crate::tool::{BladeCuts, MAX_TOOLS};
 use crate::world::StepInput;
 use crate::world::spec::{Hand, WorldSpec};
 use std::path::PathBuf;
@@ -88,9 +88,11 @@ impl Scene {
             }
             attachments.push(read_attachment(section, &bodies)?);
         }
+        let mut blades = BladeRules::of(&organ, &bodies);
         let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
         for section in tools {
-            let InstrumentSource { tool, path, shape } = read_tool(section)?;
+            let InstrumentSource { tool, path, shape } = read_tool(section, &blades)?;
+            blades.known = blades.known.or(tool.kind.blade().map(|blade| blade.cuts));
             scripted.push(tool);
             paths.push(path);
             tool_shapes.push(shape);
@@ -118,6 +120,12 @@ impl Scene {
         };
         let (most_parts, text) = (simulation.most_parts, text.to_string());
         Ok(Self { world, organ, bodies, attachments, most_parts, paths, tool_shapes, text })
+    }
+
+    /// Whether the cuts of its blades are embedded.
+    pub fn embeds_cuts(&self) -> bool {
+        let mut blades = self.world.tools.iter().filter_map(|tool| tool.kind.blade());
+        blades.any(|blade| blade.cuts == BladeCuts::Embedded)
     }
 
     /// What the scripted tools do at `time_s`; the others stay at home.

@@ -65,6 +65,8 @@ pub struct Blade {
 /// How a blade parts tissue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BladeCuts {
+    /// Along the swept blade, through the tetrahedra, which copies of the uncut ones carry ([`crate::model::embedded`]).
+    Embedded,
     /// Along the swept blade, through the tetrahedra ([`cut::subdivision`]).
     Subdivision,
     /// Along the faces of tetrahedra, whose nodes are moved there ([`cut::scalpel`], seed `000`).

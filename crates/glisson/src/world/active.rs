@@ -68,8 +68,12 @@ pub(super) struct ActiveBefore {
 impl ActiveTip {
     pub(super) fn new(tool: &Tool, body: &EditableMesh) -> Self {
         let edge = match tool.kind.blade().map(|blade| blade.cuts) {
-            Some(BladeCuts::Subdivision) => {
-                let params = SubdivisionParams::for_mean_edge(mean_edge_m(body));
+            Some(cuts @ (BladeCuts::Subdivision | BladeCuts::Embedded)) => {
+                let of_edge = match cuts {
+                    BladeCuts::Embedded => SubdivisionParams::embedded,
+                    _ => SubdivisionParams::for_mean_edge,
+                };
+                let params = of_edge(mean_edge_m(body));
                 Some(Edge::Subdivision(Box::new(SubdivisionCut::new(params))))
             }
             Some(BladeCuts::Displacement) => {

@@ -74,7 +74,7 @@ fn one_tetrahedron() -> TetMesh {
         DVec3::new(0.1, -0.1, 0.0),
         DVec3::new(0.0, 0.1, 0.0),
     ];
-    let mesh = TetMesh { positions_m, tetrahedra: vec![[0, 1, 2, 3].map(NodeId)] };
+    let mesh = TetMesh { positions_m, tetrahedra: vec![[0, 1, 2, 3].map(NodeId)], ..TetMesh::default() };
     assert!(mesh.tet_volume_m3(TetId(0)) > 0.0);
     mesh
 }

@@ -13,6 +13,7 @@ mod cut_scalpel;
 mod cut_subdivision;
 mod detection;
 mod edit_faults;
+mod embedding;
 mod hand_torque;
 mod haptic_energy;
 mod haptic_law;

@@ -60,7 +60,8 @@ impl Cut {
             topology.live_tets().filter(|&t| counts(t)).map(|t| topology.tet_nodes(t)).collect();
         let mut has_tet = vec![false; self.body.mesh().positions_m.len()];
         tetrahedra.iter().flatten().for_each(|n| has_tet[n.index()] = true);
-        let mesh = TetMesh { positions_m: self.body.mesh().positions_m.clone(), tetrahedra };
+        let mesh =
+            TetMesh { positions_m: self.body.mesh().positions_m.clone(), tetrahedra, ..TetMesh::default() };
         let held = (0..mesh.positions_m.len())
             .map(NodeId::from_index)
             .filter(|n| self.fixed.contains(n) || !has_tet[n.index()])

@@ -109,6 +109,7 @@ pub(super) fn orders_of_nodes(outcome: &mut Outcome) -> anyhow::Result<()> {
             let mut mesh = TetMesh {
                 positions_m: order.map(|i| corners_m[i]).to_vec(),
                 tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+                ..TetMesh::default()
             };
             if tetrahedron_volume_m3(order.map(|i| corners_m[i])) < 0.0 {
                 mesh.tetrahedra[0].swap(2, 3);

@@ -126,7 +126,7 @@ pub fn mesh_from_bytes(
         }
     }
     let RawMesh { positions_m, tetrahedra, skipped, .. } = raw;
-    let mut mesh = TetMesh { positions_m, tetrahedra };
+    let mut mesh = TetMesh { positions_m, tetrahedra, ..TetMesh::default() };
     let mut report = ImportReport::import(&mut mesh, policy, source_name)?;
     report.skipped_cells = skipped.into_iter().collect();
     Ok((mesh, report))

@@ -436,7 +436,15 @@ impl<'a> Warped<'a> {
         let tetrahedra = pieces.tetrahedra.iter().map(|t| t.map(|key| NodeId(place(key)))).collect();
         let surface: Vec<[u32; 3]> = pieces.triangles.iter().map(|t| t.map(place)).collect();
         let shape = SurfaceShape::of(keys.len(), &surface);
-        (Filling { mesh: TetMesh { positions_m, tetrahedra }, surface, shape, sign_changes }, keys)
+        (
+            Filling {
+                mesh: TetMesh { positions_m, tetrahedra, ..TetMesh::default() },
+                surface,
+                shape,
+                sign_changes,
+            },
+            keys,
+        )
     }
 
     fn fill_stencils(&self, grid: &SignGrid<'_>) -> Pieces {

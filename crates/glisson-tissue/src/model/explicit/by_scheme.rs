@@ -11,6 +11,7 @@
 //! them with. A mode then has the further damping over mass b omega^2, which the bounds of the schemes count as
 //! viscosity.
 
+use super::cuttable::LiveTets;
 use super::dynamics::Mover;
 use super::frame::{Frame, Quarantine, Sliding};
 use super::stable::{MARGIN, Stability, StiffTet};
@@ -616,13 +617,8 @@ pub(in crate::model) struct HeavierNodes<'a> {
 
 impl HeavierNodes<'_> {
     /// Makes tetrahedra so heavy that none alone is above this frequency.
-    pub(in crate::model) fn scale_tets(
-        &mut self,
-        allowed_rad_per_s: f64,
-        tet_nodes: &[[NodeId; 4]],
-        is_live: &[bool],
-    ) {
-        self.frame.scale_tets(allowed_rad_per_s * allowed_rad_per_s, tet_nodes, is_live);
+    pub(in crate::model) fn scale_tets(&mut self, allowed_rad_per_s: f64, tets: &LiveTets) {
+        self.frame.scale_tets(allowed_rad_per_s * allowed_rad_per_s, tets);
     }
 
     /// Makes a node at least as heavy as this.

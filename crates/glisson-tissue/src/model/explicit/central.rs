@@ -14,6 +14,7 @@
 //! B = b h omega^2; its roots stay in the unit circle for A + 2 B <= 4 (Jury's conditions; d drops out), so for
 //! h <= sqrt(b^2 + (2/omega)^2) - b.
 
+use super::cuttable::LiveTets;
 use super::dynamics::Mover;
 use super::frame::{Frame, Quarantine};
 use super::stable::{MARGIN, Stability, StableStep, StiffTet};
@@ -558,18 +559,18 @@ impl ExplicitMotion {
     }
 
     /// After an edit that added or moved something: the step that is stable now and after any cuts.
-    pub(in crate::model) fn after_growth(&mut self, tet_nodes: &[[NodeId; 4]], is_live: &[bool]) {
-        let highest_per_s2 = self.frame.highest_tet_per_s2(is_live);
+    pub(in crate::model) fn after_growth(&mut self, tets: &LiveTets) {
+        let highest_per_s2 = self.frame.highest_tet_per_s2(&tets.is_live);
         if highest_per_s2 > 0.0 {
             self.stable.after_cuts_s = MARGIN * 2.0 / highest_per_s2.sqrt();
         }
-        self.after_removals(tet_nodes, is_live);
+        self.after_removals(tets);
         self.publish();
     }
 
     /// After removals: the step that is stable after any cuts, and heavier nodes where the most parts would not
     /// suffice. Nodes left alone stay where they are, without constraints.
-    pub(in crate::model) fn after_removals(&mut self, tet_nodes: &[[NodeId; 4]], is_live: &[bool]) {
+    pub(in crate::model) fn after_removals(&mut self, tets: &LiveTets) {
         self.frame.let_loose_nodes_go();
         let n_nodes = self.n_nodes();
         for n in (0..n_nodes).filter(|&n| self.frame.node_tets[n] == 0) {
@@ -589,7 +590,7 @@ impl ExplicitMotion {
         let b = self.frame.damping.stiffness_s;
         let allowed_per_s2 = 4.0 * MARGIN * MARGIN / (least_s * (least_s + 2.0 * b));
         let of_tets_per_s2 = self.frame.scale_attached(allowed_per_s2);
-        self.frame.scale_tets(of_tets_per_s2, tet_nodes, is_live);
+        self.frame.scale_tets(of_tets_per_s2, tets);
         (0..self.n_nodes()).for_each(|n| self.update_inertia(n));
         self.frame.stable_step_s = least_s;
     }

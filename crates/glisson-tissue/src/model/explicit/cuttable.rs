@@ -3,9 +3,9 @@
 use super::keep;
 use crate::model::TopologyRefusal;
 use crate::model::topology_update::{TopologyUpdate, grows};
-use crate::solve::{LOCAL_EDGES, MeshEdges};
+use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients};
 use glisson_mesh::math::DVec3;
-use glisson_mesh::mesh::edit::TopologyChange;
+use glisson_mesh::mesh::edit::{EntityChange, TopologyChange};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
 /// A model that takes tetrahedra out and adds them.
@@ -64,8 +64,7 @@ pub(in crate::model) fn follow<M: Cuttable>(
             model.tets_mut().is_live[t] = false;
             model.remove_tet(t);
         }
-        model.tets_mut().nodes.extend_from_slice(&mesh.tetrahedra[change.tets.n_before..change.tets.n_after]);
-        model.tets_mut().is_live.resize(change.tets.n_after, false);
+        model.tets_mut().grow(mesh, &change.tets);
         model.grow(mesh, change, &growth);
         for t in growth.attached().map(TetId::index) {
             model.tets_mut().is_live[t] = true;
@@ -102,11 +101,38 @@ pub(in crate::model) fn follows(model: &'static str, change: &TopologyChange) ->
 pub(in crate::model) struct LiveTets {
     pub(in crate::model) nodes: Vec<[NodeId; 4]>,
     pub(in crate::model) is_live: Vec<bool>,
+    /// How much of each is material ([`TetMesh::shares`]).
+    pub(in crate::model) shares: Vec<f64>,
 }
 
 impl LiveTets {
     pub(in crate::model) fn of_mesh(mesh: &TetMesh) -> Self {
-        Self { nodes: mesh.tetrahedra.clone(), is_live: vec![true; mesh.tetrahedra.len()] }
+        Self {
+            nodes: mesh.tetrahedra.clone(),
+            is_live: vec![true; mesh.tetrahedra.len()],
+            shares: mesh.shares.clone(),
+        }
+    }
+
+    /// Room for what comes in, which does not live yet.
+    fn grow(&mut self, mesh: &TetMesh, change: &EntityChange<TetId>) {
+        self.nodes.extend_from_slice(&mesh.tetrahedra[change.n_before..change.n_after]);
+        self.is_live.resize(change.n_after, false);
+        if !mesh.shares.is_empty() {
+            self.shares.resize(change.n_before, 1.0);
+            self.shares.extend_from_slice(&mesh.shares[change.n_before..change.n_after]);
+        }
+    }
+
+    /// How much of a tetrahedron is material.
+    pub(in crate::model) fn share(&self, t: usize) -> f64 {
+        self.shares.get(t).copied().unwrap_or(1.0)
+    }
+
+    /// Gradients of a tetrahedron, with the volume of its material. `rest_m`: all nodes at rest.
+    pub(in crate::model) fn gradients(&self, t: usize, rest_m: &[DVec3]) -> P1Gradients {
+        let whole = P1Gradients::new(self.nodes[t].map(|n| rest_m[n.index()]));
+        P1Gradients { volume_m3: whole.volume_m3 * self.share(t), ..whole }
     }
 
     /// Live tetrahedra with their nodes.
@@ -116,6 +142,9 @@ impl LiveTets {
 
     fn compact(&mut self, new_ids: &[Option<NodeId>]) {
         keep(&mut self.nodes, &self.is_live);
+        if !self.shares.is_empty() {
+            keep(&mut self.shares, &self.is_live);
+        }
         for node in self.nodes.iter_mut().flatten() {
             *node = new_ids[node.index()].expect("what is live has live nodes");
         }

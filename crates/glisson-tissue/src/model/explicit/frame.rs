@@ -12,6 +12,7 @@
 //! give up the energy of a tetrahedron over several parts. TopologyUpdate beyond the sum comes from an unstable step; the
 //! velocities are then cut down to the energy before, or to that bound.
 
+use super::cuttable::LiveTets;
 use super::stable::Stability;
 use super::{ExplicitError, keep};
 use crate::model::bounded_vec::BoundedVec;
@@ -19,7 +20,7 @@ use crate::model::local_model::LocalFrame;
 use crate::model::topology_update::TopologyUpdate;
 use crate::model::{Attachment, Constraints, DynamicBody, ModelReport, ModelUndo, Rayleigh, UndoReader};
 use crate::solve::SolveError;
-use glisson_mesh::math::{DVec3, tetrahedron_volume_m3};
+use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
@@ -576,11 +577,11 @@ impl Frame {
     }
 
     /// Makes tetrahedra so heavy that none alone has a squared frequency above `allowed_per_s2`.
-    pub(super) fn scale_tets(&mut self, allowed_per_s2: f64, nodes: &[[NodeId; 4]], is_live: &[bool]) {
-        for (t, nodes) in nodes.iter().enumerate() {
+    pub(super) fn scale_tets(&mut self, allowed_per_s2: f64, tets: &LiveTets) {
+        for (t, nodes) in tets.iter() {
             let excess = self.tet_squared_frequency_per_s2[t] / allowed_per_s2 - 1.0;
-            if is_live[t] && excess > 0.0 {
-                let volume_m3 = tetrahedron_volume_m3(nodes.map(|n| self.rest_m[n.index()])).abs();
+            if excess > 0.0 {
+                let volume_m3 = tets.gradients(t, &self.rest_m).volume_m3;
                 for node in nodes {
                     self.add_inertia(node.index(), excess * self.density_kg_per_m3 * volume_m3 / 4.0);
                 }

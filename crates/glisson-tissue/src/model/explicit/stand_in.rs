@@ -153,7 +153,7 @@ impl StandIns {
         let mut quarantine = Quarantine::default();
         for (t, nodes) in tets.iter() {
             if self.law.takes(*nodes, positions_m, rest_m) {
-                let gradients = P1Gradients::new(nodes.map(|n| rest_m[n.index()]));
+                let gradients = tets.gradients(t, rest_m);
                 self.taken.try_push((*nodes, gradients));
                 quarantine.add(t);
                 tell(t);

@@ -28,7 +28,7 @@ impl ExplicitKernel {
         let allowed = SQUARED_LIMIT / (step_s * step_s + 2.0 * self.damping.stiffness_s * step_s);
         let mut added_kg = vec![0.0; self.rest.positions_m.len()];
         for (t, nodes) in self.rest.tetrahedra.iter().enumerate() {
-            let gradients = P1Gradients::new(self.rest.corners_m(TetId::from_index(t)));
+            let gradients = P1Gradients::in_mesh(&self.rest, TetId::from_index(t));
             let corner_kg = 0.25 * density_kg_per_m3 * gradients.volume_m3;
             let at_rest = gradients.stiffness(lambda_pa, mu_pa);
             let theta = stiffening * at_rest.squared_frequency_bound_per_s2([corner_kg; 4]);

@@ -46,6 +46,9 @@ impl ExplicitKernel {
         keep(&mut memory, &memory_stays);
         self.substance.keep(&tet_stays);
         keep(&mut self.rest.tetrahedra, &tet_stays);
+        if !self.rest.shares.is_empty() {
+            keep(&mut self.rest.shares, &tet_stays);
+        }
         for node in self.rest.tetrahedra.iter_mut().flatten() {
             *node = new_nodes[node.index()].expect("what is live has live nodes");
         }
@@ -150,7 +153,7 @@ impl ExplicitKernel {
 
     /// Brings mesh at rest, kernel, substance and stable step from before an edit to after it.
     fn take_over_mesh(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
-        let (n_before, n_nodes) = (change.nodes.n_before, growth.n_nodes);
+        let n_before = change.nodes.n_before;
         if !std::mem::replace(&mut self.is_cut, true) {
             self.stability.scaling.apply(&self.rest, &mut self.kernel);
         }
@@ -169,11 +172,10 @@ impl ExplicitKernel {
         for tet in &growth.reshaped {
             self.stability.scaling.remove_tet(&self.rest, *tet, &mut self.kernel);
         }
-        self.rest.tetrahedra.extend_from_slice(&mesh.tetrahedra[change.tets.n_before..growth.n_tets]);
         for node in change.moved_nodes.iter().filter(|node| node.index() < n_before) {
             self.rest.positions_m[node.index()] = mesh.positions_m[node.index()];
         }
-        self.rest.positions_m.extend_from_slice(&mesh.positions_m[n_before..n_nodes]);
+        self.rest.grow_to(mesh);
         self.substance.grow(change, growth);
         self.stability.grow(change);
         self.add_tets(change, growth);
@@ -231,7 +233,7 @@ impl ExplicitKernel {
             self.lay_out_anew(change, growth);
         }
         for tet in growth.attached() {
-            let gradients = P1Gradients::new(self.rest.corners_m(tet));
+            let gradients = P1Gradients::in_mesh(&self.rest, tet);
             let at_rest = self.substance.stiffness_at_rest(tet, &gradients);
             self.stability.add_tet(&self.rest, tet, &at_rest, &mut self.kernel);
         }

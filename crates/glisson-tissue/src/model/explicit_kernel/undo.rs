@@ -164,8 +164,7 @@ impl ExplicitKernel {
             let parts = from.places(3 * self.kernel.n_parts());
             let parts = parts.as_chunks::<3>().0.iter().map(|counts| counts.map(|n| n as usize));
             self.kernel.shrink(&KernelCounts { n_nodes, n_tets, n_added }, parts);
-            self.rest.positions_m.truncate(n_nodes);
-            self.rest.tetrahedra.truncate(n_tets);
+            self.rest.truncate(n_nodes, n_tets);
             self.supports.truncate(n_nodes);
             self.substance.truncate(n_tets);
         }

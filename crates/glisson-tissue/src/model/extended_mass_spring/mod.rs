@@ -410,7 +410,7 @@ impl Cuttable for ExtendedMassSpring {
             Elements::NeoHooke(elements) => elements[t] = EdgeEnergy::nothing(),
         }
         // The rest positions are those from when it was added, so these are the numbers that were added then.
-        let volume_m3 = P1Gradients::new(nodes.map(|n| self.body.rest_m()[n.index()])).volume_m3;
+        let volume_m3 = links.tets.gradients(t, self.body.rest_m()).volume_m3;
         self.body.remove_tet(nodes, volume_m3);
         links.n_left_out -= u32::from(std::mem::take(&mut links.is_left_out[t]));
         for (local, edge) in links.edges.edges.of_tet[t].into_iter().enumerate() {
@@ -433,7 +433,7 @@ impl Cuttable for ExtendedMassSpring {
             frequency_rad_per_s,
             viscosity_per_s,
             |nodes, allowed_rad_per_s| {
-                nodes.scale_tets(allowed_rad_per_s, &tets.nodes, &tets.is_live);
+                nodes.scale_tets(allowed_rad_per_s, tets);
             },
         );
     }
@@ -466,7 +466,7 @@ impl Cuttable for ExtendedMassSpring {
     fn add_tet(&mut self, t: usize) {
         let links = &mut self.links;
         let nodes = links.tets.nodes[t];
-        let gradients = P1Gradients::new(nodes.map(|n| self.body.rest_m()[n.index()]));
+        let gradients = links.tets.gradients(t, self.body.rest_m());
         let rest_m2 = rest_squares_m2(self.body.rest_m(), nodes);
         let lame = Lame { lambda_pa: self.material.lambda_pa(), mu_pa: self.material.mu_pa() };
         match &mut links.elements {
@@ -531,7 +531,7 @@ impl LocalBody for ExtendedMassSpring {
     fn stiffness(&self, element: usize, period_s: f64) -> ElementStiffness {
         let nodes = self.links.tets.nodes[element];
         let rest_m = nodes.map(|n| self.body.rest_m()[n.index()]);
-        let gradients = P1Gradients::new(rest_m);
+        let gradients = self.links.tets.gradients(element, self.body.rest_m());
         let at_m = nodes.map(|n| self.body.positions_m()[n.index()]);
         let u_m = std::array::from_fn(|k| at_m[k] - rest_m[k]);
         let neo_hooke = NeoHookeLog::from(&self.material);

@@ -7,7 +7,7 @@ use crate::model::local_model::{
 use crate::model::{LocalModel, LocalWork, Rayleigh};
 use crate::solve::P1Gradients;
 use glisson_mesh::math::DVec3;
-use glisson_mesh::mesh::NodeId;
+use glisson_mesh::mesh::{NodeId, TetId};
 
 /// Largest difference between a factor's step and the period, as a share of the mass term.
 const SAME_STEP: f64 = 1e-9;
@@ -76,7 +76,7 @@ impl LocalBody for Relaxing<'_> {
     fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
         let body = self.body;
         let nodes = body.mesh.tetrahedra[element].map(NodeId::index);
-        let gradients = P1Gradients::new(nodes.map(|n| body.mesh.positions_m[n]));
+        let gradients = P1Gradients::in_mesh(&body.mesh, TetId::from_index(element));
         let u_m = nodes.map(|n| body.displacement_m[n]);
         let law = match &body.law {
             ImplicitLaw::NeoHookeLog(law) => TangentLaw::Any(law),

@@ -274,6 +274,7 @@ impl ImplicitEuler {
         let live = TetMesh {
             positions_m: self.mesh.positions_m.clone(),
             tetrahedra: self.elements.tets().iter().map(|t| self.mesh.tetrahedra[t.index()]).collect(),
+            ..TetMesh::default()
         };
         self.lagged = None;
         if live.tetrahedra.is_empty() {

@@ -96,8 +96,7 @@ impl ImplicitEuler {
         for node in change.moved_nodes.iter().filter(|node| node.index() < n_before) {
             self.mesh.positions_m[node.index()] = mesh.positions_m[node.index()];
         }
-        self.mesh.positions_m.extend_from_slice(&mesh.positions_m[n_before..n_nodes]);
-        self.mesh.tetrahedra.extend_from_slice(&mesh.tetrahedra[change.tets.n_before..growth.n_tets]);
+        self.mesh.grow_to(mesh);
         self.tet_is_live.resize(growth.n_tets, false);
         growth.added.iter().for_each(|tet| self.tet_is_live[tet.index()] = true);
         blend_tets(&mut self.rest_stress_pa, change);
@@ -134,6 +133,7 @@ impl ImplicitEuler {
         let n_nodes = self.mesh.positions_m.len();
         let live = &self.tet_is_live;
         keep_live(&mut self.mesh.tetrahedra, live);
+        keep_live(&mut self.mesh.shares, live);
         keep_live(&mut self.rest_stress_pa, live);
         if let ImplicitLaw::General(laws) = &mut self.law
             && laws.len() > 1

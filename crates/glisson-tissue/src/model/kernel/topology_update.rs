@@ -143,7 +143,7 @@ impl FastKernel {
             return false;
         }
         let offsets = nodes.map(|n| offset_of(self.row_in_or_new(p, n)));
-        let gradients = P1Gradients::new(params.mesh.corners_m(tet));
+        let gradients = P1Gradients::in_mesh(params.mesh, tet);
         let part = &self.parts.all[p];
         let elements = &mut *part.elements_mut();
         if elements.spare.is_empty() {
@@ -173,7 +173,7 @@ impl FastKernel {
     ) {
         let TetPlace { part, block, lane, .. } = self.tet_places[tet.index()];
         let at = [block as usize, usize::from(lane)];
-        let gradients = P1Gradients::new(params.mesh.corners_m(tet));
+        let gradients = P1Gradients::in_mesh(params.mesh, tet);
         let part = &self.parts.all[part as usize];
         part.elements_mut().put(at, tet, &gradients, params, extras).expect("it was sound before");
         let share_kg = self.share_kg(params, tet, &gradients);
@@ -332,7 +332,7 @@ impl FastKernel {
         extras: &KernelExtras<'_>,
         tet: TetId,
     ) {
-        let gradients = P1Gradients::new(params.mesh.corners_m(tet));
+        let gradients = P1Gradients::in_mesh(params.mesh, tet);
         self.tet_places[tet.index()].is_live = true;
         let TetPlace { part: p, block, lane, .. } = self.tet_places[tet.index()];
         let part = &self.parts.all[p as usize];

@@ -111,7 +111,7 @@ impl Body {
         let nothing = P1Gradients { alpha_per_m: [DVec3::ZERO; 4], volume_m3: 0.0 };
         self.gradients.resize(growth.n_tets, nothing);
         for tet in growth.attached() {
-            self.gradients[tet.index()] = P1Gradients::new(mesh.corners_m(tet));
+            self.gradients[tet.index()] = P1Gradients::in_mesh(mesh, tet);
         }
         let nonlinear = &mut self.nonlinear;
         nonlinear.vertex.resize(growth.n_nodes, VertexStiffness::default());
@@ -175,7 +175,7 @@ impl Body {
             gamma_pa: self.volume_penalty_pa,
             rest_m: &self.rest_m,
             gradients: &self.gradients,
-            tet_is_live: &self.tets.is_live,
+            tets: &self.tets,
         })
     }
 
@@ -201,6 +201,11 @@ impl Body {
         }
     }
 
+    /// Volume of a tetrahedron at rest [m3], of which its material may be a share.
+    pub(super) fn whole_m3(&self, t: usize) -> f64 {
+        self.gradients[t].volume_m3 / self.tets.share(t)
+    }
+
     /// Adds what keeps squeezed tetrahedra from being flat ([`squeeze_guard_pa`]), and counts the inverted ones: their law would rest
     /// in the mirror image.
     pub(super) fn guard_squeezed(&self, u: &[Padded], force: &mut [Padded]) -> Quarantine {
@@ -208,7 +213,7 @@ impl Body {
         for (t, nodes) in self.tets.iter() {
             let corners_m = nodes.map(|n| self.rest_m[n.index()] + unpadded(&u[n.index()]));
             let (volume_m3, gradients) = (tetrahedron_volume_m3(corners_m), &self.gradients[t]);
-            if volume_m3 >= SQUEEZED_J * gradients.volume_m3 {
+            if volume_m3 >= SQUEEZED_J * self.whole_m3(t) {
                 continue;
             }
             if is_inverted(volume_m3) {

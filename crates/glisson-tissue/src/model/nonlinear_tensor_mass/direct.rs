@@ -30,8 +30,9 @@ impl DirectBody<'_> {
             let strain = (gradient.transpose() * gradient - DMat3::IDENTITY) * 0.5;
             let piola = gradient * self.laws[t].stress_pa(strain);
             let here_m = nodes.map(|n| self.mesh.positions_m[n.index()] + displacement_m[n.index()]);
-            let theta = tetrahedron_volume_m3(here_m) / gradients.volume_m3 - 1.0;
-            let pressure_pa = self.gamma_pa * theta * theta.abs();
+            let share = self.mesh.share(TetId::from_index(t));
+            let theta = tetrahedron_volume_m3(here_m) * share / gradients.volume_m3 - 1.0;
+            let pressure_pa = self.gamma_pa * theta * theta.abs() * share;
             for (corner, node) in nodes.iter().enumerate() {
                 // The outward face's normals in a positive tetrahedron, each seen from its own corner.
                 let [a, b, c] = glisson_mesh::mesh::topology::TET_TRIANGLES[corner].map(|i| here_m[i]);
@@ -57,7 +58,7 @@ impl DirectBody<'_> {
     }
 
     fn deformation(&self, t: usize, displacement_m: &[DVec3]) -> (P1Gradients, DMat3) {
-        let gradients = P1Gradients::new(self.mesh.corners_m(TetId::from_index(t)));
+        let gradients = P1Gradients::in_mesh(&self.mesh, TetId::from_index(t));
         let nodes = self.mesh.tetrahedra[t];
         let gradient = nodes
             .iter()

@@ -9,7 +9,7 @@
 //! Volume changes enter squared, so the linear part of the force stays as it is.
 
 use super::forces::Entities;
-use crate::model::explicit::{Padded, unpadded};
+use crate::model::explicit::{LiveTets, Padded, unpadded};
 use crate::solve::P1Gradients;
 use glisson_mesh::math::{DVec3, tetrahedron_volume_m3};
 use glisson_mesh::mesh::NodeId;
@@ -19,7 +19,7 @@ pub(super) struct VolumePenalty<'a> {
     pub(super) gamma_pa: f64,
     pub(super) rest_m: &'a [DVec3],
     pub(super) gradients: &'a [P1Gradients],
-    pub(super) tet_is_live: &'a [bool],
+    pub(super) tets: &'a LiveTets,
 }
 
 impl VolumePenalty<'_> {
@@ -27,9 +27,10 @@ impl VolumePenalty<'_> {
     pub(super) fn add_forces(&self, entities: &Entities<'_>, u: &[Padded], force: &mut [Padded]) {
         for (t, nodes) in self.live(entities) {
             let here_m = self.corners_m(nodes, u);
-            let theta = tetrahedron_volume_m3(here_m) / self.gradients[t].volume_m3 - 1.0;
+            let share = self.tets.share(t);
+            let theta = tetrahedron_volume_m3(here_m) * share / self.gradients[t].volume_m3 - 1.0;
             let [a, b, c, d] = here_m;
-            let half_pressure_pa = 0.5 * self.gamma_pa * theta * theta.abs();
+            let half_pressure_pa = 0.5 * self.gamma_pa * theta * theta.abs() * share;
             // Twice the inward area vectors opposite to b, c and d; all four sum to zero.
             let on_b = (c - a).cross(d - a) * half_pressure_pa;
             let on_c = (d - a).cross(b - a) * half_pressure_pa;
@@ -47,14 +48,15 @@ impl VolumePenalty<'_> {
     pub(super) fn energy_j(&self, entities: &Entities<'_>, u: &[Padded]) -> f64 {
         let of_tet = |(t, nodes): (usize, &[NodeId; 4])| {
             let rest_m3 = self.gradients[t].volume_m3;
-            let theta = (tetrahedron_volume_m3(self.corners_m(nodes, u)) / rest_m3 - 1.0).abs();
+            let here_m3 = tetrahedron_volume_m3(self.corners_m(nodes, u)) * self.tets.share(t);
+            let theta = (here_m3 / rest_m3 - 1.0).abs();
             self.gamma_pa * rest_m3 * theta * theta * theta
         };
         self.live(entities).map(of_tet).sum()
     }
 
     fn live<'b>(&'b self, entities: &Entities<'b>) -> impl Iterator<Item = (usize, &'b [NodeId; 4])> {
-        entities.tet_nodes.iter().enumerate().filter(|(t, _)| self.tet_is_live[*t])
+        entities.tet_nodes.iter().enumerate().filter(|(t, _)| self.tets.is_live[*t])
     }
 
     fn corners_m(&self, nodes: &[NodeId; 4], u: &[Padded]) -> [DVec3; 4] {

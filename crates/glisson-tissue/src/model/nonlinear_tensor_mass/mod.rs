@@ -347,7 +347,7 @@ impl Cuttable for NonlinearTensorMass {
     }
 
     fn after_removals(&mut self) {
-        self.motion.after_removals(&self.body.tets.nodes, &self.body.tets.is_live);
+        self.motion.after_removals(&self.body.tets);
     }
 
     fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
@@ -372,7 +372,7 @@ impl Cuttable for NonlinearTensorMass {
     }
 
     fn after_growth(&mut self) {
-        self.motion.after_growth(&self.body.tets.nodes, &self.body.tets.is_live);
+        self.motion.after_growth(&self.body.tets);
     }
 
     fn compact(&mut self, new_ids: &[Option<NodeId>]) {
@@ -399,7 +399,7 @@ impl LocalBody for NonlinearTensorMass {
         let TetLaw { lambda_pa, mu_pa, .. } = body.laws[element];
         let guarded = GuardedStVenantKirchhoff::of_lame(lambda_pa, mu_pa);
         let corners_m = std::array::from_fn(|k| body.rest_m[nodes[k].index()] + u_m[k]);
-        let is_squeezed = tetrahedron_volume_m3(corners_m) < SQUEEZED_J * body.gradients[element].volume_m3;
+        let is_squeezed = tetrahedron_volume_m3(corners_m) < SQUEEZED_J * body.whole_m3(element);
         let law =
             if is_squeezed { TangentLaw::Any(&guarded) } else { TangentLaw::Kirchhoff(body.laws[element]) };
         local_model::tet_tangent(&body.gradients[element], u_m, &law, body.rest_stress_pa.get(element))

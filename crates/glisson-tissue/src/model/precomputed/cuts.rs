@@ -108,6 +108,7 @@ impl Cuts {
         let bearing = TetMesh {
             positions_m: mesh.positions_m.clone(),
             tetrahedra: (0..bears.len()).filter(|&t| bears[t]).map(|t| mesh.tetrahedra[t]).collect(),
+            ..TetMesh::default()
         };
         let is_out: Vec<bool> =
             (0..n_nodes).map(|n| !body.topology().is_live_node(NodeId::from_index(n))).collect();

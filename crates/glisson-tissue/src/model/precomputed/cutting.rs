@@ -188,7 +188,8 @@ impl Precomputed {
         }
         held.iter_mut().zip(&is_borne).for_each(|(held, borne)| *held |= !borne);
         let held: Vec<NodeId> = (0..n_nodes).filter(|&n| held[n]).map(NodeId::from_index).collect();
-        let part = TetMesh { positions_m: mesh.positions_m.clone(), tetrahedra: bearing };
+        let part =
+            TetMesh { positions_m: mesh.positions_m.clone(), tetrahedra: bearing, ..TetMesh::default() };
         let part_params = super::PrecomputedParams { mesh: &part, fixed_nodes: &held, ..*params };
         let mut model = Self::build(&part_params)?;
         let mut fixed_nodes = params.fixed_nodes.to_vec();

@@ -135,6 +135,7 @@ impl Fragment {
         let own = TetMesh {
             positions_m: nodes.iter().map(|n| mesh.positions_m[n.index()]).collect(),
             tetrahedra: params.tets.iter().map(|t| of_tet(t).map(local)).collect(),
+            ..TetMesh::default()
         };
         let fixed: Vec<FixedNode> = nodes
             .iter()

@@ -230,6 +230,7 @@ mod tests {
         let mut mesh = TetMesh {
             positions_m,
             tetrahedra: vec![[0, 1, 2, 3], [0, 4, 5, 6]].into_iter().map(|t| t.map(NodeId)).collect(),
+            ..TetMesh::default()
         };
         for t in 0..2 {
             if mesh.tet_volume_m3(TetId(t)) < 0.0 {
@@ -251,8 +252,11 @@ mod tests {
         positions_m.push(DVec3::new(-0.5, 0.0, 1.0));
         positions_m.extend([1.0, -1.0].map(|y| DVec3::new(1.0, y, 0.0)));
         positions_m.push(DVec3::new(0.5, 0.0, 1.0));
-        let mut mesh =
-            TetMesh { positions_m, tetrahedra: vec![[0, 1, 2, 3].map(NodeId), [0, 4, 5, 6].map(NodeId)] };
+        let mut mesh = TetMesh {
+            positions_m,
+            tetrahedra: vec![[0, 1, 2, 3].map(NodeId), [0, 4, 5, 6].map(NodeId)],
+            ..TetMesh::default()
+        };
         for t in 0..2 {
             if mesh.tet_volume_m3(TetId(t)) < 0.0 {
                 mesh.tetrahedra[t as usize].swap(1, 2);

@@ -81,7 +81,7 @@ impl TensorMass {
         let strained_j = 0.5 * (lambda_pa + 2.0 * mu_pa) * mesh.volume_m3();
         let mut motion = ExplicitMotion::new(&body, stability, strained_j)?;
         for (t, stress_pa) in body.rest_stress_pa.iter().enumerate() {
-            let gradients = P1Gradients::new(mesh.corners_m(TetId::from_index(t)));
+            let gradients = P1Gradients::in_mesh(mesh, TetId::from_index(t));
             motion.add_rest_forces(mesh.tetrahedra[t], gradients.stress_forces_n(*stress_pa), 1.0);
         }
         Ok(Self {
@@ -187,7 +187,7 @@ impl TensorMass {
 
 impl TensorMass {
     fn gradients(&self, t: usize) -> P1Gradients {
-        P1Gradients::new(self.tets.nodes[t].map(|n| self.motion.rest_m()[n.index()]))
+        self.tets.gradients(t, self.motion.rest_m())
     }
 }
 
@@ -220,7 +220,7 @@ impl Cuttable for TensorMass {
     }
 
     fn after_removals(&mut self) {
-        self.motion.after_removals(&self.tets.nodes, &self.tets.is_live);
+        self.motion.after_removals(&self.tets);
     }
 
     fn grow(&mut self, mesh: &TetMesh, change: &TopologyChange, growth: &TopologyUpdate) {
@@ -241,7 +241,7 @@ impl Cuttable for TensorMass {
     }
 
     fn after_growth(&mut self) {
-        self.motion.after_growth(&self.tets.nodes, &self.tets.is_live);
+        self.motion.after_growth(&self.tets);
     }
 
     fn compact(&mut self, new_ids: &[Option<NodeId>]) {

@@ -58,6 +58,7 @@ fn ligaments_carry_a_body_and_gravity_can_be_turned() {
     let mesh = TetMesh {
         positions_m: vec![DVec3::ZERO, 0.02 * DVec3::X, 0.02 * DVec3::Y, 0.02 * DVec3::Z],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+        ..TetMesh::default()
     };
     let (slack_length_m, stiffness_n_per_m) = (0.03, 0.5);
     let up = DVec3::new(0.0, 0.6, 0.8);
@@ -94,6 +95,7 @@ fn rayleigh_damping_follows_its_theory() {
     let mesh = TetMesh {
         positions_m: vec![DVec3::ZERO, 0.02 * DVec3::X, 0.02 * DVec3::Y, 0.02 * DVec3::Z],
         tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
+        ..TetMesh::default()
     };
     let mut fixed: Vec<FixedNode> = [0, 2, 3].map(|n| FixedNode::all_axes(NodeId(n))).to_vec();
     fixed.push(FixedNode { node: NodeId(1), axes: [false, true, true] });

@@ -164,6 +164,7 @@ impl Body {
             mesh: TetMesh {
                 positions_m: self.mesh.positions_m.clone(),
                 tetrahedra: live.iter().map(|&t| self.mesh.tetrahedra[t]).collect(),
+                ..TetMesh::default()
             },
             materials: live.iter().map(|&t| self.materials[t]).collect(),
             fibres: live.iter().map(|&t| self.fibres[t]).collect(),

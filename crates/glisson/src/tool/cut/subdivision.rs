@@ -54,6 +54,8 @@ pub struct SubdivisionParams {
     pub front_reach_m: f64,
     /// Smallest dihedral angle [degrees] of a new or reshaped tetrahedron, unless one in its place had a smaller one.
     pub min_dihedral_deg: f64,
+    /// Whether no node moves and no faces are swapped: every new tetrahedron lies in one from before.
+    pub is_nested: bool,
 }
 
 impl SubdivisionParams {
@@ -65,6 +67,19 @@ impl SubdivisionParams {
             snap_length_m: 0.05 * mean_edge_m,
             front_reach_m: 0.3 * mean_edge_m,
             min_dihedral_deg: 3.0,
+            is_nested: false,
+        }
+    }
+
+    /// For a mesh that copies of its tetrahedra carry ([`crate::model::embedded`]), with this mean edge [m]: slivers do no harm, so
+    /// little snaps.
+    pub fn embedded(mean_edge_m: f64) -> Self {
+        Self {
+            snap_share: 0.04,
+            snap_length_m: 0.01 * mean_edge_m,
+            min_dihedral_deg: 0.05,
+            is_nested: true,
+            ..Self::for_mean_edge(mean_edge_m)
         }
     }
 }
@@ -534,6 +549,7 @@ impl SubdivisionCut {
     ) -> Attempt {
         let Self { params, stroke, patch, .. } = self;
         patch.start(body.mesh);
+        patch.all_stay = params.is_nested;
         let snapping = Snapping {
             share,
             share_of_fixed,
@@ -580,7 +596,8 @@ impl SubdivisionCut {
         let report = &mut tried.report;
         let wished_cosine = libm::cos((RESERVE * params.min_dihedral_deg).to_radians());
         let mut max_cosine = patch.max_new_cosine();
-        if max_cosine > wished_cosine
+        if !params.is_nested
+            && max_cosine > wished_cosine
             && let [Some(sweep), None] | [None, Some(sweep)] = sweeps
         {
             swap(patch, body, wished_cosine);

@@ -171,7 +171,7 @@ mod tests {
     fn forces_that_cancel_leave_no_more_missing_than_a_touch_that_begins() {
         let contact = Indentation::of(&LinearElastic::from_young_poisson(5e3, 0.45, 1060.0).unwrap());
         let positions_m = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].map(|p| p * 0.01).to_vec();
-        let mesh = TetMesh { positions_m, tetrahedra: vec![[0, 1, 2, 3].map(NodeId)] };
+        let mesh = TetMesh { positions_m, tetrahedra: vec![[0, 1, 2, 3].map(NodeId)], ..TetMesh::default() };
         let organ = Organ::new(mesh, &[], vec![0; 4]).unwrap();
         let radius_m = 3e-3;
         let most = contact.at_first_m_per_n(radius_m);

@@ -11,7 +11,7 @@ use super::ZoneLaw;
 use super::columns::SymmetricTiles;
 use super::zone::{SubMesh, Whole};
 use crate::model::explicit::{
-    ExplicitError, ExplicitMotion, Mover, Padded, Quarantine, Stability, StiffTet, unpadded,
+    ExplicitError, ExplicitMotion, LiveTets, Mover, Padded, Quarantine, Stability, StiffTet, unpadded,
 };
 use crate::model::hybrid::kirchhoff::KirchhoffTet;
 use crate::model::tensor_mass::VertexEdgeTensors;
@@ -33,7 +33,7 @@ pub(super) struct DynamicPart {
     /// Each group ascends.
     tets: Vec<u32>,
     mesh: TetMesh,
-    is_live: Vec<bool>,
+    live: LiveTets,
     n_linear_tets: usize,
     n_dynamic_tets: usize,
     /// Number of live dynamic tetrahedra at each node; a node with any is dynamic.
@@ -164,6 +164,7 @@ impl DynamicPart {
         let linear = TetMesh {
             positions_m: mesh.positions_m.clone(),
             tetrahedra: mesh.tetrahedra[..n_linear_tets].to_vec(),
+            ..TetMesh::default()
         };
         let tensors = match n_linear_tets {
             0 => None,
@@ -184,7 +185,7 @@ impl DynamicPart {
         Ok(Some(Self {
             nodes: nodes.iter().map(|n| n.0).collect(),
             tets: tets.iter().map(|&t| t as u32).collect(),
-            is_live: vec![true; tets.len()],
+            live: LiveTets::of_mesh(mesh),
             dynamic_tets: count_tets(&mesh.tetrahedra[..n_dynamic_tets], nodes.len()),
             linear_tets: count_tets(&linear.tetrahedra, nodes.len()),
             n_linear_tets,
@@ -222,7 +223,7 @@ impl DynamicPart {
 
     /// Whether a tetrahedron of the body is still there.
     pub(super) fn is_live(&self, tet: usize) -> bool {
-        self.is_live[tet]
+        self.live.is_live[tet]
     }
 
     /// The law of a tetrahedron of the body, if it is a St Venant-Kirchhoff one.
@@ -298,7 +299,7 @@ impl DynamicPart {
             let mut quarantine = Quarantine::default();
             for (k, tet) in self.kirchhoff.iter().enumerate() {
                 let t = n_linear_tets + k;
-                if !self.is_live[t] {
+                if !self.live.is_live[t] {
                     continue;
                 }
                 let nodes = self.mesh.tetrahedra[t].map(NodeId::index);
@@ -331,7 +332,7 @@ impl DynamicPart {
 
     /// Whether a frontier node has no dynamic tetrahedron left after these removals, which ascend.
     pub(super) fn would_strand(&self, removed: &[TetId]) -> bool {
-        let goes = |t: &usize| self.is_live[*t] && removed.binary_search(&TetId(self.tets[*t])).is_ok();
+        let goes = |t: &usize| self.live.is_live[*t] && removed.binary_search(&TetId(self.tets[*t])).is_ok();
         (0..self.n_dynamic_tets).filter(goes).any(|t| {
             self.mesh.tetrahedra[t].iter().filter(|n| self.frontier.contains(&n.0)).any(|n| {
                 let at_node = |t: &usize| self.mesh.tetrahedra[*t].contains(n);
@@ -345,7 +346,7 @@ impl DynamicPart {
     pub(super) fn remove_tet(&mut self, tet: TetId, whole: &Whole<'_>) {
         let dynamic = &self.tets[..self.n_dynamic_tets];
         let Some(t) = dynamic.iter().position(|&t| t == tet.0) else { return };
-        if !std::mem::take(&mut self.is_live[t]) {
+        if !std::mem::take(&mut self.live.is_live[t]) {
             return;
         }
         let nodes = self.mesh.tetrahedra[t];
@@ -368,7 +369,7 @@ impl DynamicPart {
 
     /// Updates the bounds of the step after all removals of an edit.
     pub(super) fn after_removals(&mut self) {
-        self.motion.after_removals(&self.mesh.tetrahedra, &self.is_live);
+        self.motion.after_removals(&self.live);
     }
 
     /// Follows a renumbering of the mesh.

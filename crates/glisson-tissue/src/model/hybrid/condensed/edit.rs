@@ -170,7 +170,7 @@ impl CondensedHybrid {
                 conditions.impose(NodeId::from_index(l), axis, 0.0);
             }
         }
-        let mesh = TetMesh { positions_m, tetrahedra };
+        let mesh = TetMesh { positions_m, tetrahedra, ..TetMesh::default() };
         let edges = MeshEdges::of_mesh(&mesh)?;
         conditions.check(&mesh, &edges).map_err(|error| match error {
             SolveError::Floating { piece_nodes, node, rigid_modes, named } => {

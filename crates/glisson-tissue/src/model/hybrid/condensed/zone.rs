@@ -98,7 +98,7 @@ impl SubMesh {
         let positions_m = nodes.iter().map(|n| whole.positions_m[n.index()]).collect();
         let local = |n: NodeId| NodeId::from_index(nodes.binary_search(&n).expect("a corner"));
         let tetrahedra = tets.map(|t| corners(t).map(local)).collect();
-        Self { nodes, mesh: TetMesh { positions_m, tetrahedra } }
+        Self { nodes, mesh: TetMesh { positions_m, tetrahedra, ..TetMesh::default() } }
     }
 
     /// The number here of a node of the whole mesh.

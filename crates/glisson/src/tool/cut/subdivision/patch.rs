@@ -104,6 +104,8 @@ pub(super) struct Patch {
     pulled_tets: Vec<TetId>,
     /// Whether each node of the mesh has to stay; nodes beyond the end may move.
     pub(super) is_still: Vec<bool>,
+    /// Whether all nodes have to, new ones as well.
+    pub(super) all_stay: bool,
     /// Where the nodes of the mesh are ([`Sweep::outside_into`](super::sweep::Sweep::outside_into)).
     pub(super) outside: Vec<u8>,
     /// Faces to be opened, corners ascending.
@@ -197,7 +199,7 @@ impl Patch {
     /// Whether a node has to stay.
     pub(super) fn is_still(&self, node: u32) -> bool {
         let old = self.nodes[node as usize].old;
-        old.is_some_and(|old| self.is_still.get(old.index()).copied().unwrap_or(false))
+        self.all_stay || old.is_some_and(|old| self.is_still.get(old.index()).copied().unwrap_or(false))
     }
 
     pub(super) fn star(&self, node: u32) -> &[u32] {

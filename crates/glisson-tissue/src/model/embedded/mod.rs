@@ -1,0 +1,357 @@
+//! A model whose cuts are embedded: it moves copies of the tetrahedra that the body had at first, and these carry the cut mesh.
+//!
+//! See [`glisson_mesh::mesh::embedding`] for what is copied, and which corners copies share. With W the barycentric weights of the
+//! cut mesh's nodes among the copies' (x = W X), the forces f on nodes of the cut mesh are W^T f on those of the copies, and the
+//! compliance C of the copies is W C W^T for the cut mesh. So any model of the copies is one of the cut mesh, and its time step does
+//! not know how thin the pieces are that a blade left.
+//!
+//! Until the first edit the copies are the mesh itself, and the model has the bits that it has alone.
+
+mod constraints;
+mod local;
+
+use self::constraints::Carried;
+use super::{
+    Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport, ModelState,
+    ModelUndo, NodalForce, StepAnswer, TopologyRefusal, follow_edit,
+};
+use glisson_mesh::math::DVec3;
+use glisson_mesh::mesh::edit::TopologyChange;
+use glisson_mesh::mesh::embedding::{Embedding, EmbeddingUndo};
+use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
+
+/// How such models are called in messages.
+const NAME: &str = "embedded";
+
+/// A model of the copies, shown as one of the cut mesh.
+pub struct Embedded {
+    /// Of the copies.
+    model: Box<dyn DeformableModel>,
+    embedding: Embedding,
+    /// Whether every tetrahedron is its own copy still.
+    is_whole: bool,
+    /// How many edits there were; another answer to forces after each.
+    n_edits: u64,
+    last_dt_s: f64,
+    carried: Carried,
+    positions_m: Vec<DVec3>,
+    velocities_m_per_s: Vec<DVec3>,
+    history: Vec<f64>,
+    /// Velocities of the copies' nodes before the last step [m/s].
+    before_m_per_s: Vec<DVec3>,
+    /// Motion of the copies' nodes [m]: scratch.
+    moves_m: Vec<DVec3>,
+    patch: Vec<NodeId>,
+    local: LocalModel,
+    /// Compliance between the patch of the copies and nodes of the cut mesh: scratch.
+    columns: Vec<glisson_mesh::math::DMat3>,
+}
+
+impl Embedded {
+    /// `model` is one of `mesh`, which is not cut yet.
+    pub fn new(model: Box<dyn DeformableModel>, mesh: &TetMesh) -> Self {
+        Self::of_parts(model, Embedding::new(mesh))
+    }
+
+    fn of_parts(model: Box<dyn DeformableModel>, embedding: Embedding) -> Self {
+        let mut embedded = Self {
+            model,
+            embedding,
+            is_whole: true,
+            n_edits: 0,
+            last_dt_s: 0.0,
+            carried: Carried::default(),
+            positions_m: Vec::new(),
+            velocities_m_per_s: Vec::new(),
+            history: Vec::new(),
+            before_m_per_s: Vec::new(),
+            moves_m: Vec::new(),
+            patch: Vec::with_capacity(LocalModel::MOST_NODES),
+            local: LocalModel::new(),
+            columns: Vec::with_capacity(LocalModel::MOST_NODES * LocalModel::MOST_NODES),
+        };
+        embedded.make_room();
+        embedded
+    }
+
+    /// The cut mesh and its copies.
+    pub fn embedding(&self) -> &Embedding {
+        &self.embedding
+    }
+
+    /// The model of the copies.
+    pub fn model(&self) -> &dyn DeformableModel {
+        self.model.as_ref()
+    }
+
+    /// Room for what steps write.
+    fn make_room(&mut self) {
+        self.is_whole = self.embedding.is_whole();
+        if self.is_whole {
+            return;
+        }
+        let n_copied = self.embedding.copies().positions_m.len();
+        self.before_m_per_s.resize(n_copied, DVec3::ZERO);
+        self.moves_m.resize(n_copied, DVec3::ZERO);
+        self.carried.make_room(n_copied);
+        self.publish();
+    }
+
+    /// Where the cut mesh is.
+    fn publish(&mut self) {
+        if self.is_whole {
+            return;
+        }
+        let Self { model, embedding, positions_m, velocities_m_per_s, history, .. } = self;
+        let state = model.state();
+        let spread = |of_copies: &[DVec3], of_cut: &mut Vec<DVec3>| {
+            of_cut.clear();
+            if !of_copies.is_empty() {
+                of_cut.extend(embedding.ties().iter().map(|tie| tie.mean(|node| of_copies[node.index()])));
+            }
+        };
+        spread(state.positions_m, positions_m);
+        spread(state.velocities_m_per_s, velocities_m_per_s);
+        history.clear();
+        for numbers in [state.positions_m, state.velocities_m_per_s] {
+            history.extend(numbers.iter().flat_map(|v| v.to_array()));
+        }
+        history.extend_from_slice(state.history);
+    }
+
+    /// What the copies' nodes have where those of the cut mesh have `of_cut`, as near as can be, from what they have at `rest` on.
+    fn fit(&self, of_cut: &[DVec3], rest: impl Fn(NodeId) -> DVec3) -> Vec<DVec3> {
+        let n_copied = self.embedding.copies().positions_m.len();
+        let mut found: Vec<DVec3> = (0..n_copied).map(|n| rest(NodeId::from_index(n))).collect();
+        for _ in 0..FITS {
+            for (tie, of_node) in self.embedding.ties().iter().zip(of_cut) {
+                constraints::pull(tie, *of_node, &mut found);
+            }
+        }
+        found
+    }
+
+    /// Follows an edit, with what takes it back in `undo`.
+    fn follow(
+        &mut self,
+        mesh: &TetMesh,
+        change: &TopologyChange,
+        undo: &mut ModelUndo,
+    ) -> Result<(), TopologyRefusal> {
+        let mut of_embedding = EmbeddingUndo::default();
+        undo.velocities_m_per_s.extend_from_slice(&self.before_m_per_s);
+        let followed = self.embedding.follow(mesh, change, &mut of_embedding);
+        let of_copies =
+            followed.map_err(|refusal| TopologyRefusal::Frozen { model: NAME, reason: refusal.reason() })?;
+        let mut of_model = ModelUndo::default();
+        if let Err(refusal) = follow_edit(&mut self.model, self.embedding.copies(), &of_copies, &mut of_model)
+        {
+            self.embedding.undo(&of_embedding);
+            return Err(refusal);
+        }
+        // A copied node goes on as the one that it is a copy of.
+        let n_before = of_copies.nodes.n_before;
+        self.before_m_per_s.resize(n_before, DVec3::ZERO);
+        for (_, parents) in of_copies.nodes.added.iter() {
+            let of_parent = parents.first().map(|(parent, _)| self.before_m_per_s[parent.index()]);
+            self.before_m_per_s.push(of_parent.unwrap_or(DVec3::ZERO));
+        }
+        undo.parts.push(of_model);
+        undo.embedding = Some(of_embedding);
+        self.n_edits += 1;
+        self.carried.release();
+        self.make_room();
+        Ok(())
+    }
+}
+
+/// Rounds of fitting copies to places of the cut mesh.
+const FITS: usize = 30;
+
+impl DeformableModel for Embedded {
+    fn apply(&mut self, constraints: &Constraints) {
+        if self.is_whole {
+            self.model.apply(constraints);
+            return;
+        }
+        let state = self.model.state();
+        let rest_m = &self.embedding.copies().positions_m;
+        let here_m = |node: NodeId| state.positions_m[node.index()] - rest_m[node.index()];
+        let of_copies = self.carried.take_over(constraints, self.embedding.ties(), here_m);
+        self.model.apply(of_copies);
+    }
+
+    fn step(&mut self, dt_s: f64) {
+        self.last_dt_s = dt_s;
+        if self.is_whole {
+            self.model.step(dt_s);
+            return;
+        }
+        let velocities_m_per_s = self.model.state().velocities_m_per_s;
+        if !velocities_m_per_s.is_empty() {
+            self.before_m_per_s.copy_from_slice(velocities_m_per_s);
+        }
+        self.model.step(dt_s);
+        self.publish();
+        self.carried.read_forces(self.model.constraint_forces_n());
+    }
+
+    fn state(&self) -> ModelState<'_> {
+        if self.is_whole {
+            return self.model.state();
+        }
+        ModelState {
+            positions_m: &self.positions_m,
+            velocities_m_per_s: &self.velocities_m_per_s,
+            history: &self.history,
+        }
+    }
+
+    fn constraint_forces_n(&self) -> &[DVec3] {
+        if self.is_whole { self.model.constraint_forces_n() } else { self.carried.forces_n() }
+    }
+
+    fn take_over(&mut self, positions_m: &[DVec3]) {
+        if self.is_whole {
+            self.model.take_over(positions_m);
+            return;
+        }
+        let of_copies = self.fit(positions_m, |node| self.embedding.copies().positions_m[node.index()]);
+        self.model.take_over(&of_copies);
+        self.before_m_per_s.fill(DVec3::ZERO);
+        self.publish();
+    }
+
+    fn take_over_in_motion(&mut self, state: &ModelState<'_>) {
+        if self.is_whole {
+            self.model.take_over_in_motion(state);
+            return;
+        }
+        let positions_m =
+            self.fit(state.positions_m, |node| self.embedding.copies().positions_m[node.index()]);
+        let velocities_m_per_s = match state.velocities_m_per_s {
+            [] => Vec::new(),
+            known => self.fit(known, |_| DVec3::ZERO),
+        };
+        let of_copies =
+            ModelState { positions_m: &positions_m, velocities_m_per_s: &velocities_m_per_s, history: &[] };
+        self.model.take_over_in_motion(&of_copies);
+        self.before_m_per_s.fill(DVec3::ZERO);
+        self.publish();
+    }
+
+    fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {
+        self.model.set_gravity(gravity_m_per_s2);
+    }
+
+    fn set_level_of_detail(&mut self, effort: LevelOfDetail) -> bool {
+        self.model.set_level_of_detail(effort)
+    }
+
+    fn report(&self) -> ModelReport {
+        let of_copies = self.model.report();
+        let carried_by = |copy| {
+            (0..self.embedding.n_tets())
+                .map(TetId::from_index)
+                .find(|tet| self.embedding.copy_of(*tet) == copy)
+        };
+        ModelReport { first_quarantined: of_copies.first_quarantined.and_then(carried_by), ..of_copies }
+    }
+
+    fn duplicate(&self) -> Box<dyn DeformableModel> {
+        let mut copy = Self::of_parts(self.model.duplicate(), self.embedding.clone());
+        copy.n_edits = self.n_edits;
+        copy.last_dt_s = self.last_dt_s;
+        copy.carried = self.carried.clone();
+        copy.before_m_per_s.clone_from(&self.before_m_per_s);
+        Box::new(copy)
+    }
+
+    fn local_model_into(
+        &mut self,
+        patch: &[NodeId],
+        period_s: f64,
+        work: &mut LocalWork,
+        out: &mut LocalModel,
+    ) {
+        if self.is_whole {
+            self.model.local_model_into(patch, period_s, work, out);
+        } else {
+            self.carry_local_model(patch, period_s, work, out);
+        }
+    }
+
+    /// Nodes that one copy carries answer together.
+    fn step_answer(&self) -> StepAnswer {
+        match self.model.step_answer() {
+            of_copies if self.is_whole => of_copies,
+            StepAnswer::NodeByNode => StepAnswer::Coupled { version: self.n_edits },
+            StepAnswer::Coupled { version } => StepAnswer::Coupled { version: version + self.n_edits },
+            other => other,
+        }
+    }
+
+    fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
+        let ties = self.embedding.ties();
+        let answer =
+            |(of, weight): (NodeId, f64)| self.model.node_answer_m_per_n(of, dt_s) * (weight * weight);
+        ties.get(node.index()).map_or(DVec3::ZERO, |tie| tie.iter().map(answer).sum())
+    }
+
+    fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
+        if self.is_whole {
+            self.model.answer_into(forces, moves_m);
+            return;
+        }
+        let of_copies = self.carried.gather(forces, self.embedding.ties());
+        if self.model.step_answer() == StepAnswer::NodeByNode {
+            self.moves_m.fill(DVec3::ZERO);
+            for force in of_copies {
+                let answer_m_per_n = self.model.node_answer_m_per_n(force.node, self.last_dt_s);
+                self.moves_m[force.node.index()] = answer_m_per_n * force.force_n;
+            }
+        } else {
+            self.model.answer_into(of_copies, &mut self.moves_m);
+        }
+        for (move_m, tie) in moves_m.iter_mut().zip(self.embedding.ties()) {
+            *move_m = tie.mean(|node| self.moves_m[node.index()]);
+        }
+    }
+
+    fn correct_step(&mut self, forces: &[NodalForce], dt_s: f64, correction: Correction) {
+        if self.is_whole {
+            self.model.correct_step(forces, dt_s, correction);
+            return;
+        }
+        let of_copies = self.carried.gather(forces, self.embedding.ties());
+        self.model.correct_step(of_copies, dt_s, correction);
+        self.publish();
+    }
+
+    fn topology_refusal(&self) -> Option<TopologyRefusal> {
+        self.model.topology_refusal()
+    }
+
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        self.follow(mesh, change, &mut ModelUndo::default())
+    }
+
+    fn follow_saving(
+        &mut self,
+        mesh: &TetMesh,
+        change: &TopologyChange,
+        undo: &mut ModelUndo,
+    ) -> Result<(), TopologyRefusal> {
+        self.follow(mesh, change, undo)
+    }
+
+    fn undo(&mut self, undo: &ModelUndo) {
+        let (Some(of_embedding), [of_model]) = (&undo.embedding, undo.parts.as_slice()) else { return };
+        self.embedding.undo(of_embedding);
+        of_model.put_back_copy(&mut self.model);
+        self.before_m_per_s.clone_from(&undo.velocities_m_per_s);
+        self.n_edits += 1;
+        self.carried.release();
+        self.make_room();
+    }
+}

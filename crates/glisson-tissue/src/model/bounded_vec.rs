@@ -20,7 +20,7 @@ impl<T> BoundedVec<T> {
     }
 
     /// Adds a value if there is room; answers whether there was.
-    pub(crate) fn try_push(&mut self, value: T) -> bool {
+    pub fn try_push(&mut self, value: T) -> bool {
         let has_room = self.0.len() < self.0.capacity();
         if has_room {
             self.0.push(value);

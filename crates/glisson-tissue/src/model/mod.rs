@@ -231,6 +231,12 @@ pub trait DeformableModel: Send {
         DVec3::ZERO
     }
 
+    /// Whether two places on the body, given as nodes with weights of sum zero, can move against each other at all. Places that the
+    /// same element carries cannot ([`embedded`]).
+    fn can_part(&self, _sides: &mut dyn Iterator<Item = (NodeId, f64)>) -> bool {
+        true
+    }
+
     /// With [`StepAnswer::Coupled`]: displacement [m] of every node for forces on some in a step of the length of the last
     /// one. Overwrites `moves_m`, as long as there are nodes; allocates nothing.
     fn answer_into(&mut self, _forces: &[NodalForce], moves_m: &mut [DVec3]) {

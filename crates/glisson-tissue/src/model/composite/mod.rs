@@ -380,6 +380,20 @@ impl DeformableModel for Composite {
         part.model.node_answer_m_per_n(NodeId(place.local), dt_s)
     }
 
+    fn can_part(&self, sides: &mut dyn Iterator<Item = (NodeId, f64)>) -> bool {
+        let mut places = sides.map(|(node, weight)| (self.maps.nodes.get(node.index()), weight)).peekable();
+        let Some(&(Some(first), _)) = places.peek() else { return true };
+        let mut is_one_body = true;
+        let mut of_part = places.map_while(|(place, weight)| {
+            let own = place.filter(|place| place.part == first.part);
+            is_one_body &= own.is_some();
+            own.map(|place| (NodeId(place.local), weight))
+        });
+        let can_part = lock(&self.parts[first.part as usize]).model.can_part(&mut of_part);
+        of_part.for_each(drop);
+        can_part || !is_one_body
+    }
+
     fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
         self.hand_out(forces);
         self.run(&self.answer_part);

@@ -7,9 +7,11 @@
 //!
 //! Until the first edit the copies are the mesh itself, and the model has the bits that it has alone.
 
+mod bearing;
 mod constraints;
 mod local;
 
+use self::bearing::Bearing;
 use self::constraints::Carried;
 use super::{
     Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport, ModelState,
@@ -34,6 +36,7 @@ pub struct Embedded {
     n_edits: u64,
     last_dt_s: f64,
     carried: Carried,
+    bearing: Bearing,
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
     history: Vec<f64>,
@@ -61,6 +64,7 @@ impl Embedded {
             n_edits: 0,
             last_dt_s: 0.0,
             carried: Carried::default(),
+            bearing: Bearing::default(),
             positions_m: Vec::new(),
             velocities_m_per_s: Vec::new(),
             history: Vec::new(),
@@ -140,6 +144,7 @@ impl Embedded {
     ) -> Result<(), TopologyRefusal> {
         let mut of_embedding = EmbeddingUndo::default();
         undo.velocities_m_per_s.extend_from_slice(&self.before_m_per_s);
+        undo.numbers.extend_from_slice(self.bearing.of_nodes_m3());
         let followed = self.embedding.follow(mesh, change, &mut of_embedding);
         let of_copies =
             followed.map_err(|refusal| TopologyRefusal::Frozen { model: NAME, reason: refusal.reason() })?;
@@ -158,6 +163,7 @@ impl Embedded {
         }
         undo.parts.push(of_model);
         undo.embedding = Some(of_embedding);
+        self.bearing.of_mesh(mesh, change, &self.embedding);
         self.n_edits += 1;
         self.carried.release();
         self.make_room();
@@ -263,6 +269,7 @@ impl DeformableModel for Embedded {
         copy.n_edits = self.n_edits;
         copy.last_dt_s = self.last_dt_s;
         copy.carried = self.carried.clone();
+        copy.bearing = self.bearing.clone();
         copy.before_m_per_s.clone_from(&self.before_m_per_s);
         Box::new(copy)
     }
@@ -281,21 +288,26 @@ impl DeformableModel for Embedded {
         }
     }
 
-    /// Nodes that one copy carries answer together.
     fn step_answer(&self) -> StepAnswer {
         match self.model.step_answer() {
-            of_copies if self.is_whole => of_copies,
-            StepAnswer::NodeByNode => StepAnswer::Coupled { version: self.n_edits },
             StepAnswer::Coupled { version } => StepAnswer::Coupled { version: version + self.n_edits },
             other => other,
         }
     }
 
+    /// Nodes that a copy carries answer together. As if each had its share of the copies' nodes ([`Bearing`]), they answer no less
+    /// than they do: whoever takes them one by one never overshoots.
     fn node_answer_m_per_n(&self, node: NodeId, dt_s: f64) -> DVec3 {
-        let ties = self.embedding.ties();
-        let answer =
-            |(of, weight): (NodeId, f64)| self.model.node_answer_m_per_n(of, dt_s) * (weight * weight);
-        ties.get(node.index()).map_or(DVec3::ZERO, |tie| tie.iter().map(answer).sum())
+        if self.is_whole {
+            return self.model.node_answer_m_per_n(node, dt_s);
+        }
+        let Some(tie) = self.embedding.ties().get(node.index()) else { return DVec3::ZERO };
+        let answer = |of: NodeId| self.model.node_answer_m_per_n(of, dt_s);
+        self.bearing.answer(node, tie, answer)
+    }
+
+    fn can_part(&self, sides: &mut dyn Iterator<Item = (NodeId, f64)>) -> bool {
+        self.is_whole || bearing::can_part(sides, self.embedding.ties())
     }
 
     fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
@@ -350,6 +362,7 @@ impl DeformableModel for Embedded {
         self.embedding.undo(of_embedding);
         of_model.put_back_copy(&mut self.model);
         self.before_m_per_s.clone_from(&undo.velocities_m_per_s);
+        self.bearing.put_back(&undo.numbers, &self.embedding);
         self.n_edits += 1;
         self.carried.release();
         self.make_room();

@@ -9,7 +9,9 @@
 //! It is the fixed point of f = P(f - rho q), q = n (o + n.r) + (s + r_t), P the projection of the normal part to f.n >= 0
 //! and of f_t to the disc of radius mu f.n, found with steps rho by Barzilai and Borwein (1988, "Two-point step size
 //! gradient methods", IMA J. Numer. Anal. 8(1), doi 10.1093/imanum/8.1.141). Every step asks the model once, whatever the
-//! number of contacts: what is left after a given number of them is made good in the next steps.
+//! number of contacts: what is left after a given number of them is made good in the next steps. Such steps do not come nearer each
+//! time. Those forces count of all that were tried for which f.(o + s + r/2) is least, the energy that f would minimize without
+//! friction: it is zero without forces, so that contact never gives the body energy.
 
 use super::NodeContact;
 use crate::math::DVec3;
@@ -28,6 +30,8 @@ pub(super) struct CoupledForces {
     moves_m: Vec<DVec3>,
     tried_n: Vec<DVec3>,
     moves_before_m: Vec<DVec3>,
+    best_n: Vec<DVec3>,
+    best_moves_m: Vec<DVec3>,
     of_vertex_n: Vec<DVec3>,
     of_nodes_m: Vec<DVec3>,
     list: Vec<NodalForce>,
@@ -43,6 +47,8 @@ impl CoupledForces {
             moves_m: none(),
             tried_n: none(),
             moves_before_m: none(),
+            best_n: none(),
+            best_moves_m: none(),
             of_vertex_n: none(),
             of_nodes_m: vec![DVec3::ZERO; n_nodes],
             list: Vec::with_capacity(n_vertices),
@@ -122,6 +128,8 @@ impl CoupledForces {
             *move_m *= first_n_per_m;
         }
         let mut rho_n_per_m = first_n_per_m;
+        let mut least_j = f64::INFINITY;
+        self.keep_if_better(n, &mut least_j);
         for _ in 1..params.n_answers {
             let (mut changed_n2, mut all_n2) = (0.0, 0.0);
             for (c, contact) in contacts.iter().enumerate() {
@@ -138,6 +146,7 @@ impl CoupledForces {
             }
             self.moves_before_m[..n].copy_from_slice(&self.moves_m[..n]);
             self.answer(model, contacts, nodes);
+            self.keep_if_better(n, &mut least_j);
             for (before_m, now_m) in self.moves_before_m[..n].iter_mut().zip(&self.moves_m) {
                 *before_m = *now_m - *before_m;
             }
@@ -147,7 +156,26 @@ impl CoupledForces {
                 rho_n_per_m = next_n_per_m;
             }
         }
-        true
+        if least_j < 0.0 {
+            self.forces_n[..n].copy_from_slice(&self.best_n[..n]);
+            self.moves_m[..n].copy_from_slice(&self.best_moves_m[..n]);
+            return true;
+        }
+        self.forces_n[..n].fill(DVec3::ZERO);
+        self.moves_m[..n].fill(DVec3::ZERO);
+        false
+    }
+
+    /// Keeps the forces and what they bring about where their energy is less than the least so far.
+    fn keep_if_better(&mut self, n: usize, least_j: &mut f64) {
+        let rows = self.forces_n[..n].iter().zip(&self.openings_m).zip(&self.moves_m);
+        let energy_j: f64 =
+            rows.map(|((force_n, opening_m), move_m)| force_n.dot(*opening_m + *move_m * 0.5)).sum();
+        if energy_j < *least_j {
+            *least_j = energy_j;
+            self.best_n[..n].copy_from_slice(&self.forces_n[..n]);
+            self.best_moves_m[..n].copy_from_slice(&self.moves_m[..n]);
+        }
     }
 }
 

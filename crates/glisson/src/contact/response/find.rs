@@ -3,7 +3,8 @@
 //! Every vertex belongs to one triangle, and is tested against the triangles that its own box meets and that are not
 //! attached to that one. What is found waits until there are some hundreds. Of all places within the margin the
 //! nearest counts, of equal ones that in the lowest triangle, so that the answer does not depend on the order in which
-//! they are found. A vertex is behind a surface when it lies against the normal between those of the triangle's vertices,
+//! they are found. So pairs within the margin and some slack are listed, and the list serves until a vertex has moved by half the
+//! slack. A vertex is behind a surface when it lies against the normal between those of the triangle's vertices,
 //! which are weighted by area.
 //!
 //! Within one body a wall thinner than the margin would count as pierced by its own other side, and what is around a corner
@@ -16,6 +17,7 @@ use crate::contact::triangles::at_weights;
 use crate::contact::vertex_lanes::{BLOCK, NearestPlace, NearestPlaces};
 use crate::contact::vertex_search::VertexSearch;
 use crate::math::DVec3;
+use crate::model::bounded_vec::BoundedVec;
 use fearless_simd::Level;
 
 const NONE: u32 = u32::MAX;
@@ -54,6 +56,10 @@ const LEAST_STRAIGHT: f64 = 0.9;
 /// Cosine between the normals of a vertex and of a triangle that face each other, at most: a choice between a flat place
 /// (-1), an edge (-0.7) or a corner (-0.58) that comes down on a face, and one that slides along it (0).
 const MOST_ALIKE: f64 = -0.25;
+/// Pairs are listed up to this share of the margin beyond it: a choice.
+const SLACK: f64 = 0.25;
+/// Listed pairs for each vertex at most; a list that is full serves for one step. A choice.
+const PAIRS_OF_VERTEX: usize = 96;
 /// Closer than this the way to a vertex has no direction of its own [m].
 const LEAST_OFFSET_M: f64 = 1e-6;
 
@@ -89,10 +95,44 @@ pub struct ContactSearch {
     margin_m: f64,
     triangles: Vec<[u32; 3]>,
     vertices: VertexSearch,
-    /// Area vectors summed at the vertices.
-    normals: Vec<DVec3>,
+    /// Area vectors summed at the vertices, and of the triangles, twice the areas long.
+    normals: Vec<Directed>,
+    areas_m2: Vec<Directed>,
     nearest: Vec<Nearest>,
     own: Option<RestShape>,
+    listed: PairList,
+}
+
+/// A vector with its length.
+#[derive(Clone, Copy, Debug, Default)]
+struct Directed {
+    vector: DVec3,
+    length: f64,
+}
+
+/// Vertices and triangles that came near each other when the vertices were at some places.
+#[derive(Clone, Debug)]
+struct PairList {
+    pairs: BoundedVec<[u32; 2]>,
+    at_m: Vec<DVec3>,
+    /// Whether it has all pairs of that moment.
+    is_complete: bool,
+}
+
+impl PairList {
+    fn with_room_for(n_vertices: usize) -> Self {
+        Self {
+            pairs: BoundedVec::with_capacity(PAIRS_OF_VERTEX * n_vertices),
+            at_m: vec![DVec3::NAN; n_vertices],
+            is_complete: false,
+        }
+    }
+
+    /// Whether no vertex is further from where it was than `most_m`; false also for places that are no numbers.
+    fn serves(&self, positions_m: &[DVec3], most_m: f64) -> bool {
+        let is_near = |(a, b): (&DVec3, &DVec3)| a.distance_squared(*b) <= most_m * most_m;
+        self.is_complete && self.at_m.iter().zip(positions_m).all(is_near)
+    }
 }
 
 impl ContactSearch {
@@ -109,7 +149,7 @@ impl ContactSearch {
         let pairs = PairSearchParams {
             kind: params.kind,
             self_collision: params.self_collision,
-            margin_m: params.margin_m,
+            margin_m: (1.0 + SLACK) * params.margin_m,
             pair_capacity: params.pair_capacity,
         };
         let search = PairSearch::new(&pairs, positions_m, triangles, body_of);
@@ -118,9 +158,11 @@ impl ContactSearch {
             search,
             margin_m: params.margin_m,
             triangles: triangles.to_vec(),
-            normals: vec![DVec3::ZERO; positions_m.len()],
+            normals: vec![Directed::default(); positions_m.len()],
+            areas_m2: vec![Directed::default(); triangles.len()],
             nearest: vec![NOTHING; positions_m.len()],
             own: None,
+            listed: PairList::with_room_for(positions_m.len()),
         }
     }
 
@@ -140,27 +182,36 @@ impl ContactSearch {
     /// found no room, there or in the structure.
     pub fn find_into(&mut self, positions_m: &[DVec3], found: &mut Vec<NodeContact>) -> usize {
         found.clear();
-        self.search.update(positions_m);
-        self.vertices.update(&self.search);
-        let Self { search, vertices, triangles, normals, nearest, margin_m, own } = self;
+        if !self.listed.serves(positions_m, 0.5 * SLACK * self.margin_m) {
+            self.list(positions_m);
+        }
+        let Self { search, vertices, triangles, normals, areas_m2, nearest, margin_m, own, listed } = self;
         nearest.fill(NOTHING);
         if own.is_some() {
-            sum_normals(triangles, positions_m, normals);
+            sum_normals(triangles, positions_m, normals, areas_m2);
         }
-        let own_shape = own.as_ref().map(|shape| (shape, &normals[..]));
+        let own_shape = own.as_ref().map(|shape| OwnShape { shape, normals, areas_m2 });
         let margin_m = *margin_m;
         let mut test =
             DistanceTest { positions_m, triangles, nearest, margin_m, own: own_shape, has_any: false };
         let mut waiting = [[0u32; 2]; N_WAITING];
         let mut n_waiting = 0;
-        vertices.for_each(search, |vertex, triangle| {
+        let mut wait = |vertex: u32, triangle: u32| {
+            if !test.can_face(vertex, triangle) {
+                return;
+            }
             waiting[n_waiting] = [vertex, triangle];
             n_waiting += 1;
             if n_waiting == N_WAITING {
                 test.all(&waiting);
                 n_waiting = 0;
             }
-        });
+        };
+        if listed.is_complete {
+            listed.pairs.iter().for_each(|&[vertex, triangle]| wait(vertex, triangle));
+        } else {
+            vertices.for_each(search, wait);
+        }
         test.all(&waiting[..n_waiting]);
         let has_any = test.has_any;
         let corners_m = |t: u32| triangles[t as usize].map(|v| positions_m[v as usize]);
@@ -169,7 +220,7 @@ impl ContactSearch {
             return n_dropped;
         }
         if own.is_none() {
-            sum_normals(triangles, positions_m, normals);
+            sum_normals(triangles, positions_m, normals, areas_m2);
         }
         for (vertex, place) in (0..).zip(nearest.iter()) {
             if place.triangle == NONE {
@@ -182,7 +233,8 @@ impl ContactSearch {
             let triangle = triangles[place.triangle as usize];
             let [a, b, c] = corners_m(place.triangle);
             let face = (b - a).cross(c - a).normalize_or_zero();
-            let smooth = at_weights(triangle.map(|v| normals[v as usize].normalize_or_zero()), place.weights);
+            let smooth =
+                at_weights(triangle.map(|v| normals[v as usize].vector.normalize_or_zero()), place.weights);
             let is_behind = place.offset_m.dot(smooth) < 0.0;
             let gap_m = if is_behind { -place.distance_m } else { place.distance_m };
             // The way to the vertex; the face's own normal where they touch.
@@ -196,6 +248,19 @@ impl ContactSearch {
             }
         }
         n_dropped
+    }
+
+    /// Lists the pairs that are near each other now.
+    fn list(&mut self, positions_m: &[DVec3]) {
+        let Self { search, vertices, listed, .. } = self;
+        search.update(positions_m);
+        vertices.update(search);
+        listed.pairs.clear();
+        listed.is_complete = true;
+        vertices.for_each(search, |vertex, triangle| {
+            listed.is_complete &= listed.pairs.try_push([vertex, triangle]);
+        });
+        listed.at_m.copy_from_slice(positions_m);
     }
 
     /// Vertices of the triangles.
@@ -228,20 +293,37 @@ impl ContactSearch {
     }
 }
 
-/// Sums of the triangles' area vectors at the vertices.
-fn sum_normals(triangles: &[[u32; 3]], positions_m: &[DVec3], normals: &mut [DVec3]) {
-    normals.fill(DVec3::ZERO);
-    for triangle in triangles {
+/// The triangles' area vectors, and their sums at the vertices.
+fn sum_normals(
+    triangles: &[[u32; 3]],
+    positions_m: &[DVec3],
+    normals: &mut [Directed],
+    areas_m2: &mut [Directed],
+) {
+    normals.fill(Directed::default());
+    for (triangle, area_m2) in triangles.iter().zip(areas_m2) {
         let [a, b, c] = triangle.map(|v| positions_m[v as usize]);
-        let area_m2 = (b - a).cross(c - a);
+        let vector = (b - a).cross(c - a);
+        *area_m2 = Directed { vector, length: vector.length() };
         for v in triangle {
-            normals[*v as usize] += area_m2;
+            normals[*v as usize].vector += vector;
         }
+    }
+    for normal in normals {
+        normal.length = normal.vector.length();
     }
 }
 
 /// Vertices and triangles that wait for their test at most.
 const N_WAITING: usize = 512;
+
+/// One body that touches itself, now.
+#[derive(Clone, Copy)]
+struct OwnShape<'a> {
+    shape: &'a RestShape,
+    normals: &'a [Directed],
+    areas_m2: &'a [Directed],
+}
 
 /// Keeps the nearest triangle of each vertex.
 struct DistanceTest<'a> {
@@ -249,8 +331,7 @@ struct DistanceTest<'a> {
     triangles: &'a [[u32; 3]],
     nearest: &'a mut [Nearest],
     margin_m: f64,
-    /// With the normals of the vertices.
-    own: Option<(&'a RestShape, &'a [DVec3])>,
+    own: Option<OwnShape<'a>>,
     has_any: bool,
 }
 
@@ -272,18 +353,20 @@ impl DistanceTest<'_> {
         }
     }
 
+    /// Whether a vertex and a triangle of one body face each other; also false beside a vertex that is broken.
+    fn can_face(&self, vertex: u32, triangle: u32) -> bool {
+        let Some(OwnShape { normals, areas_m2, .. }) = self.own else { return true };
+        let (normal, area_m2) = (&normals[vertex as usize], &areas_m2[triangle as usize]);
+        normal.vector.dot(area_m2.vector) <= MOST_ALIKE * (normal.length * area_m2.length)
+    }
+
     /// Keeps a place nearer than those before, if it can be a contact.
     fn keep(&mut self, vertex: u32, triangle: u32, place: NearestPlace) {
         let NearestPlace { weights, offset_m, distance_m } = place;
-        if let Some((shape, normals)) = self.own {
-            let corners = self.triangles[triangle as usize];
-            let [a, b, c] = corners.map(|v| self.positions_m[v as usize]);
-            let (normal, area_m2) = (normals[vertex as usize], (b - a).cross(c - a));
-            // Also false beside a vertex that is broken.
-            let faces = normal.dot(area_m2) <= MOST_ALIKE * (normal.length() * area_m2.length());
-            if !faces || shape.is_wall(vertex, corners, weights, self.margin_m) {
-                return;
-            }
+        if let Some(OwnShape { shape, .. }) = self.own
+            && shape.is_wall(vertex, self.triangles[triangle as usize], weights, self.margin_m)
+        {
+            return;
         }
         self.nearest[vertex as usize] = Nearest { triangle, weights, offset_m, distance_m };
         self.has_any = true;

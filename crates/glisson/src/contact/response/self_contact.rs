@@ -199,6 +199,9 @@ impl SelfContact {
                 if is_moving { state.velocities_m_per_s[node.index()] } else { DVec3::ZERO };
         }
         let n_dropped = self.search.find_into(&self.positions_m, &mut self.contacts) as u32;
+        let nodes = &self.nodes;
+        self.contacts
+            .retain(|contact| model.can_part(&mut contact.sides().map(|(v, weight)| (nodes[v], weight))));
         self.contact_forces_n.clear();
         self.contact_forces_n.resize(self.contacts.len(), DVec3::ZERO);
         let penetration_m = self.contacts.iter().fold(0.0, |deepest: f64, c| deepest.max(-c.gap_m));

@@ -15,6 +15,7 @@
 //! made by `tool/cut/subdivision` and not by clipping.
 
 mod follow;
+mod slits;
 mod undo;
 
 pub use self::undo::EmbeddingUndo;

@@ -1,10 +1,10 @@
 //! Copies that carry a cut mesh: they follow any strokes and removals, and their connections are those of the tissue.
 //!
 //! The oracle looks at the whole cut mesh at once: two tetrahedra share a corner of the uncut mesh exactly if they hang together
-//! through faces in the uncut tetrahedra around it.
+//! through faces in the uncut tetrahedra around it, where slits go all through what they go into.
 
 use glisson::material::{LAWS, LawChoice, LinearElastic};
-use glisson::math::{DVec3, SeededRandom};
+use glisson::math::{DVec3, SeededRandom, tetrahedron_volume_m3};
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use glisson::mesh::embedding::{Embedding, EmbeddingUndo};
@@ -12,11 +12,40 @@ use glisson::mesh::quality::{FACES, MeshQuality};
 use glisson::mesh::remap::follow_in_tissue;
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::kind::{MODELS, ModelKind, build_model};
-use glisson::model::{FixedNode, FollowedEdits, ModelUndo, OrganBody, Rayleigh, follow_edit};
+use glisson::model::{
+    Constraints, DeformableModel, FixedNode, FollowedEdits, ImposedDisplacement, ModelUndo, OrganBody,
+    Rayleigh, follow_edit,
+};
 use glisson::tool::cut::subdivision::{CutReport, SubdivisionCut, SubdivisionParams};
-use std::collections::BTreeMap;
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
 
 const SIZE_M: DVec3 = DVec3::new(0.06, 0.05, 0.04);
+
+/// Sets that grow together.
+struct Sets {
+    parent: RefCell<Vec<usize>>,
+}
+
+impl Sets {
+    fn new(n: usize) -> Self {
+        Self { parent: RefCell::new((0..n).collect()) }
+    }
+
+    fn root(&self, mut at: usize) -> usize {
+        let mut parent = self.parent.borrow_mut();
+        while parent[at] != at {
+            parent[at] = parent[parent[at]];
+            at = parent[at];
+        }
+        at
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.root(a), self.root(b));
+        self.parent.borrow_mut()[a.max(b)] = a.min(b);
+    }
+}
 
 struct Body {
     first: TetMesh,
@@ -88,16 +117,19 @@ impl Body {
         let (mesh, copies) = (self.mesh.mesh(), self.embedding.copies());
         let live = self.live();
         // Nodes of the cut mesh are where the copies take them.
+        let mut n_beside = 0;
         for &tet in &live {
             let copy = copies.tetrahedra[self.embedding.copy_of(tet).index()];
             for node in mesh.tetrahedra[tet.index()] {
                 let tie = self.embedding.ties()[node.index()];
-                assert!(tie.iter().all(|(of, _)| copy.contains(&of)), "carried by its copy");
+                // Ahead of a slit the copy of either side carries it.
+                n_beside += usize::from(!tie.iter().all(|(of, _)| copy.contains(&of)));
                 assert!((tie.iter().map(|(_, weight)| weight).sum::<f64>() - 1.0).abs() < 1e-12);
                 let place_m = tie.mean(|of| copies.positions_m[of.index()]);
                 assert!(place_m.distance(mesh.positions_m[node.index()]) < 1e-12, "at rest");
             }
         }
+        assert!(10 * n_beside <= 4 * live.len(), "{n_beside} corners of {} tetrahedra", live.len());
         // Each copy has the material that it carries.
         let mut volumes_m3 = vec![0.0; copies.tetrahedra.len()];
         for &tet in &live {
@@ -111,32 +143,94 @@ impl Body {
         self.check_connections(&live);
     }
 
-    fn check_connections(&self, live: &[TetId]) {
-        let mesh = self.mesh.mesh();
+    /// Faces with the tetrahedra at them, places in `live`.
+    fn faces(&self, live: &[TetId]) -> BTreeMap<[NodeId; 3], Vec<usize>> {
         let mut faces: BTreeMap<[NodeId; 3], Vec<usize>> = BTreeMap::new();
         for (at, tet) in live.iter().enumerate() {
-            let nodes = mesh.tetrahedra[tet.index()];
+            let nodes = self.mesh.mesh().tetrahedra[tet.index()];
             for face in FACES {
                 let mut face = face.map(|i| nodes[i]);
                 face.sort_unstable();
                 faces.entry(face).or_default().push(at);
             }
         }
+        faces
+    }
+
+    fn corners_m(&self, face: [NodeId; 3]) -> [DVec3; 3] {
+        face.map(|node| self.mesh.mesh().positions_m[node.index()])
+    }
+
+    /// Faces that hold though a slit parts them further on: in the plane of a slit in the same piece of an uncut tetrahedron, and on a
+    /// face between two uncut ones that is open for the most part.
+    fn parted_ahead(
+        &self,
+        live: &[TetId],
+        faces: &BTreeMap<[NodeId; 3], Vec<usize>>,
+    ) -> BTreeSet<[NodeId; 3]> {
+        let origin = |at: usize| self.origin[live[at].index()];
+        let mut pieces = Sets::new(live.len());
+        for pair in faces.values().filter(|pair| pair.len() == 2 && origin(pair[0]) == origin(pair[1])) {
+            pieces.join(pair[0], pair[1]);
+        }
+        let mut sides: BTreeMap<[[u64; 3]; 3], Vec<([NodeId; 3], usize)>> = BTreeMap::new();
+        for (face, tets) in faces.iter().filter(|(_, tets)| tets.len() == 1) {
+            let mut places = self.corners_m(*face).map(|p| p.to_array().map(f64::to_bits));
+            places.sort_unstable();
+            sides.entry(places).or_default().push((*face, tets[0]));
+        }
+        let area_m2 = |face: [NodeId; 3]| {
+            let [a, b, c] = self.corners_m(face);
+            (b - a).cross(c - a)
+        };
+        let slits: Vec<_> =
+            sides.values().filter(|slit| slit.len() == 2).map(|slit| [slit[0], slit[1]]).collect();
+        let in_piece = slits.iter().filter(|[(_, a), (_, b)]| pieces.root(*a) == pieces.root(*b));
+        let planes: Vec<(usize, DVec3, DVec3)> = in_piece
+            .map(|[(face, a), _]| (pieces.root(*a), area_m2(*face).normalize(), self.corners_m(*face)[0]))
+            .collect();
+        let is_in_plane = |face: [NodeId; 3], piece: usize| {
+            planes.iter().any(|(of, normal, at_m)| {
+                let is_on = |p: DVec3| (p - *at_m).dot(*normal).abs() < 1e-9;
+                *of == piece && self.corners_m(face).into_iter().all(is_on)
+            })
+        };
+        let shared = || faces.iter().filter(|(_, pair)| pair.len() == 2);
+        let within = |pair: &[usize]| origin(pair[0]) == origin(pair[1]);
+        let mut parted: BTreeSet<[NodeId; 3]> = shared()
+            .filter(|(face, pair)| within(pair) && is_in_plane(**face, pieces.root(pair[0])))
+            .map(|(face, _)| *face)
+            .collect();
+        // What is left of each piece, and what of the faces between two of them is open.
+        let mut left = Sets::new(live.len());
+        for (_, pair) in shared().filter(|(face, pair)| within(pair) && !parted.contains(*face)) {
+            left.join(pair[0], pair[1]);
+        }
+        let both = |a: usize, b: usize| [left.root(a).min(left.root(b)), left.root(a).max(left.root(b))];
+        let mut open_m2: BTreeMap<[usize; 2], f64> = BTreeMap::new();
+        for [(face, a), (_, b)] in slits.into_iter().filter(|[a, b]| origin(a.1) != origin(b.1)) {
+            *open_m2.entry(both(a, b)).or_default() += area_m2(face).length();
+        }
+        for (face, pair) in shared().filter(|(_, pair)| !within(pair)) {
+            if let Some(open_m2) = open_m2.get_mut(&both(pair[0], pair[1])) {
+                *open_m2 -= area_m2(*face).length();
+            }
+        }
+        let is_open = |pair: &[usize]| open_m2.get(&both(pair[0], pair[1])).is_some_and(|m2| *m2 > 0.0);
+        parted.extend(shared().filter(|(_, pair)| !within(pair) && is_open(pair)).map(|(face, _)| *face));
+        parted
+    }
+
+    fn check_connections(&self, live: &[TetId]) {
+        let faces = self.faces(live);
+        let parted = self.parted_ahead(live, &faces);
         // Corner k of the uncut tetrahedron of live tetrahedron t has the number 4 t + k.
         let corners = |at: usize| self.first.tetrahedra[self.origin[live[at].index()].index()];
-        let mut parent: Vec<usize> = (0..4 * live.len()).collect();
-        fn root(parent: &mut [usize], mut at: usize) -> usize {
-            while parent[at] != at {
-                parent[at] = parent[parent[at]];
-                at = parent[at];
-            }
-            at
-        }
-        for pair in faces.values().filter(|tets| tets.len() == 2) {
+        let mut sets = Sets::new(4 * live.len());
+        for (_, pair) in faces.iter().filter(|(face, tets)| tets.len() == 2 && !parted.contains(*face)) {
             for (k, node) in corners(pair[0]).into_iter().enumerate() {
                 if let Some(l) = corners(pair[1]).into_iter().position(|other| other == node) {
-                    let [a, b] = [4 * pair[0] + k, 4 * pair[1] + l].map(|at| root(&mut parent, at));
-                    parent[a.max(b)] = a.min(b);
+                    sets.join(4 * pair[0] + k, 4 * pair[1] + l);
                 }
             }
         }
@@ -145,7 +239,7 @@ impl Body {
         for at in 0..live.len() {
             let copy = self.embedding.copies().tetrahedra[self.embedding.copy_of(live[at]).index()];
             for (k, node) in copy.into_iter().enumerate() {
-                let set = root(&mut parent, 4 * at + k);
+                let set = sets.root(4 * at + k);
                 assert_eq!(*by_set.entry(set).or_insert(node), node, "what hangs together has one corner");
                 assert_eq!(*by_node.entry(node).or_insert(set), set, "what does not has two");
             }
@@ -288,6 +382,117 @@ fn models_of_copies_go_on_as_those_made_afresh() {
             }
             assert!(sag_m > 1e-3, "{what}: {sag_m}");
             assert!(off_m < 1e-9 * sag_m, "{what}: {off_m} m of {sag_m} m");
+        }
+    }
+}
+
+/// A block that is held at one end and pulled at the other, with a slit across its top.
+struct Slit {
+    mesh: EditableMesh,
+    model: Box<dyn DeformableModel>,
+}
+
+impl Slit {
+    /// Cut by a blade as `params` say, in the middle, `depth_m` deep and all across, turned by `angle` about the vertical.
+    fn new(mesh: &TetMesh, params: &SubdivisionParams, kind: ModelKind, depth_m: f64, angle: f64) -> Self {
+        let material = LinearElastic::from_young_poisson(5e3, 0.4, 1060.0).unwrap();
+        let held = (0..mesh.positions_m.len()).filter(|&n| mesh.positions_m[n].x < 1e-9);
+        let organ = OrganBody {
+            fixed: held.map(|n| FixedNode::all_axes(NodeId::from_index(n))).collect(),
+            embeds_cuts: params.is_nested,
+            damping: Rayleigh::of_mass(40.0),
+            law: Some(typical_law("stable_neo_hooke")),
+            ..OrganBody::new(mesh.clone(), material, 2e-2)
+        };
+        let mut slit = Self {
+            model: build_model(&organ, kind).unwrap(),
+            mesh: EditableMesh::new(mesh.clone()).unwrap(),
+        };
+        let along = DVec3::new(angle.sin(), angle.cos(), 0.0);
+        let mut cut = SubdivisionCut::new(params.clone());
+        let middle = DVec3::new(0.5 * SIZE_M.x, 0.5 * SIZE_M.y, SIZE_M.z);
+        for i in 0..=30 {
+            let skin_m = middle + along * (-0.04 + 0.08 * f64::from(i) / 30.0);
+            let blade_m = [skin_m - DVec3::Z * depth_m, skin_m + DVec3::Z * 0.02];
+            let positions_m = slit.mesh.mesh().positions_m.clone();
+            let planned = match i {
+                30 => cut.finish(&slit.mesh, &positions_m, blade_m),
+                _ => cut.advance(&slit.mesh, &positions_m, blade_m),
+            };
+            if let Some(edit) = planned.unwrap() {
+                let change = slit.mesh.apply(&MeshEdit::Replace(edit)).unwrap();
+                let mut undo = ModelUndo::default();
+                follow_edit(&mut slit.model, slit.mesh.mesh(), &change, &mut undo).unwrap();
+            }
+        }
+        let report = cut.report();
+        assert!((report.cut_area_m2 / report.swept_area_m2 - 1.0).abs() < 0.02, "{report:?}");
+        slit
+    }
+
+    /// Pulls one end by `by_m`.
+    fn pull(&mut self, by_m: f64) {
+        let rest_m = &self.mesh.mesh().positions_m;
+        let imposed = (0..rest_m.len()).filter(|&n| self.mesh.topology().is_live_node(NodeId::from_index(n)));
+        let imposed = imposed
+            .filter(|&n| rest_m[n].x > SIZE_M.x - 1e-9)
+            .map(|n| ImposedDisplacement { node: NodeId::from_index(n), displacement_m: DVec3::X * by_m });
+        self.model.apply(&Constraints { displacements: imposed.collect(), forces: Vec::new() });
+        for _ in 0..150 {
+            self.model.step(2e-2);
+        }
+    }
+
+    /// Where tissue is that is at `place_m` at rest [m].
+    fn at_m(&self, place_m: DVec3) -> DVec3 {
+        let mesh = self.mesh.mesh();
+        let mut best = (f64::NEG_INFINITY, DVec3::ZERO);
+        for tet in self.mesh.topology().live_tets() {
+            let corners_m = mesh.corners_m(tet);
+            let whole = tetrahedron_volume_m3(corners_m);
+            let weights: [f64; 4] = std::array::from_fn(|i| {
+                let mut part = corners_m;
+                part[i] = place_m;
+                tetrahedron_volume_m3(part) / whole
+            });
+            let least = weights.into_iter().fold(f64::INFINITY, f64::min);
+            if least > best.0 {
+                let x_m = self.model.state().positions_m;
+                let nodes = mesh.tetrahedra[tet.index()];
+                best = (least, nodes.iter().zip(weights).map(|(n, w)| x_m[n.index()] * w).sum());
+            }
+        }
+        assert!(best.0 > -0.1, "{place_m} is outside");
+        best.1
+    }
+
+    /// How far the lips are apart in the middle, `below_m` under the top [m].
+    fn opening_m(&self, angle: f64, below_m: f64) -> f64 {
+        let across = DVec3::new(angle.cos(), -angle.sin(), 0.0);
+        let middle = DVec3::new(0.5 * SIZE_M.x, 0.5 * SIZE_M.y, SIZE_M.z - below_m);
+        let [a, b] = [1e-4, -1e-4].map(|beside_m| self.at_m(middle + across * beside_m));
+        a.distance(b) - 2e-4
+    }
+}
+
+#[test]
+fn an_embedded_slit_opens_as_a_conforming_one() {
+    let kind = ModelKind::by_name("implicit").unwrap();
+    let mesh = box_of_five([14, 11, 9], SIZE_M);
+    let edge_m = MeshQuality::of(&mesh).mean_edge_m;
+    for (angle, depth_m) in [(0.0, 0.0187), (0.3, 0.017), (0.6, 0.0187)] {
+        let both = [SubdivisionParams::for_mean_edge(edge_m), SubdivisionParams::embedded(edge_m)];
+        let [conforming_m, embedded_m] = both.map(|params| {
+            let mut slit = Slit::new(&mesh, &params, kind, depth_m, angle);
+            slit.pull(0.01);
+            [1e-4, 0.004].map(|below_m| slit.opening_m(angle, below_m))
+        });
+        for (conforming_m, embedded_m) in conforming_m.into_iter().zip(embedded_m) {
+            let off = embedded_m / conforming_m - 1.0;
+            assert!(
+                conforming_m > 0.007 && off.abs() < 0.05,
+                "{angle} {depth_m}: {embedded_m} m, {conforming_m} m"
+            );
         }
     }
 }

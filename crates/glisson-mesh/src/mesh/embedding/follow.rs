@@ -1,5 +1,6 @@
 //! How the copies follow an edit of the cut mesh.
 
+use super::slits::{Face, Slits, joined_pieces, slits_between};
 use super::{Embedding, EmbeddingRefusal, EmbeddingUndo, Tie};
 use crate::disjoint_sets::DisjointSets;
 use crate::math::tetrahedron_volume_m3;
@@ -175,14 +176,17 @@ impl Embedding {
 
     /// The pieces of a first tetrahedron, each of tetrahedra that hang together by faces.
     fn parts_of(&self, cut: &TetMesh, origin: TetId, tets: &[TetId]) -> Vec<Candidate> {
-        let mut faces: Vec<([NodeId; 3], u32)> = Vec::with_capacity(4 * tets.len());
+        let mut faces: Vec<Face> = Vec::with_capacity(4 * tets.len());
         for (at, tet) in (0_u32..).zip(tets) {
             faces.extend(faces_of(cut, *tet).map(|face| (face, at)));
         }
         faces.sort_unstable();
-        let mut sets = DisjointSets::new(tets.len());
-        for pair in faces.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
-            sets.join(pair[0].1 as usize, pair[1].1 as usize);
+        let mut sets = joined_pieces(&faces, tets.len(), |_| true);
+        let ahead = Slits::in_piece(cut, &faces, &mut sets);
+        if !ahead.is_empty() {
+            sets = joined_pieces(&faces, tets.len(), |(face, at)| {
+                !ahead.take(cut, *face, sets.root(*at as usize))
+            });
         }
         let whole_m3 = self.origin.volumes_m3[origin.index()];
         let mut parts: Vec<(usize, Candidate, f64)> = Vec::new();
@@ -214,7 +218,7 @@ impl Embedding {
 
     /// Which corners candidates share: number `4 c + k` for corner k of candidate c.
     fn joined(&self, cut: &TetMesh, candidates: &[Candidate], corners: &[NodeId]) -> DisjointSets {
-        let mut faces: Vec<([NodeId; 3], u32)> = Vec::new();
+        let mut faces: Vec<Face> = Vec::new();
         for (at, candidate) in (0_u32..).zip(candidates) {
             for &tet in &candidate.tets {
                 faces.extend(faces_of(cut, tet).map(|face| (face, at)));
@@ -222,8 +226,14 @@ impl Embedding {
         }
         faces.sort_unstable();
         let mut sets = DisjointSets::new(4 * candidates.len());
-        for pair in faces.windows(2).filter(|pair| pair[0].0 == pair[1].0 && pair[0].1 != pair[1].1) {
+        let parted = slits_between(cut, &faces);
+        for pair in faces.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
             let [a, b] = [pair[0].1 as usize, pair[1].1 as usize];
+            // One piece, or two that a slit parts further on than it goes.
+            let is_parted = candidates[a].origin == candidates[b].origin;
+            if is_parted || parted.binary_search(&[a.min(b) as u32, a.max(b) as u32]).is_ok() {
+                continue;
+            }
             let [of_a, of_b] = [a, b].map(|c| &self.origin.tetrahedra[candidates[c].origin.index()]);
             for (k, node) in of_a.iter().enumerate().filter(|(_, node)| corners.binary_search(node).is_ok()) {
                 if let Some(l) = of_b.iter().position(|other| other == node) {

@@ -121,20 +121,24 @@ struct Origin {
 }
 
 impl Origin {
-    fn of(mesh: &TetMesh) -> Self {
+    fn of(mesh: &TetMesh, dead: &[TetId]) -> Self {
+        let live = || {
+            let all = mesh.tetrahedra.iter().enumerate().map(|(t, nodes)| (TetId::from_index(t), nodes));
+            all.filter(|(tet, _)| dead.binary_search(tet).is_err())
+        };
         let mut starts = vec![0_u32; mesh.positions_m.len() + 1];
-        for node in mesh.tetrahedra.iter().flatten() {
+        for node in live().flat_map(|(_, nodes)| nodes) {
             starts[node.index() + 1] += 1;
         }
         for n in 1..starts.len() {
             starts[n] += starts[n - 1];
         }
         let mut ends = starts.clone();
-        let mut at_node = vec![TetId(0); 4 * mesh.tetrahedra.len()];
-        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
+        let mut at_node = vec![TetId(0); starts[starts.len() - 1] as usize];
+        for (tet, nodes) in live() {
             for node in nodes {
                 let end = &mut ends[node.index()];
-                at_node[*end as usize] = TetId::from_index(t);
+                at_node[*end as usize] = tet;
                 *end += 1;
             }
         }
@@ -168,11 +172,16 @@ pub struct Embedding {
 impl Embedding {
     /// Of a mesh before any cut: every tetrahedron carries itself.
     pub fn new(mesh: &TetMesh) -> Self {
+        Self::without(mesh, &[])
+    }
+
+    /// The same where some tetrahedra, ascending, are dead.
+    pub fn without(mesh: &TetMesh, dead: &[TetId]) -> Self {
         let tets: Vec<TetId> = (0..mesh.tetrahedra.len()).map(TetId::from_index).collect();
         let ties: Vec<Tie> = (0..mesh.positions_m.len()).map(|n| Tie::to(NodeId::from_index(n))).collect();
         let copies = TetMesh { shares: vec![1.0; tets.len()], ..mesh.clone() };
         Self {
-            origin: Arc::new(Origin::of(mesh)),
+            origin: Arc::new(Origin::of(mesh, dead)),
             copies,
             origin_of: tets.clone(),
             copy_of: tets,

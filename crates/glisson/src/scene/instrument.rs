@@ -70,18 +70,21 @@ pub(super) fn tool_sections<'a>(root: &mut Section<'a>) -> Result<Vec<Section<'a
 pub(super) struct BladeRules {
     /// That of the blades read so far.
     pub(super) known: Option<BladeCuts>,
+    /// That of blades whose table does not say.
+    default: BladeCuts,
     /// Whether nodes move after cuts, which embedded ones cannot follow.
     mends_cuts: bool,
 }
 
 impl BladeRules {
-    pub(super) fn of(organ: &OrganSource, bodies: &[SceneBody]) -> Self {
+    pub(super) fn of(organ: &OrganSource, bodies: &[SceneBody], default: BladeCuts) -> Self {
         let of_bodies = bodies.iter().filter_map(|body| match &body.source {
             BodySource::Organ(organ, _) => Some(&**organ),
             BodySource::Rigid(_) => None,
         });
         let mends = std::iter::once(organ).chain(of_bodies).any(|organ| organ.mends_cuts);
-        Self { known: None, mends_cuts: mends }
+        let default = if mends { BladeCuts::Subdivision } else { default };
+        Self { known: None, default, mends_cuts: mends }
     }
 
     fn check(&self, cuts: BladeCuts) -> Result<(), String> {
@@ -167,7 +170,7 @@ fn read_kind(section: &mut Section<'_>, blades: &BladeRules) -> Result<(ToolKind
 fn read_blade(section: &mut Section<'_>, blades: &BladeRules) -> Result<Blade, SceneError> {
     let length_m = section.positive("blade_length", Dimension::Length)?.unwrap_or(DEFAULT_BLADE.length_m);
     let Some((way, at)) = section.string("blade_cuts")? else {
-        return Ok(Blade { length_m, cuts: blades.known.unwrap_or(DEFAULT_BLADE.cuts) });
+        return Ok(Blade { length_m, cuts: blades.known.unwrap_or(blades.default) });
     };
     let named = BLADE_CUTS.into_iter().find(|(name, _)| *name == way).map(|(_, cuts)| cuts);
     let allowed = || BLADE_CUTS.map(|(name, _)| name).join(", ");

@@ -8,7 +8,7 @@ use super::instrument::{BladeRules, InstrumentSource, PathPoint, read_tool, tool
 use super::organ::OrganSource;
 use super::reader::{SceneError, Section, parse_toml};
 use super::simulation::read_simulation;
-use crate::record::session::{FIRST_VERSION_WITH_HAND, SessionHeader};
+use crate::record::session::{FIRST_VERSION_WITH_EMBEDDED_CUTS, FIRST_VERSION_WITH_HAND, SessionHeader};
 use crate::tool::{BladeCuts, MAX_TOOLS};
 use crate::world::StepInput;
 use crate::world::spec::{Hand, WorldSpec};
@@ -38,26 +38,35 @@ pub struct Scene {
 /// The only version of scene files so far.
 const SCENE_VERSION: f64 = 1.0;
 
+/// What holds where a scene says nothing.
+struct Defaults {
+    hand: Option<Hand>,
+    blade_cuts: BladeCuts,
+}
+
 impl Scene {
     /// Reads a scene.
     ///
     /// # Errors
     /// [`SceneError`] with the line of the first mistake.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
-        Self::parse_with_default_hand(text, Some(Hand::default()))
+        Self::parse_with(text, &Defaults { hand: Some(Hand::default()), blade_cuts: BladeCuts::Embedded })
     }
 
     /// Reads the scene of a recorded session, as it was understood when the session was recorded: before
-    /// [`FIRST_VERSION_WITH_HAND`] instruments of scenes that say nothing of a hand imposed their motion.
+    /// [`FIRST_VERSION_WITH_HAND`] instruments of scenes that say nothing of a hand imposed their motion, and before
+    /// [`FIRST_VERSION_WITH_EMBEDDED_CUTS`] blades divided tetrahedra.
     ///
     /// # Errors
     /// [`SceneError`] with the line of the first mistake.
     pub fn parse_recorded(header: &SessionHeader) -> Result<Self, SceneError> {
         let hand = (header.version >= FIRST_VERSION_WITH_HAND).then(Hand::default);
-        Self::parse_with_default_hand(&header.scene, hand)
+        let is_embedded = header.version >= FIRST_VERSION_WITH_EMBEDDED_CUTS;
+        let blade_cuts = if is_embedded { BladeCuts::Embedded } else { BladeCuts::Subdivision };
+        Self::parse_with(&header.scene, &Defaults { hand, blade_cuts })
     }
 
-    fn parse_with_default_hand(text: &str, default_hand: Option<Hand>) -> Result<Self, SceneError> {
+    fn parse_with(text: &str, defaults: &Defaults) -> Result<Self, SceneError> {
         let document = parse_toml(text)?;
         let mut root = Section::root(text, &document);
         check_version(&mut root)?;
@@ -88,7 +97,7 @@ impl Scene {
             }
             attachments.push(read_attachment(section, &bodies)?);
         }
-        let mut blades = BladeRules::of(&organ, &bodies);
+        let mut blades = BladeRules::of(&organ, &bodies, defaults.blade_cuts);
         let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
         for section in tools {
             let InstrumentSource { tool, path, shape } = read_tool(section, &blades)?;
@@ -108,7 +117,7 @@ impl Scene {
             // Its material comes with the mesh.
             tearing: None,
             mends_cuts: organ.mends_cuts,
-            hand: hand.map_or(Ok(default_hand), read_hand)?,
+            hand: hand.map_or(Ok(defaults.hand), read_hand)?,
             tissue: None,
             self_contact,
             // Their nodes come with their meshes.

@@ -216,9 +216,17 @@ impl World {
         if edits.is_empty() {
             return Ok(0);
         }
-        self.edit_in_place(&edits)?;
+        self.tell_of_finer_mesh(true);
+        let done = self.edit_in_place(&edits).map(|_| ());
+        self.tell_of_finer_mesh(false);
+        done?;
         let n_split = |edit: &MeshEdit| if let MeshEdit::Split { edges } = edit { edges.len() } else { 0 };
         Ok(edits.iter().map(n_split).sum())
+    }
+
+    fn tell_of_finer_mesh(&mut self, is_finer: bool) {
+        let waiting = self.swap.as_mut().and_then(|swap| swap.model.as_mut());
+        std::iter::once(&mut self.model).chain(waiting).for_each(|model| model.expect_finer_mesh(is_finer));
     }
 
     /// A region at rest around the tissue that is nearest to a tool's tip, with edges half as long as they are there now;

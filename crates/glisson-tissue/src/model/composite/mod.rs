@@ -411,6 +411,10 @@ impl DeformableModel for Composite {
         self.read_constraint_forces();
     }
 
+    fn expect_finer_mesh(&mut self, is_finer: bool) {
+        self.all().for_each(|mut part| part.model.expect_finer_mesh(is_finer));
+    }
+
     fn topology_refusal(&self) -> Option<TopologyRefusal> {
         let mut refusals = self.all().map(|part| part.model.topology_refusal());
         let first = refusals.next().flatten();

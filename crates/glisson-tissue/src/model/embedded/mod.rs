@@ -32,6 +32,10 @@ pub struct Embedded {
     embedding: Embedding,
     /// Whether every tetrahedron is its own copy still.
     is_whole: bool,
+    /// Whether edits make the elements finer.
+    gets_finer: bool,
+    /// Tetrahedra that went as the mesh was made finer.
+    gone: Vec<TetId>,
     /// How many edits there were; another answer to forces after each.
     n_edits: u64,
     last_dt_s: f64,
@@ -61,6 +65,8 @@ impl Embedded {
             model,
             embedding,
             is_whole: true,
+            gets_finer: false,
+            gone: Vec::new(),
             n_edits: 0,
             last_dt_s: 0.0,
             carried: Carried::default(),
@@ -135,6 +141,22 @@ impl Embedded {
         found
     }
 
+    /// Follows an edit before any cut as the model alone does.
+    fn make_finer(
+        &mut self,
+        mesh: &TetMesh,
+        change: &TopologyChange,
+        undo: &mut ModelUndo,
+    ) -> Result<(), TopologyRefusal> {
+        undo.keep_whole(self.duplicate());
+        self.model.topology_changed(mesh, change)?;
+        self.gone.extend_from_slice(&change.tets.removed);
+        self.gone.sort_unstable();
+        self.embedding = Embedding::without(mesh, &self.gone);
+        self.n_edits += 1;
+        Ok(())
+    }
+
     /// Follows an edit, with what takes it back in `undo`.
     fn follow(
         &mut self,
@@ -142,6 +164,9 @@ impl Embedded {
         change: &TopologyChange,
         undo: &mut ModelUndo,
     ) -> Result<(), TopologyRefusal> {
+        if self.gets_finer && self.is_whole {
+            return self.make_finer(mesh, change, undo);
+        }
         let mut of_embedding = EmbeddingUndo::default();
         undo.velocities_m_per_s.extend_from_slice(&self.before_m_per_s);
         undo.numbers.extend_from_slice(self.bearing.of_nodes_m3());
@@ -266,6 +291,8 @@ impl DeformableModel for Embedded {
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {
         let mut copy = Self::of_parts(self.model.duplicate(), self.embedding.clone());
+        copy.gets_finer = self.gets_finer;
+        copy.gone.clone_from(&self.gone);
         copy.n_edits = self.n_edits;
         copy.last_dt_s = self.last_dt_s;
         copy.carried = self.carried.clone();
@@ -338,6 +365,10 @@ impl DeformableModel for Embedded {
         let of_copies = self.carried.gather(forces, self.embedding.ties());
         self.model.correct_step(of_copies, dt_s, correction);
         self.publish();
+    }
+
+    fn expect_finer_mesh(&mut self, is_finer: bool) {
+        self.gets_finer = is_finer;
     }
 
     fn topology_refusal(&self) -> Option<TopologyRefusal> {

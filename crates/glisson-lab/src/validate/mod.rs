@@ -10,6 +10,7 @@ mod cutting;
 mod cutting_sanity;
 mod detection;
 mod elasticity;
+mod embedded_cuts;
 mod haptic_force;
 mod haptic_jumps;
 mod hybrid;
@@ -240,6 +241,7 @@ pub const GROUPS: &[Group] = &[
     Group::new("precomputed_cutting", "Cutting the pre-computed liver: errors against fresh pre-computations, time of a removal, hinges.", precomputed_cutting::experiments),
     Group::new("mesh_repair", "Shape of tetrahedra, cuts by vertex displacement, and their repair by collapse and by remeshing.", mesh_repair::experiments),
     Group::new("cut_subdivision", "Cutting along the swept blade: areas, shapes, volumes, pieces.", cut_subdivision::experiments),
+    Group::new("embedded_cuts", "Embedded cuts: slits against a conforming mesh, random strokes, the stable step after them.", embedded_cuts::experiments),
     Group::new("cutting", "Removal equals rebuild, and tearing.", cutting::experiments),
     Group::new("cutting_sanity", "A moving body that is cut: area, mass, volume, energy, Euler characteristics.", cutting_sanity::experiments),
     Group::new("volume", "Changes of volume of a bent cylinder and a pulled liver: linear, non-linear, with penalty.", volume::experiments),

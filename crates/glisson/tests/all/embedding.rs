@@ -4,7 +4,7 @@
 //! through faces in the uncut tetrahedra around it, where slits go all through what they go into.
 
 use glisson::material::{LAWS, LawChoice, LinearElastic};
-use glisson::math::{DVec3, SeededRandom, tetrahedron_volume_m3};
+use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use glisson::mesh::embedding::{Embedding, EmbeddingUndo};
@@ -12,10 +12,7 @@ use glisson::mesh::quality::{FACES, MeshQuality};
 use glisson::mesh::remap::follow_in_tissue;
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::kind::{MODELS, ModelKind, build_model};
-use glisson::model::{
-    Constraints, DeformableModel, FixedNode, FollowedEdits, ImposedDisplacement, ModelUndo, OrganBody,
-    Rayleigh, follow_edit,
-};
+use glisson::model::{FixedNode, FollowedEdits, ModelUndo, OrganBody, Rayleigh, follow_edit};
 use glisson::tool::cut::subdivision::{CutReport, SubdivisionCut, SubdivisionParams};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -382,117 +379,6 @@ fn models_of_copies_go_on_as_those_made_afresh() {
             }
             assert!(sag_m > 1e-3, "{what}: {sag_m}");
             assert!(off_m < 1e-9 * sag_m, "{what}: {off_m} m of {sag_m} m");
-        }
-    }
-}
-
-/// A block that is held at one end and pulled at the other, with a slit across its top.
-struct Slit {
-    mesh: EditableMesh,
-    model: Box<dyn DeformableModel>,
-}
-
-impl Slit {
-    /// Cut by a blade as `params` say, in the middle, `depth_m` deep and all across, turned by `angle` about the vertical.
-    fn new(mesh: &TetMesh, params: &SubdivisionParams, kind: ModelKind, depth_m: f64, angle: f64) -> Self {
-        let material = LinearElastic::from_young_poisson(5e3, 0.4, 1060.0).unwrap();
-        let held = (0..mesh.positions_m.len()).filter(|&n| mesh.positions_m[n].x < 1e-9);
-        let organ = OrganBody {
-            fixed: held.map(|n| FixedNode::all_axes(NodeId::from_index(n))).collect(),
-            embeds_cuts: params.is_nested,
-            damping: Rayleigh::of_mass(40.0),
-            law: Some(typical_law("stable_neo_hooke")),
-            ..OrganBody::new(mesh.clone(), material, 2e-2)
-        };
-        let mut slit = Self {
-            model: build_model(&organ, kind).unwrap(),
-            mesh: EditableMesh::new(mesh.clone()).unwrap(),
-        };
-        let along = DVec3::new(angle.sin(), angle.cos(), 0.0);
-        let mut cut = SubdivisionCut::new(params.clone());
-        let middle = DVec3::new(0.5 * SIZE_M.x, 0.5 * SIZE_M.y, SIZE_M.z);
-        for i in 0..=30 {
-            let skin_m = middle + along * (-0.04 + 0.08 * f64::from(i) / 30.0);
-            let blade_m = [skin_m - DVec3::Z * depth_m, skin_m + DVec3::Z * 0.02];
-            let positions_m = slit.mesh.mesh().positions_m.clone();
-            let planned = match i {
-                30 => cut.finish(&slit.mesh, &positions_m, blade_m),
-                _ => cut.advance(&slit.mesh, &positions_m, blade_m),
-            };
-            if let Some(edit) = planned.unwrap() {
-                let change = slit.mesh.apply(&MeshEdit::Replace(edit)).unwrap();
-                let mut undo = ModelUndo::default();
-                follow_edit(&mut slit.model, slit.mesh.mesh(), &change, &mut undo).unwrap();
-            }
-        }
-        let report = cut.report();
-        assert!((report.cut_area_m2 / report.swept_area_m2 - 1.0).abs() < 0.02, "{report:?}");
-        slit
-    }
-
-    /// Pulls one end by `by_m`.
-    fn pull(&mut self, by_m: f64) {
-        let rest_m = &self.mesh.mesh().positions_m;
-        let imposed = (0..rest_m.len()).filter(|&n| self.mesh.topology().is_live_node(NodeId::from_index(n)));
-        let imposed = imposed
-            .filter(|&n| rest_m[n].x > SIZE_M.x - 1e-9)
-            .map(|n| ImposedDisplacement { node: NodeId::from_index(n), displacement_m: DVec3::X * by_m });
-        self.model.apply(&Constraints { displacements: imposed.collect(), forces: Vec::new() });
-        for _ in 0..150 {
-            self.model.step(2e-2);
-        }
-    }
-
-    /// Where tissue is that is at `place_m` at rest [m].
-    fn at_m(&self, place_m: DVec3) -> DVec3 {
-        let mesh = self.mesh.mesh();
-        let mut best = (f64::NEG_INFINITY, DVec3::ZERO);
-        for tet in self.mesh.topology().live_tets() {
-            let corners_m = mesh.corners_m(tet);
-            let whole = tetrahedron_volume_m3(corners_m);
-            let weights: [f64; 4] = std::array::from_fn(|i| {
-                let mut part = corners_m;
-                part[i] = place_m;
-                tetrahedron_volume_m3(part) / whole
-            });
-            let least = weights.into_iter().fold(f64::INFINITY, f64::min);
-            if least > best.0 {
-                let x_m = self.model.state().positions_m;
-                let nodes = mesh.tetrahedra[tet.index()];
-                best = (least, nodes.iter().zip(weights).map(|(n, w)| x_m[n.index()] * w).sum());
-            }
-        }
-        assert!(best.0 > -0.1, "{place_m} is outside");
-        best.1
-    }
-
-    /// How far the lips are apart in the middle, `below_m` under the top [m].
-    fn opening_m(&self, angle: f64, below_m: f64) -> f64 {
-        let across = DVec3::new(angle.cos(), -angle.sin(), 0.0);
-        let middle = DVec3::new(0.5 * SIZE_M.x, 0.5 * SIZE_M.y, SIZE_M.z - below_m);
-        let [a, b] = [1e-4, -1e-4].map(|beside_m| self.at_m(middle + across * beside_m));
-        a.distance(b) - 2e-4
-    }
-}
-
-#[test]
-fn an_embedded_slit_opens_as_a_conforming_one() {
-    let kind = ModelKind::by_name("implicit").unwrap();
-    let mesh = box_of_five([14, 11, 9], SIZE_M);
-    let edge_m = MeshQuality::of(&mesh).mean_edge_m;
-    for (angle, depth_m) in [(0.0, 0.0187), (0.3, 0.017), (0.6, 0.0187)] {
-        let both = [SubdivisionParams::for_mean_edge(edge_m), SubdivisionParams::embedded(edge_m)];
-        let [conforming_m, embedded_m] = both.map(|params| {
-            let mut slit = Slit::new(&mesh, &params, kind, depth_m, angle);
-            slit.pull(0.01);
-            [1e-4, 0.004].map(|below_m| slit.opening_m(angle, below_m))
-        });
-        for (conforming_m, embedded_m) in conforming_m.into_iter().zip(embedded_m) {
-            let off = embedded_m / conforming_m - 1.0;
-            assert!(
-                conforming_m > 0.007 && off.abs() < 0.05,
-                "{angle} {depth_m}: {embedded_m} m, {conforming_m} m"
-            );
         }
     }
 }

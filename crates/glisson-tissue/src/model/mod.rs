@@ -266,8 +266,8 @@ pub trait DeformableModel: Send {
         undo.keep_whole(self.duplicate());
     }
 
-    /// Whether edits from now on make the mesh finer: with embedded cuts, its elements and not only what they carry, as long as
-    /// nothing is cut.
+    /// Whether the next edit makes the mesh finer and does nothing else: with embedded cuts, elements become smaller and not only
+    /// what they carry, as long as nothing is cut.
     fn expect_finer_mesh(&mut self, _is_finer: bool) {}
 
     /// Both of [`DeformableModel::save_for_undo`] and [`DeformableModel::topology_changed`]: what [`follow_edit`] calls.

@@ -3,7 +3,7 @@
 //! its bits from before.
 
 use super::refusal::EditRefusal;
-use super::transaction::EditRecord;
+use super::transaction::{EditRecord, are_finer};
 use super::{QueuedSwap, World};
 use crate::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use crate::mesh::refine::{FineRegion, refining};
@@ -216,17 +216,9 @@ impl World {
         if edits.is_empty() {
             return Ok(0);
         }
-        self.tell_of_finer_mesh(true);
-        let done = self.edit_in_place(&edits).map(|_| ());
-        self.tell_of_finer_mesh(false);
-        done?;
+        self.edit_in_place(&edits)?;
         let n_split = |edit: &MeshEdit| if let MeshEdit::Split { edges } = edit { edges.len() } else { 0 };
         Ok(edits.iter().map(n_split).sum())
-    }
-
-    fn tell_of_finer_mesh(&mut self, is_finer: bool) {
-        let waiting = self.swap.as_mut().and_then(|swap| swap.model.as_mut());
-        std::iter::once(&mut self.model).chain(waiting).for_each(|model| model.expect_finer_mesh(is_finer));
     }
 
     /// A region at rest around the tissue that is nearest to a tool's tip, with edges half as long as they are there now;
@@ -338,6 +330,7 @@ impl World {
                 [edit] => whole.apply_saving(edit, &mut change, &mut undo)?,
                 _ => whole.apply_all_saving(edits, &mut change, &mut undo)?,
             }
+            model.expect_finer_mesh(are_finer(edits));
             model.topology_changed(whole.mesh(), &change)?;
         }
         Ok(())

@@ -59,6 +59,11 @@ struct Progress {
     left_behind: Option<QueuedSwap>,
 }
 
+/// Whether edits do nothing but make the mesh finer.
+pub(super) fn are_finer(edits: &[MeshEdit]) -> bool {
+    edits.iter().all(|edit| matches!(edit, MeshEdit::Split { .. }))
+}
+
 impl World {
     /// Carries edits out as one, with what it takes to take them back in `record`.
     ///
@@ -91,10 +96,12 @@ impl World {
             _ => body.apply_all_saving(edits, change, mesh)?,
         }
         progress.stage = Stage::Mesh;
+        self.model.expect_finer_mesh(are_finer(edits));
         follow_edit(&mut self.model, self.organ.mesh(), change, model)?;
         progress.stage = Stage::Model;
         if let Some(awaited) = self.swap.as_mut().and_then(|swap| swap.model.as_mut()) {
             let mut saved = ModelUndo::default();
+            awaited.expect_finer_mesh(are_finer(edits));
             match follow_edit(awaited, self.organ.mesh(), change, &mut saved) {
                 Ok(()) => *waiting = Some(saved),
                 // The present model has followed: it goes on.

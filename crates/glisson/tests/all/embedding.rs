@@ -9,10 +9,13 @@ use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::{EditableMesh, MeshEdit, MeshUndo, TopologyChange};
 use glisson::mesh::embedding::{Embedding, EmbeddingUndo};
 use glisson::mesh::quality::{FACES, MeshQuality};
+use glisson::mesh::refine::{FineRegion, refining};
 use glisson::mesh::remap::follow_in_tissue;
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::kind::{MODELS, ModelKind, build_model};
-use glisson::model::{FixedNode, FollowedEdits, ModelUndo, OrganBody, Rayleigh, follow_edit};
+use glisson::model::{
+    DeformableModel, FixedNode, FollowedEdits, ModelUndo, OrganBody, Rayleigh, follow_edit,
+};
 use glisson::tool::cut::subdivision::{CutReport, SubdivisionCut, SubdivisionParams};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -43,6 +46,9 @@ impl Sets {
         self.parent.borrow_mut()[a.max(b)] = a.min(b);
     }
 }
+
+/// A face and the place of its tetrahedron.
+type Side = ([NodeId; 3], usize);
 
 struct Body {
     first: TetMesh,
@@ -170,7 +176,7 @@ impl Body {
         for pair in faces.values().filter(|pair| pair.len() == 2 && origin(pair[0]) == origin(pair[1])) {
             pieces.join(pair[0], pair[1]);
         }
-        let mut sides: BTreeMap<[[u64; 3]; 3], Vec<([NodeId; 3], usize)>> = BTreeMap::new();
+        let mut sides: BTreeMap<[[u64; 3]; 3], Vec<Side>> = BTreeMap::new();
         for (face, tets) in faces.iter().filter(|(_, tets)| tets.len() == 1) {
             let mut places = self.corners_m(*face).map(|p| p.to_array().map(f64::to_bits));
             places.sort_unstable();
@@ -320,6 +326,35 @@ fn organ_of(mesh: TetMesh) -> OrganBody {
         damping: Rayleigh::of_mass(20.0),
         ..OrganBody::new(mesh, material, STEP_S)
     }
+}
+
+/// Before any cut a finer mesh is finer elements.
+#[test]
+fn a_mesh_that_is_made_finer_has_finer_elements() {
+    let first = box_of_five([5, 4, 3], SIZE_M);
+    let mut mesh = EditableMesh::new(first.clone()).unwrap();
+    let kind = ModelKind::by_name("explicit").unwrap();
+    let plain = organ_of(first);
+    let embedded = OrganBody { embeds_cuts: true, ..plain.clone() };
+    let mut models = [plain, embedded].map(|organ| build_model(&organ, kind).unwrap());
+    let state =
+        |model: &dyn DeformableModel| (model.state().positions_m.to_vec(), model.state().history.to_vec());
+    let region = FineRegion { center_m: 0.5 * SIZE_M, radius_m: 0.02, edge_m: 0.01 };
+    let edits = refining(&mut mesh, &region).unwrap();
+    let (mut change, mut kept) = (TopologyChange::default(), MeshUndo::default());
+    mesh.apply_all_saving(&edits, &mut change, &mut kept).unwrap();
+    let mut undos = [ModelUndo::default(), ModelUndo::default()];
+    let before = models.each_ref().map(|model| state(model.as_ref()));
+    for (model, undo) in models.iter_mut().zip(&mut undos) {
+        model.expect_finer_mesh(true);
+        follow_edit(model, mesh.mesh(), &change, undo).unwrap();
+        (0..20).for_each(|_| model.step(STEP_S));
+    }
+    assert!(state(models[0].as_ref()) == state(models[1].as_ref()), "as the model alone");
+    for (model, undo) in models.iter_mut().zip(&mut undos) {
+        undo.put_back(model);
+    }
+    assert!(models.each_ref().map(|model| state(model.as_ref())) == before, "taken back");
 }
 
 fn typical_law(name: &str) -> LawChoice {

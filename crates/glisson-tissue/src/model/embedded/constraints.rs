@@ -37,12 +37,16 @@ pub(super) struct Carried {
 }
 
 impl Carried {
-    pub(super) fn make_room(&mut self, n_copied: usize) {
+    pub(super) fn make_room(&mut self, n_copied: usize, n_nodes: usize) {
+        let more = |n: usize, len: usize| n.saturating_sub(len);
+        self.held.reserve(more(n_nodes, self.held.len()));
+        self.held_n.reserve(more(n_nodes, self.held_n.len()));
+        self.applied.reserve(more(n_nodes, self.applied.len()));
         self.sum_n.resize(n_copied, DVec3::ZERO);
         self.is_listed.resize(n_copied, false);
-        self.forces.reserve(n_copied.saturating_sub(self.forces.len()));
-        self.of_copies.forces.reserve(n_copied.saturating_sub(self.of_copies.forces.len()));
-        self.of_copies.displacements.reserve(n_copied.saturating_sub(self.of_copies.displacements.len()));
+        self.forces.reserve(more(n_copied, self.forces.len()));
+        self.of_copies.forces.reserve(more(n_copied, self.of_copies.forces.len()));
+        self.of_copies.displacements.reserve(more(n_copied, self.of_copies.displacements.len()));
     }
 
     /// Forgets what held the nodes.

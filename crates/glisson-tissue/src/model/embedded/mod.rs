@@ -32,7 +32,7 @@ pub struct Embedded {
     embedding: Embedding,
     /// Whether every tetrahedron is its own copy still.
     is_whole: bool,
-    /// Whether edits make the elements finer.
+    /// Whether the next edit makes the elements finer.
     gets_finer: bool,
     /// Tetrahedra that went as the mesh was made finer.
     gone: Vec<TetId>,
@@ -103,8 +103,8 @@ impl Embedded {
         let n_copied = self.embedding.copies().positions_m.len();
         self.before_m_per_s.resize(n_copied, DVec3::ZERO);
         self.moves_m.resize(n_copied, DVec3::ZERO);
-        self.carried.make_room(n_copied);
-        self.publish();
+        self.carried.make_room(n_copied, self.embedding.n_nodes());
+        self.publish_with_room();
     }
 
     /// Where the cut mesh is.
@@ -127,6 +127,12 @@ impl Embedded {
             history.extend(numbers.iter().flat_map(|v| v.to_array()));
         }
         history.extend_from_slice(state.history);
+    }
+
+    /// The same with room for histories that grow while tissue is in motion.
+    fn publish_with_room(&mut self) {
+        self.publish();
+        self.history.reserve(self.history.len());
     }
 
     /// What the copies' nodes have where those of the cut mesh have `of_cut`, as near as can be, from what they have at `rest` on.
@@ -153,6 +159,7 @@ impl Embedded {
         self.gone.extend_from_slice(&change.tets.removed);
         self.gone.sort_unstable();
         self.embedding = Embedding::without(mesh, &self.gone);
+        self.make_room();
         self.n_edits += 1;
         Ok(())
     }
@@ -296,6 +303,7 @@ impl DeformableModel for Embedded {
         copy.n_edits = self.n_edits;
         copy.last_dt_s = self.last_dt_s;
         copy.carried = self.carried.clone();
+        copy.make_room();
         copy.bearing = self.bearing.clone();
         copy.before_m_per_s.clone_from(&self.before_m_per_s);
         Box::new(copy)

@@ -58,7 +58,7 @@ impl DirectBody<'_> {
     }
 
     fn deformation(&self, t: usize, displacement_m: &[DVec3]) -> (P1Gradients, DMat3) {
-        let gradients = P1Gradients::in_mesh(&self.mesh, TetId::from_index(t));
+        let gradients = P1Gradients::in_mesh(self.mesh, TetId::from_index(t));
         let nodes = self.mesh.tetrahedra[t];
         let gradient = nodes
             .iter()

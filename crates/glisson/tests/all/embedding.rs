@@ -14,7 +14,8 @@ use glisson::mesh::remap::follow_in_tissue;
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::kind::{MODELS, ModelKind, build_model};
 use glisson::model::{
-    DeformableModel, FixedNode, FollowedEdits, ModelUndo, OrganBody, Rayleigh, follow_edit,
+    Constraints, Correction, DeformableModel, FixedNode, FollowedEdits, ImposedDisplacement, LocalModel,
+    LocalWork, ModelUndo, NodalForce, OrganBody, Rayleigh, follow_edit,
 };
 use glisson::tool::cut::subdivision::{CutReport, SubdivisionCut, SubdivisionParams};
 use std::cell::RefCell;
@@ -325,6 +326,63 @@ fn organ_of(mesh: TetMesh) -> OrganBody {
         gravity_m_per_s2: DVec3::new(0.0, -2.0, -6.0),
         damping: Rayleigh::of_mass(20.0),
         ..OrganBody::new(mesh, material, STEP_S)
+    }
+}
+
+/// Forces and displacements of nodes of a cut mesh.
+fn constraints_on(body: &Body) -> Constraints {
+    let rest_m = &body.mesh.mesh().positions_m;
+    let far = (0..rest_m.len()).filter(|&n| rest_m[n].x > 0.7 * SIZE_M.x).map(NodeId::from_index);
+    let (mut constraints, mut is_held) = (Constraints::default(), false);
+    for node in far.filter(|node| body.mesh.topology().is_live_node(*node)) {
+        is_held = !is_held;
+        if is_held && constraints.displacements.len() < 20 {
+            constraints.displacements.push(ImposedDisplacement { node, displacement_m: DVec3::X * 1e-3 });
+        } else {
+            constraints.forces.push(NodalForce { node, force_n: DVec3::Z * 1e-3 });
+        }
+    }
+    constraints
+}
+
+/// Steps, local models and answers of a model with embedded cuts allocate nothing, and neither do those of its copy.
+#[test]
+fn a_step_with_embedded_cuts_allocates_nothing() {
+    let first = box_of_five([5, 4, 3], SIZE_M);
+    let mut body = Body::new(first.clone());
+    body.stroke(&random_stroke(&mut SeededRandom::new(7)));
+    let constraints = constraints_on(&body);
+    assert!(constraints.displacements.len() == 20 && constraints.forces.len() > 20);
+    let none = Constraints::default();
+    let patch: Vec<NodeId> = constraints.forces.iter().map(|force| force.node).take(30).collect();
+    for name in ["explicit", "tensor_mass", "implicit"] {
+        let kind = ModelKind::by_name(name).unwrap();
+        let whole = OrganBody { embeds_cuts: true, ..organ_of(first.clone()) };
+        let mut model = build_model(&whole, kind).unwrap();
+        for (mesh, change) in &body.changes {
+            follow_edit(&mut model, mesh, change, &mut ModelUndo::default()).unwrap();
+        }
+        let n_nodes = model.state().positions_m.len();
+        let mut moves_m = vec![DVec3::ZERO; n_nodes];
+        let (mut work, mut local) =
+            (LocalWork::with_room_for(2 * n_nodes).telling_drift(), LocalModel::new());
+        let mut steps = |model: &mut Box<dyn DeformableModel>| {
+            for constraints in [&none, &constraints, &constraints, &none] {
+                model.apply(constraints);
+                model.step(STEP_S);
+                model.local_model_into(&patch, STEP_S, &mut work, &mut local);
+                model.answer_into(&constraints.forces, &mut moves_m);
+                model.correct_step(&constraints.forces, STEP_S, Correction::Motion);
+            }
+        };
+        steps(&mut model);
+        let mut copy = model.duplicate();
+        let mut count = 0;
+        for model in [&mut model, &mut copy] {
+            count += allocation_counter::measure(|| steps(model)).count_total;
+        }
+        assert_eq!(count, 0, "{name}");
+        assert_eq!(model.state().positions_m, copy.state().positions_m, "{name}");
     }
 }
 

@@ -1,6 +1,6 @@
 //! How the copies follow an edit of the cut mesh.
 
-use super::slits::{Face, Slits, joined_pieces, slits_between};
+use super::slits::{Face, Slits, joined_pieces, slits_between, sort_faces};
 use super::{Embedding, EmbeddingRefusal, EmbeddingUndo, Tie};
 use crate::disjoint_sets::DisjointSets;
 use crate::math::tetrahedron_volume_m3;
@@ -180,7 +180,7 @@ impl Embedding {
         for (at, tet) in (0_u32..).zip(tets) {
             faces.extend(faces_of(cut, *tet).map(|face| (face, at)));
         }
-        faces.sort_unstable();
+        sort_faces(&mut faces);
         let mut sets = joined_pieces(&faces, tets.len(), |_| true);
         let ahead = Slits::in_piece(cut, &faces, &mut sets);
         if !ahead.is_empty() {
@@ -224,7 +224,7 @@ impl Embedding {
                 faces.extend(faces_of(cut, tet).map(|face| (face, at)));
             }
         }
-        faces.sort_unstable();
+        sort_faces(&mut faces);
         let mut sets = DisjointSets::new(4 * candidates.len());
         let parted = slits_between(cut, &faces);
         for pair in faces.windows(2).filter(|pair| pair[0].0 == pair[1].0) {

@@ -16,6 +16,9 @@ pub(super) type Face = ([NodeId; 3], u32);
 /// Faces of one plane differ by this share of the piece's size, and in the cosine of their normals by this much.
 const SAME_PLANE: f64 = 1e-7;
 
+/// Spreads bits: the golden ratio in 64 bits (Knuth 1998, The Art of Computer Programming 3, s. 6.4).
+const SPREAD: u64 = 0x9E37_79B9_7F4A_7C15;
+
 /// A plane of slits.
 #[derive(Clone, Copy, Debug)]
 struct Plane {
@@ -32,6 +35,14 @@ pub(super) struct Slits {
     same_m: f64,
 }
 
+/// Sorts faces; one number sorts faster than four.
+pub(super) fn sort_faces(faces: &mut [Face]) {
+    let number = |([a, b, c], at): &Face| {
+        u128::from(a.0) << 96 | u128::from(b.0) << 64 | u128::from(c.0) << 32 | u128::from(*at)
+    };
+    faces.sort_unstable_by_key(number);
+}
+
 /// Sets of tetrahedra that hang together by faces which `holds` takes. `faces`: of `n` tetrahedra, ascending.
 pub(super) fn joined_pieces(faces: &[Face], n: usize, mut holds: impl FnMut(&Face) -> bool) -> DisjointSets {
     let mut sets = DisjointSets::new(n);
@@ -45,15 +56,13 @@ impl Slits {
     /// Of the pieces `sets` of one tetrahedron from before all cuts, whose tetrahedra have these faces.
     pub(super) fn in_piece(cut: &TetMesh, faces: &[Face], sets: &mut DisjointSets) -> Self {
         let mut found = Self::default();
-        let mut open = open_faces(cut, faces);
-        if open.len() < 2 {
+        let slits = slit_faces(cut, faces);
+        if slits.is_empty() {
             return found;
         }
-        open.sort_unstable();
         let size_m = faces.iter().map(|(face, _)| longest_m(cut, *face)).fold(0.0, f64::max);
         found.same_m = SAME_PLANE * size_m;
-        for pair in open.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
-            let [(_, (face, a)), (_, (_, b))] = [pair[0], pair[1]];
+        for [(face, a), (_, b)] in slits {
             let piece = sets.root(a as usize);
             if piece == sets.root(b as usize) {
                 found.add(cut, face, piece);
@@ -90,39 +99,52 @@ impl Slits {
 /// Pairs of candidates, the first before the second, between which a slit lies on more than half of the face that they share.
 /// `faces`: of all candidates' tetrahedra, with the candidates' numbers, ascending.
 pub(super) fn slits_between(cut: &TetMesh, faces: &[Face]) -> Vec<[u32; 2]> {
-    let mut open = open_faces(cut, faces);
-    open.sort_unstable();
-    let sides = open.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| [pair[0].1, pair[1].1]);
     // Open area counts, closed area counts against it.
-    let mut areas: Vec<([u32; 2], f64)> = Vec::new();
-    let signed = |[(face, a), (_, b)]: [Face; 2], sign: f64| {
-        (a != b).then(|| ([a.min(b), a.max(b)], sign * area_vector_m2(cut, face).length()))
+    let signed = |face: [NodeId; 3], [a, b]: [u32; 2], sign: f64| {
+        ([a.min(b), a.max(b)], sign * area_vector_m2(cut, face).length())
     };
-    areas.extend(sides.filter_map(|pair| signed(pair, 1.0)));
+    let open = slit_faces(cut, faces);
+    let between = open.iter().filter(|[(_, a), (_, b)]| a != b);
+    let mut areas: Vec<([u32; 2], f64)> =
+        between.map(|&[(face, a), (_, b)]| signed(face, [a, b], 1.0)).collect();
     if areas.is_empty() {
         return Vec::new();
     }
-    let closed = faces.windows(2).filter(|pair| pair[0].0 == pair[1].0);
-    areas.extend(closed.filter_map(|pair| signed([pair[0], pair[1]], -1.0)));
+    areas.sort_by_key(|(pair, _)| *pair);
+    let n_open = areas.len();
+    for pair in faces.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
+        let closed = signed(pair[0].0, [pair[0].1, pair[1].1], -1.0);
+        if areas[..n_open].binary_search_by_key(&closed.0, |(pair, _)| *pair).is_ok() {
+            areas.push(closed);
+        }
+    }
     areas.sort_by_key(|(pair, _)| *pair);
     let of_pair = areas.chunk_by(|a, b| a.0 == b.0);
-    of_pair
-        .filter(|same| same.iter().map(|(_, area_m2)| area_m2).sum::<f64>() > 0.0)
-        .map(|same| same[0].0)
-        .collect()
+    let is_open = |same: &&[([u32; 2], f64)]| same.iter().map(|(_, area_m2)| area_m2).sum::<f64>() > 0.0;
+    of_pair.filter(is_open).map(|same| same[0].0).collect()
 }
 
-/// Faces of one tetrahedron alone, by where their corners are at rest: the two sides of a slit are at the same places.
-fn open_faces(cut: &TetMesh, faces: &[Face]) -> Vec<([[u64; 3]; 3], Face)> {
+/// Both sides of slits: faces of one tetrahedron alone with their corners at the same places at rest.
+fn slit_faces(cut: &TetMesh, faces: &[Face]) -> Vec<[Face; 2]> {
     let is_other =
         |at: usize, other: Option<usize>| other.and_then(|o| faces.get(o)).is_none_or(|f| f.0 != faces[at].0);
     let single = (0..faces.len()).filter(|&at| is_other(at, at.checked_sub(1)) && is_other(at, Some(at + 1)));
-    let by_place = |at: usize| {
-        let mut places = faces[at].0.map(|node| cut.positions_m[node.index()].to_array().map(f64::to_bits));
+    let bits = |node: NodeId| cut.positions_m[node.index()].to_array().map(f64::to_bits);
+    let places = |face: [NodeId; 3]| {
+        let mut places = face.map(bits);
         places.sort_unstable();
-        (places, faces[at])
+        places
     };
-    single.map(by_place).collect()
+    // A number of the corners' places in any order, so that few faces are looked at closely.
+    let number = |face: [NodeId; 3]| {
+        let of_node =
+            |node: NodeId| bits(node).into_iter().fold(0, |sum: u64, b| (sum ^ b).wrapping_mul(SPREAD));
+        face.into_iter().fold(0, |sum: u64, node| sum.wrapping_add(of_node(node) ^ (of_node(node) >> 29)))
+    };
+    let mut open: Vec<(u64, Face)> = single.map(|at| (number(faces[at].0), faces[at])).collect();
+    open.sort_unstable();
+    let pairs = open.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| [pair[0].1, pair[1].1]);
+    pairs.filter(|[(a, _), (b, _)]| places(*a) == places(*b)).collect()
 }
 
 fn area_vector_m2(cut: &TetMesh, face: [NodeId; 3]) -> DVec3 {

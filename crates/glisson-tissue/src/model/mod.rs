@@ -231,6 +231,11 @@ pub trait DeformableModel: Send {
         DVec3::ZERO
     }
 
+    /// Corners at rest and now [m] of the element that carries a tetrahedron of the mesh ([`embedded`]); none where that is its own.
+    fn carrier_m(&self, _tet: TetId) -> Option<[[DVec3; 4]; 2]> {
+        None
+    }
+
     /// Whether two places on the body, given as nodes with weights of sum zero, can move against each other at all. Places that the
     /// same element carries cannot ([`embedded`]).
     fn can_part(&self, _sides: &mut dyn Iterator<Item = (NodeId, f64)>) -> bool {

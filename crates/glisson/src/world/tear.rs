@@ -120,13 +120,17 @@ impl World {
     }
 
     fn is_torn(&self, tearing: &Tearing, tet: TetId) -> bool {
-        let nodes = self.organ.body().topology().tet_nodes(tet);
-        let (rest_m, now_m) = (&self.organ.mesh().positions_m, self.model.state().positions_m);
-        let corners = |list: &[DVec3]| nodes.map(|n| list[n.index()]);
+        let of_mesh = || {
+            let nodes = self.organ.body().topology().tet_nodes(tet);
+            let now_m = self.model.state().positions_m;
+            [self.organ.mesh().corners_m(tet), nodes.map(|n| now_m[n.index()])]
+        };
+        // Of tissue that an element carries only the element's strain is known.
+        let [rest_m, now_m] = self.model.carrier_m(tet).unwrap_or_else(of_mesh);
         // What several instruments warmed adds up.
         let heat_j_per_m3: f64 = self.active.iter().map(|active| active.heat_of(tet)).sum();
         let energy = tearing.energy.weakened(HeatedTissue::LIVER.strength_left(heat_j_per_m3));
-        energy.tears(&tearing.material, corners(rest_m), corners(now_m))
+        energy.tears(&tearing.material, rest_m, now_m)
     }
 
     /// A part came through the tissue that it touched: an edge is in it from now on, anything else has torn it.

@@ -380,6 +380,11 @@ impl DeformableModel for Composite {
         part.model.node_answer_m_per_n(NodeId(place.local), dt_s)
     }
 
+    fn carrier_m(&self, tet: TetId) -> Option<[[DVec3; 4]; 2]> {
+        let place = self.maps.tets.get(tet.index())?;
+        lock(&self.parts[place.part as usize]).model.carrier_m(TetId(place.local))
+    }
+
     fn can_part(&self, sides: &mut dyn Iterator<Item = (NodeId, f64)>) -> bool {
         let mut places = sides.map(|(node, weight)| (self.maps.nodes.get(node.index()), weight)).peekable();
         let Some(&(Some(first), _)) = places.peek() else { return true };

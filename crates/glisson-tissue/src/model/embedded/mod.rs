@@ -341,6 +341,14 @@ impl DeformableModel for Embedded {
         self.bearing.answer(node, tie, answer)
     }
 
+    fn carrier_m(&self, tet: TetId) -> Option<[[DVec3; 4]; 2]> {
+        let copies = self.embedding.copies();
+        let copy =
+            (!self.is_whole && tet.index() < self.embedding.n_tets()).then(|| self.embedding.copy_of(tet))?;
+        let positions_m = self.model.state().positions_m;
+        Some([copies.corners_m(copy), copies.tetrahedra[copy.index()].map(|node| positions_m[node.index()])])
+    }
+
     fn can_part(&self, sides: &mut dyn Iterator<Item = (NodeId, f64)>) -> bool {
         self.is_whole || bearing::can_part(sides, self.embedding.ties())
     }

@@ -115,8 +115,8 @@ pub struct ExplicitKernelSnapshot {
 /// let mesh = TetMesh {
 ///     positions_m: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
 ///     tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
-///,
-///..TetMesh::default() };
+///     ..TetMesh::default()
+/// };
 /// let liver = LinearElastic::from_young_poisson(5000.0, 0.45, 1060.0)?;
 /// let gravity_m_per_s2 = DVec3::new(0.0, 0.0, -9.81);
 /// let body = DynamicBody { gravity_m_per_s2, ..DynamicBody::new(&mesh, 1060.0) };

@@ -178,8 +178,8 @@ struct TetPlace {
 /// let mesh = TetMesh {
 ///     positions_m: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
 ///     tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
-///,
-///..TetMesh::default() };
+///     ..TetMesh::default()
+/// };
 /// let liver = LinearElastic::from_young_poisson(5000.0, 0.45, 1060.0)?;
 /// let (law, path) = (KernelLaw::StVenantKirchhoff, KernelPath::fastest());
 /// let mut kernel = FastKernel::new(&KernelParams { mesh: &mesh, law, materials: &[liver], path })?;

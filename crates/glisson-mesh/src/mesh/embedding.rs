@@ -7,7 +7,7 @@
 //! than at first, and elastic energy and mass keep their proportion: the stable step of a copy is that of the first tetrahedron.
 //!
 //! Which corners two copies share follows from the cut mesh alone: where pieces of two neighbours have a common face, the copies have
-//! common corners there. No position is looked at but for the shares.
+//! common corners there. Slits that end in a piece part all of it (`slits`). Places at rest are looked at for that and for the shares.
 //!
 //! After N. Molino, Z. Bao and R. Fedkiw 2004, A virtual node algorithm for changing mesh topology during simulation (doi
 //! 10.1145/1015706.1015734). There a tetrahedron gives each of its nodes a copy at most; here pieces come from any conforming

@@ -17,7 +17,7 @@ use super::{
     Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport, ModelState,
     ModelUndo, NodalForce, StepAnswer, TopologyRefusal, follow_edit,
 };
-use glisson_mesh::math::DVec3;
+use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::embedding::{Embedding, EmbeddingUndo};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
@@ -51,7 +51,7 @@ pub struct Embedded {
     patch: Vec<NodeId>,
     local: LocalModel,
     /// Compliance between the patch of the copies and nodes of the cut mesh: scratch.
-    columns: Vec<glisson_mesh::math::DMat3>,
+    columns: Vec<DMat3>,
 }
 
 impl Embedded {
@@ -82,16 +82,6 @@ impl Embedded {
         };
         embedded.make_room();
         embedded
-    }
-
-    /// The cut mesh and its copies.
-    pub fn embedding(&self) -> &Embedding {
-        &self.embedding
-    }
-
-    /// The model of the copies.
-    pub fn model(&self) -> &dyn DeformableModel {
-        self.model.as_ref()
     }
 
     /// Room for what steps write.

@@ -53,8 +53,8 @@ pub use smoothed::{
 pub use static_problem::{StaticProblem, StaticSolution, add_gravity_forces, solve_static};
 pub use supernodal::FactorScratch;
 pub use supports::{Attachment, FixedNode, RestStress, stress_tensor_pa};
+pub(crate) use system::{FactorPattern, NextFactor, Supernode};
 pub use system::{Factorization, FreeSystem};
-pub(crate) use system::{NextFactor, Supernode};
 pub use tensors::{MeshEdges, StiffnessTensors, boundary_nodes};
 
 use glisson_mesh::mesh::{NodeId, TetId};

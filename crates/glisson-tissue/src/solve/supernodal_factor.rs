@@ -150,7 +150,7 @@ impl FactorPlan {
             let extent = Extent::of(symbolic, s);
             supernode_of[extent.start..extent.end()].fill(s as u32);
         }
-        let entries = entries(symbolic, (column_start, row), place_of_row, &supernode_of);
+        let entries = entries(symbolic, (column_start, row), place_of_row);
         let entry_start = (0..=n_supernodes)
             .map(|s| entries.partition_point(|e| e[1] < symbolic.col_ptr_for_val()[s]) as u32)
             .collect();
@@ -234,26 +234,43 @@ fn entries(
     symbolic: &SymbolicSupernodalCholesky<u32>,
     (column_start, row): (&[u32], &[u32]),
     place_of_row: &[u32],
-    supernode_of: &[u32],
 ) -> Vec<[u32; 2]> {
-    let mut entries = Vec::with_capacity(row.len());
+    // By column of the factor, then each of these short lists by place.
+    let ends_of = |at: u32, c: usize| {
+        let [i, j] = [row[at as usize] as usize, c].map(|r| place_of_row[r]);
+        (i.max(j), i.min(j))
+    };
+    let mut start = vec![0u32; symbolic.nrows() + 1];
+    for (c, range) in column_start.windows(2).enumerate() {
+        (range[0]..range[1]).for_each(|at| start[ends_of(at, c).1 as usize + 1] += 1);
+    }
+    for j in 0..symbolic.nrows() {
+        start[j + 1] += start[j];
+    }
+    let mut next = start.clone();
+    let mut entries = vec![[0; 2]; row.len()];
     for (c, range) in column_start.windows(2).enumerate() {
         for at in range[0]..range[1] {
-            let [i, j] = [row[at as usize] as usize, c].map(|r| place_of_row[r]);
-            let (i, j) = (i.max(j), i.min(j));
-            let s = supernode_of[j as usize] as usize;
-            let extent = Extent::of(symbolic, s);
-            let local = if (i as usize) < extent.end() {
-                i as usize - extent.start
-            } else {
-                let below = extent.below.binary_search(&i).expect("the factor has every entry of A");
-                extent.n_columns + below
-            };
-            let place = extent.values[0] + (j as usize - extent.start) * extent.n_rows() + local;
-            entries.push([at, place as u32]);
+            let (i, j) = ends_of(at, c);
+            let of_column = &mut next[j as usize];
+            entries[*of_column as usize] = [at, i];
+            *of_column += 1;
         }
     }
-    entries.sort_unstable_by_key(|entry| entry[1]);
+    let mut local_row = vec![0u32; symbolic.nrows()];
+    for s in 0..symbolic.n_supernodes() {
+        let extent = Extent::of(symbolic, s);
+        let rows = (extent.start as u32..extent.end() as u32).chain(extent.below.iter().copied());
+        rows.enumerate().for_each(|(local, row)| local_row[row as usize] = local as u32);
+        for j in extent.start..extent.end() {
+            let column = &mut entries[start[j] as usize..start[j + 1] as usize];
+            let first = extent.values[0] + (j - extent.start) * extent.n_rows();
+            for [_, place] in column.iter_mut() {
+                *place = first as u32 + local_row[*place as usize];
+            }
+            column.sort_unstable_by_key(|entry| entry[1]);
+        }
+    }
     entries
 }
 

@@ -6,7 +6,7 @@
 //! doi 10.1137/S0895479894278952) of the node graph, or nested dissection where it pays (`ordering`). The node graph is nine
 //! times smaller than that of the components, and keeps a node's components together.
 
-use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
@@ -248,20 +248,18 @@ impl FreeSystem {
     /// [`SolveError::Singular`] when it is not positive definite in floating point,
     /// [`SolveError::Factorization`] when memory is short.
     pub fn factorize(&self) -> Result<Factorization, SolveError> {
-        self.factorize_by(false)
+        let FactorPattern(symbolic) = self.pattern_of_factor()?;
+        let making = self.making_at_once(&symbolic)?;
+        let mut factor = Factorization { value: Arc::default(), symbolic, making };
+        factor.refactor(self)?;
+        Ok(factor)
     }
 
-    /// [`FreeSystem::factorize`] for a system whose new values are factored in slices ([`Factorization::advance`]): always by our
-    /// own loop, which takes longer than faer's for large systems.
+    /// The pattern of the factor.
     ///
     /// # Errors
-    /// As [`FreeSystem::factorize`].
-    pub(crate) fn factorize_for_slices(&self) -> Result<Factorization, SolveError> {
-        self.factorize_by(true)
-    }
-
-    fn factorize_by(&self, is_for_slices: bool) -> Result<Factorization, SolveError> {
-        let failed = |reason: String| SolveError::Factorization { n_rows: self.n_free, reason };
+    /// [`SolveError::Factorization`] when memory is short.
+    pub(crate) fn pattern_of_factor(&self) -> Result<FactorPattern, SolveError> {
         let mut forward = Vec::with_capacity(self.n_free);
         for &node in &self.node_order {
             forward.extend(self.free_of[node as usize].into_iter().filter(|&f| f != NONE));
@@ -276,24 +274,60 @@ impl FreeSystem {
         };
         let order = SymmetricOrdering::Custom(PermRef::new_checked(&forward, &inverse, self.n_free));
         let symbolic = factorize_symbolic_cholesky(self.pattern(), Side::Upper, order, parameters)
-            .map_err(|e| failed(e.to_string()))?;
+            .map_err(|e| self.failed(e.to_string()))?;
+        Ok(FactorPattern(Arc::new(symbolic)))
+    }
+
+    /// A factor without values, which are made in slices ([`Factorization::advance`]): always by our own loop, which takes longer
+    /// than faer's for large systems.
+    ///
+    /// # Errors
+    /// [`SolveError::Factorization`] when memory is short.
+    ///
+    /// # Panics
+    /// When the pattern is that of another system.
+    pub(crate) fn factor_for_slices(&self, pattern: FactorPattern) -> Result<Factorization, SolveError> {
+        let FactorPattern(symbolic) = pattern;
         let making = match symbolic.raw() {
-            SymbolicCholeskyRaw::Supernodal(nodes) if is_for_slices => {
-                let plan = FactorPlan::new(nodes, (&self.column_start, &self.row), &inverse);
+            SymbolicCholeskyRaw::Supernodal(nodes) => {
+                let (_, inverse) =
+                    symbolic.perm().expect("factors are made in an order of their own").arrays();
+                let plan = FactorPlan::new(nodes, (&self.column_start, &self.row), inverse);
                 Making::ByUnits { scratch: plan.scratch(self.n_free), plan: Arc::new(plan) }
             }
-            _ => {
-                let request = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
-                let memory = MemBuffer::try_new(request).map_err(|_| failed("out of memory".to_owned()))?;
-                Making::AtOnce { memory }
-            }
+            SymbolicCholeskyRaw::Simplicial(_) => self.making_at_once(&symbolic)?,
         };
-        let mut factor =
-            Factorization { value: vec![0.0; symbolic.len_val()], symbolic: Arc::new(symbolic), making };
-        factor.refactor(self)?;
-        Ok(factor)
+        Ok(Factorization { value: Arc::default(), symbolic, making })
+    }
+
+    fn making_at_once(&self, symbolic: &SymbolicCholesky<u32>) -> Result<Making, SolveError> {
+        let request = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
+        let memory = MemBuffer::try_new(request).map_err(|_| self.failed("out of memory".to_owned()))?;
+        Ok(Making::AtOnce { memory })
+    }
+
+    fn failed(&self, reason: String) -> SolveError {
+        SolveError::Factorization { n_rows: self.n_free, reason }
+    }
+
+    /// What gathers and scatters need of the system; it has no entries.
+    pub(crate) fn numbering(&self) -> Self {
+        Self {
+            free_of: self.free_of.clone(),
+            n_free: self.n_free,
+            column_start: Vec::new(),
+            row: Vec::new(),
+            value: Vec::new(),
+            vertex_slots: Vec::new(),
+            edge_slots: Vec::new(),
+            node_order: Vec::new(),
+        }
     }
 }
+
+/// Order of elimination and pattern of a factor.
+#[derive(Clone)]
+pub(crate) struct FactorPattern(Arc<SymbolicCholesky<u32>>);
 
 /// Nodes in elimination order, by approximate minimum degree.
 pub(super) fn minimum_degree(n_nodes: usize, edges: &MeshEdges) -> Result<Vec<u32>, faer::sparse::FaerError> {
@@ -340,19 +374,46 @@ impl Clone for Making {
 }
 
 /// L L^T of a [`FreeSystem`]; its pattern is kept for new values.
-#[derive(Clone)]
 pub struct Factorization {
     symbolic: Arc<SymbolicCholesky<u32>>,
-    value: Vec<f64>,
+    /// Its own, but for [`Factorization::for_solutions`].
+    value: Arc<Vec<f64>>,
     making: Making,
 }
 
+impl Clone for Factorization {
+    /// With values of its own, so that making others allocates nothing.
+    fn clone(&self) -> Self {
+        Self {
+            symbolic: Arc::clone(&self.symbolic),
+            value: Arc::new(Vec::clone(&self.value)),
+            making: self.making.clone(),
+        }
+    }
+}
+
+/// `n` values to write anew: those that are there and nobody else reads, or others.
+fn own_values(values: &mut Arc<Vec<f64>>, n: usize) -> &mut Vec<f64> {
+    if Arc::get_mut(values).is_none_or(|values| values.len() != n) {
+        *values = Arc::new(vec![0.0; n]);
+    }
+    Arc::get_mut(values).expect("nobody else reads them")
+}
+
 /// New values of a factor, made in slices while the present ones serve.
-#[derive(Clone)]
+#[derive(Default)]
 pub(crate) struct NextFactor {
-    value: Vec<f64>,
+    value: Arc<Vec<f64>>,
     /// The unit of work to go on with.
     unit: usize,
+}
+
+impl Clone for NextFactor {
+    /// What was not begun has nothing to copy.
+    fn clone(&self) -> Self {
+        let value = if self.unit == 0 { vec![0.0; self.value.len()] } else { Vec::clone(&self.value) };
+        Self { value: Arc::new(value), unit: self.unit }
+    }
 }
 
 impl NextFactor {
@@ -362,11 +423,54 @@ impl NextFactor {
     }
 }
 
+/// Factors into `value` from a unit on; see [`supernodal_factor::advance`].
+fn go_on(
+    (symbolic, making): (&SymbolicCholesky<u32>, &mut Making),
+    system: &FreeSystem,
+    value: &mut [f64],
+    unit: usize,
+    work_ns: &mut u64,
+) -> Result<usize, SolveError> {
+    match (making, symbolic.raw()) {
+        (Making::ByUnits { plan, scratch }, SymbolicCholeskyRaw::Supernodal(nodes)) => {
+            supernodal_factor::advance((nodes, plan), &system.value, value, unit, work_ns, scratch)
+        }
+        (Making::AtOnce { memory }, _) => {
+            let matrix = SparseColMatRef::new(system.pattern(), &system.value[..]);
+            let stack = MemStack::new(memory);
+            symbolic
+                .factorize_numeric_llt(
+                    value,
+                    matrix,
+                    Side::Upper,
+                    LltRegularization::default(),
+                    Par::Seq,
+                    stack,
+                    Default::default(),
+                )
+                .map(|_| 1)
+                .map_err(|_| SolveError::Singular)
+        }
+        (Making::ByUnits { .. }, SymbolicCholeskyRaw::Simplicial(_)) => {
+            unreachable!("made by units where there are supernodes")
+        }
+    }
+}
+
 /// K counts as singular when the growth of a right-hand side through K^-1, times the largest diagonal entry, exceeds this:
 /// the pivots of a true mechanism are rounding errors, 1e-16 of the diagonal; the worst organ meshes reach 1e9.
 const SINGULAR_GROWTH: f64 = 1e13;
 
 impl Factorization {
+    /// A copy that reads the same values and makes no others.
+    pub(crate) fn for_solutions(&self) -> Self {
+        Self {
+            symbolic: Arc::clone(&self.symbolic),
+            value: Arc::clone(&self.value),
+            making: Making::AtOnce { memory: MemBuffer::new(StackReq::EMPTY) },
+        }
+    }
+
     /// Factors new values of the same system and checks that K is not singular.
     ///
     /// # Errors
@@ -385,15 +489,14 @@ impl Factorization {
         if system.n_free == 0 {
             return Ok(());
         }
-        let mut value = std::mem::take(&mut self.value);
-        let made = self.go_on(system, &mut value, 0, &mut { u64::MAX });
-        self.value = value;
-        made.map(|_| ())
+        let Self { symbolic, value, making } = self;
+        go_on((symbolic, making), system, own_values(value, symbolic.len_val()), 0, &mut { u64::MAX })
+            .map(|_| ())
     }
 
-    /// Room for new values.
-    pub(crate) fn room_for_next(&self) -> NextFactor {
-        NextFactor { value: vec![0.0; self.value.len()], unit: 0 }
+    /// Makes room for new values, which [`Factorization::advance`] does where there is none.
+    pub(crate) fn make_room(&self, next: &mut NextFactor) {
+        own_values(&mut next.value, self.symbolic.len_val());
     }
 
     /// Goes on with new values of the system, which must not change meanwhile, for as long as `work_ns` lasts, but by one
@@ -408,7 +511,9 @@ impl Factorization {
         system: &FreeSystem,
         work_ns: &mut u64,
     ) -> Result<bool, SolveError> {
-        next.unit = self.go_on(system, &mut next.value, next.unit, work_ns)?;
+        let Self { symbolic, making, .. } = self;
+        let value = own_values(&mut next.value, symbolic.len_val());
+        next.unit = go_on((symbolic, making), system, value, next.unit, work_ns)?;
         Ok(next.unit == self.n_units())
     }
 
@@ -429,40 +534,6 @@ impl Factorization {
         match &self.making {
             Making::ByUnits { plan, .. } => plan.n_units(),
             Making::AtOnce { .. } => 1,
-        }
-    }
-
-    /// Factors into `value` from a unit on; see [`supernodal_factor::advance`].
-    fn go_on(
-        &mut self,
-        system: &FreeSystem,
-        value: &mut [f64],
-        unit: usize,
-        work_ns: &mut u64,
-    ) -> Result<usize, SolveError> {
-        match (&mut self.making, self.symbolic.raw()) {
-            (Making::ByUnits { plan, scratch }, SymbolicCholeskyRaw::Supernodal(nodes)) => {
-                supernodal_factor::advance((nodes, plan), &system.value, value, unit, work_ns, scratch)
-            }
-            (Making::AtOnce { memory }, _) => {
-                let matrix = SparseColMatRef::new(system.pattern(), &system.value[..]);
-                let stack = MemStack::new(memory);
-                self.symbolic
-                    .factorize_numeric_llt(
-                        value,
-                        matrix,
-                        Side::Upper,
-                        LltRegularization::default(),
-                        Par::Seq,
-                        stack,
-                        Default::default(),
-                    )
-                    .map(|_| 1)
-                    .map_err(|_| SolveError::Singular)
-            }
-            (Making::ByUnits { .. }, SymbolicCholeskyRaw::Simplicial(_)) => {
-                unreachable!("made by units where there are supernodes")
-            }
         }
     }
 

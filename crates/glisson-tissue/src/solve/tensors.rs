@@ -31,25 +31,52 @@ impl MeshEdges {
                 return Err(SolveError::NonFinitePosition { node, position_m: p.to_array() });
             }
         }
-        let mut keyed = Vec::with_capacity(6 * mesh.tetrahedra.len());
-        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
-            if let Some(&node) = nodes.iter().find(|n| n.index() >= n_nodes) {
-                return Err(SolveError::NodeOutOfRange { tet: TetId::from_index(t), node, n_nodes });
-            }
-            for (e, [j, k]) in LOCAL_EDGES.into_iter().enumerate() {
-                let (a, b) = (nodes[j].min(nodes[k]), nodes[j].max(nodes[k]));
-                keyed.push(([a, b], t, e));
+        if let Some((t, node)) = (mesh.tetrahedra.iter().enumerate())
+            .find_map(|(t, nodes)| nodes.iter().find(|n| n.index() >= n_nodes).map(|node| (t, *node)))
+        {
+            return Err(SolveError::NodeOutOfRange { tet: TetId::from_index(t), node, n_nodes });
+        }
+        Ok(Self::of_tetrahedra(n_nodes, &mesh.tetrahedra))
+    }
+
+    /// The edges of tetrahedra between nodes below `n_nodes`.
+    ///
+    /// # Panics
+    /// When a tetrahedron names another node.
+    pub(crate) fn of_tetrahedra(n_nodes: usize, tetrahedra: &[[NodeId; 4]]) -> Self {
+        let ends = |nodes: &[NodeId; 4], [j, k]: [usize; 2]| (nodes[j].min(nodes[k]), nodes[j].max(nodes[k]));
+        // By lower node, then each of these short lists by the higher one.
+        let mut start = vec![0u32; n_nodes + 1];
+        for nodes in tetrahedra {
+            LOCAL_EDGES.into_iter().for_each(|edge| start[ends(nodes, edge).0.index() + 1] += 1);
+        }
+        for n in 0..n_nodes {
+            start[n + 1] += start[n];
+        }
+        let mut next = start.clone();
+        let mut uses = vec![(NodeId(0), 0u32); 6 * tetrahedra.len()];
+        for (t, nodes) in tetrahedra.iter().enumerate() {
+            for (e, edge) in LOCAL_EDGES.into_iter().enumerate() {
+                let (low, high) = ends(nodes, edge);
+                let place = &mut next[low.index()];
+                uses[*place as usize] = (high, (6 * t + e) as u32);
+                *place += 1;
             }
         }
-        keyed.sort_unstable();
-        let mut edges = Self { nodes: Vec::new(), of_tet: vec![[0; 6]; mesh.tetrahedra.len()] };
-        for (key, t, e) in keyed {
-            if edges.nodes.last() != Some(&key) {
-                edges.nodes.push(key);
+        let mut edges =
+            Self { nodes: Vec::with_capacity(uses.len() / 3), of_tet: vec![[0; 6]; tetrahedra.len()] };
+        for n in 0..n_nodes {
+            let uses = &mut uses[start[n] as usize..start[n + 1] as usize];
+            uses.sort_unstable();
+            for (at, &(high, place)) in uses.iter().enumerate() {
+                if at == 0 || uses[at - 1].0 != high {
+                    edges.nodes.push([NodeId::from_index(n), high]);
+                }
+                let edge = u32::try_from(edges.nodes.len() - 1).expect("fewer than 2^32 edges");
+                edges.of_tet[place as usize / 6][place as usize % 6] = edge;
             }
-            edges.of_tet[t][e] = u32::try_from(edges.nodes.len() - 1).expect("fewer than 2^32 edges");
         }
-        Ok(edges)
+        edges
     }
 }
 

@@ -9,7 +9,7 @@ use glisson_tissue::material::{LinearElastic, PronySeries, PronyTerm};
 use glisson_tissue::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams, ImplicitReport};
 use glisson_tissue::model::{
     Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, LocalModel, LocalWork,
-    Rayleigh, StepAnswer,
+    ModelUndo, Rayleigh, StepAnswer,
 };
 
 const SIZE_M: DVec3 = DVec3::new(0.12, 0.1, 0.08);
@@ -209,7 +209,82 @@ fn a_factor_that_is_needed_at_once_replaces_the_pending_one() {
     let change = editable.apply(&MeshEdit::Remove { tets: vec![TetId(0)] }).unwrap();
     model.topology_changed(editable.mesh(), &change).unwrap();
     assert_eq!(version(&model), before + 1);
-    assert_eq!(report(&mut model, STEP_S), (false, false), "an edit");
+    assert_eq!(report(&mut model, STEP_S), (false, true), "an edit");
+    assert_eq!(report(&mut model, STEP_S / 4.0), (true, false), "another step length after an edit");
+}
+
+/// Takes out a slot between two planes, from the far side to the middle, and one more tetrahedron.
+fn slot(mesh: &TetMesh) -> [MeshEdit; 2] {
+    let center = |t: &[NodeId; 4]| t.iter().map(|n| mesh.positions_m[n.index()]).sum::<DVec3>() * 0.25;
+    let is_in = |c: DVec3| (0.055..0.065).contains(&c.x) && c.y > 0.5 * SIZE_M.y;
+    let tets = mesh.tetrahedra.iter().enumerate().filter(|(_, t)| is_in(center(t)));
+    let tets: Vec<TetId> = tets.map(|(t, _)| TetId::from_index(t)).collect();
+    assert!(tets.len() > 30);
+    [MeshEdit::Remove { tets }, MeshEdit::Remove { tets: vec![TetId(3)] }]
+}
+
+/// After an edit the old factor serves, with more iterations; the new one comes in a few steps, and with it the patches' entries.
+#[test]
+fn the_factor_of_an_edited_mesh_comes_in_stages() {
+    let body = Dragged::new();
+    let mut model = body.model();
+    body.go_on(&mut model, 0..10);
+    let mut mesh = EditableMesh::new(body.mesh.clone()).unwrap();
+    let first = mesh.apply(&slot(&body.mesh)[0]).unwrap();
+    model.topology_changed(mesh.mesh(), &first).unwrap();
+    let (mut work, mut out) = (LocalWork::with_room_for(500), LocalModel::new());
+    let patch = [NodeId::from_index(body.mesh.positions_m.len() - 1)];
+    let (mut iterations, mut copies, mut n_steps) = (Vec::new(), Vec::new(), 0);
+    while model.step_report().factor_is_pending || n_steps == 0 {
+        body.go_on(&mut model, 10 + n_steps..11 + n_steps);
+        n_steps += 1;
+        assert!(n_steps < 30 && !model.report().missed_tolerance, "{n_steps}: {:?}", model.step_report());
+        model.local_model_into(&patch, STEP_S, &mut work, &mut out);
+        assert_eq!(out.n_rings.is_none(), !model.step_report().factor_is_pending);
+        iterations.push(model.step_report().cg_iterations);
+        copies.push((n_steps, model.duplicate()));
+    }
+    assert!(n_steps > 5 && model.step_report().n_factors == 1);
+    assert!(iterations.iter().all(|n| *n <= 40), "{iterations:?}");
+    body.go_on(&mut model, 10 + n_steps..60);
+    for (made, mut copy) in copies {
+        body.go_on(copy.as_mut(), 10 + made..60);
+        assert_eq!(bits(copy.as_ref()), bits(&model), "a copy after {made} steps");
+    }
+}
+
+/// An edit that comes before the factor is there begins it anew; what is taken back goes on where it was.
+#[test]
+fn an_edit_overtakes_the_factor_and_is_taken_back() {
+    let body = Dragged::new();
+    let mut model = body.model();
+    let mut mesh = EditableMesh::new(body.mesh.clone()).unwrap();
+    let [first, second] = slot(&body.mesh);
+    for n_steps in [0, 1, 2, 4, 7] {
+        let mut model: Box<dyn DeformableModel> = Box::new(model.clone());
+        let mut mesh = mesh.clone();
+        let change = mesh.apply(&first).unwrap();
+        model.topology_changed(mesh.mesh(), &change).unwrap();
+        body.go_on(model.as_mut(), 0..n_steps);
+        let mut kept = model.duplicate();
+        let change = mesh.apply(&second).unwrap();
+        let mut undo = ModelUndo::default();
+        model.follow_saving(mesh.mesh(), &change, &mut undo).unwrap();
+        body.go_on(model.as_mut(), n_steps..n_steps + 25);
+        assert!(!model.report().missed_tolerance);
+        undo.put_back(&mut model);
+        for model in [&mut model, &mut kept] {
+            body.go_on(model.as_mut(), n_steps..n_steps + 25);
+        }
+        assert_eq!(bits(model.as_ref()), bits(kept.as_ref()), "{n_steps} steps");
+    }
+    // One that is restored has the factor at once.
+    let snapshot = model.snapshot();
+    let change = mesh.apply(&first).unwrap();
+    model.topology_changed(mesh.mesh(), &change).unwrap();
+    model.restore(&snapshot);
+    body.go_on(&mut model, 0..1);
+    assert!(!model.step_report().factor_is_pending && !model.report().missed_tolerance);
 }
 
 #[test]

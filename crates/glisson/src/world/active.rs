@@ -248,7 +248,9 @@ impl World {
     ) {
         let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
         let is_on = self.edge_is_on(tool);
-        cut.hold_still(self.anchored_nodes());
+        if !cut.params().is_nested {
+            cut.hold_still(self.anchored_nodes());
+        }
         let planned = if is_on {
             cut.advance(body, positions_m, blade_m)
         } else {

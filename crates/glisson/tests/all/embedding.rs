@@ -314,6 +314,7 @@ fn copies_follow_any_strokes() {
     assert!(off_m2 < 0.02 * swept_m2, "{off_m2} of {swept_m2}");
 }
 
+const GRAVITY_M_PER_S2: DVec3 = DVec3::new(0.0, -2.0, -6.0);
 const STEP_S: f64 = 1e-4;
 
 /// The block held at one side, which sags.
@@ -323,7 +324,7 @@ fn organ_of(mesh: TetMesh) -> OrganBody {
     let fixed = held.map(|n| FixedNode::all_axes(NodeId::from_index(n))).collect();
     OrganBody {
         fixed,
-        gravity_m_per_s2: DVec3::new(0.0, -2.0, -6.0),
+        gravity_m_per_s2: GRAVITY_M_PER_S2,
         damping: Rayleigh::of_mass(20.0),
         ..OrganBody::new(mesh, material, STEP_S)
     }
@@ -345,7 +346,8 @@ fn constraints_on(body: &Body) -> Constraints {
     constraints
 }
 
-/// Steps, local models and answers of a model with embedded cuts allocate nothing, and neither do those of its copy.
+/// Steps, local models and answers of a model with embedded cuts allocate nothing, and neither do those of its copy; `implicit`
+/// makes the factor of the cut mesh before.
 #[test]
 fn a_step_with_embedded_cuts_allocates_nothing() {
     let first = box_of_five([5, 4, 3], SIZE_M);
@@ -375,7 +377,7 @@ fn a_step_with_embedded_cuts_allocates_nothing() {
                 model.correct_step(&constraints.forces, STEP_S, Correction::Motion);
             }
         };
-        steps(&mut model);
+        (0..5).for_each(|_| steps(&mut model));
         let mut copy = model.duplicate();
         let mut count = 0;
         for model in [&mut model, &mut copy] {
@@ -456,9 +458,12 @@ fn models_of_copies_go_on_as_those_made_afresh() {
                 follow_edit(&mut model, mesh, change, &mut ModelUndo::default()).unwrap();
             }
             let mut afresh = build_model(&with_law(organ_of(alone.clone())), kind).unwrap();
-            for _ in 0..300 {
-                model.step(STEP_S);
-                afresh.step(STEP_S);
+            for model in [&mut model, &mut afresh] {
+                // At rest at first, until `implicit` has the factor of the cut mesh: its tolerance is above what is asked here.
+                model.set_gravity(DVec3::ZERO);
+                (0..30).for_each(|_| model.step(STEP_S));
+                model.set_gravity(GRAVITY_M_PER_S2);
+                (0..300).for_each(|_| model.step(STEP_S));
             }
             let (of_cut, of_copies) = (model.state().positions_m, afresh.state().positions_m);
             let (mut off_m, mut sag_m): (f64, f64) = (0.0, 0.0);

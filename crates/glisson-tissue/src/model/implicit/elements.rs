@@ -99,6 +99,8 @@ pub(super) struct ElementsParams<'a> {
     pub(super) rest_stress_pa: &'a [RestStress],
     /// Whether [`Elements::set_viscous`] will be used.
     pub(super) is_viscous: bool,
+    /// Elements of the same mesh: tetrahedra of the same number are the same.
+    pub(super) known: Option<&'a Elements>,
 }
 
 /// The values of the live tetrahedra, of a list with one value or one per tetrahedron.
@@ -110,10 +112,17 @@ fn of_live<'a, T: Clone>(list: &'a [T], tets: &[TetId]) -> Cow<'a, [T]> {
     }
 }
 
-/// The tetrahedra in groups of eight, and a quarter of the volumes around each node [m3].
-fn groups_of(mesh: &TetMesh, tets: &[TetId]) -> Result<(Vec<Group>, Vec<f64>), SolveError> {
+/// The tetrahedra in groups of eight, and a quarter of the volumes around each node [m3]. Gradients of those that are `known` are
+/// taken from there.
+fn groups_of(
+    mesh: &TetMesh,
+    tets: &[TetId],
+    known: Option<&Elements>,
+) -> Result<(Vec<Group>, Vec<f64>), SolveError> {
     let mut node_volume_m3 = vec![0.0; mesh.positions_m.len()];
     let mut groups = Vec::with_capacity(tets.len().div_ceil(LANES));
+    // Both lists ascend.
+    let mut before = known.map_or(&[][..], |elements| &elements.tets).iter().enumerate().peekable();
     for part in tets.chunks(LANES) {
         let mut group = Group {
             nodes: [[0; LANES]; 4],
@@ -121,25 +130,37 @@ fn groups_of(mesh: &TetMesh, tets: &[TetId]) -> Result<(Vec<Group>, Vec<f64>), S
             volume_m3: [0.0; LANES],
             left_out: 0,
         };
-        for lane in 0..LANES {
-            // Lanes beyond the end repeat the last tetrahedron with volume zero.
-            let tet = part[lane.min(part.len() - 1)];
-            let gradients = P1Gradients::of_tet(mesh, tet)?;
+        for (lane, tet) in part.iter().enumerate() {
+            while before.next_if(|(_, known)| *known < tet).is_some() {}
+            let (alpha_per_m, volume_m3) = match before.next_if(|(_, known)| *known == tet).zip(known) {
+                Some(((t, _), elements)) => {
+                    let (_, alpha_per_m, volume_m3) = elements.tetrahedron(t);
+                    (alpha_per_m, volume_m3)
+                }
+                None => {
+                    let gradients = P1Gradients::of_tet(mesh, *tet)?;
+                    let [_, a, b, c] = gradients.alpha_per_m;
+                    ([a, b, c], gradients.volume_m3)
+                }
+            };
             let nodes = mesh.tetrahedra[tet.index()];
             for k in 0..4 {
                 group.nodes[k][lane] = nodes[k].0;
             }
             for k in 0..3 {
                 for i in 0..3 {
-                    group.gradient_per_m[3 * k + i][lane] = gradients.alpha_per_m[k + 1][i];
+                    group.gradient_per_m[3 * k + i][lane] = alpha_per_m[k][i];
                 }
             }
-            if lane < part.len() {
-                group.volume_m3[lane] = gradients.volume_m3;
-                for node in nodes {
-                    node_volume_m3[node.index()] += 0.25 * gradients.volume_m3;
-                }
+            group.volume_m3[lane] = volume_m3;
+            for node in nodes {
+                node_volume_m3[node.index()] += 0.25 * volume_m3;
             }
+        }
+        // Lanes beyond the end repeat the last tetrahedron with volume zero.
+        for lane in part.len()..LANES {
+            group.nodes.iter_mut().for_each(|of_lane| of_lane[lane] = of_lane[part.len() - 1]);
+            group.gradient_per_m.iter_mut().for_each(|of_lane| of_lane[lane] = of_lane[part.len() - 1]);
         }
         groups.push(group);
     }
@@ -164,11 +185,12 @@ fn rest_stresses(tets: &[TetId], of_tet_pa: &[RestStress]) -> (Vec<SymmetricLane
 
 impl Elements {
     pub(super) fn new(params: &ElementsParams<'_>) -> Result<Self, SolveError> {
-        let ElementsParams { mesh, live, law, stand_ins, volume, rest_stress_pa, is_viscous } = *params;
+        let ElementsParams { mesh, live, law, stand_ins, volume, rest_stress_pa, is_viscous, known } =
+            *params;
         let n_nodes = mesh.positions_m.len();
         let tets: Vec<TetId> =
             (0..mesh.tetrahedra.len()).filter(|&t| live[t]).map(TetId::from_index).collect();
-        let (groups, node_volume_m3) = groups_of(mesh, &tets)?;
+        let (groups, node_volume_m3) = groups_of(mesh, &tets, known)?;
         let n_groups = groups.len();
         let own = match law {
             ImplicitLaw::NeoHookeLog(law) => {
@@ -540,6 +562,7 @@ mod tests {
             volume,
             rest_stress_pa: rest,
             is_viscous: true,
+            known: None,
         })
         .unwrap()
     }

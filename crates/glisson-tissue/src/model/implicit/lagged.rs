@@ -5,16 +5,17 @@
 //! from counts alone: tetrahedra and the pattern of the factor.
 
 use super::elements::Elements;
+use super::late::Late;
 use super::ligaments::Ligaments;
 use super::patch_inverse::{Factored, PatchInverse};
 use crate::model::LocalModel;
 use crate::model::kernel::KernelPath;
 use crate::solve::{
-    BoundaryConditions, FactorScratch, Factorization, FreeSystem, LOCAL_EDGES, MeshEdges, NextFactor,
-    SolveError, StiffnessTensors,
+    BoundaryConditions, FactorPattern, FactorScratch, Factorization, FreeSystem, LOCAL_EDGES, MeshEdges,
+    NextFactor, SolveError, StiffnessTensors, TetStiffness,
 };
 use glisson_mesh::math::{DMat3, DVec3, outer};
-use glisson_mesh::mesh::{NodeId, TetMesh};
+use glisson_mesh::mesh::NodeId;
 use std::ops::Range;
 
 /// Work of a slice [ns], see [`Factorization::work_ns`]: half of the 2 ms that scenes give a step. A choice.
@@ -53,6 +54,39 @@ impl LaggedState {
         }
     }
 
+    /// Room for a state.
+    pub(super) fn of_size(n_nodes: usize, n_tets: usize) -> Self {
+        Self {
+            displacement_m: vec![DVec3::ZERO; n_nodes],
+            held: vec![false; n_nodes],
+            strays: vec![false; n_tets],
+            per_mass: 0.0,
+            per_stiffness: 0.0,
+            viscous_share: 1.0,
+        }
+    }
+
+    /// Factors of the elastic stiffness and of that of the stress at rest.
+    pub(super) fn factors(&self) -> [f64; 2] {
+        [self.per_stiffness * self.viscous_share, self.per_stiffness]
+    }
+
+    /// Nodes and stiffness of a live tetrahedron, without negative eigenvalues.
+    pub(super) fn stiffness(
+        &self,
+        elements: &Elements,
+        t: usize,
+        factors: [f64; 2],
+    ) -> ([NodeId; 4], TetStiffness) {
+        let (nodes, alpha, _) = elements.tetrahedron(t);
+        let u = nodes.map(|n| self.displacement_m[n.index()]);
+        let mut f = DMat3::IDENTITY;
+        for k in 0..3 {
+            f += outer(u[k + 1] - u[0], alpha[k]);
+        }
+        (nodes, elements.projected_stiffness(t, f, self.strays[t], factors))
+    }
+
     /// All of it as numbers.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let flags = self.held.iter().chain(&self.strays).map(|&flag| f64::from(u8::from(flag)));
@@ -73,10 +107,12 @@ pub(super) struct Lagged {
     scratch: FactorScratch,
     free: Vec<f64>,
     eliminated: Vec<f64>,
-    /// None for a matrix that is nothing but its diagonal.
+    /// None for a matrix that is nothing but its diagonal, and before there are values.
     inverse: Option<PatchInverse>,
     next: Next,
     slice_work_ns: u64,
+    /// What edits have changed since.
+    late: Late,
 }
 
 /// The factor that is being made in slices.
@@ -109,15 +145,6 @@ pub(super) enum Slice {
     Failed,
 }
 
-/// What [`Lagged::new`] needs.
-pub(super) struct LaggedParams<'a> {
-    /// The live tetrahedra with all nodes.
-    pub(super) mesh: &'a TetMesh,
-    /// 1 for each axis along which a node can move, 0 for the others.
-    pub(super) free_axes: &'a [DVec3],
-    pub(super) nodes: NodeTerms<'a>,
-}
-
 /// Terms of the single nodes.
 #[derive(Clone, Copy)]
 pub(super) struct NodeTerms<'a> {
@@ -129,36 +156,42 @@ pub(super) struct NodeTerms<'a> {
 }
 
 impl Lagged {
-    /// Pattern, order and factor for a mesh of live tetrahedra, in their order in `elements`.
+    /// Pattern, order and factor at a state.
     pub(super) fn new(
-        params: &LaggedParams<'_>,
+        edges: MeshEdges,
+        free_axes: &[DVec3],
+        elements: &Elements,
+        nodes: NodeTerms<'_>,
+        state: LaggedState,
+    ) -> Result<Self, SolveError> {
+        let system = system_of(&edges, free_axes)?;
+        let pattern = system.pattern_of_factor()?;
+        let mut lagged = Self::without_values(edges, (system, pattern), elements, state)?;
+        lagged.fill(elements, nodes);
+        lagged.factor.refactor(&lagged.system)?;
+        lagged.complete();
+        Ok(lagged)
+    }
+
+    /// A factor whose values are still to be made for `state`.
+    pub(super) fn without_values(
+        edges: MeshEdges,
+        (system, pattern): (FreeSystem, FactorPattern),
         elements: &Elements,
         state: LaggedState,
     ) -> Result<Self, SolveError> {
-        let edges = MeshEdges::of_mesh(params.mesh)?;
-        let mut tensors = StiffnessTensors {
-            vertex: vec![DMat3::ZERO; params.mesh.positions_m.len()],
+        let factor = system.factor_for_slices(pattern)?;
+        let n_nodes = state.displacement_m.len();
+        let tensors = StiffnessTensors {
+            vertex: vec![DMat3::ZERO; n_nodes],
             edge: vec![DMat3::ZERO; edges.nodes.len()],
         };
-        let all = 0..elements.tets().len();
-        assemble(&mut tensors, &edges, elements, &state, all);
-        params.nodes.add_to(&mut tensors, &state);
-        let mut conditions = BoundaryConditions::new();
-        for (n, free) in params.free_axes.iter().enumerate() {
-            for axis in (0..3).filter(|&axis| free[axis] == 0.0) {
-                conditions.impose(NodeId::from_index(n), axis, 0.0);
-            }
-        }
-        let system = FreeSystem::new(&edges, &tensors, &conditions)?;
-        let factor = system.factorize_for_slices()?;
         let scratch = factor.scratch(1);
         let free = vec![0.0; system.n_free()];
-        let n_nodes = params.free_axes.len();
-        let inverse = factor.is_supernodal().then(|| PatchInverse::new(&factor, n_nodes));
         let next = Next {
             of: Pending { state: state.clone(), n_slices: 0 },
             n_tets: 0,
-            factor: factor.room_for_next(),
+            factor: NextFactor::default(),
         };
         let work_ns = factor.work_ns()
             + elements.tets().len() as u64 * elements.projection_work_ns()
@@ -173,20 +206,75 @@ impl Lagged {
             scratch,
             eliminated: free.clone(),
             free,
-            inverse,
+            inverse: None,
             next,
             slice_work_ns,
+            late: Late::default(),
         })
+    }
+
+    /// Once it has values: makes room for entries of the inverse, and for the next factor.
+    pub(super) fn complete(&mut self) {
+        let n_nodes = self.state.displacement_m.len();
+        self.inverse = self.factor.is_supernodal().then(|| PatchInverse::new(&self.factor, n_nodes));
+        self.factor.make_room(&mut self.next.factor);
+    }
+
+    /// Takes all of it, and leaves what solutions need, with the same values of the factor.
+    pub(super) fn retire(&mut self) -> Self {
+        let of_solutions = Self {
+            state: self.state.clone(),
+            edges: MeshEdges::default(),
+            tensors: StiffnessTensors::default(),
+            system: self.system.numbering(),
+            factor: self.factor.for_solutions(),
+            scratch: self.scratch.clone(),
+            free: self.free.clone(),
+            eliminated: Vec::new(),
+            inverse: None,
+            next: Next {
+                of: Pending { state: LaggedState::of_size(0, 0), n_slices: 0 },
+                n_tets: 0,
+                factor: NextFactor::default(),
+            },
+            slice_work_ns: self.slice_work_ns,
+            late: self.late.clone(),
+        };
+        std::mem::replace(self, of_solutions)
+    }
+
+    /// The matrix at `self.state`.
+    fn fill(&mut self, elements: &Elements, nodes: NodeTerms<'_>) {
+        let all = 0..elements.tets().len();
+        assemble(&mut self.tensors, &self.edges, elements, &self.state, all);
+        nodes.add_to(&mut self.tensors.vertex, &self.state);
+        self.system.refill(&self.tensors);
+    }
+
+    /// Goes on after an edit that changed these nodes, their tetrahedra or the places of either, with the factor of what was
+    /// there before. `now` is the state of the elements as they are.
+    pub(super) fn serve_on(
+        &mut self,
+        nodes: impl Iterator<Item = NodeId>,
+        elements: &Elements,
+        terms: NodeTerms<'_>,
+        now: &LaggedState,
+    ) {
+        self.drop_pending();
+        nodes.for_each(|node| self.late.add(node));
+        self.late.update(elements, terms, now);
+    }
+
+    /// What edits have changed since the factor was made.
+    pub(super) fn late(&self) -> &Late {
+        &self.late
     }
 
     /// Recomputes the factor at `self.state`, without allocation; drops the one that is being made. False when the matrix has
     /// no factor.
     pub(super) fn refresh(&mut self, elements: &Elements, nodes: NodeTerms<'_>) -> bool {
         self.drop_pending();
-        let all = 0..elements.tets().len();
-        assemble(&mut self.tensors, &self.edges, elements, &self.state, all);
-        nodes.add_to(&mut self.tensors, &self.state);
-        self.system.refill(&self.tensors);
+        self.fill(elements, nodes);
         if let Some(inverse) = &mut self.inverse {
             inverse.forget();
         }
@@ -227,7 +315,7 @@ impl Lagged {
             if end < n_tets {
                 return Slice::Underway;
             }
-            nodes.add_to(&mut self.tensors, &next.of.state);
+            nodes.add_to(&mut self.tensors.vertex, &next.of.state);
             self.system.refill(&self.tensors);
             work_ns = work_ns.saturating_sub(self.tensors.vertex.len() as u64 * NODE_WORK_NS);
         }
@@ -259,12 +347,14 @@ impl Lagged {
         }
     }
 
-    /// Overwrites `solution` with the inverse of the factored matrix times `right`, zero for components that are not free.
+    /// Overwrites `solution` with the inverse of the factored matrix times `right`, zero for components that are not free, and
+    /// adds the answers of single nodes where edits have changed it since ([`Late`]).
     pub(super) fn solve_into(&mut self, right: &[DVec3], solution: &mut [DVec3]) {
         self.system.gather_into(right, &mut self.free);
         self.factor.solve_in_place(&mut self.free, 1, &mut self.scratch);
         solution.fill(DVec3::ZERO);
         self.system.add_scattered(&self.free, solution);
+        self.late.add_answers(right, solution);
     }
 
     /// Whether it tells entries of the inverse.
@@ -298,6 +388,21 @@ impl Lagged {
     }
 }
 
+/// Order and pattern of a matrix of zeros. `free_axes`: 1 for each axis along which a node can move, 0 for the others.
+pub(super) fn system_of(edges: &MeshEdges, free_axes: &[DVec3]) -> Result<FreeSystem, SolveError> {
+    let zeros = StiffnessTensors {
+        vertex: vec![DMat3::ZERO; free_axes.len()],
+        edge: vec![DMat3::ZERO; edges.nodes.len()],
+    };
+    let mut conditions = BoundaryConditions::new();
+    for (n, free) in free_axes.iter().enumerate() {
+        for axis in (0..3).filter(|&axis| free[axis] == 0.0) {
+            conditions.impose(NodeId::from_index(n), axis, 0.0);
+        }
+    }
+    FreeSystem::new(edges, &zeros, &conditions)
+}
+
 /// Adds the stiffness of the tetrahedra of a range; the first range starts from zero.
 fn assemble(
     tensors: &mut StiffnessTensors,
@@ -306,19 +411,13 @@ fn assemble(
     state: &LaggedState,
     tets: Range<usize>,
 ) {
-    let factors = [state.per_stiffness * state.viscous_share, state.per_stiffness];
+    let factors = state.factors();
     if tets.start == 0 {
         tensors.vertex.fill(DMat3::ZERO);
         tensors.edge.fill(DMat3::ZERO);
     }
     for t in tets {
-        let (nodes, alpha, _) = elements.tetrahedron(t);
-        let u = nodes.map(|n| state.displacement_m[n.index()]);
-        let mut f = DMat3::IDENTITY;
-        for k in 0..3 {
-            f += outer(u[k + 1] - u[0], alpha[k]);
-        }
-        let stiffness = elements.projected_stiffness(t, f, state.strays[t], factors);
+        let (nodes, stiffness) = state.stiffness(elements, t, factors);
         for j in 0..4 {
             if !state.held[nodes[j].index()] {
                 tensors.vertex[nodes[j].index()] += stiffness.vertex[j];
@@ -339,10 +438,10 @@ fn assemble(
 }
 
 impl NodeTerms<'_> {
-    fn add_to(&self, tensors: &mut StiffnessTensors, state: &LaggedState) {
-        for (tensor, m) in tensors.vertex.iter_mut().zip(self.mass_kg) {
+    pub(super) fn add_to(&self, vertex: &mut [DMat3], state: &LaggedState) {
+        for (tensor, m) in vertex.iter_mut().zip(self.mass_kg) {
             *tensor += DMat3::from_diagonal(DVec3::splat(state.per_mass * m));
         }
-        self.ligaments.add_to_vertices(self.rest_m, &state.displacement_m, &mut tensors.vertex);
+        self.ligaments.add_to_vertices(self.rest_m, &state.displacement_m, vertex);
     }
 }

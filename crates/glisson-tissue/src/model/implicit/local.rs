@@ -19,7 +19,7 @@ struct Relaxing<'a> {
 }
 
 impl ImplicitEuler {
-    /// The factor is used when it was made for steps of the period and no node of the patch is held, since held nodes are
+    /// The factor is used when it is of the mesh as it is, was made for steps of the period and no node of the patch is held, since held nodes are
     /// decoupled from their neighbours in it (fixed nodes have none, and a C of zero). It is that of the shape at which it was
     /// made. Entries between nodes that were asked for before with the same factor are kept ([`super::patch_inverse`]).
     pub(super) fn fill_local_model(
@@ -31,10 +31,13 @@ impl ImplicitEuler {
     ) {
         out.start(patch, period_s, &self.positions_m);
         let per_mass = 1.0 / (period_s * period_s) + self.damping.mass_per_s / period_s;
-        let serves = self.lagged.as_ref().is_some_and(|lagged| {
-            let is_of_period = (lagged.state.per_mass - per_mass).abs() <= SAME_STEP * per_mass;
-            lagged.tells_entries() && is_of_period && out.nodes.iter().all(|n| !lagged.state.held[n.index()])
-        });
+        let serves = self.successor.is_none()
+            && self.lagged.as_ref().is_some_and(|lagged| {
+                let is_of_period = (lagged.state.per_mass - per_mass).abs() <= SAME_STEP * per_mass;
+                lagged.tells_entries()
+                    && is_of_period
+                    && out.nodes.iter().all(|n| !lagged.state.held[n.index()])
+            });
         if !serves {
             let share = self.relaxation.as_mut().map_or(1.0, |r| r.stiffness_share(period_s));
             compute(&Relaxing { body: self, share }, work, out);

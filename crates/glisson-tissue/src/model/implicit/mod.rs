@@ -12,8 +12,9 @@
 //! ([`super::RestStress`]) and the viscous memory. The solver is Newton's method with conjugate gradients on the exact
 //! tangent, element by element. The preconditioner is the factor of the tangent at an earlier state, with its negative
 //! eigenvalues removed. It is recomputed when the iterations since then have cost about as much as a factor, never by a
-//! clock: in slices over the next steps, for the state in which it was found to be due. Where the exact tangent has a direction of negative curvature, the projected one is factored at once and gives
-//! the direction. A direction is shortened until the law allows every tetrahedron (ln J needs J > 0) and the potential
+//! clock: in slices over the next steps, for the state in which it was found to be due. After an edit the old factor serves beside
+//! the blocks of the nodes that have changed, until the new one has been made over the next steps. Where the exact tangent has a
+//! direction of negative curvature, the projected one is factored at once and gives the direction. A direction is shortened until the law allows every tetrahedron (ln J needs J > 0) and the potential
 //! has decreased.
 //!
 //! In a step that starts with an inverted tetrahedron, beta is zero: the forces there are no measure of motion.
@@ -29,6 +30,7 @@ mod evaluation;
 mod general;
 mod lagged;
 mod lanes;
+mod late;
 mod law;
 mod ligaments;
 mod local;
@@ -40,6 +42,7 @@ mod projected;
 mod relaxation;
 pub(super) mod row;
 mod stable_neo_hooke;
+mod successor;
 mod topology;
 
 pub use law::{ImplicitLaw, SharedLaw};
@@ -47,14 +50,15 @@ pub use newton::{ImplicitReport, ImplicitStatus};
 pub use params::{DEFAULT_TOLERANCE, ImplicitError, ImplicitParams};
 
 use self::elements::{Elements, ElementsParams, Recovery};
-use self::lagged::{Lagged, LaggedParams, LaggedState, NodeTerms, Pending};
+use self::lagged::{Lagged, LaggedState, NodeTerms, Pending};
 use self::ligaments::Ligaments;
 use self::newton::{MOST_NEWTON_ITERATIONS, Scratch};
 use self::relaxation::Relaxation;
+use self::successor::{Edited, Successor};
 use super::bounded_vec::BoundedVec;
 use super::{
     Attachment, Constraints, Correction, DeformableModel, DynamicBody, LevelOfDetail, LocalModel, LocalWork,
-    ModelReport, ModelState, NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
+    ModelReport, ModelState, ModelUndo, NodalForce, Rayleigh, RestStress, StepAnswer, TopologyRefusal,
 };
 use crate::material::{PronyHistory, StableNeoHooke};
 use crate::solve::SolveError;
@@ -134,6 +138,8 @@ pub struct ImplicitEuler {
     elements: Elements,
     /// None without a tetrahedron.
     lagged: Option<Lagged>,
+    /// The factor that is being made since an edit: the present one is of the mesh before.
+    successor: Option<Successor>,
 
     // State.
     displacement_m: Vec<DVec3>,
@@ -208,6 +214,7 @@ impl ImplicitEuler {
             volume: params.volume,
             rest_stress_pa: params.body.rest_stress_pa,
             is_viscous: params.relaxation.is_some(),
+            known: None,
         })?;
         let zero = vec![DVec3::ZERO; n_nodes];
         Ok(Self {
@@ -232,6 +239,7 @@ impl ImplicitEuler {
             ligaments: Ligaments::new(params.body.attachments.to_vec()),
             rest_load_n: zero.clone(),
             lagged: None,
+            successor: None,
             displacement_m: zero.clone(),
             velocities_m_per_s: zero.clone(),
             earlier_velocities_m_per_s: zero.clone(),
@@ -258,6 +266,13 @@ impl ImplicitEuler {
 
     /// Computes masses, pattern and factor of the live tetrahedra at the present state.
     fn analyse(&mut self) -> Result<(), SolveError> {
+        self.weigh();
+        let state = self.lagged_state(self.time_step_s);
+        self.factor_at_once(state)
+    }
+
+    /// Computes what follows from the live tetrahedra alone: masses, what moves, and the loads at rest.
+    fn weigh(&mut self) {
         let density = self.density_kg_per_m3;
         self.mass_kg = self.elements.node_volume_m3().iter().map(|v| density * v).collect();
         self.moves = self
@@ -268,35 +283,33 @@ impl ImplicitEuler {
             .collect();
         self.update_mask();
         self.balance_rest();
+    }
+
+    /// Pattern and factor for a state of the mesh as it is.
+    fn factor_at_once(&mut self, state: LaggedState) -> Result<(), SolveError> {
         self.factor_version += 1;
         self.age = FactorAge::default();
-        let state = self.lagged_state(self.time_step_s);
-        let live = TetMesh {
-            positions_m: self.mesh.positions_m.clone(),
-            tetrahedra: self.elements.tets().iter().map(|t| self.mesh.tetrahedra[t.index()]).collect(),
-            ..TetMesh::default()
-        };
         self.lagged = None;
-        if live.tetrahedra.is_empty() {
+        self.successor = None;
+        if self.elements.tets().is_empty() {
             return Ok(());
         }
-        let can_move = |n: usize| if self.moves[n] { self.free_axes[n] } else { DVec3::ZERO };
-        let free_axes: Vec<DVec3> = (0..self.n_nodes()).map(can_move).collect();
-        let params = LaggedParams {
-            mesh: &live,
-            free_axes: &free_axes,
-            nodes: NodeTerms {
-                rest_m: &self.mesh.positions_m,
-                mass_kg: &self.mass_kg,
-                ligaments: &self.ligaments,
-            },
-        };
+        let free_axes = self.axes_that_move();
+        let edited = Edited { elements: &self.elements, terms: self.node_terms(), free_axes: &free_axes };
+        let new = |state| Lagged::new(edited.edges(), &free_axes, &self.elements, self.node_terms(), state);
         // Where the present shape has no factor, that of the rest shape is the preconditioner.
         let of_rest = state.at_rest();
-        let lagged = Lagged::new(&params, &self.elements, state)
-            .or_else(|_| Lagged::new(&params, &self.elements, of_rest))?;
-        self.lagged = Some(lagged);
+        self.lagged = Some(new(state).or_else(|_| new(of_rest))?);
         Ok(())
+    }
+
+    fn axes_that_move(&self) -> Vec<DVec3> {
+        let of_node = |(moves, free): (&bool, &DVec3)| if *moves { *free } else { DVec3::ZERO };
+        self.moves.iter().zip(&self.free_axes).map(of_node).collect()
+    }
+
+    fn node_terms(&self) -> NodeTerms<'_> {
+        NodeTerms { rest_m: &self.mesh.positions_m, mass_kg: &self.mass_kg, ligaments: &self.ligaments }
     }
 
     /// Computes the load that the stress at rest carries, and the force below which a residual is rounding.
@@ -421,6 +434,7 @@ impl ImplicitEuler {
 
     /// Returns to a state of the same mesh and removals; constraints stay as they are. The factor is recomputed at the state
     /// at which it was made then, and so are the slices of one that was being made, so that the next steps have the same bits.
+    /// Where the factor of an edited mesh was not there yet, then or now, it is made at once.
     ///
     /// # Panics
     /// When the snapshot has another number of nodes.
@@ -434,7 +448,12 @@ impl ImplicitEuler {
         self.age = snapshot.age;
         self.is_suspect = true;
         self.elements.quarantine(&self.displacement_m, snapshot.recovery);
-        if let (Some(lagged), Some(state)) = (&mut self.lagged, &snapshot.lagged) {
+        let fits = |state: &LaggedState| state.displacement_m.len() == self.n_nodes();
+        if self.successor.is_some() || !snapshot.lagged.as_ref().is_none_or(fits) {
+            let state = self.lagged_state(self.time_step_s);
+            // A body without a factor cannot move; it had one.
+            let _ = self.factor_at_once(state);
+        } else if let (Some(lagged), Some(state)) = (&mut self.lagged, &snapshot.lagged) {
             let nodes = NodeTerms {
                 rest_m: &self.mesh.positions_m,
                 mass_kg: &self.mass_kg,
@@ -468,6 +487,10 @@ impl ImplicitEuler {
                 history.extend(pending.state.numbers());
                 history.push(f64::from(pending.n_slices));
             }
+            history.extend(lagged.late().numbers());
+        }
+        if let Some(successor) = &self.successor {
+            history.extend(successor.numbers());
         }
         if let Some(relaxation) = &self.relaxation {
             history.extend(relaxation.numbers());
@@ -628,6 +651,16 @@ impl DeformableModel for ImplicitEuler {
 
     fn duplicate(&self) -> Box<dyn DeformableModel> {
         Box::new(self.clone())
+    }
+
+    fn follow_saving(
+        &mut self,
+        mesh: &TetMesh,
+        change: &TopologyChange,
+        undo: &mut ModelUndo,
+    ) -> Result<(), TopologyRefusal> {
+        undo.keep_whole(Box::new(self.before_edit()));
+        self.follow(mesh, change)
     }
 
     fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {

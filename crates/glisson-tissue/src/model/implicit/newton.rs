@@ -1,7 +1,8 @@
 //! One step: Newton's method, conjugate gradients, line search.
 
 use super::elements::{Elements, Recovery};
-use super::lagged::{LaggedState, NodeTerms, Slice};
+use super::lagged::{Lagged, LaggedState, NodeTerms, Slice};
+use super::successor::Edited;
 use super::{FactorAge, ImplicitEuler};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::TetId;
@@ -34,7 +35,7 @@ pub struct ImplicitReport {
     pub cg_iterations: u32,
     /// Factors that came to serve.
     pub n_factors: u32,
-    /// Whether a factor is being made in slices at the end.
+    /// Whether a factor is being made over several steps at the end.
     pub factor_is_pending: bool,
     /// Share of their displacement that the held nodes moved.
     pub held_share: f64,
@@ -230,8 +231,9 @@ impl ImplicitEuler {
                 (elastic_n - outer_n - self.scratch.ligament_n[n]) * self.free_axes[n];
         }
         self.note_age();
+        let is_pending = |lagged: &Lagged| lagged.pending().is_some();
         self.step_report.factor_is_pending =
-            self.lagged.as_ref().is_some_and(|lagged| lagged.pending().is_some());
+            self.successor.is_some() || self.lagged.as_ref().is_some_and(is_pending);
         self.is_suspect |= self.elements.needs_stand_in();
     }
 
@@ -523,6 +525,10 @@ impl ImplicitEuler {
             self.refresh_here(factors);
             return;
         }
+        if self.successor.is_some() {
+            self.go_on_with_successor(factors);
+            return;
+        }
         if lagged.pending().is_some_and(|pending| !factors.fit(&pending.state)) {
             lagged.drop_pending();
         }
@@ -547,8 +553,42 @@ impl ImplicitEuler {
         }
     }
 
+    /// The next stage of the factor of an edited mesh.
+    fn go_on_with_successor(&mut self, factors: StepFactors) {
+        let Some(mut successor) = self.successor.take() else { return };
+        let free_axes = self.axes_that_move();
+        let edited = Edited { elements: &self.elements, terms: self.node_terms(), free_axes: &free_axes };
+        match successor.advance(&edited, || self.state_here(factors)) {
+            Some(lagged) => {
+                self.lagged = Some(*lagged);
+                self.note_factor();
+            }
+            None => self.successor = Some(successor),
+        }
+    }
+
+    /// What a factor made now depends on.
+    fn state_here(&self, factors: StepFactors) -> LaggedState {
+        let mut state = LaggedState::of_size(self.n_nodes(), self.elements.tets().len());
+        let here = Here {
+            displacement_m: &self.displacement_m,
+            is_held: &self.is_held,
+            elements: &self.elements,
+            factors,
+        };
+        here.write_into(&mut state);
+        state
+    }
+
     /// Recomputes the factor at the present displacements, at once.
     fn refresh_here(&mut self, factors: StepFactors) {
+        if self.successor.is_some() {
+            let state = self.state_here(factors);
+            if self.factor_at_once(state).is_ok() {
+                self.step_report.n_factors += 1;
+            }
+            return;
+        }
         let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
         let here = Here {
             displacement_m: &self.displacement_m,

@@ -1,9 +1,10 @@
-//! Edits: the element list, masses and the sparse pattern are rebuilt.
+//! Edits: the element list and masses are rebuilt, the factor follows ([`super::successor`]).
 
-use super::elements::{Elements, ElementsParams};
+use super::elements::{Elements, ElementsParams, Recovery};
 use super::ligaments::Ligaments;
 use super::newton::Scratch;
-use super::{Attachment, ImplicitEuler, ImplicitLaw, TopologyRefusal};
+use super::successor::Successor;
+use super::{Attachment, FactorAge, ImplicitEuler, ImplicitLaw, TopologyRefusal};
 use crate::model::topology_update::{TopologyUpdate, blend_tets};
 use glisson_mesh::fault;
 use glisson_mesh::math::DVec3;
@@ -41,16 +42,24 @@ impl ImplicitEuler {
             volume: self.volume,
             rest_stress_pa: &self.rest_stress_pa,
             is_viscous: self.relaxation.is_some(),
+            known: (change.moved_nodes.is_empty() && !change.is_renumbering()).then_some(&self.elements),
         });
         fault::check("implicit: elements")?;
         self.elements = elements
             .map_err(|_| refused("a tetrahedron that is left cannot bear the law; undo the last edit"))?;
         self.is_suspect = true;
-        self.elements.quarantine(&self.displacement_m, before);
+        // Parts of what is upright are upright; the next step looks.
+        if before != Recovery::None || !change.moved_nodes.is_empty() {
+            self.elements.quarantine(&self.displacement_m, before);
+        }
         self.n_reanalyses += 1;
         fault::check("implicit: factor")?;
-        self.analyse()
-            .map_err(|_| refused("the remaining mesh could not be factored; build the model anew"))?;
+        if self.lagged.is_some() && !self.elements.tets().is_empty() && !change.is_renumbering() {
+            self.serve_on(change);
+        } else {
+            self.analyse()
+                .map_err(|_| refused("the remaining mesh could not be factored; build the model anew"))?;
+        }
         // A held or loaded node that lost its last tetrahedron is released.
         for n in 0..self.n_nodes() {
             if !self.moves[n] {
@@ -65,6 +74,39 @@ impl ImplicitEuler {
         self.update_mask();
         self.publish();
         Ok(())
+    }
+
+    /// The old factor goes on to serve, and its successor begins.
+    fn serve_on(&mut self, change: &TopologyChange) {
+        self.weigh();
+        let mut now = self.lagged_state(self.time_step_s);
+        let Some(mut lagged) = self.lagged.take() else { return };
+        now.per_mass = lagged.state.per_mass;
+        now.per_stiffness = lagged.state.per_stiffness;
+        now.viscous_share = lagged.state.viscous_share;
+        let changed = change.tets.removed.iter().copied().chain(change.tets.added.iter().map(|(tet, _)| tet));
+        let of_changed = changed.flat_map(|tet| self.mesh.tetrahedra[tet.index()]);
+        let moved = change.moved_nodes.iter().copied();
+        lagged.serve_on(of_changed.chain(moved), &self.elements, self.node_terms(), &now);
+        self.lagged = Some(lagged);
+        self.successor = Some(Successor::default());
+        self.factor_version += 1;
+        self.age = FactorAge::default();
+    }
+
+    /// All of it before an edit. What stays behind has the same factor, for solutions alone; the edit begins a new successor, so the
+    /// present one goes too.
+    pub(super) fn before_edit(&mut self) -> Self {
+        let lagged = self.lagged.take();
+        let successor = self.successor.take();
+        let mut before = self.clone();
+        before.successor = successor;
+        before.lagged = lagged;
+        self.lagged = before.lagged.as_mut().map(|lagged| {
+            let whole = lagged.retire();
+            std::mem::replace(lagged, whole)
+        });
+        before
     }
 
     /// Grows the lists for an edit, and places new and moved nodes.

@@ -5,8 +5,8 @@ use super::organ::{OrganSource, required_point};
 use super::reader::{SceneError, Section};
 use crate::math::DVec3;
 use crate::tool::{
-    Blade, BladeCuts, CutRule, Grip, INSTRUMENTS, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind, ToolParts,
-    ToolShape, instrument_names,
+    Blade, BladeCuts, Burnt, CutRule, Grip, INSTRUMENTS, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind,
+    ToolParts, ToolShape, instrument_names,
 };
 use crate::units::Dimension;
 use std::path::PathBuf;
@@ -37,7 +37,10 @@ const DEFAULT_SHAFT_LENGTH_M: f64 = 0.3;
 const DEFAULT_JAWS: Jaws =
     Jaws { length_m: 0.02, width_m: 5e-3, greatest_opening_rad: 1.0, closing_force_n: 5.0 };
 const DEFAULT_BLADE: Blade = Blade { length_m: 0.02, cuts: BladeCuts::Subdivision };
-const DEFAULT_CUT: CutRule = CutRule { least_force_n: 0.05, least_time_s: 0.05, power_w: 0.0 };
+const DEFAULT_CUT: CutRule =
+    CutRule { least_force_n: 0.05, least_time_s: 0.05, power_w: 0.0, takes: Burnt::Tetrahedra };
+/// How much larger than the tip what it sweeps away is: a choice.
+const DEFAULT_BURN_DEPTH_M: f64 = 5e-4;
 
 /// How blades cut, as scenes write it.
 const BLADE_CUTS: [(&str, BladeCuts); 3] = [
@@ -66,17 +69,28 @@ pub(super) fn tool_sections<'a>(root: &mut Section<'a>) -> Result<Vec<Section<'a
     }
 }
 
-/// What ways to cut the blades of a scene may have.
-pub(super) struct BladeRules {
+/// What ways to cut the instruments of a scene may have.
+pub(super) struct CutRules {
     /// That of the blades read so far.
-    pub(super) known: Option<BladeCuts>,
+    known: Option<BladeCuts>,
+    /// Whether cuts are embedded, as far as instruments read so far say.
+    embeds: Option<bool>,
     /// That of blades whose table does not say.
     default: BladeCuts,
     /// Whether nodes move after cuts, which embedded ones cannot follow.
     mends_cuts: bool,
 }
 
-impl BladeRules {
+/// Whether what an instrument cuts is embedded, if it cuts in a way that can be.
+pub(super) fn embeds(kind: &ToolKind) -> Option<bool> {
+    match (kind.blade(), kind.burning()) {
+        (Some(blade), _) => Some(blade.cuts == BladeCuts::Embedded),
+        (_, Some(CutRule { takes: Burnt::Swept { .. }, .. })) => Some(true),
+        _ => None,
+    }
+}
+
+impl CutRules {
     pub(super) fn of(organ: &OrganSource, bodies: &[SceneBody], default: BladeCuts) -> Self {
         let of_bodies = bodies.iter().filter_map(|body| match &body.source {
             BodySource::Organ(organ, _) => Some(&**organ),
@@ -84,26 +98,30 @@ impl BladeRules {
         });
         let mends = std::iter::once(organ).chain(of_bodies).any(|organ| organ.mends_cuts);
         let default = if mends { BladeCuts::Subdivision } else { default };
-        Self { known: None, default, mends_cuts: mends }
+        Self { known: None, embeds: None, default, mends_cuts: mends }
     }
 
-    fn check(&self, cuts: BladeCuts) -> Result<(), String> {
-        let is_embedded = |cuts| cuts == BladeCuts::Embedded;
-        if is_embedded(cuts) && self.mends_cuts {
-            return Err("subdivision or displacement with mend_cuts, which moves nodes".into());
+    /// Notes what an instrument does.
+    pub(super) fn learn(&mut self, kind: &ToolKind) {
+        self.known = self.known.or(kind.blade().map(|blade| blade.cuts));
+        self.embeds = self.embeds.or(embeds(kind));
+    }
+
+    fn check(&self, is_embedded: bool, others: &str) -> Result<(), String> {
+        if is_embedded && self.mends_cuts {
+            return Err(format!("{others} with mend_cuts, which moves nodes"));
         }
-        if self.known.is_some_and(|known| is_embedded(known) != is_embedded(cuts)) {
-            return Err("embedded for all blades of the scene or for none".into());
+        if self.embeds.is_some_and(|embeds| embeds != is_embedded) {
+            return Err(format!(
+                "embedded cuts (blade_cuts = \"embedded\", burns = \"swept\") for all instruments of the scene or for none; for none: {others}"
+            ));
         }
         Ok(())
     }
 }
 
-pub(super) fn read_tool(
-    mut section: Section<'_>,
-    blades: &BladeRules,
-) -> Result<InstrumentSource, SceneError> {
-    let (kind, sticks) = read_kind(&mut section, blades)?;
+pub(super) fn read_tool(mut section: Section<'_>, cuts: &CutRules) -> Result<InstrumentSource, SceneError> {
+    let (kind, sticks) = read_kind(&mut section, cuts)?;
     let name = section.string("name")?.map_or_else(|| kind.name().to_string(), |n| n.0);
     let tip_radius_m = section
         .positive("tip_radius", Dimension::Length)?
@@ -154,7 +172,7 @@ pub(super) fn read_tool(
 }
 
 /// The kind of an instrument, and whether tissue sticks to such unless the scene knows how it slides.
-fn read_kind(section: &mut Section<'_>, blades: &BladeRules) -> Result<(ToolKind, bool), SceneError> {
+fn read_kind(section: &mut Section<'_>, cuts: &CutRules) -> Result<(ToolKind, bool), SceneError> {
     let Some((name, at)) = section.string("kind")? else { return Ok((ToolKind::PROBE, true)) };
     let Some(kind) = INSTRUMENTS.iter().find(|kind| kind.name == name) else {
         let allowed = instrument_names().collect::<Vec<_>>().join(", ");
@@ -162,19 +180,21 @@ fn read_kind(section: &mut Section<'_>, blades: &BladeRules) -> Result<(ToolKind
     };
     // Keys of parts that the kind does not have are unknown.
     let jaws = if kind.jaws.is_some() { read_jaws(section)? } else { DEFAULT_JAWS };
-    let blade = if kind.has_blade { read_blade(section, blades)? } else { DEFAULT_BLADE };
-    let burning = if kind.burns { read_cut(section)? } else { DEFAULT_CUT };
+    let blade = if kind.has_blade { read_blade(section, cuts)? } else { DEFAULT_BLADE };
+    let burning = if kind.burns { read_cut(section, cuts)? } else { DEFAULT_CUT };
     Ok((ToolKind::of(kind, &ToolParts { jaws, blade, burning }), kind.sticks))
 }
 
-fn read_blade(section: &mut Section<'_>, blades: &BladeRules) -> Result<Blade, SceneError> {
+fn read_blade(section: &mut Section<'_>, cuts: &CutRules) -> Result<Blade, SceneError> {
     let length_m = section.positive("blade_length", Dimension::Length)?.unwrap_or(DEFAULT_BLADE.length_m);
     let Some((way, at)) = section.string("blade_cuts")? else {
-        return Ok(Blade { length_m, cuts: blades.known.unwrap_or(blades.default) });
+        return Ok(Blade { length_m, cuts: cuts.known.unwrap_or(cuts.default) });
     };
     let named = BLADE_CUTS.into_iter().find(|(name, _)| *name == way).map(|(_, cuts)| cuts);
     let allowed = || BLADE_CUTS.map(|(name, _)| name).join(", ");
-    let checked = named.ok_or_else(allowed).and_then(|cuts| blades.check(cuts).map(|()| cuts));
+    let checked = named.ok_or_else(allowed).and_then(|named| {
+        cuts.check(named == BladeCuts::Embedded, "subdivision or displacement").map(|()| named)
+    });
     match checked {
         Ok(cuts) => Ok(Blade { length_m, cuts }),
         Err(allowed) => Err(section.wrong_value(at, "blade_cuts", format!("\"{way}\""), &allowed)),
@@ -193,12 +213,30 @@ fn read_jaws(section: &mut Section<'_>) -> Result<Jaws, SceneError> {
     })
 }
 
-fn read_cut(section: &mut Section<'_>) -> Result<CutRule, SceneError> {
+fn read_cut(section: &mut Section<'_>, cuts: &CutRules) -> Result<CutRule, SceneError> {
     let d = DEFAULT_CUT;
+    let is_swept = match section.string("burns")? {
+        None => false,
+        Some((way, at)) => {
+            let known = match way.as_str() {
+                "swept" => cuts.check(true, "tetrahedra").map(|()| true),
+                "tetrahedra" => Ok(false),
+                _ => Err("tetrahedra, swept".into()),
+            };
+            known.map_err(|allowed| section.wrong_value(at, "burns", format!("\"{way}\""), &allowed))?
+        }
+    };
+    let takes = if is_swept {
+        let depth_m = section.positive("burn_depth", Dimension::Length)?.unwrap_or(DEFAULT_BURN_DEPTH_M);
+        Burnt::Swept { depth_m }
+    } else {
+        d.takes
+    };
     Ok(CutRule {
         least_force_n: section.positive("cut_force", Dimension::Force)?.unwrap_or(d.least_force_n),
         least_time_s: section.positive("cut_time", Dimension::Time)?.unwrap_or(d.least_time_s),
         power_w: section.positive("power", Dimension::Power)?.unwrap_or(d.power_w),
+        takes,
     })
 }
 

@@ -4,7 +4,9 @@ use super::attachment::{AttachmentSource, read_attachment};
 use super::bodies::{BodySections, SceneBodies, SceneBody};
 use super::contact::{read_body_contact, read_contact};
 use super::hand::read_hand;
-use super::instrument::{BladeRules, InstrumentSource, PathPoint, read_tool, tool_on_path, tool_sections};
+use super::instrument::{
+    CutRules, InstrumentSource, PathPoint, embeds, read_tool, tool_on_path, tool_sections,
+};
 use super::organ::OrganSource;
 use super::reader::{SceneError, Section, parse_toml};
 use super::simulation::read_simulation;
@@ -97,11 +99,11 @@ impl Scene {
             }
             attachments.push(read_attachment(section, &bodies)?);
         }
-        let mut blades = BladeRules::of(&organ, &bodies, defaults.blade_cuts);
+        let mut cuts = CutRules::of(&organ, &bodies, defaults.blade_cuts);
         let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
         for section in tools {
-            let InstrumentSource { tool, path, shape } = read_tool(section, &blades)?;
-            blades.known = blades.known.or(tool.kind.blade().map(|blade| blade.cuts));
+            let InstrumentSource { tool, path, shape } = read_tool(section, &cuts)?;
+            cuts.learn(&tool.kind);
             scripted.push(tool);
             paths.push(path);
             tool_shapes.push(shape);
@@ -131,10 +133,9 @@ impl Scene {
         Ok(Self { world, organ, bodies, attachments, most_parts, paths, tool_shapes, text })
     }
 
-    /// Whether the cuts of its blades are embedded.
+    /// Whether the cuts of its instruments are embedded.
     pub fn embeds_cuts(&self) -> bool {
-        let mut blades = self.world.tools.iter().filter_map(|tool| tool.kind.blade());
-        blades.any(|blade| blade.cuts == BladeCuts::Embedded)
+        self.world.tools.iter().any(|tool| embeds(&tool.kind) == Some(true))
     }
 
     /// What the scripted tools do at `time_s`; the others stay at home.
@@ -167,6 +168,7 @@ mod tests {
     use super::*;
     use crate::material::law_named;
     use crate::math::DVec3;
+    use crate::tool::Burnt;
     use crate::tool::ToolKind;
     use crate::world::spec::LoadTime;
     use proptest::prelude::*;
@@ -257,6 +259,29 @@ trigger = 1
         assert!(message(&two.replace("\"grasper\"", "\"probe\"")).contains("unknown key"));
         let five = two.clone() + &grasper.repeat(3);
         assert!(message(&five).contains("5 instruments; allowed: 1 to 4"), "{}", message(&five));
+    }
+
+    #[test]
+    fn hot_tips_sweep_where_cuts_are_embedded() {
+        let hook = "[[tool]]\nkind = \"hook\"\ntip_radius = \"2 mm\"\nhome_tip = [\"0 mm\", \"0 mm\", \"0 mm\"]\nhome_shaft = [0, 0, 1]\n";
+        let base = SCENE.replace("[tool]", "[[tool]]") + "\n" + hook;
+        let takes = |text: &str| {
+            let scene = Scene::parse(text).unwrap();
+            (scene.world.tools[1].kind.burning().unwrap().takes, scene.embeds_cuts())
+        };
+        assert_eq!(takes(&base), (Burnt::Tetrahedra, false));
+        let swept = base.clone() + "burns = \"swept\"\n";
+        assert_eq!(takes(&swept), (Burnt::Swept { depth_m: 5e-4 }, true));
+        let deeper = swept.clone() + "burn_depth = \"1 mm\"\n";
+        assert_eq!(takes(&deeper), (Burnt::Swept { depth_m: 1e-3 }, true));
+        let message = |text: &str| Scene::parse(text).unwrap_err().to_string();
+        assert!(message(&(base.clone() + "burns = \"sweeps\"\n")).contains("tetrahedra, swept"));
+        assert!(message(&(base + "burn_depth = \"1 mm\"\n")).contains("unknown key"));
+        let divides = hook.replace("\"hook\"", "\"scalpel\"") + "blade_cuts = \"subdivision\"\n";
+        let mixed = message(&(swept.clone() + &divides));
+        assert!(mixed.contains("burns = \"swept\""), "{mixed}");
+        let embedded = swept + &divides.replace("subdivision", "embedded");
+        assert!(Scene::parse(&embedded).unwrap().embeds_cuts());
     }
 
     #[test]

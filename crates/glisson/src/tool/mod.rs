@@ -84,6 +84,21 @@ pub struct CutRule {
     /// Electrical power that heats what it touches until it comes apart [W]; 0: all goes after the time
     /// ([`cautery`]).
     pub power_w: f64,
+    /// What goes.
+    pub takes: Burnt,
+}
+
+/// What an active tip takes away.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Burnt {
+    /// Whole tetrahedra that it touches, or that its closed jaws hold.
+    Tetrahedra,
+    /// What lies in its ball, or in a capsule along its closed jaws, where it is and on its way there
+    /// ([`cut::subdivision::carving`]), for models with embedded cuts.
+    Swept {
+        /// How much larger than the tip the ball is [m]: tissue comes apart before the metal is there.
+        depth_m: f64,
+    },
 }
 
 /// What of an instrument touches tissue.

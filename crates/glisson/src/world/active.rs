@@ -1,16 +1,16 @@
-//! Edges and hot tips: what an instrument keeps of its cut from step to step.
+//! Edges and hot tips: what an instrument keeps of its cut from step to step, and how edges cut.
 
-use super::parts::ToolPart;
+use super::burn::{Burn, SweptHeat};
 use super::refusal::EditRefusal;
 use super::{BladeReport, ToolCuts, World};
 use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, MeshEdit, TopologyChange};
 use crate::mesh::quality::dihedral_cosine_range;
 use crate::mesh::{NodeId, TetId};
-use crate::tool::cautery::{HeatedTissue, TissueHeat};
+use crate::tool::cautery::TissueHeat;
 use crate::tool::cut::scalpel::{ScalpelCut, ScalpelParams};
 use crate::tool::cut::subdivision::{SubdivisionCut, SubdivisionParams};
-use crate::tool::{Blade, BladeCuts, CutRule, Tool};
+use crate::tool::{Blade, BladeCuts, Tool};
 
 /// Transactions of one blade in one step at most; what is left is done after the next one.
 const MOST_EDITS: usize = 64;
@@ -52,7 +52,8 @@ pub(super) struct ActiveTip {
     edge: Option<Edge>,
     /// Whether a stroke is under way.
     is_in_stroke: bool,
-    heat: TissueHeat,
+    pub(super) heat: TissueHeat,
+    pub(super) burn: Burn,
     /// Nodes of tetrahedra that the stroke changed.
     touched: Vec<NodeId>,
     /// What the stroke did so far.
@@ -62,6 +63,7 @@ pub(super) struct ActiveTip {
 /// What an edit found of an active tip.
 pub(super) struct ActiveBefore {
     heat: TissueHeat,
+    burn: SweptHeat,
     n_touched: usize,
 }
 
@@ -82,13 +84,20 @@ impl ActiveTip {
             None => None,
         };
         let n_warm = if tool.kind.burning().is_some() { MOST_WARM } else { 0 };
-        let heat = TissueHeat::with_room_for(n_warm);
-        Self { edge, is_in_stroke: false, heat, touched: Vec::new(), stroke: BladeReport::default() }
+        Self {
+            edge,
+            is_in_stroke: false,
+            heat: TissueHeat::with_room_for(n_warm),
+            burn: Burn::default(),
+            touched: Vec::new(),
+            stroke: BladeReport::default(),
+        }
     }
 
     /// Everything that the next cuts depend on and is not told by the mesh: the heat.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
-        self.heat.warm().iter().flat_map(|&(tet, heat)| [f64::from(tet.0), heat])
+        let of_tets = self.heat.warm().iter().flat_map(|&(tet, heat)| [f64::from(tet.0), heat]);
+        of_tets.chain(self.burn.swept.numbers())
     }
 
     /// Heat that a tetrahedron took up from it [J/m3].
@@ -98,7 +107,7 @@ impl ActiveTip {
 
     /// What an edit that is undone puts back.
     pub(super) fn before_edit(&self) -> ActiveBefore {
-        ActiveBefore { heat: self.heat.clone(), n_touched: self.touched.len() }
+        ActiveBefore { heat: self.heat.clone(), burn: self.burn.swept, n_touched: self.touched.len() }
     }
 
     /// An edit was undone: what was warm then is warm again, and the next stroke begins anew, because the front of
@@ -109,6 +118,7 @@ impl ActiveTip {
         self.lift();
         self.touched = touched;
         self.heat.clone_from(&before.heat);
+        self.burn.swept = before.burn;
     }
 
     /// The stroke is over; the next one begins where the blade then is. What was warm has cooled.
@@ -299,51 +309,6 @@ impl World {
                 }
             }
         }
-    }
-
-    /// What a hot tip takes away: all that it touches once it has been at work for long enough, or, for a rule with a
-    /// power, what has taken up enough heat. The time is seed `000`'s rule (s. 4.4.2): it counts no energy.
-    pub(super) fn burnt(&mut self, tool: usize, rule: &CutRule) -> Vec<TetId> {
-        let (hand, dt_s) = (&self.tool_states[tool], self.spec.time_step_s);
-        let tissue = HeatedTissue::LIVER;
-        let is_hot = rule.power_w > 0.0;
-        let is_at_work = hand.active_s > 0.0;
-        if !is_at_work {
-            self.active[tool].heat.cool_down(&tissue, dt_s);
-        }
-        // Without current only what was warmed before is weaker.
-        let is_looked_at =
-            if is_at_work { is_hot || hand.active_s >= rule.least_time_s } else { self.presses_warm(tool) };
-        if !is_looked_at {
-            self.tool_states[tool].overload.strength_left = 1.0;
-            return Vec::new();
-        }
-        let touched = match self.tool_states[tool].grasp {
-            Some(_) => self.tetrahedra_between_jaws(tool),
-            None => self.touched_tetrahedra(tool),
-        };
-        if !is_hot {
-            self.tool_states[tool].active_s = 0.0;
-            return touched;
-        }
-        let mut parted = Vec::new();
-        let heat = &mut self.active[tool].heat;
-        if is_at_work {
-            let mesh = self.organ.mesh();
-            let with_volumes = touched.iter().map(|&tet| (tet, mesh.tet_volume_m3(tet)));
-            heat.heat_up(&tissue, rule.power_w, with_volumes, dt_s, &mut parted);
-        }
-        let left = touched.iter().map(|&tet| tissue.strength_left(heat.of(tet)));
-        self.tool_states[tool].overload.strength_left = left.fold(1.0, f64::min);
-        parted
-    }
-
-    /// Whether a tip that is off loads tissue, and some is warm.
-    fn presses_warm(&self, tool: usize) -> bool {
-        let hand = &self.tool_states[tool];
-        let touches = |part: ToolPart| hand.contacts[part.index()].is_some();
-        let loads = hand.grasp.is_some() || touches(ToolPart::Tip) || touches(ToolPart::SecondJaw);
-        loads && !self.active[tool].heat.warm().is_empty()
     }
 }
 

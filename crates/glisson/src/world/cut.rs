@@ -1,8 +1,8 @@
 //! What the instruments cut, by their kind.
 //!
-//! Hook and cautery take away the tetrahedra that they touch once the force has reached a threshold (seed `000`,
-//! s. 4.4.2) and the current has been on for long enough, or has heated them enough; scissors those between their jaws
-//! when these close; a scalpel parts the mesh along its edge.
+//! Hook and cautery take away what they sweep, or the tetrahedra that they touch, once the force has reached a threshold (seed
+//! `000`, s. 4.4.2) and the current has been on for long enough, or has heated it enough ([`super::burn`]); scissors take the
+//! tetrahedra between their jaws when these close; a scalpel parts the mesh along its edge.
 
 use super::parts::{ToolPart, capsule};
 use super::tool_state::ToolState;
@@ -14,6 +14,7 @@ use crate::mesh::topology::TET_TRIANGLES;
 use crate::tool::fracture::scissors_force_n;
 use crate::tool::pose::ToolFrame;
 use crate::tool::{Jaws, Tool};
+use std::collections::HashSet;
 
 /// A tip that stands on the surface touches it but for rounding: this share of its radius is added to it.
 const REACH: f64 = 1.01;
@@ -24,8 +25,10 @@ const MOST_TRIANGLES: usize = 256;
 /// What the tools cut after a step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ToolCuts {
-    /// Tetrahedra that were taken out.
+    /// Tetrahedra that were taken out; parts of such, where hot tips take away what they sweep.
     pub n_removed: usize,
+    /// Volume at rest that hot tips swept away [m3].
+    pub burnt_m3: f64,
     /// Tetrahedra that tore under force ([`crate::world::spec::WorldSpec::tearing`]).
     pub n_torn: usize,
     /// Edits by which blades parted the mesh, and those that parted singular places and mended the mesh at a stroke's end.
@@ -94,7 +97,9 @@ impl World {
             let hand = &self.tool_states[tool];
             let kind = self.spec.tools[tool].kind;
             let tets = if let Some(rule) = kind.burning() {
-                self.burnt(tool, rule)
+                self.burn(tool, rule, &mut cuts);
+                self.tool_states[tool].just_closed = false;
+                continue;
             } else if let Some(blade) = kind.blade() {
                 self.cut_with_blade(tool, blade, &mut cuts);
                 continue;
@@ -110,14 +115,7 @@ impl World {
                 continue;
             };
             self.tool_states[tool].just_closed = false;
-            if tets.is_empty() {
-                continue;
-            }
-            let n_tets = tets.len();
-            match self.remove_and_part(tets) {
-                Ok(()) => cuts.n_removed += n_tets,
-                Err(refusal) => cuts.refusals.push((tool, refusal)),
-            }
+            self.take_away(tool, tets, &mut cuts);
         }
         self.tear(&mut cuts);
         self.blades.add(&cuts.blades);
@@ -178,7 +176,7 @@ impl World {
 
     /// Tetrahedra that `is_in` takes, ascending: those at surface triangles near a capsule, and on from neighbour to
     /// neighbour.
-    fn grown_from_surface(
+    pub(super) fn grown_from_surface(
         &self,
         around: &crate::contact::shapes::Capsule,
         is_in: impl Fn(TetId) -> bool,
@@ -190,15 +188,16 @@ impl World {
             topology.triangle_tets(self.organ.skin().place_of(contact).triangle)[0].get()
         });
         let mut tets: Vec<TetId> = Vec::new();
+        let mut is_known = HashSet::new();
         for tet in at_surface {
-            if !tets.contains(&tet) && is_in(tet) {
+            if is_known.insert(tet) && is_in(tet) {
                 tets.push(tet);
             }
         }
         let mut at = 0;
         while at < tets.len() {
             for neighbour in topology.tet_neighbours(tets[at]).into_iter().filter_map(|n| n.get()) {
-                if !tets.contains(&neighbour) && is_in(neighbour) {
+                if is_known.insert(neighbour) && is_in(neighbour) {
                     tets.push(neighbour);
                 }
             }

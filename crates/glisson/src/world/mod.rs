@@ -5,6 +5,7 @@
 
 mod active;
 pub mod bodies;
+mod burn;
 mod constrain;
 mod contact_points;
 mod cut;

@@ -6,6 +6,7 @@ mod model_meshes;
 mod active_trocar;
 mod bodies;
 mod capsule;
+mod carving;
 mod contact_constraint;
 mod contact_points;
 mod contact_response;

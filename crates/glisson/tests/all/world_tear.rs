@@ -9,7 +9,7 @@ use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
 use glisson::scene::{OrganBody, build_model};
 use glisson::tool::fracture::{CrackFront, FractureEnergy, Tearing};
-use glisson::tool::{Blade, BladeCuts, CutRule, Grip, Jaws, Tool, ToolInput, ToolKind};
+use glisson::tool::{Blade, BladeCuts, Burnt, CutRule, Grip, Jaws, Tool, ToolInput, ToolKind};
 use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{EditRefusal, StepInput, ToolCuts, World};
 
@@ -249,7 +249,7 @@ fn scissors_cut_are_taken_back_and_refuse() {
 
 #[test]
 fn cautery_burns_is_taken_back_and_refuses() {
-    let by_time = CutRule { least_force_n: 0.05, least_time_s: 0.01, power_w: 0.0 };
+    let by_time = CutRule { least_force_n: 0.05, least_time_s: 0.01, power_w: 0.0, takes: Burnt::Tetrahedra };
     cuts_and_is_taken_back(ToolKind::cautery(JAWS, by_time), None, 100);
     // A hundred kilowatts, because the block's tetrahedra are as large as a hazelnut.
     let by_heat = CutRule { power_w: 1e5, ..by_time };
@@ -260,7 +260,7 @@ fn cautery_burns_is_taken_back_and_refuses() {
 
 /// Bipolar jaws hold the edge, warm it for so many steps, and pull at it. Answers when they parted something and what tore.
 fn pulled_with_warm_jaws(warm_steps: u32) -> (Option<u32>, Motion) {
-    let by_heat = CutRule { least_force_n: 0.05, least_time_s: 0.01, power_w: 1e5 };
+    let by_heat = CutRule { least_force_n: 0.05, least_time_s: 0.01, power_w: 1e5, takes: Burnt::Tetrahedra };
     let mut world = world(ModelKind::Explicit, ToolKind::cautery(JAWS, by_heat), Some(60.0));
     let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, 0.04, SIZE_M - 2e-3) };
     world.step(&StepInput::of(&[open]).placed());

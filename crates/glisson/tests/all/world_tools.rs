@@ -9,7 +9,8 @@ use glisson::mesh::{EdgeId, TetId};
 use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
 use glisson::scene::{OrganBody, build_model};
-use glisson::tool::{Blade, BladeCuts, CutRule, Grip, Jaws, Tool, ToolInput, ToolKind, ToolShape};
+use glisson::tool::cautery::HeatedTissue;
+use glisson::tool::{Blade, BladeCuts, Burnt, CutRule, Grip, Jaws, Tool, ToolInput, ToolKind, ToolShape};
 use glisson::world::spec::{Load, LoadTime, Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{EditRefusal, StepInput, World};
 
@@ -27,8 +28,11 @@ fn tool(kind: ToolKind, friction: f64) -> Tool {
     Tool { kind, grip, shaft_radius_m: 2e-3, ..Tool::probe(kind.name(), 3e-3, above(0.05, 0.05, 0.2)) }
 }
 
-/// A soft block on a table, heavily damped.
+/// A soft block on a table, heavily damped. Its cuts are embedded where an instrument's are.
 fn world_of(kind: ModelKind, tools: Vec<Tool>) -> World {
+    let sweeps =
+        |tool: &Tool| tool.kind.burning().is_some_and(|rule| matches!(rule.takes, Burnt::Swept { .. }));
+    let embeds_cuts = tools.iter().any(sweeps);
     let mesh = block([5, 5, 5], DVec3::splat(SIZE_M));
     let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
     let mut spec = WorldSpec::new("block", TIME_STEP_S, tools[0].clone());
@@ -40,6 +44,7 @@ fn world_of(kind: ModelKind, tools: Vec<Tool>) -> World {
     let mut body = OrganBody::new(mesh, material, TIME_STEP_S);
     body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
     body.damping = Rayleigh { mass_per_s: 60.0, stiffness_s: 0.0 };
+    body.embeds_cuts = embeds_cuts;
     let model = build_model(&body, kind).unwrap();
     World::new(spec, body.mesh, model, kind).unwrap()
 }
@@ -232,7 +237,7 @@ fn glide_at(world: &mut World, pose: &ToolInput, steps: u32) -> DVec3 {
 
 #[test]
 fn a_hook_burns_away_what_it_presses_on_and_only_when_it_is_on() {
-    let rule = CutRule { least_force_n: 0.02, least_time_s: 0.01, power_w: 0.0 };
+    let rule = CutRule { least_force_n: 0.02, least_time_s: 0.01, power_w: 0.0, takes: Burnt::Tetrahedra };
     let mut world = world(vec![tool(ToolKind::hook(rule), 0.3)]);
     let start = above(0.05, 0.05, SIZE_M + 4e-3);
     world.step(&StepInput::of(&[start]).placed());
@@ -251,6 +256,72 @@ fn a_hook_burns_away_what_it_presses_on_and_only_when_it_is_on() {
     assert_eq!(cut(&mut world, 0.0), 0);
     let n_removed = cut(&mut world, 1.0);
     assert!(n_removed > 0 && world.organ().removed_tetrahedra().len() == n_removed, "{n_removed}");
+}
+
+/// A hook that sweeps goes into the block, burns a groove and comes out, with `power_w` or by time; what burnt [m3].
+fn burn_a_groove(world: &mut World) -> f64 {
+    let path = [(0.05, SIZE_M + 4e-3), (0.05, SIZE_M - 2e-3), (0.06, SIZE_M - 2e-3), (0.06, SIZE_M + 0.03)];
+    let [start, deep, end, out] = path.map(|(x_m, z_m)| above(x_m, 0.05, z_m));
+    world.step(&StepInput::of(&[start]).placed());
+    let mut burnt_m3 = 0.0;
+    for (from, to, steps, trigger) in [(start, deep, 200, 1.0), (deep, end, 500, 1.0), (end, out, 200, 0.0)] {
+        for k in 1..=steps {
+            let tip_in_world_m = from.tip_in_world_m.lerp(to.tip_in_world_m, f64::from(k) / f64::from(steps));
+            world.step(&StepInput::of(&[ToolInput { tip_in_world_m, trigger, ..to }]));
+            let cuts = world.cut_with_tools();
+            assert!(cuts.refusals.is_empty(), "{cuts:?}");
+            burnt_m3 += cuts.burnt_m3;
+        }
+    }
+    burnt_m3
+}
+
+#[test]
+fn a_hook_that_sweeps_burns_a_groove_for_its_energy_and_is_taken_back() {
+    let by_time = CutRule {
+        least_force_n: 1e-3,
+        least_time_s: 3e-3,
+        power_w: 0.0,
+        takes: Burnt::Swept { depth_m: 1e-3 },
+    };
+    let power_w = 500.0;
+    for kind in [ModelKind::Explicit, ModelKind::Implicit, ModelKind::TensorMass] {
+        for rule in [by_time, CutRule { power_w, ..by_time }] {
+            let hook = || vec![tool(ToolKind::hook(rule), 0.1)];
+            let mut world = world_of(kind, hook());
+            let (mesh, hash) = (world.organ().mesh().clone(), world.state_hash());
+            let burnt_m3 = burn_a_groove(&mut world);
+            // More than the ball takes of a flat surface, and no whole tetrahedra, each of which has 1,600 mm3.
+            assert!(burnt_m3 > 1.5e-8 && burnt_m3 < 1e-6, "{kind}: {burnt_m3}");
+            assert!((world.removed_volume_m3() - burnt_m3).abs() < 1e-15, "{kind}: {burnt_m3}");
+            if rule.power_w > 0.0 {
+                let heat_j = burnt_m3 * HeatedTissue::LIVER.heat_to_part_j_per_m3();
+                assert!(heat_j <= power_w * 700.0 * TIME_STEP_S, "{kind}: {heat_j} J");
+            }
+            let mut again = world_of(kind, hook());
+            burn_a_groove(&mut again);
+            assert_eq!(again.state_hash(), world.state_hash(), "{kind}: the same again");
+            world.set_undo_depth(1000);
+            let n_edits = world.n_edits_to_undo();
+            assert!(n_edits > 0 && world.undo_edit(), "{kind}");
+            assert!(world.removed_volume_m3() <= burnt_m3 && world.state_hash() != hash);
+            assert_eq!(mesh.positions_m, world.organ().mesh().positions_m[..mesh.positions_m.len()]);
+        }
+    }
+}
+
+/// A model that follows nothing but removals loses whole tetrahedra.
+#[test]
+fn a_hook_that_sweeps_takes_tetrahedra_from_a_model_that_cannot_be_divided() {
+    let rule = CutRule {
+        least_force_n: 1e-3,
+        least_time_s: 3e-3,
+        power_w: 0.0,
+        takes: Burnt::Swept { depth_m: 1e-3 },
+    };
+    let mut world = world_of(ModelKind::Precomputed, vec![tool(ToolKind::hook(rule), 0.1)]);
+    let burnt_m3 = burn_a_groove(&mut world);
+    assert!(burnt_m3 == 0.0 && world.removed_volume_m3() > 1e-7, "{}", world.removed_volume_m3());
 }
 
 #[test]

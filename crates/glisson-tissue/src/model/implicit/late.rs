@@ -11,7 +11,7 @@
 //! steps until a new factor is there.
 
 use super::elements::Elements;
-use super::lagged::{LaggedState, NodeTerms};
+use super::lagged_state::{LaggedState, NodeTerms};
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::NodeId;
 

@@ -29,6 +29,7 @@ mod elements;
 mod evaluation;
 mod general;
 mod lagged;
+mod lagged_state;
 mod lanes;
 mod late;
 mod law;
@@ -50,7 +51,8 @@ pub use newton::{ImplicitReport, ImplicitStatus};
 pub use params::{DEFAULT_TOLERANCE, ImplicitError, ImplicitParams};
 
 use self::elements::{Elements, ElementsParams, Recovery};
-use self::lagged::{Lagged, LaggedState, NodeTerms, Pending};
+use self::lagged::{Lagged, Pending};
+use self::lagged_state::{LaggedState, NodeTerms};
 use self::ligaments::Ligaments;
 use self::newton::{MOST_NEWTON_ITERATIONS, Scratch};
 use self::relaxation::Relaxation;

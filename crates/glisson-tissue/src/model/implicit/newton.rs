@@ -1,7 +1,8 @@
 //! One step: Newton's method, conjugate gradients, line search.
 
 use super::elements::{Elements, Recovery};
-use super::lagged::{Lagged, LaggedState, NodeTerms, Slice};
+use super::lagged::{Lagged, Slice};
+use super::lagged_state::{LaggedState, NodeTerms};
 use super::successor::Edited;
 use super::{FactorAge, ImplicitEuler};
 use glisson_mesh::math::DVec3;

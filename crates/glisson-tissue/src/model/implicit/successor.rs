@@ -6,7 +6,8 @@
 //! whenever steps are made. Stages allocate: they are work of the edit that is put off.
 
 use super::elements::Elements;
-use super::lagged::{Lagged, LaggedState, NodeTerms, Slice, system_of};
+use super::lagged::{Lagged, Slice, system_of};
+use super::lagged_state::{LaggedState, NodeTerms};
 use crate::solve::{FactorPattern, FreeSystem, MeshEdges, SolveError};
 use glisson_mesh::math::DVec3;
 

@@ -21,6 +21,7 @@
 //! ("Hybrid cutting of deformable solids", IEEE VR) snap nodes and divide edges.
 
 mod blend;
+pub mod carving;
 mod opening;
 mod patch;
 mod relaxing;

@@ -467,6 +467,16 @@ impl Patch {
         }
     }
 
+    /// Whether a face of the patch that has one tetrahedron there has one beside the patch too: a face of the mesh.
+    pub(super) fn has_neighbour_outside(&self, body: Body<'_>, face: [u32; 3]) -> bool {
+        let [Some(a), Some(b), Some(c)] = face.map(|n| self.nodes[n as usize].old) else { return false };
+        let topology = body.mesh.topology();
+        topology.node_tets(a).iter().any(|&tet| {
+            let nodes = topology.tet_nodes(tet);
+            self.tet_here[tet.index()] == ABSENT && nodes.contains(&b) && nodes.contains(&c)
+        })
+    }
+
     /// Area [m2] of a face in the present shape.
     pub(super) fn face_area_m2(&self, face: [u32; 3]) -> f64 {
         let [a, b, c] = face.map(|n| self.nodes[n as usize].present_m);

@@ -278,13 +278,18 @@ fn an_edit_overtakes_the_factor_and_is_taken_back() {
         }
         assert_eq!(bits(model.as_ref()), bits(kept.as_ref()), "{n_steps} steps");
     }
-    // One that is restored has the factor at once.
-    let snapshot = model.snapshot();
+    // One that is restored has the factor at once, before it is there and after.
+    let before = model.snapshot();
     let change = mesh.apply(&first).unwrap();
     model.topology_changed(mesh.mesh(), &change).unwrap();
-    model.restore(&snapshot);
-    body.go_on(&mut model, 0..1);
-    assert!(!model.step_report().factor_is_pending && !model.report().missed_tolerance);
+    body.go_on(&mut model, 0..2);
+    let pending = model.snapshot();
+    for (snapshot, n_steps) in [(&before, 0), (&pending, 25)] {
+        body.go_on(&mut model, 2..2 + n_steps);
+        model.restore(snapshot);
+        body.go_on(&mut model, 2..3);
+        assert!(!model.step_report().factor_is_pending && !model.report().missed_tolerance);
+    }
 }
 
 #[test]

@@ -450,7 +450,8 @@ impl ImplicitEuler {
         self.age = snapshot.age;
         self.is_suspect = true;
         self.elements.quarantine(&self.displacement_m, snapshot.recovery);
-        let fits = |state: &LaggedState| state.displacement_m.len() == self.n_nodes();
+        let sizes = [self.n_nodes(), self.elements.tets().len()];
+        let fits = |state: &LaggedState| [state.displacement_m.len(), state.strays.len()] == sizes;
         if self.successor.is_some() || !snapshot.lagged.as_ref().is_none_or(fits) {
             let state = self.lagged_state(self.time_step_s);
             // A body without a factor cannot move; it had one.

@@ -50,13 +50,20 @@ pub struct Carved {
 }
 
 /// Scratch of carving.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub struct Carving {
     patch: Patch,
     /// phi of each node of the patch [m], zero for those that count as on the wall.
     outside_m: Vec<f64>,
     /// Whether a tetrahedron of the patch goes.
     goes: Vec<bool>,
+}
+
+impl Clone for Carving {
+    /// Its contents do not matter.
+    fn clone(&self) -> Self {
+        Self::default()
+    }
 }
 
 impl Carving {

@@ -132,6 +132,7 @@ impl ActiveTip {
         self.touched.clear();
         self.stroke = BladeReport::default();
         self.heat.keep_live(|_| false);
+        self.burn.swept = SweptHeat::default();
     }
 
     /// Follows an edit that is not its own.

@@ -4,7 +4,7 @@
 //! them. It does so once the heat that went into the tissue pays for it, or, for a rule without a power, once it has been at work
 //! for long enough; then what the ball went through meanwhile goes too. It begins when it is pressed on tissue, and is at work for as
 //! long as the current is on and there is tissue in the ball: an arc needs no contact. The heat of what goes is that of its mass
-//! ([`HeatedTissue`]); what is over is kept while the tip is at work.
+//! ([`HeatedTissue`]); what is over is kept while the tip is at work, up to what the ball takes.
 
 use super::parts::ToolPart;
 use super::refusal::EditRefusal;
@@ -71,6 +71,10 @@ pub(super) struct Burn {
 impl World {
     /// What a hot tip does in a step.
     pub(super) fn burn(&mut self, tool: usize, rule: &CutRule, cuts: &mut ToolCuts) {
+        if !self.tool_states[tool].now.is_triggered() {
+            // Released: the next time begins anew.
+            self.active[tool].burn.swept = SweptHeat::default();
+        }
         match rule.takes {
             Burnt::Swept { depth_m } if !self.active[tool].burn.swept.takes_tetrahedra => {
                 self.burn_swept(tool, rule, depth_m, cuts);
@@ -138,7 +142,12 @@ impl World {
         let least = if swept.has_carved && !is_hot { LEAST_BY_TIME } else { LEAST_AT_FIRST };
         let least_m3 = least * cap_m3;
         let per_m3_j = if is_hot { HeatedTissue::LIVER.heat_to_part_j_per_m3() } else { 0.0 };
+        // What boils off in a cavity is not kept for later: no more than all of the ball takes.
+        let ball_m3 = 4.0 / 3.0 * std::f64::consts::PI * ball_m.powi(3);
+        swept.heat_j = swept.heat_j.min(swept.price_j.max(ball_m3 * per_m3_j));
         (swept.look_j, swept.active_s) = (swept.heat_j + 0.5 * least_m3 * per_m3_j, 0.0);
+        // Another tool may have cut in this step.
+        self.organ.refresh();
         let mut share = 1.0;
         for _ in 0..LOOKS {
             let Some(solid) = self.burnt_capsule(tool, share * depth_m, from_m) else { return swept };
@@ -213,6 +222,8 @@ impl World {
         (swept.look_j, swept.price_j) = (0.0, 0.0);
         swept.from_m = Some(tip_m);
         swept.has_carved = true;
+        // Parting is an edit of its own: taken back, it leaves the tip as it is now.
+        self.active[tool].burn.swept = swept;
         let near = self.organ.body().topology().nodes_near(&change);
         if let Err(refusal) = self.part_singular_places(&near) {
             cuts.refusals.push((tool, refusal));
@@ -231,6 +242,7 @@ impl World {
             return;
         }
         let ball = Capsule::ball(tip_m, self.spec.tools[tool].tip_radius_m);
+        self.organ.refresh();
         let mut found = Vec::with_capacity(1);
         self.organ.skin().nearest_into(&ball, KEPT_WITHIN * ball.radius_m, &mut found);
         let Some(nearest) = found.first() else { return };

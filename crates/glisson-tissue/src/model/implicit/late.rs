@@ -15,7 +15,7 @@ use super::lagged_state::{LaggedState, NodeTerms};
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::NodeId;
 
-/// The nodes that edits have changed.
+/// The nodes that edits have changed, ascending.
 #[derive(Clone, Default)]
 pub(super) struct Late {
     nodes: Vec<u32>,
@@ -26,13 +26,12 @@ pub(super) struct Late {
 }
 
 impl Late {
+    /// Counts a node in from the next update on.
     pub(super) fn add(&mut self, node: NodeId) {
         if self.is_late.len() <= node.index() {
             self.is_late.resize(node.index() + 1, false);
         }
-        if !std::mem::replace(&mut self.is_late[node.index()], true) {
-            self.nodes.push(node.0);
-        }
+        self.is_late[node.index()] = true;
     }
 
     fn has(&self, node: NodeId) -> bool {
@@ -41,6 +40,8 @@ impl Late {
 
     /// Computes the blocks at a state of the elements as they are.
     pub(super) fn update(&mut self, elements: &Elements, terms: NodeTerms<'_>, now: &LaggedState) {
+        self.nodes.clear();
+        self.nodes.extend((0_u32..).zip(&self.is_late).filter(|(_, is_late)| **is_late).map(|(n, _)| n));
         let mut vertex = vec![DMat3::ZERO; now.displacement_m.len()];
         let factors = now.factors();
         for t in 0..elements.tets().len() {

@@ -287,21 +287,19 @@ impl ImplicitEuler {
         self.balance_rest();
     }
 
-    /// Pattern and factor for a state of the mesh as it is.
+    /// Pattern and factor for a state of the mesh as it is. Without one, what there was serves on.
     fn factor_at_once(&mut self, state: LaggedState) -> Result<(), SolveError> {
-        self.factor_version += 1;
-        self.age = FactorAge::default();
-        self.lagged = None;
-        self.successor = None;
-        if self.elements.tets().is_empty() {
-            return Ok(());
-        }
         let free_axes = self.axes_that_move();
         let edited = Edited { elements: &self.elements, terms: self.node_terms(), free_axes: &free_axes };
         let new = |state| Lagged::new(edited.edges(), &free_axes, &self.elements, self.node_terms(), state);
         // Where the present shape has no factor, that of the rest shape is the preconditioner.
         let of_rest = state.at_rest();
-        self.lagged = Some(new(state).or_else(|_| new(of_rest))?);
+        let has_tets = !self.elements.tets().is_empty();
+        let lagged = has_tets.then(|| new(state).or_else(|_| new(of_rest))).transpose()?;
+        self.lagged = lagged;
+        self.successor = None;
+        self.factor_version += 1;
+        self.age = FactorAge::default();
         Ok(())
     }
 
@@ -454,7 +452,7 @@ impl ImplicitEuler {
         let fits = |state: &LaggedState| [state.displacement_m.len(), state.strays.len()] == sizes;
         if self.successor.is_some() || !snapshot.lagged.as_ref().is_none_or(fits) {
             let state = self.lagged_state(self.time_step_s);
-            // A body without a factor cannot move; it had one.
+            // Without one, the next steps look for it.
             let _ = self.factor_at_once(state);
         } else if let (Some(lagged), Some(state)) = (&mut self.lagged, &snapshot.lagged) {
             let nodes = NodeTerms {

@@ -41,11 +41,13 @@ enum Stage {
 #[derive(Clone, Default)]
 pub(super) struct Successor {
     stage: Stage,
+    /// Whether the present shape had no factor: that of the rest shape is made.
+    is_of_rest: bool,
 }
 
 impl Successor {
     /// Makes the next stage or slice; gives the factor when its values are there. `now` is asked for the state that these are
-    /// made for. Where there is no factor, all begins anew.
+    /// made for. Where there is no factor, all begins anew for the rest shape.
     pub(super) fn advance(
         &mut self,
         edited: &Edited<'_>,
@@ -59,14 +61,20 @@ impl Successor {
             Stage::Pattern(edges, system) => {
                 system.pattern_of_factor().map(|pattern| Stage::Plan(edges, (system, pattern)))
             }
-            Stage::Plan(edges, system) => ordered(edges, system, edited, now()),
+            Stage::Plan(edges, system) => {
+                let state = if self.is_of_rest { now().at_rest() } else { now() };
+                ordered(edges, system, edited, state)
+            }
             Stage::Values(mut lagged) => match lagged.advance(edited.elements, edited.terms) {
                 Slice::Underway => Ok(Stage::Values(lagged)),
                 Slice::Serves => {
                     lagged.complete();
                     return Some(lagged);
                 }
-                Slice::Failed => Ok(Stage::Edges),
+                Slice::Failed => {
+                    self.is_of_rest = true;
+                    Ok(Stage::Edges)
+                }
             },
         };
         self.stage = next.unwrap_or_default();
@@ -86,7 +94,7 @@ impl Successor {
             let n_slices = lagged.pending().map_or(0, |pending| pending.n_slices);
             lagged.state.numbers().chain(std::iter::once(f64::from(n_slices)))
         });
-        std::iter::once(f64::from(stage)).chain(of_values)
+        [f64::from(stage), f64::from(u8::from(self.is_of_rest))].into_iter().chain(of_values)
     }
 }
 

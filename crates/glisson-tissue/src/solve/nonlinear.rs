@@ -415,10 +415,7 @@ impl<'a, B: StaticBody> Newton<'a, B> {
     fn new<M>(body: B, problem: &NonlinearProblem<'a, M>) -> Result<Self, NonlinearError> {
         let n_nodes = problem.mesh.positions_m.len();
         let zero = vec![DVec3::ZERO; n_nodes];
-        let mut tensors = StiffnessTensors {
-            vertex: vec![DMat3::ZERO; n_nodes],
-            edge: vec![DMat3::ZERO; body.edges().nodes.len()],
-        };
+        let mut tensors = StiffnessTensors::zeros(n_nodes, body.edges());
         body.stiffness_into(&zero, TangentKind::Exact, &mut tensors);
         let system = FreeSystem::new(body.edges(), &tensors, problem.conditions)?;
         let factor = system.factorize()?;

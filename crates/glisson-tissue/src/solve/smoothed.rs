@@ -536,10 +536,7 @@ pub fn solve_static_smoothed(
         other => unreachable!("one linear law with finite moduli: {other}"),
     })?;
     let n_nodes = problem.mesh.positions_m.len();
-    let mut tensors = StiffnessTensors {
-        vertex: vec![DMat3::ZERO; n_nodes],
-        edge: vec![DMat3::ZERO; body.pairs.nodes.len()],
-    };
+    let mut tensors = StiffnessTensors::zeros(n_nodes, &body.pairs);
     body.stiffness_into(&vec![DVec3::ZERO; n_nodes], TangentKind::Exact, &mut tensors);
     solve_assembled(problem, &body.pairs, &tensors)
 }

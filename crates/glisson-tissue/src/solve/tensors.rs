@@ -90,6 +90,11 @@ pub struct StiffnessTensors {
 }
 
 impl StiffnessTensors {
+    /// No stiffness.
+    pub(crate) fn zeros(n_nodes: usize, edges: &MeshEdges) -> Self {
+        Self { vertex: vec![DMat3::ZERO; n_nodes], edge: vec![DMat3::ZERO; edges.nodes.len()] }
+    }
+
     /// Accumulates the tensors of all tetrahedra, in their order.
     ///
     /// # Errors
@@ -107,10 +112,7 @@ impl StiffnessTensors {
         edges: &MeshEdges,
         stiffness_of: impl Fn(TetId, &P1Gradients) -> TetStiffness,
     ) -> Result<Self, SolveError> {
-        let mut tensors = Self {
-            vertex: vec![DMat3::ZERO; mesh.positions_m.len()],
-            edge: vec![DMat3::ZERO; edges.nodes.len()],
-        };
+        let mut tensors = Self::zeros(mesh.positions_m.len(), edges);
         for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
             let tet = TetId::from_index(t);
             let stiffness = stiffness_of(tet, &P1Gradients::of_tet(mesh, tet)?);

@@ -168,8 +168,7 @@ mod tests {
     use super::*;
     use crate::material::law_named;
     use crate::math::DVec3;
-    use crate::tool::Burnt;
-    use crate::tool::ToolKind;
+    use crate::tool::{Burnt, ToolKind};
     use crate::world::spec::LoadTime;
     use proptest::prelude::*;
 

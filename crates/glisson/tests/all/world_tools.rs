@@ -17,6 +17,8 @@ use glisson::world::{EditRefusal, StepInput, World};
 const SIZE_M: f64 = 0.1;
 const TIME_STEP_S: f64 = 3e-4;
 const JAWS: Jaws = Jaws { length_m: 0.02, width_m: 0.01, greatest_opening_rad: 1.2, closing_force_n: 10.0 };
+const SWEPT_BY_TIME: CutRule =
+    CutRule { least_force_n: 1e-3, least_time_s: 3e-3, power_w: 0.0, takes: Burnt::Swept { depth_m: 1e-3 } };
 
 /// Where a tool that comes from above has its tip.
 fn above(x_m: f64, y_m: f64, z_m: f64) -> ToolInput {
@@ -278,15 +280,9 @@ fn burn_a_groove(world: &mut World) -> f64 {
 
 #[test]
 fn a_hook_that_sweeps_burns_a_groove_for_its_energy_and_is_taken_back() {
-    let by_time = CutRule {
-        least_force_n: 1e-3,
-        least_time_s: 3e-3,
-        power_w: 0.0,
-        takes: Burnt::Swept { depth_m: 1e-3 },
-    };
     let power_w = 500.0;
     for kind in [ModelKind::Explicit, ModelKind::Implicit, ModelKind::TensorMass] {
-        for rule in [by_time, CutRule { power_w, ..by_time }] {
+        for rule in [SWEPT_BY_TIME, CutRule { power_w, ..SWEPT_BY_TIME }] {
             let hook = || vec![tool(ToolKind::hook(rule), 0.1)];
             let mut world = world_of(kind, hook());
             let (mesh, hash) = (world.organ().mesh().clone(), world.state_hash());
@@ -313,13 +309,7 @@ fn a_hook_that_sweeps_burns_a_groove_for_its_energy_and_is_taken_back() {
 /// A model that follows nothing but removals loses whole tetrahedra.
 #[test]
 fn a_hook_that_sweeps_takes_tetrahedra_from_a_model_that_cannot_be_divided() {
-    let rule = CutRule {
-        least_force_n: 1e-3,
-        least_time_s: 3e-3,
-        power_w: 0.0,
-        takes: Burnt::Swept { depth_m: 1e-3 },
-    };
-    let mut world = world_of(ModelKind::Precomputed, vec![tool(ToolKind::hook(rule), 0.1)]);
+    let mut world = world_of(ModelKind::Precomputed, vec![tool(ToolKind::hook(SWEPT_BY_TIME), 0.1)]);
     let burnt_m3 = burn_a_groove(&mut world);
     assert!(burnt_m3 == 0.0 && world.removed_volume_m3() > 1e-7, "{}", world.removed_volume_m3());
 }

@@ -103,10 +103,7 @@ impl Lagged {
     ) -> Result<Self, SolveError> {
         let factor = system.factor_for_slices(pattern)?;
         let n_nodes = state.displacement_m.len();
-        let tensors = StiffnessTensors {
-            vertex: vec![DMat3::ZERO; n_nodes],
-            edge: vec![DMat3::ZERO; edges.nodes.len()],
-        };
+        let tensors = StiffnessTensors::zeros(n_nodes, &edges);
         let scratch = factor.scratch(1);
         let free = vec![0.0; system.n_free()];
         let next = Next {
@@ -311,10 +308,7 @@ impl Lagged {
 
 /// Order and pattern of a matrix of zeros. `free_axes`: 1 for each axis along which a node can move, 0 for the others.
 pub(super) fn system_of(edges: &MeshEdges, free_axes: &[DVec3]) -> Result<FreeSystem, SolveError> {
-    let zeros = StiffnessTensors {
-        vertex: vec![DMat3::ZERO; free_axes.len()],
-        edge: vec![DMat3::ZERO; edges.nodes.len()],
-    };
+    let zeros = StiffnessTensors::zeros(free_axes.len(), edges);
     let mut conditions = BoundaryConditions::new();
     for (n, free) in free_axes.iter().enumerate() {
         for axis in (0..3).filter(|&axis| free[axis] == 0.0) {

@@ -291,7 +291,7 @@ impl ImplicitEuler {
     fn factor_at_once(&mut self, state: LaggedState) -> Result<(), SolveError> {
         let free_axes = self.axes_that_move();
         let edited = Edited { elements: &self.elements, terms: self.node_terms(), free_axes: &free_axes };
-        let new = |state| Lagged::new(edited.edges(), &free_axes, &self.elements, self.node_terms(), state);
+        let new = |state| Lagged::new(edited.edges(), &free_axes, edited.elements, edited.terms, state);
         // Where the present shape has no factor, that of the rest shape is the preconditioner.
         let of_rest = state.at_rest();
         let has_tets = !self.elements.tets().is_empty();

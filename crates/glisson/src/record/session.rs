@@ -18,11 +18,13 @@ use std::io::{self, Write};
 pub const MOST_SUBSTEPS: u32 = 1000;
 
 /// Format version written. Version 1 had one instrument, whose contact was found otherwise, and is not read.
-pub const SESSION_VERSION: u32 = 4;
+pub const SESSION_VERSION: u32 = 5;
 /// The first version whose scenes have a hand that gives way where they say nothing of one.
 pub const FIRST_VERSION_WITH_HAND: u32 = 3;
 /// From this version on, cuts of blades whose scene does not say otherwise are embedded.
 pub const FIRST_VERSION_WITH_EMBEDDED_CUTS: u32 = 4;
+/// From this version on, scissors whose scene does not say otherwise part tissue along their edges.
+pub const FIRST_VERSION_WITH_PARTING_SCISSORS: u32 = 5;
 const OLDEST_VERSION: u32 = 2;
 const FORMAT: &str = "glisson-session";
 
@@ -428,7 +430,7 @@ mod tests {
         let (_, text) = sample();
         let with = |from: &str, to: &str| parse_session(&text.replace(from, to)).unwrap_err().to_string();
         assert!(with("\"step\":10", "\"step\":3").starts_with("line 4: step 3 comes after step 5"));
-        assert!(with("\"version\":4", "\"version\":1").contains("version 1, recorded by Glisson"));
+        assert!(with("\"version\":5", "\"version\":1").contains("version 1, recorded by Glisson"));
         assert!(
             with("\"placed\":[1]", "\"placed\":[2]").starts_with("line 2: placed names instrument 2 of 2")
         );

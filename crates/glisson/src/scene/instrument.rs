@@ -5,8 +5,8 @@ use super::organ::{OrganSource, required_point};
 use super::reader::{SceneError, Section};
 use crate::math::DVec3;
 use crate::tool::{
-    Blade, BladeCuts, Burnt, CutRule, Grip, INSTRUMENTS, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind,
-    ToolParts, ToolShape, instrument_names,
+    Blade, BladeCuts, Burnt, CutRule, Grip, INSTRUMENTS, JawUse, Jaws, MAX_TOOLS, Snip, Tool, ToolInput,
+    ToolKind, ToolParts, ToolShape, instrument_names,
 };
 use crate::units::Dimension;
 use std::path::PathBuf;
@@ -37,17 +37,23 @@ const DEFAULT_SHAFT_LENGTH_M: f64 = 0.3;
 const DEFAULT_JAWS: Jaws =
     Jaws { length_m: 0.02, width_m: 5e-3, greatest_opening_rad: 1.0, closing_force_n: 5.0 };
 const DEFAULT_BLADE: Blade = Blade { length_m: 0.02, cuts: BladeCuts::Subdivision };
+const DEFAULT_SNIP: Snip = Snip::Tetrahedra;
 const DEFAULT_CUT: CutRule =
     CutRule { least_force_n: 0.05, least_time_s: 0.05, power_w: 0.0, takes: Burnt::Tetrahedra };
 /// How much larger than the tip what it sweeps away is: a choice.
 const DEFAULT_BURN_DEPTH_M: f64 = 5e-4;
 
-/// How blades cut, as scenes write it.
+/// How blades cut, as scenes write it, and scissors.
 const BLADE_CUTS: [(&str, BladeCuts); 3] = [
     ("embedded", BladeCuts::Embedded),
     ("subdivision", BladeCuts::Subdivision),
     ("displacement", BladeCuts::Displacement),
 ];
+const SNIPS: [(&str, Snip); 3] =
+    [("embedded", Snip::Embedded), ("subdivision", Snip::Subdivision), (WHOLE_TETRAHEDRA, Snip::Tetrahedra)];
+
+/// How scenes write that an instrument takes whole tetrahedra.
+const WHOLE_TETRAHEDRA: &str = "tetrahedra";
 
 /// Friction of tissue on an instrument whose table does not say otherwise: a choice.
 const DEFAULT_FRICTION: f64 = 0.3;
@@ -77,34 +83,46 @@ pub(super) struct CutRules {
     embeds: Option<bool>,
     /// That of blades whose table does not say.
     default: BladeCuts,
+    /// Whether scissors whose table does not say part tissue along their edges.
+    scissors_part: bool,
     /// Whether nodes move after cuts, which embedded ones cannot follow.
     mends_cuts: bool,
 }
 
 /// Whether what an instrument cuts is embedded, if it cuts in a way that can be.
 pub(super) fn embeds(kind: &ToolKind) -> Option<bool> {
-    match (kind.blade(), kind.burning()) {
-        (Some(blade), _) => Some(blade.cuts == BladeCuts::Embedded),
+    match (kind.edge_cuts(), kind.burning()) {
+        (Some(cuts), _) => Some(cuts == BladeCuts::Embedded),
         (_, Some(CutRule { takes: Burnt::Swept { .. }, .. })) => Some(true),
         _ => None,
     }
 }
 
 impl CutRules {
-    pub(super) fn of(organ: &OrganSource, bodies: &[SceneBody], default: BladeCuts) -> Self {
+    /// With these ways to cut of blades whose table does not say, and whether scissors part tissue.
+    pub(super) fn of(
+        organ: &OrganSource,
+        bodies: &[SceneBody],
+        (default, scissors_part): (BladeCuts, bool),
+    ) -> Self {
         let of_bodies = bodies.iter().filter_map(|body| match &body.source {
             BodySource::Organ(organ, _) => Some(&**organ),
             BodySource::Rigid(_) => None,
         });
         let mends = std::iter::once(organ).chain(of_bodies).any(|organ| organ.mends_cuts);
         let default = if mends { BladeCuts::Subdivision } else { default };
-        Self { known: None, embeds: None, default, mends_cuts: mends }
+        Self { known: None, embeds: None, default, scissors_part, mends_cuts: mends }
     }
 
     /// Notes what an instrument does.
     pub(super) fn learn(&mut self, kind: &ToolKind) {
-        self.known = self.known.or(kind.blade().map(|blade| blade.cuts));
+        self.known = self.known.or(kind.edge_cuts());
         self.embeds = self.embeds.or(embeds(kind));
+    }
+
+    /// The way to cut of an edge whose table does not say.
+    fn unsaid(&self) -> BladeCuts {
+        self.known.unwrap_or(self.default)
     }
 
     fn check(&self, is_embedded: bool, others: &str) -> Result<(), String> {
@@ -182,22 +200,40 @@ fn read_kind(section: &mut Section<'_>, cuts: &CutRules) -> Result<(ToolKind, bo
     let jaws = if kind.jaws.is_some() { read_jaws(section)? } else { DEFAULT_JAWS };
     let blade = if kind.has_blade { read_blade(section, cuts)? } else { DEFAULT_BLADE };
     let burning = if kind.burns { read_cut(section, cuts)? } else { DEFAULT_CUT };
-    Ok((ToolKind::of(kind, &ToolParts { jaws, blade, burning }), kind.sticks))
+    let snip = if kind.jaws == Some(JawUse::Part) { read_snip(section, cuts)? } else { DEFAULT_SNIP };
+    Ok((ToolKind::of(kind, &ToolParts { jaws, blade, burning, snip }), kind.sticks))
 }
 
-fn read_blade(section: &mut Section<'_>, cuts: &CutRules) -> Result<Blade, SceneError> {
+fn read_blade(section: &mut Section<'_>, rules: &CutRules) -> Result<Blade, SceneError> {
     let length_m = section.positive("blade_length", Dimension::Length)?.unwrap_or(DEFAULT_BLADE.length_m);
-    let Some((way, at)) = section.string("blade_cuts")? else {
-        return Ok(Blade { length_m, cuts: cuts.known.unwrap_or(cuts.default) });
-    };
-    let named = BLADE_CUTS.into_iter().find(|(name, _)| *name == way).map(|(_, cuts)| cuts);
-    let allowed = || BLADE_CUTS.map(|(name, _)| name).join(", ");
-    let checked = named.ok_or_else(allowed).and_then(|named| {
-        cuts.check(named == BladeCuts::Embedded, "subdivision or displacement").map(|()| named)
-    });
-    match checked {
-        Ok(cuts) => Ok(Blade { length_m, cuts }),
-        Err(allowed) => Err(section.wrong_value(at, "blade_cuts", format!("\"{way}\""), &allowed)),
+    let named = read_edge_cuts(section, &BLADE_CUTS, |cuts: BladeCuts| {
+        rules.check(cuts == BladeCuts::Embedded, "subdivision or displacement")
+    })?;
+    Ok(Blade { length_m, cuts: named.unwrap_or_else(|| rules.unsaid()) })
+}
+
+/// What scissors do with what they close on.
+fn read_snip(section: &mut Section<'_>, rules: &CutRules) -> Result<Snip, SceneError> {
+    let named = read_edge_cuts(section, &SNIPS, |snip: Snip| match snip.edge_cuts() {
+        Some(cuts) => rules.check(cuts == BladeCuts::Embedded, "subdivision or tetrahedra"),
+        None => Ok(()),
+    })?;
+    let unsaid = if rules.scissors_part { Snip::beside(rules.unsaid()) } else { Snip::Tetrahedra };
+    Ok(named.unwrap_or(unsaid))
+}
+
+/// How edges cut, one of some `ways`, as their table says it.
+fn read_edge_cuts<W: Copy>(
+    section: &mut Section<'_>,
+    ways: &[(&str, W)],
+    check: impl FnOnce(W) -> Result<(), String>,
+) -> Result<Option<W>, SceneError> {
+    let Some((name, at)) = section.string("blade_cuts")? else { return Ok(None) };
+    let named = ways.iter().find(|(known, _)| *known == name).map(|(_, way)| *way);
+    let allowed = || ways.iter().map(|(known, _)| *known).collect::<Vec<_>>().join(", ");
+    match named.ok_or_else(allowed).and_then(|way| check(way).map(|()| way)) {
+        Ok(way) => Ok(Some(way)),
+        Err(allowed) => Err(section.wrong_value(at, "blade_cuts", format!("\"{name}\""), &allowed)),
     }
 }
 
@@ -220,7 +256,7 @@ fn read_cut(section: &mut Section<'_>, cuts: &CutRules) -> Result<CutRule, Scene
         Some((way, at)) => {
             let known = match way.as_str() {
                 "swept" => cuts.check(true, "tetrahedra").map(|()| true),
-                "tetrahedra" => Ok(false),
+                WHOLE_TETRAHEDRA => Ok(false),
                 _ => Err("tetrahedra, swept".into()),
             };
             known.map_err(|allowed| section.wrong_value(at, "burns", format!("\"{way}\""), &allowed))?

@@ -10,7 +10,10 @@ use super::instrument::{
 use super::organ::OrganSource;
 use super::reader::{SceneError, Section, parse_toml};
 use super::simulation::read_simulation;
-use crate::record::session::{FIRST_VERSION_WITH_EMBEDDED_CUTS, FIRST_VERSION_WITH_HAND, SessionHeader};
+use crate::record::session::{
+    FIRST_VERSION_WITH_EMBEDDED_CUTS, FIRST_VERSION_WITH_HAND, FIRST_VERSION_WITH_PARTING_SCISSORS,
+    SessionHeader,
+};
 use crate::tool::{BladeCuts, MAX_TOOLS};
 use crate::world::StepInput;
 use crate::world::spec::{Hand, WorldSpec};
@@ -44,6 +47,7 @@ const SCENE_VERSION: f64 = 1.0;
 struct Defaults {
     hand: Option<Hand>,
     blade_cuts: BladeCuts,
+    scissors_part: bool,
 }
 
 impl Scene {
@@ -52,12 +56,14 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] with the line of the first mistake.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
-        Self::parse_with(text, &Defaults { hand: Some(Hand::default()), blade_cuts: BladeCuts::Embedded })
+        let (hand, blade_cuts) = (Some(Hand::default()), BladeCuts::Embedded);
+        Self::parse_with(text, &Defaults { hand, blade_cuts, scissors_part: true })
     }
 
     /// Reads the scene of a recorded session, as it was understood when the session was recorded: before
     /// [`FIRST_VERSION_WITH_HAND`] instruments of scenes that say nothing of a hand imposed their motion, and before
-    /// [`FIRST_VERSION_WITH_EMBEDDED_CUTS`] blades divided tetrahedra.
+    /// [`FIRST_VERSION_WITH_EMBEDDED_CUTS`] blades divided tetrahedra; before [`FIRST_VERSION_WITH_PARTING_SCISSORS`] scissors took
+    /// whole ones.
     ///
     /// # Errors
     /// [`SceneError`] with the line of the first mistake.
@@ -65,7 +71,8 @@ impl Scene {
         let hand = (header.version >= FIRST_VERSION_WITH_HAND).then(Hand::default);
         let is_embedded = header.version >= FIRST_VERSION_WITH_EMBEDDED_CUTS;
         let blade_cuts = if is_embedded { BladeCuts::Embedded } else { BladeCuts::Subdivision };
-        Self::parse_with(&header.scene, &Defaults { hand, blade_cuts })
+        let scissors_part = header.version >= FIRST_VERSION_WITH_PARTING_SCISSORS;
+        Self::parse_with(&header.scene, &Defaults { hand, blade_cuts, scissors_part })
     }
 
     fn parse_with(text: &str, defaults: &Defaults) -> Result<Self, SceneError> {
@@ -99,7 +106,7 @@ impl Scene {
             }
             attachments.push(read_attachment(section, &bodies)?);
         }
-        let mut cuts = CutRules::of(&organ, &bodies, defaults.blade_cuts);
+        let mut cuts = CutRules::of(&organ, &bodies, (defaults.blade_cuts, defaults.scissors_part));
         let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
         for section in tools {
             let InstrumentSource { tool, path, shape } = read_tool(section, &cuts)?;
@@ -168,7 +175,7 @@ mod tests {
     use super::*;
     use crate::material::law_named;
     use crate::math::DVec3;
-    use crate::tool::{Burnt, ToolKind};
+    use crate::tool::{Burnt, Snip, ToolKind};
     use crate::world::spec::LoadTime;
     use proptest::prelude::*;
 
@@ -281,6 +288,40 @@ trigger = 1
         assert!(mixed.contains("burns = \"swept\""), "{mixed}");
         let embedded = swept + &divides.replace("subdivision", "embedded");
         assert!(Scene::parse(&embedded).unwrap().embeds_cuts());
+    }
+
+    #[test]
+    fn scissors_part_as_the_scenes_blades_cut() {
+        let scissors = "[[tool]]\nkind = \"scissors\"\ntip_radius = \"2 mm\"\nhome_tip = [\"0 mm\", \"0 mm\", \"0 mm\"]\nhome_shaft = [0, 0, 1]\n";
+        let scalpel = |cuts: &str| {
+            let blade = scissors.replace("scissors", "scalpel");
+            format!("{}\n{blade}blade_cuts = \"{cuts}\"\n", SCENE.replace("[tool]", "[[tool]]"))
+        };
+        let snip = |scene: &Scene| scene.world.tools.last().unwrap().kind.parting_jaws().unwrap().1;
+        let of = |text: &str| Scene::parse(text).map(|scene| snip(&scene));
+        let alone = SCENE.replace("[tool]", "[[tool]]") + "\n" + scissors;
+        assert_eq!(of(&alone).unwrap(), Snip::Embedded);
+        assert!(Scene::parse(&alone).unwrap().embeds_cuts());
+        for (cuts, expected) in [
+            ("embedded", Snip::Embedded),
+            ("subdivision", Snip::Subdivision),
+            ("displacement", Snip::Tetrahedra),
+        ] {
+            assert_eq!(of(&(scalpel(cuts) + scissors)).unwrap(), expected);
+        }
+        let whole = alone.clone() + "blade_cuts = \"tetrahedra\"\n";
+        assert_eq!(of(&whole).unwrap(), Snip::Tetrahedra);
+        let mixed =
+            of(&(scalpel("subdivision") + scissors + "blade_cuts = \"embedded\"\n")).unwrap_err().to_string();
+        assert!(mixed.contains("for none: subdivision or tetrahedra"), "{mixed}");
+        let moved = of(&(alone.clone() + "blade_cuts = \"displacement\"\n")).unwrap_err().to_string();
+        assert!(moved.contains("allowed: embedded, subdivision, tetrahedra"), "{moved}");
+        // Sessions from before take whole tetrahedra.
+        let mut header = SessionHeader::new(alone, String::new());
+        assert_eq!(snip(&Scene::parse_recorded(&header).unwrap()), Snip::Embedded);
+        header.version = FIRST_VERSION_WITH_PARTING_SCISSORS - 1;
+        let before = Scene::parse_recorded(&header).unwrap();
+        assert_eq!((snip(&before), before.embeds_cuts()), (Snip::Tetrahedra, false));
     }
 
     #[test]

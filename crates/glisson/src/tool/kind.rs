@@ -1,6 +1,6 @@
 //! What an instrument is made for: the table of kinds, each of which says what parts it has.
 
-use super::{Blade, CutRule, Jaws};
+use super::{Blade, BladeCuts, CutRule, Jaws, Snip};
 
 /// A kind of instrument: a row of the table [`INSTRUMENTS`]. What it does follows from the parts that it has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,6 +76,7 @@ pub struct ToolKind {
     jaws: Option<Jaws>,
     blade: Option<Blade>,
     burning: Option<CutRule>,
+    snip: Option<Snip>,
 }
 
 /// Sizes of the parts that instruments may have.
@@ -87,11 +88,13 @@ pub struct ToolParts {
     pub blade: Blade,
     /// When an active tip takes away what it touches.
     pub burning: CutRule,
+    /// What closing jaws do that part.
+    pub snip: Snip,
 }
 
 impl ToolKind {
     /// A probe: it pushes.
-    pub const PROBE: Self = Self { kind: PROBE, jaws: None, blade: None, burning: None };
+    pub const PROBE: Self = Self { kind: PROBE, jaws: None, blade: None, burning: None, snip: None };
 
     /// An instrument of a kind, with those of the parts that the kind has.
     pub fn of(kind: &InstrumentKind, parts: &ToolParts) -> Self {
@@ -100,6 +103,7 @@ impl ToolKind {
             jaws: kind.jaws.map(|_| parts.jaws),
             blade: kind.has_blade.then_some(parts.blade),
             burning: kind.burns.then_some(parts.burning),
+            snip: (kind.jaws == Some(JawUse::Part)).then_some(parts.snip),
         }
     }
 
@@ -109,8 +113,8 @@ impl ToolKind {
     }
 
     /// Scissors with these jaws.
-    pub const fn scissors(jaws: Jaws) -> Self {
-        Self { kind: SCISSORS, jaws: Some(jaws), ..Self::PROBE }
+    pub const fn scissors(jaws: Jaws, snip: Snip) -> Self {
+        Self { kind: SCISSORS, jaws: Some(jaws), snip: Some(snip), ..Self::PROBE }
     }
 
     /// A scalpel with this edge.
@@ -153,9 +157,14 @@ impl ToolKind {
         self.kind.jaws == Some(JawUse::Hold)
     }
 
-    /// The jaws with which it parts what they close on, if it does.
-    pub fn parting_jaws(&self) -> Option<&Jaws> {
-        self.jaws.as_ref().filter(|_| self.kind.jaws == Some(JawUse::Part))
+    /// The jaws with which it parts what they close on, and how, if it does.
+    pub fn parting_jaws(&self) -> Option<(&Jaws, Snip)> {
+        self.jaws.as_ref().zip(self.snip)
+    }
+
+    /// How its edge parts tissue, or the edges of its jaws, if it has any.
+    pub fn edge_cuts(&self) -> Option<BladeCuts> {
+        self.blade.map(|blade| blade.cuts).or_else(|| self.snip?.edge_cuts())
     }
 }
 

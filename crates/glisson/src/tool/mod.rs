@@ -73,6 +73,38 @@ pub enum BladeCuts {
     Displacement,
 }
 
+/// What scissors do with what their jaws close on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Snip {
+    /// They take away the tetrahedra between their jaws.
+    Tetrahedra,
+    /// Their edges part it along the surface between the jaws, as a blade with [`BladeCuts::Embedded`] does that goes from one jaw to
+    /// the other.
+    Embedded,
+    /// The same as a blade with [`BladeCuts::Subdivision`].
+    Subdivision,
+}
+
+impl Snip {
+    /// How the edges cut, if they do.
+    pub fn edge_cuts(self) -> Option<BladeCuts> {
+        match self {
+            Self::Tetrahedra => None,
+            Self::Embedded => Some(BladeCuts::Embedded),
+            Self::Subdivision => Some(BladeCuts::Subdivision),
+        }
+    }
+
+    /// What goes with blades that cut so. What moves nodes needs a blade that moves bit by bit.
+    pub fn beside(cuts: BladeCuts) -> Self {
+        match cuts {
+            BladeCuts::Embedded => Self::Embedded,
+            BladeCuts::Subdivision => Self::Subdivision,
+            BladeCuts::Displacement => Self::Tetrahedra,
+        }
+    }
+}
+
 /// When an active tip takes away what it touches: seed `000`, s. 4.4.2, removes the touched tetrahedron when the force
 /// reaches a threshold.
 #[derive(Clone, Copy, Debug, PartialEq)]

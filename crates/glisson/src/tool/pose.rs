@@ -115,8 +115,13 @@ impl Jaws {
 
     /// Ends of the two jaws in the tool's frame [m].
     pub fn ends_in_tool_m(&self, jaw_opening: f64) -> [DVec3; 2] {
-        let (sine, cosine) = libm::sincos(0.5 * self.opening_rad(jaw_opening));
-        [1.0, -1.0].map(|side| self.hinge_in_tool_m() + DVec3::new(side * sine, 0.0, -cosine) * self.length_m)
+        [0.0, 1.0].map(|share| self.between_ends_in_tool_m(jaw_opening, share))
+    }
+
+    /// Where the end of a jaw is in the tool's frame [m] on its way from the one (0) to the other (1).
+    pub fn between_ends_in_tool_m(&self, jaw_opening: f64, share: f64) -> DVec3 {
+        let (sine, cosine) = libm::sincos((0.5 - share) * self.opening_rad(jaw_opening));
+        self.hinge_in_tool_m() + DVec3::new(sine, 0.0, -cosine) * self.length_m
     }
 
     /// Whether a point of the tool's frame lies between jaws that are open by `jaw_opening`, or no further from there

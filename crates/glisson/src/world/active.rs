@@ -10,10 +10,14 @@ use crate::mesh::{NodeId, TetId};
 use crate::tool::cautery::TissueHeat;
 use crate::tool::cut::scalpel::{ScalpelCut, ScalpelParams};
 use crate::tool::cut::subdivision::{SubdivisionCut, SubdivisionParams};
-use crate::tool::{Blade, BladeCuts, Tool};
+use crate::tool::pose::ToolFrame;
+use crate::tool::{Blade, BladeCuts, Jaws, Snip, Tool};
 
 /// Transactions of one blade in one step at most; what is left is done after the next one.
 const MOST_EDITS: usize = 64;
+/// Scissors that open further close in several pieces, each flat: a choice; their ends' way is then within 3 % of their length of the
+/// circle.
+const CLOSES_AT_ONCE_RAD: f64 = 0.5;
 /// Tetrahedra that one tip warms at once.
 const MOST_WARM: usize = 256;
 
@@ -69,13 +73,18 @@ pub(super) struct ActiveBefore {
 
 impl ActiveTip {
     pub(super) fn new(tool: &Tool, body: &EditableMesh) -> Self {
-        let edge = match tool.kind.blade().map(|blade| blade.cuts) {
+        let edge = match tool.kind.edge_cuts() {
             Some(cuts @ (BladeCuts::Subdivision | BladeCuts::Embedded)) => {
                 let of_edge = match cuts {
                     BladeCuts::Embedded => SubdivisionParams::embedded,
                     _ => SubdivisionParams::for_mean_edge,
                 };
-                let params = of_edge(mean_edge_m(body));
+                let mut params = of_edge(mean_edge_m(body));
+                if let Some((jaws, _)) = tool.kind.parting_jaws() {
+                    // Each piece of the way is cut, also in a coarse mesh.
+                    let piece_m = 0.5 * CLOSES_AT_ONCE_RAD * jaws.length_m;
+                    params.min_advance_m = params.min_advance_m.min(0.5 * piece_m);
+                }
                 Some(Edge::Subdivision(Box::new(SubdivisionCut::new(params))))
             }
             Some(BladeCuts::Displacement) => {
@@ -172,10 +181,7 @@ impl World {
         }
         let (areas_before_m2, n_merged_before) = edge.figures();
         let mut step = BladeReport::default();
-        match &mut edge {
-            Edge::Subdivision(cut) => self.subdivide(tool, cut, blade_m, &mut step, cuts),
-            Edge::Displacement(cut) => self.displace(tool, cut, blade_m, &mut step, cuts),
-        }
+        self.move_edge(tool, (&mut edge, is_on), blade_m, &mut step, cuts);
         let (areas_m2, n_merged) = edge.figures();
         // A stroke that was refused begins anew with nothing.
         let [swept_m2, cut_m2] = [0, 1].map(|i| (areas_m2[i] - areas_before_m2[i]).max(0.0));
@@ -194,6 +200,61 @@ impl World {
                 cuts.strokes.push((tool, active.stroke));
             }
             active.lift();
+        }
+    }
+
+    /// The edges of scissors that have closed part what was between them: as a blade does that goes from the one jaw, where it was
+    /// before, to the other. A model that follows nothing but removals loses the tetrahedra there.
+    pub(super) fn snip(&mut self, tool: usize, (jaws, snip): (&Jaws, Snip), cuts: &mut ToolCuts) {
+        let mut step = BladeReport::default();
+        if snip != Snip::Tetrahedra {
+            let n_refused = cuts.refusals.len();
+            self.close_edges(tool, jaws, &mut step, cuts);
+            let is_frozen = matches!(cuts.refusals[n_refused..], [(_, EditRefusal::Model(_)), ..]);
+            if !(is_frozen && step == BladeReport::default()) {
+                cuts.blades.add(&step);
+                if step.cut_area_m2 > 0.0 {
+                    cuts.strokes.push((tool, step));
+                }
+                return;
+            }
+            cuts.refusals.truncate(n_refused);
+        }
+        let tets = self.tetrahedra_between_jaws(tool);
+        self.take_away(tool, tets, cuts);
+    }
+
+    fn close_edges(&mut self, tool: usize, jaws: &Jaws, step: &mut BladeReport, cuts: &mut ToolCuts) {
+        let Some(mut edge) = self.active[tool].edge.take() else { return };
+        let (frame, opening) = (ToolFrame::of(&self.pose_on_mesh(tool)), self.tool_states[tool].opened_to);
+        let n_places = libm::ceil(jaws.opening_rad(opening) / CLOSES_AT_ONCE_RAD).max(1.0) as u32;
+        let edge_m = |place: u32| {
+            let end_m = jaws.between_ends_in_tool_m(opening, f64::from(place) / f64::from(n_places));
+            [end_m, jaws.hinge_in_tool_m()].map(|at_m| frame.to_world_m(at_m))
+        };
+        edge.begin(self.organ.body(), self.model.state().positions_m, edge_m(0));
+        for place in 1..=n_places {
+            self.move_edge(tool, (&mut edge, place < n_places), edge_m(place), step, cuts);
+        }
+        let ([swept_m2, cut_m2], n_merged) = edge.figures();
+        (step.swept_area_m2, step.cut_area_m2, step.n_merged) = (swept_m2, cut_m2, n_merged);
+        self.active[tool].edge = Some(edge);
+        self.finish_stroke(tool, step, cuts);
+        self.active[tool].lift();
+    }
+
+    /// Moves an edge on in its stroke, or to the stroke's end when it is off.
+    fn move_edge(
+        &mut self,
+        tool: usize,
+        (edge, is_on): (&mut Edge, bool),
+        blade_m: [DVec3; 2],
+        step: &mut BladeReport,
+        cuts: &mut ToolCuts,
+    ) {
+        match edge {
+            Edge::Subdivision(cut) => self.subdivide(tool, (cut, is_on), blade_m, step, cuts),
+            Edge::Displacement(cut) => self.displace(tool, (cut, is_on), blade_m, step, cuts),
         }
     }
 
@@ -239,7 +300,8 @@ impl World {
         step: &mut BladeReport,
     ) -> Result<(), EditRefusal> {
         let change = self.edit_all(edits)?;
-        if self.spec.tearing.is_some() {
+        // Scissors pay with the force that closes them.
+        if self.spec.tearing.is_some() && self.spec.tools[tool].kind.blade().is_some() {
             let area_m2 = self.crack_area_m2(&change);
             self.owe_for_cut(tool, area_m2);
         }
@@ -252,13 +314,12 @@ impl World {
     fn subdivide(
         &mut self,
         tool: usize,
-        cut: &mut SubdivisionCut,
+        (cut, is_on): (&mut SubdivisionCut, bool),
         blade_m: [DVec3; 2],
         step: &mut BladeReport,
         cuts: &mut ToolCuts,
     ) {
         let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
-        let is_on = self.edge_is_on(tool);
         if !cut.params().is_nested {
             cut.hold_still(self.anchored_nodes());
         }
@@ -284,12 +345,11 @@ impl World {
     fn displace(
         &mut self,
         tool: usize,
-        cut: &mut ScalpelCut,
+        (cut, is_on): (&mut ScalpelCut, bool),
         blade_m: [DVec3; 2],
         step: &mut BladeReport,
         cuts: &mut ToolCuts,
     ) {
-        let is_on = self.edge_is_on(tool);
         for _ in 0..MOST_EDITS {
             let (body, positions_m) = (self.organ.body(), self.model.state().positions_m);
             let planned =

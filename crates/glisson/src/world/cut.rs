@@ -1,19 +1,18 @@
 //! What the instruments cut, by their kind.
 //!
 //! Hook and cautery take away what they sweep, or the tetrahedra that they touch, once the force has reached a threshold (seed
-//! `000`, s. 4.4.2) and the current has been on for long enough, or has heated it enough ([`super::burn`]); scissors take the
-//! tetrahedra between their jaws when these close; a scalpel parts the mesh along its edge.
+//! `000`, s. 4.4.2) and the current has been on for long enough, or has heated it enough ([`super::burn`]); a scalpel parts
+//! the mesh along its edge, scissors along the surface between their jaws when these close ([`super::active`]).
 
 use super::parts::{ToolPart, capsule};
-use super::tool_state::ToolState;
+use super::tool_state::{ToolState, scissors_lack_n};
 use super::{EditRefusal, World};
 use crate::contact::tool_contact::ToolContact;
 use crate::math::{DVec3, closest_point_barycentric, tetrahedron_volume_m3};
 use crate::mesh::TetId;
 use crate::mesh::topology::TET_TRIANGLES;
-use crate::tool::fracture::scissors_force_n;
+use crate::tool::Tool;
 use crate::tool::pose::ToolFrame;
-use crate::tool::{Jaws, Tool};
 use std::collections::HashSet;
 
 /// A tip that stands on the surface touches it but for rounding: this share of its radius is added to it.
@@ -96,26 +95,21 @@ impl World {
         for tool in 0..self.tool_states.len() {
             let hand = &self.tool_states[tool];
             let kind = self.spec.tools[tool].kind;
-            let tets = if let Some(rule) = kind.burning() {
+            if let Some(rule) = kind.burning() {
                 self.burn(tool, rule, &mut cuts);
                 self.tool_states[tool].just_closed = false;
-                continue;
             } else if let Some(blade) = kind.blade() {
                 self.cut_with_blade(tool, blade, &mut cuts);
-                continue;
-            } else if let Some(jaws) = kind.parting_jaws().filter(|_| hand.just_closed) {
-                match self.scissors_refusal(jaws) {
-                    None => self.tetrahedra_between_jaws(tool),
-                    Some(refusal) => {
-                        cuts.refusals.push((tool, refusal));
-                        Vec::new()
+            } else if let Some((jaws, snip)) = kind.parting_jaws().filter(|_| hand.just_closed) {
+                match scissors_lack_n(jaws, self.spec.tearing.as_ref()) {
+                    None => self.snip(tool, (jaws, snip), &mut cuts),
+                    Some(needed_n) => {
+                        let found_n = jaws.closing_force_n;
+                        cuts.refusals.push((tool, EditRefusal::TooWeak { found_n, needed_n }));
                     }
                 }
-            } else {
-                continue;
-            };
-            self.tool_states[tool].just_closed = false;
-            self.take_away(tool, tets, &mut cuts);
+                self.tool_states[tool].just_closed = false;
+            }
         }
         self.tear(&mut cuts);
         self.blades.add(&cuts.blades);
@@ -125,13 +119,6 @@ impl World {
     /// What blades did since the start.
     pub fn blades(&self) -> &BladeReport {
         &self.blades
-    }
-
-    /// Why scissors are too weak for the tissue.
-    fn scissors_refusal(&self, jaws: &Jaws) -> Option<EditRefusal> {
-        let needed_n = scissors_force_n(self.spec.tearing?.energy, jaws.length_m);
-        let found_n = jaws.closing_force_n;
-        (found_n < needed_n).then_some(EditRefusal::TooWeak { found_n, needed_n })
     }
 
     /// The live tetrahedra that the tip of a tool touches in their present shape, ascending: those under the surface that

@@ -2,7 +2,7 @@
 
 use super::StepInput;
 use super::detection::{FirstTouch, Meeting, first_touch, touching_radius_m};
-use super::grasp::Grasp;
+use super::grasp::{Grasp, HOLDS_BELOW};
 use super::organ::Organ;
 use super::overload::Overload;
 use super::parts::{ToolPart, ToolPoint, capsule};
@@ -16,9 +16,9 @@ use crate::mesh::NodeId;
 use crate::mesh::edit::TopologyChange;
 use crate::mesh::topology::Topology;
 use crate::tool::external_detection::{ExternalDetection, ExternalTouch};
-use crate::tool::fracture::Tearing;
+use crate::tool::fracture::{Tearing, scissors_force_n};
 use crate::tool::pose::{ToolFrame, rotation_vector_rad, turn_by};
-use crate::tool::{Tool, ToolInput};
+use crate::tool::{Jaws, Tool, ToolInput};
 
 /// What was found elsewhere counts while the part is no further from the touched place [m]: a choice, as far as a hand may come
 /// while a simulation stalls.
@@ -87,6 +87,12 @@ pub(super) struct ToolState {
     /// What it does to tissue that stands no more.
     pub(super) overload: Overload,
     pub(super) report: ToolReport,
+}
+
+/// The force [N] that scissors would need to part tissue, if they are too weak.
+pub(super) fn scissors_lack_n(jaws: &Jaws, tearing: Option<&Tearing>) -> Option<f64> {
+    let needed_n = scissors_force_n(tearing?.energy, jaws.length_m);
+    (jaws.closing_force_n < needed_n).then_some(needed_n)
 }
 
 impl ToolState {
@@ -220,6 +226,15 @@ impl ToolState {
         is_on && (tearing.is_none() || self.overload.edge_is_in)
     }
 
+    /// Whether its jaws are scissors' that close and are strong enough to part tissue.
+    fn jaws_cut(&self, tool: &Tool, tearing: Option<&Tearing>) -> bool {
+        let closes = self.now.jaw_opening < self.opened_to && self.before.jaw_opening > HOLDS_BELOW;
+        closes
+            && tool.kind.parting_jaws().is_some_and(|(jaws, snip)| {
+                snip.edge_cuts().is_some() && scissors_lack_n(jaws, tearing).is_none()
+            })
+    }
+
     /// Lets go of everything.
     pub(super) fn let_go(&mut self) {
         self.contacts = [const { None }; 3];
@@ -259,7 +274,12 @@ impl ToolState {
         for part in ToolPart::ALL {
             let holds = self.grasp.is_some() && part != ToolPart::Shaft;
             // An edge that cuts does not push.
-            if self.edge_cuts(tool, tearing) && part == ToolPart::Tip {
+            let cuts = match part {
+                ToolPart::Tip => self.edge_cuts(tool, tearing) || self.jaws_cut(tool, tearing),
+                ToolPart::SecondJaw => self.jaws_cut(tool, tearing),
+                ToolPart::Shaft => false,
+            };
+            if cuts {
                 self.contacts[part.index()] = None;
                 continue;
             }

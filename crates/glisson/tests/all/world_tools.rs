@@ -10,7 +10,9 @@ use glisson::model::Rayleigh;
 use glisson::model::kind::ModelKind;
 use glisson::scene::{OrganBody, build_model};
 use glisson::tool::cautery::HeatedTissue;
-use glisson::tool::{Blade, BladeCuts, Burnt, CutRule, Grip, Jaws, Tool, ToolInput, ToolKind, ToolShape};
+use glisson::tool::{
+    Blade, BladeCuts, Burnt, CutRule, Grip, Jaws, Snip, Tool, ToolInput, ToolKind, ToolShape,
+};
 use glisson::world::spec::{Load, LoadTime, Region, Support, WorldSpec, fixed_nodes};
 use glisson::world::{EditRefusal, StepInput, World};
 
@@ -32,9 +34,11 @@ fn tool(kind: ToolKind, friction: f64) -> Tool {
 
 /// A soft block on a table, heavily damped. Its cuts are embedded where an instrument's are.
 fn world_of(kind: ModelKind, tools: Vec<Tool>) -> World {
-    let sweeps =
-        |tool: &Tool| tool.kind.burning().is_some_and(|rule| matches!(rule.takes, Burnt::Swept { .. }));
-    let embeds_cuts = tools.iter().any(sweeps);
+    let embeds = |tool: &Tool| {
+        let is_swept = |rule: &CutRule| matches!(rule.takes, Burnt::Swept { .. });
+        tool.kind.edge_cuts() == Some(BladeCuts::Embedded) || tool.kind.burning().is_some_and(is_swept)
+    };
+    let embeds_cuts = tools.iter().any(embeds);
     let mesh = block([5, 5, 5], DVec3::splat(SIZE_M));
     let table = Region::Furthest { direction: -DVec3::Z, fraction: 1.0 / 6.0 };
     let mut spec = WorldSpec::new("block", TIME_STEP_S, tools[0].clone());
@@ -316,17 +320,54 @@ fn a_hook_that_sweeps_takes_tetrahedra_from_a_model_that_cannot_be_divided() {
 
 #[test]
 fn scissors_part_what_they_close_on() {
-    let mut world = world(vec![tool(ToolKind::scissors(JAWS), 0.3)]);
-    let open = ToolInput { jaw_opening: 1.0, ..above(SIZE_M, 0.04, SIZE_M - 5e-3) };
-    world.step(&StepInput::of(&[open]).placed());
-    let mut n_removed = 0;
-    for i in 0..=20 {
-        let pose = ToolInput { jaw_opening: 1.0 - f64::from(i) / 20.0, ..open };
-        world.step(&StepInput::of(&[pose]));
-        n_removed += world.cut_with_tools().n_removed;
+    let whole = |kind, snip| (kind, snip, false);
+    for (model, snip, parts) in [
+        (ModelKind::Explicit, Snip::Embedded, true),
+        (ModelKind::Implicit, Snip::Embedded, true),
+        (ModelKind::TensorMass, Snip::Subdivision, true),
+        whole(ModelKind::Explicit, Snip::Tetrahedra),
+        // A model that follows nothing but removals.
+        whole(ModelKind::Precomputed, Snip::Embedded),
+    ] {
+        let mut world = world_of(model, vec![tool(ToolKind::scissors(JAWS, snip), 0.3)]);
+        world.set_undo_depth(1000);
+        let whole_m3 = world.organ().body().volume_m3();
+        // Half of what is between the jaws is tissue.
+        let open = ToolInput { jaw_opening: 1.0, ..above(0.5 * SIZE_M, 0.043, SIZE_M - 0.5 * JAWS.length_m) };
+        world.step(&StepInput::of(&[open]).placed());
+        let before = world.state_hash();
+        let mut found = glisson::world::ToolCuts::default();
+        for i in 0..=20 {
+            let pose = ToolInput { jaw_opening: 1.0 - f64::from(i) / 20.0, ..open };
+            world.step(&StepInput::of(&[pose]));
+            let cuts = world.cut_with_tools();
+            found.n_removed += cuts.n_removed;
+            found.n_edits += cuts.n_edits;
+            found.strokes.extend(cuts.strokes);
+            found.refusals.extend(cuts.refusals);
+        }
+        let what = format!("{model} {snip:?}: {found:?}");
+        assert!(found.refusals.is_empty() && world.held_nodes(0).is_empty(), "{what}");
+        assert_eq!((found.n_edits > 0, found.n_removed > 0), (parts, !parts), "{what}");
+        let lost = 1.0 - world.organ().body().volume_m3() / whole_m3;
+        assert_eq!(lost.abs() < 1e-12, parts, "{what}");
+        if parts {
+            let [(0, stroke)] = found.strokes[..] else { panic!("{what}") };
+            assert_eq!(*world.blades(), stroke, "{what}");
+            let off = stroke.cut_area_m2 / stroke.swept_area_m2 - 1.0;
+            // The sector of a circle below the surface at rest, which jaws have dented: its hinge is half its length above.
+            let half: f64 = 0.5;
+            let sector_m2 = JAWS.length_m.powi(2) * (half - 0.25 * half.tan());
+            let off_sector = stroke.swept_area_m2 / sector_m2 - 1.0;
+            assert!(off.abs() < 0.02 && off_sector.abs() < 0.15, "{off} {off_sector} {what}");
+        }
+        assert!(world.state_hash() != before);
+        while world.undo_edit() {}
+        // Of models that are copied for it, two edits are taken back.
+        if model == ModelKind::Explicit {
+            assert_eq!(world.organ().body().volume_m3(), whole_m3, "{what}");
+        }
     }
-    assert!(n_removed > 0, "{n_removed}");
-    assert!(world.held_nodes(0).is_empty());
 }
 
 /// Some edits of many kinds in the middle of a push; answers how many were made.
@@ -462,7 +503,7 @@ fn steps_with_four_tools_that_touch_hold_and_slide_allocate_nothing() {
     let tools = vec![
         tool(ToolKind::grasper(JAWS), 10.0),
         tool(ToolKind::PROBE, 0.2),
-        tool(ToolKind::scissors(JAWS), 0.2),
+        tool(ToolKind::scissors(JAWS, Snip::Embedded), 0.2),
         tool(ToolKind::PROBE, 0.0),
     ];
     let mut world = world(tools);

@@ -1,7 +1,9 @@
 //! The instruments of a seed: what they are, not what hands do with them.
 
 use super::draw::Draw;
-use glisson::tool::{Blade, Burnt, CutRule, Grip, Jaws, MAX_TOOLS, Tool, ToolInput, ToolKind, ToolShape};
+use glisson::tool::{
+    Blade, Burnt, CutRule, Grip, Jaws, MAX_TOOLS, Snip, Tool, ToolInput, ToolKind, ToolShape,
+};
 
 const JAWS: Jaws = Jaws { length_m: 0.02, width_m: 6e-3, greatest_opening_rad: 1.0, closing_force_n: 20.0 };
 pub(super) const TIP_RADIUS_M: f64 = 1.5e-3;
@@ -35,7 +37,7 @@ pub(super) fn tools(draw: &Draw, mean_edge_m: f64, time_step_s: f64, home: ToolI
     [
         tool("grasper", ToolKind::grasper(JAWS), 3e-3),
         tool("hot tip", burns, TIP_RADIUS_M),
-        tool("scissors", ToolKind::scissors(JAWS), TIP_RADIUS_M),
+        tool("scissors", ToolKind::scissors(JAWS, Snip::beside(draw.blade_cuts)), TIP_RADIUS_M),
         tool("scalpel", scalpel, 2e-4),
     ]
 }

@@ -26,7 +26,7 @@ pub(super) struct Tally {
     pub(super) refinements: u64,
     /// Removals by hook or cautery.
     pub(super) burns: u64,
-    /// Removals by scissors.
+    /// Edits by scissors.
     pub(super) snips: u64,
     /// Steps of the scalpel tool that changed the mesh.
     pub(super) tool_blade_edits: u64,

@@ -30,7 +30,7 @@ impl Patient<'_> {
             return true;
         }
         let n_tets = cuts.n_removed + cuts.n_torn;
-        let n_changes_before = if tool == SCALPEL { cuts.n_edits } else { 0 };
+        let n_changes_before = cuts.n_edits;
         let volume = Volume::Taken { n_tets, n_changes_before };
         self.check(&before, volume, &changes, cuts.blades.n_mended > 0);
         // Edits for which the model was copied whole cannot all be undone.
@@ -53,11 +53,11 @@ impl Patient<'_> {
         let by_edge = cuts.n_edits as u64;
         let by_tip = u64::from(cuts.n_removed > 0);
         self.tally.tears += n_edits as u64 - by_edge - by_tip;
-        self.tally.tool_blade_edits += by_edge;
         self.tally.stroke_partings += cuts.blades.n_partings as u64;
         self.tally.mended_places += cuts.blades.n_mended as u64;
         match tool {
-            SCISSORS => self.tally.snips += by_tip,
+            SCISSORS => self.tally.snips += by_tip + by_edge,
+            SCALPEL => self.tally.tool_blade_edits += by_edge,
             _ => self.tally.burns += by_tip,
         }
         self.keep_last(before, n_edits);

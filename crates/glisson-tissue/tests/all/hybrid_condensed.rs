@@ -2,7 +2,7 @@
 
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::box_mesh::box_of_five;
-use glisson_mesh::mesh::edit::{EditableMesh, MeshEdit};
+use glisson_mesh::mesh::edit::{EdgeSplit, EditableMesh, MeshEdit};
 use glisson_mesh::mesh::zones::Zones;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use glisson_tissue::material::LinearElastic;
@@ -246,6 +246,44 @@ fn a_dynamic_zone_comes_to_rest_at_the_direct_solution() {
     }
 }
 
+/// Nothing loads the pre-computed zones, and the one at the wall does not border on the dynamic ones.
+#[test]
+fn what_moves_dynamic_tissue_moves_the_zones_behind_its_neighbours() {
+    let bar = Bar::new(3);
+    let end = bar.node_at(1.0, 0.0, 1.0);
+    let pulled = Constraints {
+        displacements: vec![ImposedDisplacement { node: end, displacement_m: DVec3::new(2e-3, 0.0, 1e-3) }],
+        forces: vec![],
+    };
+    let laws = [Precomputed, Precomputed, Precomputed, Precomputed, TensorMass, TensorMass];
+    let mut model = bar.build(&laws);
+    model.apply(&pulled);
+    run(&mut model, 12_000);
+    let errors = bar.errors(&model, &pulled, DVec3::ZERO);
+    assert!(errors.iter().all(|e| *e < 1e-5), "{errors:?}");
+}
+
+#[test]
+fn tissue_that_jumped_back_is_not_thrown_on_when_it_is_cut() {
+    let bar = Bar::new(2);
+    let mut model = bar.build(&[Precomputed; 4]);
+    let node = bar.node_at(1.0, 1.0, 1.0);
+    let pulled = vec![ImposedDisplacement { node, displacement_m: DVec3::X * 0.01 }];
+    model.apply(&Constraints { displacements: pulled, forces: vec![] });
+    run(&mut model, 3);
+    model.apply(&Constraints::default());
+    model.step(STEP_S);
+    assert!(model.state().velocities_m_per_s[node.index()].length() > 10.0, "it has no inertia");
+    let mut mesh = EditableMesh::new(bar.mesh.clone()).unwrap();
+    let change = mesh.apply(&MeshEdit::Remove { tets: bar.zones.tets(3).take(1).collect() }).unwrap();
+    model.topology_changed(mesh.mesh(), &change).unwrap();
+    for _ in 0..500 {
+        model.step(STEP_S);
+        let strayed = displacements_of(&model, &bar.mesh).iter().map(|u| u.length()).fold(0.0, f64::max);
+        assert!(strayed < 1e-6, "{strayed:e} m");
+    }
+}
+
 #[test]
 fn a_shape_imaged_under_gravity_stays_as_it_is() {
     let bar = Bar::new(3);
@@ -295,29 +333,40 @@ fn the_condensed_stiffness_is_below_the_assembled_one_and_energy_stays_bounded()
     assert!(!model.report().energy_was_limited);
 }
 
+/// An edit of the mesh as it then is.
+type EditOf = Box<dyn Fn(&EditableMesh) -> MeshEdit>;
+
 /// The bar after `edits`, beside the model that is built from what is left with the same laws.
-fn edited_and_anew(bar: &Bar, laws: &[ZoneLaw], edits: &[Vec<TetId>]) -> (Vec<ZoneLaw>, [f64; 3]) {
+fn edited_and_anew(bar: &Bar, laws: &[ZoneLaw], edits: &[EditOf]) -> (Vec<ZoneLaw>, [f64; 3]) {
     let mut mesh = EditableMesh::new(bar.mesh.clone()).unwrap();
     let mut model = bar.build(laws);
-    for tets in edits {
-        let change = mesh.apply(&MeshEdit::Remove { tets: tets.clone() }).unwrap();
+    let (mut of_tet, mut fixed) = (bar.zones.of_tets().to_vec(), bar.fixed.clone());
+    for edit in edits {
+        let change = mesh.apply(&edit(&mesh)).unwrap();
         model.topology_changed(mesh.mesh(), &change).unwrap();
+        // A zone has what comes of its tetrahedra; a node is held that comes of held ones.
+        for (_, parents) in change.tets.added.iter() {
+            of_tet.push(of_tet[parents[0].0.index()]);
+        }
+        for (node, parents) in change.nodes.added.iter() {
+            let is_held = |of: NodeId| fixed.iter().any(|f| f.node == of);
+            if parents.iter().all(|(parent, _)| is_held(*parent)) {
+                fixed.push(FixedNode::all_axes(node));
+            }
+        }
     }
-    let gone: Vec<TetId> = edits.concat();
-    let of_tet: Vec<u32> = (0..bar.mesh.tetrahedra.len())
-        .filter(|&t| !gone.contains(&TetId::from_index(t)))
-        .map(|t| bar.zones.of_tets()[t])
-        .collect();
     let change = mesh.compact();
     model.topology_changed(mesh.mesh(), &change).unwrap();
+    if !change.tets.new_ids.is_empty() {
+        let stays = |t: &usize| change.tets.new_ids[*t].is_some();
+        of_tet = (0..of_tet.len()).filter(stays).map(|t| of_tet[t]).collect();
+        let kept = fixed.iter().filter_map(|f| change.nodes.new_ids[f.node.index()]);
+        fixed = kept.map(FixedNode::all_axes).collect();
+    }
 
     let left = Bar {
         mesh: mesh.mesh().clone(),
-        fixed: bar
-            .fixed
-            .iter()
-            .filter_map(|f| change.nodes.new_ids[f.node.index()].map(FixedNode::all_axes))
-            .collect(),
+        fixed,
         zones: Zones::new(mesh.mesh(), of_tet).unwrap(),
         material: bar.material,
     };
@@ -350,19 +399,79 @@ fn after_any_edit_it_is_the_model_built_anew() {
     let mut laws = vec![Precomputed; 6];
     let in_zone = |zone: usize| bar.zones.tets(zone).collect::<Vec<_>>();
     // A zone that is cut becomes dynamic; the others stay.
-    let cut: Vec<TetId> = in_zone(4)[30..33].to_vec();
-    let (now, errors) = edited_and_anew(&bar, &laws, std::slice::from_ref(&cut));
+    let remove = |tets: &[TetId]| -> EditOf {
+        let tets = tets.to_vec();
+        Box::new(move |_| MeshEdit::Remove { tets: tets.clone() })
+    };
+    let (now, errors) = edited_and_anew(&bar, &laws, &[remove(&in_zone(4)[30..33])]);
     laws[4] = TensorMass;
     assert_eq!(now, laws);
     assert!(errors.iter().all(|e| *e < 1e-10), "{errors:?}");
     // Further cuts there, then in its neighbour, one after the other and at the frontier, so that nodes between the
     // zones lose their dynamic tetrahedra.
-    let mut edits: Vec<Vec<TetId>> = in_zone(4).chunks(9).take(4).map(<[TetId]>::to_vec).collect();
-    edits.push(in_zone(5)[20..24].to_vec());
+    let mut edits: Vec<EditOf> = in_zone(4).chunks(9).take(4).map(remove).collect();
+    edits.push(remove(&in_zone(5)[20..24]));
     let (now, errors) = edited_and_anew(&bar, &laws, &edits);
     laws[5] = TensorMass;
     assert_eq!(now, laws);
     assert!(errors.iter().all(|e| *e < 1e-10), "{errors:?}");
+}
+
+/// Divided edges, opened vertices and moved ones: inside a zone, and on the frontiers of two and of four.
+#[test]
+fn after_an_edit_that_brings_something_in_it_is_the_model_built_anew() {
+    let bar = Bar::new(3);
+    let split = |from: NodeId, fraction: f64| -> EditOf {
+        Box::new(move |mesh| {
+            let topology = mesh.topology();
+            let edge = topology.live_edges().find(|edge| topology.edge_nodes(*edge).contains(&from)).unwrap();
+            MeshEdit::Split { edges: vec![EdgeSplit { edge, fraction }] }
+        })
+    };
+    let part = |node: NodeId| -> EditOf {
+        Box::new(move |mesh| {
+            let at = &mesh.topology().node_tets(node);
+            MeshEdit::DuplicateVertex { node, tets_of_copy: at[..at.len() / 2].to_vec() }
+        })
+    };
+    let shift = |node: NodeId| -> EditOf {
+        Box::new(move |mesh| {
+            let position_m = mesh.mesh().positions_m[node.index()] + DVec3::new(4e-4, -3e-4, 5e-4);
+            MeshEdit::MoveVertex { node, position_m }
+        })
+    };
+    let inside = bar.node_at(0.85, 0.8, 0.5);
+    let (of_two, of_four) = (bar.node_at(0.85, 0.5, 0.5), bar.node_at(2.0 / 3.0, 0.5, 0.5));
+    let anywhere = bar.node_at(0.2, 0.8, 1.0);
+    let edits: [(&str, Vec<EditOf>); 7] = [
+        ("an edge", vec![split(inside, 0.4)]),
+        ("an edge at two zones", vec![split(of_two, 0.3)]),
+        ("an edge at four zones", vec![split(of_four, 0.6)]),
+        ("a vertex", vec![part(inside)]),
+        ("a vertex of four zones", vec![part(of_four)]),
+        ("a moved vertex of four zones", vec![shift(of_four)]),
+        (
+            "all of it",
+            vec![
+                split(inside, 0.4),
+                part(inside),
+                split(inside, 0.6),
+                shift(of_two),
+                part(of_two),
+                split(anywhere, 0.5),
+                part(anywhere),
+            ],
+        ),
+    ];
+    for start in [Precomputed, TensorMass] {
+        for (what, edits) in &edits {
+            let mut laws = vec![Precomputed; 6];
+            laws[5] = start;
+            let (now, errors) = edited_and_anew(&bar, &laws, edits);
+            assert!(now.contains(&TensorMass), "{what}");
+            assert!(errors.iter().all(|e| *e < 1e-10), "{what}: {errors:?}");
+        }
+    }
 }
 
 #[test]

@@ -12,10 +12,11 @@ use glisson::mesh::quality::{FACES, MeshQuality};
 use glisson::mesh::refine::{FineRegion, refining};
 use glisson::mesh::remap::follow_in_tissue;
 use glisson::mesh::{NodeId, TetId, TetMesh};
+use glisson::model::hybrid::condensed::ZoneLaw;
 use glisson::model::kind::{MODELS, ModelKind, build_model};
 use glisson::model::{
-    Constraints, Correction, DeformableModel, FixedNode, FollowedEdits, ImposedDisplacement, LocalModel,
-    LocalWork, ModelUndo, NodalForce, OrganBody, Rayleigh, follow_edit,
+    BodyZone, Constraints, Correction, DeformableModel, FixedNode, FollowedEdits, ImposedDisplacement,
+    LocalModel, LocalWork, ModelUndo, NodalForce, OrganBody, Rayleigh, follow_edit,
 };
 use glisson::tool::cut::subdivision::{CutReport, SubdivisionCut, SubdivisionParams};
 use std::cell::RefCell;
@@ -451,13 +452,27 @@ fn models_of_copies_go_on_as_those_made_afresh() {
             if laws.is_empty() { vec![None] } else { laws.into_iter().map(Some).collect() };
         for law in laws {
             let what = format!("{kind} {law:?}");
-            let with_law = |organ: OrganBody| OrganBody { law: law.map(typical_law), ..organ };
-            let whole = with_law(OrganBody { embeds_cuts: true, ..organ_of(first.clone()) });
+            // All of a hybrid is one zone, which moves from the first cut on.
+            let zone = |n_nodes: usize, law: ZoneLaw| {
+                let nodes = (0..n_nodes).map(NodeId::from_index).collect();
+                if kind == ModelKind::Hybrid { vec![BodyZone { nodes, law }] } else { Vec::new() }
+            };
+            let cut_law = match law {
+                Some("st_venant_kirchhoff") => ZoneLaw::NonlinearTensorMass,
+                _ => ZoneLaw::TensorMass,
+            };
+            let with_law = |organ: OrganBody, zone_law: ZoneLaw| OrganBody {
+                law: law.map(typical_law),
+                zones: zone(organ.mesh.positions_m.len(), zone_law),
+                ..organ
+            };
+            let organ = OrganBody { embeds_cuts: true, ..organ_of(first.clone()) };
+            let whole = with_law(organ, ZoneLaw::Precomputed);
             let mut model = build_model(&whole, kind).unwrap();
             for (mesh, change) in &body.changes {
                 follow_edit(&mut model, mesh, change, &mut ModelUndo::default()).unwrap();
             }
-            let mut afresh = build_model(&with_law(organ_of(alone.clone())), kind).unwrap();
+            let mut afresh = build_model(&with_law(organ_of(alone.clone()), cut_law), kind).unwrap();
             for model in [&mut model, &mut afresh] {
                 // At rest at first, until `implicit` has the factor of the cut mesh: its tolerance is above what is asked here.
                 model.set_gravity(DVec3::ZERO);

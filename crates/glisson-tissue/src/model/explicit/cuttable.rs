@@ -2,7 +2,7 @@
 
 use super::keep;
 use crate::model::TopologyRefusal;
-use crate::model::topology_update::{TopologyUpdate, grows};
+use crate::model::topology_update::TopologyUpdate;
 use crate::solve::{LOCAL_EDGES, MeshEdges, P1Gradients};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::{EntityChange, TopologyChange};
@@ -79,21 +79,6 @@ pub(in crate::model) fn follow<M: Cuttable>(
         model.tets_mut().compact(&change.nodes.new_ids);
     }
     Ok(())
-}
-
-/// Whether a change is one that models with accumulated stiffness follow: removals and compactions.
-///
-/// # Errors
-/// [`TopologyRefusal::Frozen`] for new or moved nodes and new tetrahedra.
-pub(in crate::model) fn follows(model: &'static str, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-    if !grows(change) {
-        return Ok(());
-    }
-    Err(TopologyRefusal::Frozen {
-        model,
-        reason: "it follows removals of tetrahedra and compactions; build it anew on a mesh with new or moved \
-                 nodes",
-    })
 }
 
 /// The tetrahedra of a model, and which of them are still there.

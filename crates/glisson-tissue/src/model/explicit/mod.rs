@@ -19,7 +19,7 @@ pub use by_scheme::{Inertia, Integration};
 pub(in crate::model) use central::ExplicitMotion;
 pub use central::ExplicitSnapshot;
 pub(in crate::model) use cuttable::{
-    Cuttable, Insertions, LiveEdges, LiveTets, follow, follows, place_of, renumbered,
+    Cuttable, Insertions, LiveEdges, LiveTets, follow, place_of, renumbered,
 };
 pub(in crate::model) use dynamics::{ExplicitDynamics, Mover};
 pub(in crate::model) use frame::{Quarantine, check_body};

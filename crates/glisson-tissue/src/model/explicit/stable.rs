@@ -96,37 +96,68 @@ impl Stability {
         stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
     ) -> Result<Self, SolveError> {
         let edges = MeshEdges::of_mesh(mesh)?;
+        let (mut stability, stiff) = Self::of_tets(mesh, density_kg_per_m3, stiffness_of)?;
+        if mesh.positions_m.len() > MOST_NODES_PROVEN {
+            return Ok(stability);
+        }
+        let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, _| stiff[tet.index()].at_rest)?;
+        let mut mass_kg = vec![0.0; mesh.positions_m.len()];
+        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
+            let corner_kg = corner_kg(mesh, density_kg_per_m3, TetId::from_index(t));
+            nodes.iter().for_each(|node| mass_kg[node.index()] += corner_kg);
+        }
+        let after_cuts =
+            stability.tet_squared_frequency_per_s2.iter().fold(0.0, |most, of_tet| of_tet.max(most));
+        let stiffening = stability.tet_stiffening.iter().fold(1.0, |most: f64, of_tet| of_tet.max(most));
+        let uncut = stiffening * proven_squared_frequency(&edges, &tensors, &mass_kg, after_cuts);
+        stability.step.step_s = step_s(uncut.min(after_cuts));
+        Ok(stability)
+    }
+
+    /// The same without a proof of more than what holds after any cut.
+    ///
+    /// # Errors
+    /// As [`Stability::of_stiffness`].
+    pub(in crate::model) fn of_pieces(
+        mesh: &TetMesh,
+        density_kg_per_m3: f64,
+        stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
+    ) -> Result<Self, SolveError> {
+        Self::of_tets(mesh, density_kg_per_m3, stiffness_of).map(|(stability, _)| stability)
+    }
+
+    fn of_tets(
+        mesh: &TetMesh,
+        density_kg_per_m3: f64,
+        stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
+    ) -> Result<(Self, Vec<StiffTet>), SolveError> {
         let of_tet =
             |tet: TetId| P1Gradients::of_tet(mesh, tet).map(|gradients| stiffness_of(tet, &gradients));
         let stiff = (0..mesh.tetrahedra.len()).map(TetId::from_index).map(of_tet);
         let stiff: Vec<StiffTet> = stiff.collect::<Result<_, _>>()?;
-        let tensors = StiffnessTensors::assemble_with(mesh, &edges, |tet, _| stiff[tet.index()].at_rest)?;
-        let mut mass_kg = vec![0.0; mesh.positions_m.len()];
-        let (mut after_cuts, mut tet, mut stiffening) = (0.0, TetId(0), 1.0_f64);
+        let (mut after_cuts, mut tet) = (0.0, TetId(0));
         let mut tet_squared_frequency_per_s2 = Vec::with_capacity(mesh.tetrahedra.len());
-        for (t, nodes) in mesh.tetrahedra.iter().enumerate() {
+        for (t, stiff) in stiff.iter().enumerate() {
             let this = TetId::from_index(t);
-            let corner_kg = density_kg_per_m3 * mesh.tet_volume_m3(this) / 4.0;
-            for node in nodes {
-                mass_kg[node.index()] += corner_kg;
-            }
-            let of_tet = stiff[t].squared_frequency_per_s2(corner_kg);
-            stiffening = stiffening.max(stiff[t].stiffening);
+            let of_tet = stiff.squared_frequency_per_s2(corner_kg(mesh, density_kg_per_m3, this));
             tet_squared_frequency_per_s2.push(of_tet);
             if of_tet > after_cuts {
                 (after_cuts, tet) = (of_tet, this);
             }
         }
-        let uncut = if mesh.positions_m.len() <= MOST_NODES_PROVEN {
-            (stiffening * proven_squared_frequency(&edges, &tensors, &mass_kg, after_cuts)).min(after_cuts)
-        } else {
-            after_cuts
-        };
-        let step_s = |squared_frequency: f64| MARGIN * 2.0 / squared_frequency.sqrt();
-        let step = StableStep { step_s: step_s(uncut), after_cuts_s: step_s(after_cuts), tet };
+        let step = StableStep { step_s: step_s(after_cuts), after_cuts_s: step_s(after_cuts), tet };
         let tet_stiffening = stiff.iter().map(|stiff| stiff.stiffening).collect();
-        Ok(Self { step, tet_squared_frequency_per_s2, tet_stiffening })
+        Ok((Self { step, tet_squared_frequency_per_s2, tet_stiffening }, stiff))
     }
+}
+
+/// Mass of a tetrahedron at each of its corners [kg].
+fn corner_kg(mesh: &TetMesh, density_kg_per_m3: f64, tet: TetId) -> f64 {
+    density_kg_per_m3 * mesh.tet_volume_m3(tet) / 4.0
+}
+
+fn step_s(squared_frequency_per_s2: f64) -> f64 {
+    MARGIN * 2.0 / squared_frequency_per_s2.sqrt()
 }
 
 /// A tetrahedron's share in the stable step.

@@ -19,9 +19,9 @@ pub(super) struct KirchhoffTet {
 }
 
 impl KirchhoffTet {
-    pub(super) fn new(corners_m: [DVec3; 4], rest_stress_pa: Option<&RestStress>) -> Self {
+    pub(super) fn new(gradients: P1Gradients, rest_stress_pa: Option<&RestStress>) -> Self {
         let rest_stress_pa = rest_stress_pa.map_or(DMat3::ZERO, |stress| stress_tensor_pa(*stress));
-        Self { gradients: P1Gradients::new(corners_m), rest_stress_pa }
+        Self { gradients, rest_stress_pa }
     }
 
     /// Forces [N] that balance the corners' displacements [m], without the constant forces of the stress at rest, and

@@ -11,7 +11,7 @@ use glisson_mesh::mesh::zones::Zones;
 
 pub(crate) const ROW: ModelRow = ModelRow {
     motion: ModelMotion::Mixed,
-    edits: FollowedEdits::Removals,
+    edits: FollowedEdits::All,
     ..ModelRow::quasi_static(
         NAME,
         "pre-computed zones and tensor-mass ones, coupled exactly",

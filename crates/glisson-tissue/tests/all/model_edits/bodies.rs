@@ -4,12 +4,14 @@ use std::sync::Arc;
 
 use glisson_mesh::math::{DVec3, SeededRandom};
 use glisson_mesh::mesh::edit::{EditableMesh, TopologyChange};
+use glisson_mesh::mesh::zones::Zones;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use glisson_tissue::material::{
     LinearElastic, MooneyRivlin, NeoHookeLog, PronySeries, PronyTerm, StableNeoHooke,
 };
 use glisson_tissue::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson_tissue::model::extended_mass_spring::{EdgeLaw, ExtendedMassSpring, ExtendedMassSpringParams};
+use glisson_tissue::model::hybrid::condensed::{CondensedHybrid, CondensedParams, ZoneLaw};
 use glisson_tissue::model::implicit::{
     ImplicitEuler, ImplicitLaw, ImplicitParams, SharedLaw, VolumeResistance,
 };
@@ -246,7 +248,7 @@ pub(super) fn kinds() -> Vec<Kind> {
 }
 
 /// With all that a model can be made of, where that is more than the table of models makes it of.
-const OWN: [Kind; 14] = [
+const OWN: [Kind; 16] = [
     kernel("explicit linear with fibres", |body| explicit(body, KernelLaw::Linear, false)),
     kernel("explicit St Venant-Kirchhoff with everything", |body| {
         explicit(body, KernelLaw::StVenantKirchhoff, true)
@@ -285,7 +287,19 @@ const OWN: [Kind; 14] = [
         let laws: Vec<SharedLaw> = body.laws();
         implicit(body, &ImplicitLaw::General(laws), VolumeResistance::Element)
     }),
+    kind("hybrid", ModelKind::Hybrid, |body| moving_hybrid(body, ZoneLaw::TensorMass)),
+    kind("hybrid St Venant-Kirchhoff", ModelKind::Hybrid, |body| {
+        moving_hybrid(body, ZoneLaw::NonlinearTensorMass)
+    }),
 ];
+
+/// A hybrid all of which moves: of pre-computed tissue only the surface can be held.
+fn moving_hybrid(body: &Body, law: ZoneLaw) -> Box<dyn DeformableModel> {
+    let zones = Zones::new(&body.mesh, vec![0; body.mesh.tetrahedra.len()]).unwrap();
+    let laws = [law];
+    let params = CondensedParams::new(body.dynamic(), &body.uniform, &zones, &laws);
+    Box::new(CondensedHybrid::build(&params).unwrap())
+}
 
 pub(super) fn series() -> PronySeries {
     PronySeries::new(&[PronyTerm { share: 0.3, time_s: 0.05 }]).unwrap()

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::model::bounded_vec::BoundedVec;
 use crate::model::explicit::{ExplicitError, check_body};
-use crate::model::{Constraints, DynamicBody, LocalModel};
+use crate::model::{Attachment, Constraints, DynamicBody, LocalModel};
 use crate::solve::{FixedNode, MeshEdges, SolveError, boundary_nodes};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::NodeId;
@@ -119,7 +119,11 @@ impl CondensedHybrid {
         let mut model = Self::without_dynamic_part(params)?;
         model.make_room();
         model.find_dynamic_nodes();
-        if let Some(a) = model.attachments.iter().find(|a| !model.is_dynamic[a.node.index()]) {
+        // One at a node that is held, or has no tissue, does nothing.
+        let follows =
+            |node: NodeId| model.zones.iter().any(|z| z.nodes.iter().chain(&z.frontier).any(|n| *n == node));
+        let is_dynamic = |a: &Attachment| model.is_dynamic[a.node.index()];
+        if let Some(a) = model.attachments.iter().find(|a| !is_dynamic(a) && follows(a.node)) {
             return Err(CondensedError::Ligament { node: a.node });
         }
         if let Some((_, error)) = model.unsupported_zones().into_iter().next() {
@@ -154,6 +158,7 @@ impl CondensedHybrid {
             laws: params.laws.to_vec(),
             cut_law: params.cut_law,
             largest_stretch: params.largest_stretch,
+            is_cut: false,
             ages: vec![[Age::GIVEN; 3]; zones.len()],
             zones,
             zone_numbers,
@@ -197,7 +202,7 @@ impl CondensedHybrid {
     }
 
     /// The dynamic zones at rest, or nothing when there are none.
-    fn dynamic_part(&self) -> Result<Option<DynamicPart>, ExplicitError> {
+    pub(super) fn dynamic_part(&self) -> Result<Option<DynamicPart>, ExplicitError> {
         let law_of_tet: Vec<ZoneLaw> = (0..self.mesh.tetrahedra.len()).map(|t| self.law_of(t)).collect();
         let body = DynamicBody {
             mesh: &self.mesh,
@@ -217,6 +222,7 @@ impl CondensedHybrid {
             is_live_tet: &self.is_live,
             largest_stretch: self.largest_stretch,
             is_dynamic: &self.is_dynamic,
+            is_cut: self.is_cut,
         })?;
         if let Some(dynamic) = &mut dynamic {
             let nodes = &self.interface.nodes[self.interface.n_condensed..];
@@ -226,7 +232,7 @@ impl CondensedHybrid {
     }
 
     /// Finds what each node belongs to.
-    fn find_places(&mut self) {
+    pub(super) fn find_places(&mut self) {
         self.place.clear();
         self.place.resize(self.mesh.positions_m.len(), Place::Nowhere);
         for (z, zone) in self.zones.iter().enumerate() {

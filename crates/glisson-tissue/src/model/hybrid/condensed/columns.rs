@@ -11,6 +11,7 @@ use faer::{Accum, MatMut, MatRef, Par};
 use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 use glisson_mesh::math::DMat3;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 use crate::model::precomputed::Precision;
 
@@ -20,11 +21,11 @@ const SWEEP: usize = 8;
 /// Columns of a product that one task computes. The partition does not depend on the number of threads.
 const PRODUCT_COLUMNS: usize = 96;
 
-/// The entries of a matrix in column-major order.
+/// The entries of a matrix in column-major order. Copies share them until one is written to.
 #[derive(Clone, Debug, PartialEq)]
 enum Numbers {
-    F64(Vec<f64>),
-    F32(Vec<f32>),
+    F64(Arc<Vec<f64>>),
+    F32(Arc<Vec<f32>>),
 }
 
 /// A dense matrix.
@@ -39,7 +40,7 @@ impl Columns {
     /// A matrix in f64.
     pub(super) fn of(n_rows: usize, n_columns: usize, numbers: Vec<f64>) -> Self {
         assert_eq!(numbers.len(), n_rows * n_columns, "{n_rows} x {n_columns}");
-        Self { n_rows, n_columns, numbers: Numbers::F64(numbers) }
+        Self { n_rows, n_columns, numbers: Numbers::F64(Arc::new(numbers)) }
     }
 
     /// A matrix of zeros in f64.
@@ -52,7 +53,7 @@ impl Columns {
         match (precision, self.numbers) {
             (Precision::F32, Numbers::F64(numbers)) => {
                 let narrow = numbers.iter().map(|&x| x as f32).collect();
-                Self { numbers: Numbers::F32(narrow), ..self }
+                Self { numbers: Numbers::F32(Arc::new(narrow)), ..self }
             }
             (_, numbers) => Self { numbers, ..self },
         }
@@ -100,7 +101,7 @@ impl Columns {
 
     fn numbers_mut(&mut self) -> &mut [f64] {
         match &mut self.numbers {
-            Numbers::F64(numbers) => numbers,
+            Numbers::F64(numbers) => Arc::make_mut(numbers).as_mut_slice(),
             Numbers::F32(_) => panic!("a matrix in f64"),
         }
     }
@@ -195,22 +196,26 @@ impl Columns {
         };
         match &mut self.numbers {
             Numbers::F64(numbers) => {
-                numbers.par_chunks_mut(n_rows * PRODUCT_COLUMNS).enumerate().for_each(|(task, out)| {
-                    let n = out.len() / n_rows;
-                    let out = MatMut::from_column_major_slice_mut(out, n_rows, n);
-                    matmul(out, Accum::Add, left, right_of(task, n), 1.0, Par::Seq);
-                });
+                Arc::make_mut(numbers).par_chunks_mut(n_rows * PRODUCT_COLUMNS).enumerate().for_each(
+                    |(task, out)| {
+                        let n = out.len() / n_rows;
+                        let out = MatMut::from_column_major_slice_mut(out, n_rows, n);
+                        matmul(out, Accum::Add, left, right_of(task, n), 1.0, Par::Seq);
+                    },
+                );
             }
             Numbers::F32(numbers) => {
-                numbers.par_chunks_mut(n_rows * PRODUCT_COLUMNS).enumerate().for_each(|(task, narrow)| {
-                    let n = narrow.len() / n_rows;
-                    let mut sums: Vec<f64> = narrow.iter().map(|&x| f64::from(x)).collect();
-                    let out = MatMut::from_column_major_slice_mut(&mut sums, n_rows, n);
-                    matmul(out, Accum::Add, left, right_of(task, n), 1.0, Par::Seq);
-                    for (narrow, sum) in narrow.iter_mut().zip(&sums) {
-                        *narrow = *sum as f32;
-                    }
-                });
+                Arc::make_mut(numbers).par_chunks_mut(n_rows * PRODUCT_COLUMNS).enumerate().for_each(
+                    |(task, narrow)| {
+                        let n = narrow.len() / n_rows;
+                        let mut sums: Vec<f64> = narrow.iter().map(|&x| f64::from(x)).collect();
+                        let out = MatMut::from_column_major_slice_mut(&mut sums, n_rows, n);
+                        matmul(out, Accum::Add, left, right_of(task, n), 1.0, Par::Seq);
+                        for (narrow, sum) in narrow.iter_mut().zip(&sums) {
+                            *narrow = *sum as f32;
+                        }
+                    },
+                );
             }
         }
     }

@@ -64,6 +64,8 @@ pub(super) struct DynamicSource<'a> {
     pub(super) largest_stretch: f64,
     /// Nodes of live dynamic tetrahedra.
     pub(super) is_dynamic: &'a [bool],
+    /// Whether edits brought something in: then the stable step is that of the worst tetrahedron alone.
+    pub(super) is_cut: bool,
 }
 
 /// The tetrahedra of the dynamic part, and the mesh that they make.
@@ -115,14 +117,20 @@ impl CutOut {
         let attachments: Vec<Attachment> = body.attachments.iter().filter_map(local).collect();
         let (lambda_pa, mu_pa) = (whole.material.lambda_pa(), whole.material.mu_pa());
         let is_kirchhoff = |t: TetId| (self.n_linear_tets..self.n_dynamic_tets).contains(&t.index());
-        let stability = Stability::of_stiffness(mesh, whole.density_kg_per_m3, |t, g| {
+        let stiff_tet = |t: TetId, g: &P1Gradients| {
             let mut at_rest = g.stiffness(lambda_pa, mu_pa);
             let stress_pa = whole.rest_stress_pa.get(self.tets[t.index()]).filter(|_| is_kirchhoff(t));
             if let Some(&stress_pa) = stress_pa {
                 at_rest.add_multiples(g.stress_stiffness_n_per_m(stress_pa));
             }
             StiffTet { at_rest, stiffening: if is_kirchhoff(t) { stiffening } else { 1.0 } }
-        })?;
+        };
+        let density_kg_per_m3 = whole.density_kg_per_m3;
+        let stability = if source.is_cut {
+            Stability::of_pieces(mesh, density_kg_per_m3, stiff_tet)
+        } else {
+            Stability::of_stiffness(mesh, density_kg_per_m3, stiff_tet)
+        }?;
         let strained_j = 0.5 * (lambda_pa + 2.0 * mu_pa) * mesh.volume_m3();
         let again = stability.clone();
         let own =
@@ -164,7 +172,7 @@ impl DynamicPart {
         let linear = TetMesh {
             positions_m: mesh.positions_m.clone(),
             tetrahedra: mesh.tetrahedra[..n_linear_tets].to_vec(),
-            ..TetMesh::default()
+            shares: mesh.shares.iter().copied().take(n_linear_tets).collect(),
         };
         let tensors = match n_linear_tets {
             0 => None,
@@ -172,13 +180,13 @@ impl DynamicPart {
         };
         let kirchhoff = (n_linear_tets..n_dynamic_tets)
             .map(|l| {
-                let corners_m = mesh.corners_m(TetId::from_index(l));
-                KirchhoffTet::new(corners_m, whole.rest_stress_pa.get(tets[l]))
+                let gradients = P1Gradients::in_mesh(mesh, TetId::from_index(l));
+                KirchhoffTet::new(gradients, whole.rest_stress_pa.get(tets[l]))
             })
             .collect();
         for (l, &t) in tets[..n_dynamic_tets].iter().enumerate() {
             if let Some(&stress_pa) = whole.rest_stress_pa.get(t) {
-                let gradients = P1Gradients::new(mesh.corners_m(TetId::from_index(l)));
+                let gradients = P1Gradients::in_mesh(mesh, TetId::from_index(l));
                 motion.add_rest_forces(mesh.tetrahedra[l], gradients.stress_forces_n(stress_pa), 1.0);
             }
         }
@@ -350,7 +358,7 @@ impl DynamicPart {
             return;
         }
         let nodes = self.mesh.tetrahedra[t];
-        let gradients = P1Gradients::new(self.mesh.corners_m(TetId::from_index(t)));
+        let gradients = P1Gradients::in_mesh(&self.mesh, TetId::from_index(t));
         for n in nodes {
             self.dynamic_tets[n.index()] -= 1;
         }

@@ -21,7 +21,7 @@ use crate::model::local_model::{
 use crate::model::{LocalModel, LocalWork, RestStress};
 use crate::solve::P1Gradients;
 use glisson_mesh::math::{DMat3, DVec3};
-use glisson_mesh::mesh::NodeId;
+use glisson_mesh::mesh::{NodeId, TetId};
 
 /// The dynamic zones and the tetrahedra around them.
 struct DynamicTissue<'a> {
@@ -42,7 +42,7 @@ impl LocalBody for DynamicTissue<'_> {
 
     fn stiffness(&self, element: usize, _: f64) -> ElementStiffness {
         let mesh = self.part.mesh();
-        let gradients = P1Gradients::new(mesh.tetrahedra[element].map(|n| mesh.positions_m[n.index()]));
+        let gradients = P1Gradients::in_mesh(mesh, TetId::from_index(element));
         if let Some(law) = self.part.kirchhoff_law(element) {
             let u_m = mesh.tetrahedra[element].map(|n| self.part.displacement_m(n.index()));
             let rest_stress_pa = self.rest_stress_pa.get(self.part.tet_of_mesh(element));

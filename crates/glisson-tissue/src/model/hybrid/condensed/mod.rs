@@ -12,9 +12,9 @@
 //! frontier: the zone's extension. With more than [`MANY_LOADS`] loads on a zone, or a load on a node whose columns are
 //! not stored: one solution with the zone's factor instead of the columns.
 //!
-//! **Cuts.** Removing a tetrahedron of a dynamic zone subtracts its tensors. Removing one of a pre-computed zone first
-//! makes the zone dynamic ([`CondensedParams::cut_law`]), at its present position and with the velocity of its last
-//! step. A pre-computed zone also becomes dynamic when nothing holds it any more or when it belongs to a piece cut
+//! **Cuts.** Removing a tetrahedron of a dynamic zone subtracts its tensors; an edit that brings something in or moves it makes the
+//! dynamic zones' body anew. An edit in a pre-computed zone first makes the zone dynamic ([`CondensedParams::cut_law`]), at its
+//! present position and with the velocity of its last step. A pre-computed zone also becomes dynamic when nothing holds it any more or when it belongs to a piece cut
 //! loose: only dynamic tissue has inertia, and the piece has to fall.
 //!
 //! **Non-linear zones** rotate and stretch as St Venant-Kirchhoff tissue; the rest stays linear and holds them by its
@@ -156,6 +156,8 @@ pub struct CondensedHybrid {
     laws: Vec<ZoneLaw>,
     cut_law: ZoneLaw,
     largest_stretch: f64,
+    /// Whether edits brought something in.
+    is_cut: bool,
 
     // Mechanics.
     zones: Vec<PrecomputedZone>,
@@ -461,9 +463,8 @@ impl DeformableModel for CondensedHybrid {
         Box::new(copy)
     }
 
-    /// Follows removals and compactions. Removals in dynamic zones away from the frontier allocate nothing; a zone that
-    /// becomes dynamic does.
-    fn topology_changed(&mut self, _: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
-        self.follow_change(change)
+    /// Removals in dynamic zones away from the frontier allocate nothing; all else does.
+    fn topology_changed(&mut self, mesh: &TetMesh, change: &TopologyChange) -> Result<(), TopologyRefusal> {
+        self.follow_change(mesh, change)
     }
 }

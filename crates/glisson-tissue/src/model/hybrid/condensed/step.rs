@@ -71,11 +71,10 @@ impl CondensedHybrid {
         interface.of_condensed.add_weighted(on_condensed.flatten(), reduced);
     }
 
-    /// Whether something outside a zone's own columns moves its frontier.
+    /// Whether something outside a zone's own columns moves its frontier. Dynamic nodes also move zones that do not border on them.
     fn is_moved_from_outside(&self, z: usize) -> bool {
-        let n_p = self.interface.n_condensed;
         self.work[z].is_solved
-            || self.interface.places[z].iter().any(|&k| k as usize >= n_p)
+            || self.interface.nodes.len() > self.interface.n_condensed
             || self.loads.iter().any(|load| own_in(load.place, z).is_none())
             || self.held.iter().any(|held| own_in(held.place, z).is_none())
     }

@@ -18,6 +18,7 @@ use crate::solve::{
 };
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
+use std::sync::Arc;
 
 use super::columns::Columns;
 
@@ -75,7 +76,8 @@ pub(super) struct PrecomputedZone {
     pub(super) constant_transfer: Columns,
     pub(super) constant_on_frontier: Columns,
     bonds: Vec<Bond>,
-    factor: Factorization,
+    /// Copies share it.
+    factor: Arc<Factorization>,
     /// Row of each own node's components in the factored system.
     free_of: Vec<[Option<u32>; 3]>,
     scratch: FactorScratch,
@@ -91,6 +93,11 @@ pub(super) struct SubMesh {
 
 impl SubMesh {
     pub(super) fn of(whole: &TetMesh, tets: impl Iterator<Item = TetId> + Clone) -> Self {
+        let shares = if whole.shares.is_empty() {
+            Vec::new()
+        } else {
+            tets.clone().map(|tet| whole.share(tet)).collect()
+        };
         let corners = |t: TetId| whole.tetrahedra[t.index()];
         let mut nodes: Vec<NodeId> = tets.clone().flat_map(corners).collect();
         nodes.sort_unstable();
@@ -98,7 +105,7 @@ impl SubMesh {
         let positions_m = nodes.iter().map(|n| whole.positions_m[n.index()]).collect();
         let local = |n: NodeId| NodeId::from_index(nodes.binary_search(&n).expect("a corner"));
         let tetrahedra = tets.map(|t| corners(t).map(local)).collect();
-        Self { nodes, mesh: TetMesh { positions_m, tetrahedra, ..TetMesh::default() } }
+        Self { nodes, mesh: TetMesh { positions_m, tetrahedra, shares } }
     }
 
     /// The number here of a node of the whole mesh.
@@ -232,7 +239,7 @@ impl PrecomputedZone {
             nodes: own,
             frontier,
             bonds,
-            factor,
+            factor: Arc::new(factor),
             free_of,
         };
         zone.extend_over_frontier(stiffness, whole.precision);
@@ -309,7 +316,7 @@ impl PrecomputedZone {
         let mut loads = vec![[DVec3::ZERO; N_CONSTANT]; whole.mesh.positions_m.len()];
         for t in tets {
             let nodes = whole.mesh.tetrahedra[t.index()];
-            let gradients = P1Gradients::new(whole.mesh.corners_m(*t));
+            let gradients = P1Gradients::in_mesh(whole.mesh, *t);
             let share_kg = whole.density_kg_per_m3 * gradients.volume_m3 / 4.0;
             let of_stress =
                 whole.rest_stress_pa.get(t.index()).map(|&stress_pa| gradients.stress_forces_n(stress_pa));

@@ -10,8 +10,8 @@ use crate::model::hybrid::kirchhoff::KirchhoffTet;
 use crate::model::tensor_mass::TensorMass;
 use crate::model::tet_law::TetLaw;
 use crate::solve::{
-    BoundaryConditions, FreeSystem, MeshEdges, SolveError, StiffnessTensors, TetStiffness, boundary_nodes,
-    solve_columns_into,
+    BoundaryConditions, FreeSystem, MeshEdges, P1Gradients, SolveError, StiffnessTensors, TetStiffness,
+    boundary_nodes, solve_columns_into,
 };
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
@@ -467,7 +467,8 @@ impl HybridExchange {
             self.is_live[t.index()] && self.laws[zones.zone_of(*t)] == ZoneLaw::NonlinearTensorMass
         };
         let tets = (0..mesh.tetrahedra.len()).map(TetId::from_index).filter(is_wanted);
-        tets.map(|t| (t, mesh.tetrahedra[t.index()], KirchhoffTet::new(mesh.corners_m(t), None))).collect()
+        tets.map(|t| (t, mesh.tetrahedra[t.index()], KirchhoffTet::new(P1Gradients::in_mesh(mesh, t), None)))
+            .collect()
     }
 
     /// Stable step [s] of the tetrahedra around nodes that move, as a body of its own. It is a lower bound: with all

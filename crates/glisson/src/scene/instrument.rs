@@ -3,6 +3,7 @@
 use super::bodies::{BodySource, SceneBody};
 use super::organ::{OrganSource, required_point};
 use super::reader::{SceneError, Section};
+use super::when_cut::RefusedCuts;
 use crate::math::DVec3;
 use crate::tool::{
     Blade, BladeCuts, Burnt, CutRule, Grip, INSTRUMENTS, JawUse, Jaws, MAX_TOOLS, Snip, Tool, ToolInput,
@@ -87,6 +88,8 @@ pub(super) struct CutRules {
     scissors_part: bool,
     /// Whether nodes move after cuts, which embedded ones cannot follow.
     mends_cuts: bool,
+    /// What no organ of the scene follows.
+    refused: Option<RefusedCuts>,
 }
 
 /// Whether what an instrument cuts is embedded, if it cuts in a way that can be.
@@ -99,19 +102,27 @@ pub(super) fn embeds(kind: &ToolKind) -> Option<bool> {
 }
 
 impl CutRules {
-    /// With these ways to cut of blades whose table does not say, and whether scissors part tissue.
+    /// With how blades cut whose table does not say, and whether scissors part tissue then and what no organ follows is refused.
     pub(super) fn of(
         organ: &OrganSource,
         bodies: &[SceneBody],
-        (default, scissors_part): (BladeCuts, bool),
+        (default, all_cuts_part): (BladeCuts, bool),
     ) -> Self {
-        let of_bodies = bodies.iter().filter_map(|body| match &body.source {
-            BodySource::Organ(organ, _) => Some(&**organ),
-            BodySource::Rigid(_) => None,
-        });
-        let mends = std::iter::once(organ).chain(of_bodies).any(|organ| organ.mends_cuts);
+        let of_bodies = || {
+            bodies.iter().filter_map(|body| match &body.source {
+                BodySource::Organ(organ, _) => Some(&**organ),
+                BodySource::Rigid(_) => None,
+            })
+        };
+        let organs = || std::iter::once(organ).chain(of_bodies());
+        let mends = organs().any(|organ| organ.mends_cuts);
         let default = if mends { BladeCuts::Subdivision } else { default };
-        Self { known: None, embeds: None, default, scissors_part, mends_cuts: mends }
+        let is_alone = bodies.is_empty();
+        let refused_by = |organ: &OrganSource| RefusedCuts::of(organ.model, organ.when_cut, is_alone);
+        let by_each: Option<Vec<_>> = organs().map(refused_by).collect();
+        let refused = by_each.filter(|_| all_cuts_part).and_then(|by_each| by_each.into_iter().next());
+        let scissors_part = all_cuts_part;
+        Self { known: None, embeds: None, default, scissors_part, mends_cuts: mends, refused }
     }
 
     /// Notes what an instrument does.
@@ -196,6 +207,9 @@ fn read_kind(section: &mut Section<'_>, cuts: &CutRules) -> Result<(ToolKind, bo
         let allowed = instrument_names().collect::<Vec<_>>().join(", ");
         return Err(section.wrong_value(at, "kind", format!("\"{name}\""), &allowed));
     };
+    if let Some(refused) = cuts.refused.as_ref().filter(|refused| refused.meets(kind)) {
+        return Err(section.wrong_value(at, "kind", format!("\"{name}\""), &refused.allowed));
+    }
     // Keys of parts that the kind does not have are unknown.
     let jaws = if kind.jaws.is_some() { read_jaws(section)? } else { DEFAULT_JAWS };
     let blade = if kind.has_blade { read_blade(section, cuts)? } else { DEFAULT_BLADE };

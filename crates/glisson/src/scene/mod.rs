@@ -8,6 +8,7 @@ mod contact;
 mod hand;
 mod instrument;
 mod law;
+mod when_cut;
 mod organ;
 mod reader;
 mod rigid;
@@ -28,6 +29,7 @@ pub use organ::{MaterialSource, OrganSource, OrganSurroundings, OrganZone};
 pub use reader::{SceneError, SceneProblem};
 pub use rigid::{RigidShape, RigidSource};
 pub use spec::Scene;
+pub use when_cut::WhenCut;
 
 pub use crate::model::kind::{build_model, build_model_as_cut};
 pub use crate::model::{BodyPart, BodySet, MeasuredSample, ModelError, OrganBody};

@@ -2,6 +2,7 @@
 
 use super::law::read_law;
 use super::reader::{SceneError, Section};
+use super::when_cut::{WhenCut, read_when_cut, turns_hybrid};
 use crate::material::{LawChoice, PronyTerm};
 use crate::math::{Aabb, DVec3};
 use crate::model::hybrid::condensed::ZoneLaw;
@@ -64,6 +65,8 @@ pub struct OrganSource {
     pub model: ModelKind,
     /// A saved pre-computation, relative to the scene's folder; made anew at set-up when absent.
     pub precomputed: Option<PathBuf>,
+    /// What becomes of it when blades divide it, if it is pre-computed and nothing was saved.
+    pub when_cut: WhenCut,
     /// Damping; dynamic models only.
     pub damping: Rayleigh,
     /// Whether the imaged shape is the one under the scene's gravity.
@@ -72,6 +75,22 @@ pub struct OrganSource {
     pub zones: Vec<OrganZone>,
     /// What the quasi non-linear model follows, its file relative to the scene's folder.
     pub measured: Option<MeasuredSample>,
+}
+
+/// Damping of the moving zones of a pre-computed organ that is a hybrid because blades divide it, if its scene gives none [1/s]: a
+/// choice.
+const DAMPING_WHEN_CUT_PER_S: f64 = 20.0;
+
+impl OrganSource {
+    /// Becomes what it is in a scene whose instruments divide it.
+    pub(super) fn expect_blades(&mut self) {
+        if turns_hybrid(self.model, self.when_cut) {
+            self.model = ModelKind::Hybrid;
+            if self.damping == Rayleigh::default() {
+                self.damping = Rayleigh::of_mass(DAMPING_WHEN_CUT_PER_S);
+            }
+        }
+    }
 }
 
 /// What `[organ]` says about the world.
@@ -103,6 +122,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     let mends_cuts = section.flag("mend_cuts")?.unwrap_or(false);
     let volume_penalty_pa = not_negative(&mut section, "volume_penalty", Dimension::Pressure)?;
     let precomputed = section.string("precomputed")?.map(|p| PathBuf::from(p.0));
+    let when_cut = read_when_cut(&mut section, model, precomputed.is_some())?;
     let damping = Rayleigh {
         mass_per_s: not_negative(&mut section, "damping", Dimension::Rate)?,
         stiffness_s: not_negative(&mut section, "stiffness_damping", Dimension::Time)?,
@@ -127,6 +147,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
         mends_cuts,
         model,
         precomputed,
+        when_cut,
         damping,
         is_imaged_under_gravity,
         zones,

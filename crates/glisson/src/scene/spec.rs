@@ -47,7 +47,8 @@ const SCENE_VERSION: f64 = 1.0;
 struct Defaults {
     hand: Option<Hand>,
     blade_cuts: BladeCuts,
-    scissors_part: bool,
+    /// Whether scissors part tissue, organs become what `when_cut` says, and instruments that no organ follows are refused.
+    all_cuts_part: bool,
 }
 
 impl Scene {
@@ -57,13 +58,13 @@ impl Scene {
     /// [`SceneError`] with the line of the first mistake.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
         let (hand, blade_cuts) = (Some(Hand::default()), BladeCuts::Embedded);
-        Self::parse_with(text, &Defaults { hand, blade_cuts, scissors_part: true })
+        Self::parse_with(text, &Defaults { hand, blade_cuts, all_cuts_part: true })
     }
 
     /// Reads the scene of a recorded session, as it was understood when the session was recorded: before
     /// [`FIRST_VERSION_WITH_HAND`] instruments of scenes that say nothing of a hand imposed their motion, and before
     /// [`FIRST_VERSION_WITH_EMBEDDED_CUTS`] blades divided tetrahedra; before [`FIRST_VERSION_WITH_PARTING_SCISSORS`] scissors took
-    /// whole ones.
+    /// whole ones, and a pre-computed organ stayed one.
     ///
     /// # Errors
     /// [`SceneError`] with the line of the first mistake.
@@ -71,8 +72,8 @@ impl Scene {
         let hand = (header.version >= FIRST_VERSION_WITH_HAND).then(Hand::default);
         let is_embedded = header.version >= FIRST_VERSION_WITH_EMBEDDED_CUTS;
         let blade_cuts = if is_embedded { BladeCuts::Embedded } else { BladeCuts::Subdivision };
-        let scissors_part = header.version >= FIRST_VERSION_WITH_PARTING_SCISSORS;
-        Self::parse_with(&header.scene, &Defaults { hand, blade_cuts, scissors_part })
+        let all_cuts_part = header.version >= FIRST_VERSION_WITH_PARTING_SCISSORS;
+        Self::parse_with(&header.scene, &Defaults { hand, blade_cuts, all_cuts_part })
     }
 
     fn parse_with(text: &str, defaults: &Defaults) -> Result<Self, SceneError> {
@@ -89,7 +90,7 @@ impl Scene {
         root.finish()?;
 
         let simulation = read_simulation(simulation)?;
-        let SceneBodies { organ, surroundings, bodies } = bodies.read()?;
+        let SceneBodies { mut organ, surroundings, bodies } = bodies.read()?;
         let time_step_s = simulation.time_step_s;
         let (mut self_contact, mut body_contact) = (None, None);
         if bodies.is_empty() {
@@ -106,7 +107,7 @@ impl Scene {
             }
             attachments.push(read_attachment(section, &bodies)?);
         }
-        let mut cuts = CutRules::of(&organ, &bodies, (defaults.blade_cuts, defaults.scissors_part));
+        let mut cuts = CutRules::of(&organ, &bodies, (defaults.blade_cuts, defaults.all_cuts_part));
         let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
         for section in tools {
             let InstrumentSource { tool, path, shape } = read_tool(section, &cuts)?;
@@ -114,6 +115,12 @@ impl Scene {
             scripted.push(tool);
             paths.push(path);
             tool_shapes.push(shape);
+        }
+        if defaults.all_cuts_part
+            && bodies.is_empty()
+            && scripted.iter().any(|tool| embeds(&tool.kind).is_some())
+        {
+            organ.expect_blades();
         }
         let world = WorldSpec {
             name,
@@ -322,6 +329,76 @@ trigger = 1
         header.version = FIRST_VERSION_WITH_PARTING_SCISSORS - 1;
         let before = Scene::parse_recorded(&header).unwrap();
         assert_eq!((snip(&before), before.embeds_cuts()), (Snip::Tetrahedra, false));
+    }
+
+    #[test]
+    fn organs_become_what_cuts_make_of_them_or_refuse_the_instruments() {
+        use crate::model::Rayleigh;
+        use crate::model::kind::ModelKind;
+        let organ = |keys: &str| {
+            SCENE
+                .replace("model = \"tensor_mass\"\ndamping = \"20 1/s\"\n", keys)
+                .replace("[tool]", "[[tool]]")
+        };
+        let with = |keys: &str, kind: &str, more: &str| {
+            let home =
+                "tip_radius = \"2 mm\"\nhome_tip = [\"0 mm\", \"0 mm\", \"0 mm\"]\nhome_shaft = [0, 0, 1]\n";
+            format!("{}\n[[tool]]\nkind = \"{kind}\"\n{home}{more}\n", organ(keys))
+        };
+        let (pre, removal) =
+            ("model = \"precomputed\"\n", "model = \"precomputed\"\nwhen_cut = \"removal\"\n");
+        let saved = "model = \"precomputed\"\nprecomputed = \"liver.precomputed\"\n";
+        let (whole, swept) = ("blade_cuts = \"tetrahedra\"", "burns = \"swept\"");
+        for (keys, kind, more, expected) in [
+            (pre, "scalpel", "", ModelKind::Hybrid),
+            (pre, "scalpel", "blade_cuts = \"subdivision\"", ModelKind::Hybrid),
+            (pre, "scissors", "", ModelKind::Hybrid),
+            (pre, "hook", swept, ModelKind::Hybrid),
+            (pre, "hook", "", ModelKind::Precomputed),
+            (pre, "scissors", whole, ModelKind::Precomputed),
+            (pre, "grasper", "", ModelKind::Precomputed),
+            (removal, "hook", swept, ModelKind::Precomputed),
+            (removal, "scissors", "", ModelKind::Precomputed),
+            (saved, "hook", "", ModelKind::Precomputed),
+        ] {
+            let found = Scene::parse(&with(keys, kind, more)).unwrap().organ;
+            assert_eq!(found.model, expected, "{keys}{kind} {more}");
+            let is_hybrid = expected == ModelKind::Hybrid;
+            let damping = if is_hybrid { Rayleigh::of_mass(20.0) } else { Rayleigh::default() };
+            assert_eq!(found.damping, damping, "{keys}{kind} {more}");
+        }
+        let own = Scene::parse(&with(&(pre.to_owned() + "damping = \"7 1/s\"\n"), "scalpel", "")).unwrap();
+        assert_eq!(own.organ.damping, Rayleigh::of_mass(7.0));
+        let message = |text: &str| Scene::parse(text).unwrap_err().to_string();
+        for keys in [removal, saved] {
+            let refused = message(&with(keys, "scalpel", ""));
+            assert!(
+                refused.contains("\"kind\" is \"scalpel\"") && refused.contains("when_cut = \"hybrid\""),
+                "{refused}"
+            );
+        }
+        let both = message(&organ(&(saved.to_owned() + "when_cut = \"hybrid\"\n")));
+        assert!(both.contains("removal, with a saved pre-computation"), "{both}");
+        let unknown = message(&organ(&removal.replace("removal", "hybrids")));
+        assert!(unknown.contains("allowed: hybrid, removal"), "{unknown}");
+        let other = message(&organ("model = \"implicit\"\nwhen_cut = \"removal\"\n"));
+        assert!(other.contains("unknown key"), "{other}");
+        let reduced = "model = \"reduced\"\n";
+        for kind in ["scalpel", "scissors", "hook", "cautery"] {
+            let refused = message(&with(reduced, kind, ""));
+            assert!(
+                refused.contains("model = \"reduced\" cannot be cut; models that can: precomputed"),
+                "{refused}"
+            );
+        }
+        assert!(Scene::parse(&with(reduced, "grasper", "")).is_ok());
+        // Sessions from before stay as they were.
+        let mut header = SessionHeader::new(with(pre, "scalpel", ""), String::new());
+        assert_eq!(Scene::parse_recorded(&header).unwrap().organ.model, ModelKind::Hybrid);
+        header.version = FIRST_VERSION_WITH_PARTING_SCISSORS - 1;
+        assert_eq!(Scene::parse_recorded(&header).unwrap().organ.model, ModelKind::Precomputed);
+        header.scene = with(reduced, "scalpel", "");
+        assert!(Scene::parse_recorded(&header).is_ok());
     }
 
     #[test]

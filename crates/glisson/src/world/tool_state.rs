@@ -228,7 +228,9 @@ impl ToolState {
 
     /// Whether its jaws are scissors' that close and are strong enough to part tissue.
     fn jaws_cut(&self, tool: &Tool, tearing: Option<&Tearing>) -> bool {
-        let closes = self.now.jaw_opening < self.opened_to && self.before.jaw_opening > HOLDS_BELOW;
+        // On the rest of the way, when they have cut, they would squeeze what is left between them.
+        let (before, now) = (self.before.jaw_opening, self.now.jaw_opening);
+        let closes = now < self.opened_to && (before > HOLDS_BELOW || now < before);
         closes
             && tool.kind.parting_jaws().is_some_and(|(jaws, snip)| {
                 snip.edge_cuts().is_some() && scissors_lack_n(jaws, tearing).is_none()

@@ -37,7 +37,7 @@ const DEFAULT_SHAFT_LENGTH_M: f64 = 0.3;
 /// instruments.
 const DEFAULT_JAWS: Jaws =
     Jaws { length_m: 0.02, width_m: 5e-3, greatest_opening_rad: 1.0, closing_force_n: 5.0 };
-const DEFAULT_BLADE: Blade = Blade { length_m: 0.02, cuts: BladeCuts::Subdivision };
+const DEFAULT_BLADE: Blade = Blade { length_m: 0.02, edge_radius_m: 0.0, cuts: BladeCuts::Subdivision };
 const DEFAULT_SNIP: Snip = Snip::Tetrahedra;
 const DEFAULT_CUT: CutRule =
     CutRule { least_force_n: 0.05, least_time_s: 0.05, power_w: 0.0, takes: Burnt::Tetrahedra };
@@ -86,6 +86,8 @@ pub(super) struct CutRules {
     default: BladeCuts,
     /// Whether scissors whose table does not say part tissue along their edges.
     scissors_part: bool,
+    /// Whether edges whose table does not say are sharp, or as blunt as the tip.
+    edges_are_sharp: bool,
     /// Whether nodes move after cuts, which embedded ones cannot follow.
     mends_cuts: bool,
     /// What no organ of the scene follows.
@@ -121,8 +123,16 @@ impl CutRules {
         let refused_by = |organ: &OrganSource| RefusedCuts::of(organ.model, organ.when_cut, is_alone);
         let by_each: Option<Vec<_>> = organs().map(refused_by).collect();
         let refused = by_each.filter(|_| all_cuts_part).and_then(|by_each| by_each.into_iter().next());
-        let scissors_part = all_cuts_part;
-        Self { known: None, embeds: None, default, scissors_part, mends_cuts: mends, refused }
+        let (scissors_part, edges_are_sharp) = (all_cuts_part, all_cuts_part);
+        Self {
+            known: None,
+            embeds: None,
+            default,
+            scissors_part,
+            edges_are_sharp,
+            mends_cuts: mends,
+            refused,
+        }
     }
 
     /// Notes what an instrument does.
@@ -150,11 +160,10 @@ impl CutRules {
 }
 
 pub(super) fn read_tool(mut section: Section<'_>, cuts: &CutRules) -> Result<InstrumentSource, SceneError> {
-    let (kind, sticks) = read_kind(&mut section, cuts)?;
+    let tip_radius_m = section.positive("tip_radius", Dimension::Length)?;
+    let (kind, sticks) = read_kind(&mut section, cuts, tip_radius_m)?;
     let name = section.string("name")?.map_or_else(|| kind.name().to_string(), |n| n.0);
-    let tip_radius_m = section
-        .positive("tip_radius", Dimension::Length)?
-        .ok_or_else(|| section.missing("tip_radius", "tip_radius = \"5 mm\""))?;
+    let tip_radius_m = tip_radius_m.ok_or_else(|| section.missing("tip_radius", "tip_radius = \"5 mm\""))?;
     let shaft_radius_m =
         section.positive("shaft_radius", Dimension::Length)?.unwrap_or(DEFAULT_SHAFT_RADIUS_M);
     let shaft_length_m =
@@ -201,7 +210,11 @@ pub(super) fn read_tool(mut section: Section<'_>, cuts: &CutRules) -> Result<Ins
 }
 
 /// The kind of an instrument, and whether tissue sticks to such unless the scene knows how it slides.
-fn read_kind(section: &mut Section<'_>, cuts: &CutRules) -> Result<(ToolKind, bool), SceneError> {
+fn read_kind(
+    section: &mut Section<'_>,
+    cuts: &CutRules,
+    tip_radius_m: Option<f64>,
+) -> Result<(ToolKind, bool), SceneError> {
     let Some((name, at)) = section.string("kind")? else { return Ok((ToolKind::PROBE, true)) };
     let Some(kind) = INSTRUMENTS.iter().find(|kind| kind.name == name) else {
         let allowed = instrument_names().collect::<Vec<_>>().join(", ");
@@ -212,18 +225,27 @@ fn read_kind(section: &mut Section<'_>, cuts: &CutRules) -> Result<(ToolKind, bo
     }
     // Keys of parts that the kind does not have are unknown.
     let jaws = if kind.jaws.is_some() { read_jaws(section)? } else { DEFAULT_JAWS };
-    let blade = if kind.has_blade { read_blade(section, cuts)? } else { DEFAULT_BLADE };
+    let blade_of = |section| read_blade(section, cuts, tip_radius_m.unwrap_or_default());
+    let blade = if kind.has_blade { blade_of(section)? } else { DEFAULT_BLADE };
     let burning = if kind.burns { read_cut(section, cuts)? } else { DEFAULT_CUT };
     let snip = if kind.jaws == Some(JawUse::Part) { read_snip(section, cuts)? } else { DEFAULT_SNIP };
     Ok((ToolKind::of(kind, &ToolParts { jaws, blade, burning, snip }), kind.sticks))
 }
 
-fn read_blade(section: &mut Section<'_>, rules: &CutRules) -> Result<Blade, SceneError> {
+fn read_blade(section: &mut Section<'_>, rules: &CutRules, tip_radius_m: f64) -> Result<Blade, SceneError> {
     let length_m = section.positive("blade_length", Dimension::Length)?.unwrap_or(DEFAULT_BLADE.length_m);
     let named = read_edge_cuts(section, &BLADE_CUTS, |cuts: BladeCuts| {
         rules.check(cuts == BladeCuts::Embedded, "subdivision or displacement")
     })?;
-    Ok(Blade { length_m, cuts: named.unwrap_or_else(|| rules.unsaid()) })
+    let edge_radius_m = match section.quantity("edge_radius", Dimension::Length)? {
+        Some((radius_m, at)) if radius_m < 0.0 => {
+            return Err(section.wrong_value(at, "edge_radius", format!("{radius_m} m"), "zero or more"));
+        }
+        Some((radius_m, _)) => radius_m,
+        None if rules.edges_are_sharp => DEFAULT_BLADE.edge_radius_m,
+        None => tip_radius_m,
+    };
+    Ok(Blade { length_m, edge_radius_m, cuts: named.unwrap_or_else(|| rules.unsaid()) })
 }
 
 /// What scissors do with what they close on.

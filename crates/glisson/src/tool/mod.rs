@@ -58,6 +58,9 @@ pub struct Jaws {
 pub struct Blade {
     /// Length of the edge [m].
     pub length_m: f64,
+    /// Radius of the edge [m]: it is in tissue that has strength when it has opened a crack as long as what presses, twice this at
+    /// least, and as deep as this; 0 for a perfectly sharp one.
+    pub edge_radius_m: f64,
     /// How it parts tissue.
     pub cuts: BladeCuts,
 }

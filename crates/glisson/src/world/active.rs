@@ -406,7 +406,8 @@ mod tests {
     fn an_edit_that_is_taken_back_leaves_the_places_of_the_others_to_the_strokes_end() {
         let body = EditableMesh::new(box_of_five([1, 1, 1], DVec3::ONE)).unwrap();
         let home = crate::tool::ToolInput::at(DVec3::ZERO, DVec3::Z);
-        let kind = ToolKind::scalpel(Blade { length_m: 0.1, cuts: BladeCuts::Subdivision });
+        let kind =
+            ToolKind::scalpel(Blade { length_m: 0.1, edge_radius_m: 0.0, cuts: BladeCuts::Subdivision });
         let mut active = ActiveTip::new(&Tool { kind, ..Tool::probe("scalpel", 1e-3, home) }, &body);
         active.touched.push(NodeId(3));
         let before = active.before_edit();

@@ -41,13 +41,15 @@ fn front_of_part(
     organ: &Organ,
     near: &mut Vec<ToolContact>,
 ) -> CrackFront {
-    let radius_m = tool.tip_radius_m;
-    let is_edge = part == ToolPart::Tip && tool.kind.blade().is_some() && pose.is_triggered();
-    if !is_edge {
-        return CrackFront::blunt(if part == ToolPart::Shaft { tool.shaft_radius_m } else { radius_m });
-    }
+    let Some(blade) = tool.kind.blade().filter(|_| part == ToolPart::Tip && pose.is_triggered()) else {
+        return CrackFront::blunt(if part == ToolPart::Shaft {
+            tool.shaft_radius_m
+        } else {
+            tool.tip_radius_m
+        });
+    };
     let length_m = capsule(tool, part, pose).map_or(0.0, |edge| pressed_length_m(&edge, organ, near));
-    CrackFront::edge(length_m.max(2.0 * radius_m), radius_m)
+    CrackFront::edge(length_m.max(2.0 * blade.edge_radius_m), blade.edge_radius_m)
 }
 
 /// How much of a capsule's length is at the surface.

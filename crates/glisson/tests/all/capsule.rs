@@ -20,7 +20,7 @@ fn scalpel_at(x_m: f64, trigger: f64) -> ToolInput {
 }
 
 fn world(cuts: BladeCuts) -> World {
-    let kind = ToolKind::scalpel(Blade { length_m: 0.06, cuts });
+    let kind = ToolKind::scalpel(Blade { length_m: 0.06, edge_radius_m: 0.0, cuts });
     let tool = Tool { kind, shaft_radius_m: 2e-3, ..Tool::probe("scalpel", 3e-3, scalpel_at(-0.02, 0.0)) };
     let spec = WorldSpec::new("block", TIME_STEP_S, tool);
     on_a_table(block([4, 4, 4], DVec3::splat(SIZE_M)), spec)

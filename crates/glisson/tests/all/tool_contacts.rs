@@ -84,7 +84,7 @@ fn a_tool_that_is_put_into_tissue_again_forgets_that_it_was_buried() {
 
 #[test]
 fn what_crosses_the_surface_where_it_is_put_touches_alike_whoever_looks() {
-    let blade = Blade { length_m: 0.02, cuts: BladeCuts::Subdivision };
+    let blade = Blade { length_m: 0.02, edge_radius_m: 0.0, cuts: BladeCuts::Subdivision };
     let scalpel = Tool { kind: ToolKind::scalpel(blade), ..probe(1e-3) };
     let poses: Vec<ToolInput> = (0..40).map(|i| at(0.05, SIZE_M - 0.01 + 1e-3 * f64::from(i))).collect();
     let found = touches(&scalpel, &poses);

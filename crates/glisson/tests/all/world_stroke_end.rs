@@ -32,7 +32,7 @@ fn world(cuts: BladeCuts, mends_cuts: bool) -> World {
 
 fn world_of(mesh: TetMesh, cuts: BladeCuts, mends_cuts: bool) -> World {
     let home = ToolInput::at(DVec3::new(0.05, 0.05, 0.3), DVec3::Z);
-    let kind = ToolKind::scalpel(Blade { length_m: 0.15, cuts });
+    let kind = ToolKind::scalpel(Blade { length_m: 0.15, edge_radius_m: 0.0, cuts });
     let mut spec = WorldSpec::new("block", TIME_STEP_S, Tool { kind, ..Tool::probe("scalpel", 2e-4, home) });
     spec.mends_cuts = mends_cuts;
     let mut world = on_a_table(mesh, spec);

@@ -161,7 +161,7 @@ fn surface_m2(world: &World) -> f64 {
 fn an_edge_needs_force_before_it_cuts_and_work_for_what_it_cuts() {
     for cuts in [BladeCuts::Subdivision, BladeCuts::Displacement] {
         let energy = 20.0;
-        let blade = ToolKind::scalpel(Blade { length_m: 0.06, cuts });
+        let blade = ToolKind::scalpel(Blade { length_m: 0.06, edge_radius_m: RADIUS_M, cuts });
         let mut world = world(ModelKind::Explicit, blade, Some(energy));
         world.set_undo_depth(1000);
         let (volume_m3, area_m2) = (world.organ().body().volume_m3(), surface_m2(&world));
@@ -187,6 +187,46 @@ fn an_edge_needs_force_before_it_cuts_and_work_for_what_it_cuts() {
         while world.undo_edit() {}
         assert_eq!(world.organ().body().mesh(), &block([5, 5, 5], DVec3::splat(SIZE_M)), "{cuts:?}");
     }
+}
+
+/// A sharp point goes into tissue on which a blunt one leans.
+#[test]
+fn a_sharp_edge_goes_in_where_a_blunt_one_leans() {
+    let press_and_draw = |edge_radius_m: f64| {
+        let blade = Blade { length_m: 0.06, edge_radius_m, cuts: BladeCuts::Subdivision };
+        let mut world = world(ModelKind::Explicit, ToolKind::scalpel(blade), Some(164.0));
+        let pose = |out_m: f64| ToolInput { trigger: 1.0, ..above(0.047, 0.053, SIZE_M + out_m) };
+        world.step(&StepInput::of(&[pose(0.01)]).placed());
+        // As deep as a hand goes with a point.
+        let pressed = glide(&mut world, &pose(0.01), &pose(-0.006), 400);
+        let drawn = ToolInput { trigger: 1.0, ..above(0.077, 0.053, SIZE_M - 0.006) };
+        let cut = glide(&mut world, &pose(-0.006), &drawn, 400);
+        let end = glide(&mut world, &drawn, &ToolInput { trigger: 0.0, ..drawn }, 1);
+        (pressed.greatest_n, cut.cuts.n_edits + end.cuts.n_edits, pressed.cuts.n_torn + cut.cuts.n_torn)
+    };
+    let [sharp, blunt] = [0.0, RADIUS_M].map(press_and_draw);
+    assert!(sharp.1 > 0 && sharp.2 == 0, "{sharp:?}");
+    assert!(blunt.0 > 164.0 * 2.0 * RADIUS_M && sharp.0 < 0.5 * blunt.0, "{sharp:?} {blunt:?}");
+}
+
+/// Drawn along its edge as well as across it, a blade cuts with less force and the same work (slicing: work G A over a longer way).
+#[test]
+fn slicing_takes_less_force_and_the_same_work() {
+    let energy = 20.0;
+    let mean_force_n = |along_m: f64| {
+        let blade = Blade { length_m: 0.09, edge_radius_m: 0.0, cuts: BladeCuts::Subdivision };
+        let mut world = world(ModelKind::Explicit, ToolKind::scalpel(blade), Some(energy));
+        let area_m2 = surface_m2(&world);
+        let pose = |x_m: f64, z_m: f64| ToolInput { trigger: 1.0, ..above(x_m, 0.047, SIZE_M - 0.03 + z_m) };
+        // The part of the edge that is in the block goes down the block's side in both strokes.
+        world.step(&StepInput::of(&[pose(-0.02, along_m)]).placed());
+        let motion = glide(&mut world, &pose(-0.02, along_m), &pose(0.05, 0.0), 700);
+        let crack_m2 = 0.5 * (surface_m2(&world) - area_m2);
+        (motion.work_j / (energy * crack_m2), motion.work_j / crack_m2.sqrt() / 0.07_f64.hypot(along_m))
+    };
+    let [pushed, sliced] = [0.0, 0.025].map(mean_force_n);
+    assert!((0.6..1.3).contains(&pushed.0) && (0.6..1.3).contains(&sliced.0), "{pushed:?} {sliced:?}");
+    assert!(sliced.1 < pushed.1, "{pushed:?} {sliced:?}");
 }
 
 /// Closes jaws on the upper edge and lets the current flow for as many steps.

@@ -546,7 +546,7 @@ fn a_tool_in_a_trocar_points_to_it() {
 #[test]
 fn a_scalpel_parts_the_block_along_its_sweep_and_every_step_can_be_taken_back() {
     for cuts in [BladeCuts::Subdivision, BladeCuts::Displacement] {
-        let blade = Blade { length_m: 0.06, cuts };
+        let blade = Blade { length_m: 0.06, edge_radius_m: 0.0, cuts };
         let mut world = world(vec![tool(ToolKind::scalpel(blade), 0.3)]);
         world.set_undo_depth(1000);
         let whole_m3 = world.organ().body().volume_m3();

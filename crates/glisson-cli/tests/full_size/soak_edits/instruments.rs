@@ -27,7 +27,8 @@ pub(super) fn tools(draw: &Draw, mean_edge_m: f64, time_step_s: f64, home: ToolI
     };
     let hot = CutRule { power_w: ENERGY_OF_STEP_J / time_step_s, ..at_once };
     let burns = if draw.burns_with_hook { ToolKind::hook(at_once) } else { ToolKind::cautery(JAWS, hot) };
-    let scalpel = ToolKind::scalpel(Blade { length_m: 4.0 * mean_edge_m, cuts: draw.blade_cuts });
+    let scalpel =
+        ToolKind::scalpel(Blade { length_m: 4.0 * mean_edge_m, edge_radius_m: 0.0, cuts: draw.blade_cuts });
     let tool = |name: &str, kind: ToolKind, tip_radius_m: f64| Tool {
         kind,
         shape: ToolShape::Capsules,

@@ -27,6 +27,8 @@ pub(super) struct InstrumentSource {
     pub(super) path: Vec<PathPoint>,
     /// A surface file in place of the ball at the tip.
     pub(super) shape: Option<PathBuf>,
+    /// Whether its table says how its edges cut.
+    says_cuts: bool,
 }
 
 /// A 5 mm laparoscopic instrument, the common small size of trocars.
@@ -122,7 +124,10 @@ impl CutRules {
         let is_alone = bodies.is_empty();
         let refused_by = |organ: &OrganSource| RefusedCuts::of(organ.model, organ.when_cut, is_alone);
         let by_each: Option<Vec<_>> = organs().map(refused_by).collect();
-        let refused = by_each.filter(|_| all_cuts_part).and_then(|by_each| by_each.into_iter().next());
+        // What one organ follows is followed.
+        let refused = by_each
+            .filter(|_| all_cuts_part)
+            .and_then(|by_each| by_each.into_iter().max_by_key(RefusedCuts::follows));
         let (scissors_part, edges_are_sharp) = (all_cuts_part, all_cuts_part);
         Self {
             known: None,
@@ -135,15 +140,30 @@ impl CutRules {
         }
     }
 
-    /// Notes what an instrument does.
-    pub(super) fn learn(&mut self, kind: &ToolKind) {
-        self.known = self.known.or(kind.edge_cuts());
-        self.embeds = self.embeds.or(embeds(kind));
+    /// Notes what the table of an instrument says.
+    pub(super) fn learn(&mut self, source: &InstrumentSource) {
+        let kind = &source.tool.kind;
+        if source.says_cuts || kind.burning().is_some() {
+            self.known = self.known.or(kind.edge_cuts());
+            self.embeds = self.embeds.or(embeds(kind));
+        }
+    }
+
+    /// When all tables are read: edges whose table does not say cut as the others do.
+    pub(super) fn complete(&self, source: &mut InstrumentSource) {
+        if !source.says_cuts {
+            source.tool.kind = source.tool.kind.cutting(self.unsaid(), self.unsaid_snip());
+        }
     }
 
     /// The way to cut of an edge whose table does not say.
     fn unsaid(&self) -> BladeCuts {
         self.known.unwrap_or(self.default)
+    }
+
+    /// What scissors do whose table does not say.
+    fn unsaid_snip(&self) -> Snip {
+        if self.scissors_part { Snip::beside(self.unsaid()) } else { Snip::Tetrahedra }
     }
 
     fn check(&self, is_embedded: bool, others: &str) -> Result<(), String> {
@@ -161,6 +181,7 @@ impl CutRules {
 
 pub(super) fn read_tool(mut section: Section<'_>, cuts: &CutRules) -> Result<InstrumentSource, SceneError> {
     let tip_radius_m = section.positive("tip_radius", Dimension::Length)?;
+    let says_cuts = section.has("blade_cuts");
     let (kind, sticks) = read_kind(&mut section, cuts, tip_radius_m)?;
     let name = section.string("name")?.map_or_else(|| kind.name().to_string(), |n| n.0);
     let tip_radius_m = tip_radius_m.ok_or_else(|| section.missing("tip_radius", "tip_radius = \"5 mm\""))?;
@@ -206,7 +227,7 @@ pub(super) fn read_tool(mut section: Section<'_>, cuts: &CutRules) -> Result<Ins
         trocar_m,
         home,
     };
-    Ok(InstrumentSource { tool, path, shape })
+    Ok(InstrumentSource { tool, path, shape, says_cuts })
 }
 
 /// The kind of an instrument, and whether tissue sticks to such unless the scene knows how it slides.
@@ -254,8 +275,7 @@ fn read_snip(section: &mut Section<'_>, rules: &CutRules) -> Result<Snip, SceneE
         Some(cuts) => rules.check(cuts == BladeCuts::Embedded, "subdivision or tetrahedra"),
         None => Ok(()),
     })?;
-    let unsaid = if rules.scissors_part { Snip::beside(rules.unsaid()) } else { Snip::Tetrahedra };
-    Ok(named.unwrap_or(unsaid))
+    Ok(named.unwrap_or_else(|| rules.unsaid_snip()))
 }
 
 /// How edges cut, one of some `ways`, as their table says it.

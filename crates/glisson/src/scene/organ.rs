@@ -69,6 +69,8 @@ pub struct OrganSource {
     pub when_cut: WhenCut,
     /// Damping; dynamic models only.
     pub damping: Rayleigh,
+    /// The same of a hybrid that it is because instruments divide it: a choice, if the scene says nothing.
+    pub damping_when_cut: Rayleigh,
     /// Whether the imaged shape is the one under the scene's gravity.
     pub is_imaged_under_gravity: bool,
     /// Zones of the hybrid model; what is in none of them is pre-computed.
@@ -86,9 +88,7 @@ impl OrganSource {
     pub(super) fn expect_blades(&mut self) {
         if turns_hybrid(self.model, self.when_cut) {
             self.model = ModelKind::Hybrid;
-            if self.damping == Rayleigh::default() {
-                self.damping = Rayleigh::of_mass(DAMPING_WHEN_CUT_PER_S);
-            }
+            self.damping = self.damping_when_cut;
         }
     }
 }
@@ -123,10 +123,12 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
     let volume_penalty_pa = not_negative(&mut section, "volume_penalty", Dimension::Pressure)?;
     let precomputed = section.string("precomputed")?.map(|p| PathBuf::from(p.0));
     let when_cut = read_when_cut(&mut section, model, precomputed.is_some())?;
+    let is_damping_said = section.has("damping") || section.has("stiffness_damping");
     let damping = Rayleigh {
         mass_per_s: not_negative(&mut section, "damping", Dimension::Rate)?,
         stiffness_s: not_negative(&mut section, "stiffness_damping", Dimension::Time)?,
     };
+    let damping_when_cut = if is_damping_said { damping } else { Rayleigh::of_mass(DAMPING_WHEN_CUT_PER_S) };
     let is_imaged_under_gravity = section.flag("imaged_under_gravity")?.unwrap_or(true);
     let supports = section.sections("fixed")?.into_iter().map(read_support).collect::<Result<_, _>>()?;
     let ligaments = section.sections("ligament")?.into_iter().map(read_ligament).collect::<Result<_, _>>()?;
@@ -149,6 +151,7 @@ pub(super) fn read_organ(mut section: Section<'_>) -> Result<(OrganSource, Organ
         precomputed,
         when_cut,
         damping,
+        damping_when_cut,
         is_imaged_under_gravity,
         zones,
         measured,

@@ -108,10 +108,16 @@ impl Scene {
             attachments.push(read_attachment(section, &bodies)?);
         }
         let mut cuts = CutRules::of(&organ, &bodies, (defaults.blade_cuts, defaults.all_cuts_part));
-        let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
+        let mut sources = Vec::new();
         for section in tools {
-            let InstrumentSource { tool, path, shape } = read_tool(section, &cuts)?;
-            cuts.learn(&tool.kind);
+            let source = read_tool(section, &cuts)?;
+            cuts.learn(&source);
+            sources.push(source);
+        }
+        let (mut scripted, mut tool_shapes, mut paths) = (Vec::new(), Vec::new(), Vec::new());
+        for mut source in sources {
+            cuts.complete(&mut source);
+            let InstrumentSource { tool, path, shape, .. } = source;
             scripted.push(tool);
             paths.push(path);
             tool_shapes.push(shape);
@@ -315,6 +321,10 @@ trigger = 1
             ("displacement", Snip::Tetrahedra),
         ] {
             assert_eq!(of(&(scalpel(cuts) + scissors)).unwrap(), expected);
+            // In either order.
+            let first = scalpel(cuts).replacen("[[tool]]", &format!("{scissors}[[tool]]"), 1);
+            let kinds = Scene::parse(&first).unwrap().world.tools;
+            assert_eq!(kinds[0].kind.parting_jaws().unwrap().1, expected);
         }
         let whole = alone.clone() + "blade_cuts = \"tetrahedra\"\n";
         assert_eq!(of(&whole).unwrap(), Snip::Tetrahedra);
@@ -377,6 +387,8 @@ trigger = 1
                 "{refused}"
             );
         }
+        let zero = Scene::parse(&with(&(pre.to_owned() + "damping = \"0 1/s\"\n"), "scalpel", "")).unwrap();
+        assert_eq!(zero.organ.damping, Rayleigh::default());
         let both = message(&organ(&(saved.to_owned() + "when_cut = \"hybrid\"\n")));
         assert!(both.contains("removal, with a saved pre-computation"), "{both}");
         let unknown = message(&organ(&removal.replace("removal", "hybrids")));

@@ -2,7 +2,7 @@
 
 use super::reader::{SceneError, Section};
 use crate::model::kind::{MODELS, ModelKind};
-use crate::model::{FollowedEdits, ModelRow};
+use crate::model::{FollowedEdits, ModelMotion, ModelRow};
 use crate::tool::{InstrumentKind, JawUse};
 
 /// What becomes of a pre-computed organ that instruments divide.
@@ -60,11 +60,17 @@ impl RefusedCuts {
         }
         let takes_tetrahedra = edits == FollowedEdits::Removals;
         let allowed = if takes_tetrahedra {
-            let hybrid = if is_alone { "when_cut = \"hybrid\" in [organ], or " } else { "" };
+            let hybrid = if is_alone {
+                "when_cut = \"hybrid\" in [organ] and take a saved pre-computation (\"precomputed\") out, or "
+            } else {
+                ""
+            };
             format!(
                 "hook, cautery or scissors, because model = \"{name}\" loses whole tetrahedra here; for a blade write {hybrid}another \
                  model: {}",
-                names_of(|row| row.edits == FollowedEdits::All)
+                names_of(
+                    |row| row.edits == FollowedEdits::All && (is_alone || row.motion != ModelMotion::Mixed)
+                )
             )
         } else {
             format!(
@@ -73,6 +79,11 @@ impl RefusedCuts {
             )
         };
         Some(Self { takes_tetrahedra, allowed })
+    }
+
+    /// How much is followed nevertheless, to compare.
+    pub(super) fn follows(&self) -> bool {
+        self.takes_tetrahedra
     }
 
     /// Whether an instrument is among them.

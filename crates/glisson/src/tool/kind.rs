@@ -162,6 +162,16 @@ impl ToolKind {
         self.jaws.as_ref().zip(self.snip)
     }
 
+    /// The same where its edge, or the edges of its jaws, cut so.
+    #[must_use]
+    pub fn cutting(self, blade_cuts: BladeCuts, snip: Snip) -> Self {
+        Self {
+            blade: self.blade.map(|blade| Blade { cuts: blade_cuts, ..blade }),
+            snip: self.snip.map(|_| snip),
+            ..self
+        }
+    }
+
     /// How its edge parts tissue, or the edges of its jaws, if it has any.
     pub fn edge_cuts(&self) -> Option<BladeCuts> {
         self.blade.map(|blade| blade.cuts).or_else(|| self.snip?.edge_cuts())

@@ -7,6 +7,7 @@ use crate::math::DVec3;
 use crate::mesh::edit::{EditableMesh, MeshEdit, TopologyChange};
 use crate::mesh::quality::dihedral_cosine_range;
 use crate::mesh::{NodeId, TetId};
+use crate::model::TopologyRefusal;
 use crate::tool::cautery::TissueHeat;
 use crate::tool::cut::scalpel::{ScalpelCut, ScalpelParams};
 use crate::tool::cut::subdivision::{SubdivisionCut, SubdivisionParams};
@@ -208,10 +209,12 @@ impl World {
     pub(super) fn snip(&mut self, tool: usize, (jaws, snip): (&Jaws, Snip), cuts: &mut ToolCuts) {
         let mut step = BladeReport::default();
         if snip != Snip::Tetrahedra {
-            let n_refused = cuts.refusals.len();
+            let (n_refused, n_edits) = (cuts.refusals.len(), cuts.n_edits);
             self.close_edges(tool, jaws, &mut step, cuts);
-            let is_frozen = matches!(cuts.refusals[n_refused..], [(_, EditRefusal::Model(_)), ..]);
-            if !(is_frozen && step == BladeReport::default()) {
+            let is_frozen =
+                |refusal: &EditRefusal| matches!(refusal, EditRefusal::Model(TopologyRefusal::Frozen { .. }));
+            let is_refused = cuts.refusals[n_refused..].iter().any(|(_, refusal)| is_frozen(refusal));
+            if cuts.n_edits > n_edits || !is_refused {
                 cuts.blades.add(&step);
                 if step.cut_area_m2 > 0.0 {
                     cuts.strokes.push((tool, step));

@@ -1,7 +1,7 @@
 //! The stages of a step around the model: what the hands do to it, and what they feel of it.
 
 use super::bodies::SurfaceContact;
-use super::grasp::{Grasp, HOLDS_BELOW, Hold};
+use super::grasp::{Grasp, Hold};
 use super::parts::ToolPart;
 use super::slide::{Follow, PatchAnswer};
 use super::tear::edge_motion_m;
@@ -55,14 +55,7 @@ impl World {
                 if hand.grasp.as_ref().is_some_and(|grasp| !grasp.holds(&pose)) {
                     hand.grasp = None;
                 }
-                hand.opened_to = if pose.jaw_opening < hand.before.jaw_opening {
-                    hand.opened_to.max(hand.before.jaw_opening)
-                } else if pose.jaw_opening > hand.before.jaw_opening {
-                    pose.jaw_opening
-                } else {
-                    hand.opened_to
-                };
-                hand.just_closed = pose.jaw_opening <= HOLDS_BELOW && hand.before.jaw_opening > HOLDS_BELOW;
+                hand.follow_jaws(tool, self.spec.time_step_s);
                 if hand.just_closed && hand.grasp.is_none() && tool.kind.holds() {
                     let (opening, near) = (hand.opened_to, &mut self.between_jaws);
                     let on_mesh = (&pose, self.press.tip_further_out_m(place));

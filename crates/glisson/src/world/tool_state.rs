@@ -19,10 +19,14 @@ use crate::tool::external_detection::{ExternalDetection, ExternalTouch};
 use crate::tool::fracture::{Tearing, scissors_force_n};
 use crate::tool::pose::{ToolFrame, rotation_vector_rad, turn_by};
 use crate::tool::{Jaws, Tool, ToolInput};
+use std::cmp::Ordering;
 
 /// What was found elsewhere counts while the part is no further from the touched place [m]: a choice, as far as a hand may come
 /// while a simulation stalls.
 const MOST_DEEP_M: f64 = 0.03;
+
+/// Scissors whose jaws stood still for longer [s] close no more: a choice, some times as long as hands take to tell of their jaws.
+const CLOSES_FOR_S: f64 = 0.05;
 
 /// An instrument that is turned from how the hand wants it by less [rad] is as the hand wants it: far above rounding.
 const LEAST_TURNED_RAD: f64 = 1e-9;
@@ -82,6 +86,8 @@ pub(super) struct ToolState {
     pub(super) opened_to: f64,
     /// Whether the jaws closed in the last step.
     pub(super) just_closed: bool,
+    /// For how long the jaws of scissors still count as closing [s].
+    pub(super) closing_s: f64,
     /// How long the active tip has been on and touching [s].
     pub(super) active_s: f64,
     /// What it does to tissue that stands no more.
@@ -112,6 +118,7 @@ impl ToolState {
             grasp: None,
             opened_to: home.jaw_opening,
             just_closed: false,
+            closing_s: 0.0,
             active_s: 0.0,
             overload: Overload::default(),
             report: ToolReport::default(),
@@ -122,7 +129,7 @@ impl ToolState {
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let contacts = self.contacts.iter().flatten().flat_map(HeldContact::numbers);
         let grasp = self.grasp.iter().flat_map(Grasp::numbers);
-        let active = (self.active_s > 0.0).then_some(self.active_s);
+        let active = [self.active_s, self.closing_s].into_iter().filter(|s| *s > 0.0);
         let buried = ToolPart::ALL.into_iter().filter(|part| self.is_buried[part.index()]);
         let buried = buried.map(|part| part.index() as f64);
         let behind_m = self.hand_tip_m - self.now.tip_in_world_m;
@@ -228,10 +235,7 @@ impl ToolState {
 
     /// Whether its jaws are scissors' that close and are strong enough to part tissue.
     fn jaws_cut(&self, tool: &Tool, tearing: Option<&Tearing>) -> bool {
-        // On the rest of the way, when they have cut, they would squeeze what is left between them.
-        let (before, now) = (self.before.jaw_opening, self.now.jaw_opening);
-        let closes = now < self.opened_to && (before > HOLDS_BELOW || now < before);
-        closes
+        self.closing_s > 0.0
             && tool.kind.parting_jaws().is_some_and(|(jaws, snip)| {
                 snip.edge_cuts().is_some() && scissors_lack_n(jaws, tearing).is_none()
             })
@@ -242,8 +246,24 @@ impl ToolState {
         self.contacts = [const { None }; 3];
         self.is_buried = [false; 3];
         self.grasp = None;
-        self.active_s = 0.0;
+        (self.active_s, self.closing_s) = (0.0, 0.0);
         self.overload = Overload::default();
+    }
+
+    /// Follows the jaws of a tool in a step.
+    pub(super) fn follow_jaws(&mut self, tool: &Tool, dt_s: f64) {
+        let (before, now) = (self.before.jaw_opening, self.now.jaw_opening);
+        self.opened_to = match now.partial_cmp(&before) {
+            Some(Ordering::Less) => self.opened_to.max(before),
+            Some(Ordering::Greater) => now,
+            _ => self.opened_to,
+        };
+        self.just_closed = now <= HOLDS_BELOW && before > HOLDS_BELOW;
+        self.closing_s = match now.partial_cmp(&before) {
+            Some(Ordering::Less) if tool.kind.edge_cuts().is_some() => CLOSES_FOR_S,
+            Some(Ordering::Greater) => 0.0,
+            _ => (self.closing_s - dt_s).max(0.0),
+        };
     }
 
     /// A part goes on through the tissue: it touches nothing until it has come out.

@@ -593,3 +593,68 @@ fn a_model_that_takes_over_follows_edits_of_all_kinds() {
     assert_eq!(world.model_kind(), ModelKind::TensorMass);
     assert!(!world.undo_edit(), "edits of the model before cannot be undone");
 }
+
+/// The end of a bar whose zones were pre-computed: the last stroke frees more than the zone that it goes through.
+#[test]
+fn a_piece_that_a_blade_cuts_loose_from_a_hybrid_falls() {
+    let size_m = DVec3::new(0.12, 0.03, 0.03);
+    let mesh = block([12, 3, 3], size_m);
+    let blade = Blade { length_m: 0.06, edge_radius_m: 0.0, cuts: BladeCuts::Embedded };
+    let mut spec = WorldSpec::new("bar", TIME_STEP_S, tool(ToolKind::scalpel(blade), 0.3));
+    spec.supports =
+        vec![Support::all_axes(Region::Furthest { direction: DVec3::NEG_X, fraction: 1.0 / 24.0 })];
+    let material = LinearElastic::from_young_poisson(2e4, 0.4, 1000.0).unwrap();
+    let mut body = OrganBody::new(mesh, material, TIME_STEP_S);
+    body.fixed = fixed_nodes(&spec.supports, &body.mesh.positions_m);
+    body.damping = Rayleigh { mass_per_s: 0.1, stiffness_s: 0.0 };
+    body.embeds_cuts = true;
+    let model = build_model(&body, ModelKind::Hybrid).unwrap();
+    let mut world = World::new(spec, body.mesh, model, ModelKind::Hybrid).unwrap();
+    let at = |y_m: f64, trigger: f64| ToolInput { trigger, ..above(0.0751, y_m, -0.01) };
+    let mut n_edits = 0;
+    for [from_m, to_m] in [[-0.01, 0.0157], [0.04, 0.0143]] {
+        world.step(&StepInput::of(&[at(from_m, 1.0)]).placed());
+        for i in 1..=30 {
+            let share = f64::from(i) / 30.0;
+            world.step(&StepInput::of(&[at(from_m + (to_m - from_m) * share, 1.0)]));
+            n_edits += world.cut_with_tools().n_edits;
+        }
+        world.step(&StepInput::of(&[at(to_m, 0.0)]));
+        n_edits += world.cut_with_tools().n_edits;
+    }
+    assert!(n_edits > 1, "{n_edits}");
+    let far = StepInput::of(&[above(0.0, 0.0, 0.5)]);
+    world.step(&far.placed());
+    world.set_gravity(DVec3::NEG_Z * 9.81);
+    let before: Vec<DVec3> = world.state().positions_m.to_vec();
+    let n_steps = (0.05 / TIME_STEP_S) as u32;
+    for _ in 0..n_steps {
+        world.step(&far);
+    }
+    let fallen_m = 0.5 * 9.81 * 0.05 * 0.05;
+    let rest_m = world.organ().mesh().positions_m.clone();
+    for n in (0..rest_m.len()).filter(|n| rest_m[*n].x > 0.095) {
+        let way_m = world.state().positions_m[n] - before[n];
+        assert!((way_m.z / -fallen_m - 1.0).abs() < 0.15, "{} of {fallen_m} m at {}", way_m.z, rest_m[n]);
+    }
+}
+
+#[test]
+fn scissors_that_stand_half_open_push_tissue() {
+    let greatest_n = |closes: bool| {
+        let mut world = world(vec![tool(ToolKind::scissors(JAWS, Snip::Subdivision), 0.3)]);
+        let pose = |z_m: f64, jaw_opening: f64| ToolInput { jaw_opening, ..above(0.05, 0.05, z_m) };
+        world.step(&StepInput::of(&[pose(SIZE_M + 0.02, 1.0)]).placed());
+        let opening = if closes { 0.5 } else { 1.0 };
+        let mut force_n: f64 = 0.0;
+        for i in 0..=400 {
+            // Half closed in the air, then lowered.
+            let jaw = if i < 20 { 1.0 + (opening - 1.0) * f64::from(i) / 20.0 } else { opening };
+            let down_m = 0.03 * (f64::from(i - 200).max(0.0) / 200.0);
+            world.step(&StepInput::of(&[pose(SIZE_M + 0.02 - down_m, jaw)]));
+            force_n = force_n.max(world.report().tools[0].force_on_tool_n.length());
+        }
+        force_n
+    };
+    assert!(greatest_n(false) > 0.1 && greatest_n(true) > 0.1);
+}

@@ -54,6 +54,10 @@ impl Embedding {
         (told.nodes.n_after, told.tets.n_after) =
             (self.copies.positions_m.len(), self.copies.tetrahedra.len());
         self.list_dead_nodes(&candidates, &corners, &mut told);
+        // Copies part where slits end, before the cut mesh does.
+        for pieces in [&mut told.pieces.through_faces, &mut told.pieces.through_nodes] {
+            pieces.may_have_split = true;
+        }
         Ok(told)
     }
 

@@ -93,6 +93,14 @@ impl ExplicitMotion {
         Ok(motion)
     }
 
+    /// Goes on in steps of so many seconds [s], as after an edit: where they would need more than the most parts, nodes are made
+    /// heavier.
+    pub(in crate::model) fn go_on_in_steps_of(&mut self, time_step_s: f64, tets: &LiveTets) {
+        self.frame.time_step_s = time_step_s;
+        self.set_last_step_s(time_step_s);
+        self.after_removals(tets);
+    }
+
     /// Stable step [s] with ligaments and damping of the stiffness, for tissue that alone has `elastic_s`.
     fn step_for(&self, elastic_s: f64) -> f64 {
         let ligaments_per_s2 = self.frame.attachment_squared_frequency_per_s2(|n| self.inertia_kg[n]);

@@ -60,6 +60,8 @@ const MOST_ALIKE: f64 = -0.25;
 const SLACK: f64 = 0.25;
 /// Listed pairs for each vertex at most; a list that is full serves for one step. A choice.
 const PAIRS_OF_VERTEX: usize = 96;
+/// Distances and motions are good to this share.
+const ROUNDING: f64 = 1e-9;
 /// Closer than this the way to a vertex has no direction of its own [m].
 const LEAST_OFFSET_M: f64 = 1e-6;
 
@@ -110,28 +112,82 @@ struct Directed {
     length: f64,
 }
 
+/// A triangle near a vertex, and how far from it [m] when it was listed.
+#[derive(Clone, Copy, Debug)]
+struct Listed {
+    triangle: u32,
+    distance_m: f64,
+}
+
 /// Vertices and triangles that came near each other when the vertices were at some places.
 #[derive(Clone, Debug)]
 struct PairList {
-    pairs: BoundedVec<[u32; 2]>,
+    /// Of each vertex from one start to the next, the nearest first.
+    of_vertex: BoundedVec<Listed>,
+    starts: Vec<u32>,
+    /// As they are found, with the vertex of each: scratch.
+    found: BoundedVec<(u32, Listed)>,
     at_m: Vec<DVec3>,
     /// Whether it has all pairs of that moment.
     is_complete: bool,
+    /// The first of each vertex that was not looked at yet: scratch.
+    next: Vec<u32>,
 }
 
 impl PairList {
     fn with_room_for(n_vertices: usize) -> Self {
         Self {
-            pairs: BoundedVec::with_capacity(PAIRS_OF_VERTEX * n_vertices),
+            of_vertex: BoundedVec::with_capacity(PAIRS_OF_VERTEX * n_vertices),
+            starts: vec![0; n_vertices + 1],
+            found: BoundedVec::with_capacity(PAIRS_OF_VERTEX * n_vertices),
             at_m: vec![DVec3::NAN; n_vertices],
             is_complete: false,
+            next: vec![0; n_vertices],
         }
     }
 
-    /// Whether no vertex is further from where it was than `most_m`; false also for places that are no numbers.
-    fn serves(&self, positions_m: &[DVec3], most_m: f64) -> bool {
-        let is_near = |(a, b): (&DVec3, &DVec3)| a.distance_squared(*b) <= most_m * most_m;
-        self.is_complete && self.at_m.iter().zip(positions_m).all(is_near)
+    /// By how much any two may have come nearer to each other since [m]; none when the list serves no longer: a vertex is further
+    /// from where it was than half the slack, or not all pairs found room.
+    fn nearer_by_m(&self, positions_m: &[DVec3], slack_m: f64) -> Option<f64> {
+        let moved_m2 = self.at_m.iter().zip(positions_m).map(|(a, b)| a.distance_squared(*b));
+        // Places that are no numbers count as far.
+        let most_m2 = moved_m2.fold(0.0, |most: f64, m2| if m2 <= most || most.is_nan() { most } else { m2 });
+        let nearer_m = 2.0 * most_m2.sqrt() * (1.0 + ROUNDING);
+        (self.is_complete && nearer_m <= slack_m).then_some(nearer_m)
+    }
+
+    /// Begins a new list.
+    fn start(&mut self, positions_m: &[DVec3]) {
+        self.found.clear();
+        self.is_complete = true;
+        self.at_m.copy_from_slice(positions_m);
+    }
+
+    fn add(&mut self, [vertex, triangle]: [u32; 2], distance_m: f64) {
+        self.is_complete &= self.found.try_push((vertex, Listed { triangle, distance_m }));
+    }
+
+    /// Sorts what was added.
+    fn finish(&mut self) {
+        self.starts.fill(0);
+        self.found.iter().for_each(|(vertex, _)| self.starts[*vertex as usize + 1] += 1);
+        for v in 1..self.starts.len() {
+            self.starts[v] += self.starts[v - 1];
+        }
+        self.next.copy_from_slice(&self.starts[..self.at_m.len()]);
+        self.of_vertex.clear();
+        self.of_vertex.resize(self.found.len(), Listed { triangle: NONE, distance_m: 0.0 });
+        for &(vertex, listed) in self.found.iter() {
+            let at = &mut self.next[vertex as usize];
+            self.of_vertex[*at as usize] = listed;
+            *at += 1;
+        }
+        for ends in self.starts.windows(2) {
+            let of_vertex = &mut self.of_vertex[ends[0] as usize..ends[1] as usize];
+            of_vertex.sort_unstable_by(|a, b| {
+                a.distance_m.total_cmp(&b.distance_m).then(a.triangle.cmp(&b.triangle))
+            });
+        }
     }
 }
 
@@ -182,9 +238,11 @@ impl ContactSearch {
     /// found no room, there or in the structure.
     pub fn find_into(&mut self, positions_m: &[DVec3], found: &mut Vec<NodeContact>) -> usize {
         found.clear();
-        if !self.listed.serves(positions_m, 0.5 * SLACK * self.margin_m) {
+        let slack_m = SLACK * self.margin_m;
+        let nearer_m = self.listed.nearer_by_m(positions_m, slack_m).or_else(|| {
             self.list(positions_m);
-        }
+            self.listed.nearer_by_m(positions_m, slack_m)
+        });
         let Self { search, vertices, triangles, normals, areas_m2, nearest, margin_m, own, listed } = self;
         nearest.fill(NOTHING);
         if own.is_some() {
@@ -194,25 +252,16 @@ impl ContactSearch {
         let margin_m = *margin_m;
         let mut test =
             DistanceTest { positions_m, triangles, nearest, margin_m, own: own_shape, has_any: false };
-        let mut waiting = [[0u32; 2]; N_WAITING];
-        let mut n_waiting = 0;
-        let mut wait = |vertex: u32, triangle: u32| {
-            if !test.can_face(vertex, triangle) {
-                return;
+        match nearer_m {
+            Some(nearer_m) => test.listed(listed, nearer_m),
+            None => {
+                let mut waiting = Waiting::default();
+                vertices.for_each(search, |vertex, triangle| {
+                    waiting.test([vertex, triangle], &mut test);
+                });
+                waiting.finish(&mut test);
             }
-            waiting[n_waiting] = [vertex, triangle];
-            n_waiting += 1;
-            if n_waiting == N_WAITING {
-                test.all(&waiting);
-                n_waiting = 0;
-            }
-        };
-        if listed.is_complete {
-            listed.pairs.iter().for_each(|&[vertex, triangle]| wait(vertex, triangle));
-        } else {
-            vertices.for_each(search, wait);
         }
-        test.all(&waiting[..n_waiting]);
         let has_any = test.has_any;
         let corners_m = |t: u32| triangles[t as usize].map(|v| positions_m[v as usize]);
         let mut n_dropped = search.structure().n_dropped() as usize;
@@ -252,15 +301,33 @@ impl ContactSearch {
 
     /// Lists the pairs that are near each other now.
     fn list(&mut self, positions_m: &[DVec3]) {
-        let Self { search, vertices, listed, .. } = self;
+        let Self { search, vertices, listed, triangles, margin_m, .. } = self;
         search.update(positions_m);
         vertices.update(search);
-        listed.pairs.clear();
-        listed.is_complete = true;
+        listed.start(positions_m);
+        let (level, mut places) = (Level::new(), NearestPlaces::new());
+        let most_m = (1.0 + SLACK) * *margin_m;
+        let mut measure = |block: &[[u32; 2]]| {
+            places.find(level, block, positions_m, triangles);
+            for (i, pair) in block.iter().enumerate() {
+                // What is no number may be near.
+                let distance_m = places.distance_m(i).max(0.0);
+                if distance_m <= most_m {
+                    listed.add(*pair, distance_m);
+                }
+            }
+        };
+        let (mut waiting, mut n_waiting) = ([[0_u32; 2]; BLOCK], 0);
         vertices.for_each(search, |vertex, triangle| {
-            listed.is_complete &= listed.pairs.try_push([vertex, triangle]);
+            waiting[n_waiting] = [vertex, triangle];
+            n_waiting += 1;
+            if n_waiting == BLOCK {
+                measure(&waiting);
+                n_waiting = 0;
+            }
         });
-        listed.at_m.copy_from_slice(positions_m);
+        measure(&waiting[..n_waiting]);
+        listed.finish();
     }
 
     /// Vertices of the triangles.
@@ -335,7 +402,67 @@ struct DistanceTest<'a> {
     has_any: bool,
 }
 
+/// Pairs that wait until there are some hundreds.
+struct Waiting {
+    pairs: [[u32; 2]; N_WAITING],
+    n: usize,
+}
+
+impl Default for Waiting {
+    fn default() -> Self {
+        Self { pairs: [[0; 2]; N_WAITING], n: 0 }
+    }
+}
+
+impl Waiting {
+    /// A pair is tested, now or later, if its sides face each other; whether they do.
+    fn test(&mut self, pair: [u32; 2], test: &mut DistanceTest<'_>) -> bool {
+        let can_face = test.can_face(pair[0], pair[1]);
+        if can_face {
+            self.pairs[self.n] = pair;
+            self.n += 1;
+            if self.n == N_WAITING {
+                self.finish(test);
+            }
+        }
+        can_face
+    }
+
+    fn finish(&mut self, test: &mut DistanceTest<'_>) {
+        test.all(&self.pairs[..self.n]);
+        self.n = 0;
+    }
+}
+
 impl DistanceTest<'_> {
+    /// Tests the pairs of a list that can be nearest: of each vertex first the nearest that faces it, then what may be as near.
+    fn listed(&mut self, list: &mut PairList, nearer_m: f64) {
+        let PairList { of_vertex, starts, next, .. } = list;
+        let mut waiting = Waiting::default();
+        for is_first in [true, false] {
+            for (vertex, next) in (0..).zip(&mut *next) {
+                let ends = [starts[vertex as usize], starts[vertex as usize + 1]];
+                // Nothing is known before the first round.
+                let best_m = self.nearest[vertex as usize].distance_m;
+                if is_first {
+                    *next = ends[0];
+                }
+                let most_m = best_m.min(self.margin_m) + nearer_m;
+                while *next < ends[1] {
+                    let Listed { triangle, distance_m } = of_vertex[*next as usize];
+                    if distance_m > most_m {
+                        break;
+                    }
+                    *next += 1;
+                    if waiting.test([vertex, triangle], self) && is_first {
+                        break;
+                    }
+                }
+            }
+            waiting.finish(self);
+        }
+    }
+
     fn all(&mut self, pairs: &[[u32; 2]]) {
         let level = Level::new();
         let mut places = NearestPlaces::new();

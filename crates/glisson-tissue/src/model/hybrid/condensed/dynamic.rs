@@ -135,13 +135,18 @@ impl CutOut {
         let again = stability.clone();
         let own =
             DynamicBody { mesh, fixed: &fixed, attachments: &attachments, rest_stress_pa: &[], ..*body };
-        match ExplicitMotion::new(&own, stability, strained_j) {
+        let made = match ExplicitMotion::new(&own, stability, strained_j) {
             // Take shorter steps instead of refusing: a zone can become dynamic after the step was chosen.
             Err(ExplicitError::UnstableStep { allowed_s, .. }) => {
                 ExplicitMotion::new(&DynamicBody { time_step_s: allowed_s, ..own }, again, strained_j)
             }
             made => made,
+        };
+        let mut motion = made?;
+        if source.is_cut {
+            motion.go_on_in_steps_of(body.time_step_s, &LiveTets::of_mesh(mesh));
         }
+        Ok(motion)
     }
 }
 

@@ -1,6 +1,7 @@
 //! Cuts: zones that become dynamic, tensors that are subtracted, pieces that come loose.
 
 use super::super::NAME;
+use super::dynamic::DynamicPart;
 use super::{CondensedHybrid, Place, ZoneLaw};
 use crate::material::contraction;
 use crate::model::TopologyRefusal;
@@ -30,7 +31,8 @@ impl CondensedHybrid {
         let live = self.mesh.tetrahedra.iter().enumerate().filter(|(t, _)| self.is_live[*t]);
         let growth = TopologyUpdate::of(NAME, mesh, change, &self.mesh.positions_m, live)?;
         let removed = &change.tets.removed[..];
-        let mut is_new = self.dynamic.as_ref().is_some_and(|d| d.would_strand(removed));
+        let strands = |dynamic: &DynamicPart| growth.is_none() && dynamic.would_strand(removed);
+        let mut is_new = self.dynamic.as_ref().is_some_and(strands);
         let mut is_cut = false;
         if let Some(growth) = &growth {
             // What is shown now, for the numbers that there are now.
@@ -96,6 +98,11 @@ impl CondensedHybrid {
         let displacement_m = |n: usize| self.positions_m[n] - self.mesh.positions_m[n];
         let displacements_m = growth.displacements_m(displacement_m, supports);
         let velocities = growth.velocities(|n| self.velocities_m_per_s[n], supports);
+        // What is held stays where it is.
+        for held in &mut self.constraints.displacements {
+            let n = held.node.index();
+            held.displacement_m -= mesh.positions_m[n] - self.mesh.positions_m[n];
+        }
         for node in change.moved_nodes.iter().map(|node| node.index()).filter(|n| *n < n_before) {
             self.mesh.positions_m[node] = mesh.positions_m[node];
         }

@@ -16,6 +16,9 @@ use crate::tool::{Blade, BladeCuts, Jaws, Snip, Tool};
 
 /// Transactions of one blade in one step at most; what is left is done after the next one.
 const MOST_EDITS: usize = 64;
+/// An edge in tissue of a model that cannot follow it tries again after so many seconds [s]: a choice, because a try takes the time of
+/// many steps.
+const TRIES_AGAIN_S: f64 = 0.25;
 /// Scissors that open further close in several pieces, each flat: a choice; their ends' way is then within 3 % of their length of the
 /// circle.
 const CLOSES_AT_ONCE_RAD: f64 = 0.5;
@@ -57,6 +60,8 @@ pub(super) struct ActiveTip {
     edge: Option<Edge>,
     /// Whether a stroke is under way.
     is_in_stroke: bool,
+    /// For how long nothing is tried, because the model could not follow [s].
+    waits_s: f64,
     pub(super) heat: TissueHeat,
     pub(super) burn: Burn,
     /// Nodes of tetrahedra that the stroke changed.
@@ -97,6 +102,7 @@ impl ActiveTip {
         Self {
             edge,
             is_in_stroke: false,
+            waits_s: 0.0,
             heat: TissueHeat::with_room_for(n_warm),
             burn: Burn::default(),
             touched: Vec::new(),
@@ -104,10 +110,11 @@ impl ActiveTip {
         }
     }
 
-    /// Everything that the next cuts depend on and is not told by the mesh: the heat.
+    /// Everything that the next cuts depend on and is not told by the mesh: the heat, and for how long an edge waits.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> + '_ {
         let of_tets = self.heat.warm().iter().flat_map(|&(tet, heat)| [f64::from(tet.0), heat]);
-        of_tets.chain(self.burn.swept.numbers())
+        let waits = (self.waits_s > 0.0).then_some(self.waits_s);
+        of_tets.chain(self.burn.swept.numbers()).chain(waits)
     }
 
     /// Heat that a tetrahedron took up from it [J/m3].
@@ -157,11 +164,23 @@ impl ActiveTip {
     }
 }
 
+/// Whether a model was found that cannot follow such edits.
+fn has_frozen(refusals: &[(usize, EditRefusal)]) -> bool {
+    let is_frozen =
+        |refusal: &EditRefusal| matches!(refusal, EditRefusal::Model(TopologyRefusal::Frozen { .. }));
+    refusals.iter().any(|(_, refusal)| is_frozen(refusal))
+}
+
 impl World {
     /// Cuts along an edge while the trigger is pressed, and ends the stroke when it is not.
     pub(super) fn cut_with_blade(&mut self, tool: usize, blade: &Blade, cuts: &mut ToolCuts) {
         let pose = self.tool_states[tool].now;
         let is_on = self.edge_is_on(tool);
+        let waits_s = if is_on { self.active[tool].waits_s - self.spec.time_step_s } else { 0.0 };
+        self.active[tool].waits_s = waits_s.max(0.0);
+        if waits_s > 0.0 {
+            return;
+        }
         if !is_on && !self.active[tool].is_in_stroke {
             if self.tool_states[tool].now.is_triggered() {
                 return;
@@ -181,22 +200,27 @@ impl World {
             blade_m = blade_m.map(|p| p + inward_m);
         }
         let (areas_before_m2, n_merged_before) = edge.figures();
-        let mut step = BladeReport::default();
+        let (mut step, n_refused) = (BladeReport::default(), cuts.refusals.len());
         self.move_edge(tool, (&mut edge, is_on), blade_m, &mut step, cuts);
+        let is_refused = has_frozen(&cuts.refusals[n_refused..]);
+        if is_on && is_refused {
+            self.active[tool].waits_s = TRIES_AGAIN_S;
+        }
+        let ends = !is_on || is_refused;
         let (areas_m2, n_merged) = edge.figures();
         // A stroke that was refused begins anew with nothing.
         let [swept_m2, cut_m2] = [0, 1].map(|i| (areas_m2[i] - areas_before_m2[i]).max(0.0));
         (step.swept_area_m2, step.cut_area_m2) = (swept_m2, cut_m2);
         step.n_merged = n_merged.saturating_sub(n_merged_before);
         self.active[tool].edge = Some(edge);
-        self.active[tool].is_in_stroke = is_on;
-        if !is_on {
+        self.active[tool].is_in_stroke = !ends;
+        if ends {
             self.finish_stroke(tool, &mut step, cuts);
         }
         cuts.blades.add(&step);
         let active = &mut self.active[tool];
         active.stroke.add(&step);
-        if !is_on {
+        if ends {
             if active.stroke.cut_area_m2 > 0.0 {
                 cuts.strokes.push((tool, active.stroke));
             }
@@ -211,10 +235,7 @@ impl World {
         if snip != Snip::Tetrahedra {
             let (n_refused, n_edits) = (cuts.refusals.len(), cuts.n_edits);
             self.close_edges(tool, jaws, &mut step, cuts);
-            let is_frozen =
-                |refusal: &EditRefusal| matches!(refusal, EditRefusal::Model(TopologyRefusal::Frozen { .. }));
-            let is_refused = cuts.refusals[n_refused..].iter().any(|(_, refusal)| is_frozen(refusal));
-            if cuts.n_edits > n_edits || !is_refused {
+            if cuts.n_edits > n_edits || !has_frozen(&cuts.refusals[n_refused..]) {
                 cuts.blades.add(&step);
                 if step.cut_area_m2 > 0.0 {
                     cuts.strokes.push((tool, step));

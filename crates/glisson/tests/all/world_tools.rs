@@ -639,6 +639,24 @@ fn a_piece_that_a_blade_cuts_loose_from_a_hybrid_falls() {
     }
 }
 
+/// Planning an edit that is refused takes the time of many steps.
+#[test]
+fn an_edge_does_not_try_in_every_step_what_the_model_cannot_follow() {
+    let blade = Blade { length_m: 0.06, edge_radius_m: 0.0, cuts: BladeCuts::Embedded };
+    let mut world = world_of(ModelKind::Precomputed, vec![tool(ToolKind::scalpel(blade), 0.3)]);
+    let pose = |x_m: f64, trigger: f64| ToolInput { trigger, ..above(x_m, 0.047, SIZE_M - 0.03) };
+    world.step(&StepInput::of(&[pose(-0.01, 1.0)]).placed());
+    let mut n_refused = 0;
+    let n_steps = (0.6 / TIME_STEP_S) as u32;
+    for i in 1..=n_steps {
+        world.step(&StepInput::of(&[pose(-0.01 + 0.09 * f64::from(i) / f64::from(n_steps), 1.0)]));
+        let cuts = world.cut_with_tools();
+        assert_eq!((cuts.n_edits, cuts.n_removed), (0, 0));
+        n_refused += cuts.refusals.len();
+    }
+    assert!((1..=4).contains(&n_refused), "{n_refused}");
+}
+
 #[test]
 fn scissors_that_stand_half_open_push_tissue() {
     let greatest_n = |closes: bool| {

@@ -682,4 +682,14 @@ fn what_cannot_be_is_refused_and_what_cannot_be_done_is_counted() {
     model.apply(&Constraints { displacements: vec![], forces });
     model.step(STEP_S);
     assert_eq!(model.report().n_ignored_constraints, 7);
+
+    // Also when an edit follows.
+    let nowhere = ImposedDisplacement { node: NodeId(10_000), displacement_m: DVec3::X };
+    model.apply(&Constraints { displacements: vec![nowhere], forces: vec![] });
+    let mut mesh = EditableMesh::new(bar.mesh.clone()).unwrap();
+    let moved = MeshEdit::MoveVertex { node, position_m: bar.mesh.positions_m[node.index()] * 1.001 };
+    let change = mesh.apply(&moved).unwrap();
+    model.topology_changed(mesh.mesh(), &change).unwrap();
+    model.step(STEP_S);
+    assert_eq!(model.report().n_ignored_constraints, 1);
 }

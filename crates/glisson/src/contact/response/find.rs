@@ -60,8 +60,8 @@ const MOST_ALIKE: f64 = -0.25;
 const SLACK: f64 = 0.25;
 /// Listed pairs for each vertex at most; a list that is full serves for one step. A choice.
 const PAIRS_OF_VERTEX: usize = 96;
-/// Distances and motions are good to this share.
-const ROUNDING: f64 = 1e-9;
+/// Distances and motions are good to this [m].
+const ROUNDING_M: f64 = 1e-12;
 /// Closer than this the way to a vertex has no direction of its own [m].
 const LEAST_OFFSET_M: f64 = 1e-6;
 
@@ -152,7 +152,7 @@ impl PairList {
         let moved_m2 = self.at_m.iter().zip(positions_m).map(|(a, b)| a.distance_squared(*b));
         // Places that are no numbers count as far.
         let most_m2 = moved_m2.fold(0.0, |most: f64, m2| if m2 <= most || most.is_nan() { most } else { m2 });
-        let nearer_m = 2.0 * most_m2.sqrt() * (1.0 + ROUNDING);
+        let nearer_m = 2.0 * most_m2.sqrt() + ROUNDING_M;
         (self.is_complete && nearer_m <= slack_m).then_some(nearer_m)
     }
 
@@ -306,7 +306,7 @@ impl ContactSearch {
         vertices.update(search);
         listed.start(positions_m);
         let (level, mut places) = (Level::new(), NearestPlaces::new());
-        let most_m = (1.0 + SLACK) * *margin_m;
+        let most_m = (1.0 + SLACK) * *margin_m + ROUNDING_M;
         let mut measure = |block: &[[u32; 2]]| {
             places.find(level, block, positions_m, triangles);
             for (i, pair) in block.iter().enumerate() {

@@ -100,8 +100,10 @@ impl CondensedHybrid {
         let velocities = growth.velocities(|n| self.velocities_m_per_s[n], supports);
         // What is held stays where it is.
         for held in &mut self.constraints.displacements {
-            let n = held.node.index();
-            held.displacement_m -= mesh.positions_m[n] - self.mesh.positions_m[n];
+            if change.moved_nodes.binary_search(&held.node).is_ok() && held.node.index() < n_before {
+                let n = held.node.index();
+                held.displacement_m -= mesh.positions_m[n] - self.mesh.positions_m[n];
+            }
         }
         for node in change.moved_nodes.iter().map(|node| node.index()).filter(|n| *n < n_before) {
             self.mesh.positions_m[node] = mesh.positions_m[node];

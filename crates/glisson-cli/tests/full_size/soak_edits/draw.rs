@@ -127,8 +127,9 @@ impl Draw {
         self.kind.row().edits == FollowedEdits::All
     }
 
+    /// Pre-computed tissue has none.
     pub(super) fn knows_ligaments(&self) -> bool {
-        self.follows_all()
+        self.follows_all() && self.kind.row().corrects_steps
     }
 
     /// Whether the model's history ends with the stress memory of each tetrahedron.

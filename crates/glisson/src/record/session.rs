@@ -23,7 +23,8 @@ pub const SESSION_VERSION: u32 = 5;
 pub const FIRST_VERSION_WITH_HAND: u32 = 3;
 /// From this version on, cuts of blades whose scene does not say otherwise are embedded.
 pub const FIRST_VERSION_WITH_EMBEDDED_CUTS: u32 = 4;
-/// From this version on, scissors whose scene does not say otherwise part tissue along their edges.
+/// From this version on, where a scene does not say otherwise, scissors part tissue along their edges, edges are sharp, and a
+/// pre-computed organ that instruments divide is a hybrid.
 pub const FIRST_VERSION_WITH_PARTING_SCISSORS: u32 = 5;
 const OLDEST_VERSION: u32 = 2;
 const FORMAT: &str = "glisson-session";

@@ -86,10 +86,8 @@ pub(super) struct CutRules {
     embeds: Option<bool>,
     /// That of blades whose table does not say.
     default: BladeCuts,
-    /// Whether scissors whose table does not say part tissue along their edges.
-    scissors_part: bool,
-    /// Whether edges whose table does not say are sharp, or as blunt as the tip.
-    edges_are_sharp: bool,
+    /// Whether scissors whose table does not say part tissue along their edges, and edges are sharp instead of as blunt as the tip.
+    all_cuts_part: bool,
     /// Whether nodes move after cuts, which embedded ones cannot follow.
     mends_cuts: bool,
     /// What no organ of the scene follows.
@@ -127,17 +125,8 @@ impl CutRules {
         // What one organ follows is followed.
         let refused = by_each
             .filter(|_| all_cuts_part)
-            .and_then(|by_each| by_each.into_iter().max_by_key(RefusedCuts::follows));
-        let (scissors_part, edges_are_sharp) = (all_cuts_part, all_cuts_part);
-        Self {
-            known: None,
-            embeds: None,
-            default,
-            scissors_part,
-            edges_are_sharp,
-            mends_cuts: mends,
-            refused,
-        }
+            .and_then(|by_each| by_each.into_iter().max_by_key(|refused| refused.takes_tetrahedra));
+        Self { known: None, embeds: None, default, all_cuts_part, mends_cuts: mends, refused }
     }
 
     /// Notes what the table of an instrument says.
@@ -163,7 +152,7 @@ impl CutRules {
 
     /// What scissors do whose table does not say.
     fn unsaid_snip(&self) -> Snip {
-        if self.scissors_part { Snip::beside(self.unsaid()) } else { Snip::Tetrahedra }
+        if self.all_cuts_part { Snip::beside(self.unsaid()) } else { Snip::Tetrahedra }
     }
 
     fn check(&self, is_embedded: bool, others: &str) -> Result<(), String> {
@@ -263,7 +252,7 @@ fn read_blade(section: &mut Section<'_>, rules: &CutRules, tip_radius_m: f64) ->
             return Err(section.wrong_value(at, "edge_radius", format!("{radius_m} m"), "zero or more"));
         }
         Some((radius_m, _)) => radius_m,
-        None if rules.edges_are_sharp => DEFAULT_BLADE.edge_radius_m,
+        None if rules.all_cuts_part => DEFAULT_BLADE.edge_radius_m,
         None => tip_radius_m,
     };
     Ok(Blade { length_m, edge_radius_m, cuts: named.unwrap_or_else(|| rules.unsaid()) })

@@ -46,7 +46,7 @@ pub(super) fn turns_hybrid(model: ModelKind, when_cut: WhenCut) -> bool {
 /// Instruments that a model does not follow.
 pub(super) struct RefusedCuts {
     /// Whether those that take whole tetrahedra away are followed.
-    takes_tetrahedra: bool,
+    pub(super) takes_tetrahedra: bool,
     /// What a scene may have instead.
     pub(super) allowed: String,
 }
@@ -79,11 +79,6 @@ impl RefusedCuts {
             )
         };
         Some(Self { takes_tetrahedra, allowed })
-    }
-
-    /// How much is followed nevertheless, to compare.
-    pub(super) fn follows(&self) -> bool {
-        self.takes_tetrahedra
     }
 
     /// Whether an instrument is among them.

@@ -19,7 +19,6 @@ use crate::tool::external_detection::{ExternalDetection, ExternalTouch};
 use crate::tool::fracture::{Tearing, scissors_force_n};
 use crate::tool::pose::{ToolFrame, rotation_vector_rad, turn_by};
 use crate::tool::{Jaws, Tool, ToolInput};
-use std::cmp::Ordering;
 
 /// What was found elsewhere counts while the part is no further from the touched place [m]: a choice, as far as a hand may come
 /// while a simulation stalls.
@@ -253,17 +252,15 @@ impl ToolState {
     /// Follows the jaws of a tool in a step.
     pub(super) fn follow_jaws(&mut self, tool: &Tool, dt_s: f64) {
         let (before, now) = (self.before.jaw_opening, self.now.jaw_opening);
-        self.opened_to = match now.partial_cmp(&before) {
-            Some(Ordering::Less) => self.opened_to.max(before),
-            Some(Ordering::Greater) => now,
-            _ => self.opened_to,
-        };
         self.just_closed = now <= HOLDS_BELOW && before > HOLDS_BELOW;
-        self.closing_s = match now.partial_cmp(&before) {
-            Some(Ordering::Less) if tool.kind.edge_cuts().is_some() => CLOSES_FOR_S,
-            Some(Ordering::Greater) => 0.0,
-            _ => (self.closing_s - dt_s).max(0.0),
-        };
+        if now < before {
+            self.opened_to = self.opened_to.max(before);
+            self.closing_s = if tool.kind.edge_cuts().is_some() { CLOSES_FOR_S } else { 0.0 };
+        } else if now > before {
+            (self.opened_to, self.closing_s) = (now, 0.0);
+        } else {
+            self.closing_s = (self.closing_s - dt_s).max(0.0);
+        }
     }
 
     /// A part goes on through the tissue: it touches nothing until it has come out.

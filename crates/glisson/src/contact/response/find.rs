@@ -257,9 +257,11 @@ impl ContactSearch {
             None => {
                 let mut waiting = Waiting::default();
                 vertices.for_each(search, |vertex, triangle| {
-                    waiting.test([vertex, triangle], &mut test);
+                    if test.can_face(vertex, triangle) {
+                        waiting.add([vertex, triangle], |pairs| test.all(pairs));
+                    }
                 });
-                waiting.finish(&mut test);
+                waiting.finish(|pairs| test.all(pairs));
             }
         }
         let has_any = test.has_any;
@@ -307,26 +309,21 @@ impl ContactSearch {
         listed.start(positions_m);
         let (level, mut places) = (Level::new(), NearestPlaces::new());
         let most_m = (1.0 + SLACK) * *margin_m + ROUNDING_M;
-        let mut measure = |block: &[[u32; 2]]| {
-            places.find(level, block, positions_m, triangles);
-            for (i, pair) in block.iter().enumerate() {
-                // What is no number may be near.
-                let distance_m = places.distance_m(i).max(0.0);
-                if distance_m <= most_m {
-                    listed.add(*pair, distance_m);
+        let mut measure = |pairs: &[[u32; 2]]| {
+            for block in pairs.chunks(BLOCK) {
+                places.find(level, block, positions_m, triangles);
+                for (i, pair) in block.iter().enumerate() {
+                    // What is no number may be near.
+                    let distance_m = places.distance_m(i).max(0.0);
+                    if distance_m <= most_m {
+                        listed.add(*pair, distance_m);
+                    }
                 }
             }
         };
-        let (mut waiting, mut n_waiting) = ([[0_u32; 2]; BLOCK], 0);
-        vertices.for_each(search, |vertex, triangle| {
-            waiting[n_waiting] = [vertex, triangle];
-            n_waiting += 1;
-            if n_waiting == BLOCK {
-                measure(&waiting);
-                n_waiting = 0;
-            }
-        });
-        measure(&waiting[..n_waiting]);
+        let mut waiting = Waiting::default();
+        vertices.for_each(search, |vertex, triangle| waiting.add([vertex, triangle], &mut measure));
+        waiting.finish(measure);
         listed.finish();
     }
 
@@ -415,21 +412,17 @@ impl Default for Waiting {
 }
 
 impl Waiting {
-    /// A pair is tested, now or later, if its sides face each other; whether they do.
-    fn test(&mut self, pair: [u32; 2], test: &mut DistanceTest<'_>) -> bool {
-        let can_face = test.can_face(pair[0], pair[1]);
-        if can_face {
-            self.pairs[self.n] = pair;
-            self.n += 1;
-            if self.n == N_WAITING {
-                self.finish(test);
-            }
+    /// A pair waits for `test`, which takes all of them when there is room for no more.
+    fn add(&mut self, pair: [u32; 2], test: impl FnOnce(&[[u32; 2]])) {
+        self.pairs[self.n] = pair;
+        self.n += 1;
+        if self.n == N_WAITING {
+            self.finish(test);
         }
-        can_face
     }
 
-    fn finish(&mut self, test: &mut DistanceTest<'_>) {
-        test.all(&self.pairs[..self.n]);
+    fn finish(&mut self, test: impl FnOnce(&[[u32; 2]])) {
+        test(&self.pairs[..self.n]);
         self.n = 0;
     }
 }
@@ -454,12 +447,15 @@ impl DistanceTest<'_> {
                         break;
                     }
                     *next += 1;
-                    if waiting.test([vertex, triangle], self) && is_first {
-                        break;
+                    if self.can_face(vertex, triangle) {
+                        waiting.add([vertex, triangle], |pairs| self.all(pairs));
+                        if is_first {
+                            break;
+                        }
                     }
                 }
             }
-            waiting.finish(self);
+            waiting.finish(|pairs| self.all(pairs));
         }
     }
 

@@ -143,10 +143,8 @@ impl CondensedHybrid {
 
     /// Whether pre-computed zones border on the same dynamic nodes as when they were brought together.
     fn has_its_frontier(&self) -> bool {
-        let nodes = self.interface.nodes.iter().enumerate();
-        nodes.fold(true, |same, (k, n)| {
-            same && self.is_dynamic[n.index()] == (k >= self.interface.n_condensed)
-        })
+        let mut nodes = self.interface.nodes.iter().enumerate();
+        nodes.all(|(k, n)| self.is_dynamic[n.index()] == (k >= self.interface.n_condensed))
     }
 
     /// Makes the dynamic part anew between the zones as they are; dynamic nodes keep their state.

@@ -82,6 +82,9 @@ pub struct OrganBody {
     pub most_parts: u32,
     /// Whether cuts are embedded ([`super::embedded`]), in models that follow all edits.
     pub embeds_cuts: bool,
+    /// Whether positions inside may be some milliseconds old, in models that find those of the surface without them: nothing looks at
+    /// them in every step, as tearing does.
+    pub inside_may_lag: bool,
     /// A saved pre-computation.
     pub precomputed: Option<PathBuf>,
     /// Zones of the hybrid model.
@@ -118,6 +121,7 @@ impl OrganBody {
             time_step_s,
             most_parts: DEFAULT_MOST_PARTS,
             embeds_cuts: false,
+            inside_may_lag: false,
             precomputed: None,
             zones: Vec::new(),
             measured: None,

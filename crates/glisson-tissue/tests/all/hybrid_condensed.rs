@@ -7,8 +7,8 @@ use glisson_mesh::mesh::zones::Zones;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use glisson_tissue::material::LinearElastic;
 use glisson_tissue::model::hybrid::condensed::{
-    CondensedError, CondensedHybrid, CondensedParams, Loadable, MANY_LOADS, Precision, StoredNodes, Updated,
-    ZoneLaw,
+    CondensedError, CondensedHybrid, CondensedParams, INSIDE_PERIOD_S, Loadable, MANY_LOADS, Precision,
+    StoredNodes, Updated, ZoneLaw,
 };
 use glisson_tissue::model::{
     Attachment, Constraints, DeformableModel, DynamicBody, FixedNode, ImposedDisplacement, NodalForce,
@@ -443,13 +443,14 @@ fn after_an_edit_that_brings_something_in_it_is_the_model_built_anew() {
     let inside = bar.node_at(0.85, 0.8, 0.5);
     let (of_two, of_four) = (bar.node_at(0.85, 0.5, 0.5), bar.node_at(2.0 / 3.0, 0.5, 0.5));
     let anywhere = bar.node_at(0.2, 0.8, 1.0);
-    let edits: [(&str, Vec<EditOf>); 7] = [
+    let edits: [(&str, Vec<EditOf>); 8] = [
         ("an edge", vec![split(inside, 0.4)]),
         ("an edge at two zones", vec![split(of_two, 0.3)]),
         ("an edge at four zones", vec![split(of_four, 0.6)]),
         ("a vertex", vec![part(inside)]),
         ("a vertex of four zones", vec![part(of_four)]),
         ("a moved vertex of four zones", vec![shift(of_four)]),
+        ("a vertex moved twice", vec![shift(inside), shift(inside)]),
         (
             "all of it",
             vec![
@@ -520,22 +521,24 @@ fn a_cut_starts_from_where_the_tissue_is_whatever_was_shown() {
         let mut mesh = EditableMesh::new(bar.mesh.clone()).unwrap();
         let cut = bar.zones.tets(zone).take(1).collect();
         let change = mesh.apply(&MeshEdit::Remove { tets: cut }).unwrap();
-        let runs = [Updated::All, Updated::Surface, Updated::LoadedZones].map(|updated| {
-            let mut model = CondensedHybrid::build(&CondensedParams { stored, ..bar.params(&laws) }).unwrap();
-            for (i, share) in shares.into_iter().enumerate() {
-                model.apply(&force(share));
-                model.set_updated(if i < 2 { Updated::All } else { updated });
-                model.step(STEP_S);
-            }
-            let shown = displacements_of(&model, &bar.mesh);
-            model.topology_changed(mesh.mesh(), &change).unwrap();
-            assert_eq!(model.laws()[zone], TensorMass);
-            assert_eq!(model.report().n_reanalyses, 1);
-            model.set_updated(Updated::All);
-            let at_cut = displacements_of(&model, &bar.mesh);
-            run(&mut model, 20);
-            (shown, at_cut, displacements_of(&model, &bar.mesh))
-        });
+        let runs =
+            [Updated::All, Updated::Surface, Updated::SurfaceFirst, Updated::LoadedZones].map(|updated| {
+                let mut model =
+                    CondensedHybrid::build(&CondensedParams { stored, ..bar.params(&laws) }).unwrap();
+                for (i, share) in shares.into_iter().enumerate() {
+                    model.apply(&force(share));
+                    model.set_updated(if i < 2 { Updated::All } else { updated });
+                    model.step(STEP_S);
+                }
+                let shown = displacements_of(&model, &bar.mesh);
+                model.topology_changed(mesh.mesh(), &change).unwrap();
+                assert_eq!(model.laws()[zone], TensorMass);
+                assert_eq!(model.report().n_reanalyses, 1);
+                model.set_updated(Updated::All);
+                let at_cut = displacements_of(&model, &bar.mesh);
+                run(&mut model, 20);
+                (shown, at_cut, displacements_of(&model, &bar.mesh))
+            });
         let [(_, at_cut, after), others @ ..] = runs;
         assert!(largest_difference(&after, &at_cut) > 1e-3);
         for (shown, other_at_cut, other_after) in others {
@@ -545,6 +548,42 @@ fn a_cut_starts_from_where_the_tissue_is_whatever_was_shown() {
             assert!(error < 1e-9, "{stored:?}: {error:e}");
         }
     }
+}
+
+#[test]
+fn places_inside_follow_the_surface_within_their_period() {
+    let bar = Bar::new(2);
+    let laws = [Precomputed; 4];
+    let mut models = [Updated::All, Updated::Surface, Updated::SurfaceFirst].map(|updated| {
+        let params = CondensedParams { stored: StoredNodes::Surface, ..bar.params(&laws) };
+        let mut model = CondensedHybrid::build(&params).unwrap();
+        model.set_updated(updated);
+        model
+    });
+    let mut run = |n_steps: usize, force_n: DVec3| {
+        let forces = vec![NodalForce { node: bar.node_at(1.0, 1.0, 1.0), force_n }];
+        models.each_mut().map(|model| {
+            model.apply(&Constraints { displacements: vec![], forces: forces.clone() });
+            (0..n_steps).for_each(|_| model.step(STEP_S));
+            displacements_of(model, &bar.mesh)
+        })
+    };
+    // At first every zone in a step of its own, from the rest shape that was given.
+    let [all, _, in_turn] = run(laws.len(), DVec3::new(0.0, 0.01, -0.03));
+    assert!(largest_difference(&all, &in_turn) < 1e-12);
+    let other_n = DVec3::new(0.0, -0.02, 0.01);
+    let [all, surface, in_turn] = run(1, other_n);
+    let [never, later] = [surface, in_turn].map(|shown| largest_difference(&all, &shown));
+    assert!(never > 1e-4 && later > 1e-4, "{never:e} {later:e}");
+    let [all, surface, in_turn] = run((INSIDE_PERIOD_S / STEP_S).ceil() as usize + laws.len(), other_n);
+    let [never, later] = [surface, in_turn].map(|shown| largest_difference(&all, &shown));
+    assert!(never > 1e-4 && later < 1e-12, "{never:e} {later:e}");
+    // The surface at once.
+    let [all, _, in_turn] = run(1, DVec3::new(0.01, 0.0, 0.0));
+    let is_outside = |p: &DVec3| p.min_element() < 1e-9 || (SIZE_M - *p).min_element() < 1e-9;
+    let outside = bar.mesh.positions_m.iter().zip(all.iter().zip(&in_turn)).filter(|(p, _)| is_outside(p));
+    let lag = outside.map(|(_, (all, in_turn))| all.distance(*in_turn)).fold(0.0, f64::max);
+    assert!(lag < 1e-12 && largest_difference(&all, &in_turn) > 1e-5, "{lag:e}");
 }
 
 #[test]

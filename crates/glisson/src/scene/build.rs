@@ -223,6 +223,7 @@ pub(super) fn organ_without_stress(
     body.damping = source.damping;
     body.most_parts = scene.most_parts;
     body.embeds_cuts = scene.embeds_cuts();
+    body.inside_may_lag = source.tearing.is_none();
     let zones = source.zones.iter();
     body.zones = zones
         .map(|zone| BodyZone { nodes: nodes_in(&[zone.region], &body.mesh.positions_m), law: zone.law })

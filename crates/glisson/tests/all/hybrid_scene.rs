@@ -5,7 +5,7 @@ use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::zones::Zones;
 use glisson::mesh::{TetId, TetMesh};
-use glisson::model::hybrid::condensed::{CondensedHybrid, CondensedParams, StoredNodes, ZoneLaw};
+use glisson::model::hybrid::condensed::{CondensedHybrid, CondensedParams, StoredNodes, Updated, ZoneLaw};
 use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
 use glisson::model::{Constraints, DeformableModel, DynamicBody, ImposedDisplacement};
@@ -106,6 +106,7 @@ fn zones_of_a_scene_have_the_law_that_it_names_and_the_world_steps() {
         let params = CondensedParams::new(dynamics, &body.material, &zones, &laws);
         let mut by_hand =
             CondensedHybrid::build(&CondensedParams { stored: StoredNodes::Surface, ..params }).unwrap();
+        by_hand.set_updated(Updated::SurfaceFirst);
         let mut from_scene = build_model(&body, ModelKind::Hybrid).unwrap();
         let node = (0..mesh.positions_m.len())
             .max_by(|&a, &b| mesh.positions_m[a].element_sum().total_cmp(&mesh.positions_m[b].element_sum()))

@@ -576,6 +576,11 @@ impl ExplicitMotion {
         self.publish();
     }
 
+    /// Squared frequency of a tetrahedron by itself, for every shape allowed for [1/s2].
+    pub(in crate::model) fn tet_per_s2(&self, t: usize) -> f64 {
+        self.frame.tet_per_s2(t)
+    }
+
     /// After removals: the step that is stable after any cuts, and heavier nodes where the most parts would not
     /// suffice. Nodes left alone stay where they are, without constraints.
     pub(in crate::model) fn after_removals(&mut self, tets: &LiveTets) {

@@ -428,6 +428,11 @@ impl Frame {
         self.density_kg_per_m3
     }
 
+    /// Squared frequency of a tetrahedron by itself, for every shape allowed for [1/s2].
+    pub(super) fn tet_per_s2(&self, t: usize) -> f64 {
+        self.tet_squared_frequency_per_s2[t]
+    }
+
     /// Highest squared frequency of a live tetrahedron by itself [1/s2]: a bound of the whole after any cuts.
     pub(super) fn highest_tet_per_s2(&self, is_live: &[bool]) -> f64 {
         let live = self.tet_squared_frequency_per_s2.iter().zip(is_live).filter(|(_, live)| **live);

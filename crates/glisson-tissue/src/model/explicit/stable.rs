@@ -81,7 +81,7 @@ pub(in crate::model) struct Stability {
     pub(in crate::model) step: StableStep,
     /// Bound of each tetrahedron's squared frequency by itself, for every shape allowed for [1/s2].
     pub(in crate::model) tet_squared_frequency_per_s2: Vec<f64>,
-    /// [`StiffTet::stiffening`] of each tetrahedron.
+    /// [`StiffTet::stiffening`] of each tetrahedron, if told.
     pub(in crate::model) tet_stiffening: Vec<f64>,
 }
 
@@ -96,7 +96,15 @@ impl Stability {
         stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
     ) -> Result<Self, SolveError> {
         let edges = MeshEdges::of_mesh(mesh)?;
-        let (mut stability, stiff) = Self::of_tets(mesh, density_kg_per_m3, stiffness_of)?;
+        let tets = (0..mesh.tetrahedra.len()).map(TetId::from_index);
+        let of_tet =
+            |tet: TetId| P1Gradients::of_tet(mesh, tet).map(|gradients| stiffness_of(tet, &gradients));
+        let stiff: Vec<StiffTet> = tets.clone().map(of_tet).collect::<Result<_, _>>()?;
+        let bounds_per_s2 = tets
+            .zip(&stiff)
+            .map(|(tet, stiff)| stiff.squared_frequency_per_s2(corner_kg(mesh, density_kg_per_m3, tet)));
+        let mut stability = Self::of_bounds(bounds_per_s2.collect());
+        stability.tet_stiffening = stiff.iter().map(|stiff| stiff.stiffening).collect();
         if mesh.positions_m.len() > MOST_NODES_PROVEN {
             return Ok(stability);
         }
@@ -106,48 +114,48 @@ impl Stability {
             let corner_kg = corner_kg(mesh, density_kg_per_m3, TetId::from_index(t));
             nodes.iter().for_each(|node| mass_kg[node.index()] += corner_kg);
         }
-        let after_cuts =
-            stability.tet_squared_frequency_per_s2.iter().fold(0.0, |most, of_tet| of_tet.max(most));
+        let after_cuts = stability.tet_squared_frequency_per_s2[stability.step.tet.index()];
         let stiffening = stability.tet_stiffening.iter().fold(1.0, |most: f64, of_tet| of_tet.max(most));
         let uncut = stiffening * proven_squared_frequency(&edges, &tensors, &mass_kg, after_cuts);
         stability.step.step_s = step_s(uncut.min(after_cuts));
         Ok(stability)
     }
 
-    /// The same without a proof of more than what holds after any cut.
+    /// Bounds that hold after any cut, without a proof of more; where the bound of a tetrahedron is `known` [1/s2], its stiffness is not
+    /// asked for. Does not tell how much each one stiffens.
     ///
     /// # Errors
     /// As [`Stability::of_stiffness`].
     pub(in crate::model) fn of_pieces(
         mesh: &TetMesh,
         density_kg_per_m3: f64,
+        known: impl Fn(TetId) -> Option<f64>,
         stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
     ) -> Result<Self, SolveError> {
-        Self::of_tets(mesh, density_kg_per_m3, stiffness_of).map(|(stability, _)| stability)
+        let found = |tet: TetId| {
+            let stiff = stiffness_of(tet, &P1Gradients::of_tet(mesh, tet)?);
+            Ok(stiff.squared_frequency_per_s2(corner_kg(mesh, density_kg_per_m3, tet)))
+        };
+        let bound_of = |tet: TetId| match known(tet) {
+            Some(bound_per_s2) => {
+                debug_assert_eq!(found(tet), Ok(bound_per_s2), "what is known of {tet}");
+                Ok(bound_per_s2)
+            }
+            None => found(tet),
+        };
+        let bounds_per_s2 = (0..mesh.tetrahedra.len()).map(TetId::from_index).map(bound_of);
+        bounds_per_s2.collect::<Result<_, _>>().map(Self::of_bounds)
     }
 
-    fn of_tets(
-        mesh: &TetMesh,
-        density_kg_per_m3: f64,
-        stiffness_of: impl Fn(TetId, &P1Gradients) -> StiffTet,
-    ) -> Result<(Self, Vec<StiffTet>), SolveError> {
-        let of_tet =
-            |tet: TetId| P1Gradients::of_tet(mesh, tet).map(|gradients| stiffness_of(tet, &gradients));
-        let stiff = (0..mesh.tetrahedra.len()).map(TetId::from_index).map(of_tet);
-        let stiff: Vec<StiffTet> = stiff.collect::<Result<_, _>>()?;
+    fn of_bounds(tet_squared_frequency_per_s2: Vec<f64>) -> Self {
         let (mut after_cuts, mut tet) = (0.0, TetId(0));
-        let mut tet_squared_frequency_per_s2 = Vec::with_capacity(mesh.tetrahedra.len());
-        for (t, stiff) in stiff.iter().enumerate() {
-            let this = TetId::from_index(t);
-            let of_tet = stiff.squared_frequency_per_s2(corner_kg(mesh, density_kg_per_m3, this));
-            tet_squared_frequency_per_s2.push(of_tet);
+        for (t, &of_tet) in tet_squared_frequency_per_s2.iter().enumerate() {
             if of_tet > after_cuts {
-                (after_cuts, tet) = (of_tet, this);
+                (after_cuts, tet) = (of_tet, TetId::from_index(t));
             }
         }
         let step = StableStep { step_s: step_s(after_cuts), after_cuts_s: step_s(after_cuts), tet };
-        let tet_stiffening = stiff.iter().map(|stiff| stiff.stiffening).collect();
-        Ok((Self { step, tet_squared_frequency_per_s2, tet_stiffening }, stiff))
+        Self { step, tet_squared_frequency_per_s2, tet_stiffening: Vec::new() }
     }
 }
 

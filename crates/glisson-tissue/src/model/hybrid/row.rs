@@ -1,7 +1,7 @@
 //! Its row in the table of models: that of [`super::condensed`].
 
 use super::NAME;
-use super::condensed::{CondensedError, CondensedHybrid, CondensedParams, StoredNodes, ZoneLaw};
+use super::condensed::{CondensedError, CondensedHybrid, CondensedParams, StoredNodes, Updated, ZoneLaw};
 use crate::material::LawChoice;
 use crate::model::organ_body::LARGEST_STRETCH;
 use crate::model::{DeformableModel, FollowedEdits, ModelError, ModelMotion, ModelRow, OrganBody};
@@ -52,7 +52,11 @@ fn make(body: &OrganBody, law: Option<&LawChoice>) -> Result<Box<dyn DeformableM
         params.cut_law = ZoneLaw::NonlinearTensorMass;
     }
     params.largest_stretch = LARGEST_STRETCH;
-    Ok(Box::new(CondensedHybrid::build(&params).map_err(refused)?))
+    let mut model = CondensedHybrid::build(&params).map_err(refused)?;
+    if body.inside_may_lag {
+        model.set_updated(Updated::SurfaceFirst);
+    }
+    Ok(Box::new(model))
 }
 
 /// The zone of every tetrahedron, and the law of every zone.

@@ -194,15 +194,18 @@ impl CondensedHybrid {
     pub(super) fn bring_together(&mut self, before: Option<&Composed>) -> Result<(), CondensedError> {
         self.interface =
             Interface::build(&mut self.zones, &self.is_dynamic, &self.held_axes, before, self.precision)?;
-        self.dynamic = self.dynamic_part()?;
+        self.dynamic = self.dynamic_part(None)?;
         self.find_places();
         self.make_scratch();
         self.combine_constant_loads();
         Ok(())
     }
 
-    /// The dynamic zones at rest, or nothing when there are none.
-    pub(super) fn dynamic_part(&self) -> Result<Option<DynamicPart>, ExplicitError> {
+    /// The dynamic zones at rest, or nothing when there are none. `before`: those of before an edit, with the same zones.
+    pub(super) fn dynamic_part(
+        &self,
+        before: Option<&DynamicPart>,
+    ) -> Result<Option<DynamicPart>, ExplicitError> {
         let law_of_tet: Vec<ZoneLaw> = (0..self.mesh.tetrahedra.len()).map(|t| self.law_of(t)).collect();
         let body = DynamicBody {
             mesh: &self.mesh,
@@ -223,6 +226,7 @@ impl CondensedHybrid {
             largest_stretch: self.largest_stretch,
             is_dynamic: &self.is_dynamic,
             is_cut: self.is_cut,
+            before,
         })?;
         if let Some(dynamic) = &mut dynamic {
             let nodes = &self.interface.nodes[self.interface.n_condensed..];

@@ -66,6 +66,8 @@ pub(super) struct DynamicSource<'a> {
     pub(super) is_dynamic: &'a [bool],
     /// Whether edits brought something in: then the stable step is that of the worst tetrahedron alone.
     pub(super) is_cut: bool,
+    /// The part before, under the same laws: tetrahedra that are as they were keep their bounds.
+    pub(super) before: Option<&'a DynamicPart>,
 }
 
 /// The tetrahedra of the dynamic part, and the mesh that they make.
@@ -127,7 +129,12 @@ impl CutOut {
         };
         let density_kg_per_m3 = whole.density_kg_per_m3;
         let stability = if source.is_cut {
-            Stability::of_pieces(mesh, density_kg_per_m3, stiff_tet)
+            let known = |t: TetId| {
+                let is_stressed = is_kirchhoff(t) && !whole.rest_stress_pa.is_empty();
+                let before = source.before.filter(|_| !is_stressed)?;
+                before.bound_per_s2(self.tets[t.index()], mesh, t)
+            };
+            Stability::of_pieces(mesh, density_kg_per_m3, known, stiff_tet)
         } else {
             Stability::of_stiffness(mesh, density_kg_per_m3, stiff_tet)
         }?;
@@ -232,6 +239,19 @@ impl DynamicPart {
     /// The dynamic tetrahedra and those around them, at rest.
     pub(super) fn mesh(&self) -> &TetMesh {
         &self.mesh
+    }
+
+    /// Bound of the squared frequency [1/s2] of a tetrahedron of the mesh, if it was in the body with the rest shape and share that it has
+    /// as `tet` of `now`.
+    fn bound_per_s2(&self, tet_of_mesh: usize, now: &TetMesh, tet: TetId) -> Option<f64> {
+        let ends = [0, self.n_linear_tets, self.n_dynamic_tets, self.tets.len()];
+        let found = ends.windows(2).find_map(|ends| {
+            let group = &self.tets[ends[0]..ends[1]];
+            group.binary_search(&(tet_of_mesh as u32)).ok().map(|at| TetId::from_index(ends[0] + at))
+        })?;
+        let is_same =
+            self.mesh.corners_m(found) == now.corners_m(tet) && self.mesh.share(found) == now.share(tet);
+        is_same.then(|| self.motion.tet_per_s2(found.index()))
     }
 
     /// Whether a tetrahedron of the body is still there.

@@ -149,7 +149,7 @@ impl CondensedHybrid {
 
     /// Makes the dynamic part anew between the zones as they are; dynamic nodes keep their state.
     fn make_dynamic_part_again(&mut self) -> Result<(), TopologyRefusal> {
-        self.dynamic = self.dynamic_part().map_err(|_| NO_STABLE_MOTION)?;
+        self.dynamic = self.dynamic_part(self.dynamic.as_ref()).map_err(|_| NO_STABLE_MOTION)?;
         self.find_places();
         self.go_on();
         Ok(())

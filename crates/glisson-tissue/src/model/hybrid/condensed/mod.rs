@@ -35,7 +35,9 @@ mod params;
 mod step;
 mod zone;
 
-pub use self::params::{CondensedError, CondensedParams, CondensedSize, Loadable, Updated, ZoneLaw};
+pub use self::params::{
+    CondensedError, CondensedParams, CondensedSize, INSIDE_PERIOD_S, Loadable, Updated, ZoneLaw,
+};
 pub use crate::model::precomputed::{Precision, StoredNodes};
 
 use self::contact::ContactSystem;

@@ -4,7 +4,7 @@ use super::columns::{Columns, dot};
 use super::contact::ContactSystem;
 use super::interface::Interface;
 use super::zone::PrecomputedZone;
-use super::{Ages, CondensedHybrid, Held, Place, Updated, ZoneWork};
+use super::{Ages, CondensedHybrid, Held, INSIDE_PERIOD_S, Place, Updated, ZoneWork};
 use crate::model::explicit::Mover;
 use glisson_mesh::math::{DMat3, DVec3};
 
@@ -183,14 +183,31 @@ impl CondensedHybrid {
             let n = self.interface.nodes[p].index();
             self.place_node(n, node_at(&self.reduced, p), per_s);
         }
+        let due = self.zone_with_old_inside();
         for z in 0..self.zones.len() {
             match self.updated {
                 Updated::All => self.show_zone(z, 3),
+                Updated::SurfaceFirst if Some(z) == due => self.show_zone(z, 3),
+                Updated::SurfaceFirst => self.show_zone(z, 1),
                 Updated::Surface => self.show_zone(z, 1),
                 Updated::LoadedZones if self.work[z].is_loaded => self.show_zone(z, 2),
                 Updated::LoadedZones => (),
             }
         }
+    }
+
+    /// The zone whose nodes inside wait longest for their positions, of those that have waited for [`INSIDE_PERIOD_S`].
+    fn zone_with_old_inside(&self) -> Option<usize> {
+        let mut oldest = None;
+        let mut longest_s = INSIDE_PERIOD_S;
+        for z in (0..self.zones.len()).filter(|&z| self.zones[z].n_shown < self.zones[z].nodes.len()) {
+            let [.., inside] = self.ages[z];
+            let waits_s = if inside.was_given { f64::INFINITY } else { inside.since_s };
+            if waits_s >= longest_s && oldest.is_none_or(|_| waits_s > longest_s) {
+                (oldest, longest_s) = (Some(z), waits_s);
+            }
+        }
+        oldest
     }
 
     /// Updates the positions of pre-computed zones that the last steps left out, for the present loads, tools and

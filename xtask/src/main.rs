@@ -8,6 +8,7 @@ mod ct;
 mod igtl;
 mod netns;
 mod network;
+mod peers;
 mod ros2;
 mod served;
 mod setup;
@@ -61,6 +62,16 @@ enum Task {
         /// Fail instead of skipping what cannot be had or run here
         #[arg(long)]
         require: bool,
+    },
+    /// The implicit step beside rapier3d's soft body and MuJoCo's flex, which it installs from their registries; it writes docs/peers.md
+    /// with its plot. Not a part of the tests
+    Peers {
+        /// Sizes in tetrahedra
+        #[arg(long, value_delimiter = ',', default_values_t = [2_000, 6_300, 20_000, 50_000, 100_000])]
+        sizes: Vec<usize>,
+        /// Time for each figure [s]
+        #[arg(long, default_value_t = 10.0)]
+        seconds: f64,
     },
     /// Fetch the real CT that the tests use into data/ct (nothing of it enters the repository)
     FetchCt,
@@ -183,6 +194,7 @@ fn main() -> anyhow::Result<()> {
             let scene = scene.map(|scene| root().join(scene));
             network::all(&network::Request { scene: scene.as_deref(), requires_all: require })
         }
+        Task::Peers { sizes, seconds } => peers::measure(&sizes, seconds),
         Task::FetchCt => {
             let folder = ct::fetch()?;
             println!("real CT in {}", folder.display());

@@ -67,7 +67,8 @@ pub(super) const CASES: &[Case] = &[
     },
 ];
 
-const STEP_S: f64 = 0.01;
+/// Of every case here [s].
+pub(super) const STEP_S: f64 = 0.01;
 const LOAD_N: f64 = 1.0;
 /// The load goes round once in this time, on an ellipse of half the body's half axes.
 const ROUND_S: f64 = 4.0;
@@ -116,7 +117,7 @@ fn with_poisson_ratio(settings: Settings, poisson_ratio: f64) -> anyhow::Result<
 }
 
 /// The load at each step of one round.
-fn round_of_loads(body: &StandardBody) -> anyhow::Result<Vec<Constraints>> {
+pub(super) fn round_of_loads(body: &StandardBody) -> anyhow::Result<Vec<Constraints>> {
     let topology = Topology::build(&body.mesh)?;
     let top: Vec<NodeId> =
         topology.surface_nodes().filter(|n| body.mesh.positions_m[n.index()].z > 0.0).collect();

@@ -34,6 +34,7 @@ mod core_use;
 mod empty_loop;
 mod haptics;
 pub mod link;
+pub mod peers;
 mod scene;
 
 pub use machine::{Machine, MachineBudget};

@@ -190,6 +190,9 @@ pub trait DeformableModel: Send {
         self.take_over(state.positions_m);
     }
 
+    /// Brings positions up to date that steps leave out ([`OrganBody::inside_may_lag`]).
+    fn bring_up_to_date(&mut self) {}
+
     /// Gravity from the next step on [m/s2]. A model whose rest shape is the loaded one answers to the difference
     /// from the gravity it was made with.
     fn set_gravity(&mut self, gravity_m_per_s2: DVec3);

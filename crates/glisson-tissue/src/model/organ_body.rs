@@ -82,8 +82,8 @@ pub struct OrganBody {
     pub most_parts: u32,
     /// Whether cuts are embedded ([`super::embedded`]), in models that follow all edits.
     pub embeds_cuts: bool,
-    /// Whether positions inside may be some milliseconds old, in models that find those of the surface without them: nothing looks at
-    /// them in every step, as tearing does.
+    /// Whether positions inside may be some milliseconds old, in models that find those of the surface without them: not where tissue
+    /// tears, which is looked for at all of them in every step. Cuts are planned with what is there.
     pub inside_may_lag: bool,
     /// A saved pre-computation.
     pub precomputed: Option<PathBuf>,

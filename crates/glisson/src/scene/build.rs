@@ -223,7 +223,8 @@ pub(super) fn organ_without_stress(
     body.damping = source.damping;
     body.most_parts = scene.most_parts;
     body.embeds_cuts = scene.embeds_cuts();
-    body.inside_may_lag = source.tearing.is_none();
+    // The first organ's rules for all of them.
+    body.inside_may_lag = scene.organ.tearing.is_none();
     let zones = source.zones.iter();
     body.zones = zones
         .map(|zone| BodyZone { nodes: nodes_in(&[zone.region], &body.mesh.positions_m), law: zone.law })

@@ -287,6 +287,7 @@ impl World {
 
     /// Hash of everything that the next step depends on but the input: the model's state, live tetrahedra, contacts
     /// and grasps, gravity, the loads' clock, blood lost, severed and clipped vessels. A model that was ordered counts from its first step on.
+    /// When the next step finds the places inside which zones of a hybrid follows from the steps since the start and is not in it.
     pub fn state_hash(&self) -> StateHash {
         let gravity = self.gravity_m_per_s2.to_array();
         let active = self.active.iter().flat_map(ActiveTip::numbers);
@@ -443,6 +444,7 @@ impl World {
         if let Some(swap) = self.swap.take_if(|s| s.at_step <= self.step)
             && let Some(mut model) = swap.model
         {
+            self.model.bring_up_to_date();
             model.take_over_in_motion(&self.model.state());
             model.set_gravity(self.pull_m_per_s2);
             self.model = model;

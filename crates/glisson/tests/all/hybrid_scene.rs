@@ -123,6 +123,15 @@ fn zones_of_a_scene_have_the_law_that_it_names_and_the_world_steps() {
 }
 
 #[test]
+fn places_inside_may_lag_where_nothing_tears() {
+    let folder = tempfile::tempdir().unwrap();
+    for (tearing, may_lag) in [("", true), ("tearing = true", false)] {
+        let (_, body) = open(&scene("precomputed", tearing), folder.path());
+        assert_eq!(body.inside_may_lag, may_lag, "{tearing}");
+    }
+}
+
+#[test]
 fn what_is_cut_becomes_what_the_organs_law_says() {
     let folder = tempfile::tempdir().unwrap();
     let turned = ["", "law = \"st_venant_kirchhoff\""].map(|law| {

@@ -416,6 +416,11 @@ impl DeformableModel for Composite {
         self.read_constraint_forces();
     }
 
+    fn bring_up_to_date(&mut self) {
+        self.all().for_each(|mut part| part.model.bring_up_to_date());
+        self.publish();
+    }
+
     fn expect_finer_mesh(&mut self, is_finer: bool) {
         self.all().for_each(|mut part| part.model.expect_finer_mesh(is_finer));
     }

@@ -373,6 +373,11 @@ impl DeformableModel for Embedded {
         self.publish();
     }
 
+    fn bring_up_to_date(&mut self) {
+        self.model.bring_up_to_date();
+        self.publish();
+    }
+
     fn expect_finer_mesh(&mut self, is_finer: bool) {
         self.gets_finer = is_finer;
     }

@@ -201,7 +201,7 @@ impl CondensedHybrid {
         Ok(())
     }
 
-    /// The dynamic zones at rest, or nothing when there are none. `before`: those of before an edit, with the same zones.
+    /// The dynamic zones at rest, or nothing when there are none. `before`: those of before an edit, under the same laws.
     pub(super) fn dynamic_part(
         &self,
         before: Option<&DynamicPart>,

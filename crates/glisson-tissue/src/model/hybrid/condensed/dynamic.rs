@@ -30,7 +30,7 @@ pub(super) struct DynamicPart {
     /// Node of the mesh for each of the body's.
     nodes: Vec<u32>,
     /// Tetrahedron of the mesh for each of the body's: linear dynamic ones, non-linear dynamic ones, those around them.
-    /// Each group ascends.
+    /// Each group ascends but for those that are gone.
     tets: Vec<u32>,
     mesh: TetMesh,
     live: LiveTets,

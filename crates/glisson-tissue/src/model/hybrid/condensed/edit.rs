@@ -321,6 +321,8 @@ impl CondensedHybrid {
 
     /// Drops removed nodes and tetrahedra; the others keep their order.
     fn renumber(&mut self, change: &TopologyChange) {
+        // Under the constraints that are dropped below.
+        self.catch_up();
         let (nodes, tets) = (&change.nodes.new_ids, &change.tets.new_ids);
         let stays: Vec<bool> = nodes.iter().map(Option::is_some).collect();
         let tet_stays: Vec<bool> = tets.iter().map(Option::is_some).collect();

@@ -14,7 +14,7 @@
 //!
 //! **Cuts.** Removing a tetrahedron of a dynamic zone subtracts its tensors; an edit that brings something in or moves it makes the
 //! dynamic zones' body anew. An edit in a pre-computed zone first makes the zone dynamic ([`CondensedParams::cut_law`]), at its
-//! present position and with the velocity of its last step. A pre-computed zone also becomes dynamic when nothing holds it any more or when it belongs to a piece cut
+//! present position and with the velocity of its last step (inside: the mean since its nodes were shown). A pre-computed zone also becomes dynamic when nothing holds it any more or when it belongs to a piece cut
 //! loose: only dynamic tissue has inertia, and the piece has to fall.
 //!
 //! **Non-linear zones** rotate and stretch as St Venant-Kirchhoff tissue; the rest stays linear and holds them by its
@@ -107,6 +107,8 @@ struct ZoneWork {
     is_solved: bool,
     /// Whether it has loads or tools.
     is_loaded: bool,
+    /// Whether this step finds the positions of its nodes inside.
+    is_inside_due: bool,
 }
 
 /// Age of the published positions of some nodes.
@@ -419,6 +421,10 @@ impl DeformableModel for CondensedHybrid {
             dynamic.start(&self.mesh.positions_m, &self.positions_m, None);
         }
         self.constraint_forces_n.fill(DVec3::ZERO);
+    }
+
+    fn bring_up_to_date(&mut self) {
+        self.catch_up();
     }
 
     fn set_gravity(&mut self, gravity_m_per_s2: DVec3) {

@@ -42,8 +42,7 @@ pub enum Loadable<'a> {
     Nodes(&'a [NodeId]),
 }
 
-/// How old positions inside a pre-computed zone become with [`Updated::SurfaceFirst`] [s], as long as there are no more zones than steps
-/// in this time. A choice: less than a picture is shown. They take a solution with the zone's factor, which at 20,000 tetrahedra is
+/// How old positions inside a pre-computed zone become with [`Updated::SurfaceFirst`] [s], but for one step for each zone. A choice: less than a picture is shown. They take a solution with the zone's factor, which at 20,000 tetrahedra is
 /// nearly all of a step.
 pub const INSIDE_PERIOD_S: f64 = 0.01;
 
@@ -55,7 +54,8 @@ pub enum Updated {
     All,
     /// Those on the surface.
     Surface,
-    /// Those on the surface, and those inside in turn: a zone's when they are [`INSIDE_PERIOD_S`] old, of one zone a step.
+    /// Those on the surface, and those inside in turn: a zone's when they are [`INSIDE_PERIOD_S`] old, of no more zones in a step than it
+    /// takes for all of them in this time.
     SurfaceFirst,
     /// The stored ones of zones with loads or tools, which the haptic loop needs. The others keep their positions.
     LoadedZones,

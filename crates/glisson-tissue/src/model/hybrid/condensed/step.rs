@@ -183,11 +183,11 @@ impl CondensedHybrid {
             let n = self.interface.nodes[p].index();
             self.place_node(n, node_at(&self.reduced, p), per_s);
         }
-        let due = self.zone_with_old_inside();
+        self.choose_zones_with_old_inside(dt_s);
         for z in 0..self.zones.len() {
             match self.updated {
                 Updated::All => self.show_zone(z, 3),
-                Updated::SurfaceFirst if Some(z) == due => self.show_zone(z, 3),
+                Updated::SurfaceFirst if self.work[z].is_inside_due => self.show_zone(z, 3),
                 Updated::SurfaceFirst => self.show_zone(z, 1),
                 Updated::Surface => self.show_zone(z, 1),
                 Updated::LoadedZones if self.work[z].is_loaded => self.show_zone(z, 2),
@@ -196,18 +196,27 @@ impl CondensedHybrid {
         }
     }
 
-    /// The zone whose nodes inside wait longest for their positions, of those that have waited for [`INSIDE_PERIOD_S`].
-    fn zone_with_old_inside(&self) -> Option<usize> {
-        let mut oldest = None;
-        let mut longest_s = INSIDE_PERIOD_S;
-        for z in (0..self.zones.len()).filter(|&z| self.zones[z].n_shown < self.zones[z].nodes.len()) {
-            let [.., inside] = self.ages[z];
-            let waits_s = if inside.was_given { f64::INFINITY } else { inside.since_s };
-            if waits_s >= longest_s && oldest.is_none_or(|_| waits_s > longest_s) {
-                (oldest, longest_s) = (Some(z), waits_s);
+    /// Chooses the zones whose nodes inside get their positions in this step: those that wait longest, of those that have waited for
+    /// [`INSIDE_PERIOD_S`], and as many as it takes for all zones in this time.
+    fn choose_zones_with_old_inside(&mut self, dt_s: f64) {
+        self.work.iter_mut().for_each(|work| work.is_inside_due = false);
+        let n_zones = self.zones.len();
+        let n_a_step = (n_zones as f64 * dt_s / INSIDE_PERIOD_S).ceil() as usize;
+        for _ in 0..n_a_step.min(n_zones) {
+            let mut oldest = None;
+            let mut longest_s = INSIDE_PERIOD_S;
+            for z in 0..n_zones {
+                let [.., inside] = self.ages[z];
+                let waits_s = if inside.was_given { f64::INFINITY } else { inside.since_s };
+                let has_inside = self.zones[z].n_shown < self.zones[z].nodes.len();
+                let is_older = waits_s > longest_s || oldest.is_none() && waits_s == longest_s;
+                if has_inside && is_older && !self.work[z].is_inside_due {
+                    (oldest, longest_s) = (Some(z), waits_s);
+                }
             }
+            let Some(z) = oldest else { return };
+            self.work[z].is_inside_due = true;
         }
-        oldest
     }
 
     /// Updates the positions of pre-computed zones that the last steps left out, for the present loads, tools and

@@ -58,7 +58,8 @@ def model_of(file, step_s, integrator):
 
 
 def main():
-    integrator, file, step_s, seconds = sys.argv[1], sys.argv[2], float(sys.argv[3]), float(sys.argv[4])
+    integrator, file = sys.argv[1:3]
+    step_s, seconds = (float(word) for word in sys.argv[3:5])
     model, loaded, round_n, load_step_s = model_of(file, step_s, integrator)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -69,7 +70,7 @@ def main():
     start = time.monotonic()
     n_steps = 0
     while time.monotonic() - start < (1.0 + WARM_UP_SHARE) * seconds or len(times_ms) < 20:
-        data.xfrc_applied[bodies, 2] = round_n[int(n_steps * float(step_s) / load_step_s) % len(round_n)]
+        data.xfrc_applied[bodies, 2] = round_n[int(n_steps * step_s / load_step_s) % len(round_n)]
         before_ns = time.thread_time_ns()
         mujoco.mj_step(model, data)
         time_ms = (time.thread_time_ns() - before_ns) / 1e6

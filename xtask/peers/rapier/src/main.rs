@@ -17,6 +17,7 @@ const UNITS_PER_M: f64 = 10.0;
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, file, step_s, seconds] = &arguments[..] else { panic!("peer-rapier FILE STEP_S SECONDS") };
+    let [step_s, seconds] = [step_s, seconds].map(|word| word.parse::<f64>().expect("a number"));
     let text = std::fs::read_to_string(file).expect("the body's file");
     let mut numbers = text.split_ascii_whitespace().map(|word| word.parse::<f64>().expect("a number"));
     let mut next = || numbers.next().expect("the file goes on");
@@ -52,14 +53,12 @@ fn main() {
         .can_sleep(false);
     let mut world = PhysicsWorld::new();
     world.gravity = Vector::ZERO;
-    world.integration_parameters.dt = step_s.parse().expect("the step");
+    world.integration_parameters.dt = step_s as Real;
     world.integration_parameters.num_solver_iterations = 1;
     world.integration_parameters.soft_bodies.max_extra_substeps = 0;
     let handle = world.insert_soft_body(builder);
 
-    let seconds: f64 = seconds.parse().expect("the seconds");
     let (start, mut times_ms) = (Instant::now(), Vec::new());
-    let step_s: f64 = step_s.parse().expect("the step");
     let mut deepest: Real = 0.0;
     let mut n_steps = 0;
     while start.elapsed().as_secs_f64() < (1.0 + WARM_UP_SHARE) * seconds || times_ms.len() < 20 {

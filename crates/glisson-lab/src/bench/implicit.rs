@@ -9,7 +9,7 @@ use glisson::material::{LinearElastic, PronySeries, PronyTerm, StableNeoHooke};
 use glisson::mesh::NodeId;
 use glisson::mesh::topology::Topology;
 use glisson::model::implicit::{
-    ImplicitEuler, ImplicitLaw, ImplicitParams, ImplicitStatus, VolumeResistance,
+    ImplicitEuler, ImplicitLaw, ImplicitParams, ImplicitStatus, Preconditioner, VolumeResistance,
 };
 use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, NodalForce};
 
@@ -21,9 +21,25 @@ pub(super) const CASES: &[Case] = &[
         name: "implicit_step",
         about: "one implicit Euler step of 10 ms, ln J neo-Hooke, nu 0.45, a load of 1 N wandering over the top",
         per: "step",
-        sizes: &[2_000, 6_300, 20_000],
+        sizes: &[2_000, 6_300, 20_000, 50_000, 100_000],
         parallel: false,
         prepare: nu_045,
+    },
+    Case {
+        name: "implicit_step_factor",
+        about: "the same preconditioned with a sparse factor at any size",
+        per: "step",
+        sizes: &[6_300, 20_000],
+        parallel: false,
+        prepare: by_factor,
+    },
+    Case {
+        name: "implicit_step_two_grid",
+        about: "the same preconditioned with two grids at any size",
+        per: "step",
+        sizes: &[2_000, 6_300, 20_000],
+        parallel: false,
+        prepare: by_two_grid,
     },
     Case {
         name: "implicit_step_nu_049",
@@ -80,34 +96,44 @@ const SPOT_M: f64 = 0.03;
 
 fn nu_045(settings: Settings) -> anyhow::Result<Prepared> {
     let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.45)?);
-    prepare(settings, &law, VolumeResistance::Element, None)
+    prepare(settings, &law, &Variant::default())
+}
+
+fn by_factor(settings: Settings) -> anyhow::Result<Prepared> {
+    let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.45)?);
+    prepare(settings, &law, &Variant { preconditioner: Preconditioner::Factor, ..Variant::default() })
+}
+
+fn by_two_grid(settings: Settings) -> anyhow::Result<Prepared> {
+    let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.45)?);
+    prepare(settings, &law, &Variant { preconditioner: Preconditioner::TwoGrid, ..Variant::default() })
 }
 
 fn nu_049(settings: Settings) -> anyhow::Result<Prepared> {
     let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.49)?);
-    prepare(settings, &law, VolumeResistance::Element, None)
+    prepare(settings, &law, &Variant::default())
 }
 
 fn averaged(settings: Settings) -> anyhow::Result<Prepared> {
     let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.49)?);
-    prepare(settings, &law, VolumeResistance::NodeAveraged, None)
+    prepare(settings, &law, &Variant { volume: VolumeResistance::NodeAveraged, ..Variant::default() })
 }
 
 fn stable(settings: Settings) -> anyhow::Result<Prepared> {
     let law = ImplicitLaw::from(StableNeoHooke::from(&with_poisson_ratio(settings, 0.45)?));
-    prepare(settings, &law, VolumeResistance::Element, None)
+    prepare(settings, &law, &Variant::default())
 }
 
 fn general(settings: Settings) -> anyhow::Result<Prepared> {
     let law = ImplicitLaw::shared(StableNeoHooke::from(&with_poisson_ratio(settings, 0.45)?));
-    prepare(settings, &law, VolumeResistance::Element, None)
+    prepare(settings, &law, &Variant::default())
 }
 
 fn viscous(settings: Settings) -> anyhow::Result<Prepared> {
     let law = ImplicitLaw::neo_hooke(&with_poisson_ratio(settings, 0.45)?);
     // Any term costs the same: not those of a tissue.
-    let series = PronySeries::new(&[PronyTerm { share: 0.5, time_s: 1.0 }])?;
-    prepare(settings, &law, VolumeResistance::Element, Some(&series))
+    let relaxation = Some(PronySeries::new(&[PronyTerm { share: 0.5, time_s: 1.0 }])?);
+    prepare(settings, &law, &Variant { relaxation, ..Variant::default() })
 }
 
 fn with_poisson_ratio(settings: Settings, poisson_ratio: f64) -> anyhow::Result<LinearElastic> {
@@ -169,12 +195,15 @@ fn warm_up(model: &mut ImplicitEuler, loads: &[Constraints]) -> anyhow::Result<S
     ))
 }
 
-fn prepare(
-    settings: Settings,
-    law: &ImplicitLaw,
+/// How the body differs from that of `implicit_step`.
+#[derive(Default)]
+struct Variant {
     volume: VolumeResistance,
-    relaxation: Option<&PronySeries>,
-) -> anyhow::Result<Prepared> {
+    relaxation: Option<PronySeries>,
+    preconditioner: Preconditioner,
+}
+
+fn prepare(settings: Settings, law: &ImplicitLaw, variant: &Variant) -> anyhow::Result<Prepared> {
     let body = StandardBody::shared(settings.size)?;
     let fixed: Vec<FixedNode> = body.fixed_nodes.iter().map(|&n| FixedNode::all_axes(n)).collect();
     let dynamic = DynamicBody {
@@ -182,8 +211,10 @@ fn prepare(
         time_step_s: STEP_S,
         ..DynamicBody::new(&body.mesh, body.material.density_kg_per_m3())
     };
-    let mut model =
-        ImplicitEuler::build(&ImplicitParams { volume, relaxation, ..ImplicitParams::new(dynamic, law) })?;
+    let Variant { volume, preconditioner, .. } = *variant;
+    let relaxation = variant.relaxation.as_ref();
+    let params = ImplicitParams { volume, relaxation, preconditioner, ..ImplicitParams::new(dynamic, law) };
+    let mut model = ImplicitEuler::build(&params)?;
     let loads = round_of_loads(&body)?;
     let needed = warm_up(&mut model, &loads)?;
     let mut turn = N_BEYOND;

@@ -15,6 +15,8 @@ mod ordering;
 mod supernodal;
 mod supernodal_factor;
 mod system;
+mod aggregates;
+mod two_grid;
 mod columns;
 mod static_problem;
 mod dense;
@@ -56,6 +58,7 @@ pub use supports::{Attachment, FixedNode, RestStress, stress_tensor_pa};
 pub(crate) use system::{FactorPattern, NextFactor, Supernode};
 pub use system::{Factorization, FreeSystem};
 pub use tensors::{MeshEdges, StiffnessTensors, boundary_nodes};
+pub(crate) use two_grid::{Given, TwoGrid};
 
 use glisson_mesh::mesh::{NodeId, TetId};
 

@@ -11,6 +11,7 @@ mod implicit;
 mod implicit_loads;
 mod implicit_patches;
 mod implicit_slices;
+mod implicit_two_grid;
 mod integrators;
 mod kernel;
 mod kernel_laws;

@@ -4,15 +4,14 @@
 //! step, while the old one serves ([`Lagged::order`], [`Lagged::advance`]). Both have the same bits. What a slice does follows
 //! from counts alone: tetrahedra and the pattern of the factor.
 
+use super::direct::Direct;
 use super::elements::Elements;
 use super::lagged_state::{LaggedState, NodeTerms};
 use super::late::Late;
-use super::patch_inverse::{Factored, PatchInverse};
-use crate::model::LocalModel;
-use crate::model::kernel::KernelPath;
+use super::params::Preconditioner;
+use super::successor::Edited;
 use crate::solve::{
-    BoundaryConditions, FactorPattern, FactorScratch, Factorization, FreeSystem, LOCAL_EDGES, MeshEdges,
-    NextFactor, SolveError, StiffnessTensors,
+    BoundaryConditions, FreeSystem, Given, LOCAL_EDGES, MeshEdges, SolveError, StiffnessTensors, TwoGrid,
 };
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::NodeId;
@@ -26,34 +25,54 @@ const MOST_SLICES: u64 = 16;
 /// Work to write the values of a node's tensors into the system [ns].
 const NODE_WORK_NS: u64 = 60;
 
-/// A sparse factor of per_mass M + per_stiffness K at a [`LaggedState`].
+/// Bodies of at least so many nodes that move take two grids: a choice from measurements (docs/bench.md).
+const TWO_GRID_NODES: usize = 3_000;
+/// Answers to forces are solved by two grids to this residual, in no more than so many iterations.
+const ANSWER: (f64, u32) = (1e-4, 60);
+
+/// What answers for the matrix.
+#[derive(Clone)]
+pub(super) enum Solver {
+    Direct(Box<Direct>),
+    TwoGrid(Box<TwoGrid>),
+}
+
+impl Preconditioner {
+    /// Whether bodies with these axes take two grids.
+    pub(super) fn is_two_grid(self, free_axes: &[DVec3]) -> bool {
+        let n_moving = || free_axes.iter().filter(|free| **free != DVec3::ZERO).count();
+        match self {
+            Self::BySize => n_moving() >= TWO_GRID_NODES,
+            Self::Factor => false,
+            // Nothing moves in a body of fixed nodes.
+            Self::TwoGrid => n_moving() > 0,
+        }
+    }
+}
+
+/// An inverse of per_mass M + per_stiffness K at a [`LaggedState`], exactly or about.
 #[derive(Clone)]
 pub(super) struct Lagged {
     pub(super) state: LaggedState,
     edges: MeshEdges,
     /// Edge of each of the six local edges, tetrahedron after tetrahedron as in [`Elements::tetrahedra`].
     tensors: StiffnessTensors,
-    system: FreeSystem,
-    factor: Factorization,
-    scratch: FactorScratch,
-    free: Vec<f64>,
-    eliminated: Vec<f64>,
-    /// None for a matrix that is nothing but its diagonal, and before there are values.
-    inverse: Option<PatchInverse>,
+    solver: Solver,
     next: Next,
     slice_work_ns: u64,
     /// What edits have changed since.
     late: Late,
 }
 
-/// The factor that is being made in slices.
+/// What is being made in slices.
 #[derive(Clone)]
 struct Next {
     /// What it depends on; the slices done, zero while none is ordered.
     of: Pending,
     /// Tetrahedra whose stiffness is assembled.
     n_tets: usize,
-    factor: NextFactor,
+    /// Whether they all are, and the solver has begun.
+    is_assembled: bool,
 }
 
 /// What a factor that is being made depends on.
@@ -77,83 +96,65 @@ pub(super) enum Slice {
 }
 
 impl Lagged {
-    /// Pattern, order and factor at a state.
-    pub(super) fn new(
-        edges: MeshEdges,
-        free_axes: &[DVec3],
-        elements: &Elements,
-        nodes: NodeTerms<'_>,
-        state: LaggedState,
-    ) -> Result<Self, SolveError> {
-        let system = system_of(&edges, free_axes)?;
-        let pattern = system.pattern_of_factor()?;
-        let mut lagged = Self::without_values(edges, (system, pattern), elements, state)?;
-        lagged.fill(elements, nodes);
-        lagged.factor.refactor(&lagged.system)?;
+    /// Pattern, order and values at a state.
+    pub(super) fn new(of: &Edited<'_>, state: LaggedState) -> Result<Self, SolveError> {
+        let edges = of.edges();
+        let solver = if of.preconditioner.is_two_grid(of.free_axes) {
+            Solver::TwoGrid(Box::new(TwoGrid::new(of.terms.rest_m, &edges, of.free_axes)?))
+        } else {
+            let system = system_of(&edges, of.free_axes)?;
+            let pattern = system.pattern_of_factor()?;
+            Solver::Direct(Box::new(Direct::new(system, pattern)?))
+        };
+        let mut lagged = Self::without_values(edges, solver, of.elements, state);
+        lagged.fill(of.elements, of.terms, true)?;
         lagged.complete();
         Ok(lagged)
     }
 
-    /// A factor whose values are still to be made for `state`.
+    /// One whose values are still to be made for `state`.
     pub(super) fn without_values(
         edges: MeshEdges,
-        (system, pattern): (FreeSystem, FactorPattern),
+        solver: Solver,
         elements: &Elements,
         state: LaggedState,
-    ) -> Result<Self, SolveError> {
-        let factor = system.factor_for_slices(pattern)?;
+    ) -> Self {
         let n_nodes = state.displacement_m.len();
         let tensors = StiffnessTensors::zeros(n_nodes, &edges);
-        let scratch = factor.scratch(1);
-        let free = vec![0.0; system.n_free()];
-        let next = Next {
-            of: Pending { state: state.clone(), n_slices: 0 },
-            n_tets: 0,
-            factor: NextFactor::default(),
+        let next = Next { of: Pending { state: state.clone(), n_slices: 0 }, n_tets: 0, is_assembled: false };
+        let of_solver_ns = match &solver {
+            Solver::Direct(direct) => direct.work_ns(),
+            Solver::TwoGrid(grids) => grids.work_ns(),
         };
-        let work_ns = factor.work_ns()
+        let work_ns = of_solver_ns
             + elements.tets().len() as u64 * elements.projection_work_ns()
             + n_nodes as u64 * NODE_WORK_NS;
         let slice_work_ns = work_ns.div_ceil(work_ns.div_ceil(SLICE_WORK_NS).clamp(1, MOST_SLICES));
-        Ok(Self {
-            state,
-            edges,
-            tensors,
-            system,
-            factor,
-            scratch,
-            eliminated: free.clone(),
-            free,
-            inverse: None,
-            next,
-            slice_work_ns,
-            late: Late::default(),
-        })
+        Self { state, edges, tensors, solver, next, slice_work_ns, late: Late::default() }
     }
 
-    /// Once it has values: makes room for entries of the inverse, and for the next factor.
+    /// Once it has values: makes room for others, and for what a factor tells.
     pub(super) fn complete(&mut self) {
-        let n_nodes = self.state.displacement_m.len();
-        self.inverse = self.factor.is_supernodal().then(|| PatchInverse::new(&self.factor, n_nodes));
-        self.factor.make_room(&mut self.next.factor);
+        match &mut self.solver {
+            Solver::Direct(direct) => direct.complete(self.state.displacement_m.len()),
+            Solver::TwoGrid(grids) => grids.complete(),
+        }
     }
 
-    /// Takes all of it, and leaves what solutions need, with the same values of the factor.
+    /// Takes all of it, and leaves what solutions need, with the same values.
     pub(super) fn retire(&mut self) -> Self {
         let of_solutions = Self {
             state: self.state.clone(),
             edges: MeshEdges::default(),
             tensors: StiffnessTensors::default(),
-            system: self.system.numbering(),
-            factor: self.factor.for_solutions(),
-            scratch: self.scratch.clone(),
-            free: self.free.clone(),
-            eliminated: Vec::new(),
-            inverse: None,
+            solver: match &self.solver {
+                Solver::Direct(direct) => Solver::Direct(Box::new(direct.for_solutions())),
+                Solver::TwoGrid(grids) => Solver::TwoGrid(Box::new(grids.for_solutions())),
+            },
             next: Next {
                 of: Pending { state: LaggedState::of_size(0, 0), n_slices: 0 },
                 n_tets: 0,
-                factor: NextFactor::default(),
+                is_assembled: false,
             },
             slice_work_ns: self.slice_work_ns,
             late: self.late.clone(),
@@ -161,12 +162,20 @@ impl Lagged {
         std::mem::replace(self, of_solutions)
     }
 
-    /// The matrix at `self.state`.
-    fn fill(&mut self, elements: &Elements, nodes: NodeTerms<'_>) {
+    /// The matrix at `self.state`, and its inverse.
+    fn fill(
+        &mut self,
+        elements: &Elements,
+        nodes: NodeTerms<'_>,
+        is_checked: bool,
+    ) -> Result<(), SolveError> {
         let all = 0..elements.tets().len();
         assemble(&mut self.tensors, &self.edges, elements, &self.state, all);
         nodes.add_to(&mut self.tensors.vertex, &self.state);
-        self.system.refill(&self.tensors);
+        match &mut self.solver {
+            Solver::Direct(direct) => direct.fill(&self.tensors, is_checked),
+            Solver::TwoGrid(grids) => grids.fill(&given(&self.tensors, nodes, &self.state)),
+        }
     }
 
     /// Goes on after an edit that changed these nodes, their tetrahedra or the places of either, with the factor of what was
@@ -188,15 +197,11 @@ impl Lagged {
         &self.late
     }
 
-    /// Recomputes the factor at `self.state`, without allocation; drops the one that is being made. False when the matrix has
-    /// no factor.
+    /// Recomputes the values at `self.state`, without allocation; drops those that are being made. False when the matrix has no
+    /// factor.
     pub(super) fn refresh(&mut self, elements: &Elements, nodes: NodeTerms<'_>) -> bool {
         self.drop_pending();
-        self.fill(elements, nodes);
-        if let Some(inverse) = &mut self.inverse {
-            inverse.forget();
-        }
-        self.factor.refactor_definite(&self.system).is_ok()
+        self.fill(elements, nodes, false).is_ok()
     }
 
     /// Orders a factor: its first slice is the next call of [`Lagged::advance`]. The caller overwrites the state that it is
@@ -215,7 +220,11 @@ impl Lagged {
     pub(super) fn drop_pending(&mut self) {
         self.next.of.n_slices = 0;
         self.next.n_tets = 0;
-        self.next.factor.restart();
+        self.next.is_assembled = false;
+        match &mut self.solver {
+            Solver::Direct(direct) => direct.restart(),
+            Solver::TwoGrid(grids) => grids.restart(),
+        }
     }
 
     /// Makes the next slice of the factor that was ordered, without allocation.
@@ -233,11 +242,21 @@ impl Lagged {
             if end < n_tets {
                 return Slice::Underway;
             }
+        }
+        if !std::mem::replace(&mut next.is_assembled, true) {
             nodes.add_to(&mut self.tensors.vertex, &next.of.state);
-            self.system.refill(&self.tensors);
+            if let Solver::Direct(direct) = &mut self.solver {
+                direct.refill(&self.tensors);
+            }
             work_ns = work_ns.saturating_sub(self.tensors.vertex.len() as u64 * NODE_WORK_NS);
         }
-        match self.factor.advance(&mut next.factor, &self.system, &mut work_ns) {
+        let made = match &mut self.solver {
+            Solver::Direct(direct) => direct.advance(&mut work_ns),
+            Solver::TwoGrid(grids) => {
+                grids.advance(&given(&self.tensors, nodes, &next.of.state), &mut work_ns)
+            }
+        };
+        match made {
             Ok(false) => return Slice::Underway,
             Ok(true) => {}
             Err(_) => {
@@ -245,11 +264,7 @@ impl Lagged {
                 return Slice::Failed;
             }
         }
-        self.factor.exchange(&mut next.factor);
         std::mem::swap(&mut self.state, &mut next.of.state);
-        if let Some(inverse) = &mut self.inverse {
-            inverse.forget();
-        }
         self.drop_pending();
         Slice::Serves
     }
@@ -265,45 +280,55 @@ impl Lagged {
         }
     }
 
-    /// Overwrites `solution` with the inverse of the factored matrix times `right`, zero for components that are not free, and
-    /// adds the answers of single nodes where edits have changed it since ([`Late`]).
-    pub(super) fn solve_into(&mut self, right: &[DVec3], solution: &mut [DVec3]) {
-        self.system.gather_into(right, &mut self.free);
-        self.factor.solve_in_place(&mut self.free, 1, &mut self.scratch);
-        solution.fill(DVec3::ZERO);
-        self.system.add_scattered(&self.free, solution);
+    /// Overwrites `solution` with the inverse of the matrix times `right`, or about that, zero for components that are not free,
+    /// and adds the answers of single nodes where edits have changed it since ([`Late`]): what preconditions.
+    pub(super) fn apply_into(&mut self, right: &[DVec3], solution: &mut [DVec3]) {
+        self.with_late(right, solution, |grids, solution| grids.apply_into(right, solution));
+    }
+
+    /// Whether a whole step by [`Self::apply_into`] leaves neither a net force nor a net moment on the body, but for what has changed
+    /// since. A sum with the answers of single nodes is too long a step.
+    pub(super) fn leaves_no_net_force(&self) -> bool {
+        matches!(self.solver, Solver::TwoGrid(_)) && self.late.is_empty()
+    }
+
+    /// [`Self::apply_into`], with the inverse to a small residual; false where two grids did not reach that.
+    pub(super) fn solve_into(&mut self, right: &[DVec3], solution: &mut [DVec3]) -> bool {
+        let mut is_solved = true;
+        self.with_late(right, solution, |grids, solution| {
+            is_solved = grids.solve_into(right, solution, ANSWER);
+        });
+        is_solved
+    }
+
+    fn with_late(
+        &mut self,
+        right: &[DVec3],
+        solution: &mut [DVec3],
+        by_grids: impl FnOnce(&mut TwoGrid, &mut [DVec3]),
+    ) {
+        match &mut self.solver {
+            Solver::Direct(direct) => direct.solve_into(right, solution),
+            Solver::TwoGrid(grids) => {
+                solution.fill(DVec3::ZERO);
+                by_grids(grids, solution);
+            }
+        }
         self.late.add_answers(right, solution);
     }
 
-    /// Whether it tells entries of the inverse.
-    pub(super) fn tells_entries(&self) -> bool {
-        self.inverse.is_some()
-    }
-
-    /// Overwrites C of a local model with entries of the inverse; the bits are the same on every path.
-    pub(super) fn fill_compliance(&mut self, path: KernelPath, out: &mut LocalModel) {
-        let with = Factored { factor: &self.factor, system: &self.system, path };
-        let Some(inverse) = &mut self.inverse else { return };
-        inverse.hold(&out.nodes, &with);
-        for j in 0..out.nodes.len() {
-            for i in 0..=j {
-                let tensor = inverse.tensor(out.nodes[i], out.nodes[j], &with);
-                out.set_tensor(i, j, tensor);
-                out.set_tensor(j, i, tensor.transpose());
-            }
+    /// The factor, where there is one.
+    pub(super) fn direct(&mut self) -> Option<&mut Direct> {
+        match &mut self.solver {
+            Solver::Direct(direct) => Some(direct),
+            Solver::TwoGrid(_) => None,
         }
     }
+}
 
-    /// Overwrites the drift of a local model, after its C, with the inverse times `right`.
-    pub(super) fn fill_drift(&mut self, right: &[DVec3], path: KernelPath, out: &mut LocalModel) {
-        let Some(inverse) = &mut self.inverse else { return };
-        self.system.gather_into(right, &mut self.free);
-        self.factor.solve_lower_into(&self.free, &mut self.eliminated, &mut self.scratch);
-        let with = Factored { factor: &self.factor, system: &self.system, path };
-        for (node, drift_m) in out.nodes.iter().zip(&mut out.drift_m) {
-            *drift_m = DVec3::from_array(inverse.product(*node, &self.eliminated, &with));
-        }
-    }
+/// What two grids are made from.
+fn given<'a>(tensors: &'a StiffnessTensors, nodes: NodeTerms<'a>, state: &'a LaggedState) -> Given<'a> {
+    Given { tensors, rest_m: nodes.rest_m, displacement_m: &state.displacement_m, is_held: &state.held }
 }
 
 /// Order and pattern of a matrix of zeros. `free_axes`: 1 for each axis along which a node can move, 0 for the others.

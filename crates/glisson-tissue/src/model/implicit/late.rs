@@ -34,6 +34,10 @@ impl Late {
         self.is_late[node.index()] = true;
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
     fn has(&self, node: NodeId) -> bool {
         self.is_late.get(node.index()).is_some_and(|&is_late| is_late)
     }

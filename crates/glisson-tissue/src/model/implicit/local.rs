@@ -1,5 +1,6 @@
 //! The local models of an implicit body: from its factor where that is of the same step, else on rings of tetrahedra.
 
+use super::lagged::Lagged;
 use super::{ImplicitEuler, ImplicitLaw};
 use crate::model::local_model::{
     ElementStiffness, LocalBody, LocalElements, LocalFrame, TangentLaw, add_rest_stress, compute, tet_tangent,
@@ -32,9 +33,9 @@ impl ImplicitEuler {
         out.start(patch, period_s, &self.positions_m);
         let per_mass = 1.0 / (period_s * period_s) + self.damping.mass_per_s / period_s;
         let serves = self.successor.is_none()
-            && self.lagged.as_ref().is_some_and(|lagged| {
+            && self.lagged.as_mut().is_some_and(|lagged| {
                 let is_of_period = (lagged.state.per_mass - per_mass).abs() <= SAME_STEP * per_mass;
-                lagged.tells_entries()
+                lagged.direct().is_some_and(|direct| direct.tells_entries())
                     && is_of_period
                     && out.nodes.iter().all(|n| !lagged.state.held[n.index()])
             });
@@ -47,8 +48,8 @@ impl ImplicitEuler {
             out.force_n[i] = self.load_on_n(node.index());
             out.mass_kg[i] = self.mass_kg[node.index()];
         }
-        let Some(lagged) = &mut self.lagged else { return };
-        lagged.fill_compliance(work.path(), out);
+        let Some(direct) = self.lagged.as_mut().and_then(Lagged::direct) else { return };
+        direct.fill_compliance(work.path(), out);
         if work.tells_drift() {
             let per_s = 1.0 / period_s + self.damping.mass_per_s;
             // No scratch of a step that is read between steps.
@@ -56,7 +57,7 @@ impl ImplicitEuler {
             for (n, momentum_n) in momentum_n.iter_mut().enumerate() {
                 *momentum_n = self.velocities_m_per_s[n] * (self.mass_kg[n] * per_s) * self.mask[n];
             }
-            lagged.fill_drift(momentum_n, work.path(), out);
+            direct.fill_drift(momentum_n, work.path(), out);
         }
     }
 

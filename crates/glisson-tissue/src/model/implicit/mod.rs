@@ -13,7 +13,9 @@
 //! tangent, element by element. The preconditioner is the factor of the tangent at an earlier state, with its negative
 //! eigenvalues removed. It is recomputed when the iterations since then have cost about as much as a factor, never by a
 //! clock: in slices over the next steps, for the state in which it was found to be due. After an edit the old factor serves beside
-//! the blocks of the nodes that have changed, until the new one has been made over the next steps. Where the exact tangent has a
+//! the blocks of the nodes that have changed, until the new one has been made over the next steps. In large bodies two grids
+//! ([`Preconditioner::TwoGrid`]) take the place of the factor, which grows faster than they do; where they do not solve, a
+//! factor is made at once and serves for the next steps. Where the exact tangent has a
 //! direction of negative curvature, the projected one is factored at once and gives the direction. A direction is shortened until the law allows every tetrahedron (ln J needs J > 0) and the potential
 //! has decreased.
 //!
@@ -25,6 +27,7 @@
 
 mod correction;
 mod descent;
+mod direct;
 mod elements;
 mod evaluation;
 mod general;
@@ -48,7 +51,7 @@ mod topology;
 
 pub use law::{ImplicitLaw, SharedLaw};
 pub use newton::{ImplicitReport, ImplicitStatus};
-pub use params::{DEFAULT_TOLERANCE, ImplicitError, ImplicitParams};
+pub use params::{DEFAULT_TOLERANCE, ImplicitError, ImplicitParams, Preconditioner};
 
 use self::elements::{Elements, ElementsParams, Recovery};
 use self::lagged::{Lagged, Pending};
@@ -117,6 +120,7 @@ pub struct ImplicitEuler {
     damping: Rayleigh,
     gravity_m_per_s2: DVec3,
     tolerance: f64,
+    preconditioner: Preconditioner,
     /// Limit of the Newton iterations of a step once all held nodes are at their targets.
     most_iterations: u32,
     time_step_s: f64,
@@ -142,6 +146,8 @@ pub struct ImplicitEuler {
     lagged: Option<Lagged>,
     /// The factor that is being made since an edit: the present one is of the mesh before.
     successor: Option<Successor>,
+    /// Whether a sparse factor of the mesh as it is serves in the place of two grids until the successor is made.
+    has_fallen_back: bool,
 
     // State.
     displacement_m: Vec<DVec3>,
@@ -227,6 +233,7 @@ impl ImplicitEuler {
             damping: params.body.damping,
             gravity_m_per_s2: params.body.gravity_m_per_s2,
             tolerance: params.tolerance,
+            preconditioner: params.preconditioner,
             most_iterations: MOST_NEWTON_ITERATIONS,
             time_step_s: params.body.time_step_s,
             least_force_n: 0.0,
@@ -242,6 +249,7 @@ impl ImplicitEuler {
             rest_load_n: zero.clone(),
             lagged: None,
             successor: None,
+            has_fallen_back: false,
             displacement_m: zero.clone(),
             velocities_m_per_s: zero.clone(),
             earlier_velocities_m_per_s: zero.clone(),
@@ -289,18 +297,29 @@ impl ImplicitEuler {
 
     /// Pattern and factor for a state of the mesh as it is. Without one, what there was serves on.
     fn factor_at_once(&mut self, state: LaggedState) -> Result<(), SolveError> {
+        self.factor_by(self.preconditioner, state)
+    }
+
+    fn factor_by(&mut self, preconditioner: Preconditioner, state: LaggedState) -> Result<(), SolveError> {
         let free_axes = self.axes_that_move();
-        let edited = Edited { elements: &self.elements, terms: self.node_terms(), free_axes: &free_axes };
-        let new = |state| Lagged::new(edited.edges(), &free_axes, edited.elements, edited.terms, state);
+        let edited = Edited { preconditioner, ..self.edited(&free_axes) };
+        let new = |state| Lagged::new(&edited, state);
         // Where the present shape has no factor, that of the rest shape is the preconditioner.
         let of_rest = state.at_rest();
         let has_tets = !self.elements.tets().is_empty();
         let lagged = has_tets.then(|| new(state).or_else(|_| new(of_rest))).transpose()?;
         self.lagged = lagged;
         self.successor = None;
+        self.has_fallen_back = false;
         self.factor_version += 1;
         self.age = FactorAge::default();
         Ok(())
+    }
+
+    /// What a preconditioner is made from.
+    fn edited<'a>(&'a self, free_axes: &'a [DVec3]) -> Edited<'a> {
+        let (elements, terms, preconditioner) = (&self.elements, self.node_terms(), self.preconditioner);
+        Edited { elements, terms, free_axes, preconditioner }
     }
 
     fn axes_that_move(&self) -> Vec<DVec3> {
@@ -434,7 +453,8 @@ impl ImplicitEuler {
 
     /// Returns to a state of the same mesh and removals; constraints stay as they are. The factor is recomputed at the state
     /// at which it was made then, and so are the slices of one that was being made, so that the next steps have the same bits.
-    /// Where the factor of an edited mesh was not there yet, then or now, it is made at once.
+    /// Where the factor of an edited mesh was not there yet, then or now, it is made at once, and so are two grids where a factor
+    /// served in their place.
     ///
     /// # Panics
     /// When the snapshot has another number of nodes.

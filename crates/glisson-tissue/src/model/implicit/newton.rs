@@ -3,7 +3,8 @@
 use super::elements::{Elements, Recovery};
 use super::lagged::{Lagged, Slice};
 use super::lagged_state::{LaggedState, NodeTerms};
-use super::successor::Edited;
+use super::params::Preconditioner;
+use super::successor::Successor;
 use super::{FactorAge, ImplicitEuler};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::TetId;
@@ -316,7 +317,7 @@ impl ImplicitEuler {
             let stop_n = FINAL_SHARE * limit_n;
             if matches!(self.iterate(factors, stop_n), Direction::NeedsFactor) {
                 self.refresh_here(factors);
-                self.solve_directly();
+                self.solve_directly(factors);
             }
             if let Some(next) = self.search_line(factors, balance, pending) {
                 balance = next;
@@ -326,7 +327,7 @@ impl ImplicitEuler {
             self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
             self.refresh_here(factors);
             self.prepare_right_side(factors, pending);
-            self.solve_directly();
+            self.solve_directly(factors);
             let Some(next) = self.search_line(factors, balance, pending) else {
                 let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
                 let end = self.balance(factors, found.energy_j);
@@ -428,19 +429,21 @@ impl ImplicitEuler {
         let stop_n = stop_n.max(FORCING * first);
         let mut remaining = first;
         let mut product = 0.0;
+        let first_is_whole = lagged.leaves_no_net_force();
         for k in 0..MOST_CG_ITERATIONS {
             if remaining <= stop_n {
                 return Direction::Found;
             }
-            lagged.solve_into(&s.right_n, &mut s.scaled_m);
+            lagged.apply_into(&s.right_n, &mut s.scaled_m);
             for (z, mask) in s.scaled_m.iter_mut().zip(&self.mask) {
                 *z *= *mask;
             }
             let new_product = dot(&s.right_n, &s.scaled_m);
-            let beta = if k == 0 { 0.0 } else { new_product / product };
+            let begins = k == 0 || k == 1 && first_is_whole;
+            let beta = if begins { 0.0 } else { new_product / product };
             product = new_product;
             for (p, z) in s.search_m.iter_mut().zip(&s.scaled_m) {
-                *p = if k == 0 { *z } else { *z + *p * beta };
+                *p = if begins { *z } else { *z + *p * beta };
             }
             self.elements.tangent_product(&s.search_m, &mut s.product_n);
             for n in 0..s.product_n.len() {
@@ -457,7 +460,7 @@ impl ImplicitEuler {
             if !(curvature > 0.0 && product > 0.0) {
                 return if k == 0 { Direction::NeedsFactor } else { Direction::Found };
             }
-            let length = product / curvature;
+            let length = if k == 0 && first_is_whole { 1.0 } else { product / curvature };
             let mut square = 0.0;
             for n in 0..s.right_n.len() {
                 s.direction_m[n] += s.search_m[n] * length;
@@ -471,15 +474,32 @@ impl ImplicitEuler {
         Direction::NeedsFactor
     }
 
-    /// The free part of the direction from the factor itself.
-    fn solve_directly(&mut self) {
-        let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
+    /// The free part of the direction from the projected tangent of the last factor itself.
+    fn solve_directly(&mut self, factors: StepFactors) {
+        let is_solved = |model: &mut Self| {
+            let lagged = model.lagged.as_mut().expect("a body with tetrahedra has a factor");
+            lagged.solve_into(&model.scratch.right_n, &mut model.scratch.scaled_m)
+        };
+        if !is_solved(self) {
+            self.fall_back(factors);
+            is_solved(self);
+        }
         let s = &mut self.scratch;
-        lagged.solve_into(&s.right_n, &mut s.scaled_m);
         for n in 0..self.is_held.len() {
             if !self.is_held[n] {
                 s.direction_m[n] = s.scaled_m[n] * self.mask[n];
             }
+        }
+    }
+
+    /// Where two grids do not solve, as for flattened tetrahedra many times stiffer than the others, a sparse factor does. It
+    /// serves until two grids have been made anew over the next steps.
+    fn fall_back(&mut self, factors: StepFactors) {
+        let state = self.state_here(factors);
+        if self.factor_by(Preconditioner::Factor, state).is_ok() {
+            self.successor = Some(Successor::default());
+            self.has_fallen_back = true;
+            self.step_report.n_factors += 1;
         }
     }
 
@@ -558,10 +578,11 @@ impl ImplicitEuler {
     fn go_on_with_successor(&mut self, factors: StepFactors) {
         let Some(mut successor) = self.successor.take() else { return };
         let free_axes = self.axes_that_move();
-        let edited = Edited { elements: &self.elements, terms: self.node_terms(), free_axes: &free_axes };
+        let edited = self.edited(&free_axes);
         match successor.advance(&edited, || self.state_here(factors)) {
             Some(lagged) => {
                 self.lagged = Some(*lagged);
+                self.has_fallen_back = false;
                 self.note_factor();
             }
             None => self.successor = Some(successor),
@@ -583,7 +604,7 @@ impl ImplicitEuler {
 
     /// Recomputes the factor at the present displacements, at once.
     fn refresh_here(&mut self, factors: StepFactors) {
-        if self.successor.is_some() {
+        if self.successor.is_some() && !self.has_fallen_back {
             let state = self.state_here(factors);
             if self.factor_at_once(state).is_ok() {
                 self.step_report.n_factors += 1;

@@ -101,6 +101,20 @@ pub struct ImplicitParams<'a> {
     pub volume: VolumeResistance,
     /// Residual over applied, inertial and holding forces at which a step ends; [`DEFAULT_TOLERANCE`].
     pub tolerance: f64,
+    /// What the conjugate gradients of a step are preconditioned with.
+    pub preconditioner: Preconditioner,
+}
+
+/// What the conjugate gradients of a step are preconditioned with: the tangent at an earlier state, inverted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Preconditioner {
+    /// A factor for small bodies, two grids for large ones.
+    #[default]
+    BySize,
+    /// A sparse Cholesky factor: few iterations, exact local models; time and memory that grow faster than the body.
+    Factor,
+    /// Smoothing and the rigid motions of groups of nodes: more iterations, each in a time that grows with the number of nodes.
+    TwoGrid,
 }
 
 /// A tenth of a per cent of the forces: below what linear tetrahedra of organ size can promise.
@@ -119,7 +133,14 @@ fn from_zero(what: &'static str, found: f64) -> Result<(), ImplicitError> {
 impl<'a> ImplicitParams<'a> {
     /// An elastic body with volume resisted in each tetrahedron and the default tolerance.
     pub fn new(body: DynamicBody<'a>, law: &'a ImplicitLaw) -> Self {
-        Self { body, law, relaxation: None, volume: VolumeResistance::Element, tolerance: DEFAULT_TOLERANCE }
+        Self {
+            body,
+            law,
+            relaxation: None,
+            volume: VolumeResistance::Element,
+            tolerance: DEFAULT_TOLERANCE,
+            preconditioner: Preconditioner::BySize,
+        }
     }
 
     /// Checks everything that needs no building; [`ImplicitLaw::stand_ins`] checks the laws.

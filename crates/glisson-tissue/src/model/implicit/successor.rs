@@ -5,10 +5,12 @@
 //! An edit that comes meanwhile begins anew. What a stage does follows from the mesh alone, so that the bits are the same
 //! whenever steps are made. Stages allocate: they are work of the edit that is put off.
 
+use super::direct::Direct;
 use super::elements::Elements;
-use super::lagged::{Lagged, Slice, system_of};
+use super::lagged::{Lagged, Slice, Solver, system_of};
 use super::lagged_state::{LaggedState, NodeTerms};
-use crate::solve::{FactorPattern, FreeSystem, MeshEdges, SolveError};
+use super::params::Preconditioner;
+use crate::solve::{FactorPattern, FreeSystem, MeshEdges, TwoGrid};
 use glisson_mesh::math::DVec3;
 
 /// What the stages read.
@@ -17,6 +19,7 @@ pub(super) struct Edited<'a> {
     pub(super) terms: NodeTerms<'a>,
     /// 1 for each axis along which a node can move, 0 for the others.
     pub(super) free_axes: &'a [DVec3],
+    pub(super) preconditioner: Preconditioner,
 }
 
 impl Edited<'_> {
@@ -55,16 +58,18 @@ impl Successor {
     ) -> Option<Box<Lagged>> {
         let next = match std::mem::take(&mut self.stage) {
             Stage::Edges => Ok(Stage::System(edited.edges())),
+            Stage::System(edges) if edited.preconditioner.is_two_grid(edited.free_axes) => {
+                let grids = TwoGrid::new(edited.terms.rest_m, &edges, edited.free_axes);
+                grids.map(|grids| self.ordered((edges, Solver::TwoGrid(Box::new(grids))), edited, now))
+            }
             Stage::System(edges) => {
                 system_of(&edges, edited.free_axes).map(|system| Stage::Pattern(edges, system))
             }
             Stage::Pattern(edges, system) => {
                 system.pattern_of_factor().map(|pattern| Stage::Plan(edges, (system, pattern)))
             }
-            Stage::Plan(edges, system) => {
-                let state = if self.is_of_rest { now().at_rest() } else { now() };
-                ordered(edges, system, edited, state)
-            }
+            Stage::Plan(edges, (system, pattern)) => Direct::new(system, pattern)
+                .map(|direct| self.ordered((edges, Solver::Direct(Box::new(direct))), edited, now)),
             Stage::Values(mut lagged) => match lagged.advance(edited.elements, edited.terms) {
                 Slice::Underway => Ok(Stage::Values(lagged)),
                 Slice::Serves => {
@@ -79,6 +84,19 @@ impl Successor {
         };
         self.stage = next.unwrap_or_default();
         None
+    }
+
+    /// The values are next.
+    fn ordered(
+        &self,
+        (edges, solver): (MeshEdges, Solver),
+        edited: &Edited<'_>,
+        now: impl FnOnce() -> LaggedState,
+    ) -> Stage {
+        let state = if self.is_of_rest { now().at_rest() } else { now() };
+        let mut lagged = Lagged::without_values(edges, solver, edited.elements, state);
+        lagged.order();
+        Stage::Values(Box::new(lagged))
     }
 
     /// How far it is, and what the values are made for.
@@ -96,16 +114,4 @@ impl Successor {
         });
         [f64::from(stage), f64::from(u8::from(self.is_of_rest))].into_iter().chain(of_values)
     }
-}
-
-/// The factor, with values ordered for a state.
-fn ordered(
-    edges: MeshEdges,
-    system: (FreeSystem, FactorPattern),
-    edited: &Edited<'_>,
-    now: LaggedState,
-) -> Result<Stage, SolveError> {
-    let mut lagged = Lagged::without_values(edges, system, edited.elements, now)?;
-    lagged.order();
-    Ok(Stage::Values(Box::new(lagged)))
 }

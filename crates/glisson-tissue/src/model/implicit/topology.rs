@@ -90,6 +90,7 @@ impl ImplicitEuler {
         lagged.serve_on(of_changed.chain(moved), &self.elements, self.node_terms(), &now);
         self.lagged = Some(lagged);
         self.successor = Some(Successor::default());
+        self.has_fallen_back = false;
         self.factor_version += 1;
         self.age = FactorAge::default();
     }

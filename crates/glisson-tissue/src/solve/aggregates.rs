@@ -77,6 +77,8 @@ impl Aggregates {
             higher: Vec::new(),
             higher_start: vec![0],
         };
+        // The order within a box is not told.
+        list.sort_unstable();
         for first in list {
             aggregates.add_around(first, rows, &box_of);
         }

@@ -16,7 +16,10 @@ impl ImplicitEuler {
             let n = force.node.index();
             right[n] += force.force_n * self.mask[n];
         }
-        lagged.solve_into(right, moves_m);
+        // What ended early is not linear in the forces, which contact counts on.
+        if !lagged.solve_into(right, moves_m) {
+            lagged.apply_into(right, moves_m);
+        }
         for (moved_m, mask) in moves_m.iter_mut().zip(&self.mask) {
             *moved_m *= *mask;
         }

@@ -6,10 +6,9 @@
 
 use super::direct::Direct;
 use super::elements::Elements;
-use super::lagged_state::{LaggedState, NodeTerms};
+use super::lagged_state::{Edited, LaggedState, NodeTerms};
 use super::late::Late;
 use super::params::Preconditioner;
-use super::successor::Edited;
 use crate::solve::{
     BoundaryConditions, FreeSystem, Given, LOCAL_EDGES, MeshEdges, SolveError, StiffnessTensors, TwoGrid,
 };

@@ -2,7 +2,8 @@
 
 use super::elements::Elements;
 use super::ligaments::Ligaments;
-use crate::solve::TetStiffness;
+use super::params::Preconditioner;
+use crate::solve::{MeshEdges, TetStiffness};
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::NodeId;
 
@@ -72,6 +73,23 @@ impl LaggedState {
         let flags = self.held.iter().chain(&self.strays).map(|&flag| f64::from(u8::from(flag)));
         let vectors = self.displacement_m.iter().flat_map(|u| u.to_array());
         vectors.chain(flags).chain([self.per_mass, self.per_stiffness, self.viscous_share])
+    }
+}
+
+/// What a preconditioner is made from, besides a state.
+pub(super) struct Edited<'a> {
+    pub(super) elements: &'a Elements,
+    pub(super) terms: NodeTerms<'a>,
+    /// 1 for each axis along which a node can move, 0 for the others.
+    pub(super) free_axes: &'a [DVec3],
+    pub(super) preconditioner: Preconditioner,
+}
+
+impl Edited<'_> {
+    pub(super) fn edges(&self) -> MeshEdges {
+        let n_tets = self.elements.tets().len();
+        let tetrahedra: Vec<_> = (0..n_tets).map(|t| self.elements.tetrahedron(t).0).collect();
+        MeshEdges::of_tetrahedra(self.free_axes.len(), &tetrahedra)
     }
 }
 

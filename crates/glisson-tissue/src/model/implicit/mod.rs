@@ -55,11 +55,11 @@ pub use params::{DEFAULT_TOLERANCE, ImplicitError, ImplicitParams, Preconditione
 
 use self::elements::{Elements, ElementsParams, Recovery};
 use self::lagged::{Lagged, Pending};
-use self::lagged_state::{LaggedState, NodeTerms};
+use self::lagged_state::{Edited, LaggedState, NodeTerms};
 use self::ligaments::Ligaments;
 use self::newton::{MOST_NEWTON_ITERATIONS, Scratch};
 use self::relaxation::Relaxation;
-use self::successor::{Edited, Successor};
+use self::successor::Successor;
 use super::bounded_vec::BoundedVec;
 use super::{
     Attachment, Constraints, Correction, DeformableModel, DynamicBody, LevelOfDetail, LocalModel, LocalWork,
@@ -482,8 +482,13 @@ impl ImplicitEuler {
             };
             if lagged.state != *state {
                 lagged.state = state.clone();
-                lagged.refresh(&self.elements, nodes);
+                let is_made = lagged.refresh(&self.elements, nodes);
                 self.factor_version += 1;
+                if !is_made && lagged.direct().is_none() {
+                    self.fall_back(state.clone());
+                    self.publish();
+                    return;
+                }
             }
             lagged.resume(snapshot.pending.as_ref(), &self.elements, nodes);
         }

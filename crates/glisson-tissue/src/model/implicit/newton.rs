@@ -206,6 +206,7 @@ impl ImplicitEuler {
         }
         if self.step_report.n_quarantined_tets > 0 {
             self.refresh_here(factors);
+            self.return_from_fallback(factors);
         } else {
             self.refresh_if_due(factors);
         }
@@ -481,7 +482,7 @@ impl ImplicitEuler {
             lagged.solve_into(&model.scratch.right_n, &mut model.scratch.scaled_m)
         };
         if !is_solved(self) {
-            self.fall_back(factors);
+            self.fall_back(self.state_here(factors));
             is_solved(self);
         }
         let s = &mut self.scratch;
@@ -494,8 +495,7 @@ impl ImplicitEuler {
 
     /// Where two grids do not solve, as for flattened tetrahedra many times stiffer than the others, a sparse factor does. It
     /// serves until two grids have been made anew over the next steps.
-    fn fall_back(&mut self, factors: StepFactors) {
-        let state = self.state_here(factors);
+    pub(super) fn fall_back(&mut self, state: LaggedState) {
         if self.factor_by(Preconditioner::Factor, state).is_ok() {
             self.successor = Some(Successor::default());
             self.has_fallen_back = true;
@@ -544,6 +544,7 @@ impl ImplicitEuler {
         let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
         if !factors.fit(&lagged.state) {
             self.refresh_here(factors);
+            self.return_from_fallback(factors);
             return;
         }
         if self.successor.is_some() {
@@ -621,8 +622,19 @@ impl ImplicitEuler {
         here.write_into(&mut lagged.state);
         let nodes =
             NodeTerms { rest_m: &self.mesh.positions_m, mass_kg: &self.mass_kg, ligaments: &self.ligaments };
-        lagged.refresh(&self.elements, nodes);
+        let is_made = lagged.refresh(&self.elements, nodes);
+        let is_direct = lagged.direct().is_some();
         self.note_factor();
+        if !is_made && !is_direct {
+            self.fall_back(self.state_here(factors));
+        }
+    }
+
+    /// Goes on with the two grids that take the fallback's place, in steps that began with a factor at once.
+    fn return_from_fallback(&mut self, factors: StepFactors) {
+        if self.has_fallen_back {
+            self.go_on_with_successor(factors);
+        }
     }
 
     /// Another factor serves from now on.

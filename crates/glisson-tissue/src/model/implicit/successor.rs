@@ -6,29 +6,9 @@
 //! whenever steps are made. Stages allocate: they are work of the edit that is put off.
 
 use super::direct::Direct;
-use super::elements::Elements;
 use super::lagged::{Lagged, Slice, Solver, system_of};
-use super::lagged_state::{LaggedState, NodeTerms};
-use super::params::Preconditioner;
+use super::lagged_state::{Edited, LaggedState};
 use crate::solve::{FactorPattern, FreeSystem, MeshEdges, TwoGrid};
-use glisson_mesh::math::DVec3;
-
-/// What the stages read.
-pub(super) struct Edited<'a> {
-    pub(super) elements: &'a Elements,
-    pub(super) terms: NodeTerms<'a>,
-    /// 1 for each axis along which a node can move, 0 for the others.
-    pub(super) free_axes: &'a [DVec3],
-    pub(super) preconditioner: Preconditioner,
-}
-
-impl Edited<'_> {
-    pub(super) fn edges(&self) -> MeshEdges {
-        let n_tets = self.elements.tets().len();
-        let tetrahedra: Vec<_> = (0..n_tets).map(|t| self.elements.tetrahedron(t).0).collect();
-        MeshEdges::of_tetrahedra(self.free_axes.len(), &tetrahedra)
-    }
-}
 
 #[derive(Clone, Default)]
 enum Stage {

@@ -4,6 +4,7 @@
 //! microseconds' tasks is too short for a pool that wakes its threads through a queue (rayon gains nothing below
 //! some 100 microseconds).
 
+use anyhow::Context;
 use std::hint::spin_loop;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -11,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, Thread, yield_now};
 use std::time::{Duration, Instant};
 
-use glisson::model::kernel::{Task, Workers};
+use glisson::workers::{Sequential, SharedWorkers, Task, Workers};
 
 /// How long a thread spins before it parks: a little longer than the pause between two rounds of a step.
 const SPIN: Duration = Duration::from_micros(50);
@@ -20,11 +21,34 @@ const SPINS_PER_LOOK: u32 = 64;
 /// The lower half of a ticket: the next task. The upper half is the round.
 const ROUND: u64 = 1 << 32;
 
+/// The work of a round. It is the caller's: the pointer is good until all of the round's tasks are done.
+#[derive(Clone, Copy)]
+struct Work(*const Task<'static>);
+
+#[allow(unsafe_code, reason = "tasks may be called from any thread")]
+// SAFETY: a [`Task`] is `Sync`, and the pointer is followed only as [`Work::call`] says.
+unsafe impl Send for Work {}
+
+#[allow(unsafe_code, reason = "threads that outlive a round work for a caller who waits for its end")]
+impl Work {
+    fn of(task: &Task<'_>) -> Self {
+        // SAFETY: the two types differ in their lifetime alone.
+        Self(unsafe { std::mem::transmute::<*const Task<'_>, *const Task<'static>>(task) })
+    }
+
+    /// # Safety
+    /// One of the tasks of its round must be the calling thread's and not be done: then the round's caller waits.
+    unsafe fn call(self, i: usize) {
+        // SAFETY: the caller of [`WorkerTeam::run`], who holds the task, waits.
+        unsafe { (*self.0)(i) }
+    }
+}
+
 /// A round's work.
 struct Round {
     number: u64,
     n_tasks: usize,
-    task: Option<Task>,
+    work: Option<Work>,
 }
 
 struct Shared {
@@ -42,13 +66,15 @@ impl Shared {
     }
 
     /// Takes tasks of this round until none is left.
-    fn work(&self, number: u64, n_tasks: usize, task: &Task) {
+    #[allow(unsafe_code, reason = "calls the work of a round that is not over")]
+    fn work(&self, number: u64, n_tasks: usize, work: Work) {
         let mut ticket = self.ticket.load(Ordering::Acquire);
         while ticket / ROUND == number && ((ticket % ROUND) as usize) < n_tasks {
             match self.ticket.compare_exchange_weak(ticket, ticket + 1, Ordering::AcqRel, Ordering::Acquire) {
                 Ok(_) => {
                     let i = (ticket % ROUND) as usize;
-                    if catch_unwind(AssertUnwindSafe(|| task(i))).is_err() {
+                    // SAFETY: task `i` of this round is this thread's now, and not counted as done before it is.
+                    if catch_unwind(AssertUnwindSafe(|| unsafe { work.call(i) })).is_err() {
                         self.has_panicked.store(true, Ordering::Relaxed);
                     }
                     self.n_done.fetch_add(1, Ordering::Release);
@@ -77,13 +103,13 @@ impl Shared {
                     spin_loop();
                 }
             }
-            let (number, n_tasks, task) = {
+            let (number, n_tasks, work) = {
                 let round = self.round();
-                (round.number, round.n_tasks, round.task.clone())
+                (round.number, round.n_tasks, round.work)
             };
             served = number;
-            if let Some(task) = task {
-                self.work(number, n_tasks, &task);
+            if let Some(work) = work {
+                self.work(number, n_tasks, work);
             }
         }
     }
@@ -105,7 +131,7 @@ impl WorkerTeam {
     /// When the system starts no thread.
     pub fn new(n_threads: usize) -> std::io::Result<Self> {
         let shared = Arc::new(Shared {
-            round: Mutex::new(Round { number: 0, n_tasks: 0, task: None }),
+            round: Mutex::new(Round { number: 0, n_tasks: 0, work: None }),
             ticket: AtomicU64::new(0),
             n_done: AtomicUsize::new(0),
             has_panicked: AtomicBool::new(false),
@@ -130,14 +156,26 @@ impl WorkerTeam {
     }
 }
 
+/// A team of so many threads, or the calling thread alone.
+///
+/// # Errors
+/// When the system starts no thread.
+pub fn shared_workers(n_threads: usize) -> anyhow::Result<SharedWorkers> {
+    Ok(match n_threads {
+        0 | 1 => Arc::new(Sequential),
+        n => Arc::new(WorkerTeam::new(n).context("starting the worker threads")?),
+    })
+}
+
 impl Workers for WorkerTeam {
-    fn run(&self, n_tasks: usize, task: &Task) {
+    fn run(&self, n_tasks: usize, task: &Task<'_>) {
         let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        let work = Work::of(task);
         let number = {
             let mut round = self.shared.round();
             round.number = (round.number + 1) % ROUND;
             round.n_tasks = n_tasks;
-            round.task = Some(Arc::clone(task));
+            round.work = Some(work);
             self.shared.n_done.store(0, Ordering::Relaxed);
             self.shared.ticket.store(round.number * ROUND, Ordering::Release);
             round.number
@@ -145,7 +183,7 @@ impl Workers for WorkerTeam {
         for thread in &self.wake {
             thread.unpark();
         }
-        self.shared.work(number, n_tasks, task);
+        self.shared.work(number, n_tasks, work);
         let mut turns = 0_u32;
         while self.shared.n_done.load(Ordering::Acquire) < n_tasks {
             turns += 1;
@@ -200,12 +238,9 @@ mod tests {
     fn every_task_runs_once_in_every_round_spinning_or_parked() {
         for n_threads in [1, 2, 4] {
             let team = WorkerTeam::new(n_threads).unwrap();
-            let counts: Arc<Vec<AtomicUsize>> = Arc::new((0..37).map(|_| AtomicUsize::new(0)).collect());
-            let task: Task = {
-                let counts = Arc::clone(&counts);
-                Arc::new(move |i| {
-                    counts[i].fetch_add(1, Ordering::Relaxed);
-                })
+            let counts: Vec<AtomicUsize> = (0..37).map(|_| AtomicUsize::new(0)).collect();
+            let task = |i: usize| {
+                counts[i].fetch_add(1, Ordering::Relaxed);
             };
             for round in 1..=600 {
                 team.run(37, &task);
@@ -221,10 +256,8 @@ mod tests {
     #[test]
     fn a_panic_in_a_task_reaches_the_caller_and_the_team_lives_on() {
         let team = WorkerTeam::new(2).unwrap();
-        let fails: Task = Arc::new(|i| assert!(i != 5));
-        let caught = catch_unwind(AssertUnwindSafe(|| team.run(8, &fails)));
+        let caught = catch_unwind(AssertUnwindSafe(|| team.run(8, &|i| assert!(i != 5))));
         assert!(caught.is_err());
-        let works: Task = Arc::new(|_| {});
-        team.run(8, &works);
+        team.run(8, &|_| {});
     }
 }

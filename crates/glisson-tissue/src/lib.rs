@@ -7,6 +7,7 @@
 //!
 //! The modules stand in data-flow order; a module uses only modules above it (`xtask/tests/layering.rs`).
 
+pub mod workers;
 pub mod material;
 pub mod solve;
 pub mod model;

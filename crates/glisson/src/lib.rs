@@ -11,7 +11,7 @@
 //! tetrahedra and their edits) and `glisson_tissue` (how tissue deforms). One who simulates needs this crate alone.
 
 pub use glisson_mesh::{files, image, math, mesh, surface, text, units};
-pub use glisson_tissue::{material, model, solve};
+pub use glisson_tissue::{material, model, solve, workers};
 
 pub mod contact;
 pub mod tool;

@@ -1,9 +1,8 @@
 //! A liver on its bed: at rest from the first step, and again after it was pushed.
 
 use glisson::math::DVec3;
-use glisson::model::explicit_kernel::SharedWorkers;
-use glisson::model::kernel::Sequential;
 use glisson::scene::{Scene, build_world};
+use glisson::workers::{Sequential, SharedWorkers};
 use glisson::world::{StepInput, World};
 use glisson_lab::bed::write_liver_on_bed;
 use glisson_runtime::workers::WorkerTeam;

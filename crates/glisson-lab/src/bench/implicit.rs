@@ -13,6 +13,8 @@ use glisson::model::implicit::{
 };
 use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, NodalForce};
 
+use glisson_runtime::workers::shared_workers;
+
 use super::body::StandardBody;
 use super::{Case, Prepared, Settings, isa_name};
 
@@ -22,7 +24,7 @@ pub(super) const CASES: &[Case] = &[
         about: "one implicit Euler step of 10 ms, ln J neo-Hooke, nu 0.45, a load of 1 N wandering over the top",
         per: "step",
         sizes: &[2_000, 6_300, 20_000, 50_000, 100_000],
-        parallel: false,
+        parallel: true,
         prepare: nu_045,
     },
     Case {
@@ -30,7 +32,7 @@ pub(super) const CASES: &[Case] = &[
         about: "the same preconditioned with a sparse factor at any size",
         per: "step",
         sizes: &[6_300, 20_000],
-        parallel: false,
+        parallel: true,
         prepare: by_factor,
     },
     Case {
@@ -38,7 +40,7 @@ pub(super) const CASES: &[Case] = &[
         about: "the same preconditioned with two grids at any size",
         per: "step",
         sizes: &[2_000, 6_300, 20_000],
-        parallel: false,
+        parallel: true,
         prepare: by_two_grid,
     },
     Case {
@@ -46,7 +48,7 @@ pub(super) const CASES: &[Case] = &[
         about: "the same with Poisson's ratio 0.49",
         per: "step",
         sizes: &[6_300],
-        parallel: false,
+        parallel: true,
         prepare: nu_049,
     },
     Case {
@@ -54,7 +56,7 @@ pub(super) const CASES: &[Case] = &[
         about: "the same with Poisson's ratio 0.49 and node-averaged pressure",
         per: "step",
         sizes: &[6_300],
-        parallel: false,
+        parallel: true,
         prepare: averaged,
     },
     Case {
@@ -62,7 +64,7 @@ pub(super) const CASES: &[Case] = &[
         about: "as implicit_step with the stable neo-Hookean law",
         per: "step",
         sizes: &[6_300],
-        parallel: false,
+        parallel: true,
         prepare: stable,
     },
     Case {
@@ -70,7 +72,7 @@ pub(super) const CASES: &[Case] = &[
         about: "the same through the path for any law",
         per: "step",
         sizes: &[6_300],
-        parallel: false,
+        parallel: true,
         prepare: general,
     },
     Case {
@@ -78,7 +80,7 @@ pub(super) const CASES: &[Case] = &[
         about: "as implicit_step with one relaxing term",
         per: "step",
         sizes: &[6_300],
-        parallel: false,
+        parallel: true,
         prepare: viscous,
     },
 ];
@@ -215,6 +217,7 @@ fn prepare(settings: Settings, law: &ImplicitLaw, variant: &Variant) -> anyhow::
     let relaxation = variant.relaxation.as_ref();
     let params = ImplicitParams { volume, relaxation, preconditioner, ..ImplicitParams::new(dynamic, law) };
     let mut model = ImplicitEuler::build(&params)?;
+    model.set_workers(shared_workers(settings.threads)?);
     let loads = round_of_loads(&body)?;
     let needed = warm_up(&mut model, &loads)?;
     let mut turn = N_BEYOND;

@@ -2,17 +2,15 @@
 
 use std::hint::black_box;
 
-use anyhow::Context;
 use glam::DVec3;
 use glisson::model::kernel::{
-    ExplicitStep, FastKernel, KernelExtras, KernelLaw, KernelParams, KernelPath, Quarantine, Sequential,
-    Workers,
+    ExplicitStep, FastKernel, KernelExtras, KernelLaw, KernelParams, KernelPath, Quarantine,
 };
 use glisson::model::tensor_mass::TensorMass;
 
 use super::body::StandardBody;
 use super::{Case, Prepared, Settings, Work};
-use glisson_runtime::workers::WorkerTeam;
+use glisson_runtime::workers::shared_workers;
 
 /// Operations for a tetrahedron: differences of displacements 9, gradient 45, stress, forces 45, their sum 6,
 /// adding up 12; a fused multiply-add counts as two.
@@ -117,13 +115,6 @@ fn path(name: &str) -> KernelPath {
     KernelPath::named(name).or(KernelPath::named("portable")).expect("the portable path is always there")
 }
 
-fn workers(settings: Settings) -> anyhow::Result<Box<dyn Workers + Send>> {
-    Ok(match settings.threads {
-        1 => Box::new(Sequential),
-        n => Box::new(WorkerTeam::new(n).context("starting the worker threads")?),
-    })
-}
-
 /// Displacements [m] that bend the standard body.
 pub(super) fn bent_m(body: &StandardBody) -> Vec<DVec3> {
     let bent = |p: &DVec3| DVec3::new(0.0, 0.2 * (p.x / 0.15) * (p.z / 0.06 + 1.0) * 0.01, 0.02 * p.x);
@@ -160,7 +151,7 @@ fn work(kernel: &FastKernel, law: KernelLaw) -> Option<Work> {
 fn force(settings: Settings, law: KernelLaw, path: KernelPath) -> anyhow::Result<Prepared> {
     let body = StandardBody::shared(settings.size)?;
     let mut kernel = kernel_of(&body, law, path, &KernelExtras::default())?;
-    let workers = workers(settings)?;
+    let workers = shared_workers(settings.threads)?;
     Ok(Prepared {
         size: kernel.n_tets(),
         isa: path.name(),
@@ -189,7 +180,7 @@ fn explicit_step(settings: Settings, kind: StepKind) -> anyhow::Result<Prepared>
     let extras = KernelExtras { rest_stress_pa: &rest_stress_pa, ..KernelExtras::default() };
     let mut kernel = kernel_of(&body, law, path, &extras)?;
     kernel.set_quarantine(kind.quarantine);
-    let workers = workers(settings)?;
+    let workers = shared_workers(settings.threads)?;
     let stable = TensorMass::stable_step(&body.mesh, &body.material)?;
     let step_s = STEP_SHARE * stable.step_s;
     // Without damping it moves for ever: no number becomes subnormal, which would be slow.

@@ -18,9 +18,10 @@ use glisson::material::LinearElastic;
 use glisson::math::DVec3;
 use glisson::mesh::{NodeId, TetMesh};
 use glisson::model::DeformableModel;
-use glisson::model::kernel::{FastKernel, KernelLaw, KernelParams, KernelPath, Sequential};
+use glisson::model::kernel::{FastKernel, KernelLaw, KernelParams, KernelPath};
 use glisson::model::nonlinear_tensor_mass::{NonlinearPart, NonlinearTensorMass, OperationCounts};
 use glisson::solve::BoundaryConditions;
+use glisson::workers::Sequential;
 use glisson_view::plot::{LinePlot, Series, SeriesStyle};
 use std::hint::black_box;
 

@@ -6,14 +6,11 @@ use crate::bed::write_liver_on_bed;
 use crate::scratch::ScratchFolder;
 use anyhow::Context;
 use glisson::math::DVec3;
-use glisson::model::explicit_kernel::SharedWorkers;
-use glisson::model::kernel::Sequential;
 use glisson::scene::{Scene, build_world};
 use glisson::world::{StepInput, World};
-use glisson_runtime::workers::WorkerTeam;
+use glisson_runtime::workers::shared_workers;
 use std::fmt::Write as _;
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Instant;
 
 const OWN: &str = "requirement";
@@ -27,10 +24,7 @@ const MOST_DRIFT_M_PER_MINUTE: f64 = 0.1e-3;
 fn open(scene: &Path, n_threads: usize) -> anyhow::Result<World> {
     let text = std::fs::read_to_string(scene)?;
     let folder = scene.parent().context("a scene lies in a folder")?;
-    let workers: SharedWorkers = match n_threads {
-        1 => Arc::new(Sequential),
-        n => Arc::new(WorkerTeam::new(n)?),
-    };
+    let workers = shared_workers(n_threads)?;
     Ok(build_world(&Scene::parse(&text)?, folder, workers)?.0)
 }
 

@@ -8,15 +8,13 @@ pub(crate) use guard::panic_text;
 
 use crate::incidents::{Incidents, Notice, Notices, Once};
 use crate::recorder::Recorder;
-use crate::workers::WorkerTeam;
+use crate::workers::shared_workers;
 use anyhow::{Context, anyhow, bail};
 use glisson::haptics::HapticModel;
 use glisson::math::DVec3;
 use glisson::mesh::refine::FineRegion;
 use glisson::mesh::{TetId, TetMesh};
 use glisson::model::StateHash;
-use glisson::model::explicit_kernel::SharedWorkers;
-use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
 use glisson::model::{DeformableModel, LevelOfDetail};
 use glisson::record::session::SessionEvent;
@@ -86,10 +84,7 @@ impl Simulation {
     /// Sets a world up from a scene; with `record`, writes the session there.
     #[expect(clippy::needless_pass_by_value, reason = "a scene is opened once")]
     pub fn open(source: OpenScene, record: Option<&Path>) -> anyhow::Result<Self> {
-        let workers: SharedWorkers = match source.n_threads {
-            0 | 1 => Arc::new(Sequential),
-            n => Arc::new(WorkerTeam::new(n).context("starting the worker threads")?),
-        };
+        let workers = shared_workers(source.n_threads)?;
         let (world, bodies) =
             build_world(&source.scene, &source.folder, workers).with_context(|| source.origin.clone())?;
         let recorder = record

@@ -1,11 +1,10 @@
 //! All bodies of a scene, with what their models are made from: one organ, or several bodies joined in one mesh.
 
 use super::composite::{Composite, CompositePart};
-use super::explicit_kernel::SharedWorkers;
-use super::kernel::Sequential;
 use super::kind::{ModelKind, build_model, build_model_as_cut};
 use super::rigid::{RigidBody, RigidMotion};
 use super::{DeformableModel, ModelError, OrganBody};
+use crate::workers::{Sequential, SharedWorkers};
 use glisson_mesh::mesh::TetMesh;
 use std::sync::Arc;
 

@@ -1,14 +1,13 @@
 //! An organ at rest, with all that its models are made from.
 
-use super::explicit_kernel::SharedWorkers;
 use super::hybrid::condensed::ZoneLaw;
-use super::kernel::Sequential;
 use super::tet_law::Fibre;
 use super::{
     Attachment, DEFAULT_MOST_PARTS, DynamicBody, FixedNode, Integration, ModelError, NodalForce, Rayleigh,
     RestStress,
 };
 use crate::material::{LawChoice, LinearElastic, PronySeries, PronyTerm};
+use crate::workers::{Sequential, SharedWorkers};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetMesh};
 use std::iter::repeat_n;

@@ -25,6 +25,7 @@ use super::{
     BoundaryConditions, FactorScratch, Factorization, FreeSystem, MeshEdges, NextFactor, SolveError,
     StiffnessTensors,
 };
+use crate::workers::{Workers, in_stretches};
 use glisson_mesh::math::{SeededRandom, cross_matrix};
 use glisson_mesh::mesh::NodeId;
 
@@ -345,10 +346,10 @@ impl TwoGrid {
 
     /// Overwrites `solution` with about the inverse times `right`, zero for components that are not free: a symmetric, positive
     /// definite product, to rounding in single precision. Nodes beyond those of the matrix are left alone.
-    pub(crate) fn apply_into(&mut self, right: &[DVec3], solution: &mut [DVec3]) {
+    pub(crate) fn apply_into(&mut self, workers: &dyn Workers, right: &[DVec3], solution: &mut [DVec3]) {
         let Some(scale) = self.read(right) else { return };
         let Self { structure, values, factor, scratch, .. } = self;
-        let cycle = Cycle { structure, values, factor };
+        let cycle = Cycle { structure, values, factor, workers };
         cycle.run(scratch);
         for (x, own) in solution.iter_mut().zip(&scratch.solution) {
             *x = own.as_dvec3() * scale;
@@ -359,13 +360,14 @@ impl TwoGrid {
     /// at most so many iterations of conjugate gradients. False when they are not enough.
     pub(crate) fn solve_into(
         &mut self,
+        workers: &dyn Workers,
         right: &[DVec3],
         solution: &mut [DVec3],
         (tolerance, most_iterations): (f64, u32),
     ) -> bool {
         let Some(scale) = self.read(right) else { return true };
         let Self { structure, values, factor, scratch, .. } = self;
-        let cycle = Cycle { structure, values, factor };
+        let cycle = Cycle { structure, values, factor, workers };
         scratch.sum.fill(Vec3A::ZERO);
         let square_of = |right: &[Vec3A]| dot(right, right);
         let limit = tolerance * tolerance * square_of(&scratch.right);
@@ -381,9 +383,7 @@ impl TwoGrid {
             for (p, z) in scratch.search.iter_mut().zip(&scratch.solution) {
                 *p = if k < 2 { *z } else { *z + *p * beta };
             }
-            for n in 0..scratch.search.len() {
-                scratch.change[n] = values.product(&structure.rows, n, &scratch.search);
-            }
+            cycle.product_into(&scratch.search, &mut scratch.change);
             let curvature = dot(&scratch.search, &scratch.change);
             if !(curvature > 0.0 && product > 0.0) {
                 break;
@@ -542,38 +542,61 @@ struct Cycle<'a> {
     structure: &'a Structure,
     values: &'a Values,
     factor: &'a Factorization,
+    workers: &'a dyn Workers,
 }
 
+/// Rows that are worth a task.
+const LEAST_ROWS: usize = 256;
+
 impl Cycle<'_> {
+    /// Overwrites `product` with A v.
+    fn product_into(&self, v: &[Vec3A], product: &mut [Vec3A]) {
+        in_stretches(self.workers, LEAST_ROWS, product, |first, product| {
+            for (n, product) in (first..).zip(product) {
+                *product = self.values.product(&self.structure.rows, n, v);
+            }
+        });
+    }
+
     /// Overwrites `solution` with M times `right`.
     fn run(&self, scratch: &mut Scratch) {
         let Scratch { right, solution, residual, change, other, small, factor, .. } = scratch;
         self.move_groups([right, solution], small, factor);
-        for (n, (r, right)) in residual.iter_mut().zip(&*right).enumerate() {
-            *r = *right - self.values.product(&self.structure.rows, n, solution);
-        }
-        self.smooth([solution, residual, change, other]);
+        self.smooth(right, [solution, residual, change, other]);
         self.move_groups([residual, change], small, factor);
         solution.iter_mut().zip(change).for_each(|(x, more)| *x += *more);
     }
 
     /// Adds the steps of Chebyshev's iteration (Y. Saad 2003, Iterative Methods for Sparse Linear Systems, doi
-    /// 10.1137/1.9780898718003, algorithm 12.1), and takes what they do from the residual.
-    fn smooth(&self, [solution, residual, change, other]: [&mut Vec<Vec3A>; 4]) {
-        let Values { inverse, largest, .. } = self.values;
+    /// 10.1137/1.9780898718003, algorithm 12.1), and leaves the residual.
+    fn smooth(&self, right: &[Vec3A], [solution, residual, change, other]: [&mut Vec<Vec3A>; 4]) {
+        let Self { structure: Structure { rows, .. }, values, workers, .. } = *self;
+        let Values { inverse, largest, .. } = values;
         let [centre, half] = [1.0 + SMOOTHED_SHARE, 1.0 - SMOOTHED_SHARE].map(|c| 0.5 * c * largest);
         let sigma = centre / half;
         let mut rho = 1.0 / sigma;
-        for n in 0..residual.len() {
-            change[n] = inverse[n] * residual[n] * (1.0 / centre);
-        }
+        in_stretches(
+            workers,
+            LEAST_ROWS,
+            (&mut residual[..], &mut change[..]),
+            |first, (residual, change)| {
+                for (n, (residual, change)) in (first..).zip(residual.iter_mut().zip(change)) {
+                    *residual = right[n] - values.product(rows, n, solution);
+                    *change = inverse[n] * *residual * (1.0 / centre);
+                }
+            },
+        );
         for _ in 0..SMOOTHING_STEPS {
             let next_rho = 1.0 / (2.0 * sigma - rho);
-            for n in 0..residual.len() {
-                residual[n] -= self.values.product(&self.structure.rows, n, change);
-                solution[n] += change[n];
-                other[n] = change[n] * (rho * next_rho) + inverse[n] * residual[n] * (2.0 * next_rho / half);
-            }
+            let lists = ((&mut residual[..], &mut solution[..]), &mut other[..]);
+            in_stretches(workers, LEAST_ROWS, lists, |first, ((residual, solution), other)| {
+                for (k, n) in (first..first + residual.len()).enumerate() {
+                    residual[k] -= values.product(rows, n, change);
+                    solution[k] += change[n];
+                    other[k] =
+                        change[n] * (rho * next_rho) + inverse[n] * residual[k] * (2.0 * next_rho / half);
+                }
+            });
             std::mem::swap(change, other);
             rho = next_rho;
         }
@@ -615,6 +638,7 @@ impl Cycle<'_> {
 mod tests {
     use super::*;
     use crate::material::LinearElastic;
+    use crate::workers::Sequential;
     use glisson_mesh::mesh::TetMesh;
     use glisson_mesh::mesh::box_mesh::box_of_five;
 
@@ -688,7 +712,7 @@ mod tests {
         grids.fill(&block.given()).unwrap();
         let answer = |grids: &mut TwoGrid, right: &[DVec3]| {
             let mut solution = vec![DVec3::ZERO; right.len()];
-            grids.apply_into(right, &mut solution);
+            grids.apply_into(&Sequential, right, &mut solution);
             solution
         };
         for seed in 0..5 {
@@ -715,7 +739,7 @@ mod tests {
         for (tolerance, most) in [(1e-1, 6), (1e-2, 12), (1e-4, 24)] {
             let right = block.random(3);
             let mut solution = vec![DVec3::ZERO; right.len()];
-            assert!(grids.solve_into(&right, &mut solution, (tolerance, most)));
+            assert!(grids.solve_into(&Sequential, &right, &mut solution, (tolerance, most)));
             let left: Vec<DVec3> = right.iter().zip(block.product(&solution)).map(|(r, p)| *r - p).collect();
             let share = (inner(&left, &left) / inner(&right, &right)).sqrt();
             assert!(share < 1.05 * tolerance, "{share:e} after {most} iterations");
@@ -733,12 +757,12 @@ mod tests {
         // What serves meanwhile is asked between slices.
         sliced.fill(&block.given()).unwrap();
         while !sliced.advance(&block.given(), &mut { sliced.work_ns() / 30 }).unwrap() {
-            sliced.apply_into(&right, &mut b);
+            sliced.apply_into(&Sequential, &right, &mut b);
             n_slices += 1;
         }
         assert!((25..=40).contains(&n_slices), "{n_slices} slices");
-        at_once.apply_into(&right, &mut a);
-        sliced.apply_into(&right, &mut b);
+        at_once.apply_into(&Sequential, &right, &mut a);
+        sliced.apply_into(&Sequential, &right, &mut b);
         assert_eq!(a, b);
         // A retired copy reads them while others are made.
         let mut retired = sliced.for_solutions();
@@ -750,9 +774,9 @@ mod tests {
         other.tensors = &stiffer;
         sliced.fill(&other).unwrap();
         sliced.fill(&other).unwrap();
-        retired.apply_into(&right, &mut b);
+        retired.apply_into(&Sequential, &right, &mut b);
         assert_eq!(a, b);
-        sliced.apply_into(&right, &mut b);
+        sliced.apply_into(&Sequential, &right, &mut b);
         assert_ne!(a, b);
     }
 
@@ -765,7 +789,7 @@ mod tests {
         grids.fill(&block.given()).unwrap();
         let right = block.random(3);
         let mut solution = vec![DVec3::ZERO; right.len()];
-        assert!(grids.solve_into(&right, &mut solution, (1e-3, 30)));
+        assert!(grids.solve_into(&Sequential, &right, &mut solution, (1e-3, 30)));
         assert!(solution.iter().all(|x| x.is_finite() && x.y == 0.0));
     }
 
@@ -776,13 +800,13 @@ mod tests {
         grids.fill(&block.given()).unwrap();
         let right = block.random(1);
         let [mut a, mut b] = [(); 2].map(|()| vec![DVec3::ZERO; right.len()]);
-        grids.apply_into(&right, &mut a);
+        grids.apply_into(&Sequential, &right, &mut a);
         let negative = StiffnessTensors {
             vertex: block.tensors.vertex.iter().map(|b| *b * -1.0).collect(),
             edge: block.tensors.edge.clone(),
         };
         assert_eq!(grids.fill(&Given { tensors: &negative, ..block.given() }), Err(SolveError::Singular));
-        grids.apply_into(&right, &mut b);
+        grids.apply_into(&Sequential, &right, &mut b);
         assert_eq!(a, b);
     }
 }

@@ -1,19 +1,19 @@
 //! The fast kernel against the plain formula, the tensors, the tensor-mass model and itself on every path and
 //! number of threads.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
-
 use glisson_mesh::math::{DMat3, DVec3, SeededRandom};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use glisson_tissue::material::LinearElastic;
 use glisson_tissue::model::kernel::{
     ExplicitStep, FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, Quarantine,
-    QuarantineReport, Sequential, StepSums, Task, Workers,
+    QuarantineReport, StepSums,
 };
 use glisson_tissue::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson_tissue::model::{DeformableModel, DynamicBody, Rayleigh};
 use glisson_tissue::solve::{MeshEdges, SolveError, StiffnessTensors};
+use glisson_tissue::workers::Sequential;
+
+use crate::team::team;
 
 use crate::kernel_laws::{AllExtras, kernel_with};
 use crate::model_meshes::{block, held, nodes_below, relative_difference, shaken_block};
@@ -41,29 +41,6 @@ fn kernel(mesh: &TetMesh, law: KernelLaw) -> FastKernel {
 fn random_field(n: usize, size_m: f64, seed: u64) -> Vec<DVec3> {
     let mut random = SeededRandom::new(seed);
     (0..n).map(|_| DVec3::from_array(std::array::from_fn(|_| random.uniform_in(-size_m, size_m)))).collect()
-}
-
-/// Threads that take tasks from the last to the first.
-struct Scattered(usize);
-
-impl Workers for Scattered {
-    fn run(&self, n_tasks: usize, task: &Task) {
-        let taken = AtomicUsize::new(0);
-        std::thread::scope(|scope| {
-            for _ in 0..self.0 {
-                let (taken, task) = (&taken, Arc::clone(task));
-                scope.spawn(move || {
-                    loop {
-                        let i = taken.fetch_add(1, Ordering::Relaxed);
-                        if i >= n_tasks {
-                            break;
-                        }
-                        task(n_tasks - 1 - i);
-                    }
-                });
-            }
-        });
-    }
 }
 
 /// Second Piola-Kirchhoff stress or Hooke's, straight from the definitions, element by element: F from the
@@ -232,13 +209,12 @@ fn every_path_and_number_of_threads_gives_the_same_bits() {
                     for &node in &fixed {
                         kernel.hold(node, true);
                     }
-                    let workers: &dyn Workers =
-                        if n_threads == 1 { &Sequential } else { &Scattered(n_threads) };
+                    let workers = team(n_threads);
                     kernel.set_outer_force(NodeId(50), DVec3::new(0.1, 0.2, -0.3));
                     let mut quarantined = QuarantineReport::default();
                     let mut energies = Vec::new();
                     for i in 0..N_STEPS {
-                        kernel.step(workers, step);
+                        kernel.step(workers.as_ref(), step);
                         energies.extend(energies_j(kernel.step_sums()));
                         if i == 0 {
                             quarantined = kernel.quarantined();

@@ -11,13 +11,14 @@ use glisson_tissue::material::{
 };
 use glisson_tissue::model::kernel::{
     ExplicitStep, FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, Quarantine,
-    QuarantineReport, Sequential, SharedMaterial,
+    QuarantineReport, SharedMaterial,
 };
 use glisson_tissue::model::nonlinear_tensor_mass::{
     DirectBody, Fibre, NonlinearElasticity, NonlinearPart, NonlinearTensorMass, NonlinearTensorMassParams,
 };
 use glisson_tissue::model::{DynamicBody, RestStress};
 use glisson_tissue::solve::{ElasticBody, MeshEdges, P1Gradients};
+use glisson_tissue::workers::Sequential;
 
 use crate::model_meshes::{block, relative_difference, shaken_block};
 

@@ -4,9 +4,9 @@ use super::build::{BuildError, read_organ, read_tools};
 use super::build_bodies::read_bodies;
 use super::spec::Scene;
 use crate::image::vessels::read_vessels;
-use crate::model::explicit_kernel::SharedWorkers;
 use crate::model::{BodySet, OrganBody};
 use crate::tool::fracture::Tearing;
+use crate::workers::SharedWorkers;
 use crate::world::World;
 use std::path::Path;
 

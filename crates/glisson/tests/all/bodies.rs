@@ -4,10 +4,9 @@ use glisson::material::LinearElastic;
 use glisson::math::DVec3;
 use glisson::mesh::TetMesh;
 use glisson::model::Rayleigh;
-use glisson::model::explicit_kernel::SharedWorkers;
-use glisson::model::kernel::{Sequential, Task, Workers};
 use glisson::model::kind::ModelKind;
 use glisson::scene::{OrganBody, build_model};
+use glisson::workers::{Sequential, SharedWorkers, Task, Workers};
 use glisson::world::World;
 use glisson::world::spec::{Region, Support, WorldSpec, fixed_nodes};
 use std::sync::Arc;
@@ -24,7 +23,7 @@ pub(crate) fn on_a_table(mesh: TetMesh, spec: WorldSpec) -> World {
 pub(crate) struct Backwards;
 
 impl Workers for Backwards {
-    fn run(&self, n_tasks: usize, task: &Task) {
+    fn run(&self, n_tasks: usize, task: &Task<'_>) {
         std::thread::scope(|scope| {
             for i in (0..n_tasks).rev() {
                 scope.spawn(move || task(i));

@@ -17,11 +17,12 @@ use glisson::mesh::topology::{Topology, surface_of};
 use glisson::mesh::{NodeId, TetId, TetMesh};
 use glisson::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
 use glisson::model::implicit::{ImplicitEuler, ImplicitLaw, ImplicitParams};
-use glisson::model::kernel::{KernelLaw, Task, Workers};
+use glisson::model::kernel::KernelLaw;
 use glisson::model::precomputed::{Precision, Precomputed, PrecomputedParams, StoredNodes};
 use glisson::model::tensor_mass::{TensorMass, TensorMassParams};
 use glisson::model::{Constraints, DeformableModel, DynamicBody, FixedNode, NodalForce, Rayleigh};
 use glisson::surface::TriMesh;
+use glisson::workers::{Task, Workers};
 
 const SIDE_M: f64 = 0.1;
 const DENSITY: f64 = 1000.0;
@@ -611,11 +612,11 @@ fn a_contact_that_opens_leaves_no_force_behind() {
 struct Backwards;
 
 impl Workers for Backwards {
-    fn run(&self, n_tasks: usize, task: &Task) {
+    fn run(&self, n_tasks: usize, task: &Task<'_>) {
         std::thread::scope(|scope| {
             let half = n_tasks / 2;
-            scope.spawn(move || (0..half).rev().for_each(|i| task(i)));
-            (half..n_tasks).rev().for_each(|i| task(i));
+            scope.spawn(move || (0..half).rev().for_each(task));
+            (half..n_tasks).rev().for_each(task);
         });
     }
 }

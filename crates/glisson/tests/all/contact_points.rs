@@ -8,11 +8,11 @@ use crate::model_meshes::{block, shaken_block};
 use glisson::math::DVec3;
 use glisson::mesh::edit::MeshEdit;
 use glisson::model::Rayleigh;
-use glisson::model::kernel::Sequential;
 use glisson::model::kind::ModelKind;
 use glisson::record::snapshot::{ContactKind, ContactPoints};
 use glisson::scene::{Scene, build_world};
 use glisson::tool::{Grip, Jaws, Tool, ToolInput, ToolKind};
+use glisson::workers::Sequential;
 use glisson::world::spec::{Hand, WorldSpec};
 use glisson::world::{StepInput, World};
 

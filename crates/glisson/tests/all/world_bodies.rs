@@ -10,11 +10,10 @@ use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::edit::MeshEdit;
 use glisson::mesh::{TetId, TetMesh};
 use glisson::model::LevelOfDetail;
-use glisson::model::explicit_kernel::SharedWorkers;
-use glisson::model::kernel::Sequential;
 use glisson::record::snapshot::{ContactKind, ContactPoint, ContactPoints};
 use glisson::scene::{BodySet, Scene, build_world};
 use glisson::tool::ToolInput;
+use glisson::workers::{Sequential, SharedWorkers};
 use glisson::world::{StepInput, World};
 
 /// Edge of the cubes [m].

@@ -12,12 +12,11 @@ mod part;
 
 use self::maps::{Maps, Numbering};
 use self::part::Part;
-use super::explicit_kernel::SharedWorkers;
-use super::kernel::Task;
 use super::{
     Constraints, Correction, DeformableModel, LevelOfDetail, LocalModel, LocalWork, ModelReport, ModelState,
     ModelUndo, NodalForce, StepAnswer, TopologyRefusal,
 };
+use crate::workers::SharedWorkers;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
@@ -43,7 +42,7 @@ struct ImposedAt {
     place: u32,
 }
 
-type Parts = Arc<[Mutex<Part>]>;
+type Parts = Vec<Mutex<Part>>;
 
 /// Several bodies, one after the other in the joint mesh.
 pub struct Composite {
@@ -52,8 +51,6 @@ pub struct Composite {
     workers: SharedWorkers,
     /// Whether bodies step at the same time.
     in_parallel: bool,
-    step_part: Task,
-    answer_part: Task,
     // What all have together.
     positions_m: Vec<DVec3>,
     velocities_m_per_s: Vec<DVec3>,
@@ -68,11 +65,6 @@ pub struct Composite {
 
 fn lock(part: &Mutex<Part>) -> MutexGuard<'_, Part> {
     part.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn task(parts: &Parts, does: fn(&mut Part)) -> Task {
-    let parts = Arc::clone(parts);
-    Arc::new(move |i| does(&mut lock(&parts[i])))
 }
 
 /// Displacements at once for which room is kept.
@@ -97,8 +89,6 @@ impl Composite {
         let parts: Parts = parts.into_iter().map(Mutex::new).collect();
         let most = LocalModel::MOST_NODES;
         let mut joined = Self {
-            step_part: task(&parts, |part| part.model.step(part.dt_s)),
-            answer_part: task(&parts, Part::answer),
             parts,
             maps,
             workers,
@@ -183,11 +173,12 @@ impl Composite {
         }
     }
 
-    fn run(&self, task: &Task) {
+    fn for_each(&self, does: fn(&mut Part)) {
+        let task = |i: usize| does(&mut lock(&self.parts[i]));
         if self.in_parallel {
-            self.workers.run(self.parts.len(), task);
+            self.workers.run(self.parts.len(), &task);
         } else {
-            (0..self.parts.len()).for_each(|i| task(i));
+            (0..self.parts.len()).for_each(task);
         }
     }
 
@@ -256,7 +247,7 @@ impl DeformableModel for Composite {
 
     fn step(&mut self, dt_s: f64) {
         self.all().for_each(|mut part| part.dt_s = dt_s);
-        self.run(&self.step_part);
+        self.for_each(|part| part.model.step(part.dt_s));
         self.publish();
         self.read_constraint_forces();
     }
@@ -401,7 +392,7 @@ impl DeformableModel for Composite {
 
     fn answer_into(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
         self.hand_out(forces);
-        self.run(&self.answer_part);
+        self.for_each(Part::answer);
         for (p, part) in self.all().enumerate() {
             for (&joint, move_m) in self.maps.nodes.of_part(p).iter().zip(&part.moves_m) {
                 moves_m[joint as usize] = *move_m;

@@ -43,11 +43,12 @@ use self::loads::Loads;
 use self::stability::Stability;
 use super::bounded_vec::BoundedVec;
 use super::explicit::{ExplicitDynamics, Mover};
-use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine, Workers};
+use super::kernel::{ExplicitStep, FastKernel, KernelLaw, Quarantine};
 use super::topology_update::TopologyUpdate;
 use super::{
     Constraints, Correction, ModelReport, ModelState, ModelUndo, NodalForce, Rayleigh, TopologyRefusal,
 };
+use crate::workers::SharedWorkers;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
@@ -58,9 +59,6 @@ pub use params::{DEFAULT_LARGEST_STRETCH, ExplicitKernelError, ExplicitKernelPar
 
 /// Scene name.
 const NAME: &str = "explicit";
-
-/// Threads that several models may share.
-pub type SharedWorkers = Arc<dyn Workers + Send + Sync>;
 
 /// The kinetic energy is not held against less than the elastic energy at this stretch.
 const LEAST_ENERGY_STRETCH: f64 = 1.1;

@@ -2,17 +2,18 @@
 
 use std::sync::Arc;
 
-use super::{ExplicitError, SharedWorkers};
+use super::ExplicitError;
 use crate::material::{LinearElastic, MaterialError, NeoHookeLog, PronySeries, StableNeoHooke};
 use crate::model::explicit::keep;
 use crate::model::kernel::{
-    FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, Sequential, SharedMaterial,
+    FastKernel, KernelError, KernelExtras, KernelLaw, KernelParams, KernelPath, SharedMaterial,
 };
 use crate::model::local_model::TangentLaw;
 use crate::model::tet_law::{Fibre, TetLaw, linear_stiffness};
 use crate::model::topology_update::{TopologyUpdate, blend_tets};
 use crate::model::{DynamicBody, RestStress};
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
+use crate::workers::{Sequential, SharedWorkers};
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{TetId, TetMesh};
 

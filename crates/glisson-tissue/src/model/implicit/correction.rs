@@ -12,13 +12,14 @@ impl ImplicitEuler {
         // The residual holds the supports' forces, which are read between steps.
         let right = &mut self.scratch.product_n;
         right.fill(DVec3::ZERO);
+        let workers = self.workers.as_ref();
         for force in forces {
             let n = force.node.index();
             right[n] += force.force_n * self.mask[n];
         }
         // What ended early is not linear in the forces, which contact counts on.
-        if !lagged.solve_into(right, moves_m) {
-            lagged.apply_into(right, moves_m);
+        if !lagged.solve_into(workers, right, moves_m) {
+            lagged.apply_into(workers, right, moves_m);
         }
         for (moved_m, mask) in moves_m.iter_mut().zip(&self.mask) {
             *moved_m *= *mask;

@@ -25,11 +25,16 @@ impl ImplicitEuler {
         }
         self.scratch.end_m.copy_from_slice(&self.displacement_m);
         self.displacement_m.copy_from_slice(&self.scratch.start_m);
-        let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+        let found =
+            self.elements.evaluate(self.workers.as_ref(), &self.displacement_m, &mut self.scratch.force_n);
         let start = self.balance(factors, found.energy_j);
         let end = if end.potential_j <= start.potential_j {
             self.displacement_m.copy_from_slice(&self.scratch.end_m);
-            let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+            let found = self.elements.evaluate(
+                self.workers.as_ref(),
+                &self.displacement_m,
+                &mut self.scratch.force_n,
+            );
             self.balance(factors, found.energy_j)
         } else {
             self.minimise(factors, found.energy_j)

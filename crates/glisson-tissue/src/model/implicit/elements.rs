@@ -14,16 +14,18 @@ use std::borrow::Cow;
 
 use fearless_simd::Level;
 
-use super::evaluation::Evaluation;
+use super::evaluation::{Evaluation, On};
 use super::general::{General, stiffness_of};
 use super::lanes::{Group, LANES, SYMMETRIC, Shape, SymmetricLanes};
 use super::law::ImplicitLaw;
 use super::neo_hooke::NeoHooke;
+use super::shares::Shares;
 use super::stable_neo_hooke::Stable;
 use super::{RestStress, VolumeResistance};
 use crate::material::{Material, StableNeoHooke};
 use crate::model::bounded_vec::BoundedVec;
 use crate::solve::{P1Gradients, SolveError, TetStiffness};
+use crate::workers::Workers;
 use glisson_mesh::math::{DMat3, DVec3, outer};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
@@ -68,6 +70,7 @@ struct Stray {
 pub(super) struct Elements {
     level: Level,
     shape: Shape,
+    shares: Shares,
     /// Numbers in the mesh of the live tetrahedra.
     tets: Vec<TetId>,
     own: OwnLaw,
@@ -210,6 +213,7 @@ impl Elements {
         };
         Ok(Self {
             level: Level::new(),
+            shares: Shares::new(&groups, n_nodes),
             shape: Shape { groups, added_pa },
             own,
             stand_ins: of_live(stand_ins, &tets).into_owned(),
@@ -269,18 +273,18 @@ impl Elements {
     }
 
     /// Overwrites `force_n` with the forces that balance the deformation, and keeps the tangent there.
-    pub(super) fn evaluate(&mut self, displacement_m: &[DVec3], force_n: &mut [DVec3]) -> Evaluation {
-        force_n.fill(DVec3::ZERO);
+    pub(super) fn evaluate(
+        &mut self,
+        workers: &dyn Workers,
+        displacement_m: &[DVec3],
+        force_n: &mut [DVec3],
+    ) -> Evaluation {
+        let Self { level, shape, factor, shares, .. } = self;
+        let on = On { level: *level, shape, factor: *factor, workers };
         let mut found = match &mut self.own {
-            OwnLaw::NeoHooke(own) => {
-                own.evaluate(self.level, &self.shape, self.factor, displacement_m, force_n)
-            }
-            OwnLaw::Stable(own) => {
-                own.evaluate(self.level, &self.shape, self.factor, displacement_m, force_n)
-            }
-            OwnLaw::General(own) => {
-                own.evaluate(self.level, &self.shape, self.factor, displacement_m, force_n)
-            }
+            OwnLaw::NeoHooke(own) => own.evaluate(&on, shares, displacement_m, force_n),
+            OwnLaw::Stable(own) => own.evaluate(&on, shares, displacement_m, force_n),
+            OwnLaw::General(own) => own.evaluate(&on, shares, displacement_m, force_n),
         };
         self.has_inverted = found.has_inverted;
         for s in 0..self.strays.len() {
@@ -306,18 +310,18 @@ impl Elements {
     }
 
     /// Overwrites `force_n` with K d, K being the tangent of the last evaluation.
-    pub(super) fn tangent_product(&mut self, direction_m: &[DVec3], force_n: &mut [DVec3]) {
-        force_n.fill(DVec3::ZERO);
+    pub(super) fn tangent_product(
+        &mut self,
+        workers: &dyn Workers,
+        direction_m: &[DVec3],
+        force_n: &mut [DVec3],
+    ) {
+        let Self { level, shape, factor, shares, .. } = self;
+        let on = On { level: *level, shape, factor: *factor, workers };
         match &mut self.own {
-            OwnLaw::NeoHooke(own) => {
-                own.tangent_product(self.level, &self.shape, self.factor, direction_m, force_n);
-            }
-            OwnLaw::Stable(own) => {
-                own.tangent_product(self.level, &self.shape, self.factor, direction_m, force_n);
-            }
-            OwnLaw::General(own) => {
-                own.tangent_product(self.level, &self.shape, self.factor, direction_m, force_n);
-            }
+            OwnLaw::NeoHooke(own) => own.tangent_product(&on, shares, direction_m, force_n),
+            OwnLaw::Stable(own) => own.tangent_product(&on, shares, direction_m, force_n),
+            OwnLaw::General(own) => own.tangent_product(&on, shares, direction_m, force_n),
         }
         for stray in self.strays.iter() {
             let t = stray.live as usize;
@@ -503,6 +507,7 @@ mod tests {
     use crate::material::{
         LinearElastic, MaterialSpec, MooneyRivlin, NeoHookeLog, Ogden, OgdenTerm, StVenantKirchhoff,
     };
+    use crate::workers::Sequential;
     use glisson_mesh::math::SeededRandom;
 
     const LAME_PA: [f64; 2] = [9000.0, 1000.0];
@@ -572,14 +577,14 @@ mod tests {
         let step = 1e-6;
         let moved = |s: f64| -> Vec<DVec3> { u.iter().zip(d).map(|(u, d)| *u + *d * s).collect() };
         let mut forces = [vec![DVec3::ZERO; 8], vec![DVec3::ZERO; 8], vec![DVec3::ZERO; 8]];
-        let above = elements.evaluate(&moved(step), &mut forces[0]);
-        let below = elements.evaluate(&moved(-step), &mut forces[1]);
-        assert!(elements.evaluate(u, &mut forces[2]).is_usable());
+        let above = elements.evaluate(&Sequential, &moved(step), &mut forces[0]);
+        let below = elements.evaluate(&Sequential, &moved(-step), &mut forces[1]);
+        assert!(elements.evaluate(&Sequential, u, &mut forces[2]).is_usable());
         let work: f64 = forces[2].iter().zip(d).map(|(f, d)| f.dot(*d)).sum();
         let slope = (above.energy_j - below.energy_j) / (2.0 * step);
         assert!((work - slope).abs() <= 1e-6 * work.abs(), "{name}: {work} {slope}");
         let mut product = vec![DVec3::ZERO; 8];
-        elements.tangent_product(d, &mut product);
+        elements.tangent_product(&Sequential, d, &mut product);
         let size = product.iter().map(|f| f.length()).fold(0.0, f64::max);
         for n in 0..8 {
             let slope = (forces[0][n] - forces[1][n]) / (2.0 * step);
@@ -649,8 +654,8 @@ mod tests {
             .set_viscous(0.7, |tet| symmetric(&[50.0, 20.0, -30.0, 10.0 * tet.index() as f64, 5.0, -7.0]));
         elements.shape.groups[0].left_out = left_out;
         let mut nodal = [vec![DVec3::ZERO; 8], vec![DVec3::ZERO; 8]];
-        let evaluation = elements.evaluate(u, &mut nodal[0]);
-        elements.tangent_product(d, &mut nodal[1]);
+        let evaluation = elements.evaluate(&Sequential, u, &mut nodal[0]);
+        elements.tangent_product(&Sequential, d, &mut nodal[1]);
         let f = DMat3::IDENTITY + elements.gradient(2, u);
         let projected = elements.projected_stiffness(2, f, false, [0.7, 1.3]);
         Answers { evaluation, nodal, projected, stress_pa: elements.second_piola_pa(3, u) }
@@ -742,8 +747,11 @@ mod tests {
         let u = [DVec3::ZERO, DVec3::X * 1e83, DVec3::Y * 1e83, DVec3::Z * (f64::EPSILON - 1.0)];
         let stable = StableNeoHooke::new(LAME_PA[0], LAME_PA[1]).unwrap();
         for law in [ImplicitLaw::from(stable), ImplicitLaw::shared(stable)] {
-            let found =
-                elements(&mesh, &law, VolumeResistance::Element, &[]).evaluate(&u, &mut [DVec3::ZERO; 4]);
+            let found = elements(&mesh, &law, VolumeResistance::Element, &[]).evaluate(
+                &Sequential,
+                &u,
+                &mut [DVec3::ZERO; 4],
+            );
             assert!(found.energy_j.is_finite() && !found.is_upright, "{law:?}: {found:?}");
         }
     }
@@ -753,7 +761,8 @@ mod tests {
         let mesh = cube(&mut SeededRandom::new(13));
         for (law, volume) in laws().into_iter().filter(|(law, _)| !matches!(law, ImplicitLaw::General(_))) {
             let mut force_n = vec![DVec3::ONE; 8];
-            let found = elements(&mesh, &law, volume, &[]).evaluate(&[DVec3::ZERO; 8], &mut force_n);
+            let found =
+                elements(&mesh, &law, volume, &[]).evaluate(&Sequential, &[DVec3::ZERO; 8], &mut force_n);
             assert_eq!((found.energy_j, &force_n), (0.0, &vec![DVec3::ZERO; 8]), "{law:?} {volume:?}");
         }
     }

@@ -1,4 +1,18 @@
-//! The result of evaluating the elements at a shape.
+//! What the elements are evaluated with, and the result.
+
+use fearless_simd::Level;
+
+use super::lanes::Shape;
+use crate::workers::Workers;
+
+/// What laws compute with: the tetrahedra at rest, this step's share of the elastic stress, and threads.
+#[derive(Clone, Copy)]
+pub(super) struct On<'a> {
+    pub(super) level: Level,
+    pub(super) shape: &'a Shape,
+    pub(super) factor: f64,
+    pub(super) workers: &'a dyn Workers,
+}
 
 /// The result of one evaluation besides the forces.
 #[derive(Clone, Copy, Debug, PartialEq)]

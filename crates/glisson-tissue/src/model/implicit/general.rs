@@ -3,16 +3,19 @@
 //! The tangent d2W/dF2 is symmetric, with 45 numbers per tetrahedron. It is computed at the first product after an
 //! evaluation, so that a rejected line search step does not pay for it.
 
-use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
+use std::ops::Range;
 
-use super::evaluation::Evaluation;
+use fearless_simd::{Simd, dispatch, f64x8, prelude::*};
+
+use super::evaluation::{Evaluation, On};
 use super::lanes::{
-    Group, LANES, Lanes, Shape, add_turned, added_density, gradient, load, load_matrix, scale, scatter,
+    Group, LANES, Lanes, SymmetricLanes, add_turned, added_density, gradient, load, load_matrix, scale,
 };
 use super::law::SharedLaw;
+use super::shares::{Allowed, Share, Shares, scatter};
 use crate::material::{Material, Tangent};
-use crate::solve::LOCAL_EDGES;
-use crate::solve::{TetStiffness, contracted_columns, contracted_rows};
+use crate::solve::{LOCAL_EDGES, TetStiffness, contracted_columns, contracted_rows};
+use crate::workers::in_stretches;
 use glisson_mesh::math::{DMat3, DVec3};
 
 /// Entries of a symmetric 9x9 matrix.
@@ -42,36 +45,41 @@ impl General {
 
     /// Law of live tetrahedron number `t`.
     pub(super) fn law(&self, t: usize) -> &dyn Material {
-        &*self.laws[if self.laws.len() == 1 { 0 } else { t }]
+        law(&self.laws, t)
     }
 
-    /// Adds the forces [N] of `factor` times the law; keeps F for the tangent.
+    /// Overwrites `force_n` with the forces [N] of `factor` times the law; keeps F for the tangent.
     pub(super) fn evaluate(
         &mut self,
-        level: Level,
-        shape: &Shape,
-        factor: f64,
+        on: &On<'_>,
+        shares: &mut Shares,
         displacement_m: &[DVec3],
         force_n: &mut [DVec3],
     ) -> Evaluation {
         self.tangent_is_current = false;
-        dispatch!(level, simd => evaluate(simd, self, shape, factor, displacement_m, force_n))
+        let laws = &self.laws;
+        shares.evaluate(on.workers, &mut self.f, force_n, |groups, f, share| {
+            dispatch!(on.level, simd => evaluate(simd, laws, f, (on, groups), displacement_m, share))
+        })
     }
 
-    /// Adds K d, K being the tangent of the last evaluation with the same `factor`.
+    /// Overwrites `force_n` with K d, K being the tangent of the last evaluation with the same factor.
     pub(super) fn tangent_product(
         &mut self,
-        level: Level,
-        shape: &Shape,
-        factor: f64,
+        on: &On<'_>,
+        shares: &mut Shares,
         direction_m: &[DVec3],
         force_n: &mut [DVec3],
     ) {
         if !self.tangent_is_current {
-            self.update_tangents(shape, factor);
+            self.update_tangents(on);
             self.tangent_is_current = true;
         }
-        dispatch!(level, simd => product(simd, &self.tangent_pa, shape, direction_m, force_n));
+        shares.sum(on.workers, force_n, |groups, share| {
+            let tangents_pa = &self.tangent_pa[groups.clone()];
+            let groups = on.shape.stretch(groups);
+            dispatch!(on.level, simd => product(simd, tangents_pa, groups, direction_m, share));
+        });
     }
 
     /// Whether the law of tetrahedron `t` has an energy and a stress there, and one that brings it back if it is inside out.
@@ -81,24 +89,31 @@ impl General {
         returns && law.energy_density_j_per_m3(f).is_finite() && law.first_piola_pa(f).is_finite()
     }
 
-    fn update_tangents(&mut self, shape: &Shape, factor: f64) {
-        for (g, group) in shape.groups.iter().enumerate() {
-            for lane in 0..LANES {
-                let tangent = if group.has_stress(lane) {
-                    self.law(LANES * g + lane).tangent_pa(&lane_matrix(&self.f[g], lane))
-                } else {
-                    [[0.0; 9]; 9]
-                };
-                let mut entry = 0;
-                for i in 0..9 {
-                    for j in i..9 {
-                        self.tangent_pa[g][entry][lane] = factor * tangent[by_columns(i)][by_columns(j)];
-                        entry += 1;
+    fn update_tangents(&mut self, on: &On<'_>) {
+        let Self { laws, f, tangent_pa, .. } = self;
+        in_stretches(on.workers, 1, &mut tangent_pa[..], |first, tangent_pa| {
+            for (g, tangent_pa) in (first..).zip(tangent_pa) {
+                for lane in 0..LANES {
+                    let tangent = if on.shape.groups[g].has_stress(lane) {
+                        law(laws, LANES * g + lane).tangent_pa(&lane_matrix(&f[g], lane))
+                    } else {
+                        [[0.0; 9]; 9]
+                    };
+                    let mut entry = 0;
+                    for i in 0..9 {
+                        for j in i..9 {
+                            tangent_pa[entry][lane] = on.factor * tangent[by_columns(i)][by_columns(j)];
+                            entry += 1;
+                        }
                     }
                 }
             }
-        }
+        });
     }
+}
+
+fn law(laws: &[SharedLaw], t: usize) -> &dyn Material {
+    &*laws[if laws.len() == 1 { 0 } else { t }]
 }
 
 /// Place in glam's order by columns of the place `k` by rows.
@@ -124,15 +139,16 @@ pub(super) fn stiffness_of(tangent: &Tangent, alpha_per_m: [DVec3; 3], scale_m3:
 #[inline(always)]
 fn evaluate<S: Simd>(
     simd: S,
-    general: &mut General,
-    shape: &Shape,
-    factor: f64,
+    laws: &[SharedLaw],
+    f_of_group: &mut [[Lanes; 9]],
+    (on, groups): (&On<'_>, Range<usize>),
     displacement_m: &[DVec3],
-    force_n: &mut [DVec3],
-) -> Evaluation {
-    let mut energy_j = 0.0;
+    share: &mut Share,
+) -> Allowed {
+    share.energy_j = [0.0; LANES];
     let (mut is_upright, mut has_inverted) = (true, false);
-    for (g, group) in shape.groups.iter().enumerate() {
+    let of_groups = on.shape.stretch(groups.clone()).zip(f_of_group);
+    for (g, ((group, added_pa), kept)) in groups.zip(of_groups) {
         let alpha = load_matrix(simd, &group.gradient_per_m);
         let h = gradient(simd, group, &alpha, displacement_m);
         let mut f = h;
@@ -141,44 +157,43 @@ fn evaluate<S: Simd>(
         }
         for r in 0..3 {
             for c in 0..3 {
-                f[r][c].store_slice(&mut general.f[g][3 * r + c]);
+                f[r][c].store_slice(&mut kept[3 * r + c]);
             }
         }
         let mut piola = [[0.0; LANES]; 9];
         for lane in (0..LANES).filter(|&lane| group.has_stress(lane)) {
-            let law = general.law(LANES * g + lane);
-            let f = lane_matrix(&general.f[g], lane);
+            let law = law(laws, LANES * g + lane);
+            let f = lane_matrix(kept, lane);
             let p = law.first_piola_pa(&f);
             is_upright &= p.is_finite();
             has_inverted |= f.determinant() <= 0.0;
-            energy_j += group.volume_m3[lane] * factor * law.energy_density_j_per_m3(&f);
+            share.energy_j[lane] += group.volume_m3[lane] * on.factor * law.energy_density_j_per_m3(&f);
             for (k, x) in p.to_cols_array().into_iter().enumerate() {
-                piola[by_columns(k)][lane] = factor * x;
+                piola[by_columns(k)][lane] = on.factor * x;
             }
         }
         let mut stress = load_matrix(simd, &piola);
         let volume = load(simd, &group.volume_m3);
-        if let Some(added_pa) = shape.added_pa.get(g) {
-            let mut lanes = [0.0; LANES];
-            (added_density(simd, &h, added_pa) * volume).store_slice(&mut lanes);
-            energy_j += lanes.iter().sum::<f64>();
+        if let Some(added_pa) = added_pa {
+            let energy_j = load(simd, &share.energy_j) + added_density(simd, &h, added_pa) * volume;
+            energy_j.store_slice(&mut share.energy_j);
             add_turned(simd, group, &f, added_pa, &mut stress);
         }
         scale(&mut stress, volume);
-        scatter(group, &alpha, &stress, force_n);
+        scatter(group, &alpha, &stress, share);
     }
-    Evaluation { energy_j, is_upright, has_inverted }
+    Allowed { is_upright, has_inverted }
 }
 
 #[inline(always)]
-fn product<S: Simd>(
+fn product<'a, S: Simd>(
     simd: S,
     tangents_pa: &[[Lanes; N_ENTRIES]],
-    shape: &Shape,
+    groups: impl Iterator<Item = (&'a Group, Option<&'a SymmetricLanes>)>,
     direction_m: &[DVec3],
-    force_n: &mut [DVec3],
+    share: &mut Share,
 ) {
-    for (g, (group, tangent)) in shape.groups.iter().zip(tangents_pa).enumerate() {
+    for ((group, added_pa), tangent) in groups.zip(tangents_pa) {
         let alpha = load_matrix(simd, &group.gradient_per_m);
         let df = gradient(simd, group, &alpha, direction_m);
         let mut dp = [f64x8::splat(simd, 0.0); 9];
@@ -194,12 +209,12 @@ fn product<S: Simd>(
             }
         }
         let mut stress = [[dp[0], dp[1], dp[2]], [dp[3], dp[4], dp[5]], [dp[6], dp[7], dp[8]]];
-        if let Some(added_pa) = shape.added_pa.get(g) {
+        if let Some(added_pa) = added_pa {
             add_turned(simd, group, &df, added_pa, &mut stress);
         }
         let volume = load(simd, &group.volume_m3);
         scale(&mut stress, volume);
-        scatter(group, &alpha, &stress, force_n);
+        scatter(group, &alpha, &stress, share);
     }
 }
 

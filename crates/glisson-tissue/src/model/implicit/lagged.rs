@@ -12,6 +12,7 @@ use super::params::Preconditioner;
 use crate::solve::{
     BoundaryConditions, FreeSystem, Given, LOCAL_EDGES, MeshEdges, SolveError, StiffnessTensors, TwoGrid,
 };
+use crate::workers::Workers;
 use glisson_mesh::math::{DMat3, DVec3};
 use glisson_mesh::mesh::NodeId;
 use std::ops::Range;
@@ -281,8 +282,8 @@ impl Lagged {
 
     /// Overwrites `solution` with the inverse of the matrix times `right`, or about that, zero for components that are not free,
     /// and adds the answers of single nodes where edits have changed it since ([`Late`]): what preconditions.
-    pub(super) fn apply_into(&mut self, right: &[DVec3], solution: &mut [DVec3]) {
-        self.with_late(right, solution, |grids, solution| grids.apply_into(right, solution));
+    pub(super) fn apply_into(&mut self, workers: &dyn Workers, right: &[DVec3], solution: &mut [DVec3]) {
+        self.with_late(right, solution, |grids, solution| grids.apply_into(workers, right, solution));
     }
 
     /// Whether a whole step by [`Self::apply_into`] leaves neither a net force nor a net moment on the body, but for what has changed
@@ -292,10 +293,15 @@ impl Lagged {
     }
 
     /// [`Self::apply_into`], with the inverse to a small residual; false where two grids did not reach that.
-    pub(super) fn solve_into(&mut self, right: &[DVec3], solution: &mut [DVec3]) -> bool {
+    pub(super) fn solve_into(
+        &mut self,
+        workers: &dyn Workers,
+        right: &[DVec3],
+        solution: &mut [DVec3],
+    ) -> bool {
         let mut is_solved = true;
         self.with_late(right, solution, |grids, solution| {
-            is_solved = grids.solve_into(right, solution, ANSWER);
+            is_solved = grids.solve_into(workers, right, solution, ANSWER);
         });
         is_solved
     }

@@ -1,8 +1,10 @@
-//! LaneBlock tetrahedra at a time: gathering, deformation, scattering, and the stress that is there at rest.
+//! Eight tetrahedra at a time: gathering, deformation, and the stress that is there at rest.
 //!
 //! With F = I + H, H = sum_k (u_k - u_0) (x) alpha_k (k = 1, 2, 3). Displacements enter, not positions: at rest
 //! F = I and elastic forces are zero to the bit. Lanes only add and multiply, without fused operations, so that
 //! every instruction set gives the same bits.
+
+use std::ops::Range;
 
 use fearless_simd::{Simd, f64x8, prelude::*};
 
@@ -25,7 +27,20 @@ pub(super) struct Shape {
     pub(super) added_pa: Vec<SymmetricLanes>,
 }
 
-/// LaneBlock tetrahedra: nodes, gradients alpha_1..alpha_3 (component i of alpha_k in row 3 (k-1) + i), volumes.
+impl Shape {
+    /// Each of these groups with its added stress.
+    #[inline(always)]
+    pub(super) fn stretch(
+        &self,
+        groups: Range<usize>,
+    ) -> impl Iterator<Item = (&Group, Option<&SymmetricLanes>)> {
+        let added_pa = self.added_pa.get(groups.clone()).unwrap_or(&[]);
+        let added_pa = added_pa.iter().map(Some).chain(std::iter::repeat(None));
+        self.groups[groups].iter().zip(added_pa)
+    }
+}
+
+/// Eight tetrahedra: nodes, gradients alpha_1..alpha_3 (component i of alpha_k in row 3 (k-1) + i), volumes.
 #[derive(Clone, Debug)]
 pub(super) struct Group {
     pub(super) nodes: [[u32; LANES]; 4],
@@ -172,35 +187,6 @@ pub(super) fn stretch<S: Simd>(h: &Matrix<S>) -> f64x8<S> {
 pub(super) fn scale<S: Simd>(matrix: &mut Matrix<S>, factor: f64x8<S>) {
     for x in matrix.iter_mut().flatten() {
         *x *= factor;
-    }
-}
-
-/// Adds V P alpha_k to the nodes k = 1, 2, 3 and the opposite sum to node 0, lane after lane.
-#[inline(always)]
-pub(super) fn scatter<S: Simd>(
-    group: &Group,
-    alpha: &Matrix<S>,
-    stress_times_volume: &Matrix<S>,
-    force_n: &mut [DVec3],
-) {
-    let p = stress_times_volume;
-    let mut share = [[[0.0; LANES]; 3]; 4];
-    for i in 0..3 {
-        let f1 = p[i][0] * alpha[0][0] + p[i][1] * alpha[0][1] + p[i][2] * alpha[0][2];
-        let f2 = p[i][0] * alpha[1][0] + p[i][1] * alpha[1][1] + p[i][2] * alpha[1][2];
-        let f3 = p[i][0] * alpha[2][0] + p[i][1] * alpha[2][1] + p[i][2] * alpha[2][2];
-        (-(f1 + f2 + f3)).store_slice(&mut share[0][i]);
-        f1.store_slice(&mut share[1][i]);
-        f2.store_slice(&mut share[2][i]);
-        f3.store_slice(&mut share[3][i]);
-    }
-    for lane in 0..LANES {
-        for k in 0..4 {
-            let f = &mut force_n[group.nodes[k][lane] as usize];
-            f.x += share[k][0][lane];
-            f.y += share[k][1][lane];
-            f.z += share[k][2][lane];
-        }
     }
 }
 

@@ -45,6 +45,7 @@ mod patch_inverse;
 mod projected;
 mod relaxation;
 pub(super) mod row;
+mod shares;
 mod stable_neo_hooke;
 mod successor;
 mod topology;
@@ -67,9 +68,11 @@ use super::{
 };
 use crate::material::{PronyHistory, StableNeoHooke};
 use crate::solve::SolveError;
+use crate::workers::{Sequential, SharedWorkers};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::edit::TopologyChange;
 use glisson_mesh::mesh::{NodeId, TetMesh};
+use std::sync::Arc;
 
 /// Where the volume change is resisted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -121,6 +124,7 @@ pub struct ImplicitEuler {
     gravity_m_per_s2: DVec3,
     tolerance: f64,
     preconditioner: Preconditioner,
+    workers: SharedWorkers,
     /// Limit of the Newton iterations of a step once all held nodes are at their targets.
     most_iterations: u32,
     time_step_s: f64,
@@ -234,6 +238,7 @@ impl ImplicitEuler {
             gravity_m_per_s2: params.body.gravity_m_per_s2,
             tolerance: params.tolerance,
             preconditioner: params.preconditioner,
+            workers: Arc::new(Sequential),
             most_iterations: MOST_NEWTON_ITERATIONS,
             time_step_s: params.body.time_step_s,
             least_force_n: 0.0,
@@ -342,7 +347,7 @@ impl ImplicitEuler {
         }
         let at_rest = vec![DVec3::ZERO; self.n_nodes()];
         // The elements are new: there is no viscous memory yet.
-        self.elements.evaluate(&at_rest, &mut self.rest_load_n);
+        self.elements.evaluate(self.workers.as_ref(), &at_rest, &mut self.rest_load_n);
         self.ligaments.pull_into(&self.mesh.positions_m, &at_rest, &mut self.scratch.ligament_n);
         for (load_n, pull_n) in self.rest_load_n.iter_mut().zip(&self.scratch.ligament_n) {
             *load_n -= *pull_n;
@@ -374,6 +379,11 @@ impl ImplicitEuler {
 
     fn n_nodes(&self) -> usize {
         self.displacement_m.len()
+    }
+
+    /// Who computes from now on, with the same bits; the calling thread alone at first.
+    pub fn set_workers(&mut self, workers: SharedWorkers) {
+        self.workers = workers;
     }
 
     /// Report on Newton's method in the last step.
@@ -411,7 +421,8 @@ impl ImplicitEuler {
     pub fn energy_j(&mut self) -> f64 {
         let kinetic_j = self.kinetic_energy_j();
         let mut force_n = std::mem::take(&mut self.scratch.product_n);
-        let elastic_j = self.elements.evaluate(&self.displacement_m, &mut force_n).energy_j;
+        let elastic_j =
+            self.elements.evaluate(self.workers.as_ref(), &self.displacement_m, &mut force_n).energy_j;
         self.scratch.product_n = force_n;
         kinetic_j + elastic_j
     }

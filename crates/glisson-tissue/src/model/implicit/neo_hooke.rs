@@ -17,15 +17,16 @@
 //! mean F of each node, F_a = sum of F V/4 over the sum of V/4, and a tetrahedron takes the mean of its nodes'
 //! stresses P_a = (1 - s) mu (F_a - F_a^-T). The linear limit is [`crate::solve::NodeAveraging::STRAIN`].
 
-use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
+use fearless_simd::{Simd, dispatch, f64x8, prelude::*};
 
 use super::VolumeResistance;
-use super::evaluation::Evaluation;
+use super::evaluation::{Evaluation, On};
 use super::lanes::{
-    Group, LANES, Lanes, Matrix, Shape, add_to_corners, add_turned, added_density, corner_mean,
-    corner_mean_matrix, deformation, gradient, load, load_matrix, scale, scatter, stretch,
+    Group, LANES, Lanes, Matrix, Shape, SymmetricLanes, add_to_corners, add_turned, added_density,
+    corner_mean, corner_mean_matrix, deformation, gradient, load, load_matrix, scale, stretch,
 };
 use super::projected::projected_stiffness;
+use super::shares::{Allowed, Share, Shares, scatter};
 use crate::solve::{NodeAveraging, TetStiffness};
 use glisson_mesh::math::{DMat3, DVec3};
 
@@ -118,62 +119,85 @@ impl NeoHooke {
         }
     }
 
-    /// Adds the forces [N] of `factor` times the law; keeps the tangent.
+    /// Overwrites `force_n` with the forces [N] of `factor` times the law; keeps the tangent.
     pub(super) fn evaluate(
         &mut self,
-        level: Level,
-        shape: &Shape,
-        factor: f64,
+        on: &On<'_>,
+        shares: &mut Shares,
         displacement_m: &[DVec3],
         force_n: &mut [DVec3],
     ) -> Evaluation {
-        let mu = factor * self.mu_pa;
-        let scaled = Scaled { lambda: factor * self.lambda_pa, mu: self.element_shear * mu };
-        if self.volume == VolumeResistance::Element {
-            return dispatch!(level, simd => evaluate::<_, IN_ELEMENTS>(simd, self, shape, scaled, displacement_m, force_n));
+        let mu = on.factor * self.mu_pa;
+        let scaled = Scaled { lambda: on.factor * self.lambda_pa, mu: self.element_shear * mu };
+        let mut averaged_j = 0.0;
+        if self.volume != VolumeResistance::Element {
+            let least = dispatch!(on.level, simd => sum_node_volumes(simd, self, on.shape, displacement_m));
+            if least <= LEAST_VOLUME_RATIO || !least.is_finite() {
+                force_n.fill(DVec3::ZERO);
+                return Evaluation { energy_j: f64::NAN, is_upright: false, has_inverted: false };
+            }
+            averaged_j += self.update_node_pressures(scaled.lambda);
         }
-        let least = dispatch!(level, simd => sum_node_volumes(simd, self, shape, displacement_m));
-        if least <= LEAST_VOLUME_RATIO || !least.is_finite() {
-            return Evaluation { energy_j: f64::NAN, is_upright: false, has_inverted: false };
-        }
-        let mut averaged_j = self.update_node_pressures(scaled.lambda);
-        let mut found = if self.volume == VolumeResistance::NodeAveraged {
-            dispatch!(level, simd => evaluate::<_, PRESSURE>(simd, self, shape, scaled, displacement_m, force_n))
-        } else {
-            dispatch!(level, simd => sum_node_gradients(simd, self, shape, displacement_m));
+        if self.volume == VolumeResistance::NodeAveragedStrain {
+            dispatch!(on.level, simd => sum_node_gradients(simd, self, on.shape, displacement_m));
             averaged_j += self.update_node_shear((1.0 - self.element_shear) * mu);
-            dispatch!(level, simd => evaluate::<_, STRAIN>(simd, self, shape, scaled, displacement_m, force_n))
-        };
+        }
+        let Self { tangents, volume, node_pressure_pa, node_shear, .. } = self;
+        let of_nodes = OfNodes { scalar: node_pressure_pa, shear: node_shear };
+        let mut found = shares.evaluate(on.workers, tangents, force_n, |groups, tangents, share| {
+            let groups = on.shape.stretch(groups);
+            match volume {
+                VolumeResistance::Element => {
+                    dispatch!(on.level, simd => evaluate::<_, IN_ELEMENTS>(simd, tangents, (groups, of_nodes), scaled, displacement_m, share))
+                }
+                VolumeResistance::NodeAveraged => {
+                    dispatch!(on.level, simd => evaluate::<_, PRESSURE>(simd, tangents, (groups, of_nodes), scaled, displacement_m, share))
+                }
+                VolumeResistance::NodeAveragedStrain => {
+                    dispatch!(on.level, simd => evaluate::<_, STRAIN>(simd, tangents, (groups, of_nodes), scaled, displacement_m, share))
+                }
+            }
+        });
         found.energy_j += averaged_j;
         found
     }
 
-    /// Adds K d, K being the tangent of the last evaluation with the same `factor`.
+    /// Overwrites `force_n` with K d, K being the tangent of the last evaluation with the same factor.
     pub(super) fn tangent_product(
         &mut self,
-        level: Level,
-        shape: &Shape,
-        factor: f64,
+        on: &On<'_>,
+        shares: &mut Shares,
         direction_m: &[DVec3],
         force_n: &mut [DVec3],
     ) {
-        let mu = factor * self.mu_pa;
+        let mu = on.factor * self.mu_pa;
         let element_mu = self.element_shear * mu;
-        if self.volume == VolumeResistance::Element {
-            dispatch!(level, simd => product::<_, IN_ELEMENTS>(simd, self, shape, element_mu, direction_m, force_n));
-            return;
+        if self.volume != VolumeResistance::Element {
+            dispatch!(on.level, simd => sum_node_swelling(simd, self, on.shape, direction_m));
+            for (sum, bulk) in self.node_sum.iter_mut().zip(&self.node_bulk) {
+                *sum *= bulk;
+            }
         }
-        dispatch!(level, simd => sum_node_swelling(simd, self, shape, direction_m));
-        for (sum, bulk) in self.node_sum.iter_mut().zip(&self.node_bulk) {
-            *sum *= bulk;
-        }
-        if self.volume == VolumeResistance::NodeAveraged {
-            dispatch!(level, simd => product::<_, PRESSURE>(simd, self, shape, element_mu, direction_m, force_n));
-        } else {
-            dispatch!(level, simd => sum_node_gradients(simd, self, shape, direction_m));
+        if self.volume == VolumeResistance::NodeAveragedStrain {
+            dispatch!(on.level, simd => sum_node_gradients(simd, self, on.shape, direction_m));
             self.update_node_shear_change(mu - element_mu);
-            dispatch!(level, simd => product::<_, STRAIN>(simd, self, shape, element_mu, direction_m, force_n));
         }
+        let of_nodes = OfNodes { scalar: &self.node_sum, shear: &self.node_shear };
+        shares.sum(on.workers, force_n, |groups, share| {
+            let tangents = &self.tangents[groups.clone()];
+            let groups = on.shape.stretch(groups);
+            match self.volume {
+                VolumeResistance::Element => {
+                    dispatch!(on.level, simd => product::<_, IN_ELEMENTS>(simd, tangents, (groups, of_nodes), element_mu, direction_m, share));
+                }
+                VolumeResistance::NodeAveraged => {
+                    dispatch!(on.level, simd => product::<_, PRESSURE>(simd, tangents, (groups, of_nodes), element_mu, direction_m, share));
+                }
+                VolumeResistance::NodeAveragedStrain => {
+                    dispatch!(on.level, simd => product::<_, STRAIN>(simd, tangents, (groups, of_nodes), element_mu, direction_m, share));
+                }
+            }
+        });
     }
 
     /// Whether the law has an energy there.
@@ -277,18 +301,25 @@ struct Scaled {
     mu: f64,
 }
 
+/// What nodes tell their tetrahedra: pressures or their changes, and averaged stresses.
+#[derive(Clone, Copy)]
+struct OfNodes<'a> {
+    scalar: &'a [f64],
+    shear: &'a [NodeShear],
+}
+
 #[inline(always)]
-fn evaluate<S: Simd, const AVERAGED: u8>(
+fn evaluate<'a, S: Simd, const AVERAGED: u8>(
     simd: S,
-    law: &mut NeoHooke,
-    shape: &Shape,
+    tangents: &mut [GroupTangent],
+    (groups, of_nodes): (impl Iterator<Item = (&'a Group, Option<&'a SymmetricLanes>)>, OfNodes<'a>),
     Scaled { lambda, mu }: Scaled,
     displacement_m: &[DVec3],
-    force_n: &mut [DVec3],
-) -> Evaluation {
-    let mut energy = f64x8::splat(simd, 0.0);
+    share: &mut Share,
+) -> Allowed {
     let mut least = f64x8::splat(simd, f64::INFINITY);
-    for (g, (group, tangent)) in shape.groups.iter().zip(&mut law.tangents).enumerate() {
+    let mut energy = f64x8::splat(simd, 0.0);
+    for ((group, added_pa), tangent) in groups.zip(tangents) {
         let alpha = load_matrix(simd, &group.gradient_per_m);
         let h = gradient(simd, group, &alpha, displacement_m);
         let (f, cofactor, j) = deformation(&h);
@@ -299,13 +330,12 @@ fn evaluate<S: Simd, const AVERAGED: u8>(
         let log = logarithm(simd, &lanes);
         let mut density = stretch(&h) * (0.5 * mu) - log * mu;
         let p_j = if AVERAGED != IN_ELEMENTS {
-            corner_mean(simd, group, &law.node_pressure_pa) * j
+            corner_mean(simd, group, of_nodes.scalar) * j
         } else {
             density += log * log * (0.5 * lambda);
             log * lambda
         };
         let volume = load(simd, &group.volume_m3);
-        let added_pa = shape.added_pa.get(g);
         if let Some(added_pa) = added_pa {
             density += added_density(simd, &h, added_pa);
         }
@@ -327,15 +357,18 @@ fn evaluate<S: Simd, const AVERAGED: u8>(
             }
         }
         if AVERAGED == STRAIN {
-            add_node_shear(simd, group, &law.node_shear, &mut stress);
+            add_node_shear(simd, group, of_nodes.shear, &mut stress);
         }
         if let Some(added_pa) = added_pa {
             add_turned(simd, group, &f, added_pa, &mut stress);
         }
         scale(&mut stress, volume);
-        scatter(group, &alpha, &stress, force_n);
+        scatter(group, &alpha, &stress, share);
     }
-    evaluation(energy, least)
+    energy.store_slice(&mut share.energy_j);
+    let mut lanes = [0.0; LANES];
+    least.store_slice(&mut lanes);
+    Allowed { is_upright: lanes.into_iter().all(|j| j > LEAST_VOLUME_RATIO), has_inverted: false }
 }
 
 /// ln of each lane.
@@ -348,30 +381,17 @@ fn logarithm<S: Simd>(simd: S, lanes: &Lanes) -> f64x8<S> {
     load(simd, &log)
 }
 
-/// The evaluation from the lanes' energies [J] and smallest J.
+/// dP for dF = sum_k (d_k - d_0) (x) alpha_k; the sum over nodes of dp is ready when averaged.
 #[inline(always)]
-fn evaluation<S: Simd>(energy: f64x8<S>, least: f64x8<S>) -> Evaluation {
-    let (mut energy_lanes, mut least_lanes) = ([0.0; LANES], [0.0; LANES]);
-    energy.store_slice(&mut energy_lanes);
-    least.store_slice(&mut least_lanes);
-    Evaluation {
-        energy_j: energy_lanes.iter().sum(),
-        is_upright: least_lanes.into_iter().all(|j| j > LEAST_VOLUME_RATIO),
-        has_inverted: false,
-    }
-}
-
-/// dP for dF = sum_k (d_k - d_0) (x) alpha_k; the sum over nodes of dp is ready in `node_sum` when averaged.
-#[inline(always)]
-fn product<S: Simd, const AVERAGED: u8>(
+fn product<'a, S: Simd, const AVERAGED: u8>(
     simd: S,
-    law: &NeoHooke,
-    shape: &Shape,
+    tangents: &[GroupTangent],
+    (groups, of_nodes): (impl Iterator<Item = (&'a Group, Option<&'a SymmetricLanes>)>, OfNodes<'a>),
     mu: f64,
     direction_m: &[DVec3],
-    force_n: &mut [DVec3],
+    share: &mut Share,
 ) {
-    for (g, (group, tangent)) in shape.groups.iter().zip(&law.tangents).enumerate() {
+    for ((group, added_pa), tangent) in groups.zip(tangents) {
         let alpha = load_matrix(simd, &group.gradient_per_m);
         let df = gradient(simd, group, &alpha, direction_m);
         let q = load_matrix(simd, &tangent.q);
@@ -385,7 +405,7 @@ fn product<S: Simd, const AVERAGED: u8>(
         let trace = t[0][0] + t[1][1] + t[2][2];
         let mut swelling = trace * load(simd, &tangent.swelling_pa);
         if AVERAGED != IN_ELEMENTS {
-            let dp = corner_mean(simd, group, &law.node_sum);
+            let dp = corner_mean(simd, group, of_nodes.scalar);
             swelling += dp * load(simd, &tangent.volume_ratio);
         }
         let turning = load(simd, &tangent.turning_pa);
@@ -398,13 +418,13 @@ fn product<S: Simd, const AVERAGED: u8>(
             }
         }
         if AVERAGED == STRAIN {
-            add_node_shear(simd, group, &law.node_shear, &mut stress);
+            add_node_shear(simd, group, of_nodes.shear, &mut stress);
         }
-        if let Some(added_pa) = shape.added_pa.get(g) {
+        if let Some(added_pa) = added_pa {
             add_turned(simd, group, &df, added_pa, &mut stress);
         }
         scale(&mut stress, volume);
-        scatter(group, &alpha, &stress, force_n);
+        scatter(group, &alpha, &stress, share);
     }
 }
 

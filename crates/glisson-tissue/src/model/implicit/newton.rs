@@ -259,7 +259,11 @@ impl ImplicitEuler {
         if self.damping.stiffness_s == 0.0 {
             return Start::Upright;
         }
-        let found = self.elements.evaluate(&self.scratch.start_m, &mut self.scratch.start_force_n);
+        let found = self.elements.evaluate(
+            self.workers.as_ref(),
+            &self.scratch.start_m,
+            &mut self.scratch.start_force_n,
+        );
         if !found.is_usable() {
             Start::Unusable
         } else if found.has_inverted || self.elements.recovery() != Recovery::None {
@@ -276,17 +280,21 @@ impl ImplicitEuler {
             let change = self.velocities_m_per_s[n] - self.earlier_velocities_m_per_s[n];
             self.displacement_m[n] = self.scratch.ballistic_m[n] + change * h_s * self.mask[n];
         }
-        let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+        let found =
+            self.elements.evaluate(self.workers.as_ref(), &self.displacement_m, &mut self.scratch.force_n);
         if found.is_usable() {
             return found.energy_j;
         }
         self.displacement_m.copy_from_slice(&self.scratch.ballistic_m);
-        let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+        let found =
+            self.elements.evaluate(self.workers.as_ref(), &self.displacement_m, &mut self.scratch.force_n);
         if found.is_usable() {
             return found.energy_j;
         }
         self.displacement_m.copy_from_slice(&self.scratch.start_m);
-        self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n).energy_j
+        self.elements
+            .evaluate(self.workers.as_ref(), &self.displacement_m, &mut self.scratch.force_n)
+            .energy_j
     }
 
     /// Newton's iteration from the present displacements, whose forces are known.
@@ -325,12 +333,16 @@ impl ImplicitEuler {
                 continue;
             }
             // The direction did not serve: the projected tangent of this state gives a better one.
-            self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+            self.elements.evaluate(self.workers.as_ref(), &self.displacement_m, &mut self.scratch.force_n);
             self.refresh_here(factors);
             self.prepare_right_side(factors, pending);
             self.solve_directly(factors);
             let Some(next) = self.search_line(factors, balance, pending) else {
-                let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+                let found = self.elements.evaluate(
+                    self.workers.as_ref(),
+                    &self.displacement_m,
+                    &mut self.scratch.force_n,
+                );
                 let end = self.balance(factors, found.energy_j);
                 self.stop(pending);
                 return end;
@@ -410,7 +422,7 @@ impl ImplicitEuler {
             s.direction_m[n] = held.target_m - self.displacement_m[n];
         }
         if pending {
-            self.elements.tangent_product(&s.direction_m, &mut s.product_n);
+            self.elements.tangent_product(self.workers.as_ref(), &s.direction_m, &mut s.product_n);
         }
         let stiffness = if pending { 1.0 + factors.stiffness_damping } else { 0.0 };
         for n in 0..s.right_n.len() {
@@ -423,7 +435,7 @@ impl ImplicitEuler {
     /// part of the direction.
     fn iterate(&mut self, factors: StepFactors, stop_n: f64) -> Direction {
         let lagged = self.lagged.as_mut().expect("a body with tetrahedra has a factor");
-        let s = &mut self.scratch;
+        let (s, workers) = (&mut self.scratch, self.workers.as_ref());
         let per_mass = factors.inertia + factors.mass_damping;
         let per_stiffness = 1.0 + factors.stiffness_damping;
         let first = norm(&s.right_n);
@@ -435,7 +447,7 @@ impl ImplicitEuler {
             if remaining <= stop_n {
                 return Direction::Found;
             }
-            lagged.apply_into(&s.right_n, &mut s.scaled_m);
+            lagged.apply_into(workers, &s.right_n, &mut s.scaled_m);
             for (z, mask) in s.scaled_m.iter_mut().zip(&self.mask) {
                 *z *= *mask;
             }
@@ -446,7 +458,7 @@ impl ImplicitEuler {
             for (p, z) in s.search_m.iter_mut().zip(&s.scaled_m) {
                 *p = if begins { *z } else { *z + *p * beta };
             }
-            self.elements.tangent_product(&s.search_m, &mut s.product_n);
+            self.elements.tangent_product(workers, &s.search_m, &mut s.product_n);
             for n in 0..s.product_n.len() {
                 s.product_n[n] =
                     s.product_n[n] * per_stiffness + s.search_m[n] * (self.mass_kg[n] * per_mass);
@@ -479,7 +491,7 @@ impl ImplicitEuler {
     fn solve_directly(&mut self, factors: StepFactors) {
         let is_solved = |model: &mut Self| {
             let lagged = model.lagged.as_mut().expect("a body with tetrahedra has a factor");
-            lagged.solve_into(&model.scratch.right_n, &mut model.scratch.scaled_m)
+            lagged.solve_into(model.workers.as_ref(), &model.scratch.right_n, &mut model.scratch.scaled_m)
         };
         if !is_solved(self) {
             self.fall_back(self.state_here(factors));
@@ -519,7 +531,11 @@ impl ImplicitEuler {
                     self.displacement_m[held.node as usize] = held.target_m;
                 }
             }
-            let found = self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+            let found = self.elements.evaluate(
+                self.workers.as_ref(),
+                &self.displacement_m,
+                &mut self.scratch.force_n,
+            );
             if found.is_usable() {
                 let next = self.balance(factors, found.energy_j);
                 let falls = next.potential_j <= from.potential_j + ARMIJO * length * slope.min(0.0);
@@ -533,7 +549,7 @@ impl ImplicitEuler {
             length *= 0.5;
         }
         self.displacement_m.copy_from_slice(&self.scratch.before_m);
-        self.elements.evaluate(&self.displacement_m, &mut self.scratch.force_n);
+        self.elements.evaluate(self.workers.as_ref(), &self.displacement_m, &mut self.scratch.force_n);
         self.balance(factors, from.potential_j);
         None
     }

@@ -1,5 +1,7 @@
 //! The row of `implicit` in the table of models.
 
+use std::sync::Arc;
+
 use super::{ImplicitEuler, ImplicitLaw, ImplicitParams};
 use crate::material::LawChoice;
 use crate::model::{DeformableModel, ModelError, ModelMotion, ModelRow, OrganBody};
@@ -24,5 +26,7 @@ fn make(body: &OrganBody, law: Option<&LawChoice>) -> Result<Box<dyn DeformableM
     let relaxation = body.series()?;
     let params =
         ImplicitParams { relaxation: relaxation.as_ref(), ..ImplicitParams::new(body.dynamic(), &law) };
-    Ok(Box::new(ImplicitEuler::build(&params).map_err(ModelError::of_numbers)?))
+    let mut model = ImplicitEuler::build(&params).map_err(ModelError::of_numbers)?;
+    model.set_workers(Arc::clone(&body.workers));
+    Ok(Box::new(model))
 }

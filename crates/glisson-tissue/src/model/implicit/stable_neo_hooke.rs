@@ -16,14 +16,15 @@
 //! All of this holds for every F, also with J <= 0. F and three numbers are kept for the differential; the cofactor
 //! matrix costs less to compute anew than to read.
 
-use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
+use fearless_simd::{Simd, dispatch, f64x8, prelude::*};
 
-use super::evaluation::Evaluation;
+use super::evaluation::{Evaluation, On};
 use super::lanes::{
-    LANES, Lanes, Matrix, Shape, add_turned, added_density, cofactor, gradient, load, load_matrix, scale,
-    scatter, stretch,
+    Group, LANES, Lanes, Matrix, SymmetricLanes, add_turned, added_density, cofactor, gradient, load,
+    load_matrix, scale, stretch,
 };
 use super::projected::{Modes, PAIRS};
+use super::shares::{Allowed, Share, Shares, scatter};
 use crate::material::{Material, SignedSingularValues, StableNeoHooke, signed_singular_values};
 use crate::solve::TetStiffness;
 use glisson_mesh::math::{DMat3, DVec3};
@@ -64,31 +65,35 @@ impl Stable {
         &self.law
     }
 
-    /// Adds the forces [N] of `factor` times the law; keeps the tangent.
+    /// Overwrites `force_n` with the forces [N] of `factor` times the law; keeps the tangent.
     pub(super) fn evaluate(
         &mut self,
-        level: Level,
-        shape: &Shape,
-        factor: f64,
+        on: &On<'_>,
+        shares: &mut Shares,
         displacement_m: &[DVec3],
         force_n: &mut [DVec3],
     ) -> Evaluation {
-        let own_pa = self.law.own_pa().map(|x| factor * x);
-        let tangents = &mut self.tangents;
-        dispatch!(level, simd => evaluate(simd, tangents, shape, own_pa, displacement_m, force_n))
+        let own_pa = self.law.own_pa().map(|x| on.factor * x);
+        shares.evaluate(on.workers, &mut self.tangents, force_n, |groups, tangents, share| {
+            let groups = on.shape.stretch(groups);
+            dispatch!(on.level, simd => evaluate(simd, tangents, groups, own_pa, displacement_m, share))
+        })
     }
 
-    /// Adds K d, K being the tangent of the last evaluation with the same `factor`.
+    /// Overwrites `force_n` with K d, K being the tangent of the last evaluation with the same factor.
     pub(super) fn tangent_product(
         &mut self,
-        level: Level,
-        shape: &Shape,
-        factor: f64,
+        on: &On<'_>,
+        shares: &mut Shares,
         direction_m: &[DVec3],
         force_n: &mut [DVec3],
     ) {
-        let own_lambda_pa = factor * self.law.own_pa()[0];
-        dispatch!(level, simd => product(simd, &self.tangents, shape, own_lambda_pa, direction_m, force_n));
+        let own_lambda_pa = on.factor * self.law.own_pa()[0];
+        shares.sum(on.workers, force_n, |groups, share| {
+            let tangents = &self.tangents[groups.clone()];
+            let groups = on.shape.stretch(groups);
+            dispatch!(on.level, simd => product(simd, tangents, groups, own_lambda_pa, direction_m, share));
+        });
     }
 
     /// Whether the law has an energy and a stress there: everywhere, until numbers overflow.
@@ -131,19 +136,19 @@ fn volume_change<S: Simd>(h: &Matrix<S>, f: &Matrix<S>) -> (Matrix<S>, f64x8<S>)
 }
 
 #[inline(always)]
-fn evaluate<S: Simd>(
+fn evaluate<'a, S: Simd>(
     simd: S,
     tangents: &mut [GroupTangent],
-    shape: &Shape,
+    groups: impl Iterator<Item = (&'a Group, Option<&'a SymmetricLanes>)>,
     [l, m]: [f64; 2],
     displacement_m: &[DVec3],
-    force_n: &mut [DVec3],
-) -> Evaluation {
-    let mut energy = f64x8::splat(simd, 0.0);
+    share: &mut Share,
+) -> Allowed {
     let mut least_q = f64x8::splat(simd, f64::INFINITY);
     // Zero until a stress is not finite.
     let mut overflow = f64x8::splat(simd, 0.0);
-    for (g, (group, tangent)) in shape.groups.iter().zip(tangents).enumerate() {
+    let mut energy = f64x8::splat(simd, 0.0);
+    for ((group, added_pa), tangent) in groups.zip(tangents) {
         let alpha = load_matrix(simd, &group.gradient_per_m);
         let h = gradient(simd, group, &alpha, displacement_m);
         let mut f = h;
@@ -153,9 +158,9 @@ fn evaluate<S: Simd>(
         let (k, q) = volume_change(&h, &f);
         least_q = least_q.min(q);
         let e = stretch(&h);
-        let share = f64x8::splat(simd, 1.0) / (e + 4.0);
+        let inverse = f64x8::splat(simd, 1.0) / (e + 4.0);
         // s - 3/4 m and p + 3/4 m.
-        let (stiffening, bulk) = (e * share * (0.25 * m), q * l);
+        let (stiffening, bulk) = (e * inverse * (0.25 * m), q * l);
         let (shear, pressure) = (stiffening + 0.75 * m, bulk - 0.75 * m);
         let mut density = (e - log_of_one_plus(simd, e * 0.25)) * (0.5 * m) + q * (bulk * 0.5 - 0.75 * m);
         let hydrostatic = stiffening + bulk;
@@ -169,18 +174,19 @@ fn evaluate<S: Simd>(
             overflow += (stress[r][0] + stress[r][1] + stress[r][2]) * 0.0;
         }
         shear.store_slice(&mut tangent.shear_pa);
-        (share * share * (2.0 * m)).store_slice(&mut tangent.stretching_pa);
+        (inverse * inverse * (2.0 * m)).store_slice(&mut tangent.stretching_pa);
         pressure.store_slice(&mut tangent.pressure_pa);
-        if let Some(added_pa) = shape.added_pa.get(g) {
+        if let Some(added_pa) = added_pa {
             density += added_density(simd, &h, added_pa);
             add_turned(simd, group, &f, added_pa, &mut stress);
         }
         let volume = load(simd, &group.volume_m3);
         energy += density * volume;
         scale(&mut stress, volume);
-        scatter(group, &alpha, &stress, force_n);
+        scatter(group, &alpha, &stress, share);
     }
-    evaluation(energy, least_q, overflow)
+    energy.store_slice(&mut share.energy_j);
+    allowed(least_q, overflow)
 }
 
 /// ln(1 + x) of each lane.
@@ -191,32 +197,27 @@ fn log_of_one_plus<S: Simd>(simd: S, x: f64x8<S>) -> f64x8<S> {
     load(simd, &lanes.map(libm::log1p))
 }
 
-/// The evaluation from the lanes' energies [J], smallest J - 1, and zeros where all stresses are finite. Lanes that are
+/// From the lanes' smallest J - 1, and zeros where all stresses are finite. Lanes that are
 /// left out have J = 1, those beyond the end repeat the last tetrahedron.
 #[inline(always)]
-fn evaluation<S: Simd>(energy: f64x8<S>, least_q: f64x8<S>, overflow: f64x8<S>) -> Evaluation {
-    let mut lanes = [[0.0; LANES]; 3];
-    energy.store_slice(&mut lanes[0]);
-    least_q.store_slice(&mut lanes[1]);
-    overflow.store_slice(&mut lanes[2]);
-    Evaluation {
-        energy_j: lanes[0].iter().sum(),
-        is_upright: lanes[2] == [0.0; LANES],
-        has_inverted: lanes[1].into_iter().any(|q| q <= -1.0),
-    }
+fn allowed<S: Simd>(least_q: f64x8<S>, overflow: f64x8<S>) -> Allowed {
+    let mut lanes = [[0.0; LANES]; 2];
+    least_q.store_slice(&mut lanes[0]);
+    overflow.store_slice(&mut lanes[1]);
+    Allowed { is_upright: lanes[1] == [0.0; LANES], has_inverted: lanes[0].into_iter().any(|q| q <= -1.0) }
 }
 
 /// dP for dF = sum_k (d_k - d_0) (x) alpha_k.
 #[inline(always)]
-fn product<S: Simd>(
+fn product<'a, S: Simd>(
     simd: S,
     tangents: &[GroupTangent],
-    shape: &Shape,
+    groups: impl Iterator<Item = (&'a Group, Option<&'a SymmetricLanes>)>,
     l: f64,
     direction_m: &[DVec3],
-    force_n: &mut [DVec3],
+    share: &mut Share,
 ) {
-    for (g, (group, tangent)) in shape.groups.iter().zip(tangents).enumerate() {
+    for ((group, added_pa), tangent) in groups.zip(tangents) {
         let alpha = load_matrix(simd, &group.gradient_per_m);
         let df = gradient(simd, group, &alpha, direction_m);
         let f = load_matrix(simd, &tangent.f);
@@ -234,12 +235,12 @@ fn product<S: Simd>(
                     + stress[r][c] * pressure;
             }
         }
-        if let Some(added_pa) = shape.added_pa.get(g) {
+        if let Some(added_pa) = added_pa {
             add_turned(simd, group, &df, added_pa, &mut stress);
         }
         let volume = load(simd, &group.volume_m3);
         scale(&mut stress, volume);
-        scatter(group, &alpha, &stress, force_n);
+        scatter(group, &alpha, &stress, share);
     }
 }
 

@@ -29,9 +29,6 @@ mod part;
 mod paths;
 mod quarantine;
 mod rows;
-mod workers;
-
-use std::sync::Arc;
 
 use self::order::Place;
 use self::part::{ForceMode, Part, PartNodes, Parts};
@@ -39,6 +36,7 @@ use self::step::StepFactors;
 use super::tet_law::FibreError;
 use crate::material::LinearElastic;
 use crate::solve::SolveError;
+use crate::workers::Workers;
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 
@@ -50,7 +48,6 @@ pub use paths::KernelPath;
 pub use quarantine::{MOST_STRESS, Quarantine, QuarantineReport};
 pub use step::StepSums;
 pub(in crate::model) use topology_update::{KernelCounts, NodeMass};
-pub use workers::{Sequential, Task, Workers};
 
 /// The kernel's laws.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -174,7 +171,8 @@ struct TetPlace {
 /// use glisson_tissue::material::LinearElastic;
 /// use glisson_mesh::math::DVec3;
 /// use glisson_mesh::mesh::{NodeId, TetMesh};
-/// use glisson_tissue::model::kernel::{FastKernel, KernelLaw, KernelParams, KernelPath, Sequential};
+/// use glisson_tissue::model::kernel::{FastKernel, KernelLaw, KernelParams, KernelPath};
+/// use glisson_tissue::workers::Sequential;
 /// let mesh = TetMesh {
 ///     positions_m: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
 ///     tetrahedra: vec![[0, 1, 2, 3].map(NodeId)],
@@ -189,8 +187,9 @@ struct TetPlace {
 /// assert_eq!(force_n, [DVec3::ZERO; 4]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
+#[derive(Clone)]
 pub struct FastKernel {
-    parts: Arc<Parts>,
+    parts: Parts,
     node_places: Vec<Option<Place>>,
     tet_places: Vec<TetPlace>,
     /// rho V / 4 of each tetrahedron.
@@ -202,11 +201,6 @@ pub struct FastKernel {
     calm_stretch: f64,
     last_step_s: Option<f64>,
     stiffness_damping_s: f64,
-    // The tasks of the phases, made once: a step allocates nothing.
-    lead: Task,
-    add_element_forces: Task,
-    sum_forces: Task,
-    sum_and_advance: Task,
 }
 
 impl std::fmt::Debug for FastKernel {
@@ -217,12 +211,7 @@ impl std::fmt::Debug for FastKernel {
 
 impl FastKernel {
     fn of_parts(parts: Parts) -> Self {
-        let parts = Arc::new(parts);
         Self {
-            lead: task(&parts, Parts::lead),
-            add_element_forces: task(&parts, Parts::add_element_forces),
-            sum_forces: task(&parts, Parts::sum_forces),
-            sum_and_advance: task(&parts, Parts::sum_and_advance),
             parts,
             node_places: Vec::new(),
             tet_places: Vec::new(),
@@ -365,8 +354,8 @@ impl FastKernel {
     pub fn compute_forces(&mut self, workers: &dyn Workers) {
         self.parts.set_mode(ForceMode::default());
         self.parts.set_step(StepFactors::default());
-        workers.run(self.n_parts(), &self.add_element_forces);
-        workers.run(self.n_parts(), &self.sum_forces);
+        workers.run(self.n_parts(), &|p| self.parts.add_element_forces(p));
+        workers.run(self.n_parts(), &|p| self.parts.sum_forces(p));
     }
 
     /// Overwrites `force_n` with the force [N] that balances the displacements `displacement_m` [m], dW/du; the
@@ -528,10 +517,10 @@ impl FastKernel {
             calm_squared_strain: squared_strain_of(self.calm_stretch),
         });
         if factors.leads() {
-            workers.run(self.n_parts(), &self.lead);
+            workers.run(self.n_parts(), &|p| self.parts.lead(p));
         }
-        workers.run(self.n_parts(), &self.add_element_forces);
-        workers.run(self.n_parts(), &self.sum_and_advance);
+        workers.run(self.n_parts(), &|p| self.parts.add_element_forces(p));
+        workers.run(self.n_parts(), &|p| self.parts.sum_and_advance(p));
     }
 }
 
@@ -539,11 +528,6 @@ impl FastKernel {
 fn squared_strain_of(stretch: f64) -> f64 {
     let twice_strain = stretch * stretch - 1.0;
     twice_strain * twice_strain
-}
-
-fn task(parts: &Arc<Parts>, phase: fn(&Parts, usize)) -> Task {
-    let parts = Arc::clone(parts);
-    Arc::new(move |p| phase(&parts, p))
 }
 
 fn padded(v: DVec3) -> rows::Row {

@@ -1,12 +1,12 @@
 //! The motion of nodes: supports along single axes, masses, the factors of a step, and its input and output. Copies of a
 //! kernel are here too.
 
-use std::sync::{Arc, RwLock};
+use std::sync::RwLock;
 
 use super::part::{ForceMode, Part, PartNodes, Parts, read};
 use super::rows::{Row, Rows};
 use super::step::{StepFactors, StepSums};
-use super::{FastKernel, KernelLaw, KernelPath, padded, task};
+use super::{FastKernel, KernelLaw, KernelPath, padded};
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::NodeId;
 
@@ -81,29 +81,6 @@ impl Clone for Parts {
             path: self.path().into(),
             all: self.all.clone(),
             step: (*read(&self.step)).into(),
-        }
-    }
-}
-
-/// An independent copy, which computes the same bits.
-impl Clone for FastKernel {
-    fn clone(&self) -> Self {
-        let parts = Arc::new(self.parts.as_ref().clone());
-        Self {
-            lead: task(&parts, Parts::lead),
-            add_element_forces: task(&parts, Parts::add_element_forces),
-            sum_forces: task(&parts, Parts::sum_forces),
-            sum_and_advance: task(&parts, Parts::sum_and_advance),
-            parts,
-            node_places: self.node_places.clone(),
-            tet_places: self.tet_places.clone(),
-            mass_share_kg: self.mass_share_kg.clone(),
-            n_added: self.n_added,
-            n_laid_out: self.n_laid_out,
-            quarantine: self.quarantine,
-            calm_stretch: self.calm_stretch,
-            last_step_s: self.last_step_s,
-            stiffness_damping_s: self.stiffness_damping_s,
         }
     }
 }

@@ -1,71 +1,15 @@
 //! The same bits at any number of threads, twice, and in copies.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Barrier, Mutex};
-
 use glisson_mesh::math::DVec3;
 use glisson_mesh::mesh::TetId;
 use glisson_mesh::mesh::edit::{EditableMesh, MeshEdit, TopologyChange};
 use glisson_tissue::model::StateHash;
-use glisson_tissue::model::explicit_kernel::SharedWorkers;
-use glisson_tissue::model::kernel::{KernelLaw, Sequential, Task, Workers};
+use glisson_tissue::model::kernel::KernelLaw;
 use glisson_tissue::model::{Constraints, DeformableModel};
 
+use crate::team::team;
+
 use super::{body, build, constraints, organ, removals};
-
-/// Threads that wait for work; tasks are taken from the last to the first.
-struct Team {
-    orders: Vec<Sender<(usize, Task, Arc<AtomicUsize>)>>,
-    done: Arc<Barrier>,
-    turn: Mutex<()>,
-}
-
-fn take_tasks(n_tasks: usize, task: &Task, taken: &AtomicUsize) {
-    loop {
-        let i = taken.fetch_add(1, Ordering::Relaxed);
-        if i >= n_tasks {
-            return;
-        }
-        task(n_tasks - 1 - i);
-    }
-}
-
-impl Team {
-    fn shared(n_threads: usize) -> SharedWorkers {
-        if n_threads == 1 {
-            return Arc::new(Sequential);
-        }
-        let done = Arc::new(Barrier::new(n_threads));
-        let orders = (1..n_threads)
-            .map(|_| {
-                let (order, orders) = channel::<(usize, Task, Arc<AtomicUsize>)>();
-                let done = Arc::clone(&done);
-                std::thread::spawn(move || {
-                    for (n_tasks, task, taken) in orders {
-                        take_tasks(n_tasks, &task, &taken);
-                        drop(task);
-                        done.wait();
-                    }
-                });
-                order
-            })
-            .collect();
-        Arc::new(Self { orders, done, turn: Mutex::new(()) })
-    }
-}
-
-impl Workers for Team {
-    fn run(&self, n_tasks: usize, task: &Task) {
-        let _turn = self.turn.lock().unwrap();
-        let taken = Arc::new(AtomicUsize::new(0));
-        for order in &self.orders {
-            order.send((n_tasks, Arc::clone(task), Arc::clone(&taken))).unwrap();
-        }
-        take_tasks(n_tasks, task, &taken);
-        self.done.wait();
-    }
-}
 
 const LONG_STEPS: u64 = 10_000;
 const LONG_REMOVALS: usize = 500;
@@ -74,7 +18,7 @@ const LONG_REMOVALS: usize = 500;
 fn long_run(law: KernelLaw, n_threads: usize, copied_at: Option<u64>) -> StateHash {
     let (mesh, fixed) = organ();
     let mut first = build(body(&mesh, &fixed), law);
-    first.set_workers(Team::shared(n_threads));
+    first.set_workers(team(n_threads));
     let mut model: Box<dyn DeformableModel> = Box::new(first);
     let dt_s = 0.5 * body(&mesh, &fixed).time_step_s;
     let mut editable = EditableMesh::new(mesh.clone()).unwrap();

@@ -7,12 +7,12 @@ use glisson_mesh::math::{DVec3, SeededRandom};
 use glisson_mesh::mesh::edit::{EdgeSplit, EditableMesh, MeshEdit, TopologyChange};
 use glisson_mesh::mesh::{NodeId, TetId, TetMesh};
 use glisson_tissue::model::composite::{Composite, CompositePart};
-use glisson_tissue::model::kernel::Sequential;
 use glisson_tissue::model::rigid::{RigidBody, RigidMotion};
 use glisson_tissue::model::{
     Constraints, Correction, DeformableModel, ImposedDisplacement, LocalModel, LocalWork, ModelUndo,
     NodalForce, follow_edit,
 };
+use glisson_tissue::workers::Sequential;
 
 use super::bodies::{Body, Kind, kinds};
 use super::{mesh_of, next_edit};

@@ -1,31 +1,18 @@
 //! Steps after edits: stable whatever comes in, the same on every path and for any number of threads, with the memory and
 //! the velocity that the parents had.
 
-use std::sync::Arc;
-
 use glisson_mesh::math::{DVec3, SeededRandom};
 use glisson_mesh::mesh::edit::{EdgeSplit, EditableMesh, MeshEdit, TopologyChange};
 use glisson_mesh::mesh::{EdgeId, NodeId};
 use glisson_tissue::model::StateHash;
 use glisson_tissue::model::explicit_kernel::{ExplicitKernel, ExplicitKernelParams};
-use glisson_tissue::model::kernel::{KernelLaw, KernelPath, Task, Workers};
+use glisson_tissue::model::kernel::{KernelLaw, KernelPath};
 use glisson_tissue::model::{Constraints, DeformableModel, ImposedDisplacement};
+
+use crate::team::team;
 
 use super::bodies::{Body, kinds, series};
 use super::{large_mesh, mesh_of, next_edit, pick};
-
-/// Runs the tasks backwards, each on a thread of its own.
-struct Backwards;
-
-impl Workers for Backwards {
-    fn run(&self, n_tasks: usize, task: &Task) {
-        std::thread::scope(|scope| {
-            for i in (0..n_tasks).rev() {
-                scope.spawn(move || task(i));
-            }
-        });
-    }
-}
 
 #[test]
 fn edits_give_the_same_bits_on_every_path_and_for_any_number_of_threads() {
@@ -42,7 +29,7 @@ fn edits_give_the_same_bits_on_every_path_and_for_any_number_of_threads() {
             ExplicitKernelParams::new(body.dynamic(), KernelLaw::StVenantKirchhoff, &body.materials);
         (params.path, params.fibres, params.relaxation) = (path, &body.fibres, Some(&series));
         if at > 0 && path.name() == fastest.name() {
-            params.workers = Arc::new(Backwards);
+            params.workers = team(3);
         }
         let mut model = ExplicitKernel::build(&params).unwrap();
         model.set_gravity(DVec3::new(0.0, -3.0, 1.0));

@@ -4,6 +4,9 @@ use super::ImplicitEuler;
 use crate::model::{Correction, NodalForce};
 use glisson_mesh::math::DVec3;
 
+/// Answers to forces are solved by two grids to this residual.
+const ANSWER: f64 = 1e-4;
+
 impl ImplicitEuler {
     /// Forces on nodes that do not move or are held have no effect.
     pub(super) fn answer(&mut self, forces: &[NodalForce], moves_m: &mut [DVec3]) {
@@ -18,7 +21,7 @@ impl ImplicitEuler {
             right[n] += force.force_n * self.mask[n];
         }
         // What ended early is not linear in the forces, which contact counts on.
-        if !lagged.solve_into(workers, right, moves_m) {
+        if !lagged.solve_into(workers, right, moves_m, ANSWER) {
             lagged.apply_into(workers, right, moves_m);
         }
         for (moved_m, mask) in moves_m.iter_mut().zip(&self.mask) {

@@ -27,8 +27,8 @@ const NODE_WORK_NS: u64 = 60;
 
 /// Bodies of at least so many nodes that move take two grids: a choice from measurements (docs/bench.md).
 const TWO_GRID_NODES: usize = 3_000;
-/// Answers to forces are solved by two grids to this residual, in no more than so many iterations.
-const ANSWER: (f64, u32) = (1e-4, 60);
+/// Two grids solve in no more than so many iterations.
+const MOST_ITERATIONS: u32 = 60;
 
 /// What answers for the matrix.
 #[derive(Clone)]
@@ -292,16 +292,17 @@ impl Lagged {
         matches!(self.solver, Solver::TwoGrid(_)) && self.late.is_empty()
     }
 
-    /// [`Self::apply_into`], with the inverse to a small residual; false where two grids did not reach that.
+    /// [`Self::apply_into`], with the inverse to a residual of this share of `right`; false where two grids did not reach that.
     pub(super) fn solve_into(
         &mut self,
         workers: &dyn Workers,
         right: &[DVec3],
         solution: &mut [DVec3],
+        residual_share: f64,
     ) -> bool {
         let mut is_solved = true;
         self.with_late(right, solution, |grids, solution| {
-            is_solved = grids.solve_into(workers, right, solution, ANSWER);
+            is_solved = grids.solve_into(workers, right, solution, (residual_share, MOST_ITERATIONS));
         });
         is_solved
     }

@@ -491,7 +491,12 @@ impl ImplicitEuler {
     fn solve_directly(&mut self, factors: StepFactors) {
         let is_solved = |model: &mut Self| {
             let lagged = model.lagged.as_mut().expect("a body with tetrahedra has a factor");
-            lagged.solve_into(model.workers.as_ref(), &model.scratch.right_n, &mut model.scratch.scaled_m)
+            lagged.solve_into(
+                model.workers.as_ref(),
+                &model.scratch.right_n,
+                &mut model.scratch.scaled_m,
+                FORCING,
+            )
         };
         if !is_solved(self) {
             self.fall_back(self.state_here(factors));

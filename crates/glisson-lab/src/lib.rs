@@ -8,6 +8,7 @@
 //! The modules stand in data-flow order; a module uses only modules above it (`xtask/tests/layering.rs`).
 
 pub mod scratch;
+mod scripted;
 mod bodies;
 pub mod bed;
 pub mod bench;

@@ -35,6 +35,7 @@ mod self_contact;
 mod tissue;
 pub mod touch_truth;
 pub mod rough_hands;
+pub mod strokes;
 mod tubes;
 mod unit;
 mod volume;
@@ -258,6 +259,7 @@ pub const SLOW_GROUPS: &[Group] = &[
     Group::new("many_bodies", "A liver of 6,300 tetrahedra on its bed at 1 g for a minute: overlap, drift, real time, bits.", many_bodies::experiments),
     Group::new("contact_physics_full_size", "Two phantom livers of 6,300 tetrahedra, one on the other, for more than a minute.", contact_physics::full_size_experiments),
     Group::new("rough_hands", "Random violent motions of a hand, every model and law: bounded force, finite numbers, tissue back at rest.", rough_hands::experiments),
+    Group::new("strokes", "Random strokes of scalpel, scissors and hook, every model and law: nothing breaks, bounded force, area opened as swept, volume kept.", strokes::experiments),
     Group::new("touch_truth", "A ball pressed into blocks of 2,000 to 50,000 tetrahedra by every model: forces against the axisymmetric solutions.", touch_truth::block_experiments),
     Group::new("touch_truth_livers", "A ball pressed into livers of three patients by every model: the forces of meshes of 2,000 to 50,000 tetrahedra agree.", touch_truth::liver_experiments),
     Group::new("touch_sliding", "A ball drawn over flat, curved and deeply pressed tissue by every model: Coulomb's friction, and no energy gained.", touch_truth::sliding_experiments),

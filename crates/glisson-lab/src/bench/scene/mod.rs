@@ -7,13 +7,14 @@ use super::timing::{quantile, thread_cpu_ns};
 use super::{Answer, Machine, MachineBudget, Tell, Trial, TrialRequest};
 use crate::bodies::liver;
 use crate::scratch::ScratchFolder;
+use crate::scripted::{LongestStep, open_with_longest_step};
 use anyhow::{Context, bail, ensure};
 use glisson::mesh::files::write_mesh;
 use glisson::model::kind::ModelKind;
 use glisson::model::{FollowedEdits, ModelMotion};
 use glisson::scene::Scene;
 use glisson::world::StepStage;
-use glisson_runtime::{OpenScene, Simulation};
+use glisson_runtime::Simulation;
 use motions::{MOTIONS, Motion, Place};
 use serde::Serialize;
 use std::sync::Arc;
@@ -70,9 +71,6 @@ fn subjects() -> Vec<Subject> {
     }
     subjects
 }
-
-/// Steps shorter than this [s] are not tried.
-const SHORTEST_STEP_S: f64 = 1e-5;
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -218,33 +216,11 @@ fn open(motion: &Motion, size: usize, subject: &Subject, request: &SceneRequest)
     if request.imposed {
         tool.insert_str(0, "[hand]\ntouch = \"imposed\"\n");
     }
-    let path = folder.path().join("scene.toml");
-    let mut step_s = request.step_s.unwrap_or(subject.step_s);
-    loop {
-        std::fs::write(&path, scene_text(subject, step_s, &tool))?;
-        let source = OpenScene { n_threads: request.threads, ..OpenScene::read(&path)? };
-        let scene = source.scene.clone();
-        match Simulation::open(source, None) {
-            Ok(simulation) => {
-                return Ok(Opened { simulation, scene, step_s, end_s, size: mesh.tetrahedra.len() });
-            }
-            Err(error) if step_s <= SHORTEST_STEP_S || !is_step_too_long(&error) => return Err(error),
-            Err(_) => step_s = next_shorter_s(step_s),
-        }
-    }
-}
-
-/// The next shorter of round steps, at most a third shorter.
-fn next_shorter_s(step_s: f64) -> f64 {
-    const ROUND: [f64; 9] = [0.75, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.125, 0.1];
-    // A hair above, so that rounding does not give the same one again.
-    let decade_s = 10_f64.powf((step_s * (1.0 - 1e-9)).log10().ceil());
-    let shorter = ROUND.into_iter().map(|share| share * decade_s).find(|&s| s < step_s * (1.0 - 1e-9));
-    shorter.unwrap_or(0.1 * decade_s)
-}
-
-fn is_step_too_long(error: &anyhow::Error) -> bool {
-    format!("{error:#}").contains("is above the stable one")
+    let step_s = request.step_s.unwrap_or(subject.step_s);
+    let text = |step_s: f64| scene_text(subject, step_s, &tool);
+    let opened = open_with_longest_step(folder.path(), request.threads, step_s, &text)?;
+    let LongestStep { simulation, scene, step_s } = opened;
+    Ok(Opened { simulation, scene, step_s, end_s, size: mesh.tetrahedra.len() })
 }
 
 fn scene_text(subject: &Subject, step_s: f64, tool: &str) -> String {
@@ -443,19 +419,5 @@ mod tests {
         let wrong = SceneRequest { motion: Some("pusch".into()), ..request };
         let error = measure(&wrong, &|_, _, _| {}).unwrap_err().to_string();
         assert!(error.contains("did you mean \"push\""), "{error}");
-    }
-
-    #[test]
-    fn shorter_steps_are_round_and_never_the_same_again() {
-        let mut step_s = 1e-3;
-        let mut found_us = Vec::new();
-        while step_s > 1e-4 {
-            let shorter_s = next_shorter_s(step_s);
-            assert!(shorter_s < step_s && shorter_s > 0.66 * step_s, "{step_s} {shorter_s}");
-            found_us.push((shorter_s * 1e7).round() / 10.0);
-            step_s = shorter_s;
-        }
-        assert_eq!(found_us, [750.0, 500.0, 400.0, 300.0, 250.0, 200.0, 150.0, 125.0, 100.0]);
-        assert!((next_shorter_s(0.6e-3) - 0.5e-3).abs() < 1e-12);
     }
 }

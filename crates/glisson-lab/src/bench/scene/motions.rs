@@ -3,7 +3,8 @@
 use glam::DVec3;
 use glisson::math::SeededRandom;
 use glisson::mesh::TetMesh;
-use std::fmt::Write as _;
+
+use crate::scripted::Path;
 
 /// Depths of push and drag, ways of drag and lift [m].
 const PUSH_DEPTH_M: f64 = 0.015;
@@ -22,6 +23,8 @@ const N_STROKES: usize = 8;
 /// Points of a stroke, which follows the organ's front; nodes so near [m] tell where that is.
 const N_POINTS: usize = 6;
 const COLUMN_M: f64 = 0.012;
+/// From a tip towards its handle.
+const HANDLE: DVec3 = DVec3::new(0.0, -1.0, 0.2);
 /// Seed of the strokes' places.
 const SEED: u64 = 26;
 
@@ -92,58 +95,16 @@ impl Place {
     }
 }
 
-/// Writes a path, point by point at a given speed.
-struct Path {
-    text: String,
-    time_s: f64,
-    last_m: DVec3,
-}
-
-impl Path {
-    /// An instrument `tool` (scene lines) that begins at `home_m`.
-    fn new(tool: &str, home_m: DVec3) -> Self {
-        let text = format!("[[tool]]\n{tool}home_tip = {}\nhome_shaft = [0, -1, 0.2]\n", place(home_m));
-        let mut path = Self { text, time_s: 0.0, last_m: home_m };
-        path.point(0.0, home_m, "");
-        path
-    }
-
-    fn point(&mut self, wait_s: f64, tip_m: DVec3, more: &str) {
-        self.time_s += wait_s;
-        self.last_m = tip_m;
-        // Writing to a text does not fail.
-        let _ = write!(
-            self.text,
-            "[[tool.path]]\ntime = \"{:.6} s\"\ntip = {}\n{more}",
-            self.time_s,
-            place(tip_m)
-        );
-    }
-
-    fn go(&mut self, tip_m: DVec3, speed_m_per_s: f64, more: &str) {
-        let way_m = self.last_m.distance(tip_m);
-        self.point((way_m / speed_m_per_s).max(1e-3), tip_m, more);
-    }
-
-    fn done(self) -> (String, f64) {
-        (self.text, self.time_s)
-    }
-}
-
-fn place(p_m: DVec3) -> String {
-    format!("[\"{:.6} m\", \"{:.6} m\", \"{:.6} m\"]", p_m.x, p_m.y, p_m.z)
-}
-
 fn rest(at: &Place) -> (String, f64) {
     let home_m = at.at(-0.1, 0.0, 0.0);
-    let mut path = Path::new("kind = \"probe\"\ntip_radius = \"6 mm\"\n", home_m);
+    let mut path = Path::new("kind = \"probe\"\ntip_radius = \"6 mm\"\n", home_m, HANDLE);
     path.point(0.5, home_m, "");
     path.done()
 }
 
 fn push(at: &Place) -> (String, f64) {
     let home_m = at.at(-ABOVE_M, 0.0, 0.0);
-    let mut path = Path::new("kind = \"probe\"\ntip_radius = \"6 mm\"\n", home_m);
+    let mut path = Path::new("kind = \"probe\"\ntip_radius = \"6 mm\"\n", home_m, HANDLE);
     path.go(at.at(PUSH_DEPTH_M - 6e-3, 0.0, 0.0), SPEED_M_PER_S, "");
     path.go(home_m, SPEED_M_PER_S, "");
     path.done()
@@ -151,7 +112,7 @@ fn push(at: &Place) -> (String, f64) {
 
 fn drag(at: &Place) -> (String, f64) {
     let home_m = at.at(-ABOVE_M, 0.0, 0.0);
-    let mut path = Path::new("kind = \"probe\"\ntip_radius = \"3 mm\"\nfriction = 0.05\n", home_m);
+    let mut path = Path::new("kind = \"probe\"\ntip_radius = \"3 mm\"\nfriction = 0.05\n", home_m, HANDLE);
     path.go(at.at(DRAG_DEPTH_M - 3e-3, 0.0, 0.0), SPEED_M_PER_S, "");
     path.go(at.at(DRAG_DEPTH_M - 3e-3, DRAG_WAY_M, 0.0), SPEED_M_PER_S, "");
     path.go(at.at(-ABOVE_M, DRAG_WAY_M, 0.0), SPEED_M_PER_S, "");
@@ -160,7 +121,8 @@ fn drag(at: &Place) -> (String, f64) {
 
 fn cut(at: &Place) -> (String, f64) {
     let home_m = at.at(-ABOVE_M, 0.0, 0.0);
-    let mut path = Path::new("kind = \"scalpel\"\ntip_radius = \"1 mm\"\nblade_length = \"20 mm\"\n", home_m);
+    let mut path =
+        Path::new("kind = \"scalpel\"\ntip_radius = \"1 mm\"\nblade_length = \"20 mm\"\n", home_m, HANDLE);
     let mut random = SeededRandom::new(SEED);
     let (on, off) = ("trigger = 1\n", "trigger = 0\n");
     for _ in 0..N_STROKES {
@@ -182,7 +144,7 @@ fn cut(at: &Place) -> (String, f64) {
 fn grasp(at: &Place) -> (String, f64) {
     let home_m = at.at(-ABOVE_M, 0.0, 0.0);
     let tool = "kind = \"grasper\"\ntip_radius = \"3 mm\"\njaw_length = \"20 mm\"\nhome_jaw = 1\n";
-    let mut path = Path::new(tool, home_m);
+    let mut path = Path::new(tool, home_m, HANDLE);
     let (open, closed) = ("jaw = 1\n", "jaw = 0\n");
     let held_m = at.at(6e-3, 0.0, 0.0);
     path.go(held_m, SPEED_M_PER_S, open);

@@ -74,7 +74,9 @@ impl Shared {
                 Ok(_) => {
                     let i = (ticket % ROUND) as usize;
                     // SAFETY: task `i` of this round is this thread's now, and not counted as done before it is.
-                    if catch_unwind(AssertUnwindSafe(|| unsafe { work.call(i) })).is_err() {
+                    if let Err(panic) = catch_unwind(AssertUnwindSafe(|| unsafe { work.call(i) })) {
+                        // Its end may panic too, which nothing would catch.
+                        std::mem::forget(panic);
                         self.has_panicked.store(true, Ordering::Relaxed);
                     }
                     self.n_done.fetch_add(1, Ordering::Release);
@@ -169,6 +171,10 @@ pub fn shared_workers(n_threads: usize) -> anyhow::Result<SharedWorkers> {
 
 impl Workers for WorkerTeam {
     fn run(&self, n_tasks: usize, task: &Task<'_>) {
+        if n_tasks <= 1 || self.threads.is_empty() {
+            (0..n_tasks).for_each(task);
+            return;
+        }
         let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
         let work = Work::of(task);
         let number = {

@@ -8,7 +8,7 @@ pub type Task<'a> = dyn Fn(usize) + Sync + 'a;
 
 /// A runner of tasks.
 pub trait Workers: Sync {
-    /// Calls `task` once with each of `0..n_tasks`; returns when all are done.
+    /// Calls `task` once with each of `0..n_tasks`; returns when all are done. A task does not run others on the same workers.
     fn run(&self, n_tasks: usize, task: &Task<'_>);
 }
 
@@ -92,7 +92,8 @@ impl<'a, T> IntoIterator for Chunks<'a, T> {
 }
 
 /// Calls `work` with each stretch of these lists and the place of its first item, at the same time where there are threads. The
-/// stretches have `least` items or more, and follow from the lists' length alone. Nothing is allocated.
+/// stretches, but for the last, have `least` items or more, and follow from the lists' length alone. Nothing is allocated (on
+/// Linux and Windows, whose locks are plain numbers).
 pub(crate) fn in_stretches<L: Lists>(
     workers: &dyn Workers,
     least: usize,

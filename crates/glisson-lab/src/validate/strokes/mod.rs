@@ -81,7 +81,9 @@ impl Selection {
             let laws = if laws.is_empty() { vec![None] } else { laws.into_iter().map(Some).collect() };
             laws.into_iter().map(move |law| Subject { kind, law, step_s })
         };
-        Ok(ModelKind::ALL.into_iter().filter(is_wanted).flat_map(of_kind).collect())
+        let subjects: Vec<Subject> = ModelKind::ALL.into_iter().filter(is_wanted).flat_map(of_kind).collect();
+        ensure!(!subjects.is_empty(), "blades cut none of the models {}", self.models.join(", "));
+        Ok(subjects)
     }
 }
 
@@ -99,7 +101,8 @@ impl Body {
         match seed % 6 {
             4 => Self::Cube,
             5 => Self::Cylinder,
-            _ => Self::Liver(FIRST_PATIENT + seed % N_PATIENTS),
+            // Four of six seeds, each patient in turn.
+            of_six => Self::Liver(FIRST_PATIENT + (4 * (seed / 6) + of_six) % N_PATIENTS),
         }
     }
 
@@ -251,8 +254,9 @@ fn scene_text(case: &Case, step_s: f64, tools: &str) -> String {
 /// The case of a seed, cut.
 fn cut(subject: Subject, seed: u64, n_tets: usize) -> anyhow::Result<Case> {
     let (body, mut random) = (Body::of_seed(seed), SeededRandom::new(seed));
-    let touches_itself = subject.kind.row().corrects_steps && seed / 2 % 2 == 1;
-    let mut case = Case { subject, seed, body, touches_itself, tears: seed % 2 == 1, felt: Felt::default() };
+    let touches_itself = subject.kind.row().corrects_steps && seed / 12 % 2 == 1;
+    let mut case =
+        Case { subject, seed, body, touches_itself, tears: seed / 6 % 2 == 1, felt: Felt::default() };
     let mesh = body.mesh(n_tets)?;
     let folder = ScratchFolder::new()?;
     write_mesh(&folder.path().join("body.vtu"), &mesh)?;
@@ -297,8 +301,10 @@ fn run(selection: &Selection, see: &mut dyn FnMut(&Case)) -> anyhow::Result<Vec<
     let subjects = selection.subjects()?;
     let mut cases = Vec::new();
     for seed in selection.first_seed..selection.first_seed + selection.n_cases {
-        // Every model meets every body, with and without self-contact and tearing.
-        let subject = subjects[(seed * 7 + seed / 6) as usize % subjects.len()];
+        // One after the other, and another one first in each round, so that in the long run each meets every body, with and without
+        // self-contact and tearing.
+        let n = subjects.len() as u64;
+        let subject = subjects[((seed + seed / n) % n) as usize];
         let case = cut(subject, seed, selection.n_tets)?;
         see(&case);
         cases.push(case);

@@ -4,11 +4,11 @@ use crate::scripted::Path;
 use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::TetMesh;
 
-/// Where an instrument that is not used waits [m]: so far from the body's middle, over its largest half size.
+/// Where an instrument that is not used waits: so far from the body's middle, over its largest half size.
 const AWAY: f64 = 2.0;
 /// How far above the body a stroke begins and ends [m].
 const ABOVE_M: f64 = 0.015;
-/// Strokes in turn have this many points, which follow the body's surface; nodes so near [m] tell where that is.
+/// Points of a stroke of scalpel or hook, which follow the body's surface; nodes so near [m] tell where that is.
 const N_POINTS: usize = 6;
 const COLUMN_M: f64 = 0.012;
 /// Of a surgeon's hand that does not dawdle [m/s].
@@ -60,7 +60,7 @@ impl<'a> Sight<'a> {
         on_plane_m + out * height_m
     }
 
-    /// From outside towards the body, not where it is held.
+    /// From the body outwards, not to where it is held.
     fn out(&self, random: &mut SeededRandom) -> DVec3 {
         loop {
             let way = DVec3::from_array([0; 3].map(|_| random.normal())).normalize_or(DVec3::Z);

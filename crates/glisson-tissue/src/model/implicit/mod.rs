@@ -381,7 +381,8 @@ impl ImplicitEuler {
         self.displacement_m.len()
     }
 
-    /// Who computes from now on, with the same bits; the calling thread alone at first.
+    /// Who computes from now on, with the same bits; the calling thread alone at first. Who runs this model in a task gives it other
+    /// workers.
     pub fn set_workers(&mut self, workers: SharedWorkers) {
         self.workers = workers;
     }

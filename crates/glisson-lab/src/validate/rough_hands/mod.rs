@@ -8,14 +8,13 @@
 mod motions;
 mod work;
 
-use self::motions::{Block, Outcome as Felt, Subject, abuse, motion_name};
+pub(crate) use self::motions::Subject;
+use self::motions::{Block, Outcome as Felt, abuse, motion_name};
 use self::work::Work;
 use super::touch_truth::{BLOCK_SIZE_M, block};
 use super::{Experiment, Outcome};
 use crate::scratch::ScratchFolder;
-use anyhow::ensure;
 use glisson::model::MeasuredSample;
-use glisson::model::kind::ModelKind;
 use glisson::world::spec::Hand;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -63,16 +62,10 @@ impl Default for Selection {
 
 impl Selection {
     fn subjects(&self) -> anyhow::Result<Vec<Subject>> {
-        let known = ModelKind::ALL.map(ModelKind::name);
-        for name in &self.models {
-            ensure!(known.contains(&name.as_str()), "no model {name:?}; there are: {}", known.join(", "));
-        }
-        let is_wanted = |subject: &Subject| {
-            let is_model = self.models.is_empty() || self.models.iter().any(|m| m == subject.kind.name());
-            let is_law = |law: &str| self.laws.iter().any(|l| l == law);
-            is_model && (self.laws.is_empty() || subject.law.is_some_and(is_law))
-        };
-        Ok(Subject::all().into_iter().filter(is_wanted).collect())
+        let is_law = |law: &str| self.laws.iter().any(|l| l == law);
+        let mut subjects = Subject::of_models(&self.models)?;
+        subjects.retain(|subject| self.laws.is_empty() || subject.law.is_some_and(is_law));
+        Ok(subjects)
     }
 }
 

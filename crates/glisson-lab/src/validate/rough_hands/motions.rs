@@ -1,6 +1,7 @@
 //! A block of tissue, two instruments, and what a hand should not do with them: random violent motions, each of a seed.
 
 use super::work::{Work, WorkMeter};
+use anyhow::ensure;
 use glisson::contact::response::self_contact::SelfContactParams;
 use glisson::material::{LawChoice, LinearElastic, law_named};
 use glisson::math::{DVec3, SeededRandom, is_inverted, tetrahedron_volume_m3};
@@ -53,6 +54,19 @@ impl Subject {
             laws.into_iter().map(move |law| Self { kind, law, step_s })
         };
         ModelKind::ALL.into_iter().flat_map(of_kind).collect()
+    }
+
+    /// The same of these models; of all for none.
+    ///
+    /// # Errors
+    /// For a model that there is not.
+    pub(crate) fn of_models(models: &[String]) -> anyhow::Result<Vec<Self>> {
+        let known = ModelKind::ALL.map(ModelKind::name);
+        for name in models {
+            ensure!(known.contains(&name.as_str()), "no model {name:?}; there are: {}", known.join(", "));
+        }
+        let is_named = |subject: &Self| models.is_empty() || models.iter().any(|m| m == subject.kind.name());
+        Ok(Self::all().into_iter().filter(is_named).collect())
     }
 }
 

@@ -7,6 +7,7 @@
 mod motions;
 
 use self::motions::{Sight, Strokes, strokes};
+use super::rough_hands::Subject;
 use super::{Experiment, Outcome};
 use crate::bodies::{cylinder, filled, liver_surface};
 use crate::scratch::ScratchFolder;
@@ -18,8 +19,7 @@ use glisson::math::{DVec3, SeededRandom};
 use glisson::mesh::TetMesh;
 use glisson::mesh::box_mesh::box_of_five;
 use glisson::mesh::files::write_mesh;
-use glisson::model::kind::ModelKind;
-use glisson::model::{FollowedEdits, ModelMotion};
+use glisson::model::FollowedEdits;
 use glisson::world::spec::Hand;
 use glisson_runtime::Simulation;
 use std::collections::BTreeSet;
@@ -57,31 +57,12 @@ impl Default for Selection {
     }
 }
 
-/// A model, its law, and the longest step that is tried [s].
-#[derive(Clone, Copy, Debug)]
-struct Subject {
-    kind: ModelKind,
-    law: Option<&'static str>,
-    step_s: f64,
-}
-
 impl Selection {
     fn subjects(&self) -> anyhow::Result<Vec<Subject>> {
-        let known = ModelKind::ALL.map(ModelKind::name);
-        for name in &self.models {
-            ensure!(known.contains(&name.as_str()), "no model {name:?}; there are: {}", known.join(", "));
-        }
-        let is_wanted = |kind: &ModelKind| {
-            let is_named = self.models.is_empty() || self.models.iter().any(|name| name == kind.name());
-            is_named && kind.row().edits != FollowedEdits::None && !kind.row().follows_curves
-        };
-        let of_kind = |kind: ModelKind| {
-            let step_s = if kind.row().motion == ModelMotion::Implicit { 2e-3 } else { 1e-3 };
-            let laws = kind.laws();
-            let laws = if laws.is_empty() { vec![None] } else { laws.into_iter().map(Some).collect() };
-            laws.into_iter().map(move |law| Subject { kind, law, step_s })
-        };
-        let subjects: Vec<Subject> = ModelKind::ALL.into_iter().filter(is_wanted).flat_map(of_kind).collect();
+        let mut subjects = Subject::of_models(&self.models)?;
+        subjects.retain(|Subject { kind, .. }| {
+            kind.row().edits != FollowedEdits::None && !kind.row().follows_curves
+        });
         ensure!(!subjects.is_empty(), "blades cut none of the models {}", self.models.join(", "));
         Ok(subjects)
     }

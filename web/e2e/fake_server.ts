@@ -139,6 +139,7 @@ export class FakeSimulator {
           paused: this.paused,
           bleeding: null,
           contactPoints: this.watchers.has(client) ? organ.contactPoints() : null,
+          threads: [],
           tools: [
             {
               tip_m: vec3(organ.tip_m),

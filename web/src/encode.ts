@@ -6,6 +6,7 @@ import {
   FLAG_CONTACT_POINTS,
   FLAG_GRASP,
   FLAG_PAUSED,
+  FLAG_THREADS,
   KIND_SNAPSHOT,
   KIND_TOPOLOGY,
   MAGIC,
@@ -15,6 +16,7 @@ import {
   type Snapshot,
   type Topology,
 } from "./protocol";
+import { encodeThreads } from "./threads";
 
 export function encodeTopology(topology: Omit<Topology, "kind">): ArrayBuffer {
   const n = topology.nodeIds.length;
@@ -42,13 +44,14 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   const blood = first + 4 * positions_m.length;
   const bloodRecords = bloodNumbers(header.bleeding);
   const contacts = encodeContactPoints(header.contactPoints);
-  const buffer = new ArrayBuffer(blood + 4 * bloodRecords.length + contacts.length);
+  const threads = encodeThreads(header.threads);
+  const buffer = new ArrayBuffer(blood + 4 * bloodRecords.length + contacts.length + threads.length);
   const view = new DataView(buffer);
   [MAGIC, KIND_SNAPSHOT, header.version, header.organ].forEach((word, i) => view.setUint32(4 * i, word, true));
   view.setBigUint64(16, BigInt(header.step), true);
   const scalars = [header.time_s, header.rate_steps_per_s, header.realTimeFactor];
   scalars.forEach((x, i) => view.setFloat64(24 + 8 * i, x, true));
-  const flags = (header.paused ? FLAG_PAUSED : 0) | (header.contactPoints === null ? 0 : FLAG_CONTACT_POINTS);
+  const flags = (header.paused ? FLAG_PAUSED : 0) | (header.contactPoints === null ? 0 : FLAG_CONTACT_POINTS) | (header.threads.length === 0 ? 0 : FLAG_THREADS);
   const words = [flags, header.tools.length, positions_m.length / 3, (4 * bloodRecords.length) / BLOOD_BYTES];
   words.forEach((word, i) => view.setUint32(48 + 4 * i, word, true));
   header.tools.forEach((tool, n) => {
@@ -63,5 +66,6 @@ export function encodeSnapshot(snapshot: Omit<Snapshot, "kind">): ArrayBuffer {
   positions_m.forEach((x, i) => view.setFloat32(first + 4 * i, x, true));
   bloodRecords.forEach((x, i) => view.setFloat32(blood + 4 * i, x, true));
   new Uint8Array(buffer).set(contacts, blood + 4 * bloodRecords.length);
+  new Uint8Array(buffer).set(threads, blood + 4 * bloodRecords.length + contacts.length);
   return buffer;
 }

@@ -8,11 +8,12 @@
 import { BLOOD_BYTES, decodeBlood, type Bleeding } from "./blood";
 import { bodiesAt, type BodyInfo } from "./body_info";
 import { contactPointsBytes, decodeContactPoints, type ContactPoints } from "./contact_points";
+import { decodeThreads, threadsBytes, type Thread } from "./threads";
 import { decodeFeel, type Feel } from "./feel";
 import { decodeRole, decodeTiming, type Role, type Timing } from "./timing";
 import { fail, fieldsOf, nodeIdsAt, numberAt, ProtocolError, stringAt, stringsAt, vec3At, type Fields, type Vec3 } from "./fields";
 
-export const PROTOCOL_VERSION = 9;
+export const PROTOCOL_VERSION = 10;
 /** Bytes `GLSN` read as a little-endian u32. */
 export const MAGIC = 0x4e534c47;
 export const KIND_TOPOLOGY = 1;
@@ -21,6 +22,7 @@ export const FLAG_CONTACT = 1;
 export const FLAG_PAUSED = 2;
 export const FLAG_GRASP = 4;
 export const FLAG_CONTACT_POINTS = 8;
+export const FLAG_THREADS = 16;
 
 export const TOPOLOGY_HEADER_BYTES = 24;
 export const SNAPSHOT_HEADER_BYTES = 64;
@@ -51,7 +53,7 @@ export interface JawsInfo {
 
 export interface ToolInfo {
   readonly name: string;
-  /** probe, grasper, scissors, scalpel, hook or cautery. */
+  /** probe, grasper, scissors, scalpel, hook, cautery or clipper. */
   readonly kind: string;
   readonly tip_radius_m: number;
   readonly shaft_radius_m: number;
@@ -129,6 +131,7 @@ export interface SnapshotHeader {
   readonly bleeding: Bleeding | null;
   /** Null unless the viewer asked for them. */
   readonly contactPoints: ContactPoints | null;
+  readonly threads: readonly Thread[];
 }
 
 /** A header with the state of the instrument in the hand at its top. */
@@ -325,9 +328,11 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
   const blood = first + 12 * nVertices;
   const contacts = blood + BLOOD_BYTES * nBlood;
   const hasContacts = (flags & FLAG_CONTACT_POINTS) !== 0;
+  const threads = contacts + (hasContacts ? contactPointsBytes(view, contacts) : 0);
+  const hasThreads = (flags & FLAG_THREADS) !== 0;
   checkLength(
     buffer.byteLength,
-    contacts + (hasContacts ? contactPointsBytes(view, contacts) : 0),
+    threads + (hasThreads ? threadsBytes(view, threads) : 0),
     `snapshot with ${nVertices} vertices and ${nBlood} records of blood`,
   );
   const step = view.getBigUint64(16, true);
@@ -373,6 +378,7 @@ function decodeSnapshot(buffer: ArrayBuffer, view: DataView): Snapshot {
       tools: Array.from({ length: nTools }, (_, i) => tool(SNAPSHOT_HEADER_BYTES + TOOL_BYTES * i)),
       bleeding: decodeBlood(view, blood, nBlood),
       contactPoints: hasContacts ? decodeContactPoints(view, contacts) : null,
+      threads: hasThreads ? decodeThreads(view, threads) : [],
     },
     positions_m,
   };

@@ -17,6 +17,7 @@ import { pickTriangle, type Pick } from "./geometry";
 import { Instrument } from "./instrument";
 import { organMaterial } from "./materials";
 import { tissueTexture } from "./noise";
+import { ThreadMarks } from "./thread_marks";
 import { cameraPosition, FIELD_OF_VIEW_DEG, orbitThatShows, viewAxes, type Orbit } from "./orbit";
 import { Organ, type SurfaceStyle } from "./organ";
 import { REST_AFTER_MS, REST_RATIO } from "./resolution";
@@ -53,6 +54,7 @@ export class Scene3d {
   readonly contactMarks = new ContactMarks();
   private readonly scene = new Scene();
   private readonly bleeding = new BleedingMarks();
+  private readonly threads = new ThreadMarks();
   private readonly material: ShaderMaterial;
   private hello: Hello | null = null;
   private style: SurfaceStyle = "surface";
@@ -76,7 +78,7 @@ export class Scene3d {
     this.renderer.toneMappingExposure = 1.08;
     this.renderer.setClearColor(0x000000, 0);
     this.material = organMaterial(tissueTexture());
-    this.scene.add(this.bleeding.group, this.contactMarks.group);
+    this.scene.add(this.bleeding.group, this.contactMarks.group, this.threads.group);
     this.camera.up.set(0, 0, 1);
     this.orbit = orbitThatShows(new Vector3(-0.1, -0.1, -0.1), new Vector3(0.1, 0.1, 0.1), 1);
     this.resize();
@@ -176,6 +178,7 @@ export class Scene3d {
       if (tool !== undefined) instrument.show(tool);
     });
     this.bleeding.show(header.bleeding?.ends ?? []);
+    this.threads.show(header.threads);
     this.shadeByTool();
   }
 

@@ -366,7 +366,7 @@ export class Viewer {
   }
 
   private showHeader(header: SnapshotHeader): void {
-    const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify([h.tools, h.bleeding?.ends, h.contactPoints]));
+    const drawn = (h: SnapshotHeader | null): string => (h === null ? "" : JSON.stringify([h.tools, h.bleeding?.ends, h.contactPoints, h.threads]));
     if (drawn(header) !== drawn(this.header)) this.sceneChanged = true;
     this.contacts.take(header.contactPoints);
     this.header = headerOfHand(header, this.hands.chosen);

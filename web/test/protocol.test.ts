@@ -40,6 +40,7 @@ const SNAPSHOT: Snapshot = {
       ends: [{ position_m: [1, 2, 3], rate_m3_per_s: 0.5 }],
     },
     contactPoints: null,
+    threads: [],
     tools: [
       {
         tip_m: [0.01, -0.02, 0.03],
@@ -74,9 +75,20 @@ const WITH_CONTACTS: Snapshot = {
   },
 };
 
+const WITH_THREADS: Snapshot = {
+  ...WITH_CONTACTS,
+  header: {
+    ...WITH_CONTACTS.header,
+    threads: [
+      { radius_m: 0.125, needleNodes: 2, nodes_m: [[1, 2, 3], [0.5, 0, 0], [4, 5, 6]], clips_m: [[0, 0.25, 0]] },
+      { radius_m: 0.5, needleNodes: 0, nodes_m: [[1, 2, 3], [0.5, 0, 0]], clips_m: [] },
+    ],
+  },
+};
+
 const HELLO: Hello = {
   type: "hello",
-  protocol: 9,
+  protocol: 10,
   scene: {
     name: "liver",
     model: "pre-computed",
@@ -216,11 +228,20 @@ describe("binary frames", () => {
     expect(() => decodeBinary(buffer)).toThrow(message);
   });
 
+  it("snapshot: threads come back, after the contact points", () => {
+    const buffer = encodeSnapshot(WITH_THREADS);
+    expect(buffer.byteLength).toBe(encodeSnapshot(WITH_CONTACTS).byteLength + 4 + 2 * 16 + 12 * 6);
+    expect(decodeBinary(buffer)).toEqual(WITH_THREADS);
+    const view = new DataView(buffer);
+    view.setUint32(buffer.byteLength - 12 * 2 - 12, 9, true);
+    expect(() => decodeBinary(buffer)).toThrow(/needle of 9|bytes/);
+  });
+
   it("any mutation and any truncation gives a message or a ProtocolError, nothing else", () => {
     const next = random(2463534242);
     let refused = 0;
     for (let round = 0; round < 20_000; round++) {
-      const snapshot = round % 4 === 1 ? SNAPSHOT : WITH_CONTACTS;
+      const snapshot = round % 4 === 1 ? SNAPSHOT : WITH_THREADS;
       const whole = new Uint8Array(round % 2 === 0 ? encodeTopology(TOPOLOGY) : encodeSnapshot(snapshot));
       const bytes = next() < 0.5 ? whole : whole.slice(0, Math.floor(next() * (whole.length + 1)));
       for (let k = Math.floor(next() * 6); k >= 0 && bytes.length > 0; k--) {
@@ -233,7 +254,8 @@ describe("binary frames", () => {
         } else {
           const points = decoded.header.contactPoints?.points ?? [];
           const numbers = points.flatMap((p) => [...p.place_m, ...p.normal, ...p.force_n]);
-          expect([...decoded.positions_m, ...numbers].every((x) => Number.isFinite(x))).toBe(true);
+          const places = decoded.header.threads.flatMap((thread) => [...thread.nodes_m, ...thread.clips_m].flat());
+          expect([...decoded.positions_m, ...numbers, ...places].every((x) => Number.isFinite(x))).toBe(true);
         }
       } catch (error) {
         if (!(error instanceof ProtocolError)) throw error;
@@ -256,7 +278,7 @@ describe("text messages", () => {
   });
 
   it("another protocol version is refused, with both numbers", () => {
-    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 9/);
+    expect(() => decodeText(JSON.stringify({ ...HELLO, protocol: 2 }))).toThrow(/protocol 2, this viewer 10/);
   });
 
   it.each(["", "null", "[]", "7", '"hello"', "{", '{"type":"hello"}', '{"type":7}', '{"type":"goodbye"}'])(

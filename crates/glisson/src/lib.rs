@@ -16,6 +16,7 @@ pub use glisson_tissue::{material, model, solve, workers};
 pub mod contact;
 pub mod tool;
 pub mod haptics;
+pub mod suture;
 pub mod record;
 pub mod world;
 pub mod scene;

@@ -164,6 +164,7 @@ impl PressedCubes {
             positions_m: vec![DVec3::ZERO; shown_nodes.len()],
             tools: Vec::new(),
             bleeding: BleedingSnapshot::default(),
+            threads: Vec::new(),
         };
         Ok(Self { bodies, far_sides, pressed_s: 0.0, shown, shown_nodes })
     }

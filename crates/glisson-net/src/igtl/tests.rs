@@ -33,6 +33,7 @@ pub(crate) fn published(step: u64) -> Arc<Published> {
             topology_version: 0,
             positions_m: corners.clone(),
             bleeding: Default::default(),
+            threads: Vec::new(),
             tools: vec![tool],
         },
         contact_points: None,

@@ -230,6 +230,7 @@ mod tests {
             topology_version: 0,
             positions_m: vec![DVec3::ONE],
             bleeding: Default::default(),
+            threads: Vec::new(),
             tools,
         }
     }

@@ -1,7 +1,7 @@
 //! The binary frames of the viewer's protocol (`docs/protocol.md`), little endian.
 
 use glisson::math::DVec3;
-use glisson::record::snapshot::{ContactPoints, DisplayTopology, Snapshot};
+use glisson::record::snapshot::{ContactPoints, DisplayTopology, Snapshot, ThreadSnapshot};
 pub use glisson_runtime::pace::Pace;
 
 const MAGIC: u32 = u32::from_le_bytes(*b"GLSN");
@@ -11,6 +11,7 @@ const FLAG_CONTACT: u32 = 1;
 const FLAG_PAUSED: u32 = 2;
 const FLAG_GRASPS: u32 = 4;
 const FLAG_CONTACT_POINTS: u32 = 8;
+const FLAG_THREADS: u32 = 16;
 
 struct FrameWriter(Vec<u8>);
 
@@ -33,6 +34,16 @@ impl FrameWriter {
     /// In single precision: a display needs no more.
     fn positions(&mut self, positions_m: &[DVec3]) {
         self.0.extend(positions_m.iter().flat_map(|p| p.as_vec3().to_array()).flat_map(f32::to_le_bytes));
+    }
+
+    fn threads(&mut self, threads: &[ThreadSnapshot]) {
+        self.u32s(&[threads.len() as u32]);
+        for thread in threads {
+            self.u32s(&[thread.nodes_m.len() as u32, thread.n_needle_nodes, thread.clips_m.len() as u32]);
+            self.0.extend((thread.radius_m as f32).to_le_bytes());
+            self.positions(&thread.nodes_m);
+            self.positions(&thread.clips_m);
+        }
     }
 
     fn contact_points(&mut self, contacts: &ContactPoints) {
@@ -72,10 +83,11 @@ pub fn snapshot_frame(snapshot: &Snapshot, pace: &Pace, contacts: Option<&Contac
     frame.f64s(&[snapshot.time_s, pace.rate_hz, pace.real_time_factor]);
     let paused = if pace.paused { FLAG_PAUSED } else { 0 };
     let with_contacts = if contacts.is_some() { FLAG_CONTACT_POINTS } else { 0 };
+    let with_threads = if snapshot.threads.is_empty() { 0 } else { FLAG_THREADS };
     let bleeding = &snapshot.bleeding;
     let n_blood = if bleeding.has_vessels { 1 + bleeding.ends.len() as u32 } else { 0 };
     let (n_tools, n_vertices) = (snapshot.tools.len() as u32, snapshot.positions_m.len() as u32);
-    frame.u32s(&[paused | with_contacts, n_tools, n_vertices, n_blood]);
+    frame.u32s(&[paused | with_contacts | with_threads, n_tools, n_vertices, n_blood]);
     for tool in &snapshot.tools {
         let pose = &tool.pose;
         frame.f64s(&pose.tip_in_world_m.to_array());
@@ -102,6 +114,9 @@ pub fn snapshot_frame(snapshot: &Snapshot, pace: &Pace, contacts: Option<&Contac
     }
     if let Some(contacts) = contacts {
         frame.contact_points(contacts);
+    }
+    if !snapshot.threads.is_empty() {
+        frame.threads(&snapshot.threads);
     }
     frame.0
 }
@@ -146,6 +161,7 @@ mod tests {
             positions_m: vec![DVec3::ONE; 3],
             tools: vec![tool, ToolSnapshot { contacts: [None; 3], n_held_nodes: 0, ..tool }],
             bleeding: BleedingSnapshot::default(),
+            threads: Vec::new(),
         }
     }
 
@@ -192,6 +208,24 @@ mod tests {
         assert_eq!([192, 200, 208].map(double), [0.5, 0.25, 0.125]);
         assert_eq!([216 + 120, 216 + 124].map(word), [0, 0]);
         assert_eq!(frame.len(), WITHOUT_BLOOD);
+    }
+
+    #[test]
+    fn threads_follow_a_snapshot_as_documented() {
+        let thread = ThreadSnapshot {
+            radius_m: 0.5,
+            nodes_m: vec![DVec3::X, DVec3::Y, DVec3::Z],
+            n_needle_nodes: 2,
+            clips_m: vec![DVec3::ONE],
+        };
+        let frame = snapshot_frame(&Snapshot { threads: vec![thread], ..snapshot() }, &PACE, None);
+        let without = snapshot_frame(&snapshot(), &PACE, None);
+        let word = |at: usize| u32::from_le_bytes(frame[at..at + 4].try_into().unwrap());
+        assert_eq!((frame.len(), without.len()), (WITHOUT_BLOOD + 4 + 16 + 12 * 4, WITHOUT_BLOOD));
+        assert_eq!([0, 4, 8, 12].map(|at| word(WITHOUT_BLOOD + at)), [1, 3, 2, 1]);
+        assert_eq!(word(48), u32::from_le_bytes(without[48..52].try_into().unwrap()) | 16);
+        let number = |at: usize| f32::from_bits(word(WITHOUT_BLOOD + at));
+        assert_eq!([16, 20, 56, 60].map(number), [0.5, 1.0, 1.0, 1.0]);
     }
 
     #[test]

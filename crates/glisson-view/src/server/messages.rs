@@ -3,7 +3,7 @@
 use super::hands::FeltBy;
 use glisson::math::{Aabb, DVec3};
 use glisson::model::kind::{MODELS, ModelKind};
-use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ToolSnapshot};
+use glisson::record::snapshot::{BleedingEnd, BleedingSnapshot, ContactReport, ThreadSnapshot, ToolSnapshot};
 use glisson::tool::{Tool, ToolInput};
 use glisson::world::spec::BodySpec;
 use glisson_runtime::devices::viewer::GREATEST_FORCE_N;
@@ -14,7 +14,7 @@ use glisson_runtime::{Notice, Simulation};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-const PROTOCOL: u32 = 9;
+const PROTOCOL: u32 = 10;
 
 /// The first message on a connection.
 pub(super) fn hello(simulation: &Simulation) -> Value {
@@ -99,7 +99,18 @@ pub(super) fn snapshot(published: &Published) -> Value {
         "rest_positions_m": list(&topology.rest_positions_m),
         "positions_m": list(&snapshot.positions_m),
         "bleeding": snapshot.bleeding.has_vessels.then(|| bleeding_state(&snapshot.bleeding)),
+        "threads": snapshot.threads.iter().map(thread).collect::<Vec<_>>(),
         "state_hash": published.state_hash.to_string(),
+    })
+}
+
+fn thread(thread: &ThreadSnapshot) -> Value {
+    let list = |points: &[DVec3]| points.iter().map(|p| p.to_array()).collect::<Vec<_>>();
+    json!({
+        "radius_m": thread.radius_m,
+        "nodes_m": list(&thread.nodes_m),
+        "n_needle_nodes": thread.n_needle_nodes,
+        "clips_m": list(&thread.clips_m),
     })
 }
 

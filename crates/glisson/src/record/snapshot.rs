@@ -56,6 +56,19 @@ pub struct BleedingEnd {
     pub rate_m3_per_s: f64,
 }
 
+/// A thread.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ThreadSnapshot {
+    /// Its radius [m].
+    pub radius_m: f64,
+    /// Its nodes, from the first end [m].
+    pub nodes_m: Vec<DVec3>,
+    /// How many of them are the needle's.
+    pub n_needle_nodes: u32,
+    /// Where clips are on it [m].
+    pub clips_m: Vec<DVec3>,
+}
+
 /// The displayed state of a world after a step. Buffers are reused: filling one allocates only the first time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {
@@ -71,6 +84,8 @@ pub struct Snapshot {
     pub tools: Vec<ToolSnapshot>,
     /// Blood from severed vessels.
     pub bleeding: BleedingSnapshot,
+    /// Threads, in the scene's order.
+    pub threads: Vec<ThreadSnapshot>,
 }
 
 /// What a viewer needs to know once, and again after each change of topology.

@@ -19,6 +19,7 @@ mod carried;
 mod build_bodies;
 mod build_world;
 mod spec;
+mod suture;
 
 pub use attachment::{AttachmentKind, AttachmentSource};
 pub use bodies::{BodySource, SceneBody};

@@ -252,6 +252,23 @@ impl<'a> Section<'a> {
         )))
     }
 
+    /// A list of lists of so many lengths each, `example` of them.
+    pub(super) fn lengths(
+        &mut self,
+        key: &'static str,
+        (n_each, example): (std::ops::RangeInclusive<usize>, &'static str),
+    ) -> Result<Option<Vec<Vec<f64>>>, SceneError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        let wrong = |value| self.wrong_type(value, key, example);
+        let list = value.get_ref().as_array().ok_or_else(|| wrong(value))?;
+        let each = |item: Value<'a>| {
+            let lengths = item.get_ref().as_array().filter(|lengths| n_each.contains(&lengths.len()));
+            let lengths = lengths.ok_or_else(|| wrong(item))?.iter();
+            lengths.map(|length| self.quantity_of(key, length, Dimension::Length)).collect()
+        };
+        list.iter().map(each).collect::<Result<_, _>>().map(Some)
+    }
+
     /// A truth value.
     pub(super) fn flag(&mut self, key: &'static str) -> Result<Option<bool>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(None) };

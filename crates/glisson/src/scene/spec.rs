@@ -10,6 +10,7 @@ use super::instrument::{
 use super::organ::OrganSource;
 use super::reader::{SceneError, Section, parse_toml};
 use super::simulation::read_simulation;
+use super::suture::read_sutures;
 use crate::record::session::{
     FIRST_VERSION_WITH_EMBEDDED_CUTS, FIRST_VERSION_WITH_HAND, FIRST_VERSION_WITH_PARTING_SCISSORS,
     SessionHeader,
@@ -86,6 +87,7 @@ impl Scene {
         let hand = root.section("hand")?;
         let bodies = BodySections::of(&mut root)?;
         let tied = root.sections("attachment")?;
+        let sewn = root.sections("suture")?;
         let tools = tool_sections(&mut root)?;
         root.finish()?;
 
@@ -147,6 +149,7 @@ impl Scene {
             body_contact,
             bonds: Vec::new(),
             vessels: Vec::new(),
+            sutures: read_sutures(sewn)?,
             tools: scripted,
         };
         let (most_parts, text) = (simulation.most_parts, text.to_string());
@@ -272,7 +275,8 @@ trigger = 1
         assert_eq!(scene.end_of_paths_s(), Some(1.0));
 
         let message = |text: &str| Scene::parse(text).unwrap_err().to_string();
-        let allowed = "\"kind\" is \"grabber\"; allowed: probe, grasper, scissors, scalpel, hook, cautery";
+        let allowed =
+            "\"kind\" is \"grabber\"; allowed: probe, grasper, scissors, scalpel, hook, cautery, clipper";
         assert!(message(&two.replace("\"grasper\"", "\"grabber\"")).contains(allowed));
         assert!(message(&two.replace("home_jaw = 1", "home_jaw = 2")).contains("between 0 and 1"));
         assert!(message(&two.replace("\"grasper\"", "\"probe\"")).contains("unknown key"));

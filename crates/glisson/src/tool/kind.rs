@@ -26,6 +26,8 @@ pub enum JawUse {
     Hold,
     /// They part it.
     Part,
+    /// They set a clip on it.
+    Clip,
 }
 
 /// An instrument without parts that tissue slides on: to begin a row with.
@@ -61,8 +63,15 @@ const CAUTERY: InstrumentKind = InstrumentKind {
     ..PLAIN
 };
 
+const CLIPPER: InstrumentKind = InstrumentKind {
+    name: "clipper",
+    about: "sets clips on the threads that its jaws close on",
+    jaws: Some(JawUse::Clip),
+    ..PLAIN
+};
+
 /// Every kind, in the order of lists: one line a kind (docs/extending.md).
-pub const INSTRUMENTS: &[InstrumentKind] = &[PROBE, GRASPER, SCISSORS, SCALPEL, HOOK, CAUTERY];
+pub const INSTRUMENTS: &[InstrumentKind] = &[PROBE, GRASPER, SCISSORS, SCALPEL, HOOK, CAUTERY, CLIPPER];
 
 /// The names of all kinds, in the order of the table.
 pub fn instrument_names() -> impl Iterator<Item = &'static str> {
@@ -155,6 +164,11 @@ impl ToolKind {
     /// Whether its jaws hold what they close on.
     pub fn holds(&self) -> bool {
         self.kind.jaws == Some(JawUse::Hold)
+    }
+
+    /// Whether its jaws set clips.
+    pub fn sets_clips(&self) -> bool {
+        self.kind.jaws == Some(JawUse::Clip)
     }
 
     /// The jaws with which it parts what they close on, and how, if it does.

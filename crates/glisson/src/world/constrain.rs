@@ -4,6 +4,8 @@ use super::bodies::SurfaceContact;
 use super::grasp::{Grasp, Hold};
 use super::parts::ToolPart;
 use super::slide::{Follow, PatchAnswer};
+use super::spec::MOST_SUTURES;
+use super::sutures::Suture;
 use super::tear::edge_motion_m;
 use super::tool_state::{ContactSearch, ToolState};
 use super::touch::HeldContact;
@@ -25,7 +27,7 @@ pub(super) struct Owner {
 }
 
 /// Lists that ascend by node as one.
-fn merge_into(lists: [&[NodalForce]; 3], forces: &mut Vec<NodalForce>) {
+fn merge_into<const N: usize>(lists: [&[NodalForce]; N], forces: &mut Vec<NodalForce>) {
     let mut left = lists;
     forces.clear();
     while let Some(node) = left.iter().filter_map(|list| list.first()).map(|force| force.node).min() {
@@ -49,6 +51,7 @@ impl World {
             hand.move_to(tool, place, input, held);
             if input.placed[place] {
                 self.press.forget_tool(place);
+                self.sutures.iter_mut().for_each(|suture| suture.let_go(place));
             }
             if let Some(jaws) = tool.kind.jaws() {
                 let pose = hand.now;
@@ -94,6 +97,7 @@ impl World {
                 self.impose_contacts(part);
             }
         }
+        self.sew();
         self.sort_imposed();
         self.gather_forces(n_substeps);
         self.model.apply(&self.constraints);
@@ -112,8 +116,11 @@ impl World {
             Some(self_contact) => self_contact.forces(self.model.as_ref(), dt_s),
             None => &[],
         };
-        let lists = [springs, self.loads.forces_in_step(self.step), self.press.forces()];
-        merge_into(lists, &mut self.constraints.forces);
+        let of_threads: [&[NodalForce]; MOST_SUTURES] =
+            std::array::from_fn(|i| self.sutures.get(i).map_or(&[][..], Suture::forces));
+        let [a, b, c, d] = of_threads;
+        let loads = self.loads.forces_in_step(self.step);
+        merge_into([springs, loads, self.press.forces(), a, b, c, d], &mut self.constraints.forces);
     }
 
     /// The springs' forces for the next part of a step.
@@ -269,6 +276,8 @@ impl World {
                 let holds = self.tool_states[place].grasp.is_some() && force_of_jaws_n.is_finite();
                 self.load_jaws(place, &jaws, holds.then_some(force_of_jaws_n));
             }
+            in_contact |= self.holds_thread(place);
+            let force_of_threads_n = self.force_of_threads_n(place);
             let (hand, tool) = (&mut self.tool_states[place], &self.spec.tools[place]);
             let pose = hand.now;
             if let (Some(grasp), Some(jaws)) = (&mut hand.grasp, tool.kind.jaws()) {
@@ -294,7 +303,7 @@ impl World {
             force_on_tool_n += hand.overload.pay_for_cuts_n(edge_motion_m, tool.tip_radius_m, beside);
             // Of the tissue alone: pressing on another instrument is no work on it.
             hand.count_activity(tool, force_on_tool_n, dt_s);
-            force_on_tool_n += force_of_tools_n;
+            force_on_tool_n += force_of_tools_n + force_of_threads_n;
             hand.report.in_contact = in_contact || hand.overload.edge_is_in;
             hand.report.slip_m = slip_m;
             hand.report.torque_on_tool_n_m = self.press.torque_on_tool_n_m(place);

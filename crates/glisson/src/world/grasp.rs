@@ -15,13 +15,13 @@ use crate::tool::{Jaws, Tool, ToolInput};
 /// Jaws that are closed this far hold tissue: a choice.
 pub(super) const HOLDS_BELOW: f64 = 0.25;
 /// Jaws that are open this far let go; more than the above, so that a trembling hand does not drop what it holds.
-const LETS_GO_ABOVE: f64 = 0.35;
+pub(super) const LETS_GO_ABOVE: f64 = 0.35;
 
 /// Nodes that one pair of jaws holds at most: some models take 64 imposed nodes in all.
 pub(super) const MOST_HELD_NODES: usize = 14;
 
 /// Jaws reach by so many radii of their ends for tissue: jaws that press on a flat triangle take it. A choice.
-const REACH: f64 = 1.1;
+pub(super) const REACH: f64 = 1.1;
 
 /// Triangles between the jaws that are looked at.
 const MOST_TRIANGLES: usize = 64;

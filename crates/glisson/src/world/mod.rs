@@ -28,7 +28,10 @@ mod skin;
 mod capsule;
 mod slide;
 pub mod spec;
+mod site;
 mod stage;
+pub mod suture_spec;
+pub mod sutures;
 mod tear;
 pub mod touch;
 mod transaction;
@@ -49,7 +52,9 @@ use crate::model::StateHash;
 use crate::model::kind::ModelKind;
 use crate::model::{Constraints, DeformableModel, LevelOfDetail, ModelReport, ModelState, NodalForce};
 pub use crate::record::session::MOST_SUBSTEPS;
-use crate::record::snapshot::{BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ToolSnapshot};
+use crate::record::snapshot::{
+    BleedingSnapshot, ContactReport, DisplayTopology, Snapshot, ThreadSnapshot, ToolSnapshot,
+};
 use crate::tool::external_detection::ExternalDetection;
 use crate::tool::{MAX_TOOLS, Tool, ToolInput};
 use active::ActiveTip;
@@ -63,6 +68,7 @@ use press::Press;
 use slide::SlideScratch;
 use spec::WorldSpec;
 use std::sync::Arc;
+use sutures::Suture;
 use tool_state::ToolState;
 use touch::HeldContact;
 use vessels::Vessels;
@@ -178,6 +184,7 @@ pub struct World {
     /// Forces between bodies in the rest shape.
     touch_at_start: ContactMemory,
     loads: Loads,
+    sutures: Vec<Suture>,
     gravity_m_per_s2: DVec3,
     /// Gravity and force fields of the last step.
     pull_m_per_s2: DVec3,
@@ -220,6 +227,8 @@ impl World {
             let found = Vessels::new(spec.vessels.clone(), organ.body());
             vessels = Some(found.map_err(|(number, error)| OrganError::Vessel { number, error })?);
         }
+        let of_suture = |suture| Suture::new(suture, &organ);
+        let sutures: Vec<Suture> = spec.sutures.iter().map(of_suture).collect::<Result<_, _>>()?;
         let loads = Loads::new(&spec, &organ);
         let slide = Box::new(SlideScratch::for_nodes(organ.mesh().positions_m.len()));
         let self_contact = SurfaceContact::of(&spec, &organ, model.as_ref());
@@ -229,7 +238,7 @@ impl World {
         constraints.displacements.reserve(MOST_IMPOSED);
         constraints.forces.reserve(organ.mesh().positions_m.len());
         let gravity_m_per_s2 = spec.gravity_m_per_s2;
-        Ok(Self {
+        let mut world = Self {
             spec,
             organ,
             model,
@@ -251,13 +260,16 @@ impl World {
             self_contact,
             touch_at_start: ContactMemory::default(),
             loads,
+            sutures,
             gravity_m_per_s2,
             pull_m_per_s2: gravity_m_per_s2,
             step: 0,
             report: StepReport::default(),
             effort: None,
             stage_watch: None,
-        })
+        };
+        world.hold_threads_at_start();
+        Ok(world)
     }
 
     /// What the world was made from.
@@ -297,7 +309,7 @@ impl World {
         let pressed = self.press.numbers();
         let between = self.self_contact.iter().flat_map(|contact| contact.numbers());
         let surroundings = gravity.into_iter().chain(clock).chain(hands).chain(vessels).chain(pressed);
-        let surroundings = surroundings.chain(between);
+        let surroundings = surroundings.chain(between).chain(self.sutures.iter().flat_map(Suture::numbers));
         let surroundings: Vec<f64> = surroundings.collect();
         StateHash::of(&self.model.state(), self.organ.live_tetrahedra(), &surroundings)
     }
@@ -378,6 +390,7 @@ impl World {
         self.pull_m_per_s2 = self.gravity_m_per_s2;
         self.model.set_gravity(self.pull_m_per_s2);
         self.loads.restart(self.step);
+        self.lay_threads_anew();
         self.report = StepReport { step: self.step, ..StepReport::default() };
     }
 
@@ -485,8 +498,15 @@ impl World {
     pub fn snapshot(&self) -> Snapshot {
         let (positions_m, tools) = (Vec::new(), Vec::new());
         let bleeding = BleedingSnapshot::default();
-        let mut snapshot =
-            Snapshot { step: 0, time_s: 0.0, topology_version: 0, positions_m, tools, bleeding };
+        let mut snapshot = Snapshot {
+            step: 0,
+            time_s: 0.0,
+            topology_version: 0,
+            positions_m,
+            tools,
+            bleeding,
+            threads: Vec::new(),
+        };
         self.snapshot_into(&mut snapshot);
         snapshot
     }
@@ -512,6 +532,11 @@ impl World {
                 n_held_nodes: hand.report.n_held_nodes,
             }
         }));
+        snapshot.threads.resize_with(self.sutures.len(), ThreadSnapshot::default);
+        for ((suture, spec), thread) in self.sutures.iter().zip(&self.spec.sutures).zip(&mut snapshot.threads)
+        {
+            suture.snapshot_into(spec, thread);
+        }
         match &self.vessels {
             None => snapshot.bleeding.has_vessels = false,
             Some(vessels) => {

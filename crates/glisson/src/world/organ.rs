@@ -4,6 +4,7 @@ use super::capsule::Capsule;
 use super::display::{DisplayChange, DisplaySurface};
 use super::node_answer::node_answers_per_m;
 use super::skin::{Skin, SurfaceChange};
+use super::suture_spec::SutureError;
 use crate::image::vessels::TubeError;
 use crate::material::LinearElastic;
 use crate::math::DVec3;
@@ -32,6 +33,9 @@ pub enum OrganError {
         /// What is wrong.
         error: TubeError,
     },
+    /// A thread that cannot be laid.
+    #[error("suture: {0}")]
+    Suture(#[from] SutureError),
     /// A model of another mesh.
     #[error("the model has {n_nodes} nodes, the mesh {expected}; make the model from this mesh")]
     Model {

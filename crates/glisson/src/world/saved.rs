@@ -51,6 +51,7 @@ impl World {
             self_contact: self.self_contact.clone(),
             touch_at_start: self.touch_at_start.clone(),
             loads: self.loads.clone(),
+            sutures: self.sutures.clone(),
             gravity_m_per_s2: self.gravity_m_per_s2,
             pull_m_per_s2: self.pull_m_per_s2,
             step: self.step,

@@ -14,6 +14,7 @@ use crate::tool::fracture::Tearing;
 use std::ops::Range;
 
 pub use super::hand::Hand;
+pub use super::suture_spec::{MOST_SUTURES, Needle, SutureSpec};
 
 /// Description of a world; files are read in `scene`.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,6 +53,8 @@ pub struct WorldSpec {
     pub bonds: Vec<Bond>,
     /// Blood vessels inside the organ, in its rest shape.
     pub vessels: Vec<Tube>,
+    /// Threads: at most [`MOST_SUTURES`].
+    pub sutures: Vec<SutureSpec>,
     /// The instruments: one to [`crate::tool::MAX_TOOLS`].
     pub tools: Vec<Tool>,
 }
@@ -101,6 +104,7 @@ impl WorldSpec {
             body_contact: None,
             bonds: Vec::new(),
             vessels: Vec::new(),
+            sutures: Vec::new(),
             tools: vec![tool],
         }
     }

@@ -8,6 +8,7 @@ use super::bodies::SurfaceContact;
 use super::loads::LoadsBefore;
 use super::organ::OrganBefore;
 use super::refusal::EditRefusal;
+use super::sutures::Suture;
 use super::tool_state::ToolState;
 use super::vessels::Vessels;
 use super::{QueuedSwap, World};
@@ -29,6 +30,7 @@ pub(super) struct EditRecord {
     tool_states: Vec<ToolState>,
     active: Vec<ActiveBefore>,
     vessels: Option<Vessels>,
+    sutures: Vec<Suture>,
     /// Forces between bodies that last.
     contact: Option<ContactMemory>,
     /// Steps made when the edit was.
@@ -120,6 +122,7 @@ impl World {
         record.active.clear();
         record.active.extend(self.active.iter().map(ActiveTip::before_edit));
         record.vessels.clone_from(&self.vessels);
+        record.sutures.clone_from(&self.sutures);
         record.contact = self.self_contact.as_ref().and_then(|contact| contact.memory());
     }
 
@@ -151,6 +154,7 @@ impl World {
         // From here on nothing can fail.
         self.self_contact = self_contact;
         self.active.iter_mut().for_each(|active| active.follow(self.organ.body(), change));
+        self.sutures.iter_mut().for_each(|suture| suture.follow_edit(self.organ.body()));
         self.constraints.forces.reserve(self.organ.mesh().positions_m.len());
         Ok(())
     }
@@ -216,10 +220,12 @@ impl World {
         self.loads.undo(&record.change, &record.loads);
         self.vessels.clone_from(&record.vessels);
         if record.step == self.step {
+            self.sutures.clone_from(&record.sutures);
             self.tool_states.clone_from(&record.tool_states);
         } else {
             self.tool_states.iter_mut().for_each(ToolState::let_go);
             self.press.forget();
+            self.sutures.iter_mut().for_each(|suture| suture.follow_edit(self.organ.body()));
             self.organ.rest_at(self.model.state().positions_m);
         }
         for (active, before) in self.active.iter_mut().zip(&record.active) {

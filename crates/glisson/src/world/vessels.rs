@@ -6,10 +6,11 @@
 //! supply. The rate follows Murray's law, by which the flow of a vessel goes with the cube of its diameter (Murray 1926,
 //! doi 10.1073/pnas.12.3.207), scaled to the portal vein: an open end lets out what the vessel carried.
 
+use super::site::{Site, site_of};
 use crate::image::vessels::{Tube, TubeError, check_tube};
 use crate::math::{Aabb, DVec3, tetrahedron_volume_m3};
 use crate::mesh::edit::{EditableMesh, TopologyChange};
-use crate::mesh::{NodeId, TetId, TriangleId};
+use crate::mesh::{NodeId, TriangleId};
 use crate::record::snapshot::{BleedingEnd, BleedingSnapshot};
 use crate::surface::intersect::segment_meets_triangle;
 
@@ -23,13 +24,6 @@ pub const PORTAL_DIAMETER_M: f64 = 15.5e-3;
 pub fn bleeding_m3_per_s(diameter_m: f64) -> f64 {
     let share = diameter_m / PORTAL_DIAMETER_M;
     PORTAL_FLOW_M3_PER_S * share * share * share
-}
-
-/// A place in a tetrahedron.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Site {
-    tet: TetId,
-    weights: [f64; 4],
 }
 
 /// An open end, closed by a clip or not.
@@ -115,7 +109,7 @@ impl Vessels {
 
     /// Where the middle of a tube is now [m]; none where it is in no tissue.
     pub fn middle_m(&self, tube: usize, body: &EditableMesh, positions_m: &[DVec3]) -> Option<DVec3> {
-        self.middles[tube].map(|site| place_m(site, body, positions_m))
+        self.middles[tube].map(|site| site.place_m(body, positions_m))
     }
 
     /// Number of clips set.
@@ -155,7 +149,7 @@ impl Vessels {
 
     /// Where an open end is now [m].
     pub fn end_position_m(&self, end: &OpenEnd, body: &EditableMesh, positions_m: &[DVec3]) -> DVec3 {
-        end.site.map_or(end.rest_m, |site| place_m(site, body, positions_m))
+        end.site.map_or(end.rest_m, |site| site.place_m(body, positions_m))
     }
 
     /// Follows an edit: what came to the surface may have severed tubes. Answers how many. Allocates. `is_cut` tells triangles
@@ -215,7 +209,7 @@ impl Vessels {
         });
         let whole = self.middles.iter().enumerate().filter_map(|(i, site)| {
             let is_upstream = self.cut_along[i].is_none_or(|cut| cut > 0.5);
-            let place_m = place_m((*site).filter(|_| is_upstream)?, body, positions_m);
+            let place_m = (*site).filter(|_| is_upstream)?.place_m(body, positions_m);
             Some((place_m.distance(at_m), i, 0.5))
         });
         let nearest = ends.chain(whole).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -262,25 +256,6 @@ fn overlap(a: &Aabb, b: &Aabb) -> bool {
     a.min_m.cmple(b.max_m).all() && b.min_m.cmple(a.max_m).all()
 }
 
-fn place_m(site: Site, body: &EditableMesh, positions_m: &[DVec3]) -> DVec3 {
-    let nodes = body.topology().tet_nodes(site.tet);
-    (0..4).map(|i| positions_m[nodes[i].index()] * site.weights[i]).sum()
-}
-
-/// The live tetrahedron of the rest shape that holds `point_m`, the lowest of several.
-fn site_of(body: &EditableMesh, point_m: DVec3) -> Option<Site> {
-    body.topology().live_tets().find_map(|tet| {
-        let corners_m = body.mesh().corners_m(tet);
-        let volume_m3 = tetrahedron_volume_m3(corners_m);
-        let weights: [f64; 4] = std::array::from_fn(|i| {
-            let mut part_m = corners_m;
-            part_m[i] = point_m;
-            tetrahedron_volume_m3(part_m) / volume_m3
-        });
-        weights.iter().all(|&w| w >= -1e-12).then_some(Site { tet, weights })
-    })
-}
-
 /// Where the segment crosses the triangle, 0 to 1 along it; none where it lies in its plane, as far as rounding tells. Whether
 /// it meets the triangle is decided exactly: between triangles with an edge in common nothing slips through.
 fn crossing([from_m, to_m]: [DVec3; 2], corners_m: [DVec3; 3]) -> Option<f64> {
@@ -294,6 +269,7 @@ fn crossing([from_m, to_m]: [DVec3; 2], corners_m: [DVec3; 3]) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::math::SeededRandom;
+    use crate::mesh::TetId;
     use crate::mesh::box_mesh::box_of_five;
     use crate::mesh::edit::MeshEdit;
 

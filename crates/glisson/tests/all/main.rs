@@ -25,6 +25,7 @@ mod proxy;
 mod quasi_nonlinear;
 mod rough_hands;
 mod surface_copy;
+mod sutures;
 mod tool_contacts;
 mod tools_touch;
 mod touch;

@@ -466,6 +466,7 @@ fn wrong_instrument(instrument: InstrumentType) -> &'static str {
         InstrumentType::BipolarForceps => acts_as!("bipolar forceps", "a \"cautery\""),
         InstrumentType::NeedleHolder => acts_as!("needle holder", "a \"grasper\""),
         InstrumentType::Endoscope => acts_as!("camera", "no tool"),
+        InstrumentType::ClipApplier => acts_as!("clip applier", "a \"clipper\""),
     }
 }
 

@@ -27,11 +27,13 @@ pub enum InstrumentType {
     NeedleHolder,
     /// The camera.
     Endoscope,
+    /// Sets clips.
+    ClipApplier,
 }
 
 impl InstrumentType {
     /// All of them, in the order of their codes from 1.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::PalpationProbe,
         Self::AtraumaticGrasper,
         Self::ToothedGrasper,
@@ -42,6 +44,7 @@ impl InstrumentType {
         Self::BipolarForceps,
         Self::NeedleHolder,
         Self::Endoscope,
+        Self::ClipApplier,
     ];
 
     /// On the tag; 0 is no code.
@@ -67,6 +70,7 @@ impl InstrumentType {
             "bipolar forceps",
             "needle holder",
             "endoscope",
+            "clip applier",
         ][self as usize]
     }
 
@@ -87,6 +91,7 @@ impl InstrumentType {
             Self::Hook => Some("hook"),
             Self::BipolarForceps => Some("cautery"),
             Self::Endoscope => None,
+            Self::ClipApplier => Some("clipper"),
         }
     }
 }

@@ -139,6 +139,15 @@ pub(in crate::world) struct Press {
     search: PointSearch,
 }
 
+/// How many times as soft as a model says the touched nodes are taken to be, after a step in which they went further than expected by
+/// this share of what was expected; not a number where nothing was.
+pub(in crate::world) fn softer(softness: f64, further: f64) -> f64 {
+    let times = (1.0 + further).min(MOST_SOFTER_A_STEP);
+    let kept = 1.0 + (softness - 1.0) * KEPT_SOFTNESS;
+    let seen = if times.is_finite() { softness * times } else { 1.0 };
+    kept.max(seen).clamp(1.0, MOST_SOFTER)
+}
+
 impl Press {
     pub(in crate::world) fn new() -> Self {
         Self {
@@ -279,10 +288,7 @@ impl Press {
             // Where the way is not the forces' doing, how far it led says little of them.
             answered_m2 += touched.answer_m.length_squared() + touched.way_m.length_squared();
         }
-        let times = (1.0 + further_m2 / answered_m2).min(MOST_SOFTER_A_STEP);
-        let kept = 1.0 + (self.softness - 1.0) * KEPT_SOFTNESS;
-        let seen = if times.is_finite() { self.softness * times } else { 1.0 };
-        self.softness = kept.max(seen).clamp(1.0, MOST_SOFTER);
+        self.softness = softer(self.softness, further_m2 / answered_m2);
     }
 
     /// Forgets the contacts of the step before; lists what jaws hold.
